@@ -1,0 +1,69 @@
+# Everything a person runs. Each target sets up its own environment in .venv from the locked requirements, once.
+PYTHON    ?= python3
+CATALOGUE ?= examples
+RESULTS   ?= results
+CORES     ?=
+
+VENV := .venv
+BIN  := $(VENV)/bin
+PIP  := $(BIN)/python -m pip --disable-pip-version-check -qq
+
+.PHONY: help catalogue check test test-full lint format lock examples benchmark clean
+.DEFAULT_GOAL := help
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
+
+catalogue: $(VENV)/.runtime  ## build CATALOGUE (default: examples) into RESULTS (default: results), on CORES cores
+	@$(BIN)/brdfpipe build "$(CATALOGUE)" --results "$(RESULTS)" $(if $(CORES),--cores "$(CORES)")
+
+check: $(VENV)/.runtime  ## validate every material of CATALOGUE without computing anything
+	@$(BIN)/brdfpipe check "$(CATALOGUE)"
+
+test: $(VENV)/.dev  ## run the tests (under 20 minutes on two cores)
+	@$(BIN)/python -m pytest -n 2 --dist worksteal
+
+test-full: $(VENV)/.dev  ## run the tests and the slow proofs
+	@$(BIN)/python -m pytest -n 2 --dist worksteal --slow
+
+lint: $(VENV)/.dev  ## format check, lint, types, workflow lint
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/snakefmt --check Snakefile workflow
+	@$(BIN)/mypy
+	@$(BIN)/snakemake --lint --config catalogue="$(CURDIR)/examples"
+
+format: $(VENV)/.dev  ## format the sources
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/snakefmt Snakefile workflow
+
+examples: $(VENV)/.runtime  ## write the synthetic example materials anew, from their seeds
+	@$(BIN)/python examples/generate.py
+
+benchmark: $(VENV)/.runtime  ## measure a catalogue of 100 varied copies of the examples
+	@$(BIN)/python benchmarks/catalogue.py
+
+lock: $(VENV)/.dev  ## resolve the dependencies anew (needs uv on the PATH)
+	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
+	  pyproject.toml --group build --group dev --output-file requirements-dev.lock
+	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
+	  pyproject.toml --group build --constraint requirements-dev.lock --output-file requirements.lock
+
+clean:  ## remove the environment and the built results
+	rm -rf $(VENV) results
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit("brdfpipe needs Python 3.11 or newer, found " + sys.version.split()[0] + "; set PYTHON=/path/to/python3") if sys.version_info < (3, 11) else None'
+	@$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.runtime: requirements.lock pyproject.toml | $(VENV)/bin/python
+	@echo "Setting up $(VENV) from requirements.lock (once; a minute or two)"
+	@$(PIP) install --require-hashes --no-deps -r requirements.lock
+	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.dev: requirements-dev.lock $(VENV)/.runtime
+	@echo "Setting up the test tools from requirements-dev.lock (once)"
+	@$(PIP) install --require-hashes --no-deps -r requirements-dev.lock
+	@touch $@

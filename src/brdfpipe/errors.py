@@ -1,0 +1,61 @@
+"""Refusals: every error a user can cause says what is wrong, where, and what would be accepted."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+
+
+class BrdfpipeError(ValueError):
+    """Base of all refusals."""
+
+
+class VocabularyError(BrdfpipeError):
+    """A dataset is not what its kind promises."""
+
+
+class InputError(BrdfpipeError):
+    """Something a user wrote or measured cannot be used.
+
+    Parameters
+    ----------
+    file : the file at fault; only its name is shown, so that messages are the same on every machine
+    problem : what is wrong, in a few words
+    where : line, channel or key inside the file
+    found, accepted : what stands there, and what could
+    key : the key of ``material.yaml`` that mends or overrides it
+    """
+
+    def __init__(
+        self,
+        file: str | PurePath,
+        problem: str,
+        *,
+        where: str | None = None,
+        found: object = None,
+        accepted: str | None = None,
+        key: str | None = None,
+    ) -> None:
+        self.file = PurePath(file).name
+        self.problem = problem
+        self.where = where
+        self.found = found
+        self.accepted = accepted
+        self.key = key
+        message = f"{self.file}, {where}: {problem}" if where else f"{self.file}: {problem}"
+        if found is not None:
+            message += f"; found {found}"
+        if accepted is not None:
+            message += f"; accepted: {accepted}"
+        if key is not None:
+            message += f"; set `{key}` in material.yaml"
+        super().__init__(message)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Errors cross process borders; the default would rebuild them from the message alone.
+        return (_rebuild, (self.file, self.problem, self.where, self.found, self.accepted, self.key))
+
+
+def _rebuild(
+    file: str, problem: str, where: str | None, found: object, accepted: str | None, key: str | None
+) -> InputError:
+    return InputError(file, problem, where=where, found=found, accepted=accepted, key=key)

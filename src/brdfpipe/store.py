@@ -1,0 +1,233 @@
+"""The store: whole, self-describing, byte-reproducible netCDF files.
+
+A file appears complete or not at all: it is written under a temporary name in the same folder, flushed to the disk and
+renamed. The bytes depend on the content and the library versions alone: no clock, no host, no path.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.errors import BrdfpipeError, InputError
+
+SOFTWARE = ("brdfpipe", "netCDF4", "numpy", "scipy", "xarray")
+"""Packages whose versions are recorded with every dataset."""
+
+_UNDIGESTED = ("digest", "software")
+
+
+class StoreError(BrdfpipeError):
+    """A stored dataset cannot be read or written."""
+
+
+def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Dataset:
+    """Read a stored dataset whole into memory.
+
+    Parameters
+    ----------
+    path : a netCDF file
+    kind : if given, the kind it must be of; else the kind it says it is
+
+    Raises
+    ------
+    StoreError : the file is missing, truncated or no netCDF file.
+    VocabularyError : it is not of that kind.
+    """
+    path = Path(path)
+    try:
+        with xr.open_dataset(path, engine="netcdf4") as stored:
+            dataset = stored.load()
+    except FileNotFoundError as error:
+        raise StoreError(f"{path}: no such dataset; `brdfpipe build` makes it") from error
+    except Exception as error:  # netCDF4 raises OSError, RuntimeError, ValueError and more on damaged files
+        raise StoreError(
+            f"{path}: damaged or not a netCDF file ({type(error).__name__}: {error}); "
+            "delete it and run `brdfpipe build` to make it anew"
+        ) from error
+    kind = kind or dataset.attrs.get("kind")
+    return vocabulary.validate(dataset, kind, str(path)) if kind else dataset
+
+
+def save_dataset(
+    dataset: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    stage: str,
+    material: str,
+    inputs: Mapping[str, str | os.PathLike[str] | xr.Dataset] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+) -> xr.Dataset:
+    """Write a dataset with its provenance; return it as stored.
+
+    Parameters
+    ----------
+    dataset : a dataset that says its kind (see :func:`brdfpipe.vocabulary.label`)
+    path : the file to write; it appears whole or not at all
+    stage, material : what made it, and for which material
+    inputs : name → raw file (recorded as sha256 of its bytes), dataset (recorded as its digest), or a digest
+    parameters : everything else the stage was told, as plain JSON values
+
+    Raises
+    ------
+    VocabularyError : the dataset is not what its kind promises.
+    StoreError : the disk is full or the folder cannot be written.
+    """
+    path = Path(path)
+    dataset = dataset.load()
+    if "kind" not in dataset.attrs:
+        raise StoreError(f"{path.name}: the dataset does not say its kind; use brdfpipe.vocabulary.label")
+    vocabulary.validate(dataset, dataset.attrs["kind"], path.name)
+    provenance = {
+        "stage": stage,
+        "material": material,
+        "inputs": canonical_json({name: _input_digest(value) for name, value in (inputs or {}).items()}),
+        "parameters": canonical_json(parameters or {}),
+        "software": canonical_json(_software()),
+    }
+    attrs = {**{k: v for k, v in dataset.attrs.items() if k != "digest"}, **provenance}
+    dataset = dataset.assign_attrs({})
+    dataset.attrs = dict(sorted(attrs.items()))
+    for variable in dataset.variables.values():
+        variable.attrs = dict(sorted(variable.attrs.items()))
+        variable.encoding = {}
+    dataset.attrs["digest"] = digest(dataset)
+    with atomic_path(path, size_hint=dataset.nbytes) as temporary:
+        dataset.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=_encoding(dataset))
+    return dataset
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike[str], size_hint: int = 0) -> Iterator[Path]:
+    """A temporary name beside ``path`` that becomes ``path`` when the block succeeds, and vanishes when it does not."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    free = shutil.disk_usage(path.parent).free
+    if free < size_hint + 2**20:
+        raise StoreError(f"{path}: {free >> 20} MiB free, not enough to write it safely; free some disk space")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        yield temporary
+        with temporary.open("rb") as handle:
+            os.fsync(handle.fileno())
+        temporary.replace(path)
+        _sync_folder(path.parent)
+    except BrdfpipeError:
+        raise
+    except (OSError, RuntimeError) as error:  # netCDF4 reports a failed write as RuntimeError("NetCDF: HDF error")
+        raise StoreError(
+            f"{path}: could not be written ({error}); is the disk full or the folder read-only?"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text file (UTF-8, as given) so that it appears whole or not at all."""
+    with atomic_path(path, size_hint=len(text)) as temporary:
+        temporary.write_bytes(text.encode("utf-8"))
+
+
+def digest(dataset: xr.Dataset) -> str:
+    """Content digest: sha256 over names, dimensions, types, values and attributes, the digest itself and software aside."""
+    content = hashlib.sha256()
+    content.update(_attributes_json({k: v for k, v in dataset.attrs.items() if k not in _UNDIGESTED}))
+    for name in sorted(map(str, dataset.variables)):
+        variable = dataset.variables[name]
+        values = np.asarray(variable.values)
+        header = {"name": name, "dims": list(map(str, variable.dims)), "shape": list(values.shape)}
+        if values.dtype.kind in "OUS":
+            content.update(canonical_json({**header, "dtype": "string"}).encode())
+            content.update(canonical_json([str(item) for item in values.ravel()]).encode())
+        else:
+            little = values.astype(values.dtype.newbyteorder("<"), copy=False)
+            content.update(canonical_json({**header, "dtype": little.dtype.str}).encode())
+            content.update(np.ascontiguousarray(little).tobytes())
+        content.update(_attributes_json(variable.attrs))
+    return content.hexdigest()
+
+
+def verify(dataset: xr.Dataset, source: str) -> xr.Dataset:
+    """Check a dataset against the digest it carries; return it.
+
+    Raises
+    ------
+    StoreError : the content is not what was written.
+    """
+    if digest(dataset) != dataset.attrs.get("digest"):
+        raise StoreError(f"{source}: the content does not match its digest; delete it and build again")
+    return dataset
+
+
+def file_digest(path: str | os.PathLike[str]) -> str:
+    """sha256 of a file's bytes."""
+    try:
+        with Path(path).open("rb") as handle:
+            return hashlib.file_digest(handle, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(Path(path), f"cannot be read ({error.strerror})") from error
+
+
+def canonical_json(value: Any) -> str:
+    """JSON with one spelling for one value: sorted keys, no spaces, shortest round-trip floats."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=_plain)
+
+
+def _input_digest(value: str | os.PathLike[str] | xr.Dataset) -> str:
+    if isinstance(value, xr.Dataset):
+        return str(value.attrs.get("digest") or digest(value))
+    return value if isinstance(value, str) else file_digest(value)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is no plain value")
+
+
+def _attributes_json(attrs: Mapping[Any, Any]) -> bytes:
+    # A one-element list comes back from netCDF as a scalar: both must digest alike.
+    plain = {str(k): np.asarray(v).ravel().tolist() for k, v in attrs.items()}
+    return canonical_json(plain).encode()
+
+
+def _encoding(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
+    encoding: dict[str, dict[str, Any]] = {}
+    for name, variable in dataset.variables.items():
+        options: dict[str, Any] = {}
+        if variable.dtype.kind == "f":
+            options["_FillValue"] = None
+        if variable.dtype.kind in "fiu" and variable.ndim and variable.size:
+            # The checksum is what turns a zeroed block, as a full disk leaves it, into an error instead of zeros.
+            options |= {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
+        encoding[str(name)] = options
+    return encoding
+
+
+@cache
+def _software() -> dict[str, str]:
+    return {package: version(package) for package in SOFTWARE}
+
+
+def _sync_folder(folder: Path) -> None:
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,55 @@
+"""Small datasets that many tests start from; nothing here is measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import facets, optics, vocabulary
+from brdfpipe.bsdf import microfacet
+
+WAVELENGTH = np.arange(360.0, 781.0, 5.0)
+
+
+def spectrum(reflectance=0.3, *, geometry: str = "sci", theta: float = 8.0) -> xr.Dataset:
+    """A total reflectance on the 5-nm grid: a number, or values on it."""
+    values = np.broadcast_to(np.asarray(reflectance, dtype=float), WAVELENGTH.shape).copy()
+    return vocabulary.label(
+        xr.Dataset(
+            {"total_reflectance": ("wavelength", values)},
+            coords={"wavelength": WAVELENGTH},
+            attrs={"geometry": geometry, "theta_i": theta, "method": "synthetic", "residual_delta_e": 0.0},
+        ),
+        "spectrum",
+    )
+
+
+def beckmann_bsdf(sigma: float = 0.1, *, n: float = 1.55, reflectance=0.3, **options) -> xr.Dataset:
+    """The microfacet BSDF of a Gaussian surface of slope rms ``sigma`` per axis; ``reflectance=None`` for its gloss alone."""
+    return microfacet.build(
+        facets.analytic("beckmann", sigma * np.sqrt(2)),
+        index=optics.refractive_index(n),
+        spectrum=None if reflectance is None else spectrum(reflectance),
+        **options,
+    )
+
+
+def gaussian_surface(size: int = 512, *, sigma: float = 0.15, correlation: float = 8.0, seed: int = 1) -> xr.Dataset:
+    """A periodic Gaussian height map of slope rms ``sigma`` per axis and Gaussian correlation (pixels), 1 µm pitch."""
+    rng = np.random.default_rng(seed)
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
+    shape = np.exp(-((np.pi * frequency * correlation) ** 2) / 2)
+    height = np.fft.ifft2(np.fft.fft2(rng.normal(size=(size, size))) * shape).real
+    slopes = np.diff(height, axis=1)
+    return surface(height * sigma / slopes.std())
+
+
+def surface(height, pitch: tuple[float, float] = (1.0, 1.0)) -> xr.Dataset:
+    """A surface dataset of a map (y, x) or a line (x) in µm."""
+    height = np.asarray(height, dtype=float)
+    dims = ("y", "x")[2 - height.ndim :]
+    coords = {dim: np.arange(n) * step for dim, n, step in zip(dims[::-1], height.shape[::-1], pitch, strict=False)}
+    attrs = {"pitch_x": pitch[0], "levelling": "none", "band": "synthetic"}
+    if height.ndim == 2:
+        attrs["pitch_y"] = pitch[1]
+    return vocabulary.label(xr.Dataset({"height": (dims, height)}, coords=coords, attrs=attrs), "surface")

@@ -1,0 +1,139 @@
+"""Files appear whole, carry their provenance, and are the same bytes for the same content."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import samples
+import xarray as xr
+
+import brdfpipe
+from brdfpipe import store
+from brdfpipe.errors import InputError, VocabularyError
+
+
+def save(dataset, path, **provenance):
+    given = {"stage": "spectrum", "material": "grey", "inputs": {}, "parameters": {"scale": "percent"}}
+    return store.save_dataset(dataset, path, **{**given, **provenance})
+
+
+def test_what_is_written_is_what_is_read(tmp_path):
+    saved = save(samples.spectrum(), tmp_path / "a.nc")
+    xr.testing.assert_identical(brdfpipe.open_dataset(tmp_path / "a.nc"), saved)
+
+
+def test_a_rewrite_gives_the_same_bytes(tmp_path):
+    save(samples.beckmann_bsdf(), tmp_path / "a.nc")
+    save(samples.beckmann_bsdf(), tmp_path / "b.nc")
+    assert (tmp_path / "a.nc").read_bytes() == (tmp_path / "b.nc").read_bytes()
+
+
+def test_the_order_attributes_were_set_in_does_not_matter(tmp_path):
+    spectrum = samples.spectrum()
+    reordered = spectrum.assign_attrs({})
+    reordered.attrs = dict(reversed(spectrum.attrs.items()))
+    save(spectrum, tmp_path / "a.nc")
+    save(reordered, tmp_path / "b.nc")
+    assert (tmp_path / "a.nc").read_bytes() == (tmp_path / "b.nc").read_bytes()
+
+
+def test_the_digest_survives_the_file(tmp_path):
+    saved = save(samples.beckmann_bsdf(), tmp_path / "a.nc")
+    read = brdfpipe.open_dataset(tmp_path / "a.nc")
+    assert store.digest(read) == saved.attrs["digest"]
+    assert store.verify(read, "a.nc") is read
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d["total_reflectance"].__setitem__(3, 0.31),
+        lambda d: d.attrs.__setitem__("geometry", "sce"),
+        lambda d: d["wavelength"].attrs.__setitem__("long_name", "colour"),
+    ],
+)
+def test_the_digest_sees_values_and_attributes(change):
+    spectrum = samples.spectrum().copy(deep=True)
+    before = store.digest(spectrum)
+    change(spectrum)
+    assert store.digest(spectrum) != before
+
+
+def test_the_digest_ignores_software_versions():
+    spectrum = samples.spectrum()
+    assert store.digest(spectrum) == store.digest(spectrum.assign_attrs(software="another"))
+
+
+def test_provenance_names_inputs_by_their_content(tmp_path):
+    raw = tmp_path / "raw.txt"
+    raw.write_text("400 0.3\n")
+    source = save(samples.spectrum(), tmp_path / "source.nc")
+    saved = save(samples.spectrum(), tmp_path / "a.nc", inputs={"raw": raw, "source": source})
+    inputs = json.loads(saved.attrs["inputs"])
+    assert inputs == {"raw": store.file_digest(raw), "source": source.attrs["digest"]}
+    assert str(tmp_path) not in json.dumps(saved.attrs)
+
+
+def test_nothing_is_left_behind_when_writing_fails(tmp_path, monkeypatch):
+    def full(*_args, **_kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(xr.Dataset, "to_netcdf", full)
+    with pytest.raises(store.StoreError, match="is the disk full"):
+        save(samples.spectrum(), tmp_path / "a.nc")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_write_leaves_the_former_file_alone(tmp_path):
+    save(samples.spectrum(), tmp_path / "a.nc")
+    before = (tmp_path / "a.nc").read_bytes()
+    bad = samples.spectrum()
+    bad["total_reflectance"][0] = np.nan
+    with pytest.raises(VocabularyError):
+        save(bad, tmp_path / "a.nc")
+    assert (tmp_path / "a.nc").read_bytes() == before
+
+
+def test_a_full_disk_is_noticed_before_writing(tmp_path, monkeypatch):
+    monkeypatch.setattr(store.shutil, "disk_usage", lambda _folder: type("Usage", (), {"free": 1000})())
+    with pytest.raises(store.StoreError, match="free some disk space"):
+        save(samples.spectrum(), tmp_path / "a.nc")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("keep", [0, 100, 3000])
+def test_a_truncated_file_is_named_with_the_way_to_mend_it(tmp_path, keep):
+    path = tmp_path / "a.nc"
+    save(samples.beckmann_bsdf(), path)
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(store.StoreError, match=r"a\.nc: damaged or not a netCDF file.*brdfpipe build"):
+        brdfpipe.open_dataset(path)
+
+
+def test_a_zeroed_block_is_an_error_and_not_zeros(tmp_path):
+    path = tmp_path / "a.nc"
+    surface = samples.gaussian_surface(128)
+    save(surface, path)
+    content = bytearray(path.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 4096] = bytes(4096)
+    path.write_bytes(bytes(content))
+    with pytest.raises(store.StoreError, match="damaged"):
+        brdfpipe.open_dataset(path)
+
+
+def test_a_missing_dataset_says_who_makes_it(tmp_path):
+    with pytest.raises(store.StoreError, match="brdfpipe build"):
+        brdfpipe.open_dataset(tmp_path / "none.nc")
+
+
+def test_a_missing_raw_file_is_an_input_error(tmp_path):
+    with pytest.raises(InputError, match=r"none\.txt: cannot be read"):
+        store.file_digest(tmp_path / "none.txt")
+
+
+def test_text_files_keep_their_line_ends(tmp_path):
+    store.write_text(tmp_path / "a.csv", "a\nµ\n")
+    assert (tmp_path / "a.csv").read_bytes() == "a\nµ\n".encode()
