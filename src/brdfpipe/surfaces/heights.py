@@ -1,0 +1,192 @@
+"""Heights on a constant-pitch grid: the dataset they become, and the checks that they can be a surface at all.
+
+The checks catch what readers cannot see: a wrong unit, another channel than height, a file of another kind that happened to
+open. Their limits are wide: no finish of a plastic, paint or film comes near them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from brdfpipe.errors import InputError
+from brdfpipe.vocabulary import add_history, add_warning, label
+
+PITCH_RANGE = (1e-3, 1e3)
+EXTENT_MAX = 1e6
+GRID_MIN = 32
+LINE_MIN = 64
+SLOPE_RANGE = (1e-4, 3.0)
+LEVELS_MIN = 16
+MISSING_WARN = 0.01
+MISSING_MAX = 0.5
+SECTION_WARN = 2.0
+
+
+@dataclass(frozen=True)
+class Heights:
+    """What a reader found.
+
+    Parameters
+    ----------
+    height : (y, x) or (x,), um, NaN where missing
+    pitch_x, pitch_y : um; ``pitch_y`` is None for a line
+    history : corrections, in words
+    warnings : doubts, each saying what to do
+    """
+
+    height: NDArray[np.floating]
+    pitch_x: float
+    pitch_y: float | None = None
+    history: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def surface_dataset(heights: Heights) -> xr.Dataset:
+    """The dataset of kind ``surface`` of what a reader found, not levelled."""
+    height = heights.height
+    pitches = {"pitch_x": heights.pitch_x} | ({} if heights.pitch_y is None else {"pitch_y": heights.pitch_y})
+    dims = ("x",) if heights.pitch_y is None else ("y", "x")
+    steps = [pitches[f"pitch_{dim}"] for dim in dims]
+    surface = xr.Dataset(
+        {"height": (dims, height, {"long_name": "height, not levelled"})},
+        {dim: np.arange(count) * step for dim, count, step in zip(dims, height.shape, steps, strict=True)},
+        {**pitches, "levelling": "none", "band": _band(heights.pitch_x, heights.pitch_y)},
+    )
+    return _with_notes(label(surface, "surface"), heights.history, heights.warnings)
+
+
+def examine(surface: xr.Dataset, file: Path) -> xr.Dataset:
+    """Refuse heights that cannot be a surface; warn of doubtful ones.
+
+    Parameters
+    ----------
+    surface : kind ``surface``
+    file : where it came from, for the message
+
+    Returns
+    -------
+    The surface, with warnings for more than 1 % missing heights and for sections of unequal pitch (ratio above 2).
+
+    Raises
+    ------
+    InputError : pitch outside 1 nm to 1 mm; extent of 1 m or more; fewer than 32 x 32 (areal) or 64 (line) points; infinite
+        heights; more than 50 % missing; fewer than 16 distinct heights; rms slope, mean slope removed, outside [1e-4, 3].
+    """
+    height = surface.height.values
+    pitches = [surface.attrs[f"pitch_{dim}"] for dim in surface.height.dims]
+    _check_grid(height.shape, pitches, file)
+    missing = np.isnan(height)
+    fraction = float(missing.mean())
+    if fraction > MISSING_MAX:
+        raise InputError(
+            file,
+            "more than half of the heights are missing",
+            found=f"{fraction:.1%}",
+            accepted="at most 50 %; measure again, or export a part with fewer gaps",
+        )
+    _check_heights(height, pitches, file)
+    return _with_notes(surface, (), _doubts(fraction, pitches))
+
+
+def _with_notes(surface: xr.Dataset, history: Sequence[str], warnings: Sequence[str]) -> xr.Dataset:
+    surface = add_history(surface, *history) if history else surface
+    return add_warning(surface, *warnings) if warnings else surface
+
+
+def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path) -> None:
+    for dim, pitch, count in zip("yx"[-len(shape) :], pitches, shape, strict=True):
+        key = "surface.lateral_unit"
+        if not PITCH_RANGE[0] <= pitch <= PITCH_RANGE[1]:
+            raise InputError(
+                file,
+                f"the sampling pitch along {dim} cannot be right",
+                found=f"{pitch:g} um",
+                accepted="1 nm to 1 mm",
+                key=key,
+            )
+        if pitch * count >= EXTENT_MAX:
+            raise InputError(
+                file,
+                f"the extent along {dim} cannot be right",
+                found=f"{pitch * count / 1e6:g} m",
+                accepted="less than 1 m",
+                key=key,
+            )
+    least = LINE_MIN if len(shape) == 1 else GRID_MIN
+    if min(shape) < least:
+        raise InputError(
+            file,
+            "too few points for a slope distribution",
+            found=" x ".join(map(str, shape)),
+            accepted=f"{LINE_MIN} or more along a line, {GRID_MIN} x {GRID_MIN} or more of an area",
+            key="surface.layout",
+        )
+
+
+def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Path) -> None:
+    if np.isinf(height).any():
+        raise InputError(
+            file,
+            "infinite heights",
+            found=f"{int(np.isinf(height).sum())} of them",
+            accepted="numbers; NaN, *** or an empty field where a height is missing",
+        )
+    # A sample of points suffices to count a few levels, and sorting all of them would cost more than reading them.
+    sample = height.ravel()[:: max(1, height.size // 20011)]
+    levels = np.unique(sample[~np.isnan(sample)]).size
+    if levels < LEVELS_MIN:
+        raise InputError(
+            file,
+            "the heights are quantised to a few levels",
+            found=f"{levels} distinct values",
+            accepted=f"{LEVELS_MIN} or more: a height channel (not intensity), exported with more digits",
+        )
+    slope = _slope_rms(height, pitches)
+    if not SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
+        raise InputError(
+            file,
+            "the rms slope cannot be that of a surface finish; is the unit right?",
+            found=f"{slope:.3g}",
+            accepted=f"{SLOPE_RANGE[0]:g} to {SLOPE_RANGE[1]:g}",
+            key="surface.unit",
+        )
+
+
+def _slope_rms(height: NDArray[np.floating], pitches: list[float]) -> float:
+    """rms slope of the forward differences about their mean; 0 where no two neighbours are valid."""
+    variance = 0.0
+    for axis, pitch in enumerate(pitches):
+        steps = np.diff(height, axis=axis)
+        if np.isnan(height).any():
+            steps = steps[~np.isnan(steps)]
+        if steps.size:
+            variance += float(steps.var(dtype=np.float64)) / pitch**2
+    return math.sqrt(variance)
+
+
+def _doubts(missing: float, pitches: list[float]) -> list[str]:
+    doubts = []
+    if missing > MISSING_WARN:
+        doubts.append(
+            f"{missing:.1%} of the heights are missing, likely the steepest: the slopes may be understated; "
+            "measure with higher aperture or at several tilts."
+        )
+    ratio = max(pitches) / min(pitches)
+    if ratio > SECTION_WARN:
+        doubts.append(
+            f"The pitches along x and y differ by a factor {ratio:.2g}: slopes across the wider one are smoothed; "
+            "measure with equal pitches."
+        )
+    return doubts
+
+
+def _band(pitch_x: float, pitch_y: float | None) -> str:
+    square = pitch_y is None or abs(pitch_y - pitch_x) < 1e-3 * pitch_x
+    return (f"{pitch_x:.4g}" if square else f"{pitch_x:.4g} x {pitch_y:.4g}") + " um pitch; no λs, no λc filter"

@@ -1,0 +1,442 @@
+"""Delimited text: a line of heights, a grid of heights, or points x y z.
+
+The layout, the separator and the decimal mark each follow from a fixed rule, so that a damaged file is refused and not read
+as something else. Whole columns are handled at once; no point is looked at on its own.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from brdfpipe.errors import InputError
+from brdfpipe.surfaces.heights import Heights
+
+UNITS = {"nm": 1e-3, "um": 1.0, "µm": 1.0, "μm": 1.0, "mm": 1e3, "m": 1e6}
+"""Unit → µm."""
+LAYOUTS = ("line", "grid", "xyz")
+
+_MAX_BYTES = 2**31
+_MISSING = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "-", "--", "---", "BAD", "bad"]
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|nan|\*+", re.IGNORECASE | re.ASCII)
+_SETTING = re.compile(r"[ \t]*[#%]+[ \t]*(unit|lateral_unit|pitch)[ \t]*[:=][ \t]*(.*)", re.IGNORECASE)
+_TWO_PERCENT = 0.02
+
+
+@dataclass(frozen=True)
+class _Body:
+    """The numbers of a file as text, and what stands above and between them."""
+
+    text: str
+    first_line: int
+    settings: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def read_text(
+    path: Path,
+    *,
+    layout: str | None = None,
+    unit: str | None = None,
+    lateral_unit: str | None = None,
+    pitch: float | Sequence[float] | None = None,
+) -> Heights:
+    """Read a line profile or a height map from delimited text.
+
+    Parameters
+    ----------
+    path : UTF-8, UTF-16 or Latin-1 text; columns separated by ``;``, tab, ``,`` or white space; decimal point or comma;
+        comments after ``#`` or ``%``; lines of words above the first line of numbers are passed over
+    layout : ``line`` (x and z, or z alone), ``grid`` (a row of heights a line, the first at y = 0) or ``xyz`` (in any
+        order); by default from the shape: one row, one or two columns are a line, three columns are xyz, more a grid
+    unit : of the heights: nm, um, mm, m; by default from a line ``# unit: um``
+    lateral_unit : of x, y and pitch; by default from a line ``# lateral_unit: mm``, else as ``unit``
+    pitch : a number, or [x, y]; by default from a line ``# pitch: 0.5 0.5``, or from x and y where the file has them
+
+    Returns
+    -------
+    Heights [um] in float64; NaN where the file has NaN, ***, NA, - or nothing between two separators, or leaves points of a
+    regular xyz grid out.
+
+    Raises
+    ------
+    InputError : no text; no numbers; rows of unequal length or something that is no number, by line; unit or pitch not known;
+        x unevenly spaced; points that fill no regular grid.
+
+    Notes
+    -----
+    Printed positions are rounded: at 0.1 um printed and 0.156 um pitch, slopes from printed neighbours come out 28 % too
+    steep. The pitch is constant and comes from the end points; positions must follow it within their printed digits.
+    """
+    if layout is not None and layout not in LAYOUTS:
+        raise InputError(path, "unknown layout", found=layout, accepted=", ".join(LAYOUTS), key="surface.layout")
+    text, notes = _decode(path)
+    body = _split_header(text, path)
+    height_scale, lateral_scale = _scales(path, body.settings, unit, lateral_unit)
+    table = _table(body, path)
+    steps = _pitch(path, body.settings, pitch)
+    chosen = layout or _default_layout(table)
+    read = {"line": _line, "grid": _grid, "xyz": _xyz}[chosen]
+    height, pitch_x, pitch_y, remarks = read(table, steps, path)
+    height = height * height_scale if height_scale != 1 else height
+    return Heights(
+        height,
+        pitch_x * lateral_scale,
+        None if pitch_y is None else pitch_y * lateral_scale,
+        (*notes, *body.notes, *remarks),
+    )
+
+
+def _decode(path: Path) -> tuple[str, tuple[str, ...]]:
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise InputError(path, "too large for a text file of heights", accepted="up to 2 GiB; export X3P instead")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})") from error
+    codec = "utf-8-sig"
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        codec = "utf-16"
+    elif b"\0" in data:
+        # Western text in UTF-16 has a zero in every other byte; which one tells the byte order.
+        codec = "utf-16-le" if data[1:200:2].count(0) > data[0:200:2].count(0) else "utf-16-be"
+    notes: tuple[str, ...] = ()
+    try:
+        text = data.decode(codec)
+    except UnicodeDecodeError:
+        if codec != "utf-8-sig":
+            raise _not_text(path) from None
+        text, notes = data.decode("latin-1"), ("Decoded as Latin-1.",)
+    if re.search(r"[\x00-\x08\x0e-\x19\x1b-\x1f]", text):
+        raise _not_text(path)
+    if not text.isascii():
+        # Minus signs and no-break spaces come from spreadsheets.
+        text = text.translate({0x2212: "-", 0xA0: " ", 0x202F: " ", 0xFEFF: None})
+    if "\r" in text:
+        text = re.sub(r"\r*\n|\r", "\n", text)
+    return text, notes
+
+
+def _not_text(path: Path) -> InputError:
+    return InputError(
+        path, "the file is binary, not text", accepted="text in UTF-8, UTF-16 or Latin-1, or X3P", key="surface.format"
+    )
+
+
+def _split_header(text: str, path: Path) -> _Body:
+    settings: dict[str, str] = {}
+    skipped, offset = 0, 0
+    for number, line in enumerate(io.StringIO(text), 1):
+        setting = _SETTING.match(line)
+        if setting:
+            settings[setting[1].lower()] = setting[2].strip()
+        content = re.split("[#%]", line, maxsplit=1)[0].strip()
+        first = next(filter(None, re.split(r"[;\s]+|,(?!\d)", content)), "")
+        if _NUMBER.fullmatch(first) or _NUMBER.fullmatch(first.split(",")[0]):
+            note = f"Passed over {skipped} lines of words above the heights." if skipped else ""
+            return _Body(_without_comments(text[offset:]), number, settings, (note,) if note else ())
+        skipped += bool(content)
+        offset += len(line)
+    raise InputError(
+        path,
+        "the file is empty" if not text.strip() else "no line of numbers found",
+        accepted="rows of heights, x and z, or x y z",
+    )
+
+
+def _without_comments(text: str) -> str:
+    if "#" in text or "%" in text:
+        text = re.sub(r"[#%].*", "", text)
+    # A run of asterisks is a missing height, however long.
+    return re.sub(r"\*+", "nan", text) if "*" in text else text
+
+
+def _scales(path: Path, settings: dict[str, str], unit: str | None, lateral_unit: str | None) -> tuple[float, float]:
+    """Heights and positions → µm."""
+    unit = unit or settings.get("unit")
+    if unit is None:
+        raise InputError(
+            path,
+            "the unit of the heights is not known",
+            accepted="nm, um, mm, m, or a line `# unit: um` in the file",
+            key="surface.unit",
+        )
+    lateral_unit = lateral_unit or settings.get("lateral_unit") or unit
+    for key, value in (("unit", unit), ("lateral_unit", lateral_unit)):
+        if value not in UNITS:
+            raise InputError(
+                path, "unknown unit", found=repr(value)[:60], accepted="nm, um, mm, m", key=f"surface.{key}"
+            )
+    return UNITS[unit], UNITS[lateral_unit]
+
+
+def _pitch(path: Path, settings: dict[str, str], pitch: Any) -> tuple[float, ...]:
+    """The stated pitch in x and, where stated, in y; empty where none is stated."""
+    if pitch is None:
+        pitch = [part.replace(",", ".") for part in re.split(r"[;\s]+", settings.get("pitch", "")) if part]
+    parts = pitch if isinstance(pitch, (list, tuple, np.ndarray)) else [pitch]
+    try:
+        steps = tuple(float(part) for part in parts)
+    except (TypeError, ValueError):
+        steps = (math.nan,)
+    if len(steps) > 2 or not all(math.isfinite(step) and step > 0 for step in steps):
+        raise InputError(
+            path, "no pitch", found=repr(pitch)[:60], accepted="a length above 0, or two: [x, y]", key="surface.pitch"
+        )
+    return steps
+
+
+def _table(body: _Body, path: Path) -> NDArray[np.float64]:
+    """The numbers, (rows, columns); columns that are empty throughout at the right end are left out."""
+    separator, decimal = _marks(body, path)
+    text, lines = _check_rows(body, separator, path)
+    options: dict[str, Any] = {
+        "header": None,
+        "sep": separator or r"\s+",
+        "decimal": decimal,
+        "keep_default_na": False,
+        "na_values": _MISSING,
+        "quoting": csv.QUOTE_NONE,
+        "skipinitialspace": True,
+        "low_memory": False,
+    }
+    try:
+        table: NDArray[np.float64] = pd.read_csv(io.StringIO(text), dtype=np.float64, **options).to_numpy()
+    except ValueError:
+        raise _not_a_number(text, options, lines, path) from None
+    if len(table) != len(lines):
+        raise InputError(path, "rows of unequal length", accepted="as many fields in every row")
+    while table.shape[1] > 1 and np.isnan(table[:, -1]).all() and separator:
+        table = table[:, :-1]
+    return table
+
+
+def _marks(body: _Body, path: Path) -> tuple[str | None, str]:
+    """Separator of the columns (None: white space) and decimal mark, from the first row and the marks used below it."""
+    row = body.text.partition("\n")[0].strip(" ")
+    decimal = _decimal_mark(row) or _decimal_mark(body.text) or "."
+    for separator in (";", "\t"):
+        if separator in row:
+            return separator, decimal
+    row = row.strip()
+    if "," not in body.text:
+        return None, "."
+    padded, bare = len(re.findall(r"\s,|,\s|,$", row)), len(re.findall(r"(?<!\s),(?=\S)", row))
+    if re.search(r"\s", re.sub(r"\s*,\s*", ",", row)):
+        return None, decimal
+    if "." in body.text or (padded and not bare) or (bare > 1 and not padded):
+        return ",", "."
+    raise InputError(
+        path,
+        "a comma could be a decimal mark or part two columns",
+        where=f"line {body.first_line}",
+        found=repr(row[:60]),
+        accepted="decimal points, or columns parted by `;` or a tab",
+    )
+
+
+def _decimal_mark(text: str) -> str | None:
+    """The one mark the text uses; None where it uses none or both."""
+    point, comma = "." in text, "," in text
+    return None if point == comma else "." if point else ","
+
+
+def _check_rows(body: _Body, separator: str | None, path: Path) -> tuple[str, NDArray[np.int64]]:
+    """The text without lines of mere blanks, and the line of the file each row stands in.
+
+    The parser would fill short rows with missing values: fields are counted here, on the bytes of the whole file at once.
+    """
+    text = body.text if body.text.endswith("\n") else body.text + "\n"
+    data = np.frombuffer(text.encode("utf-8"), np.uint8)
+    ends = np.flatnonzero(data == 10)
+    blank = (data == 32) | (data == 10)
+    if separator != "\t":
+        blank |= data == 9
+    starts = ~blank
+    starts[1:] &= blank[:-1]
+    tokens = _count_per_line(starts, ends)
+    fields = tokens if separator is None else _count_per_line(data == ord(separator), ends) + 1
+    rows = np.flatnonzero(tokens)
+    uneven = np.flatnonzero(fields[rows] != fields[rows[0]])
+    if uneven.size:
+        row = rows[uneven[0]]
+        raise InputError(
+            path,
+            "rows of unequal length",
+            where=f"line {body.first_line + row}",
+            found=f"{fields[row]} fields",
+            accepted=f"{fields[rows[0]]}, as in line {body.first_line}",
+        )
+    if np.count_nonzero(np.diff(ends, prepend=-1) > 1) > rows.size:
+        text = re.sub(r"(?m)^[ \t]+$" if separator != "\t" else r"(?m)^ +$", "", text)
+    return text, body.first_line + rows
+
+
+def _count_per_line(marks: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.diff(np.searchsorted(np.flatnonzero(marks), ends), prepend=0)
+
+
+def _not_a_number(text: str, options: dict[str, Any], lines: NDArray[np.int64], path: Path) -> InputError:
+    """Find the field that the parser refused; only failing files take this slower way."""
+    cells = pd.read_csv(io.StringIO(text), dtype=str, **options)
+    for column in cells:
+        numbers = cells[column].str.strip().str.replace(options["decimal"], ".", regex=False)
+        if options["decimal"] == ",":
+            numbers = numbers.where(~cells[column].str.contains(".", regex=False, na=False), "mixed marks")
+        wrong = np.flatnonzero(pd.to_numeric(numbers, errors="coerce").isna() & cells[column].notna())
+        if wrong.size:
+            return InputError(
+                path,
+                "not a number",
+                where=f"line {lines[wrong[0]]}, column {int(str(column)) + 1}",
+                found=repr(str(cells[column].iloc[wrong[0]])[:60]),
+                accepted="numbers; # before words; NaN, *** or nothing where a height is missing",
+            )
+    return InputError(path, "not all fields are numbers", accepted="numbers; # before words")
+
+
+def _default_layout(table: NDArray[np.float64]) -> str:
+    if len(table) == 1 or table.shape[1] <= 2:
+        return "line"
+    return "xyz" if table.shape[1] == 3 else "grid"
+
+
+_Read = tuple[NDArray[np.float64], float, float | None, tuple[str, ...]]
+
+
+def _line(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _Read:
+    if len(table) == 1:
+        table = table.T
+    if table.shape[1] == 1:
+        return table[:, 0], _needed(steps, path)[0], None, ()
+    if table.shape[1] != 2:
+        raise InputError(
+            path,
+            "no line profile",
+            found=f"{table.shape[1]} columns",
+            accepted="one column z, or two: x and z",
+            key="surface.layout",
+        )
+    x, z = table.T
+    backwards = x[-1] < x[0]
+    if backwards:
+        x, z = x[::-1], z[::-1]
+    pitch = _constant_pitch(x, "x", path)
+    _check_agreement(steps[:1], (pitch,), path)
+    turned = ("Reversed, for x to increase.",) if backwards else ()
+    return z.copy(), pitch, None, (*turned, f"Pitch taken from the first and last of {x.size} positions x.")
+
+
+def _grid(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _Read:
+    pitch = _needed(steps, path)
+    return table, pitch[0], pitch[-1], ()
+
+
+def _xyz(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _Read:
+    if table.shape[1] != 3:
+        raise InputError(path, "no points x y z", found=f"{table.shape[1]} columns", accepted="3", key="surface.layout")
+    (columns, x), (rows, y) = (_positions(table[:, axis], name, path) for axis, name in enumerate("xy"))
+    shape, count = (y.size, x.size), len(table)
+    if min(shape) < 2 or x.size * y.size > 2 * count:
+        raise InputError(
+            path,
+            "the points fill no regular grid",
+            found=f"{count} points, {x.size} different x, {y.size} different y",
+            accepted="every x with every y, at constant pitch",
+            key="surface.layout",
+        )
+    pitch = _constant_pitch(x, "x", path), _constant_pitch(y, "y", path)
+    _check_agreement(steps, pitch, path)
+    cells = rows * x.size + columns
+    times = np.bincount(cells, minlength=x.size * y.size)
+    if times.max() > 1:
+        again = int(np.argmax(times))
+        raise InputError(
+            path,
+            "a point appears twice",
+            found=f"x = {x[again % x.size]:g}, y = {y[again // x.size]:g}",
+            accepted="one height a point",
+        )
+    height = np.full(x.size * y.size, np.nan)
+    height[cells] = table[:, 2]
+    absent = int(np.count_nonzero(times == 0))
+    note = (f"{absent} points of the grid are not in the file: missing.",) if absent else ()
+    return height.reshape(shape), *pitch, note
+
+
+def _positions(values: NDArray[np.float64], name: str, path: Path) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """The rank of every position among the different ones, and the different ones, increasing."""
+    if not np.isfinite(values).all():
+        raise InputError(path, f"missing positions {name}", accepted="numbers in every row; only z may be missing")
+    codes, different = pd.factorize(values, sort=True)
+    return codes, np.asarray(different)
+
+
+def _constant_pitch(positions: NDArray[np.float64], name: str, path: Path) -> float:
+    """The pitch from the end points, provided that every position follows it within its printed digits."""
+    if positions.size < 2 or not np.isfinite(positions).all() or positions[-1] == positions[0]:
+        raise InputError(
+            path,
+            f"positions {name} give no pitch",
+            accepted=f"increasing numbers {name} in every row",
+            key="surface.layout",
+        )
+    pitch = float(positions[-1] - positions[0]) / (positions.size - 1)
+    deviation = np.abs(positions - (positions[0] + pitch * np.arange(positions.size)))
+    # Each position and both ends are rounded by half a printed step; scanners jitter by little more.
+    allowed = _printed_step(positions) + _TWO_PERCENT * pitch
+    worst = int(np.argmax(deviation))
+    if deviation[worst] > allowed:
+        raise InputError(
+            path,
+            f"the positions {name} are unevenly spaced",
+            where=f"point {worst + 1}",
+            found=f"{deviation[worst] / pitch:.2g} pitches off",
+            accepted="a constant pitch: resample the file",
+        )
+    return pitch
+
+
+def _printed_step(positions: NDArray[np.float64]) -> float:
+    """The last printed digit of the largest positions, which carry the fewest decimals."""
+    largest = float(np.abs(positions).max())
+    outer = np.abs(positions[np.abs(positions) >= largest / 2])
+    scale = 10.0 ** math.floor(math.log10(largest))
+    for digits in range(12):
+        scaled = outer / scale * 10**digits
+        if (np.abs(scaled - np.round(scaled)) <= 1e-9 * scaled).all():
+            return float(scale / 10**digits)
+    return 0.0
+
+
+def _needed(steps: tuple[float, ...], path: Path) -> tuple[float, ...]:
+    if not steps:
+        raise InputError(
+            path,
+            "the pitch is not known",
+            accepted="a length or [x, y] in surface.lateral_unit, or a line `# pitch: 0.5 0.5`",
+            key="surface.pitch",
+        )
+    return steps
+
+
+def _check_agreement(stated: tuple[float, ...], found: tuple[float, ...], path: Path) -> None:
+    for name, given, measured in zip("xy", (*stated, *stated[-1:]), found, strict=False):
+        if abs(given - measured) > 0.01 * measured:
+            raise InputError(
+                path,
+                f"the stated pitch contradicts the positions {name}",
+                found=f"{given:g} against {measured:g}",
+                accepted="no pitch where the file has positions",
+                key="surface.pitch",
+            )

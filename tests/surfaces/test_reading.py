@@ -1,0 +1,80 @@
+"""Which reader reads what, and the stage of the workflow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from brdfpipe.errors import InputError
+from brdfpipe.store import open_dataset, save_dataset
+from brdfpipe.surfaces import ingest, read_surface, write_x3p
+
+
+@pytest.fixture
+def profile(tmp_path: Path, line: xr.Dataset) -> Path:
+    path = tmp_path / "profile.txt"
+    path.write_text("\n".join(map(str, line.height.values)))
+    return path
+
+
+def test_the_stage_reads_and_levels_as_the_material_says(profile: Path) -> None:
+    spec = {"file": "profile.txt", "unit": "um", "pitch": 0.25, "isotropic": True}
+    assert ingest(profile, spec).attrs["levelling"] == "plane"
+    assert ingest(profile, {**spec, "form": "none"}).attrs["levelling"] == "none"
+
+
+def test_the_stage_result_survives_the_store(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+    write_x3p(asymmetric, tmp_path / "map.x3p")
+    surface = ingest(tmp_path / "map.x3p", {"file": "map.x3p"})
+    save_dataset(surface, tmp_path / "surface.nc", stage="surface", material="m")
+    np.testing.assert_array_equal(open_dataset(tmp_path / "surface.nc", "surface").height, surface.height)
+
+
+def test_the_band_is_told_in_words(tmp_path: Path, profile: Path, asymmetric: xr.Dataset) -> None:
+    write_x3p(asymmetric, tmp_path / "map.x3p")
+    assert read_surface(tmp_path / "map.x3p").attrs["band"] == "0.5 x 0.7 um pitch; no λs, no λc filter"
+    assert read_surface(profile, unit="um", pitch=0.25).attrs["band"] == "0.25 um pitch; no λs, no λc filter"
+
+
+def test_an_unknown_form_names_its_key(profile: Path) -> None:
+    with pytest.raises(InputError, match=r"unknown form.*`surface\.form`"):
+        ingest(profile, {"unit": "um", "pitch": 0.25, "form": "sphere"})
+
+
+def test_the_extension_is_read_in_either_case(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+    write_x3p(asymmetric, tmp_path / "MAP.X3P")
+    assert read_surface(tmp_path / "MAP.X3P").height.shape == (40, 50)
+
+
+@pytest.mark.parametrize("name", ["map.sur", "map", "map.x3p.bak", ".x3p"])
+def test_an_unknown_extension_is_refused_with_the_known_ones(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"extension tells no known format.*x3p: \.x3p.*`surface\.format`"):
+        read_surface(tmp_path / name)
+
+
+def test_an_unknown_format_is_refused(profile: Path) -> None:
+    with pytest.raises(InputError, match="found sur; accepted: text, x3p"):
+        read_surface(profile, "sur")
+
+
+def test_an_option_of_another_format_is_refused(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+    write_x3p(asymmetric, tmp_path / "map.x3p")
+    with pytest.raises(InputError, match=r"surface\.unit: this key does not apply"):
+        read_surface(tmp_path / "map.x3p", unit="nm")
+
+
+@pytest.mark.parametrize("name", ["absent.x3p", "absent.txt"])
+def test_an_absent_file_is_refused_without_its_folder(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=f"^{name}: cannot be read") as refusal:
+        read_surface(tmp_path / name, **({"unit": "um"} if name.endswith("txt") else {}))
+    assert str(tmp_path) not in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["folder.x3p", "folder.txt"])
+def test_a_folder_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(InputError, match="cannot be read"):
+        read_surface(tmp_path / name, **({"unit": "um"} if name.endswith("txt") else {}))
