@@ -1,0 +1,313 @@
+"""Columns of numbers against wavelength, as instruments and spreadsheets write them in text files.
+
+One separator and one decimal mark are deduced from the whole file, never tried out line by line, and every line that is
+neither numbers nor a comment is refused by its number: a table read wrongly is worse than one not read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdfpipe.errors import InputError
+
+Array = NDArray[np.float64]
+
+TEXT_SUFFIXES = (".csv", ".dat", ".prn", ".tab", ".tsv", ".txt")
+"""Extensions read as columns of text."""
+
+_MAX_BYTES = 2**24
+_COMMENT = ("#", "!", "%", "*", ";", "//")
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eEdD][+-]?\d+)?", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+(?:,\d+)?(?:[eEdD][+-]?\d+)?", re.ASCII)
+_MISSING = frozenset({"", "-", "--", "---", "*", "nan", "na", "n/a", "#n/a", "null", "none", "inf", "+inf", "-inf"})
+_SENTINELS = (-9999.0, -999.0)
+_SENTINEL_MAGNITUDE = 1e30
+
+_WAVELENGTH_WORDS = re.compile(r"wave|wellen|longueur|lunghezza|lambda|λ|x\s?units|\bnm\b|[µμ]m\b", re.IGNORECASE)
+_NANOMETRE = re.compile(r"\bnm\b|nanomet", re.IGNORECASE)
+_MICROMETRE = re.compile(r"[µμ]m\b|\bum\b|micromet|\bmicrons?\b", re.IGNORECASE)
+_NOT_A_WAVELENGTH = re.compile(r"cm\s?(?:\^?-1|⁻¹)|wave\s?number|wellenzahl|\bev\b|\bthz\b", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A text file's numbers, with the words above them."""
+
+    file: str
+    """Name of the file, for messages."""
+    header: tuple[str, ...]
+    """Lines of words, comments included, without their comment marks."""
+    names: tuple[str, ...] | None
+    """Names of the columns, where the last line above the numbers has one for each."""
+    values: Array
+    """(rows, columns); missing cells and sentinels are NaN."""
+    lines: NDArray[np.int64]
+    """Line of the file each row stands in, from 1."""
+    notes: tuple[str, ...]
+    """What was corrected, in words."""
+
+
+def read_columns(path: Path) -> Columns:
+    """Read a text file of two or more columns of numbers.
+
+    Parameters
+    ----------
+    path : UTF-8, UTF-16, Latin-1 or Windows text, with or without a byte-order mark; columns separated by ``;``, tab, ``,`` or
+        white space; decimal point or comma; words above the numbers and comments anywhere
+
+    Raises
+    ------
+    InputError : naming the file and line: unreadable, no text, no numbers, rows of unequal length, ambiguous commas.
+
+    Notes
+    -----
+    Missing are empty cells, ``NaN``, ``n/a``, infinities, ±1e30 and beyond (USGS writes −1.23e34), −999 and −9999.
+    """
+    path = Path(path)
+    text, encoding = _decode(_bytes(path), path)
+    notes = [] if encoding == "UTF-8" else [f"{path.name} was decoded as {encoding}"]
+    header: list[str] = []
+    remarks: list[str] = []
+    rows: list[tuple[int, str]] = []
+    for number, raw in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
+        line = _unquote(raw).strip(" \f\x1a")
+        body = re.split(r"\s*(?:#|!|//)", line, maxsplit=1)[0].rstrip(" ")
+        if not line.strip():
+            continue
+        if _is_numbers(body):
+            rows.append((number, body))
+        elif not rows or line.startswith(_COMMENT):
+            (remarks if rows else header).append(re.sub(r"^[#!*;/]+\s*", "", line))
+        else:
+            raise InputError(
+                path,
+                "neither numbers nor a comment",
+                where=f"line {number}",
+                found=repr(_shorten(line)),
+                accepted="two or more columns of numbers, or a comment that starts with #",
+            )
+    if not rows:
+        raise InputError(
+            path, "no table of numbers found", accepted=f"text of two or more columns ({', '.join(TEXT_SUFFIXES)})"
+        )
+    separator, decimal = _layout([body for _, body in rows], path)
+    if decimal == ",":
+        notes.append("decimal commas were read as decimal points")
+    values = _cells(rows, separator, decimal, path)
+    names = _names(header, separator, values.shape[1])
+    return Columns(path.name, (*header, *remarks), names, values, np.array([n for n, _ in rows]), tuple(notes))
+
+
+def wavelengths(columns: Columns, *, key: str) -> tuple[Array, str]:
+    """The first column as wavelengths.
+
+    Parameters
+    ----------
+    columns : a table whose first column is a wavelength in nm or µm
+    key : the key of ``material.yaml`` that names the file, for messages
+
+    Returns
+    -------
+    wavelength : (rows,) nm; NaN where the cell is missing
+    note : how the unit was found, for the history; empty where the header says nm
+
+    Raises
+    ------
+    InputError : the unit is another, unclear, or contradicted by the values.
+    """
+    values = columns.values[:, 0]
+    present = values[np.isfinite(values)]
+    if present.size == 0:
+        raise InputError(columns.file, "the first column holds no wavelengths", accepted="nm or µm", key=key)
+    low, high = float(present.min()), float(present.max())
+    by_size = "nm" if low >= 100 and high <= 20000 else "um" if low >= 0.1 and high <= 20 else None
+    unit = _stated_unit(columns, key)
+    if by_size is None or (unit is not None and unit != by_size):
+        raise InputError(
+            columns.file,
+            f"the first column is no wavelength in {'µm' if unit == 'um' else unit or 'nm or µm'}",
+            found=f"{low:g} to {high:g}",
+            accepted="100 to 20000 nm or 0.1 to 20 µm, as the header says",
+            key=key,
+        )
+    if by_size == "um":
+        how = "" if unit else " (taken as µm from their size: the header names no unit)"
+        # The factor leaves 350.09999999999997 where the file says 0.3501.
+        return np.round(values * 1000, 6), f"wavelengths were converted from µm to nm{how}"
+    return values, "" if unit else "wavelengths were taken as nm from their size: the header names no unit"
+
+
+def merge_duplicates(wavelength: Array, values: Array) -> tuple[Array, Array, int]:
+    """Sort by wavelength and average rows of equal wavelength.
+
+    Parameters
+    ----------
+    wavelength : (n,) nm
+    values : (n, m)
+
+    Returns
+    -------
+    wavelength : (k,) increasing strictly
+    values : (k, m)
+    merged : n − k
+    """
+    unique, inverse, counts = np.unique(wavelength, return_inverse=True, return_counts=True)
+    sums = np.zeros((unique.size, values.shape[1]))
+    np.add.at(sums, inverse, values)
+    return unique, sums / counts[:, None], wavelength.size - unique.size
+
+
+def gaps(wavelength: Array, low: float, high: float, widest: float, slack: float = 1.0) -> list[tuple[float, float]]:
+    """Intervals of ``[low, high]`` that increasing wavelengths leave uncovered [nm].
+
+    An instrument that starts within ``slack`` of ``low`` covers it; neighbours further apart than ``widest`` leave a gap.
+    """
+    if wavelength.size == 0:
+        return [(low, high)]
+    inside = np.concatenate([[low], wavelength[(wavelength > low) & (wavelength < high)], [high]])
+    starts, ends = inside[:-1], inside[1:]
+    allowed = np.full(starts.size, widest)
+    before, after = wavelength[wavelength <= low], wavelength[wavelength >= high]
+    # Where points lie beyond both ends, their distance counts; where none do, only the slack is allowed.
+    starts = np.concatenate([before[-1:], starts[1:]]) if before.size else starts
+    ends = np.concatenate([ends[:-1], after[:1]]) if after.size else ends
+    if not before.size:
+        allowed[0] = slack
+    if not after.size:
+        allowed[-1] = slack
+    missing = ends - starts > allowed
+    return [(max(low, float(a)), min(high, float(b))) for a, b in zip(starts[missing], ends[missing], strict=True)]
+
+
+def _stated_unit(columns: Columns, key: str) -> str | None:
+    titles = [columns.names[0]] if columns.names else []
+    for text in [*titles, *(line for line in columns.header if _WAVELENGTH_WORDS.search(line))]:
+        if _NOT_A_WAVELENGTH.search(text):
+            raise InputError(
+                columns.file,
+                "the first column is no wavelength",
+                found=repr(_shorten(text)),
+                accepted="wavelengths in nm or µm",
+                key=key,
+            )
+        nm, um = bool(_NANOMETRE.search(text)), bool(_MICROMETRE.search(text))
+        if nm != um:
+            return "nm" if nm else "um"
+    return None
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as handle:
+            data = handle.read(_MAX_BYTES + 1)
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})") from error
+    if len(data) > _MAX_BYTES:
+        raise InputError(path, "too large for columns of text", accepted=f"up to {_MAX_BYTES >> 20} MiB")
+    return data
+
+
+def _decode(data: bytes, path: Path) -> tuple[str, str]:
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        candidates = [("utf-16", "UTF-16")]
+    elif b"\0" in data:
+        # Western text in UTF-16 has a zero in every other byte; which one tells the byte order.
+        even, odd = data[::2].count(0), data[1::2].count(0)
+        candidates = [("utf-16-le", "UTF-16")] if odd > even else [("utf-16-be", "UTF-16")]
+    else:
+        candidates = [("utf-8-sig", "UTF-8"), ("latin-1", "Latin-1")]
+    for codec, title in candidates:
+        try:
+            text = data.decode(codec)
+        except UnicodeDecodeError:
+            continue
+        if not re.search(r"[\x00-\x08\x0e-\x19\x1b-\x1f]", text):
+            # Minus signs and no-break spaces come from spreadsheets.
+            return text.translate({0x2212: "-", 0xA0: " ", 0x202F: " ", 0xFEFF: None}), title
+    raise InputError(path, "is not text", accepted="UTF-8, UTF-16 or Latin-1 text")
+
+
+def _unquote(line: str) -> str:
+    # "0,35" in quotes is one number, whatever separates the columns.
+    line = re.sub(r'"([+-]?\d+),(\d+)"', r"\1.\2", line)
+    return line.replace('"', "")
+
+
+def _is_numbers(line: str) -> bool:
+    tokens = re.split(r"[\s;,]+", line)
+    return (
+        len(tokens) > 1
+        and _NUMBER.fullmatch(tokens[0]) is not None
+        and all(_NUMBER.fullmatch(token) or token.lower() in _MISSING for token in tokens)
+    )
+
+
+def _layout(lines: Sequence[str], path: Path) -> tuple[str | None, str]:
+    """Separator (None: white space) and decimal mark of the whole table."""
+    comma, point = any("," in line for line in lines), any("." in line for line in lines)
+    separator = ";" if any(";" in line for line in lines) else "\t" if any("\t" in line for line in lines) else None
+    if separator is None and comma:
+        if all(len(line.split()) > 1 and all(map(_DECIMAL_COMMA.fullmatch, line.split())) for line in lines):
+            return None, ","
+        if not point and any(line.count(",") > 1 for line in lines):
+            raise InputError(
+                path,
+                "commas could separate columns or mark decimals",
+                found=repr(_shorten(lines[0])),
+                accepted="columns separated by ; or tab where decimals are commas",
+            )
+        return ",", "."
+    if comma and point:
+        bad = next(line for line in lines if "," in line)
+        raise InputError(
+            path,
+            "both . and , inside numbers",
+            found=repr(_shorten(bad)),
+            accepted="one decimal mark, no thousands mark",
+        )
+    return separator, "," if comma else "."
+
+
+def _cells(rows: Sequence[tuple[int, str]], separator: str | None, decimal: str, path: Path) -> Array:
+    split = [[cell.strip() for cell in body.split(separator)] for _, body in rows]
+    while all(len(cells) > 2 and cells[-1] == "" for cells in split):
+        split = [cells[:-1] for cells in split]
+    width = len(split[0])
+    for (number, _), cells in zip(rows, split, strict=True):
+        if len(cells) != width or width < 2:
+            raise InputError(
+                path,
+                "rows of unequal length",
+                where=f"line {number}",
+                found=f"{len(cells)} columns",
+                accepted=f"{width} columns, as in line {rows[0][0]}",
+            )
+        if any(cell.lower() not in _MISSING and not _NUMBER.fullmatch(cell) for cell in cells):
+            raise InputError(path, "not a number", where=f"line {number}", found=repr(_shorten(" ".join(cells))))
+    spelling = str.maketrans({"D": "e", "d": "e", decimal: "."})
+    values = np.array(
+        [[float("nan" if c.lower() in _MISSING else c.translate(spelling)) for c in cells] for cells in split]
+    )
+    values[(np.abs(values) >= _SENTINEL_MAGNITUDE) | np.isin(values, _SENTINELS)] = np.nan
+    return values
+
+
+def _names(header: Sequence[str], separator: str | None, width: int) -> tuple[str, ...] | None:
+    if not header:
+        return None
+    patterns = [re.escape(separator)] if separator else [r"\t+| {2,}", r"\s+"]
+    for pattern in patterns:
+        cells = [cell.strip() for cell in re.split(pattern, header[-1].strip())]
+        if len(cells) == width:
+            return tuple(cells)
+    return None
+
+
+def _shorten(text: str, length: int = 60) -> str:
+    return text if len(text) <= length else text[: length - 1] + "…"

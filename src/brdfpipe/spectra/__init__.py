@@ -1,0 +1,117 @@
+"""Reflectance spectra: read from files, recovered from colours, and their colorimetry."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.errors import InputError
+from brdfpipe.optics import fresnel
+from brdfpipe.spectra.readers import GEOMETRIES, read_spectrum
+from brdfpipe.spectra.recovery import recover
+
+__all__ = ["ingest", "read_spectrum", "recover"]
+
+_FILE_KEYS = ("scale", "column", "uncertainty", "allow_fluorescent")
+_LAB_KEYS = ("illuminant", "observer")
+_COMMON_KEYS = ("geometry", "incidence")
+_LOWEST_INDEX = 1.45
+"""Below every named plastic's: a surface that reflects less than this had its specular reflection excluded, or is not smooth."""
+
+
+def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None, index: float | None = None) -> xr.Dataset:
+    """Total reflectance of a material, as the ``spectrum`` of its material.yaml gives it.
+
+    Parameters
+    ----------
+    spec : ``{file, geometry, incidence, scale, column, uncertainty, allow_fluorescent}`` or
+        ``{lab, illuminant, observer, geometry, incidence}``; ``incidence`` is 8 degree where absent
+    path : where the file lies, if not at its name in ``spec``
+    index : refractive index, if known. A colour with the specular included then gives a spectrum that contains its Fresnel
+        reflectance; a file with less than it is warned about
+
+    Returns
+    -------
+    Dataset of kind ``spectrum``
+
+    Raises
+    ------
+    InputError : unknown or missing keys, and all that :func:`read_spectrum` and :func:`recover` refuse.
+    """
+    is_file = _check_keys(spec)
+    geometry, incidence = _geometry(spec), _incidence(spec)
+    if is_file:
+        options = {key: spec[key] for key in _FILE_KEYS if key in spec}
+        source = path if path is not None else str(spec["file"])
+        dataset = read_spectrum(source, geometry=geometry, incidence=incidence, **options)
+        return _warn_if_excluded(dataset, Path(source).name, index)
+    return recover(
+        spec["lab"],
+        illuminant=spec["illuminant"],
+        observer=spec["observer"],
+        specular_index=index if geometry == "sci" else None,
+        theta=incidence,
+        geometry=geometry,
+    )
+
+
+def _check_keys(spec: Mapping[str, Any]) -> bool:
+    """Refuse what is no spectrum; say whether it is a file."""
+    given = set(spec) if isinstance(spec, Mapping) else set()
+    if ("file" in given) == ("lab" in given):
+        raise _refusal("needs either a file or a colour", None, "file: … or lab: [L*, a*, b*]", "spectrum")
+    known = ("file", *_FILE_KEYS, *_COMMON_KEYS) if "file" in given else ("lab", *_LAB_KEYS, *_COMMON_KEYS)
+    for key in map(str, spec):
+        if key not in known:
+            nearest = difflib.get_close_matches(key, known, n=1)
+            hint = f" (nearest is {nearest[0]})" if nearest else ""
+            raise _refusal(f"unknown key{hint}", repr(key[:40]), ", ".join(known), "spectrum")
+    for key, accepted in (("illuminant", "D65, A, …"), ("observer", "2 or 10")):
+        if "lab" in given and key not in given:
+            raise _refusal(f"the colour does not say its {key}", None, accepted, f"spectrum.{key}")
+    return "file" in given
+
+
+def _geometry(spec: Mapping[str, Any]) -> str:
+    geometry = spec.get("geometry")
+    if geometry not in GEOMETRIES:
+        raise _refusal(
+            "does not say whether the specular reflection is included",
+            None if geometry is None else repr(geometry)[:40],
+            "sci (included) or sce (excluded)",
+            "spectrum.geometry",
+        )
+    return str(geometry)
+
+
+def _incidence(spec: Mapping[str, Any]) -> float:
+    incidence = spec.get("incidence", 8.0)
+    if isinstance(incidence, bool) or not isinstance(incidence, int | float) or not 0 <= incidence < 90:
+        raise _refusal("no incidence", repr(incidence)[:40], "0 <= degree < 90", "spectrum.incidence")
+    return float(incidence)
+
+
+def _warn_if_excluded(dataset: xr.Dataset, file: str, index: float | None) -> xr.Dataset:
+    """Warn where a reflectance with the specular included is less than the specular reflection alone."""
+    n = _LOWEST_INDEX if index is None else index
+    specular = float(fresnel(np.cos(np.radians(dataset.attrs["theta_i"])), n).mean)
+    below = dataset["wavelength"].values[dataset["total_reflectance"].values < specular]
+    if dataset.attrs["geometry"] != "sci" or below.size == 0:
+        return dataset
+    whose = f"a smooth surface of index {n:g}" + ("" if index is not None else ", less than any named plastic's")
+    return vocabulary.add_warning(
+        dataset,
+        f"{file}: the reflectance is below {specular:.4f}, the specular reflectance of {whose}, at {below.size} wavelengths "
+        f"from {below[0]:g} to {below[-1]:g} nm. Specular excluded? Set `spectrum.geometry: sce`, or correct the index.",
+    )
+
+
+def _refusal(problem: str, found: str | None, accepted: str, key: str) -> InputError:
+    return InputError("material.yaml", problem, where="spectrum", found=found, accepted=accepted, key=key)

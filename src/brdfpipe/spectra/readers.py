@@ -1,0 +1,318 @@
+"""Reflectance spectra from the text files that spectrophotometers and spreadsheets write."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from brdfpipe import columns, vocabulary
+from brdfpipe.columns import Columns
+from brdfpipe.errors import InputError
+
+Array = NDArray[np.float64]
+
+GEOMETRIES = ("sci", "sce")
+"""Specular component included or excluded."""
+SCALES = ("fraction", "percent")
+
+_REQUIRED = (400.0, 700.0)
+_KEPT = (360.0, 830.0)
+_WIDEST_GAP = 25.0
+_DARKEST_PERCENT = 2.0
+_BRIGHTEST = 1.1
+_NOISE = 0.01
+
+_PERCENT = re.compile(r"%|percent|prozent|pour\s?cent|per\s?cento", re.IGNORECASE)
+_FRACTION = re.compile(r"fraction|anteil|\b0\s?(?:-|–|to|\.\.)\s?1\b", re.IGNORECASE)
+_ABOUT_VALUES = re.compile(r"refl|remission|rückstr|y\s?units|scale|%\s?R\b|\bR\s?[\[(%]", re.IGNORECASE)
+_NO_REFLECTANCE = re.compile(r"transmi|absorb|extinction|\bk/s\b|%\s?T\b|\bT\s?[\[(%]", re.IGNORECASE)
+_UNCERTAINTY = re.compile(r"std|st\.?\s?dev|sd\b|sigma|σ|unc|u\b|err|standard\s?(?:dev|unc)", re.IGNORECASE)
+_INCLUDED = re.compile(r"\bsci\b|\bspin\b|specular\s+(?:component\s+)?included", re.IGNORECASE)
+_EXCLUDED = re.compile(r"\bsce\b|\bspex\b|specular\s+(?:component\s+)?excluded", re.IGNORECASE)
+
+
+@dataclass
+class _Log:
+    """What the reader did (history) and what the user should look at (warnings)."""
+
+    history: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def read_spectrum(
+    path: str | PathLike[str],
+    *,
+    geometry: str,
+    incidence: float = 8.0,
+    scale: str | None = None,
+    column: int | str | None = None,
+    uncertainty: int | str | None = None,
+    allow_fluorescent: bool = False,
+) -> xr.Dataset:
+    """Read a reflectance spectrum from a text file.
+
+    Parameters
+    ----------
+    path : columns of text (.csv .dat .prn .tab .tsv .txt), the first one wavelengths in nm or µm
+    geometry : ``sci`` or ``sce``, specular component included or excluded
+    incidence : degree, 0 <= incidence < 90, of the measurement
+    scale : ``fraction`` or ``percent``; needed where the header does not say it and no value exceeds 2
+    column : number (the wavelength is column 1) or name of the reflectance; by default the first that is no uncertainty
+    uncertainty : number or name of the column of standard uncertainties; by default the next column, if it is named so
+    allow_fluorescent : accept reflectances above 1.1
+
+    Returns
+    -------
+    Dataset of kind ``spectrum`` on the file's own wavelengths within 360–830 nm: ``total_reflectance`` [1] and, where the file
+    has it, ``total_reflectance_u`` (k = 1). Every correction is in its history.
+
+    Raises
+    ------
+    InputError : naming the file, what was found, what would be accepted and the key of material.yaml that mends it.
+    """
+    path = Path(path)
+    _check_options(path, geometry, incidence, scale)
+    if path.suffix.lower() not in columns.TEXT_SUFFIXES:
+        raise InputError(
+            path,
+            "this kind of spectrum file is not read",
+            found=path.suffix or "no extension",
+            accepted=f"columns of text in {', '.join(columns.TEXT_SUFFIXES)}; export the spectrum as text",
+            key="spectrum.file",
+        )
+    table = columns.read_columns(path)
+    log = _Log(history=list(table.notes))
+    nm, note = columns.wavelengths(table, key="spectrum.file")
+    log.history += [note] if note else []
+    value, deviation = _choose(table, column, uncertainty, log)
+    divisor = _divisor(table, value, nm, scale, log)
+    wavelength, reflectance, u = _ordered(table, nm, value, deviation, divisor, log)
+    reflectance = _checked_values(table.file, wavelength, reflectance, allow_fluorescent, log)
+    _compare_geometry(table, value, geometry, log)
+    return _dataset(wavelength, reflectance, u, geometry, incidence, log)
+
+
+def _check_options(path: Path, geometry: str, incidence: float, scale: str | None) -> None:
+    if geometry not in GEOMETRIES:
+        raise InputError(
+            path,
+            "does not say whether the specular reflection is included",
+            found=repr(geometry)[:40],
+            accepted="sci (included) or sce (excluded)",
+            key="spectrum.geometry",
+        )
+    if not 0 <= incidence < 90:
+        raise InputError(
+            path, "no incidence", found=repr(incidence)[:40], accepted="0 <= degree < 90", key="spectrum.incidence"
+        )
+    if scale is not None and scale not in SCALES:
+        raise InputError(
+            path, "unknown scale", found=repr(scale)[:40], accepted=" or ".join(SCALES), key="spectrum.scale"
+        )
+
+
+def _choose(
+    table: Columns, column: int | str | None, uncertainty: int | str | None, log: _Log
+) -> tuple[int, int | None]:
+    """Columns of the reflectance and of its standard uncertainty, counted from 0."""
+    width, names = table.values.shape[1], table.names
+    named = {i for i in range(1, width) if names and _UNCERTAINTY.match(names[i])}
+    values = [i for i in range(1, width) if i not in named]
+    if column is not None:
+        value = _position(table, column, "spectrum.column")
+    elif values:
+        value = values[0]
+    else:
+        raise InputError(
+            table.file,
+            "no column of reflectances",
+            found=", ".join(names or ()),
+            accepted="a number or name",
+            key="spectrum.column",
+        )
+    if uncertainty is not None:
+        deviation: int | None = _position(table, uncertainty, "spectrum.uncertainty")
+    else:
+        deviation = value + 1 if value + 1 in named else None
+    if deviation is not None:
+        log.history.append(f"{_title(table, deviation)} was taken as the standard uncertainty (k = 1)")
+    unused = [_title(table, i) for i in range(1, width) if i not in (value, deviation)]
+    if unused:
+        sentence = f"{table.file}: {_title(table, value)} was read; not used: {', '.join(unused)}"
+        log.history.append(sentence)
+        if column is None:
+            log.warnings.append(f"{sentence}. Name the column to read with `spectrum.column` in material.yaml.")
+    return value, deviation
+
+
+def _position(table: Columns, column: int | str, key: str) -> int:
+    width = table.values.shape[1]
+    if isinstance(column, int) and not isinstance(column, bool) and 2 <= column <= width:
+        return column - 1
+    if isinstance(column, str) and table.names:
+        wanted = [i for i, name in enumerate(table.names) if i and name.casefold() == column.strip().casefold()]
+        if len(wanted) == 1:
+            return wanted[0]
+    accepted = f"2 to {width}" + (
+        f", or one of {', '.join(table.names[1:])}" if table.names else " (the columns have no names)"
+    )
+    raise InputError(table.file, "no such column", found=repr(column)[:60], accepted=accepted, key=key)
+
+
+def _title(table: Columns, i: int) -> str:
+    return f"column {i + 1}" + (f" ({table.names[i]})" if table.names else "")
+
+
+def _divisor(table: Columns, value: int, nm: Array, scale: str | None, log: _Log) -> float:
+    """What the file's values are divided by to be a reflectance in [0, 1]."""
+    present = table.values[np.isfinite(nm) & np.isfinite(table.values[:, value]), value]
+    largest = float(present.max()) if present.size else 0.0
+    stated = _stated_scale(table, value)
+    if scale is not None and stated is not None and scale != stated:
+        log.warnings.append(
+            f"{table.file}: the header says {stated}, `spectrum.scale` in material.yaml says {scale}, which was used; "
+            "remove the key if the header is right."
+        )
+    if scale is None and stated is None and largest < _DARKEST_PERCENT:
+        raise InputError(
+            table.file,
+            "the scale is unclear: a dark sample in percent looks like a fraction",
+            found=f"values up to {largest:g}, no unit in the header",
+            accepted=" or ".join(SCALES),
+            key="spectrum.scale",
+        )
+    if (scale or stated) == "fraction" and largest >= _DARKEST_PERCENT:
+        raise InputError(
+            table.file,
+            "these values are no fraction",
+            found=f"up to {largest:g}",
+            accepted="up to 1 (1.1 where fluorescent), or percent",
+            key="spectrum.scale",
+        )
+    if (scale or stated) == "fraction":
+        return 1.0
+    how = "" if scale or stated else f": the header is silent and values reach {largest:g}"
+    log.history.append(f"percent was converted to a fraction{how}")
+    return 100.0
+
+
+def _stated_scale(table: Columns, value: int) -> str | None:
+    titles = [table.names[value]] if table.names else []
+    for text in [*titles, *(line for line in table.header if _ABOUT_VALUES.search(line))]:
+        if _NO_REFLECTANCE.search(text) and not re.search("refl", text, re.IGNORECASE):
+            raise InputError(
+                table.file, "is no reflectance", found=repr(text[:60]), accepted="reflectance", key="spectrum.column"
+            )
+        percent, fraction = bool(_PERCENT.search(text)), bool(_FRACTION.search(text))
+        if percent != fraction:
+            return "percent" if percent else "fraction"
+    return None
+
+
+def _ordered(
+    table: Columns, nm: Array, value: int, deviation: int | None, divisor: float, log: _Log
+) -> tuple[Array, Array, Array | None]:
+    """Wavelengths in order and once, cut to what is kept, with their reflectance and uncertainty."""
+    values = table.values[:, [value] if deviation is None else [value, deviation]] / divisor
+    present = np.isfinite(nm) & np.isfinite(values[:, 0])
+    if not present.all():
+        log.history.append(f"{int((~present).sum())} rows without a value were dropped")
+    nm, values = nm[present], values[present]
+    if (np.diff(nm) < 0).any():
+        log.history.append("rows were sorted by wavelength")
+    # Standard uncertainties average as squares: repeated readings are not taken to be independent.
+    values[:, 1:] **= 2
+    wavelength, values, merged = columns.merge_duplicates(nm, values)
+    if merged:
+        log.history.append(f"{merged} rows of repeated wavelength were averaged")
+    _require_coverage(table.file, wavelength)
+    kept = (wavelength >= _KEPT[0]) & (wavelength <= _KEPT[1])
+    if not kept.all():
+        log.history.append(f"{int((~kept).sum())} wavelengths outside {_KEPT[0]:g}–{_KEPT[1]:g} nm were cut")
+    u = np.sqrt(values[kept, 1]) if deviation is not None else None
+    largest_u = float(np.nan_to_num(u).max()) if u is not None else 0.0
+    if largest_u > 0.5 * values[kept, 0].max():
+        log.warnings.append(
+            f"{table.file}: the uncertainty reaches {largest_u:.3g}, more than half the largest reflectance. Is it a second "
+            "sample? Rename the column in the file if it is."
+        )
+    return wavelength[kept], values[kept, 0], u
+
+
+def _require_coverage(file: str, wavelength: Array) -> None:
+    missing = columns.gaps(wavelength, *_REQUIRED, widest=_WIDEST_GAP)
+    if not missing:
+        return
+    found = f"covers {wavelength[0]:g}–{wavelength[-1]:g} nm, " if wavelength.size else ""
+    holes = " and ".join(f"{low:g}–{high:g} nm" for low, high in missing)
+    raise InputError(
+        file,
+        "the spectrum must cover 400–700 nm",
+        found=f"{found}{holes} {'is' if len(missing) == 1 else 'are'} missing",
+        accepted=f"400–700 nm in steps of at most {_WIDEST_GAP:g} nm",
+        key="spectrum.file",
+    )
+
+
+def _checked_values(file: str, wavelength: Array, reflectance: Array, allow_fluorescent: bool, log: _Log) -> Array:
+    lowest, highest = int(np.argmin(reflectance)), int(np.argmax(reflectance))
+    if reflectance[lowest] < -_NOISE:
+        raise InputError(
+            file,
+            "negative reflectance",
+            where=f"{wavelength[lowest]:g} nm",
+            found=f"{reflectance[lowest]:.4g}",
+            accepted=f"noise down to -{_NOISE:g}; check zero calibration and column",
+            key="spectrum.column",
+        )
+    if reflectance[highest] > _BRIGHTEST and not allow_fluorescent:
+        raise InputError(
+            file,
+            "more light than a white that does not fluoresce",
+            where=f"{wavelength[highest]:g} nm",
+            found=f"reflectance {reflectance[highest]:.4g}",
+            accepted=f"up to {_BRIGHTEST:g}, or `allow_fluorescent: true`",
+            key="spectrum.allow_fluorescent",
+        )
+    above = wavelength[reflectance > 1]
+    if above.size:
+        log.warnings.append(
+            f"{file}: the reflectance exceeds 1 at {above.size} wavelengths from {above[0]:g} to {above[-1]:g} nm "
+            f"(up to {reflectance[highest]:.4g}). Check the white calibration; a fluorescent sample has no such BRDF."
+        )
+    if reflectance[lowest] < 0:
+        log.history.append(f"{int((reflectance < 0).sum())} reflectances between -{_NOISE:g} and 0 were set to 0")
+    return np.maximum(reflectance, 0.0)
+
+
+def _compare_geometry(table: Columns, value: int, geometry: str, log: _Log) -> None:
+    words = " ".join([*table.header, table.names[value] if table.names else ""])
+    included, excluded = bool(_INCLUDED.search(words)), bool(_EXCLUDED.search(words))
+    stated = "sci" if included and not excluded else "sce" if excluded and not included else geometry
+    if stated != geometry:
+        log.warnings.append(
+            f"{table.file}: the header says {stated.upper()}, `spectrum.geometry` in material.yaml says {geometry}, which "
+            "was used; specular excluded? Correct the key if the header is right."
+        )
+
+
+def _dataset(
+    wavelength: Array, reflectance: Array, u: Array | None, geometry: str, incidence: float, log: _Log
+) -> xr.Dataset:
+    variables: Mapping[str, Any] = {"total_reflectance": ("wavelength", reflectance)}
+    if u is not None:
+        variables = {**variables, "total_reflectance_u": ("wavelength", u)}
+    attrs = {"geometry": geometry, "theta_i": float(incidence), "method": "measured"}
+    dataset = xr.Dataset(variables, coords={"wavelength": wavelength}, attrs=attrs)
+    dataset = vocabulary.label(dataset, "spectrum")
+    if log.history:
+        dataset = vocabulary.add_history(dataset, *log.history)
+    return vocabulary.add_warning(dataset, *log.warnings) if log.warnings else dataset

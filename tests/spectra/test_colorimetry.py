@@ -1,0 +1,227 @@
+"""Colorimetry against colour-science, closed forms and its own inverses."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import warnings
+from importlib import resources
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.spectra import colorimetry
+
+PROJECT = Path(__file__).parents[2]
+GRID = np.arange(360.0, 781, 5)
+OBSERVER_TITLES = {2: "CIE 1931 2 Degree Standard Observer", 10: "CIE 1964 10 Degree Standard Observer"}
+ILLUMINANTS = ["D65", "A", "D50", "C", "E", "FL2", "LED-B3"]
+
+
+def bump(centre: float, width: float) -> np.ndarray:
+    return 0.05 + 0.9 * np.exp(-(((GRID - centre) / width) ** 2))
+
+
+def oracle_xyz(colour: ModuleType, reflectance: np.ndarray, illuminant: str, observer: int) -> np.ndarray:
+    shape = colour.SpectralShape(360, 780, 5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        power = colour.SDS_ILLUMINANTS[illuminant].copy()
+        power.extrapolate(shape, extrapolator_kwargs={"method": "Constant", "left": 0, "right": 0})
+        return colour.sd_to_XYZ(
+            colour.SpectralDistribution(reflectance, GRID),
+            colour.MSDS_CMFS[OBSERVER_TITLES[observer]].copy().align(shape),
+            power.align(shape),
+            method="Integration",
+        )
+
+
+def test_the_shipped_tables_are_what_their_script_makes(colour: ModuleType) -> None:
+    spec = importlib.util.spec_from_file_location("make_colour_tables", PROJECT / "scripts" / "make_colour_tables.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    shipped = resources.files("brdfpipe.spectra") / "tables"
+    for name, text in script.tables().items():
+        # The line that names the version of colour-science is free to change.
+        assert (shipped / name).read_text("ascii").splitlines()[2:] == text.splitlines()[2:]
+
+
+@pytest.mark.parametrize("observer", [2, 10])
+@pytest.mark.parametrize("illuminant", ILLUMINANTS)
+def test_tristimulus_values_are_those_of_colour_science(colour: ModuleType, illuminant: str, observer: int) -> None:
+    reflectance = bump(560, 70)
+    ours = colorimetry.reflectance_to_xyz(GRID, reflectance, illuminant, observer)
+    # Both sum over 5 nm; the tables are rounded to eight digits.
+    assert ours == pytest.approx(oracle_xyz(colour, reflectance, illuminant, observer), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("illuminant", "observer", "white"),
+    [
+        ("D65", 2, (95.04, 100, 108.88)),
+        ("D65", 10, (94.81, 100, 107.32)),
+        ("A", 2, (109.85, 100, 35.58)),
+        ("D50", 2, (96.42, 100, 82.51)),
+        ("C", 2, (98.07, 100, 118.22)),
+        ("FL2", 2, (99.19, 100, 67.39)),
+        ("E", 2, (100.00, 100, 100.00)),
+    ],
+)
+def test_white_points_are_those_cie_and_astm_print(illuminant: str, observer: int, white: tuple[float, ...]) -> None:
+    # Printed to 0.01; sums from 360 to 780 nm by 5 and from 360 to 830 nm by 1 differ by up to 0.034 (Z of E).
+    assert colorimetry.weights(illuminant, observer).white == pytest.approx(white, abs=0.04)
+
+
+def test_the_perfect_diffuser_has_y_of_100_and_is_white() -> None:
+    table = colorimetry.weights("LED-B3", 10)
+    xyz = colorimetry.reflectance_to_xyz([400, 700], [1.0, 1.0], "LED-B3", 10)
+    assert xyz[1] == pytest.approx(100, rel=1e-14)
+    assert colorimetry.xyz_to_lab(xyz, table.white) == pytest.approx((100, 0, 0), abs=1e-10)
+
+
+def test_a_grey_has_the_lightness_of_its_reflectance() -> None:
+    white = colorimetry.weights("D65", 10).white
+    lab = colorimetry.xyz_to_lab(colorimetry.reflectance_to_xyz(GRID, np.full(85, 0.18)), white)
+    assert lab == pytest.approx((116 * 0.18 ** (1 / 3) - 16, 0, 0), abs=1e-10)
+
+
+@pytest.mark.parametrize(("lightness", "y"), [(33.90, 7.96026763), (12.29, 1.45052385)])
+def test_luminance_of_lightness_is_that_of_the_dupont_example(lightness: float, y: float) -> None:
+    assert colorimetry.lab_to_xyz([lightness, 0, 0], [100, 100, 100])[1] == pytest.approx(y, abs=5.1e-9)
+
+
+def test_luminance_below_the_junction_is_a_straight_line() -> None:
+    # L* = κ Y/Yn with κ = 24389/27; the DuPont example prints 0.33986494 from κ rounded to 903.3.
+    assert colorimetry.lab_to_xyz([3.07, 0, 0], [100, 100, 100])[1] == pytest.approx(3.07 * 27 / 24389 * 100, rel=1e-13)
+    assert colorimetry.lab_to_xyz([3.07, 0, 0], [100, 100, 100])[1] == pytest.approx(0.33986494, rel=5e-6)
+
+
+def test_lab_agrees_with_colour_science_above_and_below_the_junction(colour: ModuleType) -> None:
+    rng = np.random.default_rng(1)
+    xyz = rng.uniform(0, 1, (200, 3)) ** 4 * 100
+    white = colorimetry.weights("D65", 2).white
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        theirs = colour.XYZ_to_Lab(xyz / 100, colour.XYZ_to_xy(white / 100))
+    assert colorimetry.xyz_to_lab(xyz, white) == pytest.approx(theirs, abs=1e-9)
+
+
+@given(st.tuples(st.floats(0, 120), st.floats(0, 120), st.floats(0, 120)))
+def test_lab_and_back_is_the_same_colour(xyz: tuple[float, float, float]) -> None:
+    white = colorimetry.weights("D65", 10).white
+    back = colorimetry.lab_to_xyz(colorimetry.xyz_to_lab(xyz, white), white)
+    # L* = 116 f − 16 is about 100 with 16 digits, and black keeps what is left of them.
+    assert back == pytest.approx(xyz, rel=1e-11, abs=1e-12)
+
+
+def test_the_colour_difference_is_the_distance() -> None:
+    assert colorimetry.delta_e_ab([[50, 3, 4], [50, 0, 0]], [50, 0, 0]).tolist() == [5, 0]
+
+
+def test_white_grey_and_black_are_so_on_the_screen() -> None:
+    srgb = colorimetry.reflectance_to_srgb([400, 700], [[1, 1], [0.21404114, 0.21404114], [0, 0]])
+    # 0.21404114 is the linear value of 0.5 (IEC 61966-2-1).
+    assert srgb == pytest.approx(np.array([[1, 1, 1], [0.5, 0.5, 0.5], [0, 0, 0]]), abs=1e-7)
+
+
+def test_preview_colours_are_those_of_colour_science(colour: ModuleType) -> None:
+    xyz = np.array([[20.0, 21, 19], [41, 35, 12], [3, 2, 8]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        theirs = colour.XYZ_to_sRGB(xyz / 100)
+    # Its matrix is the four-digit one of the standard; ours comes from the primaries: half a step of eight bits apart at most.
+    assert colorimetry.xyz_to_srgb(xyz) == pytest.approx(theirs, abs=0.5 / 255)
+
+
+def test_colours_out_of_the_screens_reach_are_clipped() -> None:
+    srgb = colorimetry.reflectance_to_srgb(GRID, np.stack([bump(520, 12), 1.5 * bump(600, 90)]))
+    assert srgb.min() == 0
+    assert srgb.max() == 1
+
+
+@pytest.mark.parametrize("step", [10, 20])
+def test_curved_interpolation_loses_less_colour_than_straight_lines(step: int) -> None:
+    white = colorimetry.weights("D65", 10).white
+    truth = np.stack([bump(centre, 40) for centre in range(420, 700, 7)])
+    coarse = np.arange(360.0, 781, step)
+    sampled = np.stack([np.interp(coarse, GRID, row) for row in truth])
+    straight = np.stack([np.interp(GRID, coarse, row) for row in sampled])
+
+    def lab(wavelength: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
+        return colorimetry.xyz_to_lab(colorimetry.reflectance_to_xyz(wavelength, reflectance), white)
+
+    ours = colorimetry.delta_e_ab(lab(coarse, sampled), lab(GRID, truth))
+    lines = colorimetry.delta_e_ab(lab(GRID, straight), lab(GRID, truth))
+    assert ours.mean() < lines.mean() / 2
+
+
+def test_missing_ends_are_held_constant() -> None:
+    inside = (GRID >= 400) & (GRID <= 700)
+    reflectance = bump(650, 100)
+    held = np.interp(GRID, GRID[inside], reflectance[inside])
+    assert colorimetry.reflectance_to_xyz(GRID[inside], reflectance[inside]) == pytest.approx(
+        colorimetry.reflectance_to_xyz(GRID, held), rel=1e-13
+    )
+
+
+def test_many_spectra_go_in_one_call() -> None:
+    many = np.stack([bump(450, 30), bump(650, 30)]).reshape(2, 1, -1)
+    xyz = colorimetry.reflectance_to_xyz(GRID, many, "A", 2)
+    assert xyz.shape == (2, 1, 3)
+    assert xyz[1, 0] == pytest.approx(colorimetry.reflectance_to_xyz(GRID, many[1, 0], "A", 2), rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("wavelength", "reflectance"),
+    [([500, 400], [0, 0]), ([400, 400], [0, 0]), ([400, 500], [0, np.nan]), ([400, 500], [0, 0, 0]), ([], [])],
+)
+def test_what_has_no_colour_is_refused(wavelength: list[float], reflectance: list[float]) -> None:
+    with pytest.raises(BrdfpipeError, match="increas"):
+        colorimetry.reflectance_to_xyz(wavelength, reflectance)
+
+
+def test_an_unknown_illuminant_is_refused_with_those_known() -> None:
+    with pytest.raises(BrdfpipeError, match=r"'D56' \(nearest is D65\); known: D65, A, D50, C, E, FL2, LED-B3"):
+        colorimetry.weights("D56", 10)
+
+
+@pytest.mark.parametrize("observer", [0, 5, "10", None])
+def test_an_unknown_observer_is_refused(observer: int) -> None:
+    with pytest.raises(BrdfpipeError, match=r"known: 2 and 10 \(degree\)"):
+        colorimetry.cmf(observer)
+
+
+def test_illuminants_are_known_in_any_case() -> None:
+    assert colorimetry.weights("led-b3", 2) is colorimetry.weights("LED-B3", 2)
+
+
+@given(st.lists(st.integers(300, 900), min_size=1, max_size=40, unique=True))
+def test_luminous_weights_of_any_grid_are_an_average(wavelength: list[int]) -> None:
+    weight = colorimetry.luminous_weight(np.sort(wavelength))
+    assert weight.sum() == pytest.approx(1, rel=1e-13)
+    assert weight.min() >= 0
+
+
+def test_luminous_weights_of_the_grid_are_v_times_s() -> None:
+    expected = colorimetry.cmf(2)[1][:, 1] * colorimetry.illuminant("A")[1]
+    assert colorimetry.luminous_weight(GRID, "A") == pytest.approx(expected / expected.sum(), rel=1e-12)
+
+
+def test_luminous_weights_average_a_straight_line_alike_on_every_grid() -> None:
+    coarse = np.array([360.0, 500, 530, 780])
+    assert (coarse * colorimetry.luminous_weight(coarse)).sum() == pytest.approx(
+        (GRID * colorimetry.luminous_weight(GRID)).sum(), rel=1e-13
+    )
+
+
+def test_stages_do_not_load_the_colour_library() -> None:
+    code = "import sys, brdfpipe.spectra, brdfpipe.spectra.colorimetry as c; c.weights(); sys.exit('colour' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,62 @@
+"""The ``spectrum`` of a material file: which keys, which defaults, and where the refractive index counts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from brdfpipe.errors import InputError
+from brdfpipe.optics import fresnel
+from brdfpipe.spectra import ingest
+
+LAB = {"lab": [30.0, 5.0, 2.0], "illuminant": "D65", "observer": 10, "geometry": "sci"}
+
+
+def test_a_colour_with_the_specular_included_contains_the_fresnel_reflectance() -> None:
+    spectrum = ingest({**LAB, "incidence": 10}, None, 1.59)
+    assert spectrum["total_reflectance"].min() > fresnel(np.cos(np.radians(10)), 1.59).mean
+    assert spectrum.attrs["theta_i"] == 10
+
+
+def test_the_index_does_not_count_where_the_specular_was_excluded() -> None:
+    excluded = ingest({**LAB, "geometry": "sce"}, None, 1.59)
+    without = ingest(LAB)
+    np.testing.assert_array_equal(excluded["total_reflectance"], without["total_reflectance"])
+    assert (excluded.attrs["geometry"], without.attrs["geometry"]) == ("sce", "sci")
+
+
+def test_the_incidence_is_8_degree_unless_said() -> None:
+    assert ingest(LAB).attrs["theta_i"] == 8
+
+
+def test_a_file_is_read_where_it_lies_with_its_options(tmp_path: Path) -> None:
+    path = tmp_path / "r.txt"
+    path.write_text("".join(f"{nm} 0.5 0.6\n" for nm in range(400, 701, 10)), encoding="ascii")
+    spectrum = ingest({"file": "r.txt", "geometry": "sci", "scale": "fraction", "column": 3}, path)
+    assert (spectrum["total_reflectance"] == 0.6).all()
+
+
+@pytest.mark.parametrize(
+    ("spec", "key", "message"),
+    [
+        ({}, "spectrum", "either a file or a colour"),
+        ({"file": "r.txt", **LAB}, "spectrum", "either a file or a colour"),
+        ("r.txt", "spectrum", "either a file or a colour"),
+        ({**LAB, "observr": 2}, "spectrum", "unknown key .nearest is observer."),
+        ({**LAB, "scale": "percent"}, "spectrum", "unknown key"),
+        ({"file": "r.txt", "geometry": "sci", "illuminant": "D65"}, "spectrum", "unknown key"),
+        ({k: v for k, v in LAB.items() if k != "geometry"}, "spectrum.geometry", "whether the specular"),
+        ({k: v for k, v in LAB.items() if k != "illuminant"}, "spectrum.illuminant", "does not say its illuminant"),
+        ({k: v for k, v in LAB.items() if k != "observer"}, "spectrum.observer", "does not say its observer"),
+        ({**LAB, "incidence": "8"}, "spectrum.incidence", "no incidence"),
+        ({**LAB, "incidence": 95}, "spectrum.incidence", "no incidence"),
+        ({**LAB, "geometry": "both"}, "spectrum.geometry", "found 'both'"),
+    ],
+)
+def test_a_wrong_or_missing_key_is_refused_by_name(spec: Any, key: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as refusal:
+        ingest(spec)
+    assert refusal.value.key == key

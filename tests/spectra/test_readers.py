@@ -1,0 +1,253 @@
+"""Spectra from text files: the real ones, every quirk in small, and every refusal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from brdfpipe.errors import InputError
+from brdfpipe.spectra import ingest, read_spectrum
+from brdfpipe.store import save_dataset
+from brdfpipe.vocabulary import validate, warnings
+
+HEAD = "wavelength [nm];R [%]\n"
+ROWS = "".join(f"{nm};{20 + nm / 100:g}\n" for nm in range(400, 701, 20))
+
+
+@pytest.fixture
+def read(tmp_path: Path):
+    def reader(text: str, **options):
+        path = tmp_path / "sample.csv"
+        path.write_text(text, encoding="utf-8")
+        return validate(read_spectrum(path, **{"geometry": "sci", **options}), "spectrum")
+
+    return reader
+
+
+def test_a_german_file_in_percent_and_latin_1_is_read(shared_data: Path) -> None:
+    spectrum = read_spectrum(shared_data / "spectra" / "pvc_white_de.csv", geometry="sci")
+    assert spectrum["wavelength"].values.tolist() == list(range(360, 781, 5))
+    assert spectrum["total_reflectance"].sel(wavelength=[360, 450, 780]).values == pytest.approx(
+        [0.08769, 0.61456, 0.7083]
+    )
+    for words in ("Latin-1", "decimal commas", "percent was converted"):
+        assert words in spectrum.attrs["history"]
+
+
+def test_an_irregular_grid_is_kept_and_its_silent_scale_asked_for(shared_data: Path) -> None:
+    path = shared_data / "spectra" / "hdpe_yellow_irregular.txt"
+    with pytest.raises(InputError, match=r"scale is unclear.*fraction or percent") as refusal:
+        read_spectrum(path, geometry="sci")
+    assert refusal.value.key == "spectrum.scale"
+    spectrum = read_spectrum(path, geometry="sci", scale="fraction")
+    assert spectrum["wavelength"].values[:3].tolist() == [370, 377, 379]
+    assert spectrum["total_reflectance"].values[0] == 0.08368
+
+
+def test_micrometres_and_sentinels_are_understood(shared_data: Path) -> None:
+    spectrum = read_spectrum(shared_data / "spectra" / "fibreglass_green_um_sentinel.txt", geometry="sci")
+    assert spectrum["wavelength"].values[0] == 360.6
+    assert spectrum["total_reflectance"].values[0] == pytest.approx(6.6503137e-02, rel=1e-12)
+    assert "13 rows without a value were dropped" in spectrum.attrs["history"]
+
+
+def test_a_descending_file_in_micrometres_and_percent_is_sorted_and_cut(shared_data: Path) -> None:
+    spectrum = read_spectrum(shared_data / "spectra" / "pipe_blue_ecostress_style.txt", geometry="sci")
+    assert spectrum["wavelength"].values[[0, -1]].tolist() == [360, 830]
+    assert float(spectrum["total_reflectance"].sel(wavelength=830)) == pytest.approx(0.646123, rel=1e-12)
+    assert "sorted by wavelength" in spectrum.attrs["history"]
+    assert "outside 360–830 nm were cut" in spectrum.attrs["history"]
+
+
+def test_a_named_standard_deviation_becomes_the_uncertainty(shared_data: Path) -> None:
+    path = shared_data / "spectra" / "abs_black_3col.txt"
+    spectrum = read_spectrum(path, geometry="sce", scale="fraction")
+    assert (spectrum["total_reflectance_u"] == 0.0004).all()
+    assert warnings(spectrum) == []
+
+
+@pytest.mark.parametrize("index", [None, 1.55])
+def test_a_black_below_the_fresnel_reflectance_warns_that_the_specular_was_excluded(
+    shared_data: Path, index: float | None
+) -> None:
+    spec = {"file": "abs_black_3col.txt", "geometry": "sci", "scale": "fraction"}
+    told = " ".join(warnings(ingest(spec, shared_data / "spectra" / "abs_black_3col.txt", index)))
+    assert "the header says SCE" in told
+    assert f"specular reflectance of a smooth surface of index {index or 1.45:g}" in told
+    assert "Set `spectrum.geometry: sce`" in told
+
+
+def test_the_same_black_with_the_specular_excluded_is_no_reason_to_warn(shared_data: Path) -> None:
+    spec = {"file": "abs_black_3col.txt", "geometry": "sce", "scale": "fraction"}
+    assert warnings(ingest(spec, shared_data / "spectra" / "abs_black_3col.txt", 1.55)) == []
+
+
+def test_a_reflectance_just_above_one_is_kept_and_warned_about(shared_data: Path) -> None:
+    spectrum = read_spectrum(shared_data / "spectra" / "munsell_over_unity.csv", geometry="sci", scale="fraction")
+    assert spectrum["total_reflectance"].max() == 1.066161
+    assert any("exceeds 1 at 5 wavelengths from 690 to 730 nm" in warning for warning in warnings(spectrum))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "vinyl_red_pe.asc",
+        "abs_black.qtx",
+        "colorchecker_white.cxf",
+        "colorchecker_red_jcamp.jdx",
+        "colorchecker_cyan.ti3",
+    ],
+)
+def test_other_containers_are_refused_with_those_read(name: str) -> None:
+    with pytest.raises(InputError, match=r"not read; found \.\w+; accepted: columns of text in \.csv, .*\.txt"):
+        read_spectrum(name, geometry="sci")
+
+
+def test_a_percent_header_makes_dark_values_percent(read) -> None:
+    dark = "".join(f"{nm};1.5\n" for nm in range(400, 701, 20))
+    assert (read(HEAD + dark)["total_reflectance"] == 0.015).all()
+
+
+def test_a_silent_header_and_values_above_two_make_percent(read) -> None:
+    spectrum = read("nm;R\n" + ROWS)
+    assert float(spectrum["total_reflectance"][0]) == 0.24
+    assert "the header is silent and values reach 27" in spectrum.attrs["history"]
+
+
+def test_the_option_overrides_the_header_and_says_so(read) -> None:
+    rows = "".join(f"{nm};0.5\n" for nm in range(400, 701, 20))
+    spectrum = read(HEAD + rows, scale="fraction")
+    assert (spectrum["total_reflectance"] == 0.5).all()
+    assert "header says percent, `spectrum.scale` in material.yaml says fraction" in warnings(spectrum)[0]
+
+
+def test_percent_called_a_fraction_is_refused(read) -> None:
+    with pytest.raises(InputError, match="no fraction; found up to 27"):
+        read("nm;R\n" + ROWS, scale="fraction")
+
+
+def test_repeated_wavelengths_are_averaged_and_their_uncertainties_as_squares(read) -> None:
+    rows = "".join(f"{nm} 30 1\n" for nm in range(400, 701, 20))
+    spectrum = read("nm R% std\n" + rows + "400 40 7\n")
+    assert float(spectrum["total_reflectance"][0]) == 0.35
+    assert float(spectrum["total_reflectance_u"][0]) == pytest.approx(0.05)
+    assert "1 rows of repeated wavelength were averaged" in spectrum.attrs["history"]
+
+
+def test_an_uncertainty_as_large_as_the_reflectance_is_warned_about(read) -> None:
+    text = "nm;R %;std\n" + "".join(f"{nm};30;28\n" for nm in range(400, 701, 20))
+    assert "Is it a second sample?" in warnings(read(text))[0]
+
+
+WIDE = "nm,red,blue,std\n" + "".join(f"{nm},0.7,0.2,0.01\n" for nm in range(400, 701, 20))
+
+
+@pytest.mark.parametrize(("column", "value"), [(2, 0.7), (3, 0.2), ("Blue", 0.2), ("red", 0.7)])
+def test_a_column_is_chosen_by_number_or_name(read, column: int | str, value: float) -> None:
+    spectrum = read(WIDE, column=column, scale="fraction")
+    assert (spectrum["total_reflectance"] == value).all()
+    assert ("total_reflectance_u" in spectrum) == (value == 0.2)
+    assert warnings(spectrum) == []
+
+
+def test_columns_left_unread_without_being_asked_are_warned_about(read) -> None:
+    spectrum = read(WIDE, scale="fraction")
+    assert (spectrum["total_reflectance"] == 0.7).all()
+    assert "column 2 (red) was read; not used: column 3 (blue), column 4 (std)" in warnings(spectrum)[0]
+
+
+def test_an_unnamed_third_column_is_an_uncertainty_only_when_asked(read) -> None:
+    rows = "".join(f"{nm} 30 1\n" for nm in range(400, 701, 20))
+    assert "total_reflectance_u" not in read(rows)
+    assert (read(rows, column=2, uncertainty=3)["total_reflectance_u"] == 0.01).all()
+
+
+@pytest.mark.parametrize("column", [0, 1, 5, -1, "green", "nm", True, 2.0])
+def test_a_column_that_is_not_there_is_refused_with_those_that_are(read, column: object) -> None:
+    with pytest.raises(InputError, match=r"no such column.*accepted: 2 to 4, or one of red, blue, std") as refusal:
+        read(WIDE, column=column, scale="fraction")
+    assert refusal.value.key == "spectrum.column"
+
+
+def rows(first: int, last: int, step: int = 10, value: float = 50) -> str:
+    return HEAD + "".join(f"{nm};{value:g}\n" for nm in range(first, last + 1, step))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (rows(400, 590), "covers 400–590 nm, 590–700 nm is missing"),
+        (rows(420, 690), "covers 420–690 nm, 400–420 nm and 690–700 nm are missing"),
+        (rows(400, 700, 50), "400–450 nm and 450–500 nm"),
+        (
+            rows(400, 700).replace("550;50", "550;NaN").replace("540;50", "540;"),
+            "covers 400–700 nm, 530–560 nm is missing",
+        ),
+    ],
+)
+def test_a_spectrum_that_leaves_out_visible_wavelengths_says_which(read, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(text)
+
+
+def test_noise_below_zero_is_set_to_zero_and_recorded(read) -> None:
+    spectrum = read(rows(400, 700).replace("400;50", "400;-0.3"))
+    assert float(spectrum["total_reflectance"][0]) == 0
+    assert "1 reflectances between -0.01 and 0 were set to 0" in spectrum.attrs["history"]
+
+
+def test_a_negative_reflectance_is_refused_by_wavelength(read) -> None:
+    with pytest.raises(InputError, match=r"410 nm: negative reflectance; found -0\.05"):
+        read(rows(400, 700).replace("410;50", "410;-5"))
+
+
+def test_a_fluorescent_reflectance_is_refused_unless_allowed(read) -> None:
+    text = rows(400, 700).replace("520;50", "520;130")
+    with pytest.raises(InputError, match=r"520 nm: more light than a white.*found reflectance 1\.3") as refusal:
+        read(text)
+    assert refusal.value.key == "spectrum.allow_fluorescent"
+    assert read(text, allow_fluorescent=True)["total_reflectance"].max() == 1.3
+
+
+@pytest.mark.parametrize("title", ["T [%]", "Transmittance (%)", "Absorbance %", "%T"])
+def test_what_is_no_reflectance_is_refused(read, title: str) -> None:
+    with pytest.raises(InputError, match="is no reflectance"):
+        read(f"nm;{title}\n" + ROWS)
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({"geometry": "d/8"}, "spectrum.geometry"),
+        ({"geometry": None}, "spectrum.geometry"),
+        ({"scale": "ppm"}, "spectrum.scale"),
+        ({"incidence": 90}, "spectrum.incidence"),
+    ],
+)
+def test_an_option_out_of_its_values_names_its_key(read, options: dict, key: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        read(HEAD + ROWS, **options)
+    assert refusal.value.key == key
+
+
+def test_a_header_that_says_otherwise_about_the_specular_is_warned_about(read) -> None:
+    spectrum = read("Mode: specular included\n" + HEAD + ROWS, geometry="sce")
+    assert "the header says SCI, `spectrum.geometry` in material.yaml says sce" in warnings(spectrum)[0]
+
+
+def test_reading_does_not_depend_on_line_order_or_spelling(read, tmp_path: Path) -> None:
+    plain = read(HEAD + ROWS)
+    shuffled = read(
+        "# wavelength [µm]\tR [%]\n" + "".join(f"{nm / 1000:g}\t{20 + nm / 100:g}\n" for nm in range(700, 399, -20))
+    )
+    np.testing.assert_array_equal(plain["total_reflectance"], shuffled["total_reflectance"])
+    np.testing.assert_array_equal(plain["wavelength"], shuffled["wavelength"])
+
+
+def test_a_read_spectrum_is_stored(read, tmp_path: Path) -> None:
+    spectrum = read(HEAD + ROWS, incidence=10)
+    assert spectrum.attrs["theta_i"] == 10
+    stored = save_dataset(spectrum, tmp_path / "spectrum.nc", stage="spectrum", material="m")
+    assert str(tmp_path) not in str(stored.attrs)

@@ -1,0 +1,204 @@
+"""Spectra recovered from colours: printed values, exactness, limits and refusals."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from brdfpipe.errors import InputError
+from brdfpipe.optics import fresnel
+from brdfpipe.spectra import colorimetry, recover
+from brdfpipe.spectra.recovery import largest_chroma, lhtss
+from brdfpipe.store import save_dataset
+from brdfpipe.vocabulary import validate
+
+F8 = float(fresnel(np.cos(np.radians(8)), 1.55).mean)
+
+
+def lab_of(spectrum: xr.Dataset) -> np.ndarray:
+    """L*a*b* of a recovered spectrum, by the general route."""
+    illuminant, observer = spectrum.attrs["illuminant"], spectrum.attrs["observer"]
+    xyz = colorimetry.reflectance_to_xyz(
+        spectrum["wavelength"].values, spectrum["total_reflectance"].values, illuminant, observer
+    )
+    return colorimetry.xyz_to_lab(xyz, colorimetry.weights(illuminant, observer).white)
+
+
+def test_a_red_has_the_spectrum_of_the_physics_sheet() -> None:
+    spectrum = recover([40.74, 50.71, 26.06], illuminant="D65", observer=2)
+    r = spectrum["total_reflectance"].sel(wavelength=[400, 500, 600, 700]).values
+    # Six printed decimals.
+    assert r == pytest.approx([0.054604, 0.031846, 0.245409, 0.583694], abs=5.1e-7)
+
+
+@pytest.mark.parametrize("observer", [2, 10])
+def test_the_24_patches_of_the_colour_checker_are_matched(colour: ModuleType, observer: int) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        checker = colour.CCS_COLOURCHECKERS["ColorChecker24 - After November 2014"]
+        xyz = [colour.xyY_to_XYZ(xyy) for xyy in checker.data.values()]
+        labs = colour.XYZ_to_Lab(np.array(xyz), checker.illuminant)
+    assert len(labs) == 24
+    table = colorimetry.weights("D65", observer)
+    found = lhtss(colorimetry.lab_to_xyz(labs, table.white), illuminant="D65", observer=observer)
+    assert found.reached.all()
+    assert ((found.reflectance > 0) & (found.reflectance < 1)).all()
+    back = colorimetry.xyz_to_lab(
+        colorimetry.reflectance_to_xyz(table.wavelength, found.reflectance, "D65", observer), table.white
+    )
+    assert colorimetry.delta_e_ab(back, labs).max() < 1e-5
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    knots=st.lists(st.floats(0.002, 0.998), min_size=6, max_size=6),
+    illuminant=st.sampled_from(["D65", "A", "FL2", "LED-B3"]),
+    observer=st.sampled_from([2, 10]),
+)
+def test_every_colour_of_a_reflectance_is_recovered_exactly(knots: list[float], illuminant: str, observer: int) -> None:
+    table = colorimetry.weights(illuminant, observer)
+    reflectance = np.interp(table.wavelength, np.linspace(360, 780, 6), knots)
+    lab = colorimetry.xyz_to_lab(reflectance @ table.weights, table.white)
+    spectrum = recover(lab, illuminant=illuminant, observer=observer)
+    # Newton stops at 1e-11 of white, 4e-8 in L*a*b*.
+    assert colorimetry.delta_e_ab(lab_of(spectrum), lab) < 1e-7
+    assert spectrum.attrs["residual_delta_e"] < 1e-7
+
+
+def test_no_spectrum_of_the_same_colour_is_smoother() -> None:
+    table = colorimetry.weights("D65", 10)
+    r = recover([60, -30, 40], illuminant="D65", observer=10)["total_reflectance"].values
+    z = np.pad(np.arctanh(2 * r - 1), 1, mode="edge")
+    roughness_by_z = 2 * (2 * z[1:-1] - z[:-2] - z[2:])
+    roughness_by_r = roughness_by_z / (2 * r * (1 - r))
+    same_colour = np.linalg.svd(table.weights.T)[2][3:]
+    # At the minimum no step that keeps the colour changes the roughness to first order; Newton stops at 1e-8.
+    assert np.abs(same_colour @ roughness_by_r).max() < 1e-6
+
+
+def test_a_grey_is_flat() -> None:
+    spectrum = recover([50, 0, 0], illuminant="D65", observer=10)
+    # The CIE formula, ((50 + 16)/116)³.
+    assert spectrum["total_reflectance"].values == pytest.approx(np.full(85, (66 / 116) ** 3), rel=1e-8)
+
+
+def test_black_and_white_are_0_and_1_at_every_wavelength() -> None:
+    assert (recover([0, 0, 0], illuminant="A", observer=2)["total_reflectance"] == 0).all()
+    assert (recover([100, 0, 0], illuminant="A", observer=2)["total_reflectance"] == 1).all()
+
+
+@pytest.mark.parametrize("lightness", [1e-6, 1e-3, 99.999, 99.9999999])
+def test_nearly_black_and_nearly_white_are_recovered(lightness: float) -> None:
+    spectrum = recover([lightness, 0, 0], illuminant="D65", observer=10)
+    assert spectrum.attrs["residual_delta_e"] < 1e-7
+
+
+def test_thousands_of_colours_go_in_one_call_and_match_the_single_ones() -> None:
+    rng = np.random.default_rng(2)
+    table = colorimetry.weights("D65", 10)
+    reflectances = np.stack(
+        [np.interp(table.wavelength, np.linspace(360, 780, 5), row) for row in rng.uniform(0.01, 0.99, (1000, 5))]
+    )
+    xyz = reflectances @ table.weights
+    many = lhtss(xyz, illuminant="D65", observer=10)
+    assert many.reached.all()
+    assert many.reflectance @ table.weights == pytest.approx(xyz, abs=1e-8)
+    assert many.reflectance[777] == pytest.approx(
+        lhtss(xyz[777], illuminant="D65", observer=10).reflectance[0], rel=1e-10
+    )
+
+
+def test_colours_out_of_reach_do_not_disturb_the_others() -> None:
+    xyz = np.array([[20, 20, 20], [90, 10, 1], [-1, 5, 5], [50, 100, 50], [30, 30, np.nan]], dtype=float)
+    found = lhtss(xyz, illuminant="D65", observer=10)
+    assert found.reached.tolist() == [True, False, False, False, False]
+    assert np.isnan(found.reflectance[1:]).all()
+
+
+def test_no_colours_give_no_spectra() -> None:
+    assert lhtss(np.empty((0, 3)), illuminant="D65", observer=10).reflectance.shape == (0, 85)
+
+
+def test_a_colour_out_of_reach_is_refused_with_the_largest_chroma_of_its_hue() -> None:
+    with pytest.raises(
+        InputError, match=r"no reflectance has this colour; found L\*a\*b\* \(50, 200, 0\).*C\* up to 9"
+    ) as refusal:
+        recover([50, 200, 0], illuminant="D65", observer=10)
+    assert refusal.value.key == "spectrum.lab"
+
+
+def test_the_largest_chroma_is_reachable_and_a_little_more_is_not() -> None:
+    lab = np.array([50.0, 120.0, -90.0])
+    chroma = largest_chroma(lab, illuminant="D65", observer=10)
+    hue = lab[1:] / np.hypot(*lab[1:])
+    recover([50, *(chroma * hue)], illuminant="D65", observer=10)
+    with pytest.raises(InputError):
+        recover([50, *((chroma + 0.002 * 150) * hue)], illuminant="D65", observer=10)
+
+
+@pytest.mark.parametrize("lab", [[0, 1, 0], [100, 0, -2]])
+def test_black_and_white_have_no_chroma(lab: list[float]) -> None:
+    with pytest.raises(InputError, match=r"accepted: a\* = b\* = 0 at L\* = 0 and L\* = 100"):
+        recover(lab, illuminant="D65", observer=10)
+
+
+def test_with_the_specular_included_the_spectrum_stays_above_fresnel() -> None:
+    lab = [26.0, 3.0, -6.0]
+    spectrum = recover(lab, illuminant="D65", observer=10, specular_index=1.55)
+    assert spectrum["total_reflectance"].min() > F8
+    assert colorimetry.delta_e_ab(lab_of(spectrum), lab) < 1e-7
+    assert spectrum.attrs["specular_index"] == 1.55
+
+
+def test_a_colour_of_the_specular_reflection_alone_is_the_limit() -> None:
+    lightness = 116 * (F8 + 1e-9) ** (1 / 3) - 16
+    spectrum = recover([lightness, 0, 0], illuminant="D65", observer=10, specular_index=1.55)
+    assert spectrum["total_reflectance"].values == pytest.approx(np.full(85, F8), abs=2e-9)
+
+
+@pytest.mark.parametrize("lab", [[10, 0, 0], [0, 0, 0], [25, 40, 30]])
+def test_a_colour_darker_than_its_specular_reflection_is_refused_as_specular_excluded(lab: list[float]) -> None:
+    with pytest.raises(InputError, match=r"0\.0465, the specular reflectance of index 1\.55.*\(SCE\)") as refusal:
+        recover(lab, illuminant="D65", observer=10, specular_index=1.55)
+    assert refusal.value.key == "spectrum.geometry"
+
+
+@pytest.mark.parametrize(
+    "lab", [[50, 0], [[50, 0, 0]], [101, 0, 0], [-1, 0, 0], [50, np.nan, 0], "red", None, ["a", 0, 0]]
+)
+def test_what_is_no_colour_is_refused(lab: object) -> None:
+    with pytest.raises(InputError, match=r"not a colour.*\[L\*, a\*, b\*\] with 0 <= L\* <= 100"):
+        recover(lab, illuminant="D65", observer=10)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({"illuminant": "D56", "observer": 10}, "spectrum.illuminant"),
+        ({"illuminant": "D65", "observer": 5}, "spectrum.observer"),
+    ],
+)
+def test_an_unknown_illuminant_or_observer_names_its_key(options: dict, key: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        recover([50, 0, 0], **options)
+    assert refusal.value.key == key
+
+
+def test_an_unknown_method_is_refused_with_those_known() -> None:
+    with pytest.raises(InputError, match="unknown method of recovery; found 'magic'; accepted: lhtss"):
+        recover([50, 0, 0], illuminant="D65", observer=10, method="magic")
+
+
+def test_a_recovered_spectrum_is_valid_and_says_how_it_was_made(tmp_path: Path) -> None:
+    spectrum = validate(recover([50, 10, 0], illuminant="d65", observer=10, geometry="sce", theta=10), "spectrum")
+    save_dataset(spectrum, tmp_path / "spectrum.nc", stage="spectrum", material="m")
+    expected = {"geometry": "sce", "theta_i": 10.0, "method": "lhtss", "illuminant": "D65", "observer": 10}
+    assert {key: spectrum.attrs[key] for key in expected} == expected
+    assert spectrum["wavelength"].values.tolist() == list(range(360, 781, 5))
