@@ -1,0 +1,193 @@
+"""From surfaces to facet distributions: known densities are recovered, and what cannot be known is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from brdfpipe import facets, surfaces, vocabulary
+from brdfpipe.density import RadialDensity
+
+
+def gaussian(slope, sigma):
+    return np.exp(-(slope**2) / (2 * sigma**2)) / (2 * np.pi * sigma**2)
+
+
+@pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)
+@given(a=st.floats(1e-6, 10))
+@settings(max_examples=20, deadline=None)
+def test_an_analytic_density_is_normalised(distribution, a):
+    assert RadialDensity.of(facets.analytic(distribution, a)).mass == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("a", [0.02, 0.3, 1.5])
+def test_an_analytic_density_is_exact_between_its_nodes(a):
+    slope = np.linspace(0, 5 * a, 333)
+    beckmann, ggx = (RadialDensity.of(facets.analytic(name, a))(slope**2) for name in facets.DISTRIBUTIONS)
+    assert beckmann == pytest.approx(gaussian(slope, a / np.sqrt(2)), rel=1e-10)
+    assert ggx == pytest.approx(a**2 / (np.pi * (a**2 + slope**2) ** 2), rel=1e-6)
+
+
+def test_d_is_the_slope_density_over_the_fourth_power_of_the_cosine():
+    table = facets.analytic("beckmann", 0.3)
+    expected = table["slope_density"].values / np.cos(np.radians(table["alpha"].values)) ** 4
+    assert table["D"].values == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("name", "a"), [("phong", 0.2), ("ggx", 0.0), ("ggx", np.nan), ("beckmann", 11)])
+def test_an_unknown_density_is_refused(name, a):
+    with pytest.raises(facets.FacetError, match="accepted"):
+        facets.analytic(name, a)
+
+
+@pytest.fixture(scope="module")
+def gaussian_map():
+    return samples.gaussian_surface(1024, sigma=0.15, correlation=8)
+
+
+@pytest.fixture(scope="module")
+def of_gaussian_map(gaussian_map):
+    return facets.estimate(gaussian_map)
+
+
+def test_the_density_of_a_gaussian_map_is_recovered_within_its_uncertainty(of_gaussian_map):
+    slope = of_gaussian_map["slope"].values
+    measured = (of_gaussian_map["slope_density_quality"].values == vocabulary.quality("measured")) & (slope > 0)
+    sigma = float(of_gaussian_map["slope_rms"]) / np.sqrt(2)
+    deviation = of_gaussian_map["slope_density"].values / gaussian(slope, sigma) - 1
+    relative_u = (of_gaussian_map["D_u"] / of_gaussian_map["D"]).values
+    z = (deviation / relative_u)[measured]
+    # Neither optimistic nor pessimistic; bins are correlated, so no χ² test.
+    assert 0.5 < np.sqrt(np.mean(z**2)) < 1.6
+    assert np.abs(deviation[measured & (slope < 2 * sigma)]).max() < 0.1
+
+
+def test_a_counted_density_keeps_the_mass_and_the_mean_square_slope(of_gaussian_map):
+    density = RadialDensity.of(of_gaussian_map)
+    s, weight = density.rule()
+    assert density.mass == pytest.approx(1, abs=1e-12)
+    assert np.sqrt(weight @ s**2) == pytest.approx(float(of_gaussian_map["slope_rms"]), rel=0.01)
+
+
+def test_every_facet_is_counted_once(gaussian_map, of_gaussian_map):
+    quads = (gaussian_map.sizes["x"] - 1) * (gaussian_map.sizes["y"] - 1)
+    assert float(of_gaussian_map["facet_count"]) == 4 * quads
+    assert float(of_gaussian_map["count"].sum()) == 4 * quads
+
+
+def test_independent_facets_are_fewer_than_facets(of_gaussian_map):
+    # The four triangles of a quad alone are one or two independent facets.
+    assert float(of_gaussian_map["facet_count"] / of_gaussian_map["effective_count"]) > 3
+
+
+def test_the_correlation_length_is_found(of_gaussian_map):
+    assert float(of_gaussian_map["correlation_length"]) == pytest.approx(8, rel=0.1)
+
+
+def test_white_noise_has_no_lay():
+    # One diagonal a quad would give correlated slopes and an anisotropy of √3.
+    height = np.random.default_rng(3).normal(scale=0.05, size=(512, 512))
+    noise = facets.estimate(samples.surface(height))
+    assert float(noise["anisotropy"]) == pytest.approx(1, abs=0.02)
+    assert "limited by noise" in vocabulary.warnings(noise)[0]
+
+
+def test_the_block_borders_neither_lose_nor_double_a_facet():
+    height = np.random.default_rng(4).normal(scale=0.05, size=(67, 101))
+    p, q = np.diff(height, axis=1), np.diff(height, axis=0)
+    counted = facets._moments(height, (1.0, 1.0))
+    squares = [a**2 + b**2 for a in (p[:-1], p[1:]) for b in (q[:, :-1], q[:, 1:])]
+    assert counted.facets == sum(square.size for square in squares)
+    assert counted.slope_rms == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-12)
+
+
+def test_a_missing_height_takes_its_triangles_with_it_and_nothing_else():
+    height = samples.gaussian_surface(128, correlation=3)["height"].values
+    height[40, 50] = np.nan
+    # A height inside the map belongs to 12 of the triangles of its four quads.
+    assert facets._moments(height, (1.0, 1.0)).facets == 4 * 127**2 - 12
+
+
+def test_a_lay_is_found_and_warned_about():
+    height = samples.gaussian_surface(512, sigma=0.1, correlation=6)
+    lay = samples.surface(height["height"].values, pitch=(1.0, 2.0))
+    table = facets.estimate(lay)
+    assert float(table["anisotropy"]) == pytest.approx(2, rel=0.05)
+    # Slopes are smaller along y, so the lay runs along y.
+    assert abs(float(table["lay"])) == pytest.approx(90, abs=3)
+    assert "has a lay" in vocabulary.warnings(table)[0]
+
+
+def test_a_declared_isotropic_surface_is_not_warned_about_its_lay():
+    height = samples.gaussian_surface(512, sigma=0.1, correlation=6)["height"].values
+    table = facets.estimate(samples.surface(height, pitch=(1.0, 2.0)), isotropic=True)
+    assert not any("lay" in warning for warning in vocabulary.warnings(table))
+
+
+def test_a_tilted_map_is_warned_about():
+    height = samples.gaussian_surface(256, correlation=4)["height"].values + 0.2 * np.arange(256)
+    assert any("level the surface" in w for w in vocabulary.warnings(facets.estimate(samples.surface(height))))
+
+
+@pytest.mark.parametrize("height", [np.zeros((64, 64)), np.full((64, 64), np.nan)])
+def test_a_flat_or_empty_map_is_refused(height):
+    with pytest.raises(facets.FacetError, match="perfectly flat or has no complete facet"):
+        facets.estimate(samples.surface(height))
+
+
+def test_too_small_a_map_is_refused():
+    with pytest.raises(facets.FacetError, match="too few independent facets"):
+        facets.estimate(samples.gaussian_surface(32, correlation=8))
+
+
+# --- line profiles
+
+
+def gaussian_line(points=100_000, sigma=0.1, correlation=0.7, seed=5):
+    kernel = np.exp(-((np.arange(-20, 21) / correlation) ** 2))
+    slope = np.convolve(np.random.default_rng(seed).normal(size=points), kernel, "same")
+    return samples.surface(np.cumsum(slope * sigma / slope.std()))
+
+
+def test_a_lone_line_is_refused_unless_declared_isotropic():
+    with pytest.raises(facets.FacetError, match=r"surface\.isotropic: true"):
+        facets.estimate(gaussian_line(1000))
+
+
+def test_the_density_of_a_gaussian_line_is_recovered():
+    table = facets.estimate(gaussian_line(), isotropic=True)
+    density = RadialDensity.of(table)
+    slope = 0.1 * np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+    deviation = np.abs(density(slope**2) / gaussian(slope, 0.1) - 1)
+    assert deviation[0] < 0.06
+    assert deviation[1:].max() < 0.03
+    assert density.mass == pytest.approx(1, abs=1e-6)
+
+
+def test_an_isotropic_surface_is_twice_as_rough_as_a_line_on_it():
+    table = facets.estimate(gaussian_line(), isotropic=True)
+    assert float(table["slope_rms"]) == pytest.approx(0.1 * np.sqrt(2), rel=0.01)
+
+
+def test_a_grooved_line_is_no_mixture_of_gaussians():
+    sawtooth = np.cumsum(np.where(np.arange(20_000) % 40 < 20, 0.1, -0.1))
+    jitter = np.random.default_rng(6).normal(scale=0.002, size=20_000)
+    table = facets.estimate(samples.surface(sawtooth + jitter), isotropic=True)
+    assert any("no mixture of Gaussians" in warning for warning in vocabulary.warnings(table))
+
+
+def test_a_short_or_flat_line_is_refused():
+    for height in (np.random.default_rng(0).normal(size=50), np.zeros(500)):
+        with pytest.raises(facets.FacetError, match="at least 128 are needed"):
+            facets.estimate(samples.surface(height), isotropic=True)
+
+
+def test_the_real_rubber_scan(shared_data):
+    rubber = surfaces.level(surfaces.read_surface(shared_data / "surfaces" / "KautschukInfiniteFocus.x3p"))
+    table = facets.estimate(rubber)
+    assert float(table["slope_rms"]) == pytest.approx(0.136, rel=0.02)
+    assert float(table["anisotropy"]) == pytest.approx(1.03, rel=0.02)
+    assert RadialDensity.of(table).mass == pytest.approx(1, abs=1e-9)

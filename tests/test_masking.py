@@ -1,0 +1,85 @@
+"""Smith masking, against closed forms and the reference table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.special import erfc
+
+from brdfpipe import facets, masking
+from brdfpipe.density import RadialDensity
+from brdfpipe.errors import VocabularyError
+
+ANGLES = np.array([0.0, 1.0, 10.0, 45.0, 60.0, 75.0, 85.0, 89.0, 89.9])
+
+
+def closed_form(distribution: str, a: float, theta):
+    """Heitz 2014, Λ of Beckmann (eq. 66 exact) and GGX (eq. 72)."""
+    with np.errstate(divide="ignore"):
+        x = 1 / (a * np.tan(np.radians(theta)))
+    if distribution == "ggx":
+        return 2 / (1 + np.sqrt(1 + 1 / x**2))
+    lambda_smith = np.where(np.isfinite(x), (np.exp(-(x**2)) / (x * np.sqrt(np.pi)) - erfc(x)) / 2, 0.0)
+    return 1 / (1 + lambda_smith)
+
+
+@pytest.mark.parametrize(
+    ("a", "theta", "printed"),
+    [
+        (0.3, 60, 0.99963733),
+        (0.3, 75, 0.96249761),
+        (0.3, 85, 0.64581632),
+        (0.5, 75, 0.85416826),
+        (1.0, 85, 0.26673731),
+    ],
+)
+def test_g1_of_beckmann_is_the_printed_one(a, theta, printed):
+    assert float(masking.g1(facets.analytic("beckmann", a), theta)) == pytest.approx(printed, abs=5e-9)
+
+
+@pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)
+@pytest.mark.parametrize("a", [1e-4, 0.1, 0.3, 1.0, 10.0])
+def test_g1_is_the_closed_form_up_to_grazing(distribution, a):
+    found = masking.g1(facets.analytic(distribution, a), ANGLES).values
+    # The table and its spline, not the formula, limit the agreement; GGX ends at 1e7 a.
+    assert found == pytest.approx(closed_form(distribution, a, ANGLES), rel=1e-6)
+
+
+def test_g1_is_1_at_normal_and_0_at_grazing():
+    assert masking.g1(facets.analytic("beckmann", 0.4), [0.0, 90.0]).values.tolist() == [1.0, 0.0]
+
+
+def test_g1_falls_with_the_angle():
+    g1 = masking.g1(facets.analytic("ggx", 0.4), np.linspace(0, 90, 2001)).values
+    assert (np.diff(g1) <= 1e-12).all()
+
+
+def test_g1_keeps_the_labels_of_its_angles():
+    theta = xr.DataArray([[10.0, 20.0]], dims=("row", "column"), coords={"column": ["a", "b"]})
+    found = masking.g1(facets.analytic("beckmann", 0.4), theta)
+    assert found.dims == ("row", "column")
+    assert found["column"].values.tolist() == ["a", "b"]
+
+
+@pytest.mark.parametrize("theta", [-1.0, 90.1])
+def test_angles_beyond_the_horizon_are_refused(theta):
+    with pytest.raises(VocabularyError, match="theta spans"):
+        masking.g1(facets.analytic("beckmann", 0.4), theta)
+
+
+def test_the_mean_excess_at_zero_is_half_the_mean_absolute_slope():
+    density = RadialDensity.of(facets.analytic("beckmann", 0.2))
+    # A Gaussian of σ = a/√2 along any line: E|p| = σ √(2/π).
+    assert masking.excess_slope(density, [0.0])[0] == pytest.approx(0.2 / np.sqrt(np.pi) / 2, rel=1e-10)
+
+
+def test_visible_facets_project_to_the_whole_surface():
+    # ∫ G1 D max(0, o·m) dω = cos θ (Heitz 2014, eq. 20): masking conserves the projected area.
+    table = facets.analytic("beckmann", 0.4)
+    s, weight = RadialDensity.of(table).rule()
+    beta = 2 * np.pi * (np.arange(2048) + 0.5) / 2048
+    for theta in (30.0, 70.0, 85.0):
+        cos, sin = np.cos(np.radians(theta)), np.sin(np.radians(theta))
+        towards = np.maximum(cos - s[:, None] * np.cos(beta) * sin, 0.0).mean(axis=1)
+        assert float(masking.g1(table, theta)) * (weight @ towards) == pytest.approx(cos, rel=1e-5)
