@@ -1,0 +1,77 @@
+"""The accessor: broadcasting, labels, and refusals in the user's words."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+import xarray as xr
+
+from brdfpipe.errors import VocabularyError
+
+
+@pytest.fixture(scope="module")
+def bsdf():
+    return samples.beckmann_bsdf(0.2)
+
+
+def test_plain_arrays_are_paired_into_directions(bsdf):
+    found = bsdf.bsdf.evaluate(30, 0, [10, 30, 50], 180, wavelength=[450, 550])
+    assert found.dims == ("direction", "wavelength")
+    assert found.shape == (3, 2)
+    assert found.attrs["units"] == "sr-1"
+
+
+def test_labelled_arrays_broadcast_by_name(bsdf):
+    theta_i = xr.DataArray([0.0, 30.0], dims="theta_i", coords={"theta_i": [0.0, 30.0]})
+    theta_o = xr.DataArray([0.0, 30.0, 60.0], dims="theta_o", coords={"theta_o": [0.0, 30.0, 60.0]})
+    found = bsdf.bsdf.evaluate(theta_i, 0, theta_o, 180, wavelength=550)
+    assert found.sizes == {"theta_i": 2, "theta_o": 3, "wavelength": 1}
+    alone = bsdf.bsdf.evaluate(30, 0, 60, 180, wavelength=550)
+    assert found.sel(theta_i=30, theta_o=60).values == alone.values
+
+
+def test_scalars_give_no_direction(bsdf):
+    assert bsdf.bsdf.evaluate(0, 0, 0, 0).dims == ("wavelength",)
+
+
+def test_no_directions_give_no_values(bsdf):
+    assert bsdf.bsdf.evaluate([], [], [], [], wavelength=550).shape == (0, 1)
+
+
+def test_wavelengths_between_the_data_are_interpolated(bsdf):
+    coarse = samples.beckmann_bsdf(0.2, reflectance=np.linspace(0.1, 0.6, samples.WAVELENGTH.size))
+    left, middle, right = coarse.bsdf.evaluate(0, 0, 40, 0, wavelength=[500, 502.5, 505]).values
+    assert middle == pytest.approx((left + right) / 2, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"theta_i": 200}, "theta_i spans 200 to 200"),
+        ({"theta_o": [0, -1]}, "theta_o spans -1 to 0"),
+        ({"phi_o": np.nan}, "phi_o has undefined values"),
+        ({"wavelength": 300}, "the data cover 360 to 780 nm"),
+        ({"wavelength": np.nan}, "wavelength must be finite"),
+        ({"theta_i": xr.DataArray(0.5, attrs={"units": "radian"})}, "angles are in degree"),
+    ],
+)
+def test_bad_arguments_are_refused(bsdf, arguments, message):
+    with pytest.raises(VocabularyError, match=message):
+        bsdf.bsdf.evaluate(**{"theta_i": 0, "phi_i": 0, "theta_o": 0, "phi_o": 0, **arguments})
+
+
+def test_the_albedo_keeps_the_shape_of_its_angles(bsdf):
+    assert bsdf.bsdf.albedo([0, 45, 80]).dims == ("direction", "wavelength")
+    assert bsdf.bsdf.albedo(45, wavelength=550).shape == (1,)
+
+
+@pytest.mark.parametrize("weight", [[1.0, 2.0], np.zeros(85), -np.ones(85)])
+def test_an_unusable_weight_is_refused(bsdf, weight):
+    with pytest.raises(VocabularyError, match="the weight needs 85 finite values"):
+        bsdf.bsdf.nonspectral(weight)
+
+
+def test_a_dataset_that_is_no_bsdf_says_so():
+    with pytest.raises(VocabularyError, match="not an evaluable bsdf"):
+        samples.spectrum().bsdf.evaluate(0, 0, 0, 0)

@@ -1,0 +1,93 @@
+"""Lambert + Gaussian: evaluated by its formula, and fitted back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf import fitting, lambert_gauss, representations
+
+
+def lobe(peak=5.0, parallel=10.0, perpendicular=6.0, rho=0.2, theta_i=(0.0, 30.0, 60.0)):
+    ones = np.ones(len(theta_i))
+    return vocabulary.label(
+        xr.Dataset(
+            {
+                "lambert": ("theta_i", rho * ones),
+                "gauss_peak": ("theta_i", peak * ones),
+                "gauss_fwhm_parallel": ("theta_i", parallel * ones),
+                "gauss_fwhm_perpendicular": ("theta_i", perpendicular * ones),
+            },
+            coords={"theta_i": list(theta_i)},
+            attrs={"representation": "lambert_gauss"},
+        ),
+        "bsdf",
+    )
+
+
+def test_the_lobe_peaks_at_the_mirror_direction_and_halves_at_half_its_width():
+    bsdf = lobe(rho=0.0)
+    assert float(bsdf.bsdf.evaluate(30, 0, 30, 180)) == pytest.approx(5.0)
+    assert bsdf.bsdf.evaluate(30, 0, [25, 35], 180).values == pytest.approx(2.5)
+
+
+def test_a_lambertian_is_the_same_in_every_direction():
+    bsdf = lambert_gauss.lambertian(samples.spectrum(0.5))
+    values = bsdf.bsdf.evaluate([0, 30, 89], 0, [80, 0, 89], [0, 90, 180], wavelength=[400, 700]).values
+    assert values == pytest.approx(0.5 / np.pi)
+    assert bsdf.bsdf.albedo([0.0, 60.0, 89.0]).values == pytest.approx(0.5, abs=1e-9)
+    assert "add a `surface`" in vocabulary.warnings(bsdf)[0]
+
+
+@pytest.mark.parametrize(("fwhm", "ratio"), [(5, 0.99794), (10, 0.99181), (20, 0.96781)])
+def test_the_small_angle_formula_of_the_reflectance_errs_as_printed(fwhm, ratio):
+    # R_gauss ≈ 2π G0 σ⊥ σ∥ cos θ_i; PHYSICS prints exact over approximate.
+    bsdf = lobe(peak=1.0, parallel=fwhm, perpendicular=fwhm, rho=0.0)
+    sigma = np.radians(fwhm / lambert_gauss.FWHM)
+    theta = 30.0
+    exact = float(bsdf.bsdf.albedo(theta))
+    assert exact / (2 * np.pi * sigma**2 * np.cos(np.radians(theta))) == pytest.approx(ratio, abs=1e-4)
+
+
+@pytest.mark.parametrize("theta", [0.0, 30.0, 60.0])
+def test_a_fit_recovers_what_it_was_made_of(theta):
+    found = fitting.fit_lambert_gauss(lobe(), [theta])
+    assert float(found["lambert"][0]) == pytest.approx(0.2, rel=1e-6)
+    assert float(found["gauss_peak"][0]) == pytest.approx(5.0, rel=1e-6)
+    assert float(found["gauss_fwhm_parallel"][0]) == pytest.approx(10.0, rel=1e-6)
+    assert float(found["gauss_fwhm_perpendicular"][0]) == pytest.approx(6.0, rel=1e-6)
+    assert float(found["fit_residual"][0]) < 1e-6
+
+
+def test_a_lambertian_has_no_lobe_to_fit():
+    found = fitting.fit_lambert_gauss(lambert_gauss.lambertian(samples.spectrum(0.5)), [0.0, 45.0])
+    assert found["lambert"].values == pytest.approx(0.5, rel=1e-9)
+    assert (found["gauss_peak"].values == 0).all()
+
+
+def test_black_fits_to_nothing():
+    found = fitting.fit_lambert_gauss(lambert_gauss.lambertian(samples.spectrum(0.0)), [30.0])
+    assert (found["lambert"].values, found["gauss_peak"].values) == (0, 0)
+
+
+def test_a_fit_of_a_real_lobe_states_its_residual_and_keeps_the_flux():
+    bsdf = samples.beckmann_bsdf(0.08)
+    found = fitting.fit_lambert_gauss(bsdf, [0.0, 30.0, 45.0])
+    total = (found["lambert"] + found["gauss_reflectance"]).values
+    assert total == pytest.approx(bsdf.bsdf.nonspectral().bsdf.albedo([0.0, 30.0, 45.0]).values, rel=0.02)
+    assert (found["fit_residual"].values < 0.2).all()
+    assert (found["fit_residual"].values > 0).all()
+
+
+def test_parameters_between_incidences_are_interpolated():
+    bsdf = lobe()
+    bsdf["gauss_peak"][:] = [1.0, 3.0, 5.0]
+    assert float(bsdf.bsdf.evaluate(15, 0, 15, 180)) == pytest.approx(2.0 + 0.2 / np.pi)
+
+
+def test_a_weighted_mean_of_a_lambertian_is_the_mean_reflectance():
+    bsdf = lambert_gauss.lambertian(samples.spectrum(np.linspace(0, 1, 85)))
+    assert float(representations.nonspectral(bsdf, np.ones(85))["lambert"]) == pytest.approx(0.5)

@@ -1,0 +1,82 @@
+"""Tables: exact on their nodes, honest about what lies between."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+
+from brdfpipe import vocabulary
+from brdfpipe.errors import VocabularyError
+
+GRID = {"theta_i": np.arange(0, 81, 10.0), "theta_o": np.arange(0, 86, 5.0), "phi_o": np.arange(0, 361, 10.0)}
+
+
+@pytest.fixture(scope="module")
+def bsdf():
+    return samples.beckmann_bsdf(0.25)
+
+
+@pytest.fixture(scope="module")
+def table(bsdf):
+    return bsdf.bsdf.nonspectral().bsdf.tabulate(GRID)
+
+
+def test_a_table_is_the_model_on_its_nodes(bsdf, table):
+    model = bsdf.bsdf.nonspectral()
+    for direction in ((30, 0, 30, 180), (0, 0, 85, 350), (80, 0, 0, 0)):
+        assert float(table.bsdf.evaluate(*direction)) == pytest.approx(
+            float(model.bsdf.evaluate(*direction)), rel=1e-12
+        )
+
+
+def test_a_table_only_knows_the_azimuth_between_its_directions(table):
+    assert float(table.bsdf.evaluate(30, 40, 30, 220)) == pytest.approx(
+        float(table.bsdf.evaluate(30, 0, 30, 180)), rel=1e-12
+    )
+    assert float(table.bsdf.evaluate(30, 0, 30, -170)) == pytest.approx(
+        float(table.bsdf.evaluate(30, 0, 30, 190)), rel=1e-12
+    )
+
+
+def test_half_a_circle_is_mirrored(bsdf):
+    half = bsdf.bsdf.nonspectral().bsdf.tabulate({**GRID, "phi_o": np.arange(0, 181, 10.0)})
+    assert float(half.bsdf.evaluate(30, 0, 30, 190)) == pytest.approx(
+        float(half.bsdf.evaluate(30, 0, 30, 170)), rel=1e-12
+    )
+
+
+def test_a_spectral_bsdf_makes_a_spectral_table(bsdf):
+    spectral = bsdf.bsdf.tabulate(GRID)
+    assert spectral["brdf"].dims == ("theta_i", "theta_o", "phi_o", "wavelength")
+    mean = spectral.bsdf.nonspectral(np.ones(85))
+    assert float(mean.bsdf.evaluate(20, 0, 20, 180)) == pytest.approx(
+        float(bsdf.bsdf.evaluate(20, 0, 20, 180).mean()), rel=1e-9
+    )
+    assert spectral.bsdf.evaluate(20, 0, 20, 180, wavelength=552).shape == (1,)
+
+
+def test_too_coarse_a_grid_is_warned_about_with_its_error():
+    narrow = samples.beckmann_bsdf(0.02).bsdf.nonspectral()
+    coarse = narrow.bsdf.tabulate(GRID)
+    assert "too coarse for the lobe" in vocabulary.warnings(coarse)[0]
+    assert abs(coarse["grid_albedo"] / coarse["model_albedo"] - 1).max() > 0.05
+
+
+def test_the_grid_integral_of_a_wide_lobe_is_that_of_the_model(table):
+    # Trapezoids of 5° by 10° on a lobe of 30°: 1 % below 60°.
+    near = table.sel(theta_i=slice(0, 50))
+    assert near["grid_albedo"].values == pytest.approx(near["model_albedo"].values, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("axis", "values"), [("theta_i", [0, 95]), ("theta_o", [10, 5]), ("phi_o", [0]), ("phi_o", [[0, 360]])]
+)
+def test_unusable_axes_are_refused(bsdf, axis, values):
+    with pytest.raises(VocabularyError, match=axis):
+        bsdf.bsdf.tabulate({**GRID, axis: values})
+
+
+def test_a_missing_axis_is_named(bsdf):
+    with pytest.raises(VocabularyError, match="the grid needs 'phi_o'"):
+        bsdf.bsdf.tabulate({"theta_i": [0, 10], "theta_o": [0, 10]})
