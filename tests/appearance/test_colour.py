@@ -1,0 +1,67 @@
+"""Colours of materials whose colour is known."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import samples
+
+from brdfpipe import appearance
+from brdfpipe.appearance.colour import colour, flop_index
+from brdfpipe.bsdf import lambert_gauss
+
+
+def test_flop_index_is_the_printed_one():
+    assert flop_index(120, 60, 30) == pytest.approx(11.74225183, abs=5e-9)
+
+
+@pytest.mark.parametrize("lightness", [(30, 60, 120), (50, 0, 10), (np.nan, 50, 20)])
+def test_flop_index_is_missing_where_it_is_not_defined(lightness):
+    assert np.isnan(flop_index(*lightness))
+
+
+def test_a_white_lambertian_is_white_from_everywhere():
+    lab = colour(lambert_gauss.lambertian(samples.spectrum(1.0)))
+    assert lab.sel(component="L*").values == pytest.approx(100, abs=1e-9)
+    assert lab.sel(component=["a*", "b*"]).values == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("observer", "illuminant"), [(2, "D65"), (10, "A")])
+def test_the_total_reflectance_gives_the_colour_of_its_spectrum(observer, illuminant):
+    from brdfpipe.spectra import colorimetry
+
+    reflectance = 0.1 + 0.5 * (samples.WAVELENGTH > 580)
+    lab = colour(samples.beckmann_bsdf(0.2, reflectance=reflectance), illuminant=illuminant, observer=observer)
+    xyz = colorimetry.reflectance_to_xyz(samples.WAVELENGTH, reflectance, illuminant, observer)
+    white = colorimetry.weights(illuminant, observer).white
+    assert lab.sel(geometry="8:total").values == pytest.approx(colorimetry.xyz_to_lab(xyz, white), abs=1e-9)
+
+
+def test_a_geometry_near_the_mirror_direction_sees_the_gloss():
+    lightness = colour(samples.beckmann_bsdf(0.15, reflectance=0.1)).sel(component="L*")
+    assert lightness.sel(geometry="45as15") > lightness.sel(geometry="45as45") > 0
+
+
+def test_a_material_without_colour_is_neutral():
+    lab = colour(samples.beckmann_bsdf(0.2, reflectance=None))
+    assert lab.sel(component=["a*", "b*"]).values == pytest.approx(0, abs=1e-9)
+
+
+def test_an_appraisal_holds_together():
+    found = appearance.appraise(samples.beckmann_bsdf(0.1, reflectance=0.2))
+    gloss = found["gloss"].sel(gloss_angle=[60, 20]).values
+    assert float(found["haze"]) == pytest.approx(gloss[0] - gloss[1])
+    assert float(found["luminous_reflectance"]) == pytest.approx(0.2, abs=1e-9)
+    assert found["srgb"].values == pytest.approx(np.full(3, 0.4845), abs=1e-3)
+    assert json.dumps(found.attrs)
+
+
+def test_haze_needs_both_of_its_geometries():
+    assert np.isnan(float(appearance.appraise(samples.beckmann_bsdf(0.1), gloss_angles=[60])["haze"]))
+
+
+def test_an_unknown_illuminant_is_refused():
+    with pytest.raises(ValueError, match="D99"):
+        colour(samples.beckmann_bsdf(0.1), illuminant="D99")
