@@ -1,0 +1,476 @@
+"""The page of one material."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.report import figures
+from brdfpipe.report.pages import MISSING, colour, fixed, grouped, number, render, worst
+from brdfpipe.report.svg import Figure
+
+STAGES = (
+    "surface",
+    "facets",
+    "spectrum",
+    "index",
+    "predicted",
+    "bsdf",
+    "checks",
+    "appearance",
+    "table",
+    "lambert_gauss",
+)
+"""Datasets a page knows, in the order of the workflow."""
+
+_UNITS = {"um": "µm", "degree": "°", "sr-1": "sr⁻¹", "1": "", "nm": "nm"}
+
+_FACETS = {
+    "slope_rms": "rms slope",
+    "anisotropy": "Anisotropy, larger over smaller principal rms slope",
+    "lay": "Lay, azimuth of the smaller principal rms slope",
+    "facet_count": "Facets",
+    "effective_count": "Independent facets",
+    "correlation_length": "Correlation length of the heights (1/e)",
+    "noise_ratio": "rms slope over 1 pixel / over 2 pixels",
+}
+
+_CHECKS = ("reciprocity_residual", "energy_excess", "negative_fraction", "closure_residual", "floor")
+_COUNTS = ("facet_count", "effective_count")
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A key number."""
+
+    name: str
+    value: str
+    unit: str = ""
+    hint: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; cells are text, the first column heads its row."""
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+    swatches: Sequence[str | None] = ()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The outcome of a check."""
+
+    name: str
+    verdict: str
+    text: str
+
+
+@dataclass
+class Section:
+    """A chapter of the page: figures, then tables."""
+
+    title: str
+    figures: list[Figure] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+
+
+def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> str:
+    """The report of one material, one self-contained HTML file.
+
+    Parameters
+    ----------
+    datasets : stage → its dataset; keys among :data:`STAGES`, any may be absent
+    description : the material's own words; untrusted, shown as text
+
+    Returns
+    -------
+    HTML without any request to elsewhere, without scripts, the same bytes for the same datasets
+    """
+    known = {stage: datasets[stage] for stage in STAGES if stage in datasets}
+    numbers = _surface_parameters(known.get("surface"))
+    sections = [
+        _appearance(known),
+        _spectral(known),
+        _relief(known, numbers),
+        _finish(known),
+        _fit(known),
+        _quality(known),
+    ]
+    verdicts = read_verdicts(known.get("checks"))
+    return render(
+        "material.html.j2",
+        name=material_name(known),
+        description=description,
+        route=_route_words(known),
+        patch=preview(known.get("appearance")),
+        viewing=_viewing(known.get("appearance")),
+        verdicts=verdicts,
+        verdict=worst([verdict.verdict for verdict in verdicts]),
+        facts=list(_facts(known, numbers)),
+        limits=list(_limits(known)),
+        warnings=[(_words(stage), text) for stage, text in stage_warnings(known)],
+        sections=[section for section in sections if section.figures or section.tables],
+        provenance=[_provenance(stage, dataset) for stage, dataset in known.items()],
+    )
+
+
+def material_name(datasets: Mapping[str, xr.Dataset]) -> str:
+    """The name that the datasets carry."""
+    return next(
+        (str(dataset.attrs["material"]) for dataset in datasets.values() if "material" in dataset.attrs), "unnamed"
+    )
+
+
+def stage_warnings(datasets: Mapping[str, xr.Dataset]) -> list[tuple[str, str]]:
+    """(stage, warning) of all stages, each warning once: a stage that passes one on does not repeat it."""
+    seen: dict[str, str] = {}
+    for stage, dataset in datasets.items():
+        for text in vocabulary.warnings(dataset):
+            seen.setdefault(text, stage)
+    return [(stage, text) for text, stage in seen.items()]
+
+
+def read_verdicts(checks: xr.Dataset | None) -> list[Verdict]:
+    """The verdicts that a ``checks`` dataset carries."""
+    if checks is None:
+        return []
+    found = json.loads(checks.attrs.get("verdicts", "{}"))
+    return [
+        Verdict(_words(name), str(entry.get("verdict", "")), str(entry.get("text", "")))
+        if isinstance(entry, dict)
+        else Verdict(_words(name), str(entry), "")
+        for name, entry in found.items()
+    ]
+
+
+def preview(appearance: xr.Dataset | None) -> str | None:
+    """``#rrggbb`` of the material."""
+    return colour(appearance["srgb"].values) if appearance is not None and "srgb" in appearance else None
+
+
+def primary_lab(appearance: xr.Dataset | None) -> tuple[str, tuple[float, float, float]] | None:
+    """The geometry people quote (the first that the appearance lists) and its L*a*b*."""
+    if appearance is None or "lab" not in appearance or appearance["lab"].size == 0:
+        return None
+    lightness, a, b = appearance["lab"].values[0].tolist()
+    return _labels(appearance["lab"], "geometry")[0], (lightness, a, b)
+
+
+def finish_known(datasets: Mapping[str, xr.Dataset]) -> bool:
+    """Whether gloss says something about the material: a BRDF predicted without facets is matt by assumption."""
+    return "facets" in datasets or route(datasets) != "predicted"
+
+
+def luminous_reflectance(datasets: Mapping[str, xr.Dataset]) -> float:
+    """Total reflectance weighted with V(λ) and D65; NaN where it is not known."""
+    if "appearance" in datasets and "luminous_reflectance" in datasets["appearance"]:
+        return float(datasets["appearance"]["luminous_reflectance"])
+    holder = next(
+        (datasets[s] for s in ("spectrum", "bsdf") if s in datasets and "total_reflectance" in datasets[s]), None
+    )
+    if holder is None:
+        return math.nan
+    reflectance = holder["total_reflectance"]
+    if "wavelength" not in reflectance.dims:
+        return float(reflectance)
+    from brdfpipe.spectra.colorimetry import reflectance_to_xyz
+
+    # V(λ) is the y-function of the 2-degree observer, whichever observer the colours are for.
+    xyz = reflectance_to_xyz(reflectance["wavelength"].values, reflectance.values, "D65", 2)
+    return float(xyz[1]) / 100
+
+
+# --- the head of the page
+
+
+def _facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Iterator[Fact]:
+    appearance = datasets.get("appearance")
+    if appearance is not None and "gloss" in appearance:
+        for angle, value in zip(appearance["gloss_angle"].values, appearance["gloss"].values, strict=True):
+            yield Fact(
+                f"Gloss {angle:g}°", fixed(value, 1), "GU", "D523-style" if finish_known(datasets) else "as if matt"
+            )
+    if appearance is not None and "haze" in appearance:
+        yield Fact("Haze", fixed(float(appearance["haze"]), 1), "GU", "gloss 60° − 20°")
+    lab = primary_lab(appearance)
+    if lab is not None:
+        geometry, values = lab
+        yield Fact(
+            "L* a* b*", "  ".join(fixed(value, 1) for value in values), "", f"{geometry}, {_viewing(appearance)}"
+        )
+    luminous = luminous_reflectance(datasets)
+    if math.isfinite(luminous):
+        yield Fact("Total reflectance", fixed(100 * luminous, 1), "%", "V(λ), D65")
+    yield from _roughness_facts(datasets, numbers)
+
+
+def _roughness_facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Iterator[Fact]:
+    for height, gradient in (("Sq", "Sdq"), ("Rq", "Rdq")):
+        if height in numbers:
+            yield Fact(height, number(float(numbers[height])), "µm", "rms height")
+            yield Fact(gradient, number(float(numbers[gradient])), "", "rms gradient")
+    facets = datasets.get("facets", datasets.get("bsdf"))
+    if facets is not None and "slope_rms" in facets and math.isfinite(float(facets["slope_rms"])):
+        hint = f"facets, {number(math.degrees(math.atan(float(facets['slope_rms']))), 2)}°"
+        yield Fact("rms slope", number(float(facets["slope_rms"])), "", hint)
+
+
+def _limits(datasets: Mapping[str, xr.Dataset]) -> Iterator[str]:
+    """What the report cannot say, and why."""
+    facets = datasets.get("facets")
+    warned = any(vocabulary.warnings(datasets[stage]) for stage in ("predicted", "bsdf") if stage in datasets)
+    if not finish_known(datasets) and not warned:  # the stage that takes a material as matt says so itself
+        yield (
+            "Gloss and haze are not modelled. No surface finish was measured or assumed, so the BRDF is that of an ideally "
+            "matt sample; give `surface` in material.yaml to model them."
+        )
+    elif facets is not None and "surface" not in datasets:
+        method = str(facets.attrs.get("method", "")).strip()
+        yield (
+            f"The surface finish is assumed{f' ({method})' if method else ''}, not measured. Gloss, haze and the angular "
+            "figures follow from the assumption; give `surface: file` in material.yaml to use a measurement."
+        )
+    if "spectrum" not in datasets:
+        yield (
+            "Colour and diffuse reflection are not modelled. No spectrum is known, so the BRDF holds the light mirrored by the "
+            "facets alone; give `spectrum` in material.yaml to model the rest."
+        )
+    if "bsdf" not in datasets:
+        yield "No BRDF was built."
+    elif "checks" not in datasets:
+        yield "The BRDF was not checked for reciprocity and energy."
+    if "appearance" not in datasets:
+        yield "Gloss, haze and colour were not computed."
+
+
+def _route_words(datasets: Mapping[str, xr.Dataset]) -> str:
+    return f"{route(datasets).capitalize()} from {basis(datasets) or 'no data'}"
+
+
+def route(datasets: Mapping[str, xr.Dataset]) -> str:
+    """How the BRDF came about."""
+    return str(datasets["bsdf"].attrs.get("route", "predicted")) if "bsdf" in datasets else "predicted"
+
+
+def basis(datasets: Mapping[str, xr.Dataset]) -> str:
+    """What it rests on: ``surface + spectrum``, ``assumed finish``, …"""
+    finish = "surface" if "surface" in datasets else "assumed finish" if "facets" in datasets else ""
+    return " + ".join(part for part in (finish, "spectrum" if "spectrum" in datasets else "") if part)
+
+
+def _viewing(appearance: xr.Dataset | None) -> str:
+    if appearance is None:
+        return ""
+    return f"{appearance.attrs.get('illuminant', '')}/{appearance.attrs.get('observer', '')}°"
+
+
+# --- chapters
+
+
+def _appearance(datasets: Mapping[str, xr.Dataset]) -> Section:
+    section = Section("Reflection")
+    bsdf, checks, appearance = datasets.get("bsdf"), datasets.get("checks"), datasets.get("appearance")
+    if bsdf is not None:
+        try:
+            cuts = figures.polar_cuts(bsdf)
+        except BrdfpipeError as error:  # a measured table may not reach the directions shown
+            section.tables.append(Table("BRDF in the plane of incidence", (), (), f"Not shown: {error}"))
+        else:
+            section.figures += cuts or ()
+    curve = figures.albedo(checks, bsdf)
+    section.figures += [curve] if curve else []
+    if appearance is not None and "gloss" in appearance:
+        section.tables.append(_gloss_table(appearance))
+    return section
+
+
+def _gloss_table(appearance: xr.Dataset) -> Table:
+    rows = [
+        (f"{angle:g}°", fixed(value, 2))
+        for angle, value in zip(appearance["gloss_angle"].values, appearance["gloss"].values, strict=True)
+    ]
+    if "haze" in appearance:
+        rows.append(("haze, 60° − 20°", fixed(float(appearance["haze"]), 2)))
+    note = "D523-style: computed from the model with the standard's apertures; conformance is not claimed."
+    return Table("Gloss", ("Geometry", "Gloss units"), rows, note)
+
+
+def _spectral(datasets: Mapping[str, xr.Dataset]) -> Section:
+    section = Section("Colour")
+    if "spectrum" in datasets:
+        section.figures.append(figures.spectrum(datasets["spectrum"], datasets.get("bsdf")))
+    appearance = datasets.get("appearance")
+    if appearance is not None and "lab" in appearance:
+        section.tables.append(_lab_table(appearance))
+    if "index" in datasets:
+        section.tables.append(_index_table(datasets["index"]))
+    return section
+
+
+def _lab_table(appearance: xr.Dataset) -> Table:
+    names, values = _labels(appearance["lab"], "geometry"), appearance["lab"].values.tolist()
+    rows = [(name, *(fixed(value, 2) for value in lab)) for name, lab in zip(names, values, strict=True)]
+    flop = float(appearance["flop_index"]) if "flop_index" in appearance else math.nan
+    total = str(appearance.attrs.get("total_geometry", ""))
+    notes = [f"{total}: all reflected light, as a sphere collects it."] if total in names else []
+    notes += [f"Flop index {number(flop)}."] if math.isfinite(flop) else []
+    note = " ".join(notes)
+    return Table(f"L*a*b*, {_viewing(appearance)}", ("Geometry", "L*", "a*", "b*"), rows, note)
+
+
+def _index_table(index: xr.Dataset) -> Table:
+    lines = np.array([486.1, 587.6, 656.3])  # the Fraunhofer lines F, d and C, at which indices are quoted
+    own = np.atleast_1d(index["wavelength"].values) if "wavelength" in index.coords else lines
+    n, k = (np.interp(lines, own, np.broadcast_to(index[name].values, own.shape)) for name in ("n", "k"))
+    rows = [
+        (f"{line:g} nm", fixed(real, 4), number(imaginary)) for line, real, imaginary in zip(lines, n, k, strict=True)
+    ]
+    source = str(index.attrs.get("source", ""))
+    return Table("Refractive index", ("Wavelength", "n", "k"), rows, f"Source: {source}" if source else "")
+
+
+def _relief(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Section:
+    section = Section("Surface")
+    surface = datasets.get("surface")
+    if surface is None:
+        return section
+    section.figures.append(figures.height_map(surface) if surface["height"].ndim == 2 else figures.profile(surface))
+    rows = [
+        (name.replace("_", " "), _quantity(numbers[name]), str(numbers[name].attrs.get("long_name", "")))
+        for name in numbers
+    ]
+    note = _attributes(surface, ("levelling", "band"))
+    if rows:
+        section.tables.append(Table("Surface parameters", ("Parameter", "Value", "Definition"), rows, note))
+    return section
+
+
+def _surface_parameters(surface: xr.Dataset | None) -> dict[str, xr.DataArray]:
+    if surface is None:
+        return {}
+    from brdfpipe.surfaces import parameters
+
+    found = parameters(surface)
+    return {str(name): found[name] for name in found.data_vars if found[name].ndim == 0}
+
+
+def _finish(datasets: Mapping[str, xr.Dataset]) -> Section:
+    section = Section("Facets")
+    facets = datasets.get("facets")
+    if facets is None:
+        return section
+    section.figures += [figures.slope_density(facets), figures.facet_distribution(facets), figures.masking(facets)]
+    rows = [
+        (title, grouped(float(facets[name])) if name in _COUNTS else _quantity(facets[name]))
+        for name, title in _FACETS.items()
+        if name in facets
+    ]
+    if "slope_rms_scale" in facets:
+        rows += [
+            (f"rms slope over {scale:g} pixel{'s' if scale != 1 else ''}", number(value))
+            for scale, value in zip(facets["scale"].values, facets["slope_rms_scale"].values, strict=True)
+        ]
+    note = _attributes(facets, ("method", "band"))
+    section.tables.append(Table("Facets in numbers", ("Quantity", "Value"), rows, note))
+    return section
+
+
+def _fit(datasets: Mapping[str, xr.Dataset]) -> Section:
+    section = Section("Lambert + Gauss fit")
+    fit = datasets.get("lambert_gauss")
+    if fit is None or "theta_i" not in fit.coords:
+        return section
+    columns = (
+        ("lambert", "Lambertian ρ", 1.0),
+        ("gauss_peak", "Peak G₀, sr⁻¹", 1.0),
+        ("gauss_fwhm_parallel", "FWHM ∥, °", 1.0),
+        ("gauss_fwhm_perpendicular", "FWHM ⊥, °", 1.0),
+        ("gauss_reflectance", "Gaussian ρ", 1.0),
+        ("fit_residual", "Residual, %", 100.0),
+    )
+    theta_i = np.atleast_1d(fit["theta_i"].values)
+    present = [(name, title, factor) for name, title, factor in columns if name in fit]
+    values = [
+        np.broadcast_to(factor * figures.at_reference(fit[name]).values, theta_i.shape) for name, _, factor in present
+    ]
+    rows = [(f"{angle:g}°", *(number(value[k]) for value in values)) for k, angle in enumerate(theta_i)]
+    note = "The residual is the flux-weighted rms misfit over the flux-weighted rms BRDF."
+    if "wavelength" in fit["lambert"].dims:
+        note = f"Lambertian ρ {figures.wavelength_words(fit)}. {note}"
+    section.tables.append(
+        Table("Fit for each angle of incidence", ("Incidence", *(title for _, title, _ in present)), rows, note)
+    )
+    return section
+
+
+def _quality(datasets: Mapping[str, xr.Dataset]) -> Section:
+    section = Section("Checks")
+    checks = datasets.get("checks")
+    if checks is not None:
+        rows = [_named(checks[name]) for name in _CHECKS if name in checks]
+        section.tables.append(Table("Checks in numbers", ("Quantity", "Value"), rows))
+    return section
+
+
+# --- provenance
+
+
+def _provenance(stage: str, dataset: xr.Dataset) -> dict[str, Any]:
+    attrs = dataset.attrs
+    return {
+        "stage": _words(stage),
+        "digest": str(attrs.get("digest", "")),
+        "inputs": [(name, str(value)) for name, value in _mapping(attrs.get("inputs")).items()],
+        "parameters": [
+            (name, json.dumps(value, ensure_ascii=False)) for name, value in _mapping(attrs.get("parameters")).items()
+        ],
+        "software": ", ".join(f"{name} {value}" for name, value in _mapping(attrs.get("software")).items()),
+        "history": [line for line in str(attrs.get("history", "")).splitlines() if line],
+    }
+
+
+def _mapping(text: object) -> dict[str, Any]:
+    found = json.loads(text) if isinstance(text, str) and text else {}
+    return found if isinstance(found, dict) else {}
+
+
+# --- words and numbers
+
+
+def _named(scalar: xr.DataArray) -> tuple[str, str]:
+    return str(scalar.attrs.get("long_name", scalar.name)), _quantity(scalar)
+
+
+def _quantity(scalar: xr.DataArray) -> str:
+    value = number(float(scalar))
+    units = str(scalar.attrs.get("units", ""))
+    unit = _UNITS.get(units, units)
+    return value if value == MISSING or not unit else value + unit if unit == "°" else f"{value} {unit}"
+
+
+def _attributes(dataset: xr.Dataset, names: Sequence[str]) -> str:
+    words = [f"{name.capitalize()}: {dataset.attrs[name]}." for name in names if dataset.attrs.get(name)]
+    return re.sub(r"\bum\b", "µm", " ".join(words))
+
+
+def _labels(values: xr.DataArray, dimension: str) -> list[str]:
+    if dimension in values.coords:
+        return [str(name) for name in values[dimension].values]
+    return [str(k + 1) for k in range(values.sizes[dimension])]
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

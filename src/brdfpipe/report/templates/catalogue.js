@@ -1,0 +1,52 @@
+"use strict";
+(() => {
+  const $ = (id) => document.getElementById(id);
+  const table = $("materials"), body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
+  const rank = { fail: 0, warn: 1, pass: 2 };
+  const rows = [...body.rows].map((row) => {
+    const cells = [...row.cells].map((cell, k) => {
+      const text = (k ? cell : cell.querySelector("a")).textContent.trim();
+      if (k === 0) return text.toLowerCase();
+      if (text in rank) return rank[text];
+      return k === heads.length - 1 && text === "" ? 0 : parseFloat(text.replace("\u2212", "-"));
+    });
+    return { row, cells, text: row.cells[0].textContent.toLowerCase(), verdict: row.cells[heads.length - 2].textContent.trim() };
+  });
+  const order = (a, b) => (typeof a === "string" ? a.localeCompare(b, "en", { numeric: true }) : a - b);
+  const sort = (column, sign) => {
+    rows.sort((p, q) => {
+      const a = p.cells[column], b = q.cells[column];
+      const gone = Number.isNaN(a) - Number.isNaN(b); // unknown values come last, whichever way
+      return gone || (Number.isNaN(a) ? 0 : sign * order(a, b)) || order(p.cells[0], q.cells[0]);
+    });
+    body.append(...rows.map((entry) => entry.row));
+  };
+  heads.forEach((head, column) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = head.textContent;
+    head.replaceChildren(button);
+    head.ariaSort = column ? "none" : "ascending";
+    button.addEventListener("click", () => {
+      const up = head.ariaSort !== "ascending";
+      heads.forEach((other) => { other.ariaSort = "none"; });
+      head.ariaSort = up ? "ascending" : "descending";
+      sort(column, up ? 1 : -1);
+    });
+  });
+  const filter = () => {
+    const words = $("words").value.toLowerCase().split(/\s+/).filter(Boolean), verdict = $("verdict").value;
+    let shown = 0;
+    for (const entry of rows) {
+      const keep = (!verdict || entry.verdict === verdict) && words.every((word) => entry.text.includes(word));
+      entry.row.hidden = !keep;
+      shown += keep;
+    }
+    $("count").textContent = `${shown} of ${rows.length} shown`;
+  };
+  $("filter").addEventListener("submit", (event) => event.preventDefault());
+  $("words").addEventListener("input", filter);
+  $("verdict").addEventListener("change", filter);
+  $("filter").hidden = false;
+  filter();
+})();
