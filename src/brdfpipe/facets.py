@@ -323,7 +323,9 @@ def _merge_bins(histogram: _Histogram, least: float) -> _Binned:
     cumulative = np.concatenate([[0.0], np.cumsum(counts)])
     kept = [0]
     for cut in range(1, cumulative.size):
-        if cumulative[cut] - cumulative[kept[-1]] >= least:
+        # Four times as many where there are plenty halve the noise; only the last bins make do with the least.
+        plenty = cumulative[-1] - cumulative[kept[-1]] >= 8 * least
+        if cumulative[cut] - cumulative[kept[-1]] >= (4 * least if plenty else least):
             kept.append(cut)
     if len(kept) - 1 < _LEAST_BINS:
         raise FacetError(

@@ -136,6 +136,15 @@ def nonspectral(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
     """
     if "wavelength" not in bsdf.coords:
         return bsdf
+    total = weight @ bsdf["total_reflectance"].values if "total_reflectance" in bsdf else None
+    if bsdf["n"].ndim == 0:
+        reduced = bsdf.drop_dims("wavelength").assign(diffuse=weight @ bsdf["diffuse"].values)
+    else:
+        reduced = _with_mean_index(bsdf, weight)
+    return vocabulary.label(reduced if total is None else reduced.assign(total_reflectance=total), "bsdf")
+
+
+def _with_mean_index(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
     reduced = bsdf.drop_dims("wavelength").assign(
         {name: weight @ bsdf[name].values if bsdf[name].ndim else bsdf[name].values for name in ("n", "k")}
     )
@@ -144,10 +153,7 @@ def nonspectral(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
     at_measurement = _Model.of(bsdf, None).albedo(bsdf["theta_m"].values)
     diffuse = np.broadcast_to(bsdf["diffuse"].values, weight.shape)
     total = float(weight @ np.broadcast_to(at_measurement + diffuse * (1 - at_measurement), weight.shape))
-    reduced["diffuse"] = max(total - specular, 0.0) / (1 - specular)
-    if "total_reflectance" in bsdf:
-        reduced["total_reflectance"] = weight @ bsdf["total_reflectance"].values
-    return vocabulary.label(reduced, "bsdf")
+    return reduced.assign(diffuse=max(total - specular, 0.0) / (1 - specular))
 
 
 class _Model(NamedTuple):
