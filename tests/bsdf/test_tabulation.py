@@ -7,6 +7,7 @@ import pytest
 import samples
 
 from brdfpipe import vocabulary
+from brdfpipe.bsdf import tabulation
 from brdfpipe.errors import VocabularyError
 
 GRID = {"theta_i": np.arange(0, 81, 10.0), "theta_o": np.arange(0, 86, 5.0), "phi_o": np.arange(0, 361, 10.0)}
@@ -75,6 +76,16 @@ def test_the_grid_integral_of_a_wide_lobe_is_that_of_the_model(table):
 def test_unusable_axes_are_refused(bsdf, axis, values):
     with pytest.raises(VocabularyError, match=axis):
         bsdf.bsdf.tabulate({**GRID, axis: values})
+
+
+def test_half_a_circle_of_azimuths_makes_a_full_one():
+    assert tabulation.full_circle([0, 90, 170, 180]).tolist() == [0, 90, 170, 180, 190, 270, 360]
+
+
+@pytest.mark.parametrize("half", [[0, 90], [10, 180], [0, 90, 90, 180], [0], [0, 200]])
+def test_azimuths_that_are_no_half_circle_are_refused(half):
+    with pytest.raises(VocabularyError, match="phi_o"):
+        tabulation.full_circle(half)
 
 
 def test_a_missing_axis_is_named(bsdf):

@@ -68,6 +68,19 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     return vocabulary.label(_with_warning(table), "bsdf")
 
 
+def full_circle(half: ArrayLike) -> Array:
+    """Azimuths from 0 to 180 degree, mirrored about the plane of incidence to 360.
+
+    Raises
+    ------
+    VocabularyError : they do not increase from 0 to 180.
+    """
+    phi = check_angles("phi_o", half, 0, 180)
+    if phi.ndim != 1 or phi.size < 2 or phi[0] != 0 or phi[-1] != 180 or not (np.diff(phi) > 0).all():
+        raise VocabularyError("phi_o of the grid must increase from 0 to 180; set `table.phi_o` in the configuration")
+    return np.concatenate([phi, 360 - phi[-2::-1]])
+
+
 def _axis(grid: Mapping[str, ArrayLike], name: str) -> Array:
     if name not in grid:
         raise VocabularyError(f"the grid needs {name!r}; found {', '.join(grid)}")

@@ -218,13 +218,12 @@ def _facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArra
 
 
 def _roughness_facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Iterator[Fact]:
-    for height, gradient in (("Sq", "Sdq"), ("Rq", "Rdq")):
+    for height in ("Sq", "Rq"):
         if height in numbers:
             yield Fact(height, number(float(numbers[height])), "µm", "rms height")
-            yield Fact(gradient, number(float(numbers[gradient])), "", "rms gradient")
     facets = datasets.get("facets", datasets.get("bsdf"))
     if facets is not None and "slope_rms" in facets and math.isfinite(float(facets["slope_rms"])):
-        hint = f"facets, {number(math.degrees(math.atan(float(facets['slope_rms']))), 2)}°"
+        hint = f"all azimuths, {number(math.degrees(math.atan(float(facets['slope_rms']))), 2)}°"
         yield Fact("rms slope", number(float(facets["slope_rms"])), "", hint)
 
 

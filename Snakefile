@@ -1,0 +1,22 @@
+from pathlib import Path
+
+from brdfpipe.jobs.rules import Stages
+
+stages = Stages(config, Path(workflow.basedir) / "workflow" / "scripts")
+
+
+wildcard_constraints:
+    material="[A-Za-z0-9][A-Za-z0-9._-]*",
+
+
+include: "workflow/rules/catalogue.smk"
+include: "workflow/rules/predicted.smk"
+include: "workflow/rules/outputs.smk"
+
+
+rule all:
+    default_target: True
+    input:
+        rules.catalogue.output,
+        # A deleted intermediate is made again only where it is asked for.
+        stages.datasets(),

@@ -1,0 +1,303 @@
+"""The catalogue: one folder a material, each with a ``material.yaml``, validated before anything is computed.
+
+One bad material never stops the others: it becomes a line in :attr:`Catalogue.failures`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from brdfpipe import documents
+from brdfpipe.errors import BrdfpipeError, InputError
+
+DESCRIPTION = "material.yaml"
+
+NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}"
+"""What a material may be called: it becomes a folder of the results."""
+
+RESERVED = frozenset(
+    {"logs", "failures", "exports", "calibrations", "catalogue", "index", "index.html"}
+    | {"catalogue.nc", "catalogue.csv", "catalogue.lock.json"}
+)
+"""Names that mean something else in the results folder."""
+
+SURFACE_STAGE_KEYS = ("file", "format", "layout", "unit", "lateral_unit", "pitch", "form")
+FILE_PARTS = ("surface", "index", "spectrum")
+
+
+class CatalogueError(BrdfpipeError):
+    """The catalogue or the configuration as a whole cannot be used."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """One material: its validated description, with defaults, and its raw files."""
+
+    name: str
+    folder: Path
+    content: Mapping[str, Any]
+    files: Mapping[str, Path]
+    """Part of the description (surface, index, spectrum) → raw file."""
+
+    def has(self, part: str) -> bool:
+        """Whether the description has this part: surface, index, spectrum."""
+        return part in self.content
+
+    @property
+    def exports(self) -> tuple[str, ...]:
+        return tuple(self.content["exports"])
+
+    def spec(self, stage: str, config: Mapping[str, Any]) -> dict[str, Any]:
+        """The part of the description and the configuration that a stage depends on, and nothing else."""
+        surface = dict(self.content.get("surface", {}))
+        if stage == "surface":
+            return {key: surface[key] for key in SURFACE_STAGE_KEYS if key in surface}
+        if stage == "facets":
+            return {key: value for key, value in surface.items() if key not in SURFACE_STAGE_KEYS}
+        if stage == "index":
+            return {"index": self.content["index"]}
+        if stage == "spectrum":
+            return dict(self.content["spectrum"])
+        if stage == "predicted":
+            return dict(self.content["model"])
+        if stage == "bsdf":
+            return {"route": "predicted"}
+        if stage == "appearance":
+            return {key: config[key] for key in ("illuminant", "observer", "gloss_angles")}
+        if stage in ("table", "lambert_gauss"):
+            return dict(config[stage])
+        if stage == "report":
+            return {"description": self.content.get("description", ""), "exports": sorted(self.exports)}
+        return {}
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """The materials that can be built, the reasons why others cannot, and the configuration."""
+
+    folder: Path
+    materials: tuple[Material, ...]
+    failures: Mapping[str, str]
+    """Name of a material (or its folder) → what is wrong with it, in one line."""
+    config: Mapping[str, Any] = field(repr=False)
+
+    @cached_property
+    def by_name(self) -> Mapping[str, Material]:
+        return {material.name: material for material in self.materials}
+
+    def __getitem__(self, name: str) -> Material:
+        try:
+            return self.by_name[name]
+        except KeyError:
+            raise CatalogueError(
+                f"{self.folder.name}: no material {name!r}{documents.nearest(name, self.by_name)}"
+            ) from None
+
+    def spec(self, name: str, stage: str) -> dict[str, Any]:
+        """See :meth:`Material.spec`."""
+        return self[name].spec(stage, self.config)
+
+
+def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
+    """Read and validate every material of a catalogue; compute nothing.
+
+    Parameters
+    ----------
+    folder : its sub-folders that hold a ``material.yaml`` are the materials
+    config : see :func:`load_config`; default the project's own
+
+    Raises
+    ------
+    CatalogueError : the folder is missing or holds no material.
+    """
+    config = load_config() if config is None else config
+    folder = Path(folder).resolve()
+    if not folder.is_dir():
+        raise CatalogueError(f"{folder}: no such folder")
+    if (folder / DESCRIPTION).is_file():
+        raise CatalogueError(f"{folder}: is one material; give the folder it stands in")
+    folders = sorted(path.parent for path in folder.glob(f"*/{DESCRIPTION}") if not path.parent.name.startswith("."))
+    if not folders:
+        raise CatalogueError(f"{folder}: holds no material; `brdfpipe new NAME --folder {folder}` starts one")
+    loaded = {path.name: _attempt(path, config) for path in folders}
+    clashes = _clashes(loaded)
+    failures = {name: found for name, found in loaded.items() if isinstance(found, str)} | clashes
+    materials = [found for name, found in loaded.items() if isinstance(found, Material) and name not in failures]
+    return Catalogue(folder, tuple(sorted(materials, key=lambda material: material.name)), failures, config)
+
+
+def load_config(path: Path | None = None) -> dict[str, Any]:
+    """The configuration of a catalogue: the project's own, with what ``path`` says instead.
+
+    Raises
+    ------
+    InputError : naming the file, the key, what stands there and what could.
+    """
+    schema = project_folder() / "config" / "schemas" / "config.schema.yaml"
+    config = documents.read(project_folder() / "config" / "config.yaml", schema)
+    return config if path is None else config | documents.read(path, schema)
+
+
+def project_folder() -> Path:
+    """Where Snakefile, workflow and config are: beside the sources in a checkout, inside the package once installed."""
+    package = Path(__file__).resolve().parent
+    for folder in (package / "_project", package.parents[1]):
+        if (folder / "Snakefile").is_file():
+            return folder
+    raise CatalogueError(f"{package}: the workflow (Snakefile, workflow, config) is not installed with the package")
+
+
+def load_material(folder: Path, config: Mapping[str, Any]) -> Material:
+    """Read and validate one material.
+
+    Raises
+    ------
+    InputError : naming the file, the line, the key, what stands there and what could.
+    """
+    path = folder / DESCRIPTION
+    content = documents.read(path, project_folder() / "config" / "schemas" / "material.schema.yaml")
+    name = str(content.get("name", folder.name))
+    _check_name(path, name)
+    content.setdefault("exports", config["exports"])
+    files = {
+        part: _raw_file(folder, content[part]["file"], part)
+        for part in FILE_PARTS
+        if isinstance(content.get(part), Mapping) and "file" in content[part]
+    }
+    return Material(name, folder, content, files)
+
+
+def parts(material: Material) -> list[str]:
+    """What a material brings, in words."""
+    return [
+        f"{part} {material.content[part]['file']}" if part in material.files else _words(part, material.content[part])
+        for part in FILE_PARTS
+        if material.has(part)
+    ]
+
+
+def check_formats(material: Material) -> None:
+    """Check what can be told of the raw files without reading them, and the name of the plastic.
+
+    Raises
+    ------
+    InputError : an empty file, an extension nobody reads, an unknown plastic.
+    """
+    from brdfpipe import optics
+    from brdfpipe.columns import TEXT_SUFFIXES
+    from brdfpipe.surfaces.reading import FORMATS
+
+    known = {suffix: name for name, form in FORMATS.items() for suffix in form.extensions}
+    for part, path in material.files.items():
+        accepted = known if part == "surface" else TEXT_SUFFIXES
+        if path.stat().st_size == 0:
+            raise InputError(path, "empty", key=f"{part}.file")
+        if path.suffix.lower() not in accepted and "format" not in material.content[part]:
+            key = "surface.format" if part == "surface" else f"{part}.file"
+            raise InputError(
+                path,
+                "the extension tells no known format",
+                found=path.suffix or "none",
+                accepted=", ".join(sorted(accepted)),
+                key=key,
+            )
+    if isinstance(material.content.get("index"), str):
+        optics.refractive_index(material.content["index"])
+
+
+def start_material(folder: Path, name: str) -> Path:
+    """Write a commented description to start a material from; return its path.
+
+    Raises
+    ------
+    InputError : the name cannot be used.
+    CatalogueError : the material exists, or the folder cannot be written.
+    """
+    _check_name(Path(DESCRIPTION), name)
+    path = folder / name / DESCRIPTION
+    template = (project_folder() / "config" / "material.template.yaml").read_text(encoding="utf-8")
+    try:
+        path.parent.mkdir(parents=True)
+        path.write_text(template, encoding="utf-8")
+    except FileExistsError:
+        raise CatalogueError(f"{path.parent}: exists already; choose another name") from None
+    except OSError as error:
+        raise CatalogueError(f"{path.parent}: cannot be written ({error.strerror})") from error
+    return path
+
+
+def _words(part: str, content: Any) -> str:
+    if not isinstance(content, Mapping):
+        return f"{part} {content}"
+    return f"{part} " + ("L*a*b*" if "lab" in content else str(content.get("distribution", "")))
+
+
+def _attempt(folder: Path, config: Mapping[str, Any]) -> Material | str:
+    try:
+        return load_material(folder, config)
+    except BrdfpipeError as error:
+        return str(error)
+
+
+def _clashes(loaded: Mapping[str, Material | str]) -> dict[str, str]:
+    """Folders whose name another one claims as well; letter case is not enough to tell folders apart everywhere."""
+    names = {folder: found.name if isinstance(found, Material) else folder for folder, found in loaded.items()}
+    claims = Counter(name.casefold() for name in names.values())
+    return {
+        folder: str(
+            InputError(
+                DESCRIPTION,
+                f"the name {name!r} is used by more than one material",
+                where="name",
+                found=", ".join(sorted(other for other in names if names[other].casefold() == name.casefold())),
+                accepted="a name of its own for each",
+            )
+        )
+        for folder, name in names.items()
+        if claims[name.casefold()] > 1 and isinstance(loaded[folder], Material)
+    }
+
+
+def _check_name(path: Path, name: str) -> None:
+    if not re.fullmatch(NAME, name):
+        raise InputError(
+            path,
+            "not a usable name",
+            where="name",
+            found=repr(name),
+            accepted="letters, digits, dots, dashes and underscores, at most 64, starting with a letter or a digit",
+            key="name",
+        )
+    if name.casefold() in RESERVED:
+        raise InputError(path, "a reserved name", where="name", found=name, accepted="any other name")
+
+
+def _raw_file(folder: Path, value: str, part: str) -> Path:
+    path = folder / DESCRIPTION
+    where = f"{part}.file"
+    relative = PurePosixPath(value)
+    inside = "the name of a file in the material's folder"
+    if "\0" in value or relative.is_absolute() or ".." in relative.parts:
+        raise InputError(path, "points outside the material's folder", where=where, found=repr(value), accepted=inside)
+    target = (folder / value).resolve()
+    if not target.is_relative_to(folder.resolve()):
+        raise InputError(path, "leads outside the material's folder", where=where, found=repr(value), accepted=inside)
+    if set("{}\n") & set(str(target)):  # they mean something else in the workflow's paths
+        raise InputError(
+            path,
+            "a brace or a line break in the file's name or in a folder above it",
+            where=where,
+            found=repr(value),
+            accepted="a plain path",
+        )
+    if not target.is_file():
+        present = sorted(item.name for item in folder.iterdir() if item.is_file() and item.name != DESCRIPTION)
+        close = documents.nearest(value, present)
+        raise InputError(path, f"no such file{close}", where=where, found=repr(value), accepted=", ".join(present[:10]))
+    return target

@@ -1,0 +1,110 @@
+"""The command line: ``brdfpipe build``, ``check`` and ``new``.
+
+Exit codes: 0 all well, 1 at least one material failed, 2 the command, the catalogue or the configuration cannot be used,
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from functools import wraps
+from importlib.metadata import version
+from pathlib import Path
+from typing import ParamSpec
+
+import click
+
+from brdfpipe.errors import BrdfpipeError
+
+Given = ParamSpec("Given")
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
+
+
+def _refusing(command: Callable[Given, int]) -> Callable[Given, None]:
+    """Turn a refusal into one line and exit code 2, an interrupt into 130."""
+
+    @wraps(command)
+    def run(*args: Given.args, **kwargs: Given.kwargs) -> None:
+        try:
+            code = command(*args, **kwargs)
+        except BrdfpipeError as refusal:
+            click.echo(f"brdfpipe: {refusal}", err=True)
+            code = 2
+        except KeyboardInterrupt:
+            click.echo("brdfpipe: interrupted; the same command resumes", err=True)
+            code = 130
+        sys.exit(code)
+
+    return run
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(version("brdfpipe"), prog_name="brdfpipe")
+def main() -> None:
+    """Trustworthy BRDFs for a catalogue of plastics, paints and films."""
+
+
+@main.command()
+@click.argument("catalogue", type=FOLDER)
+@click.option("--results", type=FOLDER, default=Path("results"), show_default=True, help="Folder for everything made.")
+@click.option("--cores", type=click.IntRange(1), default=None, help="Stages at once  [default: all cores]")
+@click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
+@click.option("--dry-run", is_flag=True, help="Say what would be built; build nothing.")
+@_refusing
+def build(catalogue: Path, results: Path, cores: int | None, config: Path | None, dry_run: bool) -> int:
+    """Build every material of CATALOGUE that changed, and the catalogue page."""
+    from brdfpipe.jobs import front
+
+    summary = front.build(catalogue, results, cores=cores or _cores(), config=config, dry_run=dry_run)
+    click.echo(summary.text)
+    return 1 if summary.failures else 0
+
+
+@main.command()
+@click.argument("catalogue", type=FOLDER)
+@click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
+@_refusing
+def check(catalogue: Path, config: Path | None) -> int:
+    """Validate every material of CATALOGUE without computing anything."""
+    from brdfpipe import catalogue as catalogues
+
+    loaded = catalogues.load(catalogue, catalogues.load_config(config))
+    lines = {name: (message, False) for name, message in loaded.failures.items()}
+    for material in loaded.materials:
+        try:
+            catalogues.check_formats(material)
+        except BrdfpipeError as refusal:
+            lines[material.name] = (str(refusal), False)
+        else:
+            lines[material.name] = (f"ok ({', '.join(catalogues.parts(material))})", True)
+    for name, (message, _) in sorted(lines.items()):
+        click.echo(f"{name}: {message}")
+    return 0 if all(good for _, good in lines.values()) else 1
+
+
+@main.command()
+@click.argument("name")
+@click.option("--folder", type=FOLDER, default=Path("examples"), show_default=True, help="The catalogue.")
+@_refusing
+def new(name: str, folder: Path) -> int:
+    """Start a material NAME: a folder with a commented material.yaml."""
+    from brdfpipe import catalogue as catalogues
+
+    click.echo(
+        f"Edit {catalogues.start_material(folder, name)}, put the raw files beside it, then run `brdfpipe check {folder}`."
+    )
+    return 0
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+if __name__ == "__main__":
+    main()

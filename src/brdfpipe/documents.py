@@ -1,0 +1,213 @@
+"""YAML documents people write: read strictly, validated against a JSON schema, refused in their own words.
+
+Untrusted text: only plain values are built, aliases (which can expand without end), repeated keys and large files are refused.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from datetime import date
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from brdfpipe.errors import InputError
+
+MAX_BYTES = 1_000_000
+
+Lines = dict[tuple[str | int, ...], int]
+"""Key path → line of the document, for messages."""
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Plain values only; ``1e-3`` is a number, as everywhere outside YAML 1.1."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9][0-9_]*(\.[0-9_]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
+
+
+def read(path: Path, schema: Path) -> dict[str, Any]:
+    """Read a YAML document and validate it; return it with the schema's defaults filled in.
+
+    Raises
+    ------
+    InputError : naming the file, the line, the key, what stands there and what could.
+    """
+    content, lines = _parse(path)
+    validator = _validator(schema)
+    errors = sorted(validator.iter_errors(content), key=lambda error: lines.get(tuple(error.absolute_path), 0))
+    if errors:
+        raise _refusal(path, errors[0], lines, validator, more=len(errors) - 1)
+    return dict(_with_defaults(content, validator.schema, validator))
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """``"; did you mean 'x'?"`` if a known word is close to this one, else nothing."""
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _parse(path: Path) -> tuple[Any, Lines]:
+    try:
+        if not path.is_file():
+            raise InputError(path, "no such file")
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(path, "too large", found=f"{path.stat().st_size} bytes", accepted=f"at most {MAX_BYTES}")
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(path, "not UTF-8 text", where=f"byte {error.start}", accepted="text saved as UTF-8") from error
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})") from error
+    lines: Lines = {}
+    try:
+        loader = _Loader(text)
+        try:
+            node = loader.get_single_node()
+            if node is None:
+                raise InputError(path, "empty", accepted="keys and values")
+            _refuse_tricks(path, node, (), lines, set())
+            return loader.construct_document(node), lines
+        finally:
+            loader.dispose()
+    except yaml.YAMLError as error:
+        raise _syntax_refusal(path, error, last=len(text.splitlines())) from error
+    except RecursionError as error:
+        raise InputError(path, "nested too deeply") from error
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            path, f"a value cannot be read ({error})", accepted="plain text, numbers, true and false"
+        ) from error
+
+
+def _refuse_tricks(path: Path, node: yaml.Node, where: tuple[str | int, ...], lines: Lines, seen: set[int]) -> None:
+    line = node.start_mark.line + 1
+    lines[where] = line
+    if id(node) in seen:
+        raise InputError(
+            path, "an alias (*) refers to another value", where=f"line {line}", accepted="the value itself"
+        )
+    seen.add(id(node))
+    if isinstance(node, yaml.ScalarNode) and node.tag == "tag:yaml.org,2002:float" and "n" in node.value.lower():
+        raise InputError(path, "not a finite number", where=f"line {line}", found=node.value, accepted="a number")
+    if isinstance(node, yaml.SequenceNode):
+        for place, item in enumerate(node.value):
+            _refuse_tricks(path, item, (*where, place), lines, seen)
+    elif isinstance(node, yaml.MappingNode):
+        keys: set[str] = set()
+        for key, value in node.value:
+            at = f"line {key.start_mark.line + 1}"
+            if key.tag != "tag:yaml.org,2002:str":
+                raise InputError(path, "a key is not plain text", where=at, accepted="a word before the colon")
+            if key.value in keys:
+                raise InputError(path, f"the key {key.value!r} stands twice", where=at, accepted="each key once")
+            keys.add(key.value)
+            _refuse_tricks(path, value, (*where, key.value), lines, seen)
+            lines[(*where, key.value)] = key.start_mark.line + 1
+
+
+def _syntax_refusal(path: Path, error: yaml.YAMLError, last: int) -> InputError:
+    mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+    problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "cannot be read"
+    return InputError(
+        path,
+        f"not valid YAML ({problem})",
+        where=f"line {min(mark.line + 1, last)}" if mark else None,
+        accepted="`key: value` lines, indented by spaces",
+    )
+
+
+@cache
+def _validator(schema: Path) -> Any:
+    import jsonschema
+
+    return jsonschema.Draft202012Validator(yaml.load(schema.read_text(encoding="utf-8"), Loader=_Loader))
+
+
+def _with_defaults(content: Any, schema: Any, validator: Any) -> Any:
+    """The same content with each absent key that has a default, in every branch of the schema that applies."""
+    schema = _resolved(schema, validator)
+    if not isinstance(content, Mapping):
+        return content
+    if "if" in schema:
+        branch = "then" if validator.evolve(schema=schema["if"]).is_valid(content) else "else"
+        content = _with_defaults(content, schema.get(branch, {}), validator)
+    filled = dict(content)
+    for key, part in schema.get("properties", {}).items():
+        default = _resolved(part, validator).get("default")
+        if key in filled or default is not None:
+            filled[key] = _with_defaults(filled.get(key, default), part, validator)
+    return filled
+
+
+def _resolved(schema: Mapping[str, Any], validator: Any) -> Mapping[str, Any]:
+    # Only references into the document's own $defs are used.
+    definitions: Mapping[str, Mapping[str, Any]] = validator.schema.get("$defs", {})
+    return definitions[schema["$ref"].removeprefix("#/$defs/")] if "$ref" in schema else schema
+
+
+def _refusal(path: Path, error: Any, lines: Lines, validator: Any, more: int) -> InputError:
+    keys = tuple(error.absolute_path)
+    where = ".".join(map(str, keys))
+    problem, found, accepted = _WORDS.get(error.validator, _otherwise)(error, validator)
+    if error.validator == "additionalProperties":
+        unknown = sorted(set(error.instance) - set(error.schema.get("properties", {})))[0]
+        keys = (*keys, unknown)
+    line = lines.get(keys) or lines.get(tuple(error.absolute_path))
+    place = ", ".join([*([f"line {line}"] if line else []), *([where] if where else [])]) or None
+    if more:
+        accepted += f" (and {more} more problem{'s' if more > 1 else ''})"
+    return InputError(path, problem, where=place, found=found, accepted=accepted)
+
+
+def _unknown_key(error: Any, validator: Any) -> tuple[str, str | None, str]:
+    known = list(error.schema.get("properties", {}))
+    unknown = sorted(set(error.instance) - set(known))[0]
+    return f"unknown key {unknown!r}{nearest(unknown, known)}", None, ", ".join(known)
+
+
+def _missing_key(error: Any, validator: Any) -> tuple[str, str | None, str]:
+    missing = next(key for key in error.validator_value if key not in error.instance)
+    part = _resolved(error.schema.get("properties", {}).get(missing, {}), validator)
+    accepted = ", ".join(map(str, part.get("enum", []))) or part.get("description") or f"`{missing}:` with a value"
+    return f"the key {missing!r} is missing", None, accepted
+
+
+def _not_listed(error: Any, validator: Any) -> tuple[str, str | None, str]:
+    choices = list(map(str, error.validator_value))
+    close = nearest(error.instance, choices) if isinstance(error.instance, str) else ""
+    return f"not an accepted value{close}", _show(error.instance), ", ".join(choices)
+
+
+def _not_together(error: Any, validator: Any) -> tuple[str, str | None, str]:
+    keys = [key for choice in error.validator_value for key in choice.get("required", [])]
+    return "nothing to build from", None, "at least one of " + ", ".join(f"`{key}`" for key in keys)
+
+
+def _otherwise(error: Any, validator: Any) -> tuple[str, str | None, str]:
+    kinds = error.validator_value if error.validator == "type" else []
+    accepted = error.schema.get("description") or " or ".join([kinds] if isinstance(kinds, str) else kinds)
+    if error.validator == "type" and "string" in kinds and isinstance(error.instance, bool | int | float | date):
+        accepted += " (text that YAML takes for a number, a date or a yes/no needs quotes)"
+    return "not an accepted value", _show(error.instance), accepted or error.message
+
+
+_WORDS = {
+    "additionalProperties": _unknown_key,
+    "required": _missing_key,
+    "enum": _not_listed,
+    "anyOf": _not_together,
+}
+
+
+def _show(value: Any) -> str:
+    shown = repr(value) if isinstance(value, str | bool | int | float) else json.dumps(value, default=str)
+    return shown if len(shown) <= 60 else shown[:57] + "…"

@@ -1,0 +1,191 @@
+"""Warm worker processes for stages: started when first needed, replaced when killed, gone when the main process is.
+
+A stage in a fresh interpreter costs a quarter of a second for its imports alone. Workers are forked from a server that has
+imported them, one at a time per job thread of snakemake, each with one thread for linear algebra.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from multiprocessing import forkserver
+from multiprocessing.connection import Connection, wait
+
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.jobs.stage import Job, Outcome, perform, record_failure
+
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+)
+"""Stages run side by side already, and the number of threads changes the last bits of sums."""
+
+PRELOADED = [
+    "numpy",
+    "xarray",
+    "netCDF4",
+    "scipy.interpolate",
+    "scipy.optimize",
+    "scipy.special",
+    "brdfpipe.jobs.stage",
+    "brdfpipe.bsdf",
+]
+
+ATTEMPTS = 2
+"""A killed worker may have been a passing shortage of memory: once more, then the job fails."""
+
+
+class StageError(BrdfpipeError):
+    """A stage failed; its log and its failure record say why."""
+
+
+class WorkerDied(Exception):
+    """The worker process ended while it had a job."""
+
+
+class Pool:
+    """Workers that wait for the next job, as many as jobs ever ran at once."""
+
+    def __init__(self) -> None:
+        self._idle: list[_Worker] = []
+        self._workers: set[_Worker] = set()
+        self._lock = threading.Lock()
+        self._closed = False
+
+    def perform(self, job: Job) -> Outcome:
+        """Run a job in a worker and wait for it; a job whose worker is killed gets one more, fresh."""
+        died = WorkerDied("the pool is closed")
+        for _ in range(ATTEMPTS):
+            worker = self._take()
+            try:
+                outcome = worker.perform(job)
+            except WorkerDied as death:
+                died = death
+                self._forget(worker)
+                continue
+            with self._lock:
+                self._idle.append(worker)
+            break
+        else:
+            outcome = Outcome(f"the process was killed {ATTEMPTS} times ({died}); is there enough memory?")
+        if outcome.error and not self._closed:
+            with self._lock:
+                record_failure(job, outcome.error)
+        return outcome
+
+    def close(self) -> None:
+        """Kill every worker, busy or not; jobs that run fail and leave no record."""
+        self._closed = True
+        with self._lock:
+            workers = list(self._workers)
+            self._idle.clear()
+        for worker in workers:
+            worker.kill()
+
+    def _take(self) -> _Worker:
+        with self._lock:
+            if self._closed:
+                raise StageError("interrupted")
+            if self._idle:
+                return self._idle.pop()
+            worker = _Worker()
+            self._workers.add(worker)
+            return worker
+
+    def _forget(self, worker: _Worker) -> None:
+        with self._lock:
+            self._workers.discard(worker)
+        worker.kill()
+
+
+class _Worker:
+    """One process and the line to it."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(PRELOADED)
+        with _environment(ONE_THREAD):
+            forkserver.ensure_running()
+        self._line, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs,), daemon=True, name="brdfpipe-worker")
+        self.process.start()
+        theirs.close()
+
+    def perform(self, job: Job) -> Outcome:
+        try:
+            self._line.send(job)
+            outcome: Outcome = self._line.recv()
+        except (EOFError, OSError) as error:
+            self.process.join(timeout=10)
+            raise WorkerDied(_cause(self.process.exitcode)) from error
+        return outcome
+
+    def kill(self) -> None:
+        self.process.kill()
+
+
+_pools: dict[int, Pool] = {}
+_pools_lock = threading.Lock()
+
+
+def pool() -> Pool:
+    """The pool of this process, made when first asked for."""
+    with _pools_lock:
+        return _pools.setdefault(os.getpid(), Pool())
+
+
+def close() -> None:
+    """Kill the workers of this process, if there are any; the next job makes new ones."""
+    with _pools_lock:
+        found = _pools.pop(os.getpid(), None)
+    if found:
+        found.close()
+
+
+def _serve(line: Connection) -> None:
+    """A worker's life: take a job, run it, answer, until the main process hangs up."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the main process decides
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    while True:
+        try:
+            job = line.recv()
+        except EOFError:
+            return
+        try:
+            outcome = perform(job)
+        except Exception as fault:  # the log cannot be written, say: the worker itself is sound
+            outcome = Outcome(f"unexpected {type(fault).__name__}: {fault}")
+        line.send(outcome)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _cause(exitcode: int | None) -> str:
+    if exitcode is None or exitcode >= 0:
+        return f"exit code {exitcode}"
+    try:
+        return signal.Signals(-exitcode).name
+    except ValueError:
+        return f"signal {-exitcode}"

@@ -1,0 +1,111 @@
+"""What the workflow's rules ask for: conditions, raw files, parameters, and running a stage."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from brdfpipe import catalogue
+from brdfpipe.jobs import code, pool
+from brdfpipe.jobs.stage import Job
+from brdfpipe.store import canonical_json
+
+ALWAYS = ("predicted", "bsdf", "checks", "appearance", "table", "lambert_gauss", "summary")
+"""Datasets that every material has."""
+
+Asked = Callable[[Any], Any]
+"""What snakemake calls with a job's wildcards."""
+
+
+class Stages:
+    """The catalogue as the rules see it.
+
+    Parameters
+    ----------
+    config : snakemake's: ``catalogue`` (folder), optionally ``settings`` (a configuration file), ``failures`` (material →
+        stage and message, of materials to leave out because a stage failed)
+    scripts : folder of the stages' scripts
+    """
+
+    def __init__(self, config: Mapping[str, Any], scripts: Path) -> None:
+        if "catalogue" not in config:
+            raise catalogue.CatalogueError("say which catalogue: --config catalogue=/path/to/catalogue")
+        settings = config.get("settings")
+        loaded = catalogue.load(Path(config["catalogue"]), catalogue.load_config(Path(settings) if settings else None))
+        excluded = dict(config.get("failures") or {})
+        self.catalogue = loaded
+        self.scripts = scripts
+        self.failures = {name: {"stage": "check", "message": text} for name, text in loaded.failures.items()} | excluded
+        self.names = [material.name for material in loaded.materials if material.name not in excluded]
+        self._specs: dict[tuple[str, str], str] = {}
+
+    def has(self, part: str) -> Callable[[Any], bool]:
+        """Whether a material has a part: surface, index, spectrum."""
+        return lambda wildcards: self.catalogue[wildcards.material].has(part)
+
+    def measured(self, part: str) -> Callable[[Any], bool]:
+        """Whether a material brings a raw file for a part."""
+        return lambda wildcards: part in self.catalogue[wildcards.material].files
+
+    def raw(self, part: str) -> Asked:
+        """The raw file a material brings for a part, if any."""
+        return lambda wildcards: str(self.catalogue[wildcards.material].files.get(part, "")) or []
+
+    def spec(self, stage: str) -> Asked:
+        """A stage's own part of the description and the configuration, as canonical JSON: editing it reruns the stage."""
+        return lambda wildcards: canonical_json(self.catalogue.spec(wildcards.material, stage))
+
+    def failures_spec(self, wildcards: Any) -> str:
+        """What the catalogue page depends on beside its inputs: the failures to list."""
+        return canonical_json({"failures": self.failures})
+
+    def code(self, stage: str) -> str:
+        """Digest of a stage's own code: changing it reruns the stage."""
+        return code.digest(self.scripts / f"{stage}.py")
+
+    def exports(self, pattern_of: Mapping[str, str]) -> list[str]:
+        """The export files every material asks for."""
+        return [
+            pattern_of[export].format(material=name) for name in self.names for export in self.catalogue[name].exports
+        ]
+
+    def datasets(self) -> list[str]:
+        """Every dataset of every material."""
+        return [f"{name}/{stage}.nc" for name in self.names for stage in _stages_of(self.catalogue[name])]
+
+    def run(self, stage: str, wildcards: Any, input: Any, output: Any, params: Any) -> None:
+        """Run a rule's stage in a worker.
+
+        Raises
+        ------
+        StageError : it refused or failed, in one line.
+        """
+        job = Job(
+            stage=stage,
+            material=wildcards.get("material", "catalogue"),
+            script=str(self.scripts / f"{stage}.py"),
+            folder=str(Path.cwd()),
+            input=_named(input),
+            output=_named(output),
+            spec=json.loads(params.spec),
+        )
+        outcome = pool.pool().perform(job)
+        if outcome.error:
+            raise pool.StageError(f"{job.title}: {outcome.error}")
+
+
+def _stages_of(material: catalogue.Material) -> list[str]:
+    own = {"surface": "surface" in material.files, "facets": material.has("surface")}
+    own |= {part: material.has(part) for part in ("index", "spectrum")}
+    return [*(stage for stage, there in own.items() if there), *ALWAYS]
+
+
+def _named(files: Any) -> dict[str, str | list[str]]:
+    """Plain strings under the names the rule gave; what a material does not have is left out."""
+    return {
+        name: str(value) if isinstance(value, str) else [str(item) for item in value]
+        for name, value in files.items()
+        if value
+    }

@@ -1,0 +1,202 @@
+"""Run one stage: its script's ``main``, its log, its times and, if it refuses, its failure record.
+
+The same function runs in a worker of the pool and in a plain process started by hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from brdfpipe.errors import BrdfpipeError
+
+Files = Mapping[str, Any]
+"""Name → path, or list of paths."""
+
+Main = Callable[[Files, Files, Mapping[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One stage of one material."""
+
+    stage: str
+    material: str
+    script: str
+    folder: str
+    """The results folder; all paths but those of raw files are relative to it."""
+    input: Files
+    output: Files
+    spec: Mapping[str, Any]
+
+    @property
+    def title(self) -> str:
+        return f"{self.stage} of {self.material}"
+
+    @property
+    def log(self) -> Path:
+        return Path(self.folder, "logs", self.material, f"{self.stage}.log")
+
+    @property
+    def params(self) -> dict[str, Any]:
+        return {"material": self.material, "spec": dict(self.spec)}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a job ended: ``error`` is None or one line that says what to mend."""
+
+    error: str | None
+    wall: float = 0.0
+    cpu: float = 0.0
+    peak: float = 0.0
+    """Largest memory of the process while the stage ran, MB."""
+
+
+def perform(job: Job) -> Outcome:
+    """Run a job in this process; what the stage does wrong ends in the outcome and the log."""
+    os.chdir(job.folder)
+    job.log.parent.mkdir(parents=True, exist_ok=True)
+    error = None
+    with job.log.open("w", encoding="utf-8") as log, _output_to(log):
+        print(job.title, file=log)
+        _reset_peak_memory()
+        wall, cpu = time.perf_counter(), time.process_time()
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                for path in job.output.values():
+                    Path(path).parent.mkdir(parents=True, exist_ok=True)
+                _main(job.script)(job.input, job.output, job.params)
+        except BrdfpipeError as refusal:
+            error = " ".join(str(refusal).split())
+            print(f"refused: {error}", file=log)
+        except Exception as fault:
+            error = f"unexpected {type(fault).__name__}: {_without_folders(' '.join(str(fault).split()), job)}"
+            error += f" (see logs/{job.material}/{job.stage}.log)"
+            traceback.print_exc(file=log)
+        outcome = Outcome(error, time.perf_counter() - wall, time.process_time() - cpu, _peak_memory())
+        for warning in caught:
+            print(
+                f"{warning.category.__name__}: {warning.message} ({Path(warning.filename).name}:{warning.lineno})",
+                file=log,
+            )
+        print(f"{outcome.wall:.3f} s, {outcome.cpu:.3f} s of processor, at most {outcome.peak:.0f} MB", file=log)
+    _record_time(job, outcome)
+    return outcome
+
+
+def _without_folders(message: str, job: Job) -> str:
+    """The message is shown on the catalogue's page, which is the same wherever the folders are."""
+    for path in map(str, job.input.values()):
+        message = message.replace(path, Path(path).name) if Path(path).is_absolute() else message
+    return message.replace(f"{job.folder}/", "")
+
+
+def record_failure(job: Job, message: str) -> None:
+    """Leave word of a failed job for the front and the catalogue: of several of a material, always the same one."""
+    from brdfpipe.store import write_text
+
+    path = Path(job.folder, "failures", f"{job.material}.json")
+    if path.is_file() and json.loads(path.read_text(encoding="utf-8"))["stage"] < job.stage:
+        return
+    record = {"material": job.material, "stage": job.stage, "message": message}
+    write_text(path, json.dumps(record, ensure_ascii=False) + "\n")
+
+
+def by_hand(main: Main) -> None:
+    """Run a stage's script as a plain program; ``--help`` says how."""
+    parser = argparse.ArgumentParser(description=main.__doc__, epilog="Paths are relative to the present folder.")
+    parser.add_argument("--material", required=True, help="name of the material")
+    parser.add_argument("--spec", type=json.loads, default={}, help="the stage's part of the description, as JSON")
+    parser.add_argument("--input", nargs="*", type=_pair, default=[], metavar="NAME=PATH")
+    parser.add_argument("--output", nargs="+", type=_pair, required=True, metavar="NAME=PATH")
+    told = parser.parse_args()
+    try:
+        main(dict(told.input), dict(told.output), {"material": told.material, "spec": told.spec})
+    except BrdfpipeError as refusal:
+        sys.exit(f"{told.material}: {refusal}")
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, mark, path = text.partition("=")
+    if not mark:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=PATH")
+    return name, path
+
+
+@cache
+def _main(script: str) -> Main:
+    specification = importlib.util.spec_from_file_location(f"brdfpipe_stage_{Path(script).stem}", script)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    main: Main = module.main
+    return main
+
+
+@contextmanager
+def _output_to(log: Any) -> Iterator[None]:
+    """Send what libraries print, C libraries too, to the log; only in a worker, whose output nobody reads."""
+    import multiprocessing
+
+    if multiprocessing.parent_process() is None:
+        yield
+        return
+    kept = os.dup(1), os.dup(2)
+    log.flush()
+    os.dup2(log.fileno(), 1)
+    os.dup2(log.fileno(), 2)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        log.flush()
+        for number, file in zip((1, 2), kept, strict=True):
+            os.dup2(file, number)
+            os.close(file)
+
+
+def _record_time(job: Job, outcome: Outcome) -> None:
+    record = {
+        "material": job.material,
+        "stage": job.stage,
+        "wall_s": round(outcome.wall, 4),
+        "cpu_s": round(outcome.cpu, 4),
+        "peak_mb": round(outcome.peak, 1),
+        "refused": outcome.error is not None,
+    }
+    # A sidecar, not a result: no need to wait for the disk.
+    job.log.with_suffix(".json").write_text(json.dumps(record) + "\n", encoding="utf-8")
+
+
+def _reset_peak_memory() -> None:
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        return  # not Linux: the peak is that of the whole process
+
+
+def _peak_memory() -> float:
+    try:
+        status = Path("/proc/self/status").read_text()
+        return int(status.partition("VmHWM:")[2].split()[0]) / 1024
+    except (OSError, IndexError):
+        import resource
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak / 1024 if sys.platform != "darwin" else peak / 2**20

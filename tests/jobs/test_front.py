@@ -1,0 +1,288 @@
+"""The build front: what is built, what is left alone, what is said, and what survives a kill."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from filelock import FileLock
+
+from brdfpipe.jobs import front
+
+Write = Callable[..., Path]
+
+BUILD = """
+import sys
+from pathlib import Path
+from brdfpipe import catalogue
+catalogue.project_folder = lambda: Path(sys.argv[1])
+from brdfpipe.cli import main
+main(["build", sys.argv[2], "--results", sys.argv[3], "--cores", "2"])
+"""
+
+PATIENCE = 60.0
+"""Seconds to wait for what must happen, on however slow a machine."""
+
+
+@pytest.fixture
+def results(tmp_path: Path, project: Path) -> Path:
+    return tmp_path / "results"
+
+
+def build(folder: Path, results: Path) -> front.Summary:
+    return front.build(folder, results, cores=2)
+
+
+def content(results: Path) -> dict[str, bytes]:
+    """Every result, without logs and snakemake's own notes."""
+    return {
+        str(path.relative_to(results)): path.read_bytes()
+        for path in sorted(results.rglob("*"))
+        if path.is_file() and path.relative_to(results).parts[0] not in ("logs", ".snakemake", ".build.lock", "gate")
+    }
+
+
+def times(results: Path) -> dict[str, int]:
+    """When each result was written."""
+    return {name: (results / name).stat().st_mtime_ns for name in content(results)}
+
+
+def rewritten(before: dict[str, int], after: dict[str, int]) -> set[str]:
+    return {name for name in after if after[name] != before.get(name)}
+
+
+def listed_failures(results: Path) -> dict[str, dict[str, str]]:
+    """What the fake catalogue stage was told about failures."""
+    return dict(json.loads((results / "catalogue.csv").read_text())["failures"])
+
+
+def test_a_build_makes_every_material_and_the_catalogue(folder: Path, results: Path) -> None:
+    summary = build(folder, results)
+    assert (summary.built, summary.current, summary.failures) == (("first", "second"), (), {})
+    made = content(results)
+    for name in ("first", "second"):
+        assert {f"{name}/{part}" for part in ("surface.nc", "bsdf.nc", "report.html", f"exports/{name}.astm")} <= set(
+            made
+        )
+    assert {"catalogue.nc", "catalogue.csv", "index.html", "catalogue.lock.json"} <= set(made)
+    times = json.loads((results / "logs" / "first" / "surface.json").read_text())
+    assert times["stage"] == "surface"
+    assert times["peak_mb"] > 1
+
+
+def test_an_unchanged_catalogue_runs_no_job(folder: Path, results: Path) -> None:
+    build(folder, results)
+    before = times(results)
+    summary = build(folder, results)
+    assert (summary.jobs, summary.current) == (0, ("first", "second"))
+    assert times(results) == before
+
+
+def test_a_refused_material_stops_nobody_else_and_is_listed(folder: Path, results: Path, write: Write) -> None:
+    write(folder, "bad", raw="refuse")
+    summary = build(folder, results)
+    assert summary.built == ("first", "second")
+    assert summary.failures == {"bad": "surface: raw.txt: not fit to use; found refuse"}
+    assert listed_failures(results) == {"bad": {"stage": "surface", "message": "raw.txt: not fit to use; found refuse"}}
+    before = times(results)
+    assert build(folder, results).jobs == 0
+    assert rewritten(before, times(results)) <= {"failures/bad.json"}
+
+
+def test_a_mended_material_is_listed_again(folder: Path, results: Path, write: Write) -> None:
+    write(folder, "bad", raw="refuse")
+    build(folder, results)
+    write(folder, "bad", raw="4 5 6")
+    summary = build(folder, results)
+    assert (summary.built, summary.failures) == (("bad",), {})
+    assert listed_failures(results) == {}
+
+
+def test_an_invalid_description_is_listed_and_stops_nobody(folder: Path, results: Path, write: Write) -> None:
+    (write(folder, "typo") / "material.yaml").write_text("spectrm: {}\n")
+    summary = build(folder, results)
+    assert summary.built == ("first", "second")
+    assert "did you mean 'spectrum'?" in summary.failures["typo"]
+    assert set(listed_failures(results)) == {"typo"}
+
+
+def test_the_page_appears_when_every_material_fails(folder: Path, results: Path, write: Write) -> None:
+    write(folder, "first", raw="refuse")
+    (folder / "second" / "material.yaml").write_text("[")
+    summary = build(folder, results)
+    assert set(summary.failures) == {"first", "second"} == set(listed_failures(results))
+    assert summary.page.is_file()
+
+
+def test_a_bug_in_a_stage_points_to_its_traceback(folder: Path, results: Path, write: Write) -> None:
+    write(folder, "first", raw="crash")
+    message = build(folder, results).failures["first"]
+    assert message == "surface: unexpected KeyError: 'a bug' (see logs/first/surface.log)"
+    assert "Traceback" in (results / "logs" / "first" / "surface.log").read_text()
+
+
+def test_a_stage_whose_worker_is_killed_fails_by_name_and_alone(folder: Path, results: Path, write: Write) -> None:
+    write(folder, "first", raw="die")
+    summary = build(folder, results)
+    assert summary.built == ("second",)
+    assert summary.failures["first"].startswith("surface: the process was killed 2 times (SIGKILL)")
+
+
+def test_deleting_an_intermediate_rebuilds_it_and_what_depends_on_it(folder: Path, results: Path) -> None:
+    build(folder, results)
+    before, made = times(results), content(results)
+    (results / "first" / "bsdf.nc").unlink()
+    build(folder, results)
+    after = rewritten(before, times(results))
+    upstream = {f"first/{stage}.nc" for stage in ("surface", "facets", "index", "spectrum", "predicted")}
+    assert after == {name for name in made if name.startswith("first/")} - upstream | {
+        "catalogue.nc",
+        "catalogue.csv",
+        "index.html",
+        "catalogue.lock.json",
+    }
+    assert content(results) == made
+
+
+def test_editing_one_material_rebuilds_that_one_alone(folder: Path, results: Path) -> None:
+    build(folder, results)
+    before = times(results)
+    description = folder / "first" / "material.yaml"
+    description.write_text(description.read_text().replace("index: 1.5", "index: 1.6"))
+    assert build(folder, results).built == ("first",)
+    after = rewritten(before, times(results))
+    assert not any(name.startswith("second/") for name in after)
+    assert "first/index.nc" in after
+    assert "first/surface.nc" not in after
+
+
+def test_editing_the_description_rebuilds_the_report_alone(folder: Path, results: Path, write: Write) -> None:
+    build(folder, results)
+    before = times(results)
+    (folder / "first" / "material.yaml").write_text(
+        (folder / "first" / "material.yaml").read_text().replace("a test", "another")
+    )
+    build(folder, results)
+    of_first = {name for name in rewritten(before, times(results)) if name.startswith("first/")}
+    assert of_first == {"first/report.html", "first/summary.nc"}
+
+
+def test_writing_out_a_default_rebuilds_nothing(folder: Path, results: Path) -> None:
+    build(folder, results)
+    with (folder / "first" / "material.yaml").open("a") as description:
+        description.write("model: {masking: height-correlated}\n")
+    assert build(folder, results).jobs == 0
+
+
+def test_a_new_time_on_an_unchanged_raw_file_rebuilds_nothing(folder: Path, results: Path) -> None:
+    build(folder, results)
+    (folder / "first" / "raw.txt").touch()
+    assert build(folder, results).jobs == 0
+
+
+def test_changing_a_stages_code_reruns_that_stage(folder: Path, results: Path, project: Path) -> None:
+    build(folder, results)
+    before = times(results)
+    script = project / "workflow" / "scripts" / "export_astm.py"
+    script.write_text(script.read_text() + "\nCHANGED = 1\n")
+    build(folder, results)
+    assert {name for name in rewritten(before, times(results)) if "/" in name} == {
+        f"{name}/exports/{name}.{kind}" for name in ("first", "second") for kind in ("astm", "total_reflectance.csv")
+    }
+
+
+def test_a_second_build_into_the_same_folder_is_refused(folder: Path, results: Path) -> None:
+    results.mkdir()
+    with (
+        FileLock(results / ".build.lock"),
+        pytest.raises(front.BuildError, match="another build is running there"),
+    ):
+        build(folder, results)
+
+
+@pytest.mark.parametrize("place", [".", "first", "first/results"])
+def test_results_among_the_raw_files_are_refused(folder: Path, project: Path, place: str) -> None:
+    with pytest.raises(front.BuildError, match="results go to a folder of their own"):
+        build(folder, folder / place)
+
+
+def test_a_dry_run_changes_nothing(folder: Path, results: Path) -> None:
+    summary = front.build(folder, results, cores=1, dry_run=True)
+    assert summary.jobs == 25  # twelve stages of two materials, and the catalogue
+    assert content(results) == {}
+
+
+def test_no_result_knows_where_it_was_made(folder: Path, results: Path, write: Write) -> None:
+    write(folder, "bad", raw="refuse")
+    build(folder, results)
+    assert not [name for name, data in content(results).items() if str(folder.parent).encode() in data]
+
+
+def test_odd_text_in_paths_descriptions_and_messages_is_only_text(tmp_path: Path, results: Path, write: Write) -> None:
+    folder = tmp_path / "ödd 'folder' $HOME"
+    write(folder, "first", description="'{wildcards.material} <b> \U0001f600 %s'")
+    (write(folder, "second") / "raw.txt").rename(folder / "second" / "$x \U0001f600.txt")
+    description = folder / "second" / "material.yaml"
+    description.write_text(description.read_text().replace("raw.txt", "'$x \U0001f600.txt'"))
+    odd = write(folder, "third")
+    (odd / "material.yaml").write_text("surface: {file: '{no} \U0001f600.txt'}\nindex: 1.5\n")
+    write(folder, "fourth", raw="refuse")
+    summary = build(folder, results)
+    assert summary.built == ("first", "second")
+    assert "{no} \U0001f600.txt" in listed_failures(results)["third"]["message"]
+    assert "{wildcards.material} <b>" in (results / "first" / "summary.nc").read_text()
+    assert build(folder, results).jobs == 0
+
+
+@pytest.fixture
+def stuck(project: Path, folder: Path, results: Path, write: Write) -> Iterator[subprocess.Popen[str]]:
+    """A build in a process of its own, of which two workers wait for a gate to open."""
+    for name in ("first", "second"):
+        write(folder, name, raw="wait")
+    command = [sys.executable, "-c", BUILD, str(project), str(folder), str(results)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    logs = [results / "logs" / name / "surface.log" for name in ("first", "second")]
+    wait_until(lambda: all(log.exists() for log in logs))
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < end, "what was waited for did not happen"
+        time.sleep(0.05)
+
+
+def test_a_killed_build_leaves_no_process_and_resumes(
+    stuck: subprocess.Popen[str], folder: Path, results: Path, tmp_path: Path
+) -> None:
+    children = psutil.Process(stuck.pid).children(recursive=True)
+    assert len(children) >= 2
+    stuck.kill()
+    wait_until(lambda: not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children))
+    (results / "gate").touch()
+    assert build(folder, results).built == ("first", "second")
+    undisturbed = tmp_path / "undisturbed"
+    undisturbed.mkdir()
+    (undisturbed / "gate").touch()
+    build(folder, undisturbed)
+    assert content(results) == content(undisturbed)
+
+
+def test_an_interrupted_build_ends_its_workers_and_says_so(stuck: subprocess.Popen[str], results: Path) -> None:
+    children = psutil.Process(stuck.pid).children(recursive=True)
+    stuck.send_signal(signal.SIGINT)
+    output, _ = stuck.communicate(timeout=PATIENCE)
+    assert stuck.returncode == 130
+    assert output.splitlines()[-1] == "brdfpipe: interrupted; the same command resumes"
+    wait_until(lambda: not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children))
+    assert not list((results / "failures").glob("*"))

@@ -1,0 +1,158 @@
+"""The pool: warm workers, killed workers, orphaned workers."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import psutil
+import pytest
+
+from brdfpipe.jobs import pool
+from brdfpipe.jobs.stage import Job
+
+SCRIPT = """
+import json, os, signal, sys, time, warnings
+from pathlib import Path
+from brdfpipe.errors import BrdfpipeError
+
+def main(input, output, params):
+    spec = params["spec"]
+    if spec.get("die"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if spec.get("stumble") and not Path("stumbled").exists():
+        Path("stumbled").touch()
+        os._exit(3)
+    if spec.get("refuse"):
+        raise BrdfpipeError("two\\nlines")
+    if spec.get("sleep"):
+        time.sleep(spec["sleep"])
+    warnings.warn("odd but fine")
+    print("to the log", flush=True)
+    if spec.get("memory"):
+        kept = bytearray(spec["memory"])
+    threads = os.environ["OMP_NUM_THREADS"], os.environ["OPENBLAS_NUM_THREADS"]
+    Path(output["out"]).write_text(json.dumps([os.getpid(), "xarray" in sys.modules, threads]))
+"""
+
+
+@pytest.fixture
+def workers() -> Iterator[pool.Pool]:
+    made = pool.Pool()
+    yield made
+    made.close()
+
+
+def job(folder: Path, material: str = "m", **spec: object) -> Job:
+    script = folder / "stage.py"
+    script.write_text(SCRIPT)
+    return Job("stage", material, str(script), str(folder), {}, {"out": f"{material}/out.json"}, spec)
+
+
+def result(folder: Path, material: str = "m") -> list[object]:
+    return list(json.loads((folder / material / "out.json").read_text()))
+
+
+def test_jobs_one_after_the_other_share_one_warm_worker_of_one_thread(tmp_path: Path, workers: pool.Pool) -> None:
+    assert workers.perform(job(tmp_path)).error is None
+    first = result(tmp_path)
+    assert workers.perform(job(tmp_path)).error is None
+    assert result(tmp_path) == first
+    assert first[1:] == [True, ["1", "1"]]
+    assert first[0] != os.getpid()
+
+
+def test_jobs_at_once_have_a_worker_each(tmp_path: Path, workers: pool.Pool) -> None:
+    jobs = [job(tmp_path, name, sleep=0.5) for name in ("a", "b")]
+    with ThreadPoolExecutor(2) as threads:
+        assert [outcome.error for outcome in threads.map(workers.perform, jobs)] == [None, None]
+    assert result(tmp_path, "a")[0] != result(tmp_path, "b")[0]
+
+
+def test_a_killed_worker_fails_its_own_job_by_name_and_no_other(tmp_path: Path, workers: pool.Pool) -> None:
+    jobs = [job(tmp_path, "good", sleep=0.3), job(tmp_path, "bad", die=True), job(tmp_path, "other")]
+    with ThreadPoolExecutor(3) as threads:
+        good, bad, other = threads.map(workers.perform, jobs)
+    assert (good.error, other.error) == (None, None)
+    assert bad.error == "the process was killed 2 times (SIGKILL); is there enough memory?"
+    record = json.loads((tmp_path / "failures" / "bad.json").read_text())
+    assert record == {"material": "bad", "stage": "stage", "message": bad.error}
+    assert workers.perform(job(tmp_path)).error is None
+
+
+def test_a_worker_killed_once_is_replaced_and_its_job_done(tmp_path: Path, workers: pool.Pool) -> None:
+    assert workers.perform(job(tmp_path, stumble=True)).error is None
+    assert not (tmp_path / "failures").exists()
+
+
+def test_a_refusal_is_one_line_and_not_tried_again(tmp_path: Path, workers: pool.Pool) -> None:
+    outcome = workers.perform(job(tmp_path, refuse=True))
+    assert outcome.error == "two lines"
+    assert (tmp_path / "logs" / "m" / "stage.log").read_text().count("refused: two lines") == 1
+
+
+def test_of_several_failures_of_a_material_always_the_same_one_is_kept(tmp_path: Path, workers: pool.Pool) -> None:
+    from dataclasses import replace
+
+    refused = job(tmp_path, refuse=True)
+    for stage in ("b", "a", "c"):
+        workers.perform(replace(refused, stage=stage))
+    assert json.loads((tmp_path / "failures" / "m.json").read_text())["stage"] == "a"
+
+
+def test_the_log_has_warnings_prints_and_times(tmp_path: Path, workers: pool.Pool) -> None:
+    workers.perform(job(tmp_path))
+    log = (tmp_path / "logs" / "m" / "stage.log").read_text()
+    assert "stage of m" in log
+    assert "UserWarning: odd but fine (stage.py:" in log
+    assert "to the log" in log
+    assert "s of processor" in log
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the peak can be reset on Linux alone")
+def test_the_peak_of_memory_is_that_of_the_job(tmp_path: Path, workers: pool.Pool) -> None:
+    large = workers.perform(job(tmp_path, memory=200_000_000))
+    small = workers.perform(job(tmp_path))
+    assert large.peak - small.peak > 150
+
+
+def test_a_closed_pool_takes_no_job(tmp_path: Path, workers: pool.Pool) -> None:
+    workers.close()
+    with pytest.raises(pool.StageError, match="interrupted"):
+        workers.perform(job(tmp_path))
+
+
+def test_closing_ends_busy_workers_and_leaves_no_failure(tmp_path: Path, workers: pool.Pool) -> None:
+    with ThreadPoolExecutor(1) as threads:
+        waiting = threads.submit(workers.perform, job(tmp_path, sleep=60))
+        while not (tmp_path / "logs" / "m" / "stage.log").exists():
+            time.sleep(0.01)
+        workers.close()
+        assert isinstance(waiting.exception(), pool.StageError)
+    assert not (tmp_path / "failures").exists()
+
+
+def test_workers_end_when_the_main_process_is_gone(tmp_path: Path) -> None:
+    job(tmp_path)
+    program = (
+        "import sys, threading, time; from brdfpipe.jobs.pool import Pool; from brdfpipe.jobs.stage import Job; pool = Pool();"
+        f"jobs = [Job('stage', name, {str(tmp_path / 'stage.py')!r}, {str(tmp_path)!r}, {{}}, {{'out': name}}, {{'sleep': 60}})"
+        " for name in 'ab'];"
+        "[threading.Thread(target=pool.perform, args=(job,)).start() for job in jobs]"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program])
+    while not all((tmp_path / "logs" / name / "stage.log").exists() for name in "ab"):
+        assert process.poll() is None
+        time.sleep(0.02)
+    children = psutil.Process(process.pid).children(recursive=True)
+    process.kill()
+    process.wait()
+    _, alive = psutil.wait_procs(children, timeout=30)
+    assert len(children) >= 3  # the server and two workers
+    assert not [child for child in alive if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]

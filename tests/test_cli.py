@@ -1,0 +1,116 @@
+"""The command line: what it says and how it exits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from brdfpipe import cli
+from brdfpipe.jobs import front
+
+COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(cli.main, [str(argument) for argument in arguments])
+
+
+def write(folder: Path, name: str, text: str = COLOUR) -> None:
+    (folder / name).mkdir(parents=True)
+    (folder / name / "material.yaml").write_text(text)
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert version("brdfpipe") in run("--version").output
+
+
+def test_check_says_a_line_a_material(tmp_path: Path) -> None:
+    write(tmp_path, "good")
+    write(tmp_path, "bad", "spectrm: 1\n")
+    done = run("check", tmp_path)
+    assert done.exit_code == 1
+    bad, good = done.output.splitlines()
+    assert bad.startswith("bad: material.yaml, line 1: unknown key 'spectrm'; did you mean 'spectrum'?")
+    assert good == "good: ok (spectrum L*a*b*)"
+
+
+def test_check_looks_at_formats_too(tmp_path: Path) -> None:
+    write(tmp_path, "m", "surface: {file: a.sur}\nindex: PP\n")
+    (tmp_path / "m" / "a.sur").write_text("x")
+    done = run("check", tmp_path)
+    assert done.exit_code == 1
+    assert "the extension tells no known format; found .sur" in done.output
+
+
+def test_check_of_a_good_catalogue_exits_with_0(tmp_path: Path) -> None:
+    write(tmp_path, "good")
+    assert run("check", tmp_path).exit_code == 0
+
+
+@pytest.mark.parametrize("command", ["check", "build"])
+def test_a_missing_catalogue_is_one_line_and_exit_2(tmp_path: Path, command: str) -> None:
+    done = run(command, tmp_path / "none")
+    assert done.exit_code == 2
+    assert done.stderr == f"brdfpipe: {tmp_path / 'none'}: no such folder\n"
+
+
+def test_a_wrong_configuration_is_one_line_and_exit_2(tmp_path: Path) -> None:
+    write(tmp_path / "catalogue", "good")
+    (tmp_path / "own.yaml").write_text("observer: 5\n")
+    done = run("build", tmp_path / "catalogue", "--config", tmp_path / "own.yaml", "--results", tmp_path / "results")
+    assert done.exit_code == 2
+    assert done.stderr == "brdfpipe: own.yaml, line 1, observer: not an accepted value; found 5; accepted: 10, 2\n"
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("arguments", [["build"], ["build", ".", "--cores", "0"], ["rebuild"]])
+def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
+    assert run(*arguments).exit_code == 2
+
+
+def test_new_starts_a_material_that_checks(tmp_path: Path) -> None:
+    done = run("new", "fresh", "--folder", tmp_path)
+    assert done.exit_code == 0
+    assert "fresh/material.yaml" in done.output
+    assert run("check", tmp_path).exit_code == 0
+
+
+def test_new_refuses_what_exists(tmp_path: Path) -> None:
+    run("new", "fresh", "--folder", tmp_path)
+    before = (tmp_path / "fresh" / "material.yaml").read_text()
+    done = run("new", "fresh", "--folder", tmp_path)
+    assert (done.exit_code, "exists already" in done.stderr) == (2, True)
+    assert (tmp_path / "fresh" / "material.yaml").read_text() == before
+
+
+@pytest.mark.parametrize("name", ["a b", "../up", "logs", ""])
+def test_new_refuses_what_is_no_name(tmp_path: Path, name: str) -> None:
+    assert run("new", name, "--folder", tmp_path).exit_code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("failures", "code"), [({}, 0), ({"m": "surface: no"}, 1)])
+def test_build_tells_what_it_did_and_fails_if_a_material_did(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failures: Mapping[str, str], code: int
+) -> None:
+    summary = front.Summary(("a",), ("b",), failures, 12, tmp_path / "index.html", 3.2)
+    monkeypatch.setattr(front, "build", lambda *given, **named: summary)
+    done = run("build", tmp_path)
+    assert done.exit_code == code
+    assert done.output.splitlines()[0].startswith(
+        f"{2 + len(failures)} materials: 1 built, 1 up to date, {len(failures)} failed"
+    )
+    assert done.output.splitlines()[-1] == f"Open {tmp_path / 'index.html'}"
+
+
+def test_an_interrupt_exits_with_130(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*given: object, **named: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(front, "build", interrupted)
+    done = run("build", tmp_path)
+    assert (done.exit_code, done.stderr) == (130, "brdfpipe: interrupted; the same command resumes\n")

@@ -1,0 +1,126 @@
+"""The examples through the real workflow: what is made, that it is the same bytes each time, and what a change rebuilds."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from brdfpipe import catalogue, store
+from brdfpipe.jobs import front
+
+PROJECT = Path(__file__).parents[1]
+EXAMPLES = ("abs-grain", "paint-lab", "pp-moulding")
+
+Lock = dict[str, dict[str, str]]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A copy of the examples and its results."""
+    base = tmp_path_factory.mktemp("workflow")
+    folder, results = base / "catalogue", base / "results"
+    shutil.copytree(PROJECT / "examples", folder, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+    summary = front.build(folder, results, cores=2)
+    assert summary.failures == {}
+    assert summary.built == EXAMPLES
+    return folder, results
+
+
+def lock(results: Path) -> Lock:
+    return dict(json.loads((results / "catalogue.lock.json").read_text()))
+
+
+def files(results: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(results)): path.read_bytes()
+        for path in sorted(results.rglob("*"))
+        if path.is_file() and path.relative_to(results).parts[0] not in ("logs", ".snakemake", ".build.lock")
+    }
+
+
+def test_every_dataset_says_its_material_stage_and_digest_and_keeps_it(built: tuple[Path, Path]) -> None:
+    _, results = built
+    paths = [path for name in EXAMPLES for path in sorted((results / name).glob("*.nc"))]
+    for path in paths:
+        dataset = store.verify(store.open_dataset(path), path.name)
+        assert dataset.attrs["material"] == path.parent.name
+        assert dataset.attrs["stage"] == ("report" if path.stem == "summary" else path.stem)
+    assert len(paths) == 11 + 8 + 11
+
+
+def test_the_lock_lists_every_dataset(built: tuple[Path, Path]) -> None:
+    _, results = built
+    found = lock(results)
+    assert sorted(found) == list(EXAMPLES)
+    for name in EXAMPLES:
+        made = {path.stem for path in (results / name).glob("*.nc")} - {"summary"}
+        assert set(found[name]) == made
+
+
+def test_every_material_has_its_page_and_exports(built: tuple[Path, Path]) -> None:
+    _, results = built
+    for name in EXAMPLES:
+        assert (results / name / "report.html").stat().st_size > 10_000
+        exports = {path.name for path in (results / name / "exports").iterdir()}
+        assert exports == {f"{name}.astm", f"{name}.total_reflectance.csv", f"{name}.lambert_gauss.csv"}
+        assert name in (results / "index.html").read_text()
+
+
+def test_no_result_knows_where_it_was_made(built: tuple[Path, Path]) -> None:
+    folder, results = built
+    assert not [name for name, content in files(results).items() if str(folder.parent).encode() in content]
+
+
+def test_a_build_elsewhere_gives_the_same_bytes(built: tuple[Path, Path], tmp_path: Path) -> None:
+    folder, results = built
+    shutil.copytree(folder, tmp_path / "elsewhere")
+    front.build(tmp_path / "elsewhere", tmp_path / "made", cores=1)
+    assert files(tmp_path / "made") == files(results)
+
+
+def test_an_edit_changes_the_digests_of_that_material_alone(built: tuple[Path, Path], tmp_path: Path) -> None:
+    folder, results = built
+    shutil.copytree(folder, tmp_path / "catalogue")
+    shutil.copytree(results, tmp_path / "results")
+    description = tmp_path / "catalogue" / "paint-lab" / "material.yaml"
+    description.write_text(description.read_text().replace("48.0", "52.0"))
+    # The copy's raw files lie elsewhere: what reads them runs again, to the same content.
+    front.build(tmp_path / "catalogue", tmp_path / "results", cores=2)
+    before, after = lock(results), lock(tmp_path / "results")
+    assert {name for name in EXAMPLES if before[name] != after[name]} == {"paint-lab"}
+
+
+def test_a_stage_runs_as_a_plain_program(built: tuple[Path, Path], tmp_path: Path) -> None:
+    _, results = built
+    script = catalogue.project_folder() / "workflow" / "scripts" / "facets.py"
+    command = [sys.executable, script, "--material", "abs-grain", "--input", "surface=abs-grain/surface.nc"]
+    subprocess.run([*command, "--output", f"facets={tmp_path / 'facets.nc'}"], cwd=results, check=True)
+    assert (tmp_path / "facets.nc").read_bytes() == (results / "abs-grain" / "facets.nc").read_bytes()
+
+
+def test_a_stage_run_by_hand_refuses_in_one_line(built: tuple[Path, Path], tmp_path: Path) -> None:
+    script = catalogue.project_folder() / "workflow" / "scripts" / "facets.py"
+    command = [sys.executable, script, "--material", "m", "--input", "surface=none.nc", "--output", "facets=f.nc"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "m: none.nc: no such dataset; `brdfpipe build` makes it\n"
+
+
+def test_snakemake_runs_the_workflow_without_the_front(built: tuple[Path, Path]) -> None:
+    folder, results = built
+    root = catalogue.project_folder()
+    command = [sys.executable, "-m", "snakemake", "--snakefile", root / "Snakefile", "--directory", results]
+    command += ["--workflow-profile", root / "workflow" / "profiles" / "default", "--cores", "1", "--dry-run"]
+    done = subprocess.run([*command, "--config", f"catalogue={folder}"], capture_output=True, text=True, check=False)
+    assert "Nothing to be done" in done.stdout + done.stderr
+
+
+def test_the_scripts_only_read_call_and_write() -> None:
+    for path in (PROJECT / "workflow" / "scripts").glob("*.py"):
+        body = path.read_text().partition("def main")[2].partition("\n\n\n")[0]
+        assert len(body.splitlines()) <= 18, path.name  # fifteen lines and what the formatter unfolds

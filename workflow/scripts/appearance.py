@@ -1,0 +1,20 @@
+from brdfpipe import appearance, store
+
+
+def main(input, output, params):
+    """Gloss, haze, colours and a preview of a BRDF."""
+    bsdf = store.open_dataset(input["bsdf"], "bsdf")
+    store.save_dataset(
+        appearance.appraise(bsdf, **params["spec"]),
+        output["appearance"],
+        stage="appearance",
+        material=params["material"],
+        inputs={"bsdf": bsdf},
+        parameters=params["spec"],
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)

@@ -1,0 +1,14 @@
+from brdfpipe import store
+
+
+def main(input, output, params):
+    """The BRDF that everything after is made from: the best route the material has."""
+    spec, inputs = params["spec"], {name: store.open_dataset(path, "bsdf") for name, path in input.items()}
+    bsdf = inputs[spec["route"]].assign_attrs(route=spec["route"])
+    store.save_dataset(bsdf, output["bsdf"], stage="bsdf", material=params["material"], inputs=inputs, parameters=spec)
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)

@@ -1,0 +1,25 @@
+from brdfpipe import report, store
+
+
+def main(input, output, params):
+    """The catalogue: page, table, dataset and the digests of everything in it."""
+    rows = [store.open_dataset(path, "catalogue") for path in input.get("summaries", [])]
+    failures = params["spec"]["failures"]
+    inputs = {row["material"].values[0]: row for row in rows}
+    catalogue = store.save_dataset(
+        report.combine(rows),
+        output["dataset"],
+        stage="catalogue",
+        material="catalogue",
+        inputs=inputs,
+        parameters=params["spec"],
+    )
+    store.write_text(output["csv"], report.catalogue_csv(catalogue, failures))
+    store.write_text(output["lock"], report.lock(catalogue))
+    store.write_text(output["page"], report.catalogue_page(catalogue, failures))
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)

@@ -1,0 +1,16 @@
+from brdfpipe import store
+from brdfpipe.bsdf import checks
+
+
+def main(input, output, params):
+    """Reciprocity, energy and closure of a BRDF."""
+    bsdf = store.open_dataset(input["bsdf"], "bsdf")
+    store.save_dataset(
+        checks.check(bsdf), output["checks"], stage="checks", material=params["material"], inputs={"bsdf": bsdf}
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)

@@ -1,0 +1,27 @@
+from pathlib import Path
+
+from brdfpipe import optics, spectra, store
+
+
+def main(input, output, params):
+    """Total reflectance spectrum: measured, or recovered from a colour."""
+    inputs = {name: Path(path) for name, path in input.items() if name == "raw"}
+    n = None
+    if "index" in input:
+        inputs["index"] = store.open_dataset(input["index"], "index")
+        n = optics.interpolate_index(inputs["index"], [589.3])[0].item()
+    spectrum = spectra.ingest(params["spec"], inputs.get("raw"), n)
+    store.save_dataset(
+        spectrum,
+        output["spectrum"],
+        stage="spectrum",
+        material=params["material"],
+        inputs=inputs,
+        parameters=params["spec"],
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)

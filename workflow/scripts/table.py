@@ -1,0 +1,22 @@
+from brdfpipe import store
+from brdfpipe.bsdf import representations, tabulation
+
+
+def main(input, output, params):
+    """A BRDF, as bright as it looks, on the configuration's grid of directions."""
+    spec, bsdf = params["spec"], store.open_dataset(input["bsdf"], "bsdf")
+    grid = spec | {"phi_o": tabulation.full_circle(spec["phi_o"])}
+    store.save_dataset(
+        tabulation.tabulate(representations.nonspectral(bsdf), grid),
+        output["table"],
+        stage="table",
+        material=params["material"],
+        inputs={"bsdf": bsdf},
+        parameters=spec,
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)
