@@ -146,9 +146,7 @@ _FACETS = Kind(
 KINDS: Mapping[str, Kind] = {
     "surface": Kind({"height": [("y", "x"), ("x",)]}, attributes=("pitch_x", "levelling", "band")),
     "facets": _FACETS,
-    "spectrum": Kind(
-        {"total_reflectance": [("wavelength",)]}, attributes=("geometry", "theta_i", "method")
-    ),
+    "spectrum": Kind({"total_reflectance": [("wavelength",)]}, attributes=("geometry", "theta_i", "method")),
     "index": Kind({"n": [("wavelength",)], "k": [("wavelength",)]}, attributes=("source",)),
     "bsdf": Kind({}, attributes=("representation",)),
     "appearance": Kind(
