@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import samples
 
+from brdfpipe import exchange
 from brdfpipe.exchange import astm
 
 GRID = {"theta_i": [0.0, 30.0, 60.0], "theta_o": np.arange(0, 86, 5.0), "phi_o": np.arange(0, 361, 10.0)}
@@ -64,6 +65,14 @@ def test_the_header_states_material_convention_and_source(table, tmp_path):
 def test_a_material_named_like_a_keyword_does_not_derail_the_reader(table, tmp_path):
     astm.write(table.assign_attrs(material="VARS"), tmp_path / "vars.astm")
     assert len(read_as_viewers_do(tmp_path / "vars.astm")[2]) == table["brdf"].size
+
+
+def test_the_format_is_that_of_the_extension_unless_named(table, tmp_path):
+    exchange.write(table, tmp_path / "a.astm")
+    exchange.write(table, tmp_path / "a.txt", format="astm")
+    assert read_as_viewers_do(tmp_path / "a.txt")[0] == read_as_viewers_do(tmp_path / "a.astm")[0]
+    with pytest.raises(exchange.ExchangeError, match=r"a\.txt: unknown format 'txt'; accepted: astm"):
+        exchange.write(table, tmp_path / "a.txt")
 
 
 def test_a_spectral_or_half_table_is_refused(tmp_path):

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.colour import TOTAL, colour, flop_index, total_reflectance
+from brdfpipe.appearance.colour import TOTAL, colour, flop_index
 from brdfpipe.appearance.gloss import gloss
+from brdfpipe.bsdf import representations
 
 __all__ = ["appraise", "colour", "flop_index", "gloss"]
 
@@ -37,7 +38,7 @@ def appraise(
 
     units = gloss(bsdf, gloss_angles)
     lab = colour(bsdf, illuminant=illuminant, observer=observer)
-    wavelength, total = total_reflectance(bsdf)
+    wavelength, total = representations.total_reflectance(bsdf)
     by_angle = dict(zip(units["gloss_angle"].values.tolist(), units.values.tolist(), strict=True))
     lightness = lab.sel(component="L*")
     seen = colorimetry.luminous_weight(wavelength)

@@ -9,7 +9,6 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import representations
-from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
 TOTAL = "8:total"
@@ -47,7 +46,7 @@ def colour(
     CIE 015; ASTM E308, E2194.
     """
     vocabulary.validate(bsdf, "bsdf")
-    wavelength, total = total_reflectance(bsdf)
+    wavelength, total = representations.total_reflectance(bsdf)
     directions = np.array(list(geometries.values()), dtype=float).reshape(-1, 3).T
     module = representations.representation(bsdf)
     brdf = module.evaluate(bsdf, directions[0], np.zeros_like(directions[0]), directions[1], directions[2], None)
@@ -74,11 +73,3 @@ def flop_index(lab15: float, lab45: float, lab110: float) -> float:
     if not lab15 >= lab110 or not lab45 > 0:
         return float("nan")
     return float(2.69 * (lab15 - lab110) ** 1.11 / lab45**0.86)
-
-
-def total_reflectance(bsdf: xr.Dataset) -> tuple[Array, Array]:
-    """Wavelengths and the total reflectance at 8°, integrated from the BSDF; a neutral one on two wavelengths."""
-    values = representations.albedo(bsdf, np.array([8.0]), np.zeros(1), None)[0]
-    if "wavelength" in bsdf.coords:
-        return bsdf["wavelength"].values, np.broadcast_to(values, bsdf["wavelength"].shape)
-    return np.array([360.0, 780.0]), np.repeat(values, 2)

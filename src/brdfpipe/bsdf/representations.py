@@ -81,3 +81,11 @@ def nonspectral(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> xr.Dataset
             f"the weight needs {wavelength.size} finite values >= 0, not all 0; found shape {response.shape}"
         )
     return representation(bsdf).nonspectral(bsdf, response / response.sum())
+
+
+def total_reflectance(bsdf: xr.Dataset) -> tuple[Array, Array]:
+    """Wavelengths and the total reflectance at 8°, integrated from the BSDF; a neutral one on two wavelengths."""
+    values = albedo(bsdf, np.array([8.0]), np.zeros(1), None)[0]
+    if "wavelength" in bsdf.coords:
+        return bsdf["wavelength"].values, np.broadcast_to(values, bsdf["wavelength"].shape)
+    return np.array([360.0, 780.0]), np.repeat(values, 2)

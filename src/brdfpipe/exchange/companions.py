@@ -8,6 +8,7 @@ import pandas as pd
 import xarray as xr
 
 from brdfpipe import store, vocabulary
+from brdfpipe.bsdf import representations
 
 _LAMBERT_GAUSS_COLUMNS = {
     "theta_i": "theta_i_deg",
@@ -25,10 +26,8 @@ def write_total_reflectance(bsdf: xr.Dataset, path: str | os.PathLike[str]) -> N
 
     Together with the non-spectral ``.astm`` it makes the "ASTM form" of the patent US 9,395,299.
     """
-    from brdfpipe.appearance.colour import total_reflectance
-
     vocabulary.validate(bsdf, "bsdf")
-    wavelength, reflectance = total_reflectance(bsdf)
+    wavelength, reflectance = representations.total_reflectance(bsdf)
     frame = pd.DataFrame({"wavelength_nm": wavelength, "total_reflectance": reflectance})
     _write(
         frame, path, f"total reflectance of {_material(bsdf)} at 8 degree incidence, specular included, fraction", bsdf
