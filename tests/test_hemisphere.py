@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from brdfpipe import hemisphere
+from brdfpipe.geometry import unit_vector
 
 
 def test_a_rule_of_order_n_is_exact_for_degree_2n_minus_1():
@@ -37,6 +38,24 @@ def test_graded_panels_resolve_a_narrow_peak():
     assert w @ np.exp(-(((x - 0.3) / 1e-3) ** 2)) == pytest.approx(1e-3 * np.sqrt(np.pi), rel=1e-6)
 
 
-@pytest.mark.parametrize("theta", [0.0, 8.0, 60.0, 89.0])
-def test_the_projected_hemisphere_measures_pi(theta):
-    assert hemisphere.around_mirror(theta).weight.sum() == pytest.approx(np.pi, rel=1e-13)
+@pytest.mark.parametrize("theta", [0.0, 8.0, 60.0, 89.0, 90.0])
+@pytest.mark.parametrize("slope", [1e-6, 0.3])
+def test_the_projected_hemisphere_measures_pi(theta, slope):
+    rule = hemisphere.around_mirror(theta, slope)
+    assert rule.weight.sum() == pytest.approx(np.pi, rel=1e-9)
+    # ∫ cos² θ dω = 2π/3.
+    assert rule.weight @ np.cos(np.radians(rule.theta)) == pytest.approx(2 * np.pi / 3, rel=1e-9)
+
+
+def test_a_cone_measures_its_projected_solid_angle():
+    # A cone of half angle c whose axis lies at θ, all above the horizon: π sin² c cos θ.
+    rule = hemisphere.around_mirror(30.0, 0.01, half_angle=5.0)
+    assert rule.weight.sum() == pytest.approx(np.pi * np.sin(np.radians(5)) ** 2 * np.cos(np.radians(30)), rel=1e-12)
+
+
+def test_the_rule_resolves_a_narrow_lobe_about_the_mirror_direction():
+    rule = hemisphere.around_mirror(40.0, 1e-3)
+    mirror = np.array([-np.sin(np.radians(40)), 0, np.cos(np.radians(40))])
+    away = 2 * np.arcsin(np.linalg.norm(unit_vector(rule.theta, rule.phi) - mirror, axis=1) / 2)
+    # ∫ exp(−r²/w²) cos θ dω ≈ π w² cos 40° for a narrow lobe.
+    assert rule.weight @ np.exp(-((away / 2e-3) ** 2)) == pytest.approx(np.pi * 4e-6 * np.cos(np.radians(40)), rel=1e-5)

@@ -69,24 +69,42 @@ class Directions(NamedTuple):
     """cosθ dω of each direction [sr]; sums to π."""
 
 
-def around_mirror(theta_i: float, order: int = 8, steps: int = 10, finest: float = 0.02) -> Directions:
-    """A hemisphere rule graded towards the mirror direction of incidence (theta_i, 0).
+def around_mirror(
+    theta_i: float, slope: float, half_angle: float = 180.0, order: int = 6, turns: int = 24
+) -> Directions:
+    """A rule over the hemisphere, or a cone, about the mirror direction of incidence (theta_i, 0).
 
-    Panels in θ and φ double in width away from (theta_i, 180): lobes down to ``finest`` degree are resolved while the whole
-    hemisphere is covered. The integrand must be even in φ.
+    Parameters
+    ----------
+    theta_i : degree
+    slope : typical slope of the facets: the lobe the rule must resolve, from a quarter of it outwards
+    half_angle : of the cone, degree; 180 for the whole hemisphere
+    order, turns : points in each of the panels along the radius, which double in width, and in half a turn
+
+    Notes
+    -----
+    Along each ring the rule covers what lies above the horizon and no more, so that nothing is lost where the ring dips below.
+    The integrand must be even about the plane of incidence.
     """
-    doublings = int(np.ceil(np.log2(90 / finest)))
-    theta_edges = graded_edges(theta_i, finest, 0.0, 90.0, max(steps, doublings))
-    theta, theta_weight = panel_rule(np.radians(theta_edges), order)
-    phi_edges = graded_edges(180.0, finest, 0.0, 180.0, max(steps, doublings + 1))
-    phi, phi_weight = panel_rule(np.radians(phi_edges), order)
-    keep_theta, keep_phi = theta_weight > 0, phi_weight > 0
-    theta, theta_weight, phi, phi_weight = (
-        theta[keep_theta],
-        theta_weight[keep_theta],
-        phi[keep_phi],
-        phi_weight[keep_phi],
-    )
-    weight = 2 * (theta_weight * np.sin(theta) * np.cos(theta))[:, None] * phi_weight
-    theta_grid, phi_grid = np.broadcast_arrays(np.degrees(theta)[:, None], np.degrees(phi))
-    return Directions(theta_grid.ravel(), phi_grid.ravel(), weight.ravel())
+    reach = np.radians(half_angle)
+    doublings = int(np.clip(np.ceil(np.log2(8 * reach / slope)), 4, 40))
+    mirror = np.radians(theta_i)
+    # Rings meet the horizon first at 90° − θ_i and last at 90° + θ_i, there like a square root: panels crowd towards both.
+    near = (0.25 ** np.arange(1, 7))[:, None]
+    first, last = np.pi / 2 - mirror, np.pi / 2 + mirror
+    crowded = [first, last, *(first + (last - first) * near).ravel(), *(last - (last - first) * near).ravel()]
+    edges = np.concatenate([[0.0], reach * 2.0 ** np.arange(-doublings, 1), crowded])
+    radius, radius_weight = panel_rule(np.unique(edges[edges <= reach]), order)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        limit = np.cos(radius) * np.cos(mirror) / (np.sin(radius) * np.sin(mirror))
+    start = np.arccos(np.clip(np.nan_to_num(limit, nan=1.0, posinf=1.0, neginf=-1.0), -1.0, 1.0))
+    turn, turn_weight = panel_rule(np.stack([start, np.full_like(start, np.pi)], axis=-1), turns)
+    r = radius[:, None]
+    outwards = np.sin(r) * np.cos(turn)
+    x = -(np.cos(r) * np.sin(mirror) + outwards * np.cos(mirror))
+    z = np.cos(r) * np.cos(mirror) - outwards * np.sin(mirror)
+    y = np.sin(r) * np.sin(turn)
+    weight = 2 * radius_weight[:, None] * turn_weight * np.sin(r) * np.maximum(z, 0.0)
+    theta, phi = np.degrees(np.arctan2(np.hypot(x, y), z)), np.degrees(np.arctan2(y, x))
+    above = (weight > 0) & (theta < 90)
+    return Directions(theta[above], phi[above], weight[above])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe.bsdf import lambert_gauss
+from brdfpipe.bsdf import lambert_gauss, microfacet
 
 
 def verdicts(bsdf):
@@ -24,7 +24,14 @@ def test_a_neutral_model_is_checked_too():
         "reciprocity": "pass",
         "energy": "pass",
         "positivity": "pass",
+        "integral": "pass",
     }
+
+
+def test_a_brdf_that_does_not_integrate_to_its_albedo_fails(monkeypatch):
+    right = microfacet.evaluate
+    monkeypatch.setattr(microfacet, "evaluate", lambda *arguments: 3 * right(*arguments))
+    assert verdicts(samples.beckmann_bsdf(0.2))["integral"] == "fail"
 
 
 def test_energy_above_one_fails():

@@ -7,7 +7,7 @@ import pytest
 import samples
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import tabulation
+from brdfpipe.bsdf import lambert_gauss, tabulation
 from brdfpipe.errors import VocabularyError
 
 GRID = {"theta_i": np.arange(0, 81, 10.0), "theta_o": np.arange(0, 86, 5.0), "phi_o": np.arange(0, 361, 10.0)}
@@ -62,6 +62,48 @@ def test_too_coarse_a_grid_is_warned_about_with_its_error():
     coarse = narrow.bsdf.tabulate(GRID)
     assert "too coarse for the lobe" in vocabulary.warnings(coarse)[0]
     assert abs(coarse["grid_albedo"] / coarse["model_albedo"] - 1).max() > 0.05
+
+
+@pytest.mark.parametrize("sigma", [0.001, 0.02])
+def test_a_refined_grid_holds_a_lobe_that_the_grid_misses(sigma):
+    narrow = samples.beckmann_bsdf(sigma, reflectance=0.06).bsdf.nonspectral()
+    assert tabulation.verdict_of(narrow.bsdf.tabulate(GRID)) != "pass"
+    refined = tabulation.faithful_table(narrow, GRID)
+    assert tabulation.verdict_of(refined) == "pass"
+    assert vocabulary.warnings(refined) == []
+    # The peak itself is on the grid.
+    peak = float(narrow.bsdf.evaluate(30, 0, 30, 180))
+    assert float(refined.bsdf.evaluate(30, 0, 30, 180)) == pytest.approx(peak, rel=1e-9)
+
+
+def test_a_grid_that_holds_the_lobe_stays_as_it_is():
+    wide = samples.beckmann_bsdf(0.4, reflectance=0.3).bsdf.nonspectral()
+    grid = GRID | {"theta_i": np.arange(0, 61, 10.0)}
+    assert tabulation.faithful_table(wide, grid).sizes["theta_o"] == GRID["theta_o"].size
+
+
+def test_a_refined_grid_still_covers_the_full_circle_once():
+    narrow = samples.beckmann_bsdf(0.02).bsdf.nonspectral()
+    axes = tabulation.refined(narrow, GRID)
+    assert (axes["phi_o"][0], axes["phi_o"][-1]) == (0, 360)
+    for axis in axes.values():
+        assert (np.diff(axis) > 0).all()
+
+
+def test_a_bsdf_whose_lobe_is_unknown_keeps_the_grid():
+    matt = lambert_gauss.lambertian(samples.spectrum(0.5)).bsdf.nonspectral()
+    assert tabulation.refined(matt, GRID)["theta_o"].tolist() == GRID["theta_o"].tolist()
+
+
+def test_black_loses_nothing():
+    black = lambert_gauss.lambertian(samples.spectrum(0.0)).bsdf.nonspectral().bsdf.tabulate(GRID)
+    assert tabulation.verdict_of(black) == "pass"
+    assert vocabulary.warnings(black) == []
+
+
+def test_a_table_that_makes_light_fails():
+    table = samples.beckmann_bsdf(0.001, reflectance=0.06).bsdf.nonspectral().bsdf.tabulate(GRID)
+    assert tabulation.verdict_of(table) == "fail"
 
 
 def test_the_grid_integral_of_a_wide_lobe_is_that_of_the_model(table):

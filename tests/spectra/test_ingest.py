@@ -60,3 +60,11 @@ def test_a_wrong_or_missing_key_is_refused_by_name(spec: Any, key: str, message:
     with pytest.raises(InputError, match=message) as refusal:
         ingest(spec)
     assert refusal.value.key == key
+
+
+def test_a_gloss_trap_belongs_to_a_reflectance_without_the_specular() -> None:
+    spec = {"lab": [50, 0, 0], "illuminant": "D65", "observer": 10, "geometry": "sce", "specular_trap": 3}
+    assert ingest(spec).attrs["specular_trap"] == 3.0
+    for bad in ({"geometry": "sci"}, {"specular_trap": 0}, {"specular_trap": True}):
+        with pytest.raises(InputError, match=r"spectrum\.specular_trap"):
+            ingest({**spec, **bad})

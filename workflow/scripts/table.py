@@ -6,8 +6,9 @@ def main(input, output, params):
     """A BRDF, as bright as it looks, on the configuration's grid of directions."""
     spec, bsdf = params["spec"], store.open_dataset(input["bsdf"], "bsdf")
     grid = spec | {"phi_o": tabulation.full_circle(spec["phi_o"])}
+    make = tabulation.faithful_table if spec["refine"] else tabulation.tabulate
     store.save_dataset(
-        tabulation.tabulate(representations.nonspectral(bsdf), grid),
+        make(representations.nonspectral(bsdf), grid),
         output["table"],
         stage="table",
         material=params["material"],

@@ -31,7 +31,6 @@ RECEPTOR = {20.0: (1.8, 3.6), 60.0: (4.4, 11.7), 85.0: (4.0, 6.0)}
 
 _SOURCE_ORDER = (6, 10)
 _ORDER = 6
-_DOUBLINGS = 6
 
 
 class GlossError(BrdfpipeError):
@@ -88,8 +87,8 @@ def _received(bsdf: xr.Dataset, angle: float, source_u: Array, source_v: Array, 
     half_u, half_v = (_half_width(width) for width in RECEPTOR[angle])
     scale = _lobe_scale(bsdf)
     across = max(scale * np.cos(np.radians(angle)), 1e-9)
-    u, weight_u = panel_rule(graded_edges(source_u, scale, -half_u, half_u, _DOUBLINGS), _ORDER)
-    v, weight_v = panel_rule(graded_edges(source_v, across, -half_v, half_v, _DOUBLINGS), _ORDER)
+    u, weight_u = panel_rule(graded_edges(source_u, scale, -half_u, half_u, _doublings(half_u, scale)), _ORDER)
+    v, weight_v = panel_rule(graded_edges(source_v, across, -half_v, half_v, _doublings(half_v, across)), _ORDER)
     u, v = np.broadcast_arrays(u[:, :, None], v[:, None, :])
     weight = weight_u[:, :, None] * weight_v[:, None, :] / (1 + u**2 + v**2) ** 1.5
     # Panels clipped to the rectangle have no width: most of them, for every single source point.
@@ -120,10 +119,12 @@ def _directions(u: Array, v: Array, angle: float) -> tuple[Array, Array]:
     return angles_of(np.stack([sin + u * cos, v, cos - u * sin], axis=-1))
 
 
-def _lobe_scale(bsdf: xr.Dataset) -> float:
-    """Half width of the specular lobe in radian: twice a typical slope; a moderate one where the lobe is not known."""
-    if bsdf.attrs["representation"] != "microfacet":
-        return 0.02
-    from brdfpipe.density import RadialDensity
+def _doublings(half_width: float, scale: float) -> int:
+    """Panels that double in width from half the scale until they cover the whole aperture, however narrow the lobe."""
+    return int(np.clip(np.ceil(np.log2(4 * half_width / scale)), 4, 40))
 
-    return float(np.clip(RadialDensity.of(bsdf).median_slope, 1e-6, 0.2))
+
+def _lobe_scale(bsdf: xr.Dataset) -> float:
+    """Half the half width of the specular lobe in radian, a typical slope; a moderate one where the lobe is not known."""
+    slope = representations.lobe_slope(bsdf)
+    return 0.02 if slope is None else float(np.clip(slope, 1e-6, 0.2))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from brdfpipe import vocabulary
+from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf import representations
 from brdfpipe.geometry import Array
 
@@ -18,6 +18,7 @@ _INCIDENCES = np.array([0.0, 8.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0
 RECIPROCITY_LIMIT = 1e-9
 ENERGY_LIMIT = 1e-6  # the accuracy of the albedo between its nodes
 CLOSURE_LIMIT = 1e-6
+INTEGRAL_LIMIT = 1e-4
 
 
 class _Verdict(NamedTuple):
@@ -58,6 +59,7 @@ def check(bsdf: xr.Dataset) -> xr.Dataset:
             "energy_excess": max(float(albedo.max()) - 1, 0.0),
             "negative_fraction": 1 - np.count_nonzero(sound) / sound.size,
             "closure_residual": _closure(bsdf),
+            "integral_residual": _integral_residual(bsdf, middle),
             "floor": float(np.nanmin(forward)),
         },
         coords={"theta_i": _INCIDENCES, **({"wavelength": bsdf["wavelength"].values} if spectral else {})},
@@ -81,6 +83,20 @@ def _middle_wavelength(bsdf: xr.Dataset) -> Array | None:
         return None
     own = bsdf["wavelength"].values
     return own[[own.size // 2]]
+
+
+def _integral_residual(bsdf: xr.Dataset, wavelength: Array | None) -> float:
+    """Largest difference between the albedo and the BRDF integrated over outgoing directions, as anybody else would."""
+    module = representations.representation(bsdf)
+    slope = representations.lobe_slope(bsdf) or 0.005
+    worst = 0.0
+    for theta in (8.0, 45.0, 75.0):
+        rule = hemisphere.around_mirror(theta, slope)
+        incidence = np.full_like(rule.theta, theta)
+        brdf = module.evaluate(bsdf, incidence, np.zeros_like(rule.phi), rule.theta, rule.phi, wavelength)[:, 0]
+        albedo = representations.albedo(bsdf, np.array([theta]), np.zeros(1), wavelength)[0, 0]
+        worst = max(worst, abs(float(rule.weight @ brdf - albedo)))
+    return worst
 
 
 def _closure(bsdf: xr.Dataset) -> float:
@@ -111,6 +127,11 @@ def _verdicts(result: xr.Dataset, bsdf: xr.Dataset) -> dict[str, _Verdict]:
             else f"negative or undefined in {negative:.2%} of the directions",
         ),
     }
+    integral = float(result["integral_residual"])
+    verdicts["integral"] = _Verdict(
+        "pass" if integral <= INTEGRAL_LIMIT else "fail",
+        f"the BRDF integrates to its albedo within {integral:.1e}",
+    )
     if np.isfinite(closure):
         clamped = bool((bsdf.get("diffuse_quality", xr.DataArray(0)) == vocabulary.quality("clamped")).any())
         closes = closure <= CLOSURE_LIMIT

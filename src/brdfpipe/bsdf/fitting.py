@@ -6,13 +6,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from brdfpipe import vocabulary
+from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.lambert_gauss import FWHM, about_mirror, gaussian
-from brdfpipe.geometry import Array, angles_of, check_angles
+from brdfpipe.geometry import Array, check_angles
 
-_RADII = 40
-_TURNS = 24
+_WIDEST = 90.0
+"""Full width beyond which a lobe is no lobe: it is left to the Lambertian part [degree]."""
 
 
 def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike) -> xr.Dataset:
@@ -30,7 +30,8 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike) -> xr.Dataset:
 
     Notes
     -----
-    The weights are the projected solid angles of a grid that is fine about the mirror direction and covers the hemisphere.
+    The weights are the projected solid angles of a rule over the hemisphere that resolves the lobe. A lobe wider than 90° at half
+    maximum is left to the Lambertian part.
     """
     vocabulary.validate(bsdf, "bsdf")
     angles = check_angles("theta_i", theta_i, 0, 85)
@@ -52,29 +53,11 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike) -> xr.Dataset:
     return vocabulary.label(result, "bsdf")
 
 
-def _directions(theta_i: float) -> tuple[Array, Array, Array]:
-    """Directions about the mirror direction in rings that widen, those above the horizon, with projected solid angles.
-
-    The rings are equal-angle cells of a polar grid about the mirror direction, (radius, turn).
-    """
-    edges = 0.05 * np.sinh(np.linspace(0, np.arcsinh(180 / 0.05), _RADII + 1))
-    radius = np.radians((edges[1:] + edges[:-1]) / 2)
-    turn = 2 * np.pi * (np.arange(_TURNS) + 0.5) / _TURNS
-    solid_angle = np.repeat(-np.diff(np.cos(np.radians(edges))) * 2 * np.pi / _TURNS, _TURNS)
-    radius, turn = (grid.ravel() for grid in np.meshgrid(radius, turn, indexing="ij"))
-    mirror = np.radians(theta_i)
-    forward, side, out = np.sin(radius) * np.cos(turn), np.sin(radius) * np.sin(turn), np.cos(radius)
-    x = -(out * np.sin(mirror) + forward * np.cos(mirror))
-    z = out * np.cos(mirror) - forward * np.sin(mirror)
-    theta, phi = angles_of(np.stack([x, side, z], axis=-1))
-    above = theta < 90
-    return theta[above], phi[above], (solid_angle * z)[above]
-
-
 def _fit_one(bsdf: xr.Dataset, theta_i: float) -> tuple[float, ...]:
     from scipy.optimize import least_squares
 
-    theta_o, phi_o, weight = _directions(theta_i)
+    slope = representations.lobe_slope(bsdf)
+    theta_o, phi_o, weight = hemisphere.around_mirror(theta_i, 0.01 if slope is None else slope, order=4, turns=12)
     module = representations.representation(bsdf)
     incidence = np.full_like(theta_o, theta_i)
     brdf = module.evaluate(bsdf, incidence, np.zeros_like(phi_o), theta_o, phi_o, None)[..., 0]
@@ -91,7 +74,9 @@ def _fit_one(bsdf: xr.Dataset, theta_i: float) -> tuple[float, ...]:
     def misfit(parameters: Array) -> Array:
         return root * (model(parameters) - brdf)
 
-    found = least_squares(misfit, np.log(start), method="trf", x_scale="jac")
+    lowest = np.log([1e-9 * start[1], 1e-9 * start[1], 1e-3, 1e-3])
+    highest = np.log([1e3 * start[1], 1e3 * start[1], _WIDEST / FWHM, _WIDEST / FWHM])
+    found = least_squares(misfit, np.clip(np.log(start), lowest, highest), bounds=(lowest, highest), x_scale="jac")
     floor, peak, parallel, perpendicular = np.exp(found.x)
     residual = float(np.sqrt(np.sum(found.fun**2)))
     reflected = weight @ gaussian(along, across, peak, parallel, perpendicular)
@@ -106,7 +91,7 @@ def _starting_point(root: Array, brdf: Array, along: Array, across: Array) -> Ar
     best, least = None, float(np.sum((root * (brdf - root**2 @ brdf / np.sum(root**2))) ** 2)) * (1 - 1e-9)
     if least < 1e-20:
         return None
-    for width in np.geomspace(0.05, 40, 28):
+    for width in np.geomspace(0.01, 0.9 * _WIDEST / FWHM, 28):
         design = root[:, None] * np.stack([np.ones_like(along), gaussian(along, across, 1.0, width, width)], axis=1)
         (floor, peak), *_ = np.linalg.lstsq(design, root * brdf, rcond=None)
         remainder = float(np.sum((design @ [floor, peak] - root * brdf) ** 2))

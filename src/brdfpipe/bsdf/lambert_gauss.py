@@ -46,6 +46,12 @@ def lambertian(spectrum: xr.Dataset) -> xr.Dataset:
         coords={"wavelength": spectrum["wavelength"].values, "theta_i": [0.0, 90.0]},
         attrs={"representation": "lambert_gauss"},
     )
+    if spectrum.attrs["geometry"] == "sce":
+        bsdf = vocabulary.add_warning(
+            bsdf,
+            "the reflectance was measured with the specular excluded and is taken for the total: what the gloss trap swallowed is "
+            "missing; add a `surface` and an `index` to material.yaml to have it added",
+        )
     return vocabulary.label(
         vocabulary.add_warning(
             bsdf,

@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from brdfpipe import optics, vocabulary
+from brdfpipe import hemisphere, optics, vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array, half_vector
@@ -32,6 +32,9 @@ Reflectance = Callable[[Array, ArrayLike, ArrayLike], Array]
 
 _AZIMUTHS = 12
 _ALBEDO_NODES = 96
+
+SPECULAR_TRAP = 5.0
+"""Half angle of the gloss trap of a sphere instrument, unless the spectrum says otherwise [degree]."""
 _INDEX_NODES = 5
 
 
@@ -42,7 +45,7 @@ class ModelError(BrdfpipeError):
 def build(
     facets: xr.Dataset,
     *,
-    index: xr.Dataset,
+    index: xr.Dataset | float | str,
     spectrum: xr.Dataset | None = None,
     masking: str = "height-correlated",
     diffuse: str = "coupled",
@@ -52,9 +55,10 @@ def build(
     Parameters
     ----------
     facets : kind ``facets``, isotropic
-    index : kind ``index``; the refractive index of the body, against air
-    spectrum : kind ``spectrum``; the total reflectance at incidence ``theta_i``, specular included (``sci``) or excluded
-        (``sce``). Without it the specular part stands alone
+    index : kind ``index``, a number or a plastic's name; the refractive index of the body, against air
+    spectrum : kind ``spectrum``; the total reflectance at incidence ``theta_i``, specular included (``sci``), or excluded
+        (``sce``): then what the facets mirror into the instrument's gloss trap, a cone of half angle ``specular_trap``
+        (attribute, 5 degree by default) about the mirror direction, is added. Without it the specular part stands alone
     masking : ``height-correlated`` or ``separable``
     diffuse : ``coupled`` or ``none``
 
@@ -73,7 +77,7 @@ def build(
     d′ = (R − E(θ_m)) / (1 − E(θ_m)). Where R < E(θ_m), d′ is clamped at 0, flagged, and a warning names the wavelengths.
     """
     vocabulary.validate(facets, "facets")
-    vocabulary.validate(index, "index")
+    index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else optics.refractive_index(index)
     if masking not in VISIBILITY:
         raise ModelError(f"unknown masking {masking!r}; accepted: {', '.join(VISIBILITY)}; set `model.masking`")
     if diffuse not in DIFFUSE_MODES:
@@ -81,7 +85,7 @@ def build(
     if spectrum is not None:
         vocabulary.validate(spectrum, "spectrum")
     wavelength = None if spectrum is None else spectrum["wavelength"].values
-    n, k, wavelength = _index_on(index, wavelength)
+    n, k, wavelength, held = _index_on(index, wavelength)
     bsdf = facets[["slope_density", "lambda_smith"]].drop_attrs()
     bsdf = bsdf.drop_vars([name for name in bsdf.coords if name not in ("slope", "theta")])
     bsdf.attrs = {
@@ -93,7 +97,7 @@ def build(
     if wavelength is not None:
         bsdf = bsdf.assign_coords(wavelength=wavelength)
     spectral = () if n.ndim == 0 else ("wavelength",)
-    bsdf = bsdf.assign(n=(spectral, n), k=(spectral, k))
+    bsdf = vocabulary.add_warning(bsdf.assign(n=(spectral, n), k=(spectral, k)), *held)
     theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
     bsdf = _with_albedo(bsdf, theta_m)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
@@ -128,6 +132,11 @@ def albedo(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | N
     return np.where((theta_i < 90)[..., None], total, 0.0)
 
 
+def lobe_slope(bsdf: xr.Dataset) -> float:
+    """The slope that half of the facets exceed [1]."""
+    return RadialDensity.of(bsdf).median_slope
+
+
 def nonspectral(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
     """The same surface seen by a detector of spectral response ``weight`` (normalised, on the dataset's wavelengths).
 
@@ -138,7 +147,8 @@ def nonspectral(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
         return bsdf
     total = weight @ bsdf["total_reflectance"].values if "total_reflectance" in bsdf else None
     if bsdf["n"].ndim == 0:
-        reduced = bsdf.drop_dims("wavelength").assign(diffuse=weight @ bsdf["diffuse"].values)
+        diffuse = bsdf["diffuse"].values
+        reduced = bsdf.drop_dims("wavelength").assign(diffuse=weight @ diffuse if diffuse.ndim else diffuse)
     else:
         reduced = _with_mean_index(bsdf, weight)
     return vocabulary.label(reduced if total is None else reduced.assign(total_reflectance=total), "bsdf")
@@ -282,7 +292,9 @@ def _spectral_mean(weight: Array, cos_zeta: Array, model: _Model, reflectance: R
 def _with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
     """Add the directional albedo on nodes that crowd towards grazing, where it bends, and its mean."""
     theta = np.degrees(np.arccos(np.cos(np.linspace(0, np.pi / 2, _ALBEDO_NODES)) ** 2))
-    theta = np.unique(np.concatenate([np.round(theta, 9), [theta_m]]))
+    # Within a few slopes of grazing the masking decides: E turns there on the scale of the roughness.
+    grazing = 90 - np.degrees(RadialDensity.of(bsdf).median_slope) * 2.0 ** np.arange(-5, 7, 0.2)
+    theta = np.unique(np.round(np.concatenate([theta, grazing[(grazing > 45) & (grazing < 90)], [theta_m]]), 9))
     spectral = bsdf["n"].dims
     model = _Model(
         RadialDensity.of(bsdf),
@@ -318,7 +330,8 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
     if spectrum is None or bsdf.attrs["diffuse_mode"] == "none":
         return bsdf.assign(diffuse=0.0, theta_m=theta_m)
     measured = spectrum["total_reflectance"].values.astype(float)
-    total = measured + specular if spectrum.attrs["geometry"] == "sce" else measured
+    trapped = _trapped(bsdf, spectrum, theta_m)
+    total = measured + trapped
     wanted = (total - specular) / (1 - specular)
     clamped = wanted < 0
     quality = np.where(clamped, vocabulary.quality("clamped"), vocabulary.quality("measured")).astype(np.int8)
@@ -331,7 +344,8 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
     if spectrum.attrs["geometry"] == "sce":
         bsdf = vocabulary.add_history(
             bsdf,
-            "the specular reflection of the facets was added to the reflectance measured with the specular excluded",
+            f"the specular was excluded: what the facets mirror into a gloss trap of half angle {trap_of(spectrum):g}°, "
+            f"{float(np.mean(trapped)):.4f} of the light, was added to the measured reflectance",
         )
     if clamped.any():
         where = spectrum["wavelength"].values[clamped]
@@ -345,12 +359,37 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
     return bsdf
 
 
-def _index_on(index: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array, Array | None]:
-    """n and k on the wavelengths of the model; scalars where they do not depend on wavelength."""
+def trap_of(spectrum: xr.Dataset) -> float:
+    """Half angle of the gloss trap that excluded the specular [degree]."""
+    return float(spectrum.attrs.get("specular_trap", SPECULAR_TRAP))
+
+
+def _trapped(bsdf: xr.Dataset, spectrum: xr.Dataset, theta_m: float) -> Array:
+    """What the facets mirror into the gloss trap, (wavelength or 1,); nothing where the specular was included.
+
+    A trap takes the light within a few degrees of the mirror direction; a rough surface mirrors most of it elsewhere, where
+    the instrument collects it as if it were diffuse.
+    """
+    if spectrum.attrs["geometry"] != "sce":
+        return np.zeros(1)
+    theta, phi, weight = hemisphere.around_mirror(theta_m, lobe_slope(bsdf), trap_of(spectrum))
+    brdf = evaluate(bsdf.assign(diffuse=0.0), np.full_like(theta, theta_m), np.zeros_like(phi), theta, phi, None)
+    return np.asarray(weight @ brdf)
+
+
+def _index_on(index: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array, Array | None, list[str]]:
+    """n and k on the wavelengths of the model, scalars where they do not depend on wavelength, and what to warn about."""
     n, k = index["n"].values.astype(float), index["k"].values.astype(float)
     if np.ptp(n) == 0 and np.ptp(k) == 0:
-        return n[0], k[0], wavelength
+        return n[0], k[0], wavelength, []
+    known = index["wavelength"].values
     if wavelength is None:
-        return n, k, index["wavelength"].values
-    n, k = optics.interpolate_index(index, wavelength)
-    return n, k, wavelength
+        return n, k, known, []
+    n, k = optics.interpolate_index(index, np.clip(wavelength, known[0], known[-1]))
+    if known[0] <= wavelength[0] and wavelength[-1] <= known[-1]:
+        return n, k, wavelength, []
+    held = (
+        f"the refractive index is known from {known[0]:g} to {known[-1]:g} nm and was held constant beyond, out to "
+        f"{wavelength[0]:g} and {wavelength[-1]:g} nm; give a table that covers the spectrum"
+    )
+    return n, k, wavelength, [held]

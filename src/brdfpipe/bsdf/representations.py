@@ -27,6 +27,9 @@ class Representation(Protocol):
         """The dataset averaged over wavelength with normalised weights."""
 
 
+_FINE_SLOPE = 2e-3
+"""Scale of the narrowest lobe that is expected of a representation that does not know its own."""
+
 _MODULES: dict[str, ModuleType] = {"microfacet": microfacet, "lambert_gauss": lambert_gauss, "table": table}
 
 
@@ -53,12 +56,18 @@ def albedo(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | N
         return np.asarray(module.albedo(bsdf, theta_i, phi_i, wavelength))
     values = []
     for theta, phi in zip(theta_i.ravel(), phi_i.ravel(), strict=True):
-        rule = hemisphere.around_mirror(float(theta))
+        rule = hemisphere.around_mirror(float(theta), _FINE_SLOPE)
         brdf = module.evaluate(
             bsdf, np.full_like(rule.theta, theta), np.full_like(rule.phi, phi), rule.theta, rule.phi + phi, wavelength
         )
         values.append(rule.weight @ brdf)
     return np.stack(values).reshape(*theta_i.shape, -1)
+
+
+def lobe_slope(bsdf: xr.Dataset) -> float | None:
+    """A typical slope of the facets behind the specular lobe [1]; None where the representation does not know it."""
+    module = representation(bsdf)
+    return float(module.lobe_slope(bsdf)) if hasattr(module, "lobe_slope") else None
 
 
 def nonspectral(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> xr.Dataset:

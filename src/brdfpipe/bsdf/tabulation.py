@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 
 import numpy as np
@@ -13,6 +14,11 @@ from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.table import AXES
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
+
+WARN_LIMIT, FAIL_LIMIT = 0.05, 0.5
+"""Relative difference between the reflectance of the grid and of the model above which a table warns, or fails."""
+
+_OFFSETS = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0])
 
 
 def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
@@ -65,7 +71,66 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     for name in ("total_reflectance", "theta_m"):
         if name in bsdf:
             table[name] = bsdf[name].drop_vars("theta_i", errors="ignore")
-    return vocabulary.label(_with_warning(table), "bsdf")
+    return vocabulary.label(_with_verdict(table), "bsdf")
+
+
+def faithful_table(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
+    """A table on the grid, or, where the grid is too coarse for the lobe, on one refined about the mirror directions."""
+    table = tabulate(bsdf, grid)
+    return table if verdict_of(table) == "pass" else tabulate(bsdf, refined(bsdf, grid))
+
+
+def relative_loss(table: xr.Dataset) -> xr.DataArray:
+    """Relative difference between the reflectance of the grid and of the model; 0 where there is none to reflect."""
+    difference = abs(table["grid_albedo"] - table["model_albedo"])
+    return (difference / table["model_albedo"]).where(difference > 0, 0.0)
+
+
+def verdict_of(table: xr.Dataset) -> str:
+    """``pass``, ``warn`` or ``fail``: how well a table holds the reflectance of its model."""
+    return str(json.loads(table.attrs["verdicts"])["table"]["verdict"])
+
+
+def refined(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """A grid with nodes added about the mirror directions, on the scale of the BSDF's lobe.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``; one whose lobe is not known leaves the grid as it is
+    grid : ``theta_i``, ``theta_o``, ``phi_o`` [degree], phi_o a full circle
+
+    Returns
+    -------
+    dict of the same axes. A facet of slope s turns the mirror direction by 2s in the plane of incidence and by 2s cot θ_i in
+    azimuth; nodes lie at half that for a typical slope, and at steps that widen from there.
+    """
+    axes = {name: _axis(grid, name) for name in AXES}
+    scale = representations.lobe_slope(bsdf)
+    if scale is None:
+        return axes
+    half = np.degrees(scale)
+    steps = np.concatenate([[0.0], half * _OFFSETS])
+    mirror = axes["theta_i"][:, None] + np.concatenate([-steps[:0:-1], steps])
+    theta_o = np.concatenate([axes["theta_o"], mirror[(mirror > 0) & (mirror < 89.9)]])
+    steepest = np.radians(max(axes["theta_i"].max(), 1.0))
+    narrowest = np.degrees(2 * scale / np.tan(steepest)) * _OFFSETS[0]
+    about = np.concatenate(
+        [[0.0], np.geomspace(narrowest, 60, max(2, int(np.ceil(np.log(60 / narrowest) / np.log(1.6)))))]
+    )
+    phi_o = np.concatenate([axes["phi_o"], 180 - about, 180 + about]) if narrowest < 30 else axes["phi_o"]
+    return {
+        "theta_i": axes["theta_i"],
+        "theta_o": _distinct(theta_o, half / 8),
+        "phi_o": _distinct(phi_o, narrowest / 2),
+    }
+
+
+def _distinct(nodes: Array, apart: float) -> Array:
+    """Nodes in order, without those closer to their neighbour than ``apart`` or than half a thousandth of a degree."""
+    ordered = np.unique(np.round(nodes, 4))
+    keep = np.concatenate([[True], np.diff(ordered) > min(max(apart, 5e-4), 0.2)])
+    keep[-1] = True
+    return ordered[keep]
 
 
 def full_circle(half: ArrayLike) -> Array:
@@ -101,15 +166,18 @@ def _grid_albedo(brdf: Array, theta_o: Array, phi_o: Array) -> Array:
     return np.asarray(np.trapezoid(over_phi, theta, axis=1))
 
 
-def _with_warning(table: xr.Dataset) -> xr.Dataset:
-    lost = abs(table["grid_albedo"] / table["model_albedo"].where(table["model_albedo"] > 0) - 1)
+def _with_verdict(table: xr.Dataset) -> xr.Dataset:
+    """Say how well the grid holds the model: programs that read a table believe its own integral."""
+    lost = relative_loss(table)
     by_incidence = lost.max("wavelength") if "wavelength" in lost.dims else lost
-    worst = float(by_incidence.max())
-    if worst <= 0.05:
+    worst, angle = float(by_incidence.max()), float(by_incidence.idxmax("theta_i"))
+    text = f"its own integral differs from the model's reflectance by up to {worst:.1%} (at {angle:g}° incidence)"
+    verdict = "fail" if worst > FAIL_LIMIT else "warn" if worst > WARN_LIMIT else "pass"
+    table.attrs["verdicts"] = json.dumps({"table": {"verdict": verdict, "text": text}}, ensure_ascii=False)
+    if verdict == "pass":
         return table
-    angle = float(by_incidence.idxmax("theta_i"))
     return vocabulary.add_warning(
         table,
         f"the table's own integral differs from the model's reflectance by up to {worst:.1%} (at {angle:g}° incidence): the grid is "
-        "too coarse for the lobe; use finer steps in the configuration's `table`",
+        "too coarse for the lobe; use finer steps in the configuration's `table`, or `table.refine: true`",
     )

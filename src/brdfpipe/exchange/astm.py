@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import store, vocabulary
+from brdfpipe.bsdf.tabulation import relative_loss
 from brdfpipe.errors import BrdfpipeError
 
 _KEYWORDS = ("NUM_POINTS", "VARS")
@@ -53,7 +54,7 @@ def write(table: xr.Dataset, path: str | os.PathLike[str]) -> None:
 
 def _header(table: xr.Dataset, file: str, points: int) -> str:
     material = str(table.attrs.get("material", "unnamed"))
-    lost = float(np.abs(table["grid_albedo"] / table["model_albedo"] - 1).max()) if "grid_albedo" in table else np.nan
+    lost = float(relative_loss(table).max())
     convention = (
         "BRDF in sr-1 (not multiplied by cos theta_s), weighted with V(lambda) and D65; angles in radian from the normal; "
         f"mirror direction at phi_s = phi_i + pi; isotropic; digest of the model {table.attrs.get('digest', 'unknown')}; "

@@ -21,7 +21,7 @@ __all__ = ["ingest", "read_spectrum", "recover"]
 
 _FILE_KEYS = ("scale", "column", "uncertainty", "allow_fluorescent")
 _LAB_KEYS = ("illuminant", "observer")
-_COMMON_KEYS = ("geometry", "incidence")
+_COMMON_KEYS = ("geometry", "incidence", "specular_trap")
 _LOWEST_INDEX = 1.45
 """Below every named plastic's: a surface that reflects less than this had its specular reflection excluded, or is not smooth."""
 
@@ -32,7 +32,8 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None, ind
     Parameters
     ----------
     spec : ``{file, geometry, incidence, scale, column, uncertainty, allow_fluorescent}`` or
-        ``{lab, illuminant, observer, geometry, incidence}``; ``incidence`` is 8 degree where absent
+        ``{lab, illuminant, observer, geometry, incidence}``; ``incidence`` is 8 degree where absent. With the specular excluded,
+        ``specular_trap`` is the half angle of the instrument's gloss trap
     path : where the file lies, if not at its name in ``spec``
     index : refractive index, if known. A colour with the specular included then gives a spectrum that contains its Fresnel
         reflectance; a file with less than it is warned about
@@ -47,12 +48,13 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None, ind
     """
     is_file = _check_keys(spec)
     geometry, incidence = _geometry(spec), _incidence(spec)
+    trap = _specular_trap(spec, geometry)
     if is_file:
         options = {key: spec[key] for key in _FILE_KEYS if key in spec}
         source = path if path is not None else str(spec["file"])
         dataset = read_spectrum(source, geometry=geometry, incidence=incidence, **options)
-        return _warn_if_excluded(dataset, Path(source).name, index)
-    return recover(
+        return _warn_if_excluded(dataset, Path(source).name, index).assign_attrs(trap)
+    recovered = recover(
         spec["lab"],
         illuminant=spec["illuminant"],
         observer=spec["observer"],
@@ -60,6 +62,18 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None, ind
         theta=incidence,
         geometry=geometry,
     )
+    return recovered.assign_attrs(trap)
+
+
+def _specular_trap(spec: Mapping[str, Any], geometry: str) -> dict[str, float]:
+    """Half angle of the gloss trap [degree], as an attribute; nothing where the specular was included or the key left out."""
+    if "specular_trap" not in spec:
+        return {}
+    trap = spec["specular_trap"]
+    if isinstance(trap, bool) or not isinstance(trap, int | float) or not 0 < trap <= 90 or geometry != "sce":
+        found = repr(trap)[:40] if geometry == "sce" else f"{trap!r} with geometry {geometry}"[:60]
+        raise _refusal("no gloss trap", found, "0 < degree <= 90, with geometry sce", "spectrum.specular_trap")
+    return {"specular_trap": float(trap)}
 
 
 def _check_keys(spec: Mapping[str, Any]) -> bool:
