@@ -51,12 +51,14 @@ QUANTITIES: Mapping[str, Quantity] = {
     "phi_i": Quantity("degree", "azimuth of incidence", -720, 720),
     "theta_o": Quantity("degree", "polar angle of the outgoing direction, from the normal", 0, 180),
     "phi_o": Quantity("degree", "azimuth of the outgoing direction", -720, 720),
+    "phi": Quantity("degree", "azimuth, counter-clockwise seen from above", -720, 720),
     "alpha": Quantity("degree", "polar angle of the facet normal", 0, 90),
     "beta": Quantity("degree", "azimuth of the facet normal", -720, 720),
     "theta": Quantity("degree", "polar angle, from the normal", 0, 90),
     "slope": Quantity("1", "magnitude of the surface slope", 0),
     "slope_x": Quantity("1", "surface slope along x"),
     "slope_y": Quantity("1", "surface slope along y"),
+    "slope_towards": Quantity("1", "slope of the facet towards the viewer"),
     "x": Quantity("um", "position along x"),
     "y": Quantity("um", "position along y"),
     "scale": Quantity("1", "distance between the heights a slope is taken from, in pixels", 1),
@@ -77,6 +79,21 @@ QUANTITIES: Mapping[str, Quantity] = {
     "effective_count": Quantity("1", "number of independent facets", 0),
     "correlation_length": Quantity("um", "distance at which the height correlation falls to 1/e", 0, missing=True),
     "noise_ratio": Quantity("1", "rms slope over one pixel divided by rms slope over two", 0, missing=True),
+    # Masking
+    "g1": Quantity("1", "visible fraction of the facets that face the direction, by ray casting", 0, 1 + 1e-9),
+    "g1_by_slope": Quantity("1", "visible fraction of facets of one slope, by ray casting", 0, 1 + 1e-9, missing=True),
+    "slope_count": Quantity("1", "number of facets of the slope that face the direction", 0),
+    "lambda_empirical": Quantity("1", "Smith's masking function Λ of the slopes along the lines cast", 0),
+    "g1_raycast": Quantity("1", "G1 by ray casting, mean over the azimuths", 0, 1 + 1e-9),
+    "g1_smith": Quantity("1", "G1 after Smith, of the facet distribution", 0, 1 + 1e-9),
+    "g2": Quantity(
+        "1", "fraction of facets facing both directions that both see, by ray casting", 0, 1 + 1e-9, missing=True
+    ),
+    "g2_raycast": Quantity("1", "G2 of the mirror direction by ray casting", 0, 1 + 1e-9, missing=True),
+    "g2_separable": Quantity("1", "separable G2 after Smith, of the slopes along the lines", 0, 1 + 1e-9),
+    "g2_height_correlated": Quantity(
+        "1", "height-correlated G2 after Smith, of the slopes along the lines", 0, 1 + 1e-9
+    ),
     # Spectrum and index
     "total_reflectance": Quantity("1", "total (diffuse and specular) reflectance", 0),
     "n": Quantity("1", "real part of the refractive index", 0),
@@ -99,6 +116,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "energy_excess": Quantity("1", "largest directional reflectance above 1", 0),
     "negative_fraction": Quantity("1", "share of directions with a negative or undefined BRDF", 0, 1),
     "closure_residual": Quantity("1", "largest |integrated - given| total reflectance", 0, missing=True),
+    "integral_residual": Quantity("1", "largest |integrated BRDF - albedo| over a few incidences", 0),
     "floor": Quantity("sr-1", "smallest BRDF over the directions checked"),
     # Appearance
     "gloss": Quantity("1", "gloss units, D523-style", 0),
@@ -122,6 +140,7 @@ class Kind:
 _ISOTROPIC: Sequence[tuple[str, ...]] = [("slope",)]
 _SPECTRAL: Sequence[tuple[str, ...]] = [("wavelength",), ()]
 _SCALAR: Sequence[tuple[str, ...]] = [()]
+_POLAR: Sequence[tuple[str, ...]] = [("theta",)]
 
 _FACETS = Kind(
     required={
@@ -167,11 +186,18 @@ KINDS: Mapping[str, Kind] = {
             "energy_excess": _SCALAR,
             "negative_fraction": _SCALAR,
             "closure_residual": _SCALAR,
+            "integral_residual": _SCALAR,
             "floor": _SCALAR,
         },
         attributes=("verdicts",),
     ),
     "parameters": Kind({"missing_fraction": _SCALAR}, attributes=("levelling", "band")),
+    "raycast": Kind({}, attributes=("method",)),
+    "masking": Kind(
+        required={"g1_raycast": _POLAR, "g1_raycast_u": _POLAR, "g1_smith": _POLAR},
+        optional={"g2_raycast": _POLAR, "g2_raycast_u": _POLAR, "g2_separable": _POLAR, "g2_height_correlated": _POLAR},
+        attributes=("method",),
+    ),
     "catalogue": Kind({}),
 }
 
@@ -330,7 +356,9 @@ def add_history(dataset: xr.Dataset, *sentences: str) -> xr.Dataset:
 
 
 def add_warning(dataset: xr.Dataset, *sentences: str) -> xr.Dataset:
-    """Record a warning that the report and the catalogue show. Every warning says what to do."""
+    """Record warnings that the report and the catalogue show. Every warning says what to do."""
+    if not sentences:
+        return dataset
     return dataset.assign_attrs(warnings=json.dumps([*warnings(dataset), *sentences], ensure_ascii=False))
 
 
