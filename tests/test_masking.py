@@ -83,3 +83,23 @@ def test_visible_facets_project_to_the_whole_surface():
         cos, sin = np.cos(np.radians(theta)), np.sin(np.radians(theta))
         towards = np.maximum(cos - s[:, None] * np.cos(beta) * sin, 0.0).mean(axis=1)
         assert float(masking.g1(table, theta)) * (weight @ towards) == pytest.approx(cos, rel=1e-5)
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 30.0])
+@pytest.mark.parametrize(("distribution", "limit"), [("beckmann", 1e-5), ("ggx", 1e-4)])
+def test_masking_of_a_lay_is_that_of_the_width_towards_each_azimuth(distribution, limit, azimuth):
+    # Heitz 2014: a_φ² = a_x² cos² φ + a_y² sin² φ about the axes of the ellipse. GGX's grid ends at 3e4 a.
+    table = facets.analytic(distribution, a_x=0.2, a_y=0.5, azimuth=azimuth)
+    theta = ANGLES[2:]
+    for phi in (0.0, 17.3, 45.0, 90.0, 200.0, -60.0):
+        width = np.hypot(0.2 * np.cos(np.radians(phi - azimuth)), 0.5 * np.sin(np.radians(phi - azimuth)))
+        assert masking.g1(table, theta, phi).values == pytest.approx(closed_form(distribution, width, theta), rel=limit)
+
+
+def test_directions_of_a_lay_broadcast_by_name():
+    table = facets.analytic("beckmann", a_x=0.2, a_y=0.5)
+    theta = xr.DataArray([60.0, 80.0], dims="theta")
+    phi = xr.DataArray([0.0, 45.0, 90.0], dims="phi")
+    found = masking.g1(table, theta, phi)
+    assert found.sizes == {"theta": 2, "phi": 3}
+    assert (found.diff("phi") < 0).all()

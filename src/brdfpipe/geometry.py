@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe.errors import VocabularyError
@@ -82,3 +83,21 @@ def angles_of(vector: ArrayLike) -> tuple[Array, Array]:
     v = np.asarray(vector, dtype=float)
     theta = np.degrees(np.arctan2(np.hypot(v[..., 0], v[..., 1]), v[..., 2]))
     return theta, np.degrees(np.arctan2(v[..., 1], v[..., 0]))
+
+
+def checked_angles(name: str, angle: ArrayLike, low: float, high: float) -> xr.DataArray | Array:
+    """Checked angles that stay a DataArray where they came as one."""
+    values = check_angles(name, angle, low, high)
+    return angle.copy(data=values) if isinstance(angle, xr.DataArray) else values
+
+
+def broadcast(**angles: xr.DataArray | Array) -> tuple[xr.DataArray, ...]:
+    """Directions that broadcast together: DataArrays by dimension name, plain arrays as in numpy into ``direction``."""
+    plain = {name: angle for name, angle in angles.items() if not isinstance(angle, xr.DataArray)}
+    shape = np.broadcast_shapes(*(angle.shape for angle in plain.values()))
+    dims = ("direction",) if len(shape) == 1 else tuple(f"direction_{axis}" for axis in range(len(shape)))
+    labelled = {
+        name: angle if isinstance(angle, xr.DataArray) else xr.DataArray(np.broadcast_to(angle, shape), dims=dims)
+        for name, angle in angles.items()
+    }
+    return xr.broadcast(*labelled.values())

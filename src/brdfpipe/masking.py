@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from brdfpipe import vocabulary
 from brdfpipe.density import RadialDensity
-from brdfpipe.geometry import Array, check_angles
+from brdfpipe.geometry import Array, broadcast, checked_angles
 from brdfpipe.hemisphere import panel_rule
 
 _NODES = 384
@@ -82,9 +82,44 @@ class Smith:
 
     def excess_towards(self, cos: ArrayLike, sin: ArrayLike) -> Array:
         """g(cot θ) from the cosine and sine of θ."""
-        cos, sin = np.asarray(cos, dtype=float), np.asarray(sin, dtype=float)
-        with np.errstate(divide="ignore", over="ignore"):
-            return self.excess(np.where(sin > 0, cos / np.where(sin > 0, sin, 1.0), np.inf))
+        return self.excess(cotangent(cos, sin))
+
+
+def cotangent(cos: ArrayLike, sin: ArrayLike) -> Array:
+    """cot θ from the cosine and sine of θ; infinite at normal incidence."""
+    cos, sin = np.asarray(cos, dtype=float), np.asarray(sin, dtype=float)
+    with np.errstate(divide="ignore", over="ignore"):
+        return np.where(sin > 0, cos / np.where(sin > 0, sin, 1.0), np.inf)
+
+
+@dataclass(frozen=True)
+class PlanarSmith:
+    """The mean excess slope g(μ, φ) of a surface with a lay, from a table of Λ(θ, φ)."""
+
+    _spline: RectBivariateSpline
+    _scale: float
+    _last: float
+
+    @classmethod
+    def of(cls, dataset: xr.Dataset) -> PlanarSmith:
+        """The masking that an anisotropic ``facets`` dataset carries."""
+        mu = 1 / np.tan(np.radians(dataset["theta"].values[::-1]))
+        phi = dataset["phi"].values
+        excess = dataset["lambda_smith"].transpose("theta", "phi").values[::-1] * mu[:, None]
+        # At grazing g is smooth in μ: its value there is that of the parabola through the first three nodes.
+        grazing = np.linalg.solve(np.vander(mu[:3] / mu[2], increasing=True), excess[:3])[0]
+        mu, excess = np.concatenate([[0.0], mu]), np.concatenate([grazing[None], excess])
+        around = np.concatenate([phi[-4:] - 360, phi, phi[:4] + 360])
+        excess = np.concatenate([excess[:, -4:], excess, excess[:, :4]], axis=1)
+        scale = float(np.interp(0.1 * excess[0].mean(), excess.mean(axis=1)[::-1], mu[::-1]))
+        return cls(RectBivariateSpline(np.arcsinh(mu / scale), around, excess), scale, float(mu[-1]))
+
+    def excess(self, mu: ArrayLike, phi: ArrayLike) -> Array:
+        """g(μ, φ), broadcast; φ in degree, μ = inf (normal incidence) gives 0."""
+        mu, phi = np.broadcast_arrays(np.asarray(mu, dtype=float), np.asarray(phi, dtype=float))
+        inside = mu < self._last
+        values = self._spline.ev(np.arcsinh(np.where(inside, mu, 0.0) / self._scale), phi % 360)
+        return np.where(inside, np.maximum(values, 0.0), 0.0)
 
 
 def g1(facets: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0) -> xr.DataArray:
@@ -92,7 +127,7 @@ def g1(facets: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0) -> xr.DataArr
 
     Parameters
     ----------
-    facets : kind ``facets``, isotropic; its mean slope is zero
+    facets : kind ``facets``; its mean slope is zero
     theta, phi : degree, broadcastable; 0 <= theta <= 90
 
     Returns
@@ -112,16 +147,14 @@ def g1(facets: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0) -> xr.DataArr
     Heitz 2014, eq. 72; Ashikhmin 2000; patent US 9,395,299, claim 2.
     """
     vocabulary.validate(facets, "facets")
-    angles = np.radians(check_angles("theta", theta, 0, 90))
-    check_angles("phi", phi, -720, 720)
-    cos, sin = np.cos(angles), np.sin(angles)
-    cos = np.where(angles >= np.pi / 2, 0.0, cos)
-    masked = cos + Smith.of(facets).excess_towards(cos, sin) * sin
-    values = np.broadcast_arrays(cos / masked, np.asarray(phi))[0]
-    if isinstance(theta, xr.DataArray):
-        result = theta.copy(data=values)
+    polar, azimuth = broadcast(theta=checked_angles("theta", theta, 0, 90), phi=checked_angles("phi", phi, -720, 720))
+    angles = np.radians(polar.values)
+    cos, sin = np.where(angles >= np.pi / 2, 0.0, np.cos(angles)), np.sin(angles)
+    if "phi" in facets["lambda_smith"].dims:
+        excess = PlanarSmith.of(facets).excess(cotangent(cos, sin), azimuth.values)
     else:
-        result = xr.DataArray(values, dims=("direction",) if values.ndim == 1 else ())
+        excess = Smith.of(facets).excess_towards(cos, sin)
+    result = polar.copy(data=cos / (cos + excess * sin))
     return result.rename("g1").assign_attrs(units="1", long_name="Smith masking G1")
 
 

@@ -55,6 +55,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "alpha": Quantity("degree", "polar angle of the facet normal", 0, 90),
     "beta": Quantity("degree", "azimuth of the facet normal", -720, 720),
     "theta": Quantity("degree", "polar angle, from the normal", 0, 90),
+    "phi": Quantity("degree", "azimuth", -720, 720),
     "slope": Quantity("1", "magnitude of the surface slope", 0),
     "slope_x": Quantity("1", "surface slope along x"),
     "slope_y": Quantity("1", "surface slope along y"),
@@ -138,19 +139,20 @@ class Kind:
 
 
 _ISOTROPIC: Sequence[tuple[str, ...]] = [("slope",)]
+_SLOPES: Sequence[tuple[str, ...]] = [("slope",), ("slope_y", "slope_x")]
 _SPECTRAL: Sequence[tuple[str, ...]] = [("wavelength",), ()]
 _SCALAR: Sequence[tuple[str, ...]] = [()]
 _POLAR: Sequence[tuple[str, ...]] = [("theta",)]
 
 _FACETS = Kind(
     required={
-        "slope_density": _ISOTROPIC,
-        "D": [("alpha",), ("slope",)],
-        "lambda_smith": [("theta",)],
+        "slope_density": _SLOPES,
+        "D": [("alpha",), ("alpha", "beta")],
+        "lambda_smith": [("theta",), ("theta", "phi")],
         "slope_rms": _SCALAR,
     },
     optional={
-        "count": _ISOTROPIC,
+        "count": _SLOPES,
         "anisotropy": _SCALAR,
         "lay": _SCALAR,
         "facet_count": _SCALAR,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import checks, representations, tabulation
 from brdfpipe.errors import VocabularyError
-from brdfpipe.geometry import Array, check_angles
+from brdfpipe.geometry import Array, broadcast, checked_angles
 
 
 @xr.register_dataset_accessor("bsdf")  # type: ignore[no-untyped-call]
@@ -46,11 +46,11 @@ class BSDFAccessor:
         ------
         VocabularyError : an angle is out of range or labelled as radians, or a wavelength lies outside the data.
         """
-        angles = _broadcast(
-            theta_i=_check_like(theta_i, "theta_i", 0, 180),
-            phi_i=_check_like(phi_i, "phi_i", -720, 720),
-            theta_o=_check_like(theta_o, "theta_o", 0, 180),
-            phi_o=_check_like(phi_o, "phi_o", -720, 720),
+        angles = broadcast(
+            theta_i=checked_angles("theta_i", theta_i, 0, 180),
+            phi_i=checked_angles("phi_i", phi_i, -720, 720),
+            theta_o=checked_angles("theta_o", theta_o, 0, 180),
+            phi_o=checked_angles("phi_o", phi_o, -720, 720),
         )
         asked = self._wavelengths(wavelength)
         plain = [angle.values for angle in angles]
@@ -72,8 +72,8 @@ class BSDFAccessor:
         -------
         DataArray ``albedo`` [1]
         """
-        angles = _broadcast(
-            theta_i=_check_like(theta_i, "theta_i", 0, 90), phi_i=_check_like(phi_i, "phi_i", -720, 720)
+        angles = broadcast(
+            theta_i=checked_angles("theta_i", theta_i, 0, 90), phi_i=checked_angles("phi_i", phi_i, -720, 720)
         )
         asked = self._wavelengths(wavelength)
         values = representations.albedo(self._dataset, angles[0].values, angles[1].values, asked)
@@ -130,20 +130,3 @@ class BSDFAccessor:
         )
         coords = {**dict(like.coords), "wavelength": spectral}
         return xr.DataArray(values, coords, (*like.dims, "wavelength"), name, attrs)
-
-
-def _check_like(angle: ArrayLike, name: str, low: float, high: float) -> xr.DataArray | Array:
-    """Checked angles that stay a DataArray where they came as one."""
-    values = check_angles(name, angle, low, high)
-    return angle.copy(data=values) if isinstance(angle, xr.DataArray) else values
-
-
-def _broadcast(**angles: xr.DataArray | Array) -> tuple[xr.DataArray, ...]:
-    plain = {name: angle for name, angle in angles.items() if not isinstance(angle, xr.DataArray)}
-    shape = np.broadcast_shapes(*(angle.shape for angle in plain.values()))
-    dims = ("direction",) if len(shape) == 1 else tuple(f"direction_{axis}" for axis in range(len(shape)))
-    labelled = {
-        name: angle if isinstance(angle, xr.DataArray) else xr.DataArray(np.broadcast_to(angle, shape), dims=dims)
-        for name, angle in angles.items()
-    }
-    return xr.broadcast(*labelled.values())

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from brdfpipe import hemisphere, optics, vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.facets import azimuthal_average
 from brdfpipe.geometry import Array, half_vector
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.masking import VISIBILITY, Smith
@@ -54,7 +55,7 @@ def build(
 
     Parameters
     ----------
-    facets : kind ``facets``, isotropic
+    facets : kind ``facets``; one with a lay is averaged over azimuth, with a warning
     index : kind ``index``, a number or a plastic's name; the refractive index of the body, against air
     spectrum : kind ``spectrum``; the total reflectance at incidence ``theta_i``, specular included (``sci``), or excluded
         (``sce``): then what the facets mirror into the instrument's gloss trap, a cone of half angle ``specular_trap``
@@ -86,7 +87,8 @@ def build(
         vocabulary.validate(spectrum, "spectrum")
     wavelength = None if spectrum is None else spectrum["wavelength"].values
     n, k, wavelength, held = _index_on(index, wavelength)
-    bsdf = facets[["slope_density", "lambda_smith"]].drop_attrs()
+    isotropic = azimuthal_average(facets)
+    bsdf = isotropic[["slope_density", "lambda_smith"]].drop_attrs()
     bsdf = bsdf.drop_vars([name for name in bsdf.coords if name not in ("slope", "theta")])
     bsdf.attrs = {
         "representation": "microfacet",
@@ -101,6 +103,8 @@ def build(
     theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
     bsdf = _with_albedo(bsdf, theta_m)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
+    if isotropic is not facets:
+        bsdf = vocabulary.add_warning(bsdf, *vocabulary.warnings(isotropic))
     return vocabulary.label(bsdf, "bsdf")
 
 

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from brdfpipe import facets, surfaces, vocabulary
 from brdfpipe.density import RadialDensity
+from brdfpipe.facets import slopes
+from brdfpipe.planar import PlanarDensity
 
 
 def gaussian(slope, sigma):
@@ -98,7 +100,7 @@ def test_white_noise_has_no_lay():
 def test_the_block_borders_neither_lose_nor_double_a_facet():
     height = np.random.default_rng(4).normal(scale=0.05, size=(67, 101))
     p, q = np.diff(height, axis=1), np.diff(height, axis=0)
-    counted = facets._moments(height, (1.0, 1.0))
+    counted = slopes.moments([samples.surface(height)])
     squares = [a**2 + b**2 for a in (p[:-1], p[1:]) for b in (q[:, :-1], q[:, 1:])]
     assert counted.facets == sum(square.size for square in squares)
     assert counted.slope_rms == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-12)
@@ -108,23 +110,25 @@ def test_a_missing_height_takes_its_triangles_with_it_and_nothing_else():
     height = samples.gaussian_surface(128, correlation=3)["height"].values
     height[40, 50] = np.nan
     # A height inside the map belongs to 12 of the triangles of its four quads.
-    assert facets._moments(height, (1.0, 1.0)).facets == 4 * 127**2 - 12
+    assert slopes.moments([samples.surface(height)]).facets == 4 * 127**2 - 12
 
 
-def test_a_lay_is_found_and_warned_about():
+def test_a_lay_is_found_and_kept_until_it_is_averaged():
     height = samples.gaussian_surface(512, sigma=0.1, correlation=6)
     lay = samples.surface(height["height"].values, pitch=(1.0, 2.0))
     table = facets.estimate(lay)
     assert float(table["anisotropy"]) == pytest.approx(2, rel=0.05)
     # Slopes are smaller along y, so the lay runs along y.
     assert abs(float(table["lay"])) == pytest.approx(90, abs=3)
-    assert "has a lay" in vocabulary.warnings(table)[0]
+    assert table["slope_density"].dims == ("slope_y", "slope_x")
+    assert "has a lay" in vocabulary.warnings(facets.azimuthal_average(table))[0]
 
 
-def test_a_declared_isotropic_surface_is_not_warned_about_its_lay():
+def test_a_surface_declared_isotropic_is_averaged_and_says_so():
     height = samples.gaussian_surface(512, sigma=0.1, correlation=6)["height"].values
     table = facets.estimate(samples.surface(height, pitch=(1.0, 2.0)), isotropic=True)
-    assert not any("lay" in warning for warning in vocabulary.warnings(table))
+    assert table["slope_density"].dims == ("slope",)
+    assert "declared isotropic" in table.attrs["history"]
 
 
 def test_a_tilted_map_is_warned_about():
@@ -143,51 +147,84 @@ def test_too_small_a_map_is_refused():
         facets.estimate(samples.gaussian_surface(32, correlation=8))
 
 
-# --- line profiles
-
-
-def gaussian_line(points=100_000, sigma=0.1, correlation=0.7, seed=5):
-    kernel = np.exp(-((np.arange(-20, 21) / correlation) ** 2))
-    slope = np.convolve(np.random.default_rng(seed).normal(size=points), kernel, "same")
-    return samples.surface(np.cumsum(slope * sigma / slope.std()))
-
-
-def test_a_lone_line_is_refused_unless_declared_isotropic():
-    with pytest.raises(facets.FacetError, match=r"surface\.isotropic: true"):
-        facets.estimate(gaussian_line(1000))
-
-
-def test_the_density_of_a_gaussian_line_is_recovered():
-    table = facets.estimate(gaussian_line(), isotropic=True)
-    density = RadialDensity.of(table)
-    slope = 0.1 * np.array([0.0, 0.5, 1.0, 1.5, 2.0])
-    deviation = np.abs(density(slope**2) / gaussian(slope, 0.1) - 1)
-    assert deviation[0] < 0.06
-    assert deviation[1:].max() < 0.03
-    assert density.mass == pytest.approx(1, abs=1e-6)
-
-
-def test_an_isotropic_surface_is_twice_as_rough_as_a_line_on_it():
-    table = facets.estimate(gaussian_line(), isotropic=True)
-    assert float(table["slope_rms"]) == pytest.approx(0.1 * np.sqrt(2), rel=0.01)
-
-
-def test_a_grooved_line_is_no_mixture_of_gaussians():
-    sawtooth = np.cumsum(np.where(np.arange(20_000) % 40 < 20, 0.1, -0.1))
-    jitter = np.random.default_rng(6).normal(scale=0.002, size=20_000)
-    table = facets.estimate(samples.surface(sawtooth + jitter), isotropic=True)
-    assert any("no mixture of Gaussians" in warning for warning in vocabulary.warnings(table))
-
-
-def test_a_short_or_flat_line_is_refused():
-    for height in (np.random.default_rng(0).normal(size=50), np.zeros(500)):
-        with pytest.raises(facets.FacetError, match="at least 128 are needed"):
-            facets.estimate(samples.surface(height), isotropic=True)
-
-
 def test_the_real_rubber_scan(shared_data):
     rubber = surfaces.level(surfaces.read_surface(shared_data / "surfaces" / "KautschukInfiniteFocus.x3p"))
     table = facets.estimate(rubber)
     assert float(table["slope_rms"]) == pytest.approx(0.136, rel=0.02)
     assert float(table["anisotropy"]) == pytest.approx(1.03, rel=0.02)
     assert RadialDensity.of(table).mass == pytest.approx(1, abs=1e-9)
+
+
+# --- surfaces with a lay
+
+
+@pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)
+def test_an_analytic_density_with_a_lay_is_normalised(distribution):
+    density = PlanarDensity.of(facets.analytic(distribution, a_x=0.2, a_y=0.5, azimuth=30))
+    assert density.moments[0] == pytest.approx(1, abs=1e-5)
+
+
+def test_d_of_a_lay_faces_where_its_slopes_fall():
+    table = facets.analytic("beckmann", a_x=0.5, a_y=0.1, azimuth=20)
+    at = table["D"].sel(alpha=20, method="nearest")
+    assert float(at["beta"][int(at.argmax("beta"))]) % 180 == 20
+
+
+@pytest.fixture(scope="module")
+def grooved():
+    return facets.estimate(
+        samples.surface(samples.gaussian_surface(1024, sigma=0.1)["height"].values, pitch=(1.0, 2.0))
+    )
+
+
+def test_the_density_of_a_surface_with_a_lay_is_recovered(grooved):
+    density = PlanarDensity.of(grooved)
+    mass, mean, covariance = density.moments
+    assert mass == pytest.approx(1, abs=1e-9)
+    assert np.abs(mean).max() < 1e-3
+    assert np.sqrt(np.diag(covariance)) == pytest.approx([0.1, 0.05], rel=0.02)
+    for p, q in ((0.0, 0.0), (0.1, 0.0), (0.0, 0.05), (-0.1, 0.05), (0.2, 0.0)):
+        exact = np.exp(-((p / 0.1) ** 2 + (q / 0.05) ** 2) / 2) / (2 * np.pi * 0.1 * 0.05)
+        assert float(density(p, q)) == pytest.approx(exact, rel=0.05)
+
+
+def test_every_facet_of_a_surface_with_a_lay_is_counted_once(grooved):
+    assert float(grooved["count"].sum()) == float(grooved["facet_count"])
+
+
+def test_the_average_over_azimuth_keeps_mass_and_roughness(grooved):
+    average = facets.azimuthal_average(grooved)
+    s, weight = RadialDensity.of(average).rule()
+    assert weight.sum() == pytest.approx(1, abs=1e-9)
+    assert np.sqrt(weight @ s**2) == pytest.approx(float(grooved["slope_rms"]), rel=0.02)
+
+
+def test_an_isotropic_distribution_has_no_azimuth_to_average():
+    table = facets.analytic("ggx", 0.2)
+    assert facets.azimuthal_average(table) is table
+
+
+def test_several_scans_count_together():
+    one, two = samples.gaussian_surface(256, seed=1), samples.gaussian_surface(256, seed=2)
+    together = facets.estimate([one, two])
+    assert float(together["facet_count"]) == 2 * 4 * 255**2
+    assert "2 scans together" in together.attrs["method"]
+    assert float(together["effective_count"]) > float(facets.estimate(one)["effective_count"])
+
+
+def test_a_map_and_a_line_do_not_go_together():
+    with pytest.raises(facets.FacetError, match="all maps or all lines"):
+        facets.estimate([samples.gaussian_surface(128), samples.surface(np.arange(200.0))])
+
+
+@pytest.mark.parametrize("widths", [{}, {"a": 0.1, "a_x": 0.1, "a_y": 0.2}, {"a_x": 0.1}, {"a_x": 1e-3, "a_y": 1.0}])
+def test_widths_that_do_not_say_one_thing_are_refused(widths):
+    with pytest.raises(facets.FacetError, match=r"either a, or a_x and a_y|accepted"):
+        facets.analytic("ggx", **widths)
+
+
+def test_a_grooved_scan_has_its_known_lay(shared_data):
+    grooves = surfaces.level(surfaces.read_surface(shared_data / "surfaces" / "x3p-2.x3p"))
+    table = facets.estimate(grooves)
+    assert float(table["anisotropy"]) == pytest.approx(2.0, rel=0.02)
+    assert float(table["slope_rms"]) == pytest.approx(0.062, rel=0.02)
