@@ -55,7 +55,6 @@ QUANTITIES: Mapping[str, Quantity] = {
     "alpha": Quantity("degree", "polar angle of the facet normal", 0, 90),
     "beta": Quantity("degree", "azimuth of the facet normal", -720, 720),
     "theta": Quantity("degree", "polar angle, from the normal", 0, 90),
-    "phi": Quantity("degree", "azimuth", -720, 720),
     "slope": Quantity("1", "magnitude of the surface slope", 0),
     "slope_x": Quantity("1", "surface slope along x"),
     "slope_y": Quantity("1", "surface slope along y"),
