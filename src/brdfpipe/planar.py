@@ -37,7 +37,8 @@ class SlopeAxis:
 
     @cached_property
     def nodes(self) -> Array:
-        nodes: Array = self.scale * np.sinh(np.linspace(-self.end, self.end, self.size))
+        half = (self.size - 1) / 2
+        nodes: Array = self.scale * np.sinh(np.arange(-half, half + 1) * (self.end / half))
         return nodes
 
     def position(self, slope: ArrayLike) -> Array:

@@ -100,7 +100,7 @@ def test_white_noise_has_no_lay():
 def test_the_block_borders_neither_lose_nor_double_a_facet():
     height = np.random.default_rng(4).normal(scale=0.05, size=(67, 101))
     p, q = np.diff(height, axis=1), np.diff(height, axis=0)
-    counted = slopes.moments([samples.surface(height)])
+    counted = slopes.count_maps([samples.surface(height)])[1]
     squares = [a**2 + b**2 for a in (p[:-1], p[1:]) for b in (q[:, :-1], q[:, 1:])]
     assert counted.facets == sum(square.size for square in squares)
     assert counted.slope_rms == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-12)
@@ -110,7 +110,7 @@ def test_a_missing_height_takes_its_triangles_with_it_and_nothing_else():
     height = samples.gaussian_surface(128, correlation=3)["height"].values
     height[40, 50] = np.nan
     # A height inside the map belongs to 12 of the triangles of its four quads.
-    assert slopes.moments([samples.surface(height)]).facets == 4 * 127**2 - 12
+    assert slopes.count_maps([samples.surface(height)])[1].facets == 4 * 127**2 - 12
 
 
 def test_a_lay_is_found_and_kept_until_it_is_averaged():

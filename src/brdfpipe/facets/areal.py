@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.facets.assembly import planar_axes, planar_dataset, positive, radial_dataset, with_noise_warning
-from brdfpipe.facets.counting import FacetError, counted_density, histogram, merged
+from brdfpipe.facets.counting import FacetError, counted_density, histogram, histogram_of, merged
 from brdfpipe.facets.slopes import (
     BLOCKS,
     SCALES,
     Moments,
+    SlopeCounts,
     correlation_length,
-    moments,
+    count_maps,
     slope_rms_by_scale,
     triangle_slopes,
 )
@@ -33,13 +34,13 @@ _PRIOR = 50.0
 
 def of_maps(maps: Sequence[xr.Dataset], isotropic: bool | None) -> xr.Dataset:
     """Facet distribution of levelled maps; see :func:`brdfpipe.facets.estimate`."""
-    found = moments(maps)
-    if found.facets == 0 or found.steepest == 0:
+    counts, found = count_maps(maps)
+    if found.facets == 0 or found.slope_rms == 0:
         raise FacetError(
             "the surface is perfectly flat or has no complete facet; check the height unit and the missing heights"
         )
     has_lay = not isotropic if isotropic is not None else not found.anisotropy <= LAY_LIMIT
-    facets = _with_lay(maps, found) if has_lay else _isotropic(maps, found)
+    facets = _with_lay(maps, found) if has_lay else _isotropic(counts, found)
     by_scale = np.mean([slope_rms_by_scale(surface) for surface in maps], axis=0)
     facets = facets.assign(
         anisotropy=found.anisotropy,
@@ -54,12 +55,8 @@ def of_maps(maps: Sequence[xr.Dataset], isotropic: bool | None) -> xr.Dataset:
     return vocabulary.label(with_noise_warning(_with_warnings(facets, found, isotropic)), "facets")
 
 
-def _isotropic(maps: Sequence[xr.Dataset], found: Moments) -> xr.Dataset:
-    def magnitudes() -> Iterator[tuple[int, Array]]:
-        for block, p, q in triangle_slopes(maps):
-            yield block, np.sqrt(p * p + q * q)
-
-    bins, redundancy = merged(histogram(magnitudes(), found.steepest, found.slope_rms, len(maps) * BLOCKS**2))
+def _isotropic(counts: SlopeCounts, found: Moments) -> xr.Dataset:
+    bins, redundancy = merged(histogram(counts, found.slope_rms))
     density, quality, relative_u = counted_density(bins, redundancy)
     facets = radial_dataset(density, found.slope_rms)
     return facets.assign(
@@ -115,8 +112,7 @@ def _elliptic(maps: Sequence[xr.Dataset], found: Moments, whiten: Array) -> tupl
             u, v = whiten @ np.stack([p - found.mean[0], q - found.mean[1]])
             yield block, np.sqrt(u * u + v * v)
 
-    steepest = max((float(r.max()) for _, r in magnitudes() if r.size), default=0.0)
-    bins, redundancy = merged(histogram(magnitudes(), steepest, np.sqrt(2.0), len(maps) * BLOCKS**2))
+    bins, redundancy = merged(histogram_of(magnitudes(), np.sqrt(2.0), len(maps) * BLOCKS**2))
     return counted_density(bins, redundancy)[0], redundancy
 
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.facets.slopes import FINE_BINS, SlopeCounts
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 
-_FINE_BINS = 2**14
 _COARSE_BINS = 112
 _TAIL_NODES = 24
 _LEAST_BINS = 6
@@ -56,27 +56,30 @@ class Binned(NamedTuple):
         return counts
 
 
-def histogram(slopes: Iterable[tuple[int, Array]], steepest: float, scale: float, blocks: int) -> Histogram:
-    """Counts of slope magnitudes, given block by block, in bins that widen towards steep slopes.
+def histogram(slopes: SlopeCounts, scale: float) -> Histogram:
+    """Counts in bins that widen towards steep slopes, from the fine ones; ``scale`` is a typical slope."""
+    there = np.flatnonzero(slopes.counts.any(axis=0))
+    if there.size == 0:
+        raise FacetError("the surface has no complete facet; check the missing heights")
+    used = int(there[-1]) + 1
+    fine, fine_counts = slopes.edges[: used + 1], slopes.counts[:, :used]
+    wanted = 2 * scale * np.sinh(np.linspace(0, np.arcsinh(fine[-1] / (2 * scale)), _COARSE_BINS + 1))
+    cuts = np.unique(np.concatenate([[0, used], np.clip(np.searchsorted(fine, wanted), 0, used)]))
+    middles = np.sqrt((fine[1:] ** 2 + fine[:-1] ** 2) / 2)
+    return Histogram(
+        fine[cuts],
+        np.add.reduceat(fine_counts, cuts[:-1], axis=1).astype(float),
+        np.add.reduceat(fine_counts.sum(axis=0) * middles, cuts[:-1]),
+    )
 
-    Parameters
-    ----------
-    slopes : number of the block and magnitudes >= 0
-    steepest : the largest magnitude
-    scale : a typical magnitude: bins are narrow below it
-    blocks : how many blocks there are
-    """
-    steepest = steepest * (1 + 1e-12)
-    edges = 2 * scale * np.sinh(np.linspace(0, np.arcsinh(steepest / (2 * scale)), _COARSE_BINS + 1))
-    # Binning through a fine uniform grid avoids a search per facet; edges move to the nearest fine one.
-    cuts = np.unique(np.round(edges / steepest * _FINE_BINS).astype(int))
-    fine = np.zeros((blocks, _FINE_BINS), dtype=np.int64)
+
+def histogram_of(slopes: Iterable[tuple[int, Array]], scale: float, blocks: int) -> Histogram:
+    """The same of magnitudes given block by block."""
+    counts = np.zeros((blocks, 2**16), dtype=np.int64)
     for block, magnitude in slopes:
-        index = np.minimum((magnitude * (_FINE_BINS / steepest)).astype(np.int32), _FINE_BINS - 1)
-        fine[block] += np.bincount(index, minlength=_FINE_BINS)
-    counts = np.add.reduceat(fine, cuts[:-1], axis=1).astype(float)
-    middles = (np.arange(_FINE_BINS) + 0.5) * (steepest / _FINE_BINS)
-    return Histogram(cuts * (steepest / _FINE_BINS), counts, np.add.reduceat(fine.sum(axis=0) * middles, cuts[:-1]))
+        square = np.square(magnitude, dtype=np.float32, casting="same_kind")
+        counts[block] += np.bincount(np.ascontiguousarray(square).view(np.uint32) >> 16, minlength=2**16)
+    return histogram(SlopeCounts(counts[:, :FINE_BINS]), scale)
 
 
 def redundancy_of(counts: Array) -> float:

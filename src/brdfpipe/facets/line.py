@@ -10,7 +10,6 @@ A line gives the marginal P1(p) of the slope density, not the density. Three way
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from brdfpipe import vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.facets.assembly import planar_axes, planar_dataset, positive, radial_dataset, with_noise_warning
 from brdfpipe.facets.counting import FacetError, redundancy_of
-from brdfpipe.facets.slopes import BLOCKS, SCALES, correlation_length, mean_square
+from brdfpipe.facets.slopes import SCALES, correlation_length, count_line, mean_square
 from brdfpipe.geometry import Array
 from brdfpipe.planar import PlanarDensity
 
@@ -68,18 +67,24 @@ def of_lines(lines: Sequence[xr.Dataset], method: str, isotropic: bool | None) -
 
 def slopes_along(line: xr.Dataset) -> Array:
     """Slopes between neighbouring points of a line, their mean removed; points next to a missing height are left out."""
-    along = np.diff(line["height"].values.astype(float)) / float(line.attrs["pitch_x"])
-    along = along[np.isfinite(along)]
+    height = np.asarray(line["height"].values, dtype=float)
+    along = height[1:] - height[:-1]
+    along *= 1 / float(line.attrs["pitch_x"])
+    total = float(along.sum())
+    if not np.isfinite(total):
+        along = along[np.isfinite(along)]
+        total = float(along.sum())
     if along.size < _LEAST or not np.any(along):
         raise FacetError(
             f"the line profile has {along.size} slopes that are not all zero, at least {_LEAST} are needed"
         )
-    return along - along.mean()
+    along -= total / along.size
+    return along
 
 
 def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
-    along = np.concatenate([slopes_along(line) for line in lines])
-    marginal = _count(np.abs(along))
+    along = slopes_along(lines[0]) if len(lines) == 1 else np.concatenate([slopes_along(line) for line in lines])
+    marginal = _count(along)
     history, warnings = ["declared isotropic"], []
     if method == "mixture":
         fit = _fit_mixture(marginal)
@@ -102,7 +107,8 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
         )
     facets = radial_dataset(density, slope_rms)
     relative_u = _relative_uncertainty(density, marginal)
-    measured_to = np.sort(np.abs(along))[-min(along.size, max(1, round(100 * marginal.redundancy)))]
+    beyond = np.concatenate([np.cumsum(marginal.counts[::-1])[::-1], [0.0]])
+    measured_to = float(marginal.edges[np.flatnonzero(beyond >= min(100 * marginal.redundancy, beyond[0]))[-1]])
     quality = np.where(density.slope <= measured_to, vocabulary.quality("measured"), vocabulary.quality("extrapolated"))
     facets = facets.assign(
         slope_density_quality=("slope", quality.astype(np.int8)), D_u=("alpha", facets["D"].values * relative_u)
@@ -127,25 +133,23 @@ def _with_line_statistics(
 
 
 def _slope_rms_by_scale(line: xr.Dataset) -> Array:
-    height, pitch = line["height"].values.astype(float), float(line.attrs["pitch_x"])
+    height, pitch = line["height"].values[: 2**20].astype(float), float(line.attrs["pitch_x"])
     return np.array([np.sqrt(mean_square((height[n:] - height[:-n]) / (n * pitch))) for n in SCALES.astype(int)])
 
 
-def _count(magnitude: Array) -> _Marginal:
-    rms, steepest = float(np.sqrt(np.mean(magnitude**2))), float(magnitude.max()) * (1 + 1e-12)
-    edges = rms * np.sinh(np.linspace(0, np.arcsinh(steepest / rms), _BINS + 1))
-    # As for maps: a fine uniform grid instead of a search, edges on its nearest lines.
-    fine = 2**14
-    cuts = np.unique(np.round(edges / steepest * fine).astype(int))
-    block = np.linspace(0, magnitude.size, BLOCKS**2 + 1).astype(int)
-    by_block = np.zeros((BLOCKS**2, cuts.size - 1))
-    for row, (start, stop) in enumerate(pairwise(block)):
-        index = np.minimum((magnitude[start:stop] * (fine / steepest)).astype(np.int32), fine - 1)
-        by_block[row] = np.add.reduceat(np.bincount(index, minlength=fine), cuts[:-1])
-    counts = by_block.sum(axis=0)
-    edges = cuts * (steepest / fine)
-    median = float(np.interp(0.5 * counts.sum(), np.concatenate([[0.0], np.cumsum(counts)]), edges))
-    return _Marginal(edges, counts, redundancy_of(by_block), rms, median, magnitude.size)
+def _count(along: Array) -> _Marginal:
+    fine = count_line(along)
+    rms = float(np.sqrt(np.vdot(along, along) / along.size))
+    there = int(np.flatnonzero(fine.counts.any(axis=0))[-1]) + 1
+    edges = fine.edges[: there + 1]
+    wanted = rms * np.sinh(np.linspace(0, np.arcsinh(edges[-1] / rms), _BINS + 1))
+    cuts = np.unique(np.clip(np.searchsorted(edges, wanted), 0, there))
+    cuts[0], cuts[-1] = 0, there
+    by_block = np.add.reduceat(fine.counts[:, :there], cuts[:-1], axis=1).astype(float)
+    counts, edges = by_block.sum(axis=0), edges[cuts]
+    cumulative = np.concatenate([[0.0], np.cumsum(counts)])
+    median = float(np.interp(0.5 * cumulative[-1], cumulative, edges))
+    return _Marginal(edges, counts, redundancy_of(by_block), rms, median, along.size)
 
 
 # --- mixture
@@ -286,7 +290,7 @@ def _perpendicular(lines: Sequence[xr.Dataset], azimuth: float) -> xr.Dataset:
         np.concatenate([slopes_along(line) for line in lines if _azimuth(line) == angle]) for angle in _axes(lines)
     ]
     rms = [float(np.sqrt(np.mean(slopes**2))) for slopes in along]
-    marginal = _count(np.concatenate([np.abs(slopes) / scale for slopes, scale in zip(along, rms, strict=True)]))
+    marginal = _count(np.concatenate([slopes / scale for slopes, scale in zip(along, rms, strict=True)]))
     fit = _fit_mixture(marginal)
     widest = float(fit.sigma[fit.weight > 1e-9].max())
     cos, sin = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))

@@ -7,10 +7,12 @@ show a false lay.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from brdfpipe.geometry import Array
 
@@ -29,7 +31,6 @@ class Moments(NamedTuple):
     """(2,) mean slope along x and y."""
     covariance: Array
     """(2, 2) about the mean."""
-    steepest: float
 
     @property
     def slope_rms(self) -> float:
@@ -53,70 +54,148 @@ def pitch_of(surface: xr.Dataset) -> tuple[float, float]:
     return float(surface.attrs["pitch_x"]), float(surface.attrs["pitch_y"])
 
 
-def triangle_slopes(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, Array]]:
-    """Slopes (p, q) of the four triangles of every quad, block by block; a triangle that touches a missing height is left out.
+class SlopeCounts(NamedTuple):
+    """Counts of squared slopes in bins of one 128th of an octave, block by block: the upper half of a 32-bit float's bits."""
 
-    Yields the number of the block, p and q.
-    """
+    counts: NDArray[np.int64]
+    """(blocks, bins)"""
+
+    @property
+    def edges(self) -> Array:
+        """(bins + 1,) slopes that bound the bins."""
+        bits = np.arange(FINE_BINS + 1, dtype=np.uint32) << 16
+        return np.sqrt(bits.view(np.float32).astype(float))
+
+
+FINE_BINS = 0x7F80
+"""Upper half of the bits of infinity: what lies below is finite, what lies above is no number."""
+
+_BLOCK_POINTS = 2**18
+
+
+def _blocks(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, tuple[float, float]]]:
+    """Blocks of the maps that share their border heights, a few hundred thousand heights at a time, and the pitch."""
     for scan, surface in enumerate(maps):
         height, pitch = surface["height"].values, pitch_of(surface)
         rows = np.linspace(0, height.shape[0] - 1, BLOCKS + 1).astype(int)
         columns = np.linspace(0, height.shape[1] - 1, BLOCKS + 1).astype(int)
         for block in range(BLOCKS**2):
             row, column = divmod(block, BLOCKS)
-            part = height[rows[row] : rows[row + 1] + 1, columns[column] : columns[column + 1] + 1]
-            for p, q in _of_block(part, pitch):
-                yield scan * BLOCKS**2 + block, p, q
+            across = slice(columns[column], columns[column + 1] + 1)
+            step = max(1, _BLOCK_POINTS // max(1, across.stop - across.start))
+            for start in range(rows[row], rows[row + 1], step):
+                part = height[start : min(start + step, rows[row + 1]) + 1, across]
+                yield scan * BLOCKS**2 + block, part, pitch
 
 
-def _of_block(height: Array, pitch: tuple[float, float]) -> Iterator[tuple[Array, Array]]:
-    height = np.asarray(height, dtype=float)
-    along_x = np.diff(height, axis=1) / pitch[0]
-    along_y = np.diff(height, axis=0) / pitch[1]
-    whole = bool(np.isfinite(height).all())
+def _edges_of(part: Array, pitch: tuple[float, float]) -> tuple[Array, Array]:
+    """Slopes of the edges of a block's quads, along x (rows + 1, columns) and along y (rows, columns + 1)."""
+    part = np.asarray(part, dtype=float)
+    along_x, along_y = part[:, 1:] - part[:, :-1], part[1:] - part[:-1]
+    along_x *= 1 / pitch[0]
+    along_y *= 1 / pitch[1]
+    return along_x, along_y
+
+
+def triangle_slopes(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, Array]]:
+    """Slopes (p, q) of the four triangles of every quad, block by block; a triangle that touches a missing height is left out.
+
+    Yields the number of the block, p and q.
+    """
+    for block, part, pitch in _blocks(maps):
+        along_x, along_y = _edges_of(part, pitch)
+        whole = bool(np.isfinite(along_x).all() and np.isfinite(along_y).all())
+        for p in (along_x[:-1], along_x[1:]):
+            for q in (along_y[:, :-1], along_y[:, 1:]):
+                if whole:
+                    yield block, p.ravel(), q.ravel()
+                else:
+                    complete = np.isfinite(p) & np.isfinite(q)
+                    yield block, p[complete], q[complete]
+
+
+def count_maps(maps: Sequence[xr.Dataset]) -> tuple[SlopeCounts, Moments]:
+    """Counts of the squared slopes of every triangle of one or several scans, and the moments of the slopes, in one pass.
+
+    Squares are binned by the bits of a 32-bit float, in bins of 0.5 %: no logarithm, no search. A triangle that touches a missing
+    height has no number for a slope, and falls beyond the last bin by itself.
+    """
+    counts = np.zeros((len(maps) * BLOCKS**2, 2**16), dtype=np.int64)
+    facets, total, products = 0, np.zeros(2), np.zeros(3)
+    for block, part, pitch in _blocks(maps):
+        along_x, along_y = _edges_of(part, pitch)
+        square_x, square_y = (np.square(edge, dtype=np.float32, casting="same_kind") for edge in (along_x, along_y))
+        square = np.empty((square_y.shape[0], square_x.shape[1]), dtype=np.float32)
+        bits = square.reshape(-1).view(np.uint16)[_HIGH::2]
+        for xx in (square_x[:-1], square_x[1:]):
+            for yy in (square_y[:, :-1], square_y[:, 1:]):
+                np.add(xx, yy, out=square)
+                counts[block] += np.bincount(bits, minlength=2**16)
+        n, first, second = _block_moments(along_x, along_y)
+        facets, total, products = facets + n, total + first, products + second
+    if facets == 0:
+        return SlopeCounts(counts[:, :FINE_BINS]), Moments(0, np.zeros(2), np.zeros((2, 2)))
+    mean = total / facets
+    square_mean = products / facets
+    covariance = np.array([[square_mean[0], square_mean[2]], [square_mean[2], square_mean[1]]]) - np.outer(mean, mean)
+    return SlopeCounts(counts[:, :FINE_BINS]), Moments(facets, mean, covariance)
+
+
+_HIGH = 1 if np.little_endian else 0
+
+
+def _block_moments(along_x: Array, along_y: Array) -> tuple[int, Array, Array]:
+    """Number of triangles of a block, sums of p and q, and sums of p², q² and pq over them.
+
+    Every edge along x meets the four edges along y of the quads beside it: sums over triangles are sums over edges.
+    """
+    sum_x, sum_y = along_x[:-1] + along_x[1:], along_y[:, :-1] + along_y[:, 1:]
+    mixed = float(np.vdot(sum_x, sum_y))
+    if np.isfinite(mixed):
+        first = 2 * np.array([sum_x.sum(), sum_y.sum()])
+        # Each edge counts twice for every quad beside it: those on the block's border have one.
+        square_x = 2 * np.vdot(along_x, along_x) - np.vdot(along_x[0], along_x[0]) - np.vdot(along_x[-1], along_x[-1])
+        square_y = 2 * np.vdot(along_y, along_y) - sum(np.vdot(along_y[:, k], along_y[:, k]) for k in (0, -1))
+        squares = (2 * square_x, 2 * square_y)
+        return 4 * sum_x.size, first, np.array([*squares, mixed])
+    count, first, second = 0, np.zeros(2), np.zeros(3)
     for p in (along_x[:-1], along_x[1:]):
         for q in (along_y[:, :-1], along_y[:, 1:]):
-            if whole:
-                yield p.ravel(), q.ravel()
-            else:
-                complete = np.isfinite(p) & np.isfinite(q)
-                yield p[complete], q[complete]
+            complete = np.isfinite(p) & np.isfinite(q)
+            p_there, q_there = p[complete], q[complete]
+            count += p_there.size
+            first += p_there.sum(), q_there.sum()
+            second += p_there @ p_there, q_there @ q_there, p_there @ q_there
+    return count, first, second
 
 
-def moments(maps: Sequence[xr.Dataset]) -> Moments:
-    """Moments of the slopes of one or several scans."""
-    count, total, products, steepest = 0, np.zeros(2), np.zeros((2, 2)), 0.0
-    for _, p, q in triangle_slopes(maps):
-        if p.size == 0:
-            continue
-        pp, qq, pq = p @ p, q @ q, p @ q
-        count += p.size
-        total += p.sum(), q.sum()
-        products += [[pp, pq], [pq, qq]]
-        steepest = max(steepest, float((p * p + q * q).max()))
-    if count == 0:
-        return Moments(0, np.zeros(2), np.zeros((2, 2)), 0.0)
-    mean = total / count
-    return Moments(count, mean, products / count - np.outer(mean, mean), float(np.sqrt(steepest)))
+def count_line(slopes: Array) -> SlopeCounts:
+    """Counts of the squared slopes along a line, in as many blocks as a map has."""
+    borders = np.linspace(0, slopes.size, BLOCKS**2 + 1).astype(int)
+    counts = np.zeros((BLOCKS**2, 2**16), dtype=np.int64)
+    for block, (start, stop) in enumerate(pairwise(borders)):
+        square = np.square(slopes[start:stop], dtype=np.float32, casting="same_kind")
+        counts[block] = np.bincount(square.view(np.uint16)[_HIGH::2], minlength=2**16)
+    return SlopeCounts(counts[:, :FINE_BINS])
 
 
 def slope_rms_by_scale(surface: xr.Dataset) -> Array:
-    """Root mean square slope of a map over 1, 2, 4 and 8 pixels; NaN where the map is too small."""
+    """Root mean square slope of a map over 1, 2, 4 and 8 pixels, from some of its rows; NaN where the map is too small."""
     height, pitch = surface["height"].values, pitch_of(surface)
     values = []
     for step in SCALES.astype(int):
         if min(height.shape) <= step:
             values.append(np.nan)
             continue
-        squares = [
-            mean_square(difference / (step * spacing))
-            for difference, spacing in (
-                (height[:, step:] - height[:, :-step], pitch[0]),
-                (height[step:] - height[:-step], pitch[1]),
-            )
-        ]
-        values.append(np.sqrt(sum(squares)))
+        rows = slice(0, height.shape[0] - step, max(1, height.size // _SAMPLED))
+        along_x = (height[rows, step:] - height[rows, :-step]) / (step * pitch[0])
+        along_y = (height[step:][rows] - height[rows]) / (step * pitch[1])
+        values.append(np.sqrt(mean_square(along_x) + mean_square(along_y)))
     return np.asarray(values)
+
+
+_SAMPLED = 2**20
+"""Heights from which slopes by scale and correlation are taken: more would not tell more."""
 
 
 def mean_square(values: Array) -> float:
@@ -138,8 +217,10 @@ def correlation_length(surface: xr.Dataset) -> float:
 def _along(lines: Array, pitch: float) -> float:
     from scipy.fft import irfft, next_fast_len, rfft
 
-    # A few hundred lines tell the correlation as well as all of them.
-    lines = lines[:: max(1, lines.shape[0] // 256)]
+    # Some lines, or stretches of a long one, tell the correlation as well as all of them.
+    if lines.shape[1] > 2**16:
+        lines = lines[:, : lines.shape[1] // 2**15 * 2**15].reshape(-1, 2**15)
+    lines = lines[:: max(1, lines.size // (_SAMPLED // 2))]
     present = np.isfinite(lines)
     if not present.any():
         return float("nan")
