@@ -93,6 +93,20 @@ def test_sections_of_unequal_pitch_are_warned_of(pitches: tuple[float, float], w
     assert any("factor 2.1" in text for text in vocabulary.warnings(surface)) == warned
 
 
+@pytest.mark.parametrize(("spike", "warned"), [(29.0, False), (31.0, True), (-31.0, True)])
+def test_a_spike_is_warned_of(spike: float, warned: bool) -> None:
+    height = rough((100, 100), slope=0.01)
+    height[50, 50] = spike
+    surface = examine(surface_dataset(Heights(height, 1.0, 1.0)), FILE)
+    assert any("a spike or a damaged height" in text for text in vocabulary.warnings(surface)) == warned
+
+
+def test_heights_that_overflow_are_refused_in_words() -> None:
+    height = rough()
+    height[3, 4], height[5, 6] = 1e300, -1e308
+    refuse(Heights(height, 1.0, 1.0), "rms slope cannot be that of a surface finish")
+
+
 def test_the_dataset_carries_what_the_reader_found() -> None:
     notes: dict[str, Any] = {"history": ("Reversed.",), "warnings": ("Measure again.",)}
     surface = surface_dataset(Heights(rough((40, 50)), 0.5, 0.7, **notes))

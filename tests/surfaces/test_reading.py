@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+import yaml
 
+from brdfpipe.catalogue import project_folder
 from brdfpipe.errors import InputError
 from brdfpipe.store import open_dataset, save_dataset
-from brdfpipe.surfaces import ingest, read_surface, write_x3p
+from brdfpipe.surfaces import high_pass, ingest, level, low_pass, read_surface, write_x3p
+from brdfpipe.surfaces.levelling import FORMS
+from brdfpipe.surfaces.reading import FORMATS
 
 
 @pytest.fixture
@@ -40,8 +45,48 @@ def test_the_band_is_told_in_words(tmp_path: Path, profile: Path, asymmetric: xr
 
 
 def test_an_unknown_form_names_its_key(profile: Path) -> None:
-    with pytest.raises(InputError, match=r"unknown form.*`surface\.form`"):
+    with pytest.raises(InputError, match=r"form 'sphere'; accepted: none, plane.*`surface\.form`"):
         ingest(profile, {"unit": "um", "pitch": 0.25, "form": "sphere"})
+
+
+def test_the_stage_levels_then_filters_as_the_material_says(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+    write_x3p(asymmetric, tmp_path / "map.x3p")
+    found = ingest(tmp_path / "map.x3p", {"form": "polynomial-2", "lambda_s": 3.0, "lambda_c": 12.0})
+    expected = high_pass(low_pass(level(read_surface(tmp_path / "map.x3p"), "polynomial-2"), 3.0), 12.0)
+    xr.testing.assert_identical(found, expected)
+    assert found.attrs["band"] == "0.5 x 0.7 um pitch; λs 3 um, λc 12 um filter"
+    assert [line.split()[0] for line in found.attrs["history"].splitlines()] == ["Levelled", "Low-pass", "High-pass"]
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ({"lambda_s": 1.0}, r"λs of 1 um cannot be applied.*`surface\.lambda_s`"),
+        ({"lambda_c": 1e3}, r"λc of 1000 um cannot be applied.*`surface\.lambda_c`"),
+        ({"lambda_s": 9.0, "lambda_c": 9.0}, r"not above λs, 9 um.*`surface\.lambda_c`"),
+    ],
+)
+def test_an_impossible_cutoff_names_its_key(
+    tmp_path: Path, asymmetric: xr.Dataset, spec: dict[str, float], message: str
+) -> None:
+    write_x3p(asymmetric, tmp_path / "map.x3p")
+    with pytest.raises(InputError, match=r"^map\.x3p: .*" + message):
+        ingest(tmp_path / "map.x3p", spec)
+
+
+def test_the_schema_knows_the_formats_the_forms_and_every_key() -> None:
+    path = project_folder() / "config" / "schemas" / "material.schema.yaml"
+    keys = yaml.safe_load(path.read_text(encoding="utf-8"))["$defs"]["measured_surface"]["properties"]
+    assert set(keys["format"]["enum"]) == set(FORMATS)
+    assert set(keys["form"]["enum"]) == set(FORMS)
+    options = {option for known in FORMATS.values() for option in known.options}
+    assert set(keys) == {"file", "format", "isotropic", "form", "lambda_s", "lambda_c"} | options
+
+
+def test_each_extension_tells_one_format() -> None:
+    suffixes = [suffix for known in FORMATS.values() for suffix in known.extensions]
+    assert len(set(suffixes)) == len(suffixes)
+    assert all(re.fullmatch(r"\.[a-z0-9]+", suffix) for suffix in suffixes)
 
 
 def test_the_extension_is_read_in_either_case(tmp_path: Path, asymmetric: xr.Dataset) -> None:
@@ -49,15 +94,15 @@ def test_the_extension_is_read_in_either_case(tmp_path: Path, asymmetric: xr.Dat
     assert read_surface(tmp_path / "MAP.X3P").height.shape == (40, 50)
 
 
-@pytest.mark.parametrize("name", ["map.sur", "map", "map.x3p.bak", ".x3p"])
+@pytest.mark.parametrize("name", ["map.raw", "map", "map.x3p.bak", ".x3p"])
 def test_an_unknown_extension_is_refused_with_the_known_ones(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match=r"extension tells no known format.*x3p: \.x3p.*`surface\.format`"):
+    with pytest.raises(InputError, match=r"extension tells no known format.*\.txt.*\.x3p.*`surface\.format`"):
         read_surface(tmp_path / name)
 
 
 def test_an_unknown_format_is_refused(profile: Path) -> None:
-    with pytest.raises(InputError, match="found sur; accepted: text, x3p"):
-        read_surface(profile, "sur")
+    with pytest.raises(InputError, match="found raw; accepted: text, x3p"):
+        read_surface(profile, "raw")
 
 
 def test_an_option_of_another_format_is_refused(tmp_path: Path, asymmetric: xr.Dataset) -> None:

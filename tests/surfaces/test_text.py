@@ -290,3 +290,46 @@ def test_a_real_scan_with_mixed_units_is_read_as_stated(shared_data: Path) -> No
     assert found.attrs["pitch_x"] == pytest.approx(5)
     with pytest.raises(InputError, match="rms slope"):
         read_surface(path, unit="um")
+
+
+HFM = "X;Y;valid\n[mm];[um];[1/0]\n"
+
+
+def hfm(folder: Path, text: str) -> Path:
+    path = folder / "line.hfm"
+    path.write_text(text)
+    return path
+
+
+def test_an_hfm_profile_brings_its_units_and_its_gaps(tmp_path: Path) -> None:
+    z = np.sin(np.arange(100) / 5)
+    rows = "\n".join(f"{8 + 5e-4 * i:.4f};{z[i]:.6f};{int(i != 7)}" for i in range(100))
+    surface = read_surface(hfm(tmp_path, HFM + rows))
+    assert surface.attrs["pitch_x"] == pytest.approx(0.5)
+    np.testing.assert_allclose(np.delete(surface.height.values, 7), np.delete(z, 7), atol=1e-6)
+    assert np.isnan(surface.height.values[7])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("X;Y;Z\n[mm];[um];[1/0]\n1;2;1\n", "no HFM profile.*X;Y;valid"),
+        ("X;Y;valid\n[mm];[um]\n1;2;1\n", "no HFM profile"),
+        ("X;Y;valid\n[mm];[V];[1/0]\n1;2;1\n", "unknown unit; found 'V'"),
+        (HFM, "no HFM profile"),
+        (HFM + "1;2\n2;3\n", "no HFM profile; found 2 columns"),
+        (HFM + "1;2;1\n2;x;1\n", "line 4, column 2: not a number"),
+    ],
+)
+def test_other_files_called_hfm_are_refused_in_words(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_surface(hfm(tmp_path, text))
+
+
+def test_the_real_hfm_profile_has_its_printed_pitch(shared_data: Path) -> None:
+    surface = level(read_surface(shared_data / "surfaces" / "hfm-1.hfm"))
+    assert surface.attrs["pitch_x"] == pytest.approx(0.5, rel=1e-4)
+    # No published value: the deviation of the printed heights from their regression line, by numpy alone.
+    x, z, _ = np.loadtxt(shared_data / "surfaces" / "hfm-1.hfm", delimiter=";", skiprows=2).T
+    rest = (z - np.polyval(np.polyfit(x - x.mean(), z, 1), x - x.mean())) * 1e3
+    assert float(parameters(surface).Rq) == pytest.approx(rest.std(), rel=1e-6)

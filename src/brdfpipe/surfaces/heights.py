@@ -7,9 +7,10 @@ open. Their limits are wide: no finish of a plastic, paint or film comes near th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -27,6 +28,7 @@ LEVELS_MIN = 16
 MISSING_WARN = 0.01
 MISSING_MAX = 0.5
 SECTION_WARN = 2.0
+STEP_WARN = 30.0
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,21 @@ def surface_dataset(heights: Heights) -> xr.Dataset:
     surface = xr.Dataset(
         {"height": (dims, height, {"long_name": "height, not levelled"})},
         {dim: np.arange(count) * step for dim, count, step in zip(dims, height.shape, steps, strict=True)},
-        {**pitches, "levelling": "none", "band": _band(heights.pitch_x, heights.pitch_y)},
+        {**pitches, "levelling": "none", "band": band(pitches)},
     )
     return _with_notes(label(surface, "surface"), heights.history, heights.warnings)
+
+
+def band(attrs: Mapping[str, Any]) -> str:
+    """In words, what waves a surface holds, from its attributes ``pitch_x``, ``pitch_y``, ``lambda_s``, ``lambda_c`` [um]."""
+    pitch_x, pitch_y = attrs["pitch_x"], attrs.get("pitch_y")
+    square = pitch_y is None or abs(pitch_y - pitch_x) < 1e-3 * pitch_x
+    pitch = f"{pitch_x:.4g}" if square else f"{pitch_x:.4g} x {pitch_y:.4g}"
+    filters = [
+        f"{symbol} {attrs[name]:.4g} um" if name in attrs else f"no {symbol}"
+        for symbol, name in (("λs", "lambda_s"), ("λc", "lambda_c"))
+    ]
+    return f"{pitch} um pitch; {', '.join(filters)} filter"
 
 
 def examine(surface: xr.Dataset, file: Path) -> xr.Dataset:
@@ -72,7 +86,8 @@ def examine(surface: xr.Dataset, file: Path) -> xr.Dataset:
 
     Returns
     -------
-    The surface, with warnings for more than 1 % missing heights and for sections of unequal pitch (ratio above 2).
+    The surface, with warnings for more than 1 % missing heights, for sections of unequal pitch (ratio above 2) and for
+    spikes (slopes above 30 between two neighbours).
 
     Raises
     ------
@@ -91,8 +106,8 @@ def examine(surface: xr.Dataset, file: Path) -> xr.Dataset:
             found=f"{fraction:.1%}",
             accepted="at most 50 %; measure again, or export a part with fewer gaps",
         )
-    _check_heights(height, pitches, file)
-    return _with_notes(surface, (), _doubts(fraction, pitches))
+    steepest = _check_heights(height, pitches, file)
+    return _with_notes(surface, (), _doubts(fraction, pitches, steepest))
 
 
 def _with_notes(surface: xr.Dataset, history: Sequence[str], warnings: Sequence[str]) -> xr.Dataset:
@@ -130,7 +145,8 @@ def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path) -> Non
         )
 
 
-def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Path) -> None:
+def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Path) -> float:
+    """Refuse what cannot be heights; return the steepest slope between two neighbours."""
     if np.isinf(height).any():
         raise InputError(
             file,
@@ -148,7 +164,7 @@ def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Pat
             found=f"{levels} distinct values",
             accepted=f"{LEVELS_MIN} or more: a height channel (not intensity), exported with more digits",
         )
-    slope = _slope_rms(height, pitches)
+    slope, steepest = _slopes(height, pitches)
     if not SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
         raise InputError(
             file,
@@ -157,22 +173,31 @@ def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Pat
             accepted=f"{SLOPE_RANGE[0]:g} to {SLOPE_RANGE[1]:g}",
             key="surface.unit",
         )
+    return steepest
 
 
-def _slope_rms(height: NDArray[np.floating], pitches: list[float]) -> float:
-    """rms slope of the forward differences about their mean; 0 where no two neighbours are valid."""
-    variance = 0.0
-    for axis, pitch in enumerate(pitches):
-        steps = np.diff(height, axis=axis)
-        if np.isnan(height).any():
-            steps = steps[~np.isnan(steps)]
-        if steps.size:
-            variance += float(steps.var(dtype=np.float64)) / pitch**2
-    return math.sqrt(variance)
+def _slopes(height: NDArray[np.floating], pitches: list[float]) -> tuple[float, float]:
+    """rms slope of the forward differences about their mean, and the steepest; 0 where no two neighbours are valid."""
+    variance, steepest = 0.0, 0.0
+    # Damaged files hold any number; whatever overflows is no slope either.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for axis, pitch in enumerate(pitches):
+            steps = np.diff(height, axis=axis)
+            if np.isnan(height).any():
+                steps = steps[~np.isnan(steps)]
+            if steps.size:
+                variance += float(steps.var(dtype=np.float64)) / pitch**2
+                steepest = max(steepest, float(steps.max()) / pitch, -float(steps.min()) / pitch)
+    return math.sqrt(variance), steepest
 
 
-def _doubts(missing: float, pitches: list[float]) -> list[str]:
+def _doubts(missing: float, pitches: list[float], steepest: float) -> list[str]:
     doubts = []
+    if steepest > STEP_WARN:
+        doubts.append(
+            f"Two neighbouring heights differ by a slope of {steepest:.3g}: a spike or a damaged height; "
+            "mark it as missing in the instrument's software, or measure again."
+        )
     if missing > MISSING_WARN:
         doubts.append(
             f"{missing:.1%} of the heights are missing, likely the steepest: the slopes may be understated; "
@@ -185,8 +210,3 @@ def _doubts(missing: float, pitches: list[float]) -> list[str]:
             "measure with equal pitches."
         )
     return doubts
-
-
-def _band(pitch_x: float, pitch_y: float | None) -> str:
-    square = pitch_y is None or abs(pitch_y - pitch_x) < 1e-3 * pitch_x
-    return (f"{pitch_x:.4g}" if square else f"{pitch_x:.4g} x {pitch_y:.4g}") + " um pitch; no λs, no λc filter"

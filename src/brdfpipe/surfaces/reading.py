@@ -1,4 +1,4 @@
-"""Which reader reads a file, and the stage that turns a file into a levelled surface.
+"""Which reader reads a file, and the stage that turns a file into a levelled and filtered surface.
 
 The format follows from the extension or from the material file, never from trying readers until one succeeds: corrupt files
 and files of another kind would open as something.
@@ -9,15 +9,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
-from brdfpipe.errors import InputError
+from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.surfaces.arrays import read_npy, read_npz
+from brdfpipe.surfaces.filtering import high_pass, low_pass
 from brdfpipe.surfaces.heights import Heights, examine, surface_dataset
+from brdfpipe.surfaces.instruments import INSTRUMENTS, read_instrument
 from brdfpipe.surfaces.levelling import level
-from brdfpipe.surfaces.text import read_text
+from brdfpipe.surfaces.text import read_hfm, read_text
 from brdfpipe.surfaces.x3p import read_x3p
 
 
@@ -30,13 +34,28 @@ class Format:
     options: tuple[str, ...] = ()
 
 
+_UNSTATED = ("unit", "lateral_unit", "pitch")
+
 FORMATS: Mapping[str, Format] = {
-    "text": Format(read_text, (".txt", ".csv", ".dat", ".asc", ".xyz"), ("layout", "unit", "lateral_unit", "pitch")),
+    "text": Format(read_text, (".txt", ".csv", ".dat", ".asc", ".xyz"), ("layout", *_UNSTATED)),
     "x3p": Format(read_x3p, (".x3p",)),
+    "npy": Format(read_npy, (".npy",), _UNSTATED),
+    "npz": Format(read_npz, (".npz",), _UNSTATED),
+    "hfm": Format(read_hfm, (".hfm",)),
+    **{
+        name: Format(partial(read_instrument, format=name), instrument.extensions, ("channel",))
+        for name, instrument in INSTRUMENTS.items()
+    },
 }
 """To add a format, write a reader that returns :class:`~brdfpipe.surfaces.heights.Heights` and name it here."""
 
-_INGEST_KEYS = ("file", "format", "form", "isotropic")
+_STEPS: Mapping[str, Callable[[xr.Dataset, Any], xr.Dataset]] = {
+    "form": level,
+    "lambda_s": low_pass,
+    "lambda_c": high_pass,
+}
+"""Key of the material file → what it asks for, in order."""
+_OTHER_KEYS = ("file", "format", "isotropic")
 
 
 def read_surface(path: str | os.PathLike[str], format: str | None = None, **options: Any) -> xr.Dataset:
@@ -45,10 +64,10 @@ def read_surface(path: str | os.PathLike[str], format: str | None = None, **opti
     Parameters
     ----------
     path : the file
-    format : ``text`` or ``x3p``; by default from the extension
-    **options : of the text format alone: ``layout`` (``line``, ``grid``, ``xyz``), ``unit`` of the heights and
-        ``lateral_unit`` (nm, um, mm, m), ``pitch`` (number or pair [x, y], in ``lateral_unit``); see
-        :func:`brdfpipe.surfaces.text.read_text`
+    format : a key of :data:`FORMATS`; by default from the extension
+    **options : what the format does not state itself. Text and NumPy: ``unit`` of the heights and ``lateral_unit`` (nm, um,
+        mm, m), ``pitch`` (number or pair [x, y], in ``lateral_unit``); text alone: ``layout`` (``line``, ``grid``,
+        ``xyz``); instruments' formats: ``channel``, the name of a height channel where there are several
 
     Returns
     -------
@@ -77,28 +96,35 @@ def read_surface(path: str | os.PathLike[str], format: str | None = None, **opti
 
 
 def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
-    """The stage ``surface``: read, check and level a file as a material's ``surface`` mapping says.
+    """The stage ``surface``: read, check, level and filter a file as a material's ``surface`` mapping says.
 
     Parameters
     ----------
     path : the file that ``spec["file"]`` names, resolved
-    spec : ``format``, ``layout``, ``unit``, ``lateral_unit``, ``pitch``, ``form`` (default plane); what other
-        stages read of the same mapping (``isotropic``) is passed over
+    spec : ``format`` and the reading options of :func:`read_surface`; ``form`` to level by (default plane); ``lambda_s`` and
+        ``lambda_c``, cutoffs [um] of a low-pass and a high-pass filter (default none); what other stages read of the same
+        mapping (``isotropic``) is passed over
 
     Returns
     -------
-    Dataset of kind ``surface``, levelled.
+    Dataset of kind ``surface``, levelled, then smoothed by λs, then freed of the waviness above λc.
 
     Raises
     ------
-    InputError : as :func:`read_surface`; or the form is not known.
+    InputError : as :func:`read_surface`; or the form is not known or not fixed by the heights; or a cutoff that the pitch or
+        the extent does not carry.
     """
-    options = {key: value for key, value in spec.items() if key not in _INGEST_KEYS}
+    options = {key: value for key, value in spec.items() if key not in (*_OTHER_KEYS, *_STEPS)}
     surface = read_surface(path, spec.get("format"), **options)
-    form = spec.get("form") or "plane"
-    if form not in ("plane", "none"):
-        raise InputError(Path(path), "unknown form to level by", found=form, accepted="plane, none", key="surface.form")
-    return level(surface, form)
+    asked = {"form": "plane"} | {key: spec[key] for key in _STEPS if spec.get(key) is not None}
+    for key, step in _STEPS.items():
+        if key not in asked:
+            continue
+        try:
+            surface = step(surface, asked[key])
+        except BrdfpipeError as error:
+            raise InputError(Path(path), str(error), key=f"surface.{key}") from error
+    return surface
 
 
 def _format_name(path: Path, name: str | None) -> str:
@@ -113,7 +139,6 @@ def _format_name(path: Path, name: str | None) -> str:
         path,
         "the extension tells no known format",
         found=path.suffix or "none",
-        accepted="; ".join(f"{key}: {' '.join(known.extensions)}" for key, known in FORMATS.items())
-        + " (most instruments export X3P or text)",
+        accepted=", ".join(suffix for known in FORMATS.values() for suffix in known.extensions),
         key="surface.format",
     )

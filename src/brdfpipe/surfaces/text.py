@@ -1,4 +1,4 @@
-"""Delimited text: a line of heights, a grid of heights, or points x y z.
+"""Delimited text: a line of heights, a grid of heights, or points x y z; and HFM, which is text too.
 
 The layout, the separator and the decimal mark each follow from a fixed rule, so that a damaged file is refused and not read
 as something else. Whole columns are handled at once; no point is looked at on its own.
@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
 from brdfpipe.surfaces.heights import Heights
+from brdfpipe.surfaces.units import needed_steps, pitch_steps, scales
 
-UNITS = {"nm": 1e-3, "um": 1.0, "µm": 1.0, "μm": 1.0, "mm": 1e3, "m": 1e6}
-"""Unit → µm."""
 LAYOUTS = ("line", "grid", "xyz")
 
 _MAX_BYTES = 2**31
 _MISSING = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "-", "--", "---", "BAD", "bad"]
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|nan|\*+", re.IGNORECASE | re.ASCII)
 _SETTING = re.compile(r"[ \t]*[#%]+[ \t]*(unit|lateral_unit|pitch)[ \t]*[:=][ \t]*(.*)", re.IGNORECASE)
+_PITCH_SETTING = "a line `# pitch: 0.5 0.5`"
 _TWO_PERCENT = 0.02
 
 
@@ -82,9 +82,9 @@ def read_text(
         raise InputError(path, "unknown layout", found=layout, accepted=", ".join(LAYOUTS), key="surface.layout")
     text, notes = _decode(path)
     body = _split_header(text, path)
-    height_scale, lateral_scale = _scales(path, body.settings, unit, lateral_unit)
+    height_scale, lateral_scale = scales(path, body.settings, unit, lateral_unit, setting="a line `# unit: um`")
     table = _table(body, path)
-    steps = _pitch(path, body.settings, pitch)
+    steps = pitch_steps(path, body.settings, pitch)
     chosen = layout or _default_layout(table)
     read = {"line": _line, "grid": _grid, "xyz": _xyz}[chosen]
     height, pitch_x, pitch_y, remarks = read(table, steps, path)
@@ -95,6 +95,42 @@ def read_text(
         None if pitch_y is None else pitch_y * lateral_scale,
         (*notes, *body.notes, *remarks),
     )
+
+
+def read_hfm(path: Path) -> Heights:
+    """Read a line profile in the text form HFM: x, z and whether z is valid, under a line of titles and one of units.
+
+    Parameters
+    ----------
+    path : text that starts with ``X;Y;valid`` and ``[mm];[mm];[1/0]``, or other units
+
+    Returns
+    -------
+    Heights [um] in float64; NaN where the file calls a height invalid
+
+    Raises
+    ------
+    InputError : another header, or as :func:`read_text`.
+    """
+    text, notes = _decode(path)
+    titles, units, rows = [*text.split("\n", 2), "", ""][:3]
+    named = re.fullmatch(r"\s*\[(\S+)\];\[(\S+)\];\[1/0\]\s*", units)
+    if titles.strip() != "X;Y;valid" or named is None or not rows.strip():
+        raise InputError(
+            path,
+            "no HFM profile",
+            found=repr(f"{titles.strip()} {units.strip()}"[:60]),
+            accepted="rows of numbers under the lines X;Y;valid and [mm];[mm];[1/0]",
+            key="surface.format",
+        )
+    x_unit, z_unit = named.groups()
+    z_scale, x_scale = scales(path, {}, z_unit, x_unit, setting="a line [mm];[mm];[1/0]")
+    table = _table(_Body(rows, 3, {}, ()), path)
+    if table.shape[1] != 3:
+        raise InputError(path, "no HFM profile", found=f"{table.shape[1]} columns", accepted="x, z and valid")
+    profile = np.column_stack([table[:, 0], np.where(table[:, 2] == 1, table[:, 1], np.nan)])
+    height, pitch, _, remarks = _line(profile, (), path)
+    return Heights(height * z_scale, pitch * x_scale, None, (*notes, *remarks))
 
 
 def _decode(path: Path) -> tuple[str, tuple[str, ...]]:
@@ -159,41 +195,6 @@ def _without_comments(text: str) -> str:
         text = re.sub(r"[#%].*", "", text)
     # A run of asterisks is a missing height, however long.
     return re.sub(r"\*+", "nan", text) if "*" in text else text
-
-
-def _scales(path: Path, settings: dict[str, str], unit: str | None, lateral_unit: str | None) -> tuple[float, float]:
-    """Heights and positions → µm."""
-    unit = unit or settings.get("unit")
-    if unit is None:
-        raise InputError(
-            path,
-            "the unit of the heights is not known",
-            accepted="nm, um, mm, m, or a line `# unit: um` in the file",
-            key="surface.unit",
-        )
-    lateral_unit = lateral_unit or settings.get("lateral_unit") or unit
-    for key, value in (("unit", unit), ("lateral_unit", lateral_unit)):
-        if value not in UNITS:
-            raise InputError(
-                path, "unknown unit", found=repr(value)[:60], accepted="nm, um, mm, m", key=f"surface.{key}"
-            )
-    return UNITS[unit], UNITS[lateral_unit]
-
-
-def _pitch(path: Path, settings: dict[str, str], pitch: Any) -> tuple[float, ...]:
-    """The stated pitch in x and, where stated, in y; empty where none is stated."""
-    if pitch is None:
-        pitch = [part.replace(",", ".") for part in re.split(r"[;\s]+", settings.get("pitch", "")) if part]
-    parts = pitch if isinstance(pitch, (list, tuple, np.ndarray)) else [pitch]
-    try:
-        steps = tuple(float(part) for part in parts)
-    except (TypeError, ValueError):
-        steps = (math.nan,)
-    if len(steps) > 2 or not all(math.isfinite(step) and step > 0 for step in steps):
-        raise InputError(
-            path, "no pitch", found=repr(pitch)[:60], accepted="a length above 0, or two: [x, y]", key="surface.pitch"
-        )
-    return steps
 
 
 def _table(body: _Body, path: Path) -> NDArray[np.float64]:
@@ -318,7 +319,7 @@ def _line(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _
     if len(table) == 1:
         table = table.T
     if table.shape[1] == 1:
-        return table[:, 0], _needed(steps, path)[0], None, ()
+        return table[:, 0], needed_steps(path, steps, setting=_PITCH_SETTING)[0], None, ()
     if table.shape[1] != 2:
         raise InputError(
             path,
@@ -338,7 +339,7 @@ def _line(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _
 
 
 def _grid(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _Read:
-    pitch = _needed(steps, path)
+    pitch = needed_steps(path, steps, setting=_PITCH_SETTING)
     return table, pitch[0], pitch[-1], ()
 
 
@@ -417,17 +418,6 @@ def _printed_step(positions: NDArray[np.float64]) -> float:
         if (np.abs(scaled - np.round(scaled)) <= 1e-9 * scaled).all():
             return float(scale / 10**digits)
     return 0.0
-
-
-def _needed(steps: tuple[float, ...], path: Path) -> tuple[float, ...]:
-    if not steps:
-        raise InputError(
-            path,
-            "the pitch is not known",
-            accepted="a length or [x, y] in surface.lateral_unit, or a line `# pitch: 0.5 0.5`",
-            key="surface.pitch",
-        )
-    return steps
 
 
 def _check_agreement(stated: tuple[float, ...], found: tuple[float, ...], path: Path) -> None:

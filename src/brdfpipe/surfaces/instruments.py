@@ -1,0 +1,210 @@
+"""Instruments' own file formats, read by the library SurfaceTopography (the optional extra ``instruments``).
+
+The library is told the format and never asked to guess it: asked, it opens empty files, random bytes and damaged archives as
+something. What it returns is checked and turned into our terms; it is imported when such a file is read, not before.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import warnings
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdfpipe.errors import InputError
+from brdfpipe.surfaces.heights import PITCH_RANGE, Heights
+
+LIBRARY = "SurfaceTopography"
+
+_MAX_BYTES = 2**31
+_MAX_POINTS = 2**28
+_MAX_RATIO = 200
+_RATIO_FROM = 2**24
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """A file format of instruments: whose it is, and the extensions that tell it; without any it must be named."""
+
+    title: str
+    extensions: tuple[str, ...]
+
+
+INSTRUMENTS: Mapping[str, Instrument] = {
+    "al3d": Instrument("Alicona AL3D", (".al3d",)),
+    "datx": Instrument("Zygo DATX", (".datx",)),
+    "frt": Instrument("FRT MicroProf", (".frt",)),
+    "gwy": Instrument("Gwyddion GWY", (".gwy",)),
+    # .dat is text more often than not.
+    "metropro": Instrument("Zygo MetroPro DAT", ()),
+    "mitutoyo": Instrument("Mitutoyo SurfTest workbook", (".xlsx",)),
+    "mnt": Instrument("Digital Surf MNT", (".mnt",)),
+    "nms": Instrument("NanoFocus NMS", (".nms",)),
+    "opd": Instrument("Wyko OPD", (".opd",)),
+    "opdx": Instrument("Bruker OPDx", (".opdx",)),
+    "plu": Instrument("Sensofar PLU", (".plu", ".apx")),
+    "plux": Instrument("Sensofar PLUX", (".plux",)),
+    "sdf": Instrument("ISO 25178-71 SDF", (".sdf",)),
+    "sur": Instrument("Digital Surf SUR", (".sur",)),
+    "vk": Instrument("Keyence VK", (".vk3", ".vk4", ".vk6", ".vk7")),
+    "zon": Instrument("Keyence ZON", (".zon",)),
+}
+"""Format, called as the library calls it → what it is. Left out are formats of scanning probes, and text in any guise."""
+
+
+def read_instrument(path: Path, format: str, *, channel: str | None = None) -> Heights:
+    """Read a height map or a line profile from an instrument's own file.
+
+    Parameters
+    ----------
+    path : the file
+    format : a key of :data:`INSTRUMENTS`
+    channel : the name of the height channel; by default the first of the file
+
+    Returns
+    -------
+    Heights [um] in float64, ``height[y, x]``, the first row of the image at y = 0; masked and infinite heights are NaN
+
+    Raises
+    ------
+    InputError : the extra is not installed; no such file; damaged or of another format; no channel of heights, or none of
+        this name; unit or pitch not stated; positions not at constant pitch.
+    """
+    library = _library(path)
+    title = INSTRUMENTS[format].title
+    try:
+        with path.open("rb") as handle, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            _check_size(path)
+            reader = library.lookup_reader_by_format[format](handle)
+            chosen, history = _height_channel(reader.channels, channel, path)
+            topography = chosen.topography()
+            height, missing = _height_array(topography.heights())
+            unit_scale = _unit_scale(topography.unit, path)
+            pitches = _pitches(topography, path)
+    except InputError:
+        raise
+    # A reader may fail in any way on what it was not written for; whatever it is, the file is not what it claims.
+    except Exception as error:
+        raise _refusal(path, title, error) from error
+    pitches, remarks = _corrected(format, [pitch * unit_scale for pitch in pitches])
+    height *= unit_scale
+    pitch_y = pitches[1] if height.ndim == 2 else None
+    return Heights(height, pitches[0], pitch_y, (f"Read as {title}.", *history, *missing, *remarks))
+
+
+def _library(path: Path) -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return importlib.import_module(f"{LIBRARY}.IO")
+    except ImportError as error:
+        raise InputError(
+            path,
+            f"this format is read by {LIBRARY}, which is not installed",
+            accepted="X3P, text or NumPy; or first `make instruments`, elsewhere `pip install 'brdfpipe[instruments]'`",
+        ) from error
+
+
+def _check_size(path: Path) -> None:
+    size = path.stat().st_size
+    if size > _MAX_BYTES:
+        raise InputError(path, "the file is too large", found=f"{size >> 20} MiB", accepted=f"{_MAX_BYTES >> 20} MiB")
+    if not zipfile.is_zipfile(path):
+        return
+    with zipfile.ZipFile(path) as archive:
+        inflated = sum(entry.file_size for entry in archive.infolist())
+    if inflated > _MAX_BYTES or inflated > max(_RATIO_FROM, _MAX_RATIO * size):
+        raise InputError(
+            path,
+            "the archive is suspiciously large",
+            found=f"{inflated >> 20} MiB",
+            accepted=f"up to {_MAX_BYTES >> 20} MiB, compressed at most {_MAX_RATIO} times",
+        )
+
+
+def _height_channel(channels: Sequence[Any], name: str | None, path: Path) -> tuple[Any, list[str]]:
+    """The channel to read, and what is to be said about the choice."""
+    heights = [channel for channel in channels if channel.data_kind.name == "HEIGHT"]
+    names = ", ".join(channel.name for channel in heights)[:200]
+    chosen = heights[:1] if name is None else [channel for channel in heights if channel.name == name][:1]
+    if not chosen:
+        raise InputError(
+            path,
+            "no channel of heights" if name is None else "no such channel of heights",
+            found=repr(name) if name else f"{len(channels)} channels",
+            accepted=names or "a file with a height map",
+            key="surface.channel",
+        )
+    points = math.prod(chosen[0].nb_grid_pts or (1,))
+    if points > _MAX_POINTS:
+        raise InputError(path, "too many points", found=points, accepted=f"up to {_MAX_POINTS}")
+    several = len(heights) > 1 and name is None
+    return chosen[0], [f"Took the first of the height channels {names}."] if several else []
+
+
+def _height_array(heights: NDArray[Any]) -> tuple[NDArray[np.float64], list[str]]:
+    """(y, x) or (x,), NaN where masked or infinite, in a copy of our own; and what was put right."""
+    height = np.ma.filled(np.ma.asarray(heights).astype(np.float64), np.nan)
+    # The library counts x first.
+    height = np.ascontiguousarray(height.reshape(-1) if 1 in height.shape else height.T)
+    infinite = np.isinf(height)
+    height[infinite] = np.nan
+    return height, [f"{np.count_nonzero(infinite)} infinite heights taken as missing."] if infinite.any() else []
+
+
+def _unit_scale(unit: str | None, path: Path) -> float:
+    """Unit of the file → µm."""
+    conversion = importlib.import_module(f"{LIBRARY}.Support.UnitConversion")
+    if not isinstance(unit, str) or not conversion.is_length_unit(unit):
+        raise InputError(
+            path,
+            "the file states no unit of length",
+            found=repr(unit)[:60] if unit else None,
+            accepted="a file with units; or export it as X3P, or as text with surface.unit",
+        )
+    return float(conversion.get_unit_conversion_factor(unit, "µm"))
+
+
+def _pitches(topography: Any, path: Path) -> list[float]:
+    """Pitch in x and, of a map, in y, in the file's unit."""
+    if not topography.is_uniform:
+        raise InputError(
+            path, "the positions are unevenly spaced", accepted="a constant pitch: resample, or export it as text"
+        )
+    if topography.physical_sizes is None:
+        raise InputError(
+            path,
+            "the file states no pitch",
+            accepted="a file with a lateral scale; or export it as text with surface.pitch",
+        )
+    sizes, counts = np.ravel(topography.physical_sizes), np.ravel(topography.nb_grid_pts)
+    return [float(size) / int(count) for size, count in zip(sizes, counts, strict=True)]
+
+
+def _corrected(format: str, pitches: list[float]) -> tuple[list[float], list[str]]:
+    """The pitches [um], put right where the library is known to mistake them."""
+    as_nanometres = [pitch * 1e-6 for pitch in pitches]
+    low, high = PITCH_RANGE
+    if format != "nms" or any(pitch <= high for pitch in pitches) or any(pitch < low for pitch in as_nanometres):
+        return pitches, []
+    stated = " x ".join(f"{pitch * 1e-3:.6g}" for pitch in pitches)
+    return as_nanometres, [f"The pitch {stated} taken in nm, not in mm: in mm no area could be that large."]
+
+
+def _refusal(path: Path, title: str, error: Exception) -> InputError:
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return InputError(path, f"cannot be read ({error.strerror})")
+    # The library's own words name what it misses; those of others may name folders.
+    told = type(error).__module__.startswith(LIBRARY) and str(error).strip()
+    words = str(error).strip().splitlines()[0][:120].replace(str(path), path.name) if told else type(error).__name__
+    return InputError(
+        path, f"not a {title} file, or damaged", found=words, accepted="a whole file", key="surface.format"
+    )

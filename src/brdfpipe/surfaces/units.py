@@ -1,0 +1,88 @@
+"""Units and pitches that a file does not state itself, from the material file or from settings inside the file."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from brdfpipe.errors import InputError
+
+UNITS = {"nm": 1e-3, "um": 1.0, "µm": 1.0, "μm": 1.0, "mm": 1e3, "m": 1e6}
+"""Unit → µm."""
+
+
+def scales(
+    path: Path, settings: Mapping[str, str], unit: str | None, lateral_unit: str | None, *, setting: str
+) -> tuple[float, float]:
+    """Heights and positions → µm.
+
+    Parameters
+    ----------
+    path : for the message
+    settings : what the file itself says of ``unit`` and ``lateral_unit``
+    unit, lateral_unit : what the material file says; it counts more. Positions are in the unit of the heights if nothing
+        else is said
+    setting : how this kind of file states a unit, for the message
+
+    Raises
+    ------
+    InputError : the unit of the heights is not known, or one of the units is none.
+    """
+    unit = unit or settings.get("unit")
+    if unit is None:
+        raise InputError(
+            path,
+            "the unit of the heights is not known",
+            accepted=f"nm, um, mm, m, or {setting} in the file",
+            key="surface.unit",
+        )
+    lateral_unit = lateral_unit or settings.get("lateral_unit") or unit
+    for key, value in (("unit", unit), ("lateral_unit", lateral_unit)):
+        if value not in UNITS:
+            raise InputError(
+                path, "unknown unit", found=repr(value)[:60], accepted="nm, um, mm, m", key=f"surface.{key}"
+            )
+    return UNITS[unit], UNITS[lateral_unit]
+
+
+def pitch_steps(path: Path, settings: Mapping[str, str], pitch: Any) -> tuple[float, ...]:
+    """The stated pitch in x and, where stated, in y; empty where none is stated.
+
+    Raises
+    ------
+    InputError : what is stated is no length, or more than two.
+    """
+    if pitch is None:
+        pitch = [part.replace(",", ".") for part in re.split(r"[;\s]+", settings.get("pitch", "")) if part]
+    parts = pitch if isinstance(pitch, (list, tuple, np.ndarray)) else [pitch]
+    try:
+        steps = tuple(float(part) for part in parts)
+    except (TypeError, ValueError):
+        steps = (math.nan,)
+    if len(steps) > 2 or not all(math.isfinite(step) and step > 0 for step in steps):
+        raise InputError(
+            path, "no pitch", found=repr(pitch)[:60], accepted="a length above 0, or two: [x, y]", key="surface.pitch"
+        )
+    return steps
+
+
+def needed_steps(path: Path, steps: Sequence[float], *, setting: str) -> tuple[float, ...]:
+    """The stated pitch, of files that have no positions.
+
+    Raises
+    ------
+    InputError : none is stated.
+    """
+    if not steps:
+        raise InputError(
+            path,
+            "the pitch is not known",
+            accepted=f"a length or [x, y] in surface.lateral_unit, or {setting} in the file",
+            key="surface.pitch",
+        )
+    return tuple(steps)

@@ -1,0 +1,228 @@
+"""Instruments' formats: the right orientation, unit and gaps from each, and words where the library has none."""
+
+from __future__ import annotations
+
+import sys
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import instrument_files
+import numpy as np
+import pytest
+import xarray as xr
+
+from brdfpipe.errors import InputError
+from brdfpipe.surfaces import ingest, instruments, level, parameters, read_surface
+
+
+@pytest.fixture
+def library() -> Any:
+    return pytest.importorskip("SurfaceTopography.IO", reason="the extra `instruments` is not installed")
+
+
+@pytest.mark.usefixtures("library")
+@pytest.mark.parametrize("suffix", instrument_files.WRITERS)
+def test_a_map_keeps_its_orientation_its_scale_and_its_gaps(
+    tmp_path: Path, asymmetric: xr.Dataset, suffix: str
+) -> None:
+    height = asymmetric.height.values
+    path = tmp_path / f"map.{suffix}"
+    path.write_bytes(instrument_files.WRITERS[suffix](height))
+    found = read_surface(path)
+    expected = height if suffix in instrument_files.MARKS_MISSING else np.nan_to_num(height, nan=np.nanmin(height))
+    # Integers of 1e-4 um, or single precision.
+    np.testing.assert_allclose(found.height, expected, rtol=0, atol=5.1e-5)
+    assert (found.attrs["pitch_x"], found.attrs["pitch_y"]) == pytest.approx(instrument_files.PITCH, rel=1e-6)
+
+
+@pytest.mark.usefixtures("library")
+@pytest.mark.parametrize(
+    ("name", "options", "shape", "pitch", "heights", "slope", "missing"),
+    [
+        ("opd-1.opd", {}, (480, 640), (0.1967, 0.1967), 0.0067, 0.0181, 0.0004),
+        ("al3d-1.al3d", {}, (296, 200), (0.438, 0.438), 0.290, 0.090, 0),
+        ("plu-1.plu", {}, (576, 768), (1.66, 1.66), 0.0183, 0.0046, 0),
+        ("frt-1.frt", {}, (500, 500), (24, 24), 4.40, 0.0126, 0.3058),
+        ("x3p-2.x3p", {}, (650, 650), (0.1277, 0.3146), 0.077, 0.062, 0),
+        ("dektak-1.csv", {"unit": "um"}, (9600,), (0.15625,), 0.094, 0.0095, 0),
+        ("hfm-1.hfm", {}, (9600,), (0.5,), None, None, 0),
+        ("mitutoyo_2_mock.xlsx", {}, (6664,), (1.5,), None, None, 0),
+        ("nms-2.nms", {}, (512, 512), (0.3125, 0.3125), None, None, 0),
+        ("nanovea_test1.txt", {"unit": "um", "lateral_unit": "mm"}, (101, 101), (5, 5), None, None, 0),
+    ],
+)
+def test_real_files_give_the_known_roughness(
+    shared_data: Path,
+    name: str,
+    options: dict[str, str],
+    shape: tuple[int, ...],
+    pitch: tuple[float, ...],
+    heights: float | None,
+    slope: float | None,
+    missing: float,
+) -> None:
+    surface = read_surface(shared_data / "surfaces" / name, **options)
+    assert surface.height.shape == shape
+    assert [surface.attrs[f"pitch_{dim}"] for dim in ("x", "y")[: len(shape)]] == pytest.approx(pitch, rel=1e-3)
+    found = parameters(level(surface))
+    assert float(found.missing_fraction) == pytest.approx(missing, abs=5e-5)
+    if heights is not None:
+        letter = "S" if len(shape) == 2 else "R"
+        # Reference values, levelled by a plane and taken over four triangles, are given to two or three digits.
+        assert float(found[f"{letter}q"]) == pytest.approx(heights, rel=0.02)
+        assert float(found[f"{letter}dq"]) == pytest.approx(slope, rel=0.02)
+
+
+@pytest.mark.usefixtures("library")
+def test_the_real_al3d_map_lies_as_its_bytes_do(shared_data: Path) -> None:
+    path = shared_data / "surfaces" / "al3d-1.al3d"
+    # The depth image stands before the texture, row by row, at an offset its tags name.
+    content = path.read_bytes()
+    offset = int(content[content.index(b"DepthImageOffset") + 20 :][:30].strip(b"\0 "))
+    raw = np.frombuffer(content, "<f4", 200 * 296, offset).reshape(296, 200) * 1e6
+    np.testing.assert_allclose(read_surface(path).height, raw, rtol=1e-6)
+
+
+@pytest.mark.usefixtures("library")
+def test_a_third_missing_stays_missing_through_the_whole_stage(shared_data: Path) -> None:
+    path = shared_data / "surfaces" / "frt-1.frt"
+    gaps = np.isnan(read_surface(path).height.values)
+    surface = ingest(path, {"form": "polynomial-2", "lambda_s": 100.0, "lambda_c": 2500.0})
+    np.testing.assert_array_equal(np.isnan(surface.height), gaps)
+    assert surface.attrs["levelling"] == "polynomial-2"
+    assert surface.attrs["band"] == "24 um pitch; λs 100 um, λc 2500 um filter"
+    assert 0 < float(parameters(surface).Sq) < 4.40
+
+
+@pytest.mark.usefixtures("library")
+def test_the_pitch_of_nms_files_is_put_right_and_said(shared_data: Path) -> None:
+    surface = read_surface(shared_data / "surfaces" / "nms-2.nms")
+    assert "312.5 x 312.5 taken in nm, not in mm" in surface.attrs["history"]
+
+
+def test_a_plausible_pitch_of_nms_files_is_left_alone() -> None:
+    assert instruments._corrected("nms", [0.5, 0.7]) == ([0.5, 0.7], [])
+    assert instruments._corrected("nms", [5e8, 0.7]) == ([5e8, 0.7], [])
+    assert instruments._corrected("sur", [5e5, 7e5]) == ([5e5, 7e5], [])
+
+
+@pytest.mark.usefixtures("library")
+def test_every_format_is_one_the_library_reads(library: Any) -> None:
+    for name, instrument in instruments.INSTRUMENTS.items():
+        known = library.lookup_reader_by_format[name].file_extensions()
+        assert {suffix.removeprefix(".") for suffix in instrument.extensions} <= set(known)
+
+
+def test_without_the_extra_the_refusal_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "SurfaceTopography.IO", None)
+    (tmp_path / "map.opd").write_bytes(b"x")
+    with pytest.raises(InputError, match=r"^map\.opd: .*not installed.*pip install 'brdfpipe\[instruments\]'"):
+        read_surface(tmp_path / "map.opd")
+
+
+def test_the_library_is_not_imported_for_other_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "SurfaceTopography.IO", None)
+    (tmp_path / "line.txt").write_text("\n".join(f"{np.sin(i / 5):.6f}" for i in range(100)))
+    assert read_surface(tmp_path / "line.txt", unit="um", pitch=1).sizes["x"] == 100
+
+
+@pytest.mark.usefixtures("library")
+def test_a_file_of_another_kind_is_refused_in_words(tmp_path: Path) -> None:
+    (tmp_path / "map.opd").write_text("not at all")
+    with pytest.raises(InputError, match=r"^map\.opd: not a Wyko OPD file, or damaged.*`surface\.format`"):
+        read_surface(tmp_path / "map.opd")
+    with pytest.raises(InputError, match=r"^absent\.opd: cannot be read"):
+        read_surface(tmp_path / "absent.opd")
+
+
+def channel(name: str, values: np.ndarray, **changes: Any) -> SimpleNamespace:
+    """What the library hands out for a channel of heights, x first."""
+    properties: dict[str, Any] = {
+        "unit": "nm",
+        "is_uniform": True,
+        "nb_grid_pts": values.shape,
+        "physical_sizes": [500.0 * count for count in values.shape],
+        "heights": lambda: values,
+    }
+    topography = SimpleNamespace(**{**properties, **changes})
+    kind = SimpleNamespace(name=changes.get("kind", "HEIGHT"))
+    return SimpleNamespace(name=name, data_kind=kind, nb_grid_pts=topography.nb_grid_pts, topography=lambda: topography)
+
+
+@pytest.fixture
+def rigged(library: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Read a file for which the library hands out the channels given."""
+
+    def read(*channels: SimpleNamespace, **options: Any) -> xr.Dataset:
+        reader = SimpleNamespace(channels=list(channels))
+        monkeypatch.setitem(library.lookup_reader_by_format, "opd", lambda handle: reader)
+        (tmp_path / "map.opd").write_bytes(b"x")
+        return read_surface(tmp_path / "map.opd", **options)
+
+    return read
+
+
+@pytest.fixture
+def values(asymmetric: xr.Dataset) -> np.ndarray:
+    return np.nan_to_num(asymmetric.height.values.T * 1e3)
+
+
+def test_masked_and_infinite_heights_are_missing(rigged: Any, values: np.ndarray) -> None:
+    values[1, 2], values[3, 4] = np.inf, -np.inf
+    mask = np.zeros(values.shape, dtype=bool)
+    mask[5, 6] = True
+    surface = rigged(channel("Raw", np.ma.masked_array(values, mask)))
+    assert np.argwhere(np.isnan(surface.height.values)).tolist() == [[2, 1], [4, 3], [6, 5]]
+    assert "2 infinite heights taken as missing." in surface.attrs["history"]
+
+
+def test_the_first_height_channel_is_taken_unless_one_is_named(rigged: Any, values: np.ndarray) -> None:
+    channels = [
+        channel("Light", values, kind="OTHER"),
+        channel("Forward", values),
+        channel("Backward", 2 * values),
+    ]
+    first, named = rigged(*channels), rigged(*channels, channel="Backward")
+    np.testing.assert_allclose(first.height, values.T * 1e-3, rtol=1e-12)
+    np.testing.assert_allclose(named.height, values.T * 2e-3, rtol=1e-12)
+    assert "first of the height channels Forward, Backward" in first.attrs["history"]
+    with pytest.raises(
+        InputError, match=r"no such channel of heights; found 'Light'.*Forward, Backward.*surface\.channel"
+    ):
+        rigged(*channels, channel="Light")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": "PHASE"}, "no channel of heights; found 1 channels"),
+        ({"unit": None}, "states no unit of length"),
+        ({"unit": "V"}, "states no unit of length; found 'V'"),
+        ({"physical_sizes": None}, "states no pitch"),
+        ({"physical_sizes": [5e9, 5e9]}, "pitch along . cannot be right"),
+        ({"is_uniform": False}, "unevenly spaced"),
+        ({"nb_grid_pts": (10**6, 10**6)}, "too many points"),
+        ({"heights": lambda: np.zeros((50, 40))}, "quantised to a few levels"),
+        ({"heights": lambda: 1 / 0}, "not a Wyko OPD file, or damaged; found ZeroDivisionError"),
+    ],
+)
+def test_what_the_library_hands_out_is_checked(
+    rigged: Any, values: np.ndarray, changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        rigged(channel("Raw", values, **changes))
+
+
+@pytest.mark.parametrize("shape", [(-1,), (-1, 1), (1, -1)])
+def test_one_row_is_a_line(rigged: Any, values: np.ndarray, shape: tuple[int, ...]) -> None:
+    surface = rigged(channel("Raw", values.reshape(shape)))
+    assert surface.height.dims == ("x",)
+
+
+def test_a_zip_bomb_is_refused_before_the_library_sees_it(library: Any, tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "map.plux", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("index.xml", bytes(2**25))
+    with pytest.raises(InputError, match="suspiciously large"):
+        read_surface(tmp_path / "map.plux")
