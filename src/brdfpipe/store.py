@@ -54,7 +54,7 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
         raise StoreError(f"{path}: no such dataset; `brdfpipe build` makes it") from error
     except Exception as error:  # netCDF4 raises OSError, RuntimeError, ValueError and more on damaged files
         raise StoreError(
-            f"{path}: damaged or not a netCDF file ({type(error).__name__}: {error}); "
+            f"{path}: damaged or not a netCDF file ({_cause(error)}); "
             "delete it and run `brdfpipe build` to make it anew"
         ) from error
     kind = kind or dataset.attrs.get("kind")
@@ -183,6 +183,11 @@ def file_digest(path: str | os.PathLike[str]) -> str:
 def canonical_json(value: Any) -> str:
     """JSON with one spelling for one value: sorted keys, no spaces, shortest round-trip floats."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=_plain)
+
+
+def _cause(error: Exception) -> str:
+    """What a library says went wrong, without the absolute path it likes to add."""
+    return error.strerror if isinstance(error, OSError) and error.strerror else type(error).__name__
 
 
 def _input_digest(value: str | os.PathLike[str] | xr.Dataset) -> str:
