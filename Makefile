@@ -8,7 +8,12 @@ VENV := .venv
 BIN  := $(VENV)/bin
 PIP  := $(BIN)/python -m pip --disable-pip-version-check -qq
 
-.PHONY: help catalogue check test test-full lint format lock examples benchmark clean
+# An environment holds the path of its checkout: a copied or moved one would run the code of the old place, so it is made anew.
+ifneq ($(shell cat $(VENV)/.place 2>/dev/null),$(CURDIR))
+$(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments: moved
+endif
+
+.PHONY: moved help catalogue check instruments test test-full lint format lock examples benchmark clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -17,13 +22,15 @@ help:  ## list the targets
 catalogue: $(VENV)/.runtime  ## build CATALOGUE (default: examples) into RESULTS (default: results), on CORES cores
 	@$(BIN)/brdfpipe build "$(CATALOGUE)" --results "$(RESULTS)" $(if $(CORES),--cores "$(CORES)")
 
-check: $(VENV)/.runtime  ## validate every material of CATALOGUE without computing anything
+check: $(VENV)/.runtime  ## check descriptions, keys, files and formats of CATALOGUE; compute nothing
 	@$(BIN)/brdfpipe check "$(CATALOGUE)"
 
-test: $(VENV)/.dev  ## run the tests (under 20 minutes on two cores)
+instruments: $(VENV)/.instruments  ## add the readers of instruments' own file formats (140 MB)
+
+test: $(VENV)/.dev $(VENV)/.instruments  ## run the tests (under 20 minutes on two cores)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal
 
-test-full: $(VENV)/.dev  ## run the tests and the slow proofs
+test-full: $(VENV)/.dev $(VENV)/.instruments  ## run the tests and the slow proofs
 	@$(BIN)/python -m pytest -n 2 --dist worksteal --slow
 
 lint: $(VENV)/.dev  ## format check, lint, types, workflow lint
@@ -49,13 +56,16 @@ lock: $(VENV)/.dev  ## resolve the dependencies anew (needs uv on the PATH)
 	  pyproject.toml --group build --group dev --output-file requirements-dev.lock
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
 	  pyproject.toml --group build --constraint requirements-dev.lock --output-file requirements.lock
+	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
+	  pyproject.toml --extra instruments --constraint requirements-dev.lock --output-file requirements-instruments.lock
 
 clean:  ## remove the environment and the built results
 	rm -rf $(VENV) results
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit("brdfpipe needs Python 3.11 or newer, found " + sys.version.split()[0] + "; set PYTHON=/path/to/python3") if sys.version_info < (3, 11) else None'
-	@$(PYTHON) -m venv $(VENV)
+	@$(PYTHON) -m venv --clear $(VENV)
+	@echo "$(CURDIR)" > $(VENV)/.place
 
 $(VENV)/.runtime: requirements.lock pyproject.toml | $(VENV)/bin/python
 	@echo "Setting up $(VENV) from requirements.lock (once; a minute or two)"
@@ -66,4 +76,9 @@ $(VENV)/.runtime: requirements.lock pyproject.toml | $(VENV)/bin/python
 $(VENV)/.dev: requirements-dev.lock $(VENV)/.runtime
 	@echo "Setting up the test tools from requirements-dev.lock (once)"
 	@$(PIP) install --require-hashes --no-deps -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/.instruments: requirements-instruments.lock $(VENV)/.runtime
+	@echo "Adding the readers of instruments' formats from requirements-instruments.lock (once)"
+	@$(PIP) install --require-hashes --no-deps -r requirements-instruments.lock
 	@touch $@

@@ -18,5 +18,5 @@ rule all:
     default_target: True
     input:
         rules.catalogue.output,
-        # A deleted intermediate is made again only where it is asked for.
-        stages.datasets(),
+        # A deleted file is made again only where it is asked for.
+        stages.files(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,23 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         ("spectrum: {file: a.txt}", "the key 'geometry' is missing; accepted: sci, sce"),
         ("spectrum: {lab: [50, 0], illuminant: D65, observer: 10, geometry: sci}", "spectrum.lab"),
         ("spectrum: {file: a.txt, geometry: sci, incidence: 90}", "incidence: not an accepted value; found 90"),
+        (
+            "surface: {file: a.txt, layout: line, unit: um}\nindex: 1.5",
+            "the key 'isotropic' is missing; accepted: true",
+        ),
+        (
+            "surface: {file: a.txt, layout: line, isotropic: false}\nindex: 1.5",
+            "isotropic: not an accepted value; found False",
+        ),
+        ("surface: {file: a.txt, distribution: ggx, a: 1}\nindex: 1.5", "either `file` or `distribution`$"),
+        ("surface: {file: a.txt}\nindex: 1,5", "found '1,5'.*decimal point"),
+        ("spectrum: {file: a.txt, lab: [50, 0, 0], geometry: sci}", "either `file` or `lab`$"),
+        (
+            COLOUR.replace("50,", "100.5,"),
+            r"spectrum.lab.0: not an accepted value; found 100.5; accepted: L\* from 0 to 100",
+        ),
+        (COLOUR.replace("50,", "-1,"), "spectrum.lab.0"),
+        (COLOUR + "exports: astm", r"accepted: a list: \[astm\]"),
         (COLOUR + "exports: [zemax]", "exports.0"),
         (COLOUR + "name: a b", "name"),
         (COLOUR + "name: ''", "name"),
@@ -67,6 +85,16 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
 def test_a_wrong_key_is_refused_by_name(tmp_path: Path, text: str, pattern: str) -> None:
     write(tmp_path, "m", text, a_txt="1 2")
     assert re.search(pattern, catalogue.load(tmp_path).failures["m"])
+
+
+def test_an_unknown_illuminant_is_refused_before_a_build(tmp_path: Path) -> None:
+    write(tmp_path, "m", COLOUR.replace("D65", "D56"))
+    with pytest.raises(InputError, match=r"spectrum.illuminant: unknown illuminant 'D56' \(nearest is D65\)"):
+        catalogue.check_formats(catalogue.load(tmp_path)["m"])
+    own = tmp_path / "own.yaml"
+    own.write_text("illuminant: D56\n")
+    with pytest.raises(InputError, match=r"own.yaml, illuminant: unknown illuminant"):
+        catalogue.load_config(own)
 
 
 @pytest.mark.parametrize("name", ["logs", "Failures", "exports", "catalogue.nc", "index.html"])
@@ -148,6 +176,57 @@ def test_asking_for_an_unknown_material_names_the_nearest(tmp_path: Path) -> Non
         catalogue.load(tmp_path)["abs-grian"]
 
 
+@pytest.mark.parametrize("unit", ["um", "\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m"])
+def test_stages_are_told_one_spelling(tmp_path: Path, unit: str) -> None:
+    text = f"surface: {{file: a.txt, unit: {unit}, lateral_unit: {unit}, layout: Line, isotropic: true}}\nindex: PP\n"
+    write(tmp_path, "m", text + "spectrum: {file: a.txt, geometry: SCI, scale: Percent}", a_txt="1 2")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.failures == {}
+    told = loaded.spec("m", "surface") | loaded.spec("m", "spectrum")
+    assert [told[key] for key in ("unit", "lateral_unit", "layout", "geometry", "scale")] == [
+        "um",
+        "um",
+        "line",
+        "sci",
+        "percent",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        (["material.yml"], "material.yml is not read; rename it to material.yaml"),
+        (["Material.YAML"], "Material.YAML is not read; rename it to material.yaml"),
+        (["material.yaml.txt"], "material.yaml.txt is not read; rename it to material.yaml"),
+        (["scan.x3p"], "scan.x3p but no material.yaml; `brdfpipe new`"),
+        (["raw/material.yaml"], "material.yaml lies one folder deeper, in raw"),
+    ],
+)
+def test_a_folder_that_looks_like_a_material_and_is_none_is_told(tmp_path: Path, files: list[str], told: str) -> None:
+    write(tmp_path, "good")
+    for file in files:
+        (tmp_path / "odd" / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "odd" / file).touch()
+    (found,) = catalogue.ignored(tmp_path).items()
+    assert found[0] == "odd"
+    assert told in found[1]
+    assert catalogue.load(tmp_path).failures == {}
+
+
+def test_other_folders_and_results_are_no_materials(tmp_path: Path) -> None:
+    write(tmp_path, "good", a_csv="1 2")
+    for file in ("notes/read.pdf", ".git/a.txt", "results/catalogue.csv", "results/catalogue.nc"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).touch()
+    assert catalogue.ignored(tmp_path) == {}
+
+
+def test_a_catalogue_of_misnamed_descriptions_says_so(tmp_path: Path) -> None:
+    (write(tmp_path, "m") / "material.yaml").rename(tmp_path / "m" / "material.yml")
+    with pytest.raises(catalogue.CatalogueError, match=r"holds no material.*m: material.yml is not read; rename it"):
+        catalogue.load(tmp_path)
+
+
 def test_each_stage_is_told_its_own_part_and_no_more(tmp_path: Path) -> None:
     text = "description: d\nsurface: {file: a.txt, unit: um, isotropic: true}\nindex: PP\n"
     write(tmp_path, "m", text + "spectrum: {file: a.txt, geometry: sci}", a_txt="1 2")
@@ -200,24 +279,24 @@ def test_the_schema_and_the_catalogue_agree_on_names() -> None:
 
 
 def test_formats_are_checked_without_reading(tmp_path: Path) -> None:
-    write(tmp_path, "a", "surface: {file: a.sur}\nindex: PP", a_sur="x")
+    write(tmp_path, "a", "surface: {file: a.abc}\nindex: PP", a_abc="x")
     write(tmp_path, "b", "surface: {file: a.txt, unit: um, pitch: 1}\nindex: PPP", a_txt="x")
     write(tmp_path, "c", "spectrum: {file: a.txt, geometry: sci}", a_txt="")
     loaded = catalogue.load(tmp_path)
     assert loaded.failures == {}
-    for name, pattern in (("a", "found .sur"), ("b", "PPP"), ("c", "empty")):
+    for name, pattern in (("a", "found .abc"), ("b", "PPP"), ("c", "empty")):
         with pytest.raises(InputError, match=pattern):
             catalogue.check_formats(loaded[name])
 
 
-def test_a_started_material_is_valid_and_so_is_each_alternative_in_its_comments(tmp_path: Path) -> None:
+def test_a_started_material_says_what_to_fill_in_and_each_alternative_in_its_comments_is_valid(tmp_path: Path) -> None:
     path = catalogue.start_material(tmp_path, "fresh")
-    assert catalogue.load(tmp_path).failures == {}
+    assert "at least one of `surface`, `spectrum`" in catalogue.load(tmp_path).failures["fresh"]
     text = path.read_text()
     for file in ("reflectance.txt", "surface.x3p", "profile.txt", "index.txt"):
         (path.parent / file).touch()
     blocks = re.findall(r"(?m)^# (?:surface|index|spectrum|exports):.*\n(?:#   .*\n)*", text)
-    assert len(blocks) == 8
+    assert len(blocks) == 9
     for block in blocks:
         key, plain = block[2:].partition(":")[0], re.sub(r"(?m)^# ", "", block)
         rest = "" if key == "spectrum" else COLOUR
@@ -229,3 +308,22 @@ def test_a_material_is_never_started_twice(tmp_path: Path) -> None:
     catalogue.start_material(tmp_path, "m")
     with pytest.raises(catalogue.CatalogueError, match="exists already"):
         catalogue.start_material(tmp_path, "m")
+
+
+def test_a_material_is_started_beside_raw_files(tmp_path: Path) -> None:
+    (tmp_path / "m").mkdir()
+    (tmp_path / "m" / "scan.x3p").touch()
+    assert catalogue.start_material(tmp_path, "m") == tmp_path / "m" / "material.yaml"
+
+
+def test_a_folder_whose_name_is_no_text_stops_nobody(tmp_path: Path) -> None:
+    bad = Path(os.fsdecode(os.fsencode(tmp_path) + b"/b\xffd"))
+    try:
+        bad.mkdir()
+    except OSError:
+        pytest.skip("this file system takes no such name")
+    (bad / "material.yaml").write_text("surprise: 1\n")
+    loaded = catalogue.load(tmp_path)
+    (name,) = loaded.failures
+    assert name.encode("utf-8")
+    assert loaded.failures[name].encode("utf-8")

@@ -33,22 +33,30 @@ def test_check_says_a_line_a_material(tmp_path: Path) -> None:
     write(tmp_path, "bad", "spectrm: 1\n")
     done = run("check", tmp_path)
     assert done.exit_code == 1
-    bad, good = done.output.splitlines()
+    bad, good, count = done.output.splitlines()
     assert bad.startswith("bad: material.yaml, line 1: unknown key 'spectrm'; did you mean 'spectrum'?")
     assert good == "good: ok (spectrum L*a*b*)"
+    assert count == "1 ok, 1 wrong"
 
 
 def test_check_looks_at_formats_too(tmp_path: Path) -> None:
-    write(tmp_path, "m", "surface: {file: a.sur}\nindex: PP\n")
-    (tmp_path / "m" / "a.sur").write_text("x")
+    write(tmp_path, "m", "surface: {file: a.abc}\nindex: PP\n")
+    (tmp_path / "m" / "a.abc").write_text("x")
     done = run("check", tmp_path)
     assert done.exit_code == 1
-    assert "the extension tells no known format; found .sur" in done.output
+    assert "the extension tells no known format; found .abc" in done.output
 
 
-def test_check_of_a_good_catalogue_exits_with_0(tmp_path: Path) -> None:
+def test_check_of_a_good_catalogue_exits_with_0_whatever_it_ignores(tmp_path: Path) -> None:
     write(tmp_path, "good")
-    assert run("check", tmp_path).exit_code == 0
+    (tmp_path / "odd").mkdir()
+    (tmp_path / "odd" / "material.yml").touch()
+    done = run("check", tmp_path)
+    assert done.exit_code == 0
+    assert done.output.splitlines()[1:] == [
+        "odd: ignored: material.yml is not read; rename it to material.yaml",
+        "1 ok, 0 wrong",
+    ]
 
 
 @pytest.mark.parametrize("command", ["check", "build"])
@@ -72,11 +80,19 @@ def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
     assert run(*arguments).exit_code == 2
 
 
-def test_new_starts_a_material_that_checks(tmp_path: Path) -> None:
+def test_new_starts_a_material_that_check_asks_to_fill_in(tmp_path: Path) -> None:
     done = run("new", "fresh", "--folder", tmp_path)
     assert done.exit_code == 0
     assert "fresh/material.yaml" in done.output
-    assert run("check", tmp_path).exit_code == 0
+    checked = run("check", tmp_path)
+    assert checked.exit_code == 1
+    assert "nothing to build from; accepted: at least one of `surface`, `spectrum`" in checked.output
+
+
+def test_new_starts_a_material_in_the_present_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("new", "fresh").exit_code == 0
+    assert (tmp_path / "fresh" / "material.yaml").is_file()
 
 
 def test_new_refuses_what_exists(tmp_path: Path) -> None:
@@ -89,7 +105,9 @@ def test_new_refuses_what_exists(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a b", "../up", "logs", ""])
 def test_new_refuses_what_is_no_name(tmp_path: Path, name: str) -> None:
-    assert run("new", name, "--folder", tmp_path).exit_code == 2
+    done = run("new", name, "--folder", tmp_path)
+    assert done.exit_code == 2
+    assert done.stderr.startswith(f"brdfpipe: the name {name!r}: ")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -102,9 +120,33 @@ def test_build_tells_what_it_did_and_fails_if_a_material_did(
     done = run("build", tmp_path)
     assert done.exit_code == code
     assert done.output.splitlines()[0].startswith(
-        f"{2 + len(failures)} materials: 1 built, 1 up to date, {len(failures)} failed"
+        f"{2 + len(failures)} materials: 1 built, 1 up to date, {len(failures)} not built"
     )
     assert done.output.splitlines()[-1] == f"Open {tmp_path / 'index.html'}"
+
+
+def test_a_verdict_is_told_by_name_and_changes_no_exit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    verdicts, faults = {"a": "fail", "b": "warn", "c": "pass"}, {"a": "energy: reflects at most 1.039 of the light"}
+    page = tmp_path / "index.html"
+    summary = front.Summary(("a", "b"), ("c",), {}, 3, page, 3.2, verdicts=verdicts, faults=faults, notices=("note",))
+    monkeypatch.setattr(front, "build", lambda *given, **named: summary)
+    done = run("build", tmp_path)
+    assert done.exit_code == 0
+    assert done.output.splitlines()[1:] == [
+        "Verdicts of the checks: 1 fail, 1 warn; the reports say why",
+        f"  a: verdict fail: energy: reflects at most 1.039 of the light ({tmp_path / 'a' / 'report.html'})",
+        "note",
+        f"Open {page}",
+    ]
+
+
+def test_what_the_system_refuses_is_one_line_and_exit_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*given: object, **named: object) -> None:
+        raise PermissionError(13, "Permission denied", "results/logs")
+
+    monkeypatch.setattr(front, "build", refused)
+    done = run("build", tmp_path)
+    assert (done.exit_code, done.stderr) == (2, "brdfpipe: results/logs: Permission denied\n")
 
 
 def test_an_interrupt_exits_with_130(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

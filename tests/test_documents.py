@@ -18,6 +18,9 @@ properties:
   colour: {description: red or green, enum: [red, green]}
   title: {description: a text, type: string}
   part: {$ref: "#/$defs/part"}
+  units: {description: units, type: array, maxItems: 3, items: {enum: [nm, um, mm]}}
+  pair: {description: two numbers, type: array, maxItems: 2, items: {type: number}}
+not: {required: [units, pair]}
 $defs:
   part:
     type: object
@@ -56,7 +59,7 @@ def test_a_byte_order_mark_is_no_error(schema: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("count: 1\ncolor: red", "a.yaml, line 2: unknown key 'color'; did you mean 'colour'?; accepted: count, colour, title, part"),
+        ("count: 1\ncolor: red", "a.yaml, line 2: unknown key 'color'; did you mean 'colour'?; accepted: count, colour, title, part, units, pair"),
         ("count: many", "a.yaml, line 1, count: not an accepted value; found 'many'; accepted: a number from 1 to 9"),
         ("count: 0", "a.yaml, line 1, count: not an accepted value; found 0; accepted: a number from 1 to 9"),
         ("count: 1\ncolour: gren", "a.yaml, line 2, colour: not an accepted value; did you mean 'green'?; found 'gren'; accepted: red, green"),
@@ -64,6 +67,12 @@ def test_a_byte_order_mark_is_no_error(schema: Path) -> None:
         ("count: 1\ncount: 2", "a.yaml, line 2: the key 'count' stands twice; accepted: each key once"),
         ("count: 1\npart: {size: big}", "a.yaml, line 2, part.size: not an accepted value; found 'big'; accepted: number"),
         ("count: .inf", "a.yaml, line 1: not a finite number; found .inf; accepted: a number"),
+        ("count: 1\nunits: um", "a.yaml, line 2, units: not an accepted value; found 'um'; accepted: a list: [um]"),
+        ("count: 1\nunits: {}", "a.yaml, line 2, units: not an accepted value; found {}; accepted: a list, units"),
+        ("count: 1\nunits: [cm]", "a.yaml, line 2, units.0: not an accepted value; found 'cm'; accepted: nm, um, mm"),
+        ("- 1", "a.yaml, line 1: not an accepted value; found [1]; accepted: a mapping of keys: count, colour, title, part, units, pair"),
+        ("count: 1\npair: []\nunits: []", "a.yaml, line 1: `units` and `pair` stand together; accepted: either `units` or `pair`"),
+        ("# count: 1", "a.yaml: the key 'count' is missing; accepted: a number from 1 to 9"),
         ("", "a.yaml: empty; accepted: keys and values"),
         ("1: 2", "a.yaml, line 1: a key is not plain text; accepted: a word before the colon"),
     ],
@@ -72,6 +81,24 @@ def test_a_wrong_document_is_refused_in_one_line(schema: Path, text: str, messag
     with pytest.raises(InputError) as refusal:
         read(schema, text)
     assert str(refusal.value) == message
+
+
+@pytest.mark.parametrize("text", ["count: 0,1", "count: 1\npair: [0,5, 0,5]", "{part: {}, count: 0,1}"])
+def test_a_decimal_comma_is_told_from_other_mistakes(schema: Path, text: str) -> None:
+    with pytest.raises(InputError, match="numbers take a decimal point, not a comma"):
+        read(schema, text)
+
+
+@pytest.mark.parametrize("text", ["title: 0,1", "count: many", "pair: [1, 2, 3]"])
+def test_other_mistakes_are_not_taken_for_a_decimal_comma(schema: Path, text: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        read(schema, text)
+    assert "decimal" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("unit", ["um", "UM", "\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m"])
+def test_a_listed_word_is_taken_in_any_case_and_with_either_letter_mu(schema: Path, unit: str) -> None:
+    assert read(schema, f"count: 1\nunits: [{unit}]")["units"] == ["um"]
 
 
 @pytest.mark.parametrize(
@@ -108,3 +135,8 @@ def test_a_large_document_is_refused_unread(schema: Path) -> None:
 def test_a_missing_document_is_refused(schema: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         documents.read(schema.with_name("none.yaml"), schema)
+
+
+def test_a_bottomless_document_is_refused_and_not_a_crash(schema: Path) -> None:
+    with pytest.raises(InputError, match="nested too deeply"):
+        read(schema, "description: " + "[" * 40_000 + "]" * 40_000)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -95,6 +96,50 @@ def test_an_edit_changes_the_digests_of_that_material_alone(built: tuple[Path, P
     assert {name for name in EXAMPLES if before[name] != after[name]} == {"paint-lab"}
 
 
+def test_damaged_results_are_made_anew_to_the_same_bytes(built: tuple[Path, Path]) -> None:
+    folder, results = built
+    before = files(results)
+    for name, size in (("bsdf.nc", 5000), ("summary.nc", 0)):
+        os.truncate(results / "paint-lab" / name, size)
+    summary = front.build(folder, results, cores=2)
+    assert summary.failures == {}
+    assert any("deleted and made anew: paint-lab/bsdf.nc" in notice for notice in summary.notices)
+    assert files(results) == before
+
+
+def test_a_verdict_of_fail_is_told_with_its_reason(built: tuple[Path, Path], tmp_path: Path) -> None:
+    _, results = built
+    checks = store.open_dataset(results / "paint-lab" / "checks.nc")
+    checks.attrs["verdicts"] = json.dumps(
+        {"energy": {"verdict": "fail", "text": "too much"}, "closure": {"verdict": "pass", "text": "closes"}}
+    )
+    store.save_dataset(checks, tmp_path / "m" / "checks.nc", stage="checks", material="m")
+    (tmp_path / "catalogue.csv").write_text("material,status,verdict\nm,built,fail\nn,built,pass\no,failed,\n")
+    assert front._verdicts(tmp_path, ["m", "n", "o"]) == {"m": "fail", "n": "pass"}
+    assert front._fault(tmp_path, "m") == "energy: too much"
+
+
+def test_the_built_examples_have_verdicts(built: tuple[Path, Path]) -> None:
+    folder, results = built
+    assert set(front.build(folder, results, cores=2).verdicts) == set(EXAMPLES)
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+@pytest.mark.parametrize(("place", "set_up"), [("here", False), ("elsewhere", True), (None, True)])
+def test_an_environment_of_another_place_is_made_anew(tmp_path: Path, place: str | None, set_up: bool) -> None:
+    for file in ("Makefile", "pyproject.toml", *(path.name for path in PROJECT.glob("requirements*.lock"))):
+        shutil.copy(PROJECT / file, tmp_path)
+    stamps = [tmp_path / ".venv" / name for name in ("bin/python", ".runtime", ".dev")]
+    for stamp in stamps:
+        stamp.parent.mkdir(parents=True, exist_ok=True)
+        stamp.touch()
+    if place:
+        (tmp_path / ".venv" / ".place").write_text(f"{tmp_path.resolve() if place == 'here' else '/elsewhere'}\n")
+    done = subprocess.run(["make", "-n", "catalogue", "lint"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert ("venv --clear" in done.stdout) == set_up
+    assert ("requirements-dev.lock" in done.stdout) == set_up
+
+
 def test_a_stage_runs_as_a_plain_program(built: tuple[Path, Path], tmp_path: Path) -> None:
     _, results = built
     script = catalogue.project_folder() / "workflow" / "scripts" / "facets.py"
@@ -124,3 +169,23 @@ def test_the_scripts_only_read_call_and_write() -> None:
     for path in (PROJECT / "workflow" / "scripts").glob("*.py"):
         body = path.read_text().partition("def main")[2].partition("\n\n\n")[0]
         assert len(body.splitlines()) <= 18, path.name  # fifteen lines and what the formatter unfolds
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        "report.html",
+        "exports/abs-grain.astm",
+        "exports/abs-grain.total_reflectance.csv",
+        "exports/abs-grain.lambert_gauss.csv",
+        "lambert_gauss.nc",
+    ],
+)
+def test_every_deleted_file_is_made_again_as_it_was(built: tuple[Path, Path], file: str) -> None:
+    folder, results = built
+    path = results / "abs-grain" / file
+    before = path.read_bytes()
+    path.unlink()
+    summary = front.build(folder, results, cores=2)
+    assert summary.built == ("abs-grain",)
+    assert path.read_bytes() == before

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from brdfpipe import documents
-from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.errors import BrdfpipeError, InputError, printable
 
 DESCRIPTION = "material.yaml"
 
@@ -29,6 +29,9 @@ RESERVED = frozenset(
 
 SURFACE_STAGE_KEYS = ("file", "format", "layout", "unit", "lateral_unit", "pitch", "form")
 FILE_PARTS = ("surface", "index", "spectrum")
+
+RESULT_MARKS = (".build.lock", ".snakemake", "catalogue.nc")
+"""What tells a folder of results."""
 
 
 class CatalogueError(BrdfpipeError):
@@ -124,12 +127,22 @@ def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
         raise CatalogueError(f"{folder}: is one material; give the folder it stands in")
     folders = sorted(path.parent for path in folder.glob(f"*/{DESCRIPTION}") if not path.parent.name.startswith("."))
     if not folders:
-        raise CatalogueError(f"{folder}: holds no material; `brdfpipe new NAME --folder {folder}` starts one")
-    loaded = {path.name: _attempt(path, config) for path in folders}
+        near = "".join(f"; {name}: {why}" for name, why in [*ignored(folder).items()][:3])
+        raise CatalogueError(f"{folder}: holds no material; `brdfpipe new NAME --folder {folder}` starts one{near}")
+    loaded = {printable(path.name): _attempt(path, config) for path in folders}
     clashes = _clashes(loaded)
     failures = {name: found for name, found in loaded.items() if isinstance(found, str)} | clashes
     materials = [found for name, found in loaded.items() if isinstance(found, Material) and name not in failures]
     return Catalogue(folder, tuple(sorted(materials, key=lambda material: material.name)), failures, config)
+
+
+def ignored(folder: Path) -> dict[str, str]:
+    """Folders of a catalogue that look like materials and are none: name → what was found and what to do, in one line."""
+    found = {}
+    for place in sorted(item for item in folder.iterdir() if item.is_dir() and not item.name.startswith((".", "_"))):
+        if not (place / DESCRIPTION).is_file() and not any((place / mark).exists() for mark in RESULT_MARKS):
+            found[printable(place.name)] = _why_ignored(place)
+    return {name: why for name, why in found.items() if why}
 
 
 def load_config(path: Path | None = None) -> dict[str, Any]:
@@ -141,7 +154,11 @@ def load_config(path: Path | None = None) -> dict[str, Any]:
     """
     schema = project_folder() / "config" / "schemas" / "config.schema.yaml"
     config = documents.read(project_folder() / "config" / "config.yaml", schema)
-    return config if path is None else config | documents.read(path, schema)
+    if path is None:
+        return config
+    own = documents.read(path, schema)
+    _check_illuminant(path, own.get("illuminant", config["illuminant"]), "illuminant")
+    return config | own
 
 
 def project_folder() -> Path:
@@ -163,7 +180,7 @@ def load_material(folder: Path, config: Mapping[str, Any]) -> Material:
     path = folder / DESCRIPTION
     content = documents.read(path, project_folder() / "config" / "schemas" / "material.schema.yaml")
     name = str(content.get("name", folder.name))
-    _check_name(path, name)
+    _check_name(name, path)
     content.setdefault("exports", config["exports"])
     files = {
         part: _raw_file(folder, content[part]["file"], part)
@@ -183,11 +200,11 @@ def parts(material: Material) -> list[str]:
 
 
 def check_formats(material: Material) -> None:
-    """Check what can be told of the raw files without reading them, and the name of the plastic.
+    """Check what can be told of the raw files without reading them, and the names of the plastic and the illuminant.
 
     Raises
     ------
-    InputError : an empty file, an extension nobody reads, an unknown plastic.
+    InputError : an empty file, an extension nobody reads, an unknown plastic or illuminant.
     """
     from brdfpipe import optics
     from brdfpipe.columns import TEXT_SUFFIXES
@@ -209,24 +226,27 @@ def check_formats(material: Material) -> None:
             )
     if isinstance(material.content.get("index"), str):
         optics.refractive_index(material.content["index"])
+    spectrum = material.content.get("spectrum", {})
+    if "illuminant" in spectrum:
+        _check_illuminant(material.folder / DESCRIPTION, spectrum["illuminant"], "spectrum.illuminant")
 
 
 def start_material(folder: Path, name: str) -> Path:
-    """Write a commented description to start a material from; return its path.
+    """Write a commented description to start a material from, beside raw files that are there already; return its path.
 
     Raises
     ------
-    InputError : the name cannot be used.
-    CatalogueError : the material exists, or the folder cannot be written.
+    CatalogueError : the name cannot be used, the material exists, or the folder cannot be written.
     """
-    _check_name(Path(DESCRIPTION), name)
+    _check_name(name)
     path = folder / name / DESCRIPTION
     template = (project_folder() / "config" / "material.template.yaml").read_text(encoding="utf-8")
     try:
-        path.parent.mkdir(parents=True)
-        path.write_text(template, encoding="utf-8")
-    except FileExistsError:
-        raise CatalogueError(f"{path.parent}: exists already; choose another name") from None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("x", encoding="utf-8") as file:
+            file.write(template)
+    except FileExistsError as error:
+        raise CatalogueError(f"{error.filename}: exists already; choose another name") from None
     except OSError as error:
         raise CatalogueError(f"{path.parent}: cannot be written ({error.strerror})") from error
     return path
@@ -264,18 +284,50 @@ def _clashes(loaded: Mapping[str, Material | str]) -> dict[str, str]:
     }
 
 
-def _check_name(path: Path, name: str) -> None:
+def _check_name(name: str, path: Path | None = None) -> None:
+    """Refuse a name given on the command line or, with ``path``, in a description."""
     if not re.fullmatch(NAME, name):
-        raise InputError(
-            path,
-            "not a usable name",
-            where="name",
-            found=repr(name),
-            accepted="letters, digits, dots, dashes and underscores, at most 64, starting with a letter or a digit",
-            key="name",
+        problem, key = "not a usable name", "name"
+        accepted = "letters, digits, dots, dashes and underscores, at most 64, starting with a letter or a digit"
+    elif name.casefold() in RESERVED:
+        problem, key, accepted = "a reserved name", None, "any other name"
+    else:
+        return
+    if path is None:
+        raise CatalogueError(f"the name {name!r}: {problem}; accepted: {accepted}")
+    raise InputError(path, problem, where="name", found=repr(name), accepted=accepted, key=key)
+
+
+def _check_illuminant(path: Path, name: str, where: str) -> None:
+    from brdfpipe.spectra import colorimetry
+
+    try:
+        colorimetry.illuminant_name(name)
+    except BrdfpipeError as error:
+        raise InputError(path, str(error), where=where) from error
+
+
+def _why_ignored(folder: Path) -> str | None:
+    try:
+        items = sorted(item.name for item in folder.iterdir() if not item.name.startswith("."))
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+    near = [name for name in items if re.fullmatch(r"material\.ya?ml(\.txt)?", name, re.IGNORECASE)]
+    if near:
+        return f"{near[0]} is not read; rename it to {DESCRIPTION}"
+    deeper = [name for name in items if (folder / name / DESCRIPTION).is_file()]
+    if deeper:
+        return (
+            f"{DESCRIPTION} lies one folder deeper, in {deeper[0]}; a material's folder stands in the catalogue itself"
         )
-    if name.casefold() in RESERVED:
-        raise InputError(path, "a reserved name", where="name", found=name, accepted="any other name")
+    from brdfpipe.columns import TEXT_SUFFIXES
+    from brdfpipe.surfaces.reading import FORMATS
+
+    known = {*TEXT_SUFFIXES, *(suffix for form in FORMATS.values() for suffix in form.extensions)}
+    raw = [name for name in items if Path(name).suffix.lower() in known and (folder / name).is_file()]
+    if raw:
+        return f"{raw[0]} but no {DESCRIPTION}; `brdfpipe new` with the folder's name writes one beside the raw files"
+    return None
 
 
 def _raw_file(folder: Path, value: str, part: str) -> Path:

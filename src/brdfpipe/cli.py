@@ -1,7 +1,7 @@
 """The command line: ``brdfpipe build``, ``check`` and ``new``.
 
-Exit codes: 0 all well, 1 at least one material failed, 2 the command, the catalogue or the configuration cannot be used,
-130 interrupted.
+Exit codes: 0 every material was built (or checked well), 1 at least one was not, 2 the command, the catalogue or the
+configuration cannot be used, 130 interrupted. A built material whose checks give the verdict fail does not change the code.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 
 
 def _refusing(command: Callable[Given, int]) -> Callable[Given, None]:
-    """Turn a refusal into one line and exit code 2, an interrupt into 130."""
+    """Turn a refusal, the system's too, into one line and exit code 2, an interrupt into 130."""
 
     @wraps(command)
     def run(*args: Given.args, **kwargs: Given.kwargs) -> None:
@@ -33,6 +33,9 @@ def _refusing(command: Callable[Given, int]) -> Callable[Given, None]:
             code = command(*args, **kwargs)
         except BrdfpipeError as refusal:
             click.echo(f"brdfpipe: {refusal}", err=True)
+            code = 2
+        except OSError as error:
+            click.echo(f"brdfpipe: {error.filename or 'the system'}: {error.strerror or error}", err=True)
             code = 2
         except KeyboardInterrupt:
             click.echo("brdfpipe: interrupted; the same command resumes", err=True)
@@ -56,7 +59,11 @@ def main() -> None:
 @click.option("--dry-run", is_flag=True, help="Say what would be built; build nothing.")
 @_refusing
 def build(catalogue: Path, results: Path, cores: int | None, config: Path | None, dry_run: bool) -> int:
-    """Build every material of CATALOGUE that changed, and the catalogue page."""
+    """Build every material of CATALOGUE that changed, and the catalogue page.
+
+    Exits with 0 if every material was built, whatever the verdict of its checks, with 1 if one was not, with 2 if the
+    catalogue or the configuration cannot be used.
+    """
     from brdfpipe.jobs import front
 
     summary = front.build(catalogue, results, cores=cores or _cores(), config=config, dry_run=dry_run)
@@ -69,7 +76,10 @@ def build(catalogue: Path, results: Path, cores: int | None, config: Path | None
 @click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
 @_refusing
 def check(catalogue: Path, config: Path | None) -> int:
-    """Validate every material of CATALOGUE without computing anything."""
+    """Check descriptions, keys, files and formats of CATALOGUE; raw files are read by the build.
+
+    Exits with 1 if a material is wrong.
+    """
     from brdfpipe import catalogue as catalogues
 
     loaded = catalogues.load(catalogue, catalogues.load_config(config))
@@ -83,20 +93,23 @@ def check(catalogue: Path, config: Path | None) -> int:
             lines[material.name] = (f"ok ({', '.join(catalogues.parts(material))})", True)
     for name, (message, _) in sorted(lines.items()):
         click.echo(f"{name}: {message}")
-    return 0 if all(good for _, good in lines.values()) else 1
+    for name, why in catalogues.ignored(loaded.folder).items():
+        click.echo(f"{name}: ignored: {why}")
+    wrong = sum(not good for _, good in lines.values())
+    click.echo(f"{len(lines) - wrong} ok, {wrong} wrong")
+    return 1 if wrong else 0
 
 
 @main.command()
 @click.argument("name")
-@click.option("--folder", type=FOLDER, default=Path("examples"), show_default=True, help="The catalogue.")
+@click.option("--folder", type=FOLDER, default=Path(), show_default=True, help="The catalogue.")
 @_refusing
 def new(name: str, folder: Path) -> int:
     """Start a material NAME: a folder with a commented material.yaml."""
     from brdfpipe import catalogue as catalogues
 
-    click.echo(
-        f"Edit {catalogues.start_material(folder, name)}, put the raw files beside it, then run `brdfpipe check {folder}`."
-    )
+    path = catalogues.start_material(folder, name)
+    click.echo(f"Fill in {path}, put the raw files beside it, then run `brdfpipe check {folder}`.")
     return 0
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping
 from datetime import date
 from functools import cache
@@ -42,15 +43,18 @@ def read(path: Path, schema: Path) -> dict[str, Any]:
     """
     content, lines = _parse(path)
     validator = _validator(schema)
+    content = _spelled(content, validator.schema, validator)
     errors = sorted(validator.iter_errors(content), key=lambda error: lines.get(tuple(error.absolute_path), 0))
     if errors:
-        raise _refusal(path, errors[0], lines, validator, more=len(errors) - 1)
+        more = [error for error in errors[1:] if not _follows(error, errors[0])]
+        raise _refusal(path, errors[0], lines, validator, more=len(more))
     return dict(_with_defaults(content, validator.schema, validator))
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """``"; did you mean 'x'?"`` if a known word is close to this one, else nothing."""
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    # Two letters are near to far too much: "cm" to "m".
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6) if len(word) > 2 else []
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
@@ -67,9 +71,12 @@ def _parse(path: Path) -> tuple[Any, Lines]:
         raise InputError(path, f"cannot be read ({error.strerror})") from error
     lines: Lines = {}
     try:
+        _refuse_depth(path, text)
         loader = _Loader(text)
         try:
             node = loader.get_single_node()
+            if node is None and text.strip():
+                return {}, {}  # comments alone: nothing is said, and the schema tells what is missing
             if node is None:
                 raise InputError(path, "empty", accepted="keys and values")
             _refuse_tricks(path, node, (), lines, set())
@@ -86,6 +93,19 @@ def _parse(path: Path) -> tuple[Any, Lines]:
         raise InputError(
             path, f"a value cannot be read ({error})", accepted="plain text, numbers, true and false"
         ) from error
+
+
+MAX_DEPTH = 40
+
+
+def _refuse_depth(path: Path, text: str) -> None:
+    """Refuse what is nested deeper than any description is, before it is composed: that recurses in C, and would crash."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            line = event.start_mark.line + 1 if event.start_mark else 1
+            raise InputError(path, "nested too deeply", where=f"line {line}", accepted=f"at most {MAX_DEPTH} levels")
 
 
 def _refuse_tricks(path: Path, node: yaml.Node, where: tuple[str | int, ...], lines: Lines, seen: set[int]) -> None:
@@ -106,7 +126,9 @@ def _refuse_tricks(path: Path, node: yaml.Node, where: tuple[str | int, ...], li
         for key, value in node.value:
             at = f"line {key.start_mark.line + 1}"
             if key.tag != "tag:yaml.org,2002:str":
-                raise InputError(path, "a key is not plain text", where=at, accepted="a word before the colon")
+                number = key.tag == "tag:yaml.org,2002:int" and not value.value
+                accepted = f"a word before the colon{_DECIMAL_POINT if number else ''}"
+                raise InputError(path, "a key is not plain text", where=at, accepted=accepted)
             if key.value in keys:
                 raise InputError(path, f"the key {key.value!r} stands twice", where=at, accepted="each key once")
             keys.add(key.value)
@@ -132,6 +154,28 @@ def _validator(schema: Path) -> Any:
     return jsonschema.Draft202012Validator(yaml.load(schema.read_text(encoding="utf-8"), Loader=_Loader))
 
 
+def _spelled(content: Any, schema: Any, validator: Any) -> Any:
+    """The same content with listed words spelled as the schema does: SCI is sci, and both letters µ are u."""
+    schema = _resolved(schema, validator)
+    if isinstance(content, str):
+        return {_folded(word): word for word in map(str, schema.get("enum", []))}.get(_folded(content), content)
+    if isinstance(content, list):
+        return [_spelled(item, schema.get("items", {}), validator) for item in content]
+    if not isinstance(content, Mapping):
+        return content
+    spelled = {
+        key: _spelled(value, schema.get("properties", {}).get(key, {}), validator) for key, value in content.items()
+    }
+    if "if" in schema:
+        for branch in ("then", "else"):  # which one applies may hang on the spelling
+            spelled = _spelled(spelled, schema.get(branch, {}), validator)
+    return spelled
+
+
+def _folded(word: str) -> str:
+    return unicodedata.normalize("NFKC", word).casefold().replace("\N{GREEK SMALL LETTER MU}", "u")
+
+
 def _with_defaults(content: Any, schema: Any, validator: Any) -> Any:
     """The same content with each absent key that has a default, in every branch of the schema that applies."""
     schema = _resolved(schema, validator)
@@ -152,6 +196,11 @@ def _resolved(schema: Mapping[str, Any], validator: Any) -> Mapping[str, Any]:
     # Only references into the document's own $defs are used.
     definitions: Mapping[str, Mapping[str, Any]] = validator.schema.get("$defs", {})
     return definitions[schema["$ref"].removeprefix("#/$defs/")] if "$ref" in schema else schema
+
+
+def _follows(error: Any, first: Any) -> bool:
+    """Whether an error only follows from the first: where the type is wrong, or keys stand together, no branch of the schema fits."""
+    return first.validator in ("not", "type") and list(error.absolute_path) == list(first.absolute_path)
 
 
 def _refusal(path: Path, error: Any, lines: Lines, validator: Any, more: int) -> InputError:
@@ -187,24 +236,60 @@ def _not_listed(error: Any, validator: Any) -> tuple[str, str | None, str]:
     return f"not an accepted value{close}", _show(error.instance), ", ".join(choices)
 
 
-def _not_together(error: Any, validator: Any) -> tuple[str, str | None, str]:
+def _nothing_said(error: Any, validator: Any) -> tuple[str, str | None, str]:
     keys = [key for choice in error.validator_value for key in choice.get("required", [])]
-    return "nothing to build from", None, "at least one of " + ", ".join(f"`{key}`" for key in keys)
+    listed = ", ".join(f"`{key}`" for key in keys)
+    return "nothing to build from", None, f"at least one of {listed} (what stands behind a # does not count)"
+
+
+def _not_together(error: Any, validator: Any) -> tuple[str, str | None, str]:
+    keys = [f"`{key}`" for key in error.validator_value["required"]]
+    return f"{' and '.join(keys)} stand together", None, f"either {' or '.join(keys)}"
+
+
+def _wrong_type(error: Any, validator: Any) -> tuple[str, str | None, str]:
+    kinds = [error.validator_value] if isinstance(error.validator_value, str) else error.validator_value
+    description, shown = error.schema.get("description"), _show(error.instance)
+    if kinds == ["object"]:
+        keys = ", ".join(error.schema.get("properties", {}))
+        accepted = "a mapping of keys" + (f": {keys}" if keys else f": {description}" if description else "")
+    elif kinds == ["array"]:
+        item = _resolved(error.schema.get("items", {}), validator)
+        single = not isinstance(error.instance, Mapping) and validator.evolve(schema=item).is_valid(error.instance)
+        accepted = (
+            f"a list: [{error.instance}]" if single and item else f"a list, {description}" if description else "a list"
+        )
+    else:
+        accepted = description or " or ".join(kinds)
+    if "string" in kinds and isinstance(error.instance, bool | int | float | date):
+        accepted += " (text that YAML takes for a number, a date or a yes/no needs quotes)"
+    return "not an accepted value", shown, accepted + _decimal_comma(error)
 
 
 def _otherwise(error: Any, validator: Any) -> tuple[str, str | None, str]:
-    kinds = error.validator_value if error.validator == "type" else []
-    accepted = error.schema.get("description") or " or ".join([kinds] if isinstance(kinds, str) else kinds)
-    if error.validator == "type" and "string" in kinds and isinstance(error.instance, bool | int | float | date):
-        accepted += " (text that YAML takes for a number, a date or a yes/no needs quotes)"
-    return "not an accepted value", _show(error.instance), accepted or error.message
+    accepted = error.schema.get("description") or error.message
+    return "not an accepted value", _show(error.instance), accepted + _decimal_comma(error)
 
+
+def _decimal_comma(error: Any) -> str:
+    """A hint where a number has a decimal comma: YAML reads 0,1 as text and [0,1] as two numbers."""
+    value = error.instance
+    text = (
+        isinstance(value, str) and error.schema.get("type") != "string" and re.fullmatch(r"[-+]?\d+,\d+", value.strip())
+    )
+    doubled = error.validator == "maxItems" and len(value) == 2 * error.validator_value
+    return _DECIMAL_POINT if text or doubled else ""
+
+
+_DECIMAL_POINT = " (numbers take a decimal point, not a comma)"
 
 _WORDS = {
     "additionalProperties": _unknown_key,
     "required": _missing_key,
     "enum": _not_listed,
-    "anyOf": _not_together,
+    "type": _wrong_type,
+    "anyOf": _nothing_said,
+    "not": _not_together,
 }
 
 

@@ -5,6 +5,11 @@ from __future__ import annotations
 from pathlib import PurePath
 
 
+def printable(text: str) -> str:
+    """Text that can be written anywhere: bytes of a file name that are no UTF-8 appear as ``\\xff``."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
 class BrdfpipeError(ValueError):
     """Base of all refusals."""
 
@@ -48,7 +53,7 @@ class InputError(BrdfpipeError):
             message += f"; accepted: {accepted}"
         if key is not None:
             message += f"; set `{key}` in material.yaml"
-        super().__init__(message)
+        super().__init__(printable(message))
 
     def __reduce__(self) -> tuple[object, ...]:
         # Errors cross process borders; the default would rebuild them from the message alone.

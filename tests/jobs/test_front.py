@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -213,10 +214,122 @@ def test_results_among_the_raw_files_are_refused(folder: Path, project: Path, pl
         build(folder, folder / place)
 
 
+def test_a_folder_of_other_files_is_refused(folder: Path, results: Path) -> None:
+    results.mkdir()
+    (results / "thesis.txt").touch()
+    with pytest.raises(front.BuildError, match=r"holds other files \(thesis.txt\) and no results"):
+        build(folder, results)
+    assert [path.name for path in results.iterdir()] == ["thesis.txt"]
+
+
+def test_an_empty_folder_takes_results(folder: Path, results: Path) -> None:
+    results.mkdir()
+    (results / ".hidden").touch()
+    assert front.build(folder, results, cores=1, dry_run=True).jobs == 25
+
+
+def unwritable(monkeypatch: pytest.MonkeyPatch, *paths: Path) -> None:
+    """The system's answer for folders and files that cannot be written, for root as well, who may write anything else."""
+    access, blocked = os.access, {str(path.resolve()) for path in paths}
+
+    def answer(path: str | Path, mode: int, **named: bool) -> bool:
+        return access(path, mode, **named) and not (mode & os.W_OK and str(Path(path).resolve()) in blocked)
+
+    monkeypatch.setattr(os, "access", answer)
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("first", "results: first: the folder cannot be written; make it writable or delete it"),
+        ("first/exports", "results: first/exports: the folder cannot be written; make it writable or delete it"),
+        ("first/index.nc", "results: first/index.nc: cannot be replaced (write-protected); make it writable or delete it"),
+    ],
+)  # fmt: skip
+def test_results_that_cannot_be_written_fail_their_material_alone(
+    folder: Path, results: Path, monkeypatch: pytest.MonkeyPatch, place: str, message: str
+) -> None:
+    build(folder, results)
+    for name in ("first", "second"):
+        description = folder / name / "material.yaml"
+        description.write_text(description.read_text().replace("index: 1.5", "index: 1.6"))
+    with monkeypatch.context() as patched:
+        unwritable(patched, results / place)
+        summary = build(folder, results)
+    assert summary.built == ("second",)
+    assert summary.failures == {"first": message}
+    assert listed_failures(results)["first"]["message"] == message.removeprefix("results: ")
+    assert build(folder, results).built == ("first",)
+
+
+def test_an_output_that_cannot_be_removed_is_told_by_its_material() -> None:
+    run = front._Run(Path("results"))
+    run.errors = ["PermissionError: [Errno 13] Permission denied: '/somewhere/results/first/index.nc' Traceback"]
+    assert front._stuck(run, {"first", "second"}) == {
+        "first": {
+            "stage": "results",
+            "message": "first/index.nc: cannot be replaced (Permission denied); make it writable or delete it",
+        }
+    }
+
+
+def test_results_of_a_material_that_fails_now_are_marked_until_it_is_mended(
+    folder: Path, results: Path, write: Write
+) -> None:
+    build(folder, results)
+    mark = results / "first" / "STALE.txt"
+    write(folder, "first", raw="refuse")
+    summary = build(folder, results)
+    assert "it cannot be built now: raw.txt: not fit to use; found refuse" in mark.read_text()
+    assert (results / "first" / "report.html").exists()
+    assert summary.notices == ()
+    write(folder, "first")
+    build(folder, results)
+    assert not mark.exists()
+
+
+def test_results_of_a_material_that_is_gone_are_marked_and_told(folder: Path, results: Path) -> None:
+    build(folder, results)
+    (folder / "first").rename(folder.parent / "kept")
+    (notice,) = build(folder, results).notices
+    assert notice == "1 folder of materials that are no longer in the catalogue, marked by STALE.txt: first"
+    assert "no material of this name is in the catalogue" in (results / "first" / "STALE.txt").read_text()
+    (folder.parent / "kept").rename(folder / "first")
+    assert build(folder, results).notices == ()
+    assert not (results / "first" / "STALE.txt").exists()
+
+
+def test_a_folder_that_is_no_material_is_told_and_no_failure(folder: Path, results: Path) -> None:
+    (folder / "odd").mkdir()
+    (folder / "odd" / "material.yml").touch()
+    summary = front.build(folder, results, cores=1, dry_run=True)
+    assert summary.failures == {}
+    assert summary.notices == ("odd: ignored: material.yml is not read; rename it to material.yaml",)
+
+
+def test_only_results_inside_the_folder_are_ever_deleted_as_damaged(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    (results / "failures").mkdir(parents=True)
+    for file in (tmp_path / "raw.nc", results / "good.nc", results / "bad.nc"):
+        file.touch()
+    record = {"damaged": ["../raw.nc", str(tmp_path / "raw.nc"), "bad.nc", "absent.nc"]}
+    (results / "failures" / "m.json").write_text(json.dumps(record))
+    assert front._delete_damaged(results, []) == ["bad.nc"]
+    assert {path.name for path in tmp_path.rglob("*.nc")} == {"raw.nc", "good.nc"}
+
+
 def test_a_dry_run_changes_nothing(folder: Path, results: Path) -> None:
     summary = front.build(folder, results, cores=1, dry_run=True)
     assert summary.jobs == 25  # twelve stages of two materials, and the catalogue
     assert content(results) == {}
+
+
+def test_a_dry_run_plans_the_mended_material_of_a_failed_build(folder: Path, results: Path, write: Write) -> None:
+    write(folder, "first", raw="refuse")
+    build(folder, results)
+    write(folder, "first")
+    summary = front.build(folder, results, cores=1, dry_run=True)
+    assert (summary.built, summary.current, summary.failures) == (("first",), ("second",), {})
 
 
 def test_no_result_knows_where_it_was_made(folder: Path, results: Path, write: Write) -> None:
@@ -273,7 +386,8 @@ def test_a_killed_build_leaves_no_process_and_resumes(
     assert build(folder, results).built == ("first", "second")
     undisturbed = tmp_path / "undisturbed"
     undisturbed.mkdir()
-    (undisturbed / "gate").touch()
+    for file in ("gate", ".build.lock"):
+        (undisturbed / file).touch()
     build(folder, undisturbed)
     assert content(results) == content(undisturbed)
 
@@ -286,3 +400,15 @@ def test_an_interrupted_build_ends_its_workers_and_says_so(stuck: subprocess.Pop
     assert output.splitlines()[-1] == "brdfpipe: interrupted; the same command resumes"
     wait_until(lambda: not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children))
     assert not list((results / "failures").glob("*"))
+
+
+def test_only_what_a_build_left_is_cleaned_up(folder: Path, results: Path) -> None:
+    front.build(folder, results, cores=1)
+    own = [results / "failures" / "notes.txt", results / "first" / ".draft.tmp"]
+    left = results / "first" / ".facets.nc.4711.tmp"
+    for path in (*own, left):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("mine")
+    front.build(folder, results, cores=1)
+    assert all(path.exists() for path in own)
+    assert not left.exists()

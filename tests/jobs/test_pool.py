@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -136,6 +137,31 @@ def test_closing_ends_busy_workers_and_leaves_no_failure(tmp_path: Path, workers
         workers.close()
         assert isinstance(waiting.exception(), pool.StageError)
     assert not (tmp_path / "failures").exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="what a process hears is told on Linux alone")
+def test_the_server_of_workers_is_deaf_to_ctrl_c_and_the_main_process_is_not(
+    workers: pool.Pool, tmp_path: Path
+) -> None:
+    workers.perform(job(tmp_path))
+    server = psutil.Process(int(str(result(tmp_path)[0]))).ppid()
+    blocked = Path(f"/proc/{server}/status").read_text().partition("SigBlk:")[2].split()[0]
+    assert int(blocked, 16) >> (signal.SIGINT - 1) & 1
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, set())
+
+
+def test_a_stage_that_cannot_open_a_result_names_it_and_no_raw_file(tmp_path: Path, workers: pool.Pool) -> None:
+    script = tmp_path / "reader.py"
+    script.write_text(
+        "from brdfpipe import store\ndef main(input, output, params):\n    store.open_dataset(input['surface'])\n"
+    )
+    (tmp_path / "raw.txt").write_text("raw")
+    (tmp_path / "surface.nc").write_bytes(b"\x89HDF damaged")
+    files = {"raw": str(tmp_path / "raw.txt"), "surface": "surface.nc", "more": ["surface.nc"]}
+    outcome = workers.perform(Job("facets", "m", str(script), str(tmp_path), files, {"out": "m/out.nc"}, {}))
+    assert set(outcome.damaged) == {"surface.nc"}
+    record = json.loads((tmp_path / "failures" / "m.json").read_text())
+    assert set(record["damaged"]) == {"surface.nc"}
 
 
 def test_workers_end_when_the_main_process_is_gone(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ _INCIDENCES = np.array([0.0, 8.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0
 RECIPROCITY_LIMIT = 1e-9
 ENERGY_LIMIT = 1e-6  # the accuracy of the albedo between its nodes
 CLOSURE_LIMIT = 1e-6
-INTEGRAL_LIMIT = 1e-4
+INTEGRAL_LIMIT = 1e-3  # of the incident light: a counted density has kinks that cost the plain quadrature 1e-4
 
 
 class _Verdict(NamedTuple):

@@ -19,7 +19,7 @@ from brdfpipe import vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.facets.assembly import planar_axes, planar_dataset, positive, radial_dataset, with_noise_warning
 from brdfpipe.facets.counting import FacetError, redundancy_of
-from brdfpipe.facets.slopes import SCALES, correlation_length, count_line, mean_square
+from brdfpipe.facets.slopes import SCALES, correlation_length, count_line, inner, mean_square
 from brdfpipe.geometry import Array
 from brdfpipe.planar import PlanarDensity
 
@@ -139,7 +139,7 @@ def _slope_rms_by_scale(line: xr.Dataset) -> Array:
 
 def _count(along: Array) -> _Marginal:
     fine = count_line(along)
-    rms = float(np.sqrt(np.vdot(along, along) / along.size))
+    rms = float(np.sqrt(inner(along, along) / along.size))
     there = int(np.flatnonzero(fine.counts.any(axis=0))[-1]) + 1
     edges = fine.edges[: there + 1]
     wanted = rms * np.sinh(np.linspace(0, np.arcsinh(edges[-1] / rms), _BINS + 1))

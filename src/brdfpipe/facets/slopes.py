@@ -150,12 +150,12 @@ def _block_moments(along_x: Array, along_y: Array) -> tuple[int, Array, Array]:
     Every edge along x meets the four edges along y of the quads beside it: sums over triangles are sums over edges.
     """
     sum_x, sum_y = along_x[:-1] + along_x[1:], along_y[:, :-1] + along_y[:, 1:]
-    mixed = float(np.vdot(sum_x, sum_y))
+    mixed = inner(sum_x, sum_y)
     if np.isfinite(mixed):
         first = 2 * np.array([sum_x.sum(), sum_y.sum()])
         # Each edge counts twice for every quad beside it: those on the block's border have one.
-        square_x = 2 * np.vdot(along_x, along_x) - np.vdot(along_x[0], along_x[0]) - np.vdot(along_x[-1], along_x[-1])
-        square_y = 2 * np.vdot(along_y, along_y) - sum(np.vdot(along_y[:, k], along_y[:, k]) for k in (0, -1))
+        square_x = 2 * inner(along_x, along_x) - inner(along_x[0], along_x[0]) - inner(along_x[-1], along_x[-1])
+        square_y = 2 * inner(along_y, along_y) - sum(inner(along_y[:, k], along_y[:, k]) for k in (0, -1))
         squares = (2 * square_x, 2 * square_y)
         return 4 * sum_x.size, first, np.array([*squares, mixed])
     count, first, second = 0, np.zeros(2), np.zeros(3)
@@ -165,7 +165,7 @@ def _block_moments(along_x: Array, along_y: Array) -> tuple[int, Array, Array]:
             p_there, q_there = p[complete], q[complete]
             count += p_there.size
             first += p_there.sum(), q_there.sum()
-            second += p_there @ p_there, q_there @ q_there, p_there @ q_there
+            second += inner(p_there, p_there), inner(q_there, q_there), inner(p_there, q_there)
     return count, first, second
 
 
@@ -198,10 +198,15 @@ _SAMPLED = 2**20
 """Heights from which slopes by scale and correlation are taken: more would not tell more."""
 
 
+def inner(a: Array, b: Array) -> float:
+    """Σ a b. Not by BLAS: it splits large sums over threads, and their number would change the last bits."""
+    return float(np.einsum("i,i->" if a.ndim == 1 else "ij,ij->", a, b))
+
+
 def mean_square(values: Array) -> float:
     """Mean square of the values that are there; NaN where none is."""
     finite = values[np.isfinite(values)]
-    return float(finite @ finite.astype(float) / finite.size) if finite.size else float("nan")
+    return inner(finite, finite) / finite.size if finite.size else float("nan")
 
 
 def correlation_length(surface: xr.Dataset) -> float:

@@ -14,7 +14,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-LIBRARIES = ("netCDF4", "numpy", "scipy", "xarray")
+LIBRARIES = ("defusedxml", "jinja2", "netCDF4", "numpy", "pandas", "pillow", "scipy", "xarray")
 
 UNFOLLOWED = ("brdfpipe.jobs.", "brdfpipe.cli.")
 """The machinery: it carries results and does not shape them."""

@@ -1,20 +1,23 @@
 """The build front: one command that builds a catalogue, resumes, reports, and leaves a page whatever failed.
 
 Snakemake decides what to run; it runs in this process, so that nothing outlives it. Materials that a stage refused are left
-out of a second, short run that makes the catalogue page, on which they are listed with their reasons.
+out of a second, short run that makes the catalogue page, on which they are listed with their reasons. Damaged results that a
+stage could not read are deleted and made anew.
 """
 
 from __future__ import annotations
 
+import csv
 import json
 import logging
 import os
-import shutil
+import re
 import signal
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -28,6 +31,12 @@ PROGRESS_AFTER = 2.0
 """Seconds before a progress bar is worth showing."""
 
 LOG = "logs/build.log"
+
+TEMPORARY = re.compile(r"\..+\.\d+\.tmp")
+"""Names under which the store writes what is not whole yet."""
+
+STALE = "STALE.txt"
+"""In a material's folder: its results are older than the catalogue."""
 
 
 class BuildError(BrdfpipeError):
@@ -43,11 +52,17 @@ class Summary:
     current: tuple[str, ...]
     """Materials that were up to date."""
     failures: Mapping[str, str]
-    """Material → reason, in one line."""
+    """Material that could not be built → reason, in one line."""
     jobs: int
     page: Path
     seconds: float
     dry_run: bool = False
+    verdicts: Mapping[str, str] = field(default_factory=dict)
+    """Built material → worst verdict of its checks: pass, warn or fail."""
+    faults: Mapping[str, str] = field(default_factory=dict)
+    """Built material whose verdict is fail → what the checks found, in one line."""
+    notices: tuple[str, ...] = ()
+    """What else the user should know; none of it is a failure."""
 
     @property
     def text(self) -> str:
@@ -55,17 +70,31 @@ class Summary:
             lines = [
                 f"{self.jobs} jobs would run, for {len(self.built)} of {len(self.built) + len(self.current)} materials"
             ]
-            return "\n".join([*lines, *(f"  {name}" for name in self.built), *self._failed])
+            return "\n".join([*lines, *(f"  {name}" for name in self.built), *self._failed, *self.notices])
         total = len(self.built) + len(self.current) + len(self.failures)
         lines = [
             f"{total} material{'s' if total != 1 else ''}: {len(self.built)} built, {len(self.current)} up to date, "
-            f"{len(self.failures)} failed ({self.jobs} jobs in {self.seconds:.1f} s)"
+            f"{len(self.failures)} not built ({self.jobs} job{'s' if self.jobs != 1 else ''} in {self.seconds:.1f} s)"
         ]
-        return "\n".join([*lines, *self._failed, f"Open {self.page}"])
+        return "\n".join([*lines, *self._failed, *self._judged, *self.notices, f"Open {self.page}"])
 
     @property
     def _failed(self) -> list[str]:
-        return [f"  {name}: {message}" for name, message in sorted(self.failures.items())]
+        return [f"  {name}: not built: {message}" for name, message in sorted(self.failures.items())]
+
+    @property
+    def _judged(self) -> list[str]:
+        counts = Counter(self.verdicts.values())
+        if not (counts["fail"] or counts["warn"]):
+            return []
+        page = self.page.parent
+        return [
+            f"Verdicts of the checks: {counts['fail']} fail, {counts['warn']} warn; the reports say why",
+            *(
+                f"  {name}: verdict fail{f': {why}' if why else ''} ({page / name / 'report.html'})"
+                for name, why in sorted(self.faults.items())
+            ),
+        ]
 
 
 def build(folder: Path, results: Path, *, cores: int, config: Path | None = None, dry_run: bool = False) -> Summary:
@@ -95,34 +124,74 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
     with _only_build(results), _interruptible() as interrupted:
         if not dry_run:
             _clean_up(results)
-        first = _Run(results, dry_run)
-        complete = first.snakemake(told, cores)
-        if interrupted:
-            raise KeyboardInterrupt
-        failed = _failures(results, first, {material.name for material in loaded.materials})
-        if failed and not dry_run:
-            second = _Run(results)
-            complete = second.snakemake({**told, "failures": failed}, cores)
-            first.done += second.done
-            first.errors += second.errors
-        if interrupted:
-            raise KeyboardInterrupt
-        if not complete:
-            raise BuildError(_why(first, results))
-    touched = {material for _, material in first.done}
-    names = [material.name for material in loaded.materials if material.name not in failed]
+        failed = _unwritable(results, loaded)
+        names = {material.name for material in loaded.materials}
+        done = _build(results, told, names, failed, interrupted, cores, dry_run)
+        stale = [] if dry_run else _mark_stale(results, loaded, failed)
+    touched = {material for _, material in done.jobs}
+    good = [material.name for material in loaded.materials if material.name not in failed]
+    verdicts = {} if dry_run else _verdicts(results, good)
     return Summary(
-        built=tuple(name for name in names if name in touched),
-        current=tuple(name for name in names if name not in touched),
+        built=tuple(name for name in good if name in touched),
+        current=tuple(name for name in good if name not in touched),
         failures={
             **loaded.failures,
             **{name: f"{entry['stage']}: {entry['message']}" for name, entry in failed.items()},
         },
-        jobs=sum(rule != "all" for rule, _ in first.done),
+        jobs=sum(rule != "all" for rule, _ in done.jobs),
         page=results / "index.html",
         seconds=time.perf_counter() - started,
         dry_run=dry_run,
+        verdicts=verdicts,
+        faults={name: _fault(results, name) for name, verdict in verdicts.items() if verdict == "fail"},
+        notices=tuple(_notices(loaded.folder, done.healed, stale)),
     )
+
+
+@dataclass
+class _Done:
+    """What the runs of snakemake did together."""
+
+    jobs: list[tuple[str, str]] = field(default_factory=list)
+    """(rule, material)"""
+    healed: list[str] = field(default_factory=list)
+    """Damaged files that were deleted."""
+
+
+def _build(
+    results: Path,
+    told: Mapping[str, Any],
+    names: set[str],
+    failed: dict[str, dict[str, str]],
+    interrupted: list[int],
+    cores: int,
+    dry_run: bool,
+) -> _Done:
+    """Run snakemake as often as it takes: again where a damaged file was deleted, again without the materials that failed.
+
+    Those are added to ``failed``. Each turn deletes a file for the first time in this build or leaves out one more material,
+    so that there is an end.
+    """
+    done = _Done()
+    while True:
+        run = _Run(results, dry_run)
+        complete = run.snakemake({**told, "failures": failed}, cores)
+        done.jobs += run.done
+        if interrupted:
+            raise KeyboardInterrupt
+        # A dry run fails nowhere; the records that lie there are those of the build before.
+        found = {} if dry_run else _failures(results, run, names - failed.keys())
+        damaged = [] if dry_run else _delete_damaged(results, done.healed)
+        if damaged:
+            done.healed += damaged
+            continue
+        if not complete and not found:
+            found = _stuck(run, names - failed.keys())
+        if complete and not found:
+            return done
+        if not found:
+            raise BuildError(_why(run, results))
+        failed |= found
 
 
 @dataclass
@@ -214,6 +283,12 @@ def _check_results(results: Path, loaded: catalogue.Catalogue) -> None:
         raise BuildError(f"{results}: results go to a folder of their own, not among the raw files of the catalogue")
     if target.exists() and not target.is_dir():
         raise BuildError(f"{results}: is a file; results need a folder")
+    if target.is_dir() and not any((target / mark).exists() for mark in catalogue.RESULT_MARKS):
+        others = sorted(item.name for item in target.iterdir() if not item.name.startswith("."))
+        if others:
+            raise BuildError(
+                f"{results}: holds other files ({others[0]}) and no results; choose a new or an empty folder"
+            )
 
 
 @contextmanager
@@ -264,11 +339,14 @@ def _interruptible() -> Iterator[list[int]]:
 
 def _clean_up(results: Path) -> None:
     """Remove what a killed build left: half-written files and the failures of the build before."""
-    shutil.rmtree(results / "failures", ignore_errors=True)
+    _forget_failures(results)
     (results / LOG).unlink(missing_ok=True)
     for pattern in (".*.tmp", "*/.*.tmp", "*/exports/.*.tmp"):
         for leftover in results.glob(pattern):
-            leftover.unlink(missing_ok=True)
+            if not TEMPORARY.fullmatch(leftover.name):
+                continue
+            with suppress(OSError):  # in a folder that cannot be written, which is told of by itself
+                leftover.unlink()
 
 
 def _failures(results: Path, run: _Run, names: set[str]) -> dict[str, dict[str, str]]:
@@ -284,9 +362,123 @@ def _failures(results: Path, run: _Run, names: set[str]) -> dict[str, dict[str, 
     return found
 
 
+def _unwritable(results: Path, loaded: catalogue.Catalogue) -> dict[str, dict[str, str]]:
+    """Materials whose folder of results is there and cannot be written: snakemake would stop for all over it."""
+    folders = [(material.name, part) for material in loaded.materials for part in (".", "exports")]
+    return {
+        name: _blocked(str(Path(name, part)), "the folder cannot be written")
+        for name, part in folders
+        if (results / name / part).exists() and not os.access(results / name / part, os.W_OK | os.X_OK)
+    }
+
+
+def _stuck(run: _Run, names: set[str]) -> dict[str, dict[str, str]]:
+    """Materials one of whose old results snakemake could not remove or write."""
+    found = {}
+    for error in run.errors:
+        told = [(file, reason) for reason, file in re.findall(r"\[Errno \d+\] ([^:]+): '([^']+)'", error)]
+        told += [
+            (file, "write-protected") for file in re.findall(r"Write-protected output .* affected files: (\S+)", error)
+        ]
+        for file, reason in told:
+            parts = Path(file).parts
+            place = next((place for place, part in enumerate(parts) if part in names), None)
+            if place is not None:
+                found[parts[place]] = _blocked("/".join(parts[place:]), f"cannot be replaced ({reason})")
+    return found
+
+
+def _blocked(place: str, problem: str) -> dict[str, str]:
+    return {"stage": "results", "message": f"{place}: {problem}; make it writable or delete it"}
+
+
+def _delete_damaged(results: Path, before: list[str]) -> list[str]:
+    """Delete the results that a stage could not read, each once in a build, with the failures they caused; return them."""
+    inside = results.resolve()
+    damaged = set()
+    for path in (results / "failures").glob("*.json"):
+        damaged |= set(json.loads(path.read_text(encoding="utf-8")).get("damaged", []))
+    found = sorted(
+        name
+        for name in damaged - set(before)
+        if (inside / name).is_file() and (inside / name).resolve().is_relative_to(inside)
+    )
+    for name in found:
+        (inside / name).unlink()
+    if found:
+        _forget_failures(results)
+    return found
+
+
+def _forget_failures(results: Path) -> None:
+    for record in (results / "failures").glob("*.json"):
+        with suppress(OSError):
+            record.unlink()
+
+
+def _mark_stale(results: Path, loaded: catalogue.Catalogue, failed: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Mark reports and exports that no material of the catalogue stands behind now; return those of materials that are gone."""
+    reasons = {**loaded.failures, **{name: entry["message"] for name, entry in failed.items()}}
+    gone = []
+    for folder in sorted(path for path in results.iterdir() if path.is_dir() and path.name not in catalogue.RESERVED):
+        mark = folder / STALE
+        if not (folder / "report.html").exists() and not any(folder.glob("exports/*")):
+            continue
+        if folder.name in loaded.by_name and folder.name not in failed:
+            mark.unlink(missing_ok=True)
+            continue
+        if folder.name in reasons:
+            reason = f"it cannot be built now: {reasons[folder.name]}"
+        else:
+            gone.append(folder.name)
+            reason = "no material of this name is in the catalogue."
+        with suppress(OSError):  # a folder that cannot be written has been named already
+            mark.write_text(
+                f"The results in this folder are of an earlier state of the material; {reason}\n"
+                "The build that makes them anew removes this file.\n",
+                encoding="utf-8",
+            )
+    return gone
+
+
+def _verdicts(results: Path, names: Iterable[str]) -> dict[str, str]:
+    """Material → verdict, from the catalogue's table."""
+    with suppress(OSError), (results / "catalogue.csv").open(encoding="utf-8", newline="") as table:
+        told = {row.get("material"): row.get("verdict") or "" for row in csv.DictReader(table)}
+        return {name: told[name] for name in names if told.get(name)}
+    return {}
+
+
+def _fault(results: Path, name: str) -> str:
+    """What the checks of a material failed on, in one line."""
+    from brdfpipe.store import open_dataset
+
+    try:
+        verdicts = json.loads(open_dataset(results / name / "checks.nc", "checks").attrs["verdicts"])
+    except (BrdfpipeError, KeyError):
+        return ""
+    return "; ".join(f"{check}: {entry['text']}" for check, entry in verdicts.items() if entry["verdict"] == "fail")
+
+
+def _notices(folder: Path, healed: list[str], stale: list[str]) -> Iterator[str]:
+    if healed:
+        yield f"{_count(healed, 'damaged file')} deleted and made anew: {', '.join(healed)}"
+    if stale:
+        yield (
+            f"{_count(stale, 'folder')} of materials that are no longer in the catalogue, marked by {STALE}: "
+            f"{', '.join(stale[:5])}{', …' if len(stale) > 5 else ''}"
+        )
+    for name, why in catalogue.ignored(folder).items():
+        yield f"{name}: ignored: {why}"
+
+
+def _count(items: list[str], word: str) -> str:
+    return f"{len(items)} {word}{'s' if len(items) != 1 else ''}"
+
+
 def _why(run: _Run, results: Path) -> str:
     record = results / "failures" / "catalogue.json"
     if record.is_file():
         return "the catalogue page could not be made: " + json.loads(record.read_text(encoding="utf-8"))["message"]
-    reason = run.errors[0] if run.errors else "stopped before its end; run it again to resume"
+    reason = run.errors[0].partition(" File ")[0] if run.errors else "stopped before its end; run it again to resume"
     return f"{results}: {reason} (see {results / LOG})"

@@ -12,7 +12,7 @@ import signal
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
 
 from brdfpipe.errors import BrdfpipeError
@@ -73,7 +73,7 @@ class Pool:
             outcome = Outcome(f"the process was killed {ATTEMPTS} times ({died}); is there enough memory?")
         if outcome.error and not self._closed:
             with self._lock:
-                record_failure(job, outcome.error)
+                record_failure(job, outcome.error, outcome.damaged)
         return outcome
 
     def close(self) -> None:
@@ -107,7 +107,8 @@ class _Worker:
     def __init__(self) -> None:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(PRELOADED)
-        with _environment(ONE_THREAD):
+        resource_tracker.ensure_running()  # it would let the signals through again
+        with _environment(ONE_THREAD), _deaf():
             forkserver.ensure_running()
         self._line, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs,), daemon=True, name="brdfpipe-worker")
@@ -166,6 +167,16 @@ def _end_with_parent() -> None:
     if parent is not None:
         wait([parent.sentinel])
         os._exit(1)
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """What starts here inherits that Ctrl-C does not reach it, from its first moment on; the server minds it only once set up."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

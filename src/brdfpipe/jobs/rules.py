@@ -71,9 +71,9 @@ class Stages:
             pattern_of[export].format(material=name) for name in self.names for export in self.catalogue[name].exports
         ]
 
-    def datasets(self) -> list[str]:
-        """Every dataset of every material."""
-        return [f"{name}/{stage}.nc" for name in self.names for stage in _stages_of(self.catalogue[name])]
+    def files(self) -> list[str]:
+        """Every file of every material."""
+        return [f"{name}/{file}" for name in self.names for file in _files_of(self.catalogue[name])]
 
     def run(self, stage: str, wildcards: Any, input: Any, output: Any, params: Any) -> None:
         """Run a rule's stage in a worker.
@@ -94,6 +94,13 @@ class Stages:
         outcome = pool.pool().perform(job)
         if outcome.error:
             raise pool.StageError(f"{job.title}: {outcome.error}")
+
+
+def _files_of(material: catalogue.Material) -> list[str]:
+    exports = [f"exports/{material.name}.lambert_gauss.csv"]
+    if "astm" in material.exports:
+        exports += [f"exports/{material.name}.astm", f"exports/{material.name}.total_reflectance.csv"]
+    return [*(f"{stage}.nc" for stage in _stages_of(material)), "report.html", *exports]
 
 
 def _stages_of(material: catalogue.Material) -> list[str]:

@@ -63,13 +63,16 @@ class Outcome:
     cpu: float = 0.0
     peak: float = 0.0
     """Largest memory of the process while the stage ran, MB."""
+    damaged: tuple[str, ...] = ()
+    """Results that the stage could not read, relative to the results folder: they can be made anew."""
 
 
 def perform(job: Job) -> Outcome:
     """Run a job in this process; what the stage does wrong ends in the outcome and the log."""
     os.chdir(job.folder)
     job.log.parent.mkdir(parents=True, exist_ok=True)
-    error = None
+    error: str | None = None
+    damaged: tuple[str, ...] = ()
     with job.log.open("w", encoding="utf-8") as log, _output_to(log):
         print(job.title, file=log)
         _reset_peak_memory()
@@ -81,13 +84,13 @@ def perform(job: Job) -> Outcome:
                     Path(path).parent.mkdir(parents=True, exist_ok=True)
                 _main(job.script)(job.input, job.output, job.params)
         except BrdfpipeError as refusal:
-            error = " ".join(str(refusal).split())
+            error, damaged = " ".join(str(refusal).split()), _damaged(refusal, job)
             print(f"refused: {error}", file=log)
         except Exception as fault:
             error = f"unexpected {type(fault).__name__}: {_without_folders(' '.join(str(fault).split()), job)}"
             error += f" (see logs/{job.material}/{job.stage}.log)"
             traceback.print_exc(file=log)
-        outcome = Outcome(error, time.perf_counter() - wall, time.process_time() - cpu, _peak_memory())
+        outcome = Outcome(error, time.perf_counter() - wall, time.process_time() - cpu, _peak_memory(), damaged)
         for warning in caught:
             print(
                 f"{warning.category.__name__}: {warning.message} ({Path(warning.filename).name}:{warning.lineno})",
@@ -98,6 +101,25 @@ def perform(job: Job) -> Outcome:
     return outcome
 
 
+def _damaged(refusal: BrdfpipeError, job: Job) -> tuple[str, ...]:
+    """The inputs that cannot be opened, if that is what was refused; raw files, whose paths are absolute, are never among them."""
+    from brdfpipe.store import StoreError, open_dataset
+
+    if not isinstance(refusal, StoreError):
+        return ()
+    found = []
+    for value in job.input.values():
+        for path in [value] if isinstance(value, str) else value:
+            try:
+                if not Path(path).is_absolute():
+                    open_dataset(path)
+            except StoreError:
+                found.append(path)
+            except BrdfpipeError:
+                continue  # whole, but of another kind
+    return tuple(found)
+
+
 def _without_folders(message: str, job: Job) -> str:
     """The message is shown on the catalogue's page, which is the same wherever the folders are."""
     for path in map(str, job.input.values()):
@@ -105,14 +127,16 @@ def _without_folders(message: str, job: Job) -> str:
     return message.replace(f"{job.folder}/", "")
 
 
-def record_failure(job: Job, message: str) -> None:
+def record_failure(job: Job, message: str, damaged: tuple[str, ...] = ()) -> None:
     """Leave word of a failed job for the front and the catalogue: of several of a material, always the same one."""
     from brdfpipe.store import write_text
 
     path = Path(job.folder, "failures", f"{job.material}.json")
     if path.is_file() and json.loads(path.read_text(encoding="utf-8"))["stage"] < job.stage:
         return
-    record = {"material": job.material, "stage": job.stage, "message": message}
+    record: dict[str, Any] = {"material": job.material, "stage": job.stage, "message": message}
+    if damaged:
+        record["damaged"] = list(damaged)
     write_text(path, json.dumps(record, ensure_ascii=False) + "\n")
 
 
