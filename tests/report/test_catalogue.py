@@ -195,3 +195,89 @@ def test_a_thousand_materials_make_a_light_page(full: Datasets) -> None:
 def test_rows_are_valid_datasets_of_their_kind(full: Datasets) -> None:
     vocabulary.validate(summarise(full), "catalogue")
     vocabulary.validate(summarise({"index": full["index"]}), "catalogue")
+
+
+def _verdict(datasets: Datasets, **verdicts: str) -> Datasets:
+    told = {name: {"verdict": verdict, "text": f"{name} found"} for name, verdict in verdicts.items()}
+    return {**datasets, "checks": datasets["checks"].assign_attrs(verdicts=json.dumps(told))}
+
+
+def _names(html: str) -> list[str]:
+    return re.findall(r'<a href="[^"]*/report.html">([^<]*)</a>', html)
+
+
+def test_the_page_shows_the_worst_verdict_first_and_then_by_name(full: Datasets) -> None:
+    passed, warned, failed = (_verdict(full, energy=verdict) for verdict in ("pass", "warn", "fail"))
+    unchecked = {"index": full["index"]}
+    rows = [
+        _row(unchecked, "a"),
+        _row(passed, "b-10"),
+        _row(passed, "B-2"),
+        _row(failed, "y"),
+        _row(warned, "x"),
+        _row(failed, "c"),
+    ]
+    html = catalogue_page(combine(rows), {})
+    assert _names(html) == ["c", "y", "x", "B-2", "b-10", "a"]
+    assert "Worst first" in html
+    assert "2 pass, 1 warn, 2 fail, 1 unchecked" in html
+
+
+def test_a_row_names_the_checks_behind_its_verdict(full: Datasets) -> None:
+    row = _row(_verdict(full, energy="fail", closure="warn", positivity="fail"), "a")
+    assert str(row["verdict_checks"].values[0]) == "energy, positivity"
+    html = catalogue_page(combine([row]), {})
+    assert (
+        'title="energy: energy found; positivity: positivity found">fail</b><small>energy, positivity</small>' in html
+    )
+
+
+def test_a_material_that_passes_has_no_check_to_name(full: Datasets) -> None:
+    row = _row(_verdict(full, energy="pass"), "a")
+    assert row["verdict_checks"].values.tolist() == row["verdict_text"].values.tolist() == [""]
+
+
+def test_the_verdict_of_the_table_counts(full: Datasets) -> None:
+    told = json.dumps({"table": {"verdict": "fail", "text": "too coarse"}})
+    row = _row({**full, "table": xr.Dataset(attrs={"verdicts": told})}, "a")
+    assert (str(row["verdict"].values[0]), str(row["verdict_checks"].values[0])) == ("fail", "table")
+
+
+def _heads(html: str) -> list[str]:
+    return re.findall(r'<th scope="col">([^<]*)</th>', html)
+
+
+def test_only_columns_that_some_material_has_are_shown(full: Datasets) -> None:
+    appearance = full["appearance"].isel(gloss_angle=[2]).assign(haze=np.nan)
+    heads = _heads(catalogue_page(combine([_row({"appearance": appearance, "facets": full["facets"]}, "a")]), {}))
+    assert heads == ["Material", "Gloss 85°", "L*", "a*", "b*", "rms slope", "Anisotropy", "Verdict", "Warnings"]
+    assert _heads(catalogue_page(combine([_row({"index": full["index"]}, "a")]), {})) == [
+        "Material",
+        "Verdict",
+        "Warnings",
+    ]
+
+
+def test_haze_is_shown_for_high_gloss_alone(full: Datasets) -> None:
+    appearance = full["appearance"].assign(gloss=("gloss_angle", [80.5, 92.75, 95.0]), haze=12.25)
+    glossy, matt = _row({**full, "appearance": appearance}, "glossy"), _row(full, "matt")
+    assert "Haze" not in _heads(catalogue_page(combine([matt]), {}))
+    html = catalogue_page(combine([glossy, matt]), {})
+    assert "Haze" in _heads(html)
+    assert "<td>12.2<td>" in html  # 12.25 to the even digit
+    assert "<td>18.2<td>" not in html
+
+
+def test_what_rounding_leaves_of_zero_is_zero_in_the_table(full: Datasets) -> None:
+    lab = full["appearance"]["lab"].copy(data=[[50.0, 5.55112e-14, -3e-15], [50.0, 0.0, 0.0]])
+    line = _table(catalogue_csv(combine([_row({**full, "appearance": full["appearance"].assign(lab=lab)}, "a")]), {}))[
+        0
+    ]
+    assert [line[name] for name in "Lab"] == ["50", "0", "0"]
+
+
+def test_failures_stand_in_columns(full: Datasets) -> None:
+    html = catalogue_page(
+        combine([_row(full, "a")]), {"b": {"stage": "surface", "message": "m"}, "c": {"message": "n"}}
+    )
+    assert html.count('<span class="stage-name">') == 2

@@ -10,9 +10,9 @@ import xarray as xr
 from PIL import Image
 
 from brdfpipe import vocabulary
-from brdfpipe.facets import analytic
+from brdfpipe.bsdf import microfacet
 from brdfpipe.report import figures
-from brdfpipe.report.figures import viridis
+from brdfpipe.report.raster import viridis
 
 Datasets = dict[str, xr.Dataset]
 
@@ -76,15 +76,50 @@ def test_a_long_profile_keeps_its_peak() -> None:
     assert shown.max() == 7.0
 
 
-def test_the_beckmann_overlay_of_masking_is_the_closed_form() -> None:
-    # PHYSICS: G1 of Beckmann a = 0.3 at 60, 75, 85 degree
-    g1 = figures._beckmann_g1(np.array([60.0, 75.0, 85.0]), 0.3)
-    np.testing.assert_allclose(g1, [0.99963733, 0.96249761, 0.64581632], atol=1e-8)
+def test_what_the_facets_mirror_never_exceeds_the_total(full: Datasets) -> None:
+    total, mirrored = figures._directional(full["bsdf"])
+    assert mirrored is not None
+    assert (mirrored <= total).all()
+    assert figures._GRAZING[-1] == pytest.approx(89.9)
 
 
-def test_a_density_without_rms_slope_has_no_overlay() -> None:
-    assert figures.slope_density(analytic("ggx", 0.1)).legend == ()
-    assert figures.slope_density(analytic("beckmann", 0.1)).legend != ()
+def test_the_directional_reflectance_is_that_of_the_bsdf(full: Datasets) -> None:
+    total, _ = figures._directional(full["bsdf"])
+    at_8 = np.interp(8.0, figures._GRAZING, total)
+    # The BSDF closes on the spectrum at 8 degree; linear interpolation over 2.5 degree adds 1e-4 at most.
+    assert at_8 == pytest.approx(float(full["spectrum"]["total_reflectance"].sel(wavelength=550.0)), abs=2e-4)
+
+
+def test_without_a_bsdf_the_checks_give_the_directional_reflectance(full: Datasets) -> None:
+    curve = figures.albedo(full["checks"], None)
+    assert curve is not None
+    assert curve.legend == ()
+    assert figures.albedo(None, None) is None
+
+
+def test_a_spectrum_with_the_specular_included_is_the_total(full: Datasets) -> None:
+    shown = figures.spectrum(full["spectrum"], full["bsdf"])
+    assert [label for *_, label in shown.legend] == [
+        "± 2 standard uncertainties",
+        "total reflectance",
+        "mirrored by the facets",
+    ]
+
+
+def test_a_spectrum_with_the_specular_excluded_stands_below_the_total(full: Datasets) -> None:
+    excluded = full["spectrum"].assign_attrs(geometry="sce")
+    bsdf = microfacet.build(full["facets"], index=full["index"], spectrum=excluded)
+    shown = figures.spectrum(excluded, bsdf)
+    assert [label for *_, label in shown.legend][1:3] == ["total reflectance", "measured, specular excluded"]
+    assert "The total reflectance adds the mirrored light that the measurement excluded." in shown.note
+    total = figures._total(excluded, bsdf)
+    assert total is not None
+    assert (total[1] > excluded["total_reflectance"].values).all()
+
+
+def test_without_a_bsdf_a_spectrum_with_the_specular_excluded_is_still_not_called_total(full: Datasets) -> None:
+    shown = figures.spectrum(full["spectrum"].assign_attrs(geometry="sce"))
+    assert [label for *_, label in shown.legend] == ["± 2 standard uncertainties", "measured, specular excluded"]
 
 
 def test_viridis_runs_from_violet_to_yellow_and_gets_lighter_all_the_way() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -19,7 +20,7 @@ from markupsafe import Markup
 from brdfpipe import vocabulary
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report import material as page
-from brdfpipe.report.pages import TEMPLATES, colour, fixed, render, worst
+from brdfpipe.report.pages import TEMPLATES, VERDICTS, colour, fixed, render, worst
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class Number:
 
 NUMBERS: Mapping[str, Number] = {
     "gloss_20": Number("gloss units at 20 degree, D523-style", "Gloss 20°"),
-    "gloss_60": Number("gloss units at 60 degree, D523-style", "60°"),
-    "gloss_85": Number("gloss units at 85 degree, D523-style", "85°"),
+    "gloss_60": Number("gloss units at 60 degree, D523-style", "Gloss 60°"),
+    "gloss_85": Number("gloss units at 85 degree, D523-style", "Gloss 85°"),
     "haze": Number("gloss at 60 degree minus gloss at 20 degree", "Haze"),
     "L": Number("CIE 1976 lightness L* at the first geometry of the appearance", "L*"),
     "a": Number("CIE 1976 a* at the first geometry of the appearance", "a*"),
@@ -49,10 +50,15 @@ WORDS: Mapping[str, str] = {
     "route": "how the BRDF came about",
     "basis": "what it rests on",
     "verdict": "worst verdict of the checks; empty where nothing was checked",
+    "verdict_checks": "checks with that verdict, unless it is pass",
+    "verdict_text": "what those checks found",
     "digests": "JSON: stage to digest of its dataset",
 }
 
 GLOSS_ANGLES = (20, 60, 85)
+
+_ROUNDING = 1e-9
+"""What a sum leaves of zero."""
 
 
 def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> xr.Dataset:
@@ -74,12 +80,12 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> x
     words = {
         "route": page.route(known),
         "basis": page.basis(known),
-        "verdict": worst([entry.verdict for entry in page.read_verdicts(known.get("checks"))]),
         "digests": json.dumps(
             {s: str(d.attrs["digest"]) for s, d in known.items() if "digest" in d.attrs}, sort_keys=True
         ),
         "description": description,
     }
+    words |= _verdict_words(known)
     appearance = known.get("appearance")
     srgb = np.full(3, np.nan) if appearance is None or "srgb" not in appearance else appearance["srgb"].values
     return _dataset(
@@ -141,11 +147,12 @@ def catalogue_csv(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str
 
     built = pd.DataFrame({"material": _text(catalogue, "material")})
     built["status"] = "built"
-    for name in ("route", "basis", "verdict"):
+    for name in ("route", "basis", "verdict", "verdict_checks", "verdict_text"):
         built[name] = _text(catalogue, name)
     built["warnings"] = catalogue["warning_count"].values.astype(int)
     for name in NUMBERS:
-        built[name] = catalogue[name].values.astype(float)
+        values = catalogue[name].values.astype(float)
+        built[name] = np.where(np.abs(values) < _ROUNDING, 0.0, values)
     built["srgb"] = [colour(channels) or "" for channels in catalogue["srgb"].values]
     built["description"] = _text(catalogue, "description")
     failed = pd.DataFrame(
@@ -158,7 +165,7 @@ def catalogue_csv(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str
     )
     table["warnings"] = table["warnings"].astype("Int64")
     table = table.sort_values("material", kind="stable")
-    for name in ("material", "route", "basis", "description", "stage", "message"):
+    for name in ("material", "route", "basis", "verdict_text", "description", "stage", "message"):
         table[name] = [_harmless(value) if isinstance(value, str) else value for value in table[name]]
     return str(table.to_csv(index=False, float_format="%.6g", lineterminator="\n"))
 
@@ -186,28 +193,42 @@ def catalogue_page(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, st
     """
     script = (TEMPLATES / "catalogue.js").read_text("utf-8")
     vocabulary.validate(catalogue, "catalogue")
+    shown = _columns(catalogue)
     return render(
         "catalogue.html.j2",
         script=Markup(script),
         script_hash=b64encode(sha256(script.encode()).digest()).decode(),
-        headings=[number.heading for number in NUMBERS.values() if number.heading],
-        rows=_page_rows(catalogue),
+        headings=[NUMBERS[name].heading for name in shown],
+        haze="haze" in shown,
+        rows=_page_rows(catalogue, shown),
         failures=[(name, str(e.get("stage", "")), str(e.get("message", ""))) for name, e in sorted(failures.items())],
         counts=Counter(_text(catalogue, "verdict")),
     )
 
 
-def _page_rows(catalogue: xr.Dataset) -> list[dict[str, Any]]:
-    shown = {name: number for name, number in NUMBERS.items() if number.heading}
-    columns = [[fixed(v, number.decimals) for v in catalogue[name].values.tolist()] for name, number in shown.items()]
-    cells = list(zip(*columns, strict=True))
+def _columns(catalogue: xr.Dataset) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
+    """The numbers shown, those that some material has; haze only where it means something."""
+    columns = {name: catalogue[name].values.astype(float) for name, number in NUMBERS.items() if number.heading}
+    columns["haze"] = np.where(columns["gloss_60"] > page.HIGH_GLOSS, columns["haze"], np.nan)
+    return {name: values for name, values in columns.items() if np.isfinite(values).any()}
+
+
+def _page_rows(
+    catalogue: xr.Dataset, shown: Mapping[str, np.ndarray[Any, np.dtype[np.float64]]]
+) -> list[dict[str, Any]]:
+    """The rows as shown: worst verdict first, then by name."""
+    columns = [[_cell(name, value) for value in values.tolist()] for name, values in shown.items()]
+    cells = list(zip(*columns, strict=True)) or [()] * catalogue.sizes["material"]
     names, verdicts = _text(catalogue, "material"), _text(catalogue, "verdict")
     descriptions, bases = _text(catalogue, "description"), _text(catalogue, "basis")
+    checks, reasons = _text(catalogue, "verdict_checks"), _text(catalogue, "verdict_text")
     warnings, srgb = catalogue["warning_count"].values.tolist(), catalogue["srgb"].values
+    rank = {verdict: k for k, verdict in enumerate(VERDICTS)}
+    order = sorted(range(len(names)), key=lambda k: (rank.get(verdicts[k], len(rank)), _natural(names[k])))
     return [
         {
-            "name": name,
-            "link": f"{quote(name, safe='')}/report.html",
+            "name": names[k],
+            "link": f"{quote(names[k], safe='')}/report.html",
             # What rests on a measured surface is the rule; anything else is worth a word.
             "words": " · ".join(
                 text
@@ -217,10 +238,33 @@ def _page_rows(catalogue: xr.Dataset) -> list[dict[str, Any]]:
             "colour": colour(srgb[k]),
             "cells": cells[k],
             "verdict": verdicts[k],
+            "checks": checks[k],
+            "reason": reasons[k],
             "warnings": int(warnings[k]),
         }
-        for k, name in enumerate(names)
+        for k in order
     ]
+
+
+def _cell(name: str, value: float) -> str:
+    # Haze does not apply to a matt material; that is no missing number.
+    return "" if name == "haze" and math.isnan(value) else fixed(value, NUMBERS[name].decimals)
+
+
+def _natural(name: str) -> list[Any]:
+    """Sorts pp-2 before pp-10, as the page's script does."""
+    return [int(part) if k % 2 else part.casefold() for k, part in enumerate(re.split(r"(\d+)", name))]
+
+
+def _verdict_words(datasets: Mapping[str, xr.Dataset]) -> dict[str, str]:
+    found = page.verdicts(datasets)
+    verdict = worst([entry.verdict for entry in found])
+    blamed = [] if verdict in ("", "pass") else [entry for entry in found if entry.verdict == verdict]
+    return {
+        "verdict": verdict,
+        "verdict_checks": ", ".join(entry.name for entry in blamed),
+        "verdict_text": "; ".join(f"{entry.name}: {entry.text}" if entry.text else entry.name for entry in blamed),
+    }
 
 
 def _numbers(datasets: Mapping[str, xr.Dataset]) -> dict[str, float]:

@@ -14,13 +14,14 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.report import figures
-from brdfpipe.report.pages import MISSING, colour, fixed, grouped, number, render, worst
+from brdfpipe.report import figures, finish
+from brdfpipe.report.pages import MISSING, colour, fixed, grouped, number, render
 from brdfpipe.report.svg import Figure
 
 STAGES = (
     "surface",
     "facets",
+    "masking",
     "spectrum",
     "index",
     "predicted",
@@ -32,7 +33,7 @@ STAGES = (
 )
 """Datasets a page knows, in the order of the workflow."""
 
-_UNITS = {"um": "µm", "degree": "°", "sr-1": "sr⁻¹", "1": "", "nm": "nm"}
+_UNITS = {"degree": "°", "sr-1": "sr⁻¹", "1": "", "nm": "nm"}
 
 _FACETS = {
     "slope_rms": "rms slope",
@@ -46,6 +47,15 @@ _FACETS = {
 
 _CHECKS = ("reciprocity_residual", "energy_excess", "negative_fraction", "closure_residual", "floor")
 _COUNTS = ("facet_count", "effective_count")
+
+HIGH_GLOSS = 70.0
+"""Gloss units at 60° above which haze means something: ASTM D4039 is for high-gloss films."""
+
+RESIDUAL_LIMIT = 0.2
+"""Misfit above which a Gaussian does not describe the lobe."""
+
+_NANOMETRES_BELOW = 0.1
+"""Lengths below this [µm] are written in nm."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +76,8 @@ class Table:
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
-    swatches: Sequence[str | None] = ()
+    remark: str = ""
+    """What a reader must not miss."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +91,12 @@ class Verdict:
 
 @dataclass
 class Section:
-    """A chapter of the page: figures, then tables."""
+    """A chapter of the page: figures, then verdicts, then tables."""
 
     title: str
     figures: list[Figure] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
+    verdicts: list[Verdict] = field(default_factory=list)
 
 
 def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> str:
@@ -109,7 +121,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
         _fit(known),
         _quality(known),
     ]
-    verdicts = read_verdicts(known.get("checks"))
+    found = verdicts(known)
     return render(
         "material.html.j2",
         name=material_name(known),
@@ -117,12 +129,11 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
         route=_route_words(known),
         patch=preview(known.get("appearance")),
         viewing=_viewing(known.get("appearance")),
-        verdicts=verdicts,
-        verdict=worst([verdict.verdict for verdict in verdicts]),
+        verdicts=found,
         facts=list(_facts(known, numbers)),
         limits=list(_limits(known)),
         warnings=[(_words(stage), text) for stage, text in stage_warnings(known)],
-        sections=[section for section in sections if section.figures or section.tables],
+        sections=[section for section in sections if section.figures or section.tables or section.verdicts],
         provenance=[_provenance(stage, dataset) for stage, dataset in known.items()],
     )
 
@@ -143,17 +154,14 @@ def stage_warnings(datasets: Mapping[str, xr.Dataset]) -> list[tuple[str, str]]:
     return [(stage, text) for text, stage in seen.items()]
 
 
-def read_verdicts(checks: xr.Dataset | None) -> list[Verdict]:
-    """The verdicts that a ``checks`` dataset carries."""
-    if checks is None:
-        return []
-    found = json.loads(checks.attrs.get("verdicts", "{}"))
-    return [
-        Verdict(_words(name), str(entry.get("verdict", "")), str(entry.get("text", "")))
-        if isinstance(entry, dict)
-        else Verdict(_words(name), str(entry), "")
-        for name, entry in found.items()
-    ]
+def verdicts(datasets: Mapping[str, xr.Dataset]) -> list[Verdict]:
+    """The verdicts of the checks, then those that the table carries."""
+    found: dict[str, Verdict] = {}
+    for stage in ("checks", "table"):
+        for name, entry in _mapping(datasets[stage].attrs.get("verdicts") if stage in datasets else None).items():
+            told = entry if isinstance(entry, dict) else {"verdict": entry}
+            found[name] = Verdict(_words(name), str(told.get("verdict", "")), str(told.get("text", "")))
+    return list(found.values())
 
 
 def preview(appearance: xr.Dataset | None) -> str | None:
@@ -169,6 +177,13 @@ def primary_lab(appearance: xr.Dataset | None) -> tuple[str, tuple[float, float,
     return _labels(appearance["lab"], "geometry")[0], (lightness, a, b)
 
 
+def high_gloss_haze(appearance: xr.Dataset | None) -> float:
+    """Haze where it means something, above :data:`HIGH_GLOSS`; else NaN."""
+    if appearance is None or "haze" not in appearance or not dict(_gloss(appearance)).get(60.0, 0.0) > HIGH_GLOSS:
+        return math.nan
+    return float(appearance["haze"])
+
+
 def finish_known(datasets: Mapping[str, xr.Dataset]) -> bool:
     """Whether gloss says something about the material: a BRDF predicted without facets is matt by assumption."""
     return "facets" in datasets or route(datasets) != "predicted"
@@ -178,10 +193,11 @@ def luminous_reflectance(datasets: Mapping[str, xr.Dataset]) -> float:
     """Total reflectance weighted with V(λ) and D65; NaN where it is not known."""
     if "appearance" in datasets and "luminous_reflectance" in datasets["appearance"]:
         return float(datasets["appearance"]["luminous_reflectance"])
+    # The BSDF's first: a spectrum measured with the specular excluded is not the total.
     holder = next(
-        (datasets[s] for s in ("spectrum", "bsdf") if s in datasets and "total_reflectance" in datasets[s]), None
+        (datasets[s] for s in ("bsdf", "spectrum") if s in datasets and "total_reflectance" in datasets[s]), None
     )
-    if holder is None:
+    if holder is None or holder.attrs.get("geometry") == "sce":
         return math.nan
     reflectance = holder["total_reflectance"]
     if "wavelength" not in reflectance.dims:
@@ -198,13 +214,13 @@ def luminous_reflectance(datasets: Mapping[str, xr.Dataset]) -> float:
 
 def _facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Iterator[Fact]:
     appearance = datasets.get("appearance")
-    if appearance is not None and "gloss" in appearance:
-        for angle, value in zip(appearance["gloss_angle"].values, appearance["gloss"].values, strict=True):
-            yield Fact(
-                f"Gloss {angle:g}°", fixed(value, 1), "GU", "D523-style" if finish_known(datasets) else "as if matt"
-            )
-    if appearance is not None and "haze" in appearance:
-        yield Fact("Haze", fixed(float(appearance["haze"]), 1), "GU", "gloss 60° − 20°")
+    if finish_known(datasets):
+        yield from (
+            Fact(f"Gloss {angle:g}°", fixed(value, 1), "GU", "D523-style") for angle, value in _gloss(appearance)
+        )
+        haze = high_gloss_haze(appearance)
+        if math.isfinite(haze):
+            yield Fact("Haze", fixed(haze, 1), "GU", "D4039-style")
     lab = primary_lab(appearance)
     if lab is not None:
         geometry, values = lab
@@ -220,11 +236,14 @@ def _facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArra
 def _roughness_facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Iterator[Fact]:
     for height in ("Sq", "Rq"):
         if height in numbers:
-            yield Fact(height, number(float(numbers[height])), "µm", "rms height")
+            yield Fact(height, *_length(float(numbers[height])), "rms height")
     facets = datasets.get("facets", datasets.get("bsdf"))
     if facets is not None and "slope_rms" in facets and math.isfinite(float(facets["slope_rms"])):
         hint = f"all azimuths, {number(math.degrees(math.atan(float(facets['slope_rms']))), 2)}°"
         yield Fact("rms slope", number(float(facets["slope_rms"])), "", hint)
+    if facets is not None and "slope_x" in facets.dims and "anisotropy" in facets:
+        hint = f"lay {finish.axis_degrees(float(facets['lay']))}" if "lay" in facets else ""
+        yield Fact("Anisotropy", number(float(facets["anisotropy"])), "", hint)
 
 
 def _limits(datasets: Mapping[str, xr.Dataset]) -> Iterator[str]:
@@ -291,20 +310,34 @@ def _appearance(datasets: Mapping[str, xr.Dataset]) -> Section:
             section.figures += cuts or ()
     curve = figures.albedo(checks, bsdf)
     section.figures += [curve] if curve else []
-    if appearance is not None and "gloss" in appearance:
-        section.tables.append(_gloss_table(appearance))
+    table = _gloss_table(appearance, finish_known(datasets))
+    section.tables += [table] if table else []
     return section
 
 
-def _gloss_table(appearance: xr.Dataset) -> Table:
-    rows = [
-        (f"{angle:g}°", fixed(value, 2))
-        for angle, value in zip(appearance["gloss_angle"].values, appearance["gloss"].values, strict=True)
-    ]
-    if "haze" in appearance:
-        rows.append(("haze, 60° − 20°", fixed(float(appearance["haze"]), 2)))
+def _gloss_table(appearance: xr.Dataset | None, known: bool) -> Table | None:
+    gloss = _gloss(appearance)
+    if not gloss:
+        return None
+    header = ("Geometry", "Gloss units")
+    if not known:
+        angles = ", ".join(f"{angle:g}°" for angle, _ in gloss)
+        note = "No surface finish was measured or assumed: the gloss of the ideally matt BRDF would say nothing of the material."
+        return Table("Gloss", header, [(angles, "not modelled")], note)
+    rows = [(f"{angle:g}°", fixed(value, 2)) for angle, value in gloss]
+    if appearance is not None and "haze" in appearance and np.isfinite(appearance["haze"]):
+        high = math.isfinite(high_gloss_haze(appearance))
+        rows.append(("Haze (D4039-style), 60° − 20°" if high else "60° − 20°", fixed(float(appearance["haze"]), 2)))
     note = "D523-style: computed from the model with the standard's apertures; conformance is not claimed."
-    return Table("Gloss", ("Geometry", "Gloss units"), rows, note)
+    return Table("Gloss", header, rows, note)
+
+
+def _gloss(appearance: xr.Dataset | None) -> list[tuple[float, float]]:
+    """Angle and gloss units of every geometry that was computed."""
+    if appearance is None or "gloss" not in appearance:
+        return []
+    angles, values = appearance["gloss_angle"].values.tolist(), appearance["gloss"].values.tolist()
+    return [(angle, value) for angle, value in zip(angles, values, strict=True) if math.isfinite(value)]
 
 
 def _spectral(datasets: Mapping[str, xr.Dataset]) -> Section:
@@ -368,23 +401,44 @@ def _surface_parameters(surface: xr.Dataset | None) -> dict[str, xr.DataArray]:
 
 def _finish(datasets: Mapping[str, xr.Dataset]) -> Section:
     section = Section("Facets")
-    facets = datasets.get("facets")
-    if facets is None:
-        return section
-    section.figures += [figures.slope_density(facets), figures.facet_distribution(facets), figures.masking(facets)]
-    rows = [
-        (title, grouped(float(facets[name])) if name in _COUNTS else _quantity(facets[name]))
-        for name, title in _FACETS.items()
-        if name in facets
-    ]
-    if "slope_rms_scale" in facets:
+    if "facets" in datasets:
+        section.figures += finish.facet_figures(datasets["facets"])
+        section.tables.append(_facet_table(datasets["facets"]))
+    if "masking" in datasets:
+        section.figures.append(finish.raycast_figure(datasets["masking"], datasets.get("facets")))
+        section.tables.append(_raycast_table(datasets["masking"]))
+    return section
+
+
+def _facet_table(facets: xr.Dataset) -> Table:
+    rows = [(title, _facet_number(name, facets[name])) for name, title in _FACETS.items() if name in facets]
+    if "slope_rms_scale" in facets and "scale" in facets.coords:
         rows += [
             (f"rms slope over {scale:g} pixel{'s' if scale != 1 else ''}", number(value))
             for scale, value in zip(facets["scale"].values, facets["slope_rms_scale"].values, strict=True)
         ]
-    note = _attributes(facets, ("method", "band"))
-    section.tables.append(Table("Facets in numbers", ("Quantity", "Value"), rows, note))
-    return section
+    return Table("Facets in numbers", ("Quantity", "Value"), rows, _attributes(facets, ("method", "band")))
+
+
+def _facet_number(name: str, scalar: xr.DataArray) -> str:
+    if name in _COUNTS:
+        return grouped(float(scalar))
+    return finish.axis_degrees(float(scalar)) if name == "lay" else _quantity(scalar)
+
+
+def _raycast_table(comparison: xr.Dataset) -> Table:
+    columns = [
+        comparison["theta"].values,
+        comparison["g1_raycast"].values,
+        2 * finish.raycast_uncertainty(comparison),
+        comparison["g1_smith"].values,
+    ]
+    rows = [
+        (f"{theta:g}°", fixed(cast, 4), fixed(doubt, 4), fixed(smith, 4), fixed(cast - smith, 4))
+        for theta, cast, doubt, smith in np.stack(columns, axis=1).tolist()
+    ]
+    header = ("θ", "Ray casting", "± 2 u", "Smith", "Difference")
+    return Table("G₁ by ray casting and after Smith", header, rows, _attributes(comparison, ("method",)))
 
 
 def _fit(datasets: Mapping[str, xr.Dataset]) -> Section:
@@ -409,14 +463,28 @@ def _fit(datasets: Mapping[str, xr.Dataset]) -> Section:
     note = "The residual is the flux-weighted rms misfit over the flux-weighted rms BRDF."
     if "wavelength" in fit["lambert"].dims:
         note = f"Lambertian ρ {figures.wavelength_words(fit)}. {note}"
-    section.tables.append(
-        Table("Fit for each angle of incidence", ("Incidence", *(title for _, title, _ in present)), rows, note)
-    )
+    header = ("Incidence", *(title for _, title, _ in present))
+    section.tables.append(Table("Fit for each angle of incidence", header, rows, note, _misfit(fit)))
     return section
 
 
+def _misfit(fit: xr.Dataset) -> str:
+    """What to know of the incidences at which the lobe is no Gaussian; empty where there is none."""
+    if "fit_residual" not in fit:
+        return ""
+    theta_i = np.atleast_1d(fit["theta_i"].values)
+    poor = theta_i[np.broadcast_to(fit["fit_residual"].values, theta_i.shape) > RESIDUAL_LIMIT].tolist()
+    if not poor:
+        return ""
+    where = "every incidence" if len(poor) == theta_i.size > 1 else ", ".join(f"{angle:g}°" for angle in poor)
+    return (
+        f"Residual above {RESIDUAL_LIMIT:.0%} at {where}: the lobe is not a Gaussian there; "
+        "use the table or the BSDF itself."
+    ).replace("%", "\u202f%")
+
+
 def _quality(datasets: Mapping[str, xr.Dataset]) -> Section:
-    section = Section("Checks")
+    section = Section("Checks", verdicts=verdicts(datasets))
     checks = datasets.get("checks")
     if checks is not None:
         rows = [_named(checks[name]) for name in _CHECKS if name in checks]
@@ -454,10 +522,16 @@ def _named(scalar: xr.DataArray) -> tuple[str, str]:
 
 
 def _quantity(scalar: xr.DataArray) -> str:
-    value = number(float(scalar))
     units = str(scalar.attrs.get("units", ""))
-    unit = _UNITS.get(units, units)
+    value, unit = _length(float(scalar)) if units == "um" else (number(float(scalar)), _UNITS.get(units, units))
     return value if value == MISSING or not unit else value + unit if unit == "°" else f"{value} {unit}"
+
+
+def _length(micrometres: float) -> tuple[str, str]:
+    """A length and its unit."""
+    if 0 < abs(micrometres) < _NANOMETRES_BELOW:
+        return number(1000 * micrometres), "nm"
+    return number(micrometres), "µm"
 
 
 def _attributes(dataset: xr.Dataset, names: Sequence[str]) -> str:

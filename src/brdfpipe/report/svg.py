@@ -10,6 +10,7 @@ from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from typing import Literal
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -20,6 +21,7 @@ Array = NDArray[np.float64]
 WIDTH = 520
 """Width of every figure, in its own units; type is 12 units high."""
 
+_PATTERN = {"line": "", "dash": " d", "dots": " o"}
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -33,6 +35,8 @@ class Axis:
     log: bool = False
     step: float | None = None
     """Distance between ticks; chosen where None."""
+    at: tuple[float, ...] = ()
+    """Positions of the ticks; chosen where empty."""
 
     def place(self, values: ArrayLike) -> Array:
         """Fraction of the axis, 0 to 1, at which values stand; values that a log axis cannot show stand far below it."""
@@ -45,13 +49,15 @@ class Axis:
 
     def ticks(self) -> list[tuple[float, str]]:
         """Positions and labels of the ticks."""
+        if self.at:
+            return [(value, f"{value:g}") for value in self.at]
         if self.log:
             return _log_ticks(self.low, self.high)
         return linear_ticks(self.low, self.high, self.step)
 
     def minor(self) -> list[float]:
         """Positions of unlabelled ticks: 2 to 9 of each decade, where there is room for them."""
-        if not self.log or np.log10(self.high / self.low) > 4.5:
+        if not self.log or self.at or np.log10(self.high / self.low) > 4.5:
             return []
         decades = np.arange(np.floor(np.log10(self.low)), np.ceil(np.log10(self.high)))
         values = (10.0 ** decades[:, None] * np.arange(2, 10)).ravel()
@@ -66,7 +72,18 @@ class Line:
     y: ArrayLike
     style: str = "c0"
     label: str = ""
-    dashed: bool = False
+    pattern: Literal["line", "dash", "dots"] = "line"
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points with error bars; a bar of NaN is not drawn, a point of NaN neither."""
+
+    x: ArrayLike
+    y: ArrayLike
+    error: ArrayLike
+    style: str = "c0"
+    label: str = ""
 
 
 @dataclass(frozen=True)
@@ -80,7 +97,7 @@ class Band:
     label: str = ""
 
 
-Mark = Line | Band
+Mark = Line | Points | Band
 
 
 @dataclass(frozen=True)
@@ -90,18 +107,20 @@ class Figure:
     title: str
     svg: Markup
     legend: tuple[tuple[str, str, str], ...] = ()
-    """(shape, style, label), shape one of ``line``, ``dash``, ``area``."""
+    """(shape, style, label), shape one of ``line``, ``dash``, ``dots``, ``points``, ``area``."""
     note: str = ""
 
 
 def legend(marks: Sequence[Mark]) -> tuple[tuple[str, str, str], ...]:
     """The legend of a chart's labelled marks; a single mark needs none beside the caption."""
-    entries = tuple(
-        ("area" if isinstance(mark, Band) else "dash" if mark.dashed else "line", mark.style, mark.label)
-        for mark in marks
-        if mark.label
-    )
+    entries = tuple((_shape(mark), mark.style, mark.label) for mark in marks if mark.label)
     return entries if len(entries) > 1 else ()
+
+
+def _shape(mark: Mark) -> str:
+    if isinstance(mark, Band):
+        return "area"
+    return "points" if isinstance(mark, Points) else mark.pattern
 
 
 def chart(description: str, x: Axis, y: Axis, marks: Sequence[Mark], *, height: int = 300, strip: str = "") -> Markup:
@@ -170,6 +189,43 @@ def polar(description: str, decades: tuple[int, int], marks: Sequence[Line], inc
     parts.append(text(centre_x, centre_y + 16, power_of_ten(low), "middle"))
     parts.append(text(centre_x - radius, centre_y + 16, "side of the source", "start", "t"))
     parts.append(text(centre_x + radius, height - 8, "BRDF, sr⁻¹ (log)", "end", "t"))
+    return frame(description, height, parts)
+
+
+def rose(description: str, unit: str, azimuth: ArrayLike, value: ArrayLike, axis: float) -> Markup:
+    """A full disc: a positive quantity against azimuth, counter-clockwise from x, with one direction marked across it.
+
+    Parameters
+    ----------
+    description : what a person who cannot see it should know
+    unit : what the radius is
+    azimuth : degree, all around
+    value : > 0
+    axis : degree; the direction that is marked, both ways
+    """
+    radius, centre_x, centre_y, height = 138.0, WIDTH / 2, 184.0, 368
+    rings = linear_ticks(0, float(np.max(value)), count=4)[1:]
+    scale = radius / max(rings[-1][0], 1.04 * float(np.max(value)))
+
+    def place(degrees: ArrayLike, reach: ArrayLike) -> tuple[Array, Array]:
+        turn = np.radians(np.asarray(degrees, dtype=float))
+        return centre_x + reach * np.cos(turn), centre_y - reach * np.sin(turn)
+
+    parts = [f'<circle class="g" cx="{centre_x:g}" cy="{centre_y:g}" r="{scale * ring:.1f}"/>' for ring, _ in rings]
+    for angle in range(0, 360, 30):
+        (end_x, end_y), (at_x, at_y) = place(angle, radius), place(angle, radius + 11)
+        parts.append(f'<path class="g" d="M{centre_x:g} {centre_y:g}L{end_x:.1f} {end_y:.1f}"/>')
+        anchor = "middle" if angle % 180 == 90 else "start" if end_x > centre_x else "end"
+        name = {0: "0°, x", 90: "90°, y"}.get(angle, f"{angle}°")
+        parts.append(text(float(at_x), float(at_y) + 4, name, anchor))
+    ends_x, ends_y = place([axis, axis + 180], radius)
+    parts.append(path(ends_x, ends_y, "l c3 d"))
+    parts.append(path(*place(azimuth, scale * np.asarray(value, dtype=float)), "l c0", closed=True))
+    # The ring labels stand beside the marked direction, where the curve is narrowest.
+    for ring, name in rings:
+        at_x, at_y = place(axis + 15, scale * ring)
+        parts.append(text(float(at_x), float(at_y) + 4, name, "middle", "h"))
+    parts.append(text(4, 15, unit, "start", "t"))
     return frame(description, height, parts)
 
 
@@ -294,13 +350,27 @@ def _grid(x: Axis, y: Axis, left: float, top: float, width: float, tall: float) 
 def _mark(mark: Mark, x: Axis, y: Axis, width: float, tall: float) -> str:
     across = width * x.place(mark.x)
     if isinstance(mark, Line):
-        return path(across, tall * (1 - y.place(mark.y)), f"l {mark.style}" + (" d" if mark.dashed else ""))
+        return path(across, tall * (1 - y.place(mark.y)), f"l {mark.style}{_PATTERN[mark.pattern]}")
+    if isinstance(mark, Points):
+        return _points(mark, across, y, tall)
     low, high = tall * (1 - y.place(mark.low)), tall * (1 - y.place(mark.high))
     present = np.isfinite(low) & np.isfinite(high)
     across, low, high = across[present], low[present], high[present]
     limit = 4 * tall  # a lower edge far below the axis stays a short number
     low, high = np.clip(low, -limit, limit), np.clip(high, -limit, limit)
     return path(np.r_[across, across[::-1]], np.r_[high, low[::-1]], f"b {mark.style}", closed=True)
+
+
+def _points(mark: Points, across: Array, y: Axis, tall: float) -> str:
+    value, error = np.asarray(mark.y, dtype=float), np.asarray(mark.error, dtype=float)
+    at, low, high = (tall * (1 - y.place(v)) for v in (value, value - error, value + error))
+    dots = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(across, at, strict=True) if np.isfinite([a, b]).all())
+    bars = "".join(
+        f"M{a:.1f} {b:.1f}V{c:.1f}m-4 0h8M{a - 4:.1f} {b:.1f}h8"
+        for a, b, c in zip(across, low, high, strict=True)
+        if np.isfinite([a, b, c]).all()
+    )
+    return f'<path class="e {mark.style}" d="{bars}"/><path class="p {mark.style}" d="{dots}"/>'
 
 
 def _source(centre_x: float, centre_y: float, radius: float, incidence: float, style: str) -> str:

@@ -3,14 +3,15 @@
   const $ = (id) => document.getElementById(id);
   const table = $("materials"), body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
   const rank = { fail: 0, warn: 1, pass: 2 };
+  const last = heads.length - 1;
   const rows = [...body.rows].map((row) => {
     const cells = [...row.cells].map((cell, k) => {
-      const text = (k ? cell : cell.querySelector("a")).textContent.trim();
+      const text = (cell.querySelector("a, b") || cell).textContent.trim(); // the name, the verdict, else a number
       if (k === 0) return text.toLowerCase();
       if (text in rank) return rank[text];
-      return k === heads.length - 1 && text === "" ? 0 : parseFloat(text.replace("\u2212", "-"));
+      return k === last && text === "" ? 0 : parseFloat(text.replace("\u2212", "-"));
     });
-    return { row, cells, text: row.cells[0].textContent.toLowerCase(), verdict: row.cells[heads.length - 2].textContent.trim() };
+    return { row, cells, text: row.cells[0].textContent.toLowerCase(), verdict: row.cells[last - 1].querySelector("b").textContent };
   });
   const order = (a, b) => (typeof a === "string" ? a.localeCompare(b, "en", { numeric: true }) : a - b);
   const sort = (column, sign) => {
@@ -26,7 +27,7 @@
     button.type = "button";
     button.textContent = head.textContent;
     head.replaceChildren(button);
-    head.ariaSort = column ? "none" : "ascending";
+    head.ariaSort = column === last - 1 ? "ascending" : "none"; // as the page comes
     button.addEventListener("click", () => {
       const up = head.ariaSort !== "ascending";
       heads.forEach((other) => { other.ariaSort = "none"; });

@@ -1,0 +1,489 @@
+"""The figures of the finish: slopes of the facets, their distribution, their lay, and the masking that follows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import xarray as xr
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from brdfpipe import vocabulary
+from brdfpipe.density import RadialDensity
+from brdfpipe.report.raster import false_colour, framed
+from brdfpipe.report.svg import (
+    Array,
+    Axis,
+    Band,
+    Figure,
+    Line,
+    Mark,
+    Points,
+    chart,
+    legend,
+    png,
+    power_of_ten,
+    rose,
+)
+
+if TYPE_CHECKING:
+    from brdfpipe.planar import PlanarDensity
+
+Pattern = Literal["line", "dash", "dots"]
+Model = Callable[[Array], Array]
+
+_DECADES_SHOWN = 6
+_HEAVY_TAIL = 25
+"""Median slopes shown at most: a tail that falls as a power would leave the rest a spike."""
+
+_MAP_DECADES = 5
+_MAP_PIXELS = 241
+_STEPS_A_DECADE = 2
+
+_UNCERTAINTY = "± 2 standard uncertainties"
+
+# Medians of |slope| towards one azimuth over the width a, of Beckmann (a Gaussian of σ = a/√2) and of GGX.
+_BECKMANN_MEDIAN = 0.6744897501960817 / math.sqrt(2)
+_GGX_MEDIAN = 1 / math.sqrt(3)
+
+
+def facet_figures(facets: xr.Dataset) -> list[Figure]:
+    """Every figure that a ``facets`` dataset has the variables for.
+
+    Parameters
+    ----------
+    facets : kind ``facets``, isotropic (slope density over ``slope``) or with a lay (over ``slope_y``, ``slope_x``)
+    """
+    found: list[Figure] = []
+    if "slope_density" in facets and facets["slope_density"].dims == ("slope",):
+        found += [slope_density(facets), facet_distribution(facets)]
+        found += [masking(facets)] if "lambda_smith" in facets else []
+    elif "slope_density" in facets:
+        found += _with_lay(facets)
+    by_scale = slope_by_scale(facets)
+    return [*found, by_scale] if by_scale else found
+
+
+# --- isotropic
+
+
+def slope_density(facets: xr.Dataset) -> Figure:
+    """The density of facets in slope space, with its uncertainty, its extrapolated tail, a Beckmann and a GGX."""
+    slope, density = facets["slope"].values, facets["slope_density"].values
+    peak = float(density.max())
+    shown = density > peak * 10.0**-_DECADES_SHOWN
+    most = float(slope[shown][-1]) * 1.05
+    slope_rms = _scalar(facets, "slope_rms")
+    most = min(most, 8 * slope_rms if math.isfinite(slope_rms) else _HEAVY_TAIL * _median_slope(facets))
+    tail = _extrapolated(facets) & (slope <= most)
+    marks = _counted(slope, density, _relative_uncertainty(facets), tail)
+    fine = np.linspace(0, most, 200)
+    marks += [Line(fine, model(fine), "ref", label, pattern) for model, label, pattern in _radial_models(facets)]
+    top = 10.0 ** math.ceil(math.log10(peak) + 0.05)
+    svg = chart(
+        "Slope density against slope, logarithmic",
+        Axis("slope, tan α", 0.0, most),
+        Axis("slope density P₂₂", top * 10.0 ** -(_DECADES_SHOWN + 1), top, log=True),
+        marks,
+    )
+    return Figure("Slope density of the facets", svg, legend(marks))
+
+
+def facet_distribution(facets: xr.Dataset) -> Figure:
+    """D(α), with a Beckmann and a GGX."""
+    slope, density = facets["slope"].values.astype(float), facets["slope_density"].values
+    alpha = np.degrees(np.arctan(slope))
+    distribution = density * (1 + slope**2) ** 2
+    present = distribution > distribution.max() * 1e-3
+    most = min(90.0, float(alpha[present][-1]) * 1.1)
+    marks: list[Mark] = []
+    relative = _relative_uncertainty(facets)
+    if relative is not None:
+        band = 2 * relative * distribution
+        marks.append(Band(alpha, np.maximum(distribution - band, 0), distribution + band, "c0", _UNCERTAINTY))
+    marks.append(Line(alpha, distribution, "c0", "facets"))
+    fine = np.linspace(0, most, 200)
+    s = np.tan(np.radians(np.minimum(fine, 89.9)))
+    highest = float(distribution.max())
+    for model, label, pattern in _radial_models(facets):
+        values = model(s) * (1 + s**2) ** 2
+        marks.append(Line(fine, values, "ref", label, pattern))
+        highest = max(highest, float(values.max()))
+    svg = chart(
+        "Facet distribution D against the tilt of the facet",
+        Axis("tilt of the facet α, degree", 0.0, most),
+        Axis("D, sr⁻¹", 0.0, highest * 1.06),
+        marks,
+    )
+    return Figure("Facet distribution D(α)", svg, legend(marks))
+
+
+def masking(facets: xr.Dataset) -> Figure:
+    """Smith's G1 against the angle."""
+    theta = facets["theta"].values.astype(float)
+    marks: list[Mark] = [_g1_line(theta, facets["lambda_smith"].values.astype(float), "c0", "facets")]
+    fine = np.linspace(0.5, 89.9, 180)
+    width, label = _beckmann_width(facets)
+    marks.append(Line(fine, _beckmann_g1(fine, width), "ref", label, "dash"))
+    marks.append(Line(fine, _ggx_g1(fine, _median_slope(facets)), "ref", _GGX_LABEL, "dots"))
+    return Figure("Masking G₁(θ)", _g1_chart(marks), legend(marks), "1 / (1 + Λ), Smith.")
+
+
+def slope_by_scale(facets: xr.Dataset) -> Figure | None:
+    """The slope rms against the distance it is taken over; None where fewer than two are known."""
+    if "slope_rms_scale" not in facets or "scale" not in facets.coords:
+        return None
+    scale, slope_rms = facets["scale"].values.astype(float), facets["slope_rms_scale"].values.astype(float)
+    known = np.isfinite(slope_rms) & (scale > 0)
+    if known.sum() < 2:
+        return None
+    scale, slope_rms = scale[known], slope_rms[known]
+    svg = chart(
+        "Root mean square slope against the distance it is taken over",
+        Axis("distance, pixels (log)", float(scale[0]) / 1.15, float(scale[-1]) * 1.15, log=True, at=tuple(scale)),
+        Axis("rms slope", 0.0, float(slope_rms.max()) * 1.12),
+        [Line(scale, slope_rms, "c0"), Points(scale, slope_rms, np.full(scale.size, np.nan), "c0")],
+        height=230,
+    )
+    note = "Where it still rises towards 1 pixel, a finer pitch would find steeper facets, or noise adds slope."
+    return Figure("Slope against scale", svg, note=note)
+
+
+# --- with a lay
+
+
+def _with_lay(facets: xr.Dataset) -> list[Figure]:
+    density = _planar(facets)
+    lay = _lay(facets, density)
+    figures = [_lay_rose(facets, density, lay), _density_map(density, lay), *_sections(facets, density, lay)]
+    return [*figures, _masking_with_lay(facets, lay)] if "lambda_smith" in facets else figures
+
+
+def _lay_rose(facets: xr.Dataset, density: PlanarDensity, lay: float) -> Figure:
+    azimuth = np.arange(0.0, 360.0, 3.0)
+    finite = math.isfinite(_scalar(facets, "slope_rms"))
+    towards = _rms_towards(density, azimuth) if finite else _mean_towards(density, azimuth)
+    quantity = "rms slope" if finite else "mean |slope|"
+    label = f"lay {axis_degrees(lay)}"
+    svg = rose(f"{quantity} against azimuth; {label}", f"{quantity} towards the azimuth", azimuth, towards, lay)
+    along, across = (float(np.interp((lay + turn) % 360, azimuth, towards, period=360)) for turn in (0, 90))
+    entries = (("line", "c0", quantity), ("dash", "c3", label))
+    return Figure("Lay", svg, entries, f"{quantity.capitalize()} {along:.3g} along the lay, {across:.3g} across it.")
+
+
+def _density_map(density: PlanarDensity, lay: float) -> Figure:
+    peak = float(density.density.max())
+    top = math.ceil(math.log10(peak) * _STEPS_A_DECADE) / _STEPS_A_DECADE
+    bottom = top - _MAP_DECADES
+    present = density.density > 10.0**bottom
+    most_x, most_y = (
+        float(np.abs(axis.nodes[present.any(axis=k)]).max()) for axis, k in ((density.x, 0), (density.y, 1))
+    )
+    p, q = np.meshgrid(np.linspace(-most_x, most_x, _MAP_PIXELS), np.linspace(-most_y, most_y, _MAP_PIXELS))
+    levels = _MAP_DECADES * _STEPS_A_DECADE
+    values = np.log10(np.maximum(density(p, q), 1e-300))
+    first = math.ceil(bottom - 1e-9)
+    svg, to_scale = framed(
+        f"Slope density over the slopes along x and y, logarithmic colours; lay {axis_degrees(lay)}",
+        png(*false_colour(values, bottom, top, levels)),
+        ("slope along x", -most_x, most_x),
+        ("slope along y", -most_y, most_y),
+        "P₂₂ (log)",
+        [((k - bottom) / _MAP_DECADES, power_of_ten(k)) for k in range(first, math.floor(top + 1e-9) + 1)],
+        levels=levels,
+    )
+    note = f"Two steps of colour a decade. {'' if to_scale else 'The two slopes are not to the same scale. '}"
+    return Figure(
+        "Slope density, all azimuths", svg, note=f"{note}The slopes are smallest along the lay, {axis_degrees(lay)}."
+    )
+
+
+def _sections(facets: xr.Dataset, density: PlanarDensity, lay: float) -> list[Figure]:
+    """The density along the lay and across it, on common axes."""
+    azimuths = {"along": lay, "across": lay + 90}
+    peak = float(density.density.max())
+    most = max(
+        min(_reach(density, azimuth, peak), _HEAVY_TAIL * _median_towards(density, azimuth))
+        for azimuth in azimuths.values()
+    )
+    slope = np.linspace(-most, most, 361)
+    top = 10.0 ** math.ceil(math.log10(peak) + 0.05)
+    models = _planar_models(facets, density, lay)
+    figures = []
+    for turn, (name, azimuth) in enumerate(azimuths.items()):
+        p, q = slope * math.cos(math.radians(azimuth)), slope * math.sin(math.radians(azimuth))
+        marks = _counted(slope, density(p, q), *_section_quality(facets, density, p, q))
+        marks += [Line(slope, model[turn](slope), "ref", label, pattern) for model, label, pattern in models]
+        svg = chart(
+            f"Slope density {name} the lay, logarithmic",
+            Axis(f"slope towards {axis_degrees(azimuth)}", -most, most),
+            Axis("slope density P₂₂", top * 10.0 ** -(_DECADES_SHOWN + 1), top, log=True),
+            marks,
+        )
+        figures.append(Figure(f"Slope density {name} the lay", svg, legend(marks), "Through zero slope."))
+    return figures
+
+
+def _masking_with_lay(facets: xr.Dataset, lay: float) -> Figure:
+    theta = facets["theta"].values.astype(float)
+    marks: list[Mark] = [
+        _g1_line(theta, _lambda_towards(facets, lay + turn), style, f"{name} the lay")
+        for turn, style, name in ((0, "c0", "along"), (90, "c2", "across"))
+    ]
+    note = "1 / (1 + Λ), Smith; Λ is the mean of the two opposite directions."
+    return Figure("Masking G₁(θ)", _g1_chart(marks), legend(marks), note)
+
+
+# --- ray casting
+
+
+def raycast_figure(comparison: xr.Dataset, facets: xr.Dataset | None = None) -> Figure:
+    """G1 by ray casting over the heights against G1 of the facet distribution.
+
+    Parameters
+    ----------
+    comparison : kind ``masking``
+    facets : kind ``facets``, whose Smith curve is finer than the comparison
+    """
+    theta = comparison["theta"].values.astype(float)
+    marks: list[Mark] = [
+        Line(*_smith_curve(comparison, facets), "c0", "Smith, of the facet distribution"),
+        Points(
+            theta,
+            comparison["g1_raycast"].values,
+            2 * raycast_uncertainty(comparison),
+            "c2",
+            f"rays cast over the heights, {_UNCERTAINTY}",
+        ),
+    ]
+    note = "Mean over the azimuths. They agree where the facet distribution is that of the surface."
+    return Figure("Masking G₁(θ) against ray casting", _g1_chart(marks), legend(marks), note)
+
+
+def _smith_curve(comparison: xr.Dataset, facets: xr.Dataset | None) -> tuple[Array, Array]:
+    """The compared G1 after Smith, finely where it is the facets' own."""
+    theta, compared = comparison["theta"].values.astype(float), comparison["g1_smith"].values.astype(float)
+    if facets is None or "lambda_smith" not in facets or facets["lambda_smith"].dims != ("theta",):
+        return theta, compared
+    fine = np.r_[0.0, facets["theta"].values.astype(float)]
+    g1 = np.r_[1.0, 1 / (1 + facets["lambda_smith"].values.astype(float))]
+    own = bool(np.allclose(np.interp(theta, fine, g1), compared, atol=2e-3))
+    return (fine, g1) if own else (theta, compared)
+
+
+def axis_degrees(azimuth: float) -> str:
+    """An axis, in words, as an azimuth from 0 to 180 degree."""
+    return f"{round(azimuth % 180, 1) % 180:g}°" if math.isfinite(azimuth) else "–"
+
+
+def raycast_uncertainty(comparison: xr.Dataset) -> Array:
+    """Standard uncertainty of G1 by ray casting; NaN where it is not known."""
+    if "g1_raycast_u" not in comparison:
+        return np.full(comparison.sizes["theta"], np.nan)
+    return np.asarray(comparison["g1_raycast_u"].values, dtype=float)
+
+
+# --- named densities of the same width
+
+
+_GGX_LABEL = "GGX of the same median slope"
+
+
+def _radial_models(facets: xr.Dataset) -> list[tuple[Model, str, Pattern]]:
+    a, label = _beckmann_width(facets)
+    b = _median_slope(facets)
+    return [
+        (lambda s: np.exp(-np.minimum((s / a) ** 2, 690.0)) / (np.pi * a**2), f"{label}, {a:.3g}", "dash"),
+        (lambda s: 1 / (np.pi * b**2 * (1 + (s / b) ** 2) ** 2), f"{_GGX_LABEL}, {b:.3g}", "dots"),
+    ]
+
+
+def _beckmann_width(facets: xr.Dataset) -> tuple[float, str]:
+    """Width a of the Beckmann shown beside a radial density; a heavy tail may have no finite slope rms."""
+    slope_rms = _scalar(facets, "slope_rms")
+    if math.isfinite(slope_rms) and slope_rms > 0:
+        return slope_rms, "Beckmann of the same rms slope"
+    return _median_slope(facets) / math.sqrt(math.log(2)), "Beckmann of the same median slope"
+
+
+def _median_slope(facets: xr.Dataset) -> float:
+    """The median slope, which of a GGX is its width."""
+    return RadialDensity.of(facets).median_slope
+
+
+def _planar_models(
+    facets: xr.Dataset, density: PlanarDensity, lay: float
+) -> list[tuple[tuple[Model, Model], str, Pattern]]:
+    """Beckmann and GGX, each as its sections (along, across)."""
+    medians = np.array([_median_towards(density, azimuth) for azimuth in (lay, lay + 90)])
+    if math.isfinite(_scalar(facets, "slope_rms")):
+        wide, rule = _rms_towards(density, np.array([lay, lay + 90])) * math.sqrt(2), "rms slopes"
+    else:
+        wide, rule = medians / _BECKMANN_MEDIAN, "median slopes"
+    narrow = medians / _GGX_MEDIAN
+
+    def beckmann(a: float) -> Model:
+        return lambda s: np.exp(-np.minimum((s / a) ** 2, 690.0)) / (np.pi * np.prod(wide))
+
+    def ggx(a: float) -> Model:
+        return lambda s: 1 / (np.pi * np.prod(narrow) * (1 + (s / a) ** 2) ** 2)
+
+    return [
+        ((beckmann(wide[0]), beckmann(wide[1])), f"Beckmann of the same {rule}", "dash"),
+        ((ggx(narrow[0]), ggx(narrow[1])), "GGX of the same median slopes", "dots"),
+    ]
+
+
+def _beckmann_g1(theta: Array, width: float) -> Array:
+    """Smith's G1 of a Beckmann surface (Heitz 2014, eq. 73)."""
+    nu = 1 / (width * np.tan(np.radians(theta)))
+    erf = np.array([math.erf(value) for value in nu.tolist()])  # scipy.special would cost its import for one curve
+    return np.asarray(1 / (1 + (erf - 1) / 2 + np.exp(-(np.minimum(nu, 30.0) ** 2)) / (2 * nu * np.sqrt(np.pi))))
+
+
+def _ggx_g1(theta: Array, width: float) -> Array:
+    """Smith's G1 of a GGX surface (Walter 2007, eq. 34)."""
+    return np.asarray(2 / (1 + np.sqrt(1 + (width * np.tan(np.radians(theta))) ** 2)))
+
+
+# --- a density with a lay, as numbers
+
+
+def _planar(facets: xr.Dataset) -> PlanarDensity:
+    """The density as a function; loaded here because few surfaces have a lay."""
+    from brdfpipe.planar import PlanarDensity
+
+    return PlanarDensity.of(facets)
+
+
+def _lay(facets: xr.Dataset, density: PlanarDensity) -> float:
+    """The lay that the dataset states, else the azimuth towards which the slopes are least."""
+    lay = _scalar(facets, "lay")
+    if math.isfinite(lay):
+        return lay
+    azimuth = np.arange(0.0, 180.0)
+    return float(azimuth[np.argmin(_rms_towards(density, azimuth))])
+
+
+def _rms_towards(density: PlanarDensity, azimuth: Array) -> Array:
+    """Slope rms about zero towards azimuths."""
+    _, mean, covariance = density.moments
+    towards = np.stack([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
+    second = covariance + np.outer(mean, mean)
+    return np.asarray(np.sqrt(np.einsum("ik,ij,jk->k", towards, second, towards)))
+
+
+def _mean_towards(density: PlanarDensity, azimuth: Array) -> Array:
+    """Mean |slope| towards azimuths, which is finite where the rms is not."""
+    p, q, weight = density.rule()
+    angle = np.radians(azimuth)
+    means = [np.sum(weight * np.abs(p * math.cos(a) + q * math.sin(a))) for a in angle.tolist()]
+    return np.asarray(means) / weight.sum()
+
+
+def _median_towards(density: PlanarDensity, azimuth: float) -> float:
+    """Median |slope| towards an azimuth."""
+    slope, values = density.marginal(azimuth)
+    below = np.r_[0.0, np.cumsum(np.diff(slope) * (values[1:] + values[:-1]) / 2)]
+    positive = slope[slope > 0]
+    within = np.interp(positive, slope, below) - np.interp(-positive, slope, below)
+    return float(np.interp(0.5 * below[-1], within, positive))
+
+
+def _reach(density: PlanarDensity, azimuth: float, peak: float) -> float:
+    """Largest slope towards an azimuth at which the density is shown."""
+    axis = density.x if abs(math.cos(math.radians(azimuth))) > 0.7 else density.y
+    slope = axis.nodes
+    values = density(slope * math.cos(math.radians(azimuth)), slope * math.sin(math.radians(azimuth)))
+    return float(np.abs(slope[values > peak * 10.0**-_DECADES_SHOWN]).max()) * 1.05
+
+
+def _section_quality(
+    facets: xr.Dataset, density: PlanarDensity, p: Array, q: Array
+) -> tuple[Array | None, NDArray[np.bool_]]:
+    """Relative uncertainty, and where the density was extrapolated, at slopes (p, q)."""
+    from scipy.ndimage import map_coordinates
+
+    places = np.stack([density.y.position(q), density.x.position(p)])
+
+    def at(name: str, order: Literal[0, 1]) -> Array:
+        grid = facets[name].transpose("slope_y", "slope_x").values.astype(float)
+        return np.asarray(map_coordinates(grid, places, order=order, mode="nearest"))
+
+    tail = np.zeros(p.shape, dtype=bool)
+    if "slope_density_quality" in facets:
+        tail = at("slope_density_quality", 0) == vocabulary.quality("extrapolated")
+    if "slope_density_u" not in facets:
+        return None, tail
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.minimum(at("slope_density_u", 1) / density(p, q), 3.0), tail
+
+
+def _lambda_towards(facets: xr.Dataset, azimuth: float) -> Array:
+    """Λ(θ) towards an azimuth, linear between the tabulated ones, mean of the two opposite directions."""
+    phi = facets["phi"].values.astype(float)
+    table = facets["lambda_smith"].transpose("theta", "phi").values.astype(float)
+    senses = []
+    for towards in (azimuth, azimuth + 180):
+        place = float(np.interp((towards - phi[0]) % 360, np.r_[phi - phi[0], 360.0], np.arange(phi.size + 1)))
+        lower, share = math.floor(place), place % 1
+        senses.append((1 - share) * table[:, lower % phi.size] + share * table[:, (lower + 1) % phi.size])
+    return np.asarray(np.mean(senses, axis=0))
+
+
+# --- marks
+
+
+def _counted(slope: Array, density: Array, relative: Array | None, tail: NDArray[np.bool_]) -> list[Mark]:
+    """A counted density, its uncertainty and its extrapolated tail, on a log axis."""
+    marks: list[Mark] = []
+    if relative is not None:
+        # Two standard uncertainties, as factors: a band on a log axis must not reach zero.
+        factor = np.exp(2 * relative)
+        marks.append(Band(slope, density / factor, density * factor, "c0", _UNCERTAINTY))
+    marks.append(Line(slope, np.where(tail, np.nan, density), "c0", "measured" if tail.any() else "facets"))
+    if tail.any():
+        marks.append(Line(slope, np.where(_grown(tail), density, np.nan), "c3", "extrapolated", "dash"))
+    return marks
+
+
+def _g1_line(theta: Array, lambda_smith: Array, style: str, label: str) -> Line:
+    return Line(np.r_[0.0, theta], np.r_[1.0, 1 / (1 + lambda_smith)], style, label)
+
+
+def _g1_chart(marks: Sequence[Mark]) -> Markup:
+    return chart(
+        "Masking G1 against the polar angle",
+        Axis("angle from the normal θ, degree", 0.0, 90.0, step=15),
+        Axis("G₁, visible fraction of the facets", 0.0, 1.02, step=0.2),
+        marks,
+    )
+
+
+def _scalar(dataset: xr.Dataset, name: str) -> float:
+    return float(dataset[name]) if name in dataset else math.nan
+
+
+def _extrapolated(facets: xr.Dataset) -> NDArray[np.bool_]:
+    if "slope_density_quality" not in facets:
+        return np.zeros(facets.sizes["slope"], dtype=bool)
+    return np.asarray(facets["slope_density_quality"].values == vocabulary.quality("extrapolated"))
+
+
+def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask and its neighbours, so that two curves meet."""
+    return np.asarray(mask | np.r_[mask[1:], False] | np.r_[False, mask[:-1]])
+
+
+def _relative_uncertainty(facets: xr.Dataset) -> Array | None:
+    """Relative standard uncertainty of the density on its slope nodes, from whichever of P22 and D carries it."""
+    for name in ("slope_density", "D"):
+        if name in facets and f"{name}_u" in facets and facets[f"{name}_u"].size == facets.sizes["slope"]:
+            value = facets[name].values
+            with np.errstate(divide="ignore", invalid="ignore"):
+                relative = np.where(value > 0, facets[f"{name}_u"].values / value, np.nan)
+            return np.asarray(np.minimum(relative, 3.0))
+    return None
