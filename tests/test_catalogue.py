@@ -327,3 +327,18 @@ def test_a_folder_whose_name_is_no_text_stops_nobody(tmp_path: Path) -> None:
     (name,) = loaded.failures
     assert name.encode("utf-8")
     assert loaded.failures[name].encode("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("lambert_gauss: {theta_i: [30, 10]}", "lambert_gauss.theta_i"),
+        ("table: {theta_i: [10, 0], theta_o: [0, 80], phi_o: [0, 180], refine: true}", "table.theta_i"),
+        ("table: {theta_i: [0, 10], theta_o: [0, 80], phi_o: [0, 90], refine: true}", "table.phi_o"),
+    ],
+)
+def test_angles_that_would_fail_every_material_are_refused_once(tmp_path: Path, text: str, where: str) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(text + "\n")
+    with pytest.raises(InputError, match=re.escape(where)):
+        catalogue.load_config(own)

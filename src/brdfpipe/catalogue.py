@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -158,7 +159,25 @@ def load_config(path: Path | None = None) -> dict[str, Any]:
         return config
     own = documents.read(path, schema)
     _check_illuminant(path, own.get("illuminant", config["illuminant"]), "illuminant")
+    _check_angles(path, own)
     return config | own
+
+
+def _check_angles(path: Path, config: Mapping[str, Any]) -> None:
+    """Refuse lists of angles that do not increase: every material would fail by them."""
+    lists = {("lambert_gauss", "theta_i"), ("table", "theta_i"), ("table", "theta_o"), ("table", "phi_o")}
+    for part, key in sorted(lists):
+        angles = list(config.get(part, {}).get(key, []))
+        if any(second <= first for first, second in pairwise(angles)):
+            raise InputError(
+                path, "the angles do not increase", where=f"{part}.{key}", found=angles, accepted="a rising list"
+            )
+    phi = config.get("table", {}).get("phi_o", [0, 180])
+    if (phi[0], phi[-1]) != (0, 180):
+        found = f"{phi[0]:g} to {phi[-1]:g}"
+        raise InputError(
+            path, "the azimuths do not span half a circle", where="table.phi_o", found=found, accepted="0 to 180"
+        )
 
 
 def project_folder() -> Path:
