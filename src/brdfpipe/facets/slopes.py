@@ -70,7 +70,7 @@ class SlopeCounts(NamedTuple):
 FINE_BINS = 0x7F80
 """Upper half of the bits of infinity: what lies below is finite, what lies above is no number."""
 
-_BLOCK_POINTS = 2**18
+_BLOCK_POINTS = 2**15
 
 
 def _blocks(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, tuple[float, float]]]:
@@ -97,6 +97,13 @@ def _edges_of(part: Array, pitch: tuple[float, float]) -> tuple[Array, Array]:
     return along_x, along_y
 
 
+def _triangles(along_x: Array, along_y: Array) -> Iterator[tuple[Array, Array]]:
+    """The edges along x and y of each of a quad's four triangles."""
+    for edge_x in (along_x[:-1], along_x[1:]):
+        for edge_y in (along_y[:, :-1], along_y[:, 1:]):
+            yield edge_x, edge_y
+
+
 def triangle_slopes(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, Array]]:
     """Slopes (p, q) of the four triangles of every quad, block by block; a triangle that touches a missing height is left out.
 
@@ -105,13 +112,12 @@ def triangle_slopes(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, Ar
     for block, part, pitch in _blocks(maps):
         along_x, along_y = _edges_of(part, pitch)
         whole = bool(np.isfinite(along_x).all() and np.isfinite(along_y).all())
-        for p in (along_x[:-1], along_x[1:]):
-            for q in (along_y[:, :-1], along_y[:, 1:]):
-                if whole:
-                    yield block, p.ravel(), q.ravel()
-                else:
-                    complete = np.isfinite(p) & np.isfinite(q)
-                    yield block, p[complete], q[complete]
+        for p, q in _triangles(along_x, along_y):
+            if whole:
+                yield block, p.ravel(), q.ravel()
+            else:
+                complete = np.isfinite(p) & np.isfinite(q)
+                yield block, p[complete], q[complete]
 
 
 def count_maps(maps: Sequence[xr.Dataset]) -> tuple[SlopeCounts, Moments]:
@@ -125,13 +131,11 @@ def count_maps(maps: Sequence[xr.Dataset]) -> tuple[SlopeCounts, Moments]:
     for block, part, pitch in _blocks(maps):
         along_x, along_y = _edges_of(part, pitch)
         square_x, square_y = (np.square(edge, dtype=np.float32, casting="same_kind") for edge in (along_x, along_y))
-        square = np.empty((square_y.shape[0], square_x.shape[1]), dtype=np.float32)
-        bits = square.reshape(-1).view(np.uint16)[_HIGH::2]
-        for xx in (square_x[:-1], square_x[1:]):
-            for yy in (square_y[:, :-1], square_y[:, 1:]):
-                np.add(xx, yy, out=square)
-                counts[block] += np.bincount(bits, minlength=2**16)
-        n, first, second = _block_moments(along_x, along_y)
+        squares = np.empty((4, square_y.shape[0], square_x.shape[1]), dtype=np.float32)
+        for square, (xx, yy) in zip(squares, _triangles(square_x, square_y), strict=True):
+            np.add(xx, yy, out=square)
+        counts[block] += np.bincount(squares.reshape(-1).view(np.uint16)[_HIGH::2], minlength=2**16)
+        n, first, second = _block_moments(part, pitch, along_x, along_y)
         facets, total, products = facets + n, total + first, products + second
     if facets == 0:
         return SlopeCounts(counts[:, :FINE_BINS]), Moments(0, np.zeros(2), np.zeros((2, 2)))
@@ -144,28 +148,32 @@ def count_maps(maps: Sequence[xr.Dataset]) -> tuple[SlopeCounts, Moments]:
 _HIGH = 1 if np.little_endian else 0
 
 
-def _block_moments(along_x: Array, along_y: Array) -> tuple[int, Array, Array]:
+def _block_moments(
+    part: Array, pitch: tuple[float, float], along_x: Array, along_y: Array
+) -> tuple[int, Array, Array]:
     """Number of triangles of a block, sums of p and q, and sums of p², q² and pq over them.
 
     Every edge along x meets the four edges along y of the quads beside it: sums over triangles are sums over edges.
     """
-    sum_x, sum_y = along_x[:-1] + along_x[1:], along_y[:, :-1] + along_y[:, 1:]
-    mixed = inner(sum_x, sum_y)
+    # The mixed product only says how the axes of the slopes lie: single precision, summed row by row, is plenty.
+    fine_x, fine_y = along_x.astype(np.float32), along_y.astype(np.float32)
+    mixed = float(np.einsum("ij,ij->i", fine_x[:-1] + fine_x[1:], fine_y[:, :-1] + fine_y[:, 1:]).sum(dtype=float))
     if np.isfinite(mixed):
-        first = 2 * np.array([sum_x.sum(), sum_y.sum()])
+        # Along a row or a column the slopes add up to what the ends differ by.
+        rises = (part[:, -1] - part[:, 0]) / pitch[0], (part[-1] - part[0]) / pitch[1]
+        first = 2 * np.array([2 * rise.sum() - rise[0] - rise[-1] for rise in rises])
         # Each edge counts twice for every quad beside it: those on the block's border have one.
         square_x = 2 * inner(along_x, along_x) - inner(along_x[0], along_x[0]) - inner(along_x[-1], along_x[-1])
         square_y = 2 * inner(along_y, along_y) - sum(inner(along_y[:, k], along_y[:, k]) for k in (0, -1))
         squares = (2 * square_x, 2 * square_y)
-        return 4 * sum_x.size, first, np.array([*squares, mixed])
+        return 4 * (along_x.shape[0] - 1) * along_x.shape[1], first, np.array([*squares, mixed])
     count, first, second = 0, np.zeros(2), np.zeros(3)
-    for p in (along_x[:-1], along_x[1:]):
-        for q in (along_y[:, :-1], along_y[:, 1:]):
-            complete = np.isfinite(p) & np.isfinite(q)
-            p_there, q_there = p[complete], q[complete]
-            count += p_there.size
-            first += p_there.sum(), q_there.sum()
-            second += inner(p_there, p_there), inner(q_there, q_there), inner(p_there, q_there)
+    for p, q in _triangles(along_x, along_y):
+        complete = np.isfinite(p) & np.isfinite(q)
+        p_there, q_there = p[complete], q[complete]
+        count += p_there.size
+        first += p_there.sum(), q_there.sum()
+        second += inner(p_there, p_there), inner(q_there, q_there), inner(p_there, q_there)
     return count, first, second
 
 
@@ -194,7 +202,7 @@ def slope_rms_by_scale(surface: xr.Dataset) -> Array:
     return np.asarray(values)
 
 
-_SAMPLED = 2**20
+_SAMPLED = 2**18
 """Heights from which slopes by scale and correlation are taken: more would not tell more."""
 
 
