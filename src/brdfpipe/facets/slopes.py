@@ -148,9 +148,7 @@ def count_maps(maps: Sequence[xr.Dataset]) -> tuple[SlopeCounts, Moments]:
 _HIGH = 1 if np.little_endian else 0
 
 
-def _block_moments(
-    part: Array, pitch: tuple[float, float], along_x: Array, along_y: Array
-) -> tuple[int, Array, Array]:
+def _block_moments(part: Array, pitch: tuple[float, float], along_x: Array, along_y: Array) -> tuple[int, Array, Array]:
     """Number of triangles of a block, sums of p and q, and sums of p², q² and pq over them.
 
     Every edge along x meets the four edges along y of the quads beside it: sums over triangles are sums over edges.
