@@ -330,6 +330,10 @@ def _axes(lines: Sequence[xr.Dataset]) -> list[float]:
 
 
 def _relative_uncertainty(density: RadialDensity, marginal: _Marginal) -> Array:
-    """Relative uncertainty of the density, from counting the slopes within a tenth of a decade of each node."""
-    weight = 2 * np.pi * density.slope**2 * density.density * 0.23
+    """Relative uncertainty of the density, from counting the slopes within a tenth of a decade of each node.
+
+    Below half the median slope the fit has no detail of its own: the peak is as uncertain as the density there.
+    """
+    slope = np.maximum(density.slope, marginal.median / 2)
+    weight = 2 * np.pi * slope**2 * density(slope**2) * 0.23
     return np.minimum(1.0, 1 / np.sqrt(np.maximum(marginal.size / marginal.redundancy * weight, 1.0)))
