@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import samples
 import xarray as xr
 from scipy.special import erfc
 
@@ -103,3 +104,69 @@ def test_directions_of_a_lay_broadcast_by_name():
     found = masking.g1(table, theta, phi)
     assert found.sizes == {"theta": 2, "phi": 3}
     assert (found.diff("phi") < 0).all()
+
+
+def pair(table, mode, theta_i, theta_o, phi=180.0):
+    return float(masking.g2(table, theta_i, 0, theta_o, phi, mode=mode))
+
+
+def test_the_patents_masking_is_not_reciprocal_by_the_printed_ratio():
+    # PHYSICS, masking: f(30→75)/f(75→30) = 0.7413888795 at σ = 0.5.
+    table = facets.analytic("beckmann", 0.5 * np.sqrt(2))
+    # The table of Λ is good to 1e-9.
+    assert pair(table, "crf", 30, 75) / pair(table, "crf", 75, 30) == pytest.approx(0.7413888795, abs=2e-9)
+
+
+@pytest.mark.parametrize("mode", ["height-correlated", "separable", "blinn", "none"])
+def test_every_other_mode_is_reciprocal_and_between_0_and_1(mode):
+    table = facets.analytic("ggx", 0.4)
+    rng = np.random.default_rng(3)
+    theta_i, theta_o, phi = rng.uniform(0, 89.9, (2, 200)), None, rng.uniform(0, 360, 200)
+    theta_i, theta_o = theta_i
+    forward = masking.g2(table, theta_i, 0.0, theta_o, phi, mode=mode).values
+    backward = masking.g2(table, theta_o, phi, theta_i, 0.0, mode=mode).values
+    assert forward == pytest.approx(backward, rel=1e-12)
+    assert ((forward >= 0) & (forward <= 1)).all()
+
+
+def test_the_modes_order_as_they_must():
+    table = facets.analytic("beckmann", 0.6)
+    none, correlated, separable = (pair(table, mode, 80, 75) for mode in ("none", "height-correlated", "separable"))
+    assert none == 1 > correlated > separable
+    g1 = masking.g1(table, [80.0, 75.0]).values
+    assert separable == pytest.approx(g1.prod(), rel=1e-12)
+    assert pair(table, "crf", 80, 75) == pytest.approx(g1[1], rel=1e-12)
+
+
+def test_grooves_mask_by_the_closed_form():
+    # Blinn 1977 at θ_i = θ_o = 60, φ = 180: the facet is the mean plane, so 2 · cos 60 / cos 60 is cut at 1; retro at 60 gives 1.
+    table = facets.analytic("beckmann", 0.3)
+    assert pair(table, "blinn", 60, 60) == 1.0
+    cos_alpha, cos_zeta = np.cos(np.radians(35)), np.cos(np.radians(45))
+    assert pair(table, "blinn", 10, 80) == pytest.approx(2 * cos_alpha * np.cos(np.radians(80)) / cos_zeta, rel=1e-12)
+
+
+def test_an_unknown_mode_is_refused():
+    with pytest.raises(VocabularyError, match="accepted: height-correlated, separable, crf, blinn, none"):
+        masking.g2(facets.analytic("beckmann", 0.3), 0, 0, 0, 0, mode="liu")
+
+
+def test_masking_straight_from_a_line_is_that_of_its_slopes():
+    slopes = np.random.default_rng(2).normal(scale=0.3, size=200_000)
+    slopes -= slopes.mean()
+    expected = masking.g1(facets.analytic("beckmann", 0.3 * np.sqrt(2)), ANGLES).values
+    # 200 000 slopes: a few parts in a thousand at grazing.
+    assert masking.g1_along(slopes, ANGLES) == pytest.approx(expected, rel=5e-3)
+    assert masking.g1_along(slopes, [0.0, 90.0]).tolist() == [1.0, 0.0]
+
+
+def test_slopes_that_are_not_levelled_are_refused():
+    with pytest.raises(VocabularyError, match="level first"):
+        masking.g1_along([0.1, 0.2], [45.0])
+    with pytest.raises(VocabularyError, match="found 0"):
+        masking.g1_along([np.nan], [45.0])
+
+
+def test_masking_offers_the_ground_truth():
+    cast = masking.raycast(samples.gaussian_surface(128, sigma=0.3, correlation=4), [60.0, 80.0])
+    assert cast["g1"].values == pytest.approx(1 / (1 + cast["lambda_empirical"].values), abs=1e-10)

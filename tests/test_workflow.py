@@ -189,3 +189,16 @@ def test_every_deleted_file_is_made_again_as_it_was(built: tuple[Path, Path], fi
     summary = front.build(folder, results, cores=2)
     assert summary.built == ("abs-grain",)
     assert path.read_bytes() == before
+
+
+def test_rays_are_cast_where_the_configuration_asks_for_it(built: tuple[Path, Path], tmp_path: Path) -> None:
+    folder, _ = built
+    own = tmp_path / "own.yaml"
+    own.write_text("raycast: true\n")
+    summary = front.build(folder, tmp_path / "results", cores=2, config=own)
+    assert summary.failures == {}
+    assert sorted(path.parent.name for path in (tmp_path / "results").glob("*/masking.nc")) == [
+        "abs-grain",
+        "pp-moulding",
+    ]
+    assert "ray" in (tmp_path / "results" / "abs-grain" / "report.html").read_text(encoding="utf-8").lower()

@@ -23,6 +23,7 @@ _SUBMODULES = (
     "hemisphere",
     "masking",
     "optics",
+    "raycast",
     "report",
     "spectra",
     "store",

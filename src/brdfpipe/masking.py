@@ -11,6 +11,7 @@ Smith 1967; Ashikhmin 2000; Heitz 2014 (JCGT 3(2)), eqs. 72 and 99; patent US 9,
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -21,7 +22,8 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from brdfpipe import vocabulary
 from brdfpipe.density import RadialDensity
-from brdfpipe.geometry import Array, broadcast, checked_angles
+from brdfpipe.errors import VocabularyError
+from brdfpipe.geometry import Array, broadcast, check_angles, checked_angles, half_vector
 from brdfpipe.hemisphere import panel_rule
 
 _NODES = 384
@@ -148,14 +150,124 @@ def g1(facets: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0) -> xr.DataArr
     """
     vocabulary.validate(facets, "facets")
     polar, azimuth = broadcast(theta=checked_angles("theta", theta, 0, 90), phi=checked_angles("phi", phi, -720, 720))
-    angles = np.radians(polar.values)
-    cos, sin = np.where(angles >= np.pi / 2, 0.0, np.cos(angles)), np.sin(angles)
-    if "phi" in facets["lambda_smith"].dims:
-        excess = PlanarSmith.of(facets).excess(cotangent(cos, sin), azimuth.values)
-    else:
-        excess = Smith.of(facets).excess_towards(cos, sin)
+    cos, sin, excess = _seen_from(facets, polar.values, azimuth.values)
     result = polar.copy(data=cos / (cos + excess * sin))
     return result.rename("g1").assign_attrs(units="1", long_name="Smith masking G1")
+
+
+def g2(
+    facets: xr.Dataset,
+    theta_i: ArrayLike,
+    phi_i: ArrayLike,
+    theta_o: ArrayLike,
+    phi_o: ArrayLike,
+    mode: str = "height-correlated",
+) -> xr.DataArray:
+    """Masking and shadowing together: the fraction of facets that both directions see.
+
+    Parameters
+    ----------
+    facets : kind ``facets``; its mean slope is zero
+    theta_i, phi_i, theta_o, phi_o : degree, broadcastable; 0 <= θ < 90
+    mode : a key of :data:`MODES`
+
+    Returns
+    -------
+    DataArray [1], in [0, 1], named ``g2``
+
+    Raises
+    ------
+    VocabularyError : the dataset is not of kind ``facets``, an angle is out of range, or the mode is unknown.
+    """
+    vocabulary.validate(facets, "facets")
+    if mode not in MODES:
+        raise VocabularyError(f"unknown masking mode {mode!r}; accepted: {', '.join(MODES)}")
+    angles = broadcast(
+        theta_i=checked_angles("theta_i", theta_i, 0, _BELOW_GRAZING),
+        phi_i=checked_angles("phi_i", phi_i, -720, 720),
+        theta_o=checked_angles("theta_o", theta_o, 0, _BELOW_GRAZING),
+        phi_o=checked_angles("phi_o", phi_o, -720, 720),
+    )
+    plain = [angle.values for angle in angles]
+    half = half_vector(plain[0], plain[1], plain[2], plain[3])
+    pair = []
+    for polar, azimuth in ((plain[0], plain[1]), (plain[2], plain[3])):
+        cos, sin, excess = _seen_from(facets, polar, azimuth)
+        pair.append((cos, excess * sin / cos))
+    (cos_i, lambda_i), (cos_o, lambda_o) = pair
+    values = MODES[mode](lambda_i, lambda_o, cos_i, cos_o, 1 / np.sqrt(1 + half.slope_squared), half.cos_zeta)
+    result = angles[0].copy(data=np.broadcast_to(values, plain[0].shape))
+    return result.rename("g2").assign_attrs(units="1", long_name=f"masking and shadowing G2, {mode}")
+
+
+def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
+    """Smith masking straight from the slopes along a line, without a density in between.
+
+    Parameters
+    ----------
+    slopes : (n,) slopes towards the viewer [1], of mean zero; missing ones are left out
+    theta : (m,) degree, 0 to 90
+
+    Returns
+    -------
+    (m,) G1 in [0, 1]
+
+    Raises
+    ------
+    VocabularyError : no slope is there, their mean is not zero, or an angle is out of range.
+
+    Notes
+    -----
+    One sort and its cumulative sums give E[(p − μ)⁺] for every angle at once.
+    """
+    p = np.sort(np.asarray(slopes, dtype=float).ravel())
+    p = p[np.isfinite(p)]
+    if p.size == 0 or abs(p.mean()) > 1e-6 * max(float(np.abs(p).max()), 1e-300):
+        raise VocabularyError(
+            f"masking needs slopes of mean zero; found {p.size} of mean {p.mean() if p.size else np.nan:g}: level first"
+        )
+    angles = np.radians(np.atleast_1d(check_angles("theta", theta, 0, 90)))
+    cos, sin = np.where(angles >= np.pi / 2, 0.0, np.cos(angles)), np.sin(angles)
+    mu = cotangent(cos, sin)
+    beyond = np.concatenate([np.cumsum(p[::-1])[::-1], [0.0]])
+    first = np.searchsorted(p, mu)
+    count = p.size - first
+    excess = np.where(count > 0, (beyond[first] - np.where(count > 0, mu, 0.0) * count) / p.size, 0.0)
+    return np.asarray(cos / (cos + excess * sin))
+
+
+def raycast(surface: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0, *, lines: int | None = None) -> xr.Dataset:
+    """The ground truth of G1 on the heights themselves; see :func:`brdfpipe.raycast.raycast`."""
+    return importlib.import_module("brdfpipe.raycast").raycast(surface, theta, phi, lines=lines)
+
+
+_BELOW_GRAZING = 90 - 1e-9
+
+
+def _seen_from(facets: xr.Dataset, theta: Array, phi: Array) -> tuple[Array, Array, Array]:
+    """cos θ, sin θ and the mean excess slope towards directions in degree."""
+    angles = np.radians(theta)
+    cos, sin = np.where(theta >= 90, 0.0, np.cos(angles)), np.sin(angles)
+    if "phi" in facets["lambda_smith"].dims:
+        return cos, sin, PlanarSmith.of(facets).excess(cotangent(cos, sin), phi)
+    return cos, sin, Smith.of(facets).excess_towards(cos, sin)
+
+
+Mode = Callable[[Array, Array, Array, Array, Array, Array], Array]
+
+MODES: dict[str, Mode] = {
+    "height-correlated": lambda l_i, l_o, c_i, c_o, c_a, c_z: 1 / (1 + l_i + l_o),
+    "separable": lambda l_i, l_o, c_i, c_o, c_a, c_z: 1 / ((1 + l_i) * (1 + l_o)),
+    "crf": lambda l_i, l_o, c_i, c_o, c_a, c_z: 1 / (1 + l_o),
+    "blinn": lambda l_i, l_o, c_i, c_o, c_a, c_z: np.minimum(1.0, 2 * c_a * np.minimum(c_i, c_o) / c_z),
+    "none": lambda l_i, l_o, c_i, c_o, c_a, c_z: np.ones_like(l_i),
+}
+"""G2 by mode, from Λ and cos θ of both directions, cos α and cos ζ of the facet between them.
+
+``height-correlated``: 1/(1 + Λ_i + Λ_o), Heitz 2014 eq. 99, the default · ``separable``: G1(i) G1(o) · ``crf``: G1(o) alone, the
+patent's, which is neither reciprocal nor keeps energy · ``blinn``: V-grooves, min(1, 2 cos α cos θ / cos ζ), Blinn 1977 ·
+``none``: 1.
+"""
 
 
 Visibility = Callable[[Array, Array, Array, Array, Array, Array], Array]

@@ -218,7 +218,7 @@ def compare(
     Parameters
     ----------
     surface : kind ``surface``, levelled
-    facets : kind ``facets``, isotropic, estimated from that surface
+    facets : kind ``facets``, estimated from that surface
     theta : degree, increasing, 0 to 89.99
     lines : cast along at most this many evenly spaced lines of an azimuth
 
@@ -253,7 +253,9 @@ def compare(
     curves = {
         "g1_raycast": cast["g1"].mean("phi").values,
         "g1_raycast_u": uncertainty(list(cast["g1_u"].values.T)),
-        "g1_smith": masking.g1(facets, polar).values,
+        "g1_smith": np.mean(
+            [masking.g1(facets, polar, axis).values for axis in (*axes, *(a + 180 for a in axes))], axis=0
+        ),
         "g2_raycast": np.mean([pair["g2"].values for pair in mirrored], axis=0),
         "g2_raycast_u": uncertainty([pair["g2_u"].values for pair in mirrored]),
         "g2_separable": np.mean([pair["g2_separable"].values for pair in mirrored], axis=0),

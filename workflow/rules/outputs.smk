@@ -104,6 +104,7 @@ rule report:
     input:
         surface=branch(stages.measured("surface"), then="{material}/surface.nc"),
         facets=branch(stages.has("surface"), then="{material}/facets.nc"),
+        masking=branch(stages.validates_masking, then="{material}/masking.nc"),
         index=branch(stages.has("index"), then="{material}/index.nc"),
         spectrum=branch(stages.has("spectrum"), then="{material}/spectrum.nc"),
         predicted="{material}/predicted.nc",

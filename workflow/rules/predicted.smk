@@ -33,6 +33,23 @@ rule facets:
         stages.run(rule, wildcards, input, output, params)
 
 
+rule masking:
+    input:
+        surface="{material}/surface.nc",
+        facets="{material}/facets.nc",
+    output:
+        masking="{material}/masking.nc",
+    log:
+        "logs/{material}/masking.log",
+    params:
+        spec=stages.spec("masking"),
+        code=stages.code("masking"),
+    message:
+        "masking of {wildcards.material}"
+    run:
+        stages.run(rule, wildcards, input, output, params)
+
+
 rule index:
     input:
         raw=stages.raw("index"),

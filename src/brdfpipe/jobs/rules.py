@@ -49,6 +49,10 @@ class Stages:
         """Whether a material brings a raw file for a part."""
         return lambda wildcards: part in self.catalogue[wildcards.material].files
 
+    def validates_masking(self, wildcards: Any) -> bool:
+        """Whether rays are cast over a material's heights: it brings some, and the configuration asks for it."""
+        return bool(self.catalogue.config["raycast"]) and "surface" in self.catalogue[wildcards.material].files
+
     def raw(self, part: str) -> Asked:
         """The raw file a material brings for a part, if any."""
         return lambda wildcards: str(self.catalogue[wildcards.material].files.get(part, "")) or []
@@ -73,7 +77,11 @@ class Stages:
 
     def files(self) -> list[str]:
         """Every file of every material."""
-        return [f"{name}/{file}" for name in self.names for file in _files_of(self.catalogue[name])]
+        materials = [self.catalogue[name] for name in self.names]
+        masking = [
+            f"{m.name}/masking.nc" for m in materials if self.catalogue.config["raycast"] and "surface" in m.files
+        ]
+        return [f"{material.name}/{file}" for material in materials for file in _files_of(material)] + masking
 
     def run(self, stage: str, wildcards: Any, input: Any, output: Any, params: Any) -> None:
         """Run a rule's stage in a worker.

@@ -1,0 +1,15 @@
+from brdfpipe import raycast, store
+
+
+def main(input, output, params):
+    """Masking by rays cast over the heights, beside Smith's."""
+    inputs = {name: store.open_dataset(path, name) for name, path in input.items()}
+    store.save_dataset(
+        raycast.compare(**inputs), output["masking"], stage="masking", material=params["material"], inputs=inputs
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)
