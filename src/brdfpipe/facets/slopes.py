@@ -88,12 +88,17 @@ def _blocks(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, tuple[floa
                 yield scan * BLOCKS**2 + block, part, pitch
 
 
-def _edges_of(part: Array, pitch: tuple[float, float]) -> tuple[Array, Array]:
-    """Slopes of the edges of a block's quads, along x (rows + 1, columns) and along y (rows, columns + 1)."""
-    part = np.asarray(part, dtype=float)
-    along_x, along_y = part[:, 1:] - part[:, :-1], part[1:] - part[:-1]
-    along_x *= 1 / pitch[0]
-    along_y *= 1 / pitch[1]
+def _edges_of(part: Array, pitch: tuple[float, float], dtype: type = np.float64) -> tuple[Array, Array]:
+    """Slopes of the edges of a block's quads, along x (rows + 1, columns) and along y (rows, columns + 1).
+
+    Heights are subtracted in double precision whatever ``dtype`` the slopes are kept in.
+    """
+    rows, columns = part.shape
+    along_x, along_y = np.empty((rows, columns - 1), dtype), np.empty((rows - 1, columns), dtype)
+    np.subtract(part[:, 1:], part[:, :-1], out=along_x, dtype=np.float64, casting="same_kind")
+    np.subtract(part[1:], part[:-1], out=along_y, dtype=np.float64, casting="same_kind")
+    along_x *= dtype(1 / pitch[0])
+    along_y *= dtype(1 / pitch[1])
     return along_x, along_y
 
 
@@ -126,49 +131,56 @@ def count_maps(maps: Sequence[xr.Dataset]) -> tuple[SlopeCounts, Moments]:
     Squares are binned by the bits of a 32-bit float, in bins of 0.5 %: no logarithm, no search. A triangle that touches a missing
     height has no number for a slope, and falls beyond the last bin by itself.
     """
-    counts = np.zeros((len(maps) * BLOCKS**2, 2**16), dtype=np.int64)
+    counts = np.zeros((len(maps) * BLOCKS**2, FINE_BINS), dtype=np.int64)
     facets, total, products = 0, np.zeros(2), np.zeros(3)
     for block, part, pitch in _blocks(maps):
-        along_x, along_y = _edges_of(part, pitch)
-        square_x, square_y = (np.square(edge, dtype=np.float32, casting="same_kind") for edge in (along_x, along_y))
+        along_x, along_y = _edges_of(part, pitch, np.float32)
+        square_x, square_y = along_x * along_x, along_y * along_y
         squares = np.empty((4, square_y.shape[0], square_x.shape[1]), dtype=np.float32)
         for square, (xx, yy) in zip(squares, _triangles(square_x, square_y), strict=True):
             np.add(xx, yy, out=square)
-        counts[block] += np.bincount(squares.reshape(-1).view(np.uint16)[_HIGH::2], minlength=2**16)
-        n, first, second = _block_moments(part, pitch, along_x, along_y)
+        counts[block] += _count_bits(squares)
+        n, first, second = _block_moments(part, pitch, (along_x, along_y), (square_x, square_y))
         facets, total, products = facets + n, total + first, products + second
     if facets == 0:
-        return SlopeCounts(counts[:, :FINE_BINS]), Moments(0, np.zeros(2), np.zeros((2, 2)))
+        return SlopeCounts(counts), Moments(0, np.zeros(2), np.zeros((2, 2)))
     mean = total / facets
     square_mean = products / facets
     covariance = np.array([[square_mean[0], square_mean[2]], [square_mean[2], square_mean[1]]]) - np.outer(mean, mean)
-    return SlopeCounts(counts[:, :FINE_BINS]), Moments(facets, mean, covariance)
+    return SlopeCounts(counts), Moments(facets, mean, covariance)
 
 
 _HIGH = 1 if np.little_endian else 0
 
 
-def _block_moments(part: Array, pitch: tuple[float, float], along_x: Array, along_y: Array) -> tuple[int, Array, Array]:
+def _count_bits(squares: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Counts by the upper half of the bits; what is no number, of either sign, lies beyond the last bin and is left out."""
+    return np.bincount(squares.reshape(-1).view(np.uint16)[_HIGH::2], minlength=FINE_BINS)[:FINE_BINS]
+
+
+def _block_moments(
+    part: Array, pitch: tuple[float, float], along: tuple[Array, Array], square: tuple[Array, Array]
+) -> tuple[int, Array, Array]:
     """Number of triangles of a block, sums of p and q, and sums of p², q² and pq over them.
 
-    Every edge along x meets the four edges along y of the quads beside it: sums over triangles are sums over edges.
+    Every edge along x meets the four edges along y of the quads beside it: sums over triangles are sums over edges. Rows are
+    summed in the precision of the slopes, their sums in double precision.
     """
-    # The mixed product only says how the axes of the slopes lie: single precision, summed row by row, is plenty.
-    fine_x, fine_y = along_x.astype(np.float32), along_y.astype(np.float32)
-    mixed = float(np.einsum("ij,ij->i", fine_x[:-1] + fine_x[1:], fine_y[:, :-1] + fine_y[:, 1:]).sum(dtype=float))
+    along_x, along_y = along
+    mixed = float(np.einsum("ij,ij->i", along_x[:-1] + along_x[1:], along_y[:, :-1] + along_y[:, 1:]).sum(dtype=float))
     if np.isfinite(mixed):
         # Along a row or a column the slopes add up to what the ends differ by.
         rises = (part[:, -1] - part[:, 0]) / pitch[0], (part[-1] - part[0]) / pitch[1]
         first = 2 * np.array([2 * rise.sum() - rise[0] - rise[-1] for rise in rises])
         # Each edge counts twice for every quad beside it: those on the block's border have one.
-        square_x = 2 * inner(along_x, along_x) - inner(along_x[0], along_x[0]) - inner(along_x[-1], along_x[-1])
-        square_y = 2 * inner(along_y, along_y) - sum(inner(along_y[:, k], along_y[:, k]) for k in (0, -1))
-        squares = (2 * square_x, 2 * square_y)
-        return 4 * (along_x.shape[0] - 1) * along_x.shape[1], first, np.array([*squares, mixed])
+        rows_x, rows_y = (each.sum(axis=1).astype(float) for each in square)
+        square_x = 2 * rows_x.sum() - rows_x[0] - rows_x[-1]
+        square_y = 2 * rows_y.sum() - square[1][:, [0, -1]].sum(dtype=float)
+        return 4 * (along_x.shape[0] - 1) * along_x.shape[1], first, np.array([2 * square_x, 2 * square_y, mixed])
     count, first, second = 0, np.zeros(2), np.zeros(3)
     for p, q in _triangles(along_x, along_y):
         complete = np.isfinite(p) & np.isfinite(q)
-        p_there, q_there = p[complete], q[complete]
+        p_there, q_there = p[complete].astype(float), q[complete].astype(float)
         count += p_there.size
         first += p_there.sum(), q_there.sum()
         second += inner(p_there, p_there), inner(q_there, q_there), inner(p_there, q_there)
@@ -178,11 +190,11 @@ def _block_moments(part: Array, pitch: tuple[float, float], along_x: Array, alon
 def count_line(slopes: Array) -> SlopeCounts:
     """Counts of the squared slopes along a line, in as many blocks as a map has."""
     borders = np.linspace(0, slopes.size, BLOCKS**2 + 1).astype(int)
-    counts = np.zeros((BLOCKS**2, 2**16), dtype=np.int64)
+    counts = np.zeros((BLOCKS**2, FINE_BINS), dtype=np.int64)
     for block, (start, stop) in enumerate(pairwise(borders)):
         square = np.square(slopes[start:stop], dtype=np.float32, casting="same_kind")
-        counts[block] = np.bincount(square.view(np.uint16)[_HIGH::2], minlength=2**16)
-    return SlopeCounts(counts[:, :FINE_BINS])
+        counts[block] = _count_bits(square)
+    return SlopeCounts(counts)
 
 
 def slope_rms_by_scale(surface: xr.Dataset) -> Array:
