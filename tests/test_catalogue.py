@@ -342,3 +342,14 @@ def test_angles_that_would_fail_every_material_are_refused_once(tmp_path: Path, 
     own.write_text(text + "\n")
     with pytest.raises(InputError, match=re.escape(where)):
         catalogue.load_config(own)
+
+
+def test_every_key_of_a_scan_is_told_to_the_stage_that_reads_it() -> None:
+    schema = yaml.safe_load((catalogue.project_folder() / "config/schemas/material.schema.yaml").read_text())
+    keys = set(schema["$defs"]["measured_surface"]["properties"])
+    assert keys - set(catalogue.SURFACE_STAGE_KEYS) == {"isotropic", "method", "scans"}
+
+
+def test_a_missing_further_scan_is_named(tmp_path: Path) -> None:
+    write(tmp_path, "m", "surface: {file: a.x3p, scans: [{file: b.x3p}]}\nindex: PP\n", a_x3p="x")
+    assert "surface.scans" in catalogue.load(tmp_path).failures["m"]

@@ -9,7 +9,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import samples
 
 from brdfpipe import catalogue, store
 from brdfpipe.jobs import front
@@ -202,3 +204,29 @@ def test_rays_are_cast_where_the_configuration_asks_for_it(built: tuple[Path, Pa
         "pp-moulding",
     ]
     assert "ray" in (tmp_path / "results" / "abs-grain" / "report.html").read_text(encoding="utf-8").lower()
+
+
+def test_several_scans_filters_and_directions_reach_the_facets(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    lines = tmp_path / "catalogue" / "lines"
+    lines.mkdir(parents=True)
+    for name, sigma in (("along.txt", 0.1), ("across.txt", 0.04)):
+        np.savetxt(lines / name, np.cumsum(rng.normal(scale=sigma, size=20_000)), header="unit: um")
+    (lines / "material.yaml").write_text(
+        "surface: {file: along.txt, layout: line, pitch: 1.0, scans: [{file: across.txt, azimuth: 90}]}\nindex: PP\n"
+    )
+    maps = tmp_path / "catalogue" / "maps"
+    maps.mkdir()
+    for name, seed in (("a.npy", 1), ("b.npy", 2)):
+        np.save(maps / name, samples.gaussian_surface(128, seed=seed, correlation=4)["height"].values)
+    shared = "file: a.npy, unit: um, pitch: 1.0"
+    (maps / "material.yaml").write_text(f"surface: {{{shared}, lambda_s: 5.0, scans: [{{file: b.npy}}]}}\nindex: PP\n")
+    summary = front.build(tmp_path / "catalogue", tmp_path / "results", cores=2)
+    assert summary.failures == {}
+    of_lines, of_maps = (store.open_dataset(tmp_path / "results" / name / "facets.nc") for name in ("lines", "maps"))
+    assert float(of_lines["anisotropy"]) == pytest.approx(2.5, rel=0.05)
+    assert float(of_maps["facet_count"]) == 2 * 4 * 127**2
+    for number in ("surface", "surface-2"):
+        filtered = store.open_dataset(tmp_path / "results" / "maps" / f"{number}.nc")
+        assert filtered.attrs["lambda_s"] == 5.0
+    assert front.build(tmp_path / "catalogue", tmp_path / "results", cores=2).jobs == 0

@@ -28,7 +28,12 @@ RESERVED = frozenset(
 )
 """Names that mean something else in the results folder."""
 
-SURFACE_STAGE_KEYS = ("file", "format", "layout", "unit", "lateral_unit", "pitch", "form")
+SURFACE_STAGE_KEYS = (
+    *("file", "format", "layout", "unit", "lateral_unit", "pitch", "channel"),
+    *("form", "lambda_s", "lambda_c", "azimuth"),
+)
+"""Keys of ``surface`` that say how a scan is read and levelled; the rest says what is made of it."""
+
 FILE_PARTS = ("surface", "index", "spectrum")
 
 RESULT_MARKS = (".build.lock", ".snakemake", "catalogue.nc")
@@ -47,7 +52,7 @@ class Material:
     folder: Path
     content: Mapping[str, Any]
     files: Mapping[str, Path]
-    """Part of the description (surface, index, spectrum) → raw file."""
+    """Part of the description (surface, index, spectrum; surface-2 … for further scans) → raw file."""
 
     def has(self, part: str) -> bool:
         """Whether the description has this part: surface, index, spectrum."""
@@ -57,13 +62,24 @@ class Material:
     def exports(self) -> tuple[str, ...]:
         return tuple(self.content["exports"])
 
+    @property
+    def scans(self) -> list[int]:
+        """Numbers of the further scans of the surface, from 2."""
+        return [number for number, _ in enumerate(self.content.get("surface", {}).get("scans", []), start=2)]
+
+    def scan_spec(self, number: int) -> dict[str, Any]:
+        """How a further scan is read: like the first, but for its own file and azimuth."""
+        surface = self.content["surface"]
+        shared = {key: surface[key] for key in SURFACE_STAGE_KEYS if key in surface and key != "azimuth"}
+        return shared | dict(surface["scans"][number - 2])
+
     def spec(self, stage: str, config: Mapping[str, Any]) -> dict[str, Any]:
         """The part of the description and the configuration that a stage depends on, and nothing else."""
         surface = dict(self.content.get("surface", {}))
         if stage == "surface":
             return {key: surface[key] for key in SURFACE_STAGE_KEYS if key in surface}
         if stage == "facets":
-            return {key: value for key, value in surface.items() if key not in SURFACE_STAGE_KEYS}
+            return {key: value for key, value in surface.items() if key not in (*SURFACE_STAGE_KEYS, "scans")}
         if stage == "index":
             return {"index": self.content["index"]}
         if stage == "spectrum":
@@ -206,6 +222,8 @@ def load_material(folder: Path, config: Mapping[str, Any]) -> Material:
         for part in FILE_PARTS
         if isinstance(content.get(part), Mapping) and "file" in content[part]
     }
+    for number, scan in enumerate(content.get("surface", {}).get("scans", []), start=2):
+        files[f"surface-{number}"] = _raw_file(folder, scan["file"], "surface.scans")
     return Material(name, folder, content, files)
 
 
@@ -231,6 +249,7 @@ def check_formats(material: Material) -> None:
 
     known = {suffix: name for name, form in FORMATS.items() for suffix in form.extensions}
     for part, path in material.files.items():
+        part = part.partition("-")[0]
         accepted = known if part == "surface" else TEXT_SUFFIXES
         if path.stat().st_size == 0:
             raise InputError(path, "empty", key=f"{part}.file")

@@ -80,7 +80,8 @@ def test_the_schema_knows_the_formats_the_forms_and_every_key() -> None:
     assert set(keys["format"]["enum"]) == set(FORMATS)
     assert set(keys["form"]["enum"]) == set(FORMS)
     options = {option for known in FORMATS.values() for option in known.options}
-    assert set(keys) == {"file", "format", "isotropic", "form", "lambda_s", "lambda_c"} | options
+    reading = {"file", "format", "form", "lambda_s", "lambda_c"} | options
+    assert set(keys) == reading | {"isotropic", "method", "azimuth", "scans"}
 
 
 def test_each_extension_tells_one_format() -> None:

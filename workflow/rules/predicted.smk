@@ -17,9 +17,35 @@ rule surface:
         stages.run(rule, wildcards, input, output, params)
 
 
+rule scan:
+    input:
+        raw=stages.raw_scan,
+    output:
+        surface="{material}/surface-{scan}.nc",
+    log:
+        "logs/{material}/surface-{scan}.log",
+    wildcard_constraints:
+        scan=r"\d+",
+    params:
+        spec=stages.scan_spec,
+        code=stages.code("surface"),
+    message:
+        "scan {wildcards.scan} of {wildcards.material}"
+    run:
+        stages.run(
+            f"surface-{wildcards.scan}",
+            wildcards,
+            input,
+            output,
+            params,
+            script="surface",
+        )
+
+
 rule facets:
     input:
         surface=branch(stages.measured("surface"), then="{material}/surface.nc"),
+        scans=stages.scans,
     output:
         facets="{material}/facets.nc",
     log:

@@ -2,14 +2,15 @@ from brdfpipe import facets, store
 
 
 def main(input, output, params):
-    """Slope density of a surface's facets, measured or assumed."""
-    spec, inputs = params["spec"], {name: store.open_dataset(path, name) for name, path in input.items()}
-    if inputs:
-        result = facets.estimate(inputs["surface"], isotropic=spec.get("isotropic"))
+    """Slope density of a surface's facets, measured in one scan or several, or assumed."""
+    spec, paths = params["spec"], [input["surface"], *input.get("scans", [])] if "surface" in input else []
+    scans = {f"surface-{k}": store.open_dataset(path, "surface") for k, path in enumerate(paths, start=1)}
+    if scans:
+        result = facets.estimate(list(scans.values()), **spec)
     else:  # of a Beckmann density, the width a is the root mean square slope
         result = facets.analytic(spec["distribution"], a=spec.get("a", spec.get("slope_rms")))
     store.save_dataset(
-        result, output["facets"], stage="facets", material=params["material"], inputs=inputs, parameters=spec
+        result, output["facets"], stage="facets", material=params["material"], inputs=scans, parameters=spec
     )
 
 

@@ -83,8 +83,21 @@ class Stages:
         ]
         return [f"{material.name}/{file}" for material in materials for file in _files_of(material)] + masking
 
-    def run(self, stage: str, wildcards: Any, input: Any, output: Any, params: Any) -> None:
-        """Run a rule's stage in a worker.
+    def raw_scan(self, wildcards: Any) -> str:
+        """The raw file of a further scan."""
+        return str(self.catalogue[wildcards.material].files[f"surface-{wildcards.scan}"])
+
+    def scan_spec(self, wildcards: Any) -> str:
+        """How a further scan is read, as canonical JSON."""
+        return canonical_json(self.catalogue[wildcards.material].scan_spec(int(wildcards.scan)))
+
+    def scans(self, wildcards: Any) -> list[str]:
+        """The further scans of a material's surface."""
+        material = self.catalogue[wildcards.material]
+        return [f"{material.name}/surface-{number}.nc" for number in material.scans]
+
+    def run(self, stage: str, wildcards: Any, input: Any, output: Any, params: Any, script: str | None = None) -> None:
+        """Run a rule's stage in a worker; ``script`` where it is not named like the stage.
 
         Raises
         ------
@@ -93,7 +106,7 @@ class Stages:
         job = Job(
             stage=stage,
             material=wildcards.get("material", "catalogue"),
-            script=str(self.scripts / f"{stage}.py"),
+            script=str(self.scripts / f"{script or stage}.py"),
             folder=str(Path.cwd()),
             input=_named(input),
             output=_named(output),
@@ -114,7 +127,8 @@ def _files_of(material: catalogue.Material) -> list[str]:
 def _stages_of(material: catalogue.Material) -> list[str]:
     own = {"surface": "surface" in material.files, "facets": material.has("surface")}
     own |= {part: material.has(part) for part in ("index", "spectrum")}
-    return [*(stage for stage, there in own.items() if there), *ALWAYS]
+    scans = [f"surface-{number}" for number in material.scans]
+    return [*(stage for stage, there in own.items() if there), *scans, *ALWAYS]
 
 
 def _named(files: Any) -> dict[str, str | list[str]]:

@@ -55,7 +55,7 @@ _STEPS: Mapping[str, Callable[[xr.Dataset, Any], xr.Dataset]] = {
     "lambda_c": high_pass,
 }
 """Key of the material file → what it asks for, in order."""
-_OTHER_KEYS = ("file", "format", "isotropic")
+_OTHER_KEYS = ("file", "format", "isotropic", "azimuth", "scans", "method")
 
 
 def read_surface(path: str | os.PathLike[str], format: str | None = None, **options: Any) -> xr.Dataset:
@@ -124,7 +124,11 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
             surface = step(surface, asked[key])
         except BrdfpipeError as error:
             raise InputError(Path(path), str(error), key=f"surface.{key}") from error
-    return surface
+    if "azimuth" not in spec:
+        return surface
+    if surface["height"].ndim != 1:
+        raise InputError(Path(path), "an azimuth belongs to a line profile", found="a map", key="surface.azimuth")
+    return surface.assign_attrs(azimuth=float(spec["azimuth"]))
 
 
 def _format_name(path: Path, name: str | None) -> str:
