@@ -233,7 +233,7 @@ def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
     first = np.searchsorted(p, mu)
     count = p.size - first
     excess = np.where(count > 0, (beyond[first] - np.where(count > 0, mu, 0.0) * count) / p.size, 0.0)
-    return np.asarray(cos / (cos + excess * sin))
+    return np.divide(cos, cos + excess * sin, out=np.zeros_like(cos), where=cos > 0)
 
 
 def raycast(surface: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0, *, lines: int | None = None) -> xr.Dataset:

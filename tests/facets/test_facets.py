@@ -236,3 +236,22 @@ def test_a_grooved_scan_has_its_known_lay(shared_data):
     table = facets.estimate(grooves)
     assert float(table["anisotropy"]) == pytest.approx(2.0, rel=0.02)
     assert float(table["slope_rms"]) == pytest.approx(0.062, rel=0.02)
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 45.0])
+@pytest.mark.parametrize("narrow", [0.2, 0.05])
+def test_the_average_over_azimuth_keeps_the_roughness_of_the_rough_axis(narrow, azimuth):
+    table = facets.analytic("beckmann", a_x=0.5, a_y=narrow, azimuth=azimuth)
+    s, weight = RadialDensity.of(facets.azimuthal_average(table)).rule()
+    assert np.sqrt(weight @ s**2) == pytest.approx(float(table["slope_rms"]), rel=1e-3)
+
+
+def test_an_ellipse_that_the_grid_cannot_hold_is_refused():
+    with pytest.raises(facets.FacetError, match="too narrow for a grid"):
+        facets.analytic("ggx", a_x=0.02, a_y=0.5, azimuth=45)
+
+
+@pytest.mark.parametrize("arguments", [{"a": 0.3, "a_x": 0.2}, {"a_x": 0.2, "a_y": 0.3, "azimuth": np.nan}])
+def test_arguments_that_contradict_or_mean_nothing_are_refused(arguments):
+    with pytest.raises(facets.FacetError):
+        facets.analytic("beckmann", **arguments)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe import facets, masking, vocabulary
+from brdfpipe import facets, masking, surfaces, vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.planar import PlanarDensity
 
@@ -156,3 +156,25 @@ def test_lines_that_are_not_perpendicular_are_refused():
 def test_an_unknown_method_is_refused():
     with pytest.raises(facets.FacetError, match="accepted: mixture, abel, crf"):
         facets.estimate(gaussian_line(1000), isotropic=True, method="guess")
+
+
+def test_slopes_of_few_distinct_values_keep_their_mean_square():
+    heights = np.round(np.cumsum(np.random.default_rng(3).normal(scale=0.04, size=20_000)), 2)
+    table = facets.estimate(samples.surface(heights), isotropic=True)
+    rms = np.sqrt(np.mean(np.diff(heights) ** 2))
+    assert float(table["slope_rms"]) == pytest.approx(np.sqrt(2) * rms, rel=0.06)
+
+
+def test_two_directions_take_a_mixture_alone_and_add_their_slopes_by_scale():
+    rng = np.random.default_rng(4)
+    lines = [line(rng.normal(scale=s, size=20_000), azimuth=z) for s, z in ((0.2, 0.0), (0.02, 90.0))]
+    with pytest.raises(facets.FacetError, match="accepted for two directions: mixture"):
+        facets.estimate(lines, method="crf")
+    table = facets.estimate(lines)
+    assert float(table["slope_rms_scale"][0]) == pytest.approx(float(table["slope_rms"]), rel=1e-3)
+
+
+def test_a_real_profile_of_coarse_heights_keeps_its_slope(shared_data):
+    profile = surfaces.level(surfaces.read_surface(shared_data / "surfaces" / "hfm-1.hfm"))
+    table = facets.estimate(profile, isotropic=True)
+    assert float(table["slope_rms"]) == pytest.approx(0.0224, rel=0.02)

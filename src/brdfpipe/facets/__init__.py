@@ -42,11 +42,18 @@ def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
     if "slope" in facets.dims:
         return facets
     planar = PlanarDensity.of(facets)
-    reach = min(planar.x.reach, planar.y.reach)
-    slope = SlopeAxis(min(planar.x.scale, planar.y.scale), reach, 1023).nodes[511:]
-    beta = np.linspace(0, 2 * np.pi, 144, endpoint=False)
+    reach = float(np.hypot(planar.x.reach, planar.y.reach))
+    slope = SlopeAxis(min(planar.x.scale, planar.y.scale) / 2, reach, 1023).nodes[511:]
+    beta = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
     average = planar(slope[:, None] * np.cos(beta), slope[:, None] * np.sin(beta)).mean(axis=1)
+    there = average > 0
+    slope, average = slope[there], average[there]
     density = RadialDensity(slope, average)
+    if abs(density.mass - 1) > 1e-3:
+        raise FacetError(
+            f"the density of this lay is too narrow to be averaged over azimuth (its mass comes out as {density.mass:.4f}); "
+            "measure or describe a surface with less anisotropy"
+        )
     radial = radial_dataset(RadialDensity(slope, average / density.mass), float(facets["slope_rms"]))
     radial.attrs = {name: facets.attrs[name] for name in ("method", "band")}
     return vocabulary.label(

@@ -44,8 +44,10 @@ def analytic(
     """
     if distribution not in DISTRIBUTIONS:
         raise FacetError(f"unknown facet distribution {distribution!r}; accepted: {', '.join(DISTRIBUTIONS)}")
-    if (a is None) == (a_x is None or a_y is None):
+    if (a is None) != (a_x is not None and a_y is not None) or (a is not None and (a_x is not None or a_y is not None)):
         raise FacetError(f"{distribution} takes either a, or a_x and a_y")
+    if not np.isfinite(azimuth):
+        raise FacetError(f"the azimuth is {azimuth}; accepted: a finite angle in degree")
     for name, width in (("a", a), ("a_x", a_x), ("a_y", a_y)):
         if width is not None and not 1e-6 <= width <= 10:
             raise FacetError(f"the width {name} of {distribution} is {width:g}; accepted: 1e-6 to 10")
@@ -86,7 +88,14 @@ def _anisotropic(distribution: str, a_x: float, a_y: float, azimuth: float) -> x
         density, slope_rms = np.exp(-np.minimum(u, 640.0)) / (np.pi * a_x * a_y), np.hypot(a_x, a_y) / np.sqrt(2)
     else:
         density, slope_rms = 1 / (np.pi * a_x * a_y * (1 + u) ** 2), np.nan
-    facets = planar_dataset(PlanarDensity(x, y, positive(density)), float(slope_rms))
+    planar = PlanarDensity(x, y, positive(density))
+    mass = planar.moments[0]
+    if abs(mass - 1) > 1e-5:
+        raise FacetError(
+            f"an ellipse of a_x / a_y = {a_x / a_y:g} at azimuth {azimuth:g}° is too narrow for a grid along x and y "
+            f"(its mass comes out as {mass:.6f}); turn it nearer to an axis, or make it rounder"
+        )
+    facets = planar_dataset(planar, float(slope_rms))
     rough_along = a_x >= a_y
     facets = facets.assign(anisotropy=max(a_x / a_y, a_y / a_x), lay=(azimuth + 90 * rough_along + 90) % 180 - 90)
     facets.attrs |= {

@@ -50,9 +50,10 @@ def of_maps(maps: Sequence[xr.Dataset], isotropic: bool | None) -> xr.Dataset:
         slope_rms_scale=("scale", by_scale),
         noise_ratio=by_scale[0] / by_scale[1],
     ).assign_coords(scale=SCALES)
+    levelled = all(surface.attrs["levelling"] != "none" for surface in maps)
     scans = "" if len(maps) == 1 else f", {len(maps)} scans together"
     facets.attrs |= {"method": f"four triangles a quad{scans}", "band": str(maps[0].attrs["band"])}
-    return vocabulary.label(with_noise_warning(_with_warnings(facets, found, isotropic)), "facets")
+    return vocabulary.label(with_noise_warning(_with_warnings(facets, found, isotropic, levelled)), "facets")
 
 
 def _isotropic(counts: SlopeCounts, found: Moments) -> xr.Dataset:
@@ -168,12 +169,17 @@ def _quality(trusted: NDArray[np.bool_]) -> NDArray[np.int8]:
     return np.where(trusted, vocabulary.quality("measured"), vocabulary.quality("extrapolated")).astype(np.int8)
 
 
-def _with_warnings(facets: xr.Dataset, found: Moments, isotropic: bool | None) -> xr.Dataset:
+def _with_warnings(facets: xr.Dataset, found: Moments, isotropic: bool | None, levelled: bool) -> xr.Dataset:
     tilt = float(np.hypot(*found.mean))
     if tilt > 0.1 * found.slope_rms:
         facets = vocabulary.add_warning(
             facets,
-            f"the mean slope {tilt:.2g} is {tilt / found.slope_rms:.0%} of the slope rms: level the surface (`surface.form: plane`)",
+            f"the mean slope {tilt:.2g} is {tilt / found.slope_rms:.0%} of the slope rms: "
+            + (
+                "try another `surface.form`, or measure a larger area"
+                if levelled
+                else "level the surface (`surface.form: plane`)"
+            ),
         )
     if isotropic is True and found.anisotropy > LAY_LIMIT:
         facets = vocabulary.add_history(

@@ -57,6 +57,10 @@ def of_lines(lines: Sequence[xr.Dataset], method: str, isotropic: bool | None) -
     azimuths = {float(line.attrs.get("azimuth", 0.0)) % 180 for line in lines}
     if isotropic is True:
         return _isotropic(lines, method)
+    if len(azimuths) == 2 and method != "mixture":
+        raise FacetError(
+            f"method {method!r} takes lines of an isotropic surface alone; accepted for two directions: mixture"
+        )
     if len(azimuths) == 2 and abs(max(azimuths) - min(azimuths) - 90) < 1:
         return _perpendicular(lines, min(azimuths))
     raise FacetError(
@@ -95,10 +99,15 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
                 "(method abel): the surface may be grooved or not isotropic; measure an areal map"
             )
             method = "abel"
-        else:
-            density, slope_rms = _mixture_density(fit)
+        density, slope_rms = _mixture_density(fit)
     if method == "abel":
-        density, slope_rms = _rings(marginal)
+        density, slope_rms, kept = _rings(marginal)
+        if not kept:
+            warnings.append(
+                "the slopes along the line take few distinct values, and rings do not keep their mean: a mixture of "
+                "Gaussians was taken for what lies between; measure with a finer height resolution"
+            )
+            method = "mixture"
     elif method == "crf":
         density, slope_rms = _patent(marginal)
         warnings.append(
@@ -113,20 +122,22 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
     facets = facets.assign(
         slope_density_quality=("slope", quality.astype(np.int8)), D_u=("alpha", facets["D"].values * relative_u)
     )
-    facets = _with_line_statistics(facets, lines, marginal, 2.0)
+    facets = _with_line_statistics(facets, [list(lines), list(lines)], marginal)
     facets.attrs |= {"method": f"line profile, {method}", "band": str(lines[0].attrs["band"])}
     facets = vocabulary.add_warning(vocabulary.add_history(facets, *history), *warnings)
     return vocabulary.label(with_noise_warning(facets), "facets")
 
 
 def _with_line_statistics(
-    facets: xr.Dataset, lines: Sequence[xr.Dataset], marginal: _Marginal, axes: float
+    facets: xr.Dataset, directions: Sequence[Sequence[xr.Dataset]], marginal: _Marginal
 ) -> xr.Dataset:
-    by_scale = np.mean([_slope_rms_by_scale(line) for line in lines], axis=0) * np.sqrt(axes)
+    # Two perpendicular components; of an isotropic surface, the same lines stand for both.
+    squares = [np.mean([_slope_rms_by_scale(line) ** 2 for line in lines], axis=0) for lines in directions]
+    by_scale = np.sqrt(np.sum(squares, axis=0))
     return facets.assign(
         facet_count=float(marginal.size),
         effective_count=marginal.size / marginal.redundancy,
-        correlation_length=float(np.mean([correlation_length(line) for line in lines])),
+        correlation_length=float(np.mean([correlation_length(line) for lines in directions for line in lines])),
         slope_rms_scale=("scale", by_scale),
         noise_ratio=by_scale[0] / by_scale[1],
     ).assign_coords(scale=SCALES)
@@ -210,8 +221,12 @@ def _misfit(counts: Array, expected: Array, redundancy: float) -> float:
 # --- rings
 
 
-def _rings(marginal: _Marginal) -> tuple[RadialDensity, float]:
-    """Regularised Abel inversion: non-negative rings, as smooth as a fit to the counts of χ² = 1 allows."""
+def _rings(marginal: _Marginal) -> tuple[RadialDensity, float, bool]:
+    """Regularised Abel inversion: non-negative rings, as smooth as a fit to the counts of χ² = 1 allows.
+
+    Also tells whether they keep the mean slope along the line, within a twentieth; where they do not, the mixture is given back:
+    counts of slopes that take few distinct values hold no rings.
+    """
     from scipy.optimize import nnls
 
     rings = marginal.rms * np.sinh(np.linspace(0, np.arcsinh(marginal.steepest / marginal.rms), _RINGS + 1))
@@ -237,7 +252,11 @@ def _rings(marginal: _Marginal) -> tuple[RadialDensity, float]:
     density = RadialDensity(slope, values)
     density = RadialDensity(slope, values / density.mass)
     s, weight = density.rule()
-    return density, float(np.sqrt(weight @ s**2))
+    # Of an isotropic surface the mean |p| along a line is 2/π of the mean slope; unlike a mean square, no tail upsets it.
+    along = float(marginal.counts @ (marginal.edges[1:] + marginal.edges[:-1])) / 2 / float(marginal.counts.sum())
+    if abs(2 / np.pi * float(weight @ s) / along - 1) > 0.05:
+        return *_mixture_density(_fit_mixture(marginal)), False
+    return density, float(np.sqrt(weight @ s**2)), True
 
 
 def _ring_shares(rings: Array, edges: Array) -> Array:
@@ -306,7 +325,8 @@ def _perpendicular(lines: Sequence[xr.Dataset], azimuth: float) -> xr.Dataset:
     density = PlanarDensity(x, y, positive(np.asarray(values)))
     facets = planar_dataset(density, float(np.hypot(rms[0], rms[1])))
     rough_first = rms[0] >= rms[1]
-    facets = _with_line_statistics(facets, lines, marginal, 2.0).assign(
+    directions = [[line for line in lines if _azimuth(line) == angle] for angle in _axes(lines)]
+    facets = _with_line_statistics(facets, directions, marginal).assign(
         anisotropy=max(rms) / min(rms), lay=(azimuth + 90 * rough_first + 90) % 180 - 90
     )
     facets.attrs |= {"method": "two perpendicular lines, Gaussian scale mixture", "band": str(lines[0].attrs["band"])}
