@@ -95,12 +95,12 @@ def _with_lay(maps: Sequence[xr.Dataset], found: Moments) -> xr.Dataset:
     density = PlanarDensity(x, y, positive(base * np.exp(fine_correction), 1e-18))
     density = PlanarDensity(x, y, positive(density.density / density.moments[0]))
     facets = planar_dataset(density, found.slope_rms)
-    trusted = _refine(counts, coarse_x, coarse_y, x, y) >= prior
-    relative_u = np.sqrt(redundancy / np.maximum(_refine(counts, coarse_x, coarse_y, x, y), redundancy))
+    nearby = _refine(counts, coarse_x, coarse_y, x, y)
+    relative_u = np.sqrt(redundancy / np.maximum(nearby, redundancy))
     return facets.assign(
         count=(("slope_y", "slope_x"), _refine_counts(counts, coarse_x, coarse_y, x, y)),
         slope_density_u=(("slope_y", "slope_x"), density.density * np.minimum(relative_u, 1.0)),
-        slope_density_quality=(("slope_y", "slope_x"), _quality(trusted)),
+        slope_density_quality=(("slope_y", "slope_x"), _quality(nearby >= prior)),
         effective_count=found.facets / redundancy,
     )
 
@@ -108,12 +108,12 @@ def _with_lay(maps: Sequence[xr.Dataset], found: Moments) -> xr.Dataset:
 def _elliptic(maps: Sequence[xr.Dataset], found: Moments, whiten: Array) -> tuple[RadialDensity, float]:
     """Radial density of the slopes whitened to unit covariance, and the redundancy of its counts."""
 
-    def magnitudes() -> Iterator[tuple[int, Array]]:
+    def squares() -> Iterator[tuple[int, Array]]:
         for block, p, q in triangle_slopes(maps):
             u, v = whiten @ np.stack([p - found.mean[0], q - found.mean[1]])
-            yield block, np.sqrt(u * u + v * v)
+            yield block, u * u + v * v
 
-    bins, redundancy = merged(histogram_of(magnitudes(), np.sqrt(2.0), len(maps) * BLOCKS**2))
+    bins, redundancy = merged(histogram_of(squares(), np.sqrt(2.0), len(maps) * BLOCKS**2))
     return counted_density(bins, redundancy)[0], redundancy
 
 

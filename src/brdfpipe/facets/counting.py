@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.facets.slopes import FINE_BINS, SlopeCounts
+from brdfpipe.facets.slopes import FINE_BINS, SlopeCounts, count_bits
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 
@@ -56,14 +56,14 @@ class Binned(NamedTuple):
         return counts
 
 
-def histogram(slopes: SlopeCounts, scale: float) -> Histogram:
-    """Counts in bins that widen towards steep slopes, from the fine ones; ``scale`` is a typical slope."""
+def histogram(slopes: SlopeCounts, scale: float, bins: int = _COARSE_BINS) -> Histogram:
+    """Counts in at most ``bins`` bins that widen beyond twice ``scale``, a typical slope, from the fine ones."""
     there = np.flatnonzero(slopes.counts.any(axis=0))
     if there.size == 0:
         raise FacetError("the surface has no complete facet; check the missing heights")
     used = int(there[-1]) + 1
     fine, fine_counts = slopes.edges[: used + 1], slopes.counts[:, :used]
-    wanted = 2 * scale * np.sinh(np.linspace(0, np.arcsinh(fine[-1] / (2 * scale)), _COARSE_BINS + 1))
+    wanted = 2 * scale * np.sinh(np.linspace(0, np.arcsinh(fine[-1] / (2 * scale)), bins + 1))
     cuts = np.unique(np.concatenate([[0, used], np.clip(np.searchsorted(fine, wanted), 0, used)]))
     middles = np.sqrt((fine[1:] ** 2 + fine[:-1] ** 2) / 2)
     return Histogram(
@@ -73,13 +73,12 @@ def histogram(slopes: SlopeCounts, scale: float) -> Histogram:
     )
 
 
-def histogram_of(slopes: Iterable[tuple[int, Array]], scale: float, blocks: int) -> Histogram:
-    """The same of magnitudes given block by block."""
-    counts = np.zeros((blocks, 2**16), dtype=np.int64)
-    for block, magnitude in slopes:
-        square = np.square(magnitude, dtype=np.float32, casting="same_kind")
-        counts[block] += np.bincount(np.ascontiguousarray(square).view(np.uint32) >> 16, minlength=2**16)
-    return histogram(SlopeCounts(counts[:, :FINE_BINS]), scale)
+def histogram_of(squares: Iterable[tuple[int, Array]], scale: float, blocks: int) -> Histogram:
+    """The same of squared slopes given block by block."""
+    counts = np.zeros((blocks, FINE_BINS), dtype=np.int64)
+    for block, square in squares:
+        counts[block] += count_bits(square.astype(np.float32))
+    return histogram(SlopeCounts(counts), scale)
 
 
 def redundancy_of(counts: Array) -> float:

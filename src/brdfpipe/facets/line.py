@@ -18,7 +18,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.facets.assembly import planar_axes, planar_dataset, positive, radial_dataset, with_noise_warning
-from brdfpipe.facets.counting import FacetError, redundancy_of
+from brdfpipe.facets.counting import FacetError, histogram, redundancy_of
 from brdfpipe.facets.slopes import SCALES, correlation_length, count_line, inner, mean_square
 from brdfpipe.geometry import Array
 from brdfpipe.planar import PlanarDensity
@@ -54,15 +54,15 @@ def of_lines(lines: Sequence[xr.Dataset], method: str, isotropic: bool | None) -
     """Facet distribution of levelled line profiles; see :func:`brdfpipe.facets.estimate`."""
     if method not in METHODS:
         raise FacetError(f"unknown method {method!r} for a line profile; accepted: {', '.join(METHODS)}")
-    azimuths = {float(line.attrs.get("azimuth", 0.0)) % 180 for line in lines}
+    azimuths = _axes(lines)
     if isotropic is True:
         return _isotropic(lines, method)
     if len(azimuths) == 2 and method != "mixture":
         raise FacetError(
             f"method {method!r} takes lines of an isotropic surface alone; accepted for two directions: mixture"
         )
-    if len(azimuths) == 2 and abs(max(azimuths) - min(azimuths) - 90) < 1:
-        return _perpendicular(lines, min(azimuths))
+    if len(azimuths) == 2 and abs(azimuths[1] - azimuths[0] - 90) < 1:
+        return _perpendicular(lines, azimuths[0])
     raise FacetError(
         "a single line profile gives the slopes along the line alone; set `surface.isotropic: true` in material.yaml if the "
         "surface scatters alike in every azimuth, or give a second line perpendicular to the first"
@@ -90,8 +90,16 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
     along = slopes_along(lines[0]) if len(lines) == 1 else np.concatenate([slopes_along(line) for line in lines])
     marginal = _count(along)
     history, warnings = ["declared isotropic"], []
-    if method == "mixture":
+    if method == "crf":
+        density, slope_rms = _patent(marginal)
+        warnings.append(
+            "method crf takes the histogram of the slopes along the line for the facet distribution: it differs from the "
+            "distribution by cos²α on Gaussian surfaces and more on others; method mixture does not"
+        )
+    else:
         fit = _fit_mixture(marginal)
+        density, slope_rms = _mixture_density(fit)
+    if method == "mixture":
         history.append(f"Gaussian scale mixture fitted to the slopes along the line, reduced χ² {fit.misfit:.2f}")
         if fit.misfit > MISFIT_LIMIT:
             warnings.append(
@@ -99,21 +107,14 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
                 "(method abel): the surface may be grooved or not isotropic; measure an areal map"
             )
             method = "abel"
-        density, slope_rms = _mixture_density(fit)
     if method == "abel":
-        density, slope_rms, kept = _rings(marginal)
+        density, slope_rms, kept = _rings(marginal, fit)
         if not kept:
             warnings.append(
                 "the slopes along the line take few distinct values, and rings do not keep their mean: a mixture of "
                 "Gaussians was taken for what lies between; measure with a finer height resolution"
             )
             method = "mixture"
-    elif method == "crf":
-        density, slope_rms = _patent(marginal)
-        warnings.append(
-            "method crf takes the histogram of the slopes along the line for the facet distribution: it differs from the "
-            "distribution by cos²α on Gaussian surfaces and more on others; method mixture does not"
-        )
     facets = radial_dataset(density, slope_rms)
     relative_u = _relative_uncertainty(density, marginal)
     beyond = np.concatenate([np.cumsum(marginal.counts[::-1])[::-1], [0.0]])
@@ -149,15 +150,9 @@ def _slope_rms_by_scale(line: xr.Dataset) -> Array:
 
 
 def _count(along: Array) -> _Marginal:
-    fine = count_line(along)
     rms = float(np.sqrt(inner(along, along) / along.size))
-    there = int(np.flatnonzero(fine.counts.any(axis=0))[-1]) + 1
-    edges = fine.edges[: there + 1]
-    wanted = rms * np.sinh(np.linspace(0, np.arcsinh(edges[-1] / rms), _BINS + 1))
-    cuts = np.unique(np.clip(np.searchsorted(edges, wanted), 0, there))
-    cuts[0], cuts[-1] = 0, there
-    by_block = np.add.reduceat(fine.counts[:, :there], cuts[:-1], axis=1).astype(float)
-    counts, edges = by_block.sum(axis=0), edges[cuts]
+    edges, by_block, _ = histogram(count_line(along), rms / 2, _BINS)
+    counts = by_block.sum(axis=0)
     cumulative = np.concatenate([[0.0], np.cumsum(counts)])
     median = float(np.interp(0.5 * cumulative[-1], cumulative, edges))
     return _Marginal(edges, counts, redundancy_of(by_block), rms, median, along.size)
@@ -221,7 +216,7 @@ def _misfit(counts: Array, expected: Array, redundancy: float) -> float:
 # --- rings
 
 
-def _rings(marginal: _Marginal) -> tuple[RadialDensity, float, bool]:
+def _rings(marginal: _Marginal, fit: _Mixture) -> tuple[RadialDensity, float, bool]:
     """Regularised Abel inversion: non-negative rings, as smooth as a fit to the counts of χ² = 1 allows.
 
     Also tells whether they keep the mean slope along the line, within a twentieth; where they do not, the mixture is given back:
@@ -236,7 +231,7 @@ def _rings(marginal: _Marginal) -> tuple[RadialDensity, float, bool]:
     area = np.pi * np.diff(rings**2)
     middle = np.sqrt((rings[1:] ** 2 + rings[:-1] ** 2) / 2)
     # Smooth means: a slowly varying multiple of the nearest mixture, which has the right tails.
-    mixture = _mixture_density(_fit_mixture(marginal))[0](middle**2)
+    mixture = _mixture_density(fit)[0](middle**2)
     smoothness = np.diff(np.eye(_RINGS), 2, axis=0) / (area * np.maximum(mixture, 1e-9 * mixture.max()))
     fits = []
     for strength in 10.0 ** np.arange(4.0, -4.5, -0.5):
@@ -255,7 +250,7 @@ def _rings(marginal: _Marginal) -> tuple[RadialDensity, float, bool]:
     # Of an isotropic surface the mean |p| along a line is 2/π of the mean slope; unlike a mean square, no tail upsets it.
     along = float(marginal.counts @ (marginal.edges[1:] + marginal.edges[:-1])) / 2 / float(marginal.counts.sum())
     if abs(2 / np.pi * float(weight @ s) / along - 1) > 0.05:
-        return *_mixture_density(_fit_mixture(marginal)), False
+        return *_mixture_density(fit), False
     return density, float(np.sqrt(weight @ s**2)), True
 
 

@@ -139,7 +139,7 @@ def count_maps(maps: Sequence[xr.Dataset]) -> tuple[SlopeCounts, Moments]:
         squares = np.empty((4, square_y.shape[0], square_x.shape[1]), dtype=np.float32)
         for square, (xx, yy) in zip(squares, _triangles(square_x, square_y), strict=True):
             np.add(xx, yy, out=square)
-        counts[block] += _count_bits(squares)
+        counts[block] += count_bits(squares)
         n, first, second = _block_moments(part, pitch, (along_x, along_y), (square_x, square_y))
         facets, total, products = facets + n, total + first, products + second
     if facets == 0:
@@ -153,7 +153,7 @@ def count_maps(maps: Sequence[xr.Dataset]) -> tuple[SlopeCounts, Moments]:
 _HIGH = 1 if np.little_endian else 0
 
 
-def _count_bits(squares: NDArray[np.float32]) -> NDArray[np.int64]:
+def count_bits(squares: NDArray[np.float32]) -> NDArray[np.int64]:
     """Counts by the upper half of the bits; what is no number, of either sign, lies beyond the last bin and is left out."""
     return np.bincount(squares.reshape(-1).view(np.uint16)[_HIGH::2], minlength=FINE_BINS)[:FINE_BINS]
 
@@ -193,7 +193,7 @@ def count_line(slopes: Array) -> SlopeCounts:
     counts = np.zeros((BLOCKS**2, FINE_BINS), dtype=np.int64)
     for block, (start, stop) in enumerate(pairwise(borders)):
         square = np.square(slopes[start:stop], dtype=np.float32, casting="same_kind")
-        counts[block] = _count_bits(square)
+        counts[block] = count_bits(square)
     return SlopeCounts(counts)
 
 
