@@ -1,6 +1,7 @@
 """Small files in instruments' formats, written byte by byte from the formats' descriptions, and not by the library under test.
 
-Each writer takes heights ``(y, x)`` in µm at the pitches of :data:`PITCH`; the first row is the upper edge of the image.
+Each writer takes heights ``(y, x)`` in µm at the pitches of :data:`PITCH`, y upwards as brdfpipe counts it, and writes them
+in the order of the format: mostly as a picture, from the upper edge down.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ def al3d(height: np.ndarray) -> bytes:
         struct.pack("20s30s2s", key.encode(), str(value).encode(), b"\r\n") for key, value in entries.items()
     )
     # Rows are padded to whole groups of 8 bytes.
-    padded = np.pad(np.nan_to_num(height * 1e-6, nan=1e10), ((0, 0), (0, columns % 2)))
+    padded = np.pad(np.nan_to_num(height[::-1] * 1e-6, nan=1e10), ((0, 0), (0, columns % 2)))
     return (head + bytes(256)).ljust(offset, b"\0") + padded.astype("<f4").tobytes()
 
 
@@ -40,7 +41,7 @@ def nms(height: np.ndarray) -> bytes:
     head = bytearray(3468)
     struct.pack_into("<2d", head, 16, low, high)
     struct.pack_into("<2I2d", head, 1368, columns, rows, PITCH[0] * 1e3, PITCH[1] * 1e3)
-    levels = np.round((np.nan_to_num(height, nan=low) - low) / (high - low) * (2**16 - 2))
+    levels = np.round((np.nan_to_num(height[::-1], nan=low) - low) / (high - low) * (2**16 - 2))
     return bytes(head) + levels.astype("<u2").tobytes()
 
 
@@ -48,7 +49,7 @@ def opd(height: np.ndarray) -> bytes:
     """Columns run fastest from the lower edge of the image up."""
     rows, columns = height.shape
     wavelength = 500.0
-    raw = np.nan_to_num(height * 1e3 / wavelength, nan=2e38)[::-1].T
+    raw = np.nan_to_num(height * 1e3 / wavelength, nan=2e38).T
     blocks = [
         (b"Raw", 3, struct.pack("<3H", columns, rows, 4) + raw.astype("<f4").tobytes()),
         (b"Wavelength", 7, struct.pack("<f", wavelength)),
@@ -66,12 +67,12 @@ def plu(height: np.ndarray) -> bytes:
     calibration = struct.pack("<3I7f", rows, columns, 1, 1, *PITCH, 0, 0, 1, 0)
     settings = struct.pack("<5I", 3, 0, 0, 10, 6) + struct.pack("<2fI2fI3f4B", *[0] * 13)
     configuration = struct.pack("<8BI", 0, 1, 0, 0, 0, 0, 0, 0, 1)
-    data = np.nan_to_num(height, nan=1000001).astype("<f4").tobytes()
+    data = np.nan_to_num(height[::-1], nan=1000001).astype("<f4").tobytes()
     return head + calibration + settings + configuration + struct.pack("<2I", rows, columns) + data + bytes(8)
 
 
 def sdf(height: np.ndarray) -> bytes:
-    """The text variant."""
+    """The text variant. Its coordinates are right-handed: the first row is the lowest."""
     rows, columns = height.shape
     head = {
         "ManufacID": "none",
@@ -93,7 +94,7 @@ def sdf(height: np.ndarray) -> bytes:
 def sur(height: np.ndarray) -> bytes:
     rows, columns = height.shape
     step = 1e-4
-    raw = np.round(height / step)
+    raw = np.round(height[::-1] / step)
     low, high = int(np.nanmin(raw)), int(np.nanmax(raw))
     units = [b"um", b"um", b"um"]
     head = b"".join(

@@ -35,7 +35,8 @@ def test_half_vector_is_that_of_the_plain_vectors(theta_i, phi_i, theta_o, phi_o
 def test_half_vector_does_not_care_which_direction_is_which(theta_i, phi_i, theta_o, phi_o):
     forward = geometry.half_vector(theta_i, phi_i, theta_o, phi_o)
     backward = geometry.half_vector(theta_o, phi_o, theta_i, phi_i)
-    assert np.stack(forward) == pytest.approx(np.stack(backward), rel=1e-13, abs=1e-30)
+    assert np.stack(forward[:2]) == pytest.approx(np.stack(backward[:2]), rel=1e-13, abs=1e-30)
+    assert np.array_equal(np.stack(forward[2:4]), np.stack(backward[4:]))
 
 
 @pytest.mark.parametrize("theta", [0.0, 30.0, 60.0, 89.0])
@@ -44,6 +45,15 @@ def test_slopes_are_resolved_next_to_the_mirror_direction(theta):
     delta = 1e-10
     half = geometry.half_vector(theta, 0, theta + 2 * np.degrees(delta), 180)
     assert np.sqrt(half.slope_squared) == pytest.approx(delta, rel=1e-4)
+
+
+def test_labelled_angles_that_do_not_belong_together_are_refused():
+    first = xr.DataArray([0.0, 10.0, 20.0], coords={"x": [0, 1, 2]}, dims="x")
+    for second in (first.assign_coords(x=[1, 2, 3]), first[:2].drop_vars("x")):
+        with pytest.raises(VocabularyError, match="do not belong together"):
+            geometry.broadcast(theta_i=first, theta_o=second)
+    with pytest.raises(VocabularyError, match="dimension 'wavelength'"):
+        geometry.broadcast(theta_i=first.rename(x="wavelength"))
 
 
 def test_angles_and_vectors_are_inverse():

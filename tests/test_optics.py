@@ -152,16 +152,6 @@ def test_the_patents_plastics_are_known_in_any_case(name: str, n: float) -> None
     assert "US 9,395,299" in index.attrs["source"]
 
 
-@pytest.mark.parametrize(
-    ("name", "b", "c"),
-    [("PMMA", 1.1819, 0.011313), ("PC", 1.4182, 0.021304), ("PS", 1.4435, 0.020216), ("SAN", 1.3787, 0.017842)],
-)
-def test_named_polymers_have_the_index_of_their_sellmeier_fit_at_the_d_line(name: str, b: float, c: float) -> None:
-    square = 0.5876**2
-    # Four printed decimals.
-    assert optics.NAMED_INDEX[name][0] == pytest.approx(np.sqrt(1 + b * square / (square - c)), abs=6e-5)
-
-
 def test_an_unknown_name_is_refused_with_the_names_known_and_the_nearest() -> None:
     with pytest.raises(InputError, match=r"nearest is PMMA.*'PMM'.*ABS, PC/ABS, PP, PMMA.*`index`"):
         optics.refractive_index("PMM")
@@ -227,11 +217,26 @@ def test_a_metal_may_have_an_index_below_one(tmp_path: Path) -> None:
 
 
 def test_a_table_of_another_format_is_refused_with_those_read(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"n\.yml: not a text table; found \.yml; accepted: .*\.txt"):
-        optics.refractive_index(write(tmp_path, "400 1.6\n", "n.yml"))
+    with pytest.raises(InputError, match=r"n\.json: this kind of index file is not read; found \.json; accepted: .*\.txt.*\.yml"):
+        optics.refractive_index(write(tmp_path, "400 1.6\n", "n.json"))
 
 
 def test_an_index_is_stored_and_read_back(tmp_path: Path) -> None:
     stored = save_dataset(optics.refractive_index("PP"), tmp_path / "index.nc", stage="index", material="m")
     with xr.open_dataset(tmp_path / "index.nc") as read:
         xr.testing.assert_identical(read.load(), stored)
+
+
+def test_a_metal_is_a_pair_of_numbers():
+    index = optics.refractive_index({"n": 0.18, "k": 3.42})
+    assert index["n"].values.tolist() == [0.18, 0.18]
+    assert index["k"].values.tolist() == [3.42, 3.42]
+    assert index.attrs["dispersion"] == "constant"
+
+
+@pytest.mark.parametrize(
+    "pair", [{"n": 0.5, "k": 0}, {"n": 1.5, "k": -1}, {"n": 6, "k": 1}, {"n": "1.5", "k": 1}, {"n": 1, "k": True}]
+)
+def test_a_pair_that_is_no_refractive_index_is_refused(pair):
+    with pytest.raises(InputError, match="0 < n < 5 and 0 < k < 20 where the material absorbs"):
+        optics.refractive_index(pair)

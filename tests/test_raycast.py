@@ -139,6 +139,18 @@ def test_an_oblique_azimuth_sees_the_slope_projected_onto_it():
         assert found == pytest.approx(1 / (1 + (slope - mu) / (2 * mu)), rel=0.02)
 
 
+def test_a_diagonal_of_equal_pitches_holds_the_gentler_slopes_between_its_own_samples():
+    # White noise: differences of one rms over √2 pitches along the diagonal, over one pitch along the rows, where facets of
+    # every azimuth keep the latter.
+    noise = samples.surface(np.random.default_rng(2).normal(scale=0.3, size=(300, 300)))
+    rows, diagonal = (float(raycast.raycast(noise, 80.0, phi)["lambda_empirical"]) for phi in (0.0, 45.0))
+    expected = [
+        float(masking.g1(facets.analytic("beckmann", 2 * 0.3 / step), 80.0)) ** -1 - 1 for step in (1.0, np.sqrt(2))
+    ]
+    # 90 000 slopes know Λ to a percent.
+    assert [rows, diagonal] == pytest.approx(expected, rel=0.03)
+
+
 def test_a_map_turned_by_a_quarter_is_seen_from_a_quarter_further():
     height = samples.gaussian_surface(96, sigma=0.4, correlation=4)["height"].values
     # Columns become rows: what lay towards +x lies towards +y, at 33 degree from there.

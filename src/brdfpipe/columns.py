@@ -69,9 +69,19 @@ def read_columns(path: Path) -> Columns:
     -----
     Missing are empty cells, ``NaN``, ``n/a``, infinities, ±1e30 and beyond (USGS writes −1.23e34), −999 and −9999.
     """
-    path = Path(path)
+    text, notes = read_text(Path(path))
+    return parse_columns(text, Path(path), notes)
+
+
+def read_text(path: Path) -> tuple[str, list[str]]:
+    """Text of a file in UTF-8, UTF-16 or Latin-1, and a note if it was not UTF-8; :class:`InputError` if it is no text."""
     text, encoding = _decode(_bytes(path), path)
-    notes = [] if encoding == "UTF-8" else [f"{path.name} was decoded as {encoding}"]
+    return text, [] if encoding == "UTF-8" else [f"{path.name} was decoded as {encoding}"]
+
+
+def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
+    """:func:`read_columns` of text that is in memory already; ``path`` is for messages, ``notes`` begin those of the table."""
+    notes = list(notes)
     header: list[str] = []
     remarks: list[str] = []
     rows: list[tuple[int, str]] = []
@@ -183,6 +193,17 @@ def gaps(wavelength: Array, low: float, high: float, widest: float, slack: float
         allowed[-1] = slack
     missing = ends - starts > allowed
     return [(max(low, float(a)), min(high, float(b))) for a, b in zip(starts[missing], ends[missing], strict=True)]
+
+
+def number(cell: str, decimal: str = ".") -> float | None:
+    """A cell as a number: NaN where it says missing or holds a sentinel, None where it is no number."""
+    cell = cell.strip()
+    if cell.lower() in _MISSING:
+        return float("nan")
+    if not _NUMBER.fullmatch(cell) or (decimal == "." and "," in cell):
+        return None
+    value = float(cell.translate(str.maketrans("Dd" + decimal, "ee.")))
+    return float("nan") if abs(value) >= _SENTINEL_MAGNITUDE or value in _SENTINELS else value
 
 
 def _stated_unit(columns: Columns, key: str) -> str | None:

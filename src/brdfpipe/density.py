@@ -16,6 +16,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
+from brdfpipe.piecewise import PiecewiseCubic
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,17 @@ class RadialDensity:
     def __call__(self, slope_squared: ArrayLike) -> Array:
         """P22 at s², of any shape."""
         u = np.asarray(slope_squared, dtype=float)
-        inside = u <= self.slope[-1] ** 2
-        return np.where(inside, np.exp(self._log_density(np.where(inside, u, 0.0))), 0.0)
+        last = self._log_density.last
+        if u.size and u.max() <= last:
+            return np.asarray(np.exp(self._log_density(u)))
+        values = np.asarray(np.exp(self._log_density(np.minimum(u, last))))
+        values[u > last] = 0.0
+        return values
 
     @cached_property
-    def _log_density(self) -> CubicHermiteSpline:
+    def _log_density(self) -> PiecewiseCubic:
         u, values = self.slope**2, np.log(self.density)
-        return CubicHermiteSpline(u, values, _limited_derivatives(u, values))
+        return PiecewiseCubic.of(CubicHermiteSpline(u, values, _limited_derivatives(u, values)))
 
     def panels(self, most: int = 96) -> Array:
         """Edges, on nodes, of at most ``most`` panels that resolve the density."""

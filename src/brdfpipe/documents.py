@@ -51,6 +51,16 @@ def read(path: Path, schema: Path) -> dict[str, Any]:
     return dict(_with_defaults(content, validator.schema, validator))
 
 
+def plain(path: Path) -> Any:
+    """Read a YAML document that has no schema, as strictly: plain values, no aliases, no repeated keys, no large files.
+
+    Raises
+    ------
+    InputError : naming the file and the line.
+    """
+    return _parse(path)[0]
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """``"; did you mean 'x'?"`` if a known word is close to this one, else nothing."""
     # Two letters are near to far too much: "cm" to "m".
@@ -158,7 +168,12 @@ def _spelled(content: Any, schema: Any, validator: Any) -> Any:
     """The same content with listed words spelled as the schema does: SCI is sci, and both letters µ are u."""
     schema = _resolved(schema, validator)
     if isinstance(content, str):
-        return {_folded(word): word for word in map(str, schema.get("enum", []))}.get(_folded(content), content)
+        listed = [
+            *schema.get("enum", []),
+            *schema.get("then", {}).get("enum", []),
+            *schema.get("else", {}).get("enum", []),
+        ]
+        return {_folded(word): word for word in map(str, listed)}.get(_folded(content), content)
     if isinstance(content, list):
         return [_spelled(item, schema.get("items", {}), validator) for item in content]
     if not isinstance(content, Mapping):

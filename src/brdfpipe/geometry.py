@@ -18,12 +18,21 @@ Array = NDArray[np.float64]
 
 
 class HalfVector(NamedTuple):
-    """The facet that mirrors one direction into another."""
+    """The facet that mirrors one direction into another, and the directions' own cosines and sines."""
 
     slope_squared: Array
     """tan²α of the facet's normal [1]."""
     cos_zeta: Array
     """Cosine of the local angle of incidence ζ on the facet [1]."""
+    cos_i: Array
+    sin_i: Array
+    cos_o: Array
+    sin_o: Array
+
+    @property
+    def cos_alpha(self) -> Array:
+        """Cosine of the tilt of the facet's normal."""
+        return np.asarray(1 / np.sqrt(1 + self.slope_squared))
 
 
 def half_vector(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> HalfVector:
@@ -37,17 +46,43 @@ def half_vector(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
     -----
     tan²α = |w_i + w_o|²_xy / |w_i + w_o|²_z and cos ζ = |w_i + w_o| / 2 (CRF, steps c and d). The tangential part is written
     as (sin θ_i − sin θ_o)² + 4 sin θ_i sin θ_o cos²(Δφ/2): near the mirror direction the textbook form
-    s_i² + s_o² + 2 s_i s_o cos Δφ cancels and cannot resolve slopes below 1e-8.
+    s_i² + s_o² + 2 s_i s_o cos Δφ cancels and cannot resolve slopes below 1e-8. All follows from the tangents of the half
+    angles, t = tan(θ/2): sin θ_i − sin θ_o = 2 (t_i − t_o)(1 − t_i t_o) / [(1 + t_i²)(1 + t_o²)].
     """
-    theta_i, theta_o = np.radians(theta_i), np.radians(theta_o)
-    half_difference = np.radians(np.asarray(phi_i, dtype=float) - phi_o) / 2
-    sin_i, sin_o = np.sin(theta_i), np.sin(theta_o)
-    sin_difference = 2 * np.cos((theta_i + theta_o) / 2) * np.sin((theta_i - theta_o) / 2)
-    tangential = sin_difference**2 + 4 * sin_i * sin_o * np.cos(half_difference) ** 2
-    normal = (np.cos(theta_i) + np.cos(theta_o)) ** 2
+    t_i, t_o = tan_half(theta_i), tan_half(theta_o)
+    over_i, over_o = 1 / (1 + t_i * t_i), 1 / (1 + t_o * t_o)
+    sin_i, sin_o = 2 * t_i * over_i, 2 * t_o * over_o
+    cos_i, cos_o = (1 - t_i) * (1 + t_i) * over_i, (1 - t_o) * (1 + t_o) * over_o
+    t_phi = tan_half(np.asarray(phi_i, dtype=float) - phi_o)
+    difference = 2 * (t_i - t_o) * (1 - t_i * t_o) * (over_i * over_o)
+    tangential = difference * difference + 4 * (sin_i * sin_o) / (1 + t_phi * t_phi)
+    normal = cos_i + cos_o
+    normal *= normal
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope_squared = np.where(normal > 0, tangential / normal, np.inf)
-    return HalfVector(slope_squared, np.minimum(np.sqrt(tangential + normal) / 2, 1.0))
+        slope_squared = np.asarray(tangential / normal)
+    cos_zeta = np.minimum(np.sqrt(tangential + normal) / 2, 1.0)
+    return HalfVector(slope_squared, cos_zeta, cos_i, sin_i, cos_o, sin_o)
+
+
+def slope_towards(half: HalfVector, phi_i: ArrayLike, phi_o: ArrayLike) -> tuple[Array, Array]:
+    """Slopes (p, q) along x and y of the facet that mirrors ``i`` into ``o``: −w_xy / w_z of w_i + w_o.
+
+    Notes
+    -----
+    Along the mean azimuth ψ of the two directions w_xy is (sin θ_i + sin θ_o) cos δ, across it (sin θ_i − sin θ_o) sin δ, δ half the
+    difference of the azimuths: exact near the mirror direction, where the plain sum cancels.
+    """
+    phi_i, phi_o = np.asarray(phi_i, dtype=float), np.asarray(phi_o, dtype=float)
+    mean, delta = np.radians(phi_i + phi_o) / 2, np.radians(phi_i - phi_o) / 2
+    scale = -1 / (half.cos_i + half.cos_o)
+    along = scale * (half.sin_i + half.sin_o) * np.cos(delta)
+    across = scale * (half.sin_i - half.sin_o) * np.sin(delta)
+    return along * np.cos(mean) - across * np.sin(mean), along * np.sin(mean) + across * np.cos(mean)
+
+
+def tan_half(angle: ArrayLike) -> Array:
+    """Tangent of half an angle in degree."""
+    return np.tan(np.asarray(angle, dtype=float) * (np.pi / 360))
 
 
 def check_angles(name: str, angles: ArrayLike, low: float, high: float) -> Array:
@@ -61,9 +96,10 @@ def check_angles(name: str, angles: ArrayLike, low: float, high: float) -> Array
     if units not in ("degree", "degrees", "deg", "°"):
         raise VocabularyError(f"{name} is in {units!r}; angles are in degree")
     values = np.asarray(angles, dtype=float)
-    if values.size and not np.isfinite(values).all():
-        raise VocabularyError(f"{name} has undefined values; angles must be finite")
-    if values.size and (values.min() < low or values.max() > high):
+    # NaN fails both comparisons.
+    if values.size and not (values.min() >= low and values.max() <= high):
+        if not np.isfinite(values).all():
+            raise VocabularyError(f"{name} has undefined values; angles must be finite")
         raise VocabularyError(
             f"{name} spans {values.min():g} to {values.max():g}; accepted are {low:g} to {high:g} degree"
         )
@@ -92,7 +128,12 @@ def checked_angles(name: str, angle: ArrayLike, low: float, high: float) -> xr.D
 
 
 def broadcast(**angles: xr.DataArray | Array) -> tuple[xr.DataArray, ...]:
-    """Directions that broadcast together: DataArrays by dimension name, plain arrays as in numpy into ``direction``."""
+    """Directions that broadcast together: DataArrays by dimension name, plain arrays as in numpy into ``direction``.
+
+    Raises
+    ------
+    VocabularyError : labelled angles of one dimension have other coordinates, or sizes; or a dimension is called ``wavelength``.
+    """
     plain = {name: angle for name, angle in angles.items() if not isinstance(angle, xr.DataArray)}
     shape = np.broadcast_shapes(*(angle.shape for angle in plain.values()))
     dims = ("direction",) if len(shape) == 1 else tuple(f"direction_{axis}" for axis in range(len(shape)))
@@ -100,4 +141,14 @@ def broadcast(**angles: xr.DataArray | Array) -> tuple[xr.DataArray, ...]:
         name: angle if isinstance(angle, xr.DataArray) else xr.DataArray(np.broadcast_to(angle, shape), dims=dims)
         for name, angle in angles.items()
     }
-    return xr.broadcast(*labelled.values())
+    if any("wavelength" in angle.dims for angle in labelled.values()):
+        raise VocabularyError(
+            "angles have the dimension 'wavelength'; wavelengths are a dimension of their own, and an argument"
+        )
+    try:
+        aligned = xr.align(*labelled.values(), join="exact")
+    except ValueError as error:
+        raise VocabularyError(
+            f"the angles do not belong together: {', '.join(labelled)} have other coordinates or sizes along a common dimension"
+        ) from error
+    return xr.broadcast(*aligned)

@@ -23,8 +23,10 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline
 from brdfpipe import vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.errors import VocabularyError
-from brdfpipe.geometry import Array, broadcast, check_angles, checked_angles, half_vector
+from brdfpipe.geometry import Array, HalfVector, broadcast, check_angles, checked_angles, half_vector
 from brdfpipe.hemisphere import panel_rule
+from brdfpipe.piecewise import PiecewiseCubic
+from brdfpipe.planar import Ellipse
 
 _NODES = 384
 
@@ -63,7 +65,7 @@ def smith_lambda(density: RadialDensity) -> xr.DataArray:
 class Smith:
     """The mean excess slope g(μ), from a table of Λ(θ)."""
 
-    _spline: CubicSpline
+    _spline: PiecewiseCubic
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> Smith:
@@ -74,13 +76,13 @@ class Smith:
         even = np.linalg.solve(np.vander((mu[:3] / mu[2]) ** 2, increasing=True), excess[:3] + mu[:3] / 2)
         mu, excess = np.concatenate([[0.0], mu]), np.concatenate([even[:1], excess])
         # Beyond the steepest facet g vanishes with its derivative.
-        return cls(CubicSpline(mu, excess, bc_type=((1, np.array(-0.5)), (1, np.array(0.0)))))
+        return cls(PiecewiseCubic.of(CubicSpline(mu, excess, bc_type=((1, np.array(-0.5)), (1, np.array(0.0))))))
 
     def excess(self, mu: ArrayLike) -> Array:
         """g(μ), of any shape; μ = inf (normal incidence) gives 0."""
-        mu = np.asarray(mu, dtype=float)
-        last = self._spline.x[-1]
-        return np.where(mu < last, np.maximum(self._spline(np.minimum(mu, last)), 0.0), 0.0)
+        # At the last node g is zero but for rounding.
+        excess = self._spline(np.minimum(np.asarray(mu, dtype=float), self._spline.last))
+        return np.maximum(excess, 0.0)
 
     def excess_towards(self, cos: ArrayLike, sin: ArrayLike) -> Array:
         """g(cot θ) from the cosine and sine of θ."""
@@ -91,37 +93,51 @@ def cotangent(cos: ArrayLike, sin: ArrayLike) -> Array:
     """cot θ from the cosine and sine of θ; infinite at normal incidence."""
     cos, sin = np.asarray(cos, dtype=float), np.asarray(sin, dtype=float)
     with np.errstate(divide="ignore", over="ignore"):
-        return np.where(sin > 0, cos / np.where(sin > 0, sin, 1.0), np.inf)
+        return np.asarray(cos / sin)
 
 
 @dataclass(frozen=True)
 class PlanarSmith:
-    """The mean excess slope g(μ, φ) of a surface with a lay, from a table of Λ(θ, φ)."""
+    """The mean excess slope g(μ, φ) of a surface with a lay, from a table of Λ(θ, φ).
+
+    Over the width w of the slopes towards φ, g depends on μ/w alone if the density is elliptic, and little on the azimuth if it
+    is not: g/w is interpolated over asinh(μ/w) and the turn ω of the ellipse drawn round.
+    """
 
     _spline: RectBivariateSpline
-    _scale: float
+    _ellipse: Ellipse
     _last: float
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> PlanarSmith:
         """The masking that an anisotropic ``facets`` dataset carries."""
+        ellipse = Ellipse.of(dataset)
         mu = 1 / np.tan(np.radians(dataset["theta"].values[::-1]))
-        phi = dataset["phi"].values
+        width, turn = ellipse.towards(dataset["phi"].values)
         excess = dataset["lambda_smith"].transpose("theta", "phi").values[::-1] * mu[:, None]
-        # At grazing g is smooth in μ: its value there is that of the parabola through the first three nodes.
-        grazing = np.linalg.solve(np.vander(mu[:3] / mu[2], increasing=True), excess[:3])[0]
-        mu, excess = np.concatenate([[0.0], mu]), np.concatenate([grazing[None], excess])
-        around = np.concatenate([phi[-4:] - 360, phi, phi[:4] + 360])
-        excess = np.concatenate([excess[:, -4:], excess, excess[:, :4]], axis=1)
-        scale = float(np.interp(0.1 * excess[0].mean(), excess.mean(axis=1)[::-1], mu[::-1]))
-        return cls(RectBivariateSpline(np.arcsinh(mu / scale), around, excess), scale, float(mu[-1]))
+        last = float(mu[-1] / width.max())
+        t = np.linspace(0, np.arcsinh(last), mu.size)
+        opposite = np.roll(excess, turn.size // 2, axis=1)
+        columns = zip(width, excess.T, opposite.T, strict=True)
+        table = np.stack([_over_width(mu / w, g / w, back / w)(t) for w, g, back in columns], axis=1)
+        order = np.argsort(turn)
+        around = np.concatenate([order[-4:], order, order[:4]])
+        turns = np.unwrap(turn[around] - 360, period=360)
+        return cls(RectBivariateSpline(t, turns, table[:, around]), ellipse, last)
 
     def excess(self, mu: ArrayLike, phi: ArrayLike) -> Array:
         """g(μ, φ), broadcast; φ in degree, μ = inf (normal incidence) gives 0."""
-        mu, phi = np.broadcast_arrays(np.asarray(mu, dtype=float), np.asarray(phi, dtype=float))
-        inside = mu < self._last
-        values = self._spline.ev(np.arcsinh(np.where(inside, mu, 0.0) / self._scale), phi % 360)
+        width, turn = self._ellipse.towards(phi)
+        slope = np.asarray(mu, dtype=float) / width
+        inside = slope < self._last
+        values = width * self._spline.ev(np.arcsinh(np.where(inside, slope, 0.0)), turn)
         return np.where(inside, np.maximum(values, 0.0), 0.0)
+
+
+def _over_width(slope: Array, excess: Array, opposite: Array) -> CubicSpline:
+    """g over asinh(μ), both over the width, from μ = 0: of a mean slope of zero, g(−μ, φ) = μ + g(μ, φ + 180°)."""
+    both = np.concatenate([-slope[3::-1], slope])
+    return CubicSpline(np.arcsinh(both), np.concatenate([(slope + opposite)[3::-1], excess]))
 
 
 def g1(facets: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0) -> xr.DataArray:
@@ -169,7 +185,7 @@ def g2(
     ----------
     facets : kind ``facets``; its mean slope is zero
     theta_i, phi_i, theta_o, phi_o : degree, broadcastable; 0 <= θ < 90
-    mode : a key of :data:`MODES`
+    mode : a key of :data:`MODES`, or ``liu`` (:mod:`brdfpipe.bsdf.liu`)
 
     Returns
     -------
@@ -180,8 +196,8 @@ def g2(
     VocabularyError : the dataset is not of kind ``facets``, an angle is out of range, or the mode is unknown.
     """
     vocabulary.validate(facets, "facets")
-    if mode not in MODES:
-        raise VocabularyError(f"unknown masking mode {mode!r}; accepted: {', '.join(MODES)}")
+    if mode not in (*MODES, "liu"):
+        raise VocabularyError(f"unknown masking mode {mode!r}; accepted: {', '.join(MODES)}, liu")
     angles = broadcast(
         theta_i=checked_angles("theta_i", theta_i, 0, _BELOW_GRAZING),
         phi_i=checked_angles("phi_i", phi_i, -720, 720),
@@ -190,14 +206,26 @@ def g2(
     )
     plain = [angle.values for angle in angles]
     half = half_vector(plain[0], plain[1], plain[2], plain[3])
+    values = _liu(facets, plain) if mode == "liu" else _by_lambda(facets, plain, half, mode)
+    result = angles[0].copy(data=np.broadcast_to(values, plain[0].shape))
+    return result.rename("g2").assign_attrs(units="1", long_name=f"masking and shadowing G2, {mode}")
+
+
+def _liu(facets: xr.Dataset, angles: list[Array]) -> Array:
+    if facets["slope_density"].ndim == 2:
+        raise VocabularyError("masking mode 'liu' knows isotropic surfaces alone; this one has a lay")
+    liu = importlib.import_module("brdfpipe.bsdf.liu")
+    table = liu.LiuMasking.of(liu.Marginal.of(RadialDensity.of(facets)))
+    return np.asarray(liu.attenuation(angles[0], angles[1], angles[2], angles[3], table))
+
+
+def _by_lambda(facets: xr.Dataset, plain: list[Array], half: HalfVector, mode: str) -> Array:
     pair = []
     for polar, azimuth in ((plain[0], plain[1]), (plain[2], plain[3])):
         cos, sin, excess = _seen_from(facets, polar, azimuth)
         pair.append((cos, excess * sin / cos))
     (cos_i, lambda_i), (cos_o, lambda_o) = pair
-    values = MODES[mode](lambda_i, lambda_o, cos_i, cos_o, 1 / np.sqrt(1 + half.slope_squared), half.cos_zeta)
-    result = angles[0].copy(data=np.broadcast_to(values, plain[0].shape))
-    return result.rename("g2").assign_attrs(units="1", long_name=f"masking and shadowing G2, {mode}")
+    return MODES[mode](lambda_i, lambda_o, cos_i, cos_o, half.cos_alpha, half.cos_zeta)
 
 
 def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
@@ -270,21 +298,39 @@ patent's, which is neither reciprocal nor keeps energy · ``blinn``: V-grooves, 
 """
 
 
-Visibility = Callable[[Array, Array, Array, Array, Array, Array], Array]
+Visibility = Callable[[HalfVector, Array, Array], Array]
 
 
-def _height_correlated(
-    cos_i: Array, sin_i: Array, excess_i: Array, cos_o: Array, sin_o: Array, excess_o: Array
-) -> Array:
-    return 1 / (cos_i * cos_o + excess_i * sin_i * cos_o + excess_o * sin_o * cos_i)
+def _height_correlated(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
+    cos_i, cos_o = pair.cos_i, pair.cos_o
+    return 1 / (cos_i * cos_o + (excess_i * pair.sin_i * cos_o + excess_o * pair.sin_o * cos_i))
 
 
-def _separable(cos_i: Array, sin_i: Array, excess_i: Array, cos_o: Array, sin_o: Array, excess_o: Array) -> Array:
-    return 1 / ((cos_i + excess_i * sin_i) * (cos_o + excess_o * sin_o))
+def _separable(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
+    return 1 / ((pair.cos_i + excess_i * pair.sin_i) * (pair.cos_o + excess_o * pair.sin_o))
 
 
-VISIBILITY: dict[str, Visibility] = {"height-correlated": _height_correlated, "separable": _separable}
-"""G2 / (cos θ_i cos θ_o) by masking mode, finite as long as one of the directions is above the horizon.
+def _crf(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
+    return 1 / (pair.cos_i * (pair.cos_o + excess_o * pair.sin_o))
 
-``height-correlated``: 1/(1 + Λ_i + Λ_o), Heitz 2014 eq. 99 · ``separable``: G1(i) G1(o).
+
+def _blinn(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
+    grooved = 2 * pair.cos_alpha / (pair.cos_zeta * np.maximum(pair.cos_i, pair.cos_o))
+    return np.minimum(1 / (pair.cos_i * pair.cos_o), grooved)
+
+
+def _unmasked(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
+    return 1 / (pair.cos_i * pair.cos_o)
+
+
+VISIBILITY: dict[str, Visibility] = {
+    "height-correlated": _height_correlated,
+    "separable": _separable,
+    "crf": _crf,
+    "blinn": _blinn,
+    "none": _unmasked,
+}
+"""G2 / (cos θ_i cos θ_o) by the same modes, from the pair of directions and the mean excess slopes g(cot θ) towards them.
+
+The first two are finite as long as one of the directions is above the horizon.
 """

@@ -136,8 +136,13 @@ def atomic_path(path: str | os.PathLike[str], size_hint: int = 0) -> Iterator[Pa
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a text file (UTF-8, as given) so that it appears whole or not at all."""
-    with atomic_path(path, size_hint=len(text)) as temporary:
-        temporary.write_bytes(text.encode("utf-8"))
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file so that it appears whole or not at all."""
+    with atomic_path(path, size_hint=len(content)) as temporary:
+        temporary.write_bytes(content)
 
 
 def digest(dataset: xr.Dataset) -> str:

@@ -56,12 +56,18 @@ QUANTITIES: Mapping[str, Quantity] = {
     "beta": Quantity("degree", "azimuth of the facet normal", -720, 720),
     "theta": Quantity("degree", "polar angle, from the normal", 0, 90),
     "slope": Quantity("1", "magnitude of the surface slope", 0),
-    "slope_x": Quantity("1", "surface slope along x"),
-    "slope_y": Quantity("1", "surface slope along y"),
+    "slope_along": Quantity("1", "surface slope along the lay"),
+    "slope_across": Quantity("1", "surface slope across the lay, 90 degree counter-clockwise from it"),
     "slope_towards": Quantity("1", "slope of the facet towards the viewer"),
     "x": Quantity("um", "position along x"),
     "y": Quantity("um", "position along y"),
     "scale": Quantity("1", "distance between the heights a slope is taken from, in pixels", 1),
+    "theta_s": Quantity("degree", "angle of the outgoing direction from the mirror direction", 0, 180),
+    "phi_s": Quantity("degree", "azimuth about the mirror direction, 0 towards the normal", -720, 720),
+    "theta_h": Quantity("degree", "polar angle of the half vector, from the normal", 0, 90),
+    "phi_h": Quantity("degree", "azimuth of the half vector", -720, 720),
+    "theta_d": Quantity("degree", "angle of incidence from the half vector", 0, 90),
+    "phi_d": Quantity("degree", "azimuth of incidence about the half vector", -720, 720),
     "gloss_angle": Quantity("degree", "nominal gloss geometry", 0, 90),
     # Surface
     "height": Quantity("um", "height above the levelling form", missing=True),
@@ -74,7 +80,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "slope_rms": Quantity("1", "root mean square slope of the facets; missing where it is not finite", 0, missing=True),
     "slope_rms_scale": Quantity("1", "root mean square slope against the distance it is taken over", 0, missing=True),
     "anisotropy": Quantity("1", "larger over smaller principal slope rms", 1, missing=True),
-    "lay": Quantity("degree", "azimuth of the smaller principal slope rms", -180, 180, missing=True),
+    "lay": Quantity("degree", "azimuth of the smaller principal slope rms", -90, 90, missing=True),
     "facet_count": Quantity("1", "number of facets", 0),
     "effective_count": Quantity("1", "number of independent facets", 0),
     "correlation_length": Quantity("um", "distance at which the height correlation falls to 1/e", 0, missing=True),
@@ -98,20 +104,78 @@ QUANTITIES: Mapping[str, Quantity] = {
     "total_reflectance": Quantity("1", "total (diffuse and specular) reflectance", 0),
     "n": Quantity("1", "real part of the refractive index", 0),
     "k": Quantity("1", "imaginary part of the refractive index (extinction coefficient)", 0),
+    "internal_transmittance": Quantity(
+        "1", "share of the light that passes a body straight from face to face", 0, 1 + 1e-9
+    ),
+    "thickness": Quantity("mm", "thickness of a body", 0),
     # BSDF
     "brdf": Quantity("sr-1", "bidirectional reflectance distribution function"),
     "directional_albedo": Quantity("1", "directional albedo of the facets' specular reflection", 0, 1 + 1e-9),
     "mean_albedo": Quantity("1", "cosine-weighted mean of the directional albedo", 0, 1 + 1e-9),
+    "furnace_albedo": Quantity("1", "directional albedo of the same facets as perfect mirrors", 0, 1 + 1e-9),
+    "mean_furnace_albedo": Quantity("1", "cosine-weighted mean of the furnace albedo", 0),
+    "compensation": Quantity("1", "reflectance of what leaves the facets after more than one reflection", 0, 1 + 1e-9),
     "diffuse": Quantity("1", "diffuse reflectance d' below the facets", 0),
     "theta_m": Quantity("degree", "incidence at which the total reflectance was measured", 0, 90),
+    "front_slope": Quantity("1", "magnitude of the slope of the front face", 0),
+    "back_slope": Quantity("1", "magnitude of the slope of the back face", 0),
+    "front_theta": Quantity("degree", "polar angle before the front face, from its normal", 0, 90),
+    "back_theta": Quantity("degree", "polar angle behind the back face, from its normal", 0, 90),
+    "front_slope_density": Quantity("1", "probability density of facets of the front face in slope space, P22", 0),
+    "back_slope_density": Quantity("1", "probability density of facets of the back face in slope space, P22", 0),
+    "front_lambda_smith": Quantity("1", "Smith's masking function Λ of the front face", 0),
+    "back_lambda_smith": Quantity("1", "Smith's masking function Λ of the back face", 0),
+    "front_diffuse": Quantity("sr-1/2", "factor of either angle in the diffuse reflection of the front face", 0),
+    "back_diffuse": Quantity("sr-1/2", "factor of either angle in the diffuse reflection of the back face", 0),
+    "reflectance": Quantity("1", "share of the light that returns to its side", 0, 1 + 1e-9),
+    "absorptance": Quantity("1", "share of the light that is absorbed", 0, 1 + 1e-9),
+    "theta_low": Quantity("degree", "smaller of two polar angles, each from its own face", 0, 90),
+    "log_scattered": Quantity("1", "natural logarithm of the BSDF [sr-1] of light that has been inside a slab"),
+    "lobe_scale": Quantity("degree", "width up to which the table of a slab counts distances evenly", 0),
+    "index_node": Quantity("1", "refractive index at which a slab is tabulated", 1),
+    "depth_node": Quantity("1", "root of the internal optical depth, √(-ln τ), at which a slab is tabulated", 0),
+    "quadrature_error": Quantity("1", "share of light by which sums over nodes missed what they were then scaled to", 0),
+    "interpolation_error": Quantity("1", "error of the tabulated part between its nodes, in the worst incidence", 0),
+    "tristimulus": Quantity("1", "CIE tristimulus values, Y = 100 for the perfect diffuser", 0),
+    "reflectance_factor": Quantity(
+        "1", "light over that of the perfect diffuser in the same directions, π times the BRDF", 0
+    ),
+    "theta_f": Quantity("degree", "flake angle: tilt of the flake that mirrors one direction into the other", 0, 90),
+    "theta_f_measured": Quantity("degree", "flake angle of a measured geometry", 0, 90),
+    "clear_coat_index": Quantity("1", "refractive index of the clear coat above the flakes", 1),
+    "clear_coat_slope": Quantity("1", "root mean square slope of the clear coat", 0),
+    "flake_amplitude": Quantity(
+        "1", "A of the fit along the flake angle, on the scale of Y = 100 or of the reflectance factor", 0
+    ),
+    "flake_decay": Quantity("degree", "B of the fit: the flake angle over which the term falls to 1/e", 0),
+    "flake_constant": Quantity("1", "C of the fit, on the scale of A", 0),
+    "flake_covariance": Quantity("1", "covariance of A, B and C of a fit, in their units", missing=True),
+    "flake_spectrum": Quantity(
+        "1", "reflectance factor over its Y as a fraction, of the chromaticity at a flake angle", 0
+    ),
+    "misfit": Quantity("1", "fitted over measured value, less 1; missing for black", missing=True),
+    "leave_one_out_misfit": Quantity(
+        "1", "value of the fit to the other geometries over the measured one, less 1", missing=True
+    ),
+    "delta_e_00": Quantity("1", "CIEDE2000 of the fitted from the measured colour", 0),
+    "leave_one_out": Quantity(
+        "1", "CIEDE2000 of the colour that the fit to the other geometries gives", 0, missing=True
+    ),
     "lambert": Quantity("1", "reflectance of the Lambertian part", 0),
     "gauss_peak": Quantity("sr-1", "peak G0 of the Gaussian part, at the specular direction", 0),
     "gauss_fwhm_parallel": Quantity("degree", "full width at half maximum in the plane of incidence", 0),
     "gauss_fwhm_perpendicular": Quantity("degree", "full width at half maximum across the plane of incidence", 0),
     "gauss_reflectance": Quantity("1", "reflectance of the Gaussian part, R_gauss", 0),
     "fit_residual": Quantity("1", "flux-weighted rms residual of the fit over the flux-weighted rms BRDF", 0),
+    "fit_error_max": Quantity("1", "largest error of the fit over the BRDF or that of a Lambertian as bright", 0),
+    "reflectance_error": Quantity("1", "error of the total reflectance of the fit over that of the model"),
+    "pdf": Quantity("sr-1", "density of the samples per solid angle; missing for specular rays", 0, missing=True),
+    "weight": Quantity("1", "BSDF times |cos θ_o| over the density: its mean is what leaves altogether"),
+    "weight_variance": Quantity("1", "variance of the weights", 0),
     # Checks
     "albedo": Quantity("1", "directional reflectance", 0),
+    "transmittance": Quantity("1", "share of the light that leaves on the other side", 0),
+    "grazing_growth": Quantity("1", "largest BRDF at 89.99 degree over that at 89.9 degree", 0, missing=True),
     "reciprocity_residual": Quantity("1", "largest |f(i,o) - f(o,i)| over their mean", 0, missing=True),
     "energy_excess": Quantity("1", "largest directional reflectance above 1", 0),
     "negative_fraction": Quantity("1", "share of directions with a negative or undefined BRDF", 0, 1),
@@ -120,10 +184,27 @@ QUANTITIES: Mapping[str, Quantity] = {
     "floor": Quantity("sr-1", "smallest BRDF over the directions checked"),
     # Appearance
     "gloss": Quantity("1", "gloss units, D523-style", 0),
+    "gloss_along": Quantity("1", "gloss units, plane of incidence along the lay, D523-style", 0),
+    "gloss_across": Quantity("1", "gloss units, plane of incidence across the lay, D523-style", 0),
     "haze": Quantity("1", "gloss at 60 degree minus gloss at 20 degree, D4039-style", missing=True),
+    "lab_along": Quantity("1", "CIE 1976 L*a*b*, plane of incidence along the lay", missing=True),
+    "lab_across": Quantity("1", "CIE 1976 L*a*b*, plane of incidence across the lay", missing=True),
+    "luminous_transmittance": Quantity(
+        "1", "total transmittance at normal incidence, weighted with V(λ) and D65", 0, 1 + 1e-9, missing=True
+    ),
+    "transmission_haze": Quantity(
+        "1",
+        "share of the transmitted light scattered by more than 2.5 degree at normal incidence, D1003-style",
+        0,
+        1 + 1e-9,
+        True,
+    ),
+    "specular_reflectance": Quantity("1", "share of the light mirrored into one single direction", 0, 1 + 1e-9),
+    "specular_transmittance": Quantity("1", "share of the light that passes into one single direction", 0, 1 + 1e-9),
     "lab": Quantity("1", "CIE 1976 L*a*b*", missing=True),
     "luminous_reflectance": Quantity("1", "total reflectance at 8 degree, weighted with V(λ) and D65", 0, missing=True),
     "flop_index": Quantity("1", "flop index", missing=True),
+    "picture": Quantity("1", "sRGB picture of a material", 0, 255),
     "srgb": Quantity("1", "sRGB preview colour", 0, 1, missing=True),
 }
 
@@ -138,7 +219,7 @@ class Kind:
 
 
 _ISOTROPIC: Sequence[tuple[str, ...]] = [("slope",)]
-_SLOPES: Sequence[tuple[str, ...]] = [("slope",), ("slope_y", "slope_x")]
+_SLOPES: Sequence[tuple[str, ...]] = [("slope",), ("slope_across", "slope_along")]
 _SPECTRAL: Sequence[tuple[str, ...]] = [("wavelength",), ()]
 _SCALAR: Sequence[tuple[str, ...]] = [()]
 _POLAR: Sequence[tuple[str, ...]] = [("theta",)]
@@ -168,6 +249,14 @@ KINDS: Mapping[str, Kind] = {
     "facets": _FACETS,
     "spectrum": Kind({"total_reflectance": [("wavelength",)]}, attributes=("geometry", "theta_i", "method")),
     "index": Kind({"n": [("wavelength",)], "k": [("wavelength",)]}, attributes=("source",)),
+    "interior": Kind(
+        {"internal_transmittance": [("wavelength",)], "thickness": _SCALAR}, attributes=("source", "dispersion")
+    ),
+    "multiangle": Kind(
+        {angle: [("geometry",)] for angle in ("theta_i", "phi_i", "theta_o", "phi_o")},
+        optional={"tristimulus": [("geometry", "channel")], "reflectance_factor": [("geometry", "wavelength")]},
+    ),
+    "colours": Kind({"lab": [("geometry", "component")]}, attributes=("illuminant", "observer")),
     "bsdf": Kind({}, attributes=("representation",)),
     "appearance": Kind(
         {
@@ -178,8 +267,18 @@ KINDS: Mapping[str, Kind] = {
             "luminous_reflectance": _SCALAR,
             "srgb": [("channel",)],
         },
+        optional={
+            "lay": _SCALAR,
+            "gloss_along": [("gloss_angle",)],
+            "gloss_across": [("gloss_angle",)],
+            "lab_along": [("geometry", "component")],
+            "lab_across": [("geometry", "component")],
+            "luminous_transmittance": _SCALAR,
+            "transmission_haze": _SCALAR,
+        },
         attributes=("illuminant", "observer"),
     ),
+    "preview": Kind({"picture": [("row", "column", "channel")]}, attributes=("illuminant", "light", "white_level")),
     "checks": Kind(
         {
             "reciprocity_residual": _SCALAR,
@@ -190,6 +289,7 @@ KINDS: Mapping[str, Kind] = {
             "integral_residual": _SCALAR,
             "floor": _SCALAR,
         },
+        optional={"transmittance": [("theta_i", "wavelength"), ("theta_i",)], "grazing_growth": _SCALAR},
         attributes=("verdicts",),
     ),
     "parameters": Kind({"missing_fraction": _SCALAR}, attributes=("levelling", "band")),
@@ -199,22 +299,107 @@ KINDS: Mapping[str, Kind] = {
         optional={"g2_raycast": _POLAR, "g2_raycast_u": _POLAR, "g2_separable": _POLAR, "g2_height_correlated": _POLAR},
         attributes=("method",),
     ),
+    "samples": Kind(
+        {"theta_o": [("sample",)], "phi_o": [("sample",)], "pdf": [("sample",)], "specular": [("sample",)]}
+        | {"weight": [("sample",), ("sample", "wavelength")], "weight_variance": _SPECTRAL}
+    ),
+    "nonspectral": Kind({"rms": [("theta_i",)], "largest": [("theta_i",)], "reflectance_error": [("theta_i",)]}),
     "catalogue": Kind({}),
 }
+
+_ALBEDO: Sequence[tuple[str, ...]] = [
+    ("theta_i", "wavelength"),
+    ("theta_i",),
+    ("theta_i", "phi_i", "wavelength"),
+    ("theta_i", "phi_i"),
+]
+_BALANCE: Sequence[tuple[str, ...]] = [("theta_i", "wavelength"), ("theta_i",)]
+_INTERFACE: Mapping[str, Sequence[tuple[str, ...]]] = {
+    "n": _SPECTRAL,
+    "k": _SPECTRAL,
+    "directional_albedo": _ALBEDO,
+    "mean_albedo": _SPECTRAL,
+    "mean_furnace_albedo": _SCALAR,
+    "diffuse": _SPECTRAL,
+}
+_BASE: Mapping[str, Sequence[tuple[str, ...]]] = {
+    "lay": _SCALAR,
+    "furnace_albedo": [("theta_i",), ("theta_i", "phi_i")],
+    "compensation": _SPECTRAL,
+    "total_reflectance": _SPECTRAL,
+    "theta_m": _SCALAR,
+}
+
+_TABLES: Sequence[tuple[str, ...]] = [
+    (*lay, *axes, *spectral)
+    for axes, azimuth in (
+        (("theta_i", "theta_o", "phi_o"), "phi_i"),
+        (("theta_i", "theta_s", "phi_s"), "phi_i"),
+        (("theta_h", "theta_d", "phi_d"), "phi_h"),
+    )
+    for lay in ((), (azimuth,))
+    for spectral in ((), ("wavelength",))
+]
+
+_CURVES: Sequence[tuple[str, ...]] = [("term", "channel"), ("term", "wavelength"), ("term",)]
 
 REPRESENTATIONS: Mapping[str, Kind] = {
     "microfacet": Kind(
         required={
-            "slope_density": _ISOTROPIC,
-            "lambda_smith": [("theta",)],
-            "n": _SPECTRAL,
-            "k": _SPECTRAL,
-            "directional_albedo": [("theta_i", "wavelength"), ("theta_i",)],
-            "mean_albedo": _SPECTRAL,
-            "diffuse": _SPECTRAL,
+            "slope_density": _SLOPES,
+            "lambda_smith": [("theta",), ("theta", "phi")],
+            **_INTERFACE,
         },
-        optional={"total_reflectance": _SPECTRAL, "theta_m": _SCALAR},
-        attributes=("masking", "diffuse_mode"),
+        optional=_BASE,
+        attributes=("masking", "diffuse_mode", "multiple_scattering", "transmission"),
+    ),
+    "smooth": Kind(
+        required=_INTERFACE,
+        optional=_BASE,
+        attributes=("masking", "diffuse_mode", "multiple_scattering", "transmission"),
+    ),
+    "slab": Kind(
+        required={
+            "n": _SPECTRAL,
+            "internal_transmittance": _SPECTRAL,
+            "reflectance": _BALANCE,
+            "transmittance": _BALANCE,
+            "absorptance": _BALANCE,
+            "specular_reflectance": _BALANCE,
+            "specular_transmittance": _BALANCE,
+            "front_diffuse": [("theta",), ("theta", "wavelength")],
+            "back_diffuse": [("theta",), ("theta", "wavelength")],
+            "log_scattered": [("path", "theta_low", "span", "turn", "node")],
+            "lobe_scale": _SCALAR,
+            "interpolation_error": _SCALAR,
+            "quadrature_error": _SCALAR,
+        },
+        optional={
+            "front_slope_density": [("front_slope",)],
+            "front_lambda_smith": [("front_theta",)],
+            "back_slope_density": [("back_slope",)],
+            "back_lambda_smith": [("back_theta",)],
+        },
+        attributes=("masking", "transmission"),
+    ),
+    "flake": Kind(
+        required={
+            "clear_coat_index": _SCALAR,
+            "flake_amplitude": _CURVES,
+            "flake_decay": _CURVES,
+            "flake_constant": [("channel",), ("wavelength",), ()],
+            "theta_f_measured": [("geometry",)],
+        },
+        optional={
+            "clear_coat_slope": _SCALAR,
+            "flake_spectrum": [("theta_f", "wavelength"), ("theta_f",)],
+            "flake_covariance": [("channel", "parameter", "parameter_2"), ("wavelength", "parameter", "parameter_2")],
+            "misfit": [("geometry", "channel"), ("geometry", "wavelength")],
+            "leave_one_out_misfit": [("geometry", "channel"), ("geometry", "wavelength")],
+            "delta_e_00": [("geometry",)],
+            "leave_one_out": [("geometry",)],
+        },
+        attributes=("model", "form", "clear_coat"),
     ),
     "lambert_gauss": Kind(
         required={
@@ -226,12 +411,14 @@ REPRESENTATIONS: Mapping[str, Kind] = {
         optional={
             "gauss_reflectance": [("theta_i",)],
             "fit_residual": [("theta_i",)],
+            "fit_error_max": [("theta_i",)],
+            "reflectance_error": [("theta_i",)],
             "total_reflectance": _SPECTRAL,
             "theta_m": _SCALAR,
         },
     ),
     "table": Kind(
-        required={"brdf": [("theta_i", "theta_o", "phi_o"), ("theta_i", "theta_o", "phi_o", "wavelength")]},
+        required={"brdf": _TABLES},
         optional={"total_reflectance": _SPECTRAL, "theta_m": _SCALAR},
     ),
 }

@@ -7,6 +7,8 @@ import pytest
 import samples
 import xarray as xr
 
+from brdfpipe import facets
+from brdfpipe.bsdf import microfacet
 from brdfpipe.errors import VocabularyError
 
 
@@ -75,3 +77,15 @@ def test_an_unusable_weight_is_refused(bsdf, weight):
 def test_a_dataset_that_is_no_bsdf_says_so():
     with pytest.raises(VocabularyError, match="not an evaluable bsdf"):
         samples.spectrum().bsdf.evaluate(0, 0, 0, 0)
+
+
+def test_wavelengths_in_another_unit_are_refused():
+    bsdf = samples.beckmann_bsdf()
+    with pytest.raises(VocabularyError, match="in 'um'; wavelengths are in nm"):
+        bsdf.bsdf.evaluate(0, 0, 0, 0, xr.DataArray([550.0], dims="wavelength", attrs={"units": "um"}))
+
+
+def test_polarised_light_through_an_interface_is_not_made_up():
+    bsdf = microfacet.build(facets.analytic("beckmann", 0.2), index=1.5, transparent=True)
+    assert np.isnan(bsdf.bsdf.mueller(30, 0, 150, 180).values).all()
+    assert np.isfinite(bsdf.bsdf.mueller(30, 0, 30, 180).values).all()

@@ -7,8 +7,10 @@ import json
 import numpy as np
 import pytest
 import samples
+import synthetic
 
-from brdfpipe.bsdf import lambert_gauss, microfacet
+from brdfpipe import facets
+from brdfpipe.bsdf import lambert_gauss, microfacet, representations
 
 
 def verdicts(bsdf):
@@ -24,6 +26,7 @@ def test_a_neutral_model_is_checked_too():
         "reciprocity": "pass",
         "energy": "pass",
         "positivity": "pass",
+        "grazing": "pass",
         "integral": "pass",
     }
 
@@ -65,3 +68,66 @@ def test_a_clamped_diffuse_part_shows_as_a_reflectance_that_does_not_close():
     bsdf = samples.beckmann_bsdf(0.2, reflectance=0.01)
     assert verdicts(bsdf)["closure"] == "warn"
     assert float(bsdf.bsdf.check()["closure_residual"]) == pytest.approx(0.037, abs=0.005)
+
+
+def texts(bsdf):
+    return {name: entry["text"] for name, entry in json.loads(bsdf.bsdf.check().attrs["verdicts"]).items()}
+
+
+@pytest.mark.parametrize("options", [{"masking": "none"}, {"masking": "crf"}, {"recipe": "crf"}])
+def test_what_a_named_choice_is_known_to_break_is_warned_about_with_the_angle(options):
+    bsdf = microfacet.build(facets.analytic("beckmann", 0.3), index=1.55, spectrum=samples.spectrum(0.3), **options)
+    found = verdicts(bsdf)
+    assert "fail" not in found.values()
+    assert found["energy"] == found["grazing"] == "warn"
+    name, value = next(iter(options.items()))
+    assert f"most at θ_i = 89.99°; known of {name} {value}" in texts(bsdf)["energy"]
+    assert "= 90°" in texts(bsdf)["grazing"]
+
+
+def test_the_masking_of_the_patent_is_not_reciprocal_and_says_where():
+    bsdf = microfacet.build(facets.analytic("beckmann", 0.3), index=1.55, masking="crf")
+    assert verdicts(bsdf)["reciprocity"] == "warn"
+    assert "between θ = " in texts(bsdf)["reciprocity"]
+
+
+def test_the_same_excess_of_nobodys_choice_fails(monkeypatch):
+    bsdf = synthetic.register(monkeypatch, lambda _i, o: 1 / (np.pi * np.abs(o[..., 2])))
+    # ∫ dω / π = 2 over the hemisphere.
+    assert verdicts(bsdf)["energy"] == "fail"
+    assert verdicts(bsdf)["grazing"] == "warn"
+    assert float(bsdf.bsdf.check()["albedo"][3]) == pytest.approx(2.0, rel=1e-6)
+
+
+def test_what_is_undefined_at_grazing_fails(monkeypatch):
+    def brdf(_w_i, w_o):
+        return np.where(w_o[..., 2] < 1e-3, np.nan, 0.1)
+
+    found = synthetic.register(monkeypatch, brdf)
+    assert verdicts(found)["grazing"] == "fail"
+
+
+def test_light_through_an_interface_is_reciprocal_over_the_square_of_the_index(monkeypatch):
+    bsdf = microfacet.build(facets.analytic("beckmann", 0.05), index=1.5, transparent=True)
+    found = bsdf.bsdf.check()
+    assert json.loads(found.attrs["verdicts"])["reciprocity"]["verdict"] == "pass"
+    assert float((found["albedo"] + found["transmittance"]).max()) <= 1 + 1e-6
+    # Without the square of the index the two ways differ by n² = 2.25: 2 · 1.25 / 3.25 of their mean.
+    monkeypatch.setattr(representations, "index_below", lambda *_: 1.0)
+    assert float(bsdf.bsdf.check()["reciprocity_residual"]) == pytest.approx(2 * 1.25 / 3.25, rel=1e-3)
+
+
+def test_a_lay_is_checked_all_round():
+    bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.1, a_y=0.3), index=1.5, spectrum=samples.spectrum(0.3))
+    assert set(verdicts(bsdf).values()) == {"pass"}
+    # Bright from one azimuth alone: only a check that looks all round sees it.
+    bright = bsdf.copy()
+    bright["diffuse"] = bright["diffuse"] * 0 + 1.2
+    bright["diffuse"].attrs = bsdf["diffuse"].attrs
+    assert "φ_i = " in texts(bright)["energy"]
+
+
+def test_a_smooth_surface_is_sound():
+    assert set(verdicts(microfacet.build(facets.flat(), index=1.5, spectrum=samples.spectrum(0.3))).values()) == {
+        "pass"
+    }

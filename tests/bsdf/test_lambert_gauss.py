@@ -60,6 +60,9 @@ def test_a_fit_recovers_what_it_was_made_of(theta):
     assert float(found["gauss_fwhm_parallel"][0]) == pytest.approx(10.0, rel=1e-6)
     assert float(found["gauss_fwhm_perpendicular"][0]) == pytest.approx(6.0, rel=1e-6)
     assert float(found["fit_residual"][0]) < 1e-6
+    assert float(found["fit_error_max"][0]) < 1e-5
+    # The reflectance of the model is a quadrature to 1e-6.
+    assert float(found["reflectance_error"][0]) == pytest.approx(0, abs=1e-6)
 
 
 def test_a_lambertian_has_no_lobe_to_fit():
@@ -81,6 +84,9 @@ def test_a_fit_of_a_real_lobe_states_its_residual_and_keeps_the_flux():
     assert total == pytest.approx(bsdf.bsdf.nonspectral().bsdf.albedo([0.0, 30.0, 45.0]).values, rel=0.006)
     assert (found["fit_residual"].values < 0.2).all()
     assert (found["fit_residual"].values > 0).all()
+    model = bsdf.bsdf.nonspectral().bsdf.albedo([0.0, 30.0, 45.0]).values
+    assert found["reflectance_error"].values == pytest.approx(total / model - 1, abs=1e-5)
+    assert (found["fit_error_max"] > found["fit_residual"]).all()
 
 
 @pytest.mark.parametrize("a", [0.7, 2.0])
@@ -108,3 +114,12 @@ def test_parameters_between_incidences_are_interpolated():
 def test_a_weighted_mean_of_a_lambertian_is_the_mean_reflectance():
     bsdf = lambert_gauss.lambertian(samples.spectrum(np.linspace(0, 1, 85)))
     assert float(representations.nonspectral(bsdf, np.ones(85))["lambert"]) == pytest.approx(0.5)
+
+
+def test_a_fit_of_a_lay_says_that_it_holds_for_one_azimuth():
+    bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.05, a_y=0.1, azimuth=90.0), index=1.5)
+    found = fitting.fit_lambert_gauss(bsdf, [0.0])
+    assert "the surface has a lay" in vocabulary.warnings(found)[0]
+    # The steep slopes, of 0.1 along x turned by 90°, are those along x: the lobe is wide in the plane of incidence's y.
+    ratio = float(found["gauss_fwhm_parallel"][0] / found["gauss_fwhm_perpendicular"][0])
+    assert ratio == pytest.approx(2.0, rel=0.05)

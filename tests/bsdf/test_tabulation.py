@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe import vocabulary
-from brdfpipe.bsdf import lambert_gauss, tabulation
+from brdfpipe import facets, vocabulary
+from brdfpipe.bsdf import lambert_gauss, microfacet, representations, tabulation
 from brdfpipe.errors import VocabularyError
 
 GRID = {"theta_i": np.arange(0, 81, 10.0), "theta_o": np.arange(0, 86, 5.0), "phi_o": np.arange(0, 361, 10.0)}
@@ -133,3 +133,118 @@ def test_azimuths_that_are_no_half_circle_are_refused(half):
 def test_a_missing_axis_is_named(bsdf):
     with pytest.raises(VocabularyError, match="the grid needs 'phi_o'"):
         bsdf.bsdf.tabulate({"theta_i": [0, 10], "theta_o": [0, 10]})
+
+
+SPECULAR = {
+    "theta_i": np.arange(0, 81, 5.0),
+    "theta_s": np.concatenate([np.arange(0, 60, 2.0), np.arange(60, 181, 6.0)]),
+    "phi_s": np.arange(0, 181, 10.0),
+}
+HALF = {
+    "theta_h": np.concatenate([np.arange(0, 45, 1.5), np.arange(45, 91, 5.0)]),
+    "theta_d": np.concatenate([np.arange(0, 70, 5.0), np.arange(70, 91, 1.0)]),
+    "phi_d": np.arange(0, 181, 15.0),
+}
+
+
+@pytest.mark.parametrize(("grid", "rms"), [(SPECULAR, 0.18), (HALF, 0.06)], ids=["specular", "half"])
+def test_other_layouts_hold_the_model_within_the_error_they_state(grid, rms):
+    bsdf = samples.beckmann_bsdf(0.15, reflectance=None)
+    table = bsdf.bsdf.tabulate(grid)
+    vocabulary.validate(table, "bsdf")
+    assert tabulation.verdict_of(table) == "pass"
+    assert float(table["interpolation_rms"]) < rms
+    rng = np.random.default_rng(3)
+    theta_i, theta_o = rng.uniform(0, 60, (2, 300))
+    phi_o = rng.uniform(0, 360, 300)
+    model, found = (each.bsdf.evaluate(theta_i, 20.0, theta_o, phi_o + 20).values for each in (bsdf, table))
+    share = np.abs(found - model) / np.maximum(model, float(bsdf.bsdf.albedo(0.0)) / np.pi)
+    assert share.max() <= float(table["interpolation_max"])
+    assert np.median(share) < 0.05
+
+
+@pytest.mark.parametrize("grid", [SPECULAR, HALF], ids=["specular", "half"])
+def test_other_layouts_are_exact_on_their_nodes(grid):
+    bsdf = samples.beckmann_bsdf(0.15, reflectance=None)
+    table = bsdf.bsdf.tabulate(grid)
+    layout = tabulation.GRIDS["specular" if "theta_s" in grid else "half"]
+    nodes = [axis[[1, 4, 5]] for axis in grid.values()]
+    at = dict(zip(grid, np.meshgrid(*nodes, indexing="ij"), strict=True))
+    theta_i, phi_i, theta_o, phi_o = (angle.ravel() for angle in layout.directions(at))
+    above = (theta_i < 89) & (theta_o < 89)
+    directions = theta_i[above], phi_i[above], theta_o[above], phi_o[above]
+    assert above.sum() > 20
+    assert table.bsdf.evaluate(*directions).values == pytest.approx(bsdf.bsdf.evaluate(*directions).values, rel=1e-6)
+
+
+def test_finer_steps_err_less():
+    bsdf = samples.beckmann_bsdf(0.15, reflectance=None)
+    coarse = bsdf.bsdf.tabulate(HALF)
+    fine = bsdf.bsdf.tabulate(
+        {name: np.unique(np.append(axis, (axis[1:] + axis[:-1]) / 2)) for name, axis in HALF.items()}
+    )
+    # Linear interpolation: half the step, a quarter of the error.
+    assert float(coarse["interpolation_rms"] / fine["interpolation_rms"]) == pytest.approx(4, rel=0.3)
+
+
+def test_the_reflectance_of_a_uniform_table_is_exactly_that_of_its_interpolation(table):
+    # Against a quadrature whose cells end at the nodes.
+    theta = np.array([0.0, 33.0, 71.0])
+    own = representations.albedo(table, theta, np.zeros(3), None)
+    found = representations.integrated(table, theta, np.zeros(3), None, relative=1e-8)
+    assert own == pytest.approx(found.value, rel=1e-8)
+
+
+def test_a_table_may_hold_both_sides_of_an_interface():
+    bsdf = microfacet.build(facets.analytic("beckmann", 0.3), index=1.5, transparent=True)
+    grid = {
+        "theta_i": [0.0, 30.0, 60.0, 120.0, 150.0, 180.0],
+        "theta_o": np.concatenate([np.arange(0, 89, 3.0), np.arange(92, 181, 3.0)]),
+        "phi_o": np.arange(0, 361, 6.0),
+    }
+    table = bsdf.bsdf.tabulate(grid)
+    for direction in ((30, 0, 60, 180), (30, 0, 161, 180), (150, 0, 60, 180), (150, 0, 161, 180)):
+        assert float(table.bsdf.evaluate(*direction)) == pytest.approx(float(bsdf.bsdf.evaluate(*direction)), rel=1e-9)
+    # Between 87 and 92° nothing is mixed: what is reflected stays as it was at the last node above.
+    assert float(table.bsdf.evaluate(30, 0, 89.5, 180)) == float(table.bsdf.evaluate(30, 0, 87, 180))
+    # Steps of 3° on a lobe of 6°.
+    model = bsdf.bsdf.transmittance([0.0, 150.0]).values
+    assert table.bsdf.transmittance([0.0, 150.0]).values == pytest.approx(model, rel=0.05)
+    assert vocabulary.warnings(table) == []
+    above = bsdf.bsdf.tabulate({**grid, "theta_o": np.arange(0, 89, 3.0), "theta_i": [0.0, 30.0, 60.0]})
+    assert "the table holds reflection alone" in vocabulary.warnings(above)[0]
+
+
+@pytest.fixture(scope="module")
+def lay():
+    return microfacet.build(facets.analytic("beckmann", a_x=0.2, a_y=0.4, azimuth=25.0), index=1.5)
+
+
+LAY = {"theta_i": np.arange(0, 61, 20.0), "theta_o": np.arange(0, 90, 4.0), "phi_o": np.arange(0, 361, 10.0)}
+
+
+def test_a_table_of_a_lay_carries_the_azimuth_of_incidence(lay):
+    table = lay.bsdf.tabulate({**LAY, "phi_i": np.arange(0, 361, 30.0)})
+    assert table["brdf"].dims == ("phi_i", "theta_i", "theta_o", "phi_o")
+    for phi_i in (0.0, 60.0, -90.0, 390.0):
+        direction = (40, phi_i, 36, phi_i + 170)
+        assert float(table.bsdf.evaluate(*direction)) == pytest.approx(float(lay.bsdf.evaluate(*direction)), rel=1e-9)
+    assert not representations.isotropic(table)
+
+
+def test_a_table_of_a_lay_without_that_azimuth_holds_the_mean_and_says_so(lay):
+    table = lay.bsdf.tabulate(LAY)
+    turns = np.arange(0, 360, 30.0)
+    mean = lay.bsdf.evaluate(40, turns, 36, turns + 170).mean()
+    assert float(table.bsdf.evaluate(40, 0, 36, 170)) == pytest.approx(float(mean), rel=1e-9)
+    assert "add `phi_i` to the grid" in vocabulary.warnings(table)[0]
+
+
+def test_half_a_circle_is_refused_for_a_lay(lay):
+    with pytest.raises(VocabularyError, match="must cover 360 degree"):
+        lay.bsdf.tabulate({**LAY, "phi_o": np.arange(0, 181, 10.0), "phi_i": [0.0, 360.0]})
+
+
+def test_a_smooth_surface_loses_its_mirror_image_and_is_told():
+    table = microfacet.build(facets.flat(), index=1.5, spectrum=samples.spectrum(0.3)).bsdf.nonspectral()
+    assert any("perfectly specular" in text for text in vocabulary.warnings(table.bsdf.tabulate(GRID)))

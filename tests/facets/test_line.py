@@ -9,6 +9,7 @@ import samples
 from brdfpipe import facets, masking, surfaces, vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.planar import PlanarDensity
+from brdfpipe.surfaces.heights import LINE_MIN
 
 
 def gaussian(slope, sigma):
@@ -62,10 +63,47 @@ def test_a_grooved_line_is_no_mixture_of_gaussians():
     assert any("no mixture of Gaussians" in warning for warning in vocabulary.warnings(table))
 
 
-def test_a_short_or_flat_line_is_refused():
-    for height in (np.random.default_rng(0).normal(size=50), np.zeros(500)):
-        with pytest.raises(facets.FacetError, match="at least 128 are needed"):
-            facets.estimate(samples.surface(height), isotropic=True)
+def test_a_short_line_is_refused():
+    with pytest.raises(facets.FacetError, match="has 49 slopes between neighbouring heights, at least 63 are needed"):
+        facets.estimate(samples.surface(np.random.default_rng(0).normal(size=50)), isotropic=True)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+def test_a_flat_line_is_refused_as_such(tilt):
+    with pytest.raises(facets.FacetError, match="is flat: all its slopes are equal"):
+        facets.estimate(samples.surface(tilt * np.arange(1000)), isotropic=True)
+
+
+@pytest.mark.parametrize("factor", [1e-200, 1e-12, 1e12, 1e60, 1e200])
+def test_heights_in_a_unit_that_cannot_be_are_refused_as_such(factor):
+    line = gaussian_line(1000)
+    line["height"] = line["height"] * factor
+    with pytest.raises(facets.FacetError, match=r"none that a surface can have; check the unit.*`surface\.unit`"):
+        facets.estimate(line, isotropic=True)
+
+
+@pytest.mark.parametrize("azimuth", [float("nan"), float("inf")])
+def test_an_azimuth_that_is_no_number_is_refused(azimuth):
+    with pytest.raises(facets.FacetError, match="azimuth is no number"):
+        facets.estimate(lines_at(0.0, azimuth))
+
+
+def test_the_shortest_line_that_is_read_has_a_density_of_which_little_is_known():
+    table = facets.estimate(gaussian_line(LINE_MIN), isotropic=True)
+    assert float(table["facet_count"]) == LINE_MIN - 1
+    # The peak of 63 Gaussian slopes deviates by 33 % (median of 20 lines).
+    assert float(table["D_u"][0] / table["D"][0]) > 0.25
+    assert any("independent slopes along the line" in warning for warning in vocabulary.warnings(table))
+
+
+@pytest.mark.parametrize(("points", "warned"), [(200, True), (20_000, False)])
+def test_few_slopes_are_warned_of(points, warned):
+    table = facets.estimate(gaussian_line(points), isotropic=True)
+    assert any("surface.scans" in warning for warning in vocabulary.warnings(table)) == warned
+    rough, smooth = lines_at(0.0, 90.0, points=points)
+    assert (
+        any("surface.scans" in warning for warning in vocabulary.warnings(facets.estimate([rough, smooth]))) == warned
+    )
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -148,9 +186,47 @@ def test_masking_along_two_perpendicular_lines_is_that_of_each():
         assert masking.g1(table, [75.0, 85.0], azimuth).values == pytest.approx(alone, abs=0.01)
 
 
-def test_lines_that_are_not_perpendicular_are_refused():
-    with pytest.raises(facets.FacetError, match="perpendicular"):
-        facets.estimate([gaussian_line(1000), gaussian_line(1000).assign_attrs(azimuth=40.0)])
+def lines_at(*azimuths, points=2000):
+    return [
+        gaussian_line(points, sigma=0.2 if n % 2 else 0.1, seed=n).assign_attrs(azimuth=azimuth)
+        for n, azimuth in enumerate(azimuths)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "found"), [((0, 40.0), "2, at 0°, 40°"), ((0, 45.0, 90.4), "3, at 0°, 45°, 90.4°")]
+)
+def test_directions_that_are_not_two_and_perpendicular_are_refused_with_their_azimuths(azimuths, found):
+    with pytest.raises(facets.FacetError, match=rf"two perpendicular directions \(within 1°\).*found {found}"):
+        facets.estimate(lines_at(*azimuths))
+
+
+@pytest.mark.parametrize("azimuths", [(0.3,), (0.0, 0.6), (179.8, 0.1), (90.0, 270.5)])
+def test_lines_within_a_degree_run_in_a_single_direction(azimuths):
+    with pytest.raises(facets.FacetError, match="lines in a single direction"):
+        facets.estimate(lines_at(*azimuths))
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "lay"), [((0.0, 90.0, 0.4), 0.2), ((179.8, 90.0, 0.2), 0.0), ((30.0, 120.5), 30.0)]
+)
+def test_lines_within_a_degree_count_together(azimuths, lay):
+    table = facets.estimate(lines_at(*azimuths))
+    assert float(table["lay"]) == pytest.approx(lay, abs=1e-6)
+    assert float(table["facet_count"]) == len(azimuths) * 1999
+
+
+def test_lines_of_different_pitch_are_refused_but_for_a_per_cent():
+    one, two = lines_at(0.0, 0.0)
+    facets.estimate([one, two.assign_attrs(pitch_x=1.009)], isotropic=True)
+    with pytest.raises(facets.FacetError, match="pitch_x is 1 um and 2 um"):
+        facets.estimate([one, two.assign_attrs(pitch_x=2.0)], isotropic=True)
+
+
+def test_slopes_by_scale_are_about_the_mean_of_each_line():
+    height = gaussian_line(5000)["height"].values
+    table = facets.estimate(samples.surface(height + 0.5 * np.arange(5000)), isotropic=True)
+    assert float(table["slope_rms_scale"][0]) == pytest.approx(float(table["slope_rms"]), rel=1e-3)
 
 
 def test_an_unknown_method_is_refused():
@@ -178,3 +254,71 @@ def test_a_real_profile_of_coarse_heights_keeps_its_slope(shared_data):
     profile = surfaces.level(surfaces.read_surface(shared_data / "surfaces" / "hfm-1.hfm"))
     table = facets.estimate(profile, isotropic=True)
     assert float(table["slope_rms"]) == pytest.approx(0.0224, rel=0.02)
+    assert "counted in whole ones" in table.attrs["history"]
+    # The stage rang at the measurement: the shoulder is too steep for a mixture, and rings now keep the mean.
+    assert table.attrs["method"] == "line profile, abel"
+    assert not any("do not keep" in warning for warning in vocabulary.warnings(table))
+
+
+def test_coarse_steps_are_warned_of():
+    quantum = 0.07
+    table = facets.estimate(samples.surface(quantum * np.round(gaussian_line()["height"] / quantum)), isotropic=True)
+    assert any("finer height resolution" in warning for warning in vocabulary.warnings(table))
+
+
+@pytest.mark.parametrize("share", [2.0, 3.0, 4.0])
+def test_steps_far_coarser_than_the_slopes_tell_how_wide_they_are_and_no_more(share):
+    # Of steps of four rms, a fifth of the slopes is not zero.
+    quantum = 0.1 * share
+    table = facets.estimate(samples.surface(quantum * np.round(gaussian_line()["height"] / quantum)), isotropic=True)
+    assert any("coarse steps" in warning for warning in vocabulary.warnings(table))
+    slope = 0.1 * np.array([0.0, 0.5, 1.0, 1.5])
+    assert RadialDensity.of(table)(slope**2) == pytest.approx(gaussian(slope, 0.1), rel=0.1)
+    assert (table["D_u"] / table["D"]).values.min() > 0.6
+
+
+def test_what_no_way_fits_is_not_known():
+    # Nine in ten slopes are zero and the others any: a plateau, whose peak neither way can give.
+    rng = np.random.default_rng(7)
+    slopes = np.where(rng.random(50_000) < 0.9, 0.0, rng.normal(scale=0.1, size=50_000))
+    table = facets.estimate(line(slopes), isotropic=True)
+    assert any("no mixture of Gaussians" in warning for warning in vocabulary.warnings(table))
+    assert (table["D_u"] / table["D"]).values[0] > 0.5
+
+
+@pytest.mark.parametrize("share", [1.0, 2.0, 3.0])
+def test_what_lies_between_coarse_steps_is_uncertain_by_as_much_as_its_shape_may_be_off(share):
+    # Steps in units of the width of GGX: neither a mixture nor rings can know its peak.
+    height = 0.1 * share * np.round(ggx_line()["height"] / (0.1 * share))
+    table = facets.estimate(samples.surface(height), isotropic=True)
+    slope = 0.1 * np.array([0.0, 0.5, 1.0, 2.0])
+    deviation = RadialDensity.of(table)(slope**2) / ggx(slope, 0.1) - 1
+    relative_u = np.interp(slope, table["slope"], (table["D_u"] / table["D"]).values)
+    assert np.abs(deviation / relative_u).max() < 2
+
+
+def test_lines_of_different_quanta_give_the_density_of_each():
+    lines = [
+        samples.surface(quantum * np.round(gaussian_line(seed=seed)["height"] / quantum))
+        for seed, quantum in ((1, 0.025), (2, 0.01), (3, 0.08))
+    ]
+    lines.append(gaussian_line(seed=4))
+    slope = 0.1 * np.array([0.0, 0.5, 1.0, 1.5, 2.0])
+    for method, limit in (("mixture", 0.02), ("abel", 0.03)):
+        table = facets.estimate(lines, isotropic=True, method=method)
+        assert RadialDensity.of(table)(slope**2) == pytest.approx(gaussian(slope, 0.1), rel=limit)
+        assert not any("no mixture" in warning for warning in vocabulary.warnings(table))
+        # Of 400 000 slopes, few are correlated.
+        assert float(table["effective_count"]) > 200_000
+
+
+def test_the_patents_histogram_of_lines_of_different_quanta_is_that_of_one():
+    fine, coarse = gaussian_line(seed=1), gaussian_line(seed=2)
+    mixed = [fine, samples.surface(0.03 * np.round(coarse["height"] / 0.03))]
+    slope = 0.1 * np.array([0.3, 0.6, 1.0, 1.5])
+    found, expected = (
+        RadialDensity.of(facets.estimate(lines, isotropic=True, method="crf"))(slope**2)
+        for lines in (mixed, [fine, coarse])
+    )
+    # Bins of a few thousand slopes each, whose borders differ, and 1.5 % more mean square by rounding.
+    assert found == pytest.approx(expected, rel=0.06)

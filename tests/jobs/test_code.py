@@ -81,6 +81,24 @@ def test_the_digest_changes_with_the_libraries(root: Path, monkeypatch: pytest.M
     assert digest(root) != before
 
 
+def test_the_digest_changes_with_an_optional_library_of_a_module_the_stage_uses(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = digest(root)
+    monkeypatch.setattr(code, "EXTRAS", {"brdfpipe.optics.fresnel": "no-such-library", "brdfpipe.other": "numpy"})
+    absent = digest(root)
+    monkeypatch.setattr(code, "EXTRAS", {"brdfpipe.optics.fresnel": "numpy"})
+    assert len({before, absent, digest(root)}) == 3
+    monkeypatch.setattr(code, "EXTRAS", {"brdfpipe.other": "numpy"})
+    assert digest(root) == before
+
+
+def test_the_reader_of_instruments_files_counts_with_its_library() -> None:
+    from brdfpipe.surfaces import instruments
+
+    assert {instruments.__name__: instruments.LIBRARY} == code.EXTRAS
+
+
 @pytest.mark.parametrize("stage", sorted(path.stem for path in SCRIPTS.glob("*.py")))
 def test_every_stage_has_a_digest_of_its_own(stage: str) -> None:
     assert len(code.digest(SCRIPTS / f"{stage}.py")) == 32
@@ -105,6 +123,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
         "bsdf": ({"predicted": material / "predicted"}, ["bsdf"]),
         "checks": ({"bsdf": material / "bsdf"}, ["checks"]),
         "appearance": ({"bsdf": material / "bsdf"}, ["appearance"]),
+        "preview": ({"bsdf": material / "bsdf"}, ["preview", "png"]),
         "table": ({"bsdf": material / "bsdf"}, ["table"]),
         "lambert_gauss": ({"bsdf": material / "bsdf"}, ["lambert_gauss", "csv"]),
         "export_astm": ({"table": material / "table", "bsdf": material / "bsdf"}, ["astm", "total_reflectance"]),

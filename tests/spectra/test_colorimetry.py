@@ -126,6 +126,35 @@ def test_the_colour_difference_is_the_distance() -> None:
     assert colorimetry.delta_e_ab([[50, 3, 4], [50, 0, 0]], [50, 0, 0]).tolist() == [5, 0]
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        # Sharma, Wu & Dalal 2005, table 1: pairs 1, 7, 8, 9, 10, 13, 16, 17, 25 and 34.
+        ((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425),
+        ((50, 0, 0), (50, -1, 2), 2.3669),
+        ((50, -1, 2), (50, 0, 0), 2.3669),
+        ((50, 2.49, -0.001), (50, -2.49, 0.0009), 7.1792),
+        ((50, 2.49, -0.001), (50, -2.49, 0.0010), 7.1792),
+        ((50, -0.001, 2.49), (50, 0.0009, -2.49), 4.8045),
+        ((50, 2.5, 0), (50, 0, -2.5), 4.3065),
+        ((50, 2.5, 0), (73, 25, -18), 27.1492),
+        ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
+        ((2.0776, 0.0795, -1.1350), (0.9033, -0.0636, -0.5514), 0.9082),
+    ],
+)
+def test_ciede2000_has_the_values_of_its_test_table(first: tuple, second: tuple, expected: float) -> None:
+    assert colorimetry.delta_e_00(first, second) == pytest.approx(expected, abs=5.1e-5)
+
+
+def test_ciede2000_agrees_with_colour_science_and_is_symmetric(colour: ModuleType) -> None:
+    rng = np.random.default_rng(0)
+    first = rng.uniform([0, -100, -100], [100, 100, 100], (2000, 3))
+    second = first + rng.normal(0, 1, (2000, 3)) * rng.uniform(0, 60, (2000, 1))
+    assert colorimetry.delta_e_00(first, second) == pytest.approx(colour.delta_E(first, second, method="CIE 2000"), abs=1e-9)
+    assert colorimetry.delta_e_00(second, first) == pytest.approx(colorimetry.delta_e_00(first, second), abs=1e-9)
+    assert (colorimetry.delta_e_00(first, first) == 0).all()
+
+
 def test_white_grey_and_black_are_so_on_the_screen() -> None:
     srgb = colorimetry.reflectance_to_srgb([400, 700], [[1, 1], [0.21404114, 0.21404114], [0, 0]])
     # 0.21404114 is the linear value of 0.5 (IEC 61966-2-1).
@@ -225,3 +254,13 @@ def test_luminous_weights_average_a_straight_line_alike_on_every_grid() -> None:
 def test_stages_do_not_load_the_colour_library() -> None:
     code = "import sys, brdfpipe.spectra, brdfpipe.spectra.colorimetry as c; c.weights(); sys.exit('colour' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_ciede2000_agrees_with_an_independent_library():
+    colour = pytest.importorskip("colour")
+    random = np.random.default_rng(1)
+    first = random.uniform([0, -100, -100], [100, 100, 100], (500, 3))
+    first[:20, 1:] = 0
+    second = first + random.normal(0, 20, first.shape)
+    expected = colour.delta_E(first, second, method="CIE 2000")
+    assert colorimetry.delta_e_00(first, second) == pytest.approx(expected, abs=1e-10)

@@ -62,6 +62,14 @@ def test_a_wrong_or_missing_key_is_refused_by_name(spec: Any, key: str, message:
     assert refusal.value.key == key
 
 
+def test_the_method_its_threshold_and_seed_reach_the_search(tmp_path: Path) -> None:
+    spec = {**LAB, "lab": [50.0, 10.0, 5.0], "method": "adaptive4", "threshold": 0.01, "seed": 3}
+    spectrum = ingest(spec, checkpoint=tmp_path / "search.json")
+    assert (spectrum.attrs["method"], spectrum.attrs["seed"], spectrum.attrs["threshold"]) == ("adaptive4", 3, 0.01)
+    assert spectrum.attrs["residual_delta_e"] < 0.01
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_gloss_trap_belongs_to_a_reflectance_without_the_specular() -> None:
     spec = {"lab": [50, 0, 0], "illuminant": "D65", "observer": 10, "geometry": "sce", "specular_trap": 3}
     assert ingest(spec).attrs["specular_trap"] == 3.0

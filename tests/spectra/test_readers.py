@@ -90,19 +90,37 @@ def test_a_reflectance_just_above_one_is_kept_and_warned_about(shared_data: Path
     assert any("exceeds 1 at 5 wavelengths from 690 to 730 nm" in warning for warning in warnings(spectrum))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "vinyl_red_pe.asc",
-        "abs_black.qtx",
-        "colorchecker_white.cxf",
-        "colorchecker_red_jcamp.jdx",
-        "colorchecker_cyan.ti3",
-    ],
-)
-def test_other_containers_are_refused_with_those_read(name: str) -> None:
-    with pytest.raises(InputError, match=r"not read; found \.\w+; accepted: columns of text in \.csv, .*\.txt"):
-        read_spectrum(name, geometry="sci")
+def test_other_extensions_are_refused_with_those_read() -> None:
+    with pytest.raises(InputError, match=r"not read; found \.sp; accepted: \.asc, .*\.cxf, .*\.txt.*`spectrum\.format`"):
+        read_spectrum("vinyl_red.sp", geometry="sci")
+
+
+@pytest.mark.parametrize(("nm", "value"), [(500, "64"), (520, "2")])
+def test_a_value_off_its_neighbours_is_warned_about(read, nm: int, value: str) -> None:
+    spectrum = read(rows(400, 700).replace(f"{nm};50", f"{nm};{value}"))
+    assert f"at {nm} nm lies" in warnings(spectrum)[0]
+    assert len(warnings(spectrum)) == 1
+
+
+def test_a_narrow_peak_and_a_steep_edge_are_no_reason_to_warn(read) -> None:
+    nm = np.arange(400, 701, 10)
+    for shape in (80 * np.exp(-(((nm - 550) / 12) ** 2)), 90 / (1 + np.exp((500 - nm) / 6))):
+        text = HEAD + "".join(f"{w};{r:.4f}\n" for w, r in zip(nm, shape, strict=True))
+        assert warnings(read(text)) == []
+
+
+def test_a_jump_between_level_stretches_is_warned_about(read) -> None:
+    text = HEAD + "".join(f"{nm};{20 if nm < 550 else 70}\n" for nm in range(400, 701, 10))
+    assert "jumps by 0.5 from 540 to 550 nm" in warnings(read(text))[0]
+
+
+def test_a_wavelength_out_of_order_is_warned_about(read) -> None:
+    assert "neither rise nor fall" in warnings(read(rows(400, 700).replace("550;50", "655;50")))[0]
+
+
+def test_repeated_readings_that_disagree_are_warned_about(read) -> None:
+    assert "readings at 600 nm lie 0.1 from their mean" in warnings(read(rows(400, 700) + "600;30\n"))[0]
+    assert warnings(read(rows(400, 700) + "600;51\n")) == []
 
 
 def test_a_percent_header_makes_dark_values_percent(read) -> None:

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 from brdfpipe.errors import InputError
 from brdfpipe.optics import fresnel
-from brdfpipe.spectra import colorimetry, recover
-from brdfpipe.spectra.recovery import largest_chroma, lhtss
+from brdfpipe.spectra import colorimetry, metamerism, recover
+from brdfpipe.spectra.recovery import METHODS, largest_chroma, lhtss, nearest_colour
 from brdfpipe.store import save_dataset
 from brdfpipe.vocabulary import validate
+from brdfpipe.vocabulary import warnings as told
 
 F8 = float(fresnel(np.cos(np.radians(8)), 1.55).mean)
 
@@ -192,7 +193,7 @@ def test_an_unknown_illuminant_or_observer_names_its_key(options: dict, key: str
 
 
 def test_an_unknown_method_is_refused_with_those_known() -> None:
-    with pytest.raises(InputError, match="unknown method of recovery; found 'magic'; accepted: lhtss"):
+    with pytest.raises(InputError, match="unknown method of recovery; found 'magic'; accepted: lhtss, basis4, random4, adaptive4"):
         recover([50, 0, 0], illuminant="D65", observer=10, method="magic")
 
 
@@ -202,3 +203,92 @@ def test_a_recovered_spectrum_is_valid_and_says_how_it_was_made(tmp_path: Path) 
     expected = {"geometry": "sce", "theta_i": 10.0, "method": "lhtss", "illuminant": "D65", "observer": 10}
     assert {key: spectrum.attrs[key] for key in expected} == expected
     assert spectrum["wavelength"].values.tolist() == list(range(360, 781, 5))
+
+
+def test_a_thousand_random_colours_of_reflectances_are_matched() -> None:
+    rng = np.random.default_rng(11)
+    table = colorimetry.weights("D65", 10)
+    knots = np.linspace(360, 780, 7)
+    reflectances = np.stack([np.interp(table.wavelength, knots, row) for row in rng.beta(0.7, 0.7, (1000, 7)).clip(0.003, 0.997)])
+    labs = colorimetry.xyz_to_lab(reflectances @ table.weights, table.white)
+    found = lhtss(colorimetry.lab_to_xyz(labs, table.white), illuminant="D65", observer=10)
+    assert found.reached.all()
+    back = colorimetry.xyz_to_lab(found.reflectance @ table.weights, table.white)
+    assert colorimetry.delta_e_ab(back, labs).max() < 1e-5
+
+
+@pytest.mark.parametrize("lab", [[50, 200, 0], [5, -60, 40], [95, -90, 20], [30, -120, 100], [100, 0, -2], [0, 3, 0]])
+def test_the_nearest_colour_is_reachable_and_no_spectrum_of_many_is_nearer(lab: list[float]) -> None:
+    with pytest.raises(InputError, match=r"no reflectance has this colour.*nearest colour is L\*a\*b\* \("):
+        recover(lab, illuminant="D65", observer=10)
+    near = nearest_colour(lab, illuminant="D65", observer=10)
+    apart = colorimetry.delta_e_ab(near, lab)
+    recover(near, illuminant="D65", observer=10)
+    # Spectra of 0 and 1 with two steps bound all object colours (Schroedinger).
+    table = colorimetry.weights("D65", 10)
+    first, second = np.meshgrid(table.wavelength, table.wavelength)
+    band = ((table.wavelength >= first[..., None]) & (table.wavelength <= second[..., None])).astype(float).reshape(-1, 85)
+    limits = colorimetry.xyz_to_lab(np.concatenate([band, 1 - band]) @ table.weights, table.white)
+    # Some per mille of grey and two decimals are given away.
+    assert apart < colorimetry.delta_e_ab(limits, lab).min() * 1.03 + 0.5
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("index", [None, 1.55])
+def test_every_method_reaches_the_colour_above_its_floor(method: str, index: float | None) -> None:
+    lab = [50.0, 20.0, 10.0]
+    spectrum = validate(
+        recover(lab, illuminant="D65", observer=10, method=method, threshold=1.5, specular_index=index), "spectrum"
+    )
+    residual = colorimetry.delta_e_ab(lab_of(spectrum), lab)
+    assert residual < (1e-6 if method in ("lhtss", "basis4") else 1.5)
+    assert spectrum.attrs["residual_delta_e"] == pytest.approx(residual, abs=1e-9)
+    assert spectrum["total_reflectance"].min() >= (F8 if index else 0)
+    assert spectrum.attrs["method"] == method
+
+
+@pytest.mark.parametrize("method", ["basis4", "random4", "adaptive4"])
+@pytest.mark.parametrize("lab", [[50, 100, 0], [100, 0, 0], [70, -60, -50]])
+def test_a_colour_no_mixture_has_is_refused_with_the_nearest(method: str, lab: list[float]) -> None:
+    with pytest.raises(InputError, match=r"no mixture of the four.*accepted: lhtss; or .*nearest one, L\*a\*b\* \(") as refusal:
+        recover(lab, illuminant="D65", observer=10, method=method)
+    assert refusal.value.key == "spectrum.method"
+
+
+def test_a_search_that_does_not_reach_its_threshold_is_warned_about(tmp_path: Path) -> None:
+    (tmp_path / "best.json.stop").touch()
+    spectrum = recover(
+        [50, 20, 10], illuminant="D65", observer=10, method="random4", threshold=1e-6, checkpoint=tmp_path / "best.json"
+    )
+    assert "was stopped on request" in told(spectrum)[0]
+
+
+@pytest.mark.parametrize(("options", "key"), [({"threshold": 0.0}, "threshold"), ({"threshold": np.nan}, "threshold"), ({"seed": -1}, "seed"), ({"seed": 1.5}, "seed")])
+def test_a_threshold_or_seed_out_of_range_names_its_key(options: dict, key: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        recover([50, 0, 0], illuminant="D65", observer=10, method="random4", **options)
+    assert refusal.value.key == f"spectrum.{key}"
+
+
+def test_metamerism_compares_the_methods_under_other_light(colour: ModuleType) -> None:
+    found = metamerism([40, 20, 10], illuminant="D65", observer=10, methods=("lhtss", "basis4", "adaptive4"))
+    assert found["delta_e00"].dims == ("light", "recovery", "other")
+    assert found["light"].values.tolist() == ["A", "FL2", "LED-B3"]
+    pairs = found["delta_e00"].values
+    np.testing.assert_allclose(pairs, np.swapaxes(pairs, 1, 2), atol=1e-9)
+    assert np.abs(np.einsum("lmm->lm", pairs)).max() < 1e-9
+    table = colorimetry.weights("A", 10)
+    labs = colorimetry.xyz_to_lab(found["total_reflectance"].values @ table.weights, table.white)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        theirs = float(colour.delta_E(labs[0], labs[1], method="CIE 2000"))
+    assert float(found["delta_e00"].sel(light="A", recovery="lhtss", other="basis4")) == pytest.approx(theirs, rel=1e-9)
+
+
+def test_a_recovered_spectrum_says_what_the_other_exact_method_would_have_changed() -> None:
+    lhtss_attrs = recover([40, 20, 10], illuminant="D65", observer=10).attrs
+    pair = metamerism([40, 20, 10], illuminant="D65", observer=10, methods=("lhtss", "basis4"))["delta_e00"]
+    for light in ("A", "FL2", "LED-B3"):
+        assert lhtss_attrs[f"metamerism_{light}"] == pytest.approx(float(pair.sel(light=light, recovery="lhtss", other="basis4")))
+    assert lhtss_attrs["metamerism_against"] == "basis4"
+    assert "metamerism_A" not in recover([70, -55, -45], illuminant="D65", observer=10).attrs

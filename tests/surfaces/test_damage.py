@@ -22,6 +22,7 @@ INSTALLED = importlib.util.find_spec("SurfaceTopography") is not None
 UNSTATED = {"unit": "um", "pitch": 1.0}
 OPTIONS = {"txt": UNSTATED, "csv": {"unit": "um"}, "npy": UNSTATED}
 """Extension → what the format does not state."""
+TEXT = ("txt", "csv", "hfm")
 REAL = (
     "al3d-1.al3d",
     "frt-1.frt",
@@ -117,24 +118,47 @@ def test_empty_files_and_random_bytes_are_refused(whole: Files, tmp_path: Path) 
 
 def test_files_under_the_extension_of_another_format_are_refused(whole: Files, tmp_path: Path) -> None:
     # Text is text under either of its extensions, and HFM is x, z and a third column to it.
-    text = {"txt", "csv", "hfm"}
     for suffix in whole:
         for other, content in whole.items():
-            if other != suffix and not {suffix, other} <= text:
+            if other != suffix and not {suffix, other} <= {*TEXT}:
                 (tmp_path / f"{other}.{suffix}").write_bytes(content)
                 assert outcome(tmp_path / f"{other}.{suffix}") == "refused", f"{other} as {suffix}"
 
 
 def test_cut_files_are_refused(whole: Files, tmp_path: Path) -> None:
     for suffix, content in whole.items():
+        if suffix in TEXT:
+            continue
         for share in (0.02, 0.3, 0.7, 0.95):
-            cut = content[: int(share * len(content))]
-            (tmp_path / f"cut.{suffix}").write_bytes(cut)
-            # Columns of text have no end to miss; a file of fewer rows is a file.
-            if suffix not in ("txt", "csv", "hfm"):
-                assert outcome(tmp_path / f"cut.{suffix}") == "refused", f"{suffix} cut at {share}"
-            else:
-                outcome(tmp_path / f"cut.{suffix}")
+            (tmp_path / f"cut.{suffix}").write_bytes(content[: int(share * len(content))])
+            assert outcome(tmp_path / f"cut.{suffix}") == "refused", f"{suffix} cut at {share}"
+
+
+@pytest.mark.parametrize("suffix", TEXT)
+def test_text_cut_within_a_row_is_refused_or_doubted(whole: Files, tmp_path: Path, suffix: str) -> None:
+    # Text has no end to miss: cut between two rows, it is a file of fewer rows.
+    content = whole[suffix]
+    for share in (0.3, 0.7, 0.95):
+        start = content.index(b"\n", int(share * len(content))) + 1
+        end = content.index(b"\n", start)
+        for cut in {*range(start + 1, min(start + 30, end)), *range(max(start + 1, end - 30), end)}:
+            path = tmp_path / f"{cut}.{suffix}"
+            path.write_bytes(content[:cut])
+            if outcome(path) == "read":
+                surface = read_surface(path, **OPTIONS.get(suffix, {}))
+                assert any("cut short" in text for text in vocabulary.warnings(surface)), content[start:cut]
+
+
+def test_real_text_that_is_cut_is_doubted_and_the_whole_is_not(shared_data: Path, tmp_path: Path) -> None:
+    for name, share, options, doubt in (
+        ("dektak-1.csv", 0.5, {"unit": "um"}, "It states a length of 1500 um and holds 782"),
+        ("nanovea_test1.txt", 0.9, {"unit": "um", "lateral_unit": "mm"}, "The last row of its points is not complete"),
+    ):
+        whole, cut = shared_data / "surfaces" / name, tmp_path / name
+        content = whole.read_bytes()
+        cut.write_bytes(content[: int(share * len(content))])
+        assert not any("cut short" in text for text in vocabulary.warnings(read_surface(whole, **options)))
+        assert any(f"cut short? {doubt}" in text for text in vocabulary.warnings(read_surface(cut, **options)))
 
 
 def test_files_with_flipped_bits_are_refused_or_still_surfaces(whole: Files, tmp_path: Path) -> None:

@@ -101,6 +101,23 @@ def test_a_spike_is_warned_of(spike: float, warned: bool) -> None:
     assert any("a spike or a damaged height" in text for text in vocabulary.warnings(surface)) == warned
 
 
+@pytest.mark.parametrize(("step", "warned"), [(0.1, False), (3.0, True)])
+def test_a_few_steps_that_carry_the_slope_are_warned_of(step: float, warned: bool) -> None:
+    height = rough((100, 100), slope=0.01)
+    # Of a block out of place the edges alone are steep.
+    height[30:60, 40:80] += step
+    texts = vocabulary.warnings(examine(surface_dataset(Heights(height, 1.0, 1.0)), FILE))
+    assert any("A few steps carry most of the slope" in text for text in texts) == warned
+
+
+def test_the_heavy_tail_of_ggx_is_no_few_steps() -> None:
+    u = np.random.default_rng(7).uniform(-1, 1, 200_000)
+    # Its slopes along a line, P1 = a² / [2 (a² + p²)^(3/2)], inverted; heights are their sum.
+    height = np.cumsum(0.1 * u / np.sqrt(1 - u * u))
+    texts = vocabulary.warnings(examine(surface_dataset(Heights(height, 1.0)), FILE))
+    assert not any("A few steps" in text for text in texts)
+
+
 def test_heights_that_overflow_are_refused_in_words() -> None:
     height = rough()
     height[3, 4], height[5, 6] = 1e300, -1e308

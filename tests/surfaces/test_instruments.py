@@ -13,8 +13,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from brdfpipe import facets, vocabulary
 from brdfpipe.errors import InputError
+from brdfpipe.report.raster import false_colour
 from brdfpipe.surfaces import ingest, instruments, level, parameters, read_surface
+from brdfpipe.surfaces.reading import check_readable
 
 
 @pytest.fixture
@@ -82,7 +85,24 @@ def test_the_real_al3d_map_lies_as_its_bytes_do(shared_data: Path) -> None:
     content = path.read_bytes()
     offset = int(content[content.index(b"DepthImageOffset") + 20 :][:30].strip(b"\0 "))
     raw = np.frombuffer(content, "<f4", 200 * 296, offset).reshape(296, 200) * 1e6
-    np.testing.assert_allclose(read_surface(path).height, raw, rtol=1e-6)
+    surface = read_surface(path)
+    # The bytes run from the upper edge of the picture down, y runs up.
+    np.testing.assert_allclose(surface.height, raw[::-1], rtol=1e-6)
+    picture, _ = false_colour(surface.height.values, float(raw.min()), float(raw.max()))
+    assert np.corrcoef(picture.ravel(), raw.ravel())[0, 1] > 0.999
+
+
+@pytest.mark.usefixtures("library")
+def test_the_lay_of_the_real_al3d_map_is_that_of_its_camera_picture(shared_data: Path) -> None:
+    path = shared_data / "surfaces" / "al3d-1.al3d"
+    lay = float(facets.estimate(level(read_surface(path)))["lay"])
+    # The camera's picture of the same spot stands in the file too, from its upper edge down; its scratches rise to the right.
+    picture = np.frombuffer(path.read_bytes(), np.uint8, 296 * 200, 238061).reshape(296, 200).astype(float)
+    gradients = np.stack([np.diff(picture, axis=1)[:-1].ravel(), -np.diff(picture, axis=0)[:, :-1].ravel()])
+    _, axes = np.linalg.eigh(np.cov(gradients))
+    along = np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))
+    # 42 degree by brightness and 49 by height, which are not the same; mirrored, heights would lie along 131.
+    assert abs((lay - along + 90) % 180 - 90) < 20
 
 
 @pytest.mark.usefixtures("library")
@@ -97,15 +117,32 @@ def test_a_third_missing_stays_missing_through_the_whole_stage(shared_data: Path
 
 
 @pytest.mark.usefixtures("library")
-def test_the_pitch_of_nms_files_is_put_right_and_said(shared_data: Path) -> None:
-    surface = read_surface(shared_data / "surfaces" / "nms-2.nms")
-    assert "312.5 x 312.5 taken in nm, not in mm" in surface.attrs["history"]
+def test_the_unit_taken_for_the_pitch_of_an_nms_file_is_warned_about(shared_data: Path) -> None:
+    (warning,) = vocabulary.warnings(read_surface(shared_data / "surfaces" / "nms-2.nms"))
+    assert "states the pitch 312.5 x 312.5 without a unit; it was taken in nm" in warning
+    assert "set `surface.lateral_unit`" in warning
 
 
-def test_a_plausible_pitch_of_nms_files_is_left_alone() -> None:
-    assert instruments._corrected("nms", [0.5, 0.7]) == ([0.5, 0.7], [])
-    assert instruments._corrected("nms", [5e8, 0.7]) == ([5e8, 0.7], [])
-    assert instruments._corrected("sur", [5e5, 7e5]) == ([5e5, 7e5], [])
+@pytest.mark.usefixtures("library")
+def test_a_stated_unit_of_the_pitch_of_an_nms_file_counts(shared_data: Path) -> None:
+    path = shared_data / "surfaces" / "nms-2.nms"
+    confirmed = ingest(path, {"file": "nms-2.nms", "lateral_unit": "nm"})
+    assert confirmed.attrs["pitch_x"] == pytest.approx(0.3125)
+    assert vocabulary.warnings(confirmed) == []
+    assert instruments._of_unstated_unit([312.5e3], "um", path) == ([312.5], ())
+    with pytest.raises(InputError, match=r"unknown unit; found 'inch'.*`surface\.lateral_unit`"):
+        read_surface(path, lateral_unit="inch")
+
+
+def test_a_plausible_pitch_of_an_nms_file_is_left_alone() -> None:
+    for pitches in ([0.5, 0.7], [5e8, 0.7]):
+        assert instruments._of_unstated_unit(pitches, None, Path("map.nms")) == (pitches, ())
+
+
+@pytest.mark.usefixtures("library")
+def test_the_unit_of_the_pitch_is_not_asked_of_a_format_that_states_it(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"surface\.lateral_unit: this key does not apply"):
+        read_surface(tmp_path / "map.opd", lateral_unit="nm")
 
 
 @pytest.mark.usefixtures("library")
@@ -120,6 +157,16 @@ def test_without_the_extra_the_refusal_says_how_to_get_it(tmp_path: Path, monkey
     (tmp_path / "map.opd").write_bytes(b"x")
     with pytest.raises(InputError, match=r"^map\.opd: .*not installed.*pip install 'brdfpipe\[instruments\]'"):
         read_surface(tmp_path / "map.opd")
+
+
+def test_a_missing_extra_is_told_before_anything_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "SurfaceTopography", None)
+    with pytest.raises(InputError, match=r"^map\.opd: .*not installed.*pip install 'brdfpipe\[instruments\]'"):
+        check_readable("absent/map.opd")
+    with pytest.raises(InputError, match="not installed"):
+        check_readable("map.dat", "metropro")
+    check_readable("map.dat")
+    check_readable("map.x3p")
 
 
 def test_the_library_is_not_imported_for_other_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,7 +221,7 @@ def test_masked_and_infinite_heights_are_missing(rigged: Any, values: np.ndarray
     mask = np.zeros(values.shape, dtype=bool)
     mask[5, 6] = True
     surface = rigged(channel("Raw", np.ma.masked_array(values, mask)))
-    assert np.argwhere(np.isnan(surface.height.values)).tolist() == [[2, 1], [4, 3], [6, 5]]
+    assert np.argwhere(np.isnan(surface.height.values)).tolist() == [[33, 5], [35, 3], [37, 1]]
     assert "2 infinite heights taken as missing." in surface.attrs["history"]
 
 
@@ -185,8 +232,8 @@ def test_the_first_height_channel_is_taken_unless_one_is_named(rigged: Any, valu
         channel("Backward", 2 * values),
     ]
     first, named = rigged(*channels), rigged(*channels, channel="Backward")
-    np.testing.assert_allclose(first.height, values.T * 1e-3, rtol=1e-12)
-    np.testing.assert_allclose(named.height, values.T * 2e-3, rtol=1e-12)
+    np.testing.assert_allclose(first.height, values.T[::-1] * 1e-3, rtol=1e-12)
+    np.testing.assert_allclose(named.height, values.T[::-1] * 2e-3, rtol=1e-12)
     assert "first of the height channels Forward, Backward" in first.attrs["history"]
     with pytest.raises(
         InputError, match=r"no such channel of heights; found 'Light'.*Forward, Backward.*surface\.channel"

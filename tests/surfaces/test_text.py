@@ -11,6 +11,7 @@ import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
 from brdfpipe.surfaces import level, parameters, read_surface
 
@@ -274,6 +275,72 @@ def test_a_layout_that_does_not_fit_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=r"`surface\.layout`"):
         read_surface(put(tmp_path, spell(asymmetric.height.values[:, :columns])), layout=layout, **GRID)
+
+
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_a_file_without_a_last_line_end_is_not_doubted(tmp_path: Path, asymmetric: xr.Dataset, end: str) -> None:
+    for separator, missing in ((";", ""), (" ", "NaN"), (",", "***")):
+        text = spell(asymmetric.height.values, separator, missing=missing).rstrip("\n") + end
+        assert not vocabulary.warnings(read_surface(put(tmp_path, text), **GRID))
+    text = "".join(f"{x:.6g} {z:.6g}\n" for x, z in zip(np.arange(99) / 8, np.sin(np.arange(99) / 8), strict=True))
+    assert not vocabulary.warnings(read_surface(put(tmp_path, text.rstrip("\n") + end), unit="um"))
+
+
+def test_a_last_number_of_fewer_decimals_is_doubted(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+    text = spell(asymmetric.height.values, decimal=",")
+    found = read_surface(put(tmp_path, text[:-3]), **GRID)
+    assert vocabulary.warnings(found)[-1].startswith(
+        "Was the file cut short? The last line has no end, and its last number"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "doubted"),
+    [
+        ("Length,60.0 um", True),
+        ("# Profile length: 0.06 mm", True),
+        ("Scan Length = 60 [µm]", True),
+        ("Length,50.0 um", False),
+        ("Length,60", False),
+        ("Cutoff length,800 um", False),
+        ("Length of the stylus,20 mm", False),
+    ],
+)
+def test_a_profile_shorter_than_its_header_says_is_doubted(
+    tmp_path: Path, line: xr.Dataset, words: str, doubted: bool
+) -> None:
+    rows = "".join(f"{x:.2f};{z:.5f}\n" for x, z in zip(line.x.values, line.height.values, strict=True))
+    found = vocabulary.warnings(read_surface(put(tmp_path, f"{words}\n{rows}"), unit="um"))
+    assert found == (
+        [
+            "Was the file cut short? It states a length of 60 um and holds 50 um; compare it with the original, or export it again."
+        ]
+        if doubted
+        else []
+    )
+
+
+@pytest.mark.parametrize("order", ["rows", "columns", "downwards", "to and fro"])
+def test_points_that_stop_within_a_row_are_doubted(tmp_path: Path, asymmetric: xr.Dataset, order: str) -> None:
+    rows = points(asymmetric.fillna(0.0))
+    if order == "columns":
+        rows = rows[np.lexsort([rows[:, 1], rows[:, 0]])]
+    elif order == "downwards":
+        rows = rows[::-1]
+    elif order == "to and fro":
+        rows = rows.reshape(40, 50, 3)
+        rows[1::2] = rows[1::2, ::-1]
+        rows = rows.reshape(-1, 3)
+    for kept, doubted in ((len(rows), False), (len(rows) - 7, True)):
+        found = read_surface(put(tmp_path, spell(rows[:kept]), "map.xyz"), unit="um")
+        assert any("last row of its points" in text for text in vocabulary.warnings(found)) == doubted
+
+
+def test_points_left_out_of_an_aperture_are_not_doubted(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+    rows = points(asymmetric.fillna(0.0))
+    inside = ((rows[:, 0] - 12.25) / 12.6) ** 2 + ((rows[:, 1] - 13.65) / 14) ** 2 <= 1
+    found = read_surface(put(tmp_path, spell(rows[inside]), "map.xyz"), unit="um")
+    assert not any("cut short" in text for text in vocabulary.warnings(found))
 
 
 def test_a_real_stylus_file_gives_the_known_roughness(shared_data: Path) -> None:

@@ -319,6 +319,17 @@ def test_real_maps_give_the_known_roughness(
     assert float(found.missing_fraction) == pytest.approx(missing, abs=5e-5)
 
 
+def test_damaged_names_of_entries_do_not_flood_the_message(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+    write_x3p(asymmetric, tmp_path / "map.x3p")
+    content = bytearray((tmp_path / "map.x3p").read_bytes())
+    # The length of the first entry's name, in its own header.
+    content[26:28] = (5000).to_bytes(2, "little")
+    (tmp_path / "map.x3p").write_bytes(content)
+    with pytest.raises(InputError, match="the archive is damaged") as refusal:
+        read_surface(tmp_path / "map.x3p")
+    assert len(str(refusal.value)) < 300
+
+
 def test_a_truncated_real_map_is_refused(shared_data: Path, tmp_path: Path) -> None:
     content = (shared_data / "surfaces" / "x3p-2.x3p").read_bytes()
     for share in (0.1, 0.5, 0.99):

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import checks, representations, tabulation
+from brdfpipe.bsdf import checks, comparison, representations, sampling, tabulation
 from brdfpipe.errors import VocabularyError
-from brdfpipe.geometry import Array, broadcast, checked_angles
+from brdfpipe.geometry import Array, broadcast, check_angles, checked_angles
 
 
 @xr.register_dataset_accessor("bsdf")  # type: ignore[no-untyped-call]
@@ -46,12 +46,7 @@ class BSDFAccessor:
         ------
         VocabularyError : an angle is out of range or labelled as radians, or a wavelength lies outside the data.
         """
-        angles = broadcast(
-            theta_i=checked_angles("theta_i", theta_i, 0, 180),
-            phi_i=checked_angles("phi_i", phi_i, -720, 720),
-            theta_o=checked_angles("theta_o", theta_o, 0, 180),
-            phi_o=checked_angles("phi_o", phi_o, -720, 720),
-        )
+        angles = _directions(theta_i, phi_i, theta_o, phi_o)
         asked = self._wavelengths(wavelength)
         plain = [angle.values for angle in angles]
         module = representations.representation(self._dataset)
@@ -61,23 +56,98 @@ class BSDFAccessor:
         )
 
     def albedo(self, theta_i: ArrayLike, phi_i: ArrayLike = 0.0, wavelength: ArrayLike | None = None) -> xr.DataArray:
-        """Directional reflectance: the share of the light from one direction that is reflected into the hemisphere.
+        """Directional reflectance: the share of the light that leaves on the side it comes from, mirror reflection included.
 
         Parameters
         ----------
-        theta_i, phi_i : degree, broadcast as in :meth:`evaluate`; 0 <= theta_i <= 90
+        theta_i, phi_i : degree, broadcast as in :meth:`evaluate`; above 90 for light from within the body
         wavelength : nm; by default the dataset's own
 
         Returns
         -------
-        DataArray ``albedo`` [1]
+        DataArray ``albedo`` [1]; the representation's own, or an adaptive quadrature to 1e-6, see
+        :func:`brdfpipe.bsdf.representations.integrated`
         """
-        angles = broadcast(
-            theta_i=checked_angles("theta_i", theta_i, 0, 90), phi_i=checked_angles("phi_i", phi_i, -720, 720)
+        return self._share(representations.albedo, theta_i, phi_i, wavelength, "albedo", "directional reflectance")
+
+    def transmittance(
+        self, theta_i: ArrayLike, phi_i: ArrayLike = 0.0, wavelength: ArrayLike | None = None
+    ) -> xr.DataArray:
+        """Directional transmittance: the share of the light that leaves on the other side; arguments as for :meth:`albedo`.
+
+        Returns
+        -------
+        DataArray ``transmittance`` [1]; 0 where the material does not transmit
+        """
+        return self._share(
+            representations.transmittance, theta_i, phi_i, wavelength, "transmittance", "directional transmittance"
         )
-        asked = self._wavelengths(wavelength)
-        values = representations.albedo(self._dataset, angles[0].values, angles[1].values, asked)
-        return self._labelled(values, angles[0], asked, "albedo", "directional reflectance", "1")
+
+    def specular(
+        self, theta_i: ArrayLike, phi_i: ArrayLike = 0.0, wavelength: ArrayLike | None = None
+    ) -> tuple[xr.DataArray, xr.DataArray]:
+        """Reflectance and transmittance of perfectly smooth surfaces, which :meth:`evaluate` cannot show; arguments as for :meth:`albedo`."""
+        names = (("specular_reflectance", "mirror reflectance"), ("specular_transmittance", "regular transmittance"))
+        return tuple(  # type: ignore[return-value]
+            self._share(
+                lambda *arguments, k=k: representations.specular(*arguments)[k], theta_i, phi_i, wavelength, *words
+            )
+            for k, words in enumerate(names)
+        )
+
+    def sample(
+        self, n: int, seed: int, theta_i: float, phi_i: float = 0.0, wavelength: ArrayLike | None = None
+    ) -> xr.Dataset:
+        """Draw outgoing directions as the BSDF sends its light.
+
+        Parameters
+        ----------
+        n : number of directions
+        seed : of numpy's default generator; the same seed gives the same directions
+        theta_i, phi_i : degree, one incidence; theta_i above 90 for light from within the body
+        wavelength : nm; by default the dataset's own. The density follows the mean over these
+
+        Returns
+        -------
+        Dataset of kind ``samples``: ``theta_o`` and ``phi_o``, ``pdf`` [sr-1], ``weight`` = f |cos θ_o| / pdf per wavelength, whose mean is
+        the reflectance plus the transmittance, and ``weight_variance``. ``specular`` marks rays of a perfectly smooth surface: their
+        ``pdf`` is missing, and their weight is the reflectance (or transmittance) over the probability that they were drawn with
+
+        Raises
+        ------
+        VocabularyError : n is no positive integer, or an angle or a wavelength is out of range.
+        """
+        theta, phi = self._incidence(theta_i, phi_i)
+        return sampling.sample(self._dataset, n, seed, theta, phi, self._wavelengths(wavelength))
+
+    def pdf(
+        self,
+        theta_i: float,
+        phi_i: float,
+        theta_o: ArrayLike,
+        phi_o: ArrayLike,
+        wavelength: ArrayLike | None = None,
+    ) -> xr.DataArray:
+        """Density with which :meth:`sample` draws outgoing directions.
+
+        Parameters
+        ----------
+        theta_i, phi_i : degree, one incidence
+        theta_o, phi_o : degree, broadcast as in :meth:`evaluate`
+        wavelength : the one(s) given to :meth:`sample`
+
+        Returns
+        -------
+        DataArray ``pdf`` [sr-1]; its integral over the sphere is 1 less the probability of specular rays
+        """
+        theta, phi = self._incidence(theta_i, phi_i)
+        outgoing = broadcast(
+            theta_o=checked_angles("theta_o", theta_o, 0, 180), phi_o=checked_angles("phi_o", phi_o, -720, 720)
+        )
+        density = sampling.distribution(self._dataset, theta, phi, self._wavelengths(wavelength))
+        values = density.pdf(outgoing[0].values, outgoing[1].values)
+        attrs = {"units": "sr-1", "long_name": vocabulary.QUANTITIES["pdf"].long_name}
+        return xr.DataArray(values, outgoing[0].coords, outgoing[0].dims, "pdf", attrs)
 
     def tabulate(self, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
         """The BSDF on a grid, as representation ``table``; see :func:`brdfpipe.bsdf.tabulation.tabulate`."""
@@ -86,6 +156,45 @@ class BSDFAccessor:
     def check(self) -> xr.Dataset:
         """Reciprocity, energy, positivity and closure; see :func:`brdfpipe.bsdf.checks.check`."""
         return checks.check(self._dataset)
+
+    def mueller(
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_o: ArrayLike,
+        phi_o: ArrayLike,
+        wavelength: ArrayLike | None = None,
+    ) -> xr.DataArray:
+        """Mueller matrix of the BRDF, for light polarised in any way.
+
+        Parameters
+        ----------
+        theta_i, phi_i, theta_o, phi_o, wavelength : as in :meth:`evaluate`
+
+        Returns
+        -------
+        DataArray ``mueller`` [sr-1], with the dimensions ``stokes_out`` and ``stokes_in`` last: what comes out, of what comes in,
+        as Stokes vectors I, Q, U, V in the s–p frames of both directions (:mod:`brdfpipe.bsdf.polarised`). Its first element
+        is the BRDF; a representation that knows nothing of polarisation depolarises. NaN where light passes a transparent
+        interface, or meets it from within
+
+        Raises
+        ------
+        VocabularyError : as :meth:`evaluate`
+        """
+        angles = _directions(theta_i, phi_i, theta_o, phi_o)
+        asked = self._wavelengths(wavelength)
+        theta_i, phi_i, theta_o, phi_o = (angle.values for angle in angles)
+        values = representations.mueller(self._dataset, theta_i, phi_i, theta_o, phi_o, asked)
+        first = self._labelled(values[..., 0, 0], angles[0], asked, "mueller", "Mueller matrix of the BRDF", "sr-1")
+        stokes = ["I", "Q", "U", "V"]
+        return xr.DataArray(
+            np.broadcast_to(values, (*first.shape, 4, 4)) if "wavelength" in first.dims else values[..., 0, :, :],
+            {**dict(first.coords), "stokes_out": stokes, "stokes_in": stokes},
+            (*first.dims, "stokes_out", "stokes_in"),
+            "mueller",
+            first.attrs,
+        )
 
     def nonspectral(self, weight: ArrayLike | None = None) -> xr.Dataset:
         """The BSDF seen by a detector of one spectral response.
@@ -100,9 +209,42 @@ class BSDFAccessor:
         """
         return representations.nonspectral(self._dataset, weight)
 
+    def nonspectral_error(
+        self, weight: ArrayLike | None = None, theta_i: ArrayLike = (8.0, 30.0, 60.0, 80.0)
+    ) -> xr.Dataset:
+        """What :meth:`nonspectral` costs; see :func:`brdfpipe.bsdf.comparison.nonspectral_error`."""
+        return comparison.nonspectral_error(self._dataset, weight, theta_i)
+
+    def _share(
+        self,
+        of: Callable[[xr.Dataset, Array, Array, Array | None], Array],
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        wavelength: ArrayLike | None,
+        name: str,
+        long_name: str,
+    ) -> xr.DataArray:
+        highest = 180 if representations.transmits(self._dataset) else 90
+        angles = broadcast(
+            theta_i=checked_angles("theta_i", theta_i, 0, highest), phi_i=checked_angles("phi_i", phi_i, -720, 720)
+        )
+        asked = self._wavelengths(wavelength)
+        values = of(self._dataset, angles[0].values, angles[1].values, asked)
+        return self._labelled(values, angles[0], asked, name, long_name, "1")
+
+    def _incidence(self, theta_i: ArrayLike, phi_i: ArrayLike) -> tuple[float, float]:
+        highest = 180 if representations.transmits(self._dataset) else 90
+        angles = check_angles("theta_i", theta_i, 0, highest), check_angles("phi_i", phi_i, -720, 720)
+        if any(angle.size != 1 for angle in angles):
+            raise VocabularyError("directions are drawn for one incidence at a time: give theta_i and phi_i as numbers")
+        return float(angles[0].item()), float(angles[1].item())
+
     def _wavelengths(self, wavelength: ArrayLike | None) -> Array | None:
         if wavelength is None:
             return None
+        units = getattr(wavelength, "attrs", {}).get("units", "nm")
+        if units != "nm":
+            raise VocabularyError(f"wavelength is in {units!r}; wavelengths are in nm")
         asked = np.atleast_1d(np.asarray(wavelength, dtype=float))
         if asked.ndim != 1 or not np.isfinite(asked).all():
             raise VocabularyError(f"wavelength must be finite and one-dimensional; found shape {asked.shape}")
@@ -130,3 +272,12 @@ class BSDFAccessor:
         )
         coords = {**dict(like.coords), "wavelength": spectral}
         return xr.DataArray(values, coords, (*like.dims, "wavelength"), name, attrs)
+
+
+def _directions(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> tuple[xr.DataArray, ...]:
+    return broadcast(
+        theta_i=checked_angles("theta_i", theta_i, 0, 180),
+        phi_i=checked_angles("phi_i", phi_i, -720, 720),
+        theta_o=checked_angles("theta_o", theta_o, 0, 180),
+        phi_o=checked_angles("phi_o", phi_o, -720, 720),
+    )

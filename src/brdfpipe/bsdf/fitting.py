@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from brdfpipe import hemisphere, vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe import vocabulary
+from brdfpipe.bsdf import comparison, representations
 from brdfpipe.bsdf.lambert_gauss import FWHM, about_mirror, gaussian
 from brdfpipe.geometry import Array, check_angles
 
@@ -15,18 +15,21 @@ _WIDEST = 90.0
 """Full width beyond which a lobe is no lobe: it is left to the Lambertian part [degree]."""
 
 
-def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike) -> xr.Dataset:
+def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0) -> xr.Dataset:
     """Fit Lambert + Gaussian to a BSDF, per incidence, in the sense of reflected flux.
 
     Parameters
     ----------
     bsdf : kind ``bsdf``; averaged with V(λ)·D65 where it depends on wavelength
     theta_i : degree, (incidences,), 0 to 85
+    azimuth : of the incidences [degree]; it matters to a surface with a lay
 
     Returns
     -------
     Dataset of kind ``bsdf``, representation ``lambert_gauss``: ``lambert``, ``gauss_peak`` G0, the two FWHM,
-        ``gauss_reflectance`` (integrated, not the small-angle formula) and ``fit_residual`` per ``theta_i``
+        ``gauss_reflectance`` R_gauss (integrated, not the small-angle formula) per ``theta_i``; and the error against the full model:
+        ``fit_residual``, ``fit_error_max`` and ``reflectance_error``, see :class:`brdfpipe.bsdf.comparison.Misfit`. Of a surface with
+        a lay the fit holds for light from the one azimuth, with a warning
 
     Notes
     -----
@@ -36,7 +39,7 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike) -> xr.Dataset:
     vocabulary.validate(bsdf, "bsdf")
     angles = check_angles("theta_i", theta_i, 0, 85)
     reduced = representations.nonspectral(bsdf)
-    fits = np.array([_fit_one(reduced, float(angle)) for angle in angles])
+    fits = np.array([_fit_one(reduced, float(angle), azimuth) for angle in angles])
     names = (
         "lambert",
         "gauss_peak",
@@ -44,28 +47,45 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike) -> xr.Dataset:
         "gauss_fwhm_perpendicular",
         "gauss_reflectance",
         "fit_residual",
+        "fit_error_max",
+        "reflectance_error",
     )
     result = xr.Dataset(
         {name: ("theta_i", fits[:, column]) for column, name in enumerate(names)},
         coords={"theta_i": angles},
         attrs={"representation": "lambert_gauss", "source_representation": bsdf.attrs["representation"]},
     )
-    return vocabulary.label(result, "bsdf")
+    return vocabulary.label(vocabulary.add_warning(result, *_left_out(bsdf, azimuth)), "bsdf")
 
 
-def _fit_one(bsdf: xr.Dataset, theta_i: float) -> tuple[float, ...]:
+def _left_out(bsdf: xr.Dataset, azimuth: float) -> list[str]:
+    """What the model has and the fit has not."""
+    warnings = []
+    if not representations.isotropic(bsdf):
+        warnings.append(
+            f"the surface has a lay, and the Lambert + Gaussian fit holds for light from azimuth {azimuth:.1f}° alone: use the BSDF itself "
+            "for others"
+        )
+    if any(part.any() for part in representations.specular(bsdf, np.array([45.0]), np.zeros(1), None)):
+        warnings.append(
+            "the perfectly specular part of the surface is in no Gaussian: take it from the BSDF itself, or give the surface a roughness"
+        )
+    return warnings
+
+
+def _fit_one(bsdf: xr.Dataset, theta_i: float, azimuth: float) -> tuple[float, ...]:
     from scipy.optimize import least_squares
 
-    slope = representations.lobe_slope(bsdf)
-    theta_o, phi_o, weight = hemisphere.around_mirror(theta_i, 0.01 if slope is None else slope, order=4, turns=12)
-    module = representations.representation(bsdf)
-    incidence = np.full_like(theta_o, theta_i)
-    brdf = module.evaluate(bsdf, incidence, np.zeros_like(phi_o), theta_o, phi_o, None)[..., 0]
-    along, across = about_mirror(theta_i, theta_o, phi_o)
+    rule = comparison.directions(bsdf, theta_i, azimuth)
+    theta_o, phi_o, weight = rule
+    brdf = comparison.brdf_at(bsdf, theta_i, azimuth, rule)[..., 0]
+    along, across = about_mirror(theta_i, theta_o, phi_o - azimuth)
     root = np.sqrt(weight / (weight @ brdf**2)) if brdf.any() else np.sqrt(weight)
     start = _starting_point(root, brdf, along, across)
     if start is None:
-        return float(np.pi * (weight @ brdf) / weight.sum()), 0.0, 0.0, 0.0, 0.0, 0.0
+        floor = float(weight @ brdf / weight.sum())
+        error = comparison.misfit(weight, np.full_like(brdf, floor), brdf)
+        return np.pi * floor, 0.0, 0.0, 0.0, 0.0, *error[:2], _against(bsdf, theta_i, azimuth, np.pi * floor)
 
     def model(parameters: Array) -> Array:
         floor, peak, parallel, perpendicular = np.exp(parameters)
@@ -78,9 +98,24 @@ def _fit_one(bsdf: xr.Dataset, theta_i: float) -> tuple[float, ...]:
     highest = np.log([1e3 * start[1], 1e3 * start[1], _WIDEST / FWHM, _WIDEST / FWHM])
     found = least_squares(misfit, np.clip(np.log(start), lowest, highest), bounds=(lowest, highest), x_scale="jac")
     floor, peak, parallel, perpendicular = np.exp(found.x)
-    residual = float(np.sqrt(np.sum(found.fun**2)))
+    error = comparison.misfit(weight, model(found.x), brdf)
     reflected = weight @ gaussian(along, across, peak, parallel, perpendicular)
-    return float(np.pi * floor), float(peak), FWHM * parallel, FWHM * perpendicular, float(reflected), residual
+    missed = _against(bsdf, theta_i, azimuth, np.pi * floor + float(reflected))
+    return (
+        float(np.pi * floor),
+        float(peak),
+        FWHM * parallel,
+        FWHM * perpendicular,
+        float(reflected),
+        *error[:2],
+        missed,
+    )
+
+
+def _against(bsdf: xr.Dataset, theta_i: float, azimuth: float, reflectance: float) -> float:
+    """Error of a reflectance over that of the model, mirror reflection included."""
+    told = float(representations.albedo(bsdf, np.array([theta_i]), np.array([azimuth]), None)[0, 0])
+    return reflectance / told - 1 if told > 0 else 0.0
 
 
 def _starting_point(root: Array, brdf: Array, along: Array, across: Array) -> Array | None:

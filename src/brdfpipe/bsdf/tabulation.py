@@ -10,7 +10,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf import comparison, representations
+from brdfpipe.bsdf.grids import AZIMUTHS, GRIDS, Grid, kind_of
 from brdfpipe.bsdf.table import AXES
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
@@ -19,59 +20,178 @@ WARN_LIMIT, FAIL_LIMIT = 0.05, 0.5
 """Relative difference between the reflectance of the grid and of the model above which a table warns, or fails."""
 
 _OFFSETS = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0])
+_LAST_ABOVE = 89.9
+"""Where nodes below the horizon take their value from, so that what lies above is not interpolated towards 0 [degree]."""
+_ROUND = np.arange(0.0, 360.0, 30.0)
+_PLAIN_INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
+_MOST_INCIDENCES = 6
 
 
 def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """Evaluate an isotropic BSDF on a grid.
+    """Evaluate a BSDF on a grid.
 
     Parameters
     ----------
     bsdf : kind ``bsdf``
-    grid : ``theta_i``, ``theta_o`` [degree, 0 to 90], ``phi_o`` [degree, about phi_i = 0]: increasing lists. Between the nodes
-        the table is interpolated linearly, so a lobe narrower than the steps is lost: the table says how much
+    grid : increasing lists [degree] of the axes of one of the layouts of :mod:`brdfpipe.bsdf.grids`: ``theta_i``, ``theta_o``, ``phi_o``
+        (uniform), ``theta_i``, ``theta_s``, ``phi_s`` (specular-centred) or ``theta_h``, ``theta_d``, ``phi_d`` (half-angle); for a
+        surface with a lay ``phi_i`` (``phi_h``) too. Polar angles of a uniform grid may go beyond 90 where the BSDF transmits. Between
+        the nodes the table is interpolated linearly, so a lobe narrower than the steps is lost: the table says how much
 
     Returns
     -------
-    Dataset of kind ``bsdf``, representation ``table``: ``brdf(theta_i, theta_o, phi_o[, wavelength])``, the reflectance of
-        the grid ``grid_albedo(theta_i[, wavelength])`` and of the model ``model_albedo``, so that their difference tells
-        what the grid leaves out
+    Dataset of kind ``bsdf``, representation ``table``: ``brdf`` on the axes[, wavelength]; the reflectance of the grid
+        ``grid_albedo(theta_i[, wavelength])`` and of the model ``model_albedo``, so that their difference tells what the grid
+        leaves out; and the errors of interpolation, see :func:`with_interpolation_error`
 
     Raises
     ------
     VocabularyError : an axis is missing, not increasing or out of range.
     """
     vocabulary.validate(bsdf, "bsdf")
-    axes = {name: _axis(grid, name) for name in AXES}
-    theta_i, theta_o, phi_o = np.meshgrid(*axes.values(), indexing="ij")
-    module = representations.representation(bsdf)
-    brdf = module.evaluate(bsdf, theta_i, np.zeros_like(theta_i), theta_o, phi_o, None)
-    of_model = representations.albedo(bsdf, axes["theta_i"], np.zeros_like(axes["theta_i"]), None)
-    of_grid = _grid_albedo(brdf, axes["theta_o"], axes["phi_o"])
+    layout = GRIDS[kind_of(set(grid))]
+    even = representations.isotropic(bsdf)
+    axes = {name: _axis(grid, name, bsdf) for name in layout.named(layout.azimuth in grid)}
+    _check_circles(axes, even)
+    averaged = not even and layout.azimuth not in axes
+    brdf = _averaged(bsdf, layout, axes) if averaged else _on_nodes(bsdf, layout, axes)
     spectral = ("wavelength",) if "wavelength" in bsdf.coords else ()
-    if not spectral:
-        brdf, of_model, of_grid = brdf[..., 0], of_model[..., 0], of_grid[..., 0]
-    reflectance = {"units": "1"}
-    table = xr.Dataset(
-        {
-            "brdf": ((*AXES, *spectral), brdf),
-            "grid_albedo": (
-                ("theta_i", *spectral),
-                of_grid,
-                {**reflectance, "long_name": "directional reflectance of the grid, by its own trapezoidal integral"},
-            ),
-            "model_albedo": (
-                ("theta_i", *spectral),
-                of_model,
-                {**reflectance, "long_name": "directional reflectance of the model"},
-            ),
-        },
-        coords=axes,
+    made = xr.Dataset(
+        {"brdf": ((*axes, *spectral), brdf if spectral else brdf[..., 0])},
+        coords={**axes, **({"wavelength": bsdf["wavelength"].values} if spectral else {})},
         attrs={"representation": "table", "source_representation": bsdf.attrs["representation"]},
     )
-    for name in ("total_reflectance", "theta_m"):
+    kept = ["total_reflectance", "theta_m"]
+    if representations.transmits(bsdf) and "theta_o" in axes and axes["theta_o"][-1] > 90:
+        made.attrs["transmission"] = bsdf.attrs["transmission"]
+        kept.append("n")
+    for name in kept:
         if name in bsdf:
-            table[name] = bsdf[name].drop_vars("theta_i", errors="ignore")
-    return vocabulary.label(_with_verdict(table), "bsdf")
+            made[name] = bsdf[name].drop_vars("theta_i", errors="ignore")
+    made = _with_albedo(made, bsdf, axes, spectral)
+    made = vocabulary.label(with_interpolation_error(made, bsdf, averaged), "bsdf")
+    made = _with_verdict(made)
+    return vocabulary.add_warning(made, *_left_out(bsdf, layout, made, averaged))
+
+
+def _on_nodes(bsdf: xr.Dataset, layout: Grid, axes: Mapping[str, Array], turned: float = 0.0) -> Array:
+    """The BSDF on the nodes, (axes…, wavelength), the whole arrangement turned by an azimuth."""
+    nodes = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True))
+    theta_i, phi_i, theta_o, phi_o = layout.directions(nodes)
+    if layout is not GRIDS["uniform"]:
+        above = axes.get("theta_i", np.zeros(1))[-1] <= 90
+        theta_i, theta_o = (np.minimum(angle, _LAST_ABOVE) if above else angle for angle in (theta_i, theta_o))
+    module = representations.representation(bsdf)
+    return np.asarray(module.evaluate(bsdf, theta_i, phi_i + turned, theta_o, phi_o + turned, None))
+
+
+def _averaged(bsdf: xr.Dataset, layout: Grid, axes: Mapping[str, Array]) -> Array:
+    return np.asarray(sum(_on_nodes(bsdf, layout, axes, turn) for turn in _ROUND) / _ROUND.size)
+
+
+def _with_albedo(
+    made: xr.Dataset, bsdf: xr.Dataset, axes: Mapping[str, Array], spectral: tuple[str, ...]
+) -> xr.Dataset:
+    """Add the reflectance of the grid and of the model, means over the azimuth of incidence."""
+    theta_i = axes.get("theta_i", _PLAIN_INCIDENCES)
+    of_model = _mean_albedo(bsdf, theta_i)
+    if tuple(axes) == AXES:
+        of_grid = _grid_albedo(made["brdf"].values, axes["theta_i"], axes["theta_o"], axes["phi_o"])
+        of_grid = of_grid if spectral else of_grid[..., None]
+    else:
+        of_grid = _mean_albedo(made, theta_i)
+    reflectance = {"units": "1"}
+    told = {
+        "grid_albedo": (of_grid, "directional reflectance of the grid, by its own trapezoidal integral"),
+        "model_albedo": (of_model, "directional reflectance of the model, without a perfectly specular part"),
+    }
+    made = made.assign_coords(theta_i=theta_i)
+    for name, (values, words) in told.items():
+        values = np.broadcast_to(values, (theta_i.size, max(1, made.sizes.get("wavelength", 1))))
+        made[name] = (("theta_i", *spectral), values if spectral else values[:, 0], {**reflectance, "long_name": words})
+    return made
+
+
+def _mean_albedo(bsdf: xr.Dataset, theta_i: Array) -> Array:
+    """What a grid can hold of the reflectance: all but the perfectly specular part."""
+    turns = np.zeros(1) if representations.isotropic(bsdf) else _ROUND
+    polar, azimuth = np.meshgrid(theta_i, turns, indexing="ij")
+    mirrored = representations.specular(bsdf, polar, azimuth, None)[0]
+    return np.asarray((representations.albedo(bsdf, polar, azimuth, None) - mirrored).mean(axis=1))
+
+
+def with_interpolation_error(made: xr.Dataset, bsdf: xr.Dataset, averaged: bool = False) -> xr.Dataset:
+    """Compare a table with its model between the nodes.
+
+    Returns
+    -------
+    The table with ``interpolation_rms`` and ``interpolation_max``, worst of incidences midway between its own, and
+    ``interpolation_rms_on_nodes``, of incidences that it holds: see :class:`brdfpipe.bsdf.comparison.Misfit`. A table of a surface
+    with a lay that was averaged over the azimuth is compared with the average.
+
+    Notes
+    -----
+    At each incidence the outgoing directions are those of a rule over the hemisphere that is graded towards the lobe, and weigh
+    their projected solid angles. At the middle wavelength.
+    """
+    nodes = made["theta_i"].values
+    nodes = nodes[nodes < 89]
+    own = "theta_i" in made["brdf"].dims
+    between = (nodes[1:] + nodes[:-1]) / 2 if nodes.size > 1 else nodes
+    told = {
+        "interpolation_rms": "rms, worst incidence midway between those of the table",
+        "interpolation_max": "largest error over the larger of the BRDF and that of a Lambertian of the same reflectance",
+        "interpolation_rms_on_nodes": "rms, worst of the table's own incidences",
+    }
+    off = [_interpolation_misfit(made, bsdf, angle, averaged) for angle in _some(between)]
+    on = [_interpolation_misfit(made, bsdf, angle, averaged) for angle in _some(nodes)] if own else off
+    values = [max(each.rms for each in off), max(each.largest for each in off), max(each.rms for each in on)]
+    words = "error of the table between its nodes: "
+    return made.assign(
+        {
+            name: ((), value, {"units": "1", "long_name": words + text})
+            for (name, text), value in zip(told.items(), values, strict=True)
+        }
+    )
+
+
+def _some(angles: Array) -> Array:
+    return angles[np.unique(np.linspace(0, angles.size - 1, min(angles.size, _MOST_INCIDENCES)).round().astype(int))]
+
+
+def _interpolation_misfit(made: xr.Dataset, bsdf: xr.Dataset, theta_i: float, averaged: bool) -> comparison.Misfit:
+    rule = comparison.directions(bsdf, theta_i)
+    middle = bsdf["wavelength"].values[[bsdf.sizes["wavelength"] // 2]] if "wavelength" in bsdf.coords else None
+    # Between the nodes of the azimuth, too.
+    phi_i = float(made["phi_i"].values[:2].mean()) if "phi_i" in made["brdf"].dims else 0.0
+    turns = _ROUND if averaged else np.array([0.0])
+    model, found = (
+        sum(
+            comparison.brdf_at(each, theta_i, phi_i + turn, rule._replace(phi=rule.phi + phi_i + turn), middle)
+            for turn in turns
+        )
+        for each in (bsdf, made)
+    )
+    return comparison.misfit(rule.weight, np.asarray(found)[:, 0], np.asarray(model)[:, 0])
+
+
+def _left_out(bsdf: xr.Dataset, layout: Grid, made: xr.Dataset, averaged: bool) -> list[str]:
+    """What the model has and the table has not."""
+    warnings = []
+    if averaged:
+        warnings.append(
+            f"the surface has a lay, and the table holds the mean over the azimuth of incidence: add `{layout.azimuth}` to the grid to keep it"
+        )
+    at = np.array([45.0]), np.zeros(1)
+    if any(part.any() for part in representations.specular(bsdf, *at, None)):
+        warnings.append(
+            "the perfectly specular part of the surface is not on the grid: take it from the BSDF itself, or give the surface a roughness"
+        )
+    if representations.transmits(bsdf) and "transmission" not in made.attrs:
+        warnings.append(
+            "the table holds reflection alone, and the material transmits: give a uniform grid `theta_o` beyond 90 degree"
+        )
+    return warnings
 
 
 def faithful_table(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
@@ -83,7 +203,8 @@ def faithful_table(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Datase
 def relative_loss(table: xr.Dataset) -> xr.DataArray:
     """Relative difference between the reflectance of the grid and of the model; 0 where there is none to reflect."""
     difference = abs(table["grid_albedo"] - table["model_albedo"])
-    return (difference / table["model_albedo"]).where(difference > 0, 0.0)
+    # What rounding leaves of a difference of reflectances is no reflectance.
+    return (difference / table["model_albedo"]).where(difference > 1e-12, 0.0)
 
 
 def verdict_of(table: xr.Dataset) -> str:
@@ -97,14 +218,15 @@ def refined(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> dict[str, Array]
     Parameters
     ----------
     bsdf : kind ``bsdf``; one whose lobe is not known leaves the grid as it is
-    grid : ``theta_i``, ``theta_o``, ``phi_o`` [degree], phi_o a full circle
+    grid : ``theta_i``, ``theta_o``, ``phi_o`` [degree], phi_o a full circle; ``phi_i`` stays as it is
 
     Returns
     -------
     dict of the same axes. A facet of slope s turns the mirror direction by 2s in the plane of incidence and by 2s cot θ_i in
-    azimuth; nodes lie at half that for a typical slope, and at steps that widen from there.
+    azimuth; nodes lie at half that for a typical slope, and at steps that widen from there. Where the grid goes beyond 90 degree,
+    nodes are added about the transmitted directions too.
     """
-    axes = {name: _axis(grid, name) for name in AXES}
+    axes = {name: _axis(grid, name, bsdf) for name in GRIDS["uniform"].named("phi_i" in grid)}
     scale = representations.lobe_slope(bsdf)
     if scale is None:
         return axes
@@ -112,14 +234,16 @@ def refined(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> dict[str, Array]
     steps = np.concatenate([[0.0], half * _OFFSETS])
     mirror = axes["theta_i"][:, None] + np.concatenate([-steps[:0:-1], steps])
     theta_o = np.concatenate([axes["theta_o"], mirror[(mirror > 0) & (mirror < 89.9)]])
+    if axes["theta_o"][-1] > 90:
+        through = representations.refracted(bsdf, axes["theta_i"])[:, None] + np.concatenate([-steps[:0:-1], steps])
+        theta_o = np.concatenate([theta_o, through[(through > 90.1) & (through < 180)]])
     steepest = np.radians(max(axes["theta_i"].max(), 1.0))
     narrowest = np.degrees(2 * scale / np.tan(steepest)) * _OFFSETS[0]
     about = np.concatenate(
         [[0.0], np.geomspace(narrowest, 60, max(2, int(np.ceil(np.log(60 / narrowest) / np.log(1.6)))))]
     )
     phi_o = np.concatenate([axes["phi_o"], 180 - about, 180 + about]) if narrowest < 30 else axes["phi_o"]
-    return {
-        "theta_i": axes["theta_i"],
+    return axes | {
         "theta_o": _distinct(theta_o, half / 8),
         "phi_o": _distinct(phi_o, narrowest / 2),
     }
@@ -131,6 +255,27 @@ def _distinct(nodes: Array, apart: float) -> Array:
     keep = np.concatenate([[True], np.diff(ordered) > min(max(apart, 5e-4), 0.2)])
     keep[-1] = True
     return ordered[keep]
+
+
+def grid_for(bsdf: xr.Dataset, spec: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
+    """The uniform grid that a BSDF needs, from the configuration's ``table``.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``
+    spec : ``theta_i``, ``theta_o`` below 90, ``phi_o`` from 0 to 180, and ``phi_i`` from the lay [degree]
+
+    Returns
+    -------
+    dict of ``theta_i``; ``theta_o``, mirrored beyond 90 where the BSDF transmits; ``phi_o``, mirrored to 360; and ``phi_i``, from
+    the lay, where the surface has one
+    """
+    above = np.asarray(spec["theta_o"], dtype=float)
+    theta_o = np.concatenate([above, 180 - above[::-1]]) if representations.transmits(bsdf) else above
+    grid: dict[str, ArrayLike] = {"theta_i": spec["theta_i"], "theta_o": theta_o, "phi_o": full_circle(spec["phi_o"])}
+    if not representations.isotropic(bsdf):
+        grid["phi_i"] = (representations.lay(bsdf) or 0.0) + np.asarray(spec["phi_i"], dtype=float)
+    return grid
 
 
 def full_circle(half: ArrayLike) -> Array:
@@ -146,20 +291,46 @@ def full_circle(half: ArrayLike) -> Array:
     return np.concatenate([phi, 360 - phi[-2::-1]])
 
 
-def _axis(grid: Mapping[str, ArrayLike], name: str) -> Array:
+def _axis(grid: Mapping[str, ArrayLike], name: str, bsdf: xr.Dataset) -> Array:
     if name not in grid:
         raise VocabularyError(f"the grid needs {name!r}; found {', '.join(grid)}")
-    low, high = (-360, 360) if name == "phi_o" else (0, 90)
+    polar = 180 if representations.transmits(bsdf) or name == "theta_s" else 90
+    low, high = (-360, 360) if name.startswith("phi") else (0, 90 if name in ("theta_h", "theta_d") else polar)
     values = check_angles(name, grid[name], low, high)
     if values.ndim != 1 or values.size < 2 or not (np.diff(values) > 0).all():
         raise VocabularyError(f"{name} of the grid must be an increasing list of at least two angles")
     return values
 
 
-def _grid_albedo(brdf: Array, theta_o: Array, phi_o: Array) -> Array:
-    """∫ BRDF cos θ_o dω_o by the trapezoidal rule on the grid, completed to a full circle; the last polar node extends to 90."""
+def _check_circles(axes: Mapping[str, Array], even: bool) -> None:
+    """Refuse half a circle where the two halves differ."""
+    for name in set(AZIMUTHS) & set(axes):
+        if not even and axes[name][-1] - axes[name][0] != 360:
+            raise VocabularyError(
+                f"{name} of the grid must cover 360 degree: the surface has a lay, and the halves of a circle differ"
+            )
+
+
+def _grid_albedo(brdf: Array, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
+    """∫ BRDF |cos θ_o| dω_o by the trapezoidal rule on the nodes of the side the light comes from, completed to a full circle.
+
+    The last polar node before the horizon extends to it.
+    """
+    upper, lower = theta_o <= 90, theta_o >= 90
+    by_side = [
+        _trapezoid(brdf[:, upper], theta_o[upper], phi_o),
+        _trapezoid(brdf[:, lower][:, ::-1], 180 - theta_o[lower][::-1], phi_o),
+    ]
+    below = (theta_i > 90).reshape(-1, *(1,) * (brdf.ndim - 3))
+    return np.where(below, by_side[1], by_side[0])
+
+
+def _trapezoid(brdf: Array, theta_o: Array, phi_o: Array) -> Array:
+    if theta_o.size == 0:
+        return np.zeros((brdf.shape[0], *brdf.shape[3:]))
     theta = np.radians(np.append(theta_o, 90.0) if theta_o[-1] < 90 else theta_o)
-    projected = brdf * (np.sin(np.radians(theta_o)) * np.cos(np.radians(theta_o)))[:, None, None]
+    share = (np.sin(np.radians(theta_o)) * np.cos(np.radians(theta_o))).reshape(-1, *(1,) * (brdf.ndim - 2))
+    projected = brdf * share
     if theta.size > theta_o.size:
         projected = np.concatenate([projected, np.zeros_like(projected[:, :1])], axis=1)
     over_phi = np.trapezoid(projected, np.radians(phi_o), axis=2) * (360 / (phi_o[-1] - phi_o[0]))

@@ -7,9 +7,9 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.density import RadialDensity
-from brdfpipe.facets.assembly import planar_dataset, positive, radial_dataset
+from brdfpipe.facets.assembly import planar_dataset, principal_ellipse, radial_dataset
 from brdfpipe.facets.counting import FacetError
-from brdfpipe.planar import PlanarDensity, SlopeAxis
+from brdfpipe.planar import PlanarDensity
 
 DISTRIBUTIONS = ("beckmann", "ggx")
 
@@ -58,6 +58,27 @@ def analytic(
     return _anisotropic(distribution, a_x, a_y, azimuth)
 
 
+def flat() -> xr.Dataset:
+    """Facet distribution of a perfectly flat surface: all facets lie level, and no density can say so.
+
+    Returns
+    -------
+    Dataset of kind ``facets`` with ``slope_rms`` 0, and a density without nodes
+    """
+    nothing = np.zeros(0)
+    facets = xr.Dataset(
+        {
+            "slope_density": ("slope", nothing),
+            "D": ("alpha", nothing),
+            "lambda_smith": ("theta", nothing),
+            "slope_rms": 0.0,
+        },
+        coords={"slope": nothing, "alpha": nothing, "theta": nothing},
+    )
+    facets.attrs |= {"method": "perfectly flat", "band": "none: not measured"}
+    return vocabulary.label(facets, "facets")
+
+
 def _isotropic(distribution: str, a: float) -> xr.Dataset:
     if distribution == "beckmann":
         # Beyond 8.3 a the density is 1e-30 of its peak: less than rounding in every integral.
@@ -75,29 +96,15 @@ def _isotropic(distribution: str, a: float) -> xr.Dataset:
 def _anisotropic(distribution: str, a_x: float, a_y: float, azimuth: float) -> xr.Dataset:
     if not 0.01 <= a_x / a_y <= 100:
         raise FacetError(f"a_x / a_y is {a_x / a_y:g}; accepted: 0.01 to 100")
-    cos, sin = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))
-    reach = 8.3 if distribution == "beckmann" else 3e4
-    along_x, along_y = np.hypot(a_x * cos, a_y * sin), np.hypot(a_x * sin, a_y * cos)
-    # Off the axes an ellipse is narrower than its shadow on them: more nodes keep its ridge.
-    skew = along_x * along_y / (a_x * a_y)
-    size = 1 + 2 * int(np.ceil((_PLANAR_NODES // 2) * min(skew, 4.0)))
-    x, y = SlopeAxis(along_x, along_x * reach, size), SlopeAxis(along_y, along_y * reach, size)
-    p, q = np.meshgrid(x.nodes, y.nodes)
-    u = ((p * cos + q * sin) / a_x) ** 2 + ((q * cos - p * sin) / a_y) ** 2
+    ellipse = principal_ellipse(a_x, a_y, azimuth)
     if distribution == "beckmann":
-        density, slope_rms = np.exp(-np.minimum(u, 640.0)) / (np.pi * a_x * a_y), np.hypot(a_x, a_y) / np.sqrt(2)
+        planar = PlanarDensity.elliptic(lambda u: np.exp(-u) / np.pi, ellipse, 8.3, _PLANAR_NODES)
+        slope_rms = float(np.hypot(a_x, a_y) / np.sqrt(2))
     else:
-        density, slope_rms = 1 / (np.pi * a_x * a_y * (1 + u) ** 2), np.nan
-    planar = PlanarDensity(x, y, positive(density))
-    mass = planar.moments[0]
-    if abs(mass - 1) > 1e-5:
-        raise FacetError(
-            f"an ellipse of a_x / a_y = {a_x / a_y:g} at azimuth {azimuth:g}° is too narrow for a grid along x and y "
-            f"(its mass comes out as {mass:.6f}); turn it nearer to an axis, or make it rounder"
-        )
-    facets = planar_dataset(planar, float(slope_rms))
-    rough_along = a_x >= a_y
-    facets = facets.assign(anisotropy=max(a_x / a_y, a_y / a_x), lay=(azimuth + 90 * rough_along + 90) % 180 - 90)
+        # As for the isotropic one: a grid that ends at 1e6 a leaves out 1e-6 of the mean slope.
+        planar = PlanarDensity.elliptic(lambda u: 1 / (np.pi * (1 + u) ** 2), ellipse, 1e6, _PLANAR_NODES)
+        slope_rms = np.nan
+    facets = planar_dataset(planar, slope_rms)
     facets.attrs |= {
         "method": f"analytic {distribution}, a_x = {a_x:g}, a_y = {a_y:g}, azimuth {azimuth:g}°",
         "band": "none: not measured",

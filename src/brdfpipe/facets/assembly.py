@@ -8,10 +8,9 @@ import xarray as xr
 from brdfpipe import masking, planar, vocabulary
 from brdfpipe.density import RadialDensity
 from brdfpipe.geometry import Array
-from brdfpipe.planar import PlanarDensity, SlopeAxis
+from brdfpipe.planar import Ellipse, PlanarDensity, SlopeAxis
 
 _ALPHA_NODES = 121
-_PLANAR_NODES = 129
 
 
 def radial_dataset(density: RadialDensity, slope_rms: float) -> xr.Dataset:
@@ -29,33 +28,40 @@ def radial_dataset(density: RadialDensity, slope_rms: float) -> xr.Dataset:
 
 
 def planar_dataset(density: PlanarDensity, slope_rms: float) -> xr.Dataset:
-    """Density, D and Λ of a surface with a lay."""
-    reach = float(np.hypot(density.x.reach, density.y.reach))
-    scale = float(np.sqrt(density.x.scale * density.y.scale))
-    slope = SlopeAxis(scale, reach, 2 * _ALPHA_NODES - 1).nodes[_ALPHA_NODES - 1 :]
+    """Density, D and Λ of a surface with a lay, and the lay."""
+    ellipse, nodes = density.ellipse, 2 * _ALPHA_NODES - 1
+    scale = float(np.sqrt(ellipse.along * ellipse.across))
+    steepest = float(np.hypot(density.along.reach, density.across.reach))
+    slope = SlopeAxis(scale, steepest, nodes).nodes[_ALPHA_NODES - 1 :]
+    lambda_smith = planar.smith_lambda(density)
+    # Masking varies fast about the lay, D about the perpendicular, where a narrow ellipse is long.
+    azimuth = np.sort((lambda_smith["phi"].values + 90) % 360)
+    beta = np.radians(azimuth)
     # The facet normal leans away from the slope: β = atan2(−q, −p).
-    beta = np.radians(planar.AZIMUTHS)
     polar = density(-slope[:, None] * np.cos(beta), -slope[:, None] * np.sin(beta))
-    dataset = xr.Dataset(
+    return xr.Dataset(
         {
-            "slope_density": (("slope_y", "slope_x"), density.density),
+            "slope_density": (("slope_across", "slope_along"), density.density),
             "D": (("alpha", "beta"), polar * (1 + slope[:, None] ** 2) ** 2),
-            "lambda_smith": planar.smith_lambda(density),
+            "lambda_smith": lambda_smith,
             "slope_rms": slope_rms,
+            "anisotropy": ellipse.across / ellipse.along,
+            "lay": density.azimuth,
         },
         coords={
-            "slope_x": ("slope_x", density.x.nodes, {"scale": density.x.scale}),
-            "slope_y": ("slope_y", density.y.nodes, {"scale": density.y.scale}),
+            "slope_along": ("slope_along", density.along.nodes, {"scale": density.along.scale}),
+            "slope_across": ("slope_across", density.across.nodes, {"scale": density.across.scale}),
             "alpha": np.degrees(np.arctan(slope)),
-            "beta": planar.AZIMUTHS,
+            "beta": azimuth,
         },
     )
-    return dataset
 
 
-def planar_axes(scale_x: float, scale_y: float, reach: float, size: int = _PLANAR_NODES) -> tuple[SlopeAxis, SlopeAxis]:
-    """Axes that reach ``reach`` scales along x and y."""
-    return SlopeAxis(scale_x, scale_x * reach, size), SlopeAxis(scale_y, scale_y * reach, size)
+def principal_ellipse(first: float, second: float, azimuth: float) -> Ellipse:
+    """The ellipse of two widths, towards an azimuth [degree] and across it: its lay runs along the smaller, in [-90, 90)."""
+    turned = 90 if first > second else 0
+    # Rounded, lest 29.8 read 29.80000000000001.
+    return Ellipse(min(first, second), max(first, second), round((azimuth + turned + 90) % 180 - 90, 9))
 
 
 def with_noise_warning(facets: xr.Dataset) -> xr.Dataset:

@@ -16,8 +16,16 @@ from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 
 _COARSE_BINS = 112
-_TAIL_NODES = 24
+_TAIL_NODES, _TAIL_LENGTHS = 24, 40
 _LEAST_BINS = 6
+
+_LEAST_IN_BLOCK = 1000
+_CLASSES = 16
+_POORER = 1.3
+"""How much more uncertain than their counts tell densities are whose bins hold few independent facets."""
+
+PLENTY, FEW = 100, 25
+"""Independent facets that every bin should hold, and that must do where the map has no more."""
 
 
 class FacetError(BrdfpipeError):
@@ -37,23 +45,26 @@ class Binned(NamedTuple):
     edges: Array
     """(bins + 1,) slopes, from 0."""
     counts: Array
-    """(bins,) facets in each bin."""
-    tail: int
-    """Facets steeper than the last edge."""
+    """(blocks, bins + 1) facets of each block of the map in each bin, and steeper than the last edge."""
     tail_excess: float
-    """Mean slope of those facets above the last edge."""
+    """Mean slope of those steeper ones above the last edge."""
+    least: int
+    """Independent facets that every bin holds."""
+    remedy: str
+    """What gives more of them."""
 
     @property
-    def total(self) -> int:
-        return int(self.counts.sum()) + self.tail
+    def found(self) -> Array:
+        """(bins + 1,) facets in each bin, and steeper than the last edge."""
+        return np.asarray(self.counts.sum(axis=0))
+
+    def over(self, scale: float) -> Binned:
+        """The slopes over a scale."""
+        return self._replace(edges=self.edges / scale, tail_excess=self.tail_excess / scale)
 
     def at_nodes(self, nodes: int) -> Array:
         """Counts on the density's nodes: bins at theirs, the tail at its first, none at the auxiliary nodes."""
-        counts = np.zeros(nodes)
-        counts[1 : 1 + self.counts.size] = self.counts
-        if self.tail:
-            counts[1 + self.counts.size] = self.tail
-        return counts
+        return np.pad(self.found, (1, nodes))[:nodes]
 
 
 def histogram(slopes: SlopeCounts, scale: float, bins: int = _COARSE_BINS) -> Histogram:
@@ -81,87 +92,202 @@ def histogram_of(squares: Iterable[tuple[int, Array]], scale: float, blocks: int
     return histogram(SlopeCounts(counts), scale)
 
 
-def redundancy_of(counts: Array) -> float:
-    """How many facets count as one independent facet: the variance of the counts between blocks over their mean.
+def redundancy_of(counts: Array, bins: NDArray[np.bool_] | slice = slice(None)) -> float:
+    """How many facets count as one independent facet in some ``bins`` of (blocks, bins) counts, taken together; at least 1.
 
     Neighbouring facets share heights and belong to the same grain, so n facets scatter like n / redundancy. The blocks also
     see what a correlation length does not: a map that is not the same everywhere.
     """
-    share = counts.sum(axis=1, keepdims=True) / max(counts.sum(), 1.0)
-    used = share[:, 0] > 0
-    expected = share[used] * counts.sum(axis=0)
-    freedom = max(1, np.count_nonzero(used) - 1)
-    return max(1.0, float(np.sum((counts[used] - expected) ** 2) / freedom / (expected.sum() / np.count_nonzero(used))))
+    return max(1.0, float(np.sum(_deviations(counts)[:, bins] ** 2) / max(counts[:, bins].sum(), 1.0)))
 
 
-def merged(histogram: Histogram) -> tuple[Binned, float]:
-    """Bins of at least a hundred independent facets each, and how many facets count as one in them.
+def redundancy_in_classes(counts: Array | NDArray[np.int64]) -> float:
+    """How many facets count as one in 16 classes of as many facets each: wide enough for neighbours to share them.
 
-    Neighbouring facets share a wide bin more often than a narrow one, so merging bins raises the redundancy that decides how
-    far to merge; two or three rounds settle it.
+    Parameters
+    ----------
+    counts : (blocks, bins) in bins that are much narrower
     """
-    counts, redundancy = histogram.counts, 1.0
-    for _ in range(6):
-        found = max(redundancy, redundancy_of(counts))
-        bins = _merge_bins(histogram, 100 * found)
-        if found < 1.05 * redundancy:
+    found = counts.sum(axis=0)
+    cumulative = np.cumsum(found)
+    classes = np.minimum(cumulative - found / 2, cumulative[-1] - 0.5) * _CLASSES // cumulative[-1]
+    starts = np.flatnonzero(np.diff(classes, prepend=-1))
+    return redundancy_of(np.add.reduceat(counts, starts, axis=1).astype(float))
+
+
+def _deviations(counts: Array) -> Array:
+    """What each block's counts (blocks, bins) are above its share of all, so that a sum of squares is the variance of a bin.
+
+    Shares, not counts: the density is normalised, and blocks with missing heights hold fewer facets.
+    """
+    facets = counts.sum(axis=1, keepdims=True)
+    blocks = int(np.count_nonzero(facets))
+    share = facets / max(float(counts.sum()), 1.0)
+    return np.asarray((counts - share * counts.sum(axis=0)) * np.sqrt(blocks / max(blocks - 1, 1)))
+
+
+def merged(histogram: Histogram) -> Binned:
+    """Bins of at least a hundred independent facets each, or 25 if no six such bins are there; beyond the last is the tail.
+
+    A small map does not pass with 25: its blocks are hardly wider than its grains, and their variance promises too much.
+    """
+    blocks, facets = histogram.counts.shape[0], float(histogram.counts.sum())
+    for least in (PLENTY, FEW) if facets >= _LEAST_IN_BLOCK * blocks else (PLENTY,):
+        cuts = _cuts(histogram, least)
+        if len(cuts) > _LEAST_BINS:
             break
-        redundancy = found
-        starts = np.searchsorted(histogram.edges, bins.edges[:-1])
-        counts = np.add.reduceat(histogram.counts, starts, axis=1)
-    return bins, redundancy
-
-
-def _merge_bins(histogram: Histogram, least: float) -> Binned:
-    """Merge bins until each holds at least ``least`` facets; what is left beyond the last is the tail."""
-    counts = histogram.counts.sum(axis=0)
-    cumulative = np.concatenate([[0.0], np.cumsum(counts)])
-    kept = [0]
-    for cut in range(1, cumulative.size):
-        # Four times as many where there are plenty halve the noise; only the last bins make do with the least.
-        plenty = cumulative[-1] - cumulative[kept[-1]] >= 8 * least
-        if cumulative[cut] - cumulative[kept[-1]] >= (4 * least if plenty else least):
-            kept.append(cut)
-    if len(kept) - 1 < _LEAST_BINS:
+    else:
         raise FacetError(
-            f"too few independent facets: {cumulative[-1]:.0f} facets fill {len(kept) - 1} bins of at least {least:.0f}, "
-            f"{_LEAST_BINS} are needed; measure a larger area, or at a finer pitch"
+            f"too few independent facets: {facets:.0f} facets fill {len(cuts) - 1} bins of at least {least} "
+            f"independent ones, {_LEAST_BINS} are needed; {_remedy(histogram)}"
         )
-    last = kept[-1]
-    tail = int(cumulative[-1] - cumulative[last])
+    last = cuts[-1]
+    counts = np.add.reduceat(np.pad(histogram.counts, ((0, 0), (0, 1))), cuts, axis=1)
+    tail = float(counts[:, -1].sum())
     excess = float(histogram.sums[last:].sum() / tail - histogram.edges[last]) if tail else 0.0
-    return Binned(histogram.edges[kept], np.diff(cumulative[kept]), tail, excess)
+    return Binned(histogram.edges[cuts], counts, excess, least, _remedy(histogram))
 
 
-def counted_density(binned: Binned, redundancy: float) -> tuple[RadialDensity, NDArray[np.int8], Array]:
+def _remedy(histogram: Histogram) -> str:
+    """What to do about too few independent facets: spikes and plateaus fill few bins however large the map is."""
+    found = histogram.counts.sum(axis=0)
+    middles = (histogram.edges[1:] + histogram.edges[:-1]) / 2
+    beyond, squares = (np.cumsum(each[::-1])[::-1] for each in (found, found * middles**2))
+    spikes = np.flatnonzero((squares > squares[0] / 2) & (beyond < 1e-3 * beyond[0]))
+    if spikes.size:
+        return (
+            f"{beyond[spikes[0]]:.0f} of them, steeper than {histogram.edges[spikes[0]]:.2g}, hold most of the mean square slope: "
+            "take spikes out of the heights, as missing ones"
+        )
+    if found[0] > _PLATEAU * beyond[0]:
+        return (
+            f"{found[0] / beyond[0]:.0%} of them have slopes below {histogram.edges[1]:.2g}, a plateau: measure where the finish "
+            "is, or take the plateau out of the heights, as missing ones"
+        )
+    return "measure a larger area, or at a finer pitch"
+
+
+_PLATEAU = 0.5
+"""Share of the facets in the first of a hundred bins, of which no rough surface has more than a few per cent there."""
+
+
+def _cuts(histogram: Histogram, least: int) -> list[int]:
+    """Where to cut, so that every bin holds at least ``least`` independent facets.
+
+    Facets of a wide bin come in larger clumps than those of a narrow one, and steep ones in larger clumps than gentle ones: how
+    many count as one is found anew for each bin.
+    """
+    cumulative, deviations = (
+        np.pad(np.cumsum(each, axis=1), ((0, 0), (1, 0))) for each in (histogram.counts, _deviations(histogram.counts))
+    )
+    found = cumulative.sum(axis=0)
+    cuts = [0]
+    while True:
+        facets, left = found[cuts[-1] + 1 :] - found[cuts[-1]], found[-1] - found[cuts[-1]]
+        variance = ((deviations[:, cuts[-1] + 1 :] - deviations[:, cuts[-1], None]) ** 2).sum(axis=0)
+        redundancy = np.maximum(variance / np.maximum(facets, 1), 1)
+        # Four times as many where there are plenty halve the noise; only the last bins make do with the least.
+        wanted = np.where(left >= 8 * least * redundancy, 4, 1) * least
+        enough = np.flatnonzero(facets >= wanted * redundancy)
+        if enough.size == 0:
+            return cuts
+        cuts.append(cuts[-1] + 1 + int(enough[0]))
+
+
+def counted_density(binned: Binned) -> tuple[RadialDensity, NDArray[np.int8], Array]:
     """Density whose integral over every bin is that bin's share, with a log-linear tail that carries the tail's share.
 
     Returns the density, and on its nodes the quality flag and the relative standard uncertainty.
     """
-    edges, share = binned.edges, binned.counts / binned.total
-    tail_slope, tail_density = _tail(edges[-1], binned.tail / binned.total, binned.tail_excess)
+    edges, share = binned.edges, binned.found / binned.found.sum()
+    tail_slope, tail_density = _tail(edges[-1], share[-1], binned.tail_excess)
+    share = share[:-1]
     middle = np.sqrt((edges[1:] ** 2 + edges[:-1] ** 2) / 2)
     log_density = np.log(share / (np.pi * np.diff(edges**2)))
     slope = np.concatenate([[0.0], middle, tail_slope])
+    body = slope[: share.size + 2] ** 2
     split = np.sort(np.concatenate([edges, middle]))
     s, ds = panel_rule(split, 4)
     owner = np.minimum(np.searchsorted(edges, s, side="right") - 1, share.size - 1)
 
-    def density_with(log_density: Array) -> RadialDensity:
-        body = _with_ends(slope[: share.size + 2] ** 2, log_density, tail_density)
-        return RadialDensity(slope, np.concatenate([np.exp(body), tail_density[1:]]))
+    def with_ends(log_density: Array) -> Array:
+        return _with_ends(body, log_density, tail_density)
+
+    def masses(log_density: Array) -> Array:
+        density = RadialDensity(slope, np.concatenate([np.exp(with_ends(log_density)), tail_density[1:]]))
+        return 2 * np.pi * s * density(s**2) * ds
 
     # A bin's mean is not the density at its middle: move each node until the interpolant holds the bin's share.
     for _ in range(12):
-        mass = np.bincount(owner, 2 * np.pi * s * density_with(log_density)(s**2) * ds, minlength=share.size)
-        log_density = log_density + np.log(share / mass)
-    density = density_with(log_density)
-    relative_u = np.sqrt(redundancy / binned.counts)
-    tail_u = max(relative_u[-1], np.sqrt(redundancy / max(binned.tail, 1)))
-    relative_u = np.concatenate([relative_u[:1], relative_u, np.full(tail_slope.size, min(tail_u, 1.0))])
+        mass = masses(log_density)
+        log_density = log_density + np.log(share / np.bincount(owner, mass, minlength=share.size))
+    density = RadialDensity(slope, np.concatenate([np.exp(with_ends(log_density)), tail_density[1:]]))
+    # How the nodes, and with them the shares, answer to the middles: along straight lines, near enough for an uncertainty.
+    step = 1e-6
+    answer = (
+        np.stack([with_ends(row) - with_ends(log_density) for row in log_density + step * np.eye(share.size)]) / step
+    )
+    shares = [np.bincount(owner, mass * np.interp(s**2, body, column), minlength=share.size) for column in answer]
+    relative_u = _relative_uncertainty(binned, answer.T @ np.linalg.inv(np.stack(shares, axis=1) / share[:, None]))
+    relative_u = _along_tail(relative_u, tail_slope)
     quality = np.full(slope.size, vocabulary.quality("measured"))
     quality[share.size + 1 :] = vocabulary.quality("extrapolated")
     return RadialDensity(slope, density.density / density.mass), quality, relative_u
+
+
+def narrowed(binned: Binned, mean_square: float) -> Binned:
+    """The bins of slopes, moved to where noise of a ``mean_square`` along each axis has moved them from.
+
+    A density that spreads by noise flows along its gradient: to first order slopes came from s + mean_square/2 · d log P22/ds.
+    A Gaussian keeps its shape; a tail has moved less, and a sharp peak has widened more.
+
+    References
+    ----------
+    Song et al. 2021, ICLR, eq. 13: the probability flow of a diffusion.
+    """
+    # The gradient is that of a smooth curve through the bins: of their own scatter it would be too large.
+    squares, found = binned.edges**2, binned.found[:-1]
+    middle = (squares[1:] + squares[:-1]) / 2
+    width = middle[np.searchsorted(np.cumsum(found), found.sum() / 2)]
+    degree, log_density = min(_SMOOTH_DEGREE, found.size - 2), np.log(found / np.diff(squares))
+    curve = np.polynomial.Polynomial.fit(np.log1p(middle / width), log_density, degree, w=np.sqrt(found))
+    inside = np.minimum(squares, middle[-1])
+    gradient = curve.deriv()(np.log1p(inside / width)) / (width + inside)
+    moved = binned.edges * np.clip(1 + mean_square * gradient, 0.5, 1)
+    widths = np.maximum(np.diff(moved), _NARROWEST * np.diff(binned.edges))
+    return binned._replace(edges=np.concatenate([[0.0], np.cumsum(widths)]))
+
+
+_SMOOTH_DEGREE = 4
+_NARROWEST = 0.2
+"""What at least is left of a bin."""
+
+
+def _relative_uncertainty(binned: Binned, answer: Array) -> Array:
+    """Relative standard uncertainty of the density at the first node, the bins' and the tail's, at most 1.
+
+    The deviations of the blocks' shares are carried to the nodes by ``answer`` (bins + 2, bins). Of few blocks a variance is
+    uncertain itself: its ratio to the counts, the redundancy, is smoothed over neighbouring nodes along its own trend.
+    """
+    found, deviations = binned.found, _deviations(binned.counts)
+    at_nodes = answer @ (deviations[:, :-1] / found[:-1]).T
+    counts = np.concatenate([found[:1], found[:-1]])
+    redundancy = (at_nodes[:-1] ** 2).sum(axis=1) * counts
+    weight = np.array([1, 2, 3, 2, 1]) / 9
+    redundancy = np.convolve(np.pad(redundancy, 2, mode="reflect", reflect_type="odd"), weight, mode="valid")
+    relative_u = np.sqrt(np.maximum(redundancy, 1) / counts)
+    tail = np.sqrt(max((deviations[:, -1] ** 2).sum(), found[-1], 1)) / max(found[-1], 1)
+    relative_u = np.append(relative_u, max(relative_u[-1], tail)) * (1.0 if binned.least == PLENTY else _POORER)
+    return np.minimum(relative_u, 1.0)
+
+
+def _along_tail(relative_u: Array, tail_slope: Array) -> Array:
+    """Continue the uncertainty from the tail's first node to its others, at most 1.
+
+    Of exp(−(s − start)/L) the length L is as uncertain as the share of the facets that gave it.
+    """
+    lengths = (tail_slope[1:] - tail_slope[0]) / (tail_slope[-1] - tail_slope[0]) * _TAIL_LENGTHS
+    return np.minimum(np.concatenate([relative_u, relative_u[-1] * np.hypot(1, lengths)]), 1.0)
 
 
 def _with_ends(u: Array, log_density: Array, tail_density: Array) -> Array:
@@ -183,5 +309,5 @@ def _tail(start: float, share: float, excess: float) -> tuple[Array, Array]:
     if share == 0:
         return np.array([start]), np.zeros(1)
     length = (excess - start + np.sqrt((start - excess) ** 2 + 8 * start * excess)) / 4
-    step = np.concatenate([[0.0], np.geomspace(0.05, 40, _TAIL_NODES)])
+    step = np.concatenate([[0.0], np.geomspace(0.05, _TAIL_LENGTHS, _TAIL_NODES)])
     return start + length * step, share / (2 * np.pi * length * (start + length)) * np.exp(-step)

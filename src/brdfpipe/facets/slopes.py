@@ -7,34 +7,60 @@ show a false lay.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from brdfpipe.facets.quantum import quantum_of, spread
 from brdfpipe.geometry import Array
 
 SCALES = np.array([1.0, 2.0, 4.0, 8.0])
 """Distances, in pixels, over which the slope rms is reported."""
 
 BLOCKS = 8
-"""A map is cut into this many blocks along each axis, a line into their square."""
+"""A map is cut into this many blocks along each axis."""
+
+
+class HeightMap(NamedTuple):
+    """Heights of a scan, as its facets are counted."""
+
+    height: Array
+    """(rows, columns) [um]"""
+    pitch: tuple[float, float]
+    """Along x and y [um]."""
+    quantum: float
+    """Step in which the heights come [um], over which they are spread; 0 where they take any value."""
+
+    @classmethod
+    def of(cls, surface: xr.Dataset) -> HeightMap:
+        height, pitch = surface["height"].values, (float(surface.attrs["pitch_x"]), float(surface.attrs["pitch_y"]))
+        return cls(height, pitch, quantum_of(height, pitch))
+
+    @property
+    def rounding(self) -> Array:
+        """(2,) mean square that rounding the heights adds to the slopes along x and y; spreading them adds it again."""
+        return self.quantum**2 / 6 / np.square(self.pitch)
 
 
 class Moments(NamedTuple):
-    """First and second moments of the slopes."""
+    """First and second moments of the slopes of one or several scans."""
 
     facets: int
-    mean: Array
-    """(2,) mean slope along x and y."""
+    tilts: Array
+    """(scans, 2) mean slope along x and y of each scan, which no statistics hold."""
     covariance: Array
-    """(2, 2) about the mean."""
+    """(2, 2) of the surface's slopes, each scan's about its own mean."""
+    seen: Array
+    """(2, 2) of the slopes that were counted, which heights in steps widen."""
+    scan_rms: Array
+    """(scans,) slope rms of each scan."""
 
     @property
     def slope_rms(self) -> float:
-        return float(np.sqrt(np.trace(self.covariance) + self.mean @ self.mean))
+        """About the mean: masking supposes that there is none."""
+        return float(np.sqrt(max(np.trace(self.covariance), 0.0)))
 
     @property
     def anisotropy(self) -> float:
@@ -47,11 +73,6 @@ class Moments(NamedTuple):
         """Azimuth of the smaller principal slope rms, an axis in [-90, 90) degree."""
         x, y = np.linalg.eigh(self.covariance)[1][:, 0]
         return float((np.degrees(np.arctan2(y, x)) + 90) % 180 - 90)
-
-
-def pitch_of(surface: xr.Dataset) -> tuple[float, float]:
-    """Pitch along x and y of a map [um]."""
-    return float(surface.attrs["pitch_x"]), float(surface.attrs["pitch_y"])
 
 
 class SlopeCounts(NamedTuple):
@@ -70,13 +91,12 @@ class SlopeCounts(NamedTuple):
 FINE_BINS = 0x7F80
 """Upper half of the bits of infinity: what lies below is finite, what lies above is no number."""
 
-_BLOCK_POINTS = 2**15
+_BLOCK_POINTS = 2**16
 
 
-def _blocks(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, tuple[float, float]]]:
+def _blocks(maps: Sequence[HeightMap]) -> Iterator[tuple[int, Array, tuple[float, float]]]:
     """Blocks of the maps that share their border heights, a few hundred thousand heights at a time, and the pitch."""
-    for scan, surface in enumerate(maps):
-        height, pitch = surface["height"].values, pitch_of(surface)
+    for scan, (height, pitch, quantum) in enumerate(maps):
         rows = np.linspace(0, height.shape[0] - 1, BLOCKS + 1).astype(int)
         columns = np.linspace(0, height.shape[1] - 1, BLOCKS + 1).astype(int)
         for block in range(BLOCKS**2):
@@ -84,12 +104,38 @@ def _blocks(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, tuple[floa
             across = slice(columns[column], columns[column + 1] + 1)
             step = max(1, _BLOCK_POINTS // max(1, across.stop - across.start))
             for start in range(rows[row], rows[row + 1], step):
-                part = height[start : min(start + step, rows[row + 1]) + 1, across]
+                along = slice(start, min(start + step, rows[row + 1]) + 1)
+                part = height[along, across]
+                if quantum:
+                    part = part + quantum * spread(along, across)
                 yield scan * BLOCKS**2 + block, part, pitch
 
 
-def _edges_of(part: Array, pitch: tuple[float, float], dtype: type = np.float64) -> tuple[Array, Array]:
-    """Slopes of the edges of a block's quads, along x (rows + 1, columns) and along y (rows, columns + 1).
+def mean_slope(heights: HeightMap) -> Array:
+    """(2,) mean slope along x and y of a map's facets, from the heights along its border.
+
+    Along a row or a column of a whole map the slopes add up to what the ends differ by. Taken to be 0 where heights of the border
+    are missing, and where it is too small to matter.
+    """
+    height, pitch, _ = heights
+    rises = [
+        (height[:, -1] - height[:, 0]) / ((height.shape[1] - 1) * pitch[0]),
+        (height[-1] - height[0]) / ((height.shape[0] - 1) * pitch[1]),
+    ]
+    # A row or a column inside the map has quads on both sides.
+    mean = np.array([(2 * rise.sum() - rise[0] - rise[-1]) / (2 * (rise.size - 1)) for rise in rises])
+    steps = np.diff(height[:: max(1, height.shape[0] // _SAMPLED_ROWS)], axis=1)
+    return mean if np.hypot(*mean) > _TILT_LEFT * np.sqrt(mean_square(steps)) / pitch[0] else np.zeros(2)
+
+
+_TILT_LEFT = 1e-3
+"""Mean slope over slope rms that may stay in the counts: it changes the density by its square."""
+
+_SAMPLED_ROWS = 64
+
+
+def _edges_of(part: Array, pitch: tuple[float, float], tilt: Array, dtype: type = np.float64) -> tuple[Array, Array]:
+    """Slopes of the edges of a block's quads about ``tilt``, along x (rows + 1, columns) and along y (rows, columns + 1).
 
     Heights are subtracted in double precision whatever ``dtype`` the slopes are kept in.
     """
@@ -99,6 +145,9 @@ def _edges_of(part: Array, pitch: tuple[float, float], dtype: type = np.float64)
     np.subtract(part[1:], part[:-1], out=along_y, dtype=np.float64, casting="same_kind")
     along_x *= dtype(1 / pitch[0])
     along_y *= dtype(1 / pitch[1])
+    if tilt.any():
+        along_x -= dtype(tilt[0])
+        along_y -= dtype(tilt[1])
     return along_x, along_y
 
 
@@ -109,13 +158,13 @@ def _triangles(along_x: Array, along_y: Array) -> Iterator[tuple[Array, Array]]:
             yield edge_x, edge_y
 
 
-def triangle_slopes(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, Array]]:
-    """Slopes (p, q) of the four triangles of every quad, block by block; a triangle that touches a missing height is left out.
+def triangle_slopes(maps: Sequence[HeightMap], tilts: Array) -> Iterator[tuple[int, Array, Array]]:
+    """Slopes (p, q) of the four triangles of every quad about each scan's tilt, block by block.
 
-    Yields the number of the block, p and q.
+    A triangle that touches a missing height is left out. Yields the number of the block, p and q.
     """
     for block, part, pitch in _blocks(maps):
-        along_x, along_y = _edges_of(part, pitch)
+        along_x, along_y = _edges_of(part, pitch, tilts[block // BLOCKS**2])
         whole = bool(np.isfinite(along_x).all() and np.isfinite(along_y).all())
         for p, q in _triangles(along_x, along_y):
             if whole:
@@ -125,29 +174,63 @@ def triangle_slopes(maps: Sequence[xr.Dataset]) -> Iterator[tuple[int, Array, Ar
                 yield block, p[complete], q[complete]
 
 
-def count_maps(maps: Sequence[xr.Dataset]) -> tuple[SlopeCounts, Moments]:
-    """Counts of the squared slopes of every triangle of one or several scans, and the moments of the slopes, in one pass.
+def count_maps(maps: Sequence[HeightMap]) -> tuple[SlopeCounts, Moments]:
+    """Counts of the squared slopes of every triangle of one or several scans, and the moments of the slopes.
+
+    Slopes are about each scan's own mean. That of a whole map is known from its border, so that one pass suffices; where heights
+    are missing, a second one counts about the mean that the first has found.
+    """
+    tilts = np.array([mean_slope(each) for each in maps])
+    counts, found = _count_about(tilts, maps)
+    left = np.abs(found.tilts - tilts).max()
+    return _count_about(found.tilts, maps) if left > _TILT_LEFT * found.slope_rms else (counts, found)
+
+
+def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[SlopeCounts, Moments]:
+    """Counts about given mean slopes, and moments about the exact ones.
 
     Squares are binned by the bits of a 32-bit float, in bins of 0.5 %: no logarithm, no search. A triangle that touches a missing
     height has no number for a slope, and falls beyond the last bin by itself.
     """
     counts = np.zeros((len(maps) * BLOCKS**2, FINE_BINS), dtype=np.int64)
-    facets, total, products = 0, np.zeros(2), np.zeros(3)
-    for block, part, pitch in _blocks(maps):
-        along_x, along_y = _edges_of(part, pitch, np.float32)
-        square_x, square_y = along_x * along_x, along_y * along_y
-        squares = np.empty((4, square_y.shape[0], square_x.shape[1]), dtype=np.float32)
-        for square, (xx, yy) in zip(squares, _triangles(square_x, square_y), strict=True):
-            np.add(xx, yy, out=square)
-        counts[block] += count_bits(squares)
-        n, first, second = _block_moments(part, pitch, (along_x, along_y), (square_x, square_y))
-        facets, total, products = facets + n, total + first, products + second
-    if facets == 0:
-        return SlopeCounts(counts), Moments(0, np.zeros(2), np.zeros((2, 2)))
-    mean = total / facets
-    square_mean = products / facets
-    covariance = np.array([[square_mean[0], square_mean[2]], [square_mean[2], square_mean[1]]]) - np.outer(mean, mean)
-    return SlopeCounts(counts), Moments(facets, mean, covariance)
+    facets, total, products = np.zeros((len(maps), 1)), np.zeros((len(maps), 2)), np.zeros((len(maps), 3))
+    # Heights in a wrong unit may overflow; their slope rms tells.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for block, part, pitch in _blocks(maps):
+            scan = block // BLOCKS**2
+            along_x, along_y = _edges_of(part, pitch, tilts[scan], np.float32)
+            square_x, square_y = along_x * along_x, along_y * along_y
+            squares = np.empty((4, square_y.shape[0], square_x.shape[1]), dtype=np.float32)
+            for square, (xx, yy) in zip(squares, _triangles(square_x, square_y), strict=True):
+                np.add(xx, yy, out=square)
+            counts[block] += count_bits(squares)
+            n, first, second = _block_moments(part, pitch, tilts[scan], (along_x, along_y), (square_x, square_y))
+            facets[scan] += n
+            total[scan] += first
+            products[scan] += second
+        mean = total / np.maximum(facets, 1)
+        products -= facets * np.column_stack([mean**2, mean.prod(axis=1)])
+    return SlopeCounts(counts), _moments(maps, facets, tilts + mean, products)
+
+
+def _moments(maps: Sequence[HeightMap], facets: Array, tilts: Array, products: Array) -> Moments:
+    """Moments from the facets of each scan (scans, 1), and the sums over them of p², q² and pq about the mean (scans, 3)."""
+    total = max(float(facets.sum()), 1.0)
+    xx, yy, xy = products.sum(axis=0) / total
+    covariance = seen = np.array([[xx, xy], [xy, yy]])
+    widening = 2 * np.array([each.rounding for each in maps])
+    if widening.any() and facets.any():
+        # Where the steps are all that is seen, rounding is no longer what adds its mean square to the slopes.
+        widest = np.diag((facets * widening).sum(axis=0) / total)
+        largest = float(np.linalg.eigvals(np.linalg.solve(seen, widest)).real.max())
+        covariance = seen - widest * min(1.0, _MOST_WIDENED / largest)
+    squares = products[:, :2] / np.maximum(facets, 1)
+    rms = np.sqrt(np.maximum(np.maximum(squares - widening, (1 - _MOST_WIDENED) * squares).sum(axis=1), 0.0))
+    return Moments(int(facets.sum()), tilts, covariance, seen, rms)
+
+
+_MOST_WIDENED = 0.75
+"""Share of the mean square slope that may be taken away for the steps of the heights."""
 
 
 _HIGH = 1 if np.little_endian else 0
@@ -159,9 +242,9 @@ def count_bits(squares: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def _block_moments(
-    part: Array, pitch: tuple[float, float], along: tuple[Array, Array], square: tuple[Array, Array]
+    part: Array, pitch: tuple[float, float], tilt: Array, along: tuple[Array, Array], square: tuple[Array, Array]
 ) -> tuple[int, Array, Array]:
-    """Number of triangles of a block, sums of p and q, and sums of p², q² and pq over them.
+    """Number of triangles of a block, sums of p and q, and sums of p², q² and pq over them, all about ``tilt``.
 
     Every edge along x meets the four edges along y of the quads beside it: sums over triangles are sums over edges. Rows are
     summed in the precision of the slopes, their sums in double precision.
@@ -171,12 +254,13 @@ def _block_moments(
     if np.isfinite(mixed):
         # Along a row or a column the slopes add up to what the ends differ by.
         rises = (part[:, -1] - part[:, 0]) / pitch[0], (part[-1] - part[0]) / pitch[1]
-        first = 2 * np.array([2 * rise.sum() - rise[0] - rise[-1] for rise in rises])
+        count = 4 * (along_x.shape[0] - 1) * along_x.shape[1]
+        first = 2 * np.array([2 * rise.sum() - rise[0] - rise[-1] for rise in rises]) - count * tilt
         # Each edge counts twice for every quad beside it: those on the block's border have one.
         rows_x, rows_y = (each.sum(axis=1).astype(float) for each in square)
         square_x = 2 * rows_x.sum() - rows_x[0] - rows_x[-1]
         square_y = 2 * rows_y.sum() - square[1][:, [0, -1]].sum(dtype=float)
-        return 4 * (along_x.shape[0] - 1) * along_x.shape[1], first, np.array([2 * square_x, 2 * square_y, mixed])
+        return count, first, np.array([2 * square_x, 2 * square_y, mixed])
     count, first, second = 0, np.zeros(2), np.zeros(3)
     for p, q in _triangles(along_x, along_y):
         complete = np.isfinite(p) & np.isfinite(q)
@@ -187,28 +271,19 @@ def _block_moments(
     return count, first, second
 
 
-def count_line(slopes: Array) -> SlopeCounts:
-    """Counts of the squared slopes along a line, in as many blocks as a map has."""
-    borders = np.linspace(0, slopes.size, BLOCKS**2 + 1).astype(int)
-    counts = np.zeros((BLOCKS**2, FINE_BINS), dtype=np.int64)
-    for block, (start, stop) in enumerate(pairwise(borders)):
-        square = np.square(slopes[start:stop], dtype=np.float32, casting="same_kind")
-        counts[block] = count_bits(square)
-    return SlopeCounts(counts)
-
-
-def slope_rms_by_scale(surface: xr.Dataset) -> Array:
-    """Root mean square slope of a map over 1, 2, 4 and 8 pixels, from some of its rows; NaN where the map is too small."""
-    height, pitch = surface["height"].values, pitch_of(surface)
+def slope_rms_by_scale(heights: HeightMap, tilt: Array) -> Array:
+    """Root mean square slope of a map about ``tilt``, over 1, 2, 4 and 8 pixels, from some of its rows; NaN where it is too small."""
+    height, pitch, _ = heights
     values = []
     for step in SCALES.astype(int):
         if min(height.shape) <= step:
             values.append(np.nan)
             continue
         rows = slice(0, height.shape[0] - step, max(1, height.size // _SAMPLED))
-        along_x = (height[rows, step:] - height[rows, :-step]) / (step * pitch[0])
-        along_y = (height[step:][rows] - height[rows]) / (step * pitch[1])
-        values.append(np.sqrt(mean_square(along_x) + mean_square(along_y)))
+        along_x = (height[rows, step:] - height[rows, :-step]) / (step * pitch[0]) - tilt[0]
+        along_y = (height[step:][rows] - height[rows]) / (step * pitch[1]) - tilt[1]
+        square = mean_square(along_x) + mean_square(along_y)
+        values.append(np.sqrt(max(square - heights.rounding.sum() / step**2, square / 4)))
     return np.asarray(values)
 
 
@@ -223,6 +298,9 @@ def inner(a: Array, b: Array) -> float:
 
 def mean_square(values: Array) -> float:
     """Mean square of the values that are there; NaN where none is."""
+    total = inner(values, values)
+    if np.isfinite(total) and values.size:
+        return total / values.size
     finite = values[np.isfinite(values)]
     return inner(finite, finite) / finite.size if finite.size else float("nan")
 
@@ -243,11 +321,11 @@ def _along(lines: Array, pitch: float) -> float:
     # Some lines, or stretches of a long one, tell the correlation as well as all of them.
     if lines.shape[1] > 2**16:
         lines = lines[:, : lines.shape[1] // 2**15 * 2**15].reshape(-1, 2**15)
-    lines = lines[:: max(1, lines.size // (_SAMPLED // 2))]
+    lines = np.ascontiguousarray(lines[:: max(1, lines.size // (_SAMPLED // 2))])
     present = np.isfinite(lines)
     if not present.any():
         return float("nan")
-    centred = np.where(present, lines - np.nanmean(lines), 0.0).astype(np.float64)
+    centred = np.where(present, lines - lines[present].mean(), 0.0).astype(np.float64)
     length = next_fast_len(2 * lines.shape[1], real=True)
     lags = lines.shape[1] // 2
 

@@ -2,7 +2,7 @@
 
 Snakemake does not see changes inside the package. So each rule carries this digest as a parameter: of the stage's script
 and every module of the package it imports, directly or not, comments and docstrings aside; of the data files beside those
-modules; and of the versions of the libraries that compute and store.
+modules; and of the versions of the libraries that compute and store, and of an optional one where a module reads with it.
 """
 
 from __future__ import annotations
@@ -11,10 +11,13 @@ import ast
 import hashlib
 from collections.abc import Iterator
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 LIBRARIES = ("defusedxml", "jinja2", "netCDF4", "numpy", "pandas", "pillow", "scipy", "xarray")
+
+EXTRAS = {"brdfpipe.surfaces.instruments": "SurfaceTopography"}
+"""Module → the optional library it reads with; without it the module refuses."""
 
 UNFOLLOWED = ("brdfpipe.jobs.", "brdfpipe.cli.")
 """The machinery: it carries results and does not shape them."""
@@ -43,10 +46,19 @@ def digest(script: Path, root: Path | None = None) -> str:
         path = _path(name, root)
         assert path is not None
         content.update(f"{name} {_read(path, path.stat().st_mtime_ns).digest}\n".encode())
+        if name in EXTRAS:
+            content.update(f"{EXTRAS[name]} {_installed(EXTRAS[name])}\n".encode())
         if path.name == "__init__.py":
             for data in _data_files(path.parent):
                 content.update(f"{data.relative_to(path.parent)} {_bytes_digest(data)}\n".encode())
     return content.hexdigest()[:32]
+
+
+def _installed(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return "none"
 
 
 def modules(script: Path, root: Path) -> tuple[str, ...]:

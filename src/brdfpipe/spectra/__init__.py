@@ -15,28 +15,34 @@ from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
 from brdfpipe.optics import fresnel
 from brdfpipe.spectra.readers import GEOMETRIES, read_spectrum
-from brdfpipe.spectra.recovery import recover
+from brdfpipe.spectra.recovery import metamerism, recover
 
-__all__ = ["ingest", "read_spectrum", "recover"]
+__all__ = ["ingest", "metamerism", "read_spectrum", "recover"]
 
-_FILE_KEYS = ("scale", "column", "uncertainty", "allow_fluorescent")
-_LAB_KEYS = ("illuminant", "observer")
+_FILE_KEYS = ("format", "scale", "sample", "column", "uncertainty", "allow_fluorescent")
+_LAB_KEYS = ("illuminant", "observer", "method", "threshold", "seed")
 _COMMON_KEYS = ("geometry", "incidence", "specular_trap")
 _LOWEST_INDEX = 1.45
 """Below every named plastic's: a surface that reflects less than this had its specular reflection excluded, or is not smooth."""
 
 
-def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None, index: float | None = None) -> xr.Dataset:
+def ingest(
+    spec: Mapping[str, Any],
+    path: str | PathLike[str] | None = None,
+    index: float | None = None,
+    checkpoint: Path | None = None,
+) -> xr.Dataset:
     """Total reflectance of a material, as the ``spectrum`` of its material.yaml gives it.
 
     Parameters
     ----------
-    spec : ``{file, geometry, incidence, scale, column, uncertainty, allow_fluorescent}`` or
-        ``{lab, illuminant, observer, geometry, incidence}``; ``incidence`` is 8 degree where absent. With the specular excluded,
+    spec : ``{file, format, geometry, incidence, scale, sample, column, uncertainty, allow_fluorescent}`` or
+        ``{lab, illuminant, observer, method, threshold, seed, geometry, incidence}``; ``incidence`` is 8 degree where absent. With the specular excluded,
         ``specular_trap`` is the half angle of the instrument's gloss trap
     path : where the file lies, if not at its name in ``spec``
     index : refractive index, if known. A colour with the specular included then gives a spectrum that contains its Fresnel
         reflectance; a file with less than it is warned about
+    checkpoint : where a random search keeps its best so far, to resume from
 
     Returns
     -------
@@ -58,9 +64,12 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None, ind
         spec["lab"],
         illuminant=spec["illuminant"],
         observer=spec["observer"],
+        **{key: spec[key] for key in ("method", "threshold", "seed") if key in spec},
         specular_index=index if geometry == "sci" else None,
         theta=incidence,
         geometry=geometry,
+        checkpoint=checkpoint,
+        progress=True,
     )
     return recovered.assign_attrs(trap)
 

@@ -28,6 +28,8 @@ _KAPPA = 24389 / 27
 # IEC 61966-2-1: chromaticities of the sRGB primaries.
 _SRGB_PRIMARIES = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
 
+_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+
 
 class Weights(NamedTuple):
     """What turns a reflectance into tristimulus values: XYZ = R @ weights."""
@@ -99,6 +101,23 @@ def weights(illuminant: str = "D65", observer: int = 10) -> Weights:
     BrdfpipeError : unknown illuminant or observer, with those known.
     """
     return _weights(illuminant_name(illuminant), _observer(observer))
+
+
+def basis() -> tuple[Array, Array]:
+    """Four basis reflectances: red, green, blue and cyan, each with peak 1.
+
+    Returns
+    -------
+    wavelength : (n,) nm, 360 to 780 by 5
+    reflectance : (4, n)
+
+    References
+    ----------
+    Smits, "An RGB-to-spectrum conversion for reflectances", J. Graphics Tools 4 (1999) 11–22. The patent US 9,395,299 names
+    the four colours without their spectra.
+    """
+    wavelength, table = _table("basis.csv")
+    return wavelength, np.stack([table[name] for name in ("red", "green", "blue", "cyan")])
 
 
 def reflectance_to_xyz(
@@ -176,6 +195,44 @@ def delta_e_ab(lab_1: ArrayLike, lab_2: ArrayLike) -> Array:
     return distance
 
 
+def delta_e_00(lab_1: ArrayLike, lab_2: ArrayLike) -> Array:
+    """Colour difference CIEDE2000 between L*a*b* (..., 3), with k_L = k_C = k_H = 1.
+
+    References
+    ----------
+    ISO/CIE 11664-6:2014; Sharma, Wu & Dalal 2005, Color Res. Appl. 30, 21.
+    """
+    (l_1, a_1, b_1), (l_2, a_2, b_2) = (np.moveaxis(np.asarray(lab, dtype=float), -1, 0) for lab in (lab_1, lab_2))
+    seventh = ((np.hypot(a_1, b_1) + np.hypot(a_2, b_2)) / 2) ** 7
+    stretch = 1.5 - 0.5 * np.sqrt(seventh / (seventh + 25.0**7))
+    a_1, a_2 = a_1 * stretch, a_2 * stretch
+    c_1, c_2 = np.hypot(a_1, b_1), np.hypot(a_2, b_2)
+    h_1, h_2 = (np.degrees(np.arctan2(b, a)) % 360 for b, a in ((b_1, a_1), (b_2, a_2)))
+    grey = c_1 * c_2 == 0
+    turn = np.where(grey, 0.0, (h_2 - h_1 + 180) % 360 - 180)
+    # Opposite hues differ by ±180; the formula takes +180 where h₂ − h₁ is 180.
+    turn = np.where(~grey & (h_2 - h_1 == 180), 180.0, turn)
+    apart = np.abs(h_1 - h_2) > 180
+    h = np.where(grey, h_1 + h_2, ((h_1 + h_2) / 2 + np.where(apart, 180, 0)) % 360)
+    light, chroma = (l_1 + l_2) / 2, (c_1 + c_2) / 2
+    d_l, d_c, d_h = l_2 - l_1, c_2 - c_1, 2 * np.sqrt(c_1 * c_2) * np.sin(np.radians(turn / 2))
+    t = (
+        1
+        - 0.17 * np.cos(np.radians(h - 30))
+        + 0.24 * np.cos(np.radians(2 * h))
+        + 0.32 * np.cos(np.radians(3 * h + 6))
+        - 0.20 * np.cos(np.radians(4 * h - 63))
+    )
+    s_l = 1 + 0.015 * (light - 50) ** 2 / np.sqrt(20 + (light - 50) ** 2)
+    s_c, s_h = 1 + 0.045 * chroma, 1 + 0.015 * chroma * t
+    swing = 30 * np.exp(-(((h - 275) / 25) ** 2))
+    rotation = -2 * np.sqrt(chroma**7 / (chroma**7 + 25.0**7)) * np.sin(np.radians(2 * swing))
+    l_part, c_part, h_part = d_l / s_l, d_c / s_c, d_h / s_h
+    square = l_part**2 + c_part**2 + h_part**2 + rotation * c_part * h_part
+    distance: Array = np.sqrt(np.maximum(square, 0.0))
+    return distance
+
+
 def xyz_to_srgb(xyz: ArrayLike) -> Array:
     """sRGB for a screen, from tristimulus values under D65 for the 2-degree observer.
 
@@ -195,10 +252,32 @@ def xyz_to_srgb(xyz: ArrayLike) -> Array:
     ----------
     IEC 61966-2-1.
     """
-    linear = np.clip(np.asarray(xyz, dtype=float) @ _srgb_matrix().T, 0.0, 1.0)
+    return encoded_srgb(np.asarray(xyz, dtype=float) @ _srgb_matrix().T)
+
+
+def encoded_srgb(linear: ArrayLike) -> Array:
+    """Non-linear sRGB (..., 3) of linear one, clipped to [0, 1] (IEC 61966-2-1)."""
+    clipped = np.clip(np.asarray(linear, dtype=float), 0.0, 1.0)
     # 1.055 v − 0.055, written so that 1 stays 1.
-    curved = 1 - 1.055 * (1 - linear ** (1 / 2.4))
-    return np.where(linear <= 0.0031308, 12.92 * linear, curved)
+    curved = 1 - 1.055 * (1 - clipped ** (1 / 2.4))
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, curved)
+
+
+def srgb_from_xyz(white: ArrayLike) -> Array:
+    """Matrix (3, 3) from tristimulus values of the 2-degree observer to linear sRGB, for an eye used to ``white``.
+
+    Parameters
+    ----------
+    white : (3,) XYZ that becomes (1, 1, 1), Y = 100
+
+    References
+    ----------
+    Lam 1985 (Bradford), as in ICC.1:2022, annex E, to the D65 of IEC 61966-2-1.
+    """
+    screen, own = weights("D65", 2).white, np.asarray(white, dtype=float)
+    gain = (_BRADFORD @ screen) / (_BRADFORD @ own)
+    adapted: Array = _srgb_matrix() @ np.linalg.inv(_BRADFORD) @ (gain[:, None] * _BRADFORD)
+    return adapted
 
 
 def reflectance_to_srgb(wavelength: ArrayLike, reflectance: ArrayLike) -> Array:

@@ -1,4 +1,4 @@
-"""Reflectance spectra from the text files that spectrophotometers and spreadsheets write."""
+"""Reflectance spectra from the files that spectrophotometers and spreadsheets write."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from brdfpipe import columns, vocabulary
 from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError
+from brdfpipe.spectra import containers
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,10 @@ _WIDEST_GAP = 25.0
 _DARKEST_PERCENT = 2.0
 _BRIGHTEST = 1.1
 _NOISE = 0.01
+_SPIKE = 0.03
+_BREAK = 0.1
+_STEEPER = 6.0
+_REPEATABILITY = 0.02
 
 _PERCENT = re.compile(r"%|percent|prozent|pour\s?cent|per\s?cento", re.IGNORECASE)
 _FRACTION = re.compile(r"fraction|anteil|\b0\s?(?:-|–|to|\.\.)\s?1\b", re.IGNORECASE)
@@ -52,18 +57,23 @@ def read_spectrum(
     *,
     geometry: str,
     incidence: float = 8.0,
+    format: str | None = None,
     scale: str | None = None,
+    sample: int | str | None = None,
     column: int | str | None = None,
     uncertainty: int | str | None = None,
     allow_fluorescent: bool = False,
 ) -> xr.Dataset:
-    """Read a reflectance spectrum from a text file.
+    """Read a reflectance spectrum from a file.
 
     Parameters
     ----------
-    path : columns of text (.csv .dat .prn .tab .tsv .txt), the first one wavelengths in nm or µm
+    path : columns of text (.csv .dat .prn .tab .tsv .txt), the first one wavelengths in nm or µm, or one row a sample under a
+        header of wavelengths; or one of the other :data:`brdfpipe.spectra.containers.FORMATS`
     geometry : ``sci`` or ``sce``, specular component included or excluded
     incidence : degree, 0 <= incidence < 90, of the measurement
+    format : a key of :data:`brdfpipe.spectra.containers.FORMATS`; by default the extension tells
+    sample : number (from 1) or name, of a file that holds several
     scale : ``fraction`` or ``percent``; needed where the header does not say it and no value exceeds 2
     column : number (the wavelength is column 1) or name of the reflectance; by default the first that is no uncertainty
     uncertainty : number or name of the column of standard uncertainties; by default the next column, if it is named so
@@ -80,21 +90,15 @@ def read_spectrum(
     """
     path = Path(path)
     _check_options(path, geometry, incidence, scale)
-    if path.suffix.lower() not in columns.TEXT_SUFFIXES:
-        raise InputError(
-            path,
-            "this kind of spectrum file is not read",
-            found=path.suffix or "no extension",
-            accepted=f"columns of text in {', '.join(columns.TEXT_SUFFIXES)}; export the spectrum as text",
-            key="spectrum.file",
-        )
-    table = columns.read_columns(path)
+    table = containers.read(path, format, sample)
     log = _Log(history=list(table.notes))
     nm, note = columns.wavelengths(table, key="spectrum.file")
     log.history += [note] if note else []
     value, deviation = _choose(table, column, uncertainty, log)
     divisor = _divisor(table, value, nm, scale, log)
     wavelength, reflectance, u = _ordered(table, nm, value, deviation, divisor, log)
+    _warn_of_spikes(table.file, wavelength, reflectance, log)
+    _warn_of_breaks(table.file, wavelength, reflectance, log)
     reflectance = _checked_values(table.file, wavelength, reflectance, allow_fluorescent, log)
     _compare_geometry(table, value, geometry, log)
     return _dataset(wavelength, reflectance, u, geometry, incidence, log)
@@ -226,13 +230,25 @@ def _ordered(
     if not present.all():
         log.history.append(f"{int((~present).sum())} rows without a value were dropped")
     nm, values = nm[present], values[present]
-    if (np.diff(nm) < 0).any():
+    steps = np.diff(nm)
+    if (steps < 0).any():
         log.history.append("rows were sorted by wavelength")
+    if (steps < 0).any() and (steps > 0).any() and np.unique(nm).size == nm.size:
+        log.warnings.append(
+            f"{table.file}: the wavelengths neither rise nor fall throughout. Look for a mistyped one, or sort the rows."
+        )
+    raw = values[:, 0].copy()
     # Standard uncertainties average as squares: repeated readings are not taken to be independent.
     values[:, 1:] **= 2
     wavelength, values, merged = columns.merge_duplicates(nm, values)
     if merged:
         log.history.append(f"{merged} rows of repeated wavelength were averaged")
+        apart = np.abs(raw - np.interp(nm, wavelength, values[:, 0]))
+        if apart.max() > _REPEATABILITY:
+            log.warnings.append(
+                f"{table.file}: readings at {nm[np.argmax(apart)]:g} nm lie {apart.max():.3g} from their mean. Look for a "
+                "mistyped wavelength, or for two samples in one file."
+            )
     _require_coverage(table.file, wavelength)
     kept = (wavelength >= _KEPT[0]) & (wavelength <= _KEPT[1])
     if not kept.all():
@@ -260,6 +276,48 @@ def _require_coverage(file: str, wavelength: Array) -> None:
         accepted=f"400–700 nm in steps of at most {_WIDEST_GAP:g} nm",
         key="spectrum.file",
     )
+
+
+def _warn_of_spikes(file: str, wavelength: Array, reflectance: Array, log: _Log) -> None:
+    """Warn of single values that lie off a line their neighbours agree on: digits that were mistyped or damaged."""
+    last = wavelength.size - 1
+    if last < 4:
+        return
+    inside = np.arange(1, last)
+    share = (wavelength[inside] - wavelength[inside - 1]) / (wavelength[inside + 1] - wavelength[inside - 1])
+    between = reflectance[inside - 1] * (1 - share) + reflectance[inside + 1] * share
+    off = np.zeros(last + 1)
+    off[inside] = reflectance[inside] - between
+    for end, near, far in ((0, 1, 2), (last, last - 1, last - 2)):
+        slope = (reflectance[near] - reflectance[far]) / (wavelength[near] - wavelength[far])
+        off[end] = reflectance[end] - reflectance[near] - slope * (wavelength[end] - wavelength[near])
+    for i in np.flatnonzero(np.abs(off) > _SPIKE).tolist():
+        others = np.array([j for j in range(max(i - 3, 0), min(i + 4, last + 1)) if j != i])
+        # How far the neighbours bend without the point: a real edge bends them as much, at either end less.
+        bend = np.abs(np.diff(np.diff(reflectance[others]) / np.diff(wavelength[others]))).max()
+        if 0 < i < last:
+            before, after = wavelength[i] - wavelength[i - 1], wavelength[i + 1] - wavelength[i]
+            usual = 4 * bend * before * after / (before + after)
+        else:
+            usual = 50 * bend * abs(wavelength[i] - wavelength[1 if i == 0 else last - 1])
+        if abs(off[i]) > usual:
+            log.warnings.append(
+                f"{file}: {reflectance[i]:.4g} at {wavelength[i]:g} nm lies {abs(off[i]):.3g} off its neighbours. Look for "
+                "a mistyped or damaged value."
+            )
+
+
+def _warn_of_breaks(file: str, wavelength: Array, reflectance: Array, log: _Log) -> None:
+    """Warn of a step between two stretches that are both nearly level: values that were lost, repeated or mixed up."""
+    rise = np.diff(reflectance)
+    slope = np.abs(rise / np.diff(wavelength))
+    for i in np.flatnonzero(np.abs(rise) > _BREAK).tolist():
+        around = np.concatenate([slope[max(i - 2, 0) : i], slope[i + 1 : i + 3]])
+        if slope[i] > _STEEPER * around.max(initial=0.0):
+            log.warnings.append(
+                f"{file}: the reflectance jumps by {abs(rise[i]):.3g} from {wavelength[i]:g} to {wavelength[i + 1]:g} nm. Look "
+                "for missing, repeated or damaged values."
+            )
 
 
 def _checked_values(file: str, wavelength: Array, reflectance: Array, allow_fluorescent: bool, log: _Log) -> Array:

@@ -7,6 +7,7 @@ something. What it returns is checked and turned into our terms; it is imported 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import math
 import warnings
 import zipfile
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
 from brdfpipe.surfaces.heights import PITCH_RANGE, Heights
+from brdfpipe.surfaces.units import UNITS, scales
 
 LIBRARY = "SurfaceTopography"
 
@@ -31,10 +33,15 @@ _RATIO_FROM = 2**24
 
 @dataclass(frozen=True)
 class Instrument:
-    """A file format of instruments: whose it is, and the extensions that tell it; without any it must be named."""
+    """A file format of instruments."""
 
     title: str
     extensions: tuple[str, ...]
+    """That tell it; without any it must be named."""
+    from_top: bool = True
+    """Whether the library's first row is the upper edge of the picture, as Gwyddion shows it, and not y = 0."""
+    options: tuple[str, ...] = ("channel",)
+    """Options of :func:`read_instrument` that apply."""
 
 
 INSTRUMENTS: Mapping[str, Instrument] = {
@@ -46,12 +53,13 @@ INSTRUMENTS: Mapping[str, Instrument] = {
     "metropro": Instrument("Zygo MetroPro DAT", ()),
     "mitutoyo": Instrument("Mitutoyo SurfTest workbook", (".xlsx",)),
     "mnt": Instrument("Digital Surf MNT", (".mnt",)),
-    "nms": Instrument("NanoFocus NMS", (".nms",)),
+    "nms": Instrument("NanoFocus NMS", (".nms",), options=("channel", "lateral_unit")),
     "opd": Instrument("Wyko OPD", (".opd",)),
     "opdx": Instrument("Bruker OPDx", (".opdx",)),
     "plu": Instrument("Sensofar PLU", (".plu", ".apx")),
     "plux": Instrument("Sensofar PLUX", (".plux",)),
-    "sdf": Instrument("ISO 25178-71 SDF", (".sdf",)),
+    # The standard's coordinates are right-handed: y grows with the rows.
+    "sdf": Instrument("ISO 25178-71 SDF", (".sdf",), from_top=False),
     "sur": Instrument("Digital Surf SUR", (".sur",)),
     "vk": Instrument("Keyence VK", (".vk3", ".vk4", ".vk6", ".vk7")),
     "zon": Instrument("Keyence ZON", (".zon",)),
@@ -59,7 +67,7 @@ INSTRUMENTS: Mapping[str, Instrument] = {
 """Format, called as the library calls it → what it is. Left out are formats of scanning probes, and text in any guise."""
 
 
-def read_instrument(path: Path, format: str, *, channel: str | None = None) -> Heights:
+def read_instrument(path: Path, format: str, *, channel: str | None = None, lateral_unit: str | None = None) -> Heights:
     """Read a height map or a line profile from an instrument's own file.
 
     Parameters
@@ -67,10 +75,11 @@ def read_instrument(path: Path, format: str, *, channel: str | None = None) -> H
     path : the file
     format : a key of :data:`INSTRUMENTS`
     channel : the name of the height channel; by default the first of the file
+    lateral_unit : nm, um, mm, m; of the pitch in a format that does not state it (``nms``)
 
     Returns
     -------
-    Heights [um] in float64, ``height[y, x]``, the first row of the image at y = 0; masked and infinite heights are NaN
+    Heights [um] in float64, ``height[y, x]``, the lower edge of the picture at y = 0; masked and infinite heights are NaN
 
     Raises
     ------
@@ -78,7 +87,7 @@ def read_instrument(path: Path, format: str, *, channel: str | None = None) -> H
         this name; unit or pitch not stated; positions not at constant pitch.
     """
     library = _library(path)
-    title = INSTRUMENTS[format].title
+    instrument = INSTRUMENTS[format]
     try:
         with path.open("rb") as handle, warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -86,18 +95,32 @@ def read_instrument(path: Path, format: str, *, channel: str | None = None) -> H
             reader = library.lookup_reader_by_format[format](handle)
             chosen, history = _height_channel(reader.channels, channel, path)
             topography = chosen.topography()
-            height, missing = _height_array(topography.heights())
+            height, missing = _height_array(topography.heights(), instrument.from_top)
             unit_scale = _unit_scale(topography.unit, path)
             pitches = _pitches(topography, path)
     except InputError:
         raise
     # A reader may fail in any way on what it was not written for; whatever it is, the file is not what it claims.
     except Exception as error:
-        raise _refusal(path, title, error) from error
-    pitches, remarks = _corrected(format, [pitch * unit_scale for pitch in pitches])
+        raise _refusal(path, instrument.title, error) from error
+    doubts: tuple[str, ...] = ()
+    pitches = [pitch * unit_scale for pitch in pitches]
+    if "lateral_unit" in instrument.options:
+        pitches, doubts = _of_unstated_unit(pitches, lateral_unit, path)
     height *= unit_scale
     pitch_y = pitches[1] if height.ndim == 2 else None
-    return Heights(height, pitches[0], pitch_y, (f"Read as {title}.", *history, *missing, *remarks))
+    return Heights(height, pitches[0], pitch_y, (f"Read as {instrument.title}.", *history, *missing), doubts)
+
+
+def check_installed(path: Path) -> None:
+    """Refuse a file whose reader, the optional extra, is not installed; nothing is imported.
+
+    Raises
+    ------
+    InputError : naming the file and the command that installs the extra.
+    """
+    if importlib.util.find_spec(LIBRARY) is None:
+        raise _not_installed(path)
 
 
 def _library(path: Path) -> Any:
@@ -106,11 +129,15 @@ def _library(path: Path) -> Any:
             warnings.simplefilter("ignore")
             return importlib.import_module(f"{LIBRARY}.IO")
     except ImportError as error:
-        raise InputError(
-            path,
-            f"this format is read by {LIBRARY}, which is not installed",
-            accepted="X3P, text or NumPy; or first `make instruments`, elsewhere `pip install 'brdfpipe[instruments]'`",
-        ) from error
+        raise _not_installed(path) from error
+
+
+def _not_installed(path: Path) -> InputError:
+    return InputError(
+        path,
+        f"this format is read by {LIBRARY}, which is not installed",
+        accepted="X3P, text or NumPy; or first `make instruments`, elsewhere `pip install 'brdfpipe[instruments]'`",
+    )
 
 
 def _check_size(path: Path) -> None:
@@ -150,11 +177,12 @@ def _height_channel(channels: Sequence[Any], name: str | None, path: Path) -> tu
     return chosen[0], [f"Took the first of the height channels {names}."] if several else []
 
 
-def _height_array(heights: NDArray[Any]) -> tuple[NDArray[np.float64], list[str]]:
-    """(y, x) or (x,), NaN where masked or infinite, in a copy of our own; and what was put right."""
+def _height_array(heights: NDArray[Any], from_top: bool) -> tuple[NDArray[np.float64], list[str]]:
+    """(y, x) or (x,), y upwards, NaN where masked or infinite, in a copy of our own; and what was put right."""
     height = np.ma.filled(np.ma.asarray(heights).astype(np.float64), np.nan)
     # The library counts x first.
-    height = np.ascontiguousarray(height.reshape(-1) if 1 in height.shape else height.T)
+    height = height.reshape(-1) if 1 in height.shape else height.T[:: -1 if from_top else 1]
+    height = np.ascontiguousarray(height)
     infinite = np.isinf(height)
     height[infinite] = np.nan
     return height, [f"{np.count_nonzero(infinite)} infinite heights taken as missing."] if infinite.any() else []
@@ -189,14 +217,23 @@ def _pitches(topography: Any, path: Path) -> list[float]:
     return [float(size) / int(count) for size, count in zip(sizes, counts, strict=True)]
 
 
-def _corrected(format: str, pitches: list[float]) -> tuple[list[float], list[str]]:
-    """The pitches [um], put right where the library is known to mistake them."""
-    as_nanometres = [pitch * 1e-6 for pitch in pitches]
+def _of_unstated_unit(
+    pitches: list[float], lateral_unit: str | None, path: Path
+) -> tuple[list[float], tuple[str, ...]]:
+    """The pitches [um] where the file states no unit and the library takes mm; and what to doubt."""
+    numbers = [pitch / UNITS["mm"] for pitch in pitches]
+    if lateral_unit is not None:
+        _, scale = scales(path, {}, "um", lateral_unit, setting="")
+        return [number * scale for number in numbers], ()
+    as_nanometres = [number * UNITS["nm"] for number in numbers]
     low, high = PITCH_RANGE
-    if format != "nms" or any(pitch <= high for pitch in pitches) or any(pitch < low for pitch in as_nanometres):
-        return pitches, []
-    stated = " x ".join(f"{pitch * 1e-3:.6g}" for pitch in pitches)
-    return as_nanometres, [f"The pitch {stated} taken in nm, not in mm: in mm no area could be that large."]
+    if any(pitch <= high for pitch in pitches) or any(pitch < low for pitch in as_nanometres):
+        return pitches, ()
+    stated = " x ".join(f"{number:.6g}" for number in numbers)
+    return as_nanometres, (
+        f"The file states the pitch {stated} without a unit; it was taken in nm, as in mm no area could be that large: "
+        "compare the extent with the instrument's, and set `surface.lateral_unit` (nm confirms it).",
+    )
 
 
 def _refusal(path: Path, title: str, error: Exception) -> InputError:

@@ -19,7 +19,7 @@ from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.surfaces.arrays import read_npy, read_npz
 from brdfpipe.surfaces.filtering import high_pass, low_pass
 from brdfpipe.surfaces.heights import Heights, examine, surface_dataset
-from brdfpipe.surfaces.instruments import INSTRUMENTS, read_instrument
+from brdfpipe.surfaces.instruments import INSTRUMENTS, check_installed, read_instrument
 from brdfpipe.surfaces.levelling import level
 from brdfpipe.surfaces.text import read_hfm, read_text
 from brdfpipe.surfaces.x3p import read_x3p
@@ -43,7 +43,7 @@ FORMATS: Mapping[str, Format] = {
     "npz": Format(read_npz, (".npz",), _UNSTATED),
     "hfm": Format(read_hfm, (".hfm",)),
     **{
-        name: Format(partial(read_instrument, format=name), instrument.extensions, ("channel",))
+        name: Format(partial(read_instrument, format=name), instrument.extensions, instrument.options)
         for name, instrument in INSTRUMENTS.items()
     },
 }
@@ -67,13 +67,15 @@ def read_surface(path: str | os.PathLike[str], format: str | None = None, **opti
     format : a key of :data:`FORMATS`; by default from the extension
     **options : what the format does not state itself. Text and NumPy: ``unit`` of the heights and ``lateral_unit`` (nm, um,
         mm, m), ``pitch`` (number or pair [x, y], in ``lateral_unit``); text alone: ``layout`` (``line``, ``grid``,
-        ``xyz``); instruments' formats: ``channel``, the name of a height channel where there are several
+        ``xyz``); instruments' formats: ``channel``, the name of a height channel where there are several; ``nms``:
+        ``lateral_unit``
 
     Returns
     -------
     Dataset of kind ``surface``: ``height(y, x)`` or ``height(x)`` [um], missing is NaN, not levelled; coordinates from 0
     [um]; attributes ``pitch_x``, ``pitch_y`` (areal alone) [um], ``levelling`` = "none", ``band``. float32 where the file
-    carries float32, else float64. The first row and column of the file lie at y = 0 and x = 0.
+    carries float32, else float64. Seen from above, x runs to the right and y upwards: a picture whose first row is its upper
+    edge is turned over on reading. Text and arrays say nothing of it; their first row lies at y = 0.
 
     Raises
     ------
@@ -129,6 +131,17 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
     if surface["height"].ndim != 1:
         raise InputError(Path(path), "an azimuth belongs to a line profile", found="a map", key="surface.azimuth")
     return surface.assign_attrs(azimuth=float(spec["azimuth"]))
+
+
+def check_readable(path: str | os.PathLike[str], format: str | None = None) -> None:
+    """Check that the reader of a file is known and installed; read nothing.
+
+    Raises
+    ------
+    InputError : as :func:`read_surface`, or naming the command that installs the optional extra.
+    """
+    if _format_name(Path(path), format) in INSTRUMENTS:
+        check_installed(Path(path))
 
 
 def _format_name(path: Path, name: str | None) -> str:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
 from brdfpipe.surfaces.heights import Heights
-from brdfpipe.surfaces.units import needed_steps, pitch_steps, scales
+from brdfpipe.surfaces.units import UNITS, needed_steps, pitch_steps, scales
 
 LAYOUTS = ("line", "grid", "xyz")
 
@@ -29,8 +29,14 @@ _MAX_BYTES = 2**31
 _MISSING = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "-", "--", "---", "BAD", "bad"]
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|nan|\*+", re.IGNORECASE | re.ASCII)
 _SETTING = re.compile(r"[ \t]*[#%]+[ \t]*(unit|lateral_unit|pitch)[ \t]*[:=][ \t]*(.*)", re.IGNORECASE)
+_LENGTH = re.compile(
+    rf"^[ \t#%]*(?:(?:scan|profile)[ _])?length[ \t]*[:;=,\t][ \t]*(\d+\.?\d*)[ \t]*\[?({'|'.join(UNITS)})\b",
+    re.IGNORECASE | re.MULTILINE,
+)
 _PITCH_SETTING = "a line `# pitch: 0.5 0.5`"
+_NO_LAST_FIELD = re.compile(r"[;,\t]$|[;,\s]-$")
 _TWO_PERCENT = 0.02
+_COMPARED = 33
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,8 @@ class _Body:
     first_line: int
     settings: dict[str, str]
     notes: tuple[str, ...]
+    length: float | None = None
+    """Of the profile, as the words above it say [um]."""
 
 
 def read_text(
@@ -66,7 +74,8 @@ def read_text(
     Returns
     -------
     Heights [um] in float64; NaN where the file has NaN, ***, NA, - or nothing between two separators, or leaves points of a
-    regular xyz grid out.
+    regular xyz grid out. Warnings where the file may have been cut short: it states a greater length, its last row of points is
+    not complete, or its last line has no end and its last number fewer decimals than those above.
 
     Raises
     ------
@@ -89,11 +98,18 @@ def read_text(
     read = {"line": _line, "grid": _grid, "xyz": _xyz}[chosen]
     height, pitch_x, pitch_y, remarks = read(table, steps, path)
     height = height * height_scale if height_scale != 1 else height
+    doubt = _loose_end(body.text)
+    extent = height.shape[-1] * pitch_x * lateral_scale
+    if chosen == "line" and body.length is not None and extent < (1 - _TWO_PERCENT) * body.length:
+        doubt = f"It states a length of {body.length:.5g} um and holds {extent:.5g} um"
+    if chosen == "xyz" and _stops_within_a_row(table):
+        doubt = "The last row of its points is not complete"
     return Heights(
         height,
         pitch_x * lateral_scale,
         None if pitch_y is None else pitch_y * lateral_scale,
         (*notes, *body.notes, *remarks),
+        _cut_warning(doubt),
     )
 
 
@@ -130,7 +146,42 @@ def read_hfm(path: Path) -> Heights:
         raise InputError(path, "no HFM profile", found=f"{table.shape[1]} columns", accepted="x, z and valid")
     profile = np.column_stack([table[:, 0], np.where(table[:, 2] == 1, table[:, 1], np.nan)])
     height, pitch, _, remarks = _line(profile, (), path)
-    return Heights(height * z_scale, pitch * x_scale, None, (*notes, *remarks))
+    return Heights(height * z_scale, pitch * x_scale, None, (*notes, *remarks), _cut_warning(_loose_end(rows)))
+
+
+def _cut_warning(doubt: str) -> tuple[str, ...]:
+    return (f"Was the file cut short? {doubt}; compare it with the original, or export it again.",) if doubt else ()
+
+
+def _loose_end(text: str) -> str:
+    """What the last line lacks, where it has no end and is unlike those above; nothing else, since many files have no last end."""
+    *above, last = text.rsplit("\n", _COMPARED)
+    rows = [row.rstrip(" ") for row in above[1:] if row.strip()]
+    if not rows or not last.strip():
+        return ""
+    if _NO_LAST_FIELD.search(last) and not any(map(_NO_LAST_FIELD.search, rows)):
+        return "The last line has no end, and its last field is empty"
+    if re.search(r"[\d.,]$", last) and _decimals(last) < min(map(_decimals, rows)):
+        return "The last line has no end, and its last number has fewer decimals than those above"
+    return ""
+
+
+def _decimals(row: str) -> int:
+    """Characters after the decimal mark of the last number of a row."""
+    number = re.split(r"[;\s]", row)[-1]
+    return len(number) - 1 - max(number.rfind("."), number.rfind(",")) if re.search("[.,]", number) else 0
+
+
+def _stops_within_a_row(points: NDArray[np.float64]) -> bool:
+    """Whether points x y z that were written row by row, or column by column, end where no other row does, and the last is shortest."""
+    for slow, fast in ((1, 0), (0, 1)):
+        steps = np.diff(points[:, slow])
+        begins = np.flatnonzero(steps) + 1
+        if begins.size and (steps * steps[begins[0] - 1] >= 0).all():
+            sizes = np.diff([0, *begins, len(points)])
+            ends = points[np.concatenate([[0], begins, begins - 1]), fast]
+            return bool(sizes[-1] < sizes[:-1].min() and points[-1, fast] not in ends)
+    return False
 
 
 def _decode(path: Path) -> tuple[str, tuple[str, ...]]:
@@ -180,7 +231,14 @@ def _split_header(text: str, path: Path) -> _Body:
         first = next(filter(None, re.split(r"[;\s]+|,(?!\d)", content)), "")
         if _NUMBER.fullmatch(first) or _NUMBER.fullmatch(first.split(",")[0]):
             note = f"Passed over {skipped} lines of words above the heights." if skipped else ""
-            return _Body(_without_comments(text[offset:]), number, settings, (note,) if note else ())
+            length = _LENGTH.search(text[:offset])
+            return _Body(
+                _without_comments(text[offset:]),
+                number,
+                settings,
+                (note,) if note else (),
+                float(length[1]) * UNITS[length[2].lower()] if length else None,
+            )
         skipped += bool(content)
         offset += len(line)
     raise InputError(

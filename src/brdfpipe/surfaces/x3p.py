@@ -374,7 +374,8 @@ def _refusal(path: Path, error: Exception) -> InputError:
     if isinstance(error, zipfile.BadZipFile) and "not a zip file" in str(error):
         accepted = "a whole X3P file, which is a zip archive; or the format the file really has"
         return InputError(path, "not an X3P file, or cut off", accepted=accepted, key="surface.format")
-    return InputError(path, f"the archive is damaged ({error})", accepted=_TRUNCATED)
+    # Damaged names of entries may run on for kilobytes.
+    return InputError(path, f"the archive is damaged ({str(error)[:100]})", accepted=_TRUNCATED)
 
 
 def _document(feature: str, code: str, shape: tuple[int, ...], pitches: tuple[float, float], md5: str) -> str:

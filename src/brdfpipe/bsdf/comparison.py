@@ -1,0 +1,95 @@
+"""How far an approximate form of a BSDF is from the full model: one measure for tables, fits and spectral averages."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from brdfpipe import hemisphere, vocabulary
+from brdfpipe.bsdf import representations
+from brdfpipe.geometry import Array, check_angles
+from brdfpipe.hemisphere import Directions
+
+_UNKNOWN_SLOPE = 2e-3
+"""Scale of the narrowest lobe that is expected of a representation that does not know its own."""
+
+
+class Misfit(NamedTuple):
+    """Error of an approximation over the hemisphere, for one incidence [1]."""
+
+    rms: float
+    """Flux-weighted rms error over the flux-weighted rms BRDF"""
+    largest: float
+    """Largest |error| over the BRDF there or over that of a Lambertian of the same reflectance, whichever is larger"""
+    reflectance: float
+    """Error of the reflectance, over the reflectance; signed"""
+
+
+def misfit(weight: Array, found: Array, model: Array) -> Misfit:
+    """Compare two BRDFs at directions of projected solid angles ``weight``."""
+    error, flux = found - model, float(weight @ model)
+    scale = np.maximum(model, flux / weight.sum())
+    if not scale.any():
+        return Misfit(0.0, 0.0, 0.0) if not error.any() else Misfit(np.inf, np.inf, np.inf)
+    rms = np.sqrt(weight @ error**2 / (weight @ model**2))
+    return Misfit(float(rms), float(np.max(np.abs(error) / scale)), float(weight @ error) / flux)
+
+
+def directions(bsdf: xr.Dataset, theta_i: float, phi_i: float = 0.0, order: int = 4, turns: int = 12) -> Directions:
+    """Directions over the hemisphere that resolve the lobe of incidence (θ_i, φ_i), with projected solid angles."""
+    slope = representations.lobe_slope(bsdf)
+    rule = hemisphere.around_mirror(theta_i, _UNKNOWN_SLOPE if slope is None else slope, order=order, turns=turns)
+    if not representations.isotropic(bsdf):
+        # The rule covers one side of the plane of incidence, and a lay makes the other one differ.
+        both = (np.concatenate([rule.theta, rule.theta]), np.concatenate([rule.phi, -rule.phi]))
+        rule = Directions(*both, np.concatenate([rule.weight, rule.weight]) / 2)
+    return rule._replace(phi=rule.phi + phi_i)
+
+
+def brdf_at(bsdf: xr.Dataset, theta_i: float, phi_i: float, rule: Directions, wavelength: Array | None = None) -> Array:
+    """The BRDF of one incidence at directions, (directions, wavelength)."""
+    incidence = np.full_like(rule.theta, theta_i), np.full_like(rule.phi, phi_i)
+    return np.asarray(representations.representation(bsdf).evaluate(bsdf, *incidence, rule.theta, rule.phi, wavelength))
+
+
+def nonspectral_error(
+    bsdf: xr.Dataset, weight: ArrayLike | None = None, theta_i: ArrayLike = (8.0, 30.0, 60.0, 80.0)
+) -> xr.Dataset:
+    """What averaging the optical constants over wavelength costs, against averaging the full model.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``
+    weight : as for :meth:`brdfpipe.bsdf.accessor.BSDFAccessor.nonspectral`
+    theta_i : (incidences,) degree, below 90
+
+    Returns
+    -------
+    Dataset of kind ``nonspectral``: ``rms``, ``largest`` and ``reflectance_error`` against ``theta_i``, see :class:`Misfit`; all 0 where
+    the BSDF does not depend on wavelength
+    """
+    angles = np.atleast_1d(check_angles("theta_i", theta_i, 0, 89.99))
+    response = representations.normalised(bsdf, weight)
+    reduced = representations.nonspectral(bsdf, weight)
+    told = np.zeros((angles.size, 3))
+    if response is not None:
+        for row, angle in enumerate(angles):
+            rule = directions(bsdf, float(angle))
+            full = np.broadcast_to(brdf_at(bsdf, angle, 0.0, rule), (rule.theta.size, response.size)) @ response
+            told[row] = misfit(rule.weight, brdf_at(reduced, angle, 0.0, rule)[:, 0], full)
+    words = {
+        "rms": "flux-weighted rms error of the non-spectral form over the flux-weighted rms BRDF",
+        "largest": "largest error of the non-spectral form over the BRDF or that of a Lambertian as bright",
+        "reflectance_error": "error of the reflectance of the non-spectral form over that of the model",
+    }
+    result = xr.Dataset(
+        {
+            name: ("theta_i", told[:, column], {"units": "1", "long_name": text})
+            for column, (name, text) in enumerate(words.items())
+        },
+        coords={"theta_i": angles},
+    )
+    return vocabulary.label(result, "nonspectral")

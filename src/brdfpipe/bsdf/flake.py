@@ -1,0 +1,429 @@
+"""The representation ``flake``: paints with effect pigments, from their colours at several geometries.
+
+Flakes below a clear coat mirror light by their tilt, so the reflection is taken as a function of the flake angle θf alone, fitted
+in each linear channel: ρ(θf) = A exp(−θf/B) + C or another named form (:mod:`brdfpipe.flakes.forms`).
+
+``flake``           f = ρ/π, the patent's: ρ is the reflectance factor itself
+``flake-physical``  f = (ρ/π) N(θi, θo)/N(0, 0) with N = (1−F_i)(1−F_o)/(4 n² cos θ_i' cos θ_o'), what single flakes of one
+                    orientation density send through the smooth interface; and the gloss of the coat
+
+References
+----------
+Patent US 7,991,596 (DuPont); Walter 2007 (EGSR), the Jacobian of a mirror; Burns 2020, recovery of spectra from colours.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import optics, vocabulary
+from brdfpipe.errors import InputError, VocabularyError
+from brdfpipe.flakes.forms import FORMS, Fit, curve, fit, leave_one_out
+from brdfpipe.flakes.refraction import flake_angle, inner_cosine, refract, steepest
+from brdfpipe.geometry import Array, half_vector
+from brdfpipe.spectra import colorimetry
+
+__all__ = ["build", "evaluate", "flake_angle", "quality", "refract"]
+
+MODELS = ("flake", "flake-physical")
+
+_STEPS = 160
+_DIM = 0.01
+"""Y at which the spectrum of a chromaticity is recovered: far from 1, where recovery does not depend on it."""
+_POOR = 3.0
+"""CIEDE2000 of the fit from a measured colour, from where on it is warned about."""
+
+
+class _Kernel(NamedTuple):
+    """What turns ρ into a BRDF."""
+
+    coat: float
+    """Refractive index of the clear coat"""
+    physical: bool
+    slope: float | None
+    """Root mean square slope of a rough clear coat"""
+
+    @classmethod
+    def of(cls, bsdf: xr.Dataset) -> _Kernel:
+        rough = bsdf.attrs["clear_coat"] == "rough"
+        slope = float(bsdf["clear_coat_slope"]) if rough else None
+        return cls(float(bsdf["clear_coat_index"]), bsdf.attrs["model"] == "flake-physical", slope)
+
+    def share(self, theta_i: Array, theta_o: Array) -> Array:
+        """N(θi, θo)/N(0, 0), or 1 [1]."""
+        if not self.physical:
+            return np.ones(np.broadcast(theta_i, theta_o).shape)
+        passed = self._passed(theta_i) * self._passed(theta_o)
+        inner = inner_cosine(theta_i, self.coat) * inner_cosine(theta_o, self.coat)
+        return np.asarray(passed / (inner * self.normal_transmittance**2))
+
+    def gloss(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+        """BRDF of a rough clear coat [sr-1]: Beckmann, height-correlated Smith; 0 of a smooth one or none."""
+        if self.slope is None:
+            return np.zeros(np.broadcast(theta_i, phi_i, theta_o, phi_o).shape)
+        half = half_vector(theta_i, phi_i, theta_o, phi_o)
+        squared = self.slope**2
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            density = np.exp(-half.slope_squared / squared) / (np.pi * squared * half.cos_alpha**4)
+            masked = 1 + _smith(theta_i, self.slope) + _smith(theta_o, self.slope)
+            fresnel = optics.fresnel(half.cos_zeta, self.coat).mean
+            lobe = fresnel * density / (4 * half.cos_i * half.cos_o * masked)
+        return np.where((half.cos_i > 1e-12) & (half.cos_o > 1e-12), np.nan_to_num(lobe), 0.0)
+
+    @property
+    def normal_transmittance(self) -> float:
+        return float(self._passed(np.zeros(1))[0])
+
+    def _passed(self, theta: Array) -> Array:
+        return np.asarray(1 - optics.fresnel(np.abs(np.cos(np.radians(theta))), self.coat).mean)
+
+
+def build(
+    multiangle: xr.Dataset,
+    *,
+    index: float = 1.5,
+    form: str = "exponential",
+    model: str = "flake",
+    clear_coat: str | float | None = None,
+) -> xr.Dataset:
+    """The BSDF of a paint with effect pigments.
+
+    Parameters
+    ----------
+    multiangle : kind ``multiangle``: colours or reflectance factors at three geometries or more
+    index : refractive index of the clear coat, above 1 and below 5
+    form : of the fall along the flake angle, a key of :data:`brdfpipe.flakes.forms.FORMS`
+    model : ``flake`` or ``flake-physical``
+    clear_coat : ``none``, ``smooth``, or the root mean square slope of a rough one; by default ``smooth`` with ``flake-physical``
+        and ``none`` with ``flake``, whose ρ holds all the light already
+
+    Returns
+    -------
+    Dataset of kind ``bsdf``, representation ``flake``: ``flake_amplitude`` A, ``flake_decay`` B and ``flake_constant`` C a
+        channel (on the scale of Y = 100) or a wavelength; of colours, ``flake_spectrum(theta_f, wavelength)``, the spectrum of the
+        chromaticity at each flake angle, of Y = 1; per geometry ``theta_f_measured``, ``delta_e_00`` of the fit and
+        ``leave_one_out``, and relative ``misfit`` and ``leave_one_out_misfit`` a channel
+
+    Raises
+    ------
+    InputError : an index, form, model or coat that cannot be, too few flake angles, or A, B or C out of range.
+
+    Notes
+    -----
+    A fit to three geometries is exact; to more it is of least relative squares. The reflection below the smallest flake angle
+    measured, and above the largest, is extrapolated: see :func:`quality`. Colours carry no spectrum; the one given back has the
+    smallest slope of its logarithm (LHTSS far below 1), so that the fitted X, Y and Z at every flake angle return exactly,
+    however bright.
+    """
+    vocabulary.validate(multiangle, "multiangle")
+    kernel, coat = _kernel(index, model, clear_coat)
+    at = [multiangle[angle].values for angle in ("theta_i", "phi_i", "theta_o", "phi_o")]
+    theta_f = flake_angle(at[0], at[1], at[2], at[3], kernel.coat)
+    name = "tristimulus" if "tristimulus" in multiangle else "reflectance_factor"
+    across = str(multiangle[name].dims[1])
+    unit = 100.0 if name == "tristimulus" else 1.0
+    measured = multiangle[name].values
+    white = np.array([1.0]) if name == "reflectance_factor" else colorimetry.weights(*_viewing(multiangle)).white
+    values = _reduced(measured, kernel, at, white)
+    found = fit(
+        theta_f,
+        values,
+        form,
+        [f"{each}" if across == "channel" else f"{each:g} nm" for each in multiangle[across].values],
+    )
+    bsdf = xr.Dataset(
+        {
+            "clear_coat_index": kernel.coat,
+            "flake_amplitude": (("term", across), found.amplitude),
+            "flake_decay": (("term", across), found.decay),
+            "flake_constant": (across, found.constant),
+            **_uncertainties(found, across),
+            "theta_f_measured": ("geometry", theta_f),
+        },
+        coords={"geometry": multiangle["geometry"].values, across: multiangle[across].values},
+        attrs={"representation": "flake", "model": model, "form": form, "clear_coat": coat, "transmission": "none"},
+    )
+    if kernel.slope is not None:
+        bsdf["clear_coat_slope"] = kernel.slope
+    if name == "tristimulus":
+        bsdf.attrs |= {key: multiangle.attrs[key] for key in ("illuminant", "observer")}
+        bsdf = _with_spectra(bsdf, found)
+    bsdf = _with_errors(bsdf, multiangle, found, values, form)
+    return vocabulary.label(_with_warnings(bsdf, kernel, found, unit), "bsdf")
+
+
+# --- the representation
+
+
+def evaluate(
+    bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
+) -> Array:
+    """BRDF in sr⁻¹, (directions…, wavelength or 1)."""
+    kernel = _Kernel.of(bsdf)
+    theta_i, phi_i, theta_o, phi_o = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
+    above = (theta_i < 90) & (theta_o < 90)
+    inside = [np.where(above, angle, 0.0) for angle in (theta_i, phi_i, theta_o, phi_o)]
+    factor = _factor(bsdf, flake_angle(inside[0], inside[1], inside[2], inside[3], kernel.coat), wavelength)
+    share = kernel.share(inside[0], inside[2]) / np.pi
+    brdf = factor * share[..., None] + kernel.gloss(*inside)[..., None]
+    return np.where(above[..., None], brdf, 0.0)
+
+
+def specular(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
+    """Mirror reflectance of a smooth clear coat, and no transmittance."""
+    shape = (*np.shape(theta_i), 1)
+    if bsdf.attrs["clear_coat"] != "smooth":
+        return np.zeros(shape), np.zeros(shape)
+    cosine = np.abs(np.cos(np.radians(theta_i)))
+    mirrored = optics.fresnel(cosine, float(bsdf["clear_coat_index"])).mean
+    return np.where(np.asarray(theta_i) <= 90, mirrored, 0.0)[..., None], np.zeros(shape)
+
+
+def lobe_slope(bsdf: xr.Dataset) -> float:
+    """Slope that belongs to the narrowest decay, as seen from outside; that of the clear coat where it is rough."""
+    if bsdf.attrs["clear_coat"] == "rough":
+        return float(bsdf["clear_coat_slope"])
+    seen = bsdf["flake_decay"].values[bsdf["flake_amplitude"].values > 0]
+    narrowest = float(seen.min()) if seen.size else 45.0
+    return float(bsdf["clear_coat_index"]) * float(np.tan(np.radians(min(narrowest, 45.0))))
+
+
+def nonspectral(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
+    """The dataset averaged over wavelength with normalised weights; exact: each wavelength of a spectral fit becomes a term."""
+    if "flake_spectrum" in bsdf:
+        mean = bsdf["flake_spectrum"].values @ weight
+        return vocabulary.label(bsdf.drop_dims("wavelength").assign(flake_spectrum=("theta_f", mean)), "bsdf")
+    terms = {
+        "flake_amplitude": ("term", (bsdf["flake_amplitude"].values * weight).ravel()),
+        "flake_decay": ("term", bsdf["flake_decay"].values.ravel()),
+        "flake_constant": ((), float(bsdf["flake_constant"].values @ weight)),
+    }
+    return vocabulary.label(bsdf.drop_dims(["wavelength", "term"]).assign(terms), "bsdf")
+
+
+def quality(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+    """Whether directions lie between the flake angles that were measured: a value of ``QUALITY_FLAGS`` each (int8)."""
+    theta_f = flake_angle(theta_i, phi_i, theta_o, phi_o, float(bsdf["clear_coat_index"]))
+    known = bsdf["theta_f_measured"].values
+    hit = (np.abs(theta_f[..., None] - known) < 1e-6).any(axis=-1)
+    inside = (theta_f >= known.min()) & (theta_f <= known.max())
+    between = np.where(inside, vocabulary.quality("interpolated"), vocabulary.quality("extrapolated"))
+    return np.where(hit, vocabulary.quality("measured"), between).astype(np.int8)
+
+
+def tristimulus(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+    """X, Y, Z (..., 3) of a paint that was given as colours, under their own illuminant and observer, without any spectrum.
+
+    Raises
+    ------
+    VocabularyError : the paint was given as spectra.
+    """
+    if "channel" not in bsdf.dims:
+        raise VocabularyError("this paint was given as spectra: evaluate it and take the colour of the spectrum")
+    kernel = _Kernel.of(bsdf)
+    rho = _curves(bsdf, flake_angle(theta_i, phi_i, theta_o, phi_o, kernel.coat))
+    white = colorimetry.weights(bsdf.attrs["illuminant"], bsdf.attrs["observer"]).white
+    gloss = np.pi * kernel.gloss(theta_i, phi_i, theta_o, phi_o)
+    return np.asarray(rho * kernel.share(theta_i, theta_o)[..., None] + gloss[..., None] * white)
+
+
+def _curves(bsdf: xr.Dataset, theta_f: Array) -> Array:
+    constant = np.atleast_1d(bsdf["flake_constant"].values)
+    amplitude, decay = (bsdf[name].values.reshape(-1, constant.size) for name in ("flake_amplitude", "flake_decay"))
+    return curve(theta_f, amplitude, decay, constant, FORMS[bsdf.attrs["form"]].power)
+
+
+def _factor(bsdf: xr.Dataset, theta_f: Array, wavelength: Array | None) -> Array:
+    """ρ as a fraction, (..., wavelength or 1)."""
+    curves = _curves(bsdf, theta_f)
+    if "flake_spectrum" not in bsdf:
+        if wavelength is None or "wavelength" not in bsdf.coords:
+            return curves
+        return np.asarray(curves @ _between(bsdf["wavelength"].values, wavelength))
+    from scipy.interpolate import CubicSpline
+
+    spectrum = bsdf["flake_spectrum"].values
+    if "wavelength" not in bsdf.coords:
+        spectrum = spectrum[:, None]
+    elif wavelength is not None:
+        spectrum = spectrum @ _between(bsdf["wavelength"].values, wavelength)
+    # A spline is linear in its nodes: the Y of 1 that all of them have, everything between them has too.
+    shape = np.maximum(CubicSpline(bsdf["theta_f"].values, spectrum)(theta_f), 0.0)
+    luminance = curves[..., list(bsdf["channel"].values).index("Y")]
+    return np.asarray(shape * (luminance[..., None] / 100))
+
+
+def _between(own: Array, wavelength: Array) -> Array:
+    """Matrix (own, wavelength) of linear interpolation."""
+    return np.stack([np.interp(wavelength, own, row) for row in np.eye(own.size)])
+
+
+def _smith(theta: Array, a: float) -> Array:
+    """Λ of Beckmann facets of width a."""
+    from scipy.special import erfcx
+
+    nu = 1 / (a * np.tan(np.radians(np.clip(theta, 1e-9, 90 - 1e-9))))
+    return np.asarray(np.exp(-(nu**2)) * (1 / (nu * np.sqrt(np.pi)) - erfcx(nu)) / 2)
+
+
+# --- building
+
+
+def _kernel(index: float, model: str, clear_coat: str | float | None) -> tuple[_Kernel, str]:
+    if model not in MODELS:
+        raise _refusal("model", "unknown model", repr(model)[:40], ", ".join(MODELS))
+    if isinstance(index, bool) or not isinstance(index, int | float | np.number) or not 1 < index < 5:
+        raise _refusal("index", "no refractive index of a clear coat", repr(index)[:40], "above 1 and below 5")
+    physical = model == "flake-physical"
+    coat = ("smooth" if physical else "none") if clear_coat is None else clear_coat
+    slope = float(coat) if isinstance(coat, int | float) and not isinstance(coat, bool) else None
+    if slope is None and coat not in ("none", "smooth"):
+        raise _refusal("clear_coat", "unknown clear coat", repr(coat)[:40], "none, smooth, or its rms slope")
+    if slope is not None and not 1e-4 <= slope <= 1:
+        raise _refusal("clear_coat", "no slope of a clear coat", f"{slope:g}", "0.0001 to 1")
+    if coat != "none" and not physical:
+        problem = "the model `flake` takes the measured light for all there is; a gloss on top of it would break energy"
+        raise _refusal("clear_coat", problem, repr(coat), "none, or `model: flake-physical`")
+    return _Kernel(float(index), physical, slope), "rough" if slope is not None else str(coat)
+
+
+def _reduced(measured: Array, kernel: _Kernel, at: list[Array], white: Array) -> Array:
+    """The measured values without gloss, as at normal incidence and view."""
+    below = measured - np.pi * kernel.gloss(at[0], at[1], at[2], at[3])[:, None] * white
+    if (below < 0).any():
+        problem = "the gloss of the clear coat alone is more than a measured colour"
+        raise _refusal(
+            "clear_coat", problem, f"slope {kernel.slope:g}", "a smaller slope, or geometries farther from the mirror"
+        )
+    return np.asarray(below / kernel.share(at[0], at[2])[:, None])
+
+
+def _uncertainties(found: Fit, across: str) -> dict[str, tuple[tuple[str, ...], Array]]:
+    names = [f"{symbol}{term + 1}" for term in range(found.form.terms) for symbol in "AB"] + ["C"]
+    if np.isnan(found.covariance).all():
+        return {}
+    spread = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2)).T
+    return {
+        "flake_amplitude_u": (("term", across), spread[0:-1:2]),
+        "flake_decay_u": (("term", across), spread[1:-1:2]),
+        "flake_constant_u": ((across,), spread[-1]),
+        "flake_covariance": ((across, "parameter", "parameter_2"), found.covariance),
+        "parameter": (("parameter",), np.array(names)),
+    }
+
+
+def _with_spectra(bsdf: xr.Dataset, found: Fit) -> xr.Dataset:
+    """Add the spectrum of the fitted chromaticity at each flake angle, of Y = 1."""
+    from brdfpipe.spectra.recovery import lhtss
+
+    measured = bsdf["theta_f_measured"].values
+    stretched = np.expm1(np.linspace(0, 3, _STEPS + 1)) / np.expm1(3.0)
+    nodes = steepest(float(bsdf["clear_coat_index"])) * stretched
+    # A measured angle replaces the node next to it, so that measured colours do not depend on what lies between nodes.
+    nodes = np.unique(np.concatenate([nodes[np.abs(nodes[:, None] - measured).min(axis=1) > 0.02], measured]))
+    nodes = nodes[np.concatenate([[True], np.diff(nodes) > 1e-6])]
+    xyz = found(nodes)
+    seen = xyz[:, 1] > 0
+    chromaticity = np.where(seen[:, None], xyz / np.where(seen, xyz[:, 1], 1.0)[:, None], np.nan)
+    viewing = {"illuminant": bsdf.attrs["illuminant"], "observer": int(bsdf.attrs["observer"])}
+    recovered = lhtss(100 * _DIM * np.nan_to_num(chromaticity), **viewing)
+    reached = recovered.reached & seen
+    spectrum = recovered.reflectance / _DIM
+    if reached.any():
+        index = np.flatnonzero(reached)
+        nearest = index[np.abs(nodes[:, None] - nodes[index]).argmin(axis=1)]
+        spectrum = spectrum[np.where(reached, np.arange(nodes.size), nearest)]
+    else:
+        spectrum = np.ones_like(spectrum)
+    bsdf = bsdf.assign_coords(theta_f=nodes, wavelength=recovered.wavelength)
+    bsdf["flake_spectrum"] = (("theta_f", "wavelength"), spectrum)
+    missed = nodes[seen & ~reached]
+    if missed.size:
+        bsdf = vocabulary.add_warning(
+            bsdf,
+            f"no light has the colour that the fit gives at flake angles of {missed.min():.3g} to {missed.max():.3g} degree; that of the "
+            "nearest angle is taken: check the colours, or measure more geometries",
+        )
+    return vocabulary.add_history(
+        bsdf,
+        f"spectra recovered from fitted X, Y, Z ({bsdf.attrs['illuminant']}, {bsdf.attrs['observer']} degree) at {nodes.size} flake "
+        "angles: the smallest slope of the logarithm; colours under this illuminant are exact, under others they are a guess",
+    )
+
+
+def _with_errors(bsdf: xr.Dataset, multiangle: xr.Dataset, found: Fit, values: Array, form: str) -> xr.Dataset:
+    theta_f = bsdf["theta_f_measured"].values
+    fitted, left_out = found(theta_f), leave_one_out(theta_f, values, form)
+    dims = ("geometry", "channel" if "channel" in multiangle.dims else "wavelength")
+    black = np.where(values > 0, values, np.nan)
+    bsdf["misfit"] = (dims, fitted / black - 1)
+    bsdf["leave_one_out_misfit"] = (dims, left_out / black - 1)
+    colours = [_lab(multiangle, each) for each in (values, fitted, np.nan_to_num(left_out))]
+    bsdf["delta_e_00"] = ("geometry", colorimetry.delta_e_00(colours[0], colours[1]))
+    difference = colorimetry.delta_e_00(colours[0], colours[2])
+    bsdf["leave_one_out"] = ("geometry", np.where(np.isnan(left_out).any(axis=1), np.nan, difference))
+    return bsdf
+
+
+def _viewing(multiangle: xr.Dataset) -> tuple[str, int]:
+    return str(multiangle.attrs.get("illuminant", "D65")), int(multiangle.attrs.get("observer", 10))
+
+
+def _lab(multiangle: xr.Dataset, values: Array) -> Array:
+    viewing = _viewing(multiangle)
+    white = colorimetry.weights(*viewing).white
+    if "channel" in multiangle.dims:
+        return colorimetry.xyz_to_lab(values, white)
+    return colorimetry.xyz_to_lab(
+        colorimetry.reflectance_to_xyz(multiangle["wavelength"].values, values, *viewing), white
+    )
+
+
+def _with_warnings(bsdf: xr.Dataset, kernel: _Kernel, found: Fit, unit: float) -> xr.Dataset:
+    known = bsdf["theta_f_measured"].values
+    sentences = [
+        f"flake angles below {known.min():.3g} and above {known.max():.3g} degree were not measured: near the gloss and far from it the "
+        "reflection is extrapolated; measure geometries there if that matters"
+    ]
+    worst = float(bsdf["delta_e_00"].max())
+    if worst > _POOR:
+        name = str(bsdf["geometry"].values[int(bsdf["delta_e_00"].values.argmax())])
+        sentences.append(
+            f"the fit misses the colour at {name} by ΔE00 = {worst:.1f}: try another `multiangle.form` ({', '.join(FORMS)})"
+        )
+    if not kernel.physical:
+        sentences.append(
+            "the gloss of the clear coat is not part of the model `flake`: set `multiangle.model: flake-physical` to have it"
+        )
+    else:
+        share = _mirror_share(found, kernel, unit)
+        if share > 1:
+            sentences.append(
+                f"the flakes would mirror {share:.2f} of the light that meets them, more than all: check the scale of the colours"
+            )
+        bsdf = bsdf.assign_attrs(flake_reflectance=round(share, 6))
+    clamped = found.constant == 0
+    if clamped.any() and known.size > found.form.parameters:
+        bsdf = vocabulary.add_history(
+            bsdf, f"the constant C was held at 0 in {int(clamped.sum())} of {clamped.size} channels"
+        )
+    return vocabulary.add_warning(bsdf, *sentences)
+
+
+def _mirror_share(found: Fit, kernel: _Kernel, unit: float) -> float:
+    """Reflectance of the flakes times their cover: ∫ D cos θf dω, mean over wavelength or of Y; C beyond the reach of light left out."""
+    theta = np.linspace(0, steepest(kernel.coat), 2001)
+    rho = found(theta) / unit
+    mean = rho[:, 1] if rho.shape[1] == 3 and unit == 100 else rho.mean(axis=1)
+    density = mean * 4 * kernel.coat**2 / (np.pi * kernel.normal_transmittance**2)
+    angle = np.radians(theta)
+    return float(np.trapezoid(density * np.cos(angle) * 2 * np.pi * np.sin(angle), angle))
+
+
+def _refusal(key: str, problem: str, found: str, accepted: str) -> InputError:
+    return InputError(
+        "material.yaml", problem, where=f"multiangle.{key}", found=found, accepted=accepted, key=f"multiangle.{key}"
+    )

@@ -1,0 +1,122 @@
+"""The coordinates a table of a BSDF may be laid out in.
+
+- ``uniform``: θ_i, θ_o, and φ_o counted from the azimuth of incidence; θ of either may exceed 90 (transmission).
+- ``specular``: θ_i, and the outgoing direction in polar coordinates about the mirror direction: θ_s from it, φ_s = 0 towards the
+  normal in the plane of incidence. A lobe stays where it is as the incidence changes.
+- ``half``: θ_h of the half vector from the normal, θ_d of the directions from it, and φ_d of the incidence about it.
+
+The first two hold what leaves on the side the light comes from (``uniform`` both sides), ``half`` light from above. Of a surface
+with a lay a table has one axis more: φ_i, or φ_h.
+
+References
+----------
+Voloboy et al. 2005 (Keldysh Institute preprint), angles about the specular ray; Rusinkiewicz 1998 (EGWR), half-angle coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from brdfpipe.geometry import Array, angles_of, unit_vector
+
+Angles: TypeAlias = tuple[Array, Array, Array, Array]
+"""θ_i, φ_i, θ_o and φ_o [degree], of one shape."""
+
+
+class Grid(NamedTuple):
+    """One layout: its axes, and the way there and back."""
+
+    axes: tuple[str, str, str]
+    azimuth: str
+    """The axis, first of all, that a surface with a lay needs besides."""
+    coordinates: Callable[[Array, Array, Array, Array], Mapping[str, Array]]
+    """Every coordinate of pairs of directions."""
+    directions: Callable[[Mapping[str, Array]], Angles]
+    """The pairs of directions at coordinates; without ``azimuth`` it is 0."""
+
+    def named(self, lay: bool) -> tuple[str, ...]:
+        return (self.azimuth, *self.axes) if lay else self.axes
+
+
+def about_mirror(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> tuple[Array, Array]:
+    """θ_s and φ_s of outgoing directions [degree]."""
+    towards_normal, across, mirror = _mirror_frame(theta_i, phi_i)
+    away = unit_vector(theta_o, phi_o) - mirror
+    theta_s = 2 * np.degrees(np.arcsin(np.clip(np.linalg.norm(away, axis=-1) / 2, 0.0, 1.0)))
+    phi_s = np.degrees(np.arctan2((away * across).sum(axis=-1), (away * towards_normal).sum(axis=-1)))
+    return theta_s, phi_s
+
+
+def from_mirror(theta_i: Array, phi_i: Array, theta_s: Array, phi_s: Array) -> tuple[Array, Array]:
+    """θ_o and φ_o of directions about the mirror direction [degree]."""
+    towards_normal, across, mirror = _mirror_frame(theta_i, phi_i)
+    x, y, z = (component[..., None] for component in np.moveaxis(unit_vector(theta_s, phi_s), -1, 0))
+    return angles_of(x * towards_normal + y * across + z * mirror)
+
+
+def _mirror_frame(theta_i: Array, phi_i: Array) -> tuple[Array, Array, Array]:
+    """Unit vectors towards the normal, across the plane of incidence, and along the mirror direction."""
+    mirror = unit_vector(theta_i, phi_i + 180)
+    towards_normal = -unit_vector(theta_i + 90, phi_i + 180)
+    return towards_normal, np.cross(mirror, towards_normal), mirror
+
+
+def half_angles(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Mapping[str, Array]:
+    """θ_h, φ_h, θ_d and φ_d of pairs of directions [degree]."""
+    w_i, w_o = unit_vector(theta_i, phi_i), unit_vector(theta_o, phi_o)
+    both = w_i + w_o
+    theta_h, phi_h = angles_of(both)
+    theta_d = np.degrees(np.arctan2(np.linalg.norm(w_i - w_o, axis=-1), np.linalg.norm(both, axis=-1)))
+    x_axis, y_axis = unit_vector(theta_h + 90, phi_h), unit_vector(np.full_like(theta_h, 90.0), phi_h + 90)
+    phi_d = np.degrees(np.arctan2((w_i * y_axis).sum(axis=-1), (w_i * x_axis).sum(axis=-1)))
+    return {"theta_h": theta_h, "phi_h": phi_h, "theta_d": theta_d, "phi_d": phi_d}
+
+
+def from_half_angles(at: Mapping[str, Array]) -> Angles:
+    """The pairs of directions at half-angle coordinates [degree]; they may lie below the horizon."""
+    theta_h, theta_d, phi_d = at["theta_h"], at["theta_d"], at["phi_d"]
+    phi_h = at.get("phi_h", np.zeros_like(theta_h))
+    x_axis, y_axis = unit_vector(theta_h + 90, phi_h), unit_vector(np.full_like(theta_h, 90.0), phi_h + 90)
+    x, y, z = (component[..., None] for component in np.moveaxis(unit_vector(theta_d, phi_d), -1, 0))
+    across, along = x * x_axis + y * y_axis, z * unit_vector(theta_h, phi_h)
+    return *angles_of(along + across), *angles_of(along - across)
+
+
+def _uniform(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Mapping[str, Array]:
+    return {"theta_i": theta_i, "phi_i": phi_i, "theta_o": theta_o, "phi_o": phi_o - phi_i}
+
+
+def _from_uniform(at: Mapping[str, Array]) -> Angles:
+    phi_i = at.get("phi_i", np.zeros_like(at["theta_i"]))
+    return at["theta_i"], phi_i, at["theta_o"], at["phi_o"] + phi_i
+
+
+def _specular(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Mapping[str, Array]:
+    theta_s, phi_s = about_mirror(theta_i, phi_i, theta_o, phi_o)
+    return {"theta_i": theta_i, "phi_i": phi_i, "theta_s": theta_s, "phi_s": phi_s}
+
+
+def _from_specular(at: Mapping[str, Array]) -> Angles:
+    phi_i = at.get("phi_i", np.zeros_like(at["theta_i"]))
+    return at["theta_i"], phi_i, *from_mirror(at["theta_i"], phi_i, at["theta_s"], at["phi_s"])
+
+
+GRIDS: Mapping[str, Grid] = {
+    "uniform": Grid(("theta_i", "theta_o", "phi_o"), "phi_i", _uniform, _from_uniform),
+    "specular": Grid(("theta_i", "theta_s", "phi_s"), "phi_i", _specular, _from_specular),
+    "half": Grid(("theta_h", "theta_d", "phi_d"), "phi_h", half_angles, from_half_angles),
+}
+
+AZIMUTHS = ("phi_o", "phi_s", "phi_d")
+"""Axes that hold a full circle, or half of one that is mirrored about the plane of incidence."""
+
+
+def kind_of(names: object) -> str:
+    """Which layout a table, or the grid wanted of one, is in: by the axis only that one has."""
+    found = set(names) if isinstance(names, tuple | list | set | frozenset) else set()
+    if found & {"theta_s", "phi_s"}:
+        return "specular"
+    return "half" if found & {"theta_h", "theta_d", "phi_d", "phi_h"} else "uniform"

@@ -1,0 +1,112 @@
+"""Tables over pairs of directions that follow a lobe along its ridge, whatever its width.
+
+A pair of polar angles and the azimuth between them become the smaller angle, the distance of the larger from it, and the distance
+across, both counted on a scale that is even within the lobe and logarithmic beyond. Which of two directions came first leaves no
+trace: what is interpolated is reciprocal to the last bit. Logarithms are interpolated, so it is positive too, and exact for
+Gaussian lobes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from brdfpipe.geometry import Array
+
+_POLE_NODES, _MIDDLE_NODES, _GRAZING_NODES = 36, 16, 16
+_MIDDLE, _GRAZING = 30.0, 70.0
+
+
+class Grid(NamedTuple):
+    """Nodes of a table, evenly spaced along the stretched distances.
+
+    Parameters
+    ----------
+    low : (X,) the smaller polar angle, from 0 to 90 degree
+    spans, turns : number of nodes along and across
+    scale : the width up to which distances are counted evenly [degree]
+    """
+
+    low: Array
+    spans: int
+    turns: int
+    scale: float
+
+    @classmethod
+    def of(cls, scale: float, spans: int = 64, turns: int = 40) -> Grid:
+        """A grid for lobes of a width [degree] and wider ones."""
+        pole = scale * np.sinh(np.linspace(0, np.arcsinh(_MIDDLE / scale), _POLE_NODES))
+        grazing = 90 - (90 - _GRAZING) * np.linspace(1, 0, _GRAZING_NODES) ** 2
+        low = np.concatenate([pole[:-1], np.linspace(_MIDDLE, _GRAZING, _MIDDLE_NODES)[:-1], grazing])
+        return cls(low, spans, turns, scale)
+
+    def directions(self, low: Array, span: Array, turn: Array) -> tuple[Array, Array]:
+        """The larger polar angle (X, T) and the azimuth (X, T, V) [degree] of stretched distances in [0, 1]."""
+        reach = np.arcsinh((90 - low[:, None]) / self.scale)
+        high = np.minimum(low[:, None] + self.scale * np.sinh(span * reach), 90.0)
+        across = self._across(low[:, None], high)[..., None]
+        stretch = np.arcsinh(across / self.scale)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sine = np.where(across > 1e-9, self.scale * np.sinh(turn * stretch) / across, turn)
+        return high, 180 - 2 * np.degrees(np.arcsin(np.clip(sine, 0.0, 1.0)))
+
+    @staticmethod
+    def _across(low: Array, high: Array) -> Array:
+        """The distance between two directions of azimuths 180 degree apart, across the plane of either [degree]."""
+        return np.asarray(np.degrees(2 * np.sqrt(np.sin(np.radians(low)) * np.sin(np.radians(high)))))
+
+    def interpolate(self, table: Array, path: Array, low: Array, high: Array, azimuth: Array) -> Array:
+        """Values of a table (paths, X, T, V, nodes) at pairs, (D, nodes).
+
+        Parameters
+        ----------
+        path : (D,) which of the paths
+        low, high : (D,) degree, low <= high
+        azimuth : (D,) degree between the two; the ridge lies at 180, where light goes that is mirrored or passes straight
+        """
+        reach = np.arcsinh((90 - low) / self.scale)
+        along = np.arcsinh((high - low) / self.scale) / np.maximum(reach, 1e-300)
+        across = self._across(low, high)
+        stretch = np.arcsinh(across / self.scale)
+        sine = np.abs(np.cos(np.radians(azimuth) / 2))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turn = np.where(across > 1e-9, np.arcsinh(across * sine / self.scale) / stretch, sine)
+        i = np.clip(np.searchsorted(self.low, low, side="right") - 1, 0, self.low.size - 2)
+        w_i = (low - self.low[i]) / (self.low[i + 1] - self.low[i])
+        j, w_j = _cell(along, reach, self.spans)
+        k, w_k = _cell(turn, stretch, self.turns)
+        result = 0.0
+        for a, u in ((i, 1 - w_i), (i + 1, w_i)):
+            for b, v in ((j, 1 - w_j), (j + 1, w_j)):
+                for c, w in ((k, 1 - w_k), (k + 1, w_k)):
+                    result = result + table[path, a, b, c] * (u * v * w)[:, None]
+        return np.asarray(result)
+
+
+def _cell(position: Array, stretch: Array, nodes: int) -> tuple[Array, Array]:
+    """The cell a stretched position lies in, and the weight of its upper end: linear in the square of the distance."""
+    place = np.clip(position, 0.0, 1.0) * (nodes - 1)
+    cell = np.minimum(place.astype(np.intp), nodes - 2)
+    ends = (np.sinh((cell + step) / (nodes - 1) * stretch) ** 2 for step in (0, 1))
+    first, last = ends
+    here = np.sinh(place / (nodes - 1) * stretch) ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weight = (here - first) / (last - first)
+    return cell, np.where(last > first, weight, place - cell)
+
+
+def barycentric(nodes: Array, x: Array) -> Array:
+    """The matrix, (…, nodes), that takes values at Gauss–Legendre nodes in [0, 90] to those of their polynomial at x.
+
+    References
+    ----------
+    Berrut & Trefethen 2004 (SIAM Review 46); the weights are those of Wang & Xiang 2012 for Legendre points.
+    """
+    unit, gauss = np.polynomial.legendre.leggauss(nodes.size)
+    weight = (-1.0) ** np.arange(nodes.size) * np.sqrt((1 - unit**2) * gauss)
+    difference = np.asarray(x, dtype=float)[..., None] - nodes
+    hit = difference == 0
+    terms = weight / np.where(hit, 1.0, difference)
+    found = hit.any(axis=-1, keepdims=True)
+    return np.where(found, hit, terms / terms.sum(axis=-1, keepdims=True))

@@ -1,0 +1,118 @@
+"""Names of measuring geometries, as standards and portable instruments write them.
+
+- ``45:-30``: incidence and view; the view counts positive on the illuminator's side of the normal.
+- ``45as15``: incidence and aspecular angle, from the mirror direction towards the illuminator; ``45as-15`` lies beyond the mirror.
+- ``45as25az90``: out of the plane of incidence, turned about the mirror direction; azimuth 0 leads away from the normal.
+- ``as15`` or ``as-15``: the effect-paint trade's short name of ``45as15``; its hyphen is no sign.
+
+References
+----------
+ASTM E2194, E2539; DIN 6175-2; patent US 7,991,596 (DuPont), whose signs these are.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import angles_of
+
+_NUMBER = r"\d{1,3}(?:\.\d{1,6})?"
+_VIEW = re.compile(rf"({_NUMBER})\s*[:/]\s*([+-]?{_NUMBER})")
+_ASPECULAR = re.compile(rf"r?({_NUMBER})\s*as\s*([+-]?{_NUMBER})(?:\s*az\s*([+-]?{_NUMBER}))?", re.IGNORECASE)
+_SHORT = re.compile(rf"as\s*-?\s*({_NUMBER})", re.IGNORECASE)
+
+ACCEPTED = "45:-30, 45as15, 45as25az90, as-15, or theta_i, phi_i, theta_o and phi_o"
+
+_SIX = ("45as-15", "45as15", "45as25", "45as45", "45as75", "45as110")
+
+SETS: Mapping[str, tuple[str, ...]] = {
+    "E2194": ("45as15", "45as45", "45as110"),
+    "DIN 6175-2": ("45as25", "45as45", "45as75"),
+    "E2539": (*_SIX, "15as-15", "15as15"),
+    "BYK-mac": _SIX,
+    "MA68": _SIX[1:],
+    "MA-T6": _SIX,
+    "MA-T12": (*_SIX, "15as-45", "15as-30", "15as-15", "15as15", "15as45", "15as80"),
+    "CM-M6": _SIX,
+    "CM-512m3": ("25:0", "45:0", "75:0"),
+}
+"""Geometries that a standard requires or an instrument measures, by its name."""
+
+
+class Directions(NamedTuple):
+    """A pair of directions [degree]; light comes from azimuth 0 unless the angles were given one by one."""
+
+    theta_i: float
+    phi_i: float
+    theta_o: float
+    phi_o: float
+
+
+def directions(name: str) -> Directions:
+    """The directions that a geometry's name means.
+
+    Parameters
+    ----------
+    name : see the module; a Unicode minus is a sign
+
+    Raises
+    ------
+    BrdfpipeError : no such name, or directions that do not lie above the surface.
+    """
+    text = str(name).strip().replace("\N{MINUS SIGN}", "-")
+    if short := _SHORT.fullmatch(text):
+        if "\N{MINUS SIGN}" in str(name):
+            raise _refusal(name, "a minus sign where the short name has a hyphen; write 45as15 or 45as-15")
+        found = _aspecular(45.0, float(short[1]), None)
+    elif view := _VIEW.fullmatch(text):
+        found = _in_plane(float(view[1]), float(view[2]))
+    elif aspecular := _ASPECULAR.fullmatch(text):
+        turn = None if aspecular[3] is None else float(aspecular[3])
+        found = _aspecular(float(aspecular[1]), float(aspecular[2]), turn)
+    else:
+        raise _refusal(name, "unknown geometry")
+    if not (0 <= found.theta_i < 90 and 0 <= found.theta_o < 90):
+        raise _refusal(
+            name, f"does not lie above the surface (θ_i = {found.theta_i:g}, θ_o = {found.theta_o:.4g} degree)"
+        )
+    return found
+
+
+def named(names: str | Sequence[str]) -> dict[str, Directions]:
+    """Name → directions of some geometries, or of those of a standard or an instrument (:data:`SETS`)."""
+    if isinstance(names, str):
+        known = {title.casefold(): title for title in SETS}
+        if names.casefold() in known:
+            return named(SETS[known[names.casefold()]])
+        near = difflib.get_close_matches(names, SETS, n=1)
+        if near:
+            raise _refusal(names, f"unknown set of geometries (nearest is {near[0]})")
+        names = [names]
+    return {name: directions(name) for name in names}
+
+
+def _in_plane(incidence: float, view: float) -> Directions:
+    return Directions(incidence, 0.0, abs(view), 0.0 if view >= 0 else 180.0)
+
+
+def _aspecular(incidence: float, aspecular: float, turn: float | None) -> Directions:
+    if turn is None:
+        return _in_plane(incidence, round(aspecular - incidence, 9))
+    theta, angle, azimuth = np.radians([incidence, aspecular, turn])
+    mirror = np.array([np.sin(theta), 0.0, np.cos(theta)])
+    away = np.array([np.cos(theta), 0.0, -np.sin(theta)])
+    across = np.array([0.0, 1.0, 0.0])
+    view = np.cos(angle) * mirror + np.sin(angle) * (np.cos(azimuth) * away + np.sin(azimuth) * across)
+    polar, phi = (float(each) for each in angles_of(view))
+    # The mirror direction lies at azimuth 180 here.
+    return Directions(incidence, 0.0, round(polar, 9), round((phi + 180) % 360, 9))
+
+
+def _refusal(name: str, problem: str) -> BrdfpipeError:
+    return BrdfpipeError(f"geometry {str(name)[:40]!r}: {problem}; accepted: {ACCEPTED}")

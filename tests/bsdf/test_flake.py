@@ -1,0 +1,253 @@
+"""The representation ``flake``: paints with effect pigments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from brdfpipe import flakes, optics, store, vocabulary
+from brdfpipe.bsdf import flake, representations
+from brdfpipe.errors import InputError, VocabularyError
+from brdfpipe.flakes.forms import curve
+from brdfpipe.spectra import colorimetry
+
+LAB = {"45:-30": (33.90, -7.58, -36.61), "45:0": (12.29, 1.19, -25.77), "45:65": (3.07, 2.09, -13.24)}
+TEN = ("45as15", "45as20", "45as25", "45as35", "45as45", "45as60", "45as75", "45as95", "45as110", "15as45")
+WAVELENGTH = np.arange(400.0, 701.0, 20.0)
+MODELS = ({}, {"model": "flake-physical"}, {"model": "flake-physical", "clear_coat": 0.02})
+
+
+def colours(labs=LAB, **viewing) -> xr.Dataset:
+    listed = [{"geometry": name, "lab": list(lab)} for name, lab in labs.items()]
+    return flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10, **viewing})
+
+
+def directions(multiangle):
+    return [multiangle[name].values for name in ("theta_i", "phi_i", "theta_o", "phi_o")]
+
+
+def truth(theta_f):
+    """A synthetic paint, (..., wavelength): brighter and narrower in the blue."""
+    turn = (WAVELENGTH - 400) / 300
+    amplitude, decay, constant = 0.6 - 0.4 * turn, 4.5 + 2 * turn, 0.02 + 0.03 * turn
+    return curve(theta_f, amplitude[None], decay[None], constant, 1)
+
+
+def spectra(noise=0.0, seed=0, names=TEN) -> xr.Dataset:
+    random = np.random.default_rng(seed)
+    listed = []
+    for name in names:
+        values = truth(float(flakes.flake_angle(*flakes.directions(name), 1.5)))
+        values = values * (1 + noise * random.standard_normal(values.shape))
+        listed.append({"geometry": name, "reflectance": values.tolist()})
+    return flakes.ingest({"colours": listed, "wavelength": WAVELENGTH.tolist(), "scale": "fraction"})
+
+
+def lab_of(bsdf, at, illuminant="D65", observer=10):
+    factor = np.pi * bsdf.bsdf.evaluate(*at).values
+    xyz = colorimetry.reflectance_to_xyz(bsdf["wavelength"].values, factor, illuminant, observer)
+    return colorimetry.xyz_to_lab(xyz, colorimetry.weights(illuminant, observer).white)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize(("illuminant", "observer"), [("D65", 10), ("A", 2)])
+def test_the_measured_colours_return_exactly(model, illuminant, observer):
+    multiangle = colours(illuminant=illuminant, observer=observer)
+    bsdf = flake.build(multiangle, index=1.524, **model)
+    found = lab_of(bsdf, directions(multiangle), illuminant, observer)
+    # The recovery stops at 1e-11 of Y = 1, and Y is 0.003 where it is darkest.
+    assert found == pytest.approx(np.array(list(LAB.values())), abs=1e-5)
+    assert bsdf["delta_e_00"].values == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_between_the_measured_geometries_the_spectrum_has_the_fitted_colour(model):
+    bsdf = flake.build(colours(), index=1.524, **model)
+    at = (45.0, 0.0, np.linspace(0, 85, 40), np.linspace(0, 180, 40))
+    at = tuple(np.broadcast_arrays(*at))
+    white = colorimetry.weights("D65", 10).white
+    fitted = colorimetry.xyz_to_lab(flake.tristimulus(bsdf, *at), white)
+    # Chromaticity is interpolated by a spline on 160 nodes; Y is exact.
+    assert colorimetry.delta_e_00(fitted, lab_of(bsdf, at)).max() < 1e-4
+
+
+def test_the_patents_form_is_the_reflectance_factor_over_pi():
+    bsdf = flake.build(colours(), index=1.524)
+    theta_f = float(flakes.flake_angle(30, 20, 50, 90, 1.524))
+    a, b, c = (float(bsdf[f"flake_{name}"].sel(channel="Y").squeeze()) for name in ("amplitude", "decay", "constant"))
+    y = flake.tristimulus(bsdf, *(np.array([v]) for v in (30.0, 20.0, 50.0, 90.0)))[0, 1]
+    assert y == pytest.approx(a * np.exp(-theta_f / b) + c)
+
+
+def test_the_physical_form_carries_transmission_and_jacobian():
+    bsdf = flake.build(colours(), index=1.524, model="flake-physical")
+    pairs = ((10.0, 0.0, 50.0, 120.0), (70.0, 0.0, 5.0, 33.0))
+    for theta_i, phi_i, theta_o, phi_o in pairs:
+        theta_f = flakes.flake_angle(theta_i, phi_i, theta_o, phi_o, 1.524)
+        rho = curve(theta_f, *(bsdf[f"flake_{name}"].values for name in ("amplitude", "decay", "constant")), 1)
+
+        def interface(*angles):
+            share = 1.0
+            for angle in angles:
+                inside = np.sqrt(1 - (np.sin(np.radians(angle)) / 1.524) ** 2)
+                share *= (1 - optics.fresnel(np.cos(np.radians(angle)), 1.524).mean) / inside
+            return float(share) / (4 * 1.524**2)
+
+        expected = rho * interface(theta_i, theta_o) / interface(0, 0)
+        found = flake.tristimulus(bsdf, *(np.array([v]) for v in (theta_i, phi_i, theta_o, phi_o)))[0]
+        assert found == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_model_is_sound(model):
+    verdicts = flake.build(colours(), index=1.524, **model).bsdf.check().attrs["verdicts"]
+    assert "warn" not in verdicts
+    assert "fail" not in verdicts
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_nothing_is_seen_at_and_below_the_horizon(model):
+    bsdf = flake.build(colours(), index=1.524, **model)
+    assert (bsdf.bsdf.evaluate([90, 30, 100, 30], 0, [30, 90, 30, 120], 0).values == 0).all()
+    assert np.isfinite(bsdf.bsdf.evaluate([89.9999, 30], 0, [89.9999, 89.9999], [0, 180]).values).all()
+
+
+def test_a_smooth_clear_coat_mirrors_as_fresnel_says():
+    bsdf = flake.build(colours(), index=1.524, model="flake-physical")
+    mirrored, passed = bsdf.bsdf.specular([0, 60])
+    assert mirrored.values[:, 0] == pytest.approx(optics.fresnel([1.0, 0.5], 1.524).mean)
+    assert (passed.values == 0).all()
+
+
+def test_a_rough_clear_coat_reflects_as_much_as_a_smooth_one():
+    rough, smooth = (flake.build(colours(), index=1.524, **model) for model in (MODELS[2], MODELS[1]))
+    # At 2 % slope facets hide next to nothing from each other.
+    assert rough.bsdf.albedo([0, 45]).values == pytest.approx(smooth.bsdf.albedo([0, 45]).values, rel=1e-3)
+
+
+def test_the_gloss_of_a_rough_coat_is_taken_out_of_the_measured_colours():
+    bsdf = flake.build(colours(), index=1.524, model="flake-physical", clear_coat=0.05)
+    lower = flake.build(colours(), index=1.524, model="flake-physical")
+    assert (bsdf["flake_amplitude"].values < lower["flake_amplitude"].values).all()
+    assert lab_of(bsdf, directions(colours())) == pytest.approx(np.array(list(LAB.values())), abs=1e-5)
+
+
+def test_a_coat_that_outshines_the_colours_is_refused():
+    with pytest.raises(InputError, match="gloss of the clear coat alone is more than a measured colour"):
+        flake.build(colours(), index=1.524, model="flake-physical", clear_coat=0.3)
+
+
+def test_a_synthetic_paint_is_recovered_within_3_percent():
+    bsdf = flake.build(spectra(noise=0.02, seed=1), index=1.5)
+    known = bsdf["theta_f_measured"].values
+    theta_f = np.linspace(known.min(), known.max(), 60)
+    fitted = curve(theta_f, *(bsdf[f"flake_{name}"].values for name in ("amplitude", "decay", "constant")), 1)
+    assert np.median(np.abs(fitted / truth(theta_f) - 1)) < 0.03
+    assert np.isfinite(bsdf["leave_one_out"].values).all()
+    assert np.nanmedian(np.abs(bsdf["leave_one_out_misfit"].values)) < 0.06
+
+
+def test_spectra_without_noise_return_at_any_geometry_and_wavelength():
+    bsdf = flake.build(spectra(), index=1.5)
+    theta_f = flakes.flake_angle(20.0, 0.0, 60.0, 140.0, 1.5)
+    found = np.pi * bsdf.bsdf.evaluate(20, 0, 60, 140).values
+    assert found == pytest.approx(truth(theta_f), rel=1e-8)
+    between = np.pi * bsdf.bsdf.evaluate(20, 0, 60, 140, wavelength=[410.0, 700.0]).values
+    assert between == pytest.approx([truth(theta_f)[:2].mean(), truth(theta_f)[-1]], rel=1e-8)
+
+
+@pytest.mark.parametrize("multiangle", [colours(), spectra()], ids=["colours", "spectra"])
+def test_the_mean_over_wavelength_is_the_mean_of_the_model(multiangle):
+    bsdf = flake.build(multiangle, index=1.5, model="flake-physical")
+    weight = np.linspace(1, 3, bsdf.sizes["wavelength"])
+    mean = representations.nonspectral(bsdf, weight)
+    vocabulary.validate(mean, "bsdf")
+    at = ([0.0, 30.0, 70.0], 0, [10.0, 40.0, 60.0], [0.0, 180.0, 90.0])
+    expected = bsdf.bsdf.evaluate(*at).values @ (weight / weight.sum())
+    assert mean.bsdf.evaluate(*at).values == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("multiangle", [colours(), spectra()], ids=["colours", "spectra"])
+def test_it_is_stored_and_read_back(multiangle, tmp_path):
+    bsdf = flake.build(multiangle, index=1.5)
+    path = tmp_path / "flake.nc"
+    store.save_dataset(bsdf, path, stage="flake", material="m", inputs={"multiangle": multiangle}, parameters={})
+    again = store.open_dataset(path, "bsdf")
+    at = (30, 0, 50, 170)
+    assert (again.bsdf.evaluate(*at).values == bsdf.bsdf.evaluate(*at).values).all()
+
+
+def test_flake_angles_that_were_not_measured_are_flagged():
+    bsdf = flake.build(colours(), index=1.524)
+    at = directions(colours())
+    assert (flake.quality(bsdf, *at) == vocabulary.quality("measured")).all()
+    found = flake.quality(
+        bsdf, np.full(3, 45.0), np.zeros(3), np.array([40.0, 10.0, 85.0]), np.array([180.0, 180.0, 0.0])
+    )
+    assert found.tolist() == [vocabulary.quality(name) for name in ("extrapolated", "interpolated", "extrapolated")]
+    assert "flake angles below 4.25 and above 32.1 degree" in vocabulary.warnings(bsdf)[0]
+
+
+def test_a_silver_brighter_than_white_keeps_its_colours():
+    labs = {"45as15": (140.0, -1.0, 2.0), "45as45": (65.0, -0.5, 0.5), "45as110": (35.0, 0.0, -1.0)}
+    multiangle = colours(labs)
+    bsdf = flake.build(multiangle)
+    assert lab_of(bsdf, directions(multiangle)) == pytest.approx(np.array(list(labs.values())), abs=1e-5)
+
+
+def test_a_green_with_a_black_flop_keeps_its_colours():
+    labs = {"45as15": (60.0, -55.0, 30.0), "45as45": (20.0, -30.0, 12.0), "45as110": (1.3, -1.5, 0.5)}
+    multiangle = colours(labs)
+    bsdf = flake.build(multiangle)
+    assert lab_of(bsdf, directions(multiangle)) == pytest.approx(np.array(list(labs.values())), abs=1e-4)
+
+
+def test_a_black_paint_is_black():
+    bsdf = flake.build(colours(dict.fromkeys(LAB, (0.0, 0.0, 0.0))))
+    assert (bsdf.bsdf.evaluate(30, 0, [10, 80], 180).values == 0).all()
+
+
+def test_a_colour_that_no_light_has_takes_that_of_the_nearest_flake_angle():
+    # X and Z fall far more slowly than Y, so that the fit leaves the spectral locus far from the gloss.
+    xyz = [[30.0, 27.5, 30.0], [12.0, 2.68, 20.0], [8.0, 0.323, 16.0]]
+    listed = [{"geometry": name, "xyz": each} for name, each in zip(LAB, xyz, strict=True)]
+    bsdf = flake.build(flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10}))
+    assert any("no light has the colour" in text for text in vocabulary.warnings(bsdf))
+    assert (bsdf.bsdf.evaluate(45, 0, [0, 65, 80], 0).values > 0).all()
+
+
+def test_geometries_that_need_the_same_flake_are_too_few():
+    labs = {"45:-30": (30, 0, 0), "30:-45": (30, 0, 0), "45:0": (10, 0, 0)}
+    with pytest.raises(InputError, match="2 in 3 geometries"):
+        flake.build(colours(labs))
+
+
+@pytest.mark.parametrize(
+    ("options", "pattern"),
+    [
+        ({"index": 1.0}, "no refractive index"),
+        ({"index": True}, "no refractive index"),
+        ({"model": "silver"}, "unknown model.*flake, flake-physical"),
+        ({"form": "cauchy"}, "unknown form"),
+        ({"form": "double-exponential"}, "at least 5"),
+        ({"clear_coat": "smooth"}, "would break energy"),
+        ({"model": "flake-physical", "clear_coat": "matt"}, "unknown clear coat"),
+        ({"model": "flake-physical", "clear_coat": 2.0}, "0.0001 to 1"),
+    ],
+)
+def test_choices_that_cannot_be_are_refused(options, pattern):
+    with pytest.raises(InputError, match=pattern):
+        flake.build(colours(), **options)
+
+
+def test_a_paint_given_as_spectra_has_no_tristimulus_of_its_own():
+    at = [np.array([v]) for v in (45.0, 0.0, 0.0, 0.0)]
+    with pytest.raises(VocabularyError, match="given as spectra"):
+        flake.tristimulus(flake.build(spectra()), *at)
+
+
+def test_a_table_of_it_is_the_model_at_its_nodes():
+    bsdf = flake.build(colours(), index=1.524)
+    table = bsdf.bsdf.tabulate({"theta_i": [0, 45], "theta_o": [0, 30, 60], "phi_o": [0, 90, 180, 270, 360]})
+    assert table.bsdf.evaluate(45, 0, 30, 180).values == pytest.approx(bsdf.bsdf.evaluate(45, 0, 30, 180).values)

@@ -1,0 +1,478 @@
+"""The slab: closed forms of smooth faces, balance of energy, reciprocity, and a path tracer that knows none of its matrices."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import beta, erf
+
+from brdfpipe import facets, optics, store, vocabulary
+from brdfpipe.bsdf import microfacet, representations, slab
+from brdfpipe.errors import VocabularyError
+from brdfpipe.hemisphere import panel_rule
+
+BOTH_SIDES = np.array([0.0, 8.0, 30.0, 60.0, 80.0, 89.0, 91.0, 120.0, 172.0, 180.0])
+WAVELENGTH = np.linspace(400.0, 700.0, 41)
+
+
+@cache
+def finish(a: float) -> xr.Dataset:
+    return facets.flat() if a == 0 else facets.analytic("beckmann", a)
+
+
+@cache
+def sheet(front: float, back: float, index: float = 1.5, transmittance: float = 1.0) -> xr.Dataset:
+    return slab.build(finish(front), finish(back), index=index, internal_transmittance=transmittance)
+
+
+def reflectance(bsdf: xr.Dataset, theta) -> np.ndarray:
+    return slab.albedo(bsdf, np.atleast_1d(theta).astype(float), np.zeros(1), None)[:, 0]
+
+
+def transmittance(bsdf: xr.Dataset, theta) -> np.ndarray:
+    return slab.transmittance(bsdf, np.atleast_1d(theta).astype(float), np.zeros(1), None)[:, 0]
+
+
+def inner_cosine(theta, index):
+    return np.sqrt(1 - (np.sin(np.radians(theta)) / index) ** 2)
+
+
+# --- closed forms
+
+
+@pytest.mark.parametrize("index", [1.0, 1.01, 1.5, 2.4])
+@pytest.mark.parametrize("inside", [1.0, 0.8, 0.0])
+def test_two_smooth_faces_reflect_and_transmit_as_the_incoherent_sum_of_a_plate(index, inside):
+    bsdf = sheet(0, 0, index, inside)
+    f = optics.fresnel(np.abs(np.cos(np.radians(BOTH_SIDES))), index).mean
+    tau = inside ** (1 / inner_cosine(BOTH_SIDES, index))
+    # Interpolated between the nodes by a polynomial of high degree: to 1e-9, but where the way through an absorbing body that hardly
+    # refracts grows without limit towards grazing.
+    tolerance = 1e-9 if index > 1.1 else 1e-5
+    assert reflectance(bsdf, BOTH_SIDES) == pytest.approx(
+        f + (1 - f) ** 2 * tau**2 * f / (1 - (f * tau) ** 2), abs=tolerance
+    )
+    assert transmittance(bsdf, BOTH_SIDES) == pytest.approx((1 - f) ** 2 * tau / (1 - (f * tau) ** 2), abs=tolerance)
+
+
+def test_two_smooth_faces_send_light_nowhere_else():
+    bsdf = sheet(0, 0, 1.5, 0.8)
+    mirrored, straight = slab.specular(bsdf, BOTH_SIDES, np.zeros(1), None)
+    assert mirrored[:, 0] == pytest.approx(reflectance(bsdf, BOTH_SIDES), abs=1e-13)
+    assert straight[:, 0] == pytest.approx(transmittance(bsdf, BOTH_SIDES), abs=1e-13)
+    assert slab.evaluate(bsdf, 30.0, 0.0, np.array([30.0, 150.0]), 180.0, None).max() < 1e-10
+
+
+def test_a_black_body_leaves_what_its_front_face_reflects():
+    bsdf, alone = sheet(0.3, 0, 1.5, 0.0), microfacet.build(finish(0.3), index=1.5, transparent=True)
+    theta_o, phi = np.meshgrid(np.linspace(0, 85, 18), np.linspace(0, 180, 7))
+    zero = np.zeros_like(phi)
+    found = slab.evaluate(bsdf, 40 + zero, zero, theta_o, phi, None)
+    expected = microfacet.evaluate(alone, 40 + zero, zero, theta_o, phi, None)
+    # Beside it there is what the facets lose, as diffuse light on both sides: less than 4 % at 40° for a = 0.3.
+    lost = (
+        1 - alone.bsdf.albedo(40.0).item() - microfacet.transmittance(alone, np.array([40.0]), np.zeros(1), None).item()
+    )
+    assert (found - expected >= 0).all()
+    assert (found - expected).max() < lost
+    assert transmittance(bsdf, BOTH_SIDES).max() == 0
+
+
+def test_a_smooth_front_face_mirrors_as_a_single_interface_does():
+    mirrored, straight = slab.specular(sheet(0, 0.3), np.array([30.0, 150.0]), np.zeros(1), None)
+    assert mirrored[0, 0] == pytest.approx(float(optics.fresnel(np.cos(np.pi / 6), 1.5).mean), abs=1e-9)
+    assert mirrored[1, 0] == 0
+    assert straight.max() == 0
+
+
+def test_a_body_that_is_hardly_there_lets_all_light_pass():
+    for faces in ((0, 0), (0.3, 0)):
+        assert transmittance(sheet(*faces, index=1.0001), [0.0, 30.0, 60.0, 150.0]).min() > 1 - 1e-3
+
+
+def test_behind_a_smooth_back_face_the_lobe_is_that_of_the_front_face_refracted_once_more():
+    # Without reflections inside, f = f_t(i → x) (1 − F(x)) dω_x cos x / (dω_o cos o) = f_t (1 − F) / n²; those add F² ~ 0.0016 of it.
+    bsdf, alone = sheet(0.1, 0), microfacet.build(finish(0.1), index=1.5, transparent=True)
+    theta_o = np.array([26.0, 28.0, 30.0, 32.0, 34.0])
+    inside = np.degrees(np.arcsin(np.sin(np.radians(theta_o)) / 1.5))
+    zero = np.zeros(theta_o.size)
+    once = microfacet.evaluate(alone, 30 + zero, zero, 180 - inside, 180 + zero, None)[:, 0]
+    leaves = 1 - optics.fresnel(np.cos(np.radians(theta_o)), 1.5).mean
+    found = slab.evaluate(bsdf, 30 + zero, zero, 180 - theta_o, 180 + zero, None)[:, 0]
+    assert found == pytest.approx(once * leaves / 1.5**2, rel=0.012)
+
+
+# --- balance and reciprocity
+
+
+@given(
+    front=st.sampled_from([0.05, 0.1, 0.3, 1.0]),
+    back=st.sampled_from([0.0, 0.1, 1.0]),
+    index=st.sampled_from([1.0, 1.01, 1.3, 1.5, 2.4]),
+    inside=st.sampled_from([0.0, 1e-3, 0.9, 1.0]),
+)
+@settings(max_examples=5, deadline=None)
+def test_what_is_not_reflected_or_transmitted_is_absorbed(front, back, index, inside):
+    bsdf = sheet(front, back, index, inside)
+    total = bsdf["reflectance"] + bsdf["transmittance"] + bsdf["absorptance"]
+    assert total.values == pytest.approx(1.0, abs=1e-9)
+    assert float(bsdf["absorptance"].min()) >= 0
+    if inside == 1:
+        assert float(bsdf["absorptance"].max()) == 0
+
+
+@pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)
+def test_energy_closes_between_the_nodes_too(distribution):
+    table = facets.analytic(distribution, 0.4)
+    bsdf = slab.build(table, finish(0), index=1.6, internal_transmittance=1.0)
+    assert reflectance(bsdf, BOTH_SIDES) + transmittance(bsdf, BOTH_SIDES) == pytest.approx(1.0, abs=1e-9)
+
+
+@given(
+    theta_i=st.floats(0, 180),
+    theta_o=st.floats(0, 180),
+    phi=st.floats(-360, 360),
+    faces=st.sampled_from([(0.3, 0.3), (0.3, 0.1), (0.3, 0.0)]),
+)
+@settings(max_examples=80, deadline=None)
+def test_it_is_reciprocal_finite_and_not_negative(theta_i, theta_o, phi, faces):
+    bsdf = sheet(*faces, transmittance=0.8 if faces[1] else 0.9)
+    forward = slab.evaluate(bsdf, theta_i, 0.0, theta_o, phi, None)
+    backward = slab.evaluate(bsdf, theta_o, phi, theta_i, 0.0, None)
+    assert np.isfinite(forward).all()
+    assert (forward >= 0).all()
+    assert (forward == backward).all()
+
+
+def test_light_along_the_normal_leaves_alike_in_every_azimuth():
+    # The lobe behind a smooth front is sharp against the nodes: its tail must not ring.
+    sheet = slab.build(facets.flat(), facets.analytic("ggx", 0.2), index=1.5, internal_transmittance=0.8)
+    for theta_o in (140.0, 160.0, 20.0):
+        around = sheet.bsdf.evaluate(0.0, 0.0, theta_o, [0.0, 1.0, 90.0, 179.0, 180.0]).values
+        assert around == pytest.approx(around[0], rel=1e-3)
+
+
+def test_one_finish_on_both_faces_looks_the_same_from_both_sides():
+    bsdf = sheet(0.3, 0.3)
+    assert reflectance(bsdf, [8.0, 60.0]) == pytest.approx(reflectance(bsdf, [172.0, 120.0]), abs=1e-12)
+    there = slab.evaluate(bsdf, 30.0, 0.0, np.array([20.0, 140.0]), 170.0, None)
+    turned = slab.evaluate(bsdf, 150.0, 0.0, np.array([160.0, 40.0]), 170.0, None)
+    assert there == pytest.approx(turned, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_a_slab_turned_over_is_the_same_slab_from_the_other_side():
+    bsdf, turned = sheet(0.3, 0.1, 1.5, 0.8), sheet(0.1, 0.3, 1.5, 0.8)
+    assert reflectance(bsdf, BOTH_SIDES) == pytest.approx(reflectance(turned, 180 - BOTH_SIDES), abs=1e-10)
+    assert transmittance(bsdf, BOTH_SIDES) == pytest.approx(transmittance(turned, 180 - BOTH_SIDES), abs=1e-10)
+    theta_o = np.array([10.0, 40.0, 120.0, 160.0])
+    there = slab.evaluate(bsdf, 30.0, 0.0, theta_o, 180.0, None)
+    assert there == pytest.approx(slab.evaluate(turned, 150.0, 0.0, 180 - theta_o, 180.0, None), rel=1e-4)
+
+
+@pytest.mark.parametrize("faces", [(0.3, 0.3), (0.1, 0)])
+@pytest.mark.parametrize("theta", [8.0, 60.0, 172.0])
+def test_the_lobes_integrate_to_the_shares(faces, theta):
+    bsdf = sheet(*faces)
+    at = np.array([theta]), np.zeros(1), None
+    specular = slab.specular(bsdf, *at)
+    for through, share in ((False, slab.albedo), (True, slab.transmittance)):
+        lobe = representations.integrated(bsdf, at[0], at[1], None, through=through, relative=1e-4).value
+        # The stated error of the interpolation is of the worst incidence, 1 %; these are better ones.
+        assert lobe + specular[through] == pytest.approx(share(bsdf, *at), rel=4e-3)
+    assert float(bsdf["interpolation_error"]) < slab.ERROR_LIMIT
+
+
+# --- a path tracer
+
+
+class Tracer:
+    """Photons between two Beckmann faces: facets drawn from their density, weighted by how much of them is seen.
+
+    What the facets lose leaves diffusely on both sides, in proportion to what they lose there and to the étendue.
+    """
+
+    def __init__(self, front: float, back: float, index: float, inside: float, seed: int) -> None:
+        self.a, self.index, self.inside = (front, back), index, inside
+        self.generator = np.random.default_rng(seed)
+        self.diffuse = [self._lost(each, index) for each in self.a]
+
+    @staticmethod
+    @cache
+    def _lost(a, index):
+        if a == 0:
+            return None
+        alone = microfacet.build(finish(a), index=index, transparent=True)
+        edges = np.concatenate([np.linspace(0, 90, 91), np.linspace(90, 180, 121)[1:]])
+        middle = (edges[1:] + edges[:-1]) / 2
+        none = np.zeros(middle.size)
+        kept = microfacet.albedo(alone, middle, none, None) + microfacet.transmittance(alone, middle, none, None)
+        lost = np.maximum(1 - kept[:, 0], 0)
+        extent = np.abs(np.diff(np.cos(np.radians(edges)) ** 2)) * np.where(middle > 90, index**2, 1.0)
+        return middle, lost, edges, np.cumsum(extent * lost) / (extent @ lost)
+
+    @staticmethod
+    def _hidden(a, cos):
+        nu = np.abs(cos) / np.sqrt(np.maximum(1 - cos**2, 1e-300)) / a
+        return np.where(nu > 6, 0.0, (erf(nu) - 1 + np.exp(-(nu**2)) / (nu * np.sqrt(np.pi))) / 2)
+
+    def meet(self, face, travel, weight, from_air):
+        """New directions and weights of light that meets a face, z pointing out of the body there; and who is now in air."""
+        if self.a[face] == 0:
+            return self._meet_smooth(travel, weight, from_air)
+        share = 0.15
+        diffuse = self.generator.random(weight.size) < share
+        by_facet = self._facet(self.a[face], travel, weight / (1 - share), from_air)
+        middle, lost, edges, cumulated = self.diffuse[face]
+        theta = np.degrees(np.arccos(np.clip(-travel[:, 2], -1, 1)))
+        cell = np.searchsorted(cumulated, self.generator.random(weight.size))
+        low, high = np.cos(np.radians(edges[cell])) ** 2, np.cos(np.radians(edges[cell + 1])) ** 2
+        cos = np.sqrt(low + self.generator.random(weight.size) * (high - low)) * np.where(middle[cell] > 90, -1, 1)
+        phi, sin = 2 * np.pi * self.generator.random(weight.size), np.sqrt(1 - cos**2)
+        spread = np.stack([sin * np.cos(phi), sin * np.sin(phi), cos], axis=1)
+        return (
+            np.where(diffuse[:, None], spread, by_facet[0]),
+            np.where(diffuse, weight / share * np.interp(theta, middle, lost), by_facet[1]),
+            np.where(diffuse, cos > 0, by_facet[2]),
+        )
+
+    def _meet_smooth(self, travel, weight, from_air):
+        return self._scatter(travel, weight, from_air, np.broadcast_to([0.0, 0.0, 1.0], travel.shape))
+
+    def _facet(self, a, travel, weight, from_air):
+        slope = self.generator.normal(0, a / np.sqrt(2), (weight.size, 2))
+        normal = np.column_stack([-slope, np.ones(weight.size)])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        out, carried, air = self._scatter(travel, weight, from_air, normal)
+        facing = (travel * normal).sum(axis=1) / normal[:, 2] / travel[:, 2]
+        hidden_i, hidden_o = self._hidden(a, travel[:, 2]), self._hidden(a, out[:, 2])
+        seen = np.where(air == from_air, 1 / (1 + hidden_i + hidden_o), beta(1 + hidden_i, 1 + hidden_o))
+        right_side = (out[:, 2] > 0) == air
+        return out, np.where(right_side, carried * np.maximum(facing, 0) * seen, 0.0), air
+
+    def _scatter(self, travel, weight, from_air, normal):
+        """Reflected or refracted at a facet, drawn by Fresnel's reflectance."""
+        towards = normal * np.where(from_air, 1.0, -1.0)[:, None]
+        cos = np.clip(-(travel * towards).sum(axis=1), 0.0, 1.0)
+        ratio = np.where(from_air, 1 / self.index, self.index)
+        reflectance = optics.fresnel(cos, 1 / ratio).mean
+        mirrored = self.generator.random(weight.size) < reflectance
+        inner = np.sqrt(np.maximum(1 - ratio**2 * (1 - cos**2), 0.0))
+        refracted = ratio[:, None] * travel + (ratio * cos - inner)[:, None] * towards
+        out = np.where(mirrored[:, None], travel + 2 * cos[:, None] * towards, refracted)
+        return out, weight, np.where(mirrored, from_air, ~from_air)
+
+    def trace(self, theta_i, photons):
+        """Direction and weight of every photon that came out, z towards the front; and which it was."""
+        flip, theta = np.array([1.0, 1.0, -1.0]), np.radians(theta_i)
+        travel = np.tile([-np.sin(theta), 0.0, -np.cos(theta)], (photons, 1))
+        weight, who = np.ones(photons), np.arange(photons)
+        from_air = np.ones(photons, dtype=bool)
+        face, found = (0 if theta_i < 90 else 1), []
+        for _ in range(400):
+            turn = flip if face else np.ones(3)
+            travel, weight, air = self.meet(face, travel * turn, weight, from_air)
+            travel = travel * turn
+            found.append((travel[air], weight[air], who[air]))
+            survive = ~air & (weight > 0)
+            travel, weight, who = travel[survive], weight[survive], who[survive]
+            weight = weight * self.inside ** (1 / np.abs(travel[:, 2]))
+            lives = self.generator.random(weight.size) < np.minimum(weight / 0.1, 1)
+            travel, weight, who = travel[lives], np.maximum(weight, 0.1)[lives], who[lives]
+            if not weight.size:
+                break
+            from_air, face = np.zeros(weight.size, dtype=bool), 1 - face
+        return [np.concatenate(each) for each in zip(*found, strict=True)]
+
+
+def expected_share(bsdf, theta_i, low, high, forward):
+    """∫ f |cos θ_o| dω_o over polar angles and the half of the azimuths towards, or away from, where the light goes straight on."""
+    theta, d_theta = panel_rule(np.linspace(low, high, 13), 6)
+    phi, d_phi = panel_rule(np.linspace(90, 180, 13) if forward else np.linspace(0, 90, 7), 6)
+    values = slab.evaluate(bsdf, theta_i, 0.0, theta[:, None], phi, None)[..., 0]
+    weight = np.radians(d_theta) * np.abs(np.sin(2 * np.radians(theta))) / 2
+    return 2 * float(weight @ values @ np.radians(d_phi))
+
+
+BINS = [(0, 30), (30, 60), (60, 90), (90, 120), (120, 150), (150, 180)]
+
+
+@pytest.mark.parametrize(
+    ("front", "back", "theta_i", "inside"),
+    [
+        pytest.param(0.3, 0.3, 30.0, 1.0, marks=pytest.mark.slow),
+        (0.3, 0.3, 70.0, 0.8),
+        (0.3, 0.0, 20.0, 0.9),
+        pytest.param(0.3, 0.0, 140.0, 0.9, marks=pytest.mark.slow),
+        (1.0, 0.3, 110.0, 0.95),
+    ],
+)
+def test_a_path_tracer_finds_the_same_light_in_the_same_directions(front, back, theta_i, inside):
+    bsdf, photons = sheet(front, back, 1.5, inside), 100_000
+    travel, weight, who = Tracer(front, back, 1.5, inside, seed=7).trace(theta_i, photons)
+    theta_o = np.degrees(np.arccos(np.clip(travel[:, 2], -1, 1)))
+    # The photons set out in the plane of azimuth 0 and travel towards 180°.
+    forward = travel[:, 0] < 0
+
+    def traced(where):
+        by_photon = np.bincount(who, np.where(where, weight, 0.0), photons)
+        return by_photon.mean(), by_photon.std() / np.sqrt(photons)
+
+    mirrored, straight = (each[0, 0] for each in slab.specular(bsdf, np.array([theta_i]), np.zeros(1), None))
+    returned = theta_o < 90 if theta_i < 90 else theta_o > 90
+    for where, share in ((returned, reflectance), (~returned, transmittance)):
+        value, error = traced(where)
+        assert share(bsdf, theta_i)[0] == pytest.approx(value, abs=4 * error)
+    for low, high in BINS:
+        for ahead in (True, False):
+            value, error = traced((theta_o >= low) & (theta_o < high) & (forward == ahead))
+            delta = sum(
+                part
+                for part, angle in ((mirrored, theta_i), (straight, 180 - theta_i))
+                if ahead and low <= angle < high
+            )
+            wanted = expected_share(bsdf, theta_i, low, high, ahead) + delta
+            # A thousandth of the light in the bin for the interpolation, beside the noise.
+            assert wanted == pytest.approx(value, abs=4 * error + 1e-3 * wanted)
+
+
+# --- over wavelength
+
+
+def spectral(values):
+    return xr.DataArray(values, dims="wavelength", coords={"wavelength": WAVELENGTH})
+
+
+@cache
+def coloured() -> xr.Dataset:
+    return slab.build(finish(0.3), finish(0.3), index=1.5, internal_transmittance=spectral(np.linspace(0, 1, 41) ** 3))
+
+
+def directions(count=400):
+    generator = np.random.default_rng(3)
+    theta_i = np.degrees(np.arccos(generator.uniform(-1, 1, count)))
+    theta_o = np.degrees(np.arccos(generator.uniform(-1, 1, count)))
+    return theta_i, np.zeros(count), theta_o, generator.uniform(0, 360, count)
+
+
+@pytest.mark.parametrize("k", [0, 3, 25, 38])
+def test_every_wavelength_is_the_slab_of_its_own_transmittance(k):
+    bsdf = coloured()
+    inside = float(bsdf["internal_transmittance"][k])
+    alone = sheet(0.3, 0.3, 1.5, inside)
+    at = directions()
+    assert reflectance(alone, at[0]) == pytest.approx(slab.albedo(bsdf, at[0], at[1], None)[:, k], abs=1e-12)
+    assert transmittance(alone, at[0]) == pytest.approx(slab.transmittance(bsdf, at[0], at[1], None)[:, k], abs=1e-12)
+    found, expected = slab.evaluate(bsdf, *at, WAVELENGTH[[k]])[:, 0], slab.evaluate(alone, *at, None)[:, 0]
+    flux = np.abs(np.cos(np.radians(at[2])))
+    assert flux @ np.abs(found - expected) <= 0.01 * (flux @ expected)
+
+
+def test_dispersion_is_interpolated_over_few_indices():
+    index = vocabulary.label(
+        xr.Dataset(
+            {"n": ("wavelength", np.linspace(1.52, 1.48, 41)), "k": ("wavelength", np.zeros(41))},
+            coords={"wavelength": WAVELENGTH},
+            attrs={"source": "a line"},
+        ),
+        "index",
+    )
+    bsdf = slab.build(finish(0.3), finish(0.3), index=index, internal_transmittance=0.9)
+    assert bsdf.sizes["index_node"] == 3
+    alone, at = sheet(0.3, 0.3, float(index["n"][7]), 0.9), directions(100)
+    # A parabola through three indices 0.02 apart; the error goes with the cube of that.
+    assert slab.albedo(bsdf, at[0], at[1], None)[:, 7] == pytest.approx(reflectance(alone, at[0]), abs=1e-5)
+    found, expected = slab.evaluate(bsdf, *at, None)[:, 7], slab.evaluate(alone, *at, None)[:, 0]
+    assert np.abs(found - expected).sum() < 3e-3 * expected.sum()
+
+
+def test_an_absorption_coefficient_over_a_thickness_is_an_internal_transmittance():
+    by_absorption = slab.build(finish(0), finish(0), index=1.5, absorption=0.1, thickness=2.0)
+    assert float(by_absorption["internal_transmittance"]) == pytest.approx(np.exp(-0.2), rel=1e-15)
+    alike = sheet(0, 0, 1.5, float(np.exp(-0.2)))
+    assert reflectance(by_absorption, BOTH_SIDES) == pytest.approx(reflectance(alike, BOTH_SIDES), abs=1e-15)
+
+
+def test_a_detector_of_one_response_sees_the_mean_over_wavelength():
+    bsdf, weight, at = coloured(), np.full(41, 1 / 41), directions()
+    seen = slab.nonspectral(bsdf, weight)
+    assert "wavelength" not in seen.dims
+    mean = slab.evaluate(bsdf, *at, None) @ weight
+    # The mean of logarithms between nodes is not the logarithm of the mean: within the error of the interpolation.
+    assert np.abs(slab.evaluate(seen, *at, None)[:, 0] - mean).sum() < 0.005 * mean.sum()
+    assert slab.albedo(seen, at[0], at[1], None)[:, 0] == pytest.approx(
+        slab.albedo(bsdf, at[0], at[1], None) @ weight, abs=1e-12
+    )
+
+
+# --- what a user meets
+
+
+def test_it_is_a_dataset_like_any_other(tmp_path):
+    bsdf = vocabulary.validate(coloured(), "bsdf")
+    store.save_dataset(bsdf, tmp_path / "slab.nc", stage="bsdf", material="sheet")
+    found = store.open_dataset(tmp_path / "slab.nc")
+    at = 30.0, 0.0, np.array([30.0, 150.0]), 180.0
+    assert found.bsdf.evaluate(*at, wavelength=[450, 550]).values == pytest.approx(
+        bsdf.bsdf.evaluate(*at, wavelength=[450, 550]).values, rel=1e-12
+    )
+    assert representations.transmits(found)
+    assert representations.isotropic(found)
+    assert representations.index_below(found) == 1.0
+
+
+def test_lobes_too_narrow_to_show_are_carried_as_specular_and_said_to_be():
+    bsdf = sheet(0.01, 0.0)
+    assert "less than a slab resolves" in vocabulary.warnings(bsdf)[0]
+    straight = slab.specular(bsdf, np.array([8.0]), np.zeros(1), None)[1]
+    plate = transmittance(sheet(0, 0), 8.0)
+    # A face of slope 0.01 lets through what a smooth one does, to the square of the slope.
+    assert straight[0] == pytest.approx(plate, abs=2e-4)
+    assert transmittance(bsdf, 8.0) == pytest.approx(plate, abs=2e-4)
+
+
+def test_a_lay_is_averaged_over_azimuth_with_a_warning():
+    brushed = facets.analytic("beckmann", a_x=0.1, a_y=0.4)
+    bsdf = slab.build(brushed, finish(0), index=1.5)
+    assert any("averaged over azimuth" in text for text in vocabulary.warnings(bsdf))
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"masking": "blinn"}, "does not keep energy"),
+        ({"internal_transmittance": 1.2}, "accepted: 0 to 1"),
+        ({"internal_transmittance": float("nan")}, "accepted: 0 to 1"),
+        ({"absorption": 0.1}, "thickness"),
+        ({"thickness": 1.0}, "absorption"),
+        ({"absorption": 0.1, "thickness": 1.0, "internal_transmittance": 0.5}, "either"),
+        ({"absorption": -0.1, "thickness": 1.0}, "accepted: finite"),
+        ({"internal_transmittance": xr.DataArray([0.5, 0.6], dims="x")}, "over increasing `wavelength`"),
+    ],
+)
+def test_what_makes_no_slab_is_refused(given, says):
+    with pytest.raises(microfacet.ModelError, match=says):
+        slab.build(finish(0), finish(0), index=1.5, **given)
+
+
+def test_a_metal_makes_no_slab():
+    index = vocabulary.label(
+        xr.Dataset(
+            {"n": ("wavelength", [0.2, 0.2]), "k": ("wavelength", [3.0, 3.0])},
+            coords={"wavelength": [400.0, 700.0]},
+            attrs={"source": "a metal"},
+        ),
+        "index",
+    )
+    with pytest.raises(microfacet.ModelError, match="absorbs"):
+        slab.build(finish(0), finish(0), index=index)
+
+
+def test_faces_must_be_facets():
+    with pytest.raises(VocabularyError, match="facets"):
+        slab.build(sheet(0, 0), finish(0), index=1.5)

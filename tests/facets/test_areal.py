@@ -1,0 +1,167 @@
+"""Scans that are tilted, do not belong together or are in a wrong unit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+
+from brdfpipe import facets, surfaces, vocabulary
+from brdfpipe.facets import slopes
+
+STATISTICS = ["slope_rms", "anisotropy", "noise_ratio", "facet_count"]
+
+
+@pytest.fixture(scope="module")
+def scan():
+    return samples.gaussian_surface(256, correlation=6)
+
+
+@pytest.fixture(scope="module")
+def other():
+    return samples.gaussian_surface(256, correlation=6, seed=2)
+
+
+def tilted(scan, slope):
+    return scan.assign(height=scan["height"] + slope * scan["x"] - 2 * slope * scan["y"])
+
+
+@pytest.mark.parametrize("isotropic", [True, False])
+def test_a_tilt_changes_nothing_but_is_warned_about(scan, isotropic):
+    level, tilt = (facets.estimate(each, isotropic=isotropic) for each in (scan, tilted(scan, 0.1)))
+    for name in STATISTICS:
+        assert float(tilt[name]) == pytest.approx(float(level[name]), rel=1e-5)
+    # Slopes of single precision may move a fine bin's border into the next bin: less than half of the uncertainty, 5 % or more.
+    measured = level["slope_density_quality"].values == vocabulary.quality("measured")
+    assert tilt["slope_density"].values[measured] == pytest.approx(level["slope_density"].values[measured], rel=0.025)
+    assert any("level the surface" in warning for warning in vocabulary.warnings(tilt))
+    assert not any("mean slope" in warning for warning in vocabulary.warnings(level))
+
+
+def test_scans_tilted_against_each_other_show_no_lay(scan, other):
+    level, tilt = facets.estimate([scan, other]), facets.estimate([tilted(scan, 0.1), tilted(other, -0.1)])
+    assert tilt["slope_density"].dims == ("slope",)
+    for name in STATISTICS:
+        assert float(tilt[name]) == pytest.approx(float(level[name]), rel=1e-5)
+
+
+def test_the_slope_rms_is_about_the_mean_of_what_is_there(scan):
+    height = scan["height"].values.copy()
+    height[0, 3], height[50:120, 20:200] = np.nan, np.nan
+    gaps = scan.assign(height=scan["height"].copy(data=height))
+    level, tilt = facets.estimate(gaps, isotropic=True), facets.estimate(tilted(gaps, 0.2), isotropic=True)
+    assert float(tilt["slope_rms"]) == pytest.approx(float(level["slope_rms"]), rel=1e-6)
+    # Counted about zero, a tilt of twice the slope rms would empty the middle.
+    assert tilt["slope_density"].values[0] == pytest.approx(level["slope_density"].values[0], rel=1e-2)
+
+
+def test_the_mean_slope_of_a_whole_map_is_known_from_its_border():
+    height = np.random.default_rng(5).normal(size=(37, 53)) + 0.4 * np.arange(53)
+    p, q = np.diff(height, axis=1), np.diff(height, axis=0)
+    exact = [(p[:-1] + p[1:]).mean() / 2, (q[:, :-1] + q[:, 1:]).mean() / 2]
+    assert slopes.mean_slope(slopes.HeightMap.of(samples.surface(height))) == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "named"),
+    [
+        ({"pitch_x": 1.02}, "pitch_x is 1 um and 1.02 um"),
+        ({"pitch_y": 0.5}, "pitch_y is 1 um and 0.5 um"),
+        ({"lambda_s": 5.0}, "lambda_s is not set and 5 um"),
+        ({"lambda_c": 80.0}, "lambda_c is not set and 80 um"),
+    ],
+)
+def test_scans_that_hold_other_waves_are_refused(scan, other, attributes, named):
+    with pytest.raises(facets.FacetError, match=f"scans 1 and 3 .* {named}; accepted"):
+        facets.estimate([scan, other, other.assign_attrs(attributes)])
+
+
+def test_pitches_may_differ_a_little_or_below_one_filter(scan, other):
+    facets.estimate([scan, other.assign_attrs(pitch_x=1.005)])
+    facets.estimate([each.assign_attrs(lambda_s=16.0, pitch_x=pitch) for each, pitch in ((scan, 1.0), (other, 2.0))])
+
+
+def test_a_scan_given_twice_is_refused(scan, other):
+    height = scan["height"].values.copy()
+    height[3, 4] = np.nan
+    gap = samples.surface(height)
+    with pytest.raises(facets.FacetError, match="scans 1 and 3 of the surface hold the same heights"):
+        facets.estimate([gap, other, gap.copy(deep=True)])
+
+
+def test_one_line_may_stand_for_two_directions_but_not_for_two_lines():
+    height = np.cumsum(np.random.default_rng(1).normal(scale=0.1, size=5000))
+    line = samples.surface(height, pitch=(1.0,))
+    facets.estimate([line, line.assign_attrs(azimuth=90.0)])
+    with pytest.raises(facets.FacetError, match="hold the same heights"):
+        facets.estimate([line, line], isotropic=True)
+
+
+def test_scans_of_clearly_different_roughness_are_warned_about(scan, other):
+    rough = [text for text in vocabulary.warnings(facets.estimate([other, scan * 1.5])) if "of neither" in text]
+    assert len(rough) == 1
+    assert "scan 1 has the slope rms 0.211 and scan 2 0.319" in rough[0]
+    assert not any("of neither" in text for text in vocabulary.warnings(facets.estimate([scan, other])))
+
+
+@pytest.mark.parametrize("isotropic", [True, False])
+def test_a_spike_is_named_as_such(scan, isotropic):
+    height = scan["height"].values.copy()
+    height[100, 100] = 1e3
+    with pytest.raises(facets.FacetError, match=r"12 of them, steeper than .* take spikes out"):
+        facets.estimate(samples.surface(height), isotropic=isotropic)
+
+
+@pytest.mark.parametrize("isotropic", [True, False])
+def test_a_plateau_is_named_as_such(scan, isotropic):
+    height = scan["height"].values.copy()
+    height[13:] = 0
+    with pytest.raises(facets.FacetError, match=r"9[45]% of them .* a plateau"):
+        facets.estimate(samples.surface(height), isotropic=isotropic)
+
+
+def test_independent_facets_are_no_more_than_heights():
+    noise = samples.surface(np.random.default_rng(2).normal(scale=0.1, size=(256, 256)))
+    for isotropic in (True, False):
+        assert 0.9 < float(facets.estimate(noise, isotropic=isotropic)["effective_count"]) / 256**2 <= 1
+
+
+def test_independent_facets_do_not_depend_on_how_the_density_is_made(scan):
+    one, two = (float(facets.estimate(scan, isotropic=isotropic)["effective_count"]) for isotropic in (True, False))
+    assert one == two
+
+
+def test_lines_that_hold_other_waves_are_refused():
+    height = np.cumsum(np.random.default_rng(1).normal(scale=0.1, size=2000))
+    lines = [samples.surface(height, pitch=(pitch,)) for pitch in (1.0, 2.0)]
+    with pytest.raises(facets.FacetError, match="do not hold the same waves"):
+        facets.estimate(lines, isotropic=True)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("factor", [1e25, 1e40, 1e150, 1e-25, 1e-40])
+def test_heights_in_a_unit_that_cannot_be_are_refused_as_such(scan, factor):
+    with pytest.raises(facets.FacetError, match="check the unit of the heights"):
+        facets.estimate(scan.assign(height=scan["height"] * factor))
+
+
+def test_an_unknown_correlation_length_says_what_to_do(scan):
+    wave = 3 * np.sin(2 * np.pi * scan["x"] / 1000)
+    table = facets.estimate(scan.assign(height=scan["height"] + wave), isotropic=True)
+    assert np.isnan(table["correlation_length"])
+    assert any("surface.lambda_c" in warning for warning in vocabulary.warnings(table))
+
+
+def test_a_map_of_few_grains_says_that_its_uncertainty_is_understated():
+    narrow, wide = (facets.estimate(samples.gaussian_surface(size, correlation=10)) for size in (128, 256))
+    assert any("correlation lengths wide" in warning for warning in vocabulary.warnings(narrow))
+    assert not any("correlation lengths wide" in warning for warning in vocabulary.warnings(wide))
+
+
+def test_a_real_scan_of_spikes_and_gaps_is_counted_with_fewer_facets_a_bin(shared_data):
+    gaps = surfaces.level(surfaces.read_surface(shared_data / "surfaces" / "frt-1.frt"))
+    table = facets.estimate(gaps)
+    assert any("bins hold only 25" in warning for warning in vocabulary.warnings(table))
+    assert any("measure a larger area" in warning for warning in vocabulary.warnings(table))
+    # The blocks' own slope rms spans 0.0015 to 0.09; no bin beyond the middle is known to 10 %.
+    assert float((table["D_u"] / table["D"]).max()) > 0.15

@@ -1,0 +1,204 @@
+"""Fits along the flake angle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from brdfpipe.errors import InputError
+from brdfpipe.flakes import directions, fit, flake_angle, leave_one_out
+from brdfpipe.flakes.forms import FORMS, curve
+
+PATENT = np.array([float(flake_angle(*directions(name), 1.524)) for name in ("45:-30", "45:0", "45:65")])
+TEN = np.array([3.3, 5.0, 7.1, 9.0, 11.5, 14.0, 18.0, 23.0, 28.0, 33.0])
+
+
+def column(*values):
+    return np.array(values, dtype=float)[:, None]
+
+
+def test_the_patents_luminances_give_the_reference_parameters():
+    # 0.33986494 belongs to L* = 3.07 with the rounded constant 903.3, as the patent's time used it.
+    found = fit(PATENT, column(7.96026763, 1.45052385, 0.33986494))
+    assert float(found.amplitude[0, 0]) == pytest.approx(17.78740303, abs=5e-8)
+    assert float(found.decay[0, 0]) == pytest.approx(5.03256792, abs=5e-8)
+    assert float(found.constant[0]) == pytest.approx(0.30947027, abs=5e-9)
+
+
+@given(
+    st.floats(0.01, 1e4),
+    st.floats(1, 60),
+    st.floats(0, 100),
+    st.tuples(st.floats(0, 12), st.floats(1, 15), st.floats(1, 15)),
+    st.sampled_from(["exponential", "gaussian"]),
+)
+def test_three_points_are_met_exactly(amplitude, decay, constant, steps, form):
+    theta = np.cumsum(steps)
+    power = FORMS[form].power
+    values = curve(theta, column(amplitude), column(decay), np.array([constant]), power)
+    # What rounding hides cannot be found again.
+    if abs(values[1, 0] - values[2, 0]) < 1e-6 * values[0, 0] or (theta[2] / decay) ** power < 0.1:
+        return
+    found = fit(theta, values, form)
+    assert found(theta) == pytest.approx(values, rel=1e-9)
+    assert float(found.decay[0, 0]) == pytest.approx(decay, rel=1e-3)
+
+
+def test_the_order_of_the_geometries_does_not_matter():
+    values = column(7.96, 1.45, 0.34)
+    order = [2, 0, 1]
+    assert fit(PATENT[order], values[order]).decay == pytest.approx(fit(PATENT, values).decay)
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ((1.0, 2.0, 0.5), "A is out of range: the colour is brighter at a flake angle of 13.82 than at 4.246 degree"),
+        ((3.0, 1.0, 1.5), "A is out of range: the colour is brighter at a flake angle of 32.07"),
+        ((3.0, 3.0, 1.0), "B is out of range: the colour is the same"),
+        ((3.0, 1.0, 1.0), "B is out of range: the colour does not fall from 13.82"),
+        ((3.0, 2.9, 0.1), "B is out of range: the colour falls along a straight line or ever faster"),
+        (
+            (10.0, 4.0, 0.1),
+            "C is out of range: the colour falls so slowly that far from the gloss it would be below black, C = -",
+        ),
+    ],
+)
+def test_parameters_out_of_range_are_refused_with_the_reason(values, reason):
+    with pytest.raises(InputError, match=reason) as refused:
+        fit(PATENT, column(*values), channels=["Y"])
+    assert "channel Y" in str(refused.value)
+    assert "multiangle.form" in str(refused.value)
+
+
+def test_a_channel_that_does_not_depend_on_the_angle_is_constant():
+    found = fit(PATENT, column(2.0, 2.0, 2.0))
+    assert (float(found.amplitude[0, 0]), float(found.constant[0])) == (0.0, 2.0)
+
+
+@pytest.mark.parametrize("angles", [PATENT, TEN])
+def test_black_stays_black(angles):
+    found = fit(angles, np.zeros((angles.size, 1)))
+    assert (found(np.linspace(0, 40, 9)) == 0).all()
+
+
+def test_black_far_from_the_gloss_is_allowed_where_the_curve_leads_there():
+    theta = np.array([0.0, 10.0, 800.0])
+    found = fit(theta, column(10.0, 1.0, 0.0))
+    assert found(theta) == pytest.approx(column(10.0, 1.0, 0.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("form", list(FORMS))
+def test_more_geometries_without_noise_give_the_parameters_back(form):
+    terms, power = FORMS[form].terms, FORMS[form].power
+    amplitude, decay = np.array([[20.0], [8.0]])[:terms], np.array([[3.5], [14.0]])[:terms]
+    values = curve(TEN, amplitude, decay, np.array([0.3]), power)
+    found = fit(TEN, values, form)
+    # Two decays of a few degrees are told apart to about the square root of rounding.
+    assert found.decay == pytest.approx(decay, rel=1e-6)
+    assert found.amplitude == pytest.approx(amplitude, rel=1e-6)
+    assert found(TEN) == pytest.approx(values, rel=1e-12)
+
+
+def test_ten_geometries_with_2_percent_noise_are_recovered_within_3_percent():
+    random = np.random.default_rng(7)
+    truth = curve(TEN, column(18.0), column(5.0), np.array([0.31]), 1)
+    between = np.linspace(TEN.min(), TEN.max(), 101)
+    exact = curve(between, column(18.0), column(5.0), np.array([0.31]), 1)
+    errors = []
+    for _ in range(40):
+        noisy = truth * (1 + 0.02 * random.standard_normal(truth.shape))
+        errors.append(np.abs(fit(TEN, noisy)(between) / exact - 1))
+    assert np.median(errors) < 0.03
+    assert max(np.median(each) for each in errors) < 0.03
+
+
+def test_the_covariance_tells_the_spread_of_repeated_fits():
+    random = np.random.default_rng(3)
+    truth = curve(TEN, column(18.0), column(5.0), np.array([0.31]), 1)
+    found = [fit(TEN, truth * (1 + 0.02 * random.standard_normal(truth.shape))) for _ in range(60)]
+    spread = np.std([each.decay[0, 0] for each in found])
+    told = np.median([np.sqrt(each.covariance[0, 1, 1]) for each in found])
+    # The spread of 60 is known to 9 %, each estimate from 7 degrees of freedom to 27 %, its median to some 5 %.
+    assert told == pytest.approx(spread, rel=0.3)
+
+
+def test_an_exact_fit_has_no_covariance():
+    assert np.isnan(fit(PATENT, column(8, 1.5, 0.3)).covariance).all()
+
+
+def test_leaving_one_out_of_perfect_data_predicts_it():
+    values = curve(TEN, column(18.0), column(5.0), np.array([0.31]), 1)
+    assert leave_one_out(TEN, values) == pytest.approx(values, rel=1e-9)
+
+
+def test_leaving_one_out_of_three_is_not_possible():
+    assert np.isnan(leave_one_out(PATENT, column(8, 1.5, 0.3))).all()
+
+
+def test_leaving_one_out_finds_the_wrong_geometry():
+    values = curve(TEN, column(18.0), column(5.0), np.array([0.31]), 1)
+    values[4] *= 1.3
+    error = np.abs(leave_one_out(TEN, values) / values - 1)
+    assert int(error.argmax()) == 4
+
+
+@pytest.mark.parametrize(
+    ("theta", "found"),
+    [
+        (np.array([5.0, 5.0, 20.0]), "2 in 3 geometries"),
+        (np.array([5.0, 5.0 + 1e-5, 20.0, 20.0]), "2 in 4 geometries"),
+        (np.array([5.0, 20.0]), "2 in 2 geometries"),
+    ],
+)
+def test_too_few_different_flake_angles_are_refused(theta, found):
+    with pytest.raises(InputError, match=f"too few different flake angles.*{found}"):
+        fit(theta, np.linspace(2, 1, theta.size)[:, None])
+
+
+def test_repeated_geometries_are_averaged_in_relative_squares():
+    theta, values = np.array([5.0, 5.0, 15.0, 30.0]), column(8.0, 8.2, 1.5, 0.4)
+    found = fit(theta, values)
+    assert float(found(5.0)[0]) == pytest.approx(8.1, rel=2e-3)
+    assert found(np.array([15.0, 30.0])) == pytest.approx(values[2:], rel=1e-6)
+
+
+def test_noise_that_pulls_the_constant_below_0_leaves_it_at_0():
+    found = fit(TEN, curve(TEN, column(18.0), column(8.0), np.array([0.0]), 1) - 0.1)
+    assert float(found.constant[0]) == 0
+
+
+@pytest.mark.parametrize(
+    ("values", "parameter"),
+    [(1 + TEN, "A"), (1200 - TEN**2, "C"), (33.5 - TEN, "C"), (np.where(TEN < 4, 50.0, 1.0), "B")],
+)
+def test_many_geometries_of_another_shape_are_refused(values, parameter):
+    with pytest.raises(InputError, match=f"{parameter} is out of range"):
+        fit(TEN, values[:, None])
+
+
+@pytest.mark.parametrize("values", [column(1, np.nan, 1), column(1, -0.1, 1), column(np.inf, 1, 1)])
+def test_undefined_and_negative_values_are_refused(values):
+    with pytest.raises(InputError, match="negative or undefined"):
+        fit(PATENT, values)
+
+
+def test_an_unknown_form_is_refused():
+    with pytest.raises(InputError, match="accepted: exponential, gaussian, double-exponential"):
+        fit(PATENT, column(3, 2, 1), "cauchy")
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.floats(0, 100), min_size=6, max_size=6))
+def test_any_data_is_fitted_within_the_constraints_or_refused(values):
+    theta = np.array([2.0, 6.0, 10.0, 15.0, 22.0, 31.0])
+    try:
+        found = fit(theta, np.array(values)[:, None])
+    except InputError:
+        return
+    assert (found.amplitude >= 0).all()
+    assert (found.decay > 0).all()
+    assert (found.constant >= 0).all()
+    assert np.isfinite(found(np.linspace(0, 41, 20))).all()

@@ -1,0 +1,75 @@
+"""Names of measuring geometries."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.flakes.geometries import SETS, directions, named
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("45:-30", (45, 0, 30, 180)),
+        ("45:0", (45, 0, 0, 0)),
+        ("45:65", (45, 0, 65, 0)),
+        ("45/20", (45, 0, 20, 0)),
+        ("45:\N{MINUS SIGN}30", (45, 0, 30, 180)),
+        ("45as15", (45, 0, 30, 180)),
+        ("45AS-15", (45, 0, 60, 180)),
+        ("r45as110", (45, 0, 65, 0)),
+        ("as15", (45, 0, 30, 180)),
+        ("as-15", (45, 0, 30, 180)),
+        ("15as-15", (15, 0, 30, 180)),
+        ("12.5:-12.5", (12.5, 0, 12.5, 180)),
+    ],
+)
+def test_a_name_in_the_plane_of_incidence(name, expected):
+    assert directions(name) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "theta_o", "from_mirror"),
+    # Both incidences of a portable instrument share its two detectors out of plane: at 50.14 and at 45 degree.
+    [
+        ("45as25az90", 50.144, 33.403),
+        ("45as25az-90", 50.144, -33.403),
+        ("15as38.3az43", 50.144, 33.403),
+        ("45as60az125.3", 45.0, 90.0),
+        ("15as46.9az104.5", 45.0, 90.0),
+    ],
+)
+def test_a_name_out_of_the_plane_turns_about_the_mirror_direction(name, theta_o, from_mirror):
+    found = directions(name)
+    # The names round their angles to 0.1 degree.
+    assert found.theta_o == pytest.approx(theta_o, abs=0.1)
+    assert (found.phi_o - 180 + 180) % 360 - 180 == pytest.approx(from_mirror, abs=0.15)
+
+
+@given(st.floats(0, 80), st.floats(-80, 80))
+def test_an_aspecular_name_and_a_view_name_mean_the_same(incidence, view):
+    incidence, view = round(incidence, 2), round(view, 2)
+    aspecular = incidence + view
+    first, second = directions(f"{incidence:.2f}:{view:.2f}"), directions(f"{incidence:.2f}as{aspecular:.2f}")
+    assert first == pytest.approx(second) or view == 0
+
+
+@pytest.mark.parametrize(
+    "name", ["45", "", "45:90", "45as200", "95:0", "45;0", "45:1e1", "as\N{MINUS SIGN}15", "x" * 500]
+)
+def test_what_is_no_geometry_is_refused_with_what_is(name):
+    with pytest.raises(BrdfpipeError, match="accepted: 45:-30, 45as15"):
+        directions(name)
+
+
+def test_every_set_holds_geometries():
+    for name in SETS:
+        assert len(named(name.lower())) == len(SETS[name])
+
+
+def test_a_misspelt_set_is_told_the_nearest():
+    with pytest.raises(BrdfpipeError, match="nearest is MA-T12"):
+        named("MAT12")

@@ -1,0 +1,195 @@
+"""Reading colours at several geometries."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from brdfpipe import flakes, vocabulary
+from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.spectra import colorimetry
+
+LAB = {"45:-30": (33.90, -7.58, -36.61), "45:0": (12.29, 1.19, -25.77), "45:65": (3.07, 2.09, -13.24)}
+VIEWING = {"illuminant": "D65", "observer": 10}
+
+
+def inline(**changes):
+    colours = [{"geometry": name, "lab": list(lab)} for name, lab in LAB.items()]
+    return {"colours": colours, **VIEWING, **changes}
+
+
+def written(folder: Path, text: str, encoding: str = "utf-8") -> Path:
+    path = folder / "colours.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def test_the_patents_colours_have_its_luminances():
+    found = flakes.ingest(inline())
+    vocabulary.validate(found, "multiangle")
+    # The third is printed for the constant 903.3 of L*; the exact 24389/27 gives 4e-6 less.
+    assert found["tristimulus"].sel(channel="Y").values == pytest.approx([7.96026763, 1.45052385, 0.33986494], rel=5e-6)
+    assert found["tristimulus"].sel(channel="Y").values[:2] == pytest.approx([7.96026763, 1.45052385], abs=5e-9)
+    assert found["theta_o"].values.tolist() == [30.0, 0.0, 65.0]
+    assert found["phi_o"].values.tolist() == [180.0, 0.0, 0.0]
+
+
+def test_a_file_and_the_yaml_say_the_same(tmp_path):
+    rows = "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]}" for name, lab in LAB.items())
+    path = written(tmp_path, f"# measured\ngeometry,L*,a*,b*\n{rows}\n")
+    assert flakes.ingest({"file": path.name, **VIEWING}, path).identical(flakes.ingest(inline()))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_semicolons_decimal_commas_and_encodings_are_read(tmp_path, encoding):
+    rows = "\r\n".join(f"{name};" + ";".join(str(v).replace(".", ",") for v in lab) for name, lab in LAB.items())
+    path = written(tmp_path, f"# für Lack\r\nGeometry;L;a;b\r\n{rows}\r\n", encoding)
+    assert flakes.ingest({"file": "x", **VIEWING}, path)["tristimulus"].identical(
+        flakes.ingest(inline())["tristimulus"]
+    )
+
+
+def test_explicit_angles_and_xyz_are_read(tmp_path):
+    path = written(
+        tmp_path, "theta_i\ttheta_o\tphi_o\tX\tY\tZ\n45\t30\t180\t7\t8\t24\n45\t0\t0\t2\t2\t5\n45\t65\t90\t1\t1\t1\n"
+    )
+    found = flakes.ingest({"file": "x", **VIEWING}, path)
+    assert found["geometry"].values.tolist() == ["45:-30", "45:0", "45,0:65,90"]
+    assert found["tristimulus"].values[0].tolist() == [7.0, 8.0, 24.0]
+
+
+@pytest.mark.parametrize(("scale", "factor"), [("percent", 100), ("fraction", 1)])
+def test_spectra_are_read_and_sorted(tmp_path, scale, factor):
+    wavelength = np.arange(700, 399, -20)
+    titles = ",".join(f"R{value}nm" for value in wavelength)
+    rows = "\n".join(f"{name}," + ",".join(str(factor * k / 1000) for k in wavelength) for name in LAB)
+    found = flakes.ingest({"file": "x", "scale": scale}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
+    vocabulary.validate(found, "multiangle")
+    assert found["wavelength"].values.tolist() == wavelength[::-1].tolist()
+    assert found["reflectance_factor"].values[0] == pytest.approx(wavelength[::-1] / 1000)
+
+
+def test_an_unquoted_geometry_that_yaml_takes_for_minutes_is_understood():
+    colours = [dict(item) for item in inline()["colours"]]
+    colours[1]["geometry"] = 45 * 60
+    assert flakes.ingest(inline(colours=colours))["theta_o"].values[1] == 0
+
+
+def test_a_geometry_measured_twice_is_kept_twice():
+    found = flakes.ingest(inline(colours=inline()["colours"] * 2))
+    assert found.sizes["geometry"] == 6
+    assert found["geometry"].values[3] == "45:-30 (2)"
+
+
+def test_a_geometry_in_the_gloss_is_warned_about():
+    colours = [*inline()["colours"], {"geometry": "45as5", "lab": [80, 0, 0]}]
+    assert "45as5: closer than 10 degree" in vocabulary.warnings(flakes.ingest(inline(colours=colours)))[0]
+
+
+@given(
+    st.lists(st.tuples(st.floats(0, 120), st.floats(-60, 60), st.floats(-60, 60)), min_size=3, max_size=10),
+    st.sampled_from(["D65", "A", "D50"]),
+    st.sampled_from([2, 10]),
+)
+def test_colours_go_to_xyz_and_back(labs, illuminant, observer):
+    white = colorimetry.weights(illuminant, observer).white
+    if (colorimetry.lab_to_xyz(labs, white) < 0).any():
+        return
+    colours = [{"geometry": f"45as{15 + 5 * k}", "lab": list(lab)} for k, lab in enumerate(labs)]
+    found = flakes.ingest({"colours": colours, "illuminant": illuminant, "observer": observer})
+    # The steepest part of L*a*b* is 3900 a unit of relative XYZ.
+    assert colorimetry.xyz_to_lab(found["tristimulus"].values, white) == pytest.approx(np.array(labs), abs=1e-9)
+
+
+def test_black_with_no_chroma_is_a_colour():
+    colours = [{"geometry": name, "lab": [0, 0, 0]} for name in LAB]
+    assert (flakes.ingest(inline(colours=colours))["tristimulus"].values == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "pattern"),
+    [
+        ({"colours": inline()["colours"][:2]}, "too few or too many colours; found 2"),
+        ({"colours": []}, "too few or too many colours; found 0"),
+        ({"colours": "45:0"}, "no list of colours"),
+        ({"colours": [{"geometry": "45:0"}] * 3}, "entry 1: each entry needs a colour"),
+        ({"colours": [{"lab": [1, 1, 1]}] * 3}, "entry 1: needs either the name of a geometry or its angles"),
+        ({"colours": [{"geometry": "45:0", "theta_i": 3, "lab": [1, 1, 1]}] * 3}, "needs either the name"),
+        ({"colours": [{"geometry": "x", "lab": [1, 1, 1]}] * 3}, "entry 1: geometry 'x': unknown geometry"),
+        ({"colours": [{"geometry": "45:0", "lab": [1, 1]}] * 3}, "lab has the wrong length; found 2"),
+        ({"colours": [{"geometry": "45:0", "lab": [1, 1, float("nan")]}] * 3}, "no list of numbers"),
+        ({"colours": [{"geometry": "45:0", "lab": [-1, 1, 1]}] * 3}, "not a colour"),
+        ({"colours": [{"geometry": "45:0", "lab": [0, 90, 1]}] * 3}, "a tristimulus value is negative"),
+        (
+            {"colours": [{"theta_i": 45, "theta_o": 90, "phi_o": 0, "lab": [1, 1, 1]}] * 3},
+            "theta_o cannot be used; found 90",
+        ),
+        (
+            {"colours": [{"theta_i": 45, "theta_o": True, "phi_o": 0, "lab": [1, 1, 1]}] * 3},
+            "theta_o cannot be used; found True",
+        ),
+        ({"illuminant": "D66"}, "unknown illuminant.*set `multiangle.illuminant`"),
+        ({"observer": 5}, "set `multiangle.observer`"),
+        ({"file": "a.csv"}, "needs either a file or colours"),
+        (
+            {"colours": [{"geometry": "45:0", "reflectance": [0.1] * 5}] * 3, "wavelength": [400, 450, 500, 550, 600]},
+            "must cover 400–700",
+        ),
+        (
+            {"colours": [{"geometry": "45:0", "reflectance": [0.1] * 7}] * 3, "wavelength": list(range(400, 701, 50))},
+            "scale of the reflectance factors",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_refused_by_name(changes, pattern):
+    with pytest.raises(InputError, match=pattern):
+        flakes.ingest(inline(**changes))
+
+
+@pytest.mark.parametrize("key", ["illuminant", "observer"])
+def test_colours_without_their_viewing_are_refused(key):
+    spec = inline()
+    del spec[key]
+    with pytest.raises(InputError, match=f"do not say their {key}"):
+        flakes.ingest(spec)
+
+
+@pytest.mark.parametrize(
+    ("text", "pattern"),
+    [
+        ("", "holds no table"),
+        ("geometry,L,a\n45:0,1,2\n", "the titles name no colour; found geometry, L, a"),
+        ("L,a,b\n1,2,3\n1,2,3\n1,2,3\n", "line 2: needs either the name"),
+        ("geometry,L,a,b\n45:0,1,2\n", "line 2: another number of cells than titles; found 3"),
+        ("geometry,L,a,b\n45:0,1,2,three\n", "line 2, column b: not a number; found 'three'"),
+        ("geometry,L,a,b\n45:0,1,2,nan\n", "not a number"),
+        ("geometry,L,a,b\n\0,1,2,3\n", "not text"),
+    ],
+)
+def test_a_file_that_is_no_table_of_colours_is_refused_by_its_line(tmp_path, text, pattern):
+    with pytest.raises(InputError, match=pattern):
+        flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, text))
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        flakes.ingest({"file": "x", **VIEWING}, tmp_path / "none.csv")
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_damaged_file_is_read_or_refused_but_never_crashes(tmp_path, data):
+    good = b"geometry,L*,a*,b*\n45:-30,33.9,-7.58,-36.61\n45:0,12.29,1.19,-25.77\n45:65,3.07,2.09,-13.24\n"
+    at = data.draw(st.integers(0, len(good) - 1))
+    damage = data.draw(st.binary(max_size=4))
+    path = tmp_path / "colours.csv"
+    path.write_bytes(good[:at] + damage + good[at + data.draw(st.integers(0, 5)) :])
+    try:
+        found = flakes.ingest({"file": "x", **VIEWING}, path)
+    except BrdfpipeError:
+        return
+    vocabulary.validate(found, "multiangle")

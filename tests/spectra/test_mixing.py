@@ -1,0 +1,201 @@
+"""Mixtures of four basis spectra: closed form and random search, interrupted and not."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from brdfpipe.spectra import colorimetry, mixing
+
+VIEW = {"illuminant": "D65", "observer": 10}
+RED = [40.0, 30.0, 20.0]
+
+
+def lab_of(weights: np.ndarray, floor: float = 0.0) -> np.ndarray:
+    table = colorimetry.weights(**VIEW)
+    return colorimetry.xyz_to_lab((floor + (1 - floor) * weights @ colorimetry.basis()[1]) @ table.weights, table.white)
+
+
+def test_the_basis_is_that_of_smits_with_peak_one(colour: ModuleType) -> None:
+    wavelength, basis = colorimetry.basis()
+    assert basis.shape == (4, 85)
+    assert basis.max(axis=1).tolist() == [1, 1, 1, 1]
+    assert basis.min() >= 0
+    theirs = colour.recovery.SDS_SMITS1999
+    for name, row in zip(("red", "green", "blue", "cyan"), basis, strict=True):
+        values = np.interp(wavelength, theirs[name].wavelengths, theirs[name].values)
+        # The table has eight digits.
+        assert row == pytest.approx(values / values.max(), abs=1e-8)
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0, 1), min_size=4, max_size=4))
+def test_every_mixture_is_found_again_as_one_of_its_colour(weights: list[float]) -> None:
+    basis = colorimetry.basis()[1]
+    mixture = np.array(weights) @ basis
+    mixture /= max(mixture.max(), 1.0)
+    xyz = mixture @ colorimetry.weights(**VIEW).weights
+    found = mixing.closed_form(xyz, **VIEW)
+    assert found.reached.all()
+    assert found.weights.min() >= 0
+    assert found.reflectance.max() <= 1
+    # At the very edge of reach the interval is closed by rounding, and the mixture cut to 1.
+    assert found.reflectance @ colorimetry.weights(**VIEW).weights == pytest.approx(xyz[None], abs=1e-6)
+    assert (np.diff(found.reflectance) ** 2).sum() <= (np.diff(mixture) ** 2).sum() + 1e-9
+
+
+def test_no_mixture_of_the_colour_is_smoother() -> None:
+    table = colorimetry.weights(**VIEW)
+    xyz = colorimetry.lab_to_xyz(RED, table.white)
+    found = mixing.closed_form(xyz, **VIEW)
+    basis = colorimetry.basis()[1]
+    null = np.linalg.svd((basis @ table.weights).T)[2][3]
+    smoothness = (np.diff(found.reflectance) ** 2).sum()
+    for t in np.linspace(-0.3, 0.3, 61):
+        other = found.weights[0] + t * null
+        if other.min() >= 0 and (other @ basis).max() <= 1:
+            assert (np.diff(other @ basis) ** 2).sum() >= smoothness - 1e-12
+
+
+def test_colours_no_mixture_has_are_marked_and_do_not_disturb_the_others() -> None:
+    table = colorimetry.weights(**VIEW)
+    found = mixing.closed_form(
+        colorimetry.lab_to_xyz([RED, [50, 120, 0], [99, 0, 0], [np.nan, 0, 0]], table.white), **VIEW
+    )
+    assert found.reached.tolist() == [True, False, False, False]
+    assert np.isnan(found.reflectance[1:]).all()
+
+
+def test_the_nearest_mixture_is_within_reach_and_none_of_many_is_nearer() -> None:
+    wanted = [70.0, -60.0, -50.0]
+    near = mixing.nearest(wanted, **VIEW)
+    rng = np.random.default_rng(3)
+    w = rng.random((20000, 4))
+    w /= np.maximum((w @ colorimetry.basis()[1]).max(axis=1, keepdims=True), 1)
+    apart = colorimetry.delta_e_ab(near, wanted)
+    assert colorimetry.delta_e_ab(lab_of(w), wanted).min() >= apart - 1e-6
+    inside = np.array(near) * [1, 0.999, 0.999]
+    assert mixing.closed_form(colorimetry.lab_to_xyz(inside, colorimetry.weights(**VIEW).white), **VIEW).reached.all()
+
+
+@pytest.mark.parametrize("method", mixing.SEARCHES)
+@pytest.mark.parametrize("floor", [0.0, 0.0465])
+def test_a_search_ends_below_its_threshold_at_the_colour_it_says(method: str, floor: float) -> None:
+    found = mixing.search(RED, **VIEW, method=method, threshold=3.0, floor=floor)
+    assert found.ended == "threshold"
+    assert found.delta_e < 3
+    assert found.weights.min() >= 0
+    assert (found.weights @ colorimetry.basis()[1]).max() <= 1 + 1e-12
+    assert colorimetry.delta_e_ab(lab_of(found.weights, floor), RED) == pytest.approx(found.delta_e, rel=1e-9)
+
+
+@pytest.mark.parametrize("method", mixing.SEARCHES)
+def test_one_seed_has_one_answer_and_another_seed_another(method: str) -> None:
+    first, again, other = (
+        mixing.search(RED, **VIEW, method=method, threshold=3.0, seed=seed).weights.tolist() for seed in (7, 7, 8)
+    )
+    assert first == again != other
+
+
+def test_adaptive_steps_reach_what_random_weights_never_would() -> None:
+    found = mixing.search(RED, **VIEW, method="adaptive4", threshold=1e-6)
+    assert found.delta_e < 1e-6
+    assert found.tried < 50_000
+
+
+class _Killed(Exception):
+    pass
+
+
+def _killer(after: int):
+    asked = iter(range(after + 1))
+
+    def stop() -> bool:
+        if next(asked, None) is None:
+            raise _Killed
+        return False
+
+    return stop
+
+
+@pytest.mark.parametrize(("method", "threshold"), [("random4", 3.0), ("adaptive4", 1e-5)])
+@pytest.mark.parametrize("after", [1, 3])
+def test_a_search_that_was_killed_resumes_to_the_same_answer(
+    tmp_path: Path, method: str, threshold: float, after: int
+) -> None:
+    options = {**VIEW, "method": method, "threshold": threshold, "seed": 5}
+    whole = mixing.search(RED, **options)
+    checkpoint = tmp_path / "best.json"
+    kills = 0
+    while True:
+        try:
+            resumed = mixing.search(RED, **options, checkpoint=checkpoint, stop=_killer(after * 2**kills))
+            break
+        except _Killed:
+            kills += 1
+            assert json.loads(checkpoint.read_text(encoding="utf-8"))["state"][2] >= whole.delta_e
+    assert kills > 0
+    assert resumed.weights.tolist() == whole.weights.tolist()
+    assert (resumed.delta_e, resumed.tried, resumed.ended) == (whole.delta_e, whole.tried, "threshold")
+    assert not checkpoint.exists()
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{", "[]", '{"problem": "another", "state": [1, [0, 0, 0, 0], 0.1, 0]}', '{"state": 3}']
+)
+def test_a_checkpoint_that_is_damaged_or_of_another_search_is_ignored(tmp_path: Path, content: str) -> None:
+    checkpoint = tmp_path / "best.json"
+    checkpoint.write_text(content, encoding="utf-8")
+    options = {**VIEW, "threshold": 3.0}
+    assert (
+        mixing.search(RED, **options, checkpoint=checkpoint).weights.tolist()
+        == mixing.search(RED, **options).weights.tolist()
+    )
+
+
+def test_a_request_to_stop_accepts_the_best_so_far(tmp_path: Path) -> None:
+    asked = iter([False, False, True])
+    found = mixing.search(RED, **VIEW, threshold=1e-9, stop=lambda: next(asked))
+    assert (found.ended, found.tried) == ("stopped", 8192)
+    checkpoint = tmp_path / "best.json"
+    request = tmp_path / "best.json.stop"
+    request.touch()
+    assert mixing.search(RED, **VIEW, threshold=1e-9, checkpoint=checkpoint).ended == "stopped"
+    assert not request.exists()
+
+
+def test_an_interrupt_accepts_the_best_so_far_and_gives_the_signal_back() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    asked = iter(range(100))
+
+    def interrupt() -> bool:
+        if next(asked) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+        return False
+
+    found = mixing.search(RED, **VIEW, threshold=1e-9, stop=interrupt)
+    assert found.ended == "stopped"
+    assert np.isfinite(found.delta_e)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_search_runs_in_a_thread_that_gets_no_signals() -> None:
+    found = []
+    thread = threading.Thread(target=lambda: found.append(mixing.search(RED, **VIEW, threshold=3.0)))
+    thread.start()
+    thread.join()
+    assert found[0].ended == "threshold"
+
+
+def test_a_search_ends_at_its_limit() -> None:
+    found = mixing.search([50, 100, 0], **VIEW, limit=10_000)
+    assert (found.ended, found.tried) == ("limit", 12288)
