@@ -10,10 +10,10 @@ PIP  := $(BIN)/python -m pip --disable-pip-version-check -qq
 
 # An environment holds the path of its checkout: a copied or moved one would run the code of the old place, so it is made anew.
 ifneq ($(shell cat $(VENV)/.place 2>/dev/null),$(CURDIR))
-$(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments: moved
+$(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers: moved
 endif
 
-.PHONY: moved help catalogue check instruments test test-full lint format lock examples benchmark clean
+.PHONY: moved help catalogue check instruments peers test test-full lint format lock examples benchmark clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -27,10 +27,12 @@ check: $(VENV)/.runtime  ## check descriptions, keys, files and formats of CATAL
 
 instruments: $(VENV)/.instruments  ## add the readers of instruments' own file formats (140 MB)
 
+peers: $(VENV)/.peers  ## add the independent implementations that test-full compares with (250 MB, compiles for minutes)
+
 test: $(VENV)/.dev $(VENV)/.instruments  ## run the tests (under 20 minutes on two cores)
 	@$(BIN)/python -m pytest -n 2 --dist worksteal
 
-test-full: $(VENV)/.dev $(VENV)/.instruments  ## run the tests and the slow proofs
+test-full: $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers  ## run the tests, the slow proofs and the comparisons with other programs
 	@$(BIN)/python -m pytest -n 2 --dist worksteal --slow
 
 lint: $(VENV)/.dev  ## format check, lint, types, workflow lint
@@ -58,6 +60,8 @@ lock: $(VENV)/.dev  ## resolve the dependencies anew (needs uv on the PATH)
 	  pyproject.toml --group build --constraint requirements-dev.lock --output-file requirements.lock
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
 	  pyproject.toml --extra instruments --constraint requirements-dev.lock --output-file requirements-instruments.lock
+	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
+	  pyproject.toml --group peers --constraint requirements-dev.lock --output-file requirements-peers.lock
 
 clean:  ## remove the environment and the built results
 	rm -rf $(VENV) results
@@ -81,4 +85,10 @@ $(VENV)/.dev: requirements-dev.lock $(VENV)/.runtime
 $(VENV)/.instruments: requirements-instruments.lock $(VENV)/.runtime
 	@echo "Adding the readers of instruments' formats from requirements-instruments.lock (once)"
 	@$(PIP) install --require-hashes --no-deps -r requirements-instruments.lock
+	@touch $@
+
+$(VENV)/.peers: requirements-peers.lock $(VENV)/.dev
+	@command -v $(CXX) >/dev/null || { echo "pySCATMECH is compiled on this machine, and there is no $(CXX): install a C++ compiler" >&2; exit 1; }
+	@echo "Adding the independent implementations from requirements-peers.lock (once; minutes of compiling)"
+	@$(PIP) install --require-hashes --no-deps --no-build-isolation -r requirements-peers.lock
 	@touch $@
