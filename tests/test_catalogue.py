@@ -16,6 +16,8 @@ from brdfpipe.errors import InputError
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
+FRONT = "surface: {distribution: flat}\nindex: PP\n"
+
 
 def write(folder: Path, name: str, text: str = COLOUR, **files: str) -> Path:
     material = folder / name
@@ -77,6 +79,57 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         ),
         (COLOUR.replace("50,", "-1,"), "spectrum.lab.0"),
         (COLOUR + "exports: astm", r"accepted: a list: \[astm\]"),
+        (FRONT + "slab: {}", "slab: the key 'thickness' is missing; accepted: thickness of the body in mm"),
+        (FRONT + "slab: {thickness: 0}", "slab.thickness: not an accepted value; found 0"),
+        (
+            FRONT + "slab: {thickness: 1, back: rough}",
+            "slab.back: not an accepted value; found 'rough'; accepted: same, flat",
+        ),
+        (FRONT + "slab: {thickness: 1, back: {distribution: ggx}}", "slab.back: the key 'a' is missing"),
+        (FRONT + "slab: {thickness: 1, back: {file: a.txt, scans: [{file: a.txt}]}}", "slab.back.scans: further scans"),
+        (FRONT + "slab: {thickness: 1, back: {file: b.txt}}", "slab.back.file: no such file"),
+        (FRONT + "slab: {thickness: 1, internal_transmittance: 1.5}", "found 1.5; accepted: a number from 0 to 1, or"),
+        (
+            FRONT + "slab: {thickness: 1, internal_transmittance: {file: b.txt}}",
+            "slab.internal_transmittance.file: no such",
+        ),
+        (FRONT + "slab: {thickness: 1, absorption: -1}", "slab.absorption: not an accepted value; found -1"),
+        (
+            FRONT + "slab: {thickness: 1, absorption: {file: a.txt, unit: 1/km}}",
+            "found '1/km'; accepted: 1/mm, 1/cm, 1/m",
+        ),
+        (
+            FRONT + "slab: {thickness: 1, absorption: 1, internal_transmittance: 1}",
+            "either `internal_transmittance` or `absorption`$",
+        ),
+        (COLOUR + "slab: {thickness: 1}", "the key 'surface' is missing"),
+        (
+            FRONT + COLOUR + "slab: {thickness: 1}",
+            "`slab` and `spectrum` stand together: a clear body has no diffuse base",
+        ),
+        (
+            FRONT + "slab: {thickness: 1}\nmodel: {masking: blinn}",
+            "model.masking: this masking does not keep energy where",
+        ),
+        (FRONT + "slab: {thickness: 1}\nmodel: {recipe: crf}", "found 'crf'; accepted: height-correlated, separable"),
+        (FRONT + "slab: {thickness: 1}\nmodel: {diffuse: coupled}", "model.diffuse: a clear body has no diffuse base"),
+        (
+            FRONT.replace("PP", "{n: 1.5, k: 0.1}") + "slab: {thickness: 1}",
+            "index.k: the body of a slab would be opaque",
+        ),
+        (FRONT.replace("PP", "{n: 1.5}"), "index: the key 'k' is missing"),
+        (FRONT.replace("PP", "{n: 1.5, k: 30}"), "index.k: not an accepted value; found 30"),
+        (FRONT.replace("flat", "flat, slope_rms: 0.1"), "unknown key 'slope_rms'; accepted: distribution"),
+        (COLOUR + "transparent: true", "unknown key 'transparent'"),
+        (
+            COLOUR + "model: {masking: smith}",
+            "found 'smith'; accepted: height-correlated, separable, blinn, liu, crf, none",
+        ),
+        (COLOUR + "model: {recipe: crf, masking: crf}", "either `recipe` or `masking`$"),
+        (
+            COLOUR + "model: {multiple_scattering: compensated, masking: blinn}",
+            "model.masking: what this masking loses cannot be compensated.*found 'blinn'",
+        ),
         (COLOUR + "exports: [zemax]", "exports.0"),
         (COLOUR + "name: a b", "name"),
         (COLOUR + "name: ''", "name"),
@@ -85,6 +138,77 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
 def test_a_wrong_key_is_refused_by_name(tmp_path: Path, text: str, pattern: str) -> None:
     write(tmp_path, "m", text, a_txt="1 2")
     assert re.search(pattern, catalogue.load(tmp_path).failures["m"])
+
+
+def test_each_stage_of_a_slab_is_told_of_its_own_face(tmp_path: Path) -> None:
+    text = "surface: {distribution: ggx, a: 0.1}\nindex: PC\nmodel: {masking: Separable}\n"
+    slab = "slab: {thickness: 2, absorption: {file: a.txt, unit: 1/cm}, back: {file: b.txt, unit: nm, isotropic: true}}"
+    write(tmp_path, "m", text + slab, a_txt="1 2", b_txt="1 2")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.failures == {}
+    stages = ("facets", "back_surface", "back_facets", "interior", "predicted")
+    assert {stage: loaded.spec("m", stage) for stage in stages} == {
+        "facets": {"distribution": "ggx", "a": 0.1},
+        "back_surface": {"file": "b.txt", "unit": "nm", "form": "plane"},
+        "back_facets": {"isotropic": True},
+        "interior": {"thickness": 2, "absorption": {"file": "a.txt", "unit": "1/cm"}},
+        "predicted": {"masking": "separable"},
+    }
+    assert {part: path.name for part, path in loaded["m"].files.items()} == {
+        "back_surface": "b.txt",
+        "interior": "a.txt",
+    }
+
+
+@pytest.mark.parametrize(("back", "own"), [("", False), (", back: same", False), (", back: Flat", True)])
+def test_a_slab_has_a_back_of_its_own_where_it_differs(tmp_path: Path, back: str, own: bool) -> None:
+    write(tmp_path, "m", FRONT + f"slab: {{thickness: 1{back}}}")
+    material = catalogue.load(tmp_path)["m"]
+    assert material.has("slab")
+    assert material.has("back") == own
+    if own:
+        assert material.spec("back_facets", {}) == {"distribution": "flat"}
+
+
+@pytest.mark.parametrize(
+    ("text", "written"),
+    [
+        (COLOUR, "model: {masking: height-correlated, diffuse: coupled, multiple_scattering: none}"),
+        (FRONT + "slab: {thickness: 1}\n", "model: {masking: height-correlated}"),
+        (FRONT + "slab: {thickness: 1", ", internal_transmittance: 1, back: same}"),
+        (FRONT + "slab: {thickness: 1, absorption: {file: a.txt", ", unit: 1/mm}}"),
+    ],
+)
+def test_writing_out_a_default_tells_no_stage_anything_new(tmp_path: Path, text: str, written: str) -> None:
+    closed = text + "}" * (text.count("{") - text.count("}"))
+    write(tmp_path / "a", "m", closed, a_txt="1 2")
+    write(tmp_path / "b", "m", text + written, a_txt="1 2")
+    first, second = (catalogue.load(tmp_path / folder) for folder in ("a", "b"))
+    stages = ["predicted", *(["interior"] if first["m"].has("slab") else [])]
+    assert [first.spec("m", stage) for stage in stages] == [second.spec("m", stage) for stage in stages]
+
+
+def test_a_recipe_is_told_alone(tmp_path: Path) -> None:
+    write(tmp_path, "m", COLOUR + "model: {recipe: crf}")
+    assert catalogue.load(tmp_path).spec("m", "predicted") == {"recipe": "crf"}
+
+
+def test_the_schema_offers_what_the_model_has() -> None:
+    from brdfpipe.bsdf import microfacet, microsurface, slab
+    from brdfpipe.interior import PER_MM
+
+    path = catalogue.project_folder() / "config" / "schemas" / "material.schema.yaml"
+    schema = yaml.safe_load(path.read_text())
+    offered = {key: set(part["enum"]) for key, part in schema["properties"]["model"]["properties"].items()}
+    assert offered == {
+        "masking": set(microsurface.MASKINGS),
+        "diffuse": set(microfacet.DIFFUSE_MODES),
+        "multiple_scattering": set(microfacet.MULTIPLE_SCATTERING_MODES),
+        "recipe": set(microfacet.RECIPES),
+    }
+    assert set(schema["$defs"]["absorption_file"]["properties"]["unit"]["enum"]) == set(PER_MM)
+    assert {name: choices["masking"] for name, choices in microfacet.RECIPES.items()} == catalogue.RECIPE_MASKING
+    assert catalogue.TRANSMITTING_MASKING == slab.MASKING
 
 
 def test_an_unknown_illuminant_is_refused_before_a_build(tmp_path: Path) -> None:
@@ -239,9 +363,39 @@ def test_each_stage_is_told_its_own_part_and_no_more(tmp_path: Path) -> None:
         "facets": {"isotropic": True},
         "index": {"index": "PP"},
         "spectrum": {"file": "a.txt", "geometry": "sci", "incidence": 8, "allow_fluorescent": False},
-        "predicted": {"masking": "height-correlated", "diffuse": "coupled"},
+        "predicted": {"masking": "height-correlated", "diffuse": "coupled", "multiple_scattering": "none"},
         "report": {"description": "d", "exports": ["astm"]},
     }
+
+
+def test_colours_at_several_geometries_are_a_material_and_their_own_route(tmp_path: Path) -> None:
+    colours = ", ".join(
+        f"{{geometry: '{name}', lab: [{20 - k}, 0, 0]}}" for k, name in enumerate(("45as15", "45as45", "45as75"))
+    )
+    write(tmp_path, "m", f"multiangle: {{colours: [{colours}], illuminant: D65, observer: 10, form: gaussian}}\n")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.failures == {}
+    assert not loaded["m"].has("predicted")
+    assert loaded.spec("m", "bsdf") == {"route": "flake"}
+    assert loaded.spec("m", "flake") == {"form": "gaussian", "index": 1.5, "model": "flake"}
+    assert set(loaded.spec("m", "multiangle")) == {"colours", "illuminant", "observer"}
+    assert catalogue.parts(loaded["m"]) == ["multiangle 3 colours"]
+    catalogue.check_formats(loaded["m"])
+
+
+def test_a_file_of_colours_at_several_geometries_is_a_raw_file(tmp_path: Path) -> None:
+    write(tmp_path, "m", "multiangle: {file: a.csv, illuminant: D65, observer: 10}\n" + COLOUR, a_csv="geometry,L,a,b")
+    loaded = catalogue.load(tmp_path)
+    assert loaded["m"].files["multiangle"].name == "a.csv"
+    assert loaded["m"].has("predicted")
+    assert loaded.spec("m", "bsdf") == {"route": "flake"}
+
+
+def test_a_wrong_geometry_in_the_description_is_found_by_the_check(tmp_path: Path) -> None:
+    colours = ", ".join(f"{{geometry: '{name}', lab: [20, 0, 0]}}" for name in ("45as15", "45as45", "45az75"))
+    write(tmp_path, "m", f"multiangle: {{colours: [{colours}], illuminant: D65, observer: 10}}\n")
+    with pytest.raises(InputError, match="entry 3: geometry '45az75': unknown geometry"):
+        catalogue.check_formats(catalogue.load(tmp_path)["m"])
 
 
 def test_a_configuration_may_say_only_what_differs(tmp_path: Path) -> None:
@@ -293,14 +447,15 @@ def test_a_started_material_says_what_to_fill_in_and_each_alternative_in_its_com
     path = catalogue.start_material(tmp_path, "fresh")
     assert "at least one of `surface`, `spectrum`" in catalogue.load(tmp_path).failures["fresh"]
     text = path.read_text()
-    for file in ("reflectance.txt", "surface.x3p", "profile.txt", "index.txt"):
+    for file in ("reflectance.txt", "surface.x3p", "profile.txt", "index.txt", "absorption.txt"):
         (path.parent / file).touch()
-    blocks = re.findall(r"(?m)^# (?:surface|index|spectrum|exports):.*\n(?:#   .*\n)*", text)
-    assert len(blocks) == 9
+    blocks = re.findall(r"(?m)^# (?:surface|index|spectrum|slab|model|exports):.*\n(?:#   .*\n)*", text)
+    assert len(blocks) == 15
+    front = "surface: {distribution: flat}\nindex: PP\n"
+    rest = {"spectrum": "", "surface": COLOUR + "index: PP\n", "slab": front}
     for block in blocks:
         key, plain = block[2:].partition(":")[0], re.sub(r"(?m)^# ", "", block)
-        rest = "" if key == "spectrum" else COLOUR
-        path.write_text(rest + plain + ("index: PP\n" if key == "surface" else ""))
+        path.write_text(rest.get(key, COLOUR) + plain)
         assert catalogue.load(tmp_path).failures == {}, block
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -45,6 +46,23 @@ def test_check_looks_at_formats_too(tmp_path: Path) -> None:
     done = run("check", tmp_path)
     assert done.exit_code == 1
     assert "the extension tells no known format; found .abc" in done.output
+
+
+def test_check_names_each_material_whose_reader_is_not_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "SurfaceTopography", None)
+    write(tmp_path, "plain", "surface: {file: a.x3p}\nindex: PP\n")
+    write(tmp_path, "scanned", "surface: {file: a.opd, scans: [{file: b.opd}]}\nindex: PP\n")
+    for path in ("plain/a.x3p", "scanned/a.opd", "scanned/b.opd"):
+        (tmp_path / path).write_text("x")
+    done = run("check", tmp_path)
+    assert done.exit_code == 1
+    plain, scanned, count = done.output.splitlines()
+    assert plain.startswith("plain: ok")
+    assert scanned.startswith("scanned: a.opd: this format is read by SurfaceTopography, which is not installed")
+    assert "pip install 'brdfpipe[instruments]'" in scanned
+    assert count == "1 ok, 1 wrong"
 
 
 def test_check_of_a_good_catalogue_exits_with_0_whatever_it_ignores(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from brdfpipe import catalogue, store
 from brdfpipe.jobs import front
 
 PROJECT = Path(__file__).parents[1]
-EXAMPLES = ("abs-grain", "paint-lab", "pp-moulding")
+EXAMPLES = ("abs-grain", "metallic-blue", "paint-lab", "pp-moulding")
 
 Lock = dict[str, dict[str, str]]
 
@@ -53,7 +53,7 @@ def test_every_dataset_says_its_material_stage_and_digest_and_keeps_it(built: tu
         dataset = store.verify(store.open_dataset(path), path.name)
         assert dataset.attrs["material"] == path.parent.name
         assert dataset.attrs["stage"] == ("report" if path.stem == "summary" else path.stem)
-    assert len(paths) == 11 + 8 + 11
+    assert len(paths) == 12 + 9 + 9 + 12
 
 
 def test_the_lock_lists_every_dataset(built: tuple[Path, Path]) -> None:

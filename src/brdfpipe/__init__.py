@@ -19,6 +19,7 @@ _SUBMODULES = (
     "catalogue",
     "exchange",
     "facets",
+    "flakes",
     "geometry",
     "hemisphere",
     "masking",
@@ -31,7 +32,7 @@ _SUBMODULES = (
     "vocabulary",
 )
 
-__all__ = ["microfacet", "open_dataset", "save_dataset", *_SUBMODULES]
+__all__ = ["flake", "microfacet", "open_dataset", "save_dataset", *_SUBMODULES]
 
 
 def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Dataset:
@@ -45,8 +46,8 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module(f"brdfpipe.{name}")
     if name == "save_dataset":
         return importlib.import_module("brdfpipe.store").save_dataset
-    if name == "microfacet":
-        return importlib.import_module("brdfpipe.bsdf.microfacet")
+    if name in ("flake", "microfacet"):
+        return importlib.import_module(f"brdfpipe.bsdf.{name}")
     raise AttributeError(f"module 'brdfpipe' has no attribute {name!r}")
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -34,7 +34,22 @@ SURFACE_STAGE_KEYS = (
 )
 """Keys of ``surface`` that say how a scan is read and levelled; the rest says what is made of it."""
 
-FILE_PARTS = ("surface", "index", "spectrum")
+FILE_PARTS = ("surface", "index", "spectrum", "multiangle")
+
+MULTIANGLE_STAGE_KEYS = ("file", "colours", "wavelength", "illuminant", "observer", "scale")
+"""Keys of ``multiangle`` that say what was measured; the rest says what is made of it."""
+
+MODEL_DEFAULTS = {"masking": "height-correlated", "diffuse": "coupled", "multiple_scattering": "none"}
+"""What holds where ``model`` does not say otherwise, by a recipe or one by one."""
+
+RECIPE_MASKING = {"crf": "crf"}
+"""What a recipe of ``model`` means for its masking."""
+
+INTERIOR = ("internal_transmittance", "absorption")
+"""Keys of ``slab`` of which one says what passes the body."""
+
+TRANSMITTING_MASKING = ("height-correlated", "separable")
+"""Modes of ``model.masking`` that keep energy where light passes a surface."""
 
 RESULT_MARKS = (".build.lock", ".snakemake", "catalogue.nc")
 """What tells a folder of results."""
@@ -52,10 +67,14 @@ class Material:
     folder: Path
     content: Mapping[str, Any]
     files: Mapping[str, Path]
-    """Part of the description (surface, index, spectrum; surface-2 … for further scans) → raw file."""
+    """Part of the description (surface, index, spectrum, back_surface, interior; surface-2 … for further scans) → raw file."""
 
     def has(self, part: str) -> bool:
-        """Whether the description has this part: surface, index, spectrum."""
+        """Whether the description has this part: surface, index, spectrum, multiangle, slab, back (a face of its own), or what a prediction needs."""
+        if part == "predicted":
+            return "surface" in self.content or "spectrum" in self.content
+        if part == "back":
+            return isinstance(self.content.get("slab", {}).get("back"), Mapping)
         return part in self.content
 
     @property
@@ -75,21 +94,31 @@ class Material:
 
     def spec(self, stage: str, config: Mapping[str, Any]) -> dict[str, Any]:
         """The part of the description and the configuration that a stage depends on, and nothing else."""
-        surface = dict(self.content.get("surface", {}))
-        if stage == "surface":
-            return {key: surface[key] for key in SURFACE_STAGE_KEYS if key in surface}
-        if stage == "facets":
-            return {key: value for key, value in surface.items() if key not in (*SURFACE_STAGE_KEYS, "scans")}
+        if stage in ("surface", "back_surface", "facets", "back_facets"):
+            surface = self.content["slab"]["back"] if stage.startswith("back") else self.content.get("surface", {})
+            kept = SURFACE_STAGE_KEYS if stage.endswith("surface") else set(surface) - {*SURFACE_STAGE_KEYS, "scans"}
+            return {key: value for key, value in surface.items() if key in kept}
+        if stage == "interior":
+            clear = {} if "absorption" in self.content["slab"] else {"internal_transmittance": 1}
+            return clear | {key: value for key, value in self.content["slab"].items() if key != "back"}
         if stage == "index":
             return {"index": self.content["index"]}
         if stage == "spectrum":
             return dict(self.content["spectrum"])
+        if stage in ("multiangle", "flake"):
+            given = self.content["multiangle"]
+            return {key: given[key] for key in given if (key in MULTIANGLE_STAGE_KEYS) == (stage == "multiangle")}
         if stage == "predicted":
-            return dict(self.content["model"])
+            # Written out, so that saying the default changes nothing.
+            choices = ["masking"] if self.has("slab") else list(MODEL_DEFAULTS)
+            default = {} if "recipe" in self.content["model"] else {key: MODEL_DEFAULTS[key] for key in choices}
+            return default | dict(self.content["model"])
         if stage == "bsdf":
-            return {"route": "predicted"}
+            return {"route": "flake" if self.has("multiangle") else "predicted"}
         if stage == "appearance":
             return {key: config[key] for key in ("illuminant", "observer", "gloss_angles")}
+        if stage == "preview":
+            return {"illuminant": config["illuminant"], "light": config["preview_light"]}
         if stage in ("table", "lambert_gauss"):
             return dict(config[stage])
         if stage == "report":
@@ -181,7 +210,7 @@ def load_config(path: Path | None = None) -> dict[str, Any]:
 
 def _check_angles(path: Path, config: Mapping[str, Any]) -> None:
     """Refuse lists of angles that do not increase: every material would fail by them."""
-    lists = {("lambert_gauss", "theta_i"), ("table", "theta_i"), ("table", "theta_o"), ("table", "phi_o")}
+    lists = {("lambert_gauss", "theta_i"), *(("table", key) for key in ("theta_i", "theta_o", "phi_o", "phi_i"))}
     for part, key in sorted(lists):
         angles = list(config.get(part, {}).get(key, []))
         if any(second <= first for first, second in pairwise(angles)):
@@ -217,23 +246,80 @@ def load_material(folder: Path, config: Mapping[str, Any]) -> Material:
     name = str(content.get("name", folder.name))
     _check_name(name, path)
     content.setdefault("exports", config["exports"])
-    files = {
-        part: _raw_file(folder, content[part]["file"], part)
-        for part in FILE_PARTS
-        if isinstance(content.get(part), Mapping) and "file" in content[part]
-    }
-    for number, scan in enumerate(content.get("surface", {}).get("scans", []), start=2):
-        files[f"surface-{number}"] = _raw_file(folder, scan["file"], "surface.scans")
+    _check_together(path, content)
+    if content.get("slab", {}).get("back") == "flat":
+        content["slab"] = content["slab"] | {"back": {"distribution": "flat"}}
+    files = {part: _raw_file(folder, file, where) for part, where, file in _raw_names(content)}
     return Material(name, folder, content, files)
+
+
+def _raw_names(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Part, key and name of each raw file of a description."""
+    slab = content.get("slab", {})
+    holders = [(part, part, content.get(part)) for part in FILE_PARTS]
+    holders += [("back_surface", "slab.back", slab.get("back"))]
+    holders += [("interior", f"slab.{key}", slab.get(key)) for key in INTERIOR]
+    for part, where, holder in holders:
+        if isinstance(holder, Mapping) and "file" in holder:
+            yield part, where, holder["file"]
+    for number, scan in enumerate(content.get("surface", {}).get("scans", []), start=2):
+        yield f"surface-{number}", "surface.scans", scan["file"]
+
+
+def _check_together(path: Path, content: Mapping[str, Any]) -> None:
+    """Refuse what each key allows and physics does not."""
+    model = content["model"]
+    masking = model.get("masking", RECIPE_MASKING.get(model.get("recipe"), MODEL_DEFAULTS["masking"]))
+    if model.get("multiple_scattering") == "compensated" and masking not in ("height-correlated", "separable"):
+        raise InputError(
+            path,
+            "what this masking loses cannot be compensated, because it does not keep energy",
+            where="model.masking",
+            found=repr(masking),
+            accepted="height-correlated or separable, or `multiple_scattering: none`",
+        )
+    if "slab" not in content:
+        return
+    if "spectrum" in content:
+        raise InputError(
+            path,
+            "`slab` and `spectrum` stand together: a clear body has no diffuse base that a reflectance spectrum could tell of, "
+            "its colour is what it absorbs on the way through",
+            accepted="`slab` with `internal_transmittance` or `absorption`; or `spectrum` without `slab`, for an opaque body",
+        )
+    if masking not in TRANSMITTING_MASKING:
+        raise InputError(
+            path,
+            "this masking does not keep energy where light passes a surface",
+            where="model.masking",
+            found=repr(masking),
+            accepted=", ".join(TRANSMITTING_MASKING),
+        )
+    for key, why in (
+        ("diffuse", "a clear body has no diffuse base"),
+        ("multiple_scattering", "a slab always keeps the light that its facets reflect more than once"),
+    ):
+        if key in model:
+            raise InputError(
+                path, why, where=f"model.{key}", found=repr(model[key]), accepted=f"`slab` without `model.{key}`"
+            )
+    if isinstance(content["index"], Mapping) and content["index"].get("k", 0) > 0:
+        raise InputError(
+            path,
+            "the body of a slab would be opaque: an extinction coefficient takes all light within micrometres",
+            where="index.k",
+            found=content["index"]["k"],
+            accepted="k of 0; what the body absorbs is said by `slab.internal_transmittance` or `slab.absorption`",
+        )
+    if isinstance(content["slab"]["back"], Mapping) and "scans" in content["slab"]["back"]:
+        raise InputError(
+            path, "further scans are counted for the front alone", where="slab.back.scans", accepted="one file"
+        )
 
 
 def parts(material: Material) -> list[str]:
     """What a material brings, in words."""
-    return [
-        f"{part} {material.content[part]['file']}" if part in material.files else _words(part, material.content[part])
-        for part in FILE_PARTS
-        if material.has(part)
-    ]
+    return [_words(part, material.content[part]) for part in (*FILE_PARTS, "slab") if material.has(part)]
 
 
 def check_formats(material: Material) -> None:
@@ -243,18 +329,23 @@ def check_formats(material: Material) -> None:
     ------
     InputError : an empty file, an extension nobody reads, an unknown plastic or illuminant.
     """
-    from brdfpipe import optics
+    from brdfpipe import index, optics
     from brdfpipe.columns import TEXT_SUFFIXES
+    from brdfpipe.spectra import containers
     from brdfpipe.surfaces.reading import FORMATS
 
+    suffixes = {"spectrum": containers.SUFFIXES, "index": index.SUFFIXES}
     known = {suffix: name for name, form in FORMATS.items() for suffix in form.extensions}
+    keys = {part: where.removesuffix(".scans") for part, where, _ in _raw_names(material.content)}
     for part, path in material.files.items():
-        part = part.partition("-")[0]
-        accepted = known if part == "surface" else TEXT_SUFFIXES
+        scanned = "surface" in part
+        accepted = known if scanned else suffixes.get(part, TEXT_SUFFIXES)
         if path.stat().st_size == 0:
-            raise InputError(path, "empty", key=f"{part}.file")
-        if path.suffix.lower() not in accepted and "format" not in material.content[part]:
-            key = "surface.format" if part == "surface" else f"{part}.file"
+            raise InputError(path, "empty", key=f"{keys[part]}.file")
+        stated = material.content["slab"]["back"] if part == "back_surface" else material.content.get("surface", {})
+        named = "format" in (stated if scanned else material.content["spectrum"] if part == "spectrum" else {})
+        if path.suffix.lower() not in accepted and not named:
+            key = f"{keys[part]}.format" if scanned else f"{keys[part]}.file"
             raise InputError(
                 path,
                 "the extension tells no known format",
@@ -262,11 +353,15 @@ def check_formats(material: Material) -> None:
                 accepted=", ".join(sorted(accepted)),
                 key=key,
             )
-    if isinstance(material.content.get("index"), str):
+    if material.has("index") and "index" not in material.files:
         optics.refractive_index(material.content["index"])
     spectrum = material.content.get("spectrum", {})
     if "illuminant" in spectrum:
         _check_illuminant(material.folder / DESCRIPTION, spectrum["illuminant"], "spectrum.illuminant")
+    if "colours" in material.content.get("multiangle", {}):
+        from brdfpipe import flakes
+
+        flakes.ingest(material.spec("multiangle", {}))
 
 
 def start_material(folder: Path, name: str) -> Path:
@@ -293,7 +388,13 @@ def start_material(folder: Path, name: str) -> Path:
 def _words(part: str, content: Any) -> str:
     if not isinstance(content, Mapping):
         return f"{part} {content}"
-    return f"{part} " + ("L*a*b*" if "lab" in content else str(content.get("distribution", "")))
+    if part == "slab":
+        return f"slab {content['thickness']:g} mm"
+    if "k" in content:
+        return f"{part} {content['n']:g} + {content['k']:g}i"
+    if "colours" in content:
+        return f"{part} {len(content['colours'])} colours"
+    return f"{part} " + ("L*a*b*" if "lab" in content else str(content.get("file") or content.get("distribution")))
 
 
 def _attempt(folder: Path, config: Mapping[str, Any]) -> Material | str:

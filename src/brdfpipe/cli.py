@@ -78,15 +78,19 @@ def build(catalogue: Path, results: Path, cores: int | None, config: Path | None
 def check(catalogue: Path, config: Path | None) -> int:
     """Check descriptions, keys, files and formats of CATALOGUE; raw files are read by the build.
 
-    Exits with 1 if a material is wrong.
+    Exits with 1 if a material is wrong or needs a reader that is not installed.
     """
     from brdfpipe import catalogue as catalogues
+    from brdfpipe.surfaces.reading import check_readable
 
     loaded = catalogues.load(catalogue, catalogues.load_config(config))
     lines = {name: (message, False) for name, message in loaded.failures.items()}
     for material in loaded.materials:
         try:
             catalogues.check_formats(material)
+            for part, path in material.files.items():
+                if part.startswith("surface"):
+                    check_readable(path, material.content["surface"].get("format"))
         except BrdfpipeError as refusal:
             lines[material.name] = (str(refusal), False)
         else:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe import appearance
+from brdfpipe import appearance, facets, vocabulary
 from brdfpipe.appearance.colour import colour, flop_index
-from brdfpipe.bsdf import lambert_gauss
+from brdfpipe.bsdf import lambert_gauss, microfacet
 
 
 def test_flop_index_is_the_printed_one():
@@ -65,3 +65,38 @@ def test_haze_needs_both_of_its_geometries():
 def test_an_unknown_illuminant_is_refused():
     with pytest.raises(ValueError, match="D99"):
         colour(samples.beckmann_bsdf(0.1), illuminant="D99")
+
+
+def brushed(azimuth):
+    surface = facets.analytic("beckmann", a_x=0.05, a_y=0.3, azimuth=azimuth)
+    return microfacet.build(surface, index=1.5, spectrum=samples.spectrum(0.2))
+
+
+def test_colours_of_a_surface_with_a_lay_are_those_of_the_mean_over_the_azimuth():
+    first, turned = colour(brushed(0)), colour(brushed(37))
+    # The directional albedo is tabulated every 15° of azimuth.
+    assert turned.values == pytest.approx(first.values, abs=5e-3)
+    lightness = [
+        float(colour(brushed(37), azimuth=azimuth).sel(geometry="45as15", component="L*")) for azimuth in (37, 127)
+    ]
+    # 15° from the mirror direction, only slopes across the lay reach far enough.
+    assert lightness[1] > float(first.sel(geometry="45as15", component="L*")) > lightness[0]
+
+
+def test_an_appraisal_of_a_surface_with_a_lay_tells_of_both_planes():
+    found = vocabulary.validate(appearance.appraise(brushed(37), gloss_angles=[60]), "appearance")
+    assert float(found["lay"]) == pytest.approx(37, abs=1e-6)
+    assert float(found["gloss_along"][0]) > float(found["gloss"][0]) > float(found["gloss_across"][0])
+    assert found["lab_along"].sel(geometry="8:total").values == pytest.approx(
+        found["lab"].sel(geometry="8:total").values, abs=1e-12
+    )
+    assert not {"gloss_along", "lay"} & set(appearance.appraise(samples.beckmann_bsdf(0.1)).variables)
+
+
+def test_geometries_off_the_mirror_direction_of_a_polished_surface_see_its_base_alone():
+    lab = colour(microfacet.build(facets.flat(), index=1.5))
+    assert lab.sel(component="L*").values[1:] == pytest.approx(0, abs=1e-12)
+    # All of F(8°) = 0.0400063 is in the total: L* = 116 (0.0400063)^(1/3) − 16.
+    assert float(lab.sel(geometry="8:total", component="L*")) == pytest.approx(
+        116 * 0.0400063 ** (1 / 3) - 16, abs=1e-4
+    )

@@ -37,7 +37,7 @@ def test_gloss_of_a_polished_dielectric_is_its_reflectance_over_the_source():
     on_axis = [82.0452, 89.1368, 98.9746]
     exact = []
     for angle in angles:
-        u, v, weight = _rectangle(angle)
+        u, v, weight = _rectangle()
         cos = np.cos(np.radians(_directions(u, v, angle)[0]))
         reflected = [np.sum(weight * cos * optics.fresnel(cos, n)[2]) for n in (1.5, 1.567)]
         exact.append(100 * reflected[0] / reflected[1])
@@ -74,6 +74,45 @@ def test_gloss_of_a_narrow_lobe_with_a_long_tail_counts_all_of_it(a):
     # Nearly polished: what GGX's tail carries beyond the receptor is of order (a / half aperture)².
     bsdf = microfacet.build(facets.analytic("ggx", a), index=optics.refractive_index(1.567))
     assert float(of(bsdf, [60.0])[0]) == pytest.approx(100, abs=100 * (4 * a / 0.02) ** 2 + 0.01)
+
+
+def test_gloss_of_a_polished_surface_is_the_limit_of_smooth_ones():
+    polished = microfacet.build(facets.flat(), index=1.5)
+    assert of(polished).values == pytest.approx((82.0454, 89.1385, 98.9730), abs=5e-5)
+    assert of(polished).values == pytest.approx(of(rough(1e-4)).values, rel=1e-6)
+    assert of(microfacet.build(facets.flat(), index=1.567)).values == pytest.approx(100, abs=1e-9)
+
+
+def test_a_base_below_a_polished_surface_adds_to_its_gloss():
+    base = of(microfacet.build(facets.flat(), index=1.5, spectrum=samples.spectrum(0.5))).values
+    smooth, limit = (
+        of(microfacet.build(facets.flat(), index=1.5)).values,
+        of(samples.beckmann_bsdf(1e-4 / np.sqrt(2), n=1.5, reflectance=0.5)).values,
+    )
+    assert (base > smooth).all()
+    assert base == pytest.approx(limit, rel=1e-5)
+
+
+def lay(azimuth, a_x=0.02, a_y=0.2):
+    return microfacet.build(facets.analytic("beckmann", a_x=a_x, a_y=a_y, azimuth=azimuth), index=1.5)
+
+
+def test_gloss_turns_with_the_lay():
+    along, turned = of(lay(0), [60.0], azimuth=0), of(lay(30), [60.0], azimuth=30)
+    assert float(turned[0]) == pytest.approx(float(along[0]), rel=1e-5)
+    assert float(along[0]) > 3 * float(of(lay(0), [60.0], azimuth=90)[0])
+
+
+def test_gloss_of_a_surface_with_a_lay_is_the_mean_over_the_azimuth():
+    angle, brushed = 85.0, lay(30)
+    around = [float(of(brushed, [angle], azimuth=azimuth)[0]) for azimuth in np.arange(0.0, 180.0, 3.75)]
+    # Half a turn leaves this surface as it was; the peak along the lay is 15° wide.
+    assert float(of(brushed, [angle])[0]) == pytest.approx(np.mean(around), rel=1e-3)
+
+
+def test_gloss_with_a_lay_that_is_hardly_one_is_that_without():
+    almost = lay(0, 0.1, 0.1001)
+    assert of(almost, [60.0]).values == pytest.approx(of(rough(0.10005), [60.0]).values, rel=1e-4)
 
 
 def test_an_unknown_geometry_is_refused():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe import exchange
+from brdfpipe import exchange, facets
+from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.exchange import astm
 
 GRID = {"theta_i": [0.0, 30.0, 60.0], "theta_o": np.arange(0, 86, 5.0), "phi_o": np.arange(0, 361, 10.0)}
@@ -83,3 +84,56 @@ def test_a_spectral_or_half_table_is_refused(tmp_path):
     with pytest.raises(astm.ExchangeError, match="from 0 to 360"):
         astm.write(half, tmp_path / "a.astm")
     assert not (tmp_path / "a.astm").exists()
+
+
+@pytest.fixture(scope="module")
+def brushed():
+    surface = facets.analytic("beckmann", a_x=0.2, a_y=0.4, azimuth=-30)
+    return microfacet.build(surface, index=1.5)
+
+
+def test_rows_of_a_surface_with_a_lay_are_a_full_grid_of_true_values(brushed, tmp_path):
+    table = brushed.bsdf.tabulate({**GRID, "phi_i": [-30.0, 15.0, 60.0]})
+    astm.write(table, tmp_path / "b.astm", model=brushed)
+    points, _, rows = read_as_viewers_do(tmp_path / "b.astm")
+    angles = np.degrees(rows[:, :4])
+    sizes = [np.unique(np.round(column, 5)).size for column in angles.T]
+    assert points == len(rows) == np.prod(sizes)
+    assert np.unique(np.round(angles[:, 1], 5)).tolist() == [15, 60, 330]
+    assert rows[:, 4] == pytest.approx(brushed.bsdf.evaluate(*angles.T).values, rel=1e-6)
+    assert "NOT isotropic" in (tmp_path / "b.astm").read_text()
+
+
+def test_rows_of_a_surface_with_a_lay_need_its_model(brushed, tmp_path):
+    table = brushed.bsdf.tabulate({**GRID, "phi_i": [0.0, 90.0]})
+    with pytest.raises(astm.ExchangeError, match="give the `model`"):
+        astm.write(table, tmp_path / "b.astm")
+
+
+def test_the_header_says_what_no_row_can(tmp_path):
+    polished = microfacet.build(facets.flat(), index=1.5)
+    astm.write(polished.bsdf.tabulate(GRID), tmp_path / "p.astm", model=polished)
+    header, rows = (tmp_path / "p.astm").read_text().split("VARS")[0], read_as_viewers_do(tmp_path / "p.astm")[2]
+    assert "NOT in these rows, because no density can say so: the share mirrored" in header
+    assert "0:0.040000" in header
+    assert (rows[:, 4] == 0).all()
+
+
+def test_each_side_of_a_sheet_is_a_file_of_its_own(tmp_path):
+    sheet = slab.build(facets.analytic("beckmann", 0.3), facets.analytic("beckmann", 0.2), index=1.5)
+    both = {**GRID, "theta_o": [*GRID["theta_o"], *(180 - GRID["theta_o"][::-1])]}
+    table = sheet.bsdf.tabulate(both)
+    astm.write(table, tmp_path / "s.astm", model=sheet)
+    astm.write_transmission(table, tmp_path / "s.transmission.astm", model=sheet)
+    for file, turn in (("s.astm", lambda theta: theta), ("s.transmission.astm", lambda theta: 180 - theta)):
+        points, _, rows = read_as_viewers_do(tmp_path / file)
+        theta_i, phi_i, theta_s, phi_s = np.degrees(rows[:, :4]).T
+        assert points == len(rows)
+        assert theta_s.max() < 90
+        assert rows[:, 4] == pytest.approx(sheet.bsdf.evaluate(theta_i, phi_i, turn(theta_s), phi_s).values, rel=1e-5)
+    assert "BTDF in sr-1" in (tmp_path / "s.transmission.astm").read_text()
+
+
+def test_a_table_of_reflection_alone_has_no_transmission_to_write(table, tmp_path):
+    with pytest.raises(astm.ExchangeError, match="beyond 90 degree"):
+        astm.write_transmission(table, tmp_path / "t.astm")

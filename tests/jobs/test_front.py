@@ -225,7 +225,7 @@ def test_a_folder_of_other_files_is_refused(folder: Path, results: Path) -> None
 def test_an_empty_folder_takes_results(folder: Path, results: Path) -> None:
     results.mkdir()
     (results / ".hidden").touch()
-    assert front.build(folder, results, cores=1, dry_run=True).jobs == 25
+    assert front.build(folder, results, cores=1, dry_run=True).jobs == 27
 
 
 def unwritable(monkeypatch: pytest.MonkeyPatch, *paths: Path) -> None:
@@ -320,7 +320,7 @@ def test_only_results_inside_the_folder_are_ever_deleted_as_damaged(tmp_path: Pa
 
 def test_a_dry_run_changes_nothing(folder: Path, results: Path) -> None:
     summary = front.build(folder, results, cores=1, dry_run=True)
-    assert summary.jobs == 25  # twelve stages of two materials, and the catalogue
+    assert summary.jobs == 27  # thirteen stages of two materials, and the catalogue
     assert content(results) == {}
 
 

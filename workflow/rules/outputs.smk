@@ -3,7 +3,8 @@
 
 rule bsdf:
     input:
-        predicted="{material}/predicted.nc",
+        predicted=branch(stages.has("predicted"), then="{material}/predicted.nc"),
+        flake=branch(stages.has("multiangle"), then="{material}/flake.nc"),
     output:
         bsdf="{material}/bsdf.nc",
     log:
@@ -45,6 +46,23 @@ rule appearance:
         code=stages.code("appearance"),
     message:
         "appearance of {wildcards.material}"
+    run:
+        stages.run(rule, wildcards, input, output, params)
+
+
+rule preview:
+    input:
+        bsdf="{material}/bsdf.nc",
+    output:
+        preview="{material}/preview.nc",
+        png="{material}/preview.png",
+    log:
+        "logs/{material}/preview.log",
+    params:
+        spec=stages.spec("preview"),
+        code=stages.code("preview"),
+    message:
+        "preview of {wildcards.material}"
     run:
         stages.run(rule, wildcards, input, output, params)
 
@@ -100,17 +118,43 @@ rule export_astm:
         stages.run(rule, wildcards, input, output, params)
 
 
+rule export_transmission:
+    input:
+        table="{material}/table.nc",
+        bsdf="{material}/bsdf.nc",
+    output:
+        astm="{material}/exports/{material}.transmission.astm",
+        total_transmittance="{material}/exports/{material}.total_transmittance.csv",
+    log:
+        "logs/{material}/export_transmission.log",
+    params:
+        spec=stages.spec("export_transmission"),
+        code=stages.code("export_transmission"),
+    message:
+        "export_transmission of {wildcards.material}"
+    run:
+        stages.run(rule, wildcards, input, output, params)
+
+
 rule report:
     input:
         surface=branch(stages.measured("surface"), then="{material}/surface.nc"),
         facets=branch(stages.has("surface"), then="{material}/facets.nc"),
+        back_surface=branch(
+            stages.measured("back_surface"), then="{material}/back_surface.nc"
+        ),
+        back_facets=branch(stages.has("back"), then="{material}/back_facets.nc"),
+        interior=branch(stages.has("slab"), then="{material}/interior.nc"),
         masking=branch(stages.validates_masking, then="{material}/masking.nc"),
         index=branch(stages.has("index"), then="{material}/index.nc"),
         spectrum=branch(stages.has("spectrum"), then="{material}/spectrum.nc"),
-        predicted="{material}/predicted.nc",
+        predicted=branch(stages.has("predicted"), then="{material}/predicted.nc"),
+        multiangle=branch(stages.has("multiangle"), then="{material}/multiangle.nc"),
+        flake=branch(stages.has("multiangle"), then="{material}/flake.nc"),
         bsdf="{material}/bsdf.nc",
         checks="{material}/checks.nc",
         appearance="{material}/appearance.nc",
+        preview=branch(stages.previewed, then="{material}/preview.nc"),
         table="{material}/table.nc",
         lambert_gauss="{material}/lambert_gauss.nc",
     output:

@@ -1,4 +1,4 @@
-# From what a laboratory measured to a BRDF: surface, facets, index, spectrum, microfacet model.
+# From what a laboratory measured to a BSDF: surface, facets, index, spectrum, microfacet model; of a clear body, both its faces.
 
 
 rule surface:
@@ -76,6 +76,56 @@ rule masking:
         stages.run(rule, wildcards, input, output, params)
 
 
+rule back_surface:
+    input:
+        raw=stages.raw("back_surface"),
+    output:
+        surface="{material}/back_surface.nc",
+    log:
+        "logs/{material}/back_surface.log",
+    params:
+        spec=stages.spec("back_surface"),
+        code=stages.code("back_surface"),
+    message:
+        "back_surface of {wildcards.material}"
+    run:
+        stages.run(rule, wildcards, input, output, params)
+
+
+rule back_facets:
+    input:
+        surface=branch(
+            stages.measured("back_surface"), then="{material}/back_surface.nc"
+        ),
+    output:
+        facets="{material}/back_facets.nc",
+    log:
+        "logs/{material}/back_facets.log",
+    params:
+        spec=stages.spec("back_facets"),
+        code=stages.code("facets"),
+    message:
+        "back_facets of {wildcards.material}"
+    run:
+        stages.run(rule, wildcards, input, output, params, script="facets")
+
+
+rule interior:
+    input:
+        raw=stages.raw("interior"),
+    output:
+        interior="{material}/interior.nc",
+    log:
+        "logs/{material}/interior.log",
+    params:
+        spec=stages.spec("interior"),
+        code=stages.code("interior"),
+    message:
+        "interior of {wildcards.material}"
+    run:
+        stages.run(rule, wildcards, input, output, params)
+
+
 rule index:
     input:
         raw=stages.raw("index"),
@@ -112,6 +162,8 @@ rule spectrum:
 rule predicted:
     input:
         facets=branch(stages.has("surface"), then="{material}/facets.nc"),
+        back_facets=branch(stages.has("back"), then="{material}/back_facets.nc"),
+        interior=branch(stages.has("slab"), then="{material}/interior.nc"),
         index=branch(stages.has("index"), then="{material}/index.nc"),
         spectrum=branch(stages.has("spectrum"), then="{material}/spectrum.nc"),
     output:

@@ -4,8 +4,9 @@ from brdfpipe.exchange import astm, companions
 
 def main(input, output, params):
     """The table as an ASTM E1392 file, and the total reflectance beside it."""
-    astm.write(store.open_dataset(input["table"], "bsdf"), output["astm"])
-    companions.write_total_reflectance(store.open_dataset(input["bsdf"], "bsdf"), output["total_reflectance"])
+    bsdf = store.open_dataset(input["bsdf"], "bsdf")
+    astm.write(store.open_dataset(input["table"], "bsdf"), output["astm"], model=bsdf)
+    companions.write_total_reflectance(bsdf, output["total_reflectance"])
 
 
 if __name__ == "__main__":

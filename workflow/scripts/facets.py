@@ -7,6 +7,8 @@ def main(input, output, params):
     scans = {f"surface-{k}": store.open_dataset(path, "surface") for k, path in enumerate(paths, start=1)}
     if scans:
         result = facets.estimate(list(scans.values()), **spec)
+    elif spec["distribution"] == "flat":
+        result = facets.flat()
     else:  # of a Beckmann density, the width a is the root mean square slope
         result = facets.analytic(spec["distribution"], a=spec.get("a", spec.get("slope_rms")))
     store.save_dataset(

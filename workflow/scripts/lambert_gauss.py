@@ -1,20 +1,23 @@
 from brdfpipe import store
-from brdfpipe.bsdf import fitting
+from brdfpipe.bsdf import fitting, representations
 from brdfpipe.exchange import companions
 
 
 def main(input, output, params):
-    """The Lambert and Gauss parameters that come closest to a BRDF."""
+    """The Lambert and Gauss parameters that come closest to a BRDF; of a surface with a lay, for light along it."""
     spec, bsdf = params["spec"], store.open_dataset(input["bsdf"], "bsdf")
+    along = representations.lay(bsdf) or 0.0
     fit = store.save_dataset(
-        fitting.fit_lambert_gauss(bsdf, spec["theta_i"]),
+        fitting.fit_lambert_gauss(bsdf, spec["theta_i"], along),
         output["lambert_gauss"],
         stage="lambert_gauss",
         material=params["material"],
         inputs={"bsdf": bsdf},
         parameters=spec,
     )
-    companions.write_lambert_gauss(fit, output["csv"])
+    turns = () if representations.isotropic(bsdf) else (45.0, 90.0, 135.0)
+    others = {along + turn: fitting.fit_lambert_gauss(bsdf, spec["theta_i"], along + turn) for turn in turns}
+    companions.write_lambert_gauss(fit, output["csv"], model=bsdf, azimuths={along: fit, **others} if turns else None)
 
 
 if __name__ == "__main__":

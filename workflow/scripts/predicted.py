@@ -1,11 +1,19 @@
-from brdfpipe import store
-from brdfpipe.bsdf import lambert_gauss, microfacet
+from brdfpipe import interior, store
+from brdfpipe.bsdf import lambert_gauss, microfacet, slab
 
 
 def main(input, output, params):
-    """The BRDF that facets, index and spectrum predict; of a colour alone, a Lambertian one."""
-    spec, inputs = params["spec"], {name: store.open_dataset(path, name) for name, path in input.items()}
-    bsdf = microfacet.build(**inputs, **spec) if "facets" in inputs else lambert_gauss.lambertian(inputs["spectrum"])
+    """The BSDF that facets, index and spectrum predict; of a clear body, with both its faces; of a colour alone, a Lambertian one."""
+    spec = params["spec"]
+    inputs = {name: store.open_dataset(path, name.removeprefix("back_")) for name, path in input.items()}
+    if "interior" in inputs:
+        faces = inputs["facets"], inputs.get("back_facets", inputs["facets"])
+        passed = interior.spectral(inputs["interior"])
+        bsdf = slab.build(*faces, index=inputs["index"], internal_transmittance=passed, **spec)
+    elif "facets" in inputs:
+        bsdf = microfacet.build(**inputs, **spec)
+    else:
+        bsdf = lambert_gauss.lambertian(inputs["spectrum"])
     store.save_dataset(
         bsdf, output["predicted"], stage="predicted", material=params["material"], inputs=inputs, parameters=spec
     )

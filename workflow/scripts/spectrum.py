@@ -10,7 +10,8 @@ def main(input, output, params):
     if "index" in input:
         inputs["index"] = store.open_dataset(input["index"], "index")
         n = optics.interpolate_index(inputs["index"], [589.3])[0].item()
-    spectrum = spectra.ingest(params["spec"], inputs.get("raw"), n)
+    search = Path(output["spectrum"]).with_name("spectrum.search.json")
+    spectrum = spectra.ingest(params["spec"], inputs.get("raw"), n, checkpoint=search)
     store.save_dataset(
         spectrum,
         output["spectrum"],

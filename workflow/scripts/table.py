@@ -3,9 +3,9 @@ from brdfpipe.bsdf import representations, tabulation
 
 
 def main(input, output, params):
-    """A BRDF, as bright as it looks, on the configuration's grid of directions."""
+    """A BSDF, as bright as it looks, on the configuration's grid of directions."""
     spec, bsdf = params["spec"], store.open_dataset(input["bsdf"], "bsdf")
-    grid = spec | {"phi_o": tabulation.full_circle(spec["phi_o"])}
+    grid = tabulation.grid_for(bsdf, spec)
     make = tabulation.faithful_table if spec["refine"] else tabulation.tabulate
     store.save_dataset(
         make(representations.nonspectral(bsdf), grid),

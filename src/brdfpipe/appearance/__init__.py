@@ -9,9 +9,20 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.appearance.colour import TOTAL, colour, flop_index
 from brdfpipe.appearance.gloss import gloss
+from brdfpipe.appearance.prediction import colour_difference, predicted_colours
+from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
 from brdfpipe.bsdf import representations
 
-__all__ = ["appraise", "colour", "flop_index", "gloss"]
+__all__ = [
+    "appraise",
+    "colour",
+    "colour_difference",
+    "flop_index",
+    "gloss",
+    "luminous_transmittance",
+    "predicted_colours",
+    "transmission_haze",
+]
 
 
 def appraise(
@@ -32,7 +43,10 @@ def appraise(
     Returns
     -------
     Dataset of kind ``appearance``: gloss, haze (G60 − G20, NaN without both), L*a*b* of the total reflectance and of single
-        geometries, flop index, luminous reflectance, and the sRGB colour of the total reflectance (2° observer, D65)
+        geometries, flop index, luminous reflectance, and the sRGB colour of the total reflectance (2° observer, D65).
+        Of a surface with a lay these are means over the azimuth of the plane of incidence, and ``gloss_along``, ``gloss_across``,
+        ``lab_along``, ``lab_across`` tell of planes along the azimuth ``lay`` and across it. Of a material that transmits,
+        ``luminous_transmittance`` and ``transmission_haze`` (D1003-style) at normal incidence
     """
     from brdfpipe.spectra import colorimetry
 
@@ -54,4 +68,23 @@ def appraise(
         coords={"channel": ["R", "G", "B"]},
         attrs={"illuminant": illuminant, "observer": observer, "total_geometry": TOTAL},
     )
+    if not representations.isotropic(bsdf):
+        appearance = appearance.assign(_along_and_across(bsdf, illuminant, observer, gloss_angles))
+    if representations.transmits(bsdf):
+        appearance = appearance.assign(
+            luminous_transmittance=luminous_transmittance(bsdf), transmission_haze=transmission_haze(bsdf)
+        )
     return vocabulary.label(appearance, "appearance")
+
+
+def _along_and_across(
+    bsdf: xr.Dataset, illuminant: str, observer: int, gloss_angles: Sequence[float]
+) -> dict[str, xr.DataArray | float]:
+    """Gloss and colour in the two principal planes; of a surface whose lay is not known, along azimuth 0 and 90."""
+    lay = representations.lay(bsdf) or 0.0
+    found: dict[str, xr.DataArray | float] = {"lay": lay}
+    for plane, azimuth in (("along", lay), ("across", lay + 90)):
+        # Units and long names are those of the names here.
+        found[f"gloss_{plane}"] = gloss(bsdf, gloss_angles, azimuth=azimuth).drop_attrs()
+        found[f"lab_{plane}"] = colour(bsdf, illuminant=illuminant, observer=observer, azimuth=azimuth).drop_attrs()
+    return found

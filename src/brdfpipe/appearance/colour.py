@@ -22,20 +22,28 @@ GEOMETRIES: Mapping[str, tuple[float, float, float]] = {
 }
 """Single geometries by name: incidence, viewing angle, and azimuth of the view from the incidence [degree] (ASTM E2194)."""
 
+_ALL_ROUND = np.arange(0.0, 360.0, 1.0)
+
 
 def colour(
     bsdf: xr.Dataset,
     geometries: Mapping[str, tuple[float, float, float]] = GEOMETRIES,
     illuminant: str = "D65",
     observer: int = 10,
+    *,
+    azimuth: float | None = None,
 ) -> xr.DataArray:
     """CIE L*a*b* of the total reflectance at 8° and of single geometries.
+
+    A single geometry away from the mirror direction does not see what a polished surface mirrors; the total reflectance does.
 
     Parameters
     ----------
     bsdf : kind ``bsdf``; one that does not depend on wavelength is neutral
     geometries : name → (theta_i, theta_o, phi_o) [degree]; the reflectance factor is π·BRDF
     illuminant, observer : CIE illuminant name; 2 or 10 [degree]
+    azimuth : of the plane of incidence of the single geometries [degree]; by default the colour of the mean over all azimuths,
+        which matters to a surface with a lay. The total reflectance is always such a mean
 
     Returns
     -------
@@ -47,9 +55,11 @@ def colour(
     """
     vocabulary.validate(bsdf, "bsdf")
     wavelength, total = representations.total_reflectance(bsdf)
-    directions = np.array(list(geometries.values()), dtype=float).reshape(-1, 3).T
+    turns = _ALL_ROUND if azimuth is None and not representations.isotropic(bsdf) else np.array([azimuth or 0.0])
+    theta_i, theta_o, phi = np.array(list(geometries.values()), dtype=float).reshape(-1, 3).T[:, :, None]
     module = representations.representation(bsdf)
-    brdf = module.evaluate(bsdf, directions[0], np.zeros_like(directions[0]), directions[1], directions[2], None)
+    theta_i, phi_i, theta_o, phi_o = np.broadcast_arrays(theta_i, turns, theta_o, phi + turns)
+    brdf = module.evaluate(bsdf, theta_i, phi_i, theta_o, phi_o, None).mean(axis=1)
     factors = np.concatenate([total[None], np.broadcast_to(np.pi * brdf, (brdf.shape[0], wavelength.size))])
     white = colorimetry.weights(illuminant, observer).white
     xyz = colorimetry.reflectance_to_xyz(wavelength, factors, illuminant, observer)

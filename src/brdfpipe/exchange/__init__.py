@@ -12,6 +12,7 @@ from brdfpipe.exchange import astm
 from brdfpipe.exchange.astm import ExchangeError as ExchangeError
 from brdfpipe.exchange.companions import write_lambert_gauss as write_lambert_gauss
 from brdfpipe.exchange.companions import write_total_reflectance as write_total_reflectance
+from brdfpipe.exchange.companions import write_total_transmittance as write_total_transmittance
 
 WRITERS: Mapping[str, Callable[[xr.Dataset, str | os.PathLike[str]], None]] = {"astm": astm.write}
 """Formats by name; a file's extension is a format's name."""

@@ -1,8 +1,10 @@
 """ASTM E1392, the comma-separated dialect that BSDF viewers read (``.astm``).
 
 Header lines ``KEY value``, then ``VARS`` with the column names, then one row a pair of directions: angles in radian, BRDF in
-sr⁻¹. Readers do not mirror a half circle, so the table must cover φ from 0 to 360° inclusive; they look for the words
-``NUM_POINTS`` and ``VARS`` anywhere in the header, so no value may be one of them.
+sr⁻¹. Readers do not mirror a half circle, so the table must cover φ from 0 to 360° inclusive; they take the rows for a full
+grid, so every azimuth of incidence needs the same azimuths φ_s; and they look for the words ``NUM_POINTS`` and ``VARS`` anywhere
+in the header, so no value may be one of them. Viewers tell BRDF and BTDF files apart by what the user says, and count θ_s from
+the normal on the side the light leaves: the two sides are two files.
 """
 
 from __future__ import annotations
@@ -15,8 +17,10 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import store, vocabulary
+from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.tabulation import relative_loss
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array
 
 _KEYWORDS = ("NUM_POINTS", "VARS")
 
@@ -25,51 +29,129 @@ class ExchangeError(BrdfpipeError):
     """A BSDF cannot be written in this format."""
 
 
-def write(table: xr.Dataset, path: str | os.PathLike[str]) -> None:
-    """Write a table of an isotropic, non-spectral BRDF.
+def write(table: xr.Dataset, path: str | os.PathLike[str], *, model: xr.Dataset | None = None) -> None:
+    """Write the reflecting side of a non-spectral table.
 
     Parameters
     ----------
-    table : kind ``bsdf``, representation ``table``, without wavelength; phi_o from 0 to 360
+    table : kind ``bsdf``, representation ``table`` on a uniform grid, without wavelength; phi_o from 0 to 360
     path : the file; it appears whole or not at all
+    model : the BSDF the table was made from. Needed where the table has ``phi_i``: light from each azimuth is then evaluated
+        at the φ_s of all of them. Where it is given, the header says what it reflects perfectly specularly, which no row can
 
     Raises
     ------
-    ExchangeError : the table is spectral, or does not cover the full circle.
+    ExchangeError : the table is spectral, does not cover the full circle, or has ``phi_i`` and there is no model.
     """
+    reduced = _checked(table, model)
+    rows = _rows(table, reduced, through=False)
+    lost = float(relative_loss(table).max())
+    told = [
+        "BRDF in sr-1 (not multiplied by cos theta_s), weighted with V(lambda) and D65",
+        "angles in radian from the normal; mirror direction at phi_s = phi_i + pi",
+        f"the reflectance of this grid differs from the model's by up to {lost:.2%}",
+        *_specular_words(table, reduced, through=False),
+    ]
+    store.write_text(path, _file(table, Path(path).name, told, rows))
+
+
+def write_transmission(table: xr.Dataset, path: str | os.PathLike[str], *, model: xr.Dataset | None = None) -> None:
+    """Write the transmitting side of a non-spectral table; as :func:`write`.
+
+    Raises
+    ------
+    ExchangeError : as :func:`write`, and where the table has no polar angles beyond 90 degree.
+    """
+    reduced = _checked(table, model)
+    if not (table["theta_o"].values > 90).any():
+        raise ExchangeError("the table holds reflection alone; tabulate with `theta_o` beyond 90 degree")
+    rows = _rows(table, reduced, through=True)
+    told = [
+        "BTDF in sr-1 (not multiplied by cos theta_s), weighted with V(lambda) and D65",
+        "angles in radian: theta_i from the normal of the front, theta_s from the normal of the other side, where the light leaves; "
+        "undeviated light at theta_s = theta_i and phi_s = phi_i + pi",
+        *_specular_words(table, reduced, through=True),
+    ]
+    store.write_text(path, _file(table, Path(path).name, told, rows))
+
+
+def _checked(table: xr.Dataset, model: xr.Dataset | None) -> xr.Dataset | None:
+    """Refuse a table that the format cannot hold; the model as the same detector sees it."""
     vocabulary.validate(table, "bsdf")
     if table.attrs["representation"] != "table" or "wavelength" in table["brdf"].dims:
         raise ExchangeError("the ASTM file takes a non-spectral table; tabulate `bsdf.nonspectral()` first")
+    if not {"theta_i", "theta_o", "phi_o"} <= set(table["brdf"].dims):
+        raise ExchangeError("the ASTM file takes a table on a uniform grid: theta_i, theta_o, phi_o")
     phi = table["phi_o"].values
-    if phi[0] != 0 or phi[-1] != 360:
+    if phi[-1] - phi[0] != 360 or phi[0] != 0:
         raise ExchangeError(f"the ASTM file needs phi_o from 0 to 360; the table covers {phi[0]:g} to {phi[-1]:g}")
-    axes = [np.radians(table[name].values) for name in ("theta_i", "theta_o", "phi_o")]
-    theta_i, theta_s, phi_s = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
-    brdf = table["brdf"].transpose("theta_i", "theta_o", "phi_o").values.ravel()
-    rows = np.column_stack([theta_i, np.zeros_like(theta_i), theta_s, phi_s, brdf])
-    body = io.StringIO()
-    np.savetxt(body, rows, fmt="%.9g", delimiter=",")
-    store.write_text(path, _header(table, Path(path).name, brdf.size) + body.getvalue())
+    if "phi_i" in table["brdf"].dims and model is None:
+        raise ExchangeError("the table has azimuths of incidence; give the `model` it was made from")
+    return None if model is None else representations.nonspectral(model)
 
 
-def _header(table: xr.Dataset, file: str, points: int) -> str:
+def _rows(table: xr.Dataset, model: xr.Dataset | None, through: bool) -> Array:
+    """θ_i, φ_i, θ_s, φ_s [radian] and BSDF of one side, a row each; θ_s from the normal of that side."""
+    theta_i = table["theta_i"].values[table["theta_i"].values < 90]
+    polar = table["theta_o"].values
+    polar = polar[polar > 90] if through else polar[polar <= 90]
+    if "phi_i" not in table["brdf"].dims:
+        phi_i, phi_s = np.zeros(1), table["phi_o"].values
+        brdf = table["brdf"].transpose("theta_i", "theta_o", "phi_o").sel(theta_i=theta_i, theta_o=polar).values
+    else:
+        assert model is not None
+        phi_i, phi_s = _azimuths(table)
+    nodes = [each.ravel() for each in np.meshgrid(theta_i, phi_i, polar, phi_s, indexing="ij")]
+    incidence, azimuth, outgoing, around = nodes
+    if "phi_i" in table["brdf"].dims and model is not None:
+        evaluate = representations.representation(model).evaluate
+        brdf = evaluate(model, incidence, azimuth, outgoing, around, None)[..., 0]
+    outgoing = 180 - outgoing if through else outgoing
+    rows = np.column_stack([*map(np.radians, (incidence, azimuth, outgoing, around)), brdf.ravel()])
+    # Readers expect a grid in rising order.
+    return rows[np.lexsort(rows[:, 3::-1].T)] if through else rows
+
+
+def _azimuths(table: xr.Dataset) -> tuple[Array, Array]:
+    """Azimuths of incidence within one turn, and the azimuths φ_s that the table has about any of them."""
+    phi_i = np.unique(np.round(table["phi_i"].values % 360, 6))
+    around = np.unique(np.round((phi_i[:, None] + table["phi_o"].values) % 360, 6))
+    return phi_i, np.union1d(around, [0.0, 360.0])
+
+
+def _specular_words(table: xr.Dataset, model: xr.Dataset | None, through: bool) -> list[str]:
+    """What the model sends into one single direction: no density, and so in no row."""
+    if model is None:
+        return []
+    theta_i = table["theta_i"].values[table["theta_i"].values < 90]
+    share = representations.specular(model, theta_i, np.zeros_like(theta_i), None)[int(through)][:, 0]
+    if not share.any():
+        return []
+    listed = " ".join(f"{angle:g}:{value:.6f}" for angle, value in zip(theta_i, share, strict=True))
+    where = "transmitted undeviated" if through else "mirrored"
+    return [f"NOT in these rows, because no density can say so: the share {where}, by theta_i in degree: {listed}"]
+
+
+def _file(table: xr.Dataset, file: str, told: list[str], rows: Array) -> str:
     material = str(table.attrs.get("material", "unnamed"))
-    lost = float(relative_loss(table).max())
-    convention = (
-        "BRDF in sr-1 (not multiplied by cos theta_s), weighted with V(lambda) and D65; angles in radian from the normal; "
-        f"mirror direction at phi_s = phi_i + pi; isotropic; digest of the model {table.attrs.get('digest', 'unknown')}; "
-        f"the reflectance of this grid differs from the model's by up to {lost:.2%}"
+    phi_i = np.degrees(np.unique(rows[:, 1]))
+    lay = (
+        "isotropic"
+        if "phi_i" not in table["brdf"].dims
+        else f"NOT isotropic: the surface has a lay; phi_i of {', '.join(f'{each:g}' for each in phi_i)} degree"
     )
     lines = {
         "LAB_NAME": "brdfpipe",
         "SYSTEM_NAME": f"computed from {table.attrs.get('source_representation', 'a table')}",
         "APERTURE": "0",
         "SAMPLE_NAME": f"{material}_" if material in _KEYWORDS else material,
-        "MEAS_NAME": convention,
+        "MEAS_NAME": "; ".join([*told, lay, f"digest of the table {table.attrs.get('digest', 'unknown')}"]),
         "FILE_NAME": file,
         "MEAS_DATE": "unknown",
         "MEAS_TIME": "unknown",
-        "NUM_POINTS": str(points),
+        "NUM_POINTS": str(len(rows)),
         "VARS": "theta_i,phi_i,theta_s,phi_s,Integrated",
     }
-    return "".join(f"{key} {value}\n" for key, value in lines.items())
+    body = io.StringIO()
+    np.savetxt(body, rows, fmt="%.9g", delimiter=",")
+    return "".join(f"{key} {value}\n" for key, value in lines.items()) + body.getvalue()

@@ -1,9 +1,15 @@
-"""Small tables that travel beside a BRDF file: the total reflectance spectrum, and the Lambert + Gaussian parameters."""
+"""Small tables that travel beside a BSDF file: total reflectance and transmittance, and the Lambert + Gaussian parameters.
+
+What a surface mirrors, or lets pass, into one single direction is in no row of a BSDF file: it stands here, in a column of its own
+where there is any.
+"""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 
+import numpy as np
 import pandas as pd
 import xarray as xr
 
@@ -29,20 +35,76 @@ def write_total_reflectance(bsdf: xr.Dataset, path: str | os.PathLike[str]) -> N
     vocabulary.validate(bsdf, "bsdf")
     wavelength, reflectance = representations.total_reflectance(bsdf)
     frame = pd.DataFrame({"wavelength_nm": wavelength, "total_reflectance": reflectance})
-    _write(
-        frame, path, f"total reflectance of {_material(bsdf)} at 8 degree incidence, specular included, fraction", bsdf
+    mirrored = representations.specular(bsdf, np.array([8.0]), np.zeros(1), None)[0][0]
+    title = f"total reflectance of {_material(bsdf)} at 8 degree incidence, specular included, fraction"
+    if mirrored.any():
+        frame["specular_reflectance"] = np.broadcast_to(mirrored, wavelength.shape)
+        title += (
+            "; specular_reflectance: the part of it that is mirrored into one single direction, and in no BSDF file"
+        )
+    _write(frame, path, title, bsdf)
+
+
+def write_total_transmittance(bsdf: xr.Dataset, path: str | os.PathLike[str]) -> None:
+    """Write the total transmittance at normal incidence that the BSDF integrates to, as a commented CSV of nm and fraction."""
+    from brdfpipe.appearance import transmission
+
+    vocabulary.validate(bsdf, "bsdf")
+    wavelength, transmittance = representations.total_transmittance(bsdf)
+    frame = pd.DataFrame({"wavelength_nm": wavelength, "total_transmittance": transmittance})
+    haze = transmission.transmission_haze(bsdf)
+    title = (
+        f"total transmittance of {_material(bsdf)} at normal incidence, fraction; D1003-style haze, the share of it scattered by more "
+        f"than {transmission.HAZE_CONE:g} degree, weighted with V(lambda) and D65: {haze:.6f}"
     )
+    straight = representations.specular(bsdf, np.zeros(1), np.zeros(1), None)[1][0]
+    if straight.any():
+        frame["specular_transmittance"] = np.broadcast_to(straight, wavelength.shape)
+        title += (
+            "; specular_transmittance: the part of it that passes into one single direction, and is in no BSDF file"
+        )
+    _write(frame, path, title, bsdf)
 
 
-def write_lambert_gauss(fit: xr.Dataset, path: str | os.PathLike[str]) -> None:
-    """Write the parameters of a Lambert + Gaussian fit, a row an incidence, as a commented CSV."""
-    vocabulary.validate(fit, "bsdf")
-    frame = pd.DataFrame({title: fit[name].values for name, title in _LAMBERT_GAUSS_COLUMNS.items()})
+def write_lambert_gauss(
+    fit: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    model: xr.Dataset | None = None,
+    azimuths: Mapping[float, xr.Dataset] | None = None,
+) -> None:
+    """Write the parameters of a Lambert + Gaussian fit, a row an incidence, as a commented CSV.
+
+    Parameters
+    ----------
+    fit : kind ``bsdf``, representation ``lambert_gauss``
+    path : the file; it appears whole or not at all
+    model : the BSDF it was fitted to; where that mirrors light into one single direction, a column says how much: no Gaussian does
+    azimuths : of a surface with a lay, fits by the azimuth of incidence [degree]; written instead of the one, with a column ``phi_i_deg``
+    """
+    fits = {0.0: fit} if azimuths is None else azimuths
+    frames = [_parameters(each, model) for each in fits.values()]
+    frame = pd.concat(frames, keys=fits, names=["phi_i_deg"]).reset_index("phi_i_deg")
+    frame = frame if azimuths is not None else frame.drop(columns="phi_i_deg")
     title = (
         f"Lambert + Gaussian fit of {_material(fit)}: BRDF = lambert/pi + G0 exp(-d_par^2/(2 s_par^2) - d_perp^2/(2 s_perp^2)) about the "
         "mirror direction, FWHM = 2.3548 s; weighted with V(lambda) and D65"
     )
+    if azimuths is not None:
+        title += "; NOT isotropic: the surface has a lay, each row holds for light from azimuth phi_i_deg alone, the first along the lay"
+    if "specular_reflectance" in frame:
+        title += "; specular_reflectance: mirrored into one single direction, and not part of the fit"
     _write(frame, path, title, fit)
+
+
+def _parameters(fit: xr.Dataset, model: xr.Dataset | None) -> pd.DataFrame:
+    vocabulary.validate(fit, "bsdf")
+    frame = pd.DataFrame({title: fit[name].values for name, title in _LAMBERT_GAUSS_COLUMNS.items()})
+    if model is None:
+        return frame
+    reduced, theta_i = representations.nonspectral(model), fit["theta_i"].values
+    mirrored = representations.specular(reduced, theta_i, np.zeros_like(theta_i), None)[0][:, 0]
+    return frame.assign(specular_reflectance=mirrored) if mirrored.any() else frame
 
 
 def _material(dataset: xr.Dataset) -> str:

@@ -12,7 +12,7 @@ from brdfpipe.jobs import code, pool
 from brdfpipe.jobs.stage import Job
 from brdfpipe.store import canonical_json
 
-ALWAYS = ("predicted", "bsdf", "checks", "appearance", "table", "lambert_gauss", "summary")
+ALWAYS = ("bsdf", "checks", "appearance", "table", "lambert_gauss", "summary")
 """Datasets that every material has."""
 
 Asked = Callable[[Any], Any]
@@ -42,7 +42,7 @@ class Stages:
         self._specs: dict[tuple[str, str], str] = {}
 
     def has(self, part: str) -> Callable[[Any], bool]:
-        """Whether a material has a part: surface, index, spectrum."""
+        """Whether a material has a part: surface, index, spectrum, slab, back."""
         return lambda wildcards: self.catalogue[wildcards.material].has(part)
 
     def measured(self, part: str) -> Callable[[Any], bool]:
@@ -52,6 +52,10 @@ class Stages:
     def validates_masking(self, wildcards: Any) -> bool:
         """Whether rays are cast over a material's heights: it brings some, and the configuration asks for it."""
         return bool(self.catalogue.config["raycast"]) and "surface" in self.catalogue[wildcards.material].files
+
+    def previewed(self, wildcards: Any) -> bool:
+        """Whether the configuration asks for pictures of the materials."""
+        return bool(self.catalogue.config["preview"])
 
     def raw(self, part: str) -> Asked:
         """The raw file a material brings for a part, if any."""
@@ -81,7 +85,8 @@ class Stages:
         masking = [
             f"{m.name}/masking.nc" for m in materials if self.catalogue.config["raycast"] and "surface" in m.files
         ]
-        return [f"{material.name}/{file}" for material in materials for file in _files_of(material)] + masking
+        pictures = ("preview.nc", "preview.png") if self.catalogue.config["preview"] else ()
+        return [f"{m.name}/{file}" for m in materials for file in (*_files_of(m), *pictures)] + masking
 
     def raw_scan(self, wildcards: Any) -> str:
         """The raw file of a further scan."""
@@ -121,12 +126,17 @@ def _files_of(material: catalogue.Material) -> list[str]:
     exports = [f"exports/{material.name}.lambert_gauss.csv"]
     if "astm" in material.exports:
         exports += [f"exports/{material.name}.astm", f"exports/{material.name}.total_reflectance.csv"]
+    if "astm" in material.exports and material.has("slab"):
+        through = ("transmission.astm", "total_transmittance.csv")
+        exports += [f"exports/{material.name}.{file}" for file in through]
     return [*(f"{stage}.nc" for stage in _stages_of(material)), "report.html", *exports]
 
 
 def _stages_of(material: catalogue.Material) -> list[str]:
     own = {"surface": "surface" in material.files, "facets": material.has("surface")}
-    own |= {part: material.has(part) for part in ("index", "spectrum")}
+    own |= {"back_surface": "back_surface" in material.files, "back_facets": material.has("back")}
+    own |= {part: material.has(part) for part in ("index", "spectrum", "multiangle", "predicted")}
+    own |= {"interior": material.has("slab"), "flake": material.has("multiangle")}
     scans = [f"surface-{number}" for number in material.scans]
     return [*(stage for stage, there in own.items() if there), *scans, *ALWAYS]
 

@@ -1,0 +1,85 @@
+"""Colours at any geometries, measured or not, and how two materials differ there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf import flake, representations
+from brdfpipe.flakes.geometries import Directions, named
+from brdfpipe.geometry import Array
+from brdfpipe.spectra import colorimetry
+
+Geometries = str | Sequence[str] | Mapping[str, Sequence[float]]
+"""A standard's or an instrument's set (:data:`brdfpipe.flakes.SETS`), names of geometries, or name → θ_i, φ_i, θ_o, φ_o [degree]."""
+
+
+def predicted_colours(
+    bsdf: xr.Dataset, geometries: Geometries, illuminant: str = "D65", observer: int = 10
+) -> xr.Dataset:
+    """CIE L*a*b* of a material at geometries that need not have been measured.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``
+    geometries : see :data:`Geometries`
+    illuminant, observer : of the colours; see :func:`brdfpipe.spectra.colorimetry.weights`
+
+    Returns
+    -------
+    Dataset of kind ``colours``: ``lab(geometry, component)`` and the directions; of an effect paint with ``lab_quality(geometry)`` as well, which
+    flags what lies outside the flake angles that were measured as extrapolated
+
+    Notes
+    -----
+    An effect paint that was given as colours is exact under the illuminant and the observer of these, through X, Y and Z alone;
+    under others the spectra recovered from them are a guess.
+    """
+    vocabulary.validate(bsdf, "bsdf")
+    places = _places(geometries)
+    at = np.array([list(place) for place in places.values()], dtype=float).reshape(-1, 4).T
+    table = colorimetry.weights(illuminant, observer)
+    result = xr.Dataset(
+        {"lab": (("geometry", "component"), colorimetry.xyz_to_lab(_xyz(bsdf, at, illuminant, observer), table.white))},
+        coords={"geometry": list(places), "component": ["L*", "a*", "b*"]},
+        attrs={"illuminant": colorimetry.illuminant_name(illuminant), "observer": observer},
+    )
+    for name, angle in zip(("theta_i", "phi_i", "theta_o", "phi_o"), at, strict=True):
+        result[name] = ("geometry", angle)
+    if bsdf.attrs["representation"] == "flake":
+        result["lab_quality"] = ("geometry", flake.quality(bsdf, at[0], at[1], at[2], at[3]))
+    return vocabulary.label(result, "colours")
+
+
+def colour_difference(
+    first: xr.Dataset, second: xr.Dataset, geometries: Geometries, illuminant: str = "D65", observer: int = 10
+) -> xr.DataArray:
+    """CIEDE2000 between two materials at any geometries; arguments as for :func:`predicted_colours`.
+
+    Returns
+    -------
+    DataArray ``delta_e_00(geometry)`` [1]
+    """
+    labs = [predicted_colours(bsdf, geometries, illuminant, observer)["lab"] for bsdf in (first, second)]
+    difference = colorimetry.delta_e_00(labs[0].values, labs[1].values)
+    attrs = {"units": "1", "long_name": "CIEDE2000 colour difference"}
+    return xr.DataArray(difference, {"geometry": labs[0]["geometry"].values}, ("geometry",), "delta_e_00", attrs)
+
+
+def _places(geometries: Geometries) -> dict[str, Directions]:
+    if isinstance(geometries, Mapping):
+        return {name: Directions(*map(float, angles)) for name, angles in geometries.items()}
+    return named(geometries)
+
+
+def _xyz(bsdf: xr.Dataset, at: Array, illuminant: str, observer: int) -> Array:
+    own = bsdf.attrs.get("illuminant"), bsdf.attrs.get("observer")
+    if "channel" in bsdf.dims and own == (colorimetry.illuminant_name(illuminant), observer):
+        return flake.tristimulus(bsdf, at[0], at[1], at[2], at[3])
+    brdf = representations.representation(bsdf).evaluate(bsdf, at[0], at[1], at[2], at[3], None)
+    wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else np.array([360.0, 780.0])
+    factor = np.broadcast_to(np.pi * brdf, (*brdf.shape[:-1], wavelength.size))
+    return colorimetry.reflectance_to_xyz(wavelength, factor, illuminant, observer)

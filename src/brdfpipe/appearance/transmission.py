@@ -1,0 +1,73 @@
+"""What passes a material, and how much of it is scattered on the way.
+
+References
+----------
+ASTM D1003 (haze: the share of the transmitted light that deviates from the incident beam by more than 2.5°). Conformance is not
+claimed: light of one direction instead of an instrument's beam, weighted with V(λ)·D65; results are "D1003-style".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf import representations
+from brdfpipe.geometry import Array
+from brdfpipe.hemisphere import panel_rule
+
+HAZE_CONE = 2.5
+"""Half angle of the light that counts as not scattered [degree]."""
+
+_UNKNOWN_SLOPE = 5e-3
+_ORDER = 8
+_AZIMUTHS = np.arange(0.0, 360.0, 5.0)
+
+
+def luminous_transmittance(bsdf: xr.Dataset) -> float:
+    """Total transmittance at normal incidence, weighted with V(λ)·D65 [1].
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``; 0 where it does not transmit
+    """
+    from brdfpipe.spectra import colorimetry
+
+    wavelength, total = representations.total_transmittance(bsdf)
+    seen = colorimetry.luminous_weight(wavelength)
+    return float(seen @ total / seen.sum())
+
+
+def transmission_haze(bsdf: xr.Dataset) -> float:
+    """Share of the transmitted light that is scattered by more than 2.5°, at normal incidence, D1003-style [1].
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``; averaged with V(λ)·D65 where it depends on wavelength
+
+    Returns
+    -------
+    float : 0 for a clear plate, 0.998 for a perfect diffuser; NaN where nothing is transmitted
+    """
+    vocabulary.validate(bsdf, "bsdf")
+    reduced = representations.nonspectral(bsdf)
+    normal = np.zeros(1)
+    total = float(representations.transmittance(reduced, normal, normal, None)[0, 0])
+    if not total > 0:
+        return float("nan")
+    straight = float(representations.specular(reduced, normal, normal, None)[1][0, 0])
+    theta, phi, weight = _cone(representations.lobe_slope(bsdf) or _UNKNOWN_SLOPE)
+    incidence = np.zeros_like(theta)
+    btdf = representations.representation(reduced).evaluate(reduced, incidence, incidence, 180 - theta, phi, None)
+    scattered_little = float(weight @ btdf[:, 0])
+    return float(np.clip(1 - (straight + scattered_little) / total, 0.0, 1.0))
+
+
+def _cone(slope: float) -> tuple[Array, Array, Array]:
+    """Directions within the cone and their projected solid angles, graded towards the axis on the scale of the slope."""
+    doublings = int(np.clip(np.ceil(np.log2(8 * np.radians(HAZE_CONE) / slope)), 2, 40))
+    edges = np.concatenate([[0.0], HAZE_CONE * 2.0 ** np.arange(-doublings, 1)])
+    theta, width = panel_rule(edges, _ORDER)
+    share = np.radians(width) * np.sin(np.radians(theta)) * np.cos(np.radians(theta))
+    theta, phi = (each.ravel() for each in np.meshgrid(theta, _AZIMUTHS, indexing="ij"))
+    return theta, phi, np.repeat(share, _AZIMUTHS.size) * 2 * np.pi / _AZIMUTHS.size

@@ -1,0 +1,166 @@
+"""What the inside of a clear body lets pass between its two faces."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from numbers import Real
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from brdfpipe import columns, vocabulary
+from brdfpipe.errors import InputError
+
+Array = NDArray[np.float64]
+
+NEUTRAL_SPAN = (360.0, 780.0)
+"""Wavelengths a constant is stored at [nm]; it holds at every other too."""
+
+PER_MM = {"1/mm": 1.0, "1/cm": 0.1, "1/m": 1e-3}
+"""Units of an absorption coefficient."""
+
+_KEY = "slab.internal_transmittance"
+_ABSORPTION = "slab.absorption"
+_REQUIRED = (400.0, 700.0)
+_WIDEST_GAP = 50.0
+_NOISE = 1e-3
+_PERCENT = re.compile(r"%|percent|prozent", re.IGNORECASE)
+
+
+def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> xr.Dataset:
+    """Internal transmittance of a body, as the ``slab`` of material.yaml gives it.
+
+    Parameters
+    ----------
+    spec : ``{thickness}`` [mm] and ``internal_transmittance``, a number or ``{file, scale}``; or ``absorption``, a number [1/mm]
+        or ``{file, unit}``; with neither the body absorbs nothing
+    path : where the file lies, if not at its name in ``spec``
+
+    Returns
+    -------
+    Dataset of kind ``interior``: ``internal_transmittance(wavelength)`` [1], of light that goes straight from face to face,
+    without what the faces reflect; ``thickness`` [mm]. A constant is stored at 360 and 780 nm, with attribute ``dispersion``
+    ``constant``
+
+    Raises
+    ------
+    InputError : no positive thickness, values no body has, or a table that does not cover 400–700 nm.
+
+    Notes
+    -----
+    τ = exp(−a d) of an absorption coefficient a and a thickness d (Lambert's law); at a slant angle θ' inside τ^(1/cos θ').
+    """
+    thickness = spec.get("thickness")
+    if isinstance(thickness, bool) or not isinstance(thickness, Real) or not 0 < float(thickness) < np.inf:
+        raise _refusal("no thickness", thickness, "mm, above 0", "slab.thickness")
+    thickness = float(thickness)
+    absorbs = "absorption" in spec
+    given = spec["absorption"] if absorbs else spec.get("internal_transmittance", 1.0)
+    notes: list[str] = []
+    if isinstance(given, Mapping):
+        file = Path(path if path is not None else str(given["file"]))
+        wavelength, values, percent, notes = _table(file, _ABSORPTION if absorbs else _KEY)
+        if absorbs:
+            values = values * PER_MM[given.get("unit", "1/mm")]
+        else:
+            values = _fraction(file, values, given.get("scale"), percent)
+        source, dispersion = f"table {file.name}", "table"
+    else:
+        wavelength, values = np.array(NEUTRAL_SPAN), np.full(2, _number(given, absorbs))
+        source, dispersion = "constant from material.yaml", "constant"
+    passed = np.exp(-values * thickness) if absorbs else values
+    dataset = xr.Dataset(
+        {"internal_transmittance": ("wavelength", passed), "thickness": thickness},
+        coords={"wavelength": wavelength},
+        attrs={"source": source, "dispersion": dispersion},
+    )
+    return vocabulary.add_history(vocabulary.label(dataset, "interior"), *notes)
+
+
+def spectral(interior: xr.Dataset) -> float | xr.DataArray:
+    """The internal transmittance as a number where it is the same at all wavelengths, as a DataArray elsewhere."""
+    vocabulary.validate(interior, "interior")
+    passed = interior["internal_transmittance"]
+    return float(passed[0]) if interior.attrs["dispersion"] == "constant" else passed
+
+
+def _number(value: object, absorbs: bool) -> float:
+    highest = np.inf if absorbs else 1.0
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= float(value) <= highest:
+        accepted = "a number at least 0 in 1/mm, or {file: table.txt}" if absorbs else "0 to 1, or {file: table.txt}"
+        raise _refusal("not accepted", value, accepted, _ABSORPTION if absorbs else _KEY)
+    return float(value)
+
+
+def _table(path: Path, key: str) -> tuple[Array, Array, bool, list[str]]:
+    """Wavelengths in order and once, the values beside them, whether the header speaks of percent, and what was corrected."""
+    table = columns.read_columns(path)
+    if table.values.shape[1] != 2:
+        raise InputError(
+            path,
+            "not a table of two columns",
+            found=f"{table.values.shape[1]} columns",
+            accepted="wavelength and one value",
+            key=f"{key}.file",
+        )
+    nm, note = columns.wavelengths(table, key=f"{key}.file")
+    present = np.isfinite(nm) & np.isfinite(table.values[:, 1])
+    wavelength, values, merged = columns.merge_duplicates(nm[present], table.values[present, 1:])
+    missing = columns.gaps(wavelength, *_REQUIRED, widest=_WIDEST_GAP)
+    if missing:
+        raise InputError(
+            path,
+            "must cover 400–700 nm",
+            found=", ".join(f"{low:g}–{high:g} nm missing" for low, high in missing),
+            accepted=f"400–700 nm in steps of at most {_WIDEST_GAP:g} nm",
+            key=f"{key}.file",
+        )
+    _check(path, wavelength, values[:, 0], f"{key}.file")
+    notes = [*table.notes, note, f"{int((~present).sum())} rows without a value were dropped" * (not present.all())]
+    notes.append(f"{merged} rows of repeated wavelength were averaged" if merged else "")
+    percent = any(_PERCENT.search(text) for text in (*table.header, *(table.names or ())))
+    return wavelength, np.maximum(values[:, 0], 0.0), percent, [text for text in notes if text]
+
+
+def _check(path: Path, wavelength: Array, values: Array, key: str) -> None:
+    lowest = int(np.argmin(values))
+    if values[lowest] < -_NOISE:
+        raise InputError(
+            path,
+            "a body does not amplify light",
+            where=f"{wavelength[lowest]:g} nm",
+            found=f"{values[lowest]:.4g}",
+            accepted="values at least 0",
+            key=key,
+        )
+
+
+def _fraction(path: Path, values: Array, scale: str | None, percent: bool) -> Array:
+    highest = float(values.max())
+    if scale is None and (percent or highest > 1 + _NOISE):
+        raise InputError(
+            path,
+            "the scale is unclear",
+            found=f"values up to {highest:g}" + (" and a header that speaks of percent" if percent else ""),
+            accepted="fraction (at most 1) or percent",
+            key=f"{_KEY}.scale",
+        )
+    fraction = values / 100 if scale == "percent" else values
+    if fraction.max() > 1 + _NOISE:
+        raise InputError(
+            path,
+            "more light than enters",
+            found=f"{highest:g}" + (" percent" if scale == "percent" else ""),
+            accepted="an internal transmittance of at most 1: what passes between the faces, without their reflection",
+            key=f"{_KEY}.file",
+        )
+    return np.minimum(fraction, 1.0)
+
+
+def _refusal(problem: str, found: object, accepted: str, key: str) -> InputError:
+    return InputError("material.yaml", problem, where=key, found=repr(found)[:60], accepted=accepted, key=key)

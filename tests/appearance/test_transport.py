@@ -1,0 +1,133 @@
+"""Light transport of a preview, against closed forms and against sampling."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+
+from brdfpipe import facets, optics
+from brdfpipe.appearance import shots
+from brdfpipe.appearance.lights import Lights, lights
+from brdfpipe.appearance.preview import channels_of, radiance
+from brdfpipe.appearance.transport import Table, _lobe_widths
+from brdfpipe.bsdf import lambert_gauss, microfacet
+from brdfpipe.geometry import unit_vector
+
+EVEN = Lights((), 1.0, 1.0)
+ONE = (None, np.ones((1, 1)))
+
+
+def gloss_alone(*, index=1.5, **width):
+    return microfacet.build(facets.analytic("beckmann", **width), index=optics.refractive_index(index))
+
+
+def some(points, count, seed=2):
+    chosen = np.random.default_rng(seed).choice(len(points.normal), count, replace=False)
+    return shots.Points(*(field[chosen] for field in points))
+
+
+def views(points, table):
+    _, theta, phi = table._local(points)
+    return theta, phi
+
+
+@pytest.mark.parametrize("a", [0.002, 0.02, 0.1, 0.3])
+def test_in_an_even_light_a_surface_shows_its_albedo(a):
+    bsdf = gloss_alone(a=a)
+    found = Table.of(bsdf, *ONE)
+    points = some(shots.sphere(64).pixels, 200)
+    theta, _ = views(points, found)
+    points, theta = shots.Points(*(f[theta < 80] for f in points)), theta[theta < 80]
+    seen = found.seen_near(points, EVEN) + found.seen_far(points, EVEN)
+    assert seen[:, 0] == pytest.approx(bsdf.bsdf.albedo(theta).values, rel=0.01)
+
+
+def test_in_an_even_light_a_surface_with_a_lay_shows_its_albedo():
+    bsdf = gloss_alone(a_x=0.05, a_y=0.3)
+    found = Table.of(bsdf, *ONE)
+    points = some(shots.panel(64).pixels, 50)
+    seen = found.seen_near(points, EVEN) + found.seen_far(points, EVEN)
+    assert seen[:, 0] == pytest.approx(bsdf.bsdf.albedo(*views(points, found)).values, rel=0.015)
+
+
+def test_in_an_even_light_a_white_lambertian_is_white():
+    found = Table.of(lambert_gauss.lambertian(samples.spectrum(1.0)), np.array([550.0]), np.ones((1, 1)))
+    shot = shots.sphere(48)
+    assert shot.upsampled(found.seen_far(shot.coarse, EVEN)) == pytest.approx(np.ones((len(shot.at[0]), 1)), rel=2e-3)
+
+
+def test_a_polished_surface_mirrors_the_lights_by_its_reflectance():
+    found = Table.of(microfacet.build(facets.flat(), index=1.5), *ONE)
+    points = some(shots.panel(64).pixels, 40)
+    cosine = (points.normal * points.view).sum(axis=1)
+    mirrored = 2 * cosine[:, None] * points.normal - points.view
+    light = lights("studio").radiance(mirrored, float(points.spread[0]))
+    expected = light * optics.fresnel(cosine, 1.5).mean
+    # The reflectance is linear between polar angles of view 2 degree apart.
+    assert found.seen_near(points, lights("studio"))[:, 0] == pytest.approx(expected, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "name"),
+    [
+        (gloss_alone(a=0.02), "studio"),
+        (gloss_alone(a=0.3), "sun"),
+        (samples.beckmann_bsdf(0.07, reflectance=0.4), "studio"),
+        (gloss_alone(a_x=0.05, a_y=0.3), "studio"),
+    ],
+    ids=["glossy", "rough in the sun", "coloured", "with a lay"],
+)
+@pytest.mark.parametrize("shot", [shots.sphere(64), shots.panel(64)], ids=["sphere", "panel"])
+def test_pixels_are_those_of_many_samples(bsdf, name, shot):
+    environment = lights(name)
+    wavelength = np.array([550.0]) if "wavelength" in bsdf.coords else None
+    found = Table.of(bsdf, wavelength, np.ones((1, 1)))
+    pixels = radiance(found, shot, environment)[:, 0]
+    inner = np.flatnonzero((shot.pixels.normal * shot.pixels.view).sum(axis=1) > 0.3)
+    chosen = np.random.default_rng(4).choice(inner, 15, replace=False)
+    points = shots.Points(*(field[chosen] for field in shot.pixels))
+    frame, theta, phi = found._local(points)
+    for k, pixel in enumerate(chosen):
+        drawn = bsdf.bsdf.sample(20_000, 9, float(theta[k]), float(phi[k]), wavelength)
+        directions = unit_vector(drawn["theta_o"].values, drawn["phi_o"].values) @ frame[k]
+        light = environment.radiance(directions, float(points.spread[k]))
+        each = light * drawn["weight"].values.reshape(20_000) * environment.exposure()
+        noise = each.std() / np.sqrt(each.size)
+        # A pixel of 64 is wider than the edges of the boxes, and the nodes blur the lobe by 2 % more.
+        assert abs(pixels[pixel] - each.mean()) < 4 * noise + 0.05 * each.mean()
+
+
+def test_lobes_are_found_through_evaluation_alone():
+    # Half height of exp(−s²/a²) lies at s = a √ln 2; the search steps by 12 %.
+    along, across = _lobe_widths(gloss_alone(a_x=0.02, a_y=0.1), 0.0, None)
+    assert along == pytest.approx(0.02 * np.sqrt(np.log(2)), rel=0.15)
+    assert across == pytest.approx(0.1 * np.sqrt(np.log(2)), rel=0.15)
+
+
+def test_a_lambertian_has_no_lobe():
+    found = Table.of(lambert_gauss.lambertian(samples.spectrum(0.5)), np.array([550.0]), np.ones((1, 1)))
+    assert found.near.shape[2] == 0
+
+
+def test_a_table_looks_like_what_it_was_made_of():
+    bsdf = gloss_alone(a=0.2)
+    stored = bsdf.bsdf.tabulate(
+        {
+            "theta_i": np.arange(0.0, 90.0, 2.5),
+            "theta_o": np.arange(0.0, 90.0, 2.5),
+            "phi_o": np.concatenate([np.arange(0, 140, 10.0), np.arange(140, 181, 2.5)]),
+        }
+    )
+    shot, environment = shots.sphere(48), lights("studio")
+    modelled, tabulated = (radiance(Table.of(each, *ONE), shot, environment) for each in (bsdf, stored))
+    inner = (shot.pixels.normal * shot.pixels.view).sum(axis=1) > 0.4
+    # Linear interpolation cuts the peak of the lobe.
+    assert tabulated[inner] == pytest.approx(modelled[inner], rel=0.06, abs=0.003)
+
+
+def test_light_of_wavelengths_adds_up_to_white():
+    for illuminant in ("D65", "A", "FL2"):
+        wavelength, channels = channels_of(samples.beckmann_bsdf(), illuminant)
+        assert channels.shape == (wavelength.size, 3)
+        assert channels.sum(axis=0) == pytest.approx(np.ones(3), abs=1e-12)

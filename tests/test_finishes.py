@@ -1,0 +1,120 @@
+"""Materials of every kind of finish through the real workflow: polished, with a lay, metal, clear sheets, the patent's choices."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import samples
+import xarray as xr
+
+from brdfpipe import store, vocabulary
+from brdfpipe.jobs import front
+
+COLOUR = "spectrum: {lab: [50, 10, 10], illuminant: D65, observer: 10, geometry: sci}\n"
+MATERIALS = {
+    "brushed": "surface: {file: h.npy, unit: um, pitch: 1}\nindex: ABS\n" + COLOUR,
+    "compensated": "surface: {distribution: beckmann, slope_rms: 0.6}\nindex: ABS\nmodel: {multiple_scattering: compensated}\n",
+    "frosted": "surface: {distribution: flat}\nindex: PMMA\n"
+    "slab: {thickness: 2, absorption: {file: a.txt}, back: {distribution: beckmann, slope_rms: 0.2}}\n",
+    "patent": "surface: {distribution: beckmann, slope_rms: 0.6}\nindex: ABS\nmodel: {recipe: crf}\n" + COLOUR,
+    "polished": "surface: {distribution: flat}\nindex: 1.5\n",
+    "steel": "surface: {distribution: ggx, a: 0.15}\nindex: {n: 2.9, k: 3.1}\n",
+}
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = tmp_path_factory.mktemp("finishes")
+    for name, text in MATERIALS.items():
+        (base / "catalogue" / name).mkdir(parents=True)
+        (base / "catalogue" / name / "material.yaml").write_text(text)
+    np.save(base / "catalogue" / "brushed" / "h.npy", _brushed())
+    (base / "catalogue" / "frosted" / "a.txt").write_text(
+        "nm a\n" + "".join(f"{w} 0.05\n" for w in range(380, 741, 20))
+    )
+    # Coarse tables: what is in them is not the question here.
+    settings = base / "settings.yaml"
+    settings.write_text("table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}\n")
+    summary = front.build(base / "catalogue", base / "results", cores=2, config=settings)
+    assert summary.failures == {}
+    return base / "results"
+
+
+def _brushed() -> np.ndarray:
+    """Heights whose slopes are four times as steep along y as along x: the lay runs along x."""
+    rough = samples.gaussian_surface(160, correlation=6)["height"].values
+    spectrum = np.fft.fft2(rough)
+    along = np.fft.fftfreq(160) * 160
+    smoothed = np.fft.ifft2(spectrum * np.exp(-((along / 8) ** 2))).real
+    return smoothed * 0.2 / np.diff(smoothed, axis=0).std()
+
+
+def opened(results: Path, material: str, stage: str) -> xr.Dataset:
+    return store.open_dataset(results / material / f"{stage}.nc")
+
+
+def test_a_polished_material_has_the_gloss_of_its_reflectance(results: Path) -> None:
+    bsdf, found = opened(results, "polished", "bsdf"), opened(results, "polished", "appearance")
+    assert bsdf.attrs["representation"] == "smooth"
+    assert found["gloss"].values == pytest.approx((82.0454, 89.1385, 98.9730), abs=5e-5)
+    listed = pd.read_csv(results / "polished" / "exports" / "polished.total_reflectance.csv", comment="#")
+    assert listed["specular_reflectance"].values == pytest.approx(listed["total_reflectance"].values)
+
+
+def test_a_brushed_material_keeps_its_lay_to_the_last_file(results: Path) -> None:
+    found = opened(results, "brushed", "appearance")
+    assert abs(float(found["lay"])) < 5
+    assert float(found["gloss_along"][2]) > 1.5 * float(found["gloss_across"][2])
+    assert opened(results, "brushed", "table")["brdf"].dims[0] == "phi_i"
+    assert "NOT isotropic" in (results / "brushed" / "exports" / "brushed.astm").read_text()
+    fits = pd.read_csv(results / "brushed" / "exports" / "brushed.lambert_gauss.csv", comment="#")
+    assert fits["phi_i_deg"].nunique() == 4
+
+
+def test_a_metal_is_opaque_and_bright(results: Path) -> None:
+    found = opened(results, "steel", "appearance")
+    # F of n = 2.9, k = 3.1 at normal incidence is 0.532; masking loses a few percent of it.
+    assert 0.48 < float(found["luminous_reflectance"]) < 0.532
+    assert "luminous_transmittance" not in found
+
+
+def test_what_the_facets_lose_is_given_back_where_asked_for(results: Path) -> None:
+    compensated = opened(results, "compensated", "bsdf")
+    assert compensated.attrs["multiple_scattering"] == "compensated"
+    assert float(compensated["compensation"]) > 0
+
+
+def test_the_patents_choices_are_warned_about_by_the_checks(results: Path) -> None:
+    verdicts = json.loads(opened(results, "patent", "checks").attrs["verdicts"])
+    assert {name for name, found in verdicts.items() if found["verdict"] == "warn"} >= {
+        "reciprocity",
+        "energy",
+        "closure",
+    }
+
+
+def test_a_clear_sheet_has_two_faces_and_two_sides(results: Path) -> None:
+    folder = results / "frosted"
+    assert {"facets.nc", "back_facets.nc", "interior.nc"} <= {path.name for path in folder.iterdir()}
+    assert not (folder / "back_surface.nc").exists()
+    assert float(opened(results, "frosted", "interior")["internal_transmittance"][0]) == pytest.approx(np.exp(-0.1))
+    found = vocabulary.validate(opened(results, "frosted", "appearance"), "appearance")
+    assert 0 < float(found["transmission_haze"]) < 1
+    exports = {path.name for path in (folder / "exports").iterdir()}
+    assert {"frosted.transmission.astm", "frosted.total_transmittance.csv"} <= exports
+    assert opened(results, "frosted", "table")["theta_o"].values.max() > 90
+
+
+def test_only_sheets_have_files_of_transmission(results: Path) -> None:
+    assert [path.parts[-3] for path in results.glob("*/exports/*.transmission.astm")] == ["frosted"]
+    assert [path.parent.name for path in results.glob("*/back_facets.nc")] == ["frosted"]
+
+
+def test_the_catalogue_lists_what_passes(results: Path) -> None:
+    table = pd.read_csv(results / "catalogue.csv", index_col="material")
+    assert table["luminous_transmittance"].notna().tolist() == [name == "frosted" for name in table.index]
+    assert 0 < table.loc["frosted", "transmission_haze"] < 1

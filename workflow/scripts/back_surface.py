@@ -1,0 +1,28 @@
+from pathlib import Path
+
+from brdfpipe import store, surfaces
+from brdfpipe.errors import InputError
+
+
+def main(input, output, params):
+    """The measured relief of the other face of a clear body: read, checked and levelled like the front's."""
+    raw = Path(input["raw"])
+    try:
+        surface = surfaces.ingest(raw, params["spec"])
+    except InputError as refusal:  # the reader knows one place in material.yaml, and this is another
+        key = refusal.key and refusal.key.replace("surface", "slab.back", 1)
+        raise InputError(**(vars(refusal) | {"key": key})) from None
+    store.save_dataset(
+        surface,
+        output["surface"],
+        stage="back_surface",
+        material=params["material"],
+        inputs={"raw": raw},
+        parameters=params["spec"],
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)

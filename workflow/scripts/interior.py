@@ -1,0 +1,22 @@
+from pathlib import Path
+
+from brdfpipe import interior, store
+
+
+def main(input, output, params):
+    """What the inside of a clear body lets pass: a number or a table."""
+    spec, raw = params["spec"], {name: Path(path) for name, path in input.items()}
+    store.save_dataset(
+        interior.ingest(spec, raw.get("raw")),
+        output["interior"],
+        stage="interior",
+        material=params["material"],
+        inputs=raw,
+        parameters=spec,
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)

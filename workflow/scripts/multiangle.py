@@ -1,0 +1,22 @@
+from pathlib import Path
+
+from brdfpipe import flakes, store
+
+
+def main(input, output, params):
+    """Colours or reflectance factors at several geometries."""
+    inputs = {name: Path(path) for name, path in input.items()}
+    store.save_dataset(
+        flakes.ingest(params["spec"], inputs.get("raw")),
+        output["multiangle"],
+        stage="multiangle",
+        material=params["material"],
+        inputs=inputs,
+        parameters=params["spec"],
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)
