@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 import xarray as xr
 from PIL import Image
+from samples import spectrum
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf.lambert_gauss import lambertian
+from brdfpipe.facets import analytic
 from brdfpipe.report import figures
 from brdfpipe.report.raster import viridis
 
@@ -76,27 +79,6 @@ def test_a_long_profile_keeps_its_peak() -> None:
     assert shown.max() == 7.0
 
 
-def test_what_the_facets_mirror_never_exceeds_the_total(full: Datasets) -> None:
-    total, mirrored = figures._directional(full["bsdf"])
-    assert mirrored is not None
-    assert (mirrored <= total).all()
-    assert figures._GRAZING[-1] == pytest.approx(89.9)
-
-
-def test_the_directional_reflectance_is_that_of_the_bsdf(full: Datasets) -> None:
-    total, _ = figures._directional(full["bsdf"])
-    at_8 = np.interp(8.0, figures._GRAZING, total)
-    # The BSDF closes on the spectrum at 8 degree; linear interpolation over 2.5 degree adds 1e-4 at most.
-    assert at_8 == pytest.approx(float(full["spectrum"]["total_reflectance"].sel(wavelength=550.0)), abs=2e-4)
-
-
-def test_without_a_bsdf_the_checks_give_the_directional_reflectance(full: Datasets) -> None:
-    curve = figures.albedo(full["checks"], None)
-    assert curve is not None
-    assert curve.legend == ()
-    assert figures.albedo(None, None) is None
-
-
 def test_a_spectrum_with_the_specular_included_is_the_total(full: Datasets) -> None:
     shown = figures.spectrum(full["spectrum"], full["bsdf"])
     assert [label for *_, label in shown.legend] == [
@@ -133,14 +115,16 @@ def test_the_spectral_strip_is_blue_green_red() -> None:
     assert [int(np.argmax(at[wavelength])) for wavelength in (450, 530, 640)] == [2, 1, 0]
 
 
-def test_the_polar_cuts_share_one_range_of_decades(full: Datasets) -> None:
-    cuts = figures.polar_cuts(full["bsdf"])
-    assert cuts is not None
-    assert [label for _, _, label in cuts[0].legend] == ["incidence 0°", "30°", "60°", "80°"]
+def test_the_part_of_the_facets_in_the_spectrum_is_that_of_all_azimuths() -> None:
+    brushed = microfacet.build(analytic("beckmann", a_x=0.1, a_y=0.6), index=1.5, spectrum=spectrum(0.3))
+    shown = figures._specular_part(brushed, brushed["wavelength"].values)
+    assert shown is not None
+    facets = brushed.assign(diffuse=xr.zeros_like(brushed["diffuse"]))
+    # Eight azimuths integrate what varies as cos 2φ and cos 4φ exactly; more of it is below the fourth digit.
+    around = facets.bsdf.albedo(8.0, np.arange(0.0, 360.0, 15.0)).mean("direction")
+    np.testing.assert_allclose(shown, around.values, rtol=1e-4)
 
 
-def test_a_brdf_of_zero_has_no_cuts(full: Datasets) -> None:
-    from brdfpipe.bsdf.lambert_gauss import lambertian
-
-    black = full["spectrum"].assign(total_reflectance=xr.zeros_like(full["spectrum"]["total_reflectance"]))
-    assert figures.polar_cuts(lambertian(black)) is None
+def test_a_perfectly_diffuse_material_has_no_part_of_the_facets() -> None:
+    matt = lambertian(spectrum(0.3))
+    assert figures._specular_part(matt, matt["wavelength"].values) is None

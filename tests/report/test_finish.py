@@ -109,17 +109,11 @@ def test_the_rose_of_a_beckmann_finish_is_its_width_over_root_two(brushed: xr.Da
     np.testing.assert_allclose(mean, np.array([0.2, 0.5]) / np.sqrt(np.pi), rtol=1e-3)
 
 
-def test_the_lay_is_found_where_it_is_not_stated(brushed: xr.Dataset) -> None:
-    density = finish._planar(brushed)
-    assert finish._lay(brushed, density) == pytest.approx(30.0)
-    assert finish._lay(brushed.drop_vars("lay"), density) == pytest.approx(30.0, abs=1)
-
-
 @pytest.mark.parametrize("name", ["beckmann", "ggx"])
 def test_the_overlays_of_a_named_finish_with_a_lay_are_its_sections(name: str) -> None:
     facets = analytic(name, a_x=0.1, a_y=0.2)
     density = finish._planar(facets)
-    sections = finish._planar_models(facets, density, 0.0)[("beckmann", "ggx").index(name)][0]
+    sections = finish._planar_models(facets, density)[("beckmann", "ggx").index(name)][0]
     slope = np.linspace(0, 0.3, 20)
     # The widths of the overlay come from moments or medians of the tabulated density.
     np.testing.assert_allclose(sections[0](slope), density(slope, 0 * slope), rtol=0.05, atol=1e-3)
@@ -152,12 +146,12 @@ def test_an_axis_is_written_as_an_azimuth_below_180() -> None:
 
 
 @pytest.mark.parametrize(
-    "absent", ["lambda_smith", "D", "slope_rms", "anisotropy", "lay", "count", "slope_density_u", "slope_density"]
+    "absent", ["lambda_smith", "D", "slope_rms", "anisotropy", "count", "slope_density_u", "slope_density"]
 )
 def test_no_variable_of_a_finish_with_a_lay_is_needed(brushed: xr.Dataset, absent: str) -> None:
-    steep = np.abs(brushed["slope_x"]) + 0 * brushed["slope_y"] > 0.3
+    steep = 0 * brushed["slope_across"] + np.abs(brushed["slope_along"]) > 0.3
     flags = np.where(steep, vocabulary.quality("extrapolated"), vocabulary.quality("measured"))
-    quality = brushed["slope_density"].copy(data=flags.T if steep.dims[0] == "slope_x" else flags)
+    quality = brushed["slope_density"].copy(data=flags)
     counted = brushed.assign(
         slope_density_u=0.1 * brushed["slope_density"], slope_density_quality=quality, count=brushed["slope_density"]
     )
@@ -193,3 +187,21 @@ def test_smith_is_drawn_finely_only_where_it_is_the_facets_own() -> None:
 def test_ray_casting_without_uncertainty_has_no_bars() -> None:
     figure = finish.raycast_figure(_masking().drop_vars("g1_raycast_u"))
     assert 'class="e c2" d=""' in figure.svg
+
+
+def test_g2_is_drawn_against_both_forms_of_smith_where_it_was_cast() -> None:
+    comparison = _masking()
+    assert finish.bistatic_figure(comparison) is None
+    cast = {
+        "g2_raycast": [1.0, 0.9, 0.5, np.nan],
+        "g2_raycast_u": [0.0, 0.01, np.nan, np.nan],
+        "g2_separable": [1.0, 0.85, 0.4, 0.1],
+        "g2_height_correlated": [1.0, 0.9, 0.6, 0.2],
+    }
+    figure = finish.bistatic_figure(comparison.assign({name: ("theta", values) for name, values in cast.items()}))
+    assert figure is not None
+    assert _labels(figure)[:2] == ["Smith, height-correlated", "Smith, separable"]
+    points = re.search(r'class="p c2" d="([^"]*)"', figure.svg)
+    assert points is not None
+    assert points[1].count("h0") == 3  # no facet faces both directions at the fourth
+    assert "nan" not in figure.svg

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import base64
+import io
 import json
 import re
 from html.parser import HTMLParser
@@ -9,10 +11,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import xarray as xr
+from PIL import Image
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import microfacet
-from brdfpipe.facets import analytic
+from brdfpipe.facets import analytic, flat
 from brdfpipe.report import material_page
 from brdfpipe.report.material import _length, luminous_reflectance, stage_warnings, verdicts
 
@@ -84,7 +87,7 @@ def test_the_page_of_a_full_material_nests_and_shows_every_chapter(full: Dataset
 
 def test_every_figure_is_well_formed_and_says_what_it_shows(full: Datasets) -> None:
     figures = _figures(material_page(full))
-    assert len(figures) == 9
+    assert len(figures) == 11
     assert all(figure.attrib["role"] == "img" and figure.attrib["aria-label"] for figure in figures)
 
 
@@ -169,7 +172,7 @@ def test_a_line_profile_is_drawn_as_a_line(full: Datasets, line: xr.Dataset) -> 
     html = material_page({**full, "surface": line})
     assert "Levelled line profile" in html
     assert "Rdq" in html
-    assert len(_figures(html)) == 9
+    assert len(_figures(html)) == 11
 
 
 def test_missing_heights_are_in_the_legend(full: Datasets) -> None:
@@ -327,3 +330,114 @@ def test_ray_cast_masking_is_shown_with_its_numbers(full: Datasets) -> None:
     assert "G₁ by ray casting and after Smith" in text
     assert "60° 0.9700 – 0.9900 −0.0200" in text
     assert "ray casting" not in _Page(material_page(full)).text
+
+
+@pytest.mark.parametrize(("smith", "u", "said"), [(0.95, 0.001, True), (0.98, 0.001, False), (0.95, 0.03, False)])
+def test_a_difference_between_rays_and_smith_is_explained(full: Datasets, smith: float, u: float, said: bool) -> None:
+    curves = {"g1_raycast": [1.0, 0.99, 0.5], "g1_raycast_u": [0.0, u, np.nan], "g1_smith": [1.0, smith, 0.5]}
+    comparison = xr.Dataset(
+        {name: ("theta", values) for name, values in curves.items()}, {"theta": [0.0, 60.0, 88.0]}, {"method": "rays"}
+    )
+    text = _Page(material_page({**full, "masking": vocabulary.label(comparison, "masking")})).text
+    assert ("Rays and Smith differ by up to 0.04, at 60°." in text) == said
+    assert ("Measure more finely" in text) == said
+
+
+# --- what a BSDF may be
+
+
+def _metal() -> xr.Dataset:
+    values = {"n": ("wavelength", [1.0, 1.0]), "k": ("wavelength", [7.0, 7.0])}
+    index = xr.Dataset(values, {"wavelength": [400.0, 700.0]}, {"source": "test"})
+    return vocabulary.label(index, "index")
+
+
+def _page_of(facets: xr.Dataset, **options: object) -> tuple[str, str]:
+    """The page of a finish and its BSDF: markup, and text."""
+    datasets = {"facets": facets, "bsdf": microfacet.build(facets, **options)}
+    if isinstance(options.get("spectrum"), xr.Dataset):
+        datasets["spectrum"] = options["spectrum"]
+    html = material_page(datasets)
+    for figure in _figures(html):
+        ElementTree.tostring(figure)
+    assert "nan" not in "".join(re.findall(r' d="([^"]*)"', html))
+    assert len(html.encode()) < 400_000
+    return html, _Page(html).text
+
+
+def test_a_flat_surface_has_sentences_where_pictures_would_be_empty(full: Datasets) -> None:
+    _, text = _page_of(flat(), index=1.5, spectrum=full["spectrum"])
+    assert "The surface is perfectly flat: every facet lies level, none hides another." in text
+    assert "light mirrored into one direction by a perfectly smooth surface" in text
+    assert "of the mirrored ray is polarised" in text
+    assert "Slope density" not in text
+
+
+def test_a_flat_transparent_surface_is_told_in_words_and_shares() -> None:
+    html, text = _page_of(flat(), index=1.5, transparent=True)
+    assert "Reflection and transmission" in text
+    assert "One direction has no BTDF: there is nothing to draw." in text
+    assert _tiles(html)["Transmittance"] == "96.0 %"
+
+
+def test_a_transparent_surface_is_not_said_to_lack_a_spectrum() -> None:
+    _, text = _page_of(analytic("ggx", 0.2), index=1.5, transparent=True)
+    assert "Colour and diffuse reflection are not modelled" not in text
+    assert "Balance of the light" in text
+
+
+def test_a_metal_is_not_said_to_lack_a_spectrum_and_a_plastic_is() -> None:
+    rough = analytic("beckmann", 0.2)
+    assert "Colour and diffuse reflection are not modelled" not in _page_of(rough, index=_metal())[1]
+    assert "Colour and diffuse reflection are not modelled" in _page_of(rough, index=1.5)[1]
+
+
+def test_a_brushed_surface_is_shown_along_its_lay_and_across(full: Datasets) -> None:
+    brushed = analytic("beckmann", a_x=0.05, a_y=0.3, azimuth=30.0)
+    _, text = _page_of(brushed, index=1.5, spectrum=full["spectrum"])
+    for words in ("BRDF along the lay", "BRDF across the lay", "45° incidence along the lay", "total, across the lay"):
+        assert words in text
+
+
+def test_a_loss_that_matters_is_remarked_and_a_small_one_noted() -> None:
+    advice = "set <code>model.multiple_scattering: compensated</code> to give it back"
+    rough = analytic("ggx", 0.6)
+    loses, _ = _page_of(rough, index=_metal())
+    assert re.search(rf'<p class="remark">The plain model loses [\d.]+\u202f% of the light[^<]*{advice}', loses)
+    hardly, _ = _page_of(rough, index=1.5)
+    assert re.search(rf'<p class="note">The plain model loses [\d.]+\u202f% of the light[^<]*{advice}', hardly)
+
+
+def test_what_a_compensated_model_gives_back_is_told() -> None:
+    html, text = _page_of(analytic("ggx", 0.6), index=_metal(), multiple_scattering="compensated")
+    assert "is given back, diffuse" in text
+    assert "by one facet alone" in text
+    assert "The plain model loses" not in html
+
+
+def test_a_source_s_own_choices_are_named_with_what_they_may_break(full: Datasets) -> None:
+    _, text = _page_of(analytic("beckmann", 0.4), index=1.5, spectrum=full["spectrum"], recipe="crf")
+    assert "Masking crf is its source's own choice and need not keep energy" in text
+    assert "Recipe crf" in text
+    assert "on more light leaves than arrives" in text
+
+
+def test_a_model_s_choices_never_become_markup(full: Datasets) -> None:
+    html = material_page({"bsdf": full["bsdf"].assign_attrs(recipe=_ATTACK, diffuse_mode=f"`{_ATTACK}`")})
+    assert not {"script", "img"} & set(_Page(html).tags)
+
+
+def test_the_picture_of_a_material_stands_near_the_top_of_its_page():
+    pixels = np.random.default_rng(1).integers(0, 256, (8, 16, 3)).astype(np.uint8)
+    attrs = {"illuminant": "D65", "light": "studio", "white_level": 0.75, "material": "steel"}
+    picture = xr.Dataset({"picture": (("row", "column", "channel"), pixels)}, {"channel": list("RGB")}, attrs)
+    page = material_page({"preview": vocabulary.label(picture, "preview")})
+    assert page.count('class="look"') == 1
+    assert page.index("How it would look") < page.index("Limits")
+    stored = base64.b64decode(re.search(r'class="look" src="data:image/png;base64,([^"]+)"', page)[1])
+    with Image.open(io.BytesIO(stored)) as shown:
+        assert (np.asarray(shown) == pixels).all()
+
+
+def test_a_page_without_a_picture_says_nothing_of_it():
+    assert "How it would look" not in material_page({})

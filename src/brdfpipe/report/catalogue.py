@@ -42,6 +42,14 @@ NUMBERS: Mapping[str, Number] = {
     "a": Number("CIE 1976 a* at the first geometry of the appearance", "a*"),
     "b": Number("CIE 1976 b* at the first geometry of the appearance", "b*"),
     "luminous_reflectance": Number("total reflectance at 8 degree, weighted with V(λ) and D65", "Reflectance", 3),
+    "luminous_transmittance": Number(
+        "total transmittance at normal incidence, weighted with V(λ) and D65; empty where nothing passes",
+        "Transmittance",
+        3,
+    ),
+    "transmission_haze": Number(
+        "share of the transmitted light scattered by more than 2.5 degree, D1003-style", "Haze D1003", 3
+    ),
     "slope_rms": Number("root mean square slope of the facets", "rms slope", 3),
     "anisotropy": Number("larger over smaller principal slope rms", "Anisotropy", 2),
 }
@@ -276,6 +284,9 @@ def _numbers(datasets: Mapping[str, xr.Dataset]) -> dict[str, float]:
         numbers |= {f"gloss_{angle}": gloss[angle] for angle in GLOSS_ANGLES if angle in gloss}
     if appearance is not None and "haze" in appearance and not matt_by_assumption:
         numbers["haze"] = float(appearance["haze"])
+    if appearance is not None:
+        passed = ("luminous_transmittance", "transmission_haze")
+        numbers |= {name: float(appearance[name]) for name in passed if name in appearance}
     lab = page.primary_lab(appearance)
     if lab is not None:
         numbers |= dict(zip("Lab", lab[1], strict=True))

@@ -1,4 +1,4 @@
-"""The figures of reflection, colour and relief, each from the datasets it shows; those of the facets: :mod:`.finish`."""
+"""The figures of colour and relief; those of the facets: :mod:`.finish`, of the BSDF: :mod:`.reflection` and :mod:`.lobes`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import math
 import numpy as np
 import xarray as xr
 
+from brdfpipe.bsdf import representations
+from brdfpipe.report import scattering
 from brdfpipe.report.raster import false_colour, framed
 from brdfpipe.report.svg import (
     Array,
@@ -20,20 +22,9 @@ from brdfpipe.report.svg import (
     linear_ticks,
     nice_range,
     png,
-    polar,
 )
 
-INCIDENCES = (0.0, 30.0, 60.0, 80.0)
-"""Angles of incidence shown, degree."""
-
-REFERENCE_WAVELENGTH = 550.0
-"""Wavelength shown where one must stand for all, nm: near the peak of the eye's response."""
-
 _MAP_PIXELS = 300
-_DECADES_SHOWN = 6
-
-_GRAZING = np.unique(np.r_[np.linspace(0, 80, 33), 90 - np.geomspace(10, 0.1, 24)])
-"""Angles of incidence of the directional reflectance, crowding towards grazing, where it is steepest; degree."""
 
 
 def height_map(surface: xr.Dataset) -> Figure:
@@ -71,44 +62,6 @@ def profile(surface: xr.Dataset) -> Figure:
     return Figure("Height, levelled", svg, note=note)
 
 
-def polar_cuts(bsdf: xr.Dataset) -> tuple[Figure, Figure] | None:
-    """The BRDF in the plane of incidence: a goniometric plot, and the same on Cartesian axes.
-
-    Returns None where the BRDF is nowhere positive.
-    """
-    cuts = [(incidence, *_cut(bsdf, incidence)) for incidence in INCIDENCES]
-    values = np.concatenate([value for _, _, value in cuts])
-    positive = values[np.isfinite(values) & (values > 0)]
-    if positive.size == 0:
-        return None
-    high = math.ceil(math.log10(float(positive.max())) - 1e-6)
-    low = max(math.floor(math.log10(float(positive.min())) + 1e-6), high - _DECADES_SHOWN)
-    low = min(low, high - 2)
-    marks = [
-        Line(theta, np.where(value > 0, value, np.nan), f"c{k}", f"{'' if k else 'incidence '}{incidence:g}°")
-        for k, (incidence, theta, value) in enumerate(cuts)
-    ]
-    entries = legend(marks)
-    where = wavelength_words(bsdf)
-    gonio = polar(
-        "BRDF in the plane of incidence at 0, 30, 60 and 80 degrees of incidence, logarithmic radius",
-        (low, high),
-        marks,
-        INCIDENCES,
-    )
-    plane = chart(
-        "BRDF in the plane of incidence against the angle of view, logarithmic",
-        Axis("angle of view θₒ, degree (positive: away from the source)", -90.0, 90.0, step=30),
-        Axis("BRDF, sr⁻¹", 10.0**low, 10.0**high, log=True),
-        marks,
-    )
-    note = f"Plane of incidence, {where}. Triangles mark the sources."
-    return (
-        Figure("BRDF, goniometric", gonio, entries, note),
-        Figure("BRDF, Cartesian", plane, entries, f"Plane of incidence, {where}."),
-    )
-
-
 def spectrum(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Figure:
     """What was measured, the total reflectance where that is another thing, and the part that the facets mirror."""
     measured = spectral["total_reflectance"]
@@ -140,83 +93,7 @@ def spectrum(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Figure:
     return Figure("Spectrum", svg, legend(marks), _spectrum_words(spectral, total is not None))
 
 
-def albedo(checks: xr.Dataset | None, bsdf: xr.Dataset | None) -> Figure | None:
-    """Directional reflectance against the angle of incidence: all of it, and the part the facets mirror."""
-    marks: list[Mark] = []
-    if bsdf is not None:
-        total, mirrored = _directional(bsdf)
-        marks.append(Line(_GRAZING, total, "c0", "total"))
-        if mirrored is not None:
-            marks.append(Line(_GRAZING, mirrored, "c2", "mirrored by the facets", "dash"))
-    elif checks is not None and "albedo" in checks:
-        checked = at_reference(checks["albedo"])
-        marks.append(Line(checked["theta_i"].values, checked.values, "c0", "total"))
-    source = bsdf if bsdf is not None else checks
-    if not marks or source is None:
-        return None
-    highest = max(float(np.nanmax(np.asarray(mark.y))) for mark in marks if isinstance(mark, Line))
-    top = next((limit for limit in (0.2, 0.5, 1.0) if highest <= limit), highest * 1.05)
-    svg = chart(
-        "Directional reflectance against the angle of incidence",
-        Axis("angle of incidence θᵢ, degree", 0.0, 90.0, step=15),
-        Axis("directional reflectance", 0.0, top),
-        marks,
-    )
-    return Figure("Directional reflectance", svg, legend(marks), wavelength_words(source).capitalize() + ".")
-
-
 # --- data
-
-
-def _directional(bsdf: xr.Dataset) -> tuple[Array, Array | None]:
-    """Directional reflectance at :data:`_GRAZING`, and the facets' share of it.
-
-    Both from one rule at one set of angles: interpolated, the share would wiggle across the total towards grazing.
-    """
-    import brdfpipe.bsdf  # noqa: F401  (registers the accessor)
-
-    reference = _reference(bsdf)
-    wavelength = None if reference is None else [reference]
-
-    def reflected(dataset: xr.Dataset) -> Array:
-        values = np.asarray(dataset.bsdf.albedo(_GRAZING, wavelength=wavelength).values, dtype=float)
-        return values.reshape(_GRAZING.size, -1)[:, 0]
-
-    facets_alone = bsdf.assign(diffuse=xr.zeros_like(bsdf["diffuse"])) if "diffuse" in bsdf else None
-    return reflected(bsdf), None if facets_alone is None else reflected(facets_alone)
-
-
-def _cut(bsdf: xr.Dataset, incidence: float) -> tuple[Array, Array]:
-    """BRDF in the plane of incidence: signed angle of view in degree, and value."""
-    import brdfpipe.bsdf  # noqa: F401  (registers the accessor)
-
-    offsets = np.geomspace(0.02, 20, 40)
-    theta = np.unique(np.r_[np.linspace(-89, 89, 179), incidence, incidence - offsets, incidence + offsets].round(4))
-    theta = theta[np.abs(theta) <= 89]
-    options = {} if _reference(bsdf) is None else {"wavelength": [_reference(bsdf)]}
-    value = bsdf.bsdf.evaluate(
-        theta_i=incidence, phi_i=0.0, theta_o=np.abs(theta), phi_o=np.where(theta >= 0, 180.0, 0.0), **options
-    )
-    return theta, np.asarray(value.values, dtype=float).reshape(theta.size, -1)[:, 0]
-
-
-def _reference(dataset: xr.Dataset) -> float | None:
-    """The dataset's own wavelength nearest to the reference, None where it has none."""
-    if "wavelength" not in dataset.coords or dataset["wavelength"].ndim != 1:
-        return None
-    own = dataset["wavelength"].values
-    return float(own[np.argmin(np.abs(own - REFERENCE_WAVELENGTH))])
-
-
-def at_reference(values: xr.DataArray) -> xr.DataArray:
-    if "wavelength" not in values.dims:
-        return values
-    return values.sel(wavelength=REFERENCE_WAVELENGTH, method="nearest")
-
-
-def wavelength_words(dataset: xr.Dataset) -> str:
-    wavelength = _reference(dataset)
-    return "all wavelengths alike" if wavelength is None else f"at {wavelength:g} nm"
 
 
 def _total(spectral: xr.Dataset, bsdf: xr.Dataset | None) -> tuple[Array, Array] | None:
@@ -241,12 +118,17 @@ def _spectrum_words(spectral: xr.Dataset, completed: bool) -> str:
 
 
 def _specular_part(bsdf: xr.Dataset | None, wavelength: Array) -> Array | None:
-    if bsdf is None or "directional_albedo" not in bsdf or "theta_m" not in bsdf:
+    """What the facets mirror at the incidence of the measurement, mean over the azimuths of a lay."""
+    if bsdf is None or "theta_m" not in bsdf or (facets := scattering.facets_alone(bsdf)) is None:
         return None
-    part = bsdf["directional_albedo"].interp(theta_i=float(bsdf["theta_m"]))
-    if "wavelength" not in part.dims:
-        return np.full(wavelength.size, float(part))
-    return np.asarray(np.interp(wavelength, part["wavelength"].values, part.values))
+    azimuth = np.zeros(1) if representations.isotropic(bsdf) else np.arange(0.0, 360.0, 45.0)
+    incidence = np.full(azimuth.size, float(bsdf["theta_m"]))
+    part = representations.albedo(facets, incidence, azimuth, None).mean(axis=0)
+    if not part.any():
+        return None
+    if part.size == 1:
+        return np.full(wavelength.size, float(part[0]))
+    return np.asarray(np.interp(wavelength, bsdf["wavelength"].values, part))
 
 
 # --- pictures

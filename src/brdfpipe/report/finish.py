@@ -27,6 +27,7 @@ from brdfpipe.report.svg import (
     png,
     power_of_ten,
     rose,
+    sentence,
 )
 
 if TYPE_CHECKING:
@@ -34,6 +35,11 @@ if TYPE_CHECKING:
 
 Pattern = Literal["line", "dash", "dots"]
 Model = Callable[[Array], Array]
+
+_SMITH_G2: Sequence[tuple[str, str, str, Pattern]] = (
+    ("g2_height_correlated", "c0", "Smith, height-correlated", "line"),
+    ("g2_separable", "c3", "Smith, separable", "dash"),
+)
 
 _DECADES_SHOWN = 6
 _HEAVY_TAIL = 25
@@ -55,9 +61,11 @@ def facet_figures(facets: xr.Dataset) -> list[Figure]:
 
     Parameters
     ----------
-    facets : kind ``facets``, isotropic (slope density over ``slope``) or with a lay (over ``slope_y``, ``slope_x``)
+    facets : kind ``facets``, isotropic (slope density over ``slope``) or with a lay (over ``slope_across``, ``slope_along``)
     """
     found: list[Figure] = []
+    if "slope_density" in facets and facets["slope_density"].size == 0:
+        return [sentence("Slopes", "The surface is perfectly flat: every facet lies level, none hides another.")]
     if "slope_density" in facets and facets["slope_density"].dims == ("slope",):
         found += [slope_density(facets), facet_distribution(facets)]
         found += [masking(facets)] if "lambda_smith" in facets else []
@@ -129,7 +137,7 @@ def masking(facets: xr.Dataset) -> Figure:
     width, label = _beckmann_width(facets)
     marks.append(Line(fine, _beckmann_g1(fine, width), "ref", label, "dash"))
     marks.append(Line(fine, _ggx_g1(fine, _median_slope(facets)), "ref", _GGX_LABEL, "dots"))
-    return Figure("Masking G₁(θ)", _g1_chart(marks), legend(marks), "1 / (1 + Λ), Smith.")
+    return Figure("Masking G₁(θ)", _masking_chart("G₁", marks), legend(marks), "1 / (1 + Λ), Smith.")
 
 
 def slope_by_scale(facets: xr.Dataset) -> Figure | None:
@@ -157,12 +165,12 @@ def slope_by_scale(facets: xr.Dataset) -> Figure | None:
 
 def _with_lay(facets: xr.Dataset) -> list[Figure]:
     density = _planar(facets)
-    lay = _lay(facets, density)
-    figures = [_lay_rose(facets, density, lay), _density_map(density, lay), *_sections(facets, density, lay)]
-    return [*figures, _masking_with_lay(facets, lay)] if "lambda_smith" in facets else figures
+    figures = [_lay_rose(facets, density), _density_map(density), *_sections(facets, density)]
+    return [*figures, _masking_with_lay(facets, density.azimuth)] if "lambda_smith" in facets else figures
 
 
-def _lay_rose(facets: xr.Dataset, density: PlanarDensity, lay: float) -> Figure:
+def _lay_rose(facets: xr.Dataset, density: PlanarDensity) -> Figure:
+    lay = density.azimuth
     azimuth = np.arange(0.0, 360.0, 3.0)
     finite = math.isfinite(_scalar(facets, "slope_rms"))
     towards = _rms_towards(density, azimuth) if finite else _mean_towards(density, azimuth)
@@ -174,48 +182,47 @@ def _lay_rose(facets: xr.Dataset, density: PlanarDensity, lay: float) -> Figure:
     return Figure("Lay", svg, entries, f"{quantity.capitalize()} {along:.3g} along the lay, {across:.3g} across it.")
 
 
-def _density_map(density: PlanarDensity, lay: float) -> Figure:
+def _density_map(density: PlanarDensity) -> Figure:
     peak = float(density.density.max())
     top = math.ceil(math.log10(peak) * _STEPS_A_DECADE) / _STEPS_A_DECADE
     bottom = top - _MAP_DECADES
     present = density.density > 10.0**bottom
-    most_x, most_y = (
-        float(np.abs(axis.nodes[present.any(axis=k)]).max()) for axis, k in ((density.x, 0), (density.y, 1))
+    along, across = (
+        float(np.abs(axis.nodes[present.any(axis=k)]).max()) for axis, k in ((density.along, 0), (density.across, 1))
     )
-    p, q = np.meshgrid(np.linspace(-most_x, most_x, _MAP_PIXELS), np.linspace(-most_y, most_y, _MAP_PIXELS))
+    pixels = np.linspace(-1, 1, _MAP_PIXELS)
     levels = _MAP_DECADES * _STEPS_A_DECADE
-    values = np.log10(np.maximum(density(p, q), 1e-300))
+    values = np.log10(np.maximum(density.principal(along * pixels, across * pixels[:, None]), 1e-300))
     first = math.ceil(bottom - 1e-9)
     svg, to_scale = framed(
-        f"Slope density over the slopes along x and y, logarithmic colours; lay {axis_degrees(lay)}",
+        f"Slope density over the slopes along the lay and across it, logarithmic colours; lay {axis_degrees(density.azimuth)}",
         png(*false_colour(values, bottom, top, levels)),
-        ("slope along x", -most_x, most_x),
-        ("slope along y", -most_y, most_y),
+        ("slope along the lay", -along, along),
+        ("slope across it", -across, across),
         "P₂₂ (log)",
         [((k - bottom) / _MAP_DECADES, power_of_ten(k)) for k in range(first, math.floor(top + 1e-9) + 1)],
         levels=levels,
     )
     note = f"Two steps of colour a decade. {'' if to_scale else 'The two slopes are not to the same scale. '}"
-    return Figure(
-        "Slope density, all azimuths", svg, note=f"{note}The slopes are smallest along the lay, {axis_degrees(lay)}."
-    )
+    lay = f"The lay runs towards {axis_degrees(density.azimuth)} from x; slopes are smallest along it."
+    return Figure("Slope density, all azimuths", svg, note=f"{note}{lay}")
 
 
-def _sections(facets: xr.Dataset, density: PlanarDensity, lay: float) -> list[Figure]:
+def _sections(facets: xr.Dataset, density: PlanarDensity) -> list[Figure]:
     """The density along the lay and across it, on common axes."""
-    azimuths = {"along": lay, "across": lay + 90}
+    azimuths = (density.azimuth, density.azimuth + 90)
     peak = float(density.density.max())
     most = max(
-        min(_reach(density, azimuth, peak), _HEAVY_TAIL * _median_towards(density, azimuth))
-        for azimuth in azimuths.values()
+        min(reach, _HEAVY_TAIL * _median_towards(density, azimuth))
+        for reach, azimuth in zip(_reach(density, peak), azimuths, strict=True)
     )
     slope = np.linspace(-most, most, 361)
     top = 10.0 ** math.ceil(math.log10(peak) + 0.05)
-    models = _planar_models(facets, density, lay)
+    models = _planar_models(facets, density)
     figures = []
-    for turn, (name, azimuth) in enumerate(azimuths.items()):
-        p, q = slope * math.cos(math.radians(azimuth)), slope * math.sin(math.radians(azimuth))
-        marks = _counted(slope, density(p, q), *_section_quality(facets, density, p, q))
+    for turn, (name, azimuth) in enumerate(zip(("along", "across"), azimuths, strict=True)):
+        section = (slope, 0 * slope)[:: -1 if turn else 1]
+        marks = _counted(slope, density.principal(*section), *_section_quality(facets, density, *section))
         marks += [Line(slope, model[turn](slope), "ref", label, pattern) for model, label, pattern in models]
         svg = chart(
             f"Slope density {name} the lay, logarithmic",
@@ -234,7 +241,7 @@ def _masking_with_lay(facets: xr.Dataset, lay: float) -> Figure:
         for turn, style, name in ((0, "c0", "along"), (90, "c2", "across"))
     ]
     note = "1 / (1 + Λ), Smith; Λ is the mean of the two opposite directions."
-    return Figure("Masking G₁(θ)", _g1_chart(marks), legend(marks), note)
+    return Figure("Masking G₁(θ)", _masking_chart("G₁", marks), legend(marks), note)
 
 
 # --- ray casting
@@ -260,7 +267,34 @@ def raycast_figure(comparison: xr.Dataset, facets: xr.Dataset | None = None) -> 
         ),
     ]
     note = "Mean over the azimuths. They agree where the facet distribution is that of the surface."
-    return Figure("Masking G₁(θ) against ray casting", _g1_chart(marks), legend(marks), note)
+    return Figure("Masking G₁(θ) against ray casting", _masking_chart("G₁", marks), legend(marks), note)
+
+
+def bistatic_figure(comparison: xr.Dataset) -> Figure | None:
+    """G2 of the mirror direction by ray casting against Smith's two forms; None where it was not cast.
+
+    Parameters
+    ----------
+    comparison : kind ``masking``
+    """
+    if "g2_raycast" not in comparison:
+        return None
+    theta = comparison["theta"].values.astype(float)
+    cast = comparison["g2_raycast"].values.astype(float)
+    seen = np.isfinite(cast)  # no facet may face both directions at grazing
+    uncertainty = comparison["g2_raycast_u"].values if "g2_raycast_u" in comparison else np.full(theta.size, np.nan)
+    marks: list[Mark] = [
+        Line(theta, comparison[name].values.astype(float), style, label, pattern)
+        for name, style, label, pattern in _SMITH_G2
+        if name in comparison
+    ]
+    label = f"rays cast over the heights, {_UNCERTAINTY}"
+    marks.append(Points(theta[seen], cast[seen], 2 * uncertainty[seen], "c2", label))
+    note = (
+        "Incidence θ, view −θ, both in one plane; mean over the azimuths, Smith with the slopes of the lines cast. "
+        "This tests Smith's assumption, which the agreement of G₁ does not."
+    )
+    return Figure("Masking and shadowing G₂(θ, −θ)", _masking_chart("G₂", marks), legend(marks), note)
 
 
 def _smith_curve(comparison: xr.Dataset, facets: xr.Dataset | None) -> tuple[Array, Array]:
@@ -314,13 +348,12 @@ def _median_slope(facets: xr.Dataset) -> float:
     return RadialDensity.of(facets).median_slope
 
 
-def _planar_models(
-    facets: xr.Dataset, density: PlanarDensity, lay: float
-) -> list[tuple[tuple[Model, Model], str, Pattern]]:
+def _planar_models(facets: xr.Dataset, density: PlanarDensity) -> list[tuple[tuple[Model, Model], str, Pattern]]:
     """Beckmann and GGX, each as its sections (along, across)."""
-    medians = np.array([_median_towards(density, azimuth) for azimuth in (lay, lay + 90)])
+    azimuths = np.array([density.azimuth, density.azimuth + 90])
+    medians = np.array([_median_towards(density, azimuth) for azimuth in azimuths.tolist()])
     if math.isfinite(_scalar(facets, "slope_rms")):
-        wide, rule = _rms_towards(density, np.array([lay, lay + 90])) * math.sqrt(2), "rms slopes"
+        wide, rule = _rms_towards(density, azimuths) * math.sqrt(2), "rms slopes"
     else:
         wide, rule = medians / _BECKMANN_MEDIAN, "median slopes"
     narrow = medians / _GGX_MEDIAN
@@ -359,15 +392,6 @@ def _planar(facets: xr.Dataset) -> PlanarDensity:
     return PlanarDensity.of(facets)
 
 
-def _lay(facets: xr.Dataset, density: PlanarDensity) -> float:
-    """The lay that the dataset states, else the azimuth towards which the slopes are least."""
-    lay = _scalar(facets, "lay")
-    if math.isfinite(lay):
-        return lay
-    azimuth = np.arange(0.0, 180.0)
-    return float(azimuth[np.argmin(_rms_towards(density, azimuth))])
-
-
 def _rms_towards(density: PlanarDensity, azimuth: Array) -> Array:
     """Slope rms about zero towards azimuths."""
     _, mean, covariance = density.moments
@@ -393,33 +417,35 @@ def _median_towards(density: PlanarDensity, azimuth: float) -> float:
     return float(np.interp(0.5 * below[-1], within, positive))
 
 
-def _reach(density: PlanarDensity, azimuth: float, peak: float) -> float:
-    """Largest slope towards an azimuth at which the density is shown."""
-    axis = density.x if abs(math.cos(math.radians(azimuth))) > 0.7 else density.y
-    slope = axis.nodes
-    values = density(slope * math.cos(math.radians(azimuth)), slope * math.sin(math.radians(azimuth)))
-    return float(np.abs(slope[values > peak * 10.0**-_DECADES_SHOWN]).max()) * 1.05
+def _reach(density: PlanarDensity, peak: float) -> tuple[float, float]:
+    """Largest slopes along the lay and across it at which the density is shown."""
+    shown = peak * 10.0**-_DECADES_SHOWN
+    along, across = density.along.nodes, density.across.nodes
+    return (
+        1.05 * float(np.abs(along[density.principal(along, 0.0) > shown]).max()),
+        1.05 * float(np.abs(across[density.principal(0.0, across) > shown]).max()),
+    )
 
 
 def _section_quality(
-    facets: xr.Dataset, density: PlanarDensity, p: Array, q: Array
+    facets: xr.Dataset, density: PlanarDensity, along: Array, across: Array
 ) -> tuple[Array | None, NDArray[np.bool_]]:
-    """Relative uncertainty, and where the density was extrapolated, at slopes (p, q)."""
+    """Relative uncertainty, and where the density was extrapolated, at slopes along the lay and across it."""
     from scipy.ndimage import map_coordinates
 
-    places = np.stack([density.y.position(q), density.x.position(p)])
+    places = np.stack([density.across.position(across), density.along.position(along)])
 
     def at(name: str, order: Literal[0, 1]) -> Array:
-        grid = facets[name].transpose("slope_y", "slope_x").values.astype(float)
+        grid = facets[name].transpose("slope_across", "slope_along").values.astype(float)
         return np.asarray(map_coordinates(grid, places, order=order, mode="nearest"))
 
-    tail = np.zeros(p.shape, dtype=bool)
+    tail = np.zeros(along.shape, dtype=bool)
     if "slope_density_quality" in facets:
         tail = at("slope_density_quality", 0) == vocabulary.quality("extrapolated")
     if "slope_density_u" not in facets:
         return None, tail
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.minimum(at("slope_density_u", 1) / density(p, q), 3.0), tail
+        return np.minimum(at("slope_density_u", 1) / density.principal(along, across), 3.0), tail
 
 
 def _lambda_towards(facets: xr.Dataset, azimuth: float) -> Array:
@@ -454,11 +480,11 @@ def _g1_line(theta: Array, lambda_smith: Array, style: str, label: str) -> Line:
     return Line(np.r_[0.0, theta], np.r_[1.0, 1 / (1 + lambda_smith)], style, label)
 
 
-def _g1_chart(marks: Sequence[Mark]) -> Markup:
+def _masking_chart(name: str, marks: Sequence[Mark]) -> Markup:
     return chart(
-        "Masking G1 against the polar angle",
+        f"Masking {name} against the polar angle",
         Axis("angle from the normal θ, degree", 0.0, 90.0, step=15),
-        Axis("G₁, visible fraction of the facets", 0.0, 1.02, step=0.2),
+        Axis(f"{name}, visible fraction of the facets", 0.0, 1.02, step=0.2),
         marks,
     )
 

@@ -11,23 +11,31 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from markupsafe import Markup
 
 from brdfpipe import vocabulary
+from brdfpipe.bsdf import representations
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.report import figures, finish
+from brdfpipe.report import effect, figures, finish, lobes, reflection, scattering
 from brdfpipe.report.pages import MISSING, colour, fixed, grouped, number, render
-from brdfpipe.report.svg import Figure
+from brdfpipe.report.svg import Figure, png, sentence
 
 STAGES = (
     "surface",
     "facets",
+    "back_surface",
+    "back_facets",
     "masking",
     "spectrum",
     "index",
+    "interior",
+    "multiangle",
     "predicted",
+    "flake",
     "bsdf",
     "checks",
     "appearance",
+    "preview",
     "table",
     "lambert_gauss",
 )
@@ -45,7 +53,15 @@ _FACETS = {
     "noise_ratio": "rms slope over 1 pixel / over 2 pixels",
 }
 
-_CHECKS = ("reciprocity_residual", "energy_excess", "negative_fraction", "closure_residual", "floor")
+_CHECKS = (
+    "reciprocity_residual",
+    "energy_excess",
+    "negative_fraction",
+    "integral_residual",
+    "closure_residual",
+    "grazing_growth",
+    "floor",
+)
 _COUNTS = ("facet_count", "effective_count")
 
 HIGH_GLOSS = 70.0
@@ -53,6 +69,18 @@ HIGH_GLOSS = 70.0
 
 RESIDUAL_LIMIT = 0.2
 """Misfit above which a Gaussian does not describe the lobe."""
+
+MASKING_LIMIT = 0.03
+"""Difference of G1 between rays and Smith above which the page explains it."""
+
+_METALLIC = 0.1
+"""Extinction coefficient above which no light returns from within a body."""
+
+LOSS_LIMIT = 0.01
+"""Share of the light lost to multiple scattering above which the page says what to do."""
+
+_NO_LOSS = 1e-4
+_ENERGY_EXACT = ("height-correlated", "separable")
 
 _NANOMETRES_BELOW = 0.1
 """Lengths below this [µm] are written in nm."""
@@ -116,6 +144,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
     sections = [
         _appearance(known),
         _spectral(known),
+        _effect(known),
         _relief(known, numbers),
         _finish(known),
         _fit(known),
@@ -129,6 +158,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
         route=_route_words(known),
         patch=preview(known.get("appearance")),
         viewing=_viewing(known.get("appearance")),
+        look=_look(known.get("preview")),
         verdicts=found,
         facts=list(_facts(known, numbers)),
         limits=list(_limits(known)),
@@ -212,6 +242,30 @@ def luminous_reflectance(datasets: Mapping[str, xr.Dataset]) -> float:
 # --- the head of the page
 
 
+_LIGHT = {
+    "studio": "three soft boxes and a dim sky",
+    "sun": "a small sun and a clear sky",
+    "overcast": "an overcast sky",
+}
+
+
+def _look(picture: xr.Dataset | None) -> Figure | None:
+    """The picture of the material."""
+    if picture is None:
+        return None
+    pixels = picture["picture"].values
+    uri = Markup('<img class="look" src="{}" width="{}" height="{}" alt="{}">')
+    light = _LIGHT.get(str(picture.attrs["light"]), "lights")
+    words = f"Sphere and flat panel under {light}"
+    return Figure(
+        "How it would look",
+        uri.format(png(pixels), pixels.shape[1], pixels.shape[0], words),
+        note=f"{words} of {picture.attrs['illuminant']}, computed from the BRDF. The exposure is the same for every material: "
+        f"a perfect white diffuser reaches {100 * float(picture.attrs['white_level']):.0f} % of the screen's white, brighter light "
+        "is compressed.",
+    )
+
+
 def _facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Iterator[Fact]:
     appearance = datasets.get("appearance")
     if finish_known(datasets):
@@ -230,7 +284,16 @@ def _facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArra
     luminous = luminous_reflectance(datasets)
     if math.isfinite(luminous):
         yield Fact("Total reflectance", fixed(100 * luminous, 1), "%", "V(λ), D65")
+    yield from _transmittance_fact(datasets.get("bsdf"))
     yield from _roughness_facts(datasets, numbers)
+
+
+def _transmittance_fact(bsdf: xr.Dataset | None) -> Iterator[Fact]:
+    if bsdf is not None and representations.transmits(bsdf):
+        passed = scattering.transmittance(bsdf, scattering.planes(bsdf)[0], np.zeros(1))
+        yield Fact(
+            "Transmittance", fixed(100 * float(passed[0]), 1), "%", f"at 0°, {scattering.wavelength_words(bsdf)}"
+        )
 
 
 def _roughness_facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Iterator[Fact]:
@@ -241,7 +304,7 @@ def _roughness_facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, x
     if facets is not None and "slope_rms" in facets and math.isfinite(float(facets["slope_rms"])):
         hint = f"all azimuths, {number(math.degrees(math.atan(float(facets['slope_rms']))), 2)}°"
         yield Fact("rms slope", number(float(facets["slope_rms"])), "", hint)
-    if facets is not None and "slope_x" in facets.dims and "anisotropy" in facets:
+    if facets is not None and "slope_along" in facets.dims and "anisotropy" in facets:
         hint = f"lay {finish.axis_degrees(float(facets['lay']))}" if "lay" in facets else ""
         yield Fact("Anisotropy", number(float(facets["anisotropy"])), "", hint)
 
@@ -261,7 +324,7 @@ def _limits(datasets: Mapping[str, xr.Dataset]) -> Iterator[str]:
             f"The surface finish is assumed{f' ({method})' if method else ''}, not measured. Gloss, haze and the angular "
             "figures follow from the assumption; give `surface: file` in material.yaml to use a measurement."
         )
-    if "spectrum" not in datasets:
+    if not {"spectrum", "multiangle"} & set(datasets) and not _without_base(datasets.get("bsdf")):
         yield (
             "Colour and diffuse reflection are not modelled. No spectrum is known, so the BRDF holds the light mirrored by the "
             "facets alone; give `spectrum` in material.yaml to model the rest."
@@ -272,6 +335,13 @@ def _limits(datasets: Mapping[str, xr.Dataset]) -> Iterator[str]:
         yield "The BRDF was not checked for reciprocity and energy."
     if "appearance" not in datasets:
         yield "Gloss, haze and colour were not computed."
+
+
+def _without_base(bsdf: xr.Dataset | None) -> bool:
+    """Whether no light comes from below the surface by its nature: a metal, or a body that light passes."""
+    if bsdf is None:
+        return False
+    return representations.transmits(bsdf) or ("k" in bsdf and float(bsdf["k"].min()) > _METALLIC)
 
 
 def _route_words(datasets: Mapping[str, xr.Dataset]) -> str:
@@ -286,6 +356,8 @@ def route(datasets: Mapping[str, xr.Dataset]) -> str:
 def basis(datasets: Mapping[str, xr.Dataset]) -> str:
     """What it rests on: ``surface + spectrum``, ``assumed finish``, …"""
     finish = "surface" if "surface" in datasets else "assumed finish" if "facets" in datasets else ""
+    if route(datasets) == "flake" and "multiangle" in datasets:
+        return f"colours at {datasets['multiangle'].sizes['geometry']} geometries"
     return " + ".join(part for part in (finish, "spectrum" if "spectrum" in datasets else "") if part)
 
 
@@ -299,20 +371,64 @@ def _viewing(appearance: xr.Dataset | None) -> str:
 
 
 def _appearance(datasets: Mapping[str, xr.Dataset]) -> Section:
-    section = Section("Reflection")
     bsdf, checks, appearance = datasets.get("bsdf"), datasets.get("checks"), datasets.get("appearance")
+    passes = bsdf is not None and representations.transmits(bsdf)
+    section = Section("Reflection and transmission" if passes else "Reflection")
     if bsdf is not None:
         try:
-            cuts = figures.polar_cuts(bsdf)
+            section.figures += [*reflection.cuts(bsdf), *lobes.directional_maps(bsdf)]
         except BrdfpipeError as error:  # a measured table may not reach the directions shown
-            section.tables.append(Table("BRDF in the plane of incidence", (), (), f"Not shown: {error}"))
-        else:
-            section.figures += cuts or ()
-    curve = figures.albedo(checks, bsdf)
-    section.figures += [curve] if curve else []
+            section.figures.append(sentence("BRDF in the plane of incidence", f"Not shown: {error}"))
+    section.figures += reflection.shares(checks, bsdf)
+    polarised = lobes.polarisation(bsdf) if bsdf is not None else None
+    section.figures += [polarised] if polarised else []
     table = _gloss_table(appearance, finish_known(datasets))
     section.tables += [table] if table else []
+    section.tables += [_model_table(bsdf)] if bsdf is not None and "masking" in bsdf.attrs else []
     return section
+
+
+_MODEL = {
+    "recipe": "Recipe",
+    "masking": "Masking",
+    "diffuse_mode": "Diffuse part",
+    "multiple_scattering": "Multiple scattering",
+    "transmission": "Transmission",
+}
+
+
+def _model_table(bsdf: xr.Dataset) -> Table:
+    rows = [(title, str(bsdf.attrs[name])) for name, title in _MODEL.items() if name in bsdf.attrs]
+    several = None if representations.transmits(bsdf) else reflection.multiple_scattering(bsdf)
+    if several is None:  # of what transmits, the balance tells
+        return Table("Model", ("Choice", "Value"), rows)
+    masking = str(bsdf.attrs["masking"])
+    if masking not in _ENERGY_EXACT:
+        return Table("Model", ("Choice", "Value"), rows, _inexact_words(several, masking))
+    title = "Light reflected more than once" + (", given back" if several.compensated else ", left out")
+    rows.append((title, _percent(several.share)))
+    return Table("Model", ("Choice", "Value"), rows, *_multiple_words(several))
+
+
+def _inexact_words(several: reflection.MultipleScattering, masking: str) -> str:
+    return (
+        f"Masking `{masking}` is its source's own choice and need not keep energy: facets that were perfect mirrors would give out "
+        f"{_percent(1 - several.mirrors)} of the light, mean over the hemisphere. `model.masking: height-correlated` never gives out more "
+        "than arrives at any incidence; the checks say where this one does."
+    )
+
+
+def _multiple_words(several: reflection.MultipleScattering) -> tuple[str, str]:
+    """What is to be known of light that the facets reflect more than once, and what must not be missed."""
+    bound = f"mean over the hemisphere; of facets that were perfect mirrors, {_percent(max(several.mirrors, 0.0))}"
+    if several.compensated:
+        given = f"The light that leaves after a second reflection or more, {_percent(several.share)} ({bound}), is given back, diffuse."
+        return given, ""
+    lost = f"The plain model loses {_percent(several.share)} of the light to multiple scattering ({bound})"
+    if several.share < _NO_LOSS:
+        return f"{lost}: nothing worth giving back.", ""
+    advice = f"{lost}; set `model.multiple_scattering: compensated` to give it back."
+    return ("", advice) if several.share >= LOSS_LIMIT else (advice, "")
 
 
 def _gloss_table(appearance: xr.Dataset | None, known: bool) -> Table | None:
@@ -363,6 +479,22 @@ def _lab_table(appearance: xr.Dataset) -> Table:
     return Table(f"L*a*b*, {_viewing(appearance)}", ("Geometry", "L*", "a*", "b*"), rows, note)
 
 
+def _effect(datasets: Mapping[str, xr.Dataset]) -> Section:
+    section = Section("Effect pigments")
+    flake, multiangle = datasets.get("flake"), datasets.get("multiangle")
+    if flake is None or multiangle is None:
+        return section
+    section.figures.append(effect.fall(flake, multiangle))
+    note = (
+        "θf: flake angle. ΔE00: of the fitted colour; left out: of the colour that the fit to the other geometries gives here, which "
+        "takes four geometries or more."
+    )
+    section.tables.append(Table("Measured geometries", *effect.geometry_rows(flake, multiangle), note))
+    words = "A and C on the scale of Y = 100." if "channel" in flake.dims else "A and C as fractions."
+    section.tables.append(Table("Fit along the flake angle", *effect.parameter_rows(flake), words))
+    return section
+
+
 def _index_table(index: xr.Dataset) -> Table:
     lines = np.array([486.1, 587.6, 656.3])  # the Fraunhofer lines F, d and C, at which indices are quoted
     own = np.atleast_1d(index["wavelength"].values) if "wavelength" in index.coords else lines
@@ -406,6 +538,8 @@ def _finish(datasets: Mapping[str, xr.Dataset]) -> Section:
         section.tables.append(_facet_table(datasets["facets"]))
     if "masking" in datasets:
         section.figures.append(finish.raycast_figure(datasets["masking"], datasets.get("facets")))
+        bistatic = finish.bistatic_figure(datasets["masking"])
+        section.figures += [bistatic] if bistatic else []
         section.tables.append(_raycast_table(datasets["masking"]))
     return section
 
@@ -438,7 +572,24 @@ def _raycast_table(comparison: xr.Dataset) -> Table:
         for theta, cast, doubt, smith in np.stack(columns, axis=1).tolist()
     ]
     header = ("θ", "Ray casting", "± 2 u", "Smith", "Difference")
-    return Table("G₁ by ray casting and after Smith", header, rows, _attributes(comparison, ("method",)))
+    title, note = "G₁ by ray casting and after Smith", _attributes(comparison, ("method",))
+    return Table(title, header, rows, note, _disagreement(comparison))
+
+
+def _disagreement(comparison: xr.Dataset) -> str:
+    """What a difference between rays and Smith means and what to do; empty where it is small or within the uncertainty."""
+    difference = np.abs(comparison["g1_raycast"].values - comparison["g1_smith"].values)
+    doubt = np.nan_to_num(2 * finish.raycast_uncertainty(comparison))
+    largest = int(np.argmax(np.where(difference > doubt, difference, 0.0)))
+    if difference[largest] <= max(MASKING_LIMIT, doubt[largest]):
+        return ""
+    return (
+        f"Rays and Smith differ by up to {fixed(difference[largest], 2)}, at {comparison['theta'].values[largest]:g}°. "
+        "On the slopes of one line the two agree exactly: the facets counted are not those along the lines cast. Reasons are "
+        "slopes that still rise towards one pixel (noise, or too wide a pitch), a lay taken for isotropic, missing heights, or "
+        "too few independent facets. Measure more finely, with less noise or over a larger area, or check surface.isotropic; "
+        "until then gloss and reflection at grazing angles are no better known than this."
+    )
 
 
 def _fit(datasets: Mapping[str, xr.Dataset]) -> Section:
@@ -457,12 +608,13 @@ def _fit(datasets: Mapping[str, xr.Dataset]) -> Section:
     theta_i = np.atleast_1d(fit["theta_i"].values)
     present = [(name, title, factor) for name, title, factor in columns if name in fit]
     values = [
-        np.broadcast_to(factor * figures.at_reference(fit[name]).values, theta_i.shape) for name, _, factor in present
+        np.broadcast_to(factor * scattering.at_reference(fit[name]).values, theta_i.shape)
+        for name, _, factor in present
     ]
     rows = [(f"{angle:g}°", *(number(value[k]) for value in values)) for k, angle in enumerate(theta_i)]
     note = "The residual is the flux-weighted rms misfit over the flux-weighted rms BRDF."
     if "wavelength" in fit["lambert"].dims:
-        note = f"Lambertian ρ {figures.wavelength_words(fit)}. {note}"
+        note = f"Lambertian ρ {scattering.wavelength_words(fit)}. {note}"
     header = ("Incidence", *(title for _, title, _ in present))
     section.tables.append(Table("Fit for each angle of incidence", header, rows, note, _misfit(fit)))
     return section
@@ -515,6 +667,10 @@ def _mapping(text: object) -> dict[str, Any]:
 
 
 # --- words and numbers
+
+
+def _percent(share: float) -> str:
+    return f"{number(100 * share, 2)}\u202f%"
 
 
 def _named(scalar: xr.DataArray) -> tuple[str, str]:

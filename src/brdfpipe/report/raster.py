@@ -13,6 +13,10 @@ from brdfpipe.report.svg import Array, frame, image, linear_ticks, png, text
 _MISSING_COLOUR = (240, 90, 120)
 _LEVELS = 160
 
+DISC_CENTRE = (212.0, 186.0)
+"""Of a picture of the hemisphere, figure units"""
+DISC_RADIUS = 158.0
+
 Ticks = Sequence[tuple[float, str]]
 """(fraction of the bar from its lower end, label)"""
 
@@ -78,6 +82,48 @@ def framed(
     parts.append(text(left - 50, 15, y[0], "start", "t"))
     parts += _colour_bar(left + wide + 18, top, tall, unit, bar, levels)
     return frame(description, height, parts), bool(np.isclose(wide / extent_x, tall / extent_y, rtol=1e-6))
+
+
+def disc(
+    description: str, uri: str, margin: float, unit: str, bar: Ticks, signs: Sequence[str], *, levels: int = 64
+) -> Markup:
+    """A picture of the hemisphere of directions, seen along the normal, with a colour bar.
+
+    Parameters
+    ----------
+    description : what a person who cannot see it should know
+    uri : data URI of the image
+    margin : direction cosine at its edges, a little above 1
+    unit : what the colours mean
+    bar : ticks of the colour bar
+    signs : marks on the disc, in figure units (:func:`on_disc`)
+    levels : number of colours of the bar
+    """
+    side = 2 * DISC_RADIUS * margin
+    left, top = DISC_CENTRE[0] - side / 2, DISC_CENTRE[1] - side / 2
+    parts = [image(uri, left, top, side, side, smooth=True)]
+    for angle in (30, 60, 90):
+        r = DISC_RADIUS * np.sin(np.radians(angle))
+        style = "a" if angle == 90 else "v"
+        parts.append(f'<circle class="{style}" cx="{DISC_CENTRE[0]:g}" cy="{DISC_CENTRE[1]:g}" r="{r:.1f}"/>')
+        parts.append(
+            text(
+                DISC_CENTRE[0],
+                DISC_CENTRE[1] - r + (14 if angle < 90 else -6),
+                f"{angle}°",
+                "middle",
+                "w" if angle < 90 else "",
+            )
+        )
+    parts += signs
+    parts += _colour_bar(410, DISC_CENTRE[1] - DISC_RADIUS, 2 * DISC_RADIUS, unit, bar, levels)
+    return frame(description, DISC_CENTRE[1] + DISC_RADIUS + 14, parts)
+
+
+def on_disc(theta: float, azimuth: float) -> tuple[float, float]:
+    """Where a direction stands on a disc, in figure units; azimuth 0 to the right, counter-clockwise [degree]."""
+    r = DISC_RADIUS * np.sin(np.radians(theta))
+    return DISC_CENTRE[0] + r * np.cos(np.radians(azimuth)), DISC_CENTRE[1] - r * np.sin(np.radians(azimuth))
 
 
 def _colour_bar(x: float, top: float, tall: float, unit: str, ticks: Ticks, levels: int) -> list[str]:

@@ -111,6 +111,11 @@ class Figure:
     note: str = ""
 
 
+def sentence(title: str, words: str) -> Figure:
+    """What is said where a picture would be empty."""
+    return Figure(title, Markup(""), note=words)
+
+
 def legend(marks: Sequence[Mark]) -> tuple[tuple[str, str, str], ...]:
     """The legend of a chart's labelled marks; a single mark needs none beside the caption."""
     entries = tuple((_shape(mark), mark.style, mark.label) for mark in marks if mark.label)
@@ -151,8 +156,15 @@ def chart(description: str, x: Axis, y: Axis, marks: Sequence[Mark], *, height: 
     return frame(description, height, parts)
 
 
-def polar(description: str, decades: tuple[int, int], marks: Sequence[Line], incidences: Sequence[float]) -> Markup:
-    """A goniometric half disc: angle from the normal, radius logarithmic.
+def polar(
+    description: str,
+    decades: tuple[int, int],
+    marks: Sequence[Line],
+    incidences: Sequence[float],
+    below: Sequence[Line] = (),
+    quantity: str = "BRDF",
+) -> Markup:
+    """A goniometric half disc, or a full one: angle from the normal, radius logarithmic.
 
     Parameters
     ----------
@@ -160,36 +172,55 @@ def polar(description: str, decades: tuple[int, int], marks: Sequence[Line], inc
     decades : exponents of ten at the centre and at the rim
     marks : x in degree from the normal (negative on the side of the source), y the value; one for each incidence
     incidences : degree; where the source of each mark stands
+    below : the same from the lower normal, of the light that passes; without it the disc is a half one
+    quantity : what the radius is
     """
-    radius, centre_x, centre_y, height = 218.0, WIDTH / 2, 250.0, 300
+    radius = 190.0 if below else 218.0
+    centre_x, centre_y, height = WIDTH / 2, radius + 32, 2 * radius + 72 if below else 300
     low, high = decades
     axis = Axis("", 10.0**low, 10.0**high, log=True)
     parts: list[str] = []
     for exponent in range(low + 1, high + 1):
         r = radius * (exponent - low) / (high - low)
-        parts.append(f'<path class="g" d="M{centre_x - r:.1f} {centre_y:g}a{r:.1f} {r:.1f} 0 0 1 {2 * r:.1f} 0"/>')
-    for angle in range(-90, 91, 15):
+        half = f"a{r:.1f} {r:.1f} 0 0 1 "
+        rest = f"{half}{-2 * r:.1f} 0" if below else ""
+        parts.append(f'<path class="g" d="M{centre_x - r:.1f} {centre_y:g}{half}{2 * r:.1f} 0{rest}"/>')
+    for angle in range(-165, 181, 15) if below else range(-90, 91, 15):
         sine, cosine = np.sin(np.radians(angle)), np.cos(np.radians(angle))
         end_x, end_y = centre_x + radius * sine, centre_y - radius * cosine
         parts.append(f'<path class="g" d="M{centre_x:g} {centre_y:g}L{end_x:.1f} {end_y:.1f}"/>')
         if angle % 30 == 0:
-            anchor = "middle" if angle == 0 else "start" if angle > 0 else "end"
-            name = f"{abs(angle)}°"
-            parts.append(text(centre_x + (radius + 8) * sine, centre_y - (radius + 8) * cosine, name, anchor))
+            anchor = "middle" if angle % 180 == 0 else "start" if angle > 0 else "end"
+            drop = 4 - 4 * cosine if below else 0.0
+            at_y = centre_y - (radius + 8) * cosine + drop
+            parts.append(text(centre_x + (radius + 8) * sine, at_y, f"{abs(angle)}°", anchor))
     for mark, incidence in zip(marks, incidences, strict=True):
-        reach = radius * np.clip(axis.place(mark.y), 0, 1)
-        angles = np.radians(np.asarray(mark.x, dtype=float))
-        parts.append(path(centre_x + reach * np.sin(angles), centre_y - reach * np.cos(angles), f"l {mark.style}"))
+        parts.append(_ray(mark, axis, centre_x, centre_y, radius, 1))
         parts.append(_source(centre_x, centre_y, radius, incidence, mark.style))
+    parts += [_ray(mark, axis, centre_x, centre_y, radius, -1) for mark in below]
     parts.append(f'<path class="a" d="M{centre_x - radius:g} {centre_y:g}h{2 * radius:g}"/>')
     skip = max(1, round((high - low) / 4))
-    for exponent in range(high, low, -skip):
+    halo = "h" if below else ""
+    for exponent in range(high - skip if below else high, low, -skip):
         r = radius * (exponent - low) / (high - low)
-        parts.append(text(centre_x + r, centre_y + 16, power_of_ten(exponent), "middle"))
-    parts.append(text(centre_x, centre_y + 16, power_of_ten(low), "middle"))
-    parts.append(text(centre_x - radius, centre_y + 16, "side of the source", "start", "t"))
-    parts.append(text(centre_x + radius, height - 8, "BRDF, sr⁻¹ (log)", "end", "t"))
+        parts.append(text(centre_x + r, centre_y + 16, power_of_ten(exponent), "middle", halo))
+    parts.append(text(centre_x, centre_y + 16, power_of_ten(low), "middle", halo))
+    if below:
+        parts.append(text(4, 15, "side of the source", "start", "t"))
+        parts.append(
+            text(centre_x + radius, height - 4, f"{quantity}, sr⁻¹ (log); rim {power_of_ten(high)}", "end", "t")
+        )
+    else:
+        parts.append(text(centre_x - radius, centre_y + 16, "side of the source", "start", "t"))
+        parts.append(text(centre_x + radius, height - 8, f"{quantity}, sr⁻¹ (log)", "end", "t"))
     return frame(description, height, parts)
+
+
+def _ray(mark: Line, axis: Axis, centre_x: float, centre_y: float, radius: float, up: int) -> str:
+    """A curve of a goniometric plot, on the upper (1) or lower (-1) half."""
+    reach = radius * np.clip(axis.place(mark.y), 0, 1)
+    angles = np.radians(np.asarray(mark.x, dtype=float))
+    return path(centre_x + reach * np.sin(angles), centre_y - up * reach * np.cos(angles), f"l {mark.style}")
 
 
 def rose(description: str, unit: str, azimuth: ArrayLike, value: ArrayLike, axis: float) -> Markup:
@@ -244,21 +275,23 @@ def text(x: float, y: float, content: str, anchor: str = "start", style: str = "
     return f'<text x="{x:.1f}" y="{y:.1f}"{place}{attribute}>{escape(content)}</text>'
 
 
-def image(uri: str, x: float, y: float, width: float, height: float) -> str:
-    """A raster image stretched over a box, pixels kept sharp."""
+def image(uri: str, x: float, y: float, width: float, height: float, *, smooth: bool = False) -> str:
+    """A raster image stretched over a box, pixels kept sharp unless ``smooth``."""
+    sharp = "" if smooth else ' class="px"'
     return (
-        f'<image x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" preserveAspectRatio="none" '
-        f'class="px" href="{uri}"/>'
+        f'<image x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" preserveAspectRatio="none"{sharp} '
+        f'href="{uri}"/>'
     )
 
 
-def png(pixels: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None) -> str:
+def png(pixels: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None, *, clear: int | None = None) -> str:
     """Data URI of an image.
 
     Parameters
     ----------
     pixels : (rows, columns) palette indices, or (rows, columns, 3) sRGB
     palette : (≤256, 3) sRGB
+    clear : the palette index that is transparent
     """
     from PIL import Image
 
@@ -266,7 +299,8 @@ def png(pixels: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None) -> 
     if palette is not None:
         picture.putpalette(palette.astype(np.uint8).tobytes())
     stream = BytesIO()
-    picture.save(stream, "PNG", optimize=False, compress_level=9)
+    options = {} if clear is None else {"transparency": clear}
+    picture.save(stream, "PNG", optimize=False, compress_level=9, **options)
     return "data:image/png;base64," + b64encode(stream.getvalue()).decode("ascii")
 
 
