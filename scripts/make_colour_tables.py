@@ -1,4 +1,4 @@
-"""Write the colour-matching functions and illuminants that brdfpipe ships, from the colour-science package.
+"""Write the colour-matching functions, illuminants and basis spectra that brdfpipe ships, from the colour-science package.
 
 Run ``python scripts/make_colour_tables.py`` after a change here; a test compares the shipped files with what this writes.
 """
@@ -14,10 +14,11 @@ TABLES = Path(__file__).parents[1] / "src" / "brdfpipe" / "spectra" / "tables"
 WAVELENGTH = np.arange(360, 781, 5)
 OBSERVERS = {"2": "CIE 1931 2 Degree Standard Observer", "10": "CIE 1964 10 Degree Standard Observer"}
 ILLUMINANTS = ("D65", "A", "D50", "C", "E", "FL2", "LED-B3")
+BASIS = ("red", "green", "blue", "cyan")
 
 
 def main() -> None:
-    """Write both tables."""
+    """Write the tables."""
     TABLES.mkdir(exist_ok=True)
     for name, text in tables().items():
         (TABLES / name).write_bytes(text.encode("ascii"))
@@ -31,6 +32,7 @@ def tables() -> dict[str, str]:
 
         matching = [colour.MSDS_CMFS[title][WAVELENGTH] for title in OBSERVERS.values()]
         power = [_power(colour.SDS_ILLUMINANTS[name]) for name in ILLUMINANTS]
+        basis = [_reflectance(colour.recovery.SDS_SMITS1999[name]) for name in BASIS]
         version = colour.__version__
     observers = [f"{axis}{observer}" for observer in OBSERVERS for axis in "xyz"]
     return {
@@ -46,12 +48,23 @@ def tables() -> dict[str, str]:
             list(ILLUMINANTS),
             np.stack(power, axis=1),
         ),
+        "basis.csv": _csv(
+            "Four basis reflectances of Smits 1999 (J. Graphics Tools 4, 11), straight between the centres of its ten bins, peak 1",
+            version,
+            list(BASIS),
+            np.stack(basis, axis=1),
+        ),
     }
 
 
 def _power(illuminant: object) -> np.ndarray:
     known = dict(zip(illuminant.wavelengths, illuminant.values, strict=True))  # type: ignore[attr-defined]
     return np.array([known.get(float(wavelength), 0.0) for wavelength in WAVELENGTH])
+
+
+def _reflectance(bins: object) -> np.ndarray:
+    values = np.interp(WAVELENGTH, bins.wavelengths, bins.values)  # type: ignore[attr-defined]
+    return values / values.max()
 
 
 def _csv(title: str, version: str, names: list[str], values: np.ndarray) -> str:
