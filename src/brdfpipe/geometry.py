@@ -50,11 +50,10 @@ def half_vector(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
     angles, t = tan(θ/2): sin θ_i − sin θ_o = 2 (t_i − t_o)(1 − t_i t_o) / [(1 + t_i²)(1 + t_o²)].
     """
     t_i, t_o = tan_half(theta_i), tan_half(theta_o)
-    over_i, over_o = 1 / (1 + t_i * t_i), 1 / (1 + t_o * t_o)
-    sin_i, sin_o = 2 * t_i * over_i, 2 * t_o * over_o
-    cos_i, cos_o = (1 - t_i) * (1 + t_i) * over_i, (1 - t_o) * (1 + t_o) * over_o
+    over_i, over_o = 2 / (1 + t_i * t_i), 2 / (1 + t_o * t_o)
+    sin_i, sin_o, cos_i, cos_o = t_i * over_i, t_o * over_o, over_i - 1, over_o - 1
     t_phi = tan_half(np.asarray(phi_i, dtype=float) - phi_o)
-    difference = 2 * (t_i - t_o) * (1 - t_i * t_o) * (over_i * over_o)
+    difference = (t_i - t_o) * (1 - t_i * t_o) * (over_i * over_o / 2)
     tangential = difference * difference + 4 * (sin_i * sin_o) / (1 + t_phi * t_phi)
     normal = cos_i + cos_o
     normal *= normal
@@ -141,6 +140,8 @@ def broadcast(**angles: xr.DataArray | Array) -> tuple[xr.DataArray, ...]:
         name: angle if isinstance(angle, xr.DataArray) else xr.DataArray(np.broadcast_to(angle, shape), dims=dims)
         for name, angle in angles.items()
     }
+    if len(plain) == len(angles):
+        return tuple(labelled.values())
     if any("wavelength" in angle.dims for angle in labelled.values()):
         raise VocabularyError(
             "angles have the dimension 'wavelength'; wavelengths are a dimension of their own, and an argument"

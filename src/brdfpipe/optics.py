@@ -97,8 +97,11 @@ def _absorbing(c: Array, n: Array, k: Array) -> tuple[Array, Array]:
 def _checked_cosine(cos_zeta: ArrayLike) -> Array:
     c = np.asarray(cos_zeta, dtype=float)
     # NaN fails the comparison, and so is refused with the rest.
-    if c.size and not (c.min() >= -_ROUNDING and c.max() <= 1 + _ROUNDING):
-        raise BrdfpipeError(f"cos_zeta spans {c.min():g} to {c.max():g}; accepted: cosines in [0, 1]")
+    low, high = (c.min(), c.max()) if c.size else (0.0, 1.0)
+    if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
+        raise BrdfpipeError(f"cos_zeta spans {low:g} to {high:g}; accepted: cosines in [0, 1]")
+    if low >= 0 and high <= 1:
+        return c
     clipped: Array = np.clip(c, 0.0, 1.0)
     return clipped
 

@@ -77,9 +77,10 @@ class Model:
         shape = angles[0].shape
         flat = [angle.reshape(-1) for angle in angles]
         width = max(each.shape[-1] for each in (self.n, self.diffuse, self.compensation))
-        result = np.zeros((flat[0].size, width))
         in_above, out_above = flat[0] < 90, flat[2] < 90
-        self._fill(result, in_above & out_above, self._reflected, flat)
+        above = in_above & out_above
+        result = np.empty((flat[0].size, width)) if above.all() else np.zeros((flat[0].size, width))
+        self._fill(result, above, self._reflected, flat)
         if self.transparent:
             in_below, out_below = flat[0] > 90, flat[2] > 90
             self._fill(result, in_below & out_below, self._reflected_below, flat)
