@@ -217,7 +217,9 @@ def test_a_metal_may_have_an_index_below_one(tmp_path: Path) -> None:
 
 
 def test_a_table_of_another_format_is_refused_with_those_read(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"n\.json: this kind of index file is not read; found \.json; accepted: .*\.txt.*\.yml"):
+    with pytest.raises(
+        InputError, match=r"n\.json: this kind of index file is not read; found \.json; accepted: .*\.txt.*\.yml"
+    ):
         optics.refractive_index(write(tmp_path, "400 1.6\n", "n.json"))
 
 

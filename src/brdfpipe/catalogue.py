@@ -116,7 +116,7 @@ class Material:
         if stage == "bsdf":
             return {"route": "flake" if self.has("multiangle") else "predicted"}
         if stage == "appearance":
-            return {key: config[key] for key in ("illuminant", "observer", "gloss_angles")}
+            return {key: config[key] for key in ("illuminant", "observer", "gloss_angles")} | dict(config["appearance"])
         if stage == "preview":
             return {"illuminant": config["illuminant"], "light": config["preview_light"]}
         if stage in ("table", "lambert_gauss"):

@@ -134,7 +134,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "lobe_scale": Quantity("degree", "width up to which the table of a slab counts distances evenly", 0),
     "index_node": Quantity("1", "refractive index at which a slab is tabulated", 1),
     "depth_node": Quantity("1", "root of the internal optical depth, √(-ln τ), at which a slab is tabulated", 0),
-    "quadrature_error": Quantity("1", "share of light by which sums over nodes missed what they were then scaled to", 0),
+    "quadrature_error": Quantity(
+        "1", "share of light by which sums over nodes missed what they were then scaled to", 0
+    ),
     "interpolation_error": Quantity("1", "error of the tabulated part between its nodes, in the worst incidence", 0),
     "tristimulus": Quantity("1", "CIE tristimulus values, Y = 100 for the perfect diffuser", 0),
     "reflectance_factor": Quantity(
@@ -187,6 +189,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "gloss_along": Quantity("1", "gloss units, plane of incidence along the lay, D523-style", 0),
     "gloss_across": Quantity("1", "gloss units, plane of incidence across the lay, D523-style", 0),
     "haze": Quantity("1", "gloss at 60 degree minus gloss at 20 degree, D4039-style", missing=True),
+    "reflectance_haze": Quantity(
+        "1", "light beside the mirror image of a source, black glass being 100, ISO 13803-style", 0
+    ),
     "lab_along": Quantity("1", "CIE 1976 L*a*b*, plane of incidence along the lay", missing=True),
     "lab_across": Quantity("1", "CIE 1976 L*a*b*, plane of incidence across the lay", missing=True),
     "luminous_transmittance": Quantity(
@@ -268,6 +273,8 @@ KINDS: Mapping[str, Kind] = {
             "srgb": [("channel",)],
         },
         optional={
+            "gloss_u": [("gloss_angle",)],
+            "reflectance_haze": [("haze_window",)],
             "lay": _SCALAR,
             "gloss_along": [("gloss_angle",)],
             "gloss_across": [("gloss_angle",)],

@@ -11,6 +11,7 @@ import samples
 from brdfpipe import appearance, facets, vocabulary
 from brdfpipe.appearance.colour import colour, flop_index
 from brdfpipe.bsdf import lambert_gauss, microfacet
+from brdfpipe.flakes import SETS
 
 
 def test_flop_index_is_the_printed_one():
@@ -56,6 +57,58 @@ def test_an_appraisal_holds_together():
     assert float(found["luminous_reflectance"]) == pytest.approx(0.2, abs=1e-9)
     assert found["srgb"].values == pytest.approx(np.full(3, 0.4845), abs=1e-3)
     assert json.dumps(found.attrs)
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_every_standard_and_instrument_sees_a_white_lambertian_white(name):
+    lab = colour(lambert_gauss.lambertian(samples.spectrum(1.0)), [name])
+    assert lab["geometry"].values.tolist() == ["8:total", *SETS[name]]
+    assert lab.sel(component="L*").values == pytest.approx(100, abs=1e-9)
+
+
+def test_colours_of_a_set_are_those_of_the_prediction():
+    bsdf = samples.beckmann_bsdf(0.3, reflectance=0.2)
+    expected = appearance.predicted_colours(bsdf, "MA-T12")["lab"].values
+    assert colour(bsdf, ["MA-T12"]).values[1:] == pytest.approx(expected, abs=1e-9)
+
+
+def test_an_appraisal_at_further_geometries_keeps_those_that_are_always_there():
+    bsdf = samples.beckmann_bsdf(0.3, reflectance=0.2)
+    plain, more = appearance.appraise(bsdf), appearance.appraise(bsdf, geometries=["E2194", "DIN 6175-2", "E2539"])
+    names = more["geometry"].values.tolist()
+    assert names[:5] == plain["geometry"].values.tolist() == ["8:total", "45:0", "45as15", "45as45", "45as110"]
+    assert sorted(names[5:]) == ["15as-15", "15as15", "45as-15", "45as25", "45as75"]
+    assert more["lab"].sel(geometry=names[:5]).values == pytest.approx(plain["lab"].values, abs=1e-12)
+
+
+def test_an_unknown_set_of_geometries_is_refused_with_the_nearest():
+    with pytest.raises(ValueError, match="nearest is E2194"):
+        colour(samples.beckmann_bsdf(0.1), ["E2195"])
+
+
+def test_a_paint_that_brightens_away_from_the_mirror_direction_has_no_flop_index_but_a_warning(monkeypatch):
+    def upside_down(*arguments, **choices):
+        lab = colour(*arguments, **choices)
+        lab.loc[{"geometry": ["45as15", "45as110"], "component": "L*"}] = [30.0, 120.0]
+        return lab
+
+    monkeypatch.setattr(appearance, "colour", upside_down)
+    found = appearance.appraise(samples.beckmann_bsdf(0.1, reflectance=0.2))
+    assert np.isnan(float(found["flop_index"]))
+    assert vocabulary.warnings(found)[0].startswith("No flop index: L* is 120.0 at 110°")
+
+
+def test_a_perfect_diffuser_has_a_flop_index_of_0_and_no_warning():
+    found = appearance.appraise(lambert_gauss.lambertian(samples.spectrum(0.5)))
+    assert float(found["flop_index"]) == pytest.approx(0, abs=1e-8)
+    assert not vocabulary.warnings(found)
+
+
+def test_an_appraisal_tells_what_tolerances_leave_and_the_haze_beside_the_mirror_direction():
+    found = vocabulary.validate(appearance.appraise(samples.beckmann_bsdf(0.1)), "appearance")
+    assert ((found["gloss_u"] > 0) & (found["gloss_u"] < found["gloss"])).all()
+    assert found["reflectance_haze"].sizes == {"haze_window": 1}
+    assert "reflectance_haze" not in appearance.appraise(samples.beckmann_bsdf(0.1), haze=[])
 
 
 def test_haze_needs_both_of_its_geometries():

@@ -10,7 +10,7 @@ import samples
 import synthetic
 
 from brdfpipe import facets
-from brdfpipe.bsdf import lambert_gauss, microfacet, representations
+from brdfpipe.bsdf import checks, lambert_gauss, microfacet, representations
 
 
 def verdicts(bsdf):
@@ -131,3 +131,115 @@ def test_a_smooth_surface_is_sound():
     assert set(verdicts(microfacet.build(facets.flat(), index=1.5, spectrum=samples.spectrum(0.3))).values()) == {
         "pass"
     }
+
+
+COARSE = {"theta_i": [0.0, 40.0, 86.0], "theta_o": [0.0, 40.0, 86.0], "phi_o": [0.0, 90.0, 180.0]}
+
+
+@pytest.fixture
+def spectral_table():
+    """A white Lambertian at half, as a table: sound in every respect."""
+    return lambert_gauss.lambertian(samples.spectrum(0.5)).bsdf.tabulate(COARSE)
+
+
+def test_a_sound_table_passes_everything(spectral_table):
+    assert set(verdicts(spectral_table).values()) == {"pass"}
+
+
+@pytest.mark.parametrize("at", [0, 17, 84])
+def test_a_negative_value_at_one_wavelength_fails(spectral_table, at):
+    spectral_table["brdf"][..., at] = -0.01
+    found = verdicts(spectral_table)
+    assert found["positivity"] == "fail"
+    # Its albedo is -0.01 π.
+    assert found["energy"] == "fail"
+    assert "a negative share, -0.031" in texts(spectral_table)["energy"]
+
+
+def test_a_single_negative_node_at_one_wavelength_fails(spectral_table):
+    # Between a positive neighbour of 0.5 / π and -1e-6 no direction but the node itself is negative.
+    spectral_table["brdf"][1, 1, 1, 30] = -1e-6
+    check = spectral_table.bsdf.check()
+    assert float(check["floor"]) == pytest.approx(-1e-6)
+    assert verdicts(spectral_table)["positivity"] == "fail"
+
+
+@pytest.mark.parametrize("at", [0, 84])
+def test_a_pair_that_differs_at_an_outer_wavelength_is_not_reciprocal(spectral_table, at):
+    spectral_table["brdf"][1, :, :, at] *= 0.5
+    assert verdicts(spectral_table)["reciprocity"] == "warn"
+
+
+def test_growth_towards_grazing_at_an_outer_wavelength_fails_no_less(monkeypatch):
+    bsdf = samples.beckmann_bsdf(0.2)
+    right, last = microfacet.evaluate, float(bsdf["wavelength"][-1])
+
+    def wrong(bsdf, theta_i, phi_i, theta_o, phi_o, wavelength):
+        own = bsdf["wavelength"].values if wavelength is None else wavelength
+        growth = np.where(own == last, 1 / np.cos(np.radians(np.asarray(theta_o)))[..., None], 1.0)
+        return right(bsdf, theta_i, phi_i, theta_o, phi_o, wavelength) * growth
+
+    monkeypatch.setattr(microfacet, "evaluate", wrong)
+    found = verdicts(bsdf)
+    assert found["grazing"] == "warn"
+    assert found["integral"] == "fail"
+
+
+def constant(value):
+    return lambda w_i, w_o: np.full(np.broadcast_shapes(w_i.shape, w_o.shape)[:-1], value)
+
+
+def polar(direction):
+    return np.degrees(np.arccos(np.clip(direction[..., 2], -1, 1)))
+
+
+def test_a_small_negative_cap_about_the_normal_fails(monkeypatch):
+    bsdf = synthetic.register(monkeypatch, lambda _i, o: np.where(polar(o) < 1, -1.0, 0.2))
+    assert verdicts(bsdf)["positivity"] == "fail"
+
+
+def test_a_gain_between_the_fixed_incidences_fails(monkeypatch):
+    bsdf = synthetic.register(
+        monkeypatch, lambda i, o: np.where(np.abs(polar(i) - 86.5) < 0.8, 2.0, 0.2) * constant(1 / np.pi)(i, o)
+    )
+    assert verdicts(bsdf)["energy"] == "fail"
+    assert "most at θ_i = 86." in texts(bsdf)["energy"]
+
+
+def test_a_table_is_checked_at_its_own_incidences(spectral_table):
+    # Largest on the node at 40, which no fixed incidence is: 0.5 · 2.002 there, and below 1 two degrees away and more.
+    spectral_table["brdf"][1] *= 2.002
+    assert "most at θ_i = 40°" in texts(spectral_table)["energy"]
+
+
+def test_an_isotropic_albedo_of_its_own_may_not_exceed_one_by_what_a_quadrature_may(monkeypatch):
+    def told(excess):
+        def albedo(_bsdf, theta_i, _phi_i, _wavelength):
+            return np.full((*np.shape(theta_i), 1), 1 + excess)
+
+        return synthetic.register(monkeypatch, constant(1 / np.pi), albedo=albedo)
+
+    assert verdicts(told(checks.ENERGY_LIMIT / 2))["energy"] == "pass"
+    assert verdicts(told(checks.QUADRATURE_ENERGY_LIMIT / 2))["energy"] == "fail"
+
+
+def test_a_gain_of_a_lay_off_its_axes_fails(monkeypatch):
+    def albedo(_bsdf, theta_i, phi_i, _wavelength):
+        bright = (np.abs(theta_i - 85) < 4) & (np.abs(phi_i % 360 - 200) < 15)
+        return np.where(bright, 1.01, 0.5)[..., None]
+
+    bsdf = synthetic.register(monkeypatch, constant(0.5 / np.pi), albedo=albedo, isotropic=lambda _bsdf: False)
+    assert verdicts(bsdf)["energy"] == "fail"
+
+
+def test_a_negative_albedo_fails(monkeypatch):
+    bsdf = synthetic.register(
+        monkeypatch,
+        constant(0.0),
+        albedo=lambda _bsdf, theta_i, _phi_i, _wavelength: np.where(np.asarray(theta_i) > 80, -1e-3, 0.0)[..., None],
+    )
+    assert verdicts(bsdf)["energy"] == "fail"
+
+
+def test_a_masking_known_not_to_keep_energy_is_one_the_model_knows():
+    assert set(microfacet.NOT_PHYSICAL) < set(microfacet.MASKINGS)

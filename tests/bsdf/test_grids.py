@@ -24,7 +24,7 @@ def test_directions_come_back_from_their_coordinates(kind, theta_i, phi_i, theta
 
 
 def test_the_mirror_direction_is_the_origin_of_the_specular_layout():
-    theta_s, _ = grids.about_mirror(np.array([30.0]), np.array([20.0]), np.array([30.0]), np.array([200.0]))
+    theta_s, _ = grids.specular_angles(np.array([30.0]), np.array([20.0]), np.array([30.0]), np.array([200.0]))
     assert theta_s[0] == pytest.approx(0, abs=1e-12)
 
 

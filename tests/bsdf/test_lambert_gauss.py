@@ -9,6 +9,7 @@ import xarray as xr
 
 from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import fitting, lambert_gauss, microfacet, representations
+from brdfpipe.errors import VocabularyError
 
 
 def lobe(peak=5.0, parallel=10.0, perpendicular=6.0, rho=0.2, theta_i=(0.0, 30.0, 60.0)):
@@ -123,3 +124,13 @@ def test_a_fit_of_a_lay_says_that_it_holds_for_one_azimuth():
     # The steep slopes, of 0.1 along x turned by 90°, are those along x: the lobe is wide in the plane of incidence's y.
     ratio = float(found["gauss_fwhm_parallel"][0] / found["gauss_fwhm_perpendicular"][0])
     assert ratio == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_single_incidence_needs_no_list():
+    alone, listed = (fitting.fit_lambert_gauss(lobe(), angle) for angle in (30.0, [30.0]))
+    assert alone.identical(listed)
+
+
+def test_incidences_that_are_no_list_are_refused():
+    with pytest.raises(VocabularyError, match=r"theta_i of a fit .* shape \(1, 2\)"):
+        fitting.fit_lambert_gauss(lobe(), [[0.0, 30.0]])

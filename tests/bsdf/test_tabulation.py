@@ -241,10 +241,31 @@ def test_a_table_of_a_lay_without_that_azimuth_holds_the_mean_and_says_so(lay):
 
 
 def test_half_a_circle_is_refused_for_a_lay(lay):
-    with pytest.raises(VocabularyError, match="must cover 360 degree"):
+    with pytest.raises(VocabularyError, match="full turn of 360: the surface has a lay"):
         lay.bsdf.tabulate({**LAY, "phi_o": np.arange(0, 181, 10.0), "phi_i": [0.0, 360.0]})
 
 
 def test_a_smooth_surface_loses_its_mirror_image_and_is_told():
     table = microfacet.build(facets.flat(), index=1.5, spectrum=samples.spectrum(0.3)).bsdf.nonspectral()
     assert any("perfectly specular" in text for text in vocabulary.warnings(table.bsdf.tabulate(GRID)))
+
+
+@pytest.mark.parametrize("phi_o", [(0, 90), (0, 270), (90, 270), (180, 360), (-90, 90), (0, 350)])
+def test_part_of_a_circle_that_no_symmetry_completes_is_refused(bsdf, phi_o):
+    with pytest.raises(VocabularyError, match=rf"phi_o .* from {phi_o[0]} to {phi_o[1]} .*0 to 180, or a full turn"):
+        bsdf.bsdf.tabulate({**GRID, "phi_o": np.arange(phi_o[0], phi_o[1] + 1, 10.0)})
+
+
+@pytest.mark.parametrize("phi_o", [(0, 180), (0, 360), (-180, 180)])
+def test_half_a_circle_and_a_full_turn_from_anywhere_hold_the_mirror_direction(bsdf, phi_o):
+    model = bsdf.bsdf.nonspectral()
+    found = model.bsdf.tabulate({**GRID, "phi_o": np.arange(phi_o[0], phi_o[1] + 1, 10.0)})
+    assert float(found.bsdf.evaluate(30, 0, 30, 180)) == pytest.approx(
+        float(model.bsdf.evaluate(30, 0, 30, 180)), rel=1e-12
+    )
+
+
+def test_an_axis_of_no_layout_or_of_another_is_refused(bsdf):
+    for extra in ("foo", "phi_h"):
+        with pytest.raises(VocabularyError, match=extra):
+            bsdf.bsdf.tabulate({**GRID, extra: [0.0, 180.0]})

@@ -150,7 +150,9 @@ def test_ciede2000_agrees_with_colour_science_and_is_symmetric(colour: ModuleTyp
     rng = np.random.default_rng(0)
     first = rng.uniform([0, -100, -100], [100, 100, 100], (2000, 3))
     second = first + rng.normal(0, 1, (2000, 3)) * rng.uniform(0, 60, (2000, 1))
-    assert colorimetry.delta_e_00(first, second) == pytest.approx(colour.delta_E(first, second, method="CIE 2000"), abs=1e-9)
+    assert colorimetry.delta_e_00(first, second) == pytest.approx(
+        colour.delta_E(first, second, method="CIE 2000"), abs=1e-9
+    )
     assert colorimetry.delta_e_00(second, first) == pytest.approx(colorimetry.delta_e_00(first, second), abs=1e-9)
     assert (colorimetry.delta_e_00(first, first) == 0).all()
 

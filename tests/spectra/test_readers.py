@@ -91,7 +91,9 @@ def test_a_reflectance_just_above_one_is_kept_and_warned_about(shared_data: Path
 
 
 def test_other_extensions_are_refused_with_those_read() -> None:
-    with pytest.raises(InputError, match=r"not read; found \.sp; accepted: \.asc, .*\.cxf, .*\.txt.*`spectrum\.format`"):
+    with pytest.raises(
+        InputError, match=r"not read; found \.sp; accepted: \.asc, .*\.cxf, .*\.txt.*`spectrum\.format`"
+    ):
         read_spectrum("vinyl_red.sp", geometry="sci")
 
 

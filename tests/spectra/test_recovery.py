@@ -193,7 +193,9 @@ def test_an_unknown_illuminant_or_observer_names_its_key(options: dict, key: str
 
 
 def test_an_unknown_method_is_refused_with_those_known() -> None:
-    with pytest.raises(InputError, match="unknown method of recovery; found 'magic'; accepted: lhtss, basis4, random4, adaptive4"):
+    with pytest.raises(
+        InputError, match="unknown method of recovery; found 'magic'; accepted: lhtss, basis4, random4, adaptive4"
+    ):
         recover([50, 0, 0], illuminant="D65", observer=10, method="magic")
 
 
@@ -209,7 +211,9 @@ def test_a_thousand_random_colours_of_reflectances_are_matched() -> None:
     rng = np.random.default_rng(11)
     table = colorimetry.weights("D65", 10)
     knots = np.linspace(360, 780, 7)
-    reflectances = np.stack([np.interp(table.wavelength, knots, row) for row in rng.beta(0.7, 0.7, (1000, 7)).clip(0.003, 0.997)])
+    reflectances = np.stack(
+        [np.interp(table.wavelength, knots, row) for row in rng.beta(0.7, 0.7, (1000, 7)).clip(0.003, 0.997)]
+    )
     labs = colorimetry.xyz_to_lab(reflectances @ table.weights, table.white)
     found = lhtss(colorimetry.lab_to_xyz(labs, table.white), illuminant="D65", observer=10)
     assert found.reached.all()
@@ -227,7 +231,9 @@ def test_the_nearest_colour_is_reachable_and_no_spectrum_of_many_is_nearer(lab: 
     # Spectra of 0 and 1 with two steps bound all object colours (Schroedinger).
     table = colorimetry.weights("D65", 10)
     first, second = np.meshgrid(table.wavelength, table.wavelength)
-    band = ((table.wavelength >= first[..., None]) & (table.wavelength <= second[..., None])).astype(float).reshape(-1, 85)
+    band = (
+        ((table.wavelength >= first[..., None]) & (table.wavelength <= second[..., None])).astype(float).reshape(-1, 85)
+    )
     limits = colorimetry.xyz_to_lab(np.concatenate([band, 1 - band]) @ table.weights, table.white)
     # Some per mille of grey and two decimals are given away.
     assert apart < colorimetry.delta_e_ab(limits, lab).min() * 1.03 + 0.5
@@ -250,7 +256,9 @@ def test_every_method_reaches_the_colour_above_its_floor(method: str, index: flo
 @pytest.mark.parametrize("method", ["basis4", "random4", "adaptive4"])
 @pytest.mark.parametrize("lab", [[50, 100, 0], [100, 0, 0], [70, -60, -50]])
 def test_a_colour_no_mixture_has_is_refused_with_the_nearest(method: str, lab: list[float]) -> None:
-    with pytest.raises(InputError, match=r"no mixture of the four.*accepted: lhtss; or .*nearest one, L\*a\*b\* \(") as refusal:
+    with pytest.raises(
+        InputError, match=r"no mixture of the four.*accepted: lhtss; or .*nearest one, L\*a\*b\* \("
+    ) as refusal:
         recover(lab, illuminant="D65", observer=10, method=method)
     assert refusal.value.key == "spectrum.method"
 
@@ -263,7 +271,15 @@ def test_a_search_that_does_not_reach_its_threshold_is_warned_about(tmp_path: Pa
     assert "was stopped on request" in told(spectrum)[0]
 
 
-@pytest.mark.parametrize(("options", "key"), [({"threshold": 0.0}, "threshold"), ({"threshold": np.nan}, "threshold"), ({"seed": -1}, "seed"), ({"seed": 1.5}, "seed")])
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({"threshold": 0.0}, "threshold"),
+        ({"threshold": np.nan}, "threshold"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 1.5}, "seed"),
+    ],
+)
 def test_a_threshold_or_seed_out_of_range_names_its_key(options: dict, key: str) -> None:
     with pytest.raises(InputError) as refusal:
         recover([50, 0, 0], illuminant="D65", observer=10, method="random4", **options)
@@ -289,6 +305,8 @@ def test_a_recovered_spectrum_says_what_the_other_exact_method_would_have_change
     lhtss_attrs = recover([40, 20, 10], illuminant="D65", observer=10).attrs
     pair = metamerism([40, 20, 10], illuminant="D65", observer=10, methods=("lhtss", "basis4"))["delta_e00"]
     for light in ("A", "FL2", "LED-B3"):
-        assert lhtss_attrs[f"metamerism_{light}"] == pytest.approx(float(pair.sel(light=light, recovery="lhtss", other="basis4")))
+        assert lhtss_attrs[f"metamerism_{light}"] == pytest.approx(
+            float(pair.sel(light=light, recovery="lhtss", other="basis4"))
+        )
     assert lhtss_attrs["metamerism_against"] == "basis4"
     assert "metamerism_A" not in recover([70, -55, -45], illuminant="D65", observer=10).attrs

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.colour import TOTAL, colour, flop_index
-from brdfpipe.appearance.gloss import gloss
+from brdfpipe.appearance.colour import GEOMETRIES, TOTAL, colour, flop_index
+from brdfpipe.appearance.gloss import gloss, gloss_with_uncertainty
+from brdfpipe.appearance.haze import WINDOWS, HazeWindow, reflectance_haze
 from brdfpipe.appearance.prediction import colour_difference, predicted_colours
 from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
 from brdfpipe.bsdf import representations
@@ -19,8 +22,10 @@ __all__ = [
     "colour_difference",
     "flop_index",
     "gloss",
+    "gloss_with_uncertainty",
     "luminous_transmittance",
     "predicted_colours",
+    "reflectance_haze",
     "transmission_haze",
 ]
 
@@ -31,6 +36,8 @@ def appraise(
     illuminant: str = "D65",
     observer: int = 10,
     gloss_angles: Sequence[float] = (20, 60, 85),
+    geometries: Sequence[str] = (),
+    haze: Sequence[HazeWindow | Mapping[str, Any]] = WINDOWS,
 ) -> xr.Dataset:
     """The appearance numbers of a material.
 
@@ -39,10 +46,13 @@ def appraise(
     bsdf : kind ``bsdf``
     illuminant, observer : for L*a*b*
     gloss_angles : degree, among 20, 60 and 85
+    geometries : further ones for L*a*b*: names, or sets such as E2539 and MA-T6 (:data:`brdfpipe.flakes.SETS`)
+    haze : windows of the reflectance haze; see :func:`reflectance_haze`
 
     Returns
     -------
-    Dataset of kind ``appearance``: gloss, haze (G60 − G20, NaN without both), L*a*b* of the total reflectance and of single
+    Dataset of kind ``appearance``: gloss with ``gloss_u`` (what the tolerances of instruments leave), haze (G60 − G20, NaN without
+        both), reflectance haze by window, L*a*b* of the total reflectance and of single
         geometries, flop index, luminous reflectance, and the sRGB colour of the total reflectance (2° observer, D65).
         Of a surface with a lay these are means over the azimuth of the plane of incidence, and ``gloss_along``, ``gloss_across``,
         ``lab_along``, ``lab_across`` tell of planes along the azimuth ``lay`` and across it. Of a material that transmits,
@@ -50,35 +60,48 @@ def appraise(
     """
     from brdfpipe.spectra import colorimetry
 
-    units = gloss(bsdf, gloss_angles)
-    lab = colour(bsdf, illuminant=illuminant, observer=observer)
+    units, units_u = gloss_with_uncertainty(bsdf, gloss_angles)
+    lab = colour(bsdf, [*GEOMETRIES, *geometries], illuminant, observer)
     wavelength, total = representations.total_reflectance(bsdf)
     by_angle = dict(zip(units["gloss_angle"].values.tolist(), units.values.tolist(), strict=True))
-    lightness = lab.sel(component="L*")
+    lightness = [float(lab.sel(geometry=f"45as{angle}", component="L*")) for angle in (15, 45, 110)]
+    flop = flop_index(*lightness)
     seen = colorimetry.luminous_weight(wavelength)
     appearance = xr.Dataset(
         {
             "gloss": units,
+            "gloss_u": units_u,
             "haze": by_angle.get(60.0, float("nan")) - by_angle.get(20.0, float("nan")),
             "lab": lab,
-            "flop_index": flop_index(*(float(lightness.sel(geometry=f"45as{angle}")) for angle in (15, 45, 110))),
+            "flop_index": flop,
             "luminous_reflectance": float(seen @ total / seen.sum()),
             "srgb": ("channel", colorimetry.reflectance_to_srgb(wavelength, total)),
         },
         coords={"channel": ["R", "G", "B"]},
         attrs={"illuminant": illuminant, "observer": observer, "total_geometry": TOTAL},
     )
+    if haze:
+        appearance["reflectance_haze"] = reflectance_haze(bsdf, haze)
     if not representations.isotropic(bsdf):
-        appearance = appearance.assign(_along_and_across(bsdf, illuminant, observer, gloss_angles))
+        appearance = appearance.assign(_along_and_across(bsdf, illuminant, observer, gloss_angles, geometries))
     if representations.transmits(bsdf):
         appearance = appearance.assign(
             luminous_transmittance=luminous_transmittance(bsdf), transmission_haze=transmission_haze(bsdf)
         )
+    if math.isnan(flop) and lightness[2] > lightness[0]:
+        appearance = vocabulary.add_warning(appearance, _rising(lightness[0], lightness[2]))
     return vocabulary.label(appearance, "appearance")
 
 
+def _rising(near: float, far: float) -> str:
+    return (
+        f"No flop index: L* is {far:.1f} at 110° from the mirror direction and {near:.1f} at 15°, and the index is for paints that "
+        "darken away from it. Check that the colours belong to their geometries."
+    )
+
+
 def _along_and_across(
-    bsdf: xr.Dataset, illuminant: str, observer: int, gloss_angles: Sequence[float]
+    bsdf: xr.Dataset, illuminant: str, observer: int, gloss_angles: Sequence[float], geometries: Sequence[str]
 ) -> dict[str, xr.DataArray | float]:
     """Gloss and colour in the two principal planes; of a surface whose lay is not known, along azimuth 0 and 90."""
     lay = representations.lay(bsdf) or 0.0
@@ -86,5 +109,7 @@ def _along_and_across(
     for plane, azimuth in (("along", lay), ("across", lay + 90)):
         # Units and long names are those of the names here.
         found[f"gloss_{plane}"] = gloss(bsdf, gloss_angles, azimuth=azimuth).drop_attrs()
-        found[f"lab_{plane}"] = colour(bsdf, illuminant=illuminant, observer=observer, azimuth=azimuth).drop_attrs()
+        found[f"lab_{plane}"] = colour(
+            bsdf, [*GEOMETRIES, *geometries], illuminant, observer, azimuth=azimuth
+        ).drop_attrs()
     return found

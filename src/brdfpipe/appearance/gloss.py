@@ -1,4 +1,4 @@
-"""Specular gloss and haze: the aperture double integral on the model.
+"""Specular gloss: the aperture double integral on the model, and what the tolerances of the apertures do to it.
 
 G = 100 · ∫source ∫receptor f cos θ_r cos θ_i dω_r dω_i ÷ ∫source F(θ_i; 1.567) cos θ_i dω_i, a polished black glass of index
 1.567 being 100. A point source would overstate 20° by 2 to 10 % for narrow lobes, and a stored 1° grid 85° by far more. What a
@@ -6,7 +6,8 @@ polished surface mirrors into one single direction arrives whole: the image of t
 
 References
 ----------
-ASTM D523 (apertures); ASTM D4039 (haze). Conformance is not claimed: results are "D523-style".
+ASTM D523 (apertures and their tolerances); ISO 2813 (tolerance of the axes); ASTM D4039 (haze). Conformance is not claimed:
+results are "D523-style".
 """
 
 from __future__ import annotations
@@ -17,42 +18,59 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from brdfpipe import optics, vocabulary
+from brdfpipe import vocabulary
+from brdfpipe.appearance.apertures import (
+    FINE,
+    QUICK,
+    SOURCE,
+    Beam,
+    Rule,
+    Source,
+    Window,
+    centred,
+    half_width,
+    lobe_scale,
+    received,
+    source,
+)
 from brdfpipe.bsdf import representations
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.geometry import Array, angles_of
-from brdfpipe.hemisphere import graded_edges, panel_rule
-
-REFERENCE_INDEX = 1.567
-
-SOURCE = (0.75, 2.5)
-"""Full angles of the source image, in the plane of incidence and across it [degree]."""
+from brdfpipe.geometry import Array
 
 RECEPTOR = {20.0: (1.8, 3.6), 60.0: (4.4, 11.7), 85.0: (4.0, 6.0)}
-"""Full angles of the receptor by geometry, in the plane of incidence and across it [degree]."""
+"""Full angles of the receptor by geometry, in the plane of incidence and across it [degree] (ASTM D523, table 1)."""
 
-_NARROW = 1e-4
-_FAINTEST = 1e-12
+SOURCE_TOLERANCE = (0.25, 0.5)
+"""± of the full angles of the source image [degree] (ASTM D523, table 1)."""
+
+RECEPTOR_TOLERANCE = {20.0: (0.05, 0.1), 60.0: (0.1, 0.2), 85.0: (0.3, 0.3)}
+"""± of the full angles of the receptor by geometry [degree] (ASTM D523, table 1)."""
+
+AXIS_TOLERANCE = 0.1
+"""± of the angle of incidence, and of the receptor's axis from its mirror image [degree] (ISO 2813)."""
+
+_POINT = Rule((1, 1), 4)
+_EDGE_ORDER = 2
 _FIRST_AZIMUTHS, _MOST_AZIMUTHS = 16, 256
 _MEAN_ERROR = 1e-3
 
 
-class Rule(NamedTuple):
-    """Points of the quadrature."""
-
-    source: tuple[int, int]
-    """In the plane of incidence and across it."""
-    receptor: int
-    """In each panel."""
-
-
-FINE = Rule((6, 10), 6)
-QUICK = Rule((3, 4), 4)
-"""To 1e-4 of the gloss, for means over many azimuths."""
-
-
 class GlossError(BrdfpipeError):
     """A gloss geometry is not known."""
+
+
+class _Reading(NamedTuple):
+    angle: float
+    azimuth: float
+    scale: float
+    """Of the lobe [rad]."""
+    light: Source
+    reflected: Array
+    """Share of the light of each point of the source that the receptor gets."""
+
+    @property
+    def units(self) -> float:
+        return _units(self.light, self.reflected)
 
 
 def gloss(bsdf: xr.Dataset, angles: Sequence[float] = (20, 60, 85), *, azimuth: float | None = None) -> xr.DataArray:
@@ -72,30 +90,79 @@ def gloss(bsdf: xr.Dataset, angles: Sequence[float] = (20, 60, 85), *, azimuth: 
     ------
     GlossError : an unknown geometry.
     """
+    reduced = _reduced(bsdf, angles)
+    return _named([_measured(reduced, float(angle), azimuth)[0] for angle in angles], angles, "gloss")
+
+
+def gloss_with_uncertainty(
+    bsdf: xr.Dataset, angles: Sequence[float] = (20, 60, 85), *, azimuth: float | None = None
+) -> tuple[xr.DataArray, xr.DataArray]:
+    """Gloss units, and the standard uncertainty that the tolerances of conforming instruments leave.
+
+    Each tolerance (source and receptor, in the plane of incidence and across it; angle of incidence; axis of the receptor) makes a
+    rectangular distribution of its half range, which is the half range of the gloss over √3; the six are independent. Every
+    instrument is set to 100 on black glass. That the BSDF itself is uncertain is not part of it.
+
+    Parameters
+    ----------
+    bsdf, angles, azimuth : as of :func:`gloss`
+
+    Returns
+    -------
+    ``gloss(gloss_angle)``, ``gloss_u(gloss_angle)`` [1]
+
+    Notes
+    -----
+    The receptor's part is linear in the tolerance, from the light along its edges; the source's comes from a quadratic in the
+    light that its points send; the angle of incidence is evaluated at both ends with a point source.
+    """
+    reduced = _reduced(bsdf, angles)
+    values, spreads = [], []
+    for angle in map(float, angles):
+        value, readings = _measured(reduced, angle, azimuth)
+        ranges = np.mean([_half_ranges(reduced, reading) for reading in readings], axis=0)
+        # Of a surface with a lay: the first azimuths tell the relative spread of the mean over all of them.
+        known = np.mean([reading.units for reading in readings])
+        spread = float(np.sqrt(np.sum(ranges**2) / 3))
+        values.append(value)
+        spreads.append(spread * value / float(known) if known > 0 else spread)
+    return _named(values, angles, "gloss"), _named(spreads, angles, "gloss_u")
+
+
+def _reduced(bsdf: xr.Dataset, angles: Sequence[float]) -> xr.Dataset:
     vocabulary.validate(bsdf, "bsdf")
     unknown = [angle for angle in angles if float(angle) not in RECEPTOR]
     if unknown:
         raise GlossError(f"no gloss geometry {unknown[0]:g}°; accepted: {', '.join(f'{a:g}' for a in RECEPTOR)}")
-    reduced = representations.nonspectral(bsdf)
-    if azimuth is None and not representations.isotropic(bsdf):
-        values = [_mean_gloss(reduced, float(angle)) for angle in angles]
-    else:
-        values = [_gloss(reduced, float(angle), azimuth or 0.0) for angle in angles]
+    return representations.nonspectral(bsdf)
+
+
+def _named(values: Sequence[float], angles: Sequence[float], name: str) -> xr.DataArray:
     quantity = vocabulary.QUANTITIES["gloss"]
+    title = quantity.long_name if name == "gloss" else f"standard uncertainty of {quantity.long_name}, from tolerances"
     return xr.DataArray(
-        values,
+        np.asarray(values, dtype=float),
         dims="gloss_angle",
         coords={"gloss_angle": np.asarray(angles, dtype=float)},
-        name="gloss",
-        attrs={"units": quantity.units, "long_name": quantity.long_name},
+        name=name,
+        attrs={"units": quantity.units, "long_name": title},
     )
 
 
-def _mean_gloss(bsdf: xr.Dataset, angle: float) -> float:
+def _measured(bsdf: xr.Dataset, angle: float, azimuth: float | None) -> tuple[float, list[_Reading]]:
+    """Gloss units, and readings they rest on: one, or those of the first azimuths of a surface with a lay."""
+    if azimuth is not None or representations.isotropic(bsdf):
+        reading = _read(bsdf, angle, azimuth or 0.0, FINE)
+        return reading.units, [reading]
+    first = [_read(bsdf, angle, turn, QUICK) for turn in _turns(_FIRST_AZIMUTHS)]
+    return _mean_gloss(bsdf, angle, first), first
+
+
+def _mean_gloss(bsdf: xr.Dataset, angle: float, first: Sequence[_Reading]) -> float:
     """Mean over the azimuth of the plane of incidence: at 85° a fine lay shows within a few degrees of its own."""
-    count, known = _FIRST_AZIMUTHS, np.array([_gloss(bsdf, angle, turn, QUICK) for turn in _turns(_FIRST_AZIMUTHS)])
+    count, known = len(first), np.array([reading.units for reading in first])
     while True:
-        between = np.array([_gloss(bsdf, angle, turn, QUICK) for turn in _turns(count) + 180 / count])
+        between = np.array([_read(bsdf, angle, turn, QUICK).units for turn in _turns(count) + 180 / count])
         settled = abs(between.mean() - known.mean()) <= 2 * _MEAN_ERROR * known.mean()
         known, count = np.concatenate([known, between]), 2 * count
         if settled or count >= _MOST_AZIMUTHS:
@@ -106,83 +173,69 @@ def _turns(count: int) -> Array:
     return np.arange(0.0, 360.0, 360 / count)
 
 
-def _gloss(bsdf: xr.Dataset, angle: float, azimuth: float = 0.0, rule: Rule = FINE) -> float:
-    source_u, source_v, source_weight = _rectangle(rule)
-    theta_i, phi_i = _directions(source_u, source_v, angle)
-    cos_i = np.cos(np.radians(theta_i))
-    black_glass = np.sum(source_weight * optics.fresnel(cos_i, REFERENCE_INDEX)[2] * cos_i)
-    mirrored = representations.specular(bsdf, theta_i, phi_i + azimuth, None)[0][:, 0]
-    received = mirrored + _received(bsdf, angle, source_u, source_v, theta_i, phi_i, azimuth, rule)
-    return float(100 * np.sum(source_weight * cos_i * received) / black_glass)
+def _read(bsdf: xr.Dataset, angle: float, azimuth: float, rule: Rule) -> _Reading:
+    light, scale = source(angle, rule), lobe_scale(bsdf, angle, azimuth)
+    (scattered,) = received(bsdf, [Beam(angle, light, centred(*RECEPTOR[angle]), rule.receptor)], azimuth, scale)
+    return _Reading(angle, azimuth, scale, light, _mirrored(bsdf, light, azimuth) + scattered)
 
 
-def _received(
-    bsdf: xr.Dataset,
-    angle: float,
-    source_u: Array,
-    source_v: Array,
-    theta_i: Array,
-    phi_i: Array,
-    azimuth: float,
-    rule: Rule,
-) -> Array:
-    """∫receptor f cos θ_r dω_r for every point of the source, the plane of incidence turned by the azimuth.
-
-    The receptor's axis is the mirror image of the source's, so the mirror direction of source point (u, v) is (u, v) of the
-    receptor; panels are graded towards it, on the scale of the lobe.
-    """
-    half_u, half_v = (_half_width(width) for width in RECEPTOR[angle])
-    scale = _lobe_scale(bsdf, angle, azimuth)
-    across = max(scale * np.cos(np.radians(angle)), 1e-9)
-    u, weight_u = panel_rule(graded_edges(source_u, scale, -half_u, half_u, _doublings(half_u, scale)), rule.receptor)
-    v, weight_v = panel_rule(graded_edges(source_v, across, -half_v, half_v, _doublings(half_v, across)), rule.receptor)
-    u, v = np.broadcast_arrays(u[:, :, None], v[:, None, :])
-    weight = weight_u[:, :, None] * weight_v[:, None, :] / (1 + u**2 + v**2) ** 1.5
-    # Panels clipped to the rectangle have no width: most of them, for every single source point.
-    used = weight > 0
-    theta_o, phi_o = _directions(u[used], v[used], angle)
-    owner = np.nonzero(used)[0]
-    turned = phi_i[owner] + azimuth, phi_o + 180 + azimuth
-    brdf = representations.representation(bsdf).evaluate(bsdf, theta_i[owner], turned[0], theta_o, turned[1], None)
-    flux = weight[used] * brdf[:, 0] * np.cos(np.radians(theta_o))
-    return np.bincount(owner, flux, minlength=source_u.size).astype(float)
+def _mirrored(bsdf: xr.Dataset, light: Source, azimuth: float) -> Array:
+    return representations.specular(bsdf, light.theta, light.phi + azimuth, None)[0][:, 0]
 
 
-def _rectangle(rule: Rule = FINE) -> tuple[Array, Array, Array]:
-    half_u, half_v = (_half_width(width) for width in SOURCE)
-    u, weight_u = panel_rule([-half_u, half_u], rule.source[0])
-    v, weight_v = panel_rule([-half_v, half_v], rule.source[1])
-    u, v = (grid.ravel() for grid in np.meshgrid(u, v, indexing="ij"))
-    return u, v, np.outer(weight_u, weight_v).ravel() / (1 + u**2 + v**2) ** 1.5
+def _units(light: Source, reflected: Array) -> float:
+    return float(100 * (light.weight @ reflected) / (light.weight @ light.glass))
 
 
-def _half_width(full_angle: float) -> float:
-    """Half width of an aperture in the tangent plane of its axis."""
-    return float(np.tan(np.radians(full_angle) / 2))
+# --- tolerances
 
 
-def _directions(u: Array, v: Array, angle: float) -> tuple[Array, Array]:
-    """θ and φ of points of the tangent plane of the axis (angle, 0); u lies in the plane of incidence and grows with θ."""
-    sin, cos = np.sin(np.radians(angle)), np.cos(np.radians(angle))
-    return angles_of(np.stack([sin + u * cos, v, cos - u * sin], axis=-1))
+def _half_ranges(bsdf: xr.Dataset, reading: _Reading) -> Array:
+    """Half the range of the gloss over each of the six tolerances, signed so that means over azimuths are those of the gloss."""
+    edges, steps = _edges(reading.angle)
+    tilted = [_tilted(reading.angle, axis) for axis in (-AXIS_TOLERANCE, AXIS_TOLERANCE)]
+    light = source(reading.angle, QUICK)
+    beams = [*(Beam(reading.angle, light, edge, _EDGE_ORDER) for edge in edges), *tilted]
+    scattered = received(bsdf, beams, reading.azimuth, reading.scale)
+    left, right, near, far = (_units(light, each) / 2 for each in scattered[:4])
+    less, more = (
+        _units(beam.light, each + _mirrored(bsdf, beam.light, reading.azimuth))
+        for beam, each in zip(tilted, scattered[4:], strict=True)
+    )
+    incidence = reading.units * (more - less) / (more + less) if more + less > 0 else 0.0
+    shifted = (right - left) * float(np.radians(AXIS_TOLERANCE)) / steps[0]
+    return np.array([*_source_ranges(reading), left + right, near + far, shifted, incidence])
 
 
-def _doublings(half_width: float, scale: float) -> int:
-    """Panels that double in width from half the scale until they cover the whole aperture, however narrow the lobe."""
-    return int(np.clip(np.ceil(np.log2(4 * half_width / scale)), 4, 40))
+def _edges(angle: float) -> tuple[list[Window], tuple[float, float]]:
+    """Strips about the four edges of the receptor, and how far each edge moves: by half of what the full angle does."""
+    full, tolerance = RECEPTOR[angle], RECEPTOR_TOLERANCE[angle]
+    low_u, high_u, low_v, high_v = centred(*full)
+    by_u, by_v = (half_width(each + more) - half_width(each) for each, more in zip(full, tolerance, strict=True))
+    edges = [Window(at - by_u, at + by_u, low_v, high_v) for at in (low_u, high_u)]
+    edges += [Window(low_u, high_u, at - by_v, at + by_v) for at in (low_v, high_v)]
+    return edges, (by_u, by_v)
 
 
-def _lobe_scale(bsdf: xr.Dataset, angle: float, azimuth: float) -> float:
-    """Half the half width of the specular lobe in radian, a typical slope; a moderate one where the lobe is not known."""
-    slope = representations.lobe_slope(bsdf)
-    if slope is None or (slope < _NARROW and not _peaks(bsdf, angle, azimuth)):
-        return 0.02
-    return float(np.clip(slope, 1e-6, 0.2))
+def _tilted(angle: float, axis: float) -> Beam:
+    """An instrument whose angle of incidence, and of the receptor with it, is off by ``axis``."""
+    return Beam(angle + axis, source(angle + axis, _POINT), centred(*RECEPTOR[angle]), _POINT.receptor)
 
 
-def _peaks(bsdf: xr.Dataset, angle: float, azimuth: float) -> bool:
-    """Whether the BSDF is any larger in the mirror direction than a degree beside it: a polished surface's is not."""
-    at, beside = representations.representation(bsdf).evaluate(
-        bsdf, np.full(2, angle), np.full(2, azimuth), np.array([angle, angle - 1]), np.full(2, azimuth + 180), None
-    )[:, 0]
-    return bool(at > 2 * beside and at > _FAINTEST)
+def _source_ranges(reading: _Reading) -> list[float]:
+    """Of the source's width in the plane of incidence, and across it."""
+    light = reading.light
+    terms = np.stack([np.ones_like(light.u), light.u, light.v, light.u**2, light.v**2], axis=1)
+    density = np.cos(np.radians(light.theta)) / (1 + light.u**2 + light.v**2) ** 1.5
+    sent = np.stack([density * reading.reflected, density * light.glass], axis=1)
+    mean, _, _, curved_u, curved_v = np.linalg.lstsq(terms, sent, rcond=None)[0]
+
+    def units(full_u: float, full_v: float) -> float:
+        flux = mean + curved_u * half_width(full_u) ** 2 / 3 + curved_v * half_width(full_v) ** 2 / 3
+        return float(100 * flux[0] / flux[1])
+
+    (full_u, full_v), (more_u, more_v) = SOURCE, SOURCE_TOLERANCE
+    return [
+        (units(full_u + more_u, full_v) - units(full_u - more_u, full_v)) / 2,
+        (units(full_u, full_v + more_v) - units(full_u, full_v - more_v)) / 2,
+    ]

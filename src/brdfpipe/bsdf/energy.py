@@ -8,7 +8,7 @@ a wide one.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,11 +16,13 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from brdfpipe import optics
+from brdfpipe.bsdf import lay
 from brdfpipe.bsdf.microsurface import Microsurface
 from brdfpipe.density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.piecewise import PiecewiseCubic
+from brdfpipe.planar import Ellipse, PlanarDensity
 
 Reflectance = Callable[[Array, ArrayLike, ArrayLike], Array]
 """Reflectance of a facet from (cos ζ, n, k)."""
@@ -33,11 +35,9 @@ _LEAST_COSINE = 1e-150
 _INTERPOLATION = 2e-9
 _NOISE = 1e-9
 _MOST_NODES = 400
-_LAY_PANELS = 20
-_LAY_NODES = np.concatenate([np.arange(0.0, 70.0, 10.0), [70.0, 76.0, 80.0, 83.0, 85.0, 87.0, 88.0, 89.0, 89.6, 90.0]])
-_LAY_AZIMUTHS = np.arange(0.0, 360.0, 15.0)
-_BETWEEN = (35.0, 7.5), (65.0, 52.5), (78.0, 97.5), (84.0, 142.5), (88.5, 187.5), (89.8, 277.5)
-"""Directions between the nodes at which a table of a surface with a lay is held against the integral [degree]."""
+_LAY_STEP = 0.2
+_LAY_AZIMUTH = 15.0
+_LAY_MOST_GRAZING = 5.0
 
 
 def fresnel_mean(cos_zeta: Array, n: ArrayLike, k: ArrayLike) -> Array:
@@ -86,7 +86,7 @@ def directional_albedo(
         if surface.isotropic:
             weight, cos_zeta = _isotropic_facets(surface, masking, np.radians(theta_i[part]), critical)
         else:
-            weight, cos_zeta = _facets(surface, masking, theta_i[part], azimuth[part])
+            weight, cos_zeta = _facets(surface, masking, theta_i[part], azimuth[part], critical)
         blocks.append(_spectral_sum(weight, cos_zeta, n, k, reflectance))
     return np.concatenate(blocks) if blocks else np.zeros((0, n.size))
 
@@ -163,11 +163,12 @@ def azimuths_of_total_reflection(edges: Array, slope: Array, theta_i: Array, cri
     return np.sort(np.concatenate([edges, crowding], axis=-1), axis=-1)
 
 
-def _facets(surface: Microsurface, masking: str, theta_i: Array, phi_i: Array) -> tuple[Array, Array]:
-    """The same for a surface with a lay: one rule over its slopes serves every incidence."""
+def _facets(
+    surface: Microsurface, masking: str, theta_i: Array, phi_i: Array, critical: float | None = None
+) -> tuple[Array, Array]:
+    """The same for a surface with a lay."""
     assert not isinstance(surface.density, RadialDensity)
-    p, q, share = (each.ravel() for each in surface.density.rule(_LAY_PANELS))
-    share = share / share.sum()
+    p, q, share = lay.facets(surface.density, theta_i, phi_i, critical)
     u = p * p + q * q
     theta, phi = np.radians(theta_i)[:, None], np.radians(phi_i)[:, None]
     cos_i, sin_i = np.maximum(np.cos(theta), _LEAST_COSINE), np.sin(theta)
@@ -226,20 +227,23 @@ class AlbedoTable:
     ----------
     theta : (θ,) increasing, from 0 to 90 degree
     values : (θ, wavelength), or (θ, φ, wavelength) of a surface with a lay
-    phi : (φ,) degree, evenly around the circle from 0
+    phi : (φ,) degree, increasing around the circle; of a surface with a lay
+    ellipse : widths of its slopes: they say in which measures of both angles the albedo is smooth
     """
 
     theta: Array
     values: Array
     phi: Array | None = None
+    ellipse: Ellipse | None = None
 
     def __call__(self, theta: Array, phi: Array | float = 0.0) -> Array:
         """E, (…, wavelength), in [0, 1]."""
         grazing = 90 - np.asarray(theta, dtype=float)
         if self.phi is None:
             return np.clip(self._spline(grazing), 0.0, 1.0)
-        azimuth = np.asarray(phi, dtype=float) % 360
-        return np.clip(np.stack([each.ev(grazing, azimuth) for each in self._surfaces], axis=-1), 0.0, 1.0)
+        assert self.ellipse is not None
+        at = np.arcsinh(grazing / _lay_scale(self.ellipse)), lay.position(self.ellipse, phi)
+        return np.clip(np.stack([each.ev(*at) for each in self._surfaces], axis=-1), 0.0, 1.0)
 
     def mean(self) -> Array:
         """2 ∫ E μ dμ, averaged over azimuth, (wavelength,): exact for the spline."""
@@ -247,8 +251,12 @@ class AlbedoTable:
         weight = weight * np.sin(2 * theta)
         if self.phi is None:
             return np.asarray(weight @ self(np.degrees(theta)))
-        around = np.concatenate([self.phi, self.phi + 180 / self.phi.size])
-        return np.asarray(weight @ self(np.degrees(theta)[:, None], around).mean(axis=1))
+        assert self.ellipse is not None
+        around = lay.azimuths(self.ellipse, np.arange(4 * self.phi.size) * (90 / self.phi.size))
+        width, _ = self.ellipse.towards(around)
+        return np.asarray(
+            weight @ np.einsum("tpl,p->tl", self(np.degrees(theta)[:, None], around), width / width.sum())
+        )
 
     @cached_property
     def _spline(self) -> PiecewiseCubic:
@@ -256,11 +264,18 @@ class AlbedoTable:
 
     @cached_property
     def _surfaces(self) -> list[RectBivariateSpline]:
-        assert self.phi is not None
-        beyond = 4
-        around = np.concatenate([self.phi[-beyond:] - 360, self.phi, self.phi[:beyond] + 360])
-        values = np.concatenate([self.values[:, -beyond:], self.values, self.values[:, :beyond]], axis=1)[::-1]
-        return [RectBivariateSpline(90 - self.theta[::-1], around, each) for each in np.moveaxis(values, -1, 0)]
+        assert self.phi is not None and self.ellipse is not None
+        arc = lay.position(self.ellipse, self.phi)
+        order = np.argsort(arc)
+        around = np.concatenate([order[-4:], order, order[:4]])
+        grazing = np.arcsinh((90 - self.theta[::-1]) / _lay_scale(self.ellipse))
+        values = np.moveaxis(self.values[::-1][:, around], -1, 0)
+        return [RectBivariateSpline(grazing, np.unwrap(arc[around] - 360, period=360), each) for each in values]
+
+
+def _lay_scale(ellipse: Ellipse) -> float:
+    """Angle from grazing [degree] within which the albedo of a surface with a lay may turn."""
+    return min(float(np.degrees(min(ellipse.along, ellipse.across))) / 4, _LAY_MOST_GRAZING)
 
 
 def _even_spline(grazing: Array, values: Array) -> CubicSpline:
@@ -284,13 +299,47 @@ def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], ex
     """
     if surface.isotropic:
         return refined(lambda theta: albedo(theta, np.zeros_like(theta)), surface.median_slope, exact)
-    nodes = np.unique(np.concatenate([_LAY_NODES, exact]))
-    theta, phi = (each.ravel() for each in np.meshgrid(nodes, _LAY_AZIMUTHS, indexing="ij"))
-    values = albedo(theta, phi).reshape(nodes.size, _LAY_AZIMUTHS.size, -1)
-    table = AlbedoTable(nodes, values, _LAY_AZIMUTHS)
-    theta, phi = np.array(_BETWEEN).T
-    error = float(np.abs(table(theta, phi) - albedo(theta, phi)).max())
-    return AlbedoTable(nodes, np.clip(values + 2 * error, 0.0, 1.0), _LAY_AZIMUTHS)
+    return _tabulated_lay(surface.density, albedo, exact)
+
+
+def _tabulated_lay(density: PlanarDensity, albedo: Callable[[Array, Array], Array], exact: Array) -> AlbedoTable:
+    """The same for a surface with a lay: even in the measures in which its albedo is smooth, tried between all nodes."""
+    ellipse = density.ellipse
+    scale = _lay_scale(ellipse)
+    end = np.arcsinh(90 / scale)
+    even = np.linspace(0, end, int(np.ceil(end / _LAY_STEP)) + 1)
+    wanted = np.arcsinh((90 - exact) / scale)
+    # A node right beside another would make the spline ring.
+    apart = (np.abs(even[:, None] - wanted) > _LAY_STEP / 3).all(axis=1)
+    grazing = np.unique(np.concatenate([even[apart], wanted]))
+    arcs = np.arange(0.0, 360.0, 90 / np.ceil(lay.quarter(ellipse) / _LAY_AZIMUTH))
+
+    def on_net(grazing: Array, arcs: Array) -> tuple[Array, Array, Array]:
+        """θ, φ and the albedo on a net, of a symmetric surface from one quarter."""
+        folded = np.minimum(arcs % 180, 180 - arcs % 180) if lay.symmetric(density) else arcs
+        distinct, where = np.unique(np.round(folded, 9), return_inverse=True)
+        theta = np.clip(90 - scale * np.sinh(grazing), 0.0, 90.0)
+        polar, around = np.meshgrid(theta, lay.azimuths(ellipse, distinct), indexing="ij")
+        values = albedo(polar.ravel(), around.ravel()).reshape(*polar.shape, -1)
+        return theta, lay.azimuths(ellipse, arcs), values[:, where]
+
+    theta, phi, values = on_net(grazing, arcs)
+    theta[np.searchsorted(grazing, wanted)] = exact
+    order = np.argsort(np.round(phi % 360, 9))
+    table = AlbedoTable(theta[::-1], values[::-1][:, order], np.round(phi % 360, 9)[order], ellipse)
+    between, around, found = on_net((grazing[1:] + grazing[:-1]) / 2, arcs + arcs[1] / 2)
+    miss = np.abs(table(between[:, None], around) - found).max(axis=(1, 2))
+    error = np.maximum(np.append(miss, 0.0), np.append(0.0, miss))[::-1]
+    return _lifted(table, error)
+
+
+def _lifted(table: AlbedoTable, error: Array) -> AlbedoTable:
+    """The table, raised at its nodes by what was found amiss about them (θ,)."""
+    # An error close to grazing says nothing about the rest; spread smoothly, lest the spline overshoot.
+    grazing = np.maximum(90 - table.theta, 1e-9)
+    lift = 4 * np.max(error * np.minimum(1.0, grazing / grazing[:, None]), axis=1) + _NOISE
+    values = table.values + lift.reshape(-1, *(1,) * (table.values.ndim - 1))
+    return replace(table, values=np.clip(values, 0.0, 1.0))
 
 
 def refined(albedo: Callable[[Array], Array], slope: float, exact: Array) -> AlbedoTable:
@@ -303,10 +352,7 @@ def refined(albedo: Callable[[Array], Array], slope: float, exact: Array) -> Alb
     exact : angles of incidence that must be among the nodes [degree]
     """
     nodes, values, error = _bisected(albedo, slope, exact)
-    # An error close to grazing says nothing about the rest; spread smoothly, lest the spline overshoot.
-    grazing = np.maximum(90 - nodes, 1e-9)
-    lift = 4 * np.max(error * np.minimum(1.0, grazing / grazing[:, None]), axis=1) + _NOISE
-    return AlbedoTable(nodes, np.clip(values + lift[:, None], 0.0, 1.0))
+    return _lifted(AlbedoTable(nodes, values), error)
 
 
 def _bisected(albedo: Callable[[Array], Array], slope: float, exact: Array) -> tuple[Array, Array, Array]:

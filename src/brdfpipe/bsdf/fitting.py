@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import comparison, representations
 from brdfpipe.bsdf.lambert_gauss import FWHM, about_mirror, gaussian
+from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
 
 _WIDEST = 90.0
@@ -21,7 +22,7 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0
     Parameters
     ----------
     bsdf : kind ``bsdf``; averaged with V(λ)·D65 where it depends on wavelength
-    theta_i : degree, (incidences,), 0 to 85
+    theta_i : degree, one or (incidences,), 0 to 85
     azimuth : of the incidences [degree]; it matters to a surface with a lay
 
     Returns
@@ -31,13 +32,19 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0
         ``fit_residual``, ``fit_error_max`` and ``reflectance_error``, see :class:`brdfpipe.bsdf.comparison.Misfit`. Of a surface with
         a lay the fit holds for light from the one azimuth, with a warning
 
+    Raises
+    ------
+    VocabularyError : theta_i is no list of angles, or out of range.
+
     Notes
     -----
     The weights are the projected solid angles of a rule over the hemisphere that resolves the lobe. A lobe wider than 90° at half
     maximum is left to the Lambertian part.
     """
     vocabulary.validate(bsdf, "bsdf")
-    angles = check_angles("theta_i", theta_i, 0, 85)
+    angles = np.atleast_1d(check_angles("theta_i", theta_i, 0, 85))
+    if angles.ndim != 1:
+        raise VocabularyError(f"theta_i of a fit must be one angle or a list of them; found shape {angles.shape}")
     reduced = representations.nonspectral(bsdf)
     fits = np.array([_fit_one(reduced, float(angle), azimuth) for angle in angles])
     names = (

@@ -41,7 +41,7 @@ class Grid(NamedTuple):
         return (self.azimuth, *self.axes) if lay else self.axes
 
 
-def about_mirror(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> tuple[Array, Array]:
+def specular_angles(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> tuple[Array, Array]:
     """θ_s and φ_s of outgoing directions [degree]."""
     towards_normal, across, mirror = _mirror_frame(theta_i, phi_i)
     away = unit_vector(theta_o, phi_o) - mirror
@@ -95,7 +95,7 @@ def _from_uniform(at: Mapping[str, Array]) -> Angles:
 
 
 def _specular(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Mapping[str, Array]:
-    theta_s, phi_s = about_mirror(theta_i, phi_i, theta_o, phi_o)
+    theta_s, phi_s = specular_angles(theta_i, phi_i, theta_o, phi_o)
     return {"theta_i": theta_i, "phi_i": phi_i, "theta_s": theta_s, "phi_s": phi_s}
 
 

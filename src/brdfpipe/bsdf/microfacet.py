@@ -260,17 +260,18 @@ def _check_transparent(chosen: dict[str, str], spectrum: xr.Dataset | None, n: A
         )
 
 
-_NOT_PHYSICAL = {
+NOT_PHYSICAL = {
     "crf": "hides facets from the viewer alone, so it is not reciprocal and does not keep energy",
     "none": "hides no facet, so it does not keep energy",
     "liu": "does not vanish at grazing",
 }
+"""Maskings of the sources that are known to break energy or reciprocity: chosen on purpose, they are warned about."""
 
 
 def _with_source_warning(bsdf: xr.Dataset) -> xr.Dataset:
     """Say from which incidence on a source's own masking reflects more than it receives."""
     masking = bsdf.attrs["masking"]
-    if masking not in _NOT_PHYSICAL or "slope_density" not in bsdf:
+    if masking not in NOT_PHYSICAL or "slope_density" not in bsdf:
         return bsdf
     surface = Microsurface.of(bsdf)
     if masking == "liu":
@@ -285,7 +286,7 @@ def _with_source_warning(bsdf: xr.Dataset) -> xr.Dataset:
         return bsdf
     return vocabulary.add_warning(
         bsdf,
-        f"masking {masking!r} {_NOT_PHYSICAL[masking]}: perfect mirrors would reflect more than they receive from {beyond[0]:g}° "
+        f"masking {masking!r} {NOT_PHYSICAL[masking]}: perfect mirrors would reflect more than they receive from {beyond[0]:g}° "
         "on; set `model.masking: height-correlated` for steeper light",
     )
 

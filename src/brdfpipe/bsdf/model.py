@@ -18,6 +18,7 @@ from brdfpipe.bsdf.energy import AlbedoTable, directional_albedo
 from brdfpipe.bsdf.microsurface import Microsurface
 from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.geometry import Array, half_vector
+from brdfpipe.planar import Ellipse
 
 CRF_DIFFUSE_SHARE = 4 * (np.log(2) - 0.5)
 """Albedo of the patent's masked Lambertian lobe over that of the unmasked one: 4 ∫ μ²/(1 + μ) dμ = 0.7726."""
@@ -55,6 +56,7 @@ class Model:
 
         theta = bsdf["theta_i"].values
         phi = bsdf["phi_i"].values if "phi_i" in bsdf["directional_albedo"].dims else None
+        ellipse = None if phi is None else Ellipse.of(bsdf)
         furnace = bsdf.get("furnace_albedo")
         return cls(
             Microsurface.of(bsdf) if "slope_density" in bsdf else None,
@@ -63,9 +65,9 @@ class Model:
             on(bsdf["k"]),
             str(bsdf.attrs["diffuse_mode"]),
             on(bsdf["diffuse"]),
-            AlbedoTable(theta, on(bsdf["directional_albedo"]), phi),
+            AlbedoTable(theta, on(bsdf["directional_albedo"]), phi, ellipse),
             on(bsdf["mean_albedo"]),
-            None if furnace is None else AlbedoTable(theta, furnace.values[..., None], phi),
+            None if furnace is None else AlbedoTable(theta, furnace.values[..., None], phi, ellipse),
             float(bsdf.get("mean_furnace_albedo", 1.0)),
             on(bsdf["compensation"]) if furnace is not None else np.zeros(1),
             bsdf.attrs.get("transmission", "none") == "interface",

@@ -46,10 +46,12 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
 
     Raises
     ------
-    VocabularyError : an axis is missing, not increasing or out of range.
+    VocabularyError : an axis is missing, unknown, not increasing or out of range; or ``phi_o`` (``phi_s``, ``phi_d``) covers neither a full
+        turn of 360 nor, without a lay, 0 to 180.
     """
     vocabulary.validate(bsdf, "bsdf")
     layout = GRIDS[kind_of(set(grid))]
+    _check_keys(grid, layout)
     even = representations.isotropic(bsdf)
     axes = {name: _axis(grid, name, bsdf) for name in layout.named(layout.azimuth in grid)}
     _check_circles(axes, even)
@@ -302,13 +304,27 @@ def _axis(grid: Mapping[str, ArrayLike], name: str, bsdf: xr.Dataset) -> Array:
     return values
 
 
+def _check_keys(grid: Mapping[str, ArrayLike], layout: Grid) -> None:
+    known = layout.named(lay=True)
+    unknown = sorted(str(name) for name in set(grid) - set(known))
+    if unknown:
+        raise VocabularyError(f"the grid knows no {', '.join(map(repr, unknown))}; accepted: {', '.join(known)}")
+
+
 def _check_circles(axes: Mapping[str, Array], even: bool) -> None:
-    """Refuse half a circle where the two halves differ."""
+    """Refuse less than a full circle, or than the half that mirror symmetry completes."""
     for name in set(AZIMUTHS) & set(axes):
-        if not even and axes[name][-1] - axes[name][0] != 360:
-            raise VocabularyError(
-                f"{name} of the grid must cover 360 degree: the surface has a lay, and the halves of a circle differ"
-            )
+        first, last = axes[name][0], axes[name][-1]
+        if last - first == 360 or (even and (first, last) == (0, 180)):
+            continue
+        accepted = (
+            "from 0 to 180, or a full turn of 360"
+            if even
+            else "a full turn of 360: the surface has a lay, and the halves of a circle differ"
+        )
+        raise VocabularyError(
+            f"{name} of the grid runs from {first:g} to {last:g} degree; accepted: {accepted}; mend `{name}` of the grid"
+        )
 
 
 def _grid_albedo(brdf: Array, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:

@@ -198,7 +198,11 @@ def metamerism(
     dataset = xr.Dataset(
         {
             "total_reflectance": (("recovery", "wavelength"), spectra),
-            "delta_e00": (("light", "recovery", "other"), pairs, {"units": "1", "long_name": "colour difference CIEDE2000"}),
+            "delta_e00": (
+                ("light", "recovery", "other"),
+                pairs,
+                {"units": "1", "long_name": "colour difference CIEDE2000"},
+            ),
             "residual_delta_e": ("recovery", own, {"units": "1", "long_name": "ΔE*ab to the colour wanted"}),
         },
         coords={

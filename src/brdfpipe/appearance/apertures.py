@@ -1,0 +1,176 @@
+"""The apertures of gloss meters: light from a source image into rectangles about its mirror image, integrated on the model.
+
+Rectangles lie in the tangent plane of an axis, u in the plane of incidence (growing with θ) and v across it; a full angle a is a
+half width tan(a/2), and dω = du dv / (1 + u² + v²)^(3/2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from brdfpipe import optics
+from brdfpipe.bsdf import representations
+from brdfpipe.geometry import Array, angles_of
+from brdfpipe.hemisphere import graded_edges, panel_rule
+
+REFERENCE_INDEX = 1.567
+
+SOURCE = (0.75, 2.5)
+"""Full angles of the source image, in the plane of incidence and across it [degree] (ASTM D523, table 1)."""
+
+_NARROW = 1e-4
+_FAINTEST = 1e-12
+
+
+class Rule(NamedTuple):
+    """Points of the quadrature."""
+
+    source: tuple[int, int]
+    """In the plane of incidence and across it."""
+    receptor: int
+    """In each panel."""
+
+
+FINE = Rule((4, 6), 5)
+"""To 1e-5 of the gloss."""
+
+QUICK = Rule((3, 4), 4)
+"""To 1e-4 of the gloss, for means over many azimuths."""
+
+
+class Source(NamedTuple):
+    """Points of the source image, in its tangent plane and as directions [degree]."""
+
+    u: Array
+    v: Array
+    weight: Array
+    """Projected solid angle of each [sr]."""
+    glass: Array
+    """Reflectance of black glass, the reference of every instrument."""
+    theta: Array
+    phi: Array
+
+
+class Window(NamedTuple):
+    """A rectangle in the tangent plane of the mirrored axis."""
+
+    low_u: float
+    high_u: float
+    low_v: float
+    high_v: float
+
+
+def source(angle: float, rule: Rule, full: tuple[float, float] = SOURCE) -> Source:
+    """The source image about the incidence ``angle`` [degree]."""
+    half_u, half_v = (half_width(width) for width in full)
+    u, weight_u = panel_rule([-half_u, half_u], rule.source[0])
+    v, weight_v = panel_rule([-half_v, half_v], rule.source[1])
+    u, v = (grid.ravel() for grid in np.meshgrid(u, v, indexing="ij"))
+    theta, phi = directions(u, v, angle)
+    cos = np.cos(np.radians(theta))
+    weight = np.outer(weight_u, weight_v).ravel() / (1 + u**2 + v**2) ** 1.5 * cos
+    return Source(u, v, weight, optics.fresnel(cos, REFERENCE_INDEX)[2], theta, phi)
+
+
+def centred(full_u: float, full_v: float) -> Window:
+    """The receptor of these full angles [degree]."""
+    half_u, half_v = half_width(full_u), half_width(full_v)
+    return Window(-half_u, half_u, -half_v, half_v)
+
+
+class Beam(NamedTuple):
+    """Light from a source into a window about its mirror image."""
+
+    angle: float
+    """Incidence [degree]."""
+    light: Source
+    window: Window
+    order: int
+    """Points in each panel of the window."""
+
+
+def received(bsdf: xr.Dataset, beams: Sequence[Beam], azimuth: float, scale: float) -> list[Array]:
+    """∫window f cos θ_r dω_r for every point of the source of each beam.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf`` without wavelength
+    beams : all evaluated at once
+    azimuth : that the plane of incidence is turned by [degree]
+    scale : of the lobe, from :func:`lobe_scale`
+    """
+    nodes = [_nodes(beam, scale) for beam in beams]
+    theta_i, phi_i, theta_o, phi_o = (np.concatenate(each) for each in zip(*(node.at for node in nodes), strict=True))
+    evaluate = representations.representation(bsdf).evaluate
+    brdf = evaluate(bsdf, theta_i, phi_i + azimuth, theta_o, phi_o + 180 + azimuth, None)[:, 0]
+    parts = np.split(brdf, np.cumsum([node.weight.size for node in nodes])[:-1])
+    return [
+        np.bincount(node.owner, node.weight * part, minlength=beam.light.u.size).astype(float)
+        for node, part, beam in zip(nodes, parts, beams, strict=True)
+    ]
+
+
+class _Nodes(NamedTuple):
+    at: tuple[Array, Array, Array, Array]
+    """θ_i, φ_i, θ_o and φ_o from the mirror direction [degree]"""
+    weight: Array
+    owner: NDArray[np.intp]
+    """Source point of each."""
+
+
+def _nodes(beam: Beam, scale: float) -> _Nodes:
+    """Points of a window for every point of its source.
+
+    The window's axis is the mirror image of the source's, so the mirror direction of source point (u, v) is (u, v) of the
+    window; panels are graded towards it, on the scale of the lobe.
+    """
+    light, window = beam.light, beam.window
+    across = max(scale * np.cos(np.radians(beam.angle)), 1e-9)
+    u, weight_u = _panels(light.u, scale, window.low_u, window.high_u, beam.order)
+    v, weight_v = _panels(light.v, across, window.low_v, window.high_v, beam.order)
+    u, v = np.broadcast_arrays(u[:, :, None], v[:, None, :])
+    weight = weight_u[:, :, None] * weight_v[:, None, :] / (1 + u**2 + v**2) ** 1.5
+    # Panels clipped to the rectangle have no width: most of them, for every single source point.
+    used = weight > 0
+    theta_o, phi_o = directions(u[used], v[used], beam.angle)
+    owner = np.nonzero(used)[0]
+    weight = weight[used] * np.cos(np.radians(theta_o))
+    return _Nodes((light.theta[owner], light.phi[owner], theta_o, phi_o), weight, owner)
+
+
+def lobe_scale(bsdf: xr.Dataset, angle: float, azimuth: float) -> float:
+    """Half the half width of the specular lobe in radian, a typical slope; a moderate one where the lobe is not known."""
+    slope = representations.lobe_slope(bsdf)
+    if slope is None or (slope < _NARROW and not _peaks(bsdf, angle, azimuth)):
+        return 0.02
+    return float(np.clip(slope, 1e-6, 0.2))
+
+
+def half_width(full_angle: float) -> float:
+    """Half width of an aperture in the tangent plane of its axis."""
+    return float(np.tan(np.radians(full_angle) / 2))
+
+
+def directions(u: Array, v: Array, angle: float) -> tuple[Array, Array]:
+    """θ and φ of points of the tangent plane of the axis (angle, 0)."""
+    sin, cos = np.sin(np.radians(angle)), np.cos(np.radians(angle))
+    return angles_of(np.stack([sin + u * cos, v, cos - u * sin], axis=-1))
+
+
+def _panels(centre: Array, scale: float, low: float, high: float, order: int) -> tuple[Array, Array]:
+    """Panels that double in width from half the scale until they cover the whole window, however narrow the lobe."""
+    doublings = int(np.clip(np.ceil(np.log2(4 * max(abs(low), abs(high)) / scale)), 4, 40))
+    return panel_rule(graded_edges(centre, scale, low, high, doublings), order)
+
+
+def _peaks(bsdf: xr.Dataset, angle: float, azimuth: float) -> bool:
+    """Whether the BSDF is any larger in the mirror direction than a degree beside it: a polished surface's is not."""
+    at, beside = representations.representation(bsdf).evaluate(
+        bsdf, np.full(2, angle), np.full(2, azimuth), np.array([angle, angle - 1]), np.full(2, azimuth + 180), None
+    )[:, 0]
+    return bool(at > 2 * beside and at > _FAINTEST)

@@ -1,0 +1,71 @@
+"""Reflectance haze, against closed forms and gloss."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+
+from brdfpipe import facets, optics
+from brdfpipe.appearance import apertures, gloss
+from brdfpipe.appearance.haze import HazeError, HazeWindow, reflectance_haze
+from brdfpipe.bsdf import lambert_gauss, microfacet
+
+
+def rough(a, n=1.5):
+    return microfacet.build(facets.analytic("beckmann", a), index=n)
+
+
+def test_a_polished_surface_has_no_haze():
+    assert reflectance_haze(microfacet.build(facets.flat(), index=1.5)).values == pytest.approx(0, abs=1e-12)
+
+
+def test_haze_of_a_white_lambertian_is_the_solid_angle_of_its_windows():
+    found = reflectance_haze(lambert_gauss.lambertian(samples.spectrum(1.0)))
+    solid = 2 * np.radians(1.8) * np.radians(3.6) * np.cos(np.radians(20))
+    # Small windows: solid angles to 1e-3, and black glass on the axis to 1e-4.
+    expected = 100 * solid / np.pi / float(optics.fresnel(np.cos(np.radians(20)), 1.567)[2])
+    assert float(found[0]) == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("a", [0.01, 0.05, 0.3])
+def test_the_windows_and_the_receptor_between_them_make_one_wide_receptor(a):
+    windows = [HazeWindow(20.0, 1.4, (1.0, 3.6))]
+    beside, centre = float(reflectance_haze(rough(a), windows)[0]), float(gloss(rough(a), [20.0])[0])
+    light = apertures.source(20.0, apertures.FINE)
+    beam = apertures.Beam(20.0, light, apertures.centred(3.8, 3.6), 6)
+    (whole,) = apertures.received(rough(a), [beam], 0.0, apertures.lobe_scale(rough(a), 20.0, 0.0))
+    # 20° gloss ends 0.9° off the axis, where the windows start; they are wider across by 1/cos 1.4° = 1.0003.
+    assert beside + centre == pytest.approx(100 * (light.weight @ whole) / (light.weight @ light.glass), rel=4e-4)
+
+
+def test_haze_has_a_maximum_between_polished_and_matt():
+    found = [float(reflectance_haze(rough(a))[0]) for a in (0.001, 0.005, 0.015, 0.1, 0.4)]
+    assert np.argmax(found) in (1, 2)
+    assert found[0] < 0.1 < found[-1] < max(found)
+
+
+def test_windows_further_off_see_less_and_are_named():
+    asked = [{"angle": 30, "offset": offset, "aperture": [0.5, 3]} for offset in (2, 5, 15)]
+    found = reflectance_haze(rough(0.05), asked)
+    assert (np.diff(found.values) < 0).all()
+    assert found["haze_window"].values.tolist()[0] == "30° ± 2°, 0.5° × 3°"
+
+
+def test_haze_of_a_surface_with_a_lay_is_between_those_of_its_planes():
+    brushed = microfacet.build(facets.analytic("beckmann", a_x=0.01, a_y=0.1, azimuth=20), index=1.5)
+    mean = float(reflectance_haze(brushed)[0])
+    planes = [float(reflectance_haze(brushed, azimuth=azimuth)[0]) for azimuth in (20, 110)]
+    assert min(planes) < mean < max(planes)
+
+
+@pytest.mark.parametrize(
+    ("window", "said"),
+    [
+        (HazeWindow(20.0, 1.0, (1.8, 3.6)), "covers part of the source's image"),
+        (HazeWindow(85.0, 4.5, (2.0, 3.6)), "does not lie above the surface"),
+    ],
+)
+def test_a_window_that_cannot_be_is_refused(window, said):
+    with pytest.raises(HazeError, match=said):
+        reflectance_haze(rough(0.1), [window])
