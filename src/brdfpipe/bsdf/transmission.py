@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdfpipe import optics
-from brdfpipe.bsdf import energy
+from brdfpipe.bsdf import energy, lay
 from brdfpipe.bsdf.microsurface import Microsurface
 from brdfpipe.density import RadialDensity
 from brdfpipe.geometry import Array, unit_vector
@@ -119,16 +119,19 @@ def directional_transmittance(
         around = 0.0 if surface.isotropic else around
         values = []
         for ratio in 1 / distinct if below else distinct:
-            facets = _facets_facing(surface, polar, float(np.arcsin(ratio)) if ratio < 1 else None)
+            facets = _facets_facing(surface, polar, around, float(np.arcsin(ratio)) if ratio < 1 else None)
             values.append(_passed(surface, masking, float(ratio), polar, around, facets))
         result[row] = np.array(values)[where]
     return result
 
 
-def _facets_facing(surface: Microsurface, theta: float, critical: float | None) -> tuple[Array, Array, Array]:
-    """Slopes along x and y of the facets of a quadrature, and their shares; of an isotropic surface, those that face (θ, 0)."""
+def _facets_facing(
+    surface: Microsurface, theta: float, phi: float, critical: float | None
+) -> tuple[Array, Array, Array]:
+    """Slopes along x and y of the facets of a quadrature that face (θ, φ), and their shares; φ = 0 of an isotropic surface."""
     if not isinstance(surface.density, RadialDensity):
-        p, q, share = (each.ravel() for each in surface.density.rule())
+        at = np.array([theta]), np.array([phi])
+        p, q, share = (each[0] for each in lay.facets(surface.density, *at, critical, mirroring=False))
         return p, q, share
     cot = 1 / np.tan(np.radians(max(theta, 1e-9)))
     reach = surface.density.slope[-1]
