@@ -441,3 +441,13 @@ def test_the_picture_of_a_material_stands_near_the_top_of_its_page():
 
 def test_a_page_without_a_picture_says_nothing_of_it():
     assert "How it would look" not in material_page({})
+
+
+def test_gloss_stands_beside_what_tolerances_leave_and_the_haze_of_windows(full: Datasets) -> None:
+    gloss = full["appearance"]["gloss"]
+    told = full["appearance"].assign(
+        gloss_u=("gloss_angle", np.full(gloss.size, 0.25)), reflectance_haze=("haze_window", [1.5])
+    )
+    html = material_page({**full, "appearance": told.assign_coords(haze_window=["20° ± 1.9°, 1.8° × 3.6°"])})
+    assert html.count("<td>± 0.25</td>") == gloss.size
+    assert '<th scope="row">Haze (ISO 13803-style), 20° ± 1.9°, 1.8° × 3.6°</th><td>1.50</td>' in html

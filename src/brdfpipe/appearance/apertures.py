@@ -57,7 +57,7 @@ class Source(NamedTuple):
 
 
 class Window(NamedTuple):
-    """A rectangle in the tangent plane of the mirrored axis."""
+    """A rectangle in the tangent plane of an axis."""
 
     low_u: float
     high_u: float
@@ -65,22 +65,22 @@ class Window(NamedTuple):
     high_v: float
 
 
-def source(angle: float, rule: Rule, full: tuple[float, float] = SOURCE) -> Source:
-    """The source image about the incidence ``angle`` [degree]."""
-    half_u, half_v = (half_width(width) for width in full)
-    u, weight_u = panel_rule([-half_u, half_u], rule.source[0])
-    v, weight_v = panel_rule([-half_v, half_v], rule.source[1])
+def centred(full_u: float, full_v: float) -> Window:
+    """The aperture of these full angles [degree]."""
+    half_u, half_v = half_width(full_u), half_width(full_v)
+    return Window(-half_u, half_u, -half_v, half_v)
+
+
+def source(angle: float, rule: Rule, window: Window | None = None) -> Source:
+    """The source image about the incidence ``angle`` [degree], or another window there."""
+    low_u, high_u, low_v, high_v = window or centred(*SOURCE)
+    u, weight_u = panel_rule([low_u, high_u], rule.source[0])
+    v, weight_v = panel_rule([low_v, high_v], rule.source[1])
     u, v = (grid.ravel() for grid in np.meshgrid(u, v, indexing="ij"))
     theta, phi = directions(u, v, angle)
     cos = np.cos(np.radians(theta))
     weight = np.outer(weight_u, weight_v).ravel() / (1 + u**2 + v**2) ** 1.5 * cos
     return Source(u, v, weight, optics.fresnel(cos, REFERENCE_INDEX)[2], theta, phi)
-
-
-def centred(full_u: float, full_v: float) -> Window:
-    """The receptor of these full angles [degree]."""
-    half_u, half_v = half_width(full_u), half_width(full_v)
-    return Window(-half_u, half_u, -half_v, half_v)
 
 
 class Beam(NamedTuple):

@@ -13,6 +13,7 @@ results are "D523-style".
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -49,7 +50,8 @@ RECEPTOR_TOLERANCE = {20.0: (0.05, 0.1), 60.0: (0.1, 0.2), 85.0: (0.3, 0.3)}
 AXIS_TOLERANCE = 0.1
 """± of the angle of incidence, and of the receptor's axis from its mirror image [degree] (ISO 2813)."""
 
-_POINT = Rule((1, 1), 4)
+_AXES = (-AXIS_TOLERANCE, AXIS_TOLERANCE)
+_POINT, _RIM_U, _RIM_V = Rule((1, 1), 4), Rule((1, 4), 4), Rule((3, 1), 4)
 _EDGE_ORDER = 2
 _FIRST_AZIMUTHS, _MOST_AZIMUTHS = 16, 256
 _MEAN_ERROR = 1e-3
@@ -113,15 +115,15 @@ def gloss_with_uncertainty(
 
     Notes
     -----
-    The receptor's part is linear in the tolerance, from the light along its edges; the source's comes from a quadratic in the
-    light that its points send; the angle of incidence is evaluated at both ends with a point source.
+    The receptor's part is linear in the tolerance, from the light along its edges; the source's comes from the rim between its
+    smallest and its largest; the angle of incidence is evaluated at both ends with a point source. To 5 % of the uncertainty.
     """
     reduced = _reduced(bsdf, angles)
     values, spreads = [], []
     for angle in map(float, angles):
         value, readings = _measured(reduced, angle, azimuth)
         ranges = np.mean([_half_ranges(reduced, reading) for reading in readings], axis=0)
-        # Of a surface with a lay: the first azimuths tell the relative spread of the mean over all of them.
+        # Of a surface with a lay: eight azimuths tell the relative spread of the mean over all of them.
         known = np.mean([reading.units for reading in readings])
         spread = float(np.sqrt(np.sum(ranges**2) / 3))
         values.append(value)
@@ -150,19 +152,20 @@ def _named(values: Sequence[float], angles: Sequence[float], name: str) -> xr.Da
 
 
 def _measured(bsdf: xr.Dataset, angle: float, azimuth: float | None) -> tuple[float, list[_Reading]]:
-    """Gloss units, and readings they rest on: one, or those of the first azimuths of a surface with a lay."""
+    """Gloss units, and readings they rest on: one, or eight around a surface with a lay."""
+    scale = lobe_scale(bsdf, angle, azimuth or 0.0)
     if azimuth is not None or representations.isotropic(bsdf):
-        reading = _read(bsdf, angle, azimuth or 0.0, FINE)
+        reading = _read(bsdf, angle, azimuth or 0.0, scale, FINE)
         return reading.units, [reading]
-    first = [_read(bsdf, angle, turn, QUICK) for turn in _turns(_FIRST_AZIMUTHS)]
-    return _mean_gloss(bsdf, angle, first), first
+    first = [_read(bsdf, angle, turn, scale, QUICK) for turn in _turns(_FIRST_AZIMUTHS)]
+    return _mean_gloss(bsdf, angle, first), first[::2]
 
 
 def _mean_gloss(bsdf: xr.Dataset, angle: float, first: Sequence[_Reading]) -> float:
     """Mean over the azimuth of the plane of incidence: at 85° a fine lay shows within a few degrees of its own."""
-    count, known = len(first), np.array([reading.units for reading in first])
+    scale, count, known = first[0].scale, len(first), np.array([reading.units for reading in first])
     while True:
-        between = np.array([_read(bsdf, angle, turn, QUICK).units for turn in _turns(count) + 180 / count])
+        between = np.array([_read(bsdf, angle, turn, scale, QUICK).units for turn in _turns(count) + 180 / count])
         settled = abs(between.mean() - known.mean()) <= 2 * _MEAN_ERROR * known.mean()
         known, count = np.concatenate([known, between]), 2 * count
         if settled or count >= _MOST_AZIMUTHS:
@@ -173,8 +176,8 @@ def _turns(count: int) -> Array:
     return np.arange(0.0, 360.0, 360 / count)
 
 
-def _read(bsdf: xr.Dataset, angle: float, azimuth: float, rule: Rule) -> _Reading:
-    light, scale = source(angle, rule), lobe_scale(bsdf, angle, azimuth)
+def _read(bsdf: xr.Dataset, angle: float, azimuth: float, scale: float, rule: Rule) -> _Reading:
+    light = source(angle, rule)
     (scattered,) = received(bsdf, [Beam(angle, light, centred(*RECEPTOR[angle]), rule.receptor)], azimuth, scale)
     return _Reading(angle, azimuth, scale, light, _mirrored(bsdf, light, azimuth) + scattered)
 
@@ -192,50 +195,55 @@ def _units(light: Source, reflected: Array) -> float:
 
 def _half_ranges(bsdf: xr.Dataset, reading: _Reading) -> Array:
     """Half the range of the gloss over each of the six tolerances, signed so that means over azimuths are those of the gloss."""
-    edges, steps = _edges(reading.angle)
-    tilted = [_tilted(reading.angle, axis) for axis in (-AXIS_TOLERANCE, AXIS_TOLERANCE)]
-    light = source(reading.angle, QUICK)
-    beams = [*(Beam(reading.angle, light, edge, _EDGE_ORDER) for edge in edges), *tilted]
+    angle, receptor = reading.angle, centred(*RECEPTOR[reading.angle])
+    edges, step = _edges(angle)
+    light = source(angle, QUICK)
+    beams = [Beam(angle, light, edge, _EDGE_ORDER) for edge in edges]
+    beams += [Beam(angle, rim, receptor, QUICK.receptor) for rim in _rims(angle)]
+    beams += [Beam(angle + off, source(angle + off, _POINT), receptor, QUICK.receptor) for off in _AXES]
     scattered = received(bsdf, beams, reading.azimuth, reading.scale)
     left, right, near, far = (_units(light, each) / 2 for each in scattered[:4])
-    less, more = (
-        _units(beam.light, each + _mirrored(bsdf, beam.light, reading.azimuth))
-        for beam, each in zip(tilted, scattered[4:], strict=True)
-    )
+    shifted = (right - left) * float(np.radians(AXIS_TOLERANCE)) / step
+    seen = [beam.light for beam in beams[4:]]
+    mirrored = np.split(_mirrored(bsdf, _joined(seen), reading.azimuth), np.cumsum([each.u.size for each in seen])[:-1])
+    reflected = [one + other for one, other in zip(mirrored, scattered[4:], strict=True)]
+    less, more = (_units(*each) for each in zip(seen[4:], reflected[4:], strict=True))
     incidence = reading.units * (more - less) / (more + less) if more + less > 0 else 0.0
-    shifted = (right - left) * float(np.radians(AXIS_TOLERANCE)) / steps[0]
-    return np.array([*_source_ranges(reading), left + right, near + far, shifted, incidence])
+    return np.array([left + right, near + far, shifted, incidence, *_source_ranges(reading, seen[:4], reflected[:4])])
 
 
-def _edges(angle: float) -> tuple[list[Window], tuple[float, float]]:
-    """Strips about the four edges of the receptor, and how far each edge moves: by half of what the full angle does."""
+def _edges(angle: float) -> tuple[list[Window], float]:
+    """Strips about the four edges of the receptor, and how far the first two move: by half of what the full angle does."""
     full, tolerance = RECEPTOR[angle], RECEPTOR_TOLERANCE[angle]
     low_u, high_u, low_v, high_v = centred(*full)
     by_u, by_v = (half_width(each + more) - half_width(each) for each, more in zip(full, tolerance, strict=True))
     edges = [Window(at - by_u, at + by_u, low_v, high_v) for at in (low_u, high_u)]
     edges += [Window(low_u, high_u, at - by_v, at + by_v) for at in (low_v, high_v)]
-    return edges, (by_u, by_v)
+    return edges, by_u
 
 
-def _tilted(angle: float, axis: float) -> Beam:
-    """An instrument whose angle of incidence, and of the receptor with it, is off by ``axis``."""
-    return Beam(angle + axis, source(angle + axis, _POINT), centred(*RECEPTOR[angle]), _POINT.receptor)
-
-
-def _source_ranges(reading: _Reading) -> list[float]:
-    """Of the source's width in the plane of incidence, and across it."""
-    light = reading.light
-    terms = np.stack([np.ones_like(light.u), light.u, light.v, light.u**2, light.v**2], axis=1)
-    density = np.cos(np.radians(light.theta)) / (1 + light.u**2 + light.v**2) ** 1.5
-    sent = np.stack([density * reading.reflected, density * light.glass], axis=1)
-    mean, _, _, curved_u, curved_v = np.linalg.lstsq(terms, sent, rcond=None)[0]
-
-    def units(full_u: float, full_v: float) -> float:
-        flux = mean + curved_u * half_width(full_u) ** 2 / 3 + curved_v * half_width(full_v) ** 2 / 3
-        return float(100 * flux[0] / flux[1])
-
+def _rims(angle: float) -> list[Source]:
+    """What the smallest source lacks of the nominal one, and the largest has beyond it: in the plane of incidence, then across."""
     (full_u, full_v), (more_u, more_v) = SOURCE, SOURCE_TOLERANCE
-    return [
-        (units(full_u + more_u, full_v) - units(full_u - more_u, full_v)) / 2,
-        (units(full_u, full_v + more_v) - units(full_u, full_v - more_v)) / 2,
+    across, along = half_width(full_v), half_width(full_u)
+    rims = []
+    for low, high in pairwise(half_width(full_u + end * more_u) for end in (-1, 0, 1)):
+        sides = [Window(-high, -low, -across, across), Window(low, high, -across, across)]
+        rims.append(_joined([source(angle, _RIM_U, side) for side in sides]))
+    for low, high in pairwise(half_width(full_v + end * more_v) for end in (-1, 0, 1)):
+        sides = [Window(-along, along, -high, -low), Window(-along, along, low, high)]
+        rims.append(_joined([source(angle, _RIM_V, side) for side in sides]))
+    return rims
+
+
+def _joined(sources: Sequence[Source]) -> Source:
+    return Source(*(np.concatenate(each) for each in zip(*sources, strict=True)))
+
+
+def _source_ranges(reading: _Reading, rims: Sequence[Source], reflected: Sequence[Array]) -> list[float]:
+    whole = np.array([reading.light.weight @ reading.reflected, reading.light.weight @ reading.light.glass])
+    rim = [
+        np.array([light.weight @ sent, light.weight @ light.glass]) for light, sent in zip(rims, reflected, strict=True)
     ]
+    ends = [(whole - rim[0], whole + rim[1]), (whole - rim[2], whole + rim[3])]
+    return [float(50 * (large[0] / large[1] - small[0] / small[1])) for small, large in ends]

@@ -21,8 +21,9 @@ from brdfpipe import vocabulary
 from brdfpipe.appearance.apertures import QUICK, SOURCE, Beam, Window, half_width, lobe_scale, received, source
 from brdfpipe.bsdf import representations
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array
 
-_AZIMUTHS = np.arange(0.0, 360.0, 360 / 32)
+_AZIMUTHS = np.arange(0.0, 360.0, 360 / 16)
 
 
 class HazeError(BrdfpipeError):
@@ -57,7 +58,7 @@ def reflectance_haze(
     ----------
     bsdf : kind ``bsdf``; averaged with V(λ)·D65 where it depends on wavelength
     windows : or mappings with ``angle``, ``offset`` and ``aperture``
-    azimuth : of the plane of incidence [degree]; by default the mean over 32 azimuths, which matters to a surface with a lay
+    azimuth : of the plane of incidence [degree]; by default the mean over 16 azimuths, which matters to a surface with a lay
 
     Returns
     -------
@@ -73,7 +74,7 @@ def reflectance_haze(
     turns = _AZIMUTHS if azimuth is None and not representations.isotropic(reduced) else np.array([azimuth or 0.0])
     quantity = vocabulary.QUANTITIES["reflectance_haze"]
     return xr.DataArray(
-        np.array([np.mean([_haze(reduced, window, float(turn)) for turn in turns]) for window in checked], dtype=float),
+        np.array([_haze(reduced, window, turns) for window in checked], dtype=float),
         dims="haze_window",
         coords={"haze_window": np.array([window.title for window in checked], dtype=object)},
         name="reflectance_haze",
@@ -100,10 +101,10 @@ def _checked(window: HazeWindow | Mapping[str, Any]) -> HazeWindow:
     return window
 
 
-def _haze(bsdf: xr.Dataset, window: HazeWindow, azimuth: float) -> float:
-    light = source(window.angle, QUICK)
+def _haze(bsdf: xr.Dataset, window: HazeWindow, turns: Array) -> float:
+    light, scale = source(window.angle, QUICK), lobe_scale(bsdf, window.angle, float(turns[0]))
     beams = [Beam(window.angle, light, _rectangle(window, side), QUICK.receptor) for side in (-1, 1)]
-    flux = sum(received(bsdf, beams, azimuth, lobe_scale(bsdf, window.angle, azimuth)))
+    flux = np.mean([np.sum(received(bsdf, beams, float(turn), scale), axis=0) for turn in turns], axis=0)
     return float(100 * (light.weight @ flux) / (light.weight @ light.glass))
 
 

@@ -36,8 +36,9 @@ _INTERPOLATION = 2e-9
 _NOISE = 1e-9
 _MOST_NODES = 400
 _LAY_STEP = 0.2
-_LAY_AZIMUTH = 15.0
-_LAY_MOST_GRAZING = 5.0
+_LAY_AZIMUTH = 18.0
+_LAY_FINENESS = 8.0
+_LAY_MOST_GRAZING = 2.0
 
 
 def fresnel_mean(cos_zeta: Array, n: ArrayLike, k: ArrayLike) -> Array:
@@ -252,7 +253,7 @@ class AlbedoTable:
         if self.phi is None:
             return np.asarray(weight @ self(np.degrees(theta)))
         assert self.ellipse is not None
-        around = lay.azimuths(self.ellipse, np.arange(4 * self.phi.size) * (90 / self.phi.size))
+        around = lay.azimuths(self.ellipse, np.linspace(0.0, 360.0, 4 * self.phi.size, endpoint=False))
         width, _ = self.ellipse.towards(around)
         return np.asarray(
             weight @ np.einsum("tpl,p->tl", self(np.degrees(theta)[:, None], around), width / width.sum())
@@ -264,7 +265,8 @@ class AlbedoTable:
 
     @cached_property
     def _surfaces(self) -> list[RectBivariateSpline]:
-        assert self.phi is not None and self.ellipse is not None
+        assert self.phi is not None
+        assert self.ellipse is not None
         arc = lay.position(self.ellipse, self.phi)
         order = np.argsort(arc)
         around = np.concatenate([order[-4:], order, order[:4]])
@@ -275,7 +277,7 @@ class AlbedoTable:
 
 def _lay_scale(ellipse: Ellipse) -> float:
     """Angle from grazing [degree] within which the albedo of a surface with a lay may turn."""
-    return min(float(np.degrees(min(ellipse.along, ellipse.across))) / 4, _LAY_MOST_GRAZING)
+    return min(float(np.degrees(min(ellipse.along, ellipse.across))) / _LAY_FINENESS, _LAY_MOST_GRAZING)
 
 
 def _even_spline(grazing: Array, values: Array) -> CubicSpline:
@@ -299,6 +301,7 @@ def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], ex
     """
     if surface.isotropic:
         return refined(lambda theta: albedo(theta, np.zeros_like(theta)), surface.median_slope, exact)
+    assert not isinstance(surface.density, RadialDensity)
     return _tabulated_lay(surface.density, albedo, exact)
 
 
@@ -327,19 +330,21 @@ def _tabulated_lay(density: PlanarDensity, albedo: Callable[[Array, Array], Arra
     theta[np.searchsorted(grazing, wanted)] = exact
     order = np.argsort(np.round(phi % 360, 9))
     table = AlbedoTable(theta[::-1], values[::-1][:, order], np.round(phi % 360, 9)[order], ellipse)
-    between, around, found = on_net((grazing[1:] + grazing[:-1]) / 2, arcs + arcs[1] / 2)
+    # Of a surface without symmetry, for its cost, at every second azimuth.
+    probes = arcs[:: 1 if lay.symmetric(density) else 2] + arcs[1] / 2
+    between, around, found = on_net((grazing[1:] + grazing[:-1]) / 2, probes)
     miss = np.abs(table(between[:, None], around) - found).max(axis=(1, 2))
     error = np.maximum(np.append(miss, 0.0), np.append(0.0, miss))[::-1]
-    return _lifted(table, error)
+    # Raised and cut off at 1 the table would bend there, and ring: what is lost fades instead.
+    lost = np.maximum(1 - table.values, 0.0)
+    return replace(table, values=1 - lost**2 / (lost + _lift(table.theta, error)[:, None, None]))
 
 
-def _lifted(table: AlbedoTable, error: Array) -> AlbedoTable:
-    """The table, raised at its nodes by what was found amiss about them (θ,)."""
+def _lift(theta: Array, error: Array) -> Array:
+    """How far to raise a table at its nodes for the errors found about them, both (θ,)."""
     # An error close to grazing says nothing about the rest; spread smoothly, lest the spline overshoot.
-    grazing = np.maximum(90 - table.theta, 1e-9)
-    lift = 4 * np.max(error * np.minimum(1.0, grazing / grazing[:, None]), axis=1) + _NOISE
-    values = table.values + lift.reshape(-1, *(1,) * (table.values.ndim - 1))
-    return replace(table, values=np.clip(values, 0.0, 1.0))
+    grazing = np.maximum(90 - theta, 1e-9)
+    return np.asarray(4 * np.max(error * np.minimum(1.0, grazing / grazing[:, None]), axis=1) + _NOISE)
 
 
 def refined(albedo: Callable[[Array], Array], slope: float, exact: Array) -> AlbedoTable:
@@ -352,7 +357,7 @@ def refined(albedo: Callable[[Array], Array], slope: float, exact: Array) -> Alb
     exact : angles of incidence that must be among the nodes [degree]
     """
     nodes, values, error = _bisected(albedo, slope, exact)
-    return _lifted(AlbedoTable(nodes, values), error)
+    return AlbedoTable(nodes, np.clip(values + _lift(nodes, error)[:, None], 0.0, 1.0))
 
 
 def _bisected(albedo: Callable[[Array], Array], slope: float, exact: Array) -> tuple[Array, Array, Array]:

@@ -15,8 +15,8 @@ from brdfpipe.planar import Ellipse, PlanarDensity
 
 _PANELS_A_QUARTER = 4
 _AROUND_ORDER = 5
-_RADIAL_CORE = np.arange(0.0, 3.1, 0.6)
-_RADIAL_GROWTH = 1.5
+_RADIAL_CORE = np.arange(0.0, 3.1, 0.5)
+_RADIAL_GROWTH = 1.6
 _RADIAL_ORDER = 4
 _SHARPEST = 0.03
 _LEAST_COSINE = 1e-150
@@ -38,7 +38,7 @@ def facets(
     ellipse = density.ellipse
     width, turn = ellipse.towards(phi)
     cos_i, sin_i = np.maximum(np.cos(np.radians(theta)), _LEAST_COSINE), np.sin(np.radians(theta))
-    t, dt = _around(ellipse, width, np.radians(turn), cos_i, sin_i, 1 if critical is None else 3)
+    t, dt = _around(ellipse, width, np.radians(turn), cos_i, sin_i, 1 if critical is None else 2)
     x, y = np.cos(t), np.sin(t)
     squared = (ellipse.along * x) ** 2 + (ellipse.across * y) ** 2
     towards = (width * sin_i)[:, None] * np.cos(t - np.radians(turn)[:, None])
@@ -78,9 +78,8 @@ def _radial_edges(end: float) -> Array:
     """Panel edges in asinh r, as shares of the last: even where most facets are, then longer and longer to the ends of the tails."""
     tail = _RADIAL_CORE[-1] + np.cumsum(np.diff(_RADIAL_CORE)[0] * _RADIAL_GROWTH ** np.arange(1, 13))
     edges = np.concatenate([_RADIAL_CORE, tail])
-    return np.asarray(
-        edges[: np.searchsorted(edges, end) + 1] / edges[min(np.searchsorted(edges, end), edges.size - 1)]
-    )
+    last = min(int(np.searchsorted(edges, end)), edges.size - 1)
+    return edges[: last + 1] / edges[last]
 
 
 def _horizon(cos_i: Array, towards: Array, squared: Array | None) -> Array:
@@ -117,11 +116,16 @@ def position(ellipse: Ellipse, azimuth: Array | float) -> Array:
 
     In it the width w of the slopes turns evenly from wide to narrow, however long the ellipse.
     """
-    from scipy.special import ellipkinc, ellipkm1
+    from scipy.special import ellipkm1, elliprf
 
     ratio, wide = _shape(ellipse)
-    angle = np.radians(np.asarray(azimuth, dtype=float) - wide)
-    return np.asarray(90 * ellipkinc(angle, 1 - ratio**2) / ellipkm1(ratio**2) % 360)
+    angle = np.asarray(azimuth, dtype=float) - wide
+    halves = np.round(angle / 180)
+    rest = np.radians(angle - 180 * halves)
+    sin, cos = np.sin(rest), np.cos(rest)
+    # Carlson's form: scipy's ellipkinc takes a wrong branch at isolated angles.
+    arc = sin * elliprf(cos**2, cos**2 + (ratio * sin) ** 2, 1.0)
+    return np.asarray((90 * arc / ellipkm1(ratio**2) + 180 * halves) % 360)
 
 
 def azimuths(ellipse: Ellipse, arc: Array) -> Array:

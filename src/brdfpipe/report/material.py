@@ -435,17 +435,33 @@ def _gloss_table(appearance: xr.Dataset | None, known: bool) -> Table | None:
     gloss = _gloss(appearance)
     if not gloss:
         return None
-    header = ("Geometry", "Gloss units")
+    header: tuple[str, ...] = ("Geometry", "Gloss units")
     if not known:
         angles = ", ".join(f"{angle:g}°" for angle, _ in gloss)
         note = "No surface finish was measured or assumed: the gloss of the ideally matt BRDF would say nothing of the material."
         return Table("Gloss", header, [(angles, "not modelled")], note)
-    rows = [(f"{angle:g}°", fixed(value, 2)) for angle, value in gloss]
+    spread = _spread(appearance)
+    rows = [(f"{angle:g}°", fixed(value, 2), spread.get(angle, "")) for angle, value in gloss]
     if appearance is not None and "haze" in appearance and np.isfinite(appearance["haze"]):
         high = math.isfinite(high_gloss_haze(appearance))
-        rows.append(("Haze (D4039-style), 60° − 20°" if high else "60° − 20°", fixed(float(appearance["haze"]), 2)))
+        title = "Haze (D4039-style), 60° − 20°" if high else "60° − 20°"
+        rows.append((title, fixed(float(appearance["haze"]), 2), ""))
+    if appearance is not None and "reflectance_haze" in appearance:
+        beside = appearance["reflectance_haze"]
+        found = zip(_labels(beside, "haze_window"), beside.values.tolist(), strict=True)
+        rows += [(f"Haze (ISO 13803-style), {window}", fixed(value, 2), "") for window, value in found]
     note = "D523-style: computed from the model with the standard's apertures; conformance is not claimed."
-    return Table("Gloss", header, rows, note)
+    if not spread:
+        return Table("Gloss", header, [row[:2] for row in rows], note)
+    words = " Tolerances: standard uncertainty that those of the apertures and axes leave; the BRDF's own comes on top."
+    return Table("Gloss", (*header, "Tolerances"), rows, note + words)
+
+
+def _spread(appearance: xr.Dataset | None) -> dict[float, str]:
+    if appearance is None or "gloss_u" not in appearance:
+        return {}
+    angles, spread = appearance["gloss_angle"].values.tolist(), appearance["gloss_u"].values.tolist()
+    return {angle: f"± {fixed(each, 2)}" for angle, each in zip(angles, spread, strict=True) if math.isfinite(each)}
 
 
 def _gloss(appearance: xr.Dataset | None) -> list[tuple[float, float]]:
