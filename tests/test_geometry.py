@@ -47,6 +47,11 @@ def test_slopes_are_resolved_next_to_the_mirror_direction(theta):
     assert np.sqrt(half.slope_squared) == pytest.approx(delta, rel=1e-4)
 
 
+def test_plain_angles_of_different_lengths_are_refused_by_name():
+    with pytest.raises(VocabularyError, match=r"theta_i \(2,\), theta_o \(3,\); give equal lengths"):
+        geometry.broadcast(theta_i=np.zeros(2), phi_i=np.zeros(()), theta_o=np.zeros(3))
+
+
 def test_labelled_angles_that_do_not_belong_together_are_refused():
     first = xr.DataArray([0.0, 10.0, 20.0], coords={"x": [0, 1, 2]}, dims="x")
     for second in (first.assign_coords(x=[1, 2, 3]), first[:2].drop_vars("x")):

@@ -131,10 +131,16 @@ def broadcast(**angles: xr.DataArray | Array) -> tuple[xr.DataArray, ...]:
 
     Raises
     ------
-    VocabularyError : labelled angles of one dimension have other coordinates, or sizes; or a dimension is called ``wavelength``.
+    VocabularyError : plain angles of different lengths; labelled angles of one dimension have other coordinates, or sizes; or a dimension is called ``wavelength``.
     """
     plain = {name: angle for name, angle in angles.items() if not isinstance(angle, xr.DataArray)}
-    shape = np.broadcast_shapes(*(angle.shape for angle in plain.values()))
+    try:
+        shape = np.broadcast_shapes(*(angle.shape for angle in plain.values()))
+    except ValueError as error:
+        found = ", ".join(f"{name} {angle.shape}" for name, angle in plain.items() if angle.shape)
+        raise VocabularyError(
+            f"the angles cannot be paired: {found}; give equal lengths, or DataArrays of different dimensions to cross them"
+        ) from error
     dims = ("direction",) if len(shape) == 1 else tuple(f"direction_{axis}" for axis in range(len(shape)))
     labelled = {
         name: angle if isinstance(angle, xr.DataArray) else xr.DataArray(np.broadcast_to(angle, shape), dims=dims)

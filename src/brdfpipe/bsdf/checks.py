@@ -354,10 +354,17 @@ def _verdicts(result: xr.Dataset, found: dict[str, _Residual], bsdf: xr.Dataset)
         "grazing": _grazing_verdict(found["grazing"], known),
     }
     integrates = found["integral"].size <= INTEGRAL_LIMIT
+    stated = float(bsdf.get("interpolation_error", 0.0))
+    expected = found["integral"].size <= stated
     verdicts["integral"] = _Verdict(
-        "pass" if integrates else broken,
-        f"the BRDF integrates to its albedo within {found['integral'].size:.1e}"
-        + ("" if integrates else f", {found['integral'].where}{known}"),
+        "pass" if integrates else "warn" if expected else broken,
+        f"what leaves in all directions adds up to the told share within {found['integral'].size:.1e} of the light"
+        + ("" if integrates else f" (at most {INTEGRAL_LIMIT:g} is wanted), {found['integral'].where}{known}")
+        + (
+            f"; the table of angles states an error of {stated:.1e}: take shares from `albedo` and `transmittance`"
+            if expected and not integrates
+            else ""
+        ),
     )
     if np.isfinite(closure):
         clamped = bool((bsdf.get("diffuse_quality", xr.DataArray(0)) == vocabulary.quality("clamped")).any())
