@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from brdfpipe import columns, documents, vocabulary
 from brdfpipe.errors import InputError
-
-Array = NDArray[np.float64]
+from brdfpipe.geometry import Array
 
 SUFFIXES = (".yaml", ".yml")
 """Extensions read in the layout of refractiveindex.info."""

@@ -60,6 +60,11 @@ def graded_edges(centre: ArrayLike, scale: ArrayLike, low: float, high: float, s
     return np.clip(edges, low, high)
 
 
+def azimuths(isotropic: bool) -> Array:
+    """Azimuths of incidence over which a BSDF is averaged or looked at [degree]: one where all are alike, else eight."""
+    return np.arange(0.0, 360.0, 360.0 if isotropic else 45.0)
+
+
 class Directions(NamedTuple):
     """Directions of a quadrature over the upper hemisphere, with projected solid angles."""
 

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import columns, dispersion, vocabulary
 from brdfpipe.errors import BrdfpipeError, InputError
-
-Array = NDArray[np.float64]
+from brdfpipe.geometry import Array
 
 SUFFIXES = (*columns.TEXT_SUFFIXES, *dispersion.SUFFIXES)
 """Extensions of the files read."""

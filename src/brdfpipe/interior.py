@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from brdfpipe import columns, vocabulary
 from brdfpipe.errors import InputError
-
-Array = NDArray[np.float64]
+from brdfpipe.geometry import Array
 
 NEUTRAL_SPAN = (360.0, 780.0)
 """Wavelengths a constant is stored at [nm]; it holds at every other too."""

@@ -185,7 +185,7 @@ def g2(
     ----------
     facets : kind ``facets``; its mean slope is zero
     theta_i, phi_i, theta_o, phi_o : degree, broadcastable; 0 <= θ < 90
-    mode : a key of :data:`MODES`, or ``liu`` (:mod:`brdfpipe.bsdf.liu`)
+    mode : a key of :data:`VISIBILITY`, or ``liu`` (:mod:`brdfpipe.bsdf.liu`)
 
     Returns
     -------
@@ -196,8 +196,8 @@ def g2(
     VocabularyError : the dataset is not of kind ``facets``, an angle is out of range, or the mode is unknown.
     """
     vocabulary.validate(facets, "facets")
-    if mode not in (*MODES, "liu"):
-        raise VocabularyError(f"unknown masking mode {mode!r}; accepted: {', '.join(MODES)}, liu")
+    if mode not in (*VISIBILITY, "liu"):
+        raise VocabularyError(f"unknown masking mode {mode!r}; accepted: {', '.join(VISIBILITY)}, liu")
     angles = broadcast(
         theta_i=checked_angles("theta_i", theta_i, 0, _BELOW_GRAZING),
         phi_i=checked_angles("phi_i", phi_i, -720, 720),
@@ -220,12 +220,8 @@ def _liu(facets: xr.Dataset, angles: list[Array]) -> Array:
 
 
 def _by_lambda(facets: xr.Dataset, plain: list[Array], half: HalfVector, mode: str) -> Array:
-    pair = []
-    for polar, azimuth in ((plain[0], plain[1]), (plain[2], plain[3])):
-        cos, sin, excess = _seen_from(facets, polar, azimuth)
-        pair.append((cos, excess * sin / cos))
-    (cos_i, lambda_i), (cos_o, lambda_o) = pair
-    return MODES[mode](lambda_i, lambda_o, cos_i, cos_o, half.cos_alpha, half.cos_zeta)
+    excess_i, excess_o = (_seen_from(facets, *each)[2] for each in ((plain[0], plain[1]), (plain[2], plain[3])))
+    return np.minimum(VISIBILITY[mode](half, excess_i, excess_o) * (half.cos_i * half.cos_o), 1.0)
 
 
 def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
@@ -281,23 +277,6 @@ def _seen_from(facets: xr.Dataset, theta: Array, phi: Array) -> tuple[Array, Arr
     return cos, sin, Smith.of(facets).excess_towards(cos, sin)
 
 
-Mode = Callable[[Array, Array, Array, Array, Array, Array], Array]
-
-MODES: dict[str, Mode] = {
-    "height-correlated": lambda l_i, l_o, c_i, c_o, c_a, c_z: 1 / (1 + l_i + l_o),
-    "separable": lambda l_i, l_o, c_i, c_o, c_a, c_z: 1 / ((1 + l_i) * (1 + l_o)),
-    "crf": lambda l_i, l_o, c_i, c_o, c_a, c_z: 1 / (1 + l_o),
-    "blinn": lambda l_i, l_o, c_i, c_o, c_a, c_z: np.minimum(1.0, 2 * c_a * np.minimum(c_i, c_o) / c_z),
-    "none": lambda l_i, l_o, c_i, c_o, c_a, c_z: np.ones_like(l_i),
-}
-"""G2 by mode, from Λ and cos θ of both directions, cos α and cos ζ of the facet between them.
-
-``height-correlated``: 1/(1 + Λ_i + Λ_o), Heitz 2014 eq. 99, the default · ``separable``: G1(i) G1(o) · ``crf``: G1(o) alone, the
-patent's, which is neither reciprocal nor keeps energy · ``blinn``: V-grooves, min(1, 2 cos α cos θ / cos ζ), Blinn 1977 ·
-``none``: 1.
-"""
-
-
 Visibility = Callable[[HalfVector, Array, Array], Array]
 
 
@@ -330,7 +309,9 @@ VISIBILITY: dict[str, Visibility] = {
     "blinn": _blinn,
     "none": _unmasked,
 }
-"""G2 / (cos θ_i cos θ_o) by the same modes, from the pair of directions and the mean excess slopes g(cot θ) towards them.
+"""G2 / (cos θ_i cos θ_o) by mode, from the pair of directions and the mean excess slopes g = Λ cot θ towards them.
 
-The first two are finite as long as one of the directions is above the horizon.
+``height-correlated``: 1/(1 + Λ_i + Λ_o), Heitz 2014 eq. 99, the default · ``separable``: G1(i) G1(o) · ``crf``: G1(o) alone, the
+patent's, which is neither reciprocal nor keeps energy · ``blinn``: V-grooves, min(1, 2 cos α cos θ / cos ζ), Blinn 1977 ·
+``none``: 1. The first two are finite as long as one of the directions is above the horizon.
 """

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.hemisphere import panel_rule
 from brdfpipe.index import INDEX_SPAN, NAMED_INDEX, interpolate_index, refractive_index
 
 __all__ = ["INDEX_SPAN", "NAMED_INDEX", "Fresnel", "fresnel", "interpolate_index", "refractive_index"]
@@ -72,6 +73,12 @@ def fresnel(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0) -> Fresnel:
     one = (mirror | total | c_zero) & ~absent
     f_s, f_p = (np.where(one, 1.0, np.where(absent, 0.0, np.minimum(f, 1.0))) for f in (f_s, f_p))
     return Fresnel(f_s, f_p, (f_s + f_p) / 2)
+
+
+def mean_fresnel(n: Array, k: Array) -> Array:
+    """Reflectance 2 ∫ F μ dμ of a smooth interface under light from everywhere, (wavelength,), of (wavelength,) n and k."""
+    theta, weight = panel_rule(np.linspace(0, np.pi / 2, 17), 8)
+    return np.asarray((weight * np.sin(2 * theta)) @ fresnel(np.cos(theta)[:, None], n, k).mean)
 
 
 def _transparent(c: Array, n: Array, contrast: Array) -> tuple[Array, Array]:

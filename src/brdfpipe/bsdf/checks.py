@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from brdfpipe import vocabulary
+from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.grids import Angles, from_mirror
 from brdfpipe.bsdf.microfacet import NOT_PHYSICAL
@@ -18,7 +18,6 @@ _DIRECTIONS, _ABOUT_NORMAL, _PROBES = 2048, 1024, 256
 _BETWEEN, _BETWEEN_WHERE_COSTLY = 128, 40
 """How many incidences the energy is checked at besides the fixed ones; fewer where each costs a quadrature, or light passes."""
 _INCIDENCES = np.array([0.0, 8.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0, 89.5, 89.9, 89.99])
-_AZIMUTHS = np.arange(0.0, 360.0, 45.0)
 _NEAREST, _FURTHEST = 1e-3, 90.0
 """How far from the mirror direction, or the normal, the directions lie that look closely there [degree]"""
 
@@ -186,7 +185,7 @@ def _both_ways(bsdf: xr.Dataset, angles: Angles, wavelength: Array | None) -> tu
 
 
 def _azimuths(bsdf: xr.Dataset) -> Array:
-    return _AZIMUTHS[:1] if representations.isotropic(bsdf) else _AZIMUTHS
+    return hemisphere.azimuths(representations.isotropic(bsdf))
 
 
 def _fixed_incidences(bsdf: xr.Dataset) -> tuple[Array, Array]:

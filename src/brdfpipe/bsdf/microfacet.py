@@ -349,7 +349,7 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
     if compensated:
         furnace = replace(table, values=table.values[..., n.size :])
         mean_furnace = float(furnace.mean()[0])
-        factor = _multiple(_mean_fresnel(n, k), mean_furnace)
+        factor = _multiple(optics.mean_fresnel(n, k), mean_furnace)
         single = replace(table, values=single.values + factor * (1 - furnace.values))
         bsdf = bsdf.assign(
             furnace_albedo=(dims, furnace.values[..., 0]),
@@ -387,15 +387,10 @@ def _multiple(mean_fresnel: Array, mean_furnace: float) -> Array:
     return np.asarray(mean_fresnel**2 * mean_furnace / (1 - mean_fresnel * (1 - mean_furnace)))
 
 
-def _mean_fresnel(n: Array, k: Array) -> Array:
-    theta, weight = panel_rule(np.linspace(0, np.pi / 2, 17), 8)
-    return np.asarray((weight * np.sin(2 * theta)) @ optics.fresnel(np.cos(theta)[:, None], n, k).mean)
-
-
 def _mean_of_mirrors(surface: Microsurface, masking: str) -> float:
     """Ē₁ to 1e-5: the share of the light that leaves perfect mirrors at their first reflection."""
     theta, weight = panel_rule(np.linspace(0, np.pi / 2, 3), 6)
-    phi = np.arange(0.0, 360.0, 360.0 if surface.isotropic else 45.0)
+    phi = hemisphere.azimuths(surface.isotropic)
     found = [
         energy.directional_albedo(
             surface, masking, np.ones(1), np.zeros(1), np.degrees(theta), each, energy.perfect_mirror
@@ -410,7 +405,7 @@ def _mean_of_mirrors(surface: Microsurface, masking: str) -> float:
 
 def _at(bsdf: xr.Dataset, theta: float) -> Array:
     """Total reflectance at an incidence, (wavelength or 1,); over all azimuths where there is a lay."""
-    phi = np.zeros(1) if isotropic(bsdf) else np.arange(0.0, 360.0, 45.0)
+    phi = hemisphere.azimuths(isotropic(bsdf))
     return np.asarray(Model.of(bsdf, None).directional_albedo(np.full(phi.size, theta), phi).mean(axis=0))
 
 
@@ -420,7 +415,7 @@ def _diffuse_for(bsdf: xr.Dataset, total: Array, theta_m: float) -> Array:
     left = total - _at(bsdf, theta_m)
     if model.diffuse_mode == "crf":
         return np.asarray(left)
-    phi = np.zeros(1) if isotropic(bsdf) else np.arange(0.0, 360.0, 45.0)
+    phi = hemisphere.azimuths(isotropic(bsdf))
     let_in = 1 - model.albedo(np.full(phi.size, theta_m), phi).mean(axis=0)
     # A perfectly white base keeps back what the table of the albedo may err by.
     return np.asarray(np.minimum(left / np.maximum(let_in, 1e-12), 1 - 2e-8))

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from brdfpipe import hemisphere
 from brdfpipe.bsdf import cells, flake, lambert_gauss, microfacet, slab, table
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
@@ -275,7 +276,7 @@ def total_transmittance(bsdf: xr.Dataset) -> tuple[Array, Array]:
 
 
 def _all_round(bsdf: xr.Dataset, theta: float) -> tuple[Array, Array]:
-    azimuths = np.zeros(1) if isotropic(bsdf) else np.arange(0.0, 360.0, 45.0)
+    azimuths = hemisphere.azimuths(isotropic(bsdf))
     return np.full(azimuths.size, theta), azimuths
 
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import xarray as xr
 
+from brdfpipe import hemisphere
 from brdfpipe.bsdf import representations
 from brdfpipe.report import scattering
 from brdfpipe.report.raster import false_colour, framed
@@ -121,7 +122,7 @@ def _specular_part(bsdf: xr.Dataset | None, wavelength: Array) -> Array | None:
     """What the facets mirror at the incidence of the measurement, mean over the azimuths of a lay."""
     if bsdf is None or "theta_m" not in bsdf or (facets := scattering.facets_alone(bsdf)) is None:
         return None
-    azimuth = np.zeros(1) if representations.isotropic(bsdf) else np.arange(0.0, 360.0, 45.0)
+    azimuth = hemisphere.azimuths(representations.isotropic(bsdf))
     incidence = np.full(azimuth.size, float(bsdf["theta_m"]))
     part = representations.albedo(facets, incidence, azimuth, None).mean(axis=0)
     if not part.any():

@@ -398,16 +398,11 @@ def multiple_scattering(bsdf: xr.Dataset) -> MultipleScattering | None:
     mirrors = 1 - float(bsdf["mean_furnace_albedo"])
     if "compensation" in bsdf:
         return MultipleScattering(True, float(scattering.at_reference(bsdf["compensation"])) * mirrors, mirrors)
-    fresnel = _mean_fresnel(*(float(scattering.at_reference(bsdf[name])) for name in ("n", "k")))
+    fresnel = float(
+        optics.mean_fresnel(*(np.atleast_1d(scattering.at_reference(bsdf[name])) for name in ("n", "k")))[0]
+    )
     share = fresnel**2 * (1 - mirrors) * mirrors / max(1 - fresnel * mirrors, 1e-12)
     return MultipleScattering(False, max(share, 0.0), mirrors)
-
-
-def _mean_fresnel(n: float, k: float) -> float:
-    """2 ∫ F μ dμ, the reflectance of a smooth surface under light from everywhere."""
-    mu, weight = np.polynomial.legendre.leggauss(64)
-    mu = (mu + 1) / 2
-    return float((weight * mu) @ optics.fresnel(mu, n, k).mean)
 
 
 def _percent(share: float) -> str:

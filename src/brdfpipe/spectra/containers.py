@@ -15,16 +15,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from brdfpipe import columns
 from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError
+from brdfpipe.geometry import Array
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-Array = NDArray[np.float64]
 
 FORMATS: Mapping[str, tuple[str, ...]] = {
     "text": columns.TEXT_SUFFIXES,

@@ -12,11 +12,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
+from brdfpipe.geometry import Array
 
-Array = NDArray[np.float64]
 Block = tuple[str, str, str, Array, Array]
 
 _SQUEEZED = {**{c: i for i, c in enumerate("@ABCDEFGHI")}, **{c: -i - 1 for i, c in enumerate("abcdefghi")}}

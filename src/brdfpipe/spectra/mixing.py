@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import store
+from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
-
-Array = NDArray[np.float64]
 
 SEARCHES = ("random4", "adaptive4")
 """Methods of :func:`search`."""
