@@ -25,7 +25,7 @@ catalogue: $(VENV)/.runtime  ## build CATALOGUE (default: examples) into RESULTS
 check: $(VENV)/.runtime  ## check descriptions, keys, files and formats of CATALOGUE; compute nothing
 	@$(BIN)/brdfpipe check "$(CATALOGUE)"
 
-instruments: $(VENV)/.instruments  ## add the readers of instruments' own file formats (140 MB)
+instruments: $(VENV)/.instruments  ## add the readers of instruments' own file formats, and spreadsheets (140 MB)
 
 peers: $(VENV)/.peers  ## add the independent implementations that test-full compares with (250 MB, compiles for minutes)
 
@@ -59,7 +59,7 @@ lock: $(VENV)/.dev  ## resolve the dependencies anew (needs uv on the PATH)
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
 	  pyproject.toml --group build --constraint requirements-dev.lock --output-file requirements.lock
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
-	  pyproject.toml --extra instruments --constraint requirements-dev.lock --output-file requirements-instruments.lock
+	  pyproject.toml --extra instruments --extra excel --constraint requirements-dev.lock --output-file requirements-instruments.lock
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \
 	  pyproject.toml --group peers --constraint requirements-dev.lock --output-file requirements-peers.lock
 
@@ -83,7 +83,7 @@ $(VENV)/.dev: requirements-dev.lock $(VENV)/.runtime
 	@touch $@
 
 $(VENV)/.instruments: requirements-instruments.lock $(VENV)/.runtime
-	@echo "Adding the readers of instruments' formats from requirements-instruments.lock (once)"
+	@echo "Adding what instruments need from requirements-instruments.lock (once)"
 	@$(PIP) install --require-hashes --no-deps -r requirements-instruments.lock
 	@touch $@
 
