@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from brdfpipe import documents
@@ -249,7 +249,10 @@ def load_material(folder: Path, config: Mapping[str, Any]) -> Material:
     _check_together(path, content)
     if content.get("slab", {}).get("back") == "flat":
         content["slab"] = content["slab"] | {"back": {"distribution": "flat"}}
-    files = {part: _raw_file(folder, file, where) for part, where, file in _raw_names(content)}
+    files = {
+        part: documents.file_beside(path, file, f"{where}.file", "the material's folder")
+        for part, where, file in _raw_names(content)
+    }
     return Material(name, folder, content, files)
 
 
@@ -467,28 +470,3 @@ def _why_ignored(folder: Path) -> str | None:
     if raw:
         return f"{raw[0]} but no {DESCRIPTION}; `brdfpipe new` with the folder's name writes one beside the raw files"
     return None
-
-
-def _raw_file(folder: Path, value: str, part: str) -> Path:
-    path = folder / DESCRIPTION
-    where = f"{part}.file"
-    relative = PurePosixPath(value)
-    inside = "the name of a file in the material's folder"
-    if "\0" in value or relative.is_absolute() or ".." in relative.parts:
-        raise InputError(path, "points outside the material's folder", where=where, found=repr(value), accepted=inside)
-    target = (folder / value).resolve()
-    if not target.is_relative_to(folder.resolve()):
-        raise InputError(path, "leads outside the material's folder", where=where, found=repr(value), accepted=inside)
-    if set("{}\n") & set(str(target)):  # they mean something else in the workflow's paths
-        raise InputError(
-            path,
-            "a brace or a line break in the file's name or in a folder above it",
-            where=where,
-            found=repr(value),
-            accepted="a plain path",
-        )
-    if not target.is_file():
-        present = sorted(item.name for item in folder.iterdir() if item.is_file() and item.name != DESCRIPTION)
-        close = documents.nearest(value, present)
-        raise InputError(path, f"no such file{close}", where=where, found=repr(value), accepted=", ".join(present[:10]))
-    return target

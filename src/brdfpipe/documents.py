@@ -12,7 +12,7 @@ import unicodedata
 from collections.abc import Iterable, Mapping
 from datetime import date
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import yaml
@@ -59,6 +59,38 @@ def plain(path: Path) -> Any:
     InputError : naming the file and the line.
     """
     return _parse(path)[0]
+
+
+def file_beside(description: Path, value: str, where: str, folder: str = "the description's folder") -> Path:
+    """The file a description names, which must lie in the description's own folder.
+
+    Parameters
+    ----------
+    description : the YAML document
+    value : what it says, a path relative to its folder
+    where : the key that says it, for messages
+    folder : what the folder is called in messages
+
+    Raises
+    ------
+    InputError : the path leads outside the folder, cannot stand in a workflow, or there is no such file.
+    """
+    home = description.parent
+    inside = f"the name of a file in {folder}"
+    relative = PurePosixPath(value)
+    if "\0" in value or relative.is_absolute() or ".." in relative.parts:
+        raise InputError(description, f"points outside {folder}", where=where, found=repr(value), accepted=inside)
+    target = (home / value).resolve()
+    if not target.is_relative_to(home.resolve()):
+        raise InputError(description, f"leads outside {folder}", where=where, found=repr(value), accepted=inside)
+    if set("{}\n") & set(str(target)):  # they mean something else in the workflow's paths
+        problem = "a brace or a line break in the file's name or in a folder above it"
+        raise InputError(description, problem, where=where, found=repr(value), accepted="a plain path")
+    if not target.is_file():
+        present = sorted(item.name for item in home.iterdir() if item.is_file() and item.name != description.name)
+        close, listed = nearest(value, present), ", ".join(present[:10])
+        raise InputError(description, f"no such file{close}", where=where, found=repr(value), accepted=listed)
+    return target
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
