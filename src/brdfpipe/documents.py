@@ -242,7 +242,10 @@ def _with_defaults(content: Any, schema: Any, validator: Any) -> Any:
 def _resolved(schema: Mapping[str, Any], validator: Any) -> Mapping[str, Any]:
     # Only references into the document's own $defs are used.
     definitions: Mapping[str, Mapping[str, Any]] = validator.schema.get("$defs", {})
-    return definitions[schema["$ref"].removeprefix("#/$defs/")] if "$ref" in schema else schema
+    if "$ref" not in schema:
+        return schema
+    own = {key: value for key, value in schema.items() if key != "$ref"}
+    return {**definitions[schema["$ref"].removeprefix("#/$defs/")], **own}
 
 
 def _follows(error: Any, first: Any) -> bool:

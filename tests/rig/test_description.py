@@ -1,0 +1,90 @@
+"""rig.yaml: what is read, what is refused, and in which words."""
+
+from __future__ import annotations
+
+import pytest
+
+from brdfpipe.errors import InputError
+from brdfpipe.rig.description import Rig, read_fibres
+
+
+def rewritten(rig_file, old, new):
+    text = rig_file.read_text()
+    assert old in text
+    rig_file.write_text(text.replace(old, new))
+    return rig_file
+
+
+def test_a_description_is_read_with_its_defaults(rig):
+    assert (rig.monochromator.baud, rig.wheel.baud) == (9600, 115200)
+    assert rig.screen.focal_length == 150
+    assert rig.wavelengths == (380, 780)
+    assert rig.etalon_entrance == 10
+    assert rig.transmittance(2).transmittance == 0.1
+    assert rig.transmittance(2).u == 0.02
+    assert [fibre.name for fibre in rig.fibres] == ["A1", "A2", "A3", "A4"]
+    assert rig.fibres[1].phi_s == 90
+    assert rig.camera.full == 65535
+
+
+def test_the_digest_is_of_the_instrument_not_of_its_ports(rig_file, rig):
+    assert Rig.load(rewritten(rig_file, "/dev/ttyUSB0", "COM3")).digest == rig.digest
+    assert Rig.load(rewritten(rig_file, "transmittance: 0.1}", "transmittance: 0.11}")).digest != rig.digest
+
+
+def test_a_moved_fibre_is_another_instrument(rig_file, rig):
+    fibres = rig_file.with_name("fibres.csv")
+    fibres.write_text(fibres.read_text().replace("A2,30", "A2,31"))
+    assert Rig.load(rig_file).digest != rig.digest
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("position: 2", "position: 1", ["position of the wheel stands twice", "filters"]),
+        ("position: 3", "position: 9", ["beyond the wheel", "9", "1 to 6"]),
+        ("entrances: [0, 10, 20, 45]", "entrances: [0, 20]", ["etalon_entrance", "no such entrance", "0, 20"]),
+        ("/dev/ttyUSB1", "/dev/ttyUSB0", ["two devices on one port"]),
+        ("nd_location: sample", "nd_location: lamp", ["nd_location", "'lamp'", "sample, reference"]),
+        ("dialect: acton,", "dialect: actno,", ["'actno'", "acton"]),
+        ("transmittance: 0.1}", "transmittance: 0}", ["filters.1.transmittance"]),
+        ("file: fibres.csv", "file: ../fibres.csv", ["outside the rig's folder", "fibres.file"]),
+        ("file: fibres.csv", "file: fibre.csv", ["no such file", "fibres.csv"]),
+        ("kind: drop-folder, folder: camera", "kind: drop-folder", ["folder"]),
+        ("scale: 3,", "", ["scale"]),
+        ("name: bench-1", "name: ../x", ["name"]),
+    ],
+)
+def test_what_cannot_be_is_refused_with_key_and_choice(rig_file, old, new, words):
+    with pytest.raises(InputError) as refusal:
+        Rig.load(rewritten(rig_file, old, new))
+    for word in ["rig.yaml", *words]:
+        assert word in str(refusal.value)
+
+
+def test_a_filter_that_is_not_there_is_named(rig):
+    with pytest.raises(InputError, match="found 5; accepted: 1, 2, 3"):
+        rig.transmittance(5)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["empty"]),
+        ("# nothing\n", ["empty"]),
+        ("name,theta,phi_s,x,y\nA,1,2,3,4\n", ["line 1", "titles", "theta_s"]),
+        ("name,theta_s,phi_s,x,y\n", ["number of fibres", "0"]),
+        ("name,theta_s,phi_s,x,y\nA,1,2,3\n", ["line 2", "cells", "4", "5"]),
+        ("name,theta_s,phi_s,x,y\n\nA,1,2,3,4\nB,1,two,3,4\n", ["line 4", "phi_s", "'two'"]),
+        ("name,theta_s,phi_s,x,y\nA,nan,2,3,4\n", ["line 2", "theta_s", "nan"]),
+        ("name,theta_s,phi_s,x,y\nA,181,2,3,4\n", ["line 2", "0 to 180"]),
+        ("name,theta_s,phi_s,x,y\nA,1,2,3,4\nA,2,2,3,4\n", ["stands twice", "A"]),
+    ],
+)
+def test_a_wrong_table_of_fibres_is_refused_by_line(tmp_path, text, words):
+    path = tmp_path / "fibres.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as refusal:
+        read_fibres(path)
+    for word in ["fibres.csv", *words]:
+        assert word in str(refusal.value)
