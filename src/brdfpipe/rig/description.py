@@ -99,6 +99,15 @@ class Fibre:
 
 
 @dataclass(frozen=True)
+class Target:
+    """An angular target: bright spots in known directions about the mirror direction [degree]."""
+
+    theta_s: tuple[float, ...]
+    phi_s: tuple[float, ...]
+    radius: float
+
+
+@dataclass(frozen=True)
 class Screen:
     """Where things are on the screen [mm], and how the camera sees it [pixel]; see :mod:`brdfpipe.rig.screen`."""
 
@@ -133,6 +142,8 @@ class Rig:
     screen: Screen
     slit: float
     wavelengths: tuple[float, float]
+    target: Target | None
+    """``None`` where the laboratory has none."""
     digest: str
     """Of all that bears on what is measured: geometry, filters, sensor; not of ports and timeouts."""
 
@@ -160,6 +171,7 @@ class Rig:
             screen=Screen(**{key: _plain(value) for key, value in content["screen"].items()}),
             slit=float(content["slit"]),
             wavelengths=(float(content["wavelengths"]["low"]), float(content["wavelengths"]["high"])),
+            target=_target(content.get("target")),
             digest=_digest(content, fibres),
         )
         _check(path, rig)
@@ -239,6 +251,13 @@ def _number(path: Path, where: str, title: str, cell: str) -> float:
 
 def _serial(content: Mapping[str, Any]) -> SerialSettings:
     return SerialSettings(**{"baud": BAUD[content["dialect"]], **content})
+
+
+def _target(content: Mapping[str, Any] | None) -> Target | None:
+    if content is None:
+        return None
+    theta_s, phi_s = zip(*content["spots"], strict=True)
+    return Target(tuple(map(float, theta_s)), tuple(map(float, phi_s)), float(content["radius"]))
 
 
 def _plain(value: Any) -> Any:

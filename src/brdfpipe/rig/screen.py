@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from brdfpipe.geometry import Array
 from brdfpipe.rig.description import Screen
 
-_STEPS = 20
+_STEPS, _NEAR = 20, 1e-12
 
 
 class Places(NamedTuple):
@@ -39,9 +39,11 @@ def to_place(screen: Screen, column: ArrayLike, row: ArrayLike) -> Places:
     v = (screen.centre[1] - np.asarray(row, dtype=float)) / screen.scale
     distorted = np.hypot(u, v)
     radius = distorted
-    for _ in range(_STEPS):  # Newton's steps towards r (1 + radial r²) = distorted: a handful suffice
-        excess = radius * (1 + screen.radial * radius**2) - distorted
-        radius = radius - excess / (1 + 3 * screen.radial * radius**2)
+    for _ in range(_STEPS if screen.radial else 0):  # Newton's steps towards r (1 + radial r²) = distorted
+        step = (radius * (1 + screen.radial * radius**2) - distorted) / (1 + 3 * screen.radial * radius**2)
+        radius = radius - step
+        if np.abs(step).max(initial=0.0) < _NEAR * np.max(distorted, initial=1.0):
+            break
     shrink = np.divide(radius, distorted, out=np.ones_like(radius), where=distorted > 0)
     return Places(u * shrink, v * shrink)
 

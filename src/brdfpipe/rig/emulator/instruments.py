@@ -1,0 +1,342 @@
+"""Emulated monochromator and filter wheels: what comes in over the line, what they do in virtual time, what goes out.
+
+What manuals and field transcripts leave open is decided for the worse, so that a driver proven here has less to fear:
+
+- Acton: echo of every character but the CR; the answer begins with a space. Several words on a line give one `` ok``. A word that is
+  not known, or finds no number, ends the line with ``WORD ? `` and forgets all numbers. Wavelengths and speeds out of range are
+  clamped in silence; gratings and filters that do not exist answer ok and nothing moves. The wheel knows no ``MODEL``.
+- Thorlabs: echo with its CR; the prompt comes when the wheel has arrived; no serial number in ``*idn?``.
+
+References
+----------
+Acton Research, SpectraPro SP-750i and FA-448 manuals (commands, ok on completion, shortest way); Princeton Instruments, IsoPlane
+SCT 320 manual, appendix A; Thorlabs, FW102C/FW212C manual, rev. H, §5.2. Forms of the answers, clamps, durations: the drivers of
+Odemis, yaqd-acton and fsc2 (SpectraPro 300i, FW212C), which quote transcripts.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from brdfpipe.rig.emulator.clock import VirtualClock
+from brdfpipe.rig.emulator.terminal import Drive, Instrument
+
+_NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)")
+
+_TRAVEL = 1200 * 1400.0
+"""Grooves per mm × longest wavelength [nm] that the sine drive reaches."""
+
+_SLOWEST, _FIRST_SPEED = 0.01, 100.0
+"""Speeds of moves [nm/min]: the least, and the one after power-up."""
+
+_GRATING_CHANGE = 20.0
+"""Seconds the turret turns, at most, by the manual."""
+
+_POLL = 0.1
+"""Virtual seconds that a command takes while a ``>NM`` move is under way: without them a driver would ask for ever."""
+
+_NUMBERS_OF_GRATINGS = range(1, 10)
+
+
+@dataclass(frozen=True)
+class Grating:
+    """A grating of the turret: grooves per mm, and its blaze as the device prints it."""
+
+    grooves: int
+    blaze: str
+
+    @property
+    def longest(self) -> float:
+        """Wavelength at the end of the drive [nm]."""
+        return _TRAVEL / self.grooves
+
+
+GRATINGS = {1: Grating(1200, "500NM"), 2: Grating(600, "1.0UM")}
+
+
+class _Acton(Instrument):
+    """The dialect: words separated by spaces, a number before the word that takes it."""
+
+    def __init__(self, clock: VirtualClock, *, case: str, echo: bool) -> None:
+        super().__init__(clock)
+        self._case = case
+        self._echo = echo
+        self._numbers: list[float] = []
+        self._words: dict[bytes, Callable[[], bytes]] = {b"ECHO": self._echo_on, b"NO-ECHO": self._echo_off}
+
+    def echoed(self, piece: bytes) -> bytes:
+        return piece.rstrip(b"\r") if self._echo else b""
+
+    def answer(self, line: bytes) -> bytes:
+        said = b""
+        for word in line.split():
+            if _NUMBER.fullmatch(word):
+                self._numbers.append(float(word))
+                continue
+            self.settle()
+            try:
+                said += self._action(word)()
+            except LookupError:
+                self._numbers.clear()
+                return said + word + b" ? \r\n"
+        return said + b" ok\r\n"
+
+    def _action(self, word: bytes) -> Callable[[], bytes]:
+        accepted = {"any": word, "upper": word.upper(), "lower": word.lower()}[self._case]
+        if word != accepted:
+            raise LookupError
+        return self._words[word.upper()]
+
+    def _number(self) -> float:
+        return self._numbers.pop()
+
+    def _echo_on(self) -> bytes:
+        self._echo = True
+        return b""
+
+    def _echo_off(self) -> bytes:
+        self._echo = False
+        return b""
+
+
+class Monochromator(_Acton):
+    """A SpectraPro.
+
+    Parameters
+    ----------
+    clock : virtual time
+    wavelength : where it stands [nm]
+    gratings : those installed, by their number from 1 to 9
+    grating : the one in place
+    slew : fastest speed [nm/s]
+    case : ``any``, or the only one it accepts: ``upper``, ``lower``
+    echo : whether it repeats what it hears, as it does on RS-232 but not on USB
+    marker : byte before the grating in place: 0x1A, or 0xAF on others
+    model, serial_number : as it tells them
+    """
+
+    def __init__(
+        self,
+        clock: VirtualClock,
+        *,
+        wavelength: float = 0.0,
+        gratings: Mapping[int, Grating] = GRATINGS,
+        grating: int = 1,
+        slew: float = 100.0,
+        case: str = "any",
+        echo: bool = True,
+        marker: int = 0x1A,
+        model: str = "SP-2-300i",
+        serial_number: str = "2330123",
+    ) -> None:
+        super().__init__(clock, case=case, echo=echo)
+        self.grating = grating
+        self._gratings = dict(gratings)
+        self._drive = Drive(clock, wavelength)
+        self._slew = slew
+        self._speed = _FIRST_SPEED
+        self._marker = bytes([marker])
+        self._words |= {
+            b"GOTO": self._goto,
+            b"<GOTO>": self._goto,
+            b"NM": self._scan,
+            b"<NM>": self._scan,
+            b">NM": self._start_scan,
+            b"?NM": lambda: f" {self.wavelength:.3f} nm ".encode(),
+            b"NM/MIN": self._set_speed,
+            b"?NM/MIN": lambda: f" {self._speed:.3f} nm/min ".encode(),
+            b"MONO-?DONE": lambda: b" 1 " if self.clock.now() >= self._drive.arrival else b" 0 ",
+            b"MONO-STOP": self._stop,
+            b"GRATING": self._change_grating,
+            b"?GRATING": lambda: f" {self.grating} ".encode(),
+            b"?GRATINGS": self._list_gratings,
+            b"MODEL": lambda: f" {model} ".encode("latin-1"),
+            b"SERIAL": lambda: f" {serial_number} ".encode("latin-1"),
+        }
+
+    @property
+    def wavelength(self) -> float:
+        """Of the light that leaves it now [nm]."""
+        return self._drive.place
+
+    def restore(self, state: float) -> None:
+        """Stand at a wavelength [nm]."""
+        self._drive.put(state)
+
+    def answer(self, line: bytes) -> bytes:
+        now, arrival = self.clock.now(), self._drive.arrival
+        if now < arrival:
+            self.clock.advance_to(min(now + _POLL, arrival))
+        return super().answer(line)
+
+    def _goto(self) -> bytes:
+        return self._move(self._slew, wait=True)
+
+    def _scan(self) -> bytes:
+        return self._move(self._speed / 60, wait=True)
+
+    def _start_scan(self) -> bytes:
+        return self._move(self._speed / 60, wait=False)
+
+    def _move(self, rate: float, *, wait: bool) -> bytes:
+        target, longest = self._number(), self._gratings[self.grating].longest
+        if self._goes_astray():
+            target = 0.0 if target > longest / 2 else longest
+        self._drive.go(min(max(target, 0.0), longest), rate)
+        if wait:
+            self._ready = self._drive.arrival
+        return b""
+
+    def _stop(self) -> bytes:
+        self._drive.put(self._drive.place)
+        return b""
+
+    def _set_speed(self) -> bytes:
+        self._speed = min(max(self._number(), _SLOWEST), 60 * self._slew)
+        return b""
+
+    def _change_grating(self) -> bytes:
+        number = self._number()
+        if number in self._gratings and number != self.grating and not self._goes_astray():
+            self.grating = int(number)
+            self._drive.put(min(self.wavelength, self._gratings[self.grating].longest))
+            self._ready = self.clock.now() + _GRATING_CHANGE
+        return b""
+
+    def _list_gratings(self) -> bytes:
+        said = b"\r\n"
+        for number in _NUMBERS_OF_GRATINGS:
+            grating = self._gratings.get(number)
+            text = f"{grating.grooves:4d} g/mm BLZ={grating.blaze:>7} " if grating else " Not Installed     "
+            said += (self._marker if number == self.grating else b" ") + f"{number} {text}\r\n".encode("latin-1")
+        return said
+
+
+class ActonWheel(_Acton):
+    """An FA-448.
+
+    Parameters
+    ----------
+    clock : virtual time
+    positions : how many filters it holds
+    position : the one in the beam
+    seconds : from one filter to the next
+    case, echo : as of :class:`Monochromator`
+    """
+
+    def __init__(
+        self,
+        clock: VirtualClock,
+        *,
+        positions: int = 6,
+        position: int = 1,
+        seconds: float = 1.0,
+        case: str = "any",
+        echo: bool = True,
+    ) -> None:
+        super().__init__(clock, case=case, echo=echo)
+        self._wheel = _Wheel(clock, positions, position)
+        self._rate = 1 / seconds
+        self._words |= {
+            b"FILTER": lambda: self._turn(self._number()),
+            b"?FILTER": lambda: f" {self.position} ".encode(),
+            b"FHOME": lambda: self._turn(1),
+        }
+
+    @property
+    def position(self) -> int:
+        """The filter in the beam now; between two, the nearer."""
+        return self._wheel.position
+
+    def restore(self, state: float) -> None:
+        """Stand at a position."""
+        self._wheel.put(int(state))
+
+    def _turn(self, target: float) -> bytes:
+        if target in self._wheel.filters:
+            self._ready = self._wheel.turn(int(target), self._rate, astray=self._goes_astray())
+        return b""
+
+
+class ThorlabsWheel(Instrument):
+    """An FW102C or FW212C.
+
+    Parameters
+    ----------
+    clock : virtual time
+    positions : 6 or 12
+    position : the one in the beam
+    version : of its firmware, as it tells it
+    """
+
+    def __init__(self, clock: VirtualClock, *, positions: int = 6, position: int = 1, version: str = "1.07") -> None:
+        super().__init__(clock)
+        self._wheel = _Wheel(clock, positions, position)
+        self._identity = f"THORLABS FW102C/FW212C Filter Wheel version {version}"
+        # The wheel that is fitted has as many holes as it has, and a pseudo-terminal no speed: neither can be set to another.
+        self._settings = {"speed": 1, "sensors": 0, "trig": 0, "pcount": positions, "baud": 1}
+        self._choices = {"speed": (0, 1), "sensors": (0, 1), "trig": (0, 1), "pcount": (positions,), "baud": (1,)}
+
+    @property
+    def position(self) -> int:
+        """The filter in the beam now; between two, the nearer."""
+        return self._wheel.position
+
+    def restore(self, state: float) -> None:
+        """Stand at a position."""
+        self._wheel.put(int(state))
+
+    def echoed(self, piece: bytes) -> bytes:
+        return piece
+
+    def answer(self, line: bytes) -> bytes:
+        said = self._carry_out(line.decode("latin-1"))
+        return f"{said}\r> ".encode() if said else b"> "
+
+    def _carry_out(self, line: str) -> str:
+        if line == "*idn?":
+            return self._identity
+        if line == "save":
+            return ""
+        if line == "pos?":
+            return str(self.position)
+        if line.endswith("?") and line[:-1] in self._settings:
+            return str(self._settings[line[:-1]])
+        keyword, equals, argument = line.partition("=")
+        if not equals or keyword not in {"pos", *self._settings}:
+            return "Command error CMD_NOT_DEFINED"
+        value = int(argument) if re.fullmatch("[0-9]{1,3}", argument) else -1
+        if value not in (self._wheel.filters if keyword == "pos" else self._choices[keyword]):
+            return "Command error CMD_ARG_INVALID"
+        if keyword == "pos":
+            # About 1 s from filter to filter, 2 s at the slow speed.
+            rate = 1.0 if self._settings["speed"] else 0.5
+            self._ready = self._wheel.turn(value, rate, astray=self._goes_astray())
+        else:
+            self._settings[keyword] = value
+        return ""
+
+
+class _Wheel:
+    """A wheel of filters, numbered from 1, that turns the shorter way round."""
+
+    def __init__(self, clock: VirtualClock, positions: int, position: int) -> None:
+        self.filters = range(1, positions + 1)
+        self._drive = Drive(clock, position)
+
+    @property
+    def position(self) -> int:
+        return math.floor(self._drive.place - 0.5) % len(self.filters) + 1
+
+    def put(self, position: int) -> None:
+        self._drive.put(position)
+
+    def turn(self, target: int, rate: float, *, astray: bool) -> float:
+        """Set out for a position, or astray for the one behind it; when it will be there [s]."""
+        count, place = len(self.filters), self._drive.place
+        way = (target + astray - place + count / 2) % count - count / 2
+        self._drive.go(place + way, rate)
+        return self._drive.arrival
