@@ -59,7 +59,7 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         ("surface: {file: a.txt, pitch: [1, 2, 3]}\nindex: 1.5", "surface.pitch"),
         ("surface: {file: a.txt, pitch: -1}\nindex: 1.5", "surface.pitch: not an accepted value; found -1"),
         ("surface: {file: a.txt}\nindex: 0.5", "index: not an accepted value; found 0.5"),
-        ("spectrum: {file: a.txt}", "the key 'geometry' is missing; accepted: sci, sce"),
+        ("spectrum: {geometry: sci}", "the key 'file' is missing"),
         ("spectrum: {lab: [50, 0], illuminant: D65, observer: 10, geometry: sci}", "spectrum.lab"),
         ("spectrum: {file: a.txt, geometry: sci, incidence: 90}", "incidence: not an accepted value; found 90"),
         (
@@ -362,7 +362,7 @@ def test_each_stage_is_told_its_own_part_and_no_more(tmp_path: Path) -> None:
         "surface": {"file": "a.txt", "unit": "um", "form": "plane"},
         "facets": {"isotropic": True},
         "index": {"index": "PP"},
-        "spectrum": {"file": "a.txt", "geometry": "sci", "incidence": 8, "allow_fluorescent": False},
+        "spectrum": {"file": "a.txt", "geometry": "sci", "allow_fluorescent": False},
         "predicted": {"masking": "height-correlated", "diffuse": "coupled", "multiple_scattering": "none"},
         "report": {"description": "d", "exports": ["astm"]},
     }
@@ -416,7 +416,7 @@ def test_the_schemas_are_valid_and_document_every_key() -> None:
     for path in (catalogue.project_folder() / "config" / "schemas").glob("*.yaml"):
         schema = yaml.safe_load(path.read_text())
         jsonschema.Draft202012Validator.check_schema(schema)
-        definitions = schema["$defs"]
+        definitions = schema.get("$defs", {})
         for block in [schema, *definitions.values()]:
             for key, part in block.get("properties", {}).items():
                 described = (

@@ -9,7 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from brdfpipe.columns import Columns, gaps, merge_duplicates, read_columns, wavelengths
+from brdfpipe.columns import (
+    Columns,
+    cut_numbers,
+    gaps,
+    last_digit,
+    merge_duplicates,
+    odd_steps,
+    read_columns,
+    wavelengths,
+)
 from brdfpipe.errors import InputError
 
 
@@ -184,3 +193,64 @@ def test_repeated_wavelengths_are_averaged_and_sorted() -> None:
 )
 def test_gaps_name_what_is_not_covered(wavelength: list[float], expected: list[tuple[float, float]]) -> None:
     assert gaps(np.array(wavelength, dtype=float), 400, 700, widest=200) == expected
+
+
+# Signs of damage
+
+
+REGULAR = [
+    np.arange(360.0, 781, 10),
+    np.round(np.arange(380, 731, 10 / 3)),  # as instruments of 3.3 nm print them
+    np.round(np.arange(350, 1000, 1.37), 1),
+    np.round(340 + np.arange(500) * 0.9 + np.arange(500) ** 2 * 1e-5, 1),  # pixels of a grating
+    np.r_[np.arange(350.0, 700), np.arange(700.0, 1000, 5)],
+    np.r_[np.arange(360.0, 401, 5), np.arange(410.0, 781, 10)],
+    np.sort(1e7 / np.arange(12000, 27000, 64.0)),
+    np.arange(400.0, 501, 20),
+    np.array([]),
+    np.array([550.0]),
+]
+
+
+@pytest.mark.parametrize("wavelength", REGULAR)
+def test_grids_of_instruments_have_no_odd_steps(wavelength: np.ndarray) -> None:
+    assert odd_steps(wavelength) == []
+
+
+@given(st.integers(1, 29), st.sampled_from([2.0, 5.0, 10.0]))
+def test_a_lost_wavelength_is_an_odd_step(place: int, step: float) -> None:
+    whole = 400 + step * np.arange(31)
+    assert odd_steps(np.delete(whole, place)) == [(whole[place - 1], whole[place + 1])]
+
+
+@given(st.integers(1, 29), st.sampled_from([-4.0, -2.0, 2.0, 3.0]))
+def test_a_mistyped_wavelength_is_between_odd_steps(place: int, off: float) -> None:
+    wavelength = np.arange(400.0, 701, 10)
+    wavelength[place] += off
+    assert odd_steps(wavelength) == [tuple(wavelength[place - 1 : place + 1]), tuple(wavelength[place : place + 2])]
+
+
+@pytest.mark.parametrize(
+    ("cells", "odd"),
+    [
+        (["0.10", *["0.11"] * 10, "0.1"], ["0.1 at 11"]),
+        (["0,10", *["0,11"] * 10, "0,112"], ["0,112 at 11"]),
+        (["1.0e-2", *["1.1e-2"] * 10, "1.12e-2"], ["1.12e-2 at 11"]),
+        (["0.1", *["0.11"] * 11], []),  # no zero is kept at the end
+        (["10", *["11"] * 11], []),
+        (["0.10", *["0.11"] * 5, "0.1"], []),  # too few to tell
+        (["0.10", *["0.11"] * 12, "0.1", "0.2", "0.3"], []),  # too many to be mistakes
+        (["0.10", *["0.11"] * 12, "nan", ""], []),
+        ([], []),
+    ],
+)
+def test_a_number_with_other_decimals_than_the_rest_is_doubted(cells: list[str], odd: list[str]) -> None:
+    told = cut_numbers(cells, lambda i: f"at {i}")
+    assert [doubt.partition(" has not")[0] for doubt in told] == odd
+
+
+@pytest.mark.parametrize(
+    ("values", "digit"), [([400, 410], 1), ([0.5, 0.53], 0.01), ([26.0, 26.25], 0.01), ([], 1), ([1 / 3], 0)]
+)
+def test_the_last_digit_is_that_of_the_longest_number(values: list[float], digit: float) -> None:
+    assert last_digit(np.array(values)) == pytest.approx(digit)

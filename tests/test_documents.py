@@ -83,6 +83,34 @@ def test_a_wrong_document_is_refused_in_one_line(schema: Path, text: str, messag
     assert str(refusal.value) == message
 
 
+MATERIAL = Path(__file__).parents[1] / "config" / "schemas" / "material.schema.yaml"
+FINISH = "surface: {distribution: flat}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (FINISH + "index: {n=1.2}", "line 2, index: unknown key 'n=1.2'; write `n: 1.2`; accepted: file; or n, k"),
+        (FINISH + "index: {}", "line 2, index: nothing is said; accepted: file; or n, k"),
+        (FINISH + "index: {flie: a}", "line 2, index: unknown key 'flie'; did you mean 'file'?; accepted: file; or n, k"),
+        (FINISH + "index: {file: a, unit: nm}", "line 2, index: unknown key 'unit'; accepted: file"),
+        ("surface: {slope_rms: 0.1}\nindex: PP", "line 1, surface: unknown key 'slope_rms'; .*; or distribution, a, slope_rms"),
+        (FINISH + "index: PP\nrecipe: crf", "line 3: unknown key 'recipe'; it stands in `model`: `model: {recipe: …}`; accepted"),
+        (FINISH + "index: PP\nlab: [30, 1, 1]", "line 3: unknown key 'lab'; it stands in `spectrum`: `spectrum: {lab: …}`"),
+        (FINISH + "index: PP\nform: plane", "line 3: unknown key 'form'; it stands in `surface`, `multiangle`; accepted"),
+        (FINISH + "index: PP\nspectrun: {}", "line 3: unknown key 'spectrun'; did you mean 'spectrum'?; accepted"),
+    ],
+)  # fmt: skip
+def test_a_key_at_the_wrong_place_is_told_the_right_one(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "material.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as refusal:
+        documents.read(path, MATERIAL)
+    start, _, end = message.partition(".*")
+    assert str(refusal.value).startswith(f"material.yaml, {start}")
+    assert end in str(refusal.value)
+
+
 @pytest.mark.parametrize("text", ["count: 0,1", "count: 1\npair: [0,5, 0,5]", "{part: {}, count: 0,1}"])
 def test_a_decimal_comma_is_told_from_other_mistakes(schema: Path, text: str) -> None:
     with pytest.raises(InputError, match="numbers take a decimal point, not a comma"):

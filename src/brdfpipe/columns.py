@@ -7,7 +7,7 @@ neither numbers nor a comment is refused by its number: a table read wrongly is 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
-
-Array = NDArray[np.float64]
+from brdfpipe.geometry import Array
 
 TEXT_SUFFIXES = (".csv", ".dat", ".prn", ".tab", ".tsv", ".txt")
 """Extensions read as columns of text."""
@@ -32,6 +31,15 @@ _SENTINEL_MAGNITUDE = 1e30
 _WAVELENGTH_WORDS = re.compile(r"wave|wellen|longueur|lunghezza|lambda|λ|x\s?units|\bnm\b|[µμ]m\b", re.IGNORECASE)
 _NANOMETRE = re.compile(r"\bnm\b|nanomet", re.IGNORECASE)
 _MICROMETRE = re.compile(r"[µμ]m\b|\bum\b|micromet|\bmicrons?\b", re.IGNORECASE)
+_POINTS_STATED = re.compile(
+    r"(?:number of (?:x )?(?:values|points)|npoints)\s*[:=;,\t]\s*(\d{1,9})[\s;,]*", re.IGNORECASE
+)
+_END_STATED = re.compile(r"(first|last) x(?: value)?\s*[:=;,\t]\s*(\d+(?:\.\d*)?)[\s;,]*", re.IGNORECASE)
+_FEWEST_ALIKE = 10
+_MOST_ODD = 2
+"""Numbers of the usual decimals, and others beside them, where the others are mistakes and not the way a file is written."""
+_MOST_IRREGULAR = 0.2
+"""Share of other steps up to which a grid is regular."""
 _NOT_A_WAVELENGTH = re.compile(r"cm\s?(?:\^?-1|⁻¹)|wave\s?number|wellenzahl|\bev\b|\bthz\b", re.IGNORECASE)
 
 
@@ -51,6 +59,8 @@ class Columns:
     """Line of the file each row stands in, from 1."""
     notes: tuple[str, ...]
     """What was corrected, in words."""
+    doubts: tuple[str, ...] = ()
+    """What looks lost or damaged, in words: warnings for whoever uses the numbers."""
 
 
 def read_columns(path: Path) -> Columns:
@@ -109,9 +119,14 @@ def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
     separator, decimal = _layout([body for _, body in rows], path)
     if decimal == ",":
         notes.append("decimal commas were read as decimal points")
-    values = _cells(rows, separator, decimal, path)
+    split = _cells(rows, separator, path)
+    values = _values(split, decimal)
     names = _names(header, separator, values.shape[1])
-    return Columns(path.name, (*header, *remarks), names, values, np.array([n for n, _ in rows]), tuple(notes))
+    lines = np.array([number for number, _ in rows])
+    doubts = _against_header(header, values[:, 0])
+    for cells in zip(*split, strict=True):
+        doubts += cut_numbers(cells, lambda i: f"in line {lines[i]}")
+    return Columns(path.name, (*header, *remarks), names, values, lines, tuple(notes), tuple(doubts))
 
 
 def wavelengths(columns: Columns, *, key: str) -> tuple[Array, str]:
@@ -171,6 +186,61 @@ def merge_duplicates(wavelength: Array, values: Array) -> tuple[Array, Array, in
     sums = np.zeros((unique.size, values.shape[1]))
     np.add.at(sums, inverse, values)
     return unique, sums / counts[:, None], wavelength.size - unique.size
+
+
+def cut_numbers(cells: Sequence[str], place: Callable[[int], str]) -> list[str]:
+    """Doubts about the one or two numbers printed with another count of decimals than all others.
+
+    Parameters
+    ----------
+    cells : numbers as they are printed. Where the zeros at their end are left out any count is usual, and none is doubted
+    place : of a position among the cells, in words
+    """
+    decimals = [len(match[1]) if (match := re.search(r"[.,](\d*)", cell)) else 0 for cell in cells]
+    usual = max(set(decimals), key=decimals.count, default=0)
+    odd = [i for i, count in enumerate(decimals) if count != usual and cells[i].lower() not in _MISSING]
+    alike = [cell for cell, count in zip(cells, decimals, strict=True) if count == usual]
+    keeps_zeros = usual > 0 and any(re.search(r"0(?:[eEdD]|$)", cell) for cell in alike)
+    if not keeps_zeros or len(odd) > _MOST_ODD or len(alike) < _FEWEST_ALIKE:
+        return []
+    words = "has not as many decimals as the others. Look for a number that was cut or damaged"
+    return [f"{_shorten(cells[i], 20)} {place(i)} {words}" for i in odd]
+
+
+def odd_steps(wavelength: Array) -> list[tuple[float, float]]:
+    """Neighbours at another distance than almost all others [nm]: rows that were lost, or wavelengths mistyped.
+
+    Parameters
+    ----------
+    wavelength : (n,) nm, increasing strictly
+
+    Returns
+    -------
+    Pairs of wavelengths; none where the grid is irregular, or changes its step from some wavelength on.
+    """
+    steps = np.diff(wavelength)
+    if steps.size < _FEWEST_ALIKE:
+        return []
+    usual = float(np.median(steps))
+    # Wavelengths are rounded to their last digit.
+    regular = np.abs(steps - usual) <= 1.01 * last_digit(wavelength)
+    if regular.mean() < 1 - _MOST_IRREGULAR:
+        return []
+    odd = ~regular
+    # Three equal steps in a row are another part of the grid.
+    alike = np.abs(np.diff(steps)) <= 1e-6 * usual
+    three = np.flatnonzero(alike[:-1] & alike[1:])
+    odd[np.unique(three[:, None] + np.arange(3))] = False
+    return [(float(wavelength[i]), float(wavelength[i + 1])) for i in np.flatnonzero(odd)]
+
+
+def last_digit(values: Array) -> float:
+    """The unit of the last decimal that any of the values has: 0.01 of 0.5, 0.53."""
+    for digits in range(12):
+        scaled = values * 10**digits
+        if (np.abs(scaled - np.round(scaled)) <= 1e-6).all():
+            return float(10.0**-digits)
+    return 0.0
 
 
 def gaps(wavelength: Array, low: float, high: float, widest: float, slack: float = 1.0) -> list[tuple[float, float]]:
@@ -295,7 +365,7 @@ def _layout(lines: Sequence[str], path: Path) -> tuple[str | None, str]:
     return separator, "," if comma else "."
 
 
-def _cells(rows: Sequence[tuple[int, str]], separator: str | None, decimal: str, path: Path) -> Array:
+def _cells(rows: Sequence[tuple[int, str]], separator: str | None, path: Path) -> list[list[str]]:
     split = [[cell.strip() for cell in body.split(separator)] for _, body in rows]
     while all(len(cells) > 2 and cells[-1] == "" for cells in split):
         split = [cells[:-1] for cells in split]
@@ -311,12 +381,33 @@ def _cells(rows: Sequence[tuple[int, str]], separator: str | None, decimal: str,
             )
         if any(cell.lower() not in _MISSING and not _NUMBER.fullmatch(cell) for cell in cells):
             raise InputError(path, "not a number", where=f"line {number}", found=repr(_shorten(" ".join(cells))))
+    return split
+
+
+def _values(split: Sequence[Sequence[str]], decimal: str) -> Array:
     spelling = str.maketrans({"D": "e", "d": "e", decimal: "."})
     values = np.array(
         [[float("nan" if c.lower() in _MISSING else c.translate(spelling)) for c in cells] for cells in split]
     )
     values[(np.abs(values) >= _SENTINEL_MAGNITUDE) | np.isin(values, _SENTINELS)] = np.nan
     return values
+
+
+def _against_header(header: Sequence[str], positions: Array) -> list[str]:
+    """What the words above the table state of its length and ends, where the table says otherwise."""
+    doubts = []
+    for line in header:
+        if (stated := _POINTS_STATED.fullmatch(line.strip())) and int(stated[1]) != positions.size:
+            doubts.append(
+                f"the header states {stated[1]} rows, {positions.size} were found. Look for rows lost or added"
+            )
+        if end := _END_STATED.fullmatch(line.strip()):
+            found, given = float(positions[0 if end[1].lower() == "first" else -1]), float(end[2])
+            if abs(found - given) > 1e-3 * given:
+                doubts.append(
+                    f"the header states a {end[1].lower()} X of {given:g}, {found:g} was found. Look for lost rows"
+                )
+    return doubts
 
 
 def _names(header: Sequence[str], separator: str | None, width: int) -> tuple[str, ...] | None:

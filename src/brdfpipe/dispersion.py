@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -327,7 +328,7 @@ def _reference(text: Any) -> str:
     for character in str(text or "no reference given")[:2000]:
         inside = character == "<" or (inside and character != ">")
         words.append("" if inside or character == ">" else character)
-    return " ".join("".join(words).split())[:200]
+    return textwrap.shorten("".join(words), 200, placeholder=" …")
 
 
 def _dataset(wavelength: Array, n: Array, k: Array, source: str, dispersion: str) -> xr.Dataset:

@@ -258,8 +258,7 @@ def _refusal(path: Path, error: Any, lines: Lines, validator: Any, more: int) ->
     where = ".".join(map(str, keys))
     problem, found, accepted = _WORDS.get(error.validator, _otherwise)(error, validator)
     if error.validator == "additionalProperties":
-        unknown = sorted(set(error.instance) - set(error.schema.get("properties", {})))[0]
-        keys = (*keys, unknown)
+        keys = (*keys, _first_unknown(error))
     line = lines.get(keys) or lines.get(tuple(error.absolute_path))
     place = ", ".join([*([f"line {line}"] if line else []), *([where] if where else [])]) or None
     if more:
@@ -267,17 +266,67 @@ def _refusal(path: Path, error: Any, lines: Lines, validator: Any, more: int) ->
     return InputError(path, problem, where=place, found=found, accepted=accepted)
 
 
+def _first_unknown(error: Any) -> str:
+    known = error.schema.get("properties", {})
+    return str(next(key for key in error.instance if key not in known))
+
+
 def _unknown_key(error: Any, validator: Any) -> tuple[str, str | None, str]:
-    known = list(error.schema.get("properties", {}))
-    unknown = sorted(set(error.instance) - set(known))[0]
-    return f"unknown key {unknown!r}{nearest(unknown, known)}", None, ", ".join(known)
+    unknown, known = _first_unknown(error), error.schema.get("properties", {})
+    key, equals, value = (part.strip() for part in unknown.partition("="))
+    if equals and key:
+        return f"unknown key {unknown!r}; write `{key}: {value}`", None, _accepted_keys(error, validator)
+    # A key of this very name one level deeper is likelier meant than one of nearly this name.
+    deeper = [] if error.absolute_path else _holders(unknown, validator)
+    if len(deeper) == 1:
+        hint = f"; it stands in `{deeper[0]}`: `{deeper[0]}: {{{unknown}: …}}`"
+    else:
+        hint = f"; it stands in {', '.join(f'`{part}`' for part in deeper)}" if deeper else nearest(unknown, known)
+    return f"unknown key {unknown!r}{hint}", None, _accepted_keys(error, validator)
 
 
 def _missing_key(error: Any, validator: Any) -> tuple[str, str | None, str]:
     missing = next(key for key in error.validator_value if key not in error.instance)
+    if not error.instance and _alternatives(error, validator):
+        return "nothing is said", None, _accepted_keys(error, validator)
     part = _resolved(error.schema.get("properties", {}).get(missing, {}), validator)
     accepted = ", ".join(map(str, part.get("enum", []))) or part.get("description") or f"`{missing}:` with a value"
     return f"the key {missing!r} is missing", None, accepted
+
+
+def _accepted_keys(error: Any, validator: Any) -> str:
+    """The keys of a mapping; where it has none of them, those of the other mappings that may stand in its place too."""
+    known = list(error.schema.get("properties", {}))
+    others = [] if any(key in known for key in error.instance) else _alternatives(error, validator)
+    return "; or ".join(", ".join(keys) for keys in [known, *others])
+
+
+def _alternatives(error: Any, validator: Any) -> list[list[str]]:
+    """Keys of the branches of the schema that were not taken on the way to an error."""
+    found: list[list[str]] = []
+    schema: Any = validator.schema
+    for step in list(error.absolute_schema_path)[:-1]:
+        if isinstance(schema, Mapping):
+            schema = _resolved(schema, validator)
+            other = {"then": "else", "else": "then"}.get(step)
+            found = [*found, _keys(schema.get(other, {}), validator)] if other else []
+            schema = schema.get(step, {})
+        else:
+            found, schema = [], schema[step]
+    return [keys for keys in found if keys]
+
+
+def _keys(schema: Any, validator: Any) -> list[str]:
+    """Keys of a schema and of all its branches."""
+    schema = _resolved(schema, validator)
+    branches = [_keys(schema[branch], validator) for branch in ("then", "else") if branch in schema]
+    return list(dict.fromkeys([*schema.get("properties", {}), *(key for keys in branches for key in keys)]))
+
+
+def _holders(key: str, validator: Any) -> list[str]:
+    """Keys of the document whose mapping has a key of this name."""
+    parts = validator.schema.get("properties", {})
+    return [name for name, part in parts.items() if key in _keys(part, validator)]
 
 
 def _not_listed(error: Any, validator: Any) -> tuple[str, str | None, str]:

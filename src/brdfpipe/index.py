@@ -208,7 +208,8 @@ def _from_table(path: Path) -> xr.Dataset:
         *([f"{dropped} rows with missing values were dropped"] if dropped else []),
         *([f"{merged} rows of repeated wavelength were averaged"] if merged else []),
     ]
-    return vocabulary.add_history(_dataset(wavelength, n, k, f"table {path.name}", "table"), *notes)
+    dataset = vocabulary.add_history(_dataset(wavelength, n, k, f"table {path.name}", "table"), *notes)
+    return vocabulary.add_warning(dataset, *table.doubts)
 
 
 def _check_table(path: Path, wavelength: Array, n: Array, k: Array) -> None:

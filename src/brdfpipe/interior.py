@@ -60,9 +60,10 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
     absorbs = "absorption" in spec
     given = spec["absorption"] if absorbs else spec.get("internal_transmittance", 1.0)
     notes: list[str] = []
+    doubts: tuple[str, ...] = ()
     if isinstance(given, Mapping):
         file = Path(path if path is not None else str(given["file"]))
-        wavelength, values, percent, notes = _table(file, _ABSORPTION if absorbs else _KEY)
+        wavelength, values, percent, notes, doubts = _table(file, _ABSORPTION if absorbs else _KEY)
         if absorbs:
             values = values * PER_MM[given.get("unit", "1/mm")]
         else:
@@ -77,7 +78,7 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
         coords={"wavelength": wavelength},
         attrs={"source": source, "dispersion": dispersion},
     )
-    return vocabulary.add_history(vocabulary.label(dataset, "interior"), *notes)
+    return vocabulary.add_warning(vocabulary.add_history(vocabulary.label(dataset, "interior"), *notes), *doubts)
 
 
 def spectral(interior: xr.Dataset) -> float | xr.DataArray:
@@ -95,8 +96,8 @@ def _number(value: object, absorbs: bool) -> float:
     return float(value)
 
 
-def _table(path: Path, key: str) -> tuple[Array, Array, bool, list[str]]:
-    """Wavelengths in order and once, the values beside them, whether the header speaks of percent, and what was corrected."""
+def _table(path: Path, key: str) -> tuple[Array, Array, bool, list[str], tuple[str, ...]]:
+    """Wavelengths in order and once, the values beside them, whether the header speaks of percent, what was corrected, and what is doubtful."""
     table = columns.read_columns(path)
     if table.values.shape[1] != 2:
         raise InputError(
@@ -122,7 +123,7 @@ def _table(path: Path, key: str) -> tuple[Array, Array, bool, list[str]]:
     notes = [*table.notes, note, f"{int((~present).sum())} rows without a value were dropped" * (not present.all())]
     notes.append(f"{merged} rows of repeated wavelength were averaged" if merged else "")
     percent = any(_PERCENT.search(text) for text in (*table.header, *(table.names or ())))
-    return wavelength, np.maximum(values[:, 0], 0.0), percent, [text for text in notes if text]
+    return wavelength, np.maximum(values[:, 0], 0.0), percent, [text for text in notes if text], table.doubts
 
 
 def _check(path: Path, wavelength: Array, values: Array, key: str) -> None:

@@ -69,6 +69,8 @@ QUANTITIES: Mapping[str, Quantity] = {
     "theta_d": Quantity("degree", "angle of incidence from the half vector", 0, 90),
     "phi_d": Quantity("degree", "azimuth of incidence about the half vector", -720, 720),
     "gloss_angle": Quantity("degree", "nominal gloss geometry", 0, 90),
+    "solid_angle": Quantity("sr", "solid angle of the cell", 0, missing=True),
+    "incidence": Quantity("degree", "angle of incidence of the rig's entrance", 0, 90),
     # Surface
     "height": Quantity("um", "height above the levelling form", missing=True),
     "missing_fraction": Quantity("1", "share of heights that are missing", 0, 1),
@@ -174,6 +176,50 @@ QUANTITIES: Mapping[str, Quantity] = {
     "pdf": Quantity("sr-1", "density of the samples per solid angle; missing for specular rays", 0, missing=True),
     "weight": Quantity("1", "BSDF times |cos θ_o| over the density: its mean is what leaves altogether"),
     "weight_variance": Quantity("1", "variance of the weights", 0),
+    # Rig
+    "signal": Quantity("1", "light of the cell over that of the reference behind the filter, L/(L′/T)", missing=True),
+    "reference": Quantity("1", "electrons of the reference spot, median of the bracket", 0, missing=True),
+    "cell_scale": Quantity("sr-1", "BRDF times the cosine of view over the signal", 0, missing=True),
+    "path": Quantity("1", "light an entrance sends to the holder, over that of the etalon's", 0),
+    "lamp": Quantity("1", "reference light of the etalon's run, electrons of a frame", 0),
+    "coefficient": Quantity(
+        "1", "coefficient of the BSDF [sr-1], or of its natural logarithm, in the basis of the fit"
+    ),
+    "coefficient_factor": Quantity(
+        "1", "factor L of the covariance L Lᵀ of the coefficients that independent errors cause"
+    ),
+    "coefficient_common": Quantity(
+        "1", "change of the coefficients as a common error of one standard uncertainty makes"
+    ),
+    "residual": Quantity(
+        "1", "measured less fitted value over its standard uncertainty; missing where not used", missing=True
+    ),
+    "strength": Quantity("1", "strength ε of smoothing", 0),
+    "chosen_strength": Quantity("1", "strength ε of smoothing of the fit", 0),
+    "gcv": Quantity("1", "generalised cross-validation, mean over wavelengths", 0, missing=True),
+    "chi_squared": Quantity("1", "χ², mean over wavelengths", 0, missing=True),
+    "chi_squared_dof": Quantity("1", "χ² over the degrees of freedom left", 0, missing=True),
+    "roughness": Quantity("1", "penalty of the fit without its strength, mean over wavelengths", 0, missing=True),
+    "effective_parameters": Quantity("1", "effective number of parameters, trace of the smoother", 0, missing=True),
+    "horizon": Quantity("degree", "largest polar angle at which a cell was measured, from the normal", 0, 90),
+    "transmitted": Quantity("1", "1 for a node of transmission, 0 for one of reflection", 0, 1),
+    "lowest": Quantity("1", "smallest fitted value at a cell that was measured, or its logarithm"),
+    "highest": Quantity("1", "largest fitted value at a cell that was measured, or its logarithm"),
+    "incidence_error": Quantity("1", "relative standard uncertainty of the BSDF told from one incidence, rms", 0),
+    "mixture": Quantity("1", "share of a wavelength in a mean over wavelengths", 0),
+    # Comparison of two routes
+    "brdf_model": Quantity("sr-1", "bidirectional reflectance distribution function of a model", 0),
+    "ratio": Quantity("1", "measured over modelled value; missing where not used", missing=True),
+    "z": Quantity(
+        "1", "measured less modelled value over the standard uncertainty; missing where not used", missing=True
+    ),
+    "median_ratio": Quantity("1", "median of measured over modelled value over cells and wavelengths", missing=True),
+    "rms_z": Quantity("1", "root mean square of z over cells and wavelengths", 0, missing=True),
+    "seen_reflectance": Quantity("1", "share of the light that leaves into the directions of the cells used"),
+    "seen_reflectance_model": Quantity("1", "the same of a model", 0),
+    "prior": Quantity("1", "input as it was given: 0 for a shift, 1 for a factor"),
+    "posterior": Quantity("1", "input that agrees best with measurement and prior"),
+    "correlation": Quantity("1", "correlation of the errors of the inputs", -1 - 1e-9, 1 + 1e-9),
     # Checks
     "albedo": Quantity("1", "directional reflectance", 0),
     "transmittance": Quantity("1", "share of the light that leaves on the other side", 0),
@@ -211,6 +257,15 @@ QUANTITIES: Mapping[str, Quantity] = {
     "flop_index": Quantity("1", "flop index", missing=True),
     "picture": Quantity("1", "sRGB picture of a material", 0, 255),
     "srgb": Quantity("1", "sRGB preview colour", 0, 1, missing=True),
+    # Camera rig
+    "counts": Quantity("1", "counts of the camera", 0),
+    "shot": Quantity("1", "number of an exposure in its plan", 1),
+    "exposure": Quantity("s", "exposure time", 0),
+    "wavelength_read": Quantity("nm", "wavelength the monochromator said it was at", 0, 20000),
+    "nd_position": Quantity("1", "position of the wheel of neutral filters", 1),
+    "nd_transmittance": Quantity("1", "transmittance of the neutral filter, as described", 0, 1),
+    "elapsed": Quantity("s", "time since the start of the run"),
+    "temperature": Quantity("degC", "temperature of the camera's sensor", -273.15, missing=True),
 }
 
 
@@ -221,6 +276,8 @@ class Kind:
     required: Mapping[str, Sequence[tuple[str, ...]]]
     optional: Mapping[str, Sequence[tuple[str, ...]]] = field(default_factory=dict)
     attributes: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    """Variables that may have missing values in this kind, whatever their quantity says."""
 
 
 _ISOTROPIC: Sequence[tuple[str, ...]] = [("slope",)]
@@ -228,6 +285,9 @@ _SLOPES: Sequence[tuple[str, ...]] = [("slope",), ("slope_across", "slope_along"
 _SPECTRAL: Sequence[tuple[str, ...]] = [("wavelength",), ()]
 _SCALAR: Sequence[tuple[str, ...]] = [()]
 _POLAR: Sequence[tuple[str, ...]] = [("theta",)]
+_CELLS: Sequence[tuple[str, ...]] = [("incidence", "wavelength", "cell")]
+_CELL: dict[str, Sequence[tuple[str, ...]]] = {"theta_s": [("cell",)], "phi_s": [("cell",)]}
+_TRIALS: Sequence[tuple[str, ...]] = [("incidence", "trial")]
 
 _FACETS = Kind(
     required={
@@ -259,9 +319,51 @@ KINDS: Mapping[str, Kind] = {
     ),
     "multiangle": Kind(
         {angle: [("geometry",)] for angle in ("theta_i", "phi_i", "theta_o", "phi_o")},
-        optional={"tristimulus": [("geometry", "channel")], "reflectance_factor": [("geometry", "wavelength")]},
+        optional={f"tristimulus{u}": [("geometry", "channel")] for u in ("", "_u")}
+        | {f"reflectance_factor{u}": [("geometry", "wavelength")] for u in ("", "_u")},
     ),
     "colours": Kind({"lab": [("geometry", "component")]}, attributes=("illuminant", "observer")),
+    "reduced": Kind({**_CELL, "signal": _CELLS, "reference": [("incidence", "wavelength")]}),
+    "calibration": Kind(
+        {**_CELL, "cell_scale": [("wavelength", "cell")], "path": [("incidence",)], "lamp": [("wavelength",)]},
+        attributes=("certificate", "day", "rig_digest"),
+    ),
+    "primary": Kind(
+        {**_CELL, "brdf": _CELLS, "brdf_u": _CELLS},
+        optional={"brdf_quality": _CELLS, "solid_angle": [("cell",)]},
+        missing=("brdf",),
+    ),
+    "smoothed": Kind(
+        {
+            **_CELL,
+            "coefficient": [("incidence", "wavelength", "term")],
+            "coefficient_factor": [("incidence", "wavelength", "term", "factor")],
+            "residual": _CELLS,
+            "chi_squared_dof": [("incidence", "wavelength")],
+            "chosen_strength": [("incidence",)],
+            **dict.fromkeys(("strength", "gcv", "chi_squared", "roughness", "effective_parameters"), _TRIALS),
+        },
+        optional={"coefficient_common": [("component", "incidence", "wavelength", "term")]},
+        attributes=("mode", "link", "about", "basis", "side"),
+        missing=("coefficient", "coefficient_factor", "coefficient_common"),
+    ),
+    "comparison": Kind(
+        {
+            **dict.fromkeys(("brdf", "brdf_u", "brdf_u_independent", "brdf_u_common", "brdf_u_resolution"), _CELLS),
+            **{name: [("model", "incidence", "wavelength", "cell")] for name in ("brdf_model", "ratio", "z")},
+            **{name: [("model", "incidence")] for name in ("median_ratio", "rms_z")},
+            **{name: [("incidence", "wavelength")] for name in ("seen_reflectance", "seen_reflectance_u")},
+            "seen_reflectance_model": [("model", "incidence", "wavelength")],
+            "chi_squared_dof": [("model",)],
+        }
+        | _CELL,
+        optional={
+            **{name: [("input",)] for name in ("prior", "prior_u", "posterior", "posterior_u")},
+            "correlation": [("input", "input_2")],
+        },
+        attributes=("findings",),
+        missing=("brdf",),
+    ),
     "bsdf": Kind({}, attributes=("representation",)),
     "appearance": Kind(
         {
@@ -311,6 +413,17 @@ KINDS: Mapping[str, Kind] = {
         | {"weight": [("sample",), ("sample", "wavelength")], "weight_variance": _SPECTRAL}
     ),
     "nonspectral": Kind({"rms": [("theta_i",)], "largest": [("theta_i",)], "reflectance_error": [("theta_i",)]}),
+    "frames": Kind(
+        {"counts": [("frame", "y", "x")]}
+        | {
+            name: [("frame",)]
+            for name in (
+                *("shot", "purpose", "side", "incidence", "wavelength", "wavelength_read", "exposure"),
+                *("nd_position", "nd_transmittance", "elapsed", "temperature"),
+            )
+        },
+        attributes=("day", "sample", "rig", "rig_digest"),
+    ),
     "catalogue": Kind({}),
 }
 
@@ -405,6 +518,7 @@ REPRESENTATIONS: Mapping[str, Kind] = {
             "leave_one_out_misfit": [("geometry", "channel"), ("geometry", "wavelength")],
             "delta_e_00": [("geometry",)],
             "leave_one_out": [("geometry",)],
+            "reduced_chi_squared": [("channel",), ("wavelength",)],
         },
         attributes=("model", "form", "clear_coat"),
     ),
@@ -427,6 +541,28 @@ REPRESENTATIONS: Mapping[str, Kind] = {
     "table": Kind(
         required={"brdf": _TABLES},
         optional={"total_reflectance": _SPECTRAL, "theta_m": _SCALAR},
+    ),
+    "rig": Kind(
+        required={
+            "coefficient": [("node", spectral, "term") for spectral in ("wavelength", "mixed")],
+            "coefficient_factor": [("node", spectral, "term", "factor") for spectral in ("wavelength", "mixed")],
+            "lowest": [("node", spectral) for spectral in ("wavelength", "mixed")],
+            "highest": [("node", spectral) for spectral in ("wavelength", "mixed")],
+            "coefficient_quality": [("node", spectral) for spectral in ("wavelength", "mixed")],
+            "incidence": [("node",)],
+            "transmitted": [("node",)],
+            "horizon": [("node",)],
+            "cell_quality": [("node", "cell")],
+            "theta_s": [("cell",)],
+            "phi_s": [("cell",)],
+            "solid_angle": [("cell",)],
+        },
+        optional={
+            "coefficient_common": [("component", "node", spectral, "term") for spectral in ("wavelength", "mixed")],
+            "incidence_error": [("theta_i",)],
+            "mixture": [("mixed",)],
+        },
+        attributes=("link", "about", "basis", "reciprocity", "transmission"),
     ),
 }
 """Variables a ``bsdf`` of each representation needs to be evaluated anywhere."""
@@ -482,7 +618,7 @@ def validate(dataset: xr.Dataset, kind: str, source: str | None = None) -> xr.Da
             )
         _check_members(dataset, REPRESENTATIONS[representation], f"bsdf ({representation})", where)
     for name in map(str, dataset.variables):
-        _check_values(name, dataset[name], where)
+        _check_values(name, dataset[name], where, missing=name in KINDS[kind].missing)
     return dataset
 
 
@@ -503,7 +639,7 @@ def _check_members(dataset: xr.Dataset, kind: Kind, title: str, where: str) -> N
             )
 
 
-def _check_values(name: str, variable: xr.DataArray, where: str) -> None:
+def _check_values(name: str, variable: xr.DataArray, where: str, missing: bool) -> None:
     if variable.dtype.kind in "OUS":
         return
     if "units" not in variable.attrs:
@@ -518,10 +654,10 @@ def _check_values(name: str, variable: xr.DataArray, where: str) -> None:
         return  # any value will do, and one pass shows that none is missing or infinite
     low, high = float(values.min()), float(values.max())
     if np.isnan(low):  # minima of whole arrays propagate NaN: only then is it worth looking for what is missing
-        missing = np.isnan(values)
-        if not known.missing:
-            raise VocabularyError(f"{where}{name!r} has {int(missing.sum())} missing values; none are allowed")
-        if missing.all():
+        absent = np.isnan(values)
+        if not (known.missing or missing):
+            raise VocabularyError(f"{where}{name!r} has {int(absent.sum())} missing values; none are allowed")
+        if absent.all():
             return
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if low < known.low or high > known.high or not np.isfinite([low, high]).all():

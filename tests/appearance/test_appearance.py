@@ -8,8 +8,9 @@ import pytest
 import samples
 import yaml
 
-from brdfpipe import appearance, catalogue, store
+from brdfpipe import appearance, catalogue, flakes, store, vocabulary
 from brdfpipe.appearance.haze import WINDOWS
+from brdfpipe.bsdf import flake
 from brdfpipe.errors import InputError
 from brdfpipe.flakes import SETS
 
@@ -49,3 +50,44 @@ def test_what_the_appearance_cannot_give_is_refused_at_once(tmp_path: Path, aske
     own.write_text(f"appearance: {{{asked}}}\n")
     with pytest.raises(InputError, match="appearance"):
         catalogue.load_config(own)
+
+
+LAB = {"45as15": (33.90, -7.58, -36.61), "45as45": (12.29, 1.19, -25.77), "45as110": (3.07, 2.09, -13.24)}
+
+
+def paint(**options):
+    listed = [{"geometry": name, "lab": list(lab)} for name, lab in LAB.items()]
+    return flake.build(flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10}), index=1.524, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "mend"),
+    [
+        ({}, "`multiangle.model: flake-physical`"),
+        ({"model": "flake-physical", "clear_coat": "none"}, "`multiangle.clear_coat: smooth`"),
+    ],
+)
+def test_the_gloss_of_flakes_without_their_coat_says_so_and_names_the_model_that_has_one(tmp_path: Path, options, mend):
+    path = tmp_path / "appearance.nc"
+    store.save_dataset(appearance.appraise(paint(**options)), path, stage="appearance", material="m")
+    found = store.open_dataset(path, "appearance")
+    assert mend in found.attrs["no_gloss"]
+    assert vocabulary.warnings(found) == [found.attrs["no_gloss"]]
+    for name in ("gloss", "gloss_u", "haze", "reflectance_haze"):
+        assert found[name].attrs["comment"] == "of the flakes alone: no clear coat is modelled"
+    assert "comment" not in found["lab"].attrs
+    # What a gloss meter would see of any such paint is a hundred times this.
+    assert float(found["gloss"].max()) < 1
+
+
+@pytest.mark.parametrize("coat", ["smooth", 0.02])
+def test_the_gloss_of_a_paint_with_its_coat_is_given_without_reserve(coat):
+    found = appearance.appraise(paint(model="flake-physical", clear_coat=coat))
+    assert float(found["gloss"].sel(gloss_angle=60)) > 50
+    assert "no_gloss" not in found.attrs
+    assert not vocabulary.warnings(found)
+    assert "comment" not in found["gloss"].attrs
+
+
+def test_only_flakes_lack_a_coat():
+    assert "no_gloss" not in appearance.appraise(samples.beckmann_bsdf(0.3)).attrs

@@ -8,7 +8,8 @@ import samples
 
 from brdfpipe import facets, optics
 from brdfpipe.appearance import apertures, gloss
-from brdfpipe.appearance.haze import HazeError, HazeWindow, reflectance_haze
+from brdfpipe.appearance.gloss import RECEPTOR
+from brdfpipe.appearance.haze import WINDOWS, HazeError, HazeWindow, reflectance_haze
 from brdfpipe.bsdf import lambert_gauss, microfacet
 
 
@@ -34,9 +35,9 @@ def test_the_windows_and_the_receptor_between_them_make_one_wide_receptor(a):
     beside, centre = float(reflectance_haze(rough(a), windows)[0]), float(gloss(rough(a), [20.0])[0])
     light = apertures.source(20.0, apertures.FINE)
     beam = apertures.Beam(20.0, light, apertures.centred(3.8, 3.6), 6)
-    (whole,) = apertures.received(rough(a), [beam], 0.0, apertures.lobe_scale(rough(a), 20.0, 0.0))
+    (whole,) = apertures.received(rough(a), [beam], np.zeros(1), apertures.lobe_scale(rough(a)))
     # 20° gloss ends 0.9° off the axis, where the windows start; they are wider across by 1/cos 1.4° = 1.0003.
-    assert beside + centre == pytest.approx(100 * (light.weight @ whole) / (light.weight @ light.glass), rel=4e-4)
+    assert beside + centre == pytest.approx(100 * (light.weight @ whole[0]) / (light.weight @ light.glass), rel=4e-4)
 
 
 def test_haze_has_a_maximum_between_polished_and_matt():
@@ -57,6 +58,19 @@ def test_haze_of_a_surface_with_a_lay_is_between_those_of_its_planes():
     mean = float(reflectance_haze(brushed)[0])
     planes = [float(reflectance_haze(brushed, azimuth=azimuth)[0]) for azimuth in (20, 110)]
     assert min(planes) < mean < max(planes)
+
+
+def test_haze_of_a_surface_with_a_lay_is_the_mean_of_many_azimuths():
+    brushed = microfacet.build(facets.analytic("beckmann", a_x=0.01, a_y=0.1, azimuth=20), index=1.5)
+    around = [float(reflectance_haze(brushed, azimuth=azimuth)[0]) for azimuth in np.arange(23.75, 110.0, 7.5)]
+    # The lay and what lies across it are axes of symmetry: these are half steps off both.
+    assert float(reflectance_haze(brushed)[0]) == pytest.approx(np.mean(around), rel=1e-4)
+
+
+def test_the_windows_of_the_standard_lie_beside_the_receptor_of_gloss_and_do_not_overlap_it():
+    (window,) = WINDOWS
+    assert (window.angle - window.offset, window.angle + window.offset) == (18.1, 21.9)
+    assert RECEPTOR[window.angle][0] / 2 <= window.offset - window.aperture[0] / 2
 
 
 @pytest.mark.parametrize(

@@ -148,6 +148,54 @@ def test_a_synthetic_paint_is_recovered_within_3_percent():
     assert np.nanmedian(np.abs(bsdf["leave_one_out_misfit"].values)) < 0.06
 
 
+def noisy(path, true, random) -> xr.Dataset:
+    """A file of what a paint reflects at ten geometries, each value off by chance as its own uncertainty says."""
+    at = np.array([flakes.directions(name) for name in TEN]).T
+    factor = np.pi * true.bsdf.evaluate(*at).values
+    u = 0.005 * factor + 0.0005
+    measured = factor + u * random.standard_normal(factor.shape)
+    nm = true["wavelength"].values
+    titles = ["geometry", *(f"R{each:g}" for each in nm), *(f"u_{each:g}" for each in nm)]
+    rows = [
+        [name, *map(repr, [*row, *doubt])] for name, row, doubt in zip(TEN, measured.tolist(), u.tolist(), strict=True)
+    ]
+    path.write_text("\n".join(",".join(row) for row in [titles, *rows]) + "\n", encoding="ascii")
+    return flakes.ingest({"file": path.name, "scale": "fraction"}, path)
+
+
+@pytest.mark.parametrize("model", ["flake", "flake-physical"])
+def test_parameters_of_a_file_with_uncertainties_are_as_far_off_as_they_say(tmp_path, model):
+    true = flake.build(spectra(), model=model).drop_vars("flake_covariance")
+    bsdf = flake.build(noisy(tmp_path / "a.csv", true, np.random.default_rng(11)), model=model)
+    vocabulary.validate(bsdf, "bsdf")
+    names = ("flake_amplitude", "flake_decay", "flake_constant")
+    pulls = np.stack([((bsdf[name] - true[name]) / bsdf[f"{name}_u"]).values.ravel() for name in names])
+    # 48 pulls know their spread to 10 % and, of three parameters that hang together, their mean to 0.2.
+    assert pulls.std() == pytest.approx(1.0, abs=0.3)
+    assert pulls.mean(axis=1) == pytest.approx(0.0, abs=0.75)
+    # 16 of 7 degrees of freedom know their mean to 0.13.
+    assert bsdf["reduced_chi_squared"].values.mean() == pytest.approx(1.0, abs=0.4)
+    assert not any("uncertainties" in text for text in vocabulary.warnings(bsdf))
+
+
+def test_a_form_that_does_not_hold_within_the_uncertainties_is_warned_about(tmp_path):
+    multiangle = noisy(tmp_path / "a.csv", flake.build(spectra()), np.random.default_rng(3))
+    bsdf = flake.build(multiangle, form="gaussian")
+    assert bsdf["reduced_chi_squared"].max() > 5
+    assert any("by more than their uncertainties (reduced χ² up to" in text for text in vocabulary.warnings(bsdf))
+
+
+def test_three_colours_of_known_uncertainty_have_parameters_of_known_uncertainty(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]},0.1,0.1,0.1" for name, lab in LAB.items())
+    path.write_text(f"geometry,L,a,b,u_L,u_a,u_b\n{rows}\n", encoding="ascii")
+    bsdf = flake.build(flakes.ingest({"file": "a.csv", "illuminant": "D65", "observer": 10}, path), index=1.524)
+    assert bsdf["flake_decay"].values == pytest.approx(flake.build(colours(), index=1.524)["flake_decay"].values)
+    assert np.isfinite(bsdf["flake_decay_u"].values).all()
+    assert "flake_decay_u" not in flake.build(colours(), index=1.524)
+    assert "reduced_chi_squared" not in bsdf
+
+
 def test_spectra_without_noise_return_at_any_geometry_and_wavelength():
     bsdf = flake.build(spectra(), index=1.5)
     theta_f = flakes.flake_angle(20.0, 0.0, 60.0, 140.0, 1.5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -156,6 +157,80 @@ def test_colours_without_their_viewing_are_refused(key):
     del spec[key]
     with pytest.raises(InputError, match=f"do not say their {key}"):
         flakes.ingest(spec)
+
+
+U_LAB = (0.3, 0.2, 0.4)
+
+
+@pytest.mark.parametrize(
+    "titles",
+    ["L,a,b,u_L,u_a,u_b", "u(L*),L*,u(a*),a*,u(b*),b*", "L,L_std,a,a_std,b,b std", "L,a,b,sigma_a,SIGMA_L,σ b"],
+)
+def test_uncertainties_are_found_however_they_are_titled(tmp_path, titles):
+    plain = {"L": 0, "a": 1, "b": 2}
+    order = [
+        next(letter for letter in plain if letter in re.sub("std|sigma|SIGMA|σ|u", "", t)) for t in titles.split(",")
+    ]
+    known = [bool(re.search("std|sigma|SIGMA|σ|u", title)) for title in titles.split(",")]
+    rows = "\n".join(
+        f"{name}," + ",".join(str(U_LAB[plain[letter]] if u else lab[plain[letter]]) for letter, u in zip(order, known, strict=True))
+        for name, lab in LAB.items()
+    )  # fmt: skip
+    found = flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
+    vocabulary.validate(found, "multiangle")
+    assert found["tristimulus"].identical(flakes.ingest(inline())["tristimulus"])
+    assert (found["tristimulus_u"] > 0).all()
+    assert "standard uncertainties (k = 1), independent" in found.attrs["history"]
+
+
+def test_uncertainties_of_lab_become_those_of_xyz_as_many_draws_show(tmp_path):
+    rows = "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]},0.3,0.2,0.4" for name, lab in LAB.items())
+    path = written(tmp_path, f"geometry,L,a,b,u_L,u_a,u_b\n{rows}\n")
+    found = flakes.ingest({"file": "x", **VIEWING}, path)
+    random = np.random.default_rng(1)
+    draws = np.array(list(LAB.values())) + np.array(U_LAB) * random.standard_normal((20000, 3, 3))
+    xyz = colorimetry.lab_to_xyz(draws, colorimetry.weights("D65", 10).white)
+    # 20000 draws know a standard deviation to 0.5 %; L* = 3.07 lies in the linear part of the scale, 12.29 near its end.
+    assert found["tristimulus_u"].values == pytest.approx(xyz.std(axis=0), rel=0.02)
+
+
+def test_uncertainties_of_xyz_and_of_spectra_are_kept_in_their_scale(tmp_path):
+    path = written(
+        tmp_path, "geometry,X,Y,Z,u_X,u_Y,u_Z\n45:-30,7,8,24,.1,.2,.3\n45:0,2,2,5,.1,.1,.1\n45:65,1,1,1,.1,.1,.1\n"
+    )
+    assert flakes.ingest({"file": "x", **VIEWING}, path)["tristimulus_u"].values[0].tolist() == [0.1, 0.2, 0.3]
+    nm = np.arange(700, 399, -50)
+    titles = ",".join([*(f"R{value}" for value in nm), *(f"u_{value} nm" for value in nm)])
+    rows = "\n".join(",".join([name, *["50"] * nm.size, *(str(value / 100) for value in nm)]) for name in LAB)
+    found = flakes.ingest({"file": "x", "scale": "percent"}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
+    vocabulary.validate(found, "multiangle")
+    assert found["reflectance_factor_u"].values[0] == pytest.approx(nm[::-1] / 1e4)
+
+
+def test_columns_that_are_not_used_are_named(tmp_path):
+    rows = "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]},x" for name, lab in LAB.items())
+    found = flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, f"geometry,L,a,b,operator\n{rows}\n"))
+    assert "tristimulus_u" not in found
+    assert "colours.csv: not used: operator" in found.attrs["history"]
+
+
+@pytest.mark.parametrize(
+    ("titles", "cells", "pattern"),
+    [
+        ("L,a,b,u_L,u_b", "9,1,1,.1,.1", "titles: no uncertainty of a; found geometry, L, a, b, u_L, u_b"),
+        (
+            "L,a,b,u_L,u_a,u_b",
+            "9,1,1,.1,0,.1",
+            "line 2, column u_a: no standard uncertainty; found 0; accepted: above 0",
+        ),
+        ("L,a,b,u_L,u_a,u_b", "9,1,1,.1,-1,.1", "line 2, column u_a: no standard uncertainty; found -1"),
+        ("L,a,b,u_L,u_a,u_b", "9,1,1,.1,,.1", "line 2, column u_a: not a number; found ''"),
+    ],
+)
+def test_uncertainties_that_are_no_weights_are_refused_by_their_column(tmp_path, titles, cells, pattern):
+    rows = "\n".join(f"{name},{cells}" for name in LAB)
+    with pytest.raises(InputError, match=pattern):
+        flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import samples
 import xarray as xr
 
-from brdfpipe import store, vocabulary
+from brdfpipe import optics, store, vocabulary
+from brdfpipe.appearance.preview import preview
+from brdfpipe.bsdf import microfacet
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report import catalogue_csv, catalogue_page, combine, lock, summarise
 from brdfpipe.report.catalogue import NUMBERS
@@ -38,7 +41,7 @@ def _table(text: str) -> list[dict[str, str]]:
 def test_a_row_holds_the_numbers_people_search_by(full: Datasets) -> None:
     row = summarise(full).isel(material=0)
     assert str(row["material"].values) == "abs-grain"
-    assert [float(row[name]) for name in ("gloss_20", "gloss_60", "gloss_85", "haze")] == [3.21, 21.43, 48.94, 18.22]
+    assert [float(row[name]) for name in ("gloss_20", "gloss_60", "gloss_85")] == [3.21, 21.43, 48.94]
     assert [float(row[name]) for name in "Lab"] == [45.21, 41.05, 27.21]
     assert float(row["slope_rms"]) == 0.2
     assert float(row["anisotropy"]) == 1.25
@@ -73,9 +76,11 @@ def test_combined_rows_are_sorted_by_name(full: Datasets) -> None:
 
 
 def test_values_stay_with_their_material(full: Datasets) -> None:
-    second = {**full, "appearance": full["appearance"].assign(haze=99.0)}
-    catalogue = combine([_row(full, "b"), _row(second, "a")])
-    assert catalogue["haze"].values.tolist() == [99.0, 18.22]
+    second = {**full, "appearance": full["appearance"].assign(luminous_reflectance=0.5)}
+    catalogue = combine(
+        [_row({**full, "appearance": full["appearance"].assign(luminous_reflectance=0.25)}, "b"), _row(second, "a")]
+    )
+    assert catalogue["luminous_reflectance"].values.tolist() == [0.5, 0.25]
 
 
 def test_combining_does_not_depend_on_the_order_or_the_grouping_of_rows(full: Datasets) -> None:
@@ -197,9 +202,18 @@ def test_rows_are_valid_datasets_of_their_kind(full: Datasets) -> None:
     vocabulary.validate(summarise({"index": full["index"]}), "catalogue")
 
 
+def _silent(dataset: xr.Dataset) -> xr.Dataset:
+    """The dataset without its warnings."""
+    silent = dataset.copy()
+    silent.attrs.pop("warnings", None)
+    return silent
+
+
 def _verdict(datasets: Datasets, **verdicts: str) -> Datasets:
+    """The material with other verdicts, and without the warnings of its stages."""
     told = {name: {"verdict": verdict, "text": f"{name} found"} for name, verdict in verdicts.items()}
-    return {**datasets, "checks": datasets["checks"].assign_attrs(verdicts=json.dumps(told))}
+    checks = datasets["checks"].assign_attrs(verdicts=json.dumps(told))
+    return {**{stage: _silent(dataset) for stage, dataset in datasets.items()}, "checks": checks}
 
 
 def _names(html: str) -> list[str]:
@@ -237,6 +251,42 @@ def test_a_material_that_passes_has_no_check_to_name(full: Datasets) -> None:
     assert row["verdict_checks"].values.tolist() == row["verdict_text"].values.tolist() == [""]
 
 
+def test_what_its_own_scan_warns_of_does_not_pass(full: Datasets) -> None:
+    """The checks find the BRDF of a scan that is hardly measured as sound as any."""
+    passed = _verdict(full, energy="pass")
+    told = vocabulary.add_warning(
+        passed["facets"], "one step of the heights: the shape is hardly measured; export more digits."
+    )
+    row = _row({**passed, "facets": told}, "a")
+    assert [str(row[name].values[0]) for name in ("verdict", "verdict_checks")] == ["warn", "facets"]
+    assert "facets: one step of the heights" in str(row["verdict_text"].values[0])
+    html = catalogue_page(combine([row]), {})
+    assert "0 pass, 1 warn, 0 fail" in html
+    assert 'hardly measured; export more digits">warn</b><small>facets</small>' in html
+    assert _table(catalogue_csv(combine([row]), {}))[0]["verdict"] == "warn"
+
+
+def test_a_warning_that_stages_pass_on_counts_where_it_arose(full: Datasets) -> None:
+    passed = _verdict(full, energy="pass")
+    told = {stage: vocabulary.add_warning(passed[stage], "the same doubt") for stage in ("spectrum", "bsdf")}
+    assert str(_row({**passed, **told}, "a")["verdict_checks"].values[0]) == "spectrum"
+
+
+def test_a_failed_check_is_worse_than_any_warning(full: Datasets) -> None:
+    failed = _verdict(full, energy="fail")
+    row = _row({**failed, "facets": vocabulary.add_warning(failed["facets"], "few facets")}, "a")
+    assert [str(row[name].values[0]) for name in ("verdict", "verdict_checks")] == ["fail", "energy"]
+
+
+@pytest.mark.parametrize("stage", ["lambert_gauss", "table", "preview"])
+def test_what_a_by_product_leaves_out_is_no_doubt_about_the_material(full: Datasets, stage: str) -> None:
+    passed = _verdict(full, energy="pass")
+    by_product = vocabulary.add_warning(passed["lambert_gauss"] if stage == "lambert_gauss" else _picture(), "left out")
+    row = _row({**passed, stage: by_product}, "a")
+    assert str(row["verdict"].values[0]) == "pass"
+    assert int(row["warning_count"][0]) == 1
+
+
 def test_the_verdict_of_the_table_counts(full: Datasets) -> None:
     told = json.dumps({"table": {"verdict": "fail", "text": "too coarse"}})
     row = _row({**full, "table": xr.Dataset(attrs={"verdicts": told})}, "a")
@@ -258,14 +308,87 @@ def test_only_columns_that_some_material_has_are_shown(full: Datasets) -> None:
     ]
 
 
-def test_haze_is_shown_for_high_gloss_alone(full: Datasets) -> None:
-    appearance = full["appearance"].assign(gloss=("gloss_angle", [80.5, 92.75, 95.0]), haze=12.25)
-    glossy, matt = _row({**full, "appearance": appearance}, "glossy"), _row(full, "matt")
-    assert "Haze" not in _heads(catalogue_page(combine([matt]), {}))
-    html = catalogue_page(combine([glossy, matt]), {})
-    assert "Haze" in _heads(html)
+def _gloss(datasets: Datasets, *units: float) -> Datasets:
+    """The material with other gloss units at 20, 60 and 85 degree."""
+    appearance = datasets["appearance"].assign(gloss=("gloss_angle", list(units)), haze=units[1] - units[0])
+    return {**datasets, "appearance": appearance}
+
+
+def _metal(datasets: Datasets) -> Datasets:
+    finish = datasets["facets"]
+    return {**datasets, "bsdf": microfacet.build(finish, index=optics.refractive_index({"n": 2.9, "k": 3.1}))}
+
+
+def test_haze_is_given_within_the_scope_of_its_standard_alone(full: Datasets) -> None:
+    film, matt = _gloss(full, 80.5, 92.75, 95.0), full
+    metal = _metal(_gloss(full, 1100.0, 200.0, 95.0))
+    rows = [_row(film, "film"), _row(matt, "matt"), _row(metal, "metal")]
+    assert [float(row["haze"][0]) for row in rows] == pytest.approx([12.25, np.nan, np.nan], nan_ok=True)
+    assert [line["haze"] for line in _table(catalogue_csv(combine(rows), {}))] == ["12.25", "", ""]
+    html = catalogue_page(combine(rows), {})
+    assert "Haze D4039" in _heads(html)
     assert "<td>12.2<td>" in html  # 12.25 to the even digit
     assert "<td>18.2<td>" not in html
+    assert '<td title="D4039 is for more than 70 gloss units at 60°, and this one has 21.4."><td>' in html
+    assert '<td title="D4039 is for nonmetallic surfaces, and this one is a metal."><td>' in html
+    assert "Haze D4039" not in _heads(catalogue_page(combine([rows[1], rows[2]]), {}))
+
+
+@pytest.mark.parametrize("sixty", [69.99, 70.0])
+def test_seventy_gloss_units_are_not_yet_high_gloss(full: Datasets, sixty: float) -> None:
+    assert np.isnan(float(_row(_gloss(full, 50.0, sixty, 90.0), "a")["haze"][0]))
+
+
+def test_haze_takes_both_angles(full: Datasets) -> None:
+    appearance = full["appearance"].assign(gloss=("gloss_angle", [80.0, 92.0, 95.0])).isel(gloss_angle=[1, 2])
+    row = _row({**full, "appearance": appearance}, "a")
+    assert np.isnan(float(row["haze"][0]))
+    assert "not both computed" in str(row["no_haze"].values[0])
+
+
+def test_flakes_without_their_clear_coat_have_no_gloss_but_a_reason(full: Datasets) -> None:
+    film = _gloss(full, 80.5, 92.75, 95.0)["appearance"]
+    known = {"multiangle": xr.Dataset(coords={"geometry": list("abc")}), "bsdf": xr.Dataset(attrs={"route": "flake"})}
+    row = _row({**known, "appearance": film.assign_attrs(no_gloss="no coat; set `multiangle.model`")}, "a")
+    coated = _row({**known, "appearance": film}, "b")
+    assert np.isnan([float(row[name][0]) for name in ("gloss_20", "gloss_60", "gloss_85", "haze")]).all()
+    assert [float(coated[name][0]) for name in ("gloss_60", "haze")] == [92.75, 12.25]
+    html = catalogue_page(combine([row, coated]), {})
+    assert html.count('<td title="No coat; set multiangle.model.">–') == 3
+    assert html.count('<td title="No coat; set multiangle.model."><td>') == 1
+
+
+def _picture() -> xr.Dataset:
+    """Noise: the worst that a compressor can meet."""
+    pixels = np.random.default_rng(1).integers(0, 256, (256, 512, 3)).astype(np.uint8)
+    attrs = {"illuminant": "D65", "light": "studio", "white_level": 0.75}
+    picture = xr.Dataset({"picture": (("row", "column", "channel"), pixels)}, {"channel": list("RGB")}, attrs)
+    return vocabulary.label(picture, "preview")
+
+
+def test_a_material_with_a_preview_shows_it_and_another_its_colour(full: Datasets, tmp_path: Path) -> None:
+    rows = [_row({**full, "preview": _picture()}, "a"), _row(full, "b")]
+    html = catalogue_page(combine(rows), {})
+    (source,) = re.findall(r'<img src="([^"]*)" alt="">', html)
+    assert source.startswith("data:image/webp;base64,")
+    assert html.count('<i style="background:#a8333b">') == 1
+    store.save_dataset(combine(rows), tmp_path / "catalogue.nc", stage="catalogue", material="catalogue")
+    assert catalogue_page(store.open_dataset(tmp_path / "catalogue.nc", "catalogue"), {}) == html
+
+
+def test_a_picture_that_is_none_never_becomes_markup(full: Datasets) -> None:
+    row = _row(full, "a")
+    row["thumbnail"] = ("material", np.array(['"><script>alert(1)</script>']))
+    assert catalogue_page(row, {}).count("<script>") == 1
+
+
+def test_a_thousand_pictured_materials_make_a_page_of_one_or_two_megabytes(full: Datasets) -> None:
+    shown = preview(samples.beckmann_bsdf(0.02))
+    catalogue = combine([_row({**full, "preview": shown}, "a", "Grained panel")]).isel(
+        material=np.zeros(1000, dtype=int)
+    )
+    catalogue = catalogue.assign_coords(material=[f"material-{k:04d}" for k in range(1000)])
+    assert len(catalogue_page(catalogue, {}).encode()) < 2_000_000
 
 
 def test_what_rounding_leaves_of_zero_is_zero_in_the_table(full: Datasets) -> None:

@@ -110,7 +110,7 @@ def test_viridis_runs_from_violet_to_yellow_and_gets_lighter_all_the_way() -> No
 
 
 def test_the_spectral_strip_is_blue_green_red() -> None:
-    strip = _picture(f'"{figures._visible_strip(400.0, 700.0)}"')[0].astype(int)
+    strip = _picture(f'"{figures.visible_strip(400.0, 700.0)}"')[0].astype(int)
     at = {wavelength: strip[round((wavelength - 400) / 300 * 139)] for wavelength in (450, 530, 640)}
     assert [int(np.argmax(at[wavelength])) for wavelength in (450, 530, 640)] == [2, 1, 0]
 

@@ -13,8 +13,9 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from brdfpipe import vocabulary
-from brdfpipe.bsdf import microfacet
+from brdfpipe import flakes, optics, vocabulary
+from brdfpipe.appearance import appraise
+from brdfpipe.bsdf import flake, microfacet
 from brdfpipe.facets import analytic, flat
 from brdfpipe.report import material_page
 from brdfpipe.report.material import _length, luminous_reflectance, stage_warnings, verdicts
@@ -87,7 +88,7 @@ def test_the_page_of_a_full_material_nests_and_shows_every_chapter(full: Dataset
 
 def test_every_figure_is_well_formed_and_says_what_it_shows(full: Datasets) -> None:
     figures = _figures(material_page(full))
-    assert len(figures) == 11
+    assert len(figures) == 12
     assert all(figure.attrib["role"] == "img" and figure.attrib["aria-label"] for figure in figures)
 
 
@@ -172,7 +173,7 @@ def test_a_line_profile_is_drawn_as_a_line(full: Datasets, line: xr.Dataset) -> 
     html = material_page({**full, "surface": line})
     assert "Levelled line profile" in html
     assert "Rdq" in html
-    assert len(_figures(html)) == 11
+    assert len(_figures(html)) == 12
 
 
 def test_missing_heights_are_in_the_legend(full: Datasets) -> None:
@@ -244,6 +245,46 @@ def test_without_both_angles_nothing_is_said_of_haze(full: Datasets, gloss: dict
     assert '<th scope="row">haze' not in html.lower()
 
 
+def test_a_metal_has_no_haze_by_a_standard_for_nonmetallic_surfaces(full: Datasets) -> None:
+    metal = microfacet.build(full["facets"], index=optics.refractive_index({"n": 2.9, "k": 3.1}))
+    html = material_page({**_with_gloss(full, g20=1100.0, g60=200.0), "bsdf": metal})
+    assert "Haze" not in _tiles(html)
+    assert "D4039" not in html
+    assert '<th scope="row">60° − 20°</th><td>−900.00</td>' in html
+
+
+@pytest.mark.parametrize(
+    ("options", "remedy"),
+    [
+        ({}, "set <code>multiangle.model: flake-physical</code>"),
+        ({"model": "flake-physical", "clear_coat": "none"}, "set <code>multiangle.clear_coat: smooth</code>"),
+    ],
+)
+def test_flakes_without_a_gloss_lobe_say_so_and_how_to_have_one(options: dict[str, str], remedy: str) -> None:
+    colours = {"45:-30": [33.90, -7.58, -36.61], "45:0": [12.29, 1.19, -25.77], "45:65": [3.07, 2.09, -13.24]}
+    listed = [{"geometry": name, "lab": lab} for name, lab in colours.items()]
+    measured = flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10})
+    bsdf = flake.build(measured, **options).assign_attrs(route="flake")
+    html = material_page({"multiangle": measured, "flake": bsdf, "bsdf": bsdf, "appearance": appraise(bsdf)})
+    assert not [name for name in _tiles(html) if name.startswith(("Gloss", "Haze"))]
+    assert '<th scope="row">20°, 60°, 85°</th><td>not modelled</td>' in html
+    table = re.search(r"<h3>Gloss</h3>.*?<p class=\"note\">(.*?)</p>", html, re.S)
+    assert table is not None
+    assert "has no gloss lobe" in table[1]
+    assert remedy in table[1]
+    assert "Haze (" not in html
+
+
+def test_a_stage_that_warned_stands_among_the_verdicts_and_not_among_the_checks(full: Datasets) -> None:
+    html = material_page(full)
+    badges = re.search(r'<ul class="badges".*?</ul>', html, re.S)
+    checks = re.search(r'<ul class="verdicts">.*?</ul>', html, re.S)
+    assert badges is not None
+    assert checks is not None
+    assert '<b aria-hidden="true">!</b> spectrum' in badges[0]
+    assert "spectrum" not in checks[0]
+
+
 def test_a_material_without_a_finish_has_no_gloss_tile_but_a_remark(full: Datasets) -> None:
     html = material_page({stage: full[stage] for stage in ("spectrum", "appearance")})
     assert not [name for name in _tiles(html) if name.startswith(("Gloss", "Haze"))]
@@ -294,6 +335,7 @@ def test_the_verdict_of_the_table_joins_those_of_the_checks(full: Datasets) -> N
         ("reciprocity", "pass"),
         ("energy", "warn"),
         ("table", "fail"),
+        ("spectrum", "warn"),
     ]
     assert "too coarse at 85°" in _Page(material_page({**full, "table": table})).text
     assert "too coarse at 85°" in _Page(material_page({"table": table})).text

@@ -39,6 +39,18 @@ def test_a_file_is_read_where_it_lies_with_its_options(tmp_path: Path) -> None:
     assert (spectrum["total_reflectance"] == 0.6).all()
 
 
+def test_the_file_tells_its_geometry_where_the_description_does_not(tmp_path: Path) -> None:
+    rows = "".join(f"{nm} 0.5\n" for nm in range(400, 701, 10))
+    path = tmp_path / "r.txt"
+    path.write_text("# specular included\n" + rows, encoding="ascii")
+    told = ingest({"file": "r.txt", "scale": "fraction"}, path)
+    assert (told.attrs["geometry"], told.attrs["theta_i"]) == ("sci", 8)
+    path.write_text(rows, encoding="ascii")
+    with pytest.raises(InputError, match="does not say whether the specular reflection is included") as refusal:
+        ingest({"file": "r.txt", "scale": "fraction"}, path)
+    assert refusal.value.key == "spectrum.geometry"
+
+
 @pytest.mark.parametrize(
     ("spec", "key", "message"),
     [

@@ -32,22 +32,32 @@ def document(
 
 @pytest.mark.parametrize("form", FORMS)
 def test_each_form_of_the_standard_gives_the_same_table(form: str) -> None:
-    ((title, x_unit, y_unit, x, y),) = jcamp.blocks(Path("a.jdx"), document(FORMS[form], factor="0.5"))
+    ((title, x_unit, y_unit, x, y, _doubts),) = jcamp.blocks(Path("a.jdx"), document(FORMS[form], factor="0.5"))
     assert (title, x_unit, y_unit) == ("sample", "NANOMETERS", "REFLECTANCE")
     assert x.tolist() == list(range(400, 410))
     assert y.tolist() == [value / 2 for value in ORDINATES]
 
 
 def test_a_line_after_differences_repeats_the_last_ordinate_as_a_check() -> None:
-    ((*_, y),) = jcamp.blocks(Path("a.jdx"), document("400AJJ%\n403Cjjjjjj"))
+    ((*_, y, _),) = jcamp.blocks(Path("a.jdx"), document("400AJJ%\n403Cjjjjjj"))
     assert y.tolist() == ORDINATES
     with pytest.raises(InputError, match="a check value is wrong; found 4; accepted: 3"):
         jcamp.blocks(Path("a.jdx"), document("400AJJ%\n403Djjjjjj"))
 
 
 def test_numbers_may_have_exponents_where_nothing_is_packed() -> None:
-    ((*_, y),) = jcamp.blocks(Path("a.jdx"), document("400 1.5E-1 2e0", 2, last=401))
+    ((*_, y, _),) = jcamp.blocks(Path("a.jdx"), document("400 1.5E-1 2e0", 2, last=401))
     assert y.tolist() == [0.15, 2]
+
+
+@pytest.mark.parametrize(
+    ("label", "stated", "found"), [("FIRSTY", 3, 1), ("MAXY", 4, 3), ("MINY", 0, -3), ("DELTAX", 2, 1)]
+)
+def test_labels_written_for_checks_that_are_not_met_raise_a_doubt(label: str, stated: float, found: float) -> None:
+    for value, doubts in ((found, 0), (stated, 1)):
+        ((*_, told),) = jcamp.blocks(Path("a.jdx"), document(FORMS["fix"], head=f"##{label}={value}\n"))
+        assert len(told) == doubts
+    assert f"##{label} states {stated}, the table says {found}" in told[0]
 
 
 @pytest.mark.parametrize(
@@ -61,6 +71,7 @@ def test_numbers_may_have_exponents_where_nothing_is_packed() -> None:
         (document("400 S3", 2), "not a line of numbers"),
         (document("400AZ99999999Z99999999", 2), "too many points"),
         (document("", 0), "an empty table"),
+        (document("400 1 2", 2, last=401, factor="0"), "a factor is not above 0"),
         (document("400 1 2", 2).replace("##NPOINTS=2", "##NPOINTS=two"), "##NPOINTS: not a number"),
         (document("400 1 2", 2).replace("XYDATA=(X++(Y..Y))", "XYDATA=(X++(R..R))"), "form of table is not read"),
         ("##TITLE=x\n##END=\n", "no table"),

@@ -104,6 +104,47 @@ def test_a_value_off_its_neighbours_is_warned_about(read, nm: int, value: str) -
     assert len(warnings(spectrum)) == 1
 
 
+def test_a_value_off_its_neighbours_is_warned_about_in_a_dark_sample_too(read) -> None:
+    dark = [2.6 - nm / 1000 for nm in range(0, 301, 10)]
+    dark[12] += 0.3
+    text = HEAD + "".join(f"{nm};{r:.4f}\n" for nm, r in zip(range(400, 701, 10), dark, strict=True))
+    assert "0.0278 at 520 nm lies 0.003 off its neighbours" in warnings(read(text))[0]
+
+
+def test_two_values_off_their_neighbours_do_not_excuse_each_other(read) -> None:
+    told = " ".join(warnings(read(rows(400, 700).replace("500;50", "500;60").replace("520;50", "520;40"))))
+    assert "at 500 nm lies" in told
+    assert "at 520 nm lies" in told
+
+
+@pytest.mark.parametrize(("nm", "value"), [(400, "57"), (700, "42")])
+def test_the_first_and_the_last_value_are_looked_at_too(read, nm: int, value: str) -> None:
+    assert f"at {nm} nm lies" in warnings(read(rows(400, 700).replace(f"{nm};50", f"{nm};{value}")))[0]
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.5, 2])
+@pytest.mark.parametrize("step", [1, 5, 10])
+def test_noise_is_no_reason_to_warn(read, noise: float, step: int) -> None:
+    random, nm = np.random.default_rng(7), np.arange(400, 701, step)
+    for _ in range(20):
+        values = 10 + 60 / (1 + np.exp((random.uniform(450, 650) - nm) / 15)) + noise * random.standard_normal(nm.size)
+        assert warnings(read(HEAD + "".join(f"{w};{r:.3f}\n" for w, r in zip(nm, values, strict=True)))) == []
+
+
+def test_coarse_digits_are_no_reason_to_warn(read) -> None:
+    level = [50, 50, 51, 50, 50, 50, 49, 49, 50, 51, 51, 50, 50, 50, 50, 51]
+    text = HEAD + "".join(f"{nm};{r}\n" for nm, r in zip(range(400, 701, 20), level, strict=True))
+    assert warnings(read(text)) == []
+
+
+def test_no_patch_of_the_color_checkers_is_warned_about(colour, read) -> None:
+    for patches in colour.SDS_COLOURCHECKERS.values():
+        for patch in patches.values():
+            values = zip(patch.wavelengths, patch.values, strict=True)
+            text = "nm;R fraction\n" + "".join(f"{w:g};{r:.4f}\n" for w, r in values if 380 <= w <= 780)
+            assert warnings(read(text)) == []
+
+
 def test_a_narrow_peak_and_a_steep_edge_are_no_reason_to_warn(read) -> None:
     nm = np.arange(400, 701, 10)
     for shape in (80 * np.exp(-(((nm - 550) / 12) ** 2)), 90 / (1 + np.exp((500 - nm) / 6))):
@@ -118,6 +159,32 @@ def test_a_jump_between_level_stretches_is_warned_about(read) -> None:
 
 def test_a_wavelength_out_of_order_is_warned_about(read) -> None:
     assert "neither rise nor fall" in warnings(read(rows(400, 700).replace("550;50", "655;50")))[0]
+
+
+def test_a_lost_row_and_a_mistyped_wavelength_are_warned_about(read) -> None:
+    lost = warnings(read(rows(400, 700).replace("550;50\n", "")))
+    assert lost == [
+        "sample.csv: the step from 540 to 560 nm is another than elsewhere. Look for a lost row or a mistyped wavelength."
+    ]
+    assert "the step from 550 to 566 nm" in warnings(read(rows(400, 700).replace("560;50", "566;50")))[0]
+    # A row without a value is one that the instrument left out.
+    assert warnings(read(rows(400, 700).replace("550;50", "550;NaN"))) == []
+
+
+def test_the_number_of_rows_and_the_ends_that_a_header_states_are_compared(read) -> None:
+    head = "Number of X Values: 31\nFirst X Value: 400\nLast X Value: 700\n"
+    assert warnings(read(head + rows(400, 700))) == []
+    told = warnings(read(head + rows(400, 720)))
+    assert "the header states 31 rows, 33 were found" in told[0]
+    assert "the header states a last X of 700, 720 was found" in told[1]
+
+
+def test_a_number_cut_short_is_warned_about(read) -> None:
+    text = HEAD + "".join(f"{nm};{nm / 20:.3f}\n" for nm in range(400, 701, 10))
+    assert warnings(read(text)) == []
+    assert warnings(read(text.removesuffix("00\n"))) == [
+        "sample.csv: 35.0 in line 32 has not as many decimals as the others. Look for a number that was cut or damaged."
+    ]
 
 
 def test_repeated_readings_that_disagree_are_warned_about(read) -> None:
@@ -255,6 +322,13 @@ def test_an_option_out_of_its_values_names_its_key(read, options: dict, key: str
 def test_a_header_that_says_otherwise_about_the_specular_is_warned_about(read) -> None:
     spectrum = read("Mode: specular included\n" + HEAD + ROWS, geometry="sce")
     assert "the header says SCI, `spectrum.geometry` in material.yaml says sce" in warnings(spectrum)[0]
+
+
+def test_the_header_tells_the_specular_where_nothing_else_does(read) -> None:
+    spectrum = read("Mode: specular included\n" + HEAD + ROWS, geometry=None)
+    assert (spectrum.attrs["geometry"], spectrum.attrs["theta_i"]) == ("sci", 8)
+    assert "geometry sci was taken from the file" in spectrum.attrs["history"]
+    assert warnings(spectrum) == []
 
 
 def test_reading_does_not_depend_on_line_order_or_spelling(read, tmp_path: Path) -> None:

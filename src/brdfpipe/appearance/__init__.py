@@ -56,7 +56,9 @@ def appraise(
         geometries, flop index, luminous reflectance, and the sRGB colour of the total reflectance (2° observer, D65).
         Of a surface with a lay these are means over the azimuth of the plane of incidence, and ``gloss_along``, ``gloss_across``,
         ``lab_along``, ``lab_across`` tell of planes along the azimuth ``lay`` and across it. Of a material that transmits,
-        ``luminous_transmittance`` and ``transmission_haze`` (D1003-style) at normal incidence
+        ``luminous_transmittance`` and ``transmission_haze`` (D1003-style) at normal incidence. Of a paint whose clear coat is not
+        modelled, gloss and haze are those of the flakes alone: the attribute ``no_gloss`` and a warning say so, and name the
+        model that has the coat; a ``comment`` stands at each of the numbers
     """
     from brdfpipe.spectra import colorimetry
 
@@ -88,9 +90,31 @@ def appraise(
         appearance = appearance.assign(
             luminous_transmittance=luminous_transmittance(bsdf), transmission_haze=transmission_haze(bsdf)
         )
+    if why := _without_coat(bsdf):
+        appearance = vocabulary.add_warning(_commented(appearance, why), why)
     if math.isnan(flop) and lightness[2] > lightness[0]:
         appearance = vocabulary.add_warning(appearance, _rising(lightness[0], lightness[2]))
     return vocabulary.label(appearance, "appearance")
+
+
+def _without_coat(bsdf: xr.Dataset) -> str:
+    """Why the gloss is not that of the material; empty where it is, or where nothing better is known."""
+    if bsdf.attrs["representation"] != "flake" or bsdf.attrs["clear_coat"] != "none":
+        return ""
+    coat = "model: flake-physical" if bsdf.attrs["model"] == "flake" else "clear_coat: smooth"
+    return (
+        "gloss and haze are those of the flakes alone, which no gloss meter sees: the clear coat mirrors far more, and the model "
+        f"`{bsdf.attrs['model']}` without it has no gloss lobe; set `multiangle.{coat}` to have it"
+    )
+
+
+def _commented(appearance: xr.Dataset, why: str) -> xr.Dataset:
+    noted = {
+        name: appearance[name].assign_attrs(comment="of the flakes alone: no clear coat is modelled")
+        for name in ("gloss", "gloss_u", "haze", "reflectance_haze")
+        if name in appearance
+    }
+    return appearance.assign(noted).assign_attrs(no_gloss=why)
 
 
 def _rising(near: float, far: float) -> str:

@@ -55,7 +55,9 @@ def colour(
 
     References
     ----------
-    CIE 015; ASTM E308, E2194, E2539; DIN 6175-2.
+    CIE 015; ASTM E308, E2194, E2539; DIN 6175-2:2001 (since 2019 part of DIN 6175). Public sources confirm three angles for E2194,
+    several angles of illumination and of view for E2539, and the sign of the aspecular angle, positive towards the normal; that
+    the three are 15, 45 and 110° is the trade's use.
     """
     vocabulary.validate(bsdf, "bsdf")
     wavelength, total = representations.total_reflectance(bsdf)
@@ -89,7 +91,8 @@ def flop_index(lab15: float, lab45: float, lab110: float) -> float:
 
     References
     ----------
-    Alman 1987; ASTM E2194 geometries.
+    Alman 1987 (DuPont); ASTM E2194 geometries. Public sources confirm the scale, 0 of a solid colour and 15 to 17 of the strongest
+    metallic, but not the constants.
     """
     fall = lab15 - lab110
     if not fall >= -_ROUNDING or not lab45 > 0:

@@ -5,8 +5,13 @@ and gloss share one scale. What a polished surface mirrors never reaches a windo
 
 References
 ----------
-ISO 13803 and ASTM E430 B (20°, windows at 18.1° and 21.9°); ASTM E430 A and C (30°, windows 2°, 5° and 15° off). The scale is not
-theirs, which haze standards set, and conformance is not claimed: results are "ISO 13803-style".
+ISO 13803 and ASTM E430 B (20°, windows at 18.1° and 21.9°); ASTM E430 A (30°, windows at 28° or 32°, and at 25° or 35°) and C (30°,
+at 28° or 32°, and at 15°). Conformance is not claimed: results are "ISO 13803-style".
+
+The standards are sold, not published. Confirmed by public sources: these angles; receptors of ISO 13803 on both sides of that of
+20° gloss, which is 1.8° wide; the ratio to the light that the reference of gloss mirrors. Not confirmed: how wide the windows are,
+here as the receptor of gloss is; the tolerances, none of which is taken into account; the logarithmic unit and the correction for
+the luminance of the coating, which instruments offer and this module does not.
 """
 
 from __future__ import annotations
@@ -18,12 +23,22 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.apertures import QUICK, SOURCE, Beam, Window, half_width, lobe_scale, received, source
+from brdfpipe.appearance.apertures import (
+    QUICK,
+    SOURCE,
+    Beam,
+    Rule,
+    Window,
+    all_round,
+    half_width,
+    lobe_scale,
+    mean_rule,
+    received,
+    source,
+)
 from brdfpipe.bsdf import representations
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
-
-_AZIMUTHS = np.arange(0.0, 360.0, 360 / 16)
 
 
 class HazeError(BrdfpipeError):
@@ -46,7 +61,7 @@ class HazeWindow(NamedTuple):
 
 
 WINDOWS = (HazeWindow(20.0, 1.9, (1.8, 3.6)),)
-"""As of ISO 13803 and ASTM E430 B: beside the receptor for 20° gloss and as wide, 18.1° and 21.9°."""
+"""As of ISO 13803 and ASTM E430 B: beside the receptor for 20° gloss, 18.1° and 21.9°; as wide as it, which is not confirmed."""
 
 
 def reflectance_haze(
@@ -58,7 +73,7 @@ def reflectance_haze(
     ----------
     bsdf : kind ``bsdf``; averaged with V(λ)·D65 where it depends on wavelength
     windows : or mappings with ``angle``, ``offset`` and ``aperture``
-    azimuth : of the plane of incidence [degree]; by default the mean over 16 azimuths, which matters to a surface with a lay
+    azimuth : of the plane of incidence [degree]; by default the mean over all azimuths, which matters to a surface with a lay
 
     Returns
     -------
@@ -71,10 +86,10 @@ def reflectance_haze(
     vocabulary.validate(bsdf, "bsdf")
     checked = [_checked(window) for window in windows]
     reduced = representations.nonspectral(bsdf)
-    turns = _AZIMUTHS if azimuth is None and not representations.isotropic(reduced) else np.array([azimuth or 0.0])
+    scale = lobe_scale(reduced)
     quantity = vocabulary.QUANTITIES["reflectance_haze"]
     return xr.DataArray(
-        np.array([_haze(reduced, window, turns) for window in checked], dtype=float),
+        np.array([_haze(reduced, window, azimuth, scale) for window in checked], dtype=float),
         dims="haze_window",
         coords={"haze_window": np.array([window.title for window in checked], dtype=object)},
         name="reflectance_haze",
@@ -101,11 +116,16 @@ def _checked(window: HazeWindow | Mapping[str, Any]) -> HazeWindow:
     return window
 
 
-def _haze(bsdf: xr.Dataset, window: HazeWindow, turns: Array) -> float:
-    light, scale = source(window.angle, QUICK), lobe_scale(bsdf, window.angle, float(turns[0]))
-    beams = [Beam(window.angle, light, _rectangle(window, side), QUICK.receptor) for side in (-1, 1)]
-    flux = np.mean([np.sum(received(bsdf, beams, float(turn), scale), axis=0) for turn in turns], axis=0)
-    return float(100 * (light.weight @ flux) / (light.weight @ light.glass))
+def _haze(bsdf: xr.Dataset, window: HazeWindow, azimuth: float | None, scale: float) -> float:
+    def read(azimuths: Array, rule: Rule) -> Array:
+        light = source(window.angle, rule)
+        beams = [Beam(window.angle, light, _rectangle(window, side), rule.receptor) for side in (-1, 1)]
+        below, above = received(bsdf, beams, azimuths, scale)
+        return np.asarray(100 * ((below + above) @ light.weight) / (light.weight @ light.glass))
+
+    if azimuth is None and not representations.isotropic(bsdf):
+        return float(all_round(lambda azimuths: read(azimuths, mean_rule(scale)), bsdf)[1].mean())
+    return float(read(np.array([azimuth or 0.0]), QUICK)[0])
 
 
 def _rectangle(window: HazeWindow, side: int) -> Window:

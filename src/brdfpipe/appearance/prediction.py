@@ -30,8 +30,8 @@ def predicted_colours(
 
     Returns
     -------
-    Dataset of kind ``colours``: ``lab(geometry, component)`` and the directions; of an effect paint with ``lab_quality(geometry)`` as well, which
-    flags what lies outside the flake angles that were measured as extrapolated
+    Dataset of kind ``colours``: ``lab(geometry, component)`` and the directions; of an effect paint with
+    ``lab_quality(geometry)`` as well, which flags what lies outside the flake angles that were measured as extrapolated
 
     Notes
     -----

@@ -33,6 +33,8 @@ MODELS = ("flake", "flake-physical")
 _STEPS = 160
 _DIM = 0.01
 """Y at which the spectrum of a chromaticity is recovered: far from 1, where recovery does not depend on it."""
+_CHANCE = 1e-3
+"""Probability below which a misfit is no chance."""
 _POOR = 3.0
 """CIEDE2000 of the fit from a measured colour, from where on it is warned about."""
 
@@ -105,7 +107,8 @@ def build(
     Dataset of kind ``bsdf``, representation ``flake``: ``flake_amplitude`` A, ``flake_decay`` B and ``flake_constant`` C a
         channel (on the scale of Y = 100) or a wavelength; of colours, ``flake_spectrum(theta_f, wavelength)``, the spectrum of the
         chromaticity at each flake angle, of Y = 1; per geometry ``theta_f_measured``, ``delta_e_00`` of the fit and
-        ``leave_one_out``, and relative ``misfit`` and ``leave_one_out_misfit`` a channel
+        ``leave_one_out``, and relative ``misfit`` and ``leave_one_out_misfit`` a channel; ``reduced_chi_squared`` a channel of more
+        than three colours of known uncertainty
 
     Raises
     ------
@@ -113,10 +116,11 @@ def build(
 
     Notes
     -----
-    A fit to three geometries is exact; to more it is of least relative squares. The reflection below the smallest flake angle
-    measured, and above the largest, is extrapolated: see :func:`quality`. Colours carry no spectrum; the one given back has the
-    smallest slope of its logarithm (LHTSS far below 1), so that the fitted X, Y and Z at every flake angle return exactly,
-    however bright.
+    A fit to three geometries is exact; to more it is of least squares, over the uncertainties where they are known and else over
+    the values. The uncertainties of A, B and C hold where the form does; those of X, Y and Z of one geometry are not taken to hang
+    together, since every channel is fitted alone. The reflection below the smallest flake angle measured, and above the largest, is
+    extrapolated: see :func:`quality`. Colours carry no spectrum; the one given back has the smallest slope of its logarithm (LHTSS
+    far below 1), so that the fitted X, Y and Z at every flake angle return exactly, however bright.
     """
     vocabulary.validate(multiangle, "multiangle")
     kernel, coat = _kernel(index, model, clear_coat)
@@ -128,12 +132,11 @@ def build(
     measured = multiangle[name].values
     white = np.array([1.0]) if name == "reflectance_factor" else colorimetry.weights(*_viewing(multiangle)).white
     values = _reduced(measured, kernel, at, white)
-    found = fit(
-        theta_f,
-        values,
-        form,
-        [f"{each}" if across == "channel" else f"{each:g} nm" for each in multiangle[across].values],
+    doubt = (
+        None if f"{name}_u" not in multiangle else multiangle[f"{name}_u"].values / kernel.share(at[0], at[2])[:, None]
     )
+    titles = [f"{each}" if across == "channel" else f"{each:g} nm" for each in multiangle[across].values]
+    found = fit(theta_f, values, form, titles, doubt)
     bsdf = xr.Dataset(
         {
             "clear_coat_index": kernel.coat,
@@ -151,7 +154,7 @@ def build(
     if name == "tristimulus":
         bsdf.attrs |= {key: multiangle.attrs[key] for key in ("illuminant", "observer")}
         bsdf = _with_spectra(bsdf, found)
-    bsdf = _with_errors(bsdf, multiangle, found, values, form)
+    bsdf = _with_errors(bsdf, multiangle, found, values, doubt)
     return vocabulary.label(_with_warnings(bsdf, kernel, found, unit), "bsdf")
 
 
@@ -354,10 +357,14 @@ def _with_spectra(bsdf: xr.Dataset, found: Fit) -> xr.Dataset:
     )
 
 
-def _with_errors(bsdf: xr.Dataset, multiangle: xr.Dataset, found: Fit, values: Array, form: str) -> xr.Dataset:
+def _with_errors(
+    bsdf: xr.Dataset, multiangle: xr.Dataset, found: Fit, values: Array, doubt: Array | None
+) -> xr.Dataset:
     theta_f = bsdf["theta_f_measured"].values
-    fitted, left_out = found(theta_f), leave_one_out(theta_f, values, form)
+    fitted, left_out = found(theta_f), leave_one_out(theta_f, values, bsdf.attrs["form"], doubt)
     dims = ("geometry", "channel" if "channel" in multiangle.dims else "wavelength")
+    if doubt is not None and theta_f.size > found.form.parameters:
+        bsdf = _with_chi_squared(bsdf, (fitted - values) / doubt, theta_f.size - found.form.parameters, dims[1])
     black = np.where(values > 0, values, np.nan)
     bsdf["misfit"] = (dims, fitted / black - 1)
     bsdf["leave_one_out_misfit"] = (dims, left_out / black - 1)
@@ -366,6 +373,22 @@ def _with_errors(bsdf: xr.Dataset, multiangle: xr.Dataset, found: Fit, values: A
     difference = colorimetry.delta_e_00(colours[0], colours[2])
     bsdf["leave_one_out"] = ("geometry", np.where(np.isnan(left_out).any(axis=1), np.nan, difference))
     return bsdf
+
+
+def _with_chi_squared(bsdf: xr.Dataset, misfit: Array, freedom: int, across: str) -> xr.Dataset:
+    """Add the reduced χ² of each channel, and a warning where chance would hardly make it as large."""
+    from scipy.stats import chi2
+
+    reduced = (misfit**2).sum(axis=0) / freedom
+    words = {"units": "1", "long_name": "sum of squared misfits over their uncertainties, over the degrees of freedom"}
+    bsdf["reduced_chi_squared"] = ((across,), reduced, words)
+    if reduced.max() <= chi2.isf(_CHANCE / reduced.size, freedom) / freedom:
+        return bsdf
+    return vocabulary.add_warning(
+        bsdf,
+        f"the fit misses the colours by more than their uncertainties (reduced χ² up to {reduced.max():.3g}), so that those of A, B "
+        f"and C are too small: try another `multiangle.form` ({', '.join(FORMS)}), or check the uncertainties",
+    )
 
 
 def _viewing(multiangle: xr.Dataset) -> tuple[str, int]:
@@ -394,11 +417,7 @@ def _with_warnings(bsdf: xr.Dataset, kernel: _Kernel, found: Fit, unit: float) -
         sentences.append(
             f"the fit misses the colour at {name} by ΔE00 = {worst:.1f}: try another `multiangle.form` ({', '.join(FORMS)})"
         )
-    if not kernel.physical:
-        sentences.append(
-            "the gloss of the clear coat is not part of the model `flake`: set `multiangle.model: flake-physical` to have it"
-        )
-    else:
+    if kernel.physical:
         share = _mirror_share(found, kernel, unit)
         if share > 1:
             sentences.append(

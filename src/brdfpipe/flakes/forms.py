@@ -26,6 +26,8 @@ _FAINTEST = 1e-3
 """Share of a channel's largest value below which noise is no longer taken as relative."""
 _CONSTANT = 0.05
 """Relative rms up to which a channel that does not fall is taken as constant."""
+_DOUBT = 3.0
+"""Over the standard uncertainty, up to which a misfit is no misfit."""
 _STRAIGHT = 20.0
 """B over the range of flake angles, from where on the fall is a straight line."""
 _STEEP = 0.02
@@ -66,7 +68,8 @@ class Fit(NamedTuple):
     constant: Array
     """(channels,) C"""
     covariance: Array
-    """(channels, parameters, parameters) of A, B of each term and C; NaN where exact or at a bound"""
+    """(channels, parameters, parameters) of A, B of each term and C; NaN at a bound, and of an exact fit to values of unknown
+    uncertainty"""
 
     def __call__(self, theta_f: ArrayLike) -> Array:
         """Values (..., channels) at flake angles [degree]."""
@@ -83,7 +86,13 @@ def curve(theta_f: ArrayLike, amplitude: Array, decay: Array, constant: Array, p
     return np.asarray(total)
 
 
-def fit(theta_f: ArrayLike, values: ArrayLike, form: str = "exponential", channels: Sequence[str] | None = None) -> Fit:
+def fit(
+    theta_f: ArrayLike,
+    values: ArrayLike,
+    form: str = "exponential",
+    channels: Sequence[str] | None = None,
+    uncertainty: ArrayLike | None = None,
+) -> Fit:
     """Fit a form to every channel.
 
     Parameters
@@ -92,50 +101,50 @@ def fit(theta_f: ArrayLike, values: ArrayLike, form: str = "exponential", channe
     values : (geometries, channels) >= 0, any linear unit
     form : a key of :data:`FORMS`
     channels : their names, for messages
+    uncertainty : (geometries, channels) > 0, standard uncertainties of the values, taken to be independent of each other
 
     Returns
     -------
-    Fit : exact for three geometries and a form of one term; else of least relative squares, with covariance
+    Fit : exact for three geometries and a form of one term; else of least squares, each misfit over its uncertainty, or over
+        the value itself where there are none. The covariance follows from the uncertainties, or from the misfits
 
     Raises
     ------
     InputError : unknown form, undefined or negative values, too few different flake angles, or a channel whose A, B or C would be
         out of range, with the reason.
     """
-    shape, theta, rho = _checked(theta_f, values, form)
-    names = [str(name) for name in (range(1, rho.shape[1] + 1) if channels is None else channels)]
-    exact = theta.size == shape.parameters == 3
-    found = [
-        _exact(theta, column, shape, name) if exact else _accepted(theta, column, shape, name)
-        for column, name in zip(rho.T, names, strict=True)
-    ]
-    return _gathered(theta, rho, found, shape)
+    shape, data = _checked(theta_f, values, form, uncertainty)
+    names = [str(name) for name in (range(1, data.rho.shape[1] + 1) if channels is None else channels)]
+    exact = data.theta.size == shape.parameters == 3
+    solve = _exact if exact else _accepted
+    found = [solve(channel, shape, name) for channel, name in zip(data.channels(), names, strict=True)]
+    return _gathered(data, found, shape)
 
 
-def leave_one_out(theta_f: ArrayLike, values: ArrayLike, form: str = "exponential") -> Array:
+def leave_one_out(
+    theta_f: ArrayLike, values: ArrayLike, form: str = "exponential", uncertainty: ArrayLike | None = None
+) -> Array:
     """What the fit to all other geometries says of each geometry.
 
     Parameters
     ----------
-    theta_f, values, form : as for :func:`fit`
+    theta_f, values, form, uncertainty : as for :func:`fit`
 
     Returns
     -------
     (geometries, channels) in the unit of the values; NaN where the others are too few
     """
-    shape, theta, rho = _checked(theta_f, values, form)
-    predicted = np.full_like(rho, np.nan)
-    whole = (
-        [_least_squares(theta, column, shape).decay for column in rho.T] if shape.terms > 1 else [None] * rho.shape[1]
-    )
-    for left_out in range(theta.size):
-        rest = np.delete(np.arange(theta.size), left_out)
-        if distinct(theta[rest]) < shape.parameters:
+    shape, data = _checked(theta_f, values, form, uncertainty)
+    predicted = np.full_like(data.rho, np.nan)
+    whole: list[Array | None] = [None] * data.rho.shape[1]
+    if shape.terms > 1:
+        whole = [_least_squares(channel, shape).decay for channel in data.channels()]
+    for left_out in range(data.theta.size):
+        rest = data.without(left_out)
+        if distinct(rest.theta) < shape.parameters:
             continue
-        found = [
-            _least_squares(theta[rest], column[rest], shape, start) for column, start in zip(rho.T, whole, strict=True)
-        ]
-        predicted[left_out] = _gathered(theta[rest], rho[rest], found, shape)(theta[left_out])
+        found = [_least_squares(channel, shape, start) for channel, start in zip(rest.channels(), whole, strict=True)]
+        predicted[left_out] = _gathered(rest, found, shape)(data.theta[left_out])
     return predicted
 
 
@@ -150,7 +159,28 @@ class _Curve(NamedTuple):
     constant: float
 
 
-def _checked(theta_f: ArrayLike, values: ArrayLike, form: str) -> tuple[Form, Array, Array]:
+class _Data(NamedTuple):
+    """Values (geometries, channels), or those of one channel (geometries,)."""
+
+    theta: Array
+    rho: Array
+    scale: Array
+    """What each misfit is measured by"""
+    tolerance: Array
+    """Misfit up to which a form is not doubted"""
+    known: bool
+    """Whether the scale is the standard uncertainty"""
+
+    def channels(self) -> list[_Data]:
+        columns = zip(self.rho.T, self.scale.T, self.tolerance.T, strict=True)
+        return [_Data(self.theta, rho, scale, tolerance, self.known) for rho, scale, tolerance in columns]
+
+    def without(self, place: int) -> _Data:
+        kept = np.arange(self.theta.size) != place
+        return _Data(self.theta[kept], self.rho[kept], self.scale[kept], self.tolerance[kept], self.known)
+
+
+def _checked(theta_f: ArrayLike, values: ArrayLike, form: str, uncertainty: ArrayLike | None) -> tuple[Form, _Data]:
     if form not in FORMS:
         raise _refusal("unknown form", found=repr(form)[:40], accepted=", ".join(FORMS))
     theta, rho = np.asarray(theta_f, dtype=float), np.asarray(values, dtype=float)
@@ -168,13 +198,26 @@ def _checked(theta_f: ArrayLike, values: ArrayLike, form: str) -> tuple[Form, Ar
             accepted=f"at least {needed}",
             key="multiangle.colours",
         )
-    return FORMS[form], theta, np.where(rho < _BLACK, 0.0, rho)
+    rho = np.where(rho < _BLACK, 0.0, rho)
+    itself = _itself(rho)
+    if uncertainty is None:
+        return FORMS[form], _Data(theta, rho, itself, _CONSTANT * itself, known=False)
+    u = np.asarray(uncertainty, dtype=float)
+    if u.shape != rho.shape or not np.isfinite(u).all() or (u <= 0).any():
+        raise _refusal("uncertainties that are no weights", found=None, accepted="one above 0 for each value")
+    return FORMS[form], _Data(theta, rho, u, np.maximum(_CONSTANT * itself, _DOUBT * u), known=True)
+
+
+def _itself(rho: Array) -> Array:
+    """What the misfit of a value of unknown uncertainty is measured by: itself, as instruments' noise and the eye do."""
+    brightest = rho.max(axis=0)
+    return np.where(brightest > 0, np.maximum(rho, _FAINTEST * brightest), 1.0)
 
 
 # --- three geometries
 
 
-def _exact(theta: Array, rho: Array, form: Form, name: str) -> _Curve:
+def _exact(data: _Data, form: Form, name: str) -> _Curve:
     """The one curve through three points.
 
     With t = θf^p and κ = B^−p, (ρ1 − ρ2)/(ρ2 − ρ3) = expm1(κ(t2 − t1)) / −expm1(−κ(t3 − t2)) rises with κ from
@@ -182,6 +225,7 @@ def _exact(theta: Array, rho: Array, form: Form, name: str) -> _Curve:
     """
     from scipy.optimize import brentq
 
+    theta, rho = data.theta, data.rho
     order = np.argsort(theta)
     t, (first, second, third) = theta[order] ** form.power, rho[order]
     if max(first, second, third) - min(first, second, third) <= _ROUNDING * max(first, 1e-300):
@@ -205,7 +249,7 @@ def _exact(theta: Array, rho: Array, form: Form, name: str) -> _Curve:
         amplitude = (first - second) * np.exp(kappa * t[0]) / -np.expm1(-kappa * near)
     if not np.isfinite(amplitude):
         raise _out_of_range("A", name, "the colour falls so fast that A would be infinite")
-    if constant < -_ROUNDING * first:
+    if constant < -max(_ROUNDING * first, _BLACK):
         words = f"the colour falls so slowly that far from the gloss it would be below black, C = {constant:.4g}"
         raise _out_of_range("C", name, words)
     return _Curve(np.array([amplitude]), np.array([kappa ** (-1 / form.power)]), max(float(constant), 0.0))
@@ -226,52 +270,67 @@ def _check_fall(theta: Array, rho: Array, name: str) -> None:
 # --- more geometries
 
 
-def _accepted(theta: Array, rho: Array, form: Form, name: str) -> _Curve:
+def _accepted(data: _Data, form: Form, name: str) -> _Curve:
     """The curve of least squares, unless it lies at a bound that says the form is wrong."""
-    found = _least_squares(theta, rho, form)
-    scale = _scale(rho)
-    constant = np.array([found.constant])
-    misfit = curve(theta, found.amplitude[:, None], found.decay[:, None], constant, form.power)[:, 0] - rho
-    relative = float(np.sqrt(np.mean((misfit / scale) ** 2)))
+    found = _least_squares(data, form)
+    doubt = _doubt(data, found, form)
     if not found.amplitude.any():
-        if relative > _CONSTANT:
-            near, far = theta[rho.argmin()], theta[rho.argmax()]
+        if doubt > 1:
+            near, far = data.theta[data.rho.argmin()], data.theta[data.rho.argmax()]
             raise _out_of_range("A", name, f"{_rise(near, far)}, so that A would be negative")
         return found
-    _check_decay(theta, found, form, name)
-    if found.constant == 0 and relative > _CONSTANT and _freely(theta, rho, form) < relative / 2:
+    reason = _untold(data.theta, found, form)
+    if reason:
+        level = _level(data, form)
+        if _doubt(data, level, form) > 1:
+            raise _out_of_range("B", name, reason)
+        return level
+    if found.constant == 0 and doubt > 1 and _freely(data, form) < doubt / 2:
         raise _out_of_range("C", name, "the colours go down so fast that far from the gloss they would be below black")
     return found
 
 
-def _check_decay(theta: Array, found: _Curve, form: Form, name: str) -> None:
-    """Refuse a B that the geometries do not tell."""
+def _doubt(data: _Data, found: _Curve, form: Form) -> float:
+    """Rms misfit over what is tolerated."""
+    constant = np.array([found.constant])
+    fitted = curve(data.theta, found.amplitude[:, None], found.decay[:, None], constant, form.power)[:, 0]
+    return float(np.sqrt(np.mean(((fitted - data.rho) / data.tolerance) ** 2)))
+
+
+def _level(data: _Data, form: Form) -> _Curve:
+    """The constant of least squares."""
+    weight = data.scale**-2
+    span = np.full(form.terms, np.ptp(data.theta))
+    return _Curve(np.zeros(form.terms), span, float(weight @ data.rho / weight.sum()))
+
+
+def _untold(theta: Array, found: _Curve, form: Form) -> str:
+    """Why the geometries do not tell a B; nothing where they do."""
     fitted = curve(theta, found.amplitude[:, None], found.decay[:, None], np.array([found.constant]), form.power)[:, 0]
     for amplitude, decay in zip(found.amplitude, found.decay, strict=True):
         if amplitude == 0:
             continue
         if decay > 0.98 * _bounds(theta)[1]:
-            reason = "the colour falls along a straight line or ever faster, so that B would be infinite or negative"
-            raise _out_of_range("B", name, reason)
+            return "the colour falls along a straight line or ever faster, so that B would be infinite or negative"
         seen = amplitude * np.exp(-((theta / decay) ** form.power)) > _FAINTEST * fitted
         if distinct(theta[seen]) < 2:
-            reason = "the colour falls within less than the distance of two geometries, so that nothing tells B"
-            raise _out_of_range("B", name, reason)
+            return "the colour falls within less than the distance of two geometries, so that nothing tells B"
+    return ""
 
 
-def _freely(theta: Array, rho: Array, form: Form) -> float:
-    """Relative rms misfit of the best A and C of any sign, over the B that are searched."""
-    scale = _scale(rho)
+def _freely(data: _Data, form: Form) -> float:
+    """Rms misfit, over what is tolerated, of the best A and C of any sign, over the B that are searched."""
+    theta, target = data.theta, data.rho / data.scale
     decays = np.geomspace(*_bounds(theta), _GRID)
     columns = np.exp(-((theta / decays[:, None]) ** form.power))
-    design = np.stack([columns, np.ones_like(columns)], axis=2) / scale[:, None]
-    error = np.einsum("cgk,ck->cg", design, np.linalg.pinv(design) @ (rho / scale)) - rho / scale
+    design = np.stack([columns, np.ones_like(columns)], axis=2) / data.scale[:, None]
+    error = (np.einsum("cgk,ck->cg", design, np.linalg.pinv(design) @ target) - target) * data.scale / data.tolerance
     return float(np.sqrt((error**2).mean(axis=1).min()))
 
 
-def _least_squares(theta: Array, rho: Array, form: Form, start: Array | None = None) -> _Curve:
-    """The curve of least relative squares; ``start`` are decays to begin two terms at, near which it suffices to look."""
-    scale = _scale(rho)
+def _least_squares(data: _Data, form: Form, start: Array | None = None) -> _Curve:
+    """The curve of least squares; ``start`` are decays to begin two terms at, near which it suffices to look."""
+    theta, rho, scale = data.theta, data.rho, data.scale
     if form.terms == 1:
         decay = _one_decay(theta, rho, scale, form.power)
     else:
@@ -315,12 +374,6 @@ def _bounds(theta: Array) -> tuple[float, float]:
     return _STEEP * float(gaps[gaps > _SAME_ANGLE].min()), _STRAIGHT * float(np.ptp(theta))
 
 
-def _scale(rho: Array) -> Array:
-    """What the misfit of each value is measured by: itself, as instruments' noise and the eye do."""
-    brightest = float(rho.max())
-    return np.maximum(rho, _FAINTEST * brightest) if brightest > 0 else np.ones_like(rho)
-
-
 def _project(theta: Array, rho: Array, scale: Array, decays: Array, power: int) -> tuple[Array, Array]:
     """Best A and C >= 0 for given B: (candidates, terms + 1) and residuals (candidates, geometries).
 
@@ -360,8 +413,8 @@ def _solve(design: Array, target: Array) -> Array:
     return np.where(np.isfinite(found), found, -1.0)
 
 
-def _gathered(theta: Array, rho: Array, found: Sequence[_Curve], form: Form) -> Fit:
-    covariance = np.stack([_covariance(theta, column, each, form) for column, each in zip(rho.T, found, strict=True)])
+def _gathered(data: _Data, found: Sequence[_Curve], form: Form) -> Fit:
+    covariance = np.stack([_covariance(*each, form) for each in zip(data.channels(), found, strict=True)])
     return Fit(
         form,
         np.stack([each.amplitude for each in found], axis=1),
@@ -371,20 +424,20 @@ def _gathered(theta: Array, rho: Array, found: Sequence[_Curve], form: Form) -> 
     )
 
 
-def _covariance(theta: Array, rho: Array, found: _Curve, form: Form) -> Array:
-    """s² (JᵀWJ)⁻¹ of the parameters that are free; NaN without degrees of freedom."""
+def _covariance(data: _Data, found: _Curve, form: Form) -> Array:
+    """(JᵀWJ)⁻¹ of the parameters that are free, times s² of the misfits where W is not known; NaN without degrees of freedom."""
     unknown = np.full((form.parameters, form.parameters), np.nan)
-    if theta.size <= form.parameters:
+    if data.theta.size <= form.parameters and not data.known:
         return unknown
-    scale, columns = _scale(rho)[:, None], []
-    ratio = theta[:, None] / found.decay
+    columns = []
+    ratio = data.theta[:, None] / found.decay
     falling = np.exp(-(ratio**form.power))
     for k, amplitude in enumerate(found.amplitude):
         columns += [falling[:, k], amplitude * falling[:, k] * form.power * ratio[:, k] ** form.power / found.decay[k]]
-    jacobian = np.stack([*columns, np.ones_like(theta)], axis=1) / scale
+    jacobian = np.stack([*columns, np.ones_like(data.theta)], axis=1) / data.scale[:, None]
     free = np.array([*np.repeat(found.amplitude > 0, 2), found.constant > 0])
-    misfit = (falling @ found.amplitude + found.constant - rho) / scale[:, 0]
-    spread = float(misfit @ misfit) / (theta.size - form.parameters)
+    misfit = (falling @ found.amplitude + found.constant - data.rho) / data.scale
+    spread = 1.0 if data.known else float(misfit @ misfit) / (data.theta.size - form.parameters)
     used = jacobian[:, free]
     unknown[np.ix_(free, free)] = spread * np.linalg.pinv(used.T @ used, hermitian=True)
     return unknown

@@ -7,7 +7,9 @@
 
 References
 ----------
-ASTM E2194, E2539; DIN 6175-2; patent US 7,991,596 (DuPont), whose signs these are.
+ASTM E2194, E2539; DIN 6175-2:2001 (since 2019 part of DIN 6175); patent US 7,991,596 (DuPont), whose signs these are. Instruments'
+sets are as their makers publish them; those of E2539, DIN 6175-2, MA68, MA-T6 and the CM series could not be checked against a
+public text.
 """
 
 from __future__ import annotations

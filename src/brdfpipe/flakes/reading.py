@@ -27,10 +27,15 @@ _MAX_BYTES = 2**22
 _BRIGHTEST = 100.0
 """Reflectance factor beyond which a scale is mistaken: the brightest flakes near the gloss reach some ten."""
 _CHROMATIC = 500.0
+_STEP = 1e-3
+"""Of L*, a* and b* in a derivative."""
 _SPAN = (400.0, 700.0)
 _LAB = {"l": "L", "l*": "L", "a": "a", "a*": "a", "b": "b", "b*": "b"}
 _XYZ = {"x": "X", "y": "Y", "z": "Z"}
 _WAVELENGTH = re.compile(r"r?_?(\d{3,4}(?:[.,]\d+)?)\s*(?:nm)?", re.IGNORECASE)
+_UNCERTAIN = re.compile(
+    r"(?:u|std|sd|sigma|σ)[\s_(]+(?P<of>[^()]+)\)?|(?P<whose>.+?)[\s_]+(?:u|std|sd|sigma|σ)", re.IGNORECASE
+)
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 
 
@@ -46,6 +51,9 @@ class _Rows(NamedTuple):
     """lab, xyz or reflectance"""
     values: Array
     wavelength: Array | None
+    uncertainty: Array | None = None
+    """Standard uncertainties, like the values"""
+    notes: tuple[str, ...] = ()
 
 
 def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> xr.Dataset:
@@ -56,17 +64,20 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
     spec : ``{file}`` or ``{colours}``, a list of ``{geometry or theta_i, phi_i, theta_o, phi_o; lab, xyz or reflectance}`` of one
         sort, with ``wavelength`` [nm] for reflectances; ``illuminant`` and ``observer`` of L*a*b* and XYZ; ``scale`` (fraction or
         percent) of reflectance factors. Of a CSV file the first line names the columns: ``geometry`` or the four angles, then
-        L, a, b or X, Y, Z or wavelengths. XYZ are on the scale of Y = 100 for the perfect diffuser
+        L, a, b or X, Y, Z or wavelengths, and ``u_L``, ``u_a``, ``u_b`` (or ``u_X`` …, ``u_400`` …) where standard uncertainties
+        are known. XYZ are on the scale of Y = 100 for the perfect diffuser
     path : where the file lies, if not at its name in ``spec``
 
     Returns
     -------
     Dataset of kind ``multiangle``: ``tristimulus(geometry, channel)`` with attributes ``illuminant`` and ``observer``, or
-        ``reflectance_factor(geometry, wavelength)``; ``theta_i``, ``phi_i``, ``theta_o``, ``phi_o`` [degree]
+        ``reflectance_factor(geometry, wavelength)``; ``theta_i``, ``phi_i``, ``theta_o``, ``phi_o`` [degree]; ``tristimulus_u`` or
+        ``reflectance_factor_u`` (k = 1) where the file has uncertainties. Those of L*, a* and b* are taken to be independent
 
     Raises
     ------
-    InputError : naming the file and the row: fewer than three colours, unknown geometries, no colours, no illuminant, …
+    InputError : naming the file and the row: fewer than three colours, unknown geometries, no colours, no illuminant,
+        uncertainties of some of the colours only, …
     """
     if not isinstance(spec, Mapping) or ("file" in spec) == ("colours" in spec):
         raise _refusal(
@@ -83,6 +94,7 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
 
 
 def _with_notes(dataset: xr.Dataset, rows: _Rows) -> xr.Dataset:
+    dataset = vocabulary.add_history(dataset, *rows.notes) if rows.notes else dataset
     mirror = [name for name, at in zip(rows.names, rows.geometry, strict=True) if _from_mirror(at) < 10]
     if mirror:
         return vocabulary.add_warning(
@@ -119,8 +131,12 @@ def _tristimulus(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
             problem = "not a colour of light: a tristimulus value is negative or far too large"
             accepted = f"X, Y, Z from 0 to {100 * _BRIGHTEST:g}; check L*, a*, b* and their order"
             raise _refusal(rows.file, problem, f"{rows.where[k]} ({name})", found, accepted, "multiangle.colours")
+    variables = {"tristimulus": (("geometry", "channel"), xyz)}
+    if rows.uncertainty is not None:
+        u = rows.uncertainty if rows.kind == "xyz" else _u_from_lab(rows.values, rows.uncertainty, table.white)
+        variables["tristimulus_u"] = (("geometry", "channel"), u)
     return xr.Dataset(
-        {"tristimulus": (("geometry", "channel"), xyz)},
+        variables,
         coords={"geometry": list(rows.names), "channel": ["X", "Y", "Z"]},
         attrs={"illuminant": illuminant, "observer": int(spec["observer"])},
     )
@@ -134,6 +150,14 @@ def _from_lab(rows: _Rows, white: Array) -> Array:
     xyz = colorimetry.lab_to_xyz(rows.values, white)
     # The linear part of L*a*b* leaves a black that is not quite neutral a hair below 0.
     return np.where((xyz < 0) & (xyz > -1e-9 * white), 0.0, xyz)
+
+
+def _u_from_lab(lab: Array, u: Array, white: Array) -> Array:
+    """Standard uncertainties of X, Y, Z from those of L*, a* and b*, to first order."""
+    step = _STEP * np.eye(3)
+    above, below = (colorimetry.lab_to_xyz(lab[:, None, :] + sign * step, white) for sign in (1, -1))
+    slope = (above - below) / (2 * _STEP)
+    return np.asarray(np.sqrt(np.einsum("gik,gi->gk", slope**2, u**2)))
 
 
 def _spectral(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
@@ -157,14 +181,15 @@ def _spectral(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
             "fraction or percent",
             "multiangle.scale",
         )
-    values = values / (100.0 if scale == "percent" else 1.0)
+    unit = 100.0 if scale == "percent" else 1.0
+    values = values / unit
     if values.min() < -1e-3 or values.max() > _BRIGHTEST:
         found = f"{values.min():.4g} to {values.max():.4g}"
         raise _refusal(rows.file, "not reflectance factors", None, found, f"0 to {_BRIGHTEST:g}", "multiangle.scale")
-    dataset = xr.Dataset(
-        {"reflectance_factor": (("geometry", "wavelength"), np.maximum(values, 0.0))},
-        coords={"geometry": list(rows.names), "wavelength": wavelength},
-    )
+    variables = {"reflectance_factor": (("geometry", "wavelength"), np.maximum(values, 0.0))}
+    if rows.uncertainty is not None:
+        variables["reflectance_factor_u"] = (("geometry", "wavelength"), rows.uncertainty[:, order] / unit)
+    dataset = xr.Dataset(variables, coords={"geometry": list(rows.names), "wavelength": wavelength})
     below = int((values < 0).sum())
     return (
         vocabulary.add_history(dataset, f"{below} reflectance factors between -0.001 and 0 were set to 0")
@@ -285,6 +310,7 @@ def _table(path: Path) -> _Rows:
     titles = [cell.strip().strip("\ufeff") for cell in _cells(lines[0][1], separator)]
     places = {title.casefold(): k for k, title in enumerate(titles) if title.casefold() in ("geometry", *ANGLES)}
     kind, columns, wavelength = _colour_columns(path, titles)
+    doubts = _uncertainty_columns(path, titles, columns)
     values, names, found, where = [], [], [], []
     for number, line in lines[1:]:
         cells, at = [cell.strip() for cell in _cells(line, separator)], f"line {number}"
@@ -297,12 +323,52 @@ def _table(path: Path) -> _Rows:
             for title, k in places.items()
         }
         place = _place(item, path.name, at)
-        values.append([_number(path, cells[k], at, titles[k], decimal) for k in columns])
+        values.append([_number(path, cells[k], at, titles[k], decimal) for k in (*columns, *doubts)])
+        for k, value in zip(doubts, values[-1][len(columns) :], strict=True):
+            if value <= 0:
+                wrong = f"{at}, column {titles[k]}"
+                raise _refusal(path, "no standard uncertainty", wrong, f"{value:g}", "above 0", "multiangle.file")
         found.append(place)
         names.append(_named(item.get("geometry"), place))
         where.append(at)
-    stacked = np.array(values, dtype=float).reshape(len(values), len(columns))
-    return _Rows(path.name, tuple(where), _unique(names), tuple(found), kind, stacked, wavelength)
+    stacked = np.array(values, dtype=float).reshape(len(values), len(columns) + len(doubts))
+    colours, u = np.split(stacked, [len(columns)], axis=1)
+    notes = _notes(path, titles, {*places.values(), *columns, *doubts}, bool(doubts))
+    rows = _Rows(path.name, tuple(where), _unique(names), tuple(found), kind, colours, wavelength)
+    return rows._replace(uncertainty=u if doubts else None, notes=tuple(notes))
+
+
+def _notes(path: Path, titles: Sequence[str], used: set[int], known: bool) -> list[str]:
+    unused = [title for k, title in enumerate(titles) if k not in used]
+    notes = (
+        ["the uncertainties were taken as standard uncertainties (k = 1), independent of each other"] if known else []
+    )
+    return [*notes, f"{path.name}: not used: {', '.join(unused)}"[:200]] if unused else notes
+
+
+def _uncertainty_columns(path: Path, titles: Sequence[str], columns: Sequence[int]) -> list[int]:
+    """The columns of standard uncertainties of some columns, in their order; none if there are none."""
+    named: dict[str | float, int] = {}
+    for k, title in enumerate(titles):
+        match = _UNCERTAIN.fullmatch(title)
+        if match and k not in columns:
+            named[_quantity(match["of"] or match["whose"])] = k
+    wanted = [_quantity(titles[k]) for k in columns]
+    there = [quantity in named for quantity in wanted]
+    if any(there) and not all(there):
+        missing = titles[columns[there.index(False)]]
+        accepted = "one for each column of the colour, or none"
+        raise _refusal(
+            path, f"no uncertainty of {missing}", "titles", ", ".join(titles)[:80], accepted, "multiangle.file"
+        )
+    return [named[quantity] for quantity in wanted] if all(there) else []
+
+
+def _quantity(title: str) -> str | float:
+    """What a column is of, however it is spelled: L, a, b, X, Y, Z or a wavelength in nm."""
+    folded = title.strip().casefold()
+    match = _WAVELENGTH.fullmatch(title.strip())
+    return float(match[1].replace(",", ".")) if match else {**_LAB, **_XYZ}.get(folded, folded)
 
 
 def _colour_columns(path: Path, titles: Sequence[str]) -> tuple[str, list[int], Array | None]:

@@ -21,6 +21,7 @@ from brdfpipe import vocabulary
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report import material as page
 from brdfpipe.report.pages import TEMPLATES, VERDICTS, colour, fixed, render, worst
+from brdfpipe.report.thumbnail import thumbnail
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,11 @@ NUMBERS: Mapping[str, Number] = {
     "gloss_20": Number("gloss units at 20 degree, D523-style", "Gloss 20°"),
     "gloss_60": Number("gloss units at 60 degree, D523-style", "Gloss 60°"),
     "gloss_85": Number("gloss units at 85 degree, D523-style", "Gloss 85°"),
-    "haze": Number("gloss at 60 degree minus gloss at 20 degree", "Haze"),
+    "haze": Number(
+        "gloss at 60 degree minus gloss at 20 degree, D4039-style; empty outside of its scope, nonmetallic surfaces of more than 70 gloss "
+        "units at 60 degree",
+        "Haze D4039",
+    ),
     "L": Number("CIE 1976 lightness L* at the first geometry of the appearance", "L*"),
     "a": Number("CIE 1976 a* at the first geometry of the appearance", "a*"),
     "b": Number("CIE 1976 b* at the first geometry of the appearance", "b*"),
@@ -57,16 +62,23 @@ NUMBERS: Mapping[str, Number] = {
 WORDS: Mapping[str, str] = {
     "route": "how the BRDF came about",
     "basis": "what it rests on",
-    "verdict": "worst verdict of the checks; empty where nothing was checked",
-    "verdict_checks": "checks with that verdict, unless it is pass",
-    "verdict_text": "what those checks found",
+    "verdict": "worst verdict of the checks, warn at best where a stage warned; empty where nothing was checked",
+    "verdict_checks": "checks and stages with that verdict, unless it is pass",
+    "verdict_text": "what those checks found, or the stages warned of",
+    "no_gloss": "why no gloss is given; empty where it is",
+    "no_haze": "why no haze is given; empty where it is",
+    "thumbnail": "small picture, a data URI; empty without a preview",
     "digests": "JSON: stage to digest of its dataset",
 }
+"""Text of a row beside its name and description."""
 
 GLOSS_ANGLES = (20, 60, 85)
 
 _ROUNDING = 1e-9
 """What a sum leaves of zero."""
+
+_MOST_WORDS = 240
+"""Characters of what a verdict says when pointed at; all of it is in the table and on the material's page."""
 
 
 def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> xr.Dataset:
@@ -80,8 +92,8 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> x
     Returns
     -------
     Dataset of kind ``catalogue``, dimension ``material`` of length 1: :data:`NUMBERS` [1], NaN where not known (also the
-    gloss of a finish that was neither measured nor assumed); :data:`WORDS`, ``description``; ``warning_count``;
-    ``srgb`` (material, channel), NaN where not known
+    gloss of a finish that was neither measured nor assumed, or of flakes without their clear coat); :data:`WORDS`,
+    ``description``; ``warning_count``; ``srgb`` (material, channel), NaN where not known
     """
     known = {stage: datasets[stage] for stage in page.STAGES if stage in datasets}
     numbers = {**dict.fromkeys(NUMBERS, math.nan), **_numbers(known)}
@@ -92,6 +104,9 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> x
             {s: str(d.attrs["digest"]) for s, d in known.items() if "digest" in d.attrs}, sort_keys=True
         ),
         "description": description,
+        "no_gloss": page.no_gloss(known),
+        "no_haze": page.no_haze(known),
+        "thumbnail": thumbnail(known["preview"]) if "preview" in known else "",
     }
     words |= _verdict_words(known)
     appearance = known.get("appearance")
@@ -208,6 +223,7 @@ def catalogue_page(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, st
         script_hash=b64encode(sha256(script.encode()).digest()).decode(),
         headings=[NUMBERS[name].heading for name in shown],
         haze="haze" in shown,
+        pictured=any(_text(catalogue, "thumbnail")),
         rows=_page_rows(catalogue, shown),
         failures=[(name, str(e.get("stage", "")), str(e.get("message", ""))) for name, e in sorted(failures.items())],
         counts=Counter(_text(catalogue, "verdict")),
@@ -215,9 +231,8 @@ def catalogue_page(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, st
 
 
 def _columns(catalogue: xr.Dataset) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
-    """The numbers shown, those that some material has; haze only where it means something."""
+    """The numbers shown, those that some material has."""
     columns = {name: catalogue[name].values.astype(float) for name, number in NUMBERS.items() if number.heading}
-    columns["haze"] = np.where(columns["gloss_60"] > page.HIGH_GLOSS, columns["haze"], np.nan)
     return {name: values for name, values in columns.items() if np.isfinite(values).any()}
 
 
@@ -225,8 +240,12 @@ def _page_rows(
     catalogue: xr.Dataset, shown: Mapping[str, np.ndarray[Any, np.dtype[np.float64]]]
 ) -> list[dict[str, Any]]:
     """The rows as shown: worst verdict first, then by name."""
-    columns = [[_cell(name, value) for value in values.tolist()] for name, values in shown.items()]
+    columns = [
+        [_cell(name, value, why) for value, why in zip(values.tolist(), _reasons(catalogue, name), strict=True)]
+        for name, values in shown.items()
+    ]
     cells = list(zip(*columns, strict=True)) or [()] * catalogue.sizes["material"]
+    pictures = _text(catalogue, "thumbnail")
     names, verdicts = _text(catalogue, "material"), _text(catalogue, "verdict")
     descriptions, bases = _text(catalogue, "description"), _text(catalogue, "basis")
     checks, reasons = _text(catalogue, "verdict_checks"), _text(catalogue, "verdict_text")
@@ -243,20 +262,30 @@ def _page_rows(
                 for text in (_shortened(descriptions[k]), "" if bases[k].startswith("surface") else bases[k])
                 if text
             ),
+            "picture": pictures[k],
             "colour": colour(srgb[k]),
             "cells": cells[k],
             "verdict": verdicts[k],
             "checks": checks[k],
-            "reason": reasons[k],
+            "reason": _shortened(reasons[k], _MOST_WORDS),
             "warnings": int(warnings[k]),
         }
         for k in order
     ]
 
 
-def _cell(name: str, value: float) -> str:
+def _reasons(catalogue: xr.Dataset, name: str) -> list[str]:
+    """Why each material lacks a number, as far as a row tells."""
+    column = "no_haze" if name == "haze" else "no_gloss" if name.startswith("gloss_") else ""
+    return _text(catalogue, column) if column else [""] * catalogue.sizes["material"]
+
+
+def _cell(name: str, value: float, why: str) -> tuple[str, str]:
+    """What a cell shows, and what it says when pointed at."""
+    if not math.isnan(value):
+        return fixed(value, NUMBERS[name].decimals), ""
     # Haze does not apply to a matt material; that is no missing number.
-    return "" if name == "haze" and math.isnan(value) else fixed(value, NUMBERS[name].decimals)
+    return "" if name == "haze" else fixed(value, 0), why.replace("`", "")
 
 
 def _natural(name: str) -> list[Any]:
@@ -276,14 +305,11 @@ def _verdict_words(datasets: Mapping[str, xr.Dataset]) -> dict[str, str]:
 
 
 def _numbers(datasets: Mapping[str, xr.Dataset]) -> dict[str, float]:
-    numbers = {"luminous_reflectance": page.luminous_reflectance(datasets)}
+    numbers = {"luminous_reflectance": page.luminous_reflectance(datasets), "haze": page.haze(datasets)}
     appearance = datasets.get("appearance")
-    matt_by_assumption = not page.finish_known(datasets)
-    if appearance is not None and "gloss" in appearance and not matt_by_assumption:
+    if appearance is not None and "gloss" in appearance and not page.no_gloss(datasets):
         gloss = dict(zip(appearance["gloss_angle"].values.tolist(), appearance["gloss"].values.tolist(), strict=True))
         numbers |= {f"gloss_{angle}": gloss[angle] for angle in GLOSS_ANGLES if angle in gloss}
-    if appearance is not None and "haze" in appearance and not matt_by_assumption:
-        numbers["haze"] = float(appearance["haze"])
     if appearance is not None:
         passed = ("luminous_transmittance", "transmission_haze")
         numbers |= {name: float(appearance[name]) for name in passed if name in appearance}

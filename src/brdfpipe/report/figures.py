@@ -89,9 +89,26 @@ def spectrum(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Figure:
         Axis("wavelength, nm", low, high, step=50 if high - low < 500 else None),
         Axis("reflectance", 0.0, top),
         marks,
-        strip=_visible_strip(low, high),
+        strip=visible_strip(low, high),
     )
     return Figure("Spectrum", svg, legend(marks), _spectrum_words(spectral, total is not None))
+
+
+def visible_strip(low: float, high: float) -> str:
+    """Colours of the spectrum between two wavelengths, as an image one pixel high."""
+    wavelength = np.linspace(low, high, 140)
+    x, y, z = _tristimulus(wavelength)
+    linear = np.stack(
+        [
+            3.2406 * x - 1.5372 * y - 0.4986 * z,
+            -0.9689 * x + 1.8758 * y + 0.0415 * z,
+            0.0557 * x - 0.2040 * y + 1.0570 * z,
+        ],
+        axis=-1,
+    )
+    linear = np.clip(linear, 0, None)
+    linear = np.minimum(linear / 1.35, 1)
+    return png(np.asarray((255 * linear ** (1 / 2.2)).round(), dtype=np.uint8)[None])
 
 
 # --- data
@@ -161,23 +178,6 @@ def _robust_range(values: Array) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = np.percentile(present, [0.5, 99.5])
     return (float(low), float(high)) if high > low else nice_range(float(low), float(high))
-
-
-def _visible_strip(low: float, high: float) -> str:
-    """Colours of the spectrum between two wavelengths, as an image one pixel high."""
-    wavelength = np.linspace(low, high, 140)
-    x, y, z = _tristimulus(wavelength)
-    linear = np.stack(
-        [
-            3.2406 * x - 1.5372 * y - 0.4986 * z,
-            -0.9689 * x + 1.8758 * y + 0.0415 * z,
-            0.0557 * x - 0.2040 * y + 1.0570 * z,
-        ],
-        axis=-1,
-    )
-    linear = np.clip(linear, 0, None)
-    linear = np.minimum(linear / 1.35, 1)
-    return png(np.asarray((255 * linear ** (1 / 2.2)).round(), dtype=np.uint8)[None])
 
 
 def _tristimulus(wavelength: Array) -> tuple[Array, Array, Array]:

@@ -16,7 +16,7 @@ from markupsafe import Markup
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import representations
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.report import effect, figures, finish, lobes, reflection, scattering
+from brdfpipe.report import dispersion, effect, figures, finish, lobes, reflection, scattering
 from brdfpipe.report.pages import MISSING, colour, fixed, grouped, number, render
 from brdfpipe.report.svg import Figure, png, sentence
 
@@ -65,7 +65,10 @@ _CHECKS = (
 _COUNTS = ("facet_count", "effective_count")
 
 HIGH_GLOSS = 70.0
-"""Gloss units at 60° above which haze means something: ASTM D4039 is for high-gloss films."""
+"""Gloss units at 60° above which haze means something: ASTM D4039 is for high-gloss nonmetallic surfaces."""
+
+_DERIVED = ("preview", "table", "lambert_gauss")
+"""Stages whose warnings tell what is missing in a by-product, and cast no doubt on the BRDF."""
 
 RESIDUAL_LIMIT = 0.2
 """Misfit above which a Gaussian does not describe the lobe."""
@@ -74,7 +77,7 @@ MASKING_LIMIT = 0.03
 """Difference of G1 between rays and Smith above which the page explains it."""
 
 _METALLIC = 0.1
-"""Extinction coefficient above which no light returns from within a body."""
+"""Extinction coefficient above which no light returns from within a body: that of a metal."""
 
 LOSS_LIMIT = 0.01
 """Share of the light lost to multiple scattering above which the page says what to do."""
@@ -185,7 +188,21 @@ def stage_warnings(datasets: Mapping[str, xr.Dataset]) -> list[tuple[str, str]]:
 
 
 def verdicts(datasets: Mapping[str, xr.Dataset]) -> list[Verdict]:
-    """The verdicts of the checks, then those that the table carries."""
+    """The verdicts of the checks and of the table, then ``warn`` for every stage that warned of what the BRDF rests on.
+
+    The checks look at the BRDF alone: of a scan that hardly shows its facets they find a perfectly sound one.
+    """
+    return [*_checked(datasets), *_doubts(datasets)]
+
+
+def _doubts(datasets: Mapping[str, xr.Dataset]) -> list[Verdict]:
+    told: dict[str, list[str]] = {}
+    for stage, text in stage_warnings({stage: each for stage, each in datasets.items() if stage not in _DERIVED}):
+        told.setdefault(stage, []).append(text.strip().removesuffix("."))
+    return [Verdict(_words(stage), "warn", "; ".join(texts)) for stage, texts in told.items()]
+
+
+def _checked(datasets: Mapping[str, xr.Dataset]) -> list[Verdict]:
     found: dict[str, Verdict] = {}
     for stage in ("checks", "table"):
         for name, entry in _mapping(datasets[stage].attrs.get("verdicts") if stage in datasets else None).items():
@@ -207,15 +224,40 @@ def primary_lab(appearance: xr.Dataset | None) -> tuple[str, tuple[float, float,
     return _labels(appearance["lab"], "geometry")[0], (lightness, a, b)
 
 
-def high_gloss_haze(appearance: xr.Dataset | None) -> float:
-    """Haze where it means something, above :data:`HIGH_GLOSS`; else NaN."""
-    if appearance is None or "haze" not in appearance or not dict(_gloss(appearance)).get(60.0, 0.0) > HIGH_GLOSS:
+def no_gloss(datasets: Mapping[str, xr.Dataset]) -> str:
+    """Why gloss would say nothing of the material, and what to do; empty where it does."""
+    if not _finish_known(datasets):
+        return (
+            "No surface finish was measured or assumed: the gloss of the ideally matt BRDF would say nothing of the material. Give "
+            "`surface` in material.yaml to model it."
+        )
+    # Of a paint whose clear coat is not modelled, the stage itself knows.
+    why = str(datasets["appearance"].attrs.get("no_gloss", "")) if "appearance" in datasets else ""
+    return f"{why[:1].upper()}{why[1:]}." if why else ""
+
+
+def no_haze(datasets: Mapping[str, xr.Dataset]) -> str:
+    """Why D4039 does not apply, or what it would need is missing; empty where it does."""
+    gloss = dict(_gloss(datasets.get("appearance")))
+    if (why := no_gloss(datasets)) or not {20.0, 60.0} <= set(gloss):
+        return why or "D4039 takes the gloss at 20° and at 60°, which were not both computed."
+    if _metallic(datasets.get("bsdf")):
+        return "D4039 is for nonmetallic surfaces, and this one is a metal."
+    if not gloss[60.0] > HIGH_GLOSS:
+        return f"D4039 is for more than {HIGH_GLOSS:g} gloss units at 60°, and this one has {fixed(gloss[60.0], 1)}."
+    return ""
+
+
+def haze(datasets: Mapping[str, xr.Dataset]) -> float:
+    """Haze as of D4039, gloss at 60° less gloss at 20°; NaN outside of the standard's scope."""
+    appearance = datasets.get("appearance")
+    if appearance is None or "haze" not in appearance or no_haze(datasets):
         return math.nan
     return float(appearance["haze"])
 
 
-def finish_known(datasets: Mapping[str, xr.Dataset]) -> bool:
-    """Whether gloss says something about the material: a BRDF predicted without facets is matt by assumption."""
+def _finish_known(datasets: Mapping[str, xr.Dataset]) -> bool:
+    """Whether a finish is known: a BRDF predicted without facets is matt by assumption."""
     return "facets" in datasets or route(datasets) != "predicted"
 
 
@@ -268,13 +310,12 @@ def _look(picture: xr.Dataset | None) -> Figure | None:
 
 def _facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Iterator[Fact]:
     appearance = datasets.get("appearance")
-    if finish_known(datasets):
+    if not no_gloss(datasets):
         yield from (
             Fact(f"Gloss {angle:g}°", fixed(value, 1), "GU", "D523-style") for angle, value in _gloss(appearance)
         )
-        haze = high_gloss_haze(appearance)
-        if math.isfinite(haze):
-            yield Fact("Haze", fixed(haze, 1), "GU", "D4039-style")
+        if math.isfinite(haze(datasets)):
+            yield Fact("Haze", fixed(haze(datasets), 1), "GU", "D4039-style")
     lab = primary_lab(appearance)
     if lab is not None:
         geometry, values = lab
@@ -313,7 +354,7 @@ def _limits(datasets: Mapping[str, xr.Dataset]) -> Iterator[str]:
     """What the report cannot say, and why."""
     facets = datasets.get("facets")
     warned = any(vocabulary.warnings(datasets[stage]) for stage in ("predicted", "bsdf") if stage in datasets)
-    if not finish_known(datasets) and not warned:  # the stage that takes a material as matt says so itself
+    if not _finish_known(datasets) and not warned:  # the stage that takes a material as matt says so itself
         yield (
             "Gloss and haze are not modelled. No surface finish was measured or assumed, so the BRDF is that of an ideally "
             "matt sample; give `surface` in material.yaml to model them."
@@ -341,7 +382,11 @@ def _without_base(bsdf: xr.Dataset | None) -> bool:
     """Whether no light comes from below the surface by its nature: a metal, or a body that light passes."""
     if bsdf is None:
         return False
-    return representations.transmits(bsdf) or ("k" in bsdf and float(bsdf["k"].min()) > _METALLIC)
+    return representations.transmits(bsdf) or _metallic(bsdf)
+
+
+def _metallic(bsdf: xr.Dataset | None) -> bool:
+    return bsdf is not None and "k" in bsdf and float(bsdf["k"].min()) > _METALLIC
 
 
 def _route_words(datasets: Mapping[str, xr.Dataset]) -> str:
@@ -371,7 +416,7 @@ def _viewing(appearance: xr.Dataset | None) -> str:
 
 
 def _appearance(datasets: Mapping[str, xr.Dataset]) -> Section:
-    bsdf, checks, appearance = datasets.get("bsdf"), datasets.get("checks"), datasets.get("appearance")
+    bsdf, checks = datasets.get("bsdf"), datasets.get("checks")
     passes = bsdf is not None and representations.transmits(bsdf)
     section = Section("Reflection and transmission" if passes else "Reflection")
     if bsdf is not None:
@@ -382,7 +427,7 @@ def _appearance(datasets: Mapping[str, xr.Dataset]) -> Section:
     section.figures += reflection.shares(checks, bsdf)
     polarised = lobes.polarisation(bsdf) if bsdf is not None else None
     section.figures += [polarised] if polarised else []
-    table = _gloss_table(appearance, finish_known(datasets))
+    table = _gloss_table(datasets)
     section.tables += [table] if table else []
     section.tables += [_model_table(bsdf)] if bsdf is not None and "masking" in bsdf.attrs else []
     return section
@@ -431,20 +476,19 @@ def _multiple_words(several: reflection.MultipleScattering) -> tuple[str, str]:
     return ("", advice) if several.share >= LOSS_LIMIT else (advice, "")
 
 
-def _gloss_table(appearance: xr.Dataset | None, known: bool) -> Table | None:
+def _gloss_table(datasets: Mapping[str, xr.Dataset]) -> Table | None:
+    appearance = datasets.get("appearance")
     gloss = _gloss(appearance)
     if not gloss:
         return None
     header: tuple[str, ...] = ("Geometry", "Gloss units")
-    if not known:
+    if why := no_gloss(datasets):
         angles = ", ".join(f"{angle:g}°" for angle, _ in gloss)
-        note = "No surface finish was measured or assumed: the gloss of the ideally matt BRDF would say nothing of the material."
-        return Table("Gloss", header, [(angles, "not modelled")], note)
+        return Table("Gloss", header, [(angles, "not modelled")], why)
     spread = _spread(appearance)
     rows = [(f"{angle:g}°", fixed(value, 2), spread.get(angle, "")) for angle, value in gloss]
     if appearance is not None and "haze" in appearance and np.isfinite(appearance["haze"]):
-        high = math.isfinite(high_gloss_haze(appearance))
-        title = "Haze (D4039-style), 60° − 20°" if high else "60° − 20°"
+        title = "60° − 20°" if no_haze(datasets) else "Haze (D4039-style), 60° − 20°"
         rows.append((title, fixed(float(appearance["haze"]), 2), ""))
     if appearance is not None and "reflectance_haze" in appearance:
         beside = appearance["reflectance_haze"]
@@ -480,7 +524,8 @@ def _spectral(datasets: Mapping[str, xr.Dataset]) -> Section:
     if appearance is not None and "lab" in appearance:
         section.tables.append(_lab_table(appearance))
     if "index" in datasets:
-        section.tables.append(_index_table(datasets["index"]))
+        section.figures += dispersion.dispersion(datasets["index"], datasets.get("bsdf"))
+        section.tables += [_index_table(datasets["index"])] if dispersion.dispersive(datasets["index"]) else []
     return section
 
 
@@ -512,14 +557,13 @@ def _effect(datasets: Mapping[str, xr.Dataset]) -> Section:
 
 
 def _index_table(index: xr.Dataset) -> Table:
-    lines = np.array([486.1, 587.6, 656.3])  # the Fraunhofer lines F, d and C, at which indices are quoted
+    lines = np.array([486.1, 587.6, 656.3])  # at which indices are quoted
     own = np.atleast_1d(index["wavelength"].values) if "wavelength" in index.coords else lines
     n, k = (np.interp(lines, own, np.broadcast_to(index[name].values, own.shape)) for name in ("n", "k"))
     rows = [
         (f"{line:g} nm", fixed(real, 4), number(imaginary)) for line, real, imaginary in zip(lines, n, k, strict=True)
     ]
-    source = str(index.attrs.get("source", ""))
-    return Table("Refractive index", ("Wavelength", "n", "k"), rows, f"Source: {source}" if source else "")
+    return Table("Refractive index at the lines F, d and C", ("Wavelength", "n", "k"), rows)
 
 
 def _relief(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Section:
@@ -652,7 +696,7 @@ def _misfit(fit: xr.Dataset) -> str:
 
 
 def _quality(datasets: Mapping[str, xr.Dataset]) -> Section:
-    section = Section("Checks", verdicts=verdicts(datasets))
+    section = Section("Checks", verdicts=_checked(datasets))
     checks = datasets.get("checks")
     if checks is not None:
         rows = [_named(checks[name]) for name in _CHECKS if name in checks]

@@ -22,6 +22,7 @@ __all__ = ["ingest", "metamerism", "read_spectrum", "recover"]
 _FILE_KEYS = ("format", "scale", "sample", "column", "uncertainty", "allow_fluorescent")
 _LAB_KEYS = ("illuminant", "observer", "method", "threshold", "seed")
 _COMMON_KEYS = ("geometry", "incidence", "specular_trap")
+_INCIDENCE = 8.0
 _LOWEST_INDEX = 1.45
 """Below every named plastic's: a surface that reflects less than this had its specular reflection excluded, or is not smooth."""
 
@@ -37,8 +38,9 @@ def ingest(
     Parameters
     ----------
     spec : ``{file, format, geometry, incidence, scale, sample, column, uncertainty, allow_fluorescent}`` or
-        ``{lab, illuminant, observer, method, threshold, seed, geometry, incidence}``; ``incidence`` is 8 degree where absent. With the specular excluded,
-        ``specular_trap`` is the half angle of the instrument's gloss trap
+        ``{lab, illuminant, observer, method, threshold, seed, geometry, incidence}``. ``geometry`` may be absent where the file says
+        it; ``incidence`` is 8 degree where neither says it. With the specular excluded, ``specular_trap`` is the half angle of the
+        instrument's gloss trap
     path : where the file lies, if not at its name in ``spec``
     index : refractive index, if known. A colour with the specular included then gives a spectrum that contains its Fresnel
         reflectance; a file with less than it is warned about
@@ -53,20 +55,23 @@ def ingest(
     InputError : unknown or missing keys, and all that :func:`read_spectrum` and :func:`recover` refuse.
     """
     is_file = _check_keys(spec)
-    geometry, incidence = _geometry(spec), _incidence(spec)
-    trap = _specular_trap(spec, geometry)
+    incidence = _incidence(spec)
     if is_file:
         options = {key: spec[key] for key in _FILE_KEYS if key in spec}
         source = path if path is not None else str(spec["file"])
-        dataset = read_spectrum(source, geometry=geometry, incidence=incidence, **options)
+        stated = _geometry(spec) if "geometry" in spec else None
+        dataset = read_spectrum(source, geometry=stated, incidence=incidence, **options)
+        trap = _specular_trap(spec, dataset.attrs["geometry"])
         return _warn_if_excluded(dataset, Path(source).name, index).assign_attrs(trap)
+    geometry = _geometry(spec)
+    trap = _specular_trap(spec, geometry)
     recovered = recover(
         spec["lab"],
         illuminant=spec["illuminant"],
         observer=spec["observer"],
         **{key: spec[key] for key in ("method", "threshold", "seed") if key in spec},
         specular_index=index if geometry == "sci" else None,
-        theta=incidence,
+        theta=_INCIDENCE if incidence is None else incidence,
         geometry=geometry,
         checkpoint=checkpoint,
         progress=True,
@@ -114,8 +119,10 @@ def _geometry(spec: Mapping[str, Any]) -> str:
     return str(geometry)
 
 
-def _incidence(spec: Mapping[str, Any]) -> float:
-    incidence = spec.get("incidence", 8.0)
+def _incidence(spec: Mapping[str, Any]) -> float | None:
+    if "incidence" not in spec:
+        return None
+    incidence = spec["incidence"]
     if isinstance(incidence, bool) or not isinstance(incidence, int | float) or not 0 <= incidence < 90:
         raise _refusal("no incidence", repr(incidence)[:40], "0 <= degree < 90", "spectrum.incidence")
     return float(incidence)

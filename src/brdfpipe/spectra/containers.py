@@ -42,7 +42,11 @@ FRACTION = "reflectance as a fraction"
 _SILENT = "reflectance"
 _UNPACKED = 2**28
 _CXF_END = 850.0
+_CXF_STARTS = (360.0, 400.0)
 _SHOWN = 10
+_USUAL_STEPS = (1.0, 2.0, 5.0, 10.0, 20.0)
+_USUAL_ENDS = (700.0, 730.0, 740.0, 750.0, 780.0, 830.0, 850.0)
+"""Where spectra of colour instruments end [nm]."""
 
 
 class Sample(NamedTuple):
@@ -53,9 +57,11 @@ class Sample(NamedTuple):
     """nm, or µm where ``unit`` says so; in any order"""
     values: Array
     header: tuple[str, ...] = ()
-    """What the file says about it: scale, specular component."""
+    """What the file says about it: scale, specular component, directions."""
     unit: str = "nm"
     """nm, um, or nothing where the file is silent"""
+    doubts: tuple[str, ...] = ()
+    """What looks lost or damaged, in words"""
 
 
 def read(path: Path, form: str | None = None, sample: int | str | None = None) -> Columns:
@@ -143,9 +149,8 @@ def _one(path: Path, samples: Sequence[Sample], sample: int | str | None, notes:
         notes = [*notes, f"sample {place + 1} of {len(samples)} was read ({chosen.name[:60]})"]
     values = np.column_stack([chosen.wavelength, chosen.values])
     title = {"nm": "wavelength [nm]", "um": "wavelength [µm]"}.get(chosen.unit, "wavelength")
-    return Columns(
-        path.name, chosen.header, (title, _SILENT), values, np.zeros(len(values), dtype=np.int64), tuple(notes)
-    )
+    lines = np.zeros(len(values), dtype=np.int64)
+    return Columns(path.name, chosen.header, (title, _SILENT), values, lines, tuple(notes), chosen.doubts)
 
 
 # Text and spreadsheets with one row a sample
@@ -166,6 +171,8 @@ def _wide_rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]], str] 
             continue
         if len(_labels(next(csv.reader([line], delimiter=separator), []))) >= _FEWEST_LABELS:
             above = [re.sub(r"^[#!*;/]+\s*", "", each) for each in lines[:place] if each.strip()]
+            if any(_is_row(each, separator) for each in above):
+                return None
             reader = csv.reader(lines[place:], delimiter=separator)
             try:
                 rows = [(place + reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
@@ -175,6 +182,12 @@ def _wide_rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]], str] 
         if columns.number(re.split(r"[;\t,\s]", line.strip())[0]) is not None:
             return None
     return None
+
+
+def _is_row(line: str, separator: str) -> bool:
+    """Whether most cells of a line are numbers: values above the header of wavelengths, which nothing names."""
+    values = [columns.number(cell, "," if separator == ";" else ".") for cell in line.split(separator)]
+    return len(values) > _FEWEST_LABELS and sum(value is not None for value in values) > len(values) / 2
 
 
 def _labels(cells: Sequence[str]) -> dict[int, float]:
@@ -203,12 +216,10 @@ def _wide(path: Path, above: Sequence[str], rows: Sequence[tuple[int, list[str]]
                 found=f"{len(row)} cells",
                 accepted=f"{len(header)} cells, as in the header",
             )
-        values = [columns.number(row[i], decimal) for i in labels]
-        if None in values:
-            wrong = row[list(labels)[values.index(None)]]
-            raise InputError(path, "not a number", where=f"line {line}", found=repr(wrong)[:60])
+        cells = [row[i] for i in labels]
         wavelength = np.array(list(labels.values()))
-        samples.append(Sample(row[0].strip(), wavelength, np.array(values, dtype=float), tuple(above), stated))
+        values = _numbers(path, f"line {line}", cells, decimal)
+        samples.append(Sample(row[0].strip(), wavelength, values, tuple(above), stated, _cut(cells, wavelength)))
     return samples
 
 
@@ -295,11 +306,19 @@ def _perkinelmer(path: Path, text: str) -> list[Sample]:
     points = _stated_number(path, "number of points", stated[6])
     if len(rows) != points:
         raise _truncated(path, len(rows), points)
-    table = np.array(rows, dtype=float).reshape(-1, 2)
+    cells = list(zip(*rows, strict=True)) or [(), ()]
+    wavelength, values = (_numbers(path, "#DATA", column) for column in cells)
     scale, offset = (_stated_number(path, word, cell) for word, cell in (("factor", stated[2]), ("offset", stated[3])))
     if scale != 1 or offset != 0:
         raise InputError(path, "a factor other than 1", where="#GR", found=f"{scale:g}, {offset:g}", accepted="1 and 0")
-    return [Sample(lines[2], table[:, 0], table[:, 1], (PERCENT if "%" in y_unit else FRACTION,))]
+    first, step = (_stated_number(path, what, cell) for what, cell in (("first nm", stated[4]), ("step", stated[5])))
+    doubts = _cut(cells[1], wavelength)
+    if wavelength.size and np.abs(wavelength - _grid(first, step, wavelength.size)).max() > 0.5 * abs(step):
+        doubts += (f"the header states wavelengths from {first:g} nm by {step:g} nm. Look for mistyped or lost ones",)
+    return [Sample(lines[2], wavelength, values, (PERCENT if "%" in y_unit else FRACTION,), doubts=doubts)]
+
+
+_QTX_GRID = ("REFLLOW", "REFLINTERVAL", "REFLPOINTS")
 
 
 def _qtx(path: Path, text: str) -> list[Sample]:
@@ -309,9 +328,12 @@ def _qtx(path: Path, text: str) -> list[Sample]:
         line = line.strip()
         if line.startswith("["):
             sections.append({})
+            last = ""
         elif "=" in line and sections:
             last, _, value = line.partition("=")
             last = re.sub("^(?:STD|BAT)_", "", last.strip().upper())
+            if last in ("NAME", "VIEWING", "R", *_QTX_GRID) and last in sections[-1]:
+                raise InputError(path, f"damaged: {last} stands twice in a section", where=f"line {place}")
             sections[-1][last] = value.strip()
         elif line and sections and last == "R":
             sections[-1][last] += line
@@ -319,19 +341,17 @@ def _qtx(path: Path, text: str) -> list[Sample]:
             raise InputError(path, "neither a section nor a key", where=f"line {place}", found=repr(line)[:60])
     samples = []
     for place, section in enumerate(sections, start=1):
-        if "R" not in section:
+        if "R" not in section and "REFLPOINTS" not in section:
             continue
-        cells = [cell for cell in re.split(r"[,\s]+", section["R"]) if cell]
-        low, step, points = (
-            _stated_number(path, key, section.get(key, "").rstrip(", "))
-            for key in ("REFLLOW", "REFLINTERVAL", "REFLPOINTS")
-        )
+        cells = [cell for cell in re.split(r"[,\s]+", section.get("R", "")) if cell]
+        low, step, points = (_stated_number(path, key, section.get(key, "").rstrip(", ")) for key in _QTX_GRID)
         if len(cells) != points:
             raise _truncated(path, len(cells), points)
-        values = _numbers(path, f"section {place}", cells)
+        wavelength, values = _grid(low, step, len(cells)), _numbers(path, f"section {place}", cells)
         viewing = (f"viewing {section['VIEWING']}",) if "VIEWING" in section else ()
         name = section.get("NAME", f"sample {place}")
-        samples.append(Sample(name, _grid(low, step, len(cells)), values, (PERCENT, *viewing)))
+        doubts = (*_unusual_end(wavelength, step), *_cut(cells, wavelength))
+        samples.append(Sample(name, wavelength, values, (PERCENT, *viewing), doubts=doubts))
     return samples
 
 
@@ -389,23 +409,37 @@ def _cgats_table(path: Path, keywords: Mapping[str, str], fields: Sequence[str],
             )
         wavelength = exact
     norm = keywords.get("SPECTRAL_NORM")
-    stated = (
-        {100.0: PERCENT, 1.0: FRACTION}.get(_stated_number(path, "SPECTRAL_NORM", norm), _SILENT) if norm else _SILENT
-    )
+    stated = {100.0: PERCENT, 1.0: FRACTION}.get(_stated_number(path, "SPECTRAL_NORM", norm)) if norm else _SILENT
+    if stated is None:
+        raise InputError(path, "an unknown scale", where="SPECTRAL_NORM", found=repr(norm)[:40], accepted="1 or 100")
     names = [fields.index(name) for name in ("SAMPLE_NAME", "SAMPLE_ID", "SAMPLE_LOC") if name in fields]
     rows = [data[start : start + len(fields)] for start in range(0, len(data), len(fields))]
-    return [
-        Sample(
-            row[names[0]] if names else str(place),
-            wavelength,
-            _numbers(path, f"set {place}", [row[i] for i in bands]),
-            (stated,),
-        )
-        for place, row in enumerate(rows, start=1)
-    ]
+    samples = []
+    for place, row in enumerate(rows, start=1):
+        cells = [row[i] for i in bands]
+        name, values = row[names[0]] if names else str(place), _numbers(path, f"set {place}", cells)
+        samples.append(Sample(name, wavelength, values, (stated,), doubts=_cut(cells, wavelength)))
+    return samples
 
 
 def _cxf(path: Path, text: str) -> list[Sample]:
+    root = _xml(path, text)
+    found = root.findall(".//{*}ColorSpecification")
+    specifications = {each.get("Id", ""): _cxf_specification(each) for each in found}
+    samples, owners = [], []
+    for place, item in enumerate(root.findall(".//{*}Object"), start=1):
+        name = item.get("Name", f"object {place}")
+        for spectrum in item.findall(".//{*}ReflectanceSpectrum"):
+            owners.append(spectrum.get("ColorSpecification", ""))
+            samples.append(_cxf_sample(path, name, spectrum, specifications.get(owners[-1], _Specification())))
+    counts = {owner: [s.values.size for s, o in zip(samples, owners, strict=True) if o == owner] for owner in owners}
+    return [
+        sample._replace(doubts=(*sample.doubts, *_unlike(sample.values.size, counts[owner])))
+        for sample, owner in zip(samples, owners, strict=True)
+    ]
+
+
+def _xml(path: Path, text: str) -> Element:
     import defusedxml
     from defusedxml.ElementTree import ParseError, fromstring
 
@@ -416,45 +450,95 @@ def _cxf(path: Path, text: str) -> list[Sample]:
         raise InputError(path, "XML with a document type or entities", accepted="plain CxF3") from error
     except (ParseError, RecursionError, ValueError) as error:
         raise InputError(path, "damaged XML", found=str(error)[:80], accepted="CxF3") from error
-    grids: dict[str, tuple[str | None, str | None]] = {}
-    for specification in root.findall(".//{*}ColorSpecification"):
-        span = specification.find(".//{*}WavelengthRange")
-        if span is not None:
-            grids[specification.get("Id", "")] = (span.get("StartWL"), span.get("Increment"))
-    samples = []
-    for place, item in enumerate(root.findall(".//{*}Object"), start=1):
-        name = item.get("Name", f"object {place}")
-        for spectrum in item.findall(".//{*}ReflectanceSpectrum"):
-            start, step = grids.get(spectrum.get("ColorSpecification", ""), (None, None))
-            low = _stated_number(path, f"StartWL of {name[:40]}", spectrum.get("StartWL") or start or "")
-            width = _stated_number(path, f"Increment of {name[:40]}", spectrum.get("Increment") or step or "")
-            if start is not None and low != columns.number(start):
-                raise InputError(
-                    path,
-                    "damaged: two first wavelengths",
-                    where=name[:40],
-                    found=f"{low:g} and {start[:20]} nm",
-                    accepted="one StartWL",
-                )
-            values = _numbers(path, name[:40], (spectrum.text or "").split())
-            if low + width * (values.size - 1) > _CXF_END:
-                # The container states no number of values: a repeated block shows by where it would end.
-                raise InputError(
-                    path,
-                    "damaged: more values than a colour instrument measures",
-                    where=name[:40],
-                    found=f"{values.size} values from {low:g} nm by {width:g} nm",
-                    accepted=f"values up to {_CXF_END:g} nm",
-                )
-            samples.append(Sample(name, _grid(low, width, values.size), values, (FRACTION,)))
-    return samples
+    return root
+
+
+class _Specification(NamedTuple):
+    """What a ColorSpecification says of the spectra that refer to it."""
+
+    start: str | None = None
+    step: str | None = None
+    quantity: str = ""
+    header: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+def _cxf_specification(element: Element) -> _Specification:
+    quantity = (element.findtext(".//{*}MeasurementType") or "").strip()
+    span = element.find(".//{*}WavelengthRange")
+    start, step = (None, None) if span is None else (span.get("StartWL"), span.get("Increment"))
+    sphere = (element.findtext(".//{*}SphereGeometry") or "").strip()
+    single = element.find(".//{*}SingleAngle")
+    if sphere in _CXF_SPHERES:
+        return _Specification(start, step, quantity, (_CXF_SPHERES[sphere],))
+    if single is not None:
+        light, view = (columns.number(single.findtext(f"{{*}}{key}") or "") for key in _CXF_DIRECTIONS)
+        if light is not None and view is not None and abs(abs(light) - abs(view)) > _CXF_GLOSS:
+            return _Specification(start, step, quantity, (f"light from {abs(light):g} degree, specular excluded",))
+    several = element.find(".//{*}MultiAngle") is not None
+    doubts = ("it was measured at several angles: one of them is no total reflectance. Use `multiangle`",)
+    return _Specification(start, step, quantity, doubts=doubts if several else ())
+
+
+_CXF_SPHERES = {"Specular_Included": "specular included", "Specular_Excluded": "specular excluded"}
+_CXF_DIRECTIONS = ("IlluminationAngle", "MeasurementAngle")
+_CXF_GLOSS = 10.0
+"""Angles of light and view that are closer [degree] may hold the mirror direction."""
+
+
+def _cxf_sample(path: Path, name: str, spectrum: Element, said: _Specification) -> Sample:
+    if "Transmittance" in said.quantity or "Emissive" in said.quantity:
+        found, accepted = said.quantity[:40], "Spectrum_Reflectance"
+        raise InputError(
+            path, "is no reflectance", where=f"MeasurementType of {name[:40]}", found=found, accepted=accepted
+        )
+    low, step = (
+        _agreed(path, name, key, spectrum.get(key), stated)
+        for key, stated in (("StartWL", said.start), ("Increment", said.step))
+    )
+    cells = (spectrum.text or "").split()
+    values, wavelength = _numbers(path, name[:40], cells), _grid(low, step, len(cells))
+    if low + step * (values.size - 1) > _CXF_END:
+        raise InputError(
+            path,
+            "damaged: more values than a colour instrument measures",
+            where=name[:40],
+            found=f"{values.size} values from {low:g} nm by {step:g} nm",
+            accepted=f"values up to {_CXF_END:g} nm",
+        )
+    doubts = (*said.doubts, *_unusual_end(wavelength, step), *_cut(cells, wavelength))
+    if not _CXF_STARTS[0] <= low <= _CXF_STARTS[1]:
+        doubts += (f"StartWL is {low:g} nm; CxF3 allows 360 to 400. Compare it with the instrument",)
+    return Sample(name, wavelength, values, (FRACTION, *said.header), doubts=doubts)
+
+
+def _agreed(path: Path, name: str, key: str, own: str | None, shared: str | None) -> float:
+    """A number that a spectrum, its specification or both of them state."""
+    value = _stated_number(path, f"{key} of {name[:40]}", own or shared or "")
+    if own and shared and value != columns.number(shared):
+        raise InputError(
+            path,
+            f"damaged: two values of {key}",
+            where=name[:40],
+            found=f"{value:g} and {shared[:20]} nm",
+            accepted=f"one {key}",
+        )
+    return value
+
+
+def _unlike(size: int, sizes: Sequence[int]) -> list[str]:
+    """Where a container states no number of values, its other spectra of the same specification tell."""
+    if 2 * sizes.count(size) > len(sizes):
+        return []
+    others = ", ".join(str(other) for other in sorted({*sizes} - {size}))
+    return [f"it has {size} values, others of the file {others}. Look for lost or added values"]
 
 
 def _jcamp(path: Path, text: str) -> list[Sample]:
     from brdfpipe.spectra import jcamp
 
     samples = []
-    for title, x_unit, y_unit, wavelength, values in jcamp.blocks(path, text):
+    for title, x_unit, y_unit, wavelength, values, doubts in jcamp.blocks(path, text):
         unit = {"NANOMETERS": "nm", "NM": "nm", "MICROMETERS": "um", "MICRONS": "um", "UM": "um"}.get(x_unit)
         if unit is None or "REFL" not in y_unit or "LOG" in y_unit:
             raise InputError(
@@ -465,7 +549,7 @@ def _jcamp(path: Path, text: str) -> list[Sample]:
                 accepted="NANOMETERS or MICROMETERS, REFLECTANCE",
             )
         scale = PERCENT if "%" in y_unit or "PERCENT" in y_unit else FRACTION
-        samples.append(Sample(title, wavelength, values, (scale,), unit))
+        samples.append(Sample(title, wavelength, values, (scale,), unit, doubts))
     return samples
 
 
@@ -483,15 +567,30 @@ def _grid(low: float, step: float, count: int) -> Array:
     return grid
 
 
-def _row(path: Path, line: str, place: int) -> list[float]:
+def _unusual_end(wavelength: Array, step: float) -> tuple[str, ...]:
+    """A doubt where a container states start and step, and the end that follows is that of no usual instrument."""
+    if not wavelength.size or (step in _USUAL_STEPS and wavelength[-1] in _USUAL_ENDS):
+        return ()
+    return (
+        f"{wavelength.size} values from {wavelength[0]:g} nm by {step:g} nm end at {wavelength[-1]:g} nm, where few "
+        "instruments do, and the file states no end. Look for lost or added values, or compare step and end with the instrument",
+    )
+
+
+def _cut(cells: Sequence[str], wavelength: Array) -> tuple[str, ...]:
+    return tuple(columns.cut_numbers(cells, lambda i: f"at {wavelength[i]:g} nm"))
+
+
+def _row(path: Path, line: str, place: int) -> tuple[str, str]:
     cells = line.split()
     if len(cells) != 2:
         raise InputError(path, "not two columns", where=f"line {place}", found=repr(line)[:60])
-    return [float(value) for value in _numbers(path, f"line {place}", cells)]
+    _numbers(path, f"line {place}", cells)
+    return cells[0], cells[1]
 
 
-def _numbers(path: Path, where: str, cells: Sequence[str]) -> Array:
-    values = [columns.number(cell) for cell in cells]
+def _numbers(path: Path, where: str, cells: Sequence[str], decimal: str = ".") -> Array:
+    values = [columns.number(cell, decimal) for cell in cells]
     if None in values:
         raise InputError(path, "not a number", where=where, found=repr(cells[values.index(None)])[:60])
     return np.array(values, dtype=float)

@@ -16,7 +16,7 @@ import numpy as np
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
 
-Block = tuple[str, str, str, Array, Array]
+Block = tuple[str, str, str, Array, Array, tuple[str, ...]]
 
 _SQUEEZED = {**{c: i for i, c in enumerate("@ABCDEFGHI")}, **{c: -i - 1 for i, c in enumerate("abcdefghi")}}
 _DIFFERENCE = {**{c: i for i, c in enumerate("%JKLMNOPQR")}, **{c: -i - 1 for i, c in enumerate("jklmnopqr")}}
@@ -28,7 +28,7 @@ _MOST = 2**20
 
 
 def blocks(path: Path, text: str) -> list[Block]:
-    """Every table of a file: title, units of X and of Y (upper case), X and Y.
+    """Every table of a file: title, units of X and of Y (upper case), X, Y, and doubts in words.
 
     Raises
     ------
@@ -71,6 +71,8 @@ def _table(path: Path, record: Mapping[str, str]) -> Block:
     if form not in {"XYDATA": ("(X++(Y..Y))",), "XYPOINTS": ("(XY..XY)",)}[label]:
         raise InputError(path, "this form of table is not read", found=form[:40], accepted="(X++(Y..Y)) or (XY..XY)")
     factors = [_number(path, record, key, 1.0) for key in ("XFACTOR", "YFACTOR")]
+    if min(factors) <= 0:
+        raise InputError(path, "damaged: a factor is not above 0", found=f"XFACTOR and YFACTOR {factors}")
     points = _number(path, record, "NPOINTS", np.nan)
     if label == "XYPOINTS":
         x, y = _pairs(path, body)
@@ -87,7 +89,22 @@ def _table(path: Path, record: Mapping[str, str]) -> Block:
             accepted=f"{points:g} points from {first:g} to {last:g}",
         )
     x_unit, y_unit = (re.sub(r"\s", "", record.get(key, "")).upper() for key in ("XUNITS", "YUNITS"))
-    return title, x_unit, y_unit, np.round(x, 9), y
+    return title, x_unit, y_unit, np.round(x, 9), y, tuple(_doubts(path, record, x, y))
+
+
+def _doubts(path: Path, record: Mapping[str, str], x: Array, y: Array) -> Iterator[str]:
+    """Labels that the standard has programs write for checks, and that some write carelessly."""
+    scale = float(np.abs(y).max())
+    step = (x[-1] - x[0]) / max(x.size - 1, 1)
+    for label, found, room in (
+        ("FIRSTY", y[0], 1e-3 * scale),
+        ("MINY", y.min(), 1e-3 * scale),
+        ("MAXY", y.max(), 1e-3 * scale),
+        ("DELTAX", step, 1e-2 * abs(step)),
+    ):
+        stated = _number(path, record, label, found)
+        if abs(stated - found) > room:
+            yield f"##{label} states {stated:g}, the table says {found:g}. Look for damaged or lost values"
 
 
 def _number(path: Path, record: Mapping[str, str], key: str, default: float) -> float:

@@ -11,14 +11,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from brdfpipe import columns, vocabulary
 from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError
+from brdfpipe.geometry import Array
 from brdfpipe.spectra import containers
-
-Array = NDArray[np.float64]
 
 GEOMETRIES = ("sci", "sce")
 """Specular component included or excluded."""
@@ -30,7 +28,14 @@ _WIDEST_GAP = 25.0
 _DARKEST_PERCENT = 2.0
 _BRIGHTEST = 1.1
 _NOISE = 0.01
-_SPIKE = 0.03
+_SPIKE, _RELATIVE_SPIKE = 0.001, 0.02
+"""What a single value may always lie off its neighbours: a reflectance, and a share of theirs."""
+_NEAR, _WINDOW = 3, 20
+"""Neighbours on either side that tell how a spectrum bends, and how noisy it is."""
+_OUTLIER = 10.0
+"""Over the median distance of values from their neighbours: nearly 7 standard deviations of normal noise."""
+_END = 20.0
+"""Over the bend of the neighbours, at the first and the last value: whites fall steeply into the ultraviolet."""
 _BREAK = 0.1
 _STEEPER = 6.0
 _REPEATABILITY = 0.02
@@ -42,6 +47,8 @@ _NO_REFLECTANCE = re.compile(r"transmi|absorb|extinction|\bk/s\b|%\s?T\b|\bT\s?[
 _UNCERTAINTY = re.compile(r"std|st\.?\s?dev|sd\b|sigma|σ|unc|u\b|err|standard\s?(?:dev|unc)", re.IGNORECASE)
 _INCLUDED = re.compile(r"\bsci\b|\bspin\b|specular\s+(?:component\s+)?included", re.IGNORECASE)
 _EXCLUDED = re.compile(r"\bsce\b|\bspex\b|specular\s+(?:component\s+)?excluded", re.IGNORECASE)
+_LIGHT_FROM = re.compile(r"\blight from (\d+(?:\.\d+)?) degree")
+_INCIDENCE = 8.0
 
 
 @dataclass
@@ -55,8 +62,8 @@ class _Log:
 def read_spectrum(
     path: str | PathLike[str],
     *,
-    geometry: str,
-    incidence: float = 8.0,
+    geometry: str | None = None,
+    incidence: float | None = None,
     format: str | None = None,
     scale: str | None = None,
     sample: int | str | None = None,
@@ -70,8 +77,8 @@ def read_spectrum(
     ----------
     path : columns of text (.csv .dat .prn .tab .tsv .txt), the first one wavelengths in nm or µm, or one row a sample under a
         header of wavelengths; or one of the other :data:`brdfpipe.spectra.containers.FORMATS`
-    geometry : ``sci`` or ``sce``, specular component included or excluded
-    incidence : degree, 0 <= incidence < 90, of the measurement
+    geometry : ``sci`` or ``sce``, specular component included or excluded; by default what the file says
+    incidence : degree, 0 <= incidence < 90, of the measurement; by default what the file says, or 8
     format : a key of :data:`brdfpipe.spectra.containers.FORMATS`; by default the extension tells
     sample : number (from 1) or name, of a file that holds several
     scale : ``fraction`` or ``percent``; needed where the header does not say it and no value exceeds 2
@@ -82,7 +89,8 @@ def read_spectrum(
     Returns
     -------
     Dataset of kind ``spectrum`` on the file's own wavelengths within 360–830 nm: ``total_reflectance`` [1] and, where the file
-    has it, ``total_reflectance_u`` (k = 1). Every correction is in its history.
+    has it, ``total_reflectance_u`` (k = 1). Every correction is in its history; its warnings name what looks damaged (values off
+    their neighbours, jumps, lost rows, cut numbers) or contradicts the parameters.
 
     Raises
     ------
@@ -91,29 +99,23 @@ def read_spectrum(
     path = Path(path)
     _check_options(path, geometry, incidence, scale)
     table = containers.read(path, format, sample)
-    log = _Log(history=list(table.notes))
+    log = _Log(list(table.notes), [f"{table.file}: {doubt}." for doubt in table.doubts])
     nm, note = columns.wavelengths(table, key="spectrum.file")
     log.history += [note] if note else []
     value, deviation = _choose(table, column, uncertainty, log)
     divisor = _divisor(table, value, nm, scale, log)
     wavelength, reflectance, u = _ordered(table, nm, value, deviation, divisor, log)
-    _warn_of_spikes(table.file, wavelength, reflectance, log)
+    _warn_of_spikes(table.file, wavelength, reflectance, columns.last_digit(table.values[:, value]) / divisor, log)
     _warn_of_breaks(table.file, wavelength, reflectance, log)
     reflectance = _checked_values(table.file, wavelength, reflectance, allow_fluorescent, log)
-    _compare_geometry(table, value, geometry, log)
-    return _dataset(wavelength, reflectance, u, geometry, incidence, log)
+    included, angle = _geometry(table, value, geometry, log), _incidence(table, incidence, log)
+    return _dataset(wavelength, reflectance, u, included, angle, log)
 
 
-def _check_options(path: Path, geometry: str, incidence: float, scale: str | None) -> None:
-    if geometry not in GEOMETRIES:
-        raise InputError(
-            path,
-            "does not say whether the specular reflection is included",
-            found=repr(geometry)[:40],
-            accepted="sci (included) or sce (excluded)",
-            key="spectrum.geometry",
-        )
-    if not 0 <= incidence < 90:
+def _check_options(path: Path, geometry: str | None, incidence: float | None, scale: str | None) -> None:
+    if geometry is not None and geometry not in GEOMETRIES:
+        raise _no_geometry(path, geometry)
+    if incidence is not None and not 0 <= incidence < 90:
         raise InputError(
             path, "no incidence", found=repr(incidence)[:40], accepted="0 <= degree < 90", key="spectrum.incidence"
         )
@@ -226,6 +228,7 @@ def _ordered(
 ) -> tuple[Array, Array, Array | None]:
     """Wavelengths in order and once, cut to what is kept, with their reflectance and uncertainty."""
     values = table.values[:, [value] if deviation is None else [value, deviation]] / divisor
+    whole = nm[(nm >= _KEPT[0]) & (nm <= _KEPT[1])]
     present = np.isfinite(nm) & np.isfinite(values[:, 0])
     if not present.all():
         log.history.append(f"{int((~present).sum())} rows without a value were dropped")
@@ -237,14 +240,19 @@ def _ordered(
         log.warnings.append(
             f"{table.file}: the wavelengths neither rise nor fall throughout. Look for a mistyped one, or sort the rows."
         )
+    log.warnings += [
+        f"{table.file}: the step from {low:g} to {high:g} nm is another than elsewhere. Look for a lost row or a mistyped wavelength."
+        for low, high in columns.odd_steps(np.unique(whole))
+    ]
     raw = values[:, 0].copy()
     # Standard uncertainties average as squares: repeated readings are not taken to be independent.
     values[:, 1:] **= 2
     wavelength, values, merged = columns.merge_duplicates(nm, values)
     if merged:
         log.history.append(f"{merged} rows of repeated wavelength were averaged")
-        apart = np.abs(raw - np.interp(nm, wavelength, values[:, 0]))
-        if apart.max() > _REPEATABILITY:
+        mean = np.interp(nm, wavelength, values[:, 0])
+        apart = np.abs(raw - mean)
+        if (apart > _REPEATABILITY * np.abs(mean) + _SPIKE).any():
             log.warnings.append(
                 f"{table.file}: readings at {nm[np.argmax(apart)]:g} nm lie {apart.max():.3g} from their mean. Look for a "
                 "mistyped wavelength, or for two samples in one file."
@@ -278,33 +286,55 @@ def _require_coverage(file: str, wavelength: Array) -> None:
     )
 
 
-def _warn_of_spikes(file: str, wavelength: Array, reflectance: Array, log: _Log) -> None:
+def _warn_of_spikes(file: str, wavelength: Array, reflectance: Array, digit: float, log: _Log) -> None:
     """Warn of single values that lie off a line their neighbours agree on: digits that were mistyped or damaged."""
-    last = wavelength.size - 1
-    if last < 4:
+    if wavelength.size < 5:
         return
-    inside = np.arange(1, last)
-    share = (wavelength[inside] - wavelength[inside - 1]) / (wavelength[inside + 1] - wavelength[inside - 1])
-    between = reflectance[inside - 1] * (1 - share) + reflectance[inside + 1] * share
-    off = np.zeros(last + 1)
-    off[inside] = reflectance[inside] - between
-    for end, near, far in ((0, 1, 2), (last, last - 1, last - 2)):
-        slope = (reflectance[near] - reflectance[far]) / (wavelength[near] - wavelength[far])
-        off[end] = reflectance[end] - reflectance[near] - slope * (wavelength[end] - wavelength[near])
-    for i in np.flatnonzero(np.abs(off) > _SPIKE).tolist():
-        others = np.array([j for j in range(max(i - 3, 0), min(i + 4, last + 1)) if j != i])
-        # How far the neighbours bend without the point: a real edge bends them as much, at either end less.
-        bend = np.abs(np.diff(np.diff(reflectance[others]) / np.diff(wavelength[others]))).max()
-        if 0 < i < last:
-            before, after = wavelength[i] - wavelength[i - 1], wavelength[i + 1] - wavelength[i]
-            usual = 4 * bend * before * after / (before + after)
-        else:
-            usual = 50 * bend * abs(wavelength[i] - wavelength[1 if i == 0 else last - 1])
-        if abs(off[i]) > usual:
-            log.warnings.append(
-                f"{file}: {reflectance[i]:.4g} at {wavelength[i]:g} nm lies {abs(off[i]):.3g} off its neighbours. Look for "
-                "a mistyped or damaged value."
-            )
+    between = _from_neighbours(wavelength, reflectance)
+    off = np.abs(reflectance - between)
+    least = np.maximum(_SPIKE, _RELATIVE_SPIKE * np.abs(between)) + 2 * digit
+    usual = np.maximum(_usual_bend(wavelength, reflectance), _OUTLIER * np.nanmedian(_around(off, _WINDOW), axis=1))
+    # A value that is wrong puts its neighbours off as well, by half as much.
+    farthest = off >= np.nanmax(_around(np.concatenate([[0.0], off[1:-1], [0.0]]), 1), axis=1)
+    for i in np.flatnonzero(farthest & (off > np.maximum(least, usual))).tolist():
+        log.warnings.append(
+            f"{file}: {reflectance[i]:.4g} at {wavelength[i]:g} nm lies {off[i]:.2g} off its neighbours. Look for a "
+            "mistyped or damaged value."
+        )
+
+
+def _from_neighbours(wavelength: Array, reflectance: Array) -> Array:
+    """Each value as its two neighbours say it by a straight line; at the ends the two next to it."""
+    size = wavelength.size
+    first = np.concatenate([[1], np.arange(size - 2), [size - 3]])
+    second = np.concatenate([[2], np.arange(2, size), [size - 2]])
+    slope = (reflectance[second] - reflectance[first]) / (wavelength[second] - wavelength[first])
+    return np.asarray(reflectance[first] + slope * (wavelength - wavelength[first]))
+
+
+def _usual_bend(wavelength: Array, reflectance: Array) -> Array:
+    """How far a value may lie off its neighbours where they bend among themselves, on edges and peaks."""
+    x, y = _around(wavelength, _NEAR), _around(reflectance, _NEAR)
+    # One neighbour more is left out, whichever excuses least: it may be damaged too. At the ends there are too few.
+    fewer = np.min([_bend(np.delete(x, k, axis=1), np.delete(y, k, axis=1)) for k in range(2 * _NEAR)], axis=0)
+    bend = np.where(np.isnan(y).any(axis=1), _bend(x, y), fewer)
+    step = np.diff(wavelength)
+    before, after = step[:-1], step[1:]
+    room = np.concatenate([[_END * step[0]], 4 * before * after / (before + after), [_END * step[-1]]])
+    return np.asarray(room * bend)
+
+
+def _bend(x: Array, y: Array) -> Array:
+    """Largest change of slope along each row; 0 where too few values are there."""
+    change = np.abs(np.diff(np.diff(y, axis=1) / np.diff(x, axis=1), axis=1))
+    return np.asarray(np.where(np.isnan(change), 0.0, change).max(axis=1))
+
+
+def _around(values: Array, reach: int) -> Array:
+    """(n, 2 reach) neighbours of each value on either side, without the value itself, which must not excuse itself."""
+    near = np.arange(values.size)[:, None] + np.concatenate([np.arange(-reach, 0), np.arange(1, reach + 1)])
+    missing = (near < 0) | (near >= values.size)
+    return np.where(missing, np.nan, values[np.clip(near, 0, values.size - 1)])
 
 
 def _warn_of_breaks(file: str, wavelength: Array, reflectance: Array, log: _Log) -> None:
@@ -351,15 +381,46 @@ def _checked_values(file: str, wavelength: Array, reflectance: Array, allow_fluo
     return np.maximum(reflectance, 0.0)
 
 
-def _compare_geometry(table: Columns, value: int, geometry: str, log: _Log) -> None:
+def _geometry(table: Columns, value: int, geometry: str | None, log: _Log) -> str:
+    """Whether the specular component is included: as material.yaml says, or else the file."""
     words = " ".join([*table.header, table.names[value] if table.names else ""])
     included, excluded = bool(_INCLUDED.search(words)), bool(_EXCLUDED.search(words))
-    stated = "sci" if included and not excluded else "sce" if excluded and not included else geometry
+    stated = "sci" if included and not excluded else "sce" if excluded and not included else None
+    if geometry is None and stated is None:
+        raise _no_geometry(table.file, None)
+    if geometry is None or stated is None:
+        if geometry is None:
+            log.history.append(f"geometry {stated} was taken from the file")
+        return str(geometry or stated)
     if stated != geometry:
         log.warnings.append(
             f"{table.file}: the header says {stated.upper()}, `spectrum.geometry` in material.yaml says {geometry}, which "
             "was used; specular excluded? Correct the key if the header is right."
         )
+    return geometry
+
+
+def _incidence(table: Columns, incidence: float | None, log: _Log) -> float:
+    """Angle of incidence in degree: as material.yaml says, or else the file."""
+    found = _LIGHT_FROM.search(" ".join(table.header))
+    stated = float(found[1]) if found and float(found[1]) < 90 else None
+    if incidence is None or stated is None or abs(incidence - stated) < 1:
+        return next((angle for angle in (incidence, stated) if angle is not None), _INCIDENCE)
+    log.warnings.append(
+        f"{table.file}: the header says light from {stated:g} degree, `spectrum.incidence` in material.yaml says "
+        f"{incidence:g}, which was used. Set the key to {stated:g} if the header is right."
+    )
+    return incidence
+
+
+def _no_geometry(file: str | Path, geometry: str | None) -> InputError:
+    return InputError(
+        file,
+        "does not say whether the specular reflection is included",
+        found=None if geometry is None else repr(geometry)[:40],
+        accepted="sci (included) or sce (excluded)",
+        key="spectrum.geometry",
+    )
 
 
 def _dataset(
