@@ -26,6 +26,7 @@ _SUBMODULES = (
     "optics",
     "raycast",
     "report",
+    "rig",
     "spectra",
     "store",
     "surfaces",

@@ -1,4 +1,4 @@
-"""The command line: ``brdfpipe build``, ``check`` and ``new``.
+"""The command line: ``brdfpipe build``, ``check`` and ``new``; the group ``rig`` is :mod:`brdfpipe.rig.commands`.
 
 Exit codes: 0 every material was built (or checked well), 1 at least one was not, 2 the command, the catalogue or the
 configuration cannot be used, 130 interrupted. A built material whose checks give the verdict fail does not change the code.
@@ -7,42 +7,14 @@ configuration cannot be used, 130 interrupted. A built material whose checks giv
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Callable
-from functools import wraps
 from importlib.metadata import version
 from pathlib import Path
-from typing import ParamSpec
 
 import click
 
+from brdfpipe.console import FILE, FOLDER, refusing
 from brdfpipe.errors import BrdfpipeError
-
-Given = ParamSpec("Given")
-
-FOLDER = click.Path(path_type=Path, file_okay=False)
-FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
-
-
-def _refusing(command: Callable[Given, int]) -> Callable[Given, None]:
-    """Turn a refusal, the system's too, into one line and exit code 2, an interrupt into 130."""
-
-    @wraps(command)
-    def run(*args: Given.args, **kwargs: Given.kwargs) -> None:
-        try:
-            code = command(*args, **kwargs)
-        except BrdfpipeError as refusal:
-            click.echo(f"brdfpipe: {refusal}", err=True)
-            code = 2
-        except OSError as error:
-            click.echo(f"brdfpipe: {error.filename or 'the system'}: {error.strerror or error}", err=True)
-            code = 2
-        except KeyboardInterrupt:
-            click.echo("brdfpipe: interrupted; the same command resumes", err=True)
-            code = 130
-        sys.exit(code)
-
-    return run
+from brdfpipe.rig.commands import rig
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -57,7 +29,7 @@ def main() -> None:
 @click.option("--cores", type=click.IntRange(1), default=None, help="Stages at once  [default: all cores]")
 @click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
 @click.option("--dry-run", is_flag=True, help="Say what would be built; build nothing.")
-@_refusing
+@refusing
 def build(catalogue: Path, results: Path, cores: int | None, config: Path | None, dry_run: bool) -> int:
     """Build every material of CATALOGUE that changed, and the catalogue page.
 
@@ -74,7 +46,7 @@ def build(catalogue: Path, results: Path, cores: int | None, config: Path | None
 @main.command()
 @click.argument("catalogue", type=FOLDER)
 @click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
-@_refusing
+@refusing
 def check(catalogue: Path, config: Path | None) -> int:
     """Check descriptions, keys, files and formats of CATALOGUE; raw files are read by the build.
 
@@ -107,7 +79,7 @@ def check(catalogue: Path, config: Path | None) -> int:
 @main.command()
 @click.argument("name")
 @click.option("--folder", type=FOLDER, default=Path(), show_default=True, help="The catalogue.")
-@_refusing
+@refusing
 def new(name: str, folder: Path) -> int:
     """Start a material NAME: a folder with a commented material.yaml."""
     from brdfpipe import catalogue as catalogues
@@ -122,6 +94,8 @@ def _cores() -> int:
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
+
+main.add_command(rig)
 
 if __name__ == "__main__":
     main()

@@ -88,3 +88,7 @@ def test_a_wrong_table_of_fibres_is_refused_by_line(tmp_path, text, words):
         read_fibres(path)
     for word in ["fibres.csv", *words]:
         assert word in str(refusal.value)
+
+
+def test_the_cameras_folder_lies_beside_the_description(rig_file, rig):
+    assert rig.camera.folder == str(rig_file.resolve().parent / "camera")

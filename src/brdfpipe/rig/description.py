@@ -57,6 +57,7 @@ class CameraSettings:
 
     kind: str
     folder: str = ""
+    """Absolute."""
     address: str = ""
     device: int = 0
     width: int = 320
@@ -162,7 +163,7 @@ class Rig:
             name=content["name"],
             monochromator=_serial(content["monochromator"]),
             wheel=_serial(content["wheel"]),
-            camera=CameraSettings(**content["camera"]),
+            camera=_camera(content["camera"], path),
             nd_location=content["nd_location"],
             filters=tuple(Filter(**item) for item in content["filters"]),
             entrances=tuple(map(float, content["entrances"])),
@@ -251,6 +252,16 @@ def _number(path: Path, where: str, title: str, cell: str) -> float:
 
 def _serial(content: Mapping[str, Any]) -> SerialSettings:
     return SerialSettings(**{"baud": BAUD[content["dialect"]], **content})
+
+
+def _camera(content: Mapping[str, Any], path: Path) -> CameraSettings:
+    """The camera; its folder, if it is no absolute path, lies beside the description."""
+    folder = content.get("folder")
+    return (
+        CameraSettings(**content)
+        if folder is None
+        else CameraSettings(**{**content, "folder": str(path.resolve().parent / folder)})
+    )
 
 
 def _target(content: Mapping[str, Any] | None) -> Target | None:

@@ -1,0 +1,70 @@
+"""A whole run made by the emulated rig, in place of a laboratory: the same scan, over the same serial lines."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.errors import InputError
+from brdfpipe.rig.devices import connect
+from brdfpipe.rig.emulator.bench import EmulatedRig
+from brdfpipe.rig.plan import Arrangement, Plan
+from brdfpipe.rig.scan import Summary, scan
+
+
+def measure(plan_file: Path, folder: Path, truth: xr.Dataset | None, *, seed: int = 0, session: int = 0) -> Summary:
+    """Scan a plan with an emulated rig; the folder of the run appears whole or not at all, in place of one that is there.
+
+    Parameters
+    ----------
+    plan_file : ``plan.yaml``
+    folder : of the run
+    truth : kind ``bsdf``, what lies in the holder as the sample; None for a plan that measures none
+    seed, session : of all that is random about the rig, and about the day
+
+    Raises
+    ------
+    InputError : the plan measures a sample, and there is no truth.
+    ScanStopped, StoreError : the disk is full.
+    """
+    plan = Plan.load(plan_file)
+    if truth is None and any(each.load == "sample" for each in plan.arrangements):
+        raise InputError(
+            plan_file, "a sample is measured, and there is none", where="runs", accepted="[target, etalon]"
+        )
+    temporary = folder.with_name(f".{folder.name}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    try:
+        with (
+            EmulatedRig(plan.rig, black() if truth is None else truth, seed=seed, session=session) as stand,
+            connect(stand.rig, camera=stand.camera) as bench,
+        ):
+            summary = scan(plan, bench, temporary, clock=stand.clock.now, confirm=hands(stand), operator="emulator")
+        shutil.rmtree(folder, ignore_errors=True)
+        temporary.rename(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return summary
+
+
+def hands(stand: EmulatedRig) -> Callable[[Arrangement, str], bool]:
+    """An operator of an emulated rig, who does what he is asked."""
+
+    def confirm(arrangement: Arrangement, words: str) -> bool:
+        stand.set_entrance(arrangement.incidence, load=arrangement.load, side=arrangement.side)
+        return True
+
+    return confirm
+
+
+def black() -> xr.Dataset:
+    """The BSDF of what reflects nothing."""
+    nothing = ("theta_i", np.zeros(2))
+    variables = dict.fromkeys(("gauss_peak", "gauss_fwhm_parallel", "gauss_fwhm_perpendicular"), nothing)
+    bsdf = xr.Dataset({"lambert": 0.0, **variables}, {"theta_i": [0.0, 90.0]}, {"representation": "lambert_gauss"})
+    return vocabulary.label(bsdf, "bsdf")

@@ -1,0 +1,326 @@
+"""What one measurement takes: ``plan.yaml`` → every exposure, in the order they are made.
+
+The order is fixed. What a person must do by hand comes outermost: for each run (target, etalon, sample), each side and each
+incidence, one arrangement of mirrors and holder; in it each wavelength, and at each wavelength the frames of the bracket. The lamp is looked at
+through the reference fibre before the first of them, after every so many, and after the last; dark frames of every exposure time
+open and close the measurement, with the mirrors and the devices left as they stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from brdfpipe import catalogue, documents
+from brdfpipe.errors import InputError
+from brdfpipe.rig.description import Rig
+
+TRANSMISSION_LIMIT = 75.0
+"""Incidence [degree] from which no light can be measured through a sample."""
+
+DRIFT_WAVELENGTH = 550.0
+"""Nanometres; the lamp is looked at at the plan's wavelength nearest to it."""
+
+MAX_SHOTS = 99_999
+
+_STEP_SLACK = 1e-6
+
+
+@dataclass(frozen=True)
+class Step:
+    """One frame of a bracket: exposure [s], position of the filter wheel."""
+
+    exposure: float
+    position: int
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How often, and where, the lamp is looked at."""
+
+    every: int
+    """Frames from one look to the next."""
+    wavelength: float
+    """Nanometres."""
+    step: int
+    """Frame of the bracket it repeats, from 1."""
+    tolerance: float
+    """Relative change of the signal from which to warn."""
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """What an operator arranges by hand."""
+
+    load: str
+    """What lies in the holder: ``sample``, ``etalon`` or ``target``."""
+    side: str
+    """``reflection`` or ``transmission``."""
+    incidence: float
+    """The entrance the light comes through [degree]."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One exposure of a plan."""
+
+    ordinal: int
+    """From 1, in the order they are made."""
+    purpose: str
+    """``sample``, ``etalon``, ``target``, ``dark`` or ``drift``."""
+    arrangement: Arrangement
+    wavelength: float
+    """Nanometres."""
+    position: int
+    exposure: float
+    """Seconds."""
+    step: int = 0
+    """Frame of the bracket, from 1; 0 for what is no frame of one."""
+
+    @property
+    def dark(self) -> bool:
+        """Whether the shutter stays closed."""
+        return self.purpose == "dark"
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return f"{self.ordinal:05d}-{self.purpose}-{self.arrangement.incidence:g}deg-{self.wavelength:g}nm.fits"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A measurement: one rig, one sample, and everything that is exposed."""
+
+    rig: Rig
+    sample: str
+    incidences: tuple[float, ...]
+    wavelengths: tuple[float, ...]
+    bracket: tuple[Step, ...]
+    darks: int
+    """Of each exposure time, at the start and again at the end."""
+    drift: Drift
+    runs: tuple[str, ...]
+    side: tuple[str, ...]
+    etalon_entrances: tuple[float, ...]
+    path: Path = field(compare=False, repr=False)
+    """Where it was read from."""
+
+    @classmethod
+    def load(cls, path: str | Path) -> Plan:
+        """Read and validate a plan, and the rig it names beside it.
+
+        Raises
+        ------
+        InputError : naming the file, the line, the key, what stands there and what could.
+        """
+        path = Path(path)
+        content = _content(path)
+        rig = Rig.load(_rig_file(path, content))
+        wavelengths = _wavelengths(path, content["wavelengths"])
+        told = content["drift"]
+        nearest = min(wavelengths, key=lambda wavelength: abs(wavelength - DRIFT_WAVELENGTH))
+        plan = cls(
+            rig=rig,
+            sample=content["sample"],
+            incidences=tuple(map(float, content["incidences"])),
+            wavelengths=wavelengths,
+            bracket=tuple(Step(float(item["exposure"]), item["position"]) for item in content["bracket"]),
+            darks=content["darks"],
+            drift=Drift(told["every"], float(told.get("wavelength", nearest)), told["step"], float(told["tolerance"])),
+            runs=tuple(content["runs"]),
+            side=tuple(content["side"]),
+            etalon_entrances=tuple(map(float, content.get("etalon_entrances", [rig.etalon_entrance]))),
+            path=path,
+        )
+        _check(path, plan)
+        return plan
+
+    @cached_property
+    def shots(self) -> tuple[Shot, ...]:
+        """Every exposure, in order."""
+        return tuple(self._numbered())
+
+    @property
+    def arrangements(self) -> tuple[Arrangement, ...]:
+        """What an operator arranges, in order."""
+        at = {
+            "target": [Arrangement("target", "reflection", self.rig.etalon_entrance)],
+            "etalon": [Arrangement("etalon", "reflection", entrance) for entrance in self.etalon_entrances],
+            "sample": [Arrangement("sample", side, incidence) for side in self.side for incidence in self.incidences],
+        }
+        return tuple(arrangement for run in self.runs for arrangement in at[run])
+
+    def sample_id(self, arrangement: Arrangement) -> str:
+        """What lies in the holder, by its name."""
+        return self.sample if arrangement.load == "sample" else arrangement.load
+
+    def differences(self, other: Plan) -> list[str]:
+        """Keys of the plan and of its rig by which two plans differ, each with both values; ports and timeouts do not count."""
+        found = _differences(self, other, [each.name for each in fields(self) if each.compare and each.name != "rig"])
+        if self.rig.digest != other.rig.digest:
+            unlike = _differences(self.rig, other.rig, _RIG_KEYS) + _differences(
+                self.rig.camera, other.rig.camera, _SENSOR_KEYS
+            )
+            found += [f"rig {difference}" for difference in unlike]
+        return found
+
+    def _numbered(self) -> Iterator[Shot]:
+        light = list(self._light())
+        first, last = light[0], light[-1]
+        ordered = [*self._darks(first), *light, *self._darks(last)]
+        for ordinal, shot in enumerate(ordered, start=1):
+            yield replace(shot, ordinal=ordinal)
+
+    def _light(self) -> Iterator[Shot]:
+        count = 0
+        for arrangement in self.arrangements:
+            # The target shows where things are, which no wavelength changes.
+            for wavelength in (self.drift.wavelength,) if arrangement.load == "target" else self.wavelengths:
+                for number, step in enumerate(self.bracket, start=1):
+                    if count % self.drift.every == 0:
+                        yield self._look(arrangement)
+                    yield Shot(0, arrangement.load, arrangement, wavelength, step.position, step.exposure, number)
+                    count += 1
+        yield self._look(arrangement)
+
+    def _look(self, arrangement: Arrangement) -> Shot:
+        step = self.bracket[self.drift.step - 1]
+        return Shot(0, "drift", arrangement, self.drift.wavelength, step.position, step.exposure)
+
+    def _darks(self, beside: Shot) -> Iterator[Shot]:
+        for exposure in sorted({step.exposure for step in self.bracket}):
+            for _ in range(self.darks):
+                yield Shot(0, "dark", beside.arrangement, beside.wavelength, beside.position, exposure)
+
+
+def sources(path: Path) -> dict[str, Path]:
+    """The files a plan is made of, by their names in the folder of a run: the plan itself, its rig and the rig's fibres.
+
+    Raises
+    ------
+    InputError : two of them would have one name.
+    """
+    rig = PurePosixPath(_content(path)["rig"])
+    fibres = rig.parent / documents.plain(path.parent / rig)["fibres"]["file"]
+    found = {PLAN: path}
+    for name in (rig.as_posix(), fibres.as_posix()):
+        if name in found or name.split("/")[0] in RESERVED:
+            raise InputError(path, "a file whose name a run needs itself", found=name, accepted="another name")
+        found[name] = path.parent / name
+    return found
+
+
+PLAN, JOURNAL, FRAMES, LOCK = "plan.yaml", "journal.jsonl", "frames", ".scan.lock"
+"""What the folder of a run holds beside the rig's description."""
+
+RESERVED = (JOURNAL, FRAMES, LOCK)
+
+_RIG_KEYS = (
+    *("name", "nd_location", "filters", "entrances", "etalon_entrance", "fibres", "screen", "slit"),
+    *("wavelengths", "target"),
+)
+
+_SENSOR_KEYS = ("width", "height", "gain", "read_noise", "linear_to", "bits")
+
+
+def _content(path: Path) -> dict[str, Any]:
+    return documents.read(path, catalogue.project_folder() / "config" / "schemas" / "plan.schema.yaml")
+
+
+def _rig_file(path: Path, content: Mapping[str, Any]) -> Path:
+    return documents.file_beside(path, content["rig"], "rig", "the plan's folder")
+
+
+def _wavelengths(path: Path, told: Any) -> tuple[float, ...]:
+    if isinstance(told, list):
+        if any(second <= first for first, second in pairwise(told)):
+            accepted = "a rising list"
+            raise InputError(path, "the wavelengths do not rise", where="wavelengths", found=told, accepted=accepted)
+        return tuple(map(float, told))
+    low, high, step = (float(told[key]) for key in ("from", "to", "step"))
+    count = round((high - low) / step)
+    if count < 0 or abs(low + count * step - high) > _STEP_SLACK * step:
+        raise InputError(
+            path,
+            "steps do not lead from the first wavelength to the last",
+            where="wavelengths",
+            found=f"{low:g} to {high:g} by {step:g}",
+            accepted="a whole number of steps, upwards",
+        )
+    # In steps of what a monochromator is told.
+    return tuple(round(low + number * step, 3) for number in range(count + 1))
+
+
+def _check(path: Path, plan: Plan) -> None:
+    """Refuse what the schema allows and the rig does not."""
+    _check_entrances(path, plan)
+    if "target" in plan.runs and plan.rig.target is None:
+        accepted = "a rig with a `target`, or runs of etalon and sample alone"
+        raise InputError(path, "the rig has no angular target", where="runs", accepted=accepted)
+    low, high = plan.rig.wavelengths
+    for key, wavelengths in (("wavelengths", plan.wavelengths), ("drift.wavelength", (plan.drift.wavelength,))):
+        if beyond := [wavelength for wavelength in wavelengths if not low <= wavelength <= high]:
+            raise InputError(
+                path,
+                "the rig's monochromator does not reach this wavelength",
+                where=key,
+                found=f"{beyond[0]:g} nm",
+                accepted=f"{low:g} to {high:g} nm (`wavelengths` of the rig)",
+            )
+    for number, step in enumerate(plan.bracket):
+        known = [each.position for each in plan.rig.filters]
+        if step.position not in known:
+            accepted = ", ".join(map(str, known)) + " (`filters` of the rig)"
+            where = f"bracket.{number}.position"
+            raise InputError(path, "the rig has no filter there", where=where, found=step.position, accepted=accepted)
+        if step in plan.bracket[:number]:
+            raise InputError(path, "a frame of the bracket stands twice", where=f"bracket.{number}")
+    if plan.drift.step > len(plan.bracket):
+        accepted = f"1 to {len(plan.bracket)}"
+        raise InputError(
+            path, "the bracket has no such frame", where="drift.step", found=plan.drift.step, accepted=accepted
+        )
+    lights = len(plan.arrangements) * len(plan.wavelengths) * len(plan.bracket)
+    shots = lights + lights // plan.drift.every + 2 + plan.darks * 2 * len(plan.bracket)
+    if shots > MAX_SHOTS:
+        raise InputError(path, "too many frames", found=shots, accepted=f"at most {MAX_SHOTS}, all purposes counted")
+
+
+def _check_entrances(path: Path, plan: Plan) -> None:
+    entrances = plan.rig.entrances
+    accepted = ", ".join(f"{entrance:g}" for entrance in entrances) + " (`entrances` of the rig)"
+    for key, angles in (("incidences", plan.incidences), ("etalon_entrances", plan.etalon_entrances)):
+        if unknown := [angle for angle in angles if angle not in entrances]:
+            found = f"{unknown[0]:g}"
+            raise InputError(path, "the rig has no such entrance", where=key, found=found, accepted=accepted)
+    if plan.rig.etalon_entrance not in plan.etalon_entrances:
+        raise InputError(
+            path,
+            "the entrance of the rig's etalon is missing: all others are referred to it",
+            where="etalon_entrances",
+            accepted=f"{plan.rig.etalon_entrance:g}, and others beside it",
+        )
+    grazing = [angle for angle in plan.incidences if angle >= TRANSMISSION_LIMIT]
+    if "transmission" in plan.side and grazing:
+        raise InputError(
+            path,
+            "no transmission at this incidence",
+            where="side",
+            found=f"{grazing[0]:g} degree",
+            accepted=f"reflection alone, or incidences below {TRANSMISSION_LIMIT:g} degree",
+        )
+
+
+def _differences(one: Any, other: Any, keys: Any) -> list[str]:
+    pairs = [(key, getattr(one, key), getattr(other, key)) for key in keys]
+    return [f"{key}: {_shown(first)} and {_shown(second)}" for key, first, second in pairs if first != second]
+
+
+def _shown(value: Any) -> str:
+    text = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    return text if len(text) <= 80 else text[:79] + "…"

@@ -1,0 +1,215 @@
+"""plan.yaml: what is read, what is refused, and in which order it is exposed."""
+
+from __future__ import annotations
+
+from itertools import groupby, pairwise
+
+import pytest
+import small_rig
+
+from brdfpipe.errors import InputError
+from brdfpipe.rig.plan import Drift, Plan, Step, sources
+
+
+def plan(folder, text=small_rig.PLAN, **changes):
+    for key, value in changes.items():
+        lines = [line for line in text.splitlines() if not line.startswith(f"{key}:")]
+        text = "\n".join([*lines, *([f"{key}: {value}"] if value is not None else [])]) + "\n"
+    return Plan.load(small_rig.write(folder, text))
+
+
+def test_a_plan_is_read_with_its_defaults(tmp_path):
+    found = plan(tmp_path)
+    assert found.sample == "tile"
+    assert found.wavelengths == (500, 550)
+    assert found.bracket == (Step(1, 2), Step(1, 1))
+    assert (found.darks, found.runs, found.side) == (5, ("etalon", "sample"), ("reflection",))
+    assert found.drift == Drift(every=4, wavelength=550, step=1, tolerance=0.03)
+    assert found.etalon_entrances == (10,)
+    assert found.rig.name == "small"
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        ("{from: 390, to: 730, step: 10}", [390 + 10 * k for k in range(35)]),
+        ("{from: 400, to: 401, step: 0.1}", [400 + k / 10 for k in range(11)]),
+        ("{from: 500, to: 500, step: 1}", [500]),
+        ("[500.5]", [500.5]),
+    ],
+)
+def test_wavelengths_are_a_list_or_steps_that_reach_both_ends(tmp_path, told, expected):
+    assert plan(tmp_path, wavelengths=told).wavelengths == tuple(expected)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"incidences": "[20, 30]"}, ["incidences", "no such entrance", "found 30", "0, 10, 20, 45"]),
+        ({"incidences": "[20, 20]"}, ["incidences"]),
+        ({"incidences": None}, ["incidences", "missing"]),
+        ({"wavelengths": "[550, 500]"}, ["wavelengths", "do not rise"]),
+        ({"wavelengths": "[550, 550]"}, ["wavelengths", "do not rise"]),
+        ({"wavelengths": "[]"}, ["wavelengths"]),
+        ({"wavelengths": "[300]"}, ["wavelengths", "does not reach", "300 nm", "380 to 780 nm"]),
+        ({"wavelengths": "{from: 390, to: 395, step: 2}"}, ["wavelengths", "whole number of steps"]),
+        ({"wavelengths": "{from: 500, to: 400, step: 10}"}, ["wavelengths", "whole number of steps"]),
+        ({"wavelengths": "{from: 390, to: 730}"}, ["step", "missing"]),
+        ({"wavelengths": "{from: 390, to: 730, step: 0}"}, ["step"]),
+        ({"bracket": "[{exposure: 1, position: 3}]"}, ["bracket.0.position", "no filter", "found 3", "1, 2, 4"]),
+        ({"bracket": "[{exposure: 0, position: 1}]"}, ["bracket.0.exposure", "above 0"]),
+        ({"bracket": "[{exposure: 1, position: 1}, {exposure: 1.0, position: 1}]"}, ["bracket.1", "stands twice"]),
+        ({"bracket": "[]"}, ["bracket"]),
+        ({"darks": "4"}, ["darks", "from 5 to 1000"]),
+        ({"drift": "{every: 0}"}, ["drift.every"]),
+        ({"drift": "{step: 3}"}, ["drift.step", "no such frame", "1 to 2"]),
+        ({"drift": "{wavelength: 900}"}, ["drift.wavelength", "does not reach"]),
+        ({"runs": "[sample, sampel]"}, ["'sampel'", "etalon"]),
+        ({"runs": "[target]"}, ["runs", "no angular target"]),
+        ({"side": "[transmission, reflection, both]"}, ["side"]),
+        ({"etalon_entrances": "[20]"}, ["etalon_entrances", "missing", "10"]),
+        ({"etalon_entrances": "[10, 30]"}, ["etalon_entrances", "no such entrance", "30"]),
+        ({"sample": "../tile"}, ["sample", "letters, digits"]),
+        ({"sample": "etalon"}, ["sample", "not etalon"]),
+        ({"rig": "../rig.yaml"}, ["rig", "outside the plan's folder"]),
+        ({"rig": "rgi.yaml"}, ["no such file", "did you mean 'rig.yaml'"]),
+        ({"wavelength": "[500]"}, ["unknown key 'wavelength'", "wavelengths"]),
+        ({"bracket": "[{exposure: 1, position: 1}]", "drift": "{every: 1}", "wavelengths": "{from: 380, to: 780, step: 0.2}",
+          "incidences": "[0, 10, 20, 45]", "etalon_entrances": "[0, 10, 20, 45]",
+          "runs": "[etalon, sample]", "side": "[reflection, transmission]", "darks": "1000"}, None),
+        ({"wavelengths": "{from: 380, to: 780, step: 0.1}", "incidences": "[0, 10, 20, 45]", "etalon_entrances": "[0, 10, 20, 45]",
+          "side": "[reflection, transmission]", "drift": "{every: 1}"}, ["too many frames", "99999"]),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_with_key_and_choice(tmp_path, changes, words):
+    if words is None:
+        assert len(plan(tmp_path, **changes).shots) < 100_000
+        return
+    with pytest.raises(InputError) as refusal:
+        plan(tmp_path, **changes)
+    for word in ["plan.yaml", *words]:
+        assert word in str(refusal.value)
+
+
+def test_no_light_is_measured_through_a_sample_at_75_degree(tmp_path):
+    path = small_rig.write(tmp_path, small_rig.PLAN.replace("[20]", "[80]") + "side: [reflection, transmission]\n")
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(rig.read_text().replace("[0, 10, 20, 45]", "[0, 10, 20, 80]"))
+    with pytest.raises(InputError, match="side: no transmission at this incidence; found 80 degree"):
+        Plan.load(path)
+    path.write_text(path.read_text().replace("side: [reflection, transmission]", ""))
+    assert Plan.load(path).incidences == (80,)
+
+
+def test_every_light_frame_of_the_plan_is_taken_once(tmp_path):
+    found = plan(tmp_path, incidences="[20, 45]", side="[reflection, transmission]", runs="[sample, etalon]")
+    lights = [shot for shot in found.shots if shot.step]
+    wanted = {
+        (load, side, sigma, wavelength, step)
+        for load, side, sigma in [("etalon", "reflection", 10)]
+        + [("sample", side, sigma) for side in ("reflection", "transmission") for sigma in (20, 45)]
+        for wavelength in (500, 550)
+        for step in (1, 2)
+    }
+    keys = [
+        (shot.arrangement.load, shot.arrangement.side, shot.arrangement.incidence, shot.wavelength, shot.step)
+        for shot in lights
+    ]
+    assert set(keys) == wanted
+    assert len(keys) == len(wanted)
+    assert [shot.ordinal for shot in found.shots] == list(range(1, len(found.shots) + 1))
+    for shot in lights:
+        assert (shot.exposure, shot.position) == (1, found.bracket[shot.step - 1].position)
+
+
+def test_nothing_is_arranged_twice(tmp_path):
+    found = plan(tmp_path, incidences="[45, 20]", side="[reflection, transmission]")
+    arranged = [arrangement for arrangement, _ in groupby(shot.arrangement for shot in found.shots)]
+    assert arranged == list(found.arrangements)
+    assert [(each.load, each.side, each.incidence) for each in arranged] == [
+        ("etalon", "reflection", 10),
+        ("sample", "reflection", 45),
+        ("sample", "reflection", 20),
+        ("sample", "transmission", 45),
+        ("sample", "transmission", 20),
+    ]
+
+
+def test_wavelengths_rise_once_in_each_arrangement(tmp_path):
+    found = plan(tmp_path, wavelengths="{from: 500, to: 600, step: 10}", drift="{every: 1000}")
+    for _, shots in groupby((shot for shot in found.shots if shot.step), lambda shot: shot.arrangement):
+        assert all(before.wavelength <= after.wavelength for before, after in pairwise(shots))
+
+
+def test_the_lamp_is_looked_at_at_both_ends_and_every_so_many_frames(tmp_path):
+    found = plan(tmp_path, wavelengths="{from: 500, to: 600, step: 10}", drift="{every: 5, wavelength: 530, step: 2}")
+    light = [shot for shot in found.shots if not shot.dark]
+    assert light[0].purpose == light[-1].purpose == "drift"
+    runs = [len(list(group)) for looks, group in groupby(light, lambda shot: shot.purpose == "drift") if not looks]
+    assert set(runs[:-1]) == {5}
+    assert sum(runs) == 2 * 11 * 2
+    for look in (shot for shot in light if shot.purpose == "drift"):
+        assert (look.wavelength, look.position, look.exposure, look.step) == (530, 1, 1, 0)
+
+
+def test_dark_frames_of_every_exposure_open_and_close_the_run(tmp_path):
+    found = plan(
+        tmp_path, bracket="[{exposure: 1, position: 2}, {exposure: 0.2, position: 2}, {exposure: 1, position: 1}]"
+    )
+    for ends in (found.shots[:10], found.shots[-10:]):
+        assert [shot.exposure for shot in ends] == [0.2] * 5 + [1] * 5
+        assert all(shot.dark for shot in ends)
+    assert not any(shot.dark for shot in found.shots[10:-10])
+
+
+def test_darks_leave_mirrors_and_devices_where_they_stand(tmp_path):
+    found = plan(tmp_path, darks="6")
+    opening, closing = found.shots[:7], found.shots[-7:]
+    for group in (opening, closing):
+        assert len({(shot.arrangement, shot.wavelength, shot.position) for shot in group}) == 1
+
+
+def test_the_target_is_looked_at_at_one_wavelength(tmp_path):
+    path = small_rig.write(tmp_path, small_rig.PLAN + "runs: [target, etalon, sample]\n")
+    with (tmp_path / "rig.yaml").open("a") as rig:
+        rig.write("target: {spots: [[0, 0], [4, 0], [4, 90]]}\n")
+    found = Plan.load(path)
+    shots = [shot for shot in found.shots if shot.purpose == "target"]
+    assert [(shot.wavelength, shot.step) for shot in shots] == [(550, 1), (550, 2)]
+    assert found.sample_id(shots[0].arrangement) == "target"
+
+
+def test_plans_differ_by_what_they_say_and_not_by_their_ports(tmp_path):
+    one = plan(tmp_path / "one")
+    other = plan(tmp_path / "other", wavelengths="[500, 560]", darks="7")
+    assert one.differences(plan(tmp_path / "same")) == []
+    assert one.differences(other) == [
+        "wavelengths: 500.0, 550.0 and 500.0, 560.0",
+        "darks: 5 and 7",
+        *(difference for difference in one.differences(other) if difference.startswith("drift")),
+    ]
+    rig = tmp_path / "same" / "rig.yaml"
+    rig.write_text(rig.read_text().replace("/dev/ttyUSB1", "COM3"))
+    assert one.differences(Plan.load(tmp_path / "same" / "plan.yaml")) == []
+    rig.write_text(
+        rig.read_text().replace("nd_location: sample", "nd_location: reference").replace("width: 96", "width: 97")
+    )
+    assert one.differences(Plan.load(tmp_path / "same" / "plan.yaml")) == [
+        "rig nd_location: sample and reference",
+        "rig width: 96 and 97",
+    ]
+
+
+def test_a_plan_knows_the_files_it_is_made_of(tmp_path):
+    path = small_rig.write(tmp_path)
+    assert sources(path) == {name: tmp_path / name for name in ("plan.yaml", "rig.yaml", "fibres.csv")}
+    renamed = path.rename(tmp_path / "monday.yaml")
+    assert sources(renamed)["plan.yaml"] == renamed
+
+
+def test_a_rig_under_a_name_that_a_run_needs_is_refused(tmp_path):
+    path = small_rig.write(tmp_path).rename(tmp_path / "monday.yaml")
+    (tmp_path / "rig.yaml").rename(tmp_path / "plan.yaml")
+    path.write_text(path.read_text().replace("rig: rig.yaml", "rig: plan.yaml"))
+    with pytest.raises(InputError, match="a file whose name a run needs itself; found plan"):
+        sources(path)
