@@ -13,7 +13,7 @@ ifneq ($(shell cat $(VENV)/.place 2>/dev/null),$(CURDIR))
 $(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers: moved
 endif
 
-.PHONY: moved help catalogue check instruments peers test test-full lint format lock examples benchmark clean
+.PHONY: moved help catalogue check instruments peers test test-full lint format lock examples benchmark rig-accuracy clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -30,10 +30,10 @@ instruments: $(VENV)/.instruments  ## add the readers of instruments' own file f
 peers: $(VENV)/.peers  ## add the independent implementations that test-full compares with (250 MB, compiles for minutes)
 
 test: $(VENV)/.dev $(VENV)/.instruments  ## run the tests (under 20 minutes on two cores)
-	@$(BIN)/python -m pytest -n 2 --dist worksteal
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 test-full: $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers  ## run the tests, the slow proofs and the comparisons with other programs
-	@$(BIN)/python -m pytest -n 2 --dist worksteal --slow
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal --slow
 
 lint: $(VENV)/.dev  ## format check, lint, types, workflow lint
 	@$(BIN)/ruff format --check .
@@ -52,6 +52,9 @@ examples: $(VENV)/.runtime  ## write the synthetic example materials anew, from 
 
 benchmark: $(VENV)/.runtime  ## measure a catalogue of 100 varied copies of the examples
 	@$(BIN)/python benchmarks/catalogue.py
+
+rig-accuracy: $(VENV)/.runtime  ## measure samples of known BSDF with emulated rigs; write docs/rig-accuracy.md (some minutes)
+	@$(BIN)/python -m brdfpipe.rig.accuracy
 
 lock: $(VENV)/.dev  ## resolve the dependencies anew (needs uv on the PATH)
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \

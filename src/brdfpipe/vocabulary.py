@@ -349,8 +349,11 @@ KINDS: Mapping[str, Kind] = {
     ),
     "comparison": Kind(
         {
-            **dict.fromkeys(("brdf", "brdf_u", "brdf_u_independent", "brdf_u_common", "brdf_u_resolution"), _CELLS),
-            **{name: [("model", "incidence", "wavelength", "cell")] for name in ("brdf_model", "ratio", "z")},
+            **dict.fromkeys(("brdf", "brdf_u", "brdf_u_independent", "brdf_u_common"), _CELLS),
+            **{
+                name: [("model", "incidence", "wavelength", "cell")]
+                for name in ("brdf_model", "brdf_model_u", "ratio", "z")
+            },
             **{name: [("model", "incidence")] for name in ("median_ratio", "rms_z")},
             **{name: [("incidence", "wavelength")] for name in ("seen_reflectance", "seen_reflectance_u")},
             "seen_reflectance_model": [("model", "incidence", "wavelength")],

@@ -55,6 +55,30 @@ class BSDFAccessor:
             values, angles[0], asked, "brdf", "bidirectional reflectance distribution function", "sr-1"
         )
 
+    def uncertainty(
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_o: ArrayLike,
+        phi_o: ArrayLike,
+        wavelength: ArrayLike | None = None,
+    ) -> xr.DataArray:
+        """Standard uncertainty (k = 1) of :meth:`evaluate`; arguments as there.
+
+        Returns
+        -------
+        DataArray ``brdf_u`` [sr-1]
+
+        Raises
+        ------
+        VocabularyError : as :meth:`evaluate`, or the representation states no uncertainty.
+        """
+        angles = _directions(theta_i, phi_i, theta_o, phi_o)
+        asked = self._wavelengths(wavelength)
+        plain = [angle.values for angle in angles]
+        values = representations.uncertainty(self._dataset, plain[0], plain[1], plain[2], plain[3], asked)
+        return self._labelled(values, angles[0], asked, "brdf_u", "standard uncertainty of the BSDF", "sr-1")
+
     def albedo(self, theta_i: ArrayLike, phi_i: ArrayLike = 0.0, wavelength: ArrayLike | None = None) -> xr.DataArray:
         """Directional reflectance: the share of the light that leaves on the side it comes from, mirror reflection included.
 

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import hemisphere
-from brdfpipe.bsdf import cells, flake, lambert_gauss, microfacet, slab, table
+from brdfpipe.bsdf import cells, flake, lambert_gauss, measured, microfacet, slab, table
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 
@@ -28,6 +28,7 @@ class Representation(Protocol):
     - ``isotropic(bsdf)``: whether only the difference of the azimuths counts
     - ``lobe_slope(bsdf)``: a typical slope of the facets behind the lobe
     - ``kinks(bsdf)``: polar angles, and azimuths from that of incidence, at which the BSDF bends [degree]
+    - ``uncertainty(bsdf, theta_i, phi_i, theta_o, phi_o, wavelength)``: standard uncertainty of ``evaluate`` in sr⁻¹
     """
 
     def evaluate(
@@ -55,6 +56,7 @@ _MODULES: dict[str, ModuleType] = {
     "table": table,
     "slab": slab,
     "flake": flake,
+    "rig": measured,
 }
 
 
@@ -113,6 +115,24 @@ def mueller(
     matrix = np.zeros((*brdf.shape, 4, 4))
     matrix[..., 0, 0] = brdf
     return matrix
+
+
+def uncertainty(
+    bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
+) -> Array:
+    """Standard uncertainty of the BSDF in sr⁻¹, (directions…, wavelength or 1).
+
+    Raises
+    ------
+    VocabularyError : the representation states none.
+    """
+    module = representation(bsdf)
+    if not hasattr(module, "uncertainty"):
+        told = ", ".join(name for name, each in _MODULES.items() if hasattr(each, "uncertainty"))
+        raise VocabularyError(
+            f"the representation {bsdf.attrs['representation']!r} states no uncertainty; those that do: {told}"
+        )
+    return np.asarray(module.uncertainty(bsdf, theta_i, phi_i, theta_o, phi_o, wavelength))
 
 
 def isotropic(bsdf: xr.Dataset) -> bool:

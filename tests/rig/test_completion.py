@@ -1,0 +1,301 @@
+"""Incidences that were not measured, and light that goes both ways."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rig_primary
+import samples
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf import measured
+from brdfpipe.errors import VocabularyError
+from brdfpipe.rig import completion, smoothing
+from brdfpipe.rig.coordinates import outgoing
+
+INCIDENCES = (10.0, 20.0, 30.0, 45.0, 60.0)
+WAVELENGTHS = (500.0, 600.0)
+
+
+def lean(incidence, theta, phi, wavelength):
+    """Even in σ but for what is odd in cos φ, as every isotropic surface is."""
+    sigma = np.radians(incidence)
+    logarithm = np.log(0.3) + 0.8 * sigma**2 + 0.5 * sigma * np.sin(np.radians(theta)) * np.cos(np.radians(phi))
+    return np.broadcast_to(np.exp(logarithm), (wavelength.size, theta.size))
+
+
+@pytest.fixture(scope="module")
+def paint():
+    """A glossy paint of facets, without wavelengths."""
+    return samples.beckmann_bsdf(0.05, n=1.5).bsdf.nonspectral()
+
+
+@pytest.fixture(scope="module")
+def smoothed_paint(paint):
+    return smoothing.smooth(rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01))
+
+
+def directions(low, high, lowest, highest, count=600, seed=0):
+    """Pairs with θ_i and θ_o within limits, uniform in azimuth."""
+    random = np.random.default_rng(seed)
+    return (
+        random.uniform(low, high, count),
+        np.zeros(count),
+        random.uniform(lowest, highest, count),
+        random.uniform(0, 360, count),
+    )
+
+
+def relative_error(bsdf, truth, at):
+    return np.abs(bsdf.bsdf.evaluate(*at, 500.0).values[:, 0] / truth.bsdf.evaluate(*at).values - 1)
+
+
+def test_normal_incidence_is_the_even_quadratic_of_the_first_two():
+    primary = rig_primary.measured(lean, INCIDENCES, WAVELENGTHS, noise=0)
+    smoothed = smoothing.smooth(primary, about="mirror")
+    bsdf = completion.complete(smoothed, reciprocity=False)
+    found = bsdf.bsdf.evaluate(0.0, 0.0, [0.0, 20.0, 50.0], [0.0, 70.0, 200.0]).values
+    # Even in σ, so that the quadratic through ±10 and ±20 is exact.
+    assert found == pytest.approx(0.3, rel=2e-3)
+    f10, f20 = (smoothing.evaluate(smoothed, 20.0, np.arange(0.0, 360, 5)).values[k, 0] for k in (0, 1))
+    mean = [np.exp(np.log(f).mean()) for f in (f10, f20)]
+    assert found[1, 0] == pytest.approx(mean[0] ** (4 / 3) * mean[1] ** (-1 / 3), rel=1e-3)
+    printed = completion.complete(smoothed, reciprocity=False, normal="linear")
+    assert printed.bsdf.evaluate(0.0, 0.0, 20.0, 70.0, 500.0).values[0] == pytest.approx(
+        mean[0] ** 2 / mean[1], rel=1e-3
+    )
+    assert "completed from 10 and 20 degree (even-quadratic" in bsdf.attrs["history"]
+
+
+def test_a_linear_fit_is_extrapolated_as_it_is():
+    primary = rig_primary.measured(lean, INCIDENCES, WAVELENGTHS, noise=0)
+    smoothed = smoothing.smooth(primary, "keldysh")
+    bsdf = completion.complete(smoothed, reciprocity=False)
+    mean = smoothing.evaluate(smoothed, 20.0, np.arange(0.0, 360, 5)).values[:2, 0].mean(axis=1)
+    expected = (4 * mean[0] - mean[1]) / 3
+    assert bsdf.bsdf.evaluate(0.0, 0.0, 20.0, 70.0, 500.0).values[0] == pytest.approx(expected, rel=1e-3)
+
+
+def test_measured_incidences_are_told_as_they_were_fitted(smoothed_paint):
+    bsdf = completion.complete(smoothed_paint, reciprocity=False)
+    theta, phi = np.array([0.0, 3.0, 12.0, 40.0]), np.array([0.0, 100.0, 250.0, 30.0])
+    expected, u = (each(smoothed_paint, theta, phi) for each in (smoothing.evaluate, smoothing.uncertainty))
+    for k, incidence in enumerate(INCIDENCES):
+        theta_o, phi_o = rig_primary.outgoing(incidence, theta, phi)
+        seen = theta_o < 84
+        at = (incidence, 0.0, theta_o[seen], phi_o[seen])
+        assert bsdf.bsdf.evaluate(*at).values == pytest.approx(expected.values[k].T[seen], rel=1e-6)
+        assert bsdf.bsdf.uncertainty(*at).values == pytest.approx(u.values[k].T[seen], rel=1e-4)
+
+
+def test_between_the_incidences_a_glossy_paint_is_known_to_a_percent(paint, smoothed_paint):
+    bsdf = completion.complete(smoothed_paint)
+    error = relative_error(bsdf, paint, directions(0, 60, 0, 75))
+    assert np.median(error) < 0.01
+    assert np.quantile(error, 0.95) < 0.04
+    # The lobe itself, half way between incidences.
+    peak = np.array([5.0, 15.0, 25.0, 37.0, 52.0])
+    error = relative_error(bsdf, paint, (peak, 0 * peak, peak, 180 + 0 * peak))
+    assert (error < 0.04).all()
+
+
+def test_light_that_goes_back_tells_what_lies_beyond_the_last_incidence(paint, smoothed_paint):
+    at = directions(62, 80, 5, 58)
+    error = {
+        way: np.median(relative_error(completion.complete(smoothed_paint, reciprocity=way), paint, at))
+        for way in (False, True)
+    }
+    assert error[True] < 0.015
+    assert error[True] < error[False] / 3
+
+
+def test_light_that_goes_back_makes_what_was_measured_no_worse(paint, smoothed_paint):
+    at = directions(12, 58, 12, 58)
+    one, both = (
+        np.sqrt(np.mean(relative_error(completion.complete(smoothed_paint, reciprocity=way), paint, at) ** 2))
+        for way in (False, True)
+    )
+    assert both < one
+
+
+def test_the_stated_uncertainty_covers_what_was_completed(paint):
+    z = []
+    for seed in range(4):
+        primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01, seed=seed)
+        bsdf = completion.complete(smoothing.smooth(primary))
+        at = directions(0, 60, 0, 75, seed=seed)
+        difference = bsdf.bsdf.evaluate(*at, 500.0).values[:, 0] - paint.bsdf.evaluate(*at).values
+        z.append(difference / bsdf.bsdf.uncertainty(*at, 500.0).values[:, 0])
+        beyond = directions(65, 85, 60, 85, seed=seed)
+        u = bsdf.bsdf.uncertainty(*beyond, 500.0) / bsdf.bsdf.evaluate(*beyond, 500.0)
+        assert float(u.median()) > 0.03
+    assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_there_and_back_agree_within_their_uncertainties_before_and_exactly_after(smoothed_paint):
+    bsdf = completion.complete(smoothed_paint)
+    found = completion.reciprocity(bsdf)
+    assert found.sizes["pair"] == 10
+    z = (found["there"] - found["back"]) / np.hypot(found["there_u"], found["back_u"])
+    assert 0.3 < float(np.sqrt((z**2).mean())) < 2
+    # Averaged, the value lies between the two, and is better known than either alone.
+    inside = (found["both"] - found["there"]) * (found["both"] - found["back"])
+    assert (inside <= 1e-12 * found["both"] ** 2).all()
+    assert float((found["both_u"] / np.minimum(found["there_u"], found["back_u"])).median()) < 1
+    at = directions(1, 85, 1, 85)
+    there, back = bsdf.bsdf.evaluate(*at), bsdf.bsdf.evaluate(at[2], at[3], at[0], at[1])
+    assert there.values == pytest.approx(back.values, rel=1e-10)
+
+
+def test_beyond_the_last_incidence_the_bsdf_stays_as_it_is_about_the_mirror_direction(smoothed_paint):
+    bsdf = completion.complete(smoothed_paint, reciprocity=False)
+    theta, phi = np.array([0.0, 1.0, 4.0]), np.array([0.0, 90.0, 0.0])
+    at = {
+        incidence: outgoing(smoothed_paint.attrs["about"], np.full(3, incidence), theta, phi)
+        for incidence in (60.0, 70.0)
+    }
+    last, beyond = (bsdf.bsdf.evaluate(incidence, 0.0, *at[incidence]).values for incidence in (60.0, 70.0))
+    # But for what bends it towards grazing, which goes with the outgoing angle.
+    assert beyond == pytest.approx(last, rel=0.1)
+    assert "beyond 60 degree completed" in bsdf.attrs["history"]
+
+
+@pytest.mark.parametrize("mode", smoothing.MODES)
+@pytest.mark.parametrize("incidences", [(45.0,), (30.0, 60.0), (0.0, 10.0, 45.0), INCIDENCES])
+def test_every_direction_has_a_finite_value_that_is_not_negative_and_an_uncertainty(mode, incidences):
+    lobe = rig_primary.lobe("peak 10 sr-1, 3 degree")
+    bsdf = completion.complete(smoothing.smooth(rig_primary.measured(lobe, incidences, [500.0]), mode))
+    edges = np.array([0.0, 1e-6, 10.0, 45.0, 60.0, 77.0, 89.0, 89.99, 89.9999999])
+    theta_i, theta_o, phi = (axis.ravel() for axis in np.meshgrid(edges, edges, [0.0, 90.0, 180.0, 359.0]))
+    found, u = (each(theta_i, 0.0, theta_o, phi) for each in (bsdf.bsdf.evaluate, bsdf.bsdf.uncertainty))
+    assert np.isfinite(found).all()
+    assert (found >= 0).all()
+    assert np.isfinite(u).all()
+    assert (u >= 0).all()
+    # Nowhere more than twice of what was measured.
+    assert float(found.max()) < 22 or mode != "pspline"
+
+
+def test_a_spectrum_without_a_value_is_filled_from_the_incidences_next_to_it(paint, smoothed_paint):
+    primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01)
+    primary["brdf"][2, 1] = np.nan
+    bsdf = completion.complete(smoothing.smooth(primary))
+    flags = bsdf["coefficient_quality"].values
+    assert flags[3, 1] == vocabulary.quality("completed")
+    assert flags[3, 0] == vocabulary.quality("measured")
+    at = (np.full(20, 30.0), np.zeros(20), np.linspace(0, 70, 20), np.linspace(0, 180, 20))
+    expected = paint.bsdf.evaluate(*at).values
+    assert bsdf.bsdf.evaluate(*at, 600.0).values[:, 0] == pytest.approx(expected, rel=0.06)
+    assert "1 spectra of reflection without a value filled" in bsdf.attrs["history"]
+
+
+def test_an_incidence_without_any_value_counts_as_not_measured(smoothed_paint):
+    primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), (10.0, 20.0, 45.0), WAVELENGTHS)
+    primary["brdf"][1] = np.nan
+    bsdf = completion.complete(smoothing.smooth(primary))
+    assert list(bsdf["incidence"].values) == [0.0, 10.0, 45.0]
+
+
+def test_a_wavelength_that_was_measured_nowhere_is_refused():
+    primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), (10.0, 20.0), WAVELENGTHS)
+    primary["brdf"][:, 1] = np.nan
+    with pytest.raises(VocabularyError, match="nothing was measured at 600 nm"):
+        completion.complete(smoothing.smooth(primary))
+
+
+def test_reflection_and_transmission_must_belong_together(smoothed_paint):
+    with pytest.raises(VocabularyError, match="smoothed data of transmission, found 'reflection'"):
+        completion.complete(smoothed_paint, smoothed_paint)
+    lobe = rig_primary.lobe("peak 10 sr-1, 3 degree")
+    other = smoothing.smooth(rig_primary.measured(lobe, (30.0,), [500.0], side="transmission"))
+    with pytest.raises(VocabularyError, match="differ in 'wavelength'"):
+        completion.complete(smoothed_paint, other)
+    with pytest.raises(VocabularyError, match="smoothed data of reflection, found 'transmission'"):
+        completion.complete(other)
+
+
+def test_an_unknown_completion_is_refused(smoothed_paint):
+    with pytest.raises(VocabularyError, match="known: even-quadratic, linear"):
+        completion.complete(smoothed_paint, normal="cubic")
+
+
+def test_what_was_warned_about_stays_known():
+    primary = vocabulary.add_warning(
+        rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), (10.0, 45.0)), "the lamp is old"
+    )
+    bsdf = completion.complete(smoothing.smooth(primary))
+    assert vocabulary.warnings(bsdf) == ["the lamp is old"]
+    assert "smoothed by pspline" in bsdf.attrs["history"]
+
+
+def test_common_errors_of_both_ways_add_up():
+    primary = rig_primary.measured(lean, INCIDENCES, WAVELENGTHS, noise=0.01)
+    primary["brdf_u_noise"] = primary["brdf_u"].assign_attrs(correlation="independent")
+    primary["brdf_u_certificate"] = (3 * primary["brdf_u"]).assign_attrs(correlation="common")
+    bsdf = completion.complete(smoothing.smooth(vocabulary.label(primary, "primary")))
+    at = directions(10, 60, 10, 60, count=100)
+    u = measured.uncertainty(bsdf, *at, None) / measured.evaluate(bsdf, *at, None)
+    assert np.median(u) == pytest.approx(0.03, rel=0.15)
+
+
+def test_the_peak_that_its_own_entrance_hides_at_normal_incidence_is_told_by_the_next_ones():
+    def narrow(incidence, theta, phi, wavelength):
+        brdf = 0.1 + 300 * rig_primary.gaussian(theta, 1.5) / np.cos(np.radians(incidence))
+        return np.broadcast_to(brdf, (wavelength.size, theta.size))
+
+    primary = rig_primary.measured(narrow, (0.0, *INCIDENCES), WAVELENGTHS, noise=0.01)
+    hidden = primary["theta_s"].values < 4
+    primary["brdf"].values[0, :, hidden] = np.nan
+    smoothed = smoothing.smooth(primary)
+    bsdf = completion.complete(smoothed, reciprocity=False)
+    theta = np.array([0.0, 1.0, 2.5, 6.0, 12.0, 40.0])
+    expected = narrow(0.0, theta, 0 * theta, np.ones(1))[0]
+    found, u = (each(0.0, 0.0, theta, 0.0, 500.0).values[:, 0] for each in (bsdf.bsdf.evaluate, bsdf.bsdf.uncertainty))
+    assert found == pytest.approx(expected, rel=0.06)
+    assert (np.abs(found - expected) < 2 * u)[:3].all()
+    assert 0.01 < u[0] / found[0] < 0.1
+    first = primary["theta_s"].values[~hidden].min()
+    assert f"within {first:.1f} degree of the mirror direction completed from 10 degree on" in bsdf.attrs["history"]
+    # Where cells looked, they have the last word; without the others the peak is missed by far.
+    alone = smoothing.evaluate(smoothed, theta, 0.0).values[0, 0]
+    assert found[3:] == pytest.approx(alone[3:], rel=0.02)
+    assert not 0.5 < alone[0] / expected[0] < 1.5
+
+
+def test_what_is_odd_in_the_incidence_goes_to_nothing_as_it_does_at_normal_incidence():
+    primary = rig_primary.measured(lean, INCIDENCES, WAVELENGTHS, noise=0)
+    bsdf = completion.complete(smoothing.smooth(primary, about="mirror"), reciprocity=False)
+    theta, phi = np.array([60.0, 60.0, 60.0]), np.array([0.0, 90.0, 180.0])
+    for incidence in (3.0, 5.0, 15.0):
+        at = rig_primary.outgoing(incidence, theta, phi)
+        expected = lean(incidence, theta, phi, np.ones(1))[0]
+        assert bsdf.bsdf.evaluate(incidence, 0.0, *at, 500.0).values[:, 0] == pytest.approx(expected, rel=4e-3)
+
+
+def test_what_falls_towards_grazing_falls_where_the_light_leaves_and_not_where_the_node_sees_it():
+    def falling(incidence, theta, phi, wavelength):
+        cosine = np.maximum(rig_primary.cos_view(incidence, theta, phi), 0)
+        return np.broadcast_to(0.2 * np.exp(-0.8 * np.exp(-cosine / 0.1)), (wavelength.size, theta.size))
+
+    bsdf = completion.complete(
+        smoothing.smooth(rig_primary.measured(falling, INCIDENCES, WAVELENGTHS, noise=0.003)), reciprocity=False
+    )
+    # On the side of the source, where the same place about the mirror direction is at 71° and 86° for the incidences around.
+    theta_o = np.array([60.0, 70.0, 79.0])
+    found = bsdf.bsdf.evaluate(37.0, 0.0, theta_o, 15.0, 500.0).values[:, 0]
+    expected = 0.2 * np.exp(-0.8 * np.exp(-np.cos(np.radians(theta_o)) / 0.1))
+    assert found == pytest.approx(expected, rel=0.02)
+
+
+def test_beyond_its_cells_a_fit_leads_no_farther_than_twice_what_they_saw():
+    lobe = rig_primary.lobe("peak 300 sr-1, 1.5 degree")
+    primary = rig_primary.measured(lobe, (30.0, 45.0), [500.0], noise=0.01)
+    disc = primary["theta_s"].values < 6
+    primary["brdf"].values[:, :, ~disc] = np.nan
+    smoothed = smoothing.smooth(primary)
+    seen = smoothing.evaluate(smoothed, primary["theta_s"].values[disc], primary["phi_s"].values[disc])
+    found = completion.complete(smoothed).bsdf.evaluate(*directions(0, 89, 0, 89), 500.0).values
+    assert found.min() >= float(seen.min()) / 2 * (1 - 1e-9)
+    assert found.max() <= float(seen.max()) * 2 * (1 + 1e-9)
+    # Without that bound it would: the lobe goes on falling.
+    assert float(smoothing.evaluate(smoothed, 60.0, 0.0).min()) < float(seen.min()) / 100
