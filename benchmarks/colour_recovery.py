@@ -2,8 +2,9 @@
 
 ``python benchmarks/colour_recovery.py`` writes ``benchmarks/results/colour_recovery.json``. The colours are those of reflectances
 straight between seven random knots, under D65 for the 10-degree observer, so that each one is reachable. One core. Metamerism is
-ΔE00 to the reflectance the colour came from, under light A, FL2 and LED-B3, over the colours reached. Two requirements are
-judged: `lhtss` within 1e-5 of all of them, and at least 2000 colours a second.
+the median ΔE00 under light A, FL2 and LED-B3, over the colours that all four methods reach: to the reflectance the colour came
+from, and between each two methods. Judged are: `lhtss` within 1e-5 of all colours; at least 2000 colours a second, of these and of
+those near the limit of all reflectances; and the latter no less than a third as fast, on whatever machine.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import json
 import os
 import platform
 import time
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +25,13 @@ from brdfpipe.spectra import colorimetry, mixing, recovery
 PROJECT = Path(__file__).resolve().parents[1]
 VIEW: dict[str, Any] = {"illuminant": "D65", "observer": 10}
 WANTED_SPEED = 2000
+WANTED_RATIO = 1 / 3
 WANTED_DELTA_E = 1e-5
+SINGLE = 50
+EXACT: dict[str, Any] = {"lhtss": recovery.lhtss, "basis4": mixing.closed_form}
 
 Record = dict[str, Any]
+Found = tuple[str, Record, np.ndarray]
 
 
 @click.command()
@@ -42,21 +48,26 @@ def main(colours: int, searched: int, threshold: float, out: Path) -> None:
     table = colorimetry.weights(**VIEW)
     truth = random_reflectances(colours)
     labs = colorimetry.xyz_to_lab(truth @ table.weights, table.white)
-    records = [batch(method, labs, truth) for method in ("lhtss", "basis4")]
-    records += [each(method, labs[:searched], truth[:searched], threshold) for method in mixing.SEARCHES]
+    found = [batch(method, labs) for method in EXACT]
+    found += [each(method, labs[:searched], threshold) for method in mixing.SEARCHES]
+    hard = colorimetry.xyz_to_lab(bands(colours) @ table.weights, table.white)
     summary: Record = {
         "machine": f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}, one core",
         "threshold": threshold,
-        "methods": {record["method"]: record for record in records},
+        "methods": {method: record for method, record, _ in found},
+        "lhtss_near_limit": batch("lhtss", hard)[1],
+        **metamerism({method: spectra[:searched] for method, _, spectra in found}, truth[:searched]),
     }
-    summary["speed_met"] = records[0]["per_second"] >= WANTED_SPEED
-    summary["delta_e_met"] = records[0]["share_reached"] == 1 and records[0]["delta_e_max"] <= WANTED_DELTA_E
+    ordinary, near_limit = summary["methods"]["lhtss"], summary["lhtss_near_limit"]
+    summary["near_limit_speed_ratio"] = near_limit["per_second"] / ordinary["per_second"]
+    summary["speed_met"] = min(ordinary["per_second"], near_limit["per_second"]) >= WANTED_SPEED
+    summary["ratio_met"] = summary["near_limit_speed_ratio"] >= WANTED_RATIO
+    summary["delta_e_met"] = all(
+        one["share_reached"] == 1 and one["delta_e_max"] <= WANTED_DELTA_E for one in (ordinary, near_limit)
+    )
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    print_table(records)
-    print(
-        f"lhtss: {WANTED_SPEED}/s {'met' if summary['speed_met'] else 'not met'}, ΔE {WANTED_DELTA_E} {'met' if summary['delta_e_met'] else 'not met'}"
-    )
+    print_tables(summary)
 
 
 def random_reflectances(count: int) -> np.ndarray:
@@ -66,68 +77,96 @@ def random_reflectances(count: int) -> np.ndarray:
     return np.stack([np.interp(grid, np.linspace(360, 780, 7), row) for row in knots])
 
 
-def batch(method: str, labs: np.ndarray, truth: np.ndarray) -> Record:
-    """An exact method, all colours in one call; the best of three runs."""
-    exact = recovery.lhtss if method == "lhtss" else mixing.closed_form
-    best = np.inf
+def bands(count: int) -> np.ndarray:
+    """Reflectances (count, 85) of 0.99 in a band and 0.01 beside it, or the reverse: near the limit of all object colours."""
+    rng, grid = np.random.default_rng(5), colorimetry.weights(**VIEW).wavelength
+    first, width = rng.uniform(380, 600, (count, 1)), rng.uniform(30, 150, (count, 1))
+    inside = (grid >= first) & (grid <= first + width)
+    return 0.01 + 0.98 * (inside ^ (rng.random((count, 1)) < 0.5))
+
+
+def batch(method: str, labs: np.ndarray) -> Found:
+    """An exact method, all colours in one call, the best of three runs; and the first colours one a call."""
+    exact = EXACT[method]
+    xyz = colorimetry.lab_to_xyz(labs, colorimetry.weights(**VIEW).white)
+    seconds = np.inf
     for _ in range(3):
         started = time.process_time()
-        found = exact(colorimetry.lab_to_xyz(labs, colorimetry.weights(**VIEW).white), **VIEW)
-        best = min(best, time.process_time() - started)
-    return record(method, best, labs, truth, found.reflectance, found.reached)
-
-
-def each(method: str, labs: np.ndarray, truth: np.ndarray, threshold: float) -> Record:
-    """A search, colour by colour; those that no mixture has are not searched for, as in the pipeline."""
-    table = colorimetry.weights(**VIEW)
-    mixable = mixing.closed_form(colorimetry.lab_to_xyz(labs, table.white), **VIEW).reached
+        found = exact(xyz, **VIEW)
+        seconds = min(seconds, time.process_time() - started)
     started = time.process_time()
-    found = [
-        mixing.search(lab, **VIEW, method=method, threshold=threshold) if can else None
-        for lab, can in zip(labs, mixable, strict=True)
-    ]
+    for one in xyz[:SINGLE]:
+        exact(one, **VIEW)
+    alone = (time.process_time() - started) / len(xyz[:SINGLE])
+    record = described(labs, found.reflectance, seconds, len(labs)) | {"seconds_per_single_call": alone}
+    return method, record, found.reflectance
+
+
+def each(method: str, labs: np.ndarray, threshold: float) -> Found:
+    """A search, colour by colour; where the nearest mixture is not within the threshold it is not begun, nor is its time counted."""
+    near = [mixing.nearest(lab, **VIEW) for lab in labs]
+    xyz = colorimetry.lab_to_xyz(labs, colorimetry.weights(**VIEW).white)
+    begun = mixing.closed_form(xyz, **VIEW).reached | (colorimetry.delta_e_ab(np.stack(near), labs) < threshold)
+    spectra, tried = np.full((len(labs), colorimetry.basis()[1].shape[1]), np.nan), []
+    started = time.process_time()
+    for i in np.flatnonzero(begun):
+        found = mixing.search(labs[i], **VIEW, method=method, threshold=threshold)
+        tried.append(found.tried)
+        if found.ended == "threshold":
+            spectra[i] = found.weights @ colorimetry.basis()[1]
     seconds = time.process_time() - started
-    weights = np.stack([np.full(4, np.nan) if each is None else each.weights for each in found])
-    reached = np.array([each is not None and each.ended == "threshold" for each in found])
-    tried = [each.tried for each in found if each is not None]
-    return {
-        **record(method, seconds, labs, truth, weights @ colorimetry.basis()[1], reached),
-        "tried_median": float(np.median(tried)),
-    }
+    return method, described(labs, spectra, seconds, len(tried)) | {"tried_median": float(np.median(tried))}, spectra
 
 
-def record(
-    method: str, seconds: float, labs: np.ndarray, truth: np.ndarray, spectra: np.ndarray, reached: np.ndarray
-) -> Record:
-    """What is kept of a method."""
+def described(labs: np.ndarray, spectra: np.ndarray, seconds: float, begun: int) -> Record:
+    """What is kept of a method; spectra are NaN where the colour was not reached."""
     table = colorimetry.weights(**VIEW)
+    reached = np.isfinite(spectra).all(axis=1)
     apart = colorimetry.delta_e_ab(colorimetry.xyz_to_lab(spectra[reached] @ table.weights, table.white), labs[reached])
-    metamerism = {
-        light: float(np.median(recovery._difference(spectra[reached], truth[reached], light, VIEW["observer"])))
-        for light in recovery.LIGHTS
-    }
     return {
-        "method": method,
         "colours": len(labs),
-        "seconds_per_colour": seconds / len(labs),
-        "per_second": len(labs) / seconds,
+        "begun": begun,
+        "seconds_per_colour_begun": seconds / begun,
+        "per_second": begun / seconds,
         "share_reached": float(reached.mean()),
         "delta_e_median": float(np.median(apart)),
         "delta_e_max": float(apart.max()),
-        "metamerism_median": metamerism,
     }
 
 
-def print_table(records: list[Record]) -> None:
-    """The table of docs/benchmarks.md."""
-    print("| | ms a colour | ΔE*ab median | largest | reached | ΔE00 under A | FL2 | LED-B3 |")
-    print("|---|---|---|---|---|---|---|---|")
-    for each in records:
-        light = " | ".join(f"{value:.2f}" for value in each["metamerism_median"].values())
+def metamerism(spectra: dict[str, np.ndarray], truth: np.ndarray) -> Record:
+    """Median ΔE00 to the source and between methods, over the colours all methods reach."""
+    common = np.all([np.isfinite(rows).all(axis=1) for rows in spectra.values()], axis=0)
+
+    def apart(first: np.ndarray, second: np.ndarray) -> Record:
+        return {
+            light: float(np.median(recovery._difference(first[common], second[common], light, VIEW["observer"])))
+            for light in recovery.LIGHTS
+        }
+
+    return {
+        "common_colours": int(common.sum()),
+        "metamerism_to_source": {method: apart(rows, truth) for method, rows in spectra.items()},
+        "metamerism_between": {f"{a}, {b}": apart(spectra[a], spectra[b]) for a, b in combinations(spectra, 2)},
+    }
+
+
+def print_tables(summary: Record) -> None:
+    """The tables of docs/benchmarks.md."""
+    print("| | ms a colour | ΔE*ab median | largest | reached |\n|---|---|---|---|---|")
+    for method, one in {**summary["methods"], "lhtss, near the limit": summary["lhtss_near_limit"]}.items():
         print(
-            f"| `{each['method']}` | {1000 * each['seconds_per_colour']:.3g} | {each['delta_e_median']:.1e} | "
-            f"{each['delta_e_max']:.1e} | {100 * each['share_reached']:.0f} % | {light} |"
+            f"| `{method}` | {1000 * one['seconds_per_colour_begun']:.2g} | {one['delta_e_median']:.1e} | "
+            f"{one['delta_e_max']:.1e} | {100 * one['share_reached']:.0f} % |"
         )
+    print(f"\n{summary['common_colours']} common colours\n\n| median ΔE00 | A | FL2 | LED-B3 |\n|---|---|---|---|")
+    for pair, lights in {**summary["metamerism_to_source"], **summary["metamerism_between"]}.items():
+        print(f"| {pair} | " + " | ".join(f"{value:.2f}" for value in lights.values()) + " |")
+    for method in EXACT:
+        print(f"{method}, a call a colour: {1000 * summary['methods'][method]['seconds_per_single_call']:.2g} ms")
+    print(f"near the limit {summary['near_limit_speed_ratio']:.2f} of the speed")
+    for key in ("speed_met", "ratio_met", "delta_e_met"):
+        print(f"{key}: {summary[key]}")
 
 
 if __name__ == "__main__":

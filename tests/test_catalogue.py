@@ -387,7 +387,7 @@ def test_a_file_of_colours_at_several_geometries_is_a_raw_file(tmp_path: Path) -
     write(tmp_path, "m", "multiangle: {file: a.csv, illuminant: D65, observer: 10}\n" + COLOUR, a_csv="geometry,L,a,b")
     loaded = catalogue.load(tmp_path)
     assert loaded["m"].files["multiangle"].name == "a.csv"
-    assert loaded["m"].has("predicted")
+    assert not loaded["m"].has("predicted")
     assert loaded.spec("m", "bsdf") == {"route": "flake"}
 
 
@@ -403,6 +403,79 @@ def test_a_configuration_may_say_only_what_differs(tmp_path: Path) -> None:
     own.write_text("illuminant: A\n")
     config = catalogue.load_config(own)
     assert config == {**catalogue.load_config(), "illuminant": "A"}
+
+
+@pytest.mark.parametrize(
+    ("text", "part", "said"),
+    [
+        ("table: {refine: false}", "table", {"refine": False}),
+        ("appearance: {geometries: [MA-T6]}", "appearance", {"geometries": ["MA-T6"]}),
+        ("appearance: {haze: []}", "appearance", {"haze": []}),
+        ("table: {phi_i: [0, 90]}", "table", {"phi_i": [0, 90]}),
+        ("lambert_gauss: {}", "lambert_gauss", {}),
+    ],
+)
+def test_a_configuration_may_say_only_what_differs_within_a_part(
+    tmp_path: Path, text: str, part: str, said: dict[str, Any]
+) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(text)
+    common = catalogue.load_config()
+    assert catalogue.load_config(own) == {**common, part: {**common[part], **said}}
+
+
+def test_the_projects_own_configuration_says_every_key() -> None:
+    schema = yaml.safe_load((catalogue.project_folder() / "config/schemas/config.schema.yaml").read_text())
+    config = catalogue.load_config()
+    assert set(config) == set(schema["properties"])
+    for key, part in schema["properties"].items():
+        assert set(part.get("properties", {})) <= set(config[key]) if isinstance(config[key], dict) else True
+
+
+@pytest.mark.parametrize(
+    ("window", "problem"),
+    [
+        ("{angle: 20, offset: 0.5, aperture: [1.8, 3.6]}", "covers part of the source's image"),
+        ("{angle: 85, offset: 5, aperture: [1.8, 3.6]}", "does not lie above the surface"),
+    ],
+)
+def test_a_haze_window_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, window: str, problem: str) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(f"appearance: {{haze: [{{angle: 20, offset: 1.9, aperture: [1.8, 3.6]}}, {window}]}}\n")
+    with pytest.raises(InputError, match=rf"own\.yaml, appearance\.haze\.1: .*{problem}"):
+        catalogue.load_config(own)
+
+
+@pytest.mark.parametrize(
+    ("route", "predicted"), [("", True), ("multiangle", False), ("surface", True), ("multiangle surface", True)]
+)
+def test_a_spectrum_beside_another_route_is_no_perfect_diffuser(tmp_path: Path, route: str, predicted: bool) -> None:
+    colours = ", ".join(f"{{geometry: '{name}', lab: [20, 0, 0]}}" for name in ("45as15", "45as45", "45as110"))
+    texts = {"multiangle": f"multiangle: {{colours: [{colours}], illuminant: D65, observer: 10}}\n", "surface": FRONT}
+    write(tmp_path, "m", COLOUR + "".join(texts[part] for part in route.split()))
+    assert catalogue.load(tmp_path)["m"].has("predicted") is predicted
+
+
+@pytest.mark.parametrize(
+    ("index", "accepted"),
+    [("{n: 1.2}", "accepted: `index: 1.2` of"), ("{n: 0.2}", "accepted: `index: {n: 0.2, k: …}` of a metal")],
+)
+def test_an_index_without_k_is_answered_with_its_own_number(tmp_path: Path, index: str, accepted: str) -> None:
+    write(tmp_path, "m", FRONT.replace("PP", index))
+    assert accepted in catalogue.load(tmp_path).failures["m"]
+
+
+@pytest.mark.parametrize("said", ["seed: 3", "method: basis4, seed: 3", "method: lhtss, threshold: 1"])
+def test_what_a_search_alone_needs_is_refused_elsewhere(tmp_path: Path, said: str) -> None:
+    write(tmp_path, "m", COLOUR.replace("geometry", f"{said}, geometry"))
+    key = said.split(", ")[-1].split(":")[0]
+    assert f"spectrum.{key}: not an accepted value" in (why := catalogue.load(tmp_path).failures["m"])
+    assert f"`{key}` goes with `method: random4` or `adaptive4`" in why
+
+
+def test_a_search_has_its_seed_and_threshold(tmp_path: Path) -> None:
+    write(tmp_path, "m", COLOUR.replace("geometry", "method: random4, seed: 3, threshold: 2, geometry"))
+    assert catalogue.load(tmp_path).failures == {}
 
 
 def test_a_wrong_configuration_is_refused(tmp_path: Path) -> None:

@@ -101,6 +101,8 @@ def test_columns_are_named_by_the_last_line_above_them(read, text: str, names: t
         ("400,0,5\n410,0,6\n", "commas could separate columns or mark decimals"),
         ("400,0,8,7\n410,0,9,3\n", "commas could separate columns or mark decimals"),
         ("400;1.234,5\n", "both . and , inside numbers"),
+        ("360,0;8,769\n380,0;9,1\n400,0;34.864\n", "line 3: both . and , inside numbers; found '400,0;34.864'"),
+        ("360.0;8.769\n380.0;9.1\n400,5;34.864\n", "line 3: both . and , inside numbers; found '400,5;34.864'"),
         ("1\n2\n3\n", "no table of numbers found"),
         ("", "no table of numbers found"),
         ("400 1_0\n", "no table of numbers found"),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -39,11 +39,26 @@ FILE_PARTS = ("surface", "index", "spectrum", "multiangle")
 MULTIANGLE_STAGE_KEYS = ("file", "colours", "wavelength", "illuminant", "observer", "scale")
 """Keys of ``multiangle`` that say what was measured; the rest says what is made of it."""
 
+ROUTES = (("rig", "measured"), ("multiangle", "flake"))
+"""Parts of a description that make a BSDF of their own, the one to be preferred first; else it is predicted."""
+
 MODEL_DEFAULTS = {"masking": "height-correlated", "diffuse": "coupled", "multiple_scattering": "none"}
 """What holds where ``model`` does not say otherwise, by a recipe or one by one."""
 
 RECIPE_MASKING = {"crf": "crf"}
 """What a recipe of ``model`` means for its masking."""
+
+CALIBRATIONS, CALIBRATION = "calibrations", "calibration.yaml"
+"""Where a catalogue describes the calibrations of its rigs: one folder each, with this description."""
+
+RIG_STAGE_KEYS = {
+    "rig_run": ("emulate",),
+    "reduced": ("override",),
+    "primary": ("override", "lamp_hours"),
+    "smoothed": ("smoothing",),
+    "calibration": ("valid_days", "valid_hours", "lamp_hours", "override"),
+}
+"""Keys of ``rig``, and of a calibration, that a stage depends on."""
 
 INTERIOR = ("internal_transmittance", "absorption")
 """Keys of ``slab`` of which one says what passes the body."""
@@ -67,12 +82,14 @@ class Material:
     folder: Path
     content: Mapping[str, Any]
     files: Mapping[str, Path]
-    """Part of the description (surface, index, spectrum, back_surface, interior; surface-2 … for further scans) → raw file."""
+    """Part of the description (surface, index, spectrum, back_surface, interior; surface-2 … for further scans; rig) → raw file."""
 
     def has(self, part: str) -> bool:
         """Whether the description has this part: surface, index, spectrum, multiangle, slab, back (a face of its own), or what a prediction needs."""
         if part == "predicted":
-            return "surface" in self.content or "spectrum" in self.content
+            # Where the BSDF comes from elsewhere, nothing is to be said of a spectrum as a perfect diffuser.
+            alone = not any(self.has(other) for other, _ in ROUTES)
+            return "surface" in self.content or ("spectrum" in self.content and alone)
         if part == "back":
             return isinstance(self.content.get("slab", {}).get("back"), Mapping)
         return part in self.content
@@ -108,13 +125,15 @@ class Material:
         if stage in ("multiangle", "flake"):
             given = self.content["multiangle"]
             return {key: given[key] for key in given if (key in MULTIANGLE_STAGE_KEYS) == (stage == "multiangle")}
+        if stage in RIG_STAGE_KEYS:
+            return {key: self.content["rig"][key] for key in RIG_STAGE_KEYS[stage] if key in self.content["rig"]}
         if stage == "predicted":
             # Written out, so that saying the default changes nothing.
             choices = ["masking"] if self.has("slab") else list(MODEL_DEFAULTS)
             default = {} if "recipe" in self.content["model"] else {key: MODEL_DEFAULTS[key] for key in choices}
             return default | dict(self.content["model"])
         if stage == "bsdf":
-            return {"route": "flake" if self.has("multiangle") else "predicted"}
+            return {"route": next((route for part, route in ROUTES if self.has(part)), "predicted")}
         if stage == "appearance":
             return {key: config[key] for key in ("illuminant", "observer", "gloss_angles")} | dict(config["appearance"])
         if stage == "preview":
@@ -127,6 +146,21 @@ class Material:
 
 
 @dataclass(frozen=True)
+class Calibration:
+    """A run of the etalon on a rig, and the certificate it goes by."""
+
+    name: str
+    folder: Path
+    content: Mapping[str, Any]
+    files: Mapping[str, Path]
+    """``rig``: the plan, or the journal of the finished run; ``certificate``."""
+
+    def spec(self, stage: str) -> dict[str, Any]:
+        """The part of the description that a stage depends on."""
+        return {key: self.content[key] for key in RIG_STAGE_KEYS.get(stage, ()) if key in self.content}
+
+
+@dataclass(frozen=True)
 class Catalogue:
     """The materials that can be built, the reasons why others cannot, and the configuration."""
 
@@ -135,6 +169,7 @@ class Catalogue:
     failures: Mapping[str, str]
     """Name of a material (or its folder) → what is wrong with it, in one line."""
     config: Mapping[str, Any] = field(repr=False)
+    calibrations: Mapping[str, Calibration] = field(default_factory=dict)
 
     @cached_property
     def by_name(self) -> Mapping[str, Material]:
@@ -178,14 +213,73 @@ def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
     loaded = {printable(path.name): _attempt(path, config) for path in folders}
     clashes = _clashes(loaded)
     failures = {name: found for name, found in loaded.items() if isinstance(found, str)} | clashes
-    materials = [found for name, found in loaded.items() if isinstance(found, Material) and name not in failures]
-    return Catalogue(folder, tuple(sorted(materials, key=lambda material: material.name)), failures, config)
+    materials = {
+        found.name: found for name, found in loaded.items() if isinstance(found, Material) and name not in failures
+    }
+    calibrations = load_calibrations(folder)
+    for name, why in _without_rig(materials, calibrations).items():
+        failures[name] = why
+        del materials[name]
+    usable = {name: found for name, found in calibrations.items() if isinstance(found, Calibration)}
+    return Catalogue(folder, tuple(materials[name] for name in sorted(materials)), failures, config, usable)
+
+
+def load_calibrations(folder: Path) -> dict[str, Calibration | str]:
+    """The calibrations a catalogue describes, or what is wrong with them."""
+    found: dict[str, Calibration | str] = {}
+    for path in sorted(folder.glob(f"{CALIBRATIONS}/*/{CALIBRATION}")):
+        try:
+            found[path.parent.name] = _load_calibration(path)
+        except BrdfpipeError as error:
+            found[path.parent.name] = str(error)
+    return found
+
+
+def _load_calibration(path: Path) -> Calibration:
+    _check_name(path.parent.name)
+    content = documents.read(path, project_folder() / "config" / "schemas" / "calibration.schema.yaml")
+    home = "the calibration's folder"
+    files = {"rig": documents.file_beside(path, *_rig_file(content, ""), home)}
+    files["certificate"] = documents.file_beside(path, content["certificate"], "certificate", home)
+    return Calibration(path.parent.name, path.parent, content, files)
+
+
+def _rig_file(content: Mapping[str, Any], where: str) -> tuple[str, str]:
+    """What tells of the frames: the journal of a finished run, or the plan of one to be emulated; and the key that names it."""
+    return (f"{content['run']}/journal.jsonl", f"{where}run") if "run" in content else (content["plan"], f"{where}plan")
+
+
+def _without_rig(materials: Mapping[str, Material], calibrations: Mapping[str, Calibration | str]) -> dict[str, str]:
+    """Materials whose calibration, or whose emulated truth, there is not."""
+    failures = {}
+    for name, material in materials.items():
+        if not material.has("rig"):
+            continue
+        path, rig = material.folder / DESCRIPTION, material.content["rig"]
+        calibration, truth = rig["calibration"], rig.get("emulate", {}).get("truth")
+        found = calibrations.get(calibration, "")
+        if not isinstance(found, Calibration):
+            accepted = found or ", ".join(calibrations) or f"a folder {CALIBRATIONS}/{calibration} with {CALIBRATION}"
+            problem = f"no such calibration{documents.nearest(calibration, calibrations)}"
+            failures[name] = str(
+                InputError(path, problem, where="rig.calibration", found=repr(calibration), accepted=accepted)
+            )
+        elif truth is not None and (truth not in materials or "emulate" in materials[truth].content.get("rig", {})):
+            measurable = [other for other in materials if "emulate" not in materials[other].content.get("rig", {})]
+            problem = f"no material that could be measured{documents.nearest(truth, measurable)}"
+            accepted = ", ".join(measurable[:10])
+            failures[name] = str(
+                InputError(path, problem, where="rig.emulate.truth", found=repr(truth), accepted=accepted)
+            )
+    return failures
 
 
 def ignored(folder: Path) -> dict[str, str]:
     """Folders of a catalogue that look like materials and are none: name → what was found and what to do, in one line."""
     found = {}
     for place in sorted(item for item in folder.iterdir() if item.is_dir() and not item.name.startswith((".", "_"))):
+        if place.name == CALIBRATIONS:
+            continue
         if not (place / DESCRIPTION).is_file() and not any((place / mark).exists() for mark in RESULT_MARKS):
             found[printable(place.name)] = _why_ignored(place)
     return {name: why for name, why in found.items() if why}
@@ -202,10 +296,19 @@ def load_config(path: Path | None = None) -> dict[str, Any]:
     config = documents.read(project_folder() / "config" / "config.yaml", schema)
     if path is None:
         return config
-    own = documents.read(path, schema)
-    _check_illuminant(path, own.get("illuminant", config["illuminant"]), "illuminant")
+    own = _over(config, documents.read(path, schema))
+    _check_illuminant(path, own["illuminant"], "illuminant")
     _check_angles(path, own)
-    return config | own
+    _check_haze(path, own["appearance"]["haze"])
+    return own
+
+
+def _over(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """What one mapping says over another, key by key within mappings too; a list stands for itself."""
+    return {
+        **common,
+        **{key: _over(common[key], own[key]) if isinstance(own[key], Mapping) else own[key] for key in own},
+    }
 
 
 def _check_angles(path: Path, config: Mapping[str, Any]) -> None:
@@ -223,6 +326,17 @@ def _check_angles(path: Path, config: Mapping[str, Any]) -> None:
         raise InputError(
             path, "the azimuths do not span half a circle", where="table.phi_o", found=found, accepted="0 to 180"
         )
+
+
+def _check_haze(path: Path, windows: Sequence[Mapping[str, Any]]) -> None:
+    """Refuse windows of a haze meter that cannot be: every material would fail by them."""
+    from brdfpipe.appearance import haze
+
+    for place, window in enumerate(windows):
+        try:
+            haze.checked_window(window)
+        except haze.HazeError as error:
+            raise InputError(path, str(error), where=f"appearance.haze.{place}") from error
 
 
 def project_folder() -> Path:
@@ -253,6 +367,8 @@ def load_material(folder: Path, config: Mapping[str, Any]) -> Material:
         part: documents.file_beside(path, file, f"{where}.file", "the material's folder")
         for part, where, file in _raw_names(content)
     }
+    if "rig" in content:
+        files["rig"] = documents.file_beside(path, *_rig_file(content["rig"], "rig."), "the material's folder")
     return Material(name, folder, content, files)
 
 
@@ -271,6 +387,10 @@ def _raw_names(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 def _check_together(path: Path, content: Mapping[str, Any]) -> None:
     """Refuse what each key allows and physics does not."""
+    if isinstance(content.get("index"), Mapping) and set(content["index"]) == {"n"}:
+        from brdfpipe.index import without_k
+
+        raise without_k(path, content["index"]["n"])
     model = content["model"]
     masking = model.get("masking", RECIPE_MASKING.get(model.get("recipe"), MODEL_DEFAULTS["masking"]))
     if model.get("multiple_scattering") == "compensated" and masking not in ("height-correlated", "separable"):
@@ -322,7 +442,7 @@ def _check_together(path: Path, content: Mapping[str, Any]) -> None:
 
 def parts(material: Material) -> list[str]:
     """What a material brings, in words."""
-    return [_words(part, material.content[part]) for part in (*FILE_PARTS, "slab") if material.has(part)]
+    return [_words(part, material.content[part]) for part in (*FILE_PARTS, "slab", "rig") if material.has(part)]
 
 
 def check_formats(material: Material) -> None:
@@ -341,6 +461,8 @@ def check_formats(material: Material) -> None:
     known = {suffix: name for name, form in FORMATS.items() for suffix in form.extensions}
     keys = {part: where.removesuffix(".scans") for part, where, _ in _raw_names(material.content)}
     for part, path in material.files.items():
+        if part == "rig":
+            continue
         scanned = "surface" in part
         accepted = known if scanned else suffixes.get(part, TEXT_SUFFIXES)
         if path.stat().st_size == 0:
@@ -393,6 +515,8 @@ def _words(part: str, content: Any) -> str:
         return f"{part} {content}"
     if part == "slab":
         return f"slab {content['thickness']:g} mm"
+    if part == "rig":
+        return f"rig run {content['run']}" if "run" in content else f"rig emulated with {content['emulate']['truth']}"
     if "k" in content:
         return f"{part} {content['n']:g} + {content['k']:g}i"
     if "colours" in content:

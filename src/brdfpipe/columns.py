@@ -116,7 +116,7 @@ def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
         raise InputError(
             path, "no table of numbers found", accepted=f"text of two or more columns ({', '.join(TEXT_SUFFIXES)})"
         )
-    separator, decimal = _layout([body for _, body in rows], path)
+    separator, decimal = _layout(rows, path)
     if decimal == ",":
         notes.append("decimal commas were read as decimal points")
     split = _cells(rows, separator, path)
@@ -339,8 +339,9 @@ def _is_numbers(line: str) -> bool:
     )
 
 
-def _layout(lines: Sequence[str], path: Path) -> tuple[str | None, str]:
+def _layout(rows: Sequence[tuple[int, str]], path: Path) -> tuple[str | None, str]:
     """Separator (None: white space) and decimal mark of the whole table."""
+    lines = [body for _, body in rows]
     comma, point = any("," in line for line in lines), any("." in line for line in lines)
     separator = ";" if any(";" in line for line in lines) else "\t" if any("\t" in line for line in lines) else None
     if separator is None and comma:
@@ -355,10 +356,13 @@ def _layout(lines: Sequence[str], path: Path) -> tuple[str | None, str]:
             )
         return ",", "."
     if comma and point:
-        bad = next(line for line in lines if "," in line)
+        # Of two marks, the one in fewer lines is the odd one.
+        odd = min(",.", key=lambda mark: sum(mark in line for line in lines))
+        number, bad = next((number, line) for number, line in rows if odd in line)
         raise InputError(
             path,
             "both . and , inside numbers",
+            where=f"line {number}",
             found=repr(_shorten(bad)),
             accepted="one decimal mark, no thousands mark",
         )

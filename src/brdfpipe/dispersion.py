@@ -141,7 +141,13 @@ def sampled(formula: Formula, source: str, file: str, key: str) -> xr.Dataset:
             file, "the formula gives no refractive index", where=f"{bad:g} nm", accepted="n² >= 0 and no pole", key=key
         )
     dataset = _dataset(wavelength, n, np.zeros_like(n), source, "formula")
-    if not extrapolated:
+    return _with_reach(dataset, formula)
+
+
+def _with_reach(dataset: xr.Dataset, formula: Formula) -> xr.Dataset:
+    """The dataset of a formula, with a word in its history where it starts below the formula's range."""
+    low, start = formula.low * 1000, float(dataset["wavelength"][0])
+    if start >= low:
         return dataset
     return vocabulary.add_history(
         dataset, f"the Sellmeier formula, fitted from {low:g} nm, was extrapolated to {start:g} nm"
@@ -171,6 +177,7 @@ def read(path: Path, key: str = "index.file") -> xr.Dataset:
     source = f"{path.name}: {_reference(content.get('REFERENCES'))}"
     real: xr.Dataset | None = None
     imaginary: tuple[Array, Array] | None = None
+    fitted: Formula | None = None
     for place, block in enumerate(blocks, start=1):
         kind, where = str(block.get("type", "")).strip().lower(), f"DATA {place}"
         if kind in ("tabulated nk", "tabulated n") and real is None:
@@ -180,7 +187,8 @@ def read(path: Path, key: str = "index.file") -> xr.Dataset:
             table = _table(path, where, block, 2)
             imaginary = (table[:, 0], table[:, 1])
         elif kind.startswith("formula ") and real is None:
-            real = sampled(_formula(path, where, block, kind), source, path.name, key)
+            fitted = _formula(path, where, block, kind)
+            real = sampled(fitted, source, path.name, key)
         else:
             raise InputError(
                 path,
@@ -192,7 +200,11 @@ def read(path: Path, key: str = "index.file") -> xr.Dataset:
             )
     if real is None:
         raise InputError(path, "no refractive index n", accepted="a formula, tabulated n or tabulated nk", key=key)
-    return real if imaginary is None else _with_extinction(path, real, imaginary, key)
+    if imaginary is None:
+        return real
+    joined = _with_extinction(path, real, imaginary, key)
+    # Where k starts later than the formula was continued to, less of it was stored.
+    return joined if fitted is None else _with_reach(joined, fitted)
 
 
 def _sellmeier(w: Array, c: Array) -> Array:
@@ -262,8 +274,7 @@ def _with_extinction(path: Path, real: xr.Dataset, imaginary: tuple[Array, Array
     wavelength = np.unique(np.concatenate([known, nm, [low, high]]))
     wavelength = wavelength[(wavelength >= low) & (wavelength <= high)]
     n = np.interp(wavelength, known, real["n"].values)
-    both = _dataset(wavelength, n, np.interp(wavelength, nm, k), real.attrs["source"], real.attrs["dispersion"])
-    return both.assign_attrs(history=real.attrs["history"]) if "history" in real.attrs else both
+    return _dataset(wavelength, n, np.interp(wavelength, nm, k), real.attrs["source"], real.attrs["dispersion"])
 
 
 def _table(path: Path, where: str, block: Mapping[str, Any], width: int) -> Array:

@@ -88,7 +88,7 @@ def file_beside(description: Path, value: str, where: str, folder: str = "the de
         raise InputError(description, problem, where=where, found=repr(value), accepted="a plain path")
     if not target.is_file():
         present = sorted(item.name for item in home.iterdir() if item.is_file() and item.name != description.name)
-        close, listed = nearest(value, present), ", ".join(present[:10])
+        close, listed = nearest(value, present), ", ".join(present[:10]) or f"none is there yet; put it into {folder}"
         raise InputError(description, f"no such file{close}", where=where, found=repr(value), accepted=listed)
     return target
 
@@ -376,8 +376,9 @@ def _decimal_comma(error: Any) -> str:
     text = (
         isinstance(value, str) and error.schema.get("type") != "string" and re.fullmatch(r"[-+]?\d+,\d+", value.strip())
     )
-    doubled = error.validator == "maxItems" and len(value) == 2 * error.validator_value
-    return _DECIMAL_POINT if text or doubled else ""
+    # Of [45,5, 50, 25] one number alone is torn apart.
+    torn = error.validator == "maxItems" and error.validator_value < len(value) <= 2 * error.validator_value
+    return _DECIMAL_POINT if text or torn else ""
 
 
 _DECIMAL_POINT = " (numbers take a decimal point, not a comma)"

@@ -40,7 +40,7 @@ class InputError(BrdfpipeError):
         accepted: str | None = None,
         key: str | None = None,
     ) -> None:
-        self.file = PurePath(file).name
+        self.file = PurePath(file).name or str(file) or "."
         self.problem = problem
         self.where = where
         self.found = found

@@ -73,6 +73,8 @@ def refractive_index(
         return _from_file(Path(path if path is not None else spec["file"]))
     if isinstance(spec, Mapping) and set(spec) == {"n", "k"}:
         return _complex(spec["n"], spec["k"])
+    if isinstance(spec, Mapping) and set(spec) == {"n"}:
+        raise without_k("material.yaml", spec["n"])
     raise InputError(
         "material.yaml",
         "no refractive index",
@@ -81,6 +83,13 @@ def refractive_index(
         accepted="a number, a name, {n, k} or {file: table.txt or page.yml}",
         key=_KEY,
     )
+
+
+def without_k(file: str | PathLike[str], n: object) -> InputError:
+    """The refusal of ``{n: …}`` alone: a dielectric is given by its number, a metal by both."""
+    plain = f"`index: {n}` of a clear or coloured body, or " if isinstance(n, int | float) and 1 <= n < 5 else ""
+    accepted = f"{plain}`index: {{n: {n}, k: …}}` of a metal, with k above 0"
+    return InputError(Path(file), "the key 'k' is missing", where=_KEY, accepted=accepted)
 
 
 def interpolate_index(index: xr.Dataset, wavelength: ArrayLike) -> tuple[Array, Array]:

@@ -379,7 +379,12 @@ KINDS: Mapping[str, Kind] = {
         },
         optional={
             "gloss_u": [("gloss_angle",)],
+            "haze_u": _SCALAR,
             "reflectance_haze": [("haze_window",)],
+            "reflectance_haze_u": [("haze_window",)],
+            "lab_u": [("geometry", "component")],
+            "lab_quality": [("geometry",)],
+            "flop_index_u": _SCALAR,
             "lay": _SCALAR,
             "gloss_along": [("gloss_angle",)],
             "gloss_across": [("gloss_angle",)],

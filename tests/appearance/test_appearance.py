@@ -91,3 +91,26 @@ def test_the_gloss_of_a_paint_with_its_coat_is_given_without_reserve(coat):
 
 def test_only_flakes_lack_a_coat():
     assert "no_gloss" not in appearance.appraise(samples.beckmann_bsdf(0.3)).attrs
+
+
+def test_a_colour_beyond_the_measured_flake_angles_is_flagged(tmp_path: Path):
+    path = tmp_path / "appearance.nc"
+    store.save_dataset(appearance.appraise(paint(), geometries=["MA-T6"]), path, stage="appearance", material="m")
+    found = store.open_dataset(path, "appearance")
+    flags = found["lab_quality"].to_series().map(dict(enumerate(vocabulary.QUALITY_FLAGS))).to_dict()
+    assert flags["45as-15"] == "extrapolated"
+    assert flags["45as15"] == flags["45as110"] == "measured"
+    assert flags["45as25"] == "interpolated"
+    assert flags["8:total"] == "completed"
+    assert "lab_quality" not in appearance.appraise(samples.beckmann_bsdf(0.3))
+
+
+def test_every_number_of_instruments_stands_beside_its_uncertainty():
+    found = appearance.appraise(paint(model="flake-physical", clear_coat=0.02))
+    for name in ("gloss", "haze", "reflectance_haze", "flop_index"):
+        assert (found[f"{name}_u"] > 0).all(), name
+        assert (found[f"{name}_u"] < 0.2 * abs(found[name])).all(), name
+    single = found["lab_u"].drop_sel(geometry="8:total")
+    assert (single > 0).all()
+    assert found["lab_u"].sel(geometry="8:total").isnull().all()
+    vocabulary.validate(found, "appearance")

@@ -9,8 +9,9 @@ import pytest
 import samples
 
 from brdfpipe import appearance, facets, vocabulary
-from brdfpipe.appearance.colour import colour, flop_index
+from brdfpipe.appearance.colour import colour, colour_uncertainty, flop_index
 from brdfpipe.bsdf import lambert_gauss, microfacet
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.flakes import SETS
 
 
@@ -153,3 +154,55 @@ def test_geometries_off_the_mirror_direction_of_a_polished_surface_see_its_base_
     assert float(lab.sel(geometry="8:total", component="L*")) == pytest.approx(
         116 * 0.0400063 ** (1 / 3) - 16, abs=1e-4
     )
+
+
+def test_the_tolerance_of_directions_leaves_a_perfect_diffuser_as_it_is():
+    found = colour_uncertainty(lambert_gauss.lambertian(samples.spectrum(0.5)))
+    assert found["lab_u"].values[1:] == pytest.approx(0, abs=1e-9)
+    assert float(found["flop_index_u"]) == pytest.approx(0, abs=1e-6) or np.isnan(found["flop_index_u"])
+
+
+@pytest.mark.parametrize("a", [0.2, 0.4])
+def test_the_uncertainty_of_a_colour_is_that_of_instruments_off_by_the_tolerance(a):
+    glossy = samples.beckmann_bsdf(a)
+    # In the plane of incidence; by symmetry a turn out of it changes nothing to first order. View and mirror lie at azimuth 180.
+    asked = {
+        "light-": (44.5, 30.0, 180.0),
+        "light+": (45.5, 30.0, 180.0),
+        "view-": (45.0, 29.5, 180.0),
+        "view+": (45.0, 30.5, 180.0),
+    }
+    lightness = colour(glossy, asked).sel(component="L*").values[1:]
+    expected = np.sqrt((np.diff(lightness)[[0, 2]] ** 2).sum() / 12)
+    found = colour_uncertainty(glossy)["lab_u"].sel(geometry="45as15", component="L*")
+    assert float(found) == pytest.approx(expected, rel=1e-3)
+    assert float(found) > 0
+
+
+def test_the_uncertainty_of_a_flop_index_shares_the_light():
+    glossy = samples.beckmann_bsdf(0.3)
+
+    def index(light, views):
+        asked = {f"{k}": (45 + light, abs(theta), 180.0 if theta < 0 else 0.0) for k, theta in enumerate(views)}
+        return flop_index(*colour(glossy, asked).sel(component="L*").values[1:])
+
+    nominal = np.array([-30.0, 0.0, 65.0])
+    half = [(index(0.5, nominal) - index(-0.5, nominal)) / 2]
+    half += [(index(0, nominal + 0.5 * one) - index(0, nominal - 0.5 * one)) / 2 for one in np.eye(3)]
+    expected = np.sqrt(np.sum(np.square(half)) / 3)
+    assert float(colour_uncertainty(glossy)["flop_index_u"]) == pytest.approx(expected, rel=0.01)
+
+
+def test_without_the_three_geometries_of_e2194_there_is_no_uncertainty_of_a_flop_index():
+    assert np.isnan(colour_uncertainty(samples.beckmann_bsdf(0.3), ["45:0"])["flop_index_u"])
+
+
+def test_short_names_with_two_meanings_are_refused_among_geometries():
+    with pytest.raises(BrdfpipeError, match="side by side"):
+        colour(samples.beckmann_bsdf(0.3), ["as-15", "as15"])
+
+
+def test_a_paint_that_is_black_at_45_degree_has_no_flop_index():
+    assert np.isnan(flop_index(20.0, 0.0, 0.0))
+    assert np.isnan(flop_index(20.0, 0.05, 0.0))
+    assert flop_index(20.0, 0.5, 0.0) > 0

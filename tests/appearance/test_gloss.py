@@ -17,6 +17,7 @@ from brdfpipe.appearance.gloss import (
     RECEPTOR_TOLERANCE,
     SOURCE_TOLERANCE,
     GlossError,
+    gloss_and_haze,
     gloss_with_uncertainty,
 )
 from brdfpipe.bsdf import flake, lambert_gauss, microfacet, representations
@@ -318,6 +319,35 @@ def test_the_uncertainty_of_a_matt_surface_is_that_of_the_receptor():
     assert float(spread[0]) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.parametrize("a", [0.005, 0.02, 0.1])
+def test_the_uncertainty_of_haze_is_that_of_instruments_with_one_source(a):
+    bsdf = representations.nonspectral(rough(a))
+    half = []
+    for key, low, high in (
+        ("receptor", *((RECEPTOR_TOLERANCE[angle][0], 0) for angle in (20.0, 60.0))),
+        ("receptor", *((0, RECEPTOR_TOLERANCE[angle][1]) for angle in (20.0, 60.0))),
+        ("axis", 0.1, 0.1),
+        ("incidence", 0.1, 0.1),
+        ("source", (SOURCE_TOLERANCE[0], 0), (SOURCE_TOLERANCE[0], 0)),
+        ("source", (0, SOURCE_TOLERANCE[1]), (0, SOURCE_TOLERANCE[1])),
+    ):
+        ranges = []
+        for angle, off in ((20.0, low), (60.0, high)):
+            ends = [tuple(s * x for x in off) if isinstance(off, tuple) else s * off for s in (-1, 1)]
+            less, more = (perturbed(bsdf, angle, **{key: end}) for end in ends)
+            ranges.append((more - less) / 2)
+        half += [ranges[1] - ranges[0]] if key == "source" else ranges
+    found = gloss_and_haze(bsdf)
+    assert float(found["haze_u"]) == pytest.approx(np.sqrt(np.sum(np.square(half)) / 3), rel=0.05)
+    assert float(found["haze"]) == pytest.approx(perturbed(bsdf, 60.0) - perturbed(bsdf, 20.0), rel=1e-6)
+
+
+def test_haze_needs_both_angles():
+    found = gloss_and_haze(rough(0.1), [20.0, 85.0])
+    assert np.isnan(found["haze"])
+    assert np.isnan(found["haze_u"])
+
+
 def test_a_lay_leaves_an_uncertainty_between_those_of_its_planes():
     brushed = lay(30)
     mean = float(gloss_with_uncertainty(brushed, [60.0])[1][0])
@@ -339,6 +369,8 @@ def test_gloss_of_a_narrow_lobe_with_a_long_tail_counts_all_of_it(a):
 
 def test_gloss_of_a_polished_surface_is_the_limit_of_smooth_ones():
     polished = microfacet.build(facets.flat(), index=1.5)
+    # Not the 82.0452, 89.1368, 98.9746 that are quoted for a polished surface: those are the ratio of the reflectances on the axis,
+    # a point source's. The source image is 0.75° × 2.5°, and the reflectance, which is curved most at 85°, is averaged over it.
     assert of(polished).values == pytest.approx((82.0454, 89.1385, 98.9730), abs=5e-5)
     assert of(polished).values == pytest.approx(of(rough(1e-4)).values, rel=1e-6)
     assert of(microfacet.build(facets.flat(), index=1.567)).values == pytest.approx(100, abs=1e-9)

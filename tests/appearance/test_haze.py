@@ -9,7 +9,13 @@ import samples
 from brdfpipe import facets, optics
 from brdfpipe.appearance import apertures, gloss
 from brdfpipe.appearance.gloss import RECEPTOR
-from brdfpipe.appearance.haze import WINDOWS, HazeError, HazeWindow, reflectance_haze
+from brdfpipe.appearance.haze import (
+    WINDOWS,
+    HazeError,
+    HazeWindow,
+    reflectance_haze,
+    reflectance_haze_with_uncertainty,
+)
 from brdfpipe.bsdf import lambert_gauss, microfacet
 
 
@@ -83,3 +89,42 @@ def test_the_windows_of_the_standard_lie_beside_the_receptor_of_gloss_and_do_not
 def test_a_window_that_cannot_be_is_refused(window, said):
     with pytest.raises(HazeError, match=said):
         reflectance_haze(rough(0.1), [window])
+
+
+def test_the_uncertainty_of_a_matt_surface_is_that_of_solid_angles_and_cosines():
+    value, spread = reflectance_haze_with_uncertainty(lambert_gauss.lambertian(samples.spectrum(1.0)))
+    axes = np.radians([18.1, 21.9])
+    each = float(value[0]) * np.cos(axes) / np.cos(axes).sum()
+    own = [each * 0.05 / 1.8, each * 0.1 / 3.6, each * np.radians(0.1) * np.tan(axes)]
+    glass = [float(optics.fresnel(np.cos(np.radians(angle)), 1.567)[2]) for angle in (19.9, 20.1)]
+    # The window's axes move with the mirror direction.
+    cosines = [np.cos(np.radians([18.1, 21.9]) + np.radians(off)).sum() for off in (-0.1, 0.1)]
+    by_angle = float(value[0]) * (np.diff(np.log(cosines)) - np.diff(np.log(glass)))[0] / 2
+    expected = np.sqrt((np.sum(np.square(own)) + by_angle**2) / 3)
+    assert float(spread[0]) == pytest.approx(expected, rel=0.01)
+    assert spread.name == "reflectance_haze_u"
+
+
+@pytest.mark.parametrize("a", [0.01, 0.1])
+def test_the_uncertainty_follows_instruments_whose_windows_are_off(a):
+    # A steep lobe: where the windows stand counts most, and the two are independent.
+    def of(window):
+        return float(reflectance_haze(rough(a), [window])[0])
+
+    (nominal,) = WINDOWS
+    both = [of(nominal._replace(offset=nominal.offset + off)) for off in (-0.1, 0.1)]
+    # Both windows moved outwards together add linearly what counts as independent, nearly alike on either side.
+    by_axes = abs(np.diff(both)[0]) / 2 / np.sqrt(2) / np.sqrt(3)
+    found = float(reflectance_haze_with_uncertainty(rough(a))[1][0])
+    assert by_axes < found < 2 * by_axes + 0.03 * of(nominal)
+
+
+def test_a_polished_surface_has_no_uncertainty_of_haze():
+    polished = microfacet.build(facets.flat(), index=1.5)
+    assert reflectance_haze_with_uncertainty(polished)[1].values == pytest.approx(0, abs=1e-12)
+
+
+def test_the_uncertainty_leaves_the_haze_as_it_is():
+    value, spread = reflectance_haze_with_uncertainty(rough(0.05))
+    assert value.identical(reflectance_haze(rough(0.05)))
+    assert float(spread[0]) > 0

@@ -59,3 +59,23 @@ def test_the_two_models_agree_where_measured_and_part_elsewhere():
 def test_an_unknown_geometry_is_refused():
     with pytest.raises(BrdfpipeError, match="unknown geometry"):
         predicted_colours(paint(), ["46 degrees"])
+
+
+def test_a_difference_beyond_the_measured_angles_is_flagged():
+    grey = lambert_gauss.lambertian(samples.spectrum(0.2))
+    wide = flake.build(
+        flakes.ingest(
+            {
+                "colours": [
+                    {"geometry": name, "lab": list(lab)} for name, lab in {**LAB, "45as5": (40.0, -8.0, -38.0)}.items()
+                ],
+                "illuminant": "D65",
+                "observer": 10,
+            }
+        )
+    )
+    for pair in ((paint(), grey), (grey, paint()), (paint(), wide)):
+        found = colour_difference(*pair, ["45as15", "45as5"])
+        flags = [vocabulary.QUALITY_FLAGS[flag] for flag in found["lab_quality"].values]
+        assert flags == ["measured", "extrapolated"]
+    assert "lab_quality" not in colour_difference(grey, grey, ["45:0"]).coords

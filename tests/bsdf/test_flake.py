@@ -185,6 +185,42 @@ def test_a_form_that_does_not_hold_within_the_uncertainties_is_warned_about(tmp_
     assert any("by more than their uncertainties (reduced χ² up to" in text for text in vocabulary.warnings(bsdf))
 
 
+FIVE = {"45as15": 120.0, "45as25": 103.9, "45as45": 62.0, "45as75": 33.0, "45as110": 24.0}
+"""L* of a paint that falls slowly at first: no sum of exponentials does."""
+
+
+def five(path, u):
+    rows = "\n".join(f"{name},{lightness},-1,-3,{u},{u},{u}" for name, lightness in FIVE.items())
+    path.write_text(f"geometry,L,a,b,u_L,u_a,u_b\n{rows}\n", encoding="ascii")
+    return flakes.ingest({"file": path.name, "illuminant": "D65", "observer": 10}, path)
+
+
+def misses(bsdf):
+    return [text for text in vocabulary.warnings(bsdf) if "standard uncertainties" in text]
+
+
+def test_a_missed_uncertainty_is_warned_about_without_degrees_of_freedom(tmp_path):
+    multiangle = five(tmp_path / "a.csv", 0.3)
+    bsdf = flake.build(multiangle, form="double-exponential")
+    assert "reduced_chi_squared" not in bsdf
+    pulls = np.abs(bsdf["misfit"].values * multiangle["tristimulus"].values / multiangle["tristimulus_u"].values)
+    geometry, channel = np.unravel_index(pulls.argmax(), pulls.shape)
+    (told,) = misses(bsdf)
+    assert f"misses {int((pulls > 3).sum())} of 15 values" in told
+    assert f"{'XYZ'[channel]} at {list(FIVE)[geometry]} by {pulls.max():.3g}:" in told
+    assert "`multiangle.form` (exponential, gaussian)" in told
+    assert misses(flake.build(five(tmp_path / "a.csv", 5.0), form="double-exponential")) == []
+
+
+def test_hundreds_of_values_within_their_uncertainties_are_not_warned_about(tmp_path):
+    found = [
+        misses(flake.build(noisy(tmp_path / "a.csv", flake.build(spectra()), np.random.default_rng(seed))))
+        for seed in range(8)
+    ]
+    # One in twenty is, by chance.
+    assert sum(map(bool, found)) <= 2
+
+
 def test_three_colours_of_known_uncertainty_have_parameters_of_known_uncertainty(tmp_path):
     path = tmp_path / "a.csv"
     rows = "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]},0.1,0.1,0.1" for name, lab in LAB.items())

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brdfpipe.errors import InputError
-from brdfpipe.flakes import directions, fit, flake_angle, leave_one_out
+from brdfpipe.flakes import directions, fit, flake_angle, forms, leave_one_out
 from brdfpipe.flakes.forms import FORMS, curve
 
 PATENT = np.array([float(flake_angle(*directions(name), 1.524)) for name in ("45:-30", "45:0", "45:65")])
@@ -278,3 +278,46 @@ def test_any_data_is_fitted_within_the_constraints_or_refused(values):
     assert (found.decay > 0).all()
     assert (found.constant >= 0).all()
     assert np.isfinite(found(np.linspace(0, 41, 20))).all()
+
+
+def test_a_term_that_vanished_comes_last_in_every_channel():
+    theta = np.array([4.0, 9.0, 15.0, 24.0, 33.0])
+    one = curve(theta, column(90.0), column(6.0), np.array([1.0]), 1)
+    two = curve(theta, column(60.0, 20.0), column(5.0, 15.0), np.array([0.5]), 1)
+    # A fall that is straighter than any decay leaves one term alone.
+    bent = 80 * np.exp(-((theta / 14) ** 2))[:, None]
+    found = fit(theta, np.concatenate([one, two, bent], axis=1), "double-exponential", uncertainty=np.full((5, 3), 0.3))
+    gone = found.amplitude == 0
+    assert gone.any()
+    assert not gone[0].any()
+    there = ~gone.any(axis=0)
+    assert there.any()
+    assert (np.diff(found.decay[:, there], axis=0) > 0).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(4, 25), st.floats(0.6, 3), st.floats(0, 2), st.integers(0, 99))
+def test_no_grid_of_decays_beats_the_fit_of_two_terms(width, power, constant, seed):
+    from scipy.optimize import nnls
+
+    random = np.random.default_rng(seed)
+    theta = np.cumsum(random.uniform(3, 9, 5))
+    values = (100 * np.exp(-((theta / width) ** power)) + constant) * np.exp(0.08 * random.standard_normal(5))
+    u = 0.003 * values + 0.005
+    found = forms._least_squares(forms._Data(theta, values, u, u, True), FORMS["double-exponential"])
+    misfit = (
+        curve(theta, found.amplitude[:, None], found.decay[:, None], np.array([found.constant]), 1)[:, 0] - values
+    ) / u
+    decays = np.geomspace(*forms._bounds(theta), 40)
+    falls = np.exp(-theta[:, None] / decays) / u[:, None]
+    pairs = ((a, b) for a in range(decays.size) for b in range(a))
+    grid = min(nnls(np.stack([falls[:, a], falls[:, b], 1 / u], axis=1), values / u)[1] for a, b in pairs)
+    assert misfit @ misfit <= grid**2 * (1 + 1e-6) + 1e-9
+
+
+@pytest.mark.parametrize("form", list(FORMS))
+def test_the_advice_leaves_out_the_form_that_failed(form):
+    with pytest.raises(InputError) as refused:
+        fit(TEN, np.linspace(1, 9, TEN.size)[:, None], form)
+    advised = str(refused.value).split("another form (")[1].split(")")[0].split(", ")
+    assert sorted([*advised, form]) == sorted(FORMS)

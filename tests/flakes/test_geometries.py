@@ -73,3 +73,9 @@ def test_every_set_holds_geometries():
 def test_a_misspelt_set_is_told_the_nearest():
     with pytest.raises(BrdfpipeError, match="nearest is MA-T12"):
         named("MAT12")
+
+
+def test_short_names_with_and_without_a_hyphen_are_refused_side_by_side():
+    with pytest.raises(BrdfpipeError, match=r"'as-15' and 'as15' side by side.*write 45as-15 for .* 45as15 for"):
+        named(["as-15", "as15", "as25"])
+    assert len(named(["as-15", "as-45"])) == len(named(["45as-15", "45as15"])) == 2

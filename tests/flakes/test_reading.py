@@ -268,3 +268,16 @@ def test_a_damaged_file_is_read_or_refused_but_never_crashes(tmp_path, data):
     except BrdfpipeError:
         return
     vocabulary.validate(found, "multiangle")
+
+
+SIX = ["as-15", "as15", "as25", "as45", "as75", "as110"]
+
+
+def test_an_export_of_six_angles_with_hyphens_as_signs_is_not_misread(tmp_path):
+    path = written(tmp_path, "geometry;L;a;b\n" + "".join(f"{name};{40 - k};0;0\n" for k, name in enumerate(SIX)))
+    with pytest.raises(InputError, match="45as-15 for 15 degree beyond the mirror") as refusal:
+        flakes.ingest({"file": path.name, **VIEWING}, path)
+    assert refusal.value.key == "multiangle.file"
+    with pytest.raises(InputError, match="45as-15 for 15 degree beyond the mirror") as refusal:
+        flakes.ingest(inline(colours=[{"geometry": name, "lab": [40, 0, 0]} for name in SIX]))
+    assert refusal.value.key == "multiangle.colours"

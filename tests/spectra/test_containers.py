@@ -139,6 +139,13 @@ def test_a_sample_left_open_or_unknown_is_refused_with_those_there_are(tmp_path:
     assert refusal.value.key == "spectrum.sample"
 
 
+@pytest.mark.parametrize("sample", [2, "green"])
+def test_of_one_sample_another_is_refused_in_the_singular(tmp_path: Path, sample: object) -> None:
+    alone = "\n".join(line for line in wide().splitlines() if "blue" not in line) + "\n"
+    with pytest.raises(InputError, match=r"holds one sample, and not this; found .*accepted: 1 or red, or no key"):
+        read(write(tmp_path, "one.csv", alone), sample=sample, scale="fraction")
+
+
 def test_two_samples_of_one_name_are_told_apart_by_number_alone(tmp_path: Path) -> None:
     path = write(tmp_path, "many.csv", wide().replace('"blue"', "red"))
     with pytest.raises(InputError, match="the name is not unique"):
@@ -349,7 +356,7 @@ def test_the_real_cxf_was_measured_at_45_0(shared_data: Path) -> None:
     assert warnings(silent) == []
     said = read(path, geometry="sci", incidence=8.0)
     assert (said.attrs["geometry"], said.attrs["theta_i"]) == ("sci", 8)
-    assert "the header says SCE" in warnings(said)[0]
+    assert "the header says SingleAngle 45/0" in warnings(said)[0]
     assert "the header says light from 45 degree, `spectrum.incidence`" in warnings(said)[1]
 
 

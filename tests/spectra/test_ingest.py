@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from brdfpipe.errors import InputError
-from brdfpipe.optics import fresnel
+from brdfpipe.optics import fresnel, interpolate_index, refractive_index
 from brdfpipe.spectra import ingest
+from brdfpipe.vocabulary import warnings
 
 LAB = {"lab": [30.0, 5.0, 2.0], "illuminant": "D65", "observer": 10, "geometry": "sci"}
 
@@ -26,6 +27,18 @@ def test_the_index_does_not_count_where_the_specular_was_excluded() -> None:
     without = ingest(LAB)
     np.testing.assert_array_equal(excluded["total_reflectance"], without["total_reflectance"])
     assert (excluded.attrs["geometry"], without.attrs["geometry"]) == ("sce", "sci")
+
+
+def test_a_measured_black_is_judged_by_the_index_of_each_wavelength(tmp_path: Path) -> None:
+    index = refractive_index("PC")
+    wavelength = np.arange(400, 701, 10)
+    specular = fresnel(np.cos(np.radians(8)), interpolate_index(index, wavelength)[0]).mean
+    path = tmp_path / "r.txt"
+    spec = {"file": "r.txt", "geometry": "sci", "scale": "fraction"}
+    for above, expected in ((1e-4, False), (-1e-4, True)):
+        rows = zip(wavelength, specular + above, strict=True)
+        path.write_text("".join(f"{nm} {r:.8f}\n" for nm, r in rows), encoding="ascii")
+        assert any("Specular excluded?" in each for each in warnings(ingest(spec, path, index))) == expected
 
 
 def test_the_incidence_is_8_degree_unless_said() -> None:

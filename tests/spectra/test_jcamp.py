@@ -104,3 +104,11 @@ def test_several_blocks_are_samples(tmp_path: Path) -> None:
     path.write_text("".join(blocks), encoding="ascii")
     assert (read_spectrum(path, geometry="sci", sample="two")["total_reflectance"] == 0.25).all()
     np.testing.assert_array_equal(read_spectrum(path, geometry="sci", sample=1)["wavelength"], np.arange(400, 701, 10))
+
+
+def test_a_file_of_another_format_is_told_by_the_key_that_names_the_format(tmp_path: Path) -> None:
+    path = tmp_path / "a.qtx"
+    path.write_text("[STANDARD_DATA 0]\nSTD_NAME=a\n", encoding="ascii")
+    with pytest.raises(InputError, match="no table of JCAMP-DX") as refusal:
+        read_spectrum(path, geometry="sci", format="jcamp")
+    assert refusal.value.key == "spectrum.format"

@@ -8,12 +8,14 @@ import signal
 import threading
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.spectra import colorimetry, mixing
 
 VIEW = {"illuminant": "D65", "observer": 10}
@@ -165,12 +167,103 @@ def test_a_checkpoint_that_is_damaged_or_of_another_search_is_ignored(tmp_path: 
 def test_a_request_to_stop_accepts_the_best_so_far(tmp_path: Path) -> None:
     asked = iter([False, False, True])
     found = mixing.search(RED, **VIEW, threshold=1e-9, stop=lambda: next(asked))
-    assert (found.ended, found.tried) == ("stopped", 8192)
-    checkpoint = tmp_path / "best.json"
+    assert (found.ended, found.tried) == ("stopped", 3 * 4096)
+    checkpoint, request = tmp_path / "best.json", tmp_path / "best.json.stop"
+    found = mixing.search(RED, **VIEW, threshold=1e-9, checkpoint=checkpoint, stop=lambda: bool(request.touch()))
+    assert (found.ended, found.tried) == ("stopped", 4096)
+    assert found.delta_e < 30
+    assert not request.exists()
+
+
+def test_a_request_from_before_the_search_is_removed_and_stops_nothing(tmp_path: Path) -> None:
     request = tmp_path / "best.json.stop"
     request.touch()
-    assert mixing.search(RED, **VIEW, threshold=1e-9, checkpoint=checkpoint).ended == "stopped"
+    found = mixing.search(RED, **VIEW, threshold=3.0, checkpoint=tmp_path / "best.json")
+    assert found.ended == "threshold"
     assert not request.exists()
+
+
+def test_a_colour_infinitely_far_from_all_mixtures_is_refused() -> None:
+    with pytest.raises(BrdfpipeError, match="no mixture has a finite ΔE"):
+        mixing.search([50.0, np.nan, 0.0], **VIEW)
+
+
+@pytest.mark.parametrize("method", mixing.SEARCHES)
+def test_a_search_at_its_limit_goes_on_as_far_again(tmp_path: Path, method: str) -> None:
+    options = {**VIEW, "method": method, "threshold": 1e-12, "limit": 8192, "checkpoint": tmp_path / "best.json"}
+    first, second = mixing.search(RED, **options), mixing.search(RED, **options)
+    assert (first.ended, second.ended) == ("limit", "limit")
+    assert (first.tried, second.tried) == (8192, 16384)
+    assert second.delta_e <= first.delta_e
+    if method == "random4":
+        assert second.delta_e == mixing.search(RED, **VIEW, threshold=1e-12, limit=16384).delta_e
+
+
+def test_a_search_killed_on_its_way_to_the_limit_ends_where_it_would_have_ended(tmp_path: Path) -> None:
+    options = {**VIEW, "threshold": 1e-12, "limit": 40_000, "seed": 5}
+    whole = mixing.search(RED, **options)
+    with pytest.raises(_Killed):
+        mixing.search(RED, **options, checkpoint=tmp_path / "best.json", stop=_killer(3))
+    resumed = mixing.search(RED, **options, checkpoint=tmp_path / "best.json")
+    assert (resumed.tried, resumed.delta_e, resumed.ended) == (whole.tried, whole.delta_e, "limit")
+
+
+def _stopped(checkpoint: Path, threshold: float = 1e-9) -> dict[str, Any]:
+    mixing.search(RED, **VIEW, threshold=threshold, checkpoint=checkpoint, stop=lambda: True)
+    kept: dict[str, Any] = json.loads(checkpoint.read_text(encoding="utf-8"))
+    return kept
+
+
+def test_another_threshold_is_another_search(tmp_path: Path) -> None:
+    checkpoint = tmp_path / "best.json"
+    _stopped(checkpoint)
+    found = mixing.search(RED, **VIEW, threshold=60.0, checkpoint=checkpoint, stop=lambda: True)
+    assert found.tried == 4096
+    assert not checkpoint.exists()
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (0, -3),
+        (0, 0),
+        (0, 1.5),
+        (0, 10**30),
+        (1, [0.1, 0.2]),
+        (1, [0.1, 0.2, 0.3, float("nan")]),
+        (1, [5.0, 0.0, 0.0, 0.0]),
+        (1, [1.0, 1.0, 1.0, 1.0]),
+        (1, [0.1, 0.2, 0.3, 0.4]),
+        (2, 0.0),
+        (2, float("nan")),
+        (2, "near"),
+        (3, 0.0),
+        (3, float("inf")),
+        (4, 7),
+        (4, None),
+    ],
+)
+def test_a_damaged_state_is_not_trusted(tmp_path: Path, place: int, value: object) -> None:
+    checkpoint = tmp_path / "best.json"
+    kept = _stopped(checkpoint)
+    kept["state"][place] = value
+    checkpoint.write_text(json.dumps(kept), encoding="utf-8")
+    found = mixing.search(RED, **VIEW, threshold=1e-9, checkpoint=checkpoint, stop=lambda: True)
+    # From the start; a state taken up would have a block more.
+    assert found.tried == 4096
+
+
+def test_a_floor_may_differ_between_wavelengths() -> None:
+    table, basis = colorimetry.weights(**VIEW), colorimetry.basis()[1]
+    floor, w = np.linspace(0.06, 0.04, 85), np.array([0.3, 0.2, 0.1, 0.2])
+    truth = floor + (1 - floor) * (w @ basis)
+    found = mixing.closed_form(truth @ table.weights, **VIEW, floor=floor)
+    assert found.reached.all()
+    assert (found.reflectance >= floor).all()
+    assert found.reflectance @ table.weights == pytest.approx((truth @ table.weights)[None], abs=1e-9)
+    lab = colorimetry.xyz_to_lab(truth @ table.weights, table.white)
+    assert mixing.search(lab, **VIEW, method="adaptive4", threshold=1e-4, floor=floor).ended == "threshold"
+    assert colorimetry.delta_e_ab(mixing.nearest(lab, **VIEW, floor=floor), lab) < 1e-2
 
 
 def test_an_interrupt_accepts_the_best_so_far_and_gives_the_signal_back() -> None:

@@ -251,6 +251,107 @@ def test_an_unnamed_third_column_is_an_uncertainty_only_when_asked(read) -> None
     assert (read(rows, column=2, uncertainty=3)["total_reflectance_u"] == 0.01).all()
 
 
+def three(title: str, doubt: str, unit: str = "[%]", value: float = 30) -> str:
+    return f"nm;R {unit};{title}\n" + "".join(f"{nm};{value:g};{doubt}\n" for nm in range(400, 701, 20))
+
+
+@pytest.mark.parametrize(
+    "title",
+    [
+        "u",
+        "u_R [%]",
+        "R_std",
+        "R std [%]",
+        "Standardabweichung",
+        "Messunsicherheit [%]",
+        "sigma",
+        "σ(R)",
+        "sd",
+        "std. dev.",
+    ],
+)
+def test_a_title_that_begins_or_ends_with_a_word_for_it_is_an_uncertainty(read, title: str) -> None:
+    assert read(three(title, "0.6"))["total_reflectance_u"].values == pytest.approx(0.006)
+
+
+@pytest.mark.parametrize(
+    "titles", ["coated %;uncoated %", "red %;understated %", "BAT;STD", "STD;BAT", "R %;Stdlib", "R %;errant"]
+)
+def test_a_word_that_only_starts_like_one_is_another_sample(read, titles: str) -> None:
+    text = f"nm;{titles}\n" + "".join(f"{nm};60;25\n" for nm in range(400, 701, 20))
+    spectrum = read(text, scale="percent")
+    assert "total_reflectance_u" not in spectrum
+    assert spectrum["total_reflectance"].values == pytest.approx(0.6)
+    assert "not used: column 3" in warnings(spectrum)[0]
+
+
+@pytest.mark.parametrize("title", ["U (k=2) [%]", "U_R [%], k = 2", "2σ [%]", "2 sigma [%]"])
+def test_an_expanded_uncertainty_is_divided_by_its_coverage_factor(read, title: str) -> None:
+    spectrum = read(three(title, "0.6"))
+    assert spectrum["total_reflectance_u"].values == pytest.approx(0.003)
+    assert "over k = 2" in spectrum.attrs["history"]
+    assert warnings(spectrum) == []
+
+
+@pytest.mark.parametrize(
+    ("title", "unit", "doubt", "why"),
+    [
+        ("U", "[%]", "0.6", "expanded by a factor"),
+        ("U (95 %)", "[%]", "0.6", "expanded by a factor"),
+        ("relative u [%]", "[%]", "0.6", "relative to the reflectance"),
+        ("u_rel", "[%]", "0.6", "relative to the reflectance"),
+        ("u [% of R]", "[%]", "0.6", "relative to the reflectance"),
+        ("u [%]", "[0-1]", "0.6", "may be relative"),
+        ("std² [%]", "[%]", "0.6", "a variance"),
+        ("variance", "[%]", "0.6", "a variance"),
+        ("u [%]", "[%]", "-0.6", "16 values are negative, the first in line 2"),
+    ],
+)
+def test_what_is_no_absolute_standard_uncertainty_is_not_taken_for_one(
+    read, title: str, unit: str, doubt: str, why: str
+) -> None:
+    text = three(title, doubt, unit, 0.3 if unit == "[0-1]" else 30)
+    spectrum = read(text)
+    assert "total_reflectance_u" not in spectrum
+    (warning,) = warnings(spectrum)
+    assert why in warning
+    assert "as in `U (k=2)`" in warning
+    with pytest.raises(InputError, match="is no standard uncertainty") as refusal:
+        read(text, uncertainty=3)
+    assert refusal.value.key == "spectrum.uncertainty"
+
+
+def test_an_uncertainty_without_a_unit_beside_percent_is_taken_in_percent_and_asked_about(read) -> None:
+    spectrum = read(three("u", "0.6"))
+    assert spectrum["total_reflectance_u"].values == pytest.approx(0.006)
+    assert "Write `u [%]` or `u [1]`" in warnings(spectrum)[0]
+    fraction = read(three("u [1]", "0.006"))
+    assert fraction["total_reflectance_u"].values == pytest.approx(0.006)
+    assert warnings(fraction) == warnings(read(three("u [%]", "0.6"))) == []
+
+
+def test_a_missing_uncertainty_is_told_with_its_wavelengths(read) -> None:
+    spectrum = read(three("u [%]", "0.6").replace("500;30;0.6", "500;30;-9999"))
+    assert np.isnan(spectrum["total_reflectance_u"].sel(wavelength=500))
+    assert "missing at 1 wavelengths from 500 to 500 nm" in warnings(spectrum)[0]
+
+
+def test_a_relative_humidity_is_no_unit_of_reflectance(read) -> None:
+    text = "# refl. measured at 45 %RH\nnm;R\n" + "".join(f"{nm};0.5\n" for nm in range(400, 701, 20))
+    with pytest.raises(InputError, match="scale is unclear"):
+        read(text)
+    assert float(read(text, scale="fraction")["total_reflectance"][0]) == 0.5
+
+
+@pytest.mark.parametrize("line", ["refl. in %", "scale: 0-100 %", "%R", "reflectance 100% white"])
+def test_a_header_in_percent_above_what_may_be_fractions_is_doubted(read, line: str) -> None:
+    text = f"# {line}\nnm;R\n" + "".join(f"{nm};0.5\n" for nm in range(400, 701, 20))
+    spectrum = read(text)
+    assert float(spectrum["total_reflectance"][0]) == 0.005
+    assert "set `spectrum.scale: fraction`" in warnings(spectrum)[0]
+    assert warnings(read(text, scale="percent")) == []
+
+
 @pytest.mark.parametrize("column", [0, 1, 5, -1, "green", "nm", True, 2.0])
 def test_a_column_that_is_not_there_is_refused_with_those_that_are(read, column: object) -> None:
     with pytest.raises(InputError, match=r"no such column.*accepted: 2 to 4, or one of red, blue, std") as refusal:

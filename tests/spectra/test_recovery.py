@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brdfpipe.errors import InputError
-from brdfpipe.optics import fresnel
-from brdfpipe.spectra import colorimetry, metamerism, recover
+from brdfpipe.optics import fresnel, interpolate_index, refractive_index
+from brdfpipe.spectra import colorimetry, metamerism, mixing, recover
 from brdfpipe.spectra.recovery import METHODS, largest_chroma, lhtss, nearest_colour
 from brdfpipe.store import save_dataset
 from brdfpipe.vocabulary import validate
@@ -239,6 +239,50 @@ def test_the_nearest_colour_is_reachable_and_no_spectrum_of_many_is_nearer(lab: 
     assert apart < colorimetry.delta_e_ab(limits, lab).min() * 1.03 + 0.5
 
 
+@pytest.mark.parametrize(
+    ("lab", "observer", "least"),
+    # The least ΔE of a descent that goes on until ΔE² falls by less than 1e-14 of itself.
+    [
+        ([82.77025938, -53.37459378, 130.05765151], 10, 4.027),
+        ([30.319, -122.486, -19.352], 10, 13.359),
+        ([30.319, -122.486, -19.352], 2, 12.55),
+    ],
+)
+def test_the_nearest_colour_is_the_nearest(lab: list[float], observer: int, least: float) -> None:
+    near = nearest_colour(lab, illuminant="D65", observer=observer)
+    assert least - 0.005 < colorimetry.delta_e_ab(near, lab) < least + 0.02
+
+
+@pytest.mark.parametrize("method", ["lhtss", "basis4"])
+def test_a_dispersive_surface_alone_is_the_limit_at_every_wavelength(method: str) -> None:
+    index = refractive_index("PC")
+    table = colorimetry.weights("D65", 10)
+    n, _ = interpolate_index(index, table.wavelength)
+    specular = fresnel(np.cos(np.radians(8)), n).mean
+    # A trace of black beneath, or the colour would be on the very limit.
+    lab = colorimetry.xyz_to_lab((specular + 1e-6) @ table.weights, table.white)
+    spectrum = recover(lab, illuminant="D65", observer=10, method=method, specular_index=index)
+    assert spectrum["total_reflectance"].values == pytest.approx(specular, abs=1e-4)
+    assert (spectrum["total_reflectance"] >= specular).all()
+    assert spectrum.attrs["residual_delta_e"] < 1e-6
+    assert spectrum.attrs["specular_index"] == pytest.approx(1.585, abs=0.005)
+    with pytest.raises(
+        InputError, match=r"0\.04\d\d to 0\.0\d\d\d, the specular reflectance of index 1\.5\d+ to 1\.\d+;"
+    ):
+        recover([10, 0, 0], illuminant="D65", observer=10, specular_index=index)
+
+
+def test_colours_near_the_limit_of_all_reflectances_are_recovered() -> None:
+    table = colorimetry.weights("D65", 10)
+    rng = np.random.default_rng(5)
+    first, width = rng.uniform(380, 600, (300, 1)), rng.uniform(30, 150, (300, 1))
+    band = ((table.wavelength >= first) & (table.wavelength <= first + width)).astype(float)
+    xyz = (0.01 + 0.98 * np.concatenate([band, 1 - band])) @ table.weights
+    found = lhtss(xyz, illuminant="D65", observer=10)
+    assert found.reached.all()
+    assert found.reflectance @ table.weights == pytest.approx(xyz, abs=1e-8)
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("index", [None, 1.55])
 def test_every_method_reaches_the_colour_above_its_floor(method: str, index: float | None) -> None:
@@ -263,12 +307,25 @@ def test_a_colour_no_mixture_has_is_refused_with_the_nearest(method: str, lab: l
     assert refusal.value.key == "spectrum.method"
 
 
-def test_a_search_that_does_not_reach_its_threshold_is_warned_about(tmp_path: Path) -> None:
+def test_a_search_that_does_not_reach_its_threshold_is_warned_about_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint = tmp_path / "best.json"
+    monkeypatch.setitem(mixing.LIMIT, "random4", 8192)
+    options = {"illuminant": "D65", "observer": 10, "method": "random4", "threshold": 1e-6, "checkpoint": checkpoint}
+    spectrum = recover([50, 20, 10], **options)
+    assert "ended after 8192 mixtures" in told(spectrum)[0]
+    assert spectrum.attrs["residual_delta_e"] < 20
+    assert recover([50, 20, 10], **options).attrs["tried"] == 16384
+
+
+def test_a_forgotten_request_to_stop_gives_no_black_spectrum(tmp_path: Path) -> None:
     (tmp_path / "best.json.stop").touch()
     spectrum = recover(
-        [50, 20, 10], illuminant="D65", observer=10, method="random4", threshold=1e-6, checkpoint=tmp_path / "best.json"
+        [50, 20, 10], illuminant="D65", observer=10, method="random4", threshold=3.0, checkpoint=tmp_path / "best.json"
     )
-    assert "was stopped on request" in told(spectrum)[0]
+    assert told(spectrum) == []
+    assert spectrum.attrs["residual_delta_e"] < 3
 
 
 @pytest.mark.parametrize(
@@ -310,3 +367,15 @@ def test_a_recovered_spectrum_says_what_the_other_exact_method_would_have_change
         )
     assert lhtss_attrs["metamerism_against"] == "basis4"
     assert "metamerism_A" not in recover([70, -55, -45], illuminant="D65", observer=10).attrs
+
+
+def test_a_method_that_does_not_reach_a_colour_is_left_out_of_the_comparison_and_named() -> None:
+    found = metamerism([70, -55, -45], illuminant="D65", observer=10, methods=("basis4", "lhtss"))
+    assert found["recovery"].values.tolist() == found["other"].values.tolist() == ["lhtss"]
+    (reason,) = told(found)
+    assert reason.startswith("basis4 was left out: ")
+    assert "no mixture of the four basis spectra" in reason
+    with pytest.raises(InputError, match="no mixture"):
+        metamerism([70, -55, -45], illuminant="D65", observer=10, methods=("basis4",))
+    with pytest.raises(InputError, match="unknown method"):
+        metamerism([40, 20, 10], illuminant="D65", observer=10, methods=("lhtss", "lhtts"))

@@ -1,17 +1,15 @@
 from pathlib import Path
 
-from brdfpipe import optics, spectra, store
+from brdfpipe import spectra, store
 
 
 def main(input, output, params):
     """Total reflectance spectrum: measured, or recovered from a colour."""
     inputs = {name: Path(path) for name, path in input.items() if name == "raw"}
-    n = None
     if "index" in input:
         inputs["index"] = store.open_dataset(input["index"], "index")
-        n = optics.interpolate_index(inputs["index"], [589.3])[0].item()
     search = Path(output["spectrum"]).with_name("spectrum.search.json")
-    spectrum = spectra.ingest(params["spec"], inputs.get("raw"), n, checkpoint=search)
+    spectrum = spectra.ingest(params["spec"], inputs.get("raw"), inputs.get("index"), checkpoint=search)
     store.save_dataset(
         spectrum,
         output["spectrum"],

@@ -9,9 +9,17 @@ from typing import Any
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.colour import GEOMETRIES, TOTAL, colour, flop_index
-from brdfpipe.appearance.gloss import gloss, gloss_with_uncertainty
-from brdfpipe.appearance.haze import WINDOWS, HazeWindow, reflectance_haze
+from brdfpipe.appearance.colour import (
+    ANGLE_TOLERANCE,
+    GEOMETRIES,
+    TOTAL,
+    colour,
+    colour_quality,
+    colour_uncertainty,
+    flop_index,
+)
+from brdfpipe.appearance.gloss import gloss, gloss_and_haze, gloss_with_uncertainty
+from brdfpipe.appearance.haze import WINDOWS, HazeWindow, reflectance_haze, reflectance_haze_with_uncertainty
 from brdfpipe.appearance.prediction import colour_difference, predicted_colours
 from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
 from brdfpipe.bsdf import representations
@@ -20,12 +28,15 @@ __all__ = [
     "appraise",
     "colour",
     "colour_difference",
+    "colour_uncertainty",
     "flop_index",
     "gloss",
+    "gloss_and_haze",
     "gloss_with_uncertainty",
     "luminous_transmittance",
     "predicted_colours",
     "reflectance_haze",
+    "reflectance_haze_with_uncertainty",
     "transmission_haze",
 ]
 
@@ -51,9 +62,9 @@ def appraise(
 
     Returns
     -------
-    Dataset of kind ``appearance``: gloss with ``gloss_u`` (what the tolerances of instruments leave), haze (G60 − G20, NaN without
-        both), reflectance haze by window, L*a*b* of the total reflectance and of single
-        geometries, flop index, luminous reflectance, and the sRGB colour of the total reflectance (2° observer, D65).
+    Dataset of kind ``appearance``: gloss, haze (G60 − G20, NaN without both), reflectance haze by window, L*a*b* of the total
+        reflectance and of single geometries, flop index, each with ``<name>_u``, what the tolerances of instruments leave; where the
+        BSDF rests on measured angles ``lab_quality``, which tells what is extrapolated; luminous reflectance, and the sRGB colour of the total reflectance (2° observer, D65).
         Of a surface with a lay these are means over the azimuth of the plane of incidence, and ``gloss_along``, ``gloss_across``,
         ``lab_along``, ``lab_across`` tell of planes along the azimuth ``lay`` and across it. Of a material that transmits,
         ``luminous_transmittance`` and ``transmission_haze`` (D1003-style) at normal incidence. Of a paint whose clear coat is not
@@ -62,28 +73,35 @@ def appraise(
     """
     from brdfpipe.spectra import colorimetry
 
-    units, units_u = gloss_with_uncertainty(bsdf, gloss_angles)
-    lab = colour(bsdf, [*GEOMETRIES, *geometries], illuminant, observer)
+    seen_at = [*GEOMETRIES, *geometries]
+    lab = colour(bsdf, seen_at, illuminant, observer)
     wavelength, total = representations.total_reflectance(bsdf)
-    by_angle = dict(zip(units["gloss_angle"].values.tolist(), units.values.tolist(), strict=True))
     lightness = [float(lab.sel(geometry=f"45as{angle}", component="L*")) for angle in (15, 45, 110)]
     flop = flop_index(*lightness)
     seen = colorimetry.luminous_weight(wavelength)
     appearance = xr.Dataset(
         {
-            "gloss": units,
-            "gloss_u": units_u,
-            "haze": by_angle.get(60.0, float("nan")) - by_angle.get(20.0, float("nan")),
+            **gloss_and_haze(bsdf, gloss_angles).data_vars,
             "lab": lab,
+            **colour_uncertainty(bsdf, seen_at, illuminant, observer).data_vars,
             "flop_index": flop,
             "luminous_reflectance": float(seen @ total / seen.sum()),
             "srgb": ("channel", colorimetry.reflectance_to_srgb(wavelength, total)),
         },
         coords={"channel": ["R", "G", "B"]},
-        attrs={"illuminant": illuminant, "observer": observer, "total_geometry": TOTAL},
+        attrs={
+            "illuminant": illuminant,
+            "observer": observer,
+            "total_geometry": TOTAL,
+            "angle_tolerance": ANGLE_TOLERANCE,
+        },
     )
+    if math.isnan(flop):
+        appearance["flop_index_u"] = appearance["flop_index_u"].copy(data=float("nan"))
+    if (flags := colour_quality(bsdf, seen_at)) is not None:
+        appearance["lab_quality"] = flags
     if haze:
-        appearance["reflectance_haze"] = reflectance_haze(bsdf, haze)
+        appearance["reflectance_haze"], appearance["reflectance_haze_u"] = reflectance_haze_with_uncertainty(bsdf, haze)
     if not representations.isotropic(bsdf):
         appearance = appearance.assign(_along_and_across(bsdf, illuminant, observer, gloss_angles, geometries))
     if representations.transmits(bsdf):
@@ -111,7 +129,7 @@ def _without_coat(bsdf: xr.Dataset) -> str:
 def _commented(appearance: xr.Dataset, why: str) -> xr.Dataset:
     noted = {
         name: appearance[name].assign_attrs(comment="of the flakes alone: no clear coat is modelled")
-        for name in ("gloss", "gloss_u", "haze", "reflectance_haze")
+        for name in ("gloss", "gloss_u", "haze", "haze_u", "reflectance_haze", "reflectance_haze_u")
         if name in appearance
     }
     return appearance.assign(noted).assign_attrs(no_gloss=why)

@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import representations
-from brdfpipe.flakes.geometries import SETS, Directions, named
+from brdfpipe.flakes.geometries import SETS, Directions, named, refuse_mixed_signs
+from brdfpipe.geometry import Array, angles_of
 from brdfpipe.spectra import colorimetry
 
 TOTAL = "8:total"
@@ -18,7 +20,18 @@ TOTAL = "8:total"
 GEOMETRIES = ("45:0", *SETS["E2194"])
 """Single geometries that every material is appraised at: 45:0, and the three of ASTM E2194."""
 
+ANGLE_TOLERANCE = 0.5
+"""± of the directions of light and of view of a multi-angle instrument, in the plane of incidence and across it [degree].
+
+Assumed: no public source states what ASTM E2194, E2539 or DIN 6175-2 allow. Apertures are not averaged over."""
+
+_STEPS = ((-ANGLE_TOLERANCE, 0.0), (ANGLE_TOLERANCE, 0.0), (0.0, -ANGLE_TOLERANCE), (0.0, ANGLE_TOLERANCE))
+"""Along θ, then across it [degree]."""
 _ALL_ROUND = np.arange(0.0, 360.0, 1.0)
+
+_GRAZING = 89.999
+BLACK = 0.1
+"""Lightness below which a colour is taken for black: ten times the spread of good instruments on a black tile."""
 
 _ROUNDING = 1e-9
 """Differences of lightness that a perfect diffuser shows by rounding."""
@@ -61,33 +74,153 @@ def colour(
     """
     vocabulary.validate(bsdf, "bsdf")
     wavelength, total = representations.total_reflectance(bsdf)
-    turns = _ALL_ROUND if azimuth is None and not representations.isotropic(bsdf) else np.array([azimuth or 0.0])
     places = _places(geometries)
-    at = np.array([list(place) for place in places.values()], dtype=float).reshape(-1, 4).T[:, :, None]
-    module = representations.representation(bsdf)
-    theta_i, phi_i, theta_o, phi_o = np.broadcast_arrays(at[0], at[1] + turns, at[2], at[3] + turns)
-    brdf = module.evaluate(bsdf, theta_i, phi_i, theta_o, phi_o, None).mean(axis=1)
-    factors = np.concatenate([total[None], np.broadcast_to(np.pi * brdf, (brdf.shape[0], wavelength.size))])
     white = colorimetry.weights(illuminant, observer).white
+    sphere = colorimetry.reflectance_to_xyz(wavelength, total, illuminant, observer)
+    single = _lab(bsdf, _angles(places), illuminant, observer, azimuth)
+    return _named(np.concatenate([colorimetry.xyz_to_lab(sphere, white)[None], single]), [TOTAL, *places], "lab")
+
+
+def colour_uncertainty(
+    bsdf: xr.Dataset,
+    geometries: Sequence[str] | Mapping[str, tuple[float, float, float]] = GEOMETRIES,
+    illuminant: str = "D65",
+    observer: int = 10,
+) -> xr.Dataset:
+    """Standard uncertainties that :data:`ANGLE_TOLERANCE` of an instrument leaves of its colours and of the flop index.
+
+    The directions of light and of view are each off in the plane of incidence and across it, four independent rectangular
+    distributions of their half range over √3. One light serves all geometries of a flop index; each has a view of its own. That
+    the BSDF itself is uncertain is not part of it.
+
+    Parameters
+    ----------
+    bsdf, geometries, illuminant, observer : as of :func:`colour`
+
+    Returns
+    -------
+    ``lab_u(geometry, component)`` [1], NaN of the total reflectance, which is no single geometry; and ``flop_index_u`` [1], NaN where
+        the three geometries of E2194 are not among them or there is no index
+    """
+    places = _places(geometries)
+    theta_i, phi_i, theta_o, phi_o = _angles(places)
+    moved = [
+        *((*_turned(theta_i, phi_i, *step), theta_o, phi_o) for step in _STEPS),
+        *((theta_i, phi_i, *_turned(theta_o, phi_o, *step)) for step in _STEPS),
+    ]
+    at = [np.concatenate(each) for each in zip(*moved, strict=True)]
+    labs = _lab(bsdf, at, illuminant, observer, None).reshape(4, 2, len(places), 3)
+    ranges = (labs[:, 1] - labs[:, 0]) / 2
+    u = np.concatenate([np.full((1, 3), np.nan), np.sqrt(np.sum(ranges**2, axis=0) / 3)])
+    found = xr.Dataset({"lab_u": _named(u, [TOTAL, *places], "lab_u")})
+    flop = _flop_uncertainty(bsdf, places, ranges[..., 0], illuminant, observer)
+    attrs = {"units": "1", "long_name": "standard uncertainty of the flop index, from tolerances"}
+    return found.assign(flop_index_u=((), flop, attrs))
+
+
+def _flop_uncertainty(
+    bsdf: xr.Dataset, places: Mapping[str, Directions], ranges: Array, illuminant: str, observer: int
+) -> float:
+    """Of half the ranges of L*, (tolerances, geometries)."""
+    names = list(places)
+    if not set(SETS["E2194"]) <= set(names):
+        return float("nan")
+    chosen = [names.index(name) for name in SETS["E2194"]]
+    three = [axis[chosen] for axis in _angles(places)]
+    lightness = _lab(bsdf, three, illuminant, observer, None)[:, 0]
+    half = ranges[:, chosen]
+    views = [half[k] * one for k in (2, 3) for one in np.eye(3)]
+    ends = [[flop_index(*(lightness + sign * change)) for sign in (-1, 1)] for change in (*half[:2], *views)]
+    known = np.array(ends)
+    # Where a perfect diffuser's fall is 0 and turns negative by a hair, the index ends.
+    return float(np.sqrt(np.sum((np.diff(known, axis=1) / 2) ** 2) / 3)) if np.isfinite(known).all() else float("nan")
+
+
+def _turned(theta: Array, phi: Array, along: float, across: float) -> tuple[Array, Array]:
+    """Directions turned along their meridian or across it; never below the surface."""
+    polar, azimuth = np.radians(theta), np.radians(phi)
+    sin, cos = np.sin(polar), np.cos(polar)
+    up = np.stack([sin * np.cos(azimuth), sin * np.sin(azimuth), cos], axis=-1)
+    down = np.stack([cos * np.cos(azimuth), cos * np.sin(azimuth), -sin], axis=-1)
+    beside = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], axis=-1)
+    a, b = np.radians(along), np.radians(across)
+    found = angles_of(up * np.cos(a) * np.cos(b) + down * np.sin(a) + beside * np.sin(b))
+    return np.minimum(found[0], _GRAZING), np.asarray(found[1])
+
+
+def quality(bsdf: xr.Dataset, geometries: Mapping[str, Directions]) -> NDArray[np.int8] | None:
+    """Whether geometries lie among what was measured, a value of ``QUALITY_FLAGS`` each; None of a BSDF that rests on a model.
+
+    Of a surface with a lay, the worst of all azimuths.
+    """
+    module = representations.representation(bsdf)
+    if not hasattr(module, "quality"):
+        return None
+    turns = np.array([0.0]) if representations.isotropic(bsdf) else _ALL_ROUND
+    return np.asarray(module.quality(bsdf, *_around(_angles(geometries), turns)).max(axis=1), dtype=np.int8)
+
+
+def colour_quality(
+    bsdf: xr.Dataset, geometries: Sequence[str] | Mapping[str, tuple[float, float, float]] = GEOMETRIES
+) -> xr.DataArray | None:
+    """``lab_quality(geometry)`` of the colours of :func:`colour`; None of a BSDF that rests on a model.
+
+    The total reflectance takes in directions that were not measured: it is completed.
+    """
+    places = _places(geometries)
+    flags = quality(bsdf, places)
+    if flags is None:
+        return None
+    total = np.concatenate([[vocabulary.quality("completed")], flags]).astype(np.int8)
+    return xr.DataArray(total, {"geometry": [TOTAL, *places]}, ("geometry",), "lab_quality")
+
+
+def _lab(bsdf: xr.Dataset, at: Sequence[Array], illuminant: str, observer: int, azimuth: float | None) -> Array:
+    """L*a*b* of directions θ_i, φ_i, θ_o and φ_o, (directions, 3)."""
+    turns = _ALL_ROUND if azimuth is None and not representations.isotropic(bsdf) else np.array([azimuth or 0.0])
+    brdf = representations.representation(bsdf).evaluate(bsdf, *_around(at, turns), None).mean(axis=1)
+    wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else np.array([360.0, 780.0])
+    factors = np.broadcast_to(np.pi * brdf, (brdf.shape[0], wavelength.size))
     xyz = colorimetry.reflectance_to_xyz(wavelength, factors, illuminant, observer)
+    return np.asarray(colorimetry.xyz_to_lab(xyz, colorimetry.weights(illuminant, observer).white))
+
+
+def _around(at: Sequence[Array], turns: Array) -> tuple[Array, Array, Array, Array]:
+    """Directions turned about the normal, (directions, turns)."""
+    theta_i, phi_i, theta_o, phi_o = (axis[:, None] for axis in at)
+    around = np.broadcast_arrays(theta_i, phi_i + turns, theta_o, phi_o + turns)
+    return around[0], around[1], around[2], around[3]
+
+
+def _angles(places: Mapping[str, Directions]) -> tuple[Array, Array, Array, Array]:
+    theta_i, phi_i, theta_o, phi_o = np.array([list(place) for place in places.values()], dtype=float).reshape(-1, 4).T
+    return theta_i, phi_i, theta_o, phi_o
+
+
+def _named(values: Array, names: Sequence[str], name: str) -> xr.DataArray:
     quantity = vocabulary.QUANTITIES["lab"]
+    title = quantity.long_name if name == "lab" else f"standard uncertainty of {quantity.long_name}, from tolerances"
     return xr.DataArray(
-        colorimetry.xyz_to_lab(xyz, white),
+        values,
         dims=("geometry", "component"),
-        coords={"geometry": [TOTAL, *places], "component": ["L*", "a*", "b*"]},
-        name="lab",
-        attrs={"units": quantity.units, "long_name": quantity.long_name},
+        coords={"geometry": list(names), "component": ["L*", "a*", "b*"]},
+        name=name,
+        attrs={"units": quantity.units, "long_name": title},
     )
 
 
 def _places(geometries: Sequence[str] | Mapping[str, tuple[float, float, float]]) -> dict[str, Directions]:
     if isinstance(geometries, Mapping):
         return {name: Directions(theta_i, 0.0, theta_o, phi) for name, (theta_i, theta_o, phi) in geometries.items()}
+    refuse_mixed_signs(geometries)
     return {name: place for each in geometries for name, place in named(each).items()}
 
 
 def flop_index(lab15: float, lab45: float, lab110: float) -> float:
     """Flop index 2.69 (L15 − L110)^1.11 / L45^0.86 of the lightness at 15, 45 and 110° aspecular; NaN where it is not defined.
+
+    It is not where the paint brightens towards 110°, nor where it is black at 45°, with a lightness below :data:`BLACK`: a ratio to
+    what no instrument tells from nought.
 
     References
     ----------
@@ -95,6 +228,6 @@ def flop_index(lab15: float, lab45: float, lab110: float) -> float:
     metallic, but not the constants.
     """
     fall = lab15 - lab110
-    if not fall >= -_ROUNDING or not lab45 > 0:
+    if not fall >= -_ROUNDING or not lab45 >= BLACK:
         return float("nan")
     return float(2.69 * max(fall, 0.0) ** 1.11 / lab45**0.86)

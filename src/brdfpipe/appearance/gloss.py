@@ -57,6 +57,8 @@ AXIS_TOLERANCE = 0.1
 
 _AXES = (-AXIS_TOLERANCE, AXIS_TOLERANCE)
 _POINT, _RIM_U, _RIM_V = (Rule(points, 0) for points in ((1, 1), (1, 4), (3, 1)))
+_OWN = 4
+"""Tolerances of the receptor and the axes, the first of the six; those of the source follow."""
 _ORDER = 3
 """Points in each panel of the receptor, for an uncertainty."""
 
@@ -118,14 +120,54 @@ def gloss_with_uncertainty(
     smallest and its largest; the angle of incidence is evaluated at both ends with a point source. To 5 % of the uncertainty, and
     15 % of a lobe as narrow as the source's tolerance (a = 0.003 at 20°).
     """
+    values, ranges = _with_ranges(bsdf, angles, azimuth)
+    return _named(values, angles, "gloss"), _named(_combined(ranges), angles, "gloss_u")
+
+
+def gloss_and_haze(bsdf: xr.Dataset, angles: Sequence[float] = (20, 60, 85)) -> xr.Dataset:
+    """Gloss and the haze of D4039, with the standard uncertainties that the tolerances of conforming instruments leave.
+
+    Parameters
+    ----------
+    bsdf, angles : as of :func:`gloss`
+
+    Returns
+    -------
+    ``gloss(gloss_angle)``, ``gloss_u(gloss_angle)``, ``haze`` (G60 − G20) and ``haze_u`` [1]; haze NaN without both angles
+
+    Notes
+    -----
+    Both glosses of a haze are taken to be read by one instrument, whose source images are off by the same: what they do to the two
+    glosses cancels in part. Receptors and axes are those of each geometry and independent.
+    """
+    values, ranges = _with_ranges(bsdf, angles, None)
+    at = {float(angle): k for k, angle in enumerate(angles)}
+    haze = spread = float("nan")
+    if {20.0, 60.0} <= set(at):
+        low, high = at[20.0], at[60.0]
+        haze = values[high] - values[low]
+        own = [*ranges[low][:_OWN], *ranges[high][:_OWN]]
+        spread = float(_combined(np.concatenate([own, (ranges[high] - ranges[low])[_OWN:]])))
+    found = {"gloss": _named(values, angles, "gloss"), "gloss_u": _named(_combined(ranges), angles, "gloss_u")}
+    title = "standard uncertainty of haze G60 - G20, from tolerances"
+    return xr.Dataset(found).assign(haze=haze, haze_u=((), spread, {"units": "1", "long_name": title}))
+
+
+def _with_ranges(bsdf: xr.Dataset, angles: Sequence[float], azimuth: float | None) -> tuple[list[float], Array]:
+    """Gloss, and half its range over each of the six tolerances, (angles, tolerances)."""
     sample = _sample(bsdf, angles, azimuth)
     measured = [_measured(sample, float(angle)) for angle in angles]
     values = [float(units.mean()) for _, units in measured]
-    spreads = [
-        value * _spread(sample, float(angle), *readings)
+    ranges = [
+        value * _relative_ranges(sample, float(angle), *readings)
         for value, angle, readings in zip(values, angles, measured, strict=True)
     ]
-    return _named(values, angles, "gloss"), _named(spreads, angles, "gloss_u")
+    return values, np.array(ranges).reshape(len(values), _OWN + 2)
+
+
+def _combined(ranges: Array) -> Array:
+    """Standard uncertainty from half the ranges of rectangular distributions, which are the last axis."""
+    return np.asarray(np.sqrt(np.sum(ranges**2, axis=-1) / 3))
 
 
 def _sample(bsdf: xr.Dataset, angles: Sequence[float], azimuth: float | None) -> _Sample:
@@ -139,7 +181,7 @@ def _sample(bsdf: xr.Dataset, angles: Sequence[float], azimuth: float | None) ->
     return _Sample(reduced, azimuth, lobe_scale(reduced))
 
 
-def _named(values: Sequence[float], angles: Sequence[float], name: str) -> xr.DataArray:
+def _named(values: Sequence[float] | Array, angles: Sequence[float], name: str) -> xr.DataArray:
     quantity = vocabulary.QUANTITIES["gloss"]
     title = quantity.long_name if name == "gloss" else f"standard uncertainty of {quantity.long_name}, from tolerances"
     return xr.DataArray(
@@ -179,12 +221,12 @@ def _units(light: Source, reflected: Array) -> Array:
 # --- tolerances
 
 
-def _spread(sample: _Sample, angle: float, azimuths: Array, units: Array) -> float:
-    """Standard uncertainty from the tolerances, over the gloss; of a surface with a lay, of the mean over its azimuths."""
+def _relative_ranges(sample: _Sample, angle: float, azimuths: Array, units: Array) -> Array:
+    """Half the range over each of the six tolerances, over the gloss; of a surface with a lay, of the mean over its azimuths."""
     some = slice(-(-azimuths.size // 2))
     known = units[some].mean()
     ranges = _half_ranges(sample, angle, azimuths[some], units[some]).mean(axis=1)
-    return float(np.sqrt(np.sum(ranges**2) / 3) / known) if known > 0 else 0.0
+    return np.asarray(ranges / known if known > 0 else np.zeros_like(ranges))
 
 
 def _half_ranges(sample: _Sample, angle: float, azimuths: Array, units: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
+from brdfpipe.appearance.colour import quality
 from brdfpipe.bsdf import flake, representations
 from brdfpipe.flakes.geometries import Directions, named
 from brdfpipe.geometry import Array
@@ -30,8 +31,9 @@ def predicted_colours(
 
     Returns
     -------
-    Dataset of kind ``colours``: ``lab(geometry, component)`` and the directions; of an effect paint with
-    ``lab_quality(geometry)`` as well, which flags what lies outside the flake angles that were measured as extrapolated
+    Dataset of kind ``colours``: ``lab(geometry, component)`` and the directions; where it rests
+    on measured angles (an effect paint, a measured BRDF) with ``lab_quality(geometry)`` as well, which flags what lies outside of
+    them as extrapolated
 
     Notes
     -----
@@ -49,8 +51,8 @@ def predicted_colours(
     )
     for name, angle in zip(("theta_i", "phi_i", "theta_o", "phi_o"), at, strict=True):
         result[name] = ("geometry", angle)
-    if bsdf.attrs["representation"] == "flake":
-        result["lab_quality"] = ("geometry", flake.quality(bsdf, at[0], at[1], at[2], at[3]))
+    if (flags := quality(bsdf, places)) is not None:
+        result["lab_quality"] = ("geometry", flags)
     return vocabulary.label(result, "colours")
 
 
@@ -61,12 +63,17 @@ def colour_difference(
 
     Returns
     -------
-    DataArray ``delta_e_00(geometry)`` [1]
+    DataArray ``delta_e_00(geometry)`` [1]; with the coordinate ``lab_quality(geometry)`` where either material has one, the worse of
+    both: of a difference flagged as extrapolated nothing was measured that would bear it out
     """
-    labs = [predicted_colours(bsdf, geometries, illuminant, observer)["lab"] for bsdf in (first, second)]
-    difference = colorimetry.delta_e_00(labs[0].values, labs[1].values)
+    colours = [predicted_colours(bsdf, geometries, illuminant, observer) for bsdf in (first, second)]
+    difference = colorimetry.delta_e_00(colours[0]["lab"].values, colours[1]["lab"].values)
     attrs = {"units": "1", "long_name": "CIEDE2000 colour difference"}
-    return xr.DataArray(difference, {"geometry": labs[0]["geometry"].values}, ("geometry",), "delta_e_00", attrs)
+    coords: dict[str, object] = {"geometry": colours[0]["geometry"].values}
+    flags = [each["lab_quality"] for each in colours if "lab_quality" in each]
+    if flags:
+        coords["lab_quality"] = ("geometry", np.max([each.values for each in flags], axis=0), flags[0].attrs)
+    return xr.DataArray(difference, coords, ("geometry",), "delta_e_00", attrs)
 
 
 def _places(geometries: Geometries) -> dict[str, Directions]:

@@ -21,7 +21,7 @@ import xarray as xr
 
 from brdfpipe import optics, vocabulary
 from brdfpipe.errors import InputError, VocabularyError
-from brdfpipe.flakes.forms import FORMS, Fit, curve, fit, leave_one_out
+from brdfpipe.flakes.forms import FORMS, Fit, Form, curve, fit, leave_one_out
 from brdfpipe.flakes.refraction import flake_angle, inner_cosine, refract, steepest
 from brdfpipe.geometry import Array, half_vector
 from brdfpipe.spectra import colorimetry
@@ -35,6 +35,10 @@ _DIM = 0.01
 """Y at which the spectrum of a chromaticity is recovered: far from 1, where recovery does not depend on it."""
 _CHANCE = 1e-3
 """Probability below which a misfit is no chance."""
+_MISSED = 3.0
+"""Over its standard uncertainty, from where on the misfit of a single value is warned about."""
+_SOME_CHANCE = 0.05
+"""Probability that chance alone makes that warning, where there are so many values that 3 would be exceeded more often."""
 _POOR = 3.0
 """CIEDE2000 of the fit from a measured colour, from where on it is warned about."""
 
@@ -364,7 +368,9 @@ def _with_errors(
     fitted, left_out = found(theta_f), leave_one_out(theta_f, values, bsdf.attrs["form"], doubt)
     dims = ("geometry", "channel" if "channel" in multiangle.dims else "wavelength")
     if doubt is not None and theta_f.size > found.form.parameters:
-        bsdf = _with_chi_squared(bsdf, (fitted - values) / doubt, theta_f.size - found.form.parameters, dims[1])
+        bsdf = _with_chi_squared(bsdf, (fitted - values) / doubt, found.form, dims[1])
+    if doubt is not None:
+        bsdf = _with_misses(bsdf, np.abs(fitted - values) / doubt, found.form)
     black = np.where(values > 0, values, np.nan)
     bsdf["misfit"] = (dims, fitted / black - 1)
     bsdf["leave_one_out_misfit"] = (dims, left_out / black - 1)
@@ -375,10 +381,11 @@ def _with_errors(
     return bsdf
 
 
-def _with_chi_squared(bsdf: xr.Dataset, misfit: Array, freedom: int, across: str) -> xr.Dataset:
+def _with_chi_squared(bsdf: xr.Dataset, misfit: Array, form: Form, across: str) -> xr.Dataset:
     """Add the reduced χ² of each channel, and a warning where chance would hardly make it as large."""
     from scipy.stats import chi2
 
+    freedom = len(misfit) - form.parameters
     reduced = (misfit**2).sum(axis=0) / freedom
     words = {"units": "1", "long_name": "sum of squared misfits over their uncertainties, over the degrees of freedom"}
     bsdf["reduced_chi_squared"] = ((across,), reduced, words)
@@ -387,7 +394,26 @@ def _with_chi_squared(bsdf: xr.Dataset, misfit: Array, freedom: int, across: str
     return vocabulary.add_warning(
         bsdf,
         f"the fit misses the colours by more than their uncertainties (reduced χ² up to {reduced.max():.3g}), so that those of A, B "
-        f"and C are too small: try another `multiangle.form` ({', '.join(FORMS)}), or check the uncertainties",
+        f"and C are too small: try another `multiangle.form` ({form.others}), or check the uncertainties",
+    )
+
+
+def _with_misses(bsdf: xr.Dataset, misfit: Array, form: Form) -> xr.Dataset:
+    """Add a warning where single values are missed by far more than their uncertainties, which no degree of freedom need tell."""
+    from scipy.stats import norm
+
+    # Of hundreds of wavelengths some lie beyond 3 u by chance.
+    missed = misfit > max(_MISSED, float(norm.isf(_SOME_CHANCE / (2 * misfit.size))))
+    if not missed.any():
+        return bsdf
+    geometry, channel = np.unravel_index(int(misfit.argmax()), misfit.shape)
+    across = "channel" if "channel" in bsdf["flake_constant"].dims else "wavelength"
+    title = f"{bsdf[across].values[channel]}" if across == "channel" else f"{bsdf[across].values[channel]:g} nm"
+    return vocabulary.add_warning(
+        bsdf,
+        f"the fit misses {int(missed.sum())} of {missed.size} values by more than {_MISSED:g} standard uncertainties, {title} at "
+        f"{bsdf['geometry'].values[geometry]} by {misfit.max():.3g}: try another `multiangle.form` ({form.others}), or check the "
+        "uncertainties",
     )
 
 
@@ -415,7 +441,7 @@ def _with_warnings(bsdf: xr.Dataset, kernel: _Kernel, found: Fit, unit: float) -
     if worst > _POOR:
         name = str(bsdf["geometry"].values[int(bsdf["delta_e_00"].values.argmax())])
         sentences.append(
-            f"the fit misses the colour at {name} by ΔE00 = {worst:.1f}: try another `multiangle.form` ({', '.join(FORMS)})"
+            f"the fit misses the colour at {name} by ΔE00 = {worst:.1f}: try another `multiangle.form` ({found.form.others})"
         )
     if kernel.physical:
         share = _mirror_share(found, kernel, unit)

@@ -33,6 +33,7 @@ _STRAIGHT = 20.0
 _STEEP = 0.02
 """B over the smallest distance of two flake angles, below which nothing tells B."""
 _GRID = 48
+_STARTS = 4
 _ZOOMS, _ZOOM_NODES = 13, 17
 _ROUNDING = 1e-12
 _BLACK = 1e-12
@@ -49,6 +50,11 @@ class Form(NamedTuple):
     def parameters(self) -> int:
         return 2 * self.terms + 1
 
+    @property
+    def others(self) -> str:
+        """Names of the other forms, for advice."""
+        return ", ".join(name for name, form in FORMS.items() if form != self)
+
 
 FORMS: Mapping[str, Form] = {
     "exponential": Form(1, 1),
@@ -64,7 +70,7 @@ class Fit(NamedTuple):
     amplitude: Array
     """(terms, channels) A, in the unit of the values"""
     decay: Array
-    """(terms, channels) B [degree], rising"""
+    """(terms, channels) B [degree], rising but for terms with A = 0: they come last, and their B means nothing"""
     constant: Array
     """(channels,) C"""
     covariance: Array
@@ -230,7 +236,7 @@ def _exact(data: _Data, form: Form, name: str) -> _Curve:
     t, (first, second, third) = theta[order] ** form.power, rho[order]
     if max(first, second, third) - min(first, second, third) <= _ROUNDING * max(first, 1e-300):
         return _Curve(np.zeros(1), np.array([theta.max() - theta.min()]), float(rho.mean()))
-    _check_fall(theta[order], rho[order], name)
+    _check_fall(theta[order], rho[order], form, name)
     near, far = t[1] - t[0], t[2] - t[1]
     ratio = (first - second) / (second - third)
 
@@ -241,30 +247,35 @@ def _exact(data: _Data, form: Form, name: str) -> _Curve:
     lowest = highest * 1e-9
     if misfit(lowest) >= 0:
         raise _out_of_range(
-            "B", name, "the colour falls along a straight line or ever faster, so that B would be infinite or negative"
+            "B",
+            form,
+            name,
+            "the colour falls along a straight line or ever faster, so that B would be infinite or negative",
         )
     kappa = float(brentq(misfit, lowest, highest, xtol=1e-300, rtol=4 * np.finfo(float).eps))
     constant = third - (second - third) * np.exp(-kappa * far) / -np.expm1(-kappa * far)
     with np.errstate(over="ignore"):
         amplitude = (first - second) * np.exp(kappa * t[0]) / -np.expm1(-kappa * near)
     if not np.isfinite(amplitude):
-        raise _out_of_range("A", name, "the colour falls so fast that A would be infinite")
+        raise _out_of_range("A", form, name, "the colour falls so fast that A would be infinite")
     if constant < -max(_ROUNDING * first, _BLACK):
         words = f"the colour falls so slowly that far from the gloss it would be below black, C = {constant:.4g}"
-        raise _out_of_range("C", name, words)
+        raise _out_of_range("C", form, name, words)
     return _Curve(np.array([amplitude]), np.array([kappa ** (-1 / form.power)]), max(float(constant), 0.0))
 
 
-def _check_fall(theta: Array, rho: Array, name: str) -> None:
+def _check_fall(theta: Array, rho: Array, form: Form, name: str) -> None:
     for k in (0, 1):
         if rho[k] < rho[k + 1]:
-            raise _out_of_range("A", name, f"{_rise(theta[k], theta[k + 1])}, so that A would be negative")
+            raise _out_of_range("A", form, name, f"{_rise(theta[k], theta[k + 1])}, so that A would be negative")
     if rho[0] == rho[1]:
         raise _out_of_range(
-            "B", name, f"the colour is the same at {theta[0]:.4g} and {theta[1]:.4g} degree and falls beyond"
+            "B", form, name, f"the colour is the same at {theta[0]:.4g} and {theta[1]:.4g} degree and falls beyond"
         )
     if rho[1] == rho[2]:
-        raise _out_of_range("B", name, f"the colour does not fall from {theta[1]:.4g} degree on, so that B would be 0")
+        raise _out_of_range(
+            "B", form, name, f"the colour does not fall from {theta[1]:.4g} degree on, so that B would be 0"
+        )
 
 
 # --- more geometries
@@ -277,16 +288,18 @@ def _accepted(data: _Data, form: Form, name: str) -> _Curve:
     if not found.amplitude.any():
         if doubt > 1:
             near, far = data.theta[data.rho.argmin()], data.theta[data.rho.argmax()]
-            raise _out_of_range("A", name, f"{_rise(near, far)}, so that A would be negative")
+            raise _out_of_range("A", form, name, f"{_rise(near, far)}, so that A would be negative")
         return found
     reason = _untold(data.theta, found, form)
     if reason:
         level = _level(data, form)
         if _doubt(data, level, form) > 1:
-            raise _out_of_range("B", name, reason)
+            raise _out_of_range("B", form, name, reason)
         return level
     if found.constant == 0 and doubt > 1 and _freely(data, form) < doubt / 2:
-        raise _out_of_range("C", name, "the colours go down so fast that far from the gloss they would be below black")
+        raise _out_of_range(
+            "C", form, name, "the colours go down so fast that far from the gloss they would be below black"
+        )
     return found
 
 
@@ -336,7 +349,10 @@ def _least_squares(data: _Data, form: Form, start: Array | None = None) -> _Curv
     else:
         decay = _several_decays(theta, rho, scale, form, start)
     linear = _project(theta, rho, scale, decay[None], form.power)[0][0]
-    return _Curve(linear[:-1], decay, float(linear[-1]))
+    # Terms that vanished come last in every channel; their B is that of nothing.
+    decay = np.where(linear[:-1] > 0, decay, np.ptp(theta))
+    order = np.lexsort((decay, linear[:-1] == 0))
+    return _Curve(linear[:-1][order], decay[order], float(linear[-1]))
 
 
 def _one_decay(theta: Array, rho: Array, scale: Array, power: int) -> Array:
@@ -355,18 +371,29 @@ def _several_decays(theta: Array, rho: Array, scale: Array, form: Form, start: A
 
     low, high = np.log(_bounds(theta))
     if start is None:
-        candidates = np.array(list(combinations(np.linspace(low, high, _GRID // 2), form.terms)))
-        errors = _project(theta, rho, scale, np.exp(candidates), form.power)[1]
-        first, tolerance = candidates[int(np.argmin((errors**2).sum(axis=1)))], 1e-15
+        starts, tolerance = _starts(theta, rho, scale, form), 1e-15
     else:
-        first, tolerance = np.log(start), 1e-8
+        starts, tolerance = np.log(start)[None], 1e-8
 
     def residuals(log_decay: Array) -> Array:
         return _project(theta, rho, scale, np.exp(log_decay)[None], form.power)[1][0]
 
-    first = np.clip(first, low + 1e-9, high - 1e-9)
-    found = least_squares(residuals, first, bounds=(low, high), xtol=tolerance, ftol=tolerance, gtol=tolerance)
-    return np.asarray(np.exp(np.sort(found.x)))
+    # Where a term vanishes the slope is lost, so that a way down may end above one from elsewhere.
+    found = [
+        least_squares(residuals, first, bounds=(low, high), xtol=tolerance, ftol=tolerance, gtol=tolerance)
+        for first in np.clip(starts, low + 1e-9, high - 1e-9)
+    ]
+    return np.asarray(np.exp(np.sort(min(found, key=lambda each: each.cost).x)))
+
+
+def _starts(theta: Array, rho: Array, scale: Array, form: Form) -> Array:
+    """Logarithms of decays to begin at, (starts, terms): the lowest of a grid, one for each smaller decay, of which a few are best."""
+    low, high = np.log(_bounds(theta))
+    candidates = np.array(list(combinations(np.linspace(low, high, _GRID), form.terms)))
+    errors = (_project(theta, rho, scale, np.exp(candidates), form.power)[1] ** 2).sum(axis=1)
+    order = np.argsort(errors, kind="stable")
+    _, first = np.unique(candidates[order, 0], return_index=True)
+    return np.asarray(candidates[order[np.sort(first)[:_STARTS]]])
 
 
 def _bounds(theta: Array) -> tuple[float, float]:
@@ -447,12 +474,12 @@ def _rise(near: float, far: float) -> str:
     return f"the colour is brighter at a flake angle of {far:.4g} than at {near:.4g} degree"
 
 
-def _out_of_range(parameter: str, channel: str, reason: str) -> InputError:
+def _out_of_range(parameter: str, form: Form, channel: str, reason: str) -> InputError:
     return InputError(
         "material.yaml",
         f"{parameter} is out of range: {reason}",
         where=f"multiangle, channel {channel}",
-        accepted=f"A >= 0, B > 0, C >= 0; another form ({', '.join(FORMS)}), more geometries, or corrected colours",
+        accepted=f"A >= 0, B > 0, C >= 0; another form ({form.others}), more geometries, or corrected colours",
         key="multiangle.form",
     )
 

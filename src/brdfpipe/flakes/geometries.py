@@ -3,7 +3,8 @@
 - ``45:-30``: incidence and view; the view counts positive on the illuminator's side of the normal.
 - ``45as15``: incidence and aspecular angle, from the mirror direction towards the illuminator; ``45as-15`` lies beyond the mirror.
 - ``45as25az90``: out of the plane of incidence, turned about the mirror direction; azimuth 0 leads away from the normal.
-- ``as15`` or ``as-15``: the effect-paint trade's short name of ``45as15``; its hyphen is no sign.
+- ``as15`` or ``as-15``: the effect-paint trade's short name of ``45as15``; its hyphen is no sign, and names
+  with and without one are refused side by side, because there it may be.
 
 References
 ----------
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -96,7 +97,28 @@ def named(names: str | Sequence[str]) -> dict[str, Directions]:
         if near:
             raise _refusal(names, f"unknown set of geometries (nearest is {near[0]})")
         names = [names]
+    refuse_mixed_signs(names)
     return {name: directions(name) for name in names}
+
+
+def refuse_mixed_signs(names: Iterable[object]) -> None:
+    """Refuse short names with and without a hyphen side by side: the hyphen is a sign there, or a slip.
+
+    Raises
+    ------
+    BrdfpipeError : naming the two, and what to write.
+    """
+    short = [str(name).strip() for name in names if _SHORT.fullmatch(str(name).strip())]
+    hyphen = next((name for name in short if "-" in name), None)
+    plain = next((name for name in short if "-" not in name), None)
+    if hyphen is None or plain is None:
+        return
+    angle = hyphen.partition("-")[2].strip()
+    raise BrdfpipeError(
+        f"geometries {hyphen[:40]!r} and {plain[:40]!r} side by side: it is not clear whether the hyphen is a sign; write "
+        f"45as-{angle} for {angle} degree beyond the mirror direction, 45as{angle} for {angle} degree towards the illuminator, and "
+        "all others in full too"
+    )
 
 
 def _in_plane(incidence: float, view: float) -> Directions:

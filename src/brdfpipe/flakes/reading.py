@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -15,7 +15,7 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError, InputError
-from brdfpipe.flakes.geometries import ACCEPTED, Directions, directions
+from brdfpipe.flakes.geometries import ACCEPTED, Directions, directions, refuse_mixed_signs
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
@@ -231,6 +231,7 @@ def _inline(spec: Mapping[str, Any]) -> _Rows:
         else None
     )
     width = 3 if wavelength is None else wavelength.size
+    _check_signs("material.yaml", (item["geometry"] for item in given if "geometry" in item))
     values, names, places = [], [], []
     for item, at in zip(given, where, strict=True):
         colour = _numbers("material.yaml", item[kind], at, "multiangle.colours")
@@ -254,6 +255,14 @@ def _numbers(file: str, given: object, where: str, key: str) -> Array:
     if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
         raise _refusal(file, "no list of numbers", where, repr(given)[:60], "[number, number, …]", key)
     return values
+
+
+def _check_signs(file: str, names: Iterable[object]) -> None:
+    try:
+        refuse_mixed_signs(names)
+    except BrdfpipeError as error:
+        key = "multiangle.colours" if file == "material.yaml" else "multiangle.file"
+        raise InputError(file, str(error), where="geometry", key=key) from error
 
 
 def _place(item: Mapping[str, Any], file: str, where: str) -> Directions:
@@ -331,6 +340,7 @@ def _table(path: Path) -> _Rows:
         found.append(place)
         names.append(_named(item.get("geometry"), place))
         where.append(at)
+    _check_signs(path.name, names)
     stacked = np.array(values, dtype=float).reshape(len(values), len(columns) + len(doubts))
     colours, u = np.split(stacked, [len(columns)], axis=1)
     notes = _notes(path, titles, {*places.values(), *columns, *doubts}, bool(doubts))

@@ -7,6 +7,7 @@ Exit codes: 0 done, 1 a device is not in order or the scan stopped before its en
 from __future__ import annotations
 
 import getpass
+import signal
 import sys
 import threading
 import time
@@ -135,13 +136,15 @@ def scan(
 def emulate(description: Path, truth_path: Path, seed: int, out: Path | None, realtime: bool) -> int:
     """Stand as a rig on serial ports of its own, until Ctrl-C.
 
-    What an operator does by hand is typed: the entrance in degree, what lies in the holder (sample, etalon or dark-trap), and the
-    side (reflection or transmission).
+    What an operator does by hand is typed: the entrance in degree, what lies in the holder (sample, etalon, target or
+    dark-trap), and the side (reflection or transmission).
     """
     from brdfpipe.rig.description import Rig
     from brdfpipe.rig.emulator.bench import EmulatedRig
     from brdfpipe.rig.emulator.clock import VirtualClock
 
+    # Ended by a service manager, it takes its ports and its description away as after Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     real, clock = Rig.load(description), VirtualClock(realtime=realtime)
     with (
         EmulatedRig(real, truth(truth_path), seed=seed, clock=clock) as stand,

@@ -34,6 +34,11 @@ WAVELENGTH_TOLERANCE = 0.5
 BLOCK = 2880
 """Bytes of which a FITS file has a whole number."""
 
+EMULATED = "emulated"
+"""What the name of a camera has in it that is none; one behind a drop folder is named by its folder."""
+
+_NOT_MEASURED = "the frames were made by the emulator, no laboratory measured them: use the result to try the pipeline, never as data of a material"
+
 _LIGHT, _DARK = "Light Frame", "Dark Frame"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _CARD = 60
@@ -225,7 +230,9 @@ def dataset(frames: Mapping[Shot, Frame], plan: Plan) -> xr.Dataset:
             "camera": ", ".join(sorted({frame.camera for frame in frames.values()})),
         },
     )
-    return vocabulary.validate(vocabulary.label(found, "frames"), "frames")
+    emulated = any(EMULATED in frame.camera for frame in frames.values())
+    told = vocabulary.add_warning(found, *([_NOT_MEASURED] if emulated else []))
+    return vocabulary.validate(vocabulary.label(told, "frames"), "frames")
 
 
 def _belongs(shot: Shot, incidence: float | None) -> bool:

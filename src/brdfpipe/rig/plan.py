@@ -322,5 +322,7 @@ def _differences(one: Any, other: Any, keys: Any) -> list[str]:
 
 
 def _shown(value: Any) -> str:
-    text = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-    return text if len(text) <= 80 else text[:79] + "…"
+    if isinstance(value, Step):
+        return f"{value.exposure:g} s at {value.position}"
+    text = ", ".join(map(_shown, value)) if isinstance(value, tuple) else str(value)
+    return text if len(text) <= 200 else text[:199] + "…"

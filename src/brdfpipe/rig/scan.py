@@ -446,17 +446,20 @@ def _begin(plan: Plan, folder: Path) -> None:
 @contextmanager
 def _bar(plan: Plan, left: list[Shot], progress: bool) -> Iterator[Callable[[Shot | None], None]]:
     """Frames done and time left, by what each is expected to take; told None after a wait for the operator."""
+    if not progress:
+        yield lambda shot: None
+        return
     from tqdm import tqdm
 
     before = dict(zip(plan.shots, (None, *plan.shots), strict=False))
     seconds = {shot: duration(shot, before[shot], plan.rig) for shot in plan.shots}
     total = sum(seconds.values())
-    layout = "{percentage:3.0f}%|{bar}| {postfix}, {remaining} left"
+    layout = "{percentage:3.0f}%|{bar}| {desc}, {remaining} left"
     with tqdm(
         total=total,
         initial=total - sum(seconds[shot] for shot in left),
         bar_format=layout,
-        disable=None if progress else True,
+        disable=None,
         leave=False,
     ) as bar:
 
@@ -465,7 +468,7 @@ def _bar(plan: Plan, left: list[Shot], progress: bool) -> Iterator[Callable[[Sho
                 bar.unpause()
                 return
             place = f"{shot.purpose} at {shot.arrangement.incidence:g}°, {shot.wavelength:g} nm"
-            bar.set_postfix_str(f"frame {shot.ordinal} of {len(plan.shots)} ({place})", refresh=False)
+            bar.set_description_str(f"frame {shot.ordinal} of {len(plan.shots)} ({place})", refresh=False)
             bar.update(seconds[shot])
 
         yield advance

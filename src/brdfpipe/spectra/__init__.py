@@ -8,14 +8,12 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
-from brdfpipe.optics import fresnel
 from brdfpipe.spectra.readers import GEOMETRIES, read_spectrum
-from brdfpipe.spectra.recovery import metamerism, recover
+from brdfpipe.spectra.recovery import index_words, metamerism, recover, specular_reflectance
 
 __all__ = ["ingest", "metamerism", "read_spectrum", "recover"]
 
@@ -30,7 +28,7 @@ _LOWEST_INDEX = 1.45
 def ingest(
     spec: Mapping[str, Any],
     path: str | PathLike[str] | None = None,
-    index: float | None = None,
+    index: float | xr.Dataset | None = None,
     checkpoint: Path | None = None,
 ) -> xr.Dataset:
     """Total reflectance of a material, as the ``spectrum`` of its material.yaml gives it.
@@ -42,7 +40,7 @@ def ingest(
         it; ``incidence`` is 8 degree where neither says it. With the specular excluded, ``specular_trap`` is the half angle of the
         instrument's gloss trap
     path : where the file lies, if not at its name in ``spec``
-    index : refractive index, if known. A colour with the specular included then gives a spectrum that contains its Fresnel
+    index : refractive index, if known: a number or a dataset of kind ``index``. A colour with the specular included then gives a spectrum that contains its Fresnel
         reflectance; a file with less than it is warned about
     checkpoint : where a random search keeps its best so far, to resume from
 
@@ -128,17 +126,21 @@ def _incidence(spec: Mapping[str, Any]) -> float | None:
     return float(incidence)
 
 
-def _warn_if_excluded(dataset: xr.Dataset, file: str, index: float | None) -> xr.Dataset:
+def _warn_if_excluded(dataset: xr.Dataset, file: str, index: float | xr.Dataset | None) -> xr.Dataset:
     """Warn where a reflectance with the specular included is less than the specular reflection alone."""
     n = _LOWEST_INDEX if index is None else index
-    specular = float(fresnel(np.cos(np.radians(dataset.attrs["theta_i"])), n).mean)
-    below = dataset["wavelength"].values[dataset["total_reflectance"].values < specular]
+    wavelength = dataset["wavelength"].values
+    specular = specular_reflectance(n, dataset.attrs["theta_i"], wavelength)
+    is_below = dataset["total_reflectance"].values < specular
+    below = wavelength[is_below]
     if dataset.attrs["geometry"] != "sci" or below.size == 0:
         return dataset
-    whose = f"a smooth surface of index {n:g}" + ("" if index is not None else ", less than any named plastic's")
+    whose = f"a smooth surface of index {index_words(n)}" + (
+        "" if index is not None else ", less than any named plastic's"
+    )
     return vocabulary.add_warning(
         dataset,
-        f"{file}: the reflectance is below {specular:.4f}, the specular reflectance of {whose}, at {below.size} wavelengths "
+        f"{file}: the reflectance is below {specular[is_below].max():.4f}, the specular reflectance of {whose}, at {below.size} wavelengths "
         f"from {below[0]:g} to {below[-1]:g} nm. Specular excluded? Set `spectrum.geometry: sce`, or correct the index.",
     )
 

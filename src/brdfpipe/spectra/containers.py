@@ -136,11 +136,15 @@ def _one(path: Path, samples: Sequence[Sample], sample: int | str | None, notes:
         matching = [i for i, name in enumerate(names) if name.strip().casefold() == wanted]
         if len(matching) != 1:
             shown = ", ".join(names[:_SHOWN]) + (", …" if len(names) > _SHOWN else "")
+            several = len(samples) > 1
+            unclear = (
+                f"holds {len(samples)} samples; which one is meant" if several else "holds one sample, and not this"
+            )
             raise InputError(
                 path,
-                f"holds {len(samples)} samples; which one is meant" if len(matching) == 0 else "the name is not unique",
+                unclear if not matching else "the name is not unique",
                 found=None if sample is None else repr(sample)[:60],
-                accepted=f"1 to {len(samples)}, or one of {shown}",
+                accepted=f"1 to {len(samples)}, or one of {shown}" if several else f"1 or {shown}, or no key at all",
                 key="spectrum.sample",
             )
         place = matching[0]
@@ -449,7 +453,7 @@ def _xml(path: Path, text: str) -> Element:
     except defusedxml.DefusedXmlException as error:
         raise InputError(path, "XML with a document type or entities", accepted="plain CxF3") from error
     except (ParseError, RecursionError, ValueError) as error:
-        raise InputError(path, "damaged XML", found=str(error)[:80], accepted="CxF3") from error
+        raise InputError(path, "damaged XML", found=str(error)[:80], accepted="CxF3", key="spectrum.format") from error
     return root
 
 
@@ -474,7 +478,10 @@ def _cxf_specification(element: Element) -> _Specification:
     if single is not None:
         light, view = (columns.number(single.findtext(f"{{*}}{key}") or "") for key in _CXF_DIRECTIONS)
         if light is not None and view is not None and abs(abs(light) - abs(view)) > _CXF_GLOSS:
-            return _Specification(start, step, quantity, (f"light from {abs(light):g} degree, specular excluded",))
+            angles = f"SingleAngle {abs(light):g}/{abs(view):g}"
+            return _Specification(
+                start, step, quantity, (f"{angles}: light from {abs(light):g} degree, specular excluded",)
+            )
     several = element.find(".//{*}MultiAngle") is not None
     doubts = ("it was measured at several angles: one of them is no total reflectance. Use `multiangle`",)
     return _Specification(start, step, quantity, doubts=doubts if several else ())

@@ -37,7 +37,8 @@ def blocks(path: Path, text: str) -> list[Block]:
     """
     found = [_table(path, record) for record in _records(text) if _form(record)]
     if not found:
-        raise InputError(path, "no table", accepted="##XYDATA=(X++(Y..Y)) or ##XYPOINTS=(XY..XY)")
+        accepted = "##XYDATA=(X++(Y..Y)) or ##XYPOINTS=(XY..XY)"
+        raise InputError(path, "no table of JCAMP-DX", accepted=accepted, key="spectrum.format")
     return found
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import store
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
@@ -27,13 +28,14 @@ SEARCHES = ("random4", "adaptive4")
 THRESHOLD = 1.0
 """ΔE*ab at which a search ends unless told otherwise."""
 LIMIT = {"random4": 20_000_000, "adaptive4": 200_000}
-"""Weights tried at most: some ten seconds, and as many as the steps need to shrink to nothing."""
+"""Weights tried at most in one go: some ten seconds, and as many as the steps need to shrink to nothing."""
 
 _BLOCK = {"random4": 4096, "adaptive4": 64}
 _FIRST_STEP = 0.25
 _WIDER, _NARROWER = 1.5, 0.6
 _LEAST_STEP = 1e-9
 _ROUNDING = 1e-9
+_MOST_BLOCKS = 2**40
 
 
 class Mixtures(NamedTuple):
@@ -42,7 +44,7 @@ class Mixtures(NamedTuple):
     weights: Array
     """(B, 4)"""
     reflectance: Array
-    """(B, n) in [0, 1]; NaN where no mixture has the colour."""
+    """(B, n) from the floor to 1; NaN where no mixture has the colour."""
     reached: NDArray[np.bool_]
     """(B,)"""
 
@@ -66,15 +68,18 @@ class _State(NamedTuple):
     weights: tuple[float, ...]
     delta_e: float
     step: float
+    since: int
+    """blocks that do not count towards the limit: those before a search that ended short of its threshold was taken up again"""
 
 
-def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int) -> Mixtures:
+def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 0.0) -> Mixtures:
     """Smoothest mixtures that have given colours exactly (method ``basis4``).
 
     Parameters
     ----------
     xyz : (B, 3) tristimulus values, Y = 100 for the perfect diffuser
     illuminant, observer : see :func:`brdfpipe.spectra.colorimetry.weights`
+    floor : () or (n,), what every spectrum has beneath its mixture (specular), 0 <= floor < 1: R = floor + (1 − floor) S
 
     Returns
     -------
@@ -85,9 +90,9 @@ def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int) -> Mixtures:
     w = w₀ + t v, v the null vector of the basis' tristimulus values. w >= 0 and S <= 1 leave an interval of t; within it
     Σ (S_{i+1} − S_i)², a parabola in t, is smallest.
     """
-    basis = colorimetry.basis()[1]
-    primaries = basis @ colorimetry.weights(illuminant, observer).weights
-    colours = np.atleast_2d(np.asarray(xyz, dtype=float))
+    basis, under = colorimetry.basis()[1], np.asarray(floor, dtype=float)
+    primaries, darkest = _primaries(illuminant, observer, under)
+    colours = np.atleast_2d(np.asarray(xyz, dtype=float)) - darkest
     w_0 = colours @ np.linalg.pinv(primaries)
     null = np.linalg.svd(primaries.T)[2][3]
     s_0, along = w_0 @ basis, null @ basis
@@ -103,7 +108,7 @@ def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int) -> Mixtures:
     reached = still & (lowest <= highest + _ROUNDING) & np.isfinite(colours).all(axis=1)
     t = np.where(reached, np.clip(smoothest, lowest, np.maximum(lowest, highest)), np.nan)
     weights = np.where(reached[:, None], np.maximum(w_0 + t[:, None] * null, 0.0), np.nan)
-    return Mixtures(weights, np.minimum(weights @ basis, 1.0), np.asarray(reached))
+    return Mixtures(weights, under + (1 - under) * np.minimum(weights @ basis, 1.0), np.asarray(reached))
 
 
 def search(
@@ -114,7 +119,7 @@ def search(
     method: str = "random4",
     threshold: float = THRESHOLD,
     seed: int = 0,
-    floor: float = 0.0,
+    floor: ArrayLike = 0.0,
     limit: int | None = None,
     checkpoint: Path | None = None,
     stop: Callable[[], bool] | None = None,
@@ -130,17 +135,22 @@ def search(
         ``adaptive4``, random steps from the best so far, wider after a success and narrower after a failure
     threshold : ΔE*ab below which the search ends
     seed : of the random numbers; one seed has one answer
-    floor : reflectance every wavelength has at least (specular) [1]
+    floor : () or (n,), reflectance that wavelengths have at least (specular), 0 <= floor < 1
     limit : weights tried at most; by default :data:`LIMIT`
-    checkpoint : JSON file that keeps the best so far, rewritten whole after every improvement and removed at the end. A search
-        that was killed resumes from it and ends where it would have ended. A file of another search is ignored
-    stop : asked now and then; once true, the best so far is accepted. So it is on the first SIGINT, and when a file named like
-        ``checkpoint`` with ``.stop`` appended appears
+    checkpoint : JSON file that keeps the best so far, rewritten whole after every improvement and removed once the threshold is
+        reached. A search that was killed resumes from it and ends where it would have ended; one that was stopped or came to its
+        limit goes on from it, as far again. A damaged file, or one of another search, is dropped
+    stop : asked after every block; once true, the best so far is accepted. So it is on the first SIGINT, and when a file named
+        like ``checkpoint`` with ``.stop`` appended appears. One left from before the search is removed
     progress : show a progress bar on a terminal
 
     Returns
     -------
     Found
+
+    Raises
+    ------
+    BrdfpipeError : no mixture has a finite ΔE to ``lab``.
 
     Notes
     -----
@@ -153,28 +163,37 @@ def search(
     """
     wanted = np.asarray(lab, dtype=float)
     distance = _distance(wanted, illuminant, observer, floor)
-    problem = _problem(wanted, illuminant, observer, method, seed, floor)
-    state, ended = _resumed(checkpoint, problem), "threshold"
+    problem = _problem(wanted, illuminant, observer, method, threshold, seed, floor)
+    state, ended = _resumed(checkpoint, problem, distance), "threshold"
     most = LIMIT[method] if limit is None else limit
+    _stop_file(checkpoint)
     with _interrupts() as interrupted, _bar(progress) as show:
         while state.delta_e >= threshold:
+            after = _ADVANCE[method](state, seed, distance)
+            if not np.isfinite(after.delta_e):
+                raise BrdfpipeError(f"no mixture has a finite ΔE to L*a*b* {wanted.tolist()}")
+            if after.delta_e < state.delta_e:
+                _keep(checkpoint, problem, after)
+            state = after
+            show(_BLOCK[method], state.delta_e)
+            if state.delta_e < threshold:
+                break
             if interrupted() or (stop is not None and stop()) or _stop_file(checkpoint):
                 ended = "stopped"
                 break
-            if state.block * _BLOCK[method] >= most:
+            if (state.block - state.since) * _BLOCK[method] >= most:
                 ended = "limit"
                 break
-            after = _ADVANCE[method](state, seed, distance)
-            if checkpoint is not None and after.delta_e < state.delta_e:
-                store.write_text(checkpoint, json.dumps({"problem": problem, "state": after}) + "\n")
-            state = after
-            show(_BLOCK[method], state.delta_e)
-    if checkpoint is not None:
+    if ended != "threshold":
+        # At the limit the steps have shrunk to nothing; to go on they start wide again.
+        step = _FIRST_STEP if ended == "limit" else state.step
+        _keep(checkpoint, problem, state._replace(step=step, since=state.block))
+    elif checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
     return Found(np.array(state.weights), state.delta_e, state.block * _BLOCK[method], ended)
 
 
-def nearest(lab: ArrayLike, *, illuminant: str, observer: int, floor: float = 0.0) -> Array:
+def nearest(lab: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 0.0) -> Array:
     """Colour (3,) of a mixture nearest to a given one by ΔE*ab."""
     from scipy.optimize import LinearConstraint, minimize
 
@@ -190,8 +209,8 @@ def nearest(lab: ArrayLike, *, illuminant: str, observer: int, floor: float = 0.
         options={"maxiter": 300, "ftol": 1e-10},
     )
     w = np.clip(found.x, 0, 1)
-    s = floor + (1 - floor) * (w / max(float((w @ basis).max()), 1.0)) @ basis
-    return colorimetry.xyz_to_lab(s @ table.weights, table.white)
+    primaries, darkest = _primaries(illuminant, observer, floor)
+    return colorimetry.xyz_to_lab(darkest + w / max(float((w @ basis).max()), 1.0) @ primaries, table.white)
 
 
 def _advance_random(state: _State, seed: int, distance: Callable[[Array], Array]) -> _State:
@@ -199,7 +218,8 @@ def _advance_random(state: _State, seed: int, distance: Callable[[Array], Array]
     delta_e = distance(w)
     best = int(np.argmin(delta_e))
     if delta_e[best] < state.delta_e:
-        return _State(state.block + 1, tuple(_rescaled(w[best : best + 1])[0].tolist()), float(delta_e[best]), 0.0)
+        weights = tuple(_rescaled(w[best : best + 1])[0].tolist())
+        return state._replace(block=state.block + 1, weights=weights, delta_e=float(delta_e[best]))
     return state._replace(block=state.block + 1)
 
 
@@ -213,7 +233,7 @@ def _advance_adaptive(state: _State, seed: int, distance: Callable[[Array], Arra
     best = int(np.argmin(delta_e))
     if delta_e[best] < state.delta_e:
         step = _FIRST_STEP if first else min(state.step * _WIDER, _FIRST_STEP)
-        return _State(state.block + 1, tuple(w[best].tolist()), float(delta_e[best]), step)
+        return _State(state.block + 1, tuple(w[best].tolist()), float(delta_e[best]), step, state.since)
     return state._replace(block=state.block + 1, step=max(state.step * _NARROWER, _LEAST_STEP))
 
 
@@ -224,17 +244,24 @@ _ADVANCE: dict[str, Callable[[_State, int, Callable[[Array], Array]], _State]] =
 
 
 def _distance(
-    wanted: Array, illuminant: str, observer: int, floor: float, rescale: bool = True
+    wanted: Array, illuminant: str, observer: int, floor: ArrayLike, rescale: bool = True
 ) -> Callable[[Array], Array]:
     """ΔE*ab to a colour, of weights (B, 4)."""
-    table = colorimetry.weights(illuminant, observer)
-    primaries = colorimetry.basis()[1] @ table.weights
+    white = colorimetry.weights(illuminant, observer).white
+    primaries, darkest = _primaries(illuminant, observer, floor)
 
     def distance(w: Array) -> Array:
-        xyz = floor * table.white + (1 - floor) * (_rescaled(w) if rescale else w) @ primaries
-        return colorimetry.delta_e_ab(colorimetry.xyz_to_lab(xyz, table.white), wanted)
+        xyz = darkest + (_rescaled(w) if rescale else w) @ primaries
+        return colorimetry.delta_e_ab(colorimetry.xyz_to_lab(xyz, white), wanted)
 
     return distance
+
+
+def _primaries(illuminant: str, observer: int, floor: ArrayLike) -> tuple[Array, Array]:
+    """Tristimulus values (4, 3) that each basis spectrum adds above a floor, and (3,) of the floor alone."""
+    weights = colorimetry.weights(illuminant, observer).weights
+    under = np.broadcast_to(np.asarray(floor, dtype=float), len(weights))
+    return (colorimetry.basis()[1] * (1 - under)) @ weights, under @ weights
 
 
 def _rescaled(w: Array) -> Array:
@@ -253,32 +280,53 @@ def _peaks() -> Array:
     return kept
 
 
-def _problem(lab: Array, illuminant: str, observer: int, method: str, seed: int, floor: float) -> str:
+def _problem(
+    lab: Array, illuminant: str, observer: int, method: str, threshold: float, seed: int, floor: ArrayLike
+) -> str:
     return store.canonical_json(
         {
             "lab": lab.tolist(),
             "illuminant": illuminant,
             "observer": observer,
             "method": method,
+            "threshold": threshold,
             "seed": seed,
-            "floor": floor,
+            "floor": np.asarray(floor, dtype=float).tolist(),
         }
     )
 
 
-def _resumed(checkpoint: Path | None, problem: str) -> _State:
-    fresh = _State(0, (0.0, 0.0, 0.0, 0.0), float("inf"), _FIRST_STEP)
+def _keep(checkpoint: Path | None, problem: str, state: _State) -> None:
+    if checkpoint is not None:
+        store.write_text(checkpoint, json.dumps({"problem": problem, "state": state}) + "\n")
+
+
+def _resumed(checkpoint: Path | None, problem: str, distance: Callable[[Array], Array]) -> _State:
+    """Where a search left off; from the start where what it kept is lost, damaged or another's, which is then dropped."""
+    fresh = _State(0, (0.0, 0.0, 0.0, 0.0), float("inf"), _FIRST_STEP, 0)
     if checkpoint is None:
         return fresh
     try:
         kept: Any = json.loads(checkpoint.read_text(encoding="utf-8"))
-        block, weights, delta_e, step = kept["state"]
-        if kept["problem"] == problem:
-            return _State(int(block), tuple(float(w) for w in weights), float(delta_e), float(step))
-    except (OSError, ValueError, KeyError, TypeError):
-        # Lost or damaged: the search from the start has the same answer.
-        return fresh
+        if kept["problem"] == problem and _is_sound(state := _State(*kept["state"]), distance):
+            return state._replace(weights=tuple(state.weights))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        pass
+    checkpoint.unlink(missing_ok=True)
     return fresh
+
+
+def _is_sound(state: _State, distance: Callable[[Array], Array]) -> bool:
+    """Whether a state read from a file is one that a search can be in: its ΔE is that of its mixture."""
+    whole = all(type(count) is int for count in (state.block, state.since))
+    if not whole or not 0 <= state.since <= state.block <= _MOST_BLOCKS or state.block == 0:
+        return False
+    w = np.array(state.weights, dtype=float)
+    if w.shape != (4,) or not ((w >= 0) & (w <= 1)).all() or not 0 < state.step <= _FIRST_STEP:
+        return False
+    # A product of many rows rounds otherwise than that of one.
+    mixes = bool((w @ _peaks()).max() <= 1 + _ROUNDING)
+    return mixes and bool(abs(distance(w[None])[0] - state.delta_e) <= _ROUNDING * (1 + state.delta_e))
 
 
 def _stop_file(checkpoint: Path | None) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -40,11 +40,31 @@ _BREAK = 0.1
 _STEEPER = 6.0
 _REPEATABILITY = 0.02
 
-_PERCENT = re.compile(r"%|percent|prozent|pour\s?cent|per\s?cento", re.IGNORECASE)
+_PERCENT_WORD = r"(?:%|percent|prozent|pour\s?cent|per\s?cento)"
+# A number before the sign is a condition (45 %RH, 5 % of gloss), unless it is the white of the scale.
+_PERCENT = re.compile(
+    rf"(?:\b100\s?{_PERCENT_WORD}|(?<!\d)(?<!\d\s){_PERCENT_WORD})(?!\s?(?:r\.?\s?h\b|rel|hum|feucht))", re.IGNORECASE
+)
 _FRACTION = re.compile(r"fraction|anteil|\b0\s?(?:-|–|to|\.\.)\s?1\b", re.IGNORECASE)
 _ABOUT_VALUES = re.compile(r"refl|remission|rückstr|y\s?units|scale|%\s?R\b|\bR\s?[\[(%]", re.IGNORECASE)
 _NO_REFLECTANCE = re.compile(r"transmi|absorb|extinction|\bk/s\b|%\s?T\b|\bT\s?[\[(%]", re.IGNORECASE)
-_UNCERTAINTY = re.compile(r"std|st\.?\s?dev|sd\b|sigma|σ|unc|u\b|err|standard\s?(?:dev|unc)", re.IGNORECASE)
+_DOUBT = (
+    r"(?:u|u\d\d|unc|uncert|uncertainty|std|std\.?[\s_]?dev\.?|stdev|st\.?\s?dev\.?|sd|sigma|σ|err|error|var|variance"
+    r"|standard[\s_-]?(?:dev|deviation|unc|uncertainty|error)\.?|(?:expanded|rel|relative)[\s_.]+(?:u|unc|uncertainty|std)"
+    r"|standardabweichung|(?:mess)?unsicherheit|écart[\s-]type|incertitude)[²2]?"
+)
+_UNCERTAINTY = re.compile(
+    rf"\s*(?:\d(?:[.,]\d+)?\s?)?{_DOUBT}(?![^\W_]).*|.*(?<=[\s_]){_DOUBT}\s*(?:[\[(,].*)?", re.IGNORECASE
+)
+"""Titles that begin or end with a whole word for an uncertainty: u_R, R_std, Standardabweichung; not uncoated."""
+_BARE_STANDARD = re.compile(r"\s*std\s*", re.IGNORECASE)
+_BATCH = re.compile(r"bat|batch|trl|trial|smp|spl|sample|probe", re.IGNORECASE)
+_COVERAGE = re.compile(
+    r"\bk\s?=\s?(\d+(?:[.,]\d+)?)|(?<![\d.,])(\d(?:[.,]\d+)?)\s?(?:σ|sigma\b|sd\b|std\b)", re.IGNORECASE
+)
+_SQUARED = re.compile(r"²|\^\s?2|\bvar(?:iance)?\b|(?:std|sd|sigma|σ)2\b", re.IGNORECASE)
+_RELATIVE = re.compile(r"(?<![^\W_])rel(?:ative?)?(?![^\W_])|relativ|%\s?(?:of|von)\b|/\s?R\b|\bcv\b", re.IGNORECASE)
+_EXPANDED = re.compile(r"\s*(?:U\d*|.*_U)(?![^\W_])|.*(?i:expanded|erweitert|\b9\d(?:\.\d+)?\s?%)")
 _INCLUDED = re.compile(r"\bsci\b|\bspin\b|specular\s+(?:component\s+)?included", re.IGNORECASE)
 _EXCLUDED = re.compile(r"\bsce\b|\bspex\b|specular\s+(?:component\s+)?excluded", re.IGNORECASE)
 _LIGHT_FROM = re.compile(r"\blight from (\d+(?:\.\d+)?) degree")
@@ -130,7 +150,7 @@ def _choose(
 ) -> tuple[int, int | None]:
     """Columns of the reflectance and of its standard uncertainty, counted from 0."""
     width, names = table.values.shape[1], table.names
-    named = {i for i in range(1, width) if names and _UNCERTAINTY.match(names[i])}
+    named = {i for i in range(1, width) if names and _is_uncertainty(names[i], names)}
     values = [i for i in range(1, width) if i not in named]
     if column is not None:
         value = _position(table, column, "spectrum.column")
@@ -148,15 +168,79 @@ def _choose(
         deviation: int | None = _position(table, uncertainty, "spectrum.uncertainty")
     else:
         deviation = value + 1 if value + 1 in named else None
+    if deviation is not None and (problem := _unusable(table, value, deviation)):
+        if uncertainty is not None:
+            raise InputError(
+                table.file,
+                f"{_title(table, deviation)} is no standard uncertainty",
+                found=problem,
+                accepted="absolute ones, k = 1, or k = … in the title; none below 0",
+                key="spectrum.uncertainty",
+            )
+        log.warnings.append(
+            f"{table.file}: no uncertainty was taken from {_title(table, deviation)}: {problem}. Give absolute standard "
+            "uncertainties, or the coverage factor in the title, as in `U (k=2)`."
+        )
+        refused, deviation = deviation, None
+    else:
+        refused = None
     if deviation is not None:
-        log.history.append(f"{_title(table, deviation)} was taken as the standard uncertainty (k = 1)")
-    unused = [_title(table, i) for i in range(1, width) if i not in (value, deviation)]
+        k = _coverage_factor(table, deviation)
+        how = f", its values over k = {k:g}" if k != 1 else ""
+        log.history.append(f"{_title(table, deviation)} was taken as the standard uncertainty (k = 1){how}")
+    unused = [_title(table, i) for i in range(1, width) if i not in (value, deviation, refused)]
     if unused:
         sentence = f"{table.file}: {_title(table, value)} was read; not used: {', '.join(unused)}"
         log.history.append(sentence)
         if column is None:
             log.warnings.append(f"{sentence}. Name the column to read with `spectrum.column` in material.yaml.")
     return value, deviation
+
+
+def _is_uncertainty(title: str, names: Sequence[str]) -> bool:
+    if _BARE_STANDARD.fullmatch(title) and any(_BATCH.fullmatch(name.strip()) for name in names):
+        return False  # beside a batch, STD is the standard that it is compared with
+    return _UNCERTAINTY.fullmatch(title) is not None
+
+
+def _unusable(table: Columns, value: int, deviation: int) -> str:
+    """Why a column holds no absolute standard uncertainties; empty where it may."""
+    title = table.names[deviation] if table.names else ""
+    if _SQUARED.search(title):
+        return "it is squared, a variance"
+    if _RELATIVE.search(title):
+        return "it is relative to the reflectance"
+    if _PERCENT.search(title) and table.names and not _PERCENT.search(table.names[value]):
+        return "it is in percent and the reflectance is not said to be, so it may be relative"
+    if _EXPANDED.match(title) and not _COVERAGE.search(title):
+        return "it is expanded by a factor that the title does not say"
+    if _coverage_factor(table, deviation) <= 0:
+        return "its coverage factor is 0"
+    column = table.values[:, deviation]
+    if (column < 0).any():
+        return f"{int((column < 0).sum())} values are negative, the first in line {table.lines[np.argmax(column < 0)]}"
+    return ""
+
+
+def _coverage_factor(table: Columns, deviation: int) -> float:
+    """k of an expanded uncertainty, as its title says it; 1 where it does not."""
+    found = _COVERAGE.search(table.names[deviation]) if table.names else None
+    return float((found[1] or found[2]).replace(",", ".")) if found else 1.0
+
+
+def _u_divisor(table: Columns, deviation: int, divisor: float, log: _Log) -> float:
+    """What the file's uncertainties are divided by to be standard ones of a reflectance in [0, 1]."""
+    title = table.names[deviation] if table.names else ""
+    k = _coverage_factor(table, deviation)
+    if divisor == 1 or _PERCENT.search(title) or not title:
+        return k * divisor
+    if _FRACTION.search(title) or re.search(r"[\[(]\s?[1-]\s?[\])]", title):
+        return k
+    log.warnings.append(
+        f"{table.file}: {_title(table, deviation)} has no unit; it was taken to be in percent, as the reflectance is. Write "
+        f"`{title} [%]` or `{title} [1]` as its title."
+    )
+    return k * divisor
 
 
 def _position(table: Columns, column: int | str, key: str) -> int:
@@ -205,6 +289,11 @@ def _divisor(table: Columns, value: int, nm: Array, scale: str | None, log: _Log
         )
     if (scale or stated) == "fraction":
         return 1.0
+    if scale is None and stated is not None and largest <= 1:
+        log.warnings.append(
+            f"{table.file}: the header says percent, but no value exceeds {largest:g}. If they are fractions, set `spectrum.scale: "
+            "fraction`; if the sample is that dark, `percent`."
+        )
     how = "" if scale or stated else f": the header is silent and values reach {largest:g}"
     log.history.append(f"percent was converted to a fraction{how}")
     return 100.0
@@ -227,7 +316,11 @@ def _ordered(
     table: Columns, nm: Array, value: int, deviation: int | None, divisor: float, log: _Log
 ) -> tuple[Array, Array, Array | None]:
     """Wavelengths in order and once, cut to what is kept, with their reflectance and uncertainty."""
-    values = table.values[:, [value] if deviation is None else [value, deviation]] / divisor
+    doubts: list[float] = []
+    unit_log = _Log()
+    if deviation is not None:
+        doubts = [_u_divisor(table, deviation, divisor, unit_log)]
+    values = table.values[:, [value] if deviation is None else [value, deviation]] / np.array([divisor, *doubts])
     whole = nm[(nm >= _KEPT[0]) & (nm <= _KEPT[1])]
     present = np.isfinite(nm) & np.isfinite(values[:, 0])
     if not present.all():
@@ -262,12 +355,19 @@ def _ordered(
     if not kept.all():
         log.history.append(f"{int((~kept).sum())} wavelengths outside {_KEPT[0]:g}–{_KEPT[1]:g} nm were cut")
     u = np.sqrt(values[kept, 1]) if deviation is not None else None
+    if u is not None and np.isnan(u).any():
+        absent = wavelength[kept][np.isnan(u)]
+        unit_log.warnings.append(
+            f"{table.file}: the uncertainty is missing at {absent.size} wavelengths from {absent[0]:g} to {absent[-1]:g} nm, and "
+            "stays missing there. Fill it in, or leave the column out."
+        )
     largest_u = float(np.nan_to_num(u).max()) if u is not None else 0.0
     if largest_u > 0.5 * values[kept, 0].max():
         log.warnings.append(
             f"{table.file}: the uncertainty reaches {largest_u:.3g}, more than half the largest reflectance. Is it a second "
             "sample? Rename the column in the file if it is."
         )
+    log.warnings += unit_log.warnings
     return wavelength[kept], values[kept, 0], u
 
 
@@ -393,8 +493,9 @@ def _geometry(table: Columns, value: int, geometry: str | None, log: _Log) -> st
             log.history.append(f"geometry {stated} was taken from the file")
         return str(geometry or stated)
     if stated != geometry:
+        told = next((line for line in table.header if line.startswith("SingleAngle")), stated.upper()).partition(":")[0]
         log.warnings.append(
-            f"{table.file}: the header says {stated.upper()}, `spectrum.geometry` in material.yaml says {geometry}, which "
+            f"{table.file}: the header says {told}, `spectrum.geometry` in material.yaml says {geometry}, which "
             "was used; specular excluded? Correct the key if the header is right."
         )
     return geometry

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError, InputError
-from brdfpipe.optics import fresnel
+from brdfpipe.optics import fresnel, interpolate_index
 from brdfpipe.spectra import colorimetry, mixing
 
 Array = NDArray[np.float64]
@@ -39,9 +39,9 @@ class Recovered(NamedTuple):
     wavelength: Array
     """(n,) nm: 360 to 780 by 5."""
     reflectance: Array
-    """(B, n) in (0, 1); NaN where the colour is out of reach."""
+    """(B, n) from the floor to 1; NaN where the colour is out of reach."""
     reached: NDArray[np.bool_]
-    """(B,) whether a reflectance in (0, 1) has this colour."""
+    """(B,) whether a reflectance between the floor and 1 has this colour."""
 
 
 def recover(
@@ -52,7 +52,7 @@ def recover(
     method: str = "lhtss",
     threshold: float = mixing.THRESHOLD,
     seed: int = 0,
-    specular_index: float | None = None,
+    specular_index: float | xr.Dataset | None = None,
     theta: float = 8.0,
     geometry: str | None = None,
     checkpoint: Path | None = None,
@@ -67,8 +67,8 @@ def recover(
     method : ``lhtss``, least hyperbolic tangent slope squared; or a mixture of four basis spectra: ``basis4``, in closed form,
         ``random4`` and ``adaptive4``, by random search (:func:`brdfpipe.spectra.mixing.search`)
     threshold, seed : of a search: ΔE*ab at which it ends, and of its random numbers
-    specular_index : if given, the colour includes the specular reflection of a smooth surface of this index, and the spectrum
-        stays at or above its Fresnel reflectance
+    specular_index : if given, a number or a dataset of kind ``index``: the colour includes the specular reflection of a smooth
+        surface of this index, and the spectrum stays at or above its Fresnel reflectance, wavelength by wavelength
     theta : degree, incidence of the measurement
     geometry : ``sci`` or ``sce``, recorded; by default ``sci``
     checkpoint, progress : of a search: the file it resumes from, and whether to show a progress bar
@@ -78,7 +78,7 @@ def recover(
     Dataset of kind ``spectrum`` on 360 to 780 nm by 5; attributes ``geometry``, ``theta_i``, ``method``,
     ``residual_delta_e`` (ΔE*ab of the spectrum to ``lab``), ``illuminant``, ``observer`` and, if given, ``specular_index``. Where
     the other exact method, ``basis4`` or ``lhtss``, reaches the colour too, ``metamerism_<light>`` is ΔE00 to its spectrum under
-    each of :data:`LIGHTS`: what the choice of the method may cost
+    each of :data:`LIGHTS`: what the choice of the method may cost. ``specular_index`` of a dispersive index is that at 589.3 nm
 
     Raises
     ------
@@ -87,7 +87,8 @@ def recover(
 
     Notes
     -----
-    With R_s = F(θ, n): XYZ′ = (XYZ − R_s XYZ_w)/(1 − R_s), r = R_s + (1 − R_s) r′, r′ recovered from XYZ′.
+    r = R_s + (1 − R_s) r′ with R_s = F(θ, n(λ)); r′ is the smoothest whose XYZ under the weights (1 − R_s) W are those of the
+    colour less R_s W. For a constant index that is r′ recovered from XYZ′ = (XYZ − R_s XYZ_w)/(1 − R_s).
     L* = 0 and L* = 100 without chroma are 0 and 1 at every wavelength, the limits that atanh does not reach.
 
     References
@@ -102,7 +103,9 @@ def recover(
         raise _refusal("no seed", found=repr(seed)[:40], accepted="a whole number from 0", key="spectrum.seed")
     colour = _checked_lab(lab)
     illuminant, table = _viewing(illuminant, observer)
-    specular = 0.0 if specular_index is None else float(fresnel(np.cos(np.radians(theta)), specular_index).mean)
+    specular = np.zeros(table.wavelength.size)
+    if specular_index is not None:
+        specular = specular_reflectance(specular_index, theta, table.wavelength)
     search = mixing.Found(np.empty(0), 0.0, 0, "threshold")
     if method in mixing.SEARCHES:
         _check_mixable(colour, illuminant, observer, specular, threshold)
@@ -133,7 +136,7 @@ def recover(
         "residual_delta_e": float(colorimetry.delta_e_ab(found, colour)),
         "illuminant": illuminant,
         "observer": int(observer),
-        **({} if specular_index is None else {"specular_index": float(specular_index)}),
+        **({} if specular_index is None else {"specular_index": _sodium_index(specular_index)}),
         **({"seed": int(seed), "threshold": float(threshold), "tried": search.tried} if search.tried else {}),
         **_metamerism(reflectance, colour, illuminant, observer, specular, method),
     }
@@ -144,11 +147,11 @@ def recover(
     dataset = vocabulary.add_history(vocabulary.label(dataset, "spectrum"), sentence)
     if search.ended == "threshold":
         return dataset
-    why = "was stopped on request" if search.ended == "stopped" else f"ended after {search.tried} mixtures"
+    why = f"{'was stopped on request' if search.ended == 'stopped' else 'ended'} after {search.tried} mixtures"
     return vocabulary.add_warning(
         dataset,
         f"the search for a spectrum {why}, ΔE {search.delta_e:.3g} from the colour where {threshold:g} was wanted; remove "
-        "spectrum.nc to search on, or use `spectrum.method: lhtss`, which is exact.",
+        "spectrum.nc to search on from there, or use `spectrum.method: lhtss`, which is exact.",
     )
 
 
@@ -160,7 +163,7 @@ def metamerism(
     methods: Sequence[str] = METHODS,
     threshold: float = mixing.THRESHOLD,
     seed: int = 0,
-    specular_index: float | None = None,
+    specular_index: float | xr.Dataset | None = None,
     theta: float = 8.0,
 ) -> xr.Dataset:
     """How far the spectra that different methods give one colour differ under other light.
@@ -173,25 +176,34 @@ def metamerism(
     Returns
     -------
     Dataset : ``total_reflectance(recovery, wavelength)``; ``delta_e00(light, recovery, other)``, ΔE00 between two methods under each
-    of :data:`LIGHTS`; ``residual_delta_e(recovery)``, ΔE*ab to ``lab``
+    of :data:`LIGHTS`; ``residual_delta_e(recovery)``, ΔE*ab to ``lab``. Methods that do not reach the colour are left out, and a
+    warning says so and why
 
     Raises
     ------
-    InputError : as :func:`recover`, for the first method that does not reach the colour.
+    InputError : as :func:`recover`, where no method reaches the colour; or an unknown method.
     """
-    found = [
-        recover(
-            lab,
-            illuminant=illuminant,
-            observer=observer,
-            method=method,
-            threshold=threshold,
-            seed=seed,
-            specular_index=specular_index,
-            theta=theta,
-        )
-        for method in methods
-    ]
+    spectrum_of: dict[str, xr.Dataset] = {}
+    left_out: dict[str, InputError] = {}
+    for method in methods:
+        try:
+            spectrum_of[method] = recover(
+                lab,
+                illuminant=illuminant,
+                observer=observer,
+                method=method,
+                threshold=threshold,
+                seed=seed,
+                specular_index=specular_index,
+                theta=theta,
+            )
+        except InputError as error:
+            if method not in METHODS:
+                raise
+            left_out[method] = error
+    if not spectrum_of:
+        raise next(iter(left_out.values()))
+    found = list(spectrum_of.values())
     spectra = np.stack([spectrum["total_reflectance"].values for spectrum in found])
     pairs = np.stack([_difference(spectra[:, None], spectra[None], light, observer) for light in LIGHTS])
     own = [spectrum.attrs["residual_delta_e"] for spectrum in found]
@@ -206,8 +218,8 @@ def metamerism(
             "residual_delta_e": ("recovery", own, {"units": "1", "long_name": "ΔE*ab to the colour wanted"}),
         },
         coords={
-            "recovery": list(methods),
-            "other": list(methods),
+            "recovery": list(spectrum_of),
+            "other": list(spectrum_of),
             "light": list(LIGHTS),
             "wavelength": found[0]["wavelength"],
         },
@@ -215,16 +227,35 @@ def metamerism(
     )
     for name in ("total_reflectance", "wavelength"):
         dataset[name].attrs = dict(found[0][name].attrs)
-    return dataset
+    reasons = [f"{method} was left out: {error}" for method, error in left_out.items()]
+    return vocabulary.add_warning(dataset, *reasons) if reasons else dataset
 
 
-def lhtss(xyz: ArrayLike, *, illuminant: str, observer: int) -> Recovered:
+def specular_reflectance(index: float | xr.Dataset, theta: float, wavelength: Array) -> Array:
+    """Fresnel reflectance (n,) of a smooth surface for unpolarised light.
+
+    Parameters
+    ----------
+    index : a number, or a dataset of kind ``index``; beyond its wavelengths it is held at its ends
+    theta : degree, incidence
+    wavelength : (n,) nm
+    """
+    if isinstance(index, xr.Dataset):
+        known = index["wavelength"].values
+        n, k = interpolate_index(index, np.clip(wavelength, known.min(), known.max()))
+    else:
+        n, k = np.full(wavelength.size, float(index)), np.zeros(wavelength.size)
+    return np.asarray(fresnel(np.cos(np.radians(theta)), n, k).mean, dtype=np.float64)
+
+
+def lhtss(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 0.0) -> Recovered:
     """Spectra of many colours at once, by least hyperbolic tangent slope squared.
 
     Parameters
     ----------
     xyz : (B, 3) tristimulus values, Y = 100 for the perfect diffuser
     illuminant, observer : see :func:`brdfpipe.spectra.colorimetry.weights`
+    floor : () or (n,), what every spectrum has beneath the smoothest (specular), 0 <= floor < 1: R = floor + (1 − floor) r
 
     Returns
     -------
@@ -241,15 +272,19 @@ def lhtss(xyz: ArrayLike, *, illuminant: str, observer: int) -> Recovered:
     Burns, "Numerical methods for smoothest reflectance reconstruction", Color Res. Appl. 45 (2020) 8–21.
     """
     table = colorimetry.weights(illuminant, observer)
-    colours = np.atleast_2d(np.asarray(xyz, dtype=float)) / 100
-    # Chunks keep the systems in the cache and the memory small.
-    parts = [_newton(colours[start : start + _CHUNK], table.weights / 100) for start in range(0, len(colours), _CHUNK)]
+    under = np.broadcast_to(np.asarray(floor, dtype=float), table.wavelength.size)
+    above = table.weights * (1 - under)[:, None]
+    # Y = 1 for r = 1 throughout.
+    white = float(above[:, 1].sum())
+    colours = (np.atleast_2d(np.asarray(xyz, dtype=float)) - under @ table.weights) / white
+    # Chunks keep the steps in the cache.
+    parts = [_newton(colours[start : start + _CHUNK], above / white) for start in range(0, len(colours), _CHUNK)]
     z = np.concatenate(parts) if parts else np.empty((0, table.wavelength.size))
     reached = np.asarray(np.isfinite(z).all(axis=1))
-    return Recovered(table.wavelength, _logistic(z), reached)
+    return Recovered(table.wavelength, under + (1 - under) * _logistic(z), reached)
 
 
-def largest_chroma(lab: ArrayLike, *, illuminant: str, observer: int, specular: float = 0.0) -> float:
+def largest_chroma(lab: ArrayLike, *, illuminant: str, observer: int, specular: ArrayLike = 0.0) -> float:
     """Largest C*ab that a reflectance reaches at the L* and hue of a colour, from below, to 0.1 % of its own C*.
 
     Parameters
@@ -263,7 +298,7 @@ def largest_chroma(lab: ArrayLike, *, illuminant: str, observer: int, specular: 
     for _ in range(2):
         scale = np.linspace(low, high, pieces + 1)
         xyz = colorimetry.lab_to_xyz(colour * np.stack([np.ones_like(scale), scale, scale], axis=1), white)
-        reached = lhtss((xyz - specular * white) / (1 - specular), illuminant=illuminant, observer=observer).reached
+        reached = lhtss(xyz, illuminant=illuminant, observer=observer, floor=specular).reached
         last = int(np.argmin(reached)) - 1 if not reached.all() else pieces
         if last < 0:
             return 0.0
@@ -271,7 +306,7 @@ def largest_chroma(lab: ArrayLike, *, illuminant: str, observer: int, specular: 
     return float(low * np.hypot(*colour[1:]))
 
 
-def nearest_colour(lab: ArrayLike, *, illuminant: str, observer: int, specular: float = 0.0) -> Array:
+def nearest_colour(lab: ArrayLike, *, illuminant: str, observer: int, specular: ArrayLike = 0.0) -> Array:
     """Colour that a reflectance reaches, about nearest to one out of reach by ΔE*ab.
 
     Parameters
@@ -287,7 +322,7 @@ def nearest_colour(lab: ArrayLike, *, illuminant: str, observer: int, specular: 
     Notes
     -----
     Minimises ΔE*ab² over the reflectance at every wavelength within its bounds. The minimum lies on the boundary of the solid
-    of object colours, where reflectances are 0 or 1; a step of some per mille towards grey is within reach.
+    of object colours, where reflectances are at their bounds; a small step towards grey is within reach.
     """
     from scipy.optimize import minimize
 
@@ -298,17 +333,18 @@ def nearest_colour(lab: ArrayLike, *, illuminant: str, observer: int, specular: 
         off = colorimetry.xyz_to_lab(xyz, table.white) - wanted
         return float(off @ off), 2 * table.weights @ (_lab_slopes(xyz, table.white).T @ off)
 
-    y = float(np.clip(colorimetry.lab_to_xyz(wanted, table.white)[1] / 100, specular + 1e-3, 1 - 1e-3))
-    size = table.wavelength.size
-    bounds = [(specular, 1.0)] * size
-    best = minimize(square, np.full(size, y), jac=True, bounds=bounds, method="L-BFGS-B", options={"maxiter": 2000}).x
-    grey = float(np.clip(best @ table.weights[:, 1] / 100, specular + 1e-3, 1 - 1e-3))
-    for share in (0.0, *np.geomspace(1e-3, 1, 25)):
-        xyz = ((1 - share) * best + share * grey) @ table.weights
-        near = np.round(colorimetry.xyz_to_lab(xyz, table.white), 2) + 0.0
-        if _spectrum(near, illuminant, observer, specular) is not None:
-            break
-    return near
+    floor = np.broadcast_to(np.asarray(specular, dtype=float), table.wavelength.size)
+    start = np.clip(colorimetry.lab_to_xyz(wanted, table.white)[1] / 100, floor + 1e-3, 1 - 1e-3)
+    # Far out ΔE² is large and falls slowly: a looser bound on its relative fall ends the descent a few ΔE short.
+    options: Any = {"maxiter": 5000, "maxfun": 50_000, "ftol": 1e-14, "gtol": 1e-9}
+    bounds = [(float(lowest), 1.0) for lowest in floor]
+    best = minimize(square, start, jac=True, bounds=bounds, method="L-BFGS-B", options=options).x
+    grey = np.clip(best @ table.weights[:, 1] / 100, floor + 1e-3, 1 - 1e-3)
+    share = np.append(0.0, np.geomspace(1e-6, 1, 64))[:, None]
+    xyz = ((1 - share) * best + share * grey) @ table.weights
+    near = np.round(colorimetry.xyz_to_lab(xyz, table.white), 2) + 0.0
+    within = lhtss(colorimetry.lab_to_xyz(near, table.white), illuminant=illuminant, observer=observer, floor=floor)
+    return np.asarray(near[np.argmax(within.reached)])
 
 
 def _lab_slopes(xyz: Array, white: Array) -> Array:
@@ -329,7 +365,7 @@ def _difference(first: Array, second: Array, light: str, observer: int) -> Array
 
 
 def _metamerism(
-    reflectance: Array, lab: Array, illuminant: str, observer: int, specular: float, method: str
+    reflectance: Array, lab: Array, illuminant: str, observer: int, specular: Array, method: str
 ) -> dict[str, float | str]:
     against = "basis4" if method == "lhtss" else "lhtss"
     other = _spectrum(lab, illuminant, observer, specular, against)
@@ -339,18 +375,16 @@ def _metamerism(
     return {"metamerism_against": against, **apart}
 
 
-def _spectrum(lab: Array, illuminant: str, observer: int, specular: float, method: str = "lhtss") -> Array | None:
+def _spectrum(lab: Array, illuminant: str, observer: int, specular: Array, method: str = "lhtss") -> Array | None:
     table = colorimetry.weights(illuminant, observer)
     if lab[1] == 0 and lab[2] == 0 and lab[0] in ((0.0, 100.0) if method == "lhtss" else (0.0,)):
-        return None if lab[0] == 0 and specular > 0 else np.full(table.wavelength.size, lab[0] / 100)
-    xyz = colorimetry.lab_to_xyz(lab, table.white)
-    within = (xyz - specular * table.white) / (1 - specular)
+        return None if lab[0] == 0 and specular.any() else np.full(table.wavelength.size, lab[0] / 100)
     exact = lhtss if method == "lhtss" else mixing.closed_form
-    found = exact(within, illuminant=illuminant, observer=observer)
-    return specular + (1 - specular) * found.reflectance[0] if found.reached[0] else None
+    found = exact(colorimetry.lab_to_xyz(lab, table.white), illuminant=illuminant, observer=observer, floor=specular)
+    return np.asarray(found.reflectance[0]) if found.reached[0] else None
 
 
-def _check_mixable(lab: Array, illuminant: str, observer: int, specular: float, threshold: float) -> None:
+def _check_mixable(lab: Array, illuminant: str, observer: int, specular: Array, threshold: float) -> None:
     """Refuse a colour that no mixture comes near enough to; a search for it would not end."""
     if _spectrum(lab, illuminant, observer, specular, "basis4") is not None:
         return
@@ -365,12 +399,14 @@ def _check_mixable(lab: Array, illuminant: str, observer: int, specular: float, 
         )
 
 
-def _unreachable(lab: Array, illuminant: str, observer: int, specular: float, index: float | None) -> InputError:
-    if specular and _spectrum(lab, illuminant, observer, 0.0) is not None:
+def _unreachable(
+    lab: Array, illuminant: str, observer: int, specular: Array, index: float | xr.Dataset | None
+) -> InputError:
+    if index is not None and _spectrum(lab, illuminant, observer, np.zeros_like(specular)) is not None:
         return InputError(
             "material.yaml",
-            f"no spectrum of this colour stays above {specular:.4f}, the specular reflectance of index {index:g}; "
-            "was the specular excluded (SCE)",
+            f"no spectrum of this colour stays above {_span(specular, '.4f')}, the specular reflectance of index "
+            f"{index_words(index)}; was the specular excluded (SCE)",
             where=_KEY,
             found=f"L*a*b* {_words(lab)}",
             accepted=f"a colour measured with the specular included, the nearest being {_near(lab, illuminant, observer, specular)}; "
@@ -386,11 +422,25 @@ def _unreachable(lab: Array, illuminant: str, observer: int, specular: float, in
     return _refusal(
         "no reflectance has this colour",
         found=f"L*a*b* {_words(lab)}, C* = {chroma:.2f}",
-        accepted=f"{accepted}. The nearest colour is {_near(lab, illuminant, observer, 0.0)}",
+        accepted=f"{accepted}. The nearest colour is {_near(lab, illuminant, observer, np.zeros_like(specular))}",
     )
 
 
-def _near(lab: Array, illuminant: str, observer: int, specular: float) -> str:
+def index_words(index: float | xr.Dataset) -> str:
+    """A refractive index in words: a number, or from least to largest."""
+    return _span(np.atleast_1d(index["n"].values if isinstance(index, xr.Dataset) else index), ".4g")
+
+
+def _span(values: Array, form: str) -> str:
+    least, most = (f"{value:{form}}" for value in (values.min(), values.max()))
+    return least if least == most else f"{least} to {most}"
+
+
+def _sodium_index(index: float | xr.Dataset) -> float:
+    return float(interpolate_index(index, 589.3)[0] if isinstance(index, xr.Dataset) else index)
+
+
+def _near(lab: Array, illuminant: str, observer: int, specular: Array) -> str:
     near = nearest_colour(lab, illuminant=illuminant, observer=observer, specular=specular)
     return f"L*a*b* {_words(near)}, ΔE {float(colorimetry.delta_e_ab(near, lab)):.2f} away"
 
@@ -402,7 +452,6 @@ def _newton(xyz: Array, a: Array) -> Array:
     active = np.flatnonzero((xyz > 0).all(axis=1) & (xyz[:, 1] < 1))
     z_now = np.repeat(np.arctanh(2 * xyz[active, 1:2] - 1), size, axis=1)
     multiplier = np.zeros((active.size, 3))
-    smooth = _second_difference(size)
     tolerance = np.concatenate([np.full(size, _TOLERANCE), np.full(3, _COLOUR_TOLERANCE)])
     for _ in range(_ITERATIONS):
         if active.size == 0:
@@ -410,12 +459,12 @@ def _newton(xyz: Array, a: Array) -> Array:
         r = _logistic(z_now)
         pull = multiplier @ a.T
         slope = 2 * r * (1 - r)
-        residual = np.concatenate([z_now @ smooth + slope * pull, r @ a - xyz[active]], axis=1)
+        residual = np.concatenate([_roughness_slope(z_now) + slope * pull, r @ a - xyz[active]], axis=1)
         done = (np.abs(residual) < tolerance).all(axis=1)
         z[active[done]] = z_now[done]
         active, z_now, multiplier = active[~done], z_now[~done], multiplier[~done]
         curvature = 2 * slope * (1 - 2 * r) * pull
-        step = _step(smooth, a, slope[~done], curvature[~done], residual[~done])
+        step = _step(a, slope[~done], curvature[~done], residual[~done])
         longest = np.abs(step[:, :size]).max(axis=1)
         step *= np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, _TOLERANCE))[:, None]
         z_now, multiplier = z_now + step[:, :size], multiplier + step[:, size:]
@@ -424,29 +473,59 @@ def _newton(xyz: Array, a: Array) -> Array:
     return z
 
 
-def _step(smooth: Array, a: Array, slope: Array, curvature: Array, residual: Array) -> Array:
+def _roughness_slope(z: Array) -> Array:
+    """∂ Σ (z_{i+1} − z_i)² / ∂z, (B, n)."""
+    rises = np.diff(z, axis=1)
+    return 2 * (np.pad(rises, ((0, 0), (1, 0))) - np.pad(rises, ((0, 0), (0, 1))))
+
+
+def _step(a: Array, slope: Array, curvature: Array, residual: Array) -> Array:
+    """Newton's step (B, n + 3): of the z, whose rows form a tridiagonal matrix, and of the three multipliers that border it.
+
+    All z but the last are eliminated in turn. The last stays with the multipliers, four unknowns solved with pivoting: as long as
+    the multipliers are 0 the tridiagonal matrix, a second difference, has no inverse of its own.
+    """
     count, size = slope.shape
-    system = np.zeros((count, size + 3, size + 3))
-    system[:, :size, :size] = smooth
-    diagonal = np.arange(size)
-    system[:, diagonal, diagonal] += curvature
-    system[:, :size, size:] = slope[:, :, None] * a
-    system[:, size:, :size] = np.swapaxes(system[:, :size, size:], 1, 2)
+    diagonal = curvature.T + np.where(np.isin(np.arange(size), (0, size - 1)), 2.0, 4.0)[:, None]
+    # The border's three columns and the right side, (n, 4, B).
+    rows = np.concatenate([a[:, :, None] * slope.T[:, None, :], -residual[:, None, :size].T], axis=1)
+    pivot = np.empty_like(diagonal)
+    pivot[0] = _off_zero(diagonal[0])
+    for i in range(1, size):
+        pivot[i] = _off_zero(diagonal[i] - 4 / pivot[i - 1])
+        rows[i] += rows[i - 1] * (2 / pivot[i - 1])
+    border, right = rows[:, :3], rows[:, 3]
+    part = border[:-1] / pivot[:-1, None]
+    system, constant = np.empty((count, 4, 4)), np.empty((count, 4))
+    system[:, 0, 0] = pivot[-1]
+    system[:, 0, 1:] = system[:, 1:, 0] = border[-1].T
     # Far below any weight: keeps a lost row from being singular without moving the solution.
-    system[:, [size, size + 1, size + 2], [size, size + 1, size + 2]] = -1e-14
+    system[:, 1:, 1:] = -1e-14 * np.eye(3) - np.einsum("nib,njb->bij", part, border[:-1], optimize=True)
+    constant[:, 0] = right[-1]
+    constant[:, 1:] = -residual[:, size:] - np.einsum("nib,nb->bi", part, right[:-1])
+    ends = _solved(system, constant)
+    right = right - np.einsum("nib,bi->nb", border, ends[:, 1:])
+    step = np.empty((size, count))
+    step[-1] = ends[:, 0]
+    for i in range(size - 2, -1, -1):
+        step[i] = (right[i] + 2 * step[i + 1]) / pivot[i]
+    return np.concatenate([step.T, ends[:, 1:]], axis=1)
+
+
+def _off_zero(pivot: Array) -> Array:
+    # A pivot may vanish where the matrix is indefinite; moved by less than a step's rounding, it costs Newton at most a step.
+    return np.where(np.abs(pivot) < 1e-12, 1e-12, pivot)
+
+
+def _solved(system: Array, constant: Array) -> Array:
     try:
-        return np.asarray(np.linalg.solve(system, -residual[..., None])[..., 0], dtype=np.float64)
+        return np.asarray(np.linalg.solve(system, constant[..., None])[..., 0], dtype=np.float64)
     except np.linalg.LinAlgError:
         # One lost colour must not take the others with it.
-        ranks = np.linalg.matrix_rank(system) == size + 3
-        step = np.full((count, size + 3), np.nan)
-        step[ranks] = np.linalg.solve(system[ranks], -residual[ranks][..., None])[..., 0]
-        return step
-
-
-def _second_difference(size: int) -> Array:
-    edges = np.diff(np.eye(size), axis=0)
-    return np.asarray(2 * edges.T @ edges, dtype=np.float64)
+        ranks = np.linalg.matrix_rank(system) == system.shape[1]
+        found = np.full_like(constant, np.nan)
+        found[ranks] = np.linalg.solve(system[ranks], constant[ranks][..., None])[..., 0]
+        return found
 
 
 def _logistic(z: Array) -> Array:
