@@ -12,6 +12,7 @@ wildcard_constraints:
 include: "workflow/rules/catalogue.smk"
 include: "workflow/rules/predicted.smk"
 include: "workflow/rules/flake.smk"
+include: "workflow/rules/rig.smk"
 include: "workflow/rules/outputs.smk"
 
 

@@ -19,6 +19,7 @@ from brdfpipe.bsdf import flake, microfacet
 from brdfpipe.facets import analytic, flat
 from brdfpipe.report import material_page
 from brdfpipe.report.material import _length, luminous_reflectance, stage_warnings, verdicts
+from brdfpipe.spectra import recover
 
 Datasets = dict[str, xr.Dataset]
 
@@ -493,3 +494,49 @@ def test_gloss_stands_beside_what_tolerances_leave_and_the_haze_of_windows(full:
     html = material_page({**full, "appearance": told.assign_coords(haze_window=["20° ± 1.9°, 1.8° × 3.6°"])})
     assert html.count("<td>± 0.25</td>") == gloss.size
     assert '<th scope="row">Haze (ISO 13803-style), 20° ± 1.9°, 1.8° × 3.6°</th><td>1.50</td>' in html
+
+
+PATENT = {"45as15": [33.90, -7.58, -36.61], "45as45": [12.29, 1.19, -25.77], "45as110": [3.07, 2.09, -13.24]}
+
+
+def _paint_page(**options: object) -> str:
+    listed = [{"geometry": name, "lab": lab} for name, lab in PATENT.items()]
+    measured = flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10})
+    bsdf = flake.build(measured, **options).assign_attrs(route="flake")
+    seen = appraise(bsdf, geometries=["MA-T6"])
+    return material_page({"multiangle": measured, "flake": bsdf, "bsdf": bsdf, "appearance": seen})
+
+
+def test_a_colour_beyond_the_measured_angles_is_marked_and_explained() -> None:
+    html = _paint_page()
+    rows = {found[1]: found[2] for found in re.finditer(r'<th scope="row">([^<]*)</th>(<td>.*?)</tr>', html, re.S)}
+    assert rows["45as-15"].count("<td>extrapolated</td>") == 1
+    assert "extrapolated, beyond the angles that were measured" in html
+    assert "± 0.5° of the directions of light and of view" in html
+    assert re.search(r"Flop index [\d.]+ ± [\d.]+\.", html)
+
+
+@pytest.mark.parametrize(
+    ("coat", "words"), [(0.02, "slope as given (0.02), not measured"), ("smooth", "taken as smooth, not measured")]
+)
+def test_the_gloss_of_a_paint_says_that_its_coat_was_assumed(coat: float | str, words: str) -> None:
+    assert words in _Page(_paint_page(model="flake-physical", clear_coat=coat)).text
+    assert words not in _Page(_paint_page()).text
+
+
+def test_the_haze_of_windows_and_of_d4039_stand_beside_their_tolerances() -> None:
+    html = _paint_page(model="flake-physical", clear_coat=0.02)
+    assert re.search(r'<th scope="row">Haze \(D4039-style\), 60° − 20°</th><td>[\d.]+</td><td>± [\d.]+</td>', html)
+    assert re.search(r'<th scope="row">Haze \(ISO 13803-style\)[^<]*</th><td>[\d.]+</td><td>± [\d.]+</td>', html)
+
+
+def test_a_recovered_spectrum_stands_with_its_residual_and_what_other_light_may_show(full: Datasets) -> None:
+    recovered = recover([40, 20, 10], illuminant="D65", observer=10)
+    text = _Page(material_page({"spectrum": recovered})).text
+    assert "ΔE*ab to the colour given" in text
+    for light in ("A", "FL2", "LED-B3"):
+        apart = f"{recovered.attrs[f'metamerism_{light}']:.2f}"
+        assert re.search(rf"ΔE00 to basis4 under {light}\s*{apart}", text)
+    alone = _Page(material_page({"spectrum": recover([70, -55, -45], illuminant="D65", observer=10)})).text
+    assert "no other exact method reaches the colour" in alone
+    assert "ΔE*ab to the colour given" not in _Page(material_page(full)).text

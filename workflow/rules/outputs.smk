@@ -5,6 +5,7 @@ rule bsdf:
     input:
         predicted=branch(stages.has("predicted"), then="{material}/predicted.nc"),
         flake=branch(stages.has("multiangle"), then="{material}/flake.nc"),
+        measured=branch(stages.has("rig"), then="{material}/measured.nc"),
     output:
         bsdf="{material}/bsdf.nc",
     log:
@@ -151,6 +152,11 @@ rule report:
         predicted=branch(stages.has("predicted"), then="{material}/predicted.nc"),
         multiangle=branch(stages.has("multiangle"), then="{material}/multiangle.nc"),
         flake=branch(stages.has("multiangle"), then="{material}/flake.nc"),
+        reduced=branch(stages.has("rig"), then=stages.reduced("sample")),
+        primary=branch(stages.has("rig"), then=stages.by_side("primary")),
+        smoothed=branch(stages.has("rig"), then=stages.by_side("smoothed")),
+        calibration=branch(stages.has("rig"), then=stages.calibration_of),
+        comparison=branch(stages.compared, then="{material}/comparison.nc"),
         bsdf="{material}/bsdf.nc",
         checks="{material}/checks.nc",
         appearance="{material}/appearance.nc",

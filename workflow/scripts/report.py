@@ -1,9 +1,14 @@
+from itertools import chain
+from pathlib import Path
+
 from brdfpipe import report, store
 
 
 def main(input, output, params):
     """The page of a material and its row of the catalogue."""
-    datasets = {stage: store.open_dataset(path) for stage, path in input.items()}
+    paths = {stage: path for stage, path in input.items() if isinstance(path, str)}
+    paths |= {Path(path).stem: path for path in chain(*(found for found in input.values() if isinstance(found, list)))}
+    datasets = {stage: store.open_dataset(path) for stage, path in paths.items()}
     description = params["spec"]["description"]
     store.write_text(output["page"], report.material_page(datasets, description=description))
     store.save_dataset(

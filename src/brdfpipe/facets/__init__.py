@@ -25,6 +25,7 @@ from brdfpipe.facets.assembly import radial_dataset
 from brdfpipe.facets.counting import FacetError as FacetError
 from brdfpipe.facets.line import METHODS as METHODS
 from brdfpipe.facets.line import of_lines
+from brdfpipe.facets.scaling import scaled as scaled
 from brdfpipe.facets.scans import check_alike
 from brdfpipe.geometry import Array
 from brdfpipe.planar import PlanarDensity, SlopeAxis

@@ -126,7 +126,7 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
             _clean_up(results)
         failed = _unwritable(results, loaded)
         names = {material.name for material in loaded.materials}
-        done = _build(results, told, names, failed, interrupted, cores, dry_run)
+        done = _build(results, told, names, _dependents(loaded), failed, interrupted, cores, dry_run)
         stale = [] if dry_run else _mark_stale(results, loaded, failed)
     touched = {material for _, material in done.jobs}
     good = [material.name for material in loaded.materials if material.name not in failed]
@@ -162,6 +162,7 @@ def _build(
     results: Path,
     told: Mapping[str, Any],
     names: set[str],
+    dependents: Mapping[str, tuple[str, ...]],
     failed: dict[str, dict[str, str]],
     interrupted: list[int],
     cores: int,
@@ -180,7 +181,7 @@ def _build(
         if interrupted:
             raise KeyboardInterrupt
         # A dry run fails nowhere; the records that lie there are those of the build before.
-        found = {} if dry_run else _failures(results, run, names - failed.keys())
+        found = {} if dry_run else _failures(results, run, names - failed.keys(), dependents)
         damaged = [] if dry_run else _delete_damaged(results, done.healed)
         if damaged:
             done.healed += damaged
@@ -349,17 +350,34 @@ def _clean_up(results: Path) -> None:
                 leftover.unlink()
 
 
-def _failures(results: Path, run: _Run, names: set[str]) -> dict[str, dict[str, str]]:
-    """Material → stage and message, of the materials of which a stage failed."""
-    found: dict[str, dict[str, str]] = {}
+def _failures(
+    results: Path, run: _Run, names: set[str], dependents: Mapping[str, tuple[str, ...]]
+) -> dict[str, dict[str, str]]:
+    """Material → stage and message, of the materials of which a stage failed, and of those that need what failed."""
+    records: dict[str, dict[str, str]] = {}
     for path in (results / "failures").glob("*.json"):
         record = json.loads(path.read_text(encoding="utf-8"))
-        if record["material"] in names:
-            found[record["material"]] = {"stage": record["stage"], "message": record["message"]}
+        records[record["material"]] = {"stage": record["stage"], "message": record["message"]}
     for rule, material in run.failed:
         if material in names:
-            found.setdefault(material, {"stage": rule, "message": f"failed without a word (see {LOG})"})
+            records.setdefault(material, {"stage": rule, "message": f"failed without a word (see {LOG})"})
+    found = {name: record for name, record in records.items() if name in names}
+    for owner, record in records.items():
+        needing = {
+            "stage": record["stage"],
+            "message": f"it needs {owner}, which could not be made: {record['message']}",
+        }
+        for name in names.intersection(dependents.get(owner, ())):
+            found.setdefault(name, needing)
     return found
+
+
+def _dependents(loaded: catalogue.Catalogue) -> dict[str, tuple[str, ...]]:
+    """Calibration or material → materials that cannot be made without it."""
+    rigs = {material.name: material.content["rig"] for material in loaded.materials if material.has("rig")}
+    needs = [(f"{catalogue.CALIBRATIONS}.{rig['calibration']}", name) for name, rig in rigs.items()]
+    needs += [(rig["emulate"]["truth"], name) for name, rig in rigs.items() if "emulate" in rig]
+    return {owner: tuple(name for other, name in needs if other == owner) for owner, _ in needs}
 
 
 def _unwritable(results: Path, loaded: catalogue.Catalogue) -> dict[str, dict[str, str]]:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from brdfpipe import catalogue
+from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.jobs import code, pool
 from brdfpipe.jobs.stage import Job
 from brdfpipe.store import canonical_json
+
+if TYPE_CHECKING:
+    from brdfpipe.rig.plan import Arrangement
 
 ALWAYS = ("bsdf", "checks", "appearance", "table", "lambert_gauss", "summary")
 """Datasets that every material has."""
@@ -37,9 +41,10 @@ class Stages:
         excluded = dict(config.get("failures") or {})
         self.catalogue = loaded
         self.scripts = scripts
-        self.failures = {name: {"stage": "check", "message": text} for name, text in loaded.failures.items()} | excluded
-        self.names = [material.name for material in loaded.materials if material.name not in excluded]
-        self._specs: dict[tuple[str, str], str] = {}
+        self.runs, unplanned = _runs(loaded)
+        checked = {**loaded.failures, **unplanned}
+        self.failures = {name: {"stage": "check", "message": text} for name, text in checked.items()} | excluded
+        self.names = [material.name for material in loaded.materials if material.name not in self.failures]
 
     def has(self, part: str) -> Callable[[Any], bool]:
         """Whether a material has a part: surface, index, spectrum, slab, back."""
@@ -85,8 +90,9 @@ class Stages:
         masking = [
             f"{m.name}/masking.nc" for m in materials if self.catalogue.config["raycast"] and "surface" in m.files
         ]
+        comparisons = [f"{m.name}/comparison.nc" for m in materials if self._compares(m)]
         pictures = ("preview.nc", "preview.png") if self.catalogue.config["preview"] else ()
-        return [f"{m.name}/{file}" for m in materials for file in (*_files_of(m), *pictures)] + masking
+        return [f"{m.name}/{file}" for m in materials for file in (*_files_of(m), *pictures)] + masking + comparisons
 
     def raw_scan(self, wildcards: Any) -> str:
         """The raw file of a further scan."""
@@ -110,7 +116,7 @@ class Stages:
         """
         job = Job(
             stage=stage,
-            material=wildcards.get("material", "catalogue"),
+            material=_of(wildcards),
             script=str(self.scripts / f"{script or stage}.py"),
             folder=str(Path.cwd()),
             input=_named(input),
@@ -120,6 +126,134 @@ class Stages:
         outcome = pool.pool().perform(job)
         if outcome.error:
             raise pool.StageError(f"{job.title}: {outcome.error}")
+
+    # --- the camera rig
+
+    def emulated(self, wildcards: Any) -> bool:
+        """Whether the emulator makes a run, of a material or a calibration."""
+        return "emulate" in self._rig(wildcards)
+
+    def rig_sources(self, wildcards: Any) -> list[str]:
+        """Plan, rig and fibres of a run to be emulated."""
+        return self._run(wildcards).sources
+
+    def rig_truth(self, wildcards: Any) -> str:
+        """What the emulated rig measures."""
+        return f"{self._rig(wildcards)['emulate']['truth']}/bsdf.nc"
+
+    def rig_journal(self, wildcards: Any) -> str:
+        """The journal of a run: the laboratory's, or the one the emulator makes."""
+        owner = self._owner(wildcards)
+        return f"{_place(owner)}/run/journal.jsonl" if self.emulated(wildcards) else str(owner.files["rig"])
+
+    def rig_spec(self, stage: str) -> Asked:
+        """A stage's part of the description of a rig's material or calibration, as canonical JSON."""
+
+        def spec(wildcards: Any) -> str:
+            owner = self._owner(wildcards)
+            told = owner.spec(stage) if isinstance(owner, catalogue.Calibration) else owner.spec(stage, {})
+            if stage == "reduced":
+                told |= {"load": wildcards.load, "side": wildcards.side, "incidence": float(wildcards.incidence)}
+            return canonical_json(told)
+
+        return spec
+
+    def reduced(self, load: str) -> Asked:
+        """What a run gives of each arrangement with a load; of the sample, on one side where the rule has one."""
+
+        def files(wildcards: Any) -> list[str]:
+            place = _place(self._owner(wildcards))
+            return [
+                f"{place}/reduced-{load}-{each.side}-{each.incidence:g}.nc"
+                for each in self._run(wildcards).arrangements
+                if each.load == load and each.side == wildcards.get("side", each.side)
+            ]
+
+        return files
+
+    def by_side(self, stage: str) -> Asked:
+        """What a stage makes of a rig's material, on each side that was measured."""
+
+        def files(wildcards: Any) -> list[str]:
+            sides = dict.fromkeys(each.side for each in self._run(wildcards).arrangements if each.load == "sample")
+            return [f"{wildcards.material}/{stage}-{side}.nc" for side in sides]
+
+        return files
+
+    def compared(self, wildcards: Any) -> bool:
+        """Whether what the rig measured of a material is compared with what its surface predicts."""
+        return self._compares(self.catalogue[wildcards.material])
+
+    def _compares(self, material: catalogue.Material) -> bool:
+        if not (material.has("rig") and material.has("surface")):
+            return False
+        # A perfectly flat surface mirrors light into one direction, of which no cell shows a BRDF.
+        flat = material.content["surface"].get("distribution") == "flat"
+        arrangements = self.runs[_place(material)].arrangements
+        return not flat and any(each.load == "sample" and each.side == "reflection" for each in arrangements)
+
+    def calibration_of(self, wildcards: Any) -> str:
+        """The profile a material goes by."""
+        return f"calibrations/{self._rig(wildcards)['calibration']}.nc"
+
+    def certificate(self, wildcards: Any) -> str:
+        """The certificate a calibration goes by."""
+        return str(self.catalogue.calibrations[wildcards.calibration].files["certificate"])
+
+    def _owner(self, wildcards: Any) -> catalogue.Material | catalogue.Calibration:
+        name = wildcards.get("calibration")
+        return self.catalogue[wildcards.material] if name is None else self.catalogue.calibrations[name]
+
+    def _rig(self, wildcards: Any) -> Mapping[str, Any]:
+        owner = self._owner(wildcards)
+        return owner.content if isinstance(owner, catalogue.Calibration) else owner.content["rig"]
+
+    def _run(self, wildcards: Any) -> _Run:
+        return self.runs[_place(self._owner(wildcards))]
+
+
+class _Run(NamedTuple):
+    """What is known of a run before it is read."""
+
+    arrangements: tuple[Arrangement, ...]
+    sources: list[str]
+
+
+def _place(owner: catalogue.Material | catalogue.Calibration) -> str:
+    """Folder of the results of a material, or of a calibration."""
+    return f"{catalogue.CALIBRATIONS}/{owner.name}" if isinstance(owner, catalogue.Calibration) else owner.name
+
+
+def _runs(loaded: catalogue.Catalogue) -> tuple[dict[str, _Run], dict[str, str]]:
+    """The runs of the rigs' materials and calibrations by their places, and what is wrong with those of some materials."""
+    measured = [material for material in loaded.materials if material.has("rig")]
+    owners: list[catalogue.Material | catalogue.Calibration] = [*loaded.calibrations.values(), *measured]
+    runs: dict[str, _Run] = {}
+    problems: dict[str, str] = {}
+    for owner in owners:
+        try:
+            runs[_place(owner)] = _planned(owner)
+        except BrdfpipeError as error:
+            problems[_place(owner)] = str(error)
+    needed = {material.name: f"calibrations/{material.content['rig']['calibration']}" for material in measured}
+    failures = {
+        name: problems.get(name) or problems[calibration]
+        for name, calibration in needed.items()
+        if name in problems or calibration in problems
+    }
+    return runs, failures
+
+
+def _planned(owner: catalogue.Material | catalogue.Calibration) -> _Run:
+    from brdfpipe.rig.plan import PLAN, Plan, sources
+
+    told = owner.files["rig"]
+    path = told if told.suffix == ".yaml" else told.parent / PLAN
+    plan = Plan.load(path)
+    load = "etalon" if isinstance(owner, catalogue.Calibration) else "sample"
+    if all(each.load != load for each in plan.arrangements):
+        raise InputError(path, f"the {load} is not measured", where="runs", accepted=f"a list with {load} in it")
+    return _Run(plan.arrangements, [str(file) for file in sources(path).values()])
 
 
 def _files_of(material: catalogue.Material) -> list[str]:
@@ -136,9 +270,16 @@ def _stages_of(material: catalogue.Material) -> list[str]:
     own = {"surface": "surface" in material.files, "facets": material.has("surface")}
     own |= {"back_surface": "back_surface" in material.files, "back_facets": material.has("back")}
     own |= {part: material.has(part) for part in ("index", "spectrum", "multiangle", "predicted")}
-    own |= {"interior": material.has("slab"), "flake": material.has("multiangle")}
+    own |= {"interior": material.has("slab"), "flake": material.has("multiangle"), "measured": material.has("rig")}
     scans = [f"surface-{number}" for number in material.scans]
     return [*(stage for stage, there in own.items() if there), *scans, *ALWAYS]
+
+
+def _of(wildcards: Any) -> str:
+    """Whose stage it is, for its log and its failure: a material, ``calibrations.NAME``, or the catalogue."""
+    if (calibration := wildcards.get("calibration")) is not None:
+        return f"{catalogue.CALIBRATIONS}.{calibration}"
+    return str(wildcards.get("material", "catalogue"))
 
 
 def _named(files: Any) -> dict[str, str | list[str]]:

@@ -16,7 +16,8 @@ from markupsafe import Markup
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import representations
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.report import dispersion, effect, figures, finish, lobes, reflection, scattering
+from brdfpipe.report import dispersion, effect, figures, finish, lobes, reflection, rig, scattering
+from brdfpipe.report.cards import Table
 from brdfpipe.report.pages import MISSING, colour, fixed, grouped, number, render
 from brdfpipe.report.svg import Figure, png, sentence
 
@@ -32,6 +33,7 @@ STAGES = (
     "multiangle",
     "predicted",
     "flake",
+    "measured",
     "bsdf",
     "checks",
     "appearance",
@@ -100,18 +102,6 @@ class Fact:
 
 
 @dataclass(frozen=True)
-class Table:
-    """A table; cells are text, the first column heads its row."""
-
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    note: str = ""
-    remark: str = ""
-    """What a reader must not miss."""
-
-
-@dataclass(frozen=True)
 class Verdict:
     """The outcome of a check."""
 
@@ -167,6 +157,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
         limits=list(_limits(known)),
         warnings=[(_words(stage), text) for stage, text in stage_warnings(known)],
         sections=[section for section in sections if section.figures or section.tables or section.verdicts],
+        rig=rig.chapter(datasets),
         provenance=[_provenance(stage, dataset) for stage, dataset in known.items()],
     )
 
@@ -359,13 +350,14 @@ def _limits(datasets: Mapping[str, xr.Dataset]) -> Iterator[str]:
             "Gloss and haze are not modelled. No surface finish was measured or assumed, so the BRDF is that of an ideally "
             "matt sample; give `surface` in material.yaml to model them."
         )
-    elif facets is not None and "surface" not in datasets:
+    elif facets is not None and "surface" not in datasets and route(datasets) == "predicted":
         method = str(facets.attrs.get("method", "")).strip()
         yield (
             f"The surface finish is assumed{f' ({method})' if method else ''}, not measured. Gloss, haze and the angular "
             "figures follow from the assumption; give `surface: file` in material.yaml to use a measurement."
         )
-    if not {"spectrum", "multiangle"} & set(datasets) and not _without_base(datasets.get("bsdf")):
+    modelled = route(datasets) != "measured" and not _without_base(datasets.get("bsdf"))
+    if modelled and not {"spectrum", "multiangle"} & set(datasets):
         yield (
             "Colour and diffuse reflection are not modelled. No spectrum is known, so the BRDF holds the light mirrored by the "
             "facets alone; give `spectrum` in material.yaml to model the rest."
@@ -401,6 +393,8 @@ def route(datasets: Mapping[str, xr.Dataset]) -> str:
 def basis(datasets: Mapping[str, xr.Dataset]) -> str:
     """What it rests on: ``surface + spectrum``, ``assumed finish``, …"""
     finish = "surface" if "surface" in datasets else "assumed finish" if "facets" in datasets else ""
+    if route(datasets) == "measured":
+        return "a camera rig"
     if route(datasets) == "flake" and "multiangle" in datasets:
         return f"colours at {datasets['multiangle'].sizes['geometry']} geometries"
     return " + ".join(part for part in (finish, "spectrum" if "spectrum" in datasets else "") if part)
@@ -489,16 +483,32 @@ def _gloss_table(datasets: Mapping[str, xr.Dataset]) -> Table | None:
     rows = [(f"{angle:g}°", fixed(value, 2), spread.get(angle, "")) for angle, value in gloss]
     if appearance is not None and "haze" in appearance and np.isfinite(appearance["haze"]):
         title = "60° − 20°" if no_haze(datasets) else "Haze (D4039-style), 60° − 20°"
-        rows.append((title, fixed(float(appearance["haze"]), 2), ""))
+        rows.append((title, fixed(float(appearance["haze"]), 2), _with_sign(appearance.get("haze_u"))))
     if appearance is not None and "reflectance_haze" in appearance:
         beside = appearance["reflectance_haze"]
-        found = zip(_labels(beside, "haze_window"), beside.values.tolist(), strict=True)
-        rows += [(f"Haze (ISO 13803-style), {window}", fixed(value, 2), "") for window, value in found]
+        doubts = appearance.get("reflectance_haze_u", xr.full_like(beside, np.nan))
+        found = zip(_labels(beside, "haze_window"), beside.values.tolist(), doubts, strict=True)
+        rows += [(f"Haze (ISO 13803-style), {window}", fixed(value, 2), _with_sign(u)) for window, value, u in found]
     note = "D523-style: computed from the model with the standard's apertures; conformance is not claimed."
+    note += _coat_words(datasets.get("bsdf"))
     if not spread:
         return Table("Gloss", header, [row[:2] for row in rows], note)
     words = " Tolerances: standard uncertainty that those of the apertures and axes leave; the BRDF's own comes on top."
     return Table("Gloss", (*header, "Tolerances"), rows, note + words)
+
+
+def _coat_words(bsdf: xr.Dataset | None) -> str:
+    """That the gloss of a paint follows from what was assumed of its clear coat; empty of other materials."""
+    coat = "none" if bsdf is None else bsdf.attrs.get("clear_coat", "none")
+    if bsdf is None or coat == "none":
+        return ""
+    if coat == "rough":
+        return f" Gloss and haze are with the clear coat's slope as given ({float(bsdf['clear_coat_slope']):g}), not measured."
+    return " Gloss and haze are with the clear coat taken as smooth, not measured."
+
+
+def _with_sign(u: xr.DataArray | None) -> str:
+    return "" if u is None else _sign(float(u))
 
 
 def _spread(appearance: xr.Dataset | None) -> dict[float, str]:
@@ -520,6 +530,8 @@ def _spectral(datasets: Mapping[str, xr.Dataset]) -> Section:
     section = Section("Colour")
     if "spectrum" in datasets:
         section.figures.append(figures.spectrum(datasets["spectrum"], datasets.get("bsdf")))
+        recovered = _recovery_table(datasets["spectrum"])
+        section.tables += [recovered] if recovered else []
     appearance = datasets.get("appearance")
     if appearance is not None and "lab" in appearance:
         section.tables.append(_lab_table(appearance))
@@ -529,15 +541,64 @@ def _spectral(datasets: Mapping[str, xr.Dataset]) -> Section:
     return section
 
 
+def _recovery_table(spectrum: xr.Dataset) -> Table | None:
+    """How well a spectrum recovered from a colour has it, and what the choice of the method may cost under other light."""
+    residual = float(spectrum.attrs.get("residual_delta_e", math.nan))
+    if not math.isfinite(residual):
+        return None
+    method, against = str(spectrum.attrs["method"]), str(spectrum.attrs.get("metamerism_against", ""))
+    rows = [("ΔE*ab to the colour given", fixed(residual, 2))]
+    found = [
+        (name.removeprefix("metamerism_"), spectrum.attrs[name]) for name in spectrum.attrs if _is_metamerism(name)
+    ]
+    rows += [(f"ΔE00 to {against} under {light}", fixed(float(apart), 2)) for light, apart in found]
+    note = f"Recovered by {method}: many spectra have one colour."
+    if found:
+        note += f" ΔE00: how far the spectrum that {against} finds for it looks different under another light."
+    else:
+        note += " How it would look under another light is not known better: no other exact method reaches the colour."
+    return Table("Recovery of the spectrum", ("Quantity", "Value"), rows, note)
+
+
+def _is_metamerism(name: str) -> bool:
+    return name.startswith("metamerism_") and name != "metamerism_against"
+
+
+_BASIS = {
+    "measured": "at an angle that was measured",
+    "interpolated": "between angles that were measured",
+    "extrapolated": "beyond the angles that were measured",
+    "completed": "takes in directions that were not measured",
+}
+
+
 def _lab_table(appearance: xr.Dataset) -> Table:
     names, values = _labels(appearance["lab"], "geometry"), appearance["lab"].values.tolist()
-    rows = [(name, *(fixed(value, 2) for value in lab)) for name, lab in zip(names, values, strict=True)]
+    doubts = appearance.get("lab_u", xr.full_like(appearance["lab"], np.nan)).values.tolist()
+    rows = [
+        (name, *(f"{fixed(value, 2)} {_sign(u)}".rstrip() for value, u in zip(lab, each, strict=True)))
+        for name, lab, each in zip(names, values, doubts, strict=True)
+    ]
+    header: tuple[str, ...] = ("Geometry", "L*", "a*", "b*")
     flop = float(appearance["flop_index"]) if "flop_index" in appearance else math.nan
     total = str(appearance.attrs.get("total_geometry", ""))
     notes = [f"{total}: all reflected light, as a sphere collects it."] if total in names else []
-    notes += [f"Flop index {number(flop)}."] if math.isfinite(flop) else []
-    note = " ".join(notes)
-    return Table(f"L*a*b*, {_viewing(appearance)}", ("Geometry", "L*", "a*", "b*"), rows, note)
+    if math.isfinite(flop):
+        notes.append(f"Flop index {number(flop)} {_with_sign(appearance.get('flop_index_u'))}".rstrip() + ".")
+    if "lab_u" in appearance and "angle_tolerance" in appearance.attrs:
+        notes.append(
+            f"±: standard uncertainty that ± {float(appearance.attrs['angle_tolerance']):g}° of the directions of light and of view "
+            "leave, which is assumed of instruments; their apertures are not averaged over, and the BRDF's own comes on top."
+        )
+    if "lab_quality" in appearance:
+        flags = [vocabulary.QUALITY_FLAGS[flag] for flag in appearance["lab_quality"].values]
+        header, rows = (*header, "Basis"), [(*row, flag) for row, flag in zip(rows, flags, strict=True)]
+        notes.append("Basis: " + "; ".join(f"{flag}, {_BASIS[flag]}" for flag in _BASIS if flag in flags) + ".")
+    return Table(f"L*a*b*, {_viewing(appearance)}", header, rows, " ".join(notes))
+
+
+def _sign(u: float) -> str:
+    return f"± {fixed(u, 2)}" if math.isfinite(u) else ""
 
 
 def _effect(datasets: Mapping[str, xr.Dataset]) -> Section:

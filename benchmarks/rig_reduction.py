@@ -1,0 +1,168 @@
+"""Measure the way from a run's folder to a BSDF: a whole sample of 875 frames and its etalon, as files.
+
+``python benchmarks/rig_reduction.py`` writes ``benchmarks/results/rig_reduction.json``. The rig and the plan are those of ``brdfpipe rig
+new``: 150 fibres, 35 wavelengths × 5 incidences × 5 frames of a bracket, dark frames and looks at the lamp; the frames are the emulated
+rig's, with all effects. Two requirements are judged:
+
+* reduction of 60 frames a second and more of processor time, on one core, from frames in memory to the light of each cell;
+* at most 60 s on two cores from the files to the completed BSDF. An arrangement is a job of its own, as in the workflow.
+"""
+
+from __future__ import annotations
+
+import cProfile
+import json
+import platform
+import pstats
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+import numpy as np
+import xarray as xr
+
+from brdfpipe.rig import accuracy, completion, frames, smoothing
+from brdfpipe.rig.calibration import apply, calibrate, joined
+from brdfpipe.rig.plan import FRAMES, Plan
+from brdfpipe.rig.reduction import reduce
+from brdfpipe.rig.starting import start
+
+PROJECT = Path(__file__).resolve().parents[1]
+FRAMES_A_SECOND = 60.0
+SECONDS_LIMIT = 60.0
+CORES = 2
+REPEATS = 3
+
+Record = dict[str, Any]
+
+
+class Job(NamedTuple):
+    """One arrangement."""
+
+    folder: str
+    load: str
+    incidence: float
+
+
+@click.command()
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=PROJECT / "benchmarks" / "results" / "rig_reduction.json"
+)
+def main(out: Path) -> None:
+    """Time reading, reduction, calibration, smoothing and completion, and say where the time of the reduction goes."""
+    with tempfile.TemporaryDirectory() as folder:
+        plan = photographed(Path(folder))
+        summary: Record = {
+            "machine": f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}"
+        }
+        summary |= reduction(Path(folder), plan)
+        summary |= whole(folder, plan)
+    summary["frames_met"] = summary["reduced_a_second"] >= FRAMES_A_SECOND
+    summary["seconds_met"] = summary["busy_s"] <= SECONDS_LIMIT
+    print(as_text(summary))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    if not (summary["frames_met"] and summary["seconds_met"]):
+        sys.exit("a requirement is not met")
+
+
+def photographed(folder: Path) -> Plan:
+    """A run's folder, as a scan leaves it."""
+    plan = Plan.load(start(folder))
+    found = accuracy.frames_of(plan, accuracy.TRUTHS["plastic, 10 sr⁻¹, 3°"]())
+    (folder / FRAMES).mkdir()
+    for place, shot in enumerate(plan.shots):
+        picture = frames.Picture(
+            found["counts"].values[place], float(found["elapsed"].values[place]), shot.exposure, 20.0
+        )
+        state = frames.State(shot.wavelength, shot.position)
+        frames.write_frame(
+            folder / FRAMES / shot.name, picture, shot, plan, state=state, origin=0.0, camera="emulated camera"
+        )
+    return plan
+
+
+def reduction(folder: Path, plan: Plan) -> Record:
+    """Processor time of one arrangement, frames read before."""
+    incidence = plan.incidences[2]
+    begin = time.process_time()
+    run = frames.read_run(folder, incidence)
+    read = time.process_time() - begin
+    count = int((run["purpose"].values == "sample").sum())
+    spent = []
+    for _ in range(REPEATS):
+        begin = time.process_time()
+        reduce(run, plan.rig, incidence=incidence)
+        spent.append(time.process_time() - begin)
+    return {
+        "frames": count,
+        "read_a_second": round(run.sizes["frame"] / read, 1),
+        "reduced_a_second": round(count / min(spent), 1),
+        "goes_to": profile(run, plan, incidence),
+    }
+
+
+def profile(run: xr.Dataset, plan: Plan, incidence: float) -> list[Record]:
+    """The package's functions that take the most time. Element-wise numpy counts as their own."""
+    profiler = cProfile.Profile()
+    profiler.runcall(reduce, run, plan.rig, incidence=incidence)
+    stats: Any = pstats.Stats(profiler)
+    rows = [
+        {
+            "function": f"{Path(file).stem}.{name}",
+            "calls": calls,
+            "own_s": round(own, 4),
+            "with_callees_s": round(all_, 4),
+        }
+        for (file, _, name), (_, calls, own, all_, _) in stats.stats.items()
+        if "brdfpipe" in Path(file).parts and all_ > 0.02 * stats.total_tt
+    ]
+    return sorted(rows, key=lambda row: -float(row["with_callees_s"]))[:16]
+
+
+def arrangement(job: Job) -> tuple[xr.Dataset, float]:
+    """One arrangement from its files, and the processor time it took."""
+    begin = time.process_time()
+    run = frames.read_run(job.folder, job.incidence)
+    rig = Plan.load(Path(job.folder) / "plan.yaml").rig
+    return reduce(run, rig, load=job.load, incidence=job.incidence), time.process_time() - begin
+
+
+def whole(folder: str, plan: Plan) -> Record:
+    """From the files to the completed BSDF on two cores: wall time, and processor time over the cores."""
+    jobs = [Job(folder, "etalon", entrance) for entrance in plan.etalon_entrances]
+    jobs += [Job(folder, "sample", incidence) for incidence in plan.incidences]
+    begin, own = time.perf_counter(), time.process_time()
+    with ProcessPoolExecutor(CORES) as pool:
+        found = list(pool.map(arrangement, jobs))
+    by_load = {load: joined([each for each, _ in found if each.attrs["load"] == load]) for load in ("etalon", "sample")}
+    primary = apply(by_load["sample"], calibrate(by_load["etalon"], accuracy.certificate()))
+    completion.complete(smoothing.smooth(primary))
+    wall, own = time.perf_counter() - begin, time.process_time() - own
+    arranged = sum(spent for _, spent in found)
+    # What is done once, calibration to completion, has one core.
+    return {"wall_s": round(wall, 1), "busy_s": round(arranged / CORES + own, 1), "once_s": round(own, 1)}
+
+
+def as_text(summary: Record) -> str:
+    """The table a person reads."""
+    met = {True: "met", False: "NOT met"}
+    lines = [f"{'own s':>8}{'all s':>8}  function"]
+    lines += [f"{row['own_s']:8.3f}{row['with_callees_s']:8.3f}  {row['function']}" for row in summary["goes_to"]]
+    lines.append(
+        f"{summary['frames']} frames of an arrangement: {summary['read_a_second']:.0f} read and {summary['reduced_a_second']:.0f} reduced a "
+        f"second, at least {FRAMES_A_SECOND:.0f}: {met[summary['frames_met']]}"
+    )
+    lines.append(
+        f"a whole sample and its etalon on {CORES} cores: {summary['busy_s']:.1f} s of processor time ({summary['once_s']:.1f} s of them on one "
+        f"core), at most {SECONDS_LIMIT:.0f}: {met[summary['seconds_met']]}; wall {summary['wall_s']:.1f} s"
+    )
+    return "\n".join([*lines, summary["machine"]])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""The figures of two routes to one BRDF, what a rig measured beside what the surface predicts; and their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.report import scattering
+from brdfpipe.report.pages import fixed, number
+from brdfpipe.report.svg import Array, Axis, Figure, Line, Mark, Points, chart, legend
+from brdfpipe.routes.findings import NAMES, plus_minus
+
+_BESIDE = 12.0
+"""Azimuth from the plane of incidence up to which a cell is shown as if it lay in it [degree]."""
+
+_MOST_DECADES = 6
+_RATIOS = 0.5, 2.0
+_BINS = 60
+
+_STYLES: dict[str, tuple[str, Literal["line", "dash"]]] = {"predicted": ("c1", "dash"), "adjusted": ("c2", "line")}
+"""Colour and pattern of each model."""
+
+INPUTS_HEADER = ("Input", "Before", "After", "Change over u before")
+INCIDENCES_HEADER = (
+    "Incidence",
+    "Model",
+    "Measured / model, median",
+    "z, rms",
+    "Reflectance seen, measured",
+    "of the model",
+)
+
+
+def figures(comparison: xr.Dataset) -> list[Figure]:
+    """Measured and modelled BRDF in the plane of incidence, one chart an incidence; then how their ratio is distributed.
+
+    Parameters
+    ----------
+    comparison : kind ``comparison``
+    """
+    places = range(comparison.sizes["incidence"])
+    return [figure for at in places for figure in _cut(comparison.isel(incidence=at))] + [_ratios(comparison)]
+
+
+def inputs(comparison: xr.Dataset) -> list[tuple[str, ...]]:
+    """Rows of the table of fitted inputs, see :data:`INPUTS_HEADER`; none where nothing was fitted."""
+    if "posterior" not in comparison:
+        return []
+    return [_input(name, comparison.sel(input=name)) for name in map(str, comparison["input"].values)]
+
+
+def _input(name: str, one: xr.Dataset) -> tuple[str, ...]:
+    before, before_u, after, after_u = (float(one[each]) for each in ("prior", "prior_u", "posterior", "posterior_u"))
+    title = "refractive index, shift" if name == "index" else NAMES[name]
+    sign = "+" if name == "index" else ""
+    return (
+        title[:1].upper() + title[1:],
+        plus_minus(before, before_u, sign),
+        plus_minus(after, after_u, sign),
+        fixed((after - before) / before_u, 2),
+    )
+
+
+def incidences(comparison: xr.Dataset) -> list[tuple[str, ...]]:
+    """Rows of the table of the incidences, see :data:`INCIDENCES_HEADER`."""
+    seen = _at_reference(comparison)
+    places = [(at, model) for at in range(seen.sizes["incidence"]) for model in range(seen.sizes["model"])]
+    return [_row(seen.isel(incidence=at, model=model)) for at, model in places]
+
+
+def _at_reference(comparison: xr.Dataset) -> xr.Dataset:
+    wavelength = scattering.reference(comparison)
+    assert wavelength is not None
+    return comparison.sel(wavelength=wavelength[0])
+
+
+def _row(one: xr.Dataset) -> tuple[str, ...]:
+    return (
+        f"{float(one['incidence']):g}°",
+        str(one["model"].values),
+        fixed(float(one["median_ratio"]), 3),
+        fixed(float(one["rms_z"]), 2),
+        plus_minus(float(one["seen_reflectance"]), float(one["seen_reflectance_u"])),
+        number(float(one["seen_reflectance_model"]), 4),
+    )
+
+
+def _cut(comparison: xr.Dataset) -> Iterator[Figure]:
+    """The cells near the plane of incidence, at one incidence and wavelength."""
+    one = _at_reference(comparison)
+    turn = (one["phi_s"].values + 90) % 180 - 90
+    near = np.flatnonzero((np.abs(turn) < _BESIDE) & np.isfinite(one["brdf"].values))
+    if not near.size:
+        return
+    one = one.isel(cell=near[np.argsort(_aspecular(one.isel(cell=near)), kind="stable")])
+    angle, value = _aspecular(one), one["brdf"].values
+    marks: list[Mark] = []
+    for model, drawn in zip(map(str, one["model"].values), one["brdf_model"].values, strict=True):
+        style, pattern = _STYLES[model]
+        marks.append(Line(angle, _shown(drawn), style, model, pattern))
+    marks.append(Points(angle, _shown(value), one["brdf_u"].values, "c0", "measured ± u"))
+    shown = np.concatenate([value, one["brdf_model"].values.ravel()])
+    title = f"Measured and predicted at {float(one['incidence']):g}°"
+    svg = chart(
+        f"{title} of incidence: BRDF against the angle from the mirror direction, logarithmic",
+        Axis("angle from the mirror direction, °; positive towards the normal", *_ends(angle)),
+        _decades(shown[shown > 0]),
+        marks,
+    )
+    note = (
+        f"Cells within {_BESIDE:g}° of azimuth from the plane of incidence, {scattering.wavelength_words(comparison)}; models are "
+        "drawn through their values at the same cells."
+    )
+    yield Figure(title, svg, legend(marks), note)
+
+
+def _aspecular(cells: xr.Dataset) -> Array:
+    """Angle from the mirror direction [degree], negative away from the normal."""
+    towards = np.cos(np.radians(cells["phi_s"].values)) >= 0
+    return np.where(towards, cells["theta_s"].values, -cells["theta_s"].values)
+
+
+def _shown(values: Array) -> Array:
+    return np.where(values > 0, values, np.nan)
+
+
+def _ends(angle: Array) -> tuple[float, float]:
+    return float(10 * np.floor(min(angle.min(), -1.0) / 10)), float(10 * np.ceil(max(angle.max(), 1.0) / 10))
+
+
+def _decades(values: Array) -> Axis:
+    """A logarithmic axis that shows some values, the largest of them at least."""
+    if not values.size:
+        return Axis("BRDF, sr⁻¹ (log)", 1e-3, 1.0, log=True)
+    high = int(np.ceil(np.log10(values.max()) + 1e-9))
+    low = max(int(np.floor(np.log10(values.min()))), high - _MOST_DECADES)
+    return Axis("BRDF, sr⁻¹ (log)", 10.0**low, 10.0 ** max(high, low + 1), log=True)
+
+
+def _ratios(comparison: xr.Dataset) -> Figure:
+    """Share of the values by the ratio of measured to modelled."""
+    edges = np.geomspace(*_RATIOS, _BINS + 1)
+    marks: list[Mark] = []
+    for model in map(str, comparison["model"].values):
+        ratio = comparison["ratio"].sel(model=model).values.ravel()
+        ratio = ratio[np.isfinite(ratio)]
+        share = 100 * np.histogram(np.clip(ratio, *_RATIOS), edges)[0] / max(ratio.size, 1)
+        style, pattern = _STYLES[model]
+        marks.append(Line(np.repeat(edges, 2)[1:-1], np.repeat(share, 2), style, f"measured / {model}", pattern))
+    top = max(float(np.max(np.asarray(mark.y))) for mark in marks if isinstance(mark, Line))
+    svg = chart(
+        "Histogram of the ratio of measured to modelled BRDF",
+        Axis("measured / model (log)", *_RATIOS, log=True, at=(0.5, 0.7, 1.0, 1.4, 2.0)),
+        Axis("values, %", 0.0, 1.05 * top if top > 0 else 1.0),
+        marks,
+        height=260,
+    )
+    count = f"{comparison.attrs['values']} values at {comparison.sizes['incidence']} incidences and {comparison.sizes['wavelength']} wavelengths"
+    return Figure(
+        "Measured over modelled BRDF",
+        svg,
+        legend(marks),
+        f"{count}; those beyond the ends are counted in the last classes.",
+    )

@@ -1,0 +1,539 @@
+"""From the frames of one arrangement to the relative light of each cell: q = L / (L′/T), with what is uncertain about it.
+
+Each frame is divided by the light of its own reference spot, so that neither the lamp nor the exposure time is left in it; the
+bracket is merged, the glare removed, and cells are summed with one sparse matrix (:mod:`brdfpipe.rig.cells`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+from scipy import ndimage, sparse
+
+from brdfpipe import vocabulary
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array
+from brdfpipe.rig import brackets, exposures, registration, thumbnails
+from brdfpipe.rig import cells as celled
+from brdfpipe.rig import glare as glares
+from brdfpipe.rig import screen as screens
+from brdfpipe.rig.brackets import Bracket, Darkness, Scale, Spot
+from brdfpipe.rig.checks import overlap_check
+from brdfpipe.rig.description import Rig, Screen
+from brdfpipe.rig.exposures import Mask, Merged
+from brdfpipe.rig.registration import Registration
+
+COMPONENTS = {
+    "noise": "independent",
+    "repeat": "common",
+    "reference": "common",
+    "nd": "common",
+    "glare": "common",
+    "geometry": "independent",
+}
+"""Components of the uncertainty of q, and whether they are independent from cell to cell or common to all of a picture."""
+
+_MARGIN = 4.0
+"""Distance from disc and spots at which the picture holds glare alone [pixel]."""
+
+_BELOW_NOISE = 2.0
+"""A cell is below the noise if its light is less than so many times its noise."""
+
+_BLIND = 0.99
+"""Share of pixels out of range from which a frame shows nothing."""
+
+_SMOOTH = 1.5
+"""Standard deviation of the Gaussian [pixel] over which the curvature of the light on the disc is taken."""
+
+_CLEAR_OF_RIM = 3.5
+"""How many of these from the rim of the disc the curvature is not taken: the rim itself would bend it."""
+
+_CURVATURE_U, _CURVATURE_NEXT = 0.05, 0.15
+"""Relative standard uncertainty of what the curvature changes in a cell's mean; and half of the term beyond it over its square, as of
+the exponential that the flank of a lobe is: sinh x / x = 1 + b + 0.3 b² + …, b = x²/6."""
+
+_WHOLE = 0.98
+"""Share of a cell within the picture, and within the rim of the disc, below which it is vignetted."""
+
+_FEWEST_LOOKS = 3
+"""Looks at the lamp from which a scatter is told."""
+
+_JUDGED = 5
+"""Wavelengths whose overlaps tell where the filters stand."""
+
+_TOLD = 8
+"""Of a list in a message."""
+
+
+class ReductionError(BrdfpipeError):
+    """Frames that do not make a measurement."""
+
+
+def reduce(
+    frames: xr.Dataset,
+    rig: Rig,
+    *,
+    load: str = "sample",
+    side: str = "reflection",
+    incidence: float | None = None,
+    target: xr.Dataset | None = None,
+    override: bool = False,
+) -> xr.Dataset:
+    """Relative light of each cell, of one arrangement.
+
+    Parameters
+    ----------
+    frames : kind ``frames``; those of the arrangement are used, and the dark ones
+    rig : as described
+    load : ``sample`` or ``etalon``
+    side : ``reflection`` or ``transmission``
+    incidence : the entrance [degree]; may be left out where the frames are of one
+    target : kind ``frames`` with pictures of the rig's angular target, if not among the others; without any the disc's centre is as
+        described
+    override : go on where overlapping frames contradict ``nd_location``
+
+    Returns
+    -------
+    Dataset of kind ``reduced``: ``signal(incidence, wavelength, cell)`` and its components of uncertainty, ``reference(incidence,
+    wavelength)`` [e⁻/s]. A wavelength at which no frame shows the reference has no values, and is named in the warnings.
+
+    Raises
+    ------
+    ReductionError : there are no such frames, or no light; overlapping frames contradict ``nd_location``.
+    ExposureError : there are no dark frames of an exposure time.
+    """
+    vocabulary.validate(frames, "frames")
+    _check_rig(frames, rig)
+    chosen = _chosen(frames, load, side, incidence)
+    darkness = Darkness.of(frames, rig)
+    notes = [*_few_darks(darkness), *_checked_filters(frames, chosen, rig, override)]
+    wavelengths = np.unique(chosen["wavelength"].values)
+    spot: Spot | None = None
+    scales: list[Scale] = []
+    merged: list[Merged | None] = []
+    for wavelength in wavelengths:
+        own = chosen.isel(frame=chosen["wavelength"].values == wavelength)
+        bracket = brackets.bracket(own, darkness, rig)
+        notes += _blind(own, bracket)
+        spot = spot or brackets.reference_spot(rig, bracket)
+        scales.append(brackets.scaled(bracket, spot, rig))
+        merged.append(_merged(bracket, scales[-1]))
+    notes += _unlit(wavelengths, scales)
+    assert spot is not None
+    found = _registered(rig, _without_glare(rig, *_mean(merged, scales)), frames, chosen, darkness)
+    found = _centred(rig, found, frames if target is None else target, darkness if target is None else None)
+    repeat = _repeat(frames, chosen, darkness, spot, rig)
+    reduced = _cells(rig, found, wavelengths, merged, scales, repeat)
+    return _labelled(reduced, chosen, rig, found, [*notes, *_too_bright(reduced), *_no_glare(reduced)])
+
+
+# --- which frames
+
+
+def _check_rig(frames: xr.Dataset, rig: Rig) -> None:
+    if frames.attrs["rig_digest"] != rig.digest:
+        raise ReductionError(
+            f"the frames were taken with another rig ({frames.attrs['rig']}) than {rig.name} as described; "
+            "reduce a run with the rig.yaml in its own folder"
+        )
+
+
+def _chosen(frames: xr.Dataset, load: str, side: str, incidence: float | None) -> xr.Dataset:
+    """The light frames of one arrangement."""
+    kept = (frames["purpose"].values == load) & (frames["side"].values == side)
+    if incidence is not None:
+        kept &= frames["incidence"].values == incidence
+    chosen = frames.isel(frame=kept)
+    found = np.unique(chosen["incidence"].values)
+    where = "" if incidence is None else f" at {incidence:g} degree"
+    if not found.size:
+        raise ReductionError(
+            f"no frame of the {load} in {side}{where}; check the plan's `runs`, `side` and `incidences`"
+        )
+    if found.size > 1:
+        listed = ", ".join(f"{each:g}" for each in found)
+        raise ReductionError(f"the frames are of several incidences ({listed} degree); say which")
+    return chosen
+
+
+def _few_darks(darkness: Darkness) -> Iterator[str]:
+    for exposure, dark in darkness.darks.items():
+        if dark.frames < exposures.FEWEST_DARKS:
+            yield (
+                f"dark frames of {exposure:g} s: only {dark.frames}, whose own noise adds to that of every frame; "
+                f"take {exposures.FEWEST_DARKS} or more (`darks` of the plan)"
+            )
+
+
+def _checked_filters(frames: xr.Dataset, chosen: xr.Dataset, rig: Rig, override: bool) -> list[str]:
+    """What overlapping frames say against the description of the filters; the better part of the wavelengths tells no more."""
+    wavelengths = np.unique(chosen["wavelength"].values)
+    some = chosen.isel(frame=np.isin(chosen["wavelength"].values, wavelengths[:: -(-wavelengths.size // _JUDGED)]))
+    found = overlap_check(xr.concat([some, _purpose(frames, "dark")], "frame"), rig)
+    if found.overlaps and found.nd_location != rig.nd_location and not override:
+        raise ReductionError("; ".join(found.warnings))
+    return list(found.warnings)
+
+
+def _purpose(frames: xr.Dataset, purpose: str) -> xr.Dataset:
+    return frames.isel(frame=frames["purpose"].values == purpose)
+
+
+def _blind(frames: xr.Dataset, bracket: Bracket) -> Iterator[str]:
+    """Frames that show nothing."""
+    for shot, usable in zip(frames["shot"].values, bracket.usable, strict=True):
+        if usable.mean() < 1 - _BLIND:
+            wavelength = float(frames["wavelength"].values[0])
+            yield (
+                f"frame {shot} ({wavelength:g} nm) is beyond the linear range everywhere and tells nothing; was the shutter stuck, or the "
+                "room lit? `brdfpipe rig scan … --resume` takes it again once its file is deleted"
+            )
+
+
+def _unlit(wavelengths: Array, scales: list[Scale]) -> Iterator[str]:
+    """Wavelengths without a reference.
+
+    Raises
+    ------
+    ReductionError : all of them.
+    """
+    dim = [f"{each:g}" for each, scale in zip(wavelengths, scales, strict=True) if not np.isfinite(scale.lamp)]
+    if len(dim) == len(scales):
+        raise ReductionError(
+            "the reference spot is out of range, or dark, in every frame; see that the lamp burns, and shorten or lengthen an exposure "
+            "of the plan's `bracket`"
+        )
+    if dim:
+        listed = ", ".join(dim[:_TOLD]) + (", …" if len(dim) > _TOLD else "")
+        yield (
+            f"{len(dim)} of {len(scales)} wavelengths have no values: the reference spot is out of range, or dark, in every frame at "
+            f"{listed} nm; shorten or lengthen an exposure of the plan's `bracket`"
+        )
+
+
+def _too_bright(reduced: xr.Dataset) -> Iterator[str]:
+    saturated = (reduced["signal_quality"] == vocabulary.quality("saturated")).sum("cell").values
+    if saturated.any():
+        where = float(reduced["wavelength"].values[int(saturated.argmax())])
+        yield (
+            f"up to {saturated.max()} cells ({where:g} nm) are brighter than any frame of the bracket holds: they have no value, and the glare "
+            "they cause is not known; add a shorter exposure, or a darker filter, to the plan's `bracket`"
+        )
+
+
+def _no_glare(reduced: xr.Dataset) -> Iterator[str]:
+    if not np.isfinite(reduced.attrs["glare_share"]):
+        yield (
+            "veiling glare was not removed, nor is it in the uncertainty: too few pixels lie between disc and fibres to tell it; let the camera "
+            "see more of the screen"
+        )
+
+
+# --- pictures
+
+
+def _merged(bracket: Bracket, scale: Scale) -> Merged | None:
+    if not np.isfinite(scale.lamp):
+        return None
+    return exposures.merge(bracket.light, bracket.usable, scale.k, bracket.floor)
+
+
+def _filled(merged: Merged) -> Array:
+    """A merged picture for the glare: what is brighter than every frame holds at least what the fastest of them could."""
+    brightest = np.nanmax(merged.light, initial=0.0)
+    return np.where(merged.saturated, brightest, merged.light).astype(float)
+
+
+def _mean(merged: list[Merged | None], scales: list[Scale]) -> tuple[Array, Array]:
+    """A picture of all wavelengths, weighted as the lamp has them, and its variance."""
+    known = [(each, scale.lamp) for each, scale in zip(merged, scales, strict=True) if each is not None]
+    lamp = sum(each for _, each in known)
+    total = sum((each * _filled(picture) for picture, each in known), np.zeros(()))
+    noise = (np.where(picture.saturated, np.nanmax(picture.variance), picture.variance) for picture, _ in known)
+    variance = sum((each**2 * of_picture for of_picture, (_, each) in zip(noise, known, strict=True)), np.zeros(()))
+    return np.asarray(total / lamp), np.asarray(variance / lamp**2, dtype=float)
+
+
+def _without_glare(rig: Rig, picture: Array, variance: Array) -> tuple[Array, Array]:
+    """The glare of a bright lobe falls off across a faint spot, and would draw its centroid."""
+    background = _background(rig, registration.register(rig, picture, variance).screen)
+    return glares.removed(picture, glares.estimate(picture, variance, background)), variance
+
+
+def _one_picture(frames: xr.Dataset, darkness: Darkness, rig: Rig) -> tuple[Array, Array] | None:
+    """A picture of one wavelength and its variance."""
+    bracket = brackets.bracket(frames, darkness, rig)
+    scale = brackets.scaled(bracket, brackets.reference_spot(rig, bracket), rig)
+    merged = _merged(bracket, scale)
+    return None if merged is None else _mean([merged], [scale])
+
+
+def _registered(
+    rig: Rig, picture: tuple[Array, Array], frames: xr.Dataset, chosen: xr.Dataset, darkness: Darkness
+) -> Registration:
+    """Where the pictures lie; scale and radial term, where few fibres shine, by what else was in the holder that session."""
+    found = registration.register(rig, *picture)
+    if found.spots >= registration.FIBRES_ENOUGH:
+        return found
+    others = frames.isel(
+        frame=np.isin(frames["purpose"].values, ("sample", "etalon"))
+        & ~np.isin(frames["shot"].values, chosen["shot"].values)
+    )
+    for _, of_arrangement in others.groupby(["purpose", "side", "incidence"]) if others.sizes["frame"] else ():
+        wavelengths = np.unique(of_arrangement["wavelength"].values)
+        middle = of_arrangement["wavelength"].values == wavelengths[wavelengths.size // 2]
+        other = _one_picture(of_arrangement.isel(frame=middle), darkness, rig)
+        if other and (seen := registration.register(rig, *other)).spots >= registration.FIBRES_ENOUGH:
+            return registration.register(rig, *picture, seen.screen)
+    return found
+
+
+def _centred(rig: Rig, found: Registration, target: xr.Dataset, darkness: Darkness | None) -> Registration:
+    """Where the mirror direction falls on the disc, by the pictures of the rig's angular target."""
+    own = _purpose(target, "target")
+    if rig.target is None or not own.sizes["frame"]:
+        return found
+    _check_rig(target, rig)
+    picture = _one_picture(own, darkness or Darkness.of(target, rig), rig)
+    if picture is None:
+        return found
+    # Where little but the target shines the reference tells the shift of its pictures; the lens is the same in every session.
+    there = registration.register(rig, *picture, found.screen)
+    spots = rig.target
+    centred = registration.centre_disc(there, *picture, spots.theta_s, spots.phi_s, spots.radius)
+    screen = replace(found.screen, disc=centred.screen.disc, focal_length=centred.screen.focal_length)
+    return replace(found, screen=screen, direction_u=centred.direction_u)
+
+
+def _repeat(frames: xr.Dataset, chosen: xr.Dataset, darkness: Darkness, spot: Spot, rig: Rig) -> float:
+    """Relative scatter of the light over its reference between the looks at one state during the arrangement; 0 if it cannot be told."""
+    looks = _purpose(frames, "drift")
+    shots, own = looks["shot"].values, chosen["shot"].values
+    # The look before the first frame was of the same arrangement; one behind the last may be of the next.
+    looks = looks.isel(frame=(shots >= own.min() - 1) & (shots <= own.max()))
+    if looks.sizes["frame"] < _FEWEST_LOOKS:
+        return 0.0
+    seen = brackets.bracket(looks, darkness, rig)
+    reference, reference_u = brackets.reference_light(seen, spot)
+    everywhere = seen.usable.all(axis=0) & spot.away
+    light = np.where(everywhere, seen.light, 0.0).sum(axis=(1, 2), dtype=float)
+    if not ((light > 0) & np.isfinite(reference)).all():
+        return 0.0
+    chance = (light + everywhere.sum() * seen.floor) / light**2 + reference_u**2
+    ratio = light / reference
+    return float(np.sqrt(max((ratio.std(ddof=1) / ratio.mean()) ** 2 - chance.mean(), 0.0)))
+
+
+# --- cells
+
+
+def _cells(
+    rig: Rig, found: Registration, wavelengths: Array, merged: list[Merged | None], scales: list[Scale], repeat: float
+) -> xr.Dataset:
+    """Sums over cells of the merged pictures, without their glare; wavelengths without a reference stay missing."""
+    cells, weights = celled.cells_of(rig), celled.weights(rig, found.screen)
+    area, whole = _areas(rig, found.screen, cells, weights)
+    lit = [place for place, each in enumerate(merged) if each is not None]
+    pictures = [each for each in merged if each is not None]
+    background = _background(rig, found.screen)
+    light = np.array([_filled(each) for each in pictures], dtype=float)
+    halo = glares.estimate(*_mean(merged, scales), background)
+    clean = glares.removed(light, halo)
+    clean -= clean[:, background].mean(axis=1)[:, None, None] if background.any() else 0.0
+    flat = clean.reshape(len(clean), -1)
+    bend = _curvature(rig, found, weights, clean, area) * cells.of_disc
+    signal = _summed(weights, flat) - bend
+    saturated = _summed(weights, np.array([each.saturated for each in pictures], dtype=float)) > 0
+    variance = np.array([np.nan_to_num(each.variance) for each in pictures])
+    # Each picture's light over that of their mean; of what is black nothing but noise is left.
+    total = np.maximum(flat.sum(axis=1, keepdims=True), 0.0)
+    brightness = total / max(float(total.mean()), 1e-300)
+    reference, nd = _of_frames(weights, clean, pictures, [scales[place] for place in lit])
+    u = {
+        "noise": np.sqrt(_summed(weights.power(2), variance)),
+        "repeat": repeat * np.abs(signal),
+        "reference": reference * np.abs(signal),
+        "nd": nd * np.abs(signal),
+        "glare": brightness * glares.uncertainty(clean.mean(axis=0), halo, weights),
+        "geometry": np.hypot(_misplaced(rig, found, weights, clean, cells.of_disc), _curvature_u(bend, signal)),
+    }
+    quality = np.full(signal.shape, vocabulary.quality("measured"), dtype=np.int8)
+    quality[np.abs(signal) < _BELOW_NOISE * u["noise"]] = vocabulary.quality("below_noise")
+    quality[saturated] = vocabulary.quality("saturated")
+    quality[:, ~whole] = vocabulary.quality("vignetted")
+    lost = saturated | ~whole
+    everywhere = np.full((len(merged), len(area)), vocabulary.quality("below_noise"), dtype=np.int8)
+    everywhere[lit] = quality
+    values = {"signal": signal} | {f"signal_u_{name}": each for name, each in u.items()}
+    variables = {
+        name: _at(lit, np.where(lost, np.nan, each / np.maximum(area, 1e-9)), len(merged))
+        for name, each in values.items()
+    }
+    drawn = thumbnails.drawing(light.mean(axis=0), rig, found.screen, weights)
+    drawn.attrs["glare_share"] = halo.share if np.isfinite(halo.misfit) else np.nan
+    return drawn.assign(
+        {name: (("wavelength", "cell"), each) for name, each in variables.items()}
+        | {"signal_quality": (("wavelength", "cell"), everywhere)}
+        | {"reference": ("wavelength", np.array([scale.lamp for scale in scales]))}
+    ).assign_coords(
+        wavelength=("wavelength", wavelengths),
+        cell=("cell", np.array(cells.names)),
+        kind=("cell", np.array(cells.kinds)),
+        theta_s=("cell", cells.theta_s),
+        phi_s=("cell", cells.phi_s),
+        solid_angle=("cell", cells.solid_angle),
+    )
+
+
+def _areas(rig: Rig, screen: Screen, cells: celled.Cells, weights: sparse.csr_array) -> tuple[Array, Mask]:
+    """Area that the light of each cell is referred to [pixel], and whether the cell is seen whole.
+
+    A fibre's end lies within its own margin: the area is the same in every session.
+    """
+    seen = weights.sum(axis=1)
+    radius = celled.fibre_radii(rig, screen)
+    ends = np.pi * radius**2
+    stretch = screen.scale**2 / screens.disc_solid_angle(screen, cells.theta_s[radius.size :])
+    expected = np.append(ends, cells.solid_angle[radius.size :] * stretch)
+    within = np.append(np.ones(radius.size), weights[radius.size :] @ _within(rig, screen, 0.0).ravel())
+    within[radius.size :] /= np.maximum(seen[radius.size :], 1e-9)
+    nominal = np.pi * celled.fibre_radii(rig, rig.screen) ** 2
+    return np.append(nominal, seen[radius.size :]), (seen >= 1) & (np.minimum(seen / expected, 1) * within >= _WHOLE)
+
+
+def _background(rig: Rig, screen: Screen) -> Mask:
+    """Pixels that hold glare alone."""
+    margin = _MARGIN / screen.scale
+    lit = _within(rig, screen, margin)
+    places = [(fibre.x, fibre.y, screen.fibre_radius) for fibre in rig.fibres]
+    for x, y, radius in (*places, (*screen.reference, screen.reference_radius)):
+        lit |= _near(rig, screen, x, y, radius + margin)
+    return ~lit
+
+
+def _within(rig: Rig, screen: Screen, margin: float) -> Mask:
+    """Pixels within the rim of the disc, widened by a margin [mm]."""
+    return _near(rig, screen, *screen.disc, screen.disc_radius + margin)
+
+
+def _near(rig: Rig, screen: Screen, x: float, y: float, radius: float) -> Mask:
+    """Pixels that see the screen within a distance of a place [mm]."""
+    found = np.zeros((rig.camera.height, rig.camera.width), dtype=bool)
+    column, row = (float(each) for each in screens.to_pixel(screen, x, y))
+    reach = 1.1 * radius * screen.scale + 2
+    rows, columns = (
+        np.arange(max(int(middle - reach), 0), min(int(middle + reach) + 2, size))
+        for middle, size in ((row, rig.camera.height), (column, rig.camera.width))
+    )
+    place = screens.to_place(screen, columns, rows[:, None])
+    found[np.ix_(rows, columns)] = np.hypot(place.x - x, place.y - y) < radius
+    return found
+
+
+def _curvature(rig: Rig, found: Registration, weights: sparse.csr_array, clean: Array, area: Array) -> Array:
+    """What curvature adds to sums over the disc's cells, (wavelength, cell).
+
+    The mean over a cell of second moments M about its middle is f + ½ Σ M_jk ∂_j∂_k f, and the core of the point spread adds its own to M.
+    Derivatives are taken of the smoothed light, over that light: smoothing lifts both alike on the flank of a lobe. Near the rim they
+    follow from the part of a cell that lies further in.
+    """
+    inner = _within(rig, found.screen, -_CLEAR_OF_RIM * _SMOOTH / found.screen.scale)
+    bend = np.zeros((len(clean), len(area)))
+    if not inner.any():
+        return bend
+    rows, columns = (
+        slice(max(int(each.min()) - 12, 0), min(int(each.max()) + 13, size))
+        for each, size in zip(np.nonzero(inner), inner.shape, strict=True)
+    )
+    within = weights[:, np.arange(inner.size).reshape(inner.shape)[rows, columns].ravel()]
+    lit, light = inner[rows, columns], clean[:, rows, columns]
+    y, x = np.mgrid[rows, columns].reshape(2, -1)
+    middle = [within @ each / np.maximum(area, 1.0) for each in (y, x)]
+    for first, second in ((0, 0), (1, 1), (0, 1)):
+        moment = within @ ((y, x)[first] * (y, x)[second]) / np.maximum(area, 1.0) - middle[first] * middle[second]
+        orders = (0, (first == 0) + (second == 0), (first == 1) + (second == 1))
+        curved = ndimage.gaussian_filter(light, (0, _SMOOTH, _SMOOTH), orders) * lit
+        # Half of either second derivative, and of the mixed one twice; a pixel has 1/12 itself.
+        bend += ((moment + 1 / 12 + found.blur**2) / 2 if first == second else moment) * _summed(within, curved)
+    smooth = _summed(within, ndimage.gaussian_filter(light, (0, _SMOOTH, _SMOOTH)) * lit)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.nan_to_num(_summed(within, light) / smooth)
+    # No more than the cell over its inner part, whatever noise makes of faint light.
+    return bend * np.clip(share, 0.0, 1.2 * area / np.maximum(within @ lit.ravel().astype(float), 1.0))
+
+
+def _curvature_u(bend: Array, signal: Array) -> Array:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.nan_to_num(np.abs(bend / signal), posinf=1.0)
+    return np.abs(bend) * np.minimum(_CURVATURE_U + _CURVATURE_NEXT * share, 1.0)
+
+
+def _misplaced(rig: Rig, found: Registration, weights: sparse.csr_array, clean: Array, of_disc: Mask) -> Array:
+    """What the cells' light may be off because the picture, or on the disc the mirror direction, lies elsewhere.
+
+    Where a fibre looks is taken as described.
+    """
+    centre = np.radians(found.direction_u) * rig.screen.focal_length * rig.screen.scale
+    # Only on the disc does a wrong centre mean another direction.
+    step = np.hypot(found.shift_u, np.where(of_disc, centre, 0.0))
+    down, across = (np.asarray(each) for each in np.gradient(clean, axis=(1, 2)))
+    return np.hypot(_summed(weights, across), _summed(weights, down)) * step
+
+
+def _of_frames(
+    weights: sparse.csr_array, clean: Array, pictures: list[Merged], scales: list[Scale]
+) -> tuple[Array, Array]:
+    """Relative uncertainties (wavelength, cell) that the frames' references and filters leave, by their shares in each cell."""
+    found = []
+    for picture, each, scale in zip(clean, pictures, scales, strict=True):
+        shares = _summed(weights, each.shares * np.abs(picture))
+        shares /= np.maximum(shares.sum(axis=0), 1e-300)
+        found.append(
+            [np.einsum("fc,fg,gc->c", shares, covariance, shares) for covariance in (scale.reference, scale.filters)]
+        )
+    reference, nd = np.sqrt(np.maximum(np.array(found).swapaxes(0, 1), 0.0))
+    return reference, nd
+
+
+def _summed(weights: sparse.csr_array, pictures: Array) -> Array:
+    """Sums over cells of pictures, (picture, cell)."""
+    return np.asarray((weights @ pictures.reshape(len(pictures), -1).T).T, dtype=float)
+
+
+def _at(places: list[int], values: Array, count: int) -> Array:
+    """Values of some wavelengths among all, which are missing elsewhere."""
+    whole = np.full((count, values.shape[1]), np.nan)
+    whole[places] = values
+    return whole
+
+
+def _labelled(reduced: xr.Dataset, chosen: xr.Dataset, rig: Rig, found: Registration, notes: list[str]) -> xr.Dataset:
+    """The dataset of kind ``reduced``, with its one incidence."""
+    incidence = float(chosen["incidence"].values[0])
+    spectral = [name for name, each in reduced.data_vars.items() if "wavelength" in each.dims]
+    reduced = reduced.assign(reduced[spectral].expand_dims(incidence=[incidence]))
+    for name, correlation in COMPONENTS.items():
+        reduced[f"signal_u_{name}"].attrs["correlation"] = correlation
+    clearest = max(
+        (rig.transmittance(int(position)) for position in np.unique(chosen["nd_position"].values)),
+        key=lambda each: each.transmittance,
+    )
+    reduced.attrs = {
+        **{name: chosen.attrs[name] for name in ("rig", "rig_digest", "sample", "day")},
+        "camera": chosen.attrs.get("camera", ""),
+        "load": str(chosen["purpose"].values[0]),
+        "side": str(chosen["side"].values[0]),
+        "filter": clearest.position,
+        "filter_u": clearest.u,
+        "glare_share": reduced.attrs["glare_share"],
+        "registration_spots": found.spots,
+        "registration_shift": list(found.shift(rig)),
+        "registration_u": found.shift_u,
+        "disc_centre": list(found.screen.disc),
+        "disc_centre_u": found.direction_u,
+    }
+    carried = vocabulary.add_warning(reduced, *vocabulary.warnings(chosen), *dict.fromkeys(notes))
+    return vocabulary.validate(vocabulary.label(carried, "reduced"), "reduced")

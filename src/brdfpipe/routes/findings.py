@@ -1,0 +1,150 @@
+"""What a comparison of two routes found, in words."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf import representations
+
+MISFIT = 1.5
+"""χ² over the degrees of freedom from which a model does not describe a measurement."""
+
+_CERTAIN = 3.0
+"""Standard uncertainties from which a change is no chance."""
+
+_FAR = 3.0
+"""Prior standard uncertainties from which a change needs another reason."""
+
+_UNTOLD = 0.8
+"""Posterior over prior uncertainty above which a measurement tells nothing of an input."""
+
+_ALIKE = 0.9
+"""Correlation from which two inputs cannot be told apart."""
+
+_REFERENCE = 550.0
+"""Wavelength at which an index is quoted [nm]."""
+
+NAMES = {"index": "refractive index", "slope": "slope scale", "diffuse": "diffuse scale"}
+
+
+def told(comparison: xr.Dataset, predicted: xr.Dataset) -> xr.Dataset:
+    """A comparison with what it found as the attribute ``findings``, a list in JSON, and its warnings."""
+    sentences = [*_agreement(comparison), *_inputs(comparison, predicted), *_alike(comparison)]
+    words = comparison.assign_attrs(findings=json.dumps(sentences, ensure_ascii=False))
+    return vocabulary.add_warning(words, *_warnings(comparison, predicted))
+
+
+def sentences(comparison: xr.Dataset) -> list[str]:
+    """What a comparison found."""
+    return list(json.loads(comparison.attrs["findings"]))
+
+
+def plus_minus(value: float, u: float, sign: str = "") -> str:
+    """A value and its standard uncertainty, with two figures of the latter: ``1.070 ± 0.011``."""
+    decimals = max(0, 1 - math.floor(math.log10(u))) if u > 0 else 4
+    return f"{value:{sign}.{decimals}f} ± {u:.{decimals}f}".replace("-", "−")
+
+
+def _agreement(comparison: xr.Dataset) -> Iterator[str]:
+    before, *after = comparison["chi_squared_dof"].values.tolist()
+    ratios = comparison["median_ratio"].sel(model="predicted").values
+    incidences = ", ".join(f"{each:g}°" for each in comparison["incidence"].values)
+    yield (
+        f"measured over predicted, median at {incidences} of incidence: {', '.join(f'{ratio:.3f}' for ratio in ratios)}; "
+        f"χ² over the degrees of freedom {before:.3g}"
+    )
+    if after:
+        verdict = (
+            "the prediction describes the measurement" if after[0] <= MISFIT else "they do not explain the difference"
+        )
+        yield f"with the inputs below χ² over the degrees of freedom is {after[0]:.3g}: {verdict}"
+
+
+def _inputs(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
+    if "posterior" not in comparison:
+        return
+    for name in map(str, comparison["input"].values):
+        one = comparison.sel(input=name)
+        value, u, before = (float(one[each]) for each in ("posterior", "posterior_u", "prior"))
+        stated = f"{NAMES[name]} {_stated(name, value, u, predicted)}"
+        if u > _UNTOLD * float(one["prior_u"]):
+            yield f"{stated}: the measurement tells nothing of it beyond what was assumed"
+        elif abs(value - before) < _CERTAIN * u:
+            yield f"{stated}: as it was given, within its uncertainty"
+        else:
+            yield f"{stated}: {_meaning(name, value)}"
+
+
+def _stated(name: str, value: float, u: float, predicted: xr.Dataset) -> str:
+    if name != "index":
+        return f"× {plus_minus(value, u)}"
+    given = predicted["n"]
+    if given.ndim:
+        wavelength = float(given["wavelength"].sel(wavelength=_REFERENCE, method="nearest"))
+        given, at = given.sel(wavelength=wavelength), f" at {wavelength:g} nm"
+    else:
+        at = ""
+    return f"{plus_minus(float(given) + value, u)}{at} instead of {float(given):.4g} (shifted by {plus_minus(value, u, '+')})"
+
+
+def _meaning(name: str, value: float) -> str:
+    if name == "index":
+        return f"the facets reflect as if the index were {'higher' if value > 0 else 'lower'} than given"
+    percent = f"{float(f'{100 * abs(value - 1):.2g}'):g} %"
+    if name == "slope":
+        return f"the surface scatters as if {percent} {'rougher' if value > 1 else 'smoother'} than its facets say"
+    return f"below the facets the body is {percent} {'brighter' if value > 1 else 'darker'} than the spectrum says"
+
+
+def _alike(comparison: xr.Dataset) -> Iterator[str]:
+    if "correlation" not in comparison:
+        return
+    names, correlation = [str(name) for name in comparison["input"].values], comparison["correlation"].values
+    for first, second in np.argwhere(np.triu(np.abs(correlation) > _ALIKE, 1)):
+        number = f"{correlation[first, second]:.2f}".replace("-", "−")
+        yield f"{NAMES[names[first]]} and {NAMES[names[second]]} can hardly be told apart (correlation {number}): one may stand for the other"
+
+
+def _warnings(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
+    yield from _fit_warnings(comparison)
+    if "posterior" in comparison:
+        for name in map(str, comparison["input"].values):
+            one = comparison.sel(input=name)
+            moved = abs(float(one["posterior"] - one["prior"])) / float(one["prior_u"])
+            if moved > _FAR:
+                yield (
+                    f"measurement and prediction agree only if the {NAMES[name]} changes by {moved:.1f} of the standard uncertainties it was "
+                    f"given; check it, or raise `comparison.{name}_u`"
+                )
+    if predicted.attrs["representation"] != "microfacet":
+        yield (
+            f"the prediction ({predicted.attrs['representation']}) was compared and not fitted: index, slopes and diffuse "
+            "reflectance are fitted for opaque bodies alone"
+        )
+    if not representations.isotropic(predicted):
+        lay = representations.lay(predicted)
+        along = "" if lay is None else f", along {lay:.0f}°"
+        yield (
+            f"the surface has a lay{along}, and the rig saw it in one plane of incidence, taken for that of azimuth 0; lay "
+            "the sample into the rig as it lay under the profilometer"
+        )
+
+
+def _fit_warnings(comparison: xr.Dataset) -> Iterator[str]:
+    left = float(comparison["chi_squared_dof"].values[-1])
+    fitted = "posterior" in comparison
+    if fitted and not comparison.attrs["converged"]:
+        yield "the fit of the prediction's inputs stopped before it converged: take its outcome for a hint"
+    if left > MISFIT and fitted:
+        yield (
+            f"no change of the prediction's inputs makes it agree with the measurement (χ² over the degrees of freedom {left:.3g}): the form of "
+            f"the model, or an uncertainty, is wrong; the uncertainties of the inputs were enlarged {comparison.attrs['enlarged']:.2g} times"
+        )
+    elif left > MISFIT:
+        yield f"prediction and measurement do not agree (χ² over the degrees of freedom {left:.3g})"

@@ -1,0 +1,412 @@
+"""What docs/rig.md says is what the program does: keys, defaults, words, commands, keywords, and code that runs."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+import small_rig
+import yaml
+
+import brdfpipe
+from brdfpipe import cli
+from brdfpipe.rig import commands, description, devices, frames, scan
+from brdfpipe.rig.description import CameraSettings, Rig
+from brdfpipe.rig.devices import line, open_camera
+from brdfpipe.rig.emulator.clock import VirtualClock
+from brdfpipe.rig.emulator.effects import Effects
+from brdfpipe.rig.emulator.faults import KINDS, Faults
+from brdfpipe.rig.emulator.port import Port
+from brdfpipe.rig.plan import Plan
+from brdfpipe.store import save_dataset
+
+PROJECT = Path(__file__).parents[2]
+DOCUMENT = PROJECT / "docs" / "rig.md"
+TEXT = DOCUMENT.read_text(encoding="utf-8")
+PAGES = (
+    *(PROJECT / "docs" / name for name in ("benchmarks.md", "materials.md", "model.md", "rig.md")),
+    PROJECT / "README.md",
+    PROJECT / "examples" / "README.md",
+)
+
+# --- tables
+
+
+def section(title: str) -> str:
+    """What stands below a heading, up to the next one."""
+    found = re.search(rf"^#+ {re.escape(title)}\n(.*?)(?=^#+ |\Z)", _without_code(TEXT), re.MULTILINE | re.DOTALL)
+    assert found, f"no heading {title!r}"
+    return found[1]
+
+
+def _without_code(text: str) -> str:
+    """Without fenced code, whose comments look like headings."""
+    return re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def rows(text: str, first: str) -> list[dict[str, str]]:
+    """Lines of the table whose first column is titled so, by the titles."""
+    lines = text.splitlines()
+    starts = [number for number, each in enumerate(lines) if each.startswith(f"| {first} |")]
+    assert len(starts) == 1, f"{len(starts)} tables of {first!r}"
+    titles, found = _cells(lines[starts[0]]), []
+    for each in lines[starts[0] + 2 :]:
+        if not each.startswith("|"):
+            break
+        cells = _cells(each)
+        assert len(cells) == len(titles), each
+        found.append(dict(zip(titles, cells, strict=True)))
+    return found
+
+
+def _cells(row: str) -> list[str]:
+    return [cell.strip() for cell in row.strip().strip("|").split("|")]
+
+
+def words(cell: str) -> list[str]:
+    """What stands in backquotes."""
+    return re.findall(r"`([^`]*)`", cell)
+
+
+# --- keys of the descriptions
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a schema that takes a value."""
+
+    schema: Mapping[str, Any]
+    required: bool
+    """In every branch of the schema, with the keys it stands in."""
+
+
+@cache
+def keys(name: str, part: str = "") -> dict[str, Key]:
+    """Every key of a schema that takes a value, with those of lists and of branches, as ``filters.position``."""
+    root = yaml.safe_load((PROJECT / "config" / "schemas" / f"{name}.schema.yaml").read_text(encoding="utf-8"))
+    found: dict[str, Key] = {}
+    for key, own in _leaves(root, root, "", True):
+        required = own.required and found.get(key, own).required
+        found[key] = Key({**found.get(key, own).schema, **own.schema}, required)
+    return {key: own for key, own in found.items() if key.startswith(part)}
+
+
+def _leaves(schema: Mapping[str, Any], root: Mapping[str, Any], prefix: str, sure: bool) -> Iterator[tuple[str, Key]]:
+    for holder, always in _holders(schema, root):
+        for key, part in holder.get("properties", {}).items():
+            part, required = _resolved(part, root), sure and always and key in holder.get("required", [])
+            below = list(_leaves(part, root, f"{prefix}{key}.", required))
+            if not below or part.get("type") not in ("object", "array"):
+                yield f"{prefix}{key}", Key(part, required)
+            yield from below
+
+
+def _holders(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Iterator[tuple[Mapping[str, Any], bool]]:
+    """A schema, those of its branches, which may or may not apply, and of the items of a list."""
+    yield schema, True
+    for word in ("then", "else"):
+        if word in schema:
+            for each, _ in _holders(_resolved(schema[word], root), root):
+                yield each, False
+    if isinstance(schema.get("items"), dict):
+        yield from _holders(_resolved(schema["items"], root), root)
+
+
+def _resolved(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:
+    if "$ref" not in schema:
+        return schema
+    own = {key: value for key, value in schema.items() if key != "$ref"}
+    return {**root["$defs"][schema["$ref"].removeprefix("#/$defs/")], **own}
+
+
+DESCRIPTIONS = [
+    ("rig", "rig.yaml", "Key", ""),
+    ("plan", "plan.yaml", "Key", ""),
+    ("calibration", "calibration.yaml", "Key", ""),
+    ("certificate", "certificate.yaml", "Key", ""),
+    ("material", "From a run to a BSDF", "Key in material.yaml", "rig."),
+]
+
+
+@pytest.mark.parametrize(("schema", "title", "first", "part"), DESCRIPTIONS)
+def test_every_key_stands_in_its_table_once_and_no_other(schema, title, first, part):
+    documented = [key for row in rows(section(title), first) for key in words(row[first])]
+    assert sorted(documented) == sorted(keys(schema, part))
+
+
+@pytest.mark.parametrize(("schema", "title", "first", "part"), DESCRIPTIONS)
+def test_defaults_are_those_of_the_schema(schema, title, first, part):
+    known = keys(schema, part)
+    compared = 0
+    for row in rows(section(title), first):
+        names, told = words(row[first]), words(row["Default"])
+        for place, name in enumerate(names):
+            own = known[name]
+            if "default" in own.schema:
+                said = told[place] if len(told) == len(names) else told[0]
+                assert yaml.safe_load(said) == own.schema["default"], name
+                compared += 1
+            elif own.required:
+                assert row["Default"].startswith("needed"), name
+            else:
+                assert row["Default"], name
+    assert compared == sum("default" in own.schema for own in known.values())
+
+
+@pytest.mark.parametrize(("schema", "title", "first", "part"), DESCRIPTIONS)
+def test_accepted_words_are_named(schema, title, first, part):
+    for row in rows(section(title), first):
+        text = " ".join(row.values())
+        for name in words(row[first]):
+            own = keys(schema, part)[name].schema
+            listed = own.get("enum") or own.get("items", {}).get("enum", [])
+            for word in listed:
+                if isinstance(word, str):
+                    assert f"`{word}`" in text, (name, word)
+
+
+def test_the_speeds_of_lines_are_those_of_the_dialects():
+    (row,) = [row for row in rows(section("rig.yaml"), "Key") if "wheel.baud" in row["Key"]]
+    told = {word: int(part.split()[0]) for part in row["Default"].split(";") for word in words(part)}
+    assert told == description.BAUD
+
+
+def test_the_wiring_has_every_dialect():
+    told = [word for row in rows(section("Wiring"), "Device") for word in words(row["`dialect`"])]
+    assert sorted(told) == sorted(line.DIALECTS)
+
+
+def test_the_columns_of_the_fibres_are_named():
+    told = [word for row in rows(section("fibres.csv"), "Column") for word in words(row["Column"])]
+    assert tuple(told) == description.COLUMNS
+    assert f"`{','.join(description.COLUMNS)}`" in section("fibres.csv")
+
+
+def test_what_makes_another_rig_is_said(rig_file):
+    """Ports, dialects and how frames are had make none; all else does."""
+    (told,) = re.findall(r"everything above but(.*?)\. Their digest", section("rig.yaml"), re.DOTALL)
+    assert words(told) == ["monochromator", "wheel", "kind", "folder", "address", "device", "timeout"]
+    text = rig_file.read_text()
+    before = Rig.load(rig_file).digest
+    other = text.replace("kind: drop-folder, folder: camera", "kind: alpaca, address: 'host:1', device: 2, timeout: 5")
+    other = other.replace("port: /dev/ttyUSB0", "port: COM3, grating: 2")
+    other = other.replace("dialect: thorlabs, port: /dev/ttyUSB1", "dialect: acton-wheel, port: COM4, positions: 5")
+    assert other.count("COM") == 2
+    assert digest(rig_file, other) == before
+    for old, new in (("nd_location: sample", "nd_location: reference"), ("0.1}", "0.11}"), ("scale: 3", "scale: 3.1")):
+        assert digest(rig_file, text.replace(old, new)) != before, new
+
+
+def digest(path: Path, text: str) -> str:
+    path.write_text(text)
+    return Rig.load(path).digest
+
+
+# --- what a scan leaves
+
+
+def test_every_keyword_of_a_frame_is_explained(tmp_path):
+    plan = Plan.load(small_rig.write(tmp_path / "bench"))
+    picture = devices.Picture(np.zeros((72, 96), dtype=np.uint16), 1.7e9, plan.shots[0].exposure, 20.0)
+    state = frames.State(plan.shots[0].wavelength, plan.shots[0].position)
+    path = tmp_path / "frame.fits"
+    frames.write_frame(path, picture, plan.shots[0], plan, state=state, origin=None, camera="a camera")
+    cards = path.read_bytes()[:5760].decode("ascii", "replace")
+    written = {
+        cards[place : place + 8].strip() for place in range(0, len(cards), 80) if cards[place + 8 : place + 10] == "= "
+    }
+    structure = {"SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "EXTEND", "BSCALE", "BZERO"}
+    explained = {word for row in rows(section("Frames"), "Keyword") for word in words(row["Keyword"])}
+    assert explained == written - structure
+
+
+def test_every_event_of_the_journal_is_explained():
+    written = set()
+    for module in (scan, scan.journals):
+        for node in ast.walk(ast.parse(Path(module.__file__).read_text(encoding="utf-8"))):
+            called = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr
+            if called in ("append", "_note_end") and node.args and isinstance(node.args[0], ast.Constant):
+                written.add(node.args[0].value)
+    explained = {
+        word for row in rows(section("Resuming"), "Event in the journal") for word in words(row["Event in the journal"])
+    }
+    assert explained == written
+
+
+def test_every_exit_code_is_explained():
+    codes = [int(row["Exit code"]) for row in rows(section("What a scan checks"), "Exit code")]
+    assert codes == [0, 1, 2, 130]
+    assert all(str(code) in commands.__doc__ for code in codes)
+
+
+# --- the emulator
+
+
+def test_every_effect_stands_in_its_table_with_its_default():
+    told = {
+        words(row["Effect"])[0]: ast.literal_eval(words(row["Default"])[0])
+        for row in rows(section("The emulator"), "Effect")
+    }
+    assert told == {field.name: field.default for field in fields(Effects)}
+    assert list(told) == [field.name for field in fields(Effects)]
+
+
+def test_every_kind_of_fault_stands_in_its_table():
+    assert [words(row["Fault"])[0] for row in rows(section("The emulator"), "Fault")] == list(KINDS)
+
+
+# --- commands and links
+
+
+def commands_in(path: Path) -> list[str]:
+    """Commands of shell blocks and of quoted code."""
+    text = path.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    quoted = re.findall(r"`(brdfpipe [^`]*)`", _without_code(text))
+    lines = [each.split(" #")[0].strip() for block in blocks for each in block.splitlines()]
+    return [each for each in (*lines, *quoted) if each.startswith("brdfpipe ")]
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_quoted_commands_and_options_exist(path):
+    for quoted in commands_in(path):
+        _, *parts = shlex.split(quoted.replace("…", ""))
+        command: click.Command = cli.main
+        while isinstance(command, click.Group) and parts and not parts[0].startswith("-"):
+            name = parts.pop(0)
+            assert name in command.commands, quoted
+            command = command.commands[name]
+        known = {option for parameter in command.params for option in parameter.opts}
+        assert {part for part in parts if part.startswith("--")} <= known, quoted
+
+
+def test_the_commands_of_a_rig_are_all_shown():
+    shown = {quoted.split()[2] for quoted in commands_in(DOCUMENT) if quoted.startswith("brdfpipe rig ")}
+    assert shown == set(commands.rig.commands)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_links_lead_somewhere(path):
+    for target in re.findall(r"\]\(([^)\s]+)\)", _without_code(path.read_text(encoding="utf-8"))):
+        if target.startswith("http"):
+            continue
+        file, _, anchor = target.partition("#")
+        page = (path.parent / file).resolve() if file else path
+        assert page.exists(), target
+        assert not anchor or anchor in _anchors(page), target
+
+
+def _anchors(path: Path) -> set[str]:
+    titles = re.findall(r"^#+ (.*)$", _without_code(path.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+# --- code that runs
+
+
+def blocks() -> list[str]:
+    return re.findall(r"^```python\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    """Tables of devices that may be added to."""
+    monkeypatch.setattr(line, "DIALECTS", dict(line.DIALECTS))
+    monkeypatch.setattr(devices, "_WHEELS", dict(devices._WHEELS))
+
+
+def test_the_camera_of_the_drop_folder_serves_it(tmp_path, monkeypatch):
+    (tmp_path / "camera").mkdir()
+    monkeypatch.chdir(tmp_path)
+    names = example("serve_folder")
+    try:
+        served = open_camera(CameraSettings("drop-folder", folder=str(tmp_path / "camera"), timeout=20.0))
+        picture = served.expose(0.5)
+        dark = served.expose(0.25, shutter=False)
+    finally:
+        names["stop"].set()
+    assert picture.counts.shape == (240, 320)
+    assert (picture.seconds, picture.temperature, dark.seconds) == (0.5, -20.0, 0.25)
+    (shown,) = re.findall(r"`(\{\"id\".*?\})`", section("The camera"))
+    for request in (tmp_path / "camera").glob("*.json"):
+        assert json.loads(request.read_text()).keys() == json.loads(shown).keys()
+
+
+def test_the_emulated_rig_of_the_example_sees_light_through_both_faults(tmp_path, monkeypatch):
+    small_rig.write(tmp_path / "bench")
+    (tmp_path / "results" / "opal-glass").mkdir(parents=True)
+    truth = tmp_path / "results" / "opal-glass" / "bsdf.nc"
+    save_dataset(small_rig.truth(), truth, stage="truth", material="tile")
+    monkeypatch.chdir(tmp_path)
+    names = example("EmulatedRig(")
+    assert sorted(fault.kind for fault in names["faults"].injected) == ["garbage", "late-ok"]
+    rig: Rig = names["plan"].rig
+    assert names["picture"].counts.shape == (rig.camera.height, rig.camera.width)
+    assert names["picture"].counts.max() > 2 * np.median(names["picture"].counts)
+    assert names["truth"].identical(brdfpipe.open_dataset(truth))
+
+
+def example(*marks: str) -> dict[str, Any]:
+    """Names that the blocks of code leave which hold these words, run one after the other."""
+    names: dict[str, Any] = {}
+    for mark in marks:
+        (code,) = [block for block in blocks() if mark in block]
+        exec(code, names)
+    return names
+
+
+def test_the_device_of_the_example_is_driven_through_faults(tables, capsys):
+    names = example('DIALECTS["dotted"]', "class DottedWheel")
+    assert capsys.readouterr().out.startswith("Dotted wheel 17 3 5 ")
+    assert [fault.kind for fault in names["faults"].injected] == ["truncated", "late-ok"]
+
+
+@pytest.fixture(scope="module")
+def dotted():
+    """The names of both blocks of the example; the tables are as before."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(line, "DIALECTS", dict(line.DIALECTS))
+        patch.setattr(devices, "_WHEELS", dict(devices._WHEELS))
+        return example('DIALECTS["dotted"]', "class DottedWheel")
+
+
+@pytest.fixture
+def known(dotted, tables):
+    """The device of the example, entered in the tables."""
+    line.DIALECTS["dotted"] = dotted["DIALECTS"]["dotted"]
+    devices._WHEELS["dotted"] = dotted["FilterWheel"]
+    return dotted
+
+
+SETTINGS = description.SerialSettings("dotted", "", 9600, query_timeout=0.15, motion_timeout=0.15)
+
+
+@pytest.mark.parametrize("kind", ["silence", "garbage", "truncated", "late-ok"])
+def test_the_device_of_the_example_recovers_from_a_fault_at_any_command(known, kind):
+    for ordinal in range(1, 8):  # the commands of a greeting, a move and its read-back
+        faults = Faults.at({ordinal: kind})
+        with Port(known["DottedWheel"](VirtualClock()), faults) as port:
+            wheel = devices.open_wheel(replace(SETTINGS, port=port.path))
+            assert wheel.goto(3) == 3
+            assert port.instrument.place == 3
+            wheel.close()
+        assert len(faults.injected) == 1
+
+
+def test_the_device_of_the_example_is_recognised_where_another_is_expected(known):
+    """By the refusal in its dialect's entry."""
+    with Port(known["DottedWheel"](VirtualClock())) as port:
+        wheel = devices.open_wheel(replace(SETTINGS, dialect="thorlabs", port=port.path))
+        with pytest.raises(devices.WrongDevice, match="a device of the Dotted dialect answers"):
+            wheel.identify()
+        wheel.close()

@@ -1,0 +1,132 @@
+"""A run of the camera rig in the workflow: scanned by the emulator, calibrated, reduced, smoothed and completed."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import brdfpipe
+from brdfpipe import catalogue, vocabulary
+from brdfpipe.jobs import front
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+NAMES = ("milk-glass", "opal-glass")
+
+
+def copied(folder: Path) -> Path:
+    """The measured glass, its truth, and the bench's calibration, at three wavelengths."""
+    for name in (*NAMES, "calibrations"):
+        shutil.copytree(EXAMPLES / name, folder / name)
+    for plan in folder.rglob("plan.yaml"):
+        text = plan.read_text()
+        assert "{from: 400, to: 700, step: 60}" in text
+        plan.write_text(text.replace("{from: 400, to: 700, step: 60}", "[460, 550, 640]"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    base = tmp_path_factory.mktemp("rig")
+    folder, results = copied(base / "catalogue"), base / "results"
+    summary = front.build(folder, results, cores=2)
+    assert summary.failures == {}
+    assert summary.built == NAMES
+    return folder, results
+
+
+def test_what_the_rig_measured_is_the_material(built: tuple[Path, Path]) -> None:
+    _, results = built
+    bsdf = brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc")
+    assert bsdf.attrs["route"] == "measured"
+    assert bsdf.attrs["representation"] == "rig"
+
+
+def test_it_is_the_truth_within_its_uncertainty_where_it_was_measured(built: tuple[Path, Path]) -> None:
+    _, results = built
+    truth, found = (brdfpipe.open_dataset(results / name / "bsdf.nc") for name in ("opal-glass", "milk-glass"))
+    theta_o = np.linspace(0, 70, 15)
+    for incidence in (10, 30, 60):
+        told = (incidence, 0, theta_o, 180)
+        wavelength = found["wavelength"].values
+        expected = truth.bsdf.evaluate(*told, wavelength=wavelength).values
+        ratio = found.bsdf.evaluate(*told, wavelength=wavelength).values / expected - 1
+        assert np.median(np.abs(ratio)) < 0.02
+        u = found.bsdf.uncertainty(*told, wavelength=wavelength).values / expected
+        assert np.sqrt(np.mean((ratio / u) ** 2)) < 2
+
+
+def test_nothing_is_done_again(built: tuple[Path, Path]) -> None:
+    folder, results = built
+    assert front.build(folder, results, cores=2).jobs == 0
+
+
+def test_the_same_run_gives_the_same_bytes(built: tuple[Path, Path]) -> None:
+    folder, results = built
+    run = results / "milk-glass" / "run"
+    before = {path.name: path.read_bytes() for path in sorted((run / "frames").iterdir())}
+    digest = brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc").attrs["digest"]
+    shutil.rmtree(results / "milk-glass")
+    assert front.build(folder, results, cores=2).failures == {}
+    assert {path.name: path.read_bytes() for path in sorted((run / "frames").iterdir())} == before
+    assert brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc").attrs["digest"] == digest
+
+
+def test_a_calibration_that_fails_is_told_of_each_material_that_needs_it(built: tuple[Path, Path]) -> None:
+    folder, results = built
+    certificate = folder / "calibrations" / "bench-1" / "certificate.yaml"
+    text = certificate.read_text()
+    try:
+        certificate.write_text(text.replace("2030-01-01", "1969-12-31"))
+        failures = front.build(folder, results, cores=2).failures
+    finally:
+        certificate.write_text(text)
+    assert list(failures) == ["milk-glass"]
+    assert "calibrations.bench-1" in failures["milk-glass"]
+    assert "valid until 1969-12-31" in failures["milk-glass"]
+
+
+def test_an_emulated_material_says_so(built: tuple[Path, Path]) -> None:
+    _, results = built
+    assert any(
+        "made by the emulator" in text
+        for text in vocabulary.warnings(brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc"))
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("calibration: bench-1", "calibration: bench-2", ["rig.calibration", "'bench-2'", "bench-1"]),
+        ("truth: opal-glass", "truth: opal-gals", ["rig.emulate.truth", "opal-glass"]),
+        ("truth: opal-glass", "truth: milk-glass", ["rig.emulate.truth", "milk-glass"]),
+        ("plan: plan.yaml", "plan: ../plan.yaml", ["rig.plan", "outside"]),
+        ("emulate: {truth: opal-glass, seed: 1, session: 1}", "run: run", ["rig", "plan"]),
+    ],
+)
+def test_what_a_rigs_material_cannot_be_is_refused_with_its_key(
+    tmp_path: Path, old: str, new: str, words: list[str]
+) -> None:
+    folder = copied(tmp_path / "catalogue")
+    path = folder / "milk-glass" / "material.yaml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    failure = catalogue.load(folder).failures["milk-glass"]
+    for word in words:
+        assert word in failure
+
+
+def test_a_wrong_plan_is_a_failure_of_its_material_alone(tmp_path: Path) -> None:
+    folder = copied(tmp_path / "catalogue")
+    plan = folder / "milk-glass" / "plan.yaml"
+    plan.write_text(plan.read_text().replace("incidences: [10, 30, 60]", "incidences: [10, 33]"))
+    summary = front.build(folder, tmp_path / "results", cores=2, dry_run=True)
+    assert summary.built == ("opal-glass",)
+
+
+def test_the_catalogues_table_has_the_measured_route(built: tuple[Path, Path]) -> None:
+    _, results = built
+    assert "measured" in (results / "catalogue.csv").read_text()

@@ -1,0 +1,20 @@
+from brdfpipe import routes, store
+
+
+def main(input, output, params):
+    """What a rig measured beside what the surface predicts, and the inputs that would make them agree."""
+    inputs = {name: store.open_dataset(path) for name, path in input.items()}
+    store.save_dataset(
+        routes.compare(**inputs, **params["spec"]),
+        output["comparison"],
+        stage="comparison",
+        material=params["material"],
+        inputs=inputs,
+        parameters=params["spec"],
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)

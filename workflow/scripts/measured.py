@@ -1,0 +1,21 @@
+from brdfpipe import store
+from brdfpipe.rig.completion import complete
+
+
+def main(input, output, params):
+    """The BSDF that a rig measured, for all directions."""
+    sides = [store.open_dataset(path, "smoothed") for path in input["smoothed"]]
+    store.save_dataset(
+        complete(*sides, **params["spec"]),
+        output["measured"],
+        stage="measured",
+        material=params["material"],
+        inputs={f"smoothed-{each.attrs['side']}": each for each in sides},
+        parameters=params["spec"],
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)

@@ -1,0 +1,22 @@
+from brdfpipe import store
+from brdfpipe.rig.calibration import apply, joined
+
+
+def main(input, output, params):
+    """The BSDF of each cell on one side of the sample, calibrated, with what is uncertain about it."""
+    reduced = [store.open_dataset(path, "reduced") for path in input["reduced"]]
+    profile = store.open_dataset(input["calibration"], "calibration")
+    store.save_dataset(
+        apply(joined(reduced), profile, **params["spec"]),
+        output["primary"],
+        stage="primary",
+        material=params["material"],
+        inputs={f"reduced-{place}": each for place, each in enumerate(reduced)} | {"calibration": profile},
+        parameters=params["spec"],
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)

@@ -1,0 +1,27 @@
+from pathlib import Path
+
+from brdfpipe import store
+from brdfpipe.rig import frames
+from brdfpipe.rig.plan import PLAN, Plan
+from brdfpipe.rig.reduction import reduce
+
+
+def main(input, output, params):
+    """The light of each cell of one arrangement over that of the reference, from its frames."""
+    folder, spec = Path(input["journal"]).parent, params["spec"]
+    run = frames.read_run(folder, spec["incidence"])
+    rig = Plan.load(folder / PLAN).rig
+    store.save_dataset(
+        reduce(run, rig, **spec),
+        output["reduced"],
+        stage="reduced",
+        material=params["material"],
+        inputs={"frames": run},
+        parameters=spec,
+    )
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs import by_hand
+
+    by_hand(main)
