@@ -34,7 +34,7 @@ def measured(bsdf: xr.Dataset, seed: int | None = 0, *, incidences=INCIDENCES, w
     """Kind ``primary``: the BSDF at the cells of a rig, with errors; without a seed there is none."""
     theta, phi = rig_primary.cells()
     incidence, wavelength = np.asarray(incidences, dtype=float), np.asarray(wavelengths, dtype=float)
-    truth = _truth(bsdf, incidence, wavelength, theta, phi)
+    truth = _seen(bsdf, incidence, wavelength, theta, phi)
     errors = {name: _drawn(name, truth.shape, seed) for name in OWN}
     value = truth.copy()
     for name in ("calibration", "certificate", "reference", "repeat"):
@@ -68,6 +68,11 @@ def measured(bsdf: xr.Dataset, seed: int | None = 0, *, incidences=INCIDENCES, w
     return vocabulary.label(primary, "primary")
 
 
+def truth(bsdf: xr.Dataset, primary: xr.Dataset, theta, phi) -> np.ndarray:
+    """The BSDF that cells would see which look from elsewhere."""
+    return _seen(bsdf, primary["incidence"].values, primary["wavelength"].values, theta, phi)
+
+
 def _drawn(name: str, shape: tuple[int, ...], seed: int | None) -> np.ndarray:
     own = [size if dim in OWN[name] else 1 for dim, size in zip(DIMS, shape, strict=True)]
     return (
@@ -75,7 +80,7 @@ def _drawn(name: str, shape: tuple[int, ...], seed: int | None) -> np.ndarray:
     )
 
 
-def _truth(bsdf, incidence, wavelength, theta, phi) -> np.ndarray:
+def _seen(bsdf, incidence, wavelength, theta, phi) -> np.ndarray:
     theta_o, phi_o = outgoing(incidence[:, None], theta, phi)
     theta_i = np.broadcast_to(incidence[:, None], theta_o.shape)
     evaluate = representations.representation(bsdf).evaluate

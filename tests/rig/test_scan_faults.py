@@ -103,7 +103,8 @@ def disturbed(plan, folder, faults):
         agree(plan, folder, first, second)
     assert [path.name for path in sorted((folder / "frames").iterdir())] == [shot.name for shot in plan.shots]
     found = read_run(folder)
-    assert vocabulary.warnings(found) == []
+    # Nothing is missing; all that is said is that no laboratory took the frames.
+    assert [text for text in vocabulary.warnings(found) if "made by the emulator" not in text] == []
     assert (found["wavelength_read"] == found["wavelength"]).all()
     return stopped
 

@@ -203,6 +203,31 @@ def test_of_a_scan_the_slopes_are_told_as_well_as_it_knows_them() -> None:
     assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 2
 
 
+def displaced(bsdf: xr.Dataset, by: float) -> xr.Dataset:
+    """Without errors but for a disc that lies elsewhere by an angle [degree], which its geometry allows for."""
+    primary = routes_primary.measured(bsdf, None, incidences=(10.0, 30.0))
+    theta, phi = primary["theta_s"].values, primary["phi_s"].values
+    beside = [primary.assign_coords(theta_s=("cell", theta), phi_s=("cell", phi))]
+    for x, y in ((by, 0.0), (0.0, by)):
+        across, down = theta * np.cos(np.radians(phi)) + x, theta * np.sin(np.radians(phi)) + y
+        seen = routes_primary.truth(bsdf, beside[0], np.hypot(across, down), np.degrees(np.arctan2(down, across)))
+        beside.append(primary.assign(brdf=primary["brdf"].copy(data=np.where(primary["brdf"].notnull(), seen, np.nan))))
+    disc = primary["solid_angle"].notnull()
+    moved = [abs(each["brdf"] - primary["brdf"]).where(disc, 0.0) for each in beside[1:]]
+    geometry = np.hypot(*moved).transpose(*primary["brdf"].dims).assign_attrs(correlation="independent")
+    value = beside[1]["brdf"].where(disc, primary["brdf"]).transpose(*primary["brdf"].dims)
+    return vocabulary.label(
+        primary.assign(brdf=value, brdf_u_geometry=geometry, brdf_u=np.hypot(primary["brdf_u"], geometry)), "primary"
+    )
+
+
+def test_a_disc_that_lies_elsewhere_is_not_taken_for_another_finish() -> None:
+    narrow = microfacet.build(facets.analytic("beckmann", 0.03), index=1.5)
+    found = compare(displaced(narrow, 0.1), narrow, facets=facets.analytic("beckmann", 0.03), spectrum=None)
+    assert np.abs(pulls(found, {"index": 0.0, "slope": 1.0})).max() < 2
+    assert float(found["posterior_u"].sel(input="slope")) < 0.02
+
+
 # --- what is told
 
 

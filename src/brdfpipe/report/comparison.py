@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import xarray as xr
 
+from brdfpipe import vocabulary
 from brdfpipe.report import scattering
+from brdfpipe.report.cards import Table
 from brdfpipe.report.pages import fixed, number
 from brdfpipe.report.svg import Array, Axis, Figure, Line, Mark, Points, chart, legend
+from brdfpipe.routes import findings
 from brdfpipe.routes.findings import NAMES, plus_minus
 
 _BESIDE = 12.0
@@ -23,33 +27,44 @@ _BINS = 60
 _STYLES: dict[str, tuple[str, Literal["line", "dash"]]] = {"predicted": ("c1", "dash"), "adjusted": ("c2", "line")}
 """Colour and pattern of each model."""
 
-INPUTS_HEADER = ("Input", "Before", "After", "Change over u before")
-INCIDENCES_HEADER = (
-    "Incidence",
-    "Model",
-    "Measured / model, median",
-    "z, rms",
-    "Reflectance seen, measured",
-    "of the model",
-)
+
+@dataclass(frozen=True)
+class Chapter:
+    """The part of a page about two routes."""
+
+    findings: Sequence[str]
+    warnings: Sequence[str]
+    parts: Sequence[Table | Figure]
+
+
+def chapter(comparison: xr.Dataset | None) -> Chapter | None:
+    """What a page tells of two routes; None without a dataset of kind ``comparison``."""
+    if comparison is None:
+        return None
+    told = [f"{text[:1].upper()}{text[1:]}." for text in findings.sentences(comparison)]
+    ratios, *cuts = figures(comparison)
+    *inputs, incidences = tables(comparison)
+    return Chapter(told, vocabulary.warnings(comparison), [*inputs, ratios, *cuts, incidences])
+
+
+def tables(comparison: xr.Dataset) -> list[Table]:
+    """The inputs before and after, where some were fitted; and how well each incidence agrees."""
+    names = [] if "posterior" not in comparison else list(map(str, comparison["input"].values))
+    fitted = [_input(name, comparison.sel(input=name)) for name in names]
+    enlarged = float(comparison.attrs["enlarged"])
+    note = "± standard uncertainty; u of a factor is relative."
+    if enlarged > 1.05:
+        note += (
+            f" The uncertainties were enlarged {number(enlarged, 2)} times, as the values scatter more than they say."
+        )
+    header = ("Input", "Before", "After", "Change / u before")
+    return ([Table("Inputs of the prediction", header, fitted, note)] if fitted else []) + [_incidences(comparison)]
 
 
 def figures(comparison: xr.Dataset) -> list[Figure]:
-    """Measured and modelled BRDF in the plane of incidence, one chart an incidence; then how their ratio is distributed.
-
-    Parameters
-    ----------
-    comparison : kind ``comparison``
-    """
+    """How the ratio of measured to modelled is distributed; then both in the plane of incidence, one chart an incidence."""
     places = range(comparison.sizes["incidence"])
-    return [figure for at in places for figure in _cut(comparison.isel(incidence=at))] + [_ratios(comparison)]
-
-
-def inputs(comparison: xr.Dataset) -> list[tuple[str, ...]]:
-    """Rows of the table of fitted inputs, see :data:`INPUTS_HEADER`; none where nothing was fitted."""
-    if "posterior" not in comparison:
-        return []
-    return [_input(name, comparison.sel(input=name)) for name in map(str, comparison["input"].values)]
+    return [_ratios(comparison), *(figure for at in places for figure in _cut(comparison.isel(incidence=at)))]
 
 
 def _input(name: str, one: xr.Dataset) -> tuple[str, ...]:
@@ -64,11 +79,16 @@ def _input(name: str, one: xr.Dataset) -> tuple[str, ...]:
     )
 
 
-def incidences(comparison: xr.Dataset) -> list[tuple[str, ...]]:
-    """Rows of the table of the incidences, see :data:`INCIDENCES_HEADER`."""
+def _incidences(comparison: xr.Dataset) -> Table:
     seen = _at_reference(comparison)
     places = [(at, model) for at in range(seen.sizes["incidence"]) for model in range(seen.sizes["model"])]
-    return [_row(seen.isel(incidence=at, model=model)) for at, model in places]
+    rows = [_row(seen.isel(incidence=at, model=model)) for at, model in places]
+    header = ("Incidence", "Model", "Measured / model", "rms z", "Reflectance seen", "of the model")
+    note = (
+        "Median of the ratio, and rms of the difference over its uncertainty, of all values; reflectance into the directions of the cells, "
+        f"{scattering.wavelength_words(comparison)}."
+    )
+    return Table("Agreement at each incidence", header, rows, note)
 
 
 def _at_reference(comparison: xr.Dataset) -> xr.Dataset:

@@ -16,7 +16,7 @@ from markupsafe import Markup
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import representations
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.report import dispersion, effect, figures, finish, lobes, reflection, rig, scattering
+from brdfpipe.report import comparison, dispersion, effect, figures, finish, lobes, reflection, rig, scattering
 from brdfpipe.report.cards import Table
 from brdfpipe.report.pages import MISSING, colour, fixed, grouped, number, render
 from brdfpipe.report.svg import Figure, png, sentence
@@ -158,6 +158,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
         warnings=[(_words(stage), text) for stage, text in stage_warnings(known)],
         sections=[section for section in sections if section.figures or section.tables or section.verdicts],
         rig=rig.chapter(datasets),
+        comparison=comparison.chapter(datasets.get("comparison")),
         provenance=[_provenance(stage, dataset) for stage, dataset in known.items()],
     )
 

@@ -375,7 +375,9 @@ def report(outcomes: Sequence[Outcome], refusals: Sequence[tuple[str, str]]) -> 
         "",
         "## By rig",
         "",
-        "Relative errors of single values against the truth in per cent, and the rms of error over stated uncertainty.",
+        "Relative errors of single values against the truth in per cent (median / 95th percentile), and the rms of error over stated uncertainty. "
+        "The error of the etalon's certificate, 0.5 %, is one number for all values of a measurement: it makes the z-rms of each a matter of "
+        "chance, and what all values share is left out of the second figure above.",
         "",
         *_table(("sample", "", "seed", "fibres 50 / 95", "disc 50 / 95", "z-rms"), _by_rig(outcomes)),
         "",

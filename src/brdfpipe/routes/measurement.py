@@ -2,8 +2,9 @@
 
 A component of the uncertainty that is marked ``common`` is one error for all the cells of a picture, that is of an incidence at a
 wavelength; some go further and are the same for all wavelengths of an incidence, or for everything. One that is marked ``independent``
-is an error of each cell; that of the calibration is the same at every incidence. A relative component is stated over the
-measured value. It is taken over the model's here: if large values had large uncertainties by chance, common errors would pull
+is an error of each cell; that of the calibration is the same at every incidence. That of the geometry counts twice: as an error of each
+cell, and as one of a picture that lies elsewhere or is wider than it was taken for, which looks like another lobe. A relative
+component is stated over the measured value. It is taken over the model's here: if large values had large uncertainties by chance, common errors would pull
 every fit below the data (Peelle's pertinent puzzle).
 
 References
@@ -65,6 +66,7 @@ _BY_CORRELATION = {
 
 
 class _Component(NamedTuple):
+    name: str
     nature: _Nature
     u: Array
     """(incidence, wavelength, cell) [sr-1]"""
@@ -110,7 +112,8 @@ class Measurement:
             )
         solid_angle = primary["solid_angle"].values if "solid_angle" in primary else np.full(theta_s.size, np.nan)
         components = tuple(
-            _Component(nature, np.where(used, np.nan_to_num(field), 0.0)) for nature, field in _components(primary)
+            _Component(name, nature, np.where(used, np.nan_to_num(field), 0.0))
+            for name, nature, field in _components(primary)
         )
         found = cls(
             incidence,
@@ -186,8 +189,18 @@ class Measurement:
             elif each.nature.own != DIMS:
                 u = self._of_cells(each, model)
                 between = between + np.einsum("iwc,jwc->wcij", u, u)
+            if each.name == "geometry":
+                columns += self._displaced(each.u)
         shared = np.concatenate(columns)
         return Covariance(np.linalg.inv(np.linalg.cholesky(between)), shared[shared.any(axis=(1, 2, 3))], self.used)
+
+    def _displaced(self, u: Array) -> list[Array]:
+        """Errors of the disc's cells where a whole picture lies elsewhere, or is too wide, each once an incidence."""
+        turn, disc = np.radians(self.phi_s), np.nan_to_num(self.solid_angle) > 0
+        return [
+            _columns(u * (disc * pattern), ("incidence",))
+            for pattern in (np.cos(turn), np.sin(turn), np.ones_like(turn))
+        ]
 
     def _of_cells(self, component: _Component, model: Array) -> Array:
         """Standard uncertainty of errors of single cells; a model far from the data does not tell how large they are."""
@@ -237,20 +250,21 @@ class Covariance:
         return float(self.products(white, white)[0, 0])
 
 
-def _components(primary: xr.Dataset) -> Iterator[tuple[_Nature, Array]]:
+def _components(primary: xr.Dataset) -> Iterator[tuple[str, _Nature, Array]]:
     """The components of the uncertainty; without any the combined one counts as independent."""
     whole = primary["brdf_u"]
     names = sorted(name for name in map(str, primary.data_vars) if name.startswith("brdf_u_"))
     if not names:
-        yield _BY_CORRELATION["independent"], whole.values
+        yield "", _BY_CORRELATION["independent"], whole.values
     for name in names:
         stated = str(primary[name].attrs.get("correlation", "common"))
         if stated not in _BY_CORRELATION:
             raise ComparisonError(f"{name!r} has the correlation {stated!r}; accepted: {', '.join(_BY_CORRELATION)}")
-        known = _NATURE.get(name.removeprefix("brdf_u_"))
+        component = name.removeprefix("brdf_u_")
+        known = _NATURE.get(component)
         # What the dataset says goes before what the name does.
         nature = known if known and ("cell" in known.own) == (stated == "independent") else _BY_CORRELATION[stated]
-        yield nature, primary[name].broadcast_like(whole).transpose(*DIMS).values
+        yield component, nature, primary[name].broadcast_like(whole).transpose(*DIMS).values
 
 
 def _columns(u: Array, own: tuple[str, ...]) -> Array:
