@@ -370,6 +370,17 @@ def replaced(path):
     path.write_bytes(content.getvalue())
 
 
+def test_an_adopted_frame_is_known_from_then_on(plan, folder):
+    stopped_at(plan, folder, 6)
+    lines = (folder / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    (folder / "journal.jsonl").write_bytes(b"".join(line for line in lines if b'"shot":5' not in line))
+    stopped_at(plan, folder, 2, resume=True)
+    replaced(folder / "frames" / plan.shots[4].name)
+    small_rig.take(plan, small_rig.fake_bench(), folder, resume=True)
+    assert [event["shot"] for event in events(folder, "adopted")] == [5]
+    assert [event["shot"] for event in events(folder, "damaged")] == [5]
+
+
 @pytest.mark.parametrize("damage", [spoilt, cut, removed, replaced])
 @pytest.mark.parametrize("number", [1, 4])
 def test_a_damaged_frame_is_taken_again(plan, folder, damage, number):

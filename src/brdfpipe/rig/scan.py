@@ -149,7 +149,7 @@ class _Run:
     def _recognise(self) -> None:
         """Find the frames that are finished: whole, and the ones the journal knows where it knows any."""
         events = journals.read(self.folder / JOURNAL)
-        known = {event.get("shot"): event.get("sha256") for event in events if event["event"] == "frame"}
+        known = {event.get("shot"): event.get("sha256") for event in events if event["event"] in ("frame", "adopted")}
         self._judged = any(event["event"] == "overlap" for event in events)
         for shot, found in frames.read_shots(self.folder, self.plan, self.plan.shots):
             problem = str(found) if isinstance(found, FrameError) else ""
