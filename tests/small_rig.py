@@ -14,11 +14,10 @@ import samples
 import xarray as xr
 
 from brdfpipe.bsdf import lambert_gauss
-from brdfpipe.rig.commands import restore
 from brdfpipe.rig.devices import Bench, DeviceError, Picture, connect
 from brdfpipe.rig.emulator.bench import EmulatedRig
 from brdfpipe.rig.emulator.effects import Effects
-from brdfpipe.rig.emulator.measurement import hands
+from brdfpipe.rig.emulator.measurement import hands, restore
 from brdfpipe.rig.plan import Arrangement, Plan
 from brdfpipe.rig.scan import Summary, scan
 

@@ -94,12 +94,13 @@ def test_a_scan_of_an_emulated_rig_is_a_run(plan, tile, suffix):
     assert found.attrs["camera"].startswith("emulated camera")
 
 
-def test_the_seed_decides_the_noise(plan, tile, tmp_path):
-    for name, seed in [("a", 1), ("b", 1), ("c", 2)]:
-        assert run("scan", plan, "--emulate", tile, "--seed", seed, "--out", tmp_path / name).exit_code == 0
-    one, same, other = (small_rig.contents(tmp_path / name) for name in "abc")
+def test_seed_and_session_decide_the_noise(plan, tile, tmp_path):
+    for name, seed, day in [("a", 1, 0), ("b", 1, 0), ("c", 2, 0), ("d", 1, 1)]:
+        told = run("scan", plan, "--emulate", tile, "--seed", seed, "--session", day, "--out", tmp_path / name)
+        assert told.exit_code == 0
+    one, same, other, next_day = (small_rig.contents(tmp_path / name) for name in "abcd")
     assert one == same
-    assert all(one[name] != other[name] for name in one)
+    assert all(one[name] != other[name] and one[name] != next_day[name] for name in one)
 
 
 def test_a_run_goes_on_with_the_word_resume(plan, tile, tmp_path):
@@ -191,7 +192,7 @@ def test_warnings_of_a_scan_are_shown(tmp_path, monkeypatch, tile):
     def elsewhere(rig, *arguments, **options):
         return EmulatedRig(replace(rig, nd_location="reference"), *arguments, **options)
 
-    monkeypatch.setattr("brdfpipe.rig.emulator.bench.EmulatedRig", elsewhere)
+    monkeypatch.setattr("brdfpipe.rig.emulator.measurement.EmulatedRig", elsewhere)
     done = run("scan", plan, "--emulate", tile)
     assert done.exit_code == 0
     assert "warning: the neutral filters are not where the description says (`nd_location: sample`)" in done.output

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from brdfpipe.rig.emulator.bench import EmulatedRig
     from brdfpipe.rig.plan import Arrangement, Plan
+    from brdfpipe.rig.scan import Summary
 
 EMULATED = "emulated.yaml"
 """The description of an emulated rig, as long as it stands."""
@@ -37,6 +38,9 @@ _MARK = "# An emulated rig; `brdfpipe rig emulate` wrote this file, and removes 
 _DEFAULT_HANDS = ("", "sample", "reflection")
 
 _TRUTH = click.Path(path_type=Path, exists=True)
+_SESSION = click.option(
+    "--session", type=click.IntRange(0), default=0, show_default=True, help="Another day of the same emulated rig."
+)
 
 
 @click.group()
@@ -88,9 +92,17 @@ def doctor(description: Path) -> int:
     help="A BSDF (.nc), or the folder of a built material: scan it with an emulated rig.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the emulated rig.")
+@_SESSION
 @refusing
 def scan(
-    plan_file: Path, out: Path | None, yes: bool, resume: bool, dry_run: bool, emulate: Path | None, seed: int
+    plan_file: Path,
+    out: Path | None,
+    yes: bool,
+    resume: bool,
+    dry_run: bool,
+    emulate: Path | None,
+    seed: int,
+    session: int,
 ) -> int:
     """Take every frame of PLAN.yaml that its folder does not hold yet.
 
@@ -108,9 +120,13 @@ def scan(
 
     try:
         if emulate is None:
-            click.echo(_real_scan(plan, folder, yes=yes, resume=resume))
+            done = _real_scan(plan, folder, yes=yes, resume=resume)
         else:
-            click.echo(_emulated_scan(plan, folder, truth(emulate), seed, resume=resume))
+            from brdfpipe.rig.emulator.measurement import take
+
+            sample = truth(emulate)
+            done = take(plan, folder, sample, seed=seed, session=session, resume=resume, progress=True, say=_say)
+        click.echo(done.text)
     except ScanStopped as stop:
         click.echo(f"brdfpipe: {stop}", err=True)
         return 1
@@ -130,10 +146,11 @@ def scan(
     help="A BSDF (.nc), or the folder of a built material: what lies in the holder.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of all that is random.")
+@_SESSION
 @click.option("--out", type=FOLDER, default=None, help=f"Folder for {EMULATED}  [default: beside RIG.yaml]")
 @click.option("--realtime", is_flag=True, help="Let exposures and moves take the time they say.")
 @refusing
-def emulate(description: Path, truth_path: Path, seed: int, out: Path | None, realtime: bool) -> int:
+def emulate(description: Path, truth_path: Path, seed: int, session: int, out: Path | None, realtime: bool) -> int:
     """Stand as a rig on serial ports of its own, until Ctrl-C.
 
     What an operator does by hand is typed: the entrance in degree, what lies in the holder (sample, etalon, target or
@@ -147,7 +164,7 @@ def emulate(description: Path, truth_path: Path, seed: int, out: Path | None, re
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     real, clock = Rig.load(description), VirtualClock(realtime=realtime)
     with (
-        EmulatedRig(real, truth(truth_path), seed=seed, clock=clock) as stand,
+        EmulatedRig(real, truth(truth_path), seed=seed, session=session, clock=clock) as stand,
         _described(description, stand, out or description.parent) as written,
         _camera_served(written.parent / EMULATED_CAMERA, stand),
     ):
@@ -180,7 +197,7 @@ def truth(path: Path) -> xr.Dataset:
     return brdfpipe.open_dataset(path, "bsdf")
 
 
-def _real_scan(plan: Plan, folder: Path, *, yes: bool, resume: bool) -> str:
+def _real_scan(plan: Plan, folder: Path, *, yes: bool, resume: bool) -> Summary:
     from brdfpipe.rig.devices import connect
     from brdfpipe.rig.scan import scan as take
 
@@ -192,7 +209,7 @@ def _real_scan(plan: Plan, folder: Path, *, yes: bool, resume: bool) -> str:
 
     with connect(plan.rig) as bench:
         operator = "--yes" if yes else _user()
-        done = take(
+        return take(
             plan,
             bench,
             folder,
@@ -202,44 +219,6 @@ def _real_scan(plan: Plan, folder: Path, *, yes: bool, resume: bool) -> str:
             progress=True,
             resume=resume,
             say=_say,
-        )
-    return done.text
-
-
-def _emulated_scan(plan: Plan, folder: Path, sample: xr.Dataset, seed: int, *, resume: bool) -> str:
-    from brdfpipe.rig.devices import connect
-    from brdfpipe.rig.emulator.bench import EmulatedRig
-    from brdfpipe.rig.emulator.measurement import hands
-    from brdfpipe.rig.scan import scan as take
-
-    with ExitStack() as opened:
-        stand = opened.enter_context(EmulatedRig(plan.rig, sample, seed=seed))
-        bench = opened.enter_context(connect(stand.rig, camera=stand.camera))
-        if resume:
-            restore(stand, plan, folder)
-        done = take(
-            plan,
-            bench,
-            folder,
-            clock=stand.clock.now,
-            confirm=hands(stand),
-            operator=f"emulator, seed {seed}",
-            progress=True,
-            resume=resume,
-            say=_say,
-        )
-    return done.text
-
-
-def restore(stand: EmulatedRig, plan: Plan, folder: Path) -> None:
-    """Put an emulated rig where it stood when the last finished frame of a run had been read out."""
-    from brdfpipe.rig.emulator.bench import READOUT
-    from brdfpipe.rig.scan import last_finished
-
-    if (found := last_finished(plan, folder)) is not None:
-        shot, frame = found
-        stand.restore(
-            frame.started + shot.exposure + READOUT, frame.state.wavelength, frame.state.position, shot.ordinal
         )
 
 

@@ -12,9 +12,9 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
 from brdfpipe.rig.devices import connect
-from brdfpipe.rig.emulator.bench import EmulatedRig
+from brdfpipe.rig.emulator.bench import READOUT, EmulatedRig
 from brdfpipe.rig.plan import Arrangement, Plan
-from brdfpipe.rig.scan import Summary, scan
+from brdfpipe.rig.scan import Summary, last_finished, scan
 
 
 def measure(plan_file: Path, folder: Path, truth: xr.Dataset | None, *, seed: int = 0, session: int = 0) -> Summary:
@@ -40,16 +40,58 @@ def measure(plan_file: Path, folder: Path, truth: xr.Dataset | None, *, seed: in
     temporary = folder.with_name(f".{folder.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
-        with (
-            EmulatedRig(plan.rig, black() if truth is None else truth, seed=seed, session=session) as stand,
-            connect(stand.rig, camera=stand.camera) as bench,
-        ):
-            summary = scan(plan, bench, temporary, clock=stand.clock.now, confirm=hands(stand), operator="emulator")
+        summary = take(plan, temporary, black() if truth is None else truth, seed=seed, session=session)
         shutil.rmtree(folder, ignore_errors=True)
         temporary.rename(folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return summary
+
+
+def take(
+    plan: Plan,
+    folder: Path,
+    truth: xr.Dataset,
+    *,
+    seed: int = 0,
+    session: int = 0,
+    resume: bool = False,
+    progress: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> Summary:
+    """Scan a plan with an emulated rig, frame by frame into the folder as a laboratory would; arguments as above and of :func:`scan`.
+
+    Raises
+    ------
+    InputError : the folder holds something else, or a run of another plan or rig.
+    ScanStopped, StoreError : the disk is full.
+    """
+    with (
+        EmulatedRig(plan.rig, truth, seed=seed, session=session) as stand,
+        connect(stand.rig, camera=stand.camera) as bench,
+    ):
+        if resume:
+            restore(stand, plan, folder)
+        return scan(
+            plan,
+            bench,
+            folder,
+            clock=stand.clock.now,
+            confirm=hands(stand),
+            operator=f"emulator, seed {seed}",
+            progress=progress,
+            resume=resume,
+            say=say,
+        )
+
+
+def restore(stand: EmulatedRig, plan: Plan, folder: Path) -> None:
+    """Put an emulated rig where it stood when the last finished frame of a run had been read out."""
+    if (found := last_finished(plan, folder)) is not None:
+        shot, frame = found
+        stand.restore(
+            frame.started + shot.exposure + READOUT, frame.state.wavelength, frame.state.position, shot.ordinal
+        )
 
 
 def hands(stand: EmulatedRig) -> Callable[[Arrangement, str], bool]:
