@@ -3,7 +3,8 @@
 At each incidence (a node) the BSDF, or its logarithm, is a sum of functions of ϑ and φ about the mirror direction
 (:mod:`brdfpipe.rig.coordinates`). Between two nodes coefficients are interpolated at the same ϑ and φ, linearly in x = −ln cos σ: what
 facets do grows with powers of 1/cos σ, and near the normal x is σ²/2, so that the BSDF is even there. Coefficients of cos kφ with odd k are
-odd in σ, and go with √x. Beyond the last node the BSDF stays as it is about the mirror direction, and below the lowest direction
+odd in σ, and go with √x. Beyond the last node (:mod:`brdfpipe.rig.completion` may put one behind those that were measured) the BSDF stays
+as it is about the mirror direction, and below the lowest direction
 that was measured as it is there.
 
 Light may go either way: where ``reciprocity`` is ``averaged``, f(i → o) and f(o → i) both tell of the same value, and their logarithms are
@@ -76,7 +77,7 @@ class _Side:
     @property
     def place(self) -> Array:
         """x of the nodes."""
-        return _place(self.incidence)
+        return place_of(self.incidence)
 
 
 class _Way(NamedTuple):
@@ -128,8 +129,9 @@ def uncertainty(
     """Standard uncertainty of :func:`evaluate` in sr⁻¹, (directions…, wavelength or 1).
 
     Noise, smoothing and common errors come with the covariance of the coefficients. Interpolation between incidences is taken
-    to be off by what the next incidence says (the remainder of Newton's formula), completion beyond the last by as much as the
-    trend up to it would change, and completion below the horizon by as much as the fit continued would; each by 100 % at most.
+    to be off by what the next incidence says (the remainder of Newton's formula), completion beyond the last likewise, and by as much as
+    its trend would change it where that was no longer followed, and completion below the horizon by as much as the fit continued
+    would; each by 100 % at most.
     """
     return _over_sides(_uncertainties, bsdf, (theta_i, phi_i, theta_o, phi_o), wavelength)
 
@@ -327,8 +329,8 @@ def _seen(side: _Side, way: _Way) -> _Seen:
     return _Seen(*angles, np.cos(np.radians(way.theta_o)))
 
 
-def _place(theta_i: Array) -> Array:
-    """x = −ln cos θ_i."""
+def place_of(theta_i: Array | float) -> Array:
+    """x = −ln cos θ_i of angles [degree], in which incidences are interpolated."""
     return -np.log(np.cos(np.radians(np.minimum(theta_i, 89.999999))))
 
 
@@ -336,7 +338,7 @@ def _node_shares(side: _Side, node: int, theta_i: Array) -> tuple[Array, Array]:
     """Shares of a node in what is even, and in what is odd in σ: hats over x, and over √x."""
     hat = np.zeros(side.incidence.size)
     hat[node] = 1.0
-    place = _place(theta_i)
+    place = place_of(theta_i)
     return np.interp(place, side.place, hat), np.interp(np.sqrt(place), np.sqrt(side.place), hat)
 
 
@@ -407,7 +409,7 @@ def _carrying(side: _Side, way: _Way) -> Array:
 def _interpolation(side: _Side, way: _Way, seen: _Seen) -> Array:
     """By how much the logarithm may be off between and beyond the measured incidences (directions, wavelength)."""
     nodes = np.flatnonzero(side.measured)
-    place, x = side.place[nodes], _place(way.theta_i)
+    place, x = side.place[nodes], place_of(way.theta_i)
     if nodes.size == 1:
         away = np.abs(way.theta_i - side.incidence[nodes[0]]) / _FAR
         return np.broadcast_to(away[:, None], (x.size, side.coefficient.shape[1]))
@@ -422,8 +424,14 @@ def _interpolation(side: _Side, way: _Way, seen: _Seen) -> Array:
         bends = np.abs(np.diff(slope, axis=0)) / (place[2:] - place[:-2])[:, None, None]
         before, after = np.maximum(first - 1, 0), np.minimum(first, nodes.size - 3)
         bend = np.maximum(bends[before, every], bends[after, every])
-    beyond = np.maximum(x - place[-1], 0.0)[:, None] * np.abs(slope[-1])
-    return np.where(x[:, None] > place[-1], beyond, np.abs(distance)[:, None] * bend)
+    error = np.abs(distance)[:, None] * bend
+    beyond = np.maximum(x - place[-1], 0.0)
+    if nodes.size > 3:  # where nothing lies on the other side the next term of Newton's formula is no smaller
+        change = np.diff(np.diff(slope[-3:], axis=0) / (place[-2:] - place[-4:-2])[:, None, None], axis=0)[0]
+        further = beyond * np.prod(x[:, None] - place[-3:-1], axis=1)
+        error += further[:, None] * np.abs(change) / (place[-1] - place[-4])
+    # Beyond the last node it stays as it is there, where the trend would go on.
+    return error + np.maximum(x - side.place[-1], 0.0)[:, None] * np.abs(slope[-1])
 
 
 def _logarithm(side: _Side, node: int, at: _Seen) -> Array:

@@ -3,7 +3,9 @@
 Incidences that were not measured are told from those that were. Normal incidence, where it has no entrance, is the extrapolation of the
 first two, even in σ and averaged over φ: (σ₂² η₁ − σ₁² η₂)/(σ₂² − σ₁²), which from 10 and 20 degree is (4 η₁ − η₂)/3. It is taken of
 what was fitted, so of the logarithm where that was, which keeps it positive. Beyond the last incidence the BSDF stays as it is
-about the mirror direction, as printed, unless reciprocity tells better.
+about the mirror direction, as printed, unless reciprocity tells better; where the logarithm was fitted, it goes on for a while as it went
+between the last two: in x = −ln cos σ the lobe of facets rises nearly straight, with 1/cos² σ and Fresnel's reflectance, and the
+printed rule halves it within five degrees.
 
 References
 ----------
@@ -40,6 +42,8 @@ _POINTS = 6
 """Angles in the hole at which it is told."""
 _TOLERANCE = 0.02
 """Relative standard uncertainty of the extrapolation to normal incidence, besides that of what it is made from."""
+_STEPS = (2.0, 1.0, 0.5, 0.25, 0.0)
+"""How far beyond the last incidence its trend is followed, over the step to it from the last but one: the first that keeps the energy."""
 _HIGHEST = 80.0
 """Largest θ_o of these [degree]."""
 
@@ -95,19 +99,21 @@ def complete(
     if transmitted is not None:
         sides.append(_checked(transmitted, "transmission"))
         _belong_together(smoothed, transmitted)
-    told = [_nodes(side, normal) for side in sides]
-    bsdf = _dataset(sides, told).assign_attrs(
-        representation="rig",
-        link=smoothed.attrs["link"],
-        about=smoothed.attrs["about"],
-        basis=smoothed.attrs["basis"],
-        reciprocity="averaged" if reciprocity else "none",
-        transmission="none" if transmitted is None else "slab",
-    )
-    bsdf = vocabulary.add_warning(bsdf, *(each for side in sides for each in vocabulary.warnings(side)))
+    attrs = {name: smoothed.attrs[name] for name in ("link", "about", "basis")} | {
+        "representation": "rig",
+        "reciprocity": "averaged" if reciprocity else "none",
+        "transmission": "none" if transmitted is None else "slab",
+    }
     if transmitted is not None:
-        bsdf.attrs["transmitted_basis"] = transmitted.attrs["basis"]
-    bsdf = _with_history(vocabulary.label(bsdf, "bsdf"), sides, told, normal)
+        attrs["transmitted_basis"] = transmitted.attrs["basis"]
+    nodes = [_nodes(side, normal) for side in sides]
+    for steps in _STEPS:
+        told = [_with_trend(each, side, steps) for each, side in zip(nodes, sides, strict=True)]
+        bsdf = vocabulary.label(_dataset(sides, told).assign_attrs(attrs), "bsdf")
+        if not _too_bright(bsdf):
+            break
+    bsdf = vocabulary.add_warning(bsdf, *(each for side in sides for each in vocabulary.warnings(side)))
+    bsdf = _with_history(bsdf, sides, told, normal)
     if reciprocity:
         bsdf = _with_incidence_error(bsdf)
     return vocabulary.validate(bsdf, "bsdf")
@@ -201,7 +207,7 @@ def _nodes(smoothed: xr.Dataset, normal: str) -> _Nodes:
         np.where(told, vocabulary.quality("measured"), vocabulary.quality("completed")).astype(np.int8),
         used.any(axis=1),
     )
-    place = -np.log(np.cos(np.radians(nodes.incidence)))
+    place = measured.place_of(nodes.incidence)
     for at, wavelength in np.argwhere(~told):
         known = np.flatnonzero(told[:, wavelength])
         weight = np.array([np.interp(place[at], place[known], hat) for hat in np.eye(known.size)])
@@ -247,6 +253,32 @@ def _with_normal(nodes: _Nodes, basis: Basis, normal: str) -> _Nodes:
     for wavelength in range(grown.coefficient.shape[1]):
         _combine(grown, (0, wavelength), sources, shares[:, None] * (basis.harmonic == 0))
     return grown
+
+
+def _with_trend(nodes: _Nodes, smoothed: xr.Dataset, steps: float) -> _Nodes:
+    """An incidence put behind the others, told from the last two measured: the logarithm goes on as it went, for so many of their steps."""
+    if smoothed.attrs["link"] != "log" or smoothed.sizes["incidence"] < 2 or steps == 0:
+        return nodes
+    harmonic = bases.from_json(smoothed.attrs["basis"]).harmonic
+    first, last = measured.place_of(nodes.incidence[-2:])
+    end = last + steps * (last - first)
+    grown = _Nodes._make(np.concatenate([part, part[-1:]]) for part in nodes)
+    grown.incidence[-1] = np.degrees(np.arccos(np.exp(-end)))
+    grown.quality[-1], grown.cells[-1] = vocabulary.quality("completed"), False
+    odd = (np.sqrt(end) - np.sqrt(last)) / (np.sqrt(last) - np.sqrt(first))
+    farther = np.where(harmonic % 2 == 0, steps, odd)
+    sources = np.arange(nodes.incidence.size - 2, nodes.incidence.size)
+    for wavelength in range(grown.coefficient.shape[1]):
+        _combine(grown, (sources[-1] + 1, wavelength), sources, np.stack([-farther, 1 + farther]))
+    grown.highest[-1] += steps * np.maximum(nodes.highest[-1] - nodes.highest[-2], 0.0)
+    grown.lowest[-1] += steps * np.minimum(nodes.lowest[-1] - nodes.lowest[-2], 0.0)
+    return grown
+
+
+def _too_bright(bsdf: xr.Dataset) -> bool:
+    """Whether more light leaves than arrives at the last incidence, which was not measured."""
+    end = float(bsdf["incidence"].values[bsdf["transmitted"].values == 0][-1])
+    return bool((bsdf.bsdf.albedo(end) > 1).any())
 
 
 def _fill_hole(nodes: _Nodes, basis: Basis, normal: str, hole: float, *, logarithmic: bool) -> None:
@@ -344,8 +376,11 @@ def _with_history(bsdf: xr.Dataset, sides: list[xr.Dataset], told: list[_Nodes],
             sentences.append(
                 f"{word} at normal incidence completed from {first} degree ({normal}, averaged over azimuth)"
             )
-        sentences.append(f"{word} beyond {measured_[-1]:g} degree completed as it is there about the mirror direction")
-        filled = int((nodes.quality[-measured_.size :] == vocabulary.quality("completed")).sum())
+        end = nodes.incidence[-1]
+        trend = f" by its trend up to {end:.0f} degree, then" if end > measured_[-1] else ""
+        there = f"{word} beyond {measured_[-1]:g} degree completed{trend} as it is there about the mirror direction"
+        sentences.append(there)
+        filled = int((nodes.quality[np.isin(nodes.incidence, measured_)] == vocabulary.quality("completed")).sum())
         if filled:
             sentences.append(f"{filled} spectra of {word} without a value filled from the incidences next to them")
     if bsdf.attrs["reciprocity"] == "averaged":
