@@ -379,6 +379,7 @@ KINDS: Mapping[str, Kind] = {
         },
         optional={
             "gloss_u": [("gloss_angle",)],
+            "gloss_quality": [("gloss_angle",)],
             "haze_u": _SCALAR,
             "reflectance_haze": [("haze_window",)],
             "reflectance_haze_u": [("haze_window",)],

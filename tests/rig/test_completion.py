@@ -175,17 +175,17 @@ def test_beyond_the_last_incidence_a_linear_fit_stays_as_it_is_about_the_mirror_
     assert "beyond 60 degree completed as it is there about the mirror direction" in bsdf.attrs["history"]
 
 
-def test_beyond_the_last_incidence_the_logarithm_goes_on_as_it_went_for_two_steps(smoothed_paint):
+def test_beyond_the_last_incidence_the_logarithm_goes_on_as_it_went(smoothed_paint):
     place = measured.place_of(np.array([45.0, 60.0]))
-    one, two, four = np.degrees(np.arccos(np.exp(-(place[1] + np.array([1.0, 2.0, 4.0]) * (place[1] - place[0])))))
-    bsdf, found = beyond(smoothed_paint, (45.0, 60.0, one, two, four))
-    before, last, once, twice, after = np.log(found[:, 0])
+    steps = np.array([1.0, 3.0, 4.0, 6.0])
+    beyond_ = np.degrees(np.arccos(np.exp(-(place[1] + steps * (place[1] - place[0])))))
+    bsdf, found = beyond(smoothed_paint, (45.0, 60.0, *beyond_))
+    before, last, *after = np.log(found[:, 0])
     # But for what bends it towards grazing, which goes with the outgoing angle.
-    assert once - last == pytest.approx(last - before, rel=0.1)
-    assert twice - last == pytest.approx(2 * (last - before), rel=0.1)
-    assert after == pytest.approx(twice, rel=0.1)
-    assert f"beyond 60 degree completed by its trend up to {two:.0f} degree" in bsdf.attrs["history"]
-    assert float(bsdf["incidence"][-1]) == pytest.approx(two)
+    for number, each in zip((1, 3, 4, 4), after, strict=True):
+        assert each - last == pytest.approx(number * (last - before), rel=0.1)
+    assert f"beyond 60 degree completed by its trend up to {beyond_[2]:.0f} degree" in bsdf.attrs["history"]
+    assert float(bsdf["incidence"][-1]) == pytest.approx(beyond_[2])
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.25])

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
@@ -19,6 +20,7 @@ from brdfpipe.appearance.colour import (
     flop_index,
 )
 from brdfpipe.appearance.gloss import gloss, gloss_and_haze, gloss_with_uncertainty
+from brdfpipe.appearance.gloss_basis import gloss_quality, of_bsdf
 from brdfpipe.appearance.haze import WINDOWS, HazeWindow, reflectance_haze, reflectance_haze_with_uncertainty
 from brdfpipe.appearance.prediction import colour_difference, predicted_colours
 from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
@@ -64,7 +66,8 @@ def appraise(
     -------
     Dataset of kind ``appearance``: gloss, haze (G60 − G20, NaN without both), reflectance haze by window, L*a*b* of the total
         reflectance and of single geometries, flop index, each with ``<name>_u``, what the tolerances of instruments leave; where the
-        BSDF rests on measured angles ``lab_quality``, which tells what is extrapolated; luminous reflectance, and the sRGB colour of the total reflectance (2° observer, D65).
+        BSDF rests on measured angles ``lab_quality`` and ``gloss_quality``, which tell what is extrapolated, and ``gloss_u`` contains
+        what the BSDF's own uncertainty leaves; luminous reflectance, and the sRGB colour of the total reflectance (2° observer, D65).
         Of a surface with a lay these are means over the azimuth of the plane of incidence, and ``gloss_along``, ``gloss_across``,
         ``lab_along``, ``lab_across`` tell of planes along the azimuth ``lay`` and across it. Of a material that transmits,
         ``luminous_transmittance`` and ``transmission_haze`` (D1003-style) at normal incidence. Of a paint whose clear coat is not
@@ -100,6 +103,7 @@ def appraise(
         appearance["flop_index_u"] = appearance["flop_index_u"].copy(data=float("nan"))
     if (flags := colour_quality(bsdf, seen_at)) is not None:
         appearance["lab_quality"] = flags
+    appearance = _with_basis(appearance, bsdf)
     if haze:
         appearance["reflectance_haze"], appearance["reflectance_haze_u"] = reflectance_haze_with_uncertainty(bsdf, haze)
     if not representations.isotropic(bsdf):
@@ -113,6 +117,27 @@ def appraise(
     if math.isnan(flop) and lightness[2] > lightness[0]:
         appearance = vocabulary.add_warning(appearance, _rising(lightness[0], lightness[2]))
     return vocabulary.label(appearance, "appearance")
+
+
+def _with_basis(appearance: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
+    """Gloss with what its BSDF leaves uncertain of it, and whether it was measured at all."""
+    if (own := of_bsdf(bsdf, appearance["gloss"])) is not None:
+        appearance["gloss_u"] = appearance["gloss_u"].copy(data=np.hypot(appearance["gloss_u"], own))
+        appearance["gloss_u"].attrs["long_name"] += " and the BSDF"
+    if (flags := gloss_quality(bsdf, appearance["gloss_angle"])) is None:
+        return appearance
+    appearance["gloss_quality"] = flags
+    told = {vocabulary.quality(name) for name in ("measured", "interpolated")}
+    unseen = [
+        f"{angle:g}°" for angle, flag in zip(flags["gloss_angle"].values, flags.values, strict=True) if flag not in told
+    ]
+    if not unseen:
+        return appearance
+    return vocabulary.add_warning(
+        appearance,
+        f"gloss at {' and '.join(unseen)} rests on directions that were not measured, and may be far off (see its uncertainty): measure at "
+        "an incidence as large, or take it from a gloss meter",
+    )
 
 
 def _without_coat(bsdf: xr.Dataset) -> str:

@@ -45,6 +45,8 @@ _MARGIN = float(np.log(2.0))
 _TINY = 1e-30
 _CERTAIN = 0.5
 """Incidences so near a node are of it [degree]."""
+_UNKNOWN = float(np.log(10.0))
+"""Error of a logarithm from which nothing is known."""
 _FAR = 10.0
 """How far from the only incidence nothing is known any more [degree]."""
 
@@ -131,7 +133,7 @@ def uncertainty(
     Noise, smoothing and common errors come with the covariance of the coefficients. Interpolation between incidences is taken
     to be off by what the next incidence says (the remainder of Newton's formula), completion beyond the last likewise, and by as much as
     its trend would change it where that was no longer followed, and completion below the horizon by as much as the fit continued
-    would; each by 100 % at most.
+    would. Such an error s of the logarithm counts as exp s − 1.
     """
     return _over_sides(_uncertainties, bsdf, (theta_i, phi_i, theta_o, phi_o), wavelength)
 
@@ -403,7 +405,7 @@ def _carrying(side: _Side, way: _Way) -> Array:
             change = np.abs(_logarithm(side, node, there) - _logarithm(side, node, at.taken(changed)))
             below[pairs[changed]] += share[pairs[changed], None] * change
     between = _interpolation(side, way, seen)
-    return np.hypot(np.minimum(below, 1.0), np.minimum(between, 1.0))
+    return np.expm1(np.minimum(np.hypot(below, between), _UNKNOWN))
 
 
 def _interpolation(side: _Side, way: _Way, seen: _Seen) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import ModuleType
-from typing import NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 import xarray as xr
@@ -117,6 +117,11 @@ def mueller(
     return matrix
 
 
+def has_uncertainty(bsdf: xr.Dataset) -> bool:
+    """Whether the representation states how uncertain its values are."""
+    return hasattr(representation(bsdf), "uncertainty")
+
+
 def uncertainty(
     bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
 ) -> Array:
@@ -126,8 +131,8 @@ def uncertainty(
     ------
     VocabularyError : the representation states none.
     """
-    module = representation(bsdf)
-    if not hasattr(module, "uncertainty"):
+    module: Any = representation(bsdf)
+    if not has_uncertainty(bsdf):
         told = ", ".join(name for name, each in _MODULES.items() if hasattr(each, "uncertainty"))
         raise VocabularyError(
             f"the representation {bsdf.attrs['representation']!r} states no uncertainty; those that do: {told}"

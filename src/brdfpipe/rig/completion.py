@@ -42,8 +42,10 @@ _POINTS = 6
 """Angles in the hole at which it is told."""
 _TOLERANCE = 0.02
 """Relative standard uncertainty of the extrapolation to normal incidence, besides that of what it is made from."""
-_STEPS = (2.0, 1.0, 0.5, 0.25, 0.0)
+_STEPS = (4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.0)
 """How far beyond the last incidence its trend is followed, over the step to it from the last but one: the first that keeps the energy."""
+_GRAZING = 85.0
+"""But no farther than this [degree]."""
 _HIGHEST = 80.0
 """Largest θ_o of these [degree]."""
 
@@ -261,7 +263,8 @@ def _with_trend(nodes: _Nodes, smoothed: xr.Dataset, steps: float) -> _Nodes:
         return nodes
     harmonic = bases.from_json(smoothed.attrs["basis"]).harmonic
     first, last = measured.place_of(nodes.incidence[-2:])
-    end = last + steps * (last - first)
+    end = min(last + steps * (last - first), max(measured.place_of(_GRAZING), last))
+    steps = (end - last) / (last - first)
     grown = _Nodes._make(np.concatenate([part, part[-1:]]) for part in nodes)
     grown.incidence[-1] = np.degrees(np.arccos(np.exp(-end)))
     grown.quality[-1], grown.cells[-1] = vocabulary.quality("completed"), False
@@ -390,7 +393,8 @@ def _with_history(bsdf: xr.Dataset, sides: list[xr.Dataset], told: list[_Nodes],
 
 def _with_incidence_error(bsdf: xr.Dataset) -> xr.Dataset:
     """Add how well the BSDF is known from an incidence: its relative uncertainty, rms over directions and a few wavelengths."""
-    theta = np.union1d(np.append(np.arange(0.0, 90.0, 2.5), 89.9), bsdf["incidence"].values)
+    own = bsdf["incidence"].values[bsdf["transmitted"].values == 0]
+    theta = np.union1d(np.append(np.arange(0.0, 90.0, 2.5), 89.9), own)
     sequence = np.arange(1, _SPREAD + 1)[:, None] * np.array([0.7548776662466927, 0.5698402909980532]) % 1
     theta_o = np.degrees(np.arcsin(np.sqrt(sequence[:, 0]) * np.sin(np.radians(_HIGHEST))))
     theta_i, phi_i, theta_o, phi_o = np.broadcast_arrays(theta[:, None], 0.0, theta_o, 360 * sequence[:, 1])

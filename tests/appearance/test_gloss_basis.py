@@ -1,0 +1,52 @@
+"""What a gloss rests on, of a BSDF that was measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rig_primary
+import samples
+
+from brdfpipe import appearance, vocabulary
+from brdfpipe.rig import completion, smoothing
+
+WAVELENGTHS = (400.0, 500.0, 600.0, 700.0)
+
+
+@pytest.fixture(scope="module")
+def paint():
+    return samples.beckmann_bsdf(0.085, n=1.52)
+
+
+@pytest.fixture(scope="module")
+def seen(paint):
+    truth = rig_primary.of_model(paint.bsdf.nonspectral())
+    primary = rig_primary.measured(truth, (10.0, 20.0, 30.0, 45.0, 60.0), WAVELENGTHS, noise=0.01)
+    return appearance.appraise(completion.complete(smoothing.smooth(primary)))
+
+
+def test_a_gloss_says_whether_its_mirror_direction_was_measured(seen):
+    flags = [vocabulary.QUALITY_FLAGS[flag] for flag in seen["gloss_quality"].values]
+    assert flags[:2] == ["measured", "measured"]
+    assert flags[2] not in ("measured", "interpolated")
+    (warning,) = (text for text in vocabulary.warnings(seen) if "not measured" in text)
+    assert "gloss at 85° rests on" in warning
+
+
+def test_its_uncertainty_covers_the_truth_where_it_was_measured_and_where_not(seen, paint):
+    truth = appearance.gloss(paint)
+    assert (np.abs(seen["gloss"] - truth) < 2 * seen["gloss_u"]).all()
+    assert seen["gloss"].values[:2] == pytest.approx(truth.values[:2], rel=0.02)
+    assert float(seen["gloss_u"][2]) > 0.5 * float(seen["gloss"][2])
+
+
+def test_the_uncertainty_of_the_bsdf_is_in_that_of_the_gloss(seen, paint):
+    tolerances = appearance.gloss_with_uncertainty(paint)[1]
+    assert (seen["gloss_u"][:2] > 0.98 * tolerances[:2]).all()
+    assert "BSDF" in seen["gloss_u"].attrs["long_name"]
+
+
+def test_a_gloss_that_rests_on_a_model_has_no_such_flags(paint):
+    found = appearance.appraise(paint)
+    assert "gloss_quality" not in found
+    assert "BSDF" not in found["gloss_u"].attrs["long_name"]
