@@ -47,6 +47,8 @@ _CERTAIN = 0.5
 """Incidences so near a node are of it [degree]."""
 _UNKNOWN = float(np.log(10.0))
 """Error of a logarithm from which nothing is known."""
+_TOWARDS_HORIZON = 0.5
+"""Share of what a BSDF changes by that falls with cos θ_o, as below a dielectric face, that is unknown beyond the last cell."""
 _FAR = 10.0
 """How far from the only incidence nothing is known any more [degree]."""
 
@@ -60,7 +62,7 @@ class _Side:
     horizon: Array
     """(node,) largest polar angle of a cell."""
     measured: NDArray[np.bool_]
-    """(node,) whether the incidence was."""
+    """(node, wavelength) whether it was."""
     coefficient: Array
     """(node, wavelength, term)"""
     factor: Array
@@ -133,13 +135,14 @@ def uncertainty(
     Noise, smoothing and common errors come with the covariance of the coefficients. Interpolation between incidences is taken
     to be off by what the next incidence says (the remainder of Newton's formula), completion beyond the last likewise, and by as much as
     its trend would change it where that was no longer followed, and completion below the horizon by as much as the fit continued
-    would. Such an error s of the logarithm counts as exp s − 1.
+    would. Such an error s of the logarithm counts as exp s − 1. Where light that goes back tells another value, the mean of both is
+    off by as much as the two disagree, each weighted with its share.
     """
     return _over_sides(_uncertainties, bsdf, (theta_i, phi_i, theta_o, phi_o), wavelength)
 
 
 def quality(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> NDArray[np.int8]:
-    """Where a value comes from: a value of ``QUALITY_FLAGS`` each (int8).
+    """Where a value comes from: a value of ``QUALITY_FLAGS`` each (int8), for most of its wavelengths.
 
     ``measured`` among the cells of an incidence, ``interpolated`` among those of the incidences on both sides, ``completed`` where no
     incidences are on both sides, ``extrapolated`` where no cells are; of the two ways of light the better one counts.
@@ -173,7 +176,7 @@ def albedo(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | N
 def lobe_slope(bsdf: xr.Dataset) -> float:
     """Slope of facets that would make the lobe as wide as it is across the plane of the first measured incidence."""
     side = _side(bsdf, False, slice(None))
-    node = int(np.flatnonzero(side.measured)[0])
+    node = int(np.flatnonzero(side.measured.any(axis=1))[0])
     theta = np.concatenate([[0.0], np.geomspace(0.05, 45.0, 200)])
     rows = side.basis.rows(theta, np.full_like(theta, 90.0), np.cos(np.radians(theta)))
     mean = (rows @ side.coefficient[node].T).mean(axis=1)
@@ -268,7 +271,7 @@ def _side(bsdf: xr.Dataset, transmitted: bool, chosen: NDArray[np.int64] | slice
     return _Side(
         bsdf["incidence"].values[nodes],
         bsdf["horizon"].values[nodes],
-        (bsdf["coefficient_quality"].values[nodes] == vocabulary.quality("measured")).any(axis=1),
+        taken("coefficient_quality") == vocabulary.quality("measured"),
         taken("coefficient")[..., :terms],
         taken("coefficient_factor")[:, :, :terms],
         common[:, nodes][:, :, chosen, :terms] if common.size else np.zeros((0, nodes.size, 1, terms)),
@@ -286,17 +289,23 @@ def _side(bsdf: xr.Dataset, transmitted: bool, chosen: NDArray[np.int64] | slice
 
 def _values(side: _Side, theta_i: Array, theta_o: Array, phi: Array) -> Array:
     """BSDF (directions, wavelength)."""
-    shape = (theta_i.size, side.coefficient.shape[1])
+    return _told_by(side, _ways(side, theta_i, theta_o, phi))
+
+
+def _told_by(side: _Side, ways: list[_Way]) -> Array:
+    """What the ways tell together, (directions, wavelength)."""
+    shape = (ways[0].theta_i.size, side.coefficient.shape[1])
     total, geometric, positive = np.zeros(shape), np.zeros(shape), np.ones(shape, dtype=bool)
     low, high = np.zeros(shape), np.zeros(shape)
-    for told in _all_told(side, _ways(side, theta_i, theta_o, phi)):
+    for told in _all_told(side, ways):
         at, even, coefficient = told.pairs, told.even[:, None], side.coefficient[told.node].T
         if side.logarithmic:
             total[at] += side.basis.sums(coefficient, *told.seen, told.even, told.odd)
             low[at] += even * side.lowest[told.node]
             high[at] += even * side.highest[told.node]
             continue
-        value = side.basis.rows(*told.seen) @ coefficient
+        one = np.ones(at.size)
+        value = side.basis.sums(coefficient, *told.seen, one, one)
         total[at] += even * value
         geometric[at] += even * np.log(np.maximum(value, _TINY))
         positive[at] &= (value > 0) | (even == 0)
@@ -386,9 +395,20 @@ def _uncertainties(side: _Side, theta_i: Array, theta_o: Array, phi: Array) -> A
         # Both ways may carry the same error: in the mirror direction they are one.
         carried += way.share[:, None] * _carrying(side, way)
     value = _values(side, theta_i, theta_o, phi)
+    carried = np.hypot(carried, _disagreement(side, ways))
     if side.logarithmic:
         return value * np.sqrt(variance + carried**2)
     return np.sqrt(variance + (value * carried) ** 2)
+
+
+def _disagreement(side: _Side, ways: list[_Way]) -> Array | float:
+    """Relative error of a mean of two ways that do not agree (directions, wavelength)."""
+    if len(ways) == 1:
+        return 0.0
+    there, back = (
+        np.log(np.maximum(_told_by(side, [way._replace(share=np.ones_like(way.share))]), _TINY)) for way in ways
+    )
+    return np.sqrt(ways[0].share * ways[1].share)[:, None] * np.minimum(np.abs(there - back), _UNKNOWN)
 
 
 def _carrying(side: _Side, way: _Way) -> Array:
@@ -403,6 +423,8 @@ def _carrying(side: _Side, way: _Way) -> Array:
         if changed.size:
             there, _ = _at_node(side, node, seen.taken(pairs[changed]), clamped=False)
             change = np.abs(_logarithm(side, node, there) - _logarithm(side, node, at.taken(changed)))
+            fallen = np.cos(np.radians(side.horizon[node])) / np.maximum(seen.cosine[pairs[changed]], _TINY)
+            change = np.hypot(change, _TOWARDS_HORIZON * np.log(np.maximum(fallen, 1.0))[:, None])
             below[pairs[changed]] += share[pairs[changed], None] * change
     between = _interpolation(side, way, seen)
     return np.expm1(np.minimum(np.hypot(below, between), _UNKNOWN))
@@ -410,30 +432,37 @@ def _carrying(side: _Side, way: _Way) -> Array:
 
 def _interpolation(side: _Side, way: _Way, seen: _Seen) -> Array:
     """By how much the logarithm may be off between and beyond the measured incidences (directions, wavelength)."""
-    nodes = np.flatnonzero(side.measured)
-    place, x = side.place[nodes], place_of(way.theta_i)
-    if nodes.size == 1:
-        away = np.abs(way.theta_i - side.incidence[nodes[0]]) / _FAR
-        return np.broadcast_to(away[:, None], (x.size, side.coefficient.shape[1]))
-    told = np.stack([_logarithm(side, node, _at_node(side, node, seen)[0]) for node in map(int, nodes)])
+    some = np.flatnonzero(side.measured.any(axis=1))
+    told = np.stack([_logarithm(side, node, _at_node(side, node, seen)[0]) for node in map(int, some)])
+    error = np.empty(told.shape[1:])
+    # A wavelength that an incidence lost is no better known there than in between.
+    for known in np.unique(side.measured[some], axis=1).T:
+        at = (side.measured[some] == known[:, None]).all(axis=0)
+        error[:, at] = _remainder(side, some[known], told[known][:, :, at], way.theta_i)
+    return error
+
+
+def _remainder(side: _Side, nodes: NDArray[np.int64], told: Array, theta_i: Array) -> Array:
+    """The same from what some nodes tell, (node, directions, wavelength): the next term of Newton's formula."""
+    place, x = side.place[nodes], place_of(theta_i)
+    if nodes.size < 2:
+        away = np.abs(theta_i - side.incidence[nodes].sum()) / _FAR
+        return np.broadcast_to(away[:, None], told.shape[1:])
     slope = np.diff(told, axis=0) / np.diff(place)[:, None, None]
     first = np.clip(np.searchsorted(place, x, side="right") - 1, 0, nodes.size - 2)
     every = np.arange(x.size)
-    distance = (x - place[first]) * (x - place[first + 1])
     if nodes.size == 2:
         bend = np.abs(slope[0]) / (place[1] - place[0])
     else:
-        bends = np.abs(np.diff(slope, axis=0)) / (place[2:] - place[:-2])[:, None, None]
+        bends = np.diff(slope, axis=0) / (place[2:] - place[:-2])[:, None, None]
         before, after = np.maximum(first - 1, 0), np.minimum(first, nodes.size - 3)
-        bend = np.maximum(bends[before, every], bends[after, every])
-    error = np.abs(distance)[:, None] * bend
-    beyond = np.maximum(x - place[-1], 0.0)
-    if nodes.size > 3:  # where nothing lies on the other side the next term of Newton's formula is no smaller
-        change = np.diff(np.diff(slope[-3:], axis=0) / (place[-2:] - place[-4:-2])[:, None, None], axis=0)[0]
-        further = beyond * np.prod(x[:, None] - place[-3:-1], axis=1)
-        error += further[:, None] * np.abs(change) / (place[-1] - place[-4])
+        bend = np.maximum(np.abs(bends[before, every]), np.abs(bends[after, every]))
+    error = np.abs((x - place[first]) * (x - place[first + 1]))[:, None] * bend
+    if nodes.size > 3:  # where nothing lies on the other side the term behind it is no smaller
+        change = np.abs(bends[-1] - bends[-2]) / (place[-1] - place[-4])
+        error += (np.maximum(x - place[-1], 0.0) * np.prod(x[:, None] - place[-3:-1], axis=1))[:, None] * change
     # Beyond the last node it stays as it is there, where the trend would go on.
-    return error + np.maximum(x - side.place[-1], 0.0)[:, None] * np.abs(slope[-1])
+    return np.asarray(error + np.maximum(x - side.place[-1], 0.0)[:, None] * np.abs(slope[-1]))
 
 
 def _logarithm(side: _Side, node: int, at: _Seen) -> Array:
@@ -474,7 +503,7 @@ def _quality(side: _Side, cells: list[_NodeCells | None], way: _Way) -> Array:
     """Flags of one way."""
     seen = _seen(side, way)
     among = np.stack([_among(side, node, each, seen) for node, each in enumerate(cells)])
-    nodes = np.flatnonzero(side.measured)
+    nodes = np.flatnonzero(side.measured.mean(axis=1) >= 0.5)
     incidence, among = side.incidence[nodes], among[nodes]
     every = np.arange(way.theta_i.size)
     nearest = np.abs(way.theta_i[:, None] - incidence).argmin(axis=1)

@@ -205,20 +205,22 @@ class Keldysh:
 
     def _values(self, theta: Array) -> tuple[Array, Array]:
         """Radial parts (directions, terms) and their derivatives per radian."""
-        j, n, _, _ = self.terms.T
+        radial, which = np.unique(self.terms[:, :2], axis=0, return_inverse=True)  # each stands with several cos kφ
+        j, n = radial.T
         stretch = np.where(j < 0, 0.0, 2.0**j / self.domain)
         x = np.asarray(theta, dtype=float)[:, None] * stretch
         inside = np.maximum(1 - x * x, 0.0)
         power, lower = x**n, n * x ** np.maximum(n - 1, 0)
         peak = _peak(n)
         slope = peak * (lower * inside**2 - 4 * x * power * inside) * np.degrees(stretch)
-        return peak * power * inside**2, slope
+        return (peak * power * inside**2)[:, which.ravel()], slope[:, which.ravel()]
 
     def _turns(self, phi: Array) -> tuple[Array, Array]:
         """cos kφ or sin kφ (directions, terms), and their derivatives per radian."""
-        _, _, k, sine = self.terms.T
+        azimuthal, which = np.unique(self.terms[:, 2:], axis=0, return_inverse=True)
+        k, sine = azimuthal.T
         angle = np.radians(np.asarray(phi, dtype=float))[:, None] * k - np.where(sine, np.pi / 2, 0.0)
-        return np.cos(angle), -k * np.sin(angle)
+        return np.cos(angle)[:, which.ravel()], (-k * np.sin(angle))[:, which.ravel()]
 
 
 def _grazing(cosine: Array) -> Array:

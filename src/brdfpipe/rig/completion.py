@@ -46,6 +46,8 @@ _STEPS = (4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.0)
 """How far beyond the last incidence its trend is followed, over the step to it from the last but one: the first that keeps the energy."""
 _GRAZING = 85.0
 """But no farther than this [degree]."""
+_CONTRADICTING = 2.0
+"""Disagreement of light there and back, over its uncertainty, that is no chance."""
 _HIGHEST = 80.0
 """Largest θ_o of these [degree]."""
 
@@ -85,7 +87,8 @@ def complete(
     smoothed : kind ``smoothed``, of reflection
     transmitted : kind ``smoothed``, of transmission, with the same wavelengths and cells
     normal : one of :data:`NORMAL`; without meaning where normal incidence was measured
-    reciprocity : whether f(i → o) is averaged with f(o → i), each weighted by how well its incidence is known
+    reciprocity : whether f(i → o) is averaged with f(o → i), each weighted by how well its incidence is known; not of a surface that
+        was smoothed without symmetry, for there the way back is that of the sample turned
 
     Returns
     -------
@@ -101,9 +104,11 @@ def complete(
     if transmitted is not None:
         sides.append(_checked(transmitted, "transmission"))
         _belong_together(smoothed, transmitted)
+    symmetric = bases.from_json(smoothed.attrs["basis"]).symmetric
     attrs = {name: smoothed.attrs[name] for name in ("link", "about", "basis")} | {
         "representation": "rig",
-        "reciprocity": "averaged" if reciprocity else "none",
+        # Of a surface with a lay light that goes back tells of the sample turned.
+        "reciprocity": "averaged" if reciprocity and symmetric else "none",
         "transmission": "none" if transmitted is None else "slab",
     }
     if transmitted is not None:
@@ -116,9 +121,33 @@ def complete(
             break
     bsdf = vocabulary.add_warning(bsdf, *(each for side in sides for each in vocabulary.warnings(side)))
     bsdf = _with_history(bsdf, sides, told, normal)
-    if reciprocity:
+    bsdf = _with_lay(bsdf) if not symmetric else _with_contradictions(bsdf)
+    if bsdf.attrs["reciprocity"] == "averaged":
         bsdf = _with_incidence_error(bsdf)
     return vocabulary.validate(bsdf, "bsdf")
+
+
+def contradictions(bsdf: xr.Dataset) -> xr.DataArray:
+    """How far light between two incidences and back disagree before they are averaged, over the uncertainty of the difference.
+
+    Parameters
+    ----------
+    bsdf : representation ``rig``
+
+    Returns
+    -------
+    ``(incidence, incidence_2)``, rms over azimuth and wavelength [1]; the measured incidences of reflection, missing on the diagonal
+    """
+    pairs = reciprocity(bsdf.assign_attrs(reciprocity="none"))
+    z = (pairs["there"] - pairs["back"]) / xr.DataArray(np.hypot(pairs["there_u"], pairs["back_u"]))
+    rms = np.sqrt((z**2).mean([dim for dim in z.dims if dim != "pair"]).values)
+    incidence = np.union1d(pairs["incidence"], pairs["incidence_2"])
+    first, second = (np.searchsorted(incidence, pairs[name]) for name in ("incidence", "incidence_2"))
+    table = np.full((incidence.size, incidence.size), np.nan)
+    table[first, second] = table[second, first] = rms
+    return xr.DataArray(
+        table, {"incidence": incidence, "incidence_2": incidence}, ("incidence", "incidence_2"), "contradiction"
+    )
 
 
 def reciprocity(bsdf: xr.Dataset, azimuths: int = 13) -> xr.Dataset:
@@ -209,12 +238,15 @@ def _nodes(smoothed: xr.Dataset, normal: str) -> _Nodes:
         np.where(told, vocabulary.quality("measured"), vocabulary.quality("completed")).astype(np.int8),
         used.any(axis=1),
     )
+    basis = bases.from_json(smoothed.attrs["basis"])
     place = measured.place_of(nodes.incidence)
     for at, wavelength in np.argwhere(~told):
         known = np.flatnonzero(told[:, wavelength])
-        weight = np.array([np.interp(place[at], place[known], hat) for hat in np.eye(known.size)])
-        _combine(nodes, (at, wavelength), known, weight[:, None])
-    basis = bases.from_json(smoothed.attrs["basis"])
+        even, odd = (
+            np.array([np.interp(x[at], x[known], hat) for hat in np.eye(known.size)])[:, None]
+            for x in (place, np.sqrt(place))
+        )
+        _combine(nodes, (at, wavelength), known, np.where(basis.harmonic % 2 == 0, even, odd))
     if nodes.incidence[0] > 0:
         return _with_normal(nodes, basis, normal)
     if _hole(smoothed) > _HOLE and nodes.incidence.size > 1:
@@ -253,7 +285,9 @@ def _with_normal(nodes: _Nodes, basis: Basis, normal: str) -> _Nodes:
     power = grown.incidence[sources] ** (2 if normal == "even-quadratic" else 1)
     shares = np.ones(1) if sources.size == 1 else np.array([power[1], -power[0]]) / (power[1] - power[0])
     for wavelength in range(grown.coefficient.shape[1]):
-        _combine(grown, (0, wavelength), sources, shares[:, None] * (basis.harmonic == 0))
+        # A surface with a lay keeps what turned by 180 degree is the same.
+        kept = basis.harmonic == 0 if basis.symmetric else basis.harmonic % 2 == 0
+        _combine(grown, (0, wavelength), sources, shares[:, None] * kept)
     return grown
 
 
@@ -389,6 +423,41 @@ def _with_history(bsdf: xr.Dataset, sides: list[xr.Dataset], told: list[_Nodes],
     if bsdf.attrs["reciprocity"] == "averaged":
         sentences.append("reflection there and back averaged, weighted by how well its incidence is known")
     return vocabulary.add_history(bsdf, *sentences)
+
+
+def _with_lay(bsdf: xr.Dataset) -> xr.Dataset:
+    return vocabulary.add_warning(
+        bsdf,
+        "the BSDF was smoothed without symmetry, as that of a surface with a lay: it is known for light in the plane of incidence that was "
+        "measured alone, and what it says of the sample turned is what it says of that plane; measure the sample turned as a material of its own",
+    )
+
+
+def _with_contradictions(bsdf: xr.Dataset) -> xr.Dataset:
+    """A BSDF whose incidences are as uncertain as they contradict each other.
+
+    An incidence that is off contradicts all others, one that is right only that: so the middle one of an incidence's contradictions counts.
+    """
+    known = bsdf["transmitted"].values == 0
+    found = contradictions(bsdf)
+    if not found.size:
+        return bsdf
+    by = dict(zip(found["incidence"].values, found.median("incidence_2").values, strict=True))
+    factor = np.array([by.get(incidence, max(by.values())) for incidence in bsdf["incidence"].values])
+    factor = np.where(known & (factor > _CONTRADICTING), factor, 1.0)
+    doubtful = {incidence: each for incidence, each in by.items() if each > _CONTRADICTING}
+    if not doubtful:
+        return bsdf
+    per_node = xr.DataArray(factor, dims="node")
+    names = [name for name in ("coefficient_factor", "coefficient_common") if name in bsdf]
+    grown = {name: (bsdf[name] * per_node).transpose(*bsdf[name].dims).astype(bsdf[name].dtype) for name in names}
+    listed = ", ".join(f"{incidence:g}° ({each:.1f} times)" for incidence, each in doubtful.items())
+    return vocabulary.add_warning(
+        bsdf.assign(grown),
+        f"light from one incidence to another and back disagrees by more than its uncertainty at {listed}: a picture of another incidence, a "
+        "sample that moved, is uneven or has a lay, or an entrance whose path was not calibrated; the uncertainties there were enlarged as many "
+        "times. Measure these incidences again",
+    )
 
 
 def _with_incidence_error(bsdf: xr.Dataset) -> xr.Dataset:
