@@ -13,6 +13,7 @@ import yaml
 
 from brdfpipe import catalogue
 from brdfpipe.errors import InputError
+from brdfpipe.routes import PRIOR_U
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
@@ -413,6 +414,7 @@ def test_a_configuration_may_say_only_what_differs(tmp_path: Path) -> None:
         ("appearance: {haze: []}", "appearance", {"haze": []}),
         ("table: {phi_i: [0, 90]}", "table", {"phi_i": [0, 90]}),
         ("lambert_gauss: {}", "lambert_gauss", {}),
+        ("comparison: {index_u: 0}", "comparison", {"index_u": 0}),
     ],
 )
 def test_a_configuration_may_say_only_what_differs_within_a_part(
@@ -430,6 +432,22 @@ def test_the_projects_own_configuration_says_every_key() -> None:
     assert set(config) == set(schema["properties"])
     for key, part in schema["properties"].items():
         assert set(part.get("properties", {})) <= set(config[key]) if isinstance(config[key], dict) else True
+
+
+def test_a_comparison_is_told_how_well_its_inputs_are_known(tmp_path: Path) -> None:
+    write(tmp_path / "of", "m")
+    own = tmp_path / "own.yaml"
+    own.write_text("comparison: {slope_u: 0.3}\n")
+    told = catalogue.load(tmp_path / "of", catalogue.load_config(own)).spec("m", "comparison")
+    assert told == {**{f"{name}_u": u for name, u in PRIOR_U.items()}, "slope_u": 0.3}
+
+
+@pytest.mark.parametrize("u", ["-0.1", "2", "wide"])
+def test_an_uncertainty_of_an_input_that_is_none_is_refused(tmp_path: Path, u: str) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(f"comparison: {{diffuse_u: {u}}}\n")
+    with pytest.raises(InputError, match=r"comparison\.diffuse_u"):
+        catalogue.load_config(own)
 
 
 @pytest.mark.parametrize(

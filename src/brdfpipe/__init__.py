@@ -27,6 +27,7 @@ _SUBMODULES = (
     "raycast",
     "report",
     "rig",
+    "routes",
     "spectra",
     "store",
     "surfaces",

@@ -138,7 +138,7 @@ class Material:
             return {key: config[key] for key in ("illuminant", "observer", "gloss_angles")} | dict(config["appearance"])
         if stage == "preview":
             return {"illuminant": config["illuminant"], "light": config["preview_light"]}
-        if stage in ("table", "lambert_gauss"):
+        if stage in ("table", "lambert_gauss", "comparison"):
             return dict(config[stage])
         if stage == "report":
             return {"description": self.content.get("description", ""), "exports": sorted(self.exports)}
@@ -154,6 +154,11 @@ class Calibration:
     content: Mapping[str, Any]
     files: Mapping[str, Path]
     """``rig``: the plan, or the journal of the finished run; ``certificate``."""
+
+    @property
+    def previous(self) -> str:
+        """The calibration of the same rig before this one; empty if none is told of."""
+        return str(self.content.get("previous", ""))
 
     def spec(self, stage: str) -> dict[str, Any]:
         """The part of the description that a stage depends on."""
@@ -186,6 +191,13 @@ class Catalogue:
     def spec(self, name: str, stage: str) -> dict[str, Any]:
         """See :meth:`Material.spec`."""
         return self[name].spec(stage, self.config)
+
+    def calibrations_of(self, material: Material) -> list[str]:
+        """The calibration of a rig's material, and all before it that its chart goes back to."""
+        names = [material.content["rig"]["calibration"]]
+        while previous := self.calibrations[names[-1]].previous:
+            names.append(previous)
+        return names
 
 
 def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
@@ -232,7 +244,37 @@ def load_calibrations(folder: Path) -> dict[str, Calibration | str]:
             found[path.parent.name] = _load_calibration(path)
         except BrdfpipeError as error:
             found[path.parent.name] = str(error)
-    return found
+    return {name: _without_previous(name, found) or each for name, each in found.items()}
+
+
+def _without_previous(name: str, calibrations: Mapping[str, Calibration | str]) -> str:
+    """What is wrong with the calibration before one, or with any before that; empty if nothing is."""
+    own = calibrations[name]
+    if not (isinstance(own, Calibration) and own.previous):
+        return ""
+    found, names = calibrations.get(own.previous), _backwards(name, calibrations)
+    if found is None:
+        others = [other for other in calibrations if other != name]
+        problem = f"no such calibration{documents.nearest(own.previous, others)}"
+        accepted = ", ".join(others) or "nothing; there is no other"
+    elif names[-1] in names[:-1]:
+        problem, accepted = f"calibrations before one another: {' → '.join(names)}", "one that was made before"
+    elif accepted := found if isinstance(found, str) else _without_previous(own.previous, calibrations):
+        problem = "the calibration cannot be used"
+    else:
+        return ""
+    path = own.folder / CALIBRATION
+    return str(InputError(path, problem, where="previous", found=repr(own.previous), accepted=accepted))
+
+
+def _backwards(name: str, calibrations: Mapping[str, Calibration | str]) -> list[str]:
+    """A calibration and those before it, to the first, or to where it comes round."""
+    names = [name]
+    while isinstance(each := calibrations.get(names[-1]), Calibration) and each.previous:
+        names.append(each.previous)
+        if each.previous in names[:-1]:
+            break
+    return names
 
 
 def _load_calibration(path: Path) -> Calibration:
@@ -260,7 +302,8 @@ def _without_rig(materials: Mapping[str, Material], calibrations: Mapping[str, C
         found = calibrations.get(calibration, "")
         if not isinstance(found, Calibration):
             accepted = found or ", ".join(calibrations) or f"a folder {CALIBRATIONS}/{calibration} with {CALIBRATION}"
-            problem = f"no such calibration{documents.nearest(calibration, calibrations)}"
+            near = documents.nearest(calibration, calibrations)
+            problem = "the calibration cannot be used" if found else f"no such calibration{near}"
             failures[name] = str(
                 InputError(path, problem, where="rig.calibration", found=repr(calibration), accepted=accepted)
             )

@@ -53,11 +53,14 @@ def check(catalogue: Path, config: Path | None) -> int:
     Exits with 1 if a material is wrong or needs a reader that is not installed.
     """
     from brdfpipe import catalogue as catalogues
+    from brdfpipe.jobs import runs
     from brdfpipe.surfaces.reading import check_readable
 
     loaded = catalogues.load(catalogue, catalogues.load_config(config))
-    lines = {name: (message, False) for name, message in loaded.failures.items()}
+    lines = {name: (message, False) for name, message in {**loaded.failures, **runs.of(loaded)[1]}.items()}
     for material in loaded.materials:
+        if material.name in lines:
+            continue
         try:
             catalogues.check_formats(material)
             for part, path in material.files.items():

@@ -178,10 +178,22 @@ QUANTITIES: Mapping[str, Quantity] = {
     "weight_variance": Quantity("1", "variance of the weights", 0),
     # Rig
     "signal": Quantity("1", "light of the cell over that of the reference behind the filter, L/(L′/T)", missing=True),
-    "reference": Quantity("1", "electrons of the reference spot, median of the bracket", 0, missing=True),
+    "reference": Quantity("s-1", "electrons of the reference spot behind no filter", 0, missing=True),
+    "drift_elapsed": Quantity("s", "time of a look at the lamp since the start of the run"),
+    "drift_wavelength": Quantity("nm", "wavelength of a look at the lamp", 100, 20000),
+    "drift_reference": Quantity(
+        "s-1", "electrons of the reference spot behind no filter, at a look at the lamp", 0, missing=True
+    ),
     "cell_scale": Quantity("sr-1", "BRDF times the cosine of view over the signal", 0, missing=True),
-    "path": Quantity("1", "light an entrance sends to the holder, over that of the etalon's", 0),
-    "lamp": Quantity("1", "reference light of the etalon's run, electrons of a frame", 0),
+    "path": Quantity("1", "light an entrance sends to the holder, over that of the first", 0),
+    "lamp": Quantity("s-1", "electrons of the reference spot behind no filter, during the etalon's run", 0),
+    "scale_change": Quantity(
+        "1", "logarithm of the cells' scale over that of the chart's first profile, median of the cells", missing=True
+    ),
+    "departing_wavelength": Quantity("nm", "wavelength that changed most against all", 100, 20000, missing=True),
+    "change": Quantity("1", "change of a profile's logarithmic scale from the mean of those before it in the chart"),
+    "limit": Quantity("1", "change from which it is no chance", 0, missing=True),
+    "violation": Quantity("1", "whether a profile changed by more than the limit", 0, 1),
     "coefficient": Quantity(
         "1", "coefficient of the BSDF [sr-1], or of its natural logarithm, in the basis of the fit"
     ),
@@ -323,9 +335,21 @@ KINDS: Mapping[str, Kind] = {
         | {f"reflectance_factor{u}": [("geometry", "wavelength")] for u in ("", "_u")},
     ),
     "colours": Kind({"lab": [("geometry", "component")]}, attributes=("illuminant", "observer")),
-    "reduced": Kind({**_CELL, "signal": _CELLS, "reference": [("incidence", "wavelength")]}),
+    "reduced": Kind(
+        {**_CELL, "signal": _CELLS, "reference": [("incidence", "wavelength")]},
+        optional={
+            **{name: [("incidence", "wavelength")] for name in ("reference_u", "elapsed")},
+            **{f"drift_{name}": [("look",)] for name in ("elapsed", "wavelength", "reference", "reference_u")},
+        },
+    ),
     "calibration": Kind(
         {**_CELL, "cell_scale": [("wavelength", "cell")], "path": [("incidence",)], "lamp": [("wavelength",)]},
+        optional={
+            "profile_day": [("profile",)],
+            "departing_wavelength": [("profile",)],
+            "scale_change": [("profile", "wavelength")],
+            **{name: [("profile", "watched")] for name in ("change", "limit", "violation")},
+        },
         attributes=("certificate", "day", "rig_digest"),
     ),
     "primary": Kind(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from datetime import date
 
 import numpy as np
@@ -11,7 +12,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from brdfpipe import vocabulary
+from brdfpipe import store, vocabulary
 from brdfpipe.rig import accuracy, screen
 from brdfpipe.rig.calibration import (
     HOLE,
@@ -19,7 +20,6 @@ from brdfpipe.rig.calibration import (
     apply,
     calibrate,
     charted,
-    drift_chart,
     joined,
 )
 from brdfpipe.rig.certificate import Certificate
@@ -103,7 +103,7 @@ def reduced(
             "solid_angle": ("cell", np.full(theta.size, np.nan)),
         },
         attrs={"rig": "bench", "rig_digest": "abc", "sample": "tile", "side": "reflection", "load": load, "day": day}
-        | {"filter": 1, "filter_u": 0.0}
+        | {"filter": 1, "filter_u": 0.0, "disc_scale_u": 0.01}
         | attrs,
     )
     return vocabulary.validate(vocabulary.label(dataset, "reduced"), "reduced")
@@ -451,7 +451,7 @@ def test_missing_values_that_are_missing_are_no_trouble():
     assert np.isnan(found["brdf"].values[lost]).all()
 
 
-# --- joining and the chart
+# --- joining
 
 
 def test_arrangements_are_joined_by_rising_incidence_with_each_warning_once():
@@ -480,44 +480,157 @@ def test_nothing_is_not_joined():
         joined([])
 
 
-def profiles(changes):
-    return [
-        calibrate(reduced("etalon", efficiency=np.exp(-change), day=f"2026-03-{place + 1:02d}"), certificate())
-        for place, change in enumerate(changes)
-    ]
+# --- the chart
+
+
+def profile_of(place: int, level: float = 0.0, spectrum=0.0, cells=0.0, entrances=(10.0, 30.0), **attrs) -> xr.Dataset:
+    """The profile of a day, its scales changed by logarithms of all, of each wavelength and of each cell."""
+    told = {"day": f"2026-03-{place + 1:02d}", **attrs}
+    etalon = reduced("etalon", entrances, efficiency=np.exp(-level - np.asarray(cells)), **told)
+    etalon["signal"] = etalon["signal"] * np.exp(-np.broadcast_to(spectrum, WAVELENGTHS.shape))[:, None]
+    return calibrate(etalon, certificate(), name=f"bench-{place + 1}")
+
+
+def chain(*told: dict[str, object] | float) -> xr.Dataset:
+    """The last of several profiles, each with the one before it as previous; a number is a change of the level."""
+    given = [each if isinstance(each, dict) else {"level": each} for each in told]
+    return functools.reduce(
+        lambda previous, profile: charted(profile, previous),
+        [profile_of(place, **each) for place, each in enumerate(given)],
+    )
+
+
+STEADY = (0.0, 0.003, -0.004, 0.001, 0.002)
 
 
 def test_the_chart_tells_a_step_from_scatter():
-    steady = [0.0, 0.003, -0.004, 0.001, 0.002]
-    chart = drift_chart(profiles([*steady, 0.08]))
-    assert chart["change"].values == pytest.approx([*steady, 0.08], abs=1e-9)
-    assert chart["violation"].values.tolist() == [False] * 5 + [True]
-    assert not drift_chart(profiles(steady))["violation"].values.any()
+    found = chain(*STEADY, 0.08)
+    assert found["profile"].values.tolist() == [f"bench-{number}" for number in range(1, 7)]
+    assert found["profile_day"].values.tolist() == [f"2026-03-0{number}" for number in range(1, 7)]
+    assert found["scale_change"].values == pytest.approx(np.tile([*STEADY, 0.08], (5, 1)).T, abs=1e-9)
+    level = found.sel(watched="level")
+    before = [0.0, *(np.mean(STEADY[:count]) for count in range(1, 6))]
+    assert level["change"].values == pytest.approx(np.subtract([*STEADY, 0.08], before), abs=1e-9)
+    assert level["violation"].values.tolist() == [False] * 5 + [True]
+    assert not found.sel(watched="spectrum")["violation"].values.any()
 
 
-def test_a_profile_that_the_chart_forbids_is_not_used():
-    *earlier, new = profiles([0.0, 0.003, -0.004, 0.08])
-    marked = charted(new, earlier)
-    assert "differs by +8" in marked.attrs["drift_violation"]
+def test_the_limit_is_that_of_a_prediction_from_those_before_and_from_what_is_expected():
+    """Three expected values of a scatter of 1 %, and the sum of squares of four seen with three degrees of freedom."""
+    found = chain(*STEADY)
+    seen = np.array(STEADY[:4])
+    scatter = np.sqrt((3 * 0.01**2 + ((seen - seen.mean()) ** 2).sum()) / 6)
+    assert found.sel(watched="level")["limit"].values[-1] == pytest.approx(3 * scatter * np.sqrt(1 + 1 / 4), rel=1e-6)
+    assert np.isnan(found["limit"].values[0]).all()
+    # One of five is beyond 3.4602 standard deviations as seldom as one alone is beyond 3: Φ(−3) / 5 = 2.70e-4 = Φ(−3.4602).
+    expected = 3.4602 * 0.003 * np.sqrt(3 / 6) * np.sqrt(1 + 1 / 4)
+    assert found.sel(watched="spectrum")["limit"].values[-1] == pytest.approx(expected, rel=1e-3)
+
+
+def test_an_alarm_is_as_seldom_false_as_it_promises():
+    """A rig of exactly the scatter that is expected of one: over many charts the first comparison is false in 0.27 % of them."""
+    random = np.random.default_rng(0)
+    z = random.normal(0, 0.01, (200_000, 2))
+    limit = float(chain(0.0, 0.001).sel(watched="level")["limit"][-1])
+    assert np.mean(np.abs(z[:, 1] - z[:, 0]) > limit) == pytest.approx(0.0027, rel=0.15)
+
+
+def test_a_profile_that_the_chart_forbids_is_not_used_unless_overridden_and_recorded():
+    marked = chain(0.0, 0.003, -0.004, 0.08)
+    assert "differs by +8.4% from those before" in marked.attrs["drift_violation"]
+    sample = reduced("sample", day="2026-03-05")
     with pytest.raises(CalibrationError, match="etalon is dirty or aged"):
-        apply(reduced("sample", day="2026-03-05"), marked)
-    apply(reduced("sample", day="2026-03-05"), marked, override=True)
-    assert charted(earlier[2], earlier[:2]) is earlier[2]
+        apply(sample, marked)
+    found = apply(sample, marked, override=True)
+    assert "dirty or aged" in found.attrs["overridden"]
+    assert "drift_violation" not in chain(0.0, 0.003, -0.004).attrs
+
+
+def test_an_etalon_that_turned_yellow_is_told_though_the_mean_hides_it():
+    """3 % of the light lost at one end is won at the other: of all wavelengths together nothing changed."""
+    found = chain(0.0, 0.002, -0.001, {"spectrum": [0.03, 0.01, 0.0, -0.015, -0.025]})
+    assert found["violation"].values[-1].tolist() == [False, True]
+    assert "differs by +3.0% more at 430 nm than at all wavelengths together" in found.attrs["drift_violation"]
+    assert found["departing_wavelength"].values[-1] == 430
+    with pytest.raises(CalibrationError, match="430 nm"):
+        apply(reduced("sample", day="2026-03-05"), found)
+
+
+def test_a_violation_is_no_part_of_what_later_ones_are_held_against():
+    found = chain(*STEADY, 0.08, 0.001)
+    assert found.sel(watched="level")["violation"].values.tolist() == [False] * 5 + [True, False]
+    assert found.sel(watched="level")["change"].values[-1] == pytest.approx(0.001 - np.mean(STEADY), abs=1e-9)
+    assert "drift_violation" not in found.attrs
+
+
+def test_cells_that_changed_are_named_and_the_profile_is_good():
+    """That is what a new profile is for; but a fibre that was moved, or exchanged for another, changes too."""
+    cells = np.zeros(80)
+    seen = np.flatnonzero(np.isfinite(profile_of(0)["cell_scale"].values).all(axis=0))
+    cells[seen[[3, 8]]] = 0.5, -0.1
+    found = chain(0.0, {"cells": cells})
+    (warning,) = vocabulary.warnings(found)
+    assert f"2 cells changed against the others since bench-1: F{seen[3]} by -39%, F{seen[8]} by +11%;" in warning
+    assert "drift_violation" not in found.attrs
+    assert found["scale_change"].values[-1] == pytest.approx(np.zeros(5), abs=1e-9)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10_000))
+def test_cells_that_differ_by_their_noise_are_not_named(seed):
+    random = np.random.default_rng(seed)
+    one, other = (profile_of(place) for place in range(2))
+    for profile in (one, other):
+        u = (profile["cell_scale_u_calibration"] / profile["cell_scale"]).values
+        profile["cell_scale"] = profile["cell_scale"] * np.exp(u * random.standard_normal(u.shape))
+    assert vocabulary.warnings(charted(other, one)) == []
 
 
 def test_a_scattering_rig_has_wider_limits():
-    steady, wild = (drift_chart(profiles(np.array([1, -1, 1, -1, 1, -1]) * size)) for size in (1e-3, 0.02))
-    assert wild["limit"].values[-1] > 1.5 * steady["limit"].values[-1]
+    steady, wild = (chain(*(np.array([1, -1, 1, -1, 1, -1]) * size)) for size in (1e-3, 0.02))
+    assert wild["limit"].values[-1, 0] > 1.5 * steady["limit"].values[-1, 0]
 
 
-def test_a_first_profile_violates_nothing_and_a_chart_is_of_one_rig():
-    one = profiles([0.0])[0]
-    assert drift_chart([one])["violation"].values.tolist() == [False]
-    assert charted(one, []) is one
-    with pytest.raises(CalibrationError, match="2 rigs"):
-        drift_chart([one, one.assign_attrs(rig_digest="other")])
-    with pytest.raises(CalibrationError, match="0 rigs"):
-        drift_chart([])
+def test_the_chart_goes_on_through_another_first_entrance_and_with_other_wavelengths():
+    """Scales are as through the first entrance, which sends 10 % less light here; that is no change of the rig."""
+    through = chain(0.0, {"entrances": (0.0, 10.0, 30.0)}, {"level": 0.001, "entrances": (0.0, 10.0)})
+    assert through["scale_change"].values[:, 0] == pytest.approx([0, 0, 0.001], abs=1e-9)
+    fewer = profile_of(3).sel(wavelength=[430.0, 550.0])
+    found = charted(profile_of(4, 0.002), charted(fewer, through))
+    assert np.isfinite(found["scale_change"].values).all(axis=0).tolist() == [True, False, False, True, False]
+    assert found["change"].sel(watched="level").values[-1] == pytest.approx(0.002 - 0.001 / 4, abs=1e-9)
+
+
+def test_a_first_profile_begins_a_chart_and_violates_nothing():
+    one = calibrate(reduced("etalon"), certificate())
+    assert one["profile"].values.tolist() == ["2026-03-01"]
+    assert not one["violation"].values.any()
+    assert one["scale_change"].values == pytest.approx(np.zeros((1, 5)))
+
+
+@pytest.mark.parametrize(
+    ("previous", "words"),
+    [
+        ({"rig_digest": "other"}, "bench-1 of 2026-03-01, is of other optics.*drop `previous`"),
+        ({"day": "2026-03-09"}, "bench-1 of 2026-03-09, was measured after this one"),
+        ({"entrances": (60.0,)}, "other entrances.*`etalon_entrances`"),
+    ],
+)
+def test_profiles_that_make_no_chart_say_what_to_do(previous, words):
+    with pytest.raises(CalibrationError, match=words):
+        charted(profile_of(1), profile_of(0, **previous))
+
+
+def test_profiles_of_other_wavelengths_make_no_chart():
+    with pytest.raises(CalibrationError, match="no wavelength, or no cell, in common"):
+        charted(profile_of(1).isel(wavelength=[0, 1]), profile_of(0).isel(wavelength=[2, 3]))
+
+
+def test_a_chart_is_kept_in_the_file_of_the_last_profile(tmp_path):
+    found = chain(*STEADY)
+    store.save_dataset(found, tmp_path / "bench-5.nc", stage="calibration", material="calibrations.bench-5")
+    kept = store.open_dataset(tmp_path / "bench-5.nc", "calibration")
+    xr.testing.assert_equal(charted(profile_of(5), kept)["change"], charted(profile_of(5), found)["change"])
 
 
 # --- the chain

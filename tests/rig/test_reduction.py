@@ -16,6 +16,7 @@ from brdfpipe.rig import frames as files
 from brdfpipe.rig.devices.camera import Picture
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.emulator.measurement import black
+from brdfpipe.rig.emulator.source import Source
 from brdfpipe.rig.emulator.view import true_screen
 from brdfpipe.rig.plan import Plan
 from brdfpipe.rig.reduction import COMPONENTS, ReductionError, reduce
@@ -297,6 +298,50 @@ def test_a_rig_that_wobbles_between_looks_at_the_lamp_says_so():
     repeat = (found["signal_u_repeat"] / np.abs(found["signal"])).values
     assert np.nanmax(repeat) == pytest.approx(np.nanmin(repeat))
     assert np.nanmax(repeat) == pytest.approx(np.std([1.0, 1.02, 0.98, 1.03, 0.97], ddof=1), rel=0.1)
+
+
+# --- the lamp
+
+
+def test_looks_and_brackets_tell_of_the_lamp_as_it_was():
+    """The emulated lamp is known, its warming up and its wandering: light over it is the same at all times, but for noise."""
+    effects = Effects(warm_up=0.5)
+    frames, plan = rig_emulated.frames(effects=effects), rig_emulated.plan()
+    lamp = Source(plan.rig, effects, 1, 0).lamp
+    z = {wavelength: [] for wavelength in rig_emulated.WAVELENGTHS}
+    for incidence in rig_emulated.INCIDENCES:
+        found = reduced(frames, incidence=incidence)
+        looks = frames.isel(frame=(frames["purpose"].values == "drift") & (frames["incidence"].values == incidence))
+        assert found["drift_elapsed"].values.tolist() == looks["elapsed"].values.tolist() != []
+        assert (found["drift_wavelength"].values == plan.drift.wavelength).all()
+        for place, wavelength in enumerate(rig_emulated.WAVELENGTHS):
+            z[wavelength] += [[found[name].values[0, place] for name in ("elapsed", "reference", "reference_u")]]
+        z[plan.drift.wavelength] += np.transpose(
+            [found[f"drift_{name}"].values for name in ("elapsed", "reference", "reference_u")]
+        ).tolist()
+    for told in z.values():
+        time, light, u = np.array(told).T
+        assert np.ptp(lamp(time)) > 4 * np.median(u / light)
+        level = light / lamp(time)
+        mean = np.average(level, weights=(light / u) ** 2)
+        assert np.abs((level / mean - 1) / (u / light)).max() < 4
+
+
+def test_filters_before_the_reference_make_the_lamp_as_uncertain_as_they_are():
+    rig = replace(rig_emulated.plan().rig, nd_location="reference")
+    both = reduce(rig_emulated.frames(of="reference"), rig, incidence=30.0)
+    relative = (both["reference_u"] / both["reference"]).values
+    # Of the four frames two are behind filters known to 2 %.
+    assert relative.max() < 0.02
+    assert relative.min() > 0.02 * np.sqrt(2) / 4 * 0.95
+
+
+def test_an_entrance_without_a_look_tells_of_none(sample):
+    found = reduced(rig_emulated.without(rig_emulated.frames(), purpose="drift").assign_attrs(drift_tolerance=0.05))
+    assert found.attrs["drift_tolerance"] == 0.05
+    assert not [name for name in found.variables if str(name).startswith("drift_")]
+    assert found["reference"].values == pytest.approx(sample["reference"].values)
+    assert found["elapsed"].values == pytest.approx(sample["elapsed"].values)
 
 
 # --- from files

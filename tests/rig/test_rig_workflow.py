@@ -11,6 +11,7 @@ import pytest
 import brdfpipe
 from brdfpipe import catalogue, vocabulary
 from brdfpipe.jobs import front
+from brdfpipe.jobs.rules import Stages
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NAMES = ("milk-glass", "opal-glass")
@@ -27,10 +28,28 @@ def copied(folder: Path) -> Path:
     return folder
 
 
+def follow(folder: Path, name: str, previous: str) -> Path:
+    """A calibration of the bench on another day, after one that was made before; its description."""
+    shutil.copytree(folder / "calibrations" / "bench-1", folder / "calibrations" / name)
+    path = folder / "calibrations" / name / "calibration.yaml"
+    text = path.read_text()
+    assert "emulate: {seed: 1}" in text
+    path.write_text(text.replace("emulate: {seed: 1}", "emulate: {seed: 1, session: 2}") + f"previous: {previous}\n")
+    return path
+
+
+def go_by(folder: Path, calibration: str) -> None:
+    """Let the measured glass go by another calibration."""
+    path = folder / "milk-glass" / "material.yaml"
+    path.write_text(path.read_text().replace("calibration: bench-1", f"calibration: {calibration}"))
+
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     base = tmp_path_factory.mktemp("rig")
     folder, results = copied(base / "catalogue"), base / "results"
+    follow(folder, "bench-2", "bench-1")
+    go_by(folder, "bench-2")
     summary = front.build(folder, results, cores=2)
     assert summary.failures == {}
     assert summary.built == NAMES
@@ -74,7 +93,20 @@ def test_the_same_run_gives_the_same_bytes(built: tuple[Path, Path]) -> None:
     assert brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc").attrs["digest"] == digest
 
 
-def test_a_calibration_that_fails_is_told_of_each_material_that_needs_it(built: tuple[Path, Path]) -> None:
+def test_the_profile_in_use_has_a_chart_with_those_before_it(built: tuple[Path, Path]) -> None:
+    """The etalon of a day differs from its certificate by 0.5 %: two days differ by no more than chance."""
+    _, results = built
+    profile = brdfpipe.open_dataset(results / "calibrations" / "bench-2.nc", "calibration")
+    assert profile["profile"].values.tolist() == ["bench-1", "bench-2"]
+    level = profile.sel(watched="level")["change"].values[-1]
+    assert 0 < abs(level) < 4 * np.sqrt(2) * 0.005
+    assert not profile["violation"].values.any()
+    assert "From 1, bench-1 of " in (results / "milk-glass" / "report.html").read_text()
+
+
+def test_a_calibration_that_fails_is_told_of_each_material_that_needs_it_or_one_after_it(
+    built: tuple[Path, Path],
+) -> None:
     folder, results = built
     certificate = folder / "calibrations" / "bench-1" / "certificate.yaml"
     text = certificate.read_text()
@@ -117,6 +149,44 @@ def test_what_a_rigs_material_cannot_be_is_refused_with_its_key(
     failure = catalogue.load(folder).failures["milk-glass"]
     for word in words:
         assert word in failure
+
+
+@pytest.mark.parametrize(
+    ("previous", "words"),
+    [
+        (
+            {"bench-2": "bench-0"},
+            ["no such calibration; did you mean 'bench-1'?", "found 'bench-0'", "accepted: bench-1"],
+        ),
+        ({"bench-2": "bench-2"}, ["before one another: bench-2 → bench-2"]),
+        ({"bench-2": "bench-3", "bench-3": "bench-2"}, ["before one another: bench-2 → bench-3 → bench-2"]),
+        ({"bench-2": "bench-3", "bench-3": "bench-9"}, ["cannot be used; found 'bench-3'", "found 'bench-9'"]),
+        ({"bench-2": "'../x'"}, ["no such calibration; found '../x'"]),
+        ({"bench-2": "[bench-1]"}, ['found ["bench-1"]; accepted: the calibration of the same rig before this one']),
+    ],
+)
+def test_a_calibration_before_that_cannot_be_is_refused_with_its_key(
+    tmp_path: Path, previous: dict[str, str], words: list[str]
+) -> None:
+    folder = copied(tmp_path / "catalogue")
+    for name, before in previous.items():
+        follow(folder, name, before)
+    go_by(folder, "bench-2")
+    loaded = catalogue.load(folder)
+    assert list(loaded.failures) == ["milk-glass"]
+    for word in ["rig.calibration: the calibration cannot be used", "calibration.yaml, ", "previous", *words]:
+        assert word in loaded.failures["milk-glass"]
+
+
+def test_a_wrong_plan_of_a_calibration_before_is_a_failure_of_the_material(tmp_path: Path) -> None:
+    folder = copied(tmp_path / "catalogue")
+    follow(folder, "bench-2", "bench-1")
+    go_by(folder, "bench-2")
+    plan = folder / "calibrations" / "bench-1" / "plan.yaml"
+    plan.write_text(plan.read_text().replace("etalon_entrances: [10, 30, 60]", "etalon_entrances: [10, 33]"))
+    stages = Stages({"catalogue": str(folder)}, catalogue.project_folder() / "workflow" / "scripts")
+    assert list(stages.failures) == ["milk-glass"]
+    assert "etalon_entrances" in stages.failures["milk-glass"]["message"]
 
 
 def test_a_wrong_plan_is_a_failure_of_its_material_alone(tmp_path: Path) -> None:

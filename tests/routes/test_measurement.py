@@ -101,6 +101,34 @@ def test_a_common_error_is_not_averaged_over_the_cells() -> None:
     assert measurement.sum_u(weight)[0, 0] == pytest.approx(np.hypot(0.03, 0.01 / np.sqrt(600)), rel=1e-12)
 
 
+@pytest.mark.parametrize("component", ["nd", "reference"])
+def test_cells_of_other_frames_have_in_common_what_the_better_known_is_uncertain_by(component) -> None:
+    """Frames hang on one another: cells of the next darker one have the errors of the clear one, and their own besides."""
+    value, own, chained = np.array([2.0, 3.0, 5.0, 7.0]), 0.001, np.array([0.01, 0.01, 0.02, 0.02])
+    dims = routes_primary.DIMS
+    primary = xr.Dataset(
+        {
+            "brdf": (dims, value[None, None]),
+            "brdf_u": (dims, np.hypot(own, chained * value)[None, None]),
+            "brdf_u_noise": (dims, np.full((1, 1, 4), own), {"correlation": "independent"}),
+            f"brdf_u_{component}": (dims, (chained * value)[None, None], {"correlation": "common"}),
+        },
+        coords={
+            "incidence": [0.0],
+            "wavelength": [550.0],
+            "theta_s": ("cell", np.linspace(0, 30, 4)),
+            "phi_s": ("cell", np.zeros(4)),
+        },
+    )
+    measurement = of(vocabulary.label(primary, "primary"))
+    residual = np.array([0.01, -0.02, 0.1, 0.05])
+    matrix = own**2 * np.eye(4) + np.minimum.outer(chained, chained) ** 2 * np.outer(value, value)
+    found = measurement.covariance(measurement.value, nothing(measurement), np.zeros((0, 1, 1, 4)))
+    assert found.chi_squared(residual[None, None]) == pytest.approx(
+        residual @ np.linalg.solve(matrix, residual), rel=1e-9
+    )
+
+
 def test_what_was_not_measured_counts_for_nothing(primary) -> None:
     measurement = of(primary)
     assert not measurement.used.all()

@@ -98,7 +98,7 @@ def test_what_a_cell_leaves_unresolved_is_of_fourth_order_in_its_side() -> None:
     assert not wide[0, 0, ~(primary["solid_angle"].values > 0)].any()
 
 
-def test_the_mean_over_a_cell_is_the_value_in_its_middle_and_its_curvature_within_what_is_unresolved() -> None:
+def test_a_cell_tells_its_middle_but_for_its_curvature_and_what_that_leaves() -> None:
     """A Gaussian lobe over a square cell at the mirror direction, against its integral in closed form."""
     from scipy.special import erf
 
@@ -109,13 +109,29 @@ def test_the_mean_over_a_cell_is_the_value_in_its_middle_and_its_curvature_withi
     )
     assert measurement.theta_s[0] == 0
     side = np.radians(2.0)
-    found = Predicted(predicted, measurement)._left_of_mean(cells, np.array([[side]]))[0, 0, 0]
+    left, curved = (each[0, 0, 0] for each in Predicted(predicted, measurement)._of_means(cells, np.array([[side]])))
     width = 2 * a / np.sqrt(2)  # of the lobe [rad]: reflection doubles the tilt
     peak = float(predicted.bsdf.evaluate(0, 0, 0, 0))
-    mean = peak * (np.sqrt(np.pi / 2) * 2 * width / side * erf(side / (2 * np.sqrt(2) * width))) ** 2
-    curvature = -2 * peak / width**2
+    mean = np.sqrt(np.pi / 2) * 2 * width / side * erf(side / (2 * np.sqrt(2) * width))
+    curvature = -2 * peak / width**2 * np.exp(-(side**2) / (8 * width**2)) * mean
     # In the tangent plane, and without 1/cos: those are of second order in the width.
-    assert found == pytest.approx(abs(mean - peak - side**2 / 24 * curvature), rel=0.1)
+    assert curved == pytest.approx(side**2 / 24 * curvature, rel=0.01)
+    assert left == pytest.approx(peak * mean**2 - peak - side**2 / 24 * curvature, rel=0.1)
+
+
+def test_wider_angles_on_the_disc_are_a_common_change() -> None:
+    """Of a Gaussian lobe about the mirror direction at normal incidence: f changes by −f θ²/w² of the change; fibres do not."""
+    a, u = 0.04, 0.003
+    predicted = microfacet.build(facets.analytic("beckmann", a), index=1.5, masking="none")
+    primary = routes_primary.measured(predicted, None, incidences=(0.0,), wavelengths=(500.0,))
+    measurement = Measurement.of(primary.assign_attrs(disc_scale_u=u), np.array([0]))
+    found = Predicted(predicted, measurement)
+    inside, theta = measurement.of_disc & (measurement.theta_s < 5), np.radians(measurement.theta_s)
+    change = found.common[2][0, 0]
+    assert not change[~measurement.of_disc].any()
+    width = 2 * a / np.sqrt(2)
+    relative = change[inside] / found.values[0, 0, inside]
+    np.testing.assert_allclose(relative, -u * theta[inside] ** 2 / width**2, atol=0.03 * u, rtol=0.05)
 
 
 # --- what a scan leaves uncertain

@@ -74,6 +74,7 @@ rule calibration:
     input:
         reduced=stages.reduced("etalon"),
         certificate=stages.certificate,
+        previous=stages.previous,
     output:
         calibration="calibrations/{calibration}.nc",
     log:

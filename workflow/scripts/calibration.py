@@ -1,18 +1,24 @@
 from pathlib import Path
 
 from brdfpipe import store
-from brdfpipe.rig.calibration import Certificate, calibrate, joined
+from brdfpipe.rig.calibration import Certificate, calibrate, charted, joined
 
 
 def main(input, output, params):
-    """The calibration profile of a rig: from the etalon's light in each cell to a BRDF, by its certificate."""
+    """The calibration profile of a rig: from the etalon's light in each cell to a BRDF, by its certificate; with its control chart."""
     reduced = [store.open_dataset(path, "reduced") for path in input["reduced"]]
+    inputs = {f"reduced-{place}": each for place, each in enumerate(reduced)} | {"certificate": input["certificate"]}
+    name = params["material"].partition(".")[2]  # of calibrations.NAME
+    profile = calibrate(joined(reduced), Certificate.load(Path(input["certificate"])), name=name, **params["spec"])
+    if "previous" in input:
+        inputs["previous"] = store.open_dataset(input["previous"], "calibration")
+        profile = charted(profile, inputs["previous"])
     store.save_dataset(
-        calibrate(joined(reduced), Certificate.load(Path(input["certificate"])), **params["spec"]),
+        profile,
         output["calibration"],
         stage="calibration",
         material=params["material"],
-        inputs={f"reduced-{place}": each for place, each in enumerate(reduced)} | {"certificate": input["certificate"]},
+        inputs=inputs,
         parameters=params["spec"],
     )
 

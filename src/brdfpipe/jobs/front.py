@@ -25,7 +25,7 @@ from typing import Any
 
 from brdfpipe import catalogue
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.jobs import pool
+from brdfpipe.jobs import pool, runs
 
 PROGRESS_AFTER = 2.0
 """Seconds before a progress bar is worth showing."""
@@ -124,7 +124,7 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
     with _only_build(results), _interruptible() as interrupted:
         if not dry_run:
             _clean_up(results)
-        failed = _unwritable(results, loaded)
+        failed = _unwritable(results, loaded) | _unplanned(loaded)
         names = {material.name for material in loaded.materials}
         done = _build(results, told, names, _dependents(loaded), failed, interrupted, cores, dry_run)
         stale = [] if dry_run else _mark_stale(results, loaded, failed)
@@ -374,10 +374,25 @@ def _failures(
 
 def _dependents(loaded: catalogue.Catalogue) -> dict[str, tuple[str, ...]]:
     """Calibration or material → materials that cannot be made without it."""
-    rigs = {material.name: material.content["rig"] for material in loaded.materials if material.has("rig")}
-    needs = [(f"{catalogue.CALIBRATIONS}.{rig['calibration']}", name) for name, rig in rigs.items()]
+    measured = [material for material in loaded.materials if material.has("rig")]
+    rigs = {material.name: material.content["rig"] for material in measured}
+    needs = [
+        (f"{catalogue.CALIBRATIONS}.{calibration}", material.name)
+        for material in measured
+        for calibration in loaded.calibrations_of(material)
+    ]
     needs += [(rig["emulate"]["truth"], name) for name, rig in rigs.items() if "emulate" in rig]
     return {owner: tuple(name for other, name in needs if other == owner) for owner, _ in needs}
+
+
+def _unplanned(loaded: catalogue.Catalogue) -> dict[str, dict[str, str]]:
+    """Materials whose run of a rig cannot be used as it was planned, or that need one whose run cannot."""
+    found = {name: {"stage": "check", "message": why} for name, why in runs.of(loaded)[1].items()}
+    for owner, needing in _dependents(loaded).items():
+        if owner in found:
+            message = f"it needs {owner}, which could not be made: {found[owner]['message']}"
+            found |= {name: {"stage": "check", "message": message} for name in needing if name not in found}
+    return found
 
 
 def _unwritable(results: Path, loaded: catalogue.Catalogue) -> dict[str, dict[str, str]]:

@@ -5,16 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 from brdfpipe import catalogue
-from brdfpipe.errors import BrdfpipeError, InputError
-from brdfpipe.jobs import code, pool
+from brdfpipe.jobs import code, pool, runs
 from brdfpipe.jobs.stage import Job
 from brdfpipe.store import canonical_json
-
-if TYPE_CHECKING:
-    from brdfpipe.rig.plan import Arrangement
 
 ALWAYS = ("bsdf", "checks", "appearance", "table", "lambert_gauss", "summary")
 """Datasets that every material has."""
@@ -41,7 +37,7 @@ class Stages:
         excluded = dict(config.get("failures") or {})
         self.catalogue = loaded
         self.scripts = scripts
-        self.runs, unplanned = _runs(loaded)
+        self.runs, unplanned = runs.of(loaded)
         checked = {**loaded.failures, **unplanned}
         self.failures = {name: {"stage": "check", "message": text} for name, text in checked.items()} | excluded
         self.names = [material.name for material in loaded.materials if material.name not in self.failures]
@@ -144,7 +140,7 @@ class Stages:
     def rig_journal(self, wildcards: Any) -> str:
         """The journal of a run: the laboratory's, or the one the emulator makes."""
         owner = self._owner(wildcards)
-        return f"{_place(owner)}/run/journal.jsonl" if self.emulated(wildcards) else str(owner.files["rig"])
+        return f"{runs.place(owner)}/run/journal.jsonl" if self.emulated(wildcards) else str(owner.files["rig"])
 
     def rig_spec(self, stage: str) -> Asked:
         """A stage's part of the description of a rig's material or calibration, as canonical JSON."""
@@ -162,7 +158,7 @@ class Stages:
         """What a run gives of each arrangement with a load; of the sample, on one side where the rule has one."""
 
         def files(wildcards: Any) -> list[str]:
-            place = _place(self._owner(wildcards))
+            place = runs.place(self._owner(wildcards))
             return [
                 f"{place}/reduced-{load}-{each.side}-{each.incidence:g}.nc"
                 for each in self._run(wildcards).arrangements
@@ -189,7 +185,7 @@ class Stages:
             return False
         # A perfectly flat surface mirrors light into one direction, of which no cell shows a BRDF.
         flat = material.content["surface"].get("distribution") == "flat"
-        arrangements = self.runs[_place(material)].arrangements
+        arrangements = self.runs[runs.place(material)].arrangements
         return not flat and any(each.load == "sample" and each.side == "reflection" for each in arrangements)
 
     def calibration_of(self, wildcards: Any) -> str:
@@ -200,6 +196,11 @@ class Stages:
         """The certificate a calibration goes by."""
         return str(self.catalogue.calibrations[wildcards.calibration].files["certificate"])
 
+    def previous(self, wildcards: Any) -> Any:
+        """The profile before that of a calibration, if it tells of one."""
+        previous = self.catalogue.calibrations[wildcards.calibration].previous
+        return f"calibrations/{previous}.nc" if previous else []
+
     def _owner(self, wildcards: Any) -> catalogue.Material | catalogue.Calibration:
         name = wildcards.get("calibration")
         return self.catalogue[wildcards.material] if name is None else self.catalogue.calibrations[name]
@@ -208,52 +209,8 @@ class Stages:
         owner = self._owner(wildcards)
         return owner.content if isinstance(owner, catalogue.Calibration) else owner.content["rig"]
 
-    def _run(self, wildcards: Any) -> _Run:
-        return self.runs[_place(self._owner(wildcards))]
-
-
-class _Run(NamedTuple):
-    """What is known of a run before it is read."""
-
-    arrangements: tuple[Arrangement, ...]
-    sources: list[str]
-
-
-def _place(owner: catalogue.Material | catalogue.Calibration) -> str:
-    """Folder of the results of a material, or of a calibration."""
-    return f"{catalogue.CALIBRATIONS}/{owner.name}" if isinstance(owner, catalogue.Calibration) else owner.name
-
-
-def _runs(loaded: catalogue.Catalogue) -> tuple[dict[str, _Run], dict[str, str]]:
-    """The runs of the rigs' materials and calibrations by their places, and what is wrong with those of some materials."""
-    measured = [material for material in loaded.materials if material.has("rig")]
-    owners: list[catalogue.Material | catalogue.Calibration] = [*loaded.calibrations.values(), *measured]
-    runs: dict[str, _Run] = {}
-    problems: dict[str, str] = {}
-    for owner in owners:
-        try:
-            runs[_place(owner)] = _planned(owner)
-        except BrdfpipeError as error:
-            problems[_place(owner)] = str(error)
-    needed = {material.name: f"calibrations/{material.content['rig']['calibration']}" for material in measured}
-    failures = {
-        name: problems.get(name) or problems[calibration]
-        for name, calibration in needed.items()
-        if name in problems or calibration in problems
-    }
-    return runs, failures
-
-
-def _planned(owner: catalogue.Material | catalogue.Calibration) -> _Run:
-    from brdfpipe.rig.plan import PLAN, Plan, sources
-
-    told = owner.files["rig"]
-    path = told if told.suffix == ".yaml" else told.parent / PLAN
-    plan = Plan.load(path)
-    load = "etalon" if isinstance(owner, catalogue.Calibration) else "sample"
-    if all(each.load != load for each in plan.arrangements):
-        raise InputError(path, f"the {load} is not measured", where="runs", accepted=f"a list with {load} in it")
-    return _Run(plan.arrangements, [str(file) for file in sources(path).values()])
+    def _run(self, wildcards: Any) -> runs.Run:
+        return self.runs[runs.place(self._owner(wildcards))]
 
 
 def _files_of(material: catalogue.Material) -> list[str]:

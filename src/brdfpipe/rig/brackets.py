@@ -99,6 +99,8 @@ class Scale:
     """(frame, frame) covariance of ln k that the transmittances leave besides."""
     lamp: float
     """Electrons a second of the reference spot behind no filter; NaN if no frame shows it."""
+    lamp_u: float
+    """Its standard uncertainty: noise, and that of filters before the reference."""
 
 
 def bracket(frames: xr.Dataset, darkness: Darkness, rig: Rig) -> Bracket:
@@ -147,16 +149,17 @@ def scaled(frames: Bracket, spot: Spot, rig: Rig) -> Scale:
     share well exposed pixels tell their difference, better by far than the reference of a short exposure does.
     """
     reference, relative = reference_light(frames, spot)
-    filters = [rig.transmittance(int(position)) for position in frames.positions]
-    through, through_u = (np.array([getattr(each, name) for each in filters]) for name in ("transmittance", "u"))
+    through, through_u = _filters(frames, rig)
     both = rig.nd_location == "reference"
-    weakened = through if both else np.ones_like(through)
+    per_lamp = per_rate(frames, rig)
     dim = ~np.isfinite(reference)
-    lamp = float((reference / frames.exposure / weakened)[~dim].mean()) if not dim.all() else np.nan
-    reference = np.where(dim, lamp * frames.exposure * weakened, reference)
+    rate = (reference / per_lamp)[~dim]
     count = len(reference)
     if dim.all():
-        return Scale(reference, np.full((count, count), np.nan), np.full((count, count), np.nan), lamp)
+        return Scale(reference, np.full((count, count), np.nan), np.full((count, count), np.nan), np.nan, np.nan)
+    lamp = float(rate.mean())
+    rate_u = rate * np.hypot(relative, both * through_u)[~dim]
+    reference = np.where(dim, lamp * per_lamp, reference)
     # Light that both beams lost divides out.
     k = reference * (np.ones_like(through) if both else through)
     positions, where = np.unique(frames.positions, return_inverse=True)
@@ -171,7 +174,18 @@ def scaled(frames: Bracket, spot: Spot, rig: Rig) -> Scale:
     solution, covariance = _solved(rows, values, prior)
     references_alone = _solved(rows, values, np.append(prior[:count], np.zeros(positions.size)))[1]
     whole, alone = (told @ each @ told.T for each in (covariance, references_alone))
-    return Scale(k * np.exp(told @ solution), alone, whole - alone, lamp)
+    return Scale(k * np.exp(told @ solution), alone, whole - alone, lamp, float(np.linalg.norm(rate_u) / rate.size))
+
+
+def per_rate(frames: Bracket, rig: Rig) -> Array:
+    """Electrons of the reference spot of each frame over those a second behind no filter [s]."""
+    return frames.exposure * (_filters(frames, rig)[0] if rig.nd_location == "reference" else 1.0)
+
+
+def _filters(frames: Bracket, rig: Rig) -> tuple[Array, Array]:
+    """Transmittances of the filters of each frame as described, and their relative uncertainties."""
+    filters = [rig.transmittance(int(position)) for position in frames.positions]
+    return np.array([each.transmittance for each in filters]), np.array([each.u for each in filters])
 
 
 def _solved(rows: Array, values: Array, prior: Array) -> tuple[Array, Array]:

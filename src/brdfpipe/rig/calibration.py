@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
@@ -28,7 +29,7 @@ from brdfpipe.geometry import Array, unit_vector
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.certificate import Certificate
 
-__all__ = ["CalibrationError", "Certificate", "apply", "calibrate", "charted", "drift_chart", "joined"]
+__all__ = ["CalibrationError", "Certificate", "apply", "calibrate", "charted", "joined"]
 
 GRAZING = 0.1
 """Cosine of the etalon's angle below which a cell cannot be calibrated."""
@@ -52,10 +53,15 @@ SUSPICIOUS_ZEROS = 0.005
 """Share of exact zeros, where there is light, from which they are no measurement but missing values stored as 0."""
 
 ALARM = 3.0
-"""Standard deviations of a change between profiles that is no chance."""
+"""Standard deviations of a change between profiles that is no chance; of several at once, as many as are no likelier exceeded."""
 
-_SCATTER, _PROFILES = 0.01, 3
-"""Scatter of profiles that is expected of a rig, and how many profiles' worth that expectation is."""
+_SCATTER = {"level": 0.01, "spectrum": 0.003}
+"""Scatter of profiles that is expected of a rig: of all wavelengths together, and of each against all."""
+
+_PROFILES = 3
+"""How many profiles' worth that expectation is."""
+
+_ANEW = "drop `previous` from calibration.yaml to begin a new chart"
 
 _ODD, _ODD_LEAST = 5.0, 0.03
 """A cell is partly hidden from an entrance if it has less of its light than of others' by so many standard uncertainties, and so much."""
@@ -84,7 +90,11 @@ def joined(reduced: Sequence[xr.Dataset]) -> xr.Dataset:
 
     Raises
     ------
-    CalibrationError : there are none, or they are of several rigs, loads or sides, or of different wavelengths.
+    CalibrationError : there are none, or they are of several rigs, loads or sides.
+
+    Notes
+    -----
+    A wavelength that some of them lack is missing there, and named in a warning.
     """
     if not reduced:
         raise CalibrationError("there is no arrangement to join; check the plan's `runs` and `side`")
@@ -93,17 +103,38 @@ def joined(reduced: Sequence[xr.Dataset]) -> xr.Dataset:
             raise CalibrationError(
                 f"the frames differ in {name}: {', '.join(sorted(found))}; reduce runs of one rig together"
             )
-    if any(not np.array_equal(each["wavelength"].values, reduced[0]["wavelength"].values) for each in reduced):
-        raise CalibrationError("the arrangements are of different wavelengths; measure them by one plan")
+    wavelengths = np.unique(np.concatenate([each["wavelength"].values for each in reduced]))
     # Pictures of single arrangements stay behind.
-    values = [each[[name for name, field in each.data_vars.items() if "incidence" in field.dims]] for each in reduced]
+    values = [
+        each[[name for name, field in each.data_vars.items() if "incidence" in field.dims]].reindex(
+            wavelength=wavelengths, fill_value={"signal_quality": vocabulary.quality("missing")}
+        )
+        for each in reduced
+    ]
     one = xr.concat(
         values, "incidence", data_vars="minimal", coords="minimal", compat="override", combine_attrs="override"
     )
-    said = [text for each in reduced for text in vocabulary.warnings(each)]
+    said = [text for each in reduced for text in vocabulary.warnings(each)] + list(_lacking(reduced, wavelengths))
     one.attrs.pop("warnings", None)
     one = vocabulary.add_warning(one.sortby("incidence"), *dict.fromkeys(said))
     return vocabulary.validate(one, "reduced")
+
+
+def _lacking(reduced: Sequence[xr.Dataset], wavelengths: Array) -> Iterator[str]:
+    """What arrangements lack that others have."""
+    lost = {}
+    for each in sorted(reduced, key=lambda each: float(each["incidence"][0])):
+        missing = np.setdiff1d(wavelengths, each["wavelength"].values)
+        if missing.size:
+            listed = ", ".join(f"{wavelength:g}" for wavelength in missing[:_TOLD])
+            lost[float(each["incidence"][0])] = listed + (", …" if missing.size > _TOLD else "")
+    if lost:
+        where = "; ".join(f"{incidence:g}° at {listed} nm" for incidence, listed in lost.items())
+        yield (
+            f"the {reduced[0].attrs['load']} in {reduced[0].attrs['side']} has no frame that can be used of {where}, and has of other "
+            "incidences: these spectra are missing, and what is made of them is told from the incidences next to them; "
+            "`brdfpipe rig scan … --resume` takes them again"
+        )
 
 
 # --- the profile
@@ -118,6 +149,8 @@ class _Runs(NamedTuple):
     """Relative uncertainty of each cell's own."""
     common: dict[str, Array]
     """Relative uncertainties common to all cells."""
+    shape_u: Array
+    """(entrance, cell) relative uncertainty of what the certificate says of the angle."""
     facing: NDArray[np.bool_]
     """(entrance, cell) whether the etalon would be seen."""
 
@@ -127,7 +160,7 @@ class _Paths:
     """What the entrances differ in."""
 
     path: Array
-    """(entrance,) light over that of the first."""
+    """(entrance, wavelength) light over that of the first."""
     u: Array
     """Relative."""
     hidden: NDArray[np.bool_]
@@ -138,6 +171,7 @@ def calibrate(
     etalon: xr.Dataset,
     certificate: Certificate,
     *,
+    name: str = "",
     lamp_hours: float = 0.0,
     valid_days: int = 90,
     valid_hours: float = 200.0,
@@ -149,6 +183,7 @@ def calibrate(
     ----------
     etalon : kind ``reduced``, load ``etalon``; the incidences are the entrances it was lit through
     certificate : of the etalon
+    name : what the profile is called in charts; its day if empty
     lamp_hours : hours the lamp had burnt by then
     valid_days, valid_hours : how long the profile may be used, of the calendar and of the lamp
     override : use a certificate that has run out; recorded in the dataset
@@ -156,7 +191,8 @@ def calibrate(
     Returns
     -------
     Dataset of kind ``calibration``: ``cell_scale(wavelength, cell)``, BRDF times cosine of view over the signal, as through the first
-    entrance; ``path(incidence)``, the light of the entrances over that of the first, and ``hidden(incidence, cell)``.
+    entrance; ``path(incidence, wavelength)``, the light of the entrances over that of the first, ``hidden(incidence, cell)``, and a chart
+    of one point, which :func:`charted` adds to another profile's.
 
     Raises
     ------
@@ -177,11 +213,12 @@ def calibrate(
     # A cell without light at any wavelength is dead.
     _refuse_zeros(etalon, np.asarray(np.isfinite(runs.scale).any(axis=1)))
     paths = _paths(runs, _neighbours(etalon))
+    day = str(etalon.attrs["day"])
     profile = xr.Dataset(
         _cell_scales(runs, paths, certificate.brdf(etalon["wavelength"].values, np.zeros(1))[1])
         | {
-            "path": ("incidence", paths.path),
-            "path_u": ("incidence", paths.u),
+            "path": (("incidence", "wavelength"), paths.path),
+            "path_u": (("incidence", "wavelength"), paths.path * paths.u),
             "hidden": (("incidence", "cell"), paths.hidden, {"units": "1", "long_name": "hidden from the entrance"}),
             "lamp": ("wavelength", lamp[np.isfinite(lamp)]),
         },
@@ -198,12 +235,30 @@ def calibrate(
             **{name: etalon.attrs[name] for name in ("day", "rig", "rig_digest", "filter", "filter_u")},
         },
     )
+    wavelength = etalon["wavelength"].values
+    chart = _chart([name or day], [day], np.zeros((1, wavelength.size)), wavelength)
+    profile = vocabulary.add_warning(profile.assign(chart), *_angles_not_stated(certificate, etalon, profile))
     return _finished(profile, "calibration", etalon, stale)
 
 
 def _outdated(certificate: Certificate, day: date) -> Iterator[str]:
     if day > certificate.valid_until:
         yield f"the certificate {certificate.identity} was valid until {certificate.valid_until}, the etalon was measured on {day}"
+
+
+def _angles_not_stated(certificate: Certificate, etalon: xr.Dataset, profile: xr.Dataset) -> Iterator[str]:
+    """Cells that see the etalon at angles of which the certificate says nothing, through every entrance."""
+    least = _angle(etalon).min(axis=0)
+    known = np.isfinite(profile["cell_scale"].values).any(axis=0)
+    beyond = least[known & (least > certificate.theta[-1])]
+    if beyond.size:
+        where = f"beyond {certificate.theta[-1]:g}°" if certificate.theta[-1] > 0 else "against the angle"
+        last = certificate.shape_u_at(certificate.theta[-1:])[0]
+        yield (
+            f"the certificate {certificate.identity} does not say how the etalon's BRDF goes {where}, and {beyond.size} of {known.sum()} cells "
+            f"see it there alone: they go by the last value it states, as uncertain as diffuse standards depart from it, by {last:.1%} growing to "
+            f"{certificate.shape_u_at(beyond).max():.1%}; have the etalon measured there, and state `angles` in certificate.yaml"
+        )
 
 
 def _lamp(etalon: xr.Dataset) -> Array:
@@ -216,11 +271,9 @@ def _lamp(etalon: xr.Dataset) -> Array:
 
 def _runs(etalon: xr.Dataset, certificate: Certificate) -> _Runs:
     """The scale of each entrance."""
-    cosine = screens.cos_view_etalon(
-        etalon["incidence"].values[:, None], etalon["theta_s"].values, etalon["phi_s"].values
-    )
+    theta = _angle(etalon)
+    cosine = np.cos(np.radians(theta))
     facing = cosine > GRAZING
-    theta = np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0)))
     brdf = np.stack([certificate.brdf(etalon["wavelength"].values, each)[0] for each in theta])
     signal = np.where(facing[:, None], etalon["signal"].values, np.nan)
     alive = _alive(signal, etalon["kind"].values)[:, None]
@@ -230,8 +283,16 @@ def _runs(etalon: xr.Dataset, certificate: Certificate) -> _Runs:
         brdf * cosine[:, None] / signal,
         np.hypot(relative["noise"], relative["geometry"]),
         {name: relative[name] for name in _COMMON},
+        np.stack([certificate.shape_u_at(each) for each in theta]),
         facing,
     )
+
+
+def _angle(etalon: xr.Dataset) -> Array:
+    """Angle from the etalon's normal [degree] at which cells see it, (entrance, cell); 90 of those behind it."""
+    incidence = etalon["incidence"].values[:, None]
+    cosine = screens.cos_view_etalon(incidence, etalon["theta_s"].values, etalon["phi_s"].values)
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0))))
 
 
 def _alive(signal: Array, kinds: Array) -> NDArray[np.bool_]:
@@ -497,7 +558,7 @@ def _primary(
     total = np.sqrt(np.sum([part**2 for part in parts.values()], axis=0))
     variables: dict[str, Any] = {"brdf": (_DIMS, brdf), "brdf_u": (_DIMS, total), "brdf_quality": (_DIMS, quality)}
     variables |= {f"brdf_u_{name}": (_DIMS, part, {"correlation": correlation[name]}) for name, part in parts.items()}
-    attrs = {name: reduced.attrs[name] for name in ("rig", "rig_digest", "sample", "day", "side")}
+    attrs = {name: reduced.attrs[name] for name in ("rig", "rig_digest", "sample", "day", "side", "disc_scale_u")}
     attrs |= {"certificate": profile.attrs["certificate"], "calibrated": profile.attrs["day"]}
     return _finished(xr.Dataset(variables, coords=reduced.coords, attrs=attrs), "primary", reduced, doubts)
 
@@ -513,52 +574,148 @@ def _finished(dataset: xr.Dataset, kind: str, source: xr.Dataset, doubts: Sequen
 # --- the chart
 
 
-def drift_chart(profiles: Sequence[xr.Dataset]) -> xr.Dataset:
-    """How the rig's efficiency went from profile to profile, against its scatter.
+def charted(profile: xr.Dataset, previous: xr.Dataset) -> xr.Dataset:
+    """A new profile with the control chart of the profile before, and its own point in it.
+
+    What the rig loses, its etalon seems to win: a change common to the cells, of all wavelengths (``level``) or of one against all
+    (``spectrum``), may be of either, and is watched. That of a single cell is its own, which a profile is there to follow: it is warned of.
 
     Parameters
     ----------
-    profiles : kind ``calibration``, of one rig, in the order they were made
+    profile, previous : kind ``calibration``, of one rig
 
     Returns
     -------
-    ``change(profile)``, the mean logarithm of the scale against the first, ``limit(profile)``, how far it may be from the mean of those
-    before, and ``violation(profile)``, whether it is farther.
+    The profile with ``scale_change(profile, wavelength)`` of all profiles up to this one, ``change(profile, watched)`` from the mean of
+    those before that were no violation, its ``limit``, and ``violation``. If its own is no chance, the attribute ``drift_violation`` says
+    so, and :func:`apply` refuses it.
 
     Raises
     ------
-    CalibrationError : there is no profile, or they are of several rigs.
+    CalibrationError : the profile before is of other optics, or of a later day, or has no entrance, cell or wavelength in common.
     """
-    if len(rigs := {profile.attrs["rig_digest"] for profile in profiles}) != 1:
-        raise CalibrationError(f"the profiles are of {len(rigs)} rigs; a chart is of one")
-    first = np.log(profiles[0]["cell_scale"])
-    change = np.array([float((np.log(profile["cell_scale"]) - first).mean()) for profile in profiles])
-    limit, away = np.full(change.size, np.nan), np.zeros(change.size)
-    for place in range(1, change.size):
-        before = change[:place]
-        # The scatter seen so far, and what is expected of a rig before any was seen.
-        variance = (_PROFILES * _SCATTER**2 + ((before - before.mean()) ** 2).sum()) / (_PROFILES + place - 1)
-        limit[place] = ALARM * np.sqrt(variance * (1 + 1 / place))
-        away[place] = change[place] - before.mean()
-    words = {
-        "change": (change, "mean logarithm of the scale against the first profile"),
-        "limit": (limit, "change from the mean of those before that is no chance"),
-        "violation": (np.abs(away) > np.nan_to_num(limit, nan=np.inf), "whether it changed by more"),
+    ratio = _since(profile, previous)
+    step = _middle(ratio, axis=1)
+    earlier = previous["scale_change"].reindex(wavelength=profile["wavelength"].values).values
+    change = np.vstack([earlier, earlier[-1] + step])
+    if not np.isfinite(change).all(axis=0).any():
+        raise CalibrationError(f"{_of(previous)} has no wavelength, or no cell, in common with this one; {_ANEW}")
+    names, days = (np.append(previous[name].values, profile[name].values[-1]) for name in ("profile", "profile_day"))
+    profile = profile.drop_dims("profile").assign(_chart(names, days, change, profile["wavelength"].values))
+    profile = vocabulary.add_warning(profile, *_changed_cells(profile, previous, ratio - step[:, None]))
+    if violations := list(_violations(profile)):
+        profile = profile.assign_attrs(drift_violation="; ".join(violations))
+    return vocabulary.validate(profile, "calibration")
+
+
+def _chart(names: ArrayLike, days: ArrayLike, scale_change: Array, wavelength: Array) -> xr.Dataset:
+    """The points of profiles in the order they were made.
+
+    The change is that from the mean of the sound ones before; of the spectrum, which is what each wavelength has beside the level, that
+    of the wavelength that departs most. Only wavelengths of all profiles count.
+    """
+    shared = np.isfinite(scale_change).all(axis=0)
+    level = scale_change[:, shared].mean(axis=1, keepdims=True)
+    watched = level, scale_change[:, shared] - level
+    shape = len(level), len(watched)
+    change, limit, violation = np.zeros(shape), np.full(shape, np.nan), np.zeros(shape, dtype=bool)
+    departing = np.full(len(level), np.nan)
+    for new in range(1, len(level)):
+        sound = ~violation[:new].any(axis=1)
+        for place, (values, expected) in enumerate(zip(watched, _SCATTER.values(), strict=True)):
+            before = values[:new][sound]
+            away = values[new] - before.mean(axis=0)
+            # The scatter seen so far, and what is expected of a rig before any was seen.
+            seen = ((before - before.mean(axis=0)) ** 2).sum() / away.size
+            variance = (_PROFILES * expected**2 + seen) / (_PROFILES + len(before) - 1)
+            most = int(np.argmax(np.abs(away)))
+            change[new, place] = away[most]
+            limit[new, place] = _alarm(away.size) * np.sqrt(variance * (1 + 1 / len(before)))
+        departing[new] = wavelength[shared][most]
+        violation[new] = np.abs(change[new]) > limit[new]
+    points = {"change": change, "limit": limit, "violation": violation}
+    chart = xr.Dataset(
+        {
+            "profile_day": ("profile", np.asarray(days)),
+            "scale_change": (("profile", "wavelength"), scale_change),
+            "departing_wavelength": ("profile", departing),
+            **{name: (("profile", "watched"), values) for name, values in points.items()},
+        },
+        coords={"profile": np.asarray(names), "watched": np.array(list(_SCATTER))},
+    )
+    return vocabulary.label(chart, "calibration")
+
+
+def _alarm(count: int) -> float:
+    """Standard deviations that the largest of so many exceeds no likelier than one alone exceeds those of an alarm."""
+    return float(stats.norm.isf(stats.norm.sf(ALARM) / count))
+
+
+def _violations(profile: xr.Dataset) -> Iterator[str]:
+    """What the chart says against its last profile."""
+    point = profile.isel(profile=-1)
+    told = {
+        "level": "{:+.1%} from those before",
+        "spectrum": f"{{:+.1%}} more at {point['departing_wavelength']:g} nm than at all wavelengths together",
     }
-    return xr.Dataset(
-        {name: ("profile", values, {"units": "1", "long_name": long}) for name, (values, long) in words.items()},
-        coords={"profile": ("profile", np.array([profile.attrs["day"] for profile in profiles]))},
-    )
+    for watched, words in told.items():
+        own = point.sel(watched=watched)
+        if own["violation"]:
+            change, limit = (np.expm1(float(own[name])) for name in ("change", "limit"))
+            yield (
+                f"the profile of {profile.attrs['day']} differs by {words.format(change)}, beyond {limit:.1%}: the etalon is dirty or aged, or the "
+                f"optics were changed ({_ANEW} if they were)"
+            )
 
 
-def charted(profile: xr.Dataset, earlier: Sequence[xr.Dataset]) -> xr.Dataset:
-    """A new profile, which the chart of the earlier ones of its rig forbids to use if it is no chance that it differs from them."""
-    chart = drift_chart([*earlier, profile])
-    if not bool(chart["violation"].values[-1]):
-        return profile
-    change = float(chart["change"].values[-1] - chart["change"].values[:-1].mean())
-    limit = float(chart["limit"].values[-1])
-    return profile.assign_attrs(
-        drift_violation=f"the profile of {profile.attrs['day']} differs by {np.expm1(change):+.1%} from those before, beyond {np.expm1(limit):.1%}: "
-        "the etalon is dirty or aged, or the optics were changed"
-    )
+def _of(profile: xr.Dataset) -> str:
+    return f"the profile before, {profile['profile'].values[-1]} of {profile.attrs['day']},"
+
+
+def _since(profile: xr.Dataset, previous: xr.Dataset) -> Array:
+    """Logarithm of the scale over that of the profile before, (wavelength, cell); missing where either is."""
+    if previous.attrs["rig_digest"] != profile.attrs["rig_digest"]:
+        raise CalibrationError(
+            f"{_of(previous)} is of other optics, for the rig's description was changed since, and a chart is of one rig; {_ANEW}"
+        )
+    if date.fromisoformat(previous.attrs["day"]) > date.fromisoformat(profile.attrs["day"]):
+        raise CalibrationError(
+            f"{_of(previous)} was measured after this one ({profile.attrs['day']}); `previous` in calibration.yaml is to name one that was "
+            "measured before"
+        )
+    shared = np.intersect1d(profile["incidence"].values, previous["incidence"].values)
+    if not shared.size:
+        raise CalibrationError(
+            f"{_of(previous)} was measured through other entrances; measure the etalon through one of them too (`etalon_entrances` in "
+            f"plan.yaml), or {_ANEW}"
+        )
+    # Scales are as through the first entrance, which may be another one.
+    now, before = (_scale_through(each, float(shared[0])) for each in (profile, previous))
+    return np.asarray(np.log(now.values / _alike(before, profile)))
+
+
+def _scale_through(profile: xr.Dataset, entrance: float) -> xr.DataArray:
+    return profile["cell_scale"] / float(profile["path"].sel(incidence=entrance))
+
+
+def _changed_cells(profile: xr.Dataset, previous: xr.Dataset, apart: Array) -> Iterator[str]:
+    """Cells that changed, (wavelength, cell), against the others by more than their noise, and so much."""
+    own, before = (each["cell_scale_u_calibration"] / each["cell_scale"] for each in (profile, previous))
+    u = _middle(np.hypot(own.values, _alike(before, profile)), axis=0)
+    away = _middle(apart, axis=0)
+    order = np.argsort(-np.abs(np.nan_to_num(away)), kind="stable")
+    found = [int(place) for place in order if abs(away[place]) > max(_ODD * u[place], _ODD_LEAST)]
+    if found:
+        # Of what its scale wins a cell has lost the light.
+        listed = ", ".join(
+            f"{profile['cell'].values[place]} by {np.expm1(-away[place]):+.0%}" for place in found[:_TOLD]
+        )
+        yield (
+            f"{len(found)} cell{'s' if len(found) > 1 else ''} changed against the others since {previous['profile'].values[-1]}: "
+            f"{listed}{', …' if len(found) > _TOLD else ''}; clean fibres that lost light, and see that none was moved or exchanged"
+        )
+
+
+def _alike(values: xr.DataArray, profile: xr.Dataset) -> Array:
+    """Values (wavelength, cell) at those of a profile, missing where there are none."""
+    return np.asarray(values.reindex_like(profile["cell_scale"]).values)

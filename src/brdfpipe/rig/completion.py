@@ -443,6 +443,7 @@ def _with_contradictions(bsdf: xr.Dataset) -> xr.Dataset:
     if not found.size:
         return bsdf
     by = dict(zip(found["incidence"].values, found.median("incidence_2").values, strict=True))
+    bsdf = bsdf.assign_attrs(contradiction=float(found.max()))
     factor = np.array([by.get(incidence, max(by.values())) for incidence in bsdf["incidence"].values])
     factor = np.where(known & (factor > _CONTRADICTING), factor, 1.0)
     doubtful = {incidence: each for incidence, each in by.items() if each > _CONTRADICTING}

@@ -227,6 +227,7 @@ def dataset(frames: Mapping[Shot, Frame], plan: Plan) -> xr.Dataset:
             "sample": plan.sample,
             "rig": plan.rig.name,
             "rig_digest": plan.rig.digest,
+            "drift_tolerance": plan.drift.tolerance,
             "camera": ", ".join(sorted({frame.camera for frame in frames.values()})),
         },
     )

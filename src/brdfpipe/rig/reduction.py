@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -21,6 +22,7 @@ from brdfpipe.rig import cells as celled
 from brdfpipe.rig import glare as glares
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.brackets import Bracket, Darkness, Scale, Spot
+from brdfpipe.rig.calibration import HOLE
 from brdfpipe.rig.checks import overlap_check
 from brdfpipe.rig.description import Rig, Screen
 from brdfpipe.rig.exposures import Mask, Merged
@@ -48,10 +50,16 @@ _BLIND = 0.99
 _SMOOTH = 1.5
 """Standard deviation of the Gaussian [pixel] over which the curvature of the light on the disc is taken."""
 
+_REACH = 6.0
+"""How many of these it goes; ended at four, its second derivative would find a curvature of 1e-4 in even light."""
+
+_LIFTED = 1.2
+"""Most of the light of a cell over its smoothed light."""
+
 _CLEAR_OF_RIM = 3.5
 """How many of these from the rim of the disc the curvature is not taken: the rim itself would bend it."""
 
-_CURVATURE_U, _CURVATURE_NEXT = 0.05, 0.15
+CURVATURE_U, _CURVATURE_NEXT = 0.05, 0.15
 """Relative standard uncertainty of what the curvature changes in a cell's mean; and half of the term beyond it over its square, as of
 the exponential that the flank of a lobe is: sinh x / x = 1 + b + 0.3 b² + …, b = x²/6."""
 
@@ -98,7 +106,9 @@ def reduce(
     Returns
     -------
     Dataset of kind ``reduced``: ``signal(incidence, wavelength, cell)`` and its components of uncertainty, ``reference(incidence,
-    wavelength)`` [e⁻/s]. A wavelength at which no frame shows the reference has no values, and is named in the warnings.
+    wavelength)`` [e⁻/s] and when it was seen, ``elapsed``. A wavelength at which no frame shows the reference has no values, and is named
+    in the warnings. Looks at the lamp through this entrance are in ``drift_reference(look)`` [e⁻/s], with ``drift_elapsed`` [s] and
+    ``drift_wavelength`` [nm].
 
     Raises
     ------
@@ -124,9 +134,10 @@ def reduce(
     notes += _unlit(wavelengths, scales)
     assert spot is not None
     found = _registered(rig, _without_glare(rig, *_mean(merged, scales)), frames, chosen, darkness)
-    found = _centred(rig, found, frames if target is None else target, darkness if target is None else None)
-    repeat = _repeat(frames, chosen, darkness, spot, rig)
-    reduced = _cells(rig, found, wavelengths, merged, scales, repeat)
+    found = _centred(rig, found, frames, frames if target is None else target, darkness)
+    looks = _looks(frames, chosen, darkness, spot, rig)
+    reduced = _cells(rig, found, wavelengths, merged, scales, _repeat(looks, chosen))
+    reduced = reduced.assign(_times(chosen, wavelengths) | _drift(looks, rig))
     return _labelled(reduced, chosen, rig, found, [*notes, *_too_bright(reduced), *_no_glare(reduced)])
 
 
@@ -291,40 +302,107 @@ def _registered(
     return found
 
 
-def _centred(rig: Rig, found: Registration, target: xr.Dataset, darkness: Darkness | None) -> Registration:
+def _centred(rig: Rig, found: Registration, frames: xr.Dataset, target: xr.Dataset, darkness: Darkness) -> Registration:
     """Where the mirror direction falls on the disc, by the pictures of the rig's angular target."""
     own = _purpose(target, "target")
     if rig.target is None or not own.sizes["frame"]:
         return found
     _check_rig(target, rig)
-    picture = _one_picture(own, darkness or Darkness.of(target, rig), rig)
+    dark_target = darkness if target is frames else Darkness.of(target, rig)
+    picture = _one_picture(own, dark_target, rig)
     if picture is None:
         return found
     # Where little but the target shines the reference tells the shift of its pictures; the lens is the same in every session.
     there = registration.register(rig, *picture, found.screen)
-    spots = rig.target
-    centred = registration.centre_disc(there, *picture, spots.theta_s, spots.phi_s, spots.radius)
+    spots, kept = rig.target, _kept(rig, found, frames, darkness)
+    if kept is None and target is not frames:
+        kept = _kept(rig, there, target, dark_target)
+    centred = registration.centre_disc(there, *picture, spots.theta_s, spots.phi_s, spots.radius, kept)
     screen = replace(found.screen, disc=centred.screen.disc, focal_length=centred.screen.focal_length)
-    return replace(found, screen=screen, direction_u=centred.direction_u)
+    return replace(found, screen=screen, direction_u=centred.direction_u, scale_u=centred.scale_u)
 
 
-def _repeat(frames: xr.Dataset, chosen: xr.Dataset, darkness: Darkness, spot: Spot, rig: Rig) -> float:
-    """Relative scatter of the light over its reference between the looks at one state during the arrangement; 0 if it cannot be told."""
+def _kept(rig: Rig, found: Registration, frames: xr.Dataset, darkness: Darkness) -> Array | None:
+    """What the lens keeps of the light of each pixel, by a picture of the etalon; None if there is none.
+
+    It is taken through the entrance that tilts the etalon least without hiding a part of the disc.
+    """
+    etalon = _purpose(frames, "etalon")
+    rim = np.degrees(np.arctan(rig.screen.disc_radius / rig.screen.focal_length))
+    entrances = np.unique(etalon["incidence"].values)
+    # Towards an entrance σ the fixed direction is turned by 2σ.
+    clear = entrances[(2 * entrances > rim + HOLE) & (2 * entrances + rim < 90)]
+    if not clear.size:
+        return None
+    etalon = etalon.isel(frame=etalon["incidence"].values == clear[0])
+    wavelengths = np.unique(etalon["wavelength"].values)
+    etalon = etalon.isel(frame=etalon["wavelength"].values == wavelengths[wavelengths.size // 2])
+    picture = _one_picture(etalon, darkness, rig)
+    return None if picture is None else registration.falloff(found, picture[0], float(clear[0]))
+
+
+# --- the lamp
+
+
+class _Looks(NamedTuple):
+    """Looks at one state."""
+
+    frames: xr.Dataset
+    seen: Bracket
+    reference: Array
+    """(look,) electrons of the reference spot."""
+    u: Array
+    """Relative."""
+    away: Mask
+    """(y, x), pixels beyond the reference spot."""
+
+
+def _looks(frames: xr.Dataset, chosen: xr.Dataset, darkness: Darkness, spot: Spot, rig: Rig) -> _Looks | None:
+    """The looks at the lamp through the entrance of the arrangement, whatever was in the holder; None if there are none."""
     looks = _purpose(frames, "drift")
-    shots, own = looks["shot"].values, chosen["shot"].values
-    # The look before the first frame was of the same arrangement; one behind the last may be of the next.
-    looks = looks.isel(frame=(shots >= own.min() - 1) & (shots <= own.max()))
-    if looks.sizes["frame"] < _FEWEST_LOOKS:
-        return 0.0
+    here = np.ones(looks.sizes["frame"], dtype=bool)
+    for name in ("side", "incidence"):
+        here &= looks[name].values == chosen[name].values[0]
+    if not here.any():
+        return None
+    looks = looks.isel(frame=here)
     seen = brackets.bracket(looks, darkness, rig)
-    reference, reference_u = brackets.reference_light(seen, spot)
-    everywhere = seen.usable.all(axis=0) & spot.away
-    light = np.where(everywhere, seen.light, 0.0).sum(axis=(1, 2), dtype=float)
+    return _Looks(looks.drop_vars("counts"), seen, *brackets.reference_light(seen, spot), spot.away)
+
+
+def _repeat(looks: _Looks | None, chosen: xr.Dataset) -> float:
+    """Relative scatter of the light over its reference between the looks during the arrangement; 0 if it cannot be told."""
+    if looks is None:
+        return 0.0
+    shots, own = looks.frames["shot"].values, chosen["shot"].values
+    # The look before the first frame was of the same arrangement; one behind the last may be of the next.
+    during = (shots >= own.min() - 1) & (shots <= own.max())
+    if during.sum() < _FEWEST_LOOKS:
+        return 0.0
+    everywhere = looks.seen.usable[during].all(axis=0) & looks.away
+    light = np.where(everywhere, looks.seen.light[during], 0.0).sum(axis=(1, 2), dtype=float)
+    reference = looks.reference[during]
     if not ((light > 0) & np.isfinite(reference)).all():
         return 0.0
-    chance = (light + everywhere.sum() * seen.floor) / light**2 + reference_u**2
+    chance = (light + everywhere.sum() * looks.seen.floor[during]) / light**2 + looks.u[during] ** 2
     ratio = light / reference
     return float(np.sqrt(max((ratio.std(ddof=1) / ratio.mean()) ** 2 - chance.mean(), 0.0)))
+
+
+def _drift(looks: _Looks | None, rig: Rig) -> dict[str, tuple[str, Array]]:
+    """The light of the lamp at each look."""
+    if looks is None:
+        return {}
+    rate = looks.reference / brackets.per_rate(looks.seen, rig)
+    found = {"reference": rate, "reference_u": rate * looks.u}
+    found |= {name: looks.frames[name].values for name in ("elapsed", "wavelength")}
+    return {f"drift_{name}": ("look", each) for name, each in found.items()}
+
+
+def _times(chosen: xr.Dataset, wavelengths: Array) -> dict[str, tuple[str, Array]]:
+    """When the frames of each wavelength were exposed, on average."""
+    elapsed = [chosen["elapsed"].values[chosen["wavelength"].values == each].mean() for each in wavelengths]
+    return {"elapsed": ("wavelength", np.array(elapsed))}
 
 
 # --- cells
@@ -344,7 +422,7 @@ def _cells(
     clean = glares.removed(light, halo)
     clean -= clean[:, background].mean(axis=1)[:, None, None] if background.any() else 0.0
     flat = clean.reshape(len(clean), -1)
-    bend = _curvature(rig, found, weights, clean, area) * cells.of_disc
+    bend, bends = _curvature(rig, found, weights, clean, area, cells.of_disc)
     signal = _summed(weights, flat) - bend
     saturated = _summed(weights, np.array([each.saturated for each in pictures], dtype=float)) > 0
     variance = np.array([np.nan_to_num(each.variance) for each in pictures])
@@ -353,7 +431,8 @@ def _cells(
     brightness = total / max(float(total.mean()), 1e-300)
     reference, nd = _of_frames(weights, clean, pictures, [scales[place] for place in lit])
     u = {
-        "noise": np.sqrt(_summed(weights.power(2), variance)),
+        # Noise bends the light too.
+        "noise": np.sqrt(_summed((weights - bends).power(2), variance)),
         "repeat": repeat * np.abs(signal),
         "reference": reference * np.abs(signal),
         "nd": nd * np.abs(signal),
@@ -378,6 +457,7 @@ def _cells(
         {name: (("wavelength", "cell"), each) for name, each in variables.items()}
         | {"signal_quality": (("wavelength", "cell"), everywhere)}
         | {"reference": ("wavelength", np.array([scale.lamp for scale in scales]))}
+        | {"reference_u": ("wavelength", np.array([scale.lamp_u for scale in scales]))}
     ).assign_coords(
         wavelength=("wavelength", wavelengths),
         cell=("cell", np.array(cells.names)),
@@ -433,42 +513,76 @@ def _near(rig: Rig, screen: Screen, x: float, y: float, radius: float) -> Mask:
     return found
 
 
-def _curvature(rig: Rig, found: Registration, weights: sparse.csr_array, clean: Array, area: Array) -> Array:
-    """What curvature adds to sums over the disc's cells, (wavelength, cell).
+def _curvature(
+    rig: Rig, found: Registration, weights: sparse.csr_array, clean: Array, area: Array, of_disc: Mask
+) -> tuple[Array, sparse.csr_array]:
+    """What curvature adds to sums over the disc's cells, (wavelength, cell), and the weights of the light (cell, pixel) it comes from.
 
     The mean over a cell of second moments M about its middle is f + ½ Σ M_jk ∂_j∂_k f, and the core of the point spread adds its own to M.
     Derivatives are taken of the smoothed light, over that light: smoothing lifts both alike on the flank of a lobe. Near the rim they
     follow from the part of a cell that lies further in.
     """
     inner = _within(rig, found.screen, -_CLEAR_OF_RIM * _SMOOTH / found.screen.scale)
-    bend = np.zeros((len(clean), len(area)))
-    if not inner.any():
-        return bend
-    rows, columns = (
-        slice(max(int(each.min()) - 12, 0), min(int(each.max()) + 13, size))
-        for each, size in zip(np.nonzero(inner), inner.shape, strict=True)
+    within = sparse.csr_array(
+        sparse.diags_array(of_disc.astype(float)) @ weights @ sparse.diags_array(inner.ravel() * 1.0)
     )
-    within = weights[:, np.arange(inner.size).reshape(inner.shape)[rows, columns].ravel()]
-    lit, light = inner[rows, columns], clean[:, rows, columns]
-    y, x = np.mgrid[rows, columns].reshape(2, -1)
-    middle = [within @ each / np.maximum(area, 1.0) for each in (y, x)]
+    within.eliminate_zeros()
+    whole = area / np.maximum(within.sum(axis=1), 1.0)
+    y, x = np.indices(inner.shape).reshape(2, -1)
+    middle = [weights @ each / np.maximum(area, 1.0) for each in (y, x)]
+    coefficients = {}
     for first, second in ((0, 0), (1, 1), (0, 1)):
-        moment = within @ ((y, x)[first] * (y, x)[second]) / np.maximum(area, 1.0) - middle[first] * middle[second]
-        orders = (0, (first == 0) + (second == 0), (first == 1) + (second == 1))
-        curved = ndimage.gaussian_filter(light, (0, _SMOOTH, _SMOOTH), orders) * lit
+        moment = weights @ ((y, x)[first] * (y, x)[second]) / np.maximum(area, 1.0) - middle[first] * middle[second]
+        orders = ((first == 0) + (second == 0), (first == 1) + (second == 1))
         # Half of either second derivative, and of the mixed one twice; a pixel has 1/12 itself.
-        bend += ((moment + 1 / 12 + found.blur**2) / 2 if first == second else moment) * _summed(within, curved)
-    smooth = _summed(within, ndimage.gaussian_filter(light, (0, _SMOOTH, _SMOOTH)) * lit)
+        coefficients[orders] = whole * ((moment + 1 / 12 + found.blur**2) / 2 if first == second else moment)
+    bends, smooth = _smoothed(within, inner.shape, [coefficients, {(0, 0): whole}])
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.nan_to_num(_summed(within, light) / smooth)
-    # No more than the cell over its inner part, whatever noise makes of faint light.
-    return bend * np.clip(share, 0.0, 1.2 * area / np.maximum(within @ lit.ravel().astype(float), 1.0))
+        share = np.nan_to_num(_summed(weights, clean) / _summed(smooth, clean))
+    # No more than that, whatever noise makes of faint light.
+    return _summed(bends, clean) * np.clip(share, 0.0, _LIFTED), bends
+
+
+def _smoothed(
+    weights: sparse.csr_array, shape: tuple[int, ...], wanted: list[dict[tuple[int, int], Array]]
+) -> list[sparse.csr_array]:
+    """Weights (cell, pixel) that give sums over cells of derivatives of the smoothed light, each order times a coefficient of the cell.
+
+    The Gaussian and its even derivatives are their own adjoints: in place of the light each cell's weights are filtered, within a
+    box about it.
+    """
+    height, width = shape
+    kept = np.flatnonzero(np.diff(weights.indptr))
+    cell = np.repeat(np.arange(kept.size), np.diff(weights.indptr)[kept])
+    row, column = np.divmod(weights.indices, width)
+    reach = int(_REACH * _SMOOTH + 0.5) + 1
+    starts = weights.indptr[kept]
+    low = [np.minimum.reduceat(each, starts) - reach if kept.size else each for each in (row, column)]
+    box = [int((each - least[cell]).max(initial=0)) + reach + 1 for each, least in zip((row, column), low, strict=True)]
+    cut = np.zeros((kept.size, *box))
+    cut[cell, row - low[0][cell], column - low[1][cell]] = weights.data
+    y, x = (least[:, None] + np.arange(size) for least, size in zip(low, box, strict=True))
+    seen = ((y >= 0) & (y < height))[:, :, None] & ((x >= 0) & (x < width))[:, None, :]
+    place = (y[:, :, None] * width + x[:, None, :])[seen]
+    owner = np.broadcast_to(kept[:, None, None], seen.shape)[seen]
+    found = []
+    for coefficients in wanted:
+        filtered = sum(
+            (
+                each[kept, None, None]
+                * ndimage.gaussian_filter(cut, (0, _SMOOTH, _SMOOTH), (0, *orders), mode="constant", truncate=_REACH)
+                for orders, each in coefficients.items()
+            ),
+            np.zeros(cut.shape),
+        )
+        found.append(sparse.csr_array((filtered[seen], (owner, place)), shape=weights.shape))
+    return found
 
 
 def _curvature_u(bend: Array, signal: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.nan_to_num(np.abs(bend / signal), posinf=1.0)
-    return np.abs(bend) * np.minimum(_CURVATURE_U + _CURVATURE_NEXT * share, 1.0)
+    return np.abs(bend) * np.minimum(CURVATURE_U + _CURVATURE_NEXT * share, 1.0)
 
 
 def _misplaced(rig: Rig, found: Registration, weights: sparse.csr_array, clean: Array, of_disc: Mask) -> Array:
@@ -524,6 +638,7 @@ def _labelled(reduced: xr.Dataset, chosen: xr.Dataset, rig: Rig, found: Registra
     reduced.attrs = {
         **{name: chosen.attrs[name] for name in ("rig", "rig_digest", "sample", "day")},
         "camera": chosen.attrs.get("camera", ""),
+        **{name: chosen.attrs[name] for name in ("drift_tolerance",) if name in chosen.attrs},
         "load": str(chosen["purpose"].values[0]),
         "side": str(chosen["side"].values[0]),
         "filter": clearest.position,
@@ -534,6 +649,7 @@ def _labelled(reduced: xr.Dataset, chosen: xr.Dataset, rig: Rig, found: Registra
         "registration_u": found.shift_u,
         "disc_centre": list(found.screen.disc),
         "disc_centre_u": found.direction_u,
+        "disc_scale_u": found.scale_u,
     }
     carried = vocabulary.add_warning(reduced, *vocabulary.warnings(chosen), *dict.fromkeys(notes))
     return vocabulary.validate(vocabulary.label(carried, "reduced"), "reduced")

@@ -21,6 +21,9 @@ from brdfpipe.rig.description import Rig, Screen
 DIRECTION_U = 0.1
 """Standard uncertainty [degree], along either axis, of the direction of the disc's centre where no target was looked at."""
 
+SCALE_U = 0.01
+"""Relative standard uncertainty of angles on the disc where no target was looked at: at its rim of 10 degree that of its centre."""
+
 FIBRES_ENOUGH = 12
 """Spots from which scale and radial term can be told beside the shift."""
 
@@ -43,6 +46,12 @@ _UNEVEN = 0.02
 
 _ROUNDS = 3
 
+_INSIDE = 4.0
+"""Distance from the rim of the disc within which its light is not even [pixel]."""
+
+_LEAST_KEPT = 0.05
+"""Share of the light, of that in the middle of the disc, below which no lens is taken to fall."""
+
 
 @dataclass(frozen=True)
 class Registration:
@@ -55,6 +64,8 @@ class Registration:
     """Standard uncertainty, along either axis, of the direction that falls on the disc's centre [degree]."""
     spots: int
     """Spots used."""
+    scale_u: float = SCALE_U
+    """Relative standard uncertainty of all angles on the disc together: of the focal length."""
     blur: float = 0.0
     """Standard deviation of the core of the camera's point spread, as the spots show it [pixel]."""
 
@@ -154,16 +165,51 @@ def register(rig: Rig, picture: Array, variance: Array, screen: Screen | None = 
         column, row = screens.to_pixel(moved(by), x[used], y[used])
         return np.concatenate([(column - seen[0][used]) / u, (row - seen[1][used]) / u])
 
-    by, shift_u = _fitted(misses, 4 if whole else 2)
+    by, u_of = _fitted(misses, 4 if whole else 2)
+    shift_u = _of_shift(u_of)
     # A disc of radius R has R²/4 along either axis, a pixel 1/12.
     blur = float(np.sqrt(max(np.median(seen[3][used] - radius[used] ** 2 / 4) - 1 / 12, 0.0)))
     if not (known or whole):
         shift_u = float(np.hypot(shift_u, _LONE))
-    return Registration(moved(by), shift_u, DIRECTION_U, int(used.sum()), blur)
+    return Registration(moved(by), shift_u, DIRECTION_U, int(used.sum()), blur=blur)
+
+
+def falloff(found: Registration, picture: Array, entrance: float) -> Array:
+    """What lens and camera keep of the light of a direction, (y, x), smooth and 1 in the disc's centre, told by the etalon.
+
+    Parameters
+    ----------
+    found : the registration of the picture
+    picture : (y, x), of the etalon lit through the entrance [degree]; finite
+
+    Notes
+    -----
+    A polynomial of the second degree of place, of the light over the etalon's cosine; its other changes over twenty degrees are none
+    beside a lens'. Beyond the disc it is that of the rim.
+    """
+    screen = found.screen
+    row, column = np.indices(picture.shape)
+    place = screens.to_place(screen, column, row)
+    x, y = (place.x - screen.disc[0]) / screen.disc_radius, (place.y - screen.disc[1]) / screen.disc_radius
+    radius = np.hypot(x, y)
+    inside = radius < 1 - _INSIDE / (screen.scale * screen.disc_radius)
+    cosine = screens.cos_view_etalon(entrance, *screens.disc_direction(screen, place.x, place.y))
+    shrink = 1 / np.maximum(radius, 1.0)
+    terms = np.stack([np.ones_like(x), x * shrink, y * shrink, *(shrink**2 * each for each in (x * x, x * y, y * y))])
+    lit = inside & (cosine > 0)
+    shares = np.linalg.lstsq(terms[:, lit].T, picture[lit] / cosine[lit], rcond=None)[0]
+    # Without light there is nothing to tell.
+    return np.maximum(np.tensordot(shares / shares[0], terms, 1), _LEAST_KEPT) if shares[0] > 0 else np.ones_like(x)
 
 
 def centre_disc(
-    found: Registration, picture: Array, variance: Array, theta_s: ArrayLike, phi_s: ArrayLike, radius: float
+    found: Registration,
+    picture: Array,
+    variance: Array,
+    theta_s: ArrayLike,
+    phi_s: ArrayLike,
+    radius: float,
+    kept: Array | None = None,
 ) -> Registration:
     """Fit where the disc's centre is, and the focal length, to the spots of an angular target.
 
@@ -173,6 +219,8 @@ def centre_disc(
     picture, variance : (y, x), finite
     theta_s, phi_s : directions of the target's spots [degree]
     radius : of a spot [degree]
+    kept : (y, x) :func:`falloff`, if known; it draws centroids inwards as a shorter focal length does, by 0.02 % of it where the rim of
+        10 degree keeps 0.7 of the light and spots have a radius of 0.3 degree
     """
     screen = found.screen
     theta, phi = np.asarray(theta_s, dtype=float), np.asarray(phi_s, dtype=float)
@@ -182,6 +230,11 @@ def centre_disc(
     if used.sum() < _LEAST_TARGET:
         return found
     u = np.hypot(seen.u[used], _UNEVEN)
+    drawn = np.zeros((2, int(used.sum())))
+    if kept is not None:
+        # Light that changes by a share g a pixel moves the centroid of a disc by g R²/4.
+        at = np.rint(seen.row[used]).astype(int), np.rint(seen.column[used]).astype(int)
+        drawn = pixels**2 / 4 * np.array([each[at] for each in np.gradient(np.log(kept))])
 
     def moved(by: Array) -> Screen:
         disc = (screen.disc[0] + by[0], screen.disc[1] + by[1])
@@ -190,18 +243,28 @@ def centre_disc(
     def misses(by: Array) -> Array:
         trial = moved(by)
         column, row = screens.to_pixel(trial, *screens.disc_place(trial, theta[used], phi[used]))
+        column, row = column + drawn[1], row + drawn[0]
         return np.concatenate([(column - seen.column[used]) / u, (row - seen.row[used]) / u])
 
-    by, millimetres = _fitted(misses, 3)
+    by, u_of = _fitted(misses, 3)
+    # So many spots tell by how far they miss what one is uncertain by, and better than what any sensor may add.
+    missed = misses(by)
+    scatter = np.sqrt((missed**2).sum() / max(missed.size - by.size, 1))
+    millimetres, scale_u = _of_shift(u_of), 1e-2 * float(u_of[2] * min(scatter, 1.0))
     shift = found.shift_u / screen.scale
     direction_u = float(np.degrees(np.arctan(np.hypot(millimetres, shift) / screen.focal_length)))
-    return replace(found, screen=moved(by), direction_u=direction_u)
+    return replace(found, screen=moved(by), direction_u=direction_u, scale_u=scale_u)
 
 
-def _fitted(misses: Callable[[Array], Array], free: int) -> tuple[Array, float]:
-    """Robust least squares from nought, and the standard uncertainty of the mean of the first two parameters."""
+def _fitted(misses: Callable[[Array], Array], free: int) -> tuple[Array, Array]:
+    """Robust least squares from nought, and the standard uncertainty of each parameter."""
     fit = optimize.least_squares(misses, np.zeros(free), loss="soft_l1", f_scale=3.0)
     jacobian = np.asarray(fit.jac, dtype=float)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian)
+    variance = np.diag(np.linalg.pinv(jacobian.T @ jacobian))
     spread = max(1.0, float(np.median(np.abs(fit.fun))) / 0.6745) if fit.fun.size > 2 * free else 1.0
-    return np.asarray(fit.x), float(np.sqrt(covariance[:2, :2].trace() / 2)) * spread
+    return np.asarray(fit.x), spread * np.sqrt(np.maximum(variance, 0.0))
+
+
+def _of_shift(u: Array) -> float:
+    """Standard uncertainty of a shift along either axis, the first two parameters."""
+    return float(np.sqrt((u[:2] ** 2).mean()))

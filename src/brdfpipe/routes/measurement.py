@@ -3,8 +3,10 @@
 A component of the uncertainty that is marked ``common`` is one error for all the cells of a picture, that is of an incidence at a
 wavelength; some go further and are the same for all wavelengths of an incidence, or for everything. One that is marked ``independent``
 is an error of each cell; that of the calibration is the same at every incidence. That of the geometry counts twice: as an error of each
-cell, and as one of a picture that lies elsewhere or is wider than it was taken for, which looks like another lobe. A relative
-component is stated over the measured value. It is taken over the model's here: if large values had large uncertainties by chance, common errors would pull
+cell, and as one of a picture that lies elsewhere than it was taken for, which looks like another lobe. Frames of a bracket hang on one
+another by the light they share (``reference``, ``nd``): what is uncertain of a dark frame is so of the darker one too, which adds its
+own, so that two cells have the variance of the better known in common, and not all of their errors. A relative component is stated
+over the measured value. It is taken over the model's here: if large values had large uncertainties by chance, common errors would pull
 every fit below the data (Peelle's pertinent puzzle).
 
 References
@@ -17,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +36,9 @@ DIMS = ("incidence", "wavelength", "cell")
 _USED = ("measured", "below_noise")
 """Qualities of values that are compared; one below the noise is as true as its uncertainty says."""
 
+_LINKS = 2
+"""Steps in which the errors of a chain of frames are taken."""
+
 _NEAR = 3.0
 """Standard uncertainties by which a model may be off for an uncertainty to be taken over it."""
 
@@ -47,6 +53,8 @@ class _Nature(NamedTuple):
     own: tuple[str, ...]
     """Dimensions along which every place has an error of its own; along the others it is the same one."""
     relative: bool
+    chained: bool = False
+    """Of frames that hang on one another: what cells have beyond the best known of a picture is in common to those at least as uncertain."""
 
 
 _NATURE = {
@@ -54,8 +62,8 @@ _NATURE = {
     "geometry": _Nature(DIMS, relative=False),
     "calibration": _Nature(("wavelength", "cell"), relative=True),
     "repeat": _Nature(("incidence", "wavelength"), relative=True),
-    "nd": _Nature(("incidence", "wavelength"), relative=True),
-    "reference": _Nature(("incidence",), relative=True),
+    "nd": _Nature(("incidence", "wavelength"), relative=True, chained=True),
+    "reference": _Nature(("incidence",), relative=True, chained=True),
     "glare": _Nature(("incidence",), relative=False),
     "certificate": _Nature((), relative=True),
 }
@@ -91,6 +99,8 @@ class Measurement:
     """Combined standard uncertainty [sr-1]; 0 where the value is not used."""
     used: NDArray[np.bool_]
     components: tuple[_Component, ...]
+    scale_u: float = 0.0
+    """Relative standard uncertainty of all angles on the disc."""
 
     @classmethod
     def of(cls, primary: xr.Dataset, wavelengths: NDArray[np.int64]) -> Measurement:
@@ -125,6 +135,7 @@ class Measurement:
             np.where(used, np.nan_to_num(u), 0.0),
             used,
             components,
+            float(primary.attrs.get("disc_scale_u", 0.0)),
         )
         found._check(found.own_variance(found.value))
         return found
@@ -185,7 +196,7 @@ class Measurement:
         for each in self.components:
             if "cell" not in each.nature.own:
                 # Over the model's values alone: an error that followed the noise of the data would explain it away.
-                columns.append(_columns(self._over(each, model), each.nature.own))
+                columns += self._shared(each, model)
             elif each.nature.own != DIMS:
                 u = self._of_cells(each, model)
                 between = between + np.einsum("iwc,jwc->wcij", u, u)
@@ -194,13 +205,33 @@ class Measurement:
         shared = np.concatenate(columns)
         return Covariance(np.linalg.inv(np.linalg.cholesky(between)), shared[shared.any(axis=(1, 2, 3))], self.used)
 
-    def _displaced(self, u: Array) -> list[Array]:
-        """Errors of the disc's cells where a whole picture lies elsewhere, or is too wide, each once an incidence."""
-        turn, disc = np.radians(self.phi_s), np.nan_to_num(self.solid_angle) > 0
-        return [
-            _columns(u * (disc * pattern), ("incidence",))
-            for pattern in (np.cos(turn), np.sin(turn), np.ones_like(turn))
+    def _shared(self, component: _Component, model: Array) -> list[Array]:
+        """Errors that the cells of a picture have in common."""
+        u, own = self._over(component, model), component.nature.own
+        if not component.nature.chained:
+            return [_columns(u, own)]
+        told = self.used & (self.value != 0)
+        relative = np.divide(component.u, np.abs(self.value), out=np.full_like(u, np.nan), where=told)
+        least, most = (
+            of(np.where(told, relative, empty), axis=-1, keepdims=True)
+            for of, empty in ((np.min, np.inf), (np.max, 0.0))
+        )
+        steps = [
+            np.minimum(least, most) + (most - np.minimum(least, most)) * link / _LINKS for link in range(_LINKS + 1)
         ]
+        squares = [np.clip(np.nan_to_num(relative), low, high) ** 2 - low**2 for low, high in pairwise(steps)]
+        links = [_columns(np.sqrt(square) * np.abs(model), DIMS[:2]) for square in squares]
+        return [_columns(np.where(told, np.minimum(u, steps[0] * np.abs(model)), u), own), *links]
+
+    def _displaced(self, u: Array) -> list[Array]:
+        """Errors of the disc's cells where a whole picture lies elsewhere, once an incidence along either axis."""
+        turn = np.radians(self.phi_s)
+        return [_columns(u * (self.of_disc * pattern), ("incidence",)) for pattern in (np.cos(turn), np.sin(turn))]
+
+    @cached_property
+    def of_disc(self) -> NDArray[np.bool_]:
+        """(cell,) whether a cell takes the mean over a piece of the disc."""
+        return np.nan_to_num(self.solid_angle) > 0
 
     def _of_cells(self, component: _Component, model: Array) -> Array:
         """Standard uncertainty of errors of single cells; a model far from the data does not tell how large they are."""

@@ -22,6 +22,7 @@ from brdfpipe.bsdf import microfacet, representations
 from brdfpipe.bsdf.microsurface import Microsurface
 from brdfpipe.bsdf.model import Model
 from brdfpipe.geometry import Array, angles_of, half_vector, slope_towards, unit_vector
+from brdfpipe.rig.reduction import CURVATURE_U
 from brdfpipe.routes import scan
 from brdfpipe.routes.measurement import Measurement
 
@@ -43,7 +44,10 @@ _ORDER = 4
 """Points of a quadrature along a side of a cell."""
 
 _BESIDE = 0.01
-"""Sides of a cell from its middle to where its curvature is taken."""
+"""Sides of a cell from its edge to where slopes across it are taken."""
+
+_STRETCH = 1e-3
+"""Of the angles on the disc, for a difference."""
 
 
 # --- BSDFs
@@ -136,46 +140,70 @@ class Predicted:
     @cached_property
     def own_u(self) -> Array:
         """Standard uncertainty that each value has for itself [sr-1]."""
-        return self._unresolved
+        return self._own_of_cells
 
     @cached_property
     def common(self) -> Array:
         """Changes (error, …) of the values by errors that many of them share, of one standard uncertainty each [sr-1]."""
-        return np.zeros((0, *self.measurement.value.shape))
+        return self._common_to_cells
 
     @property
     def u(self) -> Array:
         """Combined standard uncertainty [sr-1]."""
         return np.sqrt(self.own_u**2 + np.sum(self.common**2, axis=0))
 
+    @property
+    def _own_of_cells(self) -> Array:
+        return np.asarray(np.sqrt(0.5) * np.abs(self._cells[0]))
+
     @cached_property
-    def _unresolved(self) -> Array:
-        """By how much the light of each cell of the disc tells another value than the one in its middle [sr-1].
+    def _common_to_cells(self) -> Array:
+        left, curvature = self._cells
+        return np.stack([np.sqrt(0.5) * left, CURVATURE_U * curvature, self._wider])
+
+    @cached_property
+    def _cells(self) -> tuple[Array, Array]:
+        """What the light of each cell of the disc tells beside the value in its middle, curvature taken out, and the curvature [sr-1].
 
         Notes
         -----
-        The reduction takes the curvature out of the mean over a cell of area A, f = mean − A/24 ∇²f. What it leaves is of fourth order in
-        the side of the cell over the width of the lobe. Of a lobe narrower than the cell it sees no curvature, and leaves the mean.
+        The reduction takes the mean curvature out of the mean over a cell of area A, f = mean − A/24 ∇²f. What it leaves is of fourth order
+        in the side of the cell over the width of the lobe: half of its square is taken for common to all cells, which are alike, and
+        half for each one's own, for they are not square. Of a lobe narrower than the cell it sees no curvature, and leaves the mean.
         """
-        found = np.zeros_like(self.measurement.value)
+        left, curvature = np.zeros((2, *self.measurement.value.shape))
         side = np.sqrt(self.measurement.solid_angle)
-        disc = np.flatnonzero(side > 0)
+        disc = np.flatnonzero(self.measurement.of_disc)
         if disc.size:
-            found[..., disc] = self._left_of_mean(disc, side[disc, None])
-        return found
+            left[..., disc], curvature[..., disc] = self._of_means(disc, side[disc, None])
+        return left, curvature
 
-    def _left_of_mean(self, cells: NDArray[np.int64], side: Array) -> Array:
-        """How far means over square cells are from the value in the middle, its curvature taken out if that helps, (incidence, wavelength, cell)."""
+    def _of_means(self, cells: NDArray[np.int64], side: Array) -> tuple[Array, Array]:
+        """The same of square cells, (incidence, wavelength, cell)."""
         nodes, weights = np.polynomial.legendre.leggauss(_ORDER)
-        cross = _BESIDE * np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])
         square = np.stack([np.repeat(nodes, _ORDER), np.tile(nodes, _ORDER)]) / 2
-        away, around = np.concatenate([square, cross], axis=1)
+        # The mean curvature follows from the slopes across the edges.
+        edge = np.array([[0.5 + by, node / 2] for by in (_BESIDE, -_BESIDE) for node in nodes]).T
+        edges = np.stack([edge, -edge, edge[::-1], -edge[::-1]], axis=1).reshape(2, -1)
+        away, around = np.concatenate([square, edges, np.zeros((2, 1))], axis=1)
         brdf = self._smooth(*self.measurement.seen(*self._beside(cells, side * away, side * around)))
         mean = brdf[:, :, : _ORDER**2].swapaxes(2, 3) @ np.outer(weights, weights).ravel() / 4
-        middle = brdf[:, :, _ORDER**2]
-        curvature = (brdf[:, :, _ORDER**2 + 1 :].sum(axis=2) - 4 * middle) / _BESIDE**2
-        left = np.minimum(np.abs(mean - middle), np.abs(mean - middle - curvature / 24))
-        return np.moveaxis(left, -1, 1)
+        across = np.tile(np.concatenate([weights, -weights]), 4) / (4 * _BESIDE)
+        curvature = brdf[:, :, _ORDER**2 : -1].swapaxes(2, 3) @ across / 24
+        whole = mean - brdf[:, :, -1]
+        left = np.where(np.abs(whole - curvature) < np.abs(whole), whole - curvature, whole)
+        return np.moveaxis(left, -1, 1), np.moveaxis(curvature, -1, 1)
+
+    @cached_property
+    def _wider(self) -> Array:
+        """Change of the values if angles on the disc are one standard uncertainty larger than they were taken for [sr-1]."""
+        theta, u = self.measurement.theta_s, self.measurement.scale_u
+        if not u:
+            return np.zeros_like(self.measurement.value)
+        stretched = np.where(self.measurement.of_disc, theta * (1 + _STRETCH), theta)
+        beside = np.moveaxis(self._smooth(*self.measurement.seen(stretched, self.measurement.phi_s)), -1, 1)
+        here = np.moveaxis(self._smooth(*self.measurement.directions), -1, 1)
+        return np.asarray((beside - here) * u / _STRETCH)
 
     def _beside(self, cells: NDArray[np.int64], away: Array, around: Array) -> tuple[Array, Array]:
         """θ_s and φ_s [degree] of directions beside cells, by small angles [rad] away from the mirror direction and around it."""
@@ -273,12 +301,13 @@ class Member(Predicted):
     @cached_property
     def own_u(self) -> Array:
         """Of what is between the values of the density, and of what cells do not resolve."""
-        return np.hypot(self._unresolved, scan.BETWEEN * self._lobe_u)
+        return np.hypot(self._own_of_cells, scan.BETWEEN * self._lobe_u)
 
     @cached_property
     def common(self) -> Array:
-        """Errors of the scan."""
-        return np.asarray(scan.errors(self.family.given.facets, *self._facet)[:, :, None] * self._lobe_u)
+        """Errors of the cells, and of the scan."""
+        of_scan = scan.errors(self.family.given.facets, *self._facet)[:, :, None] * self._lobe_u
+        return np.concatenate([self._common_to_cells, of_scan])
 
     @cached_property
     def _lobe_u(self) -> Array:

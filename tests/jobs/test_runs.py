@@ -1,0 +1,43 @@
+"""Runs of rigs whose plan cannot make what a material wants of them."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from brdfpipe import catalogue, cli
+from brdfpipe.jobs import front, runs
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A glass that stands for another one, whose plan measures no sample; and a sheet that needs neither."""
+    for name in ("milk-glass", "opal-glass", "calibrations"):
+        shutil.copytree(EXAMPLES / name, tmp_path / "catalogue" / name)
+    plan = tmp_path / "catalogue" / "milk-glass" / "plan.yaml"
+    text = plan.read_text()
+    assert "runs: [target, sample]" in text
+    plan.write_text(text.replace("runs: [target, sample]", "runs: [target]"))
+    return tmp_path / "catalogue"
+
+
+def test_a_run_without_the_sample_is_a_problem_of_its_material_alone(folder: Path) -> None:
+    planned, problems = runs.of(catalogue.load(folder))
+    assert list(problems) == ["milk-glass"]
+    assert "runs: the sample is not measured; accepted: a list with sample in it" in problems["milk-glass"]
+    assert "calibrations/bench-1" in planned
+
+
+def test_a_dry_run_and_a_check_tell_of_it(folder: Path, tmp_path: Path) -> None:
+    summary = front.build(folder, tmp_path / "results", cores=1, dry_run=True)
+    assert list(summary.failures) == ["milk-glass"]
+    assert summary.built == ("opal-glass",)
+    told = CliRunner().invoke(cli.main, ["check", str(folder)])
+    assert told.exit_code == 1
+    assert "milk-glass: plan.yaml, runs: the sample is not measured" in told.output
+    assert "1 ok, 1 wrong" in told.output
