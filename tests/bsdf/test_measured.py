@@ -103,6 +103,41 @@ def test_a_material_that_reflects_too_much_is_found_out():
     assert bsdf.bsdf.albedo(30.0).item() == pytest.approx(1.2, rel=0.01)
 
 
+def sheet(reflectance, u):
+    """A diffuser with a common uncertainty."""
+
+    def even(incidence, theta, phi, wavelength):
+        return np.full((wavelength.size, theta.size), reflectance / np.pi)
+
+    primary = rig_primary.measured(even, INCIDENCES, [550.0], noise=0.005)
+    primary["brdf_u_noise"] = primary["brdf_u"].assign_attrs(correlation="independent")
+    primary["brdf_u_certificate"] = (u * primary["brdf"]).assign_attrs(correlation="common")
+    primary["brdf_u"] = np.hypot(primary["brdf_u_noise"], primary["brdf_u_certificate"])
+    return completion.complete(smoothing.smooth(vocabulary.label(primary, "primary")))
+
+
+@pytest.mark.parametrize(("reflectance", "verdict"), [(0.97, "pass"), (1.004, "warn"), (1.05, "fail")])
+def test_more_light_than_arrives_is_a_failure_where_the_uncertainty_does_not_explain_it(reflectance, verdict):
+    found = json.loads(sheet(reflectance, 0.01).bsdf.check().attrs["verdicts"])["energy"]
+    assert found["verdict"] == verdict, found
+    assert ("within its uncertainty" in found["text"]) == (verdict == "warn")
+
+
+def test_the_uncertainty_of_the_reflectance_is_that_of_its_common_errors():
+    bsdf = sheet(0.5, 0.01)
+    u = measured.albedo_uncertainty(bsdf, np.array([30.0]), np.zeros(1), None)
+    assert u.item() == pytest.approx(0.005, rel=0.3)
+
+
+def test_a_reciprocity_that_was_made_is_judged_by_what_was_measured(bsdf):
+    sound = json.loads(bsdf.bsdf.check().attrs["verdicts"])["reciprocity"]
+    assert sound["verdict"] == "pass"
+    assert "made so: as measured they differ by up to" in sound["text"]
+    primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), INCIDENCES, [550.0])
+    leaning = completion.complete(smoothing.smooth(primary))
+    assert json.loads(leaning.bsdf.check().attrs["verdicts"])["reciprocity"]["verdict"] == "warn"
+
+
 def test_the_mean_over_wavelengths_is_exact(bsdf):
     at, weight = lanes(), np.array([1.0, 2.0, 1.0]) / 4
     mean = bsdf.bsdf.nonspectral(weight)

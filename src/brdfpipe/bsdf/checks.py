@@ -28,6 +28,9 @@ LAY_ENERGY_LIMIT = 2e-4  # tables of the albedo over two angles are held against
 CLOSURE_LIMIT = 1e-6
 INTEGRAL_LIMIT = 1e-3  # of the incident light: a counted density has kinks that cost the plain quadrature 1e-4
 GROWTH_LIMIT = 3.0  # what grows as 1/cos θ grows tenfold from 89.9 to 89.99°, and a sound BRDF hardly at all
+CERTAIN = 2.0  # standard uncertainties of a measured BSDF beyond which it breaks a law for sure
+_BRIGHTEST = 4
+"""Incidences whose light is held against its uncertainty."""
 _NEGLIGIBLE = 1e-12
 """Share of the largest BRDF below which the two ways of a pair are not compared: rounding decides there."""
 
@@ -89,6 +92,7 @@ def check(bsdf: xr.Dataset) -> xr.Dataset:
     found = {
         "reciprocity": _reciprocity(forward, backward, angles),
         "energy": _energy(bsdf, fixed, between),
+        "beyond": _beyond_uncertainty(bsdf, fixed, between),
         "least": _least(bsdf, fixed, between),
         "grazing": _grazing(bsdf, telling),
         "integral": _integral(bsdf, telling),
@@ -244,6 +248,23 @@ def _energy(bsdf: xr.Dataset, *shares: _Shares) -> _Residual:
     return _Residual(float(total[worst]), _incidence(bsdf, theta_i[worst], phi_i[worst]))
 
 
+def _beyond_uncertainty(bsdf: xr.Dataset, *shares: _Shares) -> _Residual:
+    """By how many standard uncertainties the light that leaves exceeds 1; infinite where none is stated."""
+    module = representations.representation(bsdf)
+    if not hasattr(module, "albedo_uncertainty"):
+        return _Residual(np.inf, "")
+    worst = _Residual(0.0, "")
+    for each in shares:
+        total = each.total.max(axis=1)
+        brightest = np.argsort(total)[-_BRIGHTEST:]
+        for at in brightest[total[brightest] > 1]:
+            u = module.albedo_uncertainty(bsdf, each.theta_i[[at]], each.phi_i[[at]], None).max()
+            size = float((total[at] - 1) / u) if u > 0 else np.inf
+            if size > worst.size:
+                worst = _Residual(size, _incidence(bsdf, each.theta_i[at], each.phi_i[at]))
+    return worst
+
+
 def _least(bsdf: xr.Dataset, *shares: _Shares) -> _Residual:
     """The smallest share that is reflected, or that passes."""
     found = [
@@ -329,19 +350,28 @@ def _verdicts(result: xr.Dataset, found: dict[str, _Residual], bsdf: xr.Dataset)
     broken = "warn" if named else "fail"
     known = f"; known of {named}" if named else ""
     reciprocal = found["reciprocity"].size <= RECIPROCITY_LIMIT
+    # A representation that averages both ways is reciprocal whatever was measured.
+    averaged = float(bsdf.attrs.get("contradiction", 0.0))
     limit = _energy_limit(bsdf)
     keeps, gives = found["energy"].size <= 1 + limit, found["least"].size >= -limit
+    doubtful = not keeps and found["beyond"].size <= CERTAIN
     spends = "reflects and transmits" if representations.transmits(bsdf) else "reflects"
     verdicts = {
         "reciprocity": _Verdict(
-            "pass" if reciprocal else "warn",
+            "pass" if reciprocal and averaged <= CERTAIN else "warn",
             f"f(i,o) and f(o,i) differ by at most {found['reciprocity'].size:.1e} of their mean"
-            + ("" if reciprocal else f", {found['reciprocity'].where}{known}"),
+            + ("" if reciprocal else f", {found['reciprocity'].where}{known}")
+            + (
+                f"; made so: as measured they differ by up to {averaged:.1f} times their uncertainty"
+                if averaged
+                else ""
+            ),
         ),
         "energy": _Verdict(
-            "fail" if not gives else "pass" if keeps else broken,
+            "fail" if not gives else "pass" if keeps else "warn" if doubtful else broken,
             f"{spends} at most {found['energy'].size:.4f} of the light, up to {_INCIDENCES[-1]:g}° incidence"
             + ("" if keeps else f"; most {found['energy'].where}{known}")
+            + (f"; within its uncertainty: {found['beyond'].size:.1f} times that above 1" if doubtful else "")
             + ("" if gives else f"; a negative share, {found['least'].size:.2g}, {found['least'].where}"),
         ),
         "positivity": _Verdict(

@@ -163,13 +163,22 @@ def albedo(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | N
     """
     if not bases.from_json(bsdf.attrs["basis"]).symmetric:
         return None
+    return _integrated(evaluate, bsdf, theta_i, wavelength)
+
+
+def albedo_uncertainty(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+    """Standard uncertainty of the directional reflectance [1], at most: as if all directions were off together."""
+    return _integrated(uncertainty, bsdf, theta_i, wavelength)
+
+
+def _integrated(of: Callable[..., Array], bsdf: xr.Dataset, theta_i: Array, wavelength: Array | None) -> Array:
     slope = lobe_slope(bsdf)
     shape, incidences = np.shape(theta_i), np.ravel(theta_i)
     width = _wavelengths(bsdf, wavelength)[1].shape[1]
     found = np.zeros((incidences.size, width))
     for at in np.flatnonzero(incidences < 90):
         to = around_mirror(float(incidences[at]), slope)
-        found[at] = to.weight @ evaluate(bsdf, incidences[at : at + 1], np.zeros(1), to.theta, to.phi, wavelength)
+        found[at] = to.weight @ of(bsdf, incidences[at : at + 1], np.zeros(1), to.theta, to.phi, wavelength)
     return found.reshape(*shape, width)
 
 
