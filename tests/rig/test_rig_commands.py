@@ -103,6 +103,16 @@ def test_seed_and_session_decide_the_noise(plan, tile, tmp_path):
     assert all(one[name] != other[name] and one[name] != next_day[name] for name in one)
 
 
+def test_a_run_does_not_go_on_with_another_emulated_rig(plan, tile, tmp_path):
+    arguments = ("scan", plan, "--emulate", tile, "--out", tmp_path / "run", "--resume")
+    assert run(*arguments).exit_code == 0
+    next((tmp_path / "run" / "frames").glob("*.fits")).unlink()
+    done = run(*arguments, "--seed", 4)
+    assert done.exit_code == 2
+    assert "holds a run of another rig; found emulator, seed 0, session 0; accepted: emulator, seed 4" in done.output
+    assert run(*arguments).exit_code == 0
+
+
 def test_a_run_goes_on_with_the_word_resume(plan, tile, tmp_path):
     arguments = ("scan", plan, "--emulate", tile, "--out", tmp_path / "run")
     assert run(*arguments).exit_code == 0

@@ -173,16 +173,22 @@ def read_run(folder: str | Path, incidence: float | None = None) -> xr.Dataset:
         planned = sorted({arrangement.incidence for arrangement in plan.arrangements})
         accepted = ", ".join(f"{angle:g}" for angle in planned)
         raise InputError(folder / PLAN, "no such incidence in the plan", found=f"{incidence:g}", accepted=accepted)
-    problems: dict[Shot, str] = {}
+    problems: dict[Shot, FrameError] = {}
     frames: dict[Shot, Frame] = {}
     for shot, found in read_shots(folder, plan, shots):
         if isinstance(found, Frame):
             frames[shot] = found
         else:
-            problems[shot] = str(found)
+            problems[shot] = found
     lost = [shot for shot in shots if shot not in frames]
     told = [*(f"{problem}; not used" for problem in problems.values()), *_strangers(folder, plan), *_gaps(shots, lost)]
     if not any(not shot.dark for shot in frames):
+        if problems and all(problem.where == "RIGHASH" for problem in problems.values()):
+            raise InputError(
+                plan.rig.name,
+                "the rig is described otherwise than when the frames of this run were taken",
+                accepted="the description as the scan left it in the run's folder; with a corrected one the run is scanned anew",
+            )
         raise InputError(folder, "no usable frame", found="; ".join(told[:3]), accepted="a run begun by a scan")
     return vocabulary.add_warning(dataset(frames, plan), *told)
 
@@ -340,7 +346,8 @@ def _opened(path: Path, content: bytes) -> tuple[Mapping[str, Any], NDArray[Any]
 
 
 def _check_labels(path: Path, header: Mapping[str, Any], shot: Shot, plan: Plan) -> None:
-    for keyword, (expected, _) in _planned(shot, plan).items():
+    # The rig first: with another one nothing else need agree.
+    for keyword, (expected, _) in reversed(_planned(shot, plan).items()):
         _check(path, header, keyword, expected, 0.0)
     _check(path, header, "NDPOS", shot.position, 0.0)
     _check(path, header, "WAVELEN", shot.wavelength, WAVELENGTH_TOLERANCE)

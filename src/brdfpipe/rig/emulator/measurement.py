@@ -11,9 +11,10 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
+from brdfpipe.rig import journal as journals
 from brdfpipe.rig.devices import connect
 from brdfpipe.rig.emulator.bench import READOUT, EmulatedRig
-from brdfpipe.rig.plan import Arrangement, Plan
+from brdfpipe.rig.plan import JOURNAL, Arrangement, Plan
 from brdfpipe.rig.scan import Summary, last_finished, scan
 
 
@@ -70,7 +71,9 @@ def take(
         EmulatedRig(plan.rig, truth, seed=seed, session=session) as stand,
         connect(stand.rig, camera=stand.camera) as bench,
     ):
+        operator = f"emulator, seed {seed}, session {session}"
         if resume:
+            _check_same(folder, operator)
             restore(stand, plan, folder)
         return scan(
             plan,
@@ -78,10 +81,22 @@ def take(
             folder,
             clock=stand.clock.now,
             confirm=hands(stand),
-            operator=f"emulator, seed {seed}",
+            operator=operator,
             progress=progress,
             resume=resume,
             say=say,
+        )
+
+
+def _check_same(folder: Path, operator: str) -> None:
+    """Refuse to go on with a run of another rig, or of a real one."""
+    begun = {event.get("operator") for event in journals.read(folder / JOURNAL) if event["event"] == "begun"}
+    if others := begun - {operator}:
+        raise InputError(
+            folder,
+            "holds a run of another rig",
+            found=", ".join(map(str, others)),
+            accepted=f"{operator}, or another --out",
         )
 
 
