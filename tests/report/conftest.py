@@ -6,10 +6,13 @@ import json
 
 import numpy as np
 import pytest
+import rig_primary
+import samples
 import xarray as xr
 
 from brdfpipe import facets, store, vocabulary
 from brdfpipe.bsdf import microfacet
+from brdfpipe.rig import completion, smoothing
 
 Datasets = dict[str, xr.Dataset]
 
@@ -164,3 +167,16 @@ def full() -> Datasets:
 def line() -> xr.Dataset:
     """A line profile."""
     return surface_line()
+
+
+@pytest.fixture(scope="session")
+def smoothed_on_rig() -> xr.Dataset:
+    """A plastic that a rig measured at 10, 30 and 60 degree."""
+    truth = rig_primary.of_model(samples.beckmann_bsdf(0.1, n=1.5).bsdf.nonspectral())
+    return smoothing.smooth(rig_primary.measured(truth, (10.0, 30.0, 60.0), (500.0, 550.0), noise=0.01))
+
+
+@pytest.fixture(scope="session")
+def on_rig(smoothed_on_rig: xr.Dataset) -> xr.Dataset:
+    """The same in all directions."""
+    return completion.complete(smoothed_on_rig).assign_attrs(route="measured")

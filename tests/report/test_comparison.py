@@ -45,10 +45,41 @@ def test_a_figure_shows_the_cells_near_the_plane_that_were_measured(compared) ->
     figure = page.figures(compared)[2]
     turn = (compared["phi_s"].values + 90) % 180 - 90
     near = (np.abs(turn) < 12) & np.isfinite(compared["brdf"].values[1, 1])
-    (dots,) = re.findall(r'class="p c0" d="([^"]*)"', figure.svg)
+    (dots,) = re.findall(r'class="p c0 tiny" d="([^"]*)"', figure.svg)
     assert dots.count("h0") == near.sum() > 20
     nothing = compared.assign(brdf=compared["brdf"] * np.nan)
     assert [each.title for each in page.figures(nothing)] == ["Measured over modelled BRDF"]
+
+
+def test_every_bar_of_the_differences_lies_within_its_frame_or_is_counted(compared) -> None:
+    for figure in page.figures(compared)[1:]:
+        _, below = (
+            figure.svg.split("</svg></svg>", 1) if "</svg></svg>" in figure.svg else figure.svg.rsplit("<svg class", 1)
+        )
+        tall = float(re.search(r'<svg x="\d+" y="\d+" width="\d+" height="(\d+)">', below)[1])
+        bars = re.findall(r'<path class="l c[12] thin" d="([^"]*)"', below)
+        ends = np.array([float(y) for data in bars for y in re.findall(r"[ML][-\d.]+ ([-\d.]+)", data)])
+        assert len(bars) == 2
+        assert ends.size > 80
+        outside = int(((ends < 0) | (ends > tall)).sum())
+        assert outside == 0 or "Beyond the lower axis" in figure.note
+
+
+def test_a_difference_of_the_measured_to_a_model_is_drawn_with_its_uncertainty(compared) -> None:
+    figure = page.figures(compared)[2]
+    one = compared.sel(model="adjusted").isel(incidence=1).sel(wavelength=540)
+    turn = (one["phi_s"].values + 90) % 180 - 90
+    one = one.isel(cell=np.flatnonzero((np.abs(turn) < 12) & np.isfinite(one["brdf"].values)))
+    below = figure.svg.rsplit('<svg class="fig"', 1)[1]
+    (data,) = re.findall(r'<path class="l c2 thin" d="([^"]*)"', below)
+    low, high = np.array([float(y) for y in re.findall(r"[ML][-\d.]+ ([-\d.]+)", data)]).reshape(-1, 2).T
+    tall = float(re.search(r'<svg x="\d+" y="\d+" width="\d+" height="(\d+)">', below)[1])
+    ratio = (one["brdf"] / one["brdf_model"]).values
+    u = (one["brdf_u"] / one["brdf_model"]).values
+    # Half of the frame is the largest difference shown: its scale follows from one bar, and all others with it.
+    scale = (low - high) / (2 * u)
+    assert scale == pytest.approx(np.full(u.size, np.median(scale)), rel=0.15)
+    assert np.sort(tall / 2 - (low + high) / 2) == pytest.approx(np.sort((ratio - 1) * np.median(scale)), abs=0.3)
 
 
 def test_the_inputs_are_told_before_and_after(compared) -> None:

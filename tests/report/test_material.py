@@ -540,3 +540,79 @@ def test_a_recovered_spectrum_stands_with_its_residual_and_what_other_light_may_
     alone = _Page(material_page({"spectrum": recover([70, -55, -45], illuminant="D65", observer=10)})).text
     assert "no other exact method reaches the colour" in alone
     assert "ΔE*ab to the colour given" not in _Page(material_page(full)).text
+
+
+def _with_basis(full: Datasets, *flags: str) -> xr.Dataset:
+    values = [vocabulary.quality(flag) for flag in flags]
+    return full["appearance"].assign(gloss_quality=("gloss_angle", np.array(values, dtype=np.int8)))
+
+
+def test_the_gloss_says_what_it_rests_on(full: Datasets) -> None:
+    told = _with_basis(full, "interpolated", "measured", "completed")
+    html = material_page({**full, "appearance": told})
+    rows = dict(re.findall(r'<th scope="row">((?:20|60|85)°)</th><td>[\d.]+</td><td>(\w+)</td>', html))
+    assert rows == {"20°": "interpolated", "60°": "measured", "85°": "completed"}
+    assert re.search(r'<th scope="row">60° − 20°</th><td>[\d.]+</td><td>interpolated</td>', html)
+    assert html.count("D523-style (completed)</span>") == 1
+    assert html.count("D523-style</span>") == 2
+
+
+def test_a_haze_of_a_gloss_that_was_not_measured_was_not_either(full: Datasets) -> None:
+    glossy = _with_basis(full, "extrapolated", "measured", "measured")
+    glossy = glossy.assign(gloss=("gloss_angle", [70.0, 90.0, 95.0]), haze=20.0)
+    assert "D4039-style (extrapolated)</span>" in material_page({**full, "appearance": glossy})
+
+
+def test_gloss_of_a_model_has_no_basis(full: Datasets) -> None:
+    html = material_page(full)
+    assert '<th scope="col">Basis</th>' not in html
+    assert "D523-style</span>" in html
+
+
+@pytest.mark.parametrize(
+    ("title", "column"), [("from tolerances", "Tolerances"), ("from tolerances and the BSDF", "Uncertainty")]
+)
+def test_the_uncertainty_of_gloss_says_whether_the_bsdf_s_own_is_in_it(full: Datasets, title: str, column: str) -> None:
+    u = xr.Variable("gloss_angle", np.full(3, 0.25), {"long_name": f"standard uncertainty of gloss, {title}"})
+    html = material_page({**full, "appearance": full["appearance"].assign(gloss_u=u)})
+    assert f'<th scope="col">{column}</th>' in html
+
+
+def _measured_page(full: Datasets, on_rig: xr.Dataset) -> str:
+    return material_page({**full, "bsdf": on_rig, "predicted": full["bsdf"]})
+
+
+def test_what_a_prediction_starts_from_is_no_measured_result(full: Datasets, on_rig: xr.Dataset) -> None:
+    html = _measured_page(full, on_rig)
+    headings = re.findall(r"<h2>([^<]*)</h2>", html)
+    for title in ("Spectrum and index", "Surface", "Facets"):
+        assert f"{title} of the prediction" in headings
+        assert title not in headings
+    assert headings.index("Checks") < headings.index("Spectrum and index of the prediction")
+    colour, after = headings.index("Colour"), html.split("<h2>Colour</h2>")[1].split("<h2>")[0]
+    assert colour < headings.index("Checks")
+    assert "<figcaption>Spectrum</figcaption>" not in after
+    assert "nothing above rests on it" in html
+
+
+def test_headline_facts_of_a_prediction_are_marked(full: Datasets, on_rig: xr.Dataset) -> None:
+    facts = dict(
+        re.findall(r"<dt>([^<]*)</dt><dd>.*?<span class=\"hint\">([^<]*)</span>", _measured_page(full, on_rig))
+    )
+    assert facts["rms slope"].startswith("of the prediction, all azimuths")
+    assert facts["Sq"] == "of the prediction, rms height"
+    plain = dict(re.findall(r"<dt>([^<]*)</dt><dd>.*?<span class=\"hint\">([^<]*)</span>", material_page(full)))
+    assert plain["Sq"] == "rms height"
+    assert "of the prediction" not in material_page(full)
+
+
+def test_a_warning_of_a_prediction_says_whose_it_is(full: Datasets, on_rig: xr.Dataset) -> None:
+    measured = {**full, "bsdf": on_rig, "predicted": full["bsdf"]}
+    assert "spectrum (of the prediction)" in {each.name for each in verdicts(measured)}
+    assert "spectrum" in {each.name for each in verdicts(full)}
+
+
+def test_the_total_of_a_measurement_is_not_that_of_the_spectrum_given_for_a_prediction(
+    full: Datasets, on_rig: xr.Dataset
+) -> None:
+    assert np.isnan(luminous_reflectance({"spectrum": full["spectrum"], "bsdf": on_rig}))

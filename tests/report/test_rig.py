@@ -15,8 +15,8 @@ from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.report import indicatrix, pages, rig, rig_figures, rig_fit
 from brdfpipe.report.cards import Table
 from brdfpipe.report.svg import Figure
+from brdfpipe.rig import calibration, completion, smoothing, thumbnails
 from brdfpipe.rig import cells as celled
-from brdfpipe.rig import completion, smoothing, thumbnails
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.screen import cos_view
 from brdfpipe.rig.starting import start
@@ -95,12 +95,21 @@ def _reduced(bench: Rig, primary: xr.Dataset, incidence: float) -> xr.Dataset:
     picture = (weights.T @ light).reshape(bench.camera.height, bench.camera.width)
     elapsed = 60 * (incidence + np.array([0.0, 5.0]))
     looks = {
-        "drift_elapsed": ("look", elapsed, {"units": "s", "long_name": "time since the start of the run"}),
-        "drift_reference": ("look", 9e4 * (1 + elapsed / 1e5), {"units": "s-1", "long_name": "electrons per second"}),
-        "drift_reference_u": ("look", np.full(2, 90.0), {"units": "s-1", "long_name": "its standard uncertainty"}),
+        "drift_elapsed": ("look", elapsed),
+        "drift_wavelength": ("look", np.full(2, 550.0)),
+        "drift_reference": ("look", 9e4 * (1 + elapsed / 1e5)),
+        "drift_reference_u": ("look", np.full(2, 90.0)),
     }
+    # Between the looks; at 500 nm there is more light, which is no drift.
+    time = elapsed.mean() + np.array([[-30.0, 30.0]])
+    bracket = {
+        "elapsed": time,
+        "reference": [9.9e4, 9e4] * (1 + time / 1e5),
+        "reference_u": np.full((1, len(WAVELENGTHS)), 50.0),
+    }
+    spectral = ("incidence", "wavelength")
     reduced = xr.Dataset(
-        {"signal": own["brdf"], "reference": (("incidence", "wavelength"), np.full((1, len(WAVELENGTHS)), 9e4))}
+        {"signal": own["brdf"]} | {name: (spectral, each) for name, each in bracket.items()}
     ).drop_attrs()
     reduced = reduced.assign(thumbnails.drawing(picture, bench, bench.screen, weights)).assign(looks)
     attrs = {**own.attrs, "load": "sample", "camera": "ASI 174", "registration_spots": 99, "registration_u": 0.002}
@@ -109,16 +118,25 @@ def _reduced(bench: Rig, primary: xr.Dataset, incidence: float) -> xr.Dataset:
     return vocabulary.validate(vocabulary.label(reduced.assign_attrs(attrs), "reduced"), "reduced")
 
 
-def _calibration(bench: Rig) -> xr.Dataset:
+def _calibration(bench: Rig, changes: tuple[float, ...] = (0.0, 0.004, -0.002)) -> xr.Dataset:
+    """A profile at the end of a chart of levels; the spectrum of the last one leans by half of its own."""
     cells = celled.cells_of(bench)
     scale = np.ones((len(WAVELENGTHS), len(cells.names)))
     scale[:, 3] = np.nan  # F004, which faces the etalon
     coords = {"cell": np.array(cells.names), "kind": ("cell", np.array(cells.kinds))}
     coords |= {name: ("cell", getattr(cells, name)) for name in ("theta_s", "phi_s")}
     coords |= {"incidence": np.array([10.0]), "wavelength": np.array(WAVELENGTHS)}
-    fields = {"cell_scale": (("wavelength", "cell"), scale), "path": ("incidence", np.ones(1))}
+    fields = {
+        "cell_scale": (("wavelength", "cell"), scale),
+        "path": (("incidence", "wavelength"), np.ones((1, len(WAVELENGTHS)))),
+    }
     attrs = {"certificate": "PTB-1", "day": "2026-03-02", "rig_digest": "0", "valid_days": 90}
     profile = xr.Dataset({**fields, "lamp": ("wavelength", np.full(len(WAVELENGTHS), 9e4))}, coords, attrs)
+    change = np.outer(changes, np.ones(len(WAVELENGTHS)))
+    change[-1] += 0.5 * np.abs(changes[-1]) * np.array([1, -1])
+    count = len(changes)
+    names, days = (np.array([f"{word}{number}" for number in range(1, count + 1)]) for word in ("bench-", "2026-03-0"))
+    profile = profile.assign(calibration._chart(names, days, change, profile["wavelength"].values))
     return vocabulary.validate(vocabulary.label(profile, "calibration"), "calibration")
 
 
@@ -161,7 +179,7 @@ def test_a_material_that_no_rig_measured_has_no_chapter() -> None:
 
 def test_every_figure_is_well_formed(run: Datasets) -> None:
     figures = list(_figures(_chapter(run)))
-    assert len(figures) == 11
+    assert len(figures) == 12
     for figure in figures:
         ElementTree.fromstring(f"<div>{figure.svg}</div>")
         drawn = re.sub(r"base64,[^\"]*", "", str(figure.svg))
@@ -169,8 +187,8 @@ def test_every_figure_is_well_formed(run: Datasets) -> None:
         assert not re.search(r"nan|inf\b", drawn)
 
 
-def test_six_incidences_take_less_than_150_kb(six: Datasets) -> None:
-    assert len(_page(six).encode()) < 150_000
+def test_six_incidences_take_less_than_160_kb(six: Datasets) -> None:
+    assert len(_page(six).encode()) < 160_000
 
 
 def test_equal_data_gives_equal_bytes_also_when_stored(run: Datasets, tmp_path: Path) -> None:
@@ -237,7 +255,7 @@ def test_both_sides_of_a_sample_have_their_parts(run: Datasets) -> None:
 
 def test_data_of_before_pictures_and_looks_were_kept_still_has_a_chapter(run: Datasets) -> None:
     bare = {
-        name: each.drop_vars([part for part in ("picture", "drift_reference", "drift_elapsed") if part in each])
+        name: each.drop_vars(["picture", "elapsed", "reference_u"], errors="ignore").drop_dims("look", errors="ignore")
         for name, each in run.items()
         if name != "calibration"
     }
@@ -355,11 +373,83 @@ def test_an_outline_is_a_circle_about_the_fibre(run: Datasets) -> None:
 # --- the lamp
 
 
+def _lamp(datasets: Datasets) -> Figure:
+    return next(each for each in _chapter(datasets).run if isinstance(each, Figure))
+
+
 def test_the_drift_of_the_lamp_is_told_against_its_first_look(run: Datasets) -> None:
-    looks = next(each for each in _chapter(run).run if isinstance(each, Figure))
-    # From 10 to 50 minutes, at 1e-5 a second on 1.006.
-    assert "4 looks" in looks.note
-    assert f"{100 * 2400e-5 / 1.006:.1f}\u202f%" in looks.note
+    figure = _lamp(run)
+    # From 10 to 50 minutes, at 1e-5 a second on 1.006; two looks and a bracket of either incidence.
+    assert "at 550\u202fnm: 6 values" in figure.note
+    assert f"{100 * 2400e-5 / 1.006:.1f}\u202f%" in figure.note
+    assert [label for _, _, label in figure.legend] == ["10°", "45°"]
+    line = _points(_paths(figure.svg, "l ref")[0])
+    # What grows evenly lies on one line, looks and brackets alike.
+    slope, start = np.polyfit(line[:, 0], line[:, 1], 1)
+    assert line[:, 1] == pytest.approx(start + slope * line[:, 0], abs=0.2)
+    for style in ("c0", "c2"):
+        assert _paths(figure.svg, f"p {style}")[0].count("h0") == 3
+
+
+def test_without_looks_the_brackets_tell_of_the_lamp(run: Datasets) -> None:
+    figure = _lamp({name: each.drop_dims("look", errors="ignore") for name, each in run.items()})
+    # At 500 nm, of most light, half a minute before the middle.
+    assert "at 500\u202fnm: 2 values" in figure.note
+    assert f"{100 * 2100e-5 / (1 + 720e-5):.1f}\u202f%" in figure.note
+
+
+def test_what_the_lamp_may_change_by_is_drawn(run: Datasets) -> None:
+    assert not _paths(_lamp(run).svg, "l c3 d")
+    told = {name: each.assign_attrs(drift_tolerance=0.03) for name, each in run.items()}
+    figure = _lamp(told)
+    assert len(_paths(figure.svg, "l c3 d")) == 2
+    assert "±\u202f3\u202f%" in figure.note
+
+
+def test_a_session_of_hours_is_told_in_hours(run: Datasets) -> None:
+    assert "run, min<" in _lamp(run).svg
+    late = run["reduced-sample-reflection-45"].copy(deep=True)
+    late["drift_elapsed"] = late["drift_elapsed"] + 10_000
+    assert "run, h<" in _lamp({**run, "reduced-sample-reflection-45": late}).svg
+
+
+# --- the profiles
+
+
+def _profiles(run: Datasets, profile: xr.Dataset) -> Figure:
+    return [each for each in _chapter({**run, "calibration": profile}).run if isinstance(each, Figure)][1]
+
+
+def test_the_chart_of_the_profiles_shows_their_level_and_their_limits(run: Datasets, bench: Rig) -> None:
+    profile = _calibration(bench, (0.0, 0.004, -0.002, 0.006))
+    figure = _profiles(run, profile)
+    level, spectrum = (_points(_paths(figure.svg, f"l {style}")[0]) for style in ("c0", "c2"))
+    band = _points(_paths(figure.svg, "b c0")[0])
+    ticks = re.findall(r'<text x="48.0" y="([\d.]+)" text-anchor="end">([−\d.]+)</text>', str(figure.svg))
+    places, values = np.array([(float(at) - 4 - 28, float(value.replace("−", "-"))) for at, value in ticks]).T
+    slope, start = np.polyfit(places, values, 1)
+    assert start + slope * level[:, 1] == pytest.approx([0, 0.4, -0.2, 0.6], abs=0.02)
+    assert abs(start + slope * spectrum[-1, 1]) == pytest.approx(0.3, abs=0.02)
+    at = profile.sel(watched="level").isel(profile=-1)
+    middle = 0.006 - float(at["change"])
+    assert start + slope * band[:, 1].max() == pytest.approx(-100 * 0.0424, abs=0.1)  # the second, against one alone
+    limit = 100 * (middle + float(at["limit"]))
+    assert start + slope * band[len(band) // 2 - 1, 1] == pytest.approx(limit, abs=0.1)
+    assert figure.note.startswith("From 1, bench-1 of 2026-03-01, to 4, bench-4 of 2026-03-04, which is in use")
+    assert figure.note.endswith("None is beyond them.")
+
+
+def test_violations_are_marked_and_named(run: Datasets, bench: Rig) -> None:
+    figure = _profiles(run, _calibration(bench, (0.0, 0.001, 0.09, -0.001, 0.002)))
+    assert _paths(figure.svg, "p c3")[0].count("h0") == 1
+    assert figure.note.endswith("Violations: bench-3 of 2026-03-03.")
+    assert "violation" in [label for _, _, label in figure.legend]
+
+
+def test_one_profile_alone_says_how_to_get_a_chart(run: Datasets, bench: Rig) -> None:
+    figure = _profiles(run, _calibration(bench, (0.0,)))
+    assert not figure.svg
+    assert "`previous` in calibration.yaml" in figure.note
 
 
 # --- the uncertainty
@@ -546,3 +636,31 @@ def test_the_lobe_of_a_chapter_is_that_of_the_incidence_nearest_45(run: Datasets
     lobe = _chapter(run).lobe
     assert lobe is not None
     assert lobe.title == "3-D lobe at 45° incidence"
+
+
+def test_the_chapter_shows_reciprocity(run: Datasets) -> None:
+    completed = completion.complete(run["smoothed-reflection"])
+    figure = _chapter({**run, "bsdf": completed}).reciprocity
+    assert figure is not None
+    assert figure.title in _page({**run, "bsdf": completed})
+    assert _chapter({**run, "bsdf": beckmann_bsdf()}).reciprocity is None
+
+
+def test_the_axis_of_differences_holds_all_bars_but_for_a_few_far_out() -> None:
+    off, u = np.linspace(-2.0, 2.0, 40), np.full(40, 0.5)
+    axis, words = rig_fit.about_zero("", off, u)
+    assert axis.high == -axis.low > 2.5
+    assert words == ""
+    axis, words = rig_fit.about_zero("", np.r_[off, 40.0], np.r_[u, 0.5])
+    assert 2.5 < axis.high < 8
+    assert words == " Beyond the lower axis: 1 value."
+    axis, words = rig_fit.about_zero("", np.r_[off, 1.0], np.r_[u, 60.0])
+    assert 2.5 < axis.high < 8
+    assert words == " Beyond the lower axis: ends of 1 bar."
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_the_axis_of_differences_is_never_empty(count: int) -> None:
+    axis, words = rig_fit.about_zero("", np.full(3, np.nan)[:count], np.full(3, np.nan)[:count])
+    assert axis.high >= 1
+    assert words == ""

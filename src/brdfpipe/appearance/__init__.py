@@ -127,6 +127,8 @@ def _with_basis(appearance: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
     if (flags := gloss_quality(bsdf, appearance["gloss_angle"])) is None:
         return appearance
     appearance["gloss_quality"] = flags
+    if own is None:  # the gloss of a paint is that of its clear coat
+        return appearance
     told = {vocabulary.quality(name) for name in ("measured", "interpolated")}
     unseen = [
         f"{angle:g}°" for angle, flag in zip(flags["gloss_angle"].values, flags.values, strict=True) if flag not in told

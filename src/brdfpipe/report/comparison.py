@@ -8,9 +8,10 @@ from typing import Literal
 
 import numpy as np
 import xarray as xr
+from markupsafe import Markup
 
 from brdfpipe import vocabulary
-from brdfpipe.report import scattering
+from brdfpipe.report import rig_fit, scattering
 from brdfpipe.report.cards import Table
 from brdfpipe.report.pages import fixed, number
 from brdfpipe.report.svg import Array, Axis, Figure, Line, Mark, Points, chart, legend
@@ -121,20 +122,39 @@ def _cut(comparison: xr.Dataset) -> Iterator[Figure]:
     for model, drawn in zip(map(str, one["model"].values), one["brdf_model"].values, strict=True):
         style, pattern = _STYLES[model]
         marks.append(Line(angle, _shown(drawn), style, model, pattern))
-    marks.append(Points(angle, _shown(value), one["brdf_u"].values, "c0", "measured ± u"))
-    shown = np.concatenate([value, one["brdf_model"].values.ravel()])
+    u = one["brdf_u"].values
+    marks += [rig_fit.bars(angle, value, u, "c0 thin"), _dots(angle, _shown(value), "c0", "measured ± u")]
+    # A bar that reaches 0 has no lower end on this axis; the upper ends are all to be seen.
+    shown = np.concatenate([value, value + np.nan_to_num(u), one["brdf_model"].values.ravel()])
     title = f"Measured and predicted at {float(one['incidence']):g}°"
-    svg = chart(
-        f"{title} of incidence: BRDF against the angle from the mirror direction, logarithmic",
-        Axis("angle from the mirror direction, °; positive towards the normal", *_ends(angle)),
-        _decades(shown[shown > 0]),
-        marks,
-    )
+    across = Axis("angle from the mirror direction, °; positive towards the normal", *_ends(angle))
+    words = f"{title} of incidence: BRDF against the angle from the mirror direction"
+    svg = chart(f"{words}, logarithmic", across, _decades(shown[shown > 0]), marks)
+    strip, left_out = _strip(words, one, angle, across)
     note = (
         f"Cells within {_BESIDE:g}° of azimuth from the plane of incidence, {scattering.wavelength_words(comparison)}; models are "
-        "drawn through their values at the same cells."
+        "drawn through their values at the same cells. Below: by how much what was measured is above each of them, in its colour; bars "
+        f"are ±\u202f1 standard uncertainty of what was measured.{left_out}"
     )
-    yield Figure(title, svg, legend(marks), note)
+    yield Figure(title, svg + strip, legend(marks), note)
+
+
+def _strip(words: str, one: xr.Dataset, angle: Array, across: Axis) -> tuple[Markup, str]:
+    """Measured less each model in percent of it, with what of it lies beyond the axis, in words."""
+    models = list(map(str, one["model"].values))
+    modelled = np.where(one["brdf_model"].values > 0, one["brdf_model"].values, np.nan)
+    off, u = 100 * (one["brdf"].values / modelled - 1), 100 * one["brdf_u"].values / modelled
+    scale, left_out = rig_fit.about_zero("measured over model less 1, %", off.ravel(), u.ravel())
+    marks: list[Mark] = [Line([across.low, across.high], [0.0, 0.0], "ref")]
+    for model, own, error in zip(models, off, u, strict=True):
+        style, _ = _STYLES[model]
+        marks += [rig_fit.bars(angle, own, error, f"{style} thin"), _dots(angle, own, style)]
+    return chart(f"{words}, difference in percent", across, scale, marks, height=190), left_out
+
+
+def _dots(x: Array, y: Array, style: str, label: str = "") -> Points:
+    """Points small enough to let their bars be seen."""
+    return Points(x, y, np.full(x.size, np.nan), f"{style} tiny", label)
 
 
 def _aspecular(cells: xr.Dataset) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.bsdf import representations
 from brdfpipe.geometry import half_vector
-from brdfpipe.report import scattering
+from brdfpipe.report import reach, scattering
 from brdfpipe.report.pages import fixed, number
 from brdfpipe.report.raster import Ticks, disc, false_colour, on_disc
 from brdfpipe.report.scattering import Plane
@@ -88,7 +88,16 @@ def _map(bsdf: xr.Dataset, plane: Plane, through: bool) -> Figure | None:
         ticks,
         _signs(MAP_INCIDENCE, peak, _lay_turn(bsdf, plane)),
     )
-    return Figure(title, svg, note=_map_words(bsdf, plane, through, float(positive.max()), positive.size < values.size))
+    note = _map_words(bsdf, plane, through, float(positive.max()), positive.size < values.size)
+    return Figure(title, svg, note=note + _unmeasured(bsdf, plane, polar, pixels.turn))
+
+
+def _unmeasured(bsdf: xr.Dataset, plane: Plane, polar: Array, turn: Array) -> str:
+    """How much of a map was not measured; empty of a BSDF that rests on a model."""
+    flags = reach.quality(bsdf, plane, MAP_INCIDENCE, polar, turn)
+    if flags is None or (told := reach.known(flags)).all():
+        return ""
+    return f" {_percent(1 - float(told.mean()))} of the disc was neither measured nor lies between what was."
 
 
 def _colours(positive: Array) -> tuple[float, float, int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,7 @@ from markupsafe import Markup
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import representations
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.report import comparison, dispersion, effect, figures, finish, lobes, reflection, rig, scattering
+from brdfpipe.report import comparison, dispersion, effect, figures, finish, lobes, reach, reflection, rig, scattering
 from brdfpipe.report.cards import Table
 from brdfpipe.report.pages import MISSING, colour, fixed, grouped, number, render
 from brdfpipe.report.svg import Figure, png, sentence
@@ -65,6 +65,20 @@ _CHECKS = (
     "floor",
 )
 _COUNTS = ("facet_count", "effective_count")
+
+_OF_PREDICTION = (
+    "surface",
+    "facets",
+    "back_surface",
+    "back_facets",
+    "masking",
+    "spectrum",
+    "index",
+    "interior",
+    "multiangle",
+    "flake",
+)
+"""Stages that a BRDF which was measured does not rest on: they tell what it is compared with."""
 
 HIGH_GLOSS = 70.0
 """Gloss units at 60° above which haze means something: ASTM D4039 is for high-gloss nonmetallic surfaces."""
@@ -119,6 +133,9 @@ class Section:
     tables: list[Table] = field(default_factory=list)
     verdicts: list[Verdict] = field(default_factory=list)
 
+    def __bool__(self) -> bool:
+        return bool(self.figures or self.tables or self.verdicts)
+
 
 def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> str:
     """The report of one material, one self-contained HTML file.
@@ -134,15 +151,10 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
     """
     known = {stage: datasets[stage] for stage in STAGES if stage in datasets}
     numbers = _surface_parameters(known.get("surface"))
-    sections = [
-        _appearance(known),
-        _spectral(known),
-        _effect(known),
-        _relief(known, numbers),
-        _finish(known),
-        _fit(known),
-        _quality(known),
-    ]
+    inputs = [_effect(known), _relief(known, numbers), _finish(known)]
+    prediction = [_spectral(known), *inputs] if _is_measured(known) else []
+    own = [] if _is_measured(known) else inputs
+    sections = [_appearance(known), _colour(known), *own, _fit(known), _quality(known)]
     found = verdicts(known)
     return render(
         "material.html.j2",
@@ -155,11 +167,12 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
         verdicts=found,
         facts=list(_facts(known, numbers)),
         limits=list(_limits(known)),
-        warnings=[(_words(stage), text) for stage, text in stage_warnings(known)],
-        sections=[section for section in sections if section.figures or section.tables or section.verdicts],
+        warnings=[(_stage_words(known, stage), text) for stage, text in stage_warnings(known)],
+        sections=[section for section in sections if section],
+        prediction=[section for section in prediction if section],
         rig=rig.chapter(datasets),
         comparison=comparison.chapter(datasets.get("comparison")),
-        provenance=[_provenance(stage, dataset) for stage, dataset in known.items()],
+        provenance=[_provenance(_stage_words(known, stage), dataset) for stage, dataset in known.items()],
     )
 
 
@@ -191,7 +204,13 @@ def _doubts(datasets: Mapping[str, xr.Dataset]) -> list[Verdict]:
     told: dict[str, list[str]] = {}
     for stage, text in stage_warnings({stage: each for stage, each in datasets.items() if stage not in _DERIVED}):
         told.setdefault(stage, []).append(text.strip().removesuffix("."))
-    return [Verdict(_words(stage), "warn", "; ".join(texts)) for stage, texts in told.items()]
+    return [Verdict(_stage_words(datasets, stage), "warn", "; ".join(texts)) for stage, texts in told.items()]
+
+
+def _stage_words(datasets: Mapping[str, xr.Dataset], stage: str) -> str:
+    """A stage in words, which tell where it is but what a measurement is compared with."""
+    inputs = _is_measured(datasets) and stage in _OF_PREDICTION
+    return f"{_words(stage)} (of the prediction)" if inputs else _words(stage)
 
 
 def _checked(datasets: Mapping[str, xr.Dataset]) -> list[Verdict]:
@@ -228,10 +247,14 @@ def no_gloss(datasets: Mapping[str, xr.Dataset]) -> str:
     return f"{why[:1].upper()}{why[1:]}." if why else ""
 
 
+_HAZE_ANGLES = (20.0, 60.0)
+"""Gloss geometries of D4039."""
+
+
 def no_haze(datasets: Mapping[str, xr.Dataset]) -> str:
     """Why D4039 does not apply, or what it would need is missing; empty where it does."""
     gloss = dict(_gloss(datasets.get("appearance")))
-    if (why := no_gloss(datasets)) or not {20.0, 60.0} <= set(gloss):
+    if (why := no_gloss(datasets)) or not set(_HAZE_ANGLES) <= set(gloss):
         return why or "D4039 takes the gloss at 20° and at 60°, which were not both computed."
     if _metallic(datasets.get("bsdf")):
         return "D4039 is for nonmetallic surfaces, and this one is a metal."
@@ -258,9 +281,8 @@ def luminous_reflectance(datasets: Mapping[str, xr.Dataset]) -> float:
     if "appearance" in datasets and "luminous_reflectance" in datasets["appearance"]:
         return float(datasets["appearance"]["luminous_reflectance"])
     # The BSDF's first: a spectrum measured with the specular excluded is not the total.
-    holder = next(
-        (datasets[s] for s in ("bsdf", "spectrum") if s in datasets and "total_reflectance" in datasets[s]), None
-    )
+    stages = ("bsdf",) if _is_measured(datasets) else ("bsdf", "spectrum")
+    holder = next((datasets[s] for s in stages if s in datasets and "total_reflectance" in datasets[s]), None)
     if holder is None or holder.attrs.get("geometry") == "sce":
         return math.nan
     reflectance = holder["total_reflectance"]
@@ -303,11 +325,13 @@ def _look(picture: xr.Dataset | None) -> Figure | None:
 def _facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Iterator[Fact]:
     appearance = datasets.get("appearance")
     if not no_gloss(datasets):
+        flags = _gloss_basis(appearance)
         yield from (
-            Fact(f"Gloss {angle:g}°", fixed(value, 1), "GU", "D523-style") for angle, value in _gloss(appearance)
+            Fact(f"Gloss {angle:g}°", fixed(value, 1), "GU", f"D523-style{_unmeasured(flags, angle)}")
+            for angle, value in _gloss(appearance)
         )
         if math.isfinite(haze(datasets)):
-            yield Fact("Haze", fixed(haze(datasets), 1), "GU", "D4039-style")
+            yield Fact("Haze", fixed(haze(datasets), 1), "GU", f"D4039-style{_unmeasured(flags, *_HAZE_ANGLES)}")
     lab = primary_lab(appearance)
     if lab is not None:
         geometry, values = lab
@@ -330,15 +354,18 @@ def _transmittance_fact(bsdf: xr.Dataset | None) -> Iterator[Fact]:
 
 
 def _roughness_facts(datasets: Mapping[str, xr.Dataset], numbers: Mapping[str, xr.DataArray]) -> Iterator[Fact]:
+    whose = "of the prediction, " if _is_measured(datasets) else ""
     for height in ("Sq", "Rq"):
         if height in numbers:
-            yield Fact(height, *_length(float(numbers[height])), "rms height")
+            yield Fact(height, *_length(float(numbers[height])), f"{whose}rms height")
     facets = datasets.get("facets", datasets.get("bsdf"))
     if facets is not None and "slope_rms" in facets and math.isfinite(float(facets["slope_rms"])):
-        hint = f"all azimuths, {number(math.degrees(math.atan(float(facets['slope_rms']))), 2)}°"
+        hint = f"{whose}all azimuths, {number(math.degrees(math.atan(float(facets['slope_rms']))), 2)}°"
         yield Fact("rms slope", number(float(facets["slope_rms"])), "", hint)
     if facets is not None and "slope_along" in facets.dims and "anisotropy" in facets:
-        hint = f"lay {finish.axis_degrees(float(facets['lay']))}" if "lay" in facets else ""
+        hint = (
+            f"{whose}lay {finish.axis_degrees(float(facets['lay']))}" if "lay" in facets else whose.removesuffix(", ")
+        )
         yield Fact("Anisotropy", number(float(facets["anisotropy"])), "", hint)
 
 
@@ -389,6 +416,11 @@ def _route_words(datasets: Mapping[str, xr.Dataset]) -> str:
 def route(datasets: Mapping[str, xr.Dataset]) -> str:
     """How the BRDF came about."""
     return str(datasets["bsdf"].attrs.get("route", "predicted")) if "bsdf" in datasets else "predicted"
+
+
+def _is_measured(datasets: Mapping[str, xr.Dataset]) -> bool:
+    """Whether stages of a prediction, if there are any, tell what a measurement is compared with, and not what the page is of."""
+    return route(datasets) == "measured"
 
 
 def basis(datasets: Mapping[str, xr.Dataset]) -> str:
@@ -480,22 +512,60 @@ def _gloss_table(datasets: Mapping[str, xr.Dataset]) -> Table | None:
     if why := no_gloss(datasets):
         angles = ", ".join(f"{angle:g}°" for angle, _ in gloss)
         return Table("Gloss", header, [(angles, "not modelled")], why)
-    spread = _spread(appearance)
-    rows = [(f"{angle:g}°", fixed(value, 2), spread.get(angle, "")) for angle, value in gloss]
+    spread, flags = _spread(appearance), _gloss_basis(appearance)
+    rows = [(f"{angle:g}°", fixed(value, 2), spread.get(angle, ""), flags.get(angle, "")) for angle, value in gloss]
     if appearance is not None and "haze" in appearance and np.isfinite(appearance["haze"]):
         title = "60° − 20°" if no_haze(datasets) else "Haze (D4039-style), 60° − 20°"
-        rows.append((title, fixed(float(appearance["haze"]), 2), _with_sign(appearance.get("haze_u"))))
+        u = _with_sign(appearance.get("haze_u"))
+        rows.append((title, fixed(float(appearance["haze"]), 2), u, _worst(flags, *_HAZE_ANGLES)))
     if appearance is not None and "reflectance_haze" in appearance:
         beside = appearance["reflectance_haze"]
         doubts = appearance.get("reflectance_haze_u", xr.full_like(beside, np.nan))
         found = zip(_labels(beside, "haze_window"), beside.values.tolist(), doubts, strict=True)
-        rows += [(f"Haze (ISO 13803-style), {window}", fixed(value, 2), _with_sign(u)) for window, value, u in found]
-    note = "D523-style: computed from the model with the standard's apertures; conformance is not claimed."
+        rows += [
+            (f"Haze (ISO 13803-style), {window}", fixed(value, 2), _with_sign(u), "") for window, value, u in found
+        ]
+    note = "D523-style: computed from the BRDF with the standard's apertures; conformance is not claimed."
     note += _coat_words(datasets.get("bsdf"))
-    if not spread:
-        return Table("Gloss", header, [row[:2] for row in rows], note)
-    words = " Tolerances: standard uncertainty that those of the apertures and axes leave; the BRDF's own comes on top."
-    return Table("Gloss", (*header, "Tolerances"), rows, note + words)
+    title, words = _spread_words(appearance)
+    columns = [0, 1]
+    if spread:
+        columns, header, note = [*columns, 2], (*header, title), note + words
+    if flags:
+        columns, header, note = [*columns, 3], (*header, "Basis"), f"{note} {_basis_note(flags.values())}"
+    return Table("Gloss", header, [[row[column] for column in columns] for row in rows], note)
+
+
+def _spread_words(appearance: xr.Dataset | None) -> tuple[str, str]:
+    """What the uncertainty of gloss is of: a title, and a sentence."""
+    own = appearance is not None and "BSDF" in str(appearance.get("gloss_u", xr.DataArray()).attrs.get("long_name", ""))
+    tolerances = "standard uncertainty that the tolerances of apertures and axes leave"
+    if own:
+        return (
+            "Uncertainty",
+            f" Uncertainty: {tolerances}, of gloss together with the BRDF's own, which comes on top of that of haze.",
+        )
+    return "Tolerances", f" Tolerances: {tolerances}; the BRDF's own comes on top."
+
+
+def _gloss_basis(appearance: xr.Dataset | None) -> dict[float, str]:
+    """What gloss rests on by geometry, of ``QUALITY_FLAGS``; empty of a BSDF that rests on a model."""
+    if appearance is None or "gloss_quality" not in appearance:
+        return {}
+    flags = [vocabulary.QUALITY_FLAGS[flag] for flag in appearance["gloss_quality"].values]
+    return dict(zip(appearance["gloss_angle"].values.tolist(), flags, strict=True))
+
+
+def _worst(flags: Mapping[float, str], *angles: float) -> str:
+    """The flag of what rests on several geometries; empty where none has one."""
+    found = [flags[angle] for angle in angles if angle in flags]
+    return max(found, key=vocabulary.QUALITY_FLAGS.index, default="")
+
+
+def _unmeasured(flags: Mapping[float, str], *angles: float) -> str:
+    """What follows a hint: that some geometry was not measured, and what it is instead."""
+    flag = _worst(flags, *angles)
+    return f" ({flag})" if flag and flag not in reach.KNOWN else ""
 
 
 def _coat_words(bsdf: xr.Dataset | None) -> str:
@@ -527,17 +597,23 @@ def _gloss(appearance: xr.Dataset | None) -> list[tuple[float, float]]:
     return [(angle, value) for angle, value in zip(angles, values, strict=True) if math.isfinite(value)]
 
 
+def _colour(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """The colours, and the spectrum and index that they follow from, if they do."""
+    inputs = Section("") if _is_measured(datasets) else _spectral(datasets)
+    appearance = datasets.get("appearance")
+    colours = [_lab_table(appearance)] if appearance is not None and "lab" in appearance else []
+    return Section("Colour", inputs.figures, [*inputs.tables, *colours])
+
+
 def _spectral(datasets: Mapping[str, xr.Dataset]) -> Section:
-    section = Section("Colour")
+    section = Section("Spectrum and index")
+    modelled = datasets.get("predicted" if _is_measured(datasets) else "bsdf")
     if "spectrum" in datasets:
-        section.figures.append(figures.spectrum(datasets["spectrum"], datasets.get("bsdf")))
+        section.figures.append(figures.spectrum(datasets["spectrum"], modelled))
         recovered = _recovery_table(datasets["spectrum"])
         section.tables += [recovered] if recovered else []
-    appearance = datasets.get("appearance")
-    if appearance is not None and "lab" in appearance:
-        section.tables.append(_lab_table(appearance))
     if "index" in datasets:
-        section.figures += dispersion.dispersion(datasets["index"], datasets.get("bsdf"))
+        section.figures += dispersion.dispersion(datasets["index"], modelled)
         section.tables += [_index_table(datasets["index"])] if dispersion.dispersive(datasets["index"]) else []
     return section
 
@@ -573,6 +649,10 @@ _BASIS = {
 }
 
 
+def _basis_note(flags: Collection[str]) -> str:
+    return "Basis: " + "; ".join(f"{flag}, {_BASIS[flag]}" for flag in _BASIS if flag in flags) + "."
+
+
 def _lab_table(appearance: xr.Dataset) -> Table:
     names, values = _labels(appearance["lab"], "geometry"), appearance["lab"].values.tolist()
     doubts = appearance.get("lab_u", xr.full_like(appearance["lab"], np.nan)).values.tolist()
@@ -594,7 +674,7 @@ def _lab_table(appearance: xr.Dataset) -> Table:
     if "lab_quality" in appearance:
         flags = [vocabulary.QUALITY_FLAGS[flag] for flag in appearance["lab_quality"].values]
         header, rows = (*header, "Basis"), [(*row, flag) for row, flag in zip(rows, flags, strict=True)]
-        notes.append("Basis: " + "; ".join(f"{flag}, {_BASIS[flag]}" for flag in _BASIS if flag in flags) + ".")
+        notes.append(_basis_note(flags))
     return Table(f"L*a*b*, {_viewing(appearance)}", header, rows, " ".join(notes))
 
 
@@ -772,7 +852,7 @@ def _quality(datasets: Mapping[str, xr.Dataset]) -> Section:
 def _provenance(stage: str, dataset: xr.Dataset) -> dict[str, Any]:
     attrs = dataset.attrs
     return {
-        "stage": _words(stage),
+        "stage": stage,
         "digest": str(attrs.get("digest", "")),
         "inputs": [(name, str(value)) for name, value in _mapping(attrs.get("inputs")).items()],
         "parameters": [

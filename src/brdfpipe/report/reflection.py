@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from brdfpipe import optics
+from brdfpipe import optics, vocabulary
 from brdfpipe.bsdf import representations
-from brdfpipe.report import scattering
+from brdfpipe.report import reach, scattering
 from brdfpipe.report.pages import fixed, number
 from brdfpipe.report.scattering import Plane
 from brdfpipe.report.svg import Array, Axis, Band, Figure, Line, Mark, chart, legend, polar, sentence
@@ -49,10 +50,20 @@ class _Cut(NamedTuple):
     style: str
     theta: Array
     value: Array
+    quality: NDArray[np.int8] | None
+    """None of a BSDF that rests on a model."""
 
-    def line(self) -> Line:
+    def lines(self) -> list[Line]:
+        """The curve, dashed where it was not measured; the part of the mirror direction is labelled, with what it rests on."""
         label = f"{'incidence ' if self.incidence == INCIDENCES[0] else ''}{self.incidence:g}°"
-        return Line(self.theta, np.where(self.value > 0, self.value, np.nan), self.style, label)
+        line = Line(self.theta, np.where(self.value > 0, self.value, np.nan), self.style, label)
+        if self.quality is None:
+            return [line]
+        mirror = int(np.argmin(np.abs(self.theta - self.incidence)))
+        basis, told = vocabulary.QUALITY_FLAGS[self.quality[mirror]], reach.known(self.quality)
+        label += "" if basis == "measured" else f" ({basis})"
+        labels = (label, "") if told[mirror] else ("", label)
+        return [replace(part, label=each) for part, each in zip(reach.split(line, told), labels, strict=True)]
 
 
 def cuts(bsdf: xr.Dataset) -> list[Figure]:
@@ -73,28 +84,43 @@ def cuts(bsdf: xr.Dataset) -> list[Figure]:
 
 
 def _cuts(bsdf: xr.Dataset, plane: Plane, *, through: bool) -> list[_Cut]:
-    return [
-        _Cut(incidence, style, *scattering.cut(bsdf, plane, incidence, through=through))
-        for incidence, style in zip(INCIDENCES, _STYLES, strict=True)
-    ]
+    return [_cut(bsdf, plane, *each, through=through) for each in zip(INCIDENCES, _STYLES, strict=True)]
+
+
+def _cut(bsdf: xr.Dataset, plane: Plane, incidence: float, style: str, *, through: bool) -> _Cut:
+    theta, value = scattering.cut(bsdf, plane, incidence, through=through)
+    polar, turn = scattering.in_plane(theta, through=through)
+    return _Cut(incidence, style, theta, value, reach.quality(bsdf, plane, incidence, polar, turn))
+
+
+def _drawn(cuts: Sequence[_Cut]) -> list[Line]:
+    return [line for cut in cuts for line in cut.lines()]
+
+
+def _basis_words(bsdf: xr.Dataset, plane: Plane, cuts: Sequence[_Cut], *, through: bool = False) -> str:
+    """What dashed parts of cuts mean; empty where there are none."""
+    if all(cut.quality is None or reach.known(cut.quality).all() for cut in cuts):
+        return ""
+    return f" Dashed: not measured.{reach.words(bsdf, plane, INCIDENCES, through=through)}"
 
 
 def _goniometric(bsdf: xr.Dataset, above: Sequence[_Cut], below: Sequence[_Cut]) -> list[Figure]:
     decades = _decades([*above, *below])
     if decades is None:
         return []
-    marks = [cut.line() for cut in above]
+    marks = _drawn(above)
     quantity = "BSDF" if below else "BRDF"
     incidences = ", ".join(f"{angle:g}" for angle in INCIDENCES)
     svg = polar(
         f"{quantity} in the plane of incidence at {incidences} degrees of incidence, logarithmic radius",
         decades,
         marks,
-        INCIDENCES,
-        [cut.line() for cut in below],
+        [(cut.incidence, cut.style) for cut in above],
+        _drawn(below),
         quantity,
     )
     note = f"Plane of incidence, {scattering.wavelength_words(bsdf)}. Triangles mark the sources."
+    note += _basis_words(bsdf, scattering.planes(bsdf)[0], above)
     return [Figure(f"{quantity}, goniometric", svg, legend(marks), note)]
 
 
@@ -116,7 +142,7 @@ def _cartesian(
     low, high = (10.0**exponent for exponent in decades)
     figures = []
     for plane, cuts in zip(planes, found, strict=True):
-        curves = [cut.line() for cut in cuts]
+        curves = _drawn(cuts)
         marks = [*curves, *_rays(bsdf, quantity, single, low, high)]
         title = f"{quantity} {plane.words}" if plane.words else f"{quantity}, Cartesian"
         svg = chart(
@@ -128,6 +154,7 @@ def _cartesian(
         where = f"Plane of incidence {plane.words}".strip()
         dotted = f" Dotted: {into_one[:1].lower()}{into_one[1:]}" if into_one else ""
         note = f"{where}, {scattering.wavelength_words(bsdf)}.{dotted}{_inside(bsdf, quantity)}"
+        note += _basis_words(bsdf, plane, cuts, through=quantity == "BTDF")
         figures.append(Figure(title, svg, legend(curves), note))
     return figures
 
@@ -140,7 +167,7 @@ def _about_mirror(bsdf: xr.Dataset, planes: Sequence[Plane], found: Sequence[Seq
     nearest = max(1e-3, 10.0 ** math.floor(math.log10(math.degrees(slope) / 4)))
     figures = []
     for plane, cuts in zip(planes, found, strict=True):
-        lines = [replace(cut.line(), x=cut.incidence - cut.theta) for cut in cuts]
+        lines = [replace(line, x=cut.incidence - cut.theta) for cut in cuts for line in cut.lines()]
         lines = [replace(line, y=np.where(np.asarray(line.x) > 0, line.y, np.nan)) for line in lines]
         svg = chart(
             f"BRDF {plane.words} against the angle from the mirror direction, both logarithmic",
@@ -150,6 +177,7 @@ def _about_mirror(bsdf: xr.Dataset, planes: Sequence[Plane], found: Sequence[Seq
         )
         title = f"BRDF about the mirror direction {plane.words}".strip()
         note = f"The same cuts, for a narrow lobe: from the mirror direction towards the normal and beyond; {scattering.wavelength_words(bsdf)}."
+        note += _basis_words(bsdf, plane, cuts)
         figures.append(Figure(title, svg, legend(lines), note))
     return figures
 
@@ -204,9 +232,25 @@ def shares(checks: xr.Dataset | None, bsdf: xr.Dataset | None) -> list[Figure]:
         return _checked(checks)
     if representations.transmits(bsdf):
         return [_balance(bsdf, plane) for plane in scattering.planes(bsdf)]
-    marks = [mark for k, plane in enumerate(scattering.planes(bsdf)) for mark in _reflectance_lines(bsdf, plane, k)]
+    marks: list[Line] = []
+    drawn: list[Line] = []
     note = f"{scattering.wavelength_words(bsdf).capitalize()}."
-    return [_reflectance_figure(marks, note)]
+    for k, plane in enumerate(scattering.planes(bsdf)):
+        total, *parts = _reflectance_lines(bsdf, plane, k)
+        known = _known(bsdf, plane, total)
+        marks, drawn = [*marks, total, *parts], [*drawn, *known, *parts]
+        if known[0] is not total:
+            note += f" Dashed: not measured.{reach.reflectance_words(bsdf, plane, INCIDENCES)}"
+    return [_reflectance_figure(marks, note, drawn)]
+
+
+def _known(bsdf: xr.Dataset, plane: Plane, total: Line) -> list[Line]:
+    """A directional reflectance, dashed at incidences of which the mirror direction was not measured."""
+    flags = reach.at_mirror(bsdf, plane, total.x)
+    if flags is None or (told := reach.known(flags)).all():
+        return [total]
+    known, rest = reach.split(total, told)
+    return [*([known] if told.any() else []), replace(rest, label=f"{total.label} (completed)")]
 
 
 def _checked(checks: xr.Dataset | None) -> list[Figure]:
@@ -214,19 +258,20 @@ def _checked(checks: xr.Dataset | None) -> list[Figure]:
         return []
     checked = scattering.at_reference(checks["albedo"])
     note = f"{scattering.wavelength_words(checks).capitalize()}."
-    return [_reflectance_figure([Line(checked["theta_i"].values, checked.values, "c0", "total")], note)]
+    total = [Line(checked["theta_i"].values, checked.values, "c0", "total")]
+    return [_reflectance_figure(total, note, total)]
 
 
-def _reflectance_figure(marks: Sequence[Line], note: str) -> Figure:
+def _reflectance_figure(marks: Sequence[Line], note: str, drawn: Sequence[Line]) -> Figure:
     highest = max(float(np.nanmax(np.asarray(mark.y))) for mark in marks)
     top = next((limit for limit in (0.2, 0.5, 1.0) if highest <= limit * (1 + 1e-9)), min(highest * 1.05, _MOST_SHOWN))
     svg = chart(
         "Directional reflectance against the angle of incidence",
         Axis("angle of incidence θᵢ, degree", 0.0, 90.0, step=15),
         Axis("directional reflectance", 0.0, top),
-        marks,
+        drawn,
     )
-    return Figure("Directional reflectance", svg, legend(marks), f"{note} {_excess_words(marks)}".strip())
+    return Figure("Directional reflectance", svg, legend(drawn), f"{note} {_excess_words(marks)}".strip())
 
 
 def _excess_words(totals: Sequence[Line]) -> str:
@@ -322,6 +367,7 @@ def _balance(bsdf: xr.Dataset, plane: Plane) -> Figure:
     title = f"Balance of the light {plane.words}".strip()
     entries = tuple(("area", mark.style, mark.label) for mark in marks if isinstance(mark, Band))
     note = f"{scattering.wavelength_words(bsdf).capitalize()}. {balance_words(theta, reflected, passed, _sum(bsdf, plane))}"
+    note += reach.words(bsdf, plane, INCIDENCES)
     return Figure(title, svg, entries, note)
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.report import rig_figures, rig_fit
+from brdfpipe.report import rig_figures, rig_fit, rig_reciprocity
 from brdfpipe.report.cards import Table
 from brdfpipe.report.indicatrix import indicatrix
 from brdfpipe.report.pages import MISSING, fixed, number
@@ -62,6 +62,7 @@ class Chapter:
     fits: Sequence[tuple[Figure, Figure]]
     """Of each incidence shown: the fit against data, and its residuals."""
     smoothing: Sequence[Figure]
+    reciprocity: Figure | None
     lobe: Figure | None
 
 
@@ -85,7 +86,11 @@ def chapter(datasets: Mapping[str, xr.Dataset]) -> Chapter | None:
         emulated=EMULATED if emulated(datasets) else "",
         warnings=_warnings(datasets),
         frames=rig_figures.frames([look for side, at in shown(MOST_PICTURES) for look in _look(side, at)]),
-        run=[_measurement(found, profile), rig_figures.drift([each for side in found for each in side.reduced])],
+        run=[
+            _measurement(found, profile),
+            rig_figures.drift([each for side in found for each in side.reduced]),
+            *([] if profile is None else [rig_figures.profiles(profile)]),
+        ],
         coverage=_coverage(found, profile, len(shown(MOST_FITS))),
         budget=[part for side in found for part in _budget(side, named=len(found) > 1)],
         fits=[
@@ -97,6 +102,7 @@ def chapter(datasets: Mapping[str, xr.Dataset]) -> Chapter | None:
             for side in found
             for figure in (rig_fit.cross_validation(side.smoothed), rig_fit.l_curve(side.smoothed))
         ],
+        reciprocity=_reciprocity(datasets, found),
         lobe=_lobe(datasets, found),
     )
 
@@ -147,6 +153,12 @@ def _warnings(datasets: Mapping[str, xr.Dataset]) -> list[str]:
     told = [text for kind in kinds for dataset in _of_kind(datasets, kind) for text in vocabulary.warnings(dataset)]
     known = {text for dataset in _of_kind(datasets, "bsdf") for text in vocabulary.warnings(dataset)}
     return [text for text in dict.fromkeys(told) if text not in known]
+
+
+def _reciprocity(datasets: Mapping[str, xr.Dataset], found: Sequence[Side]) -> Figure | None:
+    completed = [each for each in _of_kind(datasets, "bsdf") if each.attrs.get("representation") == "rig"]
+    reflected = [side.smoothed for side in found if side.name == "reflection"]
+    return rig_reciprocity.figure(completed[0], reflected[0]) if completed and reflected else None
 
 
 def _lobe(datasets: Mapping[str, xr.Dataset], found: Sequence[Side]) -> Figure | None:
@@ -274,7 +286,7 @@ def _advice(few: Sequence[str], lopsided: Sequence[str]) -> Iterator[str]:
         yield (
             "Cells on either side of the plane of incidence differ where the fit takes both for alike, on average by so many "
             f"standard uncertainties: {', '.join(lopsided)}. Either the mirror direction lies beside where the angular target puts "
-            "it: look at the target again (`runs` in plan.yaml); or the sample has a lay: set `rig.smoothing.symmetric: false` in "
+            "it: look at it in this run too (`target` first in `runs` of plan.yaml); or the sample has a lay: set `rig.smoothing.symmetric: false` in "
             "material.yaml."
         )
 

@@ -48,6 +48,14 @@ _CELLS_A_BIN = 6
 _LEAST = 1e-5
 """Share below which its digits mean nothing."""
 
+_COLOURS = ("c0", "c2", "c1", "c4", "c3", "ref")
+"""Of incidences."""
+
+_LONG = 7200.0
+"""Of a session that is told in hours [s]."""
+
+_MOST_TICKS = 12
+
 
 def states(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> NDArray[np.str_]:
     """What became of each cell at an incidence, the best of all wavelengths."""
@@ -126,35 +134,142 @@ def _circles(column: Array, row: Array, radius: Array, style: str) -> str:
     return f'<path class="{style}" d="M0 0{data}"/>'
 
 
-# --- the lamp
+# --- the lamp, and the rig
 
 
 def drift(reduced: Sequence[xr.Dataset]) -> Figure:
-    """Light of the reference spot over the time of the run, at the looks taken for that purpose."""
+    """Light of the reference spot over the session, at the looks at the lamp and while their wavelength was measured.
+
+    Parameters
+    ----------
+    reduced : kind ``reduced``, of one run
+    """
     title = "Light of the lamp"
-    held = [each for each in reduced if "drift_reference" in each and each.sizes["look"]]
-    names = ("drift_elapsed", "drift_reference", "drift_reference_u")
-    elapsed, value, u = (np.concatenate([np.zeros(0), *(each[name].values.ravel() for each in held)]) for name in names)
-    seen = np.flatnonzero(np.isfinite(elapsed + value) & (value > 0))
-    if seen.size < 2:
-        advice = "Too few looks at the lamp tell of its drift; make `drift.every` of plan.yaml smaller to take more."
-        return sentence(title, advice)
-    seen = seen[np.argsort(elapsed[seen], kind="stable")]
-    minutes, first = elapsed[seen] / 60, value[seen[0]]
-    change, error = 100 * (value[seen] / first - 1), 100 * u[seen] / first
-    low, high = nice_range(float(np.nanmin(change - error)), float(np.nanmax(change + error)), margin=0.1)
+    wavelength = _looked_at(reduced)
+    seen = np.concatenate([np.zeros((0, 4)), *(_lamp(each, wavelength) for each in reduced)])
+    seen = seen[np.isfinite(seen[:, :2]).all(axis=1) & (seen[:, 1] > 0)]
+    if len(seen) < 2:
+        return sentence(
+            title, "Too few looks at the lamp tell of its drift; make `drift.every` of plan.yaml smaller to take more."
+        )
+    elapsed, value, u, incidence = seen[np.argsort(seen[:, 0], kind="stable")].T
+    unit, seconds = ("h", 3600.0) if np.ptp(elapsed) > _LONG else ("min", 60.0)
+    time, change, error = elapsed / seconds, 100 * (value / value[0] - 1), 100 * u / value[0]
+    marks: list[Line | Points] = [Line(time, change, "ref")]
+    for place, angle in enumerate(np.unique(incidence)):
+        own, style = incidence == angle, _COLOURS[place % len(_COLOURS)]
+        marks.append(Points(time[own], change[own], error[own], style, f"{angle:g}°"))
+    reach = [float(np.nanmin([change - error, change])), float(np.nanmax([change + error, change]))]
+    tolerance = 100 * max((float(each.attrs.get("drift_tolerance", 0.0)) for each in reduced), default=0.0)
+    if tolerance:
+        marks += [Line(time[[0, -1]], np.full(2, sign * tolerance), "c3", pattern="dash") for sign in (-1, 1)]
+        reach = [min(reach[0], -tolerance), max(reach[1], tolerance)]
+    low, high = nice_range(*reach, margin=0.1)
     svg = chart(
-        "Light of the reference spot against time since the start of the run",
-        Axis("time since the start of the run, min", *nice_range(float(minutes[0]), float(minutes[-1]))),
+        "Light of the reference spot against time since the start of the run, by incidence",
+        Axis(f"time since the start of the run, {unit}", *nice_range(float(time[0]), float(time[-1]))),
         Axis("change of the reference, %", min(low, -0.5), max(high, 0.5)),
-        [Line(minutes, change, "ref"), Points(minutes, change, error, "c0")],
+        marks,
         height=240,
     )
     note = (
-        f"{seen.size} looks at one wavelength and filter; bars are ±\u202f1 standard uncertainty, of noise. They span "
-        f"{number(float(np.ptp(change)), 2)}\u202f%, which divides out: each frame is taken over its own reference."
+        f"Looks at the lamp, and the bracket of each arrangement, at {wavelength:g}\u202fnm: {len(seen)} values; bars are ±\u202f1 standard "
+        f"uncertainty. They span {number(float(np.ptp(change)), 2)}\u202f%, which divides out: each frame is taken over its own reference."
     )
-    return Figure(title, svg, note=note)
+    if tolerance:
+        note += f" Dashed: ±\u202f{tolerance:g}\u202f%, beyond which the scan warns (`drift.tolerance` of plan.yaml)."
+    return Figure(title, svg, legend(marks), note)
+
+
+def _looked_at(reduced: Sequence[xr.Dataset]) -> float:
+    """Wavelength of the looks at the lamp; where there are none, that of most light."""
+    for each in reduced:
+        if "drift_wavelength" in each:
+            return float(each["drift_wavelength"][0])
+    light = [each["reference"].mean("incidence") for each in reduced if each["reference"].notnull().any()]
+    return float(light[0]["wavelength"].values[np.nanargmax(light[0].values)]) if light else float("nan")
+
+
+def _lamp(reduced: xr.Dataset, wavelength: float) -> Array:
+    """Time, light, its uncertainty and incidence (value, 4) of what an arrangement tells of the lamp at a wavelength."""
+    found = [np.zeros((0, 3))]
+    if "drift_wavelength" in reduced:
+        looks = reduced.isel(look=reduced["drift_wavelength"].values == wavelength)
+        names = ("drift_elapsed", "drift_reference", "drift_reference_u")
+        found.append(np.stack([looks[name].values for name in names], axis=1))
+    if "elapsed" in reduced:
+        at = reduced["wavelength"].values == wavelength
+        found.append(
+            np.stack([reduced[name].values[0, at] for name in ("elapsed", "reference", "reference_u")], axis=1)
+        )
+    values = np.concatenate(found)
+    return np.column_stack([values, np.full(len(values), float(reduced["incidence"][0]))])
+
+
+def profiles(calibration: xr.Dataset) -> Figure:
+    """The control chart of a calibration profile: how it and those before it differ, and by how much they may.
+
+    Parameters
+    ----------
+    calibration : kind ``calibration``
+    """
+    title = "Calibration profiles of the rig"
+    count = calibration.sizes.get("profile", 0)
+    if count < 2:
+        advice = (
+            "One profile makes no chart. Name the calibration before it as `previous` in calibration.yaml, and each new one is held "
+            "against those before."
+        )
+        return sentence(title, advice)
+    level = calibration["scale_change"].dropna("wavelength").mean("wavelength").values
+    change, limit, violation = (
+        calibration[name].transpose("watched", "profile").sel(watched=["level", "spectrum"]).values
+        for name in ("change", "limit", "violation")
+    )
+    # The level over that of the first, about the mean of those before; the spectrum about its own.
+    values, middle = np.array([level, change[1]]), np.array([level - change[0], np.zeros(count)])
+    shown, low, high = (100 * np.expm1(each) for each in (values, middle - limit, middle + limit))
+    place, none = np.arange(1.0, count + 1), np.full(count, np.nan)
+    steps = (place[1:, None] + [-0.5, 0.5]).ravel()
+    bottom, top = (np.repeat(each[:, 1:], 2, axis=1) for each in (low, high))
+    marks: list[Band | Line | Points] = [
+        Band(steps, bottom[0], top[0], "c0", "limits of all"),
+        Line(steps, bottom[1], "c2", pattern="dash"),
+        Line(steps, top[1], "c2", "limits of one", pattern="dash"),
+    ]
+    for own, style, label in zip(
+        shown, ("c0", "c2"), ("all wavelengths together", "the one that departs most"), strict=True
+    ):
+        marks += [Line(place, own, style), Points(place, own, none, style, label)]
+    beyond = np.asarray(violation, dtype=bool)
+    if beyond.any():
+        marks.append(
+            Points(np.tile(place, 2), np.where(beyond, shown, np.nan).ravel(), np.tile(none, 2), "c3", "violation")
+        )
+    drawn = np.stack([low, high, shown])
+    svg = chart(
+        "Change of the scale of the cells against the number of the profile, with limits",
+        Axis("profile, in the order they were made", 0.5, count + 0.5, step=-(-count // _MOST_TICKS)),
+        Axis("change of the scale, %", *nice_range(float(np.nanmin(drawn)), float(np.nanmax(drawn)), margin=0.08)),
+        marks,
+        height=260,
+    )
+    return Figure(title, svg, legend(marks), _told(calibration, beyond[0] | beyond[1]))
+
+
+def _told(calibration: xr.Dataset, violation: NDArray[np.bool_]) -> str:
+    """What a chart shows, from its first profile to the one in use, and which are violations."""
+    named = [
+        f"{name} of {day}"
+        for name, day in zip(calibration["profile"].values, calibration["profile_day"].values, strict=True)
+    ]
+    note = (
+        f"From 1, {named[0]}, to {len(named)}, {named[-1]}, which is in use: scale of the cells over that of the first, median of "
+        "the cells; and the wavelength that departs most from all together. What is beyond the limits, 3 standard deviations "
+        "about the mean of those before, is no chance: the etalon is dirty or aged, or the optics were changed."
+    )
+    found = [each for each, is_violation in zip(named, violation, strict=True) if is_violation]
+    return note + (f" Violations: {', '.join(found)}." if found else " None is beyond them.")
 
 
 # --- the uncertainty

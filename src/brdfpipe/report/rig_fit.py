@@ -43,6 +43,8 @@ _TALL, _STRIP_TALL = 226.0, 96.0
 """Of their areas [figure unit]."""
 _VISIBLE = 5.0
 """Length [figure unit] below which an error bar lies within its point."""
+_OUTLYING = 3.0
+"""Times the 90th percentile of what lies about 0, up to which an axis holds it."""
 _THIN = 3.0
 """Thickness [figure unit] up to which a band lies within its curve."""
 _MOST_DECADES = 7
@@ -98,12 +100,12 @@ def fit(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> Figure:
     curve = Line(theta, fitted, "c4", "fit")
     thick = np.nanmax(_TALL * np.abs(scale.place(band.high) - scale.place(band.low))) > _THIN
     above = chart(f"{title}, logarithmic", axis, scale, [*([band] if thick else []), *points, curve])
-    below, beyond = _strip(title, cells, axis, theta[::2], _percent(u, fitted)[::2])
+    below, left_out = _strip(title, cells, axis, theta[::2], _percent(u, fitted)[::2])
     note = (
         f"{cells.value.size} cells within {NEAR_PLANE:g}° of azimuth from the plane, {scattering.wavelength_words(primary)}; "
         "bars are ±\u202f1 standard uncertainty, drawn where they are longer than their point."
     )
-    note += f" Beyond the lower axis: {beyond}." if beyond else ""
+    note += left_out
     return Figure(title, above + below, legend([curve, band, *points]), note)
 
 
@@ -115,16 +117,35 @@ def _scale(label: str, values: Array) -> Axis:
     return Axis(label, min(low, high / 10), high, log=True)
 
 
-def _strip(title: str, cells: _Plane, axis: Axis, theta: Array, u: Array) -> tuple[Markup, int]:
-    """Data less fit in percent, with the uncertainty of the fit, and how many points lie beyond the axis."""
+def _strip(title: str, cells: _Plane, axis: Axis, theta: Array, u: Array) -> tuple[Markup, str]:
+    """Data less fit in percent, with the uncertainty of the fit, and what of it lies beyond the axis, in words."""
     off, error = _percent(cells.value - cells.fitted, cells.fitted), _percent(cells.u, cells.fitted)
-    reach = (np.abs(off) + error)[np.isfinite(off)]
-    most = 1.25 * float(np.clip(np.percentile(np.r_[reach, np.nanmedian(u)], 90), 1.0, 100.0))
-    scale = Axis("data over fit less 1, %", -most, most)
+    scale, left_out = about_zero("data over fit less 1, %", off, error, least=float(np.nanmedian(u)))
+    off = np.where(np.abs(off) <= scale.high, off, np.nan)
     zero = Line([axis.low, axis.high], [0.0, 0.0], "c4")
     marks: list[Mark] = [Band(theta, -u, u, "c4"), *_points(cells, off, error, scale, _STRIP_TALL), zero]
-    svg = chart(f"{title}, difference in percent", axis, scale, marks, height=170)
-    return svg, int((np.abs(off) > most).sum())
+    return chart(f"{title}, difference in percent", axis, scale, marks, height=170), left_out
+
+
+def about_zero(label: str, off: Array, u: Array, *, least: float = 0.0) -> tuple[Axis, str]:
+    """An axis in percent, as far up as down, that holds values and all of their bars; and in words what of them it does not.
+
+    It does not follow a few that lie much farther than most, nor beyond 100 %.
+
+    Parameters
+    ----------
+    off, u : values and their bars [%]; NaN where there is none
+    least : that it holds at any rate [%]
+    """
+    there = np.isfinite(off)
+    value, bar = np.abs(off[there]), np.nan_to_num(u[there])
+    usual = _OUTLYING * float(np.percentile(np.r_[value + bar, least], 90))
+    ends = np.r_[(value + bar)[value + bar <= usual], least]
+    most = 1.08 * float(np.clip(ends.max(), 1.0, 100.0))
+    beyond, cut = int((value > most).sum()), int(((value <= most) & (value + bar > most)).sum())
+    words = [f"{beyond} value{'s' if beyond > 1 else ''}"] if beyond else []
+    words += [f"ends of {cut} bar{'s' if cut > 1 else ''}"] if cut else []
+    return Axis(label, -most, most), f" Beyond the lower axis: {', '.join(words)}." if words else ""
 
 
 def _percent(part: Array, whole: Array) -> Array:
@@ -188,13 +209,13 @@ def _points(cells: _Plane, value: Array, u: Array, axis: Axis, tall: float) -> l
     found: list[Mark] = []
     for own, style, label in ((~cells.fibre, "c0", "disc"), (cells.fibre, "c2", "fibres")):
         if own.any():
-            found.append(_bars(cells.theta, value, np.where(visible & own, u, np.nan), f"{style} thin"))
+            found.append(bars(cells.theta, value, np.where(visible & own, u, np.nan), f"{style} thin"))
             found.append(Points(cells.theta[own], shown[own], np.full(own.sum(), np.nan), f"{style} small", label))
     return found
 
 
-def _bars(x: Array, y: Array, u: Array, style: str) -> Line:
-    """Error bars as one curve, broken between them: a quarter of the bytes of bars with feet."""
+def bars(x: Array, y: Array, u: Array, style: str) -> Line:
+    """Error bars ± u as one curve, broken between them: a quarter of the bytes of bars with feet."""
     gap = np.full(x.size, np.nan)
     return Line(np.stack([x, x, gap], axis=1).ravel(), np.stack([y - u, y + u, gap], axis=1).ravel(), style)
 

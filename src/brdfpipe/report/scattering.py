@@ -49,7 +49,16 @@ def planes(bsdf: xr.Dataset) -> list[Plane]:
     return [Plane(lay, "along the lay"), Plane(lay + 90, "across the lay")]
 
 
-def value(bsdf: xr.Dataset, plane: Plane, incidence: float, theta_o: Array, turn: ArrayLike) -> Array:
+def directions(
+    plane: Plane, incidence: ArrayLike, theta_o: ArrayLike, turn: ArrayLike
+) -> tuple[Array, Array, Array, Array]:
+    """θ_i, φ_i, θ_o and φ_o [degree] of one shape; arguments as of :func:`value`."""
+    angles = np.broadcast_arrays(incidence, plane.azimuth + 180, theta_o, plane.outgoing(turn))
+    theta_i, phi_i, theta_o, phi_o = (np.array(angle, dtype=float) for angle in angles)
+    return theta_i, phi_i, theta_o, phi_o
+
+
+def value(bsdf: xr.Dataset, plane: Plane, incidence: ArrayLike, theta_o: ArrayLike, turn: ArrayLike) -> Array:
     """BRDF or BTDF [sr-1] at the reference wavelength; 0 where it is below :data:`DARKEST`.
 
     Parameters
@@ -57,9 +66,8 @@ def value(bsdf: xr.Dataset, plane: Plane, incidence: float, theta_o: Array, turn
     incidence : degree, in the plane
     theta_o, turn : polar angle, and azimuth from the one away from the source; degree, broadcastable
     """
-    angles = np.broadcast_arrays(incidence, plane.azimuth + 180, theta_o, plane.outgoing(turn))
-    theta_i, phi_i, theta_o, phi_o = (np.array(angle, dtype=float) for angle in angles)
-    found = representations.representation(bsdf).evaluate(bsdf, theta_i, phi_i, theta_o, phi_o, reference(bsdf))
+    angles = directions(plane, incidence, theta_o, turn)
+    found = representations.representation(bsdf).evaluate(bsdf, *angles, reference(bsdf))
     values = np.asarray(found, dtype=float)[..., 0]
     return np.where(np.abs(values) < DARKEST, 0.0, values)
 
@@ -84,8 +92,12 @@ def cut(bsdf: xr.Dataset, plane: Plane, incidence: float, *, through: bool = Fal
     near = np.concatenate([np.r_[peak, peak - offsets, peak + offsets] for peak in peaks])
     theta = np.unique(np.r_[np.linspace(-89, 89, 179), near].round(6))
     theta = theta[np.abs(theta) <= 89]
-    polar = np.where(through, 180 - np.abs(theta), np.abs(theta))
-    return theta, value(bsdf, plane, incidence, polar, np.where(theta >= 0, 0.0, 180.0))
+    return theta, value(bsdf, plane, incidence, *in_plane(theta, through=through))
+
+
+def in_plane(theta: Array, *, through: bool = False) -> tuple[Array, Array]:
+    """θ_o, and azimuth from the one away from the source, of the angles of a :func:`cut`."""
+    return np.where(through, 180 - np.abs(theta), np.abs(theta)), np.where(theta >= 0, 0.0, 180.0)
 
 
 def smooth_angles(bsdf: xr.Dataset, incidence: float) -> Array:

@@ -160,7 +160,7 @@ def polar(
     description: str,
     decades: tuple[int, int],
     marks: Sequence[Line],
-    incidences: Sequence[float],
+    sources: Sequence[tuple[float, str]],
     below: Sequence[Line] = (),
     quantity: str = "BRDF",
 ) -> Markup:
@@ -170,8 +170,8 @@ def polar(
     ----------
     description : what a person who cannot see it should know
     decades : exponents of ten at the centre and at the rim
-    marks : x in degree from the normal (negative on the side of the source), y the value; one for each incidence
-    incidences : degree; where the source of each mark stands
+    marks : x in degree from the normal (negative on the side of the source), y the value
+    sources : where sources stand [degree], and the style of each
     below : the same from the lower normal, of the light that passes; without it the disc is a half one
     quantity : what the radius is
     """
@@ -194,9 +194,8 @@ def polar(
             drop = 4 - 4 * cosine if below else 0.0
             at_y = centre_y - (radius + 8) * cosine + drop
             parts.append(text(centre_x + (radius + 8) * sine, at_y, f"{abs(angle)}°", anchor))
-    for mark, incidence in zip(marks, incidences, strict=True):
-        parts.append(_ray(mark, axis, centre_x, centre_y, radius, 1))
-        parts.append(_source(centre_x, centre_y, radius, incidence, mark.style))
+    parts += [_ray(mark, axis, centre_x, centre_y, radius, 1) for mark in marks]
+    parts += [_source(centre_x, centre_y, radius, *source) for source in sources]
     parts += [_ray(mark, axis, centre_x, centre_y, radius, -1) for mark in below]
     parts.append(f'<path class="a" d="M{centre_x - radius:g} {centre_y:g}h{2 * radius:g}"/>')
     skip = max(1, round((high - low) / 4))
@@ -220,7 +219,11 @@ def _ray(mark: Line, axis: Axis, centre_x: float, centre_y: float, radius: float
     """A curve of a goniometric plot, on the upper (1) or lower (-1) half."""
     reach = radius * np.clip(axis.place(mark.y), 0, 1)
     angles = np.radians(np.asarray(mark.x, dtype=float))
-    return path(centre_x + reach * np.sin(angles), centre_y - up * reach * np.cos(angles), f"l {mark.style}")
+    return path(
+        centre_x + reach * np.sin(angles),
+        centre_y - up * reach * np.cos(angles),
+        f"l {mark.style}{_PATTERN[mark.pattern]}",
+    )
 
 
 def rose(description: str, unit: str, azimuth: ArrayLike, value: ArrayLike, axis: float) -> Markup:
