@@ -28,6 +28,7 @@ QUALITY_FLAGS = (
     "below_noise",
     "vignetted",
     "clamped",
+    "missing",
 )
 """Meanings of the values 0, 1, 2 … of every ``<field>_quality`` variable."""
 
@@ -341,9 +342,11 @@ KINDS: Mapping[str, Kind] = {
             **{name: [("incidence", "wavelength")] for name in ("reference_u", "elapsed")},
             **{f"drift_{name}": [("look",)] for name in ("elapsed", "wavelength", "reference", "reference_u")},
         },
+        missing=("elapsed",),
     ),
     "calibration": Kind(
-        {**_CELL, "cell_scale": [("wavelength", "cell")], "path": [("incidence",)], "lamp": [("wavelength",)]},
+        {**_CELL, "cell_scale": [("wavelength", "cell")], "lamp": [("wavelength",)]}
+        | {"path": [("incidence", "wavelength")]},
         optional={
             "profile_day": [("profile",)],
             "departing_wavelength": [("profile",)],

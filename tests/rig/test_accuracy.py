@@ -2,27 +2,113 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cache
+
 import numpy as np
 import pytest
+import xarray as xr
 from click.testing import CliRunner
 
-from brdfpipe.rig import accuracy
-from brdfpipe.rig.accuracy import Job, Outcome
+from brdfpipe.rig import accuracy, completion, smoothing
+from brdfpipe.rig.accuracy import Departure, Job, Outcome
+from brdfpipe.rig.plan import Plan
+
+APART = (0.6, 1.3)
+"""Of the z-rms without the certificate. The page requires 0.8: of few pictures how well light repeats is hardly told, and what is taken for it
+is no error of the emulator's."""
+
+
+def plan(*incidences: float) -> Plan:
+    """At one wavelength; bright looks at the lamp after every frame tell how well it repeats, as those of a whole plan do."""
+    small = accuracy.plan_of((550.0,), incidences, fibres=80)
+    return replace(small, drift=replace(small.drift, every=1, step=4))
 
 
 @pytest.mark.parametrize("truth", accuracy.TRUTHS)
 def test_a_measurement_of_a_known_sample_is_as_accurate_as_it_says(truth):
     """One rig, one wavelength, two incidences, every effect on; the page has the limits over all rigs."""
-    plan = accuracy.plan_of((550.0,), (10.0, 45.0), fibres=80)
-    found = accuracy.measured(plan, accuracy.TRUTHS[truth](), seed=3, session=1)
+    found = accuracy.measured(plan(10.0, 45.0), accuracy.TRUTHS[truth](), seed=3, session=1)
     assert np.median(np.abs(found.on(disc=False))) < 0.015
     assert np.median(np.abs(found.on(disc=True))) < 0.015
-    assert np.percentile(np.abs(found.on(disc=True)), 95) < 0.03
+    # Cells are no finer than the flanks of the narrow lobe.
+    assert np.percentile(np.abs(found.on(disc=True)), 95) < (0.05 if truth.startswith("narrow") else 0.03)
     assert np.sqrt(np.mean(found.z**2)) < 2.5
-    assert 0.75 < np.sqrt(np.mean(found.apart**2)) < 1.3
+    assert APART[0] < np.sqrt(np.mean(found.apart**2)) < APART[1]
     # All fibres that are alive and above the horizon, and the whole disc.
     assert found.of_disc.sum() > 2 * 370
     assert (~found.of_disc).sum() > 2 * 45
+
+
+def test_what_passes_a_sample_is_as_accurate_as_it_says():
+    truth = accuracy.SAMPLES[accuracy.THROUGH]()
+    _, behind = accuracy.primaries(replace(plan(30.0), side=("reflection", "transmission")), truth, seed=3, session=1)
+    assert behind.attrs["side"] == "transmission"
+    found = accuracy.compared(behind, truth)
+    assert np.median(np.abs(found.on(disc=True))) < 0.015
+    assert APART[0] < np.sqrt(np.mean(found.apart**2)) < APART[1]
+
+
+def test_etalon_and_sample_are_of_two_days():
+    """Nothing of a day is common to them: the picture lies elsewhere, and the lamp wanders otherwise."""
+    etalon, sample = accuracy.two_days(plan(10.0), accuracy.TRUTHS["milk glass"](), seed=3, session=1)
+    assert "sample" not in etalon["purpose"].values
+    assert "etalon" not in sample["purpose"].values
+    longest = [each["counts"][each["purpose"].values == "target"][-1].values.astype(float) for each in (etalon, sample)]
+    # Of one day they would be the same, count by count.
+    assert np.abs(longest[0] - longest[1]).max() > 1000
+
+
+# --- the completed BSDF
+
+
+@cache
+def plastic() -> tuple[xr.Dataset, xr.Dataset, xr.Dataset]:
+    """The plastic of facets at three incidences, the same completed, and the truth."""
+    truth = accuracy.TRUTHS[accuracy.FACETS]()
+    (primary,) = accuracy.primaries(plan(10.0, 30.0, 60.0), truth, seed=3, session=1)
+    return primary, completion.complete(smoothing.smooth(primary)), truth
+
+
+def test_directions_of_the_regions_are_where_their_names_say():
+    for name, directions in accuracy.REGIONS.items():
+        for side in ("reflection", "transmission"):
+            theta_i, theta_o, _ = directions(side)
+            low = np.abs(90 - theta_o)
+            assert ((theta_o < 90) == (side == "reflection")).all()
+            assert (low <= 5.001).all() if "horizon" in name else (low > 5.7).all()
+            assert (theta_i > 60).all() if "past" in name else (theta_i <= 60).all()
+
+
+def test_a_completed_bsdf_is_compared_region_by_region():
+    _, bsdf, truth = plastic()
+    found = accuracy.departures(bsdf, truth)
+    assert list(found) == list(accuracy.REGIONS)
+    assert all(np.isfinite(each.error).all() and np.isfinite(each.z).all() for each in found.values())
+    assert np.median(np.abs(found["measured incidences, within 10°"].error)) < 0.03
+    # A BSDF against itself is off by nothing.
+    assert not any(each.error.any() or each.z.any() for each in accuracy.departures(bsdf, bsdf).values())
+
+
+def test_gloss_of_a_completed_bsdf_is_that_of_the_truth_where_it_was_measured():
+    _, bsdf, truth = plastic()
+    true, found, u, flags = accuracy.glosses(bsdf, truth)
+    assert found[1] == pytest.approx(true[1], abs=4 * u[1])
+    assert u[2] / found[2] > 10 * u[1] / found[1]
+    assert list(flags) == [1, 0, 3]
+
+
+def test_what_is_told_wrong_of_a_surface_is_found():
+    found, u = accuracy.recovered(plastic()[0])
+    assert found == pytest.approx(list(accuracy.DOUBTED.values()), abs=0.01)
+    assert (u < 0.01).all()
+
+
+def test_the_samples_of_the_acceptance_reflect_no_more_than_they_get():
+    for name, truth in accuracy.SAMPLES.items():
+        bsdf = truth().bsdf
+        total = bsdf.albedo(0.0, wavelength=550.0).item() + bsdf.transmittance(0.0, wavelength=550.0).item()
+        assert (total > 1) == (name == accuracy.RANGE), name
 
 
 def test_what_must_not_pass_does_not_pass():
@@ -35,10 +121,10 @@ def test_what_must_not_pass_does_not_pass():
 
 
 def test_the_truths_are_reciprocal():
-    for truth in accuracy.TRUTHS.values():
-        bsdf = truth()
-        there = bsdf.bsdf.evaluate(20.0, 0.0, [10.0, 40.0, 70.0], [180.0, 100.0, 0.0]).values
-        back = [float(bsdf.bsdf.evaluate(theta, 0.0, 20.0, -phi)) for theta, phi in ((10, 180), (40, 100), (70, 0))]
+    for truth in accuracy.SAMPLES.values():
+        bsdf = truth().bsdf
+        there = bsdf.evaluate(20.0, 0.0, [10.0, 40.0, 70.0], [180.0, 100.0, 0.0], 550.0).values
+        back = [bsdf.evaluate(theta, 0.0, 20.0, -phi, 550.0).item() for theta, phi in ((10, 180), (40, 100), (70, 0))]
         assert there.ravel() == pytest.approx(back, rel=1e-6)
 
 
@@ -52,9 +138,17 @@ def outcomes(error: float, z: float) -> list[Outcome]:
         signs = np.resize([1.0, -1.0], 600)
         truth = np.geomspace(0.0091, 2500, 600)
         value = np.full((2, 3, 4), 1 + error * (job.session % 2))
-        dense = ((error * signs, error * signs), (error * signs, error * signs)) if job.kind == "glare" else None
         of_disc = np.arange(600) % 2 == 0
-        found.append(Outcome(job, error * signs, z * signs, z * signs, of_disc, truth, value, dense))
+        made = Outcome(job, error * signs, z * signs, z * signs, of_disc, truth, value)
+        if job.kind in ("glare", "through"):
+            made = made._replace(completed=dict.fromkeys(accuracy.REGIONS, Departure(error * signs, z * signs)))
+        if job.kind == "glare":
+            made = made._replace(
+                gloss=np.array([[80.0, 90.0, 95.0], [80.5, 90.0, 50.0], [0.5, 0.5, 90.0], [1.0, 0.0, 3.0]])
+            )
+        if job.truth == accuracy.FACETS:
+            made = made._replace(recovered=np.array([[0.02, 1.1, 1.004], [0.001, 0.001, 0.002]]))
+        found.append(made)
     return found
 
 
@@ -62,7 +156,7 @@ def test_every_figure_of_the_acceptance_is_judged():
     assert all(check.met for check in accuracy.checks(outcomes(0.005, 1.0)))
     unmet = [check.what for check in accuracy.checks(outcomes(0.2, 2.0)) if not check.met]
     made = list(accuracy.checks(outcomes(0.2, 2.0)))
-    assert len(unmet) == len(made) == 18 + 3 + 6
+    assert len(unmet) == len(made) == 24 + 3 + 6
 
 
 def test_uncertainties_that_are_too_large_are_not_honest_either():
@@ -79,13 +173,29 @@ def test_the_page_shows_what_is_not_met_and_what_was_not_refused():
     assert "| wrong nd_location | passed | refused | **not met** |" in text
     text, met = accuracy.report(outcomes(0.02, 1.0), [("wrong nd_location", "the filters are elsewhere")])
     assert not met
-    assert text.count("**not met**") == 7
+    assert text.count("**not met**") == 9
+
+
+def test_the_page_tells_of_the_completed_bsdf_its_gloss_and_the_comparison():
+    text, _ = accuracy.report(outcomes(0.005, 1.5), [])
+    for sample in (*accuracy.TRUTHS, accuracy.THROUGH):
+        for region in accuracy.REGIONS:
+            assert f"| {sample} | {region} | 0.50 / 0.50 | 1.50 | 1.50 |" in text
+    assert (
+        "| milk glass | 80.5 ± 0.5 for 80, interpolated, 1.00 | 90 ± 0.5 for 90, measured, 0.00 | 50 ± 90 for 95, completed, 0.50 |"
+        in text
+    )
+    assert "| diffuse | 1 | 1.00400 | 0.00200 | 2.00 |" in text
+    assert "above 1.3: milk glass: measured incidences, within 10° (1.50); " in text
+    assert "above 1.3: nowhere." in accuracy.report(outcomes(0.005, 1.0), [])[0]
+    assert "it would reflect 2.5 times the light it gets" in text
+    assert "below 0.34 % on half of all days" in text
 
 
 def test_the_jobs_are_all_truths_with_all_rigs_each_on_a_day_of_its_own():
     jobs = list(accuracy.jobs())
-    assert len(jobs) == len(set(jobs)) == 2 * 3 * 5 + 5 + 5
-    days = [(job.seed, job.session) for job in jobs]
+    assert len(jobs) == len(set(jobs)) == 2 * 4 * 5 + 5 + 5 + 5
+    days = [(job.seed, job.session + later) for job in jobs for later in (0, accuracy.ETALON)]
     assert len(days) == len(set(days))
     assert {job.seed for job in jobs} == set(accuracy.SEEDS)
 
@@ -94,7 +204,7 @@ def test_the_command_writes_its_page_and_fails_if_something_is_not_met(tmp_path,
     made = iter([outcomes(0.005, 1.0), outcomes(0.2, 1.0)])
 
     class Pool:
-        def __init__(self, cores: int) -> None: ...
+        def __init__(self, cores: int, context: object) -> None: ...
         def __enter__(self):
             return self
 
@@ -105,6 +215,8 @@ def test_the_command_writes_its_page_and_fails_if_something_is_not_met(tmp_path,
             return iter(next(made))
 
     monkeypatch.setattr(accuracy, "ProcessPoolExecutor", Pool)
+    for name in accuracy.ONE_THREAD:
+        monkeypatch.setenv(name, "1")
     monkeypatch.setattr(accuracy, "detections", lambda: iter([("wrong nd_location", "refused")]))
     page = tmp_path / "page.md"
     good = CliRunner().invoke(accuracy.main, ["--out", str(page)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from datetime import date
 
 import numpy as np
@@ -28,12 +29,14 @@ from brdfpipe.rig.reduction import COMPONENTS
 WAVELENGTHS = np.array([430.0, 470.0, 510.0, 550.0, 650.0])
 LAMP = np.array([5e4, 1.6e5, 1.2e5, 1.25e5, 1.1e5])
 PATHS = {0.0: 0.9, 10.0: 1.0, 30.0: 1.08, 45.0: 1.03, 60.0: 0.95}
-NAMES = ("noise", "repeat", "reference", "calibration", "certificate", "nd", "glare", "geometry")
+NAMES = ("noise", "repeat", "reference", "calibration", "certificate", "nd", "glare", "geometry", "path")
 
 
 def certificate(u: float = 0.005, until: date = date(2030, 1, 1)) -> Certificate:
     theta = np.arange(0.0, 91.0, 1.0)
-    return Certificate("C-1", until, np.array([300.0, 900.0]), np.array([0.9, 0.9]), np.full(2, u), theta, shape(theta))
+    return Certificate(
+        "C-1", until, np.array([300.0, 900.0]), np.array([0.9, 0.9]), np.full(2, u), theta, shape(theta), 0 * theta
+    )
 
 
 def shape(theta):
@@ -91,6 +94,7 @@ def reduced(
         for name, correlation in COMPONENTS.items()
     }
     variables["reference"] = (("incidence", "wavelength"), np.tile(LAMP, (len(incidences), 1)))
+    variables["elapsed"] = (("incidence", "wavelength"), np.tile(60.0 * np.arange(5), (len(incidences), 1)))
     dataset = xr.Dataset(
         variables,
         coords={
@@ -165,10 +169,41 @@ def test_an_efficiency_of_each_cell_changes_nothing(seed):
 def test_paths_are_told_by_the_cells_that_entrances_share():
     profile = calibrate(reduced("etalon", tuple(PATHS)), certificate())
     expected = np.array(list(PATHS.values())) / PATHS[0.0]
-    assert profile["path"].values == pytest.approx(expected, rel=1e-9)
-    assert profile["path_u"].values[0] == 0
+    assert profile["path"].values == pytest.approx(np.tile(expected[:, None], (1, 5)), rel=1e-9)
+    assert (profile["path_u"].values[0] == 0).all()
     assert (profile["path_u"].values[1:] < 1e-3).all()
     assert not profile["hidden"].values.any()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000))
+def test_what_mirrors_of_an_entrance_do_to_a_spectrum_changes_nothing(seed):
+    """Each entrance with a spectrum of its own, some percent up and down, the same for etalon and sample."""
+    etalon, sample = reduced("etalon"), reduced("sample")
+    plain = apply(sample, calibrate(etalon, certificate()))
+    spectra = np.random.default_rng(seed).uniform(0.95, 1.05, (2, WAVELENGTHS.size, 1))
+    for dataset in (etalon, sample):
+        for name in ("signal", *(f"signal_u_{each}" for each in COMPONENTS)):
+            dataset[name] = dataset[name] * spectra
+            dataset[name].attrs["correlation"] = COMPONENTS.get(name.removeprefix("signal_u_"), "")
+    etalon, sample = (vocabulary.label(each, "reduced") for each in (etalon, sample))
+    bent = apply(sample, calibrate(etalon, certificate()))
+    kept = np.isfinite(plain["brdf"].values)
+    assert np.array_equal(kept, np.isfinite(bent["brdf"].values))
+    assert bent["brdf"].values[kept] == pytest.approx(plain["brdf"].values[kept], rel=1e-9)
+
+
+def test_the_light_of_an_entrance_is_as_uncertain_as_its_spread_over_the_shared_cells():
+    """Cells that scatter by 1 % tell each wavelength's path to 1 % over the root of their number."""
+    etalon = reduced("etalon", relative=0.01)
+    noise = np.random.default_rng(3).standard_normal(etalon["signal"].shape)
+    etalon["signal"] = etalon["signal"] * (1 + 0.01 * np.sqrt(2) * noise)
+    profile = calibrate(etalon, certificate())
+    count = (np.array([screen.cos_view_etalon(each, *directions()) for each in (10.0, 30.0)]) > 0.1).all(axis=0).sum()
+    path, u = profile["path"].values[1], profile["path_u"].values[1]
+    # Noise and geometry are each cell's own, through both entrances.
+    assert u / path == pytest.approx(0.02 / np.sqrt(count), rel=0.25)
+    assert np.sqrt((((path - 1.08) / u) ** 2).mean()) < 2
 
 
 def test_more_entrances_calibrate_more_cells_with_less_noise():
@@ -185,7 +220,7 @@ def test_more_entrances_calibrate_more_cells_with_less_noise():
 
 def test_an_entrance_the_etalon_was_not_seen_through_is_uncertain_by_five_percent():
     found = brdf_of(reduced("sample", (10.0, 45.0)))
-    relative = (found["brdf_u_reference"] / found["brdf"]).values
+    relative = (found["brdf_u_path"] / found["brdf"]).values
     assert np.nanmedian(relative[0]) < 0.005
     assert np.nanmedian(relative[1]) == pytest.approx(0.05, rel=0.01)
 
@@ -228,7 +263,7 @@ def test_a_cell_that_one_entrance_hides_is_left_out_there_and_calibrated_by_the_
     true = sample_brdf(10.0, *directions())
     assert found["brdf"].values[0][:, 3] == pytest.approx(true[:, 3], rel=1e-6)
     assert np.isnan(found["brdf"].values[1][:, [3, 4]]).all()
-    assert profile["path"].values == pytest.approx(np.array([1.0, 1.08, 1.03]), rel=1e-6)
+    assert profile["path"].values == pytest.approx(np.tile([[1.0], [1.08], [1.03]], (1, 5)), rel=1e-6)
 
 
 def test_next_to_an_entrance_of_which_nothing_is_known_nothing_is_trusted():
@@ -273,7 +308,7 @@ def test_components_add_up_and_each_says_whether_it_is_common():
     parts = [found[f"brdf_u_{name}"].values for name in NAMES]
     assert np.sqrt(np.sum(np.square(parts), axis=0)) == pytest.approx(found["brdf_u"].values, nan_ok=True)
     common = {name for name in NAMES if found[f"brdf_u_{name}"].attrs["correlation"] == "common"}
-    assert common == {"repeat", "reference", "certificate", "nd", "glare"}
+    assert common == {"repeat", "reference", "certificate", "nd", "glare", "path"}
 
 
 def test_what_is_common_to_all_cells_of_the_etalon_stays_common():
@@ -294,6 +329,34 @@ def test_what_is_common_to_all_cells_of_the_etalon_stays_common():
     for name, size in expected.items():
         relative = (found[f"brdf_u_{name}"] / found["brdf"]).values[0][:, seen]
         assert relative == pytest.approx(size, rel=1e-6, abs=1e-9), name
+
+
+def test_the_shape_of_the_etalon_is_uncertain_as_the_certificate_states_or_as_such_etalons_are():
+    """Light of an etalon that falls by 5 % towards 60°, once by a certificate that says so, once by one that has nothing to say of it."""
+    etalon, sample = reduced("etalon", (10.0,), relative=1e-4), reduced("sample", (10.0,), relative=1e-4)
+    stated = certificate()
+    silent = replace(stated, theta=np.zeros(1), shape=np.ones(1), shape_u=np.zeros(1))
+    theta = np.degrees(np.arccos(np.clip(screen.cos_view_etalon(10.0, *directions()), 0, 1)))
+    seen = above(10.0, 0.15) & (theta < 83)
+    true = sample_brdf(10.0, *directions())[:, seen]
+    # Cells below the horizon see nothing here.
+    for each, expected, told in ((stated, 0 * theta, 0), (silent, 0.05 * (theta / 60) ** 2, 1)):
+        found = apply(sample, calibrate(etalon, each))
+        relative = (found["brdf_u_certificate"] / found["brdf"]).values[0][:, seen]
+        assert relative == pytest.approx(np.tile(np.hypot(0.005, expected[seen]), (5, 1)), rel=1e-6)
+        z = ((found["brdf"].values[0][:, seen] - true) / found["brdf_u"].values[0][:, seen])[:, theta[seen] > 30]
+        assert np.abs(z).max() < 1.3
+        warnings = vocabulary.warnings(calibrate(etalon, each))
+        assert len([text for text in warnings if "state `angles` in certificate.yaml" in text]) == told
+
+
+def test_a_wrong_shape_of_the_etalon_counts_in_the_light_of_entrances():
+    """Cells see the etalon at other angles through another entrance: what its shape is uncertain by looks like light."""
+    silent = replace(certificate(), theta=np.zeros(1), shape=np.ones(1), shape_u=np.zeros(1))
+    profile = calibrate(reduced("etalon", (10.0, 45.0)), silent)
+    path, u = profile["path"].values[1], profile["path_u"].values[1]
+    assert np.abs(path - 1.03).min() > 1e-3
+    assert (np.abs(path - 1.03) / u).max() < 1.5
 
 
 def test_the_albedo_of_common_errors_does_not_average_out():
@@ -471,8 +534,49 @@ def test_what_does_not_belong_together_is_not_joined(name):
     one, other = reduced("sample", (10.0,)), reduced("sample", (30.0,)).assign_attrs({name: "another"})
     with pytest.raises(CalibrationError, match=f"differ in {name}"):
         joined([one, other])
-    with pytest.raises(CalibrationError, match="different wavelengths"):
-        joined([one, reduced("sample", (30.0,)).isel(wavelength=slice(0, 4))])
+
+
+def test_a_wavelength_that_an_arrangement_lost_is_missing_there_and_named_with_what_to_do():
+    whole, holed = reduced("sample", (10.0,)), reduced("sample", (30.0,)).isel(wavelength=[0, 1, 3, 4])
+    found = joined([holed, whole])
+    assert found["wavelength"].values.tolist() == WAVELENGTHS.tolist()
+    assert np.isnan(found["signal"].values[1, 2]).all()
+    assert (found["signal_quality"].values[1, 2] == vocabulary.quality("missing")).all()
+    assert found["signal_quality"].dtype == np.int8
+    assert found["signal"].values[1, [0, 1, 3, 4]] == pytest.approx(holed["signal"].values[0])
+    (warning,) = vocabulary.warnings(found)
+    assert "no frame that can be used of 30° at 510 nm" in warning
+    assert "`brdfpipe rig scan … --resume`" in warning
+    primary, plain = brdf_of(found), brdf_of(joined([whole, reduced("sample", (30.0,))]))
+    assert (primary["brdf_quality"].values[1, 2, above(30.0)] == vocabulary.quality("missing")).all()
+    rest = np.ones(primary["brdf"].shape, dtype=bool)
+    rest[1, 2] = False
+    assert primary["brdf"].values[rest] == pytest.approx(plain["brdf"].values[rest], nan_ok=True)
+
+
+@pytest.mark.parametrize("lost", [10.0, 30.0], ids=["the first entrance", "another entrance"])
+def test_a_wavelength_the_etalon_lost_through_one_entrance_is_told_through_the_others(lost):
+    """The light of the entrance at that wavelength is told from those next to it, and as uncertain as of one not looked through."""
+    parts = [
+        reduced("etalon", (entrance,)).isel(wavelength=[0, 1, 3, 4] if entrance == lost else slice(None))
+        for entrance in (10.0, 30.0)
+    ]
+    etalon = joined(parts)
+    profile = calibrate(etalon, certificate())
+    assert profile["wavelength"].values.tolist() == WAVELENGTHS.tolist()
+    (warning,) = vocabulary.warnings(profile)
+    assert "the etalon in reflection" in warning
+    assert f"{lost:g}° at 510 nm" in warning
+    found = apply(reduced("sample"), profile)
+    plain = brdf_of(reduced("sample"))
+    both = np.isfinite(found["brdf"].values) & np.isfinite(plain["brdf"].values)
+    others = screen.cos_view_etalon(40.0 - lost, *directions()) > 0.11
+    assert np.isfinite(found["brdf"].values[:, 2])[np.array([others & above(each) for each in (10.0, 30.0)])].all()
+    # These paths are the same at all wavelengths.
+    assert found["brdf"].values[both] == pytest.approx(plain["brdf"].values[both], rel=1e-6)
+    relative = np.hypot(found["brdf_u_path"].values, found["brdf_u_reference"].values) / found["brdf"].values
+    assert np.nanmax(relative[:, [0, 1, 3, 4]]) < 0.01
+    assert np.nanmin(relative[1, 2]) > 0.03
 
 
 def test_nothing_is_not_joined():

@@ -29,6 +29,20 @@ def test_one_number_holds_at_every_wavelength_and_angle(tmp_path):
     assert found.valid_until == date(2027, 6, 30)
 
 
+def test_a_shape_is_as_uncertain_as_is_stated_and_beyond_the_last_angle_as_such_etalons_are(tmp_path):
+    told = load(tmp_path, PLAIN + "angles: [[0, 1], [30, 0.99, 0.002], [60, 0.95, 0.004]]\n")
+    assert told.shape_u_at(np.array([0.0, 15.0, 30.0, 45.0, 60.0])) == pytest.approx([0, 0.001, 0.002, 0.003, 0.004])
+    # 5 % at 60 degree and growing with the square of the angle, from the last one that is stated.
+    beyond = np.hypot(0.004, 0.05 * (80**2 - 60**2) / 60**2)
+    assert told.shape_u_at(np.array([80.0])) == pytest.approx(beyond)
+    assert load(tmp_path).shape_u_at(np.array([0.0, 30.0, 60.0])) == pytest.approx([0, 0.0125, 0.05])
+
+
+def test_ratios_that_state_no_uncertainty_have_that_of_the_factor(tmp_path):
+    told = load(tmp_path, PLAIN + "u: 0.007\nangles: [[0, 1], [30, 0.99], [60, 0.95, 0]]\n")
+    assert told.shape_u_at(np.array([0.0, 30.0, 60.0])) == pytest.approx([0, 0.007, 0])
+
+
 def test_a_table_and_angles_are_interpolated_linearly(tmp_path):
     text = 'id: SRM-2\nvalid_until: "2027-06-30"\nreflectance_factor: {file: white.csv}\nangles: [[0, 2], [30, 1.9], [60, 1.5]]\n'
     brdf, u = load(tmp_path, text, TABLE).brdf(np.array([450.0, 600.0]), np.array([0.0, 15.0, 45.0, 80.0]))
@@ -53,6 +67,8 @@ def test_wavelengths_beyond_the_table_are_refused(tmp_path):
         (PLAIN + "angles: [[5, 1], [30, 0.9]]\n", ["angles", "rise from 0"]),
         (PLAIN + "angles: [[0, 1], [30, 0.9], [30, 0.8]]\n", ["angles", "rise from 0"]),
         (PLAIN + "angles: [[0, 0], [30, 0.9]]\n", ["angles", "no light"]),
+        (PLAIN + "angles: [[0, 1], [30, 0.9, 2]]\n", ["angles", "0 to 1"]),
+        (PLAIN + "angles: [[0, 1], [30, 0.9, 0.1, 3]]\n", ["angles"]),
         (PLAIN + "colour: white\n", ["colour"]),
         (PLAIN.replace("0.95", "{file: white.csv}"), ["white.csv"]),
         (PLAIN.replace("0.95", "{file: ../white.csv}"), ["reflectance_factor.file"]),

@@ -10,8 +10,9 @@ import samples
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import measured, microfacet
 from brdfpipe.errors import VocabularyError
+from brdfpipe.rig import basis as bases
 from brdfpipe.rig import completion, smoothing
-from brdfpipe.rig.coordinates import outgoing
+from brdfpipe.rig.coordinates import of_cells, outgoing
 
 INCIDENCES = (10.0, 20.0, 30.0, 45.0, 60.0)
 WAVELENGTHS = (500.0, 600.0)
@@ -384,6 +385,35 @@ def test_an_incidence_that_contradicts_the_others_is_named_and_known_less_well(p
     assert float(bsdf.bsdf.uncertainty(*near, 500.0).squeeze()) < 1.5 * float(
         sound.bsdf.uncertainty(*near, 500.0).squeeze()
     )
+
+
+def even(incidence, theta, phi, wavelength):
+    return np.full((wavelength.size, theta.size), 0.3)
+
+
+@pytest.mark.parametrize(("name", "expected"), [("path", np.hypot(1.8, 0.8)), ("certificate", 1.0)])
+def test_an_error_of_each_entrance_adds_up_otherwise_than_one_common_to_all(name, expected):
+    """Normal incidence from 20 and 30 degree, (900 η₂₀ − 400 η₃₀)/500: 5 % of either entrance are 9.85 %, 5 % of both alike are 5 %."""
+    primary = rig_primary.measured(even, (20.0, 30.0), (500.0,), noise=1e-3)
+    primary["brdf_u_noise"] = primary["brdf_u"].assign_attrs(correlation="independent")
+    primary[f"brdf_u_{name}"] = (0.05 * primary["brdf"]).assign_attrs(correlation="common")
+    primary["brdf_u"] = np.hypot(primary["brdf_u_noise"], primary[f"brdf_u_{name}"])
+    bsdf = completion.complete(smoothing.smooth(vocabulary.label(primary, "primary")), reciprocity=False)
+    at_normal = bsdf["incidence"].values == 0
+    common = bsdf["coefficient_common"].values[:, at_normal][:, 0, 0]
+    theta, phi = np.array([5.0, 10.0, 20.0]), np.zeros(3)
+    seen = of_cells(bsdf.attrs["about"], 0.0, theta, phi)
+    rows = bases.from_json(bsdf.attrs["basis"]).rows(*seen, np.cos(np.radians(theta)))
+    assert np.linalg.norm(rows @ common.T, axis=1) == pytest.approx(np.full(3, 0.05 * expected), rel=0.02)
+
+
+def test_of_three_incidences_the_one_that_contradicts_both_others_is_named(paint):
+    primary = rig_primary.measured(rig_primary.of_model(paint), (10.0, 30.0, 60.0), (500.0,), noise=0.01)
+    primary["brdf"][-1] *= 1.3
+    bsdf = completion.complete(smoothing.smooth(primary))
+    (warning,) = (text for text in vocabulary.warnings(bsdf) if "disagrees" in text)
+    assert "at 60° (" in warning
+    assert "10°" not in warning
 
 
 def test_two_pictures_that_were_exchanged_contradict_the_rest(paint):

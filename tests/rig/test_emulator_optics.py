@@ -237,10 +237,19 @@ def test_the_lamp_wanders_otherwise_in_another_session(rig):
 
 def test_paths_belong_to_entrances_and_stay(rig):
     source = Source(rig, dataclasses.replace(IDEAL, paths=0.05), 1, 0)
-    paths = [source.path(entrance) for entrance in (0, 10, 20, 30, 45, 60)]
+    paths = [float(source.path(entrance, 500)) for entrance in (0, 10, 20, 30, 45, 60)]
     assert len(set(paths)) == 6
     assert 0.01 < np.std(paths) < 0.15
-    assert paths == [Source(rig, dataclasses.replace(IDEAL, paths=0.05), 1, 7).path(e) for e in (0, 10, 20, 30, 45, 60)]
+    other_day = Source(rig, dataclasses.replace(IDEAL, paths=0.05), 1, 7)
+    assert paths == [other_day.path(entrance, 700) for entrance in (0, 10, 20, 30, 45, 60)]
+
+
+def test_mirrors_of_each_entrance_have_a_spectrum_of_their_own(rig):
+    source = Source(rig, dataclasses.replace(IDEAL, path_slope=0.01), 1, 0)
+    slopes = [np.diff(source.path(entrance, [460.0, 560.0, 660.0])) for entrance in (0, 10, 20, 30, 45, 60)]
+    assert np.ptp(slopes, axis=1) == pytest.approx(np.zeros(6), abs=1e-12)
+    assert 0.003 < np.std(slopes) < 0.03
+    assert [source.path(entrance, 560.0) for entrance in (0, 60)] == [1, 1]
 
 
 # --- fibres and screen

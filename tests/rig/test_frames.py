@@ -356,10 +356,19 @@ def test_a_whole_run_is_a_dataset_without_warnings(run):
     assert (found.attrs["sample"], found.attrs["rig"], found.attrs["camera"]) == ("tile", "small", "fake camera")
 
 
-def test_one_incidence_comes_with_all_dark_frames(run):
+def test_one_incidence_comes_with_all_dark_frames_and_all_looks_at_the_lamp(run):
     found = read_run(run, 20)
     assert set(found["purpose"].values) == {"sample", "dark", "drift"}
-    assert set(found["incidence"].values[found["purpose"].values != "dark"]) == {20}
+    assert set(found["incidence"].values[found["purpose"].values == "sample"]) == {20}
+    # Looks through the other entrance, and the frame of its bracket that they repeat, tell how well the rig repeats itself.
+    there = found.isel(frame=(found["purpose"].values == "drift") & (found["incidence"].values == 10))
+    states = zip(there["load"].values, there["wavelength"].values, there["exposure"].values, strict=True)
+    drift = Plan.load(run / "plan.yaml").drift
+    assert len(set(states)) == 1
+    assert (there["wavelength"].values == drift.wavelength).all()
+    assert there.sizes["frame"] == 1 + sum(
+        shot.purpose == "drift" and shot.arrangement.incidence == 10 for shot in Plan.load(run / "plan.yaml").shots
+    )
     assert (found["purpose"].values == "dark").sum() == 10
     assert set(read_run(run, 10)["purpose"].values) == {"etalon", "dark", "drift"}
 

@@ -19,7 +19,7 @@ from brdfpipe.rig.emulator.measurement import black
 from brdfpipe.rig.emulator.source import Source
 from brdfpipe.rig.emulator.view import true_screen
 from brdfpipe.rig.plan import Plan
-from brdfpipe.rig.reduction import COMPONENTS, ReductionError, reduce
+from brdfpipe.rig.reduction import COMPONENTS, REPEAT_U, ReductionError, reduce
 from brdfpipe.rig.starting import start
 
 PLASTIC = "plastic, 10 sr⁻¹, 3°"
@@ -297,7 +297,55 @@ def test_a_rig_that_wobbles_between_looks_at_the_lamp_says_so():
     found = reduced(xr.concat([rig_emulated.without(frames, purpose="drift"), *looks], "frame"))
     repeat = (found["signal_u_repeat"] / np.abs(found["signal"])).values
     assert np.nanmax(repeat) == pytest.approx(np.nanmin(repeat))
-    assert np.nanmax(repeat) == pytest.approx(np.std([1.0, 1.02, 0.98, 1.03, 0.97], ddof=1), rel=0.1)
+    # The frame of the bracket that the looks repeat is one of them.
+    seen = np.std([1.0, 1.0, 1.02, 0.98, 1.03, 0.97], ddof=1)
+    assert np.nanmax(repeat) == pytest.approx(np.sqrt((5 * seen**2 + REPEAT_U**2) / 6), rel=0.05)
+
+
+def _repeat_of(frames: xr.Dataset, **told: object) -> tuple[float, list[str]]:
+    found = reduced(frames, **told)
+    relative = (found["signal_u_repeat"] / np.abs(found["signal"])).values
+    told = [text for text in vocabulary.warnings(found) if "how well the light repeats over its reference" in text]
+    return float(np.nanmax(relative)), told
+
+
+def test_looks_of_all_arrangements_tell_how_well_the_rig_repeats_itself():
+    """Light of the sample's last look, through the other entrance, 5 % brighter than the frames it repeats; what is expected counts once."""
+    frames = rig_emulated.frames()
+    looks = np.flatnonzero(frames["purpose"].values == "drift")
+    arrangements = list(zip(frames["load"].values[looks], frames["incidence"].values[looks], strict=True))
+    # Each group of looks has the frame of its bracket beside.
+    count = arrangements.count(arrangements[-1]) + 1
+    # The spots of the target are too dim to tell.
+    freedom = len([load for load, _ in arrangements if load != "target"])
+    assert len(set(arrangements)) > 2
+    steady, told = _repeat_of(frames, incidence=10.0)
+    assert not told
+    assert steady < 1.5 * REPEAT_U / np.sqrt(freedom + 1)
+    centre = screen.to_pixel(rig_emulated.plan().rig.screen, *rig_emulated.plan().rig.screen.reference)
+    rows, columns = np.mgrid[:240, :320]
+    away = np.hypot(columns - centre[0], rows - centre[1]) > 15
+    bright = frames.copy(deep=True)
+    counts = bright["counts"].values[looks[-1]].astype(float)
+    bright["counts"][looks[-1]] = np.rint(np.where(away, 100 + 1.05 * (counts - 100), counts)).astype(np.uint16)
+    wobble, told = _repeat_of(bright, incidence=10.0)
+    assert not told
+    scatter = 0.05**2 * (count - 1) / count
+    assert wobble == pytest.approx(np.sqrt((scatter + REPEAT_U**2) / (freedom + 1)), rel=0.1)
+
+
+def test_a_rig_that_cannot_tell_how_well_it_repeats_itself_states_what_is_assumed():
+    frames = rig_emulated.frames()
+    without = rig_emulated.without(frames, purpose="drift")
+    dim = frames.copy(deep=True)
+    dark = frames["counts"].values[(frames["purpose"].values == "dark") & (frames["exposure"].values == 2.0)][0]
+    for place in np.flatnonzero(frames["purpose"].values == "drift"):
+        dim["counts"][place] = dark
+    for each in (without, dim):
+        repeat, told = _repeat_of(each)
+        assert repeat == pytest.approx(REPEAT_U)
+        assert len(told) == 1
+        assert "`drift.every`" in told[0]
 
 
 # --- the lamp
@@ -417,3 +465,15 @@ def test_a_run_without_its_dark_frames_is_refused(run):
         spoil(path, "cut off")
     with pytest.raises(BrdfpipeError, match="no dark frame of"):
         reduce(files.read_run(folder), plan.rig)
+
+
+def test_an_arrangement_without_a_frame_is_refused_with_the_files_that_were_lost_and_what_to_do(run):
+    folder, plan = run
+    for path in (folder / "frames").glob("*-sample-*"):
+        spoil(path, "cut off")
+    with pytest.raises(ReductionError, match="no frame of the sample in reflection at 10 degree") as refusal:
+        reduce(files.read_run(folder, 10.0), plan.rig, incidence=10.0)
+    assert "2 of 2 wavelengths at 10 degree have no bracket step 1" in str(refusal.value)
+    assert "`brdfpipe rig scan … --resume` takes them again" in str(refusal.value)
+    assert frame_of(plan, 550.0, 10.0, 1) in str(refusal.value)
+    assert "made by the emulator" not in str(refusal.value)

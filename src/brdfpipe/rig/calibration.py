@@ -44,7 +44,7 @@ HOLE = 4.0
 """Radius [degree] about an entrance in use within which nothing is trusted, where no etalon was looked at through it."""
 
 PATH_U = 0.05
-"""Relative standard uncertainty of the light of an entrance the etalon was not measured through."""
+"""Relative standard uncertainty of the light of an entrance the etalon was not measured through, all in all or at a wavelength."""
 
 LAMP_TOLERANCE = 0.1
 """Relative change of the lamp's spectrum between etalon and sample, beyond a common factor, that is none of a lamp."""
@@ -316,6 +316,9 @@ def _middle(values: Array, axis: int) -> Array:
 def _paths(runs: _Runs, beside: NDArray[np.bool_]) -> _Paths:
     """How much light each entrance sends, by the cells it shares with the first, and which cells it hides.
 
+    Mirrors reflect one wavelength better than another. Each wavelength is told for itself: hundreds of cells share it, so that its mean is
+    known better than anything it is used with, and nothing is won by a smooth spectrum that may be wrong.
+
     A cell that is partly hidden has less light than through other entrances, so that its scale stands out: it is left out, and those
     beside it, of which a little may be hidden.
     """
@@ -323,18 +326,32 @@ def _paths(runs: _Runs, beside: NDArray[np.bool_]) -> _Paths:
     # Dead through one entrance and not through another is hidden, not dead.
     hidden = runs.facing & ~alive & alive.any(axis=0)
     log_ratio = np.log(runs.scale[0] / runs.scale)
-    as_first = np.log(runs.scale) + _middle(log_ratio.reshape(len(log_ratio), -1), axis=1)[:, None, None]
+    as_first = np.log(runs.scale) + _middle(log_ratio, axis=2)[..., None]
     excess = as_first - np.fmin.reduce(as_first, axis=0)
     hidden |= _middle(excess - np.maximum(_ODD * runs.relative, _ODD_LEAST), axis=1) > 0
     hidden = hidden @ beside
     log_ratio = np.where((hidden | hidden[0])[:, None], np.nan, log_ratio)
     weight = np.nan_to_num(1 / (runs.relative[0] ** 2 + runs.relative**2)) * np.isfinite(log_ratio)
-    total, count = weight.sum(axis=(1, 2)), np.isfinite(log_ratio).sum(axis=(1, 2))
-    mean = (weight * np.nan_to_num(log_ratio)).sum(axis=(1, 2)) / np.maximum(total, 1e-300)
-    scatter = (weight * np.nan_to_num(log_ratio - mean[:, None, None]) ** 2).sum(axis=(1, 2))
-    error = np.sqrt(np.maximum(scatter / np.maximum(count - 1, 1), 1.0) / np.maximum(total, 1e-300))
-    error[0] = 0.0
-    return _Paths(np.where(count > 0, np.exp(mean), 1.0), np.where(count > 0, error, PATH_U), hidden)
+    total, count = np.maximum(weight.sum(axis=2), 1e-300), np.isfinite(log_ratio).sum(axis=2)
+    mean = (weight * np.nan_to_num(log_ratio)).sum(axis=2) / total
+    scatter = (weight * np.nan_to_num(log_ratio - mean[..., None]) ** 2).sum(axis=2)
+    error = np.sqrt(np.maximum(scatter / np.maximum(count - 1, 1), 1.0) / total)
+    # Cells see the etalon at other angles through other entrances: a wrong shape of it looks like more light.
+    lean = np.abs((weight * (runs.shape_u[0] - runs.shape_u)[:, None]).sum(axis=2)) / total
+    u = np.where(count > 0, np.hypot(error, lean), PATH_U)
+    u[0] = 0.0
+    return _Paths(np.exp(_between(mean, count > 0)), u, hidden)
+
+
+def _between(values: Array, known: NDArray[np.bool_]) -> Array:
+    """Values (entrance, wavelength), those that are not known told from the wavelengths next to them, or 0."""
+    place = np.arange(values.shape[1])
+    return np.stack(
+        [
+            np.interp(place, place[told], each[told]) if told.any() else np.zeros(place.size)
+            for each, told in zip(values, known, strict=True)
+        ]
+    )
 
 
 def _neighbours(reduced: xr.Dataset) -> NDArray[np.bool_]:
@@ -349,7 +366,7 @@ def _neighbours(reduced: xr.Dataset) -> NDArray[np.bool_]:
 
 def _cell_scales(runs: _Runs, paths: _Paths, certificate_u: Array) -> dict[str, Any]:
     """The scale of each cell as through the first entrance, the mean of all that show it, and its uncertainties."""
-    scale = np.where(paths.hidden[:, None], np.nan, runs.scale * paths.path[:, None, None])
+    scale = np.where(paths.hidden[:, None], np.nan, runs.scale * paths.path[..., None])
     weight = np.nan_to_num(1 / runs.relative**2) * np.isfinite(scale)
     total = weight.sum(axis=0)
     seen = total > 0
@@ -358,9 +375,10 @@ def _cell_scales(runs: _Runs, paths: _Paths, certificate_u: Array) -> dict[str, 
     relative = {
         name: (share * np.nan_to_num(each)).sum(axis=0) for name, each in runs.common.items()
     }  # added up, for nothing says that they differ from entrance to entrance
-    relative["reference"] = np.hypot(relative["reference"], (share * paths.u[:, None, None]).sum(axis=0))
+    relative["reference"] = np.hypot(relative["reference"], (share * paths.u[..., None]).sum(axis=0))
     relative["calibration"] = 1 / np.sqrt(np.where(seen, total, np.inf))
-    relative["certificate"] = np.broadcast_to(certificate_u[:, None], mean.shape)
+    # Level and shape of the etalon's BRDF, the same at every incidence.
+    relative["certificate"] = np.hypot(certificate_u[:, None], (share * runs.shape_u[:, None]).sum(axis=0))
     dims = ("wavelength", "cell")
     return {"cell_scale": (dims, mean)} | {
         f"cell_scale_u_{name}": (
@@ -388,7 +406,7 @@ def apply(reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, 
     Returns
     -------
     Dataset of kind ``primary``: ``brdf(incidence, wavelength, cell)``, its combined standard uncertainty and the components ``noise,
-    repeat, reference, calibration, certificate, nd, glare, geometry``. The attribute ``stray`` is what cells below the sample's horizon
+    repeat, reference, calibration, certificate, nd, glare, geometry, path``. The attribute ``stray`` is what cells below the sample's horizon
     see, BRDF times cosine of view [1/sr], which was subtracted from all.
 
     Raises
@@ -413,7 +431,7 @@ def apply(reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, 
     _refuse_zeros(reduced, (cosine > HORIZON) & ~hidden & np.isfinite(profile["cell_scale"].values).any(axis=0))
     path, path_u = _path_of(profile, reduced["incidence"].values)
     # BRDF times cosine of view.
-    per_signal = np.where(hidden[:, None], np.nan, profile["cell_scale"].values / path[:, None, None])
+    per_signal = np.where(hidden[:, None], np.nan, profile["cell_scale"].values / path[..., None])
     seen = per_signal * reduced["signal"].values
     own = {
         name.removeprefix("signal_u_"): np.abs(per_signal) * reduced[name].values
@@ -426,7 +444,7 @@ def apply(reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, 
         )
         for name in (*_COMMON, "calibration", "certificate")
     }
-    parts["reference"] = np.hypot(parts["reference"], np.abs(seen) * path_u[:, None, None])
+    parts["path"] = np.abs(seen) * path_u[..., None]
     parts["nd"] = np.hypot(parts["nd"], np.abs(seen) * _other_filter(reduced, profile))
     stray, stray_u = _stray(seen, np.hypot(parts["noise"], parts["calibration"]), cosine)
     parts["glare"] = np.hypot(parts["glare"], stray_u[:, None, None])
@@ -457,7 +475,10 @@ def _check_same(reduced: xr.Dataset, profile: xr.Dataset) -> None:
         raise CalibrationError("profile and frames have other cells; reduce both with the same program")
     if missing := sorted(set(reduced["wavelength"].values) - set(profile["wavelength"].values)):
         listed = ", ".join(f"{each:g}" for each in missing[:_TOLD]) + (", …" if len(missing) > _TOLD else "")
-        raise CalibrationError(f"the etalon was not measured at {listed} nm; add them to the plan of its run")
+        raise CalibrationError(
+            f"the etalon was not measured at {listed} nm; add them to the plan of its run, or take what is missing of it "
+            "(`brdfpipe rig scan … --resume`)"
+        )
 
 
 def _expired(profile: xr.Dataset, day: date, lamp_hours: float) -> Iterator[str]:
@@ -504,12 +525,11 @@ def _hidden(reduced: xr.Dataset, profile: xr.Dataset) -> NDArray[np.bool_]:
 
 
 def _path_of(profile: xr.Dataset, incidences: Array) -> tuple[Array, Array]:
-    """Light of each entrance over that of the etalon's, 1 with its uncertainty where the etalon was not measured through it."""
-    known = {float(each): place for place, each in enumerate(profile["incidence"].values)}
-    places = [known.get(float(each)) for each in incidences]
-    path = [1.0 if place is None else float(profile["path"].values[place]) for place in places]
-    u = [PATH_U if place is None else float(profile["path_u"].values[place]) for place in places]
-    return np.array(path), np.array(u)
+    """Light of each entrance over that of the etalon's, (incidence, wavelength), and its relative uncertainty; 1 where the etalon was not
+    measured through it."""
+    path = profile["path"].reindex(incidence=incidences, fill_value=1.0).transpose("incidence", "wavelength").values
+    u = profile["path_u"].reindex(incidence=incidences, fill_value=PATH_U).transpose("incidence", "wavelength").values
+    return path, u / path
 
 
 def _other_filter(reduced: xr.Dataset, profile: xr.Dataset) -> float:
@@ -551,9 +571,10 @@ def _primary(
     correlation = {
         name: reduced[f"signal_u_{name}"].attrs["correlation"] for name in parts if f"signal_u_{name}" in reduced
     }
-    correlation |= {"calibration": "independent", "certificate": "common"}
+    correlation |= {"calibration": "independent", "certificate": "common", "path": "common"}
     quality = reduced["signal_quality"].values.copy()
-    quality[np.isnan(brdf) & (quality != vocabulary.quality("saturated"))] = vocabulary.quality("vignetted")
+    explained = np.isin(quality, [vocabulary.quality(name) for name in ("saturated", "missing")])
+    quality[np.isnan(brdf) & ~explained] = vocabulary.quality("vignetted")
     quality[np.broadcast_to((cosine <= HORIZON)[:, None], quality.shape)] = vocabulary.quality("shadowed")
     total = np.sqrt(np.sum([part**2 for part in parts.values()], axis=0))
     variables: dict[str, Any] = {"brdf": (_DIMS, brdf), "brdf_u": (_DIMS, total), "brdf_quality": (_DIMS, quality)}
@@ -695,7 +716,7 @@ def _since(profile: xr.Dataset, previous: xr.Dataset) -> Array:
 
 
 def _scale_through(profile: xr.Dataset, entrance: float) -> xr.DataArray:
-    return profile["cell_scale"] / float(profile["path"].sel(incidence=entrance))
+    return profile["cell_scale"] / profile["path"].sel(incidence=entrance, drop=True)
 
 
 def _changed_cells(profile: xr.Dataset, previous: xr.Dataset, apart: Array) -> Iterator[str]:

@@ -17,6 +17,19 @@ from brdfpipe.geometry import Array
 COLUMNS = ("wavelength", "reflectance_factor", "u")
 """Of a table: nm, π times the BRDF at 0 degree, its relative standard uncertainty."""
 
+DEPARTURE, AT = 0.05, 60.0
+"""Relative standard uncertainty of the shape of an etalon of which the certificate does not tell it, at this angle [degree]; it grows with
+the square of the angle.
+
+Diffuse standards are no Lambertian ones, as is often believed of them: pressed and sintered PTFE, opal glass and ceramics lit at normal
+incidence lose some percent towards 60°, and ten and more towards grazing, each its own (Weidner & Hsia 1981, Höpe & Hauer 2010). The
+etalon that stands for them in the emulator loses as much as this.
+
+References
+----------
+Weidner & Hsia 1981 (J. Opt. Soc. Am. 71, 856); Höpe & Hauer 2010 (Metrologia 47, 295).
+"""
+
 _EVERYWHERE = (100.0, 20000.0)
 """Wavelengths that a certificate with one number covers [nm]."""
 
@@ -41,6 +54,8 @@ class Certificate:
     """Degree, rising from 0."""
     shape: Array
     """BRDF over that at 0 degree, at theta."""
+    shape_u: Array
+    """Its relative standard uncertainty."""
 
     @classmethod
     def load(cls, path: str | Path) -> Certificate:
@@ -58,7 +73,7 @@ class Certificate:
             table = read_table(documents.file_beside(path, told["file"], "reflectance_factor.file", home))
         else:
             table = np.array([[wavelength, told, content["u"]] for wavelength in _EVERYWHERE])
-        angles = np.array(content["angles"], dtype=float)
+        angles = np.array([_angle(each, content["u"]) for each in content["angles"]])
         if angles[0, 0] != 0 or (np.diff(angles[:, 0]) <= 0).any():
             accepted = "[[0, 1], [30, 0.99], …], rising from 0 degree"
             raise InputError(path, "the angles do not rise from 0", where="angles", accepted=accepted)
@@ -72,12 +87,13 @@ class Certificate:
             u=table[:, 2],
             theta=angles[:, 0],
             shape=angles[:, 1] / angles[0, 1],
+            shape_u=angles[:, 2],
         )
 
     def brdf(self, wavelength: Array, theta: Array) -> tuple[Array, Array]:
         """BRDF [1/sr] and its relative standard uncertainty, (wavelength, theta) and (wavelength,); linear in between.
 
-        Beyond its last angle the etalon is taken as it is there: such directions are few, and grazing soon.
+        Beyond its last angle the etalon is taken as it is there; :meth:`shape_u_at` says how far that may be off.
 
         Raises
         ------
@@ -93,6 +109,18 @@ class Certificate:
         return height[:, None] * np.interp(theta, self.theta, self.shape), np.interp(
             wavelength, self.wavelength, self.u
         )
+
+    def shape_u_at(self, theta: Array) -> Array:
+        """Relative standard uncertainty of the BRDF over that at 0 degree, (theta,) [degree]: linear between the angles that are stated, and
+        beyond the last one as far as such etalons depart from what they are there."""
+        beyond = DEPARTURE * np.maximum(theta**2 - self.theta[-1] ** 2, 0.0) / AT**2
+        return np.asarray(np.hypot(np.interp(theta, self.theta, self.shape_u), beyond))
+
+
+def _angle(told: list[float], u: float) -> list[float]:
+    """Angle, ratio and its relative standard uncertainty: where none is stated that of the reflectance factor, of which the ratio is made;
+    at 0 degree there is none."""
+    return told if len(told) == 3 else [*told, u if told[0] > 0 else 0.0]
 
 
 def read_table(path: Path) -> Array:

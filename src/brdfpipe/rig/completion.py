@@ -50,6 +50,8 @@ _CONTRADICTING = 2.0
 """Disagreement of light there and back, over its uncertainty, that is no chance."""
 _HIGHEST = 80.0
 """Largest θ_o of these [degree]."""
+_OF_ENTRANCE = "path"
+"""The component of uncertainty that is one error for all an entrance lights, and another one of every entrance."""
 
 
 class _Nodes(NamedTuple):
@@ -113,6 +115,7 @@ def complete(
     }
     if transmitted is not None:
         attrs["transmitted_basis"] = transmitted.attrs["basis"]
+    sides = _by_entrance(sides)
     nodes = [_nodes(side, normal) for side in sides]
     for steps in _STEPS:
         told = [_with_trend(each, side, steps) for each, side in zip(nodes, sides, strict=True)]
@@ -215,6 +218,25 @@ def _belong_together(smoothed: xr.Dataset, transmitted: xr.Dataset) -> None:
             )
     if smoothed.attrs["link"] != transmitted.attrs["link"]:
         raise VocabularyError("reflection and transmission were smoothed in different modes; smooth both in one")
+
+
+def _by_entrance(sides: list[xr.Dataset]) -> list[xr.Dataset]:
+    """Sides in which errors of entrances are a component each, which adds up with itself alone."""
+    entrances = np.unique(np.concatenate([side["incidence"].values for side in sides]))
+    found = []
+    for side in sides:
+        if _OF_ENTRANCE in side.get("component", ()):
+            common = side["coefficient_common"]
+            own = common.sel(component=_OF_ENTRANCE, drop=True)
+            apart = [
+                own.where(own["incidence"] == each, 0.0).assign_coords(component=f"{_OF_ENTRANCE} {each:g}")
+                for each in entrances
+            ]
+            others = common.isel(component=side["component"].values != _OF_ENTRANCE)
+            whole = xr.concat([others, *apart], "component").transpose(*common.dims)
+            side = side.drop_dims("component").assign(coefficient_common=whole)
+        found.append(side)
+    return found
 
 
 # --- nodes
@@ -442,7 +464,8 @@ def _with_contradictions(bsdf: xr.Dataset) -> xr.Dataset:
     found = contradictions(bsdf)
     if not found.size:
         return bsdf
-    by = dict(zip(found["incidence"].values, found.median("incidence_2").values, strict=True))
+    middle = np.nanquantile(found.values, 0.5, axis=1, method="lower")
+    by = dict(zip(found["incidence"].values, middle, strict=True))
     bsdf = bsdf.assign_attrs(contradiction=float(found.max()))
     factor = np.array([by.get(incidence, max(by.values())) for incidence in bsdf["incidence"].values])
     factor = np.where(known & (factor > _CONTRADICTING), factor, 1.0)

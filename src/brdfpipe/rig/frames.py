@@ -12,8 +12,8 @@ import io
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ BLOCK = 2880
 EMULATED = "emulated"
 """What the name of a camera has in it that is none; one behind a drop folder is named by its folder."""
 
-_NOT_MEASURED = "the frames were made by the emulator, no laboratory measured them: use the result to try the pipeline, never as data of a material"
+NOT_MEASURED = "the frames were made by the emulator, no laboratory measured them: use the result to try the pipeline, never as data of a material"
 
 _LIGHT, _DARK = "Light Frame", "Dark Frame"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -154,7 +154,8 @@ def read_run(folder: str | Path, incidence: float | None = None) -> xr.Dataset:
     Parameters
     ----------
     folder : as the scan left it, finished or not
-    incidence : if given, only the frames taken through this entrance, and all dark ones and those of the target
+    incidence : if given, only the frames taken through this entrance, all dark ones and those of the target, and the looks at the lamp
+        through others, among which the frames count that they repeat
 
     Returns
     -------
@@ -168,9 +169,9 @@ def read_run(folder: str | Path, incidence: float | None = None) -> xr.Dataset:
     """
     folder = Path(folder)
     plan = Plan.load(folder / PLAN)
-    shots = [shot for shot in plan.shots if _belongs(shot, incidence)]
-    if all(shot.purpose in ("dark", "target") for shot in shots):
-        planned = sorted({arrangement.incidence for arrangement in plan.arrangements})
+    shots = [shot for shot in plan.shots if _belongs(shot, incidence) or _repeats(shot, plan)]
+    planned = sorted({arrangement.incidence for arrangement in plan.arrangements})
+    if incidence is not None and incidence not in planned:
         accepted = ", ".join(f"{angle:g}" for angle in planned)
         raise InputError(folder / PLAN, "no such incidence in the plan", found=f"{incidence:g}", accepted=accepted)
     problems: dict[Shot, FrameError] = {}
@@ -180,8 +181,10 @@ def read_run(folder: str | Path, incidence: float | None = None) -> xr.Dataset:
             frames[shot] = found
         else:
             problems[shot] = found
-    lost = [shot for shot in shots if shot not in frames]
-    told = [*(f"{problem}; not used" for problem in problems.values()), *_strangers(folder, plan), *_gaps(shots, lost)]
+    lost = [shot for shot in shots if shot not in frames and _belongs(shot, incidence)]
+    told = [f"{problem}; not used" for shot, problem in problems.items() if _belongs(shot, incidence)]
+    told += _strangers(folder, plan)
+    told += _gaps(plan.shots, lost)
     if not any(not shot.dark for shot in frames):
         if problems and all(problem.where == "RIGHASH" for problem in problems.values()):
             raise InputError(
@@ -190,7 +193,9 @@ def read_run(folder: str | Path, incidence: float | None = None) -> xr.Dataset:
                 accepted="the description as the scan left it in the run's folder; with a corrected one the run is scanned anew",
             )
         raise InputError(folder, "no usable frame", found="; ".join(told[:3]), accepted="a run begun by a scan")
-    return vocabulary.add_warning(dataset(frames, plan), *told)
+    elsewhere = {shot for shot in frames if not _belongs(shot, incidence)}
+    used = {replace(shot, purpose="drift") if shot in elsewhere else shot: each for shot, each in frames.items()}
+    return vocabulary.add_warning(dataset(used, plan), *told)
 
 
 def read_shots(folder: Path, plan: Plan, shots: Iterable[Shot]) -> Iterator[tuple[Shot, Frame | FrameError]]:
@@ -215,6 +220,7 @@ def dataset(frames: Mapping[Shot, Frame], plan: Plan) -> xr.Dataset:
     of_frame = {
         "shot": [shot.ordinal for shot in shots],
         "purpose": [shot.purpose for shot in shots],
+        "load": [shot.arrangement.load for shot in shots],
         "side": [shot.arrangement.side for shot in shots],
         "incidence": [shot.arrangement.incidence for shot in shots],
         "wavelength": [shot.wavelength for shot in shots],
@@ -238,12 +244,19 @@ def dataset(frames: Mapping[Shot, Frame], plan: Plan) -> xr.Dataset:
         },
     )
     emulated = any(EMULATED in frame.camera for frame in frames.values())
-    told = vocabulary.add_warning(found, *([_NOT_MEASURED] if emulated else []))
+    told = vocabulary.add_warning(found, *([NOT_MEASURED] if emulated else []))
     return vocabulary.validate(vocabulary.label(told, "frames"), "frames")
 
 
 def _belongs(shot: Shot, incidence: float | None) -> bool:
-    return incidence is None or shot.purpose in ("dark", "target") or shot.arrangement.incidence == incidence
+    return shot.purpose in ("dark", "target", "drift") or incidence in (None, shot.arrangement.incidence)
+
+
+def _repeats(shot: Shot, plan: Plan) -> bool:
+    """Whether a frame of a bracket is the one that looks at the lamp repeat, in an arrangement in which there are any."""
+    return (shot.step, shot.wavelength) == (plan.drift.step, plan.drift.wavelength) and any(
+        each.purpose == "drift" and each.arrangement == shot.arrangement for each in plan.shots
+    )
 
 
 # --- one file
@@ -407,7 +420,7 @@ def _strangers(folder: Path, plan: Plan) -> Iterator[str]:
             yield str(FrameError(path, what, accepted="the names of the plan")) + "; not used"
 
 
-def _gaps(shots: list[Shot], lost: list[Shot]) -> Iterator[str]:
+def _gaps(shots: Sequence[Shot], lost: list[Shot]) -> Iterator[str]:
     """What the frames that are not there, or cannot be used, leave uncovered, and what to do."""
     remedy = "`brdfpipe rig scan … --resume` takes them again"
     planned, missing = Counter(map(_part, shots)), Counter(map(_part, lost))

@@ -26,6 +26,7 @@ from brdfpipe.rig.calibration import HOLE
 from brdfpipe.rig.checks import overlap_check
 from brdfpipe.rig.description import Rig, Screen
 from brdfpipe.rig.exposures import Mask, Merged
+from brdfpipe.rig.frames import NOT_MEASURED
 from brdfpipe.rig.registration import Registration
 
 COMPONENTS = {
@@ -66,8 +67,12 @@ the exponential that the flank of a lobe is: sinh x / x = 1 + b + 0.3 b² + …,
 _WHOLE = 0.98
 """Share of a cell within the picture, and within the rim of the disc, below which it is vignetted."""
 
-_FEWEST_LOOKS = 3
-"""Looks at the lamp from which a scatter is told."""
+REPEAT_U = 0.01 / 3**0.5
+"""Relative standard uncertainty of light over its reference that is expected before a run tells how well it repeats: of ±1 %, evenly, the
+better end of the 1 to 3 % that are told of such a rig (Voloboy et al. 2005)."""
+
+_FEWEST_REPEATED = 2
+"""Repetitions from which more is told of it than was expected."""
 
 _JUDGED = 5
 """Wavelengths whose overlaps tell where the filters stand."""
@@ -136,7 +141,9 @@ def reduce(
     found = _registered(rig, _without_glare(rig, *_mean(merged, scales)), frames, chosen, darkness)
     found = _centred(rig, found, frames, frames if target is None else target, darkness)
     looks = _looks(frames, chosen, darkness, spot, rig)
-    reduced = _cells(rig, found, wavelengths, merged, scales, _repeat(looks, chosen))
+    repeat, said = _repeat(frames, darkness, spot, rig)
+    notes += said
+    reduced = _cells(rig, found, wavelengths, merged, scales, repeat)
     reduced = reduced.assign(_times(chosen, wavelengths) | _drift(looks, rig))
     return _labelled(reduced, chosen, rig, found, [*notes, *_too_bright(reduced), *_no_glare(reduced)])
 
@@ -161,8 +168,12 @@ def _chosen(frames: xr.Dataset, load: str, side: str, incidence: float | None) -
     found = np.unique(chosen["incidence"].values)
     where = "" if incidence is None else f" at {incidence:g} degree"
     if not found.size:
+        # What is missing and how to have it comes last there.
+        lost = [text for text in reversed(vocabulary.warnings(frames)) if text != NOT_MEASURED]
+        listed = "; ".join(lost[:_TOLD]) + ("; …" if len(lost) > _TOLD else "")
         raise ReductionError(
             f"no frame of the {load} in {side}{where}; check the plan's `runs`, `side` and `incidences`"
+            + (f". What was lost: {listed}" if lost else "")
         )
     if found.size > 1:
         listed = ", ".join(f"{each:g}" for each in found)
@@ -353,8 +364,6 @@ class _Looks(NamedTuple):
     """(look,) electrons of the reference spot."""
     u: Array
     """Relative."""
-    away: Mask
-    """(y, x), pixels beyond the reference spot."""
 
 
 def _looks(frames: xr.Dataset, chosen: xr.Dataset, darkness: Darkness, spot: Spot, rig: Rig) -> _Looks | None:
@@ -367,26 +376,46 @@ def _looks(frames: xr.Dataset, chosen: xr.Dataset, darkness: Darkness, spot: Spo
         return None
     looks = looks.isel(frame=here)
     seen = brackets.bracket(looks, darkness, rig)
-    return _Looks(looks.drop_vars("counts"), seen, *brackets.reference_light(seen, spot), spot.away)
+    return _Looks(looks.drop_vars("counts"), seen, *brackets.reference_light(seen, spot))
 
 
-def _repeat(looks: _Looks | None, chosen: xr.Dataset) -> float:
-    """Relative scatter of the light over its reference between the looks during the arrangement; 0 if it cannot be told."""
-    if looks is None:
-        return 0.0
-    shots, own = looks.frames["shot"].values, chosen["shot"].values
-    # The look before the first frame was of the same arrangement; one behind the last may be of the next.
-    during = (shots >= own.min() - 1) & (shots <= own.max())
-    if during.sum() < _FEWEST_LOOKS:
-        return 0.0
-    everywhere = looks.seen.usable[during].all(axis=0) & looks.away
-    light = np.where(everywhere, looks.seen.light[during], 0.0).sum(axis=(1, 2), dtype=float)
-    reference = looks.reference[during]
-    if not ((light > 0) & np.isfinite(reference)).all():
-        return 0.0
-    chance = (light + everywhere.sum() * looks.seen.floor[during]) / light**2 + looks.u[during] ** 2
-    ratio = light / reference
-    return float(np.sqrt(max((ratio.std(ddof=1) / ratio.mean()) ** 2 - chance.mean(), 0.0)))
+def _repeat(frames: xr.Dataset, darkness: Darkness, spot: Spot, rig: Rig) -> tuple[float, list[str]]:
+    """Relative scatter of the light over its reference between frames of one state, and what is to be said of it.
+
+    A look at the lamp repeats a frame of its arrangement: all repetitions that the run holds count, whatever lay in the holder, if they are
+    bright enough to tell more than :data:`REPEAT_U`, which counts as one of them. What noise makes of them is taken off.
+    """
+    scatter, freedom = 0.0, 0
+    for of_state in _states(frames, darkness):
+        seen = brackets.bracket(of_state, darkness, rig)
+        reference, u = brackets.reference_light(seen, spot)
+        lit = seen.usable.all(axis=0) & spot.away & (seen.light.mean(axis=0) > np.sqrt(seen.floor.mean()))
+        light = np.where(lit, seen.light, 0.0).sum(axis=(1, 2), dtype=float)
+        if not ((light > 0) & np.isfinite(reference)).all():
+            continue
+        chance = float(((light + lit.sum() * seen.floor) / light**2 + u**2).mean())
+        if chance < REPEAT_U**2:
+            ratio, more = light / reference, light.size - 1
+            scatter += more * (float(ratio.var(ddof=1) / ratio.mean() ** 2) - chance)
+            freedom += more
+    found = float(np.sqrt((max(scatter, 0.0) + REPEAT_U**2) / (freedom + 1)))
+    if freedom >= _FEWEST_REPEATED:
+        return found, []
+    return found, [
+        f"the looks at the lamp hardly tell how well the light repeats over its reference, for they are too few or too dim: {found:.1%} is taken "
+        "for its standard uncertainty; look more often (`drift.every` of the plan), at a brighter frame of the bracket (`drift.step`)"
+    ]
+
+
+def _states(frames: xr.Dataset, darkness: Darkness) -> Iterator[xr.Dataset]:
+    """Frames that are alike: looks at the lamp of one arrangement, and the frame of its bracket that they repeat."""
+    names = ("load", "side", "incidence", "wavelength", "nd_position", "exposure")
+    of_frame = list(zip(*(frames[name].values.tolist() for name in names), strict=True))
+    purpose = frames["purpose"].values
+    for state in sorted({of_frame[place] for place in np.flatnonzero(purpose == "drift")}):
+        alike = np.array([each == state for each in of_frame]) & (purpose != "dark")
+        if alike.sum() > 1 and state[-1] in darkness.darks:
+            yield frames.isel(frame=alike)
 
 
 def _drift(looks: _Looks | None, rig: Rig) -> dict[str, tuple[str, Array]]:

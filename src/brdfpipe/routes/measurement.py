@@ -66,6 +66,7 @@ _NATURE = {
     "reference": _Nature(("incidence",), relative=True, chained=True),
     "glare": _Nature(("incidence",), relative=False),
     "certificate": _Nature((), relative=True),
+    "path": _Nature(("incidence",), relative=True),
 }
 _BY_CORRELATION = {
     "independent": _Nature(DIMS, relative=False),

@@ -45,6 +45,8 @@ class Effects:
     """Relative change of what the splitter sends to the reference, per 100 nm."""
     paths: float = 0.05
     """Relative standard deviation, between entrances, of the light that reaches the holder."""
+    path_slope: float = 0.01
+    """Standard deviation, between entrances, of the relative change of that light per 100 nm."""
     filters: float = 1.0
     """Largest error of a filter's transmittance over the wavelengths, in the standard uncertainties its description states."""
 

@@ -52,7 +52,7 @@ class Optics:
 
     Notes
     -----
-    Filters are taken at the middle of the band of wavelengths.
+    Filters and mirrors are taken at the middle of the band of wavelengths.
     """
 
     def __init__(
@@ -101,9 +101,10 @@ class Optics:
         # One that the rig does not reach, as on a monochromator's way from rest, stands alone.
         reached = low <= picometres <= high
         teeth = range(low + (picometres - low) % _STEP, high + 1, _STEP) if reached else [picometres]
-        bright = self._holder.brightness(setup, self._view.theta_s, self._view.phi_s, np.array(teeth) / 1000)
+        wavelengths = np.array(teeth) / 1000
+        bright = self._holder.brightness(setup, self._view.theta_s, self._view.phi_s, wavelengths)
         signals = self._view.matrix @ bright
-        signals *= SAMPLE_RATE * self.source.path(setup.entrance)
+        signals *= SAMPLE_RATE * self.source.path(setup.entrance, wavelengths)
         if len(self._signals) + len(teeth) > _KEPT_SIGNALS:
             self._signals.clear()
         self._signals |= {(setup, tooth): signals[:, k].copy() for k, tooth in enumerate(teeth)}

@@ -87,10 +87,12 @@ class Source:
                 return min(max(true, 0.0), 1.0)
         return 1.0
 
-    def path(self, entrance: float) -> float:
+    def path(self, entrance: float, wavelength: ArrayLike) -> Array:
         """Share of the holder's light that the mirrors of an entrance bring there, about 1."""
-        deviate = stream(self._seed, "path", round(1000 * entrance)).standard_normal()
-        return max(0.0, 1 + self._effects.paths * float(deviate))
+        which = round(1000 * entrance)
+        level = 1 + self._effects.paths * stream(self._seed, "path", which).standard_normal()
+        slope = self._effects.path_slope * stream(self._seed, "path slope", which).standard_normal()
+        return np.maximum(0.0, level * (1 + slope * (np.asarray(wavelength, dtype=float) - MIDDLE) / 100))
 
     def _spectrum(self, wavelength: Array) -> Array:
         return _xenon(wavelength) / _xenon(np.array(MIDDLE)) if self._effects.xenon else np.ones_like(wavelength)
