@@ -11,22 +11,21 @@ through LLVM, in single precision. ``make peers`` installs them; LLVM has to be 
 
 from __future__ import annotations
 
-import cProfile
 import json
 import os
 import platform
-import pstats
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
+import profiling
 import xarray as xr
+from profiling import best, profile
 from surfaces import SLOPE_RMS, rough_map
 
 from brdfpipe import facets, optics, vocabulary
@@ -172,42 +171,13 @@ def mitsuba(pairs: int, repeats: int) -> Record | None:
 CASES: dict[str, Callable[[int, int], Record | None]] = {"brdfpipe": ours, "pySCATMECH": scatmech, "mitsuba": mitsuba}
 
 
-def best(action: Callable[[], Any], repeats: int) -> float:
-    """Least processor time of several runs: what another process takes from the core does not count."""
-    times = []
-    for _ in range(repeats):
-        begin = time.process_time()
-        action()
-        times.append(time.process_time() - begin)
-    return min(times)
-
-
-def profile(action: Callable[[], Any]) -> list[Record]:
-    """The package's functions that take the most time. Element-wise numpy counts as their own."""
-    profiler = cProfile.Profile()
-    profiler.runcall(action)
-    stats: Any = pstats.Stats(profiler)
-    rows = [
-        {
-            "function": f"{Path(file).stem}.{name}",
-            "calls": calls,
-            "own_s": round(own, 4),
-            "with_callees_s": round(cumulative, 4),
-        }
-        for (file, _, name), (calls, _, own, cumulative, _) in stats.stats.items()
-        if "brdfpipe" in Path(file).parts and cumulative > 0.01 * stats.total_tt
-    ]
-    return sorted(rows, key=lambda row: -float(row["with_callees_s"]))
-
-
 # --- what a person reads
 
 
 def as_text(summary: Record) -> str:
     """The table a person reads."""
     own = summary["brdfpipe"]
-    lines = [f"{'own s':>8}{'all s':>8}  function"]
-    lines += [f"{row['own_s']:8.3f}{row['with_callees_s']:8.3f}  {row['function']}" for row in own["goes_to"]]
+    lines = profiling.lines(own["goes_to"])
     lines.append(f"{'':24}{'million/s':>10}{'brdfpipe is':>14}")
     for name in CASES:
         record = summary[name]

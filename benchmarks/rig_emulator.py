@@ -10,11 +10,9 @@ core, without serial lines and files. Two requirements are judged:
 
 from __future__ import annotations
 
-import cProfile
 import json
 import os
 import platform
-import pstats
 import sys
 import tempfile
 import time
@@ -23,6 +21,7 @@ from typing import Any
 
 import click
 import numpy as np
+import profiling
 import xarray as xr
 
 from brdfpipe import facets, vocabulary
@@ -124,20 +123,7 @@ def profile(plan: Plan) -> list[Record]:
                 stand.wheel.restore(step.position)
                 stand.camera.expose(step.exposure)
 
-    profiler = cProfile.Profile()
-    profiler.runcall(frames)
-    stats: Any = pstats.Stats(profiler)
-    rows = [
-        {
-            "function": f"{Path(file).stem}.{name}",
-            "calls": calls,
-            "own_s": round(own, 4),
-            "with_callees_s": round(cumulative, 4),
-        }
-        for (file, _, name), (_, calls, own, cumulative, _) in stats.stats.items()
-        if "brdfpipe" in Path(file).parts and cumulative > 0.01 * stats.total_tt
-    ]
-    return sorted(rows, key=lambda row: -float(row["with_callees_s"]))[:16]
+    return profiling.profile(frames)[: profiling.MOST]
 
 
 # --- what a person reads
@@ -146,8 +132,7 @@ def profile(plan: Plan) -> list[Record]:
 def as_text(summary: Record) -> str:
     """The table a person reads."""
     met = {True: "met", False: "NOT met"}
-    lines = [f"{'own s':>8}{'all s':>8}  function"]
-    lines += [f"{row['own_s']:8.3f}{row['with_callees_s']:8.3f}  {row['function']}" for row in summary["goes_to"]]
+    lines = profiling.lines(summary["goes_to"])
     lines.append(
         f"{summary['frames']} frames in {summary['seconds']:.1f} s, {summary['frames_per_second']:.0f} a second, "
         f"at most {SECONDS_LIMIT:.0f} s: {met[summary['seconds_met']]}"

@@ -10,10 +10,8 @@ rig's, with all effects. Two requirements are judged:
 
 from __future__ import annotations
 
-import cProfile
 import json
 import platform
-import pstats
 import sys
 import tempfile
 import time
@@ -23,6 +21,7 @@ from typing import Any, NamedTuple
 
 import click
 import numpy as np
+import profiling
 import xarray as xr
 
 from brdfpipe.rig import accuracy, completion, frames, smoothing
@@ -102,26 +101,8 @@ def reduction(folder: Path, plan: Plan) -> Record:
         "frames": count,
         "read_a_second": round(run.sizes["frame"] / read, 1),
         "reduced_a_second": round(count / min(spent), 1),
-        "goes_to": profile(run, plan, incidence),
+        "goes_to": profiling.profile(lambda: reduce(run, plan.rig, incidence=incidence), 0.02)[: profiling.MOST],
     }
-
-
-def profile(run: xr.Dataset, plan: Plan, incidence: float) -> list[Record]:
-    """The package's functions that take the most time. Element-wise numpy counts as their own."""
-    profiler = cProfile.Profile()
-    profiler.runcall(reduce, run, plan.rig, incidence=incidence)
-    stats: Any = pstats.Stats(profiler)
-    rows = [
-        {
-            "function": f"{Path(file).stem}.{name}",
-            "calls": calls,
-            "own_s": round(own, 4),
-            "with_callees_s": round(all_, 4),
-        }
-        for (file, _, name), (_, calls, own, all_, _) in stats.stats.items()
-        if "brdfpipe" in Path(file).parts and all_ > 0.02 * stats.total_tt
-    ]
-    return sorted(rows, key=lambda row: -float(row["with_callees_s"]))[:16]
 
 
 def arrangement(job: Job) -> tuple[xr.Dataset, float]:
@@ -151,8 +132,7 @@ def whole(folder: str, plan: Plan) -> Record:
 def as_text(summary: Record) -> str:
     """The table a person reads."""
     met = {True: "met", False: "NOT met"}
-    lines = [f"{'own s':>8}{'all s':>8}  function"]
-    lines += [f"{row['own_s']:8.3f}{row['with_callees_s']:8.3f}  {row['function']}" for row in summary["goes_to"]]
+    lines = profiling.lines(summary["goes_to"])
     lines.append(
         f"{summary['frames']} frames of an arrangement: {summary['read_a_second']:.0f} read and {summary['reduced_a_second']:.0f} reduced a "
         f"second, at least {FRAMES_A_SECOND:.0f}: {met[summary['frames_met']]}"

@@ -12,14 +12,13 @@ import os
 import platform
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 import xarray as xr
+from profiling import best
 
 from brdfpipe import vocabulary
 from brdfpipe.rig import completion, smoothing
@@ -130,16 +129,6 @@ def cells() -> tuple[np.ndarray, np.ndarray]:
         phi.append((np.arange(count) + 0.5 * (len(theta) % 2)) * 360 / count)
         ring += wide
     return np.concatenate(theta), np.concatenate(phi)
-
-
-def best(action: Callable[[], Any], repeats: int) -> float:
-    """Least processor time of several runs: what another process takes from the core does not count."""
-    times = []
-    for _ in range(repeats):
-        begin = time.process_time()
-        action()
-        times.append(time.process_time() - begin)
-    return min(times)
 
 
 def as_text(summary: Record) -> str:

@@ -117,10 +117,11 @@ def complete(
         attrs["transmitted_basis"] = transmitted.attrs["basis"]
     sides = _by_entrance(sides)
     nodes = [_nodes(side, normal) for side in sides]
-    for steps in _STEPS:
+    # Without a logarithm there is no trend to shorten.
+    for steps in _STEPS if smoothed.attrs["link"] == "log" else _STEPS[-1:]:
         told = [_with_trend(each, side, steps) for each, side in zip(nodes, sides, strict=True)]
         bsdf = vocabulary.label(_dataset(sides, told).assign_attrs(attrs), "bsdf")
-        if not _too_bright(bsdf):
+        if steps == _STEPS[-1] or not _too_bright(bsdf):
             break
     bsdf = vocabulary.add_warning(bsdf, *(each for side in sides for each in vocabulary.warnings(side)))
     bsdf = _with_history(bsdf, sides, told, normal)
@@ -315,7 +316,7 @@ def _with_normal(nodes: _Nodes, basis: Basis, normal: str) -> _Nodes:
 
 def _with_trend(nodes: _Nodes, smoothed: xr.Dataset, steps: float) -> _Nodes:
     """An incidence put behind the others, told from the last two measured: the logarithm goes on as it went, for so many of their steps."""
-    if smoothed.attrs["link"] != "log" or smoothed.sizes["incidence"] < 2 or steps == 0:
+    if smoothed.sizes["incidence"] < 2 or steps == 0:
         return nodes
     harmonic = bases.from_json(smoothed.attrs["basis"]).harmonic
     first, last = measured.place_of(nodes.incidence[-2:])
