@@ -54,7 +54,7 @@ benchmark: $(VENV)/.runtime  ## measure a catalogue of 100 varied copies of the 
 	@$(BIN)/python benchmarks/catalogue.py
 
 rig-accuracy: $(VENV)/.runtime  ## measure samples of known BSDF with emulated rigs; write docs/rig-accuracy.md (some minutes)
-	@$(BIN)/python -m brdfpipe.rig.accuracy
+	@$(BIN)/python benchmarks/rig_accuracy.py
 
 lock: $(VENV)/.dev  ## resolve the dependencies anew (needs uv on the PATH)
 	uv pip compile --universal --fork-strategy fewest --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --quiet --upgrade \

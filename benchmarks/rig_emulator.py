@@ -29,7 +29,7 @@ from brdfpipe.bsdf import microfacet
 from brdfpipe.rig.emulator.bench import EmulatedRig
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.plan import Plan
-from brdfpipe.rig.starting import start
+from brdfpipe.rig.templates import start
 
 PROJECT = Path(__file__).resolve().parents[1]
 SECONDS_LIMIT = 20.0

@@ -22,9 +22,9 @@ from typing import Any
 
 import click
 
+from brdfpipe.rig.acquisition.devices.connection import open_monochromator
+from brdfpipe.rig.acquisition.devices.line import Line
 from brdfpipe.rig.description import SerialSettings
-from brdfpipe.rig.devices import open_monochromator
-from brdfpipe.rig.devices.line import Line
 
 PROJECT = Path(__file__).resolve().parents[1]
 LIMIT_MS = 1.0

@@ -24,11 +24,11 @@ import numpy as np
 import profiling
 import xarray as xr
 
-from brdfpipe.rig import accuracy, completion, frames, smoothing
-from brdfpipe.rig.calibration import apply, calibrate, joined
+from brdfpipe.bsdf.measured import completion, smoothing
+from brdfpipe.rig import accuracy, frames, reduce
 from brdfpipe.rig.plan import FRAMES, Plan
-from brdfpipe.rig.reduction import reduce
-from brdfpipe.rig.starting import start
+from brdfpipe.rig.reduction.calibration import apply, calibrate, joined
+from brdfpipe.rig.templates import start
 
 PROJECT = Path(__file__).resolve().parents[1]
 FRAMES_A_SECOND = 60.0

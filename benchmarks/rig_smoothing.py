@@ -21,8 +21,8 @@ import xarray as xr
 from profiling import best
 
 from brdfpipe import vocabulary
-from brdfpipe.rig import completion, smoothing
-from brdfpipe.rig.screen import cos_view
+from brdfpipe.bsdf.measured import completion, smoothing
+from brdfpipe.specular_directions import cos_view
 
 PROJECT = Path(__file__).resolve().parents[1]
 WANTED_S = 2.0

@@ -27,7 +27,8 @@ import click
 import numpy as np
 import xarray as xr
 
-from brdfpipe import facets, raycast, vocabulary
+from brdfpipe import facets, vocabulary
+from brdfpipe.masking import ray_casting as raycast
 
 PROJECT = Path(__file__).resolve().parents[1]
 TIME_LIMIT = 40.0

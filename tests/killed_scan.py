@@ -15,7 +15,7 @@ from pathlib import Path
 
 import small_rig
 
-from brdfpipe.rig.devices import line
+from brdfpipe.rig.acquisition.devices import line
 from brdfpipe.rig.frames import read_frame
 from brdfpipe.rig.plan import Plan
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import rig_accuracy as accuracy
 import xarray as xr
 
-from brdfpipe.rig import accuracy
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.plan import Plan
 

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.rig.screen import cos_view, outgoing
+from brdfpipe.specular_directions import cos_view, outgoing
 
 Truth = Callable[[float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """BSDF (wavelength, direction) of incidence, theta_s, phi_s and wavelength."""

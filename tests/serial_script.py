@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from brdfpipe.rig.devices.line import POLL
+from brdfpipe.rig.acquisition.devices.line import POLL
 
 Chunk = tuple[float, bytes]
 """Delay after the command [s], bytes."""

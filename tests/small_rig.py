@@ -14,12 +14,14 @@ import samples
 import xarray as xr
 
 from brdfpipe.bsdf import lambert_gauss
-from brdfpipe.rig.devices import Bench, DeviceError, Picture, connect
+from brdfpipe.rig.acquisition.devices.camera import Picture
+from brdfpipe.rig.acquisition.devices.connection import Bench, connect
+from brdfpipe.rig.acquisition.devices.errors import DeviceError
+from brdfpipe.rig.acquisition.scan import Summary, scan
 from brdfpipe.rig.emulator.bench import EmulatedRig
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.emulator.measurement import hands, restore
 from brdfpipe.rig.plan import Arrangement, Plan
-from brdfpipe.rig.scan import Summary, scan
 
 RIG = """\
 name: small

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe import catalogue, store
+from brdfpipe import installation, store
 from brdfpipe.jobs import front
 
 PROJECT = Path(__file__).parents[1]
@@ -146,14 +146,14 @@ def test_an_environment_of_another_place_is_made_anew(tmp_path: Path, place: str
 
 def test_a_stage_runs_as_a_plain_program(built: tuple[Path, Path], tmp_path: Path) -> None:
     _, results = built
-    script = catalogue.project_folder() / "workflow" / "scripts" / "facets.py"
+    script = installation.project_folder() / "workflow" / "scripts" / "facets.py"
     command = [sys.executable, script, "--material", "abs-grain", "--input", "surface=abs-grain/surface.nc"]
     subprocess.run([*command, "--output", f"facets={tmp_path / 'facets.nc'}"], cwd=results, check=True)
     assert (tmp_path / "facets.nc").read_bytes() == (results / "abs-grain" / "facets.nc").read_bytes()
 
 
 def test_a_stage_run_by_hand_refuses_in_one_line(built: tuple[Path, Path], tmp_path: Path) -> None:
-    script = catalogue.project_folder() / "workflow" / "scripts" / "facets.py"
+    script = installation.project_folder() / "workflow" / "scripts" / "facets.py"
     command = [sys.executable, script, "--material", "m", "--input", "surface=none.nc", "--output", "facets=f.nc"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
@@ -162,7 +162,7 @@ def test_a_stage_run_by_hand_refuses_in_one_line(built: tuple[Path, Path], tmp_p
 
 def test_snakemake_runs_the_workflow_without_the_front(built: tuple[Path, Path]) -> None:
     folder, results = built
-    root = catalogue.project_folder()
+    root = installation.project_folder()
     command = [sys.executable, "-m", "snakemake", "--snakefile", root / "Snakefile", "--directory", results]
     command += ["--workflow-profile", root / "workflow" / "profiles" / "default", "--cores", "1", "--dry-run"]
     done = subprocess.run([*command, "--config", f"catalogue={folder}"], capture_output=True, text=True, check=False)

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from brdfpipe.appearance.colour import GEOMETRIES
+from brdfpipe.appearance.colours import GEOMETRIES
 from brdfpipe.flakes import SETS, directions
 from brdfpipe.geometry import Array
 

@@ -8,7 +8,7 @@ import rig_primary
 import samples
 
 from brdfpipe import appearance, vocabulary
-from brdfpipe.rig import completion, smoothing
+from brdfpipe.bsdf.measured import completion, smoothing
 
 WAVELENGTHS = (400.0, 500.0, 600.0, 700.0)
 

@@ -8,7 +8,7 @@ import samples
 
 from brdfpipe import facets, optics
 from brdfpipe.appearance import apertures, gloss
-from brdfpipe.appearance.gloss import RECEPTOR
+from brdfpipe.appearance.gloss_meter import RECEPTOR
 from brdfpipe.appearance.haze import (
     WINDOWS,
     HazeError,

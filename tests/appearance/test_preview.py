@@ -10,7 +10,7 @@ import samples
 from PIL import Image
 
 from brdfpipe import facets, optics, vocabulary
-from brdfpipe.appearance import shots
+from brdfpipe.appearance import preview_geometry as shots
 from brdfpipe.appearance.lights import WHITE_LEVEL, LightError
 from brdfpipe.appearance.preview import png, preview, tone
 from brdfpipe.bsdf import lambert_gauss, microfacet, slab

@@ -12,7 +12,7 @@ import samples
 import xarray as xr
 
 from brdfpipe import facets, vocabulary
-from brdfpipe.appearance import shots
+from brdfpipe.appearance import preview_geometry as shots
 from brdfpipe.appearance.lights import lights
 from brdfpipe.appearance.preview import channels_of, radiance
 from brdfpipe.appearance.transport import Table

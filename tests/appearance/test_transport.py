@@ -7,7 +7,7 @@ import pytest
 import samples
 
 from brdfpipe import facets, optics
-from brdfpipe.appearance import shots
+from brdfpipe.appearance import preview_geometry as shots
 from brdfpipe.appearance.lights import Lights, lights
 from brdfpipe.appearance.preview import channels_of, radiance
 from brdfpipe.appearance.transport import Table, _lobe_widths

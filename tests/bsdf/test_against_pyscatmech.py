@@ -15,10 +15,10 @@ from scipy.special import ndtr
 
 from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import microfacet
-from brdfpipe.bsdf.microsurface import Microsurface
-from brdfpipe.bsdf.polarised import mueller
-from brdfpipe.density import RadialDensity
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.microfacet.polarised import mueller
 from brdfpipe.facets.assembly import radial_dataset
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import half_vector
 
 brdf = pytest.importorskip("pySCATMECH.brdf", reason="pySCATMECH is not there: make peers")

@@ -8,7 +8,8 @@ import samples
 import xarray as xr
 
 from brdfpipe import facets, vocabulary
-from brdfpipe.bsdf import fitting, lambert_gauss, microfacet, representations
+from brdfpipe.bsdf import lambert_gauss, microfacet, representations
+from brdfpipe.bsdf import lambert_gauss_fit as fitting
 from brdfpipe.errors import VocabularyError
 
 

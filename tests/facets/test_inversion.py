@@ -7,8 +7,8 @@ import pytest
 import samples
 
 from brdfpipe import facets
-from brdfpipe.density import RadialDensity
-from brdfpipe.planar import PlanarDensity
+from brdfpipe.facets.planar_density import PlanarDensity
+from brdfpipe.facets.radial_density import RadialDensity
 
 
 def correlated(points: int, length: float, seed: int):

@@ -7,8 +7,8 @@ import pytest
 import samples
 
 from brdfpipe import facets, masking, surfaces, vocabulary
-from brdfpipe.density import RadialDensity
-from brdfpipe.planar import PlanarDensity
+from brdfpipe.facets.planar_density import PlanarDensity
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.surfaces.heights import LINE_MIN
 
 

@@ -8,9 +8,9 @@ import samples
 from scipy.ndimage import gaussian_filter
 
 from brdfpipe import facets, surfaces, vocabulary
-from brdfpipe.density import RadialDensity
 from brdfpipe.facets import quantum
-from brdfpipe.planar import PlanarDensity
+from brdfpipe.facets.planar_density import PlanarDensity
+from brdfpipe.facets.radial_density import RadialDensity
 
 SIGMA = 0.2
 SLOPES = SIGMA * np.array([0.0, 0.5, 1.0, 1.5, 2.0])

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brdfpipe import facets, vocabulary
-from brdfpipe.bsdf.microsurface import Microsurface
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.geometry import half_vector
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from brdfpipe import catalogue
+from brdfpipe import installation
 
 Write = Callable[..., Path]
 
@@ -59,7 +59,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "workflow" / "scripts").mkdir()
     for stage in STAGES:
         (folder / "workflow" / "scripts" / f"{stage}.py").write_text(FAKE_STAGE)
-    monkeypatch.setattr(catalogue, "project_folder", lambda: folder)
+    monkeypatch.setattr(installation, "project_folder", lambda: folder)
     return folder
 
 

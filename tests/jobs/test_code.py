@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from brdfpipe import catalogue
+from brdfpipe import catalogue, installation
 from brdfpipe.jobs import code
 
 SCRIPTS = Path(__file__).parents[2] / "workflow" / "scripts"
@@ -112,7 +112,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
         "print(json.dumps(sorted(m for m in sys.modules if m.split('.')[0] == 'brdfpipe')))"
     )
     material = tmp_path / "m"
-    folder = catalogue.project_folder() / "examples" / "abs-grain"
+    folder = installation.project_folder() / "examples" / "abs-grain"
     examples = catalogue.load(folder.parent)
     steps = {
         "surface": ({"raw": folder / "grain.x3p"}, ["surface"]),

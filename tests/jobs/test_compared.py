@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from brdfpipe import catalogue, store
+from brdfpipe import installation, store
 from brdfpipe.jobs import front
 from brdfpipe.jobs.rules import Stages
-from brdfpipe.rig import starting
+from brdfpipe.rig import templates as starting
 
 CERTIFICATE = """\
 id: C1
@@ -60,7 +60,7 @@ def test_materials_with_a_rough_surface_and_reflected_light_are_compared(folder:
     material(folder, "flat", FLAT + BODY + RIG)
     material(folder, "through", ROUGH + BODY + RIG, "[transmission]")
     material(folder, "rig-alone", RIG)
-    stages = Stages({"catalogue": str(folder)}, catalogue.project_folder() / "workflow" / "scripts")
+    stages = Stages({"catalogue": str(folder)}, installation.project_folder() / "workflow" / "scripts")
     assert stages.failures == {}
     compared = {name: stages.compared(SimpleNamespace(material=name)) for name in stages.names}
     assert [name for name, there in compared.items() if there] == ["both"]

@@ -22,9 +22,10 @@ Write = Callable[..., Path]
 BUILD = """
 import sys
 from pathlib import Path
+from brdfpipe import installation
 from brdfpipe import catalogue
-catalogue.project_folder = lambda: Path(sys.argv[1])
-from brdfpipe.cli import main
+installation.project_folder = lambda: Path(sys.argv[1])
+from brdfpipe.cli.main import main
 main(["build", sys.argv[2], "--results", sys.argv[3], "--cores", "2"])
 """
 

@@ -12,7 +12,7 @@ import xarray as xr
 
 from brdfpipe import facets, store, vocabulary
 from brdfpipe.bsdf import microfacet
-from brdfpipe.rig import completion, smoothing
+from brdfpipe.bsdf.measured import completion, smoothing
 
 Datasets = dict[str, xr.Dataset]
 

@@ -6,13 +6,14 @@ import json
 import re
 from xml.etree import ElementTree
 
+import comparison_primary
 import numpy as np
 import pytest
-import routes_primary
 import samples
 import xarray as xr
 
-from brdfpipe import facets, routes, vocabulary
+from brdfpipe import comparison as routes
+from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.report import comparison as page
 from brdfpipe.report import pages
@@ -21,8 +22,8 @@ from brdfpipe.report import pages
 @pytest.fixture(scope="module")
 def compared() -> xr.Dataset:
     finish, spectrum = facets.analytic("beckmann", 0.15), samples.spectrum(0.2)
-    truth = routes_primary.deviating(finish, 1.5, spectrum)
-    primary = routes_primary.measured(truth, 1, incidences=(10.0, 60.0), wavelengths=(500.0, 540.0, 600.0))
+    truth = comparison_primary.deviating(finish, 1.5, spectrum)
+    primary = comparison_primary.measured(truth, 1, incidences=(10.0, 60.0), wavelengths=(500.0, 540.0, 600.0))
     predicted = microfacet.build(finish, index=1.5, spectrum=spectrum)
     return routes.compare(primary, predicted, facets=finish, index=1.5, spectrum=spectrum)
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import microfacet, representations, slab
-from brdfpipe.dispersion import KEPT
+from brdfpipe.optics.dispersion import KEPT
 from brdfpipe.report import dispersion, material_page
 
 _ATTACK = '"><script>alert(1)</script><img src=x onerror=alert(2)>'

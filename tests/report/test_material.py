@@ -18,7 +18,7 @@ from brdfpipe.appearance import appraise
 from brdfpipe.bsdf import flake, microfacet
 from brdfpipe.facets import analytic, flat
 from brdfpipe.report import material_page
-from brdfpipe.report.material import _length, luminous_reflectance, stage_warnings, verdicts
+from brdfpipe.report.material.page import _length, luminous_reflectance, stage_warnings, verdicts
 from brdfpipe.spectra import recover
 
 Datasets = dict[str, xr.Dataset]

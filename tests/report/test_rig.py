@@ -12,14 +12,15 @@ from samples import beckmann_bsdf, spectrum
 
 from brdfpipe import store, vocabulary
 from brdfpipe.bsdf.lambert_gauss import lambertian
+from brdfpipe.bsdf.measured import completion, smoothing
 from brdfpipe.report import indicatrix, pages, rig, rig_figures, rig_fit
 from brdfpipe.report.cards import Table
 from brdfpipe.report.svg import Figure
-from brdfpipe.rig import calibration, completion, smoothing, thumbnails
-from brdfpipe.rig import cells as celled
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.screen import cos_view
-from brdfpipe.rig.starting import start
+from brdfpipe.rig.reduction import calibration, thumbnails
+from brdfpipe.rig.reduction import cells as celled
+from brdfpipe.rig.templates import start
+from brdfpipe.specular_directions import cos_view
 
 Datasets = dict[str, xr.Dataset]
 

@@ -10,9 +10,9 @@ import pytest
 import rig_primary
 import xarray as xr
 
+from brdfpipe.bsdf.measured import completion, smoothing
 from brdfpipe.report import rig_reciprocity
 from brdfpipe.report.svg import Figure
-from brdfpipe.rig import completion, smoothing
 
 INCIDENCES = (10.0, 30.0, 60.0)
 

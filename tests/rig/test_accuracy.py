@@ -7,11 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+import rig_accuracy as accuracy
 import xarray as xr
 from click.testing import CliRunner
+from rig_accuracy import Departure, Job, Outcome
 
-from brdfpipe.rig import accuracy, completion, smoothing
-from brdfpipe.rig.accuracy import Departure, Job, Outcome
+from brdfpipe.bsdf.measured import completion, smoothing
 from brdfpipe.rig.plan import Plan
 
 APART = (0.6, 1.3)

@@ -20,9 +20,13 @@ import yaml
 
 import brdfpipe
 from brdfpipe import cli
-from brdfpipe.rig import commands, description, devices, frames, scan
+from brdfpipe.cli import rig as commands
+from brdfpipe.rig import description, frames
+from brdfpipe.rig.acquisition import scan
+from brdfpipe.rig.acquisition.devices import connection as devices
+from brdfpipe.rig.acquisition.devices import line
+from brdfpipe.rig.acquisition.devices.camera import open_camera
 from brdfpipe.rig.description import CameraSettings, Rig
-from brdfpipe.rig.devices import line, open_camera
 from brdfpipe.rig.emulator.clock import VirtualClock
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.emulator.faults import KINDS, Faults

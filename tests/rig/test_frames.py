@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
 from brdfpipe.rig import frames
-from brdfpipe.rig.devices import Picture
+from brdfpipe.rig.acquisition.devices.camera import Picture
 from brdfpipe.rig.frames import FrameError, State, read_frame, read_run, write_frame
 from brdfpipe.rig.plan import Plan
 from brdfpipe.store import StoreError

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import brdfpipe
-from brdfpipe import catalogue, vocabulary
+from brdfpipe import catalogue, installation, vocabulary
 from brdfpipe.jobs import front
 from brdfpipe.jobs.rules import Stages
 
@@ -184,7 +184,7 @@ def test_a_wrong_plan_of_a_calibration_before_is_a_failure_of_the_material(tmp_p
     go_by(folder, "bench-2")
     plan = folder / "calibrations" / "bench-1" / "plan.yaml"
     plan.write_text(plan.read_text().replace("etalon_entrances: [10, 30, 60]", "etalon_entrances: [10, 33]"))
-    stages = Stages({"catalogue": str(folder)}, catalogue.project_folder() / "workflow" / "scripts")
+    stages = Stages({"catalogue": str(folder)}, installation.project_folder() / "workflow" / "scripts")
     assert list(stages.failures) == ["milk-glass"]
     assert "etalon_entrances" in stages.failures["milk-glass"]["message"]
 

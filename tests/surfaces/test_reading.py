@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 import yaml
 
-from brdfpipe.catalogue import project_folder
+from brdfpipe import installation
 from brdfpipe.errors import InputError
 from brdfpipe.store import open_dataset, save_dataset
 from brdfpipe.surfaces import high_pass, ingest, level, low_pass, read_surface, write_x3p
@@ -75,7 +75,7 @@ def test_an_impossible_cutoff_names_its_key(
 
 
 def test_the_schema_knows_the_formats_the_forms_and_every_key() -> None:
-    path = project_folder() / "config" / "schemas" / "material.schema.yaml"
+    path = installation.project_folder() / "config" / "schemas" / "material.schema.yaml"
     keys = yaml.safe_load(path.read_text(encoding="utf-8"))["$defs"]["measured_surface"]["properties"]
     assert set(keys["format"]["enum"]) == set(FORMATS)
     assert set(keys["form"]["enum"]) == set(FORMS)

@@ -1,11 +1,12 @@
-from brdfpipe import appearance, store
+from brdfpipe import store
+from brdfpipe.appearance.computation import appraise
 
 
 def main(input, output, params):
     """Gloss, haze, colours and a preview of a BRDF."""
     bsdf = store.open_dataset(input["bsdf"], "bsdf")
     store.save_dataset(
-        appearance.appraise(bsdf, **params["spec"]),
+        appraise(bsdf, **params["spec"]),
         output["appearance"],
         stage="appearance",
         material=params["material"],
@@ -15,6 +16,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

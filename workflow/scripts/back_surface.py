@@ -1,14 +1,15 @@
 from pathlib import Path
 
-from brdfpipe import store, surfaces
+from brdfpipe import store
 from brdfpipe.errors import InputError
+from brdfpipe.surfaces.reading import ingest
 
 
 def main(input, output, params):
     """The measured relief of the other face of a clear body: read, checked and levelled like the front's."""
     raw = Path(input["raw"])
     try:
-        surface = surfaces.ingest(raw, params["spec"])
+        surface = ingest(raw, params["spec"])
     except InputError as refusal:  # the reader knows one place in material.yaml, and this is another
         key = refusal.key and refusal.key.replace("surface", "slab.back", 1)
         raise InputError(**(vars(refusal) | {"key": key})) from None
@@ -23,6 +24,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

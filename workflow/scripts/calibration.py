@@ -1,7 +1,8 @@
 from pathlib import Path
 
 from brdfpipe import store
-from brdfpipe.rig.calibration import Certificate, calibrate, charted, joined
+from brdfpipe.rig.reduction.calibration import calibrate, charted, joined
+from brdfpipe.rig.reduction.certificate import Certificate
 
 
 def main(input, output, params):
@@ -24,6 +25,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

@@ -1,4 +1,5 @@
-from brdfpipe import report, store
+from brdfpipe import store
+from brdfpipe.report.catalogue import catalogue_csv, catalogue_page, combine, lock
 
 
 def main(input, output, params):
@@ -7,19 +8,19 @@ def main(input, output, params):
     failures = params["spec"]["failures"]
     inputs = {row["material"].values[0]: row for row in rows}
     catalogue = store.save_dataset(
-        report.combine(rows),
+        combine(rows),
         output["dataset"],
         stage="catalogue",
         material="catalogue",
         inputs=inputs,
         parameters=params["spec"],
     )
-    store.write_text(output["csv"], report.catalogue_csv(catalogue, failures))
-    store.write_text(output["lock"], report.lock(catalogue))
-    store.write_text(output["page"], report.catalogue_page(catalogue, failures))
+    store.write_text(output["csv"], catalogue_csv(catalogue, failures))
+    store.write_text(output["lock"], lock(catalogue))
+    store.write_text(output["page"], catalogue_page(catalogue, failures))
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

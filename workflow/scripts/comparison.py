@@ -1,11 +1,12 @@
-from brdfpipe import routes, store
+from brdfpipe import store
+from brdfpipe.comparison.measured_predicted import compare
 
 
 def main(input, output, params):
     """What a rig measured beside what the surface predicts, and the inputs that would make them agree."""
     inputs = {name: store.open_dataset(path) for name, path in input.items()}
     store.save_dataset(
-        routes.compare(**inputs, **params["spec"]),
+        compare(**inputs, **params["spec"]),
         output["comparison"],
         stage="comparison",
         material=params["material"],
@@ -15,6 +16,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

@@ -1,5 +1,6 @@
 from brdfpipe import store
-from brdfpipe.exchange import astm, companions
+from brdfpipe.exchange import astm
+from brdfpipe.exchange import sidecar_tables as companions
 
 
 def main(input, output, params):
@@ -10,6 +11,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

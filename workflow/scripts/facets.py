@@ -1,4 +1,6 @@
-from brdfpipe import facets, store
+from brdfpipe import store
+from brdfpipe.facets.analytic_distributions import analytic, flat
+from brdfpipe.facets.estimation import estimate
 
 
 def main(input, output, params):
@@ -6,17 +8,17 @@ def main(input, output, params):
     spec, paths = params["spec"], [input["surface"], *input.get("scans", [])] if "surface" in input else []
     scans = {f"surface-{k}": store.open_dataset(path, "surface") for k, path in enumerate(paths, start=1)}
     if scans:
-        result = facets.estimate(list(scans.values()), **spec)
+        result = estimate(list(scans.values()), **spec)
     elif spec["distribution"] == "flat":
-        result = facets.flat()
+        result = flat()
     else:  # of a Beckmann density, the width a is the root mean square slope
-        result = facets.analytic(spec["distribution"], a=spec.get("a", spec.get("slope_rms")))
+        result = analytic(spec["distribution"], a=spec.get("a", spec.get("slope_rms")))
     store.save_dataset(
         result, output["facets"], stage="facets", material=params["material"], inputs=scans, parameters=spec
     )
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

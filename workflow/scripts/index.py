@@ -1,16 +1,17 @@
 from pathlib import Path
 
-from brdfpipe import optics, store
+from brdfpipe import store
+from brdfpipe.optics.index import refractive_index
 
 
 def main(input, output, params):
     """Refractive index: a number, a named plastic or a table."""
     spec, raw = params["spec"], {name: Path(path) for name, path in input.items()}
-    index = optics.refractive_index(spec["index"], raw.get("raw"))
+    index = refractive_index(spec["index"], raw.get("raw"))
     store.save_dataset(index, output["index"], stage="index", material=params["material"], inputs=raw, parameters=spec)
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

@@ -1,6 +1,7 @@
 from pathlib import Path
 
-from brdfpipe import interior, store
+from brdfpipe import store
+from brdfpipe.optics import interior
 
 
 def main(input, output, params):
@@ -17,6 +18,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

@@ -1,6 +1,7 @@
 from brdfpipe import store
-from brdfpipe.bsdf import fitting, representations
-from brdfpipe.exchange import companions
+from brdfpipe.bsdf import lambert_gauss_fit as fitting
+from brdfpipe.bsdf import representations
+from brdfpipe.exchange import sidecar_tables as companions
 
 
 def main(input, output, params):
@@ -21,6 +22,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

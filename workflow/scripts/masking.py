@@ -1,4 +1,5 @@
-from brdfpipe import raycast, store
+from brdfpipe import store
+from brdfpipe.masking import ray_casting as raycast
 
 
 def main(input, output, params):
@@ -10,6 +11,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

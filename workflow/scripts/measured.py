@@ -1,5 +1,5 @@
 from brdfpipe import store
-from brdfpipe.rig.completion import complete
+from brdfpipe.bsdf.measured.completion import complete
 
 
 def main(input, output, params):
@@ -16,6 +16,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

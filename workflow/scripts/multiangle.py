@@ -1,13 +1,14 @@
 from pathlib import Path
 
-from brdfpipe import flakes, store
+from brdfpipe import store
+from brdfpipe.flakes.reading import ingest
 
 
 def main(input, output, params):
     """Colours or reflectance factors at several geometries."""
     inputs = {name: Path(path) for name, path in input.items()}
     store.save_dataset(
-        flakes.ingest(params["spec"], inputs.get("raw")),
+        ingest(params["spec"], inputs.get("raw")),
         output["multiangle"],
         stage="multiangle",
         material=params["material"],
@@ -17,6 +18,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

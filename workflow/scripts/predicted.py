@@ -1,5 +1,8 @@
-from brdfpipe import interior, store
-from brdfpipe.bsdf import lambert_gauss, microfacet, slab
+from brdfpipe import store
+from brdfpipe.bsdf import lambert_gauss
+from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
+from brdfpipe.bsdf.slab.builder import build as build_slab
+from brdfpipe.optics import interior
 
 
 def main(input, output, params):
@@ -9,9 +12,9 @@ def main(input, output, params):
     if "interior" in inputs:
         faces = inputs["facets"], inputs.get("back_facets", inputs["facets"])
         passed = interior.spectral(inputs["interior"])
-        bsdf = slab.build(*faces, index=inputs["index"], internal_transmittance=passed, **spec)
+        bsdf = build_slab(*faces, index=inputs["index"], internal_transmittance=passed, **spec)
     elif "facets" in inputs:
-        bsdf = microfacet.build(**inputs, **spec)
+        bsdf = build_microfacet(**inputs, **spec)
     else:
         bsdf = lambert_gauss.lambertian(inputs["spectrum"])
     store.save_dataset(
@@ -20,6 +23,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

@@ -1,5 +1,5 @@
 from brdfpipe import store
-from brdfpipe.rig.calibration import apply, joined
+from brdfpipe.rig.reduction.calibration import apply, joined
 
 
 def main(input, output, params):
@@ -17,6 +17,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

@@ -3,7 +3,7 @@ from pathlib import Path
 from brdfpipe import store
 from brdfpipe.rig import frames
 from brdfpipe.rig.plan import PLAN, Plan
-from brdfpipe.rig.reduction import reduce
+from brdfpipe.rig.reduction.relative_light import reduce
 
 
 def main(input, output, params):
@@ -22,6 +22,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

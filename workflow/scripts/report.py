@@ -1,7 +1,9 @@
 from itertools import chain
 from pathlib import Path
 
-from brdfpipe import report, store
+from brdfpipe import store
+from brdfpipe.report.catalogue import summarise
+from brdfpipe.report.material.page import material_page
 
 
 def main(input, output, params):
@@ -10,9 +12,9 @@ def main(input, output, params):
     paths |= {Path(path).stem: path for path in chain(*(found for found in input.values() if isinstance(found, list)))}
     datasets = {stage: store.open_dataset(path) for stage, path in paths.items()}
     description = params["spec"]["description"]
-    store.write_text(output["page"], report.material_page(datasets, description=description))
+    store.write_text(output["page"], material_page(datasets, description=description))
     store.save_dataset(
-        report.summarise(datasets, description=description),
+        summarise(datasets, description=description),
         output["summary"],
         stage="report",
         material=params["material"],
@@ -22,6 +24,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

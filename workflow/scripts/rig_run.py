@@ -1,17 +1,17 @@
 from pathlib import Path
 
-from brdfpipe import store
+from brdfpipe.bsdf.accessor import open_dataset
 from brdfpipe.rig.emulator import measurement
 
 
 def main(input, output, params):
     """A run that the emulated rig makes in place of a laboratory, of a material of which the BSDF is known, or of the etalon."""
-    truth = store.open_dataset(input["truth"], "bsdf") if "truth" in input else None
+    truth = open_dataset(input["truth"], "bsdf") if "truth" in input else None
     told = {key: value for key, value in params["spec"]["emulate"].items() if key != "truth"}
     measurement.measure(Path(input["sources"][0]), Path(output["journal"]).parent, truth, **told)
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

@@ -1,6 +1,7 @@
 from pathlib import Path
 
-from brdfpipe import spectra, store
+from brdfpipe import store
+from brdfpipe.spectra.ingestion import ingest
 
 
 def main(input, output, params):
@@ -9,7 +10,7 @@ def main(input, output, params):
     if "index" in input:
         inputs["index"] = store.open_dataset(input["index"], "index")
     search = Path(output["spectrum"]).with_name("spectrum.search.json")
-    spectrum = spectra.ingest(params["spec"], inputs.get("raw"), inputs.get("index"), checkpoint=search)
+    spectrum = ingest(params["spec"], inputs.get("raw"), inputs.get("index"), checkpoint=search)
     store.save_dataset(
         spectrum,
         output["spectrum"],
@@ -21,6 +22,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

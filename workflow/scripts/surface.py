@@ -1,12 +1,13 @@
 from pathlib import Path
 
-from brdfpipe import store, surfaces
+from brdfpipe import store
+from brdfpipe.surfaces.reading import ingest
 
 
 def main(input, output, params):
     """A measured relief: read, checked and levelled."""
     raw = Path(input["raw"])
-    surface = surfaces.ingest(raw, params["spec"])
+    surface = ingest(raw, params["spec"])
     store.save_dataset(
         surface,
         output["surface"],
@@ -18,6 +19,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs import by_hand
+    from brdfpipe.jobs.stage import by_hand
 
     by_hand(main)

@@ -17,10 +17,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe import optics
 from brdfpipe.bsdf import representations
 from brdfpipe.geometry import Array, angles_of
 from brdfpipe.hemisphere import graded_edges, panel_rule
+from brdfpipe.optics.fresnel_equations import fresnel
 
 REFERENCE_INDEX = 1.567
 """Of polished black glass, which has 100 units at every geometry (ASTM D523, ISO 2813, JIS Z 8741)."""
@@ -90,7 +90,7 @@ def source(angle: float, rule: Rule, window: Window | None = None) -> Source:
     theta, phi = directions(u, v, angle)
     cos = np.cos(np.radians(theta))
     weight = np.outer(weight_u, weight_v).ravel() / (1 + u**2 + v**2) ** 1.5 * cos
-    return Source(u, v, weight, optics.fresnel(cos, REFERENCE_INDEX)[2], theta, phi)
+    return Source(u, v, weight, fresnel(cos, REFERENCE_INDEX)[2], theta, phi)
 
 
 class Beam(NamedTuple):

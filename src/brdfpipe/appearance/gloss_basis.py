@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from brdfpipe.appearance.colour import quality
+from brdfpipe.appearance.colours import quality
 from brdfpipe.bsdf import representations
 from brdfpipe.flakes.geometries import Directions
 

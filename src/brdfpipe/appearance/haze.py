@@ -37,7 +37,7 @@ from brdfpipe.appearance.apertures import (
     received,
     source,
 )
-from brdfpipe.appearance.gloss import AXIS_TOLERANCE, RECEPTOR_TOLERANCE, SOURCE_TOLERANCE
+from brdfpipe.appearance.gloss_meter import AXIS_TOLERANCE, RECEPTOR_TOLERANCE, SOURCE_TOLERANCE
 from brdfpipe.bsdf import representations
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array

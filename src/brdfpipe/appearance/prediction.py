@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.colour import quality
+from brdfpipe.appearance.colours import quality
 from brdfpipe.bsdf import flake, representations
 from brdfpipe.flakes.geometries import Directions, named
 from brdfpipe.geometry import Array

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.lights import WHITE_LEVEL, Lights, lights
-from brdfpipe.appearance.shots import Shot, panel, sphere
+from brdfpipe.appearance.preview_geometry import Shot, panel, sphere
 from brdfpipe.appearance.transport import Table, weighed
 from brdfpipe.bsdf import representations
 from brdfpipe.geometry import Array

@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe.appearance.lights import Floats, Lights
-from brdfpipe.appearance.shots import Points
+from brdfpipe.appearance.preview_geometry import Points
 from brdfpipe.bsdf import representations
 from brdfpipe.geometry import Array, angles_of
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from brdfpipe import vocabulary
-from brdfpipe.bsdf import checks, comparison, representations, sampling, tabulation
+from brdfpipe import store, vocabulary
+from brdfpipe.bsdf import approximation_error as comparison
+from brdfpipe.bsdf import checks, representations, sampling, tabulation
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, broadcast, check_angles, checked_angles
 
 
-@xr.register_dataset_accessor("bsdf")  # type: ignore[no-untyped-call]
 class BSDFAccessor:
     """A ``bsdf`` dataset as a function of directions and wavelength."""
 
@@ -198,7 +199,7 @@ class BSDFAccessor:
         Returns
         -------
         DataArray ``mueller`` [sr-1], with the dimensions ``stokes_out`` and ``stokes_in`` last: what comes out, of what comes in,
-        as Stokes vectors I, Q, U, V in the s–p frames of both directions (:mod:`brdfpipe.bsdf.polarised`). Its first element
+        as Stokes vectors I, Q, U, V in the s–p frames of both directions (:mod:`brdfpipe.bsdf.microfacet.polarised`). Its first element
         is the BRDF; a representation that knows nothing of polarisation depolarises. NaN where light passes a transparent
         interface, or meets it from within
 
@@ -236,7 +237,7 @@ class BSDFAccessor:
     def nonspectral_error(
         self, weight: ArrayLike | None = None, theta_i: ArrayLike = (8.0, 30.0, 60.0, 80.0)
     ) -> xr.Dataset:
-        """What :meth:`nonspectral` costs; see :func:`brdfpipe.bsdf.comparison.nonspectral_error`."""
+        """What :meth:`nonspectral` costs; see :func:`brdfpipe.bsdf.approximation_error.nonspectral_error`."""
         return comparison.nonspectral_error(self._dataset, weight, theta_i)
 
     def _share(
@@ -296,6 +297,11 @@ class BSDFAccessor:
         )
         coords = {**dict(like.coords), "wavelength": spectral}
         return xr.DataArray(values, coords, (*like.dims, "wavelength"), name, attrs)
+
+
+def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Dataset:
+    """Read a stored dataset; one of kind ``bsdf`` has the accessor ``.bsdf``. See :func:`brdfpipe.store.open_dataset`."""
+    return store.open_dataset(path, kind)
 
 
 def _directions(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> tuple[xr.DataArray, ...]:

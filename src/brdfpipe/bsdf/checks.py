@@ -11,7 +11,7 @@ import xarray as xr
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.grids import Angles, from_mirror
-from brdfpipe.bsdf.microfacet import NOT_PHYSICAL
+from brdfpipe.bsdf.microfacet.builder import NOT_PHYSICAL
 from brdfpipe.geometry import Array
 
 _DIRECTIONS, _ABOUT_NORMAL, _PROBES = 2048, 1024, 256

@@ -19,11 +19,12 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from brdfpipe import optics, vocabulary
+from brdfpipe import vocabulary
 from brdfpipe.errors import InputError, VocabularyError
 from brdfpipe.flakes.forms import FORMS, Fit, Form, curve, fit, leave_one_out
 from brdfpipe.flakes.refraction import flake_angle, inner_cosine, refract, steepest
 from brdfpipe.geometry import Array, half_vector
+from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 from brdfpipe.spectra import colorimetry
 
 __all__ = ["build", "evaluate", "flake_angle", "quality", "refract"]
@@ -75,7 +76,7 @@ class _Kernel(NamedTuple):
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             density = np.exp(-half.slope_squared / squared) / (np.pi * squared * half.cos_alpha**4)
             masked = 1 + _smith(theta_i, self.slope) + _smith(theta_o, self.slope)
-            fresnel = optics.fresnel(half.cos_zeta, self.coat).mean
+            fresnel = fresnel_reflectance(half.cos_zeta, self.coat).mean
             lobe = fresnel * density / (4 * half.cos_i * half.cos_o * masked)
         return np.where((half.cos_i > 1e-12) & (half.cos_o > 1e-12), np.nan_to_num(lobe), 0.0)
 
@@ -84,7 +85,7 @@ class _Kernel(NamedTuple):
         return float(self._passed(np.zeros(1))[0])
 
     def _passed(self, theta: Array) -> Array:
-        return np.asarray(1 - optics.fresnel(np.abs(np.cos(np.radians(theta))), self.coat).mean)
+        return np.asarray(1 - fresnel_reflectance(np.abs(np.cos(np.radians(theta))), self.coat).mean)
 
 
 def build(
@@ -185,7 +186,7 @@ def specular(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array |
     if bsdf.attrs["clear_coat"] != "smooth":
         return np.zeros(shape), np.zeros(shape)
     cosine = np.abs(np.cos(np.radians(theta_i)))
-    mirrored = optics.fresnel(cosine, float(bsdf["clear_coat_index"])).mean
+    mirrored = fresnel_reflectance(cosine, float(bsdf["clear_coat_index"])).mean
     return np.where(np.asarray(theta_i) <= 90, mirrored, 0.0)[..., None], np.zeros(shape)
 
 

@@ -10,7 +10,10 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import hemisphere
-from brdfpipe.bsdf import cells, flake, lambert_gauss, measured, microfacet, slab, table
+from brdfpipe.bsdf import cells, flake, lambert_gauss, table
+from brdfpipe.bsdf.measured import evaluation as measured
+from brdfpipe.bsdf.microfacet import builder as microfacet
+from brdfpipe.bsdf.slab import builder as slab
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 

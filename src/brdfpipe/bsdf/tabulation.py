@@ -10,7 +10,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import comparison, representations
+from brdfpipe.bsdf import approximation_error as comparison
+from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.grids import AZIMUTHS, GRIDS, Grid, kind_of
 from brdfpipe.bsdf.table import AXES
 from brdfpipe.errors import VocabularyError
@@ -128,7 +129,7 @@ def with_interpolation_error(made: xr.Dataset, bsdf: xr.Dataset, averaged: bool 
     Returns
     -------
     The table with ``interpolation_rms`` and ``interpolation_max``, worst of incidences midway between its own, and
-    ``interpolation_rms_on_nodes``, of incidences that it holds: see :class:`brdfpipe.bsdf.comparison.Misfit`. A table of a surface
+    ``interpolation_rms_on_nodes``, of incidences that it holds: see :class:`brdfpipe.bsdf.approximation_error.Misfit`. A table of a surface
     with a lay that was averaged over the azimuth is compared with the average.
 
     Notes

@@ -1,37 +1,5 @@
 """Files other programs read: one module a format, one registry."""
 
-from __future__ import annotations
+import lazy_loader
 
-import os
-from collections.abc import Callable, Mapping
-from pathlib import Path
-
-import xarray as xr
-
-from brdfpipe.exchange import astm
-from brdfpipe.exchange.astm import ExchangeError as ExchangeError
-from brdfpipe.exchange.companions import write_lambert_gauss as write_lambert_gauss
-from brdfpipe.exchange.companions import write_total_reflectance as write_total_reflectance
-from brdfpipe.exchange.companions import write_total_transmittance as write_total_transmittance
-
-WRITERS: Mapping[str, Callable[[xr.Dataset, str | os.PathLike[str]], None]] = {"astm": astm.write}
-"""Formats by name; a file's extension is a format's name."""
-
-
-def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = None) -> None:
-    """Write a BSDF for another program.
-
-    Parameters
-    ----------
-    bsdf : kind ``bsdf``; ``astm`` takes a non-spectral ``table`` (see ``bsdf.nonspectral()`` and ``bsdf.tabulate(grid)``)
-    path : the file; it appears whole or not at all
-    format : ``astm``; by default what the extension says
-
-    Raises
-    ------
-    ExchangeError : the format is unknown, or does not take such a BSDF.
-    """
-    name = format or Path(path).suffix.removeprefix(".")
-    if name not in WRITERS:
-        raise ExchangeError(f"{Path(path).name}: unknown format {name!r}; accepted: {', '.join(WRITERS)}")
-    WRITERS[name](bsdf, path)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

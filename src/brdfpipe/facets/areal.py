@@ -10,7 +10,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.density import RadialDensity
 from brdfpipe.facets.assembly import planar_dataset, positive, radial_dataset, with_noise_warning
 from brdfpipe.facets.counting import (
     PLENTY,
@@ -24,6 +23,8 @@ from brdfpipe.facets.counting import (
     redundancy_in_classes,
     redundancy_of,
 )
+from brdfpipe.facets.planar_density import Ellipse, PlanarDensity, SlopeAxis
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.facets.scans import with_roughness_warning
 from brdfpipe.facets.slopes import (
     BLOCKS,
@@ -37,7 +38,6 @@ from brdfpipe.facets.slopes import (
     triangle_slopes,
 )
 from brdfpipe.geometry import Array
-from brdfpipe.planar import Ellipse, PlanarDensity, SlopeAxis
 
 LAY_LIMIT = 1.2
 """Anisotropy above which a map that is not declared isotropic is taken to have a lay."""

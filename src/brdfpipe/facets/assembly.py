@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from brdfpipe import masking, planar, vocabulary
-from brdfpipe.density import RadialDensity
+from brdfpipe import vocabulary
+from brdfpipe.facets import planar_density as planar
+from brdfpipe.facets.planar_density import Ellipse, PlanarDensity, SlopeAxis
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
-from brdfpipe.planar import Ellipse, PlanarDensity, SlopeAxis
+from brdfpipe.masking.smith import smith_lambda
 
 _ALPHA_NODES = 121
 
@@ -20,7 +22,7 @@ def radial_dataset(density: RadialDensity, slope_rms: float) -> xr.Dataset:
         {
             "slope_density": ("slope", density.density),
             "D": ("alpha", density.density * (1 + density.slope**2) ** 2),
-            "lambda_smith": masking.smith_lambda(density),
+            "lambda_smith": smith_lambda(density),
             "slope_rms": slope_rms,
         },
         coords={"slope": density.slope, "alpha": alpha},

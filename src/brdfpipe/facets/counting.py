@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.density import RadialDensity
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.facets.slopes import FINE_BINS, SlopeCounts, count_bits
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule

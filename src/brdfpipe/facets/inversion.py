@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from brdfpipe.density import RadialDensity
 from brdfpipe.facets.marginal import Marginal
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 
 _COMPONENTS = 24

@@ -23,9 +23,9 @@ from brdfpipe.facets.assembly import planar_dataset, principal_ellipse, radial_d
 from brdfpipe.facets.counting import FacetError
 from brdfpipe.facets.inversion import Mixture, fit_mixture, of_mixture, of_patent, of_rings, ratio_of
 from brdfpipe.facets.marginal import Marginal, count
+from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.slopes import SCALES, correlation_length, mean_square
 from brdfpipe.geometry import Array
-from brdfpipe.planar import PlanarDensity
 
 METHODS = ("mixture", "abel", "crf")
 

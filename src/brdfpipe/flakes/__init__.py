@@ -1,21 +1,5 @@
 """Effect pigments: colours at several geometries, the flakes that mirror them below a clear coat, and fits along the flake angle."""
 
-from __future__ import annotations
+import lazy_loader
 
-from brdfpipe.flakes.forms import FORMS, Fit, fit, leave_one_out
-from brdfpipe.flakes.geometries import SETS, directions
-from brdfpipe.flakes.reading import ingest
-from brdfpipe.flakes.refraction import flake_angle, flake_normal, refract
-
-__all__ = [
-    "FORMS",
-    "SETS",
-    "Fit",
-    "directions",
-    "fit",
-    "flake_angle",
-    "flake_normal",
-    "ingest",
-    "leave_one_out",
-    "refract",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,7 +1,5 @@
-"""How stages run: code digests, one stage in a worker, the pool of workers, what the rules ask, the build front."""
+"""How stages run: code digests, one stage in a worker, the pool of workers, and the build."""
 
-from __future__ import annotations
+import lazy_loader
 
-from brdfpipe.jobs.stage import by_hand
-
-__all__ = ["by_hand"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -23,7 +23,17 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from brdfpipe import catalogue
+from brdfpipe import installation
+from brdfpipe.catalogue.catalogue import (
+    CALIBRATIONS,
+    DESCRIPTION,
+    RESERVED,
+    RESULT_MARKS,
+    Catalogue,
+    ignored,
+    load,
+    load_config,
+)
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs import pool, runs
 
@@ -115,8 +125,8 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
     KeyboardInterrupt : stopped by the user; the next build resumes.
     """
     started = time.perf_counter()
-    settings = catalogue.load_config(config)
-    loaded = catalogue.load(folder, settings)
+    settings = load_config(config)
+    loaded = load(folder, settings)
     _check_results(results, loaded)
     told: dict[str, Any] = {"catalogue": str(loaded.folder)}
     if config is not None:
@@ -220,7 +230,7 @@ class _Run(logging.Handler):
         from snakemake.logging import DefaultFormatter  # type: ignore[import-untyped]
 
         self.setFormatter(DefaultFormatter())
-        root, log = catalogue.project_folder(), self.results / LOG
+        root, log = installation.project_folder(), self.results / LOG
         arguments = [
             *("--snakefile", str(root / "Snakefile"), "--directory", str(self.results), "--cores", str(cores)),
             *("--profile", "none", "--workflow-profile", str(root / "workflow" / "profiles" / "default")),
@@ -277,14 +287,14 @@ class _Run(logging.Handler):
         self._bar.update(done - self._bar.n)
 
 
-def _check_results(results: Path, loaded: catalogue.Catalogue) -> None:
+def _check_results(results: Path, loaded: Catalogue) -> None:
     target = results.resolve()
     inside = [target, *target.parents]
-    if target == loaded.folder or any((place / catalogue.DESCRIPTION).is_file() for place in inside):
+    if target == loaded.folder or any((place / DESCRIPTION).is_file() for place in inside):
         raise BuildError(f"{results}: results go to a folder of their own, not among the raw files of the catalogue")
     if target.exists() and not target.is_dir():
         raise BuildError(f"{results}: is a file; results need a folder")
-    if target.is_dir() and not any((target / mark).exists() for mark in catalogue.RESULT_MARKS):
+    if target.is_dir() and not any((target / mark).exists() for mark in RESULT_MARKS):
         others = sorted(item.name for item in target.iterdir() if not item.name.startswith("."))
         if others:
             raise BuildError(
@@ -372,12 +382,12 @@ def _failures(
     return found
 
 
-def _dependents(loaded: catalogue.Catalogue) -> dict[str, tuple[str, ...]]:
+def _dependents(loaded: Catalogue) -> dict[str, tuple[str, ...]]:
     """Calibration or material → materials that cannot be made without it."""
     measured = [material for material in loaded.materials if material.has("rig")]
     rigs = {material.name: material.content["rig"] for material in measured}
     needs = [
-        (f"{catalogue.CALIBRATIONS}.{calibration}", material.name)
+        (f"{CALIBRATIONS}.{calibration}", material.name)
         for material in measured
         for calibration in loaded.calibrations_of(material)
     ]
@@ -385,7 +395,7 @@ def _dependents(loaded: catalogue.Catalogue) -> dict[str, tuple[str, ...]]:
     return {owner: tuple(name for other, name in needs if other == owner) for owner, _ in needs}
 
 
-def _unplanned(loaded: catalogue.Catalogue) -> dict[str, dict[str, str]]:
+def _unplanned(loaded: Catalogue) -> dict[str, dict[str, str]]:
     """Materials whose run of a rig cannot be used as it was planned, or that need one whose run cannot."""
     found = {name: {"stage": "check", "message": why} for name, why in runs.of(loaded)[1].items()}
     for owner, needing in _dependents(loaded).items():
@@ -395,7 +405,7 @@ def _unplanned(loaded: catalogue.Catalogue) -> dict[str, dict[str, str]]:
     return found
 
 
-def _unwritable(results: Path, loaded: catalogue.Catalogue) -> dict[str, dict[str, str]]:
+def _unwritable(results: Path, loaded: Catalogue) -> dict[str, dict[str, str]]:
     """Materials whose folder of results is there and cannot be written: snakemake would stop for all over it."""
     folders = [(material.name, part) for material in loaded.materials for part in (".", "exports")]
     return {
@@ -449,11 +459,11 @@ def _forget_failures(results: Path) -> None:
             record.unlink()
 
 
-def _mark_stale(results: Path, loaded: catalogue.Catalogue, failed: Mapping[str, Mapping[str, str]]) -> list[str]:
+def _mark_stale(results: Path, loaded: Catalogue, failed: Mapping[str, Mapping[str, str]]) -> list[str]:
     """Mark reports and exports that no material of the catalogue stands behind now; return those of materials that are gone."""
     reasons = {**loaded.failures, **{name: entry["message"] for name, entry in failed.items()}}
     gone = []
-    for folder in sorted(path for path in results.iterdir() if path.is_dir() and path.name not in catalogue.RESERVED):
+    for folder in sorted(path for path in results.iterdir() if path.is_dir() and path.name not in RESERVED):
         mark = folder / STALE
         if not (folder / "report.html").exists() and not any(folder.glob("exports/*")):
             continue
@@ -501,7 +511,7 @@ def _notices(folder: Path, healed: list[str], stale: list[str]) -> Iterator[str]
             f"{_count(stale, 'folder')} of materials that are no longer in the catalogue, marked by {STALE}: "
             f"{', '.join(stale[:5])}{', …' if len(stale) > 5 else ''}"
         )
-    for name, why in catalogue.ignored(folder).items():
+    for name, why in ignored(folder).items():
         yield f"{name}: ignored: {why}"
 
 

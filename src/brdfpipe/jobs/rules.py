@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from brdfpipe import catalogue
+from brdfpipe.catalogue import catalogue
 from brdfpipe.jobs import code, pool, runs
 from brdfpipe.jobs.stage import Job
 from brdfpipe.store import canonical_json

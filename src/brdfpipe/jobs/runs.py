@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from brdfpipe import catalogue
+from brdfpipe.catalogue.catalogue import CALIBRATIONS, Calibration, Catalogue, Material
 from brdfpipe.errors import BrdfpipeError, InputError
 
 if TYPE_CHECKING:
@@ -18,15 +18,15 @@ class Run(NamedTuple):
     sources: list[str]
 
 
-def place(owner: catalogue.Material | catalogue.Calibration) -> str:
+def place(owner: Material | Calibration) -> str:
     """Folder of the results of a material, or of a calibration."""
-    return f"{catalogue.CALIBRATIONS}/{owner.name}" if isinstance(owner, catalogue.Calibration) else owner.name
+    return f"{CALIBRATIONS}/{owner.name}" if isinstance(owner, Calibration) else owner.name
 
 
-def of(loaded: catalogue.Catalogue) -> tuple[dict[str, Run], dict[str, str]]:
+def of(loaded: Catalogue) -> tuple[dict[str, Run], dict[str, str]]:
     """The runs of the rigs' materials and calibrations by their places, and what is wrong with those of some materials."""
     measured = [material for material in loaded.materials if material.has("rig")]
-    owners: list[catalogue.Material | catalogue.Calibration] = [*loaded.calibrations.values(), *measured]
+    owners: list[Material | Calibration] = [*loaded.calibrations.values(), *measured]
     runs: dict[str, Run] = {}
     problems: dict[str, str] = {}
     for owner in owners:
@@ -42,13 +42,13 @@ def of(loaded: catalogue.Catalogue) -> tuple[dict[str, Run], dict[str, str]]:
     return runs, {name: found[0] for name, found in failures.items() if found}
 
 
-def _planned(owner: catalogue.Material | catalogue.Calibration) -> Run:
+def _planned(owner: Material | Calibration) -> Run:
     from brdfpipe.rig.plan import PLAN, Plan, sources
 
     told = owner.files["rig"]
     path = told if told.suffix == ".yaml" else told.parent / PLAN
     plan = Plan.load(path)
-    load = "etalon" if isinstance(owner, catalogue.Calibration) else "sample"
+    load = "etalon" if isinstance(owner, Calibration) else "sample"
     if all(each.load != load for each in plan.arrangements):
         raise InputError(path, f"the {load} is not measured", where="runs", accepted=f"a list with {load} in it")
     return Run(plan.arrangements, [str(file) for file in sources(path).values()])

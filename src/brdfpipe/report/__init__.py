@@ -1,12 +1,9 @@
-"""What people look at: a page a material, a catalogue of all of them, and the catalogue as a table.
+"""Pages for people: one a material, one of the catalogue, and the catalogue as a table.
 
-Every page is one file that asks nothing of anybody else: no font, script or picture from elsewhere. What users wrote is
-shown as text and never as markup.
+Every page is one file that needs nothing from elsewhere: no font, script or picture. What users wrote is shown as text and
+never as markup.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from brdfpipe.report.catalogue import catalogue_csv, catalogue_page, combine, lock, summarise
-from brdfpipe.report.material import material_page
-
-__all__ = ["catalogue_csv", "catalogue_page", "combine", "lock", "material_page", "summarise"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

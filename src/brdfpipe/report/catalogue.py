@@ -19,7 +19,7 @@ from markupsafe import Markup
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import VocabularyError
-from brdfpipe.report import material as page
+from brdfpipe.report.material import page
 from brdfpipe.report.pages import TEMPLATES, VERDICTS, colour, fixed, render, worst
 from brdfpipe.report.thumbnail import thumbnail
 

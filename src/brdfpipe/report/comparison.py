@@ -11,12 +11,12 @@ import xarray as xr
 from markupsafe import Markup
 
 from brdfpipe import vocabulary
+from brdfpipe.comparison import findings
+from brdfpipe.comparison.findings import NAMES, plus_minus
 from brdfpipe.report import rig_fit, scattering
 from brdfpipe.report.cards import Table
 from brdfpipe.report.pages import fixed, number
 from brdfpipe.report.svg import Array, Axis, Figure, Line, Mark, Points, chart, legend
-from brdfpipe.routes import findings
-from brdfpipe.routes.findings import NAMES, plus_minus
 
 _BESIDE = 12.0
 """Azimuth from the plane of incidence up to which a cell is shown as if it lay in it [degree]."""

@@ -10,9 +10,10 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import microfacet, representations
-from brdfpipe.dispersion import KEPT
-from brdfpipe.facets import flat
+from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
+from brdfpipe.facets.analytic_distributions import flat
+from brdfpipe.optics.dispersion import KEPT
 from brdfpipe.report.figures import visible_strip
 from brdfpipe.report.pages import number
 from brdfpipe.report.svg import (
@@ -40,7 +41,7 @@ _WITH_INDEX = ("microfacet", "smooth", "slab")
 """Representations that hold the index they were built with."""
 
 _FITTED_FROM = re.compile(r"fitted from ([0-9.]+) nm, was extrapolated to")
-"""How the history of an index tells of its extrapolated part (:func:`brdfpipe.dispersion.sampled`)."""
+"""How the history of an index tells of its extrapolated part (:func:`brdfpipe.optics.dispersion.sampled`)."""
 
 
 class _Neutral(NamedTuple):
@@ -167,7 +168,7 @@ def _neutral(bsdf: xr.Dataset | None) -> _Neutral | None:
     own = xr.Dataset(
         {name: ("wavelength", bsdf[name].values) for name in ("n", "k")}, {"wavelength": bsdf["wavelength"]}
     )
-    polished = microfacet.build(flat(), index=vocabulary.label(own.assign_attrs(source="own"), "index"))
+    polished = build_microfacet(flat(), index=vocabulary.label(own.assign_attrs(source="own"), "index"))
     reduced = representations.nonspectral(polished, weight)
     return _Neutral(float(reduced["n"]), float(reduced["k"]), about)
 

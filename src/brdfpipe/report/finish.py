@@ -12,7 +12,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.density import RadialDensity
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.report.raster import false_colour, framed
 from brdfpipe.report.svg import (
     Array,
@@ -31,7 +31,7 @@ from brdfpipe.report.svg import (
 )
 
 if TYPE_CHECKING:
-    from brdfpipe.planar import PlanarDensity
+    from brdfpipe.facets.planar_density import PlanarDensity
 
 Pattern = Literal["line", "dash", "dots"]
 Model = Callable[[Array], Array]
@@ -387,7 +387,7 @@ def _ggx_g1(theta: Array, width: float) -> Array:
 
 def _planar(facets: xr.Dataset) -> PlanarDensity:
     """The density as a function; loaded here because few surfaces have a lay."""
-    from brdfpipe.planar import PlanarDensity
+    from brdfpipe.facets.planar_density import PlanarDensity
 
     return PlanarDensity.of(facets)
 

@@ -11,7 +11,7 @@ from brdfpipe.report import scattering
 from brdfpipe.report.pages import number
 from brdfpipe.report.raster import viridis
 from brdfpipe.report.svg import WIDTH, Array, Figure, frame, power_of_ten, text
-from brdfpipe.rig.screen import outgoing
+from brdfpipe.specular_directions import outgoing
 
 _ALONG, _AROUND = 13, 22
 """Meshes from the mirror direction to the horizon, and around it."""

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from brdfpipe.bsdf import representations
 from brdfpipe.geometry import half_vector
-from brdfpipe.report import reach, scattering
+from brdfpipe.report import measurement_coverage as reach
+from brdfpipe.report import scattering
 from brdfpipe.report.pages import fixed, number
 from brdfpipe.report.raster import Ticks, disc, false_colour, on_disc
 from brdfpipe.report.scattering import Plane
@@ -231,7 +232,7 @@ def _has_base(bsdf: xr.Dataset) -> bool:
 
 def _facet_polarisation(bsdf: xr.Dataset, theta_o: Array, turn: Array) -> Array:
     """Degree of polarisation of unpolarised light after the one facet that mirrors it towards a direction."""
-    from brdfpipe.bsdf.polarised import degree_of_polarisation, facet_mueller
+    from brdfpipe.bsdf.microfacet.polarised import degree_of_polarisation, facet_mueller
 
     n, k = (float(scattering.at_reference(bsdf[name])) for name in ("n", "k"))
     # The frame in which the light is described turns with the direction; how much of it is polarised does not.

@@ -11,9 +11,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe import optics, vocabulary
+from brdfpipe import vocabulary
 from brdfpipe.bsdf import representations
-from brdfpipe.report import reach, scattering
+from brdfpipe.optics.fresnel_equations import mean_fresnel
+from brdfpipe.report import measurement_coverage as reach
+from brdfpipe.report import scattering
 from brdfpipe.report.pages import fixed, number
 from brdfpipe.report.scattering import Plane
 from brdfpipe.report.svg import Array, Axis, Band, Figure, Line, Mark, chart, legend, polar, sentence
@@ -444,9 +446,7 @@ def multiple_scattering(bsdf: xr.Dataset) -> MultipleScattering | None:
     mirrors = 1 - float(bsdf["mean_furnace_albedo"])
     if "compensation" in bsdf:
         return MultipleScattering(True, float(scattering.at_reference(bsdf["compensation"])) * mirrors, mirrors)
-    fresnel = float(
-        optics.mean_fresnel(*(np.atleast_1d(scattering.at_reference(bsdf[name])) for name in ("n", "k")))[0]
-    )
+    fresnel = float(mean_fresnel(*(np.atleast_1d(scattering.at_reference(bsdf[name])) for name in ("n", "k")))[0])
     share = fresnel**2 * (1 - mirrors) * mirrors / max(1 - fresnel * mirrors, 1e-12)
     return MultipleScattering(False, max(share, 0.0), mirrors)
 

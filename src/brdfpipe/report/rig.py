@@ -17,8 +17,8 @@ from brdfpipe.report.indicatrix import indicatrix
 from brdfpipe.report.pages import MISSING, fixed, number
 from brdfpipe.report.rig_figures import FITTED, HIDDEN, percent
 from brdfpipe.report.svg import Figure
-from brdfpipe.rig.calibration import GRAZING
-from brdfpipe.rig.screen import cos_view_etalon
+from brdfpipe.rig.reduction.calibration import GRAZING
+from brdfpipe.specular_directions import cos_view_etalon
 
 MOST_PICTURES, MOST_FITS = 6, 5
 """Incidences with a picture, and with figures of the fit, both sides together: more would make the page heavy."""

@@ -10,6 +10,8 @@ import xarray as xr
 from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
+from brdfpipe.bsdf.measured import basis as bases
+from brdfpipe.bsdf.measured import smoothing
 from brdfpipe.report import scattering
 from brdfpipe.report.pages import number
 from brdfpipe.report.svg import (
@@ -27,9 +29,7 @@ from brdfpipe.report.svg import (
     sentence,
     text,
 )
-from brdfpipe.rig import basis as bases
-from brdfpipe.rig import smoothing
-from brdfpipe.rig.screen import cos_view
+from brdfpipe.specular_directions import cos_view
 
 NEAR_PLANE = 10.0
 """Azimuth from the plane of incidence up to which a cell is shown in it [degree]."""

@@ -9,10 +9,10 @@ import xarray as xr
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from brdfpipe.bsdf.measured import basis as bases
+from brdfpipe.bsdf.measured import completion
 from brdfpipe.report.pages import MISSING, number
 from brdfpipe.report.svg import Array, Axis, Figure, Line, Mark, Points, chart, legend, nice_range, sentence
-from brdfpipe.rig import basis as bases
-from brdfpipe.rig import completion
 
 TITLE = "Reciprocity, before and after"
 

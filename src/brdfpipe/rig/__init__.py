@@ -1,33 +1,5 @@
-"""The camera rig: its devices, the scan, an emulator, and the way from frames to a BSDF.
+"""The camera rig: its devices and the scan, an emulator, and the reduction of frames to a primary BSDF."""
 
-Names load when they are first used: who drives a monochromator does not wait for what smooths a BSDF.
-"""
+import lazy_loader
 
-from __future__ import annotations
-
-from importlib import import_module
-from typing import Any
-
-_HOMES = {
-    "Certificate": "calibration",
-    "Plan": "plan",
-    "Rig": "description",
-    "apply": "calibration",
-    "calibrate": "calibration",
-    "complete": "completion",
-    "read_run": "frames",
-    "reduce": "reduction",
-    "smooth": "smoothing",
-}
-
-__all__ = [*_HOMES]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

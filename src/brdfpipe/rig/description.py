@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from brdfpipe import catalogue, documents, store
+from brdfpipe import documents, installation, store
 from brdfpipe.errors import InputError
 
 BAUD = {"acton": 9600, "acton-wheel": 9600, "thorlabs": 115200}
@@ -157,7 +157,7 @@ class Rig:
         InputError : naming the file, the line, the key, what stands there and what could.
         """
         path = Path(path)
-        content = documents.read(path, catalogue.project_folder() / "config" / "schemas" / "rig.schema.yaml")
+        content = documents.read(path, installation.project_folder() / "config" / "schemas" / "rig.schema.yaml")
         fibres = read_fibres(documents.file_beside(path, content["fibres"]["file"], "fibres.file", "the rig's folder"))
         rig = cls(
             name=content["name"],

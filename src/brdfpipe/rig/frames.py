@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from brdfpipe import store, vocabulary
 from brdfpipe.errors import InputError
+from brdfpipe.rig.acquisition.devices.camera import TIMING, Picture
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.devices.camera import TIMING, Picture
 from brdfpipe.rig.plan import FRAMES, PLAN, Arrangement, Plan, Shot
 
 WAVELENGTH_TOLERANCE = 0.5

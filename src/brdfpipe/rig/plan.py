@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from brdfpipe import catalogue, documents
+from brdfpipe import documents, installation
 from brdfpipe.errors import InputError
 from brdfpipe.rig.description import Rig
 
@@ -229,7 +229,7 @@ _SENSOR_KEYS = ("width", "height", "gain", "read_noise", "linear_to", "bits")
 
 
 def _content(path: Path) -> dict[str, Any]:
-    return documents.read(path, catalogue.project_folder() / "config" / "schemas" / "plan.schema.yaml")
+    return documents.read(path, installation.project_folder() / "config" / "schemas" / "plan.schema.yaml")
 
 
 def _rig_file(path: Path, content: Mapping[str, Any]) -> Path:

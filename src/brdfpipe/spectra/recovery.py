@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError, InputError
-from brdfpipe.optics import fresnel, interpolate_index
+from brdfpipe.optics.fresnel_equations import fresnel
+from brdfpipe.optics.index import interpolate_index
 from brdfpipe.spectra import colorimetry, mixing
 
 Array = NDArray[np.float64]

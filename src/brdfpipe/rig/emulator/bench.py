@@ -12,8 +12,8 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.geometry import Array
+from brdfpipe.rig.acquisition.devices.camera import Picture, check_exposure
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.devices.camera import Picture, check_exposure
 from brdfpipe.rig.emulator.clock import VirtualClock
 from brdfpipe.rig.emulator.effects import Effects, stream
 from brdfpipe.rig.emulator.faults import Faults
@@ -139,7 +139,7 @@ class EmulatedRig:
 
 
 class EmulatedCamera:
-    """The camera of an emulated rig: :class:`brdfpipe.rig.devices.Camera`."""
+    """The camera of an emulated rig: :class:`brdfpipe.rig.acquisition.devices.connection.Camera`."""
 
     def __init__(self, bench: EmulatedRig, sensor: Sensor, seed: int, session: int) -> None:
         self._bench, self._sensor, self._seed, self._session = bench, sensor, seed, session

@@ -8,11 +8,9 @@ import numpy as np
 import xarray as xr
 from scipy.special import ndtr
 
-from brdfpipe import vocabulary
-from brdfpipe.bsdf.accessor import BSDFAccessor
+from brdfpipe import specular_directions, vocabulary
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array, unit_vector
-from brdfpipe.rig import screen
 from brdfpipe.rig.description import Rig, Target
 from brdfpipe.rig.emulator.effects import Effects, stream
 from brdfpipe.rig.emulator.source import Source
@@ -79,7 +77,7 @@ class Holder:
         self, rig: Rig, truth: xr.Dataset, source: Source, effects: Effects, *, seed: int, session: int, etalon: Etalon
     ) -> None:
         self._rig, self._truth, self._source = rig, vocabulary.validate(truth, "bsdf"), source
-        self._bsdf = BSDFAccessor(truth)
+        self._bsdf = truth.bsdf
         self._effects, self._etalon = effects, etalon
         self._certified = 1 + effects.certificate * float(stream(seed, "certificate", session).standard_normal())
 
@@ -108,7 +106,7 @@ class Holder:
             bright += target_seen(self._rig.target, theta_s, phi_s)[:, None] * total
         elif setup.load == "sample":
             self._refuse_mirrors(setup)
-            cosine = screen.cos_view(setup.entrance, theta_s, phi_s)
+            cosine = specular_directions.cos_view(setup.entrance, theta_s, phi_s)
             for part in np.array_split(np.flatnonzero(cosine > 0), 1 + theta_s.size // _AT_ONCE):
                 brdf = self._brdf(setup, theta_s[part], phi_s[part], nodes)
                 bright[part] += cosine[part, None] * np.einsum("dwn,wn->dw", brdf, light)
@@ -116,13 +114,13 @@ class Holder:
         return bright
 
     def _etalon_seen(self, entrance: float, theta_s: Array, phi_s: Array) -> Array:
-        cosine = np.maximum(screen.cos_view_etalon(entrance, theta_s, phi_s), 0.0)
+        cosine = np.maximum(specular_directions.cos_view_etalon(entrance, theta_s, phi_s), 0.0)
         theta = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
         return self._certified * cosine * self._etalon.brdf(theta)
 
     def _brdf(self, setup: Setup, theta_s: Array, phi_s: Array, nodes: Array) -> Array:
         """BRDF or BTDF of the truth [1/sr]: (directions, wavelengths, nodes of the band), or broadcastable; 0 where a fit is below."""
-        theta_o, phi_o = screen.outgoing(setup.entrance, theta_s, phi_s, side=setup.side)
+        theta_o, phi_o = specular_directions.outgoing(setup.entrance, theta_s, phi_s, side=setup.side)
         evaluate = self._bsdf.evaluate
         if "wavelength" not in self._truth.coords:
             return np.maximum(evaluate(setup.entrance, 0.0, theta_o, phi_o).values, 0.0)[:, None, None]

@@ -11,11 +11,11 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
-from brdfpipe.rig import journal as journals
-from brdfpipe.rig.devices import connect
+from brdfpipe.rig.acquisition import journal as journals
+from brdfpipe.rig.acquisition.devices.connection import connect
+from brdfpipe.rig.acquisition.scan import Summary, last_finished, scan
 from brdfpipe.rig.emulator.bench import READOUT, EmulatedRig
 from brdfpipe.rig.plan import JOURNAL, Arrangement, Plan
-from brdfpipe.rig.scan import Summary, last_finished, scan
 
 
 def measure(plan_file: Path, folder: Path, truth: xr.Dataset | None, *, seed: int = 0, session: int = 0) -> Summary:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from brdfpipe import specular_directions
 from brdfpipe.geometry import Array, angles_of, unit_vector
 from brdfpipe.rig import screen
 from brdfpipe.rig.description import Rig, Screen
@@ -93,7 +94,7 @@ def hidden(
     found = np.zeros(theta_s.shape, dtype=bool)
     for each in holes if effects.holes else ():
         # Towards an entrance the etalon's normal points when it is lit through it.
-        found |= screen.cos_view_etalon(each, theta_s, phi_s) > np.cos(np.radians(effects.holes))
+        found |= specular_directions.cos_view_etalon(each, theta_s, phi_s) > np.cos(np.radians(effects.holes))
     return found
 
 

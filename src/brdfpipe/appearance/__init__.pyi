@@ -1,0 +1,13 @@
+from .colours import colour as colour
+from .colours import colour_uncertainty as colour_uncertainty
+from .colours import flop_index as flop_index
+from .computation import appraise as appraise
+from .gloss_meter import gloss as gloss
+from .gloss_meter import gloss_and_haze as gloss_and_haze
+from .gloss_meter import gloss_with_uncertainty as gloss_with_uncertainty
+from .haze import reflectance_haze as reflectance_haze
+from .haze import reflectance_haze_with_uncertainty as reflectance_haze_with_uncertainty
+from .prediction import colour_difference as colour_difference
+from .prediction import predicted_colours as predicted_colours
+from .transmission import luminous_transmittance as luminous_transmittance
+from .transmission import transmission_haze as transmission_haze

@@ -1,0 +1,5 @@
+"""The microfacet BSDF of a rough interface over a diffuse base."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

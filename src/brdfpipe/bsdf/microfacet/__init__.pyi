@@ -1,0 +1,2 @@
+from .builder import ModelError as ModelError
+from .builder import build as build

@@ -1,0 +1,95 @@
+"""The rough interface itself, whatever it is made of: how many facets mirror one direction into another, and how many are seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.facets.planar_density import PlanarDensity
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.geometry import Array, HalfVector, slope_towards, tan_half
+from brdfpipe.masking.liu import LiuMasking, Marginal
+from brdfpipe.masking.smith import PlanarSmith, Smith, cotangent
+from brdfpipe.masking.visibility import VISIBILITY
+
+Azimuth: TypeAlias = "Array | float"
+
+MASKINGS = (*VISIBILITY, "liu")
+"""Every masking by name."""
+
+
+@dataclass(frozen=True)
+class Microsurface:
+    """Slope density and mean excess slope of a surface, isotropic or with a lay."""
+
+    density: RadialDensity | PlanarDensity
+    smith: Smith | PlanarSmith
+
+    @classmethod
+    def of(cls, dataset: xr.Dataset) -> Microsurface:
+        """The surface that a ``facets`` or microfacet ``bsdf`` dataset carries."""
+        if dataset["slope_density"].ndim == 1:
+            return cls(RadialDensity.of(dataset), Smith.of(dataset))
+        return cls(PlanarDensity.of(dataset), PlanarSmith.of(dataset))
+
+    @property
+    def isotropic(self) -> bool:
+        return isinstance(self.density, RadialDensity)
+
+    @property
+    def median_slope(self) -> float:
+        """A width that every density has: of one with a lay, the geometric mean of its two."""
+        if isinstance(self.density, RadialDensity):
+            return self.density.median_slope
+        _, _, covariance = self.density.moments
+        return float(np.linalg.det(covariance) ** 0.25)
+
+    def density_at(self, slope_x: Array, slope_y: Array) -> Array:
+        """Slope density at slopes along x and y."""
+        if isinstance(self.density, RadialDensity):
+            return self.density(slope_x * slope_x + slope_y * slope_y)
+        return self.density(slope_x, slope_y)
+
+    def p22(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth) -> Array:
+        """Slope density of the facets that mirror one direction into the other."""
+        if isinstance(self.density, RadialDensity):
+            return self.density(pair.slope_squared)
+        return self.density(*slope_towards(pair, phi_i, phi_o))
+
+    def excess(self, cos: Array, sin: Array, phi: Azimuth) -> Array:
+        """Mean excess slope g(cot θ) towards directions of azimuth φ [degree]."""
+        if isinstance(self.smith, Smith):
+            return self.smith.excess_towards(cos, sin)
+        return self.smith.excess(cotangent(cos, sin), phi)
+
+    def visibility(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth, masking: str) -> Array:
+        """G2 / (cos θ_i cos θ_o) of the facets that mirror one direction into the other; ``masking`` is one of :data:`MASKINGS`."""
+        if masking == "liu":
+            return self._liu_attenuation(pair, phi_i, phi_o) / (pair.cos_i * pair.cos_o)
+        excess_i, excess_o = self.excess(pair.cos_i, pair.sin_i, phi_i), self.excess(pair.cos_o, pair.sin_o, phi_o)
+        return VISIBILITY[masking](pair, excess_i, excess_o)
+
+    def _liu_attenuation(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth) -> Array:
+        turn = tan_half(np.asarray(phi_i, dtype=float) - phi_o)
+        across, normal = 2 / (1 + turn * turn), pair.cos_i + pair.cos_o
+        tilt_i = (pair.sin_i - pair.sin_o + pair.sin_o * across) / normal
+        tilt_o = (pair.sin_o - pair.sin_i + pair.sin_i * across) / normal
+        mu_i, mu_o = cotangent(pair.cos_i, pair.sin_i), cotangent(pair.cos_o, pair.sin_o)
+        return np.minimum(self.liu(mu_i, tilt_i), self.liu(mu_o, tilt_o))
+
+    @cached_property
+    def liu(self) -> LiuMasking:
+        """Liu's one-direction factor of an isotropic surface."""
+        assert isinstance(self.density, RadialDensity)
+        return LiuMasking.of(Marginal.of(self.density))
+
+    def reflected(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth, masking: str) -> Array:
+        """D G2 / (4 cos θ_i cos θ_o), the BRDF of the facets if all were perfect mirrors [sr-1]."""
+        visible = self.visibility(pair, phi_i, phi_o, masking)
+        spread = 1 + pair.slope_squared
+        spread *= spread
+        return self.p22(pair, phi_i, phi_o) * spread * visible / 4

@@ -1,0 +1,237 @@
+"""The Mueller matrix of a microfacet BRDF: what a rough surface does to the polarisation of light.
+
+Frames. Light travels along k, which is −w_i before and w_o after the reflection. Its s axis is perpendicular to the plane of
+k and the surface normal z, and its p axis lies in it: s = k × z / |k × z|, p = k × s, so that (s, p, k) is right-handed. Hence
+s_i = (−sin φ_i, cos φ_i, 0) and s_o = (sin φ_o, −cos φ_o, 0), the same vector for a mirror reflection. At θ = 0, where the
+plane is not defined, these formulas hold on: the frame follows the azimuth that the direction was given.
+
+Stokes vectors. With fields E e^{−iωt} (so that N = n + ik absorbs) S0 = |E_s|² + |E_p|², S1 = |E_s|² − |E_p|²,
+S2 = 2 Re(E_s* E_p), S3 = 2 Im(E_s* E_p): S2 > 0 is light polarised along s + p, and S3 > 0 is light whose field turns from s to p,
+counter-clockwise for an eye that it travels into ("left" in optics, positive helicity).
+
+References
+----------
+Born & Wolf, Principles of Optics, 7th ed., §1.4 and §1.5.2; Priest & Germer 2000 (Proc. MSS Specialty Group on Camouflage),
+polarimetric microfacet BRDF; Cloude 1986 (Optik 75, 26), physical Mueller matrices; Sekera 1966 (J. Opt. Soc. Am. 56, 1732),
+their reciprocity.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from brdfpipe.geometry import Array, half_vector
+from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
+
+RECIPROCAL = np.diag([1.0, 1.0, -1.0, 1.0])
+"""Q of the reciprocity M(o → i) = Q M(i → o)ᵀ Q: light that runs back sees its 45° axes mirrored."""
+
+
+_PERFECT_MIRROR = 1e70
+"""Index beyond which N⁴ might overflow and a body is a mirror in every digit."""
+
+
+class FrameRotation(NamedTuple):
+    """Angles from the s axes of both directions to the s axis of the facet between them [radian]."""
+
+    incident: Array
+    outgoing: Array
+
+
+def mueller(
+    shape_factor: ArrayLike,
+    theta_i: ArrayLike,
+    phi_i: ArrayLike,
+    theta_o: ArrayLike,
+    phi_o: ArrayLike,
+    n: ArrayLike,
+    k: ArrayLike = 0.0,
+    diffuse: ArrayLike = 0.0,
+) -> Array:
+    """Mueller matrix BRDF of a microfacet surface over a base that depolarises what it scatters.
+
+    Parameters
+    ----------
+    shape_factor : (…) D G / (4 cos θ_i cos θ_o) [sr⁻¹]: the BRDF if every facet were a perfect mirror
+    theta_i, phi_i, theta_o, phi_o : (…) degree, broadcastable; 0 <= θ <= 90
+    n, k : (wavelength,) or scalars; refractive index n + ik of the body relative to the medium before it
+    diffuse : (…, wavelength) BRDF of the diffuse part [sr⁻¹]
+
+    Returns
+    -------
+    (…, wavelength, 4, 4) [sr⁻¹], from the Stokes frame of ``i`` to that of ``o`` (frames: module). A scalar index counts as one
+    wavelength. M[0, 0] is the BRDF for unpolarised light.
+
+    Raises
+    ------
+    BrdfpipeError : n <= 0, k < 0, or undefined values.
+
+    Notes
+    -----
+    M = D G / (4 cos θ_i cos θ_o) R(−ψ_o) M_F R(ψ_i) + diag(f_d, 0, 0, 0), with M_F of :func:`facet_mueller` and ψ of
+    :func:`frame_rotation`.
+    """
+    n, k = np.atleast_1d(n), np.atleast_1d(k)
+    cos_zeta = half_vector(theta_i, phi_i, theta_o, phi_o).cos_zeta
+    psi = frame_rotation(theta_i, phi_i, theta_o, phi_o)
+    facet = facet_mueller(cos_zeta[..., None], n, k)
+    turned = rotation(-psi.outgoing)[..., None, :, :] @ facet @ rotation(psi.incident)[..., None, :, :]
+    specular = np.asarray(shape_factor, dtype=float)[..., None, None, None] * turned
+    diffuse = np.asarray(diffuse, dtype=float)
+    shape = np.broadcast_shapes(specular.shape[:-2], diffuse.shape)
+    matrix = np.broadcast_to(specular, (*shape, 4, 4)).copy()
+    matrix[..., 0, 0] += diffuse
+    return matrix
+
+
+def facet_mueller(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0) -> Array:
+    """Mueller matrix of the Fresnel reflection by one facet, in the facet's own s–p frame.
+
+    Parameters
+    ----------
+    cos_zeta : cosine of the angle of incidence on the facet, in [0, 1]
+    n, k : refractive index n + ik relative to the near medium, broadcastable; n < 1 may reflect totally, n = inf is a mirror
+
+    Returns
+    -------
+    (…, 4, 4) [1]
+
+    Raises
+    ------
+    BrdfpipeError : as :func:`brdfpipe.optics.fresnel`.
+
+    Notes
+    -----
+    With F = |r|² and Z = r_s* r_p the matrix is ½(F_s ± F_p) in the upper block and Re Z, ∓Im Z in the lower, which turns circular
+    into linear light at metals and at total reflection. The diagonal uses the power reflectances of
+    :func:`brdfpipe.optics.fresnel`, so that M[0, 0] is theirs to the last digit.
+    """
+    fresnel = fresnel_reflectance(cos_zeta, n, k)
+    z = _phased_product(cos_zeta, n, k)
+    matrix = np.zeros((*np.broadcast_shapes(fresnel.mean.shape, z.shape), 4, 4))
+    matrix[..., 0, 0] = matrix[..., 1, 1] = fresnel.mean
+    matrix[..., 0, 1] = matrix[..., 1, 0] = (fresnel.s - fresnel.p) / 2
+    matrix[..., 2, 2] = matrix[..., 3, 3] = z.real
+    matrix[..., 2, 3], matrix[..., 3, 2] = -z.imag, z.imag
+    return matrix
+
+
+def _phased_product(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike) -> NDArray[np.complex128]:
+    """r_s* r_p of a smooth interface, in the forms of :func:`brdfpipe.optics.fresnel` that do not cancel as N → 1."""
+    c = np.clip(np.asarray(cos_zeta, dtype=float), 0.0, 1.0)
+    n, k = np.asarray(n, dtype=float), np.asarray(k, dtype=float)
+    mirror, absent = n > _PERFECT_MIRROR, (n == 1) & (k == 0)
+    index = np.where(mirror | absent, 2.0, n) + 1j * k
+    contrast = (index - 1) * (index + 1)
+    q = np.sqrt(contrast + c * c)
+    # The wave beyond a total reflection decays: of the two roots the one with Im q >= 0, whatever the sign of a zero says.
+    q = q.real + 1j * np.abs(q.imag)
+    into_p = index * index * c + q
+    r_s = -contrast / (c + q) ** 2
+    r_p = (contrast / into_p) * (((index * index + 1) * (c * c) - 1) / into_p)
+    return np.where(absent, 0.0, np.where(mirror, -1.0, np.conj(r_s) * r_p))
+
+
+def frame_rotation(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> FrameRotation:
+    """Angles by which the frames of both directions turn, from s towards p, into the frame of the facet between them.
+
+    Parameters
+    ----------
+    theta_i, phi_i, theta_o, phi_o : (…) degree, broadcastable; 0 <= θ <= 90
+
+    Returns
+    -------
+    ψ_i, ψ_o [radian], in [−π, π]
+
+    Notes
+    -----
+    The facet's s axis is w_o × w_i / |w_o × w_i|, the same before and after. With Δ = φ_o − φ_i,
+    ψ_i = atan2(sin θ_o sin Δ, sin(θ_i − θ_o) + 2 sin θ_o cos θ_i sin²(Δ/2)) and ψ_o the same with i and o exchanged and Δ kept.
+    Towards retro-reflection both turn without limit, but 2(ψ_i + ψ_o), on which the light depends there, has one: written
+    through sin(θ_i − θ_o) it survives the cancellation. Where the cross product is zero, ψ_i = 0 and ψ_o = π − Δ continue it.
+
+    References
+    ----------
+    Derived from the frames of the module; checked against a construction with vectors and against SCATMECH.
+    """
+    theta_i, theta_o = np.radians(theta_i), np.radians(theta_o)
+    delta = np.radians(np.asarray(phi_o, dtype=float) - phi_i)
+    sin_i, cos_i, sin_o, cos_o = np.sin(theta_i), np.cos(theta_i), np.sin(theta_o), np.cos(theta_o)
+    ahead = 2 * np.sin(delta / 2) ** 2
+    difference = np.sin(theta_i - theta_o)
+    across_i, along_i = sin_o * np.sin(delta), difference + sin_o * cos_i * ahead
+    across_o, along_o = sin_i * np.sin(delta), -difference + sin_i * cos_o * ahead
+    undefined = (across_i == 0) & (along_i == 0) & (across_o == 0) & (along_o == 0)
+    straight = np.arctan2(np.sin(delta), -np.cos(delta))
+    return FrameRotation(
+        np.where(undefined, 0.0, np.arctan2(across_i, along_i)),
+        np.where(undefined, straight, np.arctan2(across_o, along_o)),
+    )
+
+
+def rotation(psi: ArrayLike) -> Array:
+    """Mueller matrices (…, 4, 4) that express a Stokes vector in axes turned by ψ [radian] from s towards p."""
+    cos, sin = np.cos(2 * np.asarray(psi, dtype=float)), np.sin(2 * np.asarray(psi, dtype=float))
+    matrix = np.zeros((*cos.shape, 4, 4))
+    matrix[..., 0, 0] = matrix[..., 3, 3] = 1
+    matrix[..., 1, 1] = matrix[..., 2, 2] = cos
+    matrix[..., 1, 2], matrix[..., 2, 1] = sin, -sin
+    return matrix
+
+
+def stokes_out(mueller: ArrayLike, stokes_in: ArrayLike) -> Array:
+    """Stokes vectors (…, 4) that Mueller matrices (…, 4, 4) make of Stokes vectors (…, 4)."""
+    return np.einsum("...ab,...b->...a", np.asarray(mueller, dtype=float), np.asarray(stokes_in, dtype=float))
+
+
+def degree_of_polarisation(stokes: ArrayLike) -> Array:
+    """√(S1² + S2² + S3²) / S0 of Stokes vectors (…, 4) [1]; 0 where there is no light."""
+    s = np.asarray(stokes, dtype=float)
+    return _share(np.linalg.norm(s[..., 1:], axis=-1), s[..., 0])
+
+
+def degree_of_linear_polarisation(stokes: ArrayLike) -> Array:
+    """√(S1² + S2²) / S0 of Stokes vectors (…, 4) [1]; 0 where there is no light."""
+    s = np.asarray(stokes, dtype=float)
+    return _share(np.hypot(s[..., 1], s[..., 2]), s[..., 0])
+
+
+def angle_of_polarisation(stokes: ArrayLike) -> Array:
+    """Azimuth of the major axis of the polarisation ellipse of Stokes vectors (…, 4), from s towards p [degree], in [−90, 90].
+
+    ½ atan2(S2, S1); 0 for light without linear polarisation.
+    """
+    s = np.asarray(stokes, dtype=float)
+    return np.degrees(np.arctan2(s[..., 2], s[..., 1])) / 2
+
+
+def _share(part: Array, whole: Array) -> Array:
+    return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)
+
+
+_PAULI = np.array([[[1, 0], [0, 1]], [[1, 0], [0, -1]], [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])
+
+
+def coherency(mueller: ArrayLike) -> NDArray[np.complex128]:
+    """Cloude's Hermitian coherency matrix (…, 4, 4) of Mueller matrices (…, 4, 4); its trace is M[0, 0].
+
+    ¼ Σ M_ab σ_a ⊗ σ_b*: positive semi-definite exactly where the Mueller matrix is a sum of Jones matrices.
+    """
+    m = np.asarray(mueller, dtype=float)
+    matrix = np.einsum("...ab,aij,bkl->...ikjl", m, _PAULI, _PAULI.conj()) / 4
+    return matrix.reshape(*m.shape[:-2], 4, 4)
+
+
+def physical(mueller: ArrayLike, tolerance: float = 1e-12) -> NDArray[np.bool_]:
+    """Whether Mueller matrices (…, 4, 4) can belong to a surface: no eigenvalue of the coherency matrix below −tolerance · M[0, 0].
+
+    References
+    ----------
+    Cloude 1986 (Optik 75, 26).
+    """
+    m = np.asarray(mueller, dtype=float)
+    smallest = np.linalg.eigvalsh(coherency(m))[..., 0]
+    return np.asarray((m[..., 0, 0] >= 0) & (smallest >= -tolerance * m[..., 0, 0]))

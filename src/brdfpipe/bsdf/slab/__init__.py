@@ -1,0 +1,5 @@
+"""A plane-parallel sheet in air: two faces and the body between them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

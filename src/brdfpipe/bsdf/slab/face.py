@@ -1,0 +1,241 @@
+"""One face of a slab as matrices: what it reflects and lets through, between the nodes of polar angles outside and inside.
+
+Radiance inside is counted as L/n², and directions by their étendue, cos θ sin θ dθ outside and n² cos θ sin θ dθ inside: then
+every operator is symmetric (reciprocity), and a face that keeps all energy has rows that sum to 1. The angles inside are those
+outside, refracted, and those beyond the critical angle, so that a smooth face is a diagonal.
+
+References
+----------
+van de Hulst 1980, Multiple Light Scattering, §4 (adding–doubling and its Fourier modes); Stam 2001 and Jakob et al. 2014
+(SIGGRAPH, layered materials) for rough interfaces; Kulla & Conty 2017 (SIGGRAPH course) for the light the facets lose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from brdfpipe.bsdf.microfacet import energy, transmission
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.slab.nodes import Azimuths, Nodes
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.geometry import Array, half_vector
+from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
+
+_LEAST_LOSS = 1e-8
+_BALANCING = 60
+_NOTHING = 1e-14
+_BLOCK = 2**16
+
+
+@dataclass(frozen=True)
+class Face:
+    """The operators of one face, symmetrised by the roots of the étendues.
+
+    Parameters
+    ----------
+    reflected : (N,) share of the light from outside that the facets mirror back at once [1]
+    straight : (N,) share that passes without leaving the plane and angle of refraction [1]
+    mirrored : (J,) share of the light inside that is reflected into the mirror direction [1]
+    through : (N, J, P) what passes into other directions, at the azimuths; None where nothing does
+    within : (J, J, P) what is reflected inside into other directions; None where nothing is
+    lost_outside, lost_inside : (N,), (J,) what the facets lose after one interaction, and is given back diffusely [1]
+    root : (J,) root of the étendues
+    correction : largest share of the light by which the sums over the nodes missed the integrals over the facets, before they
+        were scaled to them
+    """
+
+    reflected: Array
+    straight: Array
+    mirrored: Array
+    through: Array | None
+    within: Array | None
+    lost_outside: Array
+    lost_inside: Array
+    root: Array
+    correction: float
+
+    @property
+    def total_loss(self) -> float:
+        """∫ of the loss over the étendue of both sides."""
+        outer = self.root[: self.straight.size] ** 2
+        return float(outer @ self.lost_outside + self.root**2 @ self.lost_inside)
+
+    def operators(self, azimuths: Azimuths, modes: Array) -> tuple[Array, Array]:
+        """Transmission (modes, N, J) and inner reflection (modes, J, J) of Fourier modes."""
+        outside, inside = self.straight.size, self.mirrored.size
+        integrals = azimuths.integrals(modes)
+        through = _modes(self.through, integrals, (modes.size, outside, inside))
+        within = _modes(self.within, integrals, (modes.size, inside, inside))
+        through[:, np.arange(outside), np.arange(outside)] += self.straight
+        within[:, np.arange(inside), np.arange(inside)] += self.mirrored
+        if self.total_loss > 0:
+            # Light that left the facets' model has forgotten its azimuth: it is in the first mode alone.
+            into, out = self.root * self.lost_inside, self.root[:outside] * self.lost_outside
+            through[modes == 0] += np.outer(out, into) / self.total_loss
+            within[modes == 0] += np.outer(into, into) / self.total_loss
+        return through, within
+
+    @property
+    def diffuse(self) -> Array:
+        """Factors g(θ), (N,), of the diffuse reflection outside, g(θ_i) g(θ_o) [sr-1/2]."""
+        return self.lost_outside / np.sqrt(2 * np.pi * self.total_loss) if self.total_loss > 0 else self.lost_outside
+
+    @property
+    def outer_albedo(self) -> Array:
+        """(N,) share of the light from outside that returns without having been inside."""
+        if self.total_loss == 0:
+            return self.reflected
+        outer = self.root[: self.straight.size] ** 2
+        return np.asarray(self.reflected + self.lost_outside * (outer @ self.lost_outside) / self.total_loss)
+
+
+def _modes(kernel: Array | None, integrals: Array, shape: tuple[int, ...]) -> Array:
+    if kernel is None:
+        return np.zeros(shape)
+    return np.ascontiguousarray(np.moveaxis(kernel @ integrals, -1, 0))
+
+
+def smooth(index: float, nodes: Nodes) -> Face:
+    """A perfectly smooth face: Fresnel's reflectance on the diagonals, and 1 beyond the critical angle."""
+    reflected = fresnel_reflectance(np.cos(np.radians(nodes.outside)), index).mean
+    mirrored = np.concatenate([reflected, np.ones(nodes.inside.size - reflected.size)])
+    nothing = np.zeros(reflected.size), np.zeros(mirrored.size)
+    return Face(reflected, 1 - reflected, mirrored, None, None, *nothing, np.sqrt(nodes.weight), 0.0)
+
+
+def rough(
+    surface: Microsurface,
+    masking: str,
+    index: float,
+    nodes: Nodes,
+    azimuths: Azimuths,
+    *,
+    sharp_through: bool = False,
+    sharp_within: bool = False,
+) -> Face:
+    """A rough face.
+
+    Parameters
+    ----------
+    surface : its facets, seen from outside, isotropic
+    masking : ``height-correlated`` or ``separable``
+    index : of the body
+    sharp_through, sharp_within : take the transmitted, or the inner reflected, lobe for a single direction, because it is
+        narrower than the nodes resolve
+
+    Notes
+    -----
+    The kernels are sampled at the nodes, then scaled, d_i K_ij d_j, until their sums over the nodes are the shares that the
+    integrals over the facets give. What is still missing from 1, light that met more than one facet, is e(θ); it is given back as
+    e(θ_i) e(θ_o) / ∫ e over both sides, in L/n²: reciprocal, and the whole then keeps energy to rounding.
+    """
+    one, none = np.array([index]), np.zeros(1)
+    reflected = energy.directional_albedo(surface, masking, one, none, nodes.outside)[:, 0]
+    mirrored = energy.directional_albedo(surface, masking, 1 / one, none, nodes.inside)[:, 0]
+    passed = transmission.directional_transmittance(surface, masking, one, nodes.outside)[:, 0]
+    left = transmission.directional_transmittance(surface, masking, one, 180 - nodes.inside)[:, 0]
+    passed = np.clip(passed, 0.0, 1 - reflected - _LEAST_LOSS)
+    left = np.clip(left, 0.0, 1 - mirrored - _LEAST_LOSS)
+    mirrored = np.clip(mirrored, 0.0, 1 - _LEAST_LOSS)
+    root, outside = np.sqrt(nodes.weight), nodes.outside.size
+    straight, delta, missed = np.zeros(outside), np.zeros(nodes.inside.size), []
+    through, within = None, None
+    if sharp_through:
+        straight = np.minimum(passed, left[:outside])
+    else:
+        through = (
+            _through(surface, masking, index, nodes, azimuths) * np.multiply.outer(root[:outside], root)[..., None]
+        )
+        through, miss = _balanced(through, azimuths, root[:outside], root, passed, left)
+        missed.append(miss)
+    if sharp_within:
+        delta = mirrored
+    else:
+        within = _within(surface, masking, index, nodes, azimuths) * np.multiply.outer(root, root)[..., None]
+        within, miss = _balanced(within, azimuths, root, root, mirrored, mirrored)
+        missed.append(miss)
+    sums = np.zeros((outside, nodes.inside.size)), np.zeros((nodes.inside.size,) * 2)
+    zeroth = azimuths.integrals(np.zeros(1))[:, 0]
+    t, r = (total if kernel is None else kernel @ zeroth for kernel, total in zip((through, within), sums, strict=True))
+    leaves = (root[:outside] @ t) / root
+    leaves[:outside] += straight
+    lost_outside = 1 - reflected - straight - (t @ root) / root[:outside]
+    lost_inside = 1 - delta - leaves - (r @ root) / root
+    return Face(reflected, straight, delta, through, within, lost_outside, lost_inside, root, max(missed, default=0.0))
+
+
+def _through(surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths) -> Array:
+    """f_t/n² from the nodes outside to those inside, (N, J, P)."""
+    result = np.empty((nodes.outside.size, nodes.inside.size, azimuths.phi.size))
+    phi = 180 + np.degrees(azimuths.phi)
+    steepest = _steepest(surface)
+    rows = max(1, _BLOCK // result[0].size)
+    for start in range(0, nodes.outside.size, rows):
+        block = slice(start, start + rows)
+        theta_i, theta_o, azimuth = np.broadcast_arrays(
+            nodes.outside[block, None, None], 180 - nodes.inside[:, None], phi
+        )
+        cos_i, cos_o = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
+        cosine = cos_i * cos_o + np.sin(np.radians(theta_i)) * np.sin(np.radians(theta_o)) * np.cos(np.radians(azimuth))
+        # Most pairs need facets that are too steep to be there, and a facet's slope is soon found.
+        length = 1 + index**2 + 2 * index * cosine
+        there = length < (1 + steepest**2) * (cos_i + index * cos_o) ** 2
+        values = np.zeros(theta_i.shape)
+        angles = theta_i[there], np.zeros(np.count_nonzero(there)), theta_o[there], azimuth[there]
+        values[there] = transmission.transmitted(surface, masking, index, *angles) / index**2
+        result[block] = values
+    return result
+
+
+def _steepest(surface: Microsurface) -> float:
+    """The slope beyond which a density is nothing beside its peak."""
+    assert isinstance(surface.density, RadialDensity)
+    slope, density = surface.density.slope, surface.density.density
+    return float(slope[density > _NOTHING * density.max()][-1])
+
+
+def _within(surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths) -> Array:
+    """f_r/n² between the nodes inside, (J, J, P)."""
+    count = nodes.inside.size
+    first, second = np.triu_indices(count)
+    result = np.empty((count, count, azimuths.phi.size))
+    phi = 180 + np.degrees(azimuths.phi)
+    pairs = max(1, _BLOCK // phi.size)
+    for start in range(0, first.size, pairs):
+        i, o = first[start : start + pairs], second[start : start + pairs]
+        pair = half_vector(nodes.inside[i, None], 0.0, nodes.inside[o, None], phi)
+        fresnel = fresnel_reflectance(pair.cos_zeta, 1 / index).mean
+        values = surface.reflected(pair, 0.0, phi, masking) * fresnel / index**2
+        result[i, o] = values
+        result[o, i] = values
+    return result
+
+
+def _balanced(
+    kernel: Array, azimuths: Azimuths, row_root: Array, column_root: Array, rows: Array, columns: Array
+) -> tuple[Array, float]:
+    """A kernel scaled so that its rows and columns sum to given shares, never to more; and how far it was from that.
+
+    Notes
+    -----
+    Sinkhorn & Knopp 1967, by roots so that a symmetric kernel stays symmetric. Rows and columns must carry the same light in
+    all: the larger shares are lowered to that. The last steps only shrink, so that nothing is left above its share.
+    """
+    carried = float(row_root**2 @ rows), float(column_root**2 @ columns)
+    rows, columns = rows * min(1.0, carried[1] / carried[0]), columns * min(1.0, carried[0] / carried[1])
+    zeroth = kernel @ azimuths.integrals(np.zeros(1))[:, 0]
+    matrix = zeroth * column_root / row_root[:, None]
+    back = zeroth * row_root[:, None] / column_root
+    correction = float(row_root**2 @ np.abs(matrix.sum(axis=1) - rows) / carried[0])
+    down, across = np.ones(rows.size), np.ones(columns.size)
+    for step in range(_BALANCING):
+        found = down * (matrix @ across), across * (down @ back)
+        ratios = [wanted / np.maximum(sums, 1e-30) for wanted, sums in zip((rows, columns), found, strict=True)]
+        # Shares too small to matter have ratios too rough to follow.
+        high = 2.0 if step < _BALANCING - 8 else 1.0
+        power = 0.5 if step < _BALANCING - 8 else 1.0
+        down = down * np.clip(ratios[0], 0.0, high) ** power
+        across = across * np.clip(ratios[1], 0.0, high) ** power
+    return kernel * (np.clip(down, 0.0, 2.0)[:, None] * np.clip(across, 0.0, 2.0))[..., None], correction

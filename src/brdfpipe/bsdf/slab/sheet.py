@@ -1,0 +1,215 @@
+"""How finely a slab must be resolved, and the table of what has been inside it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.slab import face, layers
+from brdfpipe.bsdf.slab.layers import Sheet
+from brdfpipe.bsdf.slab.nodes import Azimuths, Nodes
+from brdfpipe.bsdf.slab.pairs import Grid
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.geometry import Array
+
+MOST_NODES, MOST_BEYOND, MOST_MODES = 160, 96, 400
+NARROWEST_THROUGH, NARROWEST_WITHIN = 0.018, 0.02
+"""Half widths of a transmitted lobe outside, and slopes of a face seen from inside, below which they are taken for sharp [1]."""
+
+ENDS = ((0, 0), (1, 1), (0, 1), (1, 0))
+"""The faces, front 0 and back 1, at which the smaller and the larger angle lie, for each path of a table."""
+
+_MODES_AT_ONCE = 16
+_FLOOR = 1e-9
+_LEAST_SHARE = 0.01
+_CHECKED = 3
+
+
+class Resolution(NamedTuple):
+    """Numbers of nodes for a slab, and which of its lobes are narrower than they can show."""
+
+    outside: int
+    beyond: int
+    modes: int
+    scale: float
+    """Half width of the narrowest lobe that has been inside [radian]."""
+    sharp: tuple[tuple[bool, bool], tuple[bool, bool]]
+    """Of the front and the back face: whether the transmitted, and the inner reflected, lobe is taken for sharp."""
+
+
+def resolution(surfaces: tuple[Microsurface | None, Microsurface | None], index: float) -> Resolution:
+    """Node counts from the widths of the lobes.
+
+    Notes
+    -----
+    A facet of slope s turns light that passes by (n − 1) s outside and light that is reflected inside by 2 s. The polynomial
+    through values at Gauss nodes, π/2 · π/2N apart, follows a Gaussian lobe to a percent if they are as close as its standard
+    deviation; that of light that passed two rough faces is the wider. The modes of a lobe fall to 1e-3 at 8 over its 1/e width.
+    """
+    slopes = [None if each is None else _width(each) for each in surfaces]
+    rough = [b for b in slopes if b is not None]
+    sharp = [
+        (True, True) if b is None else ((index - 1) * b < NARROWEST_THROUGH, b < NARROWEST_WITHIN or index == 1)
+        for b in slopes
+    ]
+    through = [(index - 1) * b for b, (t, _) in zip(slopes, sharp, strict=True) if b is not None and not t]
+    within = [b for b, (_, r) in zip(slopes, sharp, strict=True) if b is not None and not r]
+    # Light reflected inside turns by 2 n s cos θ outside, across the plane of incidence.
+    lobes = [*through, *(2 * b * np.sqrt(index**2 - 1) for b in within if index > 1)]
+    scale = min(lobes, default=1.0)
+    passed_both = [3.7 / np.hypot.reduce(through)] if through else []
+    outside = max([40.0, *passed_both, *(2.0 / each for each in through), *(1.4 / (index * b) for b in within)])
+    left = np.pi / 2 - np.arcsin(1 / index)
+    beyond = max([28.0, *(2.2 * left / (2 * b) for b in within), *(1.4 * left * index / each for each in through)])
+    return Resolution(
+        min(int(np.ceil(outside)), MOST_NODES) if rough else 64,
+        min(int(np.ceil(beyond)), MOST_BEYOND) if rough else 1,
+        int(np.clip(np.ceil(8 / scale), 24, MOST_MODES)) if lobes else 1,
+        float(np.clip(scale, 8 / MOST_MODES, 1.0)),
+        (sharp[0], sharp[1]),
+    )
+
+
+def _width(surface: Microsurface) -> float:
+    """1/e half width of a Gaussian density, and of one with a sharper core than bulk, something between."""
+    assert isinstance(surface.density, RadialDensity)
+    slope, density = surface.density.slope, surface.density.density
+    half = np.append(slope[density < density[0] / 2], slope[-1])[0]
+    return float(np.sqrt(half * surface.median_slope / np.log(2)))
+
+
+def sheet(
+    surfaces: tuple[Microsurface | None, Microsurface | None], masking: str, index: float, resolved: Resolution
+) -> Sheet:
+    """The two faces of a body of one index, made ready to be joined."""
+    nodes = Nodes.of(index, resolved.outside, resolved.beyond)
+    azimuths = Azimuths.of(resolved.scale / 3, 48)
+    faces: list[face.Face] = []
+    for surface, (through, within) in zip(surfaces, resolved.sharp, strict=True):
+        if faces and surface is surfaces[0]:
+            faces.append(faces[0])
+        elif surface is None:
+            faces.append(face.smooth(index, nodes))
+        else:
+            faces.append(
+                face.rough(surface, masking, index, nodes, azimuths, sharp_through=through, sharp_within=within)
+            )
+    return Sheet(faces[0], faces[1], nodes, azimuths)
+
+
+def fading(smooth: tuple[bool, bool], path: Array, low: Array, high: Array) -> Array:
+    """What is left out of a table: cos θ at a smooth face, where all that has been inside goes out towards grazing."""
+    at_smooth = np.array(smooth)[np.array(ENDS)][path]
+    by_angle = (np.where(at_smooth[..., k], np.cos(np.radians(each)), 1.0) for k, each in enumerate((low, high)))
+    return np.asarray(np.maximum(next(by_angle) * next(by_angle), 0.0))
+
+
+def tabulate(
+    sheets: list[Sheet], smooth: tuple[bool, bool], transmittances: Array, count: int, grid: Grid
+) -> tuple[Array, float]:
+    """Logarithm of the BSDF of what has been inside, less its :func:`fading`, and the error of its interpolation.
+
+    Parameters
+    ----------
+    sheets : one for each index
+    smooth : whether the front, and the back, face is
+    transmittances : (K,) internal transmittances at normal incidence
+    count : of Fourier modes
+    grid : of the pairs of directions
+
+    Returns
+    -------
+    table : (4, X, T, V, sheets · K): front to front, back to back, front to back where the angle at the front is the smaller, and
+        where it is the larger
+    error : largest over incidences of the mean absolute error between nodes, over the mean, both weighted by flux; relative to a
+        hundredth of the incident light where less than that is scattered [1]
+    """
+    outside = sheets[0].nodes.outside
+    span, turn = np.linspace(0, 1, grid.spans), np.linspace(0, 1, grid.turns)
+    on_grid = _Pairs.of(grid, grid.low, span, turn, outside)
+    between = [(each[1:] + each[:-1]) / 2 for each in (grid.low, span, turn)]
+    checked = _Pairs.of(grid, between[0][::_CHECKED], between[1], between[2], outside)
+    left_out = np.stack([fading(smooth, np.array(path), outside[:, None], outside) for path in range(len(ENDS))])[
+        :, None
+    ]
+    straights = [[layers.straight(each, float(t)) for t in transmittances] for each in sheets]
+    values, exact = np.zeros(()), np.zeros(())
+    for start in range(0, count, _MODES_AT_ONCE):
+        modes = np.arange(start, min(start + _MODES_AT_ONCE, count), dtype=float)
+        kernels = np.stack(
+            [
+                _densities(part, delta, each.nodes.outer_weight) / left_out
+                for each, deltas in zip(sheets, straights, strict=True)
+                for part, delta in zip(layers.scattered(each, modes, transmittances), deltas, strict=True)
+            ]
+        )
+        # The last modes fade out, lest what is cut off ring.
+        kernels *= ((2 - (modes == 0)) / (2 * np.pi) * np.exp(-36 * (modes / max(count, 2)) ** 12))[:, None, None]
+        values, exact = values + on_grid.sums(kernels, modes), exact + checked.sums(kernels, modes)
+    least = np.maximum(values.max(axis=(1, 2, 3), keepdims=True) * _FLOOR, 1e-300)
+    table = np.log(np.maximum(values, least)).astype(np.float32)
+    return table, checked.error(grid, smooth, table, exact)
+
+
+def _densities(part: layers.Scattered, delta: layers.Straight, weight: Array) -> Array:
+    """BSDF of each mode between the nodes, (paths, modes, N, N), the smaller angle's node first."""
+    roots = np.sqrt(np.multiply.outer(weight, weight))
+    front, back, through = ((matrix - np.diag(straight)) / roots for matrix, straight in zip(part, delta, strict=True))
+    return np.stack([_even(front), _even(back), through, np.swapaxes(through, -1, -2)])
+
+
+def _even(matrix: Array) -> Array:
+    return np.asarray((matrix + np.swapaxes(matrix, -1, -2)) / 2)
+
+
+def _splines(nodes: Array, x: Array) -> Array:
+    """The matrix, (…, nodes), of quintic splines through the nodes.
+
+    A polynomial through all of them would ring beside a lobe, by little of its peak and much of the tail; a spline forgets a lobe
+    a few nodes away.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    return np.asarray(make_interp_spline(nodes, np.eye(nodes.size), k=5)(x))
+
+
+class _Pairs(NamedTuple):
+    """Pairs of directions at which a BSDF given by its modes between nodes is summed."""
+
+    low: Array
+    high: Array
+    azimuth: Array
+    rows: Array
+    columns: Array
+
+    @classmethod
+    def of(cls, grid: Grid, low: Array, span: Array, turn: Array, nodes: Array) -> _Pairs:
+        high, azimuth = grid.directions(low, span, turn)
+        return cls(low, high, azimuth, _splines(nodes, low), _splines(nodes, high))
+
+    def sums(self, kernels: Array, modes: Array) -> Array:
+        """Σ_m cos mφ F_m, (paths, X, T, V, K), of kernels (K, paths, modes, N, N)."""
+        count, paths = kernels.shape[:2]
+        half = np.einsum("xn,kpmno->xkpmo", self.rows, kernels, optimize=True)
+        pairs = np.einsum("xto,xkpmo->xtmpk", self.columns, half, optimize=True)
+        cosine = np.cos(np.radians(180 - self.azimuth)[..., None] * modes)
+        summed = cosine @ pairs.reshape(*pairs.shape[:3], paths * count)
+        return np.moveaxis(summed.reshape(*self.azimuth.shape, paths, count), 3, 0)
+
+    def error(self, grid: Grid, smooth: tuple[bool, bool], table: Array, exact: Array) -> float:
+        """Largest over the incidences and paths of Σ |interpolated − exact| over Σ exact, weighted by flux, over half the azimuths."""
+        low, high = (np.broadcast_to(each[..., None], self.azimuth.shape) for each in (self.low[:, None], self.high))
+        projected = np.radians(np.gradient(self.high, axis=1)) * np.sin(2 * np.radians(self.high)) / 2
+        weight = projected[..., None] * np.radians(np.abs(np.gradient(self.azimuth, axis=2)))
+        worst = 0.0
+        for path in range(table.shape[0]):
+            which = np.full(low.size, path)
+            found = grid.interpolate(table, which, low.ravel(), high.ravel(), self.azimuth.ravel())
+            found = np.exp(found).reshape(exact.shape[1:])
+            flux = (weight * fading(smooth, np.array(path), low, high))[..., None]
+            missed = (flux * np.abs(found - exact[path])).sum(axis=(1, 2))
+            total = (flux * np.abs(exact[path])).sum(axis=(1, 2))
+            worst = max(worst, float(np.max(missed / np.maximum(total, _LEAST_SHARE / 2))))
+        return worst

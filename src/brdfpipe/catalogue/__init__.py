@@ -1,0 +1,5 @@
+"""A catalogue of materials: descriptions, validated before anything is computed."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,10 @@
+from .catalogue import Calibration as Calibration
+from .catalogue import Catalogue as Catalogue
+from .catalogue import CatalogueError as CatalogueError
+from .catalogue import Material as Material
+from .catalogue import check_formats as check_formats
+from .catalogue import ignored as ignored
+from .catalogue import load as load
+from .catalogue import load_config as load_config
+from .catalogue import load_material as load_material
+from .catalogue import start_material as start_material

@@ -1,0 +1,104 @@
+"""The command line: ``brdfpipe build``, ``check`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
+
+Exit codes: 0 every material was built (or checked well), 1 at least one was not, 2 the command, the catalogue or the
+configuration cannot be used, 130 interrupted. A built material whose checks give the verdict fail does not change the code.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib.metadata import version
+from pathlib import Path
+
+import click
+
+from brdfpipe.cli.console import FILE, FOLDER, refusing
+from brdfpipe.cli.rig import rig
+from brdfpipe.errors import BrdfpipeError
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(version("brdfpipe"), prog_name="brdfpipe")
+def main() -> None:
+    """Trustworthy BRDFs for a catalogue of plastics, paints and films."""
+
+
+@main.command()
+@click.argument("catalogue", type=FOLDER)
+@click.option("--results", type=FOLDER, default=Path("results"), show_default=True, help="Folder for everything made.")
+@click.option("--cores", type=click.IntRange(1), default=None, help="Stages at once  [default: all cores]")
+@click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
+@click.option("--dry-run", is_flag=True, help="Say what would be built; build nothing.")
+@refusing
+def build(catalogue: Path, results: Path, cores: int | None, config: Path | None, dry_run: bool) -> int:
+    """Build every material of CATALOGUE that changed, and the catalogue page.
+
+    Exits with 0 if every material was built, whatever the verdict of its checks, with 1 if one was not, with 2 if the
+    catalogue or the configuration cannot be used.
+    """
+    from brdfpipe.jobs import front
+
+    summary = front.build(catalogue, results, cores=cores or _cores(), config=config, dry_run=dry_run)
+    click.echo(summary.text)
+    return 1 if summary.failures else 0
+
+
+@main.command()
+@click.argument("catalogue", type=FOLDER)
+@click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
+@refusing
+def check(catalogue: Path, config: Path | None) -> int:
+    """Check descriptions, keys, files and formats of CATALOGUE; raw files are read by the build.
+
+    Exits with 1 if a material is wrong or needs a reader that is not installed.
+    """
+    from brdfpipe.catalogue.catalogue import check_formats, ignored, load, load_config, parts
+    from brdfpipe.jobs import runs
+    from brdfpipe.surfaces.reading import check_readable
+
+    loaded = load(catalogue, load_config(config))
+    lines = {name: (message, False) for name, message in {**loaded.failures, **runs.of(loaded)[1]}.items()}
+    for material in loaded.materials:
+        if material.name in lines:
+            continue
+        try:
+            check_formats(material)
+            for part, path in material.files.items():
+                if part.startswith("surface"):
+                    check_readable(path, material.content["surface"].get("format"))
+        except BrdfpipeError as refusal:
+            lines[material.name] = (str(refusal), False)
+        else:
+            lines[material.name] = (f"ok ({', '.join(parts(material))})", True)
+    for name, (message, _) in sorted(lines.items()):
+        click.echo(f"{name}: {message}")
+    for name, why in ignored(loaded.folder).items():
+        click.echo(f"{name}: ignored: {why}")
+    wrong = sum(not good for _, good in lines.values())
+    click.echo(f"{len(lines) - wrong} ok, {wrong} wrong")
+    return 1 if wrong else 0
+
+
+@main.command()
+@click.argument("name")
+@click.option("--folder", type=FOLDER, default=Path(), show_default=True, help="The catalogue.")
+@refusing
+def new(name: str, folder: Path) -> int:
+    """Start a material NAME: a folder with a commented material.yaml."""
+    from brdfpipe.catalogue.catalogue import start_material
+
+    path = start_material(folder, name)
+    click.echo(f"Fill in {path}, put the raw files beside it, then run `brdfpipe check {folder}`.")
+    return 0
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+main.add_command(rig)
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,300 @@
+"""The commands of a rig: ``brdfpipe rig new``, ``doctor``, ``scan`` and ``emulate``.
+
+Exit codes: 0 done, 1 a device is not in order or the scan stopped before its end, 2 the command or a description cannot be used,
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import getpass
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from brdfpipe.cli.console import FILE, FOLDER, refusing
+from brdfpipe.errors import BrdfpipeError, InputError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from brdfpipe.rig.acquisition.scan import Summary
+    from brdfpipe.rig.emulator.bench import EmulatedRig
+    from brdfpipe.rig.plan import Arrangement, Plan
+
+EMULATED = "emulated.yaml"
+"""The description of an emulated rig, as long as it stands."""
+
+EMULATED_CAMERA = "emulated-camera"
+
+_MARK = "# An emulated rig; `brdfpipe rig emulate` wrote this file, and removes it when it ends.\n"
+
+_DEFAULT_HANDS = ("", "sample", "reflection")
+
+_TRUTH = click.Path(path_type=Path, exists=True)
+_SESSION = click.option(
+    "--session", type=click.IntRange(0), default=0, show_default=True, help="Another day of the same emulated rig."
+)
+
+
+@click.group()
+def rig() -> None:
+    """A camera rig: its devices, its scans, and an emulator of both."""
+
+
+@rig.command()
+@click.argument("folder", type=FOLDER)
+@click.option("--fibres", type=int, default=150, show_default=True, help="Fibres of the hemisphere.")
+@refusing
+def new(folder: Path, fibres: int) -> int:
+    """Start a rig: FOLDER with a commented rig.yaml, fibres.csv and plan.yaml."""
+    from brdfpipe.rig.templates import start
+
+    plan = start(folder, fibres)
+    click.echo(
+        f"Describe your bench in {folder / 'rig.yaml'}, try its devices by `brdfpipe rig doctor {folder / 'rig.yaml'}`;"
+    )
+    click.echo(f"then fill in {plan}, and see what it takes by `brdfpipe rig scan {plan} --dry-run`.")
+    return 0
+
+
+@rig.command()
+@click.argument("description", metavar="RIG.yaml", type=FILE)
+@refusing
+def doctor(description: Path) -> int:
+    """Identify, move and time each device of a rig.
+
+    Exits with 1 if one is not in order.
+    """
+    from brdfpipe.rig.acquisition.doctor import doctor as examine
+    from brdfpipe.rig.description import Rig
+
+    rows = examine(Rig.load(description))
+    return 0 if all(row.passed for row in rows) else 1
+
+
+@rig.command()
+@click.argument("plan_file", metavar="PLAN.yaml", type=FILE)
+@click.option("--out", type=FOLDER, default=None, help="Folder of the run  [default: runs/SAMPLE beside the plan]")
+@click.option("--yes", is_flag=True, help="Take every arrangement of mirrors and sample for done.")
+@click.option("--resume", is_flag=True, help="Go on with the run in the folder, if there is one.")
+@click.option("--dry-run", is_flag=True, help="Say what it takes: frames, bytes, hours; touch no device.")
+@click.option(
+    "--emulate",
+    type=_TRUTH,
+    default=None,
+    help="A BSDF (.nc), or the folder of a built material: scan it with an emulated rig.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the emulated rig.")
+@_SESSION
+@refusing
+def scan(
+    plan_file: Path,
+    out: Path | None,
+    yes: bool,
+    resume: bool,
+    dry_run: bool,
+    emulate: Path | None,
+    seed: int,
+    session: int,
+) -> int:
+    """Take every frame of PLAN.yaml that its folder does not hold yet.
+
+    Each frame is on the disk before the next is exposed. Whatever ends the scan, the same command with --resume goes on.
+    """
+    from brdfpipe.rig.acquisition.estimate import estimate
+    from brdfpipe.rig.plan import Plan
+
+    plan = Plan.load(plan_file)
+    if dry_run:
+        click.echo(estimate(plan).text)
+        return 0
+    folder = out or plan_file.parent / "runs" / plan.sample
+    from brdfpipe.rig.acquisition.scan import ScanStopped
+
+    try:
+        if emulate is None:
+            done = _real_scan(plan, folder, yes=yes, resume=resume)
+        else:
+            from brdfpipe.rig.emulator.measurement import take
+
+            sample = truth(emulate)
+            done = take(plan, folder, sample, seed=seed, session=session, resume=resume, progress=True, say=_say)
+        click.echo(done.text)
+    except ScanStopped as stop:
+        click.echo(f"brdfpipe: {stop}", err=True)
+        return 1
+    except KeyboardInterrupt:
+        click.echo(f"brdfpipe: interrupted; what is finished is safe in {folder}: --resume goes on", err=True)
+        return 130
+    return 0
+
+
+@rig.command()
+@click.argument("description", metavar="RIG.yaml", type=FILE)
+@click.option(
+    "--truth",
+    "truth_path",
+    type=_TRUTH,
+    required=True,
+    help="A BSDF (.nc), or the folder of a built material: what lies in the holder.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of all that is random.")
+@_SESSION
+@click.option("--out", type=FOLDER, default=None, help=f"Folder for {EMULATED}  [default: beside RIG.yaml]")
+@click.option("--realtime", is_flag=True, help="Let exposures and moves take the time they say.")
+@refusing
+def emulate(description: Path, truth_path: Path, seed: int, session: int, out: Path | None, realtime: bool) -> int:
+    """Stand as a rig on serial ports of its own, until Ctrl-C.
+
+    What an operator does by hand is typed: the entrance in degree, what lies in the holder (sample, etalon, target or
+    dark-trap), and the side (reflection or transmission).
+    """
+    from brdfpipe.rig.description import Rig
+    from brdfpipe.rig.emulator.bench import EmulatedRig
+    from brdfpipe.rig.emulator.clock import VirtualClock
+
+    # Ended by a service manager, it takes its ports and its description away as after Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    real, clock = Rig.load(description), VirtualClock(realtime=realtime)
+    with (
+        EmulatedRig(real, truth(truth_path), seed=seed, session=session, clock=clock) as stand,
+        _described(description, stand, out or description.parent) as written,
+        _camera_served(written.parent / EMULATED_CAMERA, stand),
+    ):
+        try:
+            click.echo(
+                f"The rig stands: {written}. Try `brdfpipe rig doctor {written}`, or scan a plan with `rig: {EMULATED}`."
+            )
+            click.echo(f"Type what the hands do, as `{real.entrances[0]:g} sample reflection`; Ctrl-C ends it.")
+            _hands(stand)
+        except KeyboardInterrupt:
+            click.echo("The rig is taken down.")
+    return 0
+
+
+def truth(path: Path) -> xr.Dataset:
+    """The BSDF in a file, or of a material whose folder of results is given.
+
+    Raises
+    ------
+    InputError : the material is not built.
+    StoreError, VocabularyError : no BSDF.
+    """
+    import brdfpipe
+
+    if path.is_dir():
+        if not (path / "bsdf.nc").is_file():
+            accepted = "a BSDF (.nc), or a folder of the results with bsdf.nc in it: `brdfpipe build` makes it"
+            raise InputError(path, "holds no built material", accepted=accepted)
+        path = path / "bsdf.nc"
+    return brdfpipe.open_dataset(path, "bsdf")
+
+
+def _real_scan(plan: Plan, folder: Path, *, yes: bool, resume: bool) -> Summary:
+    from brdfpipe.rig.acquisition.devices.connection import connect
+    from brdfpipe.rig.acquisition.scan import scan as take
+
+    def confirm(arrangement: Arrangement, words: str) -> bool:
+        try:
+            return yes or click.confirm(f"{words}. Done?", default=True, err=True)
+        except click.Abort:
+            raise KeyboardInterrupt from None
+
+    with connect(plan.rig) as bench:
+        operator = "--yes" if yes else _user()
+        return take(
+            plan,
+            bench,
+            folder,
+            clock=time.time,
+            confirm=confirm,
+            operator=operator,
+            progress=True,
+            resume=resume,
+            say=_say,
+        )
+
+
+@contextmanager
+def _described(description: Path, stand: EmulatedRig, folder: Path) -> Iterator[Path]:
+    """The description of an emulated rig as long as it stands: the real one's, with its own ports and its own camera's folder."""
+    import yaml
+
+    from brdfpipe import documents, store
+
+    content = documents.plain(description)
+    path = folder / EMULATED
+    if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(_MARK):
+        raise InputError(path, "is there already, and not of an emulated rig", accepted="another --out")
+    fibres = documents.file_beside(description, content["fibres"]["file"], "fibres.file", "the rig's folder")
+    if not (folder / content["fibres"]["file"]).exists():
+        store.write_bytes(folder / content["fibres"]["file"], fibres.read_bytes())
+    camera: dict[str, Any] = {
+        key: value for key, value in content["camera"].items() if key not in ("address", "device")
+    }
+    content["camera"] = camera | {"kind": "drop-folder", "folder": str(folder.resolve() / EMULATED_CAMERA)}
+    for device in ("monochromator", "wheel"):
+        content[device]["port"] = getattr(stand.rig, device).port
+    (folder / EMULATED_CAMERA).mkdir(parents=True, exist_ok=True)
+    store.write_text(path, _MARK + yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    try:
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def _camera_served(folder: Path, stand: EmulatedRig) -> Iterator[None]:
+    """Frames for the requests in a folder, from a thread of their own."""
+    from brdfpipe.rig.acquisition.devices.camera import serve_folder
+
+    stop = threading.Event()
+    told = {"stop": stop, "report": click.echo}
+    camera = threading.Thread(target=serve_folder, args=(folder, stand.camera), kwargs=told)
+    camera.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        stand.clock.release()  # an exposure under way ends now
+        camera.join()
+
+
+def _hands(stand: EmulatedRig) -> None:
+    """Do what is typed, until the keyboard interrupts."""
+    for line in sys.stdin:
+        words = line.split()
+        try:
+            if words:
+                entrance, load, side = [*words, *_DEFAULT_HANDS[len(words) :]][:3]
+                stand.set_entrance(_degrees(entrance), load=load, side=side)
+                click.echo(f"{_degrees(entrance):g} degree, {load}, {side}")
+        except BrdfpipeError as refusal:
+            click.echo(str(refusal))
+    threading.Event().wait()  # nobody types
+
+
+def _degrees(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise InputError("keyboard", "no angle", found=repr(word), accepted="as `20 sample reflection`") from None
+
+
+def _user() -> str:
+    with suppress(KeyError, OSError, ImportError):  # an account without a name
+        return getpass.getuser()
+    return "operator"
+
+
+def _say(line: str) -> None:
+    from tqdm import tqdm
+
+    tqdm.write(line, file=sys.stderr)

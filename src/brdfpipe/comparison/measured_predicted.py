@@ -1,0 +1,168 @@
+"""Two ways to one BRDF, side by side: what a rig measured and what the surface predicts; and which inputs would make them agree.
+
+The prediction rests on inputs of which some are in doubt: the refractive index, the slopes of the facets (a scan smooths, or is noisy), and
+the diffuse reflectance. They are changed until prediction and measurement agree best, each held by what was known of it before
+(:mod:`.adjustment`); the change is stated with its uncertainty, and what is left when no change helps tells of the form of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf import representations
+from brdfpipe.comparison import findings, outcome
+from brdfpipe.comparison.adjustment import Adjusted, adjust
+from brdfpipe.comparison.measurement import ComparisonError, Measurement
+from brdfpipe.comparison.prediction import INPUTS, NOMINAL, Family, Given, Member, Predicted
+
+PRIOR_U: Mapping[str, float] = {"index": 0.02, "slope": 0.1, "diffuse": 0.05}
+"""Standard uncertainty of the inputs where nothing else is said: of the index itself, of the others relative."""
+
+MOST_WAVELENGTHS = 8
+"""Wavelengths that are compared, evenly chosen from those of the rig that the prediction covers."""
+
+_SAME = 1e-3
+"""Relative difference up to which a BSDF is the one that its inputs make."""
+
+
+def compare(
+    primary: xr.Dataset,
+    predicted: xr.Dataset,
+    *,
+    facets: xr.Dataset,
+    index: xr.Dataset | float | str,
+    spectrum: xr.Dataset | None = None,
+    index_u: float = PRIOR_U["index"],
+    slope_u: float = PRIOR_U["slope"],
+    diffuse_u: float = PRIOR_U["diffuse"],
+) -> xr.Dataset:
+    """Set a measured BRDF beside the predicted one, and fit the inputs of the prediction that are in doubt.
+
+    Parameters
+    ----------
+    primary : kind ``primary``, of reflection; light comes from azimuth 0, whatever the lay of the surface
+    predicted : kind ``bsdf``. One of the representation ``microfacet`` is fitted, any other one only compared
+    facets, index, spectrum : what it was built from, see :func:`brdfpipe.bsdf.microfacet.build`
+    index_u : standard uncertainty of the refractive index [1]
+    slope_u, diffuse_u : relative standard uncertainty of the facets' slopes, and of the diffuse reflectance
+        below them; an input with an uncertainty of 0 is not changed
+
+    Returns
+    -------
+    Dataset of kind ``comparison``: ``brdf`` and its uncertainties; along ``model`` (``predicted``, and ``adjusted`` with the fitted inputs)
+        the BRDF, the ratio of measured to modelled and ``z``, the difference over the uncertainty; per incidence the median ratio, the rms
+        of z and the reflectance into the cells; χ² over the degrees of freedom, common errors taken into account; ``prior`` and
+        ``posterior`` of each ``input`` and their ``correlation``. ``findings`` says it in words
+
+    Raises
+    ------
+    ComparisonError : the two share no wavelength, no cell was measured, the surface mirrors light into one single direction, the light was
+        transmitted, or the prediction was made from something else.
+    VocabularyError : a dataset of the wrong kind.
+
+    Notes
+    -----
+    The values of ``primary`` are those in the middle of the cells: the reduction takes the curvature of the light out of their means. What is
+    left of it where a lobe is about as narrow as a cell counts as an uncertainty of the prediction (``brdf_model_u``), beside what the
+    scan leaves uncertain of the facets. z and χ² know of both.
+    """
+    prior_u = {"index": index_u, "slope": slope_u, "diffuse": diffuse_u}
+    _check(primary, predicted, facets, prior_u)
+    measurement = Measurement.of(primary, _shared(primary, predicted))
+    models: dict[str, Predicted] = {"predicted": Predicted(predicted, measurement)}
+    fit: Adjusted[Member] | None = None
+    if predicted.attrs["representation"] == "microfacet":
+        given = Given.to(predicted, facets, index, spectrum, measurement.wavelength)
+        family = Family(given, measurement, _doubtful(prior_u, predicted))
+        _check_same(models["predicted"], family.start)
+        models["predicted"] = family.start
+        if family.prior_u:
+            fit = adjust(measurement, family.at, len(family.prior_u), family.start)
+            models["adjusted"] = fit.model
+    comparison = outcome.compared(measurement, models, fit)
+    if fit is not None:
+        comparison = outcome.with_inputs(comparison, family, fit)
+    comparison = vocabulary.label(findings.told(comparison, predicted), "comparison")
+    return vocabulary.validate(comparison, "comparison")
+
+
+def adjusted(
+    comparison: xr.Dataset,
+    predicted: xr.Dataset,
+    *,
+    facets: xr.Dataset,
+    index: xr.Dataset | float | str,
+    spectrum: xr.Dataset | None = None,
+) -> xr.Dataset:
+    """The BSDF built with the inputs that a comparison found; arguments as for :func:`compare`.
+
+    Raises
+    ------
+    ComparisonError : the comparison has no fit.
+    """
+    if "posterior" not in comparison:
+        raise ComparisonError("nothing was fitted: the prediction has no inputs that could be changed")
+    names = map(str, comparison["input"].values)
+    changed = dict(zip(names, comparison["posterior"].values.tolist(), strict=True))
+    return Given.to(predicted, facets, index, spectrum).bsdf({**NOMINAL, **changed})
+
+
+# --- what is compared
+
+
+def _check(primary: xr.Dataset, predicted: xr.Dataset, facets: xr.Dataset, prior_u: Mapping[str, float]) -> None:
+    for dataset, kind in ((primary, "primary"), (predicted, "bsdf"), (facets, "facets")):
+        vocabulary.validate(dataset, kind)
+    if wrong := [name for name, u in prior_u.items() if not (np.isfinite(u) and u >= 0)]:
+        raise ComparisonError(
+            f"the standard uncertainty of the input {wrong[0]!r} is {prior_u[wrong[0]]:g}; accepted: 0 or more"
+        )
+    if primary.attrs.get("side", "reflection") != "reflection":
+        raise ComparisonError(
+            "the rig measured transmitted light; what surfaces predict is compared with reflected light alone: measure "
+            "`side: [reflection]` too"
+        )
+    incidence = primary["incidence"].values.astype(float)
+    if any(share.any() for share in representations.specular(predicted, incidence, np.zeros_like(incidence), None)):
+        raise ComparisonError(
+            "the predicted surface is perfectly flat and mirrors light into one single direction, of which no cell shows a BRDF; "
+            "give the surface a roughness, measured or assumed"
+        )
+
+
+def _shared(primary: xr.Dataset, predicted: xr.Dataset) -> NDArray[np.int64]:
+    """Numbers of the rig's wavelengths that are compared."""
+    own = primary["wavelength"].values
+    covered = np.arange(own.size)
+    if "wavelength" in predicted.coords:
+        low, high = predicted["wavelength"].values[[0, -1]]
+        covered = np.flatnonzero((own >= low) & (own <= high))
+        if not covered.size:
+            raise ComparisonError(
+                f"the rig measured from {own[0]:g} to {own[-1]:g} nm and the prediction covers {low:g} to {high:g} nm: they share no "
+                "wavelength; give a `spectrum` (or an `index`) that covers the rig's"
+            )
+    places = np.linspace(0, covered.size - 1, min(covered.size, MOST_WAVELENGTHS))
+    return np.asarray(covered[places.round().astype(int)], dtype=np.int64)
+
+
+def _doubtful(prior_u: Mapping[str, float], predicted: xr.Dataset) -> dict[str, float]:
+    """The inputs that may be changed, and would change something."""
+    without = set() if predicted["diffuse"].values.any() else {"diffuse"}
+    return {name: prior_u[name] for name in INPUTS if prior_u[name] > 0 and name not in without}
+
+
+def _check_same(predicted: Predicted, rebuilt: Predicted) -> None:
+    """Refuse inputs that are not those of the prediction: a change of them would tell nothing."""
+    used = predicted.measurement.used & (predicted.values > 0)
+    # Between the wavelengths of the spectrum the two may differ; of other inputs nearly all values do.
+    if used.any() and np.median(np.abs(rebuilt.values[used] / predicted.values[used] - 1)) > _SAME:
+        raise ComparisonError(
+            "the prediction was not made from these facets, this index and this spectrum: built anew from them, it is another one; "
+            "run `brdfpipe build`"
+        )

@@ -1,0 +1,306 @@
+"""What a rig measured, ready to be weighed against a model: values, and errors that cells, pictures or all of it share.
+
+A component of the uncertainty that is marked ``common`` is one error for all the cells of a picture, that is of an incidence at a
+wavelength; some go further and are the same for all wavelengths of an incidence, or for everything. One that is marked ``independent``
+is an error of each cell; that of the calibration is the same at every incidence. That of the geometry counts twice: as an error of each
+cell, and as one of a picture that lies elsewhere than it was taken for, which looks like another lobe. Frames of a bracket hang on one
+another by the light they share (``reference``, ``nd``): what is uncertain of a dark frame is so of the darker one too, which adds its
+own, so that two cells have the variance of the better known in common, and not all of their errors. A relative component is stated
+over the measured value. It is taken over the model's here: if large values had large uncertainties by chance, common errors would pull
+every fit below the data (Peelle's pertinent puzzle).
+
+References
+----------
+JCGM 100:2008 (GUM), 5.2 and F.1.2, common errors; Frühwirth, Neudecker & Leeb 2012 (EPJ Web of Conferences 27, 00008) on Peelle's puzzle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from brdfpipe import vocabulary
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array
+from brdfpipe.specular_directions import cos_view, outgoing
+
+DIMS = ("incidence", "wavelength", "cell")
+
+_USED = ("measured", "below_noise")
+"""Qualities of values that are compared; one below the noise is as true as its uncertainty says."""
+
+_LINKS = 2
+"""Steps in which the errors of a chain of frames are taken."""
+
+_NEAR = 3.0
+"""Standard uncertainties by which a model may be off for an uncertainty to be taken over it."""
+
+
+class ComparisonError(BrdfpipeError):
+    """A measurement and a prediction that cannot be compared."""
+
+
+class _Nature(NamedTuple):
+    """How an error goes on from place to place."""
+
+    own: tuple[str, ...]
+    """Dimensions along which every place has an error of its own; along the others it is the same one."""
+    relative: bool
+    chained: bool = False
+    """Of frames that hang on one another: what cells have beyond the best known of a picture is in common to those at least as uncertain."""
+
+
+_NATURE = {
+    "noise": _Nature(DIMS, relative=False),
+    "geometry": _Nature(DIMS, relative=False),
+    "calibration": _Nature(("wavelength", "cell"), relative=True),
+    "repeat": _Nature(("incidence", "wavelength"), relative=True),
+    "nd": _Nature(("incidence", "wavelength"), relative=True, chained=True),
+    "reference": _Nature(("incidence",), relative=True, chained=True),
+    "glare": _Nature(("incidence",), relative=False),
+    "certificate": _Nature((), relative=True),
+    "path": _Nature(("incidence",), relative=True),
+}
+_BY_CORRELATION = {
+    "independent": _Nature(DIMS, relative=False),
+    "common": _Nature(("incidence", "wavelength"), relative=True),
+}
+
+
+class _Component(NamedTuple):
+    name: str
+    nature: _Nature
+    u: Array
+    """(incidence, wavelength, cell) [sr-1]"""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The cells of a rig; fields are (incidence, wavelength, cell)."""
+
+    incidence: Array
+    """(incidence,) degree"""
+    wavelength: Array
+    """(wavelength,) nm"""
+    theta_s: Array
+    """(cell,) degree"""
+    phi_s: Array
+    solid_angle: Array
+    """(cell,) of the cells that take the mean over a piece of the disc [sr]; NaN for the others."""
+    value: Array
+    """BRDF [sr-1]; 0 where it is not used."""
+    u: Array
+    """Combined standard uncertainty [sr-1]; 0 where the value is not used."""
+    used: NDArray[np.bool_]
+    components: tuple[_Component, ...]
+    scale_u: float = 0.0
+    """Relative standard uncertainty of all angles on the disc."""
+
+    @classmethod
+    def of(cls, primary: xr.Dataset, wavelengths: NDArray[np.int64]) -> Measurement:
+        """Some wavelengths of a dataset of kind ``primary``.
+
+        Raises
+        ------
+        ComparisonError : no cell has a value, or one has no uncertainty above 0.
+        """
+        primary = primary.isel(wavelength=wavelengths).transpose(*DIMS, ...)
+        value, u = primary["brdf"].values, primary["brdf_u"].values
+        incidence, theta_s, phi_s = (primary[name].values.astype(float) for name in ("incidence", "theta_s", "phi_s"))
+        used = np.isfinite(value) & (cos_view(incidence[:, None], theta_s, phi_s) > 0)[:, None, :]
+        if "brdf_quality" in primary:
+            used &= np.isin(primary["brdf_quality"].values, [vocabulary.quality(name) for name in _USED])
+        if not used.any():
+            raise ComparisonError(
+                "no cell of the rig has a value that was measured: look at the quality of the primary data"
+            )
+        solid_angle = primary["solid_angle"].values if "solid_angle" in primary else np.full(theta_s.size, np.nan)
+        components = tuple(
+            _Component(name, nature, np.where(used, np.nan_to_num(field), 0.0))
+            for name, nature, field in _components(primary)
+        )
+        found = cls(
+            incidence,
+            primary["wavelength"].values.astype(float),
+            theta_s,
+            phi_s,
+            solid_angle.astype(float),
+            np.where(used, value, 0.0),
+            np.where(used, np.nan_to_num(u), 0.0),
+            used,
+            components,
+            float(primary.attrs.get("disc_scale_u", 0.0)),
+        )
+        found._check(found.own_variance(found.value))
+        return found
+
+    def _check(self, variance: Array) -> None:
+        wrong = np.argwhere(self.used & ~(variance > 0))
+        if wrong.size:
+            at, wavelength, cell = wrong[0]
+            raise ComparisonError(
+                f"no independent uncertainty above 0 is stated where a value was measured (incidence {self.incidence[at]:g}°, "
+                f"{self.wavelength[wavelength]:g} nm, cell {cell}); every value needs one, or is missing (NaN)"
+            )
+
+    @cached_property
+    def directions(self) -> tuple[Array, Array, Array]:
+        """θ_i, θ_o and φ_o [degree] of every cell, (incidence, cell); light comes from azimuth 0."""
+        return self.seen(self.theta_s, self.phi_s)
+
+    def seen(self, theta_s: Array, phi_s: Array) -> tuple[Array, Array, Array]:
+        """θ_i, θ_o and φ_o [degree] of directions about the mirror direction, (incidence, …)."""
+        incidence = self.incidence.reshape(-1, *(1,) * theta_s.ndim)
+        theta_o, phi_o = outgoing(incidence, theta_s, phi_s)
+        return np.broadcast_to(incidence, theta_o.shape), theta_o, phi_o
+
+    @property
+    def cosine(self) -> Array:
+        """cos θ_o of every cell, (incidence, cell); negative below the horizon."""
+        return cos_view(self.incidence[:, None], self.theta_s, self.phi_s)
+
+    def correlated(self, *, among_cells: bool) -> Array:
+        """Combined uncertainty of the components that are common to the cells of a picture, or of those that are not [sr-1]."""
+        parts = [each.u for each in self.components if ("cell" not in each.nature.own) == among_cells]
+        return np.sqrt(np.sum(np.square(parts), axis=0)) if parts else np.zeros_like(self.value)
+
+    def sum_u(self, weight: Array) -> Array:
+        """Standard uncertainty of Σ weight · value over the cells of each picture, (incidence, wavelength)."""
+        independent = np.sum((weight * self.correlated(among_cells=False)) ** 2, axis=-1)
+        common = [np.sum(weight * each.u, axis=-1) for each in self.components if "cell" not in each.nature.own]
+        return np.sqrt(independent + np.sum(np.square(common), axis=0)) if common else np.sqrt(independent)
+
+    def own_variance(self, model: Array) -> Array:
+        """Variance of the errors that every value has for itself."""
+        parts = [self._of_cells(each, model) ** 2 for each in self.components if each.nature.own == DIMS]
+        return np.asarray(np.sum(parts, axis=0)) if parts else np.zeros_like(model)
+
+    def covariance(self, model: Array, own_u: Array, common: Array) -> Covariance:
+        """Covariance of values less those of a model, if the model is right.
+
+        Parameters
+        ----------
+        model : BRDF of the model [sr-1]
+        own_u : standard uncertainty that each value of the model has for itself [sr-1]
+        common : (error, …) changes of the model by common errors, of one standard uncertainty each [sr-1]
+        """
+        own = np.where(self.used, self.own_variance(model) + own_u**2, 1.0)
+        between = np.einsum("iwc,ij->wcij", own, np.eye(self.incidence.size))
+        columns = [np.where(self.used, common, 0.0)]
+        for each in self.components:
+            if "cell" not in each.nature.own:
+                # Over the model's values alone: an error that followed the noise of the data would explain it away.
+                columns += self._shared(each, model)
+            elif each.nature.own != DIMS:
+                u = self._of_cells(each, model)
+                between = between + np.einsum("iwc,jwc->wcij", u, u)
+            if each.name == "geometry":
+                columns += self._displaced(each.u)
+        shared = np.concatenate(columns)
+        return Covariance(np.linalg.inv(np.linalg.cholesky(between)), shared[shared.any(axis=(1, 2, 3))], self.used)
+
+    def _shared(self, component: _Component, model: Array) -> list[Array]:
+        """Errors that the cells of a picture have in common."""
+        u, own = self._over(component, model), component.nature.own
+        if not component.nature.chained:
+            return [_columns(u, own)]
+        told = self.used & (self.value != 0)
+        relative = np.divide(component.u, np.abs(self.value), out=np.full_like(u, np.nan), where=told)
+        least, most = (
+            of(np.where(told, relative, empty), axis=-1, keepdims=True)
+            for of, empty in ((np.min, np.inf), (np.max, 0.0))
+        )
+        steps = [
+            np.minimum(least, most) + (most - np.minimum(least, most)) * link / _LINKS for link in range(_LINKS + 1)
+        ]
+        squares = [np.clip(np.nan_to_num(relative), low, high) ** 2 - low**2 for low, high in pairwise(steps)]
+        links = [_columns(np.sqrt(square) * np.abs(model), DIMS[:2]) for square in squares]
+        return [_columns(np.where(told, np.minimum(u, steps[0] * np.abs(model)), u), own), *links]
+
+    def _displaced(self, u: Array) -> list[Array]:
+        """Errors of the disc's cells where a whole picture lies elsewhere, once an incidence along either axis."""
+        turn = np.radians(self.phi_s)
+        return [_columns(u * (self.of_disc * pattern), ("incidence",)) for pattern in (np.cos(turn), np.sin(turn))]
+
+    @cached_property
+    def of_disc(self) -> NDArray[np.bool_]:
+        """(cell,) whether a cell takes the mean over a piece of the disc."""
+        return np.nan_to_num(self.solid_angle) > 0
+
+    def _of_cells(self, component: _Component, model: Array) -> Array:
+        """Standard uncertainty of errors of single cells; a model far from the data does not tell how large they are."""
+        return self._over(component, np.clip(model, self.value - _NEAR * self.u, self.value + _NEAR * self.u))
+
+    def _over(self, component: _Component, values: Array) -> Array:
+        """Standard uncertainty of a component, a relative one over other values than the measured ones."""
+        if not component.nature.relative:
+            return component.u
+        return component.u * np.divide(
+            np.abs(values), np.abs(self.value), out=np.ones_like(values), where=self.value != 0
+        )
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """A covariance taken apart: what is left between incidences, and common errors of one standard uncertainty each."""
+
+    whitening: Array
+    """(wavelength, cell, incidence, incidence)"""
+    common: Array
+    """(error, incidence, wavelength, cell) [sr-1]"""
+    used: NDArray[np.bool_]
+
+    def whitened(self, fields: Array) -> Array:
+        """Fields (any, incidence, wavelength, cell) as (any, values), in which the errors that are not common are 1 each."""
+        white = np.einsum("wcij,kjwc->kiwc", self.whitening, np.where(self.used, fields, 0.0))
+        return white[:, self.used]
+
+    @cached_property
+    def nuisances(self) -> Array:
+        """The common errors, whitened (error, values)."""
+        return self.whitened(self.common)
+
+    def products(self, first: Array, second: Array) -> Array:
+        """a C⁻¹ bᵀ of whitened fields (any, values), the common errors included (Woodbury)."""
+        there = np.linalg.solve(self._inner, self.nuisances @ second.T)
+        return np.asarray(first @ second.T - (first @ self.nuisances.T) @ there)
+
+    @cached_property
+    def _inner(self) -> Array:
+        return self.nuisances @ self.nuisances.T + np.eye(len(self.nuisances))
+
+    def chi_squared(self, residual: Array) -> float:
+        """χ² of a residual (incidence, wavelength, cell)."""
+        white = self.whitened(residual[None])
+        return float(self.products(white, white)[0, 0])
+
+
+def _components(primary: xr.Dataset) -> Iterator[tuple[str, _Nature, Array]]:
+    """The components of the uncertainty; without any the combined one counts as independent."""
+    whole = primary["brdf_u"]
+    names = sorted(name for name in map(str, primary.data_vars) if name.startswith("brdf_u_"))
+    if not names:
+        yield "", _BY_CORRELATION["independent"], whole.values
+    for name in names:
+        stated = str(primary[name].attrs.get("correlation", "common"))
+        if stated not in _BY_CORRELATION:
+            raise ComparisonError(f"{name!r} has the correlation {stated!r}; accepted: {', '.join(_BY_CORRELATION)}")
+        component = name.removeprefix("brdf_u_")
+        known = _NATURE.get(component)
+        # What the dataset says goes before what the name does.
+        nature = known if known and ("cell" in known.own) == (stated == "independent") else _BY_CORRELATION[stated]
+        yield component, nature, primary[name].broadcast_like(whole).transpose(*DIMS).values
+
+
+def _columns(u: Array, own: tuple[str, ...]) -> Array:
+    """One field for each error of a component, (error, incidence, wavelength, cell)."""
+    shape = [u.shape[axis] if dim in own else 1 for axis, dim in enumerate(DIMS)]
+    number = np.arange(np.prod(shape)).reshape(shape)
+    return np.asarray(np.where(number == number.reshape(-1, 1, 1, 1), u, 0.0))

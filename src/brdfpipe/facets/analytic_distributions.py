@@ -1,0 +1,112 @@
+"""Facet distributions of named densities, for tests and for materials known by a roughness figure alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.facets.assembly import planar_dataset, principal_ellipse, radial_dataset
+from brdfpipe.facets.counting import FacetError
+from brdfpipe.facets.planar_density import PlanarDensity
+from brdfpipe.facets.radial_density import RadialDensity
+
+DISTRIBUTIONS = ("beckmann", "ggx")
+
+_PLANAR_NODES = 257
+
+
+def analytic(
+    distribution: str,
+    a: float | None = None,
+    *,
+    a_x: float | None = None,
+    a_y: float | None = None,
+    azimuth: float = 0.0,
+) -> xr.Dataset:
+    """Facet distribution of a named density.
+
+    Parameters
+    ----------
+    distribution : ``beckmann``: P22 = exp(−s²/a²)/(πa²), whose slope rms is a/√2 per axis and a in all;
+        ``ggx``: P22 = a²/[π(a² + s²)²], which has no finite slope rms
+    a : width, 1e-6 to 10 [1]; or, for a surface with a lay, both
+    a_x, a_y : widths along the azimuth and across it, 1e-6 to 10 [1], at most a factor of 100 apart
+    azimuth : of the axis of ``a_x`` [degree]
+
+    Raises
+    ------
+    FacetError : the distribution is unknown, a width is out of range, or both kinds of width are given.
+
+    References
+    ----------
+    Beckmann & Spizzichino 1963; Walter 2007 (EGSR); Heitz 2014 for the anisotropic forms.
+    """
+    if distribution not in DISTRIBUTIONS:
+        raise FacetError(f"unknown facet distribution {distribution!r}; accepted: {', '.join(DISTRIBUTIONS)}")
+    if (a is None) != (a_x is not None and a_y is not None) or (a is not None and (a_x is not None or a_y is not None)):
+        raise FacetError(f"{distribution} takes either a, or a_x and a_y")
+    if not np.isfinite(azimuth):
+        raise FacetError(f"the azimuth is {azimuth}; accepted: a finite angle in degree")
+    for name, width in (("a", a), ("a_x", a_x), ("a_y", a_y)):
+        if width is not None and not 1e-6 <= width <= 10:
+            raise FacetError(f"the width {name} of {distribution} is {width:g}; accepted: 1e-6 to 10")
+    if a is not None:
+        return _isotropic(distribution, a)
+    assert a_x is not None
+    assert a_y is not None
+    return _anisotropic(distribution, a_x, a_y, azimuth)
+
+
+def flat() -> xr.Dataset:
+    """Facet distribution of a perfectly flat surface: all facets lie level, and no density can say so.
+
+    Returns
+    -------
+    Dataset of kind ``facets`` with ``slope_rms`` 0, and a density without nodes
+    """
+    nothing = np.zeros(0)
+    facets = xr.Dataset(
+        {
+            "slope_density": ("slope", nothing),
+            "D": ("alpha", nothing),
+            "lambda_smith": ("theta", nothing),
+            "slope_rms": 0.0,
+        },
+        coords={"slope": nothing, "alpha": nothing, "theta": nothing},
+    )
+    facets.attrs |= {"method": "perfectly flat", "band": "none: not measured"}
+    return vocabulary.label(facets, "facets")
+
+
+def _isotropic(distribution: str, a: float) -> xr.Dataset:
+    if distribution == "beckmann":
+        # Beyond 8.3 a the density is 1e-30 of its peak: less than rounding in every integral.
+        slope = a * np.sinh(np.linspace(0, np.arcsinh(8.3), 512))
+        density, slope_rms = np.exp(-((slope / a) ** 2)) / (np.pi * a**2), a
+    else:
+        # The tail decides the masking at grazing: 1e7 a leaves out 2e-7 of the mean slope.
+        slope = a * np.sinh(np.linspace(0, np.arcsinh(1e7), 1024))
+        density, slope_rms = 1 / (np.pi * a**2 * (1 + (slope / a) ** 2) ** 2), np.nan
+    facets = radial_dataset(RadialDensity(slope, density), slope_rms)
+    facets.attrs |= {"method": f"analytic {distribution}, a = {a:g}", "band": "none: not measured"}
+    return vocabulary.label(facets, "facets")
+
+
+def _anisotropic(distribution: str, a_x: float, a_y: float, azimuth: float) -> xr.Dataset:
+    if not 0.01 <= a_x / a_y <= 100:
+        raise FacetError(f"a_x / a_y is {a_x / a_y:g}; accepted: 0.01 to 100")
+    ellipse = principal_ellipse(a_x, a_y, azimuth)
+    if distribution == "beckmann":
+        planar = PlanarDensity.elliptic(lambda u: np.exp(-u) / np.pi, ellipse, 8.3, _PLANAR_NODES)
+        slope_rms = float(np.hypot(a_x, a_y) / np.sqrt(2))
+    else:
+        # As for the isotropic one: a grid that ends at 1e6 a leaves out 1e-6 of the mean slope.
+        planar = PlanarDensity.elliptic(lambda u: 1 / (np.pi * (1 + u) ** 2), ellipse, 1e6, _PLANAR_NODES)
+        slope_rms = np.nan
+    facets = planar_dataset(planar, slope_rms)
+    facets.attrs |= {
+        "method": f"analytic {distribution}, a_x = {a_x:g}, a_y = {a_y:g}, azimuth {azimuth:g}°",
+        "band": "none: not measured",
+    }
+    return vocabulary.label(facets, "facets")

@@ -1,0 +1,10 @@
+from .forms import FORMS as FORMS
+from .forms import Fit as Fit
+from .forms import fit as fit
+from .forms import leave_one_out as leave_one_out
+from .geometries import SETS as SETS
+from .geometries import directions as directions
+from .reading import ingest as ingest
+from .refraction import flake_angle as flake_angle
+from .refraction import flake_normal as flake_normal
+from .refraction import refract as refract

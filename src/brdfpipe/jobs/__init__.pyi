@@ -1,0 +1,1 @@
+from .stage import by_hand as by_hand

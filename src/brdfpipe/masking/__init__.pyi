@@ -1,0 +1,11 @@
+from .ray_casting import RaycastError as RaycastError
+from .ray_casting import raycast as raycast
+from .smith import PlanarSmith as PlanarSmith
+from .smith import Smith as Smith
+from .smith import cotangent as cotangent
+from .smith import excess_slope as excess_slope
+from .smith import smith_lambda as smith_lambda
+from .visibility import VISIBILITY as VISIBILITY
+from .visibility import g1 as g1
+from .visibility import g1_along as g1_along
+from .visibility import g2 as g2

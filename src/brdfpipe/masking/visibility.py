@@ -1,0 +1,192 @@
+"""Which facets a direction sees, and which two directions see: G1 and G2 of a facet distribution, by mode.
+
+References
+----------
+Heitz 2014 (JCGT 3(2)), eqs. 72 and 99; Blinn 1977; patent US 9,395,299, claim 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from brdfpipe import vocabulary
+from brdfpipe.errors import VocabularyError
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.geometry import Array, HalfVector, broadcast, check_angles, checked_angles, half_vector
+from brdfpipe.masking import liu
+from brdfpipe.masking.smith import PlanarSmith, Smith, cotangent
+
+
+def g1(facets: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0) -> xr.DataArray:
+    """Smith masking of a facet distribution: the visible fraction of facets that face a direction.
+
+    Parameters
+    ----------
+    facets : kind ``facets``; its mean slope is zero
+    theta, phi : degree, broadcastable; 0 <= theta <= 90
+
+    Returns
+    -------
+    DataArray [1], in [0, 1], named ``g1``; plain angles give the dimension ``direction``
+
+    Raises
+    ------
+    VocabularyError : the dataset is not of kind ``facets``, or an angle is out of range.
+
+    Notes
+    -----
+    G1 = 1 / (1 + Λ), Λ(θ) = E[(p̃ − cot θ)⁺] / cot θ. Exact for the tabulated density; no Gaussian assumption.
+
+    References
+    ----------
+    Heitz 2014, eq. 72; Ashikhmin 2000; patent US 9,395,299, claim 2.
+    """
+    vocabulary.validate(facets, "facets")
+    polar, azimuth = broadcast(theta=checked_angles("theta", theta, 0, 90), phi=checked_angles("phi", phi, -720, 720))
+    cos, sin, excess = _seen_from(facets, polar.values, azimuth.values)
+    result = polar.copy(data=cos / (cos + excess * sin))
+    return result.rename("g1").assign_attrs(units="1", long_name="Smith masking G1")
+
+
+def g2(
+    facets: xr.Dataset,
+    theta_i: ArrayLike,
+    phi_i: ArrayLike,
+    theta_o: ArrayLike,
+    phi_o: ArrayLike,
+    mode: str = "height-correlated",
+) -> xr.DataArray:
+    """Masking and shadowing together: the fraction of facets that both directions see.
+
+    Parameters
+    ----------
+    facets : kind ``facets``; its mean slope is zero
+    theta_i, phi_i, theta_o, phi_o : degree, broadcastable; 0 <= θ < 90
+    mode : a key of :data:`VISIBILITY`, or ``liu`` (:mod:`brdfpipe.masking.liu`)
+
+    Returns
+    -------
+    DataArray [1], in [0, 1], named ``g2``
+
+    Raises
+    ------
+    VocabularyError : the dataset is not of kind ``facets``, an angle is out of range, or the mode is unknown.
+    """
+    vocabulary.validate(facets, "facets")
+    if mode not in (*VISIBILITY, "liu"):
+        raise VocabularyError(f"unknown masking mode {mode!r}; accepted: {', '.join(VISIBILITY)}, liu")
+    angles = broadcast(
+        theta_i=checked_angles("theta_i", theta_i, 0, _BELOW_GRAZING),
+        phi_i=checked_angles("phi_i", phi_i, -720, 720),
+        theta_o=checked_angles("theta_o", theta_o, 0, _BELOW_GRAZING),
+        phi_o=checked_angles("phi_o", phi_o, -720, 720),
+    )
+    plain = [angle.values for angle in angles]
+    half = half_vector(plain[0], plain[1], plain[2], plain[3])
+    values = _liu(facets, plain) if mode == "liu" else _by_lambda(facets, plain, half, mode)
+    result = angles[0].copy(data=np.broadcast_to(values, plain[0].shape))
+    return result.rename("g2").assign_attrs(units="1", long_name=f"masking and shadowing G2, {mode}")
+
+
+def _liu(facets: xr.Dataset, angles: list[Array]) -> Array:
+    if facets["slope_density"].ndim == 2:
+        raise VocabularyError("masking mode 'liu' knows isotropic surfaces alone; this one has a lay")
+    table = liu.LiuMasking.of(liu.Marginal.of(RadialDensity.of(facets)))
+    return np.asarray(liu.attenuation(angles[0], angles[1], angles[2], angles[3], table))
+
+
+def _by_lambda(facets: xr.Dataset, plain: list[Array], half: HalfVector, mode: str) -> Array:
+    excess_i, excess_o = (_seen_from(facets, *each)[2] for each in ((plain[0], plain[1]), (plain[2], plain[3])))
+    return np.minimum(VISIBILITY[mode](half, excess_i, excess_o) * (half.cos_i * half.cos_o), 1.0)
+
+
+def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
+    """Smith masking straight from the slopes along a line, without a density in between.
+
+    Parameters
+    ----------
+    slopes : (n,) slopes towards the viewer [1], of mean zero; missing ones are left out
+    theta : (m,) degree, 0 to 90
+
+    Returns
+    -------
+    (m,) G1 in [0, 1]
+
+    Raises
+    ------
+    VocabularyError : no slope is there, their mean is not zero, or an angle is out of range.
+
+    Notes
+    -----
+    One sort and its cumulative sums give E[(p − μ)⁺] for every angle at once.
+    """
+    p = np.sort(np.asarray(slopes, dtype=float).ravel())
+    p = p[np.isfinite(p)]
+    if p.size == 0 or abs(p.mean()) > 1e-6 * max(float(np.abs(p).max()), 1e-300):
+        raise VocabularyError(
+            f"masking needs slopes of mean zero; found {p.size} of mean {p.mean() if p.size else np.nan:g}: level first"
+        )
+    angles = np.radians(np.atleast_1d(check_angles("theta", theta, 0, 90)))
+    cos, sin = np.where(angles >= np.pi / 2, 0.0, np.cos(angles)), np.sin(angles)
+    mu = cotangent(cos, sin)
+    beyond = np.concatenate([np.cumsum(p[::-1])[::-1], [0.0]])
+    first = np.searchsorted(p, mu)
+    count = p.size - first
+    excess = np.where(count > 0, (beyond[first] - np.where(count > 0, mu, 0.0) * count) / p.size, 0.0)
+    return np.divide(cos, cos + excess * sin, out=np.zeros_like(cos), where=cos > 0)
+
+
+_BELOW_GRAZING = 90 - 1e-9
+
+
+def _seen_from(facets: xr.Dataset, theta: Array, phi: Array) -> tuple[Array, Array, Array]:
+    """cos θ, sin θ and the mean excess slope towards directions in degree."""
+    angles = np.radians(theta)
+    cos, sin = np.where(theta >= 90, 0.0, np.cos(angles)), np.sin(angles)
+    if "phi" in facets["lambda_smith"].dims:
+        return cos, sin, PlanarSmith.of(facets).excess(cotangent(cos, sin), phi)
+    return cos, sin, Smith.of(facets).excess_towards(cos, sin)
+
+
+Visibility = Callable[[HalfVector, Array, Array], Array]
+
+
+def _height_correlated(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
+    cos_i, cos_o = pair.cos_i, pair.cos_o
+    return 1 / (cos_i * cos_o + (excess_i * pair.sin_i * cos_o + excess_o * pair.sin_o * cos_i))
+
+
+def _separable(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
+    return 1 / ((pair.cos_i + excess_i * pair.sin_i) * (pair.cos_o + excess_o * pair.sin_o))
+
+
+def _crf(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
+    return 1 / (pair.cos_i * (pair.cos_o + excess_o * pair.sin_o))
+
+
+def _blinn(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
+    grooved = 2 * pair.cos_alpha / (pair.cos_zeta * np.maximum(pair.cos_i, pair.cos_o))
+    return np.minimum(1 / (pair.cos_i * pair.cos_o), grooved)
+
+
+def _unmasked(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
+    return 1 / (pair.cos_i * pair.cos_o)
+
+
+VISIBILITY: dict[str, Visibility] = {
+    "height-correlated": _height_correlated,
+    "separable": _separable,
+    "crf": _crf,
+    "blinn": _blinn,
+    "none": _unmasked,
+}
+"""G2 / (cos θ_i cos θ_o) by mode, from the pair of directions and the mean excess slopes g = Λ cot θ towards them.
+
+``height-correlated``: 1/(1 + Λ_i + Λ_o), Heitz 2014 eq. 99, the default · ``separable``: G1(i) G1(o) · ``crf``: G1(o) alone, the
+patent's, which is neither reciprocal nor keeps energy · ``blinn``: V-grooves, min(1, 2 cos α cos θ / cos ζ), Blinn 1977 ·
+``none``: 1. The first two are finite as long as one of the directions is above the horizon.
+"""

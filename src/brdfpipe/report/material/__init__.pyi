@@ -1,0 +1,1 @@
+from .page import material_page as material_page

@@ -1,0 +1,116 @@
+"""The appearance as config.yaml asks for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import samples
+import yaml
+
+from brdfpipe import appearance, catalogue, flakes, installation, store, vocabulary
+from brdfpipe.appearance.haze import WINDOWS
+from brdfpipe.bsdf import flake
+from brdfpipe.errors import InputError
+from brdfpipe.flakes import SETS
+
+
+def test_the_configuration_offers_every_set_of_geometries_and_no_other():
+    schema = yaml.safe_load(
+        (installation.project_folder() / "config" / "schemas" / "config.schema.yaml").read_text("utf-8")
+    )
+    offered = schema["properties"]["appearance"]["properties"]["geometries"]["items"]["enum"]
+    assert sorted(offered) == sorted(SETS)
+
+
+def test_the_configuration_s_own_windows_are_those_of_the_function():
+    asked = catalogue.load_config()["appearance"]
+    assert asked["geometries"] == []
+    assert [(each["angle"], each["offset"], tuple(each["aperture"])) for each in asked["haze"]] == list(WINDOWS)
+
+
+def test_a_configuration_may_ask_for_geometries_and_windows(tmp_path: Path):
+    own = tmp_path / "own.yaml"
+    window = "{angle: 30, offset: 2, aperture: [0.5, 3]}"
+    own.write_text(f"appearance: {{geometries: [DIN 6175-2], haze: [{window}]}}\n")
+    found = appearance.appraise(samples.beckmann_bsdf(0.1), **catalogue.load_config(own)["appearance"])
+    path = tmp_path / "appearance.nc"
+    store.save_dataset(found, path, stage="appearance", material="m")
+    kept = store.open_dataset(path, "appearance")
+    assert kept["haze_window"].values.tolist() == ["30° ± 2°, 0.5° × 3°"]
+    assert "45as75" in kept["geometry"].values.tolist()
+
+
+@pytest.mark.parametrize(
+    "asked",
+    ["geometries: [E2195]", "haze: [{angle: 20, offset: 1.9}]", "windows: []", "haze: [{angle: 20, offset: -2}]"],
+)
+def test_what_the_appearance_cannot_give_is_refused_at_once(tmp_path: Path, asked: str):
+    own = tmp_path / "own.yaml"
+    own.write_text(f"appearance: {{{asked}}}\n")
+    with pytest.raises(InputError, match="appearance"):
+        catalogue.load_config(own)
+
+
+LAB = {"45as15": (33.90, -7.58, -36.61), "45as45": (12.29, 1.19, -25.77), "45as110": (3.07, 2.09, -13.24)}
+
+
+def paint(**options):
+    listed = [{"geometry": name, "lab": list(lab)} for name, lab in LAB.items()]
+    return flake.build(flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10}), index=1.524, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "mend"),
+    [
+        ({}, "`multiangle.model: flake-physical`"),
+        ({"model": "flake-physical", "clear_coat": "none"}, "`multiangle.clear_coat: smooth`"),
+    ],
+)
+def test_the_gloss_of_flakes_without_their_coat_says_so_and_names_the_model_that_has_one(tmp_path: Path, options, mend):
+    path = tmp_path / "appearance.nc"
+    store.save_dataset(appearance.appraise(paint(**options)), path, stage="appearance", material="m")
+    found = store.open_dataset(path, "appearance")
+    assert mend in found.attrs["no_gloss"]
+    assert vocabulary.warnings(found) == [found.attrs["no_gloss"]]
+    for name in ("gloss", "gloss_u", "haze", "reflectance_haze"):
+        assert found[name].attrs["comment"] == "of the flakes alone: no clear coat is modelled"
+    assert "comment" not in found["lab"].attrs
+    # What a gloss meter would see of any such paint is a hundred times this.
+    assert float(found["gloss"].max()) < 1
+
+
+@pytest.mark.parametrize("coat", ["smooth", 0.02])
+def test_the_gloss_of_a_paint_with_its_coat_is_given_without_reserve(coat):
+    found = appearance.appraise(paint(model="flake-physical", clear_coat=coat))
+    assert float(found["gloss"].sel(gloss_angle=60)) > 50
+    assert "no_gloss" not in found.attrs
+    assert not vocabulary.warnings(found)
+    assert "comment" not in found["gloss"].attrs
+
+
+def test_only_flakes_lack_a_coat():
+    assert "no_gloss" not in appearance.appraise(samples.beckmann_bsdf(0.3)).attrs
+
+
+def test_a_colour_beyond_the_measured_flake_angles_is_flagged(tmp_path: Path):
+    path = tmp_path / "appearance.nc"
+    store.save_dataset(appearance.appraise(paint(), geometries=["MA-T6"]), path, stage="appearance", material="m")
+    found = store.open_dataset(path, "appearance")
+    flags = found["lab_quality"].to_series().map(dict(enumerate(vocabulary.QUALITY_FLAGS))).to_dict()
+    assert flags["45as-15"] == "extrapolated"
+    assert flags["45as15"] == flags["45as110"] == "measured"
+    assert flags["45as25"] == "interpolated"
+    assert flags["8:total"] == "completed"
+    assert "lab_quality" not in appearance.appraise(samples.beckmann_bsdf(0.3))
+
+
+def test_every_number_of_instruments_stands_beside_its_uncertainty():
+    found = appearance.appraise(paint(model="flake-physical", clear_coat=0.02))
+    for name in ("gloss", "haze", "reflectance_haze", "flop_index"):
+        assert (found[f"{name}_u"] > 0).all(), name
+        assert (found[f"{name}_u"] < 0.2 * abs(found[name])).all(), name
+    single = found["lab_u"].drop_sel(geometry="8:total")
+    assert (single > 0).all()
+    assert found["lab_u"].sel(geometry="8:total").isnull().all()
+    vocabulary.validate(found, "appearance")

@@ -1,0 +1,249 @@
+"""The representation ``rig``, asked as any other BSDF is."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import rig_primary
+import samples
+
+from brdfpipe import store, vocabulary
+from brdfpipe.bsdf import measured, representations
+from brdfpipe.bsdf.measured import completion, smoothing
+from brdfpipe.errors import VocabularyError
+
+INCIDENCES = (10.0, 30.0, 60.0)
+WAVELENGTHS = (450.0, 550.0, 650.0)
+
+
+def paint(incidence, theta, phi, wavelength):
+    body = np.interp(wavelength, [450, 650], [0.02, 0.2])[:, None]
+    return body + rig_primary.gaussian(theta, 3) * 5 / np.cos(np.radians(incidence))
+
+
+def film(incidence, theta, phi, wavelength):
+    return np.interp(wavelength, [450, 650], [0.5, 0.3])[:, None] * (0.1 + rig_primary.gaussian(theta, 8))
+
+
+@pytest.fixture(scope="module")
+def bsdf():
+    return completion.complete(smoothing.smooth(rig_primary.measured(paint, INCIDENCES, WAVELENGTHS)))
+
+
+@pytest.fixture(scope="module")
+def translucent():
+    reflected = smoothing.smooth(rig_primary.measured(paint, INCIDENCES, WAVELENGTHS))
+    passed = smoothing.smooth(rig_primary.measured(film, (0.0, 20.0, 50.0), WAVELENGTHS, side="transmission"))
+    return completion.complete(reflected, passed)
+
+
+def lanes(count=40, seed=0, low=0.0, high=89.0):
+    random = np.random.default_rng(seed)
+    return (
+        random.uniform(0, 89, count),
+        random.uniform(-180, 180, count),
+        random.uniform(low, high, count),
+        random.uniform(0, 360, count),
+    )
+
+
+def test_it_is_evaluated_and_its_uncertainty_told_through_the_accessor(bsdf):
+    found = bsdf.bsdf.evaluate(30, 0, [10, 30, 50], 180, [500, 600])
+    u = bsdf.bsdf.uncertainty(30, 0, [10, 30, 50], 180, [500, 600])
+    assert found.dims == u.dims == ("direction", "wavelength")
+    assert (u.name, u.attrs["units"]) == ("brdf_u", "sr-1")
+    assert (u / found > 0.001).all()
+    assert (u / found < 0.1).all()
+
+
+def test_a_representation_without_uncertainties_says_which_have_them():
+    with pytest.raises(VocabularyError, match="'microfacet' states no uncertainty; those that do: rig"):
+        samples.beckmann_bsdf(0.1).bsdf.uncertainty(30, 0, 30, 180)
+
+
+def test_wavelengths_are_interpolated_linearly(bsdf):
+    at = lanes()
+    own = bsdf.bsdf.evaluate(*at).values
+    found = bsdf.bsdf.evaluate(*at, [450.0, 475.0, 650.0]).values
+    assert found == pytest.approx(np.stack([own[:, 0], 0.75 * own[:, 0] + 0.25 * own[:, 1], own[:, 2]], axis=1))
+    with pytest.raises(VocabularyError, match="cover 450 to 650 nm"):
+        bsdf.bsdf.evaluate(30, 0, 30, 180, 700)
+
+
+def test_one_wavelength_is_enough(bsdf):
+    primary = rig_primary.measured(paint, INCIDENCES, [550.0])
+    alone = completion.complete(smoothing.smooth(primary))
+    assert alone.bsdf.evaluate(30, 0, [10, 50], 180, 550.0).shape == (2, 1)
+
+
+def test_only_the_difference_of_azimuths_counts(bsdf):
+    theta_i, phi_i, theta_o, phi_o = lanes()
+    turned = bsdf.bsdf.evaluate(theta_i, phi_i + 33, theta_o, phi_o + 33)
+    assert turned.values == pytest.approx(bsdf.bsdf.evaluate(theta_i, phi_i, theta_o, phi_o).values, rel=1e-8)
+    assert representations.isotropic(bsdf)
+
+
+def test_there_is_no_light_at_and_below_the_horizon(bsdf):
+    assert (bsdf.bsdf.evaluate([90, 30, 30, 120], 0, [30, 90, 120, 30], 0).values == 0).all()
+    assert (bsdf.bsdf.uncertainty([90, 30, 30, 120], 0, [30, 90, 120, 30], 0).values == 0).all()
+
+
+def test_it_is_sound(bsdf):
+    verdicts = json.loads(bsdf.sel(wavelength=[550.0]).bsdf.check().attrs["verdicts"])
+    assert {verdict["verdict"] for verdict in verdicts.values()} == {"pass"}, verdicts
+
+
+def test_a_material_that_reflects_too_much_is_found_out():
+    def bright(incidence, theta, phi, wavelength):
+        return np.full((wavelength.size, theta.size), 1.2 / np.pi)
+
+    bsdf = completion.complete(smoothing.smooth(rig_primary.measured(bright, INCIDENCES, [550.0])))
+    assert bsdf.bsdf.albedo(30.0).item() == pytest.approx(1.2, rel=0.01)
+
+
+def sheet(reflectance, u):
+    """A diffuser with a common uncertainty."""
+
+    def even(incidence, theta, phi, wavelength):
+        return np.full((wavelength.size, theta.size), reflectance / np.pi)
+
+    primary = rig_primary.measured(even, INCIDENCES, [550.0], noise=0.005)
+    primary["brdf_u_noise"] = primary["brdf_u"].assign_attrs(correlation="independent")
+    primary["brdf_u_certificate"] = (u * primary["brdf"]).assign_attrs(correlation="common")
+    primary["brdf_u"] = np.hypot(primary["brdf_u_noise"], primary["brdf_u_certificate"])
+    return completion.complete(smoothing.smooth(vocabulary.label(primary, "primary")))
+
+
+@pytest.mark.parametrize(("reflectance", "verdict"), [(0.97, "pass"), (1.004, "warn"), (1.05, "fail")])
+def test_more_light_than_arrives_is_a_failure_where_the_uncertainty_does_not_explain_it(reflectance, verdict):
+    found = json.loads(sheet(reflectance, 0.01).bsdf.check().attrs["verdicts"])["energy"]
+    assert found["verdict"] == verdict, found
+    assert ("within its uncertainty" in found["text"]) == (verdict == "warn")
+
+
+def test_the_uncertainty_of_the_reflectance_is_that_of_its_common_errors():
+    bsdf = sheet(0.5, 0.01)
+    u = measured.albedo_uncertainty(bsdf, np.array([30.0]), np.zeros(1), None)
+    assert u.item() == pytest.approx(0.005, rel=0.3)
+
+
+def test_a_reciprocity_that_was_made_is_judged_by_what_was_measured(bsdf):
+    sound = json.loads(bsdf.bsdf.check().attrs["verdicts"])["reciprocity"]
+    assert sound["verdict"] == "pass"
+    assert "made so: as measured they differ by up to" in sound["text"]
+    primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), INCIDENCES, [550.0])
+    leaning = completion.complete(smoothing.smooth(primary))
+    assert json.loads(leaning.bsdf.check().attrs["verdicts"])["reciprocity"]["verdict"] == "warn"
+
+
+def test_the_mean_over_wavelengths_is_exact(bsdf):
+    at, weight = lanes(), np.array([1.0, 2.0, 1.0]) / 4
+    mean = bsdf.bsdf.nonspectral(weight)
+    vocabulary.validate(mean, "bsdf")
+    assert mean.bsdf.evaluate(*at).values == pytest.approx(bsdf.bsdf.evaluate(*at).values @ weight)
+    u = mean.bsdf.uncertainty(*at).values
+    assert (u <= bsdf.bsdf.uncertainty(*at).values @ weight * (1 + 1e-9)).all()
+    assert measured.nonspectral(mean, weight) is mean
+
+
+def test_transmitted_light_goes_on_straight_and_either_way(translucent):
+    theta = np.array([0.0, 20.0, 50.0])
+    found = translucent.bsdf.evaluate(theta, 0, 180 - theta, 180, 450.0).values[:, 0]
+    assert found == pytest.approx(0.55, rel=0.02)
+    theta_i, phi_i, theta_o, phi_o = lanes(low=91, high=180)
+    there = translucent.bsdf.evaluate(theta_i, phi_i, theta_o, phi_o)
+    back = translucent.bsdf.evaluate(theta_o, phi_o, theta_i, phi_i)
+    assert (there == back).all()
+    # Light that comes from below was not measured, and is not reflected.
+    assert (translucent.bsdf.evaluate(150, 0, [120, 150], 180).values == 0).all()
+    assert (translucent.bsdf.uncertainty(30, 0, [150, 140], 180).values > 0).all()
+    assert translucent.bsdf.transmittance(20.0, 0.0, 450.0).item() > 0.1
+
+
+def test_what_passes_does_not_change_what_is_reflected(bsdf, translucent):
+    at = lanes()
+    assert translucent.bsdf.evaluate(*at).values == pytest.approx(bsdf.bsdf.evaluate(*at).values)
+
+
+def quality(bsdf, *at):
+    flags = measured.quality(bsdf, *(np.atleast_1d(np.asarray(angle, dtype=float)) for angle in at))
+    return [vocabulary.QUALITY_FLAGS[flag] for flag in flags]
+
+
+def test_every_value_says_where_it_comes_from(bsdf, translucent):
+    assert quality(bsdf, 30, 0, [10, 30, 60], 180) == ["measured"] * 3
+    assert quality(bsdf, 20, 0, [20, 22, 50], 180) == ["interpolated"] * 3
+    # Neither the incidence nor, the other way round, the outgoing angle lies among those measured.
+    assert quality(bsdf, 5, 0, 5, 180) == ["completed"]
+    assert quality(bsdf, 75, 0, 75, 180) == ["completed"]
+    # Light that goes back tells of incidences beyond the last.
+    assert quality(bsdf, 75, 0, 30, 180) == ["measured"]
+    assert quality(bsdf.assign_attrs(reciprocity="none"), 75, 0, 30, 180) == ["completed"]
+    assert quality(bsdf, 45, 0, 89, 90) == ["extrapolated"]
+    assert quality(translucent, 20, 0, [160, 150], 180) == ["measured"] * 2
+    assert quality(translucent, 70, 0, 110, 180) == ["completed"]
+
+
+def test_where_no_cell_looks_is_extrapolated():
+    primary = rig_primary.measured(paint, (30.0,), [550.0])
+    hole = (primary["theta_s"] > 40) & (primary["theta_s"] < 70) & (np.abs(primary["phi_s"] - 90) < 40)
+    hole = hole | ((primary["theta_s"] > 40) & (primary["theta_s"] < 70) & (np.abs(primary["phi_s"] - 270) < 40))
+    primary["brdf"] = primary["brdf"].where(~hole)
+    bsdf = completion.complete(smoothing.smooth(primary), reciprocity=False)
+    theta_o, phi_o = rig_primary.outgoing(30.0, np.array([55.0, 55.0]), np.array([90.0, 0.0]))
+    assert quality(bsdf, 30, 0, theta_o, phi_o) == ["extrapolated", "measured"]
+
+
+def test_the_width_of_the_lobe_is_told_as_a_slope(bsdf):
+    # A Gaussian of 3° standard deviation about the mirror direction is that of facets tilted half as much.
+    assert representations.lobe_slope(bsdf) == pytest.approx(np.tan(np.radians(1.5)), rel=0.1)
+
+
+def test_samples_carry_its_light(bsdf):
+    drawn = bsdf.bsdf.sample(4000, 1, 30.0, wavelength=550.0)
+    assert float(drawn["weight"].mean()) == pytest.approx(bsdf.bsdf.albedo(30.0, 0.0, 550.0).item(), rel=0.02)
+
+
+def test_it_is_stored_and_read_back_the_same(bsdf, translucent, tmp_path):
+    at = lanes(low=0, high=180)
+    for dataset in (bsdf, translucent, bsdf.bsdf.nonspectral()):
+        store.save_dataset(dataset, tmp_path / "bsdf.nc", stage="bsdf", material="paint")
+        again = store.open_dataset(tmp_path / "bsdf.nc")
+        store.verify(again, "bsdf.nc")
+        assert (again.bsdf.evaluate(*at).values == dataset.bsdf.evaluate(*at).values).all()
+        assert (again.bsdf.uncertainty(*at).values == dataset.bsdf.uncertainty(*at).values).all()
+
+
+def test_shapes_of_any_dimensions_and_none_are_told(bsdf):
+    assert bsdf.bsdf.evaluate(30, 0, np.empty(0), 0).shape == (0, 3)
+    assert bsdf.bsdf.uncertainty(np.full((2, 3), 30.0), 0, 40, 0).shape == (2, 3, 3)
+
+
+def test_many_directions_at_once_are_those_one_at_a_time(bsdf, monkeypatch):
+    at = lanes(60)
+    whole = bsdf.bsdf.evaluate(*at).values, bsdf.bsdf.uncertainty(*at).values
+    monkeypatch.setattr(measured, "_CHUNK", 7)
+    assert bsdf.bsdf.evaluate(*at).values == pytest.approx(whole[0], rel=1e-12)
+    assert bsdf.bsdf.uncertainty(*at).values == pytest.approx(whole[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("theta", [0.0, 30.0, 63.0, 85.0])
+def test_its_albedo_is_its_integral(bsdf, theta):
+    at = np.array([theta]), np.zeros(1), np.array([550.0])
+    integral = representations.integrated(bsdf, *at)
+    assert representations.albedo(bsdf, *at) == pytest.approx(integral.value, rel=2e-4)
+
+
+def test_a_bsdf_that_leans_to_one_side_is_integrated_all_round():
+    def leaning(incidence, theta, phi, wavelength):
+        brdf = 0.1 * (1 + 0.5 * np.sin(np.radians(theta)) * np.sin(np.radians(phi)))
+        return np.broadcast_to(brdf, (wavelength.size, theta.size))
+
+    smoothed = smoothing.smooth(rig_primary.measured(leaning, (30.0, 50.0), [550.0]), symmetric=False)
+    bsdf = completion.complete(smoothed, reciprocity=False)
+    # What leans to one side is missing on the other.
+    assert bsdf.bsdf.albedo(40.0).item() == pytest.approx(0.1 * np.pi, rel=0.02)
+    left, right = bsdf.bsdf.evaluate(40, 0, 40, [90, 270]).values[:, 0]
+    assert abs(left - right) > 0.02

@@ -1,0 +1,602 @@
+"""The catalogue: which materials it finds, what it refuses of them, and what each stage is told."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+import yaml
+
+from brdfpipe import catalogue, installation
+from brdfpipe.comparison.measured_predicted import PRIOR_U
+from brdfpipe.errors import InputError
+
+COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
+
+FRONT = "surface: {distribution: flat}\nindex: PP\n"
+
+
+def write(folder: Path, name: str, text: str = COLOUR, **files: str) -> Path:
+    material = folder / name
+    material.mkdir(parents=True)
+    (material / "material.yaml").write_text(text)
+    for file, content in files.items():
+        (material / file.replace("_", ".")).write_text(content)
+    return material
+
+
+def test_every_folder_with_a_description_is_a_material(tmp_path: Path) -> None:
+    write(tmp_path, "b")
+    write(tmp_path, "a")
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "readme.txt").touch()
+    loaded = catalogue.load(tmp_path)
+    assert [material.name for material in loaded.materials] == ["a", "b"]
+    assert loaded.failures == {}
+
+
+def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
+    write(tmp_path, "good")
+    write(tmp_path, "bad", "spectrum: [")
+    loaded = catalogue.load(tmp_path)
+    assert [material.name for material in loaded.materials] == ["good"]
+    assert "line 1" in loaded.failures["bad"]
+
+
+@pytest.mark.parametrize(
+    ("text", "pattern"),
+    [
+        ("spectrm: {}", r"unknown key 'spectrm'; did you mean 'spectrum'\?"),
+        ("description: nothing", "at least one of `surface`, `spectrum`"),
+        ("surface: {distribution: beckmann, slope_rms: 0.1}", "the key 'index' is missing"),
+        ("surface: {distribution: ggx, slope_rms: 0.1}\nindex: 1.5", "unknown key 'slope_rms'|'a' is missing"),
+        ("surface: {distribution: beckman, slope_rms: 0.1}\nindex: 1.5", "did you mean 'beckmann'"),
+        ("surface: {distribution: beckmann, slope_rms: 0}\nindex: 1.5", "slope_rms: not an accepted value; found 0"),
+        ("surface: {file: a.txt, unit: inch}\nindex: 1.5", "found 'inch'; accepted: nm, um, mm, m"),
+        ("surface: {file: a.txt, pitch: [1, 2, 3]}\nindex: 1.5", "surface.pitch"),
+        ("surface: {file: a.txt, pitch: -1}\nindex: 1.5", "surface.pitch: not an accepted value; found -1"),
+        ("surface: {file: a.txt}\nindex: 0.5", "index: not an accepted value; found 0.5"),
+        ("spectrum: {geometry: sci}", "the key 'file' is missing"),
+        ("spectrum: {lab: [50, 0], illuminant: D65, observer: 10, geometry: sci}", "spectrum.lab"),
+        ("spectrum: {file: a.txt, geometry: sci, incidence: 90}", "incidence: not an accepted value; found 90"),
+        (
+            "surface: {file: a.txt, layout: line, unit: um}\nindex: 1.5",
+            "the key 'isotropic' is missing; accepted: true",
+        ),
+        (
+            "surface: {file: a.txt, layout: line, isotropic: false}\nindex: 1.5",
+            "isotropic: not an accepted value; found False",
+        ),
+        ("surface: {file: a.txt, distribution: ggx, a: 1}\nindex: 1.5", "either `file` or `distribution`$"),
+        ("surface: {file: a.txt}\nindex: 1,5", "found '1,5'.*decimal point"),
+        ("spectrum: {file: a.txt, lab: [50, 0, 0], geometry: sci}", "either `file` or `lab`$"),
+        (
+            COLOUR.replace("50,", "100.5,"),
+            r"spectrum.lab.0: not an accepted value; found 100.5; accepted: L\* from 0 to 100",
+        ),
+        (COLOUR.replace("50,", "-1,"), "spectrum.lab.0"),
+        (COLOUR + "exports: astm", r"accepted: a list: \[astm\]"),
+        (FRONT + "slab: {}", "slab: the key 'thickness' is missing; accepted: thickness of the body in mm"),
+        (FRONT + "slab: {thickness: 0}", "slab.thickness: not an accepted value; found 0"),
+        (
+            FRONT + "slab: {thickness: 1, back: rough}",
+            "slab.back: not an accepted value; found 'rough'; accepted: same, flat",
+        ),
+        (FRONT + "slab: {thickness: 1, back: {distribution: ggx}}", "slab.back: the key 'a' is missing"),
+        (FRONT + "slab: {thickness: 1, back: {file: a.txt, scans: [{file: a.txt}]}}", "slab.back.scans: further scans"),
+        (FRONT + "slab: {thickness: 1, back: {file: b.txt}}", "slab.back.file: no such file"),
+        (FRONT + "slab: {thickness: 1, internal_transmittance: 1.5}", "found 1.5; accepted: a number from 0 to 1, or"),
+        (
+            FRONT + "slab: {thickness: 1, internal_transmittance: {file: b.txt}}",
+            "slab.internal_transmittance.file: no such",
+        ),
+        (FRONT + "slab: {thickness: 1, absorption: -1}", "slab.absorption: not an accepted value; found -1"),
+        (
+            FRONT + "slab: {thickness: 1, absorption: {file: a.txt, unit: 1/km}}",
+            "found '1/km'; accepted: 1/mm, 1/cm, 1/m",
+        ),
+        (
+            FRONT + "slab: {thickness: 1, absorption: 1, internal_transmittance: 1}",
+            "either `internal_transmittance` or `absorption`$",
+        ),
+        (COLOUR + "slab: {thickness: 1}", "the key 'surface' is missing"),
+        (
+            FRONT + COLOUR + "slab: {thickness: 1}",
+            "`slab` and `spectrum` stand together: a clear body has no diffuse base",
+        ),
+        (
+            FRONT + "slab: {thickness: 1}\nmodel: {masking: blinn}",
+            "model.masking: this masking does not keep energy where",
+        ),
+        (FRONT + "slab: {thickness: 1}\nmodel: {recipe: crf}", "found 'crf'; accepted: height-correlated, separable"),
+        (FRONT + "slab: {thickness: 1}\nmodel: {diffuse: coupled}", "model.diffuse: a clear body has no diffuse base"),
+        (
+            FRONT.replace("PP", "{n: 1.5, k: 0.1}") + "slab: {thickness: 1}",
+            "index.k: the body of a slab would be opaque",
+        ),
+        (FRONT.replace("PP", "{n: 1.5}"), "index: the key 'k' is missing"),
+        (FRONT.replace("PP", "{n: 1.5, k: 30}"), "index.k: not an accepted value; found 30"),
+        (FRONT.replace("flat", "flat, slope_rms: 0.1"), "unknown key 'slope_rms'; accepted: distribution"),
+        (COLOUR + "transparent: true", "unknown key 'transparent'"),
+        (
+            COLOUR + "model: {masking: smith}",
+            "found 'smith'; accepted: height-correlated, separable, blinn, liu, crf, none",
+        ),
+        (COLOUR + "model: {recipe: crf, masking: crf}", "either `recipe` or `masking`$"),
+        (
+            COLOUR + "model: {multiple_scattering: compensated, masking: blinn}",
+            "model.masking: what this masking loses cannot be compensated.*found 'blinn'",
+        ),
+        (COLOUR + "exports: [zemax]", "exports.0"),
+        (COLOUR + "name: a b", "name"),
+        (COLOUR + "name: ''", "name"),
+    ],
+)
+def test_a_wrong_key_is_refused_by_name(tmp_path: Path, text: str, pattern: str) -> None:
+    write(tmp_path, "m", text, a_txt="1 2")
+    assert re.search(pattern, catalogue.load(tmp_path).failures["m"])
+
+
+def test_each_stage_of_a_slab_is_told_of_its_own_face(tmp_path: Path) -> None:
+    text = "surface: {distribution: ggx, a: 0.1}\nindex: PC\nmodel: {masking: Separable}\n"
+    slab = "slab: {thickness: 2, absorption: {file: a.txt, unit: 1/cm}, back: {file: b.txt, unit: nm, isotropic: true}}"
+    write(tmp_path, "m", text + slab, a_txt="1 2", b_txt="1 2")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.failures == {}
+    stages = ("facets", "back_surface", "back_facets", "interior", "predicted")
+    assert {stage: loaded.spec("m", stage) for stage in stages} == {
+        "facets": {"distribution": "ggx", "a": 0.1},
+        "back_surface": {"file": "b.txt", "unit": "nm", "form": "plane"},
+        "back_facets": {"isotropic": True},
+        "interior": {"thickness": 2, "absorption": {"file": "a.txt", "unit": "1/cm"}},
+        "predicted": {"masking": "separable"},
+    }
+    assert {part: path.name for part, path in loaded["m"].files.items()} == {
+        "back_surface": "b.txt",
+        "interior": "a.txt",
+    }
+
+
+@pytest.mark.parametrize(("back", "own"), [("", False), (", back: same", False), (", back: Flat", True)])
+def test_a_slab_has_a_back_of_its_own_where_it_differs(tmp_path: Path, back: str, own: bool) -> None:
+    write(tmp_path, "m", FRONT + f"slab: {{thickness: 1{back}}}")
+    material = catalogue.load(tmp_path)["m"]
+    assert material.has("slab")
+    assert material.has("back") == own
+    if own:
+        assert material.spec("back_facets", {}) == {"distribution": "flat"}
+
+
+@pytest.mark.parametrize(
+    ("text", "written"),
+    [
+        (COLOUR, "model: {masking: height-correlated, diffuse: coupled, multiple_scattering: none}"),
+        (FRONT + "slab: {thickness: 1}\n", "model: {masking: height-correlated}"),
+        (FRONT + "slab: {thickness: 1", ", internal_transmittance: 1, back: same}"),
+        (FRONT + "slab: {thickness: 1, absorption: {file: a.txt", ", unit: 1/mm}}"),
+    ],
+)
+def test_writing_out_a_default_tells_no_stage_anything_new(tmp_path: Path, text: str, written: str) -> None:
+    closed = text + "}" * (text.count("{") - text.count("}"))
+    write(tmp_path / "a", "m", closed, a_txt="1 2")
+    write(tmp_path / "b", "m", text + written, a_txt="1 2")
+    first, second = (catalogue.load(tmp_path / folder) for folder in ("a", "b"))
+    stages = ["predicted", *(["interior"] if first["m"].has("slab") else [])]
+    assert [first.spec("m", stage) for stage in stages] == [second.spec("m", stage) for stage in stages]
+
+
+def test_a_recipe_is_told_alone(tmp_path: Path) -> None:
+    write(tmp_path, "m", COLOUR + "model: {recipe: crf}")
+    assert catalogue.load(tmp_path).spec("m", "predicted") == {"recipe": "crf"}
+
+
+def test_the_schema_offers_what_the_model_has() -> None:
+    from brdfpipe.bsdf import microfacet, slab
+    from brdfpipe.bsdf.microfacet import microsurface
+    from brdfpipe.optics.interior import PER_MM
+
+    path = installation.project_folder() / "config" / "schemas" / "material.schema.yaml"
+    schema = yaml.safe_load(path.read_text())
+    offered = {key: set(part["enum"]) for key, part in schema["properties"]["model"]["properties"].items()}
+    assert offered == {
+        "masking": set(microsurface.MASKINGS),
+        "diffuse": set(microfacet.DIFFUSE_MODES),
+        "multiple_scattering": set(microfacet.MULTIPLE_SCATTERING_MODES),
+        "recipe": set(microfacet.RECIPES),
+    }
+    assert set(schema["$defs"]["absorption_file"]["properties"]["unit"]["enum"]) == set(PER_MM)
+    assert {name: choices["masking"] for name, choices in microfacet.RECIPES.items()} == catalogue.RECIPE_MASKING
+    assert catalogue.TRANSMITTING_MASKING == slab.MASKING
+
+
+def test_an_unknown_illuminant_is_refused_before_a_build(tmp_path: Path) -> None:
+    write(tmp_path, "m", COLOUR.replace("D65", "D56"))
+    with pytest.raises(InputError, match=r"spectrum.illuminant: unknown illuminant 'D56' \(nearest is D65\)"):
+        catalogue.check_formats(catalogue.load(tmp_path)["m"])
+    own = tmp_path / "own.yaml"
+    own.write_text("illuminant: D56\n")
+    with pytest.raises(InputError, match=r"own.yaml, illuminant: unknown illuminant"):
+        catalogue.load_config(own)
+
+
+@pytest.mark.parametrize("name", ["logs", "Failures", "exports", "catalogue.nc", "index.html"])
+def test_names_with_a_meaning_in_the_results_are_refused(tmp_path: Path, name: str) -> None:
+    write(tmp_path, "m", COLOUR + f"name: {name}")
+    assert "a reserved name" in catalogue.load(tmp_path).failures["m"]
+
+
+def test_a_folder_name_that_is_no_name_asks_for_one(tmp_path: Path) -> None:
+    write(tmp_path, "PC ABS (black)")
+    assert "set `name`" in catalogue.load(tmp_path).failures["PC ABS (black)"]
+
+
+def test_two_materials_of_one_name_are_both_refused(tmp_path: Path) -> None:
+    write(tmp_path, "a", COLOUR + "name: same")
+    write(tmp_path, "b", COLOUR + "name: Same")
+    write(tmp_path, "c")
+    loaded = catalogue.load(tmp_path)
+    assert [material.name for material in loaded.materials] == ["c"]
+    assert all("found a, b" in loaded.failures[folder] for folder in ("a", "b"))
+
+
+def test_the_name_of_another_folder_is_refused(tmp_path: Path) -> None:
+    write(tmp_path, "a", "spectrum: [")
+    write(tmp_path, "b", COLOUR + "name: a")
+    assert set(catalogue.load(tmp_path).failures) == {"a", "b"}
+
+
+def test_a_missing_file_names_the_nearest(tmp_path: Path) -> None:
+    write(tmp_path, "m", "spectrum: {file: reflectanse.txt, geometry: sci}", reflectance_txt="1 2")
+    failure = catalogue.load(tmp_path).failures["m"]
+    assert "spectrum.file: no such file; did you mean 'reflectance.txt'?; found 'reflectanse.txt'" in failure
+
+
+@pytest.mark.parametrize(
+    "file", ["../secret.txt", "/etc/passwd", "link.txt", "linked/secret.txt", "a/../../secret.txt"]
+)
+def test_a_file_outside_the_materials_folder_is_refused(tmp_path: Path, file: str) -> None:
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "secret.txt").write_text("secret")
+    folder = tmp_path / "catalogue"
+    material = write(folder, "m", f"spectrum: {{file: {file}, geometry: sci}}")
+    (folder / "secret.txt").write_text("secret")
+    (material / "link.txt").symlink_to(outside / "secret.txt")
+    (material / "linked").symlink_to(outside)
+    assert "outside the material's folder" in catalogue.load(folder).failures["m"]
+
+
+def test_a_brace_in_a_path_is_refused_before_the_workflow_takes_it_for_a_wildcard(tmp_path: Path) -> None:
+    material = write(tmp_path, "m", "spectrum: {file: '{x}.txt', geometry: sci}")
+    (material / "{x}.txt").write_text("1 2")
+    assert "a brace or a line break" in catalogue.load(tmp_path).failures["m"]
+
+
+def test_a_file_in_a_folder_below_is_accepted(tmp_path: Path) -> None:
+    material = write(tmp_path, "m", "spectrum: {file: raw/a.txt, geometry: sci}")
+    (material / "raw").mkdir()
+    (material / "raw" / "a.txt").write_text("1 2")
+    assert catalogue.load(tmp_path)["m"].files["spectrum"] == (material / "raw" / "a.txt").resolve()
+
+
+@pytest.mark.parametrize(
+    ("make", "pattern"),
+    [
+        (lambda folder: folder / "none", "no such folder"),
+        (lambda folder: folder, "holds no material; `brdfpipe new NAME"),
+        (lambda folder: write(folder, "m"), "is one material"),
+    ],
+)
+def test_a_folder_that_is_no_catalogue_is_refused(tmp_path: Path, make: Any, pattern: str) -> None:
+    with pytest.raises(catalogue.CatalogueError, match=pattern):
+        catalogue.load(make(tmp_path))
+
+
+def test_asking_for_an_unknown_material_names_the_nearest(tmp_path: Path) -> None:
+    write(tmp_path, "abs-grain")
+    with pytest.raises(catalogue.CatalogueError, match="did you mean 'abs-grain'"):
+        catalogue.load(tmp_path)["abs-grian"]
+
+
+@pytest.mark.parametrize("unit", ["um", "\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m"])
+def test_stages_are_told_one_spelling(tmp_path: Path, unit: str) -> None:
+    text = f"surface: {{file: a.txt, unit: {unit}, lateral_unit: {unit}, layout: Line, isotropic: true}}\nindex: PP\n"
+    write(tmp_path, "m", text + "spectrum: {file: a.txt, geometry: SCI, scale: Percent}", a_txt="1 2")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.failures == {}
+    told = loaded.spec("m", "surface") | loaded.spec("m", "spectrum")
+    assert [told[key] for key in ("unit", "lateral_unit", "layout", "geometry", "scale")] == [
+        "um",
+        "um",
+        "line",
+        "sci",
+        "percent",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        (["material.yml"], "material.yml is not read; rename it to material.yaml"),
+        (["Material.YAML"], "Material.YAML is not read; rename it to material.yaml"),
+        (["material.yaml.txt"], "material.yaml.txt is not read; rename it to material.yaml"),
+        (["scan.x3p"], "scan.x3p but no material.yaml; `brdfpipe new`"),
+        (["raw/material.yaml"], "material.yaml lies one folder deeper, in raw"),
+    ],
+)
+def test_a_folder_that_looks_like_a_material_and_is_none_is_told(tmp_path: Path, files: list[str], told: str) -> None:
+    write(tmp_path, "good")
+    for file in files:
+        (tmp_path / "odd" / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "odd" / file).touch()
+    (found,) = catalogue.ignored(tmp_path).items()
+    assert found[0] == "odd"
+    assert told in found[1]
+    assert catalogue.load(tmp_path).failures == {}
+
+
+def test_other_folders_and_results_are_no_materials(tmp_path: Path) -> None:
+    write(tmp_path, "good", a_csv="1 2")
+    for file in ("notes/read.pdf", ".git/a.txt", "results/catalogue.csv", "results/catalogue.nc"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).touch()
+    assert catalogue.ignored(tmp_path) == {}
+
+
+def test_a_catalogue_of_misnamed_descriptions_says_so(tmp_path: Path) -> None:
+    (write(tmp_path, "m") / "material.yaml").rename(tmp_path / "m" / "material.yml")
+    with pytest.raises(catalogue.CatalogueError, match=r"holds no material.*m: material.yml is not read; rename it"):
+        catalogue.load(tmp_path)
+
+
+def test_each_stage_is_told_its_own_part_and_no_more(tmp_path: Path) -> None:
+    text = "description: d\nsurface: {file: a.txt, unit: um, isotropic: true}\nindex: PP\n"
+    write(tmp_path, "m", text + "spectrum: {file: a.txt, geometry: sci}", a_txt="1 2")
+    loaded = catalogue.load(tmp_path)
+    told = {
+        stage: loaded.spec("m", stage) for stage in ("surface", "facets", "index", "spectrum", "predicted", "report")
+    }
+    assert told == {
+        "surface": {"file": "a.txt", "unit": "um", "form": "plane"},
+        "facets": {"isotropic": True},
+        "index": {"index": "PP"},
+        "spectrum": {"file": "a.txt", "geometry": "sci", "allow_fluorescent": False},
+        "predicted": {"masking": "height-correlated", "diffuse": "coupled", "multiple_scattering": "none"},
+        "report": {"description": "d", "exports": ["astm"]},
+    }
+
+
+def test_colours_at_several_geometries_are_a_material_and_their_own_route(tmp_path: Path) -> None:
+    colours = ", ".join(
+        f"{{geometry: '{name}', lab: [{20 - k}, 0, 0]}}" for k, name in enumerate(("45as15", "45as45", "45as75"))
+    )
+    write(tmp_path, "m", f"multiangle: {{colours: [{colours}], illuminant: D65, observer: 10, form: gaussian}}\n")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.failures == {}
+    assert not loaded["m"].has("predicted")
+    assert loaded.spec("m", "bsdf") == {"route": "flake"}
+    assert loaded.spec("m", "flake") == {"form": "gaussian", "index": 1.5, "model": "flake"}
+    assert set(loaded.spec("m", "multiangle")) == {"colours", "illuminant", "observer"}
+    assert catalogue.parts(loaded["m"]) == ["multiangle 3 colours"]
+    catalogue.check_formats(loaded["m"])
+
+
+def test_a_file_of_colours_at_several_geometries_is_a_raw_file(tmp_path: Path) -> None:
+    write(tmp_path, "m", "multiangle: {file: a.csv, illuminant: D65, observer: 10}\n" + COLOUR, a_csv="geometry,L,a,b")
+    loaded = catalogue.load(tmp_path)
+    assert loaded["m"].files["multiangle"].name == "a.csv"
+    assert not loaded["m"].has("predicted")
+    assert loaded.spec("m", "bsdf") == {"route": "flake"}
+
+
+def test_a_wrong_geometry_in_the_description_is_found_by_the_check(tmp_path: Path) -> None:
+    colours = ", ".join(f"{{geometry: '{name}', lab: [20, 0, 0]}}" for name in ("45as15", "45as45", "45az75"))
+    write(tmp_path, "m", f"multiangle: {{colours: [{colours}], illuminant: D65, observer: 10}}\n")
+    with pytest.raises(InputError, match="entry 3: geometry '45az75': unknown geometry"):
+        catalogue.check_formats(catalogue.load(tmp_path)["m"])
+
+
+def test_a_configuration_may_say_only_what_differs(tmp_path: Path) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text("illuminant: A\n")
+    config = catalogue.load_config(own)
+    assert config == {**catalogue.load_config(), "illuminant": "A"}
+
+
+@pytest.mark.parametrize(
+    ("text", "part", "said"),
+    [
+        ("table: {refine: false}", "table", {"refine": False}),
+        ("appearance: {geometries: [MA-T6]}", "appearance", {"geometries": ["MA-T6"]}),
+        ("appearance: {haze: []}", "appearance", {"haze": []}),
+        ("table: {phi_i: [0, 90]}", "table", {"phi_i": [0, 90]}),
+        ("lambert_gauss: {}", "lambert_gauss", {}),
+        ("comparison: {index_u: 0}", "comparison", {"index_u": 0}),
+    ],
+)
+def test_a_configuration_may_say_only_what_differs_within_a_part(
+    tmp_path: Path, text: str, part: str, said: dict[str, Any]
+) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(text)
+    common = catalogue.load_config()
+    assert catalogue.load_config(own) == {**common, part: {**common[part], **said}}
+
+
+def test_the_projects_own_configuration_says_every_key() -> None:
+    schema = yaml.safe_load((installation.project_folder() / "config/schemas/config.schema.yaml").read_text())
+    config = catalogue.load_config()
+    assert set(config) == set(schema["properties"])
+    for key, part in schema["properties"].items():
+        assert set(part.get("properties", {})) <= set(config[key]) if isinstance(config[key], dict) else True
+
+
+def test_a_comparison_is_told_how_well_its_inputs_are_known(tmp_path: Path) -> None:
+    write(tmp_path / "of", "m")
+    own = tmp_path / "own.yaml"
+    own.write_text("comparison: {slope_u: 0.3}\n")
+    told = catalogue.load(tmp_path / "of", catalogue.load_config(own)).spec("m", "comparison")
+    assert told == {**{f"{name}_u": u for name, u in PRIOR_U.items()}, "slope_u": 0.3}
+
+
+@pytest.mark.parametrize("u", ["-0.1", "2", "wide"])
+def test_an_uncertainty_of_an_input_that_is_none_is_refused(tmp_path: Path, u: str) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(f"comparison: {{diffuse_u: {u}}}\n")
+    with pytest.raises(InputError, match=r"comparison\.diffuse_u"):
+        catalogue.load_config(own)
+
+
+@pytest.mark.parametrize(
+    ("window", "problem"),
+    [
+        ("{angle: 20, offset: 0.5, aperture: [1.8, 3.6]}", "covers part of the source's image"),
+        ("{angle: 85, offset: 5, aperture: [1.8, 3.6]}", "does not lie above the surface"),
+    ],
+)
+def test_a_haze_window_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, window: str, problem: str) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(f"appearance: {{haze: [{{angle: 20, offset: 1.9, aperture: [1.8, 3.6]}}, {window}]}}\n")
+    with pytest.raises(InputError, match=rf"own\.yaml, appearance\.haze\.1: .*{problem}"):
+        catalogue.load_config(own)
+
+
+@pytest.mark.parametrize(
+    ("route", "predicted"), [("", True), ("multiangle", False), ("surface", True), ("multiangle surface", True)]
+)
+def test_a_spectrum_beside_another_route_is_no_perfect_diffuser(tmp_path: Path, route: str, predicted: bool) -> None:
+    colours = ", ".join(f"{{geometry: '{name}', lab: [20, 0, 0]}}" for name in ("45as15", "45as45", "45as110"))
+    texts = {"multiangle": f"multiangle: {{colours: [{colours}], illuminant: D65, observer: 10}}\n", "surface": FRONT}
+    write(tmp_path, "m", COLOUR + "".join(texts[part] for part in route.split()))
+    assert catalogue.load(tmp_path)["m"].has("predicted") is predicted
+
+
+@pytest.mark.parametrize(
+    ("index", "accepted"),
+    [("{n: 1.2}", "accepted: `index: 1.2` of"), ("{n: 0.2}", "accepted: `index: {n: 0.2, k: …}` of a metal")],
+)
+def test_an_index_without_k_is_answered_with_its_own_number(tmp_path: Path, index: str, accepted: str) -> None:
+    write(tmp_path, "m", FRONT.replace("PP", index))
+    assert accepted in catalogue.load(tmp_path).failures["m"]
+
+
+@pytest.mark.parametrize("said", ["seed: 3", "method: basis4, seed: 3", "method: lhtss, threshold: 1"])
+def test_what_a_search_alone_needs_is_refused_elsewhere(tmp_path: Path, said: str) -> None:
+    write(tmp_path, "m", COLOUR.replace("geometry", f"{said}, geometry"))
+    key = said.split(", ")[-1].split(":")[0]
+    assert f"spectrum.{key}: not an accepted value" in (why := catalogue.load(tmp_path).failures["m"])
+    assert f"`{key}` goes with `method: random4` or `adaptive4`" in why
+
+
+def test_a_search_has_its_seed_and_threshold(tmp_path: Path) -> None:
+    write(tmp_path, "m", COLOUR.replace("geometry", "method: random4, seed: 3, threshold: 2, geometry"))
+    assert catalogue.load(tmp_path).failures == {}
+
+
+def test_a_wrong_configuration_is_refused(tmp_path: Path) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text("gloss_angle: [20]\n")
+    with pytest.raises(InputError, match="did you mean 'gloss_angles'"):
+        catalogue.load_config(own)
+
+
+def test_the_schemas_are_valid_and_document_every_key() -> None:
+    for path in (installation.project_folder() / "config" / "schemas").glob("*.yaml"):
+        schema = yaml.safe_load(path.read_text())
+        jsonschema.Draft202012Validator.check_schema(schema)
+        definitions = schema.get("$defs", {})
+        for block in [schema, *definitions.values()]:
+            for key, part in block.get("properties", {}).items():
+                described = (
+                    definitions[part["$ref"].rpartition("/")[2]]
+                    if "$ref" in part and "description" not in part
+                    else part
+                )
+                assert described.get("description"), f"{path.name}: {key}"
+
+
+def test_the_schema_and_the_catalogue_agree_on_names() -> None:
+    path = installation.project_folder() / "config" / "schemas" / "material.schema.yaml"
+    assert yaml.safe_load(path.read_text())["properties"]["name"]["pattern"] == f"^{catalogue.NAME}$"
+
+
+def test_formats_are_checked_without_reading(tmp_path: Path) -> None:
+    write(tmp_path, "a", "surface: {file: a.abc}\nindex: PP", a_abc="x")
+    write(tmp_path, "b", "surface: {file: a.txt, unit: um, pitch: 1}\nindex: PPP", a_txt="x")
+    write(tmp_path, "c", "spectrum: {file: a.txt, geometry: sci}", a_txt="")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.failures == {}
+    for name, pattern in (("a", "found .abc"), ("b", "PPP"), ("c", "empty")):
+        with pytest.raises(InputError, match=pattern):
+            catalogue.check_formats(loaded[name])
+
+
+def test_a_started_material_says_what_to_fill_in_and_each_alternative_in_its_comments_is_valid(tmp_path: Path) -> None:
+    path = catalogue.start_material(tmp_path, "fresh")
+    assert "at least one of `surface`, `spectrum`" in catalogue.load(tmp_path).failures["fresh"]
+    text = path.read_text()
+    for file in ("reflectance.txt", "surface.x3p", "profile.txt", "index.txt", "absorption.txt"):
+        (path.parent / file).touch()
+    blocks = re.findall(r"(?m)^# (?:surface|index|spectrum|slab|model|exports):.*\n(?:#   .*\n)*", text)
+    assert len(blocks) == 15
+    front = "surface: {distribution: flat}\nindex: PP\n"
+    rest = {"spectrum": "", "surface": COLOUR + "index: PP\n", "slab": front}
+    for block in blocks:
+        key, plain = block[2:].partition(":")[0], re.sub(r"(?m)^# ", "", block)
+        path.write_text(rest.get(key, COLOUR) + plain)
+        assert catalogue.load(tmp_path).failures == {}, block
+
+
+def test_a_material_is_never_started_twice(tmp_path: Path) -> None:
+    catalogue.start_material(tmp_path, "m")
+    with pytest.raises(catalogue.CatalogueError, match="exists already"):
+        catalogue.start_material(tmp_path, "m")
+
+
+def test_a_material_is_started_beside_raw_files(tmp_path: Path) -> None:
+    (tmp_path / "m").mkdir()
+    (tmp_path / "m" / "scan.x3p").touch()
+    assert catalogue.start_material(tmp_path, "m") == tmp_path / "m" / "material.yaml"
+
+
+def test_a_folder_whose_name_is_no_text_stops_nobody(tmp_path: Path) -> None:
+    bad = Path(os.fsdecode(os.fsencode(tmp_path) + b"/b\xffd"))
+    try:
+        bad.mkdir()
+    except OSError:
+        pytest.skip("this file system takes no such name")
+    (bad / "material.yaml").write_text("surprise: 1\n")
+    loaded = catalogue.load(tmp_path)
+    (name,) = loaded.failures
+    assert name.encode("utf-8")
+    assert loaded.failures[name].encode("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("lambert_gauss: {theta_i: [30, 10]}", "lambert_gauss.theta_i"),
+        ("table: {theta_i: [10, 0], theta_o: [0, 80], phi_o: [0, 180], refine: true}", "table.theta_i"),
+        ("table: {theta_i: [0, 10], theta_o: [0, 80], phi_o: [0, 90], refine: true}", "table.phi_o"),
+    ],
+)
+def test_angles_that_would_fail_every_material_are_refused_once(tmp_path: Path, text: str, where: str) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text(text + "\n")
+    with pytest.raises(InputError, match=re.escape(where)):
+        catalogue.load_config(own)
+
+
+def test_every_key_of_a_scan_is_told_to_the_stage_that_reads_it() -> None:
+    schema = yaml.safe_load((installation.project_folder() / "config/schemas/material.schema.yaml").read_text())
+    keys = set(schema["$defs"]["measured_surface"]["properties"])
+    assert keys - set(catalogue.SURFACE_STAGE_KEYS) == {"isotropic", "method", "scans"}
+
+
+def test_a_missing_further_scan_is_named(tmp_path: Path) -> None:
+    write(tmp_path, "m", "surface: {file: a.x3p, scans: [{file: b.x3p}]}\nindex: PP\n", a_x3p="x")
+    assert "surface.scans" in catalogue.load(tmp_path).failures["m"]

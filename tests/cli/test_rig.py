@@ -1,0 +1,318 @@
+"""The commands of a rig: what they say, how they exit, and an emulated rig that stands by itself."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import small_rig
+from click.testing import CliRunner
+
+import brdfpipe
+from brdfpipe import cli
+from brdfpipe.cli import rig as commands
+from brdfpipe.rig.acquisition.devices.errors import DeviceLost
+from brdfpipe.rig.description import Rig
+from brdfpipe.rig.frames import read_run
+from brdfpipe.rig.plan import Plan
+from brdfpipe.store import save_dataset
+
+TEXT = small_rig.PLAN.replace("[500, 550]", "[500]") + "runs: [sample]\n"
+
+
+def run(*arguments, **options):
+    return CliRunner().invoke(cli.main, ["rig", *map(str, arguments)], **options)
+
+
+@pytest.fixture
+def plan(tmp_path):
+    return small_rig.write(tmp_path / "bench", TEXT)
+
+
+@pytest.fixture(scope="module")
+def tile(tmp_path_factory):
+    """The folder of results of a material: a matt white tile."""
+    folder = tmp_path_factory.mktemp("tile")
+    save_dataset(small_rig.truth(), folder / "bsdf.nc", stage="truth", material="tile")
+    return folder
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """Devices without a line, whatever the ports."""
+    parts = small_rig.fake_bench(), []
+    monkeypatch.setattr(
+        "brdfpipe.rig.acquisition.devices.connection.connect", lambda rig: parts[1].append(rig) or parts[0]
+    )
+    return parts
+
+
+def test_help_loads_no_device_and_no_dataset():
+    told = subprocess.run(
+        [sys.executable, "-c", "import sys, brdfpipe.cli; print(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "brdfpipe.cli.rig" in told.stdout.split()
+    assert not {"numpy", "xarray", "serial", "astropy", "jsonschema"} & set(told.stdout.split())
+
+
+def test_new_starts_a_bench_and_says_how_to_go_on(tmp_path):
+    done = run("new", tmp_path / "bench", "--fibres", 20)
+    assert done.exit_code == 0
+    for words in ("rig doctor", "rig scan", "--dry-run", "rig.yaml", "plan.yaml"):
+        assert words in done.output
+    assert len(Plan.load(tmp_path / "bench" / "plan.yaml").rig.fibres) == 20
+    again = run("new", tmp_path / "bench")
+    assert again.exit_code == 2
+    assert "holds such a file already" in again.output
+
+
+def test_a_dry_run_says_what_it_takes_and_touches_nothing(plan, monkeypatch):
+    monkeypatch.setattr("brdfpipe.rig.acquisition.devices.connection.connect", lambda *arguments, **options: 1 / 0)
+    before = sorted(plan.parent.iterdir())
+    done = run("scan", plan, "--dry-run")
+    assert done.exit_code == 0
+    assert done.output.startswith("tile on small: 14 frames, ")
+    assert "warning: the bracket spans" in done.output
+    assert sorted(plan.parent.iterdir()) == before
+
+
+@pytest.mark.parametrize("suffix", ["", "bsdf.nc"])
+def test_a_scan_of_an_emulated_rig_is_a_run(plan, tile, suffix):
+    done = run("scan", plan, "--emulate", tile / suffix)
+    assert done.exit_code == 0, done.output
+    folder = plan.parent / "runs" / "tile"
+    assert done.output.splitlines()[-1] == f"14 frames in {folder}, 14 of them taken now"
+    found = read_run(folder)
+    assert found.sizes["frame"] == 14
+    assert found.attrs["camera"].startswith("emulated camera")
+
+
+def test_seed_and_session_decide_the_noise(plan, tile, tmp_path):
+    for name, seed, day in [("a", 1, 0), ("b", 1, 0), ("c", 2, 0), ("d", 1, 1)]:
+        told = run("scan", plan, "--emulate", tile, "--seed", seed, "--session", day, "--out", tmp_path / name)
+        assert told.exit_code == 0
+    one, same, other, next_day = (small_rig.contents(tmp_path / name) for name in "abcd")
+    assert one == same
+    assert all(one[name] != other[name] and one[name] != next_day[name] for name in one)
+
+
+def test_a_run_does_not_go_on_with_another_emulated_rig(plan, tile, tmp_path):
+    arguments = ("scan", plan, "--emulate", tile, "--out", tmp_path / "run", "--resume")
+    assert run(*arguments).exit_code == 0
+    next((tmp_path / "run" / "frames").glob("*.fits")).unlink()
+    done = run(*arguments, "--seed", 4)
+    assert done.exit_code == 2
+    assert "holds a run of another rig; found emulator, seed 0, session 0; accepted: emulator, seed 4" in done.output
+    assert run(*arguments).exit_code == 0
+
+
+def test_a_run_goes_on_with_the_word_resume(plan, tile, tmp_path):
+    arguments = ("scan", plan, "--emulate", tile, "--out", tmp_path / "run")
+    assert run(*arguments).exit_code == 0
+    whole = small_rig.contents(tmp_path / "run")
+    for path in sorted((tmp_path / "run" / "frames").iterdir())[9:]:
+        path.unlink()
+    refused = run(*arguments)
+    assert refused.exit_code == 2
+    assert "holds a run of this plan already; found 9 of 14 frames; accepted: --resume" in refused.output
+    resumed = run(*arguments, "--resume")
+    assert resumed.exit_code == 0
+    assert "5 of them taken now" in resumed.output
+    assert small_rig.contents(tmp_path / "run") == whole
+
+
+def test_a_material_that_is_not_built_is_no_truth(plan, tmp_path):
+    (tmp_path / "material.yaml").write_text("spectrum: {lab: [50, 0, 0]}")
+    done = run("scan", plan, "--emulate", tmp_path)
+    assert done.exit_code == 2
+    assert "holds no built material" in done.output
+    assert "brdfpipe build" in done.output
+
+
+def test_a_file_that_is_no_bsdf_is_no_truth(plan, tmp_path):
+    (tmp_path / "x.nc").write_text("x")
+    done = run("scan", plan, "--emulate", tmp_path / "x.nc")
+    assert done.exit_code == 2
+    assert "x.nc" in done.output
+
+
+def test_a_wrong_plan_is_refused_in_one_line(plan):
+    plan.write_text(TEXT.replace("[20]", "[21]"))
+    done = run("scan", plan)
+    assert done.exit_code == 2
+    assert done.output == "brdfpipe: plan.yaml, incidences: the rig has no such entrance; found 21; accepted: 0, 10, 20, 45 (`entrances` of the rig)\n"  # fmt: skip
+
+
+def test_devices_that_are_not_there_are_told(plan):
+    done = run("scan", plan, "--yes")
+    assert done.exit_code == 2
+    assert "monochromator on /dev/ttyUSB0: there is no such port" in done.output
+    assert not (plan.parent / "runs").exists()
+
+
+def test_the_operator_is_asked_and_may_refuse(plan, bench):
+    done = run("scan", plan, input="n\n")
+    assert done.exit_code == 1
+    assert "tile in the holder, at 20 degree, for reflection. Done? [Y/n]" in done.output
+    assert "not confirmed" in done.output
+    assert "--resume" in done.output
+    assert run("scan", plan, "--resume", input="\n").exit_code == 0
+
+
+def test_yes_asks_nothing(plan, bench):
+    done = run("scan", plan, "--yes", input="")
+    assert done.exit_code == 0
+    assert "Done?" not in done.output
+
+
+def test_the_folder_of_a_camera_is_beside_the_description(plan, bench, monkeypatch):
+    monkeypatch.chdir("/")
+    assert run("scan", plan, "--yes").exit_code == 0
+    assert bench[1][0].camera.folder == str(plan.parent.resolve() / "camera")
+
+
+def test_a_scan_that_stops_exits_with_1_and_says_how_to_go_on(plan, bench):
+    bench[0].camera.before = small_rig.failing({4}, DeviceLost("camera", "gone"))
+    done = run("scan", plan, "--yes")
+    assert done.exit_code == 1
+    assert done.output.startswith("brdfpipe: stopped before frame 4 of 14: camera: gone; 3 frames are safe in ")
+    assert run("scan", plan, "--yes", "--resume").exit_code == 0
+
+
+def test_an_interrupted_scan_exits_with_130_and_says_how_to_go_on(plan, bench):
+    bench[0].camera.before = small_rig.failing({4}, KeyboardInterrupt())
+    done = run("scan", plan, "--yes")
+    assert done.exit_code == 130
+    assert "interrupted; what is finished is safe in" in done.output
+    assert "--resume" in done.output
+
+
+def test_warnings_of_a_scan_are_shown(tmp_path, monkeypatch, tile):
+    text = TEXT.replace("[{exposure: 1, position: 2}, {exposure: 1, position: 1}]", "[{exposure: 3, position: 2}, {exposure: 3, position: 1}]")  # fmt: skip
+    plan = small_rig.write(tmp_path / "bench", text)
+    from brdfpipe.rig.emulator.bench import EmulatedRig
+
+    def elsewhere(rig, *arguments, **options):
+        return EmulatedRig(replace(rig, nd_location="reference"), *arguments, **options)
+
+    monkeypatch.setattr("brdfpipe.rig.emulator.measurement.EmulatedRig", elsewhere)
+    done = run("scan", plan, "--emulate", tile)
+    assert done.exit_code == 0
+    assert "warning: the neutral filters are not where the description says (`nd_location: sample`)" in done.output
+
+
+def test_the_doctor_exits_with_1_if_a_device_is_not_in_order(plan):
+    done = run("doctor", plan.with_name("rig.yaml"))
+    assert done.exit_code == 1
+    assert "FAIL" in done.output
+    assert "there is no such port" in done.output
+
+
+# --- an emulated rig that stands by itself
+
+
+@pytest.fixture
+def standing(plan, tile, tmp_path):
+    """``brdfpipe rig emulate`` in a process of its own, and its description."""
+    paths = [str(Path(brdfpipe.__file__).parents[1])]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "brdfpipe.cli", "rig", "emulate", str(plan.with_name("rig.yaml")), "--truth", str(tile)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    description = plan.with_name("emulated.yaml")
+    assert "The rig stands: " in process.stdout.readline()
+    assert "Type what the hands do" in process.stdout.readline()
+    yield process, description
+    if process.poll() is None:
+        process.kill()
+    process.communicate()
+
+
+def typed(process, line):
+    process.stdin.write(line + "\n")
+    process.stdin.flush()
+    return process.stdout.readline().strip()
+
+
+def test_a_standing_rig_is_driven_as_a_real_one(standing, plan):
+    process, description = standing
+    rig = Rig.load(description)
+    assert rig.digest == Rig.load(plan.with_name("rig.yaml")).digest
+    examined = run("doctor", description)
+    assert examined.exit_code == 0, examined.output
+    assert typed(process, "20") == "20 degree, sample, reflection"
+    plan.write_text(plan.read_text().replace("rig: rig.yaml", "rig: emulated.yaml"))
+    done = run("scan", plan, "--yes")
+    assert done.exit_code == 0, done.output
+    found = read_run(plan.parent / "runs" / "tile")
+    assert found.sizes["frame"] == 14
+    lights = found.isel(frame=found["purpose"].values == "sample")
+    darks = found.isel(frame=found["purpose"].values == "dark")
+    assert lights["counts"].mean() > darks["counts"].mean() + 10
+    process.send_signal(signal.SIGINT)
+    assert "taken down" in process.communicate(timeout=20)[0]
+    assert process.returncode == 0
+    assert not description.exists()
+
+
+def test_hands_that_cannot_do_it_are_told(standing):
+    process, _ = standing
+    assert "no entrance at 33 degree; accepted: 0, 10, 20, 45" in typed(process, "33")
+    assert "nothing is called 'cat'" in typed(process, "20 cat")
+    assert "no angle; found 'etalon'" in typed(process, "etalon")
+    assert typed(process, "10 etalon") == "10 degree, etalon, reflection"
+    assert typed(process, "20 sample transmission") == "20 degree, sample, transmission"
+
+
+def test_without_a_keyboard_the_rig_stands_all_the_same(standing):
+    process, description = standing
+    process.stdin.close()
+    time.sleep(0.2)
+    assert process.poll() is None
+    assert description.exists()
+    process.stdin = None
+    process.send_signal(signal.SIGINT)
+    assert "taken down" in process.communicate(timeout=20)[0]
+    assert not description.exists()
+
+
+def test_a_description_of_someone_else_is_not_overwritten(plan, tile):
+    plan.with_name("emulated.yaml").write_text("name: mine\n")
+    done = run("emulate", plan.with_name("rig.yaml"), "--truth", tile)
+    assert done.exit_code == 2
+    assert "is there already, and not of an emulated rig" in done.output
+    assert plan.with_name("emulated.yaml").read_text() == "name: mine\n"
+
+
+def test_an_emulated_rig_in_a_folder_of_its_own_takes_its_fibres_along(plan, tile, tmp_path, monkeypatch):
+    seen = []
+
+    def hands(stand):
+        seen.append(Rig.load(tmp_path / "stand" / "emulated.yaml"))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands, "_hands", hands)
+    done = run("emulate", plan.with_name("rig.yaml"), "--truth", tile, "--out", tmp_path / "stand")
+    assert done.exit_code == 0, done.output
+    assert [fibre.name for fibre in seen[0].fibres] == ["A", "B", "C", "D"]
+    assert seen[0].camera.folder == str(tmp_path / "stand" / "emulated-camera")
+    assert sorted(path.name for path in (tmp_path / "stand").iterdir()) == ["emulated-camera", "fibres.csv"]
+
+
+def test_an_operator_who_interrupts_the_question_interrupts_the_scan(plan, bench):
+    done = run("scan", plan, input="")  # the end of what is typed is an interrupt to the prompt
+    assert done.exit_code == 130
+    assert "--resume goes on" in done.output

@@ -1,0 +1,354 @@
+"""Two routes to one BRDF: a deviation that is known is found, stated with an uncertainty that holds, and told in words."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import comparison_primary
+import numpy as np
+import pytest
+import samples
+import xarray as xr
+
+from brdfpipe import comparison as routes
+from brdfpipe import facets, optics, vocabulary
+from brdfpipe.bsdf import microfacet, slab
+from brdfpipe.comparison import findings
+
+TRUE = {"index": 0.03, "slope": 1.1, "diffuse": 0.95}
+SPECTRUM = samples.spectrum(0.05 + 0.3 * (samples.WAVELENGTH > 540))
+
+
+def finish() -> xr.Dataset:
+    return facets.analytic("beckmann", 0.15)
+
+
+@pytest.fixture(scope="module")
+def predicted() -> xr.Dataset:
+    return microfacet.build(finish(), index=1.5, spectrum=SPECTRUM)
+
+
+@pytest.fixture(scope="module")
+def deviating() -> xr.Dataset:
+    return comparison_primary.deviating(finish(), 1.5, SPECTRUM)
+
+
+def compare(primary: xr.Dataset, predicted: xr.Dataset, **options) -> xr.Dataset:
+    given = {"facets": finish(), "index": 1.5, "spectrum": SPECTRUM, **options}
+    return routes.compare(primary, predicted, **given)
+
+
+def pulls(comparison: xr.Dataset, true: dict[str, float]) -> np.ndarray:
+    """(found − true)/u of each input."""
+    expected = np.array([true[str(name)] for name in comparison["input"].values])
+    return ((comparison["posterior"] - expected) / comparison["posterior_u"]).values
+
+
+@pytest.fixture(scope="module")
+def primary(deviating) -> xr.Dataset:
+    """As many values as a rig gives."""
+    everywhere = {"incidences": (10.0, 20.0, 30.0, 45.0, 60.0), "wavelengths": np.arange(400.0, 731.0, 10.0)}
+    return comparison_primary.measured(deviating, 1, **everywhere)
+
+
+@pytest.fixture(scope="module")
+def timed(primary, predicted) -> tuple[xr.Dataset, float]:
+    start = time.process_time()
+    return compare(primary, predicted), time.process_time() - start
+
+
+@pytest.fixture(scope="module")
+def comparison(timed) -> xr.Dataset:
+    return timed[0]
+
+
+# --- what is found
+
+
+def test_a_deviation_is_found_within_its_uncertainty(comparison) -> None:
+    assert list(comparison["input"].values) == ["index", "slope", "diffuse"]
+    assert np.abs(pulls(comparison, TRUE)).max() < 3
+    # Far less uncertain than before, or it would be no test.
+    assert (comparison["posterior_u"] < 0.2 * comparison["prior_u"]).all()
+    before, after = comparison["chi_squared_dof"].values
+    assert before > 10
+    assert after == pytest.approx(1, abs=4 * np.sqrt(2 / comparison.attrs["values"]))
+    assert comparison.attrs["converged"]
+
+
+def test_the_median_ratio_and_z_tell_of_the_deviation_until_it_is_fitted(comparison) -> None:
+    before, after = (comparison.sel(model=model) for model in ("predicted", "adjusted"))
+    assert (before["rms_z"] > 2 * after["rms_z"]).all()
+    np.testing.assert_allclose(after["median_ratio"], 1, atol=0.05)
+    seen = (comparison["seen_reflectance_model"] - comparison["seen_reflectance"]) / comparison["seen_reflectance_u"]
+    assert np.abs(seen.sel(model="adjusted")).max() < 4
+
+
+def test_what_was_measured_is_passed_on_and_what_was_not_is_missing(comparison, primary) -> None:
+    chosen = primary.sel(wavelength=comparison["wavelength"])
+    np.testing.assert_array_equal(comparison["brdf"], chosen["brdf"])
+    both = np.hypot(comparison["brdf_u_independent"], comparison["brdf_u_common"])
+    np.testing.assert_allclose(both, comparison["brdf_u"], rtol=1e-12)
+    missing = np.isnan(chosen["brdf"].values)
+    assert missing.any()
+    for name in ("ratio", "z"):
+        assert (np.isnan(comparison[name].values) == missing).all()
+
+
+def test_the_adjusted_bsdf_is_a_real_one(comparison, predicted) -> None:
+    adjusted = routes.adjusted(comparison, predicted, facets=finish(), index=1.5, spectrum=SPECTRUM)
+    incidence, cell = 2, 40
+    from brdfpipe.specular_directions import outgoing
+
+    theta_o, phi_o = outgoing(
+        *(
+            float(each)
+            for each in (comparison["incidence"][incidence], comparison["theta_s"][cell], comparison["phi_s"][cell])
+        )
+    )
+    value = adjusted.bsdf.evaluate(
+        float(comparison["incidence"][incidence]), 0, theta_o, phi_o, comparison["wavelength"].values
+    )
+    shown = comparison["brdf_model"].sel(model="adjusted")[incidence, :, cell]
+    np.testing.assert_allclose(value.values.ravel(), shown, rtol=1e-6)
+    verdicts = json.loads(adjusted.bsdf.check().attrs["verdicts"])
+    assert {each["verdict"] for each in verdicts.values()} == {"pass"}
+
+
+def test_without_a_deviation_nothing_is_changed_beyond_its_uncertainty(predicted) -> None:
+    found = compare(comparison_primary.measured(predicted, 2), predicted)
+    assert np.abs(pulls(found, {"index": 0.0, "slope": 1.0, "diffuse": 1.0})).max() < 3
+    told = findings.sentences(found)[2:5]
+    assert [each.rpartition(": ")[2] for each in told] == ["as it was given, within its uncertainty"] * 3
+    assert vocabulary.warnings(found) == []
+
+
+def test_an_input_that_is_certain_is_not_changed(predicted, deviating) -> None:
+    primary = comparison_primary.measured(deviating, 1, incidences=(30.0, 60.0))
+    found = compare(primary, predicted, index_u=0.0)
+    assert list(found["input"].values) == ["slope", "diffuse"]
+    certain = compare(primary, predicted, index_u=0.0, slope_u=0.0, diffuse_u=0.0)
+    assert list(certain["model"].values) == ["predicted"]
+    assert "posterior" not in certain
+    with pytest.raises(routes.ComparisonError, match="nothing was fitted"):
+        routes.adjusted(certain, predicted, facets=finish(), index=1.5, spectrum=SPECTRUM)
+
+
+def test_without_a_base_there_is_none_to_change() -> None:
+    bare = microfacet.build(finish(), index=1.5)
+    truth = comparison_primary.deviating(finish(), 1.5)
+    found = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), bare, spectrum=None)
+    assert list(found["input"].values) == ["index", "slope"]
+    assert np.abs(pulls(found, TRUE)).max() < 3
+
+
+@pytest.mark.slow
+def test_a_metal_is_told_by_its_slopes() -> None:
+    index = optics.refractive_index({"n": 1.1, "k": 6.0})
+    truth = comparison_primary.deviating(finish(), index, shift=0.0)
+    found = compare(
+        comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)),
+        microfacet.build(finish(), index=index),
+        index=index,
+        spectrum=None,
+    )
+    assert np.abs(pulls(found, {"index": 0.0, "slope": 1.1})).max() < 3
+    # The light of a metal hardly depends on n: nothing is told that was not assumed.
+    assert "the measurement tells nothing of it" in findings.sentences(found)[2]
+
+
+def test_it_finds_a_finish_that_is_twice_as_rough() -> None:
+    truth = comparison_primary.deviating(finish(), 1.5, slope=2.0, shift=0.0)
+    primary = comparison_primary.measured(truth, 1, incidences=(30.0, 60.0))
+    found = compare(primary, microfacet.build(finish(), index=1.5), spectrum=None, index_u=0.0)
+    assert found.attrs["converged"]
+    assert found["posterior"].values == pytest.approx([2.0], rel=0.001)
+    (told,) = vocabulary.warnings(found)
+    assert "only if the slope scale changes by 10.0 of the standard uncertainties it was given" in told
+
+
+def test_a_comparison_takes_seconds_and_few_wavelengths(timed) -> None:
+    comparison, seconds = timed
+    assert seconds < 20
+    assert comparison.sizes["wavelength"] == routes.MOST_WAVELENGTHS
+    assert comparison["wavelength"].values[[0, -1]].tolist() == [400.0, 730.0]
+
+
+@pytest.mark.slow
+def test_uncertainties_of_the_inputs_hold_over_many_seeds(predicted, deviating) -> None:
+    found = [compare(comparison_primary.measured(deviating, seed), predicted) for seed in range(100, 124)]
+    off = np.array([pulls(each, TRUE) for each in found])
+    # Of 24 an rms is known to 14 %, a mean to 20 %.
+    np.testing.assert_allclose(np.sqrt(np.mean(off**2, axis=0)), 1, atol=0.45)
+    np.testing.assert_allclose(off.mean(axis=0), 0, atol=0.7)
+    scatter = [float(each["chi_squared_dof"][-1]) for each in found]
+    assert np.mean(scatter) == pytest.approx(1, abs=0.005)
+
+
+@pytest.mark.slow
+def test_of_a_scan_the_slopes_are_told_as_well_as_it_knows_them() -> None:
+    """Scans of 512² heights of one surface, each with slopes of its own; the truth is the surface, 5 % rougher."""
+    sigma, off = 0.1, []
+    truth = comparison_primary.deviating(
+        facets.analytic("beckmann", sigma * np.sqrt(2)), 1.5, SPECTRUM, slope=1.05, diffuse=1.0
+    )
+    for seed in range(8):
+        scanned = facets.estimate(samples.gaussian_surface(512, sigma=sigma, correlation=8, seed=seed), isotropic=True)
+        predicted = microfacet.build(scanned, index=1.5, spectrum=SPECTRUM)
+        found = compare(comparison_primary.measured(truth, seed), predicted, facets=scanned)
+        assert found.attrs["converged"]
+        true = {"index": 0.03, "slope": 1.05 * sigma * np.sqrt(2) / float(scanned["slope_rms"]), "diffuse": 1.0}
+        off.append(pulls(found, true))
+    # A scan is off by more than a scale, so that the factor that describes it best is one of several.
+    assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 2
+
+
+def displaced(bsdf: xr.Dataset, by: float) -> xr.Dataset:
+    """Without errors but for a disc that lies elsewhere by an angle [degree], which its geometry allows for."""
+    primary = comparison_primary.measured(bsdf, None, incidences=(10.0, 30.0))
+    theta, phi = primary["theta_s"].values, primary["phi_s"].values
+    beside = [primary.assign_coords(theta_s=("cell", theta), phi_s=("cell", phi))]
+    for x, y in ((by, 0.0), (0.0, by)):
+        across, down = theta * np.cos(np.radians(phi)) + x, theta * np.sin(np.radians(phi)) + y
+        seen = comparison_primary.truth(bsdf, beside[0], np.hypot(across, down), np.degrees(np.arctan2(down, across)))
+        beside.append(primary.assign(brdf=primary["brdf"].copy(data=np.where(primary["brdf"].notnull(), seen, np.nan))))
+    disc = primary["solid_angle"].notnull()
+    moved = [abs(each["brdf"] - primary["brdf"]).where(disc, 0.0) for each in beside[1:]]
+    geometry = np.hypot(*moved).transpose(*primary["brdf"].dims).assign_attrs(correlation="independent")
+    value = beside[1]["brdf"].where(disc, primary["brdf"]).transpose(*primary["brdf"].dims)
+    return vocabulary.label(
+        primary.assign(brdf=value, brdf_u_geometry=geometry, brdf_u=np.hypot(primary["brdf_u"], geometry)), "primary"
+    )
+
+
+def test_a_disc_that_lies_elsewhere_is_not_taken_for_another_finish() -> None:
+    narrow = microfacet.build(facets.analytic("beckmann", 0.03), index=1.5)
+    found = compare(displaced(narrow, 0.1), narrow, facets=facets.analytic("beckmann", 0.03), spectrum=None)
+    assert np.abs(pulls(found, {"index": 0.0, "slope": 1.0})).max() < 2
+    assert float(found["posterior_u"].sel(input="slope")) < 0.02
+
+
+# --- what is told
+
+
+def test_findings_say_what_was_changed_and_by_how_much(comparison) -> None:
+    agreement, after, index, slope, diffuse, *_ = findings.sentences(comparison)
+    assert agreement.startswith("measured over predicted, median at 10°, 20°, 30°, 45°, 60° of incidence: 0.9")
+    assert after.endswith("the prediction describes the measurement")
+    assert index.startswith("refractive index 1.5")
+    assert index.endswith("the facets reflect as if the index were higher than given")
+    assert slope.startswith("slope scale × 1.1")
+    assert slope.endswith("the surface scatters as if 10 % rougher than its facets say")
+    assert diffuse.startswith("diffuse scale × 0.9")
+    assert "darker than the spectrum says" in diffuse
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "words"),
+    [
+        (1.0704, 0.0113, "1.070 ± 0.011"),
+        (-0.02, 0.13, "−0.02 ± 0.13"),
+        (1.5, 30.0, "2 ± 30"),
+        (1.0, 0.0, "1.0000 ± 0.0000"),
+    ],
+)
+def test_a_value_has_the_figures_of_its_uncertainty(value, u, words) -> None:
+    assert findings.plus_minus(value, u) == words
+
+
+def test_a_model_of_the_wrong_form_is_told() -> None:
+    truth = microfacet.build(facets.analytic("ggx", 0.1), index=1.5)
+    wrong = microfacet.build(finish(), index=1.5)
+    found = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), wrong, spectrum=None, index_u=0.0)
+    (told, *_) = vocabulary.warnings(found)
+    assert told.startswith("no change of the prediction's inputs makes it agree with the measurement")
+    assert "they do not explain the difference" in findings.sentences(found)[1]
+    assert found.attrs["enlarged"] > 2
+
+
+LAY = facets.analytic("beckmann", a_x=0.1, a_y=0.25, azimuth=30)
+
+
+def test_a_lay_is_told_and_compared_nevertheless() -> None:
+    predicted = microfacet.build(LAY, index=1.5)
+    certain = {"index_u": 0.0, "slope_u": 0.0, "spectrum": None}
+    found = compare(comparison_primary.measured(predicted, 1, incidences=(30.0,)), predicted, facets=LAY, **certain)
+    assert float(found["chi_squared_dof"][0]) == pytest.approx(1, abs=0.1)
+    (told,) = vocabulary.warnings(found)
+    assert "has a lay, along 30°, and the rig saw it in one plane of incidence" in told
+
+
+@pytest.mark.slow
+def test_a_deviation_is_found_of_a_lay() -> None:
+    predicted = microfacet.build(LAY, index=1.5, spectrum=SPECTRUM)
+    truth = comparison_primary.deviating(LAY, 1.5, SPECTRUM)
+    found = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), predicted, facets=LAY)
+    assert np.abs(pulls(found, TRUE)).max() < 3
+
+
+def test_a_prediction_averaged_over_its_lay_is_compared_as_it_is() -> None:
+    predicted = microfacet.build(LAY, index=1.5, isotropic=True)
+    primary = comparison_primary.measured(predicted, 1, incidences=(30.0, 60.0))
+    found = compare(primary, predicted, facets=LAY, spectrum=None, index_u=0.0)
+    assert np.abs(pulls(found, {"slope": 1.0})).max() < 3
+    assert vocabulary.warnings(found) == []
+
+
+def test_a_clear_sheet_is_compared_and_not_fitted() -> None:
+    sheet = slab.build(finish(), finish(), index=1.5, internal_transmittance=0.9)
+    found = compare(comparison_primary.measured(sheet, 1, incidences=(30.0,)), sheet, spectrum=None)
+    assert list(found["model"].values) == ["predicted"]
+    assert float(found["chi_squared_dof"][0]) == pytest.approx(1, abs=0.3)
+    (told,) = vocabulary.warnings(found)
+    assert "(slab) was compared and not fitted" in told
+
+
+# --- what is refused
+
+
+def test_no_common_wavelength_is_refused(predicted) -> None:
+    primary = comparison_primary.measured(predicted, None, incidences=(30.0,))
+    shifted = primary["wavelength"].copy(data=np.arange(900.0, 1101.0, 50.0))
+    primary = primary.assign_coords(wavelength=shifted)
+    with pytest.raises(
+        routes.ComparisonError, match="900 to 1100 nm and the prediction covers 360 to 780 nm: they share no"
+    ):
+        compare(primary, predicted)
+
+
+def test_nothing_measured_is_refused(predicted) -> None:
+    primary = comparison_primary.measured(predicted, None, incidences=(30.0,))
+    with pytest.raises(routes.ComparisonError, match="no cell of the rig has a value"):
+        compare(primary.assign(brdf=primary["brdf"] * np.nan), predicted)
+
+
+def test_a_flat_surface_is_refused(predicted) -> None:
+    flat = microfacet.build(facets.flat(), index=1.5, spectrum=SPECTRUM)
+    with pytest.raises(routes.ComparisonError, match="perfectly flat and mirrors light into one single direction"):
+        compare(comparison_primary.measured(predicted, None, incidences=(30.0,)), flat, facets=facets.flat())
+
+
+def test_transmitted_light_is_refused(predicted) -> None:
+    primary = comparison_primary.measured(predicted, None, incidences=(30.0,)).assign_attrs(side="transmission")
+    with pytest.raises(routes.ComparisonError, match="measured transmitted light"):
+        compare(primary, predicted)
+
+
+@pytest.mark.parametrize(
+    "other", [{"index": 1.6}, {"facets": facets.analytic("beckmann", 0.2)}, {"spectrum": samples.spectrum(0.5)}]
+)
+def test_inputs_that_are_not_those_of_the_prediction_are_refused(predicted, other) -> None:
+    with pytest.raises(routes.ComparisonError, match="was not made from these facets"):
+        compare(comparison_primary.measured(predicted, None, incidences=(30.0,)), predicted, **other)
+
+
+@pytest.mark.parametrize("u", [-0.1, np.nan, np.inf])
+def test_an_uncertainty_that_is_none_is_refused(predicted, u) -> None:
+    with pytest.raises(routes.ComparisonError, match=r"the input 'slope' is .*; accepted: 0 or more"):
+        compare(comparison_primary.measured(predicted, None, incidences=(30.0,)), predicted, slope_u=u)
+
+
+def test_something_else_than_primary_data_is_refused(predicted) -> None:
+    with pytest.raises(vocabulary.VocabularyError, match="expected a dataset of kind 'primary'"):
+        compare(predicted, predicted)

@@ -1,0 +1,318 @@
+"""The drivers, the bench and the doctor on pseudo-terminals, with emulated devices at the other end and every fault."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from brdfpipe.rig.acquisition.devices import line
+from brdfpipe.rig.acquisition.devices.camera import Picture
+from brdfpipe.rig.acquisition.devices.connection import Bench, connect, open_monochromator, open_wheel
+from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, WrongDevice
+from brdfpipe.rig.acquisition.doctor import Row, doctor
+from brdfpipe.rig.description import Rig, SerialSettings
+from brdfpipe.rig.emulator.clock import VirtualClock
+from brdfpipe.rig.emulator.faults import KINDS, Faults
+from brdfpipe.rig.emulator.instruments import ActonWheel, Monochromator, ThorlabsWheel
+from brdfpipe.rig.emulator.port import Port
+
+QUICK = {"query_timeout": 0.2, "motion_timeout": 0.2}
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A pseudo-terminal holds no byte back; silence needs no tenth of a second.
+    monkeypatch.setattr(line, "QUIET", 0.02)
+    monkeypatch.setattr(line, "POLL", 0.01)
+
+
+def acton(port: Port, **others: Any) -> SerialSettings:
+    return SerialSettings("acton", port.path, 9600, **(QUICK | others))
+
+
+def acton_wheel(port: Port, **others: Any) -> SerialSettings:
+    return SerialSettings("acton-wheel", port.path, 9600, **(QUICK | others))
+
+
+def thorlabs(port: Port, **others: Any) -> SerialSettings:
+    return SerialSettings("thorlabs", port.path, 115200, **(QUICK | others))
+
+
+# --- the devices as they are
+
+
+@pytest.mark.parametrize("case", ["upper", "lower"])
+@pytest.mark.parametrize("echo", [True, False], ids=["RS-232", "USB"])
+def test_a_monochromator_of_either_case_and_interface_is_driven(case: str, echo: bool) -> None:
+    unit = Monochromator(VirtualClock(), case=case, echo=echo)
+    with Port(unit) as port:
+        device = open_monochromator(acton(port, case=case, serial_number="2330123"))
+        assert device.identify() == "SP-2-300i 2330123"
+        assert device.goto(546.0744) == pytest.approx(546.074)
+        assert unit.wavelength == pytest.approx(546.074)
+        device.close()
+
+
+def test_a_monochromator_moves_at_a_speed_with_its_grating() -> None:
+    unit = Monochromator(VirtualClock())
+    with Port(unit) as port:
+        device = open_monochromator(acton(port, speed=1200, grating=2, motion_timeout=5))
+        assert device.goto(20) == pytest.approx(20)
+        assert unit.grating == 2
+        device.close()
+
+
+@pytest.mark.parametrize("unit", [ActonWheel(VirtualClock()), ThorlabsWheel(VirtualClock())], ids=["Acton", "Thorlabs"])
+def test_a_wheel_goes_to_each_position(unit: ActonWheel | ThorlabsWheel) -> None:
+    with Port(unit) as port:
+        device = open_wheel(acton_wheel(port) if isinstance(unit, ActonWheel) else thorlabs(port))
+        device.identify()
+        for position in (1, 4, 6, 2):
+            assert device.goto(position) == position == unit.position
+        device.close()
+
+
+def test_a_wavelength_beyond_the_range_is_refused() -> None:
+    with Port(Monochromator(VirtualClock())) as port:
+        device = open_monochromator(acton(port))
+        with pytest.raises(DeviceError, match=r"asked for 1500 nm, it says 1400 nm"):
+            device.goto(1500)
+        device.close()
+
+
+def test_an_absent_grating_is_refused() -> None:
+    with Port(Monochromator(VirtualClock())) as port:
+        device = open_monochromator(acton(port, grating=3))
+        with pytest.raises(DeviceError, match="grating 3 is not installed; installed: 1"):
+            device.identify()
+        device.close()
+
+
+def test_a_second_program_on_the_port_is_one_clear_refusal() -> None:
+    with Port(Monochromator(VirtualClock())) as port:
+        first = open_monochromator(acton(port))
+        with pytest.raises(DeviceLost, match="another program holds the port"):
+            open_monochromator(acton(port))
+        first.identify()
+        first.close()
+        open_monochromator(acton(port)).close()
+
+
+def test_an_absent_port_is_one_clear_refusal() -> None:
+    with pytest.raises(DeviceLost, match="monochromator on /dev/no-such-port: there is no such port; plug"):
+        open_monochromator(SerialSettings("acton", "/dev/no-such-port", 9600))
+
+
+def test_a_file_is_no_port(tmp_path: Any) -> None:
+    (tmp_path / "tty").write_text("")
+    with pytest.raises(DeviceLost, match="cannot be opened"):
+        open_monochromator(SerialSettings("acton", str(tmp_path / "tty"), 9600))
+
+
+# --- every fault
+
+
+def told(error: DeviceError, device: str, port: str) -> str:
+    """The kind of an error that names its device, its port, and what to do."""
+    assert (error.device, error.port) == (device, port)
+    assert error.advice
+    return type(error).__name__
+
+
+def monochromator_meets(kind: str, ordinal: int) -> tuple[int, str]:
+    """A series of moves with one fault; how many commands it took, and how it ended."""
+    unit, faults = Monochromator(VirtualClock()), Faults.at({ordinal: kind}, seed=ordinal)
+    with Port(unit, faults) as port:
+        try:
+            device = open_monochromator(acton(port, grating=2))
+            device.identify()
+            for wavelength in (546.1, 700.0, 390.0):
+                reached = device.goto(wavelength)
+                assert reached == pytest.approx(unit.wavelength, abs=1e-3)
+                assert abs(reached - wavelength) <= 0.5
+                assert unit.grating == 2
+            device.close()
+        except DeviceError as error:
+            return faults.commands, told(error, "monochromator", port.path)
+    return faults.commands, "recovered"
+
+
+def wheel_meets(kind: str, ordinal: int, dialect: str) -> tuple[int, str]:
+    unit = (ActonWheel if dialect == "acton-wheel" else ThorlabsWheel)(VirtualClock())
+    faults = Faults.at({ordinal: kind}, seed=ordinal)
+    with Port(unit, faults) as port:
+        try:
+            device = open_wheel(SerialSettings(dialect, port.path, 9600, **QUICK))
+            device.identify()
+            for position in (3, 6, 1):
+                assert device.goto(position) == position == unit.position
+            device.close()
+        except DeviceError as error:
+            return faults.commands, told(error, "filter wheel", port.path)
+    return faults.commands, "recovered"
+
+
+EXPECTED = {kind: {"recovered"} for kind in KINDS} | {
+    "unplug": {"DeviceLost"},
+    "wrong-device": {"WrongDevice"},
+    # A turret that did not turn is told at once; a wavelength or filter missed is tried again.
+    "clamp": {"recovered", "DeviceError"},
+}
+
+
+@pytest.mark.parametrize("ordinal", [3, 9, 13])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fault_at_a_command_of_the_monochromator_is_recovered_or_told(kind: str, ordinal: int) -> None:
+    assert monochromator_meets(kind, ordinal)[1] in EXPECTED[kind]
+
+
+@pytest.mark.parametrize("dialect", ["acton-wheel", "thorlabs"])
+@pytest.mark.parametrize("ordinal", [2, 9])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fault_at_a_command_of_the_wheel_is_recovered_or_told(kind: str, ordinal: int, dialect: str) -> None:
+    assert wheel_meets(kind, ordinal, dialect)[1] in EXPECTED[kind]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fault_at_every_command_is_recovered_or_told(kind: str) -> None:
+    count, _ = monochromator_meets(kind, 10_000)
+    assert {monochromator_meets(kind, ordinal)[1] for ordinal in range(1, count + 1)} <= EXPECTED[kind]
+    for dialect in ("acton-wheel", "thorlabs"):
+        count, _ = wheel_meets(kind, 10_000, dialect)
+        assert {wheel_meets(kind, ordinal, dialect)[1] for ordinal in range(1, count + 1)} <= EXPECTED[kind]
+
+
+@pytest.mark.slow
+def test_a_bad_line_never_yields_a_wavelength_the_device_had_not() -> None:
+    """One command in five meets a fault; whatever is returned is where the device stands."""
+    met, refusals = 0, list[DeviceError]()
+    for seed in range(5):
+        unit = Monochromator(VirtualClock())
+        faults = Faults.seeded(seed, 0.2, ("silence", "garbage", "truncated", "clamp", "late-ok"))
+        with Port(unit, faults) as port:
+            device = open_monochromator(acton(port))
+            for wavelength in range(400, 700, 10):
+                try:
+                    assert device.goto(wavelength) == pytest.approx(unit.wavelength, abs=1e-3)
+                    assert abs(unit.wavelength - wavelength) <= 0.5
+                except DeviceError as error:
+                    refusals.append(error)
+            device.close()
+        met += len(faults.injected)
+    assert met > 60
+    assert len(refusals) < 15
+    assert not any(isinstance(error, WrongDevice | DeviceLost) for error in refusals)
+
+
+# --- the bench
+
+
+class Dark:
+    """A camera that gives dark frames."""
+
+    def __init__(self, rig: Rig, level: int = 300) -> None:
+        self.shape, self.level = (rig.camera.height, rig.camera.width), level
+
+    def identify(self) -> str:
+        return "dark"
+
+    def expose(self, seconds: float, *, shutter: bool = True) -> Picture:
+        return Picture(np.full(self.shape, self.level, np.uint16), 0.0, seconds)
+
+
+@pytest.fixture
+def plugged(rig: Rig) -> Iterator[tuple[Rig, Monochromator, ThorlabsWheel]]:
+    clock = VirtualClock()
+    monochromator, wheel = Monochromator(clock, wavelength=500.0), ThorlabsWheel(clock, position=2)
+    with Port(monochromator) as first, Port(wheel) as second:
+        yield replace(rig, monochromator=acton(first), wheel=thorlabs(second)), monochromator, wheel
+
+
+def test_a_bench_is_opened_identified_and_given_back(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+    rig, monochromator, wheel = plugged
+    for _ in range(2):
+        with connect(rig, camera=Dark(rig)) as bench:
+            assert isinstance(bench, Bench)
+            bench.monochromator.goto(600)
+            bench.wheel.goto(5)
+        bench.close()
+    assert (round(monochromator.wavelength), wheel.position) == (600, 5)
+
+
+def test_a_device_that_is_missing_leaves_no_port_open(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+    rig, _, _ = plugged
+    broken = replace(rig, wheel=replace(rig.wheel, port="/dev/no-such-port"))
+    with pytest.raises(DeviceLost, match="filter wheel on /dev/no-such-port"):
+        connect(broken, camera=Dark(rig))
+    connect(rig, camera=Dark(rig)).close()
+
+
+# --- the doctor
+
+
+def examined(rig: Rig, camera: Any) -> tuple[list[Row], str]:
+    lines: list[str] = []
+    rows = doctor(rig, camera, lines.append)
+    return rows, "\n".join(lines)
+
+
+def test_the_doctor_moves_every_device_and_leaves_it_where_it_was(
+    plugged: tuple[Rig, Monochromator, ThorlabsWheel],
+) -> None:
+    rig, monochromator, wheel = plugged
+    rows, table = examined(rig, Dark(rig))
+    assert all(row.passed for row in rows), table
+    assert monochromator.wavelength == pytest.approx(500)
+    assert wheel.position == 2
+    assert [row.check for row in rows if row.device == "filter wheel"][4:] == [f"to {k}" for k in (1, 2, 3, 4, 5, 6, 2)]
+    assert "SP-2-300i 2330123" in table
+    assert "ms a transaction" in table
+    assert table.splitlines()[-1] == f"{len(rows)} passed, 0 failed"
+
+
+def test_a_failing_device_never_hides_the_others(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+    class Broken(Dark):
+        def expose(self, seconds: float, *, shutter: bool = True) -> Picture:
+            raise ZeroDivisionError("a bug\x1b[31m")
+
+    rig, _, _ = plugged
+    swapped = replace(rig, monochromator=replace(rig.monochromator, port="/dev/no-such-port"))
+    rows, table = examined(swapped, Broken(rig))
+    failed = [(row.device, row.check) for row in rows if not row.passed]
+    assert failed == [("monochromator", "port"), ("camera", "dark frame")]
+    assert sum(row.device == "filter wheel" for row in rows) == 11
+    assert all(row.advice for row in rows if not row.passed)
+    assert "→ plug the device in" in table
+    assert "\x1b" not in table
+
+
+def test_swapped_ports_are_told_by_the_doctor(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+    rig, _, _ = plugged
+    swapped = replace(
+        rig,
+        monochromator=replace(rig.monochromator, port=rig.wheel.port),
+        wheel=replace(rig.wheel, port=rig.monochromator.port),
+    )
+    rows, _ = examined(swapped, Dark(rig))
+    table = " ".join(row.found for row in rows)
+    assert "a device of the Thorlabs dialect answers" in table
+    assert "a device of the Acton dialect answers" in table
+
+
+def test_a_dark_frame_that_sees_light_fails(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+    rig, _, _ = plugged
+    rows, table = examined(rig, Dark(rig, level=60000))
+    assert not rows[-1].passed
+    assert "close the shutter" in table
+
+
+def test_lines_of_the_table_fit_a_page(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+    rig, _, _ = plugged
+    missing = replace(rig, wheel=replace(rig.wheel, port="/dev/no-such-port"))
+    _, table = examined(missing, Dark(rig))
+    assert max(map(len, table.splitlines())) <= 118

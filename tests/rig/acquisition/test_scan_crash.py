@@ -1,0 +1,114 @@
+"""kill −9 at random moments of a scan, then --resume: the finished run is the one that nothing disturbed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+import small_rig
+
+import brdfpipe
+from brdfpipe.rig.acquisition import journal
+from brdfpipe.rig.frames import read_run
+from brdfpipe.rig.plan import Plan
+from brdfpipe.store import save_dataset
+
+PLAN = small_rig.PLAN.replace("[500, 550]", "[480, 500, 520, 540, 560]").replace("every: 4", "every: 7")
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes that are forked and killed")
+
+
+def environment(folder):
+    """Of a program of its own, with whatever it leaves behind in a folder of the test."""
+    (folder / "temporary").mkdir(exist_ok=True)
+    paths = [str(Path(small_rig.__file__).parent), str(Path(brdfpipe.__file__).parents[1])]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "TMPDIR": str(folder / "temporary")}
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    return Plan.load(small_rig.write(tmp_path_factory.mktemp("bench"), PLAN))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(plan, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    with small_rig.emulated(plan) as (stand, witness):
+        small_rig.take_emulated(plan, folder, stand, witness)
+    return small_rig.contents(folder)
+
+
+def check(plan, folder, undisturbed):
+    assert small_rig.contents(folder) == undisturbed
+    assert not list(folder.glob("**/.*.tmp"))
+    events = journal.read(folder / "journal.jsonl")
+    noted = Counter(event["shot"] for event in events if event["event"] in ("frame", "adopted"))
+    assert noted == Counter(shot.ordinal for shot in plan.shots)
+    assert not any(event["event"] in ("damaged", "retry") for event in events)
+    assert events[-1]["event"] == "finished"
+    assert read_run(folder).sizes["frame"] == len(plan.shots)
+
+
+def killed(plan, folder, kills, seed, undisturbed):
+    program = Path(small_rig.__file__).with_name("killed_scan.py")
+    arguments = [sys.executable, str(program), str(plan.path), str(folder), str(kills), str(seed)]
+    done = subprocess.run(arguments, env=environment(folder), capture_output=True, text=True, timeout=900)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert len(told["moments"]) == kills
+    for run in told["finished"]:
+        check(plan, Path(run), undisturbed)
+    return told
+
+
+def test_a_scan_killed_at_random_moments_and_resumed_is_the_undisturbed_one(plan, undisturbed, tmp_path):
+    killed(plan, tmp_path, 6, 1, undisturbed)
+
+
+@pytest.mark.slow
+def test_a_scan_killed_at_a_hundred_random_moments_and_resumed_is_the_undisturbed_one(plan, undisturbed, tmp_path):
+    told = killed(plan, tmp_path, 100, 2, undisturbed)
+    assert len(set(told["moments"])) > 20
+
+
+def test_the_command_killed_and_called_again_finishes_the_run(plan, tmp_path):
+    save_dataset(small_rig.truth(), tmp_path / "truth.nc", stage="truth", material="tile")
+    command = [
+        sys.executable,
+        "-m",
+        "brdfpipe.cli",
+        "rig",
+        "scan",
+        str(plan.path),
+        "--emulate",
+        str(tmp_path / "truth.nc"),
+    ]
+    run, whole = tmp_path / "run", tmp_path / "whole"
+    first = subprocess.Popen(
+        [*command, "--seed", "3", "--out", str(run)], env=environment(tmp_path), stderr=subprocess.PIPE
+    )
+    while len(list((run / "frames").glob("*.fits"))) < 14:
+        assert first.poll() is None
+        time.sleep(0.005)
+    first.send_signal(signal.SIGKILL)
+    first.communicate()
+    told = [
+        subprocess.run([*command, *options], env=environment(tmp_path), capture_output=True, text=True, timeout=120)
+        for options in (
+            ["--seed", "3", "--out", str(run)],
+            ["--seed", "3", "--out", str(run), "--resume"],
+            ["--seed", "3", "--out", str(whole)],
+        )
+    ]
+    assert [each.returncode for each in told] == [2, 0, 0], [each.stderr for each in told]
+    assert "holds a run of this plan already" in told[0].stderr
+    assert "Traceback" not in "".join(each.stderr for each in told)
+    assert small_rig.contents(run) == small_rig.contents(whole)
+    check(plan, run, small_rig.contents(whole))

@@ -1,0 +1,181 @@
+"""Veiling glare of known halos: found, taken away, and stated as uncertain as it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import fft, ndimage, sparse
+
+from brdfpipe.rig.reduction import glare
+
+SHAPE = (160, 200)
+ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]]
+SPOTS = [(x, y) for x in (20, 40, 160, 180) for y in range(14, 150, 16)]
+NOISE = 1e-4
+
+
+def distance(x, y):
+    return np.hypot(COLUMNS - x, ROWS - y)
+
+
+def scene(lobe: float = 5.0, base: float = 0.3):
+    """A disc with a lobe on it and spots beside it, and where nothing shines."""
+    disc = distance(100, 80) < 45
+    lit = np.where(disc, base + lobe * np.exp(-(distance(100, 80) ** 2) / (2 * 12**2)), 0.0)
+    dark = distance(100, 80) > 49
+    for x, y in SPOTS:
+        lit = lit + base * (distance(x, y) < 3)
+        dark &= distance(x, y) > 8
+    return ndimage.gaussian_filter(lit, 0.7), dark
+
+
+def halo_of(picture, kernel):
+    """The picture spread by a halo of light 1, exactly."""
+    size = [2 * each for each in SHAPE]
+    row, column = (np.fft.fftfreq(each, 1 / each) for each in size)
+    spread = kernel(np.hypot(row[:, None], column))
+    found = fft.irfft2(fft.rfft2(picture, size) * fft.rfft2(spread, size), size)
+    return found[: SHAPE[0], : SHAPE[1]]
+
+
+def moffat(radius, exponent):
+    return lambda r: (exponent - 1) / (np.pi * radius**2) * (1 + (r / radius) ** 2) ** -exponent
+
+
+def exponential(radius):
+    return lambda r: np.exp(-r / radius) / (2 * np.pi * radius**2)
+
+
+def photographed(shining, kernel, share, seed=0):
+    seen = (1 - share) * shining + share * halo_of(shining, kernel)
+    variance = NOISE**2 * (1 + 100 * np.maximum(seen, 0))
+    return seen + np.sqrt(variance) * np.random.default_rng(seed).standard_normal(SHAPE), variance
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+SPOT_SUMS = sparse.csr_array(np.array([(distance(x, y) < 5).ravel().astype(float) for x, y in SPOTS]))
+DISC_SUMS = sparse.csr_array(
+    np.array([(distance(x, y) < 4).ravel().astype(float) for x in range(65, 140, 10) for y in range(50, 115, 10)])
+)
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    st.floats(0.002, 0.02),
+    st.one_of(
+        st.tuples(st.floats(15.0, 80.0), st.floats(1.3, 2.0)).map(lambda told: moffat(*told)),
+        st.floats(25.0, 60.0).map(exponential),
+    ),
+    st.floats(0.0, 20.0),
+)
+def test_a_known_halo_is_taken_away(share, kernel, lobe):
+    """What is left at the spots is a tenth of the glare at most; on the disc, where it is extrapolated, what it is said to be."""
+    shining, dark = scene(lobe)
+    seen, variance = photographed(shining, kernel, share)
+    found = glare.estimate(seen, variance, dark)
+    clean = glare.removed(seen, found) - found.level
+    error = (clean - (1 - share) * shining).ravel()
+    glow = share * halo_of(shining, kernel).ravel()
+    noise = np.sqrt(SPOT_SUMS @ variance.ravel())
+    assert rms(SPOT_SUMS @ error) < 0.1 * rms(SPOT_SUMS @ glow) + 2 * rms(noise)
+    u = np.hypot(glare.uncertainty(clean, found, DISC_SUMS), np.sqrt(DISC_SUMS @ variance.ravel()))
+    assert rms(DISC_SUMS @ error / u) < 3
+    assert rms(u) < 1.5 * rms(DISC_SUMS @ glow) + 2 * rms(noise)
+
+
+@pytest.mark.parametrize(
+    "kernel", [moffat(40, 1.5), moffat(15, 1.3), exponential(30)], ids=["wide", "steep", "exponential"]
+)
+def test_what_is_left_is_as_large_as_it_is_said_to_be(kernel):
+    ratios = []
+    for seed in range(8):
+        shining, dark = scene(10.0 * (seed + 1))
+        seen, variance = photographed(shining, kernel, 0.005, seed)
+        found = glare.estimate(seen, variance, dark)
+        clean = glare.removed(seen, found) - found.level
+        for sums in (SPOT_SUMS, DISC_SUMS):
+            u = glare.uncertainty(clean, found, sums)
+            error = sums @ (clean - 0.995 * shining).ravel()
+            noise = sums @ variance.ravel()
+            ratios += list(error**2 / (u**2 + noise))
+    assert 0.2 < np.sqrt(np.mean(ratios)) < 1.3
+
+
+def test_without_a_halo_nothing_is_taken_away():
+    shining, dark = scene()
+    seen, variance = photographed(shining, moffat(40, 1.5), 0.0)
+    found = glare.estimate(seen, variance, dark)
+    assert found.share < 1e-4
+    changed = np.abs(SPOT_SUMS @ (glare.removed(seen, found) - seen).ravel())
+    assert (changed < 2 * np.sqrt(SPOT_SUMS @ variance.ravel())).all()
+
+
+def test_a_camera_without_noise_or_halo_is_no_special_case():
+    shining, dark = scene()
+    found = glare.estimate(np.where(dark, 0.0, shining), np.full(SHAPE, 1e-8), dark)
+    assert found.share < 1e-5
+    assert np.isfinite(glare.uncertainty(shining, found, SPOT_SUMS)).all()
+
+
+def test_a_picture_of_nothing_has_no_glare():
+    _, dark = scene()
+    variance = np.full(SHAPE, NOISE**2)
+    found = glare.estimate(NOISE * np.random.default_rng(0).standard_normal(SHAPE), variance, dark)
+    assert np.isfinite(found.amplitudes).all()
+    picture = np.zeros(SHAPE)
+    assert (glare.uncertainty(picture, glare.estimate(picture, variance, dark), SPOT_SUMS) < NOISE).all()
+
+
+def test_an_even_level_is_told_from_a_halo_and_left():
+    shining, dark = scene()
+    seen, variance = photographed(shining, moffat(40, 1.5), 0.005)
+    plain = glare.estimate(seen, variance, dark)
+    lifted = glare.estimate(seen + 0.01, variance, dark)
+    # The widest Gaussian and a level are almost the same: together they change by what was added.
+    glow, lit = (float((seen - glare.removed(seen, each) + each.level)[dark].mean()) for each in (plain, lifted))
+    assert lit - glow == pytest.approx(0.01, rel=0.05)
+    assert lifted.level - plain.level == pytest.approx(0.01, rel=0.2)
+
+
+def test_the_halo_of_a_picture_is_that_of_what_shines_in_it():
+    """K/(1 + K) of the picture, not K of it: the halo has a halo already."""
+    strong = glare.Glare(np.where(np.arange(glare.WIDTHS.size) == 5, 0.2, 0.0), 0.0, np.zeros((12, 12)), 1.0)
+    shining, _ = scene()
+    wide = glare.WIDTHS[5]
+    seen = shining + 0.2 * halo_of(shining, lambda r: np.exp(-((r / wide) ** 2) / 2) / (2 * np.pi * wide**2))
+    # The halo at the edge of the picture ends there, which a transform does not know.
+    inner = np.s_[40:-40, 40:-40]
+    left = glare.removed(seen, strong) - shining
+    assert np.abs(left[inner]).max() < 0.02 * np.abs(seen - shining)[inner].max()
+
+
+def test_pictures_are_cleaned_one_by_one_as_together():
+    shining, dark = scene()
+    seen, variance = photographed(shining, moffat(40, 1.5), 0.005)
+    found = glare.estimate(seen, variance, dark)
+    both = glare.removed(np.array([seen, 2 * seen]), found)
+    assert both[0] == pytest.approx(glare.removed(seen, found), abs=1e-12)
+    assert both[1] == pytest.approx(2 * both[0], abs=1e-12)
+
+
+def test_a_picture_without_background_tells_nothing():
+    found = glare.estimate(np.ones(SHAPE), np.ones(SHAPE), np.zeros(SHAPE, dtype=bool))
+    assert found is glare.NONE
+    assert (glare.removed(np.ones(SHAPE), found) == 1).all()
+    assert (glare.uncertainty(np.ones(SHAPE), found, SPOT_SUMS) == 0).all()
+
+
+def test_a_halo_no_ladder_of_gaussians_fits_is_said_to_be_uncertain():
+    """A ghost: a displaced image of the disc."""
+    shining, dark = scene()
+    seen, variance = photographed(shining, moffat(40, 1.5), 0.005)
+    ghost = 0.01 * np.roll(shining, (50, 70), (0, 1))
+    found = glare.estimate(seen + ghost, variance, dark)
+    assert found.misfit > 10
+    plain = glare.estimate(seen, variance, dark)
+    assert glare.uncertainty(shining, found, DISC_SUMS).mean() > 3 * glare.uncertainty(shining, plain, DISC_SUMS).mean()
