@@ -187,14 +187,14 @@ def truth(path: Path) -> xr.Dataset:
     InputError : the material is not built.
     StoreError, VocabularyError : no BSDF.
     """
-    import brdfpipe
+    from brdfpipe.bsdf.accessor import open_dataset
 
     if path.is_dir():
         if not (path / "bsdf.nc").is_file():
             accepted = "a BSDF (.nc), or a folder of the results with bsdf.nc in it: `brdfpipe build` makes it"
             raise InputError(path, "holds no built material", accepted=accepted)
         path = path / "bsdf.nc"
-    return brdfpipe.open_dataset(path, "bsdf")
+    return open_dataset(path, "bsdf")
 
 
 def _real_scan(plan: Plan, folder: Path, *, yes: bool, resume: bool) -> Summary:
