@@ -27,7 +27,7 @@ RIG = """\
 name: small
 monochromator: {dialect: acton, port: /dev/ttyUSB0, query_timeout: 0.15, motion_timeout: 0.15}
 wheel: {dialect: WHEEL, port: /dev/ttyUSB1, query_timeout: 0.15, motion_timeout: 0.15}
-camera: {kind: drop-folder, folder: camera, width: 96, height: 72, timeout: 10}
+camera: {kind: drop-folder, folder: camera, width: 96, height: 72, timeout: 600}
 nd_location: sample
 filters: [{position: 1, transmittance: 1, u: 0}, {position: 2, transmittance: 0.1}, {position: 4, transmittance: 0.01}]
 entrances: [0, 10, 20, 45]

@@ -19,7 +19,7 @@ import small_rig
 import yaml
 
 import brdfpipe
-from brdfpipe import cli
+from brdfpipe.cli import main as cli
 from brdfpipe.cli import rig as commands
 from brdfpipe.rig import description, frames
 from brdfpipe.rig.acquisition import scan

@@ -46,8 +46,8 @@ class Sensor:
         return Picture(COUNTS + np.uint16(len(self.exposures)), 1234567890.25, seconds, -20.5)
 
 
-def settings_of(folder: Path, **others: Any) -> CameraSettings:
-    return CameraSettings("drop-folder", folder=str(folder), width=WIDTH, height=HEIGHT, timeout=20.0, **others)
+def settings_of(folder: Path, timeout: float = 600.0, **others: Any) -> CameraSettings:
+    return CameraSettings("drop-folder", folder=str(folder), width=WIDTH, height=HEIGHT, timeout=timeout, **others)
 
 
 def frame(counts: np.ndarray = COUNTS, **cards: Any) -> bytes:
@@ -65,7 +65,7 @@ class Laboratory:
 
     def __init__(self, folder: Path, answer: Callable[[Path], Iterator[None] | None], **others: Any) -> None:
         self.clock = Clock()
-        self.camera = DropFolder(settings_of(folder, **others), clock=self.clock, sleep=self.sleep)
+        self.camera = DropFolder(settings_of(folder, timeout=20.0, **others), clock=self.clock, sleep=self.sleep)
         self._folder, self._answer = folder, answer
         self._under_way: dict[str, Iterator[None]] = {}
 
@@ -88,6 +88,12 @@ def served(folder: Path, camera: Any, told: list[str] | None = None) -> Iterator
     finally:
         stop.set()
         thread.join()
+
+
+def expose_twice(folder: Path) -> None:
+    """Two proper exposures: when the second is answered, the server has looked at every file of the folder at least twice."""
+    for _ in range(2):
+        DropFolder(settings_of(folder)).expose(0.1)
 
 
 def drop(content: bytes) -> Callable[[Path], None]:
@@ -333,11 +339,11 @@ def test_what_is_no_request_is_told_once_and_never_exposed(
     (tmp_path / name).write_bytes(content)
     sensor, told = Sensor(), list[str]()
     with served(tmp_path, sensor, told):
-        time.sleep(0.1)
-    assert not sensor.exposures
+        expose_twice(tmp_path)
+    assert len(sensor.exposures) == 2
     assert len(told) == 1
     assert reason in told[0]
-    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert not [path for path in tmp_path.glob(f"{Path(name).stem}.*") if path.name != name]
 
 
 def test_a_link_is_no_request(tmp_path: Path) -> None:
@@ -347,7 +353,7 @@ def test_a_link_is_no_request(tmp_path: Path) -> None:
     (tmp_path / "in" / "a.json").symlink_to(outside)
     told: list[str] = []
     with served(tmp_path / "in", Sensor(), told):
-        time.sleep(0.05)
+        expose_twice(tmp_path / "in")
     assert "plain file" in told[0]
 
 
@@ -356,8 +362,8 @@ def test_an_answered_request_is_not_answered_again(tmp_path: Path) -> None:
     with served(tmp_path, sensor):
         DropFolder(settings_of(tmp_path)).expose(0.1)
     with served(tmp_path, sensor):
-        time.sleep(0.1)
-    assert len(sensor.exposures) == 1
+        expose_twice(tmp_path)
+    assert len(sensor.exposures) == 3
 
 
 def test_no_answer_can_be_left_half_written(tmp_path: Path) -> None:
