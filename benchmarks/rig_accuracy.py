@@ -46,8 +46,10 @@ from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.emulator.holder import Etalon
 from brdfpipe.rig.frames import Frame, State, dataset
 from brdfpipe.rig.plan import Plan, Step
-from brdfpipe.rig.reduction.calibration import apply, calibrate, joined
+from brdfpipe.rig.reduction.arrangements import join_arrangements
+from brdfpipe.rig.reduction.calibration import calibrate
 from brdfpipe.rig.reduction.certificate import Certificate
+from brdfpipe.rig.reduction.primary import apply
 from brdfpipe.rig.reduction.relative_light import reduce
 from brdfpipe.rig.templates import start
 
@@ -223,7 +225,9 @@ def certificate(valid_until: date = date(2030, 1, 1)) -> Certificate:
 def reduced(plan: Plan, frames: xr.Dataset, load: str, side: str = "reflection") -> xr.Dataset:
     """All arrangements of a load."""
     incidences = plan.etalon_entrances if load == "etalon" else plan.incidences
-    return joined([reduce(frames, plan.rig, load=load, side=side, incidence=incidence) for incidence in incidences])
+    return join_arrangements(
+        [reduce(frames, plan.rig, load=load, side=side, incidence=incidence) for incidence in incidences]
+    )
 
 
 def two_days(

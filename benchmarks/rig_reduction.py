@@ -27,7 +27,9 @@ import xarray as xr
 from brdfpipe.bsdf.measured import completion, smoothing
 from brdfpipe.rig import accuracy, frames, reduce
 from brdfpipe.rig.plan import FRAMES, Plan
-from brdfpipe.rig.reduction.calibration import apply, calibrate, joined
+from brdfpipe.rig.reduction.arrangements import join_arrangements
+from brdfpipe.rig.reduction.calibration import calibrate
+from brdfpipe.rig.reduction.primary import apply
 from brdfpipe.rig.templates import start
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -120,7 +122,10 @@ def whole(folder: str, plan: Plan) -> Record:
     begin, own = time.perf_counter(), time.process_time()
     with ProcessPoolExecutor(CORES) as pool:
         found = list(pool.map(arrangement, jobs))
-    by_load = {load: joined([each for each, _ in found if each.attrs["load"] == load]) for load in ("etalon", "sample")}
+    by_load = {
+        load: join_arrangements([each for each, _ in found if each.attrs["load"] == load])
+        for load in ("etalon", "sample")
+    }
     primary = apply(by_load["sample"], calibrate(by_load["etalon"], accuracy.certificate()))
     completion.complete(smoothing.smooth(primary))
     wall, own = time.perf_counter() - begin, time.process_time() - own

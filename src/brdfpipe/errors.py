@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import PurePath
 
 
 def printable(text: str) -> str:
     """Text that can be written anywhere: bytes of a file name that are no UTF-8 appear as ``\\xff``."""
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
+def abbreviated(items: Sequence[str], most: int, separator: str = ", ") -> str:
+    """A list for a message, with "…" in place of what exceeds ``most`` items."""
+    return separator.join([*items[:most], *(["…"] if len(items) > most else [])])
 
 
 class BrdfpipeError(ValueError):

@@ -14,7 +14,8 @@ from brdfpipe import comparison as routes
 from brdfpipe import facets
 from brdfpipe.bsdf import microfacet
 from brdfpipe.rig.plan import Plan
-from brdfpipe.rig.reduction.calibration import apply, calibrate
+from brdfpipe.rig.reduction.calibration import calibrate
+from brdfpipe.rig.reduction.primary import apply
 
 TRUE = {"index": 0.0, "slope": 1.0, "diffuse": 1.0}
 

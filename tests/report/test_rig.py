@@ -17,8 +17,9 @@ from brdfpipe.report import indicatrix, pages, rig, rig_figures, rig_fit
 from brdfpipe.report.cards import Table
 from brdfpipe.report.svg import Figure
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.reduction import calibration, thumbnails
 from brdfpipe.rig.reduction import cells as celled
+from brdfpipe.rig.reduction import thumbnails
+from brdfpipe.rig.reduction.control_chart import chart_points
 from brdfpipe.rig.templates import start
 from brdfpipe.specular_directions import cos_view
 
@@ -137,7 +138,7 @@ def _calibration(bench: Rig, changes: tuple[float, ...] = (0.0, 0.004, -0.002)) 
     change[-1] += 0.5 * np.abs(changes[-1]) * np.array([1, -1])
     count = len(changes)
     names, days = (np.array([f"{word}{number}" for number in range(1, count + 1)]) for word in ("bench-", "2026-03-0"))
-    profile = profile.assign(calibration._chart(names, days, change, profile["wavelength"].values))
+    profile = profile.assign(chart_points(names, days, change, profile["wavelength"].values))
     return vocabulary.validate(vocabulary.label(profile, "calibration"), "calibration")
 
 

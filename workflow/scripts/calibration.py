@@ -1,8 +1,10 @@
 from pathlib import Path
 
 from brdfpipe import store
-from brdfpipe.rig.reduction.calibration import calibrate, charted, joined
+from brdfpipe.rig.reduction.arrangements import join_arrangements
+from brdfpipe.rig.reduction.calibration import calibrate
 from brdfpipe.rig.reduction.certificate import Certificate
+from brdfpipe.rig.reduction.control_chart import extend_chart
 
 
 def main(input, output, params):
@@ -10,10 +12,12 @@ def main(input, output, params):
     reduced = [store.open_dataset(path, "reduced") for path in input["reduced"]]
     inputs = {f"reduced-{place}": each for place, each in enumerate(reduced)} | {"certificate": input["certificate"]}
     name = params["material"].partition(".")[2]  # of calibrations.NAME
-    profile = calibrate(joined(reduced), Certificate.load(Path(input["certificate"])), name=name, **params["spec"])
+    profile = calibrate(
+        join_arrangements(reduced), Certificate.load(Path(input["certificate"])), name=name, **params["spec"]
+    )
     if "previous" in input:
         inputs["previous"] = store.open_dataset(input["previous"], "calibration")
-        profile = charted(profile, inputs["previous"])
+        profile = extend_chart(profile, inputs["previous"])
     store.save_dataset(
         profile,
         output["calibration"],

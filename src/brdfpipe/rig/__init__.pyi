@@ -1,7 +1,7 @@
 from .description import Rig as Rig
 from .frames import read_run as read_run
 from .plan import Plan as Plan
-from .reduction.calibration import apply as apply
 from .reduction.calibration import calibrate as calibrate
 from .reduction.certificate import Certificate as Certificate
+from .reduction.primary import apply as apply
 from .reduction.relative_light import reduce as reduce

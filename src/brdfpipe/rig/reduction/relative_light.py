@@ -24,8 +24,8 @@ from brdfpipe.rig.frames import NOT_MEASURED
 from brdfpipe.rig.reduction import brackets, exposures, registration, thumbnails
 from brdfpipe.rig.reduction import cells as celled
 from brdfpipe.rig.reduction import glare as glares
+from brdfpipe.rig.reduction.arrangements import ENTRANCE_EXCLUSION_RADIUS
 from brdfpipe.rig.reduction.brackets import Bracket, Darkness, Scale, Spot
-from brdfpipe.rig.reduction.calibration import HOLE
 from brdfpipe.rig.reduction.exposures import Mask, Merged
 from brdfpipe.rig.reduction.registration import Registration
 
@@ -342,7 +342,7 @@ def _kept(rig: Rig, found: Registration, frames: xr.Dataset, darkness: Darkness)
     rim = np.degrees(np.arctan(rig.screen.disc_radius / rig.screen.focal_length))
     entrances = np.unique(etalon["incidence"].values)
     # Towards an entrance σ the fixed direction is turned by 2σ.
-    clear = entrances[(2 * entrances > rim + HOLE) & (2 * entrances + rim < 90)]
+    clear = entrances[(2 * entrances > rim + ENTRANCE_EXCLUSION_RADIUS) & (2 * entrances + rim < 90)]
     if not clear.size:
         return None
     etalon = etalon.isel(frame=etalon["incidence"].values == clear[0])
