@@ -11,7 +11,8 @@ import jsonschema
 import pytest
 import yaml
 
-from brdfpipe import catalogue, installation
+from brdfpipe import installation
+from brdfpipe.catalogue import catalogue
 from brdfpipe.comparison.measured_predicted import PRIOR_U
 from brdfpipe.errors import InputError
 
@@ -195,8 +196,9 @@ def test_a_recipe_is_told_alone(tmp_path: Path) -> None:
 
 
 def test_the_schema_offers_what_the_model_has() -> None:
-    from brdfpipe.bsdf import microfacet, slab
+    from brdfpipe.bsdf.microfacet import builder as microfacet
     from brdfpipe.bsdf.microfacet import microsurface
+    from brdfpipe.bsdf.slab import builder as slab
     from brdfpipe.optics.interior import PER_MM
 
     path = installation.project_folder() / "config" / "schemas" / "material.schema.yaml"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import rig_accuracy as accuracy
 
-from brdfpipe.rig import reduction
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.reduction import cells
+from brdfpipe.rig.reduction import relative_light as reduction
 from brdfpipe.rig.reduction.registration import Registration
 
 
