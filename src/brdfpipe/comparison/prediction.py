@@ -27,7 +27,7 @@ from brdfpipe.facets import scaling
 from brdfpipe.facets.estimation import azimuthal_average
 from brdfpipe.geometry import Array, angles_of, half_vector, slope_towards, unit_vector
 from brdfpipe.optics.index import refractive_index
-from brdfpipe.rig.reduction.relative_light import CURVATURE_U
+from brdfpipe.rig.reduction.curvature import CURVATURE_U
 
 INPUTS = ("index", "slope", "diffuse")
 

@@ -1,4 +1,4 @@
-"""What curvature adds to the means over cells of the disc, and what noise makes of it."""
+"""The curvature correction of disc cells, and the noise it adds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import rig_accuracy as accuracy
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.reduction import cells
-from brdfpipe.rig.reduction import relative_light as reduction
+from brdfpipe.rig.reduction.curvature import curvature_correction
 from brdfpipe.rig.reduction.registration import Registration
 
 
@@ -20,21 +20,21 @@ def rig() -> Rig:
     return accuracy.plan_of(fibres=20).rig
 
 
-def bent(rig: Rig, pictures: np.ndarray):
-    """Sums over cells, what curvature adds to them, the weights of either, the areas, and which cells are clear of the rim."""
-    found = Registration(rig.screen, 0.0, 0.0, 0)
-    weights, told = cells.weights(rig, rig.screen), cells.cells_of(rig)
+def corrected(rig: Rig, pictures: np.ndarray):
+    """Sums over cells, their curvature correction, the weights of both, the areas, and which cells are clear of the rim."""
+    registration = Registration(rig.screen, 0.0, 0.0, 0)
+    weights, described = cells.weights(rig, rig.screen), cells.cells_of(rig)
     area = np.maximum(weights.sum(axis=1), 1e-9)
-    bend, bends = reduction._curvature(rig, found, weights, pictures, area, told.of_disc)
+    bend, bends = curvature_correction(rig, registration, weights, pictures, area, described.of_disc)
     sums = (weights @ pictures.reshape(len(pictures), -1).T).T
-    return sums, bend, weights, bends, area, told.of_disc & (told.theta_s < 7)
+    return sums, bend, weights, bends, area, described.of_disc & (described.theta_s < 7)
 
 
-def test_of_a_bowl_it_is_the_second_moment_of_the_cell(rig) -> None:
+def test_the_curvature_of_a_paraboloid_is_the_second_moment_of_the_cell(rig) -> None:
     row, column = np.indices((rig.camera.height, rig.camera.width)).astype(float)
-    x, y = (float(each) for each in screens.to_pixel(rig.screen, *rig.screen.disc))
+    x, y = (float(pixel) for pixel in screens.to_pixel(rig.screen, *rig.screen.disc))
     bowl = 1 + 3e-4 * (column - x) ** 2 + 1e-4 * (column - x) * (row - y) + 2e-4 * (row - y) ** 2
-    sums, bend, weights, _, area, inside = bent(rig, bowl[None])
+    sums, bend, weights, _, area, inside = corrected(rig, bowl[None])
     column_of, row_of = (weights @ each.ravel() / area for each in (column, row))
     # The light itself is the mean over a pixel of the bowl; sampled in its middle, it lacks a twelfth of the curvature.
     own = area * (3e-4 + 2e-4) / 12
@@ -45,13 +45,13 @@ def test_of_a_bowl_it_is_the_second_moment_of_the_cell(rig) -> None:
     assert np.median(bend[0, inside] / area[inside]) > 5e-4
 
 
-def test_noise_is_that_of_the_sums_and_of_their_curvature(rig) -> None:
+def test_noise_includes_that_of_the_curvature_correction(rig) -> None:
     noise = np.random.default_rng(1).standard_normal((150, rig.camera.height, rig.camera.width))
-    sums, bend, weights, bends, _, inside = bent(rig, 1000 + noise)
-    found = (sums - bend).std(axis=0, ddof=1)
+    sums, bend, weights, bends, _, inside = corrected(rig, 1000 + noise)
+    observed = (sums - bend).std(axis=0, ddof=1)
     stated = np.sqrt((weights - bends).power(2).sum(axis=1))
     # Of 150 pictures a standard deviation is known to 6 %, the mean over two hundred cells to half a percent.
-    assert np.mean(found[inside] / stated[inside]) == pytest.approx(1, abs=0.02)
+    assert np.mean(observed[inside] / stated[inside]) == pytest.approx(1, abs=0.02)
     plain = np.sqrt(weights.power(2).sum(axis=1))
     assert np.median(stated[inside] / plain[inside]) > 1.15
     far = weights[np.flatnonzero(~inside)[0]]
@@ -59,8 +59,8 @@ def test_noise_is_that_of_the_sums_and_of_their_curvature(rig) -> None:
     assert not bends[:20].nnz
 
 
-def test_a_disc_too_small_for_it_has_none(rig) -> None:
+def test_a_disc_too_small_for_a_curvature_has_no_correction(rig) -> None:
     small = replace(rig, screen=replace(rig.screen, disc_radius=1.0))
-    _, bend, _, bends, _, _ = bent(small, np.ones((1, rig.camera.height, rig.camera.width)))
+    _, bend, _, bends, _, _ = corrected(small, np.ones((1, rig.camera.height, rig.camera.width)))
     assert not bend.any()
     assert not bends.nnz

@@ -1,4 +1,4 @@
-"""From emulated frames to the light of each cell, against what the emulator was told; and what must be refused or named."""
+"""From emulated frames to the light of each cell, compared with the emulator's truth; refusals and warnings."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from brdfpipe.rig.emulator.measurement import black
 from brdfpipe.rig.emulator.source import Source
 from brdfpipe.rig.emulator.view import true_screen
 from brdfpipe.rig.plan import Plan
-from brdfpipe.rig.reduction.relative_light import COMPONENTS, REPEAT_U, ReductionError
+from brdfpipe.rig.reduction.lamp_monitor import REPEAT_U
+from brdfpipe.rig.reduction.relative_light import COMPONENTS, ReductionError
 from brdfpipe.rig.templates import start
 
 PLASTIC = "plastic, 10 sr⁻¹, 3°"
 WIDE = "milk glass"
 
 
-def reduced(frames: xr.Dataset, **told: object) -> xr.Dataset:
-    return reduce(frames, rig_emulated.plan().rig, **{"incidence": 30.0, **told})
+def reduced(frames: xr.Dataset, **options: object) -> xr.Dataset:
+    return reduce(frames, rig_emulated.plan().rig, **{"incidence": 30.0, **options})
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def test_an_arrangement_is_reduced_to_a_value_and_its_components_in_every_cell(s
     assert vocabulary.warnings(sample) == vocabulary.warnings(rig_emulated.frames())
 
 
-def test_the_picture_and_the_disc_are_found_where_they_are(sample):
+def test_the_position_of_picture_and_disc_is_recovered(sample):
     rig = rig_emulated.plan().rig
     true = true_screen(rig, Effects(), 1, 0)
     shift = np.subtract(true.centre, rig.screen.centre)
@@ -67,16 +68,16 @@ def test_the_picture_and_the_disc_are_found_where_they_are(sample):
 def test_an_ideal_rig_gives_the_brightness_of_each_direction():
     """Nothing but geometry: the disc is as bright as f cos γ, the fibres too, to the rounding of counts."""
     frames = rig_emulated.frames(WIDE, effects=Effects.none())
-    found = reduced(frames)
-    cosine = specular_directions.cos_view(30.0, found["theta_s"].values, found["phi_s"].values)
-    theta_o, phi_o = specular_directions.outgoing(30.0, found["theta_s"].values, found["phi_s"].values)
+    measured = reduced(frames)
+    cosine = specular_directions.cos_view(30.0, measured["theta_s"].values, measured["phi_s"].values)
+    theta_o, phi_o = specular_directions.outgoing(30.0, measured["theta_s"].values, measured["phi_s"].values)
     above = cosine > 0.05
     brdf = accuracy.TRUTHS[WIDE]().bsdf.evaluate(30.0, 0.0, theta_o[above], phi_o[above]).values
     seen = brdf * cosine[above]
-    signal = found["signal"].values[0, :, above].T
+    signal = measured["signal"].values[0, :, above].T
     # The disc's pixels follow the lens: f² times their solid angle.
-    of_disc = found["kind"].values[above] == "disc"
-    lens = np.where(of_disc, np.cos(np.radians(found["theta_s"].values[above])) ** 3, 1.0)
+    of_disc = measured["kind"].values[above] == "disc"
+    lens = np.where(of_disc, np.cos(np.radians(measured["theta_s"].values[above])) ** 3, 1.0)
     ratio = signal / (seen * lens)
     disc = ratio[:, of_disc]
     assert disc / np.median(disc) == pytest.approx(1, abs=2e-3)
@@ -100,18 +101,18 @@ def test_the_share_of_light_in_the_halo_is_told(sample):
     assert 0.002 < sample.attrs["glare_share"] < 0.006
 
 
-def test_a_picture_without_room_between_the_cells_says_that_its_glare_is_not_removed():
+def test_glare_that_too_few_pixels_show_is_not_subtracted_and_a_warning_says_so():
     plan = accuracy.plan_of((550.0,), (30.0,), fibres=40)
     screen_ = replace(plan.rig.screen, disc_radius=62.0, reference=(52.0, 38.0))
     rig = replace(plan.rig, screen=screen_, fibres=plan.rig.fibres[:1])
     plan = replace(plan, rig=rig, etalon_entrances=(10.0,), runs=("sample",))
-    found = reduce(accuracy.frames_of(plan, accuracy.TRUTHS[WIDE](), seed=1), rig, incidence=30.0, override=True)
-    assert np.isnan(found.attrs["glare_share"])
-    assert any("glare was not removed" in warning for warning in vocabulary.warnings(found))
+    measured = reduce(accuracy.frames_of(plan, accuracy.TRUTHS[WIDE](), seed=1), rig, incidence=30.0, override=True)
+    assert np.isnan(measured.attrs["glare_share"])
+    assert any("glare was not subtracted" in warning for warning in vocabulary.warnings(measured))
 
 
-def test_filters_in_both_beams_change_nothing_that_matters():
-    """What the description says of the filters' place is believed, and divides out either way."""
+def test_filters_in_both_beams_divide_out():
+    """The position of the filters is taken from the description, and divides out either way."""
     frames = rig_emulated.frames(of="reference")
     rig = replace(rig_emulated.plan().rig, nd_location="reference")
     both = reduce(frames, rig, incidence=30.0)
@@ -134,7 +135,7 @@ def test_frames_of_another_rig_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("options", "words"),
     [
         ({"incidence": 45.0}, "no frame of the sample in reflection at 45 degree"),
         ({"side": "transmission"}, "no frame of the sample in transmission"),
@@ -142,25 +143,25 @@ def test_frames_of_another_rig_are_refused():
         ({"load": "mirror"}, "no frame of the mirror"),
     ],
 )
-def test_an_arrangement_that_was_not_measured_is_refused(told, words):
+def test_an_arrangement_that_was_not_measured_is_refused(options, words):
     with pytest.raises(ReductionError, match=words):
-        reduced(rig_emulated.frames(), **told)
+        reduced(rig_emulated.frames(), **options)
 
 
-def test_filters_that_stand_elsewhere_than_described_are_named_and_refused_unless_overridden():
+def test_a_wrong_nd_location_is_refused_unless_overridden():
     wrong = replace(rig_emulated.plan().rig, nd_location="reference")
     with pytest.raises(ReductionError, match=r"nd_location: sample"):
         reduce(rig_emulated.frames(), wrong, incidence=30.0)
-    told = vocabulary.warnings(reduce(rig_emulated.frames(), wrong, incidence=30.0, override=True))
-    assert any("neutral filters are not where the description says" in warning for warning in told)
+    warnings = vocabulary.warnings(reduce(rig_emulated.frames(), wrong, incidence=30.0, override=True))
+    assert any("neutral filters are not where the description says" in warning for warning in warnings)
 
 
-def test_without_dark_frames_of_an_exposure_nothing_is_reduced():
+def test_a_missing_dark_frame_is_refused():
     with pytest.raises(BrdfpipeError, match="no dark frame of 10 s"):
         reduced(rig_emulated.without(rig_emulated.frames(), purpose="dark", exposure=10.0))
 
 
-def test_few_dark_frames_are_named_and_their_noise_is_counted():
+def test_too_few_dark_frames_give_a_warning_and_their_noise_counts():
     frames = rig_emulated.frames()
     dark = np.flatnonzero((frames["purpose"].values == "dark") & (frames["exposure"].values == 10.0))
     few = reduced(frames.isel(frame=np.setdiff1d(np.arange(frames.sizes["frame"]), dark[1:])))
@@ -171,24 +172,25 @@ def test_few_dark_frames_are_named_and_their_noise_is_counted():
     assert 1.2 < np.median(noise) < np.sqrt(2 / 1.1)
 
 
-def test_a_frame_beyond_the_range_everywhere_is_named_and_counts_for_nothing(sample):
+def test_a_frame_out_of_the_linear_range_is_named_and_not_used(sample):
     frames = rig_emulated.frames().copy(deep=True)
     own = (
         (frames["purpose"].values == "sample") & (frames["incidence"].values == 30) & (frames["exposure"].values == 10)
     )
     place = int(np.flatnonzero(own)[0])
     frames["counts"][place] = 65535
-    found = reduced(frames)
+    measured = reduced(frames)
     shot = int(frames["shot"].values[place])
     assert any(
-        f"frame {shot} (470 nm) is beyond the linear range everywhere" in each for each in vocabulary.warnings(found)
+        f"Frame {shot} (470 nm) exceeds the camera's linear range everywhere" in each
+        for each in vocabulary.warnings(measured)
     )
-    both = np.isfinite(found["signal"].values) & np.isfinite(sample["signal"].values)
-    u = np.sqrt(sum(found[f"signal_u_{name}"].values ** 2 for name in COMPONENTS))
-    assert np.median(np.abs(found["signal"].values - sample["signal"].values)[both] / u[both]) < 1
+    both = np.isfinite(measured["signal"].values) & np.isfinite(sample["signal"].values)
+    u = np.sqrt(sum(measured[f"signal_u_{name}"].values ** 2 for name in COMPONENTS))
+    assert np.median(np.abs(measured["signal"].values - sample["signal"].values)[both] / u[both]) < 1
     # Less light, more noise, at that wavelength alone; the disc is bright enough for shorter exposures.
-    ratio = (found["signal_u_noise"] / sample["signal_u_noise"]).values[0]
-    faint = found["kind"].values == "fibre"
+    ratio = (measured["signal_u_noise"] / sample["signal_u_noise"]).values[0]
+    faint = measured["kind"].values == "fibre"
     assert np.nanmedian(ratio[0, faint]) > 1.5
     assert np.nanmedian(ratio[1, faint]) == pytest.approx(1, abs=0.01)
 
@@ -198,11 +200,13 @@ def test_a_wavelength_without_light_is_named_and_left_missing():
     dark = frames["counts"].values[frames["purpose"].values == "dark"][-1]
     own = (frames["purpose"].values == "sample") & (frames["wavelength"].values == 470)
     frames["counts"][np.flatnonzero(own)] = dark
-    found = reduced(frames)
-    assert np.isnan(found["signal"].values[0, 0]).all()
-    assert np.isnan(found["reference"].values[0, 0])
-    assert np.isfinite(found["signal"].values[0, 1]).sum() > 300
-    assert any("1 of 2 wavelengths have no values" in each and "470 nm" in each for each in vocabulary.warnings(found))
+    measured = reduced(frames)
+    assert np.isnan(measured["signal"].values[0, 0]).all()
+    assert np.isnan(measured["reference"].values[0, 0])
+    assert np.isfinite(measured["signal"].values[0, 1]).sum() > 300
+    assert any(
+        "1 of 2 wavelengths have no values" in each and "470 nm" in each for each in vocabulary.warnings(measured)
+    )
 
 
 def test_no_light_at_all_is_refused():
@@ -215,43 +219,43 @@ def test_no_light_at_all_is_refused():
 
 def test_a_bracket_with_a_missing_frame_is_reduced_from_the_others(sample):
     frames = rig_emulated.without(rig_emulated.frames(), purpose="sample", wavelength=550.0, exposure=10.0)
-    found = reduced(frames)
-    u = np.sqrt(sum(found[f"signal_u_{name}"].values ** 2 for name in COMPONENTS))
-    both = np.isfinite(found["signal"].values) & np.isfinite(sample["signal"].values)
-    assert np.abs((found["signal"].values - sample["signal"].values)[both] / u[both]).max() < 6
+    measured = reduced(frames)
+    u = np.sqrt(sum(measured[f"signal_u_{name}"].values ** 2 for name in COMPONENTS))
+    both = np.isfinite(measured["signal"].values) & np.isfinite(sample["signal"].values)
+    assert np.abs((measured["signal"].values - sample["signal"].values)[both] / u[both]).max() < 6
 
 
-def test_what_is_too_bright_for_every_frame_is_missing_and_says_why():
+def test_cells_saturated_in_every_frame_are_missing_and_flagged():
     frames = rig_emulated.frames()
     long = frames.isel(frame=~((frames["purpose"].values == "sample") & (frames["nd_position"].values != 1)))
-    found = reduced(long)
-    quality = found["signal_quality"].values[0]
+    measured = reduced(long)
+    quality = measured["signal_quality"].values[0]
     saturated = quality == vocabulary.quality("saturated")
-    middle = found["theta_s"].values < 3
-    assert saturated[:, middle & (found["kind"].values == "disc")].all()
-    assert np.isnan(found["signal"].values[0][saturated]).all()
-    assert any(f"up to {saturated.sum(axis=1).max()} cells" in warning for warning in vocabulary.warnings(found))
-    assert np.isfinite(found["signal"].values[0][:, found["theta_s"].values > 30]).mean() > 0.9
+    middle = measured["theta_s"].values < 3
+    assert saturated[:, middle & (measured["kind"].values == "disc")].all()
+    assert np.isnan(measured["signal"].values[0][saturated]).all()
+    assert any(f"Up to {saturated.sum(axis=1).max()} cells" in warning for warning in vocabulary.warnings(measured))
+    assert np.isfinite(measured["signal"].values[0][:, measured["theta_s"].values > 30]).mean() > 0.9
 
 
 def test_without_a_target_the_mirror_direction_is_as_uncertain_as_described(sample):
-    found = reduced(rig_emulated.without(rig_emulated.frames(), purpose="target"))
-    assert found.attrs["disc_centre"] == list(rig_emulated.plan().rig.screen.disc)
-    assert found.attrs["disc_centre_u"] == 0.1
-    flank = (found["theta_s"].values > 3) & (found["theta_s"].values < 6) & (found["kind"].values == "disc")
-    share = (found["signal_u_geometry"] / found["signal"]).values[0][:, flank]
+    measured = reduced(rig_emulated.without(rig_emulated.frames(), purpose="target"))
+    assert measured.attrs["disc_centre"] == list(rig_emulated.plan().rig.screen.disc)
+    assert measured.attrs["disc_centre_u"] == 0.1
+    flank = (measured["theta_s"].values > 3) & (measured["theta_s"].values < 6) & (measured["kind"].values == "disc")
+    share = (measured["signal_u_geometry"] / measured["signal"]).values[0][:, flank]
     # A Gaussian of 3 degree falls by θ/σ² of itself a degree: 0.1 degree are 5 %.
     assert np.median(share) == pytest.approx(0.1 * 4.5 / 9, rel=0.3)
 
 
-def test_a_target_of_another_run_serves_as_well(sample):
+def test_the_target_may_be_of_another_run(sample):
     own = rig_emulated.frames()
     target = own.isel(frame=np.isin(own["purpose"].values, ("target", "dark")))
-    found = reduced(rig_emulated.without(own, purpose="target"), target=target)
-    assert found.attrs["disc_centre"] == pytest.approx(sample.attrs["disc_centre"], abs=1e-6)
+    measured = reduced(rig_emulated.without(own, purpose="target"), target=target)
+    assert measured.attrs["disc_centre"] == pytest.approx(sample.attrs["disc_centre"], abs=1e-6)
 
 
-def test_a_sample_too_dark_to_register_goes_by_the_etalon_of_its_session():
+def test_a_sample_too_dark_to_register_is_registered_by_the_etalon_of_its_session():
     frames = rig_emulated.frames().copy(deep=True)
     own = np.flatnonzero(frames["purpose"].values == "sample")
     rows, columns = np.mgrid[:240, :320]
@@ -261,81 +265,83 @@ def test_a_sample_too_dark_to_register_goes_by_the_etalon_of_its_session():
     random = np.random.default_rng(0)
     for place in own:
         frames["counts"][place] = np.where(away, dark[random.integers(len(dark))], frames["counts"].values[place])
-    found = reduced(frames)
+    measured = reduced(frames)
     true = true_screen(rig_emulated.plan().rig, Effects(), 1, 0)
-    assert found.attrs["registration_spots"] < 12
+    assert measured.attrs["registration_spots"] < 12
     shift = np.subtract(true.centre, rig_emulated.plan().rig.screen.centre)
-    assert found.attrs["registration_shift"] == pytest.approx(shift, abs=0.1)
+    assert measured.attrs["registration_shift"] == pytest.approx(shift, abs=0.1)
 
 
 def test_a_black_sample_is_black_to_within_its_noise():
     plan = accuracy.plan_of((550.0,), (30.0,), fibres=40)
     plan = replace(plan, etalon_entrances=(10.0,), runs=("target", "sample"))
-    found = reduce(accuracy.frames_of(plan, black(), seed=1), plan.rig, incidence=30.0)
-    u = np.hypot(found["signal_u_noise"].values, found["signal_u_glare"].values)
-    assert np.sqrt(np.nanmean((found["signal"].values / u) ** 2)) < 1.5
-    quality = found["signal_quality"].values
+    measured = reduce(accuracy.frames_of(plan, black(), seed=1), plan.rig, incidence=30.0)
+    u = np.hypot(measured["signal_u_noise"].values, measured["signal_u_glare"].values)
+    assert np.sqrt(np.nanmean((measured["signal"].values / u) ** 2)) < 1.5
+    quality = measured["signal_quality"].values
     assert (quality == vocabulary.quality("below_noise")).mean() > 0.8
-    assert found.attrs["disc_centre_u"] < 0.02
+    assert measured.attrs["disc_centre_u"] < 0.02
 
 
-def test_a_rig_that_wobbles_between_looks_at_the_lamp_says_so():
-    """The same state looked at again and again, its light over the reference changing by 2 %."""
+def test_repeatability_is_the_scatter_of_the_monitor_readings():
+    """One frame repeated several times, its light over the reference changing by 2 %."""
     frames = rig_emulated.frames().copy(deep=True)
     own = np.flatnonzero((frames["purpose"].values == "sample") & (frames["incidence"].values == 30.0))
     base = own[2]
     rows, columns = np.mgrid[:240, :320]
     centre = screen.to_pixel(rig_emulated.plan().rig.screen, *rig_emulated.plan().rig.screen.reference)
     away = np.hypot(columns - centre[0], rows - centre[1]) > 15
-    looks = []
+    readings = []
     for number, factor in enumerate((1.0, 1.02, 0.98, 1.03, 0.97)):
-        look = frames.isel(frame=[base]).copy(deep=True)
-        light = look["counts"].values[0].astype(float) - 100
-        look["counts"][0] = np.rint(np.where(away, factor * light, light) + 100).astype(np.uint16)
-        looks.append(
-            look.assign_coords(purpose=("frame", ["drift"]), shot=("frame", [frames["shot"].values[own[0]] + number]))
+        reading = frames.isel(frame=[base]).copy(deep=True)
+        light = reading["counts"].values[0].astype(float) - 100
+        reading["counts"][0] = np.rint(np.where(away, factor * light, light) + 100).astype(np.uint16)
+        readings.append(
+            reading.assign_coords(
+                purpose=("frame", ["drift"]), shot=("frame", [frames["shot"].values[own[0]] + number])
+            )
         )
-    found = reduced(xr.concat([rig_emulated.without(frames, purpose="drift"), *looks], "frame"))
-    repeat = (found["signal_u_repeat"] / np.abs(found["signal"])).values
+    measured = reduced(xr.concat([rig_emulated.without(frames, purpose="drift"), *readings], "frame"))
+    repeat = (measured["signal_u_repeat"] / np.abs(measured["signal"])).values
     assert np.nanmax(repeat) == pytest.approx(np.nanmin(repeat))
-    # The frame of the bracket that the looks repeat is one of them.
+    # The frame of the bracket that the readings repeat is one of them.
     seen = np.std([1.0, 1.0, 1.02, 0.98, 1.03, 0.97], ddof=1)
     assert np.nanmax(repeat) == pytest.approx(np.sqrt((5 * seen**2 + REPEAT_U**2) / 6), rel=0.05)
 
 
-def _repeat_of(frames: xr.Dataset, **told: object) -> tuple[float, list[str]]:
-    found = reduced(frames, **told)
-    relative = (found["signal_u_repeat"] / np.abs(found["signal"])).values
-    told = [text for text in vocabulary.warnings(found) if "how well the light repeats over its reference" in text]
-    return float(np.nanmax(relative)), told
+def _repeat_of(frames: xr.Dataset, **options: object) -> tuple[float, list[str]]:
+    measured = reduced(frames, **options)
+    relative = (measured["signal_u_repeat"] / np.abs(measured["signal"])).values
+    warnings = [text for text in vocabulary.warnings(measured) if "Lamp repeatability is uncertain" in text]
+    return float(np.nanmax(relative)), warnings
 
 
-def test_looks_of_all_arrangements_tell_how_well_the_rig_repeats_itself():
-    """Light of the sample's last look, through the other entrance, 5 % brighter than the frames it repeats; what is expected counts once."""
+def test_monitor_readings_of_all_arrangements_count_for_the_repeatability():
+    """The sample's last reading, through the other entrance, is 5 % brighter than the frames it repeats; the assumption counts once."""
     frames = rig_emulated.frames()
-    looks = np.flatnonzero(frames["purpose"].values == "drift")
-    arrangements = list(zip(frames["load"].values[looks], frames["incidence"].values[looks], strict=True))
-    # Each group of looks has the frame of its bracket beside.
+    readings = np.flatnonzero(frames["purpose"].values == "drift")
+    arrangements = list(zip(frames["load"].values[readings], frames["incidence"].values[readings], strict=True))
+    # Each group of readings repeats a frame of its bracket.
     count = arrangements.count(arrangements[-1]) + 1
-    # The spots of the target are too dim to tell.
+    # The spots of the target are too dim to count.
     freedom = len([load for load, _ in arrangements if load != "target"])
     assert len(set(arrangements)) > 2
-    steady, told = _repeat_of(frames, incidence=10.0)
-    assert not told
+    steady, warnings = _repeat_of(frames, incidence=10.0)
+    assert not warnings
     assert steady < 1.5 * REPEAT_U / np.sqrt(freedom + 1)
     centre = screen.to_pixel(rig_emulated.plan().rig.screen, *rig_emulated.plan().rig.screen.reference)
     rows, columns = np.mgrid[:240, :320]
     away = np.hypot(columns - centre[0], rows - centre[1]) > 15
     bright = frames.copy(deep=True)
-    counts = bright["counts"].values[looks[-1]].astype(float)
-    bright["counts"][looks[-1]] = np.rint(np.where(away, 100 + 1.05 * (counts - 100), counts)).astype(np.uint16)
-    wobble, told = _repeat_of(bright, incidence=10.0)
-    assert not told
+    counts = bright["counts"].values[readings[-1]].astype(float)
+    bright["counts"][readings[-1]] = np.rint(np.where(away, 100 + 1.05 * (counts - 100), counts)).astype(np.uint16)
+    wobble, warnings = _repeat_of(bright, incidence=10.0)
+    assert not warnings
     scatter = 0.05**2 * (count - 1) / count
     assert wobble == pytest.approx(np.sqrt((scatter + REPEAT_U**2) / (freedom + 1)), rel=0.1)
 
 
-def test_a_rig_that_cannot_tell_how_well_it_repeats_itself_states_what_is_assumed():
+def test_without_usable_monitor_readings_the_assumed_repeatability_is_stated():
     frames = rig_emulated.frames()
     without = rig_emulated.without(frames, purpose="drift")
     dim = frames.copy(deep=True)
@@ -343,40 +349,40 @@ def test_a_rig_that_cannot_tell_how_well_it_repeats_itself_states_what_is_assume
     for place in np.flatnonzero(frames["purpose"].values == "drift"):
         dim["counts"][place] = dark
     for each in (without, dim):
-        repeat, told = _repeat_of(each)
+        repeat, warnings = _repeat_of(each)
         assert repeat == pytest.approx(REPEAT_U)
-        assert len(told) == 1
-        assert "`drift.every`" in told[0]
+        assert len(warnings) == 1
+        assert "`drift.every`" in warnings[0]
 
 
 # --- the lamp
 
 
-def test_looks_and_brackets_tell_of_the_lamp_as_it_was():
-    """The emulated lamp is known, its warming up and its wandering: light over it is the same at all times, but for noise."""
+def test_monitor_readings_and_brackets_follow_the_lamp():
+    """The drift of the emulated lamp is known: reference light over it is constant within noise."""
     effects = Effects(warm_up=0.5)
     frames, plan = rig_emulated.frames(effects=effects), rig_emulated.plan()
     lamp = Source(plan.rig, effects, 1, 0).lamp
     z = {wavelength: [] for wavelength in rig_emulated.WAVELENGTHS}
     for incidence in rig_emulated.INCIDENCES:
-        found = reduced(frames, incidence=incidence)
-        looks = frames.isel(frame=(frames["purpose"].values == "drift") & (frames["incidence"].values == incidence))
-        assert found["drift_elapsed"].values.tolist() == looks["elapsed"].values.tolist() != []
-        assert (found["drift_wavelength"].values == plan.drift.wavelength).all()
+        measured = reduced(frames, incidence=incidence)
+        readings = frames.isel(frame=(frames["purpose"].values == "drift") & (frames["incidence"].values == incidence))
+        assert measured["drift_elapsed"].values.tolist() == readings["elapsed"].values.tolist() != []
+        assert (measured["drift_wavelength"].values == plan.drift.wavelength).all()
         for place, wavelength in enumerate(rig_emulated.WAVELENGTHS):
-            z[wavelength] += [[found[name].values[0, place] for name in ("elapsed", "reference", "reference_u")]]
+            z[wavelength] += [[measured[name].values[0, place] for name in ("elapsed", "reference", "reference_u")]]
         z[plan.drift.wavelength] += np.transpose(
-            [found[f"drift_{name}"].values for name in ("elapsed", "reference", "reference_u")]
+            [measured[f"drift_{name}"].values for name in ("elapsed", "reference", "reference_u")]
         ).tolist()
-    for told in z.values():
-        time, light, u = np.array(told).T
+    for readings in z.values():
+        time, light, u = np.array(readings).T
         assert np.ptp(lamp(time)) > 4 * np.median(u / light)
         level = light / lamp(time)
         mean = np.average(level, weights=(light / u) ** 2)
         assert np.abs((level / mean - 1) / (u / light)).max() < 4
 
 
-def test_filters_before_the_reference_make_the_lamp_as_uncertain_as_they_are():
+def test_filters_before_the_reference_add_their_uncertainty_to_the_lamp():
     rig = replace(rig_emulated.plan().rig, nd_location="reference")
     both = reduce(rig_emulated.frames(of="reference"), rig, incidence=30.0)
     relative = (both["reference_u"] / both["reference"]).values
@@ -385,12 +391,12 @@ def test_filters_before_the_reference_make_the_lamp_as_uncertain_as_they_are():
     assert relative.min() > 0.02 * np.sqrt(2) / 4 * 0.95
 
 
-def test_an_entrance_without_a_look_tells_of_none(sample):
-    found = reduced(rig_emulated.without(rig_emulated.frames(), purpose="drift").assign_attrs(drift_tolerance=0.05))
-    assert found.attrs["drift_tolerance"] == 0.05
-    assert not [name for name in found.variables if str(name).startswith("drift_")]
-    assert found["reference"].values == pytest.approx(sample["reference"].values)
-    assert found["elapsed"].values == pytest.approx(sample["elapsed"].values)
+def test_an_entrance_without_monitor_readings_has_no_drift_variables(sample):
+    measured = reduced(rig_emulated.without(rig_emulated.frames(), purpose="drift").assign_attrs(drift_tolerance=0.05))
+    assert measured.attrs["drift_tolerance"] == 0.05
+    assert not [name for name in measured.variables if str(name).startswith("drift_")]
+    assert measured["reference"].values == pytest.approx(sample["reference"].values)
+    assert measured["elapsed"].values == pytest.approx(sample["elapsed"].values)
 
 
 # --- from files
@@ -419,8 +425,8 @@ def run(tmp_path):
     for place, shot in enumerate(plan.shots):
         picture = Picture(taken["counts"].values[place], float(taken["elapsed"].values[place]), shot.exposure, 20.0)
         state = files.State(shot.wavelength, shot.position)
-        told = {"state": state, "origin": 0.0, "camera": "emulated camera"}
-        files.write_frame(tmp_path / "frames" / shot.name, picture, shot, plan, **told)
+        options = {"state": state, "origin": 0.0, "camera": "emulated camera"}
+        files.write_frame(tmp_path / "frames" / shot.name, picture, shot, plan, **options)
     return tmp_path, plan
 
 
@@ -445,19 +451,19 @@ def spoil(path, how: str, other=None) -> None:
 
 
 @pytest.mark.parametrize("how", ["cut off", "a bit turned", "of another wavelength", "gone"])
-def test_a_spoiled_file_is_named_with_what_it_leaves_uncovered_and_the_others_are_used(run, how):
+def test_a_corrupt_file_is_named_and_the_other_frames_are_used(run, how):
     folder, plan = run
     whole = reduce(files.read_run(folder), plan.rig)
     name = frame_of(plan, 470.0, 10.0, 1)
     spoil(folder / "frames" / name, how, folder / "frames" / frame_of(plan, 550.0, 10.0, 1))
-    found = reduce(files.read_run(folder), plan.rig)
-    told = " ".join(vocabulary.warnings(found))
-    assert name in told or how == "gone"
-    assert "no bracket step 4 (sample: 470 nm)" in told
-    u = np.sqrt(sum(found[f"signal_u_{each}"].values ** 2 for each in COMPONENTS))
-    error = np.abs(found["signal"].values - whole["signal"].values) / u
+    measured = reduce(files.read_run(folder), plan.rig)
+    warnings = " ".join(vocabulary.warnings(measured))
+    assert name in warnings or how == "gone"
+    assert "no bracket step 4 (sample: 470 nm)" in warnings
+    u = np.sqrt(sum(measured[f"signal_u_{each}"].values ** 2 for each in COMPONENTS))
+    error = np.abs(measured["signal"].values - whole["signal"].values) / u
     assert np.nanmax(error) < 6
-    assert np.isfinite(found["signal"].values).sum() == np.isfinite(whole["signal"].values).sum()
+    assert np.isfinite(measured["signal"].values).sum() == np.isfinite(whole["signal"].values).sum()
 
 
 def test_a_run_without_its_dark_frames_is_refused(run):
@@ -468,7 +474,7 @@ def test_a_run_without_its_dark_frames_is_refused(run):
         reduce(files.read_run(folder), plan.rig)
 
 
-def test_an_arrangement_without_a_frame_is_refused_with_the_files_that_were_lost_and_what_to_do(run):
+def test_an_arrangement_without_a_frame_is_refused_with_the_lost_files_and_the_remedy(run):
     folder, plan = run
     for path in (folder / "frames").glob("*-sample-*"):
         spoil(path, "cut off")

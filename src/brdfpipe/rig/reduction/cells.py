@@ -109,6 +109,11 @@ def weights(rig: Rig, screen: Screen) -> sparse.csr_array:
     return sparse.csr_array(sparse.vstack([_fibres(rig, screen), _disc(rig, screen)]))
 
 
+def cell_sums(weights: sparse.csr_array, pictures: Array) -> Array:
+    """Sums of pictures (picture, y, x) over cells, (picture, cell)."""
+    return np.asarray((weights @ pictures.reshape(len(pictures), -1).T).T, dtype=float)
+
+
 def disk(camera: CameraSettings, column: float, row: float, radius: float) -> sparse.csr_array:
     """Share of each pixel within a radius [pixel] of a point of the picture, (1, pixels)."""
     height, width = camera.height, camera.width
