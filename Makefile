@@ -13,7 +13,7 @@ ifneq ($(shell cat $(VENV)/.place 2>/dev/null),$(CURDIR))
 $(VENV)/bin/python $(VENV)/.runtime $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers: moved
 endif
 
-.PHONY: moved help catalogue check instruments peers test test-full lint format lock examples benchmark rig-accuracy clean
+.PHONY: moved help catalogue check instruments peers test test-full lint format lock keys examples benchmark rig-accuracy clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -46,6 +46,9 @@ format: $(VENV)/.dev  ## format the sources
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/snakefmt Snakefile workflow
+
+keys: $(VENV)/.runtime  ## write templates, editor schemas and key tables anew, from the declared keys
+	@$(BIN)/python -m brdfpipe.catalogue.generated_files
 
 examples: $(VENV)/.runtime  ## write the synthetic example materials anew, from their seeds
 	@$(BIN)/python examples/generate.py

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import pytest
 import samples
-import yaml
 
-from brdfpipe import appearance, catalogue, flakes, installation, store, vocabulary
+from brdfpipe import appearance, catalogue, flakes, store, vocabulary
 from brdfpipe.appearance.haze import WINDOWS
 from brdfpipe.bsdf import flake
+from brdfpipe.catalogue.config_keys import Appearance
+from brdfpipe.descriptions.reading import declared
 from brdfpipe.errors import InputError
 from brdfpipe.flakes import SETS
 
 
 def test_the_configuration_offers_every_set_of_geometries_and_no_other():
-    schema = yaml.safe_load(
-        (installation.project_folder() / "config" / "schemas" / "config.schema.yaml").read_text("utf-8")
-    )
-    offered = schema["properties"]["appearance"]["properties"]["geometries"]["items"]["enum"]
-    assert sorted(offered) == sorted(SETS)
+    items = get_args(declared(Appearance, ["geometries"]).annotation)[0]
+    assert sorted(declared(items).choices) == sorted(SETS)
 
 
 def test_the_configuration_s_own_windows_are_those_of_the_function():

@@ -7,13 +7,14 @@ import re
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import pytest
-import yaml
 
-from brdfpipe import installation
-from brdfpipe.catalogue import catalogue
+from brdfpipe import catalogue
+from brdfpipe.catalogue import material_keys
+from brdfpipe.catalogue.config_keys import Config
 from brdfpipe.comparison.measured_predicted import PRIOR_U
+from brdfpipe.descriptions import reading
+from brdfpipe.descriptions.keys import Keys
 from brdfpipe.errors import InputError
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
@@ -81,7 +82,10 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         ),
         (COLOUR.replace("50,", "-1,"), "spectrum.lab.0"),
         (COLOUR + "exports: astm", r"accepted: a list: \[astm\]"),
-        (FRONT + "slab: {}", "slab: the key 'thickness' is missing; accepted: thickness of the body in mm"),
+        (
+            FRONT + "slab: {}",
+            "slab: the key 'thickness' is missing; accepted: thickness of the body \\[mm\\], above 0 and at most 1000",
+        ),
         (FRONT + "slab: {thickness: 0}", "slab.thickness: not an accepted value; found 0"),
         (
             FRONT + "slab: {thickness: 1, back: rough}",
@@ -107,11 +111,11 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         (COLOUR + "slab: {thickness: 1}", "the key 'surface' is missing"),
         (
             FRONT + COLOUR + "slab: {thickness: 1}",
-            "`slab` and `spectrum` stand together: a clear body has no diffuse base",
+            "`slab` and `spectrum` exclude each other: a clear body has no diffuse base",
         ),
         (
             FRONT + "slab: {thickness: 1}\nmodel: {masking: blinn}",
-            "model.masking: this masking does not keep energy where",
+            "model.masking: this masking does not conserve energy where",
         ),
         (FRONT + "slab: {thickness: 1}\nmodel: {recipe: crf}", "found 'crf'; accepted: height-correlated, separable"),
         (FRONT + "slab: {thickness: 1}\nmodel: {diffuse: coupled}", "model.diffuse: a clear body has no diffuse base"),
@@ -130,7 +134,7 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         (COLOUR + "model: {recipe: crf, masking: crf}", "either `recipe` or `masking`$"),
         (
             COLOUR + "model: {multiple_scattering: compensated, masking: blinn}",
-            "model.masking: what this masking loses cannot be compensated.*found 'blinn'",
+            "model.masking: `multiple_scattering: compensated` needs a masking that conserves energy; found 'blinn'",
         ),
         (COLOUR + "exports: [zemax]", "exports.0"),
         (COLOUR + "name: a b", "name"),
@@ -195,24 +199,26 @@ def test_a_recipe_is_told_alone(tmp_path: Path) -> None:
     assert catalogue.load(tmp_path).spec("m", "predicted") == {"recipe": "crf"}
 
 
-def test_the_schema_offers_what_the_model_has() -> None:
-    from brdfpipe.bsdf.microfacet import builder as microfacet
-    from brdfpipe.bsdf.microfacet import microsurface
+def choices(model: type[Keys], key: str) -> set[str | int]:
+    return set(reading.declared(model, [key]).choices)
+
+
+def test_the_keys_offer_what_the_model_has() -> None:
+    from brdfpipe.bsdf.microfacet import builder, microsurface
     from brdfpipe.bsdf.slab import builder as slab
     from brdfpipe.optics.interior import PER_MM
 
-    path = installation.project_folder() / "config" / "schemas" / "material.schema.yaml"
-    schema = yaml.safe_load(path.read_text())
-    offered = {key: set(part["enum"]) for key, part in schema["properties"]["model"]["properties"].items()}
+    offered = {key: choices(material_keys.Model, key) for key in material_keys.Model.declared_keys()}
     assert offered == {
         "masking": set(microsurface.MASKINGS),
-        "diffuse": set(microfacet.DIFFUSE_MODES),
-        "multiple_scattering": set(microfacet.MULTIPLE_SCATTERING_MODES),
-        "recipe": set(microfacet.RECIPES),
+        "diffuse": set(builder.DIFFUSE_MODES),
+        "multiple_scattering": set(builder.MULTIPLE_SCATTERING_MODES),
+        "recipe": set(builder.RECIPES),
     }
-    assert set(schema["$defs"]["absorption_file"]["properties"]["unit"]["enum"]) == set(PER_MM)
-    assert {name: choices["masking"] for name, choices in microfacet.RECIPES.items()} == catalogue.RECIPE_MASKING
-    assert catalogue.TRANSMITTING_MASKING == slab.MASKING
+    assert choices(material_keys.AbsorptionFile, "unit") == set(PER_MM)
+    recipes = {name: recipe["masking"] for name, recipe in builder.RECIPES.items()}
+    assert recipes == material_keys.RECIPE_MASKING
+    assert slab.MASKING == material_keys.TRANSMITTING_MASKING
 
 
 def test_an_unknown_illuminant_is_refused_before_a_build(tmp_path: Path) -> None:
@@ -327,7 +333,7 @@ def test_stages_are_told_one_spelling(tmp_path: Path, unit: str) -> None:
         (["Material.YAML"], "Material.YAML is not read; rename it to material.yaml"),
         (["material.yaml.txt"], "material.yaml.txt is not read; rename it to material.yaml"),
         (["scan.x3p"], "scan.x3p but no material.yaml; `brdfpipe new`"),
-        (["raw/material.yaml"], "material.yaml lies one folder deeper, in raw"),
+        (["raw/material.yaml"], "material.yaml is one folder too deep, in raw"),
     ],
 )
 def test_a_folder_that_looks_like_a_material_and_is_none_is_told(tmp_path: Path, files: list[str], told: str) -> None:
@@ -383,7 +389,7 @@ def test_colours_at_several_geometries_are_a_material_and_their_own_route(tmp_pa
     assert loaded.spec("m", "bsdf") == {"route": "flake"}
     assert loaded.spec("m", "flake") == {"form": "gaussian", "index": 1.5, "model": "flake"}
     assert set(loaded.spec("m", "multiangle")) == {"colours", "illuminant", "observer"}
-    assert catalogue.parts(loaded["m"]) == ["multiangle 3 colours"]
+    assert catalogue.summary_words(loaded["m"]) == ["multiangle 3 colours"]
     catalogue.check_formats(loaded["m"])
 
 
@@ -429,12 +435,12 @@ def test_a_configuration_may_say_only_what_differs_within_a_part(
     assert catalogue.load_config(own) == {**common, part: {**common[part], **said}}
 
 
-def test_the_projects_own_configuration_says_every_key() -> None:
-    schema = yaml.safe_load((installation.project_folder() / "config/schemas/config.schema.yaml").read_text())
+def test_the_projects_own_configuration_states_every_key() -> None:
     config = catalogue.load_config()
-    assert set(config) == set(schema["properties"])
-    for key, part in schema["properties"].items():
-        assert set(part.get("properties", {})) <= set(config[key]) if isinstance(config[key], dict) else True
+    assert set(config) == set(Config.declared_keys())
+    for key, value in config.items():
+        if isinstance(value, dict):
+            assert set(value) == set(reading.keys_of(Config.declared_keys()[key].annotation)), key
 
 
 def test_a_comparison_is_told_how_well_its_inputs_are_known(tmp_path: Path) -> None:
@@ -463,7 +469,7 @@ def test_an_uncertainty_of_an_input_that_is_none_is_refused(tmp_path: Path, u: s
 def test_a_haze_window_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, window: str, problem: str) -> None:
     own = tmp_path / "own.yaml"
     own.write_text(f"appearance: {{haze: [{{angle: 20, offset: 1.9, aperture: [1.8, 3.6]}}, {window}]}}\n")
-    with pytest.raises(InputError, match=rf"own\.yaml, appearance\.haze\.1: .*{problem}"):
+    with pytest.raises(InputError, match=rf"own\.yaml, line 1, appearance\.haze\.1: .*{problem}"):
         catalogue.load_config(own)
 
 
@@ -490,7 +496,7 @@ def test_an_index_without_k_is_answered_with_its_own_number(tmp_path: Path, inde
 def test_what_a_search_alone_needs_is_refused_elsewhere(tmp_path: Path, said: str) -> None:
     write(tmp_path, "m", COLOUR.replace("geometry", f"{said}, geometry"))
     key = said.split(", ")[-1].split(":")[0]
-    assert f"spectrum.{key}: not an accepted value" in (why := catalogue.load(tmp_path).failures["m"])
+    assert f"line 1, spectrum.{key}: no effect, because `method: " in (why := catalogue.load(tmp_path).failures["m"])
     assert f"`{key}` goes with `method: random4` or `adaptive4`" in why
 
 
@@ -504,26 +510,6 @@ def test_a_wrong_configuration_is_refused(tmp_path: Path) -> None:
     own.write_text("gloss_angle: [20]\n")
     with pytest.raises(InputError, match="did you mean 'gloss_angles'"):
         catalogue.load_config(own)
-
-
-def test_the_schemas_are_valid_and_document_every_key() -> None:
-    for path in (installation.project_folder() / "config" / "schemas").glob("*.yaml"):
-        schema = yaml.safe_load(path.read_text())
-        jsonschema.Draft202012Validator.check_schema(schema)
-        definitions = schema.get("$defs", {})
-        for block in [schema, *definitions.values()]:
-            for key, part in block.get("properties", {}).items():
-                described = (
-                    definitions[part["$ref"].rpartition("/")[2]]
-                    if "$ref" in part and "description" not in part
-                    else part
-                )
-                assert described.get("description"), f"{path.name}: {key}"
-
-
-def test_the_schema_and_the_catalogue_agree_on_names() -> None:
-    path = installation.project_folder() / "config" / "schemas" / "material.schema.yaml"
-    assert yaml.safe_load(path.read_text())["properties"]["name"]["pattern"] == f"^{catalogue.NAME}$"
 
 
 def test_formats_are_checked_without_reading(tmp_path: Path) -> None:
@@ -593,10 +579,9 @@ def test_angles_that_would_fail_every_material_are_refused_once(tmp_path: Path, 
         catalogue.load_config(own)
 
 
-def test_every_key_of_a_scan_is_told_to_the_stage_that_reads_it() -> None:
-    schema = yaml.safe_load((installation.project_folder() / "config/schemas/material.schema.yaml").read_text())
-    keys = set(schema["$defs"]["measured_surface"]["properties"])
-    assert keys - set(catalogue.SURFACE_STAGE_KEYS) == {"isotropic", "method", "scans"}
+def test_every_key_of_a_scan_names_the_stage_that_reads_it() -> None:
+    surface = material_keys.MeasuredSurface
+    assert {*surface.read_by("surface"), *surface.read_by("facets"), "scans"} == set(surface.declared_keys())
 
 
 def test_a_missing_further_scan_is_named(tmp_path: Path) -> None:

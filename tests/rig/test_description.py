@@ -41,8 +41,8 @@ def test_a_moved_fibre_is_another_instrument(rig_file, rig):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("position: 2", "position: 1", ["position of the wheel stands twice", "filters"]),
-        ("position: 3", "position: 9", ["beyond the wheel", "9", "1 to 6"]),
+        ("position: 2", "position: 1", ["two filters at one position of the wheel", "filters"]),
+        ("position: 3", "position: 9", ["position that the wheel does not have", "9", "1 to 6"]),
         ("entrances: [0, 10, 20, 45]", "entrances: [0, 20]", ["etalon_entrance", "no such entrance", "0, 20"]),
         ("/dev/ttyUSB1", "/dev/ttyUSB0", ["two devices on one port"]),
         ("nd_location: sample", "nd_location: lamp", ["nd_location", "'lamp'", "sample, reference"]),
@@ -78,7 +78,7 @@ def test_a_filter_that_is_not_there_is_named(rig):
         ("name,theta_s,phi_s,x,y\n\nA,1,2,3,4\nB,1,two,3,4\n", ["line 4", "phi_s", "'two'"]),
         ("name,theta_s,phi_s,x,y\nA,nan,2,3,4\n", ["line 2", "theta_s", "nan"]),
         ("name,theta_s,phi_s,x,y\nA,181,2,3,4\n", ["line 2", "0 to 180"]),
-        ("name,theta_s,phi_s,x,y\nA,1,2,3,4\nA,2,2,3,4\n", ["stands twice", "A"]),
+        ("name,theta_s,phi_s,x,y\nA,1,2,3,4\nA,2,2,3,4\n", ["duplicate fibre name", "A"]),
     ],
 )
 def test_a_wrong_table_of_fibres_is_refused_by_line(tmp_path, text, words):

@@ -6,9 +6,7 @@ import ast
 import json
 import re
 import shlex
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
-from functools import cache
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +14,11 @@ import click
 import numpy as np
 import pytest
 import small_rig
-import yaml
 
 import brdfpipe
 from brdfpipe.cli import main as cli
 from brdfpipe.cli import rig as commands
-from brdfpipe.rig import description, frames
+from brdfpipe.rig import description, frames, rig_keys
 from brdfpipe.rig.acquisition import scan
 from brdfpipe.rig.acquisition.devices import connection as devices
 from brdfpipe.rig.acquisition.devices import line
@@ -82,107 +79,13 @@ def words(cell: str) -> list[str]:
     return re.findall(r"`([^`]*)`", cell)
 
 
-# --- keys of the descriptions
-
-
-@dataclass(frozen=True)
-class Key:
-    """A key of a schema that takes a value."""
-
-    schema: Mapping[str, Any]
-    required: bool
-    """In every branch of the schema, with the keys it stands in."""
-
-
-@cache
-def keys(name: str, part: str = "") -> dict[str, Key]:
-    """Every key of a schema that takes a value, with those of lists and of branches, as ``filters.position``."""
-    root = yaml.safe_load((PROJECT / "config" / "schemas" / f"{name}.schema.yaml").read_text(encoding="utf-8"))
-    found: dict[str, Key] = {}
-    for key, own in _leaves(root, root, "", True):
-        required = own.required and found.get(key, own).required
-        found[key] = Key({**found.get(key, own).schema, **own.schema}, required)
-    return {key: own for key, own in found.items() if key.startswith(part)}
-
-
-def _leaves(schema: Mapping[str, Any], root: Mapping[str, Any], prefix: str, sure: bool) -> Iterator[tuple[str, Key]]:
-    for holder, always in _holders(schema, root):
-        for key, part in holder.get("properties", {}).items():
-            part, required = _resolved(part, root), sure and always and key in holder.get("required", [])
-            below = list(_leaves(part, root, f"{prefix}{key}.", required))
-            if not below or part.get("type") not in ("object", "array"):
-                yield f"{prefix}{key}", Key(part, required)
-            yield from below
-
-
-def _holders(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Iterator[tuple[Mapping[str, Any], bool]]:
-    """A schema, those of its branches, which may or may not apply, and of the items of a list."""
-    yield schema, True
-    for word in ("then", "else"):
-        if word in schema:
-            for each, _ in _holders(_resolved(schema[word], root), root):
-                yield each, False
-    if isinstance(schema.get("items"), dict):
-        yield from _holders(_resolved(schema["items"], root), root)
-
-
-def _resolved(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:
-    if "$ref" not in schema:
-        return schema
-    own = {key: value for key, value in schema.items() if key != "$ref"}
-    return {**root["$defs"][schema["$ref"].removeprefix("#/$defs/")], **own}
-
-
-DESCRIPTIONS = [
-    ("rig", "rig.yaml", "Key", ""),
-    ("plan", "plan.yaml", "Key", ""),
-    ("calibration", "calibration.yaml", "Key", ""),
-    ("certificate", "certificate.yaml", "Key", ""),
-    ("material", "From a run to a BSDF", "Key in material.yaml", "rig."),
-]
-
-
-@pytest.mark.parametrize(("schema", "title", "first", "part"), DESCRIPTIONS)
-def test_every_key_stands_in_its_table_once_and_no_other(schema, title, first, part):
-    documented = [key for row in rows(section(title), first) for key in words(row[first])]
-    assert sorted(documented) == sorted(keys(schema, part))
-
-
-@pytest.mark.parametrize(("schema", "title", "first", "part"), DESCRIPTIONS)
-def test_defaults_are_those_of_the_schema(schema, title, first, part):
-    known = keys(schema, part)
-    compared = 0
-    for row in rows(section(title), first):
-        names, told = words(row[first]), words(row["Default"])
-        for place, name in enumerate(names):
-            own = known[name]
-            if "default" in own.schema:
-                said = told[place] if len(told) == len(names) else told[0]
-                assert yaml.safe_load(said) == own.schema["default"], name
-                compared += 1
-            elif own.required:
-                assert row["Default"].startswith("needed"), name
-            else:
-                assert row["Default"], name
-    assert compared == sum("default" in own.schema for own in known.values())
-
-
-@pytest.mark.parametrize(("schema", "title", "first", "part"), DESCRIPTIONS)
-def test_accepted_words_are_named(schema, title, first, part):
-    for row in rows(section(title), first):
-        text = " ".join(row.values())
-        for name in words(row[first]):
-            own = keys(schema, part)[name].schema
-            listed = own.get("enum") or own.get("items", {}).get("enum", [])
-            for word in listed:
-                if isinstance(word, str):
-                    assert f"`{word}`" in text, (name, word)
+# --- keys of the descriptions; tests/catalogue/test_generated_files.py compares the tables
 
 
 def test_the_speeds_of_lines_are_those_of_the_dialects():
     (row,) = [row for row in rows(section("rig.yaml"), "Key") if "wheel.baud" in row["Key"]]
-    told = {word: int(part.split()[0]) for part in row["Default"].split(";") for word in words(part)}
-    assert told == description.BAUD
+    documented = {word: int(part.split()[0]) for part in row["Default"].split(";") for word in words(part)}
+    assert documented == rig_keys.BAUD
 
 
 def test_the_wiring_has_every_dialect():

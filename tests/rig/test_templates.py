@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
-import yaml
 
 from brdfpipe import installation, specular_directions
 from brdfpipe.errors import InputError
 from brdfpipe.rig import screen
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.plan import Plan
+from brdfpipe.rig.plan_keys import PlanKeys
+from brdfpipe.rig.rig_keys import RigKeys
 from brdfpipe.rig.templates import MOST, start
 
 
@@ -78,33 +80,15 @@ def test_nothing_is_overwritten(tmp_path):
     assert (tmp_path / "plan.yaml").read_text() == "mine"
 
 
-def keys(content, prefix=""):
-    """Every key of a description; those of a list's items stand once."""
-    if isinstance(content, dict):
-        for key, value in content.items():
-            yield f"{prefix}{key}"
-            yield from keys(value, f"{prefix}{key}.")
-    elif isinstance(content, list):
-        for item in content[:1]:
-            yield from keys(item, prefix)
+@pytest.mark.parametrize(("name", "keys"), [("rig", RigKeys), ("plan", PlanKeys)])
+def test_every_key_is_in_the_template(name, keys):
+    text = (installation.project_folder() / "config" / f"{name}.template.yaml").read_text()
+    for key in keys.declared_keys():
+        assert re.search(rf"^(# )?{key}:", text, re.MULTILINE), key
 
 
-@pytest.mark.parametrize("name", ["rig", "plan"])
-def test_every_key_of_the_schema_stands_in_the_template(name):
-    config = installation.project_folder() / "config"
-    schema = yaml.safe_load((config / "schemas" / f"{name}.schema.yaml").read_text())
-    text = (config / f"{name}.template.yaml").read_text()
-    for key in schema["properties"]:
-        # `etalon_entrances` of a plan, as the other finer points, is explained in the schema alone.
-        assert re.search(rf"^(# )?{key}:", text, re.MULTILINE) or key == "etalon_entrances", key
-
-
-def test_every_line_of_a_value_is_explained():
-    text = (installation.project_folder() / "config" / "rig.template.yaml").read_text()
-    plain = [
-        line for line in text.splitlines()
-        if re.match(r"\s+\w+: ", line) and "#" not in line and not line.lstrip().startswith("#")
-    ]  # fmt: skip
-    # What its name says in full.
-    words = ("port: /dev", "baud:", "height:", "folder:", "fibre_radius:", "reference_radius:")
-    assert [line for line in plain if not line.strip().startswith(words)] == []
+def test_every_value_of_the_templates_has_a_comment_behind_or_above_it():
+    for name in ("rig", "plan"):
+        lines = (installation.project_folder() / "config" / f"{name}.template.yaml").read_text().splitlines()
+        for above, line in pairwise(lines):
+            assert not re.match(r"\s*\w+:", line) or "#" in line or above.lstrip().startswith("#"), line

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-import yaml
 
-from brdfpipe import installation
+from brdfpipe.catalogue.material_keys import MeasuredSurface
+from brdfpipe.descriptions.reading import declared
 from brdfpipe.errors import InputError
 from brdfpipe.store import open_dataset, save_dataset
 from brdfpipe.surfaces import high_pass, ingest, level, low_pass, read_surface, write_x3p
@@ -74,14 +74,12 @@ def test_an_impossible_cutoff_names_its_key(
         ingest(tmp_path / "map.x3p", spec)
 
 
-def test_the_schema_knows_the_formats_the_forms_and_every_key() -> None:
-    path = installation.project_folder() / "config" / "schemas" / "material.schema.yaml"
-    keys = yaml.safe_load(path.read_text(encoding="utf-8"))["$defs"]["measured_surface"]["properties"]
-    assert set(keys["format"]["enum"]) == set(FORMATS)
-    assert set(keys["form"]["enum"]) == set(FORMS)
+def test_the_keys_of_a_material_know_the_formats_the_forms_and_every_option() -> None:
+    assert set(declared(MeasuredSurface, ["format"]).choices) == set(FORMATS)
+    assert set(declared(MeasuredSurface, ["form"]).choices) == set(FORMS)
     options = {option for known in FORMATS.values() for option in known.options}
     reading = {"file", "format", "form", "lambda_s", "lambda_c"} | options
-    assert set(keys) == reading | {"isotropic", "method", "azimuth", "scans"}
+    assert set(MeasuredSurface.declared_keys()) == reading | {"isotropic", "method", "azimuth", "scans"}
 
 
 def test_each_extension_tells_one_format() -> None:

@@ -52,7 +52,11 @@ def check(catalogue: Path, config: Path | None) -> int:
 
     Exits with 1 if a material is wrong or needs a reader that is not installed.
     """
-    from brdfpipe.catalogue.catalogue import check_formats, ignored, load, load_config, parts
+    from brdfpipe.catalogue.catalogue import load
+    from brdfpipe.catalogue.configuration import load_config
+    from brdfpipe.catalogue.format_checks import check_formats
+    from brdfpipe.catalogue.ignored_folders import ignored
+    from brdfpipe.catalogue.material import summary_words
     from brdfpipe.jobs import runs
     from brdfpipe.surfaces.reading import check_readable
 
@@ -69,7 +73,7 @@ def check(catalogue: Path, config: Path | None) -> int:
         except BrdfpipeError as refusal:
             lines[material.name] = (str(refusal), False)
         else:
-            lines[material.name] = (f"ok ({', '.join(parts(material))})", True)
+            lines[material.name] = (f"ok ({', '.join(summary_words(material))})", True)
     for name, (message, _) in sorted(lines.items()):
         click.echo(f"{name}: {message}")
     for name, why in ignored(loaded.folder).items():
@@ -85,7 +89,7 @@ def check(catalogue: Path, config: Path | None) -> int:
 @refusing
 def new(name: str, folder: Path) -> int:
     """Start a material NAME: a folder with a commented material.yaml."""
-    from brdfpipe.catalogue.catalogue import start_material
+    from brdfpipe.catalogue.material import start_material
 
     path = start_material(folder, name)
     click.echo(f"Fill in {path}, put the raw files beside it, then run `brdfpipe check {folder}`.")

@@ -24,16 +24,10 @@ from types import FrameType
 from typing import Any
 
 from brdfpipe import installation
-from brdfpipe.catalogue.catalogue import (
-    CALIBRATIONS,
-    DESCRIPTION,
-    RESERVED,
-    RESULT_MARKS,
-    Catalogue,
-    ignored,
-    load,
-    load_config,
-)
+from brdfpipe.catalogue.catalogue import Catalogue, load
+from brdfpipe.catalogue.configuration import load_config
+from brdfpipe.catalogue.ignored_folders import ignored
+from brdfpipe.catalogue.names import CALIBRATIONS, DESCRIPTION, RESERVED, RESULT_MARKS
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs import pool, runs
 

@@ -7,7 +7,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from brdfpipe.catalogue import catalogue
+from brdfpipe.catalogue import names
+from brdfpipe.catalogue.calibration import Calibration
+from brdfpipe.catalogue.catalogue import load
+from brdfpipe.catalogue.configuration import load_config
+from brdfpipe.catalogue.material import Material
 from brdfpipe.jobs import code, pool, runs
 from brdfpipe.jobs.stage import Job
 from brdfpipe.store import canonical_json
@@ -31,9 +35,9 @@ class Stages:
 
     def __init__(self, config: Mapping[str, Any], scripts: Path) -> None:
         if "catalogue" not in config:
-            raise catalogue.CatalogueError("say which catalogue: --config catalogue=/path/to/catalogue")
+            raise names.CatalogueError("say which catalogue: --config catalogue=/path/to/catalogue")
         settings = config.get("settings")
-        loaded = catalogue.load(Path(config["catalogue"]), catalogue.load_config(Path(settings) if settings else None))
+        loaded = load(Path(config["catalogue"]), load_config(Path(settings) if settings else None))
         excluded = dict(config.get("failures") or {})
         self.catalogue = loaded
         self.scripts = scripts
@@ -147,7 +151,7 @@ class Stages:
 
         def spec(wildcards: Any) -> str:
             owner = self._owner(wildcards)
-            told = owner.spec(stage) if isinstance(owner, catalogue.Calibration) else owner.spec(stage, {})
+            told = owner.spec(stage) if isinstance(owner, Calibration) else owner.spec(stage, {})
             if stage == "reduced":
                 told |= {"load": wildcards.load, "side": wildcards.side, "incidence": float(wildcards.incidence)}
             return canonical_json(told)
@@ -180,7 +184,7 @@ class Stages:
         """Whether what the rig measured of a material is compared with what its surface predicts."""
         return self._compares(self.catalogue[wildcards.material])
 
-    def _compares(self, material: catalogue.Material) -> bool:
+    def _compares(self, material: Material) -> bool:
         if not (material.has("rig") and material.has("surface")):
             return False
         # A perfectly flat surface mirrors light into one direction, of which no cell shows a BRDF.
@@ -201,19 +205,19 @@ class Stages:
         previous = self.catalogue.calibrations[wildcards.calibration].previous
         return f"calibrations/{previous}.nc" if previous else []
 
-    def _owner(self, wildcards: Any) -> catalogue.Material | catalogue.Calibration:
+    def _owner(self, wildcards: Any) -> Material | Calibration:
         name = wildcards.get("calibration")
         return self.catalogue[wildcards.material] if name is None else self.catalogue.calibrations[name]
 
     def _rig(self, wildcards: Any) -> Mapping[str, Any]:
         owner = self._owner(wildcards)
-        return owner.content if isinstance(owner, catalogue.Calibration) else owner.content["rig"]
+        return owner.content if isinstance(owner, Calibration) else owner.content["rig"]
 
     def _run(self, wildcards: Any) -> runs.Run:
         return self.runs[runs.place(self._owner(wildcards))]
 
 
-def _files_of(material: catalogue.Material) -> list[str]:
+def _files_of(material: Material) -> list[str]:
     exports = [f"exports/{material.name}.lambert_gauss.csv"]
     if "astm" in material.exports:
         exports += [f"exports/{material.name}.astm", f"exports/{material.name}.total_reflectance.csv"]
@@ -223,7 +227,7 @@ def _files_of(material: catalogue.Material) -> list[str]:
     return [*(f"{stage}.nc" for stage in _stages_of(material)), "report.html", *exports]
 
 
-def _stages_of(material: catalogue.Material) -> list[str]:
+def _stages_of(material: Material) -> list[str]:
     own = {"surface": "surface" in material.files, "facets": material.has("surface")}
     own |= {"back_surface": "back_surface" in material.files, "back_facets": material.has("back")}
     own |= {part: material.has(part) for part in ("index", "spectrum", "multiangle", "predicted")}
@@ -235,7 +239,7 @@ def _stages_of(material: catalogue.Material) -> list[str]:
 def _of(wildcards: Any) -> str:
     """Whose stage it is, for its log and its failure: a material, ``calibrations.NAME``, or the catalogue."""
     if (calibration := wildcards.get("calibration")) is not None:
-        return f"{catalogue.CALIBRATIONS}.{calibration}"
+        return f"{names.CALIBRATIONS}.{calibration}"
     return str(wildcards.get("material", "catalogue"))
 
 

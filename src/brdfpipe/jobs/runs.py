@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from brdfpipe.catalogue.catalogue import CALIBRATIONS, Calibration, Catalogue, Material
+from brdfpipe.catalogue.calibration import Calibration
+from brdfpipe.catalogue.catalogue import Catalogue
+from brdfpipe.catalogue.material import Material
+from brdfpipe.catalogue.names import CALIBRATIONS
 from brdfpipe.errors import BrdfpipeError, InputError
 
 if TYPE_CHECKING:

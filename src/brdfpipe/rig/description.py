@@ -1,4 +1,4 @@
-"""A camera rig as its laboratory describes it: ``rig.yaml`` and the table of its fibres.
+"""A camera rig as its laboratory describes it: ``rig.yaml`` and the table of its fibres. The keys: :mod:`brdfpipe.rig.rig_keys`.
 
 The rig of the Keldysh preprint: monochromator → splitter with the reference fibre → neutral filters → one of the entrances σ →
 sample at the centre of a hemisphere of fibres; a lens maps the directions about the mirror direction onto a frosted disc; disc, ends
@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from brdfpipe import documents, installation, store
+from brdfpipe import documents, store
+from brdfpipe.descriptions import reading
 from brdfpipe.errors import InputError
-
-BAUD = {"acton": 9600, "acton-wheel": 9600, "thorlabs": 115200}
-"""Speed of the line by dialect, where the description says none."""
+from brdfpipe.rig.rig_keys import BAUD, Camera, Monochromator, NeutralFilter, RigKeys, ScreenGeometry, Wheel
 
 COLUMNS = ("name", "theta_s", "phi_s", "x", "y")
 """Columns of the table of fibres: direction about the mirror direction [degree], end on the screen [mm]."""
@@ -30,46 +29,46 @@ MAX_FIBRES = 10_000
 
 @dataclass(frozen=True)
 class SerialSettings:
-    """One device on a serial port, and how it is spoken to."""
+    """One device on a serial port. Defaults are those of the keys in rig.yaml."""
 
     dialect: str
     port: str
     baud: int
-    case: str = "upper"
-    """How words are sent: some units accept only lower case."""
-    serial_number: str = ""
-    """What the device must answer with; empty accepts any."""
-    query_timeout: float = 1.0
+    case: str = Monochromator.default_of("case")
+    """Letter case of commands: some units accept only lower case."""
+    serial_number: str = Monochromator.default_of("serial_number")
+    """Serial number that the device must answer with; empty accepts any."""
+    query_timeout: float = Monochromator.default_of("query_timeout")
     """Seconds."""
-    motion_timeout: float = 30.0
+    motion_timeout: float = Monochromator.default_of("motion_timeout")
     """Seconds."""
-    grating: int = 0
+    grating: int = Monochromator.default_of("grating")
     """Grating to select and verify; 0 leaves the one in place."""
-    speed: float = 0.0
+    speed: float = Monochromator.default_of("speed")
     """Speed of moves [nm/min]; 0 is the device's fastest."""
-    positions: int = 6
+    positions: int = Wheel.default_of("positions")
     """Positions of a wheel."""
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """The camera, its sensor, and how frames are had from it."""
+    """The camera, its sensor and its connection. Defaults are those of the keys in rig.yaml."""
 
     kind: str
     folder: str = ""
     """Absolute."""
     address: str = ""
-    device: int = 0
-    width: int = 320
-    height: int = 240
-    gain: float = 3.0
+    device: int = Camera.default_of("device")
+    width: int = Camera.default_of("width")
+    height: int = Camera.default_of("height")
+    gain: float = Camera.default_of("gain")
     """Electrons per count."""
-    read_noise: float = 20.0
+    read_noise: float = Camera.default_of("read_noise")
     """Electrons."""
-    linear_to: float = 25000.0
-    """Electrons up to which counts are in proportion."""
-    bits: int = 16
-    timeout: float = 60.0
+    linear_to: float = Camera.default_of("linear_to")
+    """Electrons up to which counts are proportional to light."""
+    bits: int = Camera.default_of("bits")
+    timeout: float = Camera.default_of("timeout")
     """Seconds to wait for a frame beyond its exposure."""
 
     @property
@@ -84,13 +83,13 @@ class Filter:
 
     position: int
     transmittance: float
-    u: float = 0.02
+    u: float = NeutralFilter.default_of("u")
     """Relative standard uncertainty of the transmittance."""
 
 
 @dataclass(frozen=True)
 class Fibre:
-    """Where a fibre looks from, about the mirror direction [degree], and where it ends on the screen [mm]."""
+    """Direction of a fibre about the mirror direction [degree], and its end on the screen [mm]."""
 
     name: str
     theta_s: float
@@ -110,7 +109,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Screen:
-    """Where things are on the screen [mm], and how the camera sees it [pixel]; see :mod:`brdfpipe.rig.screen`."""
+    """Geometry of the screen [mm] and of its picture [pixel]; see :mod:`brdfpipe.rig.screen`."""
 
     focal_length: float
     disc_radius: float
@@ -122,7 +121,7 @@ class Screen:
     """Pixels per mm."""
     centre: tuple[float, float]
     """Pixel (column, row) of the screen's origin."""
-    radial: float = 0.0
+    radial: float = ScreenGeometry.default_of("radial")
     """Radial distortion r (1 + radial r²) [1/mm²]."""
 
 
@@ -146,18 +145,18 @@ class Rig:
     target: Target | None
     """``None`` where the laboratory has none."""
     digest: str
-    """Of all that bears on what is measured: geometry, filters, sensor; not of ports and timeouts."""
+    """Digest of geometry, filters and sensor, without ports and timeouts."""
 
     @classmethod
     def load(cls, path: str | Path) -> Rig:
-        """Read and validate ``rig.yaml`` and the fibres' table it names.
+        """Read and validate ``rig.yaml`` and the table of fibres that it names.
 
         Raises
         ------
-        InputError : naming the file, the line, the key, what stands there and what could.
+        InputError : naming the file, the line, the key, what was found and what is accepted.
         """
         path = Path(path)
-        content = documents.read(path, installation.project_folder() / "config" / "schemas" / "rig.schema.yaml")
+        content = reading.read(path, RigKeys)
         fibres = read_fibres(documents.file_beside(path, content["fibres"]["file"], "fibres.file", "the rig's folder"))
         rig = cls(
             name=content["name"],
@@ -185,11 +184,11 @@ class Rig:
         ------
         InputError : the rig has no filter there.
         """
-        for each in self.filters:
-            if each.position == position:
-                return each
-        known = ", ".join(str(each.position) for each in self.filters)
-        raise InputError("rig.yaml", "no filter at this position of the wheel", found=position, accepted=known)
+        for neutral_filter in self.filters:
+            if neutral_filter.position == position:
+                return neutral_filter
+        positions = ", ".join(str(neutral_filter.position) for neutral_filter in self.filters)
+        raise InputError("rig.yaml", "no filter at this position of the wheel", found=position, accepted=positions)
 
 
 def read_fibres(path: Path) -> tuple[Fibre, ...]:
@@ -197,46 +196,48 @@ def read_fibres(path: Path) -> tuple[Fibre, ...]:
 
     Raises
     ------
-    InputError : naming the file, the line, what stands there and what could.
+    InputError : naming the file, the line, what was found and what is accepted.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(path, "not UTF-8 text", where=f"byte {error.start}", accepted="a CSV file") from error
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if _says_something(line)]
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if _is_data(line)]
     if not lines:
-        raise InputError(path, "empty", accepted=f"a line of titles ({', '.join(COLUMNS)}) and a line a fibre")
+        raise InputError(
+            path, "empty", accepted=f"a line of column titles ({', '.join(COLUMNS)}) and one line per fibre"
+        )
     rows = list(csv.reader(io.StringIO("\n".join(line for _, line in lines))))
     titles = [title.strip() for title in rows[0]]
     if sorted(titles) != sorted(COLUMNS):
         raise InputError(
             path,
-            "the titles are not those of fibres",
+            "unknown or missing column titles",
             where=f"line {lines[0][0]}",
             found=", ".join(titles),
             accepted=", ".join(COLUMNS),
         )
     if not 1 <= len(rows) - 1 <= MAX_FIBRES:
-        raise InputError(path, "the number of fibres", found=len(rows) - 1, accepted=f"1 to {MAX_FIBRES}")
+        raise InputError(path, "wrong number of fibres", found=len(rows) - 1, accepted=f"1 to {MAX_FIBRES}")
     fibres = tuple(_fibre(path, number, titles, row) for (number, _), row in zip(lines[1:], rows[1:], strict=True))
     repeated = _repeated(fibre.name for fibre in fibres)
     if repeated:
-        raise InputError(path, "a fibre stands twice", found=repeated, accepted="each name once")
+        raise InputError(path, "duplicate fibre name", found=repeated, accepted="each name once")
     return fibres
 
 
-def _says_something(line: str) -> bool:
+def _is_data(line: str) -> bool:
     return bool(line.strip()) and not line.lstrip().startswith("#")
 
 
 def _fibre(path: Path, line: int, titles: list[str], row: list[str]) -> Fibre:
     where = f"line {line}"
     if len(row) != len(titles):
-        raise InputError(path, "the number of cells", where=where, found=len(row), accepted=str(len(titles)))
+        raise InputError(path, "wrong number of cells", where=where, found=len(row), accepted=str(len(titles)))
     cells = {title: cell.strip() for title, cell in zip(titles, row, strict=True)}
     values = {title: _number(path, where, title, cells[title]) for title in COLUMNS[1:]}
     if not 0 <= values["theta_s"] <= 180:
-        raise InputError(path, "theta_s", where=where, found=cells["theta_s"], accepted="0 to 180 degree")
+        raise InputError(path, "theta_s out of range", where=where, found=cells["theta_s"], accepted="0 to 180 degree")
     return Fibre(name=cells["name"] or f"line-{line}", **values)
 
 
@@ -246,7 +247,7 @@ def _number(path: Path, where: str, title: str, cell: str) -> float:
     except ValueError:
         value = float("nan")
     if not abs(value) < 1e6:
-        raise InputError(path, f"{title} is no number", where=where, found=repr(cell), accepted="a number")
+        raise InputError(path, f"{title} is not a number", where=where, found=repr(cell), accepted="a number")
     return value
 
 
@@ -255,13 +256,9 @@ def _serial(content: Mapping[str, Any]) -> SerialSettings:
 
 
 def _camera(content: Mapping[str, Any], path: Path) -> CameraSettings:
-    """The camera; its folder, if it is no absolute path, lies beside the description."""
-    folder = content.get("folder")
-    return (
-        CameraSettings(**content)
-        if folder is None
-        else CameraSettings(**{**content, "folder": str(path.resolve().parent / folder)})
-    )
+    """The camera; a relative folder is one beside the description."""
+    beside = {"folder": str(path.resolve().parent / content["folder"])} if "folder" in content else {}
+    return CameraSettings(**{**content, **beside})
 
 
 def _target(content: Mapping[str, Any] | None) -> Target | None:
@@ -276,29 +273,35 @@ def _plain(value: Any) -> Any:
 
 
 def _digest(content: Mapping[str, Any], fibres: tuple[Fibre, ...]) -> str:
-    """A digest of the rig as an instrument: two rigs alike but for their ports measure the same."""
-    told = {key: value for key, value in content.items() if key not in ("monochromator", "wheel", "fibres", "camera")}
+    """Digest of the rig as an instrument: rigs that differ in their ports alone measure the same."""
+    optics = {key: value for key, value in content.items() if key not in ("monochromator", "wheel", "fibres", "camera")}
     sensor = {key: content["camera"][key] for key in ("width", "height", "gain", "read_noise", "linear_to", "bits")}
-    places = [[fibre.name, fibre.theta_s, fibre.phi_s, fibre.x, fibre.y] for fibre in fibres]
-    text = store.canonical_json({**told, "camera": sensor, "fibres": places})
+    ends = [[fibre.name, fibre.theta_s, fibre.phi_s, fibre.x, fibre.y] for fibre in fibres]
+    text = store.canonical_json({**optics, "camera": sensor, "fibres": ends})
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _check(path: Path, rig: Rig) -> None:
-    """Refuse what each key allows and the whole does not."""
-    positions = [each.position for each in rig.filters]
+    """Refuse keys that contradict each other."""
+    positions = [neutral_filter.position for neutral_filter in rig.filters]
     if repeated := _repeated(positions):
-        raise InputError(path, "a position of the wheel stands twice", where="filters", found=repeated)
+        raise InputError(path, "two filters at one position of the wheel", where="filters", found=repeated)
     if max(positions) > rig.wheel.positions:
         accepted = f"1 to {rig.wheel.positions} (`wheel.positions`)"
-        raise InputError(path, "a position beyond the wheel", where="filters", found=max(positions), accepted=accepted)
-    if rig.etalon_entrance not in rig.entrances:
-        accepted = ", ".join(f"{each:g}" for each in rig.entrances)
         raise InputError(
-            path, "no such entrance", where="etalon_entrance", found=f"{rig.etalon_entrance:g}", accepted=accepted
+            path, "a position that the wheel does not have", where="filters", found=max(positions), accepted=accepted
+        )
+    if rig.etalon_entrance not in rig.entrances:
+        accepted = ", ".join(f"{entrance:g}" for entrance in rig.entrances)
+        raise InputError(
+            path,
+            "the rig has no such entrance",
+            where="etalon_entrance",
+            found=f"{rig.etalon_entrance:g}",
+            accepted=accepted,
         )
     if rig.wavelengths[0] >= rig.wavelengths[1]:
-        raise InputError(path, "low is not below high", where="wavelengths", found=list(rig.wavelengths))
+        raise InputError(path, "`low` is not below `high`", where="wavelengths", found=list(rig.wavelengths))
     if rig.monochromator.port == rig.wheel.port:
         raise InputError(path, "two devices on one port", where="wheel.port", found=rig.wheel.port)
 

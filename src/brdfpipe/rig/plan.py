@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from brdfpipe import documents, installation
+from brdfpipe import documents
+from brdfpipe.descriptions import reading
 from brdfpipe.errors import InputError
 from brdfpipe.rig.description import Rig
+from brdfpipe.rig.plan_keys import PlanKeys
 
 TRANSMISSION_LIMIT = 75.0
 """Incidence [degree] from which no light can be measured through a sample."""
@@ -26,8 +27,6 @@ DRIFT_WAVELENGTH = 550.0
 """Nanometres; the lamp is looked at at the plan's wavelength nearest to it."""
 
 MAX_SHOTS = 99_999
-
-_STEP_SLACK = 1e-6
 
 
 @dataclass(frozen=True)
@@ -121,8 +120,8 @@ class Plan:
         path = Path(path)
         content = _content(path)
         rig = Rig.load(_rig_file(path, content))
-        wavelengths = _wavelengths(path, content["wavelengths"])
-        told = content["drift"]
+        wavelengths = _wavelengths(content["wavelengths"])
+        drift = content["drift"]
         nearest = min(wavelengths, key=lambda wavelength: abs(wavelength - DRIFT_WAVELENGTH))
         plan = cls(
             rig=rig,
@@ -131,7 +130,9 @@ class Plan:
             wavelengths=wavelengths,
             bracket=tuple(Step(float(item["exposure"]), item["position"]) for item in content["bracket"]),
             darks=content["darks"],
-            drift=Drift(told["every"], float(told.get("wavelength", nearest)), told["step"], float(told["tolerance"])),
+            drift=Drift(
+                drift["every"], float(drift.get("wavelength", nearest)), drift["step"], float(drift["tolerance"])
+            ),
             runs=tuple(content["runs"]),
             side=tuple(content["side"]),
             etalon_entrances=tuple(map(float, content.get("etalon_entrances", [rig.etalon_entrance]))),
@@ -229,31 +230,19 @@ _SENSOR_KEYS = ("width", "height", "gain", "read_noise", "linear_to", "bits")
 
 
 def _content(path: Path) -> dict[str, Any]:
-    return documents.read(path, installation.project_folder() / "config" / "schemas" / "plan.schema.yaml")
+    return reading.read(path, PlanKeys)
 
 
 def _rig_file(path: Path, content: Mapping[str, Any]) -> Path:
     return documents.file_beside(path, content["rig"], "rig", "the plan's folder")
 
 
-def _wavelengths(path: Path, told: Any) -> tuple[float, ...]:
-    if isinstance(told, list):
-        if any(second <= first for first, second in pairwise(told)):
-            accepted = "a rising list"
-            raise InputError(path, "the wavelengths do not rise", where="wavelengths", found=told, accepted=accepted)
-        return tuple(map(float, told))
-    low, high, step = (float(told[key]) for key in ("from", "to", "step"))
-    count = round((high - low) / step)
-    if count < 0 or abs(low + count * step - high) > _STEP_SLACK * step:
-        raise InputError(
-            path,
-            "steps do not lead from the first wavelength to the last",
-            where="wavelengths",
-            found=f"{low:g} to {high:g} by {step:g}",
-            accepted="a whole number of steps, upwards",
-        )
-    # In steps of what a monochromator is told.
-    return tuple(round(low + number * step, 3) for number in range(count + 1))
+def _wavelengths(wavelengths: Any) -> tuple[float, ...]:
+    if isinstance(wavelengths, list):
+        return tuple(map(float, wavelengths))
+    low, high, step = (float(wavelengths[key]) for key in ("from", "to", "step"))
+    # Rounded to what a monochromator can be set to.
+    return tuple(round(low + number * step, 3) for number in range(round((high - low) / step) + 1))
 
 
 def _check(path: Path, plan: Plan) -> None:

@@ -62,11 +62,11 @@ def test_wavelengths_beyond_the_table_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (PLAIN.replace("2027-06-30", "30.6.2027"), ["valid_until", "no date", "30.6.2027"]),
+        (PLAIN.replace("2027-06-30", "30.6.2027"), ["valid_until", "not a date", "30.6.2027"]),
         (PLAIN.replace("0.95", "0"), ["reflectance_factor"]),
-        (PLAIN + "angles: [[5, 1], [30, 0.9]]\n", ["angles", "rise from 0"]),
-        (PLAIN + "angles: [[0, 1], [30, 0.9], [30, 0.8]]\n", ["angles", "rise from 0"]),
-        (PLAIN + "angles: [[0, 0], [30, 0.9]]\n", ["angles", "no light"]),
+        (PLAIN + "angles: [[5, 1], [30, 0.9]]\n", ["angles", "increase from 0"]),
+        (PLAIN + "angles: [[0, 1], [30, 0.9], [30, 0.8]]\n", ["angles", "increase from 0"]),
+        (PLAIN + "angles: [[0, 0], [30, 0.9]]\n", ["angles", "ratio at 0 degree"]),
         (PLAIN + "angles: [[0, 1], [30, 0.9, 2]]\n", ["angles", "0 to 1"]),
         (PLAIN + "angles: [[0, 1], [30, 0.9, 0.1, 3]]\n", ["angles"]),
         (PLAIN + "colour: white\n", ["colour"]),
@@ -90,7 +90,7 @@ def test_a_certificate_that_cannot_be_is_refused_by_name(tmp_path, text, words):
         (TABLE.replace("0.94", "bright"), ["line 4", "bright"]),
         (TABLE.replace("0.94", "nan"), ["line 4"]),
         (TABLE.replace("0.94", "9.4"), ["line 4"]),
-        (TABLE.replace("500", "300"), ["do not rise"]),
+        (TABLE.replace("500", "300"), ["do not increase"]),
         ("wavelength,reflectance_factor,u\n400,0.9,0.01\n", ["two lines or more"]),
     ],
 )

@@ -1,0 +1,92 @@
+"""Calibrations of camera rigs, as a catalogue describes them in ``calibrations/``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from brdfpipe import documents
+from brdfpipe.catalogue import calibration_keys
+from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, check_name
+from brdfpipe.descriptions import reading
+from brdfpipe.errors import BrdfpipeError, InputError
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A run of the etalon on a rig, and the certificate of the etalon."""
+
+    name: str
+    folder: Path
+    content: Mapping[str, Any]
+    files: Mapping[str, Path]
+    """``rig``: the plan, or the journal of the finished run; ``certificate``."""
+
+    @property
+    def previous(self) -> str:
+        """The calibration of the same rig before this one; empty if none is named."""
+        return str(self.content.get("previous", ""))
+
+    def spec(self, stage: str) -> dict[str, Any]:
+        """The part of the description that a stage depends on."""
+        keys = calibration_keys.EmulatedCalibration.read_by(stage)
+        return {key: self.content[key] for key in keys if key in self.content}
+
+
+def load_calibrations(folder: Path) -> dict[str, Calibration | str]:
+    """The calibrations of a catalogue by name, or what is wrong with them."""
+    calibrations: dict[str, Calibration | str] = {}
+    for path in sorted(folder.glob(f"{CALIBRATIONS}/*/{CALIBRATION}")):
+        try:
+            calibrations[path.parent.name] = _load_calibration(path)
+        except BrdfpipeError as error:
+            calibrations[path.parent.name] = str(error)
+    return {name: _problem_of_previous(name, calibrations) or item for name, item in calibrations.items()}
+
+
+def _load_calibration(path: Path) -> Calibration:
+    check_name(path.parent.name)
+    content = reading.read(path, calibration_keys.Calibration)
+    folder = "the calibration's folder"
+    files = {"rig": documents.file_beside(path, *run_file(content, ""), folder)}
+    files["certificate"] = documents.file_beside(path, content["certificate"], "certificate", folder)
+    return Calibration(path.parent.name, path.parent, content, files)
+
+
+def run_file(rig: Mapping[str, Any], prefix: str) -> tuple[str, str]:
+    """The file that lists the frames of a run: the journal of a finished one, or the plan of an emulated one; and its key."""
+    return (f"{rig['run']}/journal.jsonl", f"{prefix}run") if "run" in rig else (rig["plan"], f"{prefix}plan")
+
+
+def _problem_of_previous(name: str, calibrations: Mapping[str, Calibration | str]) -> str:
+    """What is wrong with the previous calibration, or with any before it; empty if nothing is."""
+    calibration = calibrations[name]
+    if not (isinstance(calibration, Calibration) and calibration.previous):
+        return ""
+    previous, chain = calibrations.get(calibration.previous), _chain(name, calibrations)
+    if previous is None:
+        others = [other for other in calibrations if other != name]
+        problem = f"no such calibration{documents.nearest(calibration.previous, others)}"
+        accepted = ", ".join(others) or "leave it out; there is no other calibration"
+    elif chain[-1] in chain[:-1]:
+        problem, accepted = f"a circle of previous calibrations: {' → '.join(chain)}", "an earlier calibration"
+    elif (
+        accepted := previous if isinstance(previous, str) else _problem_of_previous(calibration.previous, calibrations)
+    ):
+        problem = "the calibration cannot be used"
+    else:
+        return ""
+    path = calibration.folder / CALIBRATION
+    return str(InputError(path, problem, where="previous", found=repr(calibration.previous), accepted=accepted))
+
+
+def _chain(name: str, calibrations: Mapping[str, Calibration | str]) -> list[str]:
+    """A calibration and those before it, up to the first or to a repetition."""
+    names = [name]
+    while isinstance(calibration := calibrations.get(names[-1]), Calibration) and calibration.previous:
+        names.append(calibration.previous)
+        if calibration.previous in names[:-1]:
+            break
+    return names

@@ -1,0 +1,130 @@
+"""The keys of ``config.yaml``: what holds for every material of a catalogue. Its values are the defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated
+
+from pydantic import Field, Strict, model_validator
+
+from brdfpipe.catalogue.material_keys import Observer
+from brdfpipe.descriptions.keys import Items, Keys, OneOf, key
+from brdfpipe.errors import InputError
+
+PolarAngles = Annotated[
+    list[Annotated[float, Field(ge=0, lt=90, description="an angle from the normal")]], Items(rising=True)
+]
+
+
+def _sets() -> Iterable[str]:
+    from brdfpipe.flakes.geometries import SETS
+
+    return SETS
+
+
+class HazeWindow(Keys):
+    """A pair of receptors on both sides of the mirror direction."""
+
+    angle: float = key("angle of incidence", required=True, unit="degree", ge=0, le=85)
+    offset: float = key(
+        "angle between the mirror direction and the middle of a receptor", required=True, unit="degree", gt=0, le=60
+    )
+    aperture: Annotated[
+        tuple[
+            Annotated[float, Field(gt=0, le=60, description="a full angle in degree")],
+            Annotated[float, Field(gt=0, le=60, description="a full angle in degree")],
+        ],
+        Strict(False),
+    ] = key("full angles of a receptor in the plane of incidence and across it", required=True, unit="degree")
+
+    @model_validator(mode="after")
+    def _possible(self) -> HazeWindow:
+        from brdfpipe.appearance.haze import checked_window
+
+        checked_window({"angle": self.angle, "offset": self.offset, "aperture": self.aperture})
+        return self
+
+
+class Appearance(Keys):
+    """Further colours, and the reflectance haze."""
+
+    geometries: Annotated[list[Annotated[str, OneOf(_sets)]], Items()] = key(
+        "sets of geometries, of standards and of portable instruments, for colours beside 45:0 and E2194"
+    )
+    haze: list[HazeWindow] = key(
+        "windows of the reflectance haze {angle, offset, aperture}, each a pair of receptors on both sides of the mirror direction",
+        max_length=12,
+    )
+
+
+class Table(Keys):
+    """Angles of the tabulated BRDF."""
+
+    refine: bool = key("whether angles are added about the mirror directions, on the scale of the material's lobe")
+    theta_i: PolarAngles = key("increasing angles of incidence", unit="degree", min_length=2, max_length=181)
+    theta_o: PolarAngles = key(
+        "increasing polar angles of the outgoing direction", unit="degree", min_length=2, max_length=181
+    )
+    phi_o: Annotated[list[Annotated[float, Field(ge=0, le=180, description="an azimuth")]], Items(rising=True)] = key(
+        "increasing azimuths of the outgoing direction, from 0 (towards the source) to 180 (mirror direction); mirrored to 360",
+        unit="degree",
+        min_length=2,
+        max_length=361,
+    )
+    phi_i: Annotated[list[Annotated[float, Field(ge=0, le=360, description="an azimuth")]], Items(rising=True)] = key(
+        "surfaces with a lay: increasing azimuths of incidence, counted from the lay",
+        unit="degree",
+        min_length=2,
+        max_length=361,
+    )
+
+    @model_validator(mode="after")
+    def _half_a_circle(self) -> Table:
+        if self.phi_o is not None and (self.phi_o[0], self.phi_o[-1]) != (0, 180):
+            found = f"{self.phi_o[0]:g} to {self.phi_o[-1]:g}"
+            raise InputError(
+                "", "the azimuths do not span half a circle", where="phi_o", found=found, accepted="0 to 180"
+            )
+        return self
+
+
+class LambertGauss(Keys):
+    """The Lambert and Gauss fit."""
+
+    theta_i: Annotated[
+        list[Annotated[float, Field(ge=0, le=85, description="an angle of incidence")]], Items(rising=True)
+    ] = key("increasing angles of incidence", unit="degree", min_length=1, max_length=86)
+
+
+class Comparison(Keys):
+    """Standard uncertainties of the inputs of a prediction."""
+
+    index_u: float = key("standard uncertainty of the refractive index", ge=0, le=1)
+    slope_u: float = key("relative standard uncertainty of the facets' slopes", ge=0, le=1)
+    diffuse_u: float = key("relative standard uncertainty of the diffuse reflectance below the facets", ge=0, le=1)
+
+
+class Config(Keys):
+    """What holds for every material of a catalogue."""
+
+    illuminant: str = key("illuminant of colours and previews, D65, D50, A or another CIE illuminant")
+    observer: Observer = key("observer of colours and previews, 10 or 2 degree")
+    gloss_angles: Annotated[list[Annotated[int, OneOf((20, 60, 85))]], Items()] = key(
+        "angles of the gloss meter, among 20, 60 and 85", unit="degree", min_length=1
+    )
+    appearance: Appearance = key("further colours, and the reflectance haze {geometries, haze}")
+    table: Table = key("angles of the tabulated BRDF {refine, theta_i, theta_o, phi_o, phi_i}")
+    lambert_gauss: LambertGauss = key("the Lambert and Gauss fit {theta_i}")
+    comparison: Comparison = key(
+        "how well the inputs of a prediction are known before they are fitted to what a rig measured; 0 keeps an input as it is"
+    )
+    raycast: bool = key(
+        "whether masking is also computed by rays cast over every scan, and shown beside Smith's in the report"
+    )
+    preview: bool = key("whether the report shows a rendered picture of the material")
+    preview_light: Annotated[str, OneOf(("studio", "sun", "overcast"))] = key(
+        "light of the picture: studio (soft boxes), sun (a small disc under a clear sky) or overcast (a sky alone)"
+    )
+    exports: Annotated[list[Annotated[str, OneOf(("astm",))]], Items()] = key(
+        "files for materials without `exports`; astm: the BRDF table as ASTM E1392 and the total reflectance beside it"
+    )

@@ -1,0 +1,46 @@
+"""The configuration of a catalogue: ``config.yaml``, and a file that states only what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from brdfpipe import installation
+from brdfpipe.catalogue.config_keys import Config
+from brdfpipe.descriptions import reading
+from brdfpipe.errors import BrdfpipeError, InputError
+
+
+def load_config(path: Path | None = None) -> dict[str, Any]:
+    """The configuration of a catalogue: the project's own, overridden by ``path``.
+
+    Raises
+    ------
+    InputError : naming the file, the line, the key, what was found and what is accepted.
+    """
+    common = reading.read(installation.project_folder() / "config" / "config.yaml", Config)
+    if path is None:
+        return common
+    own = reading.read(path, Config)
+    if "illuminant" in own:
+        check_illuminant(path, own["illuminant"], "illuminant")
+    return _overridden(common, own)
+
+
+def _overridden(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """One mapping overridden by another, key by key within mappings too; a list replaces the whole list."""
+    return {
+        **common,
+        **{key: _overridden(common[key], own[key]) if isinstance(own[key], Mapping) else own[key] for key in own},
+    }
+
+
+def check_illuminant(path: Path, name: str, where: str) -> None:
+    """Refuse an unknown illuminant; apart from the other keys, because the tables of illuminants are slow to load."""
+    from brdfpipe.spectra import colorimetry
+
+    try:
+        colorimetry.illuminant_name(name)
+    except BrdfpipeError as error:
+        raise InputError(path, str(error), where=where) from error

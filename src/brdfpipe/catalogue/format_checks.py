@@ -1,0 +1,52 @@
+"""Checks of a material that need no reading of its raw files: extensions, readers, names of plastics and illuminants."""
+
+from __future__ import annotations
+
+from brdfpipe.catalogue.configuration import check_illuminant
+from brdfpipe.catalogue.material import Material, raw_files
+from brdfpipe.catalogue.material_keys import MultiangleColours
+from brdfpipe.catalogue.names import DESCRIPTION
+from brdfpipe.errors import InputError
+
+
+def check_formats(material: Material) -> None:
+    """Check the raw files without reading them, and the names of the plastic and the illuminant.
+
+    Raises
+    ------
+    InputError : an empty file, an extension without a reader, an unknown plastic or illuminant.
+    """
+    from brdfpipe.columns import TEXT_SUFFIXES
+    from brdfpipe.optics import index
+    from brdfpipe.optics.index import refractive_index
+    from brdfpipe.spectra import containers
+    from brdfpipe.surfaces.reading import FORMATS
+
+    suffixes = {"spectrum": containers.SUFFIXES, "index": index.SUFFIXES}
+    surface_suffixes = {suffix for format in FORMATS.values() for suffix in format.extensions}
+    content = material.content
+    for part, key, _ in raw_files(content):
+        path, is_surface = material.files[part], "surface" in part
+        key = key.removesuffix(".scans")
+        if path.stat().st_size == 0:
+            raise InputError(path, "an empty file", key=f"{key}.file")
+        block = content["slab"]["back"] if part == "back_surface" else content.get(part.partition("-")[0], {})
+        accepted = surface_suffixes if is_surface else suffixes.get(part, TEXT_SUFFIXES)
+        named = part != "index" and "format" in block
+        if path.suffix.lower() not in accepted and not named:
+            raise InputError(
+                path,
+                "unknown file extension",
+                found=path.suffix or "none",
+                accepted=", ".join(sorted(accepted)),
+                key=f"{key}.format" if is_surface else f"{key}.file",
+            )
+    if material.has("index") and "index" not in material.files:
+        refractive_index(content["index"])
+    if "illuminant" in content.get("spectrum", {}):
+        check_illuminant(material.folder / DESCRIPTION, content["spectrum"]["illuminant"], "spectrum.illuminant")
+    if "colours" in content.get("multiangle", {}):
+        from brdfpipe.flakes.reading import ingest
+
+        measured = MultiangleColours.read_by("multiangle")
+        ingest({key: value for key, value in content["multiangle"].items() if key in measured})

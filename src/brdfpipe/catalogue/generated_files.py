@@ -1,0 +1,164 @@
+"""The files that follow from declared keys: templates, editor schemas, and the key tables of the documentation.
+
+``python -m brdfpipe.catalogue.generated_files``, or ``make keys``, writes them into a checkout after a key was changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from brdfpipe import installation
+from brdfpipe.catalogue import calibration_keys, material_keys
+from brdfpipe.catalogue.config_keys import Config
+from brdfpipe.descriptions import rendering
+from brdfpipe.descriptions.keys import Keys
+from brdfpipe.rig.plan_keys import PlanKeys
+from brdfpipe.rig.reduction.certificate_keys import CertificateKeys
+from brdfpipe.rig.rig_keys import RigKeys
+
+DESCRIPTIONS: Mapping[str, Any] = {
+    "material": material_keys.Material,
+    "config": Config,
+    "calibration": calibration_keys.Calibration,
+    "certificate": CertificateKeys,
+    "rig": RigKeys,
+    "plan": PlanKeys,
+}
+"""Description → its keys."""
+
+RIG_TEMPLATE = """\
+One camera rig. The values are those of a bench like the one of the Keldysh preprint; replace them by your own.
+docs/rig.md explains every key; `brdfpipe rig doctor rig.yaml` tries the devices."""
+
+PLAN_TEMPLATE = """\
+One measurement of one sample. docs/rig.md explains every key.
+`brdfpipe rig scan plan.yaml --dry-run` estimates frames, bytes and hours."""
+
+MATERIAL_TEMPLATE = """\
+One material: remove the # in front of what it has and enter your own values; lines that start with # do not count.
+docs/materials.md explains every key; `brdfpipe check` says what is wrong or missing."""
+
+
+def _material_blocks() -> list[tuple[type[Keys], str, str, Any]]:
+    """The alternatives that the template of a material shows."""
+    keys = material_keys
+    return [
+        (keys.Material, "", "description", "one line for the reader of the report"),
+        (
+            keys.MeasuredSpectrum,
+            "The colour: a measured spectrum, a file in this folder …",
+            "spectrum",
+            {"file": "reflectance.txt", "geometry": "sci", "incidence": 8, "scale": "percent"},
+        ),
+        (
+            keys.Colour,
+            "… or L*, a*, b* of a colorimeter.",
+            "spectrum",
+            {"lab": [50, 0, 0], "illuminant": "D65", "observer": 10, "geometry": "sci"},
+        ),
+        (
+            keys.MeasuredSurface,
+            "The surface: a scan, a file in this folder (X3P, an instrument's own format, NumPy or text) …",
+            "surface",
+            {"file": "surface.x3p", "form": "plane"},
+        ),
+        (
+            keys.MeasuredSurface,
+            "… or a line profile …",
+            "surface",
+            {"file": "profile.txt", "layout": "line", "unit": "um", "pitch": 0.5, "isotropic": True},
+        ),
+        (keys.BeckmannSurface, "… or an assumed finish …", "surface", {"distribution": "beckmann", "slope_rms": 0.15}),
+        (keys.FlatSurface, "… or a polished one.", "surface", {"distribution": "flat"}),
+        (
+            keys.Material,
+            "The refractive index, needed with a surface: a plastic (ABS, PC/ABS, PP, PMMA, PC, PS, SAN), a number, n and k of a metal,\n"
+            "or a table of wavelength, n and, where it absorbs, k.",
+            "index",
+            "ABS",
+        ),
+        (keys.Material, "", "index", 1.52),
+        (keys.IndexPair, "", "index", {"n": 1.2, "k": 7.0}),
+        (keys.IndexFile, "", "index", {"file": "index.txt"}),
+        (
+            keys.MultiangleFile,
+            "A paint with effect pigments: its colours at three geometries or more, from a multi-angle instrument; it needs nothing else.",
+            "multiangle",
+            {"file": "colours.csv", "illuminant": "D65", "observer": 10, "index": 1.5, "model": "flake-physical"},
+        ),
+        (
+            keys.Slab,
+            "A clear body: light passes it, `surface` is its front, and there is no `spectrum`.",
+            "slab",
+            {"thickness": 2, "internal_transmittance": 0.95, "back": "same"},
+        ),
+        (
+            keys.Slab,
+            "… or with an absorption coefficient.",
+            "slab",
+            {"thickness": 2, "absorption": {"file": "absorption.txt", "unit": "1/mm"}},
+        ),
+        (
+            keys.Model,
+            "How the reflection is modelled, where the defaults do not fit; docs/model.md says what each choice breaks.",
+            "model",
+            dict(keys.MODEL_DEFAULTS),
+        ),
+        (keys.Model, "", "model", {"recipe": "crf"}),
+        (keys.Material, "Files for other programs; by default those of config.yaml.", "exports", ["astm"]),
+    ]
+
+
+def templates() -> dict[str, str]:
+    """The templates of descriptions, by path in the project."""
+    return {
+        "config/material.template.yaml": rendering.alternatives(MATERIAL_TEMPLATE, _material_blocks()),
+        "config/rig.template.yaml": rendering.template(RigKeys, RIG_TEMPLATE),
+        "config/plan.template.yaml": rendering.template(PlanKeys, PLAN_TEMPLATE),
+    }
+
+
+def editor_schemas() -> dict[str, str]:
+    """The JSON schemas of descriptions, by path in the project."""
+    return {f"config/schemas/{name}.schema.json": rendering.editor_schema(keys) for name, keys in DESCRIPTIONS.items()}
+
+
+def key_tables() -> dict[str, dict[str, str]]:
+    """The key tables of the documentation: page → name of the table → rows."""
+    keys = material_keys
+    return {
+        "docs/materials.md": {
+            "material": rendering.table(keys.Material, nested=False),
+            "surface": rendering.table(keys.Surface, "surface."),
+            "spectrum": rendering.table(keys.Spectrum, "spectrum."),
+            "slab": rendering.table(keys.Slab, "slab.", nested=False),
+            "multiangle": rendering.table(keys.Multiangle, "multiangle."),
+            "model": rendering.table(keys.Model, "model."),
+            "config": rendering.table(Config),
+        },
+        "docs/rig.md": {
+            "rig": rendering.table(RigKeys),
+            "plan": rendering.table(PlanKeys),
+            "material.rig": rendering.table(keys.RigRoute, "rig.", "Key in material.yaml"),
+            "calibration": rendering.table(calibration_keys.Calibration),
+            "certificate": rendering.table(CertificateKeys),
+        },
+    }
+
+
+def files(project: Path) -> dict[str, str]:
+    """Every file that follows from declared keys, by path in the project; pages with their tables renewed."""
+    pages = {
+        page: rendering.with_tables((project / page).read_text("utf-8"), tables)
+        for page, tables in key_tables().items()
+    }
+    return templates() | editor_schemas() | pages
+
+
+if __name__ == "__main__":
+    folder = installation.project_folder()
+    for path, text in files(folder).items():
+        (folder / path).parent.mkdir(exist_ok=True)
+        (folder / path).write_text(text, encoding="utf-8")

@@ -1,0 +1,181 @@
+"""One material of a catalogue: its description, its raw files, and a description to start from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from brdfpipe import documents, installation
+from brdfpipe.catalogue import material_keys
+from brdfpipe.catalogue.calibration import run_file
+from brdfpipe.catalogue.material_keys import (
+    MODEL_DEFAULTS,
+    EmulatedRig,
+    MeasuredSurface,
+    MultiangleColours,
+    MultiangleFile,
+)
+from brdfpipe.catalogue.names import DESCRIPTION, CatalogueError, check_name
+from brdfpipe.descriptions import reading
+
+FILE_PARTS = ("surface", "index", "spectrum", "multiangle")
+"""Parts of a description that may name a raw file."""
+
+INTERIOR = ("internal_transmittance", "absorption")
+"""Keys of ``slab`` that may name a raw file."""
+
+SCAN_KEYS = MeasuredSurface.read_by("surface")
+MEASURED_COLOUR_KEYS = (*MultiangleFile.read_by("multiangle"), *MultiangleColours.read_by("multiangle"))
+RIG_STAGE_KEYS = {stage: EmulatedRig.read_by(stage) for stage in ("rig_run", "reduced", "primary", "smoothed")}
+
+ROUTES = (("rig", "measured"), ("multiangle", "flake"))
+"""Parts of a description with a BSDF of their own, the preferred one first; without them the BSDF is predicted."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """One material: its validated description, with defaults, and its raw files."""
+
+    name: str
+    folder: Path
+    content: Mapping[str, Any]
+    files: Mapping[str, Path]
+    """Part of the description (surface, index, spectrum, back_surface, interior; surface-2 … for further scans; rig) → raw file."""
+
+    def has(self, part: str) -> bool:
+        """Whether the description has a part: surface, index, spectrum, multiangle, slab, back (a face of its own), or what a prediction needs."""
+        if part == "predicted":
+            # Beside another route a spectrum alone is no prediction of a perfect diffuser.
+            alone = not any(self.has(other) for other, _ in ROUTES)
+            return "surface" in self.content or ("spectrum" in self.content and alone)
+        if part == "back":
+            return isinstance(self.content.get("slab", {}).get("back"), Mapping)
+        return part in self.content
+
+    @property
+    def exports(self) -> tuple[str, ...]:
+        return tuple(self.content["exports"])
+
+    @property
+    def scans(self) -> list[int]:
+        """Numbers of the further scans of the surface, from 2."""
+        return [number for number, _ in enumerate(self.content.get("surface", {}).get("scans", []), start=2)]
+
+    def scan_spec(self, number: int) -> dict[str, Any]:
+        """How a further scan is read: like the first, but for its own file and azimuth."""
+        surface = self.content["surface"]
+        shared = {key: surface[key] for key in SCAN_KEYS if key in surface and key != "azimuth"}
+        return shared | dict(surface["scans"][number - 2])
+
+    def spec(self, stage: str, config: Mapping[str, Any]) -> dict[str, Any]:
+        """The part of the description and the configuration that a stage depends on, and nothing else."""
+        if stage in ("surface", "back_surface", "facets", "back_facets"):
+            surface = self.content["slab"]["back"] if stage.startswith("back") else self.content.get("surface", {})
+            kept = SCAN_KEYS if stage.endswith("surface") else set(surface) - {*SCAN_KEYS, "scans"}
+            return {key: value for key, value in surface.items() if key in kept}
+        if stage == "interior":
+            clear = {} if "absorption" in self.content["slab"] else {"internal_transmittance": 1}
+            return clear | {key: value for key, value in self.content["slab"].items() if key != "back"}
+        if stage == "index":
+            return {"index": self.content["index"]}
+        if stage == "spectrum":
+            return dict(self.content["spectrum"])
+        if stage in ("multiangle", "flake"):
+            given = self.content["multiangle"]
+            return {key: given[key] for key in given if (key in MEASURED_COLOUR_KEYS) == (stage == "multiangle")}
+        if stage in RIG_STAGE_KEYS:
+            return {key: self.content["rig"][key] for key in RIG_STAGE_KEYS[stage] if key in self.content["rig"]}
+        if stage == "predicted":
+            # Written out, so that saying the default changes nothing.
+            choices = ["masking"] if self.has("slab") else list(MODEL_DEFAULTS)
+            default = {} if "recipe" in self.content["model"] else {key: MODEL_DEFAULTS[key] for key in choices}
+            return default | dict(self.content["model"])
+        if stage == "bsdf":
+            return {"route": next((route for part, route in ROUTES if self.has(part)), "predicted")}
+        if stage == "appearance":
+            return {key: config[key] for key in ("illuminant", "observer", "gloss_angles")} | dict(config["appearance"])
+        if stage == "preview":
+            return {"illuminant": config["illuminant"], "light": config["preview_light"]}
+        if stage in ("table", "lambert_gauss", "comparison"):
+            return dict(config[stage])
+        if stage == "report":
+            return {"description": self.content.get("description", ""), "exports": sorted(self.exports)}
+        return {}
+
+
+def load_material(folder: Path, config: Mapping[str, Any]) -> Material:
+    """Read and validate one material.
+
+    Raises
+    ------
+    InputError : naming the file, the line, the key, what was found and what is accepted.
+    """
+    path = folder / DESCRIPTION
+    content = reading.read(path, material_keys.Material)
+    name = str(content.get("name", folder.name))
+    check_name(name, path)
+    content.setdefault("exports", config["exports"])
+    if content.get("slab", {}).get("back") == "flat":
+        content["slab"] = content["slab"] | {"back": {"distribution": "flat"}}
+    files = {
+        part: documents.file_beside(path, file, f"{key}.file", "the material's folder")
+        for part, key, file in raw_files(content)
+    }
+    if "rig" in content:
+        files["rig"] = documents.file_beside(path, *run_file(content["rig"], "rig."), "the material's folder")
+    return Material(name, folder, content, files)
+
+
+def raw_files(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Part, key and name of each raw file of a description."""
+    slab = content.get("slab", {})
+    holders = [(part, part, content.get(part)) for part in FILE_PARTS]
+    holders += [("back_surface", "slab.back", slab.get("back"))]
+    holders += [("interior", f"slab.{key}", slab.get(key)) for key in INTERIOR]
+    for part, key, holder in holders:
+        if isinstance(holder, Mapping) and "file" in holder:
+            yield part, key, holder["file"]
+    for number, scan in enumerate(content.get("surface", {}).get("scans", []), start=2):
+        yield f"surface-{number}", "surface.scans", scan["file"]
+
+
+def start_material(folder: Path, name: str) -> Path:
+    """Write a commented description of a new material, beside raw files that are already there; return its path.
+
+    Raises
+    ------
+    CatalogueError : the name is not accepted, the material exists, or the folder cannot be written.
+    """
+    check_name(name)
+    path = folder / name / DESCRIPTION
+    template = (installation.project_folder() / "config" / "material.template.yaml").read_text(encoding="utf-8")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("x", encoding="utf-8") as file:
+            file.write(template)
+    except FileExistsError as error:
+        raise CatalogueError(f"{error.filename}: exists already; choose another name") from None
+    except OSError as error:
+        raise CatalogueError(f"{path.parent}: cannot be written ({error.strerror})") from error
+    return path
+
+
+def summary_words(material: Material) -> list[str]:
+    """The parts of a material in words, for ``brdfpipe check``."""
+    return [_part_words(part, material.content[part]) for part in (*FILE_PARTS, "slab", "rig") if material.has(part)]
+
+
+def _part_words(part: str, content: Any) -> str:
+    if not isinstance(content, Mapping):
+        return f"{part} {content}"
+    if part == "slab":
+        return f"slab {content['thickness']:g} mm"
+    if part == "rig":
+        return f"rig run {content['run']}" if "run" in content else f"rig emulated with {content['emulate']['truth']}"
+    if "k" in content:
+        return f"{part} {content['n']:g} + {content['k']:g}i"
+    if "colours" in content:
+        return f"{part} {len(content['colours'])} colours"
+    return f"{part} " + ("L*a*b*" if "lab" in content else str(content.get("file") or content.get("distribution")))

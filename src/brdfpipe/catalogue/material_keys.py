@@ -1,0 +1,712 @@
+"""The keys of ``material.yaml``.
+
+To add a key, declare it here in its block and read it in the stage. A block with keys of several stages names the stage of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
+
+from pydantic import Field, Strict, model_validator
+
+from brdfpipe.descriptions.keys import (
+    NAME,
+    NAME_WORDS,
+    WHOLE,
+    Choice,
+    Items,
+    Keys,
+    OneOf,
+    by_key,
+    by_word,
+    key,
+    mapping_or_value,
+)
+from brdfpipe.errors import InputError
+
+TRANSMITTING_MASKING = ("height-correlated", "separable")
+"""Values of ``model.masking`` that conserve energy where light passes a surface."""
+
+MODEL_DEFAULTS = {"masking": "height-correlated", "diffuse": "coupled", "multiple_scattering": "none"}
+"""Values of ``model`` where it gives neither the key nor a recipe."""
+
+RECIPE_MASKING = {"crf": "crf"}
+"""Value of ``model.masking`` that a recipe implies."""
+
+UNITS = ("nm", "um", "mm", "m")
+
+
+def _surface_formats() -> Iterable[str]:
+    from brdfpipe.surfaces.reading import FORMATS
+
+    return FORMATS
+
+
+def _spectrum_formats() -> Iterable[str]:
+    from brdfpipe.spectra.containers import FORMATS
+
+    return FORMATS
+
+
+def _file() -> Any:
+    return key("a file in the material's own folder", required=True, min_length=1, max_length=255, example="scan.txt")
+
+
+def _azimuth(stage: str = "") -> Any:
+    help = "direction of a line profile, counter-clockwise from x"
+    return key(help, default_words="0", unit="degree", ge=-360, le=360, stage=stage)
+
+
+Length = Annotated[float, Field(gt=0, le=1_000_000)]
+
+
+# --- surface
+
+
+class Scan(Keys):
+    """A further scan of the same surface."""
+
+    file: str = _file()
+    azimuth: float = _azimuth()
+
+
+class MeasuredSurface(Keys):
+    """A scan of a surface, and how it is read."""
+
+    file: str = key(
+        "the scan, a file in the material's own folder",
+        required=True,
+        min_length=1,
+        max_length=255,
+        details="See [formats](#formats-of-surfaces).",
+        stage="surface",
+    )
+    format: Annotated[str, OneOf(_surface_formats)] = key(
+        "how the file is written; metropro must be named, because its extension .dat means text",
+        default_words="by the extension",
+        stage="surface",
+    )
+    layout: Annotated[str, OneOf(("line", "grid", "xyz"))] = key(
+        "text files only: line (x and z, or z alone), grid (a matrix of heights) or xyz (three columns)",
+        stage="surface",
+    )
+    unit: Annotated[str, OneOf(UNITS)] = key(
+        "unit of the heights: nm, um (or µm), mm or m; needed for text and NumPy files that do not state it",
+        stage="surface",
+    )
+    lateral_unit: Annotated[str, OneOf(UNITS)] = key(
+        "unit of x, y and pitch: nm, um (or µm), mm or m",
+        default_words="the unit of the heights",
+        details="An `nms` file takes it too.",
+        stage="surface",
+    )
+    pitch: Annotated[
+        Annotated[tuple[Length, Length], Strict(False)] | Length,
+        Choice(lambda pitch: 0 if isinstance(pitch, list) else 1),
+    ] = key(
+        "distance between neighbouring points in lateral_unit; one number above 0 or [x, y]",
+        default_words="what the file states",
+        stage="surface",
+    )
+    channel: str = key(
+        "instruments' files only: the name of the height channel",
+        default_words="the first",
+        min_length=1,
+        max_length=200,
+        stage="surface",
+    )
+    form: Annotated[str, OneOf(("plane", "polynomial-2", "cylinder", "none"))] = key(
+        "form that is subtracted: plane, polynomial-2 (bent in any way), cylinder (bent one way) or none",
+        default="plane",
+        details="`cylinder` is a parabola along the one direction that fits best.",
+        stage="surface",
+    )
+    lambda_s: float = key(
+        "cutoff wavelength of a Gaussian low-pass filter",
+        unit="µm",
+        default_words="no filter",
+        gt=0,
+        le=1_000_000,
+        details="Applied after the form (ISO 16610; half of the amplitude passes).",
+        stage="surface",
+    )
+    lambda_c: float = key(
+        "cutoff wavelength of a Gaussian high-pass filter",
+        unit="µm",
+        default_words="no filter",
+        gt=0,
+        le=1_000_000,
+        details="Applied after the low-pass filter.",
+        stage="surface",
+    )
+    isotropic: bool = key(
+        "true if the finish looks the same from every azimuth; a single line profile needs true",
+        default_words="as measured",
+        stage="facets",
+    )
+    method: Annotated[str, OneOf(("mixture", "abel", "crf"))] = key(
+        "how line profiles become a slope density: mixture, abel or crf",
+        default_words="`mixture`",
+        details="See [the model](model.md). A map does not use it, and a warning says so.",
+        stage="facets",
+    )
+    azimuth: float = _azimuth("surface")
+    scans: list[Scan] = key(
+        "further scans of the same surface, read like the first; a second line perpendicular to the first shows a lay",
+        min_length=1,
+        max_length=98,
+        details="See [several scans](#several-scans-of-one-surface).",
+    )
+
+    @model_validator(mode="after")
+    def _isotropic_line(self) -> MeasuredSurface:
+        if self.layout == "line" and not self.scans and not self.isotropic:
+            accepted = "true, if the finish looks the same from every azimuth: one line profile shows one azimuth alone"
+            if self.isotropic is None:
+                raise InputError("", "the key 'isotropic' is missing", accepted=accepted)
+            raise InputError("", "not an accepted value", where="isotropic", found=self.isotropic, accepted=accepted)
+        return self
+
+
+def _distribution() -> Any:
+    help = "instead of a file, an assumed finish: beckmann (Gaussian slopes, with slope_rms), ggx (with a) or flat (polished, with neither)"
+    return key(help, required=True, default_words="instead of `file`", stage="facets")
+
+
+Distribution = Annotated[str, OneOf(("beckmann", "ggx", "flat"))]
+
+
+class GgxSurface(Keys):
+    """An assumed finish with GGX slopes."""
+
+    distribution: Distribution = _distribution()
+    a: float = key(
+        "width of the slopes of a ggx finish",
+        required=True,
+        default_words="with `ggx`",
+        ge=1e-6,
+        le=3,
+        example=0.15,
+        stage="facets",
+    )
+
+
+class FlatSurface(Keys):
+    """A polished surface."""
+
+    distribution: Distribution = _distribution()
+
+
+class BeckmannSurface(Keys):
+    """An assumed finish with Gaussian slopes."""
+
+    distribution: Distribution = _distribution()
+    slope_rms: float = key(
+        "root mean square slope √⟨p² + q²⟩ of a beckmann finish",
+        required=True,
+        default_words="with `beckmann`",
+        ge=1e-6,
+        le=3,
+        example=0.15,
+        stage="facets",
+    )
+
+
+AssumedSurface = Annotated[GgxSurface | FlatSurface | BeckmannSurface, Choice(by_word("distribution", "ggx", "flat"))]
+Surface = Annotated[
+    MeasuredSurface | AssumedSurface, Choice(by_key("file", "distribution"), (("file", "distribution"),))
+]
+
+
+# --- index
+
+
+class IndexPair(Keys):
+    """The complex refractive index of a metal, at every wavelength."""
+
+    n: float = key("real part of the refractive index", required=True, gt=0, lt=5)
+    k: float = key(
+        "extinction coefficient; above 0 the body is opaque, and without it write the number n alone", ge=0, lt=20
+    )
+
+
+class IndexFile(Keys):
+    """A table of the refractive index."""
+
+    file: str = _file()
+
+
+IndexNumber = Annotated[
+    float, Field(ge=1, lt=5, description="a number from 1 to 5, a plastic's name, {n, k} or {file: table.txt}")
+]
+IndexName = Annotated[str, Field(max_length=64)]
+
+
+def _index_form(index: Any) -> int:
+    if isinstance(index, Mapping):
+        return 0 if "n" in index or "k" in index else 1
+    return 3 if isinstance(index, str) and any(letter.isalpha() for letter in index) else 2
+
+
+Index = Annotated[IndexPair | IndexFile | IndexNumber | IndexName, Choice(_index_form)]
+
+
+# --- slab
+
+
+class TransmittanceFile(Keys):
+    """A table of the internal transmittance."""
+
+    file: str = _file()
+    scale: Annotated[str, OneOf(("fraction", "percent"))] = key(
+        "fraction (0 to 1) or percent, where the file does not state it"
+    )
+
+
+class AbsorptionFile(Keys):
+    """A table of the absorption coefficient."""
+
+    file: str = _file()
+    unit: Annotated[str, OneOf(("1/mm", "1/cm", "1/m"))] = key(
+        "unit of the coefficient: 1/mm, 1/cm or 1/m", default="1/mm"
+    )
+
+
+Transmittance = Annotated[float, Field(ge=0, le=1, description="a number from 0 to 1, or {file: table.txt}")]
+Absorption = Annotated[
+    float, Field(ge=0, le=10_000, description="a number from 0 to 10000, in 1/mm, or {file: table.txt}")
+]
+Back = Annotated[str, OneOf(("same", "flat"))]
+
+
+class Slab(Keys):
+    """A clear body with two faces."""
+
+    not_together = (("internal_transmittance", "absorption"),)
+
+    thickness: float = key("thickness of the body", required=True, unit="mm", gt=0, le=1000, example=2)
+    internal_transmittance: Annotated[TransmittanceFile | Transmittance, Choice(mapping_or_value)] = key(
+        "share of the light that passes from face to face at normal incidence, without the faces' reflection; a number from 0 to 1 or {file: …}",
+        default_words="1",
+        details="A file holds wavelength and value.",
+    )
+    absorption: Annotated[AbsorptionFile | Absorption, Choice(mapping_or_value)] = key(
+        "absorption coefficient a of the body in 1/mm, where exp(-a d) passes a path of d mm; a number or {file: …}",
+        default_words="instead of `internal_transmittance`",
+    )
+    back: Annotated[Surface | Back, Choice(mapping_or_value)] = key(
+        "the other face: same (like the front), flat (polished), or a surface of its own {file, …} or {distribution, …}",
+        default="same",
+        details="A surface of its own is described as seen from its own side, without `scans`.",
+    )
+
+
+# --- spectrum
+
+GEOMETRY = "sci (specular reflection included) or sce (excluded); a file that states it may leave it out"
+Geometry = Annotated[str, OneOf(("sci", "sce"))]
+Observer = Annotated[int, OneOf((10, 2))]
+
+
+def _incidence() -> Any:
+    return key(
+        "angle of incidence of the measurement", unit="degree", default_words="what the file states, or 8", ge=0, lt=90
+    )
+
+
+def _specular_trap() -> Any:
+    return key(
+        "with geometry sce: half angle of the instrument's gloss trap about the mirror direction",
+        unit="degree",
+        default_words="5",
+        gt=0,
+        le=90,
+        details="What the facets mirror into the trap is added; a rough surface mirrors little there.",
+    )
+
+
+ColumnName = Annotated[int | str, Choice(lambda column: 1 if isinstance(column, str) else 0)]
+
+
+class MeasuredSpectrum(Keys):
+    """A measured total reflectance."""
+
+    file: str = key(
+        "the total reflectance, a file in the material's own folder",
+        required=True,
+        min_length=1,
+        max_length=255,
+        details="See [formats](#formats-of-spectra).",
+    )
+    geometry: Geometry = key(GEOMETRY, default_words="what the file states")
+    incidence: float = _incidence()
+    specular_trap: float = _specular_trap()
+    format: Annotated[str, OneOf(_spectrum_formats)] = key("how the file is written", default_words="by the extension")
+    scale: Annotated[str, OneOf(("fraction", "percent"))] = key(
+        "fraction (0 to 1) or percent, where the file does not state it"
+    )
+    sample: ColumnName = key("which sample of a file that holds several, by name or by number")
+    column: ColumnName = key("which column of the file, by name or by number (the wavelength is column 1)")
+    uncertainty: ColumnName = key("the column of standard uncertainties, by name or by number")
+    allow_fluorescent: bool = key(
+        "true accepts a reflectance above 1.1, which otherwise counts as a mistake", default=False
+    )
+
+
+SEARCHES = ("random4", "adaptive4")
+"""Methods that search at random."""
+
+
+class Colour(Keys):
+    """A colour, from which a reflectance spectrum is recovered."""
+
+    lab: Annotated[
+        tuple[
+            Annotated[float, Field(ge=0, le=100, description="L*")],
+            Annotated[float, Field(ge=-200, le=200, description="a*")],
+            Annotated[float, Field(ge=-200, le=200, description="b*")],
+        ],
+        Strict(False),
+    ] = key(
+        "the three numbers L*, a*, b*",
+        required=True,
+        default_words="instead of `file`",
+        details="See [from a colour](#a-spectrum-from-a-colour).",
+    )
+    illuminant: str = key(
+        "illuminant of the colour, D65, D50, A or another CIE illuminant",
+        required=True,
+        default_words="needed with `lab`",
+        details="See [illuminants](#illuminants).",
+    )
+    observer: Observer = key("observer of the colour, 10 or 2 degree", required=True, default_words="needed with `lab`")
+    geometry: Geometry = key(GEOMETRY, required=True)
+    incidence: float = _incidence()
+    specular_trap: float = _specular_trap()
+    method: Annotated[str, OneOf(("lhtss", "basis4", *SEARCHES))] = key(
+        "how a spectrum is found: lhtss (smooth and exact), or a mixture of four basis spectra: basis4 (exact), random4 or adaptive4 (random searches)",
+        default_words="`lhtss`",
+    )
+    threshold: float = key(
+        "random4 and adaptive4 only: colour difference ΔE*ab below which the search ends",
+        default_words="1",
+        ge=1e-6,
+        le=100,
+    )
+    seed: Annotated[int, WHOLE] = key(
+        "random4 and adaptive4 only: seed of the random numbers, an integer", default_words="0", ge=0, le=4_294_967_295
+    )
+
+    @model_validator(mode="after")
+    def _search_keys(self) -> Colour:
+        method = self.method or "lhtss"
+        if method not in SEARCHES:
+            for name in ("seed", "threshold"):
+                if getattr(self, name) is not None:
+                    problem = f"no effect, because `method: {method}` does not search"
+                    accepted = f"`{name}` goes with `method: random4` or `adaptive4`; leave it out here"
+                    raise InputError("", problem, where=name, found=getattr(self, name), accepted=accepted)
+        return self
+
+
+Spectrum = Annotated[MeasuredSpectrum | Colour, Choice(by_key("file", "lab"), (("file", "lab"),))]
+
+
+# --- multiangle
+
+Polar = Annotated[float, Field(ge=0, lt=90, description="a polar angle from the normal in degree")]
+Azimuth = Annotated[
+    float, Field(ge=-720, le=720, description="an azimuth in degree; the mirror direction is at 180 from the incidence")
+]
+Three = Annotated[tuple[float, float, float], Strict(False)]
+
+
+class MultiangleColour(Keys):
+    """A colour at one geometry."""
+
+    geometry: Annotated[int | str, Choice(lambda name: 1 if isinstance(name, str) else 0)] = key(
+        'a geometry by name, best in quotes: "45:-30" (view positive on the illuminator\'s side), "45as15", "45as25az90"'
+    )
+    theta_i: Polar = key("instead of the name: polar angle of incidence", unit="degree")
+    phi_i: Azimuth = key("azimuth of incidence", unit="degree")
+    theta_o: Polar = key("polar angle of the view", unit="degree")
+    phi_o: Azimuth = key("azimuth of the view", unit="degree")
+    lab: Three = key("three numbers L*, a*, b*")
+    xyz: Three = key("three numbers X, Y, Z (Y = 100 for the perfect diffuser)")
+    reflectance: list[float] = key(
+        "reflectance factors at the wavelengths of `multiangle.wavelength`, a list", min_length=4, max_length=1000
+    )
+
+
+class _Multiangle(Keys):
+    illuminant: str = key("illuminant of L*a*b* or XYZ, D65, D50, A or another CIE illuminant", stage="multiangle")
+    observer: Observer = key("observer of L*a*b* or XYZ, 10 or 2 degree", stage="multiangle")
+    scale: Annotated[str, OneOf(("fraction", "percent"))] = key(
+        "scale of reflectance factors: fraction (1 for the perfect diffuser) or percent", stage="multiangle"
+    )
+    index: float = key("refractive index of the clear coat", default=1.5, gt=1, lt=5, stage="flake")
+    form: Annotated[str, OneOf(("exponential", "gaussian", "double-exponential"))] = key(
+        "decrease along the flake angle, each plus a constant: exponential, gaussian or double-exponential",
+        default="exponential",
+        details="`double-exponential` needs five geometries or more.",
+        stage="flake",
+    )
+    model: Annotated[str, OneOf(("flake", "flake-physical"))] = key(
+        "flake (the patent's) or flake-physical (with the interface's transmission and the gloss of the clear coat)",
+        default="flake",
+        details="See [the model](model.md#effect-pigments).",
+        stage="flake",
+    )
+    clear_coat: Annotated[
+        Annotated[float, Field(ge=0.0001, le=1, description="smooth, none or a slope")]
+        | Annotated[str, OneOf(("smooth", "none"))],
+        Choice(lambda coat: 1 if isinstance(coat, str) else 0),
+    ] = key(
+        "with flake-physical, surface of the coat: smooth, none (no gloss), or its root mean square slope from 0.0001 to 1",
+        default_words="`smooth`",
+        stage="flake",
+    )
+
+
+class MultiangleFile(_Multiangle):
+    """A file of colours at several geometries."""
+
+    file: str = key(
+        "the colours, a CSV file in the material's own folder",
+        required=True,
+        min_length=1,
+        max_length=255,
+        details=(
+            "Separated by `,`, by tab, or by `;` with decimal commas. Its first line names the columns: `geometry` or the four angles; then `L`, `a`, `b`, "
+            "or `X`, `Y`, `Z`, or wavelengths (`400`, `R400nm`); and their [uncertainties](#uncertainties-of-colours), if known."
+        ),
+        stage="multiangle",
+    )
+
+
+class MultiangleColours(_Multiangle):
+    """Colours at several geometries."""
+
+    colours: list[MultiangleColour] = key(
+        "three entries or more, each {geometry, lab}, {geometry, xyz} or {geometry, reflectance}; theta_i, phi_i, theta_o, phi_o may replace the geometry",
+        required=True,
+        default_words="instead of `file`",
+        min_length=3,
+        max_length=1000,
+        stage="multiangle",
+    )
+    wavelength: list[Annotated[float, Field(ge=100, le=20_000, description="a wavelength in nm")]] = key(
+        "wavelengths of `reflectance`, a list",
+        unit="nm",
+        min_length=4,
+        max_length=1000,
+        details="400 to 700 nm or wider, in steps of at most 50 nm (25 nm in a file of `spectrum`).",
+        stage="multiangle",
+    )
+
+
+Multiangle = Annotated[MultiangleFile | MultiangleColours, Choice(by_key("file", "colours"), (("file", "colours"),))]
+
+
+# --- rig
+
+
+class Smoothing(Keys):
+    """Smoothing of measured cells."""
+
+    mode: Annotated[str, OneOf(("pspline", "keldysh", "keldysh-printed"))] = key(
+        "pspline, keldysh (the preprint's, repaired) or keldysh-printed (as printed, for comparison)", default="pspline"
+    )
+    strength: float = key("strength of smoothing", default_words="by cross-validation", gt=0)
+    symmetric: bool = key(
+        "true if both sides of the plane of incidence are alike, false for a surface with a lay", default=True
+    )
+
+
+class Emulation(Keys):
+    """A run of the emulator instead of a measurement."""
+
+    truth: str = key(
+        "name of the material of this catalogue that the emulator measures",
+        required=True,
+        default_words="needed with `plan`",
+        min_length=1,
+        max_length=64,
+    )
+    seed: Annotated[int, WHOLE] = key(
+        "seed of everything random about the rig; the same as in its calibration", default=0, ge=0, le=1_000_000
+    )
+    session: Annotated[int, WHOLE] = key("seed of everything random about a day", default=1, ge=0, le=1_000_000)
+
+
+class _Rig(Keys):
+    calibration: str = key(
+        "name of the calibration's folder in calibrations/ of the catalogue", required=True, min_length=1, max_length=64
+    )
+    smoothing: Smoothing = key(
+        "how the values of the cells are smoothed {mode, strength, symmetric}", default=Smoothing(), stage="smoothed"
+    )
+    lamp_hours: float = key(
+        "hour counter of the lamp at the measurement", unit="h", default=0, ge=0, le=100_000, stage="primary"
+    )
+    override: bool = key(
+        "true uses frames and a profile that are otherwise refused; the results record it",
+        default=False,
+        stage="reduced primary",
+    )
+
+
+class MeasuredRig(_Rig):
+    """A measurement with a camera rig."""
+
+    run: str = key(
+        "folder of a finished run, in the material's own folder", required=True, min_length=1, max_length=200
+    )
+
+
+class EmulatedRig(_Rig):
+    """A measurement that the emulator makes."""
+
+    plan: str = key(
+        "the plan of the measurement, a plan.yaml in the material's own folder",
+        required=True,
+        default_words="instead of `run`",
+        min_length=1,
+        max_length=255,
+    )
+    emulate: Emulation = key("emulator instead of a measurement {truth, seed, session}", required=True, stage="rig_run")
+
+
+RigRoute = Annotated[MeasuredRig | EmulatedRig, Choice(by_key("run", "emulate"), (("run", "emulate"),))]
+
+
+# --- model and the whole
+
+
+class Model(Keys):
+    """How the reflection is modelled."""
+
+    not_together = (("recipe", "masking"), ("recipe", "diffuse"), ("recipe", "multiple_scattering"))
+
+    masking: Annotated[str, OneOf((*TRANSMITTING_MASKING, "blinn", "liu", "crf", "none"))] = key(
+        "masking and shadowing of facets by their neighbours: height-correlated, separable, blinn, liu, crf or none",
+        default_words=f"`{MODEL_DEFAULTS['masking']}`",
+        details="See [modes](model.md#modes-and-what-they-break).",
+    )
+    diffuse: Annotated[str, OneOf(("coupled", "crf", "none"))] = key(
+        "the diffuse part: coupled to the facets' transmission, crf (the patent's) or none",
+        default_words=f"`{MODEL_DEFAULTS['diffuse']}`",
+    )
+    multiple_scattering: Annotated[str, OneOf(("none", "compensated"))] = key(
+        "light reflected by more than one facet: none (lost) or compensated (given back as diffuse light)",
+        default_words=f"`{MODEL_DEFAULTS['multiple_scattering']}`",
+    )
+    recipe: Annotated[str, OneOf(tuple(RECIPE_MASKING))] = key(
+        "all choices of a source together, instead of the other keys: crf (patent US 9,395,299)"
+    )
+
+    @property
+    def masking_in_use(self) -> str:
+        """The masking that the keys, the recipe or the default give."""
+        return self.masking or RECIPE_MASKING.get(self.recipe or "", MODEL_DEFAULTS["masking"])
+
+    @model_validator(mode="after")
+    def _compensated(self) -> Model:
+        if self.multiple_scattering == "compensated" and self.masking_in_use not in TRANSMITTING_MASKING:
+            raise InputError(
+                "",
+                "`multiple_scattering: compensated` needs a masking that conserves energy",
+                where="masking",
+                found=repr(self.masking_in_use),
+                accepted="height-correlated or separable, or `multiple_scattering: none`",
+            )
+        return self
+
+
+class Material(Keys):
+    """One material of a catalogue, as a laboratory knows it."""
+
+    at_least_one = ("surface", "spectrum", "multiangle", "rig")
+    requires = {"surface": "index", "slab": "surface"}  # noqa: RUF012
+
+    name: str = key(NAME_WORDS, default_words="the name of the folder", pattern=f"^{NAME}$")
+    description: str = key(
+        "one line of text for the reader of the report",
+        max_length=2000,
+        example="one line for the reader of the report",
+    )
+    surface: Surface = key("a measured surface {file, …} or an assumed finish {distribution, …}")
+    index: Index = key(
+        "refractive index: a number, the name of a plastic (ABS, PC/ABS, PP, PMMA, …), {n, k} of a metal, or {file: …}: "
+        "a table of wavelength, n and optionally k, or a page of refractiveindex.info (.yml)",
+        details="See [refractive index](#refractive-index).",
+    )
+    slab: Slab = key(
+        "a clear body with two faces {thickness, internal_transmittance or absorption, back}; `surface` is its front",
+        details="It replaces `spectrum`. See [clear bodies](#clear-bodies).",
+    )
+    spectrum: Spectrum = key("a measured total reflectance {file, geometry, …} or a colour {lab, geometry, …}")
+    multiangle: Multiangle = key(
+        "colours of an effect paint at several geometries {file or colours, illuminant, observer, index, form, …}",
+        details="See [effect pigments](#effect-pigments).",
+    )
+    rig: RigRoute = key(
+        "a measurement with a camera rig {run, calibration, …}, or one that the emulator makes {plan, emulate, calibration, …}",
+        details="See [the camera rig](rig.md#from-a-run-to-a-bsdf).",
+    )
+    model: Model = key("how the reflection is modelled", default=Model())
+    exports: Annotated[list[Annotated[str, OneOf(("astm",))]], Items()] = key(
+        "files for other programs; astm: the BRDF table as ASTM E1392 and the total reflectance beside it",
+        default_words="`exports` of the configuration",
+        example=["astm"],
+    )
+
+    @model_validator(mode="after")
+    def _index_pair(self) -> Material:
+        if isinstance(self.index, IndexPair) and self.index.k is None:
+            from brdfpipe.optics.index import without_k
+
+            raise without_k("", self.index.n)
+        return self
+
+    @model_validator(mode="after")
+    def _slab_alone(self) -> Material:
+        """Refuse keys that contradict a clear body."""
+        if self.slab is None:
+            return self
+        if self.spectrum is not None:
+            raise InputError(
+                "",
+                "`slab` and `spectrum` exclude each other: a clear body has no diffuse base, its colour is what it absorbs",
+                accepted="`slab` with `internal_transmittance` or `absorption`; or `spectrum` without `slab`, for an opaque body",
+            )
+        if self.model.masking_in_use not in TRANSMITTING_MASKING:
+            raise InputError(
+                "",
+                "this masking does not conserve energy where light passes a surface",
+                where="model.masking",
+                found=repr(self.model.recipe or self.model.masking),
+                accepted=", ".join(TRANSMITTING_MASKING),
+            )
+        for name, why in (
+            ("diffuse", "a clear body has no diffuse base"),
+            ("multiple_scattering", "a slab always keeps the light that its facets reflect more than once"),
+        ):
+            if (value := getattr(self.model, name)) is not None:
+                raise InputError(
+                    "", why, where=f"model.{name}", found=repr(value), accepted=f"`slab` without `model.{name}`"
+                )
+        if isinstance(self.index, IndexPair) and self.index.k > 0:
+            raise InputError(
+                "",
+                "the body of a slab would be opaque: an extinction coefficient absorbs all light within micrometres",
+                where="index.k",
+                found=self.index.k,
+                accepted="k of 0; give the absorption of the body by `slab.internal_transmittance` or `slab.absorption`",
+            )
+        if isinstance(self.slab.back, MeasuredSurface) and self.slab.back.scans is not None:
+            raise InputError(
+                "", "further scans are counted for the front alone", where="slab.back.scans", accepted="one file"
+            )
+        return self

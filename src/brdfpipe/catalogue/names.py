@@ -1,0 +1,45 @@
+"""Names of a catalogue: its files and folders, and the names that materials may have."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from brdfpipe.descriptions.keys import NAME, NAME_WORDS
+from brdfpipe.errors import BrdfpipeError, InputError
+
+DESCRIPTION = "material.yaml"
+
+CALIBRATIONS, CALIBRATION = "calibrations", "calibration.yaml"
+"""A catalogue describes the calibrations of its rigs in this folder, each in a folder of its own with this description."""
+
+RESERVED = frozenset(
+    {"logs", "failures", "exports", "calibrations", "catalogue", "index", "index.html"}
+    | {"catalogue.nc", "catalogue.csv", "catalogue.lock.json"}
+)
+"""Names with another meaning in the folder of results."""
+
+RESULT_MARKS = (".build.lock", ".snakemake", "catalogue.nc")
+"""Files that identify a folder of results."""
+
+
+class CatalogueError(BrdfpipeError):
+    """The catalogue or the configuration as a whole cannot be used."""
+
+
+def check_name(name: str, path: Path | None = None) -> None:
+    """Refuse a name given on the command line or, with ``path``, in a description or as its folder.
+
+    Raises
+    ------
+    InputError, CatalogueError : with and without ``path``.
+    """
+    if not re.fullmatch(NAME, name):
+        problem, key, accepted = "not an accepted name", "name", NAME_WORDS
+    elif name.casefold() in RESERVED:
+        problem, key, accepted = "a reserved name", None, "any other name"
+    else:
+        return
+    if path is None:
+        raise CatalogueError(f"the name {name!r}: {problem}; accepted: {accepted}")
+    raise InputError(path, problem, where="name", found=repr(name), accepted=accepted, key=key)
