@@ -45,7 +45,7 @@ def test_check_looks_at_formats_too(tmp_path: Path) -> None:
     (tmp_path / "m" / "a.abc").write_text("x")
     done = run("check", tmp_path)
     assert done.exit_code == 1
-    assert "the extension tells no known format; found .abc" in done.output
+    assert "unknown file extension; found .abc" in done.output
 
 
 def test_check_names_each_material_whose_reader_is_not_installed(
