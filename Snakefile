@@ -9,6 +9,10 @@ wildcard_constraints:
     material="[A-Za-z0-9][A-Za-z0-9._-]*",
 
 
+onstart:
+    stages.preload(workflow.dag.needrun_jobs())
+
+
 include: "workflow/rules/catalogue.smk"
 include: "workflow/rules/predicted.smk"
 include: "workflow/rules/flake.smk"

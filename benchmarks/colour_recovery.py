@@ -107,13 +107,13 @@ def each(method: str, labs: np.ndarray, threshold: float) -> Found:
     near = [mixing.nearest(lab, **VIEW) for lab in labs]
     xyz = colorimetry.lab_to_xyz(labs, colorimetry.weights(**VIEW).white)
     begun = mixing.closed_form(xyz, **VIEW).reached | (colorimetry.delta_e_ab(np.stack(near), labs) < threshold)
-    spectra, tried = np.full((len(labs), colorimetry.basis()[1].shape[1]), np.nan), []
+    spectra, tried = np.full((len(labs), mixing.basis().shape[1]), np.nan), []
     started = time.process_time()
     for i in np.flatnonzero(begun):
         found = mixing.search(labs[i], **VIEW, method=method, threshold=threshold)
         tried.append(found.tried)
         if found.ended == "threshold":
-            spectra[i] = found.weights @ colorimetry.basis()[1]
+            spectra[i] = found.weights @ mixing.basis()
     seconds = time.process_time() - started
     return method, described(labs, spectra, seconds, len(tried)) | {"tried_median": float(np.median(tried))}, spectra
 

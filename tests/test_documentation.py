@@ -55,4 +55,4 @@ def test_the_examples_of_a_paint_run() -> None:
 def test_the_documentation_lists_the_illuminants_that_are_known() -> None:
     text = (PROJECT / "docs/materials.md").read_text(encoding="utf-8")
     listed = text.split("## Illuminants")[1].split("in Python: ")[1].split(", in any case")[0].split(", ")
-    assert sorted(listed) == sorted(colorimetry._table("illuminants.csv")[1])
+    assert sorted(listed) == sorted(colorimetry.illuminants())

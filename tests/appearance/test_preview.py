@@ -45,8 +45,9 @@ def test_the_colour_of_a_matt_material_is_that_of_its_spectrum():
     pixels = sphere(preview(lambert_gauss.lambertian(samples.spectrum(red)), side=96))[shots.sphere(96).coverage == 1]
     brightest = pixels[pixels.sum(axis=1).argmax()]
     expected = colorimetry.reflectance_to_xyz(samples.WAVELENGTH, red, "D65", 2) * WHITE_LEVEL
+    to_screen = colorimetry.srgb_from_xyz(colorimetry.weights("D65", 2).white)
     # Wavelengths 20 nm apart stand for those 5 nm apart.
-    assert brightest == pytest.approx(255 * colorimetry.xyz_to_srgb(expected), abs=2.0)
+    assert brightest == pytest.approx(255 * colorimetry.encoded_srgb(to_screen @ expected), abs=2.0)
 
 
 def test_the_same_material_gives_the_same_bytes():

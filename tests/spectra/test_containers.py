@@ -6,7 +6,6 @@ import random
 import re
 import warnings as python_warnings
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ import xarray as xr
 
 from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.spectra import ingest, read_spectrum
+from brdfpipe.spectra.colour_science import colour
 from brdfpipe.vocabulary import validate, warnings
 
 NM = np.arange(400, 701, 10)
@@ -65,7 +65,7 @@ def test_every_real_file_is_read_right(
         ("colorchecker_white.cxf", "white 9.5 (.05 D)"),
     ],
 )
-def test_the_patches_are_those_of_colour_science(colour: ModuleType, shared_data: Path, name: str, patch: str) -> None:
+def test_the_patches_are_those_of_colour_science(shared_data: Path, name: str, patch: str) -> None:
     truth = colour.SDS_COLOURCHECKERS["ColorChecker N Ohta"][patch]
     spectrum = read(shared_data / "spectra" / name)
     known = dict(zip(truth.wavelengths, truth.values, strict=True))
@@ -74,7 +74,7 @@ def test_the_patches_are_those_of_colour_science(colour: ModuleType, shared_data
     )
 
 
-def test_plain_columns_are_read_as_colour_science_reads_them(colour: ModuleType, shared_data: Path) -> None:
+def test_plain_columns_are_read_as_colour_science_reads_them(shared_data: Path) -> None:
     path = shared_data / "spectra" / "munsell_over_unity.csv"
     with python_warnings.catch_warnings():
         python_warnings.simplefilter("ignore")

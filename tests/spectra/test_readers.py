@@ -9,6 +9,7 @@ import pytest
 
 from brdfpipe.errors import InputError
 from brdfpipe.spectra import ingest, read_spectrum
+from brdfpipe.spectra.colour_science import colour
 from brdfpipe.store import save_dataset
 from brdfpipe.vocabulary import validate, warnings
 
@@ -137,7 +138,7 @@ def test_coarse_digits_are_no_reason_to_warn(read) -> None:
     assert warnings(read(text)) == []
 
 
-def test_no_patch_of_the_color_checkers_is_warned_about(colour, read) -> None:
+def test_no_patch_of_the_color_checkers_is_warned_about(read) -> None:
     for patches in colour.SDS_COLOURCHECKERS.values():
         for patch in patches.values():
             values = zip(patch.wavelengths, patch.values, strict=True)

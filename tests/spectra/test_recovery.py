@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from hypothesis import strategies as st
 from brdfpipe.errors import InputError
 from brdfpipe.optics import fresnel, interpolate_index, refractive_index
 from brdfpipe.spectra import colorimetry, metamerism, mixing, recover
+from brdfpipe.spectra.colour_science import colour
 from brdfpipe.spectra.recovery import METHODS, largest_chroma, lhtss, nearest_colour
 from brdfpipe.store import save_dataset
 from brdfpipe.vocabulary import validate
@@ -40,7 +40,7 @@ def test_a_red_has_the_spectrum_of_the_physics_sheet() -> None:
 
 
 @pytest.mark.parametrize("observer", [2, 10])
-def test_the_24_patches_of_the_colour_checker_are_matched(colour: ModuleType, observer: int) -> None:
+def test_the_24_patches_of_the_colour_checker_are_matched(observer: int) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         checker = colour.CCS_COLOURCHECKERS["ColorChecker24 - After November 2014"]
@@ -343,7 +343,7 @@ def test_a_threshold_or_seed_out_of_range_names_its_key(options: dict, key: str)
     assert refusal.value.key == f"spectrum.{key}"
 
 
-def test_metamerism_compares_the_methods_under_other_light(colour: ModuleType) -> None:
+def test_metamerism_compares_the_methods_under_other_light() -> None:
     found = metamerism([40, 20, 10], illuminant="D65", observer=10, methods=("lhtss", "basis4", "adaptive4"))
     assert found["delta_e00"].dims == ("light", "recovery", "other")
     assert found["light"].values.tolist() == ["A", "FL2", "LED-B3"]

@@ -16,8 +16,11 @@ from pathlib import Path
 
 LIBRARIES = ("defusedxml", "jinja2", "netCDF4", "numpy", "pandas", "pillow", "scipy", "xarray")
 
-EXTRAS = {"brdfpipe.surfaces.instruments": "SurfaceTopography"}
-"""Module → the optional library it reads with; without it the module refuses."""
+EXTRAS = {
+    "brdfpipe.spectra.colour_science": "colour-science",
+    "brdfpipe.surfaces.instruments": "SurfaceTopography",
+}
+"""Module → the library that only it imports; an optional one may be missing."""
 
 UNFOLLOWED = ("brdfpipe.jobs.", "brdfpipe.cli.")
 """The machinery: it carries results and does not shape them."""

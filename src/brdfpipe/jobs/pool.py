@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -33,6 +33,9 @@ PRELOADED = [
     "brdfpipe.jobs.stage",
     "brdfpipe.bsdf",
 ]
+
+PRELOADED_WHERE_USED = ("brdfpipe.spectra.colour_science",)
+"""Slow to import: preloaded if the code of a stage of the run contains them, see :func:`preload`."""
 
 ATTEMPTS = 2
 """A killed worker may have been a passing shortage of memory: once more, then the job fails."""
@@ -106,7 +109,7 @@ class _Worker:
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(PRELOADED)
+        context.set_forkserver_preload([*PRELOADED, *sorted(_also_preloaded)])
         resource_tracker.ensure_running()  # it would let the signals through again
         with _environment(ONE_THREAD), _deaf():
             forkserver.ensure_running()
@@ -128,6 +131,7 @@ class _Worker:
         self.process.kill()
 
 
+_also_preloaded: set[str] = set()
 _pools: dict[int, Pool] = {}
 _pools_lock = threading.Lock()
 
@@ -136,6 +140,11 @@ def pool() -> Pool:
     """The pool of this process, made when first asked for."""
     with _pools_lock:
         return _pools.setdefault(os.getpid(), Pool())
+
+
+def preload(modules: Iterable[str]) -> None:
+    """Let the server of the workers import those of :data:`PRELOADED_WHERE_USED` that are among the modules; before the first job."""
+    _also_preloaded.update(set(PRELOADED_WHERE_USED).intersection(modules))
 
 
 def close() -> None:

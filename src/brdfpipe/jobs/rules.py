@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,12 @@ class Stages:
     def code(self, stage: str) -> str:
         """Digest of a stage's own code: changing it reruns the stage."""
         return code.digest(self.scripts / f"{stage}.py")
+
+    def preload(self, jobs: Iterable[Any]) -> None:
+        """Let the workers' server import the slow modules that the stages of a run's jobs use."""
+        scripts = {self.scripts / f"{job.rule.name}.py" for job in jobs}
+        source = Path(__file__).resolve().parents[2]
+        pool.preload(name for script in scripts if script.exists() for name in code.modules(script, source))
 
     def exports(self, pattern_of: Mapping[str, str]) -> list[str]:
         """The export files every material asks for."""

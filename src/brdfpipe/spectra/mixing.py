@@ -1,6 +1,6 @@
 """Reflectance spectra from colours as mixtures of four basis spectra: in closed form, and by random search.
 
-The mixture is S = Σ wᵢ Sᵢ with w >= 0 and S <= 1, of :func:`brdfpipe.spectra.colorimetry.basis`. Four weights for three
+The mixture is S = Σ wᵢ Sᵢ with w >= 0 and S <= 1, of :func:`basis`. Four weights for three
 tristimulus values leave one freedom: the closed form takes the smoothest spectrum, the searches what they come upon first.
 """
 
@@ -72,6 +72,24 @@ class _State(NamedTuple):
     """blocks that do not count towards the limit: those before a search that ended short of its threshold was taken up again"""
 
 
+@cache
+def basis() -> Array:
+    """Four basis reflectances (4, n) on :data:`brdfpipe.spectra.colorimetry.GRID`: red, green, blue and cyan, each with peak 1.
+
+    References
+    ----------
+    Smits, "An RGB-to-spectrum conversion for reflectances", J. Graphics Tools 4 (1999) 11–22, straight lines between the centres of its
+    ten bins. The patent US 9,395,299 names the four colours without their spectra.
+    """
+    from brdfpipe.spectra.colour_science import colour
+
+    bins = [colour.recovery.SDS_SMITS1999[name] for name in ("red", "green", "blue", "cyan")]
+    spectra = np.stack([np.interp(colorimetry.GRID, each.wavelengths, each.values) for each in bins])
+    spectra /= spectra.max(axis=1, keepdims=True)
+    spectra.setflags(write=False)
+    return spectra
+
+
 def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 0.0) -> Mixtures:
     """Smoothest mixtures that have given colours exactly (method ``basis4``).
 
@@ -90,12 +108,12 @@ def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayL
     w = w₀ + t v, v the null vector of the basis' tristimulus values. w >= 0 and S <= 1 leave an interval of t; within it
     Σ (S_{i+1} − S_i)², a parabola in t, is smallest.
     """
-    basis, under = colorimetry.basis()[1], np.asarray(floor, dtype=float)
+    spectra, under = basis(), np.asarray(floor, dtype=float)
     primaries, darkest = _primaries(illuminant, observer, under)
     colours = np.atleast_2d(np.asarray(xyz, dtype=float)) - darkest
     w_0 = colours @ np.linalg.pinv(primaries)
     null = np.linalg.svd(primaries.T)[2][3]
-    s_0, along = w_0 @ basis, null @ basis
+    s_0, along = w_0 @ spectra, null @ spectra
     offset = np.concatenate([w_0, 1 - s_0], axis=1)
     slope = np.concatenate([null, -along])
     # offset + t slope >= 0 for every weight and wavelength.
@@ -108,7 +126,7 @@ def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayL
     reached = still & (lowest <= highest + _ROUNDING) & np.isfinite(colours).all(axis=1)
     t = np.where(reached, np.clip(smoothest, lowest, np.maximum(lowest, highest)), np.nan)
     weights = np.where(reached[:, None], np.maximum(w_0 + t[:, None] * null, 0.0), np.nan)
-    return Mixtures(weights, under + (1 - under) * np.minimum(weights @ basis, 1.0), np.asarray(reached))
+    return Mixtures(weights, under + (1 - under) * np.minimum(weights @ spectra, 1.0), np.asarray(reached))
 
 
 def search(
@@ -197,20 +215,20 @@ def nearest(lab: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike 
     """Colour (3,) of a mixture nearest to a given one by ΔE*ab."""
     from scipy.optimize import LinearConstraint, minimize
 
-    wanted, basis = np.asarray(lab, dtype=float), colorimetry.basis()[1]
+    wanted, spectra = np.asarray(lab, dtype=float), basis()
     distance = _distance(wanted, illuminant, observer, floor, rescale=False)
     table = colorimetry.weights(illuminant, observer)
     found = minimize(  # type: ignore[call-overload]
         lambda w: float(distance(w[None])[0] ** 2),
         np.full(4, 0.3),
         bounds=[(0, 1)] * 4,
-        constraints=LinearConstraint(basis.T, -np.inf, 1.0),
+        constraints=LinearConstraint(spectra.T, -np.inf, 1.0),
         method="SLSQP",
         options={"maxiter": 300, "ftol": 1e-10},
     )
     w = np.clip(found.x, 0, 1)
     primaries, darkest = _primaries(illuminant, observer, floor)
-    return colorimetry.xyz_to_lab(darkest + w / max(float((w @ basis).max()), 1.0) @ primaries, table.white)
+    return colorimetry.xyz_to_lab(darkest + w / max(float((w @ spectra).max()), 1.0) @ primaries, table.white)
 
 
 def _advance_random(state: _State, seed: int, distance: Callable[[Array], Array]) -> _State:
@@ -261,7 +279,7 @@ def _primaries(illuminant: str, observer: int, floor: ArrayLike) -> tuple[Array,
     """Tristimulus values (4, 3) that each basis spectrum adds above a floor, and (3,) of the floor alone."""
     weights = colorimetry.weights(illuminant, observer).weights
     under = np.broadcast_to(np.asarray(floor, dtype=float), len(weights))
-    return (colorimetry.basis()[1] * (1 - under)) @ weights, under @ weights
+    return (basis() * (1 - under)) @ weights, under @ weights
 
 
 def _rescaled(w: Array) -> Array:
@@ -272,8 +290,8 @@ def _rescaled(w: Array) -> Array:
 @cache
 def _peaks() -> Array:
     """The basis at those wavelengths where a mixture can be largest: no other lies below one of them throughout."""
-    basis = colorimetry.basis()[1].T
-    unique = np.unique(basis, axis=0)
+    spectra = basis().T
+    unique = np.unique(spectra, axis=0)
     dominated = [(np.delete(unique, i, axis=0) >= row).all(axis=1).any() for i, row in enumerate(unique)]
     kept: Array = unique[~np.array(dominated)].T
     kept.setflags(write=False)

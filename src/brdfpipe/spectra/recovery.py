@@ -121,7 +121,7 @@ def recover(
             checkpoint=checkpoint,
             progress=progress,
         )
-        mixture = np.minimum(search.weights @ colorimetry.basis()[1], 1.0)
+        mixture = np.minimum(search.weights @ mixing.basis(), 1.0)
         reflectance: Array | None = specular + (1 - specular) * mixture
     else:
         reflectance = _spectrum(colour, illuminant, observer, specular, method)
