@@ -349,10 +349,13 @@ def _least_squares(data: _Data, form: Form, start: Array | None = None) -> _Curv
     else:
         decay = _several_decays(theta, rho, scale, form, start)
     linear = _project(theta, rho, scale, decay[None], form.power)[0][0]
+    # Rounding decides whether a term that decays before the first geometry has an amplitude: below rounding at every geometry it has none.
+    contribution = linear[:-1] * np.exp(-((theta[:, None] / decay) ** form.power))
+    amplitude = np.where(contribution.max(axis=0) > _ROUNDING * rho.max(), linear[:-1], 0.0)
     # Terms that vanished come last in every channel; their B is that of nothing.
-    decay = np.where(linear[:-1] > 0, decay, np.ptp(theta))
-    order = np.lexsort((decay, linear[:-1] == 0))
-    return _Curve(linear[:-1][order], decay[order], float(linear[-1]))
+    decay = np.where(amplitude > 0, decay, np.ptp(theta))
+    order = np.lexsort((decay, amplitude == 0))
+    return _Curve(amplitude[order], decay[order], float(linear[-1]))
 
 
 def _one_decay(theta: Array, rho: Array, scale: Array, power: int) -> Array:
