@@ -1,12 +1,23 @@
-"""What several test modules share."""
+"""What several test modules share.
+
+``make test`` runs everything but what is marked ``slow``: long emulations, random searches of expensive functions, and sweeps over many
+cases. Each of these has a representative that is not marked. ``make test-full`` (``--slow``) runs all.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import hypothesis
 import pytest
+from filelock import FileLock
 
 PROJECT = Path(__file__).parents[1]
+
+# No deadline: a busy machine is no failure. The same cases in every `make test`; `make test-full` searches at random.
+hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, database=None)
+hypothesis.settings.register_profile("random", deadline=None, database=None, print_blob=True)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -15,6 +26,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: a slow proof, run by `make test-full`")
+    hypothesis.settings.load_profile("random" if config.getoption("--slow") else "repeatable")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -23,6 +35,27 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if "slow" in item.keywords:
             item.add_marker(pytest.mark.skip(reason="a slow proof: make test-full"))
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], None]], Path]:
+    """``made_once(name, make)``: the folder that ``make`` filled, once in a run of the tests, whichever worker comes first.
+
+    Tests read what is in it and change nothing; one that changes results works on a copy.
+    """
+    run = tmp_path_factory.getbasetemp()
+    if run.name.startswith("popen-"):  # of one worker; those of a run are in one folder
+        run = run.parent
+
+    def folder(name: str, make: Callable[[Path], None]) -> Path:
+        complete = run / name / "complete"
+        with FileLock(run / f"{name}.lock"):
+            if not complete.exists():
+                make(run / name)
+                complete.touch()
+        return run / name
+
+    return folder
 
 
 @pytest.fixture(scope="session")
