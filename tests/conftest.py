@@ -15,8 +15,13 @@ from filelock import FileLock
 
 PROJECT = Path(__file__).parents[1]
 
+EXAMPLES = 20
+"""Cases of a random search in ``make test``, at most; ``make test-full`` tries as many as each test asks for."""
+
 # No deadline: a busy machine is no failure. The same cases in every `make test`; `make test-full` searches at random.
-hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True, database=None)
+hypothesis.settings.register_profile(
+    "repeatable", deadline=None, derandomize=True, database=None, max_examples=EXAMPLES
+)
 hypothesis.settings.register_profile("random", deadline=None, database=None, print_blob=True)
 
 
@@ -35,6 +40,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if "slow" in item.keywords:
             item.add_marker(pytest.mark.skip(reason="a slow proof: make test-full"))
+        own = getattr(getattr(item, "obj", None), "_hypothesis_internal_use_settings", None)
+        if own and own.max_examples > EXAMPLES:
+            item.obj._hypothesis_internal_use_settings = hypothesis.settings(own, max_examples=EXAMPLES)  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="session")

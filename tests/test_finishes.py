@@ -18,7 +18,7 @@ COLOUR = "spectrum: {lab: [50, 10, 10], illuminant: D65, observer: 10, geometry:
 MATERIALS = {
     "brushed": "surface: {file: h.npy, unit: um, pitch: 1}\nindex: ABS\n" + COLOUR,
     "compensated": "surface: {distribution: beckmann, slope_rms: 0.6}\nindex: ABS\nmodel: {multiple_scattering: compensated}\n",
-    "frosted": "surface: {distribution: flat}\nindex: PMMA\n"
+    "frosted": "surface: {distribution: flat}\nindex: 1.49\n"
     "slab: {thickness: 2, absorption: {file: a.txt}, back: {distribution: beckmann, slope_rms: 0.2}}\n",
     "patent": "surface: {distribution: beckmann, slope_rms: 0.6}\nindex: ABS\nmodel: {recipe: crf}\n" + COLOUR,
     "polished": "surface: {distribution: flat}\nindex: 1.5\n",
@@ -36,9 +36,12 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (base / "catalogue" / "frosted" / "a.txt").write_text(
         "nm a\n" + "".join(f"{w} 0.05\n" for w in range(380, 741, 20))
     )
-    # Coarse tables: what is in them is not the question here.
+    # Coarse tables and few fits: what is in them is not the question here.
     settings = base / "settings.yaml"
-    settings.write_text("table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}\n")
+    settings.write_text(
+        "table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}\n"
+        "lambert_gauss: {theta_i: [0, 45]}\n"
+    )
     summary = front.build(base / "catalogue", base / "results", cores=2, config=settings)
     assert summary.failures == {}
     return base / "results"

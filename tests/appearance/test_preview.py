@@ -94,6 +94,7 @@ def test_streaks_run_across_the_lay():
     assert np.abs(np.diff(pixels, axis=1)).mean() > 1.5 * np.abs(np.diff(pixels, axis=0)).mean()
 
 
+@pytest.mark.slow
 def test_a_lay_turned_with_its_own_coordinates_looks_the_same():
     pictures = [
         preview(

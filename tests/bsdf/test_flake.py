@@ -212,13 +212,14 @@ def test_a_missed_uncertainty_is_warned_about_without_degrees_of_freedom(tmp_pat
     assert misses(flake.build(five(tmp_path / "a.csv", 5.0), form="double-exponential")) == []
 
 
-def test_hundreds_of_values_within_their_uncertainties_are_not_warned_about(tmp_path):
+@pytest.mark.parametrize(("paints", "warned"), [(2, 1), pytest.param(8, 2, marks=pytest.mark.slow)])
+def test_hundreds_of_values_within_their_uncertainties_are_not_warned_about(tmp_path, paints, warned):
     found = [
         misses(flake.build(noisy(tmp_path / "a.csv", flake.build(spectra()), np.random.default_rng(seed))))
-        for seed in range(8)
+        for seed in range(paints)
     ]
     # One in twenty is, by chance.
-    assert sum(map(bool, found)) <= 2
+    assert sum(map(bool, found)) <= warned
 
 
 def test_three_colours_of_known_uncertainty_have_parameters_of_known_uncertainty(tmp_path):

@@ -159,9 +159,11 @@ def test_parameters_are_as_far_off_as_the_uncertainties_of_the_values_say(relati
     assert np.mean(np.abs(pulls) > 3) < 0.012
 
 
-def test_two_terms_are_as_far_off_as_the_uncertainties_of_the_values_say():
-    pulls = emulated(60, 0.0005, 0.0, np.linspace(2, 40, 14), "double-exponential")
-    assert pulls.std(axis=0) == pytest.approx(1.0, abs=0.3)
+@pytest.mark.parametrize(("paints", "within"), [(15, 0.55), pytest.param(60, 0.3, marks=pytest.mark.slow)])
+def test_two_terms_are_as_far_off_as_the_uncertainties_of_the_values_say(paints, within):
+    pulls = emulated(paints, 0.0005, 0.0, np.linspace(2, 40, 14), "double-exponential")
+    # The standard deviation of 15 samples is known to 18 %, of 60 to 9 %.
+    assert pulls.std(axis=0) == pytest.approx(1.0, abs=within)
 
 
 def test_three_geometries_have_an_uncertainty_where_their_values_do():
@@ -304,9 +306,19 @@ def test_a_term_that_is_nothing_but_rounding_error_has_vanished(steep):
     assert (found.amplitude > 0).tolist() == [True, False]
 
 
+@pytest.mark.parametrize(("width", "power", "constant", "seed"), [(6.0, 1.0, 1.0, 3), (14.0, 2.0, 0.2, 8)])
+def test_a_grid_of_decays_does_not_beat_the_fit_of_two_terms(width, power, constant, seed):
+    beaten_by_no_grid(width, power, constant, seed)
+
+
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.floats(4, 25), st.floats(0.6, 3), st.floats(0, 2), st.integers(0, 99))
 def test_no_grid_of_decays_beats_the_fit_of_two_terms(width, power, constant, seed):
+    beaten_by_no_grid(width, power, constant, seed)
+
+
+def beaten_by_no_grid(width: float, power: float, constant: float, seed: int) -> None:
     from scipy.optimize import nnls
 
     random = np.random.default_rng(seed)

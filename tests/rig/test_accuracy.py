@@ -26,7 +26,10 @@ def plan(*incidences: float) -> Plan:
     return replace(small, drift=replace(small.drift, every=1, step=4))
 
 
-@pytest.mark.parametrize("truth", accuracy.TRUTHS)
+@pytest.mark.parametrize(
+    "truth",
+    [pytest.param(name, marks=() if name == accuracy.FACETS else pytest.mark.slow) for name in accuracy.TRUTHS],
+)
 def test_a_measurement_of_a_known_sample_is_as_accurate_as_it_says(truth):
     """One rig, one wavelength, two incidences, every effect on; the page has the limits over all rigs."""
     found = accuracy.measured(plan(10.0, 45.0), accuracy.TRUTHS[truth](), seed=3, session=1)
