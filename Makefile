@@ -29,10 +29,10 @@ instruments: $(VENV)/.instruments  ## add the readers of instruments' own file f
 
 peers: $(VENV)/.peers  ## add the independent implementations that test-full compares with (250 MB, compiles for minutes)
 
-test: $(VENV)/.dev $(VENV)/.instruments  ## run the tests (under 20 minutes on two cores)
+test: $(VENV)/.dev $(VENV)/.instruments  ## run the tests, each at least on a representative case (minutes on two cores)
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
-test-full: $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers  ## run the tests, the slow proofs and the comparisons with other programs
+test-full: $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers  ## run the same, every random search in full, the slow proofs and the comparisons with other programs (an hour)
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal --slow
 
 lint: $(VENV)/.dev  ## format check, lint, types, workflow lint
