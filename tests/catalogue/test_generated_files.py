@@ -59,6 +59,6 @@ def test_every_description_of_the_examples_fits_its_editor_schema() -> None:
 
 
 def test_values_of_registries_are_those_of_the_registries() -> None:
-    from brdfpipe.spectra.containers import FORMATS
+    from brdfpipe.spectra.formats.registry import FORMATS
 
     assert declared(generated_files.material_keys.MeasuredSpectrum, ["format"]).choices == tuple(FORMATS)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from brdfpipe.errors import InputError
-from brdfpipe.spectra import jcamp, read_spectrum
+from brdfpipe.spectra import read_spectrum
+from brdfpipe.spectra.formats import jcamp
 
 # The same ordinates in the five forms (McDonald & Wilks 1988, table III shows how each is built).
 ORDINATES = [1, 2, 3, 3, 2, 1, 0, -1, -2, -3]

@@ -93,7 +93,7 @@ def test_a_reflectance_just_above_one_is_kept_and_warned_about(shared_data: Path
 
 def test_other_extensions_are_refused_with_those_read() -> None:
     with pytest.raises(
-        InputError, match=r"not read; found \.sp; accepted: \.asc, .*\.cxf, .*\.txt.*`spectrum\.format`"
+        InputError, match=r"unknown file extension; found \.sp; accepted: \.asc, .*\.cxf, .*\.txt.*`spectrum\.format`"
     ):
         read_spectrum("vinyl_red.sp", geometry="sci")
 

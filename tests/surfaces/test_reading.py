@@ -95,12 +95,12 @@ def test_the_extension_is_read_in_either_case(tmp_path: Path, asymmetric: xr.Dat
 
 @pytest.mark.parametrize("name", ["map.raw", "map", "map.x3p.bak", ".x3p"])
 def test_an_unknown_extension_is_refused_with_the_known_ones(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match=r"extension tells no known format.*\.txt.*\.x3p.*`surface\.format`"):
+    with pytest.raises(InputError, match=r"unknown file extension.*\.txt.*\.x3p.*`surface\.format`"):
         read_surface(tmp_path / name)
 
 
 def test_an_unknown_format_is_refused(profile: Path) -> None:
-    with pytest.raises(InputError, match="found raw; accepted: text, x3p"):
+    with pytest.raises(InputError, match="found raw; accepted: text, hfm, x3p"):
         read_surface(profile, "raw")
 
 

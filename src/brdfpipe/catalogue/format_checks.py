@@ -19,10 +19,10 @@ def check_formats(material: Material) -> None:
     from brdfpipe.columns import TEXT_SUFFIXES
     from brdfpipe.optics import index
     from brdfpipe.optics.index import refractive_index
-    from brdfpipe.spectra import containers
+    from brdfpipe.spectra.formats import registry
     from brdfpipe.surfaces.reading import FORMATS
 
-    suffixes = {"spectrum": containers.SUFFIXES, "index": index.SUFFIXES}
+    suffixes = {"spectrum": registry.extensions(), "index": index.SUFFIXES}
     surface_suffixes = {suffix for format in FORMATS.values() for suffix in format.extensions}
     content = material.content
     for part, key, _ in raw_files(content):

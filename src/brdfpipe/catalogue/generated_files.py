@@ -17,6 +17,10 @@ from brdfpipe.descriptions.keys import Keys
 from brdfpipe.rig.plan_keys import PlanKeys
 from brdfpipe.rig.reduction.certificate_keys import CertificateKeys
 from brdfpipe.rig.rig_keys import RigKeys
+from brdfpipe.spectra.formats.registry import FORMATS as SPECTRUM_FORMATS
+from brdfpipe.spectra.formats.sample import SpectrumFormat
+from brdfpipe.surfaces.heights import SurfaceFormat
+from brdfpipe.surfaces.reading import FORMATS as SURFACE_FORMATS
 
 DESCRIPTIONS: Mapping[str, Any] = {
     "material": material_keys.Material,
@@ -137,6 +141,8 @@ def key_tables() -> dict[str, dict[str, str]]:
             "multiangle": rendering.table(keys.Multiangle, "multiangle."),
             "model": rendering.table(keys.Model, "model."),
             "config": rendering.table(Config),
+            "formats of surfaces": _format_table(SURFACE_FORMATS, "Needs"),
+            "formats of spectra": _format_table(SPECTRUM_FORMATS, "Holds"),
         },
         "docs/rig.md": {
             "rig": rendering.table(RigKeys),
@@ -146,6 +152,14 @@ def key_tables() -> dict[str, dict[str, str]]:
             "certificate": rendering.table(CertificateKeys),
         },
     }
+
+
+def _format_table(formats: Mapping[str, SurfaceFormat | SpectrumFormat], title: str) -> str:
+    rows = [f"| Format | Extensions | {title} |", "|---|---|---|"]
+    for name, known in formats.items():
+        extensions = " ".join(f"`{extension}`" for extension in known.extensions)
+        rows.append(f"| `{name}` | {extensions or 'none: name the format'} | {known.description} |")
+    return "\n".join(rows)
 
 
 def files(project: Path) -> dict[str, str]:

@@ -44,7 +44,7 @@ def _surface_formats() -> Iterable[str]:
 
 
 def _spectrum_formats() -> Iterable[str]:
-    from brdfpipe.spectra.containers import FORMATS
+    from brdfpipe.spectra.formats.registry import FORMATS
 
     return FORMATS
 

@@ -16,7 +16,7 @@ from brdfpipe import columns, vocabulary
 from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
-from brdfpipe.spectra import containers
+from brdfpipe.spectra.formats import registry
 
 GEOMETRIES = ("sci", "sce")
 """Specular component included or excluded."""
@@ -96,10 +96,10 @@ def read_spectrum(
     Parameters
     ----------
     path : columns of text (.csv .dat .prn .tab .tsv .txt), the first one wavelengths in nm or µm, or one row a sample under a
-        header of wavelengths; or one of the other :data:`brdfpipe.spectra.containers.FORMATS`
+        header of wavelengths; or one of the other :data:`brdfpipe.spectra.formats.registry.FORMATS`
     geometry : ``sci`` or ``sce``, specular component included or excluded; by default what the file says
     incidence : degree, 0 <= incidence < 90, of the measurement; by default what the file says, or 8
-    format : a key of :data:`brdfpipe.spectra.containers.FORMATS`; by default the extension tells
+    format : a key of :data:`brdfpipe.spectra.formats.registry.FORMATS`; by default the extension tells
     sample : number (from 1) or name, of a file that holds several
     scale : ``fraction`` or ``percent``; needed where the header does not say it and no value exceeds 2
     column : number (the wavelength is column 1) or name of the reflectance; by default the first that is no uncertainty
@@ -118,7 +118,7 @@ def read_spectrum(
     """
     path = Path(path)
     _check_options(path, geometry, incidence, scale)
-    table = containers.read(path, format, sample)
+    table = registry.read(path, format, sample)
     log = _Log(list(table.notes), [f"{table.file}: {doubt}." for doubt in table.doubts])
     nm, note = columns.wavelengths(table, key="spectrum.file")
     log.history += [note] if note else []

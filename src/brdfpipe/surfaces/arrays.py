@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
-from brdfpipe.surfaces.heights import Heights
+from brdfpipe.surfaces.heights import UNSTATED, Heights, SurfaceFormat
 from brdfpipe.surfaces.units import needed_steps, pitch_steps, scales
 
 MAX_POINTS = 2**28
@@ -224,3 +224,17 @@ def _no_archive(path: Path, error: Exception) -> InputError:
     if isinstance(error, OSError) and error.strerror:
         return InputError(path, f"cannot be read ({error.strerror})")
     return InputError(path, "not an NPZ archive, or damaged", accepted=_WHOLE, key="surface.format")
+
+
+FORMATS = (
+    SurfaceFormat(
+        "npy", read_npy, (".npy",), "unit and pitch. One dimension is a line, two are a map with rows along y", UNSTATED
+    ),
+    SurfaceFormat(
+        "npz",
+        read_npz,
+        (".npz",),
+        "the array `height`, or one array alone; unit and pitch, unless the archive has `unit`, `lateral_unit`, `pitch` or `pitch_x`, `pitch_y`",
+        UNSTATED,
+    ),
+)

@@ -7,7 +7,7 @@ open. Their limits are wide: no finish of a plastic, paint or film comes near th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ PEAKED_WARN = 6.0
 
 @dataclass(frozen=True)
 class Heights:
-    """What a reader found.
+    """Heights and pitches that a reader returns.
 
     Parameters
     ----------
@@ -49,6 +49,25 @@ class Heights:
     pitch_y: float | None = None
     history: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SurfaceFormat:
+    """A format of surface files."""
+
+    name: str
+    """Value of ``surface.format``."""
+    read: Callable[..., Heights]
+    extensions: tuple[str, ...]
+    """Extensions that select it; without any it must be named."""
+    description: str
+    """What reading it needs, for the documentation."""
+    options: tuple[str, ...] = ()
+    """Keyword arguments of the reader, keys of ``surface``."""
+
+
+UNSTATED = ("unit", "lateral_unit", "pitch")
+"""Options of formats that do not state unit and pitch."""
 
 
 def surface_dataset(heights: Heights) -> xr.Dataset:

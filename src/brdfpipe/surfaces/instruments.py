@@ -13,6 +13,7 @@ import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
-from brdfpipe.surfaces.heights import PITCH_RANGE, Heights
+from brdfpipe.surfaces.heights import PITCH_RANGE, Heights, SurfaceFormat
 from brdfpipe.surfaces.units import UNITS, scales
 
 LIBRARY = "SurfaceTopography"
@@ -245,3 +246,15 @@ def _refusal(path: Path, title: str, error: Exception) -> InputError:
     return InputError(
         path, f"not a {title} file, or damaged", found=words, accepted="a whole file", key="surface.format"
     )
+
+
+FORMATS = tuple(
+    SurfaceFormat(
+        name,
+        partial(read_instrument, format=name),
+        instrument.extensions,
+        f"{instrument.title}; needs the extra `instruments`",
+        instrument.options,
+    )
+    for name, instrument in INSTRUMENTS.items()
+)

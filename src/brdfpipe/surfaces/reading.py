@@ -8,46 +8,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
 from brdfpipe.errors import BrdfpipeError, InputError
-from brdfpipe.surfaces.arrays import read_npy, read_npz
+from brdfpipe.surfaces import arrays, instruments, text, x3p
 from brdfpipe.surfaces.filtering import high_pass, low_pass
-from brdfpipe.surfaces.heights import Heights, examine, surface_dataset
-from brdfpipe.surfaces.instruments import INSTRUMENTS, check_installed, read_instrument
+from brdfpipe.surfaces.heights import SurfaceFormat, examine, surface_dataset
 from brdfpipe.surfaces.levelling import level
-from brdfpipe.surfaces.text import read_hfm, read_text
-from brdfpipe.surfaces.x3p import read_x3p
 
-
-@dataclass(frozen=True)
-class Format:
-    """A file format: its reader, the extensions it goes by, and the options the reader takes."""
-
-    read: Callable[..., Heights]
-    extensions: tuple[str, ...]
-    options: tuple[str, ...] = ()
-
-
-_UNSTATED = ("unit", "lateral_unit", "pitch")
-
-FORMATS: Mapping[str, Format] = {
-    "text": Format(read_text, (".txt", ".csv", ".dat", ".asc", ".xyz"), ("layout", *_UNSTATED)),
-    "x3p": Format(read_x3p, (".x3p",)),
-    "npy": Format(read_npy, (".npy",), _UNSTATED),
-    "npz": Format(read_npz, (".npz",), _UNSTATED),
-    "hfm": Format(read_hfm, (".hfm",)),
-    **{
-        name: Format(partial(read_instrument, format=name), instrument.extensions, instrument.options)
-        for name, instrument in INSTRUMENTS.items()
-    },
+FORMATS: dict[str, SurfaceFormat] = {
+    known.name: known for module in (text, x3p, arrays, instruments) for known in module.FORMATS
 }
-"""To add a format, write a reader that returns :class:`~brdfpipe.surfaces.heights.Heights` and name it here."""
+"""Formats of surface files by name. To add one, write a module with ``FORMATS`` like :mod:`.x3p` and list it above."""
 
 _STEPS: Mapping[str, Callable[[xr.Dataset, Any], xr.Dataset]] = {
     "form": level,
@@ -140,8 +115,8 @@ def check_readable(path: str | os.PathLike[str], format: str | None = None) -> N
     ------
     InputError : as :func:`read_surface`, or naming the command that installs the optional extra.
     """
-    if _format_name(Path(path), format) in INSTRUMENTS:
-        check_installed(Path(path))
+    if _format_name(Path(path), format) in instruments.INSTRUMENTS:
+        instruments.check_installed(Path(path))
 
 
 def _format_name(path: Path, name: str | None) -> str:
@@ -154,7 +129,7 @@ def _format_name(path: Path, name: str | None) -> str:
             return candidate
     raise InputError(
         path,
-        "the extension tells no known format",
+        "unknown file extension",
         found=path.suffix or "none",
         accepted=", ".join(suffix for known in FORMATS.values() for suffix in known.extensions),
         key="surface.format",

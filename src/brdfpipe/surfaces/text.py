@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
-from brdfpipe.surfaces.heights import Heights
+from brdfpipe.surfaces.heights import UNSTATED, Heights, SurfaceFormat
 from brdfpipe.surfaces.units import UNITS, needed_steps, pitch_steps, scales
 
 LAYOUTS = ("line", "grid", "xyz")
@@ -488,3 +488,15 @@ def _check_agreement(stated: tuple[float, ...], found: tuple[float, ...], path: 
                 accepted="no pitch where the file has positions",
                 key="surface.pitch",
             )
+
+
+FORMATS = (
+    SurfaceFormat(
+        "text",
+        read_text,
+        (".txt", ".csv", ".dat", ".asc", ".xyz"),
+        "unit (or a line `# unit: um`); pitch (or `# pitch: 0.5 0.5`) where there are no positions",
+        ("layout", *UNSTATED),
+    ),
+    SurfaceFormat("hfm", read_hfm, (".hfm",), "states everything itself"),
+)

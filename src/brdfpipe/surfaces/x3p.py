@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
 from brdfpipe.store import atomic_path
-from brdfpipe.surfaces.heights import Heights
+from brdfpipe.surfaces.heights import Heights, SurfaceFormat
 from brdfpipe.vocabulary import validate
 
 DATA_TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
@@ -403,3 +403,6 @@ def _document(feature: str, code: str, shape: tuple[int, ...], pitches: tuple[fl
 <Record4><ChecksumFile>md5checksum.hex</ChecksumFile></Record4>
 </p:ISO5436_2>
 """
+
+
+FORMATS = (SurfaceFormat("x3p", read_x3p, (".x3p",), "states everything itself"),)

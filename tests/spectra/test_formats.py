@@ -1,4 +1,4 @@
-"""Spectra in other containers than two columns of text: the real files, every quirk in small, damage of every kind."""
+"""Spectra in other formats than two columns of text: the real files, every quirk in small, damage of every kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of JCAMP-DX files, plain and in the compressed forms of the standard.
+"""JCAMP-DX: spectra and their tables, plain and in the compressed forms of the standard.
 
 References
 ----------
@@ -13,8 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from brdfpipe import columns
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
+from brdfpipe.spectra.formats.sample import FRACTION, PERCENT, Sample, SpectrumFormat
 
 Block = tuple[str, str, str, Array, Array, tuple[str, ...]]
 
@@ -191,3 +193,26 @@ def _value(token: str) -> float:
         return float(token)
     sign = "-" if token[0] in "abcdefghijklmnopqr" else ""
     return float(f"{sign}{abs(lead)}{token[1:]}")
+
+
+def _read(path: Path) -> tuple[list[Sample], list[str]]:
+    text, notes = columns.read_text(path)
+    samples = []
+    for title, x_unit, y_unit, wavelength, values, doubts in blocks(path, text):
+        unit = {"NANOMETERS": "nm", "NM": "nm", "MICROMETERS": "um", "MICRONS": "um", "UM": "um"}.get(x_unit)
+        if unit is None or "REFL" not in y_unit or "LOG" in y_unit:
+            raise InputError(
+                path,
+                "is no reflectance over wavelength",
+                where=title[:40],
+                found=f"XUNITS {x_unit[:20]}, YUNITS {y_unit[:20]}",
+                accepted="NANOMETERS or MICROMETERS, REFLECTANCE",
+            )
+        scale = PERCENT if "%" in y_unit or "PERCENT" in y_unit else FRACTION
+        samples.append(Sample(title, wavelength, values, (scale,), unit, doubts))
+    return samples, notes
+
+
+FORMAT = SpectrumFormat(
+    "jcamp", (".dx", ".jcamp", ".jcm", ".jdx"), "JCAMP-DX `XYDATA` or `XYPOINTS`, packed or not, over nm or µm", _read
+)

@@ -1,0 +1,1 @@
+"""Formats of spectrum files: one module reads one format and registers it."""

@@ -1,0 +1,98 @@
+"""Tables of CGATS.17 (ANSI CGATS, Argyll .ti3) with spectral fields."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from brdfpipe import columns
+from brdfpipe.errors import InputError
+from brdfpipe.spectra.formats.sample import (
+    FRACTION,
+    PERCENT,
+    UNSCALED,
+    Sample,
+    SpectrumFormat,
+    doubts_of_cut_numbers,
+    lines_of,
+    parse_numbers,
+    stated_number,
+    truncated,
+)
+
+_BAND = re.compile(r"(?:SPEC|SPECTRAL|SPECTRAL_NM|NM|R)_?(\d{3,4}(?:\.\d+)?)", re.IGNORECASE)
+
+
+def _read(path: Path) -> tuple[list[Sample], list[str]]:
+    text, notes = columns.read_text(path)
+    return _samples(path, text), notes
+
+
+def _samples(path: Path, text: str) -> list[Sample]:
+    samples: list[Sample] = []
+    keywords: dict[str, str] = {}
+    fields: list[str] = []
+    data: list[str] = []
+    into: list[str] | None = None
+    for line in lines_of(text):
+        tokens = [token.strip('"') for token in re.findall(r'"[^"]*"|[^\s"]+', re.sub(r"^\s*#.*", "", line))]
+        head = tokens[0].upper() if tokens else ""
+        if head in ("BEGIN_DATA_FORMAT", "BEGIN_DATA"):
+            into = fields if head == "BEGIN_DATA_FORMAT" else data
+            into.clear()
+        elif head in ("END_DATA_FORMAT", "END_DATA"):
+            into = None
+            if head == "END_DATA":
+                samples += _table_samples(path, keywords, fields, data)
+        elif into is not None:
+            into += tokens
+        elif len(tokens) > 1:
+            keywords[head] = tokens[1]
+    if into is not None:
+        raise InputError(path, "truncated: a block does not end", accepted="END_DATA")
+    return samples
+
+
+def _table_samples(path: Path, keywords: Mapping[str, str], fields: Sequence[str], data: Sequence[str]) -> list[Sample]:
+    bands = {i: float(match.group(1)) for i, name in enumerate(fields) if (match := _BAND.fullmatch(name))}
+    if not bands:
+        return []
+    if keywords.get("DEVICE_CLASS", "").upper() == "DISPLAY":
+        raise InputError(path, "is no reflectance", found="DEVICE_CLASS DISPLAY", accepted="reflectance of a print")
+    sets = stated_number(path, "NUMBER_OF_SETS", keywords.get("NUMBER_OF_SETS", ""))
+    if len(data) != sets * len(fields):
+        raise truncated(path, len(data), sets * len(fields))
+    wavelength = np.array(list(bands.values()))
+    if "SPECTRAL_BANDS" in keywords:
+        low, high, count = (
+            stated_number(path, key, keywords.get(key, ""))
+            for key in ("SPECTRAL_START_NM", "SPECTRAL_END_NM", "SPECTRAL_BANDS")
+        )
+        exact = np.linspace(low, high, len(bands))
+        # Names are rounded to nm.
+        if count != len(bands) or (np.abs(exact - wavelength) > 0.51).any():
+            raise InputError(
+                path,
+                "the bands are not those of the header",
+                found=f"{len(bands)} from {wavelength[0]:g} to {wavelength[-1]:g} nm",
+                accepted=f"{count:g} from {low:g} to {high:g} nm",
+            )
+        wavelength = exact
+    norm = keywords.get("SPECTRAL_NORM")
+    stated = {100.0: PERCENT, 1.0: FRACTION}.get(stated_number(path, "SPECTRAL_NORM", norm)) if norm else UNSCALED
+    if stated is None:
+        raise InputError(path, "an unknown scale", where="SPECTRAL_NORM", found=repr(norm)[:40], accepted="1 or 100")
+    names = [fields.index(name) for name in ("SAMPLE_NAME", "SAMPLE_ID", "SAMPLE_LOC") if name in fields]
+    rows = [data[start : start + len(fields)] for start in range(0, len(data), len(fields))]
+    samples = []
+    for place, row in enumerate(rows, start=1):
+        cells = [row[i] for i in bands]
+        name, values = row[names[0]] if names else str(place), parse_numbers(path, f"set {place}", cells)
+        samples.append(Sample(name, wavelength, values, (stated,), doubts=doubts_of_cut_numbers(cells, wavelength)))
+    return samples
+
+
+FORMAT = SpectrumFormat("cgats", (".cgats", ".ti3"), "spectral fields of CGATS tables", _read)

@@ -1,0 +1,148 @@
+"""CxF3 (ISO 17972): objects with a reflectance spectrum."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from brdfpipe import columns
+from brdfpipe.errors import InputError
+from brdfpipe.spectra.formats.sample import (
+    FRACTION,
+    Sample,
+    SpectrumFormat,
+    doubt_of_end,
+    doubts_of_cut_numbers,
+    even_grid,
+    parse_numbers,
+    stated_number,
+)
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+_END = 850.0
+_STARTS = (360.0, 400.0)
+_SPHERES = {"Specular_Included": "specular included", "Specular_Excluded": "specular excluded"}
+_DIRECTIONS = ("IlluminationAngle", "MeasurementAngle")
+_GLOSS = 10.0
+"""Angles of light and view that are closer [degree] may hold the mirror direction."""
+
+
+def _read(path: Path) -> tuple[list[Sample], list[str]]:
+    text, notes = columns.read_text(path)
+    return _samples(path, text), notes
+
+
+def _samples(path: Path, text: str) -> list[Sample]:
+    root = _xml(path, text)
+    elements = root.findall(".//{*}ColorSpecification")
+    specifications = {element.get("Id", ""): _specification(element) for element in elements}
+    samples, owners = [], []
+    for place, item in enumerate(root.findall(".//{*}Object"), start=1):
+        name = item.get("Name", f"object {place}")
+        for spectrum in item.findall(".//{*}ReflectanceSpectrum"):
+            owners.append(spectrum.get("ColorSpecification", ""))
+            samples.append(_sample(path, name, spectrum, specifications.get(owners[-1], _Specification())))
+    counts = {owner: [s.values.size for s, o in zip(samples, owners, strict=True) if o == owner] for owner in owners}
+    return [
+        sample._replace(doubts=(*sample.doubts, *_unlike(sample.values.size, counts[owner])))
+        for sample, owner in zip(samples, owners, strict=True)
+    ]
+
+
+def _xml(path: Path, text: str) -> Element:
+    import defusedxml
+    from defusedxml.ElementTree import ParseError, fromstring
+
+    try:
+        # The declaration names the encoding of bytes that are decoded already.
+        root: Element = fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text), forbid_dtd=True)
+    except defusedxml.DefusedXmlException as error:
+        raise InputError(path, "XML with a document type or entities", accepted="plain CxF3") from error
+    except (ParseError, RecursionError, ValueError) as error:
+        raise InputError(path, "damaged XML", found=str(error)[:80], accepted="CxF3", key="spectrum.format") from error
+    return root
+
+
+class _Specification(NamedTuple):
+    """What a ColorSpecification says of the spectra that refer to it."""
+
+    start: str | None = None
+    step: str | None = None
+    quantity: str = ""
+    header: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+def _specification(element: Element) -> _Specification:
+    quantity = (element.findtext(".//{*}MeasurementType") or "").strip()
+    span = element.find(".//{*}WavelengthRange")
+    start, step = (None, None) if span is None else (span.get("StartWL"), span.get("Increment"))
+    sphere = (element.findtext(".//{*}SphereGeometry") or "").strip()
+    single = element.find(".//{*}SingleAngle")
+    if sphere in _SPHERES:
+        return _Specification(start, step, quantity, (_SPHERES[sphere],))
+    if single is not None:
+        light, view = (columns.number(single.findtext(f"{{*}}{key}") or "") for key in _DIRECTIONS)
+        if light is not None and view is not None and abs(abs(light) - abs(view)) > _GLOSS:
+            angles = f"SingleAngle {abs(light):g}/{abs(view):g}"
+            return _Specification(
+                start, step, quantity, (f"{angles}: light from {abs(light):g} degree, specular excluded",)
+            )
+    several = element.find(".//{*}MultiAngle") is not None
+    doubts = ("it was measured at several angles: one of them is no total reflectance. Use `multiangle`",)
+    return _Specification(start, step, quantity, doubts=doubts if several else ())
+
+
+def _sample(path: Path, name: str, spectrum: Element, specification: _Specification) -> Sample:
+    if "Transmittance" in specification.quantity or "Emissive" in specification.quantity:
+        found, accepted = specification.quantity[:40], "Spectrum_Reflectance"
+        raise InputError(
+            path, "is no reflectance", where=f"MeasurementType of {name[:40]}", found=found, accepted=accepted
+        )
+    low, step = (
+        _agreed(path, name, key, spectrum.get(key), stated)
+        for key, stated in (("StartWL", specification.start), ("Increment", specification.step))
+    )
+    cells = (spectrum.text or "").split()
+    values, wavelength = parse_numbers(path, name[:40], cells), even_grid(low, step, len(cells))
+    if low + step * (values.size - 1) > _END:
+        raise InputError(
+            path,
+            "damaged: more values than a colour instrument measures",
+            where=name[:40],
+            found=f"{values.size} values from {low:g} nm by {step:g} nm",
+            accepted=f"values up to {_END:g} nm",
+        )
+    doubts = (*specification.doubts, *doubt_of_end(wavelength, step), *doubts_of_cut_numbers(cells, wavelength))
+    if not _STARTS[0] <= low <= _STARTS[1]:
+        doubts += (f"StartWL is {low:g} nm; CxF3 allows 360 to 400. Compare it with the instrument",)
+    return Sample(name, wavelength, values, (FRACTION, *specification.header), doubts=doubts)
+
+
+def _agreed(path: Path, name: str, key: str, own: str | None, shared: str | None) -> float:
+    """A number that a spectrum, its specification or both of them state."""
+    value = stated_number(path, f"{key} of {name[:40]}", own or shared or "")
+    if own and shared and value != columns.number(shared):
+        raise InputError(
+            path,
+            f"damaged: two values of {key}",
+            where=name[:40],
+            found=f"{value:g} and {shared[:20]} nm",
+            accepted=f"one {key}",
+        )
+    return value
+
+
+def _unlike(size: int, sizes: Sequence[int]) -> list[str]:
+    """Where a container states no number of values, its other spectra of the same specification tell."""
+    if 2 * sizes.count(size) > len(sizes):
+        return []
+    others = ", ".join(str(other) for other in sorted({*sizes} - {size}))
+    return [f"it has {size} values, others of the file {others}. Look for lost or added values"]
+
+
+FORMAT = SpectrumFormat("cxf", (".cxf",), "CxF3 objects with a `ReflectanceSpectrum`, fractions", _read)

@@ -1,0 +1,100 @@
+"""What a reader of a spectrum format returns, how it registers itself, and the checks that readers share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from brdfpipe import columns
+from brdfpipe.columns import Columns
+from brdfpipe.errors import InputError
+from brdfpipe.geometry import Array
+
+PERCENT = "reflectance in percent"
+FRACTION = "reflectance as a fraction"
+UNSCALED = "reflectance"
+
+_USUAL_STEPS = (1.0, 2.0, 5.0, 10.0, 20.0)
+_USUAL_ENDS = (700.0, 730.0, 740.0, 750.0, 780.0, 830.0, 850.0)
+"""Where spectra of colour instruments end [nm]."""
+
+
+class Sample(NamedTuple):
+    """One spectrum of a file."""
+
+    name: str
+    wavelength: Array
+    """nm, or µm where ``unit`` says so; in any order"""
+    values: Array
+    header: tuple[str, ...] = ()
+    """What the file says about it: scale, specular component, directions."""
+    unit: str = "nm"
+    """nm, um, or nothing where the file is silent"""
+    doubts: tuple[str, ...] = ()
+    """What looks lost or damaged, in words"""
+
+
+@dataclass(frozen=True)
+class SpectrumFormat:
+    """A format of spectrum files."""
+
+    name: str
+    """Value of ``spectrum.format``."""
+    extensions: tuple[str, ...]
+    """Extensions that select it."""
+    description: str
+    """What a file holds, for the documentation."""
+    read: Callable[[Path], tuple[Columns | list[Sample], list[str]]]
+    """Reads a file: a table of columns, or its samples; and notes for the history."""
+
+
+def lines_of(text: str) -> list[str]:
+    """Lines of a text with any line ends."""
+    return re.split(r"\r\n|\r|\n", text)
+
+
+def even_grid(low: float, step: float, count: int) -> Array:
+    """Wavelengths from the first one in even steps."""
+    grid: Array = low + step * np.arange(count, dtype=float)
+    return grid
+
+
+def doubt_of_end(wavelength: Array, step: float) -> tuple[str, ...]:
+    """A doubt where a container states start and step, and the end that follows is that of no usual instrument."""
+    if not wavelength.size or (step in _USUAL_STEPS and wavelength[-1] in _USUAL_ENDS):
+        return ()
+    return (
+        f"{wavelength.size} values from {wavelength[0]:g} nm by {step:g} nm end at {wavelength[-1]:g} nm, where few "
+        "instruments do, and the file states no end. Look for lost or added values, or compare step and end with the instrument",
+    )
+
+
+def doubts_of_cut_numbers(cells: Sequence[str], wavelength: Array) -> tuple[str, ...]:
+    """Numbers with fewer digits than the others of the file."""
+    return tuple(columns.cut_numbers(cells, lambda i: f"at {wavelength[i]:g} nm"))
+
+
+def parse_numbers(path: Path, where: str, cells: Sequence[str], decimal: str = ".") -> Array:
+    """Cells as numbers; an :class:`InputError` names the first that is none."""
+    values = [columns.number(cell, decimal) for cell in cells]
+    if None in values:
+        raise InputError(path, "not a number", where=where, found=repr(cells[values.index(None)])[:60])
+    return np.array(values, dtype=float)
+
+
+def stated_number(path: Path, what: str, text: str) -> float:
+    """A number that the file must state."""
+    value = columns.number(text) if text else None
+    if value is None or not np.isfinite(value):
+        raise InputError(path, f"does not state its {what}", found=repr(text)[:40], accepted="a number")
+    return value
+
+
+def truncated(path: Path, found: int, stated: float) -> InputError:
+    """The refusal of a file that holds another number of values than it states."""
+    return InputError(path, "truncated or damaged", found=f"{found} values", accepted=f"{stated:g}, as the file states")

@@ -1,0 +1,104 @@
+"""Text: columns of wavelength and reflectance, or one row a sample under a header of wavelengths."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from brdfpipe import columns
+from brdfpipe.columns import Columns
+from brdfpipe.errors import InputError
+from brdfpipe.spectra.formats.sample import (
+    Sample,
+    SpectrumFormat,
+    doubts_of_cut_numbers,
+    lines_of,
+    parse_numbers,
+)
+
+_LABEL = re.compile(r"[A-Za-zλ%_\s]{0,12}[\s_(\[]?(\d{3,5}(?:\.\d+)?|\d?\.\d{2,5})\s*(?:nm|[µμu]m)?[)\]]?", re.ASCII)
+_FEWEST_LABELS = 7
+
+
+def wide_rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]], str] | None:
+    """Words above, then header and rows of a table whose header is wavelengths; None if it is no such table."""
+    lines = lines_of(text)
+    for place, line in enumerate(lines):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        separator = next((mark for mark in ";\t," if mark in line), None)
+        if separator is None:
+            continue
+        if len(_labels(next(csv.reader([line], delimiter=separator), []))) >= _FEWEST_LABELS:
+            above = [re.sub(r"^[#!*;/]+\s*", "", each) for each in lines[:place] if each.strip()]
+            if any(_is_row(each, separator) for each in above):
+                return None
+            reader = csv.reader(lines[place:], delimiter=separator)
+            try:
+                rows = [(place + reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+            except csv.Error:
+                return None
+            return above, rows, "." if separator == "," else ","
+        if columns.number(re.split(r"[;\t,\s]", line.strip())[0]) is not None:
+            return None
+    return None
+
+
+def _is_row(line: str, separator: str) -> bool:
+    """Whether most cells of a line are numbers: values above the header of wavelengths, which nothing names."""
+    values = [columns.number(cell, "," if separator == ";" else ".") for cell in line.split(separator)]
+    return len(values) > _FEWEST_LABELS and sum(value is not None for value in values) > len(values) / 2
+
+
+def _labels(cells: Sequence[str]) -> dict[int, float]:
+    """Position → wavelength of the cells that name one; nothing unless they rise or fall throughout after at least one word."""
+    found = {i: _LABEL.fullmatch(cell.strip()) for i, cell in enumerate(cells)}
+    labels = {i: float(match.group(1)) for i, match in found.items() if match}
+    if not labels or 0 in labels:
+        return {}
+    steps = np.diff(list(labels.values()))
+    return labels if (steps > 0).all() or (steps < 0).all() else {}
+
+
+def wide_samples(path: Path, above: Sequence[str], rows: Sequence[tuple[int, list[str]]], decimal: str) -> list[Sample]:
+    header = rows[0][1]
+    labels = _labels(header)
+    stated = "nm" if any("nm" in header[i] for i in labels) else ""
+    if decimal == "," and not any("," in row[i] for _, row in rows[1:] for i in labels if i < len(row)):
+        decimal = "."
+    samples = []
+    for line, row in rows[1:]:
+        if len(row) != len(header):
+            raise InputError(
+                path,
+                "rows of unequal length",
+                where=f"line {line}",
+                found=f"{len(row)} cells",
+                accepted=f"{len(header)} cells, as in the header",
+            )
+        cells = [row[i] for i in labels]
+        wavelength = np.array(list(labels.values()))
+        values = parse_numbers(path, f"line {line}", cells, decimal)
+        samples.append(
+            Sample(row[0].strip(), wavelength, values, tuple(above), stated, doubts_of_cut_numbers(cells, wavelength))
+        )
+    return samples
+
+
+def _read(path: Path) -> tuple[Columns | list[Sample], list[str]]:
+    text, notes = columns.read_text(path)
+    table = wide_rows(text)
+    return (columns.parse_columns(text, path, notes) if table is None else wide_samples(path, *table)), notes
+
+
+FORMAT = SpectrumFormat(
+    "text",
+    columns.TEXT_SUFFIXES,
+    "columns of wavelength (nm or µm) and reflectance; or one row a sample under a header of wavelengths. UTF-8, UTF-16 or Latin-1; `;`, tab, "
+    "`,` or blanks; decimal point or comma",
+    _read,
+)
