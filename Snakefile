@@ -1,23 +1,39 @@
 from pathlib import Path
 
-from brdfpipe.jobs.rules import Stages
+from brdfpipe.jobs.rules import Pipeline
+from brdfpipe.stages import EXPORTS
 
-stages = Stages(config, Path(workflow.basedir) / "workflow" / "scripts")
+pipeline = Pipeline(config, Path(workflow.basedir) / "workflow" / "scripts")
+made, raw = pipeline.made, pipeline.raw
 
 
 wildcard_constraints:
     material="[A-Za-z0-9][A-Za-z0-9._-]*",
+    calibration="[A-Za-z0-9][A-Za-z0-9._-]*",
+    scan=r"\d+",
+    load="sample|etalon",
+    side="reflection|transmission",
+    incidence="[0-9.]+",
+
+
+# How every stage runs. Each rule inherits it, and has log, params and message from its entry in brdfpipe/stages.py.
+rule stage:
+    run:
+        pipeline.run(rule, wildcards, input, output, params)
 
 
 onstart:
-    stages.preload(workflow.dag.needrun_jobs())
+    pipeline.preload(workflow.dag.needrun_jobs())
 
 
-include: "workflow/rules/catalogue.smk"
 include: "workflow/rules/predicted.smk"
 include: "workflow/rules/flake.smk"
 include: "workflow/rules/rig.smk"
 include: "workflow/rules/outputs.smk"
+include: "workflow/rules/catalogue.smk"
+
+
+pipeline.complete(workflow)
 
 
 rule all:
@@ -25,4 +41,4 @@ rule all:
     input:
         rules.catalogue.output,
         # A deleted file is made again only where it is asked for.
-        stages.files(),
+        pipeline.files(),

@@ -169,11 +169,11 @@ def test_each_stage_of_a_slab_is_told_of_its_own_face(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("back", "own"), [("", False), (", back: same", False), (", back: Flat", True)])
 def test_a_slab_has_a_back_of_its_own_where_it_differs(tmp_path: Path, back: str, own: bool) -> None:
     write(tmp_path, "m", FRONT + f"slab: {{thickness: 1{back}}}")
-    material = catalogue.load(tmp_path)["m"]
-    assert material.has("slab")
-    assert material.has("back") == own
+    loaded = catalogue.load(tmp_path)
+    assert loaded["m"].has("slab")
+    assert loaded["m"].has("back") == own
     if own:
-        assert material.spec("back_facets", {}) == {"distribution": "flat"}
+        assert loaded.spec("m", "back_facets") == {"distribution": "flat"}
 
 
 @pytest.mark.parametrize(

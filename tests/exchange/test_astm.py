@@ -94,7 +94,7 @@ def brushed():
 
 def test_rows_of_a_surface_with_a_lay_are_a_full_grid_of_true_values(brushed, tmp_path):
     table = brushed.bsdf.tabulate({**GRID, "phi_i": [-30.0, 15.0, 60.0]})
-    astm.write(table, tmp_path / "b.astm", model=brushed)
+    astm.write(brushed, tmp_path / "b.astm", table=table)
     points, _, rows = read_as_viewers_do(tmp_path / "b.astm")
     angles = np.degrees(rows[:, :4])
     sizes = [np.unique(np.round(column, 5)).size for column in angles.T]
@@ -106,13 +106,13 @@ def test_rows_of_a_surface_with_a_lay_are_a_full_grid_of_true_values(brushed, tm
 
 def test_rows_of_a_surface_with_a_lay_need_its_model(brushed, tmp_path):
     table = brushed.bsdf.tabulate({**GRID, "phi_i": [0.0, 90.0]})
-    with pytest.raises(astm.ExchangeError, match="give the `model`"):
+    with pytest.raises(astm.ExchangeError, match="give the BSDF it was made from"):
         astm.write(table, tmp_path / "b.astm")
 
 
 def test_the_header_says_what_no_row_can(tmp_path):
     polished = microfacet.build(facets.flat(), index=1.5)
-    astm.write(polished.bsdf.tabulate(GRID), tmp_path / "p.astm", model=polished)
+    astm.write(polished, tmp_path / "p.astm", table=polished.bsdf.tabulate(GRID))
     header, rows = (tmp_path / "p.astm").read_text().split("VARS")[0], read_as_viewers_do(tmp_path / "p.astm")[2]
     assert "NOT in these rows, because no density can say so: the share mirrored" in header
     assert "0:0.040000" in header
@@ -123,8 +123,8 @@ def test_each_side_of_a_sheet_is_a_file_of_its_own(tmp_path):
     sheet = slab.build(facets.analytic("beckmann", 0.3), facets.analytic("beckmann", 0.2), index=1.5)
     both = {**GRID, "theta_o": [*GRID["theta_o"], *(180 - GRID["theta_o"][::-1])]}
     table = sheet.bsdf.tabulate(both)
-    astm.write(table, tmp_path / "s.astm", model=sheet)
-    astm.write_transmission(table, tmp_path / "s.transmission.astm", model=sheet)
+    astm.write(sheet, tmp_path / "s.astm", table=table)
+    astm.write_transmission(sheet, tmp_path / "s.transmission.astm", table=table)
     for file, turn in (("s.astm", lambda theta: theta), ("s.transmission.astm", lambda theta: 180 - theta)):
         points, _, rows = read_as_viewers_do(tmp_path / file)
         theta_i, phi_i, theta_s, phi_s = np.degrees(rows[:, :4]).T

@@ -41,8 +41,9 @@ def main(input, output, params):
     content = json.dumps([Path(__file__).stem, params["material"], params["spec"], given], sort_keys=True)
     if Path(__file__).stem == "catalogue":
         content = json.dumps(params["spec"])
-    for path in output.values():
-        Path(path).write_text(content)
+    for value in output.values():
+        for path in [value] if isinstance(value, str) else value:
+            Path(path).write_text(content)
 '''
 
 

@@ -5,14 +5,20 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
 from brdfpipe import catalogue, installation
 from brdfpipe.jobs import code
+from brdfpipe.stages import STAGES, Stage
 
 SCRIPTS = Path(__file__).parents[2] / "workflow" / "scripts"
+
+
+def script(stage: Stage) -> Path:
+    return SCRIPTS / f"{stage.script or stage.name}.py"
 
 
 @pytest.fixture
@@ -27,16 +33,19 @@ def root(tmp_path: Path) -> Path:
     (package / "optics" / "__init__.py").write_text("from .fresnel import f\n")
     (package / "optics" / "fresnel.py").write_text("from brdfpipe import store\nf = 1\n")
     (package / "optics" / "tables" / "n.csv").write_text("1,2\n")
-    (package / "other.py").write_text("x = 1\n")
+    (package / "other.py").write_text("import PIL\nx = 1\n")
     (package / "jobs.py").write_text("x = 1\n")
-    (tmp_path / "stage.py").write_text("from brdfpipe import facets\n\ndef main():\n    import brdfpipe.jobs.x\n")
+    (tmp_path / "stage.py").write_text(
+        "from typing import TYPE_CHECKING\n\nfrom brdfpipe import facets\n\nif TYPE_CHECKING:\n    from brdfpipe import other\n\n"
+        "def main():\n    import brdfpipe.jobs.x\n"
+    )
     return tmp_path
 
 
-def digest(root: Path) -> str:
-    code._read.cache_clear()
+def digest(root: Path, also: tuple[str, ...] = ()) -> str:
+    code._parsed.cache_clear()
     code._bytes_digest.cache_clear()
-    return code.digest(root / "stage.py", root)
+    return code.digest(root / "stage.py", root, also)
 
 
 def test_imports_are_followed_into_functions_and_packages(root: Path) -> None:
@@ -75,39 +84,73 @@ def test_the_digest_ignores_what_the_stage_does_not_use(root: Path, file: str, t
     assert digest(root) == before
 
 
-def test_the_digest_changes_with_the_libraries(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = digest(root)
-    monkeypatch.setattr(code, "version", lambda library: "0")
-    assert digest(root) != before
+def test_modules_that_are_imported_by_a_run_time_name_count_where_the_stage_declares_them(root: Path) -> None:
+    before = digest(root), digest(root, ("brdfpipe.other",))
+    (root / "brdfpipe" / "other.py").write_text("x = 2\n")
+    after = digest(root), digest(root, ("brdfpipe.other",))
+    assert (before[0] == after[0], before[1] == after[1]) == (True, False)
 
 
-def test_the_digest_changes_with_an_optional_library_of_a_module_the_stage_uses(
+def test_the_libraries_of_a_stage_are_those_that_its_modules_import_with_what_these_compute_with(root: Path) -> None:
+    script = root / "stage.py"
+    assert code.libraries(script, root) == ("numpy",)
+    assert code.libraries(script, root, ("brdfpipe.other",)) == ("numpy", "pillow")
+    (root / "brdfpipe" / "facets.py").write_text("def estimate():\n    import xarray.core\n    from . import store\n")
+    assert code.libraries(script, root) == ("netCDF4", "numpy", "pandas", "xarray")
+
+
+def test_the_digest_changes_with_the_version_of_a_library_that_the_stage_uses_and_of_no_other(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = digest(root)
-    monkeypatch.setattr(code, "EXTRAS", {"brdfpipe.optics.fresnel": "no-such-library", "brdfpipe.other": "numpy"})
-    absent = digest(root)
-    monkeypatch.setattr(code, "EXTRAS", {"brdfpipe.optics.fresnel": "numpy"})
-    assert len({before, absent, digest(root)}) == 3
-    monkeypatch.setattr(code, "EXTRAS", {"brdfpipe.other": "numpy"})
+    versions = {"numpy": "0"}
+    monkeypatch.setattr(code, "version", lambda library: versions.get(library, version(library)))
+    assert digest(root) != before
+    versions = {"pillow": "0"}
     assert digest(root) == before
 
 
-def test_the_reader_of_instruments_files_counts_with_its_library() -> None:
+def test_a_library_that_is_not_installed_counts_as_absent(root: Path) -> None:
+    (root / "brdfpipe" / "store.py").write_text("def save():\n    import no_such_library\n")
+    absent = digest(root)
+    (root / "brdfpipe" / "store.py").write_text("def save():\n    import numpy\n")
+    assert len(absent) == 32
+    assert digest(root) != absent
+
+
+def test_the_reader_of_instruments_files_counts_with_its_library(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from brdfpipe.surfaces import instruments
 
-    expected = {instruments.__name__: instruments.LIBRARY, "brdfpipe.spectra.colour_science": "colour-science"}
-    assert expected == code.EXTRAS
+    assert {instruments.__name__: instruments.LIBRARY} == code.OPTIONAL
+    assert instruments.LIBRARY in code.libraries(script(STAGES["surface"]), code.SOURCE)
+    before = digest(root)
+    monkeypatch.setattr(code, "OPTIONAL", {"brdfpipe.optics.fresnel": "scipy"})
+    assert digest(root) != before
+    monkeypatch.setattr(code, "OPTIONAL", {"brdfpipe.other": "scipy"})
+    assert digest(root) == before
 
 
-@pytest.mark.parametrize("stage", sorted(path.stem for path in SCRIPTS.glob("*.py")))
-def test_every_stage_has_a_digest_of_its_own(stage: str) -> None:
-    assert len(code.digest(SCRIPTS / f"{stage}.py")) == 32
+@pytest.mark.parametrize("stage", STAGES.values(), ids=list(STAGES))
+def test_every_library_that_a_stage_may_use_is_known_by_its_distribution(stage: Stage) -> None:
+    optional = {"SurfaceTopography", "openpyxl", "alpyca"}
+    for library in code.libraries(script(stage), code.SOURCE, stage.modules):
+        assert library in optional or version(library)
+
+
+def test_a_page_template_engine_reruns_reports_alone() -> None:
+    users = {
+        stage.name for stage in STAGES.values() if "jinja2" in code.libraries(script(stage), code.SOURCE, stage.modules)
+    }
+    assert users == {"report", "catalogue"}
+
+
+@pytest.mark.parametrize("stage", STAGES.values(), ids=list(STAGES))
+def test_every_stage_has_a_digest_of_its_own(stage: Stage) -> None:
+    assert len(code.digest(script(stage), also=stage.modules)) == 32
 
 
 def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: Path) -> None:
     """Run each stage of the examples in one fresh process a stage and compare what was imported."""
-    root = Path(catalogue.__file__).parents[2]
     program = (
         "import sys, runpy, json; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__');"
         "print(json.dumps(sorted(m for m in sys.modules if m.split('.')[0] == 'brdfpipe')))"
@@ -127,16 +170,16 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
         "preview": ({"bsdf": material / "bsdf"}, ["preview", "png"]),
         "table": ({"bsdf": material / "bsdf"}, ["table"]),
         "lambert_gauss": ({"bsdf": material / "bsdf"}, ["lambert_gauss", "csv"]),
-        "export_astm": ({"table": material / "table", "bsdf": material / "bsdf"}, ["astm", "total_reflectance"]),
+        "export_astm": ({"table": material / "table", "bsdf": material / "bsdf"}, ["file"]),
         "report": ({"facets": material / "facets", "bsdf": material / "bsdf"}, ["page", "summary"]),
     }
     from brdfpipe.store import canonical_json
 
     for stage, (inputs, outputs) in steps.items():
-        command = [sys.executable, "-c", program, str(SCRIPTS / f"{stage}.py"), "--material", "abs-grain"]
+        command = [sys.executable, "-c", program, str(script(STAGES[stage])), "--material", "abs-grain"]
         command += ["--spec", canonical_json(examples.spec("abs-grain", stage))]
         command += ["--input", *(f"{name}={path}" for name, path in inputs.items())] if inputs else []
-        command += ["--output", *(f"{name}={material / name}" for name in outputs)]
+        command += ["--output", *(f"{name}={material / name}{'.astm' * (name == 'file')}" for name in outputs)]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         loaded = {name for name in json.loads(done.stdout) if not f"{name}.".startswith(code.UNFOLLOWED)}
-        assert loaded <= set(code.modules(SCRIPTS / f"{stage}.py", root)), stage
+        assert loaded <= set(code.modules(script(STAGES[stage]), code.SOURCE, STAGES[stage].modules)), stage

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from brdfpipe import installation, store
 from brdfpipe.jobs import front
-from brdfpipe.jobs.rules import Stages
+from brdfpipe.jobs.rules import Pipeline
 from brdfpipe.rig import templates as starting
+from brdfpipe.stages import STAGES
 
 CERTIFICATE = """\
 id: C1
@@ -60,11 +60,10 @@ def test_materials_with_a_rough_surface_and_reflected_light_are_compared(folder:
     material(folder, "flat", FLAT + BODY + RIG)
     material(folder, "through", ROUGH + BODY + RIG, "[transmission]")
     material(folder, "rig-alone", RIG)
-    stages = Stages({"catalogue": str(folder)}, installation.project_folder() / "workflow" / "scripts")
-    assert stages.failures == {}
-    compared = {name: stages.compared(SimpleNamespace(material=name)) for name in stages.names}
-    assert [name for name, there in compared.items() if there] == ["both"]
-    assert [file for file in stages.files() if file.endswith("comparison.nc")] == ["both/comparison.nc"]
+    pipeline = Pipeline({"catalogue": str(folder)}, installation.project_folder() / "workflow" / "scripts")
+    assert pipeline.failures == {}
+    subjects = {name: pipeline.subject(pipeline.catalogue[name]) for name in pipeline.names}
+    assert [name for name, subject in subjects.items() if STAGES["comparison"].jobs(subject)] == ["both"]
 
 
 @pytest.mark.slow

@@ -192,7 +192,7 @@ def test_a_new_time_on_an_unchanged_raw_file_rebuilds_nothing(folder: Path, resu
 def test_changing_a_stages_code_reruns_that_stage(folder: Path, results: Path, project: Path) -> None:
     build(folder, results)
     before = times(results)
-    script = project / "workflow" / "scripts" / "export_astm.py"
+    script = project / "workflow" / "scripts" / "export.py"
     script.write_text(script.read_text() + "\nCHANGED = 1\n")
     build(folder, results)
     assert {name for name in rewritten(before, times(results)) if "/" in name} == {

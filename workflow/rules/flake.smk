@@ -1,33 +1,15 @@
 # From colours at several geometries to a BSDF: effect pigments.
 
 
-rule multiangle:
+use rule stage as multiangle with:
     input:
-        raw=stages.raw("multiangle"),
+        raw=raw("multiangle"),
     output:
         multiangle="{material}/multiangle.nc",
-    log:
-        "logs/{material}/multiangle.log",
-    params:
-        spec=stages.spec("multiangle"),
-        code=stages.code("multiangle"),
-    message:
-        "multiangle of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params)
 
 
-rule flake:
+use rule stage as flake with:
     input:
-        multiangle="{material}/multiangle.nc",
+        **made("multiangle"),
     output:
         flake="{material}/flake.nc",
-    log:
-        "logs/{material}/flake.log",
-    params:
-        spec=stages.spec("flake"),
-        code=stages.code("flake"),
-    message:
-        "flake of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params)

@@ -1,179 +1,72 @@
 # From what a laboratory measured to a BSDF: surface, facets, index, spectrum, microfacet model; of a clear body, both its faces.
 
 
-rule surface:
+use rule stage as surface with:
     input:
-        raw=stages.raw("surface"),
+        raw=raw("surface"),
     output:
         surface="{material}/surface.nc",
-    log:
-        "logs/{material}/surface.log",
-    params:
-        spec=stages.spec("surface"),
-        code=stages.code("surface"),
-    message:
-        "surface of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params)
 
 
-rule scan:
+use rule stage as scan with:
     input:
-        raw=stages.raw_scan,
+        raw=raw("surface-{scan}"),
     output:
         surface="{material}/surface-{scan}.nc",
-    log:
-        "logs/{material}/surface-{scan}.log",
-    wildcard_constraints:
-        scan=r"\d+",
-    params:
-        spec=stages.scan_spec,
-        code=stages.code("surface"),
-    message:
-        "scan {wildcards.scan} of {wildcards.material}"
-    run:
-        stages.run(
-            f"surface-{wildcards.scan}",
-            wildcards,
-            input,
-            output,
-            params,
-            script="surface",
-        )
 
 
-rule facets:
+use rule stage as facets with:
     input:
-        surface=branch(stages.measured("surface"), then="{material}/surface.nc"),
-        scans=stages.scans,
+        **made("surface", "scan"),
     output:
         facets="{material}/facets.nc",
-    log:
-        "logs/{material}/facets.log",
-    params:
-        spec=stages.spec("facets"),
-        code=stages.code("facets"),
-    message:
-        "facets of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params)
 
 
-rule masking:
+use rule stage as masking with:
     input:
-        surface="{material}/surface.nc",
-        facets="{material}/facets.nc",
+        **made("surface", "facets"),
     output:
         masking="{material}/masking.nc",
-    log:
-        "logs/{material}/masking.log",
-    params:
-        spec=stages.spec("masking"),
-        code=stages.code("masking"),
-    message:
-        "masking of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params)
 
 
-rule back_surface:
+use rule stage as back_surface with:
     input:
-        raw=stages.raw("back_surface"),
+        raw=raw("back_surface"),
     output:
         surface="{material}/back_surface.nc",
-    log:
-        "logs/{material}/back_surface.log",
-    params:
-        spec=stages.spec("back_surface"),
-        code=stages.code("back_surface"),
-    message:
-        "back_surface of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params)
 
 
-rule back_facets:
+use rule stage as back_facets with:
     input:
-        surface=branch(
-            stages.measured("back_surface"), then="{material}/back_surface.nc"
-        ),
+        surface=made("back_surface")["back_surface"],
     output:
         facets="{material}/back_facets.nc",
-    log:
-        "logs/{material}/back_facets.log",
-    params:
-        spec=stages.spec("back_facets"),
-        code=stages.code("facets"),
-    message:
-        "back_facets of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params, script="facets")
 
 
-rule interior:
+use rule stage as interior with:
     input:
-        raw=stages.raw("interior"),
+        raw=raw("interior"),
     output:
         interior="{material}/interior.nc",
-    log:
-        "logs/{material}/interior.log",
-    params:
-        spec=stages.spec("interior"),
-        code=stages.code("interior"),
-    message:
-        "interior of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params)
 
 
-rule index:
+use rule stage as index with:
     input:
-        raw=stages.raw("index"),
+        raw=raw("index"),
     output:
         index="{material}/index.nc",
-    log:
-        "logs/{material}/index.log",
-    params:
-        spec=stages.spec("index"),
-        code=stages.code("index"),
-    message:
-        "index of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params)
 
 
-rule spectrum:
+use rule stage as spectrum with:
     input:
-        raw=stages.raw("spectrum"),
-        index=branch(stages.has("index"), then="{material}/index.nc"),
+        **made("index"),
+        raw=raw("spectrum"),
     output:
         spectrum="{material}/spectrum.nc",
-    log:
-        "logs/{material}/spectrum.log",
-    params:
-        spec=stages.spec("spectrum"),
-        code=stages.code("spectrum"),
-    message:
-        "spectrum of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params)
 
 
-rule predicted:
+use rule stage as predicted with:
     input:
-        facets=branch(stages.has("surface"), then="{material}/facets.nc"),
-        back_facets=branch(stages.has("back"), then="{material}/back_facets.nc"),
-        interior=branch(stages.has("slab"), then="{material}/interior.nc"),
-        index=branch(stages.has("index"), then="{material}/index.nc"),
-        spectrum=branch(stages.has("spectrum"), then="{material}/spectrum.nc"),
+        **made("facets", "back_facets", "interior", "index", "spectrum"),
     output:
         predicted="{material}/predicted.nc",
-    log:
-        "logs/{material}/predicted.log",
-    params:
-        spec=stages.spec("predicted"),
-        code=stages.code("predicted"),
-    message:
-        "predicted of {wildcards.material}"
-    run:
-        stages.run(rule, wildcards, input, output, params)

@@ -10,11 +10,10 @@ from brdfpipe.rig.reduction.control_chart import extend_chart
 def main(input, output, params):
     """The calibration profile of a rig: from the etalon's light in each cell to a BRDF, by its certificate; with its control chart."""
     reduced = [store.open_dataset(path, "reduced") for path in input["reduced"]]
-    inputs = {f"reduced-{place}": each for place, each in enumerate(reduced)} | {"certificate": input["certificate"]}
+    certificate = Path(input["certificate"])
+    inputs = {f"reduced-{number}": dataset for number, dataset in enumerate(reduced)} | {"certificate": certificate}
     name = params["material"].partition(".")[2]  # of calibrations.NAME
-    profile = calibrate(
-        join_arrangements(reduced), Certificate.load(Path(input["certificate"])), name=name, **params["spec"]
-    )
+    profile = calibrate(join_arrangements(reduced), Certificate.load(certificate), name=name, **params["spec"])
     if "previous" in input:
         inputs["previous"] = store.open_dataset(input["previous"], "calibration")
         profile = extend_chart(profile, inputs["previous"])

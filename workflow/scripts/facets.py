@@ -5,7 +5,7 @@ from brdfpipe.facets.estimation import estimate
 
 def main(input, output, params):
     """Slope density of a surface's facets, measured in one scan or several, or assumed."""
-    spec, paths = params["spec"], [input["surface"], *input.get("scans", [])] if "surface" in input else []
+    spec, paths = params["spec"], [input["surface"], *input.get("scan", [])] if "surface" in input else []
     scans = {f"surface-{k}": store.open_dataset(path, "surface") for k, path in enumerate(paths, start=1)}
     if scans:
         result = estimate(list(scans.values()), **spec)

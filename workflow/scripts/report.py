@@ -1,4 +1,3 @@
-from itertools import chain
 from pathlib import Path
 
 from brdfpipe import store
@@ -8,9 +7,10 @@ from brdfpipe.report.material.page import material_page
 
 def main(input, output, params):
     """The page of a material and its row of the catalogue."""
-    paths = {stage: path for stage, path in input.items() if isinstance(path, str)}
-    paths |= {Path(path).stem: path for path in chain(*(found for found in input.values() if isinstance(found, list)))}
-    datasets = {stage: store.open_dataset(path) for stage, path in paths.items()}
+    datasets = {}
+    for stage, files in input.items():
+        paths = {stage: files} if isinstance(files, str) else {Path(path).stem: path for path in files}
+        datasets |= {name: store.open_dataset(path) for name, path in paths.items()}
     description = params["spec"]["description"]
     store.write_text(output["page"], material_page(datasets, description=description))
     store.save_dataset(

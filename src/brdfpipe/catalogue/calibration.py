@@ -29,11 +29,6 @@ class Calibration:
         """The calibration of the same rig before this one; empty if none is named."""
         return str(self.content.get("previous", ""))
 
-    def spec(self, stage: str) -> dict[str, Any]:
-        """The part of the description that a stage depends on."""
-        keys = calibration_keys.EmulatedCalibration.read_by(stage)
-        return {key: self.content[key] for key in keys if key in self.content}
-
 
 def load_calibrations(folder: Path) -> dict[str, Calibration | str]:
     """The calibrations of a catalogue by name, or what is wrong with them."""

@@ -19,6 +19,7 @@ from brdfpipe.catalogue.ignored_folders import ignored
 from brdfpipe.catalogue.material import Material, load_material
 from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION, CatalogueError
 from brdfpipe.errors import BrdfpipeError, InputError, printable
+from brdfpipe.stages import STAGES, Subject
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ class Catalogue:
             ) from None
 
     def spec(self, name: str, stage: str) -> dict[str, Any]:
-        """See :meth:`Material.spec`."""
-        return self[name].spec(stage, self.config)
+        """The part of a material's description and of the configuration that a stage depends on."""
+        return STAGES[stage].parameters(Subject(self[name], self.config))
 
     def calibrations_of(self, material: Material) -> list[str]:
         """The calibration of a rig's material, and the previous ones that its chart shows."""

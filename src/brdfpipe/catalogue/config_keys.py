@@ -7,9 +7,10 @@ from typing import Annotated
 
 from pydantic import Field, Strict, model_validator
 
-from brdfpipe.catalogue.material_keys import Observer
+from brdfpipe.catalogue.material_keys import EXPORT_WORDS, Observer
 from brdfpipe.descriptions.keys import Items, Keys, OneOf, key
 from brdfpipe.errors import InputError
+from brdfpipe.exchange.registry import FORMATS
 
 PolarAngles = Annotated[
     list[Annotated[float, Field(ge=0, lt=90, description="an angle from the normal")]], Items(rising=True)
@@ -125,6 +126,6 @@ class Config(Keys):
     preview_light: Annotated[str, OneOf(("studio", "sun", "overcast"))] = key(
         "light of the picture: studio (soft boxes), sun (a small disc under a clear sky) or overcast (a sky alone)"
     )
-    exports: Annotated[list[Annotated[str, OneOf(("astm",))]], Items()] = key(
-        "files for materials without `exports`; astm: the BRDF table as ASTM E1392 and the total reflectance beside it"
+    exports: Annotated[list[Annotated[str, OneOf(tuple(FORMATS))]], Items()] = key(
+        "files for materials without `exports`; " + EXPORT_WORDS
     )

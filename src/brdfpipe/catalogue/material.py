@@ -10,13 +10,6 @@ from typing import Any
 from brdfpipe import documents, installation
 from brdfpipe.catalogue import material_keys
 from brdfpipe.catalogue.calibration import run_file
-from brdfpipe.catalogue.material_keys import (
-    MODEL_DEFAULTS,
-    EmulatedRig,
-    MeasuredSurface,
-    MultiangleColours,
-    MultiangleFile,
-)
 from brdfpipe.catalogue.names import DESCRIPTION, CatalogueError, check_name
 from brdfpipe.descriptions import reading
 
@@ -25,10 +18,6 @@ FILE_PARTS = ("surface", "index", "spectrum", "multiangle")
 
 INTERIOR = ("internal_transmittance", "absorption")
 """Keys of ``slab`` that may name a raw file."""
-
-SCAN_KEYS = MeasuredSurface.read_by("surface")
-MEASURED_COLOUR_KEYS = (*MultiangleFile.read_by("multiangle"), *MultiangleColours.read_by("multiangle"))
-RIG_STAGE_KEYS = {stage: EmulatedRig.read_by(stage) for stage in ("rig_run", "reduced", "primary", "smoothed")}
 
 ROUTES = (("rig", "measured"), ("multiangle", "flake"))
 """Parts of a description with a BSDF of their own, the preferred one first; without them the BSDF is predicted."""
@@ -57,52 +46,6 @@ class Material:
     @property
     def exports(self) -> tuple[str, ...]:
         return tuple(self.content["exports"])
-
-    @property
-    def scans(self) -> list[int]:
-        """Numbers of the further scans of the surface, from 2."""
-        return [number for number, _ in enumerate(self.content.get("surface", {}).get("scans", []), start=2)]
-
-    def scan_spec(self, number: int) -> dict[str, Any]:
-        """How a further scan is read: like the first, but for its own file and azimuth."""
-        surface = self.content["surface"]
-        shared = {key: surface[key] for key in SCAN_KEYS if key in surface and key != "azimuth"}
-        return shared | dict(surface["scans"][number - 2])
-
-    def spec(self, stage: str, config: Mapping[str, Any]) -> dict[str, Any]:
-        """The part of the description and the configuration that a stage depends on, and nothing else."""
-        if stage in ("surface", "back_surface", "facets", "back_facets"):
-            surface = self.content["slab"]["back"] if stage.startswith("back") else self.content.get("surface", {})
-            kept = SCAN_KEYS if stage.endswith("surface") else set(surface) - {*SCAN_KEYS, "scans"}
-            return {key: value for key, value in surface.items() if key in kept}
-        if stage == "interior":
-            clear = {} if "absorption" in self.content["slab"] else {"internal_transmittance": 1}
-            return clear | {key: value for key, value in self.content["slab"].items() if key != "back"}
-        if stage == "index":
-            return {"index": self.content["index"]}
-        if stage == "spectrum":
-            return dict(self.content["spectrum"])
-        if stage in ("multiangle", "flake"):
-            given = self.content["multiangle"]
-            return {key: given[key] for key in given if (key in MEASURED_COLOUR_KEYS) == (stage == "multiangle")}
-        if stage in RIG_STAGE_KEYS:
-            return {key: self.content["rig"][key] for key in RIG_STAGE_KEYS[stage] if key in self.content["rig"]}
-        if stage == "predicted":
-            # Written out, so that saying the default changes nothing.
-            choices = ["masking"] if self.has("slab") else list(MODEL_DEFAULTS)
-            default = {} if "recipe" in self.content["model"] else {key: MODEL_DEFAULTS[key] for key in choices}
-            return default | dict(self.content["model"])
-        if stage == "bsdf":
-            return {"route": next((route for part, route in ROUTES if self.has(part)), "predicted")}
-        if stage == "appearance":
-            return {key: config[key] for key in ("illuminant", "observer", "gloss_angles")} | dict(config["appearance"])
-        if stage == "preview":
-            return {"illuminant": config["illuminant"], "light": config["preview_light"]}
-        if stage in ("table", "lambert_gauss", "comparison"):
-            return dict(config[stage])
-        if stage == "report":
-            return {"description": self.content.get("description", ""), "exports": sorted(self.exports)}
-        return {}
 
 
 def load_material(folder: Path, config: Mapping[str, Any]) -> Material:

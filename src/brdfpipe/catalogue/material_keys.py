@@ -24,6 +24,7 @@ from brdfpipe.descriptions.keys import (
     mapping_or_value,
 )
 from brdfpipe.errors import InputError
+from brdfpipe.exchange.registry import FORMATS
 
 TRANSMITTING_MASKING = ("height-correlated", "separable")
 """Values of ``model.masking`` that conserve energy where light passes a surface."""
@@ -33,6 +34,8 @@ MODEL_DEFAULTS = {"masking": "height-correlated", "diffuse": "coupled", "multipl
 
 RECIPE_MASKING = {"crf": "crf"}
 """Value of ``model.masking`` that a recipe implies."""
+
+EXPORT_WORDS = "; ".join(f"{name}: {format.description}" for name, format in FORMATS.items())
 
 UNITS = ("nm", "um", "mm", "m")
 
@@ -656,8 +659,8 @@ class Material(Keys):
         details="See [the camera rig](rig.md#from-a-run-to-a-bsdf).",
     )
     model: Model = key("how the reflection is modelled", default=Model())
-    exports: Annotated[list[Annotated[str, OneOf(("astm",))]], Items()] = key(
-        "files for other programs; astm: the BRDF table as ASTM E1392 and the total reflectance beside it",
+    exports: Annotated[list[Annotated[str, OneOf(tuple(FORMATS))]], Items()] = key(
+        "files for other programs; " + EXPORT_WORDS,
         default_words="`exports` of the configuration",
         example=["astm"],
     )

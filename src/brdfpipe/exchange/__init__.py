@@ -1,4 +1,4 @@
-"""Files other programs read: one module a format, one registry."""
+"""Files that other programs read: one module for each format (see :mod:`brdfpipe.exchange.registry`)."""
 
 import lazy_loader
 

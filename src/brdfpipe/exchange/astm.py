@@ -1,10 +1,10 @@
 """ASTM E1392, the comma-separated dialect that BSDF viewers read (``.astm``).
 
-Header lines ``KEY value``, then ``VARS`` with the column names, then one row a pair of directions: angles in radian, BRDF in
-sr⁻¹. Readers do not mirror a half circle, so the table must cover φ from 0 to 360° inclusive; they take the rows for a full
-grid, so every azimuth of incidence needs the same azimuths φ_s; and they look for the words ``NUM_POINTS`` and ``VARS`` anywhere
-in the header, so no value may be one of them. Viewers tell BRDF and BTDF files apart by what the user says, and count θ_s from
-the normal on the side the light leaves: the two sides are two files.
+The file has header lines ``KEY value``, a line ``VARS`` with the column names, and one row for each pair of directions: angles in
+radian, BRDF in sr⁻¹. Readers do not mirror a half circle: the table must cover φ from 0 to 360° inclusive. They expect a full
+grid: every azimuth of incidence needs the same azimuths φ_s. They search the whole header for ``NUM_POINTS`` and ``VARS``: no value
+may be one of these words. Viewers ask the user whether a file is a BRDF or a BTDF, and count θ_s from the normal of the side where
+the light leaves: the two sides are two files.
 """
 
 from __future__ import annotations
@@ -19,64 +19,88 @@ import xarray as xr
 from brdfpipe import store, vocabulary
 from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.tabulation import relative_loss
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.exchange import sidecar_tables
+from brdfpipe.exchange.registry import ExchangeError, Format
 from brdfpipe.geometry import Array
+
+FORMAT = Format(
+    description="the BSDF table as ASTM E1392, and the total reflectance or transmittance beside it",
+    files={
+        "reflection": {"write": (".astm",), "write_total_reflectance": (".total_reflectance.csv",)},
+        "transmission": {
+            "write_transmission": (".transmission.astm",),
+            "write_total_transmittance": (".total_transmittance.csv",),
+        },
+    },
+    takes="table",
+)
 
 _KEYWORDS = ("NUM_POINTS", "VARS")
 
 
-class ExchangeError(BrdfpipeError):
-    """A BSDF cannot be written in this format."""
-
-
-def write(table: xr.Dataset, path: str | os.PathLike[str], *, model: xr.Dataset | None = None) -> None:
+def write(bsdf: xr.Dataset, path: str | os.PathLike[str], *, table: xr.Dataset | None = None) -> None:
     """Write the reflecting side of a non-spectral table.
 
     Parameters
     ----------
-    table : kind ``bsdf``, representation ``table`` on a uniform grid, without wavelength; phi_o from 0 to 360
+    bsdf : kind ``bsdf``: the model that the table was made from, or the table itself
     path : the file; it appears whole or not at all
-    model : the BSDF the table was made from. Needed where the table has ``phi_i``: light from each azimuth is then evaluated
-        at the φ_s of all of them. Where it is given, the header says what it reflects perfectly specularly, which no row can
+    table : kind ``bsdf``, representation ``table`` on a uniform grid, without wavelength; phi_o from 0 to 360. A table with
+        ``phi_i`` needs the model: light from each azimuth is evaluated at the φ_s of all azimuths. With a model the header states
+        the perfectly specular share, which no row can hold
 
     Raises
     ------
     ExchangeError : the table is spectral, does not cover the full circle, or has ``phi_i`` and there is no model.
     """
+    table, model = (bsdf, None) if table is None else (table, bsdf)
     reduced = _checked(table, model)
     rows = _rows(table, reduced, through=False)
     lost = float(relative_loss(table).max())
-    told = [
+    notes = [
         "BRDF in sr-1 (not multiplied by cos theta_s), weighted with V(lambda) and D65",
         "angles in radian from the normal; mirror direction at phi_s = phi_i + pi",
         f"the reflectance of this grid differs from the model's by up to {lost:.2%}",
-        *_specular_words(table, reduced, through=False),
+        *_specular_note(table, reduced, through=False),
     ]
-    store.write_text(path, _file(table, Path(path).name, told, rows))
+    store.write_text(path, _file(table, Path(path).name, notes, rows))
 
 
-def write_transmission(table: xr.Dataset, path: str | os.PathLike[str], *, model: xr.Dataset | None = None) -> None:
+def write_transmission(bsdf: xr.Dataset, path: str | os.PathLike[str], *, table: xr.Dataset | None = None) -> None:
     """Write the transmitting side of a non-spectral table; as :func:`write`.
 
     Raises
     ------
     ExchangeError : as :func:`write`, and where the table has no polar angles beyond 90 degree.
     """
+    table, model = (bsdf, None) if table is None else (table, bsdf)
     reduced = _checked(table, model)
     if not (table["theta_o"].values > 90).any():
         raise ExchangeError("the table holds reflection alone; tabulate with `theta_o` beyond 90 degree")
     rows = _rows(table, reduced, through=True)
-    told = [
+    notes = [
         "BTDF in sr-1 (not multiplied by cos theta_s), weighted with V(lambda) and D65",
         "angles in radian: theta_i from the normal of the front, theta_s from the normal of the other side, where the light leaves; "
         "undeviated light at theta_s = theta_i and phi_s = phi_i + pi",
-        *_specular_words(table, reduced, through=True),
+        *_specular_note(table, reduced, through=True),
     ]
-    store.write_text(path, _file(table, Path(path).name, told, rows))
+    store.write_text(path, _file(table, Path(path).name, notes, rows))
+
+
+def write_total_reflectance(bsdf: xr.Dataset, path: str | os.PathLike[str], *, table: xr.Dataset | None = None) -> None:
+    """Write the spectrum that completes the non-spectral table to the "ASTM form" of the patent US 9,395,299."""
+    sidecar_tables.write_total_reflectance(bsdf, path)
+
+
+def write_total_transmittance(
+    bsdf: xr.Dataset, path: str | os.PathLike[str], *, table: xr.Dataset | None = None
+) -> None:
+    """Write the spectrum that completes the table of the transmitting side."""
+    sidecar_tables.write_total_transmittance(bsdf, path)
 
 
 def _checked(table: xr.Dataset, model: xr.Dataset | None) -> xr.Dataset | None:
-    """Refuse a table that the format cannot hold; the model as the same detector sees it."""
+    """Refuse a table that the format cannot hold; return the model without wavelengths, weighted like the table."""
     vocabulary.validate(table, "bsdf")
     if table.attrs["representation"] != "table" or "wavelength" in table["brdf"].dims:
         raise ExchangeError("the ASTM file takes a non-spectral table; tabulate `bsdf.nonspectral()` first")
@@ -86,7 +110,9 @@ def _checked(table: xr.Dataset, model: xr.Dataset | None) -> xr.Dataset | None:
     if phi[-1] - phi[0] != 360 or phi[0] != 0:
         raise ExchangeError(f"the ASTM file needs phi_o from 0 to 360; the table covers {phi[0]:g} to {phi[-1]:g}")
     if "phi_i" in table["brdf"].dims and model is None:
-        raise ExchangeError("the table has azimuths of incidence; give the `model` it was made from")
+        raise ExchangeError(
+            "the table has azimuths of incidence; give the BSDF it was made from, and the table as `table`"
+        )
     return None if model is None else representations.nonspectral(model)
 
 
@@ -101,14 +127,14 @@ def _rows(table: xr.Dataset, model: xr.Dataset | None, through: bool) -> Array:
     else:
         assert model is not None
         phi_i, phi_s = _azimuths(table)
-    nodes = [each.ravel() for each in np.meshgrid(theta_i, phi_i, polar, phi_s, indexing="ij")]
-    incidence, azimuth, outgoing, around = nodes
+    nodes = np.meshgrid(theta_i, phi_i, polar, phi_s, indexing="ij")
+    incidence, azimuth, outgoing, around = (angles.ravel() for angles in nodes)
     if "phi_i" in table["brdf"].dims and model is not None:
         evaluate = representations.representation(model).evaluate
         brdf = evaluate(model, incidence, azimuth, outgoing, around, None)[..., 0]
     outgoing = 180 - outgoing if through else outgoing
     rows = np.column_stack([*map(np.radians, (incidence, azimuth, outgoing, around)), brdf.ravel()])
-    # Readers expect a grid in rising order.
+    # Readers expect rising angles.
     return rows[np.lexsort(rows[:, 3::-1].T)] if through else rows
 
 
@@ -119,8 +145,8 @@ def _azimuths(table: xr.Dataset) -> tuple[Array, Array]:
     return phi_i, np.union1d(around, [0.0, 360.0])
 
 
-def _specular_words(table: xr.Dataset, model: xr.Dataset | None, through: bool) -> list[str]:
-    """What the model sends into one single direction: no density, and so in no row."""
+def _specular_note(table: xr.Dataset, model: xr.Dataset | None, through: bool) -> list[str]:
+    """The perfectly specular share: light in one single direction has no density, so no row holds it."""
     if model is None:
         return []
     theta_i = table["theta_i"].values[table["theta_i"].values < 90]
@@ -128,24 +154,24 @@ def _specular_words(table: xr.Dataset, model: xr.Dataset | None, through: bool) 
     if not share.any():
         return []
     listed = " ".join(f"{angle:g}:{value:.6f}" for angle, value in zip(theta_i, share, strict=True))
-    where = "transmitted undeviated" if through else "mirrored"
-    return [f"NOT in these rows, because no density can say so: the share {where}, by theta_i in degree: {listed}"]
+    path = "transmitted undeviated" if through else "mirrored"
+    return [f"NOT in these rows, because no density can say so: the share {path}, by theta_i in degree: {listed}"]
 
 
-def _file(table: xr.Dataset, file: str, told: list[str], rows: Array) -> str:
+def _file(table: xr.Dataset, file: str, notes: list[str], rows: Array) -> str:
     material = str(table.attrs.get("material", "unnamed"))
     phi_i = np.degrees(np.unique(rows[:, 1]))
     lay = (
         "isotropic"
         if "phi_i" not in table["brdf"].dims
-        else f"NOT isotropic: the surface has a lay; phi_i of {', '.join(f'{each:g}' for each in phi_i)} degree"
+        else f"NOT isotropic: the surface has a lay; phi_i of {', '.join(f'{angle:g}' for angle in phi_i)} degree"
     )
     lines = {
         "LAB_NAME": "brdfpipe",
         "SYSTEM_NAME": f"computed from {table.attrs.get('source_representation', 'a table')}",
         "APERTURE": "0",
         "SAMPLE_NAME": f"{material}_" if material in _KEYWORDS else material,
-        "MEAS_NAME": "; ".join([*told, lay, f"digest of the table {table.attrs.get('digest', 'unknown')}"]),
+        "MEAS_NAME": "; ".join([*notes, lay, f"digest of the table {table.attrs.get('digest', 'unknown')}"]),
         "FILE_NAME": file,
         "MEAS_DATE": "unknown",
         "MEAS_TIME": "unknown",

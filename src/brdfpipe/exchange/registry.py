@@ -1,34 +1,161 @@
-"""Files other programs read: one module a format, one registry."""
+"""The formats that other programs read, each declared by its own module of this package.
+
+A format is one module. It is named like the format (``-`` becomes ``_``) and declares itself by one statement of literals::
+
+    FORMAT = Format(
+        description="what the files hold, in one sentence",
+        files={"reflection": {"write": (".ext",)}},
+        takes="bsdf",
+    )
+
+and defines the writers that ``files`` names: ``write(bsdf, path, **options)``. The accepted values of ``exports``, the rules of
+the workflow and the documentation follow. Declarations are read without importing the modules, which import the numerics.
+"""
 
 from __future__ import annotations
 
+import ast
+import importlib
 import os
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import xarray as xr
+from brdfpipe.errors import BrdfpipeError
 
-from brdfpipe.exchange import astm
-from brdfpipe.exchange.astm import ExchangeError
-
-WRITERS: Mapping[str, Callable[[xr.Dataset, str | os.PathLike[str]], None]] = {"astm": astm.write}
-"""Formats by name; a file's extension is a format's name."""
+if TYPE_CHECKING:
+    import xarray as xr
 
 
-def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = None) -> None:
+class ExchangeError(BrdfpipeError):
+    """A BSDF cannot be written in this format."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format that a BSDF can be written in."""
+
+    description: str
+    """What the files hold, in one sentence."""
+    files: Mapping[str, Mapping[str, tuple[str, ...]]]
+    """Side of the material (``reflection``, ``transmission``) → writer, a function of the format's module → suffixes of the
+    files it writes. It is given the path of the first and finds the others beside it. A material without transmission has the
+    files of ``reflection`` alone; a format with both sides in one file declares it there."""
+    takes: str = "bsdf"
+    """``bsdf``; or ``table``, then the writers are given the material's table too, as keyword ``table``."""
+    spectral: bool = False
+    """Whether the files hold values by wavelength."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Keyword of the writers → its default, such as ``tolerance``."""
+    name: str = ""
+    """That of the module; filled in by the registry."""
+
+    @property
+    def module(self) -> str:
+        """Name of the format's module."""
+        return f"{__package__}.{self.name.replace('-', '_')}"
+
+    def suffixes(self, side: str) -> list[str]:
+        """Suffixes of the files of one side, the main one first."""
+        return [suffix for group in self.files[side].values() for suffix in group]
+
+    def write(self, bsdf: xr.Dataset, stem: str | os.PathLike[str], side: str = "reflection", **keywords: Any) -> None:
+        """Write all files of one side: ``stem`` and the suffixes of the format.
+
+        Raises
+        ------
+        ExchangeError : the format cannot hold such a BSDF, or it has no such option.
+        """
+        for writer, suffixes in self.files[side].items():
+            self.writer(writer)(bsdf, Path(f"{stem}{suffixes[0]}"), **self.keywords(keywords))
+
+    def writer(self, name: str) -> Callable[..., None]:
+        """A writer of the format's module, which is imported now."""
+        function: Callable[..., None] = getattr(importlib.import_module(self.module), name)
+        return function
+
+    def keywords(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """What the writers are given beside BSDF and path: the options, and the table where the format takes one."""
+        known = {*self.options, *(["table"] if self.takes == "table" else [])}
+        if unknown := sorted(set(given) - known):
+            accepted = ", ".join(sorted(known)) or "no option"
+            raise ExchangeError(f"{self.name}: unknown option {unknown[0]!r}; accepted: {accepted}")
+        return {**self.options, **given}
+
+
+class _Formats(Mapping[str, Format]):
+    """The declarations in the folders of this package, read when first asked for."""
+
+    @cached_property
+    def _declared(self) -> dict[str, Format]:
+        paths = sorted(path for folder in sys.modules[__package__].__path__ for path in Path(folder).glob("*.py"))
+        formats = [declared for path in paths if (declared := _declaration(path)) is not None]
+        return {format.name: format for format in formats}
+
+    def __getitem__(self, name: str) -> Format:
+        return self._declared[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._declared)
+
+    def __len__(self) -> int:
+        return len(self._declared)
+
+
+FORMATS: Mapping[str, Format] = _Formats()
+"""Formats by name."""
+
+
+def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = None, **options: Any) -> None:
     """Write a BSDF for another program.
 
     Parameters
     ----------
     bsdf : kind ``bsdf``; ``astm`` takes a non-spectral ``table`` (see ``bsdf.nonspectral()`` and ``bsdf.tabulate(grid)``)
-    path : the file; it appears whole or not at all
-    format : ``astm``; by default what the extension says
+    path : the file; it appears whole or not at all. Its suffix says which file of the format it is, ``.astm`` or
+        ``.transmission.astm``; another suffix needs ``format``, and gives the first file
+    format : a key of :data:`FORMATS`; by default the one of the suffix
+    options : keywords of the format, see :attr:`Format.options`
 
     Raises
     ------
-    ExchangeError : the format is unknown, or does not take such a BSDF.
+    ExchangeError : the format or an option is unknown, or the format does not take such a BSDF.
     """
-    name = format or Path(path).suffix.removeprefix(".")
-    if name not in WRITERS:
-        raise ExchangeError(f"{Path(path).name}: unknown format {name!r}; accepted: {', '.join(WRITERS)}")
-    WRITERS[name](bsdf, path)
+    name = Path(path).name
+    if format is not None and format not in FORMATS:
+        raise ExchangeError(f"{name}: unknown format {format!r}; accepted: {', '.join(FORMATS)}")
+    writers = {
+        (declared.name, writer): suffixes[0]
+        for declared in ([FORMATS[format]] if format else FORMATS.values())
+        for files in declared.files.values()
+        for writer, suffixes in files.items()
+    }
+    matches = {key: suffix for key, suffix in writers.items() if name.endswith(suffix)}
+    longest = {key for key, suffix in matches.items() if len(suffix) == max(map(len, matches.values()))}
+    if len(longest) > 1:
+        formats = ", ".join(sorted(declared for declared, _ in longest))
+        raise ExchangeError(f"{name}: the suffix is that of several formats; give `format`, one of {formats}")
+    if not longest and format is None:
+        suffix = Path(path).suffix.removeprefix(".")
+        raise ExchangeError(f"{name}: unknown format {suffix!r}; accepted: {', '.join(FORMATS)}")
+    declared, writer = longest.pop() if longest else next(iter(writers))
+    FORMATS[declared].writer(writer)(bsdf, path, **FORMATS[declared].keywords(options))
+
+
+def _declaration(path: Path) -> Format | None:
+    """The format that a module declares; None where it declares none."""
+    text = path.read_text(encoding="utf-8")
+    if "FORMAT = Format(" not in text:
+        return None
+    for statement in ast.parse(text).body:
+        match statement:
+            case ast.Assign(targets=[ast.Name("FORMAT")], value=ast.Call(args=[], keywords=keywords)):
+                try:
+                    values = {str(keyword.arg): ast.literal_eval(keyword.value) for keyword in keywords}
+                except ValueError as error:
+                    raise ExchangeError(f"{path.name}: FORMAT is declared by literals alone ({error})") from error
+                return Format(**{**values, "name": path.stem.replace("_", "-")})
+    return None

@@ -1,7 +1,7 @@
-"""Small tables that travel beside a BSDF file: total reflectance and transmittance, and the Lambert + Gaussian parameters.
+"""Small tables beside a BSDF file: total reflectance and transmittance, and the Lambert + Gaussian parameters.
 
-What a surface mirrors, or lets pass, into one single direction is in no row of a BSDF file: it stands here, in a column of its own
-where there is any.
+Light that is mirrored, or passes, in one single direction has no density and is in no row of a BSDF file. These tables hold it in a
+column of its own.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def write_lambert_gauss(
     azimuths : of a surface with a lay, fits by the azimuth of incidence [degree]; written instead of the one, with a column ``phi_i_deg``
     """
     fits = {0.0: fit} if azimuths is None else azimuths
-    frames = [_parameters(each, model) for each in fits.values()]
+    frames = [_parameters(single, model) for single in fits.values()]
     frame = pd.concat(frames, keys=fits, names=["phi_i_deg"]).reset_index("phi_i_deg")
     frame = frame if azimuths is not None else frame.drop(columns="phi_i_deg")
     title = (

@@ -1,60 +1,105 @@
 """The code digest of a stage: changes when the stage's own code changes, and only then.
 
-Snakemake does not see changes inside the package. So each rule carries this digest as a parameter: of the stage's script
-and every module of the package it imports, directly or not, comments and docstrings aside; of the data files beside those
-modules; and of the versions of the libraries that compute and store, and of an optional one where a module reads with it.
+Snakemake does not see changes inside the package. So each rule has this digest as a parameter: of the stage's script and every
+module of the package that it imports, directly or not, without comments and docstrings; of the data files beside those modules;
+and of the versions of the libraries that those modules import.
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-LIBRARIES = ("defusedxml", "jinja2", "netCDF4", "numpy", "pandas", "pillow", "scipy", "xarray")
-
-EXTRAS = {
-    "brdfpipe.spectra.colour_science": "colour-science",
-    "brdfpipe.surfaces.instruments": "SurfaceTopography",
+DISTRIBUTIONS = {
+    "PIL": "pillow",
+    "colour": "colour-science",
+    "serial": "pyserial",
+    "yaml": "PyYAML",
 }
-"""Module → the library that only it imports; an optional one may be missing."""
+"""Imported name → distribution, where they differ."""
+
+IMPLIED = {"xarray": ("netCDF4", "numpy", "pandas")}
+"""Library → those that it computes and stores with."""
+
+OPTIONAL = {"brdfpipe.surfaces.instruments": "SurfaceTopography"}
+"""Module → the library that it imports by a string, where it is installed."""
+
+UNCOUNTED = frozenset({"lazy_loader", "tqdm"})
+"""Libraries that do not shape results."""
 
 UNFOLLOWED = ("brdfpipe.jobs.", "brdfpipe.cli.")
-"""The machinery: it carries results and does not shape them."""
+"""Modules that run stages and do not shape results."""
 
 PACKAGE = "brdfpipe"
 
+SOURCE = Path(__file__).resolve().parents[2]
+"""The folder that holds the package."""
 
-def digest(script: Path, root: Path | None = None) -> str:
+
+def digest(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> str:
     """Digest of a stage's code.
 
     Parameters
     ----------
     script : the stage's script
-    root : the folder that holds the package; default the one this module runs from
+    root : the folder that holds the package; default :data:`SOURCE`
+    also : modules that the script imports by a name that is known at run time alone
 
     Returns
     -------
     str : hexadecimal
     """
-    root = (root or Path(__file__).resolve().parents[2]).resolve()
+    root = root or SOURCE
+    covered = modules(script, root, also)
     content = hashlib.sha256()
-    for library in LIBRARIES:
-        content.update(f"{library} {version(library)}\n".encode())
-    content.update(f"script {_read(script, script.stat().st_mtime_ns).digest}\n".encode())
-    for name in modules(script, root):
-        path = _path(name, root)
-        assert path is not None
-        content.update(f"{name} {_read(path, path.stat().st_mtime_ns).digest}\n".encode())
-        if name in EXTRAS:
-            content.update(f"{EXTRAS[name]} {_installed(EXTRAS[name])}\n".encode())
+    for library in libraries(script, root, also):
+        content.update(f"{library} {_installed(library)}\n".encode())
+    content.update(f"script {_source(script).digest}\n".encode())
+    for name in covered:
+        path = _module_path(name, root)
+        content.update(f"{name} {_source(path).digest}\n".encode())
         if path.name == "__init__.py":
             for data in _data_files(path.parent):
                 content.update(f"{data.relative_to(path.parent)} {_bytes_digest(data)}\n".encode())
     return content.hexdigest()[:32]
+
+
+def modules(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> tuple[str, ...]:
+    """Names of the package's modules that a script imports, directly or not, at the top or within a function.
+
+    Parameters are those of :func:`digest`.
+    """
+    root = root or SOURCE
+    covered: set[str] = set()
+    waiting = [*_source(script).imports, *also]
+    while waiting:
+        name = waiting.pop()
+        if name in covered or f"{name}.".startswith(UNFOLLOWED) or name.split(".")[0] != PACKAGE:
+            continue
+        if not _exists(name, root):
+            continue  # a name defined in a module
+        covered.add(name)
+        path = _module_path(name, root)
+        waiting.extend(_absolute(_source(path).imports, name, path))
+        waiting.extend(_parents(name))
+    return tuple(sorted(covered))
+
+
+def libraries(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> tuple[str, ...]:
+    """Distributions that a script and the package's modules which it imports compute, read or store with; as for :func:`modules`."""
+    root = root or SOURCE
+    covered = modules(script, root, also)
+    sources = [_source(script), *(_source(_module_path(name, root)) for name in covered)]
+    names = {name.split(".")[0] for source in sources for name in source.imports if not name.startswith(".")}
+    names |= {OPTIONAL[name] for name in covered if name in OPTIONAL}
+    names |= {implied for name in names for implied in IMPLIED.get(name, ())}
+    names -= {PACKAGE} | UNCOUNTED | sys.stdlib_module_names
+    return tuple(sorted(DISTRIBUTIONS.get(name, name) for name in names))
 
 
 def _installed(library: str) -> str:
@@ -64,25 +109,8 @@ def _installed(library: str) -> str:
         return "none"
 
 
-def modules(script: Path, root: Path) -> tuple[str, ...]:
-    """Names of the package's modules that a script imports, directly or not, in whatever function the import stands."""
-    found: set[str] = set()
-    waiting = list(_read(script, script.stat().st_mtime_ns).imports)
-    while waiting:
-        name = waiting.pop()
-        if name in found or f"{name}.".startswith(UNFOLLOWED):
-            continue
-        path = _path(name, root)
-        if path is None:
-            continue  # an attribute of the module that was added with it
-        found.add(name)
-        waiting.extend(_absolute(_read(path, path.stat().st_mtime_ns).imports, name, path))
-        waiting.extend(_parents(name))
-    return tuple(sorted(found))
-
-
 class _Source:
-    """A module as far as its digest goes: what it says and what it imports."""
+    """The parts of a module that its digest depends on: its code and what it imports."""
 
     def __init__(self, text: str) -> None:
         tree = ast.parse(text)
@@ -91,22 +119,31 @@ class _Source:
         self.digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
 
 
+def _source(path: Path) -> _Source:
+    return _parsed(path, path.stat().st_mtime_ns)
+
+
 @cache
-def _read(path: Path, changed: int) -> _Source:
+def _parsed(path: Path, changed: int) -> _Source:
     return _Source(path.read_text(encoding="utf-8"))
 
 
 def _imports(tree: ast.AST) -> Iterator[str]:
-    """Dotted names a module might mean; relative ones keep their leading dots."""
-    for node in ast.walk(tree):
+    """Dotted names that a module imports, and perhaps names within them; relative ones keep their leading dots."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names if alias.name.split(".")[0] == PACKAGE)
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = "." * node.level + (node.module or "")
-            if node.level or base.split(".")[0] == PACKAGE:
-                yield base
-                separator = "" if base.endswith(".") else "."
-                yield from (f"{base}{separator}{alias.name}" for alias in node.names)
+            yield base
+            separator = "" if base.endswith(".") else "."
+            yield from (f"{base}{separator}{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            waiting += node.orelse
+        elif not isinstance(node, ast.expr):
+            waiting += ast.iter_child_nodes(node)
 
 
 def _absolute(names: tuple[str, ...], module: str, path: Path) -> Iterator[str]:
@@ -126,12 +163,18 @@ def _parents(name: str) -> Iterator[str]:
         yield name
 
 
-def _path(module: str, root: Path) -> Path | None:
+@cache
+def _candidates(module: str, root: Path) -> tuple[Path, Path]:
     base = root.joinpath(*module.split("."))
-    for path in (base.with_suffix(".py"), base / "__init__.py"):
-        if path.is_file():
-            return path
-    return None
+    return base.with_suffix(".py"), base / "__init__.py"
+
+
+def _exists(module: str, root: Path) -> bool:
+    return any(path.is_file() for path in _candidates(module, root))
+
+
+def _module_path(module: str, root: Path) -> Path:
+    return next(path for path in _candidates(module, root) if path.is_file())
 
 
 def _data_files(package: Path) -> list[Path]:

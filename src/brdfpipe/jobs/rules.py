@@ -1,4 +1,4 @@
-"""What the workflow's rules ask for: conditions, raw files, parameters, and running a stage."""
+"""The catalogue as the rules of the workflow see it: input files, parameters, and running a stage."""
 
 from __future__ import annotations
 
@@ -7,24 +7,22 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from brdfpipe.catalogue import names
 from brdfpipe.catalogue.calibration import Calibration
 from brdfpipe.catalogue.catalogue import load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.material import Material
+from brdfpipe.catalogue.names import CALIBRATIONS, CatalogueError
 from brdfpipe.jobs import code, pool, runs
 from brdfpipe.jobs.stage import Job
+from brdfpipe.stages import STAGES, Stage, Subject
 from brdfpipe.store import canonical_json
 
-ALWAYS = ("bsdf", "checks", "appearance", "table", "lambert_gauss", "summary")
-"""Datasets that every material has."""
-
-Asked = Callable[[Any], Any]
-"""What snakemake calls with a job's wildcards."""
+InputFunction = Callable[[Any], Any]
+"""Called by snakemake with the wildcards of a job; returns its files, or a parameter."""
 
 
-class Stages:
-    """The catalogue as the rules see it.
+class Pipeline:
+    """What the rules ask for: the files that a stage reads, its parameters, and its run.
 
     Parameters
     ----------
@@ -35,222 +33,164 @@ class Stages:
 
     def __init__(self, config: Mapping[str, Any], scripts: Path) -> None:
         if "catalogue" not in config:
-            raise names.CatalogueError("say which catalogue: --config catalogue=/path/to/catalogue")
+            raise CatalogueError("no catalogue; give its folder: --config catalogue=/path/to/catalogue")
         settings = config.get("settings")
-        loaded = load(Path(config["catalogue"]), load_config(Path(settings) if settings else None))
-        excluded = dict(config.get("failures") or {})
-        self.catalogue = loaded
+        self.catalogue = load(Path(config["catalogue"]), load_config(Path(settings) if settings else None))
+        self.runs, unplanned = runs.of(self.catalogue)
         self.scripts = scripts
-        self.runs, unplanned = runs.of(loaded)
-        checked = {**loaded.failures, **unplanned}
-        self.failures = {name: {"stage": "check", "message": text} for name, text in checked.items()} | excluded
-        self.names = [material.name for material in loaded.materials if material.name not in self.failures]
+        refused = {**self.catalogue.failures, **unplanned}
+        self.failures = {name: {"stage": "check", "message": text} for name, text in refused.items()}
+        self.failures |= dict(config.get("failures") or {})
+        self.names = [material.name for material in self.catalogue.materials if material.name not in self.failures]
+        self._outputs: dict[str, list[str]] = {}
+        self._subjects: dict[str, Subject] = {}
 
-    def has(self, part: str) -> Callable[[Any], bool]:
-        """Whether a material has a part: surface, index, spectrum, slab, back."""
-        return lambda wildcards: self.catalogue[wildcards.material].has(part)
+    def subject(self, owner: Material | Calibration) -> Subject:
+        """What the stages of a material or a calibration may depend on."""
+        place = runs.place(owner)
+        if place not in self._subjects:
+            arrangements = self.runs[place].arrangements if place in self.runs else ()
+            self._subjects[place] = Subject(owner, self.catalogue.config, arrangements)
+        return self._subjects[place]
 
-    def measured(self, part: str) -> Callable[[Any], bool]:
-        """Whether a material brings a raw file for a part."""
-        return lambda wildcards: part in self.catalogue[wildcards.material].files
+    # --- input files
 
-    def validates_masking(self, wildcards: Any) -> bool:
-        """Whether rays are cast over a material's heights: it brings some, and the configuration asks for it."""
-        return bool(self.catalogue.config["raycast"]) and "surface" in self.catalogue[wildcards.material].files
+    def made(self, *stages: str) -> dict[str, InputFunction]:
+        """The results of other stages, by their names: input of a rule.
 
-    def previewed(self, wildcards: Any) -> bool:
-        """Whether the configuration asks for pictures of the materials."""
-        return bool(self.catalogue.config["preview"])
+        A stage that the material does not have gives no file. A stage with several jobs gives a list, of the jobs that agree
+        with the wildcards of the rule.
+        """
+        return {name: self._result(STAGES[name]) for name in stages}
 
-    def raw(self, part: str) -> Asked:
-        """The raw file a material brings for a part, if any."""
-        return lambda wildcards: str(self.catalogue[wildcards.material].files.get(part, "")) or []
+    def reported(self, wildcards: Any) -> dict[str, Any]:
+        """The datasets that the report reads, by stage, in the order of the declarations."""
+        results = {
+            name: self._result(stage)(wildcards) for name, stage in STAGES.items() if stage.kind and stage.reported
+        }
+        return {name: files for name, files in results.items() if files}
 
-    def spec(self, stage: str) -> Asked:
-        """A stage's own part of the description and the configuration, as canonical JSON: editing it reruns the stage."""
-        return lambda wildcards: canonical_json(self.catalogue.spec(wildcards.material, stage))
+    def raw(self, part: str) -> InputFunction:
+        """The raw file that a material has for a part, if any: ``surface``, or ``surface-{scan}`` for a further scan."""
+        return lambda wildcards: str(self._owner(wildcards).files.get(part.format(**wildcards), "")) or []
 
-    def failures_spec(self, wildcards: Any) -> str:
-        """What the catalogue page depends on beside its inputs: the failures to list."""
-        return canonical_json({"failures": self.failures})
+    def rig_sources(self, wildcards: Any) -> list[str]:
+        """Plan, rig and fibres of a run to be emulated."""
+        return self.runs[runs.place(self._owner(wildcards))].sources
 
-    def code(self, stage: str) -> str:
-        """Digest of a stage's own code: changing it reruns the stage."""
-        return code.digest(self.scripts / f"{stage}.py")
+    def rig_truth(self, wildcards: Any) -> str:
+        """The BSDF that the emulated rig measures."""
+        return f"{self._owner(wildcards).content['rig']['emulate']['truth']}/bsdf.nc"
 
-    def preload(self, jobs: Iterable[Any]) -> None:
-        """Let the workers' server import the slow modules that the stages of a run's jobs use."""
-        scripts = {self.scripts / f"{job.rule.name}.py" for job in jobs}
-        source = Path(__file__).resolve().parents[2]
-        pool.preload(name for script in scripts if script.exists() for name in code.modules(script, source))
+    def rig_journal(self, wildcards: Any) -> str:
+        """The journal of a run: the laboratory's, or the one that the emulator writes."""
+        owner = self._owner(wildcards)
+        emulated = "emulate" in self.subject(owner).section("rig")
+        return f"{runs.place(owner)}/run/journal.jsonl" if emulated else str(owner.files["rig"])
 
-    def exports(self, pattern_of: Mapping[str, str]) -> list[str]:
-        """The export files every material asks for."""
-        return [
-            pattern_of[export].format(material=name) for name in self.names for export in self.catalogue[name].exports
-        ]
+    def previous_calibration(self, wildcards: Any) -> Any:
+        """The profile of the calibration before, if the description names one."""
+        previous = self.catalogue.calibrations[wildcards.calibration].previous
+        return f"{CALIBRATIONS}/{previous}.nc" if previous else []
 
     def files(self) -> list[str]:
-        """Every file of every material."""
-        materials = [self.catalogue[name] for name in self.names]
-        masking = [
-            f"{m.name}/masking.nc" for m in materials if self.catalogue.config["raycast"] and "surface" in m.files
+        """Every result of every material, without the intermediate ones."""
+        return [
+            pattern.format(material=name, **job)
+            for name in self.names
+            for stage in STAGES.values()
+            if stage.owner == "material" and not stage.intermediate
+            for job in stage.jobs(self.subject(self.catalogue[name]))
+            for pattern in self._outputs[stage.name]
         ]
-        comparisons = [f"{m.name}/comparison.nc" for m in materials if self._compares(m)]
-        pictures = ("preview.nc", "preview.png") if self.catalogue.config["preview"] else ()
-        return [f"{m.name}/{file}" for m in materials for file in (*_files_of(m), *pictures)] + masking + comparisons
 
-    def raw_scan(self, wildcards: Any) -> str:
-        """The raw file of a further scan."""
-        return str(self.catalogue[wildcards.material].files[f"surface-{wildcards.scan}"])
+    # --- what follows from the declaration of a stage
 
-    def scan_spec(self, wildcards: Any) -> str:
-        """How a further scan is read, as canonical JSON."""
-        return canonical_json(self.catalogue[wildcards.material].scan_spec(int(wildcards.scan)))
+    def complete(self, workflow: Any) -> None:
+        """Give each rule the log, the parameters, the message and the memory of the stage of its name."""
+        from snakemake.io import strip_wildcard_constraints  # type: ignore[import-untyped]
 
-    def scans(self, wildcards: Any) -> list[str]:
-        """The further scans of a material's surface."""
-        material = self.catalogue[wildcards.material]
-        return [f"{material.name}/surface-{number}.nc" for number in material.scans]
+        for rule in workflow.rules:
+            rule.log_modifier = workflow.modifier.path_modifier
+            if rule.name not in STAGES:
+                rule.set_log(f"logs/{rule.name}.log")  # never written; the workflow's lint wants one
+                continue
+            stage = STAGES[rule.name]
+            self._outputs[stage.name] = [strip_wildcard_constraints(str(pattern)) for pattern in rule.output]
+            owner = {"material": "{material}", "calibration": f"{CALIBRATIONS}.{{calibration}}"}.get(
+                stage.owner, stage.owner
+            )
+            rule.set_log(f"logs/{owner}/{stage.title}.log")
+            rule.set_params(spec=self.spec(stage), code=code.digest(self._script(stage), also=stage.modules))
+            rule.message = f"{stage.title} of {owner}".replace("{", "{wildcards.")
+            rule.resources["mem_mb"] = stage.memory
 
-    def run(self, stage: str, wildcards: Any, input: Any, output: Any, params: Any, script: str | None = None) -> None:
-        """Run a rule's stage in a worker; ``script`` where it is not named like the stage.
+    def preload(self, jobs: Iterable[Any]) -> None:
+        """Let the server of the workers import the slow modules that the stages of some jobs use; before the first of them."""
+        stages = [STAGES[name] for name in {job.rule.name for job in jobs} if name in STAGES]
+        pool.preload(name for stage in stages for name in code.modules(self._script(stage), also=stage.modules))
+
+    def spec(self, stage: Stage) -> InputFunction:
+        """The stage's own part of description and configuration, as canonical JSON: a change of it reruns the stage."""
+
+        def spec(wildcards: Any) -> str:
+            if stage.owner == "catalogue":
+                return canonical_json({"failures": self.failures})
+            job = {name: value for name, value in wildcards.items() if name not in ("material", "calibration")}
+            return canonical_json(stage.parameters(self.subject(self._owner(wildcards)), job))
+
+        return spec
+
+    def run(self, rule: str, wildcards: Any, input: Any, output: Any, params: Any) -> None:
+        """Run the stage of a rule in a worker.
 
         Raises
         ------
         StageError : it refused or failed, in one line.
         """
+        stage = STAGES[rule]
+        calibration = wildcards.get("calibration")
         job = Job(
-            stage=stage,
-            material=_of(wildcards),
-            script=str(self.scripts / f"{script or stage}.py"),
+            stage=stage.title.format(**wildcards),
+            material=f"{CALIBRATIONS}.{calibration}" if calibration else wildcards.get("material", stage.owner),
+            script=str(self._script(stage)),
             folder=str(Path.cwd()),
-            input=_named(input),
-            output=_named(output),
+            input=_plain(input),
+            output=_plain(output),
             spec=json.loads(params.spec),
         )
         outcome = pool.pool().perform(job)
         if outcome.error:
             raise pool.StageError(f"{job.title}: {outcome.error}")
 
-    # --- the camera rig
+    def _script(self, stage: Stage) -> Path:
+        return self.scripts / f"{stage.script or stage.name}.py"
 
-    def emulated(self, wildcards: Any) -> bool:
-        """Whether the emulator makes a run, of a material or a calibration."""
-        return "emulate" in self._rig(wildcards)
+    def _result(self, stage: Stage) -> InputFunction:
+        """The first output of each job of a stage."""
 
-    def rig_sources(self, wildcards: Any) -> list[str]:
-        """Plan, rig and fibres of a run to be emulated."""
-        return self._run(wildcards).sources
-
-    def rig_truth(self, wildcards: Any) -> str:
-        """What the emulated rig measures."""
-        return f"{self._rig(wildcards)['emulate']['truth']}/bsdf.nc"
-
-    def rig_journal(self, wildcards: Any) -> str:
-        """The journal of a run: the laboratory's, or the one the emulator makes."""
-        owner = self._owner(wildcards)
-        return f"{runs.place(owner)}/run/journal.jsonl" if self.emulated(wildcards) else str(owner.files["rig"])
-
-    def rig_spec(self, stage: str) -> Asked:
-        """A stage's part of the description of a rig's material or calibration, as canonical JSON."""
-
-        def spec(wildcards: Any) -> str:
-            owner = self._owner(wildcards)
-            told = owner.spec(stage) if isinstance(owner, Calibration) else owner.spec(stage, {})
-            if stage == "reduced":
-                told |= {"load": wildcards.load, "side": wildcards.side, "incidence": float(wildcards.incidence)}
-            return canonical_json(told)
-
-        return spec
-
-    def reduced(self, load: str) -> Asked:
-        """What a run gives of each arrangement with a load; of the sample, on one side where the rule has one."""
-
-        def files(wildcards: Any) -> list[str]:
-            place = runs.place(self._owner(wildcards))
-            return [
-                f"{place}/reduced-{load}-{each.side}-{each.incidence:g}.nc"
-                for each in self._run(wildcards).arrangements
-                if each.load == load and each.side == wildcards.get("side", each.side)
+        def files(wildcards: Any) -> Any:
+            owner: Material | Calibration | None = self._owner(wildcards)
+            if stage.owner == "calibration" and isinstance(owner, Material):
+                rig = owner.content.get("rig")
+                owner = self.catalogue.calibrations[rig["calibration"]] if rig else None
+            jobs = stage.jobs(self.subject(owner)) if owner else []
+            paths = [
+                self._outputs[stage.name][0].format(**{stage.owner: owner.name}, **job)
+                for job in jobs
+                if owner and all(wildcards.get(name, value) == value for name, value in job.items())
             ]
+            return paths if stage.instances or not paths else paths[0]
 
         return files
-
-    def by_side(self, stage: str) -> Asked:
-        """What a stage makes of a rig's material, on each side that was measured."""
-
-        def files(wildcards: Any) -> list[str]:
-            sides = dict.fromkeys(each.side for each in self._run(wildcards).arrangements if each.load == "sample")
-            return [f"{wildcards.material}/{stage}-{side}.nc" for side in sides]
-
-        return files
-
-    def compared(self, wildcards: Any) -> bool:
-        """Whether what the rig measured of a material is compared with what its surface predicts."""
-        return self._compares(self.catalogue[wildcards.material])
-
-    def _compares(self, material: Material) -> bool:
-        if not (material.has("rig") and material.has("surface")):
-            return False
-        # A perfectly flat surface mirrors light into one direction, of which no cell shows a BRDF.
-        flat = material.content["surface"].get("distribution") == "flat"
-        arrangements = self.runs[runs.place(material)].arrangements
-        return not flat and any(each.load == "sample" and each.side == "reflection" for each in arrangements)
-
-    def calibration_of(self, wildcards: Any) -> str:
-        """The profile a material goes by."""
-        return f"calibrations/{self._rig(wildcards)['calibration']}.nc"
-
-    def certificate(self, wildcards: Any) -> str:
-        """The certificate a calibration goes by."""
-        return str(self.catalogue.calibrations[wildcards.calibration].files["certificate"])
-
-    def previous(self, wildcards: Any) -> Any:
-        """The profile before that of a calibration, if it tells of one."""
-        previous = self.catalogue.calibrations[wildcards.calibration].previous
-        return f"calibrations/{previous}.nc" if previous else []
 
     def _owner(self, wildcards: Any) -> Material | Calibration:
         name = wildcards.get("calibration")
-        return self.catalogue[wildcards.material] if name is None else self.catalogue.calibrations[name]
-
-    def _rig(self, wildcards: Any) -> Mapping[str, Any]:
-        owner = self._owner(wildcards)
-        return owner.content if isinstance(owner, Calibration) else owner.content["rig"]
-
-    def _run(self, wildcards: Any) -> runs.Run:
-        return self.runs[runs.place(self._owner(wildcards))]
+        return self.catalogue.calibrations[name] if name else self.catalogue[wildcards.material]
 
 
-def _files_of(material: Material) -> list[str]:
-    exports = [f"exports/{material.name}.lambert_gauss.csv"]
-    if "astm" in material.exports:
-        exports += [f"exports/{material.name}.astm", f"exports/{material.name}.total_reflectance.csv"]
-    if "astm" in material.exports and material.has("slab"):
-        through = ("transmission.astm", "total_transmittance.csv")
-        exports += [f"exports/{material.name}.{file}" for file in through]
-    return [*(f"{stage}.nc" for stage in _stages_of(material)), "report.html", *exports]
-
-
-def _stages_of(material: Material) -> list[str]:
-    own = {"surface": "surface" in material.files, "facets": material.has("surface")}
-    own |= {"back_surface": "back_surface" in material.files, "back_facets": material.has("back")}
-    own |= {part: material.has(part) for part in ("index", "spectrum", "multiangle", "predicted")}
-    own |= {"interior": material.has("slab"), "flake": material.has("multiangle"), "measured": material.has("rig")}
-    scans = [f"surface-{number}" for number in material.scans]
-    return [*(stage for stage, there in own.items() if there), *scans, *ALWAYS]
-
-
-def _of(wildcards: Any) -> str:
-    """Whose stage it is, for its log and its failure: a material, ``calibrations.NAME``, or the catalogue."""
-    if (calibration := wildcards.get("calibration")) is not None:
-        return f"{names.CALIBRATIONS}.{calibration}"
-    return str(wildcards.get("material", "catalogue"))
-
-
-def _named(files: Any) -> dict[str, str | list[str]]:
-    """Plain strings under the names the rule gave; what a material does not have is left out."""
+def _plain(files: Any) -> dict[str, str | list[str]]:
+    """Plain strings by the names that the rule gave; without what the material does not have."""
     return {
         name: str(value) if isinstance(value, str) else [str(item) for item in value]
         for name, value in files.items()

@@ -80,7 +80,7 @@ def perform(job: Job) -> Outcome:
         try:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
-                for path in job.output.values():
+                for path in _paths(job.output):
                     Path(path).parent.mkdir(parents=True, exist_ok=True)
                 _main(job.script)(job.input, job.output, job.params)
         except BrdfpipeError as refusal:
@@ -108,16 +108,19 @@ def _damaged(refusal: BrdfpipeError, job: Job) -> tuple[str, ...]:
     if not isinstance(refusal, StoreError):
         return ()
     found = []
-    for value in job.input.values():
-        for path in [value] if isinstance(value, str) else value:
-            try:
-                if not Path(path).is_absolute():
-                    open_dataset(path)
-            except StoreError:
-                found.append(path)
-            except BrdfpipeError:
-                continue  # whole, but of another kind
+    for path in _paths(job.input):
+        try:
+            if not Path(path).is_absolute():
+                open_dataset(path)
+        except StoreError:
+            found.append(path)
+        except BrdfpipeError:
+            continue  # whole, but of another kind
     return tuple(found)
+
+
+def _paths(files: Files) -> list[str]:
+    return [path for value in files.values() for path in ([value] if isinstance(value, str) else value)]
 
 
 def _without_folders(message: str, job: Job) -> str:

@@ -95,7 +95,7 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> x
     gloss of a finish that was neither measured nor assumed, or of flakes without their clear coat); :data:`WORDS`,
     ``description``; ``warning_count``; ``srgb`` (material, channel), NaN where not known
     """
-    known = {stage: datasets[stage] for stage in page.STAGES if stage in datasets}
+    known = page.own_stages(datasets)
     numbers = {**dict.fromkeys(NUMBERS, math.nan), **_numbers(known)}
     words = {
         "route": page.route(known),

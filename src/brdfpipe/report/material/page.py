@@ -23,27 +23,8 @@ from brdfpipe.report.cards import Table
 from brdfpipe.report.pages import MISSING, colour, fixed, grouped, number, render
 from brdfpipe.report.svg import Figure, png, sentence
 
-STAGES = (
-    "surface",
-    "facets",
-    "back_surface",
-    "back_facets",
-    "masking",
-    "spectrum",
-    "index",
-    "interior",
-    "multiangle",
-    "predicted",
-    "flake",
-    "measured",
-    "bsdf",
-    "checks",
-    "appearance",
-    "preview",
-    "table",
-    "lambert_gauss",
-)
-"""Datasets a page knows, in the order of the workflow."""
+OTHER_CHAPTERS = frozenset({"reduced", "primary", "smoothed", "calibration", "comparison"})
+"""Kinds of dataset that the chapters of the rig and of the comparison show."""
 
 _UNITS = {"degree": "°", "sr-1": "sr⁻¹", "1": "", "nm": "nm"}
 
@@ -144,14 +125,14 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
 
     Parameters
     ----------
-    datasets : stage → its dataset; keys among :data:`STAGES`, any may be absent
+    datasets : stage → its dataset, in the order of the page; any may be absent
     description : the material's own words; untrusted, shown as text
 
     Returns
     -------
     HTML without any request to elsewhere, without scripts, the same bytes for the same datasets
     """
-    known = {stage: datasets[stage] for stage in STAGES if stage in datasets}
+    known = own_stages(datasets)
     numbers = _surface_parameters(known.get("surface"))
     inputs = [_effect(known), _relief(known, numbers), _finish(known)]
     prediction = [_spectral(known), *inputs] if _is_measured(known) else []
@@ -176,6 +157,11 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
         comparison=comparison.chapter(datasets.get("comparison")),
         provenance=[_provenance(_stage_words(known, stage), dataset) for stage, dataset in known.items()],
     )
+
+
+def own_stages(datasets: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
+    """The datasets of a material but for the steps from the rig's frames to its measured BSDF, and for the comparison."""
+    return {stage: dataset for stage, dataset in datasets.items() if dataset.attrs.get("kind") not in OTHER_CHAPTERS}
 
 
 def material_name(datasets: Mapping[str, xr.Dataset]) -> str:

@@ -1,0 +1,190 @@
+"""Write docs/stages.md: the stages, the formats, and how much code each stage depends on; from their declarations.
+
+``python benchmarks/stages.py`` writes the page; a test fails where it is stale or where a stage depends on more than its limit.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from brdfpipe.exchange.registry import FORMATS
+from brdfpipe.jobs import code
+from brdfpipe.stages import EXPORTS, STAGES, Stage
+
+PROJECT = Path(__file__).resolve().parents[1]
+PAGE = PROJECT / "docs" / "stages.md"
+
+LIMITS = {"predicted": 50, "flake": 30, "measured": 20, "smoothed": 20}
+"""Most modules that a stage may depend on."""
+
+BEFORE = {
+    **{
+        "appearance": 94,
+        "back_surface": 15,
+        "bsdf": 4,
+        "calibration": 96,
+        "catalogue": 145,
+        "checks": 94,
+        "comparison": 120,
+    },
+    **{"export_astm": 97, "export_astm_transmission": 97, "facets": 22, "flake": 94, "index": 11, "interior": 7},
+    **{
+        "lambert_gauss": 98,
+        "masking": 11,
+        "measured": 95,
+        "multiangle": 23,
+        "predicted": 95,
+        "preview": 98,
+        "primary": 96,
+    },
+    **{"reduced": 113, "report": 145, "rig_run": 122, "smoothed": 96, "spectrum": 18, "surface": 15, "table": 94},
+}
+"""Modules in the digests before packages were lazy and layers held."""
+
+EDITED = {
+    "catalogue/material.py": 18,
+    "vocabulary.py": 27,
+    "bsdf/checks.py": 18,
+    "bsdf/flake.py": 18,
+    "appearance/haze.py": 18,
+    "report/catalogue.py": 2,
+}
+"""Module → stages that an edit reran before."""
+
+Row = tuple[object, ...]
+
+
+def main() -> None:
+    PAGE.write_text(page(), encoding="utf-8")
+    print(f"wrote {PAGE.relative_to(PROJECT)}")
+
+
+def modules(stage: Stage) -> tuple[str, ...]:
+    """Modules of the package that a stage's digest covers."""
+    return code.modules(script(stage), also=stage.modules)
+
+
+def script(stage: Stage) -> Path:
+    return PROJECT / "workflow" / "scripts" / f"{stage.script or stage.name}.py"
+
+
+def page() -> str:
+    covered = {stage.name: modules(stage) for stage in STAGES.values()}
+    own = [name for name, stage in STAGES.items() if stage.script in ("", "export")]
+    return "\n".join(
+        [
+            "# Stages",
+            "",
+            "`python benchmarks/stages.py` writes this page from the declarations in `src/brdfpipe/stages.py` and `src/brdfpipe/exchange/`.",
+            "",
+            "To add a stage, write an entry of `STAGES`, a rule of its name in `workflow/rules/` with input and output, and a script of its",
+            "name in `workflow/scripts/`. Log, parameters, code digest, message and memory of the rule follow from the entry, as do `rule all`,",
+            "the input of the report and this page.",
+            "",
+            *table(
+                (
+                    "Stage",
+                    "Makes",
+                    "From",
+                    "Of materials with",
+                    "Keys of `material.yaml`",
+                    "Keys of `config.yaml`",
+                    "Kind",
+                ),
+                stages(),
+            ),
+            "",
+            "A stage runs again when its input, one of its keys, its code or a library that its code imports has changed.",
+            "",
+            "## Formats of other programs",
+            "",
+            "To add a format, write one module in `src/brdfpipe/exchange/` that is named like the format and declares `FORMAT` (see",
+            "`exchange/registry.py`). The accepted values of `exports`, the rules and this table follow.",
+            "",
+            *table(("Format", "Holds", "Files of a material", "Spectral", "Takes", "Options"), formats()),
+            "",
+            "## Code that a stage depends on",
+            "",
+            "Modules in the digest of each stage, before and after the packages became lazy and every name was imported from its own module.",
+            "",
+            *table(
+                ("Stage", "Before", "Now", "At most", "Libraries"),
+                (
+                    (
+                        f"`{name}`",
+                        BEFORE.get(name, ""),
+                        len(covered[name]),
+                        LIMITS.get(name, ""),
+                        ", ".join(code.libraries(script(STAGES[name]), also=STAGES[name].modules)),
+                    )
+                    for name in own
+                ),
+            ),
+            "",
+            f"Stages, of {len(own)} with a script of their own, that run again when a module is edited:",
+            "",
+            *table(("Module", "Before", "Now", "Which"), edits(covered, own)),
+            "",
+        ]
+    )
+
+
+def stages() -> Iterable[Row]:
+    sources = rule_inputs()
+    for name, stage in STAGES.items():
+        names = ", ".join(f"`{source}`" for source in sources.get(name, ()))
+        yield (
+            f"`{name}`",
+            stage.makes,
+            "all datasets with a kind" if name == "report" else names or "raw files",
+            {"calibration": "each calibration", "catalogue": "all together"}.get(
+                stage.owner, stage.when.words or "any"
+            ),
+            ", ".join(f"`{key}`" for key in stage.keys.description),
+            ", ".join(f"`{key}`" for key in stage.keys.config),
+            stage.kind,
+        )
+
+
+def rule_inputs() -> dict[str, list[str]]:
+    """Rule → the stages whose results it names as input."""
+    inputs = {export.name: list(export.inputs) for export in EXPORTS}
+    for path in sorted((PROJECT / "workflow" / "rules").glob("*.smk")):
+        for name, body in re.findall(r"^use rule stage as (\w+) with:\n(.*?)(?=^\S|\Z)", path.read_text(), re.M | re.S):
+            source = body.partition("output:")[0]
+            inputs[name] = re.findall(r'^\s+(\w+)="\{material\}', source, re.M)
+            inputs[name] += re.findall(r'"(\w+)"', " ".join(re.findall(r"made\(([^)]*)\)", source)))
+    inputs["catalogue"] = ["report"]
+    return inputs
+
+
+def formats() -> Iterable[Row]:
+    for name, format in FORMATS.items():
+        files = [f"`<material>{suffix}`" for side in format.files for suffix in format.suffixes(side)]
+        options = ", ".join(f"`{option}`: {default}" for option, default in format.options.items())
+        yield (
+            f"`{name}`",
+            format.description,
+            ", ".join(files),
+            "yes" if format.spectral else "no",
+            format.takes,
+            options,
+        )
+
+
+def edits(covered: dict[str, tuple[str, ...]], own: list[str]) -> Iterable[Row]:
+    for file, before in EDITED.items():
+        module = "brdfpipe." + file.removesuffix(".py").replace("/", ".")
+        names = [name for name in own if module in covered[name]]
+        yield f"`{file}`", before, len(names), "all" if len(names) == len(own) else ", ".join(names)
+
+
+def table(heads: tuple[str, ...], rows: Iterable[Row]) -> list[str]:
+    lines = [heads, tuple("---" for _ in heads), *rows]
+    return [f"| {' | '.join(map(str, row))} |" for row in lines]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,489 @@
+"""Every stage of the workflow, declared once.
+
+A stage is one entry of :data:`STAGES`, one rule of the same name in ``workflow/rules`` that names its input and output, and one
+script in ``workflow/scripts`` that reads, calls one function of the package and writes. From the entry follow the parameters that
+a change of which reruns the stage, its log and message, what ``rule all`` asks for, the order of the report, and the table of
+stages in the documentation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from brdfpipe.catalogue.calibration_keys import EmulatedCalibration
+from brdfpipe.catalogue.material import ROUTES
+from brdfpipe.catalogue.material_keys import (
+    MODEL_DEFAULTS,
+    BeckmannSurface,
+    EmulatedRig,
+    FlatSurface,
+    GgxSurface,
+    MeasuredSurface,
+    MultiangleColours,
+    MultiangleFile,
+)
+from brdfpipe.exchange.registry import FORMATS, Format
+
+if TYPE_CHECKING:
+    from brdfpipe.catalogue.calibration import Calibration
+    from brdfpipe.catalogue.material import Material
+    from brdfpipe.descriptions.keys import Keys as DeclaredKeys
+    from brdfpipe.rig.plan import Arrangement
+
+Instance = Mapping[str, str]
+"""Values of the wildcards that a stage has beside its material or calibration: scan, or load, side and incidence."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a stage is run for, and all that its condition and its parameters may depend on."""
+
+    owner: Material | Calibration
+    config: Mapping[str, Any]
+    arrangements: Sequence[Arrangement] = ()
+    """Of the owner's run of a camera rig."""
+
+    def section(self, path: str) -> Any:
+        """A part of the description, as ``slab.back``; of a calibration, ``rig`` is the whole of it."""
+        content: Any = self.owner.content
+        if path == "rig" and "rig" not in content:
+            return content
+        for name in path.split("."):
+            content = content[name]
+        return content
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Whether a subject has a stage."""
+
+    words: str
+    """For the documentation, after "materials with"; empty: every material."""
+    holds: Callable[[Subject], bool]
+
+    def __and__(self, other: Condition) -> Condition:
+        return Condition(f"{self.words}, {other.words}", lambda subject: self.holds(subject) and other.holds(subject))
+
+
+@dataclass(frozen=True)
+class Keys:
+    """The keys that a stage depends on: its parameters."""
+
+    description: tuple[str, ...] = ()
+    """Keys of ``material.yaml``."""
+    config: tuple[str, ...] = ()
+    """Keys of ``config.yaml``."""
+    read: Callable[[Subject, Instance], dict[str, Any]] = lambda subject, instance: {}
+
+    def __or__(self, other: Keys) -> Keys:
+        return Keys(
+            self.description + other.description,
+            self.config + other.config,
+            lambda subject, instance: self.read(subject, instance) | other.read(subject, instance),
+        )
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage: what it makes, of which subjects, from which keys, by which script."""
+
+    name: str
+    """Of its rule, and of its script unless that is named."""
+    makes: str
+    when: Condition = Condition("", lambda subject: True)
+    keys: Keys = Keys()
+    script: str = ""
+    owner: str = "material"
+    """``material``, ``calibration`` or ``catalogue``: what its results belong to."""
+    instances: Callable[[Subject], list[dict[str, str]]] | None = None
+    """Further wildcards of the rule, of each of its jobs for a subject; None: one job without any."""
+    title: str = ""
+    """Name of a job in logs and failures, with its wildcards; filled in with the stage's."""
+    modules: tuple[str, ...] = ()
+    """Modules that the script imports by a name which the code digest cannot follow."""
+    kind: str = ""
+    """Kind of the dataset it makes; empty where it makes none."""
+    reported: bool = True
+    """Whether the report reads that dataset."""
+    intermediate: bool = False
+    """Made when another stage needs it, and not again when it was deleted since."""
+    memory: int = 500
+    """What a job may need, MB."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "title", self.title or self.name)
+
+    def jobs(self, subject: Subject) -> list[dict[str, str]]:
+        """The wildcards of each of the stage's jobs for a subject, beside its name; none where the condition does not hold."""
+        if not self.when.holds(subject):
+            return []
+        return [{}] if self.instances is None else self.instances(subject)
+
+    def parameters(self, subject: Subject, instance: Instance | None = None) -> dict[str, Any]:
+        """The part of description and configuration that the stage depends on, and nothing else."""
+        return self.keys.read(subject, instance or {})
+
+
+# --- conditions
+
+
+def _has(part: str, words: str = "") -> Condition:
+    """The description has a part."""
+    return Condition(words or f"`{part}`", lambda subject: subject.owner.has(part))  # type: ignore[union-attr]
+
+
+def _file(part: str, key: str) -> Condition:
+    """The description names a raw file for a part."""
+    return Condition(f"`{key}.file`", lambda subject: part in subject.owner.files)
+
+
+def _configured(key: str) -> Condition:
+    return Condition(f"`{key}: true` in the configuration", lambda subject: bool(subject.config[key]))
+
+
+def _comparable(subject: Subject) -> bool:
+    # A perfectly flat surface mirrors light into one direction, of which no cell shows a BRDF.
+    flat = subject.section("surface").get("distribution") == "flat"
+    return not flat and any(item.load == "sample" and item.side == "reflection" for item in subject.arrangements)
+
+
+# --- keys
+
+
+def _section(path: str, only: Sequence[str] = ()) -> Keys:
+    """The keys of one part of the description: all of them, or some."""
+
+    def read(subject: Subject, instance: Instance) -> dict[str, Any]:
+        content = subject.section(path)
+        return {key: content[key] for key in content if not only or key in only}
+
+    return Keys(tuple(f"{path}.{key}" for key in only) or (path,), (), read)
+
+
+def _read_by(stage: str, *declarations: type[DeclaredKeys]) -> tuple[str, ...]:
+    """The keys whose declaration names a stage."""
+    return tuple(dict.fromkeys(key for declaration in declarations for key in declaration.read_by(stage)))
+
+
+def _settings(**keys: str) -> Keys:
+    """Keys of the configuration, by the names of the parameters."""
+    return Keys((), tuple(keys.values()), lambda subject, _: {name: subject.config[key] for name, key in keys.items()})
+
+
+def _settings_of(part: str) -> Keys:
+    """All keys of one part of the configuration."""
+    return Keys((), (part,), lambda subject, _: dict(subject.config[part]))
+
+
+_SURFACES = (MeasuredSurface, BeckmannSurface, GgxSurface, FlatSurface)
+_SCAN_KEYS, _SLOPE_KEYS = _read_by("surface", *_SURFACES), _read_by("facets", *_SURFACES)
+_COLOURS = (MultiangleFile, MultiangleColours)
+
+
+def _further_scan(subject: Subject, instance: Instance) -> dict[str, Any]:
+    """A further scan is read like the first, but for its own keys."""
+    surface = subject.section("surface")
+    shared = {key: surface[key] for key in _SCAN_KEYS if key in surface and key != "azimuth"}
+    return shared | dict(surface["scans"][int(instance["scan"]) - 2])
+
+
+def _model(subject: Subject, instance: Instance) -> dict[str, Any]:
+    """The choices of the model. Defaults are written out, so that stating one changes nothing."""
+    model = subject.section("model")
+    choices = ["masking"] if "slab" in subject.owner.content else list(MODEL_DEFAULTS)
+    return ({} if "recipe" in model else {key: MODEL_DEFAULTS[key] for key in choices}) | dict(model)
+
+
+def _route(subject: Subject, instance: Instance) -> dict[str, Any]:
+    return {"route": next((route for part, route in ROUTES if part in subject.owner.content), "predicted")}
+
+
+def _interior(subject: Subject, instance: Instance) -> dict[str, Any]:
+    slab = {key: value for key, value in subject.section("slab").items() if key != "back"}
+    return ({} if "absorption" in slab else {"internal_transmittance": 1}) | slab
+
+
+def _reduction(subject: Subject, instance: Instance) -> dict[str, Any]:
+    override = _section("rig", EmulatedRig.read_by("reduced")).read(subject, instance)
+    return override | {**instance, "incidence": float(instance["incidence"])}
+
+
+def _page(subject: Subject, instance: Instance) -> dict[str, Any]:
+    content = subject.owner.content
+    return {"description": content.get("description", ""), "exports": sorted(content["exports"])}
+
+
+# --- jobs
+
+
+def _scans(subject: Subject) -> list[dict[str, str]]:
+    return [{"scan": str(number)} for number, _ in enumerate(subject.section("surface").get("scans", []), start=2)]
+
+
+def _arrangements(load: str) -> Callable[[Subject], list[dict[str, str]]]:
+    """The arrangements of a run in which the sample, or the etalon, is measured."""
+
+    def listed(subject: Subject) -> list[dict[str, str]]:
+        return [
+            {"load": load, "side": item.side, "incidence": f"{item.incidence:g}"}
+            for item in subject.arrangements
+            if item.load == load
+        ]
+
+    return listed
+
+
+def _sides(subject: Subject) -> list[dict[str, str]]:
+    """The sides of the sample that were measured."""
+    return [{"side": side} for side in dict.fromkeys(job["side"] for job in _arrangements("sample")(subject))]
+
+
+class Export(NamedTuple):
+    """The files of one format that hold one side of a material."""
+
+    format: Format
+    side: str
+
+    @property
+    def name(self) -> str:
+        """Name of the stage and its rule."""
+        return f"export_{self.format.name.replace('-', '_')}" + ("" if self.side == "reflection" else f"_{self.side}")
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Stages whose datasets the writers take."""
+        return ("table", "bsdf") if self.format.takes == "table" else ("bsdf",)
+
+    @property
+    def files(self) -> list[str]:
+        """Patterns of the files, the main one first."""
+        return [f"{{material}}/exports/{{material}}{suffix}" for suffix in self.format.suffixes(self.side)]
+
+    @property
+    def stage(self) -> Stage:
+        name = self.format.name
+        asked = Condition(f"`exports: [{name}]`", lambda subject: name in subject.owner.content["exports"])
+        return Stage(
+            self.name,
+            f"{self.format.description}: {self.side}",
+            when=asked & _has("slab") if self.side == "transmission" else asked,
+            keys=Keys(("exports",), (), lambda subject, _: {"format": name, "side": self.side}),
+            script="export",
+            modules=(self.format.module,),
+        )
+
+
+EXPORTS = tuple(Export(format, side) for format in FORMATS.values() for side in format.files)
+"""One for each format, and each side that has files of its own."""
+
+STAGES: Mapping[str, Stage] = {
+    stage.name: stage
+    for stage in (
+        Stage(
+            "surface",
+            "the relief of the surface, read and levelled",
+            when=_file("surface", "surface"),
+            keys=_section("surface", _SCAN_KEYS),
+            kind="surface",
+        ),
+        Stage(
+            "scan",
+            "a further scan of the surface, read and levelled",
+            when=_file("surface", "surface"),
+            keys=Keys(("surface.scans", *(f"surface.{key}" for key in _SCAN_KEYS)), (), _further_scan),
+            script="surface",
+            instances=_scans,
+            title="surface-{scan}",
+            kind="surface",
+            reported=False,
+        ),
+        Stage(
+            "facets",
+            "the slope density of the facets",
+            when=_has("surface"),
+            keys=_section("surface", _SLOPE_KEYS),
+            kind="facets",
+        ),
+        Stage(
+            "back_surface",
+            "the relief of the back of a clear body",
+            when=_file("back_surface", "slab.back"),
+            keys=_section("slab.back", _SCAN_KEYS),
+            kind="surface",
+        ),
+        Stage(
+            "back_facets",
+            "the slope density of the back of a clear body",
+            when=_has("back", "`slab.back`"),
+            keys=_section("slab.back", _SLOPE_KEYS),
+            script="facets",
+            kind="facets",
+        ),
+        Stage(
+            "masking",
+            "masking by ray casting, beside Smith's",
+            when=_file("surface", "surface") & _configured("raycast"),
+            kind="masking",
+        ),
+        Stage(
+            "spectrum",
+            "the total reflectance, measured or recovered from a colour",
+            when=_has("spectrum"),
+            keys=_section("spectrum"),
+            kind="spectrum",
+        ),
+        Stage(
+            "index",
+            "the refractive index",
+            when=_has("index"),
+            keys=Keys(("index",), (), lambda subject, _: {"index": subject.section("index")}),
+            kind="index",
+        ),
+        Stage(
+            "interior",
+            "the internal transmittance of a clear body",
+            when=_has("slab"),
+            keys=Keys(("slab.thickness", "slab.internal_transmittance", "slab.absorption"), (), _interior),
+            kind="interior",
+        ),
+        Stage(
+            "multiangle",
+            "colours or reflectance factors at several geometries",
+            when=_has("multiangle"),
+            keys=_section("multiangle", _read_by("multiangle", *_COLOURS)),
+            kind="multiangle",
+        ),
+        Stage(
+            "predicted",
+            "the BSDF that facets, index and spectrum predict",
+            when=_has("predicted", "`surface`, or a `spectrum` alone"),
+            keys=Keys(("model",), (), _model),
+            kind="bsdf",
+        ),
+        Stage(
+            "flake",
+            "the BRDF of an effect paint, fitted along the flake angle",
+            when=_has("multiangle"),
+            keys=_section("multiangle", _read_by("flake", *_COLOURS)),
+            kind="bsdf",
+        ),
+        Stage(
+            "rig_run",
+            "the frames of an emulated rig",
+            when=_has("rig"),
+            keys=_section("rig", EmulatedRig.read_by("rig_run")),
+            intermediate=True,
+            memory=1000,
+        ),
+        Stage(
+            "calibration_run",
+            "the frames of an emulated rig with the etalon",
+            keys=_section("rig", EmulatedRig.read_by("rig_run")),
+            script="rig_run",
+            owner="calibration",
+            title="rig_run",
+            intermediate=True,
+            memory=1000,
+        ),
+        Stage(
+            "reduced",
+            "the light of each cell relative to the reference, of one arrangement",
+            when=_has("rig"),
+            keys=Keys(("rig.override",), (), _reduction),
+            instances=_arrangements("sample"),
+            title="reduced-{load}-{side}-{incidence}",
+            kind="reduced",
+            intermediate=True,
+            memory=1000,
+        ),
+        Stage(
+            "calibration_reduced",
+            "the same for an arrangement of the etalon",
+            keys=Keys(("rig.override",), (), _reduction),
+            script="reduced",
+            owner="calibration",
+            instances=_arrangements("etalon"),
+            title="reduced-{load}-{side}-{incidence}",
+            kind="reduced",
+            reported=False,
+            intermediate=True,
+            memory=1000,
+        ),
+        Stage(
+            "primary",
+            "the calibrated BSDF of each cell, with its uncertainty",
+            when=_has("rig"),
+            keys=_section("rig", EmulatedRig.read_by("primary")),
+            instances=_sides,
+            title="primary-{side}",
+            kind="primary",
+            intermediate=True,
+        ),
+        Stage(
+            "smoothed",
+            "the values of the cells, smoothed at each incidence",
+            when=_has("rig"),
+            keys=_section("rig", EmulatedRig.read_by("smoothed")),
+            instances=_sides,
+            title="smoothed-{side}",
+            kind="smoothed",
+            intermediate=True,
+        ),
+        Stage(
+            "calibration",
+            "the calibration profile of a rig",
+            keys=_section("rig", EmulatedCalibration.read_by("calibration")),
+            owner="calibration",
+            kind="calibration",
+            intermediate=True,
+        ),
+        Stage(
+            "measured", "the measured BSDF, completed to all directions", when=_has("rig"), kind="bsdf", reported=False
+        ),
+        Stage(
+            "comparison",
+            "measured against predicted, and the inputs that would agree",
+            when=_has("rig") & _has("surface") & Condition("reflection measured", _comparable),
+            keys=_settings_of("comparison"),
+            kind="comparison",
+        ),
+        Stage(
+            "bsdf",
+            "the BSDF: measured, else of flakes, else predicted",
+            keys=Keys((), (), _route),
+            kind="bsdf",
+        ),
+        Stage("checks", "reciprocity, energy and closure", kind="checks"),
+        Stage(
+            "appearance",
+            "gloss, haze and colours",
+            keys=_settings(illuminant="illuminant", observer="observer", gloss_angles="gloss_angles")
+            | _settings_of("appearance"),
+            kind="appearance",
+        ),
+        Stage(
+            "preview",
+            "a picture of the material",
+            when=_configured("preview"),
+            keys=_settings(illuminant="illuminant", light="preview_light"),
+            kind="preview",
+        ),
+        Stage("table", "the BSDF on a grid of directions", keys=_settings_of("table"), kind="bsdf"),
+        Stage(
+            "lambert_gauss",
+            "the Lambert + Gaussian parameters",
+            keys=_settings_of("lambert_gauss"),
+            kind="bsdf",
+        ),
+        *(export.stage for export in EXPORTS),
+        Stage(
+            "report",
+            "the page of a material and its row of the catalogue",
+            keys=Keys(("description", "exports"), (), _page),
+        ),
+        Stage("catalogue", "the catalogue: page, table, dataset and digests", owner="catalogue"),
+    )
+}
+"""In the order of the report."""

@@ -1,0 +1,16 @@
+from brdfpipe import store
+from brdfpipe.exchange.registry import FORMATS
+
+
+def main(input, output, params):
+    """The files of one side of a material, in a format of other programs."""
+    format, side = FORMATS[params["spec"]["format"]], params["spec"]["side"]
+    datasets = {name: store.open_dataset(path, "bsdf") for name, path in input.items()}
+    stem = output["file"].removesuffix(format.suffixes(side)[0])
+    format.write(datasets.pop("bsdf"), stem, side, **datasets)
+
+
+if __name__ == "__main__":
+    from brdfpipe.jobs.stage import by_hand
+
+    by_hand(main)
