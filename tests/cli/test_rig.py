@@ -61,7 +61,7 @@ def test_help_loads_no_device_and_no_dataset():
         check=True,
     )
     assert "brdfpipe.cli.rig" in told.stdout.split()
-    assert not {"numpy", "xarray", "serial", "astropy", "jsonschema"} & set(told.stdout.split())
+    assert not {"numpy", "xarray", "serial", "astropy", "pydantic"} & set(told.stdout.split())
 
 
 def test_new_starts_a_bench_and_says_how_to_go_on(tmp_path):
@@ -134,7 +134,7 @@ def test_a_material_that_is_not_built_is_no_truth(plan, tmp_path):
     (tmp_path / "material.yaml").write_text("spectrum: {lab: [50, 0, 0]}")
     done = run("scan", plan, "--emulate", tmp_path)
     assert done.exit_code == 2
-    assert "holds no built material" in done.output
+    assert "a folder without a built material" in done.output
     assert "brdfpipe build" in done.output
 
 
@@ -247,8 +247,8 @@ def standing(plan, tile):
         text=True,
     )
     description = plan.with_name("emulated.yaml")
-    assert "The rig stands: " in process.stdout.readline()
-    assert "Type what the hands do" in process.stdout.readline()
+    assert "Emulated rig ready: " in process.stdout.readline()
+    assert "Type each arrangement" in process.stdout.readline()
     yield process, description
     if process.poll() is None:
         process.kill()
@@ -277,7 +277,7 @@ def test_a_standing_rig_is_driven_as_a_real_one(standing, plan):
     darks = found.isel(frame=found["purpose"].values == "dark")
     assert lights["counts"].mean() > darks["counts"].mean() + 10
     process.send_signal(signal.SIGINT)
-    assert "taken down" in process.communicate(timeout=PATIENCE)[0]
+    assert "Emulated rig stopped" in process.communicate(timeout=PATIENCE)[0]
     assert process.returncode == 0
     assert not description.exists()
 
@@ -286,7 +286,7 @@ def test_hands_that_cannot_do_it_are_told(standing):
     process, _ = standing
     assert "no entrance at 33 degree; accepted: 0, 10, 20, 45" in typed(process, "33")
     assert "nothing is called 'cat'" in typed(process, "20 cat")
-    assert "no angle; found 'etalon'" in typed(process, "etalon")
+    assert "not an angle of incidence; found 'etalon'" in typed(process, "etalon")
     assert typed(process, "10 etalon") == "10 degree, etalon, reflection"
     assert typed(process, "20 sample transmission") == "20 degree, sample, transmission"
 
@@ -299,7 +299,7 @@ def test_without_a_keyboard_the_rig_stands_all_the_same(standing):
     assert description.exists()
     process.stdin = None
     process.send_signal(signal.SIGINT)
-    assert "taken down" in process.communicate(timeout=PATIENCE)[0]
+    assert "Emulated rig stopped" in process.communicate(timeout=PATIENCE)[0]
     assert not description.exists()
 
 
@@ -307,7 +307,7 @@ def test_a_description_of_someone_else_is_not_overwritten(plan, tile):
     plan.with_name("emulated.yaml").write_text("name: mine\n")
     done = run("emulate", plan.with_name("rig.yaml"), "--truth", tile)
     assert done.exit_code == 2
-    assert "is there already, and not of an emulated rig" in done.output
+    assert "exists already and does not belong to an emulated rig" in done.output
     assert plan.with_name("emulated.yaml").read_text() == "name: mine\n"
 
 
@@ -318,7 +318,7 @@ def test_an_emulated_rig_in_a_folder_of_its_own_takes_its_fibres_along(plan, til
         seen.append(Rig.load(tmp_path / "stand" / "emulated.yaml"))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(commands, "_hands", hands)
+    monkeypatch.setattr(commands, "_apply_typed_arrangements", hands)
     done = run("emulate", plan.with_name("rig.yaml"), "--truth", tile, "--out", tmp_path / "stand")
     assert done.exit_code == 0, done.output
     assert [fibre.name for fibre in seen[0].fibres] == ["A", "B", "C", "D"]

@@ -15,7 +15,7 @@ from brdfpipe.rig.description import Rig
 from brdfpipe.rig.plan import Plan
 from brdfpipe.rig.plan_keys import PlanKeys
 from brdfpipe.rig.rig_keys import RigKeys
-from brdfpipe.rig.templates import MOST, start
+from brdfpipe.rig.templates import MAX_FIBRES, start
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_a_share_of_the_fibres_is_below_the_horizon_as_in_the_preprint(plan):
     assert 0.25 < np.mean(specular_directions.cos_view(60, theta, phi) < 0) < 0.36
 
 
-@pytest.mark.parametrize("count", [150, MOST])
+@pytest.mark.parametrize("count", [150, MAX_FIBRES])
 def test_ends_of_fibres_disc_and_reference_do_not_touch_and_are_in_the_picture(tmp_path, count):
     start(tmp_path / "bench", count)
     rig = Rig.load(tmp_path / "bench" / "rig.yaml")
@@ -65,16 +65,16 @@ def test_ends_of_fibres_disc_and_reference_do_not_touch_and_are_in_the_picture(t
     assert 2 * rig.screen.disc_radius * rig.screen.scale == pytest.approx(159, abs=1)
 
 
-@pytest.mark.parametrize("count", [0, MOST + 1])
+@pytest.mark.parametrize("count", [0, MAX_FIBRES + 1])
 def test_more_fibres_than_places_are_refused(tmp_path, count):
-    with pytest.raises(InputError, match=f"the number of fibres; found {count}; accepted: 1 to {MOST}"):
+    with pytest.raises(InputError, match=f"wrong number of fibres; found {count}; accepted: 1 to {MAX_FIBRES}"):
         start(tmp_path / "bench", count)
     assert not (tmp_path / "bench").exists()
 
 
 def test_nothing_is_overwritten(tmp_path):
     (tmp_path / "plan.yaml").write_text("mine")
-    with pytest.raises(InputError, match=r"holds such a file already; found plan\.yaml"):
+    with pytest.raises(InputError, match=r"the file exists already; found plan\.yaml"):
         start(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["plan.yaml"]
     assert (tmp_path / "plan.yaml").read_text() == "mine"

@@ -38,13 +38,6 @@ class HazeWindow(Keys):
         Strict(False),
     ] = key("full angles of a receptor in the plane of incidence and across it", required=True, unit="degree")
 
-    @model_validator(mode="after")
-    def _possible(self) -> HazeWindow:
-        from brdfpipe.appearance.haze import checked_window
-
-        checked_window({"angle": self.angle, "offset": self.offset, "aperture": self.aperture})
-        return self
-
 
 class Appearance(Keys):
     """Further colours, and the reflectance haze."""

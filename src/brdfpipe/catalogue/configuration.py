@@ -25,6 +25,8 @@ def load_config(path: Path | None = None) -> dict[str, Any]:
     own = reading.read(path, Config)
     if "illuminant" in own:
         check_illuminant(path, own["illuminant"], "illuminant")
+    for number, window in enumerate(own.get("appearance", {}).get("haze", [])):
+        _check_haze_window(path, window, f"appearance.haze.{number}")
     return _overridden(common, own)
 
 
@@ -34,6 +36,16 @@ def _overridden(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, 
         **common,
         **{key: _overridden(common[key], own[key]) if isinstance(own[key], Mapping) else own[key] for key in own},
     }
+
+
+def _check_haze_window(path: Path, window: Mapping[str, Any], where: str) -> None:
+    """Refuse an impossible window of the haze meter once, instead of in every material."""
+    from brdfpipe.appearance import haze
+
+    try:
+        haze.checked_window(window)
+    except haze.HazeError as error:
+        raise InputError(path, str(error), where=where) from error
 
 
 def check_illuminant(path: Path, name: str, where: str) -> None:

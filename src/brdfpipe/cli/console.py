@@ -1,4 +1,4 @@
-"""What the commands share: how they refuse, and the kinds of paths they take."""
+"""Shared by all commands: exit codes of errors, and types of path arguments."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ import click
 
 from brdfpipe.errors import BrdfpipeError
 
-Given = ParamSpec("Given")
+Arguments = ParamSpec("Arguments")
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 
 
-def refusing(command: Callable[Given, int]) -> Callable[Given, None]:
-    """Turn a refusal, the system's too, into one line and exit code 2, an interrupt into 130."""
+def exit_on_error(command: Callable[Arguments, int]) -> Callable[Arguments, None]:
+    """Exit with the code that a command returns; with 2 and one line after an error, with 130 after an interrupt."""
 
     @wraps(command)
-    def run(*args: Given.args, **kwargs: Given.kwargs) -> None:
+    def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
         try:
             code = command(*args, **kwargs)
         except BrdfpipeError as refusal:
             click.echo(f"brdfpipe: {refusal}", err=True)
             code = 2
         except OSError as error:
-            click.echo(f"brdfpipe: {error.filename or 'the system'}: {error.strerror or error}", err=True)
+            click.echo(f"brdfpipe: {error.filename or 'operating system'}: {error.strerror or error}", err=True)
             code = 2
         except KeyboardInterrupt:
             click.echo("brdfpipe: interrupted; the same command resumes", err=True)

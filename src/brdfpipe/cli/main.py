@@ -1,7 +1,7 @@
 """The command line: ``brdfpipe build``, ``check`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
 
-Exit codes: 0 every material was built (or checked well), 1 at least one was not, 2 the command, the catalogue or the
-configuration cannot be used, 130 interrupted. A built material whose checks give the verdict fail does not change the code.
+Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
+cannot be used, 130 interrupted. The verdict of a material's checks does not change the exit code.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from brdfpipe.cli.console import FILE, FOLDER, refusing
+from brdfpipe.cli.console import FILE, FOLDER, exit_on_error
 from brdfpipe.cli.rig import rig
 from brdfpipe.errors import BrdfpipeError
 
@@ -25,15 +25,17 @@ def main() -> None:
 
 @main.command()
 @click.argument("catalogue", type=FOLDER)
-@click.option("--results", type=FOLDER, default=Path("results"), show_default=True, help="Folder for everything made.")
-@click.option("--cores", type=click.IntRange(1), default=None, help="Stages at once  [default: all cores]")
+@click.option("--results", type=FOLDER, default=Path("results"), show_default=True, help="Folder of the results.")
+@click.option(
+    "--cores", type=click.IntRange(1), default=None, help="Number of stages at the same time  [default: all cores]"
+)
 @click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
-@click.option("--dry-run", is_flag=True, help="Say what would be built; build nothing.")
-@refusing
+@click.option("--dry-run", is_flag=True, help="List what would be built; build nothing.")
+@exit_on_error
 def build(catalogue: Path, results: Path, cores: int | None, config: Path | None, dry_run: bool) -> int:
     """Build every material of CATALOGUE that changed, and the catalogue page.
 
-    Exits with 0 if every material was built, whatever the verdict of its checks, with 1 if one was not, with 2 if the
+    Exit code: 0 if every material was built, whatever the verdicts of its checks; 1 if one was not; 2 if the
     catalogue or the configuration cannot be used.
     """
     from brdfpipe.jobs import front
@@ -46,11 +48,11 @@ def build(catalogue: Path, results: Path, cores: int | None, config: Path | None
 @main.command()
 @click.argument("catalogue", type=FOLDER)
 @click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
-@refusing
+@exit_on_error
 def check(catalogue: Path, config: Path | None) -> int:
     """Check descriptions, keys, files and formats of CATALOGUE; raw files are read by the build.
 
-    Exits with 1 if a material is wrong or needs a reader that is not installed.
+    Exit code: 1 if a material is wrong or needs a reader that is not installed.
     """
     from brdfpipe.catalogue.catalogue import load
     from brdfpipe.catalogue.configuration import load_config
@@ -61,9 +63,10 @@ def check(catalogue: Path, config: Path | None) -> int:
     from brdfpipe.surfaces.reading import check_readable
 
     loaded = load(catalogue, load_config(config))
-    lines = {name: (message, False) for name, message in {**loaded.failures, **runs.of(loaded)[1]}.items()}
+    problems = {**loaded.failures, **runs.of(loaded)[1]}
+    summaries = {}
     for material in loaded.materials:
-        if material.name in lines:
+        if material.name in problems:
             continue
         try:
             check_formats(material)
@@ -71,22 +74,21 @@ def check(catalogue: Path, config: Path | None) -> int:
                 if part.startswith("surface"):
                     check_readable(path, material.content["surface"].get("format"))
         except BrdfpipeError as refusal:
-            lines[material.name] = (str(refusal), False)
+            problems[material.name] = str(refusal)
         else:
-            lines[material.name] = (f"ok ({', '.join(summary_words(material))})", True)
-    for name, (message, _) in sorted(lines.items()):
+            summaries[material.name] = f"ok ({', '.join(summary_words(material))})"
+    for name, message in sorted({**problems, **summaries}.items()):
         click.echo(f"{name}: {message}")
-    for name, why in ignored(loaded.folder).items():
-        click.echo(f"{name}: ignored: {why}")
-    wrong = sum(not good for _, good in lines.values())
-    click.echo(f"{len(lines) - wrong} ok, {wrong} wrong")
-    return 1 if wrong else 0
+    for name, reason in ignored(loaded.folder).items():
+        click.echo(f"{name}: ignored: {reason}")
+    click.echo(f"{len(summaries)} ok, {len(problems)} wrong")
+    return 1 if problems else 0
 
 
 @main.command()
 @click.argument("name")
 @click.option("--folder", type=FOLDER, default=Path(), show_default=True, help="The catalogue.")
-@refusing
+@exit_on_error
 def new(name: str, folder: Path) -> int:
     """Start a material NAME: a folder with a commented material.yaml."""
     from brdfpipe.catalogue.material import start_material

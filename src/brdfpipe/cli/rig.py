@@ -1,6 +1,6 @@
 """The commands of a rig: ``brdfpipe rig new``, ``doctor``, ``scan`` and ``emulate``.
 
-Exit codes: 0 done, 1 a device is not in order or the scan stopped before its end, 2 the command or a description cannot be used,
+Exit codes: 0 done, 1 a device failed or the scan stopped before its end, 2 the command or a description cannot be used,
 130 interrupted.
 """
 
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from brdfpipe.cli.console import FILE, FOLDER, refusing
+from brdfpipe.cli.console import FILE, FOLDER, exit_on_error
 from brdfpipe.errors import BrdfpipeError, InputError
 
 if TYPE_CHECKING:
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from brdfpipe.rig.plan import Arrangement, Plan
 
 EMULATED = "emulated.yaml"
-"""The description of an emulated rig, as long as it stands."""
+"""File name of the description of an emulated rig, while it runs."""
 
 EMULATED_CAMERA = "emulated-camera"
 
-_MARK = "# An emulated rig; `brdfpipe rig emulate` wrote this file, and removes it when it ends.\n"
+_EMULATED_HEADER = "# An emulated rig; `brdfpipe rig emulate` wrote this file, and removes it when it ends.\n"
 
-_DEFAULT_HANDS = ("", "sample", "reflection")
+_DEFAULT_ARRANGEMENT = ("", "sample", "reflection")
 
 _TRUTH = click.Path(path_type=Path, exists=True)
 _SESSION = click.option(
-    "--session", type=click.IntRange(0), default=0, show_default=True, help="Another day of the same emulated rig."
+    "--session", type=click.IntRange(0), default=0, show_default=True, help="Number of the day of the emulated rig."
 )
 
 
@@ -50,27 +50,27 @@ def rig() -> None:
 
 @rig.command()
 @click.argument("folder", type=FOLDER)
-@click.option("--fibres", type=int, default=150, show_default=True, help="Fibres of the hemisphere.")
-@refusing
+@click.option("--fibres", type=int, default=150, show_default=True, help="Number of fibres of the hemisphere.")
+@exit_on_error
 def new(folder: Path, fibres: int) -> int:
     """Start a rig: FOLDER with a commented rig.yaml, fibres.csv and plan.yaml."""
     from brdfpipe.rig.templates import start
 
     plan = start(folder, fibres)
     click.echo(
-        f"Describe your bench in {folder / 'rig.yaml'}, try its devices by `brdfpipe rig doctor {folder / 'rig.yaml'}`;"
+        f"Describe your bench in {folder / 'rig.yaml'} and try its devices: `brdfpipe rig doctor {folder / 'rig.yaml'}`."
     )
-    click.echo(f"then fill in {plan}, and see what it takes by `brdfpipe rig scan {plan} --dry-run`.")
+    click.echo(f"Then fill in {plan} and estimate the scan: `brdfpipe rig scan {plan} --dry-run`.")
     return 0
 
 
 @rig.command()
 @click.argument("description", metavar="RIG.yaml", type=FILE)
-@refusing
+@exit_on_error
 def doctor(description: Path) -> int:
     """Identify, move and time each device of a rig.
 
-    Exits with 1 if one is not in order.
+    Exit code: 1 if one fails.
     """
     from brdfpipe.rig.acquisition.doctor import doctor as examine
     from brdfpipe.rig.description import Rig
@@ -82,18 +82,18 @@ def doctor(description: Path) -> int:
 @rig.command()
 @click.argument("plan_file", metavar="PLAN.yaml", type=FILE)
 @click.option("--out", type=FOLDER, default=None, help="Folder of the run  [default: runs/SAMPLE beside the plan]")
-@click.option("--yes", is_flag=True, help="Take every arrangement of mirrors and sample for done.")
-@click.option("--resume", is_flag=True, help="Go on with the run in the folder, if there is one.")
-@click.option("--dry-run", is_flag=True, help="Say what it takes: frames, bytes, hours; touch no device.")
+@click.option("--yes", is_flag=True, help="Confirm every arrangement of mirrors and sample without asking.")
+@click.option("--resume", is_flag=True, help="Continue the run in the folder, if there is one.")
+@click.option("--dry-run", is_flag=True, help="Estimate frames, bytes and hours; use no device.")
 @click.option(
     "--emulate",
     type=_TRUTH,
     default=None,
     help="A BSDF (.nc), or the folder of a built material: scan it with an emulated rig.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the emulated rig.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the emulated rig.")
 @_SESSION
-@refusing
+@exit_on_error
 def scan(
     plan_file: Path,
     out: Path | None,
@@ -106,7 +106,7 @@ def scan(
 ) -> int:
     """Take every frame of PLAN.yaml that its folder does not hold yet.
 
-    Each frame is on the disk before the next is exposed. Whatever ends the scan, the same command with --resume goes on.
+    Each frame is on the disk before the next is exposed. After any interruption the same command with --resume continues.
     """
     from brdfpipe.rig.acquisition.estimate import estimate
     from brdfpipe.rig.plan import Plan
@@ -125,13 +125,13 @@ def scan(
             from brdfpipe.rig.emulator.measurement import take
 
             sample = truth(emulate)
-            done = take(plan, folder, sample, seed=seed, session=session, resume=resume, progress=True, say=_say)
+            done = take(plan, folder, sample, seed=seed, session=session, resume=resume, progress=True, say=_print_line)
         click.echo(done.text)
     except ScanStopped as stop:
         click.echo(f"brdfpipe: {stop}", err=True)
         return 1
     except KeyboardInterrupt:
-        click.echo(f"brdfpipe: interrupted; what is finished is safe in {folder}: --resume goes on", err=True)
+        click.echo(f"brdfpipe: interrupted; finished frames are safe in {folder}; continue with --resume", err=True)
         return 130
     return 0
 
@@ -145,37 +145,37 @@ def scan(
     required=True,
     help="A BSDF (.nc), or the folder of a built material: what lies in the holder.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of all that is random.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of everything random.")
 @_SESSION
 @click.option("--out", type=FOLDER, default=None, help=f"Folder for {EMULATED}  [default: beside RIG.yaml]")
-@click.option("--realtime", is_flag=True, help="Let exposures and moves take the time they say.")
-@refusing
+@click.option("--realtime", is_flag=True, help="Let exposures and moves take real time.")
+@exit_on_error
 def emulate(description: Path, truth_path: Path, seed: int, session: int, out: Path | None, realtime: bool) -> int:
-    """Stand as a rig on serial ports of its own, until Ctrl-C.
+    """Emulate a rig on serial ports of its own, until Ctrl-C.
 
-    What an operator does by hand is typed: the entrance in degree, what lies in the holder (sample, etalon, target or
+    Type what an operator does by hand: the entrance in degree, the load of the holder (sample, etalon, target or
     dark-trap), and the side (reflection or transmission).
     """
     from brdfpipe.rig.description import Rig
     from brdfpipe.rig.emulator.bench import EmulatedRig
     from brdfpipe.rig.emulator.clock import VirtualClock
 
-    # Ended by a service manager, it takes its ports and its description away as after Ctrl-C.
+    # A service manager ends it with SIGTERM; ports and description are removed as after Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     real, clock = Rig.load(description), VirtualClock(realtime=realtime)
     with (
         EmulatedRig(real, truth(truth_path), seed=seed, session=session, clock=clock) as stand,
-        _described(description, stand, out or description.parent) as written,
-        _camera_served(written.parent / EMULATED_CAMERA, stand),
+        _emulated_description(description, stand, out or description.parent) as written,
+        _camera_serving(written.parent / EMULATED_CAMERA, stand),
     ):
         try:
             click.echo(
-                f"The rig stands: {written}. Try `brdfpipe rig doctor {written}`, or scan a plan with `rig: {EMULATED}`."
+                f"Emulated rig ready: {written}. Try `brdfpipe rig doctor {written}`, or scan a plan with `rig: {EMULATED}`."
             )
-            click.echo(f"Type what the hands do, as `{real.entrances[0]:g} sample reflection`; Ctrl-C ends it.")
-            _hands(stand)
+            click.echo(f"Type each arrangement, as `{real.entrances[0]:g} sample reflection`; Ctrl-C ends the rig.")
+            _apply_typed_arrangements(stand)
         except KeyboardInterrupt:
-            click.echo("The rig is taken down.")
+            click.echo("Emulated rig stopped.")
     return 0
 
 
@@ -191,8 +191,8 @@ def truth(path: Path) -> xr.Dataset:
 
     if path.is_dir():
         if not (path / "bsdf.nc").is_file():
-            accepted = "a BSDF (.nc), or a folder of the results with bsdf.nc in it: `brdfpipe build` makes it"
-            raise InputError(path, "holds no built material", accepted=accepted)
+            accepted = "a BSDF (.nc), or a folder of results with bsdf.nc, which `brdfpipe build` writes"
+            raise InputError(path, "a folder without a built material", accepted=accepted)
         path = path / "bsdf.nc"
     return open_dataset(path, "bsdf")
 
@@ -218,21 +218,23 @@ def _real_scan(plan: Plan, folder: Path, *, yes: bool, resume: bool) -> Summary:
             operator=operator,
             progress=True,
             resume=resume,
-            say=_say,
+            say=_print_line,
         )
 
 
 @contextmanager
-def _described(description: Path, stand: EmulatedRig, folder: Path) -> Iterator[Path]:
-    """The description of an emulated rig as long as it stands: the real one's, with its own ports and its own camera's folder."""
+def _emulated_description(description: Path, stand: EmulatedRig, folder: Path) -> Iterator[Path]:
+    """The description of an emulated rig while it runs: the real one, with the emulated ports and camera folder."""
     import yaml
 
     from brdfpipe import documents, store
 
     content = documents.plain(description)
     path = folder / EMULATED
-    if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(_MARK):
-        raise InputError(path, "is there already, and not of an emulated rig", accepted="another --out")
+    if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(_EMULATED_HEADER):
+        raise InputError(
+            path, "exists already and does not belong to an emulated rig", accepted="another folder for --out"
+        )
     fibres = documents.file_beside(description, content["fibres"]["file"], "fibres.file", "the rig's folder")
     if not (folder / content["fibres"]["file"]).exists():
         store.write_bytes(folder / content["fibres"]["file"], fibres.read_bytes())
@@ -243,7 +245,7 @@ def _described(description: Path, stand: EmulatedRig, folder: Path) -> Iterator[
     for device in ("monochromator", "wheel"):
         content[device]["port"] = getattr(stand.rig, device).port
     (folder / EMULATED_CAMERA).mkdir(parents=True, exist_ok=True)
-    store.write_text(path, _MARK + yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    store.write_text(path, _EMULATED_HEADER + yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
     try:
         yield path
     finally:
@@ -251,13 +253,13 @@ def _described(description: Path, stand: EmulatedRig, folder: Path) -> Iterator[
 
 
 @contextmanager
-def _camera_served(folder: Path, stand: EmulatedRig) -> Iterator[None]:
-    """Frames for the requests in a folder, from a thread of their own."""
+def _camera_serving(folder: Path, stand: EmulatedRig) -> Iterator[None]:
+    """Serve frames for the requests in a folder, in a thread."""
     from brdfpipe.rig.acquisition.devices.camera import serve_folder
 
     stop = threading.Event()
-    told = {"stop": stop, "report": click.echo}
-    camera = threading.Thread(target=serve_folder, args=(folder, stand.camera), kwargs=told)
+    options = {"stop": stop, "report": click.echo}
+    camera = threading.Thread(target=serve_folder, args=(folder, stand.camera), kwargs=options)
     camera.start()
     try:
         yield
@@ -267,25 +269,27 @@ def _camera_served(folder: Path, stand: EmulatedRig) -> Iterator[None]:
         camera.join()
 
 
-def _hands(stand: EmulatedRig) -> None:
-    """Do what is typed, until the keyboard interrupts."""
+def _apply_typed_arrangements(stand: EmulatedRig) -> None:
+    """Apply the arrangements that the operator types, until Ctrl-C."""
     for line in sys.stdin:
         words = line.split()
         try:
             if words:
-                entrance, load, side = [*words, *_DEFAULT_HANDS[len(words) :]][:3]
+                entrance, load, side = [*words, *_DEFAULT_ARRANGEMENT[len(words) :]][:3]
                 stand.set_entrance(_degrees(entrance), load=load, side=side)
                 click.echo(f"{_degrees(entrance):g} degree, {load}, {side}")
         except BrdfpipeError as refusal:
             click.echo(str(refusal))
-    threading.Event().wait()  # nobody types
+    threading.Event().wait()  # no keyboard
 
 
 def _degrees(word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        raise InputError("keyboard", "no angle", found=repr(word), accepted="as `20 sample reflection`") from None
+        raise InputError(
+            "keyboard", "not an angle of incidence", found=repr(word), accepted="`20 sample reflection`, for example"
+        ) from None
 
 
 def _user() -> str:
@@ -294,7 +298,7 @@ def _user() -> str:
     return "operator"
 
 
-def _say(line: str) -> None:
+def _print_line(line: str) -> None:
     from tqdm import tqdm
 
     tqdm.write(line, file=sys.stderr)

@@ -1,9 +1,9 @@
-"""What one measurement takes: ``plan.yaml`` → every exposure, in the order they are made.
+"""The plan of one measurement: ``plan.yaml`` → every exposure, in order. The keys: :mod:`brdfpipe.rig.plan_keys`.
 
-The order is fixed. What a person must do by hand comes outermost: for each run (target, etalon, sample), each side and each
-incidence, one arrangement of mirrors and holder; in it each wavelength, and at each wavelength the frames of the bracket. The lamp is looked at
-through the reference fibre before the first of them, after every so many, and after the last; dark frames of every exposure time
-open and close the measurement, with the mirrors and the devices left as they stand.
+The order is fixed. Work by hand comes outermost: for each run (target, etalon, sample), each side and each incidence, one arrangement
+of mirrors and holder; in it each wavelength, and at each wavelength the frames of the bracket. The lamp is read through the reference
+fibre before the first frame, after every ``drift.every`` frames, and after the last. Dark frames of every exposure time open and close
+the measurement, without a move of mirrors or devices.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from brdfpipe.rig.description import Rig
 from brdfpipe.rig.plan_keys import PlanKeys
 
 TRANSMISSION_LIMIT = 75.0
-"""Incidence [degree] from which no light can be measured through a sample."""
+"""Incidence [degree] from which no transmission can be measured."""
 
 DRIFT_WAVELENGTH = 550.0
-"""Nanometres; the lamp is looked at at the plan's wavelength nearest to it."""
+"""Nanometres; the lamp is read at the plan's wavelength nearest to it."""
 
 MAX_SHOTS = 99_999
 
@@ -39,16 +39,16 @@ class Step:
 
 @dataclass(frozen=True)
 class Drift:
-    """How often, and where, the lamp is looked at."""
+    """How often, and at which wavelength, the lamp is read."""
 
     every: int
-    """Frames from one look to the next."""
+    """Number of frames from one lamp reading to the next."""
     wavelength: float
     """Nanometres."""
     step: int
     """Frame of the bracket it repeats, from 1."""
     tolerance: float
-    """Relative change of the signal from which to warn."""
+    """Relative change of the signal that gives a warning."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,11 @@ class Arrangement:
     """What an operator arranges by hand."""
 
     load: str
-    """What lies in the holder: ``sample``, ``etalon`` or ``target``."""
+    """Load of the holder: ``sample``, ``etalon`` or ``target``."""
     side: str
     """``reflection`` or ``transmission``."""
     incidence: float
-    """The entrance the light comes through [degree]."""
+    """Entrance of the light [degree]."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Shot:
     exposure: float
     """Seconds."""
     step: int = 0
-    """Frame of the bracket, from 1; 0 for what is no frame of one."""
+    """Frame of the bracket, from 1; 0 outside a bracket."""
 
     @property
     def dark(self) -> bool:
@@ -87,7 +87,7 @@ class Shot:
 
     @property
     def name(self) -> str:
-        """Of its file."""
+        """Name of its file."""
         return f"{self.ordinal:05d}-{self.purpose}-{self.arrangement.incidence:g}deg-{self.wavelength:g}nm.fits"
 
 
@@ -101,21 +101,21 @@ class Plan:
     wavelengths: tuple[float, ...]
     bracket: tuple[Step, ...]
     darks: int
-    """Of each exposure time, at the start and again at the end."""
+    """Number of dark frames of each exposure time, at the start and again at the end."""
     drift: Drift
     runs: tuple[str, ...]
     side: tuple[str, ...]
     etalon_entrances: tuple[float, ...]
     path: Path = field(compare=False, repr=False)
-    """Where it was read from."""
+    """The file of the plan."""
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
-        """Read and validate a plan, and the rig it names beside it.
+        """Read and validate a plan, and the rig that it names.
 
         Raises
         ------
-        InputError : naming the file, the line, the key, what stands there and what could.
+        InputError : naming the file, the line, the key, what was found and what is accepted.
         """
         path = Path(path)
         content = _content(path)
@@ -148,27 +148,28 @@ class Plan:
 
     @property
     def arrangements(self) -> tuple[Arrangement, ...]:
-        """What an operator arranges, in order."""
-        at = {
+        """The arrangements that an operator makes, in order."""
+        arrangements = {
             "target": [Arrangement("target", "reflection", self.rig.etalon_entrance)],
             "etalon": [Arrangement("etalon", "reflection", entrance) for entrance in self.etalon_entrances],
             "sample": [Arrangement("sample", side, incidence) for side in self.side for incidence in self.incidences],
         }
-        return tuple(arrangement for run in self.runs for arrangement in at[run])
+        return tuple(arrangement for run in self.runs for arrangement in arrangements[run])
 
     def sample_id(self, arrangement: Arrangement) -> str:
-        """What lies in the holder, by its name."""
+        """Name of the sample in the holder."""
         return self.sample if arrangement.load == "sample" else arrangement.load
 
     def differences(self, other: Plan) -> list[str]:
-        """Keys of the plan and of its rig by which two plans differ, each with both values; ports and timeouts do not count."""
-        found = _differences(self, other, [each.name for each in fields(self) if each.compare and each.name != "rig"])
+        """Keys of the plan and of its rig that differ between two plans, each with both values; ports and timeouts do not count."""
+        keys = [item.name for item in fields(self) if item.compare and item.name != "rig"]
+        differences = _differences(self, other, keys)
         if self.rig.digest != other.rig.digest:
-            unlike = _differences(self.rig, other.rig, _RIG_KEYS) + _differences(
+            of_rig = _differences(self.rig, other.rig, _RIG_KEYS) + _differences(
                 self.rig.camera, other.rig.camera, _SENSOR_KEYS
             )
-            found += [f"rig {difference}" for difference in unlike]
-        return found
+            differences += [f"rig {difference}" for difference in of_rig]
+        return differences
 
     def _numbered(self) -> Iterator[Shot]:
         light = list(self._light())
@@ -184,12 +185,12 @@ class Plan:
             for wavelength in (self.drift.wavelength,) if arrangement.load == "target" else self.wavelengths:
                 for number, step in enumerate(self.bracket, start=1):
                     if count % self.drift.every == 0:
-                        yield self._look(arrangement)
+                        yield self._lamp_reading(arrangement)
                     yield Shot(0, arrangement.load, arrangement, wavelength, step.position, step.exposure, number)
                     count += 1
-        yield self._look(arrangement)
+        yield self._lamp_reading(arrangement)
 
-    def _look(self, arrangement: Arrangement) -> Shot:
+    def _lamp_reading(self, arrangement: Arrangement) -> Shot:
         step = self.bracket[self.drift.step - 1]
         return Shot(0, "drift", arrangement, self.drift.wavelength, step.position, step.exposure)
 
@@ -200,24 +201,26 @@ class Plan:
 
 
 def sources(path: Path) -> dict[str, Path]:
-    """The files a plan is made of, by their names in the folder of a run: the plan itself, its rig and the rig's fibres.
+    """The files of a plan by their names in the folder of a run: the plan itself, its rig and the rig's fibres.
 
     Raises
     ------
-    InputError : two of them would have one name.
+    InputError : two of them would have the same name.
     """
     rig = PurePosixPath(_content(path)["rig"])
     fibres = rig.parent / documents.plain(path.parent / rig)["fibres"]["file"]
-    found = {PLAN: path}
+    files = {PLAN: path}
     for name in (rig.as_posix(), fibres.as_posix()):
-        if name in found or name.split("/")[0] in RESERVED:
-            raise InputError(path, "a file whose name a run needs itself", found=name, accepted="another name")
-        found[name] = path.parent / name
-    return found
+        if name in files or name.split("/")[0] in RESERVED:
+            raise InputError(
+                path, "a file name that the folder of a run needs itself", found=name, accepted="another file name"
+            )
+        files[name] = path.parent / name
+    return files
 
 
 PLAN, JOURNAL, FRAMES, LOCK = "plan.yaml", "journal.jsonl", "frames", ".scan.lock"
-"""What the folder of a run holds beside the rig's description."""
+"""Files and folders of a run beside the description of the rig."""
 
 RESERVED = (JOURNAL, FRAMES, LOCK)
 
@@ -246,7 +249,7 @@ def _wavelengths(wavelengths: Any) -> tuple[float, ...]:
 
 
 def _check(path: Path, plan: Plan) -> None:
-    """Refuse what the schema allows and the rig does not."""
+    """Refuse values that the rig does not allow."""
     _check_entrances(path, plan)
     if "target" in plan.runs and plan.rig.target is None:
         accepted = "a rig with a `target`, or runs of etalon and sample alone"
@@ -262,13 +265,15 @@ def _check(path: Path, plan: Plan) -> None:
                 accepted=f"{low:g} to {high:g} nm (`wavelengths` of the rig)",
             )
     for number, step in enumerate(plan.bracket):
-        known = [each.position for each in plan.rig.filters]
+        known = [neutral_filter.position for neutral_filter in plan.rig.filters]
         if step.position not in known:
             accepted = ", ".join(map(str, known)) + " (`filters` of the rig)"
             where = f"bracket.{number}.position"
-            raise InputError(path, "the rig has no filter there", where=where, found=step.position, accepted=accepted)
+            raise InputError(
+                path, "the rig has no filter at this position", where=where, found=step.position, accepted=accepted
+            )
         if step in plan.bracket[:number]:
-            raise InputError(path, "a frame of the bracket stands twice", where=f"bracket.{number}")
+            raise InputError(path, "duplicate frame of the bracket", where=f"bracket.{number}")
     if plan.drift.step > len(plan.bracket):
         accepted = f"1 to {len(plan.bracket)}"
         raise InputError(
@@ -277,7 +282,12 @@ def _check(path: Path, plan: Plan) -> None:
     lights = len(plan.arrangements) * len(plan.wavelengths) * len(plan.bracket)
     shots = lights + lights // plan.drift.every + 2 + plan.darks * 2 * len(plan.bracket)
     if shots > MAX_SHOTS:
-        raise InputError(path, "too many frames", found=shots, accepted=f"at most {MAX_SHOTS}, all purposes counted")
+        raise InputError(
+            path,
+            "too many frames",
+            found=shots,
+            accepted=f"at most {MAX_SHOTS}, dark frames and lamp readings included",
+        )
 
 
 def _check_entrances(path: Path, plan: Plan) -> None:
@@ -290,15 +300,15 @@ def _check_entrances(path: Path, plan: Plan) -> None:
     if plan.rig.etalon_entrance not in plan.etalon_entrances:
         raise InputError(
             path,
-            "the entrance of the rig's etalon is missing: all others are referred to it",
+            "`etalon_entrance` of the rig is missing; all other entrances are relative to it",
             where="etalon_entrances",
-            accepted=f"{plan.rig.etalon_entrance:g}, and others beside it",
+            accepted=f"a list with {plan.rig.etalon_entrance:g} in it",
         )
     grazing = [angle for angle in plan.incidences if angle >= TRANSMISSION_LIMIT]
     if "transmission" in plan.side and grazing:
         raise InputError(
             path,
-            "no transmission at this incidence",
+            "transmission cannot be measured at this incidence",
             where="side",
             found=f"{grazing[0]:g} degree",
             accepted=f"reflection alone, or incidences below {TRANSMISSION_LIMIT:g} degree",
