@@ -72,7 +72,7 @@ def test_new_starts_a_bench_and_says_how_to_go_on(tmp_path):
     assert len(Plan.load(tmp_path / "bench" / "plan.yaml").rig.fibres) == 20
     again = run("new", tmp_path / "bench")
     assert again.exit_code == 2
-    assert "holds such a file already" in again.output
+    assert "the file exists already" in again.output
 
 
 def test_a_dry_run_says_what_it_takes_and_touches_nothing(plan, monkeypatch):
@@ -192,7 +192,7 @@ def test_an_interrupted_scan_exits_with_130_and_says_how_to_go_on(plan, bench):
     bench[0].camera.before = small_rig.failing({4}, KeyboardInterrupt())
     done = run("scan", plan, "--yes")
     assert done.exit_code == 130
-    assert "interrupted; what is finished is safe in" in done.output
+    assert "interrupted; finished frames are safe in" in done.output
     assert "--resume" in done.output
 
 
@@ -329,4 +329,4 @@ def test_an_emulated_rig_in_a_folder_of_its_own_takes_its_fibres_along(plan, til
 def test_an_operator_who_interrupts_the_question_interrupts_the_scan(plan, bench):
     done = run("scan", plan, input="")  # the end of what is typed is an interrupt to the prompt
     assert done.exit_code == 130
-    assert "--resume goes on" in done.output
+    assert "continue with --resume" in done.output

@@ -211,5 +211,5 @@ def test_a_rig_under_a_name_that_a_run_needs_is_refused(tmp_path):
     path = small_rig.write(tmp_path).rename(tmp_path / "monday.yaml")
     (tmp_path / "rig.yaml").rename(tmp_path / "plan.yaml")
     path.write_text(path.read_text().replace("rig: rig.yaml", "rig: plan.yaml"))
-    with pytest.raises(InputError, match="a file whose name a run needs itself; found plan"):
+    with pytest.raises(InputError, match="a file name that the folder of a run needs itself; found plan"):
         sources(path)
