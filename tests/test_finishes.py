@@ -12,7 +12,7 @@ import samples
 import xarray as xr
 
 from brdfpipe import store, vocabulary
-from brdfpipe.jobs import front
+from brdfpipe.jobs.build import build as build_catalogue
 
 COLOUR = "spectrum: {lab: [50, 10, 10], illuminant: D65, observer: 10, geometry: sci}\n"
 MATERIALS = {
@@ -42,7 +42,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}\n"
         "lambert_gauss: {theta_i: [0, 45]}\n"
     )
-    summary = front.build(base / "catalogue", base / "results", cores=2, config=settings)
+    summary = build_catalogue(base / "catalogue", base / "results", cores=2, config=settings)
     assert summary.failures == {}
     return base / "results"
 

@@ -12,7 +12,8 @@ import pytest
 
 import brdfpipe
 from brdfpipe import hemisphere, spectra, surfaces
-from brdfpipe.jobs import front
+from brdfpipe.jobs.build import build as build_catalogue
+from brdfpipe.jobs.summary import Summary
 
 GOOD = """\
 description: Rubber under white PVC
@@ -30,7 +31,7 @@ BAD = {
 
 
 @pytest.fixture(scope="module")
-def built(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, front.Summary]:
+def built(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
     base = tmp_path_factory.mktemp("real")
     for name, text in {"rubber": GOOD, **{name: text for name, (text, _) in BAD.items()}}.items():
         folder = base / "catalogue" / name
@@ -42,7 +43,7 @@ def built(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[
     rng = np.random.default_rng(1)
     np.savetxt(base / "catalogue" / "short" / "short.txt", [(nm, 50.0) for nm in range(400, 600, 10)])
     np.savetxt(base / "catalogue" / "unitless" / "height.txt", rng.normal(size=500))
-    return base / "results", front.build(base / "catalogue", base / "results", cores=2)
+    return base / "results", build_catalogue(base / "catalogue", base / "results", cores=2)
 
 
 def test_the_scan_is_the_known_one(built):

@@ -15,7 +15,8 @@ import pytest
 import samples
 
 from brdfpipe import installation, store
-from brdfpipe.jobs import front
+from brdfpipe.jobs.build import build as build_catalogue
+from brdfpipe.jobs.summary import failed_checks, read_verdicts
 
 PROJECT = Path(__file__).parents[1]
 EXAMPLES = ("abs-grain", "metallic-blue", "paint-lab", "pp-moulding")
@@ -43,7 +44,7 @@ def build_examples(base: Path) -> None:
     # What a camera rig measured is built by the tests of the rig.
     others = shutil.ignore_patterns("*.py", "__pycache__", "calibrations", "milk-glass", "metallic-paint", "opal-glass")
     shutil.copytree(PROJECT / "examples", base / "catalogue", ignore=others)
-    summary = front.build(base / "catalogue", base / "results", cores=2)
+    summary = build_catalogue(base / "catalogue", base / "results", cores=2)
     assert summary.failures == {}
     assert summary.built == EXAMPLES
 
@@ -106,7 +107,7 @@ def test_a_build_elsewhere_gives_the_same_bytes(
     folder, results = built
     for name in names:
         shutil.copytree(folder / name, tmp_path / "elsewhere" / name)
-    front.build(tmp_path / "elsewhere", tmp_path / "made", cores=1)
+    build_catalogue(tmp_path / "elsewhere", tmp_path / "made", cores=1)
     before, after = files(results), files(tmp_path / "made")
     if names != EXAMPLES:  # the catalogue is of other materials
         before, after = ({file: made[file] for file in made if file.split("/")[0] in names} for made in (before, after))
@@ -123,7 +124,7 @@ def test_an_edit_changes_the_digests_of_that_material_alone(
     description.write_text(description.read_text().replace("48.0", "52.0"))
     before = lock(results)
     # The copy's raw files are in another folder: what reads them runs again, to the same content.
-    front.build(tmp_path / "catalogue", results, cores=2)
+    build_catalogue(tmp_path / "catalogue", results, cores=2)
     after = lock(results)
     assert {name for name in EXAMPLES if before[name] != after[name]} == {"paint-lab"}
 
@@ -132,7 +133,7 @@ def test_damaged_results_are_made_anew_to_the_same_bytes(built: tuple[Path, Path
     folder, undamaged = built
     for name, size in (("bsdf.nc", 5000), ("summary.nc", 0)):
         os.truncate(results / "paint-lab" / name, size)
-    summary = front.build(folder, results, cores=2)
+    summary = build_catalogue(folder, results, cores=2)
     assert summary.failures == {}
     assert any("deleted and made anew: paint-lab/bsdf.nc" in notice for notice in summary.notices)
     assert files(results) == files(undamaged)
@@ -147,8 +148,8 @@ def test_a_verdict_of_fail_is_told_with_its_reason(built: tuple[Path, Path], tmp
     )
     store.save_dataset(checks, tmp_path / "m" / "checks.nc", stage="checks", material="m")
     (tmp_path / "catalogue.csv").write_text("material,status,verdict\nm,built,fail\nn,built,pass\no,failed,\n")
-    assert front._verdicts(tmp_path, ["m", "n", "o"]) == {"m": "fail", "n": "pass"}
-    assert front._fault(tmp_path, "m") == "energy: too much"
+    assert read_verdicts(tmp_path, ["m", "n", "o"]) == {"m": "fail", "n": "pass"}
+    assert failed_checks(tmp_path, "m") == "energy: too much"
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
@@ -212,7 +213,7 @@ def test_every_deleted_file_is_made_again_as_it_was(
     folder, undamaged = built
     for file in deleted:
         (results / "abs-grain" / file).unlink()
-    summary = front.build(folder, results, cores=2)
+    summary = build_catalogue(folder, results, cores=2)
     assert summary.built == ("abs-grain",)
     assert files(results) == files(undamaged)
 
@@ -222,7 +223,7 @@ def test_rays_are_cast_where_the_configuration_asks_for_it(
 ) -> None:
     own = tmp_path / "own.yaml"
     own.write_text("raycast: true\n")
-    summary = front.build(built[0], results, cores=2, config=own)
+    summary = build_catalogue(built[0], results, cores=2, config=own)
     assert summary.failures == {}
     assert sorted(path.parent.name for path in results.glob("*/masking.nc")) == ["abs-grain", "pp-moulding"]
     before, after = (root / "abs-grain" / "report.html" for root in (built[1], results))
@@ -247,7 +248,7 @@ def test_several_scans_filters_and_directions_reach_the_facets(tmp_path: Path) -
     (maps / "material.yaml").write_text(f"surface: {{{shared}, lambda_s: 5.0, scans: [{{file: b.npy}}]}}\nindex: PP\n")
     settings = tmp_path / "settings.yaml"
     settings.write_text(COARSE)
-    summary = front.build(tmp_path / "catalogue", tmp_path / "results", cores=2, config=settings)
+    summary = build_catalogue(tmp_path / "catalogue", tmp_path / "results", cores=2, config=settings)
     assert summary.failures == {}
     of_lines, of_maps = (store.open_dataset(tmp_path / "results" / name / "facets.nc") for name in ("lines", "maps"))
     assert float(of_lines["anisotropy"]) == pytest.approx(2.5, rel=0.05)
@@ -255,4 +256,4 @@ def test_several_scans_filters_and_directions_reach_the_facets(tmp_path: Path) -
     for number in ("surface", "surface-2"):
         filtered = store.open_dataset(tmp_path / "results" / "maps" / f"{number}.nc")
         assert filtered.attrs["lambda_s"] == 5.0
-    assert front.build(tmp_path / "catalogue", tmp_path / "results", cores=2, config=settings).jobs == 0
+    assert build_catalogue(tmp_path / "catalogue", tmp_path / "results", cores=2, config=settings).jobs == 0

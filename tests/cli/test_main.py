@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from brdfpipe.cli import main as cli
-from brdfpipe.jobs import front
+from brdfpipe.jobs.summary import Summary
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
@@ -133,8 +133,8 @@ def test_new_refuses_what_is_no_name(tmp_path: Path, name: str) -> None:
 def test_build_tells_what_it_did_and_fails_if_a_material_did(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failures: Mapping[str, str], code: int
 ) -> None:
-    summary = front.Summary(("a",), ("b",), failures, 12, tmp_path / "index.html", 3.2)
-    monkeypatch.setattr(front, "build", lambda *given, **named: summary)
+    summary = Summary(("a",), ("b",), failures, 12, tmp_path / "index.html", 3.2)
+    monkeypatch.setattr("brdfpipe.jobs.build.build", lambda *given, **named: summary)
     done = run("build", tmp_path)
     assert done.exit_code == code
     assert done.output.splitlines()[0].startswith(
@@ -146,8 +146,8 @@ def test_build_tells_what_it_did_and_fails_if_a_material_did(
 def test_a_verdict_is_told_by_name_and_changes_no_exit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     verdicts, faults = {"a": "fail", "b": "warn", "c": "pass"}, {"a": "energy: reflects at most 1.039 of the light"}
     page = tmp_path / "index.html"
-    summary = front.Summary(("a", "b"), ("c",), {}, 3, page, 3.2, verdicts=verdicts, faults=faults, notices=("note",))
-    monkeypatch.setattr(front, "build", lambda *given, **named: summary)
+    summary = Summary(("a", "b"), ("c",), {}, 3, page, 3.2, verdicts=verdicts, faults=faults, notices=("note",))
+    monkeypatch.setattr("brdfpipe.jobs.build.build", lambda *given, **named: summary)
     done = run("build", tmp_path)
     assert done.exit_code == 0
     assert done.output.splitlines()[1:] == [
@@ -162,7 +162,7 @@ def test_what_the_system_refuses_is_one_line_and_exit_2(tmp_path: Path, monkeypa
     def refused(*given: object, **named: object) -> None:
         raise PermissionError(13, "Permission denied", "results/logs")
 
-    monkeypatch.setattr(front, "build", refused)
+    monkeypatch.setattr("brdfpipe.jobs.build.build", refused)
     done = run("build", tmp_path)
     assert (done.exit_code, done.stderr) == (2, "brdfpipe: results/logs: Permission denied\n")
 
@@ -171,6 +171,6 @@ def test_an_interrupt_exits_with_130(tmp_path: Path, monkeypatch: pytest.MonkeyP
     def interrupted(*given: object, **named: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(front, "build", interrupted)
+    monkeypatch.setattr("brdfpipe.jobs.build.build", interrupted)
     done = run("build", tmp_path)
     assert (done.exit_code, done.stderr) == (130, "brdfpipe: interrupted; the same command resumes\n")

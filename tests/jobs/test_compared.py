@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from brdfpipe import installation, store
-from brdfpipe.jobs import front
+from brdfpipe.jobs.build import build as build_catalogue
 from brdfpipe.jobs.rules import Pipeline
 from brdfpipe.rig import templates as starting
 from brdfpipe.stages import STAGES
@@ -69,7 +69,7 @@ def test_materials_with_a_rough_surface_and_reflected_light_are_compared(folder:
 @pytest.mark.slow
 def test_the_workflow_compares_what_the_emulated_rig_measured(folder: Path, tmp_path: Path) -> None:
     material(folder, "both", ROUGH + BODY + RIG)
-    summary = front.build(folder, tmp_path / "results", cores=2)
+    summary = build_catalogue(folder, tmp_path / "results", cores=2)
     assert summary.failures == {}
     found = store.open_dataset(tmp_path / "results" / "both" / "comparison.nc", "comparison")
     assert set(found.attrs["inputs"].split('"')[1::4]) == {"facets", "index", "predicted", "primary", "spectrum"}

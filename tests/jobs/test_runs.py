@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from brdfpipe import catalogue, cli
-from brdfpipe.jobs import front, runs
+from brdfpipe.jobs import runs
+from brdfpipe.jobs.build import build as build_catalogue
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -34,7 +35,7 @@ def test_a_run_without_the_sample_is_a_problem_of_its_material_alone(folder: Pat
 
 
 def test_a_dry_run_and_a_check_tell_of_it(folder: Path, tmp_path: Path) -> None:
-    summary = front.build(folder, tmp_path / "results", cores=1, dry_run=True)
+    summary = build_catalogue(folder, tmp_path / "results", cores=1, dry_run=True)
     assert list(summary.failures) == ["milk-glass"]
     assert summary.built == ("opal-glass",)
     told = CliRunner().invoke(cli.main, ["check", str(folder)])

@@ -10,7 +10,7 @@ import pytest
 
 import brdfpipe
 from brdfpipe import catalogue, installation, vocabulary
-from brdfpipe.jobs import front
+from brdfpipe.jobs.build import build as build_catalogue
 from brdfpipe.jobs.rules import Stages
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -50,7 +50,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder, results = copied(base / "catalogue"), base / "results"
     follow(folder, "bench-2", "bench-1")
     go_by(folder, "bench-2")
-    summary = front.build(folder, results, cores=2)
+    summary = build_catalogue(folder, results, cores=2)
     assert summary.failures == {}
     assert summary.built == NAMES
     return folder, results
@@ -79,7 +79,7 @@ def test_it_is_the_truth_within_its_uncertainty_where_it_was_measured(built: tup
 
 def test_nothing_is_done_again(built: tuple[Path, Path]) -> None:
     folder, results = built
-    assert front.build(folder, results, cores=2).jobs == 0
+    assert build_catalogue(folder, results, cores=2).jobs == 0
 
 
 def test_the_same_run_gives_the_same_bytes(built: tuple[Path, Path]) -> None:
@@ -88,7 +88,7 @@ def test_the_same_run_gives_the_same_bytes(built: tuple[Path, Path]) -> None:
     before = {path.name: path.read_bytes() for path in sorted((run / "frames").iterdir())}
     digest = brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc").attrs["digest"]
     shutil.rmtree(results / "milk-glass")
-    assert front.build(folder, results, cores=2).failures == {}
+    assert build_catalogue(folder, results, cores=2).failures == {}
     assert {path.name: path.read_bytes() for path in sorted((run / "frames").iterdir())} == before
     assert brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc").attrs["digest"] == digest
 
@@ -112,7 +112,7 @@ def test_a_calibration_that_fails_is_told_of_each_material_that_needs_it_or_one_
     text = certificate.read_text()
     try:
         certificate.write_text(text.replace("2030-01-01", "1969-12-31"))
-        failures = front.build(folder, results, cores=2).failures
+        failures = build_catalogue(folder, results, cores=2).failures
     finally:
         certificate.write_text(text)
     assert list(failures) == ["milk-glass"]
@@ -193,7 +193,7 @@ def test_a_wrong_plan_is_a_failure_of_its_material_alone(tmp_path: Path) -> None
     folder = copied(tmp_path / "catalogue")
     plan = folder / "milk-glass" / "plan.yaml"
     plan.write_text(plan.read_text().replace("incidences: [10, 30, 60]", "incidences: [10, 33]"))
-    summary = front.build(folder, tmp_path / "results", cores=2, dry_run=True)
+    summary = build_catalogue(folder, tmp_path / "results", cores=2, dry_run=True)
     assert summary.built == ("opal-glass",)
 
 

@@ -18,6 +18,6 @@ def main(input, output, params):
 
 
 if __name__ == "__main__":
-    from brdfpipe.jobs.stage import by_hand
+    from brdfpipe.jobs.stage import run_as_script
 
-    by_hand(main)
+    run_as_script(main)

@@ -38,9 +38,9 @@ def build(catalogue: Path, results: Path, cores: int | None, config: Path | None
     Exit code: 0 if every material was built, whatever the verdicts of its checks; 1 if one was not; 2 if the
     catalogue or the configuration cannot be used.
     """
-    from brdfpipe.jobs import front
+    from brdfpipe.jobs.build import build as build_catalogue
 
-    summary = front.build(catalogue, results, cores=cores or _cores(), config=config, dry_run=dry_run)
+    summary = build_catalogue(catalogue, results, cores=cores or _cores(), config=config, dry_run=dry_run)
     click.echo(summary.text)
     return 1 if summary.failures else 0
 

@@ -1,1 +1,1 @@
-from .stage import by_hand as by_hand
+from .stage import run_as_script as run_as_script

@@ -111,7 +111,7 @@ class _Worker:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([*PRELOADED, *sorted(_also_preloaded)])
         resource_tracker.ensure_running()  # it would let the signals through again
-        with _environment(ONE_THREAD), _deaf():
+        with _environment(ONE_THREAD), sigint_blocked():
             forkserver.ensure_running()
         self._line, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs,), daemon=True, name="brdfpipe-worker")
@@ -179,8 +179,8 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
-    """What starts here inherits that Ctrl-C does not reach it, from its first moment on; the server minds it only once set up."""
+def sigint_blocked() -> Iterator[None]:
+    """Processes started here inherit that Ctrl-C does not reach them, from the first moment on; the server ignores it only once set up."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -131,7 +131,7 @@ def _without_folders(message: str, job: Job) -> str:
 
 
 def record_failure(job: Job, message: str, damaged: tuple[str, ...] = ()) -> None:
-    """Leave word of a failed job for the front and the catalogue: of several of a material, always the same one."""
+    """Record a failed job for the build and the catalogue; of several of a material, always the same one."""
     from brdfpipe.store import write_text
 
     path = Path(job.folder, "failures", f"{job.material}.json")
@@ -143,7 +143,7 @@ def record_failure(job: Job, message: str, damaged: tuple[str, ...] = ()) -> Non
     write_text(path, json.dumps(record, ensure_ascii=False) + "\n")
 
 
-def by_hand(main: Main) -> None:
+def run_as_script(main: Main) -> None:
     """Run a stage's script as a plain program; ``--help`` says how."""
     parser = argparse.ArgumentParser(description=main.__doc__, epilog="Paths are relative to the present folder.")
     parser.add_argument("--material", required=True, help="name of the material")

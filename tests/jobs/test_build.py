@@ -1,4 +1,4 @@
-"""The build front: what is built, what is left alone, what is said, and what survives a kill."""
+"""The build: what is built, what is left alone, what is said, and what survives a kill."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ import psutil
 import pytest
 from filelock import FileLock
 
-from brdfpipe.jobs import front
+from brdfpipe.jobs import cleanup, failures
+from brdfpipe.jobs.build import BuildError
+from brdfpipe.jobs.build import build as build_catalogue
+from brdfpipe.jobs.summary import Summary
 
 Write = Callable[..., Path]
 
@@ -38,8 +41,8 @@ def results(tmp_path: Path, project: Path) -> Path:
     return tmp_path / "results"
 
 
-def build(folder: Path, results: Path) -> front.Summary:
-    return front.build(folder, results, cores=2)
+def build(folder: Path, results: Path) -> Summary:
+    return build_catalogue(folder, results, cores=2)
 
 
 def content(results: Path) -> dict[str, bytes]:
@@ -204,21 +207,21 @@ def test_a_second_build_into_the_same_folder_is_refused(folder: Path, results: P
     results.mkdir()
     with (
         FileLock(results / ".build.lock"),
-        pytest.raises(front.BuildError, match="another build is running there"),
+        pytest.raises(BuildError, match="another build is running there"),
     ):
         build(folder, results)
 
 
 @pytest.mark.parametrize("place", [".", "first", "first/results"])
 def test_results_among_the_raw_files_are_refused(folder: Path, project: Path, place: str) -> None:
-    with pytest.raises(front.BuildError, match="results go to a folder of their own"):
+    with pytest.raises(BuildError, match="results go to a folder of their own"):
         build(folder, folder / place)
 
 
 def test_a_folder_of_other_files_is_refused(folder: Path, results: Path) -> None:
     results.mkdir()
     (results / "thesis.txt").touch()
-    with pytest.raises(front.BuildError, match=r"holds other files \(thesis.txt\) and no results"):
+    with pytest.raises(BuildError, match=r"holds other files \(thesis.txt\) and no results"):
         build(folder, results)
     assert [path.name for path in results.iterdir()] == ["thesis.txt"]
 
@@ -226,7 +229,7 @@ def test_a_folder_of_other_files_is_refused(folder: Path, results: Path) -> None
 def test_an_empty_folder_takes_results(folder: Path, results: Path) -> None:
     results.mkdir()
     (results / ".hidden").touch()
-    assert front.build(folder, results, cores=1, dry_run=True).jobs == 27
+    assert build_catalogue(folder, results, cores=1, dry_run=True).jobs == 27
 
 
 def unwritable(monkeypatch: pytest.MonkeyPatch, *paths: Path) -> None:
@@ -264,9 +267,8 @@ def test_results_that_cannot_be_written_fail_their_material_alone(
 
 
 def test_an_output_that_cannot_be_removed_is_told_by_its_material() -> None:
-    run = front._Run(Path("results"))
-    run.errors = ["PermissionError: [Errno 13] Permission denied: '/somewhere/results/first/index.nc' Traceback"]
-    assert front._stuck(run, {"first", "second"}) == {
+    errors = ["PermissionError: [Errno 13] Permission denied: '/somewhere/results/first/index.nc' Traceback"]
+    assert failures.of_unwritable_files(errors, {"first", "second"}) == {
         "first": {
             "stage": "results",
             "message": "first/index.nc: cannot be replaced (Permission denied); make it writable or delete it",
@@ -303,7 +305,7 @@ def test_results_of_a_material_that_is_gone_are_marked_and_told(folder: Path, re
 def test_a_folder_that_is_no_material_is_told_and_no_failure(folder: Path, results: Path) -> None:
     (folder / "odd").mkdir()
     (folder / "odd" / "material.yml").touch()
-    summary = front.build(folder, results, cores=1, dry_run=True)
+    summary = build_catalogue(folder, results, cores=1, dry_run=True)
     assert summary.failures == {}
     assert summary.notices == ("odd: ignored: material.yml is not read; rename it to material.yaml",)
 
@@ -315,12 +317,12 @@ def test_only_results_inside_the_folder_are_ever_deleted_as_damaged(tmp_path: Pa
         file.touch()
     record = {"damaged": ["../raw.nc", str(tmp_path / "raw.nc"), "bad.nc", "absent.nc"]}
     (results / "failures" / "m.json").write_text(json.dumps(record))
-    assert front._delete_damaged(results, []) == ["bad.nc"]
+    assert cleanup.delete_damaged(results, []) == ["bad.nc"]
     assert {path.name for path in tmp_path.rglob("*.nc")} == {"raw.nc", "good.nc"}
 
 
 def test_a_dry_run_changes_nothing(folder: Path, results: Path) -> None:
-    summary = front.build(folder, results, cores=1, dry_run=True)
+    summary = build_catalogue(folder, results, cores=1, dry_run=True)
     assert summary.jobs == 27  # thirteen stages of two materials, and the catalogue
     assert content(results) == {}
 
@@ -329,7 +331,7 @@ def test_a_dry_run_plans_the_mended_material_of_a_failed_build(folder: Path, res
     write(folder, "first", raw="refuse")
     build(folder, results)
     write(folder, "first")
-    summary = front.build(folder, results, cores=1, dry_run=True)
+    summary = build_catalogue(folder, results, cores=1, dry_run=True)
     assert (summary.built, summary.current, summary.failures) == (("first",), ("second",), {})
 
 
@@ -404,12 +406,12 @@ def test_an_interrupted_build_ends_its_workers_and_says_so(stuck: subprocess.Pop
 
 
 def test_only_what_a_build_left_is_cleaned_up(folder: Path, results: Path) -> None:
-    front.build(folder, results, cores=1)
+    build_catalogue(folder, results, cores=1)
     own = [results / "failures" / "notes.txt", results / "first" / ".draft.tmp"]
     left = results / "first" / ".facets.nc.4711.tmp"
     for path in (*own, left):
         path.parent.mkdir(exist_ok=True)
         path.write_text("mine")
-    front.build(folder, results, cores=1)
+    build_catalogue(folder, results, cores=1)
     assert all(path.exists() for path in own)
     assert not left.exists()

@@ -1,0 +1,201 @@
+"""Build a catalogue: one command that builds, resumes, reports, and leaves a page although materials failed.
+
+Snakemake decides what to run, in this process, so that no process outlives it. Materials of which a stage failed are left out of a
+second, short run that makes the page of the catalogue, which lists them with their reasons. Damaged results that a stage could not
+read are deleted and made anew.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from brdfpipe.catalogue.catalogue import Catalogue, load
+from brdfpipe.catalogue.configuration import load_config
+from brdfpipe.catalogue.names import DESCRIPTION, RESULT_MARKS
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.jobs import cleanup, failures, pool, summary
+from brdfpipe.jobs.snakemake_run import LOG, SnakemakeRun
+from brdfpipe.jobs.summary import Summary
+
+
+class BuildError(BrdfpipeError):
+    """The build as a whole could not be done."""
+
+
+def build(folder: Path, results: Path, *, cores: int, config: Path | None = None, dry_run: bool = False) -> Summary:
+    """Build a catalogue; what is up to date stays as it is.
+
+    Parameters
+    ----------
+    folder : the catalogue
+    results : where everything goes; made if missing
+    cores : how many stages run at once
+    config : a configuration instead of the project's own
+    dry_run : only list what would run
+
+    Raises
+    ------
+    CatalogueError, InputError : the catalogue or the configuration cannot be used.
+    BuildError : another build runs there, or snakemake itself failed.
+    KeyboardInterrupt : stopped by the user; the next build resumes.
+    """
+    started = time.perf_counter()
+    catalogue = load(folder, load_config(config))
+    _check_results_folder(results, catalogue)
+    settings: dict[str, Any] = {"catalogue": str(catalogue.folder)}
+    if config is not None:
+        settings["settings"] = str(config.resolve())
+    with _locked(results), _interruptible() as interrupts:
+        if not dry_run:
+            cleanup.remove_leftovers(results, LOG)
+        failed = failures.of_unwritable_folders(results, catalogue) | failures.of_plans(catalogue)
+        work = _run_until_complete(_Request(results, catalogue, settings, cores, dry_run), failed, interrupts)
+        stale = [] if dry_run else cleanup.mark_stale(results, catalogue, failed)
+    touched = {material for _, material in work.jobs}
+    complete = [material.name for material in catalogue.materials if material.name not in failed]
+    verdicts = {} if dry_run else summary.read_verdicts(results, complete)
+    return Summary(
+        built=tuple(name for name in complete if name in touched),
+        current=tuple(name for name in complete if name not in touched),
+        failures={
+            **catalogue.failures,
+            **{name: f"{entry['stage']}: {entry['message']}" for name, entry in failed.items()},
+        },
+        jobs=sum(rule != "all" for rule, _ in work.jobs),
+        page=results / "index.html",
+        seconds=time.perf_counter() - started,
+        dry_run=dry_run,
+        verdicts=verdicts,
+        faults={name: summary.failed_checks(results, name) for name, verdict in verdicts.items() if verdict == "fail"},
+        notices=tuple(summary.notices(catalogue.folder, work.deleted, stale)),
+    )
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What is to be built."""
+
+    results: Path
+    catalogue: Catalogue
+    settings: Mapping[str, Any]
+    """The configuration that the Snakefile reads, without the failures."""
+    cores: int
+    dry_run: bool
+
+
+@dataclass
+class _Work:
+    """What the runs of snakemake did together."""
+
+    jobs: list[tuple[str, str]] = field(default_factory=list)
+    """(rule, material)"""
+    deleted: list[str] = field(default_factory=list)
+    """Damaged files."""
+
+
+def _run_until_complete(request: _Request, failed: failures.Failures, interrupts: list[int]) -> _Work:
+    """Run snakemake again where a damaged file was deleted, and again without the materials that failed.
+
+    The latter are added to ``failed``. Each turn deletes a file for the first time in this build or leaves out one more material,
+    so the turns end.
+    """
+    results, work = request.results, _Work()
+    dependents = failures.dependents(request.catalogue)
+    while True:
+        run = SnakemakeRun(results, request.dry_run)
+        complete = run.start({**request.settings, "failures": failed}, request.cores)
+        work.jobs += run.done
+        if interrupts:
+            raise KeyboardInterrupt
+        names = {material.name for material in request.catalogue.materials} - failed.keys()
+        new: failures.Failures = {}
+        if not request.dry_run:  # its records are those of the build before
+            new = failures.of_jobs(results, run.failed, names, dependents, LOG)
+            damaged = cleanup.delete_damaged(results, work.deleted)
+            work.deleted += damaged
+            if damaged:
+                continue
+        if not complete and not new:
+            new = failures.of_unwritable_files(run.errors, names)
+        if complete and not new:
+            return work
+        if not new:
+            raise BuildError(_reason(run))
+        failed |= new
+
+
+def _reason(run: SnakemakeRun) -> str:
+    """Why a run ended early although no material failed."""
+    if record := failures.recorded(run.results).get("catalogue"):
+        return f"the catalogue page could not be made: {record['message']}"
+    reason = run.errors[0].partition(" File ")[0] if run.errors else "stopped before its end; run it again to resume"
+    return f"{run.results}: {reason} (see {run.results / LOG})"
+
+
+def _check_results_folder(results: Path, catalogue: Catalogue) -> None:
+    """Refuse a folder of raw files, a file, and a folder that holds anything but results."""
+    target = results.resolve()
+    if target == catalogue.folder or any((folder / DESCRIPTION).is_file() for folder in (target, *target.parents)):
+        raise BuildError(f"{results}: results go to a folder of their own, not among the raw files of the catalogue")
+    if target.exists() and not target.is_dir():
+        raise BuildError(f"{results}: is a file; results need a folder")
+    if target.is_dir() and not any((target / mark).exists() for mark in RESULT_MARKS):
+        unexpected_files = sorted(item.name for item in target.iterdir() if not item.name.startswith("."))
+        if unexpected_files:
+            raise BuildError(
+                f"{results}: holds other files ({unexpected_files[0]}) and no results; choose a new or an empty folder"
+            )
+
+
+@contextmanager
+def _locked(results: Path) -> Iterator[None]:
+    """No other build runs in the folder of results meanwhile."""
+    from filelock import FileLock, Timeout
+
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(results / ".build.lock", timeout=0)
+        lock.acquire()
+    except Timeout:
+        raise BuildError(
+            f"{results}: another build is running there; wait for it or choose another --results"
+        ) from None
+    except OSError as error:
+        raise BuildError(f"{results}: cannot be written ({error.strerror})") from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+@contextmanager
+def _interruptible() -> Iterator[list[int]]:
+    """Ctrl-C kills the workers at once; the jobs they had are done again by the next build.
+
+    Yields the signals received, because snakemake turns an interrupt into a failed run.
+    """
+    interrupts: list[int] = []
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        interrupts.append(number)
+        pool.close()
+        raise KeyboardInterrupt
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        signal.signal(signal.SIGINT, stop)
+    except ValueError:  # not the main thread, which handles signals itself
+        before = {}
+    try:
+        yield interrupts
+    finally:
+        pool.close()
+        for number, handler in before.items():
+            signal.signal(number, handler)

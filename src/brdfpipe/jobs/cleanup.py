@@ -1,0 +1,84 @@
+"""Old files in a folder of results: leftovers of a killed build, damaged results, and results of materials that are gone."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from brdfpipe.catalogue.catalogue import Catalogue
+from brdfpipe.catalogue.names import RESERVED
+
+TEMPORARY = re.compile(r"\..+\.\d+\.tmp")
+"""Names under which the store writes what is not whole yet."""
+
+STALE = "STALE.txt"
+"""In a material's folder: its results are older than the catalogue."""
+
+
+def remove_leftovers(results: Path, log: str) -> None:
+    """Remove what an earlier build left: half-written files, its failures and its log."""
+    forget_failures(results)
+    (results / log).unlink(missing_ok=True)
+    for pattern in (".*.tmp", "*/.*.tmp", "*/exports/.*.tmp"):
+        for leftover in results.glob(pattern):
+            if TEMPORARY.fullmatch(leftover.name):
+                with suppress(OSError):  # in a folder that cannot be written: a failure of its own
+                    leftover.unlink()
+
+
+def forget_failures(results: Path) -> None:
+    """Delete the records of failed stages."""
+    for record in (results / "failures").glob("*.json"):
+        with suppress(OSError):
+            record.unlink()
+
+
+def delete_damaged(results: Path, deleted_before: Collection[str]) -> list[str]:
+    """Delete the results that a stage could not read, and the failures that they caused; return the files.
+
+    A file is deleted once in a build: ``deleted_before`` are left alone.
+    """
+    folder = results.resolve()
+    names = {
+        name
+        for path in (results / "failures").glob("*.json")
+        for name in json.loads(path.read_text(encoding="utf-8")).get("damaged", [])
+    }
+    damaged = sorted(
+        name
+        for name in names - set(deleted_before)
+        if (folder / name).is_file() and (folder / name).resolve().is_relative_to(folder)
+    )
+    for name in damaged:
+        (folder / name).unlink()
+    if damaged:
+        forget_failures(results)
+    return damaged
+
+
+def mark_stale(results: Path, catalogue: Catalogue, failed: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Mark reports and exports that no material of the catalogue would give now; return the names of materials that are gone."""
+    reasons = {**catalogue.failures, **{name: entry["message"] for name, entry in failed.items()}}
+    gone = []
+    for folder in sorted(path for path in results.iterdir() if path.is_dir() and path.name not in RESERVED):
+        mark = folder / STALE
+        if not (folder / "report.html").exists() and not any(folder.glob("exports/*")):
+            continue
+        if folder.name in catalogue.by_name and folder.name not in failed:
+            mark.unlink(missing_ok=True)
+            continue
+        if folder.name in reasons:
+            reason = f"it cannot be built now: {reasons[folder.name]}"
+        else:
+            gone.append(folder.name)
+            reason = "no material of this name is in the catalogue."
+        with suppress(OSError):  # a folder that cannot be written: a failure of its own
+            mark.write_text(
+                f"The results in this folder are of an earlier state of the material; {reason}\n"
+                "The build that makes them anew removes this file.\n",
+                encoding="utf-8",
+            )
+    return gone

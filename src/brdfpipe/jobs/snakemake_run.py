@@ -1,0 +1,105 @@
+"""One run of snakemake within this process, followed through its log events."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import sys
+from collections.abc import Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from brdfpipe import installation
+
+PROGRESS_AFTER = 2.0
+"""Seconds before a progress bar is worth showing."""
+
+LOG = "logs/build.log"
+"""In the folder of results."""
+
+
+@dataclass
+class SnakemakeRun(logging.Handler):
+    """A run of the workflow: what it was asked for, what was done, what failed."""
+
+    results: Path
+    dry_run: bool = False
+    done: list[tuple[str, str]] = field(default_factory=list)
+    """(rule, material) of every job that ran to its end (or would, in a dry run)."""
+    failed: list[tuple[str, str]] = field(default_factory=list)
+    """(rule, material) of every job that failed."""
+    errors: list[str] = field(default_factory=list)
+    """Messages of level error, each in one line."""
+
+    def __post_init__(self) -> None:
+        super().__init__(logging.INFO)
+        self._jobs: dict[int, tuple[str, str]] = {}
+        self._bar: Any = None
+        self._file: Any = None
+
+    __hash__ = logging.Handler.__hash__
+
+    def start(self, config: Mapping[str, Any], cores: int) -> bool:
+        """Run snakemake and wait; return whether everything that was asked for exists now."""
+        from snakemake.cli import args_to_api, parse_args  # type: ignore[import-untyped]
+        from snakemake.logging import DefaultFormatter  # type: ignore[import-untyped]
+
+        self.setFormatter(DefaultFormatter())
+        root, log = installation.project_folder(), self.results / LOG
+        arguments = [
+            *("--snakefile", str(root / "Snakefile"), "--directory", str(self.results), "--cores", str(cores)),
+            *("--profile", "none", "--workflow-profile", str(root / "workflow" / "profiles" / "default")),
+            *("--quiet", "all", "--nocolor", "--nolock", *(["--dry-run"] if self.dry_run else [])),
+            *("--configfile", str(log.with_suffix(".json").resolve())),
+        ]
+        log.parent.mkdir(parents=True, exist_ok=True)
+        log.with_suffix(".json").write_text(json.dumps(config), encoding="utf-8")
+        logger = logging.getLogger("snakemake")
+        logger.addHandler(self)
+        try:
+            with (
+                log.open("a", encoding="utf-8") as self._file,
+                Path(os.devnull).open("w") as nowhere,
+                redirect_stdout(nowhere),
+                redirect_stderr(nowhere),  # what matters comes as log events
+            ):
+                parser, parsed = parse_args(arguments)
+                # The default, 100 jobs a second, costs more than it holds back: a timer thread and a new choice of jobs for
+                # each. No value of the option switches it off.
+                parsed.max_jobs_per_timespan = None
+                return bool(args_to_api(parsed, parser))
+        finally:
+            logger.removeHandler(self)
+            if self._bar is not None:
+                self._bar.close()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        event = getattr(getattr(record, "event", None), "name", None)
+        if event == "JOB_INFO":
+            job = (record.rule_name, dict(record.wildcards).get("material", ""))  # type: ignore[attr-defined]
+            self._jobs[record.jobid] = job  # type: ignore[attr-defined]
+            if self.dry_run:
+                self.done.append(job)
+        elif event == "JOB_FINISHED":
+            self.done.append(self._jobs[record.job_id])  # type: ignore[attr-defined]
+        elif event == "JOB_ERROR":
+            self.failed.append(self._jobs[record.jobid])  # type: ignore[attr-defined]
+        elif event == "PROGRESS":
+            self._show_progress(record.done, record.total)  # type: ignore[attr-defined]
+        text = self.format(record)
+        if event in (None, "ERROR") and record.levelno >= logging.ERROR:
+            self.errors.append(" ".join(text.split()))
+        if text and text != "None":
+            print(text, file=self._file)
+
+    def _show_progress(self, done: int, total: int) -> None:
+        from tqdm import tqdm
+
+        if self._bar is None:
+            self._bar = tqdm(
+                total=total, unit="job", delay=PROGRESS_AFTER, disable=None, file=sys.__stderr__, leave=False
+            )
+        self._bar.update(done - self._bar.n)

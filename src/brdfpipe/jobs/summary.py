@@ -1,0 +1,102 @@
+"""What a build did, in words: materials built and not built, verdicts of their checks, and what else a user should know."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from brdfpipe.catalogue.ignored_folders import ignored
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.jobs.cleanup import STALE
+from brdfpipe.store import open_dataset
+
+_LISTED = 5
+"""Folders that a notice names."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a build did."""
+
+    built: tuple[str, ...]
+    """Materials for which something was computed, and which are complete."""
+    current: tuple[str, ...]
+    """Materials that were up to date."""
+    failures: Mapping[str, str]
+    """Material that could not be built → reason, in one line."""
+    jobs: int
+    page: Path
+    seconds: float
+    dry_run: bool = False
+    verdicts: Mapping[str, str] = field(default_factory=dict)
+    """Built material → worst verdict of its checks: pass, warn or fail."""
+    faults: Mapping[str, str] = field(default_factory=dict)
+    """Built material with the verdict fail → what the checks found, in one line."""
+    notices: tuple[str, ...] = ()
+    """What else the user should know; none of it is a failure."""
+
+    @property
+    def text(self) -> str:
+        """Lines for the terminal."""
+        not_built = [f"  {name}: not built: {message}" for name, message in sorted(self.failures.items())]
+        if self.dry_run:
+            total = len(self.built) + len(self.current)
+            planned = f"{self.jobs} jobs would run, for {len(self.built)} of {total} materials"
+            return "\n".join([planned, *(f"  {name}" for name in self.built), *not_built, *self.notices])
+        total = len(self.built) + len(self.current) + len(self.failures)
+        counts = (
+            f"{_count(total, 'material')}: {len(self.built)} built, {len(self.current)} up to date, "
+            f"{len(self.failures)} not built ({_count(self.jobs, 'job')} in {self.seconds:.1f} s)"
+        )
+        return "\n".join([counts, *not_built, *self._verdict_lines, *self.notices, f"Open {self.page}"])
+
+    @property
+    def _verdict_lines(self) -> list[str]:
+        counts = Counter(self.verdicts.values())
+        if not (counts["fail"] or counts["warn"]):
+            return []
+        folder = self.page.parent
+        return [
+            f"Verdicts of the checks: {counts['fail']} fail, {counts['warn']} warn; the reports say why",
+            *(
+                f"  {name}: verdict fail{f': {reason}' if reason else ''} ({folder / name / 'report.html'})"
+                for name, reason in sorted(self.faults.items())
+            ),
+        ]
+
+
+def read_verdicts(results: Path, names: Iterable[str]) -> dict[str, str]:
+    """Material → verdict, from the table of the catalogue; empty where there is none."""
+    with suppress(OSError), (results / "catalogue.csv").open(encoding="utf-8", newline="") as table:
+        verdicts = {row.get("material"): row.get("verdict") or "" for row in csv.DictReader(table)}
+        return {name: verdicts[name] for name in names if verdicts.get(name)}
+    return {}
+
+
+def failed_checks(results: Path, name: str) -> str:
+    """What the failed checks of a material found, in one line; empty if that cannot be read."""
+    try:
+        checks = json.loads(open_dataset(results / name / "checks.nc", "checks").attrs["verdicts"])
+    except (BrdfpipeError, KeyError):
+        return ""
+    return "; ".join(f"{check}: {entry['text']}" for check, entry in checks.items() if entry["verdict"] == "fail")
+
+
+def notices(folder: Path, deleted: Sequence[str], stale: Sequence[str]) -> Iterator[str]:
+    """Damaged files that were made anew, results of materials that left the catalogue, folders that are no materials."""
+    if deleted:
+        yield f"{_count(len(deleted), 'damaged file')} deleted and made anew: {', '.join(deleted)}"
+    if stale:
+        listed = ", ".join(stale[:_LISTED]) + (", …" if len(stale) > _LISTED else "")
+        yield f"{_count(len(stale), 'folder')} of materials that are no longer in the catalogue, marked by {STALE}: {listed}"
+    for name, reason in ignored(folder).items():
+        yield f"{name}: ignored: {reason}"
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'s' if number != 1 else ''}"
