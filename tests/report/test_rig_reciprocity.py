@@ -11,6 +11,7 @@ import rig_primary
 import xarray as xr
 
 from brdfpipe.bsdf.measured import completion, smoothing
+from brdfpipe.bsdf.measured.reciprocity import reciprocity
 from brdfpipe.report import rig_reciprocity
 from brdfpipe.report.svg import Figure
 
@@ -53,7 +54,7 @@ def test_every_pair_is_drawn_before_and_after(on_rig: xr.Dataset, smoothed_on_ri
 
 
 def test_what_is_drawn_is_what_the_completion_tells(on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset) -> None:
-    told = completion.reciprocity(on_rig, rig_reciprocity.AZIMUTHS)
+    told = reciprocity(on_rig, rig_reciprocity.AZIMUTHS)
     apart = 100 * (told["there"] / told["back"] - 1).median("wavelength").values.ravel()
     moved = 100 * (told["both"] / told["there"] - 1).median("wavelength").values.ravel()
     figure = rig_reciprocity.figure(on_rig, smoothed_on_rig)

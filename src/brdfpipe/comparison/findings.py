@@ -1,4 +1,4 @@
-"""What a comparison of two routes found, in words."""
+"""The findings of a comparison in sentences, and its warnings."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf import representations
 
 MISFIT = 1.5
-"""χ² over the degrees of freedom from which a model does not describe a measurement."""
+"""χ² over the degrees of freedom above which a model does not agree with a measurement."""
 
 _CERTAIN = 3.0
-"""Standard uncertainties from which a change is no chance."""
+"""Standard uncertainties above which a change is significant."""
 
 _FAR = 3.0
-"""Prior standard uncertainties from which a change needs another reason."""
+"""Prior standard uncertainties above which a change is implausible."""
 
-_UNTOLD = 0.8
-"""Posterior over prior uncertainty above which a measurement tells nothing of an input."""
+_UNINFORMATIVE = 0.8
+"""Posterior over prior uncertainty above which the measurement does not constrain an input."""
 
-_ALIKE = 0.9
-"""Correlation from which two inputs cannot be told apart."""
+_CORRELATED = 0.9
+"""Correlation above which two inputs cannot be separated."""
 
 _REFERENCE = 550.0
 """Wavelength at which an index is quoted [nm]."""
@@ -33,15 +33,15 @@ _REFERENCE = 550.0
 NAMES = {"index": "refractive index", "slope": "slope scale", "diffuse": "diffuse scale"}
 
 
-def told(comparison: xr.Dataset, predicted: xr.Dataset) -> xr.Dataset:
-    """A comparison with what it found as the attribute ``findings``, a list in JSON, and its warnings."""
-    sentences = [*_agreement(comparison), *_inputs(comparison, predicted), *_alike(comparison)]
-    words = comparison.assign_attrs(findings=json.dumps(sentences, ensure_ascii=False))
-    return vocabulary.add_warning(words, *_warnings(comparison, predicted))
+def with_findings(comparison: xr.Dataset, predicted: xr.Dataset) -> xr.Dataset:
+    """A comparison with its findings as the attribute ``findings``, a list in JSON, and its warnings."""
+    findings = [*_agreement(comparison), *_inputs(comparison, predicted), *_correlated_inputs(comparison)]
+    comparison = comparison.assign_attrs(findings=json.dumps(findings, ensure_ascii=False))
+    return vocabulary.add_warning(comparison, *_warnings(comparison, predicted))
 
 
 def sentences(comparison: xr.Dataset) -> list[str]:
-    """What a comparison found."""
+    """The findings of a comparison."""
     return list(json.loads(comparison.attrs["findings"]))
 
 
@@ -54,7 +54,7 @@ def plus_minus(value: float, u: float, sign: str = "") -> str:
 def _agreement(comparison: xr.Dataset) -> Iterator[str]:
     before, *after = comparison["chi_squared_dof"].values.tolist()
     ratios = comparison["median_ratio"].sel(model="predicted").values
-    incidences = ", ".join(f"{each:g}°" for each in comparison["incidence"].values)
+    incidences = ", ".join(f"{angle:g}°" for angle in comparison["incidence"].values)
     yield (
         f"measured over predicted, median at {incidences} of incidence: {', '.join(f'{ratio:.3f}' for ratio in ratios)}; "
         f"χ² over the degrees of freedom {before:.3g}"
@@ -73,10 +73,10 @@ def _inputs(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
         one = comparison.sel(input=name)
         value, u, before = (float(one[each]) for each in ("posterior", "posterior_u", "prior"))
         stated = f"{NAMES[name]} {_stated(name, value, u, predicted)}"
-        if u > _UNTOLD * float(one["prior_u"]):
-            yield f"{stated}: the measurement tells nothing of it beyond what was assumed"
+        if u > _UNINFORMATIVE * float(one["prior_u"]):
+            yield f"{stated}: the measurement does not constrain it beyond the assumed uncertainty"
         elif abs(value - before) < _CERTAIN * u:
-            yield f"{stated}: as it was given, within its uncertainty"
+            yield f"{stated}: unchanged within its uncertainty"
         else:
             yield f"{stated}: {_meaning(name, value)}"
 
@@ -102,13 +102,13 @@ def _meaning(name: str, value: float) -> str:
     return f"below the facets the body is {percent} {'brighter' if value > 1 else 'darker'} than the spectrum says"
 
 
-def _alike(comparison: xr.Dataset) -> Iterator[str]:
+def _correlated_inputs(comparison: xr.Dataset) -> Iterator[str]:
     if "correlation" not in comparison:
         return
     names, correlation = [str(name) for name in comparison["input"].values], comparison["correlation"].values
-    for first, second in np.argwhere(np.triu(np.abs(correlation) > _ALIKE, 1)):
+    for first, second in np.argwhere(np.triu(np.abs(correlation) > _CORRELATED, 1)):
         number = f"{correlation[first, second]:.2f}".replace("-", "−")
-        yield f"{NAMES[names[first]]} and {NAMES[names[second]]} can hardly be told apart (correlation {number}): one may stand for the other"
+        yield f"{NAMES[names[first]]} and {NAMES[names[second]]} are hard to separate (correlation {number}): a change of one may compensate the other"
 
 
 def _warnings(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
@@ -119,8 +119,8 @@ def _warnings(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
             moved = abs(float(one["posterior"] - one["prior"])) / float(one["prior_u"])
             if moved > _FAR:
                 yield (
-                    f"measurement and prediction agree only if the {NAMES[name]} changes by {moved:.1f} of the standard uncertainties it was "
-                    f"given; check it, or raise `comparison.{name}_u`"
+                    f"measurement and prediction agree only if the {NAMES[name]} changes by {moved:.1f} times its assumed standard uncertainty. "
+                    f"Check it, or raise `comparison.{name}_u`."
                 )
     if predicted.attrs["representation"] != "microfacet":
         yield (
@@ -140,7 +140,7 @@ def _fit_warnings(comparison: xr.Dataset) -> Iterator[str]:
     left = float(comparison["chi_squared_dof"].values[-1])
     fitted = "posterior" in comparison
     if fitted and not comparison.attrs["converged"]:
-        yield "the fit of the prediction's inputs stopped before it converged: take its outcome for a hint"
+        yield "The fit of the prediction's inputs did not converge: its result is only indicative."
     if left > MISFIT and fitted:
         yield (
             f"no change of the prediction's inputs makes it agree with the measurement (χ² over the degrees of freedom {left:.3g}): the form of "

@@ -1,8 +1,8 @@
-"""Two ways to one BRDF, side by side: what a rig measured and what the surface predicts; and which inputs would make them agree.
+"""The measured BRDF beside the one predicted from the surface, and the inputs with which both agree.
 
-The prediction rests on inputs of which some are in doubt: the refractive index, the slopes of the facets (a scan smooths, or is noisy), and
-the diffuse reflectance. They are changed until prediction and measurement agree best, each held by what was known of it before
-(:mod:`.adjustment`); the change is stated with its uncertainty, and what is left when no change helps tells of the form of the model.
+Some inputs of the prediction are uncertain: the refractive index, the slopes of the facets (a scan smooths, or is noisy), and the diffuse
+reflectance. They are fitted until prediction and measurement agree best, each with its prior uncertainty (:mod:`.adjustment`). The change is
+stated with its uncertainty. A remaining misfit is one of the model's form.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import representations
-from brdfpipe.comparison import findings, outcome
+from brdfpipe.comparison import comparison_dataset, findings
 from brdfpipe.comparison.adjustment import Adjusted, adjust
 from brdfpipe.comparison.measurement import ComparisonError, Measurement
 from brdfpipe.comparison.prediction import INPUTS, NOMINAL, Family, Given, Member, Predicted
 
 PRIOR_U: Mapping[str, float] = {"index": 0.02, "slope": 0.1, "diffuse": 0.05}
-"""Standard uncertainty of the inputs where nothing else is said: of the index itself, of the others relative."""
+"""Default standard uncertainty of the inputs: absolute for the index, relative for the others."""
 
 MOST_WAVELENGTHS = 8
 """Wavelengths that are compared, evenly chosen from those of the rig that the prediction covers."""
 
 _SAME = 1e-3
-"""Relative difference up to which a BSDF is the one that its inputs make."""
+"""Largest relative difference between a prediction and the same one rebuilt from its inputs."""
 
 
 def compare(
@@ -41,7 +41,7 @@ def compare(
     slope_u: float = PRIOR_U["slope"],
     diffuse_u: float = PRIOR_U["diffuse"],
 ) -> xr.Dataset:
-    """Set a measured BRDF beside the predicted one, and fit the inputs of the prediction that are in doubt.
+    """Compare a measured BRDF with the predicted one, and fit the uncertain inputs of the prediction.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def compare(
     Dataset of kind ``comparison``: ``brdf`` and its uncertainties; along ``model`` (``predicted``, and ``adjusted`` with the fitted inputs)
         the BRDF, the ratio of measured to modelled and ``z``, the difference over the uncertainty; per incidence the median ratio, the rms
         of z and the reflectance into the cells; χ² over the degrees of freedom, common errors taken into account; ``prior`` and
-        ``posterior`` of each ``input`` and their ``correlation``. ``findings`` says it in words
+        ``posterior`` of each ``input`` and their ``correlation``. ``findings`` states the results in sentences
 
     Raises
     ------
@@ -78,16 +78,16 @@ def compare(
     fit: Adjusted[Member] | None = None
     if predicted.attrs["representation"] == "microfacet":
         given = Given.to(predicted, facets, index, spectrum, measurement.wavelength)
-        family = Family(given, measurement, _doubtful(prior_u, predicted))
+        family = Family(given, measurement, _fitted_inputs(prior_u, predicted))
         _check_same(models["predicted"], family.start)
         models["predicted"] = family.start
         if family.prior_u:
             fit = adjust(measurement, family.at, len(family.prior_u), family.start)
             models["adjusted"] = fit.model
-    comparison = outcome.compared(measurement, models, fit)
+    comparison = comparison_dataset.compared(measurement, models, fit)
     if fit is not None:
-        comparison = outcome.with_inputs(comparison, family, fit)
-    comparison = vocabulary.label(findings.told(comparison, predicted), "comparison")
+        comparison = comparison_dataset.with_inputs(comparison, family, fit)
+    comparison = vocabulary.label(findings.with_findings(comparison, predicted), "comparison")
     return vocabulary.validate(comparison, "comparison")
 
 
@@ -124,7 +124,7 @@ def _check(primary: xr.Dataset, predicted: xr.Dataset, facets: xr.Dataset, prior
         )
     if primary.attrs.get("side", "reflection") != "reflection":
         raise ComparisonError(
-            "the rig measured transmitted light; what surfaces predict is compared with reflected light alone: measure "
+            "the rig measured transmitted light, but a prediction is compared with reflected light only: measure "
             "`side: [reflection]` too"
         )
     incidence = primary["incidence"].values.astype(float)
@@ -151,18 +151,18 @@ def _shared(primary: xr.Dataset, predicted: xr.Dataset) -> NDArray[np.int64]:
     return np.asarray(covered[places.round().astype(int)], dtype=np.int64)
 
 
-def _doubtful(prior_u: Mapping[str, float], predicted: xr.Dataset) -> dict[str, float]:
-    """The inputs that may be changed, and would change something."""
+def _fitted_inputs(prior_u: Mapping[str, float], predicted: xr.Dataset) -> dict[str, float]:
+    """The inputs that may be changed and have an effect."""
     without = set() if predicted["diffuse"].values.any() else {"diffuse"}
     return {name: prior_u[name] for name in INPUTS if prior_u[name] > 0 and name not in without}
 
 
 def _check_same(predicted: Predicted, rebuilt: Predicted) -> None:
-    """Refuse inputs that are not those of the prediction: a change of them would tell nothing."""
+    """Refuse inputs that are not those of the prediction: their fit would mean nothing."""
     used = predicted.measurement.used & (predicted.values > 0)
     # Between the wavelengths of the spectrum the two may differ; of other inputs nearly all values do.
     if used.any() and np.median(np.abs(rebuilt.values[used] / predicted.values[used] - 1)) > _SAME:
         raise ComparisonError(
-            "the prediction was not made from these facets, this index and this spectrum: built anew from them, it is another one; "
+            "the prediction was not made from these facets, this index and this spectrum: rebuilt from them it differs; "
             "run `brdfpipe build`"
         )

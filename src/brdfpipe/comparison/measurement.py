@@ -1,13 +1,12 @@
-"""What a rig measured, ready to be weighed against a model: values, and errors that cells, pictures or all of it share.
+"""The values a rig measured and their covariance: errors of single cells, of pictures, and of the whole measurement.
 
 A component of the uncertainty that is marked ``common`` is one error for all the cells of a picture, that is of an incidence at a
-wavelength; some go further and are the same for all wavelengths of an incidence, or for everything. One that is marked ``independent``
-is an error of each cell; that of the calibration is the same at every incidence. That of the geometry counts twice: as an error of each
-cell, and as one of a picture that lies elsewhere than it was taken for, which looks like another lobe. Frames of a bracket hang on one
-another by the light they share (``reference``, ``nd``): what is uncertain of a dark frame is so of the darker one too, which adds its
-own, so that two cells have the variance of the better known in common, and not all of their errors. A relative component is stated
-over the measured value. It is taken over the model's here: if large values had large uncertainties by chance, common errors would pull
-every fit below the data (Peelle's pertinent puzzle).
+wavelength; some are the same for all wavelengths of an incidence, or for everything. One that is marked ``independent`` is an error of
+each cell; that of the calibration is the same at every incidence. The geometry counts twice: as an error of each cell, and as a shift of
+the whole picture, which looks like another lobe. Frames of a bracket are scaled by the light they share (``reference``, ``nd``): a darker
+frame has the error of the brighter one and adds its own, so that two cells have the variance of the better known one in common. A
+relative component is stated over the measured value. Here it is taken over the model's: if large values had large uncertainties by
+chance, common errors would pull every fit below the data (Peelle's pertinent puzzle).
 
 References
 ----------
@@ -34,49 +33,49 @@ from brdfpipe.specular_directions import cos_view, outgoing
 DIMS = ("incidence", "wavelength", "cell")
 
 _USED = ("measured", "below_noise")
-"""Qualities of values that are compared; one below the noise is as true as its uncertainty says."""
+"""Quality flags of compared values; a value below the noise is valid within its uncertainty."""
 
 _LINKS = 2
-"""Steps in which the errors of a chain of frames are taken."""
+"""Number of steps that the errors of a chain of frames are divided into."""
 
 _NEAR = 3.0
-"""Standard uncertainties by which a model may be off for an uncertainty to be taken over it."""
+"""Largest deviation of a model, in standard uncertainties, at which relative uncertainties still refer to it."""
 
 
 class ComparisonError(BrdfpipeError):
     """A measurement and a prediction that cannot be compared."""
 
 
-class _Nature(NamedTuple):
-    """How an error goes on from place to place."""
+class _ErrorModel(NamedTuple):
+    """Along which dimensions an error is independent, and what it scales with."""
 
     own: tuple[str, ...]
-    """Dimensions along which every place has an error of its own; along the others it is the same one."""
+    """Dimensions along which errors are independent; along the others they are the same."""
     relative: bool
     chained: bool = False
-    """Of frames that hang on one another: what cells have beyond the best known of a picture is in common to those at least as uncertain."""
+    """Errors of chained frames: the excess over the best known cell of a picture is common to all cells at least as uncertain."""
 
 
-_NATURE = {
-    "noise": _Nature(DIMS, relative=False),
-    "geometry": _Nature(DIMS, relative=False),
-    "calibration": _Nature(("wavelength", "cell"), relative=True),
-    "repeat": _Nature(("incidence", "wavelength"), relative=True),
-    "nd": _Nature(("incidence", "wavelength"), relative=True, chained=True),
-    "reference": _Nature(("incidence",), relative=True, chained=True),
-    "glare": _Nature(("incidence",), relative=False),
-    "certificate": _Nature((), relative=True),
-    "path": _Nature(("incidence",), relative=True),
+_ERROR_MODELS = {
+    "noise": _ErrorModel(DIMS, relative=False),
+    "geometry": _ErrorModel(DIMS, relative=False),
+    "calibration": _ErrorModel(("wavelength", "cell"), relative=True),
+    "repeat": _ErrorModel(("incidence", "wavelength"), relative=True),
+    "nd": _ErrorModel(("incidence", "wavelength"), relative=True, chained=True),
+    "reference": _ErrorModel(("incidence",), relative=True, chained=True),
+    "glare": _ErrorModel(("incidence",), relative=False),
+    "certificate": _ErrorModel((), relative=True),
+    "path": _ErrorModel(("incidence",), relative=True),
 }
 _BY_CORRELATION = {
-    "independent": _Nature(DIMS, relative=False),
-    "common": _Nature(("incidence", "wavelength"), relative=True),
+    "independent": _ErrorModel(DIMS, relative=False),
+    "common": _ErrorModel(("incidence", "wavelength"), relative=True),
 }
 
 
 class _Component(NamedTuple):
     name: str
-    nature: _Nature
+    error_model: _ErrorModel
     u: Array
     """(incidence, wavelength, cell) [sr-1]"""
 
@@ -119,14 +118,14 @@ class Measurement:
             used &= np.isin(primary["brdf_quality"].values, [vocabulary.quality(name) for name in _USED])
         if not used.any():
             raise ComparisonError(
-                "no cell of the rig has a value that was measured: look at the quality of the primary data"
+                "no cell of the rig has a value that was measured: check the quality flags of the primary data"
             )
         solid_angle = primary["solid_angle"].values if "solid_angle" in primary else np.full(theta_s.size, np.nan)
         components = tuple(
-            _Component(name, nature, np.where(used, np.nan_to_num(field), 0.0))
-            for name, nature, field in _components(primary)
+            _Component(name, error_model, np.where(used, np.nan_to_num(u_of_component), 0.0))
+            for name, error_model, u_of_component in _components(primary)
         )
-        found = cls(
+        measurement = cls(
             incidence,
             primary["wavelength"].values.astype(float),
             theta_s,
@@ -138,10 +137,10 @@ class Measurement:
             components,
             float(primary.attrs.get("disc_scale_u", 0.0)),
         )
-        found._check(found.own_variance(found.value))
-        return found
+        measurement._check_uncertainty(measurement.own_variance(measurement.value))
+        return measurement
 
-    def _check(self, variance: Array) -> None:
+    def _check_uncertainty(self, variance: Array) -> None:
         wrong = np.argwhere(self.used & ~(variance > 0))
         if wrong.size:
             at, wavelength, cell = wrong[0]
@@ -168,18 +167,18 @@ class Measurement:
 
     def correlated(self, *, among_cells: bool) -> Array:
         """Combined uncertainty of the components that are common to the cells of a picture, or of those that are not [sr-1]."""
-        parts = [each.u for each in self.components if ("cell" not in each.nature.own) == among_cells]
+        parts = [part.u for part in self.components if ("cell" not in part.error_model.own) == among_cells]
         return np.sqrt(np.sum(np.square(parts), axis=0)) if parts else np.zeros_like(self.value)
 
     def sum_u(self, weight: Array) -> Array:
         """Standard uncertainty of Σ weight · value over the cells of each picture, (incidence, wavelength)."""
         independent = np.sum((weight * self.correlated(among_cells=False)) ** 2, axis=-1)
-        common = [np.sum(weight * each.u, axis=-1) for each in self.components if "cell" not in each.nature.own]
+        common = [np.sum(weight * part.u, axis=-1) for part in self.components if "cell" not in part.error_model.own]
         return np.sqrt(independent + np.sum(np.square(common), axis=0)) if common else np.sqrt(independent)
 
     def own_variance(self, model: Array) -> Array:
         """Variance of the errors that every value has for itself."""
-        parts = [self._of_cells(each, model) ** 2 for each in self.components if each.nature.own == DIMS]
+        parts = [self._of_cells(part, model) ** 2 for part in self.components if part.error_model.own == DIMS]
         return np.asarray(np.sum(parts, axis=0)) if parts else np.zeros_like(model)
 
     def covariance(self, model: Array, own_u: Array, common: Array) -> Covariance:
@@ -194,38 +193,38 @@ class Measurement:
         own = np.where(self.used, self.own_variance(model) + own_u**2, 1.0)
         between = np.einsum("iwc,ij->wcij", own, np.eye(self.incidence.size))
         columns = [np.where(self.used, common, 0.0)]
-        for each in self.components:
-            if "cell" not in each.nature.own:
+        for component in self.components:
+            if "cell" not in component.error_model.own:
                 # Over the model's values alone: an error that followed the noise of the data would explain it away.
-                columns += self._shared(each, model)
-            elif each.nature.own != DIMS:
-                u = self._of_cells(each, model)
+                columns += self._shared(component, model)
+            elif component.error_model.own != DIMS:
+                u = self._of_cells(component, model)
                 between = between + np.einsum("iwc,jwc->wcij", u, u)
-            if each.name == "geometry":
-                columns += self._displaced(each.u)
+            if component.name == "geometry":
+                columns += self._shifted(component.u)
         shared = np.concatenate(columns)
         return Covariance(np.linalg.inv(np.linalg.cholesky(between)), shared[shared.any(axis=(1, 2, 3))], self.used)
 
     def _shared(self, component: _Component, model: Array) -> list[Array]:
         """Errors that the cells of a picture have in common."""
-        u, own = self._over(component, model), component.nature.own
-        if not component.nature.chained:
+        u, own = self._over(component, model), component.error_model.own
+        if not component.error_model.chained:
             return [_columns(u, own)]
-        told = self.used & (self.value != 0)
-        relative = np.divide(component.u, np.abs(self.value), out=np.full_like(u, np.nan), where=told)
+        known = self.used & (self.value != 0)
+        relative = np.divide(component.u, np.abs(self.value), out=np.full_like(u, np.nan), where=known)
         least, most = (
-            of(np.where(told, relative, empty), axis=-1, keepdims=True)
-            for of, empty in ((np.min, np.inf), (np.max, 0.0))
+            extreme(np.where(known, relative, empty), axis=-1, keepdims=True)
+            for extreme, empty in ((np.min, np.inf), (np.max, 0.0))
         )
         steps = [
             np.minimum(least, most) + (most - np.minimum(least, most)) * link / _LINKS for link in range(_LINKS + 1)
         ]
         squares = [np.clip(np.nan_to_num(relative), low, high) ** 2 - low**2 for low, high in pairwise(steps)]
         links = [_columns(np.sqrt(square) * np.abs(model), DIMS[:2]) for square in squares]
-        return [_columns(np.where(told, np.minimum(u, steps[0] * np.abs(model)), u), own), *links]
+        return [_columns(np.where(known, np.minimum(u, steps[0] * np.abs(model)), u), own), *links]
 
-    def _displaced(self, u: Array) -> list[Array]:
-        """Errors of the disc's cells where a whole picture lies elsewhere, once an incidence along either axis."""
+    def _shifted(self, u: Array) -> list[Array]:
+        """Errors of the disc's cells from a shift of the picture, one an incidence along either axis."""
         turn = np.radians(self.phi_s)
         return [_columns(u * (self.of_disc * pattern), ("incidence",)) for pattern in (np.cos(turn), np.sin(turn))]
 
@@ -235,12 +234,12 @@ class Measurement:
         return np.nan_to_num(self.solid_angle) > 0
 
     def _of_cells(self, component: _Component, model: Array) -> Array:
-        """Standard uncertainty of errors of single cells; a model far from the data does not tell how large they are."""
+        """Standard uncertainty of errors of single cells, relative to the model within a few uncertainties of the data."""
         return self._over(component, np.clip(model, self.value - _NEAR * self.u, self.value + _NEAR * self.u))
 
     def _over(self, component: _Component, values: Array) -> Array:
-        """Standard uncertainty of a component, a relative one over other values than the measured ones."""
-        if not component.nature.relative:
+        """Standard uncertainty of a component; a relative one refers to the given values instead of the measured ones."""
+        if not component.error_model.relative:
             return component.u
         return component.u * np.divide(
             np.abs(values), np.abs(self.value), out=np.ones_like(values), where=self.value != 0
@@ -249,7 +248,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Covariance:
-    """A covariance taken apart: what is left between incidences, and common errors of one standard uncertainty each."""
+    """A covariance as a sum: blocks between incidences, and common errors of one standard uncertainty each."""
 
     whitening: Array
     """(wavelength, cell, incidence, incidence)"""
@@ -282,8 +281,8 @@ class Covariance:
         return float(self.products(white, white)[0, 0])
 
 
-def _components(primary: xr.Dataset) -> Iterator[tuple[str, _Nature, Array]]:
-    """The components of the uncertainty; without any the combined one counts as independent."""
+def _components(primary: xr.Dataset) -> Iterator[tuple[str, _ErrorModel, Array]]:
+    """The components of the uncertainty; without any, the combined uncertainty counts as independent."""
     whole = primary["brdf_u"]
     names = sorted(name for name in map(str, primary.data_vars) if name.startswith("brdf_u_"))
     if not names:
@@ -293,10 +292,10 @@ def _components(primary: xr.Dataset) -> Iterator[tuple[str, _Nature, Array]]:
         if stated not in _BY_CORRELATION:
             raise ComparisonError(f"{name!r} has the correlation {stated!r}; accepted: {', '.join(_BY_CORRELATION)}")
         component = name.removeprefix("brdf_u_")
-        known = _NATURE.get(component)
-        # What the dataset says goes before what the name does.
-        nature = known if known and ("cell" in known.own) == (stated == "independent") else _BY_CORRELATION[stated]
-        yield component, nature, primary[name].broadcast_like(whole).transpose(*DIMS).values
+        known = _ERROR_MODELS.get(component)
+        # The stated correlation has precedence over the known component.
+        error_model = known if known and ("cell" in known.own) == (stated == "independent") else _BY_CORRELATION[stated]
+        yield component, error_model, primary[name].broadcast_like(whole).transpose(*DIMS).values
 
 
 def _columns(u: Array, own: tuple[str, ...]) -> Array:

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from brdfpipe.bsdf.measured import basis as bases
-from brdfpipe.bsdf.measured import completion
+from brdfpipe.bsdf.measured.reciprocity import reciprocity
 from brdfpipe.report.pages import MISSING, number
 from brdfpipe.report.svg import Array, Axis, Figure, Line, Mark, Points, chart, legend, nice_range, sentence
 
@@ -75,7 +75,7 @@ def figure(bsdf: xr.Dataset, smoothed: xr.Dataset) -> Figure:
     bsdf : representation ``rig``
     smoothed : kind ``smoothed``, of reflection, that it was completed from
     """
-    pairs = completion.reciprocity(bsdf, AZIMUTHS)
+    pairs = reciprocity(bsdf, AZIMUTHS)
     if not pairs.sizes["pair"]:
         return sentence(TITLE, "Fewer than two incidences were measured: no light goes there and back between them.")
     enlarged = _enlarged(bsdf, smoothed)

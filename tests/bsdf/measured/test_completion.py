@@ -1,4 +1,4 @@
-"""Incidences that were not measured, and light that goes both ways."""
+"""Completion of incidences that were not measured, and reciprocity."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import rig_primary
 import samples
 
 from brdfpipe import facets, optics, vocabulary
-from brdfpipe.bsdf import measured, microfacet
+from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.measured import basis as bases
-from brdfpipe.bsdf.measured import completion, smoothing
+from brdfpipe.bsdf.measured import completion, evaluation, smoothing
 from brdfpipe.bsdf.measured.coordinates import of_cells, outgoing
+from brdfpipe.bsdf.measured.node_interpolation import interpolation_abscissa
+from brdfpipe.bsdf.measured.reciprocity import contradictions, reciprocity
 from brdfpipe.errors import VocabularyError
 
 INCIDENCES = (10.0, 20.0, 30.0, 45.0, 60.0)
@@ -144,7 +146,7 @@ def test_the_stated_uncertainty_covers_what_lies_beyond_the_last_incidence_in_bo
 
 def test_there_and_back_agree_within_their_uncertainties_before_and_exactly_after(smoothed_paint):
     bsdf = completion.complete(smoothed_paint)
-    found = completion.reciprocity(bsdf)
+    found = reciprocity(bsdf)
     assert found.sizes["pair"] == 10
     z = (found["there"] - found["back"]) / np.hypot(found["there_u"], found["back_u"])
     assert 0.3 < float(np.sqrt((z**2).mean())) < 2
@@ -173,19 +175,19 @@ def test_beyond_the_last_incidence_a_linear_fit_stays_as_it_is_about_the_mirror_
     bsdf, (last, *others) = beyond(smoothing.smooth(primary, "keldysh"), (60.0, 70.0, 80.0))
     for each in others:
         assert each == pytest.approx(last, rel=1e-6)
-    assert "beyond 60 degree completed as it is there about the mirror direction" in bsdf.attrs["history"]
+    assert "beyond 60 degree completed: constant about the mirror direction" in bsdf.attrs["history"]
 
 
 def test_beyond_the_last_incidence_the_logarithm_goes_on_as_it_went(smoothed_paint):
-    place = measured.place_of(np.array([45.0, 60.0]))
+    abscissa = interpolation_abscissa(np.array([45.0, 60.0]))
     steps = np.array([1.0, 3.0, 4.0, 6.0])
-    beyond_ = np.degrees(np.arccos(np.exp(-(place[1] + steps * (place[1] - place[0])))))
+    beyond_ = np.degrees(np.arccos(np.exp(-(abscissa[1] + steps * (abscissa[1] - abscissa[0])))))
     bsdf, found = beyond(smoothed_paint, (45.0, 60.0, *beyond_))
     before, last, *after = np.log(found[:, 0])
     # But for what bends it towards grazing, which goes with the outgoing angle.
     for number, each in zip((1, 3, 4, 4), after, strict=True):
         assert each - last == pytest.approx(number * (last - before), rel=0.1)
-    assert f"beyond 60 degree completed by its trend up to {beyond_[2]:.0f} degree" in bsdf.attrs["history"]
+    assert f"beyond 60 degree completed: trend continued to {beyond_[2]:.0f} degree" in bsdf.attrs["history"]
     assert float(bsdf["incidence"][-1]) == pytest.approx(beyond_[2])
 
 
@@ -245,7 +247,7 @@ def test_a_spectrum_without_a_value_is_filled_from_the_incidences_next_to_it(pai
     at = (np.full(20, 30.0), np.zeros(20), np.linspace(0, 70, 20), np.linspace(0, 180, 20))
     expected = paint.bsdf.evaluate(*at).values
     assert bsdf.bsdf.evaluate(*at, 600.0).values[:, 0] == pytest.approx(expected, rel=0.06)
-    assert "1 spectra of reflection without a value filled" in bsdf.attrs["history"]
+    assert "1 missing spectra of reflection interpolated" in bsdf.attrs["history"]
 
 
 def test_an_incidence_without_any_value_counts_as_not_measured(smoothed_paint):
@@ -293,7 +295,7 @@ def test_common_errors_of_both_ways_add_up(paint):
     primary["brdf_u_certificate"] = (3 * primary["brdf_u"]).assign_attrs(correlation="common")
     bsdf = completion.complete(smoothing.smooth(vocabulary.label(primary, "primary")))
     at = directions(10, 60, 10, 60, count=100)
-    u = measured.uncertainty(bsdf, *at, None) / measured.evaluate(bsdf, *at, None)
+    u = evaluation.uncertainty(bsdf, *at, None) / evaluation.evaluate(bsdf, *at, None)
     assert np.median(u) == pytest.approx(0.03, rel=0.15)
 
 
@@ -372,11 +374,11 @@ def z_of(bsdf, truth, at, wavelength=500.0):
 def test_an_incidence_that_contradicts_the_others_is_named_and_known_less_well(paint):
     primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01)
     sound = completion.complete(smoothing.smooth(primary))
-    assert not any("disagrees" in text for text in vocabulary.warnings(sound))
-    assert float(completion.contradictions(sound).max()) < 2
+    assert not any("Reciprocity is violated" in text for text in vocabulary.warnings(sound))
+    assert float(contradictions(sound).max()) < 2
     primary["brdf"][-1] *= 1.3
     bsdf = completion.complete(smoothing.smooth(primary))
-    (warning,) = (text for text in vocabulary.warnings(bsdf) if "disagrees" in text)
+    (warning,) = (text for text in vocabulary.warnings(bsdf) if "Reciprocity is violated" in text)
     assert "60° (" in warning
     assert "45°" not in warning
     at = directions(59.6, 60.0, 5, 55)
@@ -411,7 +413,7 @@ def test_of_three_incidences_the_one_that_contradicts_both_others_is_named(paint
     primary = rig_primary.measured(rig_primary.of_model(paint), (10.0, 30.0, 60.0), (500.0,), noise=0.01)
     primary["brdf"][-1] *= 1.3
     bsdf = completion.complete(smoothing.smooth(primary))
-    (warning,) = (text for text in vocabulary.warnings(bsdf) if "disagrees" in text)
+    (warning,) = (text for text in vocabulary.warnings(bsdf) if "Reciprocity is violated" in text)
     assert "at 60° (" in warning
     assert "10°" not in warning
 
@@ -420,14 +422,14 @@ def test_two_pictures_that_were_exchanged_contradict_the_rest(paint):
     primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01)
     primary["brdf"][[2, 4]] = primary["brdf"].values[[4, 2]]
     bsdf = completion.complete(smoothing.smooth(primary))
-    assert any("disagrees" in text for text in vocabulary.warnings(bsdf))
+    assert any("Reciprocity is violated" in text for text in vocabulary.warnings(bsdf))
 
 
-def test_the_way_back_tells_nothing_of_a_surface_with_a_lay(paint):
+def test_reciprocity_is_not_averaged_for_a_surface_with_a_lay(paint):
     primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01)
     bsdf = completion.complete(smoothing.smooth(primary, symmetric=False))
     assert bsdf.attrs["reciprocity"] == "none"
-    assert any("measure the sample turned" in text for text in vocabulary.warnings(bsdf))
+    assert any("Measure the rotated sample" in text for text in vocabulary.warnings(bsdf))
 
 
 def test_a_spectrum_that_was_lost_at_one_incidence_is_as_uncertain_as_what_fills_it(paint):

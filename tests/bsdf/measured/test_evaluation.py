@@ -10,8 +10,8 @@ import rig_primary
 import samples
 
 from brdfpipe import store, vocabulary
-from brdfpipe.bsdf import measured, representations
-from brdfpipe.bsdf.measured import completion, smoothing
+from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.measured import completion, evaluation, smoothing
 from brdfpipe.errors import VocabularyError
 
 INCIDENCES = (10.0, 30.0, 60.0)
@@ -127,7 +127,7 @@ def test_more_light_than_arrives_is_a_failure_where_the_uncertainty_does_not_exp
 
 def test_the_uncertainty_of_the_reflectance_is_that_of_its_common_errors():
     bsdf = sheet(0.5, 0.01)
-    u = measured.albedo_uncertainty(bsdf, np.array([30.0]), np.zeros(1), None)
+    u = evaluation.albedo_uncertainty(bsdf, np.array([30.0]), np.zeros(1), None)
     assert u.item() == pytest.approx(0.005, rel=0.3)
 
 
@@ -147,7 +147,7 @@ def test_the_mean_over_wavelengths_is_exact(bsdf):
     assert mean.bsdf.evaluate(*at).values == pytest.approx(bsdf.bsdf.evaluate(*at).values @ weight)
     u = mean.bsdf.uncertainty(*at).values
     assert (u <= bsdf.bsdf.uncertainty(*at).values @ weight * (1 + 1e-9)).all()
-    assert measured.nonspectral(mean, weight) is mean
+    assert evaluation.nonspectral(mean, weight) is mean
 
 
 def test_transmitted_light_goes_on_straight_and_either_way(translucent):
@@ -170,7 +170,7 @@ def test_what_passes_does_not_change_what_is_reflected(bsdf, translucent):
 
 
 def quality(bsdf, *at):
-    flags = measured.quality(bsdf, *(np.atleast_1d(np.asarray(angle, dtype=float)) for angle in at))
+    flags = evaluation.quality(bsdf, *(np.atleast_1d(np.asarray(angle, dtype=float)) for angle in at))
     return [vocabulary.QUALITY_FLAGS[flag] for flag in flags]
 
 
@@ -226,7 +226,7 @@ def test_shapes_of_any_dimensions_and_none_are_told(bsdf):
 def test_many_directions_at_once_are_those_one_at_a_time(bsdf, monkeypatch):
     at = lanes(60)
     whole = bsdf.bsdf.evaluate(*at).values, bsdf.bsdf.uncertainty(*at).values
-    monkeypatch.setattr(measured, "_CHUNK", 7)
+    monkeypatch.setattr(evaluation, "_CHUNK", 7)
     assert bsdf.bsdf.evaluate(*at).values == pytest.approx(whole[0], rel=1e-12)
     assert bsdf.bsdf.uncertainty(*at).values == pytest.approx(whole[1], rel=1e-9)
 

@@ -1,13 +1,13 @@
-"""From the values of single cells to a smooth BSDF of each incidence, with the covariance of what was fitted.
+"""From the values of single cells to a smooth BSDF at each incidence, with the covariance of its coefficients.
 
-``pspline``          the logarithm of the BSDF as a P-spline (:class:`brdfpipe.bsdf.measured.basis.PSpline`): never negative, and of even relative accuracy
+``pspline``          the logarithm of the BSDF as a P-spline (:class:`brdfpipe.bsdf.measured.basis.PSpline`): never negative, with the same relative accuracy
                      over any range. Values keep their Gaussian errors, negative ones of noise included: a generalised linear
                      model with a logarithmic link, so that dim light is not biased as the mean of logarithms would be
 ``keldysh``          the preprint's sum of functions with its basis repaired, weighted by 1/u²; linear, may turn negative
 ``keldysh-printed``  basis and weights as printed, for comparison
 
-The strength ε of smoothing is that of least generalised cross-validation, summed over the wavelengths of an incidence. χ² over the
-degrees of freedom tells beside it whether the fit is as good as the stated uncertainties say.
+The strength ε of smoothing minimises the generalised cross-validation, summed over the wavelengths of an incidence. χ² over the
+degrees of freedom shows whether the fit agrees with the stated uncertainties.
 
 References
 ----------
@@ -35,22 +35,22 @@ from brdfpipe.specular_directions import cos_view
 MODES = ("pspline", "keldysh", "keldysh-printed")
 
 _STRENGTHS = np.geomspace(0.03, 3e6, 41)
-"""Strengths tried, of bends of the logarithm: 1/√ε is the bend to be expected, and that of a lobe's edge is some 6 in asinh(ϑ/3°)."""
+"""Trial strengths for the logarithm: 1/√ε is the expected second derivative, which at a lobe's edge is about 6 in asinh(ϑ/3°)."""
 _SHARES = np.geomspace(1e-14, 10, 41)
-"""Strengths tried, of gradients, over the largest that tells."""
+"""Trial strengths for gradients, relative to the largest squared singular value."""
 
 _FINEST = 3.0
 """Least support of the finest scale of the Keldysh basis [degree]: two standard deviations of a narrow lobe, and a few cells."""
 _ORDERS = 9
-"""Of its polynomials: five, as printed, leave a narrow lobe with errors of 9 % once n − k is even; more scales do not help."""
+"""Number of its polynomials: five, as printed, leave errors of 9 % in a narrow lobe once n − k is even; more scales do not help."""
 
 _PASSES = 12
 _CONVERGED = 0.1
-"""The next pass would move the fit by less than this share of its own standard uncertainty."""
+"""Share of its standard uncertainty that the fit must move by for another pass."""
 _LARGEST_STEP = 3.0
-"""Of the logarithm in a pass: far from a value the tangent of the exponential leads astray."""
+"""Largest change of the logarithm in a pass: far from a value the exponential differs from its tangent."""
 _EXPONENT = 60.0
-"""Of the smallest and the largest value there can be."""
+"""Largest exponent, so that values neither overflow nor underflow."""
 _TRIED = 5
 """Wavelengths on which coordinates are compared."""
 _IMPOSSIBLE = 5.0
@@ -58,9 +58,9 @@ _IMPOSSIBLE = 5.0
 _MISFIT = 1.5
 """χ² over the degrees of freedom from which a fit is warned about."""
 _COORDINATES = ("incidence", "wavelength", "cell", "theta_s", "phi_s")
-"""What smoothed data say of places, as the cells do; names of cells are not always given."""
+"""Coordinates that smoothed data take from the cells; names of cells are optional."""
 _USED = ("measured", "below_noise")
-"""Qualities of values that are fitted; a value below the noise is as true as its uncertainty says."""
+"""Quality flags of fitted values; a value below the noise is valid within its uncertainty."""
 
 
 class _Cells(NamedTuple):
@@ -93,7 +93,7 @@ class _Fit:
     used: NDArray[np.bool_]
     """(all wavelengths,) those with values."""
     zeros: int = 0
-    """Values found to be missing ones that were stored as zero."""
+    """Missing values that were stored as zero."""
 
     @property
     def chi_squared_dof(self) -> Array:
@@ -120,7 +120,7 @@ def smooth(
     strength : ε > 0; by default that of least cross-validation, an incidence
     symmetric : whether the BSDF is even about the plane of incidence
     about : coordinates of the mode ``pspline``, see :mod:`brdfpipe.bsdf.measured.coordinates`; by default, for reflection, those that predict the
-        cells better. The modes of the preprint, and transmission, are ``mirror``
+        cells better. The modes of the preprint, and transmission, use ``mirror``
     scales : of the mode ``keldysh``; by default as many as lead to supports of 3°
 
     Returns
@@ -146,8 +146,8 @@ def smooth(
     printed = np.sqrt(_ring_weights(primary["theta_s"].values)) if mode == "keldysh-printed" else None
     fits = [_fit(form, each, mode, strength, printed) for form, each in zip(forms, cells, strict=True)]
     link = "log" if mode == "pspline" else "identity"
-    told = {name: primary.attrs[name] for name in ("history", "warnings") if name in primary.attrs}
-    attrs = told | {"mode": mode, "link": link, "about": about, "basis": bases.to_json(basis), "side": side}
+    attrs = {name: primary.attrs[name] for name in ("history", "warnings") if name in primary.attrs}
+    attrs |= {"mode": mode, "link": link, "about": about, "basis": bases.to_json(basis), "side": side}
     smoothed = _with_notes(_labelled(primary, fits).assign_attrs(attrs), fits, strength)
     return vocabulary.validate(smoothed, "smoothed")
 
@@ -411,16 +411,16 @@ def _movement(
 
 
 def _least(parts: Decomposed, strengths: Array) -> float:
-    """ε of least cross-validation; the largest where there are too few values to tell."""
+    """ε that minimises the cross-validation; the largest where there are too few values."""
     score = _summed(parts, strengths)
     return float(strengths[int(score.argmin())] if np.isfinite(score).any() else strengths[-1])
 
 
 def _summed(parts: Decomposed, strengths: Array) -> Array:
-    """Cross-validation over all wavelengths that have values enough at any strength."""
+    """Cross-validation summed over the wavelengths with enough values."""
     score = parts.cross_validation(strengths)
-    told = np.isfinite(score).any(axis=1)
-    return score[told].sum(axis=0) if told.any() else np.full(strengths.size, np.inf)
+    usable = np.isfinite(score).any(axis=1)
+    return score[usable].sum(axis=0) if usable.any() else np.full(strengths.size, np.inf)
 
 
 def _shifts(form: StandardForm, spread: Array, weighted: Array) -> Array:
@@ -436,7 +436,7 @@ def _finite(u: Array, instead: float = 0.0) -> Array:
     return np.where(np.isfinite(u), u, instead)
 
 
-# --- what is told of the fits
+# --- the dataset
 
 
 def _labelled(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
@@ -449,7 +449,7 @@ def _labelled(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
     for at, fit in enumerate(fits):
         back = fit.form.back
         coefficient[at, fit.used] = fit.solution @ back.T
-        # A fit that misses the cells by more than they say is as uncertain as it shows.
+        # A fit with χ² above the degrees of freedom has its uncertainty enlarged accordingly.
         inflation = np.sqrt(np.maximum(np.nan_to_num(fit.chi_squared_dof), 1.0))
         factor[at, fit.used, :, : fit.spread.shape[2]] = back @ (fit.spread * inflation[:, None, None])
         factor[at, ~fit.used] = np.nan
@@ -474,7 +474,7 @@ def _labelled(primary: xr.Dataset, fits: list[_Fit]) -> xr.Dataset:
 
 
 def _curves(fits: list[_Fit]) -> dict[str, tuple[tuple[str, str], Array]]:
-    """What the choice of ε was between: means over the wavelengths of an incidence."""
+    """Criteria of the choice of ε against the trial strengths: means over the wavelengths of an incidence."""
     functions = {
         "gcv": Decomposed.cross_validation,
         "chi_squared": Decomposed.chi_squared,
@@ -483,11 +483,11 @@ def _curves(fits: list[_Fit]) -> dict[str, tuple[tuple[str, str], Array]]:
     }
     curves = {"strength": (("incidence", "trial"), np.stack([fit.strengths for fit in fits]))}
     for name, function in functions.items():
-        told = np.full((len(fits), fits[0].strengths.size), np.nan)
-        for row, fit in zip(told, fits, strict=True):
+        means = np.full((len(fits), fits[0].strengths.size), np.nan)
+        for row, fit in zip(means, fits, strict=True):
             if fit.used.any():
                 row[:] = function(fit.parts, fit.strengths).mean(axis=0)
-        curves[name] = (("incidence", "trial"), np.where(np.isfinite(told), told, np.nan))
+        curves[name] = (("incidence", "trial"), np.where(np.isfinite(means), means, np.nan))
     return curves
 
 
@@ -500,23 +500,23 @@ def _with_notes(smoothed: xr.Dataset, fits: list[_Fit], strength: float | None) 
     warnings = []
     if mode == "keldysh-printed":
         warnings.append(
-            "the basis and the weights of the preprint are for comparison only: they miss narrow lobes by multiples; use `pspline`"
+            "The basis and the weights of the preprint are for comparison only: their errors at narrow lobes exceed 100 %. Use `pspline`."
         )
     zeros = sum(fit.zeros for fit in fits)
     if zeros:
         warnings.append(
-            f"{zeros} cells hold exactly 0 among bright ones and were left out: store missing values as NaN, not as 0"
+            f"{zeros} values are exactly 0 among bright ones and were left out. Store missing values as NaN, not as 0."
         )
     empty = sum(int((~fit.used).sum()) for fit in fits)
     if empty:
         warnings.append(
-            f"{empty} of {smoothed['chi_squared_dof'].size} spectra of an incidence and a wavelength have no cell to fit"
+            f"{empty} of {smoothed['chi_squared_dof'].size} fits, one for each incidence and wavelength, have no cell with a value."
         )
     poor = smoothed["chi_squared_dof"].max("wavelength")
     for incidence, worst in zip(poor["incidence"].values, poor.values, strict=True):
         if worst > _MISFIT and mode != "keldysh-printed":
             warnings.append(
-                f"the fit at {incidence:g}° misses the cells by {np.sqrt(worst):.1f} of their uncertainties: its own were raised; "
-                "look at the map of residuals for cells that are off, or for a lobe narrower than the cells resolve"
+                f"Poor fit at {incidence:g}°: the rms residual is {np.sqrt(worst):.1f} times the stated uncertainty, and the fit's uncertainty was enlarged. "
+                "Check the map of residuals for wrong cells, or for a lobe narrower than the cells resolve."
             )
     return vocabulary.add_warning(vocabulary.add_history(smoothed, *history), *warnings)

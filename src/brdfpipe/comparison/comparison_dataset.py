@@ -1,4 +1,4 @@
-"""A comparison of two routes as a dataset of kind ``comparison``."""
+"""The dataset of kind ``comparison``: measured and modelled values, their ratio and z, and the fitted inputs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PICTURES = ("incidence", "wavelength")
 
 
 def compared(measurement: Measurement, models: Mapping[str, Predicted], fit: Adjusted[Member] | None) -> xr.Dataset:
-    """Measured values beside those of models, and how well they agree."""
+    """Measured values beside those of models, and their agreement."""
     best = [*models.values()][-1]
     covariance = measurement.covariance(best.values, best.own_u, best.common) if fit is None else fit.covariance
     count, fitted = int(measurement.used.sum()), 0 if fit is None else fit.change.size
@@ -41,11 +41,11 @@ def compared(measurement: Measurement, models: Mapping[str, Predicted], fit: Adj
 def _measured(measurement: Measurement) -> dict[str, Any]:
     own, common = (measurement.correlated(among_cells=shared) for shared in (False, True))
     fields = {"brdf": measurement.value, "brdf_u": measurement.u, "brdf_u_independent": own, "brdf_u_common": common}
-    told = {
+    variables = {
         name: (DIMS, np.where(measurement.used, field, np.nan), _correlation(name)) for name, field in fields.items()
     }
     weight = _weight(measurement)
-    return told | {
+    return variables | {
         "seen_reflectance": (_PICTURES, (weight * measurement.value).sum(axis=-1)),
         "seen_reflectance_u": (_PICTURES, measurement.sum_u(weight)),
     }
@@ -69,8 +69,8 @@ def _modelled(measurement: Measurement, models: Sequence[Predicted]) -> dict[str
         "brdf_model_u": (along, u),
         "ratio": (along, ratio),
         "z": (along, z),
-        "median_ratio": (("model", "incidence"), _of_incidences(np.nanmedian, ratio)),
-        "rms_z": (("model", "incidence"), np.sqrt(_of_incidences(np.nanmean, z**2))),
+        "median_ratio": (("model", "incidence"), _by_incidence(np.nanmedian, ratio)),
+        "rms_z": (("model", "incidence"), np.sqrt(_by_incidence(np.nanmean, z**2))),
         "seen_reflectance_model": (("model", *_PICTURES), (_weight(measurement) * values).sum(axis=-1)),
     }
 
@@ -81,17 +81,17 @@ def _weight(measurement: Measurement) -> Array:
     return np.where(measurement.used, solid_angle[:, None], 0.0)
 
 
-def _of_incidences(of: Callable[..., Array], fields: Array) -> Array:
+def _by_incidence(statistic: Callable[..., Array], fields: Array) -> Array:
     """A statistic of each incidence, (model, incidence); missing where nothing was measured."""
     flat = fields.reshape(*fields.shape[:2], -1)
     known = np.asarray(np.isfinite(flat).any(axis=-1))
-    return np.where(known, of(np.where(known[..., None], flat, 0.0), axis=-1), np.nan)
+    return np.where(known, statistic(np.where(known[..., None], flat, 0.0), axis=-1), np.nan)
 
 
 def with_inputs(comparison: xr.Dataset, family: Family, fit: Adjusted[Member]) -> xr.Dataset:
-    """A comparison with the inputs as they were known before and after."""
+    """A comparison with the prior and posterior inputs."""
     names = [*family.prior_u]
-    prior, after = (np.array([told[name] for name in names]) for told in (NOMINAL, family.inputs(fit.change)))
+    prior, after = (np.array([inputs[name] for name in names]) for inputs in (NOMINAL, family.inputs(fit.change)))
     u, spread = np.array([*family.prior_u.values()]), np.sqrt(np.diag(fit.spread))
     factor = np.where(np.array(names) == "index", 1.0, after)
     return comparison.assign(

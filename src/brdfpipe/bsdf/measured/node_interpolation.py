@@ -1,0 +1,206 @@
+"""One side of a measured BSDF: sums of functions at a few incidences (nodes), interpolated between them.
+
+Coefficients are interpolated at equal ϑ and φ, linearly in the abscissa x = −ln cos σ: the light of facets grows with powers of 1/cos σ, and
+near normal incidence x is σ²/2, which makes the BSDF even in σ. Coefficients of cos kφ with odd k are odd in σ and interpolated in √x.
+Beyond the last node the BSDF stays as it is about the mirror direction; below the lowest measured direction it stays as it is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.measured import basis as bases
+from brdfpipe.bsdf.measured import coordinates
+from brdfpipe.bsdf.measured.basis import Basis
+from brdfpipe.geometry import Array
+
+TINY = 1e-30
+
+_MARGIN = float(np.log(2.0))
+"""How far the logarithm may exceed what was fitted at cells: a lobe is higher between cells, and a spline is unbounded beyond them."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """What was measured on one side of the sample."""
+
+    incidence: Array
+    """(node,)"""
+    horizon: Array
+    """(node,) largest polar angle of a cell."""
+    measured: NDArray[np.bool_]
+    """(node, wavelength) measured, not completed."""
+    coefficient: Array
+    """(node, wavelength, term)"""
+    factor: Array
+    """(node, wavelength, term, any) factor of the coefficients' covariance."""
+    common: Array
+    """(component, node, wavelength, term) change of the coefficients by one standard uncertainty of a common error."""
+    lowest: Array
+    """(node, wavelength) smallest fitted value at a cell."""
+    highest: Array
+    basis: Basis
+    about: str
+    logarithmic: bool
+    incidence_error: tuple[Array, Array] | None
+    """θ_i, and the relative error of the BSDF from there; None where the two directions of light are not averaged."""
+
+    @classmethod
+    def of(cls, bsdf: xr.Dataset, transmitted: bool, wavelengths: NDArray[np.int64] | slice) -> Side:
+        """Reflection or transmission of a dataset of kind ``bsdf``, at some of its wavelengths."""
+        nodes = np.flatnonzero(bsdf["transmitted"].values == transmitted)
+        basis = bases.from_json(bsdf.attrs["transmitted_basis" if transmitted else "basis"])
+        terms = basis.harmonic.size
+        averaged = not transmitted and bsdf.attrs["reciprocity"] == "averaged" and "incidence_error" in bsdf
+        common = bsdf["coefficient_common"].values if "coefficient_common" in bsdf else np.zeros((0, 0, 0, 0))
+
+        def values(name: str) -> Array:
+            return np.asarray(bsdf[name].values[nodes][:, wavelengths])
+
+        return cls(
+            bsdf["incidence"].values[nodes],
+            bsdf["horizon"].values[nodes],
+            values("coefficient_quality") == vocabulary.quality("measured"),
+            values("coefficient")[..., :terms],
+            values("coefficient_factor")[:, :, :terms],
+            common[:, nodes][:, :, wavelengths, :terms] if common.size else np.zeros((0, nodes.size, 1, terms)),
+            values("lowest"),
+            values("highest"),
+            basis,
+            "mirror" if transmitted else str(bsdf.attrs["about"]),
+            bsdf.attrs["link"] == "log",
+            (bsdf["theta_i"].values, bsdf["incidence_error"].values) if averaged else None,
+        )
+
+    @property
+    def abscissa(self) -> Array:
+        """(node,)"""
+        return interpolation_abscissa(self.incidence)
+
+
+class PathDirection(NamedTuple):
+    """Pairs of directions, for light that goes one way along their paths, and the weight of that way."""
+
+    theta_i: Array
+    theta_o: Array
+    phi: Array
+    weight: Array
+
+
+class LobeCoordinates(NamedTuple):
+    """Directions in the coordinates of the bases."""
+
+    theta: Array
+    """ϑ from the mirror direction [degree]."""
+    phi: Array
+    """φ about it [degree]."""
+    cosine: Array
+    """cos θ_o."""
+
+    def select(self, index: NDArray[np.int64]) -> LobeCoordinates:
+        return LobeCoordinates(*(part[index] for part in self))
+
+
+class NodeContribution(NamedTuple):
+    """The part of a node in the BSDF of some pairs of directions."""
+
+    node: int
+    pairs: NDArray[np.int64]
+    """Which pairs."""
+    even: Array
+    """Weight of functions even in σ, the weight of the path direction included."""
+    odd: Array
+    """Weight of functions odd in σ; that of the even ones where no logarithm was fitted."""
+    coordinates: LobeCoordinates
+
+
+def interpolation_abscissa(theta_i: Array | float) -> Array:
+    """x = −ln cos θ_i of angles [degree], in which incidences are interpolated."""
+    return -np.log(np.cos(np.radians(np.minimum(theta_i, 89.999999))))
+
+
+def path_directions(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> list[PathDirection]:
+    """The directions light may take along a path. Their weights add up to 1 and are the same seen from either end."""
+    if side.incidence_error is None:
+        return [PathDirection(theta_i, theta_o, phi, np.ones_like(theta_i))]
+    forward, backward = (np.interp(theta, *side.incidence_error) ** 2 for theta in (theta_i, theta_o))
+    weight = backward / (forward + backward)
+    return [PathDirection(theta_i, theta_o, phi, weight), PathDirection(theta_o, theta_i, -phi, 1 - weight)]
+
+
+def side_values(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> Array:
+    """BSDF (directions, wavelength)."""
+    return path_values(side, path_directions(side, theta_i, theta_o, phi))
+
+
+def path_values(side: Side, paths: list[PathDirection]) -> Array:
+    """BSDF averaged over path directions, (directions, wavelength)."""
+    shape = (paths[0].theta_i.size, side.coefficient.shape[1])
+    total, geometric, positive = np.zeros(shape), np.zeros(shape), np.ones(shape, dtype=bool)
+    low, high = np.zeros(shape), np.zeros(shape)
+    for part in node_contributions(side, paths):
+        pairs, even, coefficient = part.pairs, part.even[:, None], side.coefficient[part.node].T
+        if side.logarithmic:
+            total[pairs] += side.basis.sums(coefficient, *part.coordinates, part.even, part.odd)
+            low[pairs] += even * side.lowest[part.node]
+            high[pairs] += even * side.highest[part.node]
+            continue
+        one = np.ones(pairs.size)
+        value = side.basis.sums(coefficient, *part.coordinates, one, one)
+        total[pairs] += even * value
+        geometric[pairs] += even * np.log(np.maximum(value, TINY))
+        positive[pairs] &= (value > 0) | (even == 0)
+    if side.logarithmic:
+        return np.exp(np.clip(total, low - _MARGIN, high + _MARGIN))
+    return np.where(positive, np.exp(geometric), np.maximum(total, 0.0))
+
+
+def node_contributions(side: Side, paths: list[PathDirection]) -> Iterator[NodeContribution]:
+    """The contribution of each node to the directions next to it, for each path direction."""
+    for path in paths:
+        lobe = lobe_coordinates(side, path)
+        for node in range(side.incidence.size):
+            even, odd = (weight * path.weight for weight in node_weights(side, node, path.theta_i))
+            pairs = np.flatnonzero((even > 0) | (odd > 0))
+            if pairs.size:
+                at_node, _ = coordinates_at_node(side, node, lobe.select(pairs))
+                yield NodeContribution(node, pairs, even[pairs], (odd if side.logarithmic else even)[pairs], at_node)
+
+
+def lobe_coordinates(side: Side, path: PathDirection) -> LobeCoordinates:
+    angles = coordinates.angles(side.about, path.theta_i, path.theta_o, path.phi)
+    return LobeCoordinates(*angles, np.cos(np.radians(path.theta_o)))
+
+
+def node_weights(side: Side, node: int, theta_i: Array) -> tuple[Array, Array]:
+    """Weights of a node for functions even and odd in σ: hat functions of x and of √x."""
+    hat = np.zeros(side.incidence.size)
+    hat[node] = 1.0
+    x = interpolation_abscissa(theta_i)
+    return np.interp(x, side.abscissa, hat), np.interp(np.sqrt(x), np.sqrt(side.abscissa), hat)
+
+
+def coordinates_at_node(
+    side: Side, node: int, lobe: LobeCoordinates, *, clamped: bool = True
+) -> tuple[LobeCoordinates, NDArray[np.bool_]]:
+    """The coordinates at which a node is evaluated, clamped to its horizon, and which of them lie below that horizon.
+
+    The functions of cos θ_o are evaluated where the light leaves, not where it would leave at the node.
+    """
+    theta, phi, cosine = lobe
+    incidence = np.full_like(theta, side.incidence[node])
+    theta_o, phi_o = coordinates.outgoing(side.about, incidence, theta, phi)
+    below = theta_o > side.horizon[node]
+    if clamped:
+        cosine = np.maximum(cosine, np.cos(np.radians(side.horizon[node])))
+        theta, phi = theta.copy(), phi.copy()
+        lowest = np.full(int(below.sum()), side.horizon[node])
+        theta[below], phi[below] = coordinates.angles(side.about, incidence[below], lowest, phi_o[below])
+    return LobeCoordinates(theta, phi, cosine), below
