@@ -32,7 +32,7 @@ from brdfpipe.cli.main import main
 main(["build", sys.argv[2], "--results", sys.argv[3], "--cores", "2"])
 """
 
-PATIENCE = 60.0
+PATIENCE = 600.0
 """Seconds to wait for what must happen, on however slow a machine."""
 
 
@@ -365,10 +365,12 @@ def stuck(project: Path, folder: Path, results: Path, write: Write) -> Iterator[
     command = [sys.executable, "-c", BUILD, str(project), str(folder), str(results)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     logs = [results / "logs" / name / "surface.log" for name in ("first", "second")]
-    wait_until(lambda: all(log.exists() for log in logs))
-    yield process
-    process.kill()
-    process.communicate()
+    try:
+        wait_until(lambda: all(log.exists() for log in logs))
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def wait_until(true: Callable[[], bool]) -> None:

@@ -168,7 +168,7 @@ def test_workers_end_when_the_main_process_is_gone(tmp_path: Path) -> None:
     job(tmp_path)
     program = (
         "import sys, threading, time; from brdfpipe.jobs.pool import Pool; from brdfpipe.jobs.stage import Job; pool = Pool();"
-        f"jobs = [Job('stage', name, {str(tmp_path / 'stage.py')!r}, {str(tmp_path)!r}, {{}}, {{'out': name}}, {{'sleep': 60}})"
+        f"jobs = [Job('stage', name, {str(tmp_path / 'stage.py')!r}, {str(tmp_path)!r}, {{}}, {{'out': name}}, {{'sleep': 3600}})"
         " for name in 'ab'];"
         "[threading.Thread(target=pool.perform, args=(job,)).start() for job in jobs]"
     )
@@ -179,6 +179,6 @@ def test_workers_end_when_the_main_process_is_gone(tmp_path: Path) -> None:
     children = psutil.Process(process.pid).children(recursive=True)
     process.kill()
     process.wait()
-    _, alive = psutil.wait_procs(children, timeout=30)
+    _, alive = psutil.wait_procs(children, timeout=600)
     assert len(children) >= 3  # the server and two workers
     assert not [child for child in alive if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
