@@ -41,10 +41,11 @@ from brdfpipe.facets.analytic_distributions import analytic, flat
 from brdfpipe.geometry import Array
 from brdfpipe.jobs.pool import ONE_THREAD
 from brdfpipe.rig.description import Target
-from brdfpipe.rig.emulator.bench import EmulatedRig
 from brdfpipe.rig.emulator.effects import Effects
-from brdfpipe.rig.emulator.holder import Etalon
-from brdfpipe.rig.frames import Frame, State, dataset
+from brdfpipe.rig.emulator.emulated_rig import EmulatedRig
+from brdfpipe.rig.emulator.sample_holder import Etalon
+from brdfpipe.rig.frame_file import DeviceState, Frame
+from brdfpipe.rig.frames import frames_dataset
 from brdfpipe.rig.plan import Plan, Step
 from brdfpipe.rig.reduction.arrangements import join_arrangements
 from brdfpipe.rig.reduction.calibration import calibrate
@@ -197,14 +198,14 @@ def frames_of(
         picture = stand.camera.expose(shot.exposure, shutter=not shot.dark)
         frames[shot] = Frame(
             counts=picture.counts,
-            state=State(shot.wavelength, shot.position),
+            state=DeviceState(shot.wavelength, shot.position),
             started=picture.started,
             elapsed=picture.started,
             temperature=picture.temperature,
             camera=stand.camera.identify(),
             digest="",
         )
-    return dataset(frames, plan)
+    return frames_dataset(frames, plan)
 
 
 def certificate(valid_until: date = date(2030, 1, 1)) -> Certificate:

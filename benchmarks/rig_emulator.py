@@ -26,8 +26,8 @@ import xarray as xr
 
 from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import microfacet
-from brdfpipe.rig.emulator.bench import EmulatedRig
 from brdfpipe.rig.emulator.effects import Effects
+from brdfpipe.rig.emulator.emulated_rig import EmulatedRig
 from brdfpipe.rig.plan import Plan
 from brdfpipe.rig.templates import start
 

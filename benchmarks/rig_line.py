@@ -22,8 +22,9 @@ from typing import Any
 
 import click
 
+from brdfpipe.rig.acquisition.devices.acton import Monochromator
 from brdfpipe.rig.acquisition.devices.connection import open_monochromator
-from brdfpipe.rig.acquisition.devices.line import Line
+from brdfpipe.rig.acquisition.devices.serial_line import SerialLine
 from brdfpipe.rig.description import SerialSettings
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -63,7 +64,7 @@ def measure(count: int, rounds: int) -> Record:
         bare_exchange(far)  # the other process is up
         for _ in range(rounds):
             times["bare"] += timed(lambda: bare_exchange(far), count)
-            line = Line(settings)
+            line = SerialLine(settings, Monochromator.dialect)
             times["line"] += timed(lambda line=line: line.transact("?NM", 1.0), count)
             line.close()
             driver = open_monochromator(settings)

@@ -26,7 +26,9 @@ import xarray as xr
 
 from brdfpipe.bsdf.measured import completion, smoothing
 from brdfpipe.rig import accuracy, frames, reduce
+from brdfpipe.rig.frame_file import DeviceState, write_frame
 from brdfpipe.rig.plan import FRAMES, Plan
+from brdfpipe.rig.raw_frame import RawFrame
 from brdfpipe.rig.reduction.arrangements import join_arrangements
 from brdfpipe.rig.reduction.calibration import calibrate
 from brdfpipe.rig.reduction.primary import apply
@@ -77,12 +79,10 @@ def photographed(folder: Path) -> Plan:
     found = accuracy.frames_of(plan, accuracy.TRUTHS["plastic, 10 sr⁻¹, 3°"]())
     (folder / FRAMES).mkdir()
     for place, shot in enumerate(plan.shots):
-        picture = frames.Picture(
-            found["counts"].values[place], float(found["elapsed"].values[place]), shot.exposure, 20.0
-        )
-        state = frames.State(shot.wavelength, shot.position)
-        frames.write_frame(
-            folder / FRAMES / shot.name, picture, shot, plan, state=state, origin=0.0, camera="emulated camera"
+        picture = RawFrame(found["counts"].values[place], float(found["elapsed"].values[place]), shot.exposure, 20.0)
+        state = DeviceState(shot.wavelength, shot.position)
+        write_frame(
+            folder / FRAMES / shot.name, picture, shot, plan, state=state, run_start=0.0, camera="emulated camera"
         )
     return plan
 

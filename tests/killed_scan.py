@@ -15,8 +15,8 @@ from pathlib import Path
 
 import small_rig
 
-from brdfpipe.rig.acquisition.devices import line
-from brdfpipe.rig.frames import read_frame
+from brdfpipe.rig.acquisition.devices import serial_line
+from brdfpipe.rig.frame_file import read_frame
 from brdfpipe.rig.plan import Plan
 
 
@@ -28,7 +28,7 @@ def scan(plan: Plan, folder: Path) -> int:
         return process
     code = 1
     try:
-        line.QUIET, line.POLL = 0.02, 0.01
+        serial_line.QUIET, serial_line.POLL = 0.02, 0.01
         os.fsync = lambda file: None  # a killed process loses nothing it has written
         with small_rig.emulated(plan, folder=folder) as (stand, witness):
             small_rig.take_emulated(plan, folder, stand, witness, resume=True)

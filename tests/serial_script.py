@@ -1,11 +1,13 @@
-"""A serial port that plays a script: what the host must send, and what then comes back, in virtual seconds."""
+"""A serial port that plays a script: what the host must send and what it receives, in virtual time."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from brdfpipe.rig.acquisition.devices.line import POLL
+from brdfpipe.rig.acquisition.devices.connection import MONOCHROMATORS, WHEELS
+from brdfpipe.rig.acquisition.devices.serial_line import POLL, SerialLine, SerialPort
+from brdfpipe.rig.description import SerialSettings
 
 Chunk = tuple[float, bytes]
 """Delay after the command [s], bytes."""
@@ -92,3 +94,19 @@ class Script:
     @property
     def finished(self) -> bool:
         return not self._left
+
+
+def line_on_port(settings: SerialSettings, open_port: Callable[..., SerialPort], clock: Clock) -> SerialLine:
+    """The line of a described device, on any port."""
+    drivers = {**MONOCHROMATORS, **WHEELS}
+    dialects = [driver.dialect for driver in drivers.values()]
+    dialect = drivers[settings.dialect].dialect
+    return SerialLine(settings, dialect, open_port, other_dialects=dialects, clock=clock, sleep=clock.sleep)
+
+
+def scripted_line(
+    settings: SerialSettings, reply: Callable[[bytes], bytes | Sequence[Chunk] | Exception], clock: Clock | None = None
+) -> SerialLine:
+    """The line of a described device, on a port that plays a script."""
+    clock = clock or Clock()
+    return line_on_port(settings, lambda **_: ScriptedPort(reply, clock), clock)

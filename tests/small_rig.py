@@ -14,14 +14,14 @@ import samples
 import xarray as xr
 
 from brdfpipe.bsdf import lambert_gauss
-from brdfpipe.rig.acquisition.devices.camera import Picture
-from brdfpipe.rig.acquisition.devices.connection import Bench, connect
+from brdfpipe.rig.acquisition.devices.connection import RigDevices, connect
 from brdfpipe.rig.acquisition.devices.errors import DeviceError
 from brdfpipe.rig.acquisition.scan import Summary, scan
-from brdfpipe.rig.emulator.bench import EmulatedRig
 from brdfpipe.rig.emulator.effects import Effects
-from brdfpipe.rig.emulator.measurement import hands, restore
+from brdfpipe.rig.emulator.emulated_rig import EmulatedRig
+from brdfpipe.rig.emulator.emulated_scan import automatic_operator, restore_state
 from brdfpipe.rig.plan import Arrangement, Plan
+from brdfpipe.rig.raw_frame import RawFrame
 
 RIG = """\
 name: small
@@ -126,15 +126,15 @@ class FakeCamera:
     def identify(self) -> str:
         return "fake camera"
 
-    def expose(self, seconds: float, *, shutter: bool = True) -> Picture:
+    def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
         number = len(self.exposures) + 1
         self.exposures.append((seconds, shutter))
         self.before(number)
-        return Picture(np.full(self.shape, number, dtype=np.uint16), self.started(number), seconds, math.nan)
+        return RawFrame(np.full(self.shape, number, dtype=np.uint16), self.started(number), seconds, math.nan)
 
 
-def fake_bench(**parts: Any) -> Bench:
-    return Bench(
+def fake_bench(**parts: Any) -> RigDevices:
+    return RigDevices(
         parts.get("monochromator", FakeMonochromator()),
         parts.get("wheel", FakeWheel()),
         parts.get("camera", FakeCamera()),
@@ -155,7 +155,7 @@ def camera_error(problem: str = "no frame") -> DeviceError:
     return DeviceError("camera", problem)
 
 
-def take(plan: Plan, bench: Bench, folder: Path, **options: Any) -> Summary:
+def take(plan: Plan, bench: RigDevices, folder: Path, **options: Any) -> Summary:
     """A scan by an operator who agrees to everything, at a clock that stands."""
     told: dict[str, Any] = {"clock": lambda: 0.0, "confirm": lambda arrangement, words: True, **options}
     return scan(plan, bench, folder, **told)
@@ -177,7 +177,7 @@ class Witness:
     def identify(self) -> str:
         return self.stand.camera.identify()
 
-    def expose(self, seconds: float, *, shutter: bool = True) -> Picture:
+    def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
         before = self._state()
         picture = self.stand.camera.expose(seconds, shutter=shutter)
         setup = self.stand.setup
@@ -197,7 +197,7 @@ def emulated(
     """An emulated rig of a plan; with the folder of a run, as it stood after the last finished frame of it."""
     with EmulatedRig(plan.rig, truth(), seed=seed, effects=options.pop("effects", Effects()), **options) as stand:
         if folder is not None:
-            restore(stand, plan, folder)
+            restore_state(stand, plan, folder)
         yield stand, Witness(stand)
 
 
@@ -205,7 +205,7 @@ def take_emulated(plan: Plan, folder: Path, stand: EmulatedRig, witness: Witness
     """A scan of an emulated rig over its ports."""
 
     with connect(stand.rig, camera=witness) as bench:
-        return scan(plan, bench, folder, clock=stand.clock.now, confirm=hands(stand), **options)
+        return scan(plan, bench, folder, clock=stand.clock.now, confirm=automatic_operator(stand), **options)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

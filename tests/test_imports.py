@@ -17,7 +17,7 @@ from source_tree import PACKAGE, PROJECT, Import, definitions, imports, modules,
 SCRIPTS = sorted(path for folder in ("workflow", "scripts") for path in (PROJECT / folder).rglob("*.py"))
 
 ACCESSOR_USERS = {
-    "brdfpipe.rig.emulator.holder",  # evaluates the sample it is given; the rig is below the BSDF and cannot import it
+    "brdfpipe.rig.emulator.sample_holder",  # evaluates the sample it is given; the rig is below the BSDF and cannot import it
     "brdfpipe.bsdf.measured.completion",
 }
 

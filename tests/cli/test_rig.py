@@ -81,7 +81,7 @@ def test_a_dry_run_says_what_it_takes_and_touches_nothing(plan, monkeypatch):
     done = run("scan", plan, "--dry-run")
     assert done.exit_code == 0
     assert done.output.startswith("tile on small: 14 frames, ")
-    assert "warning: the bracket spans" in done.output
+    assert "warning: the bracket covers" in done.output
     assert sorted(plan.parent.iterdir()) == before
 
 
@@ -155,7 +155,7 @@ def test_a_wrong_plan_is_refused_in_one_line(plan):
 def test_devices_that_are_not_there_are_told(plan):
     done = run("scan", plan, "--yes")
     assert done.exit_code == 2
-    assert "monochromator on /dev/ttyUSB0: there is no such port" in done.output
+    assert "monochromator on /dev/ttyUSB0: the port does not exist" in done.output
     assert not (plan.parent / "runs").exists()
 
 
@@ -184,7 +184,7 @@ def test_a_scan_that_stops_exits_with_1_and_says_how_to_go_on(plan, bench):
     bench[0].camera.before = small_rig.failing({4}, DeviceLost("camera", "gone"))
     done = run("scan", plan, "--yes")
     assert done.exit_code == 1
-    assert done.output.startswith("brdfpipe: stopped before frame 4 of 14: camera: gone; 3 frames are safe in ")
+    assert done.output.startswith("brdfpipe: scan stopped before frame 4 of 14: camera: gone; 3 frames are safe in ")
     assert run("scan", plan, "--yes", "--resume").exit_code == 0
 
 
@@ -199,22 +199,22 @@ def test_an_interrupted_scan_exits_with_130_and_says_how_to_go_on(plan, bench):
 def test_warnings_of_a_scan_are_shown(tmp_path, monkeypatch, tile):
     text = TEXT.replace("[{exposure: 1, position: 2}, {exposure: 1, position: 1}]", "[{exposure: 3, position: 2}, {exposure: 3, position: 1}]")  # fmt: skip
     plan = small_rig.write(tmp_path / "bench", text)
-    from brdfpipe.rig.emulator.bench import EmulatedRig
+    from brdfpipe.rig.emulator.emulated_rig import EmulatedRig
 
     def elsewhere(rig, *arguments, **options):
         return EmulatedRig(replace(rig, nd_location="reference"), *arguments, **options)
 
-    monkeypatch.setattr("brdfpipe.rig.emulator.measurement.EmulatedRig", elsewhere)
+    monkeypatch.setattr("brdfpipe.rig.emulator.emulated_scan.EmulatedRig", elsewhere)
     done = run("scan", plan, "--emulate", tile)
     assert done.exit_code == 0
-    assert "warning: the neutral filters are not where the description says (`nd_location: sample`)" in done.output
+    assert "warning: wrong `nd_location: sample`" in done.output
 
 
 def test_the_doctor_exits_with_1_if_a_device_is_not_in_order(plan):
     done = run("doctor", plan.with_name("rig.yaml"))
     assert done.exit_code == 1
     assert "FAIL" in done.output
-    assert "there is no such port" in done.output
+    assert "the port does not exist" in done.output
 
 
 # --- an emulated rig that stands by itself
@@ -285,7 +285,7 @@ def test_a_standing_rig_is_driven_as_a_real_one(standing, plan):
 def test_hands_that_cannot_do_it_are_told(standing):
     process, _ = standing
     assert "no entrance at 33 degree; accepted: 0, 10, 20, 45" in typed(process, "33")
-    assert "nothing is called 'cat'" in typed(process, "20 cat")
+    assert "unknown object 'cat' in the holder" in typed(process, "20 cat")
     assert "not an angle of incidence; found 'etalon'" in typed(process, "etalon")
     assert typed(process, "10 etalon") == "10 degree, etalon, reflection"
     assert typed(process, "20 sample transmission") == "20 degree, sample, transmission"

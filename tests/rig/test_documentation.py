@@ -18,17 +18,17 @@ import small_rig
 import brdfpipe
 from brdfpipe.cli import main as cli
 from brdfpipe.cli import rig as commands
-from brdfpipe.rig import description, frames, rig_keys
+from brdfpipe.rig import description, frame_file, rig_keys
 from brdfpipe.rig.acquisition import scan
 from brdfpipe.rig.acquisition.devices import connection as devices
-from brdfpipe.rig.acquisition.devices import line
-from brdfpipe.rig.acquisition.devices.camera import open_camera
+from brdfpipe.rig.acquisition.devices.errors import WrongDevice
 from brdfpipe.rig.description import CameraSettings, Rig
 from brdfpipe.rig.emulator.clock import VirtualClock
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.emulator.faults import KINDS, Faults
 from brdfpipe.rig.emulator.port import Port
 from brdfpipe.rig.plan import Plan
+from brdfpipe.rig.raw_frame import RawFrame
 from brdfpipe.store import save_dataset
 
 PROJECT = Path(__file__).parents[2]
@@ -90,7 +90,12 @@ def test_the_speeds_of_lines_are_those_of_the_dialects():
 
 def test_the_wiring_has_every_dialect():
     told = [word for row in rows(section("Wiring"), "Device") for word in words(row["`dialect`"])]
-    assert sorted(told) == sorted(line.DIALECTS)
+    assert sorted(told) == sorted({**devices.MONOCHROMATORS, **devices.WHEELS})
+
+
+def test_every_dialect_of_the_description_has_a_driver():
+    assert set(devices.MONOCHROMATORS) == set(rig_keys.MONOCHROMATORS)
+    assert set(devices.WHEELS) == set(rig_keys.WHEELS)
 
 
 def test_the_columns_of_the_fibres_are_named():
@@ -124,10 +129,10 @@ def digest(path: Path, text: str) -> str:
 
 def test_every_keyword_of_a_frame_is_explained(tmp_path):
     plan = Plan.load(small_rig.write(tmp_path / "bench"))
-    picture = devices.Picture(np.zeros((72, 96), dtype=np.uint16), 1.7e9, plan.shots[0].exposure, 20.0)
-    state = frames.State(plan.shots[0].wavelength, plan.shots[0].position)
+    picture = RawFrame(np.zeros((72, 96), dtype=np.uint16), 1.7e9, plan.shots[0].exposure, 20.0)
+    state = frame_file.DeviceState(plan.shots[0].wavelength, plan.shots[0].position)
     path = tmp_path / "frame.fits"
-    frames.write_frame(path, picture, plan.shots[0], plan, state=state, origin=None, camera="a camera")
+    frame_file.write_frame(path, picture, plan.shots[0], plan, state=state, run_start=None, camera="a camera")
     cards = path.read_bytes()[:5760].decode("ascii", "replace")
     written = {
         cards[place : place + 8].strip() for place in range(0, len(cards), 80) if cards[place + 8 : place + 10] == "= "
@@ -142,7 +147,7 @@ def test_every_event_of_the_journal_is_explained():
     for module in (scan, scan.journals):
         for node in ast.walk(ast.parse(Path(module.__file__).read_text(encoding="utf-8"))):
             called = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr
-            if called in ("append", "_note_end") and node.args and isinstance(node.args[0], ast.Constant):
+            if called in ("append", "_record_end") and node.args and isinstance(node.args[0], ast.Constant):
                 written.add(node.args[0].value)
     explained = {
         word for row in rows(section("Resuming"), "Event in the journal") for word in words(row["Event in the journal"])
@@ -226,10 +231,9 @@ def blocks() -> list[str]:
 
 
 @pytest.fixture
-def tables(monkeypatch):
-    """Tables of devices that may be added to."""
-    monkeypatch.setattr(line, "DIALECTS", dict(line.DIALECTS))
-    monkeypatch.setattr(devices, "_WHEELS", dict(devices._WHEELS))
+def drivers(monkeypatch):
+    """A table of drivers that a test may extend."""
+    monkeypatch.setattr(devices, "WHEELS", dict(devices.WHEELS))
 
 
 def test_the_camera_of_the_drop_folder_serves_it(tmp_path, monkeypatch):
@@ -237,7 +241,7 @@ def test_the_camera_of_the_drop_folder_serves_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = example("serve_folder")
     try:
-        served = open_camera(CameraSettings("drop-folder", folder=str(tmp_path / "camera"), timeout=20.0))
+        served = devices.open_camera(CameraSettings("drop-folder", folder=str(tmp_path / "camera"), timeout=600.0))
         picture = served.expose(0.5)
         dark = served.expose(0.25, shutter=False)
     finally:
@@ -258,8 +262,8 @@ def test_the_emulated_rig_of_the_example_sees_light_through_both_faults(tmp_path
     names = example("EmulatedRig(")
     assert sorted(fault.kind for fault in names["faults"].injected) == ["garbage", "late-ok"]
     rig: Rig = names["plan"].rig
-    assert names["picture"].counts.shape == (rig.camera.height, rig.camera.width)
-    assert names["picture"].counts.max() > 2 * np.median(names["picture"].counts)
+    assert names["raw"].counts.shape == (rig.camera.height, rig.camera.width)
+    assert names["raw"].counts.max() > 2 * np.median(names["raw"].counts)
     assert names["truth"].identical(brdfpipe.open_dataset(truth))
 
 
@@ -272,26 +276,24 @@ def example(*marks: str) -> dict[str, Any]:
     return names
 
 
-def test_the_device_of_the_example_is_driven_through_faults(tables, capsys):
-    names = example('DIALECTS["dotted"]', "class DottedWheel")
+def test_the_device_of_the_example_is_driven_through_faults(drivers, capsys):
+    names = example('WHEELS["dotted"]', "class DottedWheel")
     assert capsys.readouterr().out.startswith("Dotted wheel 17 3 5 ")
     assert [fault.kind for fault in names["faults"].injected] == ["truncated", "late-ok"]
 
 
 @pytest.fixture(scope="module")
 def dotted():
-    """The names of both blocks of the example; the tables are as before."""
+    """The names of both blocks of the example; the table is as before."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(line, "DIALECTS", dict(line.DIALECTS))
-        patch.setattr(devices, "_WHEELS", dict(devices._WHEELS))
-        return example('DIALECTS["dotted"]', "class DottedWheel")
+        patch.setattr(devices, "WHEELS", dict(devices.WHEELS))
+        return example('WHEELS["dotted"]', "class DottedWheel")
 
 
 @pytest.fixture
-def known(dotted, tables):
-    """The device of the example, entered in the tables."""
-    line.DIALECTS["dotted"] = dotted["DIALECTS"]["dotted"]
-    devices._WHEELS["dotted"] = dotted["FilterWheel"]
+def known(dotted, drivers):
+    """The device of the example, registered."""
+    devices.WHEELS["dotted"] = dotted["FilterWheel"]
     return dotted
 
 
@@ -305,7 +307,7 @@ def test_the_device_of_the_example_recovers_from_a_fault_at_any_command(known, k
         with Port(known["DottedWheel"](VirtualClock()), faults) as port:
             wheel = devices.open_wheel(replace(SETTINGS, port=port.path))
             assert wheel.goto(3) == 3
-            assert port.instrument.place == 3
+            assert port.device.place == 3
             wheel.close()
         assert len(faults.injected) == 1
 
@@ -314,6 +316,6 @@ def test_the_device_of_the_example_is_recognised_where_another_is_expected(known
     """By the refusal in its dialect's entry."""
     with Port(known["DottedWheel"](VirtualClock())) as port:
         wheel = devices.open_wheel(replace(SETTINGS, dialect="thorlabs", port=port.path))
-        with pytest.raises(devices.WrongDevice, match="a device of the Dotted dialect answers"):
+        with pytest.raises(WrongDevice, match="a device of the Dotted dialect answers"):
             wheel.identify()
         wheel.close()

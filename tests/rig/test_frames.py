@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
-from brdfpipe.rig import frames
-from brdfpipe.rig.acquisition.devices.camera import Picture
-from brdfpipe.rig.frames import FrameError, State, read_frame, read_run, write_frame
+from brdfpipe.rig.frame_file import DeviceState, FrameError, frame_size, read_frame, write_frame
+from brdfpipe.rig.frames import read_run
 from brdfpipe.rig.plan import Plan
+from brdfpipe.rig.raw_frame import RawFrame
 from brdfpipe.store import StoreError
 
 STARTED = 1_763_761_234.567891
@@ -52,12 +52,17 @@ def light(plan, number=0):
 
 def picture(shot, seed=0, **changes):
     counts = np.random.default_rng(seed).integers(0, 65536, (72, 96)).astype(np.uint16)
-    return replace(Picture(counts, STARTED, shot.exposure, -3.25), **changes)
+    return replace(RawFrame(counts, STARTED, shot.exposure, -3.25), **changes)
 
 
 def written(plan, folder, shot=None, taken=None, **changes):
     shot = shot or light(plan)
-    told = {"state": State(shot.wavelength + 0.02, shot.position), "origin": STARTED - 60, "camera": "CCD", **changes}
+    told = {
+        "state": DeviceState(shot.wavelength + 0.02, shot.position),
+        "run_start": STARTED - 60,
+        "camera": "CCD",
+        **changes,
+    }
     path = folder / shot.name
     return path, shot, write_frame(path, taken or picture(shot), shot, plan, **told)
 
@@ -89,8 +94,8 @@ def test_what_is_written_is_read_back(plan, tmp_path):
     assert np.array_equal(found.counts, picture(shot).counts)
     assert found.counts.dtype == np.uint16
     assert replace(found, counts=None) == replace(frame, counts=None)
-    assert (found.state, found.started, found.elapsed) == (State(500.02, 2), STARTED, 60)
-    assert (found.temperature, found.camera, found.origin) == (-3.25, "CCD", STARTED - 60)
+    assert (found.state, found.started, found.elapsed) == (DeviceState(500.02, 2), STARTED, 60)
+    assert (found.temperature, found.camera, found.run_start) == (-3.25, "CCD", STARTED - 60)
 
 
 @given(st.integers(0, 2**16 - 1), st.floats(0, 9.9e9), st.floats(-273, 100))
@@ -99,11 +104,11 @@ def test_any_count_and_any_time_come_back(plan, tmp_path, count, started, temper
     counts = np.full((72, 96), count, dtype=np.uint16)
     shot = light(plan)
     taken = picture(shot, counts=counts, started=started, temperature=temperature)
-    path, _, frame = written(plan, tmp_path, shot, taken, origin=None)
+    path, _, frame = written(plan, tmp_path, shot, taken, run_start=None)
     found = read_frame(path, shot, plan)
     assert (found.counts == count).all()
     assert found.started == frame.started == pytest.approx(started, abs=1e-6)
-    assert (found.elapsed, found.origin) == (0, frame.started)
+    assert (found.elapsed, found.run_start) == (0, frame.started)
     assert found.temperature == pytest.approx(temperature, abs=5e-4)
 
 
@@ -155,7 +160,7 @@ def test_the_bytes_depend_on_the_exposure_alone(plan, tmp_path):
     second, _, other = written(plan, tmp_path / "b")
     assert first.read_bytes() == second.read_bytes()
     assert one.digest == other.digest
-    assert first.stat().st_size == frames.size(plan)
+    assert first.stat().st_size == frame_size(plan)
     third, _, _ = written(plan, tmp_path / "c", shot, picture(shot, seed=1))
     assert third.read_bytes() != first.read_bytes()
 
@@ -244,7 +249,7 @@ def test_a_missing_frame_is_told(plan, tmp_path):
         ({"WLBAND": 15.0}, ["WLBAND"]),
         *(({keyword: None}, [keyword.replace("_", "-"), "missing"]) for keyword in ("SHOT", "WAVELEN", "NDPOS", "INCANG")),
         *(({keyword: None}, [keyword.replace("_", "-"), "missing"]) for keyword in ("STARTED", "ELAPSED", "CCD_TEMP")),
-        ({"STARTED": "now"}, ["STARTED", "no number"]),
+        ({"STARTED": "now"}, ["STARTED", "not a number"]),
     ],
 )  # fmt: skip
 def test_a_frame_that_says_it_is_another_is_not_believed(plan, tmp_path, labels, words):
@@ -262,7 +267,7 @@ def test_a_frame_without_sums_is_not_believed(plan, tmp_path):
         del images[0].header["CHECKSUM"]
         images[0].writeto(tmp_path / "other.fits")
     (tmp_path / "other.fits").replace(path)
-    with pytest.raises(FrameError, match="checksum does not fit"):
+    with pytest.raises(FrameError, match="invalid checksum"):
         read_frame(path, shot, plan)
 
 
@@ -319,7 +324,7 @@ def test_a_file_that_is_no_frame_is_told(plan, tmp_path, spoil):
 def test_counts_beyond_the_bits_of_the_camera_are_told(plan, tmp_path):
     path, shot, _ = written(plan, tmp_path)
     rig = replace(plan.rig, camera=replace(plan.rig.camera, bits=12))
-    with pytest.raises(FrameError, match="counts beyond the camera's"):
+    with pytest.raises(FrameError, match="counts exceed the camera's range"):
         read_frame(path, shot, replace(plan, rig=rig))
 
 
@@ -374,7 +379,7 @@ def test_one_incidence_comes_with_all_dark_frames_and_all_looks_at_the_lamp(run)
 
 
 def test_an_incidence_that_was_not_planned_is_refused(run):
-    with pytest.raises(InputError, match="no such incidence in the plan; found 30; accepted: 10, 20"):
+    with pytest.raises(InputError, match="incidence not in the plan; found 30; accepted: 10, 20"):
         read_run(run, 30)
 
 
@@ -405,7 +410,7 @@ def test_a_damaged_frame_is_named_with_what_it_leaves_uncovered(copy):
     named, gap = told
     assert shot.name in named
     assert "not used" in named
-    assert gap.startswith("1 of 2 wavelengths at 20 degree have no bracket step 2 (sample: 550 nm)")
+    assert gap.startswith("bracket step 2 is missing at 1 of 2 wavelengths at 20 degree (sample: 550 nm)")
     assert "--resume" in gap
 
 
@@ -416,10 +421,10 @@ def test_missing_frames_are_summed_up_by_what_they_were_for(copy):
             (copy / "frames" / shot.name).unlink()
     _, told = warnings_after(copy)
     assert [line.split(";")[0] for line in told] == [
-        "3 of 10 dark frames of 1 s are missing, 7 are left",
-        "1 of 1 looks at the lamp at 10 degree are missing",
-        "2 of 2 wavelengths at 10 degree have no bracket step 1 (etalon: 500, 550 nm)",
-        "2 of 2 looks at the lamp at 20 degree are missing",
+        "3 of 10 dark frames of 1 s are missing",
+        "1 of 1 lamp monitor readings at 10 degree are missing",
+        "bracket step 1 is missing at 2 of 2 wavelengths at 10 degree (etalon: 500, 550 nm)",
+        "2 of 2 lamp monitor readings at 20 degree are missing",
     ]
 
 
@@ -440,16 +445,16 @@ def test_a_second_frame_of_a_shot_is_named_and_not_used(copy):
     assert found.sizes["frame"] == len(plan.shots)
     assert len(told) == 1
     assert other.name in told[0]
-    assert f"a second frame of shot {shot.ordinal}, which {shot.name} is" in told[0]
+    assert f"second file of frame {shot.ordinal}, whose file is {shot.name}" in told[0]
 
 
-def test_a_stranger_among_the_frames_is_named(copy):
+def test_a_other_device_among_the_frames_is_named(copy):
     (copy / "frames" / "holiday.fits").write_bytes(b"sun")
     (copy / "frames" / "99999-sample.fits").write_bytes(b"sun")
     (copy / "frames" / "notes.txt").write_text("no frame")
     _, told = warnings_after(copy)
     assert [line.split(":")[0] for line in told] == ["99999-sample.fits", "holiday.fits"]
-    assert all("no frame of the plan" in line for line in told)
+    assert all("not a frame of the plan" in line for line in told)
 
 
 def test_exchanged_frames_are_both_named(copy):
@@ -469,7 +474,9 @@ def test_frames_of_another_rig_are_not_used(copy):
     """The description in the run's folder was edited after the scan: no frame is of that rig."""
     rig = copy / "rig.yaml"
     rig.write_text(rig.read_text().replace("transmittance: 0.1}", "transmittance: 0.12}"))
-    with pytest.raises(InputError, match="the rig is described otherwise than when the frames of this run were taken"):
+    with pytest.raises(
+        InputError, match="the description of the rig was changed after the frames of this run were taken"
+    ):
         read_run(copy)
 
 
@@ -477,8 +484,8 @@ def test_a_wavelength_axis_that_was_shifted_in_the_plan_is_noticed(copy):
     plan = copy / "plan.yaml"
     plan.write_text(plan.read_text().replace("[500, 550]", "[510, 550]"))
     _, told = warnings_after(copy)
-    assert any("1 of 2 wavelengths at 20 degree have no bracket step 1 (sample: 510 nm)" in line for line in told)
-    assert sum("which 0" in line for line in told) == 4
+    assert any("bracket step 1 is missing at 1 of 2 wavelengths at 20 degree (sample: 510 nm)" in line for line in told)
+    assert sum("whose file is 0" in line for line in told) == 4
 
 
 def test_names_that_cannot_be_printed_do_not_stop_the_reading(copy):

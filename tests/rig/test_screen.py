@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import small_rig
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,6 +14,7 @@ from brdfpipe import specular_directions
 from brdfpipe.geometry import unit_vector
 from brdfpipe.rig import screen
 from brdfpipe.rig.description import Screen
+from brdfpipe.rig.plan import Plan
 
 SCREEN = Screen(150.0, 26.4, (1.0, -2.0), (48.0, 34.0), 1.0, 1.5, 3.0, (159.5, 119.5), 2e-6)
 
@@ -25,7 +27,7 @@ def test_the_cosines_have_the_reference_values_of_the_physics_sheet():
 @given(st.floats(-53, 53), st.floats(-40, 40), st.floats(-2e-5, 2e-5))
 def test_places_and_pixels_are_each_others_inverse(x, y, radial):
     bent = dataclasses.replace(SCREEN, radial=radial)
-    place = screen.to_place(bent, *screen.to_pixel(bent, x, y))
+    place = screen.to_position(bent, *screen.to_pixel(bent, x, y))
     assert float(place.x) == pytest.approx(x, abs=1e-9)
     assert float(place.y) == pytest.approx(y, abs=1e-9)
 
@@ -38,7 +40,7 @@ def test_up_on_the_screen_is_up_in_the_picture():
 
 @given(st.floats(0, 30), st.floats(-179.9, 179.9))
 def test_directions_and_places_of_the_disc_are_each_others_inverse(theta, phi):
-    found_theta, found_phi = screen.disc_direction(SCREEN, *screen.disc_place(SCREEN, theta, phi))
+    found_theta, found_phi = screen.disc_direction(SCREEN, *screen.disc_position(SCREEN, theta, phi))
     assert unit_vector(found_theta, found_phi) == pytest.approx(unit_vector(theta, phi), abs=1e-9)
 
 
@@ -71,3 +73,17 @@ def test_azimuth_0_leads_towards_the_normal():
 def test_light_that_passes_straight_is_the_centre_in_transmission():
     out, azimuth = specular_directions.outgoing(30, 0, 0, side="transmission")
     assert (float(out), abs(float(azimuth))) == (pytest.approx(150), pytest.approx(180))
+
+
+def test_spot_masks_are_where_the_description_has_the_spots(tmp_path):
+    plan = Plan.load(small_rig.write(tmp_path))
+    reference, sample = screen.spot_masks(plan.rig)
+    column, row = screen.to_pixel(plan.rig.screen, *plan.rig.screen.reference)
+    rows, columns = np.nonzero(reference)
+    assert np.hypot(columns - column, rows - row).max() <= 3 * 0.9 + 1e-9
+    assert not (reference & sample).any()
+    disc = screen.to_pixel(plan.rig.screen, 0, 0)
+    assert sample[round(float(disc[1])), round(float(disc[0]))]
+    for fibre in plan.rig.fibres:
+        column, row = screen.to_pixel(plan.rig.screen, fibre.x, fibre.y)
+        assert sample[round(float(row)), round(float(column))]

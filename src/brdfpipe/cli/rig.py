@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from brdfpipe.rig.acquisition.scan import Summary
-    from brdfpipe.rig.emulator.bench import EmulatedRig
+    from brdfpipe.rig.emulator.emulated_rig import EmulatedRig
     from brdfpipe.rig.plan import Arrangement, Plan
 
 EMULATED = "emulated.yaml"
@@ -122,10 +122,12 @@ def scan(
         if emulate is None:
             done = _real_scan(plan, folder, yes=yes, resume=resume)
         else:
-            from brdfpipe.rig.emulator.measurement import take
+            from brdfpipe.rig.emulator.emulated_scan import scan_emulated
 
             sample = truth(emulate)
-            done = take(plan, folder, sample, seed=seed, session=session, resume=resume, progress=True, say=_print_line)
+            done = scan_emulated(
+                plan, folder, sample, seed=seed, session=session, resume=resume, progress=True, say=_print_line
+            )
         click.echo(done.text)
     except ScanStopped as stop:
         click.echo(f"brdfpipe: {stop}", err=True)
@@ -157,8 +159,8 @@ def emulate(description: Path, truth_path: Path, seed: int, session: int, out: P
     dark-trap), and the side (reflection or transmission).
     """
     from brdfpipe.rig.description import Rig
-    from brdfpipe.rig.emulator.bench import EmulatedRig
     from brdfpipe.rig.emulator.clock import VirtualClock
+    from brdfpipe.rig.emulator.emulated_rig import EmulatedRig
 
     # A service manager ends it with SIGTERM; ports and description are removed as after Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -255,7 +257,7 @@ def _emulated_description(description: Path, stand: EmulatedRig, folder: Path) -
 @contextmanager
 def _camera_serving(folder: Path, stand: EmulatedRig) -> Iterator[None]:
     """Serve frames for the requests in a folder, in a thread."""
-    from brdfpipe.rig.acquisition.devices.camera import serve_folder
+    from brdfpipe.rig.acquisition.devices.drop_folder import serve_folder
 
     stop = threading.Event()
     options = {"stop": stop, "report": click.echo}

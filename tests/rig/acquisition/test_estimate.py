@@ -7,10 +7,10 @@ import math
 import pytest
 import small_rig
 
-from brdfpipe.rig import frames
 from brdfpipe.rig import templates as starting
-from brdfpipe.rig.acquisition.estimate import ARRANGING, READOUT, SLEW, WHEEL, estimate, frame_range
+from brdfpipe.rig.acquisition.estimate import ARRANGEMENT_TIME, READOUT, SLEW_SPEED, WHEEL_MOVE, estimate, frame_range
 from brdfpipe.rig.description import Rig
+from brdfpipe.rig.frame_file import frame_size
 from brdfpipe.rig.plan import Plan
 
 
@@ -34,16 +34,16 @@ def test_bytes_are_those_of_the_frames_that_are_written(plan, tmp_path):
     small_rig.take(plan, small_rig.fake_bench(), tmp_path / "run")
     files = list((tmp_path / "run" / "frames").iterdir())
     assert estimate(plan).size == sum(path.stat().st_size for path in files)
-    assert {path.stat().st_size for path in files} == {frames.size(plan)}
+    assert {path.stat().st_size for path in files} == {frame_size(plan)}
 
 
 def test_hours_are_exposures_moves_readouts_and_hands(plan):
     lights = [shot for shot in plan.shots if not shot.dark]
     exposures = len(plan.shots) * (1 + READOUT)
     pairs = list(zip(plan.shots, plan.shots[1:], strict=False))
-    moves = sum(abs(after.wavelength - before.wavelength) for before, after in pairs) / SLEW
-    turns = sum(after.position != before.position for before, after in pairs) * WHEEL
-    expected = exposures + moves + turns + 2 * ARRANGING
+    moves = sum(abs(after.wavelength - before.wavelength) for before, after in pairs) / SLEW_SPEED
+    turns = sum(after.position != before.position for before, after in pairs) * WHEEL_MOVE
+    expected = exposures + moves + turns + 2 * ARRANGEMENT_TIME
     assert estimate(plan).hours == pytest.approx(expected / 3600)
     assert len(lights) == 11
 
@@ -54,7 +54,7 @@ def test_a_slow_monochromator_takes_longer(plan, tmp_path):
     slow = estimate(Plan.load(tmp_path / "plan.yaml"))
     # 500 to 550 nm and back in each of two arrangements, from look to look: 250 nm in all.
     travelled = sum(abs(b.wavelength - a.wavelength) for a, b in zip(plan.shots, plan.shots[1:], strict=False))
-    assert 3600 * (slow.hours - estimate(plan).hours) == pytest.approx(travelled * (60 / 100 - 1 / SLEW))
+    assert 3600 * (slow.hours - estimate(plan).hours) == pytest.approx(travelled * (60 / 100 - 1 / SLEW_SPEED))
 
 
 def test_the_range_of_a_frame_is_that_of_a_spot_at_a_signal_to_noise_of_50(plan):
@@ -96,5 +96,5 @@ def test_the_bench_to_start_from_takes_hours_and_reaches_everything(tmp_path):
     assert 1 < found.hours < 4  # the preprint: 3 to 4 hours a sample
     first, *lines = found.text.splitlines()
     assert first == f"sample-1 on bench-1: {found.frames} frames, {found.size / 1e6:.1f} MB, about {found.hours:.1f} h"
-    assert [line.split()[0] for line in lines] == ["dark", "drift", "etalon", "sample", "by"]
+    assert [line.split()[0] for line in lines] == ["dark", "drift", "etalon", "sample", "manual"]
     assert "6 arrangements" in lines[-1]

@@ -17,13 +17,13 @@ import small_rig
 from astropy.io import fits
 
 from brdfpipe.errors import InputError
-from brdfpipe.rig import frames
 from brdfpipe.rig.acquisition import journal
-from brdfpipe.rig.acquisition.devices.camera import Picture
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, WrongDevice
 from brdfpipe.rig.acquisition.scan import ScanStopped, last_finished
+from brdfpipe.rig.frame_file import frame_size, read_frame
 from brdfpipe.rig.frames import read_run
 from brdfpipe.rig.plan import Plan
+from brdfpipe.rig.raw_frame import RawFrame
 
 
 @pytest.fixture(autouse=True)
@@ -178,7 +178,7 @@ def test_a_frame_is_labelled_by_what_was_read_back(plan, folder):
 ])  # fmt: skip
 def test_no_frame_is_exposed_where_a_device_says_it_is_elsewhere(plan, folder, bench):
     camera = small_rig.FakeCamera()
-    with pytest.raises(ScanStopped, match=r"stopped before frame 1 of .*asked for .*, the devices say"):
+    with pytest.raises(ScanStopped, match=r"stopped before frame 1 of .*requested .*, devices report"):
         small_rig.take(plan, small_rig.fake_bench(camera=camera, **bench), folder)
     assert camera.exposures == []
     assert on_disk(folder) == []
@@ -238,7 +238,12 @@ def test_a_camera_that_fails_three_times_stops_the_scan(plan, folder):
     with pytest.raises(ScanStopped) as stop:
         small_rig.take(plan, small_rig.fake_bench(camera=camera), folder)
     message = str(stop.value)
-    for words in (f"before frame 4 of {len(plan.shots)}", "no frame in 61 s", "3 frames are safe", "--resume goes on"):
+    for words in (
+        f"before frame 4 of {len(plan.shots)}",
+        "no frame in 61 s",
+        "3 frames are safe",
+        "repeat the command with --resume",
+    ):
         assert words in message
     assert events(folder)[-1]["event"] == "stopped"
     assert len(on_disk(folder)) == 3
@@ -254,18 +259,18 @@ def test_a_lost_or_exchanged_device_is_not_asked_again(plan, folder, kind):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda picture: replace(picture, counts=picture.counts[:, :-1]), "a picture of 95 × 72"),
-        (lambda picture: replace(picture, counts=picture.counts.astype(np.int32)), "of int32"),
-        (lambda picture: replace(picture, seconds=2.0), "exposed 2 s, asked for 1 s"),
-        (lambda picture: replace(picture, seconds=math.nan), "exposed nan s"),
-        (lambda picture: replace(picture, started=math.nan), "no time: nan"),
-        (lambda picture: replace(picture, started=-1.0), "no time: -1.0"),
-        (lambda picture: replace(picture, started=1e11), "no time: 1000"),
+        (lambda picture: replace(picture, counts=picture.counts[:, :-1]), "image of 95 × 72"),
+        (lambda picture: replace(picture, counts=picture.counts.astype(np.int32)), "int32"),
+        (lambda picture: replace(picture, seconds=2.0), "exposure time 2 s, 1 s requested"),
+        (lambda picture: replace(picture, seconds=math.nan), "exposure time nan s"),
+        (lambda picture: replace(picture, started=math.nan), "invalid start of the exposure: nan"),
+        (lambda picture: replace(picture, started=-1.0), "invalid start of the exposure: -1.0"),
+        (lambda picture: replace(picture, started=1e11), "invalid start of the exposure: 1000"),
     ],
 )
 def test_a_picture_that_is_not_the_one_asked_for_is_no_frame(plan, folder, spoil, words):
     class Spoilt(small_rig.FakeCamera):
-        def expose(self, seconds, *, shutter=True) -> Picture:
+        def expose(self, seconds, *, shutter=True) -> RawFrame:
             return spoil(super().expose(seconds, shutter=shutter))
 
     with pytest.raises(ScanStopped) as stop:
@@ -516,7 +521,7 @@ def test_ctrl_c_while_something_is_written_leaves_nothing_half(plan, folder, mon
     assert not list(folder.glob("**/.*.tmp"))
     for name in on_disk(folder):
         shot = next(shot for shot in plan.shots if shot.name == name)
-        frames.read_frame(folder / "frames" / name, shot, plan)
+        read_frame(folder / "frames" / name, shot, plan)
     small_rig.take(plan, small_rig.fake_bench(), folder, resume=True)
     assert on_disk(folder) == [shot.name for shot in plan.shots]
 
@@ -564,10 +569,10 @@ def test_a_disk_that_is_full_when_the_journal_is_written_loses_no_frame(plan, fo
 
 def test_a_disk_too_small_for_the_plan_is_told_before_the_first_frame(plan, folder, monkeypatch):
     usage = shutil.disk_usage(folder.parent)
-    monkeypatch.setattr("shutil.disk_usage", lambda path: usage._replace(free=len(plan.shots) * frames.size(plan) - 1))
+    monkeypatch.setattr("shutil.disk_usage", lambda path: usage._replace(free=len(plan.shots) * frame_size(plan) - 1))
     monkeypatch.setattr("brdfpipe.store.write_bytes", lambda path, content: path.write_bytes(content))
     camera = small_rig.FakeCamera()
-    with pytest.raises(InputError, match="the disk is too small for what is to be taken"):
+    with pytest.raises(InputError, match="not enough disk space for the missing frames"):
         small_rig.take(plan, small_rig.fake_bench(camera=camera), folder)
     assert camera.exposures == []
 

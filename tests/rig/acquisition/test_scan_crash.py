@@ -80,7 +80,7 @@ def test_a_scan_killed_at_a_hundred_random_moments_and_resumed_is_the_undisturbe
 BLOCKED = """
 import signal
 from brdfpipe.cli.main import main
-from brdfpipe.rig.emulator.bench import EmulatedCamera
+from brdfpipe.rig.emulator.emulated_rig import EmulatedCamera
 
 expose = EmulatedCamera.expose
 

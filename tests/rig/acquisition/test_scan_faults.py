@@ -12,8 +12,8 @@ from astropy.io import fits
 
 from brdfpipe import vocabulary
 from brdfpipe.rig.acquisition import journal
-from brdfpipe.rig.acquisition.devices import acton, thorlabs
-from brdfpipe.rig.acquisition.devices import line as lines
+from brdfpipe.rig.acquisition.devices import acton, serial_line, thorlabs
+from brdfpipe.rig.acquisition.devices.connection import open_monochromator, open_wheel
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost
 from brdfpipe.rig.acquisition.scan import ScanStopped
 from brdfpipe.rig.description import Rig
@@ -34,8 +34,8 @@ FATAL = ("unplug", "wrong-device")
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """A pseudo-terminal holds no bytes back, and nothing here is about power cuts."""
-    monkeypatch.setattr(lines, "QUIET", 0.02)
-    monkeypatch.setattr(lines, "POLL", 0.01)
+    monkeypatch.setattr(serial_line, "QUIET", 0.02)
+    monkeypatch.setattr(serial_line, "POLL", 0.01)
     monkeypatch.setattr(os, "fsync", lambda file: None)
 
 
@@ -119,7 +119,7 @@ def check(plan, folder, kind, ordinal, whole):
         return
     assert bool(stopped) == (kind in FATAL), stopped
     if stopped:
-        assert stopped.split(":")[0].startswith(("monochromator", "filter wheel", "stopped before frame"))
+        assert stopped.split(":")[0].startswith(("monochromator", "filter wheel", "scan stopped before frame"))
         assert "monochromator" in stopped or "filter wheel" in stopped
         # What stopped it took no time of the rig's, so the run is that of a rig without faults, to the byte.
         assert small_rig.contents(folder) == whole
@@ -165,7 +165,7 @@ def test_a_port_held_by_another_program_is_told_and_the_run_goes_on_later(plans,
     with small_rig.emulated(plan) as (stand, witness):
         with serial.Serial(getattr(stand.rig, device).port, exclusive=True), pytest.raises(DeviceLost) as refusal:
             small_rig.take_emulated(plan, tmp_path / "run", stand, witness)
-        assert "another program holds the port" in str(refusal.value)
+        assert "the port is in use by another program" in str(refusal.value)
         assert not (tmp_path / "run").exists()
         small_rig.take_emulated(plan, tmp_path / "run", stand, witness)
     agree(plan, tmp_path / "run", witness)
@@ -179,9 +179,12 @@ def test_no_other_program_gets_a_port_during_a_scan(plans, undisturbed, tmp_path
     class Intruder(small_rig.Witness):
         def expose(self, seconds, *, shutter=True):
             if len(self.seen) + 1 == moment:
-                for settings in (stand.rig.monochromator, stand.rig.wheel):
-                    with pytest.raises(DeviceLost, match="another program holds the port"):
-                        lines.Line(settings)
+                for open_device, settings in (
+                    (open_monochromator, stand.rig.monochromator),
+                    (open_wheel, stand.rig.wheel),
+                ):
+                    with pytest.raises(DeviceLost, match="the port is in use by another program"):
+                        open_device(settings)
                     refused.append(settings.port)
             return super().expose(seconds, shutter=shutter)
 
@@ -237,8 +240,8 @@ def test_a_wrong_place_of_the_filters_is_detected_and_named_during_the_scan(tmp_
     rig.write_text(rig.read_text().replace("nd_location: sample", f"nd_location: {said}"))
     plan = Plan.load(path)
     (warning,) = scanned(plan, tmp_path / "run", truth=replace(Rig.load(rig), nd_location=true))
-    assert f"not where the description says (`nd_location: {said}`)" in warning
-    assert f"show `nd_location: {true}`" in warning
+    assert f"wrong `nd_location: {said}`" in warning
+    assert f"indicate `nd_location: {true}`" in warning
     (event,) = [event for event in journal.read(tmp_path / "run" / "journal.jsonl") if event["event"] == "overlap"]
     assert (event["nd_location"], event["warnings"]) == (true, [warning])
     # Told as soon as a bracket is complete, long before the run is.

@@ -15,12 +15,12 @@ from brdfpipe import specular_directions
 from brdfpipe.errors import VocabularyError
 from brdfpipe.rig import screen
 from brdfpipe.rig.description import Fibre, Target
+from brdfpipe.rig.emulator.camera_view import fibre_efficiency, in_entrance_hole, overlap_area, true_screen
 from brdfpipe.rig.emulator.effects import EffectError, Effects
-from brdfpipe.rig.emulator.holder import EmulationError, Etalon, Setup
+from brdfpipe.rig.emulator.illumination import MIDDLE_WAVELENGTH, SPLIT, Illumination
 from brdfpipe.rig.emulator.optics import REFERENCE_RATE, SAMPLE_RATE, Optics
-from brdfpipe.rig.emulator.source import MIDDLE, SPLIT, Source
-from brdfpipe.rig.emulator.spread import PointSpread, halo
-from brdfpipe.rig.emulator.view import fibre_efficiency, hidden, overlap, true_screen
+from brdfpipe.rig.emulator.point_spread import PointSpread, halo
+from brdfpipe.rig.emulator.sample_holder import EmulationError, Etalon, Setup
 
 IDEAL = Effects.none()
 ETALON = Etalon()
@@ -50,7 +50,7 @@ def directions(rig):
 def disc_directions(rig, within=9.0):
     """Pixels (row, column) of the disc and their directions, of a rig as described."""
     row, column = np.mgrid[: rig.camera.height, : rig.camera.width]
-    theta, phi = screen.disc_direction(rig.screen, *screen.to_place(rig.screen, column, row))
+    theta, phi = screen.disc_direction(rig.screen, *screen.to_position(rig.screen, column, row))
     inside = theta < within
     return row[inside], column[inside], theta[inside], phi[inside]
 
@@ -108,7 +108,7 @@ def test_the_mean_over_a_pixel_of_a_narrow_lobe_is_right(rig):
     rows, columns = np.arange(100, 140), np.arange(140, 180)
     fine = (np.arange(16) + 0.5) / 16 - 0.5
     row, column = np.meshgrid(rows[:, None] + fine, columns[:, None] + fine, indexing="ij")
-    theta, phi = screen.disc_direction(rig.screen, *screen.to_place(rig.screen, column, row))
+    theta, phi = screen.disc_direction(rig.screen, *screen.to_position(rig.screen, column, row))
     brdf = truth.bsdf.evaluate(20, 0, *specular_directions.outgoing(20, theta, phi)).values
     bright = brdf * specular_directions.cos_view(20, theta, phi) * np.cos(np.radians(theta)) ** 3
     expected = SAMPLE_RATE * (1 - SPLIT) * bright.reshape(40, 16, 40, 16).mean(axis=(1, 3))
@@ -132,7 +132,7 @@ def test_transmission_shows_the_other_side_of_the_sample(rig, monkeypatch):
     def btdf(w_i, w_o):
         return np.where(w_i[..., 2] * w_o[..., 2] < 0, 0.25 + 0.1 * w_o[..., 0], 0.0)
 
-    truth = synthetic.register(monkeypatch, btdf, transmission="slab")
+    truth = synthetic.register(monkeypatch, btdf, through="slab")
     found = at_fibres(rig, optics(rig, truth).rates(Setup(30.0, side="transmission"), 550, 1))
     theta, phi = directions(rig)
     theta_o, phi_o = specular_directions.outgoing(30, theta, phi, side="transmission")
@@ -174,7 +174,7 @@ def test_a_monochromator_at_rest_sends_no_light(rig):
 
 
 def test_the_band_of_the_slit_has_the_moments_of_a_triangle(rig):
-    nodes, light = Source(rig, dataclasses.replace(IDEAL, slit=True), 0, 0).band(500.0)
+    nodes, light = Illumination(rig, dataclasses.replace(IDEAL, slit=True), 0, 0).band(500.0)
     offset = nodes - 500
     assert light.sum() == pytest.approx(1)
     assert (light * offset).sum() == pytest.approx(0, abs=1e-12)
@@ -183,21 +183,21 @@ def test_the_band_of_the_slit_has_the_moments_of_a_triangle(rig):
 
 
 def test_a_xenon_lamp_has_its_lines_in_the_blue_and_beyond_the_red(rig):
-    source = Source(rig, dataclasses.replace(IDEAL, xenon=True), 0, 0)
+    source = Illumination(rig, dataclasses.replace(IDEAL, xenon=True), 0, 0)
 
     def light(wavelength):
         return float(source.band(wavelength)[1].sum())
 
-    assert light(MIDDLE) == 1
+    assert light(MIDDLE_WAVELENGTH) == 1
     assert light(467.1) > 1.15 * light(510)
     assert light(882) > 2 * light(865)
     assert 0.2 < light(390) < 0.5
 
 
 def test_the_splitters_slope_is_per_hundred_nanometres(rig):
-    source = Source(rig, dataclasses.replace(IDEAL, splitter_slope=0.02), 0, 0)
-    assert float(source.split(660)) == pytest.approx(0.08 * 1.02)
-    assert float(source.split(MIDDLE)) == 0.08
+    source = Illumination(rig, dataclasses.replace(IDEAL, splitter_slope=0.02), 0, 0)
+    assert float(source.split_ratio(660)) == pytest.approx(0.08 * 1.02)
+    assert float(source.split_ratio(MIDDLE_WAVELENGTH)) == 0.08
 
 
 # --- filters, lamp, paths
@@ -221,44 +221,44 @@ def test_taking_the_filters_for_where_they_are_not_is_wrong_by_the_ratio_of_two(
 def test_a_filters_true_transmittance_is_within_its_uncertainty(rig):
     errors = []
     for seed in range(100):
-        source = Source(rig, dataclasses.replace(IDEAL, filters=1.0), seed, 0)
-        errors.append([source.filter(2, wavelength) / 0.1 - 1 for wavelength in (390, 560, 730)])
-        assert source.filter(1, 560) == 1  # stated without an error
-        assert source.filter(5, 560) == 1  # nothing stands there
+        source = Illumination(rig, dataclasses.replace(IDEAL, filters=1.0), seed, 0)
+        errors.append([source.filter_transmittance(2, wavelength) / 0.1 - 1 for wavelength in (390, 560, 730)])
+        assert source.filter_transmittance(1, 560) == 1  # stated without an error
+        assert source.filter_transmittance(5, 560) == 1  # nothing stands there
     assert 0.01 < np.abs(errors).max() <= 0.02
     assert np.ptp(errors, axis=1).min() > 0
 
 
 def test_the_lamp_warms_up_and_wanders_by_its_figures(rig):
     time = np.arange(0, 400_000, 100.0)
-    warm = Source(rig, dataclasses.replace(IDEAL, warm_up=0.05), 0, 0).lamp([0, 1e6])
+    warm = Illumination(rig, dataclasses.replace(IDEAL, warm_up=0.05), 0, 0).lamp([0, 1e6])
     assert warm == pytest.approx([0.95, 1])
-    wander = Source(rig, dataclasses.replace(IDEAL, drift=0.01), 0, 0).lamp(time)
+    wander = Illumination(rig, dataclasses.replace(IDEAL, drift=0.01), 0, 0).lamp(time)
     assert wander.std() == pytest.approx(0.01, rel=0.02)
     assert np.abs(np.diff(wander)).max() < 0.004
 
 
 def test_the_lamp_wanders_otherwise_in_another_session(rig):
     effects = dataclasses.replace(IDEAL, drift=0.01)
-    first, same, other = (Source(rig, effects, 3, session).lamp(5000.0) for session in (0, 0, 1))
+    first, same, other = (Illumination(rig, effects, 3, session).lamp(5000.0) for session in (0, 0, 1))
     assert first == same != other
 
 
 def test_paths_belong_to_entrances_and_stay(rig):
-    source = Source(rig, dataclasses.replace(IDEAL, paths=0.05), 1, 0)
-    paths = [float(source.path(entrance, 500)) for entrance in (0, 10, 20, 30, 45, 60)]
+    source = Illumination(rig, dataclasses.replace(IDEAL, paths=0.05), 1, 0)
+    paths = [float(source.path_factor(entrance, 500)) for entrance in (0, 10, 20, 30, 45, 60)]
     assert len(set(paths)) == 6
     assert 0.01 < np.std(paths) < 0.15
-    other_day = Source(rig, dataclasses.replace(IDEAL, paths=0.05), 1, 7)
-    assert paths == [other_day.path(entrance, 700) for entrance in (0, 10, 20, 30, 45, 60)]
+    other_day = Illumination(rig, dataclasses.replace(IDEAL, paths=0.05), 1, 7)
+    assert paths == [other_day.path_factor(entrance, 700) for entrance in (0, 10, 20, 30, 45, 60)]
 
 
 def test_mirrors_of_each_entrance_have_a_spectrum_of_their_own(rig):
-    source = Source(rig, dataclasses.replace(IDEAL, path_slope=0.01), 1, 0)
-    slopes = [np.diff(source.path(entrance, [460.0, 560.0, 660.0])) for entrance in (0, 10, 20, 30, 45, 60)]
+    source = Illumination(rig, dataclasses.replace(IDEAL, path_slope=0.01), 1, 0)
+    slopes = [np.diff(source.path_factor(entrance, [460.0, 560.0, 660.0])) for entrance in (0, 10, 20, 30, 45, 60)]
     assert np.ptp(slopes, axis=1) == pytest.approx(np.zeros(6), abs=1e-12)
     assert 0.003 < np.std(slopes) < 0.03
-    assert [source.path(entrance, 560.0) for entrance in (0, 60)] == [1, 1]
+    assert [source.path_factor(entrance, 560.0) for entrance in (0, 60)] == [1, 1]
 
 
 # --- fibres and screen
@@ -314,8 +314,10 @@ def test_the_corners_and_the_rim_of_the_disc_lose_what_vignetting_says(rig):
 def test_entrances_see_nothing_but_those_in_the_lens_give_way(rig):
     effects = dataclasses.replace(IDEAL, holes=3.0)
 
-    def blind(entrance, theta, phi, through=False):
-        return bool(hidden(rig, effects, entrance, np.array([theta]), np.array([phi]), through=through)[0])
+    def blind(entrance, theta, phi, transmission=False):
+        return bool(
+            in_entrance_hole(rig, effects, entrance, np.array([theta]), np.array([phi]), transmission=transmission)[0]
+        )
 
     assert blind(20.0, 90.0, 0.0)  # the entrance of 45 degree
     assert blind(20.0, 87.1, 0.0)
@@ -324,8 +326,8 @@ def test_entrances_see_nothing_but_those_in_the_lens_give_way(rig):
     assert not blind(20.0, 40.0, 180.0)
     assert blind(0.0, 1.0, 70.0)  # light that comes through the lens
     assert not blind(20.0, 1.0, 70.0)
-    assert not blind(0.0, 1.0, 70.0, through=True)
-    assert not bool(hidden(rig, IDEAL, 20.0, np.array([40.0]), np.zeros(1), through=False)[0])
+    assert not blind(0.0, 1.0, 70.0, transmission=True)
+    assert not bool(in_entrance_hole(rig, IDEAL, 20.0, np.array([40.0]), np.zeros(1), transmission=False)[0])
 
 
 def test_stray_light_is_all_that_a_dark_trap_shows(rig):
@@ -354,7 +356,7 @@ def test_the_spots_of_the_target_stand_where_the_true_screen_has_them(rig):
     true = true_screen(rig, effects, 2, 0)
     y, x = np.mgrid[: rig.camera.height, : rig.camera.width]
     for theta, phi in zip(target.theta_s, target.phi_s, strict=True):
-        column, row = screen.to_pixel(true, *screen.disc_place(true, theta, phi))
+        column, row = screen.to_pixel(true, *screen.disc_position(true, theta, phi))
         near = (x - column) ** 2 + (y - row) ** 2 < 8**2
         light = picture[near] / picture[near].sum()
         assert (light * x[near]).sum() == pytest.approx(float(column), abs=0.03)
@@ -382,7 +384,7 @@ def test_a_certificate_errs_for_a_session_by_its_figure(rig):
 def test_the_pixels_of_a_spot_share_its_area(radius, x, y):
     reach = int(radius) + 3
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    covered = overlap(column - x, row - y, radius)
+    covered = overlap_area(column - x, row - y, radius)
     assert covered.sum() == pytest.approx(np.pi * radius**2, rel=1e-7)
     assert covered.min() >= 0
     assert covered.max() <= 1
@@ -392,7 +394,7 @@ def test_a_pixel_covered_in_part_is_covered_as_much_as_its_points():
     fine = (np.arange(400) + 0.5) / 400 - 0.5
     for x, y, radius in ((3, 0, 3.2), (2.4, 2.2, 3), (-2.7, 1.9, 3), (0.2, 0.1, 0.4), (0.3, -0.4, 0.55), (5, 0, 4.4)):
         inside = (x + fine) ** 2 + (y + fine[:, None]) ** 2 < radius**2
-        assert float(overlap(np.array(x), np.array(y), radius)) == pytest.approx(inside.mean(), abs=2e-4)
+        assert float(overlap_area(np.array(x), np.array(y), radius)) == pytest.approx(inside.mean(), abs=2e-4)
 
 
 SHAPE = (60, 80)
@@ -451,8 +453,8 @@ def test_the_dark_beside_a_very_bright_lobe_is_not_made_of_rounding():
         (Setup(30.0), "no entrance at 30 degree; accepted: 0, 10, 20, 45"),
         (Setup(20.0, "mirror"), "accepted: sample, etalon, target, dark-trap"),
         (Setup(20.0, side="back"), "accepted: reflection, transmission"),
-        (Setup(20.0, "etalon", "transmission"), "lets no light pass"),
-        (Setup(20.0, "target"), "describe one under `target`"),
+        (Setup(20.0, "etalon", "transmission"), "transmits no light"),
+        (Setup(20.0, "target"), "describe it under `target`"),
         (Setup(95.0, side="transmission"), "0 to below 90"),
         (Setup(float("nan"), side="transmission"), "0 to below 90"),
     ],
@@ -467,7 +469,7 @@ def test_a_mirror_is_refused(rig, monkeypatch):
         return np.full((*np.shape(theta_i), 1), 0.04), np.zeros((*np.shape(theta_i), 1))
 
     truth = synthetic.register(monkeypatch, lambda w_i, _w_o: np.zeros(w_i.shape[:-1]), specular=specular)
-    with pytest.raises(EmulationError, match="give the surface a roughness"):
+    with pytest.raises(EmulationError, match="use a rough surface"):
         optics(rig, truth).rates(Setup(20.0), 550, 1)
 
 

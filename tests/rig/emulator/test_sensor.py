@@ -10,18 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from brdfpipe.rig.description import CameraSettings
-from brdfpipe.rig.emulator.effects import Effects, stream
-from brdfpipe.rig.emulator.sensor import ROOM, Sensor, compressed, hot_pixels
+from brdfpipe.rig.emulator.effects import Effects, random_stream
+from brdfpipe.rig.emulator.sensor import ROOM_TEMPERATURE, Sensor, compressed, hot_pixels
 
 IDEAL = Effects.none()
 CAMERA = CameraSettings("emulated")
 SHAPE = (CAMERA.height, CAMERA.width)
 
 
-def frame(electrons, effects=IDEAL, *, seconds=0.0, temperature=ROOM, seed=0, number=0, camera=CAMERA):
+def frame(electrons, effects=IDEAL, *, seconds=0.0, temperature=ROOM_TEMPERATURE, seed=0, number=0, camera=CAMERA):
     sensor = Sensor(camera, effects, seed)
     light = np.broadcast_to(np.asarray(electrons, dtype=float), SHAPE)
-    return sensor.read(sensor.expected(light, seconds, temperature), stream(seed, "frame", number))
+    return sensor.read(sensor.expected(light, seconds, temperature), random_stream(seed, "frame", number))
 
 
 def test_an_ideal_sensor_counts_a_third_of_the_electrons():
@@ -62,14 +62,14 @@ def test_the_dark_current_doubles_every_seven_degrees_and_grows_with_time():
     effects = dataclasses.replace(IDEAL, dark=30.0)
     assert (frame(0.0, effects, seconds=10) == 100).all()
     assert (frame(0.0, effects, seconds=20) == 200).all()
-    assert (frame(0.0, effects, seconds=10, temperature=ROOM + 7) == 200).all()
+    assert (frame(0.0, effects, seconds=10, temperature=ROOM_TEMPERATURE + 7) == 200).all()
 
 
 def test_the_sensor_warms_by_its_figure():
     sensor = Sensor(CAMERA, dataclasses.replace(IDEAL, warming=2.0), 0)
-    assert sensor.temperature(0) == ROOM
-    assert ROOM + 1.2 < sensor.temperature(3000) < ROOM + 1.3
-    assert sensor.temperature(1e6) == ROOM + 2
+    assert sensor.temperature(0) == ROOM_TEMPERATURE
+    assert ROOM_TEMPERATURE + 1.2 < sensor.temperature(3000) < ROOM_TEMPERATURE + 1.3
+    assert sensor.temperature(1e6) == ROOM_TEMPERATURE + 2
 
 
 @given(st.floats(0, 1e6), st.floats(1, 1e5))

@@ -49,7 +49,7 @@ def test_a_cell_looks_where_its_light_does_on_average(rig: Rig):
     seen = cells.cells_of(rig)
     share = cells.weights(rig, rig.screen).tocoo()
     row, column = np.divmod(share.col, rig.camera.width)
-    theta, phi = screen.disc_direction(rig.screen, *screen.to_place(rig.screen, column, row))
+    theta, phi = screen.disc_direction(rig.screen, *screen.to_position(rig.screen, column, row))
     light = share.data * np.cos(np.radians(theta)) ** 3
     vector = np.stack(
         [np.sin(np.radians(theta)) * np.cos(np.radians(phi)), np.sin(np.radians(theta)) * np.sin(np.radians(phi))]
@@ -115,6 +115,8 @@ def test_the_cells_are_the_same_wherever_the_picture_lies_in_a_session(rig: Rig)
     row, column = np.divmod(np.arange(here.shape[1]), 320)
     for matrix, place in ((here, rig.screen), (there, moved)):
         total = matrix.sum(axis=1)
-        theta, _ = screen.disc_direction(place, *screen.to_place(place, matrix @ column / total, matrix @ row / total))
+        theta, _ = screen.disc_direction(
+            place, *screen.to_position(place, matrix @ column / total, matrix @ row / total)
+        )
         of_disc = cells.cells_of(rig).of_disc
         assert theta[of_disc][1:] == pytest.approx(cells.cells_of(rig).theta_s[of_disc][1:], abs=0.02)

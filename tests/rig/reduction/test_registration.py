@@ -14,7 +14,7 @@ from scipy import ndimage
 from brdfpipe import specular_directions
 from brdfpipe.rig import screen
 from brdfpipe.rig.description import Rig, Screen
-from brdfpipe.rig.emulator.view import overlap
+from brdfpipe.rig.emulator.camera_view import overlap_area
 from brdfpipe.rig.reduction import registration
 
 BLUR, NOISE = 0.7, 0.01
@@ -34,7 +34,7 @@ def spots(column, row, radius, light=1.0):
     picture = np.zeros((240, 320))
     for x, y, bright in zip(np.ravel(column), np.ravel(row), np.broadcast_to(light, np.size(column)), strict=True):
         near = np.s_[max(int(y) - 12, 0) : int(y) + 13, max(int(x) - 12, 0) : int(x) + 13]
-        picture[near] += bright * overlap(COLUMNS[near] - x, ROWS[near] - y, radius)
+        picture[near] += bright * overlap_area(COLUMNS[near] - x, ROWS[near] - y, radius)
     return picture
 
 
@@ -145,7 +145,7 @@ def test_a_centroid_is_that_of_the_spot_on_whatever_even_slope(rig, dx, dy, slop
 
 
 def target(true: Screen, seed: int, kept=1.0):
-    places = screen.disc_place(true, *SPOTS)
+    places = screen.disc_position(true, *SPOTS)
     sharp = spots(*screen.to_pixel(true, *places), np.radians(0.3) * true.focal_length * true.scale)
     return noisy(kept * sharp, seed)
 
@@ -177,7 +177,7 @@ def test_the_scale_of_angles_is_as_uncertain_as_it_is_off(rig):
 
 def test_a_lens_that_keeps_less_at_its_rim_does_not_shorten_the_focal_length(rig):
     true, start = rig.screen, registration.Registration(rig.screen, 0.002, registration.DIRECTION_U, 61)
-    place = screen.to_place(true, COLUMNS, ROWS)
+    place = screen.to_position(true, COLUMNS, ROWS)
     kept = 1 - 0.3 * ((place.x**2 + place.y**2) / true.disc_radius**2)
     theta, phi = screen.disc_direction(true, place.x, place.y)
     etalon = kept * specular_directions.cos_view_etalon(10.0, theta, phi)

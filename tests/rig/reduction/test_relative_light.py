@@ -12,14 +12,14 @@ import xarray as xr
 
 from brdfpipe import specular_directions, vocabulary
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.rig import frame_file, reduce, screen
 from brdfpipe.rig import frames as files
-from brdfpipe.rig import reduce, screen
-from brdfpipe.rig.acquisition.devices.camera import Picture
+from brdfpipe.rig.emulator.camera_view import true_screen
 from brdfpipe.rig.emulator.effects import Effects
-from brdfpipe.rig.emulator.measurement import black
-from brdfpipe.rig.emulator.source import Source
-from brdfpipe.rig.emulator.view import true_screen
+from brdfpipe.rig.emulator.emulated_scan import black_sample
+from brdfpipe.rig.emulator.illumination import Illumination
 from brdfpipe.rig.plan import Plan
+from brdfpipe.rig.raw_frame import RawFrame
 from brdfpipe.rig.reduction.lamp_monitor import REPEAT_U
 from brdfpipe.rig.reduction.relative_light import COMPONENTS, ReductionError
 from brdfpipe.rig.templates import start
@@ -153,7 +153,7 @@ def test_a_wrong_nd_location_is_refused_unless_overridden():
     with pytest.raises(ReductionError, match=r"nd_location: sample"):
         reduce(rig_emulated.frames(), wrong, incidence=30.0)
     warnings = vocabulary.warnings(reduce(rig_emulated.frames(), wrong, incidence=30.0, override=True))
-    assert any("neutral filters are not where the description says" in warning for warning in warnings)
+    assert any("wrong `nd_location: " in warning for warning in warnings)
 
 
 def test_a_missing_dark_frame_is_refused():
@@ -275,7 +275,7 @@ def test_a_sample_too_dark_to_register_is_registered_by_the_etalon_of_its_sessio
 def test_a_black_sample_is_black_to_within_its_noise():
     plan = accuracy.plan_of((550.0,), (30.0,), fibres=40)
     plan = replace(plan, etalon_entrances=(10.0,), runs=("target", "sample"))
-    measured = reduce(accuracy.frames_of(plan, black(), seed=1), plan.rig, incidence=30.0)
+    measured = reduce(accuracy.frames_of(plan, black_sample(), seed=1), plan.rig, incidence=30.0)
     u = np.hypot(measured["signal_u_noise"].values, measured["signal_u_glare"].values)
     assert np.sqrt(np.nanmean((measured["signal"].values / u) ** 2)) < 1.5
     quality = measured["signal_quality"].values
@@ -362,7 +362,7 @@ def test_monitor_readings_and_brackets_follow_the_lamp():
     """The drift of the emulated lamp is known: reference light over it is constant within noise."""
     effects = Effects(warm_up=0.5)
     frames, plan = rig_emulated.frames(effects=effects), rig_emulated.plan()
-    lamp = Source(plan.rig, effects, 1, 0).lamp
+    lamp = Illumination(plan.rig, effects, 1, 0).lamp
     z = {wavelength: [] for wavelength in rig_emulated.WAVELENGTHS}
     for incidence in rig_emulated.INCIDENCES:
         measured = reduced(frames, incidence=incidence)
@@ -423,10 +423,10 @@ def run(tmp_path):
     taken = accuracy.frames_of(plan, accuracy.TRUTHS[PLASTIC](), seed=2)
     (tmp_path / "frames").mkdir()
     for place, shot in enumerate(plan.shots):
-        picture = Picture(taken["counts"].values[place], float(taken["elapsed"].values[place]), shot.exposure, 20.0)
-        state = files.State(shot.wavelength, shot.position)
-        options = {"state": state, "origin": 0.0, "camera": "emulated camera"}
-        files.write_frame(tmp_path / "frames" / shot.name, picture, shot, plan, **options)
+        picture = RawFrame(taken["counts"].values[place], float(taken["elapsed"].values[place]), shot.exposure, 20.0)
+        state = frame_file.DeviceState(shot.wavelength, shot.position)
+        options = {"state": state, "run_start": 0.0, "camera": "emulated camera"}
+        frame_file.write_frame(tmp_path / "frames" / shot.name, picture, shot, plan, **options)
     return tmp_path, plan
 
 
@@ -459,7 +459,8 @@ def test_a_corrupt_file_is_named_and_the_other_frames_are_used(run, how):
     measured = reduce(files.read_run(folder), plan.rig)
     warnings = " ".join(vocabulary.warnings(measured))
     assert name in warnings or how == "gone"
-    assert "no bracket step 4 (sample: 470 nm)" in warnings
+    assert "bracket step 4 is missing at 1 of" in warnings
+    assert "(sample: 470 nm)" in warnings
     u = np.sqrt(sum(measured[f"signal_u_{each}"].values ** 2 for each in COMPONENTS))
     error = np.abs(measured["signal"].values - whole["signal"].values) / u
     assert np.nanmax(error) < 6
@@ -480,7 +481,7 @@ def test_an_arrangement_without_a_frame_is_refused_with_the_lost_files_and_the_r
         spoil(path, "cut off")
     with pytest.raises(ReductionError, match="no frame of the sample in reflection at 10 degree") as refusal:
         reduce(files.read_run(folder, 10.0), plan.rig, incidence=10.0)
-    assert "2 of 2 wavelengths at 10 degree have no bracket step 1" in str(refusal.value)
+    assert "bracket step 1 is missing at 2 of 2 wavelengths at 10 degree" in str(refusal.value)
     assert "`brdfpipe rig scan … --resume` takes them again" in str(refusal.value)
     assert frame_of(plan, 550.0, 10.0, 1) in str(refusal.value)
     assert "made by the emulator" not in str(refusal.value)

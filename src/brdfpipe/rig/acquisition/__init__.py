@@ -1,1 +1,1 @@
-"""Taking frames with a camera rig: its devices, the examination of each, and the scan."""
+"""Acquisition: devices of a camera rig, their examination by the doctor, and the scan."""

@@ -1,6 +1,6 @@
-"""What a plan will take before it is begun: frames, bytes, hours; and what its bracket will not reach.
+"""Frames, bytes and hours of a plan before it is started, and the limits of its bracket.
 
-Hours are an estimate: exposures are the plan's, what lies between them is taken as below.
+Hours are an estimate: exposure times are the plan's, the times between them are the constants below.
 """
 
 from __future__ import annotations
@@ -11,42 +11,42 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
-from brdfpipe.rig import frames
 from brdfpipe.rig.description import Rig
+from brdfpipe.rig.frame_file import frame_size
 from brdfpipe.rig.plan import Plan, Shot
 
 READOUT = 1.0
-"""Seconds from the end of an exposure to the next command, the frame being on the disk."""
+"""Seconds from the end of an exposure to the next command, with the frame on disk."""
 
-SLEW = 50.0
-"""Nanometres per second of a monochromator that goes as fast as it can."""
+SLEW_SPEED = 50.0
+"""Nanometres per second of a monochromator at full speed."""
 
-WHEEL = 1.5
-"""Seconds of a move of the wheel."""
+WHEEL_MOVE = 1.5
+"""Seconds of one move of the filter wheel."""
 
-ARRANGING = 300.0
+ARRANGEMENT_TIME = 300.0
 """Seconds in which an operator moves mirrors and sample."""
 
-RANGE = 2500 / 0.01
-"""Brightest over darkest BRDF a rig of this kind is known for."""
+DYNAMIC_RANGE = 2500 / 0.01
+"""Ratio of the largest to the smallest BRDF for which rigs of this kind are known."""
 
-SNR = 50.0
-"""Signal over noise of a fibre's spot that counts as measured."""
+FIBRE_SNR = 50.0
+"""Signal-to-noise ratio from which the spot of a fibre counts as measured."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a plan takes."""
+    """Frames, bytes and time of a plan."""
 
     title: str
     counts: Mapping[str, int]
     """Frames by purpose."""
     seconds: Mapping[str, float]
-    """Time by purpose, with the moves before each frame."""
+    """Time by purpose, moves before each frame included."""
     size: int
     """Bytes of all frames."""
     arrangements: int
-    """How often mirrors or sample are moved by hand."""
+    """Number of manual arrangements of mirrors and sample."""
     warnings: tuple[str, ...]
 
     @property
@@ -55,8 +55,8 @@ class Estimate:
 
     @property
     def hours(self) -> float:
-        """All in all, arranging included."""
-        return (sum(self.seconds.values()) + self.arrangements * ARRANGING) / 3600
+        """Total time, manual arrangements included."""
+        return (sum(self.seconds.values()) + self.arrangements * ARRANGEMENT_TIME) / 3600
 
     @property
     def text(self) -> str:
@@ -65,62 +65,62 @@ class Estimate:
             f"  {purpose:<8}{count:6d} frames  {self.seconds[purpose] / 3600:5.2f} h"
             for purpose, count in self.counts.items()
         ]
-        by_hand = self.arrangements * ARRANGING / 3600
-        lines.append(f"  by hand {self.arrangements:6d} arrangements of mirrors and sample  {by_hand:5.2f} h")
+        manual = self.arrangements * ARRANGEMENT_TIME / 3600
+        lines.append(f"  manual  {self.arrangements:6d} arrangements of mirrors and sample  {manual:5.2f} h")
         return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])
 
 
 def estimate(plan: Plan) -> Estimate:
-    """Judge a plan without a device."""
+    """Estimate a plan without its devices."""
     seconds: dict[str, float] = {}
-    for before, shot in zip((None, *plan.shots), plan.shots, strict=False):
-        seconds[shot.purpose] = seconds.get(shot.purpose, 0.0) + duration(shot, before, plan.rig)
+    for previous, shot in zip((None, *plan.shots), plan.shots, strict=False):
+        seconds[shot.purpose] = seconds.get(shot.purpose, 0.0) + duration(shot, previous, plan.rig)
     counts = Counter(shot.purpose for shot in plan.shots)
     return Estimate(
         title=f"{plan.sample} on {plan.rig.name}",
         counts=dict(counts),
         seconds=seconds,
-        size=len(plan.shots) * frames.size(plan),
+        size=len(plan.shots) * frame_size(plan),
         arrangements=len(plan.arrangements),
         warnings=tuple(_bracket_warnings(plan)),
     )
 
 
-def duration(shot: Shot, before: Shot | None, rig: Rig) -> float:
-    """Seconds an exposure takes with the moves of the devices before it, but not what is done by hand."""
-    speed = rig.monochromator.speed / 60 or SLEW
-    moved = 0.0 if before is None else abs(shot.wavelength - before.wavelength) / speed
-    turned = 0.0 if before is None or before.position == shot.position else WHEEL
-    return moved + turned + shot.exposure + READOUT
+def duration(shot: Shot, previous: Shot | None, rig: Rig) -> float:
+    """Seconds of an exposure with the preceding moves of the devices, without manual arrangements."""
+    speed = rig.monochromator.speed / 60 or SLEW_SPEED
+    slewing = 0.0 if previous is None else abs(shot.wavelength - previous.wavelength) / speed
+    turning = 0.0 if previous is None or previous.position == shot.position else WHEEL_MOVE
+    return slewing + turning + shot.exposure + READOUT
 
 
 def frame_range(rig: Rig) -> float:
-    """Brightest over darkest signal of fibres that one frame holds: from the end of the linear range down to :data:`SNR`.
+    """Dynamic range of the fibre signals in one frame: from the end of the linear range down to :data:`FIBRE_SNR`.
 
-    A spot of m pixels with N electrons in each has SNR √m N/√(N + r²), r being the read noise.
+    A spot of m pixels with N electrons each has a signal-to-noise ratio of √m N/√(N + r²) at the read noise r.
     """
     pixels = max(1.0, math.pi * (rig.screen.fibre_radius * rig.screen.scale) ** 2)
-    least = SNR**2 / pixels
-    darkest = (least + math.sqrt(least**2 + 4 * least * rig.camera.read_noise**2)) / 2
+    ratio = FIBRE_SNR**2 / pixels
+    darkest = (ratio + math.sqrt(ratio**2 + 4 * ratio * rig.camera.read_noise**2)) / 2
     return min(rig.camera.linear_to, rig.camera.gain * rig.camera.full) / darkest
 
 
 def _bracket_warnings(plan: Plan) -> list[str]:
-    held = frame_range(plan.rig)
+    range_of_frame = frame_range(plan.rig)
     gains = sorted(
         (step.exposure * plan.rig.transmittance(step.position).transmittance, number)
         for number, step in enumerate(plan.bracket, start=1)
     )
-    found = [
-        f"bracket steps {one} and {other} do not overlap: {brighter / darker:.3g} times the light, and one frame holds 1 : {held:.0f}; "
-        "add a step between them"
-        for (darker, one), (brighter, other) in pairwise(gains)
-        if brighter / darker >= held
+    warnings = [
+        f"bracket steps {first} and {second} do not overlap: {brighter / darker:.3g} times the light, but one frame covers "
+        f"1 : {range_of_frame:.0f}; add a step between them"
+        for (darker, first), (brighter, second) in pairwise(gains)
+        if brighter / darker >= range_of_frame
     ]
-    reached = gains[-1][0] / gains[0][0] * held
-    if reached < RANGE:
-        found.append(
-            f"the bracket spans BRDFs of 1 : {reached:.3g}; 0.01 to 2500 needs 1 : {RANGE:.3g}: add darker or brighter steps, "
-            "unless the sample needs less"
+    bracket_range = gains[-1][0] / gains[0][0] * range_of_frame
+    if bracket_range < DYNAMIC_RANGE:
+        warnings.append(
+            f"the bracket covers BRDFs of 1 : {bracket_range:.3g}; 0.01 to 2500 needs 1 : {DYNAMIC_RANGE:.3g}: add darker or brighter "
+            "steps, unless the sample needs less"
         )
-    return found
+    return warnings

@@ -1,7 +1,7 @@
-"""The journal of a run: what was done, one JSON object a line, on the disk before the next thing is done.
+"""The journal of a run: one JSON object per line for each event, on disk before the next step begins.
 
-It is a record, not the truth: what is finished is told by the frames themselves. A line that a power cut tore off is removed when
-the journal is opened again.
+It is a record: only the frames themselves decide what is finished. A line left incomplete by a power failure is removed when the journal is opened
+again.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from typing import Any, Self
 from brdfpipe import store
 from brdfpipe.errors import printable
 
-_LARGEST = 256 * 2**20
+_LARGEST_JOURNAL = 256 * 2**20
 
 
 class Journal:
-    """An open journal, which only grows.
+    """An open journal; events are only appended.
 
     Parameters
     ----------
-    path : made if it is not there
-    clock : seconds, noted with every event
+    path : created if it does not exist
+    clock : seconds, recorded with every event
 
     Raises
     ------
-    StoreError : it cannot be written.
+    StoreError : the file cannot be written.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float]) -> None:
@@ -38,17 +38,17 @@ class Journal:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
         except OSError as error:
-            raise self._refusal(error) from error
-        torn = self._heal()
-        if torn:
-            self.append("healed", removed=torn)
+            raise self._write_error(error) from error
+        removed = self._remove_incomplete_line()
+        if removed:
+            self.append("healed", removed=removed)
 
     def append(self, event: str, **facts: Any) -> None:
-        """Write one event; when this returns it is on the disk.
+        """Write one event; it is on disk when this returns.
 
         Raises
         ------
-        StoreError : the disk is full; no half line stays.
+        StoreError : the disk is full; no incomplete line remains.
         """
         line = store.canonical_json({"clock": round(self._clock(), 6), "event": event, **facts}) + "\n"
         before = os.fstat(self._file).st_size
@@ -57,14 +57,14 @@ class Journal:
             while left:
                 left = left[os.write(self._file, left) :]
             os.fsync(self._file)
-        except BaseException as error:  # an interrupt must not leave half a line either
+        except BaseException as error:  # an interrupt must not leave an incomplete line either
             os.ftruncate(self._file, before)
             if isinstance(error, OSError):
-                raise self._refusal(error) from error
+                raise self._write_error(error) from error
             raise
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         os.close(self._file)
 
     def __enter__(self) -> Self:
@@ -75,24 +75,23 @@ class Journal:
     ) -> None:
         self.close()
 
-    def _heal(self) -> int:
-        """Cut off what stands behind the last whole line; return how many bytes that was."""
+    def _remove_incomplete_line(self) -> int:
+        """Remove what follows the last complete line; return the number of bytes removed."""
         size = os.fstat(self._file).st_size
-        whole, block = size, 4096
-        while whole:
-            start = max(0, whole - block)
+        complete, block = size, 4096
+        while complete:
+            start = max(0, complete - block)
             os.lseek(self._file, start, os.SEEK_SET)
-            chunk = os.read(self._file, whole - start)
-            end = chunk.rfind(b"\n")
-            whole = start + end + 1 if end >= 0 else start
-            if end >= 0:
+            newline = os.read(self._file, complete - start).rfind(b"\n")
+            complete = start + newline + 1
+            if newline >= 0:
                 break
-        if whole < size:
-            os.ftruncate(self._file, whole)
+        if complete < size:
+            os.ftruncate(self._file, complete)
             os.fsync(self._file)
-        return size - whole
+        return size - complete
 
-    def _refusal(self, error: OSError) -> store.StoreError:
+    def _write_error(self, error: OSError) -> store.StoreError:
         reason = error.strerror or error
         return store.StoreError(
             f"{self._path}: could not be written ({reason}); is the disk full or the folder read-only?"
@@ -100,7 +99,7 @@ class Journal:
 
 
 def read(path: Path) -> list[dict[str, Any]]:
-    """The events of a journal; lines that are none are passed over, as the last one of a run that lost its power.
+    """The events of a journal. Invalid lines are skipped, such as the last one after a power failure.
 
     Raises
     ------
@@ -108,8 +107,8 @@ def read(path: Path) -> list[dict[str, Any]]:
     """
     if not path.is_file():
         return []
-    if path.stat().st_size > _LARGEST:
-        raise store.StoreError(f"{printable(str(path))}: too large for a journal; move it away")
+    if path.stat().st_size > _LARGEST_JOURNAL:
+        raise store.StoreError(f"{printable(str(path))}: too large for a journal; move the file away")
     events = []
     for line in path.read_bytes().splitlines():
         try:

@@ -1,1 +1,1 @@
-"""An emulated rig: devices on pseudo-terminals that misbehave as real ones do, and the light that passes them."""
+"""Emulated rig: serial devices on pseudo-terminals with the faults of real ones, and the optics from lamp to sensor."""

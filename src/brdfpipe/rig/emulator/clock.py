@@ -1,4 +1,4 @@
-"""Virtual time: a scan of hours passes in seconds, and the same in every run."""
+"""Virtual time: a scan of hours takes seconds, and is the same in every run."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from brdfpipe.errors import BrdfpipeError
 
 
 class ClockError(BrdfpipeError):
-    """Time was to run backwards."""
+    """A negative or undefined step of time."""
 
 
 class VirtualClock:
-    """Time that passes only where something says so: an exposure, a readout, a move.
+    """Time that advances only by exposures, readouts and moves.
 
     Parameters
     ----------
     start : first reading [s]
-    realtime : follow the wall clock instead, and let :meth:`advance` take as long as it says; for trying programs by hand
+    realtime : follow the wall clock, and let :meth:`advance` take real time; for interactive tests of programs
 
     Notes
     -----
@@ -37,11 +37,11 @@ class VirtualClock:
         return time.monotonic() - self._origin if self._realtime else self._now
 
     def advance(self, seconds: float) -> None:
-        """Let time pass.
+        """Advance by a number of seconds.
 
         Raises
         ------
-        ClockError : negative, or no number.
+        ClockError : negative or NaN.
         """
         if not seconds >= 0:
             raise ClockError(f"the clock cannot advance by {seconds} s; accepted: 0 or more")
@@ -51,14 +51,14 @@ class VirtualClock:
         with self._lock:
             self._now += seconds
 
-    def advance_to(self, moment: float) -> None:
-        """Let time pass up to a moment [s]; one in the past is already reached."""
+    def advance_to(self, target: float) -> None:
+        """Advance to a time [s]; does nothing if it is past."""
         if self._realtime:
-            self._released.wait(max(0.0, moment - self.now()))
+            self._released.wait(max(0.0, target - self.now()))
             return
         with self._lock:
-            self._now = max(self._now, moment)
+            self._now = max(self._now, target)
 
     def release(self) -> None:
-        """End all waiting in real time, now and later: the rig is being closed."""
+        """End all waiting in real time, now and later; called when the rig is closed."""
         self._released.set()

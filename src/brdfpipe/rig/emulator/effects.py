@@ -1,8 +1,7 @@
-"""What a real rig does to its light, effect by effect: each a number that switches it off at 0.
+"""Imperfections of a real rig; each is a number, and 0 switches it off.
 
-What is random is drawn from streams of their own, so that switching one effect off changes no other. Three things decide a stream:
-what is peculiar to a rig (its fibres, its sensor) stays for all that is measured with it, what to a session (how the camera sits that
-day, how the lamp wanders) for the session, and the noise of a frame for that frame alone.
+Each effect has its own random numbers, so that switching one off changes no other. Properties of the rig (fibres, sensor) depend on the seed
+alone. Properties of a session (position of the camera, drift of the lamp) also depend on the session, the noise of a frame also on the frame.
 """
 
 from __future__ import annotations
@@ -16,68 +15,67 @@ from brdfpipe.errors import BrdfpipeError
 
 
 class EffectError(BrdfpipeError):
-    """An effect that cannot be."""
+    """The value of an effect is out of range."""
 
 
 @dataclass(frozen=True)
 class Effects:
-    """How far a rig is from an ideal one; ``Effects()`` is a rig as they are, :meth:`none` the ideal one.
+    """Size of each effect; ``Effects()`` is a realistic rig, :meth:`none` an ideal one.
 
     Raises
     ------
-    EffectError : a number is negative or undefined, or a share above 1.
+    EffectError : a number is negative or not finite, or a share exceeds 1.
 
     References
     ----------
-    RIG, emulator: fibre efficiencies, core and halo of the point spread, read noise, hot pixels, photo response. What it does not put
-    into figures is chosen here as what a good laboratory would meet.
+    Voloboy et al., Keldysh Institute preprint (2005), for the design of the rig. Sizes it does not state are typical of a good laboratory.
     """
 
     xenon: bool = True
-    """The lamp has the spectrum of a xenon arc, and not a flat one."""
+    """Spectrum of a xenon arc instead of a flat one."""
     slit: bool = True
-    """A band of wavelengths passes, triangular, its full width at half maximum the ``slit`` of the description."""
+    """Triangular band whose full width at half maximum is the ``slit`` of the description, instead of a single wavelength."""
     warm_up: float = 0.05
-    """Light missing when the lamp is lit, as a share of what comes later."""
+    """Share of the light that is missing when the lamp is switched on."""
     drift: float = 0.01
-    """Wandering of the lamp: relative standard deviation over hours."""
+    """Drift of the lamp: relative standard deviation over hours."""
     splitter_slope: float = 0.02
-    """Relative change of what the splitter sends to the reference, per 100 nm."""
+    """Relative change of the splitter's share for the reference, per 100 nm."""
     paths: float = 0.05
-    """Relative standard deviation, between entrances, of the light that reaches the holder."""
+    """Relative standard deviation, between entrances, of the light that reaches the sample."""
     path_slope: float = 0.01
     """Standard deviation, between entrances, of the relative change of that light per 100 nm."""
     filters: float = 1.0
-    """Largest error of a filter's transmittance over the wavelengths, in the standard uncertainties its description states."""
+    """Largest error of a filter's transmittance over the wavelengths, in stated standard uncertainties."""
 
     fibres: float = 0.15
     """Largest relative deviation of a fibre's efficiency from the mean."""
     dead_fibres: float = 0.02
-    """Share of fibres that let nothing pass."""
+    """Share of fibres that transmit nothing."""
     fibre_field: float = 0.3
-    """Half angle of what a fibre sees [degree]: an end of 1 mm radius at 200 mm."""
+    """Half angle of the field of view of a fibre [degree]: an end of 1 mm radius at 200 mm."""
     holes: float = 3.0
-    """Radius, as seen from the sample, of the entrances, out of which no light comes back [degree]."""
+    """Angular radius of the entrances, as seen from the sample, which return no light [degree]."""
     stray: float = 2e-5
-    """What walls and mirrors send everywhere, beside what lies in the holder: BRDF × cosine that would be as bright [1/sr]."""
+    """Stray light of walls and mirrors in every direction, as an equivalent BRDF × cosine [1/sr]."""
 
     vignetting: float = 0.3
-    """Light lost in the corners of the picture, and again at the rim of the disc; it grows as the square of the distance."""
+    """Share of light lost in the corners of the image, and again at the edge of the disc; it grows with the square of the distance."""
     disc_offset: float = 0.1
-    """The disc's centre is so far from where the description has it [degree]."""
+    """Distance of the disc's centre from the description [degree]."""
     radial_error: float = 5e-7
-    """The radial distortion differs from the description's by so much, to either side [1/mm²]."""
+    """Magnitude of the difference of the radial distortion from the description [1/mm²]."""
     registration: float = 0.3
-    """Standard deviation, between sessions, of where the picture lies on the sensor, along rows and along columns [pixel]."""
+    """Standard deviation, between sessions, of the shift of the image on the sensor, along rows and columns [pixel]."""
     core: float = 0.7
-    """Standard deviation of the core of the point spread [pixel]."""
+    """Standard deviation of the core of the point spread function [pixel]."""
     halo: float = 0.005
-    """Share of the light that goes into the halo: veiling glare."""
+    """Share of the light in the halo of the point spread function: veiling glare."""
     halo_radius: float = 40.0
-    """Scale R of the halo, (1 + r²/R²)^(−3/2) [pixel]; 30 % of its light falls within R."""
+    """Scale R of the halo, (1 + r²/R²)^(−3/2) [pixel]; 30 % of its light is within R."""
 
     photon_noise: bool = True
-    """Electrons come by chance (Poisson)."""
+    """Poisson statistics of the electrons."""
     read_noise: float = 20.0
     """Standard deviation [e⁻]."""
     dark: float = 2.0
@@ -85,36 +83,36 @@ class Effects:
     warming: float = 2.0
     """Rise of the sensor's temperature above 20 °C within hours [°C]."""
     hot_pixels: float = 0.003
-    """Share of pixels of a hundred and more times the dark current."""
+    """Share of pixels with a hundred times the dark current or more."""
     response: float = 0.01
     """Relative standard deviation of the pixels' response to light."""
     bias: float = 100.0
-    """Counts of a frame without any electron."""
+    """Counts without electrons."""
     compression: float = 75e3
-    """Electrons c of e' = l + c ln(1 + (e − l)/c), the charge read of e beyond the linear range l; 0 is linear throughout."""
+    """Scale c [e⁻] of the compression e' = l + c ln(1 + (e − l)/c) beyond the linear range l; 0 is linear throughout."""
 
     certificate: float = 0.005
-    """Relative standard deviation, between sessions, of the etalon's BRDF from its certificate."""
+    """Relative standard deviation, between sessions, of the etalon's BRDF from the certificate."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, most = getattr(self, field.name), 1.0 if field.name in _SHARES else np.inf
-            if not 0 <= value <= most or not np.isfinite(value):
-                accepted = "0 to 1" if field.name in _SHARES else "a number from 0 up"
-                raise EffectError(f"the effect `{field.name}` is {value}; accepted: {accepted}")
+            value, largest = getattr(self, field.name), 1.0 if field.name in _SHARES else np.inf
+            if not 0 <= value <= largest or not np.isfinite(value):
+                accepted = "0 to 1" if field.name in _SHARES else "0 or more"
+                raise EffectError(f"effect `{field.name}` out of range: {value}; accepted: {accepted}")
         if self.halo and not self.halo_radius:
-            raise EffectError("the effect `halo_radius` is 0; accepted: a number above 0 where there is a halo")
+            raise EffectError("effect `halo_radius` out of range: 0; accepted: above 0 if `halo` is above 0")
 
     @classmethod
     def none(cls) -> Effects:
-        """The ideal rig: what remains is geometry, the splitter's 8 %, and counts being whole numbers that end somewhere."""
-        nothing: dict[str, Any] = {field.name: False if field.default is True else 0.0 for field in fields(cls)}
-        return cls(**nothing)
+        """The ideal rig: only the geometry, the splitter's 8 %, and the rounding and range of counts remain."""
+        zeros: dict[str, Any] = {field.name: False if field.default is True else 0.0 for field in fields(cls)}
+        return cls(**zeros)
 
 
 _SHARES = ("warm_up", "fibres", "dead_fibres", "vignetting", "halo", "hot_pixels")
 
 
-def stream(seed: int, what: str, *which: int) -> np.random.Generator:
-    """Random numbers that depend on the seed, on what they are for, and on which session or frame, and on nothing else."""
-    return np.random.default_rng([seed, int.from_bytes(what.encode(), "big"), *which])
+def random_stream(seed: int, purpose: str, *key: int) -> np.random.Generator:
+    """Random numbers that depend only on the seed, their purpose, and a key such as session and frame."""
+    return np.random.default_rng([seed, int.from_bytes(purpose.encode(), "big"), *key])

@@ -1,19 +1,19 @@
-"""Faults of serial lines: a plan of which command meets which, and the line that carries it out.
+"""Faults of serial lines: which command is affected, and how.
 
 =================  ==========================================================================================================
-kind               what happens to the command that meets it
+kind               effect on the command
 =================  ==========================================================================================================
-``silence``        carried out; nothing comes back, not even the echo
+``silence``        carried out; no reply, not even the echo
 ``garbage``        noise before its echo
-``truncated``      carried out; the answer breaks off before its terminator, and the rest never comes
-``clamp``          the move ends elsewhere, and is answered as if it had not; a command that moves nothing is spared
-``late-ok``        carried out; its echo comes now, its answer only before the echo of the next command
-``unplug``         carried out; the line goes dead behind its echo, and stays so until it is plugged in again
-``wrong-device``   not carried out: another device answers from now on, until the line is plugged in again
+``truncated``      carried out; the answer ends before its terminator
+``clamp``          the move ends at a wrong position, with a normal answer; other commands are not affected
+``late-ok``        carried out; the echo comes at once, the answer only before the echo of the next command
+``unplug``         carried out; the line is dead after the echo, until the device is connected again
+``wrong-device``   not carried out; another device answers, until the line is connected again
 =================  ==========================================================================================================
 
-A move whose answer does not come is still under way when the driver gives up: its virtual time passes when the device is spoken to
-again, and a frame exposed before that sees the beginning of the move.
+A move without an answer is still in progress when the driver gives up. Its virtual time passes with the next command, and a frame exposed before
+that sees the beginning of the move.
 """
 
 from __future__ import annotations
@@ -25,53 +25,50 @@ from typing import NamedTuple
 
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.rig.emulator.instruments import Monochromator, ThorlabsWheel
-from brdfpipe.rig.emulator.terminal import Instrument, commands
+from brdfpipe.rig.emulator.serial_device import SerialDevice, split_commands
 
 KINDS = ("silence", "garbage", "truncated", "clamp", "late-ok", "unplug", "wrong-device")
 
 
 class FaultError(BrdfpipeError):
-    """A plan of faults that cannot be."""
+    """An invalid plan of faults."""
 
 
-class Injected(NamedTuple):
+class InjectedFault(NamedTuple):
     """A fault that happened."""
 
     ordinal: int
-    """Of the command, counted from 1."""
+    """Number of the command, from 1."""
     kind: str
     command: bytes
 
 
 class Faults:
-    """Which commands meet which fault: see :meth:`at` and :meth:`seeded`.
-
-    One plan may serve several ports; it then counts the commands of all of them.
-    """
+    """Faults by command: see :meth:`at` and :meth:`seeded`. One plan may serve several ports and then counts the commands of all."""
 
     def __init__(self, plan: Mapping[int, str], rate: float, kinds: Sequence[str], seed: int) -> None:
         unknown = sorted({*plan.values(), *kinds} - {*KINDS})
         if unknown:
-            raise FaultError(f"no kind of fault {unknown[0]!r}; accepted: {', '.join(KINDS)}")
+            raise FaultError(f"unknown kind of fault {unknown[0]!r}; accepted: {', '.join(KINDS)}")
         if any(ordinal < 1 for ordinal in plan):
-            raise FaultError(f"no command has the ordinal {min(plan)}; accepted: 1 for the first, and so on")
+            raise FaultError(f"invalid number of a command: {min(plan)}; accepted: 1 or more")
         if not 0 <= rate <= 1 or (rate and not kinds):
             raise FaultError(
-                f"faults at a rate of {rate} among {len(kinds)} kinds; accepted: 0 to 1, among one or more"
+                f"invalid fault rate {rate} with {len(kinds)} kinds; accepted: 0 to 1, with at least one kind"
             )
         self._plan, self._rate, self._kinds = dict(plan), rate, tuple(kinds)
         self._random = random.Random(seed)
         self._commands = 0
-        self._injected: list[Injected] = []
+        self._injected: list[InjectedFault] = []
         self._lock = threading.Lock()
 
     @classmethod
     def at(cls, plan: Mapping[int, str], *, seed: int = 0) -> Faults:
-        """Each fault once, at a command of that ordinal, counted from 1; the seed decides noise and where answers break off.
+        """Each fault once, by the number of the command from 1; the seed determines the noise and where answers are truncated.
 
         Raises
         ------
-        FaultError : an unknown kind, or an ordinal below 1.
+        FaultError : an unknown kind, or a number below 1.
         """
         return cls(plan, 0.0, (), seed)
 
@@ -81,22 +78,22 @@ class Faults:
 
         Raises
         ------
-        FaultError : an unknown kind, or a rate that is no probability.
+        FaultError : an unknown kind, or a rate outside 0 to 1.
         """
         return cls({}, rate, kinds, seed)
 
     @property
     def commands(self) -> int:
-        """Commands that have begun."""
+        """Number of commands so far."""
         return self._commands
 
     @property
-    def injected(self) -> list[Injected]:
-        """The faults that happened, in their order."""
+    def injected(self) -> list[InjectedFault]:
+        """Faults that happened, in order."""
         return list(self._injected)
 
     def draw(self) -> tuple[int, str]:
-        """Ordinal of the command that begins, and the fault it meets; empty for none."""
+        """Number of the command that begins, and its fault; empty for none."""
         with self._lock:
             self._commands += 1
             kind = self._plan.get(self._commands, "")
@@ -105,98 +102,98 @@ class Faults:
             return self._commands, kind
 
     def record(self, ordinal: int, kind: str, command: bytes) -> None:
-        """Note that a fault happened."""
+        """Record that a fault happened."""
         with self._lock:
-            self._injected.append(Injected(ordinal, kind, command))
+            self._injected.append(InjectedFault(ordinal, kind, command))
 
     def noise(self) -> bytes:
-        """A few bytes of a bad line."""
+        """Noise of a few bytes."""
         with self._lock:
             return self._random.randbytes(self._random.randint(1, 12))
 
-    def cut(self, answer: bytes) -> bytes:
-        """A beginning of an answer, without its end."""
+    def truncate(self, answer: bytes) -> bytes:
+        """Beginning of an answer, without its end."""
         with self._lock:
             return answer[: self._random.randrange(len(answer))]
 
 
 class FaultyLine:
-    """A device behind a line that misbehaves.
+    """A device behind a faulty line.
 
     Parameters
     ----------
-    instrument : the device
+    device : behind the line
     faults : none by default
-    stranger : who answers after ``wrong-device``; by default a device of the other dialect
+    other_device : answers after ``wrong-device``; by default a device of the other dialect
     """
 
     def __init__(
-        self, instrument: Instrument, faults: Faults | None = None, stranger: Instrument | None = None
+        self, device: SerialDevice, faults: Faults | None = None, other_device: SerialDevice | None = None
     ) -> None:
         self.dead = False
-        """Unplugged: what is fed is lost."""
-        self._own = self._device = instrument
+        """Disconnected: bytes fed are lost."""
+        self._own = self._device = device
         self._faults = faults or Faults.at({})
-        self._stranger = stranger or _other_dialect(instrument)
-        self._late = b""
-        self._forget()
+        self._other_device = other_device or _other_dialect(device)
+        self._late_answer = b""
+        self._clear_command()
 
     def feed(self, data: bytes) -> bytes:
-        """What comes back for bytes that are sent."""
-        came = b""
-        for piece in commands(data):
+        """Reply to bytes that are sent."""
+        reply = b""
+        for piece in split_commands(data):
             if self.dead:
                 break
-            came += self._serve(piece)
-        return came
+            reply += self._serve(piece)
+        return reply
 
     def replug(self) -> None:
-        """Plug the right device in again."""
+        """Connect the right device again."""
         self.dead = False
         self._device = self._own
-        self._late = b""
-        self._forget()
+        self._late_answer = b""
+        self._clear_command()
 
     def _serve(self, piece: bytes) -> bytes:
-        came, self._late = self._late, b""
+        reply, self._late_answer = self._late_answer, b""
         if not self._command:
-            came += self._begin()
+            reply += self._begin_command()
         self._command += piece
-        self._device.astray = self._kind == "clamp"
+        self._device.miss_next_move = self._kind == "clamp"
         echo, answer = self._device.receive(piece)
         if self._kind == "silence":
             echo = b""
         if not piece.endswith(b"\r"):
-            return came + echo
-        return came + echo + self._end(answer)
+            return reply + echo
+        return reply + echo + self._end_command(answer)
 
-    def _begin(self) -> bytes:
+    def _begin_command(self) -> bytes:
         self._ordinal, self._kind = self._faults.draw()
         if self._kind == "wrong-device":
-            self._device = self._stranger
+            self._device = self._other_device
         return self._faults.noise() if self._kind == "garbage" else b""
 
-    def _end(self, answer: bytes) -> bytes:
-        kind, spared = self._kind, self._kind == "clamp" and self._device.astray
-        self._device.astray = False
-        if kind and not spared:
+    def _end_command(self, answer: bytes) -> bytes:
+        kind, not_affected = self._kind, self._kind == "clamp" and self._device.miss_next_move
+        self._device.miss_next_move = False
+        if kind and not not_affected:
             self._faults.record(self._ordinal, kind, self._command)
-        self._forget()
+        self._clear_command()
         if kind == "silence":
             return b""
         if kind == "late-ok":
-            self._late = answer
+            self._late_answer = answer
             return b""
         if kind == "unplug":
             self.dead = True
             return b""
-        self._device.settle()
-        return self._faults.cut(answer) if kind == "truncated" else answer
+        self._device.finish_move()
+        return self._faults.truncate(answer) if kind == "truncated" else answer
 
-    def _forget(self) -> None:
+    def _clear_command(self) -> None:
         self._command = b""
         self._ordinal, self._kind = 0, ""
 
 
-def _other_dialect(instrument: Instrument) -> Instrument:
-    return (Monochromator if isinstance(instrument, ThorlabsWheel) else ThorlabsWheel)(instrument.clock)
+def _other_dialect(device: SerialDevice) -> SerialDevice:
+    return (Monochromator if isinstance(device, ThorlabsWheel) else ThorlabsWheel)(device.clock)

@@ -1,10 +1,10 @@
-"""Emulated monochromator and filter wheels: what comes in over the line, what they do in virtual time, what goes out.
+"""Emulated monochromator and filter wheels.
 
-What manuals and field transcripts leave open is decided for the worse, so that a driver proven here has less to fear:
+Where manuals and transcripts leave the behaviour open, the device takes the choice that is harder for a driver:
 
 - Acton: echo of every character but the CR; the answer begins with a space. Several words on a line give one `` ok``. A word that is
-  not known, or finds no number, ends the line with ``WORD ? `` and forgets all numbers. Wavelengths and speeds out of range are
-  clamped in silence; gratings and filters that do not exist answer ok and nothing moves. The wheel knows no ``MODEL``.
+  unknown, or lacks its number, ends the line with ``WORD ? `` and clears all numbers. Wavelengths and speeds out of range are
+  clamped without an error; a grating or filter that does not exist gives ok and no move. The wheel does not know ``MODEL``.
 - Thorlabs: echo with its CR; the prompt comes when the wheel has arrived; no serial number in ``*idn?``.
 
 References
@@ -22,28 +22,28 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from brdfpipe.rig.emulator.clock import VirtualClock
-from brdfpipe.rig.emulator.terminal import Drive, Instrument
+from brdfpipe.rig.emulator.serial_device import Motor, SerialDevice
 
 _NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)")
 
 _TRAVEL = 1200 * 1400.0
-"""Grooves per mm × longest wavelength [nm] that the sine drive reaches."""
+"""Grooves per mm × longest wavelength [nm] of the sine drive."""
 
-_SLOWEST, _FIRST_SPEED = 0.01, 100.0
-"""Speeds of moves [nm/min]: the least, and the one after power-up."""
+_SLOWEST, _DEFAULT_SPEED = 0.01, 100.0
+"""Speeds of moves [nm/min]: the lowest, and the one after power-up."""
 
 _GRATING_CHANGE = 20.0
-"""Seconds the turret turns, at most, by the manual."""
+"""Longest time of a turn of the turret [s], by the manual."""
 
 _POLL = 0.1
-"""Virtual seconds that a command takes while a ``>NM`` move is under way: without them a driver would ask for ever."""
+"""Virtual time of a command during a ``>NM`` move [s]: without it a driver would poll for ever."""
 
-_NUMBERS_OF_GRATINGS = range(1, 10)
+_GRATING_NUMBERS = range(1, 10)
 
 
 @dataclass(frozen=True)
 class Grating:
-    """A grating of the turret: grooves per mm, and its blaze as the device prints it."""
+    """A grating of the turret: grooves per mm, and blaze as printed by the device."""
 
     grooves: int
     blaze: str
@@ -57,8 +57,8 @@ class Grating:
 GRATINGS = {1: Grating(1200, "500NM"), 2: Grating(600, "1.0UM")}
 
 
-class _Acton(Instrument):
-    """The dialect: words separated by spaces, a number before the word that takes it."""
+class _Acton(SerialDevice):
+    """The Acton dialect: words separated by spaces, a number before the word that takes it."""
 
     def __init__(self, clock: VirtualClock, *, case: str, echo: bool) -> None:
         super().__init__(clock)
@@ -71,18 +71,18 @@ class _Acton(Instrument):
         return piece.rstrip(b"\r") if self._echo else b""
 
     def answer(self, line: bytes) -> bytes:
-        said = b""
+        reply = b""
         for word in line.split():
             if _NUMBER.fullmatch(word):
                 self._numbers.append(float(word))
                 continue
-            self.settle()
+            self.finish_move()
             try:
-                said += self._action(word)()
+                reply += self._action(word)()
             except LookupError:
                 self._numbers.clear()
-                return said + word + b" ? \r\n"
-        return said + b" ok\r\n"
+                return reply + word + b" ? \r\n"
+        return reply + b" ok\r\n"
 
     def _action(self, word: bytes) -> Callable[[], bytes]:
         accepted = {"any": word, "upper": word.upper(), "lower": word.lower()}[self._case]
@@ -108,14 +108,14 @@ class Monochromator(_Acton):
     Parameters
     ----------
     clock : virtual time
-    wavelength : where it stands [nm]
-    gratings : those installed, by their number from 1 to 9
-    grating : the one in place
-    slew : fastest speed [nm/s]
-    case : ``any``, or the only one it accepts: ``upper``, ``lower``
-    echo : whether it repeats what it hears, as it does on RS-232 but not on USB
-    marker : byte before the grating in place: 0x1A, or 0xAF on others
-    model, serial_number : as it tells them
+    wavelength : initial [nm]
+    gratings : installed gratings by number, 1 to 9
+    grating : number of the grating in use
+    slew : highest speed [nm/s]
+    case : ``any``, or the only accepted case: ``upper``, ``lower``
+    echo : whether characters are echoed, as on RS-232 but not on USB
+    marker : byte that marks the grating in use: 0x1A, or 0xAF on other units
+    model, serial_number : as reported
     """
 
     def __init__(
@@ -135,20 +135,20 @@ class Monochromator(_Acton):
         super().__init__(clock, case=case, echo=echo)
         self.grating = grating
         self._gratings = dict(gratings)
-        self._drive = Drive(clock, wavelength)
+        self._motor = Motor(clock, wavelength)
         self._slew = slew
-        self._speed = _FIRST_SPEED
+        self._speed = _DEFAULT_SPEED
         self._marker = bytes([marker])
         self._words |= {
-            b"GOTO": self._goto,
-            b"<GOTO>": self._goto,
+            b"GOTO": self._slew_to,
+            b"<GOTO>": self._slew_to,
             b"NM": self._scan,
             b"<NM>": self._scan,
             b">NM": self._start_scan,
             b"?NM": lambda: f" {self.wavelength:.3f} nm ".encode(),
             b"NM/MIN": self._set_speed,
             b"?NM/MIN": lambda: f" {self._speed:.3f} nm/min ".encode(),
-            b"MONO-?DONE": lambda: b" 1 " if self.clock.now() >= self._drive.arrival else b" 0 ",
+            b"MONO-?DONE": lambda: b" 1 " if self.clock.now() >= self._motor.arrival else b" 0 ",
             b"MONO-STOP": self._stop,
             b"GRATING": self._change_grating,
             b"?GRATING": lambda: f" {self.grating} ".encode(),
@@ -159,20 +159,20 @@ class Monochromator(_Acton):
 
     @property
     def wavelength(self) -> float:
-        """Of the light that leaves it now [nm]."""
-        return self._drive.place
+        """Current wavelength [nm]."""
+        return self._motor.position
 
     def restore(self, state: float) -> None:
-        """Stand at a wavelength [nm]."""
-        self._drive.put(state)
+        """Set the wavelength [nm], at rest."""
+        self._motor.set(state)
 
     def answer(self, line: bytes) -> bytes:
-        now, arrival = self.clock.now(), self._drive.arrival
+        now, arrival = self.clock.now(), self._motor.arrival
         if now < arrival:
             self.clock.advance_to(min(now + _POLL, arrival))
         return super().answer(line)
 
-    def _goto(self) -> bytes:
+    def _slew_to(self) -> bytes:
         return self._move(self._slew, wait=True)
 
     def _scan(self) -> bytes:
@@ -183,15 +183,15 @@ class Monochromator(_Acton):
 
     def _move(self, rate: float, *, wait: bool) -> bytes:
         target, longest = self._number(), self._gratings[self.grating].longest
-        if self._goes_astray():
+        if self._misses_move():
             target = 0.0 if target > longest / 2 else longest
-        self._drive.go(min(max(target, 0.0), longest), rate)
+        self._motor.go(min(max(target, 0.0), longest), rate)
         if wait:
-            self._ready = self._drive.arrival
+            self._busy_until = self._motor.arrival
         return b""
 
     def _stop(self) -> bytes:
-        self._drive.put(self._drive.place)
+        self._motor.set(self._motor.position)
         return b""
 
     def _set_speed(self) -> bytes:
@@ -200,19 +200,19 @@ class Monochromator(_Acton):
 
     def _change_grating(self) -> bytes:
         number = self._number()
-        if number in self._gratings and number != self.grating and not self._goes_astray():
+        if number in self._gratings and number != self.grating and not self._misses_move():
             self.grating = int(number)
-            self._drive.put(min(self.wavelength, self._gratings[self.grating].longest))
-            self._ready = self.clock.now() + _GRATING_CHANGE
+            self._motor.set(min(self.wavelength, self._gratings[self.grating].longest))
+            self._busy_until = self.clock.now() + _GRATING_CHANGE
         return b""
 
     def _list_gratings(self) -> bytes:
-        said = b"\r\n"
-        for number in _NUMBERS_OF_GRATINGS:
+        reply = b"\r\n"
+        for number in _GRATING_NUMBERS:
             grating = self._gratings.get(number)
             text = f"{grating.grooves:4d} g/mm BLZ={grating.blaze:>7} " if grating else " Not Installed     "
-            said += (self._marker if number == self.grating else b" ") + f"{number} {text}\r\n".encode("latin-1")
-        return said
+            reply += (self._marker if number == self.grating else b" ") + f"{number} {text}\r\n".encode("latin-1")
+        return reply
 
 
 class ActonWheel(_Acton):
@@ -221,10 +221,10 @@ class ActonWheel(_Acton):
     Parameters
     ----------
     clock : virtual time
-    positions : how many filters it holds
-    position : the one in the beam
+    positions : number of filters
+    position : of the filter in the beam
     seconds : from one filter to the next
-    case, echo : as of :class:`Monochromator`
+    case, echo : as for :class:`Monochromator`
     """
 
     def __init__(
@@ -248,53 +248,53 @@ class ActonWheel(_Acton):
 
     @property
     def position(self) -> int:
-        """The filter in the beam now; between two, the nearer."""
+        """Filter in the beam; the nearer one during a move."""
         return self._wheel.position
 
     def restore(self, state: float) -> None:
-        """Stand at a position."""
-        self._wheel.put(int(state))
+        """Set the position, at rest."""
+        self._wheel.set(int(state))
 
     def _turn(self, target: float) -> bytes:
         if target in self._wheel.filters:
-            self._ready = self._wheel.turn(int(target), self._rate, astray=self._goes_astray())
+            self._busy_until = self._wheel.turn(int(target), self._rate, miss=self._misses_move())
         return b""
 
 
-class ThorlabsWheel(Instrument):
+class ThorlabsWheel(SerialDevice):
     """An FW102C or FW212C.
 
     Parameters
     ----------
     clock : virtual time
     positions : 6 or 12
-    position : the one in the beam
-    version : of its firmware, as it tells it
+    position : of the filter in the beam
+    version : of the firmware, as reported
     """
 
     def __init__(self, clock: VirtualClock, *, positions: int = 6, position: int = 1, version: str = "1.07") -> None:
         super().__init__(clock)
         self._wheel = _Wheel(clock, positions, position)
         self._identity = f"THORLABS FW102C/FW212C Filter Wheel version {version}"
-        # The wheel that is fitted has as many holes as it has, and a pseudo-terminal no speed: neither can be set to another.
+        # The number of filters is fixed, and a pseudo-terminal has no speed: both accept only their present value.
         self._settings = {"speed": 1, "sensors": 0, "trig": 0, "pcount": positions, "baud": 1}
         self._choices = {"speed": (0, 1), "sensors": (0, 1), "trig": (0, 1), "pcount": (positions,), "baud": (1,)}
 
     @property
     def position(self) -> int:
-        """The filter in the beam now; between two, the nearer."""
+        """Filter in the beam; the nearer one during a move."""
         return self._wheel.position
 
     def restore(self, state: float) -> None:
-        """Stand at a position."""
-        self._wheel.put(int(state))
+        """Set the position, at rest."""
+        self._wheel.set(int(state))
 
     def echoed(self, piece: bytes) -> bytes:
         return piece
 
     def answer(self, line: bytes) -> bytes:
-        said = self._carry_out(line.decode("latin-1"))
-        return f"{said}\r> ".encode() if said else b"> "
+        reply = self._carry_out(line.decode("latin-1"))
+        return f"{reply}\r> ".encode() if reply else b"> "
 
     def _carry_out(self, line: str) -> str:
         if line == "*idn?":
@@ -314,29 +314,29 @@ class ThorlabsWheel(Instrument):
         if keyword == "pos":
             # About 1 s from filter to filter, 2 s at the slow speed.
             rate = 1.0 if self._settings["speed"] else 0.5
-            self._ready = self._wheel.turn(value, rate, astray=self._goes_astray())
+            self._busy_until = self._wheel.turn(value, rate, miss=self._misses_move())
         else:
             self._settings[keyword] = value
         return ""
 
 
 class _Wheel:
-    """A wheel of filters, numbered from 1, that turns the shorter way round."""
+    """A wheel of filters, numbered from 1, that turns the shorter way."""
 
     def __init__(self, clock: VirtualClock, positions: int, position: int) -> None:
         self.filters = range(1, positions + 1)
-        self._drive = Drive(clock, position)
+        self._motor = Motor(clock, position)
 
     @property
     def position(self) -> int:
-        return math.floor(self._drive.place - 0.5) % len(self.filters) + 1
+        return math.floor(self._motor.position - 0.5) % len(self.filters) + 1
 
-    def put(self, position: int) -> None:
-        self._drive.put(position)
+    def set(self, position: int) -> None:
+        self._motor.set(position)
 
-    def turn(self, target: int, rate: float, *, astray: bool) -> float:
-        """Set out for a position, or astray for the one behind it; when it will be there [s]."""
-        count, place = len(self.filters), self._drive.place
-        way = (target + astray - place + count / 2) % count - count / 2
-        self._drive.go(place + way, rate)
-        return self._drive.arrival
+    def turn(self, target: int, rate: float, *, miss: bool) -> float:
+        """Start a move to a position, or to the next one for a missed move; returns the time of arrival [s]."""
+        count, position = len(self.filters), self._motor.position
+        distance = (target + miss - position + count / 2) % count - count / 2
+        self._motor.go(position + distance, rate)
+        return self._motor.arrival

@@ -1,7 +1,7 @@
-"""From what lies in the holder to electrons on each pixel.
+"""Electrons on each pixel, from the object in the holder and the reference fibre.
 
-A pixel is as bright as what it looks at: the BRDF of the sample times the cosine of view, or the etalon's. The spot of the reference
-shows the lamp. Both are worth so many electrons a second (:data:`SAMPLE_RATE`, :data:`REFERENCE_RATE`) where the lamp is 1.
+The signal of a pixel is proportional to BRDF × cosine of view in the direction it sees (:data:`SAMPLE_RATE`), that of the reference spot to the light
+of the lamp (:data:`REFERENCE_RATE`); both rates are for a lamp of 1.
 """
 
 from __future__ import annotations
@@ -14,97 +14,96 @@ import xarray as xr
 
 from brdfpipe.geometry import Array
 from brdfpipe.rig.description import Rig
+from brdfpipe.rig.emulator.camera_view import camera_view
 from brdfpipe.rig.emulator.effects import Effects
-from brdfpipe.rig.emulator.holder import Etalon, Holder, Setup
-from brdfpipe.rig.emulator.source import Source
-from brdfpipe.rig.emulator.spread import PointSpread
-from brdfpipe.rig.emulator.view import view
+from brdfpipe.rig.emulator.illumination import Illumination
+from brdfpipe.rig.emulator.point_spread import PointSpread
+from brdfpipe.rig.emulator.sample_holder import Etalon, SampleHolder, Setup
 
 SAMPLE_RATE = 5000.0
-"""Electrons a second and pixel for BRDF × cosine of view = 1 sr⁻¹, at the lamp's middle and without a filter.
+"""Electrons per second and pixel for BRDF × cosine of view = 1 sr⁻¹, at the middle wavelength and without a filter.
 
-Nine pixels together reach a signal-to-noise ratio of 50 at 500 electrons each, 1/50 of the linear range: 0.01 sr⁻¹ takes 10 s, and 2500 sr⁻¹
-just stay in the range through a filter of 1 % in 0.2 s. Five frames a factor of 8.4 apart overlap over the whole.
+Nine pixels together reach a signal-to-noise ratio of 50 at 500 electrons each, 1/50 of the linear range: 0.01 sr⁻¹ takes 10 s, and 2500 sr⁻¹ is just
+within the range behind a filter of 1 % in 0.2 s. Five frames a factor of 8.4 apart overlap over the whole range.
 """
 
 REFERENCE_RATE = 25_000.0
-"""Electrons a second and pixel of the reference spot, if the splitter sent all light there: it stays linear for 12 s."""
+"""Electrons per second and pixel of the reference spot for a splitter ratio of 1; with 8 % it is linear up to 12 s."""
 
 _STEP = 10_000
-"""Wavelengths so far apart are evaluated together, through the one asked for: a scan asks for the others next [pm]."""
+"""Wavelengths at this spacing [pm] are evaluated together with the requested one: a scan requests them next."""
 
-_KEPT_SIGNALS, _KEPT_PICTURES = 400, 64
+_CACHED_SIGNALS, _CACHED_IMAGES = 400, 64
 
 
 class Optics:
-    """Light on the sensor, for every state of the rig.
+    """Light on the sensor for every state of the rig.
 
     Parameters
     ----------
-    rig : description
+    rig : the description
     truth : kind ``bsdf``, the sample
     effects, seed, session : see :mod:`brdfpipe.rig.emulator.effects`
     etalon : as certified
 
     Raises
     ------
-    VocabularyError : the truth is no bsdf.
+    VocabularyError : the truth is not of kind ``bsdf``.
 
     Notes
     -----
-    Filters and mirrors are taken at the middle of the band of wavelengths.
+    Filters and mirrors are evaluated at the middle of the band.
     """
 
     def __init__(
         self, rig: Rig, truth: xr.Dataset, effects: Effects, *, seed: int, session: int, etalon: Etalon
     ) -> None:
         self._rig = rig
-        self.source = Source(rig, effects, seed, session)
-        self._holder = Holder(rig, truth, self.source, effects, seed=seed, session=session, etalon=etalon)
-        self._view = view(rig, effects, seed, session)
-        self._spread = PointSpread(self._view.reference.shape, effects.core, effects.halo, effects.halo_radius)
-        self._reference = REFERENCE_RATE * self._spread(self._view.reference)
+        self.illumination = Illumination(rig, effects, seed, session)
+        self._holder = SampleHolder(rig, truth, self.illumination, effects, seed=seed, session=session, etalon=etalon)
+        self._view = camera_view(rig, effects, seed, session)
+        self._point_spread = PointSpread(self._view.reference.shape, effects.core, effects.halo, effects.halo_radius)
+        self._reference = REFERENCE_RATE * self._point_spread(self._view.reference)
         self._signals: dict[tuple[Setup, int], Array] = {}
-        self._picture: Callable[[Setup, int], Array] = lru_cache(_KEPT_PICTURES)(self._pictured)
+        self._image: Callable[[Setup, int], Array] = lru_cache(_CACHED_IMAGES)(self._sample_image)
 
     def rates(self, setup: Setup, wavelength: float, position: int) -> Array:
-        """Electrons a second on each pixel (height, width) where the lamp gives its steady light.
+        """Electrons per second on each pixel (height, width), for a warm and stable lamp.
 
         Parameters
         ----------
-        setup : what is arranged
         wavelength : of the monochromator [nm]
         position : of the filter wheel
 
         Raises
         ------
-        EmulationError : a setup that cannot be, or a truth that mirrors light as no rough surface does.
+        EmulationError : an impossible arrangement, or a truth with a smooth, specular surface.
         """
-        passed = self.source.filter(position, wavelength)
-        nodes, light = self.source.band(wavelength)
-        reference = float((light * self.source.split(nodes)).sum())
+        transmittance = self.illumination.filter_transmittance(position, wavelength)
+        nodes, light = self.illumination.band(wavelength)
+        reference = float((light * self.illumination.split_ratio(nodes)).sum())
         if self._rig.nd_location == "reference":
-            reference *= passed
-        return passed * self._picture(setup, round(1000 * wavelength)) + reference * self._reference
+            reference *= transmittance
+        return transmittance * self._image(setup, round(1000 * wavelength)) + reference * self._reference
 
-    def _pictured(self, setup: Setup, picometres: int) -> Array:
-        """What comes from the holder, without a filter."""
+    def _sample_image(self, setup: Setup, picometres: int) -> Array:
+        """Light of the object in the holder, without a filter."""
         if (setup, picometres) not in self._signals:
             self._evaluate(setup, picometres)
-        picture = np.zeros(self._view.reference.shape)
-        picture.ravel()[self._view.pixels] = self._signals[setup, picometres]
-        return self._spread(picture)
+        image = np.zeros(self._view.reference.shape)
+        image.ravel()[self._view.pixels] = self._signals[setup, picometres]
+        return self._point_spread(image)
 
     def _evaluate(self, setup: Setup, picometres: int) -> None:
-        """Signals of the lit pixels at this wavelength and at all that lie whole steps from it."""
+        """Signals of the illuminated pixels at this wavelength and at all wavelengths in whole steps from it."""
         low, high = (round(1000 * wavelength) for wavelength in self._rig.wavelengths)
-        # One that the rig does not reach, as on a monochromator's way from rest, stands alone.
-        reached = low <= picometres <= high
-        teeth = range(low + (picometres - low) % _STEP, high + 1, _STEP) if reached else [picometres]
-        wavelengths = np.array(teeth) / 1000
-        bright = self._holder.brightness(setup, self._view.theta_s, self._view.phi_s, wavelengths)
-        signals = self._view.matrix @ bright
-        signals *= SAMPLE_RATE * self.source.path(setup.entrance, wavelengths)
-        if len(self._signals) + len(teeth) > _KEPT_SIGNALS:
+        # A wavelength outside the range of the rig, as of a monochromator that moves from rest, is evaluated alone.
+        in_range = low <= picometres <= high
+        grid = range(low + (picometres - low) % _STEP, high + 1, _STEP) if in_range else [picometres]
+        wavelengths = np.array(grid) / 1000
+        brightness = self._holder.brightness(setup, self._view.theta_s, self._view.phi_s, wavelengths)
+        signals = self._view.matrix @ brightness
+        signals *= SAMPLE_RATE * self.illumination.path_factor(setup.entrance, wavelengths)
+        if len(self._signals) + len(grid) > _CACHED_SIGNALS:
             self._signals.clear()
-        self._signals |= {(setup, tooth): signals[:, k].copy() for k, tooth in enumerate(teeth)}
+        self._signals |= {(setup, node): signals[:, k].copy() for k, node in enumerate(grid)}

@@ -1,4 +1,4 @@
-"""A device on a pseudo-terminal, which any program opens as it would open a serial port."""
+"""An emulated device on a pseudo-terminal, which any program can open as a serial port."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from typing import Self
 
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.rig.emulator.faults import Faults, FaultyLine
-from brdfpipe.rig.emulator.terminal import Instrument
+from brdfpipe.rig.emulator.serial_device import SerialDevice
 
 _CHUNK = 4096
 
 
 class PortError(BrdfpipeError):
-    """The system gives no pseudo-terminal."""
+    """The operating system provides no pseudo-terminal."""
 
 
 class Port:
@@ -29,78 +29,78 @@ class Port:
 
     Parameters
     ----------
-    instrument : the device
-    faults : that befall its line; none by default
-    stranger : who answers after the fault ``wrong-device``; by default a device of the other dialect
+    device : answers on the port
+    faults : of the line; none by default
+    other_device : answers after the fault ``wrong-device``; by default a device of the other dialect
     name : last part of :attr:`path`
 
     Raises
     ------
-    PortError : the system gives no pseudo-terminal.
+    PortError : the operating system provides no pseudo-terminal.
 
     Notes
     -----
-    A pseudo-terminal gets another number each time it is plugged in; the path is a link that follows it, as ``/dev/serial/by-id``
-    does, and is not there while the device is unplugged. Both ends are raw: a cooked end would echo the device's own words back to
-    it as commands. The far end is held open here too, so that the line outlives the programs that come and go. Only the thread
-    touches the terminal; what others want of it waits in a queue, and a byte on a pipe wakes the thread.
+    A pseudo-terminal gets a new number each time the device is connected. The path is a link to it, like ``/dev/serial/by-id``, and is absent while
+    the device is disconnected. Both ends are raw: a cooked end would echo the device's replies back to it as commands. The far end stays open here
+    too, so that the line survives the programs that open and close it. Only the thread uses the terminal; requests of other threads wait in a queue,
+    and a byte on a pipe wakes the thread.
     """
 
     def __init__(
         self,
-        instrument: Instrument,
+        device: SerialDevice,
         faults: Faults | None = None,
         *,
-        stranger: Instrument | None = None,
+        other_device: SerialDevice | None = None,
         name: str = "device",
     ) -> None:
-        self.instrument = instrument
-        self._line = FaultyLine(instrument, faults, stranger)
+        self.device = device
+        self._line = FaultyLine(device, faults, other_device)
         self._folder = tempfile.TemporaryDirectory(prefix="brdfpipe-rig-")
         self.path = str(Path(self._folder.name) / name)
-        self._near, self._far = -1, -1
-        self._waiting = b""
+        self._device_end, self._host_end = -1, -1
+        self._unsent = b""
         self._log: list[tuple[str, bytes]] = []
-        self._speaking = threading.Lock()
+        self._log_lock = threading.Lock()
         self._requests: deque[tuple[Callable[[], None], threading.Event]] = deque()
         self._serving, self._closed = True, False
         try:
-            self._plug_in()
+            self._connect()
         except OSError as error:
             self._folder.cleanup()
-            raise PortError(f"no pseudo-terminal for the emulated {name} ({error.strerror})") from error
-        self._alarm, self._wake = os.pipe()
+            raise PortError(f"no pseudo-terminal available for the emulated {name} ({error.strerror})") from error
+        self._wake_reader, self._wake_writer = os.pipe()
         self._thread = threading.Thread(target=self._serve, name=f"emulated {name}", daemon=True)
         self._thread.start()
 
     @property
     def log(self) -> list[tuple[str, bytes]]:
-        """Who spoke, ``host`` or ``device``, and what, in the order it went over the line."""
-        with self._speaking:
+        """Sender (``host`` or ``device``) and bytes, in the order of transmission."""
+        with self._log_lock:
             return list(self._log)
 
-    def heard(self, speaker: str) -> bytes:
-        """All that ``host`` or ``device`` has said."""
-        return b"".join(data for who, data in self.log if who == speaker)
+    def sent_by(self, sender: str) -> bytes:
+        """All bytes sent by ``host`` or ``device``."""
+        return b"".join(data for other, data in self.log if other == sender)
 
     def unplug(self) -> None:
-        """Pull the plug: the program that holds the port is hung up, and the path is gone."""
-        self._ask(self._pull_out)
+        """Disconnect the device: the program that has the port open is hung up, and the path disappears."""
+        self._request(self._disconnect)
 
     def replug(self) -> None:
-        """Plug the device in again, at the same path."""
-        self._ask(self._plug_in)
+        """Connect the device again, at the same path."""
+        self._request(self._connect)
 
     def close(self) -> None:
-        """Unplug for good and end the thread; in real time, when the move under way is over."""
+        """Disconnect and end the thread; in real time, after the current move."""
         if self._closed:
             return
-        self._ask(self._stop)
+        self._request(self._stop)
         self._closed = True
         self._thread.join()
-        self._pull_out()
-        os.close(self._alarm)
-        os.close(self._wake)
+        self._disconnect()
+        os.close(self._wake_reader)
+        os.close(self._wake_writer)
         self._folder.cleanup()
 
     def __enter__(self) -> Self:
@@ -111,69 +111,71 @@ class Port:
     ) -> None:
         self.close()
 
-    def _ask(self, request: Callable[[], None]) -> None:
+    def _request(self, request: Callable[[], None]) -> None:
         if self._closed:
             return
         done = threading.Event()
         self._requests.append((request, done))
-        os.write(self._wake, b"!")
+        os.write(self._wake_writer, b"!")
         while self._thread.is_alive() and not done.wait(0.1):
             pass
 
     def _serve(self) -> None:
         while self._serving:
-            plugged = [self._near] if self._near >= 0 else []
-            readable, writable, _ = select.select([*plugged, self._alarm], plugged if self._waiting else [], [])
-            if self._near in writable:
+            connected = [self._device_end] if self._device_end >= 0 else []
+            readable, writable, _ = select.select(
+                [*connected, self._wake_reader], connected if self._unsent else [], []
+            )
+            if self._device_end in writable:
                 self._send()
-            if self._near in readable:
-                self._listen()
-            if self._alarm in readable:
-                os.read(self._alarm, _CHUNK)
-                self._oblige()
+            if self._device_end in readable:
+                self._receive()
+            if self._wake_reader in readable:
+                os.read(self._wake_reader, _CHUNK)
+                self._carry_out_requests()
 
-    def _listen(self) -> None:
-        data = os.read(self._near, _CHUNK)
+    def _receive(self) -> None:
+        data = os.read(self._device_end, _CHUNK)
         self._log.append(("host", data))
-        self._waiting += self._line.feed(data)
-        if self._waiting:
+        self._unsent += self._line.feed(data)
+        if self._unsent:
             self._send()
         if self._line.dead:
-            self._pull_out()
+            self._disconnect()
 
     def _send(self) -> None:
-        with self._speaking:  # whoever has read an answer finds it in the log
+        with self._log_lock:  # an answer that a program has read is in the log
             try:
-                sent = os.write(self._near, self._waiting)
-            except BlockingIOError:  # nobody reads, and the terminal is full
+                sent = os.write(self._device_end, self._unsent)
+            except BlockingIOError:  # the terminal is full because nobody reads
                 return
-            self._log.append(("device", self._waiting[:sent]))
-        self._waiting = self._waiting[sent:]
+            self._log.append(("device", self._unsent[:sent]))
+        self._unsent = self._unsent[sent:]
 
-    def _oblige(self) -> None:
+    def _carry_out_requests(self) -> None:
         while self._requests:
             request, done = self._requests.popleft()
             request()
             done.set()
 
-    def _plug_in(self) -> None:
-        if self._near >= 0:
-            self._pull_out()
-        self._near, self._far = os.openpty()
-        tty.setraw(self._near)
-        tty.setraw(self._far)
-        os.set_blocking(self._near, False)
+    def _connect(self) -> None:
+        if self._device_end >= 0:
+            self._disconnect()
+        self._device_end, self._host_end = os.openpty()
+        tty.setraw(self._device_end)
+        tty.setraw(self._host_end)
+        os.set_blocking(self._device_end, False)
         self._line.replug()
-        Path(self.path).symlink_to(os.ttyname(self._far))
+        Path(self.path).symlink_to(os.ttyname(self._host_end))
 
-    def _pull_out(self) -> None:
-        if self._near < 0:
+    def _disconnect(self) -> None:
+        if self._device_end < 0:
             return
         Path(self.path).unlink()
-        os.close(self._far)
-        os.close(self._near)
-        self._near, self._far = -1, -1
-        self._waiting = b""
+        os.close(self._host_end)
+        os.close(self._device_end)
+        self._device_end, self._host_end = -1, -1
+        self._unsent = b""
         self._line.dead = True
 
     def _stop(self) -> None:

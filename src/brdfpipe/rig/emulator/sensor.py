@@ -1,4 +1,4 @@
-"""From electrons to counts: what a sensor adds, and what it cannot hold."""
+"""Sensor of the camera: from electrons to counts, with noise, dark current, hot pixels and saturation."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from numpy.typing import NDArray
 
 from brdfpipe.geometry import Array
 from brdfpipe.rig.description import CameraSettings
-from brdfpipe.rig.emulator.effects import Effects, stream
+from brdfpipe.rig.emulator.effects import Effects, random_stream
 
-ROOM = 20.0
+ROOM_TEMPERATURE = 20.0
 """Temperature of the sensor when it is switched on [°C]."""
 
 _DOUBLING = 7.0
-"""Rise of temperature that doubles the dark current [°C]."""
+"""Temperature rise that doubles the dark current [°C]."""
 
-_WARMING = 3000.0
-"""Time constant of the sensor's warming [s]."""
+_WARMING_TIME = 3000.0
+"""Time constant of the warming of the sensor [s]."""
 
 _HOT = 100.0
-"""Dark current of the coolest hot pixel over the others'; the rest is distributed exponentially above it, with twice this mean."""
+"""Smallest relative dark current of a hot pixel; the excess is distributed exponentially with twice this mean."""
 
 
 class Sensor:
@@ -28,27 +28,32 @@ class Sensor:
     Parameters
     ----------
     camera : size, gain, linear range, bits
-    effects, seed : see :mod:`brdfpipe.rig.emulator.effects`; hot pixels and response are the same in all sessions
+    effects, seed : see :mod:`brdfpipe.rig.emulator.effects`; hot pixels and response are equal in all sessions
     """
 
     def __init__(self, camera: CameraSettings, effects: Effects, seed: int) -> None:
         shape = camera.height, camera.width
         self._camera, self._effects = camera, effects
-        deviates = stream(seed, "response").standard_normal(shape)
+        deviates = random_stream(seed, "response").standard_normal(shape)
         self._response = np.maximum(0.0, 1 + effects.response * deviates)
         self._dark = effects.dark * hot_pixels(shape, effects, seed)
 
     def temperature(self, time: float) -> float:
-        """Of the sensor [°C], at a time since it was switched on [s]."""
-        return ROOM + self._effects.warming * (1 - float(np.exp(-time / _WARMING)))
+        """Temperature of the sensor [°C] at a time since it was switched on [s]."""
+        return ROOM_TEMPERATURE + self._effects.warming * (1 - float(np.exp(-time / _WARMING_TIME)))
 
     def expected(self, light: Array, seconds: float, temperature: float) -> Array:
-        """Mean electrons on each pixel, of light [e⁻] that a uniform sensor would take."""
-        warm = 2.0 ** ((temperature - ROOM) / _DOUBLING)
-        return np.asarray(self._response * light + self._dark * (seconds * warm))
+        """Expected electrons in each pixel.
+
+        Parameters
+        ----------
+        light : (height, width), electrons in a sensor of uniform response
+        """
+        warming = 2.0 ** ((temperature - ROOM_TEMPERATURE) / _DOUBLING)
+        return np.asarray(self._response * light + self._dark * (seconds * warming))
 
     def read(self, expected: Array, noise: np.random.Generator) -> NDArray[np.uint16]:
-        """Counts of a frame, its noise drawn from ``noise``."""
+        """Counts of a frame, with noise from ``noise``."""
         camera, effects = self._camera, self._effects
         electrons = noise.poisson(expected).astype(float) if effects.photon_noise else expected
         charge = compressed(electrons, camera.linear_to, effects.compression)
@@ -59,18 +64,18 @@ class Sensor:
 
 
 def hot_pixels(shape: tuple[int, int], effects: Effects, seed: int) -> Array:
-    """Dark current of each pixel over that of most."""
-    noise = stream(seed, "hot pixels")
+    """Dark current of each pixel relative to that of a normal pixel."""
+    generator = random_stream(seed, "hot pixels")
     size = shape[0] * shape[1]
     relative = np.ones(size)
-    hot = noise.permutation(size)[: round(effects.hot_pixels * size)]
-    relative[hot] = _HOT * (1 + noise.exponential(2.0, hot.size))
+    hot = generator.permutation(size)[: round(effects.hot_pixels * size)]
+    relative[hot] = _HOT * (1 + generator.exponential(2.0, hot.size))
     return relative.reshape(shape)
 
 
 def compressed(electrons: Array, linear_to: float, scale: float) -> Array:
-    """Charge that is read of electrons: l + c ln(1 + (e − l)/c) above l, which rises for ever; ``scale`` c = 0 is linear throughout."""
+    """Charge read from electrons e: l + c ln(1 + (e − l)/c) above the linear range l; linear throughout for the scale c = 0."""
     if not scale or electrons.max(initial=0.0) <= linear_to:
         return electrons
-    beyond = np.maximum(electrons - linear_to, 0.0)
-    return np.asarray(np.minimum(electrons, linear_to) + scale * np.log1p(beyond / scale))
+    excess = np.maximum(electrons - linear_to, 0.0)
+    return np.asarray(np.minimum(electrons, linear_to) + scale * np.log1p(excess / scale))

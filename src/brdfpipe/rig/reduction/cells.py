@@ -151,7 +151,7 @@ def _disc(rig: Rig, screen: Screen) -> sparse.csr_array:
     height, width = rig.camera.height, rig.camera.width
     across, down = _about_disc(screen, width, height)
     part = (np.arange(_SUB) + 0.5) / _SUB - 0.5
-    place = screens.to_place(screen, *np.meshgrid((across[:, None] + part).ravel(), (down[:, None] + part).ravel()))
+    place = screens.to_position(screen, *np.meshgrid((across[:, None] + part).ravel(), (down[:, None] + part).ravel()))
     pixel = (down.repeat(_SUB)[:, None] * width + across.repeat(_SUB)).ravel()
     cell = _disc_cell(rig.screen, *screens.disc_direction(screen, place.x, place.y)).ravel()
     inside = cell >= 0

@@ -72,6 +72,6 @@ def _within_circle(rig: Rig, screen: Screen, x: float, y: float, radius: float) 
         np.arange(max(int(middle - half_width), 0), min(int(middle + half_width) + 2, size))
         for middle, size in ((row, rig.camera.height), (column, rig.camera.width))
     )
-    position = screens.to_place(screen, columns, rows[:, None])
+    position = screens.to_position(screen, columns, rows[:, None])
     inside[np.ix_(rows, columns)] = np.hypot(position.x - x, position.y - y) < radius
     return inside

@@ -190,7 +190,7 @@ def falloff(found: Registration, picture: Array, entrance: float) -> Array:
     """
     screen = found.screen
     row, column = np.indices(picture.shape)
-    place = screens.to_place(screen, column, row)
+    place = screens.to_position(screen, column, row)
     x, y = (place.x - screen.disc[0]) / screen.disc_radius, (place.y - screen.disc[1]) / screen.disc_radius
     radius = np.hypot(x, y)
     inside = radius < 1 - _INSIDE / (screen.scale * screen.disc_radius)
@@ -226,7 +226,7 @@ def centre_disc(
     screen = found.screen
     theta, phi = np.asarray(theta_s, dtype=float), np.asarray(phi_s, dtype=float)
     pixels = float(np.radians(radius)) * screen.focal_length * screen.scale
-    seen = centroids(picture, variance, *screens.to_pixel(screen, *screens.disc_place(screen, theta, phi)), pixels)
+    seen = centroids(picture, variance, *screens.to_pixel(screen, *screens.disc_position(screen, theta, phi)), pixels)
     used = np.isfinite(seen.u)
     if used.sum() < _LEAST_TARGET:
         return found
@@ -243,7 +243,7 @@ def centre_disc(
 
     def misses(by: Array) -> Array:
         trial = moved(by)
-        column, row = screens.to_pixel(trial, *screens.disc_place(trial, theta[used], phi[used]))
+        column, row = screens.to_pixel(trial, *screens.disc_position(trial, theta[used], phi[used]))
         column, row = column + drawn[1], row + drawn[0]
         return np.concatenate([(column - seen.column[used]) / u, (row - seen.row[used]) / u])
 

@@ -15,7 +15,7 @@ from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError, abbreviated
 from brdfpipe.geometry import Array
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.frame_checks import overlap_check
+from brdfpipe.rig.filter_location import check_overlaps
 from brdfpipe.rig.frames import NOT_MEASURED
 from brdfpipe.rig.reduction import brackets, exposures, pictures
 from brdfpipe.rig.reduction.brackets import Bracket, Darkness, Scale, Spot
@@ -154,7 +154,7 @@ def _filter_warnings(frames: xr.Dataset, chosen: xr.Dataset, rig: Rig, override:
     checked = wavelengths[:: -(-wavelengths.size // _CHECKED)]
     some = chosen.isel(frame=np.isin(chosen["wavelength"].values, checked))
     dark = frames.isel(frame=frames["purpose"].values == "dark")
-    check = overlap_check(xr.concat([some, dark], "frame"), rig)
+    check = check_overlaps(xr.concat([some, dark], "frame"), rig)
     if check.overlaps and check.nd_location != rig.nd_location and not override:
         raise ReductionError("; ".join(check.warnings))
     return list(check.warnings)

@@ -79,7 +79,7 @@ def drawing(picture: Array, rig: Rig, screen: Screen, weights: sparse.csr_array)
     column, row = (weights @ axis.ravel() / seen for axis in (columns, rows))
     aperture = np.where(celled.cells_of(rig).of_disc, np.nan, np.sqrt(seen / np.pi))
     edges, _ = celled.rings(rig.screen)
-    rim = screens.to_pixel(screen, *screens.disc_place(screen, edges, 0.0))
+    rim = screens.to_pixel(screen, *screens.disc_position(screen, edges, 0.0))
     middle = screens.to_pixel(screen, *screen.disc)
     levels, decades = thumbnail(picture)
     told = {

@@ -24,9 +24,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from serial_script import Clock
 
-from brdfpipe.rig.acquisition.devices.camera import AlpacaCamera, DropFolder, Picture, open_camera, serve_folder
+from brdfpipe.rig.acquisition.devices.alpaca_camera import AlpacaCamera
+from brdfpipe.rig.acquisition.devices.connection import open_camera
+from brdfpipe.rig.acquisition.devices.drop_folder import DropFolder, serve_folder
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost
 from brdfpipe.rig.description import CameraSettings
+from brdfpipe.rig.raw_frame import RawFrame
 
 WIDTH, HEIGHT = 16, 12
 COUNTS = (np.arange(WIDTH * HEIGHT, dtype=np.uint16) * 341).reshape(HEIGHT, WIDTH)
@@ -41,9 +44,9 @@ class Sensor:
     def identify(self) -> str:
         return "sensor"
 
-    def expose(self, seconds: float, *, shutter: bool = True) -> Picture:
+    def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
         self.exposures.append((seconds, shutter))
-        return Picture(COUNTS + np.uint16(len(self.exposures)), 1234567890.25, seconds, -20.5)
+        return RawFrame(COUNTS + np.uint16(len(self.exposures)), 1234567890.25, seconds, -20.5)
 
 
 def settings_of(folder: Path, timeout: float = 600.0, **others: Any) -> CameraSettings:
@@ -178,7 +181,7 @@ def test_a_frame_still_being_written_is_waited_for(tmp_path: Path) -> None:
 @pytest.mark.parametrize("end", [0, 1, 2000, 2880, 2880 + 2 * WIDTH * HEIGHT, -1])
 def test_a_truncated_frame_is_refused(tmp_path: Path, end: int) -> None:
     error = failing(tmp_path, drop(frame()[:end]))
-    assert "cut off or no FITS file" in error.problem
+    assert "truncated or invalid FITS file" in error.problem
     assert str(tmp_path) in error.port
 
 
@@ -186,7 +189,7 @@ def test_a_truncated_frame_is_refused(tmp_path: Path, end: int) -> None:
 @settings(max_examples=25, deadline=None)
 def test_a_file_of_noise_is_refused(noise: bytes) -> None:
     with TemporaryDirectory() as folder:
-        assert "cut off or no FITS file" in failing(Path(folder), drop(noise)).problem
+        assert "truncated or invalid FITS file" in failing(Path(folder), drop(noise)).problem
 
 
 def test_a_frame_under_another_name_is_refused_by_that_name(tmp_path: Path) -> None:
@@ -196,25 +199,25 @@ def test_a_frame_under_another_name_is_refused_by_that_name(tmp_path: Path) -> N
         (tmp_path / "other.fits").write_bytes(frame())
 
     error = failing(tmp_path, elsewhere)
-    assert error.problem == "no frame in 20.1 s, but under another name other.fits"
+    assert error.problem == "no frame after 20.1 s, but a file of another name: other.fits"
 
 
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (frame(COUNTS[:-1]), "a frame of 16 × 11 pixels; the description says 16 × 12"),
-        (frame(COUNTS.T), "a frame of 12 × 16 pixels"),
-        (frame(COUNTS[None]), "a frame of 16 × 12 × 1 pixels"),
+        (frame(COUNTS[:-1]), "image of 16 × 11 uint16, expected 16 × 12 uint16"),
+        (frame(COUNTS.T), "image of 12 × 16 uint16"),
+        (frame(COUNTS[None]), "image of 16 × 12 × 1 uint16"),
         (frame(COUNTS.astype(np.float32)), "BITPIX -32"),
         (frame(COUNTS.astype(np.int32)), "BITPIX 32"),
         (frame(COUNTS.astype(np.uint8)), "BITPIX 8"),
         (frame((COUNTS.astype(np.int32) - 32768).astype(np.int16)), "counts from -32768"),
-        (frame(EXPTIME=0.2), "exposure is 0.2 s; asked for 0.1 s"),
-        (frame(EXPTIME=None), "EXPTIME is None"),
-        (frame(EXPTIME="long"), "EXPTIME is 'long'"),
-        (frame(IMAGETYP="Dark Frame"), "IMAGETYP is 'Dark Frame'; asked for a light frame"),
-        (frame(IMAGETYP="Bias Frame"), "IMAGETYP is 'Bias Frame'"),
-        (frame(REQUEST="another"), "the frame is of another request, 'another'"),
+        (frame(EXPTIME=0.2), "exposure time 0.2 s stated by the frame, 0.1 s requested"),
+        (frame(EXPTIME=None), "EXPTIME of the frame is None"),
+        (frame(EXPTIME="long"), "EXPTIME of the frame is 'long'"),
+        (frame(IMAGETYP="Dark Frame"), "IMAGETYP of the frame is 'Dark Frame', a light frame was requested"),
+        (frame(IMAGETYP="Bias Frame"), "IMAGETYP of the frame is 'Bias Frame'"),
+        (frame(REQUEST="another"), "the frame states another request: 'another'"),
     ],
 )
 def test_a_frame_that_is_not_the_one_asked_for_is_refused_at_once(tmp_path: Path, content: bytes, told: str) -> None:
@@ -261,18 +264,18 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path) -> None:
     inside = tmp_path / "in"
     inside.mkdir()
     error = failing(inside, lambda request: request.with_suffix(".fits").symlink_to(outside))
-    assert "no plain file" in error.problem
+    assert "not a regular file" in error.problem
 
 
 def test_no_answer_names_the_folder_the_request_and_what_to_do(tmp_path: Path) -> None:
     error = failing(tmp_path, lambda request: None)
-    assert error.problem == "no frame in 20.1 s"
+    assert error.problem == "no frame after 20.1 s"
     assert error.command.endswith(".json")
-    assert "script running" in error.advice
+    assert "script runs" in error.advice
 
 
 def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DeviceLost, match="there is no such folder"):
+    with pytest.raises(DeviceLost, match="the folder does not exist"):
         DropFolder(settings_of(tmp_path / "gone")).expose(0.1)
 
 
@@ -290,7 +293,7 @@ def test_a_folder_that_goes_away_is_lost(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seconds", [-1.0, float("nan"), float("inf"), 1e6])
 def test_what_is_no_exposure_is_never_asked_for(tmp_path: Path, seconds: float) -> None:
-    with pytest.raises(DeviceError, match="cannot expose"):
+    with pytest.raises(DeviceError, match=r"exposure time .* out of range"):
         DropFolder(settings_of(tmp_path)).expose(seconds)
     assert not list(tmp_path.iterdir())
 
@@ -300,13 +303,13 @@ def test_what_is_no_exposure_is_never_asked_for(tmp_path: Path, seconds: float) 
 
 def test_a_failing_camera_is_told_through_the_folder(tmp_path: Path) -> None:
     class Broken(Sensor):
-        def expose(self, seconds: float, *, shutter: bool = True) -> Picture:
+        def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
             raise DeviceError("camera", "the cooler failed\x1b[31m")
 
     told: list[str] = []
     with (
         served(tmp_path, Broken(), told),
-        pytest.raises(DeviceError, match=r"the camera's side says: .*cooler failed") as caught,
+        pytest.raises(DeviceError, match=r"the camera's script reports: .*cooler failed") as caught,
     ):
         DropFolder(settings_of(tmp_path)).expose(0.1)
     assert "\x1b" not in str(caught.value)
@@ -323,7 +326,7 @@ def test_a_failing_camera_is_told_through_the_folder(tmp_path: Path) -> None:
         ("a.json", b"[1]", "keys"),
         ("a.json", b'{"id": "a", "seconds": 1}', "keys"),
         ("a.json", b'{"id": "a", "seconds": 1, "shutter": true, "path": "/etc"}', "keys"),
-        ("a.json", b'{"id": "b", "seconds": 1, "shutter": true}', "id is not its name"),
+        ("a.json", b'{"id": "b", "seconds": 1, "shutter": true}', "id differs from the name"),
         ("a.json", b'{"id": "a", "seconds": true, "shutter": true}', "seconds"),
         ("a.json", b'{"id": "a", "seconds": NaN, "shutter": true}', "seconds"),
         ("a.json", b'{"id": "a", "seconds": 1e9, "shutter": true}', "seconds"),
@@ -354,7 +357,7 @@ def test_a_link_is_no_request(tmp_path: Path) -> None:
     told: list[str] = []
     with served(tmp_path / "in", Sensor(), told):
         expose_twice(tmp_path / "in")
-    assert "plain file" in told[0]
+    assert "regular file" in told[0]
 
 
 def test_an_answered_request_is_not_answered_again(tmp_path: Path) -> None:
@@ -449,11 +452,11 @@ def test_what_an_alpaca_camera_need_not_tell_is_left_open(alpaca: Callable[..., 
 @pytest.mark.parametrize(
     ("attributes", "told"),
     [
-        ({"CameraXSize": 20}, "a sensor of 20 × 12 pixels"),
-        ({"BinX": 2}, "binned 2 × 1"),
-        ({"Name": raising(ConnectionError("refused"))}, "no answer"),
+        ({"CameraXSize": 20}, "sensor of 20 × 12 pixels"),
+        ({"BinX": 2}, "2 × 1 binning"),
+        ({"Name": raising(ConnectionError("refused"))}, "no reply"),
         ({"Name": raising(DriverException("cooler\x1b[0m"))}, "the server refuses"),
-        ({"CameraXSize": raising(KeyError("Value"))}, "cannot be read"),
+        ({"CameraXSize": raising(KeyError("Value"))}, "unreadable reply"),
     ],
 )
 def test_an_alpaca_camera_that_is_not_the_described_one_is_refused(
@@ -468,10 +471,10 @@ def test_an_alpaca_camera_that_is_not_the_described_one_is_refused(
 @pytest.mark.parametrize(
     ("attributes", "told"),
     [
-        ({"ImageArray": COUNTS.tolist()}, "a picture of 12 × 16"),
+        ({"ImageArray": COUNTS.tolist()}, "image of 12 × 16"),
         ({"ImageArray": (COUNTS.T / 2).tolist()}, "float64"),
         ({"ImageArray": (COUNTS.T.astype(int) - 5).tolist()}, "counts from -5"),
-        ({"LastExposureDuration": 0.4}, "the exposure took 0.4 s"),
+        ({"LastExposureDuration": 0.4}, "exposure time 0.4 s"),
         ({"ImageReady": raising(DriverException("overheated"))}, "overheated"),
     ],
 )
@@ -489,7 +492,7 @@ def test_a_dark_frame_is_not_asked_of_an_alpaca_camera_without_a_shutter(alpaca:
 
 def test_an_alpaca_exposure_that_does_not_end_is_aborted(alpaca: Callable[..., AlpacaCamera]) -> None:
     camera = alpaca(ImageReady=False)
-    with pytest.raises(DeviceError, match=r"no picture in 0\.1 s"):
+    with pytest.raises(DeviceError, match=r"no image after 0\.1 s"):
         camera.expose(0.0)
     assert camera._camera.aborted
 
@@ -557,5 +560,5 @@ def test_the_library_alpyca_is_used_as_it_is() -> None:
     np.testing.assert_array_equal(picture.counts, COUNTS)
     assert picture.started == 1234567890.25
     assert math.isnan(picture.temperature)
-    with pytest.raises(DeviceLost, match="no answer"):
+    with pytest.raises(DeviceLost, match="no reply"):
         camera.identify()

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from brdfpipe.rig.acquisition.devices import line
-from brdfpipe.rig.acquisition.devices.camera import Picture
-from brdfpipe.rig.acquisition.devices.connection import Bench, connect, open_monochromator, open_wheel
+from brdfpipe.rig.acquisition.devices import serial_line
+from brdfpipe.rig.acquisition.devices.connection import RigDevices, connect, open_monochromator, open_wheel
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, WrongDevice
 from brdfpipe.rig.acquisition.doctor import Row, doctor
 from brdfpipe.rig.description import Rig, SerialSettings
@@ -19,6 +18,7 @@ from brdfpipe.rig.emulator.clock import VirtualClock
 from brdfpipe.rig.emulator.faults import KINDS, Faults
 from brdfpipe.rig.emulator.instruments import ActonWheel, Monochromator, ThorlabsWheel
 from brdfpipe.rig.emulator.port import Port
+from brdfpipe.rig.raw_frame import RawFrame
 
 QUICK = {"query_timeout": 0.2, "motion_timeout": 0.2}
 
@@ -26,8 +26,8 @@ QUICK = {"query_timeout": 0.2, "motion_timeout": 0.2}
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     # A pseudo-terminal holds no byte back; silence needs no tenth of a second.
-    monkeypatch.setattr(line, "QUIET", 0.02)
-    monkeypatch.setattr(line, "POLL", 0.01)
+    monkeypatch.setattr(serial_line, "QUIET", 0.02)
+    monkeypatch.setattr(serial_line, "POLL", 0.01)
 
 
 def acton(port: Port, **others: Any) -> SerialSettings:
@@ -79,7 +79,7 @@ def test_a_wheel_goes_to_each_position(unit: ActonWheel | ThorlabsWheel) -> None
 def test_a_wavelength_beyond_the_range_is_refused() -> None:
     with Port(Monochromator(VirtualClock())) as port:
         device = open_monochromator(acton(port))
-        with pytest.raises(DeviceError, match=r"asked for 1500 nm, it says 1400 nm"):
+        with pytest.raises(DeviceError, match=r"requested 1500 nm, device reports 1400 nm"):
             device.goto(1500)
         device.close()
 
@@ -95,7 +95,7 @@ def test_an_absent_grating_is_refused() -> None:
 def test_a_second_program_on_the_port_is_one_clear_refusal() -> None:
     with Port(Monochromator(VirtualClock())) as port:
         first = open_monochromator(acton(port))
-        with pytest.raises(DeviceLost, match="another program holds the port"):
+        with pytest.raises(DeviceLost, match="the port is in use by another program"):
             open_monochromator(acton(port))
         first.identify()
         first.close()
@@ -103,7 +103,7 @@ def test_a_second_program_on_the_port_is_one_clear_refusal() -> None:
 
 
 def test_an_absent_port_is_one_clear_refusal() -> None:
-    with pytest.raises(DeviceLost, match="monochromator on /dev/no-such-port: there is no such port; plug"):
+    with pytest.raises(DeviceLost, match="monochromator on /dev/no-such-port: the port does not exist; connect"):
         open_monochromator(SerialSettings("acton", "/dev/no-such-port", 9600))
 
 
@@ -221,8 +221,8 @@ class Dark:
     def identify(self) -> str:
         return "dark"
 
-    def expose(self, seconds: float, *, shutter: bool = True) -> Picture:
-        return Picture(np.full(self.shape, self.level, np.uint16), 0.0, seconds)
+    def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
+        return RawFrame(np.full(self.shape, self.level, np.uint16), 0.0, seconds)
 
 
 @pytest.fixture
@@ -237,7 +237,7 @@ def test_a_bench_is_opened_identified_and_given_back(plugged: tuple[Rig, Monochr
     rig, monochromator, wheel = plugged
     for _ in range(2):
         with connect(rig, camera=Dark(rig)) as bench:
-            assert isinstance(bench, Bench)
+            assert isinstance(bench, RigDevices)
             bench.monochromator.goto(600)
             bench.wheel.goto(5)
         bench.close()
@@ -271,13 +271,13 @@ def test_the_doctor_moves_every_device_and_leaves_it_where_it_was(
     assert wheel.position == 2
     assert [row.check for row in rows if row.device == "filter wheel"][4:] == [f"to {k}" for k in (1, 2, 3, 4, 5, 6, 2)]
     assert "SP-2-300i 2330123" in table
-    assert "ms a transaction" in table
+    assert "ms per transaction" in table
     assert table.splitlines()[-1] == f"{len(rows)} passed, 0 failed"
 
 
 def test_a_failing_device_never_hides_the_others(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
     class Broken(Dark):
-        def expose(self, seconds: float, *, shutter: bool = True) -> Picture:
+        def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
             raise ZeroDivisionError("a bug\x1b[31m")
 
     rig, _, _ = plugged
@@ -287,7 +287,7 @@ def test_a_failing_device_never_hides_the_others(plugged: tuple[Rig, Monochromat
     assert failed == [("monochromator", "port"), ("camera", "dark frame")]
     assert sum(row.device == "filter wheel" for row in rows) == 11
     assert all(row.advice for row in rows if not row.passed)
-    assert "→ plug the device in" in table
+    assert "→ connect the device" in table
     assert "\x1b" not in table
 
 
@@ -299,7 +299,7 @@ def test_swapped_ports_are_told_by_the_doctor(plugged: tuple[Rig, Monochromator,
         wheel=replace(rig.wheel, port=rig.monochromator.port),
     )
     rows, _ = examined(swapped, Dark(rig))
-    table = " ".join(row.found for row in rows)
+    table = " ".join(row.result for row in rows)
     assert "a device of the Thorlabs dialect answers" in table
     assert "a device of the Acton dialect answers" in table
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from serial_script import Chunk, Clock, Exchange, Script, ScriptedPort
+from serial_script import Chunk, Exchange, Script, scripted_line
 
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, WrongDevice
-from brdfpipe.rig.acquisition.devices.line import Line
 from brdfpipe.rig.acquisition.devices.thorlabs import FilterWheel
 from brdfpipe.rig.description import SerialSettings
 
@@ -33,8 +32,7 @@ GREETING = (*WAKE, *NAMES, *NAMES, *READY)
 def wheel(
     reply: Callable[[bytes], bytes | Sequence[Chunk] | Exception], given: SerialSettings = SETTINGS
 ) -> FilterWheel:
-    clock = Clock()
-    return FilterWheel(Line(given, lambda **_: ScriptedPort(reply, clock), clock=clock, sleep=clock.sleep))
+    return FilterWheel(scripted_line(given, reply))
 
 
 def test_a_wheel_is_named_counted_and_its_sensors_darkened() -> None:
@@ -57,25 +55,27 @@ def test_a_read_back_has_the_time_of_a_move() -> None:
 
 def test_a_wheel_that_stands_elsewhere_is_sent_once_more_and_then_refused() -> None:
     stuck = ((b"pos=3\r", b"pos=3\r> "), (b"pos?\r", b"pos?\r2\r> "))
-    with pytest.raises(DeviceError, match="filter wheel on /dev/ttyUSB1: position: asked for 3, it says 2; check"):
+    with pytest.raises(
+        DeviceError, match="filter wheel on /dev/ttyUSB1: wrong position: requested 3, device reports 2; check"
+    ):
         wheel(Script(*GREETING, *stuck * 2)).goto(3)
 
 
 def test_a_wheel_of_another_size_is_refused_with_the_key_that_mends_it() -> None:
     script = Script(*GREETING[:5], (b"pcount?\r", b"pcount?\r12\r> "))
-    with pytest.raises(DeviceError, match="asked for 6, it says 12; set `positions: 12`"):
+    with pytest.raises(DeviceError, match="requested 6, device reports 12; set `positions: 12`"):
         wheel(script).identify()
 
 
 def test_sensors_that_stay_lit_are_refused() -> None:
     script = Script(*GREETING[:-1], (b"sensors?\r", b"sensors?\r1\r> "))
-    with pytest.raises(DeviceError, match="sensors light the sample"):
+    with pytest.raises(DeviceError, match="sensors reaches the sample"):
         wheel(script).identify()
 
 
 def test_an_expected_name_must_stand_in_what_the_wheel_tells() -> None:
     assert wheel(Script(*GREETING), replace(SETTINGS, serial_number="1.07")).identify()
-    with pytest.raises(WrongDevice, match="has not the serial number 'TP0123'"):
+    with pytest.raises(WrongDevice, match="is not 'TP0123'"):
         wheel(Script(*GREETING), replace(SETTINGS, serial_number="TP0123")).identify()
 
 
@@ -86,7 +86,7 @@ def test_an_acton_device_on_the_port_of_the_wheel_is_named() -> None:
 
 @pytest.mark.parametrize("position", [0, 7])
 def test_a_position_the_wheel_has_not_is_never_sent(position: int) -> None:
-    with pytest.raises(DeviceError, match=f"cannot go to position {position}; 1 to 6"):
+    with pytest.raises(DeviceError, match=f"no position {position}; accepted: 1 to 6"):
         wheel(Script()).goto(position)
 
 

@@ -1,7 +1,7 @@
-"""Thorlabs FW102C and FW212C filter wheels: lower case, ``pos=3`` and ``pos?``, and a prompt when the command is done.
+"""Thorlabs FW102C and FW212C filter wheels: lower-case commands ``pos=3`` and ``pos?``, and a prompt when a command is done.
 
-The prompt may come before the wheel has arrived: it is the answer to the next command that waits, so a position is read back with
-the time of a move.
+The prompt may come before the wheel has arrived. The reply to the next query then waits for the arrival, so a position is read back with the
+motion timeout.
 
 References
 ----------
@@ -12,52 +12,40 @@ from __future__ import annotations
 
 import re
 
-from brdfpipe.rig.acquisition.devices.acton import check_position
-from brdfpipe.rig.acquisition.devices.instrument import ANYTHING, Instrument
-
-_NUMBER = re.compile(r"\d{1,2}")
+from brdfpipe.rig.acquisition.devices.serial_instrument import ANY_REPLY, POSITION, SerialFilterWheel
+from brdfpipe.rig.acquisition.devices.serial_line import Dialect
 
 
-class FilterWheel(Instrument):
+class FilterWheel(SerialFilterWheel):
     """An FW102C (6 positions) or FW212C (12 positions) wheel."""
 
-    def goto(self, position: int) -> int:
-        """Move, wait, and read back; a wheel that stands elsewhere is sent once more.
-
-        Parameters
-        ----------
-        position : from 1 to the number of positions
-
-        Raises
-        ------
-        DeviceError : there is no such position, it stands elsewhere, or does not answer.
-        """
-        check_position(self, position)
-        if self._moved(position) != position and (found := self._moved(position)) != position:
-            raise self._mismatch("position", position, found, "check that the wheel turns freely")
-        return int(position)
+    dialect = Dialect(
+        "filter wheel", "Thorlabs", end=re.compile(rb"[\r\n]> ?"), refusal=re.compile(rb"CMD_[A-Z_]+"), lower=True
+    )
 
     def position(self) -> int:
-        """The position it says it is at."""
-        return int(self.ask("pos?", _NUMBER, self.settings.query_timeout)[0])
+        """Position that the wheel reports."""
+        return int(self.ask("pos?", POSITION, self.settings.query_timeout)[0])
 
-    def _moved(self, position: int) -> int:
-        self.ask(f"pos={position}", ANYTHING, self.settings.motion_timeout)
-        return int(self.ask("pos?", _NUMBER, self.settings.motion_timeout)[0])
+    def move(self, position: int) -> int:
+        """Move once, wait, and return the position read back."""
+        self.ask(f"pos={position}", ANY_REPLY, self.settings.motion_timeout)
+        return int(self.ask("pos?", POSITION, self.settings.motion_timeout)[0])
 
-    def _names(self) -> tuple[str, str]:
-        # Model and firmware in one line; the wheel does not tell its serial number.
-        name = self._name("*idn?")
-        self._once("pos?", _NUMBER)
-        return name, ""
+    def read_identity(self) -> tuple[str, str]:
+        """Model and firmware; the wheel states no serial number."""
+        identity = self.ask_name("*idn?")
+        self.ask_once("pos?", POSITION)
+        return identity, ""
 
-    def _prepare(self) -> None:
-        count = int(self._once("pcount?", _NUMBER)[0])
+    def configure(self) -> None:
+        """Verify the number of positions, and switch the position sensors off: their light is stray light."""
+        count = int(self.ask_once("pcount?", POSITION)[0])
         if count != self.settings.positions:
-            advice = f"set `positions: {count}`, if that is the wheel"
-            raise self._mismatch("number of positions", self.settings.positions, count, advice)
-        # The sensors' own light is stray light.
-        self._once("sensors=0", ANYTHING)
-        found = int(self._once("sensors?", _NUMBER)[0])
-        if found:
-            raise self._mismatch("sensors", 0, found, "its sensors light the sample; update its firmware")
+            advice = f"set `positions: {count}` if this is the right wheel"
+            raise self.mismatch("number of positions", self.settings.positions, count, advice)
+        self.ask_once("sensors=0", ANY_REPLY)
+        sensors = int(self.ask_once("sensors?", POSITION)[0])
+        if sensors:
+            advice = "the light of its sensors reaches the sample: update the firmware of the wheel"
+            raise self.mismatch("state of the sensors", 0, sensors, advice)

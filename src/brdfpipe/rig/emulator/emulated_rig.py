@@ -1,4 +1,4 @@
-"""The emulated rig: devices on pseudo-terminals, a lamp, and a camera that sees the light they let pass."""
+"""The emulated rig: serial devices on pseudo-terminals, and a camera that sees the light they transmit."""
 
 from __future__ import annotations
 
@@ -12,50 +12,51 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.geometry import Array
-from brdfpipe.rig.acquisition.devices.camera import Picture, check_exposure
+from brdfpipe.rig.acquisition.devices.camera import check_exposure
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.emulator.clock import VirtualClock
-from brdfpipe.rig.emulator.effects import Effects, stream
+from brdfpipe.rig.emulator.effects import Effects, random_stream
 from brdfpipe.rig.emulator.faults import Faults
-from brdfpipe.rig.emulator.holder import EmulationError, Etalon, Setup, check
 from brdfpipe.rig.emulator.instruments import GRATINGS, ActonWheel, Monochromator, ThorlabsWheel
 from brdfpipe.rig.emulator.optics import Optics
 from brdfpipe.rig.emulator.port import Port
+from brdfpipe.rig.emulator.sample_holder import EmulationError, Etalon, Setup, check_setup
 from brdfpipe.rig.emulator.sensor import Sensor
+from brdfpipe.rig.raw_frame import RawFrame
 
 READOUT = 1.0
-"""Seconds that reading a frame takes."""
+"""Seconds to read out a frame."""
 
-_INSTANTS = (1 / 6, 1 / 2, 5 / 6)
-"""Of an exposure, at which the camera looks at lamp and devices: a move that is under way smears."""
+_SAMPLING_TIMES = (1 / 6, 1 / 2, 5 / 6)
+"""Fractions of an exposure at which lamp and devices are sampled, so that a move during the exposure blurs the frame."""
 
 
 class EmulatedRig:
-    """A rig that behaves as its description says, and as rigs do.
+    """A rig as described, with the imperfections of a real one.
 
-    Inside a ``with`` block its devices answer on pseudo-terminals, whose paths :attr:`rig` has. Outside of one the same devices can be
-    put anywhere by :meth:`restore`, without a line.
+    Inside a ``with`` block the devices answer on pseudo-terminals, whose paths are in :attr:`rig`. :meth:`restore` sets their state without a
+    serial line.
 
     Parameters
     ----------
     rig : the description
-    truth : kind ``bsdf``, what lies in the holder as the sample
-    seed : of all that is random, 0 or more
-    session : what stays for a day: registration, wandering of the lamp, error of the certificate; 0 or more
-    effects : what the rig does to its light
-    faults : that befall the lines; one plan for both
+    truth : kind ``bsdf``, the sample
+    seed : of all random properties, 0 or more
+    session : of the properties that change from day to day: registration, drift of the lamp, error of the certificate; 0 or more
+    effects : imperfections of the rig
+    faults : of the serial lines; one plan for both
     etalon : as certified
-    clock : by default one that begins at 0, when lamp and camera are switched on
+    clock : default: starts at 0, when lamp and camera are switched on
 
     Raises
     ------
-    VocabularyError : the truth is no bsdf.
-    EmulationError : a seed or session below 0.
+    VocabularyError : the truth is not of kind ``bsdf``.
+    EmulationError : seed or session below 0.
 
     Notes
     -----
-    The same seed, session, description and sequence of states give the same frames, byte for byte: the noise of a frame is keyed by how
-    many were exposed before it, and everything else by virtual time.
+    Equal seed, session, description and sequence of states give equal frames, byte for byte: the noise of a frame depends on the number of
+    frames before it, everything else on virtual time.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class EmulatedRig:
         clock: VirtualClock | None = None,
     ) -> None:
         if seed < 0 or session < 0:
-            raise EmulationError(f"seed {seed}, session {session}; accepted: 0 or more")
+            raise EmulationError(f"negative seed or session: {seed}, {session}; accepted: 0 or more")
         effects = Effects() if effects is None else effects
         self.rig = replace(rig, camera=replace(rig.camera, kind="emulated"))
         self.clock = clock or VirtualClock()
@@ -84,35 +85,35 @@ class EmulatedRig:
         self._opened = ExitStack()
 
     def set_entrance(self, sigma: float, *, load: str = "sample", side: str = "reflection") -> None:
-        """The operator's hands: mirrors, and what lies in the holder.
+        """Manual arrangement: mirrors, and object in the holder.
 
         Parameters
         ----------
-        sigma : entrance the light comes through [degree]; the etalon turns its normal to it
-        load : ``sample``, ``etalon``, ``target`` (the angular one of the description), or ``dark-trap``, which swallows all light
+        sigma : entrance [degree]; the normal of the etalon points to it
+        load : ``sample``, ``etalon``, ``target`` (the angular target of the description), or ``dark-trap``, which absorbs all light
         side : ``reflection``, or ``transmission`` with the hemisphere behind the sample
 
         Raises
         ------
-        EmulationError : the rig cannot be arranged so.
+        EmulationError : an impossible arrangement.
         """
-        self.setup = check(Setup(float(sigma), load, side), self.rig)
+        self.setup = check_setup(Setup(float(sigma), load, side), self.rig)
 
     def restore(self, time: float, wavelength: float, position: int, frames: int) -> None:
-        """Be as a rig that has stood still since a frame was read.
+        """Restore the state after a frame was read.
 
         Parameters
         ----------
-        time : virtual time at which the next frame may begin [s]: that frame's beginning, its exposure and :data:`READOUT`
-        wavelength, position : where the devices stand
-        frames : exposed so far
+        time : virtual time at which the next frame may start [s]: start and exposure time of that frame, and :data:`READOUT`
+        wavelength, position : of the devices
+        frames : number of frames exposed so far
 
         Raises
         ------
-        EmulationError : that time is past.
+        EmulationError : the time is past.
         """
         if time < self.clock.now():
-            raise EmulationError(f"it is {self.clock.now():g} s already; {time:g} s cannot come again")
+            raise EmulationError(f"cannot return to {time:g} s: virtual time is {self.clock.now():g} s")
         self.clock.advance_to(time)
         self.monochromator.restore(wavelength)
         self.wheel.restore(position)
@@ -139,50 +140,55 @@ class EmulatedRig:
 
 
 class EmulatedCamera:
-    """The camera of an emulated rig: :class:`brdfpipe.rig.acquisition.devices.connection.Camera`."""
+    """Camera of an emulated rig, a :class:`brdfpipe.rig.acquisition.devices.camera.Camera`."""
 
-    def __init__(self, bench: EmulatedRig, sensor: Sensor, seed: int, session: int) -> None:
-        self._bench, self._sensor, self._seed, self._session = bench, sensor, seed, session
+    def __init__(self, rig: EmulatedRig, sensor: Sensor, seed: int, session: int) -> None:
+        self._rig, self._sensor, self._seed, self._session = rig, sensor, seed, session
         self.frames = 0
-        """Exposed so far."""
+        """Number of frames exposed so far."""
 
     def identify(self) -> str:
         """Name the camera."""
-        settings = self._bench.rig.camera
+        settings = self._rig.rig.camera
         return f"emulated camera, {settings.width} x {settings.height} pixels"
 
-    def expose(self, seconds: float, *, shutter: bool = True) -> Picture:
+    def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
         """Expose and read out, in virtual time.
 
         Raises
         ------
-        DeviceError : the exposure is out of range.
+        DeviceError : exposure time out of range.
         """
         check_exposure(seconds)
-        clock = self._bench.clock
+        clock = self._rig.clock
         started = clock.now()
         states: dict[tuple[float, int], float] = {}
-        for instant in _INSTANTS:
-            clock.advance_to(started + instant * seconds)
-            state = self._bench.monochromator.wavelength, self._bench.wheel.position
-            lamp = float(self._bench.optics.source.lamp(started + instant * seconds)) / len(_INSTANTS)
+        for fraction in _SAMPLING_TIMES:
+            clock.advance_to(started + fraction * seconds)
+            state = self._rig.monochromator.wavelength, self._rig.wheel.position
+            lamp = float(self._rig.optics.illumination.lamp(started + fraction * seconds)) / len(_SAMPLING_TIMES)
             states[state] = states.get(state, 0.0) + lamp
         temperature = self._sensor.temperature(started)
         light = seconds * self._light(states) if shutter else np.zeros(())
-        noise = stream(self._seed, "frame", self._session, self.frames)
+        noise = random_stream(self._seed, "frame", self._session, self.frames)
         counts = self._sensor.read(self._sensor.expected(light, seconds, temperature), noise)
         clock.advance_to(started + seconds + READOUT)
         self.frames += 1
-        return Picture(counts, started, seconds, temperature)
+        return RawFrame(counts, started, seconds, temperature)
 
     def _light(self, states: Mapping[tuple[float, int], float]) -> Array:
-        """Electrons a second of the lamp's light in each state of the devices, all together."""
-        optics, setup = self._bench.optics, self._bench.setup
+        """Electrons per second, summed over the states of the devices during the exposure.
+
+        Parameters
+        ----------
+        states : (wavelength, position) → light of the lamp
+        """
+        optics, setup = self._rig.optics, self._rig.setup
         return np.sum([lamp * optics.rates(setup, *state) for state, lamp in states.items()], axis=0)
 
 
 def _monochromator(rig: Rig, clock: VirtualClock) -> Monochromator:
-    """One that is as the description has it."""
+    """Monochromator with the grating and serial number of the description."""
     settings = rig.monochromator
     gratings = {settings.grating: GRATINGS[1], **GRATINGS} if settings.grating else GRATINGS
     if settings.serial_number:

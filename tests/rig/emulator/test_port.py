@@ -69,8 +69,8 @@ def test_a_program_moves_the_monochromator_over_its_port(port: Port, monochromat
         assert _ask(line, b"546.1 GOTO") == b"546.1 GOTO ok\r\n"
         assert _ask(line, b"?NM") == b"?NM 546.100 nm  ok\r\n"
     assert monochromator.wavelength == pytest.approx(546.1)
-    assert port.heard("host") == b"MODEL\r546.1 GOTO\r?NM\r"
-    assert port.heard("device") == b"MODEL SP-2-300i  ok\r\n546.1 GOTO ok\r\n?NM 546.100 nm  ok\r\n"
+    assert port.sent_by("host") == b"MODEL\r546.1 GOTO\r?NM\r"
+    assert port.sent_by("device") == b"MODEL SP-2-300i  ok\r\n546.1 GOTO ok\r\n?NM 546.100 nm  ok\r\n"
     assert port.log[0] == ("host", b"MODEL\r")
 
 
@@ -87,8 +87,8 @@ def test_every_byte_passes_as_it_is(port: Port) -> None:
         line.write(every + b"\r")
         said = line.read_until(b" ? \r\n")
     assert said[: len(every)] == every
-    assert port.heard("host") == every + b"\r"
-    assert said == port.heard("device")
+    assert port.sent_by("host") == every + b"\r"
+    assert said == port.sent_by("device")
 
 
 def test_the_line_is_raw_before_any_program_has_set_it(port: Port) -> None:
@@ -105,7 +105,7 @@ def test_the_banner_of_a_device_is_not_echoed_back_to_it(port: Port) -> None:
     with _open(port) as line:
         _ask(line, b"?GRATINGS")
         assert _heard_in_quiet(line) == b""
-    assert port.heard("host") == b"?GRATINGS\r"
+    assert port.sent_by("host") == b"?GRATINGS\r"
 
 
 def test_bytes_may_come_one_by_one_and_slowly(port: Port) -> None:
@@ -129,7 +129,7 @@ def test_answers_that_nobody_reads_in_time_are_not_lost(port: Port) -> None:
             line.write(b"?GRATINGS\r")
         assert line.read(500 * len(once)) == 500 * once
     assert 500 * len(once) > 100_000
-    assert port.heard("device") == 500 * once
+    assert port.sent_by("device") == 500 * once
 
 
 def test_a_program_that_comes_later_finds_the_device_as_it_was_left(port: Port) -> None:
@@ -164,7 +164,7 @@ def test_a_program_killed_in_the_middle_of_a_command_frees_the_port(port: Port) 
             _open(port, exclusive=True)
         other.send_signal(signal.SIGKILL)
     with _open(port, exclusive=True) as line:
-        _wait_for(lambda: port.heard("device").endswith(b"54"))
+        _wait_for(lambda: port.sent_by("device").endswith(b"54"))
         _heard_in_quiet(line)
         # What the other had begun is still in the device's line, as it would be in a laboratory.
         assert _ask(line, b"6.1 GOTO ?NM").endswith(b" 546.100 nm  ok\r\n")
@@ -269,7 +269,7 @@ def test_without_pseudo_terminals_there_is_one_clear_error(
 
     before = sorted(Path("/proc/self/fd").iterdir())
     monkeypatch.setattr(port_module.os, "openpty", refuse)
-    with pytest.raises(PortError, match="no pseudo-terminal for the emulated wheel"):
+    with pytest.raises(PortError, match="no pseudo-terminal available for the emulated wheel"):
         Port(monochromator, name="wheel")
     assert sorted(Path("/proc/self/fd").iterdir()) == before
 

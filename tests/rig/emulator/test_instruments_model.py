@@ -12,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from brdfpipe.rig.emulator.clock import VirtualClock
 from brdfpipe.rig.emulator.faults import Faults, FaultyLine
 from brdfpipe.rig.emulator.instruments import ActonWheel, Grating, Monochromator, ThorlabsWheel
-from brdfpipe.rig.emulator.terminal import Instrument
+from brdfpipe.rig.emulator.serial_device import SerialDevice
 
 LIMITS = {1: 1400.0, 2: 2800.0, 4: 700.0}
 GRATINGS = {1: Grating(1200, "500NM"), 2: Grating(600, "1.0UM"), 4: Grating(2400, "240NM")}
@@ -165,8 +165,8 @@ THORLABS = [b"pos=3", b"pos=6", b"pos?", b"speed=0", b"pos=9", b"foo", b"*idn?"]
 HARMLESS = ["silence", "garbage", "truncated", "late-ok"]
 
 
-def _state(device: Instrument) -> tuple[float, float]:
-    device.settle()
+def _state(device: SerialDevice) -> tuple[float, float]:
+    device.finish_move()
     place = device.wavelength if isinstance(device, Monochromator) else device.position
     return place, device.clock.now()
 

@@ -1,4 +1,4 @@
-"""The point spread of the camera: a narrow core and a wide, faint halo."""
+"""Point spread function of the camera: a narrow core and a wide, faint halo."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from scipy import fft, ndimage
 
 from brdfpipe.geometry import Array
 
-_CORE_REACH = 6.0
-"""Standard deviations of the core beyond which it is nothing."""
+_CORE_CUTOFF = 6.0
+"""The core is truncated at so many standard deviations."""
 
 
 class PointSpread:
-    """Spreads the light of a picture.
+    """Convolution of an image with the point spread function.
 
     Parameters
     ----------
-    shape : (height, width) of the pictures
-    core : standard deviation of the core [pixel]; 0 leaves points points
-    halo : share of the light that goes into the halo
+    shape : (height, width) of the images
+    core : standard deviation of the core [pixel]; 0 for no spread
+    halo : share of the light in the halo
     radius : scale of the halo [pixel], well above one
 
     Notes
     -----
-    No light is lost but what leaves the picture. The core falls within a few pixels and is summed there; only the halo goes by way
-    of Fourier, in single precision: rounding of a transform is a share of the brightest pixel, and must not reach the darkest.
+    Light is lost only beyond the edges of the image. The core is summed directly over a few pixels. Only the halo is computed by a Fourier
+    transform, in single precision: its rounding errors scale with the brightest pixel and must stay below the darkest.
     """
 
     def __init__(self, shape: tuple[int, int], core: float, halo: float, radius: float) -> None:
         self._shape, self._core, self._halo, self._radius = shape, core, halo, radius
         self._padded = tuple(fft.next_fast_len(2 * size - 1, real=True) for size in shape)
 
-    def __call__(self, picture: Array) -> Array:
-        """The picture (height, width) as the sensor has it."""
-        sharp = picture
+    def __call__(self, image: Array) -> Array:
+        """Image (height, width) on the sensor."""
+        sharp = image
         if self._core:
-            sharp = ndimage.gaussian_filter(picture, self._core, mode="constant", truncate=_CORE_REACH)
+            sharp = ndimage.gaussian_filter(image, self._core, mode="constant", truncate=_CORE_CUTOFF)
         if not self._halo:
             return sharp
-        spectrum = fft.rfft2(picture.astype(np.float32), s=self._padded)
+        spectrum = fft.rfft2(image.astype(np.float32), s=self._padded)
         glare = fft.irfft2(spectrum * self._transfer, s=self._padded)[: self._shape[0], : self._shape[1]]
         return np.asarray((1 - self._halo) * sharp + self._halo * np.maximum(glare, 0.0))
 
@@ -52,8 +52,5 @@ class PointSpread:
 
 
 def halo(distance: Array, radius: float) -> Array:
-    """Light of the halo in a pixel at a distance [pixel], of 1 in all: (1 + r²/R²)^(−3/2) / 2πR².
-
-    What falls beyond a distance r is (1 + r²/R²)^(−1/2).
-    """
+    """Halo of unit total light at a distance [pixel]: (1 + r²/R²)^(−3/2) / 2πR². The share beyond r is (1 + r²/R²)^(−1/2)."""
     return np.asarray((1 + (distance / radius) ** 2) ** -1.5 / (2 * np.pi * radius**2))

@@ -7,7 +7,7 @@ from collections import Counter
 import pytest
 
 from brdfpipe.rig.emulator.clock import VirtualClock
-from brdfpipe.rig.emulator.faults import KINDS, FaultError, Faults, FaultyLine, Injected
+from brdfpipe.rig.emulator.faults import KINDS, FaultError, Faults, FaultyLine, InjectedFault
 from brdfpipe.rig.emulator.instruments import ActonWheel, Monochromator, ThorlabsWheel
 
 
@@ -25,7 +25,7 @@ def test_silence_carries_the_command_out_and_says_nothing(monochromator: Monochr
     line, faults = _line(monochromator, "silence")
     assert line.feed(b"500 GOTO\r") == b""
     assert line.feed(b"?NM\r") == b"?NM 500.000 nm  ok\r\n"
-    assert faults.injected == [Injected(1, "silence", b"500 GOTO\r")]
+    assert faults.injected == [InjectedFault(1, "silence", b"500 GOTO\r")]
 
 
 def test_silence_swallows_the_echo_of_every_piece(monochromator: Monochromator) -> None:
@@ -127,7 +127,7 @@ def test_an_unplugged_line_is_dead_until_it_is_plugged_in_again(monochromator: M
     line.replug()
     assert line.feed(b"?NM\r") == b"?NM 500.000 nm  ok\r\n"
     assert faults.commands == 2
-    assert faults.injected == [Injected(1, "unplug", b"500 GOTO\r")]
+    assert faults.injected == [InjectedFault(1, "unplug", b"500 GOTO\r")]
 
 
 def test_the_wrong_device_answers_in_its_own_dialect_until_the_right_one_is_plugged_in(
@@ -169,7 +169,7 @@ def test_a_fault_happens_once_and_at_its_command(monochromator: Monochromator, k
 
 
 def test_a_seed_decides_all_and_the_rate_is_kept() -> None:
-    def disturbed(seed: int) -> tuple[bytes, list[Injected]]:
+    def disturbed(seed: int) -> tuple[bytes, list[InjectedFault]]:
         faults = Faults.seeded(seed, 0.1, ["silence", "garbage", "truncated", "late-ok"])
         line = FaultyLine(Monochromator(VirtualClock()), faults)
         return b"".join(line.feed(b"?NM\r") for _ in range(2000)), faults.injected
@@ -196,12 +196,12 @@ def test_a_plan_may_serve_two_lines_and_counts_the_commands_of_both(monochromato
 @pytest.mark.parametrize(
     ("plan", "message"),
     [
-        (lambda: Faults.at({1: "fire"}), "no kind of fault 'fire'; accepted: silence, garbage"),
-        (lambda: Faults.at({0: "silence"}), "accepted: 1 for the first"),
-        (lambda: Faults.seeded(1, 0.5, ["late"]), "no kind of fault 'late'"),
+        (lambda: Faults.at({1: "fire"}), "unknown kind of fault 'fire'; accepted: silence, garbage"),
+        (lambda: Faults.at({0: "silence"}), "accepted: 1 or more"),
+        (lambda: Faults.seeded(1, 0.5, ["late"]), "unknown kind of fault 'late'"),
         (lambda: Faults.seeded(1, 1.5), "accepted: 0 to 1"),
         (lambda: Faults.seeded(1, float("nan")), "accepted: 0 to 1"),
-        (lambda: Faults.seeded(1, 0.5, []), "among 0 kinds"),
+        (lambda: Faults.seeded(1, 0.5, []), "with 0 kinds"),
     ],
 )
 def test_a_plan_that_cannot_be_is_refused(plan, message: str) -> None:

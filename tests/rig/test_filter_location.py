@@ -1,4 +1,4 @@
-"""What frames tell of the rig: the lamp, and where the filters stand, against frames whose truth is known."""
+"""Location and transmittances of the filters, from frames of known truth."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import small_rig
 
-from brdfpipe.rig import frame_checks as checks
-from brdfpipe.rig import frames, screen
-from brdfpipe.rig.frame_checks import Look, drift_warnings, overlap_check, reference_signal, spots
-from brdfpipe.rig.frames import Frame, State
+from brdfpipe.rig.filter_location import OverlapCheck, check_overlaps
+from brdfpipe.rig.frame_file import DeviceState, Frame
+from brdfpipe.rig.frames import frames_dataset
 from brdfpipe.rig.plan import Plan
+from brdfpipe.rig.screen import spot_masks
 
 PLAN = small_rig.PLAN.replace(
     "bracket: [{exposure: 1, position: 2}, {exposure: 1, position: 1}]",
@@ -30,7 +30,7 @@ def plan(tmp_path):
 def pictured(plan, *, sample_power=1, reference_power=0, light=1500.0, errors=None, seed=0):
     """Frames of a scene of known light: counts = dark + exposure × light × transmittance^power, noisy."""
     generator = np.random.default_rng(seed)
-    reference, sample = spots(plan.rig)
+    reference, sample = spot_masks(plan.rig)
     scene = sample * np.exp(generator.uniform(-4, 0, sample.shape))
     taken = {}
     for shot in plan.shots:
@@ -41,31 +41,18 @@ def pictured(plan, *, sample_power=1, reference_power=0, light=1500.0, errors=No
                 light * scene * passed**sample_power + 0.1 * light * reference * passed**reference_power
             )
         counts = generator.poisson(np.maximum(counts, 0)).clip(0, 65535).astype(np.uint16)
-        state = State(shot.wavelength, shot.position)
+        state = DeviceState(shot.wavelength, shot.position)
         taken[shot] = Frame(counts, state, 0.0, float(shot.ordinal), 20.0, "camera", "")
-    return frames.dataset(taken, plan)
+    return frames_dataset(taken, plan)
 
 
 def described(plan, **changes):
     return replace(plan.rig, **changes)
 
 
-def test_spots_are_where_the_screen_has_them(plan):
-    reference, sample = spots(plan.rig)
-    column, row = screen.to_pixel(plan.rig.screen, *plan.rig.screen.reference)
-    rows, columns = np.nonzero(reference)
-    assert np.hypot(columns - column, rows - row).max() <= 3 * 0.9 + 1e-9
-    assert not (reference & sample).any()
-    disc = screen.to_pixel(plan.rig.screen, 0, 0)
-    assert sample[round(float(disc[1])), round(float(disc[0]))]
-    for fibre in plan.rig.fibres:
-        column, row = screen.to_pixel(plan.rig.screen, fibre.x, fibre.y)
-        assert sample[round(float(row)), round(float(column))]
-
-
 @pytest.mark.parametrize(("said", "power"), [("sample", 0), ("reference", 1)])
 def test_filters_where_the_description_says_give_no_warning(plan, said, power):
-    found = overlap_check(pictured(plan, reference_power=power, light=20_000), described(plan, nd_location=said))
+    found = check_overlaps(pictured(plan, reference_power=power, light=20_000), described(plan, nd_location=said))
     assert found.nd_location == said
     assert found.warnings == ()
     assert {overlap.positions for overlap in found.overlaps} >= {(2, 1)}
@@ -77,7 +64,7 @@ def test_filters_where_the_description_says_give_no_warning(plan, said, power):
 
 @pytest.mark.parametrize(("said", "power", "truth"), [("sample", 1, "reference"), ("reference", 0, "sample")])
 def test_filters_in_the_other_place_are_detected_and_named(plan, said, power, truth):
-    found = overlap_check(pictured(plan, reference_power=power, light=20_000), described(plan, nd_location=said))
+    found = check_overlaps(pictured(plan, reference_power=power, light=20_000), described(plan, nd_location=said))
     assert found.nd_location == truth
     (warning,) = found.warnings
     assert f"`nd_location: {said}`" in warning
@@ -89,7 +76,7 @@ def test_filters_in_the_other_place_are_detected_and_named(plan, said, power, tr
 
 def test_filters_before_the_reference_alone_disagree_by_the_square(plan):
     """The preprint's own formula, f = s L T/L', holds where the reference alone passes the filter."""
-    found = overlap_check(pictured(plan, sample_power=0, reference_power=1, light=20_000), described(plan))
+    found = check_overlaps(pictured(plan, sample_power=0, reference_power=1, light=20_000), described(plan))
     assert found.nd_location == ""
     (warning,) = found.warnings
     assert "the reference's beam alone" in warning
@@ -100,7 +87,7 @@ def test_filters_before_the_reference_alone_disagree_by_the_square(plan):
 
 
 def test_a_wrong_transmittance_is_named(plan):
-    found = overlap_check(pictured(plan, light=20_000, errors={2: 1.15}), described(plan))
+    found = check_overlaps(pictured(plan, light=20_000, errors={2: 1.15}), described(plan))
     assert found.nd_location == "sample"
     assert found.warnings[0].startswith("filters 2 and 1: the ratio of their transmittances is +1")
     deviation = float(found.warnings[0].split(" is ")[1].split("%")[0])
@@ -109,12 +96,12 @@ def test_a_wrong_transmittance_is_named(plan):
 
 
 def test_a_transmittance_within_its_uncertainty_is_in_order(plan):
-    assert overlap_check(pictured(plan, light=20_000, errors={2: 1.03}), described(plan)).warnings == ()
+    assert check_overlaps(pictured(plan, light=20_000, errors={2: 1.03}), described(plan)).warnings == ()
 
 
 @pytest.mark.parametrize("light", [1.0, 1e6])
 def test_without_pixels_well_exposed_twice_nothing_is_said(plan, light):
-    assert overlap_check(pictured(plan, light=light), described(plan)) == checks.OverlapCheck((), "", ())
+    assert check_overlaps(pictured(plan, light=light), described(plan)) == OverlapCheck((), "", ())
 
 
 def test_hot_pixels_are_no_light(plan):
@@ -123,72 +110,23 @@ def test_hot_pixels_are_no_light(plan):
     hot = np.random.default_rng(1).uniform(size=found["counts"].shape[1:]) < 0.05
     glow = 1000 * hot * found["exposure"].values[:, None, None]
     found["counts"] = (found["counts"].dims, (found["counts"].values + glow).astype(np.uint16))
-    assert overlap_check(found, plan.rig).overlaps == ()
+    assert check_overlaps(found, plan.rig).overlaps == ()
     found = pictured(plan, light=20_000)
-    without = overlap_check(found, plan.rig)
+    without = check_overlaps(found, plan.rig)
     found["counts"] = (found["counts"].dims, (found["counts"].values + glow).clip(0, 65535).astype(np.uint16))
-    for one, other in zip(overlap_check(found, plan.rig).overlaps, without.overlaps, strict=True):
+    for one, other in zip(check_overlaps(found, plan.rig).overlaps, without.overlaps, strict=True):
         assert one.sample == pytest.approx(other.sample, rel=0.005)
 
 
 def test_frames_of_different_wavelengths_or_incidences_are_not_compared(plan):
     found = pictured(plan, light=20_000)
-    assert overlap_check(found, plan.rig).overlaps
+    assert check_overlaps(found, plan.rig).overlaps
     for name in ("wavelength", "incidence"):
         apart = found.copy()
         apart[name] = ("frame", np.arange(found.sizes["frame"]) * 0.1 + 400.0)
-        assert overlap_check(apart, plan.rig).overlaps == ()
+        assert check_overlaps(apart, plan.rig).overlaps == ()
 
 
 def test_without_dark_frames_nothing_is_said(plan):
     found = pictured(plan, light=20_000)
-    assert overlap_check(found.isel(frame=found["purpose"].values != "dark"), plan.rig).overlaps == ()
-
-
-def test_the_reference_signal_is_its_electrons(plan):
-    reference, _ = spots(plan.rig)
-    counts = (DARK + 7 * reference).astype(np.uint16)
-    dark = np.full(counts.shape, float(DARK))
-    assert reference_signal(counts, dark, plan.rig) == pytest.approx(7 * 3 * reference.sum())
-
-
-def test_a_reference_beyond_the_linear_range_tells_nothing(plan):
-    reference, _ = spots(plan.rig)
-    counts = np.where(reference, 60_000, DARK).astype(np.uint16)
-    assert np.isnan(reference_signal(counts, np.zeros(counts.shape), plan.rig))
-
-
-# --- the lamp
-
-
-def looks(*signals):
-    return [Look(10 * number, 600.0 * number, signal) for number, signal in enumerate(signals)]
-
-
-def test_a_steady_lamp_gives_no_warning():
-    assert drift_warnings(looks(100, 101, 99, 101.9, 98.1), 550, 0.02) == []
-
-
-def test_a_lamp_that_warms_up_is_told_once_with_what_to_do():
-    (warning,) = drift_warnings(looks(95, 99, 100, 100), 550, 0.02)
-    assert "+4.2% in the 10 min before frame 10" in warning
-    assert "550 nm" in warning
-    assert "warm up" in warning
-
-
-def test_a_lamp_that_fades_is_told_at_every_further_step():
-    first, second = drift_warnings(looks(100, 97, 96, 94), 550, 0.02)
-    assert "-3.0%" in first
-    assert "-3.1%" in second
-    assert "20 min before frame 30" in second
-    assert "its age" in first
-
-
-def test_looks_that_show_nothing_are_told():
-    (warning,) = drift_warnings(looks(float("nan"), 100, 0, 100), 550, 0.02)
-    assert "frame 0, 20" in warning
-    assert "`drift.step`" in warning
-
-
-def test_no_look_no_warning():
-    assert drift_warnings([], 550, 0.02) == []
+    assert check_overlaps(found.isel(frame=found["purpose"].values != "dark"), plan.rig).overlaps == ()

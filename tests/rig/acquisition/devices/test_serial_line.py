@@ -12,26 +12,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from serial import SerialException
-from serial_script import Chunk, Clock, Exchange, Script, ScriptedPort
+from serial_script import Chunk, Clock, Exchange, Script, ScriptedPort, line_on_port, scripted_line
 
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, NoReply, Refused, WrongDevice
-from brdfpipe.rig.acquisition.devices.line import Line
+from brdfpipe.rig.acquisition.devices.serial_line import SerialLine
 from brdfpipe.rig.description import SerialSettings
 
 ACTON = SerialSettings("acton", "/dev/ttyUSB0", 9600)
 THORLABS = SerialSettings("thorlabs", "COM4", 115200)
 
 
-def line_with(*exchanges: Exchange, settings: SerialSettings = ACTON) -> Line:
+def line_with(*exchanges: Exchange, settings: SerialSettings = ACTON) -> SerialLine:
     return line_on(Script(*exchanges), settings)
 
 
-def line_on(reply: Callable[[bytes], bytes | Sequence[Chunk] | Exception], settings: SerialSettings = ACTON) -> Line:
-    clock = Clock()
-    return Line(settings, lambda **_: ScriptedPort(reply, clock), clock=clock, sleep=clock.sleep)
+def line_on(
+    reply: Callable[[bytes], bytes | Sequence[Chunk] | Exception], settings: SerialSettings = ACTON
+) -> SerialLine:
+    return scripted_line(settings, reply)
 
 
-def refused(line: Line, command: str, timeout: float = 1.0) -> NoReply:
+def refused(line: SerialLine, command: str, timeout: float = 1.0) -> NoReply:
     with pytest.raises(NoReply) as caught:
         line.transact(command, timeout)
     return caught.value
@@ -97,7 +98,7 @@ def test_silence_ends_at_the_deadline() -> None:
     error = refused(line, "?NM", 1.0)
     assert line.clock() == pytest.approx(1.0, abs=0.06)
     assert str(error) == (
-        "monochromator on /dev/ttyUSB0: no answer in 1 s; sent '?NM'; got nothing; "
+        "monochromator on /dev/ttyUSB0: no reply in 1 s; sent '?NM'; got nothing; "
         "check that it is switched on, its cable, and the baud rate (9600)"
     )
 
@@ -184,7 +185,7 @@ def test_settling_ends_half_a_command_switches_the_echo_on_and_waits_for_quiet()
         (b"\r", b"54MODEL ? \r\n"), (b"ECHO\r", [(0, b" ok"), (0.05, b"\r\n")]), (b"?NM\r", b"?NM 1.0 nm  ok\r\n")
     )
     line = line_on(script)
-    line.settle()
+    line.reset()
     assert line.transact("?NM", 1) == "1.0 nm"
     assert script.finished
 
@@ -192,7 +193,7 @@ def test_settling_ends_half_a_command_switches_the_echo_on_and_waits_for_quiet()
 def test_settling_gives_up_on_a_line_that_is_never_quiet() -> None:
     line = line_with((b"\r", [(0.02 * k, b"?") for k in range(1000)]))
     with pytest.raises(NoReply, match=r"does not become quiet.*baud rate"):
-        line.settle()
+        line.reset()
     assert line.clock() < 3
 
 
@@ -204,7 +205,7 @@ def opening(error: Exception, settings: SerialSettings = ACTON) -> DeviceLost:
         raise error
 
     with pytest.raises(DeviceLost) as caught:
-        Line(settings, open_port)
+        line_on_port(settings, open_port, Clock())
     return caught.value
 
 
@@ -215,7 +216,7 @@ def test_the_port_is_opened_for_this_program_alone() -> None:
         asked.update(options)
         return ScriptedPort(Script(), Clock())
 
-    Line(ACTON, open_port)
+    line_on_port(ACTON, open_port, Clock())
     assert asked["exclusive"] is True
     assert (asked["port"], asked["baudrate"]) == ("/dev/ttyUSB0", 9600)
 
@@ -223,11 +224,11 @@ def test_the_port_is_opened_for_this_program_alone() -> None:
 @pytest.mark.parametrize(
     ("error", "problem"),
     [
-        (SerialException(errno.EAGAIN, "Could not exclusively lock port"), "another program holds the port"),
-        (SerialException(errno.EBUSY, "could not open port"), "another program holds the port"),
+        (SerialException(errno.EAGAIN, "Could not exclusively lock port"), "the port is in use by another program"),
+        (SerialException(errno.EBUSY, "could not open port"), "the port is in use by another program"),
         (SerialException(errno.EACCES, "could not open port"), "no permission to open the port"),
-        (SerialException(errno.ENOENT, "could not open port"), "there is no such port"),
-        (SerialException("could not open port 'COM9': FileNotFoundError(2, …)"), "there is no such port"),
+        (SerialException(errno.ENOENT, "could not open port"), "the port does not exist"),
+        (SerialException("could not open port 'COM9': FileNotFoundError(2, …)"), "the port does not exist"),
         (SerialException("Could not configure port: (25, 'ENOTTY')"), "cannot be opened"),
         (ValueError("Invalid baud rate: -1"), "cannot be opened"),
     ],
@@ -240,14 +241,16 @@ def test_a_port_that_cannot_be_opened_says_why_and_what_to_do(error: Exception, 
 
 
 def test_on_windows_denied_means_held(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("brdfpipe.rig.acquisition.devices.line.os.name", "nt")
-    error = SerialException("could not open port 'COM4': PermissionError(13, 'Access is denied.', None, 5)")
-    assert opening(error, THORLABS).problem == "another program holds the port"
+    denied = SerialException("could not open port 'COM4': PermissionError(13, 'Access is denied.', None, 5)")
+    with monkeypatch.context() as windows:  # a failing assertion needs the paths of this system
+        windows.setattr("brdfpipe.rig.acquisition.devices.serial_line.os.name", "nt")
+        refusal = opening(denied, THORLABS)
+    assert refusal.problem == "the port is in use by another program"
 
 
 def test_a_device_unplugged_in_mid_read_is_lost_and_stays_lost() -> None:
     line = line_with((b"?NM\r", OSError(errno.EIO, "Input/output error")))
-    with pytest.raises(DeviceLost, match=r"went away \(Input/output error\).*'\?NM'.*cable"):
+    with pytest.raises(DeviceLost, match=r"disconnected \(Input/output error\).*'\?NM'.*cable"):
         line.transact("?NM", 1)
     with pytest.raises(DeviceLost, match="the port is closed"):
         line.transact("?NM", 1)
@@ -258,7 +261,7 @@ def test_a_closed_line_may_be_closed_again() -> None:
     line.close()
     line.close()
     with pytest.raises(DeviceLost):
-        line.settle()
+        line.reset()
 
 
 # --- errors

@@ -355,10 +355,10 @@ def test_two_devices_that_move_at_once_take_the_time_of_the_slower(clock: Virtua
     monochromator, wheel = Monochromator(clock, slew=100), ActonWheel(clock)
     monochromator.receive(b"500 GOTO\r")
     wheel.receive(b"3 FILTER\r")
-    wheel.settle()
+    wheel.finish_move()
     assert clock.now() == pytest.approx(2)
     assert monochromator.wavelength == pytest.approx(200)
-    monochromator.settle()
+    monochromator.finish_move()
     assert clock.now() == pytest.approx(5)
 
 

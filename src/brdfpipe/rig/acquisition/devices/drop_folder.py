@@ -1,0 +1,309 @@
+"""A camera behind a drop folder: requests as JSON files, frames as FITS files.
+
+The camera of a laboratory is controlled by its manufacturer's software. The drop folder only requires a script that reads a small JSON file and
+writes a FITS file. :func:`serve_folder` is that script for any :class:`~brdfpipe.rig.acquisition.devices.camera.Camera` in Python.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+import threading
+import time
+import uuid
+import warnings
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brdfpipe import store
+from brdfpipe.errors import BrdfpipeError, printable
+from brdfpipe.rig.acquisition.devices.camera import (
+    CHECK_SIZE,
+    LONGEST_EXPOSURE,
+    POLL,
+    Camera,
+    InvalidCounts,
+    check_exposure,
+    unix_time,
+    valid_counts,
+)
+from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, single_line
+from brdfpipe.rig.description import CameraSettings
+from brdfpipe.rig.raw_frame import Counts, RawFrame, exposure_tolerance
+
+_IDENTIFIER = re.compile(r"[0-9A-Za-z_-]{1,64}")
+_LARGEST_REQUEST = 4096
+_LARGEST_HEADER = 2**20
+_KEYWORDS = ("BITPIX", "EXPTIME", "DATE-OBS", "IMAGETYP", "CCD-TEMP", "REQUEST")
+_CHECK_SCRIPT = "check the camera's script"
+_ANSWER_EACH = "the camera's script must answer each request with its own frame"
+
+
+class DropFolder:
+    """Driver: writes requests into a folder and reads frames from it; removes nothing.
+
+    A request is ``<id>.json`` with the keys ``id``, ``seconds`` and ``shutter`` (false: a dark frame). The answer is ``<id>.fits``, one image of
+    unsigned 16-bit counts with the exposure time in EXPTIME and, if the camera knows them, DATE-OBS, IMAGETYP and CCD-TEMP; or ``<id>.error``
+    with one line that states why there is no frame.
+    """
+
+    def __init__(
+        self,
+        settings: CameraSettings,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.settings = settings
+        self.folder = Path(settings.folder)
+        self._clock = clock
+        self._sleep = sleep
+
+    def identify(self) -> str:
+        """Name the folder."""
+        if not self.folder.is_dir():
+            advice = "create or mount it, or correct `camera.folder`"
+            raise self._error("the folder does not exist", advice=advice, kind=DeviceLost)
+        return f"drop folder {self.folder.name}"
+
+    def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
+        """Request an exposure and wait for its frame.
+
+        Raises
+        ------
+        DeviceError : no frame in time, or one that is truncated or of another size, type, exposure time or request.
+        """
+        check_exposure(seconds)
+        self.identify()
+        identifier = uuid.uuid4().hex
+        requested = time.time()
+        request = {"id": identifier, "seconds": float(seconds), "shutter": bool(shutter)}
+        try:
+            earlier = self._fits_files()
+            store.write_text(self.folder / f"{identifier}.json", store.canonical_json(request) + "\n")
+            header, counts = self._await_frame(identifier, seconds, earlier)
+        except OSError as error:
+            problem = f"the folder is no longer accessible ({error.strerror or error})"
+            raise self._error(problem, identifier, "mount it again", DeviceLost) from error
+        self._check_labels(header, identifier, seconds, shutter)
+        try:
+            started = unix_time(str(header["DATE-OBS"]))
+        except (KeyError, ValueError):
+            started = requested
+        temperature = header.get("CCD-TEMP")
+        if isinstance(temperature, bool) or not isinstance(temperature, int | float):
+            temperature = math.nan
+        return RawFrame(counts, started, float(header["EXPTIME"]), float(temperature))
+
+    def _await_frame(self, identifier: str, seconds: float, earlier: set[str]) -> tuple[Mapping[str, Any], Counts]:
+        """The frame, once it is complete. Its writer may be writing, or have set its size before its content."""
+        path = self.folder / f"{identifier}.fits"
+        limit = seconds + self.settings.timeout
+        deadline = self._clock() + limit
+        state = "no frame"
+        previous = tried = None
+        while True:
+            late = self._clock() >= deadline
+            if (reason := self._reported_error(identifier)) is not None:
+                raise self._error(f"the camera's script reports: {reason}", identifier)
+            status = self._file_status(path)
+            if status is not None and status == previous != tried:
+                try:
+                    header, image = _read_fits(path.read_bytes())
+                except PermissionError:  # on Windows, while the writer has the file open
+                    state = "a frame that cannot be opened"
+                except _Incomplete as problem:
+                    tried = status
+                    state = f"a truncated or invalid FITS file ({status[0]} bytes; {problem})"
+                else:
+                    return header, self._valid_counts(header, image, identifier)
+            previous = status
+            if late:
+                break
+            self._sleep(POLL)
+        others = sorted(self._fits_files() - earlier - {path.name})
+        misnamed = f", but a file of another name: {', '.join(others[:3])}" if others else ""
+        advice = "check that the camera's script runs on this folder and answers <id>.json with <id>.fits"
+        raise self._error(f"{state} after {limit:g} s{misnamed}", identifier, advice)
+
+    def _file_status(self, path: Path) -> tuple[int, int] | None:
+        """Size and modification time of a file, which show when it is finished."""
+        try:
+            status = path.lstat()
+        except FileNotFoundError:
+            return None
+        if not path.is_file() or path.is_symlink():
+            problem = f"{path.name} is not a regular file"
+            raise self._error(problem, path.stem, "write the frame into the folder itself")
+        width, height = self.settings.width, self.settings.height
+        if status.st_size > 8 * width * height + _LARGEST_HEADER:
+            raise self._error(f"a file of {status.st_size} bytes for {width} × {height} pixels", path.stem, CHECK_SIZE)
+        return status.st_size, status.st_mtime_ns
+
+    def _reported_error(self, identifier: str) -> str | None:
+        path = self.folder / f"{identifier}.error"
+        if not path.is_file() or path.is_symlink():
+            return None
+        with path.open("rb") as handle:
+            return single_line(handle.read(500).decode("utf-8", "replace"))
+
+    def _fits_files(self) -> set[str]:
+        return {printable(path.name) for path in self.folder.glob("*.fits")}
+
+    def _valid_counts(self, header: Mapping[str, Any], image: NDArray[Any], identifier: str) -> Counts:
+        if header["BITPIX"] != 16 or image.dtype.kind not in "iu":
+            problem = f"image with BITPIX {header['BITPIX']} read as {image.dtype.name}"
+            raise self._error(problem, identifier, "write unsigned 16-bit counts: BITPIX 16 with BZERO 32768")
+        try:
+            return valid_counts(image, self.settings)
+        except InvalidCounts as invalid:
+            raise self._error(invalid.args[0], identifier, invalid.args[1]) from invalid
+
+    def _check_labels(self, header: Mapping[str, Any], identifier: str, seconds: float, shutter: bool) -> None:
+        """Refuse a frame that states another request, exposure time or type."""
+        request = header.get("REQUEST", identifier)
+        if request != identifier:
+            raise self._error(f"the frame states another request: {request!r}", identifier, _ANSWER_EACH)
+        stated = header.get("EXPTIME")
+        if isinstance(stated, bool) or not isinstance(stated, int | float):
+            problem = f"EXPTIME of the frame is {stated!r}, not a number"
+            raise self._error(problem, identifier, "write the exposure time in seconds")
+        if not abs(stated - seconds) <= exposure_tolerance(seconds):
+            problem = f"exposure time {stated:g} s stated by the frame, {seconds:g} s requested"
+            raise self._error(problem, identifier, _ANSWER_EACH)
+        image_type = str(header.get("IMAGETYP", ""))
+        dark = any(word in image_type.lower() for word in ("dark", "bias"))
+        if image_type and dark == shutter:
+            problem = f"IMAGETYP of the frame is {image_type!r}, a {'light' if shutter else 'dark'} frame was requested"
+            raise self._error(problem, identifier, _ANSWER_EACH)
+
+    def _error(
+        self, problem: str, identifier: str = "", advice: str = _CHECK_SCRIPT, kind: type[DeviceError] = DeviceError
+    ) -> DeviceError:
+        command = f"{identifier}.json" if identifier else ""
+        return kind("camera", problem, port=f"folder {self.folder}", command=command, advice=advice)
+
+
+# --- the camera's side of the folder
+
+
+def serve_folder(
+    folder: str | Path,
+    camera: Camera,
+    *,
+    stop: threading.Event,
+    report: Callable[[str], None] = print,
+    pause: float = POLL,
+) -> None:
+    """Answer the requests of a drop folder with frames of a camera, until stopped.
+
+    Parameters
+    ----------
+    folder : where requests appear; answered requests and other files are left alone
+    stop : set it to end
+    report : called with each refused request
+    pause : seconds between two looks into the folder
+    """
+    folder, refused = Path(folder), set[str]()
+    while not stop.is_set():
+        for path in sorted(folder.glob("*.json")):
+            if path.name in refused or _is_answered(path):
+                continue
+            try:
+                identifier, seconds, shutter = _read_request(path)
+            except _InvalidRequest as reason:
+                refused.add(path.name)
+                report(f"{printable(path.name)}: invalid request: {reason}")
+                continue
+            try:
+                raw = camera.expose(seconds, shutter=shutter)
+            except BrdfpipeError as error:
+                report(f"{path.name}: {error}")
+                store.write_text(path.with_suffix(".error"), f"{error}\n")
+            else:
+                _write_fits(path.with_suffix(".fits"), raw, identifier, shutter)
+        stop.wait(pause)
+
+
+class _InvalidRequest(Exception):
+    """A file is not a valid request."""
+
+
+def _is_answered(path: Path) -> bool:
+    return path.with_suffix(".fits").exists() or path.with_suffix(".error").exists()
+
+
+def _read_request(path: Path) -> tuple[str, float, bool]:
+    """Identifier, exposure time and shutter of a request."""
+    if not _IDENTIFIER.fullmatch(path.stem):
+        raise _InvalidRequest("its name must have 1 to 64 letters, digits, - and _")
+    if path.is_symlink() or not path.is_file() or path.stat().st_size > _LARGEST_REQUEST:
+        raise _InvalidRequest(f"not a regular file of at most {_LARGEST_REQUEST} bytes")
+    try:
+        content = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise _InvalidRequest("not JSON") from error
+    if not isinstance(content, dict) or set(content) != {"id", "seconds", "shutter"}:
+        raise _InvalidRequest("its keys must be id, seconds, shutter")
+    seconds = content["seconds"]
+    if content["id"] != path.stem:
+        raise _InvalidRequest("id differs from the name of the file")
+    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds <= LONGEST_EXPOSURE:
+        raise _InvalidRequest(f"seconds must be a number from 0 to {LONGEST_EXPOSURE:g}")
+    if not isinstance(content["shutter"], bool):
+        raise _InvalidRequest("shutter must be true or false")
+    return path.stem, float(seconds), content["shutter"]
+
+
+# --- FITS: astropy converts unsigned 16-bit counts, which the file stores with an offset
+
+
+class _Incomplete(Exception):
+    """Bytes are not, or not yet, a complete FITS file."""
+
+
+def _read_fits(content: bytes) -> tuple[dict[str, Any], NDArray[Any]]:
+    """Header and data of the first image."""
+    from astropy.io import fits  # type: ignore[import-untyped]
+
+    try:
+        with warnings.catch_warnings():
+            # Headers of cameras often violate the standard; a truncated file is found by its length below.
+            warnings.simplefilter("ignore")
+            with fits.open(io.BytesIO(content), memmap=False) as images:
+                image = images[0]
+                # Other keywords may not even be readable.
+                header = {keyword: image.header[keyword] for keyword in _KEYWORDS if keyword in image.header}
+                layout = image.fileinfo()
+                missing = layout["datLoc"] + layout["datSpan"] - len(content)
+                if missing > 0:
+                    raise _Incomplete(f"{missing} bytes are missing")
+                if image.data is None:
+                    raise _Incomplete("the first image is empty")
+                return header, np.asarray(image.data)
+    except _Incomplete:
+        raise
+    except Exception as error:  # astropy raises OSError, ValueError, TypeError, KeyError, VerifyError on invalid files
+        raise _Incomplete(type(error).__name__) from error
+
+
+def _write_fits(path: Path, raw: RawFrame, identifier: str, shutter: bool) -> None:
+    from astropy.io import fits
+
+    header = fits.Header()
+    header["EXPTIME"] = (raw.seconds, "exposure [s]")
+    header["DATE-OBS"] = (datetime.fromtimestamp(raw.started, UTC).strftime("%Y-%m-%dT%H:%M:%S.%f"), "start, UTC")
+    header["IMAGETYP"] = "Light Frame" if shutter else "Dark Frame"
+    if math.isfinite(raw.temperature):
+        header["CCD-TEMP"] = (raw.temperature, "sensor [degree Celsius]")
+    header["REQUEST"] = identifier
+    content = io.BytesIO()
+    fits.PrimaryHDU(raw.counts, header).writeto(content)
+    store.write_bytes(path, content.getvalue())

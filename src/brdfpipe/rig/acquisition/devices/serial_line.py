@@ -1,0 +1,272 @@
+"""Transactions on a serial line: a command, its echo, and the reply up to its terminator.
+
+The echo synchronizes commands and replies. Bytes before it are noise, or the late reply to an earlier command that timed out. A reply is
+accepted only between the echo of its own command and the terminator, with nothing after it. The devices send no checksum: the echo, the
+strict form of each reply (:mod:`brdfpipe.rig.acquisition.devices.serial_instrument`) and the read-back after each move replace it.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, NoReply, Refused
+from brdfpipe.rig.description import SerialSettings
+
+POLL = 0.05
+"""Longest wait for a byte [s] between two checks of the deadline."""
+
+QUIET = 0.1
+"""Silence [s] after which no more bytes are expected: far above the 16 ms for which USB converters hold bytes back."""
+
+WRITE_TIMEOUT = 2.0
+LONGEST_CHATTER = 2.0
+"""Seconds after which a line that is still not quiet is an error."""
+
+LONGEST_REPLY = 16384
+"""Bytes; the longest known reply, a list of nine gratings, has 300."""
+
+Failure = TypeVar("Failure", bound=DeviceError)
+
+
+class SerialPort(Protocol):
+    """The part of ``serial.Serial`` that is used."""
+
+    @property
+    def in_waiting(self) -> int: ...
+    def read(self, size: int = 1, /) -> bytes: ...
+    def write(self, data: bytes, /) -> int | None: ...
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """Form of the commands and replies of a family of devices."""
+
+    device: str
+    """``monochromator`` or ``filter wheel``."""
+    family: str
+    end: re.Pattern[bytes]
+    """Terminator of a reply."""
+    refusal: re.Pattern[bytes]
+    """Reply to an unknown command, terminator included. It must match no reply of another family: it identifies a device that is
+    connected to the wrong port."""
+    wake: tuple[str, ...] = ("",)
+    """Commands that reset the line. The empty one terminates a partial command left by an earlier program or a lost character."""
+    lower: bool = False
+    """Whether commands are always lower case, regardless of ``case`` in the description."""
+
+
+class SerialLine:
+    """A serial line to one device, opened exclusively.
+
+    Parameters
+    ----------
+    settings : port, speed, case
+    dialect : of the device
+    open_port : called like ``serial.Serial``, the default
+    other_dialects : of devices that may be connected by mistake
+    clock, sleep : seconds
+
+    Raises
+    ------
+    DeviceLost : the port is missing, not permitted, or in use by another program.
+    """
+
+    def __init__(
+        self,
+        settings: SerialSettings,
+        dialect: Dialect,
+        open_port: Callable[..., SerialPort] | None = None,
+        *,
+        other_dialects: Sequence[Dialect] = (),
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.settings = settings
+        self.dialect = dialect
+        self.clock = clock
+        self.sleep = sleep
+        self._foreign = [other for other in other_dialects if other.family != dialect.family]
+        self._port: SerialPort | None = self._open(open_port or _pyserial())
+
+    def transact(self, command: str, timeout: float) -> str:
+        """Send a command and return its reply, without echo, terminator and surrounding blanks.
+
+        Parameters
+        ----------
+        command : without the carriage return; sent in the case that the device requires
+        timeout : seconds
+
+        Raises
+        ------
+        NoReply : no echo, no terminator in time, or more than one reply.
+        Refused : the device does not know the command.
+        DeviceLost : the port was disconnected.
+        """
+        command = self._in_case(command)
+        self._discard_input(command)
+        self._write(f"{command}\r".encode("latin-1"), command)
+        echo = command.encode("latin-1")
+        received = b""
+        deadline = self.clock() + timeout
+        while True:
+            received += self._read(command)
+            start = received.find(echo)
+            ended = self.dialect.end.search(received, start + len(echo)) if start >= 0 else None
+            if ended:
+                break
+            if start >= 0 and self.foreign_family(
+                received[start:]
+            ):  # its replies never end with this dialect's terminator
+                raise self._no_reply(command, received, timeout)
+            if self.clock() >= deadline or len(received) > LONGEST_REPLY:
+                raise self._no_reply(command, received, timeout)
+        if received[ended.end() :]:
+            raise self.error(NoReply, "more than one reply", command, received)
+        if self.dialect.refusal.search(received, start + len(echo)):
+            case = "" if self.dialect.lower else f" and that `case: {self.settings.case}` is right"
+            advice = f"check that the device of the description is connected{case}"
+            raise self.error(Refused, "unknown command", command, received, advice)
+        return received[start + len(echo) : ended.start()].decode("latin-1").strip(" \r\n")
+
+    def reset(self) -> None:
+        """Terminate partial commands, switch the echo on, and wait until the line is quiet.
+
+        Raises
+        ------
+        NoReply : the line does not become quiet.
+        DeviceLost : the port was disconnected.
+        """
+        for command in map(self._in_case, self.dialect.wake):
+            self._write(f"{command}\r".encode("latin-1"), command)
+            received = b""
+            start = last_byte = self.clock()
+            while self.clock() - last_byte < QUIET:
+                if chunk := self._read(command):
+                    received, last_byte = (received + chunk)[-LONGEST_REPLY:], self.clock()
+                if last_byte - start > LONGEST_CHATTER:
+                    advice = f"check the baud rate ({self.settings.baud}) and which device is connected"
+                    raise self.error(NoReply, "the line does not become quiet", command, received, advice)
+
+    def foreign_family(self, received: bytes | str | None) -> str:
+        """Family of another dialect whose refusal was received; empty if there is none."""
+        if not isinstance(received, bytes):
+            return ""
+        return next((dialect.family for dialect in self._foreign if dialect.refusal.search(received)), "")
+
+    def error(
+        self, kind: type[Failure], problem: str, command: str = "", reply: bytes | str | None = None, advice: str = ""
+    ) -> Failure:
+        """An error that names this device and its port."""
+        return kind(self.dialect.device, problem, port=self.settings.port, command=command, reply=reply, advice=advice)
+
+    def close(self) -> None:
+        """Close the port; may be called again."""
+        port, self._port = self._port, None
+        if port is not None:
+            with suppress(OSError):  # a disconnected port need not be closed
+                port.close()
+
+    def _in_case(self, command: str) -> str:
+        lower = self.dialect.lower or self.settings.case == "lower"
+        return command.lower() if lower else command.upper()
+
+    def _discard_input(self, command: str) -> None:
+        port = self._opened(command)
+        try:
+            while waiting := port.in_waiting:
+                port.read(waiting)
+        except OSError as error:
+            raise self._disconnected(error, command) from error
+
+    def _read(self, command: str) -> bytes:
+        port = self._opened(command)
+        try:
+            return port.read(port.in_waiting or 1)
+        except OSError as error:
+            raise self._disconnected(error, command) from error
+
+    def _write(self, content: bytes, command: str) -> None:
+        port = self._opened(command)
+        try:
+            port.write(content)
+        except OSError as error:
+            raise self._disconnected(error, command) from error
+
+    def _opened(self, command: str) -> SerialPort:
+        if self._port is None:
+            raise self.error(DeviceLost, "the port is closed", command, advice="connect the device and start again")
+        return self._port
+
+    def _disconnected(self, error: OSError, command: str) -> DeviceLost:
+        self.close()
+        cause = error.strerror or str(error)
+        advice = "check cable and power, and that no other program reads from this port; then start again"
+        return self.error(DeviceLost, f"the port was disconnected ({cause})", command, advice=advice)
+
+    def _no_reply(self, command: str, received: bytes, timeout: float) -> NoReply:
+        baud = f"the baud rate ({self.settings.baud})"
+        if family := self.foreign_family(received):
+            problem, advice = f"a device of the {family} dialect answers", "correct `port` or `dialect`"
+        elif not received:
+            problem, advice = f"no reply in {timeout:g} s", f"check that it is switched on, its cable, and {baud}"
+        elif command.encode("latin-1") not in received:
+            problem = f"no echo of the command in {timeout:g} s"
+            advice = f"check which device is connected, {baud}, and that its echo is on"
+        else:
+            problem = f"incomplete reply after {timeout:g} s"
+            advice = "check its cable; if the device needs more time, raise its timeout in rig.yaml"
+        return self.error(NoReply, problem, command, received, advice)
+
+    def _open(self, open_port: Callable[..., SerialPort]) -> SerialPort:
+        settings = self.settings
+        try:
+            return open_port(
+                port=settings.port,
+                baudrate=settings.baud,
+                timeout=POLL,
+                write_timeout=WRITE_TIMEOUT,
+                exclusive=True,
+            )
+        except (OSError, ValueError) as error:  # pyserial raises OSErrors, and a ValueError for an impossible speed
+            problem, advice = _explain_open_failure(error)
+            raise self.error(DeviceLost, problem, advice=advice) from error
+
+
+def _pyserial() -> Callable[..., Any]:
+    import serial
+
+    return serial.Serial
+
+
+def _explain_open_failure(error: OSError | ValueError) -> tuple[str, str]:
+    """Problem and advice; on Windows pyserial states the reason in the text alone."""
+    number, text = getattr(error, "errno", None), str(error)
+    denied = number == errno.EACCES or "PermissionError" in text
+    if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or (denied and os.name == "nt"):
+        return (
+            "the port is in use by another program",
+            "close the other program (a second scan, a terminal, the manufacturer's software)",
+        )
+    if denied:
+        return (
+            "no permission to open the port",
+            "add your account to the group that owns the port (often dialout), and log in again",
+        )
+    if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV) or "FileNotFoundError" in text:
+        return "the port does not exist", f"connect the device, or correct `port`; {_available_ports()}"
+    return f"the port cannot be opened ({text})", f"check `port` and `baud`; {_available_ports()}"
+
+
+def _available_ports() -> str:
+    from serial.tools import list_ports
+
+    names = sorted(port.device for port in list_ports.comports())[:8]
+    return f"available ports: {', '.join(names)}" if names else "this computer has no serial port"

@@ -1,0 +1,127 @@
+"""A run taken by the emulated rig, with the same scan over the same serial protocols as in a laboratory."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.errors import InputError
+from brdfpipe.rig.acquisition import journal as journals
+from brdfpipe.rig.acquisition.devices.connection import connect
+from brdfpipe.rig.acquisition.scan import Summary, last_finished, scan
+from brdfpipe.rig.emulator.emulated_rig import READOUT, EmulatedRig
+from brdfpipe.rig.plan import JOURNAL, Arrangement, Plan
+
+
+def make_run(plan_file: Path, folder: Path, truth: xr.Dataset | None, *, seed: int = 0, session: int = 0) -> Summary:
+    """Scan a plan with an emulated rig; the folder of the run appears complete or not at all, and replaces an existing one.
+
+    Parameters
+    ----------
+    plan_file : ``plan.yaml``
+    folder : of the run
+    truth : kind ``bsdf``, the sample; None for a plan that measures no sample
+    seed, session : of the random properties of the rig, and of the day
+
+    Raises
+    ------
+    InputError : the plan measures a sample, but there is no truth.
+    ScanStopped, StoreError : the disk is full.
+    """
+    plan = Plan.load(plan_file)
+    if truth is None and any(arrangement.load == "sample" for arrangement in plan.arrangements):
+        raise InputError(
+            plan_file, "the plan measures a sample, but no truth is given", where="runs", accepted="[target, etalon]"
+        )
+    temporary = folder.with_name(f".{folder.name}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    try:
+        summary = scan_emulated(plan, temporary, black_sample() if truth is None else truth, seed=seed, session=session)
+        shutil.rmtree(folder, ignore_errors=True)
+        temporary.rename(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return summary
+
+
+def scan_emulated(
+    plan: Plan,
+    folder: Path,
+    truth: xr.Dataset,
+    *,
+    seed: int = 0,
+    session: int = 0,
+    resume: bool = False,
+    progress: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> Summary:
+    """Scan a plan with an emulated rig, frame by frame as in a laboratory; parameters as of :func:`make_run` and :func:`scan`.
+
+    Raises
+    ------
+    InputError : the folder holds other files, or a run of another plan or rig.
+    ScanStopped, StoreError : the disk is full.
+    """
+    with (
+        EmulatedRig(plan.rig, truth, seed=seed, session=session) as emulated,
+        connect(emulated.rig, camera=emulated.camera) as devices,
+    ):
+        operator = f"emulator, seed {seed}, session {session}"
+        if resume:
+            _check_same_rig(folder, operator)
+            restore_state(emulated, plan, folder)
+        return scan(
+            plan,
+            devices,
+            folder,
+            clock=emulated.clock.now,
+            confirm=automatic_operator(emulated),
+            operator=operator,
+            progress=progress,
+            resume=resume,
+            say=say,
+        )
+
+
+def _check_same_rig(folder: Path, operator: str) -> None:
+    """Refuse to continue a run of another emulated rig, or of a real one."""
+    operators = {event.get("operator") for event in journals.read(folder / JOURNAL) if event["event"] == "begun"}
+    if others := operators - {operator}:
+        raise InputError(
+            folder,
+            "holds a run of another rig",
+            found=", ".join(map(str, others)),
+            accepted=f"{operator}, or another --out",
+        )
+
+
+def restore_state(emulated: EmulatedRig, plan: Plan, folder: Path) -> None:
+    """Restore the state of an emulated rig after the last finished frame of a run."""
+    if (last := last_finished(plan, folder)) is not None:
+        shot, frame = last
+        emulated.restore(
+            frame.started + shot.exposure + READOUT, frame.state.wavelength, frame.state.position, shot.ordinal
+        )
+
+
+def automatic_operator(emulated: EmulatedRig) -> Callable[[Arrangement, str], bool]:
+    """An operator who makes every arrangement of an emulated rig."""
+
+    def confirm(arrangement: Arrangement, instruction: str) -> bool:
+        emulated.set_entrance(arrangement.incidence, load=arrangement.load, side=arrangement.side)
+        return True
+
+    return confirm
+
+
+def black_sample() -> xr.Dataset:
+    """BSDF that reflects nothing."""
+    zero = ("theta_i", np.zeros(2))
+    variables = dict.fromkeys(("gauss_peak", "gauss_fwhm_parallel", "gauss_fwhm_perpendicular"), zero)
+    bsdf = xr.Dataset({"lambert": 0.0, **variables}, {"theta_i": [0.0, 90.0]}, {"representation": "lambert_gauss"})
+    return vocabulary.label(bsdf, "bsdf")

@@ -1,0 +1,182 @@
+"""Sample holder: brightness of the sample, the etalon or the angular target in every direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from scipy.special import ndtr
+
+from brdfpipe import specular_directions, vocabulary
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array, unit_vector
+from brdfpipe.rig.description import Rig, Target
+from brdfpipe.rig.emulator.camera_view import in_entrance_hole
+from brdfpipe.rig.emulator.effects import Effects, random_stream
+from brdfpipe.rig.emulator.illumination import Illumination
+
+LOADS = ("sample", "etalon", "target", "dark-trap")
+SIDES = ("reflection", "transmission")
+
+_CHUNK = 20_000
+"""Directions per evaluation, to limit memory."""
+
+
+class EmulationError(BrdfpipeError):
+    """A state or sample that the emulated rig does not support."""
+
+
+@dataclass(frozen=True)
+class Etalon:
+    """Reflectance standard as certified: BRDF ρ/π (1 − b (ϑ/60°)²) at normal incidence and all wavelengths."""
+
+    reflectance: float = 0.9
+    falloff: float = 0.05
+
+    def brdf(self, theta: Array) -> Array:
+        """BRDF [1/sr] at angles from the normal [degree]."""
+        return np.asarray(self.reflectance / np.pi * (1 - self.falloff * (theta / 60) ** 2))
+
+
+TARGET_EDGE = 0.06
+"""Standard deviation of the blurred edge of a spot of the angular target [degree]."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Manual arrangement: entrance [degree], object in the holder, and side on which the hemisphere is."""
+
+    entrance: float
+    load: str = "sample"
+    side: str = "reflection"
+
+
+class SampleHolder:
+    """The sample holder of a rig.
+
+    Parameters
+    ----------
+    rig : the description
+    truth : kind ``bsdf``, the sample; its azimuth 0 points to the entrance
+    illumination : of the sample
+    effects, seed, session : see :mod:`brdfpipe.rig.emulator.effects`
+    etalon : as certified
+
+    Raises
+    ------
+    VocabularyError : the truth is not of kind ``bsdf``.
+
+    Notes
+    -----
+    All light of an entrance falls onto the object in the holder, from one direction. Lamp, splitter and truth are integrated over the band with
+    the three nodes of the illumination. Outside its wavelengths the truth is extrapolated as constant.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        truth: xr.Dataset,
+        illumination: Illumination,
+        effects: Effects,
+        *,
+        seed: int,
+        session: int,
+        etalon: Etalon,
+    ) -> None:
+        self._rig, self._truth, self._illumination = rig, vocabulary.validate(truth, "bsdf"), illumination
+        self._bsdf = truth.bsdf
+        self._effects, self._etalon = effects, etalon
+        self._etalon_factor = 1 + effects.certificate * float(
+            random_stream(seed, "certificate", session).standard_normal()
+        )
+
+    def brightness(self, setup: Setup, theta_s: Array, phi_s: Array, wavelengths: Array) -> Array:
+        """BRDF × cosine of view [1/sr] times the light behind the splitter, (directions, wavelengths).
+
+        Parameters
+        ----------
+        theta_s, phi_s : (directions,), about the mirror direction, or about the straight transmission [degree]
+        wavelengths : of the monochromator [nm]
+
+        Raises
+        ------
+        EmulationError : an impossible arrangement, or a truth with a smooth, specular surface.
+        """
+        transmission = check_setup(setup, self._rig).side == "transmission"
+        nodes, light = self._illumination.band(wavelengths)
+        light = light * (1 - self._illumination.split_ratio(nodes))
+        total = light.sum(axis=-1)
+        brightness = np.full((theta_s.size, wavelengths.size), self._effects.stray) * total
+        if setup.load == "etalon":
+            brightness += self._etalon_brightness(setup.entrance, theta_s, phi_s)[:, None] * total
+        elif setup.load == "target":
+            assert self._rig.target is not None
+            brightness += target_brightness(self._rig.target, theta_s, phi_s)[:, None] * total
+        elif setup.load == "sample":
+            self._refuse_specular(setup)
+            cosine = specular_directions.cos_view(setup.entrance, theta_s, phi_s)
+            for chunk in np.array_split(np.flatnonzero(cosine > 0), 1 + theta_s.size // _CHUNK):
+                brdf = self._brdf(setup, theta_s[chunk], phi_s[chunk], nodes)
+                brightness[chunk] += cosine[chunk, None] * np.einsum("dwn,wn->dw", brdf, light)
+        brightness[
+            in_entrance_hole(self._rig, self._effects, setup.entrance, theta_s, phi_s, transmission=transmission)
+        ] = 0.0
+        return brightness
+
+    def _etalon_brightness(self, entrance: float, theta_s: Array, phi_s: Array) -> Array:
+        cosine = np.maximum(specular_directions.cos_view_etalon(entrance, theta_s, phi_s), 0.0)
+        theta = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
+        return self._etalon_factor * cosine * self._etalon.brdf(theta)
+
+    def _brdf(self, setup: Setup, theta_s: Array, phi_s: Array, nodes: Array) -> Array:
+        """BRDF or BTDF of the truth [1/sr], (directions, wavelengths, nodes of the band) or broadcastable; negative values of fits become 0."""
+        theta_o, phi_o = specular_directions.outgoing(setup.entrance, theta_s, phi_s, side=setup.side)
+        evaluate = self._bsdf.evaluate
+        if "wavelength" not in self._truth.coords:
+            return np.maximum(evaluate(setup.entrance, 0.0, theta_o, phi_o).values, 0.0)[:, None, None]
+        available = self._truth["wavelength"].values
+        distinct, inverse = np.unique(np.clip(nodes, available[0], available[-1]), return_inverse=True)
+        brdf = np.maximum(evaluate(setup.entrance, 0.0, theta_o, phi_o, distinct).values, 0.0)
+        return np.asarray(brdf[:, inverse.reshape(nodes.shape)])
+
+    def _refuse_specular(self, setup: Setup) -> None:
+        reflected, transmitted = self._bsdf.specular(setup.entrance)
+        if float((transmitted if setup.side == "transmission" else reflected).max()) > 0:
+            raise EmulationError(
+                "the truth has a perfectly smooth surface, which the emulator does not support: the brightness of its mirror "
+                "image depends on the size of the source; use a rough surface"
+            )
+
+
+def target_brightness(target: Target, theta_s: Array, phi_s: Array) -> Array:
+    """BRDF × cosine of view [1/sr] of an angular target in directions [degree]: 1 in the middle of a spot."""
+    cosine = unit_vector(theta_s, phi_s) @ unit_vector(target.theta_s, target.phi_s).T
+    depth = target.radius - np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return np.asarray(ndtr(depth / TARGET_EDGE).sum(axis=1))
+
+
+def check_setup(setup: Setup, rig: Rig) -> Setup:
+    """The setup, if it is possible with a rig.
+
+    Raises
+    ------
+    EmulationError : impossible arrangement, with the accepted values.
+    """
+    entrances = ", ".join(f"{entrance:g}" for entrance in rig.entrances)
+    if setup.load not in LOADS:
+        raise EmulationError(f"unknown object {setup.load!r} in the holder; accepted: {', '.join(LOADS)}")
+    if setup.load == "target" and rig.target is None:
+        raise EmulationError("the rig has no angular target; describe it under `target` in rig.yaml")
+    if setup.side not in SIDES:
+        raise EmulationError(f"unknown side {setup.side!r}; accepted: {', '.join(SIDES)}")
+    if setup.side == "transmission":
+        if setup.load in ("etalon", "target"):
+            raise EmulationError(f"the {setup.load} transmits no light; accepted: reflection")
+        if not 0 <= setup.entrance < 90:
+            raise EmulationError(
+                f"no transmission at an incidence of {setup.entrance:g} degree; accepted: 0 to below 90"
+            )
+    elif setup.entrance not in rig.entrances:
+        raise EmulationError(f"the rig has no entrance at {setup.entrance:g} degree; accepted: {entrances}")
+    return setup
