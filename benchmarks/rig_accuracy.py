@@ -348,7 +348,10 @@ def glosses(bsdf: xr.Dataset, truth: xr.Dataset) -> Array:
     Both are read by the same nominal gloss meter, so that the tolerances of gloss meters have no part in it.
     """
     found = appearance.gloss(bsdf)
-    u, flags = gloss_basis.of_bsdf(bsdf, found), gloss_basis.gloss_quality(bsdf, found["gloss_angle"])
+    u, flags = (
+        gloss_basis.gloss_uncertainty_from_bsdf(bsdf, found),
+        gloss_basis.gloss_quality(bsdf, found["gloss_angle"]),
+    )
     assert u is not None
     assert flags is not None
     return np.stack([appearance.gloss(truth).values, found.values, u.values, flags.values])

@@ -460,7 +460,7 @@ KINDS: Mapping[str, Kind] = {
         },
         attributes=("day", "sample", "rig", "rig_digest"),
     ),
-    "catalogue": Kind({}),
+    "catalogue": Kind({}, missing=("reflectance_haze",)),
 }
 
 _ALBEDO: Sequence[tuple[str, ...]] = [

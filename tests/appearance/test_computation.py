@@ -32,7 +32,7 @@ def test_a_configuration_may_ask_for_geometries_and_windows(tmp_path: Path):
     own = tmp_path / "own.yaml"
     window = "{angle: 30, offset: 2, aperture: [0.5, 3]}"
     own.write_text(f"appearance: {{geometries: [DIN 6175-2], haze: [{window}]}}\n")
-    found = appearance.appraise(samples.beckmann_bsdf(0.1), **catalogue.load_config(own)["appearance"])
+    found = appearance.compute_appearance(samples.beckmann_bsdf(0.1), **catalogue.load_config(own)["appearance"])
     path = tmp_path / "appearance.nc"
     store.save_dataset(found, path, stage="appearance", material="m")
     kept = store.open_dataset(path, "appearance")
@@ -68,7 +68,7 @@ def paint(**options):
 )
 def test_the_gloss_of_flakes_without_their_coat_says_so_and_names_the_model_that_has_one(tmp_path: Path, options, mend):
     path = tmp_path / "appearance.nc"
-    store.save_dataset(appearance.appraise(paint(**options)), path, stage="appearance", material="m")
+    store.save_dataset(appearance.compute_appearance(paint(**options)), path, stage="appearance", material="m")
     found = store.open_dataset(path, "appearance")
     assert mend in found.attrs["no_gloss"]
     assert vocabulary.warnings(found) == [found.attrs["no_gloss"]]
@@ -81,7 +81,7 @@ def test_the_gloss_of_flakes_without_their_coat_says_so_and_names_the_model_that
 
 @pytest.mark.parametrize("coat", ["smooth", 0.02])
 def test_the_gloss_of_a_paint_with_its_coat_is_given_without_reserve(coat):
-    found = appearance.appraise(paint(model="flake-physical", clear_coat=coat))
+    found = appearance.compute_appearance(paint(model="flake-physical", clear_coat=coat))
     assert float(found["gloss"].sel(gloss_angle=60)) > 50
     assert "no_gloss" not in found.attrs
     assert not vocabulary.warnings(found)
@@ -89,23 +89,25 @@ def test_the_gloss_of_a_paint_with_its_coat_is_given_without_reserve(coat):
 
 
 def test_only_flakes_lack_a_coat():
-    assert "no_gloss" not in appearance.appraise(samples.beckmann_bsdf(0.3)).attrs
+    assert "no_gloss" not in appearance.compute_appearance(samples.beckmann_bsdf(0.3)).attrs
 
 
 def test_a_colour_beyond_the_measured_flake_angles_is_flagged(tmp_path: Path):
     path = tmp_path / "appearance.nc"
-    store.save_dataset(appearance.appraise(paint(), geometries=["MA-T6"]), path, stage="appearance", material="m")
+    store.save_dataset(
+        appearance.compute_appearance(paint(), geometries=["MA-T6"]), path, stage="appearance", material="m"
+    )
     found = store.open_dataset(path, "appearance")
     flags = found["lab_quality"].to_series().map(dict(enumerate(vocabulary.QUALITY_FLAGS))).to_dict()
     assert flags["45as-15"] == "extrapolated"
     assert flags["45as15"] == flags["45as110"] == "measured"
     assert flags["45as25"] == "interpolated"
     assert flags["8:total"] == "completed"
-    assert "lab_quality" not in appearance.appraise(samples.beckmann_bsdf(0.3))
+    assert "lab_quality" not in appearance.compute_appearance(samples.beckmann_bsdf(0.3))
 
 
 def test_every_number_of_instruments_stands_beside_its_uncertainty():
-    found = appearance.appraise(paint(model="flake-physical", clear_coat=0.02))
+    found = appearance.compute_appearance(paint(model="flake-physical", clear_coat=0.02))
     for name in ("gloss", "haze", "reflectance_haze", "flop_index"):
         assert (found[f"{name}_u"] > 0).all(), name
         assert (found[f"{name}_u"] < 0.2 * abs(found[name])).all(), name

@@ -22,7 +22,7 @@ def paint():
 def seen(paint):
     truth = rig_primary.of_model(paint.bsdf.nonspectral())
     primary = rig_primary.measured(truth, (10.0, 20.0, 30.0, 45.0, 60.0), WAVELENGTHS, noise=0.01)
-    return appearance.appraise(completion.complete(smoothing.smooth(primary)))
+    return appearance.compute_appearance(completion.complete(smoothing.smooth(primary)))
 
 
 def test_a_gloss_says_whether_its_mirror_direction_was_measured(seen):
@@ -30,7 +30,7 @@ def test_a_gloss_says_whether_its_mirror_direction_was_measured(seen):
     assert flags[:2] == ["measured", "measured"]
     assert flags[2] not in ("measured", "interpolated")
     (warning,) = (text for text in vocabulary.warnings(seen) if "not measured" in text)
-    assert "gloss at 85° rests on" in warning
+    assert "Gloss at 85° rests on" in warning
 
 
 def test_its_uncertainty_covers_the_truth_where_it_was_measured_and_where_not(seen, paint):
@@ -47,6 +47,6 @@ def test_the_uncertainty_of_the_bsdf_is_in_that_of_the_gloss(seen, paint):
 
 
 def test_a_gloss_that_rests_on_a_model_has_no_such_flags(paint):
-    found = appearance.appraise(paint)
+    found = appearance.compute_appearance(paint)
     assert "gloss_quality" not in found
     assert "BSDF" not in found["gloss_u"].attrs["long_name"]

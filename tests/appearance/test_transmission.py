@@ -51,12 +51,12 @@ def test_what_does_not_transmit_has_no_haze_of_transmission():
     opaque = samples.beckmann_bsdf(0.1)
     assert np.isnan(transmission_haze(opaque))
     assert luminous_transmittance(opaque) == 0
-    assert "transmission_haze" not in appearance.appraise(opaque)
+    assert "transmission_haze" not in appearance.compute_appearance(opaque)
 
 
 def test_an_appraisal_of_a_sheet_says_what_passes():
     frosted = slab.build(facets.flat(), facets.analytic("beckmann", 0.2), index=1.5)
-    found = vocabulary.validate(appearance.appraise(frosted), "appearance")
+    found = vocabulary.validate(appearance.compute_appearance(frosted), "appearance")
     assert 0.5 < float(found["transmission_haze"]) < 1
     # A sheet that absorbs nothing passes what it does not reflect; 8° of incidence against 0° differ by a thousandth.
     assert float(found["luminous_transmittance"] + found["luminous_reflectance"]) == pytest.approx(1, abs=1e-3)

@@ -16,10 +16,10 @@ import xarray as xr
 
 from brdfpipe import optics, store, vocabulary
 from brdfpipe.appearance.preview import preview
+from brdfpipe.appearance.quantities import quantities
 from brdfpipe.bsdf import microfacet
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report import catalogue_csv, catalogue_page, combine, lock, summarise
-from brdfpipe.report.catalogue import NUMBERS
 
 Datasets = dict[str, xr.Dataset]
 
@@ -59,7 +59,7 @@ def test_every_number_of_a_row_has_units_and_words(full: Datasets) -> None:
 
 def test_what_is_not_known_is_nan(full: Datasets) -> None:
     row = summarise({"index": full["index"]})
-    assert all(np.isnan(row[name].values).all() for name in NUMBERS)
+    assert all(np.isnan(row[quantity.name].values).all() for quantity in quantities())
     assert np.isnan(row["srgb"].values).all()
     assert row["verdict"].values.tolist() == [""]
 
@@ -233,7 +233,7 @@ def test_the_page_shows_the_worst_verdict_first_and_then_by_name(full: Datasets)
     ]
     html = catalogue_page(combine(rows), {})
     assert _names(html) == ["c", "y", "x", "B-2", "b-10", "a"]
-    assert "Worst first" in html
+    assert "Sorted by verdict, worst first" in html
     assert "2 pass, 1 warn, 2 fail, 1 unchecked" in html
 
 
@@ -329,8 +329,8 @@ def test_haze_is_given_within_the_scope_of_its_standard_alone(full: Datasets) ->
     assert "Haze D4039" in _heads(html)
     assert "<td>12.2<td>" in html  # 12.25 to the even digit
     assert "<td>18.2<td>" not in html
-    assert '<td title="D4039 is for more than 70 gloss units at 60°, and this one has 21.4."><td>' in html
-    assert '<td title="D4039 is for nonmetallic surfaces, and this one is a metal."><td>' in html
+    assert '<td title="D4039 is for more than 70 gloss units at 60°. This surface has 21.4."><td>' in html
+    assert '<td title="D4039 is for nonmetallic surfaces. This surface is a metal."><td>' in html
     assert "Haze D4039" not in _heads(catalogue_page(combine([rows[1], rows[2]]), {}))
 
 
@@ -343,19 +343,19 @@ def test_haze_takes_both_angles(full: Datasets) -> None:
     appearance = full["appearance"].assign(gloss=("gloss_angle", [80.0, 92.0, 95.0])).isel(gloss_angle=[1, 2])
     row = _row({**full, "appearance": appearance}, "a")
     assert np.isnan(float(row["haze"][0]))
-    assert "not both computed" in str(row["no_haze"].values[0])
+    assert "needs gloss at 20° and at 60°" in str(row["no_haze"].values[0])
 
 
 def test_flakes_without_their_clear_coat_have_no_gloss_but_a_reason(full: Datasets) -> None:
     film = _gloss(full, 80.5, 92.75, 95.0)["appearance"]
     known = {"multiangle": xr.Dataset(coords={"geometry": list("abc")}), "bsdf": xr.Dataset(attrs={"route": "flake"})}
-    row = _row({**known, "appearance": film.assign_attrs(no_gloss="no coat; set `multiangle.model`")}, "a")
+    row = _row({**known, "appearance": film.assign_attrs(no_gloss="No coat. Set `multiangle.model`.")}, "a")
     coated = _row({**known, "appearance": film}, "b")
     assert np.isnan([float(row[name][0]) for name in ("gloss_20", "gloss_60", "gloss_85", "haze")]).all()
     assert [float(coated[name][0]) for name in ("gloss_60", "haze")] == [92.75, 12.25]
     html = catalogue_page(combine([row, coated]), {})
-    assert html.count('<td title="No coat; set multiangle.model.">–') == 3
-    assert html.count('<td title="No coat; set multiangle.model."><td>') == 1
+    assert html.count('<td title="No coat. Set multiangle.model.">–') == 3
+    assert html.count('<td title="No coat. Set multiangle.model."><td>') == 1
 
 
 def _picture() -> xr.Dataset:

@@ -15,7 +15,7 @@ import xarray as xr
 
 from brdfpipe import facets, vocabulary
 from brdfpipe.errors import InputError
-from brdfpipe.report.raster import false_colour
+from brdfpipe.report.plots.raster import false_colour
 from brdfpipe.surfaces import ingest, instruments, level, parameters, read_surface
 from brdfpipe.surfaces.reading import check_readable
 

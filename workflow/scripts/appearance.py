@@ -1,12 +1,12 @@
 from brdfpipe import store
-from brdfpipe.appearance.computation import appraise
+from brdfpipe.appearance.computation import compute_appearance
 
 
 def main(input, output, params):
     """Gloss, haze, colours and a preview of a BRDF."""
     bsdf = store.open_dataset(input["bsdf"], "bsdf")
     store.save_dataset(
-        appraise(bsdf, **params["spec"]),
+        compute_appearance(bsdf, **params["spec"]),
         output["appearance"],
         stage="appearance",
         material=params["material"],

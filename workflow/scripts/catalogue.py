@@ -1,5 +1,7 @@
 from brdfpipe import store
-from brdfpipe.report.catalogue import catalogue_csv, catalogue_page, combine, lock
+from brdfpipe.report.catalogue.page import catalogue_page
+from brdfpipe.report.catalogue.rows import combine
+from brdfpipe.report.catalogue.table import catalogue_csv, lock
 
 
 def main(input, output, params):

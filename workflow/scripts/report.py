@@ -1,7 +1,7 @@
 from pathlib import Path
 
 from brdfpipe import store
-from brdfpipe.report.catalogue import summarise
+from brdfpipe.report.catalogue.rows import summarise
 from brdfpipe.report.material.page import material_page
 
 

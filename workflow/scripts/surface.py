@@ -2,12 +2,13 @@ from pathlib import Path
 
 from brdfpipe import store
 from brdfpipe.surfaces.reading import ingest
+from brdfpipe.surfaces.texture_parameters import with_parameters
 
 
 def main(input, output, params):
-    """A measured relief: read, checked and levelled."""
+    """A measured surface: read, checked and levelled, with its texture parameters."""
     raw = Path(input["raw"])
-    surface = ingest(raw, params["spec"])
+    surface = with_parameters(ingest(raw, params["spec"]))
     store.save_dataset(
         surface,
         output["surface"],

@@ -1,7 +1,7 @@
 from .colours import colour as colour
 from .colours import colour_uncertainty as colour_uncertainty
 from .colours import flop_index as flop_index
-from .computation import appraise as appraise
+from .computation import compute_appearance as compute_appearance
 from .gloss_meter import gloss as gloss
 from .gloss_meter import gloss_and_haze as gloss_and_haze
 from .gloss_meter import gloss_with_uncertainty as gloss_with_uncertainty

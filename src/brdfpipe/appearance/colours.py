@@ -18,7 +18,7 @@ TOTAL = "8:total"
 """Name of the sphere geometry: 8° incidence, all reflected light, specular included."""
 
 GEOMETRIES = ("45:0", *SETS["E2194"])
-"""Single geometries that every material is appraised at: 45:0, and the three of ASTM E2194."""
+"""Single geometries that always computed: 45:0, and the three of ASTM E2194."""
 
 ANGLE_TOLERANCE = 0.5
 """± of the directions of light and of view of a multi-angle instrument, in the plane of incidence and across it [degree].

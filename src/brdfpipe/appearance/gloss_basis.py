@@ -1,4 +1,4 @@
-"""What a gloss rests on: whether its directions were measured, and how well the BSDF is known there."""
+"""What gloss rests on: whether its directions were measured, and how uncertain the BSDF is there."""
 
 from __future__ import annotations
 
@@ -8,25 +8,47 @@ import xarray as xr
 from brdfpipe.appearance.colours import quality
 from brdfpipe.bsdf import representations
 from brdfpipe.flakes.geometries import Directions
+from brdfpipe.vocabulary import QUALITY_FLAGS
+
+MEASURED_FLAGS = ("measured", "interpolated")
+"""Quality flags of directions that were measured, or that are between measured ones."""
 
 
 def gloss_quality(bsdf: xr.Dataset, angles: xr.DataArray) -> xr.DataArray | None:
-    """``gloss_quality(gloss_angle)``: a value of ``QUALITY_FLAGS`` of the mirror direction at each; None of a BSDF that rests on a model."""
+    """``gloss_quality(gloss_angle)``: quality flag of the mirror direction at each geometry; None for a BSDF from a model."""
     flags = quality(bsdf, {f"{angle:g}": Directions(angle, 0.0, angle, 180.0) for angle in angles.values.tolist()})
     return None if flags is None else angles.copy(data=flags).rename("gloss_quality")
 
 
-def of_bsdf(bsdf: xr.Dataset, gloss: xr.DataArray) -> xr.DataArray | None:
-    """Standard uncertainty of gloss units that the BSDF's own leaves; None where that is not known.
+def gloss_uncertainty_from_bsdf(bsdf: xr.Dataset, gloss: xr.DataArray) -> xr.DataArray | None:
+    """Standard uncertainty of gloss [gloss units] from that of the BSDF; None where the BSDF has none.
 
-    Its relative uncertainty in the mirror direction is taken for all of the receptor: neighbouring directions are off together.
+    The relative uncertainty in the mirror direction is applied to the whole receptor: errors of neighbouring directions are correlated.
     """
     if not representations.has_uncertainty(bsdf):
         return None
     reduced, theta = representations.nonspectral(bsdf), gloss["gloss_angle"].values
-    along = (theta, np.zeros_like(theta), theta, np.full_like(theta, 180.0), None)
-    value, u = (
-        each(reduced, *along)[..., 0]
-        for each in (representations.representation(reduced).evaluate, representations.uncertainty)
-    )
+    mirror = (theta, np.zeros_like(theta), theta, np.full_like(theta, 180.0), None)
+    value = representations.representation(reduced).evaluate(reduced, *mirror)[..., 0]
+    u = representations.uncertainty(reduced, *mirror)[..., 0]
     return gloss * np.divide(u, value, out=np.zeros_like(u), where=value > 0)
+
+
+def gloss_flags(appearance: xr.Dataset | None) -> dict[float, str]:
+    """Quality flag of gloss by geometry [degree]; empty for a BSDF from a model."""
+    if appearance is None or "gloss_quality" not in appearance:
+        return {}
+    flags = [QUALITY_FLAGS[flag] for flag in appearance["gloss_quality"].values]
+    return dict(zip(appearance["gloss_angle"].values.tolist(), flags, strict=True))
+
+
+def worst_flag(appearance: xr.Dataset | None, *angles: float) -> str:
+    """The worst quality flag of gloss at some geometries; empty where none has a flag."""
+    flags = gloss_flags(appearance)
+    return max((flags[angle] for angle in angles if angle in flags), key=QUALITY_FLAGS.index, default="")
+
+
+def basis_note(appearance: xr.Dataset | None, *angles: float) -> str:
+    """`` (extrapolated)`` and the like where gloss rests on directions that were not measured; else empty."""
+    flag = worst_flag(appearance, *angles)
+    return f" ({flag})" if flag and flag not in MEASURED_FLAGS else ""

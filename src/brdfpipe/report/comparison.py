@@ -13,10 +13,11 @@ from markupsafe import Markup
 from brdfpipe import vocabulary
 from brdfpipe.comparison import findings
 from brdfpipe.comparison.findings import NAMES, plus_minus
-from brdfpipe.report import rig_fit, scattering
 from brdfpipe.report.cards import Table
-from brdfpipe.report.pages import fixed, number
-from brdfpipe.report.svg import Array, Axis, Figure, Line, Mark, Points, chart, legend
+from brdfpipe.report.formatting import fixed, number
+from brdfpipe.report.plots import bsdf_sections
+from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, Mark, Points, chart, legend
+from brdfpipe.report.rig import fit as rig_fit
 
 _BESIDE = 12.0
 """Azimuth from the plane of incidence up to which a cell is shown as if it lay in it [degree]."""
@@ -87,13 +88,13 @@ def _incidences(comparison: xr.Dataset) -> Table:
     header = ("Incidence", "Model", "Measured / model", "rms z", "Reflectance seen", "of the model")
     note = (
         "Median of the ratio, and rms of the difference over its uncertainty, of all values; reflectance into the directions of the cells, "
-        f"{scattering.wavelength_words(comparison)}."
+        f"{bsdf_sections.wavelength_words(comparison)}."
     )
     return Table("Agreement at each incidence", header, rows, note)
 
 
 def _at_reference(comparison: xr.Dataset) -> xr.Dataset:
-    wavelength = scattering.reference(comparison)
+    wavelength = bsdf_sections.reference(comparison)
     assert wavelength is not None
     return comparison.sel(wavelength=wavelength[0])
 
@@ -132,7 +133,7 @@ def _cut(comparison: xr.Dataset) -> Iterator[Figure]:
     svg = chart(f"{words}, logarithmic", across, _decades(shown[shown > 0]), marks)
     strip, left_out = _strip(words, one, angle, across)
     note = (
-        f"Cells within {_BESIDE:g}° of azimuth from the plane of incidence, {scattering.wavelength_words(comparison)}; models are "
+        f"Cells within {_BESIDE:g}° of azimuth from the plane of incidence, {bsdf_sections.wavelength_words(comparison)}; models are "
         "drawn through their values at the same cells. Below: by how much what was measured is above each of them, in its colour; bars "
         f"are ±\u202f1 standard uncertainty of what was measured.{left_out}"
     )

@@ -11,6 +11,13 @@ from numpy.typing import NDArray
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.vocabulary import label, validate
 
+NAMES = (
+    *("Sa", "Sq", "Sz", "Ssk", "Sku", "Sdq", "Sdr"),
+    *("Ra", "Rq", "Rz", "Rsk", "Rku", "Rdq", "Rdq_7point"),
+    "missing_fraction",
+)
+"""Surface texture parameters, of a map (S…) and of a line (R…)."""
+
 Scalars = Mapping[str, tuple[float, str, str]]
 """name → value, units, long name"""
 
@@ -58,6 +65,11 @@ def parameters(surface: xr.Dataset) -> xr.Dataset:
     values = {name: ((), value, {"units": u, "long_name": text}) for name, (value, u, text) in scalars.items()}
     attrs = {name: surface.attrs[name] for name in ("levelling", "band")}
     return label(xr.Dataset(values, attrs=attrs), "parameters")
+
+
+def with_parameters(surface: xr.Dataset) -> xr.Dataset:
+    """The surface with its texture parameters as further variables; arguments as for :func:`parameters`."""
+    return surface.assign(parameters(surface).data_vars)
 
 
 def _heights(z: NDArray[np.float64], letter: str) -> Scalars:

@@ -1,0 +1,91 @@
+"""When a quantity applies to a material, and why it does not otherwise.
+
+Every ``…_exclusion`` returns a sentence with the reason and the remedy, or an empty text where the quantity applies.
+"""
+
+from __future__ import annotations
+
+import math
+
+import xarray as xr
+
+from brdfpipe.appearance.colours import BLACK
+from brdfpipe.appearance.haze import WINDOWS
+from brdfpipe.appearance.origin import Datasets, has_finish, is_metal
+
+HAZE_ANGLES = (20.0, 60.0)
+"""Gloss geometries of ASTM D4039 [degree]."""
+
+HIGH_GLOSS = 70.0
+"""Gloss units at 60° above which ASTM D4039 applies."""
+
+ISO_WINDOW = WINDOWS[0].title
+"""Window of the reflectance haze after ISO 13803."""
+
+
+def gloss_units(appearance: xr.Dataset | None) -> dict[float, float]:
+    """Gloss units by geometry [degree], of those that were computed."""
+    if appearance is None or "gloss" not in appearance:
+        return {}
+    angles, values = appearance["gloss_angle"].values.tolist(), appearance["gloss"].values.tolist()
+    return {angle: value for angle, value in zip(angles, values, strict=True) if math.isfinite(value)}
+
+
+def reflectance_haze_by_window(appearance: xr.Dataset | None) -> dict[str, float]:
+    """Reflectance haze [gloss units] by the title of its window."""
+    if appearance is None or not {"reflectance_haze", "haze_window"} <= set(appearance.variables):
+        return {}
+    windows = map(str, appearance["haze_window"].values)
+    return dict(zip(windows, appearance["reflectance_haze"].values.tolist(), strict=True))
+
+
+def gloss_exclusion(datasets: Datasets) -> str:
+    """Gloss needs a surface finish, and a paint needs its clear coat."""
+    if not has_finish(datasets):
+        return (
+            "No surface finish was measured or assumed. The BRDF is perfectly diffuse, and its gloss is not that of the material. "
+            "Set `surface` in material.yaml to model gloss."
+        )
+    # The appearance stage states this of a paint without a modelled clear coat.
+    return str(datasets["appearance"].attrs.get("no_gloss", "")) if "appearance" in datasets else ""
+
+
+def haze_exclusion(datasets: Datasets) -> str:
+    """ASTM D4039 needs gloss at 20° and 60°, a nonmetallic surface and high gloss."""
+    gloss = gloss_units(datasets.get("appearance"))
+    if reason := gloss_exclusion(datasets):
+        return reason
+    if not set(HAZE_ANGLES) <= set(gloss):
+        return "D4039 needs gloss at 20° and at 60°. Add both to `gloss_angles`."
+    if is_metal(datasets.get("bsdf")):
+        return "D4039 is for nonmetallic surfaces. This surface is a metal."
+    if not gloss[60.0] > HIGH_GLOSS:
+        return f"D4039 is for more than {HIGH_GLOSS:g} gloss units at 60°. This surface has {gloss[60.0]:.1f}."
+    return ""
+
+
+def reflectance_haze_exclusion(datasets: Datasets) -> str:
+    """ISO 13803 needs gloss to apply, and its window among those computed."""
+    if reason := gloss_exclusion(datasets):
+        return reason
+    windows = reflectance_haze_by_window(datasets.get("appearance"))
+    if windows and ISO_WINDOW not in windows:
+        return f"The window of ISO 13803 ({ISO_WINDOW}) was not computed. Add it to `appearance.haze`."
+    return ""
+
+
+def flop_exclusion(datasets: Datasets) -> str:
+    """The flop index needs a surface finish, a surface that darkens away from the mirror direction, and one not black at 45°."""
+    if not has_finish(datasets):
+        return (
+            "No surface finish was measured or assumed. The BRDF is perfectly diffuse, and its flop index is not that of the material. "
+            "Set `surface` in material.yaml to model it."
+        )
+    appearance = datasets.get("appearance", xr.Dataset())
+    if "flop_index" not in appearance or math.isfinite(float(appearance["flop_index"])):
+        return ""
+    lightness = appearance["lab"].isel(component=0).to_series().to_dict() if "geometry" in appearance.coords else {}
+    near, middle, far = (lightness.get(f"45as{angle}", math.nan) for angle in (15, 45, 110))
+    if far > near:
+        return f"The flop index is for surfaces that darken away from the mirror direction. L* is {near:.1f} at 15° and {far:.1f} at 110°."
+    return f"The flop index is not defined for black: L* is {middle:.2g} at 45°." if middle < BLACK else ""

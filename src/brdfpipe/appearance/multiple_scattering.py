@@ -1,0 +1,51 @@
+"""Light that leaves a surface after more than one reflection between its facets."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.optics.fresnel_equations import mean_fresnel
+
+
+class MultipleScattering(NamedTuple):
+    """Light reflected more than once [1], mean over the hemisphere of incidence."""
+
+    compensated: bool
+    """Whether the model adds this light as a diffuse part; otherwise the light is lost."""
+    share: float
+    """Share of the incident light, for this material."""
+    mirrors: float
+    """Share of the incident light, if the facets were perfect mirrors; negative where the masking gains energy."""
+
+
+def multiple_scattering(bsdf: xr.Dataset, wavelength: float = 550.0) -> MultipleScattering | None:
+    """Light that leaves the facets after two or more reflections, at the wavelength [nm] nearest to ``wavelength``.
+
+    Returns
+    -------
+    None where a BSDF does not contain the albedo of its facets as perfect mirrors
+
+    Notes
+    -----
+    With Ē₁ the mean albedo of perfect mirrors and F̄ = 2 ∫ F μ dμ: F̄² Ē₁ (1 − Ē₁) / (1 − F̄ (1 − Ē₁)), a geometric series.
+
+    References
+    ----------
+    Kulla & Conty 2017.
+    """
+    if "mean_furnace_albedo" not in bsdf or "slope_density" not in bsdf:
+        return None
+    mirrors = 1 - float(bsdf["mean_furnace_albedo"])
+    if "compensation" in bsdf:
+        return MultipleScattering(True, float(_at(bsdf["compensation"], wavelength)) * mirrors, mirrors)
+    n, k = (np.atleast_1d(_at(bsdf[name], wavelength)) for name in ("n", "k"))
+    fresnel = float(mean_fresnel(n, k)[0])
+    share = fresnel**2 * (1 - mirrors) * mirrors / max(1 - fresnel * mirrors, 1e-12)
+    return MultipleScattering(False, max(share, 0.0), mirrors)
+
+
+def _at(values: xr.DataArray, wavelength: float) -> xr.DataArray:
+    return values.sel(wavelength=wavelength, method="nearest") if "wavelength" in values.dims else values

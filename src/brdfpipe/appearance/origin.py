@@ -1,0 +1,64 @@
+"""What the BRDF of a material rests on: a prediction, measured colours, or a camera rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import xarray as xr
+
+from brdfpipe.bsdf import representations
+
+Datasets = Mapping[str, xr.Dataset]
+"""Stage → its dataset, of one material; any stage may be absent."""
+
+PREDICTION_INPUTS = (
+    "surface",
+    "facets",
+    "back_surface",
+    "back_facets",
+    "masking",
+    "spectrum",
+    "index",
+    "interior",
+    "multiangle",
+    "flake",
+)
+"""Stages that a measured BRDF does not rest on; its prediction, for comparison, does."""
+
+_METAL_EXTINCTION = 0.1
+"""Extinction coefficient above which no light returns from below the surface."""
+
+
+def route(datasets: Datasets) -> str:
+    """``predicted``, ``flake``, ``measured`` or ``imported``."""
+    return str(datasets["bsdf"].attrs.get("route", "predicted")) if "bsdf" in datasets else "predicted"
+
+
+def is_measured(datasets: Datasets) -> bool:
+    """Whether the BRDF was measured, so that inputs of a prediction only serve the comparison."""
+    return route(datasets) == "measured"
+
+
+def basis(datasets: Datasets) -> str:
+    """The inputs in words: ``surface + spectrum``, ``assumed finish``, ``a camera rig``; empty where there are none."""
+    if is_measured(datasets):
+        return "a camera rig"
+    if route(datasets) == "flake" and "multiangle" in datasets:
+        return f"colours at {datasets['multiangle'].sizes['geometry']} geometries"
+    finish = "surface" if "surface" in datasets else "assumed finish" if "facets" in datasets else ""
+    return " + ".join(part for part in (finish, "spectrum" if "spectrum" in datasets else "") if part)
+
+
+def has_finish(datasets: Datasets) -> bool:
+    """Whether a surface finish was measured or assumed. A prediction without facets is perfectly diffuse."""
+    return "facets" in datasets or route(datasets) != "predicted"
+
+
+def is_metal(bsdf: xr.Dataset | None) -> bool:
+    """Whether a BSDF states the extinction coefficient of a metal."""
+    return bsdf is not None and "k" in bsdf and float(bsdf["k"].min()) > _METAL_EXTINCTION
+
+
+def has_no_diffuse_base(bsdf: xr.Dataset | None) -> bool:
+    """Whether no spectrum is needed: a metal, or a body that transmits, reflects no light diffusely from below its surface."""
+    return bsdf is not None and (representations.transmits(bsdf) or is_metal(bsdf))

@@ -1,0 +1,81 @@
+"""Verdicts of a material: those of its checks and its table, and ``warn`` for every stage with a warning.
+
+The checks judge the BRDF alone. They pass a BRDF from a scan that hardly resolves its facets; the warning of the facets stage says so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from brdfpipe import vocabulary
+from brdfpipe.appearance.origin import PREDICTION_INPUTS, Datasets, is_measured
+
+VERDICTS = ("fail", "warn", "pass")
+"""Worst first."""
+
+_BY_PRODUCTS = ("preview", "table", "lambert_gauss")
+"""Stages whose warnings concern a by-product and not the BRDF."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The outcome of a check, or of the warnings of a stage."""
+
+    name: str
+    verdict: str
+    """One of :data:`VERDICTS`."""
+    text: str
+
+
+def verdicts(datasets: Datasets) -> list[Verdict]:
+    """Verdicts of the checks and of the table, then ``warn`` for every stage that the BRDF rests on and that has a warning."""
+    return [*check_verdicts(datasets), *_warning_verdicts(datasets)]
+
+
+def check_verdicts(datasets: Datasets) -> list[Verdict]:
+    """Verdicts of the checks and of the table."""
+    results: dict[str, Verdict] = {}
+    for stage in ("checks", "table"):
+        for name, entry in json_object(datasets[stage].attrs.get("verdicts") if stage in datasets else None).items():
+            outcome = entry if isinstance(entry, dict) else {"verdict": entry}
+            results[name] = Verdict(
+                name.replace("_", " "), str(outcome.get("verdict", "")), str(outcome.get("text", ""))
+            )
+    return list(results.values())
+
+
+def worst(outcomes: Sequence[Verdict]) -> str:
+    """The worst verdict; empty where nothing was checked."""
+    return next((verdict for verdict in VERDICTS if any(entry.verdict == verdict for entry in outcomes)), "")
+
+
+def stage_warnings(datasets: Datasets) -> list[tuple[str, str]]:
+    """(stage, warning) of all stages. A warning that later stages repeat counts once, for the first stage."""
+    first_stage: dict[str, str] = {}
+    for stage, dataset in datasets.items():
+        for text in vocabulary.warnings(dataset):
+            first_stage.setdefault(text, stage)
+    return [(stage, text) for text, stage in first_stage.items()]
+
+
+def stage_title(datasets: Datasets, stage: str) -> str:
+    """A stage in words; inputs of the prediction that a measurement is compared with are marked."""
+    title = stage.replace("_", " ")
+    return f"{title} (of the prediction)" if is_measured(datasets) and stage in PREDICTION_INPUTS else title
+
+
+def json_object(text: object) -> dict[str, Any]:
+    """An attribute that holds a JSON object; empty where it is missing or holds something else."""
+    value = json.loads(text) if isinstance(text, str) and text else {}
+    return value if isinstance(value, dict) else {}
+
+
+def _warning_verdicts(datasets: Datasets) -> list[Verdict]:
+    texts: dict[str, list[str]] = {}
+    own = {stage: dataset for stage, dataset in datasets.items() if stage not in _BY_PRODUCTS}
+    for stage, text in stage_warnings(own):
+        texts.setdefault(stage, []).append(text.strip().removesuffix("."))
+    return [Verdict(stage_title(datasets, stage), "warn", "; ".join(lines)) for stage, lines in texts.items()]

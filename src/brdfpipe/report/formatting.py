@@ -1,0 +1,113 @@
+"""How numbers, units and the basis of a value are written on the pages."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Sequence
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from brdfpipe.report.plots.svg import minus
+
+MISSING = "–"
+"""A number that is not known."""
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_UNITS = {"degree": "°", "sr-1": "sr⁻¹", "1": "", "nm": "nm"}
+_NANOMETRES_BELOW = 0.1
+"""Lengths below this [µm] are written in nm."""
+
+_BASIS = {
+    "measured": "at a measured angle",
+    "interpolated": "between measured angles",
+    "extrapolated": "beyond the measured angles",
+    "completed": "includes directions that were not measured",
+}
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number to some significant digits, with a true minus sign; ``–`` where it is not known."""
+    value = float(value)
+    if not math.isfinite(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if not -4 <= exponent < 6:
+        mantissa = f"{value / 10.0**exponent:.{digits - 1}f}"
+        return minus(mantissa) + "×10" + str(exponent).translate(_SUPERSCRIPT)
+    return fixed(value, max(0, digits - 1 - exponent))
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number to some decimals, with a true minus sign and never −0; ``–`` where it is not known."""
+    value = float(value)
+    if not math.isfinite(value):
+        return MISSING
+    return minus(f"{round(value, decimals) + 0.0:.{decimals}f}")
+
+
+def grouped(count: float) -> str:
+    """A count with thin spaces between its thousands."""
+    return f"{count:,.0f}".replace(",", "\u202f") if math.isfinite(count) else MISSING
+
+
+def percent(share: float, digits: int = 2) -> str:
+    """A share [1] in percent, to some significant digits."""
+    return f"{number(100 * share, digits)}\u202f%"
+
+
+def share_percent(share: float) -> str:
+    """A share [1] of the light in percent: three significant digits from 1 % on, two below."""
+    return percent(share, 3 if share >= 0.01 else 2)
+
+
+def plus_minus_u(u: float) -> str:
+    """``± u`` to two decimals; empty where the uncertainty is not known."""
+    return f"± {fixed(u, 2)}" if math.isfinite(u) else ""
+
+
+def length(micrometres: float) -> tuple[str, str]:
+    """A length and its unit, µm or nm."""
+    if 0 < abs(micrometres) < _NANOMETRES_BELOW:
+        return number(1000 * micrometres), "nm"
+    return number(micrometres), "µm"
+
+
+def quantity(scalar: xr.DataArray) -> str:
+    """A scalar variable with its unit."""
+    units = str(scalar.attrs.get("units", ""))
+    value, unit = length(float(scalar)) if units == "um" else (number(float(scalar)), _UNITS.get(units, units))
+    if value == MISSING or not unit:
+        return value
+    return value + unit if unit == "°" else f"{value} {unit}"
+
+
+def colour(srgb: ArrayLike) -> str | None:
+    """``#rrggbb`` of an sRGB colour (3,) in [0, 1]; None where it is not known."""
+    channels = np.asarray(srgb, dtype=float)
+    if channels.shape != (3,) or not np.isfinite(channels).all():
+        return None
+    red, green, blue = (np.clip(channels, 0, 1) * 255).round().astype(int).tolist()
+    return f"#{red:02x}{green:02x}{blue:02x}"
+
+
+def labels(values: xr.DataArray, dimension: str) -> list[str]:
+    """Names along a dimension; numbers from 1 where it has none."""
+    if dimension in values.coords:
+        return [str(name) for name in values[dimension].values]
+    return [str(k + 1) for k in range(values.sizes[dimension])]
+
+
+def attribute_note(dataset: xr.Dataset, names: Sequence[str]) -> str:
+    """Attributes of a dataset as sentences, ``Name: value.``"""
+    sentences = [f"{name.capitalize()}: {dataset.attrs[name]}." for name in names if dataset.attrs.get(name)]
+    return re.sub(r"\bum\b", "µm", " ".join(sentences))
+
+
+def basis_legend(flags: Collection[str]) -> str:
+    """What the quality flags in a table mean."""
+    return "Basis: " + "; ".join(f"{flag}, {_BASIS[flag]}" for flag in _BASIS if flag in flags) + "."

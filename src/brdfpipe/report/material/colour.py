@@ -1,0 +1,63 @@
+"""Colour: L*a*b* at all geometries, flop index, and the spectrum that they follow from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.appearance.applicability import flop_exclusion
+from brdfpipe.appearance.origin import is_measured
+from brdfpipe.appearance.quantities import viewing_conditions
+from brdfpipe.report.cards import Table
+from brdfpipe.report.formatting import basis_legend, fixed, labels, number, plus_minus_u
+from brdfpipe.report.material.sections import Section
+from brdfpipe.report.material.spectrum import spectrum_section
+
+
+def colour_section(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """Colours, and for a prediction its spectrum and refractive index."""
+    inputs = Section("") if is_measured(datasets) else spectrum_section(datasets)
+    appearance = datasets.get("appearance")
+    colours = (
+        [_lab_table(appearance, flop=not flop_exclusion(datasets))]
+        if appearance is not None and "lab" in appearance
+        else []
+    )
+    return Section("Colour", inputs.figures, [*inputs.tables, *colours])
+
+
+def _lab_table(appearance: xr.Dataset, *, flop: bool) -> Table:
+    geometries, lab = labels(appearance["lab"], "geometry"), appearance["lab"]
+    uncertainties = appearance.get("lab_u", xr.full_like(lab, np.nan))
+    rows = [
+        (geometry, *(f"{fixed(value, 2)} {plus_minus_u(u)}".rstrip() for value, u in zip(values, us, strict=True)))
+        for geometry, values, us in zip(geometries, lab.values.tolist(), uncertainties.values.tolist(), strict=True)
+    ]
+    header: tuple[str, ...] = ("Geometry", "L*", "a*", "b*")
+    notes = _lab_notes(appearance, geometries, flop=flop)
+    if "lab_quality" in appearance:
+        flags = [vocabulary.QUALITY_FLAGS[flag] for flag in appearance["lab_quality"].values]
+        header, rows = (*header, "Basis"), [(*row, flag) for row, flag in zip(rows, flags, strict=True)]
+        notes.append(basis_legend(flags))
+    return Table(f"L*a*b*, {viewing_conditions(appearance)}", header, rows, " ".join(notes))
+
+
+def _lab_notes(appearance: xr.Dataset, geometries: list[str], *, flop: bool) -> list[str]:
+    notes = []
+    total = str(appearance.attrs.get("total_geometry", ""))
+    if total in geometries:
+        notes.append(f"{total}: all reflected light, as an integrating sphere collects it.")
+    index = float(appearance.get("flop_index", math.nan))
+    if flop and math.isfinite(index):
+        u = float(appearance.get("flop_index_u", math.nan))
+        notes.append(f"Flop index {number(index)} {plus_minus_u(u)}".rstrip() + ".")
+    if "lab_u" in appearance and "angle_tolerance" in appearance.attrs:
+        notes.append(
+            f"±: standard uncertainty from ± {float(appearance.attrs['angle_tolerance']):g}° of the directions of light and of view, an "
+            "assumed tolerance of instruments. The uncertainty of the BRDF is not included. Apertures are not averaged over."
+        )
+    return notes

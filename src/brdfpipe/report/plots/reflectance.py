@@ -1,0 +1,228 @@
+"""Directional reflectance and transmittance against the angle of incidence, in parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.bsdf import representations
+from brdfpipe.report.formatting import fixed, number, share_percent
+from brdfpipe.report.plots import bsdf_sections, measurement_coverage
+from brdfpipe.report.plots.bsdf_cuts import INCIDENCES
+from brdfpipe.report.plots.bsdf_sections import Plane
+from brdfpipe.report.plots.svg import Array, Axis, Band, Figure, Line, Mark, chart, legend
+
+GRAZING = np.unique(np.r_[np.linspace(0, 80, 33), 90 - np.geomspace(10, 0.1, 24)])
+"""Angles of incidence of the directional reflectance, crowding towards grazing, where it is steepest; degree."""
+
+_GRAZING_LAY = np.r_[np.arange(0.0, 75.0, 7.5), 90 - np.geomspace(15, 0.1, 16)]
+
+_GRAZING_FEW = np.r_[np.arange(0.0, 75.0, 15.0), 90 - np.geomspace(15, 0.1, 8)]
+
+_NEGLIGIBLE = 1e-4
+"""Share of the light below which nothing is said of it."""
+
+_MOST_SHOWN = 1.25
+"""Directional reflectance up to which a model that gains energy is drawn."""
+
+_CLOSED = 1e-5
+"""Difference from 1 up to which a balance closes: the accuracy of the quadratures."""
+
+
+def shares(checks: xr.Dataset | None, bsdf: xr.Dataset | None) -> list[Figure]:
+    """Directional reflectance against the incidence, in parts; of what transmits, the balance of the light.
+
+    Without a BSDF the reflectance that the checks found.
+    """
+    if bsdf is None:
+        return _checked(checks)
+    if representations.transmits(bsdf):
+        return [_balance(bsdf, plane) for plane in bsdf_sections.planes(bsdf)]
+    marks: list[Line] = []
+    drawn: list[Line] = []
+    note = f"{bsdf_sections.wavelength_words(bsdf).capitalize()}."
+    for k, plane in enumerate(bsdf_sections.planes(bsdf)):
+        total, *parts = _reflectance_lines(bsdf, plane, k)
+        known = _known(bsdf, plane, total)
+        marks, drawn = [*marks, total, *parts], [*drawn, *known, *parts]
+        if known[0] is not total:
+            note += f" Dashed: not measured.{measurement_coverage.reflectance_words(bsdf, plane, INCIDENCES)}"
+    return [_reflectance_figure(marks, note, drawn)]
+
+
+def _known(bsdf: xr.Dataset, plane: Plane, total: Line) -> list[Line]:
+    """A directional reflectance, dashed at incidences of which the mirror direction was not measured."""
+    flags = measurement_coverage.at_mirror(bsdf, plane, total.x)
+    if flags is None or (told := measurement_coverage.known(flags)).all():
+        return [total]
+    known, rest = measurement_coverage.split(total, told)
+    return [*([known] if told.any() else []), replace(rest, label=f"{total.label} (completed)")]
+
+
+def _checked(checks: xr.Dataset | None) -> list[Figure]:
+    if checks is None or "albedo" not in checks:
+        return []
+    checked = bsdf_sections.at_reference(checks["albedo"])
+    note = f"{bsdf_sections.wavelength_words(checks).capitalize()}."
+    total = [Line(checked["theta_i"].values, checked.values, "c0", "total")]
+    return [_reflectance_figure(total, note, total)]
+
+
+def _reflectance_figure(marks: Sequence[Line], note: str, drawn: Sequence[Line]) -> Figure:
+    highest = max(float(np.nanmax(np.asarray(mark.y))) for mark in marks)
+    top = next((limit for limit in (0.2, 0.5, 1.0) if highest <= limit * (1 + 1e-9)), min(highest * 1.05, _MOST_SHOWN))
+    svg = chart(
+        "Directional reflectance against the angle of incidence",
+        Axis("angle of incidence θᵢ, degree", 0.0, 90.0, step=15),
+        Axis("directional reflectance", 0.0, top),
+        drawn,
+    )
+    return Figure("Directional reflectance", svg, legend(drawn), f"{note} {_excess_words(marks)}".strip())
+
+
+def _excess_words(totals: Sequence[Line]) -> str:
+    """Where more light leaves than arrives; empty where it does nowhere."""
+    theta, most = max(
+        ((np.asarray(line.x), np.asarray(line.y)) for line in totals), key=lambda curve: float(np.max(curve[1]))
+    )
+    if np.max(most) <= 1 + _CLOSED:
+        return ""
+    first, worst = int(np.argmax(most > 1 + _CLOSED)), int(np.argmax(most))
+    return (
+        f"From {theta[first]:.3g}° on more light leaves than arrives, {number(most[worst])} times as much at {theta[worst]:.3g}°: the "
+        "masking chosen does not keep energy. Set `model.masking: height-correlated` where that matters."
+    )
+
+
+def _reflectance_lines(bsdf: xr.Dataset, plane: Plane, turn: int) -> Iterator[Line]:
+    """Total and parts in one plane; ``turn`` counts the planes."""
+    theta = _incidences(bsdf)
+    words = f", {plane.words}" if plane.words else ""
+    total_style, part_style = (("c0", "c2"), ("c1", "c3"))[turn]
+    parts = reflectance_parts(bsdf, plane, theta)
+    yield Line(theta, parts.total, total_style, f"total{words}")
+    if parts.mirrored.any():
+        yield Line(theta, parts.mirrored, part_style, f"mirrored{words}", "dash")
+    if parts.facets is not None and parts.facets.max() > _NEGLIGIBLE and not np.allclose(parts.facets, parts.total):
+        yield Line(theta, parts.facets, part_style, f"by the facets{words}", "dash")
+    if parts.once is not None:
+        yield Line(theta, parts.once, part_style, f"by one facet alone{words}", "dots")
+    if parts.below is not None and parts.below.max() > _NEGLIGIBLE and not words:
+        yield Line(theta, parts.below, "c4", "diffuse, from below", "dash")
+
+
+class ReflectanceParts(NamedTuple):
+    """Shares of the light [1] against the incidence; None where a representation cannot tell them apart."""
+
+    total: Array
+    mirrored: Array
+    """Into one direction, by a perfectly smooth surface"""
+    facets: Array | None
+    """Into many directions by the facets"""
+    once: Array | None
+    """Of that, what left after one reflection; None where nothing else is in it"""
+    below: Array | None
+
+
+def reflectance_parts(bsdf: xr.Dataset, plane: Plane, theta: Array) -> ReflectanceParts:
+    """Directional reflectance at incidences [degree], and what it is made of.
+
+    Total and parts come from one rule at one set of angles: interpolated, a part would wiggle across the total towards grazing.
+    """
+    total = bsdf_sections.reflectance(bsdf, plane, theta)
+    mirrored, _ = bsdf_sections.specular(bsdf, theta)
+    facets, once = bsdf_sections.facets_alone(bsdf), bsdf_sections.once_reflected(bsdf)
+    if facets is None:
+        return ReflectanceParts(total, mirrored, None, None, None)
+    of_surface = bsdf_sections.reflectance(facets, plane, theta)
+    return ReflectanceParts(
+        total,
+        mirrored,
+        of_surface - mirrored,
+        None if once is None else bsdf_sections.reflectance(once, plane, theta),
+        np.maximum(total - of_surface, 0.0),
+    )
+
+
+def _balance(bsdf: xr.Dataset, plane: Plane) -> Figure:
+    theta = _incidences(bsdf)
+    reflected, passed = bsdf_sections.reflectance(bsdf, plane, theta), bsdf_sections.transmittance(bsdf, plane, theta)
+    mirrored, straight = bsdf_sections.specular(bsdf, theta)
+    rest = 1 - reflected - passed
+    other = "absorbed" if "absorptance" in bsdf else "lost between facets"
+    layers = [
+        (mirrored, "c2", "R, mirrored"),
+        (reflected - mirrored, "c3", "R, scattered" if mirrored.any() else "R, reflected"),
+        (straight, "c1", "T, straight" if other == "absorbed" else "T, refracted"),
+        (passed - straight, "c0", "T, scattered" if straight.any() else "T, transmitted"),
+        (rest, "ref", other),
+    ]
+    marks: list[Mark] = []
+    floor = np.zeros_like(theta)
+    for layer, style, label in layers:
+        if layer.max() > _NEGLIGIBLE:
+            marks.append(Band(theta, floor, floor + np.maximum(layer, 0.0), style, label))
+            floor = floor + np.maximum(layer, 0.0)
+            marks.append(Line(theta, floor, style))
+    svg = chart(
+        f"Shares of the light reflected and transmitted {plane.words} against the angle of incidence, stacked",
+        Axis("angle of incidence θᵢ, degree", 0.0, 90.0, step=15),
+        Axis("share of the light", 0.0, max(1.0, float(floor.max()))),
+        marks,
+    )
+    title = f"Balance of the light {plane.words}".strip()
+    entries = tuple(("area", mark.style, mark.label) for mark in marks if isinstance(mark, Band))
+    note = f"{bsdf_sections.wavelength_words(bsdf).capitalize()}. {balance_words(theta, reflected, passed, _sum(bsdf, plane))}"
+    note += measurement_coverage.words(bsdf, plane, INCIDENCES)
+    return Figure(title, svg, entries, note)
+
+
+def _sum(bsdf: xr.Dataset, plane: Plane) -> float | None:
+    """R + T + A where it is farthest from 1, of a BSDF that states its absorptance apart; None of one that does not."""
+    if "absorptance" not in bsdf:
+        return None
+    stated = bsdf_sections.at_reference(bsdf["absorptance"])
+    known = stated["theta_i"].values < 90
+    theta, absorbed = (np.asarray(each.values[known], dtype=float) for each in (stated["theta_i"], stated))
+    total = absorbed + bsdf_sections.reflectance(bsdf, plane, theta) + bsdf_sections.transmittance(bsdf, plane, theta)
+    return float(total[np.argmax(np.abs(total - 1))])
+
+
+def balance_words(theta: Array, reflected: Array, passed: Array, total: float | None = None) -> str:
+    """What reflectance and transmittance add up to, and what that means.
+
+    Parameters
+    ----------
+    theta, reflected, passed : (incidences,)
+    total : R + T + A where it is farthest from 1, if absorption is known; else what is missing was lost by the model
+    """
+    rest = 1 - reflected - passed
+    most, least = int(np.argmax(rest)), int(np.argmin(rest))
+    if rest[least] < -_CLOSED:
+        return (
+            f"R + T reaches {fixed(1 - rest[least], 4)} at {theta[least]:.3g}° incidence: more leaves than arrives. "
+            "Choose another `model.masking` if energy matters."
+        )
+    if rest[most] <= _CLOSED:
+        return "R + T = 1.0000 at every incidence."
+    if total is not None:
+        return (
+            f"R + T + A = {fixed(total, 4)}; A, what the body absorbs, is {share_percent(rest[0])} at 0° and most at {theta[most]:.3g}°, "
+            f"{share_percent(rest[most])}."
+        )
+    return (
+        f"R + T = {fixed(1 - rest[0], 4)} at 0° and least {fixed(1 - rest[most], 4)} at {theta[most]:.3g}°: the rest would leave after "
+        "a second reflection between facets, which this model does not follow."
+    )
+
+
+def _incidences(bsdf: xr.Dataset) -> Array:
+    """Angles of incidence; fewer where each costs more."""
+    needed = ("albedo", "transmittance") if representations.transmits(bsdf) else ("albedo",)
+    if not all(hasattr(representations.representation(bsdf), name) for name in needed):
+        return _GRAZING_FEW
+    return GRAZING if representations.isotropic(bsdf) else _GRAZING_LAY

@@ -1,0 +1,117 @@
+"""The figure of a reflectance spectrum, and the strip of visible colours below wavelength axes."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import hemisphere
+from brdfpipe.bsdf import representations
+from brdfpipe.report.plots import bsdf_sections
+from brdfpipe.report.plots.svg import (
+    Array,
+    Axis,
+    Band,
+    Figure,
+    Line,
+    Mark,
+    chart,
+    legend,
+    png,
+)
+
+
+def spectrum_figure(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Figure:
+    """What was measured, the total reflectance where that is another thing, and the part that the facets mirror."""
+    measured = spectral["total_reflectance"]
+    wavelength, values = measured["wavelength"].values.astype(float), measured.values.astype(float)
+    total = _total(spectral, bsdf)
+    excluded = spectral.attrs.get("geometry") == "sce"
+    style, words = ("c1", "measured, specular excluded") if excluded else ("c0", "total reflectance")
+    marks: list[Mark] = []
+    uncertainty = spectral.get("total_reflectance_u")
+    if uncertainty is not None and np.isfinite(uncertainty.values).any():
+        u = 2 * uncertainty.values
+        marks.append(Band(wavelength, values - u, values + u, style, "± 2 standard uncertainties"))
+    if total is not None:
+        marks.append(Line(*total, "c0", "total reflectance"))
+    marks.append(Line(wavelength, values, style, words))
+    specular = _specular_part(bsdf, wavelength)
+    if specular is not None:
+        marks.append(Line(wavelength, specular, "c2", "mirrored by the facets", "dash"))
+    highest = max(float(np.nanmax(np.asarray(mark.y))) for mark in marks if isinstance(mark, Line))
+    top = next((limit for limit in (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0) if highest * 1.03 <= limit), highest * 1.05)
+    low, high = float(wavelength[0]), float(wavelength[-1])
+    svg = chart(
+        "Reflectance against wavelength: " + ", ".join(mark.label for mark in marks),
+        Axis("wavelength, nm", low, high, step=50 if high - low < 500 else None),
+        Axis("reflectance", 0.0, top),
+        marks,
+        strip=visible_strip(low, high),
+    )
+    return Figure("Spectrum", svg, legend(marks), _spectrum_words(spectral, total is not None))
+
+
+def visible_strip(low: float, high: float) -> str:
+    """Colours of the spectrum between two wavelengths, as an image one pixel high."""
+    wavelength = np.linspace(low, high, 140)
+    x, y, z = _tristimulus(wavelength)
+    linear = np.stack(
+        [
+            3.2406 * x - 1.5372 * y - 0.4986 * z,
+            -0.9689 * x + 1.8758 * y + 0.0415 * z,
+            0.0557 * x - 0.2040 * y + 1.0570 * z,
+        ],
+        axis=-1,
+    )
+    linear = np.clip(linear, 0, None)
+    linear = np.minimum(linear / 1.35, 1)
+    return png(np.asarray((255 * linear ** (1 / 2.2)).round(), dtype=np.uint8)[None])
+
+
+def _total(spectral: xr.Dataset, bsdf: xr.Dataset | None) -> tuple[Array, Array] | None:
+    """Wavelengths and total reflectance of the BSDF where the spectrum was measured with the specular excluded."""
+    if spectral.attrs.get("geometry") != "sce" or bsdf is None or "total_reflectance" not in bsdf:
+        return None
+    total = bsdf["total_reflectance"]
+    if total.dims != ("wavelength",):
+        return None
+    return total["wavelength"].values.astype(float), total.values.astype(float)
+
+
+def _spectrum_words(spectral: xr.Dataset, completed: bool) -> str:
+    geometry = {"sci": "Specular included", "sce": "Specular excluded"}.get(str(spectral.attrs.get("geometry")), "")
+    incidence, method = spectral.attrs.get("theta_i"), str(spectral.attrs.get("method", ""))
+    method = {"lhtss": "recovered from L*a*b* as the smoothest spectrum (LHTSS)"}.get(method, method)
+    words = [geometry, f"incidence {float(incidence):g}°" if incidence is not None else "", method]
+    sentence = ", ".join(word for word in words if word)
+    sentence = sentence[:1].upper() + sentence[1:] + "." if sentence else ""
+    added = " The total reflectance adds the mirrored light that the measurement excluded." if completed else ""
+    return sentence + added
+
+
+def _specular_part(bsdf: xr.Dataset | None, wavelength: Array) -> Array | None:
+    """What the facets mirror at the incidence of the measurement, mean over the azimuths of a lay."""
+    if bsdf is None or "theta_m" not in bsdf or (facets := bsdf_sections.facets_alone(bsdf)) is None:
+        return None
+    azimuth = hemisphere.azimuths(representations.isotropic(bsdf))
+    incidence = np.full(azimuth.size, float(bsdf["theta_m"]))
+    part = representations.albedo(facets, incidence, azimuth, None).mean(axis=0)
+    if not part.any():
+        return None
+    if part.size == 1:
+        return np.full(wavelength.size, float(part[0]))
+    return np.asarray(np.interp(wavelength, bsdf["wavelength"].values, part))
+
+
+def _tristimulus(wavelength: Array) -> tuple[Array, Array, Array]:
+    """CIE 1931 colour-matching functions by Gaussian lobes (Wyman 2013): close enough to paint a strip, not to measure."""
+
+    def lobe(height: float, centre: float, below: float, above: float) -> Array:
+        width = np.where(wavelength < centre, below, above)
+        return np.asarray(height * np.exp(-0.5 * ((wavelength - centre) / width) ** 2))
+
+    x = lobe(1.056, 599.8, 37.9, 31.0) + lobe(0.362, 442.0, 16.0, 26.7) + lobe(-0.065, 501.1, 20.4, 26.2)
+    y = lobe(0.821, 568.8, 46.9, 40.5) + lobe(0.286, 530.9, 16.3, 31.1)
+    z = lobe(1.217, 437.0, 11.8, 36.0) + lobe(0.681, 459.0, 26.0, 13.8)
+    return x, y, z

@@ -1,0 +1,31 @@
+from __future__ import annotations
+
+import pytest
+import xarray as xr
+from samples import spectrum
+
+from brdfpipe.appearance.multiple_scattering import multiple_scattering
+from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf.lambert_gauss import lambertian
+from brdfpipe.facets import analytic, flat
+
+
+def test_the_loss_of_the_plain_model_is_what_compensation_gives_back() -> None:
+    rough = analytic("ggx", 0.5)
+    for k in (0.0, 4.0):
+        index = xr.Dataset(
+            {"n": ("wavelength", [1.5, 1.5]), "k": ("wavelength", [k, k])}, {"wavelength": [400.0, 700.0]}
+        )
+        index = microfacet.vocabulary.label(index.assign_attrs(source="test"), "index")
+        plain = multiple_scattering(microfacet.build(rough, index=index))
+        given = multiple_scattering(microfacet.build(rough, index=index, multiple_scattering="compensated"))
+        assert plain is not None
+        assert given is not None
+        assert (plain.compensated, given.compensated) == (False, True)
+        assert plain.mirrors == pytest.approx(given.mirrors, abs=2e-5)  # the tabulated mean and the quick one
+        assert plain.share == pytest.approx(given.share, rel=1e-3)  # of which 1 − Ē₁ has 1e-4
+
+
+def test_what_has_no_facets_loses_nothing() -> None:
+    assert multiple_scattering(lambertian(spectrum(0.3))) is None
+    assert multiple_scattering(microfacet.build(flat(), index=1.5)) is None

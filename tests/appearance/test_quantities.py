@@ -1,0 +1,134 @@
+"""One table of quantities: what it lists is computed, shown on every page, written to every file and documented."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import samples
+import xarray as xr
+
+from brdfpipe.appearance import compute_appearance
+from brdfpipe.appearance.quantities import (
+    AppearanceQuantity,
+    Applicability,
+    docs_table,
+    quantities,
+    register,
+    unregister,
+)
+from brdfpipe.bsdf import slab
+from brdfpipe.errors import BrdfpipeError
+from brdfpipe.facets import flat
+from brdfpipe.report import catalogue_csv, catalogue_page, combine, material_page, summarise
+
+DOCS = Path(__file__).parents[2] / "docs" / "quantities.md"
+
+
+@pytest.fixture
+def toy() -> Iterator[AppearanceQuantity]:
+    """A quantity that only one file, this one, knows."""
+    yield register(
+        AppearanceQuantity(
+            "toy_sparkle",
+            "Toy sparkle",
+            "S",
+            "GU",
+            2,
+            "toy definition of sparkle",
+            "Toy standard 1",
+            compute=lambda bsdf: 12.345,
+            applicability=Applicability("toy_sparkle", "rough surfaces", lambda datasets: ""),
+            hint="toy hint",
+        )
+    )
+    unregister("toy_sparkle")
+
+
+def test_a_quantity_registered_in_one_place_is_computed_shown_written_and_documented(toy: AppearanceQuantity) -> None:
+    bsdf = samples.beckmann_bsdf(0.1, reflectance=0.2)
+    appearance = compute_appearance(bsdf, gloss_angles=[60], haze=[]).assign_attrs(material="a")
+    assert float(appearance["toy_sparkle"]) == 12.345
+    assert appearance["toy_sparkle"].attrs == {"units": "1", "long_name": "toy definition of sparkle"}
+    datasets = {"bsdf": bsdf, "appearance": appearance}
+    page = material_page(datasets)
+    assert (
+        '<dt>Toy sparkle</dt><dd><span class="value">12.35<small> GU</small></span><span class="hint">toy hint' in page
+    )
+    catalogue = combine([summarise(datasets)])
+    assert float(catalogue["toy_sparkle"][0]) == 12.345
+    (row,) = csv.DictReader(io.StringIO(catalogue_csv(catalogue, {})))
+    assert row["toy_sparkle"] == "12.345"
+    html = catalogue_page(catalogue, {})
+    assert '<th scope="col">Toy sparkle</th>' in html
+    assert "<td>12.35<td>" in html
+    assert "| `toy_sparkle` | Toy sparkle | S | GU | 2 | toy definition of sparkle | Toy standard 1 |" in docs_table()
+
+
+def test_a_quantity_is_registered_once(toy: AppearanceQuantity) -> None:
+    with pytest.raises(BrdfpipeError, match="'toy_sparkle' is registered twice"):
+        register(toy)
+
+
+def test_the_documented_table_is_current() -> None:
+    assert DOCS.read_text("utf-8") == docs_table(), f"{DOCS.name} is stale; its head names the command that writes it"
+
+
+def test_every_quantity_is_shown_on_both_pages() -> None:
+    assert all(quantity.on_page and quantity.in_catalogue for quantity in quantities())
+
+
+def test_every_quantity_says_what_it_is() -> None:
+    for quantity in quantities():
+        assert quantity.label
+        assert quantity.definition
+        assert quantity.unit in ("1", "GU", "um")
+
+
+def test_haze_of_transmission_stands_on_the_page_of_the_material_and_in_the_catalogue() -> None:
+    sheet = slab.build(flat(), flat(), index=1.5)
+    appearance = compute_appearance(sheet, gloss_angles=[60], haze=[])
+    datasets = {"bsdf": sheet, "appearance": appearance.assign(transmission_haze=0.1234)}
+    page = material_page(datasets)
+    assert '<dt>Haze D1003</dt><dd><span class="value">12.3<small> %</small>' in page
+    assert '<dt>Transmittance</dt><dd><span class="value">' in page
+    html = catalogue_page(combine([summarise(datasets)]), {})
+    assert '<th scope="col">Haze D1003</th>' in html
+    assert "<td>0.123<td>" in html
+
+
+def test_haze_beside_the_mirror_direction_stands_on_the_page_and_in_the_catalogue() -> None:
+    bsdf = samples.beckmann_bsdf(0.1, reflectance=0.2).assign_attrs(route="measured")
+    datasets = {"bsdf": bsdf, "appearance": compute_appearance(bsdf, gloss_angles=[60])}
+    haze = float(datasets["appearance"]["reflectance_haze"][0])
+    assert f'<dt>Haze ISO 13803</dt><dd><span class="value">{haze:.1f}<small> GU</small>' in material_page(datasets)
+    row = summarise(datasets)
+    assert float(row["reflectance_haze"][0]) == haze
+    assert f"<td>{haze:.1f}<td>" in catalogue_page(row, {})
+
+
+def test_haze_of_other_windows_is_not_that_of_iso_13803() -> None:
+    bsdf = samples.beckmann_bsdf(0.1).assign_attrs(route="measured")
+    window = {"angle": 30, "offset": 5, "aperture": [1, 2]}
+    row = summarise({"bsdf": bsdf, "appearance": compute_appearance(bsdf, gloss_angles=[60], haze=[window])})
+    assert np.isnan(float(row["reflectance_haze"][0]))
+    assert "Add it to `appearance.haze`" in str(row["no_reflectance_haze"].values[0])
+
+
+def test_the_flop_index_stands_in_the_catalogue_or_the_reason_why_not() -> None:
+    bsdf = samples.beckmann_bsdf(0.1, reflectance=0.2).assign_attrs(route="measured")
+    appearance = compute_appearance(bsdf, gloss_angles=[60], haze=[])
+    assert float(summarise({"bsdf": bsdf, "appearance": appearance})["flop_index"][0]) == float(
+        appearance["flop_index"]
+    )
+    rising = appearance["lab"].copy()
+    rising.loc[{"geometry": "45as110", "component": "L*"}] = 99.0
+    row = summarise({"bsdf": bsdf, "appearance": appearance.assign(flop_index=np.nan, lab=rising)})
+    assert "darken away from the mirror direction" in str(row["no_flop"].values[0])
+    black = appearance.assign(flop_index=np.nan, lab=xr.zeros_like(appearance["lab"]))
+    assert "not defined for black" in str(summarise({"bsdf": bsdf, "appearance": black})["no_flop"].values[0])
+    assert "perfectly diffuse" in str(summarise({"appearance": appearance})["no_flop"].values[0])
