@@ -83,7 +83,7 @@ def test_the_windows_of_the_standard_lie_beside_the_receptor_of_gloss_and_do_not
     ("window", "said"),
     [
         (HazeWindow(20.0, 1.0, (1.8, 3.6)), "covers part of the source's image"),
-        (HazeWindow(85.0, 4.5, (2.0, 3.6)), "does not lie above the surface"),
+        (HazeWindow(85.0, 4.5, (2.0, 3.6)), "extends below the surface"),
     ],
 )
 def test_a_window_that_cannot_be_is_refused(window, said):

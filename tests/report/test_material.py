@@ -384,7 +384,7 @@ def _page_of(facets: xr.Dataset, **options: object) -> tuple[str, str]:
 
 def test_a_flat_surface_has_sentences_where_pictures_would_be_empty(full: Datasets) -> None:
     _, text = _page_of(flat(), index=1.5, spectrum=full["spectrum"])
-    assert "The surface is perfectly flat: every facet lies level, none hides another." in text
+    assert "The surface is perfectly flat: all facets are level, and none masks another." in text
     assert "light mirrored into one direction by a perfectly smooth surface" in text
     assert "of the mirrored ray is polarised" in text
     assert "Slope density" not in text
@@ -393,7 +393,7 @@ def test_a_flat_surface_has_sentences_where_pictures_would_be_empty(full: Datase
 def test_a_flat_transparent_surface_is_told_in_words_and_shares() -> None:
     html, text = _page_of(flat(), index=1.5, transparent=True)
     assert "Reflection and transmission" in text
-    assert "One direction has no BTDF: there is nothing to draw." in text
+    assert "Light in one single direction has no BTDF; there is nothing to draw." in text
     assert _tiles(html)["Transmittance"] == "96.0 %"
 
 

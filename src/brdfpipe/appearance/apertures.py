@@ -115,7 +115,9 @@ def received(bsdf: xr.Dataset, beams: Sequence[Beam], azimuths: Array, scale: fl
     scale : of the lobe, from :func:`lobe_scale`
     """
     nodes = [_nodes(beam, scale) for beam in beams]
-    theta_i, phi_i, theta_o, phi_o = (np.concatenate(each) for each in zip(*(node.at for node in nodes), strict=True))
+    theta_i, phi_i, theta_o, phi_o = (
+        np.concatenate(angles) for angles in zip(*(node.at for node in nodes), strict=True)
+    )
     evaluate = representations.representation(bsdf).evaluate
     flux: list[list[Array]] = [[] for _ in beams]
     # One evaluation for many azimuths: a representation may work hard before it evaluates its first direction.
@@ -224,8 +226,8 @@ def _panels(centre: Array, scale: float, low: float, high: float, order: int) ->
 
 def _peaks(bsdf: xr.Dataset) -> bool:
     """Whether the BSDF is any larger in the mirror direction than a degree beside it: a polished surface's is not."""
-    here, nowhere = np.full(2, 45.0), np.zeros(2)
+    theta, nowhere = np.full(2, 45.0), np.zeros(2)
     at, beside = representations.representation(bsdf).evaluate(
-        bsdf, here, nowhere, np.array([45.0, 44.0]), nowhere + 180, None
+        bsdf, theta, nowhere, np.array([45.0, 44.0]), nowhere + 180, None
     )[:, 0]
     return bool(at > 2 * beside and at > _FAINTEST)

@@ -108,14 +108,14 @@ def colour_uncertainty(
         *((*_turned(theta_i, phi_i, *step), theta_o, phi_o) for step in _STEPS),
         *((theta_i, phi_i, *_turned(theta_o, phi_o, *step)) for step in _STEPS),
     ]
-    at = [np.concatenate(each) for each in zip(*moved, strict=True)]
+    at = [np.concatenate(angles) for angles in zip(*moved, strict=True)]
     labs = _lab(bsdf, at, illuminant, observer, None).reshape(4, 2, len(places), 3)
     ranges = (labs[:, 1] - labs[:, 0]) / 2
     u = np.concatenate([np.full((1, 3), np.nan), np.sqrt(np.sum(ranges**2, axis=0) / 3)])
-    found = xr.Dataset({"lab_u": _named(u, [TOTAL, *places], "lab_u")})
+    uncertainty = xr.Dataset({"lab_u": _named(u, [TOTAL, *places], "lab_u")})
     flop = _flop_uncertainty(bsdf, places, ranges[..., 0], illuminant, observer)
     attrs = {"units": "1", "long_name": "standard uncertainty of the flop index, from tolerances"}
-    return found.assign(flop_index_u=((), flop, attrs))
+    return uncertainty.assign(flop_index_u=((), flop, attrs))
 
 
 def _flop_uncertainty(
@@ -144,8 +144,8 @@ def _turned(theta: Array, phi: Array, along: float, across: float) -> tuple[Arra
     down = np.stack([cos * np.cos(azimuth), cos * np.sin(azimuth), -sin], axis=-1)
     beside = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], axis=-1)
     a, b = np.radians(along), np.radians(across)
-    found = angles_of(up * np.cos(a) * np.cos(b) + down * np.sin(a) + beside * np.sin(b))
-    return np.minimum(found[0], _GRAZING), np.asarray(found[1])
+    turned = angles_of(up * np.cos(a) * np.cos(b) + down * np.sin(a) + beside * np.sin(b))
+    return np.minimum(turned[0], _GRAZING), np.asarray(turned[1])
 
 
 def quality(bsdf: xr.Dataset, geometries: Mapping[str, Directions]) -> NDArray[np.int8] | None:
@@ -213,7 +213,7 @@ def _places(geometries: Sequence[str] | Mapping[str, tuple[float, float, float]]
     if isinstance(geometries, Mapping):
         return {name: Directions(theta_i, 0.0, theta_o, phi) for name, (theta_i, theta_o, phi) in geometries.items()}
     refuse_mixed_signs(geometries)
-    return {name: place for each in geometries for name, place in named(each).items()}
+    return {name: place for group in geometries for name, place in named(group).items()}
 
 
 def flop_index(lab15: float, lab45: float, lab110: float) -> float:

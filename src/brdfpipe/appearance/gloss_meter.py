@@ -148,9 +148,9 @@ def gloss_and_haze(bsdf: xr.Dataset, angles: Sequence[float] = (20, 60, 85)) -> 
         haze = values[high] - values[low]
         own = [*ranges[low][:_OWN], *ranges[high][:_OWN]]
         spread = float(_combined(np.concatenate([own, (ranges[high] - ranges[low])[_OWN:]])))
-    found = {"gloss": _named(values, angles, "gloss"), "gloss_u": _named(_combined(ranges), angles, "gloss_u")}
+    gloss = {"gloss": _named(values, angles, "gloss"), "gloss_u": _named(_combined(ranges), angles, "gloss_u")}
     title = "standard uncertainty of haze G60 - G20, from tolerances"
-    return xr.Dataset(found).assign(haze=haze, haze_u=((), spread, {"units": "1", "long_name": title}))
+    return xr.Dataset(gloss).assign(haze=haze, haze_u=((), spread, {"units": "1", "long_name": title}))
 
 
 def _with_ranges(bsdf: xr.Dataset, angles: Sequence[float], azimuth: float | None) -> tuple[list[float], Array]:
@@ -237,18 +237,16 @@ def _half_ranges(sample: _Sample, angle: float, azimuths: Array, units: Array) -
     beams += [Beam(angle, rim, receptor, _ORDER) for rim in _rims(angle)]
     beams += [Beam(angle + off, source(angle + off, _POINT), receptor, _ORDER) for off in _AXES]
     scattered = received(sample.bsdf, beams, azimuths, sample.scale)
-    left, right, near, far = (_units(light, each) / 2 for each in scattered[:4])
+    left, right, near, far = (_units(light, flux) / 2 for flux in scattered[:4])
     shifted = (right - left) * float(np.radians(AXIS_TOLERANCE)) / step
     seen = [beam.light for beam in beams[4:]]
     mirrored = _mirrored(sample.bsdf, _joined(seen), azimuths)
-    parts = np.split(mirrored, np.cumsum([each.u.size for each in seen])[:-1], axis=1)
+    parts = np.split(mirrored, np.cumsum([light_part.u.size for light_part in seen])[:-1], axis=1)
     reflected = [one + other for one, other in zip(parts, scattered[4:], strict=True)]
-    less, more = (_units(*each) for each in zip(seen[4:], reflected[4:], strict=True))
+    less, more = (_units(*beam) for beam in zip(seen[4:], reflected[4:], strict=True))
     both = less + more
     incidence = np.divide(units * (more - less), both, out=np.zeros_like(both), where=both > 0)
-    rims = [
-        (sent @ each.weight, float(each.weight @ each.glass)) for each, sent in zip(seen[:4], reflected, strict=False)
-    ]
+    rims = [(sent @ rim.weight, float(rim.weight @ rim.glass)) for rim, sent in zip(seen[:4], reflected, strict=False)]
     whole = (units * (light.weight @ light.glass) / 100, float(light.weight @ light.glass))
     return np.array([left + right, near + far, shifted, incidence, *_source_ranges(whole, rims)])
 
@@ -257,7 +255,7 @@ def _edges(angle: float) -> tuple[list[Window], float]:
     """Strips about the four edges of the receptor, and how far the first two move: by half of what the full angle does."""
     full, tolerance = RECEPTOR[angle], RECEPTOR_TOLERANCE[angle]
     low_u, high_u, low_v, high_v = centred(*full)
-    by_u, by_v = (half_width(each + more) - half_width(each) for each, more in zip(full, tolerance, strict=True))
+    by_u, by_v = (half_width(angle + more) - half_width(angle) for angle, more in zip(full, tolerance, strict=True))
     edges = [Window(at - by_u, at + by_u, low_v, high_v) for at in (low_u, high_u)]
     edges += [Window(low_u, high_u, at - by_v, at + by_v) for at in (low_v, high_v)]
     return edges, by_u
@@ -278,7 +276,7 @@ def _rims(angle: float) -> list[Source]:
 
 
 def _joined(sources: Sequence[Source]) -> Source:
-    return Source(*(np.concatenate(each) for each in zip(*sources, strict=True)))
+    return Source(*(np.concatenate(parts) for parts in zip(*sources, strict=True)))
 
 
 def _source_ranges(whole: tuple[Array, float], rims: Sequence[tuple[Array, float]]) -> list[Array]:

@@ -153,12 +153,12 @@ def checked_window(window: HazeWindow | Mapping[str, Any]) -> HazeWindow:
     if not inner >= SOURCE[0] / 2 + 0.125:
         raise HazeError(
             f"haze window {window.title}: covers part of the source's image; accepted: an inner edge of at least "
-            f"{SOURCE[0] / 2 + 0.125:g}°, found {inner:g}°; mend `appearance.haze`"
+            f"{SOURCE[0] / 2 + 0.125:g}°, found {inner:g}°; change `appearance.haze`"
         )
     if not (window.angle >= 0 and window.angle + outer < 90 and window.aperture[1] < 90):
         raise HazeError(
-            f"haze window {window.title}: does not lie above the surface; accepted: an outer edge below 90°, found "
-            f"{window.angle + outer:g}°; mend `appearance.haze`"
+            f"haze window {window.title}: extends below the surface; accepted: an outer edge below 90°, found "
+            f"{window.angle + outer:g}°; change `appearance.haze`"
         )
     return window
 
@@ -199,10 +199,10 @@ def _rectangle(window: HazeWindow, side: int, moved: float = 0.0) -> Window:
 def _spread(bsdf: xr.Dataset, window: HazeWindow, azimuths: Array, scale: float) -> float:
     """Standard uncertainty from the tolerances; of a surface with a lay, of the mean over its azimuths."""
     common, own = _common_ends(window), _own_ends(window)
-    found = [float(_units(*each).mean()) for each in _received(bsdf, [*common, *own], azimuths, scale)]
+    haze = [float(_units(*reading).mean()) for reading in _received(bsdf, [*common, *own], azimuths, scale)]
     # What is common moves both windows together, (tolerance, end, side); what is each one's own, alone.
-    both = np.array(found[: len(common)]).reshape(-1, 2, 2).sum(axis=2)
-    alone = np.array(found[len(common) :]).reshape(-1, 2)
+    both = np.array(haze[: len(common)]).reshape(-1, 2, 2).sum(axis=2)
+    alone = np.array(haze[len(common) :]).reshape(-1, 2)
     ranges = np.concatenate([np.diff(both, axis=1), np.diff(alone, axis=1)]) / 2
     return float(np.sqrt(np.sum(ranges**2) / 3))
 

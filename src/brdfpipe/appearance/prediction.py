@@ -70,9 +70,9 @@ def colour_difference(
     difference = colorimetry.delta_e_00(colours[0]["lab"].values, colours[1]["lab"].values)
     attrs = {"units": "1", "long_name": "CIEDE2000 colour difference"}
     coords: dict[str, object] = {"geometry": colours[0]["geometry"].values}
-    flags = [each["lab_quality"] for each in colours if "lab_quality" in each]
+    flags = [colour["lab_quality"] for colour in colours if "lab_quality" in colour]
     if flags:
-        coords["lab_quality"] = ("geometry", np.max([each.values for each in flags], axis=0), flags[0].attrs)
+        coords["lab_quality"] = ("geometry", np.max([flag.values for flag in flags], axis=0), flags[0].attrs)
     return xr.DataArray(difference, coords, ("geometry",), "delta_e_00", attrs)
 
 

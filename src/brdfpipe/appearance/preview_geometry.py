@@ -112,7 +112,7 @@ def panel(side: int, lines: int = 24) -> Shot:
     ray = np.stack([x, np.ones_like(x), z], axis=-1)
     met = camera + ray * (-(camera @ normal) / (ray @ normal))[..., None]
     u, v = np.moveaxis(met @ axes.T, -1, 0) / PANEL_HALF_SIDE
-    width_u, width_v = (np.hypot(*np.gradient(each)) for each in (u, v))
+    width_u, width_v = (np.hypot(*np.gradient(coordinate)) for coordinate in (u, v))
     coverage = np.clip((1 - np.abs(u)) / width_u + 0.5, 0, 1) * np.clip((1 - np.abs(v)) / width_v + 0.5, 0, 1)
     seen = coverage > 0
     even = np.linspace(-1, 1, lines)

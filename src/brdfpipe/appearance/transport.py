@@ -109,9 +109,9 @@ class Table:
 
     def _gathered(self, points: Points, lights: Lights, near: bool) -> Array:
         weights = self.near if near else self.far
-        found = np.zeros((len(points.normal), weights.shape[-1]))
+        radiance = np.zeros((len(points.normal), weights.shape[-1]))
         if weights.shape[2] == 0 or not weights.any():
-            return found
+            return radiance
         frame, theta, phi = self._local(points)
         for chosen, corners, shares in self._cells(theta, phi):
             table = np.concatenate([weights[corner] for corner in corners], axis=1).astype(np.float32)
@@ -123,8 +123,8 @@ class Table:
                 else:
                     light = self._from_directions(frame[at], lights)
                 by_corner = (light @ table).reshape(at.size, len(corners), -1)
-                found[at] = np.einsum("pc,pck->pk", shares[start : start + step], by_corner)
-        return found
+                radiance[at] = np.einsum("pc,pck->pk", shares[start : start + step], by_corner)
+        return radiance
 
     def _from_facets(self, frame: Array, view: Array, spread: Array, lights: Lights) -> Floats:
         world = [(frame[:, :, axis] @ self.facets.T).astype(np.float32) for axis in range(3)]
@@ -143,17 +143,17 @@ class Table:
         return lights.filtered()(x, y, z, blur)
 
     def _mirrored(self, points: Points, lights: Lights) -> Array:
-        found = np.zeros((len(points.normal), self.mirror.shape[-1]))
+        radiance = np.zeros((len(points.normal), self.mirror.shape[-1]))
         if not self.mirror.any():
-            return found
+            return radiance
         _, theta, phi = self._local(points)
         cosine = (points.normal * points.view).sum(axis=1, keepdims=True)
         directions = 2 * cosine * points.normal - points.view
         light = _spread_radiance(lights, directions, points.spread)
         for chosen, corners, shares in self._cells(theta, phi):
             reflectance = np.stack([self.mirror[corner] for corner in corners])
-            found[chosen] = shares @ reflectance * light[chosen, None]
-        return found
+            radiance[chosen] = shares @ reflectance * light[chosen, None]
+        return radiance
 
     def _local(self, points: Points) -> tuple[Array, Array, Array]:
         """Axes of the surface (points, 3, 3), and the view in them [degree]."""
@@ -251,12 +251,12 @@ def _facets(widths: tuple[float, float], lay: float, per_turn: int) -> tuple[Arr
     step = 2 * np.pi / per_turn
     ring = np.exp(np.arange(np.log(narrow / 4), np.log(_FAR), step))
     turn = np.arange(per_turn) * step
-    r, phi = (each.ravel() for each in np.meshgrid(ring, turn, indexing="ij"))
+    r, phi = (grid.ravel() for grid in np.meshgrid(ring, turn, indexing="ij"))
     along, across = r * np.cos(phi) * widths[0] / narrow, r * np.sin(phi) * widths[1] / narrow
     stretch = widths[0] * widths[1] / narrow**2
     area = r * r * step * step * stretch
     inner = ring[0] * np.exp(-step / 2)
-    along, across, r = (np.concatenate([[0.0], each]) for each in (along, across, r))
+    along, across, r = (np.concatenate([[0.0], values]) for values in (along, across, r))
     area = np.concatenate([[np.pi * inner * inner * stretch], area])
     azimuth = np.radians(lay)
     p = along * np.cos(azimuth) - across * np.sin(azimuth)

@@ -1,4 +1,4 @@
-"""The figures of two routes to one BRDF, what a rig measured beside what the surface predicts; and their numbers."""
+"""Comparison of the measured with the predicted BRDF: figures and tables."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _STYLES: dict[str, tuple[str, Literal["line", "dash"]]] = {"predicted": ("c1", "
 
 @dataclass(frozen=True)
 class Chapter:
-    """The part of a page about two routes."""
+    """The comparison section of a page."""
 
     findings: Sequence[str]
     warnings: Sequence[str]
@@ -40,13 +40,13 @@ class Chapter:
 
 
 def chapter(comparison: xr.Dataset | None) -> Chapter | None:
-    """What a page tells of two routes; None without a dataset of kind ``comparison``."""
+    """The comparison of a material; None without a dataset of kind ``comparison``."""
     if comparison is None:
         return None
-    told = [f"{text[:1].upper()}{text[1:]}." for text in findings.sentences(comparison)]
+    sentences = [f"{text[:1].upper()}{text[1:]}." for text in findings.sentences(comparison)]
     ratios, *cuts = figures(comparison)
     *inputs, incidences = tables(comparison)
-    return Chapter(told, vocabulary.warnings(comparison), [*inputs, ratios, *cuts, incidences])
+    return Chapter(sentences, vocabulary.warnings(comparison), [*inputs, ratios, *cuts, incidences])
 
 
 def tables(comparison: xr.Dataset) -> list[Table]:
@@ -56,9 +56,7 @@ def tables(comparison: xr.Dataset) -> list[Table]:
     enlarged = float(comparison.attrs["enlarged"])
     note = "± standard uncertainty; u of a factor is relative."
     if enlarged > 1.05:
-        note += (
-            f" The uncertainties were enlarged {number(enlarged, 2)} times, as the values scatter more than they say."
-        )
+        note += f" The uncertainties were enlarged {number(enlarged, 2)} times: the values scatter more than stated."
     header = ("Input", "Before", "After", "Change / u before")
     return ([Table("Inputs of the prediction", header, fitted, note)] if fitted else []) + [_incidences(comparison)]
 
@@ -70,7 +68,7 @@ def figures(comparison: xr.Dataset) -> list[Figure]:
 
 
 def _input(name: str, one: xr.Dataset) -> tuple[str, ...]:
-    before, before_u, after, after_u = (float(one[each]) for each in ("prior", "prior_u", "posterior", "posterior_u"))
+    before, before_u, after, after_u = (float(one[name]) for name in ("prior", "prior_u", "posterior", "posterior_u"))
     title = "refractive index, shift" if name == "index" else NAMES[name]
     sign = "+" if name == "index" else ""
     return (
@@ -85,9 +83,9 @@ def _incidences(comparison: xr.Dataset) -> Table:
     seen = _at_reference(comparison)
     places = [(at, model) for at in range(seen.sizes["incidence"]) for model in range(seen.sizes["model"])]
     rows = [_row(seen.isel(incidence=at, model=model)) for at, model in places]
-    header = ("Incidence", "Model", "Measured / model", "rms z", "Reflectance seen", "of the model")
+    header = ("Incidence", "Model", "Measured / model", "rms z", "Reflectance into the cells", "of the model")
     note = (
-        "Median of the ratio, and rms of the difference over its uncertainty, of all values; reflectance into the directions of the cells, "
+        "Median of the ratio and rms of the difference over its uncertainty: all values. Reflectance: into the directions of the cells, "
         f"{bsdf_sections.wavelength_words(comparison)}."
     )
     return Table("Agreement at each incidence", header, rows, note)
@@ -134,8 +132,8 @@ def _cut(comparison: xr.Dataset) -> Iterator[Figure]:
     strip, left_out = _strip(words, one, angle, across)
     note = (
         f"Cells within {_BESIDE:g}° of azimuth from the plane of incidence, {bsdf_sections.wavelength_words(comparison)}; models are "
-        "drawn through their values at the same cells. Below: by how much what was measured is above each of them, in its colour; bars "
-        f"are ±\u202f1 standard uncertainty of what was measured.{left_out}"
+        "drawn through their values at the same cells. Below: measured over model less 1, in the colour of the model; bars: "
+        f"±\u202f1 standard uncertainty of the measurement.{left_out}"
     )
     yield Figure(title, svg + strip, legend(marks), note)
 
@@ -204,5 +202,5 @@ def _ratios(comparison: xr.Dataset) -> Figure:
         "Measured over modelled BRDF",
         svg,
         legend(marks),
-        f"{count}; those beyond the ends are counted in the last classes.",
+        f"{count}; values beyond the ends are counted in the last classes.",
     )

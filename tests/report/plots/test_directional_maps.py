@@ -84,7 +84,7 @@ def test_light_that_passes_has_a_disc_of_its_own() -> None:
 def test_a_perfect_diffuser_is_a_sentence() -> None:
     (figure,) = _maps(lambertian(spectrum(0.3)))
     assert not figure.svg
-    assert "The same in every direction, 0.0955 sr⁻¹" in figure.note  # 0.3 / π
+    assert "Constant over all directions, 0.0955 sr⁻¹" in figure.note  # 0.3 / π
 
 
 def test_a_smooth_interface_has_no_map() -> None:

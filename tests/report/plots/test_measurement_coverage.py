@@ -93,7 +93,7 @@ def test_the_bound_of_the_reflectance_is_the_uncertainty_of_all_directions_toget
 
 def test_directions_that_were_not_measured_are_counted_on_a_map(on_rig: xr.Dataset) -> None:
     (figure,) = directional_maps.directional_maps(on_rig)
-    share = re.search(r"([\d.]+)\u202f% of the disc was neither measured", figure.note)
+    share = re.search(r"([\d.]+)\u202f% of the disc is outside the measured directions", figure.note)
     assert share is not None
     sine, turn = np.meshgrid(np.sqrt((np.arange(80) + 0.5) / 80), 1.5 + 3 * np.arange(120))
     flags = measurement_coverage.quality(on_rig, _NORMAL, 45.0, np.degrees(np.arcsin(sine)), turn)

@@ -69,7 +69,7 @@ def test_the_balance_of_a_smooth_interface_closes() -> None:
 def test_the_balance_of_rough_facets_names_what_they_lose() -> None:
     (figure,) = reflectance.shares(None, microfacet.build(analytic("ggx", 0.4), index=1.5, transparent=True))
     assert [label for *_, label in figure.legend] == ["R, reflected", "T, transmitted", "lost between facets"]
-    assert "the rest would leave after a second reflection between facets" in figure.note
+    assert "The rest would leave after a second reflection between facets" in figure.note
 
 
 def test_the_balance_of_a_slab_states_what_it_absorbs() -> None:
@@ -77,16 +77,16 @@ def test_the_balance_of_a_slab_states_what_it_absorbs() -> None:
     (figure,) = reflectance.shares(None, sheet)
     assert [label for *_, label in figure.legend] == ["R, mirrored", "T, straight", "absorbed"]
     # R = ρ + ρ (1−ρ)² τ² / (1 − ρ² τ²), T = (1−ρ)² τ / (1 − ρ² τ²) with ρ = 0.04, τ = 0.8: A = 1 − R − T = 0.1983
-    assert "R + T + A = 1.0000; A, what the body absorbs, is 19.8\u202f% at 0°" in figure.note
+    assert "R + T + A = 1.0000; A, absorbed by the body, is 19.8\u202f% at 0°" in figure.note
 
 
 @pytest.mark.parametrize(
     ("reflected", "passed", "total", "words"),
     [
         (0.1, 0.9, None, "R + T = 1.0000 at every incidence."),
-        (0.1, 0.6, 1.0, "R + T + A = 1.0000; A, what the body absorbs, is 30.0\u202f% at 0°"),
+        (0.1, 0.6, 1.0, "R + T + A = 1.0000; A, absorbed by the body, is 30.0\u202f% at 0°"),
         (0.1, 0.6, None, "R + T = 0.7000 at 0°"),
-        (0.2, 0.9, None, "R + T reaches 1.1000 at 0° incidence: more leaves than arrives"),
+        (0.2, 0.9, None, "R + T reaches 1.1000 at 0° incidence: more light leaves than arrives"),
     ],
 )
 def test_the_sum_of_a_balance_is_told(reflected: float, passed: float, total: float | None, words: str) -> None:

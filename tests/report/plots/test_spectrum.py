@@ -37,7 +37,7 @@ def test_a_spectrum_with_the_specular_excluded_stands_below_the_total(full: Data
     bsdf = microfacet.build(full["facets"], index=full["index"], spectrum=excluded)
     shown = spectrum.spectrum_figure(excluded, bsdf)
     assert [label for *_, label in shown.legend][1:3] == ["total reflectance", "measured, specular excluded"]
-    assert "The total reflectance adds the mirrored light that the measurement excluded." in shown.note
+    assert "The total reflectance includes the mirrored light that the measurement excluded." in shown.note
     total = spectrum._total(excluded, bsdf)
     assert total is not None
     assert (total[1] > excluded["total_reflectance"].values).all()

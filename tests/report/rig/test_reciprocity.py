@@ -73,12 +73,12 @@ def test_the_bsdf_lies_between_what_was_told_there_and_back(on_rig: xr.Dataset, 
 
 
 def test_incidences_that_agree_are_said_to(on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset) -> None:
-    assert reciprocity_figure.figure(on_rig, smoothed_on_rig).note.endswith("No pair is off.")
+    assert reciprocity_figure.figure(on_rig, smoothed_on_rig).note.endswith("No pair differs significantly.")
 
 
 def test_an_incidence_that_is_wrong_is_named_by_its_pairs_with_what_to_do() -> None:
     note = _figure(wrong=30.0).note
-    assert "Off by more than 2 standard uncertainties: 10°–30°, 30°–60°." in note
+    assert "Different by more than 2 standard uncertainties: 10°–30°, 30°–60°." in note
     assert "`runs` in plan.yaml" in note
     assert re.search(r"was enlarged .*[\d.]+ times at 30°", note)
 
@@ -106,28 +106,28 @@ def test_all_bars_lie_within_their_frame(wrong: float | None) -> None:
 def test_an_uncertainty_that_was_not_enlarged_is_that_of_the_smoothed_incidence(
     on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset
 ) -> None:
-    enlarged = reciprocity._enlarged(on_rig, smoothed_on_rig)
+    enlarged = reciprocity_figure._enlarged(on_rig, smoothed_on_rig)
     assert enlarged == pytest.approx(dict.fromkeys(INCIDENCES, 1.0), abs=1e-6)
     grown = on_rig.assign(coefficient_factor=2.5 * on_rig["coefficient_factor"])
-    assert reciprocity._enlarged(grown, smoothed_on_rig) == pytest.approx(dict.fromkeys(INCIDENCES, 2.5), rel=1e-6)
+    assert reciprocity_figure._enlarged(grown, smoothed_on_rig) == pytest.approx(dict.fromkeys(INCIDENCES, 2.5), rel=1e-6)
 
 
 def test_the_two_ways_of_a_surface_with_a_lay_need_not_agree() -> None:
     figure = _figure(symmetric=False)
     assert figure.svg.count('<svg class="fig"') == 1
-    assert "Of a surface with a lay they need not" in figure.note
+    assert "For a surface with a lay they need not be equal" in figure.note
 
 
 def test_without_averaging_there_is_only_before() -> None:
     figure = _figure(reciprocity=False)
     assert figure.svg.count('<svg class="fig"') == 1
-    assert "there is no after" in figure.note
+    assert "there is no average" in figure.note
 
 
 def test_of_many_pairs_those_that_differ_most_are_shown() -> None:
     figure = _figure((10.0, 20.0, 30.0, 45.0, 60.0), wrong=45.0)
     names = re.findall(r">(\d+°–\d+°)</text>", figure.svg)
-    assert len(names) == 2 * reciprocity.MOST_PAIRS
+    assert len(names) == 2 * reciprocity_figure.MOST_PAIRS
     assert {"10°–45°", "20°–45°", "30°–45°", "45°–60°"} < set(names)
     assert figure.note.startswith("The 8 of 10 pairs that differ most.")
 

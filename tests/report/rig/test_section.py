@@ -287,7 +287,7 @@ def test_an_overridden_profile_is_not_passed_over(run: Datasets) -> None:
     primary = run["primary-reflection"].assign_attrs(overridden="the profile has expired")
     measurement = next(each for each in _chapter({**run, "primary-reflection": primary}).run if isinstance(each, Table))
     assert "the profile has expired" in measurement.remark
-    assert "Measure the etalon anew" in measurement.remark
+    assert "Measure the etalon again" in measurement.remark
 
 
 def test_what_became_of_the_cells_adds_up_to_all_of_them(run: Datasets) -> None:
@@ -315,7 +315,7 @@ def test_cells_that_are_saturated_or_dim_are_counted_as_such(run: Datasets) -> N
 
 def test_dead_fibres_are_named_and_those_that_cannot_see_the_etalon_are_not(run: Datasets) -> None:
     note = _chapter(run).coverage.note
-    assert "without light from the etalon: F004;" in note
+    assert "without light from the etalon: F004." in note
     profile = run["calibration"].copy(deep=True)
     profile["cell_scale"].values[:, [3, 149]] = 1.0, np.nan  # F150 looks from 88°, away from the etalon's normal
     profile["phi_s"].values[149] = 180.0
@@ -438,7 +438,7 @@ def test_the_chart_of_the_profiles_shows_their_level_and_their_limits(run: Datas
     limit = 100 * (middle + float(at["limit"]))
     assert start + slope * band[len(band) // 2 - 1, 1] == pytest.approx(limit, abs=0.1)
     assert figure.note.startswith("From 1, bench-1 of 2026-03-01, to 4, bench-4 of 2026-03-04, which is in use")
-    assert figure.note.endswith("None is beyond them.")
+    assert figure.note.endswith("No profile is beyond them.")
 
 
 def test_violations_are_marked_and_named(run: Datasets, bench: Rig) -> None:

@@ -40,17 +40,18 @@ class _Cut(NamedTuple):
     """None of a BSDF that rests on a model."""
 
     def lines(self) -> list[Line]:
-        """The curve, dashed where it was not measured; the part of the mirror direction is labelled, with what it rests on."""
+        """The curve, dashed where it was not measured; the label states the basis of the mirror direction."""
         label = f"{'incidence ' if self.incidence == INCIDENCES[0] else ''}{self.incidence:g}°"
         line = Line(self.theta, np.where(self.value > 0, self.value, np.nan), self.style, label)
         if self.quality is None:
             return [line]
         mirror = int(np.argmin(np.abs(self.theta - self.incidence)))
-        basis, told = vocabulary.QUALITY_FLAGS[self.quality[mirror]], measurement_coverage.known(self.quality)
+        basis, measured = vocabulary.QUALITY_FLAGS[self.quality[mirror]], measurement_coverage.known(self.quality)
         label += "" if basis == "measured" else f" ({basis})"
-        labels = (label, "") if told[mirror] else ("", label)
+        labels = (label, "") if measured[mirror] else ("", label)
         return [
-            replace(part, label=each) for part, each in zip(measurement_coverage.split(line, told), labels, strict=True)
+            replace(part, label=text)
+            for part, text in zip(measurement_coverage.split(line, measured), labels, strict=True)
         ]
 
 
@@ -72,7 +73,7 @@ def cuts(bsdf: xr.Dataset) -> list[Figure]:
 
 
 def _cuts(bsdf: xr.Dataset, plane: Plane, *, through: bool) -> list[_Cut]:
-    return [_cut(bsdf, plane, *each, through=through) for each in zip(INCIDENCES, _STYLES, strict=True)]
+    return [_cut(bsdf, plane, *curve, through=through) for curve in zip(INCIDENCES, _STYLES, strict=True)]
 
 
 def _cut(bsdf: xr.Dataset, plane: Plane, incidence: float, style: str, *, through: bool) -> _Cut:
@@ -113,7 +114,7 @@ def _goniometric(bsdf: xr.Dataset, above: Sequence[_Cut], below: Sequence[_Cut])
 
 
 def _cartesian(
-    bsdf: xr.Dataset, quantity: str, planes: Sequence[Plane], found: Sequence[Sequence[_Cut]], single: Array
+    bsdf: xr.Dataset, quantity: str, planes: Sequence[Plane], cuts_by_plane: Sequence[Sequence[_Cut]], single: Array
 ) -> list[Figure]:
     """The cuts on Cartesian axes, one chart a plane, all to one scale.
 
@@ -121,15 +122,19 @@ def _cartesian(
     ----------
     single : (incidences,) shares of the light that smooth surfaces send into one direction, dotted
     """
-    decades = _decades([cut for cuts in found for cut in cuts])
+    decades = _decades([cut for cuts in cuts_by_plane for cut in cuts])
     into_one = _into_one_words("mirrored" if quantity == "BRDF" else "transmitted", single)
     if decades is None:
         nothing = f"No light is {'reflected' if quantity == 'BRDF' else 'transmitted'} in these planes."
-        words = f"{into_one} One direction has no {quantity}: there is nothing to draw." if into_one else nothing
+        words = (
+            f"{into_one} Light in one single direction has no {quantity}; there is nothing to draw."
+            if into_one
+            else nothing
+        )
         return [sentence(quantity, words)]
     low, high = (10.0**exponent for exponent in decades)
     figures = []
-    for plane, cuts in zip(planes, found, strict=True):
+    for plane, cuts in zip(planes, cuts_by_plane, strict=True):
         curves = _drawn(cuts)
         marks = [*curves, *_rays(bsdf, quantity, single, low, high)]
         title = f"{quantity} {plane.words}" if plane.words else f"{quantity}, Cartesian"
@@ -147,14 +152,14 @@ def _cartesian(
     return figures
 
 
-def _about_mirror(bsdf: xr.Dataset, planes: Sequence[Plane], found: Sequence[Sequence[_Cut]]) -> list[Figure]:
+def _about_mirror(bsdf: xr.Dataset, planes: Sequence[Plane], cuts_by_plane: Sequence[Sequence[_Cut]]) -> list[Figure]:
     """The lobe against the angle from the mirror direction, where it is too narrow for the other charts."""
-    slope, decades = representations.lobe_slope(bsdf), _decades([cut for cuts in found for cut in cuts])
+    slope, decades = representations.lobe_slope(bsdf), _decades([cut for cuts in cuts_by_plane for cut in cuts])
     if slope is None or slope > _NARROW or decades is None:
         return []
     nearest = max(1e-3, 10.0 ** math.floor(math.log10(math.degrees(slope) / 4)))
     figures = []
-    for plane, cuts in zip(planes, found, strict=True):
+    for plane, cuts in zip(planes, cuts_by_plane, strict=True):
         lines = [replace(line, x=cut.incidence - cut.theta) for cut in cuts for line in cut.lines()]
         lines = [replace(line, y=np.where(np.asarray(line.x) > 0, line.y, np.nan)) for line in lines]
         svg = chart(
@@ -176,7 +181,7 @@ _FROM = {"BRDF": "angle of view θₒ", "BTDF": "180° − θₒ"}
 def _inside(bsdf: xr.Dataset, quantity: str) -> str:
     if quantity == "BRDF" or bsdf.attrs.get("transmission") != "interface":
         return ""
-    return " The light is inside the body; its radiance counts n² times that in air."
+    return " The light is inside the body; its radiance is n² times that in air."
 
 
 def _rays(bsdf: xr.Dataset, quantity: str, single: Array, low: float, high: float) -> Iterator[Line]:

@@ -67,8 +67,7 @@ def value(bsdf: xr.Dataset, plane: Plane, incidence: ArrayLike, theta_o: ArrayLi
     theta_o, turn : polar angle, and azimuth from the one away from the source; degree, broadcastable
     """
     angles = directions(plane, incidence, theta_o, turn)
-    found = representations.representation(bsdf).evaluate(bsdf, *angles, reference(bsdf))
-    values = np.asarray(found, dtype=float)[..., 0]
+    values = representations.representation(bsdf).evaluate(bsdf, *angles, reference(bsdf))[..., 0].astype(float)
     return np.where(np.abs(values) < DARKEST, 0.0, values)
 
 

@@ -34,9 +34,9 @@ def directional_maps(bsdf: xr.Dataset) -> Iterator[Figure]:
     """The BRDF, and the BTDF where light passes, over all outgoing directions; with a lay, along and across it."""
     for through in (False, True) if representations.transmits(bsdf) else (False,):
         for plane in bsdf_sections.planes(bsdf):
-            found = _map(bsdf, plane, through)
-            if found is not None:  # no density: the cuts say so
-                yield found
+            figure = _map(bsdf, plane, through)
+            if figure is not None:  # no density: the cuts say so
+                yield figure
 
 
 class HemispherePixels:
@@ -73,7 +73,7 @@ def _map(bsdf: xr.Dataset, plane: Plane, through: bool) -> Figure | None:
     if positive.size == 0:
         return None
     if positive.size == values.size and positive.max() < _FLAT * positive.min():
-        words = f"The same in every direction, {number(float(positive.mean()))} sr⁻¹ {bsdf_sections.wavelength_words(bsdf)}: perfectly diffuse."
+        words = f"Constant over all directions, {number(float(positive.mean()))} sr⁻¹ {bsdf_sections.wavelength_words(bsdf)}: perfectly diffuse."
         return sentence(title, words.replace("sr⁻¹ all", "sr⁻¹, all"))
     low, high, levels = _colours(positive)
     logs = np.log10(np.where(values > 0, values, np.nan))
@@ -94,9 +94,9 @@ def _map(bsdf: xr.Dataset, plane: Plane, through: bool) -> Figure | None:
 def _unmeasured(bsdf: xr.Dataset, plane: Plane, polar: Array, turn: Array) -> str:
     """How much of a map was not measured; empty of a BSDF that rests on a model."""
     flags = measurement_coverage.quality(bsdf, plane, MAP_INCIDENCE, polar, turn)
-    if flags is None or (told := measurement_coverage.known(flags)).all():
+    if flags is None or (measured := measurement_coverage.known(flags)).all():
         return ""
-    return f" {map_percent(1 - float(told.mean()))} of the disc was neither measured nor lies between what was."
+    return f" {map_percent(1 - float(measured.mean()))} of the disc is outside the measured directions."
 
 
 def _colours(positive: Array) -> tuple[float, float, int]:
@@ -123,10 +123,10 @@ def _map_words(bsdf: xr.Dataset, plane: Plane, through: bool, peak: float, dark:
     )
     words = [
         f"Light comes from the left (arrow); the ring marks {marked}, {bsdf_sections.wavelength_words(bsdf)}.",
-        "Equal areas hold equal shares of the light of a perfect diffuser.",
+        "Equal areas receive equal shares of the light of a perfect diffuser.",
     ]
     if mirrored:
-        words.append(f"What the smooth surface sends into {marked} has no width and is not in the picture.")
+        words.append(f"The specular light in {marked} has no width and is not drawn.")
     elif slope is not None and slope < _NARROW:
         words.append(f"The lobe is narrower than the ring: largest {number(peak)} sr⁻¹.")
     else:

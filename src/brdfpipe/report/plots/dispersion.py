@@ -1,4 +1,4 @@
-"""The figures of a refractive index: n and k against wavelength, how far they are known, and what stands for all of it."""
+"""Figures of a refractive index: n and k against wavelength, their range of validity, and the mean index of colour-neutral models."""
 
 from __future__ import annotations
 
@@ -75,14 +75,16 @@ def dispersion(index: xr.Dataset, bsdf: xr.Dataset | None = None) -> list[Figure
     bsdf : kind ``bsdf``, built with it; tells the index of the models that know no wavelengths
     """
     source = str(index.attrs.get("source", "")).strip()
-    told = f" Source: {source}" if source else ""
+    source_words = f" Source: {source}" if source else ""
     if not dispersive(index):
         n, k = (float(index[name].values.flat[0]) for name in ("n", "k"))
-        return [sentence("Refractive index", f"n = {n:.6g} and k = {k:.6g} at all wavelengths.{told}")]
+        return [sentence("Refractive index", f"n = {n:.6g} and k = {k:.6g} at all wavelengths.{source_words}")]
     neutral, absorbs = _neutral(bsdf), bool(index["k"].values.any())
     stands = "" if neutral is None else f" {_neutral_words(neutral)}"
     clear = "" if absorbs else " k = 0 throughout."
-    figures = [_figure(index, "n", "Refractive index n(λ)", neutral, f"{_range_words(index)}{clear}{stands}{told}")]
+    figures = [
+        _figure(index, "n", "Refractive index n(λ)", neutral, f"{_range_words(index)}{clear}{stands}{source_words}")
+    ]
     if absorbs:
         figures.append(_figure(index, "k", "Extinction coefficient k(λ)", neutral, ""))
     return figures
@@ -176,8 +178,8 @@ def _neutral(bsdf: xr.Dataset | None) -> _Neutral | None:
 def _neutral_words(neutral: _Neutral) -> str:
     absorbs = f" and k = {number(neutral.k, 4)}" if neutral.k > 0 else ""
     return (
-        f"Where one index stands for all wavelengths it is n = {neutral.n:.{_DECIMALS}f}{absorbs}, the mean under V(λ) and D65: for gloss, "
-        "haze, the Lambert + Gauss fit and tables without colour."
+        f"Colour-neutral models (gloss, haze, the Lambert + Gauss fit, tables without colour) use n = {neutral.n:.{_DECIMALS}f}{absorbs}, the mean "
+        "weighted with V(λ) and D65."
     )
 
 
@@ -188,5 +190,5 @@ def _crossing(wavelength: Array, curve: Array, value: float, about: float) -> fl
     if before.size == 0:
         return float(wavelength[int(np.abs(curve - value).argmin())])
     share = (value - curve[before]) / (curve[before + 1] - curve[before])
-    found = wavelength[before] + share * np.diff(wavelength)[before]
-    return float(found[int(np.abs(found - about).argmin())])
+    crossings = wavelength[before] + share * np.diff(wavelength)[before]
+    return float(crossings[int(np.abs(crossings - about).argmin())])

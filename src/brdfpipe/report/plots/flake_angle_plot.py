@@ -41,18 +41,16 @@ def flake_angle_plot(flake: xr.Dataset, multiangle: xr.Dataset) -> Figure:
     dark = max(float(min(fitted.min(), seen[seen > 0].min() if (seen > 0).any() else bright)), bright * 1e-5)
     lowest, highest = (10.0 ** math.floor(math.log10(dark)), 10.0 ** math.ceil(math.log10(bright)))
     what = "X, Y, Z" if "channel" in multiangle.dims else "reflectance factor"
-    note = f"Form: {flake.attrs['form']} plus a constant. Dotted: no geometry was measured there."
+    note = f"Form: {flake.attrs['form']} plus a constant. Dotted: beyond the measured geometries."
     if flake.attrs["model"] == "flake-physical":
-        note += (
-            " The values are those at normal incidence: the interface and the gloss of the clear coat are taken out."
-        )
+        note += " Values at normal incidence, without the interface and the gloss of the clear coat."
     svg = chart(
         f"{what} against the flake angle, logarithmic",
         Axis("flake angle θf, degree", 0.0, _ROOM * high),
         Axis(what, lowest, max(highest, 10 * lowest), log=True),
         marks,
     )
-    return Figure("Fall along the flake angle", svg, legend(marks), note)
+    return Figure("Reflection against the flake angle", svg, legend(marks), note)
 
 
 def geometry_rows(flake: xr.Dataset, multiangle: xr.Dataset) -> tuple[Sequence[str], list[tuple[str, ...]]]:
@@ -101,8 +99,8 @@ def _with_doubt(flake: xr.Dataset, name: str, term: int | None) -> list[str]:
     if doubt is None:
         return [number(value, 4) for value in values]
     return [
-        number(value, 4) + (f" ± {number(each, 2)}" if math.isfinite(each) else "")
-        for value, each in zip(values, doubt.values[chosen], strict=True)
+        number(value, 4) + (f" ± {number(u, 2)}" if math.isfinite(u) else "")
+        for value, u in zip(values, doubt.values[chosen], strict=True)
     ]
 
 

@@ -74,7 +74,7 @@ def raycast_figure(comparison: xr.Dataset, facets: xr.Dataset | None = None) -> 
             f"rays cast over the heights, {EXPANDED_UNCERTAINTY}",
         ),
     ]
-    note = "Mean over the azimuths. They agree where the facet distribution is that of the surface."
+    note = "Mean over the azimuths. They agree where the facet distribution represents the surface."
     return Figure("Masking G₁(θ) against ray casting", _masking_chart("G₁", marks), legend(marks), note)
 
 
@@ -100,7 +100,7 @@ def bistatic_figure(comparison: xr.Dataset) -> Figure | None:
     marks.append(Points(theta[seen], cast[seen], 2 * uncertainty[seen], "c2", label))
     note = (
         "Incidence θ, view −θ, both in one plane; mean over the azimuths, Smith with the slopes of the lines cast. "
-        "This tests Smith's assumption, which the agreement of G₁ does not."
+        "This tests Smith's assumption; the agreement of G₁ does not."
     )
     return Figure("Masking and shadowing G₂(θ, −θ)", _masking_chart("G₂", marks), legend(marks), note)
 

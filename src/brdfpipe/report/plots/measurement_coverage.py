@@ -1,6 +1,6 @@
-"""How far what was measured reaches: which parts of a curve rest on directions that were measured, and how sure the others are.
+"""Measurement coverage: which parts of a curve rest on measured directions, and the uncertainty of the others.
 
-All goes through what representations tell of themselves. Of a BSDF that rests on a model there is nothing to tell.
+A BSDF from a model has no quality flags, and no coverage.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from brdfpipe.report.plots.bsdf_sections import Plane
 from brdfpipe.report.plots.svg import Array, Line
 
 KNOWN = ("measured", "interpolated")
-"""Flags of what was measured, or lies between what was."""
+"""Quality flags of directions that were measured, or that are between measured ones."""
 
 _SOUGHT = np.arange(0.0, 90.0)
 """Incidences at which it is asked how far a measurement reaches [degree]."""
@@ -53,13 +53,13 @@ def known(flags: ArrayLike) -> NDArray[np.bool_]:
     return np.isin(flags, [vocabulary.quality(name) for name in KNOWN])
 
 
-def split(line: Line, told: NDArray[np.bool_]) -> tuple[Line, Line]:
+def split(line: Line, measured: NDArray[np.bool_]) -> tuple[Line, Line]:
     """A curve where it is known, and the rest of it dashed; the two meet."""
-    rest = ~told
-    rest[1:] |= ~told[:-1]
-    rest[:-1] |= ~told[1:]
+    rest = ~measured
+    rest[1:] |= ~measured[:-1]
+    rest[:-1] |= ~measured[1:]
     value = np.asarray(line.y, dtype=float)
-    solid, dashed = (np.where(part, value, np.nan) for part in (told, rest))
+    solid, dashed = (np.where(part, value, np.nan) for part in (measured, rest))
     return replace(line, y=solid), replace(line, y=dashed, pattern="dash")
 
 
@@ -86,18 +86,20 @@ def words(bsdf: xr.Dataset, plane: Plane, shown: Sequence[float], *, through: bo
         return np.divide(u, value, out=np.full_like(u, np.nan), where=value > 0)
 
     unknown = _unknown(bsdf, plane, theta, through)
-    told = _listed(unknown, relative(unknown)) if unknown.size and representations.has_uncertainty(bsdf) else ""
-    return _sentence(bsdf, plane, where, through, f" (standard uncertainty there: {told})" if told else "")
+    uncertainty = _listed(unknown, relative(unknown)) if unknown.size and representations.has_uncertainty(bsdf) else ""
+    return _sentence(
+        bsdf, plane, where, through, f" (standard uncertainty there: {uncertainty})" if uncertainty else ""
+    )
 
 
 def reflectance_words(bsdf: xr.Dataset, plane: Plane, shown: Sequence[float]) -> str:
     """The same of the directional reflectance: its uncertainty is as if all directions were off together, which is the most it can be."""
     unknown = _unknown(bsdf, plane, np.asarray(shown, dtype=float), False)
-    told = ""
+    uncertainty = ""
     if unknown.size and representations.has_uncertainty(bsdf):
-        most = [_reflectance_uncertainty(bsdf, plane, each) for each in unknown.tolist()]
-        told = f" (standard uncertainty of the reflectance there: at most {_listed(unknown, np.array(most))})"
-    return _sentence(bsdf, plane, "in the mirror direction", False, told)
+        most = [_reflectance_uncertainty(bsdf, plane, angle) for angle in unknown.tolist()]
+        uncertainty = f" (standard uncertainty of the reflectance there: at most {_listed(unknown, np.array(most))})"
+    return _sentence(bsdf, plane, "in the mirror direction", False, uncertainty)
 
 
 def _unknown(bsdf: xr.Dataset, plane: Plane, theta: Array, through: bool) -> Array:
@@ -109,11 +111,11 @@ def _sentence(bsdf: xr.Dataset, plane: Plane, where: str, through: bool, sure: s
     flags = at_mirror(bsdf, plane, _SOUGHT, through=through)
     if flags is None or known(flags).all():
         return ""
-    told = _SOUGHT[known(flags)]
-    if not told.size:
+    measured = _SOUGHT[known(flags)]
+    if not measured.size:
         return f" Nothing was measured {where} at any incidence{sure}."
-    ends = [f"below {told[0]:g}°"] if told[0] > _SOUGHT[0] else []
-    ends += [f"beyond {told[-1]:g}°"] if told[-1] < _SOUGHT[-1] else []
+    ends = [f"below {measured[0]:g}°"] if measured[0] > _SOUGHT[0] else []
+    ends += [f"beyond {measured[-1]:g}°"] if measured[-1] < _SOUGHT[-1] else []
     return f" Nothing was measured {where} {' and '.join(ends) or 'at some incidences'}{' of incidence' if ends else ''}{sure}."
 
 
@@ -136,7 +138,7 @@ def _reflectance_uncertainty(bsdf: xr.Dataset, plane: Plane, incidence: float) -
     # The rule's azimuths are those of light that comes from 0; both halves are asked, as the BSDF need not be even.
     either = np.concatenate([to.phi - 180, 180 - to.phi]), np.tile(to.theta, 2)
     u, value = (
-        np.tile(to.weight, 2) @ each(bsdf, plane, incidence, either[1], either[0])
-        for each in (_uncertainty, bsdf_sections.value)
+        np.tile(to.weight, 2) @ function(bsdf, plane, incidence, either[1], either[0])
+        for function in (_uncertainty, bsdf_sections.value)
     )
     return float(u / value) if value > 0 else float("nan")

@@ -58,7 +58,7 @@ def polarisation(bsdf: xr.Dataset) -> Figure | None:
     )
     blank = "" if lit.all() else " Blank: less than a millionth of the peak."
     note = (
-        f"Of unpolarised light, {map_percent(at_mirror)} of what leaves towards the mirror direction (ring) is polarised; most, "
+        f"Of unpolarised light, {map_percent(at_mirror)} of the light in the mirror direction (ring) is polarised. The largest degree is "
         f"{map_percent(float(degree[most]))}, at {pixels.theta[most]:.0f}°, {bsdf_sections.wavelength_words(bsdf)}. Light from the base "
         f"and light reflected more than once counts as unpolarised.{blank}"
     )

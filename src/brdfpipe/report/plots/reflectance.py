@@ -57,10 +57,10 @@ def shares(checks: xr.Dataset | None, bsdf: xr.Dataset | None) -> list[Figure]:
 def _known(bsdf: xr.Dataset, plane: Plane, total: Line) -> list[Line]:
     """A directional reflectance, dashed at incidences of which the mirror direction was not measured."""
     flags = measurement_coverage.at_mirror(bsdf, plane, total.x)
-    if flags is None or (told := measurement_coverage.known(flags)).all():
+    if flags is None or (measured := measurement_coverage.known(flags)).all():
         return [total]
-    known, rest = measurement_coverage.split(total, told)
-    return [*([known] if told.any() else []), replace(rest, label=f"{total.label} (completed)")]
+    known, rest = measurement_coverage.split(total, measured)
+    return [*([known] if measured.any() else []), replace(rest, label=f"{total.label} (completed)")]
 
 
 def _checked(checks: xr.Dataset | None) -> list[Figure]:
@@ -93,8 +93,8 @@ def _excess_words(totals: Sequence[Line]) -> str:
         return ""
     first, worst = int(np.argmax(most > 1 + _CLOSED)), int(np.argmax(most))
     return (
-        f"From {theta[first]:.3g}° on more light leaves than arrives, {number(most[worst])} times as much at {theta[worst]:.3g}°: the "
-        "masking chosen does not keep energy. Set `model.masking: height-correlated` where that matters."
+        f"From {theta[first]:.3g}° on more light leaves than arrives, up to {number(most[worst])} times at {theta[worst]:.3g}°. The "
+        "chosen masking does not conserve energy. Set `model.masking: height-correlated` to conserve it."
     )
 
 
@@ -187,7 +187,7 @@ def _sum(bsdf: xr.Dataset, plane: Plane) -> float | None:
         return None
     stated = bsdf_sections.at_reference(bsdf["absorptance"])
     known = stated["theta_i"].values < 90
-    theta, absorbed = (np.asarray(each.values[known], dtype=float) for each in (stated["theta_i"], stated))
+    theta, absorbed = (np.asarray(variable.values[known], dtype=float) for variable in (stated["theta_i"], stated))
     total = absorbed + bsdf_sections.reflectance(bsdf, plane, theta) + bsdf_sections.transmittance(bsdf, plane, theta)
     return float(total[np.argmax(np.abs(total - 1))])
 
@@ -204,19 +204,19 @@ def balance_words(theta: Array, reflected: Array, passed: Array, total: float | 
     most, least = int(np.argmax(rest)), int(np.argmin(rest))
     if rest[least] < -_CLOSED:
         return (
-            f"R + T reaches {fixed(1 - rest[least], 4)} at {theta[least]:.3g}° incidence: more leaves than arrives. "
-            "Choose another `model.masking` if energy matters."
+            f"R + T reaches {fixed(1 - rest[least], 4)} at {theta[least]:.3g}° incidence: more light leaves than arrives. "
+            "Choose another `model.masking` to conserve energy."
         )
     if rest[most] <= _CLOSED:
         return "R + T = 1.0000 at every incidence."
     if total is not None:
         return (
-            f"R + T + A = {fixed(total, 4)}; A, what the body absorbs, is {share_percent(rest[0])} at 0° and most at {theta[most]:.3g}°, "
+            f"R + T + A = {fixed(total, 4)}; A, absorbed by the body, is {share_percent(rest[0])} at 0° and largest at {theta[most]:.3g}°, "
             f"{share_percent(rest[most])}."
         )
     return (
-        f"R + T = {fixed(1 - rest[0], 4)} at 0° and least {fixed(1 - rest[most], 4)} at {theta[most]:.3g}°: the rest would leave after "
-        "a second reflection between facets, which this model does not follow."
+        f"R + T = {fixed(1 - rest[0], 4)} at 0°, smallest {fixed(1 - rest[most], 4)} at {theta[most]:.3g}°. The rest would leave after "
+        "a second reflection between facets, which the model does not include."
     )
 
 

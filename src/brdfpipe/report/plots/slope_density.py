@@ -59,16 +59,16 @@ def facet_figures(facets: xr.Dataset) -> list[Figure]:
     ----------
     facets : kind ``facets``, isotropic (slope density over ``slope``) or with a lay (over ``slope_across``, ``slope_along``)
     """
-    found: list[Figure] = []
+    figures: list[Figure] = []
     if "slope_density" in facets and facets["slope_density"].size == 0:
-        return [sentence("Slopes", "The surface is perfectly flat: every facet lies level, none hides another.")]
+        return [sentence("Slopes", "The surface is perfectly flat: all facets are level, and none masks another.")]
     if "slope_density" in facets and facets["slope_density"].dims == ("slope",):
-        found += [slope_density(facets), facet_distribution(facets)]
-        found += [smith_masking(facets)] if "lambda_smith" in facets else []
+        figures += [slope_density(facets), facet_distribution(facets)]
+        figures += [smith_masking(facets)] if "lambda_smith" in facets else []
     elif "slope_density" in facets:
-        found += _with_lay(facets)
+        figures += _with_lay(facets)
     by_scale = slope_by_scale(facets)
-    return [*found, by_scale] if by_scale else found
+    return [*figures, by_scale] if by_scale else figures
 
 
 def slope_density(facets: xr.Dataset) -> Figure:
@@ -138,7 +138,7 @@ def slope_by_scale(facets: xr.Dataset) -> Figure | None:
         [Line(scale, slope_rms, "c0"), Points(scale, slope_rms, np.full(scale.size, np.nan), "c0")],
         height=230,
     )
-    note = "Where it still rises towards 1 pixel, a finer pitch would find steeper facets, or noise adds slope."
+    note = "A slope that still rises towards 1 pixel shows that a smaller pitch would find steeper facets, or that noise adds slope."
     return Figure("Slope against scale", svg, note=note)
 
 
@@ -182,7 +182,7 @@ def _density_map(density: PlanarDensity) -> Figure:
         [((k - bottom) / _MAP_DECADES, power_of_ten(k)) for k in range(first, math.floor(top + 1e-9) + 1)],
         levels=levels,
     )
-    note = f"Two steps of colour a decade. {'' if to_scale else 'The two slopes are not to the same scale. '}"
+    note = f"Two colour steps per decade. {'' if to_scale else 'The two slopes are not to the same scale. '}"
     lay = f"The lay runs towards {axis_degrees(density.azimuth)} from x; slopes are smallest along it."
     return Figure("Slope density, all azimuths", svg, note=f"{note}{lay}")
 

@@ -86,7 +86,7 @@ def _spectrum_words(spectral: xr.Dataset, completed: bool) -> str:
     words = [geometry, f"incidence {float(incidence):g}°" if incidence is not None else "", method]
     sentence = ", ".join(word for word in words if word)
     sentence = sentence[:1].upper() + sentence[1:] + "." if sentence else ""
-    added = " The total reflectance adds the mirrored light that the measurement excluded." if completed else ""
+    added = " The total reflectance includes the mirrored light that the measurement excluded." if completed else ""
     return sentence + added
 
 

@@ -39,7 +39,7 @@ def height_map(surface: xr.Dataset) -> Figure:
         [((value - low) / (high - low), name) for value, name in linear_ticks(low, high, count=5)],
     )
     key = (("missing", "", f"missing heights ({100 * missing:.2g} %)"),) if missing else ()
-    note = f"{values.shape[1]} × {values.shape[0]} heights; colours span the middle 99 % of them."
+    note = f"{values.shape[1]} × {values.shape[0]} heights; the colours span the central 99 %."
     return Figure("Height, levelled", svg, key, note if to_scale else f"{note} x and y are not to the same scale.")
 
 

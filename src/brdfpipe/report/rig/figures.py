@@ -84,11 +84,11 @@ def frames(looks: Sequence[tuple[xr.Dataset, NDArray[np.str_]]]) -> Figure | Non
     decades = sorted({f"{float(reduced['picture'].attrs['decades']):.1f}" for reduced, _ in shown})
     note = (
         f"Logarithmic, {' to '.join(dict.fromkeys((decades[0], decades[-1])))} decades from black to white, each picture from its "
-        "own brightest part; exposures merged, dark frames taken away, every pixel over the reference, mean over the wavelengths. "
-        "Rings: edges of the disc's cells about the mirror direction; circles: where the light of a fibre's end is gathered; both "
-        "as registered in the picture. On the disc, the sample's normal is to the right."
+        "own brightest part. Exposures are merged, dark frames subtracted, pixels divided by the reference and averaged over the "
+        "wavelengths. Rings: edges of the cells of the disc about the mirror direction. Circles: apertures over the fibre ends. Both "
+        "are registered to the picture. On the disc, the normal of the sample is to the right."
     )
-    return Figure("What the camera saw", grid, key, note)
+    return Figure("Camera pictures", grid, key, note)
 
 
 def _frame(reduced: xr.Dataset, became: NDArray[np.str_]) -> str:
@@ -138,21 +138,21 @@ def _circles(column: Array, row: Array, radius: Array, style: str) -> str:
 
 
 def drift(reduced: Sequence[xr.Dataset]) -> Figure:
-    """Light of the reference spot over the session, at the looks at the lamp and while their wavelength was measured.
+    """Light of the reference spot over the session: lamp monitor readings, and the brackets at their wavelength.
 
     Parameters
     ----------
     reduced : kind ``reduced``, of one run
     """
     title = "Light of the lamp"
-    wavelength = _looked_at(reduced)
-    seen = np.concatenate([np.zeros((0, 4)), *(_lamp(each, wavelength) for each in reduced)])
-    seen = seen[np.isfinite(seen[:, :2]).all(axis=1) & (seen[:, 1] > 0)]
-    if len(seen) < 2:
+    wavelength = _monitor_wavelength(reduced)
+    readings = np.concatenate([np.zeros((0, 4)), *(_lamp_readings(arrangement, wavelength) for arrangement in reduced)])
+    readings = readings[np.isfinite(readings[:, :2]).all(axis=1) & (readings[:, 1] > 0)]
+    if len(readings) < 2:
         return sentence(
-            title, "Too few looks at the lamp tell of its drift; make `drift.every` of plan.yaml smaller to take more."
+            title, "Too few lamp monitor readings to show drift. Take more: reduce `drift.every` in plan.yaml."
         )
-    elapsed, value, u, incidence = seen[np.argsort(seen[:, 0], kind="stable")].T
+    elapsed, value, u, incidence = readings[np.argsort(readings[:, 0], kind="stable")].T
     unit, seconds = ("h", 3600.0) if np.ptp(elapsed) > _LONG else ("min", 60.0)
     time, change, error = elapsed / seconds, 100 * (value / value[0] - 1), 100 * u / value[0]
     marks: list[Line | Points] = [Line(time, change, "ref")]
@@ -160,7 +160,9 @@ def drift(reduced: Sequence[xr.Dataset]) -> Figure:
         own, style = incidence == angle, _COLOURS[place % len(_COLOURS)]
         marks.append(Points(time[own], change[own], error[own], style, f"{angle:g}°"))
     reach = [float(np.nanmin([change - error, change])), float(np.nanmax([change + error, change]))]
-    tolerance = 100 * max((float(each.attrs.get("drift_tolerance", 0.0)) for each in reduced), default=0.0)
+    tolerance = 100 * max(
+        (float(arrangement.attrs.get("drift_tolerance", 0.0)) for arrangement in reduced), default=0.0
+    )
     if tolerance:
         marks += [Line(time[[0, -1]], np.full(2, sign * tolerance), "c3", pattern="dash") for sign in (-1, 1)]
         reach = [min(reach[0], -tolerance), max(reach[1], tolerance)]
@@ -173,36 +175,40 @@ def drift(reduced: Sequence[xr.Dataset]) -> Figure:
         height=240,
     )
     note = (
-        f"Looks at the lamp, and the bracket of each arrangement, at {wavelength:g}\u202fnm: {len(seen)} values; bars are ±\u202f1 standard "
-        f"uncertainty. They span {number(float(np.ptp(change)), 2)}\u202f%, which divides out: each frame is taken over its own reference."
+        f"Lamp monitor readings, and the bracket of each arrangement, at {wavelength:g}\u202fnm: {len(readings)} values; bars: ±\u202f1 standard "
+        f"uncertainty. They span {number(float(np.ptp(change)), 2)}\u202f%. The drift cancels: each frame is divided by its own reference."
     )
     if tolerance:
-        note += f" Dashed: ±\u202f{tolerance:g}\u202f%, beyond which the scan warns (`drift.tolerance` of plan.yaml)."
+        note += f" Dashed: ±\u202f{tolerance:g}\u202f%, beyond which the scan warns (`drift.tolerance` in plan.yaml)."
     return Figure(title, svg, legend(marks), note)
 
 
-def _looked_at(reduced: Sequence[xr.Dataset]) -> float:
-    """Wavelength of the looks at the lamp; where there are none, that of most light."""
-    for each in reduced:
-        if "drift_wavelength" in each:
-            return float(each["drift_wavelength"][0])
-    light = [each["reference"].mean("incidence") for each in reduced if each["reference"].notnull().any()]
+def _monitor_wavelength(reduced: Sequence[xr.Dataset]) -> float:
+    """Wavelength of the lamp monitor readings; without readings, the wavelength with most light."""
+    for arrangement in reduced:
+        if "drift_wavelength" in arrangement:
+            return float(arrangement["drift_wavelength"][0])
+    light = [
+        arrangement["reference"].mean("incidence")
+        for arrangement in reduced
+        if arrangement["reference"].notnull().any()
+    ]
     return float(light[0]["wavelength"].values[np.nanargmax(light[0].values)]) if light else float("nan")
 
 
-def _lamp(reduced: xr.Dataset, wavelength: float) -> Array:
-    """Time, light, its uncertainty and incidence (value, 4) of what an arrangement tells of the lamp at a wavelength."""
-    found = [np.zeros((0, 3))]
+def _lamp_readings(reduced: xr.Dataset, wavelength: float) -> Array:
+    """Time, light, its uncertainty and incidence (value, 4) of the readings of an arrangement at a wavelength."""
+    readings = [np.zeros((0, 3))]
     if "drift_wavelength" in reduced:
         looks = reduced.isel(look=reduced["drift_wavelength"].values == wavelength)
         names = ("drift_elapsed", "drift_reference", "drift_reference_u")
-        found.append(np.stack([looks[name].values for name in names], axis=1))
+        readings.append(np.stack([looks[name].values for name in names], axis=1))
     if "elapsed" in reduced:
         at = reduced["wavelength"].values == wavelength
-        found.append(
+        readings.append(
             np.stack([reduced[name].values[0, at] for name in ("elapsed", "reference", "reference_u")], axis=1)
         )
-    values = np.concatenate(found)
+    values = np.concatenate(readings)
     return np.column_stack([values, np.full(len(values), float(reduced["incidence"][0]))])
 
 
@@ -217,8 +223,8 @@ def profiles(calibration: xr.Dataset) -> Figure:
     count = calibration.sizes.get("profile", 0)
     if count < 2:
         advice = (
-            "One profile makes no chart. Name the calibration before it as `previous` in calibration.yaml, and each new one is held "
-            "against those before."
+            "A chart needs two profiles. Name the preceding calibration as `previous` in calibration.yaml; each new profile is then compared "
+            "with those before."
         )
         return sentence(title, advice)
     level = calibration["scale_change"].dropna("wavelength").mean("wavelength").values
@@ -228,17 +234,17 @@ def profiles(calibration: xr.Dataset) -> Figure:
     )
     # The level over that of the first, about the mean of those before; the spectrum about its own.
     values, middle = np.array([level, change[1]]), np.array([level - change[0], np.zeros(count)])
-    shown, low, high = (100 * np.expm1(each) for each in (values, middle - limit, middle + limit))
+    shown, low, high = (100 * np.expm1(change) for change in (values, middle - limit, middle + limit))
     place, none = np.arange(1.0, count + 1), np.full(count, np.nan)
     steps = (place[1:, None] + [-0.5, 0.5]).ravel()
-    bottom, top = (np.repeat(each[:, 1:], 2, axis=1) for each in (low, high))
+    bottom, top = (np.repeat(limits[:, 1:], 2, axis=1) for limits in (low, high))
     marks: list[Band | Line | Points] = [
-        Band(steps, bottom[0], top[0], "c0", "limits of all"),
+        Band(steps, bottom[0], top[0], "c0", "limits of the mean"),
         Line(steps, bottom[1], "c2", pattern="dash"),
-        Line(steps, top[1], "c2", "limits of one", pattern="dash"),
+        Line(steps, top[1], "c2", "limits of one wavelength", pattern="dash"),
     ]
     for own, style, label in zip(
-        shown, ("c0", "c2"), ("all wavelengths together", "the one that departs most"), strict=True
+        shown, ("c0", "c2"), ("mean over wavelengths", "wavelength that deviates most"), strict=True
     ):
         marks += [Line(place, own, style), Points(place, own, none, style, label)]
     beyond = np.asarray(violation, dtype=bool)
@@ -265,11 +271,11 @@ def _told(calibration: xr.Dataset, violation: NDArray[np.bool_]) -> str:
     ]
     note = (
         f"From 1, {named[0]}, to {len(named)}, {named[-1]}, which is in use: scale of the cells over that of the first, median of "
-        "the cells; and the wavelength that departs most from all together. What is beyond the limits, 3 standard deviations "
-        "about the mean of those before, is no chance: the etalon is dirty or aged, or the optics were changed."
+        "the cells, and the wavelength that deviates most. Limits: 3 standard deviations about the mean of the profiles before. A change "
+        "beyond them is significant: the etalon is dirty or aged, or the optics changed."
     )
-    found = [each for each, is_violation in zip(named, violation, strict=True) if is_violation]
-    return note + (f" Violations: {', '.join(found)}." if found else " None is beyond them.")
+    violations = [profile for profile, is_violation in zip(named, violation, strict=True) if is_violation]
+    return note + (f" Violations: {', '.join(violations)}." if violations else " No profile is beyond them.")
 
 
 # --- the uncertainty
@@ -334,8 +340,8 @@ def relative(primary: xr.Dataset, kind: str, component: str = "") -> float:
     """Median relative standard uncertainty of sound values, combined or of a component; NaN without values."""
     used = sound(primary, kind)
     u = primary[f"brdf_u_{component}" if component else "brdf_u"]
-    found = (u / primary["brdf"]).transpose(*primary["brdf"].dims).values[used]
-    return float(np.median(found)) if found.size else float("nan")
+    relative_u = (u / primary["brdf"]).transpose(*primary["brdf"].dims).values[used]
+    return float(np.median(relative_u)) if relative_u.size else float("nan")
 
 
 def _shares(primary: xr.Dataset, names: list[str], used: NDArray[np.bool_]) -> Array:
@@ -344,10 +350,10 @@ def _shares(primary: xr.Dataset, names: list[str], used: NDArray[np.bool_]) -> A
     total = variance.sum(axis=0)
     share = np.where(used & (total > 0), variance / np.where(total > 0, total, 1.0), np.nan)
     flat = share.reshape(len(names), -1, share.shape[-1])
-    found = np.full((len(names), share.shape[-1]), np.nan)
+    medians = np.full((len(names), share.shape[-1]), np.nan)
     some = np.isfinite(flat[0]).any(axis=0)
-    found[:, some] = np.nanmedian(flat[:, :, some], axis=1)
-    return found
+    medians[:, some] = np.nanmedian(flat[:, :, some], axis=1)
+    return medians
 
 
 def _binned(theta: Array, share: Array) -> tuple[Array, Array]:

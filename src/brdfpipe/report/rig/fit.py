@@ -1,4 +1,4 @@
-"""The figures of a fit to the cells of a camera rig: curve against values, what is left over, and how its smoothness was chosen."""
+"""Figures of the fit to the cells of a camera rig: curve and values, residuals, and the choice of the smoothing strength."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def fit(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> Figure:
     cells = _in_plane(primary, smoothed, at)
     theta, fitted, u = _curve(smoothed, at, cells)
     if not (cells.value > 0).any() or not (fitted > 0).any():
-        return sentence(title, "No cell near the plane of incidence has a value above 0 that was fitted.")
+        return sentence(title, "No fitted cell near the plane of incidence has a value above 0.")
     axis = _Angles("angle from the mirror direction, °; positive towards the normal", float(theta[0]), float(theta[-1]))
     scale = _scale(f"{quantity}, sr⁻¹ (log)", np.concatenate([cells.value, fitted]))
     band = Band(theta, np.maximum(fitted - u, scale.low / 1e3), fitted + u, "c4", "± its standard uncertainty")
@@ -110,10 +110,10 @@ def fit(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> Figure:
 
 
 def _scale(label: str, values: Array) -> Axis:
-    told = values[np.isfinite(values) & (values > 0)]
-    high = 1.6 * float(told.max())
+    positive = values[np.isfinite(values) & (values > 0)]
+    high = 1.6 * float(positive.max())
     # Noise about nothing may come as near to 0 as it likes.
-    low = max(float(np.percentile(told, 2)) / 1.6, high * 10.0**-_MOST_DECADES)
+    low = max(float(np.percentile(positive, 2)) / 1.6, high * 10.0**-_MOST_DECADES)
     return Axis(label, min(low, high / 10), high, log=True)
 
 
@@ -170,14 +170,16 @@ def _in_plane(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> _Plane:
     theta, phi = own["theta_s"].values, (own["phi_s"].values + 180) % 360 - 180
     towards, away = np.abs(phi) <= NEAR_PLANE, np.abs(phi) >= 180 - NEAR_PLANE
     used = np.isfinite(bsdf_sections.at_reference(smoothed["residual"]).values[at])
-    kept = np.flatnonzero((towards | away | (theta < 1e-6)) & used)
-    fitted = smoothing.evaluate(_one(smoothed, at), theta[kept], phi[kept]).values[0, 0] if kept.size else np.zeros(0)
+    cells = np.flatnonzero((towards | away | (theta < 1e-6)) & used)
+    fitted = (
+        smoothing.evaluate(_one(smoothed, at), theta[cells], phi[cells]).values[0, 0] if cells.size else np.zeros(0)
+    )
     return _Plane(
-        np.where(away, -theta, theta)[kept],
-        own["brdf"].values[kept],
-        own["brdf_u"].values[kept],
+        np.where(away, -theta, theta)[cells],
+        own["brdf"].values[cells],
+        own["brdf_u"].values[cells],
         fitted,
-        own["kind"].values[kept] == "fibre",
+        own["kind"].values[cells] == "fibre",
     )
 
 
@@ -206,12 +208,12 @@ def _points(cells: _Plane, value: Array, u: Array, axis: Axis, tall: float) -> l
         length = tall * np.abs(axis.place(value + u) - axis.place(value - u))
     visible = length > 2 * _VISIBLE
     shown = np.where(value > 0, value, np.nan) if axis.log else value
-    found: list[Mark] = []
+    marks: list[Mark] = []
     for own, style, label in ((~cells.fibre, "c0", "disc"), (cells.fibre, "c2", "fibres")):
         if own.any():
-            found.append(bars(cells.theta, value, np.where(visible & own, u, np.nan), f"{style} thin"))
-            found.append(Points(cells.theta[own], shown[own], np.full(own.sum(), np.nan), f"{style} small", label))
-    return found
+            marks.append(bars(cells.theta, value, np.where(visible & own, u, np.nan), f"{style} thin"))
+            marks.append(Points(cells.theta[own], shown[own], np.full(own.sum(), np.nan), f"{style} small", label))
+    return marks
 
 
 def bars(x: Array, y: Array, u: Array, style: str) -> Line:
@@ -226,7 +228,7 @@ def bars(x: Array, y: Array, u: Array, style: str) -> Line:
 def residuals(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> Figure:
     """A map of the residuals of an incidence over their uncertainties, about the mirror direction."""
     incidence = float(smoothed["incidence"][at])
-    title = f"{incidence:g}° incidence: what the fit leaves over"
+    title = f"{incidence:g}° incidence: residuals of the fit"
     residual = bsdf_sections.at_reference(smoothed["residual"]).values[at]
     theta, phi = smoothed["theta_s"].values, smoothed["phi_s"].values
     used = np.isfinite(residual)
@@ -248,7 +250,7 @@ def residuals(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> Figure:
     note = (
         f"{bsdf_sections.wavelength_words(primary).capitalize()}. Of all wavelengths, rms "
         f"{number(float(np.sqrt(np.mean(every**2))))}, {100 * np.mean(np.abs(every) <= 1):.0f}\u202f% within ±\u202f1 and "
-        f"{100 * np.mean(np.abs(every) <= 2):.0f}\u202f% within ±\u202f2; errors as stated would give a little less than 1, and 68\u202f% and 95\u202f%."
+        f"{100 * np.mean(np.abs(every) <= 2):.0f}\u202f% within ±\u202f2; expected for correct uncertainties: slightly below 1, 68\u202f% and 95\u202f%."
     )
     svg = frame(f"Map of residuals over their uncertainty at {incidence:g} degrees of incidence", 356, parts)
     return Figure(title, svg, note=note)
@@ -262,10 +264,10 @@ def lopsided(smoothed: xr.Dataset, at: int) -> float:
     residual = bsdf_sections.at_reference(smoothed["residual"]).values[at]
     across = np.sin(np.radians(smoothed["phi_s"].values))
     either = [residual[np.isfinite(residual) & side] for side in (across > 0.1, across < -0.1)]
-    if min(each.size for each in either) < 2 or not bases.from_json(smoothed.attrs["basis"]).symmetric:
+    if min(half.size for half in either) < 2 or not bases.from_json(smoothed.attrs["basis"]).symmetric:
         return 0.0
     differ = float(either[0].mean() - either[1].mean())
-    chance = float(np.sqrt(sum(1 / each.size for each in either)))
+    chance = float(np.sqrt(sum(1 / half.size for half in either)))
     return abs(differ) if abs(differ) > _LOPSIDED * chance else 0.0
 
 
@@ -318,7 +320,7 @@ def cross_validation(smoothed: xr.Dataset) -> Figure:
         Axis("strength ε", *_span([line.x for line in lines]), log=True),
         Axis("GCV over its least", 0.9, float(np.clip(_span([line.y for line in lines])[1], 2.0, _MOST_GCV)), log=True),
         [*lines, *points],
-        "The dot is the strength used. A deep, narrow valley tells it well; a flat one says that it matters little.",
+        "Dot: strength used. In a deep, narrow minimum the strength is well determined; in a flat one it matters little.",
     )
 
 
@@ -337,7 +339,7 @@ def l_curve(smoothed: xr.Dataset) -> Figure:
         Axis("roughness of the fit", *_span([line.x for line in lines]), log=True),
         Axis("χ², mean over wavelengths", *_span([line.y for line in lines]), log=True),
         [*lines, *points],
-        "From right to left, stronger smoothing. The dot is the strength used; it belongs at the corner.",
+        "Smoothing increases from right to left. Dot: strength used; it should be at the corner.",
     )
 
 
@@ -348,8 +350,8 @@ def _choice(title: str, x: Axis, y: Axis, marks: Sequence[Mark], note: str) -> F
 
 def _shown(smoothed: xr.Dataset) -> list[tuple[int, str]]:
     """Incidences with a curve, and a style each."""
-    told = [at for at in range(smoothed.sizes["incidence"]) if np.isfinite(smoothed["gcv"].values[at]).any()]
-    return [(at, _STYLES[place % len(_STYLES)]) for place, at in enumerate(told)]
+    incidences = [at for at in range(smoothed.sizes["incidence"]) if np.isfinite(smoothed["gcv"].values[at]).any()]
+    return [(at, _STYLES[place % len(_STYLES)]) for place, at in enumerate(incidences)]
 
 
 def _label(smoothed: xr.Dataset, at: int, before: Sequence[Line]) -> str:
@@ -358,7 +360,7 @@ def _label(smoothed: xr.Dataset, at: int, before: Sequence[Line]) -> str:
 
 def _span(values: Sequence[ArrayLike]) -> tuple[float, float]:
     """Range of positive numbers, a little wider."""
-    every = np.concatenate([np.asarray(each, dtype=float) for each in values])
+    every = np.concatenate([np.asarray(line, dtype=float) for line in values])
     every = every[np.isfinite(every) & (every > 0)]
     low, high = (float(every.min()), float(every.max())) if every.size else (1.0, 10.0)
     return low / 1.2, max(high * 1.2, low * 2)

@@ -1,4 +1,4 @@
-"""The figure of reciprocity: what light tells on its way there and back, before both are averaged to one BSDF and after."""
+"""Reciprocity of measured incidences: f(i → o) against f(o → i), before and after both are averaged to one BSDF."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class _Pairs(Axis):
 
 
 @dataclass(frozen=True)
-class _Told:
+class _PairStatistics:
     """What is known of pairs of incidences, medians over wavelength, (pair, direction)."""
 
     names: tuple[str, ...]
@@ -54,15 +54,15 @@ class _Told:
     """There over back, less 1 [%]."""
     apart_u: Array
     moved: tuple[Array, Array]
-    """The BSDF over what was told there, and over what was told back, less 1 [%]."""
+    """The BSDF over f there, and over f back, less 1 [%]."""
     moved_u: Array
     score: Array
     """There less back over its uncertainty."""
 
-    def taken(self, pairs: NDArray[np.int64]) -> _Told:
+    def taken(self, pairs: NDArray[np.int64]) -> _PairStatistics:
         names = tuple(self.names[at] for at in pairs)
-        there, back = (each[pairs] for each in self.moved)
-        return _Told(
+        there, back = (way[pairs] for way in self.moved)
+        return _PairStatistics(
             names, self.apart[pairs], self.apart_u[pairs], (there, back), self.moved_u[pairs], self.score[pairs]
         )
 
@@ -77,51 +77,54 @@ def figure(bsdf: xr.Dataset, smoothed: xr.Dataset) -> Figure:
     """
     pairs = reciprocity(bsdf, AZIMUTHS)
     if not pairs.sizes["pair"]:
-        return sentence(TITLE, "Fewer than two incidences were measured: no light goes there and back between them.")
+        return sentence(TITLE, "Fewer than two incidences were measured: reciprocity cannot be tested.")
     enlarged = _enlarged(bsdf, smoothed)
-    every = _told(_as_smoothed(pairs, enlarged))
-    worst = np.median(np.abs(np.nan_to_num(every.score)), axis=1)
-    told = every.taken(np.sort(np.argsort(-worst, kind="stable")[:MOST_PAIRS]))
+    all_pairs = _pair_statistics(_as_smoothed(pairs, enlarged))
+    worst = np.median(np.abs(np.nan_to_num(all_pairs.score)), axis=1)
+    largest = all_pairs.taken(np.sort(np.argsort(-worst, kind="stable")[:MOST_PAIRS]))
     averaged = bsdf.attrs["reciprocity"] == "averaged"
-    before = [_zero(told), *_points(told.apart, told.apart_u, 0.0, "c0", "before: there over back")]
+    before = [_zero(largest), *_points(largest.apart, largest.apart_u, 0.0, "c0", "before: there over back")]
     after = [
-        _zero(told),
-        *_points(told.moved[0], told.moved_u, -_APART, "c2", "after: the BSDF over there"),
-        *_points(told.moved[1], told.moved_u, _APART, "c4", "after: the BSDF over back"),
+        _zero(largest),
+        *_points(largest.moved[0], largest.moved_u, -_APART, "c2", "after: the BSDF over there"),
+        *_points(largest.moved[1], largest.moved_u, _APART, "c4", "after: the BSDF over back"),
     ]
-    shown = [(told.apart, told.apart_u), *((moved, told.moved_u) for moved in told.moved if averaged)]
-    reach = _reach(*(np.concatenate(each) for each in zip(*shown, strict=True)))
-    svg = _chart("light there over light back", "there over back less 1, %", told, before, reach)
+    shown = [(largest.apart, largest.apart_u), *((moved, largest.moved_u) for moved in largest.moved if averaged)]
+    reach = _reach(*(np.concatenate(part) for part in zip(*shown, strict=True)))
+    svg = _chart("light there over light back", "there over back less 1, %", largest, before, reach)
     if averaged:
-        svg += _chart("the BSDF over light there and over light back", "BSDF over either less 1, %", told, after, reach)
+        svg += _chart("averaged BSDF over each direction", "averaged / measured − 1, %", largest, after, reach)
     key = legend([*before, *(after if averaged else [])])
     symmetric = bases.from_json(bsdf.attrs["basis"]).symmetric
     return Figure(
         TITLE,
         svg,
         key,
-        _words(every, worst, len(told.names), averaged=averaged, symmetric=symmetric) + _enlarged_words(enlarged),
+        _words(all_pairs, worst, len(largest.names), averaged=averaged, symmetric=symmetric)
+        + _enlarged_words(enlarged),
     )
 
 
 def _enlarged(bsdf: xr.Dataset, smoothed: xr.Dataset) -> dict[float, float]:
     """By measured incidence, how many times the completion enlarged its uncertainty as it contradicts the others."""
     nodes = bsdf.isel(node=bsdf["transmitted"].values == 0)
-    found = {}
+    factors = {}
     for node, incidence in enumerate(nodes["incidence"].values.tolist()):
         for own in smoothed["coefficient_factor"].values[smoothed["incidence"].values == incidence]:
-            told = np.isfinite(own).all(axis=(1, 2))
-            spread = [np.linalg.norm(each[told]) for each in (nodes["coefficient_factor"].values[node], own)]
+            known = np.isfinite(own).all(axis=(1, 2))
+            spread = [np.linalg.norm(part[known]) for part in (nodes["coefficient_factor"].values[node], own)]
             # What the entrance hides at normal incidence makes it less.
-            found[incidence] = max(float(spread[0] / spread[1]), 1.0) if told.any() else 1.0
-    return found
+            factors[incidence] = max(float(spread[0] / spread[1]), 1.0) if known.any() else 1.0
+    return factors
 
 
 def _as_smoothed(pairs: xr.Dataset, enlarged: dict[float, float]) -> xr.Dataset:
     """Pairs of which each way has the uncertainty that its incidence had before others contradicted it."""
     ends = {"there_u": "incidence", "back_u": "incidence_2"}
-    factors = {name: [enlarged.get(each, 1.0) for each in pairs[end].values.tolist()] for name, end in ends.items()}
-    return pairs.assign({name: pairs[name] / xr.DataArray(each, dims="pair") for name, each in factors.items()})
+    factors = {
+        name: [enlarged.get(incidence, 1.0) for incidence in pairs[end].values.tolist()] for name, end in ends.items()
+    }
+    return pairs.assign({name: pairs[name] / xr.DataArray(factor, dims="pair") for name, factor in factors.items()})
 
 
 def _enlarged_words(enlarged: dict[float, float]) -> str:
@@ -130,10 +133,10 @@ def _enlarged_words(enlarged: dict[float, float]) -> str:
     ]
     if not grown:
         return ""
-    return f" For that the BSDF's own uncertainty, of which are the bars after, was enlarged {', '.join(grown)}."
+    return f" The uncertainty of the BSDF (bars after) was therefore enlarged {', '.join(grown)}."
 
 
-def _told(pairs: xr.Dataset) -> _Told:
+def _pair_statistics(pairs: xr.Dataset) -> _PairStatistics:
     spectral = str(pairs["there"].dims[2])
     there, back, both = (pairs[name].where(pairs[name] > 0) for name in ("there", "back", "both"))
     there_u, back_u = pairs["there_u"] / there, pairs["back_u"] / back
@@ -144,7 +147,7 @@ def _told(pairs: xr.Dataset) -> _Told:
     def median(values: xr.DataArray) -> Array:
         return np.asarray(values.median(spectral).values, dtype=float)
 
-    return _Told(
+    return _PairStatistics(
         tuple(f"{first:g}°–{second:g}°" for first, second in names),
         median(100 * (there / back - 1)),
         median(100 * apart_u),
@@ -154,8 +157,8 @@ def _told(pairs: xr.Dataset) -> _Told:
     )
 
 
-def _zero(told: _Told) -> Line:
-    return Line([-0.5, len(told.names) - 0.5], [0.0, 0.0], "ref")
+def _zero(statistics: _PairStatistics) -> Line:
+    return Line([-0.5, len(statistics.names) - 0.5], [0.0, 0.0], "ref")
 
 
 def _points(values: Array, u: Array, aside: float, style: str, label: str) -> list[Mark]:
@@ -176,32 +179,36 @@ def _reach(values: Array, u: Array) -> tuple[float, float]:
     return nice_range(float(ends.min()), float(ends.max()), margin=0.08)
 
 
-def _chart(words: str, label: str, told: _Told, marks: list[Mark], reach: tuple[float, float]) -> Markup:
-    x = _Pairs("pair of incidences; within one, from φ = 0 to 180°", -0.5, len(told.names) - 0.5, names=told.names)
+def _chart(
+    words: str, label: str, statistics: _PairStatistics, marks: list[Mark], reach: tuple[float, float]
+) -> Markup:
+    x = _Pairs(
+        "pair of incidences; within one, from φ = 0 to 180°", -0.5, len(statistics.names) - 0.5, names=statistics.names
+    )
     return chart(f"Reciprocity: {words}, by pair of incidences, in percent", x, Axis(label, *reach), marks, height=200)
 
 
-def _words(every: _Told, worst: Array, shown: int, *, averaged: bool, symmetric: bool) -> str:
-    score = every.score[np.isfinite(every.score)]
+def _words(all_pairs: _PairStatistics, worst: Array, shown: int, *, averaged: bool, symmetric: bool) -> str:
+    score = all_pairs.score[np.isfinite(all_pairs.score)]
     rms = number(float(np.sqrt(np.mean(score**2))), 2) if score.size else MISSING
-    count = f"The {shown} of {len(every.names)} pairs that differ most. " if shown < len(every.names) else ""
+    count = f"The {shown} of {len(all_pairs.names)} pairs that differ most. " if shown < len(all_pairs.names) else ""
     note = (
-        f"{count}Light from one measured incidence to another and back must tell the same. Medians over wavelength; bars are ±\u202f1 standard "
-        f"uncertainty, errors common to both ways included, which cancel between them. Before: there less back over its uncertainty "
-        f"has an rms of {rms}; up to about 1 the two agree. "
+        f"{count}By reciprocity, the BRDF from one measured incidence to another equals the BRDF back. Medians over wavelength; bars: "
+        f"±\u202f1 standard uncertainty, including errors common to both, which cancel in the difference. Before: the difference over "
+        f"its uncertainty has an rms of {rms}; up to about 1 the two agree. "
     )
     if not symmetric:
-        return f"{note}Of a surface with a lay they need not, and the BSDF takes each way as its incidence tells it: there is no after."
+        return f"{note}For a surface with a lay they need not be equal. The BSDF keeps each direction as measured; there is no average."
     note += (
-        "After: by how much each moved to the one value of the BSDF, the less certain one farther. "
+        "After: change of each to the averaged BSDF, larger for the less certain one. "
         if averaged
-        else "The BSDF takes each way as its incidence tells it: there is no after. "
+        else "The BSDF keeps each direction as measured; there is no average. "
     )
-    off = [name for name, each in zip(every.names, worst, strict=True) if each > OFF]
+    off = [name for name, score_of_pair in zip(all_pairs.names, worst, strict=True) if score_of_pair > OFF]
     if not off:
-        return f"{note}No pair is off."
+        return f"{note}No pair differs significantly."
     return (
-        f"{note}Off by more than {OFF:g} standard uncertainties: {', '.join(off)}. If one incidence is in all of them, scan it anew, with the "
-        "angular target first (`runs` in plan.yaml); if all pairs are off, calibrate anew, or the sample has a lay "
-        "(`rig.smoothing.symmetric: false` in material.yaml) or is not alike where the light falls at each incidence."
+        f"{note}Different by more than {OFF:g} standard uncertainties: {', '.join(off)}. If one incidence is in all of them, scan it again, with the "
+        "angular target first (`runs` in plan.yaml). If all pairs differ, calibrate again. Or the sample has a lay "
+        "(`rig.smoothing.symmetric: false` in material.yaml), or is not uniform over the illuminated areas."
     )

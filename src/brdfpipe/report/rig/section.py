@@ -1,4 +1,4 @@
-"""What a page tells of a measurement with a camera rig: what was measured, how sure it is, and how the fit follows it."""
+"""The rig section of a page: the measurement, its uncertainty, and the fit to it."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ LOBE_INCIDENCE = 45.0
 """Angle of incidence near which the lobe is shown as a body [degree]."""
 
 EMULATED = (
-    "Frames, noise and errors are simulated, and what lay in the holder is the model of another material: nothing here tells "
-    "of a real sample. It shows what the rig and the way from frames to BSDF would do."
+    "Frames, noise and errors are simulated. The sample in the holder is the model of another material. Nothing here describes "
+    "a real sample. It shows what the rig and the reduction from frames to BSDF would do."
 )
 
 _LISTED = 20
@@ -76,36 +76,40 @@ def chapter(datasets: Mapping[str, xr.Dataset]) -> Chapter | None:
     datasets : any stages of a material; looked at are those of kind ``reduced``, ``primary``, ``smoothed``, ``calibration``
         and ``bsdf``
     """
-    found = sides(datasets)
-    if not found:
+    measured_sides = sides(datasets)
+    if not measured_sides:
         return None
     profile = next(iter(_of_kind(datasets, "calibration")), None)
 
     def shown(most: int) -> list[tuple[Side, int]]:
-        return [(side, at) for side in found for at in _spread(side.smoothed.sizes["incidence"], most // len(found))]
+        return [
+            (side, at)
+            for side in measured_sides
+            for at in _spread(side.smoothed.sizes["incidence"], most // len(measured_sides))
+        ]
 
     return Chapter(
         emulated=EMULATED if emulated(datasets) else "",
         warnings=_warnings(datasets),
         frames=rig_figures.frames([look for side, at in shown(MOST_PICTURES) for look in _look(side, at)]),
         run=[
-            _measurement(found, profile),
-            rig_figures.drift([each for side in found for each in side.reduced]),
+            _measurement(measured_sides, profile),
+            rig_figures.drift([arrangement for side in measured_sides for arrangement in side.reduced]),
             *([] if profile is None else [rig_figures.profiles(profile)]),
         ],
-        coverage=_coverage(found, profile, len(shown(MOST_FITS))),
-        budget=[part for side in found for part in _budget(side, named=len(found) > 1)],
+        coverage=_coverage(measured_sides, profile, len(shown(MOST_FITS))),
+        budget=[part for side in measured_sides for part in _budget(side, named=len(measured_sides) > 1)],
         fits=[
             (rig_fit.fit(side.primary, side.smoothed, at), rig_fit.residuals(side.primary, side.smoothed, at))
             for side, at in shown(MOST_FITS)
         ],
         smoothing=[
             figure
-            for side in found
+            for side in measured_sides
             for figure in (rig_fit.cross_validation(side.smoothed), rig_fit.l_curve(side.smoothed))
         ],
-        reciprocity=_reciprocity(datasets, found),
-        lobe=_lobe(datasets, found),
+        reciprocity=_reciprocity(datasets, measured_sides),
+        lobe=_lobe(datasets, measured_sides),
     )
 
 
@@ -120,17 +124,17 @@ def emulated(datasets: Mapping[str, xr.Dataset]) -> bool:
 
 def sides(datasets: Mapping[str, xr.Dataset]) -> list[Side]:
     """What was measured, reflection first; a side without primary and smoothed data is left out."""
-    found = []
+    measured_sides = []
     for name in ("reflection", "transmission"):
         reduced, primary, smoothed = (
-            [each for each in _of_kind(datasets, kind) if each.attrs.get("side", "reflection") == name]
+            [dataset for dataset in _of_kind(datasets, kind) if dataset.attrs.get("side", "reflection") == name]
             for kind in ("reduced", "primary", "smoothed")
         )
         if primary and smoothed:
-            own = [each for each in reduced if each.attrs.get("load") == "sample"]
-            by_incidence = tuple(sorted(own, key=lambda each: float(each["incidence"][0])))
-            found.append(Side(name, by_incidence, primary[0], smoothed[0]))
-    return found
+            own = [arrangement for arrangement in reduced if arrangement.attrs.get("load") == "sample"]
+            by_incidence = tuple(sorted(own, key=lambda arrangement: float(arrangement["incidence"][0])))
+            measured_sides.append(Side(name, by_incidence, primary[0], smoothed[0]))
+    return measured_sides
 
 
 def _of_kind(datasets: Mapping[str, xr.Dataset], kind: str) -> Iterator[xr.Dataset]:
@@ -152,48 +156,53 @@ def _look(side: Side, at: int) -> Iterator[tuple[xr.Dataset, NDArray[np.str_]]]:
 def _warnings(datasets: Mapping[str, xr.Dataset]) -> list[str]:
     """Warnings of the rig's stages that the BSDF did not take over."""
     kinds = ("calibration", "reduced", "primary", "smoothed")
-    told = [text for kind in kinds for dataset in _of_kind(datasets, kind) for text in vocabulary.warnings(dataset)]
+    rig_warnings = [
+        text for kind in kinds for dataset in _of_kind(datasets, kind) for text in vocabulary.warnings(dataset)
+    ]
     known = {text for dataset in _of_kind(datasets, "bsdf") for text in vocabulary.warnings(dataset)}
-    return [text for text in dict.fromkeys(told) if text not in known]
+    return [text for text in dict.fromkeys(rig_warnings) if text not in known]
 
 
-def _reciprocity(datasets: Mapping[str, xr.Dataset], found: Sequence[Side]) -> Figure | None:
-    completed = [each for each in _of_kind(datasets, "bsdf") if each.attrs.get("representation") == "rig"]
-    reflected = [side.smoothed for side in found if side.name == "reflection"]
+def _reciprocity(datasets: Mapping[str, xr.Dataset], measured_sides: Sequence[Side]) -> Figure | None:
+    completed = [bsdf for bsdf in _of_kind(datasets, "bsdf") if bsdf.attrs.get("representation") == "rig"]
+    reflected = [side.smoothed for side in measured_sides if side.name == "reflection"]
     return rig_reciprocity.figure(completed[0], reflected[0]) if completed and reflected else None
 
 
-def _lobe(datasets: Mapping[str, xr.Dataset], found: Sequence[Side]) -> Figure | None:
+def _lobe(datasets: Mapping[str, xr.Dataset], measured_sides: Sequence[Side]) -> Figure | None:
     bsdf = datasets.get("bsdf")
     measured = [
-        float(each) for side in found if side.name == "reflection" for each in side.smoothed["incidence"].values
+        float(angle)
+        for side in measured_sides
+        if side.name == "reflection"
+        for angle in side.smoothed["incidence"].values
     ]
     if bsdf is None or not measured:
         return None
-    return indicatrix(bsdf, min(measured, key=lambda each: abs(each - LOBE_INCIDENCE)))
+    return indicatrix(bsdf, min(measured, key=lambda angle: abs(angle - LOBE_INCIDENCE)))
 
 
 # --- in words
 
 
-def _measurement(found: Sequence[Side], profile: xr.Dataset | None) -> Table:
-    primary = found[0].primary
-    every = [each for side in found for each in side.reduced]
-    attrs = {name: value for each in (*every, primary) for name, value in each.attrs.items()}
+def _measurement(measured_sides: Sequence[Side], profile: xr.Dataset | None) -> Table:
+    primary = measured_sides[0].primary
+    every = [arrangement for side in measured_sides for arrangement in side.reduced]
+    attrs = {name: value for dataset in (*every, primary) for name, value in dataset.attrs.items()}
     rows = [
         ("Rig", str(attrs.get("rig", MISSING))),
         ("Camera", str(attrs.get("camera", MISSING))),
         ("Sample", f"{attrs.get('sample', MISSING)}, on {attrs.get('day', MISSING)}"),
     ]
-    for side in found:
-        listed = ", ".join(f"{each:g}" for each in side.primary["incidence"].values)
+    for side in measured_sides:
+        listed = ", ".join(f"{angle:g}" for angle in side.primary["incidence"].values)
         rows.append((f"Incidences, {side.name}", f"{listed} °"))
     wavelength = primary["wavelength"].values
     rows.append(("Wavelengths", f"{wavelength.size}, {wavelength[0]:g} to {wavelength[-1]:g} nm"))
     kinds = primary["kind"].values
     rows.append(("Cells", f"{int((kinds == 'fibre').sum())} fibres, {int((kinds == 'disc').sum())} of the disc"))
     rows += list(_calibration(attrs, profile))
-    rows += [(f"Smoothing, {side.name}", _smoothing(side.smoothed)) for side in found]
+    rows += [(f"Smoothing, {side.name}", _smoothing(side.smoothed)) for side in measured_sides]
     rows += list(_registration(every))
     return Table("Measurement", ("What", "Value"), rows, remark=_override(attrs))
 
@@ -208,7 +217,7 @@ def _calibration(attrs: Mapping[str, object], profile: xr.Dataset | None) -> Ite
         yield "Calibration profile", f"of {made}{age}"
     else:
         yield "Calibration profile", f"of {made}{age}; valid for {int(profile.attrs['valid_days'])} days"
-        entrances = ", ".join(f"{each:g}" for each in profile["incidence"].values)
+        entrances = ", ".join(f"{angle:g}" for angle in profile["incidence"].values)
         yield "Etalon through", f"{entrances} °"
 
 
@@ -216,7 +225,7 @@ def _override(attrs: Mapping[str, object]) -> str:
     doubts = str(attrs.get("overridden", ""))
     if not doubts:
         return ""
-    return f"A profile that may not be used was used (`rig.override`): {doubts}. Measure the etalon anew."
+    return f"The calibration profile is not valid, and was used by `rig.override`: {doubts}. Measure the etalon again."
 
 
 def _day(text: object) -> date | None:
@@ -232,12 +241,12 @@ def _smoothing(smoothed: xr.Dataset) -> str:
 
 
 def _registration(reduced: Sequence[xr.Dataset]) -> Iterator[tuple[str, str]]:
-    told = [each.attrs for each in reduced if "registration_shift" in each.attrs]
-    if not told:
+    registered = [arrangement.attrs for arrangement in reduced if "registration_shift" in arrangement.attrs]
+    if not registered:
         return
-    shift = np.array([np.asarray(each["registration_shift"], dtype=float) for each in told])
-    u, centre_u = (max(float(each[name]) for each in told) for name in ("registration_u", "disc_centre_u"))
-    spots = min(int(each["registration_spots"]) for each in told)
+    shift = np.array([np.asarray(attrs["registration_shift"], dtype=float) for attrs in registered])
+    u, centre_u = (max(float(attrs[name]) for attrs in registered) for name in ("registration_u", "disc_centre_u"))
+    spots = min(int(attrs["registration_spots"]) for attrs in registered)
     yield "Largest shift", f"{fixed(float(np.hypot(*shift.T).max()), 2)} ± {fixed(u, 3)} px, by {spots} spots or more"
     yield "Mirror direction", f"± {number(centre_u, 2)}°"
 
@@ -245,7 +254,7 @@ def _registration(reduced: Sequence[xr.Dataset]) -> Iterator[tuple[str, str]]:
 # --- coverage
 
 
-def _coverage(found: Sequence[Side], profile: xr.Dataset | None, shown: int) -> Table:
+def _coverage(measured_sides: Sequence[Side], profile: xr.Dataset | None, shown: int) -> Table:
     header = (
         "Incidence",
         "Fitted",
@@ -258,9 +267,9 @@ def _coverage(found: Sequence[Side], profile: xr.Dataset | None, shown: int) -> 
         "Strength ε",
     )
     rows, few, lopsided = [], [], []
-    for side in found:
+    for side in measured_sides:
         for at, incidence in enumerate(side.smoothed["incidence"].values.tolist()):
-            name = f"{incidence:g}°" + (f" {side.name}" if len(found) > 1 else "")
+            name = f"{incidence:g}°" + (f" {side.name}" if len(measured_sides) > 1 else "")
             rows.append((name, *_counted(side, at), *_misfit(side.smoothed, at)))
             became = rig_figures.states(side.primary, side.smoothed, at)
             fitted, above = int((became == FITTED).sum()), int((became != HIDDEN).sum())
@@ -268,9 +277,9 @@ def _coverage(found: Sequence[Side], profile: xr.Dataset | None, shown: int) -> 
             differ = rig_fit.lopsided(side.smoothed, at)
             lopsided += [f"{number(differ, 2)} at {name}"] if differ else []
     note = (
-        "Cells, mean over the wavelengths; otherwise left out are those that are vignetted, or that the profile does not "
-        "calibrate. The rms of residuals over their uncertainties is to be a little below 1: above, the fit misses what the data "
-        f"tell, or uncertainties are too small; far below, they are too large.{_dead(profile)}"
+        "Number of cells, mean over the wavelengths. Otherwise left out: vignetted, or not calibrated by the profile. The rms of the "
+        "residuals over their uncertainties should be slightly below 1. Above 1, the fit misses features of the data, or the "
+        f"uncertainties are too small. Far below 1, the uncertainties are too large.{_dead(profile)}"
     )
     if shown < len(rows):
         note += f" The fits at {shown} of the {len(rows)} incidences are shown."
@@ -282,14 +291,14 @@ def _advice(few: Sequence[str], lopsided: Sequence[str]) -> Iterator[str]:
     if few:
         yield (
             f"Fewer than half of the cells above the horizon were fitted at {', '.join(few)}. Where many are saturated, add a "
-            "shorter exposure or a denser filter to `bracket` in plan.yaml; where many are below the noise, a longer one."
+            "shorter exposure or a denser filter to `bracket` in plan.yaml. Where many are below noise, add a longer exposure."
         )
     if lopsided:
         yield (
-            "Cells on either side of the plane of incidence differ where the fit takes both for alike, on average by so many "
-            f"standard uncertainties: {', '.join(lopsided)}. Either the mirror direction lies beside where the angular target puts "
-            "it: look at it in this run too (`target` first in `runs` of plan.yaml); or the sample has a lay: set `rig.smoothing.symmetric: false` in "
-            "material.yaml."
+            "The fit assumes symmetry about the plane of incidence, but cells on the two sides differ. Mean difference in standard "
+            f"uncertainties: {', '.join(lopsided)}. Either the mirror direction is not where the angular target places it: measure the target "
+            "in this run too (`target` first in `runs` of plan.yaml). Or the sample has a lay: set `rig.smoothing.symmetric: false` "
+            "in material.yaml."
         )
 
 
@@ -320,7 +329,7 @@ def _dead(profile: xr.Dataset | None) -> str:
     dead = profile["cell"].values[dark & lit.any(axis=0)].tolist()
     grazing = int((dark & ~lit.any(axis=0)).sum())
     words = (
-        f" {grazing} fibres see the etalon at grazing angles, or not at all, and cannot be calibrated."
+        f" {grazing} fibres see the etalon at grazing angles, or not at all. They cannot be calibrated."
         if grazing
         else ""
     )
@@ -328,7 +337,7 @@ def _dead(profile: xr.Dataset | None) -> str:
         return words + " No fibre is dead."
     listed = ", ".join(dead[:_LISTED]) + (", …" if len(dead) > _LISTED else "")
     return (
-        f"{words} Dead fibres, without light from the etalon: {listed}; clean or replace them, or take them out of the table "
+        f"{words} Dead fibres, without light from the etalon: {listed}. Clean or replace them, or remove them from the table "
         "of fibres."
     )
 
@@ -355,5 +364,5 @@ def _components(side: Side, *, named: bool) -> Table:
     ]
     whole = (percent(rig_figures.relative(side.primary, kind)) for kind in ("disc", "fibre"))
     title = "Standard uncertainty of a cell's value" + (f", {side.name}" if named else "")
-    note = "k = 1, relative, medians over cells, wavelengths and incidences: the combined one is no sum of the others' medians."
+    note = "k = 1, relative. Medians over cells, wavelengths and incidences; the combined median is not the root sum of squares of the others."
     return Table(title, ("Component", "from cell to cell", "Disc", "Fibres"), [*rows, ("combined", "", *whole)], note)
