@@ -80,7 +80,7 @@ def test_an_incidence_that_is_wrong_is_named_by_its_pairs_with_what_to_do() -> N
     note = _figure(wrong=30.0).note
     assert "Different by more than 2 standard uncertainties: 10°–30°, 30°–60°." in note
     assert "`runs` in plan.yaml" in note
-    assert re.search(r"was enlarged .*[\d.]+ times at 30°", note)
+    assert re.search(r"was therefore enlarged .*[\d.]+ times at 30°", note)
 
 
 @pytest.mark.parametrize("wrong", [None, 30.0])
