@@ -121,38 +121,6 @@ def test_a_row_that_lacks_a_variable_is_refused(full: Datasets) -> None:
         combine([_row(full, "a").drop_vars("haze")])
 
 
-def test_the_table_lists_built_and_failed_materials_by_name(full: Datasets) -> None:
-    table = _table(catalogue_csv(combine([_row(full, "a"), _row(full, "z")]), FAILURES))
-    assert [(line["material"], line["status"]) for line in table] == [
-        ("a", "built"),
-        ("broken", "failed"),
-        ("z", "built"),
-    ]
-    assert table[1]["message"].startswith("grain.txt: no unit")
-    assert (table[0]["gloss_60"], table[0]["warnings"], table[0]["srgb"]) == ("21.43", "1", "#a8333b")
-    assert table[1]["gloss_60"] == table[1]["warnings"] == ""
-
-
-@pytest.mark.parametrize("text", ["=1+1", "+cmd|' /C calc'!A0", "-2+3", "@SUM(A1)", "\t=1", "\r=1", " =1", "\n=1"])
-def test_no_text_of_a_user_becomes_a_formula(full: Datasets, text: str) -> None:
-    table = _table(catalogue_csv(combine([_row(full, "a", text)]), {text: {"stage": text, "message": text}}))
-    cells = [
-        cell for line in table for name, cell in line.items() if name in ("material", "description", "stage", "message")
-    ]
-    assert sum(cell == "'" + text.strip() for cell in cells) == 4
-
-
-def test_negative_numbers_stay_numbers(full: Datasets) -> None:
-    green = {**full, "appearance": full["appearance"].assign(lab=-full["appearance"]["lab"])}
-    assert float(_table(catalogue_csv(combine([_row(green, "a")]), {}))[0]["a"]) == -41.05
-
-
-def test_the_lock_lists_the_digest_of_every_stage(full: Datasets) -> None:
-    locked = json.loads(lock(combine([_row(full, "b"), _row({"index": full["index"]}, "a")])))
-    assert locked["b"] == {stage: dataset.attrs["digest"] for stage, dataset in full.items()}
-    assert list(locked["a"]) == ["index"]
-
-
 def test_the_page_links_each_material_and_counts_them(full: Datasets) -> None:
     html = catalogue_page(combine([_row(full, "a"), _row(full, "b b")]), {})
     assert 'href="a/report.html"' in html
@@ -389,14 +357,6 @@ def test_a_thousand_pictured_materials_make_a_page_of_one_or_two_megabytes(full:
     )
     catalogue = catalogue.assign_coords(material=[f"material-{k:04d}" for k in range(1000)])
     assert len(catalogue_page(catalogue, {}).encode()) < 2_000_000
-
-
-def test_what_rounding_leaves_of_zero_is_zero_in_the_table(full: Datasets) -> None:
-    lab = full["appearance"]["lab"].copy(data=[[50.0, 5.55112e-14, -3e-15], [50.0, 0.0, 0.0]])
-    line = _table(catalogue_csv(combine([_row({**full, "appearance": full["appearance"].assign(lab=lab)}, "a")]), {}))[
-        0
-    ]
-    assert [line[name] for name in "Lab"] == ["50", "0", "0"]
 
 
 def test_failures_stand_in_columns(full: Datasets) -> None:

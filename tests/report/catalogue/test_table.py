@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+import pytest
+import xarray as xr
+
+from brdfpipe.report import catalogue_csv, combine, lock, summarise
+
+Datasets = dict[str, xr.Dataset]
+
+FAILURES = {"broken": {"stage": "surface", "message": "grain.txt: no unit; set `surface: unit` in material.yaml"}}
+
+
+def _renamed(datasets: Datasets, name: str) -> Datasets:
+    return {stage: dataset.assign_attrs(material=name) for stage, dataset in datasets.items()}
+
+
+def _row(datasets: Datasets, name: str, description: str = "") -> xr.Dataset:
+    return summarise(_renamed(datasets, name), description=description)
+
+
+def _table(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_the_table_lists_built_and_failed_materials_by_name(full: Datasets) -> None:
+    table = _table(catalogue_csv(combine([_row(full, "a"), _row(full, "z")]), FAILURES))
+    assert [(line["material"], line["status"]) for line in table] == [
+        ("a", "built"),
+        ("broken", "failed"),
+        ("z", "built"),
+    ]
+    assert table[1]["message"].startswith("grain.txt: no unit")
+    assert (table[0]["gloss_60"], table[0]["warnings"], table[0]["srgb"]) == ("21.43", "1", "#a8333b")
+    assert table[1]["gloss_60"] == table[1]["warnings"] == ""
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+cmd|' /C calc'!A0", "-2+3", "@SUM(A1)", "\t=1", "\r=1", " =1", "\n=1"])
+def test_no_text_of_a_user_becomes_a_formula(full: Datasets, text: str) -> None:
+    table = _table(catalogue_csv(combine([_row(full, "a", text)]), {text: {"stage": text, "message": text}}))
+    cells = [
+        cell for line in table for name, cell in line.items() if name in ("material", "description", "stage", "message")
+    ]
+    assert sum(cell == "'" + text.strip() for cell in cells) == 4
+
+
+def test_negative_numbers_stay_numbers(full: Datasets) -> None:
+    green = {**full, "appearance": full["appearance"].assign(lab=-full["appearance"]["lab"])}
+    assert float(_table(catalogue_csv(combine([_row(green, "a")]), {}))[0]["a"]) == -41.05
+
+
+def test_the_lock_lists_the_digest_of_every_stage(full: Datasets) -> None:
+    locked = json.loads(lock(combine([_row(full, "b"), _row({"index": full["index"]}, "a")])))
+    assert locked["b"] == {stage: dataset.attrs["digest"] for stage, dataset in full.items()}
+    assert list(locked["a"]) == ["index"]
+
+
+def test_what_rounding_leaves_of_zero_is_zero_in_the_table(full: Datasets) -> None:
+    lab = full["appearance"]["lab"].copy(data=[[50.0, 5.55112e-14, -3e-15], [50.0, 0.0, 0.0]])
+    line = _table(catalogue_csv(combine([_row({**full, "appearance": full["appearance"].assign(lab=lab)}, "a")]), {}))[
+        0
+    ]
+    assert [line[name] for name in "Lab"] == ["50", "0", "0"]
