@@ -17,7 +17,7 @@ from brdfpipe.appearance.quantities import applicabilities, quantities, stored_u
 from brdfpipe.appearance.verdicts import stage_warnings, verdicts, worst
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report.plots.thumbnail import thumbnail
-from brdfpipe.report.stage_order import material_name, own_stages
+from brdfpipe.report.shown_stages import material_name, own_stages
 
 
 def text_columns() -> dict[str, str]:

@@ -25,7 +25,7 @@ from brdfpipe.report.material.spectrum import spectrum_section
 from brdfpipe.report.material.surface import surface_section
 from brdfpipe.report.pages import render
 from brdfpipe.report.rig import section as rig_section
-from brdfpipe.report.stage_order import material_name, own_stages
+from brdfpipe.report.shown_stages import material_name, own_stages
 
 
 def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> str:
