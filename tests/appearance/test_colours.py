@@ -9,6 +9,7 @@ import pytest
 import samples
 
 from brdfpipe import appearance, facets, vocabulary
+from brdfpipe.appearance import computation
 from brdfpipe.appearance.colours import colour, colour_uncertainty, flop_index
 from brdfpipe.bsdf import lambert_gauss, microfacet
 from brdfpipe.errors import BrdfpipeError
@@ -96,7 +97,7 @@ def test_a_paint_that_brightens_away_from_the_mirror_direction_has_no_flop_index
         lab.loc[{"geometry": ["45as15", "45as110"], "component": "L*"}] = [30.0, 120.0]
         return lab
 
-    monkeypatch.setattr(appearance, "colour", upside_down)
+    monkeypatch.setattr(computation, "colour", upside_down)
     found = appearance.compute_appearance(samples.beckmann_bsdf(0.1, reflectance=0.2))
     assert np.isnan(float(found["flop_index"]))
     assert vocabulary.warnings(found)[0].startswith("No flop index: L* rises from 30.0 at 15°")

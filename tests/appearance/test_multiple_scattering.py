@@ -4,6 +4,7 @@ import pytest
 import xarray as xr
 from samples import spectrum
 
+from brdfpipe import vocabulary
 from brdfpipe.appearance.multiple_scattering import multiple_scattering
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.lambert_gauss import lambertian
@@ -16,7 +17,7 @@ def test_the_loss_of_the_plain_model_is_what_compensation_gives_back() -> None:
         index = xr.Dataset(
             {"n": ("wavelength", [1.5, 1.5]), "k": ("wavelength", [k, k])}, {"wavelength": [400.0, 700.0]}
         )
-        index = microfacet.vocabulary.label(index.assign_attrs(source="test"), "index")
+        index = vocabulary.label(index.assign_attrs(source="test"), "index")
         plain = multiple_scattering(microfacet.build(rough, index=index))
         given = multiple_scattering(microfacet.build(rough, index=index, multiple_scattering="compensated"))
         assert plain is not None

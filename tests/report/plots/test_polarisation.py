@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from samples import beckmann_bsdf, spectrum
 
-from brdfpipe import optics
+from brdfpipe import optics, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.facets import analytic, flat
@@ -24,20 +24,20 @@ def test_bare_facets_polarise_as_fresnel_says() -> None:
     assert figure is not None
     found = optics.fresnel(0.5, 1.5)
     expected = 100 * float((found.s - found.p) / (found.s + found.p))
-    assert f"{expected:.0f}\u202f% of what leaves towards the mirror direction" in figure.note
+    assert f"{expected:.0f}\u202f% of the light in the mirror direction" in figure.note
 
 
 def test_at_brewsters_angle_all_of_the_mirrored_light_is_polarised() -> None:
     bsdf = beckmann_bsdf(0.1, n=float(np.sqrt(3)), reflectance=None)  # tan 60°
     figure = polarisation.polarisation(bsdf)
     assert figure is not None
-    assert "100\u202f% of what leaves towards the mirror direction" in figure.note
+    assert "100\u202f% of the light in the mirror direction" in figure.note
 
 
 def test_a_base_dilutes_the_polarisation() -> None:
     wide = polarisation.polarisation(beckmann_bsdf(0.3, reflectance=0.9))
     assert wide is not None
-    told = re.search(r"([\d.]+)\u202f% of what leaves", wide.note)
+    told = re.search(r"([\d.]+)\u202f% of the light", wide.note)
     assert told is not None
     assert 0 < float(told[1]) < 60
 
@@ -56,9 +56,7 @@ def test_a_metal_has_a_scale_of_its_own() -> None:
     index = xr.Dataset(
         {"n": ("wavelength", [1.0, 1.0]), "k": ("wavelength", [7.0, 7.0])}, {"wavelength": [400.0, 700.0]}
     )
-    metal = microfacet.build(
-        analytic("ggx", 0.2), index=microfacet.vocabulary.label(index.assign_attrs(source="test"), "index")
-    )
+    metal = microfacet.build(analytic("ggx", 0.2), index=vocabulary.label(index.assign_attrs(source="test"), "index"))
     figure = polarisation.polarisation(metal)
     assert figure is not None
     assert ">100\u202f%<" not in figure.svg
