@@ -20,7 +20,9 @@ from typing import Any
 import click
 import numpy as np
 
-from brdfpipe.spectra import colorimetry, mixing, recovery
+from brdfpipe.spectra import colorimetry, recovery
+from brdfpipe.spectra.recovery_methods import basis4, random_search
+from brdfpipe.spectra.recovery_methods.lhtss import lhtss
 
 PROJECT = Path(__file__).resolve().parents[1]
 VIEW: dict[str, Any] = {"illuminant": "D65", "observer": 10}
@@ -28,7 +30,7 @@ WANTED_SPEED = 2000
 WANTED_RATIO = 1 / 3
 WANTED_DELTA_E = 1e-5
 SINGLE = 50
-EXACT: dict[str, Any] = {"lhtss": recovery.lhtss, "basis4": mixing.closed_form}
+EXACT: dict[str, Any] = {"lhtss": lhtss, "basis4": basis4.closed_form}
 
 Record = dict[str, Any]
 Found = tuple[str, Record, np.ndarray]
@@ -49,7 +51,7 @@ def main(colours: int, searched: int, threshold: float, out: Path) -> None:
     truth = random_reflectances(colours)
     labs = colorimetry.xyz_to_lab(truth @ table.weights, table.white)
     found = [batch(method, labs) for method in EXACT]
-    found += [each(method, labs[:searched], threshold) for method in mixing.SEARCHES]
+    found += [each(method, labs[:searched], threshold) for method in random_search.SEARCHES]
     hard = colorimetry.xyz_to_lab(bands(colours) @ table.weights, table.white)
     summary: Record = {
         "machine": f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}, one core",
@@ -104,16 +106,16 @@ def batch(method: str, labs: np.ndarray) -> Found:
 
 def each(method: str, labs: np.ndarray, threshold: float) -> Found:
     """A search, colour by colour; where the nearest mixture is not within the threshold it is not begun, nor is its time counted."""
-    near = [mixing.nearest(lab, **VIEW) for lab in labs]
+    near = [basis4.nearest(lab, **VIEW) for lab in labs]
     xyz = colorimetry.lab_to_xyz(labs, colorimetry.weights(**VIEW).white)
-    begun = mixing.closed_form(xyz, **VIEW).reached | (colorimetry.delta_e_ab(np.stack(near), labs) < threshold)
-    spectra, tried = np.full((len(labs), mixing.basis().shape[1]), np.nan), []
+    begun = basis4.closed_form(xyz, **VIEW).reached | (colorimetry.delta_e_ab(np.stack(near), labs) < threshold)
+    spectra, tried = np.full((len(labs), basis4.basis().shape[1]), np.nan), []
     started = time.process_time()
     for i in np.flatnonzero(begun):
-        found = mixing.search(labs[i], **VIEW, method=method, threshold=threshold)
+        found = random_search.search(labs[i], **VIEW, method=method, threshold=threshold)
         tried.append(found.tried)
         if found.ended == "threshold":
-            spectra[i] = found.weights @ mixing.basis()
+            spectra[i] = found.weights @ basis4.basis()
     seconds = time.process_time() - started
     return method, described(labs, spectra, seconds, len(tried)) | {"tried_median": float(np.median(tried))}, spectra
 

@@ -13,9 +13,12 @@ from hypothesis import strategies as st
 
 from brdfpipe.errors import InputError
 from brdfpipe.optics import fresnel, interpolate_index, refractive_index
-from brdfpipe.spectra import colorimetry, metamerism, mixing, recover
+from brdfpipe.spectra import colorimetry, metamerism, recover
 from brdfpipe.spectra.colour_science import colour
-from brdfpipe.spectra.recovery import METHODS, largest_chroma, lhtss, nearest_colour
+from brdfpipe.spectra.recovery import METHODS
+from brdfpipe.spectra.recovery_methods import random_search
+from brdfpipe.spectra.recovery_methods.lhtss import lhtss
+from brdfpipe.spectra.recovery_methods.reachable_colours import largest_chroma, nearest_colour
 from brdfpipe.store import save_dataset
 from brdfpipe.vocabulary import validate
 from brdfpipe.vocabulary import warnings as told
@@ -311,7 +314,7 @@ def test_a_search_that_does_not_reach_its_threshold_is_warned_about_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checkpoint = tmp_path / "best.json"
-    monkeypatch.setitem(mixing.LIMIT, "random4", 8192)
+    monkeypatch.setitem(random_search.LIMIT, "random4", 8192)
     options = {"illuminant": "D65", "observer": 10, "method": "random4", "threshold": 1e-6, "checkpoint": checkpoint}
     spectrum = recover([50, 20, 10], **options)
     assert "ended after 8192 mixtures" in told(spectrum)[0]

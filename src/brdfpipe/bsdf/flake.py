@@ -325,7 +325,7 @@ def _uncertainties(found: Fit, across: str) -> dict[str, tuple[tuple[str, ...], 
 
 def _with_spectra(bsdf: xr.Dataset, found: Fit) -> xr.Dataset:
     """Add the spectrum of the fitted chromaticity at each flake angle, of Y = 1."""
-    from brdfpipe.spectra.recovery import lhtss
+    from brdfpipe.spectra.recovery_methods.lhtss import lhtss
 
     measured = bsdf["theta_f_measured"].values
     stretched = np.expm1(np.linspace(0, 3, _STEPS + 1)) / np.expm1(3.0)

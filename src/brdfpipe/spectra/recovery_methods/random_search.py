@@ -1,8 +1,4 @@
-"""Reflectance spectra from colours as mixtures of four basis spectra: in closed form, and by random search.
-
-The mixture is S = Σ wᵢ Sᵢ with w >= 0 and S <= 1, of :func:`basis`. Four weights for three
-tristimulus values leave one freedom: the closed form takes the smoothest spectrum, the searches what they come upon first.
-"""
+"""Methods ``random4`` and ``adaptive4``: mixtures of four basis spectra by random search, which can be stopped and resumed."""
 
 from __future__ import annotations
 
@@ -11,17 +7,16 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from brdfpipe import store
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
-from brdfpipe.spectra import colorimetry
+from brdfpipe.spectra.recovery_methods.basis4 import ROUNDING, distance_to, peaks, rescaled
 
 SEARCHES = ("random4", "adaptive4")
 """Methods of :func:`search`."""
@@ -34,19 +29,7 @@ _BLOCK = {"random4": 4096, "adaptive4": 64}
 _FIRST_STEP = 0.25
 _WIDER, _NARROWER = 1.5, 0.6
 _LEAST_STEP = 1e-9
-_ROUNDING = 1e-9
 _MOST_BLOCKS = 2**40
-
-
-class Mixtures(NamedTuple):
-    """Mixtures of the basis spectra for many colours."""
-
-    weights: Array
-    """(B, 4)"""
-    reflectance: Array
-    """(B, n) from the floor to 1; NaN where no mixture has the colour."""
-    reached: NDArray[np.bool_]
-    """(B,)"""
 
 
 class Found(NamedTuple):
@@ -70,63 +53,6 @@ class _State(NamedTuple):
     step: float
     since: int
     """blocks that do not count towards the limit: those before a search that ended short of its threshold was taken up again"""
-
-
-@cache
-def basis() -> Array:
-    """Four basis reflectances (4, n) on :data:`brdfpipe.spectra.colorimetry.GRID`: red, green, blue and cyan, each with peak 1.
-
-    References
-    ----------
-    Smits, "An RGB-to-spectrum conversion for reflectances", J. Graphics Tools 4 (1999) 11–22, straight lines between the centres of its
-    ten bins. The patent US 9,395,299 names the four colours without their spectra.
-    """
-    from brdfpipe.spectra.colour_science import colour
-
-    bins = [colour.recovery.SDS_SMITS1999[name] for name in ("red", "green", "blue", "cyan")]
-    spectra = np.stack([np.interp(colorimetry.GRID, each.wavelengths, each.values) for each in bins])
-    spectra /= spectra.max(axis=1, keepdims=True)
-    spectra.setflags(write=False)
-    return spectra
-
-
-def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 0.0) -> Mixtures:
-    """Smoothest mixtures that have given colours exactly (method ``basis4``).
-
-    Parameters
-    ----------
-    xyz : (B, 3) tristimulus values, Y = 100 for the perfect diffuser
-    illuminant, observer : see :func:`brdfpipe.spectra.colorimetry.weights`
-    floor : () or (n,), what every spectrum has beneath its mixture (specular), 0 <= floor < 1: R = floor + (1 − floor) S
-
-    Returns
-    -------
-    Mixtures : NaN and ``reached`` False where no mixture within [0, 1] has the colour
-
-    Notes
-    -----
-    w = w₀ + t v, v the null vector of the basis' tristimulus values. w >= 0 and S <= 1 leave an interval of t; within it
-    Σ (S_{i+1} − S_i)², a parabola in t, is smallest.
-    """
-    spectra, under = basis(), np.asarray(floor, dtype=float)
-    primaries, darkest = _primaries(illuminant, observer, under)
-    colours = np.atleast_2d(np.asarray(xyz, dtype=float)) - darkest
-    w_0 = colours @ np.linalg.pinv(primaries)
-    null = np.linalg.svd(primaries.T)[2][3]
-    s_0, along = w_0 @ spectra, null @ spectra
-    offset = np.concatenate([w_0, 1 - s_0], axis=1)
-    slope = np.concatenate([null, -along])
-    # offset + t slope >= 0 for every weight and wavelength.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bound = -offset / slope
-    lowest = np.where(slope > 0, bound, -np.inf).max(axis=1)
-    highest = np.where(slope < 0, bound, np.inf).min(axis=1)
-    still = (offset[:, slope == 0] >= 0).all(axis=1)
-    smoothest = -(np.diff(s_0, axis=1) @ np.diff(along)) / (np.diff(along) @ np.diff(along))
-    reached = still & (lowest <= highest + _ROUNDING) & np.isfinite(colours).all(axis=1)
-    t = np.where(reached, np.clip(smoothest, lowest, np.maximum(lowest, highest)), np.nan)
-    weights = np.where(reached[:, None], np.maximum(w_0 + t[:, None] * null, 0.0), np.nan)
-    return Mixtures(weights, under + (1 - under) * np.minimum(weights @ spectra, 1.0), np.asarray(reached))
 
 
 def search(
@@ -180,7 +106,7 @@ def search(
     Patent US 9,395,299 (CRF), reconstruction of a spectrum from L*a*b*.
     """
     wanted = np.asarray(lab, dtype=float)
-    distance = _distance(wanted, illuminant, observer, floor)
+    distance = distance_to(wanted, illuminant, observer, floor)
     problem = _problem(wanted, illuminant, observer, method, threshold, seed, floor)
     state, ended = _resumed(checkpoint, problem, distance), "threshold"
     most = LIMIT[method] if limit is None else limit
@@ -211,32 +137,12 @@ def search(
     return Found(np.array(state.weights), state.delta_e, state.block * _BLOCK[method], ended)
 
 
-def nearest(lab: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 0.0) -> Array:
-    """Colour (3,) of a mixture nearest to a given one by ΔE*ab."""
-    from scipy.optimize import LinearConstraint, minimize
-
-    wanted, spectra = np.asarray(lab, dtype=float), basis()
-    distance = _distance(wanted, illuminant, observer, floor, rescale=False)
-    table = colorimetry.weights(illuminant, observer)
-    found = minimize(  # type: ignore[call-overload]
-        lambda w: float(distance(w[None])[0] ** 2),
-        np.full(4, 0.3),
-        bounds=[(0, 1)] * 4,
-        constraints=LinearConstraint(spectra.T, -np.inf, 1.0),
-        method="SLSQP",
-        options={"maxiter": 300, "ftol": 1e-10},
-    )
-    w = np.clip(found.x, 0, 1)
-    primaries, darkest = _primaries(illuminant, observer, floor)
-    return colorimetry.xyz_to_lab(darkest + w / max(float((w @ spectra).max()), 1.0) @ primaries, table.white)
-
-
 def _advance_random(state: _State, seed: int, distance: Callable[[Array], Array]) -> _State:
     w = np.random.default_rng([seed, state.block]).random((_BLOCK["random4"], 4))
     delta_e = distance(w)
     best = int(np.argmin(delta_e))
     if delta_e[best] < state.delta_e:
-        weights = tuple(_rescaled(w[best : best + 1])[0].tolist())
+        weights = tuple(rescaled(w[best : best + 1])[0].tolist())
         return state._replace(block=state.block + 1, weights=weights, delta_e=float(delta_e[best]))
     return state._replace(block=state.block + 1)
 
@@ -246,7 +152,7 @@ def _advance_adaptive(state: _State, seed: int, distance: Callable[[Array], Arra
     count = _BLOCK["adaptive4"]
     first = state.block == 0
     w = rng.random((count, 4)) if first else np.array(state.weights) + state.step * rng.standard_normal((count, 4))
-    w = _rescaled(np.clip(w, 0.0, 1.0))
+    w = rescaled(np.clip(w, 0.0, 1.0))
     delta_e = distance(w)
     best = int(np.argmin(delta_e))
     if delta_e[best] < state.delta_e:
@@ -259,43 +165,6 @@ _ADVANCE: dict[str, Callable[[_State, int, Callable[[Array], Array]], _State]] =
     "random4": _advance_random,
     "adaptive4": _advance_adaptive,
 }
-
-
-def _distance(
-    wanted: Array, illuminant: str, observer: int, floor: ArrayLike, rescale: bool = True
-) -> Callable[[Array], Array]:
-    """ΔE*ab to a colour, of weights (B, 4)."""
-    white = colorimetry.weights(illuminant, observer).white
-    primaries, darkest = _primaries(illuminant, observer, floor)
-
-    def distance(w: Array) -> Array:
-        xyz = darkest + (_rescaled(w) if rescale else w) @ primaries
-        return colorimetry.delta_e_ab(colorimetry.xyz_to_lab(xyz, white), wanted)
-
-    return distance
-
-
-def _primaries(illuminant: str, observer: int, floor: ArrayLike) -> tuple[Array, Array]:
-    """Tristimulus values (4, 3) that each basis spectrum adds above a floor, and (3,) of the floor alone."""
-    weights = colorimetry.weights(illuminant, observer).weights
-    under = np.broadcast_to(np.asarray(floor, dtype=float), len(weights))
-    return (basis() * (1 - under)) @ weights, under @ weights
-
-
-def _rescaled(w: Array) -> Array:
-    scaled: Array = w / np.maximum((w @ _peaks()).max(axis=1, keepdims=True), 1.0)
-    return scaled
-
-
-@cache
-def _peaks() -> Array:
-    """The basis at those wavelengths where a mixture can be largest: no other lies below one of them throughout."""
-    spectra = basis().T
-    unique = np.unique(spectra, axis=0)
-    dominated = [(np.delete(unique, i, axis=0) >= row).all(axis=1).any() for i, row in enumerate(unique)]
-    kept: Array = unique[~np.array(dominated)].T
-    kept.setflags(write=False)
-    return kept
 
 
 def _problem(
@@ -343,8 +212,8 @@ def _is_sound(state: _State, distance: Callable[[Array], Array]) -> bool:
     if w.shape != (4,) or not ((w >= 0) & (w <= 1)).all() or not 0 < state.step <= _FIRST_STEP:
         return False
     # A product of many rows rounds otherwise than that of one.
-    mixes = bool((w @ _peaks()).max() <= 1 + _ROUNDING)
-    return mixes and bool(abs(distance(w[None])[0] - state.delta_e) <= _ROUNDING * (1 + state.delta_e))
+    mixes = bool((w @ peaks()).max() <= 1 + ROUNDING)
+    return mixes and bool(abs(distance(w[None])[0] - state.delta_e) <= ROUNDING * (1 + state.delta_e))
 
 
 def _stop_file(checkpoint: Path | None) -> bool:

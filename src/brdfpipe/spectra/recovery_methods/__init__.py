@@ -1,0 +1,1 @@
+"""Methods that recover a reflectance spectrum from a colour, one a module."""

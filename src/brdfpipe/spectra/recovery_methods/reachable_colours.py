@@ -1,0 +1,83 @@
+"""Colours that a reflectance can have: the largest chroma at a hue and lightness, and the nearest colour to one that none can have."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from brdfpipe.geometry import Array
+from brdfpipe.spectra import colorimetry
+from brdfpipe.spectra.recovery_methods.lhtss import lhtss
+
+
+def largest_chroma(lab: ArrayLike, *, illuminant: str, observer: int, specular: ArrayLike = 0.0) -> float:
+    """Largest C*ab that a reflectance reaches at the L* and hue of a colour, from below, to 0.1 % of its own C*.
+
+    Parameters
+    ----------
+    lab : (3,), 0 < L* < 100
+    illuminant, observer : see :func:`brdfpipe.spectra.colorimetry.weights`
+    specular : reflectance every wavelength has at least [1]
+    """
+    colour, white = np.asarray(lab, dtype=float), colorimetry.weights(illuminant, observer).white
+    low, high, pieces = 0.0, 1.0, 32
+    for _ in range(2):
+        scale = np.linspace(low, high, pieces + 1)
+        xyz = colorimetry.lab_to_xyz(colour * np.stack([np.ones_like(scale), scale, scale], axis=1), white)
+        reached = lhtss(xyz, illuminant=illuminant, observer=observer, floor=specular).reached
+        last = int(np.argmin(reached)) - 1 if not reached.all() else pieces
+        if last < 0:
+            return 0.0
+        low, high = scale[last], scale[min(last + 1, pieces)]
+    return float(low * np.hypot(*colour[1:]))
+
+
+def nearest_colour(lab: ArrayLike, *, illuminant: str, observer: int, specular: ArrayLike = 0.0) -> Array:
+    """Colour that a reflectance reaches, about nearest to one out of reach by ΔE*ab.
+
+    Parameters
+    ----------
+    lab : (3,) CIE 1976 L*, a*, b*, of two decimals
+    illuminant, observer : see :func:`brdfpipe.spectra.colorimetry.weights`
+    specular : reflectance every wavelength has at least [1]
+
+    Returns
+    -------
+    lab : (3,) rounded to two decimals; :func:`lhtss` reaches it
+
+    Notes
+    -----
+    Minimises ΔE*ab² over the reflectance at every wavelength within its bounds. The minimum lies on the boundary of the solid
+    of object colours, where reflectances are at their bounds; a small step towards grey is within reach.
+    """
+    from scipy.optimize import minimize
+
+    wanted, table = np.asarray(lab, dtype=float), colorimetry.weights(illuminant, observer)
+
+    def square(r: Array) -> tuple[float, Array]:
+        xyz = r @ table.weights
+        off = colorimetry.xyz_to_lab(xyz, table.white) - wanted
+        return float(off @ off), 2 * table.weights @ (_lab_slopes(xyz, table.white).T @ off)
+
+    floor = np.broadcast_to(np.asarray(specular, dtype=float), table.wavelength.size)
+    start = np.clip(colorimetry.lab_to_xyz(wanted, table.white)[1] / 100, floor + 1e-3, 1 - 1e-3)
+    # Far out ΔE² is large and falls slowly: a looser bound on its relative fall ends the descent a few ΔE short.
+    options: Any = {"maxiter": 5000, "maxfun": 50_000, "ftol": 1e-14, "gtol": 1e-9}
+    bounds = [(float(lowest), 1.0) for lowest in floor]
+    best = minimize(square, start, jac=True, bounds=bounds, method="L-BFGS-B", options=options).x
+    grey = np.clip(best @ table.weights[:, 1] / 100, floor + 1e-3, 1 - 1e-3)
+    share = np.append(0.0, np.geomspace(1e-6, 1, 64))[:, None]
+    xyz = ((1 - share) * best + share * grey) @ table.weights
+    near = np.round(colorimetry.xyz_to_lab(xyz, table.white), 2) + 0.0
+    within = lhtss(colorimetry.lab_to_xyz(near, table.white), illuminant=illuminant, observer=observer, floor=floor)
+    return np.asarray(near[np.argmax(within.reached)])
+
+
+def _lab_slopes(xyz: Array, white: Array) -> Array:
+    """∂(L*, a*, b*)/∂(X, Y, Z), (3, 3)."""
+    t = xyz / white
+    slope = np.where(t > 216 / 24389, np.cbrt(np.maximum(t, 1e-6)) ** -2 / 3, 24389 / 27 / 116) / white
+    mixed = np.array([[0, 116, 0], [500, -500, 0], [0, 200, -200]], dtype=float)
+    return np.asarray(mixed * slope)
