@@ -17,7 +17,7 @@ from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.polarised import mueller
-from brdfpipe.facets.assembly import radial_dataset
+from brdfpipe.facets.facet_dataset import radial_dataset
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import half_vector
 

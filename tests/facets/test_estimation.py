@@ -250,7 +250,7 @@ def test_several_scans_count_together():
     one, two = samples.gaussian_surface(256, seed=1), samples.gaussian_surface(256, seed=2)
     together = facets.estimate([one, two])
     assert float(together["facet_count"]) == 2 * 4 * 255**2
-    assert "2 scans together" in together.attrs["method"]
+    assert "2 scans" in together.attrs["method"]
     assert float(together["effective_count"]) > float(facets.estimate(one)["effective_count"])
 
 
@@ -295,10 +295,10 @@ def test_an_unknown_method_is_refused_whatever_the_scan(height):
 def test_a_method_for_lines_is_said_to_be_of_no_use_for_a_map(gaussian_map, of_gaussian_map):
     asked = facets.estimate(gaussian_map, method="abel")
     (warning,) = [text for text in vocabulary.warnings(asked) if text not in vocabulary.warnings(of_gaussian_map)]
-    assert warning.startswith("the method abel is for line profiles and was not used")
+    assert warning.startswith("surface.method abel is for line profiles and was ignored")
     assert asked["slope_density"].identical(of_gaussian_map["slope_density"])
 
 
 def test_no_scan_at_all_is_refused():
-    with pytest.raises(facets.FacetError, match="no surface to count facets on"):
+    with pytest.raises(facets.FacetError, match="no scan of a surface given"):
         facets.estimate([])

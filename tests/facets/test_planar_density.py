@@ -108,7 +108,7 @@ def lopsided() -> xr.Dataset:
     along = norm.pdf(axes[0].nodes[:, None], SHIFT * SIGMA[0], SIGMA[0]) @ WEIGHT
     density = PlanarDensity(*axes, norm.pdf(axes[1].nodes, scale=SIGMA[1])[:, None] * along, 35.0)
     assert density.moments[0] == pytest.approx(1, abs=1e-6)
-    return facets.assembly.planar_dataset(density, float(np.hypot(*width)))
+    return facets.facet_dataset.planar_dataset(density, float(np.hypot(*width)))
 
 
 def test_masking_of_any_density_is_the_closed_form_between_its_azimuths(lopsided):
@@ -157,7 +157,7 @@ def test_the_table_of_masking_is_dense_about_the_lay():
 def test_a_density_without_its_lay_is_refused():
     table = facets.analytic("beckmann", a_x=0.1, a_y=0.2)
     for broken in (table.drop_vars("lay"), table.assign(lay=np.nan)):
-        with pytest.raises(VocabularyError, match="needs the azimuth 'lay'"):
+        with pytest.raises(VocabularyError, match="needs the variable 'lay'"):
             PlanarDensity.of(broken)
 
 

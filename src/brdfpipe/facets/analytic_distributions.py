@@ -6,10 +6,10 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.facets.assembly import planar_dataset, principal_ellipse, radial_dataset
-from brdfpipe.facets.counting import FacetError
+from brdfpipe.facets.facet_dataset import planar_dataset, principal_ellipse, radial_dataset
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.facets.slope_histogram import FacetError
 
 DISTRIBUTIONS = ("beckmann", "ggx")
 

@@ -16,22 +16,22 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.facets.areal import of_maps
-from brdfpipe.facets.assembly import radial_dataset
-from brdfpipe.facets.counting import FacetError
-from brdfpipe.facets.line import METHODS, of_lines
+from brdfpipe.facets.facet_dataset import radial_dataset
+from brdfpipe.facets.height_maps import estimate_from_maps
+from brdfpipe.facets.line_profiles import METHODS, estimate_from_lines
 from brdfpipe.facets.planar_density import PlanarDensity, SlopeAxis
 from brdfpipe.facets.radial_density import RadialDensity
-from brdfpipe.facets.scans import check_alike
+from brdfpipe.facets.scan_consistency import check_consistent
+from brdfpipe.facets.slope_histogram import FacetError
 from brdfpipe.geometry import Array
 
 
 def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
-    """The isotropic facet distribution that a surface with a lay shows when it is seen from all azimuths in turn.
+    """Average a facet distribution with a lay over azimuth.
 
     Parameters
     ----------
-    facets : kind ``facets``; one that is isotropic already is returned as it is
+    facets : kind ``facets``; an isotropic one is returned unchanged
 
     Returns
     -------
@@ -52,7 +52,7 @@ def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
         vocabulary.add_warning(
             radial,
             f"the surface has a lay (anisotropy {float(facets['anisotropy']):.2f}, along {float(facets['lay']):.0f}°) and the "
-            "reflection model is isotropic: its density was averaged over azimuth; set `surface.isotropic: true` if that is wanted",
+            "reflection model is isotropic: its density was averaged over azimuth; set `surface.isotropic: true` to confirm",
         ),
         "facets",
     )
@@ -60,7 +60,7 @@ def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
 
 def _ring_means(planar: PlanarDensity, slope: Array) -> Array:
     """Mean of the density around rings of given slopes."""
-    # Gentle rings vary along the lay, steep ones across it: points crowd towards the latter, half as much as the ellipse does.
+    # Small slopes vary along the lay, large ones across it: points are denser across, half as much as on the ellipse.
     turn = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
     x, y = np.sqrt(planar.along.scale) * np.cos(turn), np.sqrt(planar.across.scale) * np.sin(turn)
     square = x**2 + y**2
@@ -79,8 +79,8 @@ def estimate(
     surface : kind ``surface``, levelled; an areal map or a line profile; or several scans of one surface, all maps or all
         lines. A line's azimuth [degree] is its attribute ``azimuth``, 0 by default
     method : how a line profile is turned into a two-dimensional density: ``mixture`` (a scale mixture of Gaussians, whose
-        inversion is exact; where it does not fit, rings), ``abel`` (rings) or ``crf`` (the patent's histogram). Asked of a
-        map, the last two give a warning and no other result
+        inversion is exact; where it does not fit, rings), ``abel`` (rings) or ``crf`` (the patent's histogram). For a
+        map, the last two have no effect but a warning
     isotropic : whether the surface scatters alike in every azimuth. A lone line must be declared isotropic. A map that is
         not declared either way has a lay if its principal slopes differ by more than a factor of 1.2
 
@@ -88,17 +88,17 @@ def estimate(
     -------
     Dataset of kind ``facets``: radial for an isotropic surface, on a grid of slopes for one with a lay; slopes are about each
     scan's mean. ``effective_count`` is the number of facets over how many count as one in classes of equal share, on average.
-    Heights of a map that come in steps are spread over them, which the history says
+    Quantised heights of a map are dithered, which the history states
 
     Raises
     ------
-    FacetError : no scan, an unknown method, a lone line is not declared isotropic, scans are not all maps or all lines or do
-        not hold the same waves, one is given twice, there are too few independent facets, or slopes are none that a surface can have.
+    FacetError : no scan; an unknown method; a single line that is not declared isotropic; scans that are not all maps or all lines,
+        of different bandwidth, or given twice; too few independent facets; an impossible slope rms.
     VocabularyError : a dataset is not of kind ``surface``.
     """
     scans = [surface] if isinstance(surface, xr.Dataset) else list(surface)
     if not scans:
-        raise FacetError("no surface to count facets on; accepted: one scan, or several of one surface")
+        raise FacetError("no scan of a surface given; accepted: one scan, or several of one surface")
     if method not in METHODS:
         raise FacetError(f"unknown method {method!r}; accepted: {', '.join(METHODS)}")
     for scan in scans:
@@ -108,14 +108,14 @@ def estimate(
         raise FacetError(
             f"scans of one surface must be all maps or all lines; found {len(scans)} scans of {sorted(dimensions)} dimensions"
         )
-    check_alike(scans)
+    check_consistent(scans)
     if dimensions == {1}:
-        return of_lines(scans, method, isotropic)
-    facets = of_maps(scans, isotropic)
+        return estimate_from_lines(scans, method, isotropic)
+    facets = estimate_from_maps(scans, isotropic)
     if method == METHODS[0]:
         return facets
     return vocabulary.add_warning(
         facets,
-        f"the method {method} is for line profiles and was not used: a map's facets are counted in all directions; "
+        f"surface.method {method} is for line profiles and was ignored: an areal map gives slopes in all directions; "
         "remove `surface.method`",
     )

@@ -1,7 +1,7 @@
 """The slope density P22 of a surface with a lay, as a function, and its masking in every azimuth.
 
-Slopes are taken along the lay, where they are small, and across it: the axes in which their covariance is diagonal. Over the
-widths of the two (:class:`Ellipse`) a density of any anisotropy is about round, and everything here is computed there.
+Slopes are given along the lay, where they are small, and across it: the axes in which their covariance is diagonal. Divided by
+its two widths (:class:`Ellipse`), a density of any anisotropy is nearly round; all computations use these scaled slopes.
 
 The isotropic counterpart is :mod:`brdfpipe.facets.radial_density`.
 """
@@ -80,10 +80,12 @@ class Ellipse:
 
         Raises
         ------
-        VocabularyError : the lay is missing, so that nobody knows where the slopes point.
+        VocabularyError : the azimuth of the lay is missing.
         """
         if "lay" not in dataset or not np.isfinite(dataset["lay"]):
-            raise VocabularyError("a slope density along and across a lay needs the azimuth 'lay'; found none")
+            raise VocabularyError(
+                "a slope density with a lay needs the variable 'lay', its azimuth in degree; found none"
+            )
         along, across = (float(dataset[name].attrs["scale"]) for name in ("slope_along", "slope_across"))
         return cls(along, across, float(dataset["lay"]))
 
@@ -94,10 +96,10 @@ class Ellipse:
         return np.hypot(x, y), np.degrees(np.arctan2(y, x)) % 360
 
     def azimuths(self, turn: ArrayLike) -> Array:
-        """The azimuths of turns ω, in [0, 360) and sorted."""
+        """Sorted azimuths in [0, 360) of turns ω."""
         turn = np.radians(np.asarray(turn, dtype=float))
         angle = np.degrees(np.arctan2(self.along * np.sin(turn), self.across * np.cos(turn)))
-        # Rounded, lest 360 − 1e-14 stand beside 0.
+        # Rounded, so that 360 − 1e-14 is not listed beside 0.
         return np.sort(np.round(self.lay + angle, 9) % 360)
 
 
@@ -239,7 +241,7 @@ def _excess_slope(density: PlanarDensity, edges: Array, azimuth: float) -> Array
     share = (density._across(slope, turn) * weight).reshape(-1, 2)
     above = share.sum(axis=1)
     within = (share * (slope.reshape(-1, 2) - edges[:-1, None])).sum(axis=1)
-    # From the tail inwards every term is positive: g falls monotonically, and no digits cancel.
+    # Summed from the tail inwards all terms are positive: g is monotonic, without cancellation.
     beyond = np.cumsum(above[::-1])[::-1] - above
     rest = beyond * np.diff(edges)
     return np.asarray(width * np.cumsum((within + rest)[::-1])[::-1])

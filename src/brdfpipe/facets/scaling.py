@@ -1,4 +1,4 @@
-"""Facets of which all slopes are steeper by one factor, as if the heights were stretched."""
+"""Scale all slopes of a facet distribution by one factor, as if the heights were stretched."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.facets.counting import FacetError
+from brdfpipe.facets.slope_histogram import FacetError
 from brdfpipe.geometry import Array
 
 _SLOPES = ("slope", "slope_along", "slope_across")
@@ -26,7 +26,7 @@ def scaled(facets: xr.Dataset, factor: float) -> xr.Dataset:
 
     Raises
     ------
-    FacetError : the factor is no number above 0.
+    FacetError : the factor is not a finite number above 0.
 
     Notes
     -----
@@ -37,8 +37,8 @@ def scaled(facets: xr.Dataset, factor: float) -> xr.Dataset:
     if not (np.isfinite(factor) and factor > 0):
         raise FacetError(f"slopes cannot be scaled by {factor:g}; accepted: a factor above 0")
     tilt = facets["alpha"].values
-    steeper = _turned(tilt, factor)
-    # D = P22 / cos⁴α, of the tilt a facet had and of the one it has.
+    steeper = _scaled_tilt(tilt, factor)
+    # D = P22 / cos⁴α, with the tilts before and after.
     onto_sphere = (np.cos(np.radians(tilt)) / np.cos(np.radians(steeper))) ** 4 / factor**2
     ratios: dict[str, float | xr.DataArray] = {
         "slope_density": factor**-2,
@@ -48,18 +48,21 @@ def scaled(facets: xr.Dataset, factor: float) -> xr.Dataset:
     }
     ratios |= dict.fromkeys(("D", "D_u"), xr.DataArray(onto_sphere, dims="alpha"))
     fields = {name: facets[name] * ratio for name, ratio in ratios.items() if name in facets}
-    places = {name: _steeper(facets[name], factor) for name in _SLOPES if name in facets.coords}
-    places |= {"alpha": ("alpha", steeper, {}), "theta": ("theta", _turned(facets["theta"].values, 1 / factor), {})}
-    return vocabulary.label(facets.assign(fields).assign_coords(places), "facets")
+    coordinates = {name: _scaled_axis(facets[name], factor) for name in _SLOPES if name in facets.coords}
+    coordinates |= {
+        "alpha": ("alpha", steeper, {}),
+        "theta": ("theta", _scaled_tilt(facets["theta"].values, 1 / factor), {}),
+    }
+    return vocabulary.label(facets.assign(fields).assign_coords(coordinates), "facets")
 
 
-def _steeper(slope: xr.DataArray, factor: float) -> tuple[str, Array, dict[str, float]]:
-    """Slopes along an axis, with its scale if it has one."""
+def _scaled_axis(slope: xr.DataArray, factor: float) -> tuple[str, Array, dict[str, float]]:
+    """Scaled slopes of an axis, with its ``scale`` if it has one."""
     scale = {"scale": float(slope.attrs["scale"]) * factor} if "scale" in slope.attrs else {}
     return str(slope.name), slope.values * factor, scale
 
 
-def _turned(angles: Array, factor: float) -> Array:
-    """Angles [degree] of which the tangent is ``factor`` times as large; 90 degree stay 90."""
+def _scaled_tilt(angles: Array, factor: float) -> Array:
+    """Angles [degree] whose tangent is ``factor`` times as large; 90 degree stays 90."""
     radians = np.radians(angles)
     return np.asarray(np.degrees(np.arctan2(factor * np.sin(radians), np.cos(radians))))

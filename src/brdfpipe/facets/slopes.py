@@ -1,4 +1,4 @@
-"""Slopes of a height map's facets, and what they say as a whole.
+"""Slopes of the facets of a height map: counts, moments, correlation length.
 
 Every quad is cut along both diagonals into four triangles; a single diagonal would correlate the two slope components and
 show a false lay.
@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe.facets.quantum import quantum_of, spread
+from brdfpipe.facets.height_quantisation import dither, height_step
 from brdfpipe.geometry import Array
 
 SCALES = np.array([1.0, 2.0, 4.0, 8.0])
@@ -24,23 +24,23 @@ BLOCKS = 8
 
 
 class HeightMap(NamedTuple):
-    """Heights of a scan, as its facets are counted."""
+    """Heights of a scan, with pitch and quantisation."""
 
     height: Array
     """(rows, columns) [um]"""
     pitch: tuple[float, float]
     """Along x and y [um]."""
     quantum: float
-    """Step in which the heights come [um], over which they are spread; 0 where they take any value."""
+    """Quantisation step of the heights [um], over which they are dithered; 0 if they are not quantised."""
 
     @classmethod
     def of(cls, surface: xr.Dataset) -> HeightMap:
         height, pitch = surface["height"].values, (float(surface.attrs["pitch_x"]), float(surface.attrs["pitch_y"]))
-        return cls(height, pitch, quantum_of(height, pitch))
+        return cls(height, pitch, height_step(height, pitch))
 
     @property
     def rounding(self) -> Array:
-        """(2,) mean square that rounding the heights adds to the slopes along x and y; spreading them adds it again."""
+        """(2,) mean square that rounding adds to the slopes along x and y; dither adds as much again."""
         return self.quantum**2 / 6 / np.square(self.pitch)
 
 
@@ -49,17 +49,17 @@ class Moments(NamedTuple):
 
     facets: int
     tilts: Array
-    """(scans, 2) mean slope along x and y of each scan, which no statistics hold."""
+    """(scans, 2) mean slope along x and y of each scan, removed from all statistics."""
     covariance: Array
     """(2, 2) of the surface's slopes, each scan's about its own mean."""
-    seen: Array
-    """(2, 2) of the slopes that were counted, which heights in steps widen."""
+    apparent_covariance: Array
+    """(2, 2) of the counted slopes, including rounding and dither of the heights."""
     scan_rms: Array
     """(scans,) slope rms of each scan."""
 
     @property
     def slope_rms(self) -> float:
-        """About the mean: masking supposes that there is none."""
+        """Slope rms about the mean, since masking assumes a mean slope of zero."""
         return float(np.sqrt(max(np.trace(self.covariance), 0.0)))
 
     @property
@@ -76,7 +76,7 @@ class Moments(NamedTuple):
 
 
 class SlopeCounts(NamedTuple):
-    """Counts of squared slopes in bins of one 128th of an octave, block by block: the upper half of a 32-bit float's bits."""
+    """Counts of squared slopes by block, in bins of 1/128 octave: the upper 16 bits of a 32-bit float."""
 
     counts: NDArray[np.int64]
     """(blocks, bins)"""
@@ -89,7 +89,7 @@ class SlopeCounts(NamedTuple):
 
 
 FINE_BINS = 0x7F80
-"""Upper half of the bits of infinity: what lies below is finite, what lies above is no number."""
+"""Upper 16 bits of infinity: smaller ones belong to finite numbers, larger ones to NaN."""
 
 _BLOCK_POINTS = 2**16
 
@@ -107,15 +107,15 @@ def _blocks(maps: Sequence[HeightMap]) -> Iterator[tuple[int, Array, tuple[float
                 along = slice(start, min(start + step, rows[row + 1]) + 1)
                 part = height[along, across]
                 if quantum:
-                    part = part + quantum * spread(along, across)
+                    part = part + quantum * dither(along, across)
                 yield scan * BLOCKS**2 + block, part, pitch
 
 
 def mean_slope(heights: HeightMap) -> Array:
     """(2,) mean slope along x and y of a map's facets, from the heights along its border.
 
-    Along a row or a column of a whole map the slopes add up to what the ends differ by. Taken to be 0 where heights of the border
-    are missing, and where it is too small to matter.
+    Along a row or a column without gaps, the slopes add up to the difference of its ends. The result is 0 if heights of the
+    border are missing, or if it is too small to matter.
     """
     height, pitch, _ = heights
     rises = [
@@ -134,10 +134,10 @@ _TILT_LEFT = 1e-3
 _SAMPLED_ROWS = 64
 
 
-def _edges_of(part: Array, pitch: tuple[float, float], tilt: Array, dtype: type = np.float64) -> tuple[Array, Array]:
+def _edge_slopes(part: Array, pitch: tuple[float, float], tilt: Array, dtype: type = np.float64) -> tuple[Array, Array]:
     """Slopes of the edges of a block's quads about ``tilt``, along x (rows + 1, columns) and along y (rows, columns + 1).
 
-    Heights are subtracted in double precision whatever ``dtype`` the slopes are kept in.
+    Heights are subtracted in double precision for any ``dtype`` of the slopes.
     """
     rows, columns = part.shape
     along_x, along_y = np.empty((rows, columns - 1), dtype), np.empty((rows - 1, columns), dtype)
@@ -164,7 +164,7 @@ def triangle_slopes(maps: Sequence[HeightMap], tilts: Array) -> Iterator[tuple[i
     A triangle that touches a missing height is left out. Yields the number of the block, p and q.
     """
     for block, part, pitch in _blocks(maps):
-        along_x, along_y = _edges_of(part, pitch, tilts[block // BLOCKS**2])
+        along_x, along_y = _edge_slopes(part, pitch, tilts[block // BLOCKS**2])
         whole = bool(np.isfinite(along_x).all() and np.isfinite(along_y).all())
         for p, q in _triangles(along_x, along_y):
             if whole:
@@ -177,13 +177,13 @@ def triangle_slopes(maps: Sequence[HeightMap], tilts: Array) -> Iterator[tuple[i
 def count_maps(maps: Sequence[HeightMap]) -> tuple[SlopeCounts, Moments]:
     """Counts of the squared slopes of every triangle of one or several scans, and the moments of the slopes.
 
-    Slopes are about each scan's own mean. That of a whole map is known from its border, so that one pass suffices; where heights
-    are missing, a second one counts about the mean that the first has found.
+    Slopes are about each scan's own mean. The border of a map without gaps gives the mean, so that one pass suffices; otherwise
+    a second pass counts about the mean of the first.
     """
-    tilts = np.array([mean_slope(each) for each in maps])
-    counts, found = _count_about(tilts, maps)
-    left = np.abs(found.tilts - tilts).max()
-    return _count_about(found.tilts, maps) if left > _TILT_LEFT * found.slope_rms else (counts, found)
+    tilts = np.array([mean_slope(heights) for heights in maps])
+    counts, moments = _count_about(tilts, maps)
+    residual_tilt = np.abs(moments.tilts - tilts).max()
+    return _count_about(moments.tilts, maps) if residual_tilt > _TILT_LEFT * moments.slope_rms else (counts, moments)
 
 
 def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[SlopeCounts, Moments]:
@@ -194,11 +194,11 @@ def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[SlopeCounts, 
     """
     counts = np.zeros((len(maps) * BLOCKS**2, FINE_BINS), dtype=np.int64)
     facets, total, products = np.zeros((len(maps), 1)), np.zeros((len(maps), 2)), np.zeros((len(maps), 3))
-    # Heights in a wrong unit may overflow; their slope rms tells.
+    # Heights in a wrong unit may overflow; the slope rms then shows it.
     with np.errstate(over="ignore", invalid="ignore"):
         for block, part, pitch in _blocks(maps):
             scan = block // BLOCKS**2
-            along_x, along_y = _edges_of(part, pitch, tilts[scan], np.float32)
+            along_x, along_y = _edge_slopes(part, pitch, tilts[scan], np.float32)
             square_x, square_y = along_x * along_x, along_y * along_y
             squares = np.empty((4, square_y.shape[0], square_x.shape[1]), dtype=np.float32)
             for square, (xx, yy) in zip(squares, _triangles(square_x, square_y), strict=True):
@@ -217,27 +217,27 @@ def _moments(maps: Sequence[HeightMap], facets: Array, tilts: Array, products: A
     """Moments from the facets of each scan (scans, 1), and the sums over them of p², q² and pq about the mean (scans, 3)."""
     total = max(float(facets.sum()), 1.0)
     xx, yy, xy = products.sum(axis=0) / total
-    covariance = seen = np.array([[xx, xy], [xy, yy]])
-    widening = 2 * np.array([each.rounding for each in maps])
+    covariance = apparent = np.array([[xx, xy], [xy, yy]])
+    widening = 2 * np.array([heights.rounding for heights in maps])
     if widening.any() and facets.any():
-        # Where the steps are all that is seen, rounding is no longer what adds its mean square to the slopes.
+        # If the steps dominate the slopes, the formula for the mean square of rounding no longer holds.
         widest = np.diag((facets * widening).sum(axis=0) / total)
-        largest = float(np.linalg.eigvals(np.linalg.solve(seen, widest)).real.max())
-        covariance = seen - widest * min(1.0, _MOST_WIDENED / largest)
+        largest = float(np.linalg.eigvals(np.linalg.solve(apparent, widest)).real.max())
+        covariance = apparent - widest * min(1.0, _MOST_WIDENED / largest)
     squares = products[:, :2] / np.maximum(facets, 1)
     rms = np.sqrt(np.maximum(np.maximum(squares - widening, (1 - _MOST_WIDENED) * squares).sum(axis=1), 0.0))
-    return Moments(int(facets.sum()), tilts, covariance, seen, rms)
+    return Moments(int(facets.sum()), tilts, covariance, apparent, rms)
 
 
 _MOST_WIDENED = 0.75
-"""Share of the mean square slope that may be taken away for the steps of the heights."""
+"""Largest share of the mean square slope that is subtracted for rounding and dither."""
 
 
 _HIGH = 1 if np.little_endian else 0
 
 
 def count_bits(squares: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Counts by the upper half of the bits; what is no number, of either sign, lies beyond the last bin and is left out."""
+    """Counts by the upper 16 bits; NaN of either sign is beyond the last bin and left out."""
     return np.bincount(squares.reshape(-1).view(np.uint16)[_HIGH::2], minlength=FINE_BINS)[:FINE_BINS]
 
 
@@ -252,22 +252,22 @@ def _block_moments(
     along_x, along_y = along
     mixed = float(np.einsum("ij,ij->i", along_x[:-1] + along_x[1:], along_y[:, :-1] + along_y[:, 1:]).sum(dtype=float))
     if np.isfinite(mixed):
-        # Along a row or a column the slopes add up to what the ends differ by.
+        # Along a row or a column the slopes add up to the difference of its ends.
         rises = (part[:, -1] - part[:, 0]) / pitch[0], (part[-1] - part[0]) / pitch[1]
         count = 4 * (along_x.shape[0] - 1) * along_x.shape[1]
         first = 2 * np.array([2 * rise.sum() - rise[0] - rise[-1] for rise in rises]) - count * tilt
         # Each edge counts twice for every quad beside it: those on the block's border have one.
-        rows_x, rows_y = (each.sum(axis=1).astype(float) for each in square)
+        rows_x, rows_y = (squares.sum(axis=1).astype(float) for squares in square)
         square_x = 2 * rows_x.sum() - rows_x[0] - rows_x[-1]
         square_y = 2 * rows_y.sum() - square[1][:, [0, -1]].sum(dtype=float)
         return count, first, np.array([2 * square_x, 2 * square_y, mixed])
     count, first, second = 0, np.zeros(2), np.zeros(3)
     for p, q in _triangles(along_x, along_y):
         complete = np.isfinite(p) & np.isfinite(q)
-        p_there, q_there = p[complete].astype(float), q[complete].astype(float)
-        count += p_there.size
-        first += p_there.sum(), q_there.sum()
-        second += inner(p_there, p_there), inner(q_there, q_there), inner(p_there, q_there)
+        p_valid, q_valid = p[complete].astype(float), q[complete].astype(float)
+        count += p_valid.size
+        first += p_valid.sum(), q_valid.sum()
+        second += inner(p_valid, p_valid), inner(q_valid, q_valid), inner(p_valid, q_valid)
     return count, first, second
 
 
@@ -288,7 +288,7 @@ def slope_rms_by_scale(heights: HeightMap, tilt: Array) -> Array:
 
 
 _SAMPLED = 2**18
-"""Heights from which slopes by scale and correlation are taken: more would not tell more."""
+"""Heights used for slopes by scale and for the correlation length; more would not change them."""
 
 
 def inner(a: Array, b: Array) -> float:
@@ -297,7 +297,7 @@ def inner(a: Array, b: Array) -> float:
 
 
 def mean_square(values: Array) -> float:
-    """Mean square of the values that are there; NaN where none is."""
+    """Mean square of the finite values; NaN if there is none."""
     total = inner(values, values)
     if np.isfinite(total) and values.size:
         return total / values.size
@@ -318,7 +318,7 @@ def correlation_length(surface: xr.Dataset) -> float:
 def _along(lines: Array, pitch: float) -> float:
     from scipy.fft import irfft, next_fast_len, rfft
 
-    # Some lines, or stretches of a long one, tell the correlation as well as all of them.
+    # Some lines, or parts of a long one, give the correlation as well as all of them.
     if lines.shape[1] > 2**16:
         lines = lines[:, : lines.shape[1] // 2**15 * 2**15].reshape(-1, 2**15)
     lines = np.ascontiguousarray(lines[:: max(1, lines.size // (_SAMPLED // 2))])

@@ -1,9 +1,10 @@
-"""What every way to a facet distribution ends with: the dataset, and its warnings."""
+"""Datasets of kind ``facets`` from slope densities, with the warnings that all estimates share."""
 
 from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.facets import planar_density as planar
@@ -30,7 +31,7 @@ def radial_dataset(density: RadialDensity, slope_rms: float) -> xr.Dataset:
 
 
 def planar_dataset(density: PlanarDensity, slope_rms: float) -> xr.Dataset:
-    """Density, D and Λ of a surface with a lay, and the lay."""
+    """Density, D, Λ and lay of an anisotropic surface."""
     ellipse, nodes = density.ellipse, 2 * _ALPHA_NODES - 1
     scale = float(np.sqrt(ellipse.along * ellipse.across))
     steepest = float(np.hypot(density.along.reach, density.across.reach))
@@ -62,12 +63,12 @@ def planar_dataset(density: PlanarDensity, slope_rms: float) -> xr.Dataset:
 def principal_ellipse(first: float, second: float, azimuth: float) -> Ellipse:
     """The ellipse of two widths, towards an azimuth [degree] and across it: its lay runs along the smaller, in [-90, 90)."""
     turned = 90 if first > second else 0
-    # Rounded, lest 29.8 read 29.80000000000001.
+    # Rounded, so that 29.8 is not written as 29.80000000000001.
     return Ellipse(min(first, second), max(first, second), round((azimuth + turned + 90) % 180 - 90, 9))
 
 
 def with_noise_warning(facets: xr.Dataset) -> xr.Dataset:
-    """Warn where slopes over one pixel are much larger than over two."""
+    """Warn if the slope rms over one pixel is much larger than over two."""
     ratio = float(facets["noise_ratio"])
     if ratio > 1.2:
         facets = vocabulary.add_warning(
@@ -78,6 +79,11 @@ def with_noise_warning(facets: xr.Dataset) -> xr.Dataset:
     return facets
 
 
+def quality_flags(measured: NDArray[np.bool_]) -> NDArray[np.int8]:
+    """Quality flag of each density value: ``measured`` or ``extrapolated``."""
+    return np.where(measured, vocabulary.quality("measured"), vocabulary.quality("extrapolated")).astype(np.int8)
+
+
 def positive(values: Array, floor: float = 1e-290) -> Array:
-    """A density as a logarithm can take it: never zero, but at ``floor`` of its peak or less."""
+    """A density with zeros raised to ``floor`` of its peak, so that its logarithm is finite."""
     return np.maximum(values, floor * values.max())

@@ -1,4 +1,4 @@
-"""Slopes along line profiles, counted in stretches; where heights come in steps, in whole steps."""
+"""Histogram of the slopes along line profiles, by stretches of the lines; of quantised heights, in whole multiples of the step."""
 
 from __future__ import annotations
 
@@ -9,49 +9,49 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe.facets.counting import FacetError, redundancy_of
+from brdfpipe.facets.slope_histogram import FacetError, redundancy_of
 from brdfpipe.facets.slopes import FINE_BINS, SlopeCounts, count_bits
 from brdfpipe.geometry import Array
 
 STRETCHES = 32
-"""Lines are cut into this many stretches, from whose scatter uncertainties come: a power of two."""
+"""Number of stretches the lines are cut into, a power of two; their scatter gives the uncertainty."""
 
-LEAST = 63
-"""Slopes that must be there: those of the shortest line that is read."""
+MIN_SLOPES = 63
+"""Smallest number of slopes in a line: that of the shortest line that is read."""
 
 BINS = 128
 
 _SLOPE_RMS = (1e-9, 1e9)
-"""Slope rms outside which the squares of slopes may not even be numbers of single precision."""
+"""Range of the slope rms; outside it the squares of slopes may overflow or underflow in single precision."""
 
 _CHUNK = 2**15
 _CLASSES = 16
 _BLUR = 32
 
-# A quantum is looked for in this many slopes, from this share of their rms, below which it does no harm, in slopes up to so many.
+# Search for a quantum: number of slopes, smallest quantum and largest slope (over the slope rms). Finer quanta are harmless.
 _SAMPLED = 2**15
 _FINEST = 1 / 2048
 _REACH = 16.0
 
-_BENT_ALIKE = 1e-4
-_ALIKE = 3e-5
-"""Slopes that differ by this share of their rms count as one value: more than single precision makes of one."""
+_EQUAL_BENDS = 1e-4
+_EQUAL_SLOPES = 3e-5
+"""Slopes closer than this share of their rms count as equal; rounding in single precision is smaller."""
 
 
-class Marginal(NamedTuple):
-    """Slopes p along lines of one direction, counted by |p|."""
+class LineSlopeCounts(NamedTuple):
+    """Histogram of |p| of the slopes p along lines of one direction: the marginal P1."""
 
     bins: Array
-    """(bins, 2) |p| between which each bin lies, by increasing middle. Lines of different quantum have bins of their own."""
+    """(bins, 2) lower and upper |p|, by increasing middle. Lines of different quantum have separate bins, which overlap."""
     by_stretch: Array
     """(stretches, bins) slopes in each bin."""
     share: Array
-    """(bins,) what part of all slopes is counted in bins of the same quantum."""
+    """(bins,) share of the slopes that belong to lines of the same quantum."""
     blur: Array
-    """(bins, n) from where about its edges slopes are rounded into a bin, in equal shares; 0 where they are not rounded."""
+    """(bins, n) distances from a bin's edges at which slopes were rounded into it, of equal weight; 0 without rounding."""
     rms: float
     quantum: float
-    """Largest step between the values that slopes of a line take; 0 where they take any."""
+    """Largest quantum of the slopes of a line; 0 if no line is quantised."""
 
     @property
     def counts(self) -> Array:
@@ -76,7 +76,7 @@ class Marginal(NamedTuple):
 
     @property
     def redundancy(self) -> float:
-        """How many slopes count as one, in classes wide enough for neighbouring slopes to share them."""
+        """Slopes per independent slope, from classes wide enough to hold neighbouring slopes together."""
         cumulative = np.cumsum(self.counts)
         classes = np.minimum(cumulative - self.counts / 2, cumulative[-1] - 0.5) * _CLASSES // cumulative[-1]
         starts = np.flatnonzero(np.diff(classes, prepend=-1))
@@ -84,36 +84,36 @@ class Marginal(NamedTuple):
 
     @property
     def effective(self) -> float:
-        """Independent slopes."""
+        """Number of independent slopes."""
         return self.size / self.redundancy
 
     @property
     def rounding(self) -> float:
-        """Mean square of what rounding the heights may have changed slopes by, over that of the slopes."""
+        """Mean square error of the slopes by rounding of the heights, over the mean square slope."""
         return float(self.counts @ (2 * self.blur**2).mean(axis=1)) / self.size / self.rms**2
 
     @property
     def slope_rms(self) -> float:
-        """Of an isotropic surface, which has twice the mean square slope of any line on it."""
+        """Slope rms of an isotropic surface: √2 times that along a line."""
         return float(np.sqrt(2) * self.rms)
 
     @property
     def measured_to(self) -> float:
-        """The last edge beyond which a hundred independent slopes lie."""
+        """The largest edge beyond which there are 100 independent slopes."""
         beyond = np.cumsum(self.counts[::-1])[::-1]
         return float(self.bins[np.flatnonzero(beyond >= min(100 * self.redundancy, beyond[0]))[-1], 0])
 
     @property
     def rms_of_halves(self) -> Array:
-        """(1 + halves,) rms of all slopes and of those of the halves, as the bins tell it."""
+        """(1 + halves,) rms of all slopes and of each half-sample, from the bins."""
         counts = self.halves()
         return np.asarray(np.sqrt(counts @ self.middles**2 / counts.sum(axis=1)))
 
     def halves(self) -> Array:
-        """Counts of all stretches, and of as many halves of them, each counted twice (stretches, bins).
+        """Counts (stretches, bins): of all stretches, then of balanced half-samples of them, doubled.
 
-        The halves are the rows of a Hadamard matrix: the mean square deviation over them is the variance of what is estimated from
-        all stretches, exactly so for what is linear in the counts, and they are as far off as the lines themselves may be.
+        The half-samples are the rows of a Hadamard matrix. The mean square deviation over them is the variance of an estimate
+        from all stretches; exactly so for estimates that are linear in the counts.
 
         References
         ----------
@@ -126,42 +126,42 @@ class Marginal(NamedTuple):
         return np.asarray(weights @ self.by_stretch)
 
     def shares(self, below: Callable[[Array], Array]) -> Array:
-        """From what part of a model lies within ± p, (..., parts) of p (...), its share of each bin (bins, parts)."""
+        """Probabilities of the bins (bins, parts) of a model; ``below`` gives its probability within ± p, (..., parts) of p (...)."""
         low, high = (below(edge[:, None] + self.blur).mean(axis=1) for edge in self.bins.T)
         return np.asarray((high - low) * self.share[:, None])
 
-    def over(self, scale: float) -> Marginal:
-        """The slopes over a scale."""
+    def over(self, scale: float) -> LineSlopeCounts:
+        """The same counts of slopes divided by ``scale``."""
         return self._replace(
             bins=self.bins / scale, blur=self.blur / scale, rms=self.rms / scale, quantum=self.quantum / scale
         )
 
 
-def count(lines: Sequence[xr.Dataset]) -> Marginal:
+def count_slopes(lines: Sequence[xr.Dataset]) -> LineSlopeCounts:
     """Count the slopes between neighbouring points of lines, each line's mean removed.
 
-    Points next to a missing height are left out. Where the heights come in steps, slopes take multiples of a quantum alone. Then
-    a bin holds whole multiples. From a difference of heights, rounding makes the multiple above or below with probabilities in
-    proportion (for heights over many steps), so what lies between two multiples is shared out between them: an edge is crossed
-    anywhere within half a quantum of it. Lines of different quantum are counted in bins of their own.
+    Slopes next to a missing height are left out. Of quantised heights, slopes are multiples of a quantum, and a bin holds whole
+    multiples. If the heights vary over many steps, rounding turns a slope into the multiple above or below with probabilities
+    in proportion to the distances: slopes within half a quantum of an edge may cross it. Lines of different quantum are counted
+    in separate bins.
 
     Raises
     ------
-    FacetError : a line of fewer than 63 slopes, or whose slopes are all equal, or slopes that no surface has.
+    FacetError : a line has fewer than 63 slopes, slopes that are all equal, or an impossible slope rms.
     """
     profiles = [_profile(line) for line in lines]
     profiles.sort(key=lambda profile: profile.quantum)
     quanta = np.array([profile.quantum for profile in profiles])
     begins = np.flatnonzero(quanta[1:] > 1.01 * quanta[:-1]) + 1
     parts = [_count_alike(profiles[a:b]) for a, b in zip([0, *begins], [*begins, len(profiles)], strict=True)]
-    return parts[0] if len(parts) == 1 else _together(parts)
+    return parts[0] if len(parts) == 1 else _combined(parts)
 
 
-def _together(parts: Sequence[Marginal]) -> Marginal:
+def _combined(parts: Sequence[LineSlopeCounts]) -> LineSlopeCounts:
     sizes = np.array([part.size for part in parts]) / sum(part.size for part in parts)
     bins = np.concatenate([part.bins for part in parts])
     order = np.argsort(bins.sum(axis=1), kind="stable")
-    return Marginal(
+    return LineSlopeCounts(
         bins[order],
         np.concatenate([part.by_stretch for part in parts], axis=1)[:, order],
         np.concatenate([size * part.share for size, part in zip(sizes, parts, strict=True)])[order],
@@ -171,14 +171,14 @@ def _together(parts: Sequence[Marginal]) -> Marginal:
     )
 
 
-def _count_alike(profiles: Sequence[_Profile]) -> Marginal:
+def _count_alike(profiles: Sequence[_Profile]) -> LineSlopeCounts:
     """Count the slopes of lines of one quantum."""
     quantum = float(np.mean([profile.quantum for profile in profiles]))
     blur = _blur(profiles, quantum)
     edges, fine = _fine_counts(profiles, quantum)
     counts = fine.sum(axis=0)
     mean_square = float(counts @ (edges[1:] ** 2 + edges[:-1] ** 2)) / 2 / float(counts.sum())
-    # Rounding two heights adds q²/6, of which the blur about the edges is the half.
+    # Rounding two heights adds q²/6; half of it is the blur about the edges.
     rms = float(np.sqrt(max(mean_square - float(np.mean(blur**2)) - quantum**2 / 12, mean_square / 4)))
     wanted = rms * np.sinh(np.linspace(0, np.arcsinh(edges[-1] / rms), BINS + 1))
     if quantum:
@@ -187,11 +187,11 @@ def _count_alike(profiles: Sequence[_Profile]) -> Marginal:
         cuts = np.unique(np.concatenate([[0], np.minimum(np.searchsorted(edges, wanted), edges.size - 1)]))
         edges, by_stretch = edges[cuts], np.add.reduceat(fine, cuts[:-1], axis=1).astype(float)
     bins = np.column_stack([edges[:-1], edges[1:]])
-    return Marginal(bins, by_stretch, np.ones(len(bins)), np.tile(blur, (len(bins), 1)), rms, quantum)
+    return LineSlopeCounts(bins, by_stretch, np.ones(len(bins)), np.tile(blur, (len(bins), 1)), rms, quantum)
 
 
 def _blur(profiles: Sequence[_Profile], quantum: float) -> Array:
-    """Where about an edge slopes are rounded across it: within half a quantum, and by what of their mean is no whole multiple."""
+    """Distances from an edge at which slopes are rounded across it: half a quantum either way, plus the remainder of their mean."""
     if not quantum:
         return np.zeros(1)
     places = [np.linspace(0, profile.size - 1, 64).astype(int) for profile in profiles]
@@ -223,50 +223,50 @@ def _count_multiples(profiles: Sequence[_Profile], quantum: float, wanted: Array
 
 
 class _Profile(NamedTuple):
-    """Heights of a line, and what its slopes are like."""
+    """Height differences of a line, with the mean and the quantisation of its slopes."""
 
     rises: Array
-    """Differences between neighbouring heights, or the heights where none is missing: then all differences are there."""
-    there: NDArray[np.intp] | None
-    """Where the differences stand in the line; None where all are there."""
+    """Differences between neighbouring heights; the heights themselves if none is missing."""
+    present: NDArray[np.intp] | None
+    """Positions of the differences in the line; None if none is missing."""
     pitch: float
     size: int
     """Number of slopes."""
     mean: float
     quantum: float
     offset: float
-    """Slope on which, and on whose multiples of the quantum, the first slope lies; 0 without a quantum."""
+    """A value that the first slope may take, modulo the quantum; 0 without a quantum."""
     bend: float
-    """By how much it grows from slope to slope: a parabola was subtracted from heights in steps."""
+    """Growth of the offset from slope to slope, caused by a parabola subtracted from quantised heights."""
 
     def places(self, numbers: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Where in the line the slopes of given numbers stand."""
-        return numbers if self.there is None else self.there[numbers]
+        """Positions in the line of slopes given by number."""
+        return numbers if self.present is None else self.present[numbers]
 
     def shift(self, places: NDArray[np.intp], quantum: float) -> Array | float:
-        """What to take from the slopes at places: their mean; with a quantum, the nearest value that they may take."""
+        """What to subtract from slopes: their mean; of quantised ones, the possible value nearest to it."""
         if not quantum:
             return self.mean
         lattice = self.offset + self.bend * places
-        # Whole multiples are removed, lest lines of different tilt lie on different multiples; the rest of each mean blurs.
+        # Whole multiples are removed, so that lines of different tilt share them; the remainder of each mean adds to the blur.
         return np.asarray(lattice + quantum * np.rint((self.mean - lattice) / quantum))
 
 
 def _profile(line: xr.Dataset) -> _Profile:
     height, pitch = np.asarray(line["height"].values), float(line.attrs["pitch_x"])
     if height.size > 1 and np.isfinite(height.sum(dtype=float)):
-        rises, there, size = height, None, height.size - 1
+        rises, present, size = height, None, height.size - 1
         total, sample = float(height[-1]) - float(height[0]), np.diff(height[: _SAMPLED + 1].astype(float))
     else:
         rises = np.diff(height.astype(float))
-        there = np.flatnonzero(np.isfinite(rises))
-        rises, size = rises[there], there.size
+        present = np.flatnonzero(np.isfinite(rises))
+        rises, size = rises[present], present.size
         total, sample = float(rises.sum()), rises[:_SAMPLED]
-    if size < LEAST:
+    if size < MIN_SLOPES:
         raise FacetError(
-            f"a line profile has {size} slopes between neighbouring heights, at least {LEAST} are needed; measure a longer line"
+            f"a line profile has {size} slopes between neighbouring heights; at least {MIN_SLOPES} are needed; measure a longer line"
         )
-    profile = _Profile(rises, there, pitch, size, total / (size * pitch), 0.0, 0.0, 0.0)
+    profile = _Profile(rises, present, pitch, size, total / (size * pitch), 0.0, 0.0, 0.0)
     sample = sample / pitch - profile.mean
     _check_slopes(sample, profile.mean)
     quantum, offset, bend = _lattice(sample, profile.places(np.arange(sample.size)))
@@ -274,20 +274,20 @@ def _profile(line: xr.Dataset) -> _Profile:
 
 
 def _check_slopes(slopes: Array, mean: float) -> None:
-    """Refuse slopes about their mean that are all equal, or none that a surface can have."""
+    """Refuse slopes about their mean that are all equal, or of an impossible rms."""
     largest = float(np.abs(slopes).max())
     if largest <= 1e-12 * abs(mean):
         raise FacetError("a line profile is flat: all its slopes are equal; check the heights (`surface.file`)")
     rms = largest * float(np.sqrt(np.mean((slopes / largest) ** 2)))
     if not _SLOPE_RMS[0] < rms < _SLOPE_RMS[1]:
         raise FacetError(
-            f"the slope rms {rms:.2g} of a line profile is none that a surface can have; check the unit of the heights "
+            f"impossible slope rms {rms:.2g} of a line profile; accepted: {_SLOPE_RMS[0]:g} to {_SLOPE_RMS[1]:g}; check the unit of the heights "
             "(`surface.unit`) and of the pitch (`surface.lateral_unit`)"
         )
 
 
 def _stretches(profiles: Sequence[_Profile], quantum: float) -> Iterator[tuple[int, Array]]:
-    """Slopes of all lines less the shift of each, some at a time, and the number of the stretch they belong to."""
+    """Slopes of all lines less the shift of each, in chunks, with the number of their stretch."""
     borders = np.linspace(0, sum(profile.size for profile in profiles), STRETCHES + 1).astype(int)
     slopes, begin = np.empty(_CHUNK), 0
     for profile in profiles:
@@ -300,7 +300,7 @@ def _stretches(profiles: Sequence[_Profile], quantum: float) -> Iterator[tuple[i
             for start in range(low, high, _CHUNK):
                 stop = min(start + _CHUNK, high)
                 part = slopes[: stop - start]
-                if profile.there is None:
+                if profile.present is None:
                     np.subtract(profile.rises[start + 1 : stop + 1], profile.rises[start:stop], out=part, dtype=float)
                     part *= 1 / profile.pitch
                 else:
@@ -311,29 +311,29 @@ def _stretches(profiles: Sequence[_Profile], quantum: float) -> Iterator[tuple[i
 
 
 def _lattice(slopes: Array, places: NDArray[np.intp]) -> tuple[float, float, float]:
-    """Quantum of slopes that take few values, a value they take, and its growth from place to place; zeros where they take any.
+    """Quantum of slopes, a value they take, and its growth along the line; zeros if the slopes are not quantised.
 
-    A parabola that was subtracted makes what they take grow along the line. Three heights in steps then bend by it and whole
-    quanta: the least of all bends is the parabola's, which hardly bends by half a quantum itself.
+    Subtracting a parabola makes the possible values grow along the line. The second differences are then that growth plus whole
+    quanta; the smallest of them is the growth, which is less than half a quantum.
 
-    The quantum is that of the lowest frequency at which the characteristic function comes back towards 1: unlike a greatest
-    common divisor, it stands heights that were rounded once more when they were printed.
+    The quantum is the inverse of the lowest frequency at which the characteristic function returns towards 1. Unlike a greatest
+    common divisor, this tolerates heights that were rounded a second time when they were printed.
     """
     from scipy.fft import rfft
 
     bends = np.diff(slopes)[np.diff(places) == 1]
     bend = float(bends[np.argmin(np.abs(bends))]) if bends.size else 0.0
-    bend = float(np.mean(bends[np.abs(bends - bend) <= _BENT_ALIKE * np.abs(bends).max()])) if bends.size else 0.0
+    bend = float(np.mean(bends[np.abs(bends - bend) <= _EQUAL_BENDS * np.abs(bends).max()])) if bends.size else 0.0
     slopes = slopes - bend * places
     rms = float(slopes.std())
     centre = float(np.median(slopes))
     slopes = slopes - centre
     if rms == 0:
         return 0.0, 0.0, 0.0
-    values, counts = np.unique(np.rint(slopes / (_ALIKE * rms)), return_counts=True)
+    values, counts = np.unique(np.rint(slopes / (_EQUAL_SLOPES * rms)), return_counts=True)
     if values.size > slopes.size / 2:
         return 0.0, 0.0, 0.0
-    values = values * _ALIKE
+    values = values * _EQUAL_SLOPES
     near = np.abs(values) < _REACH
     values, counts = values[near], counts[near]
     bins = int(2 * _REACH / _FINEST) * 2
@@ -344,14 +344,14 @@ def _lattice(slopes: Array, places: NDArray[np.intp]) -> tuple[float, float, flo
     if peaks.size == 0:
         return 0.0, 0.0, 0.0
     quantum, offset = 2 * _REACH / float(peaks[0]), 0.0
-    # The peak tells the quantum within a few per cent, enough to count the steps from value to value; they tell it exactly.
+    # The peak gives the quantum within a few per cent, enough to count the steps between values; the counts then give it exactly.
     for _ in range(2):
         steps = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(values) / quantum))])
         if steps[-1] < 2:
-            # Two values are the shape of the surface.
+            # Slopes of two values are the shape of the surface, not quantisation.
             return 0.0, 0.0, 0.0
         quantum, offset = np.polyfit(steps, values, 1, w=np.sqrt(counts)).tolist()
-    # So are any values beside a plateau.
+    # So are arbitrary values next to a plateau.
     others = np.where(counts < counts.max(), counts, 0)
     if abs(others @ np.exp(2j * np.pi * values / quantum)) < 0.5 * others.sum():
         return 0.0, 0.0, 0.0

@@ -1,12 +1,12 @@
-"""Facet distribution from line profiles, which see only the slopes along themselves.
+"""Facet distribution from line profiles, which contain only the slopes along the line.
 
-A line gives the marginal P1(p) of the slope density, not the density. Three ways lead from it to two dimensions:
+A line gives the marginal P1(p) of the slope density, not the density. Three methods invert it to two dimensions:
 
-``mixture``  P1 = Σ w_k N(0, σ_k²) is fitted; the same weights make P22 = Σ w_k N₂(0, σ_k²). Where the fit fails, ``abel``.
+``mixture``  P1 = Σ w_k N(0, σ_k²) is fitted; the same weights make P22 = Σ w_k N₂(0, σ_k²). Where the fit fails, ``abel`` is used.
 ``abel``     P22 as rings of constant density, whose marginals are fitted to P1 with non-negative heights, as smooth as the counts allow.
-``crf``      the patent's: the histogram of arctan|p| taken for D. Near-right for gentle Gaussian slopes only: off by K·cos²α.
+``crf``      the patent's: the histogram of arctan|p| is used as D. Approximate, for gentle Gaussian slopes only: wrong by K·cos²α.
 
-The uncertainty is that of the stretches of the lines: every way is gone again with halves of them.
+The uncertainty comes from half-samples: each method is repeated with balanced halves of the stretches of the lines.
 """
 
 from __future__ import annotations
@@ -16,33 +16,45 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.facets.assembly import planar_dataset, principal_ellipse, radial_dataset, with_noise_warning
-from brdfpipe.facets.counting import FacetError
-from brdfpipe.facets.inversion import Mixture, fit_mixture, of_mixture, of_patent, of_rings, ratio_of
-from brdfpipe.facets.marginal import Marginal, count
+from brdfpipe.facets.facet_dataset import (
+    planar_dataset,
+    principal_ellipse,
+    quality_flags,
+    radial_dataset,
+    with_noise_warning,
+)
+from brdfpipe.facets.line_inversion import (
+    Mixture,
+    estimate_from_mixture,
+    estimate_from_patent,
+    estimate_from_rings,
+    fit_mixture,
+    ratio_of,
+)
+from brdfpipe.facets.line_slope_counts import LineSlopeCounts, count_slopes
 from brdfpipe.facets.planar_density import PlanarDensity
+from brdfpipe.facets.slope_histogram import FacetError
 from brdfpipe.facets.slopes import SCALES, correlation_length, mean_square
 from brdfpipe.geometry import Array
 
 METHODS = ("mixture", "abel", "crf")
 
 MISFIT_LIMIT = 3.0
-"""Reduced χ² above which slopes are no mixture of Gaussians."""
+"""Reduced χ² above which a mixture of Gaussians does not fit the slopes."""
 
 AZIMUTH_TOLERANCE = 1.0
 """Lines whose azimuths differ by no more run in one direction; two directions are perpendicular to the same [degree]."""
 
 COARSE_QUANTUM = 0.5
-"""Step between slopes, in their rms, above which coarse heights are warned of."""
+"""Slope of one height step, over the slope rms, above which a warning is given."""
 
-FEW = 1000
-"""Independent slopes below which few slopes are warned of: the peak is then known to 15 % or worse."""
+MIN_INDEPENDENT = 1000
+"""Independent slopes below which a warning is given: the relative uncertainty of the peak is then 15 % or more."""
 
-_HIDDEN = 100
-"""Slopes that it takes to tell how correlated they are: of as many, the scatter of the halves is too small by √2."""
+_CORRELATION_COST = 100
+"""Independent slopes at which the correlation of the slopes is so uncertain that half-samples understate the scatter by √2."""
 
 
 class _Direction(NamedTuple):
@@ -50,28 +62,28 @@ class _Direction(NamedTuple):
     lines: Sequence[xr.Dataset]
 
 
-def of_lines(lines: Sequence[xr.Dataset], method: str, isotropic: bool | None) -> xr.Dataset:
+def estimate_from_lines(lines: Sequence[xr.Dataset], method: str, isotropic: bool | None) -> xr.Dataset:
     """Facet distribution of levelled line profiles; see :func:`brdfpipe.facets.estimate`."""
     if isotropic is True:
         return _isotropic(lines, method)
     directions = _directions(lines)
-    found = ", ".join(f"{direction.azimuth:.4g}°" for direction in directions)
+    azimuths = ", ".join(f"{direction.azimuth:.4g}°" for direction in directions)
     if len(directions) == 1:
         raise FacetError(
-            f"lines in a single direction ({found}) give the slopes along it alone; set `surface.isotropic: true` in "
-            "material.yaml if the surface scatters alike in every azimuth, or give a second line perpendicular to the first "
-            "in `surface.scans`, with its `azimuth`"
+            f"all lines run in one direction ({azimuths}), and the slopes across it are unknown; set `surface.isotropic: true` in "
+            "material.yaml if the surface is isotropic, or add a line perpendicular to the first in `surface.scans`, with "
+            "its `azimuth`"
         )
     turn = directions[1].azimuth - directions[0].azimuth
     if len(directions) > 2 or abs(turn - 90) > AZIMUTH_TOLERANCE:
         raise FacetError(
             f"lines of a surface with a lay must run in two perpendicular directions (within {AZIMUTH_TOLERANCE:g}°), along the "
-            f"lay and across it; found {len(directions)}, at {found}. Leave out the others in `surface.scans`, mend their "
-            "`azimuth`, or set `surface.isotropic: true` if the surface scatters alike in every azimuth"
+            f"lay and across it; found {len(directions)}, at {azimuths}. Remove the others from `surface.scans`, correct their "
+            "`azimuth`, or set `surface.isotropic: true` if the surface is isotropic"
         )
     if method != "mixture":
         raise FacetError(
-            f"method {method!r} takes lines of an isotropic surface alone; accepted for two directions: mixture"
+            f"method {method!r} is for lines on an isotropic surface; accepted for two directions: mixture"
         )
     return _perpendicular(directions)
 
@@ -80,7 +92,9 @@ def _directions(lines: Sequence[xr.Dataset]) -> list[_Direction]:
     """Lines by azimuth in [0, 180), those within the tolerance of a neighbour together under their mean."""
     azimuths = np.array([float(line.attrs.get("azimuth", 0.0)) for line in lines])
     if not np.isfinite(azimuths).all():
-        raise FacetError("a line's azimuth is no number; accepted: degrees (`surface.azimuth`, `surface.scans`)")
+        raise FacetError(
+            "the azimuth of a line is not a finite number; accepted: degrees (`surface.azimuth`, `surface.scans`)"
+        )
     azimuths %= 180
     order = np.argsort(azimuths, kind="stable")
     # A direction begins where the gap to the one before is wide; about 180° it may begin before 0°.
@@ -88,84 +102,84 @@ def _directions(lines: Sequence[xr.Dataset]) -> list[_Direction]:
     first = int(np.argmax(begins))
     order, begins = np.roll(order, -first), np.roll(begins, -first)
     groups = np.split(order, np.flatnonzero(begins[1:]) + 1)
-    found = []
+    directions = []
     for group in groups:
         about = azimuths[group[0]]
         mean = about + float(np.mean((azimuths[group] - about + 90) % 180 - 90))
-        found.append(_Direction(round(mean, 9) % 180, [lines[n] for n in group]))
-    return sorted(found, key=lambda direction: direction.azimuth)
+        directions.append(_Direction(round(mean, 9) % 180, [lines[n] for n in group]))
+    return sorted(directions, key=lambda direction: direction.azimuth)
 
 
 # --- an isotropic surface
 
 
 def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
-    marginal = count(lines)
+    marginal = count_slopes(lines)
     history, warnings = ["declared isotropic"], []
     if method == "crf":
-        inverted = of_patent(marginal)
+        inverted = estimate_from_patent(marginal)
         warnings.append(
-            "method crf takes the histogram of the slopes along the line for the facet distribution: it differs from the "
-            "distribution by cos²α on Gaussian surfaces and more on others; method mixture does not"
+            "method crf uses the histogram of the slopes along the line as the facet distribution: the error is a factor cos²α on "
+            "Gaussian surfaces and larger on others; use method mixture"
         )
     else:
         fit = fit_mixture([marginal])
-        inverted = of_mixture(marginal, fit)
+        inverted = estimate_from_mixture(marginal, fit)
     if method == "mixture":
         history.append(f"Gaussian scale mixture fitted to the slopes along the line, reduced χ² {fit.misfit:.2f}")
         if fit.misfit > MISFIT_LIMIT:
             warnings.append(
-                f"the slopes along the line are no mixture of Gaussians (reduced χ² {fit.misfit:.1f}), so rings were fitted instead "
-                "(method abel): the surface may be grooved or not isotropic; measure an areal map"
+                f"a mixture of Gaussians does not fit the slopes along the line (reduced χ² {fit.misfit:.1f}); rings were fitted instead "
+                "(method abel). The surface may be grooved or anisotropic; measure an areal map"
             )
             method = "abel"
     if method == "abel":
-        rings = of_rings(marginal, fit)
+        rings = estimate_from_rings(marginal, fit)
         if rings is None:
             warnings.append(
-                "rings do not keep the mean slope along the line, whose heights likely come in coarse steps: a mixture of Gaussians "
-                "was taken for what lies between; measure with a finer height resolution, or an areal map"
+                "rings (method abel) do not reproduce the mean slope along the line, probably because the height steps are coarse; a "
+                "mixture of Gaussians was fitted instead. Measure with a finer height resolution, or an areal map"
             )
             method = "mixture"
             if fit.misfit > MISFIT_LIMIT:
                 inverted = inverted._replace(relative_u=np.ones_like(inverted.relative_u))
         else:
             inverted = rings
-    density, relative_u = inverted.density, _with_hidden(inverted.relative_u, [marginal])
+    density, relative_u = inverted.density, _with_rounding_and_sampling(inverted.relative_u, [marginal])
     facets = radial_dataset(density, inverted.slope_rms)
     facets = facets.assign(
-        slope_density_quality=("slope", _quality(density.slope <= marginal.measured_to)),
+        slope_density_quality=("slope", quality_flags(density.slope <= marginal.measured_to)),
         D_u=("alpha", facets["D"].values * relative_u),
     )
     facets.attrs |= {"method": f"line profile, {method}", "band": str(lines[0].attrs["band"])}
     facets = vocabulary.add_warning(
-        vocabulary.add_history(facets, *history), *warnings, *_few([marginal], relative_u[0])
+        vocabulary.add_history(facets, *history), *warnings, *_short_line_warning([marginal], relative_u[0])
     )
     facets = _with_statistics(facets, lines, [marginal], np.sqrt(2) * _slope_rms_by_scale(lines))
     return vocabulary.label(facets, "facets")
 
 
-def _with_hidden(relative_u: Array, marginals: Sequence[Marginal]) -> Array:
-    """Relative uncertainty with what halves of the stretches do not show: the shape between coarse steps, and few slopes'."""
-    few = 1 + _HIDDEN / min(marginal.effective for marginal in marginals)
+def _with_rounding_and_sampling(relative_u: Array, marginals: Sequence[LineSlopeCounts]) -> Array:
+    """Relative uncertainty, with the parts that half-samples do not show: coarse height steps, and few slopes."""
+    few = 1 + _CORRELATION_COST / min(marginal.effective for marginal in marginals)
     rounding = max(marginal.rounding for marginal in marginals)
     return np.asarray(np.minimum(1.0, np.sqrt(relative_u**2 * few + rounding**2)))
 
 
-def _few(marginals: Sequence[Marginal], peak_u: float) -> list[str]:
+def _short_line_warning(marginals: Sequence[LineSlopeCounts], peak_u: float) -> list[str]:
     effective = min(marginal.effective for marginal in marginals)
-    if effective >= FEW:
+    if effective >= MIN_INDEPENDENT:
         return []
     return [
-        f"no more than {effective:.0f} independent slopes along the line: the peak of the density is known to {peak_u:.0%}; "
+        f"only {effective:.0f} independent slopes along the line: the relative uncertainty of the peak density is {peak_u:.0%}; "
         "measure a longer line, or add lines of the same surface (`surface.scans`)"
     ]
 
 
 def _with_statistics(
-    facets: xr.Dataset, lines: Sequence[xr.Dataset], marginals: Sequence[Marginal], by_scale: Array
+    facets: xr.Dataset, lines: Sequence[xr.Dataset], marginals: Sequence[LineSlopeCounts], by_scale: Array
 ) -> xr.Dataset:
-    """Statistics of lines, and what is said about coarse or noisy heights."""
+    """Add the statistics of the lines, and warnings about coarse or noisy heights."""
     facets = facets.assign(
         facet_count=float(sum(marginal.size for marginal in marginals)),
         effective_count=float(sum(marginal.effective for marginal in marginals)),
@@ -177,13 +191,14 @@ def _with_statistics(
         if marginal.quantum:
             step = f"multiples of up to {marginal.quantum:.3g}, {marginal.quantum / marginal.rms:.0%} of their rms"
             facets = vocabulary.add_history(
-                facets, f"the heights come in steps: slopes along a line are {step}, and were counted in whole ones"
+                facets,
+                f"the heights are quantised: slopes along a line are {step}, and were counted in whole multiples",
             )
         if marginal.quantum > COARSE_QUANTUM * marginal.rms:
             facets = vocabulary.add_warning(
                 facets,
-                f"the heights come in coarse steps: slopes along a line are {step}, so what lies between is inferred; "
-                "measure with a finer height resolution, or at a larger pitch",
+                f"coarse height steps: slopes along a line are {step}; the density between these values is inferred. "
+                "Measure with a finer height resolution, or at a larger pitch",
             )
     return with_noise_warning(facets)
 
@@ -199,10 +214,6 @@ def _slope_rms_by_scale(lines: Sequence[xr.Dataset]) -> Array:
     return np.sqrt(squares)
 
 
-def _quality(trusted: NDArray[np.bool_]) -> NDArray[np.int8]:
-    return np.where(trusted, vocabulary.quality("measured"), vocabulary.quality("extrapolated")).astype(np.int8)
-
-
 # --- two perpendicular directions
 
 
@@ -211,7 +222,9 @@ def _perpendicular(directions: Sequence[_Direction]) -> xr.Dataset:
 
     The slopes in each direction, over their rms, are drawn from one scale mixture; P22 = Σ w_k N(p; σ_k a) N(q; σ_k b).
     """
-    counted = sorted(((count(each.lines), each) for each in directions), key=lambda pair: pair[0].rms)
+    counted = sorted(
+        ((count_slopes(direction.lines), direction) for direction in directions), key=lambda pair: pair[0].rms
+    )
     marginals = [marginal for marginal, _ in counted]
     along, across = (marginal.rms for marginal in marginals)
     fit = fit_mixture([marginal.over(marginal.rms) for marginal in marginals])
@@ -219,14 +232,16 @@ def _perpendicular(directions: Sequence[_Direction]) -> xr.Dataset:
     density = PlanarDensity.elliptic(fit.density, ellipse, 8.3 * fit.widest)
     facets = planar_dataset(density, float(np.hypot(along, across)))
     x, y = density.along.nodes, density.across.nodes[:, None]
-    relative_u = _with_hidden(_planar_uncertainty(density, fit, marginals) * np.sqrt(max(1.0, fit.misfit)), marginals)
+    relative_u = _with_rounding_and_sampling(
+        _planar_uncertainty(density, fit, marginals) * np.sqrt(max(1.0, fit.misfit)), marginals
+    )
     trusted = (x / marginals[0].measured_to) ** 2 + (y / marginals[1].measured_to) ** 2 <= 1
     dims = ("slope_across", "slope_along")
     facets = facets.assign(
         slope_density_u=(dims, density.density * relative_u),
-        slope_density_quality=(dims, _quality(trusted)),
+        slope_density_quality=(dims, quality_flags(trusted)),
     )
-    lines = [line for each in directions for line in each.lines]
+    lines = [line for direction in directions for line in direction.lines]
     facets.attrs |= {"method": "two perpendicular lines, Gaussian scale mixture", "band": str(lines[0].attrs["band"])}
     facets = vocabulary.add_history(
         facets, "the lay was taken to run along one of the two lines, and the density to be elliptic about it"
@@ -234,14 +249,16 @@ def _perpendicular(directions: Sequence[_Direction]) -> xr.Dataset:
     if fit.misfit > MISFIT_LIMIT:
         facets = vocabulary.add_warning(
             facets,
-            f"the slopes along the two lines do not share one mixture of Gaussians (reduced χ² {fit.misfit:.1f}); measure an areal map",
+            f"one mixture of Gaussians does not fit the slopes along both lines (reduced χ² {fit.misfit:.1f}); measure an areal map",
         )
-    facets = vocabulary.add_warning(facets, *_few(marginals, float(relative_u.flat[relative_u.size // 2])))
-    by_scale = np.hypot(*(_slope_rms_by_scale(each.lines) for each in directions))
+    facets = vocabulary.add_warning(
+        facets, *_short_line_warning(marginals, float(relative_u.flat[relative_u.size // 2]))
+    )
+    by_scale = np.hypot(*(_slope_rms_by_scale(direction.lines) for direction in directions))
     return vocabulary.label(_with_statistics(facets, lines, marginals, by_scale), "facets")
 
 
-def _planar_uncertainty(density: PlanarDensity, fit: Mixture, marginals: Sequence[Marginal]) -> Array:
+def _planar_uncertainty(density: PlanarDensity, fit: Mixture, marginals: Sequence[LineSlopeCounts]) -> Array:
     """Relative standard uncertainty (across, along), of halves of the stretches: of the mixture's, and of the ratio of the widths.
 
     As on an isotropic surface, the mean square is taken over slopes within a factor of 1.35.
@@ -251,11 +268,11 @@ def _planar_uncertainty(density: PlanarDensity, fit: Mixture, marginals: Sequenc
     widths = np.stack([marginal.rms_of_halves for marginal in marginals])
     sizes = np.array([[marginal.size] for marginal in marginals])
     relative = (widths / widths[:, :1]) ** 2
-    # How wide both are is the mixture's own.
+    # The common width is already in the uncertainty of the mixture.
     relative /= (sizes * relative).sum(axis=0) / sizes.sum()
     middle = density.along.size // 2
     x, y = (axis.nodes[middle:] / axis.scale for axis in (density.along, density.across))
-    # Density halves are symmetric: a quarter of the grid tells all.
+    # Densities of half-samples are symmetric: a quarter of the grid is enough.
     first = fit.density(x**2 + y[:, None] ** 2)
     square = np.zeros_like(first)
     for half, (ratio_x, ratio_y) in enumerate(relative.T[1:], start=1):

@@ -1,4 +1,4 @@
-"""From the slopes along a line to the radial slope density whose marginal they are: three ways, with uncertainty."""
+"""Invert the slopes along a line, a marginal, to a radial slope density: three methods, with uncertainty."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from brdfpipe.facets.marginal import Marginal
+from brdfpipe.facets.line_slope_counts import LineSlopeCounts
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 
@@ -16,29 +16,29 @@ _NODES = 384
 _RINGS = 64
 
 
-_SPREAD = 0.3
-"""Of the logarithm of the widths that the fit begins with: broad enough for heavy tails, narrow enough for a Gaussian."""
+_START_SPREAD = 0.3
+"""Spread of the logarithm of the widths at the start of the fit: broad enough for heavy tails, narrow enough for a Gaussian."""
 
-_GAIN = 0.03
-"""Log-likelihood of an independent slope below which a round no longer tells anything."""
+_MIN_GAIN = 0.03
+"""Gain of log-likelihood per independent slope below which the iteration stops."""
 
 _ROUNDS, _LONGEST_LEAP = 60, 32.0
 
 
-class Inverted(NamedTuple):
+class RadialEstimate(NamedTuple):
     """Slope density of an isotropic surface, from a line on it."""
 
     density: RadialDensity
     slope_rms: float
     relative_u: Array
-    """On the nodes of the density, at most 1."""
+    """Relative standard uncertainty on the nodes of the density, at most 1."""
 
 
 def _relative_uncertainty(slope: Array, densities: Array) -> Array:
-    """Of the first of several densities (1 + halves, slope), the relative standard uncertainty that the halves show; at most 1.
+    """Relative standard uncertainty of the first of several densities (1 + halves, slope), from the scatter of the half-samples; at most 1.
 
-    Where a nearly Gaussian density widens, it falls at small slopes and rises at large ones: between, its halves agree and yet
-    share an error of shape. So the mean square is taken over the slopes within a factor of 1.35.
+    If the width of a nearly Gaussian density is wrong, small slopes are too rare and large ones too frequent. Between them the
+    half-samples agree by accident, so the mean square is taken over slopes within a factor of 1.35.
     """
     square = np.mean((ratio_of(densities[1:], densities[0]) - 1) ** 2, axis=0)
     total = np.concatenate([[0.0], np.cumsum(square)])
@@ -47,7 +47,7 @@ def _relative_uncertainty(slope: Array, densities: Array) -> Array:
 
 
 def ratio_of(density: Array, reference: Array) -> Array:
-    """How many times a reference a density is; no more than a million, beyond which neither is known."""
+    """Density over a reference, at most 1e6."""
     return np.asarray(np.minimum(density / np.maximum(reference, 1e-290), 1e6))
 
 
@@ -74,12 +74,12 @@ class Mixture(NamedTuple):
         return np.asarray(kernel @ self.weights[half].T)
 
 
-def fit_mixture(marginals: Sequence[Marginal]) -> Mixture:
+def fit_mixture(marginals: Sequence[LineSlopeCounts]) -> Mixture:
     """Fit P1(p) = Σ w_k N(0, σ_k²), w >= 0, to one or several marginals, by expectation maximisation on binned |p|.
 
-    The inversion to two dimensions divides each weight by σ_k²: a sliver of narrow components would ruin the peak. So the
-    components begin at half the median slope, the weights begin about a single one, and the iteration stops when twenty more
-    rounds no longer gain likelihood that the counts could tell from noise.
+    The inversion to two dimensions divides each weight by σ_k², so a small weight of narrow components would distort the peak.
+    Therefore the components start at half the median slope, the weights start around a single component, and the iteration
+    stops when 24 more steps gain no significant likelihood.
     """
     from scipy.special import erf
 
@@ -96,21 +96,21 @@ def fit_mixture(marginals: Sequence[Marginal]) -> Mixture:
     parts = [marginal.shares(within) * (marginal.size / size) for marginal in marginals]
     share, counts = np.concatenate(parts), np.concatenate([marginal.halves() for marginal in marginals], axis=1)
     redundancy = max(marginal.redundancy for marginal in marginals)
-    start = np.exp(-0.5 * (np.log(sigma / max(median / 0.6745, low)) / _SPREAD) ** 2)
+    start = np.exp(-0.5 * (np.log(sigma / max(median / 0.6745, low)) / _START_SPREAD) ** 2)
     weights = np.tile(start / start.sum(), (counts.shape[0], 1))
     likelihood = -np.inf
     for _ in range(_ROUNDS):
         for _ in range(8):
-            weights = _leapt(weights, share, counts)
+            weights = _accelerated_em_step(weights, share, counts)
         expected = weights[0] @ share.T
         former, likelihood = likelihood, float(counts[0] @ np.log(np.maximum(expected, 1e-300)))
-        if 0 <= likelihood - former < _GAIN * redundancy:
+        if 0 <= likelihood - former < _MIN_GAIN * redundancy:
             break
     return Mixture(weights, sigma, misfit(counts[0], size * expected, redundancy))
 
 
-def _leapt(weights: Array, share: Array, counts: Array) -> Array:
-    """Three rounds of expectation maximisation (sets, components), with a leap of all their logarithms along the first two.
+def _accelerated_em_step(weights: Array, share: Array, counts: Array) -> Array:
+    """Three steps of expectation maximisation (sets, components), with an extrapolation of the logarithms of the first two.
 
     References
     ----------
@@ -125,36 +125,38 @@ def _leapt(weights: Array, share: Array, counts: Array) -> Array:
     second = maximised(first)
     step = np.log(first / weights)
     bend = np.log(second / first) - step
-    # What hardly weighs must not decide how far to leap.
-    length, change = (np.sum((second * each) ** 2, axis=1, keepdims=True) for each in (step, bend))
+    # Components of small weight must not determine the length of the extrapolation.
+    length, change = (np.sum((second * rate) ** 2, axis=1, keepdims=True) for rate in (step, bend))
     leap = np.clip(np.sqrt(length / np.maximum(change, 1e-300)), 1, _LONGEST_LEAP)
     return maximised(weights * np.exp(np.clip(2 * leap * step + leap**2 * bend, -600, 30)))
 
 
-def of_mixture(marginal: Marginal, fit: Mixture) -> Inverted:
-    """The inversion of a mixture: the same weights, in two dimensions."""
+def estimate_from_mixture(marginal: LineSlopeCounts, fit: Mixture) -> RadialEstimate:
+    """Radial density of a mixture: the same weights, in two dimensions."""
     scale = float(np.sqrt(2 * fit.weights[0] @ fit.sigma**2))
     slope = scale * np.sinh(np.linspace(0, np.arcsinh(8.3 * fit.widest / scale), _NODES))
     densities = fit.density(slope**2, slice(None)).T
-    return Inverted(RadialDensity(slope, densities[0]), marginal.slope_rms, _relative_uncertainty(slope, densities))
+    return RadialEstimate(
+        RadialDensity(slope, densities[0]), marginal.slope_rms, _relative_uncertainty(slope, densities)
+    )
 
 
 def misfit(counts: Array, expected: Array, redundancy: float) -> float:
     """Reduced χ² over bins merged to 25 independent slopes each."""
     group = np.floor(np.cumsum(expected) / (25 * redundancy))
     starts = np.flatnonzero(np.diff(group, prepend=-1))
-    found, wanted = np.add.reduceat(counts, starts), np.add.reduceat(expected, starts)
-    deviation = (found - wanted) ** 2 / np.maximum(wanted, 1e-300)
+    observed, expected_sums = np.add.reduceat(counts, starts), np.add.reduceat(expected, starts)
+    deviation = (observed - expected_sums) ** 2 / np.maximum(expected_sums, 1e-300)
     return float(deviation.sum()) / redundancy / max(1, starts.size - 1)
 
 
 # --- rings
 
 
-def of_rings(marginal: Marginal, fit: Mixture) -> Inverted | None:
-    """Regularised Abel inversion: non-negative rings, as smooth as a fit to the counts of χ² = 1 allows.
+def estimate_from_rings(marginal: LineSlopeCounts, fit: Mixture) -> RadialEstimate | None:
+    """Regularised Abel inversion: non-negative rings, as smooth as a reduced χ² of 1 allows.
 
-    Nothing where they do not keep the mean slope along the line, within a twentieth: slopes of few distinct values hold no rings.
+    Returns None if the rings do not reproduce the mean slope along the line within 5 %, as for slopes of few distinct values.
     """
     from scipy.optimize import nnls
 
@@ -164,7 +166,7 @@ def of_rings(marginal: Marginal, fit: Mixture) -> Inverted | None:
     share = np.diff(marginal.shares(lambda slopes: _disc_below(slopes, rings)), axis=1) / area
     root = 1 / np.sqrt(np.maximum(counts / size, 1 / size) * redundancy / size)
     middle = np.sqrt((rings[1:] ** 2 + rings[:-1] ** 2) / 2)
-    # Smooth means: a slowly varying multiple of the nearest mixture, which has the right tails.
+    # Smoothness is that of the ratio to the fitted mixture, which has the right tails.
     mixtures = np.maximum(fit.density(middle**2, slice(None)).T, 1e-9 * fit.density(np.zeros(1)))
 
     def rings_of(counts: Array, mixture: Array, strength: float) -> Array:
@@ -173,8 +175,8 @@ def of_rings(marginal: Marginal, fit: Mixture) -> Inverted | None:
         return np.asarray(nnls(np.concatenate([root[:, None] * share, smoothness]), aim, maxiter=50 * _RINGS)[0])
 
     strengths = 10.0 ** np.arange(4.0, -4.5, -0.5)
-    misfits = [misfit(counts, size * (share @ rings_of(counts, mixtures[0], each)), redundancy) for each in strengths]
-    # The smoothest that the counts cannot tell from the closest.
+    misfits = [misfit(counts, size * (share @ rings_of(counts, mixtures[0], trial)), redundancy) for trial in strengths]
+    # The strongest smoothing whose misfit is not significantly worse than the best.
     strength = float(strengths[np.flatnonzero(np.array(misfits) <= max(1.0, min(misfits) + 0.2))[0]])
     halves = zip(marginal.halves(), mixtures, strict=True)
     weights = np.array([rings_of(half, mixture, strength) for half, mixture in halves])
@@ -183,17 +185,20 @@ def of_rings(marginal: Marginal, fit: Mixture) -> Inverted | None:
     values = np.concatenate([heights[:, :1], heights, heights[:, -1:]], axis=1)
     density = _normalised(slope, np.maximum(values[0], 1e-12 * heights[0].max()))
     s, weight = density.rule()
-    # Interpolation between the rings must keep their mean slope, and they that along the line; no tail upsets it as a mean square.
+    # Interpolation between rings must keep their mean slope, and the rings that along the line. Unlike the mean square, it is
+    # insensitive to the tail.
     mean_of_rings = 2 * np.pi / 3 * float(np.diff(rings**3) @ heights[0])
     along = marginal.middles
-    kept = float(weight @ s) / mean_of_rings * float(along @ share @ (area * heights[0])) / float(along @ counts / size)
-    if abs(kept - 1) > 0.05:
+    mean_ratio = (
+        float(weight @ s) / mean_of_rings * float(along @ share @ (area * heights[0])) / float(along @ counts / size)
+    )
+    if abs(mean_ratio - 1) > 0.05:
         return None
-    return Inverted(density, marginal.slope_rms, _relative_uncertainty(slope, values))
+    return RadialEstimate(density, marginal.slope_rms, _relative_uncertainty(slope, values))
 
 
 def _disc_below(p: Array, radius: Array) -> Array:
-    """Integral of 2 √(r² − t²) over |t| < p, odd in p: what of a disc's area (p..., radius) has its component in ± p."""
+    """Area (p..., radius) of the part |t| < p of a disc: the integral of 2 √(r² − t²), odd in p."""
     inside = np.clip(p[..., None], -radius, radius)
     ratio = np.divide(inside, radius, out=np.zeros_like(inside), where=radius > 0)
     return np.asarray(2 * inside * np.sqrt(np.maximum(radius**2 - inside**2, 0)) + 2 * radius**2 * np.arcsin(ratio))
@@ -206,8 +211,8 @@ def _normalised(slope: Array, values: Array) -> RadialDensity:
 # --- the patent's
 
 
-def of_patent(marginal: Marginal) -> Inverted:
-    """The histogram of α = arctan|p| taken for D and renormalised: P22 = P1(s) / (1 + s²) up to a constant.
+def estimate_from_patent(marginal: LineSlopeCounts) -> RadialEstimate:
+    """Use the histogram of α = arctan|p| as D, renormalised: P22 = P1(s) / (1 + s²) up to a constant.
 
     Patent US 9,395,299, step b, simplified mode.
     """
@@ -230,4 +235,4 @@ def of_patent(marginal: Marginal) -> Inverted:
     values /= np.trapezoid(values * slope, slope)[:, None]
     density = _normalised(slope, values[0])
     s, weight = density.rule()
-    return Inverted(density, float(np.sqrt(weight @ s**2)), _relative_uncertainty(slope, values))
+    return RadialEstimate(density, float(np.sqrt(weight @ s**2)), _relative_uncertainty(slope, values))

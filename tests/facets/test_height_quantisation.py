@@ -1,4 +1,4 @@
-"""Heights in steps: the step is found whatever was levelled away, and the density is the surface's, not the steps'."""
+"""Quantised heights: the step is found after any levelling, and the density is that of the surface, not of the steps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import samples
 from scipy.ndimage import gaussian_filter
 
 from brdfpipe import facets, surfaces, vocabulary
-from brdfpipe.facets import quantum
+from brdfpipe.facets import height_quantisation
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
 
@@ -27,7 +27,7 @@ def rounded(scan, step):
 
 
 def step_of(scan):
-    return quantum.quantum_of(scan["height"].values, (scan.attrs["pitch_x"], scan.attrs["pitch_y"]))
+    return height_quantisation.height_step(scan["height"].values, (scan.attrs["pitch_x"], scan.attrs["pitch_y"]))
 
 
 @pytest.mark.parametrize("share", [0.03, 0.15, 0.5, 1.0])
@@ -68,12 +68,12 @@ def test_other_heights_are_left_alone(smooth, change):
 
 
 def test_the_spread_of_a_place_does_not_depend_on_the_cut():
-    whole = quantum.spread(slice(0, 300), slice(0, 200))
-    assert np.array_equal(whole[40:60, 7:90], quantum.spread(slice(40, 60), slice(7, 90)))
+    whole = height_quantisation.dither(slice(0, 300), slice(0, 200))
+    assert np.array_equal(whole[40:60, 7:90], height_quantisation.dither(slice(40, 60), slice(7, 90)))
 
 
 def test_the_spread_is_uniform_and_differs_from_neighbour_to_neighbour_like_a_triangle():
-    values = quantum.spread(slice(0, 1000), slice(0, 1000))
+    values = height_quantisation.dither(slice(0, 1000), slice(0, 1000))
     assert -0.5 <= values.min() < -0.4999
     assert 0.4999 < values.max() < 0.5
     # A million values: 0.3 % is three standard deviations or more of each.

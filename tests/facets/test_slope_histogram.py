@@ -7,7 +7,7 @@ import pytest
 import samples
 
 from brdfpipe import facets, vocabulary
-from brdfpipe.facets import counting
+from brdfpipe.facets import slope_histogram
 from brdfpipe.hemisphere import panel_rule
 
 SIGMA = 0.15
@@ -67,14 +67,14 @@ def ggx_counts(seed, a=0.1, clumps=40_000):
     slope = a * np.sqrt((u + steep) / (2 - u - steep))
     block = rng.integers(BLOCKS, size=clumps)
     squares = ((int(b), np.repeat(slope[block == b] ** 2, size[steep[block == b]])) for b in range(BLOCKS))
-    return counting.histogram_of(squares, 1.5 * a, BLOCKS)
+    return slope_histogram.histogram_of(squares, 1.5 * a, BLOCKS)
 
 
 def test_the_uncertainty_follows_clumps_that_grow_with_the_slope_of_a_heavy_tail():
     a, gentle, steep = 0.1, [], []
     for seed in range(12):
-        bins = counting.merged(ggx_counts(seed))
-        density, quality, relative_u = counting.counted_density(bins)
+        bins = slope_histogram.merge_bins(ggx_counts(seed))
+        density, quality, relative_u = slope_histogram.density_from_histogram(bins)
         slope = density.slope
         z = (density.density * np.pi * (a**2 + slope**2) ** 2 / a**2 - 1) / relative_u
         measured = quality == vocabulary.quality("measured")
@@ -86,18 +86,20 @@ def test_the_uncertainty_follows_clumps_that_grow_with_the_slope_of_a_heavy_tail
 
 
 def test_steep_clumps_make_bins_wider_not_poorer():
-    bins = counting.merged(ggx_counts(0))
+    bins = slope_histogram.merge_bins(ggx_counts(0))
     for each in range(bins.edges.size - 1):
-        independent = bins.found[each] / counting.redundancy_of(bins.counts, np.arange(bins.found.size) == each)
-        assert independent >= counting.PLENTY * (1 - 1e-9)
+        independent = bins.totals[each] / slope_histogram.redundancy_of(
+            bins.counts, np.arange(bins.totals.size) == each
+        )
+        assert independent >= slope_histogram.MIN_PER_BIN * (1 - 1e-9)
 
 
 @pytest.mark.parametrize("repeats", [1, 4, 30])
 def test_facets_that_come_in_clumps_count_as_their_clumps(repeats):
     counts = repeats * np.random.default_rng(2).poisson(50.0, size=(BLOCKS, 40))
     # 63 × 40 independent squares: 3 %; and never fewer than one facet for one.
-    assert counting.redundancy_of(counts) == pytest.approx(repeats, rel=0.1)
-    assert counting.redundancy_of(counts) >= 1
+    assert slope_histogram.redundancy_of(counts) == pytest.approx(repeats, rel=0.1)
+    assert slope_histogram.redundancy_of(counts) >= 1
 
 
 def test_blocks_of_unequal_size_are_compared_by_their_shares():
@@ -105,12 +107,15 @@ def test_blocks_of_unequal_size_are_compared_by_their_shares():
     sizes = np.concatenate([np.full(32, 20), np.full(32, 2000), np.zeros(8, int)])
     counts = np.array([rng.multinomial(size, np.full(20, 0.05)) for size in sizes])
     # Without shares the blocks' sizes would count as scatter, a redundancy of hundreds.
-    assert counting.redundancy_of(counts) == pytest.approx(1, abs=0.15)
+    assert slope_histogram.redundancy_of(counts) == pytest.approx(1, abs=0.15)
 
 
 def test_bins_of_few_independent_facets_are_trusted_less():
-    bins = counting.merged(ggx_counts(0))
-    plenty, few = (counting.counted_density(bins._replace(least=least))[2] for least in (counting.PLENTY, counting.FEW))
+    bins = slope_histogram.merge_bins(ggx_counts(0))
+    plenty, few = (
+        slope_histogram.density_from_histogram(bins._replace(least=least))[2]
+        for least in (slope_histogram.MIN_PER_BIN, slope_histogram.MIN_PER_BIN_OF_SMALL_MAPS)
+    )
     assert few == pytest.approx(np.minimum(1.3 * plenty, 1))
 
 
@@ -119,8 +124,10 @@ def test_the_uncertainty_grows_along_the_tail_by_that_of_its_length():
     rng, a = np.random.default_rng(4), 0.1
     slopes = np.concatenate([np.sqrt(rng.random(300_000)) * start, start + rng.gamma(1, a, size=3_000)])
     block = rng.integers(BLOCKS, size=slopes.size)
-    bins = counting.merged(counting.histogram_of(((b, slopes[block == b] ** 2) for b in range(BLOCKS)), 0.2, BLOCKS))
-    density, quality, relative_u = counting.counted_density(bins)
+    bins = slope_histogram.merge_bins(
+        slope_histogram.histogram_of(((b, slopes[block == b] ** 2) for b in range(BLOCKS)), 0.2, BLOCKS)
+    )
+    density, quality, relative_u = slope_histogram.density_from_histogram(bins)
     tail = density.slope[quality == vocabulary.quality("extrapolated")]
     u = relative_u[-tail.size :]
     assert np.all(np.diff(u) >= 0)
@@ -147,18 +154,18 @@ def test_maps_with_a_lay_scatter_by_the_uncertainty_at_the_peak():
 
 def test_no_facet_is_lost_between_the_bins_and_the_tail():
     histogram = ggx_counts(1)
-    bins = counting.merged(histogram)
+    bins = slope_histogram.merge_bins(histogram)
     assert bins.counts.sum(axis=1) == pytest.approx(histogram.counts.sum(axis=1))
-    density, *_ = counting.counted_density(bins)
+    density, *_ = slope_histogram.density_from_histogram(bins)
     assert density.mass == pytest.approx(1, abs=1e-12)
     assert bins.at_nodes(density.slope.size).sum() == histogram.counts.sum()
 
 
 def test_the_density_of_every_bin_holds_its_share():
-    bins = counting.merged(ggx_counts(2))
-    density, *_ = counting.counted_density(bins)
+    bins = slope_histogram.merge_bins(ggx_counts(2))
+    density, *_ = slope_histogram.density_from_histogram(bins)
     fine = np.interp(np.arange(20 * bins.edges.size - 19) / 20, np.arange(bins.edges.size), bins.edges)
     s, ds = panel_rule(fine, 4)
     share = np.histogram(s, bins.edges, weights=2 * np.pi * s * density(s**2) * ds)[0]
     # The nodes were moved by a rule of four points a panel, and the iteration stops at some 1e-4.
-    assert share == pytest.approx(bins.found[:-1] / bins.found.sum(), rel=2e-3)
+    assert share == pytest.approx(bins.totals[:-1] / bins.totals.sum(), rel=2e-3)

@@ -1,0 +1,321 @@
+"""Facet distribution of height maps: one scan, or several of one surface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.facets.facet_dataset import planar_dataset, positive, quality_flags, radial_dataset, with_noise_warning
+from brdfpipe.facets.planar_density import Ellipse, PlanarDensity, SlopeAxis
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.facets.scan_consistency import with_roughness_warning
+from brdfpipe.facets.slope_histogram import (
+    MIN_PER_BIN,
+    FacetError,
+    MergedHistogram,
+    density_from_histogram,
+    histogram,
+    histogram_of,
+    merge_bins,
+    redundancy_in_classes,
+    redundancy_of,
+    remove_broadening,
+)
+from brdfpipe.facets.slopes import (
+    BLOCKS,
+    SCALES,
+    HeightMap,
+    Moments,
+    SlopeCounts,
+    correlation_length,
+    count_maps,
+    slope_rms_by_scale,
+    triangle_slopes,
+)
+from brdfpipe.geometry import Array
+
+LAY_LIMIT = 1.2
+"""Anisotropy above which a map that is not declared isotropic has a lay."""
+
+_SLOPE_RMS = (1e-9, 1e9)
+"""Range of the slope rms; outside it the squares of slopes may overflow or underflow in single precision."""
+
+_FACETS_A_HEIGHT = 4
+"""Triangles per height: there are no more independent facets than heights."""
+
+_COARSE_STEPS = 0.5
+"""Slope of one height step, over the slope rms, above which the correction determines the shape of the density."""
+
+_CELLS = 41
+_NODES = 129
+_WINDOWS = 9, 5, 3, 1
+_PRIOR = 20.0
+_MEASURED = 50.0
+"""Independent facets that a measured cell holds at least."""
+
+
+def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None) -> xr.Dataset:
+    """Facet distribution of levelled maps; see :func:`brdfpipe.facets.estimate`."""
+    heights = [HeightMap.of(surface) for surface in maps]
+    counts, moments = count_maps(heights)
+    scans = zip(heights, moments.tilts, strict=True)
+    by_scale = np.mean([slope_rms_by_scale(scan, tilt) for scan, tilt in scans], axis=0)
+    _check_slopes(moments, float(by_scale[0]))
+    has_lay = not isotropic if isotropic is not None else not moments.anisotropy <= LAY_LIMIT
+    facets = _with_lay(heights, moments) if has_lay else _isotropic(counts, moments)
+    facets = facets.assign(
+        effective_count=moments.facets / max(redundancy_in_classes(counts.counts), _FACETS_A_HEIGHT),
+        anisotropy=moments.anisotropy,
+        lay=moments.lay,
+        facet_count=float(moments.facets),
+        correlation_length=float(np.mean([correlation_length(surface) for surface in maps])),
+        slope_rms_scale=("scale", by_scale),
+        noise_ratio=by_scale[0] / by_scale[1],
+    ).assign_coords(scale=SCALES)
+    levelled = all(surface.attrs["levelling"] != "none" for surface in maps)
+    extent = min(
+        pitch * count for scan in heights for pitch, count in zip(scan.pitch, scan.height.shape[::-1], strict=True)
+    )
+    together = "" if len(maps) == 1 else f", {len(maps)} scans"
+    facets.attrs |= {"method": f"four triangles a quad{together}", "band": str(maps[0].attrs["band"])}
+    facets = _with_warnings(facets, moments, isotropic, levelled, extent)
+    facets = with_roughness_warning(_with_quantum(facets, heights, moments), moments.scan_rms)
+    return vocabulary.label(with_noise_warning(facets), "facets")
+
+
+def _check_slopes(moments: Moments, sampled_rms: float) -> None:
+    # Slopes out of the range of single precision are missing or zero in the counts; the sample has double precision.
+    rms = moments.slope_rms or sampled_rms
+    if rms > 0 and not _SLOPE_RMS[0] < rms < _SLOPE_RMS[1]:
+        raise FacetError(
+            f"impossible slope rms {rms:.2g}; accepted: {_SLOPE_RMS[0]:g} to {_SLOPE_RMS[1]:g}; check the unit of the heights (`surface.unit`) and of the "
+            "pitch (`surface.lateral_unit`)"
+        )
+    if not rms > 0 or moments.facets == 0:
+        raise FacetError(
+            "the surface is perfectly flat or has no complete facet; check the height unit and the missing heights"
+        )
+
+
+def _isotropic(counts: SlopeCounts, moments: Moments) -> xr.Dataset:
+    bins = merge_bins(histogram(counts, moments.slope_rms))
+    widened = float(np.trace(moments.apparent_covariance - moments.covariance)) / 2
+    density, quality, relative_u = density_from_histogram(remove_broadening(bins, widened) if widened else bins)
+    facets = radial_dataset(density, moments.slope_rms)
+    facets = facets.assign(
+        count=("slope", bins.at_nodes(density.slope.size)),
+        D_u=("alpha", facets["D"].values * relative_u),
+        slope_density_quality=("slope", quality),
+    )
+    return _with_few_warning(facets, bins)
+
+
+# --- a surface with a lay
+
+
+def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
+    """Elliptic density of the slopes, corrected by the counts in cells of the slope plane.
+
+    The ellipse gives the tails, the cells the shape. The elliptic density is multiplied by (n + k) / (e + k) in windows of
+    decreasing size: n and e are the observed and expected independent facets, k the number at which both have equal weight.
+    """
+    if not np.isfinite(moments.anisotropy):
+        raise FacetError(
+            "the heights do not vary along one direction; the slope density cannot be estimated. Check the heights (`surface.file`)"
+        )
+    # Divided by its principal widths the ellipse is a circle, and one axis serves both.
+    along, across = np.sqrt(np.linalg.eigvalsh(moments.covariance)).tolist()
+    ellipse = Ellipse(along, across, moments.lay)
+    over_widths = _over_widths(moments, ellipse)
+    bins = _rings(maps, moments.tilts, over_widths)
+    round_density, _, ring_u = density_from_histogram(bins)
+    # Dividing by the widths removes the broadening uniformly, but a sharp peak needs more of it and a tail less.
+    share = float(np.sqrt(np.linalg.det(moments.covariance) / np.linalg.det(moments.apparent_covariance)))
+    sharp_density = (
+        round_density
+        if share == 1
+        else density_from_histogram(remove_broadening(bins.over(np.sqrt(share)), 1 / share - 1))[0]
+    )
+    reach = float(max(round_density.slope[-1], sharp_density.slope[-1]))
+    nodes, cells = (SlopeAxis(1.0, reach, size) for size in (_NODES, _CELLS))
+    by_block = _cell_counts(maps, moments.tilts, over_widths, cells)
+    counts = by_block.sum(axis=0).reshape(cells.size, cells.size)
+    redundancy = _cell_redundancies(by_block, cells)
+    correction = _correction(counts / redundancy, moments.facets * _cell_shares(round_density, cells) / redundancy)
+
+    def corrected(square: Array) -> Array:
+        return positive(sharp_density(square) * np.exp(_refine(np.log(correction), cells, nodes)), 1e-18)
+
+    density = PlanarDensity.elliptic(corrected, ellipse, reach, _NODES)
+    density = replace(density, density=density.density / density.moments[0])
+    independent = _refine(counts / redundancy, cells, nodes)
+    distance = np.hypot(nodes.nodes, nodes.nodes[:, None])
+    relative_u = np.maximum(np.interp(distance, round_density.slope, ring_u), 1 / np.sqrt(np.maximum(independent, 1.0)))
+    dims = ("slope_across", "slope_along")
+    facets = planar_dataset(density, moments.slope_rms).assign(
+        count=(dims, _refine_counts(counts, cells, nodes)),
+        slope_density_u=(dims, density.density * relative_u),
+        slope_density_quality=(dims, quality_flags(independent >= _MEASURED)),
+    )
+    return _with_few_warning(facets, bins)
+
+
+def _correction(observed: Array, expected: Array) -> Array:
+    """Factor of a density, from its observed and expected independent facets in cells (across, along).
+
+    Wide windows come first: they hold enough facets to show a skew or a lay that is not elliptic; in single cells the prior
+    would hide it.
+    """
+    from scipy.ndimage import uniform_filter
+
+    correction = np.ones_like(observed)
+    for width in _WINDOWS:
+        n, e = (
+            width**2 * uniform_filter(values, width, mode="constant") for values in (observed, expected * correction)
+        )
+        correction *= (np.maximum(n, 0) + _PRIOR) / (np.maximum(e, 0) + _PRIOR)
+    return correction
+
+
+def _over_widths(moments: Moments, ellipse: Ellipse) -> Array:
+    """(2, 2) matrix from counted slopes to slopes of the surface along and across the lay, over their widths.
+
+    Of the linear maps that give the covariance of the surface, the one that changes the slopes least.
+    """
+    root = _power(moments.covariance, 0.5)
+    correction = root @ _power(root @ moments.apparent_covariance @ root, -0.5) @ root
+    cos, sin = np.cos(np.radians(ellipse.lay)), np.sin(np.radians(ellipse.lay))
+    return np.array([[cos, sin], [-sin, cos]]) / [[ellipse.along], [ellipse.across]] @ correction
+
+
+def _power(symmetric: Array, exponent: float) -> Array:
+    values, vectors = np.linalg.eigh(symmetric)
+    return np.asarray(vectors * values**exponent @ vectors.T)
+
+
+def _scaled_slopes(maps: Sequence[HeightMap], tilts: Array, over_widths: Array) -> Iterator[tuple[int, Array, Array]]:
+    """The slopes along the lay and across it, over their widths, block by block."""
+    (px, qx), (py, qy) = over_widths.tolist()
+    for block, p, q in triangle_slopes(maps, tilts):
+        yield block, p * px + q * qx, p * py + q * qy
+
+
+def _rings(maps: Sequence[HeightMap], tilts: Array, over_widths: Array) -> MergedHistogram:
+    """Counts of the slopes over their widths in rings about the mean."""
+    squares = ((block, x * x + y * y) for block, x, y in _scaled_slopes(maps, tilts, over_widths))
+    return merge_bins(histogram_of(squares, np.sqrt(2.0), len(maps) * BLOCKS**2))
+
+
+def _cell_counts(maps: Sequence[HeightMap], tilts: Array, over_widths: Array, cells: SlopeAxis) -> Array:
+    """Facets of each block in the cells about the nodes, (blocks, across and along)."""
+    counts = np.zeros((len(maps) * BLOCKS**2, cells.size**2))
+    for block, x, y in _scaled_slopes(maps, tilts, over_widths):
+        column, row = (np.clip(np.rint(cells.position(slope)), 0, cells.size - 1).astype(np.int64) for slope in (x, y))
+        counts[block] += np.bincount(row * cells.size + column, minlength=cells.size**2)
+    return counts
+
+
+def _cell_redundancies(by_block: Array, cells: SlopeAxis) -> Array:
+    """How many facets count as one in a cell, (across, along): that of all cells as far from the middle, taken together."""
+    distance = np.hypot(cells.nodes, cells.nodes[:, None])
+    ring = np.rint(cells.position(np.minimum(distance, cells.reach))).astype(int)
+    redundancy = np.ones(cells.size)
+    for index in np.unique(ring):
+        redundancy[index] = redundancy_of(by_block, ring.ravel() == index)
+    return redundancy[ring]
+
+
+def _cell_shares(round_density: RadialDensity, cells: SlopeAxis) -> Array:
+    """Share of a radial density in the same cells, by a midpoint rule of 5 × 5 points a cell."""
+    step = 2 * cells.end / (cells.size - 1)
+    t = (np.linspace(-cells.end, cells.end, cells.size)[:, None] + (np.arange(5) - 2.0) / 5 * step).ravel()
+    x, weight = np.sinh(t), np.cosh(t) * step / 5
+    share = round_density(x**2 + x[:, None] ** 2) * weight * weight[:, None]
+    return np.asarray(share.reshape(cells.size, 5, cells.size, 5).sum(axis=(1, 3)))
+
+
+def _refine(values: Array, cells: SlopeAxis, nodes: SlopeAxis) -> Array:
+    """Values of cells, interpolated linearly onto nodes."""
+    from scipy.ndimage import map_coordinates
+
+    position = cells.position(nodes.nodes)
+    return np.asarray(map_coordinates(values, np.meshgrid(position, position, indexing="ij"), order=1, mode="nearest"))
+
+
+def _refine_counts(counts: Array, cells: SlopeAxis, nodes: SlopeAxis) -> Array:
+    """Counts of cells shown on the nodes nearest to their middles, none elsewhere: their sum is the number of facets."""
+    result = np.zeros((nodes.size, nodes.size))
+    places = np.rint(nodes.position(cells.nodes)).astype(int)
+    np.add.at(result, (places[:, None], places), counts)
+    return result
+
+
+def _with_quantum(facets: xr.Dataset, heights: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
+    """Record quantised heights in the history, and warn about coarse steps."""
+    quantum = max(scan.quantum for scan in heights)
+    if not quantum:
+        return facets
+    rms = np.sqrt(np.diag(moments.covariance))
+    share = max(float(np.max(scan.quantum / np.array(scan.pitch) / rms)) for scan in heights)
+    facets = vocabulary.add_history(
+        facets,
+        f"the heights are quantised in steps of {1000 * quantum:.3g} nm, a slope of up to {share:.2g} times the slope rms along x or y: they "
+        "were dithered, and the mean square slope that rounding and dither add was subtracted",
+    )
+    if share < _COARSE_STEPS:
+        return facets
+    return vocabulary.add_warning(
+        facets,
+        f"coarse height steps: one step, {1000 * quantum:.3g} nm, is a slope of {share:.2g} times the slope rms along x or y, and the shape of "
+        "the slope density is uncertain. Export the heights with more digits, measure at a finer height resolution, or smooth "
+        "them with `surface.lambda_s`",
+    )
+
+
+def _with_few_warning(facets: xr.Dataset, bins: MergedHistogram) -> xr.Dataset:
+    if bins.least == MIN_PER_BIN:
+        return facets
+    return vocabulary.add_warning(
+        facets,
+        f"few independent facets: {bins.totals.sum():.0f} facets fill bins of only {bins.least} independent ones, and the relative "
+        f"uncertainty of the slope density is 20 % or more; {bins.remedy}",
+    )
+
+
+def _with_warnings(
+    facets: xr.Dataset, moments: Moments, isotropic: bool | None, levelled: bool, extent: float
+) -> xr.Dataset:
+    tilt = float(np.hypot(*moments.tilts.T).max())
+    if tilt > 0.1 * moments.slope_rms:
+        facets = vocabulary.add_warning(
+            facets,
+            f"a mean slope of {tilt:.2g}, {tilt / moments.slope_rms:.0%} of the slope rms, remained and was subtracted: "
+            + (
+                "try another `surface.form`, or measure a larger area"
+                if levelled
+                else "level the surface (`surface.form: plane`)"
+            ),
+        )
+    lengths = extent / float(facets["correlation_length"])
+    if lengths < 2 * BLOCKS:
+        facets = vocabulary.add_warning(
+            facets,
+            f"the scan is only {lengths:.0f} correlation lengths wide, and the uncertainty from its {BLOCKS} x {BLOCKS} blocks is understated; "
+            f"measure a larger area (at least {2 * BLOCKS} correlation lengths)",
+        )
+    if np.isnan(lengths):
+        facets = vocabulary.add_warning(
+            facets,
+            "unknown correlation length: the heights along x or y stay correlated over half of the scan. Unless the lay runs in "
+            "that direction, measure a larger area, or remove long waves with `surface.lambda_c`",
+        )
+    if isotropic is True and moments.anisotropy > LAY_LIMIT:
+        facets = vocabulary.add_history(
+            facets,
+            f"declared isotropic: the anisotropy of the scan is {moments.anisotropy:.2f}, and the density was averaged over azimuth",
+        )
+    return facets
