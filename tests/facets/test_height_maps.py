@@ -98,7 +98,11 @@ def test_one_line_may_stand_for_two_directions_but_not_for_two_lines():
 
 
 def test_scans_of_clearly_different_roughness_are_warned_about(scan, other):
-    rough = [text for text in vocabulary.warnings(facets.estimate([other, scan * 1.5])) if "slope rms differs between scans" in text]
+    rough = [
+        text
+        for text in vocabulary.warnings(facets.estimate([other, scan * 1.5]))
+        if "slope rms differs between scans" in text
+    ]
     assert len(rough) == 1
     assert "scan 1 has the slope rms 0.211 and scan 2 0.319" in rough[0]
     assert not any("slope rms differs" in text for text in vocabulary.warnings(facets.estimate([scan, other])))
