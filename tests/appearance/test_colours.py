@@ -202,7 +202,7 @@ def test_without_the_three_geometries_of_e2194_there_is_no_uncertainty_of_a_flop
 
 
 def test_short_names_with_two_meanings_are_refused_among_geometries():
-    with pytest.raises(BrdfpipeError, match="side by side"):
+    with pytest.raises(BrdfpipeError, match="ambiguous together"):
         colour(samples.beckmann_bsdf(0.3), ["as-15", "as15"])
 
 

@@ -104,7 +104,7 @@ def test_scans_of_clearly_different_roughness_are_warned_about(scan, other):
         if "slope rms differs between scans" in text
     ]
     assert len(rough) == 1
-    assert "scan 1 has the slope rms 0.211 and scan 2 0.319" in rough[0]
+    assert "0.211 in scan 1, 0.319 in scan 2" in rough[0]
     assert not any("slope rms differs" in text for text in vocabulary.warnings(facets.estimate([scan, other])))
 
 

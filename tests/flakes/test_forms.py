@@ -57,14 +57,17 @@ def test_the_order_of_the_geometries_does_not_matter():
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
-        ((1.0, 2.0, 0.5), "A is out of range: the colour is brighter at a flake angle of 13.82 than at 4.246 degree"),
-        ((3.0, 1.0, 1.5), "A is out of range: the colour is brighter at a flake angle of 32.07"),
-        ((3.0, 3.0, 1.0), "B is out of range: the colour is the same"),
-        ((3.0, 1.0, 1.0), "B is out of range: the colour does not fall from 13.82"),
-        ((3.0, 2.9, 0.1), "B is out of range: the colour falls along a straight line or ever faster"),
+        (
+            (1.0, 2.0, 0.5),
+            "A of the fit is out of range: the colour is brighter at a flake angle of 13.82 than at 4.246 degree",
+        ),
+        ((3.0, 1.0, 1.5), "A of the fit is out of range: the colour is brighter at a flake angle of 32.07"),
+        ((3.0, 3.0, 1.0), "B of the fit is out of range: the colour is the same"),
+        ((3.0, 1.0, 1.0), "B of the fit is out of range: the colour does not fall from 13.82"),
+        ((3.0, 2.9, 0.1), "B of the fit is out of range: the colour falls linearly or ever faster"),
         (
             (10.0, 4.0, 0.1),
-            "C is out of range: the colour falls so slowly that far from the gloss it would be below black, C = -",
+            r"C of the fit is out of range: the colour falls so slowly with the flake angle that C would be negative \(-",
         ),
     ],
 )
@@ -185,7 +188,7 @@ def test_a_dark_channel_within_its_uncertainty_is_constant():
     # Brighter far from the gloss by 10 %, or by chance at one geometry: without uncertainties both are refused.
     rising, dark = column(*np.linspace(0.2, 0.22, 10)), column(0.25, *[0.2] * 9)
     for values, parameter in ((rising * [[0.8]] + column(*[0.0] * 9, 0.08), "A"), (dark, "B")):
-        with pytest.raises(InputError, match=f"{parameter} is out of range"):
+        with pytest.raises(InputError, match=f"{parameter} of the fit is out of range"):
             fit(TEN, values)
         found = fit(TEN, values, uncertainty=np.full((10, 1), 0.03))
         assert float(found.constant[0]) == pytest.approx(values.mean(), rel=1e-9)
@@ -203,7 +206,7 @@ def test_equal_relative_uncertainties_change_the_covariance_alone(factor):
 
 @pytest.mark.parametrize("u", [np.zeros((10, 1)), np.full((10, 1), np.nan), np.full((10, 1), -1.0), np.ones((9, 1))])
 def test_uncertainties_that_are_no_weights_are_refused(u):
-    with pytest.raises(InputError, match="no weights"):
+    with pytest.raises(InputError, match="invalid uncertainties"):
         fit(TEN, np.ones((10, 1)), uncertainty=u)
 
 
@@ -253,7 +256,7 @@ def test_noise_that_pulls_the_constant_below_0_leaves_it_at_0():
     [(1 + TEN, "A"), (1200 - TEN**2, "C"), (33.5 - TEN, "C"), (np.where(TEN < 4, 50.0, 1.0), "B")],
 )
 def test_many_geometries_of_another_shape_are_refused(values, parameter):
-    with pytest.raises(InputError, match=f"{parameter} is out of range"):
+    with pytest.raises(InputError, match=f"{parameter} of the fit is out of range"):
         fit(TEN, values[:, None])
 
 

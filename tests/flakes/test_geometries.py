@@ -76,6 +76,8 @@ def test_a_misspelt_set_is_told_the_nearest():
 
 
 def test_short_names_with_and_without_a_hyphen_are_refused_side_by_side():
-    with pytest.raises(BrdfpipeError, match=r"'as-15' and 'as15' side by side.*write 45as-15 for .* 45as15 for"):
+    with pytest.raises(
+        BrdfpipeError, match=r"'as-15' and 'as15' are ambiguous together.*write 45as-15 for .* 45as15 for"
+    ):
         named(["as-15", "as15", "as25"])
     assert len(named(["as-15", "as-45"])) == len(named(["45as-15", "45as15"])) == 2

@@ -114,28 +114,28 @@ def test_black_with_no_chroma_is_a_colour():
 @pytest.mark.parametrize(
     ("changes", "pattern"),
     [
-        ({"colours": inline()["colours"][:2]}, "too few or too many colours; found 2"),
-        ({"colours": []}, "too few or too many colours; found 0"),
-        ({"colours": "45:0"}, "no list of colours"),
-        ({"colours": [{"geometry": "45:0"}] * 3}, "entry 1: each entry needs a colour"),
-        ({"colours": [{"lab": [1, 1, 1]}] * 3}, "entry 1: needs either the name of a geometry or its angles"),
-        ({"colours": [{"geometry": "45:0", "theta_i": 3, "lab": [1, 1, 1]}] * 3}, "needs either the name"),
+        ({"colours": inline()["colours"][:2]}, "wrong number of colours; found 2"),
+        ({"colours": []}, "wrong number of colours; found 0"),
+        ({"colours": "45:0"}, "`colours` is not a list of colours"),
+        ({"colours": [{"geometry": "45:0"}] * 3}, "entry 1: each entry needs one colour"),
+        ({"colours": [{"lab": [1, 1, 1]}] * 3}, "entry 1: either `geometry` or its angles are required"),
+        ({"colours": [{"geometry": "45:0", "theta_i": 3, "lab": [1, 1, 1]}] * 3}, "either `geometry` or its angles"),
         ({"colours": [{"geometry": "x", "lab": [1, 1, 1]}] * 3}, "entry 1: geometry 'x': unknown geometry"),
         ({"colours": [{"geometry": "45:0", "lab": [1, 1]}] * 3}, "lab has the wrong length; found 2"),
-        ({"colours": [{"geometry": "45:0", "lab": [1, 1, float("nan")]}] * 3}, "no list of numbers"),
-        ({"colours": [{"geometry": "45:0", "lab": [-1, 1, 1]}] * 3}, "not a colour"),
-        ({"colours": [{"geometry": "45:0", "lab": [0, 90, 1]}] * 3}, "a tristimulus value is negative"),
+        ({"colours": [{"geometry": "45:0", "lab": [1, 1, float("nan")]}] * 3}, "not a list of finite numbers"),
+        ({"colours": [{"geometry": "45:0", "lab": [-1, 1, 1]}] * 3}, r"L\*a\*b\* out of range"),
+        ({"colours": [{"geometry": "45:0", "lab": [0, 90, 1]}] * 3}, "tristimulus value out of range"),
         (
             {"colours": [{"theta_i": 45, "theta_o": 90, "phi_o": 0, "lab": [1, 1, 1]}] * 3},
-            "theta_o cannot be used; found 90",
+            "invalid theta_o; found 90",
         ),
         (
             {"colours": [{"theta_i": 45, "theta_o": True, "phi_o": 0, "lab": [1, 1, 1]}] * 3},
-            "theta_o cannot be used; found True",
+            "invalid theta_o; found True",
         ),
         ({"illuminant": "D66"}, "unknown illuminant.*set `multiangle.illuminant`"),
         ({"observer": 5}, "set `multiangle.observer`"),
-        ({"file": "a.csv"}, "needs either a file or colours"),
+        ({"file": "a.csv"}, "either `file` or `colours` is required"),
         (
             {"colours": [{"geometry": "45:0", "reflectance": [0.1] * 5}] * 3, "wavelength": [400, 450, 500, 550, 600]},
             "must cover 400–700",
@@ -155,7 +155,7 @@ def test_what_cannot_be_used_is_refused_by_name(changes, pattern):
 def test_colours_without_their_viewing_are_refused(key):
     spec = inline()
     del spec[key]
-    with pytest.raises(InputError, match=f"do not say their {key}"):
+    with pytest.raises(InputError, match=f"the {key} of the colours is missing"):
         flakes.ingest(spec)
 
 
@@ -180,7 +180,7 @@ def test_uncertainties_are_found_however_they_are_titled(tmp_path, titles):
     vocabulary.validate(found, "multiangle")
     assert found["tristimulus"].identical(flakes.ingest(inline())["tristimulus"])
     assert (found["tristimulus_u"] > 0).all()
-    assert "standard uncertainties (k = 1), independent" in found.attrs["history"]
+    assert "independent standard uncertainties (k = 1)" in found.attrs["history"]
 
 
 def test_uncertainties_of_lab_become_those_of_xyz_as_many_draws_show(tmp_path):
@@ -211,19 +211,19 @@ def test_columns_that_are_not_used_are_named(tmp_path):
     rows = "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]},x" for name, lab in LAB.items())
     found = flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, f"geometry,L,a,b,operator\n{rows}\n"))
     assert "tristimulus_u" not in found
-    assert "colours.csv: not used: operator" in found.attrs["history"]
+    assert "colours.csv: ignored columns: operator" in found.attrs["history"]
 
 
 @pytest.mark.parametrize(
     ("titles", "cells", "pattern"),
     [
-        ("L,a,b,u_L,u_b", "9,1,1,.1,.1", "titles: no uncertainty of a; found geometry, L, a, b, u_L, u_b"),
+        ("L,a,b,u_L,u_b", "9,1,1,.1,.1", "titles: the uncertainty of a is missing; found geometry, L, a, b, u_L, u_b"),
         (
             "L,a,b,u_L,u_a,u_b",
             "9,1,1,.1,0,.1",
-            "line 2, column u_a: no standard uncertainty; found 0; accepted: above 0",
+            "line 2, column u_a: invalid standard uncertainty; found 0; accepted: above 0",
         ),
-        ("L,a,b,u_L,u_a,u_b", "9,1,1,.1,-1,.1", "line 2, column u_a: no standard uncertainty; found -1"),
+        ("L,a,b,u_L,u_a,u_b", "9,1,1,.1,-1,.1", "line 2, column u_a: invalid standard uncertainty; found -1"),
         ("L,a,b,u_L,u_a,u_b", "9,1,1,.1,,.1", "line 2, column u_a: not a number; found ''"),
     ],
 )
@@ -236,10 +236,10 @@ def test_uncertainties_that_are_no_weights_are_refused_by_their_column(tmp_path,
 @pytest.mark.parametrize(
     ("text", "pattern"),
     [
-        ("", "holds no table"),
-        ("geometry,L,a\n45:0,1,2\n", "the titles name no colour; found geometry, L, a"),
-        ("L,a,b\n1,2,3\n1,2,3\n1,2,3\n", "line 2: needs either the name"),
-        ("geometry,L,a,b\n45:0,1,2\n", "line 2: another number of cells than titles; found 3"),
+        ("", "the table is empty"),
+        ("geometry,L,a\n45:0,1,2\n", "no colour columns in the title line; found geometry, L, a"),
+        ("L,a,b\n1,2,3\n1,2,3\n1,2,3\n", "line 2: either `geometry` or its angles"),
+        ("geometry,L,a,b\n45:0,1,2\n", "line 2: the row has a different number of cells than the title line; found 3"),
         ("geometry,L,a,b\n45:0,1,2,three\n", "line 2, column b: not a number; found 'three'"),
         ("geometry,L,a,b\n45:0,1,2,nan\n", "not a number"),
         ("geometry,L,a,b\n\0,1,2,3\n", "not text"),

@@ -362,7 +362,7 @@ def test_pieces_too_short_are_left_out():
 
 @pytest.mark.parametrize("height", [np.full((40, 40), np.nan), np.zeros((40, 20)), np.zeros(31)])
 def test_a_surface_without_a_line_is_refused(height):
-    with pytest.raises(RaycastError, match="no line of 32 heights without a gap"):
+    with pytest.raises(RaycastError, match="no line has 32 heights without a gap"):
         raycast.raycast(samples.surface(height), 60.0)
 
 

@@ -165,7 +165,7 @@ def test_masking_straight_from_a_line_is_that_of_its_slopes():
 
 
 def test_slopes_that_are_not_levelled_are_refused():
-    with pytest.raises(VocabularyError, match="level first"):
+    with pytest.raises(VocabularyError, match="Level the surface first"):
         masking.g1_along([0.1, 0.2], [45.0])
     with pytest.raises(VocabularyError, match="found 0"):
         masking.g1_along([np.nan], [45.0])

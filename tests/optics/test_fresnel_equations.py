@@ -205,7 +205,7 @@ def test_a_table_that_leaves_out_visible_wavelengths_is_refused(tmp_path: Path) 
 
 @pytest.mark.parametrize("row", ["550 0.9", "550 5.1", "550 -1.5"])
 def test_a_table_with_an_index_out_of_range_names_the_wavelength(tmp_path: Path, row: str) -> None:
-    with pytest.raises(InputError, match="550 nm: no refractive index"):
+    with pytest.raises(InputError, match="550 nm: refractive index out of range"):
         optics.refractive_index(write(tmp_path, f"400 1.6\n{row}\n700 1.57\n"))
 
 
@@ -218,7 +218,7 @@ def test_a_metal_may_have_an_index_below_one(tmp_path: Path) -> None:
 
 def test_a_table_of_another_format_is_refused_with_those_read(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match=r"n\.json: this kind of index file is not read; found \.json; accepted: .*\.txt.*\.yml"
+        InputError, match=r"n\.json: unknown extension of an index file; found \.json; accepted: .*\.txt.*\.yml"
     ):
         optics.refractive_index(write(tmp_path, "400 1.6\n", "n.json"))
 

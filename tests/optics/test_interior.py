@@ -45,10 +45,20 @@ def test_a_table_in_percent_is_the_table_in_fractions(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("header", "values", "options", "pattern"),
     [
-        ("nm T", 85.0, {}, r"the scale is unclear; found values up to 85; accepted: fraction .* or percent"),
-        ("nm T[%]", 0.8, {}, "the scale is unclear; found values up to 0.8 and a header that speaks of percent"),
-        ("nm T", 1.2, {"scale": "fraction"}, "more light than enters; found 1.2"),
-        ("nm T", -0.1, {}, "a body does not amplify light"),
+        (
+            "nm T",
+            85.0,
+            {},
+            r"ambiguous scale: fraction or percent; found values up to 85; accepted: fraction .* or percent",
+        ),
+        (
+            "nm T[%]",
+            0.8,
+            {},
+            "ambiguous scale: fraction or percent; found values up to 0.8 and a header that says percent",
+        ),
+        ("nm T", 1.2, {"scale": "fraction"}, "internal transmittance above 1; found 1.2"),
+        ("nm T", -0.1, {}, "negative transmittance or absorption"),
     ],
 )
 def test_values_that_no_body_has_are_refused(
@@ -62,7 +72,7 @@ def test_values_that_no_body_has_are_refused(
 @pytest.mark.parametrize("text", ["500 0.9\n600 0.9\n", "400 0.9 0.8\n700 0.9 0.8\n"])
 def test_a_table_that_is_too_short_or_too_wide_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "t.txt").write_text("wavelength_nm T\n" + text)
-    with pytest.raises(InputError, match=r"must cover 400–700 nm|not a table of two columns"):
+    with pytest.raises(InputError, match=r"must cover 400–700 nm|must have two columns"):
         interior.ingest({"thickness": 1, "internal_transmittance": {"file": "t.txt"}}, tmp_path / "t.txt")
 
 

@@ -1,10 +1,10 @@
 """Names of measuring geometries, as standards and portable instruments write them.
 
 - ``45:-30``: incidence and view; the view counts positive on the illuminator's side of the normal.
-- ``45as15``: incidence and aspecular angle, from the mirror direction towards the illuminator; ``45as-15`` lies beyond the mirror.
+- ``45as15``: incidence and aspecular angle, from the mirror direction towards the illuminator; ``45as-15`` is beyond the mirror.
 - ``45as25az90``: out of the plane of incidence, turned about the mirror direction; azimuth 0 leads away from the normal.
-- ``as15`` or ``as-15``: the effect-paint trade's short name of ``45as15``; its hyphen is no sign, and names
-  with and without one are refused side by side, because there it may be.
+- ``as15`` or ``as-15``: the effect-paint trade's short name of ``45as15``; its hyphen is not a sign. Names
+  with and without a hyphen are refused together, because there it may be one.
 
 References
 ----------
@@ -58,7 +58,7 @@ class Directions(NamedTuple):
 
 
 def directions(name: str) -> Directions:
-    """The directions that a geometry's name means.
+    """Directions of a geometry, by its name.
 
     Parameters
     ----------
@@ -66,29 +66,29 @@ def directions(name: str) -> Directions:
 
     Raises
     ------
-    BrdfpipeError : no such name, or directions that do not lie above the surface.
+    BrdfpipeError : unknown name, or directions below the surface.
     """
     text = str(name).strip().replace("\N{MINUS SIGN}", "-")
     if short := _SHORT.fullmatch(text):
         if "\N{MINUS SIGN}" in str(name):
             raise _refusal(name, "a minus sign where the short name has a hyphen; write 45as15 or 45as-15")
-        found = _aspecular(45.0, float(short[1]), None)
+        pair = _aspecular(45.0, float(short[1]), None)
     elif view := _VIEW.fullmatch(text):
-        found = _in_plane(float(view[1]), float(view[2]))
+        pair = _in_plane(float(view[1]), float(view[2]))
     elif aspecular := _ASPECULAR.fullmatch(text):
         turn = None if aspecular[3] is None else float(aspecular[3])
-        found = _aspecular(float(aspecular[1]), float(aspecular[2]), turn)
+        pair = _aspecular(float(aspecular[1]), float(aspecular[2]), turn)
     else:
         raise _refusal(name, "unknown geometry")
-    if not (0 <= found.theta_i < 90 and 0 <= found.theta_o < 90):
+    if not (0 <= pair.theta_i < 90 and 0 <= pair.theta_o < 90):
         raise _refusal(
-            name, f"does not lie above the surface (θ_i = {found.theta_i:g}, θ_o = {found.theta_o:.4g} degree)"
+            name, f"direction not above the surface (θ_i = {pair.theta_i:g}, θ_o = {pair.theta_o:.4g} degree)"
         )
-    return found
+    return pair
 
 
 def named(names: str | Sequence[str]) -> dict[str, Directions]:
-    """Name → directions of some geometries, or of those of a standard or an instrument (:data:`SETS`)."""
+    """Directions by name, of geometries or of the set of a standard or an instrument (:data:`SETS`)."""
     if isinstance(names, str):
         known = {title.casefold(): title for title in SETS}
         if names.casefold() in known:
@@ -102,11 +102,11 @@ def named(names: str | Sequence[str]) -> dict[str, Directions]:
 
 
 def refuse_mixed_signs(names: Iterable[object]) -> None:
-    """Refuse short names with and without a hyphen side by side: the hyphen is a sign there, or a slip.
+    """Refuse short names with and without a hyphen together: the hyphen may be a sign.
 
     Raises
     ------
-    BrdfpipeError : naming the two, and what to write.
+    BrdfpipeError : with both names, and what to write instead.
     """
     short = [str(name).strip() for name in names if _SHORT.fullmatch(str(name).strip())]
     hyphen = next((name for name in short if "-" in name), None)
@@ -115,9 +115,9 @@ def refuse_mixed_signs(names: Iterable[object]) -> None:
         return
     angle = hyphen.partition("-")[2].strip()
     raise BrdfpipeError(
-        f"geometries {hyphen[:40]!r} and {plain[:40]!r} side by side: it is not clear whether the hyphen is a sign; write "
+        f"geometries {hyphen[:40]!r} and {plain[:40]!r} are ambiguous together: the hyphen may be a sign; write "
         f"45as-{angle} for {angle} degree beyond the mirror direction, 45as{angle} for {angle} degree towards the illuminator, and "
-        "all others in full too"
+        "likewise for the other names"
     )
 
 
@@ -133,8 +133,8 @@ def _aspecular(incidence: float, aspecular: float, turn: float | None) -> Direct
     away = np.array([np.cos(theta), 0.0, -np.sin(theta)])
     across = np.array([0.0, 1.0, 0.0])
     view = np.cos(angle) * mirror + np.sin(angle) * (np.cos(azimuth) * away + np.sin(azimuth) * across)
-    polar, phi = (float(each) for each in angles_of(view))
-    # The mirror direction lies at azimuth 180 here.
+    polar, phi = (float(value) for value in angles_of(view))
+    # The mirror direction is at azimuth 180 here.
     return Directions(incidence, 0.0, round(polar, 9), round((phi + 180) % 360, 9))
 
 

@@ -1,4 +1,4 @@
-"""Colours measured at several geometries: from a CSV file, or written out in material.yaml."""
+"""Read colours measured at several geometries, from a CSV file or from material.yaml."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o")
 _KEYS = ("file", "colours", "illuminant", "observer", "scale", "wavelength")
 _MAX_BYTES = 2**22
 _BRIGHTEST = 100.0
-"""Reflectance factor beyond which a scale is mistaken: the brightest flakes near the gloss reach some ten."""
+"""Largest accepted reflectance factor; the brightest flakes near the gloss reach about ten."""
 _CHROMATIC = 500.0
 _STEP = 1e-3
-"""Of L*, a* and b* in a derivative."""
+"""Step of L*, a* and b* in numerical derivatives."""
 _SPAN = (400.0, 700.0)
 _LAB = {"l": "L", "l*": "L", "a": "a", "a*": "a", "b": "b", "b*": "b"}
 _XYZ = {"x": "X", "y": "Y", "z": "Z"}
@@ -40,11 +40,11 @@ _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 
 
 class _Rows(NamedTuple):
-    """Colours as they were written."""
+    """Colours in the units of the file."""
 
     file: str
     where: tuple[str, ...]
-    """Where each row stands, for messages"""
+    """Location of each row, for messages"""
     names: tuple[str, ...]
     geometry: tuple[Directions, ...]
     kind: str
@@ -52,12 +52,12 @@ class _Rows(NamedTuple):
     values: Array
     wavelength: Array | None
     uncertainty: Array | None = None
-    """Standard uncertainties, like the values"""
+    """Standard uncertainties, shaped like the values"""
     notes: tuple[str, ...] = ()
 
 
 def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> xr.Dataset:
-    """Colours at several geometries, as the ``multiangle`` of material.yaml gives them.
+    """Colours at several geometries from the ``multiangle`` section of material.yaml.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
         percent) of reflectance factors. Of a CSV file the first line names the columns: ``geometry`` or the four angles, then
         L, a, b or X, Y, Z or wavelengths, and ``u_L``, ``u_a``, ``u_b`` (or ``u_X`` …, ``u_400`` …) where standard uncertainties
         are known. XYZ are on the scale of Y = 100 for the perfect diffuser
-    path : where the file lies, if not at its name in ``spec``
+    path : path of the file, if it differs from the name in ``spec``
 
     Returns
     -------
@@ -76,20 +76,25 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
 
     Raises
     ------
-    InputError : naming the file and the row: fewer than three colours, unknown geometries, no colours, no illuminant,
+    InputError : with file and row: fewer than three colours, unknown geometries, missing colours or illuminant,
         uncertainties of some of the colours only, …
     """
     if not isinstance(spec, Mapping) or ("file" in spec) == ("colours" in spec):
         raise _refusal(
-            "material.yaml", "needs either a file or colours", None, None, "file: … or colours: […]", "multiangle"
+            "material.yaml",
+            "either `file` or `colours` is required",
+            None,
+            None,
+            "file: … or colours: […]",
+            "multiangle",
         )
     rows = _inline(spec) if "colours" in spec else _table(Path(path if path is not None else str(spec["file"])))
     if not FEWEST <= len(rows.names) <= MOST:
         accepted = f"{FEWEST} to {MOST}"
-        raise _refusal(rows.file, "too few or too many colours", None, str(len(rows.names)), accepted, "multiangle")
+        raise _refusal(rows.file, "wrong number of colours", None, str(len(rows.names)), accepted, "multiangle")
     dataset = _spectral(rows, spec) if rows.kind == "reflectance" else _tristimulus(rows, spec)
     for k, angle in enumerate(ANGLES):
-        dataset[angle] = ("geometry", np.array([each[k] for each in rows.geometry]))
+        dataset[angle] = ("geometry", np.array([pair[k] for pair in rows.geometry]))
     return _with_notes(vocabulary.label(dataset, "multiangle"), rows)
 
 
@@ -99,8 +104,8 @@ def _with_notes(dataset: xr.Dataset, rows: _Rows) -> xr.Dataset:
     if mirror:
         return vocabulary.add_warning(
             dataset,
-            f"{', '.join(mirror)}: closer than 10 degree to the mirror direction, where instruments see the gloss of the clear coat too; "
-            "leave such colours out of `multiangle` unless the gloss was excluded",
+            f"{', '.join(mirror)}: closer than 10 degree to the mirror direction, where colours include the gloss of the clear coat; "
+            "remove them from `multiangle` unless the gloss was excluded",
         )
     return dataset
 
@@ -117,7 +122,7 @@ def _from_mirror(at: Directions) -> float:
 def _tristimulus(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
     for key, accepted in (("illuminant", "D65, A, …"), ("observer", "2 or 10")):
         if key not in spec:
-            raise _refusal(rows.file, f"the colours do not say their {key}", None, None, accepted, f"multiangle.{key}")
+            raise _refusal(rows.file, f"the {key} of the colours is missing", None, None, accepted, f"multiangle.{key}")
     try:
         illuminant = colorimetry.illuminant_name(spec["illuminant"])
         table = colorimetry.weights(illuminant, spec["observer"])
@@ -128,7 +133,7 @@ def _tristimulus(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
     for k, name in enumerate(rows.names):
         if (xyz[k] < 0).any() or xyz[k].max() > 100 * _BRIGHTEST:
             found = f"XYZ ({', '.join(f'{value:.4g}' for value in xyz[k])})"
-            problem = "not a colour of light: a tristimulus value is negative or far too large"
+            problem = "tristimulus value out of range"
             accepted = f"X, Y, Z from 0 to {100 * _BRIGHTEST:g}; check L*, a*, b* and their order"
             raise _refusal(rows.file, problem, f"{rows.where[k]} ({name})", found, accepted, "multiangle.colours")
     variables = {"tristimulus": (("geometry", "channel"), xyz)}
@@ -146,9 +151,9 @@ def _from_lab(rows: _Rows, white: Array) -> Array:
     for where, (lightness, a, b) in zip(rows.where, rows.values, strict=True):
         if not 0 <= lightness <= 500 or max(abs(a), abs(b)) > _CHROMATIC:
             found, accepted = f"({lightness:g}, {a:g}, {b:g})", f"L* from 0 to 500, a* and b* within ±{_CHROMATIC:g}"
-            raise _refusal(rows.file, "not a colour", where, found, accepted, "multiangle.colours")
+            raise _refusal(rows.file, "L*a*b* out of range", where, found, accepted, "multiangle.colours")
     xyz = colorimetry.lab_to_xyz(rows.values, white)
-    # The linear part of L*a*b* leaves a black that is not quite neutral a hair below 0.
+    # A black that is not exactly neutral gives XYZ slightly below 0.
     return np.where((xyz < 0) & (xyz > -1e-9 * white), 0.0, xyz)
 
 
@@ -167,7 +172,9 @@ def _spectral(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
     key = "multiangle.file" if "file" in spec else "multiangle.wavelength"
     if wavelength.size < 4 or not (np.diff(wavelength) > 0).all() or np.diff(wavelength).max() > 50:
         found = f"{wavelength.size} wavelengths, {wavelength.min():g} to {wavelength.max():g} nm"
-        raise _refusal(rows.file, "no spectrum", None, found, "each wavelength once, in steps of at most 50 nm", key)
+        raise _refusal(
+            rows.file, "unusable wavelengths", None, found, "each wavelength once, in steps of at most 50 nm", key
+        )
     if wavelength[0] > _SPAN[0] or wavelength[-1] < _SPAN[1]:
         found = f"{wavelength[0]:g} to {wavelength[-1]:g} nm"
         raise _refusal(rows.file, "must cover 400–700 nm", None, found, "400 to 700 nm or wider", key)
@@ -175,7 +182,7 @@ def _spectral(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
     if scale not in ("fraction", "percent"):
         raise _refusal(
             rows.file,
-            "the scale of the reflectance factors is not known",
+            "the scale of the reflectance factors is missing",
             None,
             scale,
             "fraction or percent",
@@ -185,7 +192,9 @@ def _spectral(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
     values = values / unit
     if values.min() < -1e-3 or values.max() > _BRIGHTEST:
         found = f"{values.min():.4g} to {values.max():.4g}"
-        raise _refusal(rows.file, "not reflectance factors", None, found, f"0 to {_BRIGHTEST:g}", "multiangle.scale")
+        raise _refusal(
+            rows.file, "reflectance factors out of range", None, found, f"0 to {_BRIGHTEST:g}", "multiangle.scale"
+        )
     variables = {"reflectance_factor": (("geometry", "wavelength"), np.maximum(values, 0.0))}
     if rows.uncertainty is not None:
         variables["reflectance_factor_u"] = (("geometry", "wavelength"), rows.uncertainty[:, order] / unit)
@@ -209,16 +218,21 @@ def _inline(spec: Mapping[str, Any]) -> _Rows:
         or not all(isinstance(item, Mapping) for item in given)
     ):
         raise _refusal(
-            "material.yaml", "no list of colours", None, None, "[{geometry: …, lab: […]}, …]", "multiangle.colours"
+            "material.yaml",
+            "`colours` is not a list of colours",
+            None,
+            None,
+            "[{geometry: …, lab: […]}, …]",
+            "multiangle.colours",
         )
     kinds = [tuple(sort for sort in ("lab", "xyz", "reflectance") if sort in item) for item in given]
     where = tuple(f"multiangle.colours, entry {k}" for k in range(1, len(given) + 1))
-    for k, found in enumerate(kinds):
-        if len(found) != 1 or found != kinds[0]:
-            words = ", ".join(found) or "none"
+    for k, kinds_of_entry in enumerate(kinds):
+        if len(kinds_of_entry) != 1 or kinds_of_entry != kinds[0]:
+            words = ", ".join(kinds_of_entry) or "none"
             raise _refusal(
                 "material.yaml",
-                "each entry needs a colour, all of one sort",
+                "each entry needs one colour, all of the same kind",
                 where[k],
                 words,
                 "lab, xyz or reflectance",
@@ -232,19 +246,19 @@ def _inline(spec: Mapping[str, Any]) -> _Rows:
     )
     width = 3 if wavelength is None else wavelength.size
     _check_signs("material.yaml", (item["geometry"] for item in given if "geometry" in item))
-    values, names, places = [], [], []
+    values, names, pairs = [], [], []
     for item, at in zip(given, where, strict=True):
         colour = _numbers("material.yaml", item[kind], at, "multiangle.colours")
         if colour.size != width:
             raise _refusal(
                 "material.yaml", f"{kind} has the wrong length", at, str(colour.size), str(width), "multiangle.colours"
             )
-        place = _place(item, "material.yaml", at)
+        pair = _directions_of(item, "material.yaml", at)
         values.append(colour)
-        places.append(place)
-        names.append(_named(item.get("geometry"), place))
+        pairs.append(pair)
+        names.append(_geometry_name(item.get("geometry"), pair))
     stacked = np.array(values).reshape(len(values), width)
-    return _Rows("material.yaml", where, _unique(names), tuple(places), kind, stacked, wavelength)
+    return _Rows("material.yaml", where, _unique(names), tuple(pairs), kind, stacked, wavelength)
 
 
 def _numbers(file: str, given: object, where: str, key: str) -> Array:
@@ -253,7 +267,7 @@ def _numbers(file: str, given: object, where: str, key: str) -> Array:
     except (TypeError, ValueError):
         values = np.empty((0, 0))
     if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
-        raise _refusal(file, "no list of numbers", where, repr(given)[:60], "[number, number, …]", key)
+        raise _refusal(file, "not a list of finite numbers", where, repr(given)[:60], "[number, number, …]", key)
     return values
 
 
@@ -265,11 +279,11 @@ def _check_signs(file: str, names: Iterable[object]) -> None:
         raise InputError(file, str(error), where="geometry", key=key) from error
 
 
-def _place(item: Mapping[str, Any], file: str, where: str) -> Directions:
+def _directions_of(item: Mapping[str, Any], file: str, where: str) -> Directions:
     given = [angle for angle in ANGLES if angle in item]
     if ("geometry" in item) == bool(given):
         raise _refusal(
-            file, "needs either the name of a geometry or its angles", where, None, ACCEPTED, "multiangle.colours"
+            file, "either `geometry` or its angles are required", where, None, ACCEPTED, "multiangle.colours"
         )
     if not given:
         name = item["geometry"]
@@ -285,11 +299,11 @@ def _place(item: Mapping[str, Any], file: str, where: str) -> Directions:
         number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else float("nan")
         if not (0 <= number < 90 if polar else -720 <= number <= 720):
             accepted = "0 <= degree < 90" if polar else "-720 to 720 degree"
-            raise _refusal(file, f"{angle} cannot be used", where, repr(value)[:40], accepted, "multiangle.colours")
+            raise _refusal(file, f"invalid {angle}", where, repr(value)[:40], accepted, "multiangle.colours")
     return Directions(*(float(angles[angle]) for angle in ANGLES))
 
 
-def _named(name: object, place: Directions) -> str:
+def _geometry_name(name: object, place: Directions) -> str:
     if isinstance(name, str) and name.strip():
         return name.strip()
     if place.phi_i == 0 and place.phi_o % 360 in (0.0, 180.0):
@@ -298,13 +312,13 @@ def _named(name: object, place: Directions) -> str:
 
 
 def _unique(names: Sequence[str]) -> tuple[str, ...]:
-    """The names, repeated ones numbered: a geometry may be measured more than once."""
+    """Number repeated names, since a geometry may be measured more than once."""
     counts: dict[str, int] = {}
-    found = []
+    unique = []
     for name in names:
         counts[name] = counts.get(name, 0) + 1
-        found.append(name if counts[name] == 1 else f"{name} ({counts[name]})")
-    return tuple(found)
+        unique.append(name if counts[name] == 1 else f"{name} ({counts[name]})")
+    return tuple(unique)
 
 
 # --- a file
@@ -313,76 +327,86 @@ def _unique(names: Sequence[str]) -> tuple[str, ...]:
 def _table(path: Path) -> _Rows:
     lines = _lines(path)
     if not lines:
-        raise _refusal(path, "holds no table", None, None, "a line of titles and a row a geometry", "multiangle.file")
+        raise _refusal(
+            path, "the table is empty", None, None, "a line of column titles and a row per geometry", "multiangle.file"
+        )
     separator = _separator(lines[0][1])
     decimal = "," if separator == ";" else "."
     titles = [cell.strip().strip("\ufeff") for cell in _cells(lines[0][1], separator)]
     places = {title.casefold(): k for k, title in enumerate(titles) if title.casefold() in ("geometry", *ANGLES)}
     kind, columns, wavelength = _colour_columns(path, titles)
-    doubts = _uncertainty_columns(path, titles, columns)
-    values, names, found, where = [], [], [], []
+    u_columns = _uncertainty_columns(path, titles, columns)
+    values, names, pairs, where = [], [], [], []
     for number, line in lines[1:]:
         cells, at = [cell.strip() for cell in _cells(line, separator)], f"line {number}"
         if len(cells) != len(titles):
             raise _refusal(
-                path, "another number of cells than titles", at, str(len(cells)), str(len(titles)), "multiangle.file"
+                path,
+                "the row has a different number of cells than the title line",
+                at,
+                str(len(cells)),
+                str(len(titles)),
+                "multiangle.file",
             )
         item: dict[str, Any] = {
             title: cells[k] if title == "geometry" else _number(path, cells[k], at, titles[k], decimal)
             for title, k in places.items()
         }
-        place = _place(item, path.name, at)
-        values.append([_number(path, cells[k], at, titles[k], decimal) for k in (*columns, *doubts)])
-        for k, value in zip(doubts, values[-1][len(columns) :], strict=True):
+        pair = _directions_of(item, path.name, at)
+        values.append([_number(path, cells[k], at, titles[k], decimal) for k in (*columns, *u_columns)])
+        for k, value in zip(u_columns, values[-1][len(columns) :], strict=True):
             if value <= 0:
                 wrong = f"{at}, column {titles[k]}"
-                raise _refusal(path, "no standard uncertainty", wrong, f"{value:g}", "above 0", "multiangle.file")
-        found.append(place)
-        names.append(_named(item.get("geometry"), place))
+                raise _refusal(path, "invalid standard uncertainty", wrong, f"{value:g}", "above 0", "multiangle.file")
+        pairs.append(pair)
+        names.append(_geometry_name(item.get("geometry"), pair))
         where.append(at)
     _check_signs(path.name, names)
-    stacked = np.array(values, dtype=float).reshape(len(values), len(columns) + len(doubts))
+    stacked = np.array(values, dtype=float).reshape(len(values), len(columns) + len(u_columns))
     colours, u = np.split(stacked, [len(columns)], axis=1)
-    notes = _notes(path, titles, {*places.values(), *columns, *doubts}, bool(doubts))
-    rows = _Rows(path.name, tuple(where), _unique(names), tuple(found), kind, colours, wavelength)
-    return rows._replace(uncertainty=u if doubts else None, notes=tuple(notes))
+    notes = _notes(path, titles, {*places.values(), *columns, *u_columns}, bool(u_columns))
+    rows = _Rows(path.name, tuple(where), _unique(names), tuple(pairs), kind, colours, wavelength)
+    return rows._replace(uncertainty=u if u_columns else None, notes=tuple(notes))
 
 
 def _notes(path: Path, titles: Sequence[str], used: set[int], known: bool) -> list[str]:
     unused = [title for k, title in enumerate(titles) if k not in used]
-    notes = (
-        ["the uncertainties were taken as standard uncertainties (k = 1), independent of each other"] if known else []
-    )
-    return [*notes, f"{path.name}: not used: {', '.join(unused)}"[:200]] if unused else notes
+    notes = ["the uncertainties are taken as independent standard uncertainties (k = 1)"] if known else []
+    return [*notes, f"{path.name}: ignored columns: {', '.join(unused)}"[:200]] if unused else notes
 
 
 def _uncertainty_columns(path: Path, titles: Sequence[str], columns: Sequence[int]) -> list[int]:
-    """The columns of standard uncertainties of some columns, in their order; none if there are none."""
+    """Columns of the standard uncertainties of ``columns``, in their order; empty if there are none."""
     named: dict[str | float, int] = {}
     for k, title in enumerate(titles):
         match = _UNCERTAIN.fullmatch(title)
         if match and k not in columns:
             named[_quantity(match["of"] or match["whose"])] = k
-    wanted = [_quantity(titles[k]) for k in columns]
-    there = [quantity in named for quantity in wanted]
-    if any(there) and not all(there):
-        missing = titles[columns[there.index(False)]]
+    quantities = [_quantity(titles[k]) for k in columns]
+    present = [quantity in named for quantity in quantities]
+    if any(present) and not all(present):
+        missing = titles[columns[present.index(False)]]
         accepted = "one for each column of the colour, or none"
         raise _refusal(
-            path, f"no uncertainty of {missing}", "titles", ", ".join(titles)[:80], accepted, "multiangle.file"
+            path,
+            f"the uncertainty of {missing} is missing",
+            "titles",
+            ", ".join(titles)[:80],
+            accepted,
+            "multiangle.file",
         )
-    return [named[quantity] for quantity in wanted] if all(there) else []
+    return [named[quantity] for quantity in quantities] if all(present) else []
 
 
 def _quantity(title: str) -> str | float:
-    """What a column is of, however it is spelled: L, a, b, X, Y, Z or a wavelength in nm."""
+    """Quantity of a column from any spelling of its title: L, a, b, X, Y, Z or a wavelength in nm."""
     folded = title.strip().casefold()
     match = _WAVELENGTH.fullmatch(title.strip())
     return float(match[1].replace(",", ".")) if match else {**_LAB, **_XYZ}.get(folded, folded)
 
 
 def _colour_columns(path: Path, titles: Sequence[str]) -> tuple[str, list[int], Array | None]:
-    """Which sort of colour stands in which columns."""
+    """Kind of the colours, their columns, and the wavelengths of spectra."""
     folded = [title.casefold() for title in titles]
     for kind, words, order in (("lab", _LAB, "Lab"), ("xyz", _XYZ, "XYZ")):
         at = {words[title]: k for k, title in enumerate(folded) if title in words}
@@ -392,7 +416,9 @@ def _colour_columns(path: Path, titles: Sequence[str]) -> tuple[str, list[int], 
     if matches:
         return "reflectance", list(matches), np.array([float(match[1].replace(",", ".")) for match in matches.values()])
     accepted = "geometry (or theta_i, phi_i, theta_o, phi_o), and L, a, b or X, Y, Z or wavelengths in nm"
-    raise _refusal(path, "the titles name no colour", "titles", ", ".join(titles)[:80], accepted, "multiangle.file")
+    raise _refusal(
+        path, "no colour columns in the title line", "titles", ", ".join(titles)[:80], accepted, "multiangle.file"
+    )
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:

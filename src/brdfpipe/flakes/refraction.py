@@ -1,4 +1,4 @@
-"""The flake that mirrors one direction into another below a clear coat.
+"""Refraction into a clear coat, and the flake that mirrors one direction into another below it.
 
 References
 ----------
@@ -51,7 +51,7 @@ def flake_angle(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
 
     Notes
     -----
-    Refraction keeps the tangential part of a direction but for 1/n, so tan θf = |w_i + w_o|_xy / [n (cos θ_i' + cos θ_o')]. The
+    Refraction scales the tangential part of a direction by 1/n, so tan θf = |w_i + w_o|_xy / [n (cos θ_i' + cos θ_o')]. The
     tangential part is (sin θ_i − sin θ_o)² + 4 sin θ_i sin θ_o cos²(Δφ/2), which does not cancel near the mirror direction,
     where arccos f_z would lose half the digits.
     """

@@ -15,12 +15,12 @@ the published formula. Each direction has its own α_w, and g = min(S(θ_o, α_o
 
 **Known defect.** S does not vanish at grazing, where it stays above ½: the BRDF diverges as 1/cos θ and reflects more than it
 receives (:func:`energy_limit`), 2.1 times as much at 85° for a slope rms of 0.5 per axis (2.2 if α enters for both directions
-with its magnitude, as the source prints it, and q is that of the isotropic Gaussian). It is offered to reproduce the source and
-should not be trusted above 70°.
+with its magnitude, as the source prints it, and q is that of the isotropic Gaussian). Use it to reproduce the source, not
+above 70°.
 
 References
 ----------
-Liu, Zhu & Wang 2015 (Opt. Express 23(17), 22788), with these misprints mended: the upper limit is printed as π/2 − 2θ + α, which makes
+Liu, Zhu & Wang 2015 (Opt. Express 23(17), 22788), with these misprints corrected: the upper limit is printed as π/2 − 2θ + α, which makes
 S negative; lower limits are −π/2; R for unpolarised light is ½(R_s + R_p); the local angle of incidence is ζ, in plane half of
 |θ_i + θ_r|; |·|² for a complex index. Blinn 1977; Torrance & Sparrow 1967 for the groove.
 """
@@ -43,15 +43,15 @@ from brdfpipe.masking.smith import cotangent
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 
 TRUSTED = 70.0
-"""Polar angle above which the attenuation is not to be trusted, whatever the surface [degree]."""
+"""Largest polar angle at which the attenuation can be trusted on any surface [degree]."""
 
 _ORDER = 8
 _CELLS = 1024
 _PANELS = 512
 _SMALLEST = 1e-300
-# Between slopes this much closer than the density's width, q is constant to 1e-4 and the table's digits are lost to 1e-12.
+# Below this ratio of a slope interval to the width of q, the table loses digits, and q is constant to 1e-4.
 _NARROW = 1e-4
-# κ (t − μ) bends on the scale of 1 whatever the width of the density.
+# κ (t − μ) bends on the scale of 1 for a density of any width.
 _BENDS = 0.25 * 2.0 ** np.arange(8)
 
 
@@ -70,7 +70,7 @@ class Marginal:
     Parameters
     ----------
     density : q(t) at t >= 0, of any shape; need not be normalised
-    edges : (panels + 1,) from 0, increasing: between them q is smooth; nothing lies beyond the last
+    edges : (panels + 1,) from 0, increasing; q is smooth between them and 0 beyond the last
     scale : typical |t|
     """
 
@@ -97,7 +97,7 @@ class Marginal:
         if not 1e-6 <= sigma <= 1e3:
             raise BrdfpipeError(f"the slope rms σ is {sigma:g}; accepted: 1e-6 to 1e3")
         norm = liu_norm(sigma)
-        # Beyond 9 σ lie less than 1e-18 of the facets.
+        # Less than 1e-18 of the facets are beyond 9 σ.
         edges = sigma * np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 9.0])
         return cls(lambda t: np.exp(-0.5 * (t / sigma) ** 2) * np.sqrt(1 + t * t) / norm, edges, sigma)
 
@@ -131,7 +131,7 @@ def liu_norm(sigma: float) -> float:
 
 
 def masking_factor(theta: ArrayLike, alpha: ArrayLike, marginal: Marginal) -> Array:
-    """Visible share of a facet that a direction sees past its neighbour, S(θ, α), by quadrature.
+    """Share of a facet that its neighbour leaves visible, S(θ, α), by quadrature.
 
     Parameters
     ----------
@@ -174,12 +174,12 @@ def _slopes(theta: Array, alpha: Array) -> tuple[Array, Array]:
 
 
 def _kappa(mu: Array, tilt: Array) -> Array:
-    """√(1 + a²) / (μ + a) = sin θ / cos(θ − α); where the facet faces away a value too large to matter."""
+    """√(1 + a²) / (μ + a) = sin θ / cos(θ − α); a large finite value if the facet faces away."""
     return 1 / np.maximum((mu + tilt) / np.sqrt(1 + tilt * tilt), _SMALLEST)
 
 
 def _closing_slope(mu: Array, tilt: Array) -> Array:
-    """t_u = tan(π − 2θ + α), the neighbour that hides all of the facet; infinite where none does."""
+    """Slope t_u = tan(π − 2θ + α) of the neighbour that hides all of the facet; infinite if none does."""
     below = 1 - mu * mu - 2 * tilt * mu
     above = 2 * mu + tilt * (1 - mu * mu)
     return np.where(below > 0, above / np.where(below > 0, below, 1.0), np.inf)
@@ -192,7 +192,7 @@ def _integral(marginal: Marginal, edges: Array) -> float:
 
 @dataclass(frozen=True)
 class LiuMasking:
-    """S(θ, α) of one density, ready for millions of directions.
+    """S(θ, α) of one slope density from a table, fast for many directions.
 
     Notes
     -----
@@ -215,7 +215,7 @@ class LiuMasking:
         reach, scale = float(marginal.edges[-1]), min(marginal.scale, 1.0)
         even = scale * np.sinh(np.linspace(0, np.arcsinh(reach / scale), _CELLS + 1))
         nodes = np.union1d(np.append(even[:-1], reach), marginal.panels())
-        # Neighbours closer than rounding would spoil the spline and hold nothing.
+        # Nodes closer than rounding would distort the spline and hold no probability.
         nodes = nodes[np.concatenate([[True], np.diff(nodes) > 1e-9 * nodes[1:]])]
         t, dt = panel_rule(nodes, 4)
         cells = (_kernels(t) * marginal.density(t) * dt).reshape(3, -1, 4).sum(axis=-1)
@@ -294,7 +294,7 @@ def attenuation(
 
     References
     ----------
-    Liu 2015, mended; the projection of the tilt into the plane of each direction is the module's.
+    Liu 2015, corrected; the projection of the tilt into the plane of each direction is the module's.
     """
     theta_i, theta_o = (
         check_angles(name, angle, 0, 90) for name, angle in (("theta_i", theta_i), ("theta_o", theta_o))
@@ -377,27 +377,27 @@ def gaussian_slopes(sigma: float) -> Callable[[Array], Array]:
 
 
 class EnergyLimit(NamedTuple):
-    """Where perfect mirrors under Liu's attenuation begin to reflect more than they receive."""
+    """Incidence from which perfect mirrors with Liu's attenuation reflect more than they receive."""
 
     angle: float
-    """First incidence, to half a degree, with an albedo above 1.001; 90 where none has [degree]."""
+    """Smallest incidence, to half a degree, with an albedo above 1.001; 90 if there is none [degree]."""
     albedo: float
     """Albedo of perfect mirrors at 85 degree [1]."""
 
     def __str__(self) -> str:
         excess = (
-            f"perfect mirrors would reflect more than they receive from {self.angle:g}° on ({self.albedo:.2f} of it at 85°); "
+            f"the albedo of perfect mirrors exceeds 1 from {self.angle:g}° on ({self.albedo:.2f} at 85°); "
             if self.angle < 90
             else ""
         )
         return (
-            f"Liu's attenuation does not vanish at grazing: {excess}do not use this model above {min(self.angle, TRUSTED):g}°, "
+            f"Liu's attenuation violates energy conservation at grazing: {excess}do not use this model above {min(self.angle, TRUSTED):g}°, "
             "or set `model.masking: height-correlated`"
         )
 
 
 def energy_limit(density: RadialDensity, masking: LiuMasking) -> EnergyLimit:
-    """The incidence from which the attenuation breaks the conservation of energy, for the model to report."""
+    """Smallest incidence at which the attenuation violates energy conservation."""
     theta = np.append(np.arange(0.5, 89.75, 0.5), 85.0)
     albedo = directional_albedo(density, masking, theta)
     beyond = np.flatnonzero(albedo[:-1] > 1.001)
@@ -417,7 +417,7 @@ def directional_albedo(density: RadialDensity, masking: LiuMasking, theta_i: Arr
     -----
     Over facets of slope (s, β from the direction of incidence on) that mirror upwards,
     E = ∫∫ P22 g (cos θ_i − s cos β sin θ_i) / cos θ_i s ds dβ; the horizon is s cos β = (1 − s²) cot θ_i / 2. The bends of
-    g = min(…) limit the rule to 1e-4, enough to tell where E exceeds 1.
+    g = min(…) limit the accuracy to 1e-4, enough to locate where E exceeds 1.
     """
     angle = np.radians(theta_i)
     cos_i, sin_i = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]

@@ -1,13 +1,12 @@
-"""Masking by ray casting on measured heights: the ground truth that Smith's formulas are held against.
+"""Masking by ray casting on measured heights: the reference for Smith's formulas.
 
 A line of heights is a chain of straight segments, the facets. Towards a viewer at polar angle θ the running maximum of
-z sin θ − x cos θ, taken from the viewer's end backwards, is the horizon of what lies ahead; a segment is visible where
-it rises above that horizon, and a partly hidden one is clipped. Nothing is sampled: on the lines used the result is
-exact.
+z sin θ − x cos θ, from the viewer's end backwards, is the horizon. A segment is visible where it rises above the horizon, and
+a partly hidden one is clipped. The result is exact for the lines used.
 
-Every line is freed of its own mean slope and continued periodically. Its ends then meet, no facet is added or lost, and
-the mean G1 equals 1/(1 + Λ) of the very slopes used, whatever the heights: a test of the code. The bistatic G2 and the
-G1 of facets of a given slope have no such identity; they are what tests Smith.
+The mean slope of every line is removed, and the line is continued periodically. Its ends then meet, no facet is added or
+lost, and the mean G1 equals 1/(1 + Λ) of the slopes used, for any heights; this identity tests the code. The bistatic G2 and
+the G1 of facets of a given slope have no such identity; they test Smith's assumption.
 
 References
 ----------
@@ -47,7 +46,7 @@ def raycast(surface: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0, *, line
 
     Parameters
     ----------
-    surface : kind ``surface``; a map, or a line profile (which knows the azimuths 0 and 180 alone)
+    surface : kind ``surface``; a map, or a line profile (azimuths 0 and 180 only)
     theta : degree, a number or increasing values, 0 to 89.99
     phi : degree, a number or increasing values: the azimuth towards the viewer
     lines : cast along at most this many evenly spaced lines of an azimuth; default all
@@ -68,21 +67,20 @@ def raycast(surface: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0, *, line
     Azimuths 0, 90, 180 and 270 follow the rows and columns of the map and are exact. Any other follows lines that cross
     one column (or row, whichever is the steeper turn) a step, their heights interpolated linearly between the two
     nearest samples: the heights of the mesh where a ray crosses its edges. That smooths: the height variance of white
-    noise falls by a third, that of structure ten samples long hardly. Steps along them are longer than along the rows: at
-    45 degree on equal pitches a line goes from sample to sample, √2 pitches a step. Where slopes still rise towards one
-    pixel, such a line holds gentler slopes than the facets of its cells (of white noise, 1/√2 of their rms), and its G1
-    is above theirs by so much; only the azimuths of the rows and columns see the facets' own slopes.
+    noise falls by a third, that of structure ten samples long very little. Steps along them are longer than along the rows: at
+    45 degree on equal pitches a line goes from sample to sample, √2 pitches a step. If slopes still increase towards one
+    pixel, such a line has smaller slopes than the facets of its cells (for white noise, 1/√2 of their rms), and its G1 is
+    too high; only the azimuths of the rows and columns use the slopes of the facets themselves.
 
-    A line is split at missing heights and every piece is treated alone, level and periodic by itself; pieces of fewer
-    than 32 heights are left out. So G1 is overstated by what the lost slopes, likely the steepest, would have added to
-    Λ, and by the waviness longer than a piece, which levelling it removes.
+    A line is split at missing heights. Every piece is levelled and continued periodically by itself; pieces of fewer than 32
+    heights are left out. G1 is therefore too high: missing slopes, probably the steepest, do not contribute to Λ, nor does
+    waviness longer than a piece.
 
     The standard uncertainty is that of the ratio over 32 groups of neighbouring lines (of a line profile: stretches of
-    it), which holds where a group is wider than the correlation length. It states how well this piece of surface stands
-    for the whole.
+    it), which holds where a group is wider than the correlation length. It describes how well this area represents the
+    whole surface.
 
-    A map is cast a few lines at a time, in memory that does not grow with it; a line profile whole, in eight times its
-    own.
+    A map is processed a few lines at a time, in constant memory; a line profile as a whole, in eight times its memory.
     """
     vocabulary.validate(surface, "surface")
     polar, azimuth = _axis("theta", theta, 0, THETA_MAX), _axis("phi", phi, -720, 720)
@@ -104,7 +102,7 @@ def raycast(surface: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0, *, line
 def by_slope(
     surface: xr.Dataset, theta: ArrayLike, phi: float = 0.0, *, slope: ArrayLike | None = None, lines: int | None = None
 ) -> xr.Dataset:
-    """Visible fraction of facets of a given slope towards the viewer: what Smith takes to be the same for all.
+    """Visible fraction of facets by their slope towards the viewer; Smith assumes that it does not depend on the slope.
 
     Parameters
     ----------
@@ -125,7 +123,9 @@ def by_slope(
     course = _Course.of(surface, float(check_angles("phi", phi, -720, 720)))
     edges = _default_edges(course, lines) if slope is None else np.asarray(slope, dtype=float)
     if edges.ndim != 1 or edges.size < 2 or not (np.diff(edges) > 0).all():
-        raise VocabularyError("the edges of the slope bins must be two or more increasing numbers")
+        raise VocabularyError(
+            "the edges of the slope bins are not increasing; accepted: two or more increasing numbers"
+        )
     bins = edges.size - 1
     visible, count = np.zeros((2, polar.size, bins, _GROUPS))
     for block in course.blocks(lines):
@@ -159,7 +159,7 @@ def bistatic(
     *,
     lines: int | None = None,
 ) -> xr.Dataset:
-    """Fraction of the facets facing two directions that both of them see, and what Smith expects of it.
+    """Fraction of the facets facing two directions that is visible from both, and Smith's predictions.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def bistatic(
 def compare(
     surface: xr.Dataset, facets: xr.Dataset, theta: ArrayLike = THETA_COMPARED, *, lines: int = 1024
 ) -> xr.Dataset:
-    """Hold the masking of a facet distribution against the surface it came from.
+    """Compare the masking of a facet distribution with ray casting over its surface.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def compare(
 
 
 def _with_doubt(comparison: xr.Dataset) -> xr.Dataset:
-    """Warn where G1 differs by over 0.05 and three uncertainties; beyond 75 degree few surfaces are large enough."""
+    """Warn if G1 differs by more than 0.05 and three uncertainties, up to 75 degree; few surfaces are large enough beyond."""
     difference = abs(comparison["g1_raycast"] - comparison["g1_smith"]).where(comparison["theta"] <= 75, 0.0)
     # Without independent groups the uncertainty is not known; the difference then speaks for itself.
     doubtful = difference.where(difference > 3 * comparison["g1_raycast_u"].fillna(0.0), 0.0)
@@ -282,8 +282,8 @@ def _with_doubt(comparison: xr.Dataset) -> xr.Dataset:
     at = float(comparison["theta"][int(np.argmax(doubtful.values))])
     return vocabulary.add_warning(
         comparison,
-        f"Smith's masking differs from rays cast over the heights by {float(doubtful.max()):.2f} at {at:.0f} degree: "
-        "the surface may have a lay, or the tail of its slopes may be misjudged; "
+        f"Smith's masking differs from ray casting over the heights by {float(doubtful.max()):.2f} at {at:.0f} degree: "
+        "the surface may have a lay, or the tail of the slope density may be wrong; "
         "measure an areal map of a larger area, or check `surface.isotropic`",
     )
 
@@ -293,7 +293,7 @@ def _with_doubt(comparison: xr.Dataset) -> xr.Dataset:
 
 class _Tally(NamedTuple):
     visible: Array
-    """(theta, group) projected area seen."""
+    """(theta, group) visible projected area."""
     facing: Array
     """(theta, group) projected area of the facets that face the direction."""
     excess: Array
@@ -301,7 +301,7 @@ class _Tally(NamedTuple):
     segments: int
 
     def smith(self, theta: Array) -> Array:
-        """Λ of the lines' own slopes."""
+        """Λ from the slopes of the lines."""
         return self.excess / (self.segments * np.cos(np.radians(theta)))
 
 
@@ -398,7 +398,9 @@ def _default_edges(course: _Course, lines: int | None) -> Array:
         square, count = square + float(np.sum(block.slope**2)), count + block.segments
     rms = np.sqrt(square / count)
     if rms == 0:
-        raise RaycastError("the surface is perfectly flat: its facets have no slopes to sort by")
+        raise RaycastError(
+            "the surface is perfectly flat, so its facets cannot be sorted by slope; check the heights (`surface.file`)"
+        )
     return np.linspace(-3 * rms, 3 * rms, _SLOPE_BINS + 1)
 
 
@@ -407,7 +409,7 @@ def _default_edges(course: _Course, lines: int | None) -> Array:
 
 @dataclass(frozen=True)
 class _Course:
-    """The heights seen along one azimuth, as lines that run towards the viewer."""
+    """Heights along one azimuth, as lines that run towards the viewer."""
 
     height: NDArray[np.floating]
     """(rows, columns), a view of the map; columns run towards the viewer."""
@@ -416,7 +418,7 @@ class _Course:
     drift: float
     """Rows that a line crosses from one column to the next, −1 to 1."""
     restore: Callable[[Array], Array]
-    """Turns an array in this orientation back to that of the map."""
+    """Rotates an array from this orientation to that of the map."""
 
     @classmethod
     def of(cls, surface: xr.Dataset, phi: float) -> _Course:
@@ -465,7 +467,7 @@ class _Course:
                 yield block
         if empty:
             raise RaycastError(
-                f"no line of {LEAST_POINTS} heights without a gap; "
+                f"no line has {LEAST_POINTS} heights without a gap; "
                 "measure a larger area, or one with fewer missing heights"
             )
 
@@ -505,7 +507,7 @@ class _Course:
             )
 
     def cells(self, theta: float) -> Array:
-        """Visible fraction in every cell of the map; NaN where it is not known."""
+        """Visible fraction of every cell of the map; NaN where unknown."""
         rows, columns = self.height.shape
         fractions = np.full((self.lines, columns), np.nan)
         for block in self.blocks(None):
@@ -520,7 +522,7 @@ class _Course:
 
 @dataclass(frozen=True)
 class _Block:
-    """Level pieces of lines, shorter ones filled up with their last height, which is zero."""
+    """Levelled pieces of lines, padded to equal length with their last height, which is zero."""
 
     height: Array
     """(n, m) um; begins and ends with zero."""
@@ -532,7 +534,7 @@ class _Block:
     samples: int
     """Samples of the course."""
     few: bool
-    """Whether the course has too few lines to tell their scatter."""
+    """Whether there are too few lines to estimate their scatter."""
 
     @classmethod
     def of(
@@ -554,7 +556,7 @@ class _Block:
 
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
-        """(n, m − 1) which segments are of the piece, not filling."""
+        """(n, m − 1) whether a segment belongs to the piece and is not padding."""
         return np.arange(self.height.shape[1] - 1) < (self.length - 1)[:, None]
 
     @cached_property
@@ -572,12 +574,12 @@ class _Block:
 
     @cached_property
     def group(self) -> NDArray[np.intp]:
-        """Group, of those taken as independent, of every piece (n, 1) or, of few lines, every segment (n, m − 1)."""
+        """Index of the independent group of every piece (n, 1) or, if there are few lines, of every segment (n, m − 1)."""
         at = self.start[:, None] + (np.arange(self.height.shape[1] - 1) if self.few else 0)
         return np.minimum(at * _GROUPS // self.samples, _GROUPS - 1)
 
     def seen(self, theta: float) -> tuple[Array, Array]:
-        """(n, m − 1) projected area that is seen, and that faces the viewer, in um per width."""
+        """(n, m − 1) visible projected area, and projected area that faces the viewer, per width [um]."""
         cos, sin = np.cos(np.radians(theta)), np.sin(np.radians(theta))
         # In this form, not z − x cot θ, normal incidence is no special case.
         elevation = sin * self.height - (cos * self.step) * np.arange(self.height.shape[1])
@@ -597,7 +599,7 @@ class _Block:
         return seen / np.where(facing, whole, 1.0), facing
 
     def excess(self, theta: float) -> float:
-        """Σ (p sin θ − cos θ)⁺ over the segments, the step left out."""
+        """Σ (p sin θ − cos θ)⁺ over the segments, without the step length."""
         # Filling has no slope and adds nothing.
         return float(np.maximum(self.slope * np.sin(np.radians(theta)) - np.cos(np.radians(theta)), 0.0).sum())
 
@@ -608,7 +610,7 @@ class _Block:
         return _by_index(self.group[:, 0], values.sum(axis=1), _GROUPS)
 
     def reversed(self) -> _Block:
-        """The same pieces seen from their other end."""
+        """The same pieces, in reverse direction."""
         return _Block(_backwards(self.height, self.length), self.length, self.step, self.start, self.samples, self.few)
 
 
@@ -617,7 +619,7 @@ def _by_index(index: NDArray[np.intp], values: Array, size: int) -> Array:
 
 
 def _backwards(values: NDArray[Any], count: NDArray[np.intp]) -> NDArray[Any]:
-    """Each row's first ``count`` values from last to first, then its first value on and on."""
+    """Each row's first ``count`` values from last to first, then its first value repeated."""
     if (count == values.shape[1]).all():
         return values[:, ::-1]
     index = np.maximum(count[:, None] - 1 - np.arange(values.shape[1]), 0)

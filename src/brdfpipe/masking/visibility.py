@@ -1,4 +1,4 @@
-"""Which facets a direction sees, and which two directions see: G1 and G2 of a facet distribution, by mode.
+"""Masking G1 and masking-shadowing G2 of a facet distribution, by mode.
 
 References
 ----------
@@ -60,7 +60,7 @@ def g2(
     phi_o: ArrayLike,
     mode: str = "height-correlated",
 ) -> xr.DataArray:
-    """Masking and shadowing together: the fraction of facets that both directions see.
+    """Masking and shadowing: the fraction of facets visible from both directions.
 
     Parameters
     ----------
@@ -94,7 +94,9 @@ def g2(
 
 def _liu(facets: xr.Dataset, angles: list[Array]) -> Array:
     if facets["slope_density"].ndim == 2:
-        raise VocabularyError("masking mode 'liu' knows isotropic surfaces alone; this one has a lay")
+        raise VocabularyError(
+            "masking mode 'liu' is for isotropic surfaces; this one has a lay. Choose another `model.masking`"
+        )
     table = liu.LiuMasking.of(liu.Marginal.of(RadialDensity.of(facets)))
     return np.asarray(liu.attenuation(angles[0], angles[1], angles[2], angles[3], table))
 
@@ -105,7 +107,7 @@ def _by_lambda(facets: xr.Dataset, plain: list[Array], half: HalfVector, mode: s
 
 
 def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
-    """Smith masking straight from the slopes along a line, without a density in between.
+    """Smith masking from the slopes along a line, without a fitted density.
 
     Parameters
     ----------
@@ -118,7 +120,7 @@ def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
 
     Raises
     ------
-    VocabularyError : no slope is there, their mean is not zero, or an angle is out of range.
+    VocabularyError : no finite slope, a mean that is not zero, or an angle is out of range.
 
     Notes
     -----
@@ -128,7 +130,7 @@ def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
     p = p[np.isfinite(p)]
     if p.size == 0 or abs(p.mean()) > 1e-6 * max(float(np.abs(p).max()), 1e-300):
         raise VocabularyError(
-            f"masking needs slopes of mean zero; found {p.size} of mean {p.mean() if p.size else np.nan:g}: level first"
+            f"masking needs slopes of mean zero; found {p.size} slopes of mean {p.mean() if p.size else np.nan:g}. Level the surface first"
         )
     angles = np.radians(np.atleast_1d(check_angles("theta", theta, 0, 90)))
     cos, sin = np.where(angles >= np.pi / 2, 0.0, np.cos(angles)), np.sin(angles)

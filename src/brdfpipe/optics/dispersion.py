@@ -1,4 +1,4 @@
-"""Dispersion formulas, the layout of refractiveindex.info in which they are published, and those of named materials."""
+"""Dispersion formulas, files in the layout of refractiveindex.info, and the indices of named materials."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from brdfpipe.geometry import Array
 SUFFIXES = (".yaml", ".yml")
 """Extensions read in the layout of refractiveindex.info."""
 STEP = 5.0
-"""Distance of the wavelengths a formula is stored at [nm]; straight lines between them leave 2e-5 of n at most."""
+"""Step of the wavelengths a formula is stored at [nm]; linear interpolation between them is accurate to 2e-5 in n."""
 KEPT = (360.0, 830.0)
 """Wavelengths of interest [nm]."""
 
 _REQUIRED = (400.0, 700.0)
-_LONGEST_REACH = 0.5
+_LATEST_START = 0.5
 _SELLMEIER = (1, 2)
 _WIDEST_GAP = 150.0
 
@@ -86,7 +86,7 @@ NAMED: Mapping[str, Named] = {
 
 
 def evaluate(formula: Formula, wavelength: ArrayLike) -> Array:
-    """Refractive index of a dispersion formula, wherever its range ends.
+    """Refractive index of a dispersion formula, also outside its range.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def evaluate(formula: Formula, wavelength: ArrayLike) -> Array:
 
 
 def sampled(formula: Formula, source: str, file: str, key: str) -> xr.Dataset:
-    """A formula as a dataset of kind ``index`` over what is known of 360–830 nm, every 5 nm.
+    """Sample a formula every 5 nm over the known part of 360–830 nm: a dataset of kind ``index``.
 
     Parameters
     ----------
@@ -120,15 +120,15 @@ def sampled(formula: Formula, source: str, file: str, key: str) -> xr.Dataset:
 
     Raises
     ------
-    InputError : its range leaves out part of 400–700 nm, or it gives no index there.
+    InputError : the range does not cover 400–700 nm, or n is undefined there.
 
     Notes
     -----
-    A Sellmeier formula fitted from 500 nm or below is extrapolated to 360 nm, and the history says so: its poles lie where the
-    material absorbs, which makes it the physical continuation. Other formulas, and the long end, are never extrapolated.
+    A Sellmeier formula fitted from 500 nm or below is extrapolated to 360 nm, which the history records: its poles are at the
+    absorption of the material, so the continuation is physical. Other formulas, and the long end, are never extrapolated.
     """
     low, high = formula.low * 1000, min(formula.high * 1000, KEPT[1])
-    extrapolated = formula.number in _SELLMEIER and KEPT[0] < low <= _LONGEST_REACH * 1000
+    extrapolated = formula.number in _SELLMEIER and KEPT[0] < low <= _LATEST_START * 1000
     start = KEPT[0] if extrapolated else max(low, KEPT[0])
     if start > _REQUIRED[0] or high < _REQUIRED[1]:
         raise _no_coverage(file, f"{low:g}–{formula.high * 1000:g} nm", key)
@@ -138,14 +138,18 @@ def sampled(formula: Formula, source: str, file: str, key: str) -> xr.Dataset:
     if not np.isfinite(n).all():
         bad = float(wavelength[~np.isfinite(n)][0])
         raise InputError(
-            file, "the formula gives no refractive index", where=f"{bad:g} nm", accepted="n² >= 0 and no pole", key=key
+            file,
+            "the dispersion formula has no real value",
+            where=f"{bad:g} nm",
+            accepted="n² >= 0 and no pole",
+            key=key,
         )
     dataset = _dataset(wavelength, n, np.zeros_like(n), source, "formula")
-    return _with_reach(dataset, formula)
+    return _record_extrapolation(dataset, formula)
 
 
-def _with_reach(dataset: xr.Dataset, formula: Formula) -> xr.Dataset:
-    """The dataset of a formula, with a word in its history where it starts below the formula's range."""
+def _record_extrapolation(dataset: xr.Dataset, formula: Formula) -> xr.Dataset:
+    """Record in the history of a formula's dataset that it was extrapolated below the formula's range."""
     low, start = formula.low * 1000, float(dataset["wavelength"][0])
     if start >= low:
         return dataset
@@ -168,12 +172,14 @@ def read(path: Path, key: str = "index.file") -> xr.Dataset:
 
     Raises
     ------
-    InputError : damaged YAML, an unknown type of data, numbers that are none, no n, or part of 400–700 nm left out.
+    InputError : damaged YAML, an unknown type of data, invalid numbers, n missing, or 400–700 nm not covered.
     """
     content = documents.plain(path)
     blocks = content.get("DATA") if isinstance(content, Mapping) else None
     if not isinstance(blocks, list) or not all(isinstance(block, Mapping) for block in blocks):
-        raise InputError(path, "no refractive index", accepted="the layout of refractiveindex.info, with DATA", key=key)
+        raise InputError(
+            path, "no DATA of a refractive index", accepted="the layout of refractiveindex.info, with DATA", key=key
+        )
     source = f"{path.name}: {_reference(content.get('REFERENCES'))}"
     real: xr.Dataset | None = None
     imaginary: tuple[Array, Array] | None = None
@@ -192,19 +198,21 @@ def read(path: Path, key: str = "index.file") -> xr.Dataset:
         else:
             raise InputError(
                 path,
-                "this type of data is not read",
+                "unsupported type of data",
                 where=where,
                 found=repr(kind)[:60],
                 accepted="formula 1 to 5, tabulated n, tabulated k, tabulated nk, each quantity once",
                 key=key,
             )
     if real is None:
-        raise InputError(path, "no refractive index n", accepted="a formula, tabulated n or tabulated nk", key=key)
+        raise InputError(
+            path, "refractive index n is missing", accepted="a formula, tabulated n or tabulated nk", key=key
+        )
     if imaginary is None:
         return real
     joined = _with_extinction(path, real, imaginary, key)
-    # Where k starts later than the formula was continued to, less of it was stored.
-    return joined if fitted is None else _with_reach(joined, fitted)
+    # The range of k may leave less of the extrapolation.
+    return joined if fitted is None else _record_extrapolation(joined, fitted)
 
 
 def _sellmeier(w: Array, c: Array) -> Array:
@@ -238,14 +246,19 @@ def _formula(path: Path, where: str, block: Mapping[str, Any], kind: str) -> For
     number = kind.removeprefix("formula ")
     if number not in map(str, _FORMULAS):
         raise InputError(
-            path, "this formula is not read", where=where, found=repr(kind)[:60], accepted="formula 1 to 5", key="index"
+            path,
+            "unsupported dispersion formula",
+            where=where,
+            found=repr(kind)[:60],
+            accepted="formula 1 to 5",
+            key="index",
         )
     coefficients = _numbers(path, where, block.get("coefficients"))
     span = _numbers(path, where, block.get("wavelength_range"))
     if span.size != 2 or not 0 < span[0] < span[1] or not 1 <= coefficients.size <= 17:
         raise InputError(
             path,
-            "no formula",
+            "incomplete dispersion formula",
             where=where,
             found=f"{coefficients.size} coefficients, range {' '.join(f'{value:g}' for value in span)[:40]}",
             accepted="1 to 17 coefficients and a wavelength_range of two increasing µm",
@@ -284,7 +297,7 @@ def _table(path: Path, where: str, block: Mapping[str, Any], width: int) -> Arra
     if not rows or bad is not None:
         raise InputError(
             path,
-            "no table",
+            "incomplete table",
             where=where if bad is None else f"{where}, row {bad}",
             found="nothing" if bad is None else f"{len(rows[bad - 1])} columns",
             accepted=f"rows of {width} numbers",
@@ -295,12 +308,12 @@ def _table(path: Path, where: str, block: Mapping[str, Any], width: int) -> Arra
         row = int(np.argmax(np.diff(table[:, 0]) <= 0)) + 2
         raise InputError(
             path,
-            "wavelengths do not increase",
+            "the wavelengths do not increase",
             where=f"{where}, row {row}",
             accepted="increasing µm",
             key="index.file",
         )
-    # The factor leaves 436.79999999999995 where the file says 0.4368.
+    # Rounded, since 0.4368 µm becomes 436.79999999999995 nm.
     return np.column_stack([np.round(table[:, 0] * 1000, 6), table[:, 1:]])
 
 
@@ -334,7 +347,7 @@ def _no_coverage(file: str, found: str, key: str) -> InputError:
 
 
 def _reference(text: Any) -> str:
-    """The first reference as plain words: what stands between the tags of the database's HTML."""
+    """The first reference as plain text, without the HTML tags of the database."""
     words, inside = [], False
     for character in str(text or "no reference given")[:2000]:
         inside = character == "<" or (inside and character != ">")

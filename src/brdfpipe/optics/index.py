@@ -1,4 +1,4 @@
-"""Refractive indices as ``material.yaml`` gives them: numbers, names, tables, formulas."""
+"""Refractive indices from ``material.yaml``: numbers, names, tables, formulas."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ _ACCEPTED_NK = f"{_ACCEPTED_N} where k = 0, 0 < n < 5 and 0 < k < 20 where the m
 def refractive_index(
     spec: float | str | PathLike[str] | Mapping[str, Any] | xr.Dataset, path: str | PathLike[str] | None = None
 ) -> xr.Dataset:
-    """Refractive index of a material, as ``material.yaml`` gives it.
+    """Refractive index of a material from ``material.yaml``.
 
     Parameters
     ----------
     spec : a number (1 <= n < 5); a name of :data:`NAMED_INDEX`, in any case; ``{"n": …, "k": …}``, as of a metal; ``{"file": …}``
         or a path: a text table of wavelength [nm or µm], n and, as an option, k, or a file of refractiveindex.info
         (.yml, .yaml); or an ``index`` dataset, returned as it is
-    path : where the file of ``{"file": …}`` lies, if not at that name
+    path : path of the file of ``{"file": …}``, if it differs from that name
 
     Returns
     -------
@@ -78,7 +78,7 @@ def refractive_index(
         raise without_k("material.yaml", spec["n"])
     raise InputError(
         "material.yaml",
-        "no refractive index",
+        "not a refractive index",
         where=_KEY,
         found=repr(spec)[:60],
         accepted="a number, a name, {n, k} or {file: table.txt or page.yml}",
@@ -87,7 +87,7 @@ def refractive_index(
 
 
 def without_k(file: str | PathLike[str], n: object) -> InputError:
-    """The refusal of ``{n: …}`` alone: a dielectric is given by its number, a metal by both."""
+    """The error for ``{n: …}`` without k: a dielectric is given as a number, a metal as n and k."""
     plain = f"`index: {n}` of a clear or coloured body, or " if isinstance(n, int | float) and 1 <= n < 5 else ""
     accepted = f"{plain}`index: {{n: {n}, k: …}}` of a metal, with k above 0"
     return InputError(Path(file), "the key 'k' is missing", where=_KEY, accepted=accepted)
@@ -107,38 +107,38 @@ def interpolate_index(index: xr.Dataset, wavelength: ArrayLike) -> tuple[Array, 
 
     Raises
     ------
-    BrdfpipeError : a wavelength lies outside the table (a constant index holds everywhere).
+    BrdfpipeError : a wavelength is outside the table (a constant index holds everywhere).
     """
     vocabulary.validate(index, "index")
-    wanted = np.asarray(wavelength, dtype=float)
+    requested = np.asarray(wavelength, dtype=float)
     known = index["wavelength"].values
-    if not np.isfinite(wanted).all():
-        raise BrdfpipeError("wavelength has undefined values; accepted: finite nm")
-    outside = (wanted < known[0]) | (wanted > known[-1])
+    if not np.isfinite(requested).all():
+        raise BrdfpipeError("the wavelength is not finite; accepted: finite nm")
+    outside = (requested < known[0]) | (requested > known[-1])
     if index.attrs.get("dispersion") != "constant" and outside.any():
         raise BrdfpipeError(
             f"the refractive index ({index.attrs['source']}) is known from {known[0]:g} to {known[-1]:g} nm; "
-            f"asked for {wanted.min():g} to {wanted.max():g} nm"
+            f"asked for {requested.min():g} to {requested.max():g} nm"
         )
-    return np.interp(wanted, known, index["n"].values), np.interp(wanted, known, index["k"].values)
+    return np.interp(requested, known, index["n"].values), np.interp(requested, known, index["k"].values)
 
 
 def _named(name: str) -> xr.Dataset:
     spellings = {"".join(known.split()).casefold(): known for known in NAMED_INDEX}
-    wanted = "".join(name.split()).casefold()
-    if wanted not in spellings:
-        nearest = difflib.get_close_matches(wanted, spellings, n=1, cutoff=0.5)
+    spelling = "".join(name.split()).casefold()
+    if spelling not in spellings:
+        nearest = difflib.get_close_matches(spelling, spellings, n=1, cutoff=0.5)
         hint = f", nearest is {spellings[nearest[0]]}" if nearest else ""
         raise InputError(
             "material.yaml",
-            f"no refractive index is known under this name{hint}",
+            f"unknown material name of a refractive index{hint}",
             where=_KEY,
             found=repr(name[:60]),
             accepted=f"{', '.join(NAMED_INDEX)}, a number, or {{file: table.txt}}",
             key=_KEY,
         )
-    value, source = dispersion.NAMED[spellings[wanted]]
-    source = f"{spellings[wanted]}: {source}"
+    value, source = dispersion.NAMED[spellings[spelling]]
+    source = f"{spellings[spelling]}: {source}"
     if isinstance(value, dispersion.Formula):
         return dispersion.sampled(value, source, "material.yaml", _KEY)
     return _constant(value, source)
@@ -148,7 +148,7 @@ def _constant(n: float, source: str) -> xr.Dataset:
     if not 1 <= n < 5:
         raise InputError(
             "material.yaml",
-            "no refractive index of a dielectric",
+            "invalid refractive index of a dielectric",
             where=_KEY,
             found=f"{n:g}",
             accepted=_ACCEPTED_N,
@@ -158,11 +158,11 @@ def _constant(n: float, source: str) -> xr.Dataset:
 
 
 def _complex(n: Any, k: Any) -> xr.Dataset:
-    numbers = all(isinstance(each, Real) and not isinstance(each, bool) for each in (n, k))
+    numbers = all(isinstance(value, Real) and not isinstance(value, bool) for value in (n, k))
     if not numbers or not _physical(np.array([n], dtype=float), np.array([k], dtype=float)).all():
         raise InputError(
             "material.yaml",
-            "no refractive index",
+            "invalid refractive index",
             where=_KEY,
             found=f"n = {n}, k = {k}",
             accepted=_ACCEPTED_NK,
@@ -173,7 +173,7 @@ def _complex(n: Any, k: Any) -> xr.Dataset:
 
 
 def _physical(n: Array, k: Array) -> NDArray[np.bool_]:
-    # Metals have n below 1; a transparent medium in air has not.
+    # Only absorbing media such as metals have n below 1.
     return (n > 0) & (n < 5) & ((k > 0) | (n >= 1)) & (k >= 0) & (k < 20)
 
 
@@ -187,7 +187,7 @@ def _from_file(path: Path) -> xr.Dataset:
         return _from_table(path)
     raise InputError(
         path,
-        "this kind of index file is not read",
+        "unknown extension of an index file",
         found=path.suffix or "no extension",
         accepted=f"wavelength, n and optionally k in {', '.join(columns.TEXT_SUFFIXES)}, or the layout of "
         f"refractiveindex.info in {', '.join(dispersion.SUFFIXES)}",
@@ -200,7 +200,7 @@ def _from_table(path: Path) -> xr.Dataset:
     if table.values.shape[1] > 3:
         raise InputError(
             path,
-            "too many columns",
+            "too many columns in an index table",
             found=table.values.shape[1],
             accepted="wavelength, n and optionally k",
             key="index.file",
@@ -241,7 +241,7 @@ def _check_values(path: Path, wavelength: Array, n: Array, k: Array) -> None:
         first = int(np.argmax(bad))
         raise InputError(
             path,
-            "no refractive index",
+            "refractive index out of range",
             where=f"{wavelength[first]:g} nm",
             found=f"n = {n[first]:g}, k = {k[first]:g}",
             accepted=_ACCEPTED_NK,

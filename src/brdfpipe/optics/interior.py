@@ -1,4 +1,4 @@
-"""What the inside of a clear body lets pass between its two faces."""
+"""Internal transmittance of a clear body."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ _PERCENT = re.compile(r"%|percent|prozent", re.IGNORECASE)
 
 
 def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> xr.Dataset:
-    """Internal transmittance of a body, as the ``slab`` of material.yaml gives it.
+    """Internal transmittance of a body from the ``slab`` section of material.yaml.
 
     Parameters
     ----------
     spec : ``{thickness}`` [mm] and ``internal_transmittance``, a number or ``{file, scale}``; or ``absorption``, a number [1/mm]
         or ``{file, unit}``; with neither the body absorbs nothing
-    path : where the file lies, if not at its name in ``spec``
+    path : path of the file, if it differs from the name in ``spec``
 
     Returns
     -------
-    Dataset of kind ``interior``: ``internal_transmittance(wavelength)`` [1], of light that goes straight from face to face,
-    without what the faces reflect; ``thickness`` [mm]. A constant is stored at 360 and 780 nm, with attribute ``dispersion``
+    Dataset of kind ``interior``: ``internal_transmittance(wavelength)`` [1], straight from face to face, without
+    the reflection at the faces; ``thickness`` [mm]. A constant is stored at 360 and 780 nm, with attribute ``dispersion``
     ``constant``
 
     Raises
     ------
-    InputError : no positive thickness, values no body has, or a table that does not cover 400–700 nm.
+    InputError : thickness not above 0, values out of range, or a table that does not cover 400–700 nm.
 
     Notes
     -----
@@ -55,7 +55,7 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
     """
     thickness = spec.get("thickness")
     if isinstance(thickness, bool) or not isinstance(thickness, Real) or not 0 < float(thickness) < np.inf:
-        raise _refusal("no thickness", thickness, "mm, above 0", "slab.thickness")
+        raise _refusal("invalid thickness", thickness, "mm, above 0", "slab.thickness")
     thickness = float(thickness)
     absorbs = "absorption" in spec
     given = spec["absorption"] if absorbs else spec.get("internal_transmittance", 1.0)
@@ -82,7 +82,7 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
 
 
 def spectral(interior: xr.Dataset) -> float | xr.DataArray:
-    """The internal transmittance as a number where it is the same at all wavelengths, as a DataArray elsewhere."""
+    """Internal transmittance: a number if it is constant, otherwise a DataArray over wavelength."""
     vocabulary.validate(interior, "interior")
     passed = interior["internal_transmittance"]
     return float(passed[0]) if interior.attrs["dispersion"] == "constant" else passed
@@ -92,17 +92,22 @@ def _number(value: object, absorbs: bool) -> float:
     highest = np.inf if absorbs else 1.0
     if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= float(value) <= highest:
         accepted = "a number at least 0 in 1/mm, or {file: table.txt}" if absorbs else "0 to 1, or {file: table.txt}"
-        raise _refusal("not accepted", value, accepted, _ABSORPTION if absorbs else _KEY)
+        raise _refusal(
+            "invalid absorption coefficient" if absorbs else "invalid internal transmittance",
+            value,
+            accepted,
+            _ABSORPTION if absorbs else _KEY,
+        )
     return float(value)
 
 
 def _table(path: Path, key: str) -> tuple[Array, Array, bool, list[str], tuple[str, ...]]:
-    """Wavelengths in order and once, the values beside them, whether the header speaks of percent, what was corrected, and what is doubtful."""
+    """Sorted, unique wavelengths, their values, whether the header says percent, notes on corrections, and doubts."""
     table = columns.read_columns(path)
     if table.values.shape[1] != 2:
         raise InputError(
             path,
-            "not a table of two columns",
+            "the table must have two columns",
             found=f"{table.values.shape[1]} columns",
             accepted="wavelength and one value",
             key=f"{key}.file",
@@ -131,10 +136,10 @@ def _check(path: Path, wavelength: Array, values: Array, key: str) -> None:
     if values[lowest] < -_NOISE:
         raise InputError(
             path,
-            "a body does not amplify light",
+            "negative transmittance or absorption",
             where=f"{wavelength[lowest]:g} nm",
             found=f"{values[lowest]:.4g}",
-            accepted="values at least 0",
+            accepted="values of at least 0",
             key=key,
         )
 
@@ -144,8 +149,8 @@ def _fraction(path: Path, values: Array, scale: str | None, percent: bool) -> Ar
     if scale is None and (percent or highest > 1 + _NOISE):
         raise InputError(
             path,
-            "the scale is unclear",
-            found=f"values up to {highest:g}" + (" and a header that speaks of percent" if percent else ""),
+            "ambiguous scale: fraction or percent",
+            found=f"values up to {highest:g}" + (" and a header that says percent" if percent else ""),
             accepted="fraction (at most 1) or percent",
             key=f"{_KEY}.scale",
         )
@@ -153,9 +158,9 @@ def _fraction(path: Path, values: Array, scale: str | None, percent: bool) -> Ar
     if fraction.max() > 1 + _NOISE:
         raise InputError(
             path,
-            "more light than enters",
+            "internal transmittance above 1",
             found=f"{highest:g}" + (" percent" if scale == "percent" else ""),
-            accepted="an internal transmittance of at most 1: what passes between the faces, without their reflection",
+            accepted="at most 1; without the reflection at the faces",
             key=f"{_KEY}.file",
         )
     return np.minimum(fraction, 1.0)
