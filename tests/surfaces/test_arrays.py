@@ -57,12 +57,12 @@ def test_integers_are_read_as_numbers(tmp_path: Path, asymmetric: xr.Dataset) ->
 @pytest.mark.parametrize(
     ("stated", "message"),
     [
-        ({"pitch": 1}, r"the unit of the heights is not known.*`surface\.unit`"),
-        ({"unit": "um"}, r"the pitch is not known.*`surface\.pitch`"),
+        ({"pitch": 1}, r"the unit of the heights is missing.*`surface\.unit`"),
+        ({"unit": "um"}, r"the pitch is missing.*`surface\.pitch`"),
         ({"unit": "inch", "pitch": 1}, "unknown unit"),
-        ({"unit": "um", "pitch": -1}, "no pitch"),
-        ({"unit": "um", "pitch": [1, 2, 3]}, "no pitch"),
-        ({"unit": "um", "pitch": 1, "layout": "grid"}, "does not apply to this format"),
+        ({"unit": "um", "pitch": -1}, "invalid pitch"),
+        ({"unit": "um", "pitch": [1, 2, 3]}, "invalid pitch"),
+        ({"unit": "um", "pitch": 1, "layout": "grid"}, "does not apply to the format"),
     ],
 )
 def test_what_is_not_known_is_asked_for(
@@ -84,7 +84,7 @@ def test_what_is_not_known_is_asked_for(
     ],
 )
 def test_other_arrays_are_refused(tmp_path: Path, array: Any) -> None:
-    with pytest.raises(InputError, match="no array of heights"):
+    with pytest.raises(InputError, match="not an array of heights"):
         read_surface(saved(tmp_path, array), **STATED)
 
 
@@ -107,7 +107,9 @@ def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:
     assert not _Trap.sprung
 
 
-@pytest.mark.parametrize(("shape", "message"), [((10**6, 10**6), "too many points"), ((10**4, 10**4), "do not fill")])
+@pytest.mark.parametrize(
+    ("shape", "message"), [((10**6, 10**6), "too many points"), ((10**4, 10**4), "size of the data does not match")]
+)
 def test_a_header_that_promises_more_than_there_is_costs_no_memory(
     tmp_path: Path, shape: tuple[int, int], message: str
 ) -> None:
@@ -121,7 +123,7 @@ def test_a_header_that_promises_more_than_there_is_costs_no_memory(
 def test_a_file_with_something_behind_the_array_is_refused(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     path = saved(tmp_path, asymmetric.height.values)
     path.write_bytes(path.read_bytes() + b"more")
-    with pytest.raises(InputError, match="do not fill the array"):
+    with pytest.raises(InputError, match="size of the data does not match the header"):
         read_surface(path, **STATED)
 
 
@@ -150,7 +152,7 @@ def test_an_archive_may_hold_one_pitch_or_two(
     [
         ({}, "no array of heights"),
         ({"unit": "um"}, "no array of heights"),
-        ({"a": np.zeros((40, 40)), "b": np.zeros((40, 40))}, "cannot be told from other arrays; found 'a, b'"),
+        ({"a": np.zeros((40, 40)), "b": np.zeros((40, 40))}, "several arrays, none named `height`; found 'a, b'"),
         ({"height": np.zeros((40, 40)), "unit": 3.0}, "unit: not a text"),
         ({"height": np.zeros((40, 40)), "unit": "um", "pitch": "wide"}, "pitch: not a length"),
         ({"height": np.zeros((40, 40)), "unit": "um", "pitch": [1.0, 1.0, 1.0]}, "not a length"),
@@ -182,7 +184,7 @@ def test_an_entry_shorter_than_its_header_says_is_refused(tmp_path: Path) -> Non
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (100, 100)})
     with zipfile.ZipFile(tmp_path / "map.npz", "w") as archive:
         archive.writestr("height.npy", header.getvalue() + bytes(100))
-    with pytest.raises(InputError, match=r"height\.npy: the data do not fill the array"):
+    with pytest.raises(InputError, match=r"height\.npy: the size of the data does not match the header"):
         read_surface(tmp_path / "map.npz", **STATED)
 
 

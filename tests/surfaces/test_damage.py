@@ -146,19 +146,19 @@ def test_text_cut_within_a_row_is_refused_or_doubted(whole: Files, tmp_path: Pat
             path.write_bytes(content[:cut])
             if outcome(path) == "read":
                 surface = read_surface(path, **OPTIONS.get(suffix, {}))
-                assert any("cut short" in text for text in vocabulary.warnings(surface)), content[start:cut]
+                assert any("may be truncated" in text for text in vocabulary.warnings(surface)), content[start:cut]
 
 
 def test_real_text_that_is_cut_is_doubted_and_the_whole_is_not(shared_data: Path, tmp_path: Path) -> None:
     for name, share, options, doubt in (
-        ("dektak-1.csv", 0.5, {"unit": "um"}, "It states a length of 1500 um and holds 782"),
-        ("nanovea_test1.txt", 0.9, {"unit": "um", "lateral_unit": "mm"}, "The last row of its points is not complete"),
+        ("dektak-1.csv", 0.5, {"unit": "um"}, "The header states a length of 1500 um, the data have 782"),
+        ("nanovea_test1.txt", 0.9, {"unit": "um", "lateral_unit": "mm"}, "The last row of points is incomplete"),
     ):
         whole, cut = shared_data / "surfaces" / name, tmp_path / name
         content = whole.read_bytes()
         cut.write_bytes(content[: int(share * len(content))])
-        assert not any("cut short" in text for text in vocabulary.warnings(read_surface(whole, **options)))
-        assert any(f"cut short? {doubt}" in text for text in vocabulary.warnings(read_surface(cut, **options)))
+        assert not any("may be truncated" in text for text in vocabulary.warnings(read_surface(whole, **options)))
+        assert any(f"may be truncated. {doubt}" in text for text in vocabulary.warnings(read_surface(cut, **options)))
 
 
 def test_files_with_flipped_bits_are_refused_or_still_surfaces(whole: Files, tmp_path: Path) -> None:

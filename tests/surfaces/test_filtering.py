@@ -115,7 +115,7 @@ def test_single_precision_stays_single(asymmetric: xr.Dataset) -> None:
 def test_a_cutoff_that_the_pitch_or_the_extent_does_not_carry_is_refused(
     asymmetric: xr.Dataset, filtered, cutoff: float
 ) -> None:
-    with pytest.raises(BrdfpipeError, match=r"cannot be applied; accepted: 2\.8 um \(4 pitches\) to 25 um"):
+    with pytest.raises(BrdfpipeError, match=r"is out of range; accepted: 2\.8 um \(4 pitches\) to 25 um"):
         filtered(asymmetric, cutoff)
 
 

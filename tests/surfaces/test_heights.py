@@ -33,12 +33,12 @@ def test_a_plain_surface_passes_without_a_warning() -> None:
 
 @pytest.mark.parametrize("pitch", [0.9e-3, 1.1e3, -1.0, 0.0])
 def test_a_pitch_outside_one_nanometre_to_one_millimetre_is_refused(pitch: float) -> None:
-    refuse(Heights(rough((64,)), pitch), r"pitch along x cannot be right.*`surface\.lateral_unit`")
-    refuse(Heights(rough(), 1.0, pitch), r"pitch along y cannot be right.*`surface\.lateral_unit`")
+    refuse(Heights(rough((64,)), pitch), r"implausible pitch along x.*`surface\.lateral_unit`")
+    refuse(Heights(rough(), 1.0, pitch), r"implausible pitch along y.*`surface\.lateral_unit`")
 
 
 def test_an_extent_of_a_metre_is_refused() -> None:
-    refuse(Heights(rough((1001,), pitch=1e3), 1e3), "extent along x cannot be right; found 1.001 m")
+    refuse(Heights(rough((1001,), pitch=1e3), 1e3), "implausible extent along x; found 1.001 m")
 
 
 @pytest.mark.parametrize("shape", [(63,), (31, 40), (40, 31)])
@@ -52,7 +52,7 @@ def test_slopes_outside_the_range_of_finishes_are_refused(slope: float, accepted
     if accepted:
         examine(surface_dataset(heights), FILE)
     else:
-        refuse(heights, r"rms slope cannot be that of a surface finish.*`surface\.unit`")
+        refuse(heights, r"implausible rms slope of a surface finish.*`surface\.unit`")
 
 
 def test_a_tilt_does_not_count_as_slope() -> None:
@@ -107,7 +107,7 @@ def test_a_few_steps_that_carry_the_slope_are_warned_of(step: float, warned: boo
     # Of a block out of place the edges alone are steep.
     height[30:60, 40:80] += step
     texts = vocabulary.warnings(examine(surface_dataset(Heights(height, 1.0, 1.0)), FILE))
-    assert any("A few steps carry most of the slope" in text for text in texts) == warned
+    assert any("A few steps dominate the rms slope" in text for text in texts) == warned
 
 
 def test_the_heavy_tail_of_ggx_is_no_few_steps() -> None:
@@ -121,7 +121,7 @@ def test_the_heavy_tail_of_ggx_is_no_few_steps() -> None:
 def test_heights_that_overflow_are_refused_in_words() -> None:
     height = rough()
     height[3, 4], height[5, 6] = 1e300, -1e308
-    refuse(Heights(height, 1.0, 1.0), "rms slope cannot be that of a surface finish")
+    refuse(Heights(height, 1.0, 1.0), "implausible rms slope of a surface finish")
 
 
 def test_the_dataset_carries_what_the_reader_found() -> None:

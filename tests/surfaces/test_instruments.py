@@ -119,7 +119,7 @@ def test_a_third_missing_stays_missing_through_the_whole_stage(shared_data: Path
 @pytest.mark.usefixtures("library")
 def test_the_unit_taken_for_the_pitch_of_an_nms_file_is_warned_about(shared_data: Path) -> None:
     (warning,) = vocabulary.warnings(read_surface(shared_data / "surfaces" / "nms-2.nms"))
-    assert "states the pitch 312.5 x 312.5 without a unit; it was taken in nm" in warning
+    assert "states the pitch 312.5 x 312.5 without a unit. It was read in nm" in warning
     assert "set `surface.lateral_unit`" in warning
 
 
@@ -141,7 +141,7 @@ def test_a_plausible_pitch_of_an_nms_file_is_left_alone() -> None:
 
 @pytest.mark.usefixtures("library")
 def test_the_unit_of_the_pitch_is_not_asked_of_a_format_that_states_it(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"surface\.lateral_unit: this key does not apply"):
+    with pytest.raises(InputError, match=r"surface\.lateral_unit: this key does not apply to the format"):
         read_surface(tmp_path / "map.opd", lateral_unit="nm")
 
 
@@ -235,20 +235,18 @@ def test_the_first_height_channel_is_taken_unless_one_is_named(rigged: Any, valu
     np.testing.assert_allclose(first.height, values.T[::-1] * 1e-3, rtol=1e-12)
     np.testing.assert_allclose(named.height, values.T[::-1] * 2e-3, rtol=1e-12)
     assert "first of the height channels Forward, Backward" in first.attrs["history"]
-    with pytest.raises(
-        InputError, match=r"no such channel of heights; found 'Light'.*Forward, Backward.*surface\.channel"
-    ):
+    with pytest.raises(InputError, match=r"unknown height channel; found 'Light'.*Forward, Backward.*surface\.channel"):
         rigged(*channels, channel="Light")
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"kind": "PHASE"}, "no channel of heights; found 1 channels"),
-        ({"unit": None}, "states no unit of length"),
-        ({"unit": "V"}, "states no unit of length; found 'V'"),
-        ({"physical_sizes": None}, "states no pitch"),
-        ({"physical_sizes": [5e9, 5e9]}, "pitch along . cannot be right"),
+        ({"kind": "PHASE"}, "no height channel in the file; found 1 channels"),
+        ({"unit": None}, "does not state a unit of length"),
+        ({"unit": "V"}, "does not state a unit of length; found 'V'"),
+        ({"physical_sizes": None}, "does not state a pitch"),
+        ({"physical_sizes": [5e9, 5e9]}, "implausible pitch along ."),
         ({"is_uniform": False}, "unevenly spaced"),
         ({"nb_grid_pts": (10**6, 10**6)}, "too many points"),
         ({"heights": lambda: np.zeros((50, 40))}, "quantised to a few levels"),

@@ -61,8 +61,8 @@ def test_the_stage_levels_then_filters_as_the_material_says(tmp_path: Path, asym
 @pytest.mark.parametrize(
     ("spec", "message"),
     [
-        ({"lambda_s": 1.0}, r"λs of 1 um cannot be applied.*`surface\.lambda_s`"),
-        ({"lambda_c": 1e3}, r"λc of 1000 um cannot be applied.*`surface\.lambda_c`"),
+        ({"lambda_s": 1.0}, r"λs of 1 um is out of range.*`surface\.lambda_s`"),
+        ({"lambda_c": 1e3}, r"λc of 1000 um is out of range.*`surface\.lambda_c`"),
         ({"lambda_s": 9.0, "lambda_c": 9.0}, r"not above λs, 9 um.*`surface\.lambda_c`"),
     ],
 )

@@ -84,7 +84,7 @@ def test_header_lines_state_unit_lateral_unit_and_pitch(tmp_path: Path, asymmetr
     found = read_surface(put(tmp_path, header + spell(asymmetric.height.values * 1e3)))
     np.testing.assert_allclose(found.height, asymmetric.height, rtol=0, atol=PRINTED)
     assert (found.attrs["pitch_x"], found.attrs["pitch_y"]) == pytest.approx((0.5, 0.7))
-    assert "Passed over 1 lines" in found.attrs["history"]
+    assert "Skipped 1 header lines" in found.attrs["history"]
 
 
 def test_the_material_file_overrides_the_header(tmp_path: Path, line: xr.Dataset) -> None:
@@ -104,12 +104,12 @@ def test_comments_may_stand_anywhere(tmp_path: Path, line: xr.Dataset) -> None:
 
 def test_a_height_file_without_a_unit_is_refused(tmp_path: Path, line: xr.Dataset) -> None:
     path = put(tmp_path, "\n".join(map(str, line.height.values)))
-    with pytest.raises(InputError, match=r"map\.txt: the unit of the heights is not known.*`surface\.unit`"):
+    with pytest.raises(InputError, match=r"map\.txt: the unit of the heights is missing.*`surface\.unit`"):
         read_surface(path, pitch=0.25)
 
 
 def test_a_grid_without_a_pitch_is_refused(tmp_path: Path, asymmetric: xr.Dataset) -> None:
-    with pytest.raises(InputError, match=r"pitch is not known.*`surface\.pitch`"):
+    with pytest.raises(InputError, match=r"pitch is missing.*`surface\.pitch`"):
         read_surface(put(tmp_path, spell(asymmetric.height.values)), unit="um")
 
 
@@ -161,7 +161,7 @@ def test_an_infinite_height_is_refused(tmp_path: Path, asymmetric: xr.Dataset) -
 
 @pytest.mark.parametrize("text", ["0,15\n0,25\n0,35\n", "0,15\n" * 100, "1,5, 2,5, 3,5\n" * 40])
 def test_commas_of_two_meanings_are_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(InputError, match="a comma could be a decimal mark"):
+    with pytest.raises(InputError, match="ambiguous comma: decimal mark"):
         read_surface(put(tmp_path, text), unit="um", pitch=1)
 
 
@@ -259,13 +259,13 @@ def test_points_left_out_of_the_grid_are_missing(tmp_path: Path, asymmetric: xr.
 
 def test_a_cloud_of_points_is_refused(tmp_path: Path) -> None:
     cloud = np.random.default_rng(2).uniform(0, 100, (2000, 3))
-    with pytest.raises(InputError, match="fill no regular grid"):
+    with pytest.raises(InputError, match="do not form a regular grid"):
         read_surface(put(tmp_path, spell(cloud)), unit="um")
 
 
 def test_a_repeated_point_is_refused(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     rows = np.nan_to_num(points(asymmetric))
-    with pytest.raises(InputError, match="a point appears twice; found x = 0, y = 0"):
+    with pytest.raises(InputError, match="duplicate point; found x = 0, y = 0"):
         read_surface(put(tmp_path, spell(np.vstack([rows, rows[0]]))), unit="um")
 
 
@@ -290,7 +290,7 @@ def test_a_last_number_of_fewer_decimals_is_doubted(tmp_path: Path, asymmetric: 
     text = spell(asymmetric.height.values, decimal=",")
     found = read_surface(put(tmp_path, text[:-3]), **GRID)
     assert vocabulary.warnings(found)[-1].startswith(
-        "Was the file cut short? The last line has no end, and its last number"
+        "The file may be truncated. The last line has no line end, and its last number"
     )
 
 
@@ -313,7 +313,7 @@ def test_a_profile_shorter_than_its_header_says_is_doubted(
     found = vocabulary.warnings(read_surface(put(tmp_path, f"{words}\n{rows}"), unit="um"))
     assert found == (
         [
-            "Was the file cut short? It states a length of 60 um and holds 50 um; compare it with the original, or export it again."
+            "The file may be truncated. The header states a length of 60 um, the data have 50 um; compare it with the original, or export it again."
         ]
         if doubted
         else []
@@ -333,14 +333,14 @@ def test_points_that_stop_within_a_row_are_doubted(tmp_path: Path, asymmetric: x
         rows = rows.reshape(-1, 3)
     for kept, doubted in ((len(rows), False), (len(rows) - 7, True)):
         found = read_surface(put(tmp_path, spell(rows[:kept]), "map.xyz"), unit="um")
-        assert any("last row of its points" in text for text in vocabulary.warnings(found)) == doubted
+        assert any("last row of points is incomplete" in text for text in vocabulary.warnings(found)) == doubted
 
 
 def test_points_left_out_of_an_aperture_are_not_doubted(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     rows = points(asymmetric.fillna(0.0))
     inside = ((rows[:, 0] - 12.25) / 12.6) ** 2 + ((rows[:, 1] - 13.65) / 14) ** 2 <= 1
     found = read_surface(put(tmp_path, spell(rows[inside]), "map.xyz"), unit="um")
-    assert not any("cut short" in text for text in vocabulary.warnings(found))
+    assert not any("may be truncated" in text for text in vocabulary.warnings(found))
 
 
 def test_a_real_stylus_file_gives_the_known_roughness(shared_data: Path) -> None:
@@ -380,11 +380,11 @@ def test_an_hfm_profile_brings_its_units_and_its_gaps(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("X;Y;Z\n[mm];[um];[1/0]\n1;2;1\n", "no HFM profile.*X;Y;valid"),
-        ("X;Y;valid\n[mm];[um]\n1;2;1\n", "no HFM profile"),
+        ("X;Y;Z\n[mm];[um];[1/0]\n1;2;1\n", "not an HFM profile.*X;Y;valid"),
+        ("X;Y;valid\n[mm];[um]\n1;2;1\n", "not an HFM profile"),
         ("X;Y;valid\n[mm];[V];[1/0]\n1;2;1\n", "unknown unit; found 'V'"),
-        (HFM, "no HFM profile"),
-        (HFM + "1;2\n2;3\n", "no HFM profile; found 2 columns"),
+        (HFM, "not an HFM profile"),
+        (HFM + "1;2\n2;3\n", "not an HFM profile; found 2 columns"),
         (HFM + "1;2;1\n2;x;1\n", "line 4, column 2: not a number"),
     ],
 )

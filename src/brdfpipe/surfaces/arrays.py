@@ -1,7 +1,6 @@
 """NumPy arrays on the disk: one array (.npy), or named arrays in a zip archive (.npz).
 
-Headers are read before data: the announced size must be the size that is there, and objects, which could carry code, are
-refused.
+The header is read first: its size must match the file. Arrays of objects, which could contain code, are refused.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ _RATIO_FROM = 2**24
 _WHOLE = "a whole file as numpy.save or numpy.savez writes it"
 
 _HEADER_DAMAGE = (ValueError, SyntaxError, TypeError, KeyError, MemoryError, RecursionError, tokenize.TokenError)
-"""What numpy raises on a header that is none."""
+"""Exceptions that numpy raises on a damaged header."""
 _ARCHIVE_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, NotImplementedError, ValueError)
 
 
@@ -48,7 +47,7 @@ def read_npy(
     Parameters
     ----------
     path : as ``numpy.save`` writes it; integers or floating point
-    unit, lateral_unit : nm, um, mm, m; positions in the unit of the heights if not said
+    unit, lateral_unit : nm, um, mm, m; positions in the unit of the heights by default
     pitch : a number, or [x, y], in ``lateral_unit``
 
     Returns
@@ -57,7 +56,7 @@ def read_npy(
 
     Raises
     ------
-    InputError : no such file or cut off; no array of real numbers in one or two dimensions; unit or pitch not known.
+    InputError : missing or truncated file; not a real array of one or two dimensions; unknown unit or pitch.
     """
     try:
         with path.open("rb") as handle:
@@ -74,13 +73,13 @@ def read_npz(
     lateral_unit: str | None = None,
     pitch: float | Sequence[float] | None = None,
 ) -> Heights:
-    """Read the array ``height``, or the only array, of an archive, with the unit and pitch that stand beside it.
+    """Read the array ``height``, or the only array, of an archive, with the unit and pitch of the archive.
 
     Parameters
     ----------
     path : as ``numpy.savez`` or ``savez_compressed`` writes it; beside the heights it may hold the scalars ``pitch`` or
         ``pitch_x`` and ``pitch_y``, and the texts ``unit`` and ``lateral_unit``
-    unit, lateral_unit, pitch : as for :func:`read_npy`; they count more than what the archive says
+    unit, lateral_unit, pitch : as for :func:`read_npy`; they override those of the archive
 
     Returns
     -------
@@ -88,7 +87,7 @@ def read_npz(
 
     Raises
     ------
-    InputError : as :func:`read_npy`; or no archive; or several arrays of which none is called ``height``.
+    InputError : as :func:`read_npy`; not an archive; or several arrays, none of them named ``height``.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -119,7 +118,7 @@ def _heights(
     if array.dtype.kind not in "fiu" or array.ndim not in (1, 2):
         raise InputError(
             path,
-            "no array of heights",
+            "not an array of heights",
             found=f"{array.ndim} dimensions of {array.dtype}",
             accepted="one dimension (a line) or two (a map, rows along y) of integers or floating point",
         )
@@ -135,10 +134,10 @@ def _heights(
 
 
 def _read_array(handle: IO[bytes], size: int, path: Path, where: str | None) -> NDArray[Any]:
-    """The array of an open .npy file of ``size`` bytes; nothing is allocated before the header is found to be true."""
+    """The array of an open .npy file of ``size`` bytes; memory is allocated only after the header matched the size."""
     try:
         with warnings.catch_warnings():
-            # Of files written by Python 2, which read well.
+            # Warnings about files written by Python 2, which are read correctly.
             warnings.simplefilter("ignore", UserWarning)
             version = np.lib.format.read_magic(handle)
             read_header = {
@@ -157,14 +156,14 @@ def _read_array(handle: IO[bytes], size: int, path: Path, where: str | None) -> 
     if size - handle.tell() != expected:
         raise InputError(
             path,
-            "the data do not fill the array",
+            "the size of the data does not match the header",
             where=where,
             found=f"{size - handle.tell()} bytes",
-            accepted=f"{expected}, as the header says",
+            accepted=f"{expected} bytes, as the header states",
         )
     data = handle.read(expected)
     if len(data) != expected:
-        raise InputError(path, "the file is cut off", where=where, accepted=_WHOLE)
+        raise InputError(path, "truncated file", where=where, accepted=_WHOLE)
     array = np.frombuffer(data, dtype)
     return array.reshape(shape[::-1]).T if columns_first else array.reshape(shape)
 
@@ -185,9 +184,9 @@ def _height_name(entries: Mapping[str, zipfile.ZipInfo], path: Path) -> str:
         return candidates[0]
     raise InputError(
         path,
-        "the heights cannot be told from other arrays" if candidates else "the archive holds no array of heights",
+        "several arrays, none named `height`" if candidates else "the archive has no array of heights",
         found=repr(", ".join(candidates)[:60]) if candidates else None,
-        accepted="an array called height, or one array alone",
+        accepted="an array named height, or a single array",
     )
 
 
@@ -206,7 +205,7 @@ def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) ->
 
 
 def _setting(value: NDArray[Any], name: str, path: Path) -> str:
-    """What a scalar, a text, or a pair of pitches says, as text."""
+    """A scalar, a text, or a pair of pitches, as text."""
     text = name in ("unit", "lateral_unit")
     if value.dtype.kind not in ("US" if text else "fiu") or value.size > (2 if name == "pitch" else 1):
         raise InputError(
@@ -234,7 +233,7 @@ FORMATS = (
         "npz",
         read_npz,
         (".npz",),
-        "the array `height`, or one array alone; unit and pitch, unless the archive has `unit`, `lateral_unit`, `pitch` or `pitch_x`, `pitch_y`",
+        "the array `height`, or a single array; unit and pitch, unless the archive has `unit`, `lateral_unit`, `pitch` or `pitch_x`, `pitch_y`",
         UNSTATED,
     ),
 )

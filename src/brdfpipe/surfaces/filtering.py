@@ -1,11 +1,11 @@
-"""Gaussian filters of ISO 16610: what is finer than λs, or coarser than λc, goes.
+"""Gaussian filters of ISO 16610: λs removes short waves, λc long ones.
 
-Missing heights have no weight and are not filled: the weights of the others make up for them (normalised convolution), at gaps
-and edges alike.
+Missing heights have no weight and stay missing: the weights of the others are normalised (normalised convolution), at gaps and
+at edges.
 
 References
 ----------
-ISO 16610-21:2011 (lines) and ISO 16610-61:2015 (areas); α = sqrt(ln 2 / π), so that the cutoff passes by half.
+ISO 16610-21:2011 (lines) and ISO 16610-61:2015 (areas); α = sqrt(ln 2 / π), so that half of a wave at the cutoff is transmitted.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ LEAST_PITCHES = 4
 
 _BLOCK = 2**21
 _REACH = 1.0
-"""Half width of the weights in cutoffs: exp(-π/α²) = 7e-7 of their peak stands there."""
+"""Half width of the weights in cutoffs: exp(-π/α²) = 7e-7 of the peak remains there."""
 
 Array = NDArray[np.float64]
 
 
 def low_pass(surface: xr.Dataset, lambda_s: float) -> xr.Dataset:
-    """Smooth a surface: waves much shorter than the cutoff go, those much longer stay.
+    """Low-pass filter: remove waves shorter than the cutoff λs.
 
     Parameters
     ----------
@@ -43,12 +43,12 @@ def low_pass(surface: xr.Dataset, lambda_s: float) -> xr.Dataset:
     Returns
     -------
     Dataset of kind ``surface`` of the same floating type; missing heights stay missing; attributes ``lambda_s`` [um] and
-    ``band``, and history, say what was done.
+    ``band``, and the history, record the filter.
 
     Raises
     ------
     VocabularyError : the dataset is no surface.
-    BrdfpipeError : a cutoff that the pitch or the extent does not carry, or above λc where that was filtered before.
+    BrdfpipeError : a cutoff too short for the pitch, too long for the extent, or not below λc of an earlier filter.
     """
     validate(surface, "surface")
     _check(surface, lambda_s, "λs")
@@ -59,7 +59,7 @@ def low_pass(surface: xr.Dataset, lambda_s: float) -> xr.Dataset:
 
 
 def high_pass(surface: xr.Dataset, lambda_c: float) -> xr.Dataset:
-    """Take the waviness from a surface: waves much longer than the cutoff go, those much shorter stay.
+    """High-pass filter: remove waves longer than the cutoff λc, the waviness.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def high_pass(surface: xr.Dataset, lambda_c: float) -> xr.Dataset:
     Raises
     ------
     VocabularyError : the dataset is no surface.
-    BrdfpipeError : a cutoff that the pitch or the extent does not carry, or not above λs where that was filtered before.
+    BrdfpipeError : a cutoff too short for the pitch, too long for the extent, or not above λs of an earlier filter.
     """
     validate(surface, "surface")
     _check(surface, lambda_c, "λc")
@@ -90,7 +90,7 @@ def _check(surface: xr.Dataset, cutoff: float, name: str) -> None:
     most = min(pitch * count for pitch, count in zip(pitches, surface.height.shape, strict=True))
     if not least <= cutoff <= most:
         raise BrdfpipeError(
-            f"the cutoff {name} of {cutoff:g} um cannot be applied; accepted: {least:.4g} um ({LEAST_PITCHES} pitches) to "
+            f"the cutoff {name} of {cutoff:g} um is out of range; accepted: {least:.4g} um ({LEAST_PITCHES} pitches) to "
             f"{most:.4g} um (the shortest side)"
         )
 
@@ -101,18 +101,18 @@ def _pitches(surface: xr.Dataset) -> list[float]:
 
 def _filtered(surface: xr.Dataset, height: Array, attribute: str, cutoff: float, words: str) -> xr.Dataset:
     filtered = surface.copy()
-    kept = surface.height
-    filtered["height"] = kept.copy(data=height.astype(kept.dtype, copy=False))
+    original = surface.height
+    filtered["height"] = original.copy(data=height.astype(original.dtype, copy=False))
     filtered.attrs[attribute] = float(cutoff)
     filtered.attrs["band"] = band(filtered.attrs)
     return add_history(filtered, f"{words} = {cutoff:g} um (ISO 16610, half transmitted at the cutoff).")
 
 
 def _smooth(surface: xr.Dataset, cutoff: float) -> Array:
-    """The mean of the valid heights under Gaussian weights about every valid point; NaN elsewhere."""
+    """Gaussian-weighted mean of the valid heights around every valid point; NaN elsewhere."""
     height = surface.height.values.astype(np.float64)
     missing = np.isnan(height)
-    # Constants pass a mean unchanged; what is left of them would only cost digits in the transforms.
+    # The mean height is removed before the transforms, where it would cost digits.
     offset = float(height[~missing].mean()) if not missing.all() else 0.0
     height -= offset
     height[missing] = 0

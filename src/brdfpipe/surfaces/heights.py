@@ -1,7 +1,7 @@
-"""Heights on a constant-pitch grid: the dataset they become, and the checks that they can be a surface at all.
+"""Heights on a constant-pitch grid: their dataset, and plausibility checks.
 
-The checks catch what readers cannot see: a wrong unit, another channel than height, a file of another kind that happened to
-open. Their limits are wide: no finish of a plastic, paint or film comes near them.
+The checks find a wrong unit, a channel other than height, or a file of another kind that a reader happened to open. Their limits
+are far from any finish of a plastic, paint or film.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ UNSTATED = ("unit", "lateral_unit", "pitch")
 
 
 def surface_dataset(heights: Heights) -> xr.Dataset:
-    """The dataset of kind ``surface`` of what a reader found, not levelled."""
+    """The dataset of kind ``surface`` of the heights from a reader, not levelled."""
     height = heights.height
     pitches = {"pitch_x": heights.pitch_x} | ({} if heights.pitch_y is None else {"pitch_y": heights.pitch_y})
     dims = ("x",) if heights.pitch_y is None else ("y", "x")
@@ -85,7 +85,7 @@ def surface_dataset(heights: Heights) -> xr.Dataset:
 
 
 def band(attrs: Mapping[str, Any]) -> str:
-    """In words, what waves a surface holds, from its attributes ``pitch_x``, ``pitch_y``, ``lambda_s``, ``lambda_c`` [um]."""
+    """Bandwidth of a surface in words, from its attributes ``pitch_x``, ``pitch_y``, ``lambda_s``, ``lambda_c`` [um]."""
     pitch_x, pitch_y = attrs["pitch_x"], attrs.get("pitch_y")
     square = pitch_y is None or abs(pitch_y - pitch_x) < 1e-3 * pitch_x
     pitch = f"{pitch_x:.4g}" if square else f"{pitch_x:.4g} x {pitch_y:.4g}"
@@ -97,7 +97,7 @@ def band(attrs: Mapping[str, Any]) -> str:
 
 
 def examine(surface: xr.Dataset, file: Path) -> xr.Dataset:
-    """Refuse heights that cannot be a surface; warn of doubtful ones.
+    """Refuse implausible heights; warn about doubtful ones.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def examine(surface: xr.Dataset, file: Path) -> xr.Dataset:
     Returns
     -------
     The surface, with warnings for more than 1 % missing heights, for sections of unequal pitch (ratio above 2), for spikes
-    (slopes above 30 between two neighbours) and where a few steps carry the slope (rms over 6 times the median; of a Gaussian
+    (slopes above 30 between two neighbours), and slopes dominated by a few steps (rms over 6 times the median; of a Gaussian
     it is 1.5, of GGX over 10⁶ heights 4.3).
 
     Raises
@@ -142,7 +142,7 @@ def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path) -> Non
         if not PITCH_RANGE[0] <= pitch <= PITCH_RANGE[1]:
             raise InputError(
                 file,
-                f"the sampling pitch along {dim} cannot be right",
+                f"implausible pitch along {dim}",
                 found=f"{pitch:g} um",
                 accepted="1 nm to 1 mm",
                 key=key,
@@ -150,7 +150,7 @@ def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path) -> Non
         if pitch * count >= EXTENT_MAX:
             raise InputError(
                 file,
-                f"the extent along {dim} cannot be right",
+                f"implausible extent along {dim}",
                 found=f"{pitch * count / 1e6:g} m",
                 accepted="less than 1 m",
                 key=key,
@@ -167,7 +167,7 @@ def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path) -> Non
 
 
 def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Path) -> tuple[float, float]:
-    """Refuse what cannot be heights; return the steepest slope between two neighbours, and rms over median slope."""
+    """Refuse implausible heights; return the steepest slope between two neighbours, and rms over median slope."""
     if np.isinf(height).any():
         raise InputError(
             file,
@@ -188,7 +188,7 @@ def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Pat
     if not SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
         raise InputError(
             file,
-            "the rms slope cannot be that of a surface finish; is the unit right?",
+            "implausible rms slope of a surface finish; check the unit of the heights",
             found=f"{slope:.3g}",
             accepted=f"{SLOPE_RANGE[0]:g} to {SLOPE_RANGE[1]:g}",
             key="surface.unit",
@@ -202,7 +202,7 @@ def _slopes(height: NDArray[np.floating], pitches: list[float]) -> tuple[float, 
     0 where no two neighbours are valid.
     """
     variance, steepest, peaked = 0.0, 0.0, 0.0
-    # Damaged files hold any number; whatever overflows is no slope either.
+    # Damaged files may contain any number; slopes that overflow are refused later.
     with np.errstate(over="ignore", invalid="ignore"):
         for axis, pitch in enumerate(pitches):
             steps = np.diff(height, axis=axis)
@@ -219,7 +219,7 @@ def _slopes(height: NDArray[np.floating], pitches: list[float]) -> tuple[float, 
 
 
 def _sample(values: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Evenly spread values: sorting all of a large map would cost more than reading it."""
+    """Evenly spaced sample: sorting all values of a large map would take longer than reading it."""
     return values.ravel()[:: max(1, values.size // 20011)]
 
 
@@ -227,17 +227,17 @@ def _doubts(missing: float, pitches: list[float], steepest: float, peaked: float
     doubts = []
     if peaked > PEAKED_WARN and steepest <= STEP_WARN:
         doubts.append(
-            f"A few steps carry most of the slope, whose rms is {peaked:.2g} times its median: dust, scratches, an edge or "
-            "damaged heights; look at the height map, and mark them as missing or measure another spot."
+            f"A few steps dominate the rms slope ({peaked:.2g} times the median): dust, scratches, an edge or "
+            "damaged heights. Inspect the height map and mark them as missing, or measure another spot."
         )
     if steepest > STEP_WARN:
         doubts.append(
-            f"Two neighbouring heights differ by a slope of {steepest:.3g}: a spike or a damaged height; "
+            f"Slope of {steepest:.3g} between two neighbouring heights: a spike or a damaged height; "
             "mark it as missing in the instrument's software, or measure again."
         )
     if missing > MISSING_WARN:
         doubts.append(
-            f"{missing:.1%} of the heights are missing, likely the steepest: the slopes may be understated; "
+            f"{missing:.1%} of the heights are missing, probably on the steepest facets, and slopes may be understated; "
             "measure with higher aperture or at several tilts."
         )
     ratio = max(pitches) / min(pitches)

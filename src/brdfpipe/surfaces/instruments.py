@@ -1,7 +1,7 @@
-"""Instruments' own file formats, read by the library SurfaceTopography (the optional extra ``instruments``).
+"""File formats of instruments, read by the library SurfaceTopography (the optional extra ``instruments``).
 
-The library is told the format and never asked to guess it: asked, it opens empty files, random bytes and damaged archives as
-something. What it returns is checked and turned into our terms; it is imported when such a file is read, not before.
+The format is always given to the library; when it guesses, it opens even empty files, random bytes and damaged archives. Its
+results are checked and converted. It is imported only when such a file is read.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Instrument:
 
     title: str
     extensions: tuple[str, ...]
-    """That tell it; without any it must be named."""
+    """Extensions that select the format; without any, `surface.format` must name it."""
     from_top: bool = True
     """Whether the library's first row is the upper edge of the picture, as Gwyddion shows it, and not y = 0."""
     options: tuple[str, ...] = ("channel",)
@@ -65,11 +65,11 @@ INSTRUMENTS: Mapping[str, Instrument] = {
     "vk": Instrument("Keyence VK", (".vk3", ".vk4", ".vk6", ".vk7")),
     "zon": Instrument("Keyence ZON", (".zon",)),
 }
-"""Format, called as the library calls it → what it is. Left out are formats of scanning probes, and text in any guise."""
+"""Formats by the library's name. Formats of scanning probes, and text, are left out."""
 
 
 def read_instrument(path: Path, format: str, *, channel: str | None = None, lateral_unit: str | None = None) -> Heights:
-    """Read a height map or a line profile from an instrument's own file.
+    """Read a height map or a line profile from a file of an instrument.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def read_instrument(path: Path, format: str, *, channel: str | None = None, late
 
     Raises
     ------
-    InputError : the extra is not installed; no such file; damaged or of another format; no channel of heights, or none of
+    InputError : the extra is not installed; no such file; damaged or of another format; no height channel, or none of
         this name; unit or pitch not stated; positions not at constant pitch.
     """
     library = _library(path)
@@ -101,7 +101,7 @@ def read_instrument(path: Path, format: str, *, channel: str | None = None, late
             pitches = _pitches(topography, path)
     except InputError:
         raise
-    # A reader may fail in any way on what it was not written for; whatever it is, the file is not what it claims.
+    # A reader may raise any exception on a damaged file or one of another format.
     except Exception as error:
         raise _refusal(path, instrument.title, error) from error
     doubts: tuple[str, ...] = ()
@@ -137,7 +137,7 @@ def _not_installed(path: Path) -> InputError:
     return InputError(
         path,
         f"this format is read by {LIBRARY}, which is not installed",
-        accepted="X3P, text or NumPy; or first `make instruments`, elsewhere `pip install 'brdfpipe[instruments]'`",
+        accepted="X3P, text or NumPy; or install it with `make instruments` or `pip install 'brdfpipe[instruments]'`",
     )
 
 
@@ -159,14 +159,14 @@ def _check_size(path: Path) -> None:
 
 
 def _height_channel(channels: Sequence[Any], name: str | None, path: Path) -> tuple[Any, list[str]]:
-    """The channel to read, and what is to be said about the choice."""
+    """The channel to read, and a note if there were several."""
     heights = [channel for channel in channels if channel.data_kind.name == "HEIGHT"]
     names = ", ".join(channel.name for channel in heights)[:200]
     chosen = heights[:1] if name is None else [channel for channel in heights if channel.name == name][:1]
     if not chosen:
         raise InputError(
             path,
-            "no channel of heights" if name is None else "no such channel of heights",
+            "no height channel in the file" if name is None else "unknown height channel",
             found=repr(name) if name else f"{len(channels)} channels",
             accepted=names or "a file with a height map",
             key="surface.channel",
@@ -179,7 +179,7 @@ def _height_channel(channels: Sequence[Any], name: str | None, path: Path) -> tu
 
 
 def _height_array(heights: NDArray[Any], from_top: bool) -> tuple[NDArray[np.float64], list[str]]:
-    """(y, x) or (x,), y upwards, NaN where masked or infinite, in a copy of our own; and what was put right."""
+    """(y, x) or (x,), y upwards, NaN where masked or infinite, as a copy; and notes on corrections."""
     height = np.ma.filled(np.ma.asarray(heights).astype(np.float64), np.nan)
     # The library counts x first.
     height = height.reshape(-1) if 1 in height.shape else height.T[:: -1 if from_top else 1]
@@ -190,12 +190,12 @@ def _height_array(heights: NDArray[Any], from_top: bool) -> tuple[NDArray[np.flo
 
 
 def _unit_scale(unit: str | None, path: Path) -> float:
-    """Unit of the file → µm."""
+    """Factor that converts the file's unit to µm."""
     conversion = importlib.import_module(f"{LIBRARY}.Support.UnitConversion")
     if not isinstance(unit, str) or not conversion.is_length_unit(unit):
         raise InputError(
             path,
-            "the file states no unit of length",
+            "the file does not state a unit of length",
             found=repr(unit)[:60] if unit else None,
             accepted="a file with units; or export it as X3P, or as text with surface.unit",
         )
@@ -211,7 +211,7 @@ def _pitches(topography: Any, path: Path) -> list[float]:
     if topography.physical_sizes is None:
         raise InputError(
             path,
-            "the file states no pitch",
+            "the file does not state a pitch",
             accepted="a file with a lateral scale; or export it as text with surface.pitch",
         )
     sizes, counts = np.ravel(topography.physical_sizes), np.ravel(topography.nb_grid_pts)
@@ -221,7 +221,7 @@ def _pitches(topography: Any, path: Path) -> list[float]:
 def _of_unstated_unit(
     pitches: list[float], lateral_unit: str | None, path: Path
 ) -> tuple[list[float], tuple[str, ...]]:
-    """The pitches [um] where the file states no unit and the library takes mm; and what to doubt."""
+    """Pitches [um] of a file without a unit, for which the library assumes mm; and warnings."""
     numbers = [pitch / UNITS["mm"] for pitch in pitches]
     if lateral_unit is not None:
         _, scale = scales(path, {}, "um", lateral_unit, setting="")
@@ -232,7 +232,7 @@ def _of_unstated_unit(
         return pitches, ()
     stated = " x ".join(f"{number:.6g}" for number in numbers)
     return as_nanometres, (
-        f"The file states the pitch {stated} without a unit; it was taken in nm, as in mm no area could be that large: "
+        f"The file states the pitch {stated} without a unit. It was read in nm, since in mm the area would be too large; "
         "compare the extent with the instrument's, and set `surface.lateral_unit` (nm confirms it).",
     )
 
@@ -240,9 +240,11 @@ def _of_unstated_unit(
 def _refusal(path: Path, title: str, error: Exception) -> InputError:
     if isinstance(error, OSError) and error.strerror and error.filename:
         return InputError(path, f"cannot be read ({error.strerror})")
-    # The library's own words name what it misses; those of others may name folders.
-    told = type(error).__module__.startswith(LIBRARY) and str(error).strip()
-    words = str(error).strip().splitlines()[0][:120].replace(str(path), path.name) if told else type(error).__name__
+    # Messages of the library describe the fault; those of other packages may contain folder names.
+    from_library = type(error).__module__.startswith(LIBRARY) and str(error).strip()
+    words = (
+        str(error).strip().splitlines()[0][:120].replace(str(path), path.name) if from_library else type(error).__name__
+    )
     return InputError(
         path, f"not a {title} file, or damaged", found=words, accepted="a whole file", key="surface.format"
     )

@@ -1,6 +1,6 @@
-"""Levelling: the form of the part goes, the texture stays.
+"""Levelling: subtract the form of the part, keep the texture.
 
-Every form is a polynomial of up to the second degree in the positions, fitted by least squares to the heights that are there.
+Every form is a polynomial of up to second degree in the positions, fitted to the valid heights by least squares.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FORMS = ("none", "plane", "polynomial-2", "cylinder")
 _DEGREE = {"plane": 1, "polynomial-2": 2, "cylinder": 2}
 _BLOCK = 2**20
 _WORST_CONDITION = 1e10
-_TOO_FEW_LINES = "cannot level: the valid heights lie on too few lines and fix no form"
+_TOO_FEW_LINES = "cannot level: the valid heights are on too few lines to determine the form"
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class _Sums(NamedTuple):
     """The normal equations of the monomials up to a degree, in scaled positions t = (x − centre)/scale on each axis."""
 
     powers: list[tuple[int, ...]]
-    """Of each monomial, along each axis of the heights."""
+    """Exponents of each monomial along the axes of the heights."""
     matrix: Array
     moments: Array
     centres: list[float]
@@ -156,7 +156,7 @@ def _polynomial(sums: _Sums) -> tuple[Array, str]:
 
 
 def _cylinder(sums: _Sums) -> tuple[Array, str]:
-    """Coefficients of the plane and the parabola along the direction that leaves least, and that direction in words.
+    """Coefficients of the plane and the parabola along the direction of the smallest residual, and that direction in words.
 
     With the plane solved for, what a parabola along φ takes away is a ratio of two quadratic forms in cos²φ, 2 cosφ sinφ and
     sin²φ, known from the sums alone: a scan over the half circle and a short search around its best find the direction.

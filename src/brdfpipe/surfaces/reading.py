@@ -1,7 +1,7 @@
-"""Which reader reads a file, and the stage that turns a file into a levelled and filtered surface.
+"""Read, level and filter surface files; formats register here.
 
-The format follows from the extension or from the material file, never from trying readers until one succeeds: corrupt files
-and files of another kind would open as something.
+The extension or the material file selects the format. Readers are never tried in turn: some would open damaged files, or files
+of another kind, without an error.
 """
 
 from __future__ import annotations
@@ -29,33 +29,33 @@ _STEPS: Mapping[str, Callable[[xr.Dataset, Any], xr.Dataset]] = {
     "lambda_s": low_pass,
     "lambda_c": high_pass,
 }
-"""Key of the material file → what it asks for, in order."""
+"""Processing step of each key of the material file, in order."""
 _OTHER_KEYS = ("file", "format", "isotropic", "azimuth", "scans", "method")
 
 
 def read_surface(path: str | os.PathLike[str], format: str | None = None, **options: Any) -> xr.Dataset:
-    """Read a measured surface and check that it can be one.
+    """Read a measured surface and check that its heights are plausible.
 
     Parameters
     ----------
     path : the file
     format : a key of :data:`FORMATS`; by default from the extension
-    **options : what the format does not state itself. Text and NumPy: ``unit`` of the heights and ``lateral_unit`` (nm, um,
-        mm, m), ``pitch`` (number or pair [x, y], in ``lateral_unit``); text alone: ``layout`` (``line``, ``grid``,
-        ``xyz``); instruments' formats: ``channel``, the name of a height channel where there are several; ``nms``:
+    **options : values that the file does not state. Text and NumPy: ``unit`` of the heights and ``lateral_unit`` (nm, um,
+        mm, m), ``pitch`` (number or pair [x, y], in ``lateral_unit``); text only: ``layout`` (``line``, ``grid``,
+        ``xyz``); instruments' formats: ``channel``, the name of the height channel if there are several; ``nms``:
         ``lateral_unit``
 
     Returns
     -------
     Dataset of kind ``surface``: ``height(y, x)`` or ``height(x)`` [um], missing is NaN, not levelled; coordinates from 0
-    [um]; attributes ``pitch_x``, ``pitch_y`` (areal alone) [um], ``levelling`` = "none", ``band``. float32 where the file
-    carries float32, else float64. Seen from above, x runs to the right and y upwards: a picture whose first row is its upper
-    edge is turned over on reading. Text and arrays say nothing of it; their first row lies at y = 0.
+    [um]; attributes ``pitch_x``, ``pitch_y`` (maps only) [um], ``levelling`` = "none", ``band``. float32 where the file
+    carries float32, else float64. Seen from above, x runs to the right and y upwards: an image whose first row is its upper
+    edge is flipped. The first row of text and arrays is at y = 0.
 
     Raises
     ------
-    InputError : the file cannot be read, its unit is not known, or its heights cannot be those of a surface to scatter
-        light (see :func:`brdfpipe.surfaces.heights.examine`).
+    InputError : the file cannot be read, its unit is unknown, or its heights are implausible
+        (see :func:`brdfpipe.surfaces.heights.examine`).
     """
     path = Path(path)
     chosen = FORMATS[_format_name(path, format)]
@@ -64,47 +64,46 @@ def read_surface(path: str | os.PathLike[str], format: str | None = None, **opti
         if name not in chosen.options:
             raise InputError(
                 path,
-                "this key does not apply to this format",
+                "this key does not apply to the format of the file",
                 where=f"surface.{name}",
                 found=given[name],
-                accepted=", ".join(chosen.options) or "no reading options: the file states its own units and pitch",
+                accepted=", ".join(chosen.options) or "none; the file states units and pitch",
             )
     return examine(surface_dataset(chosen.read(path, **given)), path)
 
 
 def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
-    """The stage ``surface``: read, check, level and filter a file as a material's ``surface`` mapping says.
+    """The stage ``surface``: read, check, level and filter a file according to a material's ``surface`` section.
 
     Parameters
     ----------
     path : the file that ``spec["file"]`` names, resolved
     spec : ``format`` and the reading options of :func:`read_surface`; ``form`` to level by (default plane); ``lambda_s`` and
-        ``lambda_c``, cutoffs [um] of a low-pass and a high-pass filter (default none); what other stages read of the same
-        mapping (``isotropic``) is passed over
+        ``lambda_c``, cutoffs [um] of a low-pass and a high-pass filter (default none); keys of other stages
+        (``isotropic``) are ignored
 
     Returns
     -------
-    Dataset of kind ``surface``, levelled, then smoothed by λs, then freed of the waviness above λc.
+    Dataset of kind ``surface``, levelled, then low-pass filtered (λs), then high-pass filtered (λc).
 
     Raises
     ------
-    InputError : as :func:`read_surface`; or the form is not known or not fixed by the heights; or a cutoff that the pitch or
-        the extent does not carry.
+    InputError : as :func:`read_surface`; an unknown form, or one that the heights do not determine; a cutoff out of range.
     """
     options = {key: value for key, value in spec.items() if key not in (*_OTHER_KEYS, *_STEPS)}
     surface = read_surface(path, spec.get("format"), **options)
-    asked = {"form": "plane"} | {key: spec[key] for key in _STEPS if spec.get(key) is not None}
+    parameters = {"form": "plane"} | {key: spec[key] for key in _STEPS if spec.get(key) is not None}
     for key, step in _STEPS.items():
-        if key not in asked:
+        if key not in parameters:
             continue
         try:
-            surface = step(surface, asked[key])
+            surface = step(surface, parameters[key])
         except BrdfpipeError as error:
             raise InputError(Path(path), str(error), key=f"surface.{key}") from error
     if "azimuth" not in spec:
         return surface
     if surface["height"].ndim != 1:
-        raise InputError(Path(path), "an azimuth belongs to a line profile", found="a map", key="surface.azimuth")
+        raise InputError(Path(path), "`azimuth` applies to line profiles only", found="a map", key="surface.azimuth")
     return surface.assign_attrs(azimuth=float(spec["azimuth"]))
 
 

@@ -1,7 +1,6 @@
-"""Delimited text: a line of heights, a grid of heights, or points x y z; and HFM, which is text too.
+"""Delimited text: a line of heights, a grid of heights, or points x y z; and the text format HFM.
 
-The layout, the separator and the decimal mark each follow from a fixed rule, so that a damaged file is refused and not read
-as something else. Whole columns are handled at once; no point is looked at on its own.
+Fixed rules determine the layout, the separator and the decimal mark, so that a damaged file is refused and not misread.
 """
 
 from __future__ import annotations
@@ -41,14 +40,14 @@ _COMPARED = 33
 
 @dataclass(frozen=True)
 class _Body:
-    """The numbers of a file as text, and what stands above and between them."""
+    """The numbers of a file as text, with the settings of its header and comments."""
 
     text: str
     first_line: int
     settings: dict[str, str]
     notes: tuple[str, ...]
     length: float | None = None
-    """Of the profile, as the words above it say [um]."""
+    """Length of the profile according to the header [um]."""
 
 
 def read_text(
@@ -64,7 +63,7 @@ def read_text(
     Parameters
     ----------
     path : UTF-8, UTF-16 or Latin-1 text; columns separated by ``;``, tab, ``,`` or white space; decimal point or comma;
-        comments after ``#`` or ``%``; lines of words above the first line of numbers are passed over
+        comments after ``#`` or ``%``; header lines above the first line of numbers are skipped
     layout : ``line`` (x and z, or z alone), ``grid`` (a row of heights a line, the first at y = 0) or ``xyz`` (in any
         order); by default from the shape: one row, one or two columns are a line, three columns are xyz, more a grid
     unit : of the heights: nm, um, mm, m; by default from a line ``# unit: um``
@@ -73,14 +72,14 @@ def read_text(
 
     Returns
     -------
-    Heights [um] in float64; NaN where the file has NaN, ***, NA, - or nothing between two separators, or leaves points of a
-    regular xyz grid out. Warnings where the file may have been cut short: it states a greater length, its last row of points is
-    not complete, or its last line has no end and its last number fewer decimals than those above.
+    Heights [um] in float64; NaN where the file has NaN, ***, NA, - or nothing between two separators, or omits points of a
+    regular xyz grid. Warnings if the file may be truncated: the header states a greater length, the last row of points is
+    incomplete, or the last line has no line end and fewer decimals than those above.
 
     Raises
     ------
-    InputError : no text; no numbers; rows of unequal length or something that is no number, by line; unit or pitch not known;
-        x unevenly spaced; points that fill no regular grid.
+    InputError : not text; no numbers; rows of unequal length, or a field that is not a number, with its line; missing unit or
+        pitch; unevenly spaced x; points that do not form a regular grid.
 
     Notes
     -----
@@ -101,9 +100,9 @@ def read_text(
     doubt = _loose_end(body.text)
     extent = height.shape[-1] * pitch_x * lateral_scale
     if chosen == "line" and body.length is not None and extent < (1 - _TWO_PERCENT) * body.length:
-        doubt = f"It states a length of {body.length:.5g} um and holds {extent:.5g} um"
+        doubt = f"The header states a length of {body.length:.5g} um, the data have {extent:.5g} um"
     if chosen == "xyz" and _stops_within_a_row(table):
-        doubt = "The last row of its points is not complete"
+        doubt = "The last row of points is incomplete"
     return Heights(
         height,
         pitch_x * lateral_scale,
@@ -114,7 +113,7 @@ def read_text(
 
 
 def read_hfm(path: Path) -> Heights:
-    """Read a line profile in the text form HFM: x, z and whether z is valid, under a line of titles and one of units.
+    """Read a line profile in the text form HFM: x, z and validity of z, below a line of titles and one of units.
 
     Parameters
     ----------
@@ -122,7 +121,7 @@ def read_hfm(path: Path) -> Heights:
 
     Returns
     -------
-    Heights [um] in float64; NaN where the file calls a height invalid
+    Heights [um] in float64; NaN where the file marks a height as invalid
 
     Raises
     ------
@@ -134,7 +133,7 @@ def read_hfm(path: Path) -> Heights:
     if titles.strip() != "X;Y;valid" or named is None or not rows.strip():
         raise InputError(
             path,
-            "no HFM profile",
+            "not an HFM profile",
             found=repr(f"{titles.strip()} {units.strip()}"[:60]),
             accepted="rows of numbers under the lines X;Y;valid and [mm];[mm];[1/0]",
             key="surface.format",
@@ -143,26 +142,26 @@ def read_hfm(path: Path) -> Heights:
     z_scale, x_scale = scales(path, {}, z_unit, x_unit, setting="a line [mm];[mm];[1/0]")
     table = _table(_Body(rows, 3, {}, ()), path)
     if table.shape[1] != 3:
-        raise InputError(path, "no HFM profile", found=f"{table.shape[1]} columns", accepted="x, z and valid")
+        raise InputError(path, "not an HFM profile", found=f"{table.shape[1]} columns", accepted="x, z and valid")
     profile = np.column_stack([table[:, 0], np.where(table[:, 2] == 1, table[:, 1], np.nan)])
     height, pitch, _, remarks = _line(profile, (), path)
     return Heights(height * z_scale, pitch * x_scale, None, (*notes, *remarks), _cut_warning(_loose_end(rows)))
 
 
 def _cut_warning(doubt: str) -> tuple[str, ...]:
-    return (f"Was the file cut short? {doubt}; compare it with the original, or export it again.",) if doubt else ()
+    return (f"The file may be truncated. {doubt}; compare it with the original, or export it again.",) if doubt else ()
 
 
 def _loose_end(text: str) -> str:
-    """What the last line lacks, where it has no end and is unlike those above; nothing else, since many files have no last end."""
+    """Sign of truncation in a last line without line end; empty if there is none, since many files lack the last line end."""
     *above, last = text.rsplit("\n", _COMPARED)
     rows = [row.rstrip(" ") for row in above[1:] if row.strip()]
     if not rows or not last.strip():
         return ""
     if _NO_LAST_FIELD.search(last) and not any(map(_NO_LAST_FIELD.search, rows)):
-        return "The last line has no end, and its last field is empty"
+        return "The last line has no line end, and its last field is empty"
     if re.search(r"[\d.,]$", last) and _decimals(last) < min(map(_decimals, rows)):
-        return "The last line has no end, and its last number has fewer decimals than those above"
+        return "The last line has no line end, and its last number has fewer decimals than those above"
     return ""
 
 
@@ -173,7 +172,7 @@ def _decimals(row: str) -> int:
 
 
 def _stops_within_a_row(points: NDArray[np.float64]) -> bool:
-    """Whether points x y z that were written row by row, or column by column, end where no other row does, and the last is shortest."""
+    """Whether points x y z, written by rows or columns, end in a row that is shorter than all others and ends elsewhere."""
     for slow, fast in ((1, 0), (0, 1)):
         steps = np.diff(points[:, slow])
         begins = np.flatnonzero(steps) + 1
@@ -195,7 +194,7 @@ def _decode(path: Path) -> tuple[str, tuple[str, ...]]:
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         codec = "utf-16"
     elif b"\0" in data:
-        # Western text in UTF-16 has a zero in every other byte; which one tells the byte order.
+        # Western text in UTF-16 has a zero in every other byte; its position gives the byte order.
         codec = "utf-16-le" if data[1:200:2].count(0) > data[0:200:2].count(0) else "utf-16-be"
     notes: tuple[str, ...] = ()
     try:
@@ -230,7 +229,7 @@ def _split_header(text: str, path: Path) -> _Body:
         content = re.split("[#%]", line, maxsplit=1)[0].strip()
         first = next(filter(None, re.split(r"[;\s]+|,(?!\d)", content)), "")
         if _NUMBER.fullmatch(first) or _NUMBER.fullmatch(first.split(",")[0]):
-            note = f"Passed over {skipped} lines of words above the heights." if skipped else ""
+            note = f"Skipped {skipped} header lines above the heights." if skipped else ""
             length = _LENGTH.search(text[:offset])
             return _Body(
                 _without_comments(text[offset:]),
@@ -256,7 +255,7 @@ def _without_comments(text: str) -> str:
 
 
 def _table(body: _Body, path: Path) -> NDArray[np.float64]:
-    """The numbers, (rows, columns); columns that are empty throughout at the right end are left out."""
+    """The numbers, (rows, columns); empty columns at the right end are left out."""
     separator, decimal = _marks(body, path)
     text, lines = _check_rows(body, separator, path)
     options: dict[str, Any] = {
@@ -274,7 +273,7 @@ def _table(body: _Body, path: Path) -> NDArray[np.float64]:
     except ValueError:
         raise _not_a_number(text, options, lines, path) from None
     if len(table) != len(lines):
-        raise InputError(path, "rows of unequal length", accepted="as many fields in every row")
+        raise InputError(path, "rows of unequal length", accepted="the same number of fields in every row")
     while table.shape[1] > 1 and np.isnan(table[:, -1]).all() and separator:
         table = table[:, :-1]
     return table
@@ -297,21 +296,21 @@ def _marks(body: _Body, path: Path) -> tuple[str | None, str]:
         return ",", "."
     raise InputError(
         path,
-        "a comma could be a decimal mark or part two columns",
+        "ambiguous comma: decimal mark or column separator",
         where=f"line {body.first_line}",
         found=repr(row[:60]),
-        accepted="decimal points, or columns parted by `;` or a tab",
+        accepted="decimal points, or columns separated by `;` or a tab",
     )
 
 
 def _decimal_mark(text: str) -> str | None:
-    """The one mark the text uses; None where it uses none or both."""
+    """The decimal mark of the text; None if it contains both marks or neither."""
     point, comma = "." in text, "," in text
     return None if point == comma else "." if point else ","
 
 
 def _check_rows(body: _Body, separator: str | None, path: Path) -> tuple[str, NDArray[np.int64]]:
-    """The text without lines of mere blanks, and the line of the file each row stands in.
+    """The text without blank lines, and the line number of each row in the file.
 
     The parser would fill short rows with missing values: fields are counted here, on the bytes of the whole file at once.
     """
@@ -346,7 +345,7 @@ def _count_per_line(marks: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArra
 
 
 def _not_a_number(text: str, options: dict[str, Any], lines: NDArray[np.int64], path: Path) -> InputError:
-    """Find the field that the parser refused; only failing files take this slower way."""
+    """Find the field that the parser refused (slow, for failing files only)."""
     cells = pd.read_csv(io.StringIO(text), dtype=str, **options)
     for column in cells:
         numbers = cells[column].str.strip().str.replace(options["decimal"], ".", regex=False)
@@ -359,9 +358,9 @@ def _not_a_number(text: str, options: dict[str, Any], lines: NDArray[np.int64], 
                 "not a number",
                 where=f"line {lines[wrong[0]]}, column {int(str(column)) + 1}",
                 found=repr(str(cells[column].iloc[wrong[0]])[:60]),
-                accepted="numbers; # before words; NaN, *** or nothing where a height is missing",
+                accepted="numbers; comments after #; NaN, *** or an empty field where a height is missing",
             )
-    return InputError(path, "not all fields are numbers", accepted="numbers; # before words")
+    return InputError(path, "not all fields are numbers", accepted="numbers; comments after #")
 
 
 def _default_layout(table: NDArray[np.float64]) -> str:
@@ -381,7 +380,7 @@ def _line(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _
     if table.shape[1] != 2:
         raise InputError(
             path,
-            "no line profile",
+            "not a line profile",
             found=f"{table.shape[1]} columns",
             accepted="one column z, or two: x and z",
             key="surface.layout",
@@ -392,8 +391,8 @@ def _line(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _
         x, z = x[::-1], z[::-1]
     pitch = _constant_pitch(x, "x", path)
     _check_agreement(steps[:1], (pitch,), path)
-    turned = ("Reversed, for x to increase.",) if backwards else ()
-    return z.copy(), pitch, None, (*turned, f"Pitch taken from the first and last of {x.size} positions x.")
+    reversal = ("Reversed, so that x increases.",) if backwards else ()
+    return z.copy(), pitch, None, (*reversal, f"Pitch from the first and last of {x.size} positions x.")
 
 
 def _grid(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _Read:
@@ -403,13 +402,15 @@ def _grid(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _
 
 def _xyz(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _Read:
     if table.shape[1] != 3:
-        raise InputError(path, "no points x y z", found=f"{table.shape[1]} columns", accepted="3", key="surface.layout")
+        raise InputError(
+            path, "not a table of points x y z", found=f"{table.shape[1]} columns", accepted="3", key="surface.layout"
+        )
     (columns, x), (rows, y) = (_positions(table[:, axis], name, path) for axis, name in enumerate("xy"))
     shape, count = (y.size, x.size), len(table)
     if min(shape) < 2 or x.size * y.size > 2 * count:
         raise InputError(
             path,
-            "the points fill no regular grid",
+            "the points do not form a regular grid",
             found=f"{count} points, {x.size} different x, {y.size} different y",
             accepted="every x with every y, at constant pitch",
             key="surface.layout",
@@ -419,34 +420,34 @@ def _xyz(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _R
     cells = rows * x.size + columns
     times = np.bincount(cells, minlength=x.size * y.size)
     if times.max() > 1:
-        again = int(np.argmax(times))
+        duplicate = int(np.argmax(times))
         raise InputError(
             path,
-            "a point appears twice",
-            found=f"x = {x[again % x.size]:g}, y = {y[again // x.size]:g}",
-            accepted="one height a point",
+            "duplicate point",
+            found=f"x = {x[duplicate % x.size]:g}, y = {y[duplicate // x.size]:g}",
+            accepted="one height per point",
         )
     height = np.full(x.size * y.size, np.nan)
     height[cells] = table[:, 2]
     absent = int(np.count_nonzero(times == 0))
-    note = (f"{absent} points of the grid are not in the file: missing.",) if absent else ()
+    note = (f"{absent} points of the grid are not in the file; taken as missing.",) if absent else ()
     return height.reshape(shape), *pitch, note
 
 
 def _positions(values: NDArray[np.float64], name: str, path: Path) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """The rank of every position among the different ones, and the different ones, increasing."""
+    """The rank of every position among the distinct ones, and the distinct ones, increasing."""
     if not np.isfinite(values).all():
         raise InputError(path, f"missing positions {name}", accepted="numbers in every row; only z may be missing")
-    codes, different = pd.factorize(values, sort=True)
-    return codes, np.asarray(different)
+    codes, distinct = pd.factorize(values, sort=True)
+    return codes, np.asarray(distinct)
 
 
 def _constant_pitch(positions: NDArray[np.float64], name: str, path: Path) -> float:
-    """The pitch from the end points, provided that every position follows it within its printed digits."""
+    """The pitch from the end points; every position must agree with it within its printed digits."""
     if positions.size < 2 or not np.isfinite(positions).all() or positions[-1] == positions[0]:
         raise InputError(
             path,
-            f"positions {name} give no pitch",
+            f"the positions {name} do not give a pitch",
             accepted=f"increasing numbers {name} in every row",
             key="surface.layout",
         )
@@ -460,7 +461,7 @@ def _constant_pitch(positions: NDArray[np.float64], name: str, path: Path) -> fl
             path,
             f"the positions {name} are unevenly spaced",
             where=f"point {worst + 1}",
-            found=f"{deviation[worst] / pitch:.2g} pitches off",
+            found=f"{deviation[worst] / pitch:.2g} pitches from its regular position",
             accepted="a constant pitch: resample the file",
         )
     return pitch
@@ -478,8 +479,8 @@ def _printed_step(positions: NDArray[np.float64]) -> float:
     return 0.0
 
 
-def _check_agreement(stated: tuple[float, ...], found: tuple[float, ...], path: Path) -> None:
-    for name, given, measured in zip("xy", (*stated, *stated[-1:]), found, strict=False):
+def _check_agreement(stated: tuple[float, ...], measured_pitches: tuple[float, ...], path: Path) -> None:
+    for name, given, measured in zip("xy", (*stated, *stated[-1:]), measured_pitches, strict=False):
         if abs(given - measured) > 0.01 * measured:
             raise InputError(
                 path,
@@ -498,5 +499,5 @@ FORMATS = (
         "unit (or a line `# unit: um`); pitch (or `# pitch: 0.5 0.5`) where there are no positions",
         ("layout", *UNSTATED),
     ),
-    SurfaceFormat("hfm", read_hfm, (".hfm",), "states everything itself"),
+    SurfaceFormat("hfm", read_hfm, (".hfm",), "the file states unit and pitch"),
 )

@@ -1,4 +1,4 @@
-"""Surface texture parameters: the numbers a laboratory compares, each naming its formula."""
+"""Surface texture parameters of ISO 25178 and ISO 4287, each with its formula."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def parameters(surface: xr.Dataset) -> xr.Dataset:
     -----
     Sdq and Sdr take every cell of four heights as four triangles, both diagonals in turn, as the facets that scatter light
     do; a triangle counts if its three heights are valid. Sdq = sqrt(<p² + q²>): both components together, not per axis.
-    A line parameter stands for the whole line as one section, no λc filter applied.
+    A line parameter covers the whole line as one section, without a λc filter.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Units and pitches that a file does not state itself, from the material file or from settings inside the file."""
+"""Units and pitches, from the material file or from settings inside the data file."""
 
 from __future__ import annotations
 
@@ -13,31 +13,30 @@ import numpy as np
 from brdfpipe.errors import InputError
 
 UNITS = {"nm": 1e-3, "um": 1.0, "µm": 1.0, "μm": 1.0, "mm": 1e3, "m": 1e6}
-"""Unit → µm."""
+"""Length of each unit in µm."""
 
 
 def scales(
     path: Path, settings: Mapping[str, str], unit: str | None, lateral_unit: str | None, *, setting: str
 ) -> tuple[float, float]:
-    """Heights and positions → µm.
+    """Factors that convert heights and positions to µm.
 
     Parameters
     ----------
     path : for the message
-    settings : what the file itself says of ``unit`` and ``lateral_unit``
-    unit, lateral_unit : what the material file says; it counts more. Positions are in the unit of the heights if nothing
-        else is said
-    setting : how this kind of file states a unit, for the message
+    settings : ``unit`` and ``lateral_unit`` of the data file
+    unit, lateral_unit : of the material file, which have priority. Positions are in the unit of the heights by default
+    setting : how a data file of this format states a unit, for the message
 
     Raises
     ------
-    InputError : the unit of the heights is not known, or one of the units is none.
+    InputError : the unit of the heights is missing, or a unit is unknown.
     """
     unit = unit or settings.get("unit")
     if unit is None:
         raise InputError(
             path,
-            "the unit of the heights is not known",
+            "the unit of the heights is missing",
             accepted=f"nm, um, mm, m, or {setting} in the file",
             key="surface.unit",
         )
@@ -51,11 +50,11 @@ def scales(
 
 
 def pitch_steps(path: Path, settings: Mapping[str, str], pitch: Any) -> tuple[float, ...]:
-    """The stated pitch in x and, where stated, in y; empty where none is stated.
+    """The stated pitch in x and, if given, in y; empty if none is stated.
 
     Raises
     ------
-    InputError : what is stated is no length, or more than two.
+    InputError : not a length above 0, or more than two.
     """
     if pitch is None:
         pitch = [part.replace(",", ".") for part in re.split(r"[;\s]+", settings.get("pitch", "")) if part]
@@ -66,22 +65,26 @@ def pitch_steps(path: Path, settings: Mapping[str, str], pitch: Any) -> tuple[fl
         steps = (math.nan,)
     if len(steps) > 2 or not all(math.isfinite(step) and step > 0 for step in steps):
         raise InputError(
-            path, "no pitch", found=repr(pitch)[:60], accepted="a length above 0, or two: [x, y]", key="surface.pitch"
+            path,
+            "invalid pitch",
+            found=repr(pitch)[:60],
+            accepted="a length above 0, or two: [x, y]",
+            key="surface.pitch",
         )
     return steps
 
 
 def needed_steps(path: Path, steps: Sequence[float], *, setting: str) -> tuple[float, ...]:
-    """The stated pitch, of files that have no positions.
+    """The stated pitch, required for files without positions.
 
     Raises
     ------
-    InputError : none is stated.
+    InputError : no pitch is stated.
     """
     if not steps:
         raise InputError(
             path,
-            "the pitch is not known",
+            "the pitch is missing",
             accepted=f"a length or [x, y] in surface.lateral_unit, or {setting} in the file",
             key="surface.pitch",
         )

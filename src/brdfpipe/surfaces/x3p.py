@@ -1,7 +1,7 @@
-"""X3P, the exchange format of ISO 25178-72: a zip archive of one XML file and, mostly, a binary file of heights in metres.
+"""X3P, the exchange format of ISO 25178-72: a zip archive of one XML file and, usually, a binary file of heights in metres.
 
-Archives come from outside: nothing is ever unpacked to the disk, sizes are checked before anything is decompressed, and the
-XML may hold neither a document type nor entities.
+Archives are untrusted: nothing is unpacked to the disk, sizes are checked before decompression, and the XML must not contain a
+document type or entities.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _RATIO_FROM = 2**24
 _TRUNCATED = "a whole file: export or copy it again"
 
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, NotImplementedError, ValueError, KeyError)
-"""What zipfile raises on damaged, encrypted or unknown content."""
+"""Exceptions that zipfile raises on damaged, encrypted or unknown content."""
 
 
 def read_x3p(path: Path) -> Heights:
@@ -53,7 +53,7 @@ def read_x3p(path: Path) -> Heights:
 
     Raises
     ------
-    InputError : no X3P, damaged, unsafe, not matching its own checksum or sizes, or of a kind that is not read (point lists,
+    InputError : not X3P, damaged, unsafe, of wrong checksum or size, or of an unsupported kind (point lists,
         absolute axes, several layers).
 
     References
@@ -79,7 +79,7 @@ def write_x3p(surface: xr.Dataset, path: str | os.PathLike[str]) -> None:
 
     Notes
     -----
-    Entries are stored, not compressed: compressed bytes differ between zlib versions, and measured heights hardly compress.
+    Entries are stored, not compressed: compressed bytes differ between zlib versions, and measured heights compress little.
     """
     validate(surface, "surface")
     height = np.atleast_2d(surface.height.values)
@@ -96,7 +96,7 @@ def write_x3p(surface: xr.Dataset, path: str | os.PathLike[str]) -> None:
     with atomic_path(path, size_hint=len(points)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, content in entries.items():
             entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
-            # The default is the platform's own.
+            # The default depends on the platform.
             entry.create_system = 3
             archive.writestr(entry, content)
 
@@ -130,11 +130,11 @@ class _Archive:
         try:
             info = self.archive.getinfo(entry)
         except KeyError:
-            raise InputError(self.path, "an entry is missing in the archive", where=name, accepted=_TRUNCATED) from None
+            raise InputError(self.path, "missing entry in the archive", where=name, accepted=_TRUNCATED) from None
         if size is not None and info.file_size != size:
             raise InputError(
                 self.path,
-                "the data do not fill the matrix",
+                "the size of the data does not match the matrix",
                 where=name,
                 found=f"{info.file_size} bytes",
                 accepted=f"{size} bytes, as main.xml says",
@@ -148,7 +148,7 @@ class _Archive:
                 found=f"{info.file_size} bytes",
                 accepted=f"up to {limit >> 20} MiB of XML, compressed at most {_MAX_RATIO} times",
             )
-        # Reading stops at the announced size: the header of an entry may lie.
+        # Reading stops at the stated size: the header of an entry may be wrong.
         with self.archive.open(info) as handle:
             content = handle.read(info.file_size)
         if len(content) != info.file_size:
@@ -159,7 +159,7 @@ class _Archive:
         if name.startswith("/") or "\\" in name or ":" in name or ".." in name.split("/"):
             raise InputError(
                 self.path,
-                "an entry points out of the archive",
+                "unsafe entry name outside the archive",
                 found=repr(name[:60]),
                 accepted="names relative to main.xml",
             )
@@ -181,7 +181,7 @@ def _read_archive(archive: _Archive) -> Heights:
     pitch_x = _pitch(root, "CX", path)
     pitch_y = None if line else _pitch(root, "CY", path)
     height = _heights(root, archive, columns * rows).reshape(rows, columns)
-    # Alicona and others write infinity, not NaN, where there is no height.
+    # Alicona and others write infinity, not NaN, for missing heights.
     infinite = np.isinf(height)
     height[infinite] = np.nan
     history = (f"{np.count_nonzero(infinite)} infinite heights taken as missing.",) if infinite.any() else ()
@@ -253,7 +253,7 @@ def _matrix_size(root: Element, path: Path) -> tuple[int, int]:
         sizes.append(int(text))
     columns, rows, layers = sizes
     if layers != 1:
-        raise InputError(path, "several heights a point", where="SizeZ", found=layers, accepted="one layer")
+        raise InputError(path, "several heights per point", where="SizeZ", found=layers, accepted="one layer")
     if columns * rows > _MAX_POINTS:
         raise InputError(
             path,
@@ -292,12 +292,12 @@ def _heights(root: Element, archive: _Archive, count: int) -> NDArray[np.floatin
         )
     linked = _find(root, "Record3/DataLink") is not None
     raw = _binary(root, archive, np.dtype(DATA_TYPES[code]), count) if linked else _listed(root, path, count)
-    # Increment and offset belong to incremental axes and to integers; absolute floats are metres as they stand.
+    # Increment and offset belong to incremental axes and to integers; absolute floats are in metres.
     scaled = code in "IL" or _optional(root, "Record1/Axes/CZ/AxisType") == "I"
     step = _number(root, "Record1/Axes/CZ/Increment", path, 1.0) if scaled else 1.0
     offset = _number(root, "Record1/Axes/CZ/Offset", path, 0.0) if scaled else 0.0
     height: NDArray[np.floating] = raw.astype(np.float32 if code == "F" else np.float64)
-    # In place, since Python numbers leave float32 as it is; a "largest float" that stands for missing may overflow.
+    # In place, to keep float32; a "largest float" that marks missing heights may overflow.
     with np.errstate(over="ignore"):
         height *= step * _MICROMETRES
         height += offset * _MICROMETRES
@@ -315,14 +315,14 @@ def _binary(root: Element, archive: _Archive, dtype: np.dtype[Any], count: int) 
 
 
 def _listed(root: Element, path: Path, count: int) -> NDArray[np.float64]:
-    # A point is "x;y;z", of which incremental axes leave out x and y; an empty one is invalid.
+    # A point is "x;y;z", without x and y on incremental axes; an empty one is invalid.
     texts = [
         (datum.text or "").rpartition(";")[2].strip() for datum in root.iterfind("{*}Record3/{*}DataList/{*}Datum")
     ]
     if len(texts) != count:
         raise InputError(
             path,
-            "the data do not fill the matrix",
+            "the size of the data does not match the matrix",
             where="DataList",
             found=f"{len(texts)} points",
             accepted=f"{count} points, as MatrixDimension says",
@@ -346,19 +346,19 @@ def _check_md5(root: Element, tag: str, content: bytes, path: Path) -> None:
     stated = _optional(root, f"Record3/DataLink/{tag}")
     if stated is None:
         return
-    found = hashlib.md5(content, usedforsecurity=False).hexdigest()
-    if stated.lower() != found:
+    actual = hashlib.md5(content, usedforsecurity=False).hexdigest()
+    if stated.lower() != actual:
         raise InputError(
             path,
-            "the data do not match their checksum",
+            "wrong checksum of the data",
             where=tag,
-            found=found,
+            found=actual,
             accepted=f"{stated[:40].lower()}: export or copy the file again",
         )
 
 
 def _stale_checksum(root: Element, archive: _Archive, xml: bytes) -> tuple[str, ...]:
-    """A warning where ``main.xml`` was edited after its checksum was written."""
+    """A warning if ``main.xml`` was edited after its checksum was written."""
     name = _optional(root, "Record4/ChecksumFile")
     if name is None or str(archive.folder / name) not in archive.archive.namelist():
         return ()
@@ -373,8 +373,8 @@ def _refusal(path: Path, error: Exception) -> InputError:
         return InputError(path, f"cannot be read ({error.strerror})")
     if isinstance(error, zipfile.BadZipFile) and "not a zip file" in str(error):
         accepted = "a whole X3P file, which is a zip archive; or the format the file really has"
-        return InputError(path, "not an X3P file, or cut off", accepted=accepted, key="surface.format")
-    # Damaged names of entries may run on for kilobytes.
+        return InputError(path, "not an X3P file, or truncated", accepted=accepted, key="surface.format")
+    # Damaged entry names may be kilobytes long.
     return InputError(path, f"the archive is damaged ({str(error)[:100]})", accepted=_TRUNCATED)
 
 
@@ -405,4 +405,4 @@ def _document(feature: str, code: str, shape: tuple[int, ...], pitches: tuple[fl
 """
 
 
-FORMATS = (SurfaceFormat("x3p", read_x3p, (".x3p",), "states everything itself"),)
+FORMATS = (SurfaceFormat("x3p", read_x3p, (".x3p",), "the file states unit and pitch"),)
