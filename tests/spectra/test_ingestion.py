@@ -38,7 +38,7 @@ def test_a_measured_black_is_judged_by_the_index_of_each_wavelength(tmp_path: Pa
     for above, expected in ((1e-4, False), (-1e-4, True)):
         rows = zip(wavelength, specular + above, strict=True)
         path.write_text("".join(f"{nm} {r:.8f}\n" for nm, r in rows), encoding="ascii")
-        assert any("Specular excluded?" in each for each in warnings(ingest(spec, path, index))) == expected
+        assert any("If the specular was excluded" in each for each in warnings(ingest(spec, path, index))) == expected
 
 
 def test_the_incidence_is_8_degree_unless_said() -> None:
@@ -59,7 +59,7 @@ def test_the_file_tells_its_geometry_where_the_description_does_not(tmp_path: Pa
     told = ingest({"file": "r.txt", "scale": "fraction"}, path)
     assert (told.attrs["geometry"], told.attrs["theta_i"]) == ("sci", 8)
     path.write_text(rows, encoding="ascii")
-    with pytest.raises(InputError, match="does not say whether the specular reflection is included") as refusal:
+    with pytest.raises(InputError, match="specular reflection included or excluded: not stated") as refusal:
         ingest({"file": "r.txt", "scale": "fraction"}, path)
     assert refusal.value.key == "spectrum.geometry"
 
@@ -67,17 +67,25 @@ def test_the_file_tells_its_geometry_where_the_description_does_not(tmp_path: Pa
 @pytest.mark.parametrize(
     ("spec", "key", "message"),
     [
-        ({}, "spectrum", "either a file or a colour"),
-        ({"file": "r.txt", **LAB}, "spectrum", "either a file or a colour"),
-        ("r.txt", "spectrum", "either a file or a colour"),
+        ({}, "spectrum", "either `file` or `lab` is required"),
+        ({"file": "r.txt", **LAB}, "spectrum", "either `file` or `lab` is required"),
+        ("r.txt", "spectrum", "either `file` or `lab` is required"),
         ({**LAB, "observr": 2}, "spectrum", "unknown key .nearest is observer."),
         ({**LAB, "scale": "percent"}, "spectrum", "unknown key"),
         ({"file": "r.txt", "geometry": "sci", "illuminant": "D65"}, "spectrum", "unknown key"),
-        ({k: v for k, v in LAB.items() if k != "geometry"}, "spectrum.geometry", "whether the specular"),
-        ({k: v for k, v in LAB.items() if k != "illuminant"}, "spectrum.illuminant", "does not say its illuminant"),
-        ({k: v for k, v in LAB.items() if k != "observer"}, "spectrum.observer", "does not say its observer"),
-        ({**LAB, "incidence": "8"}, "spectrum.incidence", "no incidence"),
-        ({**LAB, "incidence": 95}, "spectrum.incidence", "no incidence"),
+        (
+            {k: v for k, v in LAB.items() if k != "geometry"},
+            "spectrum.geometry",
+            "specular reflection included or excluded",
+        ),
+        (
+            {k: v for k, v in LAB.items() if k != "illuminant"},
+            "spectrum.illuminant",
+            "illuminant of the colour is missing",
+        ),
+        ({k: v for k, v in LAB.items() if k != "observer"}, "spectrum.observer", "observer of the colour is missing"),
+        ({**LAB, "incidence": "8"}, "spectrum.incidence", "invalid incidence angle"),
+        ({**LAB, "incidence": 95}, "spectrum.incidence", "invalid incidence angle"),
         ({**LAB, "geometry": "both"}, "spectrum.geometry", "found 'both'"),
     ],
 )

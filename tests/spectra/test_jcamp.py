@@ -42,7 +42,7 @@ def test_each_form_of_the_standard_gives_the_same_table(form: str) -> None:
 def test_a_line_after_differences_repeats_the_last_ordinate_as_a_check() -> None:
     ((*_, y, _),) = jcamp.blocks(Path("a.jdx"), document("400AJJ%\n403Cjjjjjj"))
     assert y.tolist() == ORDINATES
-    with pytest.raises(InputError, match="a check value is wrong; found 4; accepted: 3"):
+    with pytest.raises(InputError, match="wrong check value; found 4; accepted: 3"):
         jcamp.blocks(Path("a.jdx"), document("400AJJ%\n403Djjjjjj"))
 
 
@@ -58,25 +58,25 @@ def test_labels_written_for_checks_that_are_not_met_raise_a_doubt(label: str, st
     for value, doubts in ((found, 0), (stated, 1)):
         ((*_, told),) = jcamp.blocks(Path("a.jdx"), document(FORMS["fix"], head=f"##{label}={value}\n"))
         assert len(told) == doubts
-    assert f"##{label} states {stated}, the table says {found}" in told[0]
+    assert f"##{label} states {stated}, the table has {found}" in told[0]
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (document("400 1 2 3", 4), "not what the header states"),
-        (document("400 1 2\n408 3 4", 4, last=403), "lines are missing or out of step"),
+        (document("400 1 2 3", 4), "the table contradicts its header"),
+        (document("400 1 2\n408 3 4", 4, last=403), "missing or misplaced lines"),
         (document("400 1 2 3", 3, last=402).replace("##END=", ""), "##END= is missing"),
         (document("400 1 x3", 2), "not a line of numbers"),
         (document("400S3 1", 2), "not a line of numbers"),
         (document("400 S3", 2), "not a line of numbers"),
         (document("400AZ99999999Z99999999", 2), "too many points"),
-        (document("", 0), "an empty table"),
-        (document("400 1 2", 2, last=401, factor="0"), "a factor is not above 0"),
+        (document("", 0), "the table is empty"),
+        (document("400 1 2", 2, last=401, factor="0"), "XFACTOR or YFACTOR not above 0"),
         (document("400 1 2", 2).replace("##NPOINTS=2", "##NPOINTS=two"), "##NPOINTS: not a number"),
-        (document("400 1 2", 2).replace("XYDATA=(X++(Y..Y))", "XYDATA=(X++(R..R))"), "form of table is not read"),
-        ("##TITLE=x\n##END=\n", "no table"),
-        ("", "no table"),
+        (document("400 1 2", 2).replace("XYDATA=(X++(Y..Y))", "XYDATA=(X++(R..R))"), "unsupported form of table"),
+        ("##TITLE=x\n##END=\n", "no JCAMP-DX table"),
+        ("", "no JCAMP-DX table"),
     ],
 )
 def test_a_truncated_or_damaged_table_is_refused(text: str, message: str) -> None:
@@ -92,7 +92,7 @@ def test_other_quantities_are_refused(tmp_path: Path, old: str, new: str) -> Non
     path = tmp_path / "a.jdx"
     table = "400 " + " ".join(["0.5"] * 31)
     path.write_text(document(table, 31, 400, 700).replace(old, new), encoding="ascii")
-    with pytest.raises(InputError, match="no reflectance over wavelength"):
+    with pytest.raises(InputError, match="not a reflectance over wavelength"):
         read_spectrum(path, geometry="sci")
 
 
@@ -110,6 +110,6 @@ def test_several_blocks_are_samples(tmp_path: Path) -> None:
 def test_a_file_of_another_format_is_told_by_the_key_that_names_the_format(tmp_path: Path) -> None:
     path = tmp_path / "a.qtx"
     path.write_text("[STANDARD_DATA 0]\nSTD_NAME=a\n", encoding="ascii")
-    with pytest.raises(InputError, match="no table of JCAMP-DX") as refusal:
+    with pytest.raises(InputError, match="no JCAMP-DX table in the file") as refusal:
         read_spectrum(path, geometry="sci", format="jcamp")
     assert refusal.value.key == "spectrum.format"

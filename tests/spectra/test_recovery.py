@@ -132,7 +132,7 @@ def test_no_colours_give_no_spectra() -> None:
 
 def test_a_colour_out_of_reach_is_refused_with_the_largest_chroma_of_its_hue() -> None:
     with pytest.raises(
-        InputError, match=r"no reflectance has this colour; found L\*a\*b\* \(50, 200, 0\).*C\* up to 9"
+        InputError, match=r"impossible colour: no reflectance has it; found L\*a\*b\* \(50, 200, 0\).*C\* up to 9"
     ) as refusal:
         recover([50, 200, 0], illuminant="D65", observer=10)
     assert refusal.value.key == "spectrum.lab"
@@ -178,7 +178,7 @@ def test_a_colour_darker_than_its_specular_reflection_is_refused_as_specular_exc
     "lab", [[50, 0], [[50, 0, 0]], [101, 0, 0], [-1, 0, 0], [50, np.nan, 0], "red", None, ["a", 0, 0]]
 )
 def test_what_is_no_colour_is_refused(lab: object) -> None:
-    with pytest.raises(InputError, match=r"not a colour.*\[L\*, a\*, b\*\] with 0 <= L\* <= 100"):
+    with pytest.raises(InputError, match=r"invalid colour.*\[L\*, a\*, b\*\] with 0 <= L\* <= 100"):
         recover(lab, illuminant="D65", observer=10)  # type: ignore[arg-type]
 
 
@@ -226,7 +226,7 @@ def test_a_thousand_random_colours_of_reflectances_are_matched() -> None:
 
 @pytest.mark.parametrize("lab", [[50, 200, 0], [5, -60, 40], [95, -90, 20], [30, -120, 100], [100, 0, -2], [0, 3, 0]])
 def test_the_nearest_colour_is_reachable_and_no_spectrum_of_many_is_nearer(lab: list[float]) -> None:
-    with pytest.raises(InputError, match=r"no reflectance has this colour.*nearest colour is L\*a\*b\* \("):
+    with pytest.raises(InputError, match=r"impossible colour.*nearest colour is L\*a\*b\* \("):
         recover(lab, illuminant="D65", observer=10)
     near = nearest_colour(lab, illuminant="D65", observer=10)
     apart = colorimetry.delta_e_ab(near, lab)
@@ -376,7 +376,7 @@ def test_a_method_that_does_not_reach_a_colour_is_left_out_of_the_comparison_and
     found = metamerism([70, -55, -45], illuminant="D65", observer=10, methods=("basis4", "lhtss"))
     assert found["recovery"].values.tolist() == found["other"].values.tolist() == ["lhtss"]
     (reason,) = told(found)
-    assert reason.startswith("basis4 was left out: ")
+    assert reason.startswith("method basis4 was left out: ")
     assert "no mixture of the four basis spectra" in reason
     with pytest.raises(InputError, match="no mixture"):
         metamerism([70, -55, -45], illuminant="D65", observer=10, methods=("basis4",))

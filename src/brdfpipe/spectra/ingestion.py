@@ -22,7 +22,7 @@ _LAB_KEYS = ("illuminant", "observer", "method", "threshold", "seed")
 _COMMON_KEYS = ("geometry", "incidence", "specular_trap")
 _INCIDENCE = 8.0
 _LOWEST_INDEX = 1.45
-"""Below every named plastic's: a surface that reflects less than this had its specular reflection excluded, or is not smooth."""
+"""Below the index of every named plastic: a smooth surface that reflects less was measured with the specular excluded."""
 
 
 def ingest(
@@ -31,18 +31,18 @@ def ingest(
     index: float | xr.Dataset | None = None,
     checkpoint: Path | None = None,
 ) -> xr.Dataset:
-    """Total reflectance of a material, as the ``spectrum`` of its material.yaml gives it.
+    """Total reflectance of a material from the ``spectrum`` section of its material.yaml.
 
     Parameters
     ----------
     spec : ``{file, format, geometry, incidence, scale, sample, column, uncertainty, allow_fluorescent}`` or
-        ``{lab, illuminant, observer, method, threshold, seed, geometry, incidence}``. ``geometry`` may be absent where the file says
-        it; ``incidence`` is 8 degree where neither says it. With the specular excluded, ``specular_trap`` is the half angle of the
+        ``{lab, illuminant, observer, method, threshold, seed, geometry, incidence}``. ``geometry`` may be absent if the file states
+        it; ``incidence`` is 8 degree by default. With the specular excluded, ``specular_trap`` is the half angle of the
         instrument's gloss trap
-    path : where the file lies, if not at its name in ``spec``
+    path : path of the file, if it differs from the name in ``spec``
     index : refractive index, if known: a number or a dataset of kind ``index``. A colour with the specular included then gives a spectrum that contains its Fresnel
         reflectance; a file with less than it is warned about
-    checkpoint : where a random search keeps its best so far, to resume from
+    checkpoint : file with the state of a random search, to resume from
 
     Returns
     -------
@@ -50,7 +50,7 @@ def ingest(
 
     Raises
     ------
-    InputError : unknown or missing keys, and all that :func:`read_spectrum` and :func:`recover` refuse.
+    InputError : unknown or missing keys; as :func:`read_spectrum` and :func:`recover`.
     """
     is_file = _check_keys(spec)
     incidence = _incidence(spec)
@@ -78,21 +78,26 @@ def ingest(
 
 
 def _specular_trap(spec: Mapping[str, Any], geometry: str) -> dict[str, float]:
-    """Half angle of the gloss trap [degree], as an attribute; nothing where the specular was included or the key left out."""
+    """Half angle of the gloss trap [degree], as an attribute; empty without the key."""
     if "specular_trap" not in spec:
         return {}
     trap = spec["specular_trap"]
     if isinstance(trap, bool) or not isinstance(trap, int | float) or not 0 < trap <= 90 or geometry != "sce":
         found = repr(trap)[:40] if geometry == "sce" else f"{trap!r} with geometry {geometry}"[:60]
-        raise _refusal("no gloss trap", found, "0 < degree <= 90, with geometry sce", "spectrum.specular_trap")
+        raise _refusal(
+            "invalid half angle of the gloss trap",
+            found,
+            "0 < degree <= 90, with geometry sce",
+            "spectrum.specular_trap",
+        )
     return {"specular_trap": float(trap)}
 
 
 def _check_keys(spec: Mapping[str, Any]) -> bool:
-    """Refuse what is no spectrum; say whether it is a file."""
+    """Check the keys of a spectrum; return whether it is a file."""
     given = set(spec) if isinstance(spec, Mapping) else set()
     if ("file" in given) == ("lab" in given):
-        raise _refusal("needs either a file or a colour", None, "file: … or lab: [L*, a*, b*]", "spectrum")
+        raise _refusal("either `file` or `lab` is required", None, "file: … or lab: [L*, a*, b*]", "spectrum")
     known = ("file", *_FILE_KEYS, *_COMMON_KEYS) if "file" in given else ("lab", *_LAB_KEYS, *_COMMON_KEYS)
     for key in map(str, spec):
         if key not in known:
@@ -101,7 +106,7 @@ def _check_keys(spec: Mapping[str, Any]) -> bool:
             raise _refusal(f"unknown key{hint}", repr(key[:40]), ", ".join(known), "spectrum")
     for key, accepted in (("illuminant", "D65, A, …"), ("observer", "2 or 10")):
         if "lab" in given and key not in given:
-            raise _refusal(f"the colour does not say its {key}", None, accepted, f"spectrum.{key}")
+            raise _refusal(f"the {key} of the colour is missing", None, accepted, f"spectrum.{key}")
     return "file" in given
 
 
@@ -109,7 +114,7 @@ def _geometry(spec: Mapping[str, Any]) -> str:
     geometry = spec.get("geometry")
     if geometry not in GEOMETRIES:
         raise _refusal(
-            "does not say whether the specular reflection is included",
+            "specular reflection included or excluded: not stated",
             None if geometry is None else repr(geometry)[:40],
             "sci (included) or sce (excluded)",
             "spectrum.geometry",
@@ -122,12 +127,12 @@ def _incidence(spec: Mapping[str, Any]) -> float | None:
         return None
     incidence = spec["incidence"]
     if isinstance(incidence, bool) or not isinstance(incidence, int | float) or not 0 <= incidence < 90:
-        raise _refusal("no incidence", repr(incidence)[:40], "0 <= degree < 90", "spectrum.incidence")
+        raise _refusal("invalid incidence angle", repr(incidence)[:40], "0 <= degree < 90", "spectrum.incidence")
     return float(incidence)
 
 
 def _warn_if_excluded(dataset: xr.Dataset, file: str, index: float | xr.Dataset | None) -> xr.Dataset:
-    """Warn where a reflectance with the specular included is less than the specular reflection alone."""
+    """Warn if a reflectance with the specular included is below the specular reflectance alone."""
     n = _LOWEST_INDEX if index is None else index
     wavelength = dataset["wavelength"].values
     specular = specular_reflectance(n, dataset.attrs["theta_i"], wavelength)
@@ -136,12 +141,12 @@ def _warn_if_excluded(dataset: xr.Dataset, file: str, index: float | xr.Dataset 
     if dataset.attrs["geometry"] != "sci" or below.size == 0:
         return dataset
     whose = f"a smooth surface of index {index_words(n)}" + (
-        "" if index is not None else ", less than any named plastic's"
+        "" if index is not None else ", lower than any named plastic"
     )
     return vocabulary.add_warning(
         dataset,
         f"{file}: the reflectance is below {specular[is_below].max():.4f}, the specular reflectance of {whose}, at {below.size} wavelengths "
-        f"from {below[0]:g} to {below[-1]:g} nm. Specular excluded? Set `spectrum.geometry: sce`, or correct the index.",
+        f"from {below[0]:g} to {below[-1]:g} nm. If the specular was excluded, set `spectrum.geometry: sce`; otherwise correct the index.",
     )
 
 

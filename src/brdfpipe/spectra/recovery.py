@@ -20,7 +20,7 @@ from brdfpipe.spectra.recovery_methods.lhtss import lhtss
 from brdfpipe.spectra.recovery_methods.reachable_colours import largest_chroma, nearest_colour
 
 METHODS = ("lhtss", "basis4", *random_search.SEARCHES)
-"""Ways from a colour to a spectrum; see :func:`recover`."""
+"""Methods that recover a spectrum from a colour; see :func:`recover`."""
 LIGHTS = ("A", "FL2", "LED-B3")
 """Illuminants under which spectra of one colour are compared."""
 
@@ -46,7 +46,7 @@ def recover(
     Parameters
     ----------
     lab : (3,) CIE 1976 L*, a*, b*; 0 <= L* <= 100
-    illuminant, observer : what the colour was measured for, see :func:`brdfpipe.spectra.colorimetry.weights`
+    illuminant, observer : of the colour, see :func:`brdfpipe.spectra.colorimetry.weights`
     method : ``lhtss``, least hyperbolic tangent slope squared; or a mixture of four basis spectra: ``basis4``, in closed form,
         ``random4`` and ``adaptive4``, by random search (:func:`brdfpipe.spectra.recovery_methods.random_search.search`)
     threshold, seed : of a search: ΔE*ab at which it ends, and of its random numbers
@@ -61,12 +61,12 @@ def recover(
     Dataset of kind ``spectrum`` on 360 to 780 nm by 5; attributes ``geometry``, ``theta_i``, ``method``,
     ``residual_delta_e`` (ΔE*ab of the spectrum to ``lab``), ``illuminant``, ``observer`` and, if given, ``specular_index``. Where
     the other exact method, ``basis4`` or ``lhtss``, reaches the colour too, ``metamerism_<light>`` is ΔE00 to its spectrum under
-    each of :data:`LIGHTS`: what the choice of the method may cost. ``specular_index`` of a dispersive index is that at 589.3 nm
+    each of :data:`LIGHTS`: the effect of the choice of method. ``specular_index`` of a dispersive index is that at 589.3 nm
 
     Raises
     ------
-    InputError : not a colour; out of reach of any reflectance or of any mixture (with the nearest colour within reach); or
-        darker than the specular reflection it is said to include.
+    InputError : not a colour; a colour that no reflectance or no mixture has (with the nearest possible colour); or one darker
+        than the specular reflection that it includes.
 
     Notes
     -----
@@ -81,15 +81,17 @@ def recover(
     if method not in METHODS:
         raise _refusal("unknown method of recovery", found=repr(method)[:40], accepted=", ".join(METHODS))
     if not (np.isfinite(threshold) and threshold > 0):
-        raise _refusal("no threshold", found=repr(threshold)[:40], accepted="a ΔE*ab above 0", key="spectrum.threshold")
+        raise _refusal(
+            "invalid threshold", found=repr(threshold)[:40], accepted="a ΔE*ab above 0", key="spectrum.threshold"
+        )
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise _refusal("no seed", found=repr(seed)[:40], accepted="a whole number from 0", key="spectrum.seed")
+        raise _refusal("invalid seed", found=repr(seed)[:40], accepted="a whole number >= 0", key="spectrum.seed")
     colour = _checked_lab(lab)
     illuminant, table = _viewing(illuminant, observer)
     specular = np.zeros(table.wavelength.size)
     if specular_index is not None:
         specular = specular_reflectance(specular_index, theta, table.wavelength)
-    search = random_search.Found(np.empty(0), 0.0, 0, "threshold")
+    search = random_search.SearchResult(np.empty(0), 0.0, 0, "threshold")
     if method in random_search.SEARCHES:
         _check_mixable(colour, illuminant, observer, specular, threshold)
         search = random_search.search(
@@ -111,12 +113,12 @@ def recover(
         if method == "basis4":
             _check_mixable(colour, illuminant, observer, specular, 0.0)
         raise _unreachable(colour, illuminant, observer, specular, specular_index)
-    found = colorimetry.xyz_to_lab(reflectance @ table.weights, table.white)
+    lab_of_spectrum = colorimetry.xyz_to_lab(reflectance @ table.weights, table.white)
     attrs = {
         "geometry": geometry or "sci",
         "theta_i": float(theta),
         "method": method,
-        "residual_delta_e": float(colorimetry.delta_e_ab(found, colour)),
+        "residual_delta_e": float(colorimetry.delta_e_ab(lab_of_spectrum, colour)),
         "illuminant": illuminant,
         "observer": int(observer),
         **({} if specular_index is None else {"specular_index": _sodium_index(specular_index)}),
@@ -133,8 +135,8 @@ def recover(
     why = f"{'was stopped on request' if search.ended == 'stopped' else 'ended'} after {search.tried} mixtures"
     return vocabulary.add_warning(
         dataset,
-        f"the search for a spectrum {why}, ΔE {search.delta_e:.3g} from the colour where {threshold:g} was wanted; remove "
-        "spectrum.nc to search on from there, or use `spectrum.method: lhtss`, which is exact.",
+        f"the search for a spectrum {why}, at ΔE {search.delta_e:.3g} from the colour (threshold {threshold:g}); remove "
+        "spectrum.nc to continue the search, or set `spectrum.method: lhtss`, which is exact.",
     )
 
 
@@ -149,7 +151,7 @@ def metamerism(
     specular_index: float | xr.Dataset | None = None,
     theta: float = 8.0,
 ) -> xr.Dataset:
-    """How far the spectra that different methods give one colour differ under other light.
+    """Metamerism between the spectra that different methods recover from one colour.
 
     Parameters
     ----------
@@ -159,12 +161,12 @@ def metamerism(
     Returns
     -------
     Dataset : ``total_reflectance(recovery, wavelength)``; ``delta_e00(light, recovery, other)``, ΔE00 between two methods under each
-    of :data:`LIGHTS`; ``residual_delta_e(recovery)``, ΔE*ab to ``lab``. Methods that do not reach the colour are left out, and a
-    warning says so and why
+    of :data:`LIGHTS`; ``residual_delta_e(recovery)``, ΔE*ab to ``lab``. Methods that do not reach the colour are left out, with a
+    warning
 
     Raises
     ------
-    InputError : as :func:`recover`, where no method reaches the colour; or an unknown method.
+    InputError : as :func:`recover` if no method reaches the colour; or an unknown method.
     """
     spectrum_of: dict[str, xr.Dataset] = {}
     left_out: dict[str, InputError] = {}
@@ -186,10 +188,10 @@ def metamerism(
             left_out[method] = error
     if not spectrum_of:
         raise next(iter(left_out.values()))
-    found = list(spectrum_of.values())
-    spectra = np.stack([spectrum["total_reflectance"].values for spectrum in found])
+    recovered = list(spectrum_of.values())
+    spectra = np.stack([spectrum["total_reflectance"].values for spectrum in recovered])
     pairs = np.stack([_difference(spectra[:, None], spectra[None], light, observer) for light in LIGHTS])
-    own = [spectrum.attrs["residual_delta_e"] for spectrum in found]
+    own = [spectrum.attrs["residual_delta_e"] for spectrum in recovered]
     dataset = xr.Dataset(
         {
             "total_reflectance": (("recovery", "wavelength"), spectra),
@@ -198,19 +200,19 @@ def metamerism(
                 pairs,
                 {"units": "1", "long_name": "colour difference CIEDE2000"},
             ),
-            "residual_delta_e": ("recovery", own, {"units": "1", "long_name": "ΔE*ab to the colour wanted"}),
+            "residual_delta_e": ("recovery", own, {"units": "1", "long_name": "ΔE*ab to the given colour"}),
         },
         coords={
             "recovery": list(spectrum_of),
             "other": list(spectrum_of),
             "light": list(LIGHTS),
-            "wavelength": found[0]["wavelength"],
+            "wavelength": recovered[0]["wavelength"],
         },
-        attrs={"illuminant": found[0].attrs["illuminant"], "observer": int(observer)},
+        attrs={"illuminant": recovered[0].attrs["illuminant"], "observer": int(observer)},
     )
     for name in ("total_reflectance", "wavelength"):
-        dataset[name].attrs = dict(found[0][name].attrs)
-    reasons = [f"{method} was left out: {error}" for method, error in left_out.items()]
+        dataset[name].attrs = dict(recovered[0][name].attrs)
+    reasons = [f"method {method} was left out: {error}" for method, error in left_out.items()]
     return vocabulary.add_warning(dataset, *reasons) if reasons else dataset
 
 
@@ -256,12 +258,12 @@ def _spectrum(lab: Array, illuminant: str, observer: int, specular: Array, metho
     if lab[1] == 0 and lab[2] == 0 and lab[0] in ((0.0, 100.0) if method == "lhtss" else (0.0,)):
         return None if lab[0] == 0 and specular.any() else np.full(table.wavelength.size, lab[0] / 100)
     exact = lhtss if method == "lhtss" else basis4.closed_form
-    found = exact(colorimetry.lab_to_xyz(lab, table.white), illuminant=illuminant, observer=observer, floor=specular)
-    return np.asarray(found.reflectance[0]) if found.reached[0] else None
+    result = exact(colorimetry.lab_to_xyz(lab, table.white), illuminant=illuminant, observer=observer, floor=specular)
+    return np.asarray(result.reflectance[0]) if result.reached[0] else None
 
 
 def _check_mixable(lab: Array, illuminant: str, observer: int, specular: Array, threshold: float) -> None:
-    """Refuse a colour that no mixture comes near enough to; a search for it would not end."""
+    """Refuse a colour that no mixture approaches within the threshold; its search would not end."""
     if _spectrum(lab, illuminant, observer, specular, "basis4") is not None:
         return
     near = basis4.nearest(lab, illuminant=illuminant, observer=observer, floor=specular)
@@ -281,12 +283,12 @@ def _unreachable(
     if index is not None and _spectrum(lab, illuminant, observer, np.zeros_like(specular)) is not None:
         return InputError(
             "material.yaml",
-            f"no spectrum of this colour stays above {_span(specular, '.4f')}, the specular reflectance of index "
-            f"{index_words(index)}; was the specular excluded (SCE)",
+            f"every spectrum of this colour falls below {_span(specular, '.4f')}, the specular reflectance of index "
+            f"{index_words(index)}; perhaps the specular was excluded (SCE)",
             where=_KEY,
             found=f"L*a*b* {_words(lab)}",
             accepted=f"a colour measured with the specular included, the nearest being {_near(lab, illuminant, observer, specular)}; "
-            "`geometry: sce`, or the index of this material",
+            "or `geometry: sce`; or the index of this material",
             key="spectrum.geometry",
         )
     chroma = float(np.hypot(lab[1], lab[2]))
@@ -296,7 +298,7 @@ def _unreachable(
     else:
         accepted = "a* = b* = 0 at L* = 0 and L* = 100"
     return _refusal(
-        "no reflectance has this colour",
+        "impossible colour: no reflectance has it",
         found=f"L*a*b* {_words(lab)}, C* = {chroma:.2f}",
         accepted=f"{accepted}. The nearest colour is {_near(lab, illuminant, observer, np.zeros_like(specular))}",
     )
@@ -322,7 +324,7 @@ def _near(lab: Array, illuminant: str, observer: int, specular: Array) -> str:
 
 
 def _viewing(illuminant: str, observer: int) -> tuple[str, colorimetry.Weights]:
-    """The illuminant's name as CIE spells it, and the weights; refused with the key that mends it."""
+    """CIE name of the illuminant, and the weights; errors name the key to correct."""
     try:
         name = colorimetry.illuminant_name(illuminant)
     except BrdfpipeError as error:
@@ -339,7 +341,7 @@ def _checked_lab(lab: ArrayLike) -> Array:
     except (TypeError, ValueError):
         colour = np.empty(0)
     if colour.shape != (3,) or not np.isfinite(colour).all() or not 0 <= colour[0] <= 100:
-        raise _refusal("not a colour", found=repr(lab)[:60], accepted="[L*, a*, b*] with 0 <= L* <= 100")
+        raise _refusal("invalid colour", found=repr(lab)[:60], accepted="[L*, a*, b*] with 0 <= L* <= 100")
     return colour
 
 

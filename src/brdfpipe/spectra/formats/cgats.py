@@ -61,7 +61,7 @@ def _table_samples(path: Path, keywords: Mapping[str, str], fields: Sequence[str
     if not bands:
         return []
     if keywords.get("DEVICE_CLASS", "").upper() == "DISPLAY":
-        raise InputError(path, "is no reflectance", found="DEVICE_CLASS DISPLAY", accepted="reflectance of a print")
+        raise InputError(path, "not a reflectance", found="DEVICE_CLASS DISPLAY", accepted="reflectance of a print")
     sets = stated_number(path, "NUMBER_OF_SETS", keywords.get("NUMBER_OF_SETS", ""))
     if len(data) != sets * len(fields):
         raise truncated(path, len(data), sets * len(fields))
@@ -76,7 +76,7 @@ def _table_samples(path: Path, keywords: Mapping[str, str], fields: Sequence[str
         if count != len(bands) or (np.abs(exact - wavelength) > 0.51).any():
             raise InputError(
                 path,
-                "the bands are not those of the header",
+                "the bands contradict the header",
                 found=f"{len(bands)} from {wavelength[0]:g} to {wavelength[-1]:g} nm",
                 accepted=f"{count:g} from {low:g} to {high:g} nm",
             )
@@ -84,7 +84,7 @@ def _table_samples(path: Path, keywords: Mapping[str, str], fields: Sequence[str
     norm = keywords.get("SPECTRAL_NORM")
     stated = {100.0: PERCENT, 1.0: FRACTION}.get(stated_number(path, "SPECTRAL_NORM", norm)) if norm else UNSCALED
     if stated is None:
-        raise InputError(path, "an unknown scale", where="SPECTRAL_NORM", found=repr(norm)[:40], accepted="1 or 100")
+        raise InputError(path, "unknown scale", where="SPECTRAL_NORM", found=repr(norm)[:40], accepted="1 or 100")
     names = [fields.index(name) for name in ("SAMPLE_NAME", "SAMPLE_ID", "SAMPLE_LOC") if name in fields]
     rows = [data[start : start + len(fields)] for start in range(0, len(data), len(fields))]
     samples = []

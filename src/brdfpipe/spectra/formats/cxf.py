@@ -68,7 +68,7 @@ def _xml(path: Path, text: str) -> Element:
 
 
 class _Specification(NamedTuple):
-    """What a ColorSpecification says of the spectra that refer to it."""
+    """Parameters of a ColorSpecification for the spectra that refer to it."""
 
     start: str | None = None
     step: str | None = None
@@ -93,7 +93,7 @@ def _specification(element: Element) -> _Specification:
                 start, step, quantity, (f"{angles}: light from {abs(light):g} degree, specular excluded",)
             )
     several = element.find(".//{*}MultiAngle") is not None
-    doubts = ("it was measured at several angles: one of them is no total reflectance. Use `multiangle`",)
+    doubts = ("it was measured at several angles, so no value is a total reflectance. Use `multiangle`",)
     return _Specification(start, step, quantity, doubts=doubts if several else ())
 
 
@@ -101,7 +101,7 @@ def _sample(path: Path, name: str, spectrum: Element, specification: _Specificat
     if "Transmittance" in specification.quantity or "Emissive" in specification.quantity:
         found, accepted = specification.quantity[:40], "Spectrum_Reflectance"
         raise InputError(
-            path, "is no reflectance", where=f"MeasurementType of {name[:40]}", found=found, accepted=accepted
+            path, "not a reflectance", where=f"MeasurementType of {name[:40]}", found=found, accepted=accepted
         )
     low, step = (
         _agreed(path, name, key, spectrum.get(key), stated)
@@ -112,7 +112,7 @@ def _sample(path: Path, name: str, spectrum: Element, specification: _Specificat
     if low + step * (values.size - 1) > _END:
         raise InputError(
             path,
-            "damaged: more values than a colour instrument measures",
+            "damaged: wavelengths beyond the range of colour instruments",
             where=name[:40],
             found=f"{values.size} values from {low:g} nm by {step:g} nm",
             accepted=f"values up to {_END:g} nm",
@@ -138,7 +138,7 @@ def _agreed(path: Path, name: str, key: str, own: str | None, shared: str | None
 
 
 def _unlike(size: int, sizes: Sequence[int]) -> list[str]:
-    """Where a container states no number of values, its other spectra of the same specification tell."""
+    """Doubt about a spectrum whose number of values differs from the others of its specification."""
     if 2 * sizes.count(size) > len(sizes):
         return []
     others = ", ".join(str(other) for other in sorted({*sizes} - {size}))

@@ -30,12 +30,14 @@ def _read(path: Path) -> tuple[Columns | list[Sample], list[str]]:
 
 
 def _sheet(path: Path) -> tuple[list[list[str]], list[str]]:
-    """Cells of the first sheet as words and numbers with a decimal point; per cent as it is shown."""
+    """Cells of the first sheet as text, with decimal points; percentages as displayed."""
     try:
         import openpyxl  # type: ignore[import-untyped]
     except ImportError as error:
         raise InputError(
-            path, "Excel files need one more package", accepted="pip install 'brdfpipe[excel]', or export as text"
+            path,
+            "reading Excel files needs the package openpyxl",
+            accepted="pip install 'brdfpipe[excel]', or export as text",
         ) from error
     try:
         with zipfile.ZipFile(path) as archive:
@@ -49,20 +51,20 @@ def _sheet(path: Path) -> tuple[list[list[str]], list[str]]:
                 cells = [
                     [(cell.value, getattr(cell, "number_format", "")) for cell in row] for row in sheet.iter_rows()
                 ]
-                titles = [each.title for each in book.worksheets]
+                titles = [worksheet.title for worksheet in book.worksheets]
             finally:
                 book.close()
     except InputError:
         raise
-    except Exception as error:  # a damaged workbook raises whatever zipfile, the XML parser or openpyxl stumbles over
-        raise InputError(path, "damaged, or no Excel workbook", accepted="a workbook saved as .xlsx") from error
+    except Exception as error:  # zipfile, the XML parser and openpyxl raise many types on a damaged workbook
+        raise InputError(path, "damaged, or not an Excel workbook", accepted="a workbook saved as .xlsx") from error
     notes = [] if len(titles) == 1 else [f"the first of {len(titles)} sheets was read ({titles[0][:40]})"]
-    shown = any(_is_share(value, form) for row in cells for value, form in row)
+    has_percentages = any(_is_share(value, form) for row in cells for value, form in row)
     rows = [[_cell(value, form) for value, form in row] for row in cells]
     while rows and all(row and not row[-1] for row in rows):
         rows = [row[:-1] for row in rows]
-    if shown:
-        notes.append("cells shown as percentages were read as shown")
+    if has_percentages:
+        notes.append("cells formatted as percentages were read as percent")
         rows.insert(0, [f"# {PERCENT}"])
     return rows, notes
 

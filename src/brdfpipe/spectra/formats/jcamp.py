@@ -30,18 +30,18 @@ _MOST = 2**20
 
 
 def blocks(path: Path, text: str) -> list[Block]:
-    """Every table of a file: title, units of X and of Y (upper case), X, Y, and doubts in words.
+    """All tables of a file: title, units of X and Y (upper case), X, Y, and doubts in words.
 
     Raises
     ------
-    InputError : no table, a form that is not read, or a table that is not what its header states (points, first and last X, the
-        checks within the lines).
+    InputError : no table, an unsupported form, or a table that contradicts its header (number of points, first and last X) or
+        its check values.
     """
-    found = [_table(path, record) for record in _records(text) if _form(record)]
-    if not found:
+    tables = [_table(path, record) for record in _records(text) if _form(record)]
+    if not tables:
         accepted = "##XYDATA=(X++(Y..Y)) or ##XYPOINTS=(XY..XY)"
-        raise InputError(path, "no table of JCAMP-DX", accepted=accepted, key="spectrum.format")
-    return found
+        raise InputError(path, "no JCAMP-DX table in the file", accepted=accepted, key="spectrum.format")
+    return tables
 
 
 def _records(text: str) -> Iterator[dict[str, str]]:
@@ -57,7 +57,7 @@ def _records(text: str) -> Iterator[dict[str, str]]:
         if label != "END":
             record[label] = value.strip()
     if record:
-        # The last ##END= is missing: whatever was cut off with it.
+        # The last ##END= is missing, and perhaps more.
         yield {**record, "UNENDED": ""}
 
 
@@ -72,10 +72,10 @@ def _table(path: Path, record: Mapping[str, str]) -> Block:
     if "UNENDED" in record:
         raise InputError(path, "truncated: ##END= is missing", where=title[:40] or None)
     if form not in {"XYDATA": ("(X++(Y..Y))",), "XYPOINTS": ("(XY..XY)",)}[label]:
-        raise InputError(path, "this form of table is not read", found=form[:40], accepted="(X++(Y..Y)) or (XY..XY)")
+        raise InputError(path, "unsupported form of table", found=form[:40], accepted="(X++(Y..Y)) or (XY..XY)")
     factors = [_number(path, record, key, 1.0) for key in ("XFACTOR", "YFACTOR")]
     if min(factors) <= 0:
-        raise InputError(path, "damaged: a factor is not above 0", found=f"XFACTOR and YFACTOR {factors}")
+        raise InputError(path, "damaged: XFACTOR or YFACTOR not above 0", found=f"{factors}")
     points = _number(path, record, "NPOINTS", np.nan)
     if label == "XYPOINTS":
         x, y = _pairs(path, body)
@@ -87,7 +87,7 @@ def _table(path: Path, record: Mapping[str, str]) -> Block:
     if (np.isfinite(points) and points != y.size) or not np.allclose([x[0], x[-1]], [first, last], rtol=1e-4):
         raise InputError(
             path,
-            "truncated or damaged: the table is not what the header states",
+            "truncated or damaged: the table contradicts its header",
             found=f"{y.size} points from {x[0]:g} to {x[-1]:g}",
             accepted=f"{points:g} points from {first:g} to {last:g}",
         )
@@ -96,18 +96,18 @@ def _table(path: Path, record: Mapping[str, str]) -> Block:
 
 
 def _doubts(path: Path, record: Mapping[str, str], x: Array, y: Array) -> Iterator[str]:
-    """Labels that the standard has programs write for checks, and that some write carelessly."""
+    """Doubts about labels that the standard provides as checks; some programs write them carelessly."""
     scale = float(np.abs(y).max())
     step = (x[-1] - x[0]) / max(x.size - 1, 1)
-    for label, found, room in (
+    for label, actual, tolerance in (
         ("FIRSTY", y[0], 1e-3 * scale),
         ("MINY", y.min(), 1e-3 * scale),
         ("MAXY", y.max(), 1e-3 * scale),
         ("DELTAX", step, 1e-2 * abs(step)),
     ):
-        stated = _number(path, record, label, found)
-        if abs(stated - found) > room:
-            yield f"##{label} states {stated:g}, the table says {found:g}. Look for damaged or lost values"
+        stated = _number(path, record, label, actual)
+        if abs(stated - actual) > tolerance:
+            yield f"##{label} states {stated:g}, the table has {actual:g}. Look for damaged or lost values"
 
 
 def _number(path: Path, record: Mapping[str, str], key: str, default: float) -> float:
@@ -123,13 +123,13 @@ def _pairs(path: Path, body: str) -> tuple[Array, Array]:
     cells = [cell for cell in re.split(r"[\s,;]+", body) if cell]
     wrong = next((cell for cell in cells if not _PLAIN.fullmatch(cell)), None)
     if wrong is not None or not cells or len(cells) % 2:
-        raise InputError(path, "no pairs of numbers", found=repr(wrong or f"{len(cells)} numbers")[:40])
+        raise InputError(path, "not pairs of numbers", found=repr(wrong or f"{len(cells)} numbers")[:40])
     values = np.array([float(cell) for cell in cells])
     return values[::2], values[1::2]
 
 
 def _ordinates(path: Path, record: Mapping[str, str], body: str, factor: float) -> tuple[Array, Array]:
-    """X and Y of a table whose lines are an X and many Y; every line's X is checked."""
+    """X and Y of a table of lines with one X and many Y; the X of every line is checked."""
     packed = re.search(r"[@%A-DF-Za-df-z]", body) is not None
     values: list[float] = []
     starts: list[tuple[int, float]] = []
@@ -143,7 +143,7 @@ def _ordinates(path: Path, record: Mapping[str, str], body: str, factor: float) 
         if check is not None and ordinates[:1] != [check]:
             raise InputError(
                 path,
-                "damaged: a check value is wrong",
+                "damaged: wrong check value",
                 where=f"table, line {place}",
                 found=f"{ordinates[0]:g}",
                 accepted=f"{check:g}",
@@ -154,17 +154,15 @@ def _ordinates(path: Path, record: Mapping[str, str], body: str, factor: float) 
         if len(values) > _MOST:
             raise InputError(path, "too many points", accepted=f"up to {_MOST}")
     if not values:
-        raise InputError(path, "an empty table")
+        raise InputError(path, "the table is empty")
     first, last = (_number(path, record, key, np.nan) for key in ("FIRSTX", "LASTX"))
     if not np.isfinite([first, last]).all() or len(values) < 2:
-        raise InputError(path, "does not state FIRSTX and LASTX", accepted="both, of at least two points")
+        raise InputError(path, "FIRSTX or LASTX is missing", accepted="both, and at least two points")
     x = np.linspace(first, last, len(values))
     index, at = np.array(starts).T
     # The X of a line is rounded to a step at most.
     if (np.abs(at * factor - x[index.astype(int)]) > 0.51 * abs(x[1] - x[0])).any():
-        raise InputError(
-            path, "damaged: lines are missing or out of step", accepted="X in even steps from FIRSTX to LASTX"
-        )
+        raise InputError(path, "damaged: missing or misplaced lines", accepted="X in even steps from FIRSTX to LASTX")
     return x, np.array(values)
 
 
@@ -203,7 +201,7 @@ def _read(path: Path) -> tuple[list[Sample], list[str]]:
         if unit is None or "REFL" not in y_unit or "LOG" in y_unit:
             raise InputError(
                 path,
-                "is no reflectance over wavelength",
+                "not a reflectance over wavelength",
                 where=title[:40],
                 found=f"XUNITS {x_unit[:20]}, YUNITS {y_unit[:20]}",
                 accepted="NANOMETERS or MICROMETERS, REFLECTANCE",

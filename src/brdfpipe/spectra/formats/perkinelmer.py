@@ -31,7 +31,7 @@ def _samples(path: Path, text: str) -> list[Sample]:
     lines = [line.strip() for line in lines_of(text)]
     if "#DATA" not in lines or "#GR" not in lines or not lines[0].startswith("PE "):
         raise InputError(
-            path, "no PerkinElmer ASCII file", accepted="PE … in line 1, then #GR and #DATA", key="spectrum.format"
+            path, "not a PerkinElmer ASCII file", accepted="PE … in line 1, then #GR and #DATA", key="spectrum.format"
         )
     start, graph = lines.index("#DATA") + 1, lines.index("#GR") + 1
     stated = [*lines[graph : start - 1], "", "", "", "", "", "", ""]
@@ -39,7 +39,7 @@ def _samples(path: Path, text: str) -> list[Sample]:
     if x_unit.casefold() != "nm" or y_unit.replace(" ", "").casefold() not in ("%r", "r"):
         raise InputError(
             path,
-            "is no reflectance over nm",
+            "not a reflectance over nm",
             where="#GR",
             found=f"{x_unit!r}, {y_unit!r}"[:60],
             accepted="nm and %R or R",
@@ -52,18 +52,22 @@ def _samples(path: Path, text: str) -> list[Sample]:
     wavelength, values = (parse_numbers(path, "#DATA", column) for column in cells)
     scale, offset = (stated_number(path, word, cell) for word, cell in (("factor", stated[2]), ("offset", stated[3])))
     if scale != 1 or offset != 0:
-        raise InputError(path, "a factor other than 1", where="#GR", found=f"{scale:g}, {offset:g}", accepted="1 and 0")
+        raise InputError(
+            path, "unsupported factor or offset", where="#GR", found=f"{scale:g}, {offset:g}", accepted="1 and 0"
+        )
     first, step = (stated_number(path, what, cell) for what, cell in (("first nm", stated[4]), ("step", stated[5])))
     doubts = doubts_of_cut_numbers(cells[1], wavelength)
     if wavelength.size and np.abs(wavelength - even_grid(first, step, wavelength.size)).max() > 0.5 * abs(step):
-        doubts += (f"the header states wavelengths from {first:g} nm by {step:g} nm. Look for mistyped or lost ones",)
+        doubts += (
+            f"the header states wavelengths from {first:g} nm by {step:g} nm. The table differs from that: look for mistyped or lost ones",
+        )
     return [Sample(lines[2], wavelength, values, (PERCENT if "%" in y_unit else FRACTION,), doubts=doubts)]
 
 
 def _row(path: Path, line: str, place: int) -> tuple[str, str]:
     cells = line.split()
     if len(cells) != 2:
-        raise InputError(path, "not two columns", where=f"line {place}", found=repr(line)[:60])
+        raise InputError(path, "not a row of two columns", where=f"line {place}", found=repr(line)[:60])
     parse_numbers(path, f"line {place}", cells)
     return cells[0], cells[1]
 

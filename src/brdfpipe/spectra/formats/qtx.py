@@ -40,12 +40,14 @@ def _samples(path: Path, text: str) -> list[Sample]:
             last, _, value = line.partition("=")
             last = re.sub("^(?:STD|BAT)_", "", last.strip().upper())
             if last in ("NAME", "VIEWING", "R", *_QTX_GRID) and last in sections[-1]:
-                raise InputError(path, f"damaged: {last} stands twice in a section", where=f"line {place}")
+                raise InputError(path, f"damaged: duplicate key {last} in a section", where=f"line {place}")
             sections[-1][last] = value.strip()
         elif line and sections and last == "R":
             sections[-1][last] += line
         elif line:
-            raise InputError(path, "neither a section nor a key", where=f"line {place}", found=repr(line)[:60])
+            raise InputError(
+                path, "the line is neither a section nor a key", where=f"line {place}", found=repr(line)[:60]
+            )
     samples = []
     for place, section in enumerate(sections, start=1):
         if "R" not in section and "REFLPOINTS" not in section:

@@ -41,7 +41,7 @@ def read(path: Path, format: str | None = None, sample: int | str | None = None)
 
     Returns
     -------
-    Columns : of a table of columns all of them; else wavelength and reflectance of the one sample
+    Columns : all columns of a table; of other formats wavelength and reflectance of the sample
 
     Raises
     ------
@@ -53,7 +53,7 @@ def read(path: Path, format: str | None = None, sample: int | str | None = None)
     if sample is not None:
         raise InputError(
             path,
-            "holds columns, not samples",
+            "the file has columns, not samples",
             found=f"sample {sample!r}"[:60],
             accepted="a column by name or number",
             key="spectrum.column",
@@ -75,7 +75,7 @@ def _format_of(path: Path, name: str | None) -> SpectrumFormat:
         path,
         "unknown file extension",
         found=path.suffix or "no extension",
-        accepted=f"{', '.join(extensions())}, or a format named; export the spectrum as text",
+        accepted=f"{', '.join(extensions())}; or set the format, or export the spectrum as text",
         key="spectrum.format",
     )
 
@@ -83,25 +83,25 @@ def _format_of(path: Path, name: str | None) -> SpectrumFormat:
 def _one(path: Path, samples: Sequence[Sample], sample: int | str | None, notes: Sequence[str]) -> Columns:
     names = [known.name for known in samples]
     if not samples:
-        raise InputError(path, "holds no reflectance spectrum", key="spectrum.file")
+        raise InputError(path, "no reflectance spectrum in the file", key="spectrum.file")
     if sample is None and len(samples) == 1:
         place = 0
     elif isinstance(sample, int) and not isinstance(sample, bool) and 1 <= sample <= len(samples):
         place = sample - 1
     else:
-        wanted = sample.strip().casefold() if isinstance(sample, str) else None
-        matching = [i for i, name in enumerate(names) if name.strip().casefold() == wanted]
+        requested = sample.strip().casefold() if isinstance(sample, str) else None
+        matching = [i for i, name in enumerate(names) if name.strip().casefold() == requested]
         if len(matching) != 1:
             shown = ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
             several = len(samples) > 1
-            unclear = (
-                f"holds {len(samples)} samples; which one is meant" if several else "holds one sample, and not this"
+            problem = (
+                f"the file has {len(samples)} samples; choose one" if several else "unknown sample; the file has one"
             )
             raise InputError(
                 path,
-                unclear if not matching else "the name is not unique",
+                problem if not matching else "ambiguous sample name",
                 found=None if sample is None else repr(sample)[:60],
-                accepted=f"1 to {len(samples)}, or one of {shown}" if several else f"1 or {shown}, or no key at all",
+                accepted=f"1 to {len(samples)}, or one of {shown}" if several else f"1 or {shown}, or no key",
                 key="spectrum.sample",
             )
         place = matching[0]

@@ -1,4 +1,4 @@
-"""What a reader of a spectrum format returns, how it registers itself, and the checks that readers share."""
+"""Result and registration of a reader of spectra, and checks that readers share."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class Sample(NamedTuple):
 
     name: str
     wavelength: Array
-    """nm, or µm where ``unit`` says so; in any order"""
+    """nm or µm according to ``unit``; in any order"""
     values: Array
     header: tuple[str, ...] = ()
-    """What the file says about it: scale, specular component, directions."""
+    """Header lines of the file: scale, specular component, directions."""
     unit: str = "nm"
-    """nm, um, or nothing where the file is silent"""
+    """nm, um, or empty if the file does not state it"""
     doubts: tuple[str, ...] = ()
-    """What looks lost or damaged, in words"""
+    """Signs of lost or damaged values, in words"""
 
 
 @dataclass(frozen=True)
@@ -65,22 +65,22 @@ def even_grid(low: float, step: float, count: int) -> Array:
 
 
 def doubt_of_end(wavelength: Array, step: float) -> tuple[str, ...]:
-    """A doubt where a container states start and step, and the end that follows is that of no usual instrument."""
+    """Doubt about a spectrum whose end, from start, step and number of values, is unusual for colour instruments."""
     if not wavelength.size or (step in _USUAL_STEPS and wavelength[-1] in _USUAL_ENDS):
         return ()
     return (
-        f"{wavelength.size} values from {wavelength[0]:g} nm by {step:g} nm end at {wavelength[-1]:g} nm, where few "
-        "instruments do, and the file states no end. Look for lost or added values, or compare step and end with the instrument",
+        f"{wavelength.size} values from {wavelength[0]:g} nm by {step:g} nm end at {wavelength[-1]:g} nm, an unusual "
+        "end. Look for lost or added values, or compare step and end with the instrument",
     )
 
 
 def doubts_of_cut_numbers(cells: Sequence[str], wavelength: Array) -> tuple[str, ...]:
-    """Numbers with fewer digits than the others of the file."""
+    """Doubts about numbers with fewer digits than the others of the file."""
     return tuple(columns.cut_numbers(cells, lambda i: f"at {wavelength[i]:g} nm"))
 
 
 def parse_numbers(path: Path, where: str, cells: Sequence[str], decimal: str = ".") -> Array:
-    """Cells as numbers; an :class:`InputError` names the first that is none."""
+    """Cells as numbers; an :class:`InputError` names the first that is invalid."""
     values = [columns.number(cell, decimal) for cell in cells]
     if None in values:
         raise InputError(path, "not a number", where=where, found=repr(cells[values.index(None)])[:60])
@@ -91,10 +91,12 @@ def stated_number(path: Path, what: str, text: str) -> float:
     """A number that the file must state."""
     value = columns.number(text) if text else None
     if value is None or not np.isfinite(value):
-        raise InputError(path, f"does not state its {what}", found=repr(text)[:40], accepted="a number")
+        raise InputError(path, f"the file does not state its {what}", found=repr(text)[:40], accepted="a number")
     return value
 
 
 def truncated(path: Path, found: int, stated: float) -> InputError:
-    """The refusal of a file that holds another number of values than it states."""
-    return InputError(path, "truncated or damaged", found=f"{found} values", accepted=f"{stated:g}, as the file states")
+    """The error for a file whose number of values differs from the stated one."""
+    return InputError(
+        path, "truncated or damaged", found=f"{found} values", accepted=f"{stated:g} values, as the file states"
+    )

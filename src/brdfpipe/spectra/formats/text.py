@@ -1,4 +1,4 @@
-"""Text: columns of wavelength and reflectance, or one row a sample under a header of wavelengths."""
+"""Text: columns of wavelength and reflectance, or one row per sample below a header of wavelengths."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FEWEST_LABELS = 7
 
 
 def wide_rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]], str] | None:
-    """Words above, then header and rows of a table whose header is wavelengths; None if it is no such table."""
+    """Lines above, then header and rows of a table whose header is wavelengths; None for other tables."""
     lines = lines_of(text)
     for place, line in enumerate(lines):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -34,8 +34,8 @@ def wide_rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]], str] |
         if separator is None:
             continue
         if len(_labels(next(csv.reader([line], delimiter=separator), []))) >= _FEWEST_LABELS:
-            above = [re.sub(r"^[#!*;/]+\s*", "", each) for each in lines[:place] if each.strip()]
-            if any(_is_row(each, separator) for each in above):
+            above = [re.sub(r"^[#!*;/]+\s*", "", above_line) for above_line in lines[:place] if above_line.strip()]
+            if any(_is_row(above_line, separator) for above_line in above):
                 return None
             reader = csv.reader(lines[place:], delimiter=separator)
             try:
@@ -49,15 +49,15 @@ def wide_rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]], str] |
 
 
 def _is_row(line: str, separator: str) -> bool:
-    """Whether most cells of a line are numbers: values above the header of wavelengths, which nothing names."""
+    """Whether most cells of a line are numbers: values above the header of wavelengths."""
     values = [columns.number(cell, "," if separator == ";" else ".") for cell in line.split(separator)]
     return len(values) > _FEWEST_LABELS and sum(value is not None for value in values) > len(values) / 2
 
 
 def _labels(cells: Sequence[str]) -> dict[int, float]:
-    """Position → wavelength of the cells that name one; nothing unless they rise or fall throughout after at least one word."""
-    found = {i: _LABEL.fullmatch(cell.strip()) for i, cell in enumerate(cells)}
-    labels = {i: float(match.group(1)) for i, match in found.items() if match}
+    """Wavelengths of a header row by column; empty unless they are monotonic and follow a text column."""
+    matches = {i: _LABEL.fullmatch(cell.strip()) for i, cell in enumerate(cells)}
+    labels = {i: float(match.group(1)) for i, match in matches.items() if match}
     if not labels or 0 in labels:
         return {}
     steps = np.diff(list(labels.values()))
@@ -98,7 +98,7 @@ def _read(path: Path) -> tuple[Columns | list[Sample], list[str]]:
 FORMAT = SpectrumFormat(
     "text",
     columns.TEXT_SUFFIXES,
-    "columns of wavelength (nm or µm) and reflectance; or one row a sample under a header of wavelengths. UTF-8, UTF-16 or Latin-1; `;`, tab, "
+    "columns of wavelength (nm or µm) and reflectance; or one row per sample below a header of wavelengths. UTF-8, UTF-16 or Latin-1; `;`, tab, "
     "`,` or blanks; decimal point or comma",
     _read,
 )

@@ -42,7 +42,7 @@ def basis() -> Array:
     from brdfpipe.spectra.colour_science import colour
 
     bins = [colour.recovery.SDS_SMITS1999[name] for name in ("red", "green", "blue", "cyan")]
-    spectra = np.stack([np.interp(colorimetry.GRID, each.wavelengths, each.values) for each in bins])
+    spectra = np.stack([np.interp(colorimetry.GRID, group.wavelengths, group.values) for group in bins])
     spectra /= spectra.max(axis=1, keepdims=True)
     spectra.setflags(write=False)
     return spectra
@@ -94,7 +94,7 @@ def nearest(lab: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike 
     wanted, spectra = np.asarray(lab, dtype=float), basis()
     distance = distance_to(wanted, illuminant, observer, floor, rescale=False)
     table = colorimetry.weights(illuminant, observer)
-    found = minimize(  # type: ignore[call-overload]
+    optimum = minimize(  # type: ignore[call-overload]
         lambda w: float(distance(w[None])[0] ** 2),
         np.full(4, 0.3),
         bounds=[(0, 1)] * 4,
@@ -102,7 +102,7 @@ def nearest(lab: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike 
         method="SLSQP",
         options={"maxiter": 300, "ftol": 1e-10},
     )
-    w = np.clip(found.x, 0, 1)
+    w = np.clip(optimum.x, 0, 1)
     primaries, darkest = _primaries(illuminant, observer, floor)
     return colorimetry.xyz_to_lab(darkest + w / max(float((w @ spectra).max()), 1.0) @ primaries, table.white)
 
@@ -139,6 +139,6 @@ def peaks() -> Array:
     spectra = basis().T
     unique = np.unique(spectra, axis=0)
     dominated = [(np.delete(unique, i, axis=0) >= row).all(axis=1).any() for i, row in enumerate(unique)]
-    kept: Array = unique[~np.array(dominated)].T
-    kept.setflags(write=False)
-    return kept
+    maximal: Array = unique[~np.array(dominated)].T
+    maximal.setflags(write=False)
+    return maximal

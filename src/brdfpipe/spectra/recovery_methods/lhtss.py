@@ -145,9 +145,9 @@ def _solved(system: Array, constant: Array) -> Array:
     except np.linalg.LinAlgError:
         # One lost colour must not take the others with it.
         ranks = np.linalg.matrix_rank(system) == system.shape[1]
-        found = np.full_like(constant, np.nan)
-        found[ranks] = np.linalg.solve(system[ranks], constant[ranks][..., None])[..., 0]
-        return found
+        solution = np.full_like(constant, np.nan)
+        solution[ranks] = np.linalg.solve(system[ranks], constant[ranks][..., None])[..., 0]
+        return solution
 
 
 def _logistic(z: Array) -> Array:

@@ -21,7 +21,7 @@ from brdfpipe.spectra.recovery_methods.basis4 import ROUNDING, distance_to, peak
 SEARCHES = ("random4", "adaptive4")
 """Methods of :func:`search`."""
 THRESHOLD = 1.0
-"""ΔE*ab at which a search ends unless told otherwise."""
+"""Default ΔE*ab at which a search ends."""
 LIMIT = {"random4": 20_000_000, "adaptive4": 200_000}
 """Weights tried at most in one go: some ten seconds, and as many as the steps need to shrink to nothing."""
 
@@ -32,13 +32,13 @@ _LEAST_STEP = 1e-9
 _MOST_BLOCKS = 2**40
 
 
-class Found(NamedTuple):
-    """Where a search ended."""
+class SearchResult(NamedTuple):
+    """Result of a search."""
 
     weights: Array
     """(4,)"""
     delta_e: float
-    """ΔE*ab to the colour wanted"""
+    """ΔE*ab to the given colour"""
     tried: int
     """weights tried altogether"""
     ended: str
@@ -52,7 +52,7 @@ class _State(NamedTuple):
     delta_e: float
     step: float
     since: int
-    """blocks that do not count towards the limit: those before a search that ended short of its threshold was taken up again"""
+    """blocks that do not count towards the limit: those before the search was continued after reaching it"""
 
 
 def search(
@@ -68,7 +68,7 @@ def search(
     checkpoint: Path | None = None,
     stop: Callable[[], bool] | None = None,
     progress: bool = False,
-) -> Found:
+) -> SearchResult:
     """Random search for a mixture of the four basis spectra that has a colour.
 
     Parameters
@@ -90,7 +90,7 @@ def search(
 
     Returns
     -------
-    Found
+    SearchResult
 
     Raises
     ------
@@ -134,7 +134,7 @@ def search(
         _keep(checkpoint, problem, state._replace(step=step, since=state.block))
     elif checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
-    return Found(np.array(state.weights), state.delta_e, state.block * _BLOCK[method], ended)
+    return SearchResult(np.array(state.weights), state.delta_e, state.block * _BLOCK[method], ended)
 
 
 def _advance_random(state: _State, seed: int, distance: Callable[[Array], Array]) -> _State:
@@ -189,13 +189,13 @@ def _keep(checkpoint: Path | None, problem: str, state: _State) -> None:
 
 
 def _resumed(checkpoint: Path | None, problem: str, distance: Callable[[Array], Array]) -> _State:
-    """Where a search left off; from the start where what it kept is lost, damaged or another's, which is then dropped."""
+    """State of an interrupted search; a new one if the checkpoint is missing, damaged or of another search."""
     fresh = _State(0, (0.0, 0.0, 0.0, 0.0), float("inf"), _FIRST_STEP, 0)
     if checkpoint is None:
         return fresh
     try:
-        kept: Any = json.loads(checkpoint.read_text(encoding="utf-8"))
-        if kept["problem"] == problem and _is_sound(state := _State(*kept["state"]), distance):
+        stored: Any = json.loads(checkpoint.read_text(encoding="utf-8"))
+        if stored["problem"] == problem and _is_sound(state := _State(*stored["state"]), distance):
             return state._replace(weights=tuple(state.weights))
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         pass
@@ -204,7 +204,7 @@ def _resumed(checkpoint: Path | None, problem: str, distance: Callable[[Array], 
 
 
 def _is_sound(state: _State, distance: Callable[[Array], Array]) -> bool:
-    """Whether a state read from a file is one that a search can be in: its ΔE is that of its mixture."""
+    """Whether a state from a file is consistent: its ΔE is that of its mixture."""
     whole = all(type(count) is int for count in (state.block, state.since))
     if not whole or not 0 <= state.since <= state.block <= _MOST_BLOCKS or state.block == 0:
         return False

@@ -1,4 +1,4 @@
-"""Colours that a reflectance can have: the largest chroma at a hue and lightness, and the nearest colour to one that none can have."""
+"""Colours that a reflectance can have: the largest chroma at a hue and lightness, and the colour nearest to an impossible one."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def nearest_colour(lab: ArrayLike, *, illuminant: str, observer: int, specular: 
 
     Notes
     -----
-    Minimises ΔE*ab² over the reflectance at every wavelength within its bounds. The minimum lies on the boundary of the solid
+    Minimises ΔE*ab² over the reflectance at every wavelength within its bounds. The minimum is on the boundary of the solid
     of object colours, where reflectances are at their bounds; a small step towards grey is within reach.
     """
     from scipy.optimize import minimize
