@@ -181,7 +181,7 @@ def test_a_stage_run_by_hand_refuses_in_one_line(built: tuple[Path, Path], tmp_p
     command = [sys.executable, script, "--material", "m", "--input", "surface=none.nc", "--output", "facets=f.nc"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert done.stderr == "m: none.nc: no such dataset; `brdfpipe build` makes it\n"
+    assert done.stderr == "m: none.nc: no such dataset; run `brdfpipe build` to build it\n"
 
 
 def test_snakemake_runs_the_workflow_without_the_front(built: tuple[Path, Path]) -> None:

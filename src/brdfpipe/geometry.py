@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class HalfVector(NamedTuple):
-    """The facet that mirrors one direction into another, and the directions' own cosines and sines."""
+    """Facet that mirrors one direction into another, and cosines and sines of both directions."""
 
     slope_squared: Array
     """tan²α of the facet's normal [1]."""
@@ -85,22 +85,22 @@ def tan_half(angle: ArrayLike) -> Array:
 
 
 def check_angles(name: str, angles: ArrayLike, low: float, high: float) -> Array:
-    """Angles as floats, refused outside ``[low, high]`` degree, where undefined, or where labelled as radians.
+    """Check angles and return them as floats.
 
     Raises
     ------
-    VocabularyError : naming the angle and what is accepted.
+    VocabularyError : an angle outside ``[low, high]`` degree, not finite, or with units other than degree.
     """
     units = getattr(angles, "attrs", {}).get("units", "degree")
     if units not in ("degree", "degrees", "deg", "°"):
-        raise VocabularyError(f"{name} is in {units!r}; angles are in degree")
+        raise VocabularyError(f"{name} is in {units!r}; accepted: degree")
     values = np.asarray(angles, dtype=float)
     # NaN fails both comparisons.
     if values.size and not (values.min() >= low and values.max() <= high):
         if not np.isfinite(values).all():
-            raise VocabularyError(f"{name} has undefined values; angles must be finite")
+            raise VocabularyError(f"{name} is not finite; accepted: {low:g} to {high:g} degree")
         raise VocabularyError(
-            f"{name} spans {values.min():g} to {values.max():g}; accepted are {low:g} to {high:g} degree"
+            f"{name} spans {values.min():g} to {values.max():g}; accepted: {low:g} to {high:g} degree"
         )
     return values
 
@@ -121,7 +121,7 @@ def angles_of(vector: ArrayLike) -> tuple[Array, Array]:
 
 
 def checked_angles(name: str, angle: ArrayLike, low: float, high: float) -> xr.DataArray | Array:
-    """Checked angles that stay a DataArray where they came as one."""
+    """Checked angles; a DataArray stays a DataArray."""
     values = check_angles(name, angle, low, high)
     return angle.copy(data=values) if isinstance(angle, xr.DataArray) else values
 
@@ -131,15 +131,16 @@ def broadcast(**angles: xr.DataArray | Array) -> tuple[xr.DataArray, ...]:
 
     Raises
     ------
-    VocabularyError : plain angles of different lengths; labelled angles of one dimension have other coordinates, or sizes; or a dimension is called ``wavelength``.
+    VocabularyError : plain angles of different lengths; labelled angles with different coordinates or sizes along a common
+        dimension; or a dimension ``wavelength``.
     """
     plain = {name: angle for name, angle in angles.items() if not isinstance(angle, xr.DataArray)}
     try:
         shape = np.broadcast_shapes(*(angle.shape for angle in plain.values()))
     except ValueError as error:
-        found = ", ".join(f"{name} {angle.shape}" for name, angle in plain.items() if angle.shape)
+        shapes = ", ".join(f"{name} {angle.shape}" for name, angle in plain.items() if angle.shape)
         raise VocabularyError(
-            f"the angles cannot be paired: {found}; give equal lengths, or DataArrays of different dimensions to cross them"
+            f"angles of different shapes: {shapes}; give equal lengths, or DataArrays of different dimensions for all combinations"
         ) from error
     dims = ("direction",) if len(shape) == 1 else tuple(f"direction_{axis}" for axis in range(len(shape)))
     labelled = {
@@ -150,12 +151,12 @@ def broadcast(**angles: xr.DataArray | Array) -> tuple[xr.DataArray, ...]:
         return tuple(labelled.values())
     if any("wavelength" in angle.dims for angle in labelled.values()):
         raise VocabularyError(
-            "angles have the dimension 'wavelength'; wavelengths are a dimension of their own, and an argument"
+            "the angles have the dimension 'wavelength'; give the wavelengths as the argument `wavelength`"
         )
     try:
         aligned = xr.align(*labelled.values(), join="exact")
     except ValueError as error:
         raise VocabularyError(
-            f"the angles do not belong together: {', '.join(labelled)} have other coordinates or sizes along a common dimension"
+            f"the angles {', '.join(labelled)} differ in coordinates or size along a common dimension; give equal coordinates"
         ) from error
     return xr.broadcast(*aligned)

@@ -22,7 +22,7 @@ def panel_rule(edges: ArrayLike, order: int) -> tuple[Array, Array]:
 
     Parameters
     ----------
-    edges : (..., panels + 1), increasing along the last axis; panels of width zero weigh nothing
+    edges : (..., panels + 1), increasing along the last axis; panels of zero width are allowed
     order : points in each panel
 
     Returns
@@ -39,11 +39,11 @@ def panel_rule(edges: ArrayLike, order: int) -> tuple[Array, Array]:
 
 
 def graded_edges(centre: ArrayLike, scale: ArrayLike, low: float, high: float, steps: int = 8) -> Array:
-    """Panel edges on ``[low, high]`` that double in width away from a peak, so that a rule resolves its core and its tails.
+    """Panel edges on ``[low, high]`` that double in width away from a peak, to resolve its core and its tails.
 
     Parameters
     ----------
-    centre : (...) where the peak lies; may lie outside the interval
+    centre : (...) position of the peak, also outside the interval
     scale : (...) half width of the peak
     low, high : the interval
     steps : doublings on each side, starting from half the scale
@@ -61,7 +61,7 @@ def graded_edges(centre: ArrayLike, scale: ArrayLike, low: float, high: float, s
 
 
 def azimuths(isotropic: bool) -> Array:
-    """Azimuths of incidence over which a BSDF is averaged or looked at [degree]: one where all are alike, else eight."""
+    """Azimuths of incidence over which a BSDF is averaged [degree]: one if it is isotropic, else eight."""
     return np.arange(0.0, 360.0, 360.0 if isotropic else 45.0)
 
 
@@ -88,7 +88,7 @@ def around_mirror(
 
     Notes
     -----
-    Along each ring the rule covers what lies above the horizon and no more, so that nothing is lost where the ring dips below.
+    Along each ring the rule covers exactly the part above the horizon.
     The integrand must be even about the plane of incidence.
     """
     reach = np.radians(half_angle)

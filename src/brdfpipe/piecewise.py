@@ -1,4 +1,4 @@
-"""Cubics on intervals, found without a search: the bits of a number name its interval."""
+"""Piecewise cubics, fast for many values: a table over the bits of a number gives its interval."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class PiecewiseCubic:
     Notes
     -----
     The upper bits of the floating-point number ``x + offset`` grow with x, evenly while x is below ``offset`` and
-    logarithmically beyond, as the nodes of a density do. A table leads from them to the first interval that may hold x;
-    as many steps on as the fullest cell has nodes settle which. The polynomials are scipy's own: only the search is spared.
+    logarithmically beyond, like the nodes of a density. A table over these bits gives the first interval that may contain x;
+    the remaining steps, at most the nodes in a cell of the table, find it. The polynomials are scipy's.
     """
 
     nodes: Array
@@ -68,7 +68,7 @@ class PiecewiseCubic:
         key = _bits(x + self._offset)
         key >>= self._shift
         key -= self._first_key
-        # Clipping asks nothing of indices that are in range anyway, and is the quickest way to take.
+        # mode="clip" is the fastest; all indices are in range.
         index = self._guide.take(key, mode="clip")
         for _ in range(self._steps):
             index += x >= self._ends.take(index, mode="clip")
@@ -88,7 +88,7 @@ class PiecewiseCubic:
 
     @cached_property
     def _ends(self) -> Array:
-        """Upper ends of the intervals; the last has none."""
+        """Upper ends of the intervals; infinite for the last."""
         return np.append(self.nodes[1:-1], np.inf)
 
 

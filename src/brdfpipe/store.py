@@ -1,7 +1,7 @@
-"""The store: whole, self-describing, byte-reproducible netCDF files.
+"""The store: complete, self-describing, byte-reproducible netCDF files.
 
 A file appears complete or not at all: it is written under a temporary name in the same folder, flushed to the disk and
-renamed. The bytes depend on the content and the library versions alone: no clock, no host, no path.
+renamed. The bytes depend on the content and the library versions only, not on time, host or path.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
     Parameters
     ----------
     path : a netCDF file
-    kind : if given, the kind it must be of; else the kind it says it is
+    kind : required kind; by default the kind in its attributes
 
     Raises
     ------
-    StoreError : the file is missing, truncated or no netCDF file.
+    StoreError : the file is missing, truncated or not a netCDF file.
     VocabularyError : it is not of that kind.
     """
     path = Path(path)
@@ -51,11 +51,11 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
         with xr.open_dataset(path, engine="netcdf4") as stored:
             dataset = stored.load()
     except FileNotFoundError as error:
-        raise StoreError(f"{path}: no such dataset; `brdfpipe build` makes it") from error
+        raise StoreError(f"{path}: no such dataset; run `brdfpipe build` to build it") from error
     except Exception as error:  # netCDF4 raises OSError, RuntimeError, ValueError and more on damaged files
         raise StoreError(
             f"{path}: damaged or not a netCDF file ({_cause(error)}); "
-            "delete it and run `brdfpipe build` to make it anew"
+            "delete it and run `brdfpipe build` to build it again"
         ) from error
     kind = kind or dataset.attrs.get("kind")
     return vocabulary.validate(dataset, kind, str(path)) if kind else dataset
@@ -74,21 +74,21 @@ def save_dataset(
 
     Parameters
     ----------
-    dataset : a dataset that says its kind (see :func:`brdfpipe.vocabulary.label`)
+    dataset : a dataset with the attribute ``kind`` (see :func:`brdfpipe.vocabulary.label`)
     path : the file to write; it appears whole or not at all
-    stage, material : what made it, and for which material
+    stage, material : the stage that computed it, and the material
     inputs : name → raw file (recorded as sha256 of its bytes), dataset (recorded as its digest), or a digest
-    parameters : everything else the stage was told, as plain JSON values
+    parameters : all other parameters of the stage, as plain JSON values
 
     Raises
     ------
-    VocabularyError : the dataset is not what its kind promises.
+    VocabularyError : the dataset does not satisfy its kind.
     StoreError : the disk is full or the folder cannot be written.
     """
     path = Path(path)
     dataset = dataset.load()
     if "kind" not in dataset.attrs:
-        raise StoreError(f"{path.name}: the dataset does not say its kind; use brdfpipe.vocabulary.label")
+        raise StoreError(f"{path.name}: the dataset has no attribute `kind`; use brdfpipe.vocabulary.label")
     vocabulary.validate(dataset, dataset.attrs["kind"], path.name)
     provenance = {
         "stage": stage,
@@ -111,12 +111,12 @@ def save_dataset(
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], size_hint: int = 0) -> Iterator[Path]:
-    """A temporary name beside ``path`` that becomes ``path`` when the block succeeds, and vanishes when it does not."""
+    """A temporary name beside ``path``, renamed to ``path`` if the block succeeds, and removed if it fails."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(path.parent).free
     if free < size_hint + 2**20:
-        raise StoreError(f"{path}: {free >> 20} MiB free, not enough to write it safely; free some disk space")
+        raise StoreError(f"{path}: not enough disk space to write it ({free >> 20} MiB free); free some disk space")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
@@ -146,7 +146,7 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def digest(dataset: xr.Dataset) -> str:
-    """Content digest: sha256 over names, dimensions, types, values and attributes, the digest itself and software aside."""
+    """Content digest: sha256 over names, dimensions, types, values and attributes, except the digest and the software."""
     content = hashlib.sha256()
     content.update(_attributes_json({k: v for k, v in dataset.attrs.items() if k not in _UNDIGESTED}))
     for name in sorted(map(str, dataset.variables)):
@@ -169,10 +169,10 @@ def verify(dataset: xr.Dataset, source: str) -> xr.Dataset:
 
     Raises
     ------
-    StoreError : the content is not what was written.
+    StoreError : the content does not match the digest.
     """
     if digest(dataset) != dataset.attrs.get("digest"):
-        raise StoreError(f"{source}: the content does not match its digest; delete it and build again")
+        raise StoreError(f"{source}: the content does not match its digest; delete it and run `brdfpipe build`")
     return dataset
 
 
@@ -186,12 +186,12 @@ def file_digest(path: str | os.PathLike[str]) -> str:
 
 
 def canonical_json(value: Any) -> str:
-    """JSON with one spelling for one value: sorted keys, no spaces, shortest round-trip floats."""
+    """Unique JSON of a value: sorted keys, no spaces, shortest round-trip floats."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=_plain)
 
 
 def _cause(error: Exception) -> str:
-    """What a library says went wrong, without the absolute path it likes to add."""
+    """Cause of a library's error, without absolute paths."""
     return error.strerror if isinstance(error, OSError) and error.strerror else type(error).__name__
 
 
@@ -206,11 +206,11 @@ def _plain(value: Any) -> Any:
         return value.item()
     if isinstance(value, np.ndarray):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} is no plain value")
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON; accepted: plain values and arrays")
 
 
 def _attributes_json(attrs: Mapping[Any, Any]) -> bytes:
-    # A one-element list comes back from netCDF as a scalar: both must digest alike.
+    # netCDF returns a one-element list as a scalar: both must have the same digest.
     plain = {str(k): np.asarray(v).ravel().tolist() for k, v in attrs.items()}
     return canonical_json(plain).encode()
 
@@ -222,7 +222,7 @@ def _encoding(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
         if variable.dtype.kind == "f":
             options["_FillValue"] = None
         if variable.dtype.kind in "fiu" and variable.ndim and variable.size:
-            # The checksum is what turns a zeroed block, as a full disk leaves it, into an error instead of zeros.
+            # The checksum detects zeroed blocks, as a full disk leaves them.
             options |= {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
         encoding[str(name)] = options
     return encoding

@@ -35,7 +35,7 @@ QUALITY_FLAGS = (
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a name means: its unit, its words, and the values it may take."""
+    """Definition of a name: unit, long name and range."""
 
     units: str
     long_name: str
@@ -180,10 +180,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     # Rig
     "signal": Quantity("1", "light of the cell over that of the reference behind the filter, L/(L′/T)", missing=True),
     "reference": Quantity("s-1", "electrons of the reference spot behind no filter", 0, missing=True),
-    "drift_elapsed": Quantity("s", "time of a look at the lamp since the start of the run"),
-    "drift_wavelength": Quantity("nm", "wavelength of a look at the lamp", 100, 20000),
+    "drift_elapsed": Quantity("s", "time of a lamp monitor reading since the start of the run"),
+    "drift_wavelength": Quantity("nm", "wavelength of a lamp monitor reading", 100, 20000),
     "drift_reference": Quantity(
-        "s-1", "electrons of the reference spot behind no filter, at a look at the lamp", 0, missing=True
+        "s-1", "electrons of the reference spot without filter, in a lamp monitor reading", 0, missing=True
     ),
     "cell_scale": Quantity("sr-1", "BRDF times the cosine of view over the signal", 0, missing=True),
     "path": Quantity("1", "light an entrance sends to the holder, over that of the first", 0),
@@ -193,7 +193,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "departing_wavelength": Quantity("nm", "wavelength that changed most against all", 100, 20000, missing=True),
     "change": Quantity("1", "change of a profile's logarithmic scale from the mean of those before it in the chart"),
-    "limit": Quantity("1", "change from which it is no chance", 0, missing=True),
+    "limit": Quantity("1", "smallest significant change", 0, missing=True),
     "violation": Quantity("1", "whether a profile changed by more than the limit", 0, 1),
     "coefficient": Quantity(
         "1", "coefficient of the BSDF [sr-1], or of its natural logarithm, in the basis of the fit"
@@ -218,7 +218,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "transmitted": Quantity("1", "1 for a node of transmission, 0 for one of reflection", 0, 1),
     "lowest": Quantity("1", "smallest fitted value at a cell that was measured, or its logarithm"),
     "highest": Quantity("1", "largest fitted value at a cell that was measured, or its logarithm"),
-    "incidence_error": Quantity("1", "relative standard uncertainty of the BSDF told from one incidence, rms", 0),
+    "incidence_error": Quantity("1", "relative standard uncertainty of the BSDF predicted from one incidence, rms", 0),
     "mixture": Quantity("1", "share of a wavelength in a mean over wavelengths", 0),
     # Comparison of two routes
     "brdf_model": Quantity("sr-1", "bidirectional reflectance distribution function of a model", 0),
@@ -284,13 +284,13 @@ QUANTITIES: Mapping[str, Quantity] = {
 
 @dataclass(frozen=True)
 class Kind:
-    """What a kind of dataset holds: variables with the dimensions they may have, and attributes."""
+    """Definition of a kind of dataset: variables with their possible dimensions, and attributes."""
 
     required: Mapping[str, Sequence[tuple[str, ...]]]
     optional: Mapping[str, Sequence[tuple[str, ...]]] = field(default_factory=dict)
     attributes: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
-    """Variables that may have missing values in this kind, whatever their quantity says."""
+    """Variables that may have missing values in this kind, even if their quantity forbids it."""
 
 
 _ISOTROPIC: Sequence[tuple[str, ...]] = [("slope",)]
@@ -607,7 +607,7 @@ REPRESENTATIONS: Mapping[str, Kind] = {
 def label(dataset: xr.Dataset, kind: str) -> xr.Dataset:
     """Attach units, long names, flag meanings and the kind to a stage's plain arrays.
 
-    Names that the vocabulary does not know must bring ``units`` and ``long_name`` of their own.
+    Names that are not in the vocabulary need attributes ``units`` and ``long_name``.
     """
     labelled = dataset.copy()
     labelled.attrs = {"Conventions": CONVENTIONS, "kind": kind, **dataset.attrs}
@@ -637,11 +637,11 @@ def validate(dataset: xr.Dataset, kind: str, source: str | None = None) -> xr.Da
 
     Raises
     ------
-    VocabularyError : naming the file, the variable and the expectation.
+    VocabularyError : with the file, the variable and what is expected.
     """
     where = f"{source}: " if source else ""
     if kind not in KINDS:
-        raise VocabularyError(f"{where}unknown kind of dataset {kind!r}; known: {', '.join(KINDS)}")
+        raise VocabularyError(f"{where}unknown kind of dataset {kind!r}; accepted: {', '.join(KINDS)}")
     found = dataset.attrs.get("kind", kind)
     if found != kind:
         raise VocabularyError(f"{where}expected a dataset of kind {kind!r}, found kind {found!r}")
@@ -650,7 +650,7 @@ def validate(dataset: xr.Dataset, kind: str, source: str | None = None) -> xr.Da
         representation = dataset.attrs["representation"]
         if representation not in REPRESENTATIONS:
             raise VocabularyError(
-                f"{where}unknown representation {representation!r}; known: {', '.join(REPRESENTATIONS)}"
+                f"{where}unknown representation {representation!r}; accepted: {', '.join(REPRESENTATIONS)}"
             )
         _check_members(dataset, REPRESENTATIONS[representation], f"bsdf ({representation})", where)
     for name in map(str, dataset.variables):
@@ -687,12 +687,12 @@ def _check_values(name: str, variable: xr.DataArray, where: str, missing: bool) 
         raise VocabularyError(f"{where}{name!r} is in {variable.attrs['units']!r}, expected {known.units!r}")
     values = variable.values
     if np.isinf([known.low, known.high]).all() and name not in variable.dims and np.isfinite(values.sum(dtype=float)):
-        return  # any value will do, and one pass shows that none is missing or infinite
+        return  # any finite value is allowed, and the sum shows that all are finite
     low, high = float(values.min()), float(values.max())
-    if np.isnan(low):  # minima of whole arrays propagate NaN: only then is it worth looking for what is missing
+    if np.isnan(low):  # the minimum propagates NaN, so missing values are counted only if there are some
         absent = np.isnan(values)
         if not (known.missing or missing):
-            raise VocabularyError(f"{where}{name!r} has {int(absent.sum())} missing values; none are allowed")
+            raise VocabularyError(f"{where}{name!r} has {int(absent.sum())} missing values; all must be present")
         if absent.all():
             return
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
@@ -720,18 +720,18 @@ def quality(name: str) -> np.int8:
 
 
 def add_history(dataset: xr.Dataset, *sentences: str) -> xr.Dataset:
-    """Record in words what was corrected, without touching the original."""
+    """Add sentences about corrections to the history of a copy."""
     lines = [line for line in dataset.attrs.get("history", "").splitlines() if line]
     return dataset.assign_attrs(history="\n".join([*lines, *sentences]))
 
 
 def add_warning(dataset: xr.Dataset, *sentences: str) -> xr.Dataset:
-    """Record warnings that the report and the catalogue show. Every warning says what to do."""
+    """Add warnings for the report and the catalogue; every warning says what to do."""
     if not sentences:
         return dataset
     return dataset.assign_attrs(warnings=json.dumps([*warnings(dataset), *sentences], ensure_ascii=False))
 
 
 def warnings(dataset: xr.Dataset) -> list[str]:
-    """The warnings a dataset carries."""
+    """The warnings of a dataset."""
     return list(json.loads(dataset.attrs.get("warnings", "[]")))

@@ -52,10 +52,10 @@ def test_wavelengths_between_the_data_are_interpolated(bsdf):
     [
         ({"theta_i": 200}, "theta_i spans 200 to 200"),
         ({"theta_o": [0, -1]}, "theta_o spans -1 to 0"),
-        ({"phi_o": np.nan}, "phi_o has undefined values"),
+        ({"phi_o": np.nan}, "phi_o is not finite"),
         ({"wavelength": 300}, "the data cover 360 to 780 nm"),
         ({"wavelength": np.nan}, "wavelength must be finite"),
-        ({"theta_i": xr.DataArray(0.5, attrs={"units": "radian"})}, "angles are in degree"),
+        ({"theta_i": xr.DataArray(0.5, attrs={"units": "radian"})}, "accepted: degree"),
     ],
 )
 def test_bad_arguments_are_refused(bsdf, arguments, message):

@@ -81,7 +81,7 @@ def estimate(
     method : how a line profile is turned into a two-dimensional density: ``mixture`` (a scale mixture of Gaussians, whose
         inversion is exact; where it does not fit, rings), ``abel`` (rings) or ``crf`` (the patent's histogram). For a
         map, the last two have no effect but a warning
-    isotropic : whether the surface scatters alike in every azimuth. A lone line must be declared isotropic. A map that is
+    isotropic : whether the surface is isotropic. A single line must be declared isotropic. A map that is
         not declared either way has a lay if its principal slopes differ by more than a factor of 1.2
 
     Returns

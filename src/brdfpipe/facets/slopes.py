@@ -190,7 +190,7 @@ def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[SlopeCounts, 
     """Counts about given mean slopes, and moments about the exact ones.
 
     Squares are binned by the bits of a 32-bit float, in bins of 0.5 %: no logarithm, no search. A triangle that touches a missing
-    height has no number for a slope, and falls beyond the last bin by itself.
+    height has the slope NaN, which is beyond the last bin.
     """
     counts = np.zeros((len(maps) * BLOCKS**2, FINE_BINS), dtype=np.int64)
     facets, total, products = np.zeros((len(maps), 1)), np.zeros((len(maps), 2)), np.zeros((len(maps), 3))

@@ -84,13 +84,13 @@ def raycast(surface: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0, *, line
     """
     vocabulary.validate(surface, "surface")
     polar, azimuth = _axis("theta", theta, 0, THETA_MAX), _axis("phi", phi, -720, 720)
-    tallies = [_cast(_Course.of(surface, direction), polar, lines) for direction in azimuth]
-    g1, g1_u = np.stack([_ratio(tally.visible, tally.facing) for tally in tallies], axis=-1)
+    sums = [_cast(_AzimuthLines.of(surface, direction), polar, lines) for direction in azimuth]
+    g1, g1_u = np.stack([_ratio(area.visible, area.facing) for area in sums], axis=-1)
     result = xr.Dataset(
         {
             "g1": (("theta", "phi"), g1),
             "g1_u": (("theta", "phi"), g1_u),
-            "lambda_empirical": (("theta", "phi"), np.stack([tally.smith(polar) for tally in tallies], axis=-1)),
+            "lambda_empirical": (("theta", "phi"), np.stack([area.smith(polar) for area in sums], axis=-1)),
         },
         coords={"theta": polar, "phi": azimuth},
         attrs={"method": "ray cast"},
@@ -120,15 +120,15 @@ def by_slope(
     """
     vocabulary.validate(surface, "surface")
     polar = _axis("theta", theta, 0, THETA_MAX)
-    course = _Course.of(surface, float(check_angles("phi", phi, -720, 720)))
-    edges = _default_edges(course, lines) if slope is None else np.asarray(slope, dtype=float)
+    azimuth_lines = _AzimuthLines.of(surface, float(check_angles("phi", phi, -720, 720)))
+    edges = _default_edges(azimuth_lines, lines) if slope is None else np.asarray(slope, dtype=float)
     if edges.ndim != 1 or edges.size < 2 or not (np.diff(edges) > 0).all():
         raise VocabularyError(
             "the edges of the slope bins are not increasing; accepted: two or more increasing numbers"
         )
     bins = edges.size - 1
     visible, count = np.zeros((2, polar.size, bins, _GROUPS))
-    for block in course.blocks(lines):
+    for block in azimuth_lines.blocks(lines):
         owner = np.searchsorted(edges, block.slope, side="right") - 1
         counted = block.inside & (owner >= 0) & (owner < bins)
         index = np.where(counted, owner * _GROUPS + block.group, 0)
@@ -291,7 +291,7 @@ def _with_doubt(comparison: xr.Dataset) -> xr.Dataset:
 # --- sums over lines
 
 
-class _Tally(NamedTuple):
+class _AreaSums(NamedTuple):
     visible: Array
     """(theta, group) visible projected area."""
     facing: Array
@@ -305,17 +305,17 @@ class _Tally(NamedTuple):
         return self.excess / (self.segments * np.cos(np.radians(theta)))
 
 
-def _cast(course: _Course, theta: Array, lines: int | None) -> _Tally:
+def _cast(azimuth_lines: _AzimuthLines, theta: Array, lines: int | None) -> _AreaSums:
     visible, facing = np.zeros((2, theta.size, _GROUPS))
     excess, segments = np.zeros(theta.size), 0
-    for block in course.blocks(lines):
+    for block in azimuth_lines.blocks(lines):
         segments += block.segments
         for row, angle in enumerate(theta):
-            seen, whole = block.seen(angle)
-            visible[row] += block.by_group(seen)
-            facing[row] += block.by_group(whole)
+            visible_area, facing_area = block.visible_and_facing(angle)
+            visible[row] += block.by_group(visible_area)
+            facing[row] += block.by_group(facing_area)
             excess[row] += block.excess(angle)
-    return _Tally(visible, facing, excess, segments)
+    return _AreaSums(visible, facing, excess, segments)
 
 
 def _ratio(part: Array, whole: Array) -> tuple[Array, Array]:
@@ -333,24 +333,24 @@ def _in_plane(
     surface: xr.Dataset, theta_i: Array, theta_o: Array, phi_i: float, phi_o: float, lines: int | None
 ) -> Array:
     """(4, m) G2, its uncertainty, and Smith's two forms, with both directions in one vertical plane."""
-    course = _Course.of(surface, phi_o)
+    azimuth_lines = _AzimuthLines.of(surface, phi_o)
     opposite = abs((phi_o - phi_i) % 360 - 180) < 90
     both, facing = np.zeros((2, theta_i.size, _GROUPS))
     excess_i, excess_o, segments = np.zeros(theta_i.size), np.zeros(theta_i.size), 0
-    for block in course.blocks(lines):
+    for block in azimuth_lines.blocks(lines):
         segments += block.segments
         other = block.reversed() if opposite else block
         for row, (incidence, outgoing) in enumerate(zip(theta_i, theta_o, strict=True)):
-            seen_i, facing_i = other.fraction(incidence)
-            seen_o, facing_o = block.fraction(outgoing)
+            visible_i, facing_i = other.fraction(incidence)
+            visible_o, facing_o = block.fraction(outgoing)
             if opposite:
-                seen_i, facing_i = _backwards(seen_i, block.length - 1), _backwards(facing_i, block.length - 1)
+                visible_i, facing_i = _backwards(visible_i, block.length - 1), _backwards(facing_i, block.length - 1)
                 # Each viewer sees the end of the segment that is nearer the other's side.
-                seen = np.maximum(seen_i + seen_o - 1, 0.0)
+                visible_share = np.maximum(visible_i + visible_o - 1, 0.0)
             else:
-                seen = np.minimum(seen_i, seen_o)
+                visible_share = np.minimum(visible_i, visible_o)
             counted = facing_i & facing_o & block.inside
-            both[row] += block.by_group(seen * counted)
+            both[row] += block.by_group(visible_share * counted)
             facing[row] += block.by_group(counted.astype(float))
             excess_i[row] += other.excess(incidence)
             excess_o[row] += block.excess(outgoing)
@@ -367,18 +367,18 @@ def _out_of_plane(
     surface: xr.Dataset, theta_i: Array, theta_o: Array, phi_i: float, phi_o: float, lines: int | None
 ) -> Array:
     """As :func:`_in_plane`, for two directions of any azimuth, on the cells of the map."""
-    course_i, course_o = _Course.of(surface, phi_i), _Course.of(surface, phi_o)
-    lambda_i = _cast(course_i, theta_i, lines).smith(theta_i)
-    lambda_o = _cast(course_o, theta_o, lines).smith(theta_o)
+    lines_i, lines_o = _AzimuthLines.of(surface, phi_i), _AzimuthLines.of(surface, phi_o)
+    lambda_i = _cast(lines_i, theta_i, lines).smith(theta_i)
+    lambda_o = _cast(lines_o, theta_o, lines).smith(theta_o)
     towards_i, towards_o = _cell_slope(surface, phi_i), _cell_slope(surface, phi_o)
     group = np.arange(towards_i.shape[0]) * _GROUPS // towards_i.shape[0]
     both, facing = np.zeros((2, theta_i.size, _GROUPS))
     for row, (incidence, outgoing) in enumerate(zip(theta_i, theta_o, strict=True)):
-        seen = course_i.cells(incidence) * course_o.cells(outgoing)
-        counted = np.isfinite(seen)
+        visible_share = lines_i.cells(incidence) * lines_o.cells(outgoing)
+        counted = np.isfinite(visible_share)
         for towards, angle in ((towards_i, incidence), (towards_o, outgoing)):
             counted &= towards * np.sin(np.radians(angle)) < np.cos(np.radians(angle))
-        both[row] = _by_index(group, np.where(counted, seen, 0.0).sum(axis=1), _GROUPS)
+        both[row] = _by_index(group, np.where(counted, visible_share, 0.0).sum(axis=1), _GROUPS)
         facing[row] = _by_index(group, counted.sum(axis=1).astype(float), _GROUPS)
     return np.stack([*_ratio(both, facing), *_smith_pair(lambda_i, lambda_o)])
 
@@ -392,9 +392,9 @@ def _cell_slope(surface: xr.Dataset, phi: float) -> Array:
     return p * np.cos(np.radians(phi)) + q * np.sin(np.radians(phi))
 
 
-def _default_edges(course: _Course, lines: int | None) -> Array:
+def _default_edges(azimuth_lines: _AzimuthLines, lines: int | None) -> Array:
     square, count = 0.0, 0
-    for block in course.blocks(lines):
+    for block in azimuth_lines.blocks(lines):
         square, count = square + float(np.sum(block.slope**2)), count + block.segments
     rms = np.sqrt(square / count)
     if rms == 0:
@@ -408,7 +408,7 @@ def _default_edges(course: _Course, lines: int | None) -> Array:
 
 
 @dataclass(frozen=True)
-class _Course:
+class _AzimuthLines:
     """Heights along one azimuth, as lines that run towards the viewer."""
 
     height: NDArray[np.floating]
@@ -421,7 +421,7 @@ class _Course:
     """Rotates an array from this orientation to that of the map."""
 
     @classmethod
-    def of(cls, surface: xr.Dataset, phi: float) -> _Course:
+    def of(cls, surface: xr.Dataset, phi: float) -> _AzimuthLines:
         height, pitch_x = surface["height"].values, float(surface.attrs["pitch_x"])
         if height.ndim == 1:
             if min(phi % 180, 180 - phi % 180) > 1e-9:
@@ -530,9 +530,9 @@ class _Block:
     """(n,) heights of each piece."""
     step: float
     start: NDArray[np.intp]
-    """(n,) sample of the course at which each piece begins."""
+    """(n,) sample of the line at which each piece begins."""
     samples: int
-    """Samples of the course."""
+    """Samples of a line."""
     few: bool
     """Whether there are too few lines to estimate their scatter."""
 
@@ -578,10 +578,10 @@ class _Block:
         at = self.start[:, None] + (np.arange(self.height.shape[1] - 1) if self.few else 0)
         return np.minimum(at * _GROUPS // self.samples, _GROUPS - 1)
 
-    def seen(self, theta: float) -> tuple[Array, Array]:
+    def visible_and_facing(self, theta: float) -> tuple[Array, Array]:
         """(n, m − 1) visible projected area, and projected area that faces the viewer, per width [um]."""
         cos, sin = np.cos(np.radians(theta)), np.sin(np.radians(theta))
-        # In this form, not z − x cot θ, normal incidence is no special case.
+        # Unlike z − x cot θ, this form includes normal incidence.
         elevation = sin * self.height - (cos * self.step) * np.arange(self.height.shape[1])
         horizon = np.maximum.accumulate(elevation[:, :0:-1], axis=1)[:, ::-1]
         # Of all that follows the piece, its first repetition rises highest.
@@ -594,9 +594,9 @@ class _Block:
 
     def fraction(self, theta: float) -> tuple[Array, NDArray[np.bool_]]:
         """(n, m − 1) visible fraction of every segment, 0 where it faces away; whether it faces the viewer."""
-        seen, whole = self.seen(theta)
+        visible_share, whole = self.visible_and_facing(theta)
         facing = whole > 0
-        return seen / np.where(facing, whole, 1.0), facing
+        return visible_share / np.where(facing, whole, 1.0), facing
 
     def excess(self, theta: float) -> float:
         """Σ (p sin θ − cos θ)⁺ over the segments, without the step length."""

@@ -47,7 +47,7 @@ def low_pass(surface: xr.Dataset, lambda_s: float) -> xr.Dataset:
 
     Raises
     ------
-    VocabularyError : the dataset is no surface.
+    VocabularyError : the dataset is not of kind ``surface``.
     BrdfpipeError : a cutoff too short for the pitch, too long for the extent, or not below λc of an earlier filter.
     """
     validate(surface, "surface")
@@ -73,7 +73,7 @@ def high_pass(surface: xr.Dataset, lambda_c: float) -> xr.Dataset:
 
     Raises
     ------
-    VocabularyError : the dataset is no surface.
+    VocabularyError : the dataset is not of kind ``surface``.
     BrdfpipeError : a cutoff too short for the pitch, too long for the extent, or not above λs of an earlier filter.
     """
     validate(surface, "surface")

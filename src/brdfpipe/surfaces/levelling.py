@@ -56,7 +56,7 @@ def level(surface: xr.Dataset, form: str = "plane") -> xr.Dataset:
 
     Raises
     ------
-    VocabularyError : the dataset is no surface.
+    VocabularyError : the dataset is not of kind ``surface``.
     BrdfpipeError : unknown form, or too few valid heights to fix the form.
 
     Notes

@@ -36,7 +36,7 @@ def parameters(surface: xr.Dataset) -> xr.Dataset:
 
     Raises
     ------
-    VocabularyError : the dataset is no surface.
+    VocabularyError : the dataset is not of kind ``surface``.
     BrdfpipeError : no height is valid.
 
     Notes

@@ -135,7 +135,7 @@ def rescaled(w: Array) -> Array:
 
 @cache
 def peaks() -> Array:
-    """The basis at those wavelengths where a mixture can be largest: no other lies below one of them throughout."""
+    """The basis at the wavelengths where a mixture can be largest: those not exceeded by another in all four spectra."""
     spectra = basis().T
     unique = np.unique(spectra, axis=0)
     dominated = [(np.delete(unique, i, axis=0) >= row).all(axis=1).any() for i, row in enumerate(unique)]

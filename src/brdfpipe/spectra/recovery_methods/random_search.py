@@ -227,7 +227,7 @@ def _stop_file(checkpoint: Path | None) -> bool:
 
 @contextmanager
 def _interrupts() -> Iterator[Callable[[], bool]]:
-    """Whether SIGINT came since; a second one interrupts as ever. Threads other than the first get no signals."""
+    """Whether SIGINT was received; a second one interrupts as usual. Only the main thread receives signals."""
     seen = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield seen.is_set
