@@ -463,7 +463,7 @@ def test_an_uncertainty_of_an_input_that_is_none_is_refused(tmp_path: Path, u: s
     ("window", "problem"),
     [
         ("{angle: 20, offset: 0.5, aperture: [1.8, 3.6]}", "covers part of the source's image"),
-        ("{angle: 85, offset: 5, aperture: [1.8, 3.6]}", "does not lie above the surface"),
+        ("{angle: 85, offset: 5, aperture: [1.8, 3.6]}", "extends below the surface"),
     ],
 )
 def test_a_haze_window_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, window: str, problem: str) -> None:
