@@ -7,6 +7,17 @@ import pytest
 from brdfpipe.errors import InputError
 from brdfpipe.rig.description import Rig, read_fibres
 
+CAMERA = (
+    "camera: {kind: alpaca, address: 'bench:11111', width: 640.0, height: 480, gain: 2, bits: 12, linear_to: 2.0e4}"
+)
+
+EVERY_OTHER_KEY = """\
+etalon_entrance: 20
+target: {spots: [[0, 0], [4, 0], [4, 90.5]]}
+slit: 5.0
+wavelengths: {low: 400}
+"""
+
 
 def rewritten(rig_file, old, new):
     text = rig_file.read_text()
@@ -30,6 +41,15 @@ def test_a_description_is_read_with_its_defaults(rig):
 def test_the_digest_is_of_the_instrument_not_of_its_ports(rig_file, rig):
     assert Rig.load(rewritten(rig_file, "/dev/ttyUSB0", "COM3")).digest == rig.digest
     assert Rig.load(rewritten(rig_file, "transmittance: 0.1}", "transmittance: 0.11}")).digest != rig.digest
+
+
+def test_the_digest_of_a_description_never_changes_because_the_frames_of_earlier_runs_carry_it(rig_file, rig):
+    assert rig.digest == "9c4b76c987f555ef5a18e4479195afd988b5340f86b48cd1c3062bc2538eb88c"
+    explicit = rewritten(rig_file, "transmittance: 0.1}", "transmittance: 0.1, u: 0.02}")
+    assert Rig.load(explicit).digest == "3c5721d81f0a3e7901d55af1799ff79c71db55cb3dabbb109f1ee07aa05400ad"
+    every_key = rig_file.read_text() + EVERY_OTHER_KEY
+    rig_file.write_text(every_key.replace("camera: {kind: drop-folder, folder: camera}", CAMERA))
+    assert Rig.load(rig_file).digest == "3f4dbdfea20760bb48affd05190f7dfcc03264309fee8533118c0d812084528a"
 
 
 def test_a_moved_fibre_is_another_instrument(rig_file, rig):

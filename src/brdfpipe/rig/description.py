@@ -172,7 +172,7 @@ class Rig:
             slit=float(content["slit"]),
             wavelengths=(float(content["wavelengths"]["low"]), float(content["wavelengths"]["high"])),
             target=_target(content.get("target")),
-            digest=_digest(content, fibres),
+            digest=_digest(content, documents.plain(path), fibres),
         )
         _check(path, rig)
         return rig
@@ -272,12 +272,17 @@ def _plain(value: Any) -> Any:
     return tuple(map(float, value)) if isinstance(value, list) else float(value)
 
 
-def _digest(content: Mapping[str, Any], fibres: tuple[Fibre, ...]) -> str:
-    """Digest of the rig as an instrument: rigs that differ in their ports alone measure the same."""
+def _digest(content: Mapping[str, Any], written: Mapping[str, Any], fibres: tuple[Fibre, ...]) -> str:
+    """Digest of the rig as an instrument: rigs that differ in their ports alone measure the same.
+
+    Every frame of a run carries it, so the digest of a description must never change. That is why the numbers of filters and sensor
+    enter as they are written (``u`` only where it is given, 640 and 640.0 apart).
+    """
     optics = {key: value for key, value in content.items() if key not in ("monochromator", "wheel", "fibres", "camera")}
-    sensor = {key: content["camera"][key] for key in ("width", "height", "gain", "read_noise", "linear_to", "bits")}
+    camera = {**content["camera"], **written["camera"]}
+    sensor = {key: camera[key] for key in ("width", "height", "gain", "read_noise", "linear_to", "bits")}
     ends = [[fibre.name, fibre.theta_s, fibre.phi_s, fibre.x, fibre.y] for fibre in fibres]
-    text = store.canonical_json({**optics, "camera": sensor, "fibres": ends})
+    text = store.canonical_json({**optics, "filters": written["filters"], "camera": sensor, "fibres": ends})
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -482,6 +482,6 @@ def test_an_arrangement_without_a_frame_is_refused_with_the_lost_files_and_the_r
     with pytest.raises(ReductionError, match="no frame of the sample in reflection at 10 degree") as refusal:
         reduce(files.read_run(folder, 10.0), plan.rig, incidence=10.0)
     assert "bracket step 1 is missing at 2 of 2 wavelengths at 10 degree" in str(refusal.value)
-    assert "`brdfpipe rig scan … --resume` takes them again" in str(refusal.value)
+    assert "take them again with `brdfpipe rig scan … --resume`" in str(refusal.value)
     assert frame_of(plan, 550.0, 10.0, 1) in str(refusal.value)
     assert "made by the emulator" not in str(refusal.value)
