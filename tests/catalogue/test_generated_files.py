@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 import yaml
 
@@ -46,7 +47,6 @@ def test_every_key_has_a_help_of_one_line(name: str) -> None:
 
 
 def test_every_description_of_the_examples_fits_its_editor_schema() -> None:
-    jsonschema = pytest.importorskip("jsonschema")
     found = 0
     for name in generated_files.DESCRIPTIONS:
         schema = json.loads(FILES[f"config/schemas/{name}.schema.json"])
