@@ -1,7 +1,5 @@
 """The keys of ``calibration.yaml``: a run of the etalon on a rig."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from brdfpipe.descriptions.keys import WHOLE, Choice, Keys, by_key, key

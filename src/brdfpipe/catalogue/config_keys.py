@@ -1,9 +1,7 @@
 """The keys of ``config.yaml``: what holds for every material of a catalogue. Its values are the defaults."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field, Strict, model_validator
 
@@ -73,7 +71,7 @@ class Table(Keys):
     )
 
     @model_validator(mode="after")
-    def _half_a_circle(self) -> Table:
+    def _half_a_circle(self) -> Self:
         if self.phi_o is not None and (self.phi_o[0], self.phi_o[-1]) != (0, 180):
             found = f"{self.phi_o[0]:g} to {self.phi_o[-1]:g}"
             raise InputError(

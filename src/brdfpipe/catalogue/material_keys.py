@@ -3,10 +3,8 @@
 To add a key, declare it here in its block and read it in the stage. A block with keys of several stages names the stage of each.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import Field, Strict, model_validator
 
@@ -163,7 +161,7 @@ class MeasuredSurface(Keys):
     )
 
     @model_validator(mode="after")
-    def _isotropic_line(self) -> MeasuredSurface:
+    def _isotropic_line(self) -> Self:
         if self.layout == "line" and not self.scans and not self.isotropic:
             accepted = "true, if the finish looks the same from every azimuth: one line profile shows one azimuth alone"
             if self.isotropic is None:
@@ -402,7 +400,7 @@ class Colour(Keys):
     )
 
     @model_validator(mode="after")
-    def _search_keys(self) -> Colour:
+    def _search_keys(self) -> Self:
         method = self.method or "lhtss"
         if method not in SEARCHES:
             for name in ("seed", "threshold"):
@@ -548,7 +546,9 @@ class _Rig(Keys):
         "name of the calibration's folder in calibrations/ of the catalogue", required=True, min_length=1, max_length=64
     )
     smoothing: Smoothing = key(
-        "how the values of the cells are smoothed {mode, strength, symmetric}", default=Smoothing(), stage="smoothed"
+        "how the values of the cells are smoothed {mode, strength, symmetric}",
+        default=Smoothing.model_construct(),
+        stage="smoothed",
     )
     lamp_hours: float = key(
         "hour counter of the lamp at the measurement", unit="h", default=0, ge=0, le=100_000, stage="primary"
@@ -615,7 +615,7 @@ class Model(Keys):
         return self.masking or RECIPE_MASKING.get(self.recipe or "", MODEL_DEFAULTS["masking"])
 
     @model_validator(mode="after")
-    def _compensated(self) -> Model:
+    def _compensated(self) -> Self:
         if self.multiple_scattering == "compensated" and self.masking_in_use not in TRANSMITTING_MASKING:
             raise InputError(
                 "",
@@ -658,7 +658,7 @@ class Material(Keys):
         "a measurement with a camera rig {run, calibration, …}, or one that the emulator makes {plan, emulate, calibration, …}",
         details="See [the camera rig](rig.md#from-a-run-to-a-bsdf).",
     )
-    model: Model = key("how the reflection is modelled", default=Model())
+    model: Model = key("how the reflection is modelled", default=Model.model_construct())
     exports: Annotated[list[Annotated[str, OneOf(tuple(FORMATS))]], Items()] = key(
         "files for other programs; " + EXPORT_WORDS,
         default_words="`exports` of the configuration",
@@ -666,7 +666,7 @@ class Material(Keys):
     )
 
     @model_validator(mode="after")
-    def _index_pair(self) -> Material:
+    def _index_pair(self) -> Self:
         if isinstance(self.index, IndexPair) and self.index.k is None:
             from brdfpipe.optics.index import without_k
 
@@ -674,7 +674,7 @@ class Material(Keys):
         return self
 
     @model_validator(mode="after")
-    def _slab_alone(self) -> Material:
+    def _slab_alone(self) -> Self:
         """Refuse keys that contradict a clear body."""
         if self.slab is None:
             return self

@@ -86,7 +86,7 @@ def notes_of(field: FieldInfo) -> Notes:
 class Keys(BaseModel):
     """A block of keys. Unknown keys are refused, and values are never converted: ``yes`` is no number, 1 is no text."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     not_together: ClassVar[tuple[tuple[str, str], ...]] = ()
     """Pairs of keys that exclude each other."""

@@ -1,8 +1,6 @@
 """The keys of ``plan.yaml``: one measurement of one sample on a camera rig."""
 
-from __future__ import annotations
-
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -25,7 +23,7 @@ class Steps(Keys):
     step: float = key("distance of neighbouring wavelengths", required=True, unit="nm", ge=0.1, le=1000)
 
     @model_validator(mode="after")
-    def _reach_the_last(self) -> Steps:
+    def _reach_the_last(self) -> Self:
         count = round((self.to - self.from_) / self.step)
         if count < 0 or abs(self.from_ + count * self.step - self.to) > STEP_SLACK * self.step:
             raise InputError(
@@ -115,7 +113,7 @@ class PlanKeys(Keys):
     )
     drift: DriftKeys = key(
         "how often the lamp is read through the reference fibre {every, wavelength, step, tolerance}",
-        default=DriftKeys(),
+        default=DriftKeys.model_construct(),
     )
     runs: Annotated[list[Annotated[str, OneOf(("target", "etalon", "sample"))]], Items()] = key(
         "what is measured, in this order: target (the rig's angular target, at one wavelength), etalon and sample",
@@ -141,7 +139,7 @@ class PlanKeys(Keys):
     )
 
     @model_validator(mode="after")
-    def _own_name(self) -> PlanKeys:
+    def _own_name(self) -> Self:
         if self.sample in ("etalon", "target"):
             raise InputError(
                 "",

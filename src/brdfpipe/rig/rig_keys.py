@@ -1,8 +1,6 @@
 """The keys of ``rig.yaml``. The example values are a bench like that of the Keldysh preprint."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import Field, Strict, model_validator
 
@@ -125,7 +123,7 @@ class Camera(Keys):
     timeout: float = key("time to wait for a frame beyond its exposure", default=60, unit="s", gt=0, le=3600)
 
     @model_validator(mode="after")
-    def _reachable(self) -> Camera:
+    def _reachable(self) -> Self:
         needed = "folder" if self.kind == "drop-folder" else "address"
         if getattr(self, needed) is None:
             accepted = str(Camera.declared_keys()[needed].description)
@@ -280,4 +278,6 @@ class RigKeys(Keys):
         },
     )
     slit: float = key("spectral width of the slit", default=10, unit="nm", gt=0, le=200)
-    wavelengths: Range = key("wavelengths that monochromator, lamp and camera reach {low, high}", default=Range())
+    wavelengths: Range = key(
+        "wavelengths that monochromator, lamp and camera reach {low, high}", default=Range.model_construct()
+    )

@@ -1,7 +1,5 @@
 """The keys of ``certificate.yaml``: a reflectance standard, lit at normal incidence."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field, Strict
