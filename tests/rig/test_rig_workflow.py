@@ -11,7 +11,7 @@ import pytest
 import brdfpipe
 from brdfpipe import catalogue, installation, vocabulary
 from brdfpipe.jobs.build import build as build_catalogue
-from brdfpipe.jobs.rules import Stages
+from brdfpipe.jobs.rules import Pipeline
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NAMES = ("milk-glass", "opal-glass")
@@ -184,9 +184,9 @@ def test_a_wrong_plan_of_a_calibration_before_is_a_failure_of_the_material(tmp_p
     go_by(folder, "bench-2")
     plan = folder / "calibrations" / "bench-1" / "plan.yaml"
     plan.write_text(plan.read_text().replace("etalon_entrances: [10, 30, 60]", "etalon_entrances: [10, 33]"))
-    stages = Stages({"catalogue": str(folder)}, installation.project_folder() / "workflow" / "scripts")
-    assert list(stages.failures) == ["milk-glass"]
-    assert "etalon_entrances" in stages.failures["milk-glass"]["message"]
+    pipeline = Pipeline({"catalogue": str(folder)}, installation.project_folder() / "workflow" / "scripts")
+    assert list(pipeline.failures) == ["milk-glass"]
+    assert "etalon_entrances" in pipeline.failures["milk-glass"]["message"]
 
 
 def test_a_wrong_plan_is_a_failure_of_its_material_alone(tmp_path: Path) -> None:
