@@ -33,8 +33,8 @@ from brdfpipe import appearance, installation, specular_directions, store, vocab
 from brdfpipe.appearance import gloss_basis
 from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.bsdf.accessor import BSDFAccessor
-from brdfpipe.bsdf.lambert_gauss import FWHM
 from brdfpipe.bsdf.measured import completion, smoothing
+from brdfpipe.bsdf.representations.lambert_gauss import FWHM
 from brdfpipe.comparison.measured_predicted import compare
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.analytic_distributions import analytic, flat

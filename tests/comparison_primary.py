@@ -7,8 +7,9 @@ import rig_primary
 import xarray as xr
 
 from brdfpipe import facets, optics, vocabulary
-from brdfpipe.bsdf import microfacet, representations
+from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.measured.basis import solid_angles
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.specular_directions import cos_view, outgoing
 
 INCIDENCES = (10.0, 30.0, 45.0, 60.0)
@@ -83,7 +84,7 @@ def _drawn(name: str, shape: tuple[int, ...], seed: int | None) -> np.ndarray:
 def _seen(bsdf, incidence, wavelength, theta, phi) -> np.ndarray:
     theta_o, phi_o = outgoing(incidence[:, None], theta, phi)
     theta_i = np.broadcast_to(incidence[:, None], theta_o.shape)
-    evaluate = representations.representation(bsdf).evaluate
+    evaluate = representation(bsdf).evaluate
     brdf = evaluate(bsdf, theta_i, np.zeros_like(theta_i), np.minimum(theta_o, 90.0), phi_o, wavelength)
     return np.moveaxis(np.broadcast_to(brdf, (*theta_o.shape, wavelength.size)), -1, 1)
 

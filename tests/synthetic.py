@@ -1,27 +1,28 @@
-"""A BSDF that tells nothing but its values: what works on it works for every representation."""
+"""A BSDF that defines nothing but its values: what works on it works for every representation."""
 
 from __future__ import annotations
-
-from types import ModuleType, SimpleNamespace
-from typing import cast
 
 import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.registry import REPRESENTATIONS
 from brdfpipe.geometry import unit_vector
 
 
-def register(monkeypatch, brdf, *, transmission="none", **functions) -> xr.Dataset:
-    """A dataset whose BSDF is ``brdf(w_i, w_o)`` of unit vectors (…, 3), in sr-1."""
+def register(monkeypatch, brdf, *, transmission="none", **members) -> xr.Dataset:
+    """A dataset whose BSDF is ``brdf(w_i, w_o)`` of unit vectors (…, 3), in sr-1; ``members`` replace those of the class."""
 
-    def evaluate(_bsdf, theta_i, phi_i, theta_o, phi_o, _wavelength):
+    def evaluate(self, theta_i, phi_i, theta_o, phi_o, wavelength):
         return np.asarray(brdf(unit_vector(theta_i, phi_i), unit_vector(theta_o, phi_o)))[..., None]
 
-    module = SimpleNamespace(evaluate=evaluate, nonspectral=lambda bsdf, _weight: bsdf, **functions)
-    monkeypatch.setitem(representations._MODULES, "synthetic", cast(ModuleType, module))
+    def nonspectral(self, weight):
+        return self.dataset
+
     monkeypatch.setitem(vocabulary.REPRESENTATIONS, "synthetic", vocabulary.Kind({}))
+    own = {"name": "synthetic", "kind": vocabulary.Kind({}), "evaluate": evaluate, "nonspectral": nonspectral}
+    monkeypatch.setitem(REPRESENTATIONS, "synthetic", type("Synthetic", (Representation,), own | members))
     return xr.Dataset(attrs={"kind": "bsdf", "representation": "synthetic", "transmission": transmission})
 
 

@@ -8,6 +8,7 @@ import samples
 import xarray as xr
 
 from brdfpipe import vocabulary
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 
 
@@ -79,7 +80,9 @@ def test_a_coordinate_that_does_not_increase_is_refused():
 def test_an_unknown_representation_is_refused():
     bsdf = samples.beckmann_bsdf().assign_attrs(representation="magic")
     with pytest.raises(VocabularyError, match="unknown representation 'magic'"):
-        vocabulary.validate(bsdf, "bsdf")
+        representation(bsdf)
+    with pytest.raises(VocabularyError, match="unknown representation 'magic'"):
+        _ = bsdf.bsdf
 
 
 def test_uncertainties_take_the_units_of_their_quantity():

@@ -294,9 +294,9 @@ class Kind:
 
 
 _ISOTROPIC: Sequence[tuple[str, ...]] = [("slope",)]
-_SLOPES: Sequence[tuple[str, ...]] = [("slope",), ("slope_across", "slope_along")]
-_SPECTRAL: Sequence[tuple[str, ...]] = [("wavelength",), ()]
-_SCALAR: Sequence[tuple[str, ...]] = [()]
+SLOPES: Sequence[tuple[str, ...]] = [("slope",), ("slope_across", "slope_along")]
+SPECTRAL: Sequence[tuple[str, ...]] = [("wavelength",), ()]
+SCALAR: Sequence[tuple[str, ...]] = [()]
 _POLAR: Sequence[tuple[str, ...]] = [("theta",)]
 _CELLS: Sequence[tuple[str, ...]] = [("incidence", "wavelength", "cell")]
 _CELL: dict[str, Sequence[tuple[str, ...]]] = {"theta_s": [("cell",)], "phi_s": [("cell",)]}
@@ -304,19 +304,19 @@ _TRIALS: Sequence[tuple[str, ...]] = [("incidence", "trial")]
 
 _FACETS = Kind(
     required={
-        "slope_density": _SLOPES,
+        "slope_density": SLOPES,
         "D": [("alpha",), ("alpha", "beta")],
         "lambda_smith": [("theta",), ("theta", "phi")],
-        "slope_rms": _SCALAR,
+        "slope_rms": SCALAR,
     },
     optional={
-        "count": _SLOPES,
-        "anisotropy": _SCALAR,
-        "lay": _SCALAR,
-        "facet_count": _SCALAR,
-        "effective_count": _SCALAR,
-        "correlation_length": _SCALAR,
-        "noise_ratio": _SCALAR,
+        "count": SLOPES,
+        "anisotropy": SCALAR,
+        "lay": SCALAR,
+        "facet_count": SCALAR,
+        "effective_count": SCALAR,
+        "correlation_length": SCALAR,
+        "noise_ratio": SCALAR,
         "slope_rms_scale": [("scale",)],
     },
     attributes=("method", "band"),
@@ -328,7 +328,7 @@ KINDS: Mapping[str, Kind] = {
     "spectrum": Kind({"total_reflectance": [("wavelength",)]}, attributes=("geometry", "theta_i", "method")),
     "index": Kind({"n": [("wavelength",)], "k": [("wavelength",)]}, attributes=("source",)),
     "interior": Kind(
-        {"internal_transmittance": [("wavelength",)], "thickness": _SCALAR}, attributes=("source", "dispersion")
+        {"internal_transmittance": [("wavelength",)], "thickness": SCALAR}, attributes=("source", "dispersion")
     ),
     "multiangle": Kind(
         {angle: [("geometry",)] for angle in ("theta_i", "phi_i", "theta_o", "phi_o")},
@@ -398,46 +398,46 @@ KINDS: Mapping[str, Kind] = {
     "appearance": Kind(
         {
             "gloss": [("gloss_angle",)],
-            "haze": _SCALAR,
+            "haze": SCALAR,
             "lab": [("geometry", "component")],
-            "flop_index": _SCALAR,
-            "luminous_reflectance": _SCALAR,
+            "flop_index": SCALAR,
+            "luminous_reflectance": SCALAR,
             "srgb": [("channel",)],
         },
         optional={
             "gloss_u": [("gloss_angle",)],
             "gloss_quality": [("gloss_angle",)],
-            "haze_u": _SCALAR,
+            "haze_u": SCALAR,
             "reflectance_haze": [("haze_window",)],
             "reflectance_haze_u": [("haze_window",)],
             "lab_u": [("geometry", "component")],
             "lab_quality": [("geometry",)],
-            "flop_index_u": _SCALAR,
-            "lay": _SCALAR,
+            "flop_index_u": SCALAR,
+            "lay": SCALAR,
             "gloss_along": [("gloss_angle",)],
             "gloss_across": [("gloss_angle",)],
             "lab_along": [("geometry", "component")],
             "lab_across": [("geometry", "component")],
-            "luminous_transmittance": _SCALAR,
-            "transmission_haze": _SCALAR,
+            "luminous_transmittance": SCALAR,
+            "transmission_haze": SCALAR,
         },
         attributes=("illuminant", "observer"),
     ),
     "preview": Kind({"picture": [("row", "column", "channel")]}, attributes=("illuminant", "light", "white_level")),
     "checks": Kind(
         {
-            "reciprocity_residual": _SCALAR,
+            "reciprocity_residual": SCALAR,
             "albedo": [("theta_i", "wavelength"), ("theta_i",)],
-            "energy_excess": _SCALAR,
-            "negative_fraction": _SCALAR,
-            "closure_residual": _SCALAR,
-            "integral_residual": _SCALAR,
-            "floor": _SCALAR,
+            "energy_excess": SCALAR,
+            "negative_fraction": SCALAR,
+            "closure_residual": SCALAR,
+            "integral_residual": SCALAR,
+            "floor": SCALAR,
         },
-        optional={"transmittance": [("theta_i", "wavelength"), ("theta_i",)], "grazing_growth": _SCALAR},
+        optional={"transmittance": [("theta_i", "wavelength"), ("theta_i",)], "grazing_growth": SCALAR},
         attributes=("verdicts",),
     ),
-    "parameters": Kind({"missing_fraction": _SCALAR}, attributes=("levelling", "band")),
+    "parameters": Kind({"missing_fraction": SCALAR}, attributes=("levelling", "band")),
     "raycast": Kind({}, attributes=("method",)),
     "masking": Kind(
         required={"g1_raycast": _POLAR, "g1_raycast_u": _POLAR, "g1_smith": _POLAR},
@@ -446,7 +446,7 @@ KINDS: Mapping[str, Kind] = {
     ),
     "samples": Kind(
         {"theta_o": [("sample",)], "phi_o": [("sample",)], "pdf": [("sample",)], "specular": [("sample",)]}
-        | {"weight": [("sample",), ("sample", "wavelength")], "weight_variance": _SPECTRAL}
+        | {"weight": [("sample",), ("sample", "wavelength")], "weight_variance": SPECTRAL}
     ),
     "nonspectral": Kind({"rms": [("theta_i",)], "largest": [("theta_i",)], "reflectance_error": [("theta_i",)]}),
     "frames": Kind(
@@ -463,145 +463,8 @@ KINDS: Mapping[str, Kind] = {
     "catalogue": Kind({}, missing=("reflectance_haze",)),
 }
 
-_ALBEDO: Sequence[tuple[str, ...]] = [
-    ("theta_i", "wavelength"),
-    ("theta_i",),
-    ("theta_i", "phi_i", "wavelength"),
-    ("theta_i", "phi_i"),
-]
-_BALANCE: Sequence[tuple[str, ...]] = [("theta_i", "wavelength"), ("theta_i",)]
-_INTERFACE: Mapping[str, Sequence[tuple[str, ...]]] = {
-    "n": _SPECTRAL,
-    "k": _SPECTRAL,
-    "directional_albedo": _ALBEDO,
-    "mean_albedo": _SPECTRAL,
-    "mean_furnace_albedo": _SCALAR,
-    "diffuse": _SPECTRAL,
-}
-_BASE: Mapping[str, Sequence[tuple[str, ...]]] = {
-    "lay": _SCALAR,
-    "furnace_albedo": [("theta_i",), ("theta_i", "phi_i")],
-    "compensation": _SPECTRAL,
-    "total_reflectance": _SPECTRAL,
-    "theta_m": _SCALAR,
-}
-
-_TABLES: Sequence[tuple[str, ...]] = [
-    (*lay, *axes, *spectral)
-    for axes, azimuth in (
-        (("theta_i", "theta_o", "phi_o"), "phi_i"),
-        (("theta_i", "theta_s", "phi_s"), "phi_i"),
-        (("theta_h", "theta_d", "phi_d"), "phi_h"),
-    )
-    for lay in ((), (azimuth,))
-    for spectral in ((), ("wavelength",))
-]
-
-_CURVES: Sequence[tuple[str, ...]] = [("term", "channel"), ("term", "wavelength"), ("term",)]
-
-REPRESENTATIONS: Mapping[str, Kind] = {
-    "microfacet": Kind(
-        required={
-            "slope_density": _SLOPES,
-            "lambda_smith": [("theta",), ("theta", "phi")],
-            **_INTERFACE,
-        },
-        optional=_BASE,
-        attributes=("masking", "diffuse_mode", "multiple_scattering", "transmission"),
-    ),
-    "smooth": Kind(
-        required=_INTERFACE,
-        optional=_BASE,
-        attributes=("masking", "diffuse_mode", "multiple_scattering", "transmission"),
-    ),
-    "slab": Kind(
-        required={
-            "n": _SPECTRAL,
-            "internal_transmittance": _SPECTRAL,
-            "reflectance": _BALANCE,
-            "transmittance": _BALANCE,
-            "absorptance": _BALANCE,
-            "specular_reflectance": _BALANCE,
-            "specular_transmittance": _BALANCE,
-            "front_diffuse": [("theta",), ("theta", "wavelength")],
-            "back_diffuse": [("theta",), ("theta", "wavelength")],
-            "log_scattered": [("path", "theta_low", "span", "turn", "node")],
-            "lobe_scale": _SCALAR,
-            "interpolation_error": _SCALAR,
-            "quadrature_error": _SCALAR,
-        },
-        optional={
-            "front_slope_density": [("front_slope",)],
-            "front_lambda_smith": [("front_theta",)],
-            "back_slope_density": [("back_slope",)],
-            "back_lambda_smith": [("back_theta",)],
-        },
-        attributes=("masking", "transmission"),
-    ),
-    "flake": Kind(
-        required={
-            "clear_coat_index": _SCALAR,
-            "flake_amplitude": _CURVES,
-            "flake_decay": _CURVES,
-            "flake_constant": [("channel",), ("wavelength",), ()],
-            "theta_f_measured": [("geometry",)],
-        },
-        optional={
-            "clear_coat_slope": _SCALAR,
-            "flake_spectrum": [("theta_f", "wavelength"), ("theta_f",)],
-            "flake_covariance": [("channel", "parameter", "parameter_2"), ("wavelength", "parameter", "parameter_2")],
-            "misfit": [("geometry", "channel"), ("geometry", "wavelength")],
-            "leave_one_out_misfit": [("geometry", "channel"), ("geometry", "wavelength")],
-            "delta_e_00": [("geometry",)],
-            "leave_one_out": [("geometry",)],
-            "reduced_chi_squared": [("channel",), ("wavelength",)],
-        },
-        attributes=("model", "form", "clear_coat"),
-    ),
-    "lambert_gauss": Kind(
-        required={
-            "lambert": [("theta_i", "wavelength"), ("theta_i",), ("wavelength",), ()],
-            "gauss_peak": [("theta_i",)],
-            "gauss_fwhm_parallel": [("theta_i",)],
-            "gauss_fwhm_perpendicular": [("theta_i",)],
-        },
-        optional={
-            "gauss_reflectance": [("theta_i",)],
-            "fit_residual": [("theta_i",)],
-            "fit_error_max": [("theta_i",)],
-            "reflectance_error": [("theta_i",)],
-            "total_reflectance": _SPECTRAL,
-            "theta_m": _SCALAR,
-        },
-    ),
-    "table": Kind(
-        required={"brdf": _TABLES},
-        optional={"total_reflectance": _SPECTRAL, "theta_m": _SCALAR},
-    ),
-    "rig": Kind(
-        required={
-            "coefficient": [("node", spectral, "term") for spectral in ("wavelength", "mixed")],
-            "coefficient_factor": [("node", spectral, "term", "factor") for spectral in ("wavelength", "mixed")],
-            "lowest": [("node", spectral) for spectral in ("wavelength", "mixed")],
-            "highest": [("node", spectral) for spectral in ("wavelength", "mixed")],
-            "coefficient_quality": [("node", spectral) for spectral in ("wavelength", "mixed")],
-            "incidence": [("node",)],
-            "transmitted": [("node",)],
-            "horizon": [("node",)],
-            "cell_quality": [("node", "cell")],
-            "theta_s": [("cell",)],
-            "phi_s": [("cell",)],
-            "solid_angle": [("cell",)],
-        },
-        optional={
-            "coefficient_common": [("component", "node", spectral, "term") for spectral in ("wavelength", "mixed")],
-            "incidence_error": [("theta_i",)],
-            "mixture": [("mixed",)],
-        },
-        attributes=("link", "about", "basis", "reciprocity", "transmission"),
-    ),
-}
-"""Variables a ``bsdf`` of each representation needs to be evaluated anywhere."""
+REPRESENTATIONS: dict[str, Kind] = {}
+"""What a ``bsdf`` of each representation holds besides; a class of :mod:`brdfpipe.bsdf.representations` adds its own when it is imported."""
 
 
 def label(dataset: xr.Dataset, kind: str) -> xr.Dataset:
@@ -647,12 +510,10 @@ def validate(dataset: xr.Dataset, kind: str, source: str | None = None) -> xr.Da
         raise VocabularyError(f"{where}expected a dataset of kind {kind!r}, found kind {found!r}")
     _check_members(dataset, KINDS[kind], kind, where)
     if kind == "bsdf":
+        # A stage that evaluates a BSDF has imported its representation; one that passes it on need not know it.
         representation = dataset.attrs["representation"]
-        if representation not in REPRESENTATIONS:
-            raise VocabularyError(
-                f"{where}unknown representation {representation!r}; accepted: {', '.join(REPRESENTATIONS)}"
-            )
-        _check_members(dataset, REPRESENTATIONS[representation], f"bsdf ({representation})", where)
+        if representation in REPRESENTATIONS:
+            _check_members(dataset, REPRESENTATIONS[representation], f"bsdf ({representation})", where)
     for name in map(str, dataset.variables):
         _check_values(name, dataset[name], where, missing=name in KINDS[kind].missing)
     return dataset

@@ -20,7 +20,8 @@ from brdfpipe.appearance.gloss_meter import (
     gloss_and_haze,
     gloss_with_uncertainty,
 )
-from brdfpipe.bsdf import flake, lambert_gauss, microfacet, representations
+from brdfpipe.bsdf import flake, lambert_gauss, microfacet
+from brdfpipe.bsdf.nonspectral import nonspectral
 
 
 def rough(a, n=1.5):
@@ -182,7 +183,7 @@ def paint(**options):
     labs = {"45:-30": (33.90, -7.58, -36.61), "45:0": (12.29, 1.19, -25.77), "45:65": (3.07, 2.09, -13.24)}
     listed = [{"geometry": name, "lab": list(lab)} for name, lab in labs.items()]
     given = flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10})
-    return representations.nonspectral(flake.build(given, index=1.524, **options))
+    return nonspectral(flake.build(given, index=1.524, **options))
 
 
 OTHERS = {
@@ -273,7 +274,7 @@ def spread_of_instruments(bsdf, angle, azimuths=(0.0,)):
 @pytest.mark.parametrize("a", [0.005, 0.02, 0.1, 0.4])
 @pytest.mark.parametrize("angle", ANGLES)
 def test_the_uncertainty_is_that_of_instruments_at_the_ends_of_their_tolerances(a, angle):
-    bsdf = representations.nonspectral(rough(a))
+    bsdf = nonspectral(rough(a))
     units, spread = gloss_with_uncertainty(bsdf, [angle])
     assert float(units[0]) == pytest.approx(perturbed(bsdf, angle), rel=1e-9)
     # Linear in the receptor, two points in the rim of the source, a point source for the incidence: an uncertainty needs no more.
@@ -321,7 +322,7 @@ def test_the_uncertainty_of_a_matt_surface_is_that_of_the_receptor():
 
 @pytest.mark.parametrize("a", [0.005, 0.02, 0.1])
 def test_the_uncertainty_of_haze_is_that_of_instruments_with_one_source(a):
-    bsdf = representations.nonspectral(rough(a))
+    bsdf = nonspectral(rough(a))
     half = []
     for key, low, high in (
         ("receptor", *((RECEPTOR_TOLERANCE[angle][0], 0) for angle in (20.0, 60.0))),

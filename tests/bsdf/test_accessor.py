@@ -75,7 +75,7 @@ def test_an_unusable_weight_is_refused(bsdf, weight):
 
 
 def test_a_dataset_that_is_no_bsdf_says_so():
-    with pytest.raises(VocabularyError, match="not an evaluable bsdf"):
+    with pytest.raises(VocabularyError, match="unknown representation"):
         samples.spectrum().bsdf.evaluate(0, 0, 0, 0)
 
 

@@ -8,8 +8,9 @@ import samples
 import xarray as xr
 
 from brdfpipe import facets, vocabulary
-from brdfpipe.bsdf import lambert_gauss, microfacet, representations
+from brdfpipe.bsdf import lambert_gauss, microfacet
 from brdfpipe.bsdf import lambert_gauss_fit as fitting
+from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.errors import VocabularyError
 
 
@@ -115,7 +116,7 @@ def test_parameters_between_incidences_are_interpolated():
 
 def test_a_weighted_mean_of_a_lambertian_is_the_mean_reflectance():
     bsdf = lambert_gauss.lambertian(samples.spectrum(np.linspace(0, 1, 85)))
-    assert float(representations.nonspectral(bsdf, np.ones(85))["lambert"]) == pytest.approx(0.5)
+    assert float(nonspectral(bsdf, np.ones(85))["lambert"]) == pytest.approx(0.5)
 
 
 def test_a_fit_of_a_lay_says_that_it_holds_for_one_azimuth():

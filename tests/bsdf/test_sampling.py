@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from brdfpipe import facets, vocabulary
-from brdfpipe.bsdf import cells, lambert_gauss, microfacet, sampling
+from brdfpipe.bsdf import lambert_gauss, microfacet, sphere_cubature
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 
 N = 20_000
@@ -53,14 +54,14 @@ def bins_about(bsdf, theta_i, phi_i):
     relative = (pilot["phi_o"].values - phi_i) % 360
     theta = np.quantile(pilot["theta_o"].values, np.linspace(0, 1, 13)[1:-1])
     phi = np.quantile(relative, np.linspace(0, 1, 9)[1:-1])
-    highest = 180.0 if bsdf.attrs.get("transmission", "none") != "none" else 90.0
+    highest = 180.0 if representation(bsdf).transmits else 90.0
     lowest = 0.0
     return np.concatenate([[lowest], theta, [highest]]), np.concatenate([[0.0], phi, [360.0]])
 
 
 def expected_counts(bsdf, theta_i, phi_i, theta, phi):
     """N ∫ pdf dω of every bin: the density is constant over cells, so their overlaps with the bins give it exactly."""
-    density = sampling.distribution(bsdf, theta_i, phi_i)
+    density = representation(bsdf).distribution(theta_i, phi_i, None)
     low, high = density.mesh.low[density.leaves], density.mesh.high[density.leaves]
     middle = (low + high) / 2
     # `pdf` finds the cells by itself.
@@ -209,6 +210,8 @@ def test_unusable_arguments_are_refused(arguments, message):
 
 
 def test_cells_cover_the_hemisphere_once():
-    low, high = cells.rectangles(cells.theta_edges(np.array([45.0]), False), cells.phi_edges(225.0))
-    assert cells.solid_angle(low, high).sum() == pytest.approx(2 * np.pi, rel=1e-12)
-    assert cells.solid_angle(low, high).min() > 0
+    low, high = sphere_cubature.rectangles(
+        sphere_cubature.theta_edges(np.array([45.0]), False), sphere_cubature.phi_edges(225.0)
+    )
+    assert sphere_cubature.solid_angle(low, high).sum() == pytest.approx(2 * np.pi, rel=1e-12)
+    assert sphere_cubature.solid_angle(low, high).min() > 0

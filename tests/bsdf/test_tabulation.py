@@ -7,7 +7,8 @@ import pytest
 import samples
 
 from brdfpipe import facets, vocabulary
-from brdfpipe.bsdf import lambert_gauss, microfacet, representations, tabulation
+from brdfpipe.bsdf import lambert_gauss, microfacet, tabulation
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 
 GRID = {"theta_i": np.arange(0, 81, 10.0), "theta_o": np.arange(0, 86, 5.0), "phi_o": np.arange(0, 361, 10.0)}
@@ -190,8 +191,8 @@ def test_finer_steps_err_less():
 def test_the_reflectance_of_a_uniform_table_is_exactly_that_of_its_interpolation(table):
     # Against a quadrature whose cells end at the nodes.
     theta = np.array([0.0, 33.0, 71.0])
-    own = representations.albedo(table, theta, np.zeros(3), None)
-    found = representations.integrated(table, theta, np.zeros(3), None, relative=1e-8)
+    own = representation(table).albedo(theta, np.zeros(3), None)
+    found = representation(table).integrate(theta, np.zeros(3), None, relative=1e-8)
     assert own == pytest.approx(found.value, rel=1e-8)
 
 
@@ -229,7 +230,7 @@ def test_a_table_of_a_lay_carries_the_azimuth_of_incidence(lay):
     for phi_i in (0.0, 60.0, -90.0, 390.0):
         direction = (40, phi_i, 36, phi_i + 170)
         assert float(table.bsdf.evaluate(*direction)) == pytest.approx(float(lay.bsdf.evaluate(*direction)), rel=1e-9)
-    assert not representations.isotropic(table)
+    assert not representation(table).isotropic
 
 
 def test_a_table_of_a_lay_without_that_azimuth_holds_the_mean_and_says_so(lay):

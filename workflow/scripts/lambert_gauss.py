@@ -1,13 +1,13 @@
 from brdfpipe import store
 from brdfpipe.bsdf import lambert_gauss_fit as fitting
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.exchange import sidecar_tables as companions
 
 
 def main(input, output, params):
     """The Lambert and Gauss parameters that come closest to a BRDF; of a surface with a lay, for light along it."""
     spec, bsdf = params["spec"], store.open_dataset(input["bsdf"], "bsdf")
-    along = representations.lay(bsdf) or 0.0
+    along = representation(bsdf).lay or 0.0
     fit = store.save_dataset(
         fitting.fit_lambert_gauss(bsdf, spec["theta_i"], along),
         output["lambert_gauss"],
@@ -16,7 +16,7 @@ def main(input, output, params):
         inputs={"bsdf": bsdf},
         parameters=spec,
     )
-    turns = () if representations.isotropic(bsdf) else (45.0, 90.0, 135.0)
+    turns = () if representation(bsdf).isotropic else (45.0, 90.0, 135.0)
     others = {along + turn: fitting.fit_lambert_gauss(bsdf, spec["theta_i"], along + turn) for turn in turns}
     companions.write_lambert_gauss(fit, output["csv"], model=bsdf, azimuths={along: fit, **others} if turns else None)
 

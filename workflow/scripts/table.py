@@ -1,5 +1,6 @@
 from brdfpipe import store
-from brdfpipe.bsdf import representations, tabulation
+from brdfpipe.bsdf import tabulation
+from brdfpipe.bsdf.nonspectral import nonspectral
 
 
 def main(input, output, params):
@@ -8,7 +9,7 @@ def main(input, output, params):
     grid = tabulation.grid_for(bsdf, spec)
     make = tabulation.faithful_table if spec["refine"] else tabulation.tabulate
     store.save_dataset(
-        make(representations.nonspectral(bsdf), grid),
+        make(nonspectral(bsdf), grid),
         output["table"],
         stage="table",
         material=params["material"],

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array, angles_of
 from brdfpipe.hemisphere import graded_edges, panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -118,13 +118,13 @@ def received(bsdf: xr.Dataset, beams: Sequence[Beam], azimuths: Array, scale: fl
     theta_i, phi_i, theta_o, phi_o = (
         np.concatenate(angles) for angles in zip(*(node.at for node in nodes), strict=True)
     )
-    evaluate = representations.representation(bsdf).evaluate
+    evaluate = representation(bsdf).evaluate
     flux: list[list[Array]] = [[] for _ in beams]
     # One evaluation for many azimuths: a representation may work hard before it evaluates its first direction.
     blocks = min(azimuths.size, -(-azimuths.size * theta_i.size // _BLOCK))
     for some in np.array_split(azimuths, max(blocks, 1)):
         turned = (theta_i, phi_i + some[:, None], theta_o, phi_o + 180 + some[:, None])
-        brdf = evaluate(bsdf, *_broadcast(*turned), None)[..., 0]
+        brdf = evaluate(*_broadcast(*turned), None)[..., 0]
         parts = np.split(brdf, np.cumsum([node.weight.size for node in nodes])[:-1], axis=1)
         for sums, node, part, beam in zip(flux, nodes, parts, beams, strict=True):
             sums.append(_by_owner(node.weight * part, node.owner, beam.light.u.size))
@@ -154,7 +154,7 @@ def all_round(read: Callable[[Array], Array], bsdf: xr.Dataset) -> tuple[Array, 
     A fine lay shows within a few degrees of its own azimuth at 85°, so the evenly spaced azimuths start from it: halving their
     step then takes the same peak in at half the weight, and the mean does not settle before the peak is resolved.
     """
-    azimuths = (representations.lay(bsdf) or 0.0) + np.arange(0.0, 360.0, 360 / _FIRST_AZIMUTHS)
+    azimuths = (representation(bsdf).lay or 0.0) + np.arange(0.0, 360.0, 360 / _FIRST_AZIMUTHS)
     values = read(azimuths)
     while True:
         between = azimuths + 180 / azimuths.size
@@ -196,7 +196,7 @@ def _nodes(beam: Beam, scale: float) -> _Nodes:
 
 def lobe_scale(bsdf: xr.Dataset) -> float:
     """Half the half width of the specular lobe in radian, a typical slope; a moderate one where the lobe is not known."""
-    slope = representations.lobe_slope(bsdf)
+    slope = representation(bsdf).lobe_slope
     if slope is None or (slope < _NARROW and not _peaks(bsdf)):
         return _MODERATE
     return float(np.clip(slope, 1e-6, 0.2))
@@ -227,7 +227,5 @@ def _panels(centre: Array, scale: float, low: float, high: float, order: int) ->
 def _peaks(bsdf: xr.Dataset) -> bool:
     """Whether the BSDF is any larger in the mirror direction than a degree beside it: a polished surface's is not."""
     theta, nowhere = np.full(2, 45.0), np.zeros(2)
-    at, beside = representations.representation(bsdf).evaluate(
-        bsdf, theta, nowhere, np.array([45.0, 44.0]), nowhere + 180, None
-    )[:, 0]
+    at, beside = representation(bsdf).evaluate(theta, nowhere, np.array([45.0, 44.0]), nowhere + 180, None)[:, 0]
     return bool(at > 2 * beside and at > _FAINTEST)

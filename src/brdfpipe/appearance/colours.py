@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.flakes.geometries import SETS, Directions, named, refuse_mixed_signs
 from brdfpipe.geometry import Array, angles_of
 from brdfpipe.spectra import colorimetry
@@ -73,7 +73,7 @@ def colour(
     the three are 15, 45 and 110° is the trade's use.
     """
     vocabulary.validate(bsdf, "bsdf")
-    wavelength, total = representations.total_reflectance(bsdf)
+    wavelength, total = representation(bsdf).total_reflectance()
     places = _places(geometries)
     white = colorimetry.weights(illuminant, observer).white
     sphere = colorimetry.reflectance_to_xyz(wavelength, total, illuminant, observer)
@@ -153,11 +153,11 @@ def quality(bsdf: xr.Dataset, geometries: Mapping[str, Directions]) -> NDArray[n
 
     Of a surface with a lay, the worst of all azimuths.
     """
-    module = representations.representation(bsdf)
-    if not hasattr(module, "quality"):
+    evaluator = representation(bsdf)
+    if not evaluator.states_quality:
         return None
-    turns = np.array([0.0]) if representations.isotropic(bsdf) else _ALL_ROUND
-    return np.asarray(module.quality(bsdf, *_around(_angles(geometries), turns)).max(axis=1), dtype=np.int8)
+    turns = np.array([0.0]) if evaluator.isotropic else _ALL_ROUND
+    return np.asarray(evaluator.quality(*_around(_angles(geometries), turns)).max(axis=1), dtype=np.int8)
 
 
 def colour_quality(
@@ -177,8 +177,8 @@ def colour_quality(
 
 def _lab(bsdf: xr.Dataset, at: Sequence[Array], illuminant: str, observer: int, azimuth: float | None) -> Array:
     """L*a*b* of directions θ_i, φ_i, θ_o and φ_o, (directions, 3)."""
-    turns = _ALL_ROUND if azimuth is None and not representations.isotropic(bsdf) else np.array([azimuth or 0.0])
-    brdf = representations.representation(bsdf).evaluate(bsdf, *_around(at, turns), None).mean(axis=1)
+    turns = _ALL_ROUND if azimuth is None and not representation(bsdf).isotropic else np.array([azimuth or 0.0])
+    brdf = representation(bsdf).evaluate(*_around(at, turns), None).mean(axis=1)
     wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else np.array([360.0, 780.0])
     factors = np.broadcast_to(np.pi * brdf, (brdf.shape[0], wavelength.size))
     xyz = colorimetry.reflectance_to_xyz(wavelength, factors, illuminant, observer)

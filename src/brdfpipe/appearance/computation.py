@@ -23,7 +23,7 @@ from brdfpipe.appearance.colours import (
 from brdfpipe.appearance.gloss_basis import MEASURED_FLAGS, gloss_quality, gloss_uncertainty_from_bsdf
 from brdfpipe.appearance.gloss_meter import gloss, gloss_and_haze
 from brdfpipe.appearance.haze import WINDOWS, HazeWindow, reflectance_haze_with_uncertainty
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.spectra import colorimetry
 
 
@@ -63,7 +63,7 @@ def compute_appearance(
     """
     all_geometries = [*GEOMETRIES, *geometries]
     lab = colour(bsdf, all_geometries, illuminant, observer)
-    wavelength, total = representations.total_reflectance(bsdf)
+    wavelength, total = representation(bsdf).total_reflectance()
     lightness = [float(lab.sel(geometry=f"45as{angle}", component="L*")) for angle in (15, 45, 110)]
     flop = flop_index(*lightness)
     weight = colorimetry.luminous_weight(wavelength)
@@ -91,10 +91,10 @@ def compute_appearance(
     appearance = _add_gloss_basis(appearance, bsdf)
     if haze:
         appearance["reflectance_haze"], appearance["reflectance_haze_u"] = reflectance_haze_with_uncertainty(bsdf, haze)
-    if not representations.isotropic(bsdf):
+    if not representation(bsdf).isotropic:
         appearance = appearance.assign(_along_and_across(bsdf, illuminant, observer, gloss_angles, geometries))
     appearance = appearance.assign(quantities.computed(bsdf))
-    if reason := _missing_clear_coat(bsdf):
+    if reason := representation(bsdf).gloss_caveat:
         appearance = vocabulary.add_warning(_mark_flakes_alone(appearance, reason), reason)
     if math.isnan(flop) and lightness[2] > lightness[0]:
         appearance = vocabulary.add_warning(appearance, _rising_lightness_warning(lightness[0], lightness[2]))
@@ -126,17 +126,6 @@ def _add_gloss_basis(appearance: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
     )
 
 
-def _missing_clear_coat(bsdf: xr.Dataset) -> str:
-    """Why the gloss is not that of the material; empty where it is, or where no model is better."""
-    if bsdf.attrs["representation"] != "flake" or bsdf.attrs["clear_coat"] != "none":
-        return ""
-    remedy = "model: flake-physical" if bsdf.attrs["model"] == "flake" else "clear_coat: smooth"
-    return (
-        "Gloss and haze are those of the flakes alone, without the clear coat that a gloss meter reads. "
-        f"The model `{bsdf.attrs['model']}` without a clear coat has no gloss lobe. Set `multiangle.{remedy}` to model the clear coat."
-    )
-
-
 def _mark_flakes_alone(appearance: xr.Dataset, reason: str) -> xr.Dataset:
     marked = {
         name: appearance[name].assign_attrs(comment="of the flakes alone: no clear coat is modelled")
@@ -157,7 +146,7 @@ def _along_and_across(
     bsdf: xr.Dataset, illuminant: str, observer: int, gloss_angles: Sequence[float], geometries: Sequence[str]
 ) -> dict[str, xr.DataArray | float]:
     """Gloss and colour in the two principal planes; where the lay is not known, in those of azimuth 0 and 90."""
-    lay = representations.lay(bsdf) or 0.0
+    lay = representation(bsdf).lay or 0.0
     values: dict[str, xr.DataArray | float] = {"lay": lay}
     for plane, azimuth in (("along", lay), ("across", lay + 90)):
         # Dropped units and long names: the vocabulary has others for these names.

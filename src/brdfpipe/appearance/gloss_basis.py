@@ -6,7 +6,8 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.appearance.colours import quality
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.flakes.geometries import Directions
 from brdfpipe.vocabulary import QUALITY_FLAGS
 
@@ -25,12 +26,12 @@ def gloss_uncertainty_from_bsdf(bsdf: xr.Dataset, gloss: xr.DataArray) -> xr.Dat
 
     The relative uncertainty in the mirror direction is applied to the whole receptor: errors of neighbouring directions are correlated.
     """
-    if not representations.has_uncertainty(bsdf):
+    if not representation(bsdf).states_uncertainty:
         return None
-    reduced, theta = representations.nonspectral(bsdf), gloss["gloss_angle"].values
+    reduced, theta = nonspectral(bsdf), gloss["gloss_angle"].values
     mirror = (theta, np.zeros_like(theta), theta, np.full_like(theta, 180.0), None)
-    value = representations.representation(reduced).evaluate(reduced, *mirror)[..., 0]
-    u = representations.uncertainty(reduced, *mirror)[..., 0]
+    value = representation(reduced).evaluate(*mirror)[..., 0]
+    u = representation(reduced).uncertainty(*mirror)[..., 0]
     return gloss * np.divide(u, value, out=np.zeros_like(u), where=value > 0)
 
 

@@ -39,7 +39,8 @@ from brdfpipe.appearance.apertures import (
     received,
     source,
 )
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
 
@@ -175,8 +176,8 @@ def _sample(bsdf: xr.Dataset, angles: Sequence[float], azimuth: float | None) ->
     unknown = [angle for angle in angles if float(angle) not in RECEPTOR]
     if unknown:
         raise GlossError(f"no gloss geometry {unknown[0]:g}°; accepted: {', '.join(f'{a:g}' for a in RECEPTOR)}")
-    reduced = representations.nonspectral(bsdf)
-    if azimuth is None and representations.isotropic(reduced):
+    reduced = nonspectral(bsdf)
+    if azimuth is None and representation(reduced).isotropic:
         azimuth = 0.0
     return _Sample(reduced, azimuth, lobe_scale(reduced))
 
@@ -211,7 +212,7 @@ def _read(sample: _Sample, angle: float, azimuths: Array, rule: Rule) -> Array:
 
 def _mirrored(bsdf: xr.Dataset, light: Source, azimuths: Array) -> Array:
     theta, phi = np.broadcast_arrays(light.theta, light.phi + azimuths[:, None])
-    return representations.specular(bsdf, theta, phi, None)[0][..., 0]
+    return representation(bsdf).specular(theta, phi, None)[0][..., 0]
 
 
 def _units(light: Source, reflected: Array) -> Array:

@@ -38,7 +38,8 @@ from brdfpipe.appearance.apertures import (
     source,
 )
 from brdfpipe.appearance.gloss_meter import AXIS_TOLERANCE, RECEPTOR_TOLERANCE, SOURCE_TOLERANCE
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
 
@@ -129,7 +130,7 @@ def _prepared(
 ) -> tuple[xr.Dataset, list[HazeWindow], float]:
     vocabulary.validate(bsdf, "bsdf")
     checked = [checked_window(window) for window in windows]
-    reduced = representations.nonspectral(bsdf)
+    reduced = nonspectral(bsdf)
     return reduced, checked, lobe_scale(reduced)
 
 
@@ -171,7 +172,7 @@ def _read(bsdf: xr.Dataset, window: HazeWindow, azimuth: float | None, scale: fl
         beams = [Beam(window.angle, light, _rectangle(window, side), rule.receptor) for side in _SIDES]
         return np.sum([_units(beam, flux) for beam, flux in _received(bsdf, beams, azimuths, scale)], axis=0)
 
-    if azimuth is None and not representations.isotropic(bsdf):
+    if azimuth is None and not representation(bsdf).isotropic:
         return all_round(lambda azimuths: read(azimuths, mean_rule(scale)), bsdf)
     one = np.array([azimuth or 0.0])
     return one, read(one, QUICK)

@@ -6,7 +6,7 @@ import math
 
 from brdfpipe.appearance.origin import Datasets, is_measured
 from brdfpipe.appearance.transmission import luminous_transmittance as transmittance_of_bsdf
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.spectra.colorimetry import reflectance_to_xyz
 
 
@@ -32,4 +32,4 @@ def luminous_transmittance(datasets: Datasets) -> float:
     if "appearance" in datasets and "luminous_transmittance" in datasets["appearance"]:
         return float(datasets["appearance"]["luminous_transmittance"])
     bsdf = datasets.get("bsdf")
-    return transmittance_of_bsdf(bsdf) if bsdf is not None and representations.transmits(bsdf) else math.nan
+    return transmittance_of_bsdf(bsdf) if bsdf is not None and representation(bsdf).transmits else math.nan

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import xarray as xr
 
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 
 Datasets = Mapping[str, xr.Dataset]
 """Stage → its dataset, of one material; any stage may be absent."""
@@ -61,4 +61,4 @@ def is_metal(bsdf: xr.Dataset | None) -> bool:
 
 def has_no_diffuse_base(bsdf: xr.Dataset | None) -> bool:
     """Whether no spectrum is needed: a metal, or a body that transmits, reflects no light diffusely from below its surface."""
-    return bsdf is not None and (representations.transmits(bsdf) or is_metal(bsdf))
+    return bsdf is not None and (representation(bsdf).transmits or is_metal(bsdf))

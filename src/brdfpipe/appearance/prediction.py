@@ -9,7 +9,7 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.colours import quality
-from brdfpipe.bsdf import flake, representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.flakes.geometries import Directions, named
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
@@ -83,10 +83,11 @@ def _places(geometries: Geometries) -> dict[str, Directions]:
 
 
 def _xyz(bsdf: xr.Dataset, at: Array, illuminant: str, observer: int) -> Array:
-    own = bsdf.attrs.get("illuminant"), bsdf.attrs.get("observer")
-    if "channel" in bsdf.dims and own == (colorimetry.illuminant_name(illuminant), observer):
-        return flake.tristimulus(bsdf, at[0], at[1], at[2], at[3])
-    brdf = representations.representation(bsdf).evaluate(bsdf, at[0], at[1], at[2], at[3], None)
+    evaluator = representation(bsdf)
+    own = evaluator.tristimulus(at[0], at[1], at[2], at[3], colorimetry.illuminant_name(illuminant), observer)
+    if own is not None:
+        return own
+    brdf = evaluator.evaluate(at[0], at[1], at[2], at[3], None)
     wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else np.array([360.0, 780.0])
     factor = np.broadcast_to(np.pi * brdf, (*brdf.shape[:-1], wavelength.size))
     return colorimetry.reflectance_to_xyz(wavelength, factor, illuminant, observer)

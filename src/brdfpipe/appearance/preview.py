@@ -18,7 +18,7 @@ from brdfpipe import vocabulary
 from brdfpipe.appearance.lights import WHITE_LEVEL, Lights, lights
 from brdfpipe.appearance.preview_geometry import Shot, panel, sphere
 from brdfpipe.appearance.transport import Table, weighed
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
@@ -110,10 +110,10 @@ def tone(linear: Array) -> Array:
 
 def _passed(bsdf: xr.Dataset, shot: Shot, wavelength: Array | None, channels: Array) -> Array | float:
     """Share of an even light behind a slab that reaches the camera, (pixels, channels): its transmittance, by reciprocity."""
-    if bsdf.attrs.get("transmission", "none") != "slab":
+    if not representation(bsdf).is_slab:
         return 0.0
     theta = np.linspace(0.0, 85.0, 18)
-    share = representations.transmittance(bsdf, theta, np.zeros(theta.size), wavelength)
+    share = representation(bsdf).transmittance(theta, np.zeros(theta.size), wavelength)
     share = weighed(share, channels)
     seen = np.degrees(np.arccos(np.minimum((shot.pixels.normal * shot.pixels.view).sum(axis=1), 1)))
     # At grazing all light is reflected.

@@ -16,7 +16,7 @@ from brdfpipe.appearance import applicability, luminous, transmission
 from brdfpipe.appearance.applicability import ISO_WINDOW, gloss_units, reflectance_haze_by_window
 from brdfpipe.appearance.gloss_basis import basis_note
 from brdfpipe.appearance.origin import Datasets, is_measured
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
 
 
@@ -242,11 +242,11 @@ def _lab_hint(datasets: Datasets) -> str:
 
 
 def _transmission_haze(bsdf: xr.Dataset) -> float | None:
-    return transmission.transmission_haze(bsdf) if representations.transmits(bsdf) else None
+    return transmission.transmission_haze(bsdf) if representation(bsdf).transmits else None
 
 
 def _luminous_transmittance(bsdf: xr.Dataset) -> float | None:
-    return transmission.luminous_transmittance(bsdf) if representations.transmits(bsdf) else None
+    return transmission.luminous_transmittance(bsdf) if representation(bsdf).transmits else None
 
 
 def _scalar(stages: tuple[str, ...], name: str) -> Callable[[Datasets], float]:

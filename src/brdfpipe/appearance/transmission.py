@@ -12,7 +12,8 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 
@@ -33,7 +34,7 @@ def luminous_transmittance(bsdf: xr.Dataset) -> float:
     """
     from brdfpipe.spectra import colorimetry
 
-    wavelength, total = representations.total_transmittance(bsdf)
+    wavelength, total = representation(bsdf).total_transmittance()
     seen = colorimetry.luminous_weight(wavelength)
     return float(seen @ total / seen.sum())
 
@@ -50,15 +51,15 @@ def transmission_haze(bsdf: xr.Dataset) -> float:
     float : 0 for a clear plate, 0.998 for a perfect diffuser; NaN where nothing is transmitted
     """
     vocabulary.validate(bsdf, "bsdf")
-    reduced = representations.nonspectral(bsdf)
+    reduced = nonspectral(bsdf)
     normal = np.zeros(1)
-    total = float(representations.transmittance(reduced, normal, normal, None)[0, 0])
+    total = float(representation(reduced).transmittance(normal, normal, None)[0, 0])
     if not total > 0:
         return float("nan")
-    straight = float(representations.specular(reduced, normal, normal, None)[1][0, 0])
-    theta, phi, weight = _cone(representations.lobe_slope(bsdf) or _UNKNOWN_SLOPE)
+    straight = float(representation(reduced).specular(normal, normal, None)[1][0, 0])
+    theta, phi, weight = _cone(representation(bsdf).lobe_slope or _UNKNOWN_SLOPE)
     incidence = np.zeros_like(theta)
-    btdf = representations.representation(reduced).evaluate(reduced, incidence, incidence, 180 - theta, phi, None)
+    btdf = representation(reduced).evaluate(incidence, incidence, 180 - theta, phi, None)
     scattered_little = float(weight @ btdf[:, 0])
     return float(np.clip(1 - (straight + scattered_little) / total, 0.0, 1.0))
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.appearance.lights import Floats, Lights
 from brdfpipe.appearance.preview_geometry import Points
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array, angles_of
 
 _NARROWEST, _WIDEST = 7e-4, 0.15
@@ -75,11 +75,11 @@ class Table:
     @classmethod
     def of(cls, bsdf: xr.Dataset, wavelength: Array | None, channels: Array, fineness: Fineness | None = None) -> Table:
         """Tabulate a BSDF; ``channels`` (wavelength or 1, channels) are what each wavelength weighs in each of them."""
-        turning = not representations.isotropic(bsdf)
+        turning = not representation(bsdf).isotropic
         fineness = fineness or (WITH_LAY if turning else ISOTROPIC)
         theta = 89.9 * np.sin(np.linspace(0, np.pi / 2, fineness.thetas))
         phi = np.arange(fineness.phis) * 360 / fineness.phis if turning else np.zeros(1)
-        lay = (representations.lay(bsdf) or 0.0) if turning else 0.0
+        lay = (representation(bsdf).lay or 0.0) if turning else 0.0
         widths = _lobe_widths(bsdf, lay, wavelength)
         facets, facet_angle, share = _facets(widths, lay, fineness.per_turn)
         directions = _even_directions(fineness.directions)
@@ -95,7 +95,7 @@ class Table:
             weight = (1 - _handover(between, widths, lay)) * 2 * np.pi / len(directions)
             even = np.broadcast_to(directions, between.shape)
             far[j] = weighed(_sent(bsdf, even, weight, (polar, phi), wavelength), channels)
-            shares = representations.specular(bsdf, np.full(phi.size, polar), phi + 180, wavelength)[0]
+            shares = representation(bsdf).specular(np.full(phi.size, polar), phi + 180, wavelength)[0]
             mirror[j] = weighed(shares, channels)
         return cls(theta, phi, lay, facets, facet_angle, near, directions, far, mirror)
 
@@ -210,9 +210,7 @@ def _sent(bsdf: xr.Dataset, lights: Array, weight: Array, view: tuple[float, Arr
         return np.zeros((*used.shape, 1))
     theta_i, phi_i = angles_of(lights[used])
     phi_o = np.broadcast_to(view[1][:, None], used.shape)[used]
-    values = representations.representation(bsdf).evaluate(
-        bsdf, theta_i, phi_i, np.full(theta_i.size, view[0]), phi_o, wavelength
-    )
+    values = representation(bsdf).evaluate(theta_i, phi_i, np.full(theta_i.size, view[0]), phi_o, wavelength)
     sent = np.zeros((*used.shape, values.shape[-1]))
     sent[used] = values * (lights[used][:, 2] * weight[used])[:, None]
     return sent
@@ -231,7 +229,7 @@ def _lobe_widths(bsdf: xr.Dataset, lay: float, wavelength: Array | None) -> tupl
     for turn in (lay, lay + 90):
         theta = np.degrees(2 * np.arctan(slope))
         at = np.full(slope.size, turn)
-        values = representations.representation(bsdf).evaluate(bsdf, theta, at, 0 * theta, at, wavelength).mean(axis=-1)
+        values = representation(bsdf).evaluate(theta, at, 0 * theta, at, wavelength).mean(axis=-1)
         height = values - values[-1]
         fallen = np.flatnonzero(height < height[0] / 2)
         peaked = height[0] > 0.05 * abs(values[-1]) and fallen.size > 0

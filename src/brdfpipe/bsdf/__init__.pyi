@@ -3,5 +3,4 @@ from . import lambert_gauss as lambert_gauss
 from . import measured as measured
 from . import microfacet as microfacet
 from . import slab as slab
-from . import table as table
 from .accessor import BSDFAccessor as BSDFAccessor

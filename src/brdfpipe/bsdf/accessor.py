@@ -1,4 +1,4 @@
-"""``dataset.bsdf``: evaluate, integrate, tabulate and check any BSDF, whatever its representation."""
+"""``dataset.bsdf``: evaluate, integrate, tabulate and check any BSDF, of any representation."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import store, vocabulary
-from brdfpipe.bsdf import approximation_error as comparison
-from brdfpipe.bsdf import checks, representations, sampling, tabulation
+from brdfpipe.bsdf import approximation_error, checks, tabulation
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import REPRESENTATIONS, representation
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, broadcast, check_angles, checked_angles
 
@@ -20,6 +22,7 @@ class BSDFAccessor:
     """A ``bsdf`` dataset as a function of directions and wavelength."""
 
     def __init__(self, dataset: xr.Dataset) -> None:
+        representation(dataset)  # refuses what is no BSDF
         self._dataset = dataset
 
     def evaluate(
@@ -48,12 +51,10 @@ class BSDFAccessor:
         VocabularyError : an angle is out of range or labelled as radians, or a wavelength lies outside the data.
         """
         angles = _directions(theta_i, phi_i, theta_o, phi_o)
-        asked = self._wavelengths(wavelength)
-        plain = [angle.values for angle in angles]
-        module = representations.representation(self._dataset)
-        values = module.evaluate(self._dataset, plain[0], plain[1], plain[2], plain[3], asked)
+        wavelengths = self._wavelengths(wavelength)
+        values = self._representation.evaluate(*_values(angles), wavelengths)
         return self._labelled(
-            values, angles[0], asked, "brdf", "bidirectional reflectance distribution function", "sr-1"
+            values, angles[0], wavelengths, "brdf", "bidirectional reflectance distribution function", "sr-1"
         )
 
     def uncertainty(
@@ -75,10 +76,14 @@ class BSDFAccessor:
         VocabularyError : as :meth:`evaluate`, or the representation states no uncertainty.
         """
         angles = _directions(theta_i, phi_i, theta_o, phi_o)
-        asked = self._wavelengths(wavelength)
-        plain = [angle.values for angle in angles]
-        values = representations.uncertainty(self._dataset, plain[0], plain[1], plain[2], plain[3], asked)
-        return self._labelled(values, angles[0], asked, "brdf_u", "standard uncertainty of the BSDF", "sr-1")
+        wavelengths = self._wavelengths(wavelength)
+        if not self._representation.states_uncertainty:
+            stating = ", ".join(name for name, each in REPRESENTATIONS.items() if each.states_uncertainty)
+            raise VocabularyError(
+                f"the representation {self._representation.name!r} states no uncertainty; those that do: {stating}"
+            )
+        values = self._representation.uncertainty(*_values(angles), wavelengths)
+        return self._labelled(values, angles[0], wavelengths, "brdf_u", "standard uncertainty of the BSDF", "sr-1")
 
     def albedo(self, theta_i: ArrayLike, phi_i: ArrayLike = 0.0, wavelength: ArrayLike | None = None) -> xr.DataArray:
         """Directional reflectance: the share of the light that leaves on the side it comes from, mirror reflection included.
@@ -91,9 +96,9 @@ class BSDFAccessor:
         Returns
         -------
         DataArray ``albedo`` [1]; the representation's own, or an adaptive quadrature to 1e-6, see
-        :func:`brdfpipe.bsdf.representations.integrated`
+        :meth:`brdfpipe.bsdf.base.Representation.integrate`
         """
-        return self._share(representations.albedo, theta_i, phi_i, wavelength, "albedo", "directional reflectance")
+        return self._share(self._representation.albedo, theta_i, phi_i, wavelength, "albedo", "directional reflectance")
 
     def transmittance(
         self, theta_i: ArrayLike, phi_i: ArrayLike = 0.0, wavelength: ArrayLike | None = None
@@ -105,7 +110,7 @@ class BSDFAccessor:
         DataArray ``transmittance`` [1]; 0 where the material does not transmit
         """
         return self._share(
-            representations.transmittance, theta_i, phi_i, wavelength, "transmittance", "directional transmittance"
+            self._representation.transmittance, theta_i, phi_i, wavelength, "transmittance", "directional transmittance"
         )
 
     def specular(
@@ -114,9 +119,7 @@ class BSDFAccessor:
         """Reflectance and transmittance of perfectly smooth surfaces, which :meth:`evaluate` cannot show; arguments as for :meth:`albedo`."""
         names = (("specular_reflectance", "mirror reflectance"), ("specular_transmittance", "regular transmittance"))
         return tuple(  # type: ignore[return-value]
-            self._share(
-                lambda *arguments, k=k: representations.specular(*arguments)[k], theta_i, phi_i, wavelength, *words
-            )
+            self._share(lambda *at, k=k: self._representation.specular(*at)[k], theta_i, phi_i, wavelength, *words)
             for k, words in enumerate(names)
         )
 
@@ -143,7 +146,7 @@ class BSDFAccessor:
         VocabularyError : n is no positive integer, or an angle or a wavelength is out of range.
         """
         theta, phi = self._incidence(theta_i, phi_i)
-        return sampling.sample(self._dataset, n, seed, theta, phi, self._wavelengths(wavelength))
+        return self._representation.sample(n, seed, theta, phi, self._wavelengths(wavelength))
 
     def pdf(
         self,
@@ -169,8 +172,9 @@ class BSDFAccessor:
         outgoing = broadcast(
             theta_o=checked_angles("theta_o", theta_o, 0, 180), phi_o=checked_angles("phi_o", phi_o, -720, 720)
         )
-        density = sampling.distribution(self._dataset, theta, phi, self._wavelengths(wavelength))
-        values = density.pdf(outgoing[0].values, outgoing[1].values)
+        values = self._representation.pdf(
+            theta, phi, outgoing[0].values, outgoing[1].values, self._wavelengths(wavelength)
+        )
         attrs = {"units": "sr-1", "long_name": vocabulary.QUANTITIES["pdf"].long_name}
         return xr.DataArray(values, outgoing[0].coords, outgoing[0].dims, "pdf", attrs)
 
@@ -208,10 +212,11 @@ class BSDFAccessor:
         VocabularyError : as :meth:`evaluate`
         """
         angles = _directions(theta_i, phi_i, theta_o, phi_o)
-        asked = self._wavelengths(wavelength)
-        theta_i, phi_i, theta_o, phi_o = (angle.values for angle in angles)
-        values = representations.mueller(self._dataset, theta_i, phi_i, theta_o, phi_o, asked)
-        first = self._labelled(values[..., 0, 0], angles[0], asked, "mueller", "Mueller matrix of the BRDF", "sr-1")
+        wavelengths = self._wavelengths(wavelength)
+        values = self._representation.mueller(*_values(angles), wavelengths)
+        first = self._labelled(
+            values[..., 0, 0], angles[0], wavelengths, "mueller", "Mueller matrix of the BRDF", "sr-1"
+        )
         stokes = ["I", "Q", "U", "V"]
         return xr.DataArray(
             np.broadcast_to(values, (*first.shape, 4, 4)) if "wavelength" in first.dims else values[..., 0, :, :],
@@ -232,33 +237,37 @@ class BSDFAccessor:
         ----------
         ASTM E1392 "integrated" data; CIE 015, V(λ) and D65.
         """
-        return representations.nonspectral(self._dataset, weight)
+        return nonspectral(self._dataset, weight)
 
     def nonspectral_error(
         self, weight: ArrayLike | None = None, theta_i: ArrayLike = (8.0, 30.0, 60.0, 80.0)
     ) -> xr.Dataset:
         """What :meth:`nonspectral` costs; see :func:`brdfpipe.bsdf.approximation_error.nonspectral_error`."""
-        return comparison.nonspectral_error(self._dataset, weight, theta_i)
+        return approximation_error.nonspectral_error(self._dataset, weight, theta_i)
+
+    @property
+    def _representation(self) -> Representation:
+        return representation(self._dataset)
 
     def _share(
         self,
-        of: Callable[[xr.Dataset, Array, Array, Array | None], Array],
+        share: Callable[[Array, Array, Array | None], Array],
         theta_i: ArrayLike,
         phi_i: ArrayLike,
         wavelength: ArrayLike | None,
         name: str,
         long_name: str,
     ) -> xr.DataArray:
-        highest = 180 if representations.transmits(self._dataset) else 90
+        highest = 180 if self._representation.transmits else 90
         angles = broadcast(
             theta_i=checked_angles("theta_i", theta_i, 0, highest), phi_i=checked_angles("phi_i", phi_i, -720, 720)
         )
-        asked = self._wavelengths(wavelength)
-        values = of(self._dataset, angles[0].values, angles[1].values, asked)
-        return self._labelled(values, angles[0], asked, name, long_name, "1")
+        wavelengths = self._wavelengths(wavelength)
+        values = share(angles[0].values, angles[1].values, wavelengths)
+        return self._labelled(values, angles[0], wavelengths, name, long_name, "1")
 
     def _incidence(self, theta_i: ArrayLike, phi_i: ArrayLike) -> tuple[float, float]:
-        highest = 180 if representations.transmits(self._dataset) else 90
+        highest = 180 if self._representation.transmits else 90
         angles = check_angles("theta_i", theta_i, 0, highest), check_angles("phi_i", phi_i, -720, 720)
         if any(angle.size != 1 for angle in angles):
             raise VocabularyError("directions are drawn for one incidence at a time: give theta_i and phi_i as numbers")
@@ -270,22 +279,22 @@ class BSDFAccessor:
         units = getattr(wavelength, "attrs", {}).get("units", "nm")
         if units != "nm":
             raise VocabularyError(f"wavelength is in {units!r}; wavelengths are in nm")
-        asked = np.atleast_1d(np.asarray(wavelength, dtype=float))
-        if asked.ndim != 1 or not np.isfinite(asked).all():
-            raise VocabularyError(f"wavelength must be finite and one-dimensional; found shape {asked.shape}")
+        wavelengths = np.atleast_1d(np.asarray(wavelength, dtype=float))
+        if wavelengths.ndim != 1 or not np.isfinite(wavelengths).all():
+            raise VocabularyError(f"wavelength must be finite and one-dimensional; found shape {wavelengths.shape}")
         if "wavelength" in self._dataset.coords:
             own = self._dataset["wavelength"].values
-            if asked.size and (asked.min() < own[0] or asked.max() > own[-1]):
+            if wavelengths.size and (wavelengths.min() < own[0] or wavelengths.max() > own[-1]):
                 raise VocabularyError(
-                    f"wavelength spans {asked.min():g} to {asked.max():g} nm; the data cover {own[0]:g} to {own[-1]:g} nm"
+                    f"wavelength spans {wavelengths.min():g} to {wavelengths.max():g} nm; the data cover {own[0]:g} to {own[-1]:g} nm"
                 )
-        return asked
+        return wavelengths
 
     def _labelled(
-        self, values: Array, like: xr.DataArray, asked: Array | None, name: str, long_name: str, units: str
+        self, values: Array, like: xr.DataArray, wavelengths: Array | None, name: str, long_name: str, units: str
     ) -> xr.DataArray:
         own = self._dataset["wavelength"].values if "wavelength" in self._dataset.coords else None
-        wavelength = asked if asked is not None else own
+        wavelength = own if wavelengths is None else wavelengths
         attrs = {"units": units, "long_name": long_name}
         if wavelength is None:
             return xr.DataArray(values[..., 0], like.coords, like.dims, name, attrs)
@@ -300,8 +309,16 @@ class BSDFAccessor:
 
 
 def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Dataset:
-    """Read a stored dataset; one of kind ``bsdf`` has the accessor ``.bsdf``. See :func:`brdfpipe.store.open_dataset`."""
-    return store.open_dataset(path, kind)
+    """Read a stored dataset; one of kind ``bsdf`` has the accessor ``.bsdf``.
+
+    Raises
+    ------
+    StoreError, VocabularyError : as :func:`brdfpipe.store.open_dataset`, or the representation of a BSDF is unknown.
+    """
+    dataset = store.open_dataset(path, kind)
+    if dataset.attrs.get("kind") == "bsdf":
+        representation(dataset)
+    return dataset
 
 
 def _directions(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> tuple[xr.DataArray, ...]:
@@ -311,3 +328,8 @@ def _directions(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
         theta_o=checked_angles("theta_o", theta_o, 0, 180),
         phi_o=checked_angles("phi_o", phi_o, -720, 720),
     )
+
+
+def _values(angles: tuple[xr.DataArray, ...]) -> tuple[Array, Array, Array, Array]:
+    theta_i, phi_i, theta_o, phi_o = (angle.values for angle in angles)
+    return theta_i, phi_i, theta_o, phi_o

@@ -9,7 +9,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import hemisphere, vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array, check_angles
 from brdfpipe.hemisphere import Directions
 
@@ -40,9 +41,9 @@ def misfit(weight: Array, found: Array, model: Array) -> Misfit:
 
 def directions(bsdf: xr.Dataset, theta_i: float, phi_i: float = 0.0, order: int = 4, turns: int = 12) -> Directions:
     """Directions over the hemisphere that resolve the lobe of incidence (θ_i, φ_i), with projected solid angles."""
-    slope = representations.lobe_slope(bsdf)
+    slope = representation(bsdf).lobe_slope
     rule = hemisphere.around_mirror(theta_i, _UNKNOWN_SLOPE if slope is None else slope, order=order, turns=turns)
-    if not representations.isotropic(bsdf):
+    if not representation(bsdf).isotropic:
         # The rule covers one side of the plane of incidence, and a lay makes the other one differ.
         both = (np.concatenate([rule.theta, rule.theta]), np.concatenate([rule.phi, -rule.phi]))
         rule = Directions(*both, np.concatenate([rule.weight, rule.weight]) / 2)
@@ -52,7 +53,7 @@ def directions(bsdf: xr.Dataset, theta_i: float, phi_i: float = 0.0, order: int 
 def brdf_at(bsdf: xr.Dataset, theta_i: float, phi_i: float, rule: Directions, wavelength: Array | None = None) -> Array:
     """The BRDF of one incidence at directions, (directions, wavelength)."""
     incidence = np.full_like(rule.theta, theta_i), np.full_like(rule.phi, phi_i)
-    return np.asarray(representations.representation(bsdf).evaluate(bsdf, *incidence, rule.theta, rule.phi, wavelength))
+    return np.asarray(representation(bsdf).evaluate(*incidence, rule.theta, rule.phi, wavelength))
 
 
 def nonspectral_error(
@@ -72,8 +73,8 @@ def nonspectral_error(
     the BSDF does not depend on wavelength
     """
     angles = np.atleast_1d(check_angles("theta_i", theta_i, 0, 89.99))
-    response = representations.normalised(bsdf, weight)
-    reduced = representations.nonspectral(bsdf, weight)
+    response = normalised_response(bsdf, weight)
+    reduced = nonspectral(bsdf, weight)
     told = np.zeros((angles.size, 3))
     if response is not None:
         for row, angle in enumerate(angles):

@@ -9,9 +9,8 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import hemisphere, vocabulary
-from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.grids import Angles, from_mirror
-from brdfpipe.bsdf.microfacet.builder import NOT_PHYSICAL
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array
 
 _DIRECTIONS, _ABOUT_NORMAL, _PROBES = 2048, 1024, 256
@@ -22,9 +21,6 @@ _NEAREST, _FURTHEST = 1e-3, 90.0
 """How far from the mirror direction, or the normal, the directions lie that look closely there [degree]"""
 
 RECIPROCITY_LIMIT = 1e-9
-ENERGY_LIMIT = 1e-8  # reflectance and transmittance are interpolated to 2e-9 each
-QUADRATURE_ENERGY_LIMIT = 1e-6  # the error of an albedo that is integrated
-LAY_ENERGY_LIMIT = 2e-4  # tables of the albedo over two angles are held against the integral to some 1e-4
 CLOSURE_LIMIT = 1e-6
 INTEGRAL_LIMIT = 1e-3  # of the incident light: a counted density has kinks that cost the plain quadrature 1e-4
 GROWTH_LIMIT = 3.0  # what grows as 1/cos θ grows tenfold from 89.9 to 89.99°, and a sound BRDF hardly at all
@@ -79,16 +75,15 @@ def check(bsdf: xr.Dataset) -> xr.Dataset:
     go to 89.99°, a low-discrepancy sequence and a table's own nodes besides the fixed ones, from both sides where light passes, and
     all round where there is a lay. Reciprocal is f / n_o², n_o the index of the medium the light ends in.
 
-    What an energy above 1 is held against is what the representation can promise: :data:`ENERGY_LIMIT` where it tells its own albedo,
-    :data:`QUADRATURE_ENERGY_LIMIT` (or its ``ACCURACY``) where the albedo is integrated, :data:`LAY_ENERGY_LIMIT` with a lay.
+    Energy may exceed 1 by the error of the albedo, see :attr:`brdfpipe.bsdf.base.Representation.albedo_accuracy`.
     """
     vocabulary.validate(bsdf, "bsdf")
     fixed = _shares(bsdf, *_fixed_incidences(bsdf), None)
-    angles = _directions(representations.transmits(bsdf))
+    angles = _directions(representation(bsdf).transmits)
     telling = _telling_wavelengths(bsdf, angles, fixed)
     between = _shares(bsdf, *_incidences_between(bsdf), telling)
     forward, backward = _both_ways(bsdf, angles, telling)
-    values = np.concatenate([forward.ravel(), backward.ravel(), _nodes(bsdf)])
+    values = np.concatenate([forward.ravel(), backward.ravel(), representation(bsdf).stored_values().ravel()])
     found = {
         "reciprocity": _reciprocity(forward, backward, angles),
         "energy": _energy(bsdf, fixed, between),
@@ -119,7 +114,7 @@ def check(bsdf: xr.Dataset) -> xr.Dataset:
         },
         coords={"theta_i": _INCIDENCES, **({"wavelength": bsdf["wavelength"].values} if spectral else {})},
     )
-    if representations.transmits(bsdf):
+    if representation(bsdf).transmits:
         result["transmittance"] = told(fixed.passed)
     verdicts = _verdicts(result, found, bsdf)
     result.attrs["verdicts"] = json.dumps(
@@ -155,47 +150,35 @@ def _telling_wavelengths(bsdf: xr.Dataset, angles: Angles, fixed: _Shares) -> Ar
     chosen = {0, own.size // 2, own.size - 1}
     step = angles[0].size // _PROBES
     theta_i, phi_i, theta_o, phi_o = (angle[::step] for angle in angles)
-    probed = representations.representation(bsdf).evaluate(bsdf, theta_i, phi_i, theta_o, phi_o, None)
-    nodes = bsdf["brdf"].transpose(..., "wavelength").values if _is_spectral_table(bsdf) else probed
-    for field in (probed, nodes, fixed.total):
+    probed = representation(bsdf).evaluate(theta_i, phi_i, theta_o, phi_o, None)
+    for field in (probed, representation(bsdf).stored_values(), fixed.total):
         by_wavelength = field.reshape(-1, field.shape[-1])
-        if by_wavelength.shape[1] == own.size:
+        if by_wavelength.size and by_wavelength.shape[1] == own.size:
             # An undefined value is the first that counts, for argmax and argmin alike.
             chosen |= {int(np.abs(by_wavelength).max(axis=0).argmax()), int(by_wavelength.min(axis=0).argmin())}
     return np.asarray(own[sorted(chosen)])
 
 
-def _is_spectral_table(bsdf: xr.Dataset) -> bool:
-    return bsdf.attrs["representation"] == "table" and "wavelength" in bsdf["brdf"].dims
-
-
-def _nodes(bsdf: xr.Dataset) -> Array:
-    """Every value of a table, as what lies between is never beyond them; none of other representations."""
-    if bsdf.attrs["representation"] != "table":
-        return np.empty(0)
-    return np.asarray(bsdf["brdf"].values.ravel())
-
-
 def _both_ways(bsdf: xr.Dataset, angles: Angles, wavelength: Array | None) -> tuple[Array, Array]:
     """f / n_o² of pairs of directions and of the same pairs the other way round, (pairs, wavelength)."""
-    module = representations.representation(bsdf)
+    evaluator = representation(bsdf)
     theta_i, phi_i, theta_o, phi_o = angles
     each = [None] if wavelength is None else [np.array([one]) for one in wavelength]
-    squared = np.array([representations.index_below(bsdf, one) for one in each]) ** 2
-    forward = module.evaluate(bsdf, theta_i, phi_i, theta_o, phi_o, wavelength)
-    backward = module.evaluate(bsdf, theta_o, phi_o, theta_i, phi_i, wavelength)
+    squared = np.array([representation(bsdf).index_below(one) for one in each]) ** 2
+    forward = evaluator.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
+    backward = evaluator.evaluate(theta_o, phi_o, theta_i, phi_i, wavelength)
     over = np.where(theta_o[:, None] > 90, squared, 1.0), np.where(theta_i[:, None] > 90, squared, 1.0)
     return forward / over[0], backward / over[1]
 
 
 def _azimuths(bsdf: xr.Dataset) -> Array:
-    return hemisphere.azimuths(representations.isotropic(bsdf))
+    return hemisphere.azimuths(representation(bsdf).isotropic)
 
 
 def _fixed_incidences(bsdf: xr.Dataset) -> tuple[Array, Array]:
     """θ_i and φ_i of the incidences that are told, those from above first."""
     polar = _INCIDENCES
-    if representations.transmits(bsdf):
+    if representation(bsdf).transmits:
         polar = np.concatenate([polar, 180 - polar])
     theta_i, phi_i = np.meshgrid(polar, _azimuths(bsdf), indexing="ij")
     return theta_i.ravel(), phi_i.ravel()
@@ -203,31 +186,23 @@ def _fixed_incidences(bsdf: xr.Dataset) -> tuple[Array, Array]:
 
 def _incidences_between(bsdf: xr.Dataset) -> tuple[Array, Array]:
     """θ_i and φ_i off every axis, closer towards grazing, where energy is hardest to keep; and a table's own."""
-    transmits, even = representations.transmits(bsdf), representations.isotropic(bsdf)
-    unit = _sequence(_BETWEEN if _tells_albedo(bsdf) and not transmits else _BETWEEN_WHERE_COSTLY, 1 if even else 2)
+    evaluator = representation(bsdf)
+    transmits, even = evaluator.transmits, evaluator.isotropic
+    costly = evaluator.albedo_needs_quadrature or transmits
+    unit = _sequence(_BETWEEN_WHERE_COSTLY if costly else _BETWEEN, 1 if even else 2)
     theta_i = np.minimum(90 * (1 - unit[:, 0] ** 2), _INCIDENCES[-1])
     phi_i = np.zeros_like(theta_i) if even else 360 * unit[:, 1]
     if transmits:
         theta_i[1::2] = 180 - theta_i[1::2]
-    if bsdf.attrs["representation"] != "table" or "theta_i" not in bsdf["brdf"].dims or not _tells_albedo(bsdf):
+    if evaluator.albedo_needs_quadrature:
         return theta_i, phi_i
-    azimuths = bsdf["phi_i"].values if "phi_i" in bsdf["brdf"].dims else np.zeros(1)
-    own = [
-        axis.ravel()
-        for axis in np.meshgrid(np.minimum(bsdf["theta_i"].values, _INCIDENCES[-1]), azimuths, indexing="ij")
-    ]
-    return np.concatenate([theta_i, own[0]]), np.concatenate([phi_i, own[1]])
-
-
-def _tells_albedo(bsdf: xr.Dataset) -> bool:
-    """Whether the representation knows its albedo without a quadrature."""
-    module = representations.representation(bsdf)
-    return hasattr(module, "albedo") and module.albedo(bsdf, np.zeros(1), np.zeros(1), None) is not None
+    own_theta, own_phi = evaluator.stored_incidences()
+    return np.concatenate([theta_i, np.minimum(own_theta, _INCIDENCES[-1])]), np.concatenate([phi_i, own_phi])
 
 
 def _shares(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> _Shares:
-    reflected = representations.albedo(bsdf, theta_i, phi_i, wavelength)
-    return _Shares(theta_i, phi_i, reflected, representations.transmittance(bsdf, theta_i, phi_i, wavelength))
+    reflected = representation(bsdf).albedo(theta_i, phi_i, wavelength)
+    return _Shares(theta_i, phi_i, reflected, representation(bsdf).transmittance(theta_i, phi_i, wavelength))
 
 
 def _reciprocity(forward: Array, backward: Array, angles: Angles) -> _Residual:
@@ -250,15 +225,15 @@ def _energy(bsdf: xr.Dataset, *shares: _Shares) -> _Residual:
 
 def _beyond_uncertainty(bsdf: xr.Dataset, *shares: _Shares) -> _Residual:
     """By how many standard uncertainties the light that leaves exceeds 1; infinite where none is stated."""
-    module = representations.representation(bsdf)
-    if not hasattr(module, "albedo_uncertainty"):
+    evaluator = representation(bsdf)
+    if not evaluator.states_uncertainty:
         return _Residual(np.inf, "")
     worst = _Residual(0.0, "")
     for each in shares:
         total = each.total.max(axis=1)
         brightest = np.argsort(total)[-_BRIGHTEST:]
         for at in brightest[total[brightest] > 1]:
-            u = module.albedo_uncertainty(bsdf, each.theta_i[[at]], each.phi_i[[at]], None).max()
+            u = evaluator.albedo_uncertainty(each.theta_i[[at]], each.phi_i[[at]], None).max()
             size = float((total[at] - 1) / u) if u > 0 else np.inf
             if size > worst.size:
                 worst = _Residual(size, _incidence(bsdf, each.theta_i[at], each.phi_i[at]))
@@ -277,24 +252,16 @@ def _least(bsdf: xr.Dataset, *shares: _Shares) -> _Residual:
 
 def _incidence(bsdf: xr.Dataset, theta_i: float, phi_i: float) -> str:
     where = f"at θ_i = {_rounded(theta_i)}°"
-    return where if representations.isotropic(bsdf) else where + f", φ_i = {_rounded(phi_i)}°"
+    return where if representation(bsdf).isotropic else where + f", φ_i = {_rounded(phi_i)}°"
 
 
 def _rounded(angle: float) -> str:
     return f"{round(float(angle), 2):g}"
 
 
-def _energy_limit(bsdf: xr.Dataset) -> float:
-    if not _tells_albedo(bsdf):
-        return float(getattr(representations.representation(bsdf), "ACCURACY", QUADRATURE_ENERGY_LIMIT))
-    if representations.isotropic(bsdf) or bsdf.attrs["representation"] == "table":
-        return ENERGY_LIMIT
-    return LAY_ENERGY_LIMIT
-
-
 def _grazing(bsdf: xr.Dataset, wavelength: Array | None) -> _Residual:
     """Largest growth of the BRDF from 89.9 to 89.99°, of either direction; NaN where a value is not finite."""
-    module = representations.representation(bsdf)
+    evaluator = representation(bsdf)
     steep, phi_i, phi_o = (
         axis.ravel()
         for axis in np.meshgrid([0.0, 30.0, 60.0], _azimuths(bsdf), np.arange(0.0, 360.0, 30.0), indexing="ij")
@@ -305,7 +272,7 @@ def _grazing(bsdf: xr.Dataset, wavelength: Array | None) -> _Residual:
         for grazing in (89.9, 89.99):
             pair = (steep, np.full_like(steep, grazing))
             theta_i, theta_o = pair if side == "θ_o" else pair[::-1]
-            values.append(module.evaluate(bsdf, theta_i, phi_i, theta_o, phi_o + phi_i, wavelength))
+            values.append(evaluator.evaluate(theta_i, phi_i, theta_o, phi_o + phi_i, wavelength))
         before, after = values
         if not np.isfinite(values).all():
             return _Residual(float("nan"), f"at {side} = 89.99°")
@@ -319,16 +286,16 @@ def _grazing(bsdf: xr.Dataset, wavelength: Array | None) -> _Residual:
 def _integral(bsdf: xr.Dataset, wavelength: Array | None) -> _Residual:
     """Largest difference between the shares the BSDF tells and what it integrates to, as anybody else would."""
     worst = _Residual(0.0, "")
-    phi_i = np.array([0.0 if representations.isotropic(bsdf) else 20.0])
-    transmits = representations.transmits(bsdf)
+    phi_i = np.array([0.0 if representation(bsdf).isotropic else 20.0])
+    transmits = representation(bsdf).transmits
     for theta in (8.0, 45.0, 75.0, *((135.0,) if transmits else ())):
         at = np.array([theta]), phi_i
-        mirror, straight = representations.specular(bsdf, *at, wavelength)
-        told = [representations.albedo(bsdf, *at, wavelength) - mirror]
+        mirror, straight = representation(bsdf).specular(*at, wavelength)
+        told = [representation(bsdf).albedo(*at, wavelength) - mirror]
         if transmits:
-            told.append(representations.transmittance(bsdf, *at, wavelength) - straight)
+            told.append(representation(bsdf).transmittance(*at, wavelength) - straight)
         for through, share in enumerate(told):
-            rough = representations.integrated(bsdf, *at, wavelength, through=bool(through), relative=1e-5).value
+            rough = representation(bsdf).integrate(*at, wavelength, through=bool(through), relative=1e-5).value
             size = float(np.abs(rough - share).max())
             if not size <= worst.size:
                 worst = _Residual(size, f"at θ_i = {theta:g}°")
@@ -340,22 +307,22 @@ def _closure(bsdf: xr.Dataset) -> float:
     if "total_reflectance" not in bsdf or "theta_m" not in bsdf:
         return float("nan")
     phi = _azimuths(bsdf)
-    integrated = representations.albedo(bsdf, np.full(phi.size, float(bsdf["theta_m"])), phi, None).mean(axis=0)
+    integrated = representation(bsdf).albedo(np.full(phi.size, float(bsdf["theta_m"])), phi, None).mean(axis=0)
     return float(np.max(np.abs(integrated - np.atleast_1d(bsdf["total_reflectance"].values))))
 
 
 def _verdicts(result: xr.Dataset, found: dict[str, _Residual], bsdf: xr.Dataset) -> dict[str, _Verdict]:
     negative, closure = float(result["negative_fraction"]), float(result["closure_residual"])
-    named = _named_mode(bsdf)
-    broken = "warn" if named else "fail"
-    known = f"; known of {named}" if named else ""
+    unphysical = representation(bsdf).unphysical_choice
+    broken = "warn" if unphysical else "fail"
+    known = f"; known of {unphysical}" if unphysical else ""
     reciprocal = found["reciprocity"].size <= RECIPROCITY_LIMIT
     # A representation that averages both ways is reciprocal whatever was measured.
     averaged = float(bsdf.attrs.get("contradiction", 0.0))
-    limit = _energy_limit(bsdf)
+    limit = representation(bsdf).albedo_accuracy
     keeps, gives = found["energy"].size <= 1 + limit, found["least"].size >= -limit
     doubtful = not keeps and found["beyond"].size <= CERTAIN
-    spends = "reflects and transmits" if representations.transmits(bsdf) else "reflects"
+    spends = "reflects and transmits" if representation(bsdf).transmits else "reflects"
     verdicts = {
         "reciprocity": _Verdict(
             "pass" if reciprocal and averaged <= CERTAIN else "warn",
@@ -413,11 +380,3 @@ def _grazing_verdict(growth: _Residual, known: str) -> _Verdict:
     if growth.size <= GROWTH_LIMIT:
         return _Verdict("pass", "finite up to 89.99°, of both directions")
     return _Verdict("warn", f"grows {growth.size:.0f}-fold from 89.9 to 89.99°, {growth.where}{known}")
-
-
-def _named_mode(bsdf: xr.Dataset) -> str:
-    """The source's choice that is known to break energy or reciprocity; empty where there is none."""
-    if "recipe" in bsdf.attrs:
-        return f"recipe {bsdf.attrs['recipe']}"
-    masking = bsdf.attrs.get("masking")
-    return f"masking {masking}" if masking in NOT_PHYSICAL else ""

@@ -1,4 +1,4 @@
-"""The representation ``flake``: paints with effect pigments, from their colours at several geometries.
+"""Paints with effect pigments, from their colours at several geometries: representation ``flake``.
 
 Flakes below a clear coat mirror light by their tilt, so the reflection is taken as a function of the flake angle θf alone, fitted
 in each linear channel: ρ(θf) = A exp(−θf/B) + C or another named form (:mod:`brdfpipe.flakes.forms`).
@@ -14,22 +14,18 @@ Patent US 7,991,596 (DuPont); Walter 2007 (EGSR), the Jacobian of a mirror; Burn
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.errors import InputError, VocabularyError
-from brdfpipe.flakes.forms import FORMS, Fit, Form, curve, fit, leave_one_out
-from brdfpipe.flakes.refraction import flake_angle, inner_cosine, refract, steepest
-from brdfpipe.geometry import Array, half_vector
-from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
+from brdfpipe.bsdf.representations.flake import PHYSICAL, ClearCoat, Flake
+from brdfpipe.errors import InputError
+from brdfpipe.flakes.forms import Fit, Form, fit, leave_one_out
+from brdfpipe.flakes.refraction import flake_angle, steepest
+from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
-__all__ = ["build", "evaluate", "flake_angle", "quality", "refract"]
-
-MODELS = ("flake", "flake-physical")
+MODELS = ("flake", PHYSICAL)
 
 _STEPS = 160
 _DIM = 0.01
@@ -42,50 +38,6 @@ _SOME_CHANCE = 0.05
 """Probability that chance alone makes that warning, where there are so many values that 3 would be exceeded more often."""
 _POOR = 3.0
 """CIEDE2000 of the fit from a measured colour, from where on it is warned about."""
-
-
-class _Kernel(NamedTuple):
-    """What turns ρ into a BRDF."""
-
-    coat: float
-    """Refractive index of the clear coat"""
-    physical: bool
-    slope: float | None
-    """Root mean square slope of a rough clear coat"""
-
-    @classmethod
-    def of(cls, bsdf: xr.Dataset) -> _Kernel:
-        rough = bsdf.attrs["clear_coat"] == "rough"
-        slope = float(bsdf["clear_coat_slope"]) if rough else None
-        return cls(float(bsdf["clear_coat_index"]), bsdf.attrs["model"] == "flake-physical", slope)
-
-    def share(self, theta_i: Array, theta_o: Array) -> Array:
-        """N(θi, θo)/N(0, 0), or 1 [1]."""
-        if not self.physical:
-            return np.ones(np.broadcast(theta_i, theta_o).shape)
-        passed = self._passed(theta_i) * self._passed(theta_o)
-        inner = inner_cosine(theta_i, self.coat) * inner_cosine(theta_o, self.coat)
-        return np.asarray(passed / (inner * self.normal_transmittance**2))
-
-    def gloss(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
-        """BRDF of a rough clear coat [sr-1]: Beckmann, height-correlated Smith; 0 of a smooth one or none."""
-        if self.slope is None:
-            return np.zeros(np.broadcast(theta_i, phi_i, theta_o, phi_o).shape)
-        half = half_vector(theta_i, phi_i, theta_o, phi_o)
-        squared = self.slope**2
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            density = np.exp(-half.slope_squared / squared) / (np.pi * squared * half.cos_alpha**4)
-            masked = 1 + _smith(theta_i, self.slope) + _smith(theta_o, self.slope)
-            fresnel = fresnel_reflectance(half.cos_zeta, self.coat).mean
-            lobe = fresnel * density / (4 * half.cos_i * half.cos_o * masked)
-        return np.where((half.cos_i > 1e-12) & (half.cos_o > 1e-12), np.nan_to_num(lobe), 0.0)
-
-    @property
-    def normal_transmittance(self) -> float:
-        return float(self._passed(np.zeros(1))[0])
-
-    def _passed(self, theta: Array) -> Array:
-        return np.asarray(1 - fresnel_reflectance(np.abs(np.cos(np.radians(theta))), self.coat).mean)
 
 
 def build(
@@ -124,27 +76,27 @@ def build(
     A fit to three geometries is exact; to more it is of least squares, over the uncertainties where they are known and else over
     the values. The uncertainties of A, B and C hold where the form does; those of X, Y and Z of one geometry are not taken to hang
     together, since every channel is fitted alone. The reflection below the smallest flake angle measured, and above the largest, is
-    extrapolated: see :func:`quality`. Colours carry no spectrum; the one given back has the smallest slope of its logarithm (LHTSS
+    extrapolated: see :meth:`brdfpipe.bsdf.representations.flake.Flake.quality`. Colours carry no spectrum; the one given back has the smallest slope of its logarithm (LHTSS
     far below 1), so that the fitted X, Y and Z at every flake angle return exactly, however bright.
     """
     vocabulary.validate(multiangle, "multiangle")
-    kernel, coat = _kernel(index, model, clear_coat)
+    coat, finish = _clear_coat(index, model, clear_coat)
     at = [multiangle[angle].values for angle in ("theta_i", "phi_i", "theta_o", "phi_o")]
-    theta_f = flake_angle(at[0], at[1], at[2], at[3], kernel.coat)
+    theta_f = flake_angle(at[0], at[1], at[2], at[3], coat.index)
     name = "tristimulus" if "tristimulus" in multiangle else "reflectance_factor"
     across = str(multiangle[name].dims[1])
     unit = 100.0 if name == "tristimulus" else 1.0
     measured = multiangle[name].values
     white = np.array([1.0]) if name == "reflectance_factor" else colorimetry.weights(*_viewing(multiangle)).white
-    values = _reduced(measured, kernel, at, white)
+    values = _reduced(measured, coat, at, white)
     doubt = (
-        None if f"{name}_u" not in multiangle else multiangle[f"{name}_u"].values / kernel.share(at[0], at[2])[:, None]
+        None if f"{name}_u" not in multiangle else multiangle[f"{name}_u"].values / coat.share(at[0], at[2])[:, None]
     )
     titles = [f"{each}" if across == "channel" else f"{each:g} nm" for each in multiangle[across].values]
     found = fit(theta_f, values, form, titles, doubt)
     bsdf = xr.Dataset(
         {
-            "clear_coat_index": kernel.coat,
+            "clear_coat_index": coat.index,
             "flake_amplitude": (("term", across), found.amplitude),
             "flake_decay": (("term", across), found.decay),
             "flake_constant": (across, found.constant),
@@ -152,161 +104,50 @@ def build(
             "theta_f_measured": ("geometry", theta_f),
         },
         coords={"geometry": multiangle["geometry"].values, across: multiangle[across].values},
-        attrs={"representation": "flake", "model": model, "form": form, "clear_coat": coat, "transmission": "none"},
+        attrs={
+            "representation": Flake.name,
+            "model": model,
+            "form": form,
+            "clear_coat": finish,
+            "transmission": "none",
+        },
     )
-    if kernel.slope is not None:
-        bsdf["clear_coat_slope"] = kernel.slope
+    if coat.slope is not None:
+        bsdf["clear_coat_slope"] = coat.slope
     if name == "tristimulus":
         bsdf.attrs |= {key: multiangle.attrs[key] for key in ("illuminant", "observer")}
         bsdf = _with_spectra(bsdf, found)
     bsdf = _with_errors(bsdf, multiangle, found, values, doubt)
-    return vocabulary.label(_with_warnings(bsdf, kernel, found, unit), "bsdf")
+    return vocabulary.label(_with_warnings(bsdf, coat, found, unit), "bsdf")
 
 
-# --- the representation
-
-
-def evaluate(
-    bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
-) -> Array:
-    """BRDF in sr⁻¹, (directions…, wavelength or 1)."""
-    kernel = _Kernel.of(bsdf)
-    theta_i, phi_i, theta_o, phi_o = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
-    above = (theta_i < 90) & (theta_o < 90)
-    inside = [np.where(above, angle, 0.0) for angle in (theta_i, phi_i, theta_o, phi_o)]
-    factor = _factor(bsdf, flake_angle(inside[0], inside[1], inside[2], inside[3], kernel.coat), wavelength)
-    share = kernel.share(inside[0], inside[2]) / np.pi
-    brdf = factor * share[..., None] + kernel.gloss(*inside)[..., None]
-    return np.where(above[..., None], brdf, 0.0)
-
-
-def specular(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
-    """Mirror reflectance of a smooth clear coat, and no transmittance."""
-    shape = (*np.shape(theta_i), 1)
-    if bsdf.attrs["clear_coat"] != "smooth":
-        return np.zeros(shape), np.zeros(shape)
-    cosine = np.abs(np.cos(np.radians(theta_i)))
-    mirrored = fresnel_reflectance(cosine, float(bsdf["clear_coat_index"])).mean
-    return np.where(np.asarray(theta_i) <= 90, mirrored, 0.0)[..., None], np.zeros(shape)
-
-
-def lobe_slope(bsdf: xr.Dataset) -> float:
-    """Slope that belongs to the narrowest decay, as seen from outside; that of the clear coat where it is rough."""
-    if bsdf.attrs["clear_coat"] == "rough":
-        return float(bsdf["clear_coat_slope"])
-    seen = bsdf["flake_decay"].values[bsdf["flake_amplitude"].values > 0]
-    narrowest = float(seen.min()) if seen.size else 45.0
-    return float(bsdf["clear_coat_index"]) * float(np.tan(np.radians(min(narrowest, 45.0))))
-
-
-def nonspectral(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
-    """The dataset averaged over wavelength with normalised weights; exact: each wavelength of a spectral fit becomes a term."""
-    if "flake_spectrum" in bsdf:
-        mean = bsdf["flake_spectrum"].values @ weight
-        return vocabulary.label(bsdf.drop_dims("wavelength").assign(flake_spectrum=("theta_f", mean)), "bsdf")
-    terms = {
-        "flake_amplitude": ("term", (bsdf["flake_amplitude"].values * weight).ravel()),
-        "flake_decay": ("term", bsdf["flake_decay"].values.ravel()),
-        "flake_constant": ((), float(bsdf["flake_constant"].values @ weight)),
-    }
-    return vocabulary.label(bsdf.drop_dims(["wavelength", "term"]).assign(terms), "bsdf")
-
-
-def quality(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
-    """Whether directions lie between the flake angles that were measured: a value of ``QUALITY_FLAGS`` each (int8)."""
-    theta_f = flake_angle(theta_i, phi_i, theta_o, phi_o, float(bsdf["clear_coat_index"]))
-    known = bsdf["theta_f_measured"].values
-    hit = (np.abs(theta_f[..., None] - known) < 1e-6).any(axis=-1)
-    inside = (theta_f >= known.min()) & (theta_f <= known.max())
-    between = np.where(inside, vocabulary.quality("interpolated"), vocabulary.quality("extrapolated"))
-    return np.where(hit, vocabulary.quality("measured"), between).astype(np.int8)
-
-
-def tristimulus(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
-    """X, Y, Z (..., 3) of a paint that was given as colours, under their own illuminant and observer, without any spectrum.
-
-    Raises
-    ------
-    VocabularyError : the paint was given as spectra.
-    """
-    if "channel" not in bsdf.dims:
-        raise VocabularyError("this paint was given as spectra: evaluate it and take the colour of the spectrum")
-    kernel = _Kernel.of(bsdf)
-    rho = _curves(bsdf, flake_angle(theta_i, phi_i, theta_o, phi_o, kernel.coat))
-    white = colorimetry.weights(bsdf.attrs["illuminant"], bsdf.attrs["observer"]).white
-    gloss = np.pi * kernel.gloss(theta_i, phi_i, theta_o, phi_o)
-    return np.asarray(rho * kernel.share(theta_i, theta_o)[..., None] + gloss[..., None] * white)
-
-
-def _curves(bsdf: xr.Dataset, theta_f: Array) -> Array:
-    constant = np.atleast_1d(bsdf["flake_constant"].values)
-    amplitude, decay = (bsdf[name].values.reshape(-1, constant.size) for name in ("flake_amplitude", "flake_decay"))
-    return curve(theta_f, amplitude, decay, constant, FORMS[bsdf.attrs["form"]].power)
-
-
-def _factor(bsdf: xr.Dataset, theta_f: Array, wavelength: Array | None) -> Array:
-    """ρ as a fraction, (..., wavelength or 1)."""
-    curves = _curves(bsdf, theta_f)
-    if "flake_spectrum" not in bsdf:
-        if wavelength is None or "wavelength" not in bsdf.coords:
-            return curves
-        return np.asarray(curves @ _between(bsdf["wavelength"].values, wavelength))
-    from scipy.interpolate import CubicSpline
-
-    spectrum = bsdf["flake_spectrum"].values
-    if "wavelength" not in bsdf.coords:
-        spectrum = spectrum[:, None]
-    elif wavelength is not None:
-        spectrum = spectrum @ _between(bsdf["wavelength"].values, wavelength)
-    # A spline is linear in its nodes: the Y of 1 that all of them have, everything between them has too.
-    shape = np.maximum(CubicSpline(bsdf["theta_f"].values, spectrum)(theta_f), 0.0)
-    luminance = curves[..., list(bsdf["channel"].values).index("Y")]
-    return np.asarray(shape * (luminance[..., None] / 100))
-
-
-def _between(own: Array, wavelength: Array) -> Array:
-    """Matrix (own, wavelength) of linear interpolation."""
-    return np.stack([np.interp(wavelength, own, row) for row in np.eye(own.size)])
-
-
-def _smith(theta: Array, a: float) -> Array:
-    """Λ of Beckmann facets of width a."""
-    from scipy.special import erfcx
-
-    nu = 1 / (a * np.tan(np.radians(np.clip(theta, 1e-9, 90 - 1e-9))))
-    return np.asarray(np.exp(-(nu**2)) * (1 / (nu * np.sqrt(np.pi)) - erfcx(nu)) / 2)
-
-
-# --- building
-
-
-def _kernel(index: float, model: str, clear_coat: str | float | None) -> tuple[_Kernel, str]:
+def _clear_coat(index: float, model: str, clear_coat: str | float | None) -> tuple[ClearCoat, str]:
     if model not in MODELS:
         raise _refusal("model", "unknown model", repr(model)[:40], ", ".join(MODELS))
     if isinstance(index, bool) or not isinstance(index, int | float | np.number) or not 1 < index < 5:
         raise _refusal("index", "no refractive index of a clear coat", repr(index)[:40], "above 1 and below 5")
-    physical = model == "flake-physical"
-    coat = ("smooth" if physical else "none") if clear_coat is None else clear_coat
-    slope = float(coat) if isinstance(coat, int | float) and not isinstance(coat, bool) else None
-    if slope is None and coat not in ("none", "smooth"):
-        raise _refusal("clear_coat", "unknown clear coat", repr(coat)[:40], "none, smooth, or its rms slope")
+    physical = model == PHYSICAL
+    finish = ("smooth" if physical else "none") if clear_coat is None else clear_coat
+    slope = float(finish) if isinstance(finish, int | float) and not isinstance(finish, bool) else None
+    if slope is None and finish not in ("none", "smooth"):
+        raise _refusal("clear_coat", "unknown clear coat", repr(finish)[:40], "none, smooth, or its rms slope")
     if slope is not None and not 1e-4 <= slope <= 1:
         raise _refusal("clear_coat", "no slope of a clear coat", f"{slope:g}", "0.0001 to 1")
-    if coat != "none" and not physical:
+    if finish != "none" and not physical:
         problem = "the model `flake` takes the measured light for all there is; a gloss on top of it would break energy"
-        raise _refusal("clear_coat", problem, repr(coat), "none, or `model: flake-physical`")
-    return _Kernel(float(index), physical, slope), "rough" if slope is not None else str(coat)
+        raise _refusal("clear_coat", problem, repr(finish), "none, or `model: flake-physical`")
+    return ClearCoat(float(index), physical, slope), "rough" if slope is not None else str(finish)
 
 
-def _reduced(measured: Array, kernel: _Kernel, at: list[Array], white: Array) -> Array:
+def _reduced(measured: Array, coat: ClearCoat, at: list[Array], white: Array) -> Array:
     """The measured values without gloss, as at normal incidence and view."""
-    below = measured - np.pi * kernel.gloss(at[0], at[1], at[2], at[3])[:, None] * white
+    below = measured - np.pi * coat.gloss(at[0], at[1], at[2], at[3])[:, None] * white
     if (below < 0).any():
         problem = "the gloss of the clear coat alone is more than a measured colour"
         raise _refusal(
-            "clear_coat", problem, f"slope {kernel.slope:g}", "a smaller slope, or geometries farther from the mirror"
+            "clear_coat", problem, f"slope {coat.slope:g}", "a smaller slope, or geometries farther from the mirror"
         )
-    return np.asarray(below / kernel.share(at[0], at[2])[:, None])
+    return np.asarray(below / coat.share(at[0], at[2])[:, None])
 
 
 def _uncertainties(found: Fit, across: str) -> dict[str, tuple[tuple[str, ...], Array]]:
@@ -432,7 +273,7 @@ def _lab(multiangle: xr.Dataset, values: Array) -> Array:
     )
 
 
-def _with_warnings(bsdf: xr.Dataset, kernel: _Kernel, found: Fit, unit: float) -> xr.Dataset:
+def _with_warnings(bsdf: xr.Dataset, coat: ClearCoat, found: Fit, unit: float) -> xr.Dataset:
     known = bsdf["theta_f_measured"].values
     sentences = [
         f"flake angles below {known.min():.3g} and above {known.max():.3g} degree were not measured: near the gloss and far from it the "
@@ -444,8 +285,8 @@ def _with_warnings(bsdf: xr.Dataset, kernel: _Kernel, found: Fit, unit: float) -
         sentences.append(
             f"the fit misses the colour at {name} by ΔE00 = {worst:.1f}: try another `multiangle.form` ({found.form.others})"
         )
-    if kernel.physical:
-        share = _mirror_share(found, kernel, unit)
+    if coat.physical:
+        share = _mirror_share(found, coat, unit)
         if share > 1:
             sentences.append(
                 f"the flakes would mirror {share:.2f} of the light that meets them, more than all: check the scale of the colours"
@@ -459,12 +300,12 @@ def _with_warnings(bsdf: xr.Dataset, kernel: _Kernel, found: Fit, unit: float) -
     return vocabulary.add_warning(bsdf, *sentences)
 
 
-def _mirror_share(found: Fit, kernel: _Kernel, unit: float) -> float:
+def _mirror_share(found: Fit, coat: ClearCoat, unit: float) -> float:
     """Reflectance of the flakes times their cover: ∫ D cos θf dω, mean over wavelength or of Y; C beyond the reach of light left out."""
-    theta = np.linspace(0, steepest(kernel.coat), 2001)
+    theta = np.linspace(0, steepest(coat.index), 2001)
     rho = found(theta) / unit
     mean = rho[:, 1] if rho.shape[1] == 3 and unit == 100 else rho.mean(axis=1)
-    density = mean * 4 * kernel.coat**2 / (np.pi * kernel.normal_transmittance**2)
+    density = mean * 4 * coat.index**2 / (np.pi * coat.normal_transmittance**2)
     angle = np.radians(theta)
     return float(np.trapezoid(density * np.cos(angle) * 2 * np.pi * np.sin(angle), angle))
 

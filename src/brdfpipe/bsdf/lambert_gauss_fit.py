@@ -8,8 +8,9 @@ from numpy.typing import ArrayLike
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import approximation_error as comparison
-from brdfpipe.bsdf import representations
-from brdfpipe.bsdf.lambert_gauss import FWHM, about_mirror, gaussian
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.lambert_gauss import FWHM, LambertGauss, about_mirror, gaussian
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
 
@@ -46,7 +47,7 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0
     angles = np.atleast_1d(check_angles("theta_i", theta_i, 0, 85))
     if angles.ndim != 1:
         raise VocabularyError(f"theta_i of a fit must be one angle or a list of them; found shape {angles.shape}")
-    reduced = representations.nonspectral(bsdf)
+    reduced = nonspectral(bsdf)
     fits = np.array([_fit_one(reduced, float(angle), azimuth) for angle in angles])
     names = (
         "lambert",
@@ -61,7 +62,7 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0
     result = xr.Dataset(
         {name: ("theta_i", fits[:, column]) for column, name in enumerate(names)},
         coords={"theta_i": angles},
-        attrs={"representation": "lambert_gauss", "source_representation": bsdf.attrs["representation"]},
+        attrs={"representation": LambertGauss.name, "source_representation": representation(bsdf).name},
     )
     return vocabulary.label(vocabulary.add_warning(result, *_left_out(bsdf, azimuth)), "bsdf")
 
@@ -69,12 +70,12 @@ def fit_lambert_gauss(bsdf: xr.Dataset, theta_i: ArrayLike, azimuth: float = 0.0
 def _left_out(bsdf: xr.Dataset, azimuth: float) -> list[str]:
     """What the model has and the fit has not."""
     warnings = []
-    if not representations.isotropic(bsdf):
+    if not representation(bsdf).isotropic:
         warnings.append(
             f"the surface has a lay, and the Lambert + Gaussian fit holds for light from azimuth {azimuth:.1f}° alone: use the BSDF itself "
             "for others"
         )
-    if any(part.any() for part in representations.specular(bsdf, np.array([45.0]), np.zeros(1), None)):
+    if any(part.any() for part in representation(bsdf).specular(np.array([45.0]), np.zeros(1), None)):
         warnings.append(
             "the perfectly specular part of the surface is in no Gaussian: take it from the BSDF itself, or give the surface a roughness"
         )
@@ -122,7 +123,7 @@ def _fit_one(bsdf: xr.Dataset, theta_i: float, azimuth: float) -> tuple[float, .
 
 def _against(bsdf: xr.Dataset, theta_i: float, azimuth: float, reflectance: float) -> float:
     """Error of a reflectance over that of the model, mirror reflection included."""
-    told = float(representations.albedo(bsdf, np.array([theta_i]), np.array([azimuth]), None)[0, 0])
+    told = float(representation(bsdf).albedo(np.array([theta_i]), np.array([azimuth]), None)[0, 0])
     return reflectance / told - 1 if told > 0 else 0.0
 
 

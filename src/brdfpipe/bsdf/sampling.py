@@ -1,44 +1,99 @@
-"""Outgoing directions drawn as a BSDF sends its light, for Monte Carlo programs."""
+"""Outgoing directions drawn in proportion to a BSDF, for Monte Carlo programs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import cells, representations
-from brdfpipe.errors import VocabularyError
+from brdfpipe.bsdf import sphere_cubature
 from brdfpipe.geometry import Array
 
 _VARIANCE = 0.02
 """Relative excess of the weights' rms over their mean that the cells are refined to, and half their relative variance."""
 
 DEFENSIVE = 0.05
-"""Share of the samples that is spread evenly, so that no light is out of reach of the cells' own distribution."""
+"""Share of the samples that is spread evenly over the sphere, so that the weights stay bounded."""
+
+
+class Samples(NamedTuple):
+    """Directions drawn from a :class:`Distribution`, (n,) each."""
+
+    theta: Array
+    """θ_o [degree]"""
+    phi: Array
+    """φ_o [degree]"""
+    pdf: Array
+    """Density [sr-1]; NaN for specular rays"""
+    ray: NDArray[np.int64]
+    """Which specular direction: 0 the mirrored, 1 the straight or refracted one, -1 none"""
+
+    @property
+    def is_specular(self) -> NDArray[np.bool_]:
+        return self.ray >= 0
 
 
 @dataclass(frozen=True)
 class Distribution:
-    """Where light from one direction goes: a constant density a cell, and two directions apart that carry a finite share."""
+    """Where light from one direction goes: a constant density per cell, and two specular directions of finite probability."""
 
     theta: Array
     """Polar edges of the first cells [degree]"""
     phi: Array
     """Azimuthal edges of the first cells [degree]"""
-    mesh: cells.Mesh
-    leaves: cells.Indices
+    mesh: sphere_cubature.Mesh
+    leaves: sphere_cubature.Indices
     probability: Array
-    """(leaves,) of drawing a cell, given that the sample is none of the specular ones"""
+    """(leaves,) of drawing a cell, given that the sample is not specular"""
     density: Array
-    """(leaves,) probability per solid angle of all samples [sr-1]"""
+    """(leaves,) probability per solid angle, over all samples [sr-1]"""
     specular_probability: Array
-    """(2,) of the mirror direction and of the straight or refracted one"""
+    """(2,) of the mirror direction, and of the straight or refracted direction"""
     specular_direction: Array
     """(2, 2) θ and φ of these [degree]"""
     specular_share: Array
-    """(2, wavelength) reflectance and transmittance that they carry"""
+    """(2, wavelength) reflectance and transmittance of these"""
+
+    @classmethod
+    def of(
+        cls,
+        edges: tuple[Array, Array],
+        rule: Callable[..., sphere_cubature.Rule],
+        specular_share: Array,
+        specular_direction: Array,
+    ) -> Distribution:
+        """Refine cells until a constant density in each is close to the integrand.
+
+        Parameters
+        ----------
+        edges : polar and azimuthal edges of the first cells [degree]
+        rule : of :func:`brdfpipe.bsdf.sphere_cubature.constant`
+        specular_share, specular_direction : as the fields
+
+        Notes
+        -----
+        Among all densities that are constant over given cells, the one in proportion to the rms of f |cos θ_o| over each cell gives
+        the weights of least variance. Cells are halved until that variance is small.
+        """
+        theta, phi = edges
+        low, high = sphere_cubature.rectangles(theta, phi)
+        mesh = sphere_cubature.refine((np.zeros(low.shape[0], dtype=np.intp), low, high), rule, _VARIANCE)
+        leaves = mesh.leaves
+        size = sphere_cubature.solid_angle(mesh.low[leaves], mesh.high[leaves])
+        wanted = mesh.value[leaves, 0]
+        scattered = wanted.sum()
+        even = size / size.sum()
+        probability = (1 - DEFENSIVE) * wanted / scattered + DEFENSIVE * even if scattered > 0 else even
+        expected = specular_share.mean(axis=1)
+        total = scattered + expected.sum()
+        specular = expected / total if total > 0 else np.zeros(2)
+        density = probability / size * (1 - specular.sum())
+        return cls(theta, phi, mesh, leaves, probability, density, specular, specular_direction, specular_share)
 
     def pdf(self, theta_o: Array, phi_o: Array) -> Array:
         """Density of the samples that are not specular [sr-1], of the shape of the directions."""
@@ -49,16 +104,16 @@ class Distribution:
         rows, columns = self.theta.size - 1, self.phi.size - 1
         covered = (row >= 0) & (row <= rows) & (theta.ravel() <= self.theta[-1])
         root = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
-        of_leaf = np.zeros(self.mesh.owner.size)
-        of_leaf[self.leaves] = self.density
-        found = of_leaf[self.mesh.leaf_of(root, theta.ravel(), turned)]
-        return np.where(covered, found, 0.0).reshape(theta.shape)
+        by_cell = np.zeros(self.mesh.owner.size)
+        by_cell[self.leaves] = self.density
+        density = by_cell[self.mesh.leaf_of(root, theta.ravel(), turned)]
+        return np.where(covered, density, 0.0).reshape(theta.shape)
 
-    def draw(self, n: int, generator: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-        """θ_o and φ_o [degree], pdf [sr-1] and which specular direction it is (-1 for none), (n,) each."""
+    def draw(self, n: int, generator: np.random.Generator) -> Samples:
+        """Draw n directions."""
         choice, polar, azimuth = generator.random((3, n))
         reflected, passed = self.specular_probability
-        which = np.where(choice < reflected, 0, np.where(choice < reflected + passed, 1, -1))
+        ray = np.where(choice < reflected, 0, np.where(choice < reflected + passed, 1, -1))
         rest = np.clip((choice - reflected - passed) / max(1 - reflected - passed, 1e-300), 0.0, 1.0)
         running = np.cumsum(self.probability)
         leaf = np.minimum(np.searchsorted(running, rest * running[-1], side="right"), running.size - 1)
@@ -67,116 +122,38 @@ class Distribution:
         first, last = np.sin(low[:, 0] / 2) ** 2, np.sin(high[:, 0] / 2) ** 2
         theta = 2 * np.degrees(np.arcsin(np.sqrt(np.clip(first + polar * (last - first), 0.0, 1.0))))
         phi = np.degrees(low[:, 1] + azimuth * (high[:, 1] - low[:, 1])) % 360
-        pdf = np.where(which < 0, self.density[leaf], np.nan)
+        pdf = np.where(ray < 0, self.density[leaf], np.nan)
         for k in (0, 1):
-            theta, phi = np.where(which == k, self.specular_direction[k, :, None], np.stack([theta, phi]))
-        return theta, phi, pdf, which
+            theta, phi = np.where(ray == k, self.specular_direction[k, :, None], np.stack([theta, phi]))
+        return Samples(theta, phi, pdf, ray)
 
 
-def distribution(bsdf: xr.Dataset, theta_i: float, phi_i: float, wavelength: Array | None = None) -> Distribution:
-    """A density close to the mean over wavelength of f |cos θ_o|.
+def as_dataset(samples: Samples, weight: Array, incidence: tuple[float, float], wavelength: Array | None) -> xr.Dataset:
+    """Dataset of kind ``samples``.
 
     Parameters
     ----------
-    bsdf : kind ``bsdf``
-    theta_i, phi_i : degree
-    wavelength : (wavelength,) nm; None for the dataset's own
-
-    Notes
-    -----
-    Of all densities that are constant over given cells, the one in proportion to the rms of f |cos θ_o| over each has weights of the
-    least variance; the cells are halved until that is small. A twentieth of the samples is spread over all cells evenly.
+    weight : (n, wavelength or 1) f |cos θ_o| / pdf; for a specular ray, its share of the light over its probability
+    incidence : θ_i and φ_i [degree]
+    wavelength : nm, in any order; None where the BSDF does not depend on wavelength
     """
-    theta, phi = _edges(bsdf, theta_i, phi_i)
-    low, high = cells.rectangles(theta, phi)
-    at = np.array([theta_i]), np.array([phi_i])
-    integrand = representations.integrand_of(bsdf, *at, wavelength)
-    rule = cells.constant(integrand, representations.wavelengths_of(bsdf, wavelength))
-    mesh = cells.refine((np.zeros(low.shape[0], dtype=np.intp), low, high), rule, _VARIANCE)
-    leaves = mesh.leaves
-    size, wanted = cells.solid_angle(mesh.low[leaves], mesh.high[leaves]), mesh.value[leaves, 0]
-    rough = wanted.sum()
-    even = size / size.sum()
-    probability = (1 - DEFENSIVE) * wanted / rough + DEFENSIVE * even if rough > 0 else even
-    share = np.stack([part[0] for part in representations.specular(bsdf, *at, wavelength)])
-    expected = share.mean(axis=1)
-    specular = expected / (rough + expected.sum()) if rough + expected.sum() > 0 else np.zeros(2)
-    passed = float(representations.refracted(bsdf, np.array(theta_i), wavelength)) if expected[1] > 0 else 180 - theta_i
-    return Distribution(
-        theta,
-        phi,
-        mesh,
-        leaves,
-        probability,
-        probability / size * (1 - specular.sum()),
-        specular,
-        np.array([[theta_i, (phi_i + 180) % 360], [passed, (phi_i + 180) % 360]]),
-        share,
-    )
-
-
-def _edges(bsdf: xr.Dataset, theta_i: float, phi_i: float) -> tuple[Array, Array]:
-    """Edges over the side the light comes from and, where light passes, the other one too."""
-    near, phi = representations.cell_edges(bsdf, theta_i, phi_i, through=False)
-    if not representations.transmits(bsdf):
-        return near, phi
-    far, _ = representations.cell_edges(bsdf, theta_i, phi_i, through=True)
-    return np.union1d(near, far), phi
-
-
-def sample(
-    bsdf: xr.Dataset,
-    n: int,
-    seed: int,
-    theta_i: float,
-    phi_i: float = 0.0,
-    wavelength: Array | None = None,
-) -> xr.Dataset:
-    """Draw outgoing directions; see :meth:`brdfpipe.bsdf.accessor.BSDFAccessor.sample`."""
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-        raise VocabularyError(f"the number of samples must be an integer >= 1; found {n!r}")
-    drawn = distribution(bsdf, theta_i, phi_i, wavelength)
-    theta_o, phi_o, pdf, which = drawn.draw(int(n), np.random.default_rng(seed))
-    weight = _weights(bsdf, drawn, (theta_i, phi_i), (theta_o, phi_o, pdf, which), wavelength)
-    spectral = ("wavelength",) if wavelength is not None or "wavelength" in bsdf.coords else ()
-    if not spectral:
-        weight = weight[:, 0]
+    n = samples.theta.size
+    spectral = () if wavelength is None else ("wavelength",)
+    weight = weight if spectral else weight[:, 0]
     result = xr.Dataset(
         {
-            "theta_o": ("sample", theta_o),
-            "phi_o": ("sample", phi_o),
-            "pdf": ("sample", pdf),
+            "theta_o": ("sample", samples.theta),
+            "phi_o": ("sample", samples.phi),
+            "pdf": ("sample", samples.pdf),
             "weight": (("sample", *spectral), weight),
-            "weight_variance": (spectral, weight.var(axis=0, ddof=min(1, int(n) - 1))),
-            "specular": ("sample", which >= 0, {"units": "1", "long_name": "whether the sample is a specular ray"}),
-            "theta_i": float(theta_i),
-            "phi_i": float(phi_i),
+            "weight_variance": (spectral, weight.var(axis=0, ddof=min(1, n - 1))),
+            "specular": (
+                "sample",
+                samples.is_specular,
+                {"units": "1", "long_name": "whether the sample is a specular ray"},
+            ),
+            "theta_i": float(incidence[0]),
+            "phi_i": float(incidence[1]),
         }
     )
-    if spectral:
-        own = bsdf["wavelength"].values if wavelength is None else wavelength
-        # Asked for in any order, as ``evaluate`` allows.
-        result = result.assign_coords(wavelength=own)
-    return vocabulary.label(result, "samples")
-
-
-def _weights(
-    bsdf: xr.Dataset,
-    drawn: Distribution,
-    incidence: tuple[float, float],
-    samples: tuple[Array, Array, Array, Array],
-    wavelength: Array | None,
-) -> Array:
-    """f |cos θ_o| / pdf, or reflectance over probability of a specular ray, (samples, wavelength)."""
-    theta_o, phi_o, pdf, which = samples
-    rough = which < 0
-    module = representations.representation(bsdf)
-    theta_i, phi_i = (np.full(int(rough.sum()), angle, dtype=float) for angle in incidence)
-    values = module.evaluate(bsdf, theta_i, phi_i, theta_o[rough], phi_o[rough], wavelength)
-    width = representations.wavelengths_of(bsdf, wavelength)
-    weight = np.empty((theta_o.size, width))
-    weight[rough] = values * (np.abs(np.cos(np.radians(theta_o[rough]))) / pdf[rough])[:, None]
-    for k in (0, 1):
-        if drawn.specular_probability[k] > 0:
-            weight[which == k] = drawn.specular_share[k] / drawn.specular_probability[k]
-    return weight
+    return vocabulary.label(result if wavelength is None else result.assign_coords(wavelength=wavelength), "samples")

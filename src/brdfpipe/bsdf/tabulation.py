@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import approximation_error as comparison
-from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.grids import AZIMUTHS, GRIDS, Grid, kind_of
-from brdfpipe.bsdf.table import AXES
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.table import AXES, Table
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
 
@@ -53,7 +53,7 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     vocabulary.validate(bsdf, "bsdf")
     layout = GRIDS[kind_of(set(grid))]
     _check_keys(grid, layout)
-    even = representations.isotropic(bsdf)
+    even = representation(bsdf).isotropic
     axes = {name: _axis(grid, name, bsdf) for name in layout.named(layout.azimuth in grid)}
     _check_circles(axes, even)
     averaged = not even and layout.azimuth not in axes
@@ -62,10 +62,10 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     made = xr.Dataset(
         {"brdf": ((*axes, *spectral), brdf if spectral else brdf[..., 0])},
         coords={**axes, **({"wavelength": bsdf["wavelength"].values} if spectral else {})},
-        attrs={"representation": "table", "source_representation": bsdf.attrs["representation"]},
+        attrs={"representation": Table.name, "source_representation": representation(bsdf).name},
     )
     kept = ["total_reflectance", "theta_m"]
-    if representations.transmits(bsdf) and "theta_o" in axes and axes["theta_o"][-1] > 90:
+    if representation(bsdf).transmits and "theta_o" in axes and axes["theta_o"][-1] > 90:
         made.attrs["transmission"] = bsdf.attrs["transmission"]
         kept.append("n")
     for name in kept:
@@ -84,8 +84,8 @@ def _on_nodes(bsdf: xr.Dataset, layout: Grid, axes: Mapping[str, Array], turned:
     if layout is not GRIDS["uniform"]:
         above = axes.get("theta_i", np.zeros(1))[-1] <= 90
         theta_i, theta_o = (np.minimum(angle, _LAST_ABOVE) if above else angle for angle in (theta_i, theta_o))
-    module = representations.representation(bsdf)
-    return np.asarray(module.evaluate(bsdf, theta_i, phi_i + turned, theta_o, phi_o + turned, None))
+    evaluator = representation(bsdf)
+    return np.asarray(evaluator.evaluate(theta_i, phi_i + turned, theta_o, phi_o + turned, None))
 
 
 def _averaged(bsdf: xr.Dataset, layout: Grid, axes: Mapping[str, Array]) -> Array:
@@ -117,10 +117,10 @@ def _with_albedo(
 
 def _mean_albedo(bsdf: xr.Dataset, theta_i: Array) -> Array:
     """What a grid can hold of the reflectance: all but the perfectly specular part."""
-    turns = np.zeros(1) if representations.isotropic(bsdf) else _ROUND
+    turns = np.zeros(1) if representation(bsdf).isotropic else _ROUND
     polar, azimuth = np.meshgrid(theta_i, turns, indexing="ij")
-    mirrored = representations.specular(bsdf, polar, azimuth, None)[0]
-    return np.asarray((representations.albedo(bsdf, polar, azimuth, None) - mirrored).mean(axis=1))
+    mirrored = representation(bsdf).specular(polar, azimuth, None)[0]
+    return np.asarray((representation(bsdf).albedo(polar, azimuth, None) - mirrored).mean(axis=1))
 
 
 def with_interpolation_error(made: xr.Dataset, bsdf: xr.Dataset, averaged: bool = False) -> xr.Dataset:
@@ -186,11 +186,11 @@ def _left_out(bsdf: xr.Dataset, layout: Grid, made: xr.Dataset, averaged: bool) 
             f"the surface has a lay, and the table holds the mean over the azimuth of incidence: add `{layout.azimuth}` to the grid to keep it"
         )
     at = np.array([45.0]), np.zeros(1)
-    if any(part.any() for part in representations.specular(bsdf, *at, None)):
+    if any(part.any() for part in representation(bsdf).specular(*at, None)):
         warnings.append(
             "the perfectly specular part of the surface is not on the grid: take it from the BSDF itself, or give the surface a roughness"
         )
-    if representations.transmits(bsdf) and "transmission" not in made.attrs:
+    if representation(bsdf).transmits and "transmission" not in made.attrs:
         warnings.append(
             "the table holds reflection alone, and the material transmits: give a uniform grid `theta_o` beyond 90 degree"
         )
@@ -230,7 +230,7 @@ def refined(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> dict[str, Array]
     nodes are added about the transmitted directions too.
     """
     axes = {name: _axis(grid, name, bsdf) for name in GRIDS["uniform"].named("phi_i" in grid)}
-    scale = representations.lobe_slope(bsdf)
+    scale = representation(bsdf).lobe_slope
     if scale is None:
         return axes
     half = np.degrees(scale)
@@ -238,7 +238,7 @@ def refined(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> dict[str, Array]
     mirror = axes["theta_i"][:, None] + np.concatenate([-steps[:0:-1], steps])
     theta_o = np.concatenate([axes["theta_o"], mirror[(mirror > 0) & (mirror < 89.9)]])
     if axes["theta_o"][-1] > 90:
-        through = representations.refracted(bsdf, axes["theta_i"])[:, None] + np.concatenate([-steps[:0:-1], steps])
+        through = representation(bsdf).refracted(axes["theta_i"])[:, None] + np.concatenate([-steps[:0:-1], steps])
         theta_o = np.concatenate([theta_o, through[(through > 90.1) & (through < 180)]])
     steepest = np.radians(max(axes["theta_i"].max(), 1.0))
     narrowest = np.degrees(2 * scale / np.tan(steepest)) * _OFFSETS[0]
@@ -274,10 +274,10 @@ def grid_for(bsdf: xr.Dataset, spec: Mapping[str, ArrayLike]) -> dict[str, Array
     the lay, where the surface has one
     """
     above = np.asarray(spec["theta_o"], dtype=float)
-    theta_o = np.concatenate([above, 180 - above[::-1]]) if representations.transmits(bsdf) else above
+    theta_o = np.concatenate([above, 180 - above[::-1]]) if representation(bsdf).transmits else above
     grid: dict[str, ArrayLike] = {"theta_i": spec["theta_i"], "theta_o": theta_o, "phi_o": full_circle(spec["phi_o"])}
-    if not representations.isotropic(bsdf):
-        grid["phi_i"] = (representations.lay(bsdf) or 0.0) + np.asarray(spec["phi_i"], dtype=float)
+    if not representation(bsdf).isotropic:
+        grid["phi_i"] = (representation(bsdf).lay or 0.0) + np.asarray(spec["phi_i"], dtype=float)
     return grid
 
 
@@ -297,7 +297,7 @@ def full_circle(half: ArrayLike) -> Array:
 def _axis(grid: Mapping[str, ArrayLike], name: str, bsdf: xr.Dataset) -> Array:
     if name not in grid:
         raise VocabularyError(f"the grid needs {name!r}; found {', '.join(grid)}")
-    polar = 180 if representations.transmits(bsdf) or name == "theta_s" else 90
+    polar = 180 if representation(bsdf).transmits or name == "theta_s" else 90
     low, high = (-360, 360) if name.startswith("phi") else (0, 90 if name in ("theta_h", "theta_d") else polar)
     values = check_angles(name, grid[name], low, high)
     if values.ndim != 1 or values.size < 2 or not (np.diff(values) > 0).all():

@@ -10,7 +10,8 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.microfacet import Microfacet
 
 MISFIT = 1.5
 """χ² over the degrees of freedom above which a model does not agree with a measurement."""
@@ -122,13 +123,13 @@ def _warnings(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
                     f"measurement and prediction agree only if the {NAMES[name]} changes by {moved:.1f} times its assumed standard uncertainty. "
                     f"Check it, or raise `comparison.{name}_u`."
                 )
-    if predicted.attrs["representation"] != "microfacet":
+    if not isinstance(representation(predicted), Microfacet):
         yield (
-            f"the prediction ({predicted.attrs['representation']}) was compared and not fitted: index, slopes and diffuse "
+            f"the prediction ({representation(predicted).name}) was compared and not fitted: index, slopes and diffuse "
             "reflectance are fitted for opaque bodies alone"
         )
-    if not representations.isotropic(predicted):
-        lay = representations.lay(predicted)
+    if not representation(predicted).isotropic:
+        lay = representation(predicted).lay
         along = "" if lay is None else f", along {lay:.0f}°"
         yield (
             f"the surface has a lay{along}, and the rig saw it in one plane of incidence, taken for that of azimuth 0; lay "

@@ -14,7 +14,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.comparison import comparison_dataset, findings
 from brdfpipe.comparison.adjustment import Adjusted, adjust
 from brdfpipe.comparison.measurement import ComparisonError, Measurement
@@ -76,7 +77,7 @@ def compare(
     measurement = Measurement.of(primary, _shared(primary, predicted))
     models: dict[str, Predicted] = {"predicted": Predicted(predicted, measurement)}
     fit: Adjusted[Member] | None = None
-    if predicted.attrs["representation"] == "microfacet":
+    if isinstance(representation(predicted), Microfacet):
         given = Given.to(predicted, facets, index, spectrum, measurement.wavelength)
         family = Family(given, measurement, _fitted_inputs(prior_u, predicted))
         _check_same(models["predicted"], family.start)
@@ -128,7 +129,7 @@ def _check(primary: xr.Dataset, predicted: xr.Dataset, facets: xr.Dataset, prior
             "`side: [reflection]` too"
         )
     incidence = primary["incidence"].values.astype(float)
-    if any(share.any() for share in representations.specular(predicted, incidence, np.zeros_like(incidence), None)):
+    if any(share.any() for share in representation(predicted).specular(incidence, np.zeros_like(incidence), None)):
         raise ComparisonError(
             "the predicted surface is perfectly flat and mirrors light into one single direction, of which no cell shows a BRDF; "
             "give the surface a roughness, measured or assumed"

@@ -17,14 +17,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import hemisphere, vocabulary
-from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.model import Model
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.comparison import scan_uncertainty as scan
 from brdfpipe.comparison.measurement import Measurement
 from brdfpipe.facets import scaling
-from brdfpipe.facets.estimation import azimuthal_average
+from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.geometry import Array, angles_of, half_vector, slope_towards, unit_vector
 from brdfpipe.optics.index import refractive_index
 from brdfpipe.rig.reduction.curvature import CURVATURE_U
@@ -77,7 +77,7 @@ class Given:
     ) -> Given:
         """What led to a microfacet ``bsdf``, at some of its wavelengths [nm]."""
         choices = {name: str(predicted.attrs[name]) for name in ("masking", "diffuse_mode", "multiple_scattering")}
-        if representations.isotropic(predicted):
+        if representation(predicted).isotropic:
             facets = azimuthal_average(facets)
         index = refractive_index(index)
         if wavelength is not None and "wavelength" in predicted.coords:
@@ -113,9 +113,9 @@ def _with_base(bsdf: xr.Dataset, factor: float) -> xr.Dataset:
     """A BSDF as a spectrum would have made it that is so much brighter below the facets."""
     if factor == 1 or not bsdf["diffuse"].values.any():
         return bsdf
-    azimuth = hemisphere.azimuths(representations.isotropic(bsdf))
+    azimuth = hemisphere.azimuths(representation(bsdf).isotropic)
     incidence = np.full(azimuth.size, float(bsdf["theta_m"]))
-    facets = representations.albedo(bsdf.assign(diffuse=0.0), incidence, azimuth, None).mean(axis=0)
+    facets = representation(bsdf.assign(diffuse=0.0)).albedo(incidence, azimuth, None).mean(axis=0)
     diffuse, total = bsdf["diffuse"], bsdf["total_reflectance"]
     below = np.where(diffuse.values > 0, total.values - facets, 0.0)
     return bsdf.assign(
@@ -220,8 +220,8 @@ class Predicted:
 
     def _evaluated(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
         wavelength = self.measurement.wavelength
-        evaluate = representations.representation(self.bsdf).evaluate
-        brdf = evaluate(self.bsdf, theta_i, np.zeros_like(theta_i), np.minimum(theta_o, 90.0), phi_o, wavelength)
+        evaluate = representation(self.bsdf).evaluate
+        brdf = evaluate(theta_i, np.zeros_like(theta_i), np.minimum(theta_o, 90.0), phi_o, wavelength)
         return np.broadcast_to(np.asarray(brdf), (*theta_o.shape, wavelength.size))
 
 

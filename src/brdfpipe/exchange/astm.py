@@ -17,7 +17,9 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import store, vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.table import Table
 from brdfpipe.bsdf.tabulation import relative_loss
 from brdfpipe.exchange import sidecar_tables
 from brdfpipe.exchange.registry import ExchangeError, Format
@@ -102,7 +104,7 @@ def write_total_transmittance(
 def _checked(table: xr.Dataset, model: xr.Dataset | None) -> xr.Dataset | None:
     """Refuse a table that the format cannot hold; return the model without wavelengths, weighted like the table."""
     vocabulary.validate(table, "bsdf")
-    if table.attrs["representation"] != "table" or "wavelength" in table["brdf"].dims:
+    if not isinstance(representation(table), Table) or "wavelength" in table["brdf"].dims:
         raise ExchangeError("the ASTM file takes a non-spectral table; tabulate `bsdf.nonspectral()` first")
     if not {"theta_i", "theta_o", "phi_o"} <= set(table["brdf"].dims):
         raise ExchangeError("the ASTM file takes a table on a uniform grid: theta_i, theta_o, phi_o")
@@ -113,7 +115,7 @@ def _checked(table: xr.Dataset, model: xr.Dataset | None) -> xr.Dataset | None:
         raise ExchangeError(
             "the table has azimuths of incidence; give the BSDF it was made from, and the table as `table`"
         )
-    return None if model is None else representations.nonspectral(model)
+    return None if model is None else nonspectral(model)
 
 
 def _rows(table: xr.Dataset, model: xr.Dataset | None, through: bool) -> Array:
@@ -130,8 +132,8 @@ def _rows(table: xr.Dataset, model: xr.Dataset | None, through: bool) -> Array:
     nodes = np.meshgrid(theta_i, phi_i, polar, phi_s, indexing="ij")
     incidence, azimuth, outgoing, around = (angles.ravel() for angles in nodes)
     if "phi_i" in table["brdf"].dims and model is not None:
-        evaluate = representations.representation(model).evaluate
-        brdf = evaluate(model, incidence, azimuth, outgoing, around, None)[..., 0]
+        evaluate = representation(model).evaluate
+        brdf = evaluate(incidence, azimuth, outgoing, around, None)[..., 0]
     outgoing = 180 - outgoing if through else outgoing
     rows = np.column_stack([*map(np.radians, (incidence, azimuth, outgoing, around)), brdf.ravel()])
     # Readers expect rising angles.
@@ -150,7 +152,7 @@ def _specular_note(table: xr.Dataset, model: xr.Dataset | None, through: bool) -
     if model is None:
         return []
     theta_i = table["theta_i"].values[table["theta_i"].values < 90]
-    share = representations.specular(model, theta_i, np.zeros_like(theta_i), None)[int(through)][:, 0]
+    share = representation(model).specular(theta_i, np.zeros_like(theta_i), None)[int(through)][:, 0]
     if not share.any():
         return []
     listed = " ".join(f"{angle:g}:{value:.6f}" for angle, value in zip(theta_i, share, strict=True))

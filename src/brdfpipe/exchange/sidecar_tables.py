@@ -14,7 +14,8 @@ import pandas as pd
 import xarray as xr
 
 from brdfpipe import store, vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
 
 _LAMBERT_GAUSS_COLUMNS = {
     "theta_i": "theta_i_deg",
@@ -33,9 +34,9 @@ def write_total_reflectance(bsdf: xr.Dataset, path: str | os.PathLike[str]) -> N
     Together with the non-spectral ``.astm`` it makes the "ASTM form" of the patent US 9,395,299.
     """
     vocabulary.validate(bsdf, "bsdf")
-    wavelength, reflectance = representations.total_reflectance(bsdf)
+    wavelength, reflectance = representation(bsdf).total_reflectance()
     frame = pd.DataFrame({"wavelength_nm": wavelength, "total_reflectance": reflectance})
-    mirrored = representations.specular(bsdf, np.array([8.0]), np.zeros(1), None)[0][0]
+    mirrored = representation(bsdf).specular(np.array([8.0]), np.zeros(1), None)[0][0]
     title = f"total reflectance of {_material(bsdf)} at 8 degree incidence, specular included, fraction"
     if mirrored.any():
         frame["specular_reflectance"] = np.broadcast_to(mirrored, wavelength.shape)
@@ -50,14 +51,14 @@ def write_total_transmittance(bsdf: xr.Dataset, path: str | os.PathLike[str]) ->
     from brdfpipe.appearance import transmission
 
     vocabulary.validate(bsdf, "bsdf")
-    wavelength, transmittance = representations.total_transmittance(bsdf)
+    wavelength, transmittance = representation(bsdf).total_transmittance()
     frame = pd.DataFrame({"wavelength_nm": wavelength, "total_transmittance": transmittance})
     haze = transmission.transmission_haze(bsdf)
     title = (
         f"total transmittance of {_material(bsdf)} at normal incidence, fraction; D1003-style haze, the share of it scattered by more "
         f"than {transmission.HAZE_CONE:g} degree, weighted with V(lambda) and D65: {haze:.6f}"
     )
-    straight = representations.specular(bsdf, np.zeros(1), np.zeros(1), None)[1][0]
+    straight = representation(bsdf).specular(np.zeros(1), np.zeros(1), None)[1][0]
     if straight.any():
         frame["specular_transmittance"] = np.broadcast_to(straight, wavelength.shape)
         title += (
@@ -102,8 +103,8 @@ def _parameters(fit: xr.Dataset, model: xr.Dataset | None) -> pd.DataFrame:
     frame = pd.DataFrame({title: fit[name].values for name, title in _LAMBERT_GAUSS_COLUMNS.items()})
     if model is None:
         return frame
-    reduced, theta_i = representations.nonspectral(model), fit["theta_i"].values
-    mirrored = representations.specular(reduced, theta_i, np.zeros_like(theta_i), None)[0][:, 0]
+    reduced, theta_i = nonspectral(model), fit["theta_i"].values
+    mirrored = representation(reduced).specular(theta_i, np.zeros_like(theta_i), None)[0][:, 0]
     return frame.assign(specular_reflectance=mirrored) if mirrored.any() else frame
 
 

@@ -12,61 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.facets.facet_dataset import radial_dataset
 from brdfpipe.facets.height_maps import estimate_from_maps
 from brdfpipe.facets.line_profiles import METHODS, estimate_from_lines
-from brdfpipe.facets.planar_density import PlanarDensity, SlopeAxis
-from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.facets.scan_consistency import check_consistent
 from brdfpipe.facets.slope_histogram import FacetError
-from brdfpipe.geometry import Array
-
-
-def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
-    """Average a facet distribution with a lay over azimuth.
-
-    Parameters
-    ----------
-    facets : kind ``facets``; an isotropic one is returned unchanged
-
-    Returns
-    -------
-    Dataset of kind ``facets``, with a warning that says what was averaged
-    """
-    vocabulary.validate(facets, "facets")
-    if "slope" in facets.dims:
-        return facets
-    planar = PlanarDensity.of(facets)
-    steepest = float(np.hypot(planar.along.reach, planar.across.reach))
-    slope = SlopeAxis(planar.along.scale / 2, steepest, 1023).nodes[511:]
-    average = _ring_means(planar, slope)
-    slope, average = slope[average > 0], average[average > 0]
-    density = RadialDensity(slope, average)
-    radial = radial_dataset(RadialDensity(slope, average / density.mass), float(facets["slope_rms"]))
-    radial.attrs = {name: facets.attrs[name] for name in ("method", "band")}
-    return vocabulary.label(
-        vocabulary.add_warning(
-            radial,
-            f"the surface has a lay (anisotropy {float(facets['anisotropy']):.2f}, along {float(facets['lay']):.0f}°) and the "
-            "reflection model is isotropic: its density was averaged over azimuth; set `surface.isotropic: true` to confirm",
-        ),
-        "facets",
-    )
-
-
-def _ring_means(planar: PlanarDensity, slope: Array) -> Array:
-    """Mean of the density around rings of given slopes."""
-    # Small slopes vary along the lay, large ones across it: points are denser across, half as much as on the ellipse.
-    turn = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
-    x, y = np.sqrt(planar.along.scale) * np.cos(turn), np.sqrt(planar.across.scale) * np.sin(turn)
-    square = x**2 + y**2
-    weight = 1 / square / np.sum(1 / square)
-    radius = slope[:, None] / np.sqrt(square)
-    return np.asarray(planar.principal(radius * x, radius * y) @ weight)
 
 
 def estimate(

@@ -10,8 +10,8 @@ import rig_primary
 import samples
 
 from brdfpipe import store, vocabulary
-from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.measured import completion, evaluation, smoothing
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 
 INCIDENCES = (10.0, 30.0, 60.0)
@@ -82,7 +82,7 @@ def test_only_the_difference_of_azimuths_counts(bsdf):
     theta_i, phi_i, theta_o, phi_o = lanes()
     turned = bsdf.bsdf.evaluate(theta_i, phi_i + 33, theta_o, phi_o + 33)
     assert turned.values == pytest.approx(bsdf.bsdf.evaluate(theta_i, phi_i, theta_o, phi_o).values, rel=1e-8)
-    assert representations.isotropic(bsdf)
+    assert representation(bsdf).isotropic
 
 
 def test_there_is_no_light_at_and_below_the_horizon(bsdf):
@@ -200,7 +200,7 @@ def test_where_no_cell_looks_is_extrapolated():
 
 def test_the_width_of_the_lobe_is_told_as_a_slope(bsdf):
     # A Gaussian of 3° standard deviation about the mirror direction is that of facets tilted half as much.
-    assert representations.lobe_slope(bsdf) == pytest.approx(np.tan(np.radians(1.5)), rel=0.1)
+    assert representation(bsdf).lobe_slope == pytest.approx(np.tan(np.radians(1.5)), rel=0.1)
 
 
 def test_samples_carry_its_light(bsdf):
@@ -234,8 +234,8 @@ def test_many_directions_at_once_are_those_one_at_a_time(bsdf, monkeypatch):
 @pytest.mark.parametrize("theta", [0.0, 30.0, 63.0, 85.0])
 def test_its_albedo_is_its_integral(bsdf, theta):
     at = np.array([theta]), np.zeros(1), np.array([550.0])
-    integral = representations.integrated(bsdf, *at)
-    assert representations.albedo(bsdf, *at) == pytest.approx(integral.value, rel=2e-4)
+    integral = representation(bsdf).integrate(*at)
+    assert representation(bsdf).albedo(*at) == pytest.approx(integral.value, rel=2e-4)
 
 
 def test_a_bsdf_that_leans_to_one_side_is_integrated_all_round():

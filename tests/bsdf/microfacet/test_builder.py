@@ -17,6 +17,7 @@ from brdfpipe import facets, geometry, hemisphere, masking, optics, spectra, sur
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.microfacet import energy, microsurface, polarised
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import InputError, VocabularyError
 from brdfpipe.facets import radial_density as density
 from brdfpipe.masking import liu
@@ -296,7 +297,7 @@ def test_the_first_element_of_the_mueller_matrix_is_the_brdf(options):
     bsdf, rng = samples.beckmann_bsdf(0.3, **options), np.random.default_rng(4)
     theta_i, theta_o = 90 * rng.random((2, 50))
     phi_i, phi_o = 360 * rng.random((2, 50))
-    matrices = microfacet.mueller(bsdf, theta_i, phi_i, theta_o, phi_o, None)
+    matrices = representation(bsdf).mueller(theta_i, phi_i, theta_o, phi_o, None)
     assert matrices[..., 0, 0] == pytest.approx(bsdf.bsdf.evaluate(theta_i, phi_i, theta_o, phi_o).values, rel=1e-12)
     assert polarised.physical(matrices).all()
 
@@ -314,7 +315,7 @@ def test_the_mueller_matrix_is_labelled_like_the_brdf():
 
 def test_light_mirrored_at_the_brewster_angle_is_polarised_across_the_plane_of_incidence():
     bsdf, brewster = samples.beckmann_bsdf(0.05, reflectance=None), np.degrees(np.arctan(1.55))
-    matrix = microfacet.mueller(bsdf, *(np.array([each]) for each in (brewster, 0.0, brewster, 180.0)), None)[0, 0]
+    matrix = representation(bsdf).mueller(*(np.array([each]) for each in (brewster, 0.0, brewster, 180.0)), None)[0, 0]
     assert polarised.degree_of_polarisation(matrix[:, 0]) == pytest.approx(1.0, abs=1e-12)
     assert matrix[1, 0] > 0
 
@@ -384,7 +385,7 @@ def test_an_average_over_azimuth_is_to_be_had_and_says_so():
 def test_a_flat_surface_mirrors_a_share_of_the_light_and_has_no_spike():
     bsdf = microfacet.build(facets.flat(), index=1.5, spectrum=samples.spectrum(0.3))
     assert bsdf.attrs["representation"] == "smooth"
-    mirrored, _ = microfacet.specular(bsdf, np.array([0.0, 60.0, 89.99]), np.zeros(3), None)
+    mirrored, _ = representation(bsdf).specular(np.array([0.0, 60.0, 89.99]), np.zeros(3), None)
     assert mirrored[:, 0] == pytest.approx(optics.fresnel(np.cos(np.radians([0, 60, 89.99])), 1.5).mean, abs=1e-15)
     assert bsdf.bsdf.albedo(8.0).values == pytest.approx(0.3, abs=1e-12)
     base = bsdf.bsdf.evaluate(30, 0, 30, [0, 180], wavelength=550).values

@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brdfpipe import facets, hemisphere, vocabulary
-from brdfpipe.bsdf import microfacet, representations
+from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.microfacet import energy
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array
 
 ONE, NONE = np.ones(1), np.zeros(1)
@@ -121,8 +122,8 @@ def test_compensated_perfect_mirrors_with_a_lay_give_back_everything(distributio
 def test_light_from_within_a_lay_is_reflected_as_its_brdf_says_near_total_reflection():
     bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.08, a_y=0.5, azimuth=25.0), index=1.5, transparent=True)
     at = np.array([135.0]), np.array([115.0])
-    reflected = representations.integrated(bsdf, *at, None, relative=1e-4).value
-    assert representations.albedo(bsdf, *at, None) == pytest.approx(reflected, abs=1e-4)
+    reflected = representation(bsdf).integrate(*at, None, relative=1e-4).value
+    assert representation(bsdf).albedo(*at, None) == pytest.approx(reflected, abs=1e-4)
 
 
 @pytest.mark.parametrize("a", [0.1, 0.5, 2.0])

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brdfpipe import facets, optics
-from brdfpipe.bsdf import microfacet, representations
+from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.microfacet import transmission
+from brdfpipe.bsdf.registry import representation
 
 
 def interface(a=0.3, n=1.5, masking="height-correlated", **lay):
@@ -19,7 +20,7 @@ def interface(a=0.3, n=1.5, masking="height-correlated", **lay):
 
 def through(bsdf, theta, phi=0.0):
     theta = np.atleast_1d(np.asarray(theta, dtype=float))
-    return microfacet.transmittance(bsdf, theta, np.full_like(theta, phi), None)[:, 0]
+    return representation(bsdf).transmittance(theta, np.full_like(theta, phi), None)[:, 0]
 
 
 def test_the_btdf_is_the_printed_one():
@@ -78,7 +79,7 @@ def test_the_transmittance_is_the_btdf_over_the_other_hemisphere(theta, masking)
 def test_reflected_and_transmitted_light_are_never_more_than_came(a, n):
     bsdf = interface(a, n)
     theta = np.array([0, 30, 60, 80, 89, 91, 100, 120, 135, 150, 180.0])
-    reflected = microfacet.albedo(bsdf, theta, 0 * theta, None)[:, 0]
+    reflected = representation(bsdf).albedo(theta, 0 * theta, None)[:, 0]
     # Two rules over the facets, each with panels about the kink of total reflection.
     assert (reflected + through(bsdf, theta)).max() <= 1 + 1e-7
 
@@ -86,9 +87,9 @@ def test_reflected_and_transmitted_light_are_never_more_than_came(a, n):
 @pytest.mark.parametrize(("a", "theta"), [(0.1, 130.0), (0.1, 138.0), (0.3, 135.0), (0.3, 140.0), (1.0, 120.0)])
 def test_both_albedos_near_total_reflection_are_those_of_an_adaptive_quadrature(a, theta):
     bsdf, at = interface(a), np.array([theta])
-    reflected = representations.integrated(bsdf, at, np.zeros(1), None)
-    passed = representations.integrated(bsdf, at, np.zeros(1), None, through=True)
-    assert microfacet.albedo(bsdf, at, np.zeros(1), None)[0, 0] == pytest.approx(
+    reflected = representation(bsdf).integrate(at, np.zeros(1), None)
+    passed = representation(bsdf).integrate(at, np.zeros(1), None, through=True)
+    assert representation(bsdf).albedo(at, np.zeros(1), None)[0, 0] == pytest.approx(
         float(reflected.value.ravel()[0]), abs=2e-6
     )
     assert through(bsdf, theta)[0] == pytest.approx(float(passed.value.ravel()[0]), abs=2e-6)
@@ -97,20 +98,20 @@ def test_both_albedos_near_total_reflection_are_those_of_an_adaptive_quadrature(
 def test_gentle_facets_lose_nothing():
     bsdf = interface(0.01)
     theta = np.array([0, 30, 60, 150.0, 180.0])
-    total = microfacet.albedo(bsdf, theta, 0 * theta, None)[:, 0] + through(bsdf, theta)
+    total = representation(bsdf).albedo(theta, 0 * theta, None)[:, 0] + through(bsdf, theta)
     assert total == pytest.approx(1.0, abs=1e-7)
 
 
 def test_beyond_the_critical_angle_a_gentle_surface_reflects_everything_from_within():
     bsdf = interface(1e-3)
-    assert microfacet.albedo(bsdf, np.array([130.0]), np.zeros(1), None)[0, 0] == pytest.approx(1.0, abs=1e-6)
+    assert representation(bsdf).albedo(np.array([130.0]), np.zeros(1), None)[0, 0] == pytest.approx(1.0, abs=1e-6)
     assert through(bsdf, 130.0)[0] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_smooth_interface_sends_all_light_into_two_directions():
     bsdf = microfacet.build(facets.flat(), index=1.5, transparent=True)
     theta = np.array([0.0, 60.0, 150.0, 130.0])
-    mirrored, refracted = microfacet.specular(bsdf, theta, 0 * theta, None)
+    mirrored, refracted = representation(bsdf).specular(theta, 0 * theta, None)
     assert mirrored[:, 0] == pytest.approx(
         [0.04, 0.0891867, optics.fresnel(np.cos(np.pi / 6), 1 / 1.5).mean, 1.0], abs=1e-6
     )

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from scipy.special import beta, erf
 
 from brdfpipe import facets, optics, store, vocabulary
-from brdfpipe.bsdf import microfacet, representations, slab
+from brdfpipe.bsdf import microfacet, slab
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.slab.builder import ERROR_LIMIT
 from brdfpipe.errors import VocabularyError
 from brdfpipe.hemisphere import panel_rule
 
@@ -31,11 +33,11 @@ def sheet(front: float, back: float, index: float = 1.5, transmittance: float = 
 
 
 def reflectance(bsdf: xr.Dataset, theta) -> np.ndarray:
-    return slab.albedo(bsdf, np.atleast_1d(theta).astype(float), np.zeros(1), None)[:, 0]
+    return representation(bsdf).albedo(np.atleast_1d(theta).astype(float), np.zeros(1), None)[:, 0]
 
 
 def transmittance(bsdf: xr.Dataset, theta) -> np.ndarray:
-    return slab.transmittance(bsdf, np.atleast_1d(theta).astype(float), np.zeros(1), None)[:, 0]
+    return representation(bsdf).transmittance(np.atleast_1d(theta).astype(float), np.zeros(1), None)[:, 0]
 
 
 def inner_cosine(theta, index):
@@ -62,21 +64,23 @@ def test_two_smooth_faces_reflect_and_transmit_as_the_incoherent_sum_of_a_plate(
 
 def test_two_smooth_faces_send_light_nowhere_else():
     bsdf = sheet(0, 0, 1.5, 0.8)
-    mirrored, straight = slab.specular(bsdf, BOTH_SIDES, np.zeros(1), None)
+    mirrored, straight = representation(bsdf).specular(BOTH_SIDES, np.zeros(1), None)
     assert mirrored[:, 0] == pytest.approx(reflectance(bsdf, BOTH_SIDES), abs=1e-13)
     assert straight[:, 0] == pytest.approx(transmittance(bsdf, BOTH_SIDES), abs=1e-13)
-    assert slab.evaluate(bsdf, 30.0, 0.0, np.array([30.0, 150.0]), 180.0, None).max() < 1e-10
+    assert representation(bsdf).evaluate(30.0, 0.0, np.array([30.0, 150.0]), 180.0, None).max() < 1e-10
 
 
 def test_a_black_body_leaves_what_its_front_face_reflects():
     bsdf, alone = sheet(0.3, 0, 1.5, 0.0), microfacet.build(finish(0.3), index=1.5, transparent=True)
     theta_o, phi = np.meshgrid(np.linspace(0, 85, 18), np.linspace(0, 180, 7))
     zero = np.zeros_like(phi)
-    found = slab.evaluate(bsdf, 40 + zero, zero, theta_o, phi, None)
-    expected = microfacet.evaluate(alone, 40 + zero, zero, theta_o, phi, None)
+    found = representation(bsdf).evaluate(40 + zero, zero, theta_o, phi, None)
+    expected = representation(alone).evaluate(40 + zero, zero, theta_o, phi, None)
     # Beside it there is what the facets lose, as diffuse light on both sides: less than 4 % at 40° for a = 0.3.
     lost = (
-        1 - alone.bsdf.albedo(40.0).item() - microfacet.transmittance(alone, np.array([40.0]), np.zeros(1), None).item()
+        1
+        - alone.bsdf.albedo(40.0).item()
+        - representation(alone).transmittance(np.array([40.0]), np.zeros(1), None).item()
     )
     assert (found - expected >= 0).all()
     assert (found - expected).max() < lost
@@ -84,7 +88,7 @@ def test_a_black_body_leaves_what_its_front_face_reflects():
 
 
 def test_a_smooth_front_face_mirrors_as_a_single_interface_does():
-    mirrored, straight = slab.specular(sheet(0, 0.3), np.array([30.0, 150.0]), np.zeros(1), None)
+    mirrored, straight = representation(sheet(0, 0.3)).specular(np.array([30.0, 150.0]), np.zeros(1), None)
     assert mirrored[0, 0] == pytest.approx(float(optics.fresnel(np.cos(np.pi / 6), 1.5).mean), abs=1e-9)
     assert mirrored[1, 0] == 0
     assert straight.max() == 0
@@ -101,9 +105,9 @@ def test_behind_a_smooth_back_face_the_lobe_is_that_of_the_front_face_refracted_
     theta_o = np.array([26.0, 28.0, 30.0, 32.0, 34.0])
     inside = np.degrees(np.arcsin(np.sin(np.radians(theta_o)) / 1.5))
     zero = np.zeros(theta_o.size)
-    once = microfacet.evaluate(alone, 30 + zero, zero, 180 - inside, 180 + zero, None)[:, 0]
+    once = representation(alone).evaluate(30 + zero, zero, 180 - inside, 180 + zero, None)[:, 0]
     leaves = 1 - optics.fresnel(np.cos(np.radians(theta_o)), 1.5).mean
-    found = slab.evaluate(bsdf, 30 + zero, zero, 180 - theta_o, 180 + zero, None)[:, 0]
+    found = representation(bsdf).evaluate(30 + zero, zero, 180 - theta_o, 180 + zero, None)[:, 0]
     assert found == pytest.approx(once * leaves / 1.5**2, rel=0.012)
 
 
@@ -148,8 +152,8 @@ def test_energy_closes_between_the_nodes_too(distribution):
 @settings(max_examples=40, deadline=None)
 def test_it_is_reciprocal_finite_and_not_negative(faces, theta_i, theta_o, phi):
     bsdf = sheet(*faces, transmittance=0.8 if faces[1] else 0.9)
-    forward = slab.evaluate(bsdf, theta_i, 0.0, theta_o, phi, None)
-    backward = slab.evaluate(bsdf, theta_o, phi, theta_i, 0.0, None)
+    forward = representation(bsdf).evaluate(theta_i, 0.0, theta_o, phi, None)
+    backward = representation(bsdf).evaluate(theta_o, phi, theta_i, 0.0, None)
     assert np.isfinite(forward).all()
     assert (forward >= 0).all()
     assert (forward == backward).all()
@@ -166,8 +170,8 @@ def test_light_along_the_normal_leaves_alike_in_every_azimuth():
 def test_one_finish_on_both_faces_looks_the_same_from_both_sides():
     bsdf = sheet(0.3, 0.3)
     assert reflectance(bsdf, [8.0, 60.0]) == pytest.approx(reflectance(bsdf, [172.0, 120.0]), abs=1e-12)
-    there = slab.evaluate(bsdf, 30.0, 0.0, np.array([20.0, 140.0]), 170.0, None)
-    turned = slab.evaluate(bsdf, 150.0, 0.0, np.array([160.0, 40.0]), 170.0, None)
+    there = representation(bsdf).evaluate(30.0, 0.0, np.array([20.0, 140.0]), 170.0, None)
+    turned = representation(bsdf).evaluate(150.0, 0.0, np.array([160.0, 40.0]), 170.0, None)
     assert there == pytest.approx(turned, rel=1e-5)
 
 
@@ -177,8 +181,8 @@ def test_a_slab_turned_over_is_the_same_slab_from_the_other_side():
     assert reflectance(bsdf, BOTH_SIDES) == pytest.approx(reflectance(turned, 180 - BOTH_SIDES), abs=1e-10)
     assert transmittance(bsdf, BOTH_SIDES) == pytest.approx(transmittance(turned, 180 - BOTH_SIDES), abs=1e-10)
     theta_o = np.array([10.0, 40.0, 120.0, 160.0])
-    there = slab.evaluate(bsdf, 30.0, 0.0, theta_o, 180.0, None)
-    assert there == pytest.approx(slab.evaluate(turned, 150.0, 0.0, 180 - theta_o, 180.0, None), rel=1e-4)
+    there = representation(bsdf).evaluate(30.0, 0.0, theta_o, 180.0, None)
+    assert there == pytest.approx(representation(turned).evaluate(150.0, 0.0, 180 - theta_o, 180.0, None), rel=1e-4)
 
 
 @pytest.mark.parametrize("faces", [(0.3, 0.3), (0.1, 0)])
@@ -186,12 +190,12 @@ def test_a_slab_turned_over_is_the_same_slab_from_the_other_side():
 def test_the_lobes_integrate_to_the_shares(faces, theta):
     bsdf = sheet(*faces)
     at = np.array([theta]), np.zeros(1), None
-    specular = slab.specular(bsdf, *at)
-    for through, share in ((False, slab.albedo), (True, slab.transmittance)):
-        lobe = representations.integrated(bsdf, at[0], at[1], None, through=through, relative=1e-4).value
+    specular = representation(bsdf).specular(*at)
+    for through, share in enumerate((representation(bsdf).albedo(*at), representation(bsdf).transmittance(*at))):
+        lobe = representation(bsdf).integrate(at[0], at[1], None, through=bool(through), relative=1e-4).value
         # The stated error of the interpolation is of the worst incidence, 1 %; these are better ones.
-        assert lobe + specular[through] == pytest.approx(share(bsdf, *at), rel=4e-3)
-    assert float(bsdf["interpolation_error"]) < slab.ERROR_LIMIT
+        assert lobe + specular[through] == pytest.approx(share, rel=4e-3)
+    assert float(bsdf["interpolation_error"]) < ERROR_LIMIT
 
 
 # --- a path tracer
@@ -217,7 +221,9 @@ class Tracer:
         edges = np.concatenate([np.linspace(0, 90, 91), np.linspace(90, 180, 121)[1:]])
         middle = (edges[1:] + edges[:-1]) / 2
         none = np.zeros(middle.size)
-        kept = microfacet.albedo(alone, middle, none, None) + microfacet.transmittance(alone, middle, none, None)
+        kept = representation(alone).albedo(middle, none, None) + representation(alone).transmittance(
+            middle, none, None
+        )
         lost = np.maximum(1 - kept[:, 0], 0)
         extent = np.abs(np.diff(np.cos(np.radians(edges)) ** 2)) * np.where(middle > 90, index**2, 1.0)
         return middle, lost, edges, np.cumsum(extent * lost) / (extent @ lost)
@@ -300,7 +306,7 @@ def expected_share(bsdf, theta_i, low, high, forward):
     """∫ f |cos θ_o| dω_o over polar angles and the half of the azimuths towards, or away from, where the light goes straight on."""
     theta, d_theta = panel_rule(np.linspace(low, high, 13), 6)
     phi, d_phi = panel_rule(np.linspace(90, 180, 13) if forward else np.linspace(0, 90, 7), 6)
-    values = slab.evaluate(bsdf, theta_i, 0.0, theta[:, None], phi, None)[..., 0]
+    values = representation(bsdf).evaluate(theta_i, 0.0, theta[:, None], phi, None)[..., 0]
     weight = np.radians(d_theta) * np.abs(np.sin(2 * np.radians(theta))) / 2
     return 2 * float(weight @ values @ np.radians(d_phi))
 
@@ -329,7 +335,7 @@ def test_a_path_tracer_finds_the_same_light_in_the_same_directions(front, back, 
         by_photon = np.bincount(who, np.where(where, weight, 0.0), photons)
         return by_photon.mean(), by_photon.std() / np.sqrt(photons)
 
-    mirrored, straight = (each[0, 0] for each in slab.specular(bsdf, np.array([theta_i]), np.zeros(1), None))
+    mirrored, straight = (each[0, 0] for each in representation(bsdf).specular(np.array([theta_i]), np.zeros(1), None))
     returned = theta_o < 90 if theta_i < 90 else theta_o > 90
     for where, share in ((returned, reflectance), (~returned, transmittance)):
         value, error = traced(where)
@@ -372,9 +378,14 @@ def test_every_wavelength_is_the_slab_of_its_own_transmittance(k):
     inside = float(bsdf["internal_transmittance"][k])
     alone = sheet(0.3, 0.3, 1.5, inside)
     at = directions()
-    assert reflectance(alone, at[0]) == pytest.approx(slab.albedo(bsdf, at[0], at[1], None)[:, k], abs=1e-12)
-    assert transmittance(alone, at[0]) == pytest.approx(slab.transmittance(bsdf, at[0], at[1], None)[:, k], abs=1e-12)
-    found, expected = slab.evaluate(bsdf, *at, WAVELENGTH[[k]])[:, 0], slab.evaluate(alone, *at, None)[:, 0]
+    assert reflectance(alone, at[0]) == pytest.approx(representation(bsdf).albedo(at[0], at[1], None)[:, k], abs=1e-12)
+    assert transmittance(alone, at[0]) == pytest.approx(
+        representation(bsdf).transmittance(at[0], at[1], None)[:, k], abs=1e-12
+    )
+    found, expected = (
+        representation(bsdf).evaluate(*at, WAVELENGTH[[k]])[:, 0],
+        representation(alone).evaluate(*at, None)[:, 0],
+    )
     flux = np.abs(np.cos(np.radians(at[2])))
     assert flux @ np.abs(found - expected) <= 0.01 * (flux @ expected)
 
@@ -392,8 +403,8 @@ def test_dispersion_is_interpolated_over_few_indices():
     assert bsdf.sizes["index_node"] == 3
     alone, at = sheet(0.3, 0.3, float(index["n"][7]), 0.9), directions(100)
     # A parabola through three indices 0.02 apart; the error goes with the cube of that.
-    assert slab.albedo(bsdf, at[0], at[1], None)[:, 7] == pytest.approx(reflectance(alone, at[0]), abs=1e-5)
-    found, expected = slab.evaluate(bsdf, *at, None)[:, 7], slab.evaluate(alone, *at, None)[:, 0]
+    assert representation(bsdf).albedo(at[0], at[1], None)[:, 7] == pytest.approx(reflectance(alone, at[0]), abs=1e-5)
+    found, expected = representation(bsdf).evaluate(*at, None)[:, 7], representation(alone).evaluate(*at, None)[:, 0]
     assert np.abs(found - expected).sum() < 3e-3 * expected.sum()
 
 
@@ -406,13 +417,13 @@ def test_an_absorption_coefficient_over_a_thickness_is_an_internal_transmittance
 
 def test_a_detector_of_one_response_sees_the_mean_over_wavelength():
     bsdf, weight, at = coloured(), np.full(41, 1 / 41), directions()
-    seen = slab.nonspectral(bsdf, weight)
+    seen = representation(bsdf).nonspectral(weight)
     assert "wavelength" not in seen.dims
-    mean = slab.evaluate(bsdf, *at, None) @ weight
+    mean = representation(bsdf).evaluate(*at, None) @ weight
     # The mean of logarithms between nodes is not the logarithm of the mean: within the error of the interpolation.
-    assert np.abs(slab.evaluate(seen, *at, None)[:, 0] - mean).sum() < 0.005 * mean.sum()
-    assert slab.albedo(seen, at[0], at[1], None)[:, 0] == pytest.approx(
-        slab.albedo(bsdf, at[0], at[1], None) @ weight, abs=1e-12
+    assert np.abs(representation(seen).evaluate(*at, None)[:, 0] - mean).sum() < 0.005 * mean.sum()
+    assert representation(seen).albedo(at[0], at[1], None)[:, 0] == pytest.approx(
+        representation(bsdf).albedo(at[0], at[1], None) @ weight, abs=1e-12
     )
 
 
@@ -427,15 +438,15 @@ def test_it_is_a_dataset_like_any_other(tmp_path):
     assert found.bsdf.evaluate(*at, wavelength=[450, 550]).values == pytest.approx(
         bsdf.bsdf.evaluate(*at, wavelength=[450, 550]).values, rel=1e-12
     )
-    assert representations.transmits(found)
-    assert representations.isotropic(found)
-    assert representations.index_below(found) == 1.0
+    assert representation(found).transmits
+    assert representation(found).isotropic
+    assert representation(found).index_below() == 1.0
 
 
 def test_lobes_too_narrow_to_show_are_carried_as_specular_and_said_to_be():
     bsdf = sheet(0.01, 0.0)
     assert "less than a slab resolves" in vocabulary.warnings(bsdf)[0]
-    straight = slab.specular(bsdf, np.array([8.0]), np.zeros(1), None)[1]
+    straight = representation(bsdf).specular(np.array([8.0]), np.zeros(1), None)[1]
     plate = transmittance(sheet(0, 0), 8.0)
     # A face of slope 0.01 lets through what a smooth one does, to the square of the slope.
     assert straight[0] == pytest.approx(plate, abs=2e-4)

@@ -6,6 +6,7 @@ from samples import beckmann_bsdf, spectrum
 
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.lambert_gauss import lambertian
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.facets import analytic, flat
 from brdfpipe.report.plots import bsdf_sections
 
@@ -43,7 +44,7 @@ def test_the_light_that_passes_peaks_at_the_refracted_direction() -> None:
 
 def test_without_its_base_a_bsdf_reflects_less_and_not_nothing() -> None:
     bsdf = beckmann_bsdf()
-    facets = bsdf_sections.facets_alone(bsdf)
+    facets = representation(bsdf).without_diffuse()
     assert facets is not None
     plane, theta = bsdf_sections.planes(bsdf)[0], np.array([8.0])
     # Fresnel's reflectance of n = 1.55 near the normal, less a little masking.
@@ -53,14 +54,14 @@ def test_without_its_base_a_bsdf_reflects_less_and_not_nothing() -> None:
 
 def test_a_table_cannot_tell_its_parts() -> None:
     table = beckmann_bsdf().bsdf.tabulate({"theta_i": [0.0, 80.0], "theta_o": [0.0, 80.0], "phi_o": [0.0, 180.0]})
-    assert bsdf_sections.facets_alone(table) is None
+    assert representation(table).without_diffuse() is None
 
 
 def test_only_a_compensated_bsdf_has_a_part_that_was_reflected_once() -> None:
     rough = analytic("ggx", 0.6)
-    assert bsdf_sections.once_reflected(microfacet.build(rough, index=1.5)) is None
+    assert representation(microfacet.build(rough, index=1.5)).single_reflection() is None
     given_back = microfacet.build(rough, index=1.5, multiple_scattering="compensated")
-    once = bsdf_sections.once_reflected(given_back)
+    once = representation(given_back).single_reflection()
     plain = microfacet.build(rough, index=1.5)
     assert once is not None
     plane, theta = bsdf_sections.Plane(0.0, ""), np.array([0.0, 60.0])

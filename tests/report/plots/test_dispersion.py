@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from brdfpipe import facets, optics, vocabulary
-from brdfpipe.bsdf import microfacet, representations, slab
+from brdfpipe.bsdf import microfacet, slab
+from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.optics.dispersion import KEPT
 from brdfpipe.report import material_page
 from brdfpipe.report.plots import dispersion
@@ -119,7 +120,7 @@ BODIES = {
 @pytest.mark.parametrize("body", BODIES)
 def test_the_point_is_the_index_that_models_without_wavelengths_have(body: str) -> None:
     bsdf = BODIES[body]()
-    reduced = representations.nonspectral(bsdf)
+    reduced = nonspectral(bsdf)
     neutral = dispersion._neutral(bsdf)
     assert neutral is not None
     assert neutral.n == pytest.approx(float(reduced["n"]), rel=1e-12)
@@ -133,7 +134,7 @@ def test_the_point_lies_on_the_curve_and_is_told_in_words() -> None:
     points = re.search(r'class="p c2" d="M([0-9.]+) ([0-9.]+)h0"', figure.svg)
     assert points is not None
     wavelength = KEPT[0] + float(points[1]) / _WIDE * (KEPT[1] - KEPT[0])
-    mean = float(representations.nonspectral(bsdf)["n"])
+    mean = float(nonspectral(bsdf)["n"])
     # 0.05 of a unit of the drawing are 0.05 nm, over which n changes by 1e-5.
     assert float(np.interp(wavelength, index["wavelength"], index["n"])) == pytest.approx(mean, abs=2e-5)
     assert f"n = {mean:.4f}" in figure.note

@@ -1,2 +1,2 @@
-from .builder import ModelError as ModelError
 from .builder import build as build
+from .microsurface import ModelError as ModelError

@@ -13,23 +13,20 @@ Walter 2007 (EGSR) for transmission; Kulla & Conty 2017 (SIGGRAPH course) for th
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import xarray as xr
 
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.microfacet import energy, transmission
-from brdfpipe.bsdf.microfacet.microsurface import MASKINGS, Microsurface
+from brdfpipe.bsdf.microfacet.microsurface import MASKINGS, NOT_PHYSICAL, Microsurface, ModelError
 from brdfpipe.bsdf.microfacet.model import CRF_DIFFUSE_SHARE, Model
-from brdfpipe.errors import BrdfpipeError
-from brdfpipe.facets.estimation import azimuthal_average
+from brdfpipe.bsdf.microfacet.reflectance import diffuse_for, total_reflectance_at, with_albedo
+from brdfpipe.bsdf.representations.microfacet import Microfacet
+from brdfpipe.bsdf.representations.smooth import Smooth
+from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
-from brdfpipe.hemisphere import panel_rule
 from brdfpipe.masking.liu import energy_limit
-from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
-from brdfpipe.optics.fresnel_equations import mean_fresnel as mean_fresnel_reflectance
 from brdfpipe.optics.index import interpolate_index, refractive_index
 
 DIFFUSE_MODES = ("coupled", "crf", "none")
@@ -41,10 +38,6 @@ RECIPES = {"crf": {"masking": "crf", "diffuse": "crf", "multiple_scattering": "n
 
 SPECULAR_TRAP = 5.0
 """Half angle of the gloss trap of a sphere instrument, unless the spectrum says otherwise [degree]."""
-
-
-class ModelError(BrdfpipeError):
-    """A BSDF cannot be built from what was given."""
 
 
 def build(
@@ -80,7 +73,7 @@ def build(
     Returns
     -------
     Dataset of kind ``bsdf``, representation ``microfacet``; ``smooth`` of a flat surface, whose mirror image is no density but
-    a share of the light (:func:`specular`)
+    a share of the light
 
     Raises
     ------
@@ -113,7 +106,7 @@ def build(
         )
     bsdf = _surface_of(surface)
     bsdf.attrs = {
-        "representation": "microfacet" if "slope_density" in bsdf else "smooth",
+        "representation": Microfacet.name if "slope_density" in bsdf else Smooth.name,
         "masking": chosen["masking"],
         "diffuse_mode": chosen["diffuse"],
         "multiple_scattering": chosen["multiple_scattering"],
@@ -127,90 +120,12 @@ def build(
     spectral = () if n.ndim == 0 else ("wavelength",)
     bsdf = vocabulary.add_warning(bsdf.assign(n=(spectral, n), k=(spectral, k)), *held)
     theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
-    bsdf = _with_albedo(bsdf, theta_m)
+    bsdf = with_albedo(bsdf, theta_m)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
     bsdf = _with_source_warning(bsdf)
     if surface is not facets:
         bsdf = vocabulary.add_warning(bsdf, *vocabulary.warnings(surface))
     return vocabulary.label(bsdf, "bsdf")
-
-
-def evaluate(
-    bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
-) -> Array:
-    """BRDF or BTDF in sr⁻¹, (directions…, wavelength); see :meth:`brdfpipe.bsdf.accessor.BSDFAccessor.evaluate`."""
-    return Model.of(bsdf, wavelength).evaluate(theta_i, phi_i, theta_o, phi_o)
-
-
-def albedo(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-    """Directional reflectance [1], (incidences…, wavelength), the mirror image of a smooth surface included."""
-    return Model.of(bsdf, wavelength).directional_albedo(theta_i, phi_i)
-
-
-def transmittance(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-    """Share of the light that passes to the other side [1], (incidences…, wavelength)."""
-    return Model.of(bsdf, wavelength).transmittance(theta_i, phi_i)
-
-
-def specular(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
-    """Shares of the light that a smooth surface mirrors, and refracts, into one single direction, (incidences…, wavelength)."""
-    if bsdf.attrs["representation"] != "smooth":
-        nothing = np.zeros((*theta_i.shape, 1))
-        return nothing, nothing
-    model = Model.of(bsdf, wavelength)
-    bare = replace(model, diffuse=np.zeros(1))
-    return bare.directional_albedo(theta_i, phi_i), model.transmittance(theta_i, phi_i)
-
-
-def mueller(
-    bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
-) -> Array:
-    """Mueller matrix of the BRDF in sr⁻¹, (directions…, wavelength, 4, 4); frames as in :mod:`brdfpipe.bsdf.microfacet.polarised`."""
-    return Model.of(bsdf, wavelength).mueller(theta_i, phi_i, theta_o, phi_o)
-
-
-def isotropic(bsdf: xr.Dataset) -> bool:
-    """Whether it is the same in all azimuths of incidence."""
-    return "phi_i" not in bsdf["directional_albedo"].dims
-
-
-def lobe_slope(bsdf: xr.Dataset) -> float:
-    """The slope that half of the facets exceed [1]; of a smooth surface, one below what any instrument resolves."""
-    return Microsurface.of(bsdf).median_slope if "slope_density" in bsdf else 1e-6
-
-
-def nonspectral(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
-    """The same surface seen by a detector of spectral response ``weight`` (normalised, on the dataset's wavelengths).
-
-    The reflectance is averaged with the weight, and the index replaced by the one that reflects the average at normal incidence
-    (of a metal, by the average of n and of k); elsewhere the error is of second order in the spread of n (1e-5 of the specular
-    part for a polymer over the visible).
-    """
-    if "wavelength" not in bsdf.coords:
-        return bsdf
-    total = weight @ bsdf["total_reflectance"].values if "total_reflectance" in bsdf else None
-    if bsdf["n"].ndim == 0:
-        diffuse = bsdf["diffuse"].values
-        reduced = bsdf.drop_dims("wavelength").assign(diffuse=weight @ diffuse if diffuse.ndim else diffuse)
-    else:
-        reduced = _with_mean_index(bsdf, weight)
-    return vocabulary.label(reduced if total is None else reduced.assign(total_reflectance=total), "bsdf")
-
-
-def _with_mean_index(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
-    n, k = (np.broadcast_to(bsdf[name].values, weight.shape) for name in ("n", "k"))
-    if k.any():
-        mean_n, mean_k = weight @ n, weight @ k
-    else:
-        amplitude = np.sqrt(weight @ ((n - 1) / (n + 1)) ** 2)
-        mean_n, mean_k = (1 + amplitude) / (1 - amplitude), 0.0
-    reduced = bsdf.drop_dims("wavelength").assign(n=mean_n, k=mean_k)
-    theta_m = float(bsdf["theta_m"])
-    reduced = _with_albedo(reduced.drop_vars(_OF_FACETS, errors="ignore"), theta_m).assign(diffuse=0.0)
-    if not bsdf["diffuse"].values.any():
-        return reduced
-    total = float(weight @ np.broadcast_to(_at(bsdf, theta_m), weight.shape))
-    return reduced.assign(diffuse=float(_diffuse_for(reduced, np.array([total]), theta_m).clip(0.0)[0]))
 
 
 # --- what was chosen
@@ -263,14 +178,6 @@ def _check_transparent(chosen: dict[str, str], spectrum: xr.Dataset | None, n: A
         )
 
 
-NOT_PHYSICAL = {
-    "crf": "hides facets from the viewer alone, so it is not reciprocal and does not keep energy",
-    "none": "hides no facet, so it does not keep energy",
-    "liu": "does not vanish at grazing",
-}
-"""Maskings of the sources that are known to break energy or reciprocity: chosen on purpose, they are warned about."""
-
-
 def _with_source_warning(bsdf: xr.Dataset) -> xr.Dataset:
     """Say from which incidence on a source's own masking reflects more than it receives."""
     masking = bsdf.attrs["masking"]
@@ -295,15 +202,6 @@ def _with_source_warning(bsdf: xr.Dataset) -> xr.Dataset:
 
 
 _KEPT = ("slope_density", "lambda_smith", "lay")
-_OF_FACETS = (
-    "directional_albedo",
-    "mean_albedo",
-    "furnace_albedo",
-    "mean_furnace_albedo",
-    "compensation",
-    "theta_i",
-    "phi_i",
-)
 
 
 def _surface_of(facets: xr.Dataset) -> xr.Dataset:
@@ -323,115 +221,18 @@ def _own(coordinate: xr.DataArray) -> dict[str, object]:
     return {name: value for name, value in coordinate.attrs.items() if name not in ("units", "long_name")}
 
 
-# --- what the facets reflect
-
-
-def _with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
-    """Add the directional albedo, its mean, and what is needed to give back the light the facets lose."""
-    spectral = bsdf["n"].dims
-    n, k = np.atleast_1d(bsdf["n"].values), np.atleast_1d(bsdf["k"].values)
-    if "slope_density" not in bsdf:
-        return _smooth_albedo(bsdf, n, k, theta_m)
-    surface, masking = Microsurface.of(bsdf), str(bsdf.attrs["masking"])
-    compensated = bsdf.attrs["multiple_scattering"] == "compensated"
-
-    def both(theta: Array, phi: Array) -> Array:
-        # Some sources' masking reflects more than it receives: nothing is left for the base there.
-        single = np.minimum(energy.directional_albedo(surface, masking, n, k, theta, phi), 1.0)
-        if not compensated:
-            return single
-        mirrors = energy.directional_albedo(
-            surface, masking, np.ones(1), np.zeros(1), theta, phi, energy.perfect_mirror
-        )
-        return np.concatenate([single, mirrors], axis=1)
-
-    table = energy.tabulated(surface, both, np.array([0.0, theta_m, 90.0]))
-    dims = ("theta_i",) if table.phi is None else ("theta_i", "phi_i")
-    bsdf = bsdf.assign_coords({"theta_i": table.theta} | ({} if table.phi is None else {"phi_i": table.phi}))
-    single = replace(table, values=table.values[..., : n.size])
-    if compensated:
-        furnace = replace(table, values=table.values[..., n.size :])
-        mean_furnace = float(furnace.mean()[0])
-        factor = _multiple(mean_fresnel_reflectance(n, k), mean_furnace)
-        single = replace(table, values=single.values + factor * (1 - furnace.values))
-        bsdf = bsdf.assign(
-            furnace_albedo=(dims, furnace.values[..., 0]),
-            mean_furnace_albedo=mean_furnace,
-            compensation=(spectral, factor if spectral else factor[0]),
-        )
-    else:
-        bsdf = bsdf.assign(mean_furnace_albedo=_mean_of_mirrors(surface, masking))
-    values, mean = single.values, single.mean()
-    return bsdf.assign(
-        directional_albedo=((*dims, *spectral), values if spectral else values[..., 0]),
-        mean_albedo=(spectral, mean if spectral else mean[0]),
-    )
-
-
-def _smooth_albedo(bsdf: xr.Dataset, n: Array, k: Array, theta_m: float) -> xr.Dataset:
-    spectral = bsdf["n"].dims
-
-    def fresnel(theta: Array) -> Array:
-        cos = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
-        return fresnel_reflectance(cos[:, None], n, k).mean
-
-    # A mirror of index N bends within 1/|N| of grazing, one of hardly any contrast within √(2 (n − 1)).
-    table = energy.refined(fresnel, 0.01, np.array([0.0, theta_m, 90.0]))
-    mean = table.mean()
-    return bsdf.assign_coords(theta_i=table.theta).assign(
-        directional_albedo=(("theta_i", *spectral), table.values if spectral else table.values[:, 0]),
-        mean_albedo=(spectral, mean if spectral else mean[0]),
-        mean_furnace_albedo=1.0,
-    )
-
-
-def _multiple(mean_fresnel: Array, mean_furnace: float) -> Array:
-    """F_ms: reflectance of all reflections after the first, each coloured by the average facet."""
-    return np.asarray(mean_fresnel**2 * mean_furnace / (1 - mean_fresnel * (1 - mean_furnace)))
-
-
-def _mean_of_mirrors(surface: Microsurface, masking: str) -> float:
-    """Ē₁ to 1e-5: the share of the light that leaves perfect mirrors at their first reflection."""
-    theta, weight = panel_rule(np.linspace(0, np.pi / 2, 3), 6)
-    phi = hemisphere.azimuths(surface.isotropic)
-    found = [
-        energy.directional_albedo(
-            surface, masking, np.ones(1), np.zeros(1), np.degrees(theta), each, energy.perfect_mirror
-        )[:, 0]
-        for each in phi
-    ]
-    return float((weight * np.sin(2 * theta)) @ np.mean(found, axis=0))
-
-
 # --- what is left to the base
-
-
-def _at(bsdf: xr.Dataset, theta: float) -> Array:
-    """Total reflectance at an incidence, (wavelength or 1,); over all azimuths where there is a lay."""
-    phi = hemisphere.azimuths(isotropic(bsdf))
-    return np.asarray(Model.of(bsdf, None).directional_albedo(np.full(phi.size, theta), phi).mean(axis=0))
-
-
-def _diffuse_for(bsdf: xr.Dataset, total: Array, theta_m: float) -> Array:
-    """The diffuse reflectance with which a BSDF of ``diffuse`` 0 reflects ``total`` at an incidence; negative where it cannot."""
-    model = Model.of(bsdf, None)
-    left = total - _at(bsdf, theta_m)
-    if model.diffuse_mode == "crf":
-        return np.asarray(left)
-    phi = hemisphere.azimuths(isotropic(bsdf))
-    let_in = 1 - model.albedo(np.full(phi.size, theta_m), phi).mean(axis=0)
-    # A perfectly white base keeps back what the table of the albedo may err by.
-    return np.asarray(np.minimum(left / np.maximum(let_in, 1e-12), 1 - 2e-8))
 
 
 def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float) -> xr.Dataset:
     bare = bsdf.assign(diffuse=0.0, theta_m=theta_m)
     if spectrum is None or bsdf.attrs["diffuse_mode"] == "none":
         return bare
+    model = Model.of(bare, None)
     measured = spectrum["total_reflectance"].values.astype(float)
-    trapped = _trapped(bare, spectrum, theta_m)
+    trapped = _trapped(model, spectrum, theta_m)
     total = measured + trapped
-    wanted = _diffuse_for(bare, total, theta_m)
+    wanted = diffuse_for(model, total, theta_m)
     clamped = wanted < 0
     quality = np.where(clamped, vocabulary.quality("clamped"), vocabulary.quality("measured")).astype(np.int8)
     bsdf = bsdf.assign(
@@ -454,7 +255,7 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
         )
     if clamped.any():
         where = spectrum["wavelength"].values[clamped]
-        deficit = float((_at(bare, theta_m) - total)[clamped].max())
+        deficit = float((total_reflectance_at(model, theta_m) - total)[clamped].max())
         bsdf = vocabulary.add_warning(
             bsdf,
             f"the total reflectance lies up to {deficit:.4f} below the specular albedo of the facets at {where.size} wavelengths "
@@ -469,19 +270,18 @@ def trap_of(spectrum: xr.Dataset) -> float:
     return float(spectrum.attrs.get("specular_trap", SPECULAR_TRAP))
 
 
-def _trapped(bsdf: xr.Dataset, spectrum: xr.Dataset, theta_m: float) -> Array:
-    """What the facets mirror into the gloss trap, (wavelength or 1,); nothing where the specular was included.
+def _trapped(model: Model, spectrum: xr.Dataset, theta_m: float) -> Array:
+    """Light that the facets mirror into the gloss trap, (wavelength or 1,); 0 where the specular was included.
 
     A trap takes the light within a few degrees of the mirror direction; a rough surface mirrors most of it elsewhere, where
     the instrument collects it as if it were diffuse.
     """
     if spectrum.attrs["geometry"] != "sce":
         return np.zeros(1)
-    if bsdf.attrs["representation"] == "smooth":
-        return _at(bsdf, theta_m)
-    theta, phi, weight = hemisphere.around_mirror(theta_m, lobe_slope(bsdf), trap_of(spectrum))
-    brdf = evaluate(bsdf, np.full_like(theta, theta_m), np.zeros_like(phi), theta, phi, None)
-    return np.asarray(weight @ brdf)
+    if model.surface is None:
+        return total_reflectance_at(model, theta_m)
+    theta, phi, weight = hemisphere.around_mirror(theta_m, model.surface.median_slope, trap_of(spectrum))
+    return np.asarray(weight @ model.evaluate(np.full_like(theta, theta_m), np.zeros_like(phi), theta, phi))
 
 
 def _index_on(index: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array, Array | None, list[str]]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 
-from brdfpipe.bsdf.microfacet import lay
+from brdfpipe.bsdf.microfacet import anisotropic_quadrature as quadrature
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.facets.planar_density import Ellipse, PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
@@ -169,7 +169,7 @@ def _facets(
 ) -> tuple[Array, Array]:
     """The same for a surface with a lay."""
     assert not isinstance(surface.density, RadialDensity)
-    p, q, share = lay.facets(surface.density, theta_i, phi_i, critical)
+    p, q, share = quadrature.facet_rule(surface.density, theta_i, phi_i, critical)
     u = p * p + q * q
     theta, phi = np.radians(theta_i)[:, None], np.radians(phi_i)[:, None]
     cos_i, sin_i = np.maximum(np.cos(theta), _LEAST_COSINE), np.sin(theta)
@@ -243,7 +243,7 @@ class AlbedoTable:
         if self.phi is None:
             return np.clip(self._spline(grazing), 0.0, 1.0)
         assert self.ellipse is not None
-        at = np.arcsinh(grazing / _lay_scale(self.ellipse)), lay.position(self.ellipse, phi)
+        at = np.arcsinh(grazing / _lay_scale(self.ellipse)), quadrature.azimuth_to_arc(self.ellipse, phi)
         return np.clip(np.stack([each.ev(*at) for each in self._surfaces], axis=-1), 0.0, 1.0)
 
     def mean(self) -> Array:
@@ -253,7 +253,7 @@ class AlbedoTable:
         if self.phi is None:
             return np.asarray(weight @ self(np.degrees(theta)))
         assert self.ellipse is not None
-        around = lay.azimuths(self.ellipse, np.linspace(0.0, 360.0, 4 * self.phi.size, endpoint=False))
+        around = quadrature.arc_to_azimuth(self.ellipse, np.linspace(0.0, 360.0, 4 * self.phi.size, endpoint=False))
         width, _ = self.ellipse.towards(around)
         return np.asarray(
             weight @ np.einsum("tpl,p->tl", self(np.degrees(theta)[:, None], around), width / width.sum())
@@ -267,7 +267,7 @@ class AlbedoTable:
     def _surfaces(self) -> list[RectBivariateSpline]:
         assert self.phi is not None
         assert self.ellipse is not None
-        arc = lay.position(self.ellipse, self.phi)
+        arc = quadrature.azimuth_to_arc(self.ellipse, self.phi)
         order = np.argsort(arc)
         around = np.concatenate([order[-4:], order, order[:4]])
         grazing = np.arcsinh((90 - self.theta[::-1]) / _lay_scale(self.ellipse))
@@ -315,23 +315,23 @@ def _tabulated_lay(density: PlanarDensity, albedo: Callable[[Array, Array], Arra
     # A node right beside another would make the spline ring.
     apart = (np.abs(even[:, None] - wanted) > _LAY_STEP / 3).all(axis=1)
     grazing = np.unique(np.concatenate([even[apart], wanted]))
-    arcs = np.arange(0.0, 360.0, 90 / np.ceil(lay.quarter(ellipse) / _LAY_AZIMUTH))
+    arcs = np.arange(0.0, 360.0, 90 / np.ceil(quadrature.quarter_arc(ellipse) / _LAY_AZIMUTH))
 
     def on_net(grazing: Array, arcs: Array) -> tuple[Array, Array, Array]:
         """θ, φ and the albedo on a net, of a symmetric surface from one quarter."""
-        folded = np.minimum(arcs % 180, 180 - arcs % 180) if lay.symmetric(density) else arcs
+        folded = np.minimum(arcs % 180, 180 - arcs % 180) if quadrature.is_symmetric(density) else arcs
         distinct, where = np.unique(np.round(folded, 9), return_inverse=True)
         theta = np.clip(90 - scale * np.sinh(grazing), 0.0, 90.0)
-        polar, around = np.meshgrid(theta, lay.azimuths(ellipse, distinct), indexing="ij")
+        polar, around = np.meshgrid(theta, quadrature.arc_to_azimuth(ellipse, distinct), indexing="ij")
         values = albedo(polar.ravel(), around.ravel()).reshape(*polar.shape, -1)
-        return theta, lay.azimuths(ellipse, arcs), values[:, where]
+        return theta, quadrature.arc_to_azimuth(ellipse, arcs), values[:, where]
 
     theta, phi, values = on_net(grazing, arcs)
     theta[np.searchsorted(grazing, wanted)] = exact
     order = np.argsort(np.round(phi % 360, 9))
     table = AlbedoTable(theta[::-1], values[::-1][:, order], np.round(phi % 360, 9)[order], ellipse)
     # Of a surface without symmetry, for its cost, at every second azimuth.
-    probes = arcs[:: 1 if lay.symmetric(density) else 2] + arcs[1] / 2
+    probes = arcs[:: 1 if quadrature.is_symmetric(density) else 2] + arcs[1] / 2
     between, around, found = on_net((grazing[1:] + grazing[:-1]) / 2, probes)
     miss = np.abs(table(between[:, None], around) - found).max(axis=(1, 2))
     error = np.maximum(np.append(miss, 0.0), np.append(0.0, miss))[::-1]

@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 import xarray as xr
 
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, slope_towards, tan_half
@@ -20,6 +21,17 @@ Azimuth: TypeAlias = "Array | float"
 
 MASKINGS = (*VISIBILITY, "liu")
 """Every masking by name."""
+
+NOT_PHYSICAL = {
+    "crf": "hides facets from the viewer alone, so it is not reciprocal and does not keep energy",
+    "none": "hides no facet, so it does not keep energy",
+    "liu": "does not vanish at grazing",
+}
+"""Maskings of the sources that are known to break energy or reciprocity: chosen on purpose, they are warned about."""
+
+
+class ModelError(BrdfpipeError):
+    """A BSDF cannot be built from what was given."""
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,11 @@ class Model:
     transparent: bool
 
     @classmethod
-    def of(cls, bsdf: xr.Dataset, wavelength: Array | None) -> Model:
-        """The model of a ``bsdf`` dataset, representation ``microfacet`` or ``smooth``, at its own or other wavelengths [nm]."""
+    def of(cls, bsdf: xr.Dataset, wavelength: Array | None, surface: Microsurface | None = None) -> Model:
+        """The model of a ``bsdf`` dataset, representation ``microfacet`` or ``smooth``, at its own or other wavelengths [nm].
+
+        The ``surface`` of the dataset may be given prepared.
+        """
 
         def on(field: xr.DataArray) -> Array:
             values = at_wavelengths(field, wavelength)
@@ -58,8 +61,10 @@ class Model:
         phi = bsdf["phi_i"].values if "phi_i" in bsdf["directional_albedo"].dims else None
         ellipse = None if phi is None else Ellipse.of(bsdf)
         furnace = bsdf.get("furnace_albedo")
+        if surface is None and "slope_density" in bsdf:
+            surface = Microsurface.of(bsdf)
         return cls(
-            Microsurface.of(bsdf) if "slope_density" in bsdf else None,
+            surface,
             str(bsdf.attrs["masking"]),
             on(bsdf["n"]),
             on(bsdf["k"]),
@@ -70,8 +75,12 @@ class Model:
             None if furnace is None else AlbedoTable(theta, furnace.values[..., None], phi, ellipse),
             float(bsdf.get("mean_furnace_albedo", 1.0)),
             on(bsdf["compensation"]) if furnace is not None else np.zeros(1),
-            bsdf.attrs.get("transmission", "none") == "interface",
+            bsdf.attrs["transmission"] == "interface",
         )
+
+    @property
+    def isotropic(self) -> bool:
+        return self.albedo.phi is None
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF or BTDF in sr⁻¹, (directions…, wavelength)."""

@@ -17,7 +17,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from brdfpipe.bsdf.microfacet import energy, lay
+from brdfpipe.bsdf.microfacet import anisotropic_quadrature as quadrature
+from brdfpipe.bsdf.microfacet import energy
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, unit_vector
@@ -131,7 +132,7 @@ def _facets_facing(
     """Slopes along x and y of the facets of a quadrature that face (θ, φ), and their shares; φ = 0 of an isotropic surface."""
     if not isinstance(surface.density, RadialDensity):
         at = np.array([theta]), np.array([phi])
-        p, q, share = (each[0] for each in lay.facets(surface.density, *at, critical, mirroring=False))
+        p, q, share = (each[0] for each in quadrature.facet_rule(surface.density, *at, critical, mirroring=False))
         return p, q, share
     cot = 1 / np.tan(np.radians(max(theta, 1e-9)))
     reach = surface.density.slope[-1]

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.microfacet.builder import ModelError
+from brdfpipe.bsdf.microfacet.microsurface import ModelError
 from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.geometry import Array
 from brdfpipe.optics.index import interpolate_index, refractive_index

@@ -16,14 +16,14 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.microfacet.builder import ModelError
-from brdfpipe.bsdf.microfacet.microsurface import Microsurface
-from brdfpipe.bsdf.slab import layers
-from brdfpipe.bsdf.slab.body import Body, Mixture, Spectral, lagrange
-from brdfpipe.bsdf.slab.model import SIDES, SlabModel, share, surface_of
-from brdfpipe.bsdf.slab.pairs import Grid
-from brdfpipe.bsdf.slab.sheet import Resolution, resolution, sheet, tabulate
-from brdfpipe.facets.estimation import azimuthal_average
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
+from brdfpipe.bsdf.representations.slab import Slab
+from brdfpipe.bsdf.slab import adding_doubling
+from brdfpipe.bsdf.slab.body import Body, Spectral, lagrange
+from brdfpipe.bsdf.slab.lobe_table import LobeGrid
+from brdfpipe.bsdf.slab.model import SIDES
+from brdfpipe.bsdf.slab.tabulation import Resolution, resolution, sheet, tabulate
+from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.geometry import Array
 
 MASKING = ("height-correlated", "separable")
@@ -72,7 +72,7 @@ def build(
     Notes
     -----
     What the facets' model loses of the light it gives back diffusely on both sides (:func:`brdfpipe.bsdf.slab.face.rough`): energy closes
-    to rounding. Lobes narrower than :data:`brdfpipe.bsdf.slab.sheet.NARROWEST_THROUGH` are carried as specular inside and behind the
+    to rounding. Lobes narrower than :data:`brdfpipe.bsdf.slab.tabulation.NARROWEST_THROUGH` are carried as specular inside and behind the
     sheet, with a warning; how much light they hold stays exact. ``interpolation_error`` states the error between the nodes,
     ``quadrature_error`` by how much the operators of the faces were scaled to keep energy.
     """
@@ -84,7 +84,7 @@ def build(
     resolved = resolution(surfaces, float(body.n.min()))
     index_node, depth_node = body.index_nodes(), body.depth_nodes()
     sheets = [sheet(surfaces, masking, float(each), resolved) for each in index_node]
-    grid = Grid.of(float(np.degrees(resolved.scale)))
+    grid = LobeGrid.of(float(np.degrees(resolved.scale)))
     table, error = tabulate(
         sheets, (surfaces[0] is None, surfaces[1] is None), np.exp(-(depth_node**2)), resolved.modes, grid
     )
@@ -98,7 +98,7 @@ def build(
             "quadrature_error": max(each.correction for pair in sheets for each in (pair.front, pair.back)),
         },
         coords={"theta_low": grid.low, "index_node": index_node, "depth_node": depth_node},
-        attrs={"representation": "slab", "masking": masking, "transmission": "slab"},
+        attrs={"representation": Slab.name, "masking": masking, "transmission": "slab"},
     )
     if body.wavelength is not None:
         bsdf = bsdf.assign_coords(wavelength=body.wavelength)
@@ -110,65 +110,6 @@ def build(
     inherited = dict.fromkeys(text for each in averaged for text in vocabulary.warnings(each))
     texts = [*body.held, *inherited, *_warnings(surfaces, float(body.n.mean()), resolved, error)]
     return vocabulary.label(vocabulary.add_warning(bsdf, *texts), "bsdf")
-
-
-def evaluate(
-    bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
-) -> Array:
-    """BRDF or BTDF in sr⁻¹, (directions…, wavelength or 1), without its perfectly specular parts."""
-    return SlabModel.of(bsdf, wavelength).evaluate(theta_i, phi_i, theta_o, phi_o)
-
-
-def albedo(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-    """Reflectance to the side the light comes from [1], (incidences…, wavelength or 1), all that is specular included."""
-    return share(bsdf, "reflectance", theta_i, wavelength)
-
-
-def transmittance(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-    """Share of the light that leaves on the other side [1], (incidences…, wavelength or 1), all that is specular included."""
-    return share(bsdf, "transmittance", theta_i, wavelength)
-
-
-def specular(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
-    """Shares of the light in the one mirrored, and the one straight, direction [1], (incidences…, wavelength or 1) each."""
-    names = ("specular_reflectance", "specular_transmittance")
-    mirrored, straight = (share(bsdf, name, theta_i, wavelength) for name in names)
-    return mirrored, straight
-
-
-def isotropic(bsdf: xr.Dataset) -> bool:
-    """A slab is the same in all azimuths of incidence."""
-    return True
-
-
-def lobe_slope(bsdf: xr.Dataset) -> float:
-    """The slope that half of the facets of the smoother of the rough faces exceed [1]; of none, one below what anything resolves."""
-    found = [surface_of(bsdf, name) for name in SIDES]
-    return min((each.median_slope for each in found if each is not None), default=1e-6)
-
-
-def nonspectral(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
-    """The slab seen by a detector of spectral response ``weight`` (normalised, on the dataset's wavelengths).
-
-    What has been inside is averaged with the weight; what a face reflects at once takes the average index, to second order
-    in its spread.
-    """
-    if "wavelength" not in bsdf.coords:
-        return bsdf
-    mixture = Mixture.of(bsdf, None)
-    by_wavelength = bsdf["log_scattered"].values @ mixture.weights.T
-    mean = np.maximum(np.exp(by_wavelength) @ weight, 1e-300)
-    reduced = bsdf.drop_dims(["wavelength", "node", "index_node", "depth_node"]).assign(
-        {
-            name: (field.dims[:-1], field.values @ weight)
-            for name, field in bsdf.data_vars.items()
-            if "wavelength" in field.dims
-        }
-    )
-    nodes = {"index_node": [float(reduced["n"])], "depth_node": [0.0]}
-    reduced = reduced.assign_coords(nodes)
-    dims = ("path", "theta_low", "span", "turn", "node")
-    return vocabulary.label(reduced.assign(log_scattered=(dims, np.log(mean)[..., None].astype(np.float32))), "bsdf")
 
 
 # --- what was given
@@ -196,7 +137,7 @@ def _with_face(bsdf: xr.Dataset, name: str, facets: xr.Dataset) -> xr.Dataset:
     )
 
 
-def _with_balance(bsdf: xr.Dataset, sheets: list[layers.Sheet]) -> xr.Dataset:
+def _with_balance(bsdf: xr.Dataset, sheets: list[adding_doubling.Sheet]) -> xr.Dataset:
     """Add where the light goes, its specular parts, and what the faces return diffusely, at the nodes of the quadrature."""
     n, inside = (np.atleast_1d(bsdf[name].values) for name in ("n", "internal_transmittance"))
     by_index = lagrange(bsdf["index_node"].values, n)
@@ -216,12 +157,12 @@ def _field(angle: str, values: Array) -> tuple[tuple[str, ...], Array]:
     return ((angle,), values[:, 0]) if values.shape[1] == 1 else ((angle, "wavelength"), values)
 
 
-def _shares(each: layers.Sheet, transmittance: float) -> Array:
+def _shares(each: adding_doubling.Sheet, transmittance: float) -> Array:
     """Reflected, transmitted, absorbed, mirrored and straight shares, (5, 2N) from the front and then the back."""
-    sharp = layers.straight(each, transmittance)
+    sharp = adding_doubling.straight(each, transmittance)
     sides = []
     for balance, lit, rough, inner in zip(
-        layers.balances(each, transmittance),
+        adding_doubling.balances(each, transmittance),
         (each.front, each.back),
         (each.front.total_loss > 0, each.back.total_loss > 0),
         (sharp.front, sharp.back),

@@ -9,8 +9,7 @@ import xarray as xr
 
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.slab.body import Mixture
-from brdfpipe.bsdf.slab.pairs import Grid, barycentric
-from brdfpipe.bsdf.slab.sheet import fading
+from brdfpipe.bsdf.slab.lobe_table import LobeGrid, barycentric, grazing_factor
 from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.geometry import Array, half_vector
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
@@ -37,22 +36,27 @@ class SlabModel:
     surfaces: tuple[Microsurface | None, Microsurface | None]
     masking: str
     mixture: Mixture
-    grid: Grid
+    grid: LobeGrid
     table: Array
     nodes: Array
     diffuse: tuple[Array, Array]
 
     @classmethod
-    def of(cls, bsdf: xr.Dataset, wavelength: Array | None) -> SlabModel:
-        """The model of a ``bsdf`` dataset, representation ``slab``, at its own or other wavelengths [nm]."""
+    def of(
+        cls,
+        bsdf: xr.Dataset,
+        wavelength: Array | None,
+        surfaces: tuple[Microsurface | None, Microsurface | None] | None = None,
+    ) -> SlabModel:
+        """The model of a ``bsdf`` dataset, representation ``slab``, at its own or other wavelengths [nm]; faces may be given prepared."""
         front, back = (
             at_wavelengths(bsdf[f"{name}_diffuse"], wavelength).reshape(bsdf.sizes["theta"], -1) for name in SIDES
         )
         return cls(
-            (surface_of(bsdf, "front"), surface_of(bsdf, "back")),
+            surfaces or (surface_of(bsdf, "front"), surface_of(bsdf, "back")),
             str(bsdf.attrs["masking"]),
             Mixture.of(bsdf, wavelength),
-            Grid(bsdf["theta_low"].values, bsdf.sizes["span"], bsdf.sizes["turn"], float(bsdf["lobe_scale"])),
+            LobeGrid(bsdf["theta_low"].values, bsdf.sizes["span"], bsdf.sizes["turn"], float(bsdf["lobe_scale"])),
             bsdf["log_scattered"].values,
             bsdf["theta"].values,
             (front, back),
@@ -79,7 +83,7 @@ class SlabModel:
         path = np.where(behind_i != behind_o, crossing, np.where(behind_i, 1, 0))
         logarithm = self.grid.interpolate(self.table, path, low, high, phi) @ self.mixture.weights.T
         smooth = (self.surfaces[0] is None, self.surfaces[1] is None)
-        result = np.exp(logarithm) * fading(smooth, path, low, high)[:, None]
+        result = np.exp(logarithm) * grazing_factor(smooth, path, low, high)[:, None]
         for side, surface in enumerate(self.surfaces):
             here = path == side
             if surface is not None and here.any():

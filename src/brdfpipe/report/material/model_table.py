@@ -5,7 +5,7 @@ from __future__ import annotations
 import xarray as xr
 
 from brdfpipe.appearance.multiple_scattering import MultipleScattering, multiple_scattering
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.report.cards import Table
 from brdfpipe.report.formatting import percent
 from brdfpipe.report.plots.bsdf_sections import REFERENCE_WAVELENGTH
@@ -27,7 +27,7 @@ _TITLES = {
 def model_table(bsdf: xr.Dataset) -> Table:
     """Choices of the model, with a note on multiple scattering."""
     rows = [(title, str(bsdf.attrs[name])) for name, title in _TITLES.items() if name in bsdf.attrs]
-    several = None if representations.transmits(bsdf) else multiple_scattering(bsdf, REFERENCE_WAVELENGTH)
+    several = None if representation(bsdf).transmits else multiple_scattering(bsdf, REFERENCE_WAVELENGTH)
     if several is None:  # the balance of the light covers what transmits
         return Table("Model", ("Choice", "Value"), rows)
     masking = str(bsdf.attrs["masking"])

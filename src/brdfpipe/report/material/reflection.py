@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import xarray as xr
 
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.report.material.gloss_table import gloss_table
 from brdfpipe.report.material.model_table import model_table
@@ -18,7 +18,7 @@ from brdfpipe.report.plots.svg import sentence
 def reflection_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     """What the BRDF, and the BTDF where there is one, look like, and the gloss that follows."""
     bsdf = datasets.get("bsdf")
-    transmits = bsdf is not None and representations.transmits(bsdf)
+    transmits = bsdf is not None and representation(bsdf).transmits
     section = Section("Reflection and transmission" if transmits else "Reflection")
     if bsdf is not None:
         try:

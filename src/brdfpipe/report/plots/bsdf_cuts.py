@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.report.formatting import share_percent
 from brdfpipe.report.plots import bsdf_sections, measurement_coverage
 from brdfpipe.report.plots.bsdf_sections import Plane
@@ -60,7 +60,7 @@ def cuts(bsdf: xr.Dataset) -> list[Figure]:
 
     A goniometric plot comes first where one plane says all. A sentence stands in for what has no density.
     """
-    passes, planes = representations.transmits(bsdf), bsdf_sections.planes(bsdf)
+    passes, planes = representation(bsdf).transmits, bsdf_sections.planes(bsdf)
     mirrored, straight = bsdf_sections.specular(bsdf, np.array(INCIDENCES))
     above = [_cuts(bsdf, plane, through=False) for plane in planes]
     below = [_cuts(bsdf, plane, through=True) for plane in planes] if passes else []
@@ -154,7 +154,7 @@ def _cartesian(
 
 def _about_mirror(bsdf: xr.Dataset, planes: Sequence[Plane], cuts_by_plane: Sequence[Sequence[_Cut]]) -> list[Figure]:
     """The lobe against the angle from the mirror direction, where it is too narrow for the other charts."""
-    slope, decades = representations.lobe_slope(bsdf), _decades([cut for cuts in cuts_by_plane for cut in cuts])
+    slope, decades = representation(bsdf).lobe_slope, _decades([cut for cuts in cuts_by_plane for cut in cuts])
     if slope is None or slope > _NARROW or decades is None:
         return []
     nearest = max(1e-3, 10.0 ** math.floor(math.log10(math.degrees(slope) / 4)))
@@ -179,7 +179,7 @@ _FROM = {"BRDF": "angle of view θₒ", "BTDF": "180° − θₒ"}
 
 
 def _inside(bsdf: xr.Dataset, quantity: str) -> str:
-    if quantity == "BRDF" or bsdf.attrs.get("transmission") != "interface":
+    if quantity == "BRDF" or not representation(bsdf).is_interface:
         return ""
     return " The light is inside the body; its radiance is n² times that in air."
 

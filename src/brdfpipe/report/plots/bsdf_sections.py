@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.report.plots.svg import Array
 
 REFERENCE_WAVELENGTH = 550.0
@@ -19,9 +19,6 @@ REFERENCE_WAVELENGTH = 550.0
 
 DARKEST = 1e-12
 """BSDF below which there is no light, but the rounding of some interpolation; sr-1."""
-
-_BASE = ("diffuse", "lambert")
-"""Variables that hold the light from below the facets, by representation."""
 
 _WIDEST_STEP = 0.02
 """Distance from a peak at which a cut of unknown lobe is sampled first, degree."""
@@ -41,7 +38,7 @@ class Plane(NamedTuple):
 
 def planes(bsdf: xr.Dataset) -> list[Plane]:
     """The plane of incidence, or with a lay the one along it and the one across it."""
-    if representations.isotropic(bsdf):
+    if representation(bsdf).isotropic:
         return [Plane(0.0, "")]
     if "lay" not in bsdf or not np.isfinite(bsdf["lay"]):
         return [Plane(0.0, "towards azimuth 0°"), Plane(90.0, "towards azimuth 90°")]
@@ -67,7 +64,7 @@ def value(bsdf: xr.Dataset, plane: Plane, incidence: ArrayLike, theta_o: ArrayLi
     theta_o, turn : polar angle, and azimuth from the one away from the source; degree, broadcastable
     """
     angles = directions(plane, incidence, theta_o, turn)
-    values = representations.representation(bsdf).evaluate(bsdf, *angles, reference(bsdf))[..., 0].astype(float)
+    values = representation(bsdf).evaluate(*angles, reference(bsdf))[..., 0].astype(float)
     return np.where(np.abs(values) < DARKEST, 0.0, values)
 
 
@@ -84,7 +81,7 @@ def cut(bsdf: xr.Dataset, plane: Plane, incidence: float, *, through: bool = Fal
     Angles from the normal (the one below the surface where the light passes) in degree, negative on the side of the source, and
     values [sr-1]; crowded about the directions in which a smooth surface would send the light
     """
-    slope = representations.lobe_slope(bsdf)
+    slope = representation(bsdf).lobe_slope
     first = _WIDEST_STEP if slope is None else float(np.clip(np.degrees(slope) / 4, 1e-4, _WIDEST_STEP))
     offsets = np.geomspace(first, 20, 44)
     peaks = smooth_angles(bsdf, incidence) if through else np.array([incidence])
@@ -101,42 +98,27 @@ def in_plane(theta: Array, *, through: bool = False) -> tuple[Array, Array]:
 
 def smooth_angles(bsdf: xr.Dataset, incidence: float) -> Array:
     """Angles from the lower normal [degree] at which light from above would pass a smooth surface: refracted, and straight on."""
-    refracted = 180 - float(representations.refracted(bsdf, np.array(incidence), reference(bsdf)))
+    refracted = 180 - float(representation(bsdf).refracted(np.array(incidence), reference(bsdf)))
     return np.unique(np.array([refracted, incidence]).round(6))
 
 
 def reflectance(bsdf: xr.Dataset, plane: Plane, incidence: Array) -> Array:
     """Share of the light that is reflected [1], at the reference wavelength."""
     phi = np.full_like(incidence, plane.azimuth + 180)
-    return np.asarray(representations.albedo(bsdf, incidence, phi, reference(bsdf)), dtype=float)[..., 0]
+    return np.asarray(representation(bsdf).albedo(incidence, phi, reference(bsdf)), dtype=float)[..., 0]
 
 
 def transmittance(bsdf: xr.Dataset, plane: Plane, incidence: Array) -> Array:
     """Share of the light that passes [1], at the reference wavelength."""
     phi = np.full_like(incidence, plane.azimuth + 180)
-    return np.asarray(representations.transmittance(bsdf, incidence, phi, reference(bsdf)), dtype=float)[..., 0]
+    return np.asarray(representation(bsdf).transmittance(incidence, phi, reference(bsdf)), dtype=float)[..., 0]
 
 
 def specular(bsdf: xr.Dataset, incidence: Array) -> tuple[Array, Array]:
     """Shares of the light that perfectly smooth surfaces send into one direction: reflected, and passed [1]."""
-    shares = representations.specular(bsdf, incidence, np.zeros_like(incidence), reference(bsdf))
+    shares = representation(bsdf).specular(incidence, np.zeros_like(incidence), reference(bsdf))
     mirrored, straight = (np.asarray(share, dtype=float)[..., 0] for share in shares)
     return mirrored, straight
-
-
-def facets_alone(bsdf: xr.Dataset) -> xr.Dataset | None:
-    """The same BSDF without the light from below the facets; None where a representation does not hold it apart."""
-    base = {name: xr.zeros_like(bsdf[name]) for name in _BASE if name in bsdf}
-    return bsdf.assign(base) if base else None
-
-
-def once_reflected(bsdf: xr.Dataset) -> xr.Dataset | None:
-    """The facets alone, without what leaves them after several reflections; None where nothing of that is in it."""
-    facets = facets_alone(bsdf)
-    return facets.drop_vars("furnace_albedo") if facets is not None and "furnace_albedo" in facets else None
-
-
-# --- wavelength
 
 
 def reference(dataset: xr.Dataset) -> Array | None:

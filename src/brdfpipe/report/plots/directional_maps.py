@@ -10,7 +10,7 @@ import xarray as xr
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.report.formatting import fixed, number
 from brdfpipe.report.plots import bsdf_sections, measurement_coverage
 from brdfpipe.report.plots.bsdf_sections import Plane
@@ -32,7 +32,7 @@ _FLAT = 1.02
 
 def directional_maps(bsdf: xr.Dataset) -> Iterator[Figure]:
     """The BRDF, and the BTDF where light passes, over all outgoing directions; with a lay, along and across it."""
-    for through in (False, True) if representations.transmits(bsdf) else (False,):
+    for through in (False, True) if representation(bsdf).transmits else (False,):
         for plane in bsdf_sections.planes(bsdf):
             figure = _map(bsdf, plane, through)
             if figure is not None:  # no density: the cuts say so
@@ -115,9 +115,9 @@ def _colours(positive: Array) -> tuple[float, float, int]:
 
 
 def _map_words(bsdf: xr.Dataset, plane: Plane, through: bool, peak: float, dark: bool) -> str:
-    slope = representations.lobe_slope(bsdf)
+    slope = representation(bsdf).lobe_slope
     mirrored = bsdf_sections.specular(bsdf, np.array([MAP_INCIDENCE]))[int(through)].any()
-    refracted = bsdf.attrs.get("transmission") == "interface"
+    refracted = representation(bsdf).is_interface
     marked = (
         "the mirror direction" if not through else "the refracted direction" if refracted else "the straight direction"
     )

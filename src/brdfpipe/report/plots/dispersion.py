@@ -10,8 +10,9 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import representations
 from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
+from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.facets.analytic_distributions import flat
 from brdfpipe.optics.dispersion import KEPT
 from brdfpipe.report.formatting import number
@@ -36,9 +37,6 @@ _MOST_RATIO = 30.0
 
 _SMALL = 1e-3
 """Largest value below which an axis counts in powers of ten."""
-
-_WITH_INDEX = ("microfacet", "smooth", "slab")
-"""Representations that hold the index they were built with."""
 
 _FITTED_FROM = re.compile(r"fitted from ([0-9.]+) nm, was extrapolated to")
 """How the history of an index tells of its extrapolated part (:func:`brdfpipe.optics.dispersion.sampled`)."""
@@ -159,19 +157,19 @@ def _range_words(index: xr.Dataset) -> str:
 
 def _neutral(bsdf: xr.Dataset | None) -> _Neutral | None:
     """None where a BSDF has no index over wavelength."""
-    if bsdf is None or bsdf.attrs["representation"] not in _WITH_INDEX or bsdf["n"].dims != ("wavelength",):
+    if bsdf is None or not representation(bsdf).uses_index or bsdf["n"].dims != ("wavelength",):
         return None
-    weight = representations.normalised(bsdf)
+    weight = normalised_response(bsdf)
     assert weight is not None
     about = float(weight @ bsdf["wavelength"].values)
-    if bsdf.attrs["representation"] == "slab":
+    if representation(bsdf).is_slab:
         return _Neutral(float(weight @ bsdf["n"].values), 0.0, about)
     # The same body, polished: its index is averaged alike, in a twelfth of the time.
     own = xr.Dataset(
         {name: ("wavelength", bsdf[name].values) for name in ("n", "k")}, {"wavelength": bsdf["wavelength"]}
     )
     polished = build_microfacet(flat(), index=vocabulary.label(own.assign_attrs(source="own"), "index"))
-    reduced = representations.nonspectral(polished, weight)
+    reduced = nonspectral(polished, weight)
     return _Neutral(float(reduced["n"]), float(reduced["k"]), about)
 
 

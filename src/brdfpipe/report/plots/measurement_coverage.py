@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.hemisphere import around_mirror
 from brdfpipe.report.formatting import number
 from brdfpipe.report.plots import bsdf_sections
@@ -34,10 +34,10 @@ def quality(
     bsdf: xr.Dataset, plane: Plane, incidence: ArrayLike, theta_o: ArrayLike, turn: ArrayLike
 ) -> NDArray[np.int8] | None:
     """Where values come from, of ``QUALITY_FLAGS``; arguments as of :func:`.scattering.value`. None of a BSDF that rests on a model."""
-    module = representations.representation(bsdf)
-    if not hasattr(module, "quality"):
+    evaluator = representation(bsdf)
+    if not evaluator.states_quality:
         return None
-    return np.asarray(module.quality(bsdf, *bsdf_sections.directions(plane, incidence, theta_o, turn)), dtype=np.int8)
+    return np.asarray(evaluator.quality(*bsdf_sections.directions(plane, incidence, theta_o, turn)), dtype=np.int8)
 
 
 def at_mirror(
@@ -86,7 +86,9 @@ def words(bsdf: xr.Dataset, plane: Plane, shown: Sequence[float], *, through: bo
         return np.divide(u, value, out=np.full_like(u, np.nan), where=value > 0)
 
     unknown = _unknown(bsdf, plane, theta, through)
-    uncertainty = _listed(unknown, relative(unknown)) if unknown.size and representations.has_uncertainty(bsdf) else ""
+    uncertainty = (
+        _listed(unknown, relative(unknown)) if unknown.size and representation(bsdf).states_uncertainty else ""
+    )
     return _sentence(
         bsdf, plane, where, through, f" (standard uncertainty there: {uncertainty})" if uncertainty else ""
     )
@@ -96,7 +98,7 @@ def reflectance_words(bsdf: xr.Dataset, plane: Plane, shown: Sequence[float]) ->
     """The same of the directional reflectance: its uncertainty is as if all directions were off together, which is the most it can be."""
     unknown = _unknown(bsdf, plane, np.asarray(shown, dtype=float), False)
     uncertainty = ""
-    if unknown.size and representations.has_uncertainty(bsdf):
+    if unknown.size and representation(bsdf).states_uncertainty:
         most = [_reflectance_uncertainty(bsdf, plane, angle) for angle in unknown.tolist()]
         uncertainty = f" (standard uncertainty of the reflectance there: at most {_listed(unknown, np.array(most))})"
     return _sentence(bsdf, plane, "in the mirror direction", False, uncertainty)
@@ -129,12 +131,12 @@ def _percent(share: float) -> str:
 
 def _uncertainty(bsdf: xr.Dataset, plane: Plane, incidence: ArrayLike, theta_o: ArrayLike, turn: ArrayLike) -> Array:
     angles = bsdf_sections.directions(plane, incidence, theta_o, turn)
-    return representations.uncertainty(bsdf, *angles, bsdf_sections.reference(bsdf))[..., 0]
+    return representation(bsdf).uncertainty(*angles, bsdf_sections.reference(bsdf))[..., 0]
 
 
 def _reflectance_uncertainty(bsdf: xr.Dataset, plane: Plane, incidence: float) -> float:
     """Relative, as if all directions were off together."""
-    to = around_mirror(incidence, representations.lobe_slope(bsdf) or _SLOPE, order=3, turns=8)
+    to = around_mirror(incidence, representation(bsdf).lobe_slope or _SLOPE, order=3, turns=8)
     # The rule's azimuths are those of light that comes from 0; both halves are asked, as the BSDF need not be even.
     either = np.concatenate([to.phi - 180, 180 - to.phi]), np.tile(to.theta, 2)
     u, value = (

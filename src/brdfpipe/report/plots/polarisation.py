@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import half_vector
 from brdfpipe.report.plots import bsdf_sections
 from brdfpipe.report.plots.directional_maps import (
@@ -24,11 +25,7 @@ POLARISED_INCIDENCE = 60.0
 def polarisation(bsdf: xr.Dataset) -> Figure | None:
     """Degree of polarisation of the light reflected from unpolarised light; None where a BSDF cannot tell."""
     plane = bsdf_sections.planes(bsdf)[0]
-    if (
-        not {"n", "k"} <= set(bsdf)
-        or bsdf.attrs.get("transmission") == "slab"
-        or (facets := _single_reflection(bsdf)) is None
-    ):
+    if not {"n", "k"} <= set(bsdf) or representation(bsdf).is_slab or (facets := _single_reflection(bsdf)) is None:
         return None
     title = f"Degree of polarisation, {POLARISED_INCIDENCE:g}° incidence" + (f" {plane.words}" if plane.words else "")
     if bsdf_sections.specular(bsdf, np.array([POLARISED_INCIDENCE]))[0].any():
@@ -67,8 +64,8 @@ def polarisation(bsdf: xr.Dataset) -> Figure | None:
 
 def _single_reflection(bsdf: xr.Dataset) -> xr.Dataset | None:
     """The part of a BSDF that keeps the polarisation a facet gives."""
-    once = bsdf_sections.once_reflected(bsdf)
-    return once if once is not None else bsdf_sections.facets_alone(bsdf)
+    once = representation(bsdf).single_reflection()
+    return once if once is not None else representation(bsdf).without_diffuse()
 
 
 def _has_base(bsdf: xr.Dataset) -> bool:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from brdfpipe.bsdf import representations
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.report.formatting import fixed, number, share_percent
 from brdfpipe.report.plots import bsdf_sections, measurement_coverage
 from brdfpipe.report.plots.bsdf_cuts import INCIDENCES
@@ -40,7 +40,7 @@ def shares(checks: xr.Dataset | None, bsdf: xr.Dataset | None) -> list[Figure]:
     """
     if bsdf is None:
         return _checked(checks)
-    if representations.transmits(bsdf):
+    if representation(bsdf).transmits:
         return [_balance(bsdf, plane) for plane in bsdf_sections.planes(bsdf)]
     marks: list[Line] = []
     drawn: list[Line] = []
@@ -135,7 +135,7 @@ def reflectance_parts(bsdf: xr.Dataset, plane: Plane, theta: Array) -> Reflectan
     """
     total = bsdf_sections.reflectance(bsdf, plane, theta)
     mirrored, _ = bsdf_sections.specular(bsdf, theta)
-    facets, once = bsdf_sections.facets_alone(bsdf), bsdf_sections.once_reflected(bsdf)
+    facets, once = representation(bsdf).without_diffuse(), representation(bsdf).single_reflection()
     if facets is None:
         return ReflectanceParts(total, mirrored, None, None, None)
     of_surface = bsdf_sections.reflectance(facets, plane, theta)
@@ -222,7 +222,7 @@ def balance_words(theta: Array, reflected: Array, passed: Array, total: float | 
 
 def _incidences(bsdf: xr.Dataset) -> Array:
     """Angles of incidence; fewer where each costs more."""
-    needed = ("albedo", "transmittance") if representations.transmits(bsdf) else ("albedo",)
-    if not all(hasattr(representations.representation(bsdf), name) for name in needed):
+    evaluator = representation(bsdf)
+    if evaluator.albedo_needs_quadrature or (evaluator.transmits and evaluator.transmittance_needs_quadrature):
         return _GRAZING_FEW
-    return GRAZING if representations.isotropic(bsdf) else _GRAZING_LAY
+    return GRAZING if evaluator.isotropic else _GRAZING_LAY

@@ -6,8 +6,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import hemisphere
-from brdfpipe.bsdf import representations
-from brdfpipe.report.plots import bsdf_sections
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.report.plots.svg import (
     Array,
     Axis,
@@ -92,11 +91,11 @@ def _spectrum_words(spectral: xr.Dataset, completed: bool) -> str:
 
 def _specular_part(bsdf: xr.Dataset | None, wavelength: Array) -> Array | None:
     """What the facets mirror at the incidence of the measurement, mean over the azimuths of a lay."""
-    if bsdf is None or "theta_m" not in bsdf or (facets := bsdf_sections.facets_alone(bsdf)) is None:
+    if bsdf is None or "theta_m" not in bsdf or (facets := representation(bsdf).without_diffuse()) is None:
         return None
-    azimuth = hemisphere.azimuths(representations.isotropic(bsdf))
+    azimuth = hemisphere.azimuths(representation(bsdf).isotropic)
     incidence = np.full(azimuth.size, float(bsdf["theta_m"]))
-    part = representations.albedo(facets, incidence, azimuth, None).mean(axis=0)
+    part = representation(facets).albedo(incidence, azimuth, None).mean(axis=0)
     if not part.any():
         return None
     if part.size == 1:

@@ -11,6 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.measured import Measured
 from brdfpipe.report.cards import Table
 from brdfpipe.report.formatting import MISSING, fixed, number
 from brdfpipe.report.plots.indicatrix import indicatrix
@@ -164,7 +166,7 @@ def _warnings(datasets: Mapping[str, xr.Dataset]) -> list[str]:
 
 
 def _reciprocity(datasets: Mapping[str, xr.Dataset], measured_sides: Sequence[Side]) -> Figure | None:
-    completed = [bsdf for bsdf in _of_kind(datasets, "bsdf") if bsdf.attrs.get("representation") == "rig"]
+    completed = [bsdf for bsdf in _of_kind(datasets, "bsdf") if isinstance(representation(bsdf), Measured)]
     reflected = [side.smoothed for side in measured_sides if side.name == "reflection"]
     return rig_reciprocity.figure(completed[0], reflected[0]) if completed and reflected else None
 

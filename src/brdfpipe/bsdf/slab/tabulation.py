@@ -1,4 +1,4 @@
-"""How finely a slab must be resolved, and the table of what has been inside it."""
+"""The resolution that the lobes of a slab need, and the table of the light that has been inside it."""
 
 from __future__ import annotations
 
@@ -7,19 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
-from brdfpipe.bsdf.slab import face, layers
-from brdfpipe.bsdf.slab.layers import Sheet
-from brdfpipe.bsdf.slab.nodes import Azimuths, Nodes
-from brdfpipe.bsdf.slab.pairs import Grid
+from brdfpipe.bsdf.slab import adding_doubling, face
+from brdfpipe.bsdf.slab.adding_doubling import Sheet
+from brdfpipe.bsdf.slab.face import Azimuths, Nodes
+from brdfpipe.bsdf.slab.lobe_table import PATH_ENDS, LobeGrid, grazing_factor
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 
 MOST_NODES, MOST_BEYOND, MOST_MODES = 160, 96, 400
 NARROWEST_THROUGH, NARROWEST_WITHIN = 0.018, 0.02
 """Half widths of a transmitted lobe outside, and slopes of a face seen from inside, below which they are taken for sharp [1]."""
-
-ENDS = ((0, 0), (1, 1), (0, 1), (1, 0))
-"""The faces, front 0 and back 1, at which the smaller and the larger angle lie, for each path of a table."""
 
 _MODES_AT_ONCE = 16
 _FLOOR = 1e-9
@@ -99,17 +96,10 @@ def sheet(
     return Sheet(faces[0], faces[1], nodes, azimuths)
 
 
-def fading(smooth: tuple[bool, bool], path: Array, low: Array, high: Array) -> Array:
-    """What is left out of a table: cos θ at a smooth face, where all that has been inside goes out towards grazing."""
-    at_smooth = np.array(smooth)[np.array(ENDS)][path]
-    by_angle = (np.where(at_smooth[..., k], np.cos(np.radians(each)), 1.0) for k, each in enumerate((low, high)))
-    return np.asarray(np.maximum(next(by_angle) * next(by_angle), 0.0))
-
-
 def tabulate(
-    sheets: list[Sheet], smooth: tuple[bool, bool], transmittances: Array, count: int, grid: Grid
+    sheets: list[Sheet], smooth: tuple[bool, bool], transmittances: Array, count: int, grid: LobeGrid
 ) -> tuple[Array, float]:
-    """Logarithm of the BSDF of what has been inside, less its :func:`fading`, and the error of its interpolation.
+    """Logarithm of the BSDF of what has been inside, less its :func:`brdfpipe.bsdf.slab.lobe_table.grazing_factor`, and the error of its interpolation.
 
     Parameters
     ----------
@@ -128,13 +118,13 @@ def tabulate(
     """
     outside = sheets[0].nodes.outside
     span, turn = np.linspace(0, 1, grid.spans), np.linspace(0, 1, grid.turns)
-    on_grid = _Pairs.of(grid, grid.low, span, turn, outside)
+    on_grid = _PairSums.of(grid, grid.low, span, turn, outside)
     between = [(each[1:] + each[:-1]) / 2 for each in (grid.low, span, turn)]
-    checked = _Pairs.of(grid, between[0][::_CHECKED], between[1], between[2], outside)
-    left_out = np.stack([fading(smooth, np.array(path), outside[:, None], outside) for path in range(len(ENDS))])[
-        :, None
-    ]
-    straights = [[layers.straight(each, float(t)) for t in transmittances] for each in sheets]
+    checked = _PairSums.of(grid, between[0][::_CHECKED], between[1], between[2], outside)
+    left_out = np.stack(
+        [grazing_factor(smooth, np.array(path), outside[:, None], outside) for path in range(len(PATH_ENDS))]
+    )[:, None]
+    straights = [[adding_doubling.straight(each, float(t)) for t in transmittances] for each in sheets]
     values, exact = np.zeros(()), np.zeros(())
     for start in range(0, count, _MODES_AT_ONCE):
         modes = np.arange(start, min(start + _MODES_AT_ONCE, count), dtype=float)
@@ -142,7 +132,7 @@ def tabulate(
             [
                 _densities(part, delta, each.nodes.outer_weight) / left_out
                 for each, deltas in zip(sheets, straights, strict=True)
-                for part, delta in zip(layers.scattered(each, modes, transmittances), deltas, strict=True)
+                for part, delta in zip(adding_doubling.scattered(each, modes, transmittances), deltas, strict=True)
             ]
         )
         # The last modes fade out, lest what is cut off ring.
@@ -153,7 +143,7 @@ def tabulate(
     return table, checked.error(grid, smooth, table, exact)
 
 
-def _densities(part: layers.Scattered, delta: layers.Straight, weight: Array) -> Array:
+def _densities(part: adding_doubling.Scattered, delta: adding_doubling.Straight, weight: Array) -> Array:
     """BSDF of each mode between the nodes, (paths, modes, N, N), the smaller angle's node first."""
     roots = np.sqrt(np.multiply.outer(weight, weight))
     front, back, through = ((matrix - np.diag(straight)) / roots for matrix, straight in zip(part, delta, strict=True))
@@ -175,7 +165,7 @@ def _splines(nodes: Array, x: Array) -> Array:
     return np.asarray(make_interp_spline(nodes, np.eye(nodes.size), k=5)(x))
 
 
-class _Pairs(NamedTuple):
+class _PairSums(NamedTuple):
     """Pairs of directions at which a BSDF given by its modes between nodes is summed."""
 
     low: Array
@@ -185,7 +175,7 @@ class _Pairs(NamedTuple):
     columns: Array
 
     @classmethod
-    def of(cls, grid: Grid, low: Array, span: Array, turn: Array, nodes: Array) -> _Pairs:
+    def of(cls, grid: LobeGrid, low: Array, span: Array, turn: Array, nodes: Array) -> _PairSums:
         high, azimuth = grid.directions(low, span, turn)
         return cls(low, high, azimuth, _splines(nodes, low), _splines(nodes, high))
 
@@ -198,7 +188,7 @@ class _Pairs(NamedTuple):
         summed = cosine @ pairs.reshape(*pairs.shape[:3], paths * count)
         return np.moveaxis(summed.reshape(*self.azimuth.shape, paths, count), 3, 0)
 
-    def error(self, grid: Grid, smooth: tuple[bool, bool], table: Array, exact: Array) -> float:
+    def error(self, grid: LobeGrid, smooth: tuple[bool, bool], table: Array, exact: Array) -> float:
         """Largest over the incidences and paths of Σ |interpolated − exact| over Σ exact, weighted by flux, over half the azimuths."""
         low, high = (np.broadcast_to(each[..., None], self.azimuth.shape) for each in (self.low[:, None], self.high))
         projected = np.radians(np.gradient(self.high, axis=1)) * np.sin(2 * np.radians(self.high)) / 2
@@ -208,7 +198,7 @@ class _Pairs(NamedTuple):
             which = np.full(low.size, path)
             found = grid.interpolate(table, which, low.ravel(), high.ravel(), self.azimuth.ravel())
             found = np.exp(found).reshape(exact.shape[1:])
-            flux = (weight * fading(smooth, np.array(path), low, high))[..., None]
+            flux = (weight * grazing_factor(smooth, np.array(path), low, high))[..., None]
             missed = (flux * np.abs(found - exact[path])).sum(axis=(1, 2))
             total = (flux * np.abs(exact[path])).sum(axis=(1, 2))
             worst = max(worst, float(np.max(missed / np.maximum(total, _LEAST_SHARE / 2))))

@@ -10,14 +10,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from brdfpipe import facets
-from brdfpipe.bsdf import lambert_gauss, microfacet, representations
+from brdfpipe.bsdf import lambert_gauss, microfacet
+from brdfpipe.bsdf.registry import representation
 
 THETA = np.array([0.0, 8.0, 30.0, 60.0, 80.0, 85.0, 89.0])
 
 
 def quadrature(bsdf, theta, phi=0.0, **options):
     theta = np.atleast_1d(np.asarray(theta, dtype=float))
-    return representations.integrated(bsdf, theta, np.full_like(theta, phi), None, **options)
+    return representation(bsdf).integrate(theta, np.full_like(theta, phi), None, **options)
 
 
 @pytest.mark.parametrize("a", [1e-4, 1e-3, 0.01, 0.1, 1.0])
@@ -25,7 +26,7 @@ def test_a_lobe_of_any_width_is_integrated_without_being_told_the_width(a):
     # Against the model's own albedo, an integral over the facets.
     bsdf = microfacet.build(facets.analytic("beckmann", a), index=1.55)
     found = quadrature(bsdf, THETA)
-    own = representations.albedo(bsdf, THETA, np.zeros_like(THETA), None)
+    own = representation(bsdf).albedo(THETA, np.zeros_like(THETA), None)
     assert found.value == pytest.approx(own, rel=2e-6)
     assert (found.error <= 1.001e-6 * found.value).all()
 
@@ -33,7 +34,7 @@ def test_a_lobe_of_any_width_is_integrated_without_being_told_the_width(a):
 def test_a_lay_is_integrated_all_round():
     bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.05, a_y=0.3, azimuth=25.0), index=1.5)
     for phi in (0.0, 70.0):
-        own = representations.albedo(bsdf, np.array([55.0]), np.array([phi]), None)
+        own = representation(bsdf).albedo(np.array([55.0]), np.array([phi]), None)
         # The model's own albedo of a lay is good to 1e-4.
         assert quadrature(bsdf, 55.0, phi).value == pytest.approx(own, rel=1e-4)
 
@@ -42,7 +43,7 @@ def test_both_sides_of_an_interface_are_integrated():
     bsdf = microfacet.build(facets.analytic("beckmann", 0.01), index=1.5, transparent=True)
     theta = np.array([0.0, 60.0, 160.0])
     reflected, passed = quadrature(bsdf, theta), quadrature(bsdf, theta, through=True)
-    own = representations.transmittance(bsdf, theta, np.zeros(3), None)
+    own = representation(bsdf).transmittance(theta, np.zeros(3), None)
     assert passed.value == pytest.approx(own, rel=1e-5)
     # Smooth enough that nothing is lost between the facets.
     assert reflected.value + passed.value == pytest.approx(1.0, abs=1e-4)
@@ -81,20 +82,20 @@ def test_no_more_rounds_than_allowed_leave_an_honest_error(monkeypatch):
 def test_many_wavelengths_and_incidences_are_integrated_together():
     bsdf = samples.beckmann_bsdf(0.1, reflectance=np.linspace(0.1, 0.6, samples.WAVELENGTH.size))
     theta = np.array([[10.0, 50.0], [20.0, 70.0]])
-    found = representations.integrated(bsdf, theta, np.zeros_like(theta), None).value
+    found = representation(bsdf).integrate(theta, np.zeros_like(theta), None).value
     assert found.shape == (2, 2, 85)
-    assert found == pytest.approx(representations.albedo(bsdf, theta, np.zeros_like(theta), None), rel=2e-6)
+    assert found == pytest.approx(representation(bsdf).albedo(theta, np.zeros_like(theta), None), rel=2e-6)
 
 
 def test_no_incidences_give_no_values():
     bsdf = samples.beckmann_bsdf(0.1, reflectance=None)
-    assert representations.integrated(bsdf, np.empty(0), np.empty(0), None).value.shape == (0, 1)
+    assert representation(bsdf).integrate(np.empty(0), np.empty(0), None).value.shape == (0, 1)
 
 
 def test_a_smooth_surface_counts_its_mirror_image_in_the_albedo_and_not_in_the_integral():
     bsdf = microfacet.build(facets.flat(), index=1.5)
     at = np.array([0.0]), np.zeros(1)
-    mirror, straight = representations.specular(bsdf, *at, None)
+    mirror, straight = representation(bsdf).specular(*at, None)
     assert mirror[0, 0] == pytest.approx(0.04, rel=1e-9)
     assert straight[0, 0] == 0
     assert quadrature(bsdf, 0.0).value[0, 0] == 0
@@ -103,9 +104,9 @@ def test_a_smooth_surface_counts_its_mirror_image_in_the_albedo_and_not_in_the_i
 
 def test_the_transmitted_ray_follows_snell_from_either_side():
     bsdf = microfacet.build(facets.flat(), index=1.5, transparent=True)
-    into = representations.refracted(bsdf, np.array([0.0, 30.0, 90.0]))
+    into = representation(bsdf).refracted(np.array([0.0, 30.0, 90.0]))
     assert into == pytest.approx(180 - np.degrees(np.arcsin(np.array([0, 0.5, 1]) / 1.5)))
-    out = representations.refracted(bsdf, np.array([180.0, into[1], 120.0]))
+    out = representation(bsdf).refracted(np.array([180.0, into[1], 120.0]))
     assert out[:2] == pytest.approx([0.0, 30.0], abs=1e-6)
     assert np.isnan(out[2])
 

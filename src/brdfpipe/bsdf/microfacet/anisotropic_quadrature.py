@@ -23,7 +23,7 @@ _LEAST_COSINE = 1e-150
 _TOWARDS_KINK = np.concatenate([-(4.0 ** -np.arange(1, 6)), [0.0], 4.0 ** -np.arange(5, 0, -1)])
 
 
-def facets(
+def facet_rule(
     density: PlanarDensity, theta: Array, phi: Array, critical: float | None = None, *, mirroring: bool = True
 ) -> tuple[Array, Array, Array]:
     """Slopes along x and y of the facets of a quadrature and their shares of all, (incidences, facets) each.
@@ -38,16 +38,19 @@ def facets(
     ellipse = density.ellipse
     width, turn = ellipse.towards(phi)
     cos_i, sin_i = np.maximum(np.cos(np.radians(theta)), _LEAST_COSINE), np.sin(np.radians(theta))
-    t, dt = _around(ellipse, width, np.radians(turn), cos_i, sin_i, 1 if critical is None else 2)
+    t, dt = _azimuthal_rule(ellipse, width, np.radians(turn), cos_i, sin_i, 1 if critical is None else 2)
     x, y = np.cos(t), np.sin(t)
     squared = (ellipse.along * x) ** 2 + (ellipse.across * y) ** 2
     towards = (width * sin_i)[:, None] * np.cos(t - np.radians(turn)[:, None])
     cos_i = np.broadcast_to(cos_i[:, None], t.shape)
     reach = density.along.reach / density.along.scale / np.maximum(np.abs(x), np.abs(y))
-    end = np.arcsinh(np.minimum(_horizon(cos_i, towards, squared if mirroring else None), reach))
+    end = np.arcsinh(np.minimum(_horizon_radius(cos_i, towards, squared if mirroring else None), reach))
     edges = end[..., None] * _radial_edges(float(np.arcsinh(reach.max())))
     if critical is not None:
-        kinks = np.arcsinh(_met_at(critical, cos_i, towards, squared))[..., None] + end[..., None, None] * _TOWARDS_KINK
+        kinks = (
+            np.arcsinh(_radii_met_at(critical, cos_i, towards, squared))[..., None]
+            + end[..., None, None] * _TOWARDS_KINK
+        )
         crowding = np.clip(kinks, 0.0, end[..., None, None]).reshape(*end.shape, -1)
         edges = np.sort(np.concatenate([edges, crowding], axis=-1), axis=-1)
     v, dv = panel_rule(edges, _RADIAL_ORDER)
@@ -61,7 +64,9 @@ def facets(
     return p.reshape(count, -1), q.reshape(count, -1), share.reshape(count, -1)
 
 
-def _around(ellipse: Ellipse, width: Array, turn: Array, cos_i: Array, sin_i: Array, finer: int) -> tuple[Array, Array]:
+def _azimuthal_rule(
+    ellipse: Ellipse, width: Array, turn: Array, cos_i: Array, sin_i: Array, finer: int
+) -> tuple[Array, Array]:
     """Rule over t, (incidences, T): panels crowd where facets neither face the light nor turn from it, and end on the axes."""
     sideways = np.hypot(ellipse.along * np.sin(turn), ellipse.across * np.cos(turn))
     with np.errstate(divide="ignore"):
@@ -82,7 +87,7 @@ def _radial_edges(end: float) -> Array:
     return edges[: last + 1] / edges[last]
 
 
-def _horizon(cos_i: Array, towards: Array, squared: Array | None) -> Array:
+def _horizon_radius(cos_i: Array, towards: Array, squared: Array | None) -> Array:
     """Largest r of facets that face the light and, of given s²/r², mirror it upwards: 2 r p̃ sin θ_i < (1 − s²) cos θ_i."""
     with np.errstate(divide="ignore", over="ignore"):
         if squared is None:
@@ -92,7 +97,7 @@ def _horizon(cos_i: Array, towards: Array, squared: Array | None) -> Array:
         return np.where(towards > 0, cos_i / (root + np.abs(towards)), (root - towards) / (squared * cos_i))
 
 
-def _met_at(critical: float, cos_i: Array, towards: Array, squared: Array) -> Array:
+def _radii_met_at(critical: float, cos_i: Array, towards: Array, squared: Array) -> Array:
     """The r ≥ 0, none or two, (…, 2), of facets met at an angle [rad]: cos θ_i − r p̃ sin θ_i = cos ζ √(1 + s²); 0 for none."""
     cos_c = np.cos(critical)
     a, b, c = towards**2 - cos_c**2 * squared, -towards * cos_i, cos_i**2 - cos_c**2
@@ -102,7 +107,7 @@ def _met_at(critical: float, cos_i: Array, towards: Array, squared: Array) -> Ar
     return np.clip(np.nan_to_num(both, nan=0.0, posinf=0.0, neginf=0.0), 0.0, None)
 
 
-def symmetric(density: PlanarDensity) -> bool:
+def is_symmetric(density: PlanarDensity) -> bool:
     """Whether slopes up and down either axis are equally many, so that one quarter of the azimuths tells the others."""
     values = density.density
     return bool(np.allclose(values, values[::-1], rtol=1e-12) and np.allclose(values, values[:, ::-1], rtol=1e-12))
@@ -111,14 +116,14 @@ def symmetric(density: PlanarDensity) -> bool:
 # --- azimuths
 
 
-def position(ellipse: Ellipse, azimuth: Array | float) -> Array:
+def azimuth_to_arc(ellipse: Ellipse, azimuth: Array | float) -> Array:
     """Arc [degree], in [0, 360), of an azimuth from the wider axis: ∫ dφ / w(φ), a quarter being 90.
 
     In it the width w of the slopes turns evenly from wide to narrow, however long the ellipse.
     """
     from scipy.special import ellipkm1, elliprf
 
-    ratio, wide = _shape(ellipse)
+    ratio, wide = _axis_ratio(ellipse)
     angle = np.asarray(azimuth, dtype=float) - wide
     halves = np.round(angle / 180)
     rest = np.radians(angle - 180 * halves)
@@ -128,22 +133,22 @@ def position(ellipse: Ellipse, azimuth: Array | float) -> Array:
     return np.asarray((90 * arc / ellipkm1(ratio**2) + 180 * halves) % 360)
 
 
-def azimuths(ellipse: Ellipse, arc: Array) -> Array:
-    """Azimuths [degree] of arcs, in their order; the inverse of :func:`position`."""
+def arc_to_azimuth(ellipse: Ellipse, arc: Array) -> Array:
+    """Azimuths [degree] of arcs, in their order; the inverse of :func:`azimuth_to_arc`."""
     from scipy.special import ellipj, ellipkm1
 
-    ratio, wide = _shape(ellipse)
+    ratio, wide = _axis_ratio(ellipse)
     return np.asarray(wide + np.degrees(ellipj(arc / 90 * ellipkm1(ratio**2), 1 - ratio**2)[3]))
 
 
-def quarter(ellipse: Ellipse) -> float:
+def quarter_arc(ellipse: Ellipse) -> float:
     """∫ dφ / w over a quarter, times the larger width: 90 for a round one [degree], growing like the logarithm of the ratio."""
     from scipy.special import ellipkm1
 
-    return float(np.degrees(ellipkm1(_shape(ellipse)[0] ** 2)))
+    return float(np.degrees(ellipkm1(_axis_ratio(ellipse)[0] ** 2)))
 
 
-def _shape(ellipse: Ellipse) -> tuple[float, float]:
+def _axis_ratio(ellipse: Ellipse) -> tuple[float, float]:
     """Smaller over larger width, and azimuth of the larger."""
     along_is_wide = ellipse.along >= ellipse.across
     ratio = min(ellipse.along, ellipse.across) / max(ellipse.along, ellipse.across)

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from brdfpipe.bsdf.slab.face import Face
-from brdfpipe.bsdf.slab.nodes import Azimuths, Nodes
+from brdfpipe.bsdf.slab.face import Azimuths, Face, Nodes
 from brdfpipe.geometry import Array
 
 _ISOLATED = 1e-12

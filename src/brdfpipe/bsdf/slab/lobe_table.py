@@ -17,8 +17,11 @@ from brdfpipe.geometry import Array
 _POLE_NODES, _MIDDLE_NODES, _GRAZING_NODES = 36, 16, 16
 _MIDDLE, _GRAZING = 30.0, 70.0
 
+PATH_ENDS = ((0, 0), (1, 1), (0, 1), (1, 0))
+"""The faces, front 0 and back 1, at which the smaller and the larger angle lie, for each path of a table."""
 
-class Grid(NamedTuple):
+
+class LobeGrid(NamedTuple):
     """Nodes of a table, evenly spaced along the stretched distances.
 
     Parameters
@@ -34,7 +37,7 @@ class Grid(NamedTuple):
     scale: float
 
     @classmethod
-    def of(cls, scale: float, spans: int = 64, turns: int = 40) -> Grid:
+    def of(cls, scale: float, spans: int = 64, turns: int = 40) -> LobeGrid:
         """A grid for lobes of a width [degree] and wider ones."""
         pole = scale * np.sinh(np.linspace(0, np.arcsinh(_MIDDLE / scale), _POLE_NODES))
         grazing = 90 - (90 - _GRAZING) * np.linspace(1, 0, _GRAZING_NODES) ** 2
@@ -94,6 +97,13 @@ def _cell(position: Array, stretch: Array, nodes: int) -> tuple[Array, Array]:
     with np.errstate(divide="ignore", invalid="ignore"):
         weight = (here - first) / (last - first)
     return cell, np.where(last > first, weight, place - cell)
+
+
+def grazing_factor(smooth: tuple[bool, bool], path: Array, low: Array, high: Array) -> Array:
+    """Factor that a table leaves out: cos θ at a smooth face, where light from inside vanishes towards grazing; 1 at a rough one."""
+    at_smooth = np.array(smooth)[np.array(PATH_ENDS)][path]
+    by_angle = (np.where(at_smooth[..., k], np.cos(np.radians(each)), 1.0) for k, each in enumerate((low, high)))
+    return np.asarray(np.maximum(next(by_angle) * next(by_angle), 0.0))
 
 
 def barycentric(nodes: Array, x: Array) -> Array:

@@ -1,0 +1,54 @@
+"""A BSDF as a detector of one spectral response sees it."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.errors import VocabularyError
+from brdfpipe.geometry import Array
+
+
+def nonspectral(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> xr.Dataset:
+    """The BSDF averaged over wavelength; itself where it does not depend on wavelength.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``
+    weight : spectral response on the dataset's wavelengths, any scale; by default V(λ) times the illuminant D65
+
+    Raises
+    ------
+    VocabularyError : see :func:`normalised_response`.
+    """
+    response = normalised_response(bsdf, weight)
+    return bsdf if response is None else representation(bsdf).nonspectral(response)
+
+
+def normalised_response(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> Array | None:
+    """Spectral response on the wavelengths of a BSDF, of sum 1; None where the BSDF does not depend on wavelength.
+
+    Raises
+    ------
+    VocabularyError : the weight is not one finite number >= 0 per wavelength, or 0 everywhere.
+    """
+    if "wavelength" not in bsdf.coords:
+        return None
+    wavelength = bsdf["wavelength"].values
+    if weight is None:
+        from brdfpipe.spectra import colorimetry
+
+        weight = colorimetry.luminous_weight(wavelength)
+    response = np.asarray(weight, dtype=float)
+    if (
+        response.shape != wavelength.shape
+        or not np.isfinite(response).all()
+        or response.min() < 0
+        or not response.any()
+    ):
+        raise VocabularyError(
+            f"the weight needs {wavelength.size} finite values >= 0, not all 0; found shape {response.shape}"
+        )
+    return np.asarray(response / response.sum())

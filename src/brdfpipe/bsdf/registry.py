@@ -1,0 +1,77 @@
+"""All representations of a BSDF, and the prepared representation of a dataset.
+
+A new representation is one module in :mod:`brdfpipe.bsdf.representations` and its class in :data:`REPRESENTATIONS`.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Hashable, Mapping
+from typing import NamedTuple
+
+import xarray as xr
+
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.representations.flake import Flake
+from brdfpipe.bsdf.representations.lambert_gauss import LambertGauss
+from brdfpipe.bsdf.representations.measured import Measured
+from brdfpipe.bsdf.representations.microfacet import Microfacet
+from brdfpipe.bsdf.representations.slab import Slab
+from brdfpipe.bsdf.representations.smooth import Smooth
+from brdfpipe.bsdf.representations.table import Table
+from brdfpipe.errors import VocabularyError
+
+REPRESENTATIONS: dict[str, type[Representation]] = {
+    each.name: each for each in (Flake, LambertGauss, Measured, Microfacet, Slab, Smooth, Table)
+}
+"""Class by value of the attribute ``representation``."""
+
+
+class _Entry(NamedTuple):
+    dataset: weakref.ref[xr.Dataset]
+    variables: Mapping[Hashable, object]
+    attributes: Mapping[Hashable, object]
+    representation: Representation
+
+
+_PREPARED: dict[int, _Entry] = {}
+"""By ``id`` of the dataset, which cannot be hashed; an entry leaves with its dataset."""
+
+
+def representation(bsdf: xr.Dataset) -> Representation:
+    """The representation of a ``bsdf`` dataset, prepared when the dataset is first seen.
+
+    Raises
+    ------
+    VocabularyError : the dataset has no representation, or an unknown one.
+
+    Notes
+    -----
+    The same dataset object gives the same instance as long as its variables and attributes are the same objects. Copies are prepared
+    anew. Array elements that are changed in place are not noticed: treat datasets as immutable and use ``assign``.
+    """
+    key = id(bsdf)
+    entry = _PREPARED.get(key)
+    if (
+        entry is not None
+        and entry.dataset() is bsdf
+        and _same_objects(entry.variables, bsdf.variables)
+        and _same_objects(entry.attributes, bsdf.attrs)
+    ):
+        return entry.representation
+    name = bsdf.attrs.get("representation")
+    if name not in REPRESENTATIONS:
+        raise VocabularyError(f"unknown representation {name!r} of a BSDF; known: {', '.join(REPRESENTATIONS)}")
+
+    def forget(reference: weakref.ref[xr.Dataset]) -> None:
+        if key in _PREPARED and _PREPARED[key].dataset is reference:
+            del _PREPARED[key]
+
+    # The shallow copy shares the arrays; a reference to the dataset itself would keep it alive for ever.
+    prepared = REPRESENTATIONS[name](bsdf.copy())
+    _PREPARED[key] = _Entry(weakref.ref(bsdf, forget), dict(bsdf.variables), dict(bsdf.attrs), prepared)
+    return prepared
+
+
+def _same_objects(one: Mapping[Hashable, object], other: Mapping[Hashable, object]) -> bool:
+    return one.keys() == other.keys() and all(value is other[name] for name, value in one.items())

@@ -1,0 +1,1 @@
+"""One file per representation of a BSDF; :mod:`brdfpipe.bsdf.registry` lists them."""

@@ -1,0 +1,220 @@
+"""The representation ``flake``: paints with effect pigments, see :mod:`brdfpipe.bsdf.flake`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.spectral import per_wavelength
+from brdfpipe.flakes.forms import FORMS, curve
+from brdfpipe.flakes.refraction import flake_angle, inner_cosine
+from brdfpipe.geometry import Array, half_vector
+from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
+
+PHYSICAL = "flake-physical"
+"""Model whose flakes lie below the interface of the clear coat."""
+
+
+@dataclass(frozen=True)
+class ClearCoat:
+    """The clear coat above the flakes, which turns the reflection ρ of the flake angle into a BRDF."""
+
+    index: float
+    """Refractive index"""
+    physical: bool
+    """Whether light is refracted at the coat, and partly lost there"""
+    slope: float | None
+    """Root mean square slope of a rough coat; None for a smooth one"""
+
+    @classmethod
+    def of(cls, bsdf: xr.Dataset) -> ClearCoat:
+        rough = bsdf.attrs["clear_coat"] == "rough"
+        slope = float(bsdf["clear_coat_slope"]) if rough else None
+        return cls(float(bsdf["clear_coat_index"]), bsdf.attrs["model"] == PHYSICAL, slope)
+
+    def share(self, theta_i: Array, theta_o: Array) -> Array:
+        """N(θi, θo)/N(0, 0) [1]; 1 for a model that is not physical."""
+        if not self.physical:
+            return np.ones(np.broadcast(theta_i, theta_o).shape)
+        passed = self._passed(theta_i) * self._passed(theta_o)
+        inner = inner_cosine(theta_i, self.index) * inner_cosine(theta_o, self.index)
+        return np.asarray(passed / (inner * self.normal_transmittance**2))
+
+    def gloss(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+        """BRDF of a rough clear coat [sr-1]: Beckmann, height-correlated Smith; 0 for a smooth coat or none."""
+        if self.slope is None:
+            return np.zeros(np.broadcast(theta_i, phi_i, theta_o, phi_o).shape)
+        half = half_vector(theta_i, phi_i, theta_o, phi_o)
+        squared = self.slope**2
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            density = np.exp(-half.slope_squared / squared) / (np.pi * squared * half.cos_alpha**4)
+            masked = 1 + _smith(theta_i, self.slope) + _smith(theta_o, self.slope)
+            fresnel = fresnel_reflectance(half.cos_zeta, self.index).mean
+            lobe = fresnel * density / (4 * half.cos_i * half.cos_o * masked)
+        return np.where((half.cos_i > 1e-12) & (half.cos_o > 1e-12), np.nan_to_num(lobe), 0.0)
+
+    @property
+    def normal_transmittance(self) -> float:
+        return float(self._passed(np.zeros(1))[0])
+
+    def _passed(self, theta: Array) -> Array:
+        return np.asarray(1 - fresnel_reflectance(np.abs(np.cos(np.radians(theta))), self.index).mean)
+
+
+_CURVES = [("term", "channel"), ("term", "wavelength"), ("term",)]
+
+
+class Flake(Representation):
+    """Reflection as a function of the flake angle, in each channel or at each wavelength."""
+
+    name = "flake"
+    kind = vocabulary.Kind(
+        required={
+            "clear_coat_index": vocabulary.SCALAR,
+            "flake_amplitude": _CURVES,
+            "flake_decay": _CURVES,
+            "flake_constant": [("channel",), ("wavelength",), ()],
+            "theta_f_measured": [("geometry",)],
+        },
+        optional={
+            "clear_coat_slope": vocabulary.SCALAR,
+            "flake_spectrum": [("theta_f", "wavelength"), ("theta_f",)],
+            "flake_covariance": [("channel", "parameter", "parameter_2"), ("wavelength", "parameter", "parameter_2")],
+            "misfit": [("geometry", "channel"), ("geometry", "wavelength")],
+            "leave_one_out_misfit": [("geometry", "channel"), ("geometry", "wavelength")],
+            "delta_e_00": [("geometry",)],
+            "leave_one_out": [("geometry",)],
+            "reduced_chi_squared": [("channel",), ("wavelength",)],
+        },
+        attributes=("model", "form", "clear_coat"),
+    )
+    states_quality = True
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        super().__init__(dataset)
+        self._coat = ClearCoat.of(dataset)
+        self._chromaticity_spectrum = per_wavelength(lambda wavelength: _spectrum_of_chromaticity(dataset, wavelength))
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        coat = self._coat
+        theta_i, phi_i, theta_o, phi_o = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
+        above = (theta_i < 90) & (theta_o < 90)
+        inside = [np.where(above, angle, 0.0) for angle in (theta_i, phi_i, theta_o, phi_o)]
+        factor = self._factor(flake_angle(inside[0], inside[1], inside[2], inside[3], coat.index), wavelength)
+        share = coat.share(inside[0], inside[2]) / np.pi
+        brdf = factor * share[..., None] + coat.gloss(*inside)[..., None]
+        return np.where(above[..., None], brdf, 0.0)
+
+    def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
+        """Mirror reflectance of a smooth clear coat, and no transmittance."""
+        nothing = np.zeros((*np.shape(theta_i), 1))
+        if self.dataset.attrs["clear_coat"] != "smooth":
+            return nothing, nothing
+        cosine = np.abs(np.cos(np.radians(theta_i)))
+        mirrored = fresnel_reflectance(cosine, self._coat.index).mean
+        return np.where(np.asarray(theta_i) <= 90, mirrored, 0.0)[..., None], nothing
+
+    def quality(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> NDArray[np.int8]:
+        """Whether directions lie between the flake angles that were measured."""
+        theta_f = flake_angle(theta_i, phi_i, theta_o, phi_o, self._coat.index)
+        known = self.dataset["theta_f_measured"].values
+        hit = (np.abs(theta_f[..., None] - known) < 1e-6).any(axis=-1)
+        inside = (theta_f >= known.min()) & (theta_f <= known.max())
+        between = np.where(inside, vocabulary.quality("interpolated"), vocabulary.quality("extrapolated"))
+        return np.where(hit, vocabulary.quality("measured"), between).astype(np.int8)
+
+    def tristimulus(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, illuminant: str, observer: int
+    ) -> Array | None:
+        """Of a paint that was given as colours, under their own illuminant and observer, without any spectrum."""
+        bsdf, coat = self.dataset, self._coat
+        if "channel" not in bsdf.dims or (bsdf.attrs["illuminant"], bsdf.attrs["observer"]) != (illuminant, observer):
+            return None
+        from brdfpipe.spectra import colorimetry
+
+        rho = self._curves(flake_angle(theta_i, phi_i, theta_o, phi_o, coat.index))
+        white = colorimetry.weights(illuminant, observer).white
+        gloss = np.pi * coat.gloss(theta_i, phi_i, theta_o, phi_o)
+        return np.asarray(rho * coat.share(theta_i, theta_o)[..., None] + gloss[..., None] * white)
+
+    @property
+    def lobe_slope(self) -> float:
+        """Slope that belongs to the narrowest decay, as seen from outside; that of the clear coat where it is rough."""
+        if self._coat.slope is not None:
+            return self._coat.slope
+        decay = self.dataset["flake_decay"].values[self.dataset["flake_amplitude"].values > 0]
+        narrowest = float(decay.min()) if decay.size else 45.0
+        return self._coat.index * float(np.tan(np.radians(min(narrowest, 45.0))))
+
+    @property
+    def gloss_caveat(self) -> str:
+        if self.dataset.attrs["clear_coat"] != "none":
+            return ""
+        model = self.dataset.attrs["model"]
+        option = "clear_coat: smooth" if self._coat.physical else f"model: {PHYSICAL}"
+        return (
+            "Gloss and haze are those of the flakes alone, without the clear coat that a gloss meter reads. "
+            f"The model `{model}` without a clear coat has no gloss lobe. Set `multiangle.{option}` to model the clear coat."
+        )
+
+    def nonspectral(self, weight: Array) -> xr.Dataset:
+        """The dataset averaged over wavelength; exact: each wavelength of a spectral fit becomes a term."""
+        bsdf = self.dataset
+        if "flake_spectrum" in bsdf:
+            mean = bsdf["flake_spectrum"].values @ weight
+            return vocabulary.label(bsdf.drop_dims("wavelength").assign(flake_spectrum=("theta_f", mean)), "bsdf")
+        terms = {
+            "flake_amplitude": ("term", (bsdf["flake_amplitude"].values * weight).ravel()),
+            "flake_decay": ("term", bsdf["flake_decay"].values.ravel()),
+            "flake_constant": ((), float(bsdf["flake_constant"].values @ weight)),
+        }
+        return vocabulary.label(bsdf.drop_dims(["wavelength", "term"]).assign(terms), "bsdf")
+
+    def _curves(self, theta_f: Array) -> Array:
+        """A exp(−θf/B) + C, or another form, on the scale of the fit, (..., channel or wavelength)."""
+        constant = np.atleast_1d(self.dataset["flake_constant"].values)
+        amplitude, decay = (
+            self.dataset[name].values.reshape(-1, constant.size) for name in ("flake_amplitude", "flake_decay")
+        )
+        return curve(theta_f, amplitude, decay, constant, FORMS[self.dataset.attrs["form"]].power)
+
+    def _factor(self, theta_f: Array, wavelength: Array | None) -> Array:
+        """ρ as a fraction, (..., wavelength or 1)."""
+        curves = self._curves(theta_f)
+        if "flake_spectrum" not in self.dataset:
+            if wavelength is None or "wavelength" not in self.dataset.coords:
+                return curves
+            return np.asarray(curves @ _interpolation_matrix(self.dataset["wavelength"].values, wavelength))
+        shape = np.maximum(self._chromaticity_spectrum(wavelength)(theta_f), 0.0)
+        luminance = curves[..., list(self.dataset["channel"].values).index("Y")]
+        return np.asarray(shape * (luminance[..., None] / 100))
+
+
+def _spectrum_of_chromaticity(bsdf: xr.Dataset, wavelength: Array | None) -> CubicSpline:
+    """Spectrum of Y = 1 over the flake angle."""
+    spectrum = bsdf["flake_spectrum"].values
+    if "wavelength" not in bsdf.coords:
+        spectrum = spectrum[:, None]
+    elif wavelength is not None:
+        spectrum = spectrum @ _interpolation_matrix(bsdf["wavelength"].values, wavelength)
+    # A spline is linear in its nodes: the Y of 1 that all of them have, everything between them has too.
+    return CubicSpline(bsdf["theta_f"].values, spectrum)
+
+
+def _interpolation_matrix(own: Array, wavelength: Array) -> Array:
+    """Matrix (own, wavelength) of linear interpolation."""
+    return np.stack([np.interp(wavelength, own, row) for row in np.eye(own.size)])
+
+
+def _smith(theta: Array, a: float) -> Array:
+    """Λ of Beckmann facets of width a."""
+    from scipy.special import erfcx
+
+    nu = 1 / (a * np.tan(np.radians(np.clip(theta, 1e-9, 90 - 1e-9))))
+    return np.asarray(np.exp(-(nu**2)) * (1 / (nu * np.sqrt(np.pi)) - erfcx(nu)) / 2)

@@ -1,0 +1,91 @@
+"""Lambert + Gaussian: the approximate form that illumination programs take, and the form of a purely diffuse material.
+
+f = ρ/π + G0 exp[−δ∥²/(2σ∥²) − δ⊥²/(2σ⊥²)] with δ∥, δ⊥ the angles from the mirror direction along and across the plane of
+incidence (longitude and latitude about it), and FWHM = 2.3548 σ.
+
+References
+----------
+Patent US 9,395,299 (CRF), approximate forms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.geometry import Array, unit_vector
+
+FWHM = 2 * np.sqrt(2 * np.log(2))
+"""Full width at half maximum of a Gaussian over its σ."""
+
+
+class LambertGauss(Representation):
+    """Lambertian plus Gaussian; parameters are interpolated between incidences."""
+
+    name = "lambert_gauss"
+    kind = vocabulary.Kind(
+        required={
+            "lambert": [("theta_i", "wavelength"), ("theta_i",), ("wavelength",), ()],
+            "gauss_peak": [("theta_i",)],
+            "gauss_fwhm_parallel": [("theta_i",)],
+            "gauss_fwhm_perpendicular": [("theta_i",)],
+        },
+        optional={
+            "gauss_reflectance": [("theta_i",)],
+            "fit_residual": [("theta_i",)],
+            "fit_error_max": [("theta_i",)],
+            "reflectance_error": [("theta_i",)],
+            "total_reflectance": vocabulary.SPECTRAL,
+            "theta_m": vocabulary.SCALAR,
+        },
+    )
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        bsdf = self.dataset
+        lambert = bsdf["lambert"]
+        if "wavelength" in lambert.dims:
+            own = bsdf["wavelength"].values
+            base = lambert.values if wavelength is None else np.interp(wavelength, own, lambert.values)
+            diffuse = np.broadcast_to(base / np.pi, (*theta_i.shape, base.size))
+        else:
+            flat = np.interp(theta_i, bsdf["theta_i"].values, np.broadcast_to(lambert.values, bsdf["theta_i"].shape))
+            diffuse = flat[..., None] / np.pi
+        peak, parallel, perpendicular = (
+            np.interp(theta_i, bsdf["theta_i"].values, bsdf[name].values)
+            for name in ("gauss_peak", "gauss_fwhm_parallel", "gauss_fwhm_perpendicular")
+        )
+        along, across = about_mirror(theta_i, theta_o, phi_o - phi_i)
+        lobe = gaussian(along, across, peak, parallel / FWHM, perpendicular / FWHM)
+        above = (theta_i < 90) & (theta_o < 90)
+        return np.where(above[..., None], diffuse + lobe[..., None], 0.0)
+
+    def nonspectral(self, weight: Array) -> xr.Dataset:
+        """The dataset averaged over wavelength; the Gaussian part is neutral."""
+        spectral = {
+            str(name): ((), float(weight @ field.values))
+            for name, field in self.dataset.data_vars.items()
+            if field.dims == ("wavelength",)
+        }
+        return vocabulary.label(self.dataset.drop_dims("wavelength").assign(spectral), "bsdf")
+
+    def without_diffuse(self) -> xr.Dataset:
+        return self.dataset.assign(lambert=xr.zeros_like(self.dataset["lambert"]))
+
+
+def gaussian(
+    along: Array, across: Array, peak: Array | float, sigma_parallel: Array | float, sigma_perpendicular: Array | float
+) -> Array:
+    """Gaussian of angles from the mirror direction [degree] with its peak and widths σ [degree]; 0 where the peak is 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        exponent = (along / sigma_parallel) ** 2 / 2 + (across / sigma_perpendicular) ** 2 / 2
+    return np.where(np.asarray(peak) > 0, peak * np.exp(-np.nan_to_num(exponent, nan=0.0, posinf=np.inf)), 0.0)
+
+
+def about_mirror(theta_i: ArrayLike, theta_o: Array, phi: Array) -> tuple[Array, Array]:
+    """Longitude in the plane of incidence and latitude across it [degree], from the mirror direction of (theta_i, 0)."""
+    x, y, z = np.moveaxis(unit_vector(theta_o, phi), -1, 0)
+    along = np.degrees(np.arctan2(-x, z)) - theta_i
+    return along, np.degrees(np.arcsin(np.clip(y, -1.0, 1.0)))

@@ -1,0 +1,125 @@
+"""The representation ``microfacet``: a rough interface over a diffuse base, or over a transparent body."""
+
+from __future__ import annotations
+
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
+from brdfpipe.bsdf.microfacet.model import Model
+from brdfpipe.bsdf.microfacet.reflectance import with_mean_index
+from brdfpipe.bsdf.spectral import per_wavelength
+from brdfpipe.geometry import Array
+
+_LAY_ALBEDO_ACCURACY = 2e-4
+"""Tables of the albedo over two angles agree with the integral to about 1e-4."""
+
+
+class Interface(Representation):
+    """What rough and perfectly smooth interfaces share."""
+
+    uses_index = True
+    transmittance_needs_quadrature = False
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        super().__init__(dataset)
+        self._surface = surface = Microsurface.of(dataset) if "slope_density" in dataset else None
+        self._model = per_wavelength(lambda wavelength: Model.of(dataset, wavelength, surface))
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        return self._model(wavelength).evaluate(theta_i, phi_i, theta_o, phi_o)
+
+    def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        """Frames as in :mod:`brdfpipe.bsdf.microfacet.polarised`; NaN where light passes the interface or meets it from within."""
+        return self._model(wavelength).mueller(theta_i, phi_i, theta_o, phi_o)
+
+    def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        return self._model(wavelength).directional_albedo(theta_i, phi_i)
+
+    def transmittance(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        return self._model(wavelength).transmittance(theta_i, phi_i)
+
+    @property
+    def albedo_needs_quadrature(self) -> bool:
+        return False
+
+    @property
+    def albedo_accuracy(self) -> float:
+        return super().albedo_accuracy if self.isotropic else _LAY_ALBEDO_ACCURACY
+
+    @property
+    def isotropic(self) -> bool:
+        return "phi_i" not in self.dataset["directional_albedo"].dims
+
+    def nonspectral(self, weight: Array) -> xr.Dataset:
+        """The surface with the reflectance averaged with the weight, and one index.
+
+        The index is the one that reflects the average at normal incidence (of a metal, the average of n and of k). Elsewhere the error
+        is of second order in the spread of n: 1e-5 of the specular part for a polymer over the visible.
+        """
+        bsdf = self.dataset
+        total = weight @ bsdf["total_reflectance"].values if "total_reflectance" in bsdf else None
+        if bsdf["n"].ndim == 0:
+            diffuse = bsdf["diffuse"].values
+            reduced = bsdf.drop_dims("wavelength").assign(diffuse=weight @ diffuse if diffuse.ndim else diffuse)
+        else:
+            reduced = with_mean_index(bsdf, weight)
+        return vocabulary.label(reduced if total is None else reduced.assign(total_reflectance=total), "bsdf")
+
+    def without_diffuse(self) -> xr.Dataset:
+        return self.dataset.assign(diffuse=xr.zeros_like(self.dataset["diffuse"]))
+
+    def single_reflection(self) -> xr.Dataset | None:
+        facets = self.without_diffuse()
+        return facets.drop_vars("furnace_albedo") if "furnace_albedo" in facets else None
+
+    @property
+    def unphysical_choice(self) -> str:
+        if "recipe" in self.dataset.attrs:
+            return f"recipe {self.dataset.attrs['recipe']}"
+        masking = self.dataset.attrs["masking"]
+        return f"masking {masking}" if masking in NOT_PHYSICAL else ""
+
+
+ALBEDO_DIMS = [("theta_i", "wavelength"), ("theta_i",), ("theta_i", "phi_i", "wavelength"), ("theta_i", "phi_i")]
+
+INTERFACE_KIND = vocabulary.Kind(
+    required={
+        "n": vocabulary.SPECTRAL,
+        "k": vocabulary.SPECTRAL,
+        "directional_albedo": ALBEDO_DIMS,
+        "mean_albedo": vocabulary.SPECTRAL,
+        "mean_furnace_albedo": vocabulary.SCALAR,
+        "diffuse": vocabulary.SPECTRAL,
+    },
+    optional={
+        "lay": vocabulary.SCALAR,
+        "furnace_albedo": [("theta_i",), ("theta_i", "phi_i")],
+        "compensation": vocabulary.SPECTRAL,
+        "total_reflectance": vocabulary.SPECTRAL,
+        "theta_m": vocabulary.SCALAR,
+    },
+    attributes=("masking", "diffuse_mode", "multiple_scattering", "transmission"),
+)
+
+
+class Microfacet(Interface):
+    """A rough interface: the slope density of its facets, and what follows from it."""
+
+    name = "microfacet"
+    kind = vocabulary.Kind(
+        required={
+            "slope_density": vocabulary.SLOPES,
+            "lambda_smith": [("theta",), ("theta", "phi")],
+            **INTERFACE_KIND.required,
+        },
+        optional=INTERFACE_KIND.optional,
+        attributes=INTERFACE_KIND.attributes,
+    )
+
+    @property
+    def lobe_slope(self) -> float:
+        """The slope that half of the facets exceed."""
+        assert self._surface is not None
+        return self._surface.median_slope
