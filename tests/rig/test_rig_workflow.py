@@ -123,7 +123,7 @@ def test_a_calibration_that_fails_is_told_of_each_material_that_needs_it_or_one_
 def test_an_emulated_material_says_so(built: tuple[Path, Path]) -> None:
     _, results = built
     assert any(
-        "made by the emulator" in text
+        "come from the rig emulator" in text
         for text in vocabulary.warnings(brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc"))
     )
 
@@ -158,8 +158,11 @@ def test_what_a_rigs_material_cannot_be_is_refused_with_its_key(
             {"bench-2": "bench-0"},
             ["no such calibration; did you mean 'bench-1'?", "found 'bench-0'", "accepted: bench-1"],
         ),
-        ({"bench-2": "bench-2"}, ["before one another: bench-2 → bench-2"]),
-        ({"bench-2": "bench-3", "bench-3": "bench-2"}, ["before one another: bench-2 → bench-3 → bench-2"]),
+        ({"bench-2": "bench-2"}, ["a circle of previous calibrations: bench-2 → bench-2"]),
+        (
+            {"bench-2": "bench-3", "bench-3": "bench-2"},
+            ["a circle of previous calibrations: bench-2 → bench-3 → bench-2"],
+        ),
         ({"bench-2": "bench-3", "bench-3": "bench-9"}, ["cannot be used; found 'bench-3'", "found 'bench-9'"]),
         ({"bench-2": "'../x'"}, ["no such calibration; found '../x'"]),
         ({"bench-2": "[bench-1]"}, ['found ["bench-1"]; accepted: the calibration of the same rig before this one']),

@@ -105,7 +105,7 @@ def disturbed(plan, folder, faults):
     assert [path.name for path in sorted((folder / "frames").iterdir())] == [shot.name for shot in plan.shots]
     found = read_run(folder)
     # Nothing is missing; all that is said is that no laboratory took the frames.
-    assert [text for text in vocabulary.warnings(found) if "made by the emulator" not in text] == []
+    assert [text for text in vocabulary.warnings(found) if "come from the rig emulator" not in text] == []
     assert (found["wavelength_read"] == found["wavelength"]).all()
     return stopped
 

@@ -484,4 +484,4 @@ def test_an_arrangement_without_a_frame_is_refused_with_the_lost_files_and_the_r
     assert "bracket step 1 is missing at 2 of 2 wavelengths at 10 degree" in str(refusal.value)
     assert "take them again with `brdfpipe rig scan … --resume`" in str(refusal.value)
     assert frame_of(plan, 550.0, 10.0, 1) in str(refusal.value)
-    assert "made by the emulator" not in str(refusal.value)
+    assert "come from the rig emulator" not in str(refusal.value)
