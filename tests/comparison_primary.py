@@ -85,7 +85,7 @@ def _seen(bsdf, incidence, wavelength, theta, phi) -> np.ndarray:
     theta_o, phi_o = outgoing(incidence[:, None], theta, phi)
     theta_i = np.broadcast_to(incidence[:, None], theta_o.shape)
     evaluate = representation(bsdf).evaluate
-    brdf = evaluate(bsdf, theta_i, np.zeros_like(theta_i), np.minimum(theta_o, 90.0), phi_o, wavelength)
+    brdf = evaluate(theta_i, np.zeros_like(theta_i), np.minimum(theta_o, 90.0), phi_o, wavelength)
     return np.moveaxis(np.broadcast_to(brdf, (*theta_o.shape, wavelength.size)), -1, 1)
 
 

@@ -11,6 +11,7 @@ from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import lambert_gauss, microfacet
 from brdfpipe.bsdf import lambert_gauss_fit as fitting
 from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.representations.lambert_gauss import FWHM
 from brdfpipe.errors import VocabularyError
 
 
@@ -42,14 +43,14 @@ def test_a_lambertian_is_the_same_in_every_direction():
     values = bsdf.bsdf.evaluate([0, 30, 89], 0, [80, 0, 89], [0, 90, 180], wavelength=[400, 700]).values
     assert values == pytest.approx(0.5 / np.pi)
     assert bsdf.bsdf.albedo([0.0, 60.0, 89.0]).values == pytest.approx(0.5, abs=1e-9)
-    assert "add a `surface`" in vocabulary.warnings(bsdf)[0]
+    assert "Add a `surface`" in vocabulary.warnings(bsdf)[0]
 
 
 @pytest.mark.parametrize(("fwhm", "ratio"), [(5, 0.99794), (10, 0.99181), (20, 0.96781)])
 def test_the_small_angle_formula_of_the_reflectance_errs_as_printed(fwhm, ratio):
     # R_gauss ≈ 2π G0 σ⊥ σ∥ cos θ_i; PHYSICS prints exact over approximate.
     bsdf = lobe(peak=1.0, parallel=fwhm, perpendicular=fwhm, rho=0.0)
-    sigma = np.radians(fwhm / lambert_gauss.FWHM)
+    sigma = np.radians(fwhm / FWHM)
     theta = 30.0
     exact = float(bsdf.bsdf.albedo(theta))
     assert exact / (2 * np.pi * sigma**2 * np.cos(np.radians(theta))) == pytest.approx(ratio, abs=1e-4)

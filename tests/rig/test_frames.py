@@ -185,7 +185,7 @@ def test_a_frame_that_cannot_be_written_leaves_nothing(plan, tmp_path, monkeypat
 def test_a_full_disk_is_told(plan, tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr("shutil.disk_usage", lambda path: usage._replace(free=1000))
-    with pytest.raises(StoreError, match="not enough to write it safely"):
+    with pytest.raises(StoreError, match="not enough disk space to write it"):
         written(plan, tmp_path)
 
 

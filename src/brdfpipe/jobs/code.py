@@ -16,6 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 DISTRIBUTIONS = {
+    "alpaca": "alpyca",
     "PIL": "pillow",
     "colour": "colour-science",
     "serial": "pyserial",

@@ -260,7 +260,7 @@ def test_few_cells_give_a_finite_fit_or_none(mode, count):
         assert np.isfinite(u).all()
     else:
         assert np.isnan(found[1, 1]).all()
-        assert "1 of 4 spectra" in smoothed.attrs["warnings"]
+        assert "1 of 4 fits" in smoothed.attrs["warnings"]
 
 
 def test_one_cell_is_a_constant_that_is_uncertain_elsewhere():
