@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from brdfpipe import catalogue, cli
+from brdfpipe import catalogue
+from brdfpipe.cli import main as cli
 from brdfpipe.jobs import runs
 from brdfpipe.jobs.build import build as build_catalogue
 
