@@ -22,7 +22,6 @@ from brdfpipe.spectra import colorimetry
 FEWEST, MOST = 3, 1000
 ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o")
 
-_KEYS = ("file", "colours", "illuminant", "observer", "scale", "wavelength")
 _MAX_BYTES = 2**22
 _BRIGHTEST = 100.0
 """Largest accepted reflectance factor; the brightest flakes near the gloss reach about ten."""
