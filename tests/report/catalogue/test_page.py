@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import base64
-import csv
 import hashlib
-import io
 import json
 import re
 from html import unescape
@@ -13,6 +11,9 @@ import numpy as np
 import pytest
 import samples
 import xarray as xr
+from catalogue_rows import FAILURES, Datasets
+from catalogue_rows import row as _row
+from catalogue_rows import table as _table
 
 from brdfpipe import optics, store, vocabulary
 from brdfpipe.appearance.preview import preview
@@ -20,22 +21,6 @@ from brdfpipe.appearance.quantities import quantities
 from brdfpipe.bsdf import microfacet
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report import catalogue_csv, catalogue_page, combine, lock, summarise
-
-Datasets = dict[str, xr.Dataset]
-
-FAILURES = {"broken": {"stage": "surface", "message": "grain.txt: no unit; set `surface: unit` in material.yaml"}}
-
-
-def _renamed(datasets: Datasets, name: str) -> Datasets:
-    return {stage: dataset.assign_attrs(material=name) for stage, dataset in datasets.items()}
-
-
-def _row(datasets: Datasets, name: str, description: str = "") -> xr.Dataset:
-    return summarise(_renamed(datasets, name), description=description)
-
-
-def _table(text: str) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(text)))
 
 
 def test_a_row_holds_the_numbers_people_search_by(full: Datasets) -> None:
@@ -316,7 +301,10 @@ def test_haze_takes_both_angles(full: Datasets) -> None:
 
 def test_flakes_without_their_clear_coat_have_no_gloss_but_a_reason(full: Datasets) -> None:
     film = _gloss(full, 80.5, 92.75, 95.0)["appearance"]
-    known = {"multiangle": xr.Dataset(coords={"geometry": list("abc")}), "bsdf": xr.Dataset(attrs={"route": "flake"})}
+    known = {
+        "multiangle": xr.Dataset(coords={"geometry": list("abc")}),
+        "bsdf": samples.beckmann_bsdf(0.2).assign_attrs(route="flake"),
+    }
     row = _row({**known, "appearance": film.assign_attrs(no_gloss="No coat. Set `multiangle.model`.")}, "a")
     coated = _row({**known, "appearance": film}, "b")
     assert np.isnan([float(row[name][0]) for name in ("gloss_20", "gloss_60", "gloss_85", "haze")]).all()

@@ -1,29 +1,13 @@
 from __future__ import annotations
 
-import csv
-import io
 import json
 
 import pytest
-import xarray as xr
+from catalogue_rows import FAILURES, Datasets
+from catalogue_rows import row as _row
+from catalogue_rows import table as _table
 
-from brdfpipe.report import catalogue_csv, combine, lock, summarise
-
-Datasets = dict[str, xr.Dataset]
-
-FAILURES = {"broken": {"stage": "surface", "message": "grain.txt: no unit; set `surface: unit` in material.yaml"}}
-
-
-def _renamed(datasets: Datasets, name: str) -> Datasets:
-    return {stage: dataset.assign_attrs(material=name) for stage, dataset in datasets.items()}
-
-
-def _row(datasets: Datasets, name: str, description: str = "") -> xr.Dataset:
-    return summarise(_renamed(datasets, name), description=description)
-
-
-def _table(text: str) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(text)))
+from brdfpipe.report import catalogue_csv, combine, lock
 
 
 def test_the_table_lists_built_and_failed_materials_by_name(full: Datasets) -> None:
