@@ -93,7 +93,7 @@ def test_the_specular_component_a_qtx_states_is_compared(shared_data: Path) -> N
 def test_the_real_black_is_warned_about_through_its_container_too(shared_data: Path) -> None:
     spec = {"file": "abs_black.qtx", "geometry": "sci"}
     assert (
-        "specular excluded?"
+        "if the specular was excluded, set `spectrum.geometry: sce`"
         in " ".join(warnings(ingest(spec, shared_data / "spectra" / "abs_black.qtx", 1.55))).lower()
     )
 

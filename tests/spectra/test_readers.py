@@ -54,12 +54,12 @@ def test_micrometres_and_sentinels_are_understood(shared_data: Path) -> None:
     assert "13 rows without a value were dropped" in spectrum.attrs["history"]
 
 
-def test_a_descending_file_in_micrometres_and_percent_is_sorted_and_cut(shared_data: Path) -> None:
+def test_a_descending_file_in_micrometres_and_percent_is_sorted_and_limited(shared_data: Path) -> None:
     spectrum = read_spectrum(shared_data / "spectra" / "pipe_blue_ecostress_style.txt", geometry="sci")
     assert spectrum["wavelength"].values[[0, -1]].tolist() == [360, 830]
     assert float(spectrum["total_reflectance"].sel(wavelength=830)) == pytest.approx(0.646123, rel=1e-12)
     assert "sorted by wavelength" in spectrum.attrs["history"]
-    assert "outside 360–830 nm were cut" in spectrum.attrs["history"]
+    assert "outside 360–830 nm were left out" in spectrum.attrs["history"]
 
 
 def test_a_named_standard_deviation_becomes_the_uncertainty(shared_data: Path) -> None:
