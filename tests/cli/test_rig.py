@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def bench(monkeypatch):
     """Devices without a line, whatever the ports."""
     parts = small_rig.fake_bench(), []
     monkeypatch.setattr(
-        "brdfpipe.rig.acquisition.devices.connection.connect", lambda rig: parts[1].append(rig) or parts[0]
+        "brdfpipe.rig.acquisition.devices.connection.connect", lambda rig: parts[1].append(rig) or nullcontext(parts[0])
     )
     return parts
 
@@ -149,7 +150,7 @@ def test_a_wrong_plan_is_refused_in_one_line(plan):
     plan.write_text(TEXT.replace("[20]", "[21]"))
     done = run("scan", plan)
     assert done.exit_code == 2
-    assert done.output == "brdfpipe: plan.yaml, incidences: the rig has no such entrance; found 21; accepted: 0, 10, 20, 45 (`entrances` of the rig)\n"  # fmt: skip
+    assert done.output == "brdfpipe: plan.yaml, line 3, incidences: the rig has no such entrance; found 21; accepted: 0, 10, 20, 45 (`entrances` of the rig)\n"  # fmt: skip
 
 
 def test_devices_that_are_not_there_are_told(plan):

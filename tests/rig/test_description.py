@@ -31,8 +31,8 @@ def test_a_description_is_read_with_its_defaults(rig):
     assert rig.screen.focal_length == 150
     assert rig.wavelengths == (380, 780)
     assert rig.etalon_entrance == 10
-    assert rig.transmittance(2).transmittance == 0.1
-    assert rig.transmittance(2).u == 0.02
+    assert rig.filter_at(2).transmittance == 0.1
+    assert rig.filter_at(2).u == 0.02
     assert [fibre.name for fibre in rig.fibres] == ["A1", "A2", "A3", "A4"]
     assert rig.fibres[1].phi_s == 90
     assert rig.camera.full == 65535
@@ -84,7 +84,7 @@ def test_what_cannot_be_is_refused_with_key_and_choice(rig_file, old, new, words
 
 def test_a_filter_that_is_not_there_is_named(rig):
     with pytest.raises(InputError, match="found 5; accepted: 1, 2, 3"):
-        rig.transmittance(5)
+        rig.filter_at(5)
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ def pictured(plan, *, sample_power=1, reference_power=0, light=1500.0, errors=No
     scene = sample * np.exp(generator.uniform(-4, 0, sample.shape))
     taken = {}
     for shot in plan.shots:
-        passed = plan.rig.transmittance(shot.position).transmittance * (errors or {}).get(shot.position, 1)
+        passed = plan.rig.filter_at(shot.position).transmittance * (errors or {}).get(shot.position, 1)
         counts = np.full(sample.shape, float(DARK))
         if not shot.dark:
             counts += shot.exposure * (

@@ -28,6 +28,23 @@ from brdfpipe.errors import InputError
 TYPE_WORDS = {float: "a number", int: "an integer", str: "text", bool: "true or false"}
 
 
+class Description(NamedTuple):
+    """A validated description."""
+
+    path: Path
+    content: dict[str, Any]
+    """As :func:`read` returns it."""
+    written: Any
+    """Without defaults, values as in the file."""
+    lines: documents.Lines
+
+    def refusal(self, where: str, problem: str, found: object = None, accepted: str | None = None) -> InputError:
+        """Error about a value that contradicts another one, with the line of its key; ``where``: the key, as ``drift.step``."""
+        steps = tuple(int(step) if step.isdigit() else step for step in where.split("."))
+        place = _place(_line(self.lines, steps), where)
+        return InputError(self.path, problem, where=place, found=found, accepted=accepted)
+
+
 def read(path: Path, model: Any) -> dict[str, Any]:
     """Read a YAML description; return its content with declared defaults filled in and listed words in their declared spelling.
 
@@ -40,12 +57,17 @@ def read(path: Path, model: Any) -> dict[str, Any]:
     ------
     InputError : naming the file, the line, the key, what was found and what is accepted.
     """
-    content, lines = documents.parse(path)
+    return load(path, model).content
+
+
+def load(path: Path, model: Any) -> Description:
+    """Read a YAML description as :func:`read`; also return its lines, for checks of values against each other."""
+    written, lines = documents.parse(path)
     try:
-        validated = _validator(model).validate_python(content)
+        validated = _validator(model).validate_python(written)
     except ValidationError as error:
-        raise _refusal(path, error.errors(include_url=False), _Document(content, lines, model)) from None
-    return dict(_plain(validated, content))
+        raise _refusal(path, error.errors(include_url=False), _Document(written, lines, model)) from None
+    return Description(path, dict(_plain(validated, written)), written, lines)
 
 
 @cache
@@ -202,7 +224,7 @@ class _Document(NamedTuple):
 
     def line(self, path: tuple[str | int, ...]) -> int:
         """Line of a key, or of the nearest mapping around it."""
-        return next((self.lines[path[:n]] for n in range(len(path), -1, -1) if path[:n] in self.lines), 0)
+        return _line(self.lines, path)
 
     def at(self, path: tuple[str | int, ...]) -> Any:
         """The value at a path."""
@@ -210,6 +232,14 @@ class _Document(NamedTuple):
         for step in path:
             value = value[step]
         return value
+
+
+def _line(lines: documents.Lines, path: tuple[str | int, ...]) -> int:
+    return next((lines[path[:n]] for n in range(len(path), -1, -1) if path[:n] in lines), 0)
+
+
+def _place(line: int, where: str) -> str | None:
+    return ", ".join(filter(None, (f"line {line}" if line else "", where))) or None
 
 
 class _Problem(NamedTuple):
@@ -227,8 +257,8 @@ def _refusal(path: Path, errors: Sequence[ErrorDetails], document: _Document) ->
     problems = sorted((_problem(error, document) for error in ordered), key=lambda problem: problem.line)
     first, more = problems[0], len(problems) - 1
     accepted = (first.accepted or "") + (f" (and {more} more problem{'s' if more > 1 else ''})" if more else "")
-    place = [*([f"line {first.line}"] if first.line else []), *([first.where] if first.where else [])]
-    return InputError(path, first.problem, where=", ".join(place) or None, found=first.found, accepted=accepted or None)
+    place = _place(first.line, first.where)
+    return InputError(path, first.problem, where=place, found=first.found, accepted=accepted or None)
 
 
 def _problem(error: ErrorDetails, document: _Document) -> _Problem:

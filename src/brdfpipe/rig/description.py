@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import io
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from brdfpipe import documents, store
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import InputError
 from brdfpipe.rig.rig_keys import BAUD, Camera, Monochromator, NeutralFilter, RigKeys, ScreenGeometry, Wheel
+
+SENSOR_KEYS = ("width", "height", "gain", "read_noise", "linear_to", "bits")
+"""Keys of the camera that decide what its counts mean."""
 
 COLUMNS = ("name", "theta_s", "phi_s", "x", "y")
 """Columns of the table of fibres: direction about the mirror direction [degree], end on the screen [mm]."""
@@ -156,7 +158,8 @@ class Rig:
         InputError : naming the file, the line, the key, what was found and what is accepted.
         """
         path = Path(path)
-        content = reading.read(path, RigKeys)
+        description = reading.load(path, RigKeys)
+        content = description.content
         fibres = read_fibres(documents.file_beside(path, content["fibres"]["file"], "fibres.file", "the rig's folder"))
         rig = cls(
             name=content["name"],
@@ -165,19 +168,24 @@ class Rig:
             camera=_camera(content["camera"], path),
             nd_location=content["nd_location"],
             filters=tuple(Filter(**item) for item in content["filters"]),
-            entrances=tuple(map(float, content["entrances"])),
+            entrances=_floats(content["entrances"]),
             etalon_entrance=float(content["etalon_entrance"]),
             fibres=fibres,
-            screen=Screen(**{key: _plain(value) for key, value in content["screen"].items()}),
+            screen=Screen(
+                **{
+                    key: _floats(value) if isinstance(value, list) else float(value)
+                    for key, value in content["screen"].items()
+                }
+            ),
             slit=float(content["slit"]),
             wavelengths=(float(content["wavelengths"]["low"]), float(content["wavelengths"]["high"])),
             target=_target(content.get("target")),
-            digest=_digest(content, documents.plain(path), fibres),
+            digest=_digest(description, fibres),
         )
-        _check(path, rig)
+        _check(description, rig)
         return rig
 
-    def transmittance(self, position: int) -> Filter:
+    def filter_at(self, position: int) -> Filter:
         """The filter at a position of the wheel.
 
         Raises
@@ -202,43 +210,34 @@ def read_fibres(path: Path) -> tuple[Fibre, ...]:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(path, "not UTF-8 text", where=f"byte {error.start}", accepted="a CSV file") from error
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if _is_data(line)]
-    if not lines:
-        raise InputError(
-            path, "empty", accepted=f"a line of column titles ({', '.join(COLUMNS)}) and one line per fibre"
-        )
-    rows = list(csv.reader(io.StringIO("\n".join(line for _, line in lines))))
-    titles = [title.strip() for title in rows[0]]
+    rows = [
+        (f"line {number}", [cell.strip() for cell in next(csv.reader([line]))])
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not rows:
+        accepted = f"a line of column titles ({', '.join(COLUMNS)}) and one line per fibre"
+        raise InputError(path, "empty", accepted=accepted)
+    where, titles = rows.pop(0)
     if sorted(titles) != sorted(COLUMNS):
-        raise InputError(
-            path,
-            "unknown or missing column titles",
-            where=f"line {lines[0][0]}",
-            found=", ".join(titles),
-            accepted=", ".join(COLUMNS),
-        )
-    if not 1 <= len(rows) - 1 <= MAX_FIBRES:
-        raise InputError(path, "wrong number of fibres", found=len(rows) - 1, accepted=f"1 to {MAX_FIBRES}")
-    fibres = tuple(_fibre(path, number, titles, row) for (number, _), row in zip(lines[1:], rows[1:], strict=True))
-    repeated = _repeated(fibre.name for fibre in fibres)
-    if repeated:
+        found, accepted = ", ".join(titles), ", ".join(COLUMNS)
+        raise InputError(path, "unknown or missing column titles", where=where, found=found, accepted=accepted)
+    if not 1 <= len(rows) <= MAX_FIBRES:
+        raise InputError(path, "wrong number of fibres", found=len(rows), accepted=f"1 to {MAX_FIBRES}")
+    fibres = tuple(_fibre(path, where, titles, cells) for where, cells in rows)
+    if repeated := _repeated(fibre.name for fibre in fibres):
         raise InputError(path, "duplicate fibre name", found=repeated, accepted="each name once")
     return fibres
 
 
-def _is_data(line: str) -> bool:
-    return bool(line.strip()) and not line.lstrip().startswith("#")
-
-
-def _fibre(path: Path, line: int, titles: list[str], row: list[str]) -> Fibre:
-    where = f"line {line}"
-    if len(row) != len(titles):
-        raise InputError(path, "wrong number of cells", where=where, found=len(row), accepted=str(len(titles)))
-    cells = {title: cell.strip() for title, cell in zip(titles, row, strict=True)}
-    values = {title: _number(path, where, title, cells[title]) for title in COLUMNS[1:]}
+def _fibre(path: Path, where: str, titles: list[str], cells: list[str]) -> Fibre:
+    if len(cells) != len(titles):
+        raise InputError(path, "wrong number of cells", where=where, found=len(cells), accepted=str(len(titles)))
+    row = dict(zip(titles, cells, strict=True))
+    values = {title: _number(path, where, title, row[title]) for title in COLUMNS[1:]}
     if not 0 <= values["theta_s"] <= 180:
-        raise InputError(path, "theta_s out of range", where=where, found=cells["theta_s"], accepted="0 to 180 degree")
-    return Fibre(name=cells["name"] or f"line-{line}", **values)
+        raise InputError(path, "theta_s out of range", where=where, found=row["theta_s"], accepted="0 to 180 degree")
+    return Fibre(name=row["name"] or where.replace(" ", "-"), **values)
 
 
 def _number(path: Path, where: str, title: str, cell: str) -> float:
@@ -265,54 +264,45 @@ def _target(content: Mapping[str, Any] | None) -> Target | None:
     if content is None:
         return None
     theta_s, phi_s = zip(*content["spots"], strict=True)
-    return Target(tuple(map(float, theta_s)), tuple(map(float, phi_s)), float(content["radius"]))
+    return Target(_floats(theta_s), _floats(phi_s), float(content["radius"]))
 
 
-def _plain(value: Any) -> Any:
-    return tuple(map(float, value)) if isinstance(value, list) else float(value)
+def _floats(values: Iterable[Any]) -> tuple[Any, ...]:
+    return tuple(map(float, values))
 
 
-def _digest(content: Mapping[str, Any], written: Mapping[str, Any], fibres: tuple[Fibre, ...]) -> str:
+def _digest(description: reading.Description, fibres: tuple[Fibre, ...]) -> str:
     """Digest of the rig as an instrument: rigs that differ in their ports alone measure the same.
 
     Every frame of a run carries it, so the digest of a description must never change. That is why the numbers of filters and sensor
     enter as they are written (``u`` only where it is given, 640 and 640.0 apart).
     """
+    content, written = description.content, description.written
     optics = {key: value for key, value in content.items() if key not in ("monochromator", "wheel", "fibres", "camera")}
     camera = {**content["camera"], **written["camera"]}
-    sensor = {key: camera[key] for key in ("width", "height", "gain", "read_noise", "linear_to", "bits")}
+    sensor = {key: camera[key] for key in SENSOR_KEYS}
     ends = [[fibre.name, fibre.theta_s, fibre.phi_s, fibre.x, fibre.y] for fibre in fibres]
     text = store.canonical_json({**optics, "filters": written["filters"], "camera": sensor, "fibres": ends})
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _check(path: Path, rig: Rig) -> None:
+def _check(description: reading.Description, rig: Rig) -> None:
     """Refuse keys that contradict each other."""
+    refusal = description.refusal
     positions = [neutral_filter.position for neutral_filter in rig.filters]
     if repeated := _repeated(positions):
-        raise InputError(path, "two filters at one position of the wheel", where="filters", found=repeated)
+        raise refusal("filters", "two filters at one position of the wheel", repeated)
     if max(positions) > rig.wheel.positions:
         accepted = f"1 to {rig.wheel.positions} (`wheel.positions`)"
-        raise InputError(
-            path, "a position that the wheel does not have", where="filters", found=max(positions), accepted=accepted
-        )
+        raise refusal("filters", "a position that the wheel does not have", max(positions), accepted)
     if rig.etalon_entrance not in rig.entrances:
         accepted = ", ".join(f"{entrance:g}" for entrance in rig.entrances)
-        raise InputError(
-            path,
-            "the rig has no such entrance",
-            where="etalon_entrance",
-            found=f"{rig.etalon_entrance:g}",
-            accepted=accepted,
-        )
+        raise refusal("etalon_entrance", "the rig has no such entrance", f"{rig.etalon_entrance:g}", accepted)
     if rig.wavelengths[0] >= rig.wavelengths[1]:
-        raise InputError(path, "`low` is not below `high`", where="wavelengths", found=list(rig.wavelengths))
+        raise refusal("wavelengths", "`low` is not below `high`", list(rig.wavelengths))
     if rig.monochromator.port == rig.wheel.port:
-        raise InputError(path, "two devices on one port", where="wheel.port", found=rig.wheel.port)
+        raise refusal("wheel.port", "two devices on one port", rig.wheel.port)
 
 
-Item = TypeVar("Item", str, int)
-
-
-def _repeated(items: Iterable[Item]) -> Item | None:
+def _repeated(items: Iterable[object]) -> object:
     return next((item for item, count in Counter(items).items() if count > 1), None)

@@ -178,7 +178,7 @@ def _transmittance_warnings(overlaps: Sequence[Overlap], rig: Rig) -> Iterator[s
         deviations.setdefault(overlap.positions, []).append(light / overlap.expected)
     for (first, second), ratios in sorted(deviations.items()):
         deviation = float(np.median(ratios)) - 1
-        u = math.hypot(rig.transmittance(first).u, rig.transmittance(second).u, OTHER_ERRORS)
+        u = math.hypot(rig.filter_at(first).u, rig.filter_at(second).u, OTHER_ERRORS)
         if abs(deviation) > 3 * u:
             yield (
                 f"filters {first} and {second}: the measured ratio of transmittances deviates by {deviation:+.1%} from the "

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import io
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -31,6 +30,8 @@ from brdfpipe.rig.raw_frame import (
     exposure_tolerance,
     has_expected_format,
     image_format,
+    is_number,
+    read_fits,
 )
 
 WAVELENGTH_TOLERANCE = 0.5
@@ -189,7 +190,7 @@ def _planned_cards(shot: Shot, plan: Plan) -> Cards:
         "GAIN": (rig.camera.gain, "electrons per count"),
         "WLBAND": (rig.slit, "spectral width [nm]"),
         "INCANG": (shot.arrangement.incidence, "entrance confirmed by the operator [degree]"),
-        "NDTRANS": (rig.transmittance(shot.position).transmittance, "transmittance of the filter"),
+        "NDTRANS": (rig.filter_at(shot.position).transmittance, "transmittance of the filter"),
         "SAMPLEID": (plan.sample_id(shot.arrangement), "what lies in the holder"),
         "SHOT": (shot.ordinal, "number in the plan"),
         "PURPOSE": (shot.purpose, "sample, etalon, target, dark or drift"),
@@ -231,25 +232,14 @@ def _checksum_valid(content: bytes) -> bool:
 
 
 def _parse_fits(path: Path, content: bytes) -> tuple[Mapping[str, Any], NDArray[Any]]:
-    from astropy.io import fits
-
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # astropy only warns about truncated files
-            with fits.open(io.BytesIO(content), memmap=False) as images:
-                image = images[0]
-                header = dict(image.header)
-                layout = image.fileinfo()
-                if header.get("NAXIS") != 2 or layout["datLoc"] + layout["datSpan"] != len(content):
-                    raise FrameError(
-                        path, "more or other content than one image", accepted="a frame written by the scan"
-                    )
-                return header, np.asarray(image.data)
-    except FrameError:
-        raise
-    except Exception as error:  # astropy raises OSError, ValueError, TypeError, KeyError, VerifyError, warnings …
+        header, counts, excess = read_fits(content, "error")  # astropy only warns about truncated files
+    except Exception as error:  # see read_fits
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise FrameError(path, "not readable as FITS", found=reason) from error
+    if header.get("NAXIS") != 2 or counts is None or excess:
+        raise FrameError(path, "more or other content than one image", accepted="a frame written by the scan")
+    return header, counts
 
 
 def _check_labels(path: Path, header: Mapping[str, Any], shot: Shot, plan: Plan) -> None:
@@ -261,7 +251,7 @@ def _check_labels(path: Path, header: Mapping[str, Any], shot: Shot, plan: Plan)
     _check_keyword(path, header, "EXPTIME", shot.exposure, exposure_tolerance(shot.exposure))
     for keyword in ("STARTED", "ELAPSED"):
         value = header.get(keyword)
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not is_number(value):
             raise FrameError(path, "keyword missing or not a number", where=keyword, found=repr(value))
     if "CCD-TEMP" not in header:
         raise FrameError(path, "keyword missing", where="CCD-TEMP", accepted="a temperature, or no value")
@@ -271,7 +261,7 @@ def _check_keyword(path: Path, header: Mapping[str, Any], keyword: str, expected
     if keyword not in header:
         raise FrameError(path, "keyword missing", where=keyword, accepted=f"{expected} (plan)")
     value = header[keyword]
-    if isinstance(expected, str) or isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(expected, str) or not is_number(value):
         agrees = value == expected and isinstance(value, str)
     else:
         agrees = abs(value - expected) <= tolerance + 1e-9 * abs(expected)

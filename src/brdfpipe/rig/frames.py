@@ -103,7 +103,7 @@ def frames_dataset(frames: Mapping[Shot, Frame], plan: Plan) -> xr.Dataset:
         "wavelength_read": [frames[shot].state.wavelength for shot in shots],
         "exposure": [shot.exposure for shot in shots],
         "nd_position": [shot.position for shot in shots],
-        "nd_transmittance": [plan.rig.transmittance(shot.position).transmittance for shot in shots],
+        "nd_transmittance": [plan.rig.filter_at(shot.position).transmittance for shot in shots],
         "elapsed": [frames[shot].elapsed for shot in shots],
         "temperature": [frames[shot].temperature for shot in shots],
     }

@@ -8,7 +8,7 @@ the measurement, without a move of mirrors or devices.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -17,7 +17,7 @@ from typing import Any
 from brdfpipe import documents
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import InputError
-from brdfpipe.rig.description import Rig
+from brdfpipe.rig.description import SENSOR_KEYS, Rig
 from brdfpipe.rig.plan_keys import PlanKeys
 
 TRANSMISSION_LIMIT = 75.0
@@ -118,11 +118,12 @@ class Plan:
         InputError : naming the file, the line, the key, what was found and what is accepted.
         """
         path = Path(path)
-        content = _content(path)
-        rig = Rig.load(_rig_file(path, content))
+        description = reading.load(path, PlanKeys)
+        content = description.content
+        rig = Rig.load(documents.file_beside(path, content["rig"], "rig", "the plan's folder"))
         wavelengths = _wavelengths(content["wavelengths"])
-        drift = content["drift"]
         nearest = min(wavelengths, key=lambda wavelength: abs(wavelength - DRIFT_WAVELENGTH))
+        drift = {"wavelength": nearest, **content["drift"]}
         plan = cls(
             rig=rig,
             sample=content["sample"],
@@ -130,15 +131,13 @@ class Plan:
             wavelengths=wavelengths,
             bracket=tuple(Step(float(item["exposure"]), item["position"]) for item in content["bracket"]),
             darks=content["darks"],
-            drift=Drift(
-                drift["every"], float(drift.get("wavelength", nearest)), drift["step"], float(drift["tolerance"])
-            ),
+            drift=Drift(drift["every"], float(drift["wavelength"]), drift["step"], float(drift["tolerance"])),
             runs=tuple(content["runs"]),
             side=tuple(content["side"]),
             etalon_entrances=tuple(map(float, content.get("etalon_entrances", [rig.etalon_entrance]))),
             path=path,
         )
-        _check(path, plan)
+        _check(description, plan)
         return plan
 
     @cached_property
@@ -165,9 +164,9 @@ class Plan:
         keys = [item.name for item in fields(self) if item.compare and item.name != "rig"]
         differences = _differences(self, other, keys)
         if self.rig.digest != other.rig.digest:
-            of_rig = _differences(self.rig, other.rig, _RIG_KEYS) + _differences(
-                self.rig.camera, other.rig.camera, _SENSOR_KEYS
-            )
+            keys = [item.name for item in fields(Rig) if item.name not in _NOT_COMPARED]
+            of_rig = _differences(self.rig, other.rig, keys)
+            of_rig += _differences(self.rig.camera, other.rig.camera, SENSOR_KEYS)
             differences += [f"rig {difference}" for difference in of_rig]
         return differences
 
@@ -207,14 +206,13 @@ def sources(path: Path) -> dict[str, Path]:
     ------
     InputError : two of them would have the same name.
     """
-    rig = PurePosixPath(_content(path)["rig"])
+    rig = PurePosixPath(reading.read(path, PlanKeys)["rig"])
     fibres = rig.parent / documents.plain(path.parent / rig)["fibres"]["file"]
     files = {PLAN: path}
     for name in (rig.as_posix(), fibres.as_posix()):
         if name in files or name.split("/")[0] in RESERVED:
-            raise InputError(
-                path, "a file name that the folder of a run needs itself", found=name, accepted="another file name"
-            )
+            problem = "a file name that the folder of a run needs itself"
+            raise InputError(path, problem, found=name, accepted="another file name")
         files[name] = path.parent / name
     return files
 
@@ -224,20 +222,7 @@ PLAN, JOURNAL, FRAMES, LOCK = "plan.yaml", "journal.jsonl", "frames", ".scan.loc
 
 RESERVED = (JOURNAL, FRAMES, LOCK)
 
-_RIG_KEYS = (
-    *("name", "nd_location", "filters", "entrances", "etalon_entrance", "fibres", "screen", "slit"),
-    *("wavelengths", "target"),
-)
-
-_SENSOR_KEYS = ("width", "height", "gain", "read_noise", "linear_to", "bits")
-
-
-def _content(path: Path) -> dict[str, Any]:
-    return reading.read(path, PlanKeys)
-
-
-def _rig_file(path: Path, content: Mapping[str, Any]) -> Path:
-    return documents.file_beside(path, content["rig"], "rig", "the plan's folder")
+_NOT_COMPARED = ("monochromator", "wheel", "camera", "digest")
 
 
 def _wavelengths(wavelengths: Any) -> tuple[float, ...]:
@@ -248,74 +233,46 @@ def _wavelengths(wavelengths: Any) -> tuple[float, ...]:
     return tuple(round(low + number * step, 3) for number in range(round((high - low) / step) + 1))
 
 
-def _check(path: Path, plan: Plan) -> None:
+def _check(description: reading.Description, plan: Plan) -> None:
     """Refuse values that the rig does not allow."""
-    _check_entrances(path, plan)
-    if "target" in plan.runs and plan.rig.target is None:
+    refusal, rig = description.refusal, plan.rig
+    accepted = ", ".join(f"{entrance:g}" for entrance in rig.entrances) + " (`entrances` of the rig)"
+    for key, angles in (("incidences", plan.incidences), ("etalon_entrances", plan.etalon_entrances)):
+        if unknown := [angle for angle in angles if angle not in rig.entrances]:
+            raise refusal(key, "the rig has no such entrance", f"{unknown[0]:g}", accepted)
+    if rig.etalon_entrance not in plan.etalon_entrances:
+        problem = "`etalon_entrance` of the rig is missing; all other entrances are relative to it"
+        raise refusal("etalon_entrances", problem, accepted=f"a list with {rig.etalon_entrance:g} in it")
+    grazing = [angle for angle in plan.incidences if angle >= TRANSMISSION_LIMIT]
+    if "transmission" in plan.side and grazing:
+        accepted = f"reflection alone, or incidences below {TRANSMISSION_LIMIT:g} degree"
+        raise refusal("side", "transmission cannot be measured at this incidence", f"{grazing[0]:g} degree", accepted)
+    if "target" in plan.runs and rig.target is None:
         accepted = "a rig with a `target`, or runs of etalon and sample alone"
-        raise InputError(path, "the rig has no angular target", where="runs", accepted=accepted)
-    low, high = plan.rig.wavelengths
+        raise refusal("runs", "the rig has no angular target", accepted=accepted)
+    low, high = rig.wavelengths
     for key, wavelengths in (("wavelengths", plan.wavelengths), ("drift.wavelength", (plan.drift.wavelength,))):
         if beyond := [wavelength for wavelength in wavelengths if not low <= wavelength <= high]:
-            raise InputError(
-                path,
-                "the rig's monochromator does not reach this wavelength",
-                where=key,
-                found=f"{beyond[0]:g} nm",
-                accepted=f"{low:g} to {high:g} nm (`wavelengths` of the rig)",
-            )
+            problem = "the rig's monochromator does not reach this wavelength"
+            raise refusal(key, problem, f"{beyond[0]:g} nm", f"{low:g} to {high:g} nm (`wavelengths` of the rig)")
+    positions = [neutral_filter.position for neutral_filter in rig.filters]
     for number, step in enumerate(plan.bracket):
-        known = [neutral_filter.position for neutral_filter in plan.rig.filters]
-        if step.position not in known:
-            accepted = ", ".join(map(str, known)) + " (`filters` of the rig)"
+        if step.position not in positions:
+            accepted = ", ".join(map(str, positions)) + " (`filters` of the rig)"
             where = f"bracket.{number}.position"
-            raise InputError(
-                path, "the rig has no filter at this position", where=where, found=step.position, accepted=accepted
-            )
+            raise refusal(where, "the rig has no filter at this position", step.position, accepted)
         if step in plan.bracket[:number]:
-            raise InputError(path, "duplicate frame of the bracket", where=f"bracket.{number}")
+            raise refusal(f"bracket.{number}", "duplicate frame of the bracket")
     if plan.drift.step > len(plan.bracket):
-        accepted = f"1 to {len(plan.bracket)}"
-        raise InputError(
-            path, "the bracket has no such frame", where="drift.step", found=plan.drift.step, accepted=accepted
-        )
+        raise refusal("drift.step", "the bracket has no such frame", plan.drift.step, f"1 to {len(plan.bracket)}")
     lights = len(plan.arrangements) * len(plan.wavelengths) * len(plan.bracket)
     shots = lights + lights // plan.drift.every + 2 + plan.darks * 2 * len(plan.bracket)
     if shots > MAX_SHOTS:
-        raise InputError(
-            path,
-            "too many frames",
-            found=shots,
-            accepted=f"at most {MAX_SHOTS}, dark frames and lamp readings included",
-        )
+        accepted = f"at most {MAX_SHOTS}, dark frames and lamp readings included"
+        raise InputError(description.path, "too many frames", found=shots, accepted=accepted)
 
 
-def _check_entrances(path: Path, plan: Plan) -> None:
-    entrances = plan.rig.entrances
-    accepted = ", ".join(f"{entrance:g}" for entrance in entrances) + " (`entrances` of the rig)"
-    for key, angles in (("incidences", plan.incidences), ("etalon_entrances", plan.etalon_entrances)):
-        if unknown := [angle for angle in angles if angle not in entrances]:
-            found = f"{unknown[0]:g}"
-            raise InputError(path, "the rig has no such entrance", where=key, found=found, accepted=accepted)
-    if plan.rig.etalon_entrance not in plan.etalon_entrances:
-        raise InputError(
-            path,
-            "`etalon_entrance` of the rig is missing; all other entrances are relative to it",
-            where="etalon_entrances",
-            accepted=f"a list with {plan.rig.etalon_entrance:g} in it",
-        )
-    grazing = [angle for angle in plan.incidences if angle >= TRANSMISSION_LIMIT]
-    if "transmission" in plan.side and grazing:
-        raise InputError(
-            path,
-            "transmission cannot be measured at this incidence",
-            where="side",
-            found=f"{grazing[0]:g} degree",
-            accepted=f"reflection alone, or incidences below {TRANSMISSION_LIMIT:g} degree",
-        )
-
-
-def _differences(one: Any, other: Any, keys: Any) -> list[str]:
+def _differences(one: Any, other: Any, keys: Iterable[str]) -> list[str]:
     pairs = [(key, getattr(one, key), getattr(other, key)) for key in keys]
     return [f"{key}: {_shown(first)} and {_shown(second)}" for key, first, second in pairs if first != second]
 

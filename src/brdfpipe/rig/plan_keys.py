@@ -23,7 +23,7 @@ class Steps(Keys):
     step: float = key("distance of neighbouring wavelengths", required=True, unit="nm", ge=0.1, le=1000)
 
     @model_validator(mode="after")
-    def _reach_the_last(self) -> Self:
+    def _check_last_wavelength(self) -> Self:
         count = round((self.to - self.from_) / self.step)
         if count < 0 or abs(self.from_ + count * self.step - self.to) > STEP_SLACK * self.step:
             raise InputError(
@@ -139,7 +139,7 @@ class PlanKeys(Keys):
     )
 
     @model_validator(mode="after")
-    def _own_name(self) -> Self:
+    def _check_sample_name(self) -> Self:
         if self.sample in ("etalon", "target"):
             raise InputError(
                 "",

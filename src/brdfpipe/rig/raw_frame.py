@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import math
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,3 +51,34 @@ def expected_format(camera: CameraSettings) -> str:
 def has_expected_format(counts: NDArray[Any], camera: CameraSettings) -> bool:
     """Whether counts have the size the description states, and are uint16."""
     return counts.shape == (camera.height, camera.width) and counts.dtype == np.uint16
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether a value of a header or of JSON is a number, not true or false."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def read_fits(
+    content: bytes, on_warning: Literal["error", "ignore"], keywords: Sequence[str] | None = None
+) -> tuple[dict[str, Any], NDArray[Any] | None, int]:
+    """Header and data of the first image of a FITS file, and the number of bytes after it; negative if bytes are missing.
+
+    Parameters
+    ----------
+    keywords : to be read, if they are there; by default all
+
+    Raises
+    ------
+    Exception : not readable; astropy raises OSError, ValueError, TypeError, KeyError, VerifyError, warnings …
+    """
+    from astropy.io import fits  # type: ignore[import-untyped]
+
+    with warnings.catch_warnings():
+        warnings.simplefilter(on_warning)
+        with fits.open(io.BytesIO(content), memmap=False) as images:
+            image = images[0]
+            header = image.header
+            cards = dict(header) if keywords is None else {name: header[name] for name in keywords if name in header}
+            layout = image.fileinfo()
+            excess = len(content) - layout["datLoc"] - layout["datSpan"]
+            return cards, None if excess < 0 or image.data is None else np.asarray(image.data), excess

@@ -123,7 +123,7 @@ class Camera(Keys):
     timeout: float = key("time to wait for a frame beyond its exposure", default=60, unit="s", gt=0, le=3600)
 
     @model_validator(mode="after")
-    def _reachable(self) -> Self:
+    def _check_folder_or_address(self) -> Self:
         needed = "folder" if self.kind == "drop-folder" else "address"
         if getattr(self, needed) is None:
             accepted = str(Camera.declared_keys()[needed].description)

@@ -39,7 +39,7 @@ def photographed(rig: Rig, errors: dict[int, float], seed: int = 0, steps=STEPS)
     spot = cells.disk(rig.camera, 159.5 + 3 * 49, 119.5 - 3 * 36, 4.5).toarray().reshape(240, 320)
     light, k = [], []
     for seconds, position in steps:
-        true = rig.transmittance(position).transmittance * np.exp(errors.get(position, 0.0))
+        true = rig.filter_at(position).transmittance * np.exp(errors.get(position, 0.0))
         through = true if rig.nd_location == "reference" else 1.0
         lamp = LAMP * seconds * through
         k.append(lamp * spot.sum() * (1.0 if rig.nd_location == "reference" else true))

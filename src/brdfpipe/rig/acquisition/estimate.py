@@ -108,7 +108,7 @@ def frame_range(rig: Rig) -> float:
 def _bracket_warnings(plan: Plan) -> list[str]:
     range_of_frame = frame_range(plan.rig)
     gains = sorted(
-        (step.exposure * plan.rig.transmittance(step.position).transmittance, number)
+        (step.exposure * plan.rig.filter_at(step.position).transmittance, number)
         for number, step in enumerate(plan.bracket, start=1)
     )
     warnings = [

@@ -1,7 +1,6 @@
 """The journal of a run: one JSON object per line for each event, on disk before the next step begins.
 
-It is a record: only the frames themselves decide what is finished. A line left incomplete by a power failure is removed when the journal is opened
-again.
+It is a record: only the frames themselves decide what is finished.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from brdfpipe import store
@@ -20,7 +18,7 @@ _LARGEST_JOURNAL = 256 * 2**20
 
 
 class Journal:
-    """An open journal; events are only appended.
+    """An open journal; events are only appended. A line left incomplete by a power failure is removed.
 
     Parameters
     ----------
@@ -39,8 +37,7 @@ class Journal:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
         except OSError as error:
             raise self._write_error(error) from error
-        removed = self._remove_incomplete_line()
-        if removed:
+        if removed := self._remove_incomplete_line():
             self.append("healed", removed=removed)
 
     def append(self, event: str, **facts: Any) -> None:
@@ -63,17 +60,11 @@ class Journal:
                 raise self._write_error(error) from error
             raise
 
-    def close(self) -> None:
-        """Close the file."""
-        os.close(self._file)
-
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self.close()
+    def __exit__(self, *error: object) -> None:
+        os.close(self._file)
 
     def _remove_incomplete_line(self) -> int:
         """Remove what follows the last complete line; return the number of bytes removed."""
@@ -92,10 +83,8 @@ class Journal:
         return size - complete
 
     def _write_error(self, error: OSError) -> store.StoreError:
-        reason = error.strerror or error
-        return store.StoreError(
-            f"{self._path}: could not be written ({reason}); is the disk full or the folder read-only?"
-        )
+        problem = f"could not be written ({error.strerror or error}); is the disk full or the folder read-only?"
+        return store.StoreError(f"{self._path}: {problem}")
 
 
 def read(path: Path) -> list[dict[str, Any]]:

@@ -255,8 +255,7 @@ class _Scan:
                 if before.position == after.position and abs(before.wavelength - after.wavelength) <= STILL:
                     return raw, before
                 raise DeviceError(
-                    "rig",
-                    f"a device moved during the exposure: {_describe(before)} before, {_describe(after)} after",
+                    "rig", f"a device moved during the exposure: {_describe(before)} before, {_describe(after)} after"
                 )
             except (DeviceLost, WrongDevice):
                 raise

@@ -10,7 +10,6 @@ import tty
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from brdfpipe.errors import BrdfpipeError
@@ -106,9 +105,7 @@ class Port:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _request(self, request: Callable[[], None]) -> None:

@@ -184,7 +184,7 @@ def per_rate(frames: Bracket, rig: Rig) -> Array:
 
 def _filters(frames: Bracket, rig: Rig) -> tuple[Array, Array]:
     """Transmittances of the filters of each frame as described, and their relative uncertainties."""
-    filters = [rig.transmittance(int(position)) for position in frames.positions]
+    filters = [rig.filter_at(int(position)) for position in frames.positions]
     return np.array([each.transmittance for each in filters]), np.array([each.u for each in filters])
 
 

@@ -240,7 +240,7 @@ def _reduced_dataset(
     for name, correlation in COMPONENTS.items():
         reduced[f"signal_u_{name}"].attrs["correlation"] = correlation
     clearest = max(
-        (rig.transmittance(int(position)) for position in np.unique(chosen["nd_position"].values)),
+        (rig.filter_at(int(position)) for position in np.unique(chosen["nd_position"].values)),
         key=lambda nd_filter: nd_filter.transmittance,
     )
     reduced.attrs = {

@@ -240,16 +240,16 @@ def test_a_bench_is_opened_identified_and_given_back(plugged: tuple[Rig, Monochr
             assert isinstance(bench, RigDevices)
             bench.monochromator.goto(600)
             bench.wheel.goto(5)
-        bench.close()
     assert (round(monochromator.wavelength), wheel.position) == (600, 5)
 
 
 def test_a_device_that_is_missing_leaves_no_port_open(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
     rig, _, _ = plugged
     broken = replace(rig, wheel=replace(rig.wheel, port="/dev/no-such-port"))
-    with pytest.raises(DeviceLost, match="filter wheel on /dev/no-such-port"):
-        connect(broken, camera=Dark(rig))
-    connect(rig, camera=Dark(rig)).close()
+    with pytest.raises(DeviceLost, match="filter wheel on /dev/no-such-port"), connect(broken, camera=Dark(rig)):
+        pass
+    with connect(rig, camera=Dark(rig)):
+        pass
 
 
 # --- the doctor

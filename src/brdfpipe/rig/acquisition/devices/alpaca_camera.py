@@ -9,43 +9,32 @@ from typing import Any
 
 import numpy as np
 
-from brdfpipe.rig.acquisition.devices.camera import (
-    CHECK_SIZE,
-    POLL,
-    InvalidCounts,
-    check_exposure,
-    unix_time,
-    valid_counts,
-)
+from brdfpipe.rig.acquisition.devices.camera import CHECK_SIZE, POLL, CameraDriver, check_exposure, unix_time
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, single_line
 from brdfpipe.rig.description import CameraSettings
-from brdfpipe.rig.raw_frame import Counts, RawFrame, exposure_tolerance
+from brdfpipe.rig.raw_frame import RawFrame, exposure_tolerance
 
 
-class AlpacaCamera:
-    """Driver of an Alpaca camera.
+class AlpacaCamera(CameraDriver):
+    """Driver of an Alpaca camera; parameters as of the base class.
 
     Raises
     ------
     DeviceError : alpyca is not installed.
     """
 
-    def __init__(
-        self,
-        settings: CameraSettings,
-        *,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self.settings = settings
-        self._clock = clock
-        self._sleep = sleep
+    def __init__(self, settings: CameraSettings, **time_source: Any) -> None:
+        super().__init__(settings, **time_source)
         try:
             from alpaca.camera import Camera  # type: ignore[import-not-found,import-untyped,unused-ignore]
         except ImportError as error:
             advice = "pip install 'brdfpipe[alpaca]'"
             raise DeviceError("camera", "Alpaca cameras need the library alpyca", advice=advice) from error
         self._camera = Camera(settings.address, settings.device)
+
+    @property
+    def port(self) -> str:
+        return f"{self.settings.address} (camera {self.settings.device})"
 
     def identify(self) -> str:
         """Connect to the camera and name it.
@@ -61,7 +50,7 @@ class AlpacaCamera:
         expected = (self.settings.width, self.settings.height)
         if size != expected or binning != (1, 1):
             problem = f"sensor of {size[0]} × {size[1]} pixels with {binning[0]} × {binning[1]} binning"
-            raise self._error(f"{problem}, expected {expected[0]} × {expected[1]} without binning", advice=CHECK_SIZE)
+            raise self.error(f"{problem}, expected {expected[0]} × {expected[1]} without binning", advice=CHECK_SIZE)
         return str(self._call("Name", lambda: camera.Name))
 
     def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
@@ -76,38 +65,29 @@ class AlpacaCamera:
         camera = self._camera
         if not shutter and not self._call("HasShutter", lambda: camera.HasShutter):
             advice = "use a camera with a shutter, or a lamp shutter behind a drop folder"
-            raise self._error("no dark frames: the camera has no shutter", advice=advice)
+            raise self.error("no dark frames: the camera has no shutter", advice=advice)
         requested = time.time()
         command = f"StartExposure({seconds:g}, {shutter})"
         self._call(command, lambda: camera.StartExposure(float(seconds), bool(shutter)))
         self._wait(seconds, command)
-        counts = self._read_counts()
+        # Arrays of Alpaca are indexed by column, then row.
+        image = np.asarray(self._call("ImageArray", lambda: camera.ImageArray)).T
+        counts = self.valid_counts(image, "ImageArray")
         duration = float(self._optional("LastExposureDuration", seconds))
         if not abs(duration - seconds) <= exposure_tolerance(seconds):
             advice = "check that no other program uses the camera"
-            raise self._error(f"exposure time {duration:g} s, {seconds:g} s requested", command, advice)
-        try:
-            started = unix_time(str(self._optional("LastExposureStartTime", "")))
-        except ValueError:
-            started = requested
+            raise self.error(f"exposure time {duration:g} s, {seconds:g} s requested", command, advice)
+        started = unix_time(self._optional("LastExposureStartTime", ""), requested)
         return RawFrame(counts, started, duration, float(self._optional("CCDTemperature", math.nan)))
 
     def _wait(self, seconds: float, command: str) -> None:
         limit = seconds + self.settings.timeout
-        deadline = self._clock() + limit
+        deadline = self.clock() + limit
         while not self._call("ImageReady", lambda: self._camera.ImageReady):
-            if self._clock() >= deadline:
+            if self.clock() >= deadline:
                 self._call("AbortExposure", self._camera.AbortExposure)
-                raise self._error(f"no image after {limit:g} s", command, "raise `camera.timeout`, or check the server")
-            self._sleep(POLL)
-
-    def _read_counts(self) -> Counts:
-        # Arrays of Alpaca are indexed by column, then row.
-        image = np.asarray(self._call("ImageArray", lambda: self._camera.ImageArray)).T
-        try:
-            return valid_counts(image, self.settings)
-        except InvalidCounts as invalid:
-            raise self._error(invalid.args[0], "ImageArray", invalid.args[1]) from invalid
+                raise self.error(f"no image after {limit:g} s", command, "raise `camera.timeout`, or check the server")
+            self.sleep(POLL)
 
     def _optional(self, name: str, default: Any) -> Any:
         """A property that not every camera has."""
@@ -128,15 +108,9 @@ class AlpacaCamera:
         # alpyca's exceptions have no common base; connection errors come from requests and are OSErrors.
         if isinstance(error, OSError):
             advice = "check that the server runs and that `camera.address` is host:port"
-            return self._error(f"no reply ({type(error).__name__})", name, advice, DeviceLost)
+            return self.error(f"no reply ({type(error).__name__})", name, advice, DeviceLost)
         if type(error).__module__.startswith("alpaca."):
             reason = f"{type(error).__name__}: {single_line(str(error)[:200])}"
-            return self._error(f"the server refuses ({reason})", name, "check the server")
+            return self.error(f"the server refuses ({reason})", name, "check the server")
         problem = f"unreadable reply ({type(error).__name__})"
-        return self._error(problem, name, "check that `camera.address` is an Alpaca server")
-
-    def _error(
-        self, problem: str, command: str = "", advice: str = "", kind: type[DeviceError] = DeviceError
-    ) -> DeviceError:
-        port = f"{self.settings.address} (camera {self.settings.device})"
-        return kind("camera", problem, port=port, command=command, advice=advice)
+        return self.error(problem, name, "check that `camera.address` is an Alpaca server")

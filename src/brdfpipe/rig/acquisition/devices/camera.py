@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any, Protocol
 
@@ -31,8 +34,52 @@ class Camera(Protocol):
         """Expose and read out; a dark frame if ``shutter`` is False. Raises DeviceError if there is no complete frame as requested."""
 
 
-class InvalidCounts(Exception):
-    """Counts that the described sensor cannot give: problem and advice."""
+class CameraDriver(ABC):
+    """What the drivers share.
+
+    Parameters
+    ----------
+    settings : of the description
+    clock, sleep : seconds
+    """
+
+    def __init__(
+        self,
+        settings: CameraSettings,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.settings = settings
+        self.clock = clock
+        self.sleep = sleep
+
+    @property
+    @abstractmethod
+    def port(self) -> str:
+        """Where the camera is, for messages."""
+
+    def error(
+        self, problem: str, command: str = "", advice: str = "", kind: type[DeviceError] = DeviceError
+    ) -> DeviceError:
+        """An error that names the camera and where it is."""
+        return kind("camera", problem, port=self.port, command=command, advice=advice)
+
+    def valid_counts(self, image: NDArray[Any], command: str) -> Counts:
+        """Counts of an image of integers that has the size and range of the described sensor.
+
+        Raises
+        ------
+        DeviceError : wrong size, type or range.
+        """
+        camera = self.settings
+        if image.shape != (camera.height, camera.width) or image.dtype.kind not in "iu":
+            problem = f"image of {image_format(image)}, expected {expected_format(camera)}"
+            raise self.error(problem, command, CHECK_SIZE)
+        if not (image.min() >= 0 and image.max() <= camera.full):
+            problem = f"counts from {image.min()} to {image.max()}, but {camera.bits} bits hold 0 to {camera.full}"
+            raise self.error(problem, command, "correct `camera.bits`, or write counts without an offset")
+        return np.ascontiguousarray(image, dtype=np.uint16)
 
 
 def check_exposure(seconds: float) -> None:
@@ -42,24 +89,10 @@ def check_exposure(seconds: float) -> None:
         raise DeviceError("camera", f"exposure time {seconds!r} s out of range", advice=advice)
 
 
-def valid_counts(image: NDArray[Any], camera: CameraSettings) -> Counts:
-    """Counts of an image of integers that has the size and range of the described sensor.
-
-    Raises
-    ------
-    InvalidCounts : wrong size, type or range.
-    """
-    if image.shape != (camera.height, camera.width) or image.dtype.kind not in "iu":
-        raise InvalidCounts(f"image of {image_format(image)}, expected {expected_format(camera)}", CHECK_SIZE)
-    if not (image.min() >= 0 and image.max() <= camera.full):
-        raise InvalidCounts(
-            f"counts from {image.min()} to {image.max()}, but {camera.bits} bits hold 0 to {camera.full}",
-            "correct `camera.bits`, or write counts without an offset",
-        )
-    return np.ascontiguousarray(image, dtype=np.uint16)
-
-
-def unix_time(text: str) -> float:
-    """Unix time of a FITS date and time in UTC."""
-    moment = datetime.fromisoformat(text.strip())
+def unix_time(text: object, default: float) -> float:
+    """Unix time of a FITS date and time in UTC; the default for other text."""
+    try:
+        moment = datetime.fromisoformat(str(text).strip())
+    except ValueError:
+        return default
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
-from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Protocol, TypeVar
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
 
 from brdfpipe.rig.acquisition.devices import acton, thorlabs
 from brdfpipe.rig.acquisition.devices.alpaca_camera import AlpacaCamera
@@ -27,65 +26,18 @@ CAMERAS: dict[str, Callable[[CameraSettings], Camera]] = {"drop-folder": DropFol
 Driver = TypeVar("Driver", bound=SerialInstrument)
 
 
-class Monochromator(Protocol):
-    """Interface of a monochromator; every method raises DeviceError."""
-
-    def identify(self) -> str:
-        """Model and serial number; raises WrongDevice if a different device answers."""
-
-    def goto(self, wavelength: float) -> float:
-        """Move [nm], wait, read back; returns the wavelength read back, within 0.5 nm of the requested one."""
-
-    def wavelength(self) -> float:
-        """Current wavelength [nm]."""
-
-    def stop(self) -> None:
-        """Stop a move."""
-
-    def close(self) -> None:
-        """Close the port."""
-
-
-class FilterWheel(Protocol):
-    """Interface of a filter wheel; every method raises DeviceError."""
-
-    def identify(self) -> str:
-        """Model and serial number; raises WrongDevice if a different device answers."""
-
-    def goto(self, position: int) -> int:
-        """Move, wait, read back; returns the position read back, which is the requested one."""
-
-    def position(self) -> int:
-        """Current position."""
-
-    def close(self) -> None:
-        """Close the port."""
-
-
 @dataclass(frozen=True)
 class RigDevices:
-    """The devices of a rig, identified and ready; close them, or use a ``with`` block."""
+    """The devices of a rig, identified and ready."""
 
-    monochromator: Monochromator
-    wheel: FilterWheel
+    monochromator: acton.Monochromator
+    wheel: SerialFilterWheel
     camera: Camera
-    _opened: ExitStack = field(repr=False, default_factory=ExitStack)
-
-    def close(self) -> None:
-        """Close the ports; may be called again."""
-        self._opened.close()
-
-    def __enter__(self) -> RigDevices:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self.close()
 
 
-def connect(rig: Rig, *, camera: Camera | None = None) -> RigDevices:
-    """Open and identify the devices of a rig.
+@contextmanager
+def connect(rig: Rig, *, camera: Camera | None = None) -> Iterator[RigDevices]:
+    """Open and identify the devices of a rig, for a ``with`` block; its end, or a refusal, closes the ports.
 
     Parameters
     ----------
@@ -96,26 +48,23 @@ def connect(rig: Rig, *, camera: Camera | None = None) -> RigDevices:
     ------
     DeviceLost : a port is missing or in use by another program.
     WrongDevice : a device differs from the description.
-    DeviceError : a device does not reply, or rejects a setting of the description. No port stays open.
+    DeviceError : a device does not reply, or rejects a setting of the description.
     """
-    with ExitStack() as opened:
-        monochromator = open_monochromator(rig.monochromator)
-        opened.callback(monochromator.close)
+    with closing(open_monochromator(rig.monochromator)) as monochromator:
         monochromator.identify()
-        wheel = open_wheel(rig.wheel)
-        opened.callback(wheel.close)
-        wheel.identify()
-        camera = camera or open_camera(rig.camera)
-        camera.identify()
-        return RigDevices(monochromator, wheel, camera, opened.pop_all())
+        with closing(open_wheel(rig.wheel)) as wheel:
+            wheel.identify()
+            camera = camera or open_camera(rig.camera)
+            camera.identify()
+            yield RigDevices(monochromator, wheel, camera)
 
 
-def open_monochromator(settings: SerialSettings) -> Monochromator:
+def open_monochromator(settings: SerialSettings) -> acton.Monochromator:
     """Driver of a monochromator on its open port; nothing has been sent yet."""
     return _open(MONOCHROMATORS, settings)
 
 
-def open_wheel(settings: SerialSettings) -> FilterWheel:
+def open_wheel(settings: SerialSettings) -> SerialFilterWheel:
     """Driver of a filter wheel on its open port; nothing has been sent yet."""
     return _open(WHEELS, settings)
 

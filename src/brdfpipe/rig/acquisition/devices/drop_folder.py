@@ -13,13 +13,11 @@ import re
 import threading
 import time
 import uuid
-import warnings
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from brdfpipe import store
@@ -29,14 +27,12 @@ from brdfpipe.rig.acquisition.devices.camera import (
     LONGEST_EXPOSURE,
     POLL,
     Camera,
-    InvalidCounts,
+    CameraDriver,
     check_exposure,
     unix_time,
-    valid_counts,
 )
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, single_line
-from brdfpipe.rig.description import CameraSettings
-from brdfpipe.rig.raw_frame import Counts, RawFrame, exposure_tolerance
+from brdfpipe.rig.raw_frame import Counts, RawFrame, exposure_tolerance, is_number, read_fits
 
 _IDENTIFIER = re.compile(r"[0-9A-Za-z_-]{1,64}")
 _LARGEST_REQUEST = 4096
@@ -46,7 +42,7 @@ _CHECK_SCRIPT = "check the camera's script"
 _ANSWER_EACH = "the camera's script must answer each request with its own frame"
 
 
-class DropFolder:
+class DropFolder(CameraDriver):
     """Driver: writes requests into a folder and reads frames from it; removes nothing.
 
     A request is ``<id>.json`` with the keys ``id``, ``seconds`` and ``shutter`` (false: a dark frame). The answer is ``<id>.fits``, one image of
@@ -54,17 +50,14 @@ class DropFolder:
     with one line that states why there is no frame.
     """
 
-    def __init__(
-        self,
-        settings: CameraSettings,
-        *,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self.settings = settings
-        self.folder = Path(settings.folder)
-        self._clock = clock
-        self._sleep = sleep
+    @property
+    def folder(self) -> Path:
+        """Of requests and frames."""
+        return Path(self.settings.folder)
+
+    @property
+    def port(self) -> str:
+        return f"folder {self.folder}"
 
     def identify(self) -> str:
         """Name the folder."""
@@ -93,24 +86,23 @@ class DropFolder:
             problem = f"the folder is no longer accessible ({error.strerror or error})"
             raise self._error(problem, identifier, "mount it again", DeviceLost) from error
         self._check_labels(header, identifier, seconds, shutter)
-        try:
-            started = unix_time(str(header["DATE-OBS"]))
-        except (KeyError, ValueError):
-            started = requested
         temperature = header.get("CCD-TEMP")
-        if isinstance(temperature, bool) or not isinstance(temperature, int | float):
-            temperature = math.nan
-        return RawFrame(counts, started, float(header["EXPTIME"]), float(temperature))
+        return RawFrame(
+            counts=counts,
+            started=unix_time(header.get("DATE-OBS"), requested),
+            seconds=float(header["EXPTIME"]),
+            temperature=float(temperature) if is_number(temperature) else math.nan,
+        )
 
     def _await_frame(self, identifier: str, seconds: float, earlier: set[str]) -> tuple[Mapping[str, Any], Counts]:
         """The frame, once it is complete. Its writer may be writing, or have set its size before its content."""
         path = self.folder / f"{identifier}.fits"
         limit = seconds + self.settings.timeout
-        deadline = self._clock() + limit
+        deadline = self.clock() + limit
         state = "no frame"
         previous = tried = None
         while True:
-            late = self._clock() >= deadline
+            late = self.clock() >= deadline
             if (reason := self._reported_error(identifier)) is not None:
                 raise self._error(f"the camera's script reports: {reason}", identifier)
             status = self._file_status(path)
@@ -127,7 +119,7 @@ class DropFolder:
             previous = status
             if late:
                 break
-            self._sleep(POLL)
+            self.sleep(POLL)
         others = sorted(self._fits_files() - earlier - {path.name})
         misnamed = f", but a file of another name: {', '.join(others[:3])}" if others else ""
         advice = "check that the camera's script runs on this folder and answers <id>.json with <id>.fits"
@@ -161,10 +153,7 @@ class DropFolder:
         if header["BITPIX"] != 16 or image.dtype.kind not in "iu":
             problem = f"image with BITPIX {header['BITPIX']} read as {image.dtype.name}"
             raise self._error(problem, identifier, "write unsigned 16-bit counts: BITPIX 16 with BZERO 32768")
-        try:
-            return valid_counts(image, self.settings)
-        except InvalidCounts as invalid:
-            raise self._error(invalid.args[0], identifier, invalid.args[1]) from invalid
+        return self.valid_counts(image, f"{identifier}.json")
 
     def _check_labels(self, header: Mapping[str, Any], identifier: str, seconds: float, shutter: bool) -> None:
         """Refuse a frame that states another request, exposure time or type."""
@@ -172,7 +161,7 @@ class DropFolder:
         if request != identifier:
             raise self._error(f"the frame states another request: {request!r}", identifier, _ANSWER_EACH)
         stated = header.get("EXPTIME")
-        if isinstance(stated, bool) or not isinstance(stated, int | float):
+        if not is_number(stated):
             problem = f"EXPTIME of the frame is {stated!r}, not a number"
             raise self._error(problem, identifier, "write the exposure time in seconds")
         if not abs(stated - seconds) <= exposure_tolerance(seconds):
@@ -187,8 +176,7 @@ class DropFolder:
     def _error(
         self, problem: str, identifier: str = "", advice: str = _CHECK_SCRIPT, kind: type[DeviceError] = DeviceError
     ) -> DeviceError:
-        command = f"{identifier}.json" if identifier else ""
-        return kind("camera", problem, port=f"folder {self.folder}", command=command, advice=advice)
+        return self.error(problem, f"{identifier}.json" if identifier else "", advice, kind)
 
 
 # --- the camera's side of the folder
@@ -255,7 +243,7 @@ def _read_request(path: Path) -> tuple[str, float, bool]:
     seconds = content["seconds"]
     if content["id"] != path.stem:
         raise _InvalidRequest("id differs from the name of the file")
-    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds <= LONGEST_EXPOSURE:
+    if not is_number(seconds) or not 0 <= seconds <= LONGEST_EXPOSURE:
         raise _InvalidRequest(f"seconds must be a number from 0 to {LONGEST_EXPOSURE:g}")
     if not isinstance(content["shutter"], bool):
         raise _InvalidRequest("shutter must be true or false")
@@ -271,31 +259,20 @@ class _Incomplete(Exception):
 
 def _read_fits(content: bytes) -> tuple[dict[str, Any], NDArray[Any]]:
     """Header and data of the first image."""
-    from astropy.io import fits  # type: ignore[import-untyped]
-
     try:
-        with warnings.catch_warnings():
-            # Headers of cameras often violate the standard; a truncated file is found by its length below.
-            warnings.simplefilter("ignore")
-            with fits.open(io.BytesIO(content), memmap=False) as images:
-                image = images[0]
-                # Other keywords may not even be readable.
-                header = {keyword: image.header[keyword] for keyword in _KEYWORDS if keyword in image.header}
-                layout = image.fileinfo()
-                missing = layout["datLoc"] + layout["datSpan"] - len(content)
-                if missing > 0:
-                    raise _Incomplete(f"{missing} bytes are missing")
-                if image.data is None:
-                    raise _Incomplete("the first image is empty")
-                return header, np.asarray(image.data)
-    except _Incomplete:
-        raise
-    except Exception as error:  # astropy raises OSError, ValueError, TypeError, KeyError, VerifyError on invalid files
+        # Headers of cameras often violate the standard: warnings are ignored, and other keywords may not even be readable.
+        header, image, excess = read_fits(content, "ignore", _KEYWORDS)
+    except Exception as error:  # see read_fits
         raise _Incomplete(type(error).__name__) from error
+    if excess < 0:
+        raise _Incomplete(f"{-excess} bytes are missing")
+    if image is None:
+        raise _Incomplete("the first image is empty")
+    return header, image
 
 
 def _write_fits(path: Path, raw: RawFrame, identifier: str, shutter: bool) -> None:
-    from astropy.io import fits
+    from astropy.io import fits  # type: ignore[import-untyped]
 
     header = fits.Header()
     header["EXPTIME"] = (raw.seconds, "exposure [s]")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from brdfpipe.errors import BrdfpipeError, printable
 
 _LONGEST_REPLY = 90
@@ -50,8 +52,8 @@ class DeviceError(BrdfpipeError):
 
     def __reduce__(self) -> tuple[object, ...]:
         # The default would rebuild an unpickled error from the message alone.
-        parts = (self.device, self.problem, self.port, self.command, self.reply, self.advice)
-        return (_rebuild, (type(self), *parts))
+        options = {"port": self.port, "command": self.command, "reply": self.reply, "advice": self.advice}
+        return partial(type(self), self.device, self.problem, **options), ()
 
 
 class DeviceLost(DeviceError):
@@ -81,15 +83,3 @@ def _abbreviated(reply: bytes | str) -> str:
     # Devices answer in one-byte characters.
     text = ascii(reply.decode("latin-1") if isinstance(reply, bytes) else reply)
     return text if len(text) <= _LONGEST_REPLY else f"{text[: _LONGEST_REPLY // 2]}…{text[-_LONGEST_REPLY // 2 :]}"
-
-
-def _rebuild(
-    kind: type[DeviceError],
-    device: str,
-    problem: str,
-    port: str,
-    command: str,
-    reply: bytes | str | None,
-    advice: str,
-) -> DeviceError:
-    return kind(device, problem, port=port, command=command, reply=reply, advice=advice)

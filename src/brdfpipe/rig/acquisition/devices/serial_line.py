@@ -11,8 +11,8 @@ import errno
 import os
 import re
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
@@ -111,8 +111,7 @@ class SerialLine:
         DeviceLost : the port was disconnected.
         """
         command = self._in_case(command)
-        self._discard_input(command)
-        self._write(f"{command}\r".encode("latin-1"), command)
+        self._write(command, discard_input=True)
         echo = command.encode("latin-1")
         received = b""
         deadline = self.clock() + timeout
@@ -122,11 +121,9 @@ class SerialLine:
             ended = self.dialect.end.search(received, start + len(echo)) if start >= 0 else None
             if ended:
                 break
-            if start >= 0 and self.foreign_family(
-                received[start:]
-            ):  # its replies never end with this dialect's terminator
-                raise self._no_reply(command, received, timeout)
-            if self.clock() >= deadline or len(received) > LONGEST_REPLY:
+            # Replies of another dialect never end with this one's terminator.
+            foreign = start >= 0 and self.foreign_family(received[start:])
+            if foreign or self.clock() >= deadline or len(received) > LONGEST_REPLY:
                 raise self._no_reply(command, received, timeout)
         if received[ended.end() :]:
             raise self.error(NoReply, "more than one reply", command, received)
@@ -145,7 +142,7 @@ class SerialLine:
         DeviceLost : the port was disconnected.
         """
         for command in map(self._in_case, self.dialect.wake):
-            self._write(f"{command}\r".encode("latin-1"), command)
+            self._write(command)
             received = b""
             start = last_byte = self.clock()
             while self.clock() - last_byte < QUIET:
@@ -178,38 +175,28 @@ class SerialLine:
         lower = self.dialect.lower or self.settings.case == "lower"
         return command.lower() if lower else command.upper()
 
-    def _discard_input(self, command: str) -> None:
-        port = self._opened(command)
-        try:
-            while waiting := port.in_waiting:
-                port.read(waiting)
-        except OSError as error:
-            raise self._disconnected(error, command) from error
-
     def _read(self, command: str) -> bytes:
-        port = self._opened(command)
-        try:
+        with self._open_port(command) as port:
             return port.read(port.in_waiting or 1)
-        except OSError as error:
-            raise self._disconnected(error, command) from error
 
-    def _write(self, content: bytes, command: str) -> None:
-        port = self._opened(command)
-        try:
-            port.write(content)
-        except OSError as error:
-            raise self._disconnected(error, command) from error
+    def _write(self, command: str, *, discard_input: bool = False) -> None:
+        with self._open_port(command) as port:
+            while discard_input and (waiting := port.in_waiting):
+                port.read(waiting)
+            port.write(f"{command}\r".encode("latin-1"))
 
-    def _opened(self, command: str) -> SerialPort:
+    @contextmanager
+    def _open_port(self, command: str) -> Iterator[SerialPort]:
+        """The port; closed, with DeviceLost, if it was disconnected."""
         if self._port is None:
             raise self.error(DeviceLost, "the port is closed", command, advice="connect the device and start again")
-        return self._port
-
-    def _disconnected(self, error: OSError, command: str) -> DeviceLost:
-        self.close()
-        cause = error.strerror or str(error)
-        advice = "check cable and power, and that no other program reads from this port; then start again"
-        return self.error(DeviceLost, f"the port was disconnected ({cause})", command, advice=advice)
+        try:
+            yield self._port
+        except OSError as error:
+            self.close()
+            problem = f"the port was disconnected ({error.strerror or error})"
+            advice = "check cable and power, and that no other program reads from this port; then start again"
+            raise self.error(DeviceLost, problem, command, advice=advice) from error
 
     def _no_reply(self, command: str, received: bytes, timeout: float) -> NoReply:
         baud = f"the baud rate ({self.settings.baud})"
@@ -229,11 +216,7 @@ class SerialLine:
         settings = self.settings
         try:
             return open_port(
-                port=settings.port,
-                baudrate=settings.baud,
-                timeout=POLL,
-                write_timeout=WRITE_TIMEOUT,
-                exclusive=True,
+                port=settings.port, baudrate=settings.baud, timeout=POLL, write_timeout=WRITE_TIMEOUT, exclusive=True
             )
         except (OSError, ValueError) as error:  # pyserial raises OSErrors, and a ValueError for an impossible speed
             problem, advice = _explain_open_failure(error)
@@ -251,15 +234,11 @@ def _explain_open_failure(error: OSError | ValueError) -> tuple[str, str]:
     number, text = getattr(error, "errno", None), str(error)
     denied = number == errno.EACCES or "PermissionError" in text
     if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or (denied and os.name == "nt"):
-        return (
-            "the port is in use by another program",
-            "close the other program (a second scan, a terminal, the manufacturer's software)",
-        )
+        advice = "close the other program (a second scan, a terminal, the manufacturer's software)"
+        return "the port is in use by another program", advice
     if denied:
-        return (
-            "no permission to open the port",
-            "add your account to the group that owns the port (often dialout), and log in again",
-        )
+        advice = "add your account to the group that owns the port (often dialout), and log in again"
+        return "no permission to open the port", advice
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV) or "FileNotFoundError" in text:
         return "the port does not exist", f"connect the device, or correct `port`; {_available_ports()}"
     return f"the port cannot be opened ({text})", f"check `port` and `baud`; {_available_ports()}"
