@@ -63,6 +63,9 @@ class DeviceState:
     position: int
     """Position of the filter wheel."""
 
+    def __str__(self) -> str:
+        return f"{self.wavelength:g} nm and filter {self.position}"
+
 
 @dataclass(frozen=True)
 class Frame:

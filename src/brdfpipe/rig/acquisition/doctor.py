@@ -70,11 +70,9 @@ def doctor(rig: Rig, camera: Camera | None = None, report: Callable[[str], None]
     The table; the rig is ready if every row passed.
     """
     table = _Table(report)
-    for examine in (_examine_monochromator, _examine_wheel):
+    for examine in (_examine_monochromator, _examine_wheel, partial(_examine_camera, camera)):
         with suppress(_CheckFailed):
             examine(rig, table)
-    with suppress(_CheckFailed):
-        _examine_camera(rig, camera, table)
     failed = sum(not row.passed for row in table.rows)
     report(f"{len(table.rows) - failed} passed, {failed} failed")
     return table.rows
@@ -114,8 +112,7 @@ class _Table:
 
 
 def _examine_monochromator(rig: Rig, table: _Table) -> None:
-    name = "monochromator"
-    port = rig.monochromator.port
+    name, port = "monochromator", rig.monochromator.port
     with closing(table.check(name, "port", lambda: open_monochromator(rig.monochromator), lambda _: port)) as device:
         table.check(name, "identity", device.identify)
         start = table.check(name, "wavelength", device.wavelength, _nanometres)
@@ -125,8 +122,8 @@ def _examine_monochromator(rig: Rig, table: _Table) -> None:
 
 
 def _examine_wheel(rig: Rig, table: _Table) -> None:
-    name = "filter wheel"
-    with closing(table.check(name, "port", lambda: open_wheel(rig.wheel), lambda _: rig.wheel.port)) as device:
+    name, port = "filter wheel", rig.wheel.port
+    with closing(table.check(name, "port", lambda: open_wheel(rig.wheel), lambda _: port)) as device:
         table.check(name, "identity", device.identify)
         start = table.check(name, "position", device.position)
         table.check(name, "query", lambda: _median_time(device.position), _milliseconds)
@@ -134,7 +131,7 @@ def _examine_wheel(rig: Rig, table: _Table) -> None:
             table.check(name, f"to {position}", partial(device.goto, position))
 
 
-def _examine_camera(rig: Rig, camera: Camera | None, table: _Table) -> None:
+def _examine_camera(camera: Camera | None, rig: Rig, table: _Table) -> None:
     name = "camera"
     device = table.check(name, "driver", lambda: camera or open_camera(rig.camera), lambda _: rig.camera.kind)
     table.check(name, "identity", device.identify)

@@ -14,6 +14,7 @@ from itertools import pairwise
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.frame_file import frame_size
 from brdfpipe.rig.plan import Plan, Shot
+from brdfpipe.rig.screen import linear_limit
 
 READOUT = 1.0
 """Seconds from the end of an exposure to the next command, with the frame on disk."""
@@ -75,10 +76,9 @@ def estimate(plan: Plan) -> Estimate:
     seconds: dict[str, float] = {}
     for previous, shot in zip((None, *plan.shots), plan.shots, strict=False):
         seconds[shot.purpose] = seconds.get(shot.purpose, 0.0) + duration(shot, previous, plan.rig)
-    counts = Counter(shot.purpose for shot in plan.shots)
     return Estimate(
         title=f"{plan.sample} on {plan.rig.name}",
-        counts=dict(counts),
+        counts=Counter(shot.purpose for shot in plan.shots),
         seconds=seconds,
         size=len(plan.shots) * frame_size(plan),
         arrangements=len(plan.arrangements),
@@ -102,7 +102,7 @@ def frame_range(rig: Rig) -> float:
     pixels = max(1.0, math.pi * (rig.screen.fibre_radius * rig.screen.scale) ** 2)
     ratio = FIBRE_SNR**2 / pixels
     darkest = (ratio + math.sqrt(ratio**2 + 4 * ratio * rig.camera.read_noise**2)) / 2
-    return min(rig.camera.linear_to, rig.camera.gain * rig.camera.full) / darkest
+    return linear_limit(rig) / darkest
 
 
 def _bracket_warnings(plan: Plan) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 from brdfpipe import store
@@ -22,16 +22,18 @@ def locked(folder: Path) -> Iterator[None]:
     from filelock import FileLock, Timeout
 
     lock = FileLock(folder / LOCK, timeout=0)
-    with ExitStack() as held:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            held.enter_context(lock)
-        except Timeout:
-            advice = "wait for it, or choose another --out"
-            raise InputError(folder, "another scan is running in this folder", accepted=advice) from None
-        except OSError as error:
-            raise InputError(folder, f"cannot be written ({error.strerror})", accepted="another --out") from error
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout:
+        advice = "wait for it, or choose another --out"
+        raise InputError(folder, "another scan is running in this folder", accepted=advice) from None
+    except OSError as error:
+        raise InputError(folder, f"cannot be written ({error.strerror})", accepted="another --out") from error
+    try:
         yield
+    finally:
+        lock.release()
 
 
 def prepare(plan: Plan, folder: Path, resume: bool) -> None:
@@ -47,20 +49,13 @@ def prepare(plan: Plan, folder: Path, resume: bool) -> None:
         _copy_sources(plan, folder)
         return
     if differences := plan.differences(Plan.load(folder / PLAN)):
-        raise InputError(
-            folder,
-            "holds a run of another plan or rig",
-            found="; ".join(differences) + " (this plan, and the existing run)",
-            accepted="the plan the run was started with, or another --out",
-        )
-    finished = sum(1 for _ in (folder / FRAMES).glob("*.fits"))
+        found = "; ".join(differences) + " (this plan, and the existing run)"
+        accepted = "the plan the run was started with, or another --out"
+        raise InputError(folder, "holds a run of another plan or rig", found=found, accepted=accepted)
+    finished = len(list((folder / FRAMES).glob("*.fits")))
     if not resume and (finished or (folder / JOURNAL).exists()):
-        raise InputError(
-            folder,
-            "holds a run of this plan already",
-            found=f"{finished} of {len(plan.shots)} frames",
-            accepted="--resume, or another --out",
-        )
+        found, accepted = f"{finished} of {len(plan.shots)} frames", "--resume, or another --out"
+        raise InputError(folder, "holds a run of this plan already", found=found, accepted=accepted)
     (folder / FRAMES).mkdir(exist_ok=True)
 
 

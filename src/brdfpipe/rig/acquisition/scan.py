@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,8 @@ STILL = 0.05
 LATEST_START = 9.9e9
 """Seconds of Unix time, in the year 2283: a header has no room for microseconds of a later start."""
 
+_BRACKET = attrgetter("purpose", "arrangement", "wavelength")
+
 Confirm = Callable[[Arrangement, str], bool]
 """Asks the operator to arrange mirrors and sample, also described in words; returns whether it is done."""
 
@@ -65,7 +68,7 @@ class Summary:
 
     @property
     def text(self) -> str:
-        repeated = f", {self.retries} exposure{'s' if self.retries > 1 else ''} repeated" if self.retries else ""
+        repeated = f", {self.retries} exposure{'s' * (self.retries > 1)} repeated" if self.retries else ""
         return f"{self.frames} frames in {self.folder}, {self.taken} of them taken now{repeated}"
 
 
@@ -156,28 +159,22 @@ class _Scan:
         digests = {event.get("shot"): event.get("sha256") for event in events if event["event"] in ("frame", "adopted")}
         self._filters_checked = any(event["event"] == "overlap" for event in events)
         for shot, result in read_shots(self.folder, self.plan, self.plan.shots):
-            problem = str(result) if isinstance(result, FrameError) else ""
-            if isinstance(result, Frame) and digests.get(shot.ordinal, result.digest) != result.digest:
-                problem = f"{shot.name}: changed since it was taken"
-            if problem:
+            if isinstance(result, Frame) and digests.get(shot.ordinal, result.digest) == result.digest:
+                if shot.ordinal not in digests:
+                    self.journal.append("adopted", **self._frame_record(shot, result))
+                self._add_finished(shot, result)
+            else:
+                problem = str(result) if isinstance(result, FrameError) else f"{shot.name}: changed since it was taken"
                 self.journal.append("damaged", shot=shot.ordinal, problem=problem)
                 self._warn(f"{problem}; the frame is taken again")
-                continue
-            assert isinstance(result, Frame)
-            if shot.ordinal not in digests:
-                self.journal.append("adopted", **self._frame_record(shot, result))
-            self._add_finished(shot, result)
         self._check_lamp(new=False)
 
     def _check_disk(self, count: int) -> None:
         required, free = count * frame_size(self.plan), shutil.disk_usage(self.folder).free
         if required > free:
-            raise InputError(
-                self.folder,
-                "not enough disk space for the missing frames",
-                found=f"{free >> 20} MiB free",
-                accepted=f"{(required >> 20) + 1} MiB; free disk space, or choose another --out",
-            )
+            problem, found = "not enough disk space for the missing frames", f"{free >> 20} MiB free"
+            accepted = f"{(required >> 20) + 1} MiB; free disk space, or choose another --out"
+            raise InputError(self.folder, problem, found=found, accepted=accepted)
 
     def _record_start(self, missing: int) -> None:
         plan, devices = self.plan, self.devices
@@ -223,15 +220,14 @@ class _Scan:
         advance(None)
 
     def _instruction(self, shot: Shot) -> str:
-        arrangement, holder = shot.arrangement, self.plan.sample_id(shot.arrangement)
-        number = self.plan.arrangements.index(arrangement) + 1
+        arrangement, arrangements = shot.arrangement, self.plan.arrangements
         position = {
             "sample": f"at {arrangement.incidence:g} degree, for {arrangement.side}",
             "etalon": f"turned to the {arrangement.incidence:g} degree entrance, mirrors set to that entrance",
             "target": f"mirrors set to the {arrangement.incidence:g} degree entrance",
         }[arrangement.load]
-        count = len(self.plan.arrangements)
-        return f"arrangement {number} of {count} (frame {shot.ordinal}): {holder} in the holder, {position}"
+        number = f"arrangement {arrangements.index(arrangement) + 1} of {len(arrangements)} (frame {shot.ordinal})"
+        return f"{number}: {self.plan.sample_id(arrangement)} in the holder, {position}"
 
     def _take(self, shot: Shot) -> None:
         raw, state = self._expose(shot)
@@ -246,25 +242,24 @@ class _Scan:
 
     def _expose(self, shot: Shot) -> tuple[RawFrame, DeviceState]:
         """One exposure during which no device moved, and the state the devices reported."""
-        failure: DeviceError | None = None
-        for attempt in range(1, ATTEMPTS + 1):
+        attempt = 0
+        while True:
+            attempt += 1
             try:
                 before = self._move_devices(shot)
                 raw = self._read_camera(shot)
                 after = self._device_state()
                 if before.position == after.position and abs(before.wavelength - after.wavelength) <= STILL:
                     return raw, before
-                raise DeviceError(
-                    "rig", f"a device moved during the exposure: {_describe(before)} before, {_describe(after)} after"
-                )
+                raise DeviceError("rig", f"a device moved during the exposure: {before} before, {after} after")
             except (DeviceLost, WrongDevice):
                 raise
             except DeviceError as error:
-                failure, self._requested = error, None
+                self._requested = None
                 self.journal.append("retry", shot=shot.ordinal, attempt=attempt, problem=str(error))
-                self._retries += attempt < ATTEMPTS
-        assert failure is not None
-        raise failure
+                if attempt == ATTEMPTS:
+                    raise
+                self._retries += 1
 
     def _move_devices(self, shot: Shot) -> DeviceState:
         """State the devices report after they have moved to that of the shot."""
@@ -277,7 +272,7 @@ class _Scan:
             self.devices.wheel.goto(target.position)
         state = self._device_state()
         if state.position != target.position or not abs(state.wavelength - target.wavelength) <= WAVELENGTH_TOLERANCE:
-            raise DeviceError("rig", f"requested {_describe(target)}, devices report {_describe(state)}")
+            raise DeviceError("rig", f"requested {target}, devices report {state}")
         self._requested = target
         return state
 
@@ -309,44 +304,35 @@ class _Scan:
     def _check_lamp(self, *, new: bool) -> None:
         drift = self.plan.drift
         for warning in drift_warnings(self._lamp_readings, drift.wavelength, drift.tolerance):
-            if warning in self._warnings:
-                continue
-            if new:
-                self.journal.append("drift", warning=warning)
-            self._warn(warning)
+            if warning not in self._warnings:
+                if new:
+                    self.journal.append("drift", warning=warning)
+                self._warn(warning)
 
     def _check_filters(self, shot: Shot) -> None:
         """Check the location of the filters once a bracket is complete."""
-
-        def bracket_of(shot: Shot) -> tuple[str, Arrangement, float]:
-            return shot.purpose, shot.arrangement, shot.wavelength
-
-        bracket = [other for other in self.plan.shots if bracket_of(other) == bracket_of(shot)]
+        bracket = [other for other in self.plan.shots if _BRACKET(other) == _BRACKET(shot)]
         if not self._finished.issuperset(bracket):
             return
         darks = [other for other in self.plan.shots if other.dark and other in self._finished]
         results = read_shots(self.folder, self.plan, [*darks, *bracket])
         frames = {shot: result for shot, result in results if isinstance(result, Frame)}
         check = check_overlaps(frames_dataset(frames, self.plan), self.plan.rig)
-        if not check.overlaps:
-            return
-        self._filters_checked = True
-        self.journal.append(
-            "overlap", pairs=len(check.overlaps), nd_location=check.nd_location, warnings=check.warnings
-        )
-        for warning in check.warnings:
-            self._warn(warning)
+        if check.overlaps:
+            self._filters_checked = True
+            pairs, location = len(check.overlaps), check.nd_location
+            self.journal.append("overlap", pairs=pairs, nd_location=location, warnings=check.warnings)
+            for warning in check.warnings:
+                self._warn(warning)
 
     def _mean_dark(self, exposure: float) -> Array | None:
         """Mean of the finished dark frames of an exposure time [counts]; None if there are none."""
         if exposure not in self._mean_darks:
             shots = [shot for shot in self._finished if shot.dark and shot.exposure == exposure]
             results = read_shots(self.folder, self.plan, shots)
-            counts = [result.counts for _, result in results if isinstance(result, Frame)]
-            if not counts:
-                return None
-            self._mean_darks[exposure] = np.mean(counts, axis=0)
-        return self._mean_darks[exposure]
+            if counts := [result.counts for _, result in results if isinstance(result, Frame)]:
+                self._mean_darks[exposure] = np.mean(counts, axis=0)
+        return self._mean_darks.get(exposure)
 
     # --- journal and messages
 
@@ -372,51 +358,35 @@ class _Scan:
             self.journal.append(event, shot=shot.ordinal, reason=reason)
 
     def _stop_message(self, shot: Shot, error: BrdfpipeError) -> str:
-        return (
-            f"scan stopped before frame {shot.ordinal} of {len(self.plan.shots)}: {error}; {len(self._finished)} frames are safe in "
-            f"{self.folder}. Correct the problem and repeat the command with --resume"
-        )
+        stop = f"scan stopped before frame {shot.ordinal} of {len(self.plan.shots)}: {error}"
+        safe = f"{len(self._finished)} frames are safe in {self.folder}"
+        return f"{stop}; {safe}. Correct the problem and repeat the command with --resume"
 
 
 def _arrangement_record(shot: Shot, plan: Plan) -> dict[str, Any]:
-    arrangement = shot.arrangement
-    return {
-        "shot": shot.ordinal,
-        "incidence": arrangement.incidence,
-        "side": arrangement.side,
-        "holder": plan.sample_id(arrangement),
-    }
-
-
-def _describe(state: DeviceState) -> str:
-    return f"{state.wavelength:g} nm and filter {state.position}"
+    incidence, side = shot.arrangement.incidence, shot.arrangement.side
+    return {"shot": shot.ordinal, "incidence": incidence, "side": side, "holder": plan.sample_id(shot.arrangement)}
 
 
 @contextmanager
 def _progress_bar(plan: Plan, missing: list[Shot], progress: bool) -> Iterator[Callable[[Shot | None], None]]:
     """Frames done and time left, from the expected duration of each; called with None after waiting for the operator."""
-    if not progress:
-        yield lambda shot: None
-        return
     from tqdm import tqdm
 
-    previous = dict(zip(plan.shots, (None, *plan.shots), strict=False))
-    seconds = {shot: duration(shot, previous[shot], plan.rig) for shot in plan.shots}
-    total = sum(seconds.values())
-    with tqdm(
-        total=total,
-        initial=total - sum(seconds[shot] for shot in missing),
-        bar_format="{percentage:3.0f}%|{bar}| {desc}, {remaining} left",
-        disable=None,
-        leave=False,
-    ) as bar:
+    seconds = {
+        shot: duration(shot, before, plan.rig) for before, shot in zip((None, *plan.shots), plan.shots, strict=False)
+    }
+    total, left = sum(seconds.values()), sum(seconds[shot] for shot in missing)
+    form = "{percentage:3.0f}%|{bar}| {desc}, {remaining} left"
+    shown = None if progress else True  # None: on a terminal
+    with tqdm(total=total, initial=total - left, bar_format=form, disable=shown, leave=False) as bar:
 
         def advance(shot: Shot | None) -> None:
             if shot is None:
                 bar.unpause()
-                return
-            description = f"{shot.purpose} at {shot.arrangement.incidence:g}°, {shot.wavelength:g} nm"
-            bar.set_description_str(f"frame {shot.ordinal} of {len(plan.shots)} ({description})", refresh=False)
-            bar.update(seconds[shot])
+            else:
+                description = f"{shot.purpose} at {shot.arrangement.incidence:g}°, {shot.wavelength:g} nm"
+                bar.set_description_str(f"frame {shot.ordinal} of {len(plan.shots)} ({description})", refresh=False)
+                bar.update(seconds[shot])
 
         yield advance

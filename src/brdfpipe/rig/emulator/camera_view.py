@@ -7,6 +7,7 @@ pixels × directions.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,8 +99,7 @@ def in_entrance_hole(
     return inside
 
 
-@dataclass(frozen=True)
-class _Spots:
+class _Spots(NamedTuple):
     """Pairs of a spot and a pixel it illuminates, and the covered share of the pixel."""
 
     spot: Indices
@@ -115,18 +115,10 @@ def _disc(true: Screen, shape: tuple[int, int], effects: Effects) -> tuple[Array
     theta_s, phi_s = screen.disc_direction(true, *positions)
     rim = np.degrees(np.arctan(true.disc_radius / true.focal_length))
     lens = np.maximum(0.0, 1 - effects.vignetting * (theta_s / rim) ** 2)
-    weight = (
-        spot.coverage[:, None]
-        / len(_PIXEL_NODES)
-        * true.focal_length**2
-        * screen.disc_solid_angle(true, theta_s)
-        * lens
-    )
-    count = weight.size
-    matrix = sparse.coo_array(
-        (weight.ravel(), (np.repeat(spot.pixel, len(_PIXEL_NODES)), np.arange(count))),
-        shape=(shape[0] * shape[1], count),
-    )
+    share = spot.coverage[:, None] / len(_PIXEL_NODES) * true.focal_length**2
+    weight = share * screen.disc_solid_angle(true, theta_s) * lens
+    pixels, directions = np.repeat(spot.pixel, len(_PIXEL_NODES)), np.arange(weight.size)
+    matrix = sparse.coo_array((weight.ravel(), (pixels, directions)), shape=(shape[0] * shape[1], weight.size))
     return np.stack([theta_s.ravel(), phi_s.ravel()]), matrix
 
 
@@ -138,15 +130,11 @@ def _fibres(
     spots = _spots(true, shape, np.array([[fibre.x, fibre.y] for fibre in rig.fibres]), true.fibre_radius)
     light = spots.coverage * efficiency[spots.spot]
     nodes = len(_CIRCLE_WEIGHTS)
-    matrix = sparse.coo_array(
-        (
-            (light[:, None] * _CIRCLE_WEIGHTS).ravel(),
-            (np.repeat(spots.pixel, nodes), (nodes * spots.spot[:, None] + np.arange(nodes)).ravel()),
-        ),
-        shape=(shape[0] * shape[1], nodes * len(rig.fibres)),
-    )
-    theta = np.array([fibre.theta_s for fibre in rig.fibres])
-    phi = np.array([fibre.phi_s for fibre in rig.fibres])
+    weight = (light[:, None] * _CIRCLE_WEIGHTS).ravel()
+    pixels, directions = np.repeat(spots.pixel, nodes), (nodes * spots.spot[:, None] + np.arange(nodes)).ravel()
+    size = shape[0] * shape[1], nodes * len(rig.fibres)
+    matrix = sparse.coo_array((weight, (pixels, directions)), shape=size)
+    theta, phi = (np.array([getattr(fibre, angle) for fibre in rig.fibres]) for angle in ("theta_s", "phi_s"))
     return np.stack([angle.ravel() for angle in _field_nodes(theta, phi, effects.fibre_field)]), matrix
 
 

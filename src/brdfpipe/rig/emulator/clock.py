@@ -13,16 +13,12 @@ class ClockError(BrdfpipeError):
 
 
 class VirtualClock:
-    """Time that advances only by exposures, readouts and moves.
+    """Time that advances only by exposures, readouts and moves. Safe to use from several threads.
 
     Parameters
     ----------
     start : first reading [s]
     realtime : follow the wall clock, and let :meth:`advance` take real time; for interactive tests of programs
-
-    Notes
-    -----
-    Safe to use from several threads.
     """
 
     def __init__(self, start: float = 0.0, *, realtime: bool = False) -> None:
@@ -37,12 +33,7 @@ class VirtualClock:
         return time.monotonic() - self._origin if self._realtime else self._now
 
     def advance(self, seconds: float) -> None:
-        """Advance by a number of seconds.
-
-        Raises
-        ------
-        ClockError : negative or NaN.
-        """
+        """Advance by a number of seconds; raises ClockError if it is negative or NaN."""
         if not seconds >= 0:
             raise ClockError(f"the clock cannot advance by {seconds} s; accepted: 0 or more")
         if self._realtime:

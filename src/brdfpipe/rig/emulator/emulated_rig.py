@@ -34,7 +34,8 @@ class EmulatedRig:
     """A rig as described, with the imperfections of a real one.
 
     Inside a ``with`` block the devices answer on pseudo-terminals, whose paths are in :attr:`rig`. :meth:`restore` sets their state without a
-    serial line.
+    serial line. Equal seed, session, description and sequence of states give equal frames, byte for byte: the noise of a frame depends on
+    the number of frames before it, everything else on virtual time.
 
     Parameters
     ----------
@@ -51,11 +52,6 @@ class EmulatedRig:
     ------
     VocabularyError : the truth is not of kind ``bsdf``.
     EmulationError : seed or session below 0.
-
-    Notes
-    -----
-    Equal seed, session, description and sequence of states give equal frames, byte for byte: the noise of a frame depends on the number of
-    frames before it, everything else on virtual time.
     """
 
     def __init__(
@@ -72,7 +68,7 @@ class EmulatedRig:
     ) -> None:
         if seed < 0 or session < 0:
             raise EmulationError(f"negative seed or session: {seed}, {session}; accepted: 0 or more")
-        effects = Effects() if effects is None else effects
+        effects = effects or Effects()
         self.rig = replace(rig, camera=replace(rig.camera, kind="emulated"))
         self.clock = clock or VirtualClock()
         self.monochromator = _monochromator(rig, self.clock)
@@ -84,32 +80,24 @@ class EmulatedRig:
         self._opened = ExitStack()
 
     def set_entrance(self, sigma: float, *, load: str = "sample", side: str = "reflection") -> None:
-        """Manual arrangement: mirrors, and object in the holder.
+        """Manual arrangement: mirrors, and object in the holder. Raises EmulationError if it is impossible.
 
         Parameters
         ----------
         sigma : entrance [degree]; the normal of the etalon points to it
         load : ``sample``, ``etalon``, ``target`` (the angular target of the description), or ``dark-trap``, which absorbs all light
         side : ``reflection``, or ``transmission`` with the hemisphere behind the sample
-
-        Raises
-        ------
-        EmulationError : an impossible arrangement.
         """
         self.setup = check_setup(Setup(float(sigma), load, side), self.rig)
 
     def restore(self, time: float, wavelength: float, position: int, frames: int) -> None:
-        """Restore the state after a frame was read.
+        """Restore the state after a frame was read. Raises EmulationError if the time is past.
 
         Parameters
         ----------
         time : virtual time at which the next frame may start [s]: start and exposure time of that frame, and :data:`READOUT`
         wavelength, position : of the devices
         frames : number of frames exposed so far
-
-        Raises
-        ------
-        EmulationError : the time is past.
         """
         if time < self.clock.now():
             raise EmulationError(f"cannot return to {time:g} s: virtual time is {self.clock.now():g} s")
@@ -124,11 +112,8 @@ class EmulatedRig:
             wheel = opened.enter_context(Port(self.wheel, self._faults, name="wheel"))
             self._opened = opened.pop_all()
         self.ports = monochromator, wheel
-        self.rig = replace(
-            self.rig,
-            monochromator=replace(self.rig.monochromator, port=monochromator.path),
-            wheel=replace(self.rig.wheel, port=wheel.path),
-        )
+        settings = (replace(self.rig.monochromator, port=monochromator.path), replace(self.rig.wheel, port=wheel.path))
+        self.rig = replace(self.rig, monochromator=settings[0], wheel=settings[1])
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -150,12 +135,7 @@ class EmulatedCamera:
         return f"emulated camera, {settings.width} x {settings.height} pixels"
 
     def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
-        """Expose and read out, in virtual time.
-
-        Raises
-        ------
-        DeviceError : exposure time out of range.
-        """
+        """Expose and read out, in virtual time; raises DeviceError if the exposure time is out of range."""
         check_exposure(seconds)
         clock = self._rig.clock
         started = clock.now()
@@ -174,12 +154,7 @@ class EmulatedCamera:
         return RawFrame(counts, started, seconds, temperature)
 
     def _light(self, states: Mapping[tuple[float, int], float]) -> Array:
-        """Electrons per second, summed over the states of the devices during the exposure.
-
-        Parameters
-        ----------
-        states : (wavelength, position) → light of the lamp
-        """
+        """Electrons per second, summed over the states of the devices: (wavelength, position) → light of the lamp."""
         optics, setup = self._rig.optics, self._rig.setup
         return np.sum([lamp * optics.rates(setup, *state) for state, lamp in states.items()], axis=0)
 
@@ -188,9 +163,8 @@ def _monochromator(rig: Rig, clock: VirtualClock) -> Monochromator:
     """Monochromator with the grating and serial number of the description."""
     settings = rig.monochromator
     gratings = {settings.grating: GRATINGS[1], **GRATINGS} if settings.grating else GRATINGS
-    if settings.serial_number:
-        return Monochromator(clock, gratings=gratings, serial_number=settings.serial_number)
-    return Monochromator(clock, gratings=gratings)
+    names = {"serial_number": settings.serial_number} if settings.serial_number else {}
+    return Monochromator(clock, gratings=gratings, **names)
 
 
 def _wheel(rig: Rig, clock: VirtualClock) -> ActonWheel | ThorlabsWheel:

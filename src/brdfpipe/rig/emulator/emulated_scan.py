@@ -35,9 +35,8 @@ def make_run(plan_file: Path, folder: Path, truth: xr.Dataset | None, *, seed: i
     """
     plan = Plan.load(plan_file)
     if truth is None and any(arrangement.load == "sample" for arrangement in plan.arrangements):
-        raise InputError(
-            plan_file, "the plan measures a sample, but no truth is given", where="runs", accepted="[target, etalon]"
-        )
+        problem = "the plan measures a sample, but no truth is given"
+        raise InputError(plan_file, problem, where="runs", accepted="[target, etalon]")
     temporary = folder.with_name(f".{folder.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
@@ -75,12 +74,13 @@ def scan_emulated(
         if resume:
             _check_same_rig(folder, operator)
             restore_state(emulated, plan, folder)
+        clock, confirm = emulated.clock.now, automatic_operator(emulated)
         return scan(
             plan,
             devices,
             folder,
-            clock=emulated.clock.now,
-            confirm=automatic_operator(emulated),
+            clock=clock,
+            confirm=confirm,
             operator=operator,
             progress=progress,
             resume=resume,
@@ -92,21 +92,16 @@ def _check_same_rig(folder: Path, operator: str) -> None:
     """Refuse to continue a run of another emulated rig, or of a real one."""
     operators = {event.get("operator") for event in journals.read(folder / JOURNAL) if event["event"] == "begun"}
     if others := operators - {operator}:
-        raise InputError(
-            folder,
-            "holds a run of another rig",
-            found=", ".join(map(str, others)),
-            accepted=f"{operator}, or another --out",
-        )
+        found, accepted = ", ".join(map(str, others)), f"{operator}, or another --out"
+        raise InputError(folder, "holds a run of another rig", found=found, accepted=accepted)
 
 
 def restore_state(emulated: EmulatedRig, plan: Plan, folder: Path) -> None:
     """Restore the state of an emulated rig after the last finished frame of a run."""
     if (last := last_finished(plan, folder)) is not None:
         shot, frame = last
-        emulated.restore(
-            frame.started + shot.exposure + READOUT, frame.state.wavelength, frame.state.position, shot.ordinal
-        )
+        end = frame.started + shot.exposure + READOUT
+        emulated.restore(end, frame.state.wavelength, frame.state.position, shot.ordinal)
 
 
 def automatic_operator(emulated: EmulatedRig) -> Callable[[Arrangement, str], bool]:

@@ -44,7 +44,10 @@ class InjectedFault(NamedTuple):
 
 
 class Faults:
-    """Faults by command: see :meth:`at` and :meth:`seeded`. One plan may serve several ports and then counts the commands of all."""
+    """Faults by command: see :meth:`at` and :meth:`seeded`. One plan may serve several ports and then counts the commands of all.
+
+    Raises FaultError for an unknown kind, a number of a command below 1, or a rate outside 0 to 1.
+    """
 
     def __init__(self, plan: Mapping[int, str], rate: float, kinds: Sequence[str], seed: int) -> None:
         unknown = sorted({*plan.values(), *kinds} - {*KINDS})
@@ -53,9 +56,8 @@ class Faults:
         if any(ordinal < 1 for ordinal in plan):
             raise FaultError(f"invalid number of a command: {min(plan)}; accepted: 1 or more")
         if not 0 <= rate <= 1 or (rate and not kinds):
-            raise FaultError(
-                f"invalid fault rate {rate} with {len(kinds)} kinds; accepted: 0 to 1, with at least one kind"
-            )
+            found = f"invalid fault rate {rate} with {len(kinds)} kinds"
+            raise FaultError(f"{found}; accepted: 0 to 1, with at least one kind")
         self._plan, self._rate, self._kinds = dict(plan), rate, tuple(kinds)
         self._random = random.Random(seed)
         self._commands = 0
@@ -64,22 +66,12 @@ class Faults:
 
     @classmethod
     def at(cls, plan: Mapping[int, str], *, seed: int = 0) -> Faults:
-        """Each fault once, by the number of the command from 1; the seed determines the noise and where answers are truncated.
-
-        Raises
-        ------
-        FaultError : an unknown kind, or a number below 1.
-        """
+        """Each fault once, by the number of the command from 1; the seed determines the noise and where answers are truncated."""
         return cls(plan, 0.0, (), seed)
 
     @classmethod
     def seeded(cls, seed: int, rate: float, kinds: Sequence[str] = KINDS) -> Faults:
-        """A fault at every command with probability ``rate``, all ``kinds`` equally likely.
-
-        Raises
-        ------
-        FaultError : an unknown kind, or a rate outside 0 to 1.
-        """
+        """A fault at every command with probability ``rate``, all ``kinds`` equally likely."""
         return cls({}, rate, kinds, seed)
 
     @property
@@ -118,14 +110,7 @@ class Faults:
 
 
 class FaultyLine:
-    """A device behind a faulty line.
-
-    Parameters
-    ----------
-    device : behind the line
-    faults : none by default
-    other_device : answers after ``wrong-device``; by default a device of the other dialect
-    """
+    """A device behind a line with faults; ``other_device`` answers after ``wrong-device``, by default one of the other dialect."""
 
     def __init__(
         self, device: SerialDevice, faults: Faults | None = None, other_device: SerialDevice | None = None
@@ -179,13 +164,9 @@ class FaultyLine:
         if kind and not not_affected:
             self._faults.record(self._ordinal, kind, self._command)
         self._clear_command()
-        if kind == "silence":
-            return b""
-        if kind == "late-ok":
-            self._late_answer = answer
-            return b""
-        if kind == "unplug":
-            self.dead = True
+        if kind in ("silence", "late-ok", "unplug"):
+            self._late_answer = answer if kind == "late-ok" else b""
+            self.dead = kind == "unplug"
             return b""
         self._device.finish_move()
         return self._faults.truncate(answer) if kind == "truncated" else answer

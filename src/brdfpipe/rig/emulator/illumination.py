@@ -41,13 +41,7 @@ _SLIT_QUADRATURE = np.sqrt(0.4) * np.array([-1.0, 0.0, 1.0]), np.array([5, 14, 5
 
 
 class Illumination:
-    """Light that reaches the splitter, the reference and the sample; the spectrum of the lamp is 1 at :data:`MIDDLE_WAVELENGTH`.
-
-    Parameters
-    ----------
-    rig : filters, slit
-    effects, seed, session : see :mod:`brdfpipe.rig.emulator.effects`
-    """
+    """Light that reaches the splitter, the reference and the sample; the spectrum of the lamp is 1 at :data:`MIDDLE_WAVELENGTH`."""
 
     def __init__(self, rig: Rig, effects: Effects, seed: int, session: int) -> None:
         self._rig, self._effects, self._seed = rig, effects, seed
@@ -74,9 +68,8 @@ class Illumination:
 
     def split_ratio(self, wavelength: ArrayLike) -> Array:
         """Share of the light for the reference; the rest reaches the sample."""
-        return SPLIT * (
-            1 + self._effects.splitter_slope * (np.asarray(wavelength, dtype=float) - MIDDLE_WAVELENGTH) / 100
-        )
+        distance = np.asarray(wavelength, dtype=float) - MIDDLE_WAVELENGTH
+        return SPLIT * (1 + self._effects.splitter_slope * distance / 100)
 
     def filter_transmittance(self, position: int, wavelength: float) -> float:
         """True transmittance at a position of the wheel; 1 where the description has no filter."""
@@ -97,11 +90,9 @@ class Illumination:
         return np.maximum(0.0, level * (1 + slope * (np.asarray(wavelength, dtype=float) - MIDDLE_WAVELENGTH) / 100))
 
     def _spectrum(self, wavelength: Array) -> Array:
-        return (
-            _xenon(wavelength) / _xenon(np.array(MIDDLE_WAVELENGTH))
-            if self._effects.xenon
-            else np.ones_like(wavelength)
-        )
+        if not self._effects.xenon:
+            return np.ones_like(wavelength)
+        return _xenon(wavelength) / _xenon(np.array(MIDDLE_WAVELENGTH))
 
 
 def _xenon(wavelength: Array) -> Array:

@@ -20,6 +20,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from brdfpipe.rig.emulator.clock import VirtualClock
 from brdfpipe.rig.emulator.serial_device import Motor, SerialDevice
@@ -65,7 +66,10 @@ class _Acton(SerialDevice):
         self._case = case
         self._echo = echo
         self._numbers: list[float] = []
-        self._words: dict[bytes, Callable[[], bytes]] = {b"ECHO": self._echo_on, b"NO-ECHO": self._echo_off}
+        self._words: dict[bytes, Callable[[], bytes]] = {
+            b"ECHO": partial(self._set_echo, True),
+            b"NO-ECHO": partial(self._set_echo, False),
+        }
 
     def echoed(self, piece: bytes) -> bytes:
         return piece.rstrip(b"\r") if self._echo else b""
@@ -90,15 +94,8 @@ class _Acton(SerialDevice):
             raise LookupError
         return self._words[word.upper()]
 
-    def _number(self) -> float:
-        return self._numbers.pop()
-
-    def _echo_on(self) -> bytes:
-        self._echo = True
-        return b""
-
-    def _echo_off(self) -> bytes:
-        self._echo = False
+    def _set_echo(self, echo: bool) -> bytes:
+        self._echo = echo
         return b""
 
 
@@ -139,12 +136,13 @@ class Monochromator(_Acton):
         self._slew = slew
         self._speed = _DEFAULT_SPEED
         self._marker = bytes([marker])
+        slew_to, scan_to = (lambda: self._move(self._slew)), (lambda: self._move(self._speed / 60))
         self._words |= {
-            b"GOTO": self._slew_to,
-            b"<GOTO>": self._slew_to,
-            b"NM": self._scan,
-            b"<NM>": self._scan,
-            b">NM": self._start_scan,
+            b"GOTO": slew_to,
+            b"<GOTO>": slew_to,
+            b"NM": scan_to,
+            b"<NM>": scan_to,
+            b">NM": lambda: self._move(self._speed / 60, wait=False),
             b"?NM": lambda: f" {self.wavelength:.3f} nm ".encode(),
             b"NM/MIN": self._set_speed,
             b"?NM/MIN": lambda: f" {self._speed:.3f} nm/min ".encode(),
@@ -172,17 +170,8 @@ class Monochromator(_Acton):
             self.clock.advance_to(min(now + _POLL, arrival))
         return super().answer(line)
 
-    def _slew_to(self) -> bytes:
-        return self._move(self._slew, wait=True)
-
-    def _scan(self) -> bytes:
-        return self._move(self._speed / 60, wait=True)
-
-    def _start_scan(self) -> bytes:
-        return self._move(self._speed / 60, wait=False)
-
-    def _move(self, rate: float, *, wait: bool) -> bytes:
-        target, longest = self._number(), self._gratings[self.grating].longest
+    def _move(self, rate: float, *, wait: bool = True) -> bytes:
+        target, longest = self._numbers.pop(), self._gratings[self.grating].longest
         if self._misses_move():
             target = 0.0 if target > longest / 2 else longest
         self._motor.go(min(max(target, 0.0), longest), rate)
@@ -195,11 +184,11 @@ class Monochromator(_Acton):
         return b""
 
     def _set_speed(self) -> bytes:
-        self._speed = min(max(self._number(), _SLOWEST), 60 * self._slew)
+        self._speed = min(max(self._numbers.pop(), _SLOWEST), 60 * self._slew)
         return b""
 
     def _change_grating(self) -> bytes:
-        number = self._number()
+        number = self._numbers.pop()
         if number in self._gratings and number != self.grating and not self._misses_move():
             self.grating = int(number)
             self._motor.set(min(self.wavelength, self._gratings[self.grating].longest))
@@ -215,7 +204,33 @@ class Monochromator(_Acton):
         return reply
 
 
-class ActonWheel(_Acton):
+class _Wheel(SerialDevice):
+    """A wheel of filters, numbered from 1, that turns the shorter way."""
+
+    filters: range
+    _motor: Motor
+
+    @property
+    def position(self) -> int:
+        """Filter in the beam; the nearer one during a move."""
+        return math.floor(self._motor.position - 0.5) % len(self.filters) + 1
+
+    def restore(self, state: float) -> None:
+        """Set the position, at rest."""
+        self._motor.set(int(state))
+
+    def _mount(self, positions: int, position: int) -> None:
+        self.filters, self._motor = range(1, positions + 1), Motor(self.clock, position)
+
+    def _turn(self, target: int, rate: float) -> None:
+        """Start a move to a position, or to the next one for a missed move; ``rate``: filters per second."""
+        count, position = len(self.filters), self._motor.position
+        distance = (target + self._misses_move() - position + count / 2) % count - count / 2
+        self._motor.go(position + distance, rate)
+        self._busy_until = self._motor.arrival
+
+
+class ActonWheel(_Acton, _Wheel):
     """An FA-448.
 
     Parameters
@@ -238,30 +253,21 @@ class ActonWheel(_Acton):
         echo: bool = True,
     ) -> None:
         super().__init__(clock, case=case, echo=echo)
-        self._wheel = _Wheel(clock, positions, position)
+        self._mount(positions, position)
         self._rate = 1 / seconds
         self._words |= {
-            b"FILTER": lambda: self._turn(self._number()),
+            b"FILTER": lambda: self._turn_if_present(self._numbers.pop()),
             b"?FILTER": lambda: f" {self.position} ".encode(),
-            b"FHOME": lambda: self._turn(1),
+            b"FHOME": lambda: self._turn_if_present(1),
         }
 
-    @property
-    def position(self) -> int:
-        """Filter in the beam; the nearer one during a move."""
-        return self._wheel.position
-
-    def restore(self, state: float) -> None:
-        """Set the position, at rest."""
-        self._wheel.set(int(state))
-
-    def _turn(self, target: float) -> bytes:
-        if target in self._wheel.filters:
-            self._busy_until = self._wheel.turn(int(target), self._rate, miss=self._misses_move())
+    def _turn_if_present(self, target: float) -> bytes:
+        if target in self.filters:
+            self._turn(int(target), self._rate)
         return b""
 
 
-class ThorlabsWheel(SerialDevice):
+class ThorlabsWheel(_Wheel):
     """An FW102C or FW212C.
 
     Parameters
@@ -274,20 +280,11 @@ class ThorlabsWheel(SerialDevice):
 
     def __init__(self, clock: VirtualClock, *, positions: int = 6, position: int = 1, version: str = "1.07") -> None:
         super().__init__(clock)
-        self._wheel = _Wheel(clock, positions, position)
+        self._mount(positions, position)
         self._identity = f"THORLABS FW102C/FW212C Filter Wheel version {version}"
         # The number of filters is fixed, and a pseudo-terminal has no speed: both accept only their present value.
         self._settings = {"speed": 1, "sensors": 0, "trig": 0, "pcount": positions, "baud": 1}
         self._choices = {"speed": (0, 1), "sensors": (0, 1), "trig": (0, 1), "pcount": (positions,), "baud": (1,)}
-
-    @property
-    def position(self) -> int:
-        """Filter in the beam; the nearer one during a move."""
-        return self._wheel.position
-
-    def restore(self, state: float) -> None:
-        """Set the position, at rest."""
-        self._wheel.set(int(state))
 
     def echoed(self, piece: bytes) -> bytes:
         return piece
@@ -309,34 +306,11 @@ class ThorlabsWheel(SerialDevice):
         if not equals or keyword not in {"pos", *self._settings}:
             return "Command error CMD_NOT_DEFINED"
         value = int(argument) if re.fullmatch("[0-9]{1,3}", argument) else -1
-        if value not in (self._wheel.filters if keyword == "pos" else self._choices[keyword]):
+        if value not in (self.filters if keyword == "pos" else self._choices[keyword]):
             return "Command error CMD_ARG_INVALID"
         if keyword == "pos":
             # About 1 s from filter to filter, 2 s at the slow speed.
-            rate = 1.0 if self._settings["speed"] else 0.5
-            self._busy_until = self._wheel.turn(value, rate, miss=self._misses_move())
+            self._turn(value, 1.0 if self._settings["speed"] else 0.5)
         else:
             self._settings[keyword] = value
         return ""
-
-
-class _Wheel:
-    """A wheel of filters, numbered from 1, that turns the shorter way."""
-
-    def __init__(self, clock: VirtualClock, positions: int, position: int) -> None:
-        self.filters = range(1, positions + 1)
-        self._motor = Motor(clock, position)
-
-    @property
-    def position(self) -> int:
-        return math.floor(self._motor.position - 0.5) % len(self.filters) + 1
-
-    def set(self, position: int) -> None:
-        self._motor.set(position)
-
-    def turn(self, target: int, rate: float, *, miss: bool) -> float:
-        """Start a move to a position, or to the next one for a missed move; returns the time of arrival [s]."""
-        count, position = len(self.filters), self._motor.position
-        distance = (target + miss - position + count / 2) % count - count / 2
-        self._motor.go(position + distance, rate)
-        return self._motor.arrival

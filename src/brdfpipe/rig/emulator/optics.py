@@ -37,21 +37,8 @@ _CACHED_SIGNALS, _CACHED_IMAGES = 400, 64
 
 
 class Optics:
-    """Light on the sensor for every state of the rig.
+    """Light on the sensor for every state of the rig; parameters as of :class:`~brdfpipe.rig.emulator.sample_holder.SampleHolder`.
 
-    Parameters
-    ----------
-    rig : the description
-    truth : kind ``bsdf``, the sample
-    effects, seed, session : see :mod:`brdfpipe.rig.emulator.effects`
-    etalon : as certified
-
-    Raises
-    ------
-    VocabularyError : the truth is not of kind ``bsdf``.
-
-    Notes
-    -----
     Filters and mirrors are evaluated at the middle of the band.
     """
 
@@ -70,14 +57,7 @@ class Optics:
     def rates(self, setup: Setup, wavelength: float, position: int) -> Array:
         """Electrons per second on each pixel (height, width), for a warm and stable lamp.
 
-        Parameters
-        ----------
-        wavelength : of the monochromator [nm]
-        position : of the filter wheel
-
-        Raises
-        ------
-        EmulationError : an impossible arrangement, or a truth with a smooth, specular surface.
+        ``wavelength`` is that of the monochromator [nm], ``position`` that of the filter wheel. Errors as of :meth:`SampleHolder.brightness`.
         """
         transmittance = self.illumination.filter_transmittance(position, wavelength)
         nodes, light = self.illumination.band(wavelength)

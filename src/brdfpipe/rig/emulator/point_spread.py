@@ -17,17 +17,15 @@ _CORE_CUTOFF = 6.0
 class PointSpread:
     """Convolution of an image with the point spread function.
 
+    Light is lost only beyond the edges of the image. The core is summed directly over a few pixels. Only the halo is computed by a Fourier
+    transform, in single precision: its rounding errors scale with the brightest pixel and must stay below the darkest.
+
     Parameters
     ----------
     shape : (height, width) of the images
     core : standard deviation of the core [pixel]; 0 for no spread
     halo : share of the light in the halo
     radius : scale of the halo [pixel], well above one
-
-    Notes
-    -----
-    Light is lost only beyond the edges of the image. The core is summed directly over a few pixels. Only the halo is computed by a Fourier
-    transform, in single precision: its rounding errors scale with the brightest pixel and must stay below the darkest.
     """
 
     def __init__(self, shape: tuple[int, int], core: float, halo: float, radius: float) -> None:

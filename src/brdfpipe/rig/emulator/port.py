@@ -62,7 +62,7 @@ class Port:
         self._log: list[tuple[str, bytes]] = []
         self._log_lock = threading.Lock()
         self._requests: deque[tuple[Callable[[], None], threading.Event]] = deque()
-        self._serving, self._closed = True, False
+        self._closed = False
         try:
             self._connect()
         except OSError as error:
@@ -91,16 +91,15 @@ class Port:
         self._request(self._connect)
 
     def close(self) -> None:
-        """Disconnect and end the thread; in real time, after the current move."""
-        if self._closed:
-            return
-        self._request(self._stop)
-        self._closed = True
-        self._thread.join()
-        self._disconnect()
-        os.close(self._wake_reader)
-        os.close(self._wake_writer)
-        self._folder.cleanup()
+        """Disconnect and end the thread; in real time, after the current move. May be called again."""
+        if not self._closed:
+            self._closed = True
+            os.write(self._wake_writer, b"!")
+            self._thread.join()
+            self._disconnect()
+            os.close(self._wake_reader)
+            os.close(self._wake_writer)
+            self._folder.cleanup()
 
     def __enter__(self) -> Self:
         return self
@@ -118,18 +117,20 @@ class Port:
             pass
 
     def _serve(self) -> None:
-        while self._serving:
+        while not self._closed:
             connected = [self._device_end] if self._device_end >= 0 else []
-            readable, writable, _ = select.select(
-                [*connected, self._wake_reader], connected if self._unsent else [], []
-            )
+            to_send = connected if self._unsent else []
+            readable, writable, _ = select.select([*connected, self._wake_reader], to_send, [])
             if self._device_end in writable:
                 self._send()
             if self._device_end in readable:
                 self._receive()
             if self._wake_reader in readable:
                 os.read(self._wake_reader, _CHUNK)
-                self._carry_out_requests()
+                while self._requests:
+                    request, done = self._requests.popleft()
+                    request()
+                    done.set()
 
     def _receive(self) -> None:
         data = os.read(self._device_end, _CHUNK)
@@ -148,12 +149,6 @@ class Port:
                 return
             self._log.append(("device", self._unsent[:sent]))
         self._unsent = self._unsent[sent:]
-
-    def _carry_out_requests(self) -> None:
-        while self._requests:
-            request, done = self._requests.popleft()
-            request()
-            done.set()
 
     def _connect(self) -> None:
         if self._device_end >= 0:
@@ -174,6 +169,3 @@ class Port:
         self._device_end, self._host_end = -1, -1
         self._unsent = b""
         self._line.dead = True
-
-    def _stop(self) -> None:
-        self._serving = False

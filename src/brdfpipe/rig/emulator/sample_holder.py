@@ -55,22 +55,16 @@ class Setup:
 class SampleHolder:
     """The sample holder of a rig.
 
+    All light of an entrance falls onto the object in the holder, from one direction. Lamp, splitter and truth are integrated over the band with
+    the three nodes of the illumination. Outside its wavelengths the truth is extrapolated as constant.
+
     Parameters
     ----------
     rig : the description
-    truth : kind ``bsdf``, the sample; its azimuth 0 points to the entrance
+    truth : kind ``bsdf``, the sample; its azimuth 0 points to the entrance. Raises VocabularyError for another kind
     illumination : of the sample
     effects, seed, session : see :mod:`brdfpipe.rig.emulator.effects`
     etalon : as certified
-
-    Raises
-    ------
-    VocabularyError : the truth is not of kind ``bsdf``.
-
-    Notes
-    -----
-    All light of an entrance falls onto the object in the holder, from one direction. Lamp, splitter and truth are integrated over the band with
-    the three nodes of the illumination. Outside its wavelengths the truth is extrapolated as constant.
     """
 
     def __init__(
@@ -87,21 +81,18 @@ class SampleHolder:
         self._rig, self._truth, self._illumination = rig, vocabulary.validate(truth, "bsdf"), illumination
         self._bsdf = truth.bsdf
         self._effects, self._etalon = effects, etalon
-        self._etalon_factor = 1 + effects.certificate * float(
-            random_stream(seed, "certificate", session).standard_normal()
-        )
+        deviate = float(random_stream(seed, "certificate", session).standard_normal())
+        self._etalon_factor = 1 + effects.certificate * deviate
 
     def brightness(self, setup: Setup, theta_s: Array, phi_s: Array, wavelengths: Array) -> Array:
         """BRDF × cosine of view [1/sr] times the light behind the splitter, (directions, wavelengths).
+
+        Raises EmulationError for an impossible arrangement, or a truth with a smooth, specular surface.
 
         Parameters
         ----------
         theta_s, phi_s : (directions,), about the mirror direction, or about the straight transmission [degree]
         wavelengths : of the monochromator [nm]
-
-        Raises
-        ------
-        EmulationError : an impossible arrangement, or a truth with a smooth, specular surface.
         """
         transmission = check_setup(setup, self._rig).side == "transmission"
         nodes, light = self._illumination.band(wavelengths)
@@ -119,9 +110,8 @@ class SampleHolder:
             for chunk in np.array_split(np.flatnonzero(cosine > 0), 1 + theta_s.size // _CHUNK):
                 brdf = self._brdf(setup, theta_s[chunk], phi_s[chunk], nodes)
                 brightness[chunk] += cosine[chunk, None] * np.einsum("dwn,wn->dw", brdf, light)
-        brightness[
-            in_entrance_hole(self._rig, self._effects, setup.entrance, theta_s, phi_s, transmission=transmission)
-        ] = 0.0
+        hole = in_entrance_hole(self._rig, self._effects, setup.entrance, theta_s, phi_s, transmission=transmission)
+        brightness[hole] = 0.0
         return brightness
 
     def _etalon_brightness(self, entrance: float, theta_s: Array, phi_s: Array) -> Array:
@@ -157,13 +147,7 @@ def target_brightness(target: Target, theta_s: Array, phi_s: Array) -> Array:
 
 
 def check_setup(setup: Setup, rig: Rig) -> Setup:
-    """The setup, if it is possible with a rig.
-
-    Raises
-    ------
-    EmulationError : impossible arrangement, with the accepted values.
-    """
-    entrances = ", ".join(f"{entrance:g}" for entrance in rig.entrances)
+    """The setup, if it is possible with a rig; else raises EmulationError with the accepted values."""
     if setup.load not in LOADS:
         raise EmulationError(f"unknown object {setup.load!r} in the holder; accepted: {', '.join(LOADS)}")
     if setup.load == "target" and rig.target is None:
@@ -174,9 +158,9 @@ def check_setup(setup: Setup, rig: Rig) -> Setup:
         if setup.load in ("etalon", "target"):
             raise EmulationError(f"the {setup.load} transmits no light; accepted: reflection")
         if not 0 <= setup.entrance < 90:
-            raise EmulationError(
-                f"no transmission at an incidence of {setup.entrance:g} degree; accepted: 0 to below 90"
-            )
+            problem = f"no transmission at an incidence of {setup.entrance:g} degree"
+            raise EmulationError(f"{problem}; accepted: 0 to below 90")
     elif setup.entrance not in rig.entrances:
+        entrances = ", ".join(f"{entrance:g}" for entrance in rig.entrances)
         raise EmulationError(f"the rig has no entrance at {setup.entrance:g} degree; accepted: {entrances}")
     return setup

@@ -23,13 +23,7 @@ _HOT = 100.0
 
 
 class Sensor:
-    """The sensor of a camera.
-
-    Parameters
-    ----------
-    camera : size, gain, linear range, bits
-    effects, seed : see :mod:`brdfpipe.rig.emulator.effects`; hot pixels and response are equal in all sessions
-    """
+    """The sensor of a camera; hot pixels and response are equal in all sessions."""
 
     def __init__(self, camera: CameraSettings, effects: Effects, seed: int) -> None:
         shape = camera.height, camera.width
@@ -43,12 +37,7 @@ class Sensor:
         return ROOM_TEMPERATURE + self._effects.warming * (1 - float(np.exp(-time / _WARMING_TIME)))
 
     def expected(self, light: Array, seconds: float, temperature: float) -> Array:
-        """Expected electrons in each pixel.
-
-        Parameters
-        ----------
-        light : (height, width), electrons in a sensor of uniform response
-        """
+        """Expected electrons in each pixel; ``light``: (height, width), electrons in a sensor of uniform response."""
         warming = 2.0 ** ((temperature - ROOM_TEMPERATURE) / _DOUBLING)
         return np.asarray(self._response * light + self._dark * (seconds * warming))
 
@@ -65,8 +54,7 @@ class Sensor:
 
 def hot_pixels(shape: tuple[int, int], effects: Effects, seed: int) -> Array:
     """Dark current of each pixel relative to that of a normal pixel."""
-    generator = random_stream(seed, "hot pixels")
-    size = shape[0] * shape[1]
+    generator, size = random_stream(seed, "hot pixels"), shape[0] * shape[1]
     relative = np.ones(size)
     hot = generator.permutation(size)[: round(effects.hot_pixels * size)]
     relative[hot] = _HOT * (1 + generator.exponential(2.0, hot.size))

@@ -6,7 +6,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from brdfpipe.rig.emulator.clock import VirtualClock
 
@@ -101,8 +101,7 @@ class Motor:
         self._motion = _Motion(self._clock.now(), position, position, 1.0)
 
 
-@dataclass(frozen=True)
-class _Motion:
+class _Motion(NamedTuple):
     start: float
     origin: float
     target: float

@@ -57,17 +57,18 @@ class SerialInstrument(ABC):
         WrongDevice : a different device answers, or the serial number differs from the description.
         DeviceError : no reply, or a setting is not accepted.
         """
-        failure: NoReply | None = None
-        for _ in range(ATTEMPTS):
+        attempt = 0
+        while True:
+            attempt += 1
             try:
                 return self._identify_once()
             except NoReply as error:
-                failure = error
-        assert failure is not None
-        if isinstance(failure, Refused):  # every device of the dialect knows the command
-            details = (failure.problem, failure.command, failure.reply, failure.advice)
-            raise self.line.error(WrongDevice, *details) from failure
-        raise self._final_error(failure)
+                if attempt < ATTEMPTS:
+                    continue
+                if isinstance(error, Refused):  # every device of the dialect knows the command
+                    details = (error.problem, error.command, error.reply, error.advice)
+                    raise self.line.error(WrongDevice, *details) from error
+                raise self._final_error(error) from error
 
     def ask(self, command: str, reply: re.Pattern[str], timeout: float) -> re.Match[str]:
         """Send a command until a reply of the expected form comes, at most :data:`ATTEMPTS` times.
