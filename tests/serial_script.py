@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from brdfpipe.rig.acquisition.devices.connection import MONOCHROMATORS, WHEELS
-from brdfpipe.rig.acquisition.devices.serial_line import POLL, SerialLine, SerialPort
+from brdfpipe.rig.acquisition.devices.serial_line import POLL, SerialLine
 from brdfpipe.rig.description import SerialSettings
 
 Chunk = tuple[float, bytes]
@@ -96,7 +96,7 @@ class Script:
         return not self._left
 
 
-def line_on_port(settings: SerialSettings, open_port: Callable[..., SerialPort], clock: Clock) -> SerialLine:
+def line_on_port(settings: SerialSettings, open_port: Callable[..., ScriptedPort], clock: Clock) -> SerialLine:
     """The line of a described device, on any port."""
     drivers = {**MONOCHROMATORS, **WHEELS}
     dialects = [driver.dialect for driver in drivers.values()]

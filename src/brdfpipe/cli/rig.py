@@ -1,7 +1,6 @@
 """The commands of a rig: ``brdfpipe rig new``, ``doctor``, ``scan`` and ``emulate``.
 
-Exit codes: 0 done, 1 a device failed or the scan stopped before its end, 2 the command or a description cannot be used,
-130 interrupted.
+Exit codes: 0 done, 1 a device failed or the scan stopped before its end, 2 the command or a description cannot be used, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,10 +56,8 @@ def new(folder: Path, fibres: int) -> int:
     """Start a rig: FOLDER with a commented rig.yaml, fibres.csv and plan.yaml."""
     from brdfpipe.rig.templates import start
 
-    plan = start(folder, fibres)
-    click.echo(
-        f"Describe your bench in {folder / 'rig.yaml'} and try its devices: `brdfpipe rig doctor {folder / 'rig.yaml'}`."
-    )
+    plan, rig = start(folder, fibres), folder / "rig.yaml"
+    click.echo(f"Describe your bench in {rig} and try its devices: `brdfpipe rig doctor {rig}`.")
     click.echo(f"Then fill in {plan} and estimate the scan: `brdfpipe rig scan {plan} --dry-run`.")
     return 0
 
@@ -75,8 +73,7 @@ def doctor(description: Path) -> int:
     from brdfpipe.rig.acquisition.doctor import doctor as examine
     from brdfpipe.rig.description import Rig
 
-    rows = examine(Rig.load(description))
-    return 0 if all(row.passed for row in rows) else 1
+    return 0 if all(row.passed for row in examine(Rig.load(description))) else 1
 
 
 @rig.command()
@@ -109,6 +106,7 @@ def scan(
     Each frame is on the disk before the next is exposed. After any interruption the same command with --resume continues.
     """
     from brdfpipe.rig.acquisition.estimate import estimate
+    from brdfpipe.rig.acquisition.scan import ScanStopped
     from brdfpipe.rig.plan import Plan
 
     plan = Plan.load(plan_file)
@@ -116,18 +114,14 @@ def scan(
         click.echo(estimate(plan).text)
         return 0
     folder = out or plan_file.parent / "runs" / plan.sample
-    from brdfpipe.rig.acquisition.scan import ScanStopped
-
+    options: dict[str, Any] = {"resume": resume, "progress": True, "say": _print_line}
     try:
         if emulate is None:
-            done = _real_scan(plan, folder, yes=yes, resume=resume)
+            done = _real_scan(plan, folder, yes, options)
         else:
             from brdfpipe.rig.emulator.emulated_scan import scan_emulated
 
-            sample = truth(emulate)
-            done = scan_emulated(
-                plan, folder, sample, seed=seed, session=session, resume=resume, progress=True, say=_print_line
-            )
+            done = scan_emulated(plan, folder, truth(emulate), seed=seed, session=session, **options)
         click.echo(done.text)
     except ScanStopped as stop:
         click.echo(f"brdfpipe: {stop}", err=True)
@@ -171,9 +165,8 @@ def emulate(description: Path, truth_path: Path, seed: int, session: int, out: P
         _camera_serving(written.parent / EMULATED_CAMERA, stand),
     ):
         try:
-            click.echo(
-                f"Emulated rig ready: {written}. Try `brdfpipe rig doctor {written}`, or scan a plan with `rig: {EMULATED}`."
-            )
+            advice = f"Try `brdfpipe rig doctor {written}`, or scan a plan with `rig: {EMULATED}`."
+            click.echo(f"Emulated rig ready: {written}. {advice}")
             click.echo(f"Type each arrangement, as `{real.entrances[0]:g} sample reflection`; Ctrl-C ends the rig.")
             _apply_typed_arrangements(stand)
         except KeyboardInterrupt:
@@ -199,7 +192,7 @@ def truth(path: Path) -> xr.Dataset:
     return open_dataset(path, "bsdf")
 
 
-def _real_scan(plan: Plan, folder: Path, *, yes: bool, resume: bool) -> Summary:
+def _real_scan(plan: Plan, folder: Path, yes: bool, options: dict[str, Any]) -> Summary:
     from brdfpipe.rig.acquisition.devices.connection import connect
     from brdfpipe.rig.acquisition.scan import scan as take
 
@@ -209,19 +202,9 @@ def _real_scan(plan: Plan, folder: Path, *, yes: bool, resume: bool) -> Summary:
         except click.Abort:
             raise KeyboardInterrupt from None
 
-    with connect(plan.rig) as bench:
-        operator = "--yes" if yes else _user()
-        return take(
-            plan,
-            bench,
-            folder,
-            clock=time.time,
-            confirm=confirm,
-            operator=operator,
-            progress=True,
-            resume=resume,
-            say=_print_line,
-        )
+    operator = "--yes" if yes else _user()
+    with connect(plan.rig) as devices:
+        return take(plan, devices, folder, clock=time.time, confirm=confirm, operator=operator, **options)
 
 
 @contextmanager
@@ -234,16 +217,14 @@ def _emulated_description(description: Path, stand: EmulatedRig, folder: Path) -
     content = documents.plain(description)
     path = folder / EMULATED
     if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(_EMULATED_HEADER):
-        raise InputError(
-            path, "exists already and does not belong to an emulated rig", accepted="another folder for --out"
-        )
-    fibres = documents.file_beside(description, content["fibres"]["file"], "fibres.file", "the rig's folder")
-    if not (folder / content["fibres"]["file"]).exists():
-        store.write_bytes(folder / content["fibres"]["file"], fibres.read_bytes())
-    camera: dict[str, Any] = {
-        key: value for key, value in content["camera"].items() if key not in ("address", "device")
-    }
-    content["camera"] = camera | {"kind": "drop-folder", "folder": str(folder.resolve() / EMULATED_CAMERA)}
+        problem = "exists already and does not belong to an emulated rig"
+        raise InputError(path, problem, accepted="another folder for --out")
+    name = content["fibres"]["file"]
+    fibres = documents.file_beside(description, name, "fibres.file", "the rig's folder")
+    if not (folder / name).exists():
+        store.write_bytes(folder / name, fibres.read_bytes())
+    camera = {key: value for key, value in content["camera"].items() if key not in ("address", "device")}
+    content["camera"] = {**camera, "kind": "drop-folder", "folder": str(folder.resolve() / EMULATED_CAMERA)}
     for device in ("monochromator", "wheel"):
         content[device]["port"] = getattr(stand.rig, device).port
     (folder / EMULATED_CAMERA).mkdir(parents=True, exist_ok=True)
@@ -260,8 +241,8 @@ def _camera_serving(folder: Path, stand: EmulatedRig) -> Iterator[None]:
     from brdfpipe.rig.acquisition.devices.drop_folder import serve_folder
 
     stop = threading.Event()
-    options = {"stop": stop, "report": click.echo}
-    camera = threading.Thread(target=serve_folder, args=(folder, stand.camera), kwargs=options)
+    serve = partial(serve_folder, folder, stand.camera, stop=stop, report=click.echo)
+    camera = threading.Thread(target=serve)
     camera.start()
     try:
         yield
@@ -273,13 +254,11 @@ def _camera_serving(folder: Path, stand: EmulatedRig) -> Iterator[None]:
 
 def _apply_typed_arrangements(stand: EmulatedRig) -> None:
     """Apply the arrangements that the operator types, until Ctrl-C."""
-    for line in sys.stdin:
-        words = line.split()
+    for words in filter(None, map(str.split, sys.stdin)):
         try:
-            if words:
-                entrance, load, side = [*words, *_DEFAULT_ARRANGEMENT[len(words) :]][:3]
-                stand.set_entrance(_degrees(entrance), load=load, side=side)
-                click.echo(f"{_degrees(entrance):g} degree, {load}, {side}")
+            entrance, load, side = [*words, *_DEFAULT_ARRANGEMENT[len(words) :]][:3]
+            stand.set_entrance(_degrees(entrance), load=load, side=side)
+            click.echo(f"{_degrees(entrance):g} degree, {load}, {side}")
         except BrdfpipeError as refusal:
             click.echo(str(refusal))
     threading.Event().wait()  # no keyboard
@@ -289,9 +268,8 @@ def _degrees(word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        raise InputError(
-            "keyboard", "not an angle of incidence", found=repr(word), accepted="`20 sample reflection`, for example"
-        ) from None
+        accepted = "`20 sample reflection`, for example"
+        raise InputError("keyboard", "not an angle of incidence", found=repr(word), accepted=accepted) from None
 
 
 def _user() -> str:

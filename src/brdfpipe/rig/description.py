@@ -31,30 +31,23 @@ MAX_FIBRES = 10_000
 
 @dataclass(frozen=True)
 class SerialSettings:
-    """One device on a serial port. Defaults are those of the keys in rig.yaml."""
+    """One device on a serial port: meaning, units and defaults as of its keys in rig.yaml."""
 
     dialect: str
     port: str
     baud: int
     case: str = Monochromator.default_of("case")
-    """Letter case of commands: some units accept only lower case."""
     serial_number: str = Monochromator.default_of("serial_number")
-    """Serial number that the device must answer with; empty accepts any."""
     query_timeout: float = Monochromator.default_of("query_timeout")
-    """Seconds."""
     motion_timeout: float = Monochromator.default_of("motion_timeout")
-    """Seconds."""
     grating: int = Monochromator.default_of("grating")
-    """Grating to select and verify; 0 leaves the one in place."""
     speed: float = Monochromator.default_of("speed")
-    """Speed of moves [nm/min]; 0 is the device's fastest."""
     positions: int = Wheel.default_of("positions")
-    """Positions of a wheel."""
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """The camera, its sensor and its connection. Defaults are those of the keys in rig.yaml."""
+    """The camera, its sensor and its connection: meaning, units and defaults as of the keys in rig.yaml."""
 
     kind: str
     folder: str = ""
@@ -64,14 +57,10 @@ class CameraSettings:
     width: int = Camera.default_of("width")
     height: int = Camera.default_of("height")
     gain: float = Camera.default_of("gain")
-    """Electrons per count."""
     read_noise: float = Camera.default_of("read_noise")
-    """Electrons."""
     linear_to: float = Camera.default_of("linear_to")
-    """Electrons up to which counts are proportional to light."""
     bits: int = Camera.default_of("bits")
     timeout: float = Camera.default_of("timeout")
-    """Seconds to wait for a frame beyond its exposure."""
 
     @property
     def full(self) -> int:
@@ -111,7 +100,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Screen:
-    """Geometry of the screen [mm] and of its picture [pixel]; see :mod:`brdfpipe.rig.screen`."""
+    """Geometry of the screen [mm] and of its picture [pixel], as of the keys in rig.yaml; see :mod:`brdfpipe.rig.screen`."""
 
     focal_length: float
     disc_radius: float
@@ -120,11 +109,8 @@ class Screen:
     fibre_radius: float
     reference_radius: float
     scale: float
-    """Pixels per mm."""
     centre: tuple[float, float]
-    """Pixel (column, row) of the screen's origin."""
     radial: float = ScreenGeometry.default_of("radial")
-    """Radial distortion r (1 + radial r²) [1/mm²]."""
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,16 @@
 """Location and transmittances of the neutral filters, verified by bracket frames that overlap behind different filters.
 
-Notes
------
 Compare two frames behind filters of transmittances T₁ and T₂. The ratio of sample light to reference light changes by T₁/T₂ if the
 filters are in the sample beam alone, by 1 if both beams pass them, and by T₂/T₁ if only the reference beam does. A wrong
 ``nd_location`` therefore makes the values of one bracket disagree by T₁/T₂, or even (T₁/T₂)².
 
-References
-----------
-Voloboy et al., Keldysh Institute preprint (2005), §3.2 and §4.1, which contradict each other on the location of the filters.
+Reference: Voloboy et al., Keldysh Institute preprint (2005), §3.2 and §4.1, which contradict each other on the location of the filters.
 """
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -80,13 +77,8 @@ class OverlapCheck:
 def check_overlaps(frames: xr.Dataset, rig: Rig) -> OverlapCheck:
     """Compare the frames of each bracket that were taken behind different filters.
 
-    Parameters
-    ----------
-    frames : kind ``frames``, with its dark frames
-
-    Returns
-    -------
-    The overlaps, and warnings where they contradict ``nd_location`` or a transmittance of the description.
+    Returns the overlaps, and warnings where they contradict ``nd_location`` or a transmittance of the description.
+    ``frames`` are of kind ``frames``, with their dark frames.
     """
     overlaps = tuple(_overlaps(frames, rig))
     if not overlaps:
@@ -101,9 +93,9 @@ def check_overlaps(frames: xr.Dataset, rig: Rig) -> OverlapCheck:
 def _overlaps(frames: xr.Dataset, rig: Rig) -> Iterator[Overlap]:
     purposes = frames["purpose"].values
     keys = ("purpose", "side", "incidence", "wavelength")
-    brackets: dict[tuple[Any, ...], list[int]] = {}
+    brackets = defaultdict[tuple[Any, ...], list[int]](list)
     for number in np.flatnonzero(np.isin(purposes, ("sample", "etalon"))):
-        brackets.setdefault(tuple(frames[key].values[number].item() for key in keys), []).append(int(number))
+        brackets[tuple(frames[key].values[number].item() for key in keys)].append(int(number))
     darks = {
         exposure: frames["counts"].values[(purposes == "dark") & (frames["exposure"].values == exposure)].mean(axis=0)
         for exposure in np.unique(frames["exposure"].values[purposes == "dark"])
@@ -171,17 +163,16 @@ def _location_warning(overlaps: Sequence[Overlap], exponent: float, rig: Rig) ->
 
 def _transmittance_warnings(overlaps: Sequence[Overlap], rig: Rig) -> Iterator[str]:
     """Pairs of filters whose transmittances deviate from the description by more than three standard uncertainties."""
-    deviations: dict[tuple[int, int], list[float]] = {}
+    deviations = defaultdict[tuple[int, int], list[float]](list)
     for overlap in overlaps:
         # The reference cancels changes of the lamp between the two frames.
         light = overlap.sample / (overlap.reference if rig.nd_location == "sample" else 1.0)
-        deviations.setdefault(overlap.positions, []).append(light / overlap.expected)
+        deviations[overlap.positions].append(light / overlap.expected)
     for (first, second), ratios in sorted(deviations.items()):
         deviation = float(np.median(ratios)) - 1
         u = math.hypot(rig.filter_at(first).u, rig.filter_at(second).u, OTHER_ERRORS)
         if abs(deviation) > 3 * u:
             yield (
-                f"filters {first} and {second}: the measured ratio of transmittances deviates by {deviation:+.1%} from the "
-                f"description, more than three standard uncertainties ({u:.1%} each); measure the filters and correct `filters` in "
-                "rig.yaml"
+                f"filters {first} and {second}: the measured ratio of transmittances deviates by {deviation:+.1%} from the description, "
+                f"more than three standard uncertainties ({u:.1%} each); measure the filters and correct `filters` in rig.yaml"
             )

@@ -1,8 +1,7 @@
 """Frames on disk: one exposure per FITS file, complete or absent.
 
-A file depends only on the exposure, not on the clock, host or path of the program that wrote it. The header states what the devices
-reported while the frame was exposed. Checksums over header and data reveal a damaged file. Files are untrusted input: a frame is
-accepted only if it is complete and every keyword identifies the exposure that its name promises.
+The header states what the devices reported while the frame was exposed. Files are untrusted input: a frame is accepted only if it is
+complete, its checksum is right, and every keyword identifies the exposure that its name promises.
 """
 
 from __future__ import annotations
@@ -119,9 +118,7 @@ def write_frame(
 def read_frame(path: Path, shot: Shot, plan: Plan) -> Frame:
     """Read and verify the frame of a planned exposure.
 
-    Raises
-    ------
-    FrameError : the file is missing, damaged, or labelled as another exposure, rig or sample.
+    Raises FrameError: the file is missing, damaged, or labelled as another exposure, rig or sample.
     """
     content = _read_bytes(path, plan.rig)
     header, counts = _parse_fits(path, content)
@@ -130,9 +127,8 @@ def read_frame(path: Path, shot: Shot, plan: Plan) -> Frame:
     if not has_expected_format(counts, camera):
         raise FrameError(path, "wrong image size or type", found=image_format(counts), accepted=expected_format(camera))
     if counts.max() > camera.full:
-        raise FrameError(
-            path, "counts exceed the camera's range", found=counts.max(), accepted=f"at most {camera.full}"
-        )
+        problem, accepted = "counts exceed the camera's range", f"at most {camera.full}"
+        raise FrameError(path, problem, found=counts.max(), accepted=accepted)
     temperature = header["CCD-TEMP"]
     return Frame(
         counts=counts,
@@ -161,8 +157,7 @@ def _fits(raw: RawFrame, shot: Shot, plan: Plan, measured: Cards) -> bytes:
     from astropy.io import fits  # type: ignore[import-untyped]
 
     image = fits.PrimaryHDU(raw.counts)
-    for keyword, (value, comment) in {**_planned_cards(shot, plan), **measured}.items():
-        image.header[keyword] = (value, comment)
+    image.header.update({**_planned_cards(shot, plan), **measured})
     image.add_datasum(when=_CHECKSUM_COMMENT)
     image.add_checksum(when=_CHECKSUM_COMMENT, override_datasum=True)
     content = io.BytesIO()

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.errors import InputError
+from brdfpipe.errors import InputError, abbreviated
 from brdfpipe.rig.frame_file import Frame, FrameError, read_frame, utc
 from brdfpipe.rig.plan import FRAMES, PLAN, Arrangement, Plan, Shot
 
@@ -49,29 +49,21 @@ def read_run(folder: str | Path, incidence: float | None = None) -> xr.Dataset:
     if incidence is not None and incidence not in planned:
         accepted = ", ".join(f"{angle:g}" for angle in planned)
         raise InputError(folder / PLAN, "incidence not in the plan", found=f"{incidence:g}", accepted=accepted)
-    frames: dict[Shot, Frame] = {}
-    problems: dict[Shot, FrameError] = {}
-    for shot, result in read_shots(folder, plan, shots):
-        if isinstance(result, Frame):
-            frames[shot] = result
-        else:
-            problems[shot] = result
+    results = dict(read_shots(folder, plan, shots))
+    frames = {shot: result for shot, result in results.items() if isinstance(result, Frame)}
+    problems = {shot: result for shot, result in results.items() if isinstance(result, FrameError)}
     missing = [shot for shot in shots if shot not in frames and _is_requested(shot, incidence)]
     messages = [f"{problem}; not used" for shot, problem in problems.items() if _is_requested(shot, incidence)]
     messages += _unexpected_files(folder, plan)
     messages += _missing_frames(plan.shots, missing)
     if all(shot.dark for shot in frames):
         if problems and all(problem.where == "RIGHASH" for problem in problems.values()):
-            raise InputError(
-                plan.rig.name,
-                "the description of the rig was changed after the frames of this run were taken",
-                accepted="the description that the scan copied to the run's folder, or a new scan with the corrected one",
-            )
+            problem = "the description of the rig was changed after the frames of this run were taken"
+            accepted = "the description that the scan copied to the run's folder, or a new scan with the corrected one"
+            raise InputError(plan.rig.name, problem, accepted=accepted)
         raise InputError(folder, "no usable frame", found="; ".join(messages[:3]), accepted="a run started by a scan")
-    labelled = {
-        shot if _is_requested(shot, incidence) else replace(shot, purpose="drift"): frame
-        for shot, frame in frames.items()
-    }
+    others = {shot: replace(shot, purpose="drift") for shot in frames if not _is_requested(shot, incidence)}
+    labelled = {others.get(shot, shot): frame for shot, frame in frames.items()}
     return vocabulary.add_warning(frames_dataset(labelled, plan), *messages)
 
 
@@ -91,14 +83,11 @@ def frames_dataset(frames: Mapping[Shot, Frame], plan: Plan) -> xr.Dataset:
     shots = sorted(frames, key=lambda shot: shot.ordinal)
     camera = plan.rig.camera
     counts = np.empty((len(shots), camera.height, camera.width), dtype=np.uint16)
-    for number, shot in enumerate(shots):
-        counts[number] = frames[shot].counts
+    np.stack([frames[shot].counts for shot in shots], out=counts)
     coordinates = {
         "shot": [shot.ordinal for shot in shots],
         "purpose": [shot.purpose for shot in shots],
-        "load": [shot.arrangement.load for shot in shots],
-        "side": [shot.arrangement.side for shot in shots],
-        "incidence": [shot.arrangement.incidence for shot in shots],
+        **{key: [getattr(shot.arrangement, key) for shot in shots] for key in ("load", "side", "incidence")},
         "wavelength": [shot.wavelength for shot in shots],
         "wavelength_read": [frames[shot].state.wavelength for shot in shots],
         "exposure": [shot.exposure for shot in shots],
@@ -144,12 +133,9 @@ def _unexpected_files(folder: Path, plan: Plan) -> Iterator[str]:
     for path in sorted((folder / FRAMES).glob("*.fits")):
         if path.name in planned:
             continue
-        prefix = path.name[:5]
-        number = int(prefix) if prefix.isascii() and prefix.isdigit() else 0
-        if 1 <= number <= len(plan.shots):
-            problem = f"second file of frame {number}, whose file is {plan.shots[number - 1].name}"
-        else:
-            problem = "not a frame of the plan"
+        problem = "not a frame of the plan"
+        if (prefix := path.name[:5]).isascii() and prefix.isdigit() and 1 <= int(prefix) <= len(plan.shots):
+            problem = f"second file of frame {int(prefix)}, whose file is {plan.shots[int(prefix) - 1].name}"
         yield f"{FrameError(path, problem, accepted='file names of the plan')}; not used"
 
 
@@ -165,13 +151,9 @@ def _missing_frames(planned: Sequence[Shot], missing: Sequence[Shot]) -> Iterato
         elif purpose == "drift":
             yield f"{count} of {total} lamp monitor readings {_at(arrangement)} are missing; {remedy}"
         else:
-            wavelengths = [shot.wavelength for shot in missing if _frame_group(shot) == group]
-            listed = ", ".join(f"{wavelength:g}" for wavelength in wavelengths[:_LISTED])
-            more = ", …" if count > _LISTED else ""
-            yield (
-                f"bracket step {detail} is missing at {count} of {total} wavelengths {_at(arrangement)} "
-                f"({purpose}: {listed}{more} nm); {remedy}"
-            )
+            wavelengths = [f"{shot.wavelength:g}" for shot in missing if _frame_group(shot) == group]
+            details = f"{purpose}: {abbreviated(wavelengths, _LISTED)} nm"
+            yield f"bracket step {detail} is missing at {count} of {total} wavelengths {_at(arrangement)} ({details}); {remedy}"
 
 
 def _frame_group(shot: Shot) -> tuple[Arrangement | None, str, float | int]:

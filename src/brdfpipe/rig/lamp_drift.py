@@ -24,13 +24,7 @@ class LampReading:
 
 
 def reference_signal(counts: Counts, dark: Array, rig: Rig) -> float:
-    """Electrons of the reference spot, NaN if one of its pixels exceeds the linear range.
-
-    Parameters
-    ----------
-    counts : one frame
-    dark : mean of the dark frames of the same exposure time [counts]
-    """
+    """Electrons of the reference spot, NaN if one of its pixels exceeds the linear range; ``dark``: mean of dark frames [counts]."""
     reference, _ = spot_masks(rig)
     electrons = rig.camera.gain * (counts[reference] - dark[reference])
     return math.nan if electrons.max() > linear_limit(rig) else float(electrons.sum())
@@ -47,26 +41,25 @@ def drift_warnings(readings: Sequence[LampReading], wavelength: float, tolerance
     """
     warnings = []
     usable = [reading for reading in readings if reading.signal > 0]
-    if len(usable) < len(readings):
-        unusable = [str(reading.shot) for reading in readings if reading not in usable]
+    if unusable := [str(reading.shot) for reading in readings if not reading.signal > 0]:
         warnings.append(
             f"lamp monitor reading unusable in frame {', '.join(unusable[:5])}: the reference spot is saturated or dark; "
             "choose another bracket step as `drift.step` of the plan"
         )
-    base = usable[0] if usable else None
+    base: LampReading | None = None
     for reading in usable:
-        assert base is not None
+        base = base or reading
         change = reading.signal / base.signal - 1
         if abs(change) > tolerance:
             minutes = (reading.elapsed - base.elapsed) / 60
-            advice = (
+            cure = (
                 "let the lamp warm up longer before a run"
                 if change > 0
                 else "check the lamp's power supply and its age"
             )
             warnings.append(
                 f"lamp drift: {change:+.1%} in the {minutes:.0f} min before frame {reading.shot} ({wavelength:g} nm, "
-                f"tolerance {tolerance:.1%}); {advice}, or raise `drift.tolerance` of the plan: drift that is equal at all "
+                f"tolerance {tolerance:.1%}); {cure}, or raise `drift.tolerance` of the plan: drift that is equal at all "
                 "wavelengths cancels, because every frame has its own reference"
             )
             base = reading

@@ -39,16 +39,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Drift:
-    """How often, and at which wavelength, the lamp is read."""
+    """How often, and at which wavelength, the lamp is read; meaning and units as of the keys in plan.yaml."""
 
     every: int
-    """Number of frames from one lamp reading to the next."""
     wavelength: float
-    """Nanometres."""
     step: int
-    """Frame of the bracket it repeats, from 1."""
     tolerance: float
-    """Relative change of the signal that gives a warning."""
 
 
 @dataclass(frozen=True)

@@ -26,12 +26,9 @@ class Steps(Keys):
     def _check_last_wavelength(self) -> Self:
         count = round((self.to - self.from_) / self.step)
         if count < 0 or abs(self.from_ + count * self.step - self.to) > STEP_SLACK * self.step:
-            raise InputError(
-                "",
-                "the steps do not lead from the first wavelength to the last",
-                found=f"{self.from_:g} to {self.to:g} by {self.step:g}",
-                accepted="a whole number of steps, upwards",
-            )
+            problem = "the steps do not lead from the first wavelength to the last"
+            found = f"{self.from_:g} to {self.to:g} by {self.step:g}"
+            raise InputError("", problem, found=found, accepted="a whole number of steps, upwards")
         return self
 
 
@@ -141,11 +138,6 @@ class PlanKeys(Keys):
     @model_validator(mode="after")
     def _check_sample_name(self) -> Self:
         if self.sample in ("etalon", "target"):
-            raise InputError(
-                "",
-                "a reserved name",
-                where="sample",
-                found=repr(self.sample),
-                accepted="any name, not etalon or target",
-            )
+            accepted = "any name, not etalon or target"
+            raise InputError("", "a reserved name", where="sample", found=repr(self.sample), accepted=accepted)
         return self

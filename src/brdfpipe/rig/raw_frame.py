@@ -19,18 +19,16 @@ Counts = NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class RawFrame:
-    """Counts of one exposure, with the time and temperature the camera states.
-
-    counts : uint16 (height, width)
-    started : seconds of the camera's clock: Unix time, or time since the start of the run
-    seconds : exposure time the camera states
-    temperature : degree Celsius of the sensor, NaN if unknown
-    """
+    """Counts of one exposure, with the time and temperature the camera states."""
 
     counts: Counts
+    """(height, width)."""
     started: float
+    """Seconds of the camera's clock: Unix time, or time since the start of the run."""
     seconds: float
+    """Exposure time the camera states."""
     temperature: float = math.nan
+    """Degree Celsius of the sensor, NaN if unknown."""
 
 
 def exposure_tolerance(seconds: float) -> float:

@@ -16,6 +16,14 @@ BAUD = MONOCHROMATORS | WHEELS
 Angle = Annotated[float, Field(ge=0, lt=90, description="an angle of incidence in degree")]
 Entrances = Annotated[list[Angle], Items()]
 Coordinate = Annotated[float, Field(ge=-10_000, le=10_000, description="a coordinate in mm")]
+Direction = Annotated[
+    tuple[
+        Annotated[float, Field(ge=0, le=30, description="theta_s in degree")],
+        Annotated[float, Field(ge=-360, le=360, description="phi_s in degree")],
+    ],
+    Strict(False),
+    Field(description="one direction [theta_s, phi_s] in degree"),
+]
 Point = Annotated[tuple[Coordinate, Coordinate], Strict(False)]
 
 
@@ -188,16 +196,7 @@ class ScreenGeometry(Keys):
 class AngularTarget(Keys):
     """An angular target: bright spots in known directions."""
 
-    spots: list[
-        Annotated[
-            tuple[
-                Annotated[float, Field(ge=0, le=30, description="theta_s in degree")],
-                Annotated[float, Field(ge=-360, le=360, description="phi_s in degree")],
-            ],
-            Strict(False),
-            Field(description="one direction [theta_s, phi_s] in degree"),
-        ]
-    ] = key(
+    spots: list[Direction] = key(
         "directions [theta_s, phi_s] of the spots about the mirror direction, a list",
         default_words="no target",
         required=True,

@@ -27,12 +27,7 @@ MAX_FIBRES = 2 * _COLUMNS * _ROWS - 1
 
 
 def start(folder: Path, fibres: int = 150) -> Path:
-    """Write ``rig.yaml``, ``fibres.csv`` and ``plan.yaml`` to start from; return the plan's path.
-
-    Parameters
-    ----------
-    folder : created if it does not exist
-    fibres : how many, from 1 to :data:`MAX_FIBRES`
+    """Write ``rig.yaml``, ``fibres.csv`` (1 to :data:`MAX_FIBRES` fibres) and ``plan.yaml`` to start from; return the plan's path.
 
     Raises
     ------
@@ -43,8 +38,7 @@ def start(folder: Path, fibres: int = 150) -> Path:
     config = installation.project_folder() / "config"
     texts = {
         "fibres.csv": _fibre_table(fibres),
-        "rig.yaml": (config / "rig.template.yaml").read_text(encoding="utf-8"),
-        "plan.yaml": (config / "plan.template.yaml").read_text(encoding="utf-8"),
+        **{f"{name}.yaml": (config / f"{name}.template.yaml").read_text(encoding="utf-8") for name in ("rig", "plan")},
     }
     if present := [name for name in texts if (folder / name).exists()]:
         raise InputError(folder, "the file exists already", found=present[0], accepted="another folder")

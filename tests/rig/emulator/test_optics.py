@@ -18,8 +18,7 @@ from brdfpipe.rig.description import Fibre, Target
 from brdfpipe.rig.emulator.camera_view import fibre_efficiency, in_entrance_hole, overlap_area, true_screen
 from brdfpipe.rig.emulator.effects import EffectError, Effects
 from brdfpipe.rig.emulator.illumination import MIDDLE_WAVELENGTH, SPLIT, Illumination
-from brdfpipe.rig.emulator.optics import REFERENCE_RATE, SAMPLE_RATE, Optics
-from brdfpipe.rig.emulator.point_spread import PointSpread, halo
+from brdfpipe.rig.emulator.optics import REFERENCE_RATE, SAMPLE_RATE, Optics, PointSpread, halo
 from brdfpipe.rig.emulator.sample_holder import EmulationError, Etalon, Setup
 
 IDEAL = Effects.none()

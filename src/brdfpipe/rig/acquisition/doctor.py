@@ -8,6 +8,7 @@ from __future__ import annotations
 import statistics
 import textwrap
 import time
+import timeit
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
@@ -116,7 +117,7 @@ def _examine_monochromator(rig: Rig, table: _Table) -> None:
     with closing(table.check(name, "port", lambda: open_monochromator(rig.monochromator), lambda _: port)) as device:
         table.check(name, "identity", device.identify)
         start = table.check(name, "wavelength", device.wavelength, _nanometres)
-        table.check(name, "query", lambda: _median_time(device.wavelength), _milliseconds)
+        table.check(name, "query", lambda: _median_time(device.wavelength))
         for wavelength in (*rig.wavelengths, start):
             table.check(name, f"to {wavelength:g} nm", partial(device.goto, wavelength), _nanometres)
 
@@ -126,7 +127,7 @@ def _examine_wheel(rig: Rig, table: _Table) -> None:
     with closing(table.check(name, "port", lambda: open_wheel(rig.wheel), lambda _: port)) as device:
         table.check(name, "identity", device.identify)
         start = table.check(name, "position", device.position)
-        table.check(name, "query", lambda: _median_time(device.position), _milliseconds)
+        table.check(name, "query", lambda: _median_time(device.position))
         for position in (*range(1, rig.wheel.positions + 1), start):
             table.check(name, f"to {position}", partial(device.goto, position))
 
@@ -138,14 +139,9 @@ def _examine_camera(camera: Camera | None, rig: Rig, table: _Table) -> None:
     table.check(name, "dark frame", lambda: _dark_frame(rig, device))
 
 
-def _median_time(query: Callable[[], float]) -> float:
-    """Median time of a transaction [s]."""
-    times = []
-    for _ in range(QUERIES):
-        start = time.perf_counter()
-        query()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+def _median_time(query: Callable[[], float]) -> str:
+    milliseconds = 1000 * statistics.median(timeit.repeat(query, number=1, repeat=QUERIES))
+    return f"{milliseconds:.2f} ms per transaction, median of {QUERIES}"
 
 
 def _dark_frame(rig: Rig, camera: Camera) -> str:
@@ -163,7 +159,3 @@ def _dark_frame(rig: Rig, camera: Camera) -> str:
 
 def _nanometres(wavelength: float) -> str:
     return f"{wavelength:.3f} nm"
-
-
-def _milliseconds(seconds: float) -> str:
-    return f"{1000 * seconds:.2f} ms per transaction, median of {QUERIES}"

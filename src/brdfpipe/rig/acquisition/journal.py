@@ -41,12 +41,7 @@ class Journal:
             self.append("healed", removed=removed)
 
     def append(self, event: str, **facts: Any) -> None:
-        """Write one event; it is on disk when this returns.
-
-        Raises
-        ------
-        StoreError : the disk is full; no incomplete line remains.
-        """
+        """Write one event; it is on disk when this returns. Raises StoreError: the disk is full; no incomplete line remains."""
         line = store.canonical_json({"clock": round(self._clock(), 6), "event": event, **facts}) + "\n"
         before = os.fstat(self._file).st_size
         try:
@@ -90,9 +85,7 @@ class Journal:
 def read(path: Path) -> list[dict[str, Any]]:
     """The events of a journal. Invalid lines are skipped, such as the last one after a power failure.
 
-    Raises
-    ------
-    StoreError : the file is too large for a journal.
+    Raises StoreError: the file is too large for a journal.
     """
     if not path.is_file():
         return []

@@ -13,12 +13,7 @@ from brdfpipe.rig.plan import FRAMES, JOURNAL, LOCK, PLAN, Plan, sources
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Create the folder if necessary and hold its lock.
-
-    Raises
-    ------
-    InputError : another scan holds the lock, or the folder cannot be written.
-    """
+    """Create the folder if necessary and hold its lock. Raises InputError: another scan holds the lock, or the folder cannot be written."""
     from filelock import FileLock, Timeout
 
     lock = FileLock(folder / LOCK, timeout=0)
@@ -39,9 +34,7 @@ def locked(folder: Path) -> Iterator[None]:
 def prepare(plan: Plan, folder: Path, resume: bool) -> None:
     """Make the folder that of a run of this plan.
 
-    Raises
-    ------
-    InputError : it holds other files, a run of another plan or rig, or a started run without ``resume``.
+    Raises InputError: it holds other files, a run of another plan or rig, or a started run without ``resume``.
     """
     for leftover in [*folder.glob(".*.tmp"), *(folder / FRAMES).glob(".*.tmp")]:
         leftover.unlink(missing_ok=True)

@@ -206,7 +206,10 @@ class _Scan:
                     raise
                 except BrdfpipeError as error:
                     self._record_end("stopped", shot, str(error))
-                    raise ScanStopped(self._stop_message(shot, error)) from error
+                    stop = f"scan stopped before frame {shot.ordinal} of {len(self.plan.shots)}: {error}"
+                    safe = f"{len(self._finished)} frames are safe in {self.folder}"
+                    advice = "Correct the problem and repeat the command with --resume"
+                    raise ScanStopped(f"{stop}; {safe}. {advice}") from error
                 advance(shot)
 
     def _arrange(self, shot: Shot, advance: Callable[[Shot | None], None]) -> None:
@@ -356,11 +359,6 @@ class _Scan:
     def _record_end(self, event: str, shot: Shot, reason: str) -> None:
         with suppress(store.StoreError):  # a full disk has no room for it
             self.journal.append(event, shot=shot.ordinal, reason=reason)
-
-    def _stop_message(self, shot: Shot, error: BrdfpipeError) -> str:
-        stop = f"scan stopped before frame {shot.ordinal} of {len(self.plan.shots)}: {error}"
-        safe = f"{len(self._finished)} frames are safe in {self.folder}"
-        return f"{stop}; {safe}. Correct the problem and repeat the command with --resume"
 
 
 def _arrangement_record(shot: Shot, plan: Plan) -> dict[str, Any]:

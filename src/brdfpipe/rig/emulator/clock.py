@@ -17,14 +17,13 @@ class VirtualClock:
 
     Parameters
     ----------
-    start : first reading [s]
     realtime : follow the wall clock, and let :meth:`advance` take real time; for interactive tests of programs
     """
 
-    def __init__(self, start: float = 0.0, *, realtime: bool = False) -> None:
-        self._now = start
+    def __init__(self, *, realtime: bool = False) -> None:
+        self._now = 0.0
         self._realtime = realtime
-        self._origin = time.monotonic() - start
+        self._origin = time.monotonic()
         self._released = threading.Event()
         self._lock = threading.Lock()
 
@@ -38,17 +37,17 @@ class VirtualClock:
             raise ClockError(f"the clock cannot advance by {seconds} s; accepted: 0 or more")
         if self._realtime:
             self._released.wait(seconds)
-            return
-        with self._lock:
-            self._now += seconds
+        else:
+            with self._lock:
+                self._now += seconds
 
     def advance_to(self, target: float) -> None:
         """Advance to a time [s]; does nothing if it is past."""
         if self._realtime:
             self._released.wait(max(0.0, target - self.now()))
-            return
-        with self._lock:
-            self._now = max(self._now, target)
+        else:
+            with self._lock:
+                self._now = max(self._now, target)
 
     def release(self) -> None:
         """End all waiting in real time, now and later; called when the rig is closed."""

@@ -22,13 +22,8 @@ class EffectError(BrdfpipeError):
 class Effects:
     """Size of each effect; ``Effects()`` is a realistic rig, :meth:`none` an ideal one.
 
-    Raises
-    ------
-    EffectError : a number is negative or not finite, or a share exceeds 1.
-
-    References
-    ----------
-    Voloboy et al., Keldysh Institute preprint (2005), for the design of the rig. Sizes it does not state are typical of a good laboratory.
+    Raises EffectError: a number is negative or not finite, or a share exceeds 1. The design of the rig is that of Voloboy et al., Keldysh
+    Institute preprint (2005). Sizes it does not state are typical of a good laboratory.
     """
 
     xenon: bool = True

@@ -7,9 +7,7 @@ Where manuals and transcripts leave the behaviour open, the device takes the cho
   clamped without an error; a grating or filter that does not exist gives ok and no move. The wheel does not know ``MODEL``.
 - Thorlabs: echo with its CR; the prompt comes when the wheel has arrived; no serial number in ``*idn?``.
 
-References
-----------
-Acton Research, SpectraPro SP-750i and FA-448 manuals (commands, ok on completion, shortest way); Princeton Instruments, IsoPlane
+References: Acton Research, SpectraPro SP-750i and FA-448 manuals (commands, ok on completion, shortest way); Princeton Instruments, IsoPlane
 SCT 320 manual, appendix A; Thorlabs, FW102C/FW212C manual, rev. H, §5.2. Forms of the answers, clamps, durations: the drivers of
 Odemis, yaqd-acton and fsc2 (SpectraPro 300i, FW212C), which quote transcripts.
 """

@@ -4,9 +4,7 @@ The parameter precedes the word (``546.100 GOTO``). A reply ends with `` ok`` on
 unknown. A monochromator asked for a wavelength beyond its range moves to the end of the range and answers ok; it also answers ok to a grating
 that is not installed. Each move is therefore read back.
 
-References
-----------
-Acton Research, SP-750i and SpectraPro-300i manuals, "Operation using a computer"; Princeton Instruments, IsoPlane SCT 320 manual,
+References: Acton Research, SP-750i and SpectraPro-300i manuals, "Operation using a computer"; Princeton Instruments, IsoPlane SCT 320 manual,
 appendix A.4; FA-448 manual, IV-B.
 """
 
@@ -45,19 +43,9 @@ class Monochromator(SerialInstrument):
     dialect = Dialect("monochromator", "Acton", _END, _REFUSAL, _WAKE)
 
     def goto(self, wavelength: float) -> float:
-        """Move, wait, and read back; repeated once if the device reports another wavelength.
+        """Move to a wavelength [nm] in steps of 0.001, wait, and return the wavelength read back; repeated once if it is another.
 
-        Parameters
-        ----------
-        wavelength : nm, in steps of 0.001
-
-        Returns
-        -------
-        The wavelength read back [nm], within :data:`TOLERANCE` of the requested one.
-
-        Raises
-        ------
-        DeviceError : another wavelength reported, as at the end of the range, or no reply.
+        Raises DeviceError: not within :data:`TOLERANCE` of the requested wavelength, as at the end of the range; or no reply.
         """
         if not (math.isfinite(wavelength) and 0 <= wavelength <= LONGEST_WAVELENGTH):
             advice = f"accepted: 0 to {LONGEST_WAVELENGTH:g} nm"

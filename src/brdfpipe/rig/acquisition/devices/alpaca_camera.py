@@ -16,12 +16,7 @@ from brdfpipe.rig.raw_frame import RawFrame, exposure_tolerance
 
 
 class AlpacaCamera(CameraDriver):
-    """Driver of an Alpaca camera; parameters as of the base class.
-
-    Raises
-    ------
-    DeviceError : alpyca is not installed.
-    """
+    """Driver of an Alpaca camera; parameters as of the base class. Raises DeviceError: alpyca is not installed."""
 
     def __init__(self, settings: CameraSettings, **time_source: Any) -> None:
         super().__init__(settings, **time_source)
@@ -37,12 +32,7 @@ class AlpacaCamera(CameraDriver):
         return f"{self.settings.address} (camera {self.settings.device})"
 
     def identify(self) -> str:
-        """Connect to the camera and name it.
-
-        Raises
-        ------
-        DeviceError : no server, or a sensor that differs from the description.
-        """
+        """Connect to the camera and name it. Raises DeviceError: no server, or a sensor that differs from the description."""
         camera = self._camera
         self._call("Connected = True", lambda: setattr(camera, "Connected", True))
         size = self._call("CameraXSize, CameraYSize", lambda: (camera.CameraXSize, camera.CameraYSize))

@@ -66,12 +66,7 @@ class CameraDriver(ABC):
         return kind("camera", problem, port=self.port, command=command, advice=advice)
 
     def valid_counts(self, image: NDArray[Any], command: str) -> Counts:
-        """Counts of an image of integers that has the size and range of the described sensor.
-
-        Raises
-        ------
-        DeviceError : wrong size, type or range.
-        """
+        """Counts of an image of integers that has the size and range of the described sensor. Raises DeviceError: wrong size, type or range."""
         camera = self.settings
         if image.shape != (camera.height, camera.width) or image.dtype.kind not in "iu":
             problem = f"image of {image_format(image)}, expected {expected_format(camera)}"

@@ -70,12 +70,7 @@ def open_wheel(settings: SerialSettings) -> SerialFilterWheel:
 
 
 def open_camera(settings: CameraSettings) -> Camera:
-    """Driver of the described camera.
-
-    Raises
-    ------
-    DeviceError : a camera that only the emulator has.
-    """
+    """Driver of the described camera. Raises DeviceError: a camera that only the emulator has."""
     if settings.kind not in CAMERAS:
         advice = f"run `brdfpipe rig emulate`, or set `camera.kind` to {' or '.join(CAMERAS)}"
         raise DeviceError("camera", f"no driver for a camera of kind {settings.kind!r}", advice=advice)

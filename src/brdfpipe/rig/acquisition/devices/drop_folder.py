@@ -31,15 +31,13 @@ from brdfpipe.rig.acquisition.devices.camera import (
     check_exposure,
     unix_time,
 )
-from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, single_line
-from brdfpipe.rig.raw_frame import Counts, RawFrame, exposure_tolerance, is_number, read_fits
+from brdfpipe.rig.acquisition.devices.errors import DeviceLost, single_line
+from brdfpipe.rig.raw_frame import RawFrame, exposure_tolerance, is_number, read_fits
 
 _IDENTIFIER = re.compile(r"[0-9A-Za-z_-]{1,64}")
 _LARGEST_REQUEST = 4096
 _LARGEST_HEADER = 2**20
 _KEYWORDS = ("BITPIX", "EXPTIME", "DATE-OBS", "IMAGETYP", "CCD-TEMP", "REQUEST")
-_CHECK_SCRIPT = "check the camera's script"
-_ANSWER_EACH = "the camera's script must answer each request with its own frame"
 
 
 class DropFolder(CameraDriver):
@@ -63,29 +61,31 @@ class DropFolder(CameraDriver):
         """Name the folder."""
         if not self.folder.is_dir():
             advice = "create or mount it, or correct `camera.folder`"
-            raise self._error("the folder does not exist", advice=advice, kind=DeviceLost)
+            raise self.error("the folder does not exist", advice=advice, kind=DeviceLost)
         return f"drop folder {self.folder.name}"
 
     def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
         """Request an exposure and wait for its frame.
 
-        Raises
-        ------
-        DeviceError : no frame in time, or one that is truncated or of another size, type, exposure time or request.
+        Raises DeviceError: no frame in time, or one that is truncated or of another size, type, exposure time or request.
         """
         check_exposure(seconds)
         self.identify()
-        identifier = uuid.uuid4().hex
+        request = self.folder / f"{uuid.uuid4().hex}.json"
         requested = time.time()
-        request = {"id": identifier, "seconds": float(seconds), "shutter": bool(shutter)}
+        content = {"id": request.stem, "seconds": float(seconds), "shutter": bool(shutter)}
         try:
             earlier = self._fits_files()
-            store.write_text(self.folder / f"{identifier}.json", store.canonical_json(request) + "\n")
-            header, counts = self._await_frame(identifier, seconds, earlier)
+            store.write_text(request, store.canonical_json(content) + "\n")
+            header, image = self._await_frame(request, seconds, earlier)
         except OSError as error:
             problem = f"the folder is no longer accessible ({error.strerror or error})"
-            raise self._error(problem, identifier, "mount it again", DeviceLost) from error
-        self._check_labels(header, identifier, seconds, shutter)
+            raise self.error(problem, request.name, "mount it again", DeviceLost) from error
+        if header["BITPIX"] != 16 or image.dtype.kind not in "iu":
+            problem = f"image with BITPIX {header['BITPIX']} read as {image.dtype.name}"
+            raise self.error(problem, request.name, "write unsigned 16-bit counts: BITPIX 16 with BZERO 32768")
+        counts = self.valid_counts(image, request.name)
+        self._check_labels(header, request, seconds, shutter)
         temperature = header.get("CCD-TEMP")
         return RawFrame(
             counts=counts,
@@ -94,28 +94,25 @@ class DropFolder(CameraDriver):
             temperature=float(temperature) if is_number(temperature) else math.nan,
         )
 
-    def _await_frame(self, identifier: str, seconds: float, earlier: set[str]) -> tuple[Mapping[str, Any], Counts]:
-        """The frame, once it is complete. Its writer may be writing, or have set its size before its content."""
-        path = self.folder / f"{identifier}.fits"
+    def _await_frame(self, request: Path, seconds: float, earlier: set[str]) -> tuple[Mapping[str, Any], NDArray[Any]]:
+        """Header and image, once the file is complete. Its writer may be writing, or have set its size before its content."""
+        path = request.with_suffix(".fits")
         limit = seconds + self.settings.timeout
         deadline = self.clock() + limit
         state = "no frame"
         previous = tried = None
         while True:
             late = self.clock() >= deadline
-            if (reason := self._reported_error(identifier)) is not None:
-                raise self._error(f"the camera's script reports: {reason}", identifier)
+            self._check_reported_error(request)
             status = self._file_status(path)
             if status is not None and status == previous != tried:
                 try:
-                    header, image = _read_fits(path.read_bytes())
+                    return _read_fits(path.read_bytes())
                 except PermissionError:  # on Windows, while the writer has the file open
                     state = "a frame that cannot be opened"
                 except _Incomplete as problem:
                     tried = status
                     state = f"a truncated or invalid FITS file ({status[0]} bytes; {problem})"
-                else:
-                    return header, self._valid_counts(header, image, identifier)
             previous = status
             if late:
                 break
@@ -123,7 +120,7 @@ class DropFolder(CameraDriver):
         others = sorted(self._fits_files() - earlier - {path.name})
         misnamed = f", but a file of another name: {', '.join(others[:3])}" if others else ""
         advice = "check that the camera's script runs on this folder and answers <id>.json with <id>.fits"
-        raise self._error(f"{state} after {limit:g} s{misnamed}", identifier, advice)
+        raise self.error(f"{state} after {limit:g} s{misnamed}", request.name, advice)
 
     def _file_status(self, path: Path) -> tuple[int, int] | None:
         """Size and modification time of a file, which show when it is finished."""
@@ -131,52 +128,42 @@ class DropFolder(CameraDriver):
             status = path.lstat()
         except FileNotFoundError:
             return None
+        request = f"{path.stem}.json"
         if not path.is_file() or path.is_symlink():
-            problem = f"{path.name} is not a regular file"
-            raise self._error(problem, path.stem, "write the frame into the folder itself")
+            raise self.error(f"{path.name} is not a regular file", request, "write the frame into the folder itself")
         width, height = self.settings.width, self.settings.height
         if status.st_size > 8 * width * height + _LARGEST_HEADER:
-            raise self._error(f"a file of {status.st_size} bytes for {width} × {height} pixels", path.stem, CHECK_SIZE)
+            raise self.error(f"a file of {status.st_size} bytes for {width} × {height} pixels", request, CHECK_SIZE)
         return status.st_size, status.st_mtime_ns
 
-    def _reported_error(self, identifier: str) -> str | None:
-        path = self.folder / f"{identifier}.error"
-        if not path.is_file() or path.is_symlink():
-            return None
-        with path.open("rb") as handle:
-            return single_line(handle.read(500).decode("utf-8", "replace"))
+    def _check_reported_error(self, request: Path) -> None:
+        path = request.with_suffix(".error")
+        if path.is_file() and not path.is_symlink():
+            with path.open("rb") as handle:
+                reason = single_line(handle.read(500).decode("utf-8", "replace"))
+            raise self.error(f"the camera's script reports: {reason}", request.name, "check the camera's script")
 
     def _fits_files(self) -> set[str]:
         return {printable(path.name) for path in self.folder.glob("*.fits")}
 
-    def _valid_counts(self, header: Mapping[str, Any], image: NDArray[Any], identifier: str) -> Counts:
-        if header["BITPIX"] != 16 or image.dtype.kind not in "iu":
-            problem = f"image with BITPIX {header['BITPIX']} read as {image.dtype.name}"
-            raise self._error(problem, identifier, "write unsigned 16-bit counts: BITPIX 16 with BZERO 32768")
-        return self.valid_counts(image, f"{identifier}.json")
-
-    def _check_labels(self, header: Mapping[str, Any], identifier: str, seconds: float, shutter: bool) -> None:
+    def _check_labels(self, header: Mapping[str, Any], request: Path, seconds: float, shutter: bool) -> None:
         """Refuse a frame that states another request, exposure time or type."""
-        request = header.get("REQUEST", identifier)
-        if request != identifier:
-            raise self._error(f"the frame states another request: {request!r}", identifier, _ANSWER_EACH)
+        advice = "the camera's script must answer each request with its own frame"
+        identifier = header.get("REQUEST", request.stem)
+        if identifier != request.stem:
+            raise self.error(f"the frame states another request: {identifier!r}", request.name, advice)
         stated = header.get("EXPTIME")
         if not is_number(stated):
             problem = f"EXPTIME of the frame is {stated!r}, not a number"
-            raise self._error(problem, identifier, "write the exposure time in seconds")
+            raise self.error(problem, request.name, "write the exposure time in seconds")
         if not abs(stated - seconds) <= exposure_tolerance(seconds):
             problem = f"exposure time {stated:g} s stated by the frame, {seconds:g} s requested"
-            raise self._error(problem, identifier, _ANSWER_EACH)
+            raise self.error(problem, request.name, advice)
         image_type = str(header.get("IMAGETYP", ""))
         dark = any(word in image_type.lower() for word in ("dark", "bias"))
         if image_type and dark == shutter:
             problem = f"IMAGETYP of the frame is {image_type!r}, a {'light' if shutter else 'dark'} frame was requested"
-            raise self._error(problem, identifier, _ANSWER_EACH)
-
-    def _error(
-        self, problem: str, identifier: str = "", advice: str = _CHECK_SCRIPT, kind: type[DeviceError] = DeviceError
-    ) -> DeviceError:
-        return self.error(problem, f"{identifier}.json" if identifier else "", advice, kind)
+            raise self.error(problem, request.name, advice)
 
 
 # --- the camera's side of the folder
@@ -188,7 +175,6 @@ def serve_folder(
     *,
     stop: threading.Event,
     report: Callable[[str], None] = print,
-    pause: float = POLL,
 ) -> None:
     """Answer the requests of a drop folder with frames of a camera, until stopped.
 
@@ -197,12 +183,11 @@ def serve_folder(
     folder : where requests appear; answered requests and other files are left alone
     stop : set it to end
     report : called with each refused request
-    pause : seconds between two looks into the folder
     """
     folder, refused = Path(folder), set[str]()
     while not stop.is_set():
         for path in sorted(folder.glob("*.json")):
-            if path.name in refused or _is_answered(path):
+            if path.name in refused or any(path.with_suffix(suffix).exists() for suffix in (".fits", ".error")):
                 continue
             try:
                 identifier, seconds, shutter = _read_request(path)
@@ -217,15 +202,11 @@ def serve_folder(
                 store.write_text(path.with_suffix(".error"), f"{error}\n")
             else:
                 _write_fits(path.with_suffix(".fits"), raw, identifier, shutter)
-        stop.wait(pause)
+        stop.wait(POLL)
 
 
 class _InvalidRequest(Exception):
     """A file is not a valid request."""
-
-
-def _is_answered(path: Path) -> bool:
-    return path.with_suffix(".fits").exists() or path.with_suffix(".error").exists()
 
 
 def _read_request(path: Path) -> tuple[str, float, bool]:

@@ -27,12 +27,7 @@ _CHECK_PORT = "connect the device of the description to this port, or correct `p
 
 
 class SerialInstrument(ABC):
-    """A device on a serial line.
-
-    Parameters
-    ----------
-    line : closed by :meth:`close`
-    """
+    """A device on a serial line, which :meth:`close` closes."""
 
     dialect: ClassVar[Dialect]
 
@@ -88,9 +83,9 @@ class SerialInstrument(ABC):
         if not self._identity:
             self.identify()
         failures: list[NoReply] = []
-        for attempt in range(ATTEMPTS):
+        while len(failures) < ATTEMPTS:
             try:
-                if attempt:
+                if failures:
                     self._identify_once()
                 return self.ask_once(command, reply, timeout)
             except NoReply as failure:
@@ -116,9 +111,8 @@ class SerialInstrument(ABC):
 
     def mismatch(self, quantity: str, requested: object, reported: object, advice: str) -> DeviceError:
         """Error for a read-back that differs from the requested value."""
-        return self.line.error(
-            DeviceError, f"wrong {quantity}: requested {requested}, device reports {reported}", advice=advice
-        )
+        problem = f"wrong {quantity}: requested {requested}, device reports {reported}"
+        return self.line.error(DeviceError, problem, advice=advice)
 
     def _identify_once(self) -> str:
         """Reset the line, identify the device, and apply its settings, which a device that lost power has lost."""
@@ -162,15 +156,9 @@ class SerialFilterWheel(SerialInstrument):
         """Prepare for a second move after one that ended at another position."""
 
     def goto(self, position: int) -> int:
-        """Move, wait, and read back; repeated once if the wheel reports another position.
+        """Move to a position from 1 on, wait, and read back; repeated once if the wheel reports another position.
 
-        Parameters
-        ----------
-        position : from 1 to the number of positions
-
-        Raises
-        ------
-        DeviceError : no such position, another position reported, or no reply.
+        Raises DeviceError: no such position, another position reported, or no reply.
         """
         if position not in range(1, self.settings.positions + 1):
             advice = f"accepted: 1 to {self.settings.positions} (`wheel.positions` of the description)"

@@ -14,10 +14,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, NoReply, Refused
 from brdfpipe.rig.description import SerialSettings
+
+if TYPE_CHECKING:
+    from serial import Serial
 
 POLL = 0.05
 """Longest wait for a byte [s] between two checks of the deadline."""
@@ -33,16 +36,6 @@ LONGEST_REPLY = 16384
 """Bytes; the longest known reply, a list of nine gratings, has 300."""
 
 Failure = TypeVar("Failure", bound=DeviceError)
-
-
-class SerialPort(Protocol):
-    """The part of ``serial.Serial`` that is used."""
-
-    @property
-    def in_waiting(self) -> int: ...
-    def read(self, size: int = 1, /) -> bytes: ...
-    def write(self, data: bytes, /) -> int | None: ...
-    def close(self) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -83,7 +76,7 @@ class SerialLine:
         self,
         settings: SerialSettings,
         dialect: Dialect,
-        open_port: Callable[..., SerialPort] | None = None,
+        open_port: Callable[..., Serial] | None = None,
         *,
         other_dialects: Sequence[Dialect] = (),
         clock: Callable[[], float] = time.monotonic,
@@ -94,15 +87,12 @@ class SerialLine:
         self.clock = clock
         self.sleep = sleep
         self._foreign = [other for other in other_dialects if other.family != dialect.family]
-        self._port: SerialPort | None = self._open(open_port or _pyserial())
+        self._port: Serial | None = self._open(open_port)
 
     def transact(self, command: str, timeout: float) -> str:
-        """Send a command and return its reply, without echo, terminator and surrounding blanks.
+        """Send a command and return its reply within ``timeout`` seconds, without echo, terminator and surrounding blanks.
 
-        Parameters
-        ----------
-        command : without the carriage return; sent in the case that the device requires
-        timeout : seconds
+        The command has no carriage return; it is sent in the case that the device requires.
 
         Raises
         ------
@@ -186,7 +176,7 @@ class SerialLine:
             port.write(f"{command}\r".encode("latin-1"))
 
     @contextmanager
-    def _open_port(self, command: str) -> Iterator[SerialPort]:
+    def _open_port(self, command: str) -> Iterator[Serial]:
         """The port; closed, with DeviceLost, if it was disconnected."""
         if self._port is None:
             raise self.error(DeviceLost, "the port is closed", command, advice="connect the device and start again")
@@ -212,21 +202,17 @@ class SerialLine:
             advice = "check its cable; if the device needs more time, raise its timeout in rig.yaml"
         return self.error(NoReply, problem, command, received, advice)
 
-    def _open(self, open_port: Callable[..., SerialPort]) -> SerialPort:
+    def _open(self, open_port: Callable[..., Serial] | None) -> Serial:
+        from serial import Serial
+
         settings = self.settings
         try:
-            return open_port(
+            return (open_port or Serial)(
                 port=settings.port, baudrate=settings.baud, timeout=POLL, write_timeout=WRITE_TIMEOUT, exclusive=True
             )
         except (OSError, ValueError) as error:  # pyserial raises OSErrors, and a ValueError for an impossible speed
             problem, advice = _explain_open_failure(error)
             raise self.error(DeviceLost, problem, advice=advice) from error
-
-
-def _pyserial() -> Callable[..., Any]:
-    import serial
-
-    return serial.Serial
 
 
 def _explain_open_failure(error: OSError | ValueError) -> tuple[str, str]:

@@ -1,11 +1,7 @@
 """Thorlabs FW102C and FW212C filter wheels: lower-case commands ``pos=3`` and ``pos?``, and a prompt when a command is done.
 
 The prompt may come before the wheel has arrived. The reply to the next query then waits for the arrival, so a position is read back with the
-motion timeout.
-
-References
-----------
-Thorlabs, FW102C/FW212C operating manual, rev. H, 5.2.
+motion timeout. Reference: Thorlabs, FW102C/FW212C operating manual, rev. H, 5.2.
 """
 
 from __future__ import annotations
