@@ -1,4 +1,4 @@
-"""A small rig, its plan, a truth, and devices without a line: what the tests of plan, frames and scan start from."""
+"""A small rig, its plan, a truth, and devices without a serial line, for the tests of plan, frames and scan."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from brdfpipe.bsdf import lambert_gauss
 from brdfpipe.rig.acquisition.devices.connection import RigDevices, connect
 from brdfpipe.rig.acquisition.devices.errors import DeviceError
 from brdfpipe.rig.acquisition.scan import Summary, scan
-from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.emulator.emulated_rig import EmulatedRig
 from brdfpipe.rig.emulator.emulated_scan import automatic_operator, restore_state
 from brdfpipe.rig.plan import Arrangement, Plan
@@ -25,8 +24,8 @@ from brdfpipe.rig.raw_frame import RawFrame
 
 RIG = """\
 name: small
-monochromator: {dialect: acton, port: /dev/ttyUSB0, query_timeout: 0.15, motion_timeout: 0.15}
-wheel: {dialect: WHEEL, port: /dev/ttyUSB1, query_timeout: 0.15, motion_timeout: 0.15}
+monochromator: {dialect: acton, port: /dev/ttyUSB0, query_timeout: TIMEOUT, motion_timeout: TIMEOUT}
+wheel: {dialect: WHEEL, port: /dev/ttyUSB1, query_timeout: TIMEOUT, motion_timeout: TIMEOUT}
 camera: {kind: drop-folder, folder: camera, width: 96, height: 72, timeout: 600}
 nd_location: sample
 filters: [{position: 1, transmittance: 1, u: 0}, {position: 2, transmittance: 0.1}, {position: 4, transmittance: 0.01}]
@@ -53,10 +52,10 @@ drift: {every: 4}
 """
 
 
-def write(folder: Path, plan: str = PLAN, *, wheel: str = "thorlabs") -> Path:
-    """A plan beside its rig, in a folder."""
+def write(folder: Path, plan: str = PLAN, *, wheel: str = "thorlabs", timeout: float = 60) -> Path:
+    """Write a plan beside its rig. The devices may take a minute to reply, on however busy a machine."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "rig.yaml").write_text(RIG.replace("WHEEL", wheel))
+    (folder / "rig.yaml").write_text(RIG.replace("WHEEL", wheel).replace("TIMEOUT", f"{timeout:g}"))
     (folder / "fibres.csv").write_text(FIBRES)
     (folder / "plan.yaml").write_text(plan)
     return folder / "plan.yaml"
@@ -67,27 +66,27 @@ def truth(reflectance: float = 0.8) -> xr.Dataset:
     return lambert_gauss.lambertian(samples.spectrum(reflectance))
 
 
-# --- devices without a line
+# --- devices without a serial line
 
 
 @dataclass
 class FakeMonochromator:
-    """Goes where it is told, and remembers; what it says of itself may be bent."""
+    """Moves at once and records its moves; ``report`` may falsify the wavelength it reports."""
 
-    place: float = 0.0
+    state: float = 0.0
     moves: list[float] = field(default_factory=list)
-    bend: Callable[[float], float] = lambda place: place
+    report: Callable[[float], float] = lambda state: state
 
     def identify(self) -> str:
         return "fake monochromator"
 
     def goto(self, wavelength: float) -> float:
         self.moves.append(wavelength)
-        self.place = wavelength
+        self.state = wavelength
         return self.wavelength()
 
     def wavelength(self) -> float:
-        return self.bend(self.place)
+        return self.report(self.state)
 
     def stop(self) -> None: ...
 
@@ -96,27 +95,27 @@ class FakeMonochromator:
 
 @dataclass
 class FakeWheel:
-    place: int = 1
+    state: int = 1
     moves: list[int] = field(default_factory=list)
-    bend: Callable[[int], int] = lambda place: place
+    report: Callable[[int], int] = lambda state: state
 
     def identify(self) -> str:
         return "fake wheel"
 
     def goto(self, position: int) -> int:
         self.moves.append(position)
-        self.place = position
+        self.state = position
         return self.position()
 
     def position(self) -> int:
-        return self.bend(self.place)
+        return self.report(self.state)
 
     def close(self) -> None: ...
 
 
 @dataclass
 class FakeCamera:
-    """Its pictures hold the number of the exposure; what it does before it gives one may be bent."""
+    """Every pixel of an image holds the number of the exposure; ``before`` is called before each."""
 
     shape: tuple[int, int] = (72, 96)
     exposures: list[tuple[float, bool]] = field(default_factory=list)
@@ -133,12 +132,8 @@ class FakeCamera:
         return RawFrame(np.full(self.shape, number, dtype=np.uint16), self.started(number), seconds, math.nan)
 
 
-def fake_bench(**parts: Any) -> RigDevices:
-    return RigDevices(
-        parts.get("monochromator", FakeMonochromator()),
-        parts.get("wheel", FakeWheel()),
-        parts.get("camera", FakeCamera()),
-    )
+def fake_bench(**devices: Any) -> RigDevices:
+    return RigDevices(**{"monochromator": FakeMonochromator(), "wheel": FakeWheel(), "camera": FakeCamera(), **devices})
 
 
 def failing(ordinals: set[int], error: Exception) -> Callable[[int], None]:
@@ -156,56 +151,54 @@ def camera_error(problem: str = "no frame") -> DeviceError:
 
 
 def take(plan: Plan, bench: RigDevices, folder: Path, **options: Any) -> Summary:
-    """A scan by an operator who agrees to everything, at a clock that stands."""
-    told: dict[str, Any] = {"clock": lambda: 0.0, "confirm": lambda arrangement, words: True, **options}
-    return scan(plan, bench, folder, **told)
+    """A scan whose operator confirms everything, with a clock that always reads 0."""
+    return scan(plan, bench, folder, **{"clock": lambda: 0.0, "confirm": lambda arrangement, words: True, **options})
 
 
 # --- the emulated rig
 
 
 @dataclass
-class Witness:
-    """The emulator's own log: where the devices truly were while each frame was exposed."""
+class RecordingCamera:
+    """The emulated camera, which records the true state of the devices during each exposure."""
 
-    stand: EmulatedRig
-    seen: dict[float, tuple[float, int, Arrangement]] = field(default_factory=dict)
-    """Start of the exposure → wavelength, position, and what was arranged."""
+    rig: EmulatedRig
+    states: dict[float, tuple[float, int, Arrangement]] = field(default_factory=dict)
+    """Start of the exposure → wavelength, position and arrangement."""
     moved: list[float] = field(default_factory=list)
     """Starts of exposures during which a device moved."""
 
     def identify(self) -> str:
-        return self.stand.camera.identify()
+        return self.rig.camera.identify()
 
     def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
         before = self._state()
-        picture = self.stand.camera.expose(seconds, shutter=shutter)
-        setup = self.stand.setup
-        self.seen[round(picture.started, 6)] = (*before, Arrangement(setup.load, setup.side, setup.entrance))
+        raw = self.rig.camera.expose(seconds, shutter=shutter)
+        setup = self.rig.setup
+        self.states[round(raw.started, 6)] = (*before, Arrangement(setup.load, setup.side, setup.entrance))
         if before != self._state():
-            self.moved.append(round(picture.started, 6))
-        return picture
+            self.moved.append(round(raw.started, 6))
+        return raw
 
     def _state(self) -> tuple[float, int]:
-        return self.stand.monochromator.wavelength, self.stand.wheel.position
+        return self.rig.monochromator.wavelength, self.rig.wheel.position
 
 
 @contextmanager
 def emulated(
     plan: Plan, *, folder: Path | None = None, seed: int = 1, **options: Any
-) -> Iterator[tuple[EmulatedRig, Witness]]:
-    """An emulated rig of a plan; with the folder of a run, as it stood after the last finished frame of it."""
-    with EmulatedRig(plan.rig, truth(), seed=seed, effects=options.pop("effects", Effects()), **options) as stand:
+) -> Iterator[tuple[EmulatedRig, RecordingCamera]]:
+    """An emulated rig of a plan; with the folder of a run, in the state after its last finished frame."""
+    with EmulatedRig(plan.rig, truth(), seed=seed, **options) as rig:
         if folder is not None:
-            restore_state(stand, plan, folder)
-        yield stand, Witness(stand)
+            restore_state(rig, plan, folder)
+        yield rig, RecordingCamera(rig)
 
 
-def take_emulated(plan: Plan, folder: Path, stand: EmulatedRig, witness: Witness, **options: Any) -> Summary:
+def take_emulated(plan: Plan, folder: Path, rig: EmulatedRig, camera: RecordingCamera, **options: Any) -> Summary:
     """A scan of an emulated rig over its ports."""
-
-    with connect(stand.rig, camera=witness) as bench:
-        return scan(plan, bench, folder, clock=stand.clock.now, confirm=automatic_operator(stand), **options)
+    with connect(rig.rig, camera=camera) as devices:
+        return scan(plan, devices, folder, clock=rig.clock.now, confirm=automatic_operator(rig), **options)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

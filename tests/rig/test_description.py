@@ -75,14 +75,14 @@ def test_a_moved_fibre_is_another_instrument(rig_file, rig):
         ("name: bench-1", "name: ../x", ["name"]),
     ],
 )
-def test_what_cannot_be_is_refused_with_key_and_choice(rig_file, old, new, words):
+def test_an_invalid_value_is_refused_with_its_key_and_what_is_accepted(rig_file, old, new, words):
     with pytest.raises(InputError) as refusal:
         Rig.load(rewritten(rig_file, old, new))
     for word in ["rig.yaml", *words]:
         assert word in str(refusal.value)
 
 
-def test_a_filter_that_is_not_there_is_named(rig):
+def test_an_absent_filter_is_refused(rig):
     with pytest.raises(InputError, match="found 5; accepted: 1, 2, 3"):
         rig.filter_at(5)
 
@@ -110,5 +110,5 @@ def test_a_wrong_table_of_fibres_is_refused_by_line(tmp_path, text, words):
         assert word in str(refusal.value)
 
 
-def test_the_cameras_folder_lies_beside_the_description(rig_file, rig):
+def test_the_folder_of_the_camera_is_beside_the_description(rig_file, rig):
     assert rig.camera.folder == str(rig_file.resolve().parent / "camera")

@@ -104,7 +104,7 @@ def test_the_columns_of_the_fibres_are_named():
     assert f"`{','.join(description.COLUMNS)}`" in section("fibres.csv")
 
 
-def test_what_makes_another_rig_is_said(rig_file):
+def test_the_page_says_what_makes_another_rig(rig_file):
     """Ports, dialects and how frames are had make none; all else does."""
     (told,) = re.findall(r"everything above but(.*?)\. Their digest", section("rig.yaml"), re.DOTALL)
     assert words(told) == ["monochromator", "wheel", "kind", "folder", "address", "device", "timeout"]
@@ -164,7 +164,7 @@ def test_every_exit_code_is_explained():
 # --- the emulator
 
 
-def test_every_effect_stands_in_its_table_with_its_default():
+def test_the_table_of_effects_is_complete_with_defaults():
     told = {
         words(row["Effect"])[0]: ast.literal_eval(words(row["Default"])[0])
         for row in rows(section("The emulator"), "Effect")
@@ -173,7 +173,7 @@ def test_every_effect_stands_in_its_table_with_its_default():
     assert list(told) == [field.name for field in fields(Effects)]
 
 
-def test_every_kind_of_fault_stands_in_its_table():
+def test_the_table_of_faults_is_complete():
     assert [words(row["Fault"])[0] for row in rows(section("The emulator"), "Fault")] == list(KINDS)
 
 
@@ -208,7 +208,7 @@ def test_the_commands_of_a_rig_are_all_shown():
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
-def test_links_lead_somewhere(path):
+def test_links_have_targets(path):
     for target in re.findall(r"\]\(([^)\s]+)\)", _without_code(path.read_text(encoding="utf-8"))):
         if target.startswith("http"):
             continue

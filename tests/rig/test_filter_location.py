@@ -51,7 +51,7 @@ def described(plan, **changes):
 
 
 @pytest.mark.parametrize(("said", "power"), [("sample", 0), ("reference", 1)])
-def test_filters_where_the_description_says_give_no_warning(plan, said, power):
+def test_filters_in_the_described_location_give_no_warning(plan, said, power):
     found = check_overlaps(pictured(plan, reference_power=power, light=20_000), described(plan, nd_location=said))
     assert found.nd_location == said
     assert found.warnings == ()
@@ -100,11 +100,11 @@ def test_a_transmittance_within_its_uncertainty_is_in_order(plan):
 
 
 @pytest.mark.parametrize("light", [1.0, 1e6])
-def test_without_pixels_well_exposed_twice_nothing_is_said(plan, light):
+def test_without_pixels_well_exposed_twice_there_is_no_warning(plan, light):
     assert check_overlaps(pictured(plan, light=light), described(plan)) == OverlapCheck((), "", ())
 
 
-def test_hot_pixels_are_no_light(plan):
+def test_hot_pixels_are_not_taken_for_light(plan):
     """In a picture too faint to compare, hot pixels alone are well exposed; behind both filters they are the same."""
     found = pictured(plan, light=3.0)
     hot = np.random.default_rng(1).uniform(size=found["counts"].shape[1:]) < 0.05
@@ -127,6 +127,6 @@ def test_frames_of_different_wavelengths_or_incidences_are_not_compared(plan):
         assert check_overlaps(apart, plan.rig).overlaps == ()
 
 
-def test_without_dark_frames_nothing_is_said(plan):
+def test_without_dark_frames_there_is_no_warning(plan):
     found = pictured(plan, light=20_000)
     assert check_overlaps(found.isel(frame=found["purpose"].values != "dark"), plan.rig).overlaps == ()

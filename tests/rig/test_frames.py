@@ -144,7 +144,7 @@ def test_other_programs_read_the_same_from_it(plan, tmp_path):
     )
 
 
-def test_a_dark_frame_says_so(plan, tmp_path):
+def test_a_dark_frame_is_labelled_dark(plan, tmp_path):
     path, _, _ = written(plan, tmp_path, plan.shots[0])
     assert fits.getheader(path)["IMAGETYP"] == "Dark Frame"
 
@@ -175,14 +175,14 @@ def test_no_temporary_file_stays(plan, tmp_path):
     assert [item.name for item in path.parent.iterdir()] == [path.name]
 
 
-def test_a_frame_that_cannot_be_written_leaves_nothing(plan, tmp_path, monkeypatch):
+def test_a_failed_write_leaves_no_file(plan, tmp_path, monkeypatch):
     monkeypatch.setattr("pathlib.Path.write_bytes", lambda self, content: self.touch() or 1 / 0)
     with pytest.raises(ZeroDivisionError):
         written(plan, tmp_path / "a")
     assert list((tmp_path / "a").iterdir()) == []
 
 
-def test_a_full_disk_is_told(plan, tmp_path, monkeypatch):
+def test_a_full_disk_is_reported(plan, tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr("shutil.disk_usage", lambda path: usage._replace(free=1000))
     with pytest.raises(StoreError, match="not enough disk space to write it"):
@@ -192,7 +192,7 @@ def test_a_full_disk_is_told(plan, tmp_path, monkeypatch):
 # --- frames that are none
 
 
-def test_any_damaged_byte_is_told(plan, tmp_path):
+def test_any_damaged_byte_is_detected(plan, tmp_path):
     path, shot, _ = written(plan, tmp_path)
     content = path.read_bytes()
     generator = np.random.default_rng(3)
@@ -205,14 +205,14 @@ def test_any_damaged_byte_is_told(plan, tmp_path):
 
 
 @pytest.mark.parametrize("kept", [0, 1, 79, 2879, 2880, 5760, 10_000, -1, -2880])
-def test_a_frame_that_is_cut_off_is_told(plan, tmp_path, kept):
+def test_a_truncated_frame_is_detected(plan, tmp_path, kept):
     path, shot, _ = written(plan, tmp_path)
     path.write_bytes(path.read_bytes()[:kept])
     with pytest.raises(FrameError, match=shot.name):
         read_frame(path, shot, plan)
 
 
-def test_a_frame_with_zeros_at_its_end_is_told(plan, tmp_path):
+def test_a_frame_with_zeros_at_its_end_is_detected(plan, tmp_path):
     """What a file system may leave of a file whose size was written before its content."""
     path, shot, _ = written(plan, tmp_path)
     content = path.read_bytes()
@@ -221,7 +221,7 @@ def test_a_frame_with_zeros_at_its_end_is_told(plan, tmp_path):
         read_frame(path, shot, plan)
 
 
-def test_a_missing_frame_is_told(plan, tmp_path):
+def test_a_missing_frame_is_reported(plan, tmp_path):
     with pytest.raises(FrameError, match="missing"):
         read_frame(tmp_path / "frames" / light(plan).name, light(plan), plan)
 
@@ -252,7 +252,7 @@ def test_a_missing_frame_is_told(plan, tmp_path):
         ({"STARTED": "now"}, ["STARTED", "not a number"]),
     ],
 )  # fmt: skip
-def test_a_frame_that_says_it_is_another_is_not_believed(plan, tmp_path, labels, words):
+def test_a_frame_labelled_as_another_is_refused(plan, tmp_path, labels, words):
     path, shot, _ = written(plan, tmp_path)
     relabelled(path, **labels)
     with pytest.raises(FrameError) as refusal:
@@ -314,14 +314,14 @@ def elsewhere(path):
     "spoil",
     [compressed, of_another_size, of_fractions, with_a_second_picture, enormous, that_promises_much, elsewhere],
 )
-def test_a_file_that_is_no_frame_is_told(plan, tmp_path, spoil):
+def test_a_file_that_is_not_a_frame_is_refused(plan, tmp_path, spoil):
     path, shot, _ = written(plan, tmp_path)
     spoil(path)
     with pytest.raises(FrameError, match=shot.name):
         read_frame(path, shot, plan)
 
 
-def test_counts_beyond_the_bits_of_the_camera_are_told(plan, tmp_path):
+def test_counts_beyond_the_bits_of_the_camera_are_refused(plan, tmp_path):
     path, shot, _ = written(plan, tmp_path)
     rig = replace(plan.rig, camera=replace(plan.rig.camera, bits=12))
     with pytest.raises(FrameError, match="counts exceed the camera's range"):
@@ -361,7 +361,7 @@ def test_a_whole_run_is_a_dataset_without_warnings(run):
     assert (found.attrs["sample"], found.attrs["rig"], found.attrs["camera"]) == ("tile", "small", "fake camera")
 
 
-def test_one_incidence_comes_with_all_dark_frames_and_all_looks_at_the_lamp(run):
+def test_one_incidence_comes_with_all_dark_frames_and_lamp_readings(run):
     found = read_run(run, 20)
     assert set(found["purpose"].values) == {"sample", "dark", "drift"}
     assert set(found["incidence"].values[found["purpose"].values == "sample"]) == {20}
@@ -399,7 +399,7 @@ def warnings_after(copy, incidence=None):
     return found, vocabulary.warnings(found)
 
 
-def test_a_damaged_frame_is_named_with_what_it_leaves_uncovered(copy):
+def test_a_warning_names_a_damaged_frame_and_what_is_missing(copy):
     plan = Plan.load(copy / "plan.yaml")
     shot = light(plan, 3)
     path = copy / "frames" / shot.name
@@ -414,7 +414,7 @@ def test_a_damaged_frame_is_named_with_what_it_leaves_uncovered(copy):
     assert "--resume" in gap
 
 
-def test_missing_frames_are_summed_up_by_what_they_were_for(copy):
+def test_missing_frames_are_summarised_by_purpose(copy):
     plan = Plan.load(copy / "plan.yaml")
     for shot in plan.shots:
         if (shot.purpose == "etalon" and shot.step == 1) or shot.ordinal in (1, 2, 3) or shot.purpose == "drift":
@@ -428,7 +428,7 @@ def test_missing_frames_are_summed_up_by_what_they_were_for(copy):
     ]
 
 
-def test_gaps_elsewhere_are_no_matter_of_this_incidence(copy):
+def test_missing_frames_of_other_incidences_give_no_warning(copy):
     plan = Plan.load(copy / "plan.yaml")
     for shot in plan.shots:
         if shot.purpose == "etalon":
@@ -488,7 +488,7 @@ def test_a_wavelength_axis_that_was_shifted_in_the_plan_is_noticed(copy):
     assert sum("whose file is 0" in line for line in told) == 4
 
 
-def test_names_that_cannot_be_printed_do_not_stop_the_reading(copy):
+def test_file_names_that_cannot_be_printed_do_not_stop_the_reading(copy):
     try:
         (copy / "frames" / "\udcff.fits").write_bytes(b"x")
     except (ValueError, OSError):

@@ -81,7 +81,7 @@ def test_wavelengths_are_a_list_or_steps_that_reach_both_ends(tmp_path, told, ex
           "side": "[reflection, transmission]", "drift": "{every: 1}"}, ["too many frames", "99999"]),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_refused_with_key_and_choice(tmp_path, changes, words):
+def test_an_invalid_value_is_refused_with_its_key_and_what_is_accepted(tmp_path, changes, words):
     if words is None:
         assert len(plan(tmp_path, **changes).shots) < 100_000
         return
@@ -122,7 +122,7 @@ def test_every_light_frame_of_the_plan_is_taken_once(tmp_path):
         assert (shot.exposure, shot.position) == (1, found.bracket[shot.step - 1].position)
 
 
-def test_nothing_is_arranged_twice(tmp_path):
+def test_no_arrangement_is_made_twice(tmp_path):
     found = plan(tmp_path, incidences="[45, 20]", side="[reflection, transmission]")
     arranged = [arrangement for arrangement, _ in groupby(shot.arrangement for shot in found.shots)]
     assert arranged == list(found.arrangements)
@@ -141,7 +141,7 @@ def test_wavelengths_rise_once_in_each_arrangement(tmp_path):
         assert all(before.wavelength <= after.wavelength for before, after in pairwise(shots))
 
 
-def test_the_lamp_is_looked_at_at_both_ends_and_every_so_many_frames(tmp_path):
+def test_the_lamp_is_read_at_both_ends_and_after_every_given_number_of_frames(tmp_path):
     found = plan(tmp_path, wavelengths="{from: 500, to: 600, step: 10}", drift="{every: 5, wavelength: 530, step: 2}")
     light = [shot for shot in found.shots if not shot.dark]
     assert light[0].purpose == light[-1].purpose == "drift"
@@ -162,14 +162,14 @@ def test_dark_frames_of_every_exposure_open_and_close_the_run(tmp_path):
     assert not any(shot.dark for shot in found.shots[10:-10])
 
 
-def test_darks_leave_mirrors_and_devices_where_they_stand(tmp_path):
+def test_dark_frames_need_no_move_of_mirrors_or_devices(tmp_path):
     found = plan(tmp_path, darks="6")
     opening, closing = found.shots[:7], found.shots[-7:]
     for group in (opening, closing):
         assert len({(shot.arrangement, shot.wavelength, shot.position) for shot in group}) == 1
 
 
-def test_the_target_is_looked_at_at_one_wavelength(tmp_path):
+def test_the_target_is_measured_at_one_wavelength(tmp_path):
     path = small_rig.write(tmp_path, small_rig.PLAN + "runs: [target, etalon, sample]\n")
     with (tmp_path / "rig.yaml").open("a") as rig:
         rig.write("target: {spots: [[0, 0], [4, 0], [4, 90]]}\n")
@@ -179,7 +179,7 @@ def test_the_target_is_looked_at_at_one_wavelength(tmp_path):
     assert found.sample_id(shots[0].arrangement) == "target"
 
 
-def test_plans_differ_by_what_they_say_and_not_by_their_ports(tmp_path):
+def test_plans_differ_by_their_values_and_not_by_their_ports(tmp_path):
     one = plan(tmp_path / "one")
     other = plan(tmp_path / "other", wavelengths="[500, 560]", darks="7")
     assert one.differences(plan(tmp_path / "same")) == []
@@ -200,14 +200,14 @@ def test_plans_differ_by_what_they_say_and_not_by_their_ports(tmp_path):
     ]
 
 
-def test_a_plan_knows_the_files_it_is_made_of(tmp_path):
+def test_the_sources_of_a_plan_are_its_files(tmp_path):
     path = small_rig.write(tmp_path)
     assert sources(path) == {name: tmp_path / name for name in ("plan.yaml", "rig.yaml", "fibres.csv")}
     renamed = path.rename(tmp_path / "monday.yaml")
     assert sources(renamed)["plan.yaml"] == renamed
 
 
-def test_a_rig_under_a_name_that_a_run_needs_is_refused(tmp_path):
+def test_a_rig_with_a_reserved_file_name_is_refused(tmp_path):
     path = small_rig.write(tmp_path).rename(tmp_path / "monday.yaml")
     (tmp_path / "rig.yaml").rename(tmp_path / "plan.yaml")
     path.write_text(path.read_text().replace("rig: rig.yaml", "rig: plan.yaml"))

@@ -56,14 +56,14 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder, results
 
 
-def test_what_the_rig_measured_is_the_material(built: tuple[Path, Path]) -> None:
+def test_the_measured_bsdf_is_that_of_the_material(built: tuple[Path, Path]) -> None:
     _, results = built
     bsdf = brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc")
     assert bsdf.attrs["route"] == "measured"
     assert bsdf.attrs["representation"] == "rig"
 
 
-def test_it_is_the_truth_within_its_uncertainty_where_it_was_measured(built: tuple[Path, Path]) -> None:
+def test_the_measured_bsdf_agrees_with_the_truth_within_its_uncertainty(built: tuple[Path, Path]) -> None:
     _, results = built
     truth, found = (brdfpipe.open_dataset(results / name / "bsdf.nc") for name in ("opal-glass", "milk-glass"))
     theta_o = np.linspace(0, 70, 15)
@@ -77,7 +77,7 @@ def test_it_is_the_truth_within_its_uncertainty_where_it_was_measured(built: tup
         assert np.sqrt(np.mean((ratio / u) ** 2)) < 2
 
 
-def test_nothing_is_done_again(built: tuple[Path, Path]) -> None:
+def test_nothing_is_rebuilt(built: tuple[Path, Path]) -> None:
     folder, results = built
     assert build_catalogue(folder, results, cores=2).jobs == 0
 
@@ -93,7 +93,7 @@ def test_the_same_run_gives_the_same_bytes(built: tuple[Path, Path]) -> None:
     assert brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc").attrs["digest"] == digest
 
 
-def test_the_profile_in_use_has_a_chart_with_those_before_it(built: tuple[Path, Path]) -> None:
+def test_the_control_chart_shows_the_profile_in_use_and_earlier_ones(built: tuple[Path, Path]) -> None:
     """The etalon of a day differs from its certificate by 0.5 %: two days differ by no more than chance."""
     _, results = built
     profile = brdfpipe.open_dataset(results / "calibrations" / "bench-2.nc", "calibration")
@@ -104,7 +104,7 @@ def test_the_profile_in_use_has_a_chart_with_those_before_it(built: tuple[Path, 
     assert "From 1, bench-1 of " in (results / "milk-glass" / "report.html").read_text()
 
 
-def test_a_calibration_that_fails_is_told_of_each_material_that_needs_it_or_one_after_it(
+def test_a_failed_calibration_is_reported_for_each_material_that_depends_on_it(
     built: tuple[Path, Path],
 ) -> None:
     folder, results = built
@@ -120,7 +120,7 @@ def test_a_calibration_that_fails_is_told_of_each_material_that_needs_it_or_one_
     assert "valid until 1969-12-31" in failures["milk-glass"]
 
 
-def test_an_emulated_material_says_so(built: tuple[Path, Path]) -> None:
+def test_an_emulated_material_has_a_warning(built: tuple[Path, Path]) -> None:
     _, results = built
     assert any(
         "come from the rig emulator" in text
@@ -138,7 +138,7 @@ def test_an_emulated_material_says_so(built: tuple[Path, Path]) -> None:
         ("emulate: {truth: opal-glass, seed: 1, session: 1}", "run: run", ["rig", "plan"]),
     ],
 )
-def test_what_a_rigs_material_cannot_be_is_refused_with_its_key(
+def test_an_invalid_rig_block_of_a_material_is_refused_with_its_key(
     tmp_path: Path, old: str, new: str, words: list[str]
 ) -> None:
     folder = copied(tmp_path / "catalogue")
@@ -168,7 +168,7 @@ def test_what_a_rigs_material_cannot_be_is_refused_with_its_key(
         ({"bench-2": "[bench-1]"}, ['found ["bench-1"]; accepted: the calibration of the same rig before this one']),
     ],
 )
-def test_a_calibration_before_that_cannot_be_is_refused_with_its_key(
+def test_an_invalid_previous_calibration_is_refused_with_its_key(
     tmp_path: Path, previous: dict[str, str], words: list[str]
 ) -> None:
     folder = copied(tmp_path / "catalogue")
@@ -181,7 +181,7 @@ def test_a_calibration_before_that_cannot_be_is_refused_with_its_key(
         assert word in loaded.failures["milk-glass"]
 
 
-def test_a_wrong_plan_of_a_calibration_before_is_a_failure_of_the_material(tmp_path: Path) -> None:
+def test_a_wrong_plan_of_a_previous_calibration_is_a_failure_of_the_material(tmp_path: Path) -> None:
     folder = copied(tmp_path / "catalogue")
     follow(folder, "bench-2", "bench-1")
     go_by(folder, "bench-2")
@@ -200,6 +200,6 @@ def test_a_wrong_plan_is_a_failure_of_its_material_alone(tmp_path: Path) -> None
     assert summary.built == ("opal-glass",)
 
 
-def test_the_catalogues_table_has_the_measured_route(built: tuple[Path, Path]) -> None:
+def test_the_catalogue_lists_the_measured_route(built: tuple[Path, Path]) -> None:
     _, results = built
     assert "measured" in (results / "catalogue.csv").read_text()

@@ -25,7 +25,7 @@ def test_the_cosines_have_the_reference_values_of_the_physics_sheet():
 
 
 @given(st.floats(-53, 53), st.floats(-40, 40), st.floats(-2e-5, 2e-5))
-def test_places_and_pixels_are_each_others_inverse(x, y, radial):
+def test_to_pixel_and_to_position_are_inverse(x, y, radial):
     bent = dataclasses.replace(SCREEN, radial=radial)
     place = screen.to_position(bent, *screen.to_pixel(bent, x, y))
     assert float(place.x) == pytest.approx(x, abs=1e-9)
@@ -39,7 +39,7 @@ def test_up_on_the_screen_is_up_in_the_picture():
 
 
 @given(st.floats(0, 30), st.floats(-179.9, 179.9))
-def test_directions_and_places_of_the_disc_are_each_others_inverse(theta, phi):
+def test_directions_and_positions_on_the_disc_are_inverse(theta, phi):
     found_theta, found_phi = screen.disc_direction(SCREEN, *screen.disc_position(SCREEN, theta, phi))
     assert unit_vector(found_theta, found_phi) == pytest.approx(unit_vector(theta, phi), abs=1e-9)
 
@@ -75,7 +75,7 @@ def test_light_that_passes_straight_is_the_centre_in_transmission():
     assert (float(out), abs(float(azimuth))) == (pytest.approx(150), pytest.approx(180))
 
 
-def test_spot_masks_are_where_the_description_has_the_spots(tmp_path):
+def test_spot_masks_cover_the_described_spots(tmp_path):
     plan = Plan.load(small_rig.write(tmp_path))
     reference, sample = screen.spot_masks(plan.rig)
     column, row = screen.to_pixel(plan.rig.screen, *plan.rig.screen.reference)

@@ -30,7 +30,7 @@ def test_the_bench_is_that_of_the_preprint(plan):
     assert (plan.rig.camera.width, plan.rig.camera.height) == (320, 240)
 
 
-def test_fibres_look_from_everywhere_but_the_cone_of_the_lens(plan):
+def test_fibres_cover_all_directions_outside_the_cone_of_the_lens(plan):
     theta = np.array([fibre.theta_s for fibre in plan.rig.fibres])
     phi = np.array([fibre.phi_s for fibre in plan.rig.fibres])
     assert theta.min() > 11

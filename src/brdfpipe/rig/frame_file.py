@@ -92,19 +92,14 @@ class Frame:
 def write_frame(
     path: Path, raw: RawFrame, shot: Shot, plan: Plan, *, state: DeviceState, run_start: float | None, camera: str
 ) -> Frame:
-    """Write an exposure atomically and return it as :func:`read_frame` will.
+    """Write an exposure atomically and return it as :func:`read_frame` will. Raises StoreError: disk full, or folder not writable.
 
     Parameters
     ----------
-    raw : the exposure, of the size the rig's description states
-    shot : the planned exposure
+    raw, shot : the exposure, of the size the rig's description states, and as planned
     state : what the devices reported during the exposure
     run_start : start of the run in seconds of the camera's clock; None if this exposure starts it
     camera : name the camera gives itself; the emulator's contains "emulated"
-
-    Raises
-    ------
-    StoreError : the disk is full or the folder is not writable.
     """
     started = _round_time(raw.started)
     elapsed = 0.0 if run_start is None else _round_time(started - run_start)
@@ -241,30 +236,29 @@ def _parse_fits(path: Path, content: bytes) -> tuple[Mapping[str, Any], NDArray[
 
 
 def _check_labels(path: Path, header: Mapping[str, Any], shot: Shot, plan: Plan) -> None:
-    # RIGHASH comes first: the frames of another rig may differ in every keyword.
-    for keyword, (expected, _) in reversed(_planned_cards(shot, plan).items()):
-        _check_keyword(path, header, keyword, expected, 0.0)
-    _check_keyword(path, header, "NDPOS", shot.position, 0.0)
-    _check_keyword(path, header, "WAVELEN", shot.wavelength, WAVELENGTH_TOLERANCE)
-    _check_keyword(path, header, "EXPTIME", shot.exposure, exposure_tolerance(shot.exposure))
+    labels: dict[str, tuple[Any, float]] = {
+        # RIGHASH comes first: the frames of another rig may differ in every keyword.
+        **{keyword: (expected, 0.0) for keyword, (expected, _) in reversed(_planned_cards(shot, plan).items())},
+        "NDPOS": (shot.position, 0.0),
+        "WAVELEN": (shot.wavelength, WAVELENGTH_TOLERANCE),
+        "EXPTIME": (shot.exposure, exposure_tolerance(shot.exposure)),
+    }
+    for keyword, (expected, tolerance) in labels.items():
+        if keyword not in header:
+            raise FrameError(path, "keyword missing", where=keyword, accepted=f"{expected} (plan)")
+        value = header[keyword]
+        if isinstance(expected, str) or not is_number(value):
+            agrees = value == expected and isinstance(value, str)
+        else:
+            agrees = abs(value - expected) <= tolerance + 1e-9 * abs(expected)
+        if not agrees:
+            raise FrameError(path, "label differs from the plan", where=keyword, found=value, accepted=str(expected))
     for keyword in ("STARTED", "ELAPSED"):
         value = header.get(keyword)
         if not is_number(value):
             raise FrameError(path, "keyword missing or not a number", where=keyword, found=repr(value))
     if "CCD-TEMP" not in header:
         raise FrameError(path, "keyword missing", where="CCD-TEMP", accepted="a temperature, or no value")
-
-
-def _check_keyword(path: Path, header: Mapping[str, Any], keyword: str, expected: Any, tolerance: float) -> None:
-    if keyword not in header:
-        raise FrameError(path, "keyword missing", where=keyword, accepted=f"{expected} (plan)")
-    value = header[keyword]
-    if isinstance(expected, str) or not is_number(value):
-        agrees = value == expected and isinstance(value, str)
-    else:
-        agrees = abs(value - expected) <= tolerance + 1e-9 * abs(expected)
-    if not agrees:
-        raise FrameError(path, "label differs from the plan", where=keyword, found=value, accepted=str(expected))
 
 
 def _round_time(seconds: float) -> float:

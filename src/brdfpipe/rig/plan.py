@@ -139,7 +139,9 @@ class Plan:
     @cached_property
     def shots(self) -> tuple[Shot, ...]:
         """Every exposure, in order."""
-        return tuple(self._numbered())
+        light = list(self._light())
+        shots = (*self._darks(light[0]), *light, *self._darks(light[-1]))
+        return tuple(replace(shot, ordinal=ordinal) for ordinal, shot in enumerate(shots, start=1))
 
     @property
     def arrangements(self) -> tuple[Arrangement, ...]:
@@ -165,13 +167,6 @@ class Plan:
             of_rig += _differences(self.rig.camera, other.rig.camera, SENSOR_KEYS)
             differences += [f"rig {difference}" for difference in of_rig]
         return differences
-
-    def _numbered(self) -> Iterator[Shot]:
-        light = list(self._light())
-        first, last = light[0], light[-1]
-        ordered = [*self._darks(first), *light, *self._darks(last)]
-        for ordinal, shot in enumerate(ordered, start=1):
-            yield replace(shot, ordinal=ordinal)
 
     def _light(self) -> Iterator[Shot]:
         count = 0

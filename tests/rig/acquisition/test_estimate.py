@@ -37,7 +37,7 @@ def test_bytes_are_those_of_the_frames_that_are_written(plan, tmp_path):
     assert {path.stat().st_size for path in files} == {frame_size(plan)}
 
 
-def test_hours_are_exposures_moves_readouts_and_hands(plan):
+def test_hours_include_exposures_moves_readouts_and_manual_work(plan):
     lights = [shot for shot in plan.shots if not shot.dark]
     exposures = len(plan.shots) * (1 + READOUT)
     pairs = list(zip(plan.shots, plan.shots[1:], strict=False))
@@ -76,7 +76,7 @@ def test_steps_that_do_not_overlap_are_named(tmp_path):
     assert "bracket steps 2 and 1 do not overlap: 1e+03 times the light" in found.warnings[0]
 
 
-def test_a_bracket_that_is_too_short_is_told(tmp_path):
+def test_a_bracket_that_is_too_short_gives_a_warning(tmp_path):
     (warning,) = estimate(bracketed(tmp_path, "[{exposure: 1, position: 1}]")).warnings
     assert "needs 1 : 2.5e+05" in warning
 

@@ -47,7 +47,7 @@ def test_an_event_is_on_the_disk_when_it_is_noted(tmp_path, monkeypatch):
 
 @given(cut=st.integers(0, 10_000), padding=st.integers(0, 9000))
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_torn_line_is_healed_wherever_it_broke_off(tmp_path, cut, padding):
+def test_an_incomplete_last_line_is_removed_wherever_it_ends(tmp_path, cut, padding):
     path = tmp_path / "j"
     path.unlink(missing_ok=True)
     with opened(path) as journal:
@@ -66,7 +66,7 @@ def test_a_torn_line_is_healed_wherever_it_broke_off(tmp_path, cut, padding):
     assert [event["event"] for event in events[kept.count(b"\n") :]] == (["healed"] if torn else []) + ["resumed"]
 
 
-def test_lines_that_are_no_events_are_passed_over(tmp_path):
+def test_lines_that_are_not_events_are_skipped(tmp_path):
     path = tmp_path / "j"
     path.write_bytes(
         b'{"event":"a"}\n\xff\xfe\n[1]\n{"no": 1}\n{"event": 3}\n' + b"[" * 9999 + b'\n{"event":"b"}\n{"ev'
@@ -74,11 +74,11 @@ def test_lines_that_are_no_events_are_passed_over(tmp_path):
     assert [event["event"] for event in read(path)] == ["a", "b"]
 
 
-def test_a_journal_that_is_not_there_has_no_events(tmp_path):
+def test_a_missing_journal_has_no_events(tmp_path):
     assert read(tmp_path / "none") == []
 
 
-def test_a_full_disk_leaves_no_half_line(tmp_path, monkeypatch):
+def test_a_full_disk_leaves_no_incomplete_line(tmp_path, monkeypatch):
     with opened(tmp_path / "j") as journal:
         journal.append("frame", shot=1)
         before = (tmp_path / "j").read_bytes()
@@ -98,6 +98,6 @@ def test_a_full_disk_leaves_no_half_line(tmp_path, monkeypatch):
     assert [event["shot"] for event in read(tmp_path / "j")] == [1, 2]
 
 
-def test_a_journal_that_cannot_be_opened_is_told(tmp_path):
+def test_a_journal_that_cannot_be_opened_is_reported(tmp_path):
     with pytest.raises(StoreError, match="could not be written"):
         opened(tmp_path / "no" / "j")

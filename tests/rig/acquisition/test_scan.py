@@ -70,13 +70,13 @@ def test_each_frame_is_on_the_disk_before_the_next_exposure(plan, folder):
     assert on_disk(folder) == names
 
 
-def test_the_camera_is_told_what_the_plan_says(plan, folder):
+def test_the_camera_exposes_as_planned(plan, folder):
     camera = small_rig.FakeCamera()
     small_rig.take(plan, small_rig.fake_bench(camera=camera), folder)
     assert camera.exposures == [(shot.exposure, not shot.dark) for shot in plan.shots]
 
 
-def test_devices_move_only_where_the_plan_does(plan, folder):
+def test_devices_move_only_where_the_plan_requires_it(plan, folder):
     bench = small_rig.fake_bench()
     small_rig.take(plan, bench, folder)
     wavelengths, positions = ([getattr(shot, key) for shot in plan.shots] for key in ("wavelength", "position"))
@@ -84,7 +84,7 @@ def test_devices_move_only_where_the_plan_does(plan, folder):
         assert moves == [after for before, after in zip([None, *wanted], wanted, strict=False) if before != after]
 
 
-def test_the_folder_holds_all_that_the_frames_mean(plan, folder):
+def test_the_folder_has_the_descriptions_of_the_frames(plan, folder):
     done = small_rig.take(plan, small_rig.fake_bench(), folder)
     for name in ("plan.yaml", "rig.yaml", "fibres.csv"):
         assert (folder / name).read_bytes() == (plan.path.parent / name).read_bytes()
@@ -162,8 +162,8 @@ def test_time_left_is_shown_on_a_terminal(plan, folder, monkeypatch):
 # --- labels
 
 
-def test_a_frame_is_labelled_by_what_was_read_back(plan, folder):
-    bench = small_rig.fake_bench(monochromator=small_rig.FakeMonochromator(bend=lambda place: place + 0.03))
+def test_a_frame_is_labelled_with_the_state_read_back(plan, folder):
+    bench = small_rig.fake_bench(monochromator=small_rig.FakeMonochromator(report=lambda state: state + 0.03))
     small_rig.take(plan, bench, folder)
     for shot in plan.shots:
         assert fits.getheader(folder / "frames" / shot.name)["WAVELEN"] == shot.wavelength + 0.03
@@ -172,11 +172,11 @@ def test_a_frame_is_labelled_by_what_was_read_back(plan, folder):
 
 
 @pytest.mark.parametrize("bench", [
-    {"monochromator": small_rig.FakeMonochromator(bend=lambda place: place + 0.6)},
-    {"monochromator": small_rig.FakeMonochromator(bend=lambda place: math.nan)},
-    {"wheel": small_rig.FakeWheel(bend=lambda place: 3)},
+    {"monochromator": small_rig.FakeMonochromator(report=lambda state: state + 0.6)},
+    {"monochromator": small_rig.FakeMonochromator(report=lambda state: math.nan)},
+    {"wheel": small_rig.FakeWheel(report=lambda state: 3)},
 ])  # fmt: skip
-def test_no_frame_is_exposed_where_a_device_says_it_is_elsewhere(plan, folder, bench):
+def test_no_frame_is_exposed_while_a_device_reports_another_state(plan, folder, bench):
     camera = small_rig.FakeCamera()
     with pytest.raises(ScanStopped, match=r"stopped before frame 1 of .*requested .*, devices report"):
         small_rig.take(plan, small_rig.fake_bench(camera=camera, **bench), folder)
@@ -192,7 +192,7 @@ class Restless:
 
     def __call__(self, number):
         if number in self.numbers:
-            self.device.place += self.change
+            self.device.state += self.change
 
 
 @pytest.mark.parametrize(("device", "change"), [("monochromator", 0.2), ("monochromator", -40.0), ("wheel", 1)])
@@ -211,7 +211,7 @@ def test_a_frame_during_which_a_device_moved_is_taken_again(plan, folder, device
     assert (read_run(folder)["wavelength_read"] == read_run(folder)["wavelength"]).all()
 
 
-def test_a_device_that_will_not_rest_stops_the_scan(plan, folder):
+def test_a_device_that_keeps_moving_stops_the_scan(plan, folder):
     bench = small_rig.fake_bench(camera=small_rig.FakeCamera())
     bench.camera.before = Restless(range(5, 100), bench.wheel, 1)
     with pytest.raises(ScanStopped, match=r"stopped before frame 5 .*a device moved during the exposure"):
@@ -225,7 +225,7 @@ def test_a_device_that_will_not_rest_stops_the_scan(plan, folder):
 # --- devices that fail
 
 
-def test_a_camera_that_fails_once_is_asked_again(plan, folder):
+def test_an_exposure_is_repeated_after_a_failure_of_the_camera(plan, folder):
     camera = small_rig.FakeCamera(before=small_rig.failing({2, 5, 6}, small_rig.camera_error()))
     done = small_rig.take(plan, small_rig.fake_bench(camera=camera), folder)
     assert done.retries == 3
@@ -250,7 +250,7 @@ def test_a_camera_that_fails_three_times_stops_the_scan(plan, folder):
 
 
 @pytest.mark.parametrize("kind", [DeviceLost, WrongDevice])
-def test_a_lost_or_exchanged_device_is_not_asked_again(plan, folder, kind):
+def test_no_exposure_is_repeated_after_a_device_is_lost_or_exchanged(plan, folder, kind):
     stop = stopped_at(plan, folder, 4, kind("monochromator", "gone"))
     assert "monochromator: gone" in str(stop)
     assert len(on_disk(folder)) == 3
@@ -268,7 +268,7 @@ def test_a_lost_or_exchanged_device_is_not_asked_again(plan, folder, kind):
         (lambda picture: replace(picture, started=1e11), "invalid start of the exposure: 1000"),
     ],
 )
-def test_a_picture_that_is_not_the_one_asked_for_is_no_frame(plan, folder, spoil, words):
+def test_an_image_other_than_requested_is_refused(plan, folder, spoil, words):
     class Spoilt(small_rig.FakeCamera):
         def expose(self, seconds, *, shutter=True) -> RawFrame:
             return spoil(super().expose(seconds, shutter=shutter))
@@ -283,7 +283,7 @@ def test_a_picture_that_is_not_the_one_asked_for_is_no_frame(plan, folder, spoil
 
 
 @pytest.mark.parametrize("number", [1, 2, 7, 12])
-def test_a_resumed_scan_takes_what_is_missing_and_nothing_else(plan, folder, number):
+def test_a_resumed_scan_takes_only_missing_frames(plan, folder, number):
     stopped_at(plan, folder, number)
     before = small_rig.contents(folder)
     assert len(before) == number - 1
@@ -296,7 +296,7 @@ def test_a_resumed_scan_takes_what_is_missing_and_nothing_else(plan, folder, num
     assert [event["shot"] for event in events(folder, "frame")] == [shot.ordinal for shot in plan.shots]
 
 
-def test_elapsed_time_goes_on_after_a_pause(plan, folder):
+def test_elapsed_time_includes_a_pause(plan, folder):
     stopped_at(plan, folder, 5)
     camera = small_rig.FakeCamera(started=lambda number: 1.7e9 + 10 + 3600 + 10.0 * number)
     small_rig.take(plan, small_rig.fake_bench(camera=camera), folder, resume=True)
@@ -305,7 +305,7 @@ def test_elapsed_time_goes_on_after_a_pause(plan, folder):
     assert list(elapsed[4:6]) == [3610, 3620]
 
 
-def test_a_resumed_scan_asks_again_for_the_arrangement_it_stands_in(plan, folder):
+def test_a_resumed_scan_asks_again_for_the_current_arrangement(plan, folder):
     stopped_at(plan, folder, 10)
     asked = []
     small_rig.take(
@@ -319,7 +319,7 @@ def test_a_resumed_scan_asks_again_for_the_arrangement_it_stands_in(plan, folder
     assert "(frame 10)" in asked[0][1]
 
 
-def test_a_finished_run_is_left_alone(plan, folder):
+def test_a_finished_run_is_not_changed(plan, folder):
     small_rig.take(plan, small_rig.fake_bench(), folder)
     before = small_rig.contents(folder)
     bench = small_rig.fake_bench()
@@ -329,11 +329,11 @@ def test_a_finished_run_is_left_alone(plan, folder):
     assert small_rig.contents(folder) == before
 
 
-def test_resume_begins_a_run_that_is_not_there(plan, folder):
+def test_resume_starts_a_run_in_a_new_folder(plan, folder):
     assert small_rig.take(plan, small_rig.fake_bench(), folder, resume=True).taken == len(plan.shots)
 
 
-def test_a_frame_that_the_journal_missed_is_adopted(plan, folder):
+def test_a_frame_missing_in_the_journal_is_adopted(plan, folder):
     stopped_at(plan, folder, 6)
     lines = (folder / "journal.jsonl").read_bytes().splitlines(keepends=True)
     kept = [line for line in lines if b'"shot":5' not in line and b"stopped" not in line]
@@ -377,7 +377,7 @@ def replaced(path):
     path.write_bytes(content.getvalue())
 
 
-def test_an_adopted_frame_is_known_from_then_on(plan, folder):
+def test_an_adopted_frame_is_recorded_with_its_digest(plan, folder):
     stopped_at(plan, folder, 6)
     lines = (folder / "journal.jsonl").read_bytes().splitlines(keepends=True)
     (folder / "journal.jsonl").write_bytes(b"".join(line for line in lines if b'"shot":5' not in line))
@@ -406,7 +406,7 @@ def test_a_damaged_frame_is_taken_again(plan, folder, damage, number):
         assert ((folder / "frames" / name).read_bytes() == content) == (name != plan.shots[number - 1].name)
 
 
-def test_half_written_leftovers_are_removed(plan, folder):
+def test_incomplete_files_of_an_earlier_scan_are_removed(plan, folder):
     stopped_at(plan, folder, 4)
     (folder / "frames" / f".{plan.shots[3].name}.123.tmp").write_bytes(b"half")
     (folder / ".plan.yaml.99.tmp").write_bytes(b"half")
@@ -427,7 +427,7 @@ def test_the_last_finished_frame_is_found(plan, folder):
 # --- folders that are not this run's
 
 
-def test_a_run_that_has_begun_needs_the_word_resume(plan, folder):
+def test_a_started_run_needs_resume(plan, folder):
     stopped_at(plan, folder, 4)
     camera = small_rig.FakeCamera()
     with pytest.raises(
@@ -458,7 +458,7 @@ def test_a_run_of_another_plan_or_rig_is_refused_with_the_difference(plan, folde
     assert len(on_disk(folder)) == 3
 
 
-def test_other_ports_are_no_other_rig(plan, folder):
+def test_other_ports_do_not_make_another_rig(plan, folder):
     stopped_at(plan, folder, 4)
     rig = plan.path.with_name("rig.yaml")
     rig.write_text(rig.read_text().replace("/dev/ttyUSB1", "/dev/ttyUSB7"))
@@ -473,7 +473,7 @@ def test_a_folder_with_other_files_is_refused(plan, folder):
         small_rig.take(plan, small_rig.fake_bench(), folder)
 
 
-def test_a_run_that_was_killed_before_its_plan_was_there_begins_anew(plan, folder):
+def test_a_run_killed_before_its_plan_was_copied_starts_again(plan, folder):
     small_rig.take(plan, small_rig.fake_bench(), folder)
     (folder / "plan.yaml").unlink()
     shutil.rmtree(folder / "frames")
@@ -495,7 +495,7 @@ def test_a_second_scan_of_the_same_folder_is_refused(plan, folder):
 
 
 @pytest.mark.parametrize("number", [1, 6])
-def test_ctrl_c_during_an_exposure_leaves_nothing_half(plan, folder, number):
+def test_ctrl_c_during_an_exposure_leaves_only_complete_frames(plan, folder, number):
     camera = small_rig.FakeCamera(before=small_rig.failing({number}, KeyboardInterrupt()))
     with pytest.raises(KeyboardInterrupt):
         small_rig.take(plan, small_rig.fake_bench(camera=camera), folder)
@@ -506,7 +506,7 @@ def test_ctrl_c_during_an_exposure_leaves_nothing_half(plan, folder, number):
 
 
 @pytest.mark.parametrize("number", range(4, 40, 5))
-def test_ctrl_c_while_something_is_written_leaves_nothing_half(plan, folder, monkeypatch, number):
+def test_ctrl_c_during_a_write_leaves_only_complete_files(plan, folder, monkeypatch, number):
     fsync, count = os.fsync, iter(range(10_000))
 
     def interrupted(file):
@@ -567,7 +567,7 @@ def test_a_disk_that_is_full_when_the_journal_is_written_loses_no_frame(plan, fo
     assert [event["shot"] for event in events(folder, "adopted")] == [6]
 
 
-def test_a_disk_too_small_for_the_plan_is_told_before_the_first_frame(plan, folder, monkeypatch):
+def test_a_disk_too_small_for_the_plan_is_refused_before_the_first_frame(plan, folder, monkeypatch):
     usage = shutil.disk_usage(folder.parent)
     monkeypatch.setattr("shutil.disk_usage", lambda path: usage._replace(free=len(plan.shots) * frame_size(plan) - 1))
     monkeypatch.setattr("brdfpipe.store.write_bytes", lambda path, content: path.write_bytes(content))
@@ -577,13 +577,13 @@ def test_a_disk_too_small_for_the_plan_is_told_before_the_first_frame(plan, fold
     assert camera.exposures == []
 
 
-def test_a_folder_that_cannot_be_made_is_refused(plan, tmp_path):
+def test_a_folder_that_cannot_be_created_is_refused(plan, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"cannot be written \(Not a directory\)"):
         small_rig.take(plan, small_rig.fake_bench(), tmp_path / "file" / "run")
 
 
-def test_a_device_that_fails_before_the_first_frame_is_told(plan, folder):
+def test_a_device_that_fails_before_the_first_frame_stops_the_scan(plan, folder):
     class Absent(small_rig.FakeWheel):
         def identify(self):
             raise DeviceError("filter wheel", "no answer")

@@ -1,4 +1,4 @@
-"""kill −9 at random moments of a scan, then --resume: the finished run is the one that nothing disturbed."""
+"""kill −9 at random moments of a scan, then --resume: the finished run equals an undisturbed one."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ import small_rig
 
 import brdfpipe
 from brdfpipe.rig.acquisition import journal
+from brdfpipe.rig.emulator.emulated_scan import scan_emulated
 from brdfpipe.rig.frames import read_run
 from brdfpipe.rig.plan import Plan
-from brdfpipe.store import save_dataset
+from brdfpipe.store import open_dataset, save_dataset
 
 PLAN = small_rig.PLAN.replace("[500, 550]", "[480, 500, 520, 540, 560]").replace("every: 4", "every: 7")
 
@@ -25,7 +26,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes
 
 
 def environment(folder):
-    """Of a program of its own, with whatever it leaves behind in a folder of the test."""
+    """Environment of a subprocess; its temporary files are in a folder of the test."""
     (folder / "temporary").mkdir(exist_ok=True)
     paths = [str(Path(small_rig.__file__).parent), str(Path(brdfpipe.__file__).parents[1])]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "TMPDIR": str(folder / "temporary")}
@@ -48,23 +49,24 @@ def check(plan, folder, undisturbed):
     assert small_rig.contents(folder) == undisturbed
     assert not list(folder.glob("**/.*.tmp"))
     events = journal.read(folder / "journal.jsonl")
-    noted = Counter(event["shot"] for event in events if event["event"] in ("frame", "adopted"))
-    assert noted == Counter(shot.ordinal for shot in plan.shots)
+    recorded = Counter(event["shot"] for event in events if event["event"] in ("frame", "adopted"))
+    assert recorded == Counter(shot.ordinal for shot in plan.shots)
     assert not any(event["event"] in ("damaged", "retry") for event in events)
     assert events[-1]["event"] == "finished"
     assert read_run(folder).sizes["frame"] == len(plan.shots)
 
 
 def killed(plan, folder, kills, seed, undisturbed):
+    """Result of killed_scan.py: frames at each kill, and folders of the finished runs, which are checked."""
     program = Path(small_rig.__file__).with_name("killed_scan.py")
     arguments = [sys.executable, str(program), str(plan.path), str(folder), str(kills), str(seed)]
     done = subprocess.run(arguments, env=environment(folder), capture_output=True, text=True, timeout=3600)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
-    assert len(told["moments"]) == kills
-    for run in told["finished"]:
+    result = json.loads(done.stdout.splitlines()[-1])
+    assert len(result["moments"]) == kills
+    for run in result["finished"]:
         check(plan, Path(run), undisturbed)
-    return told
+    return result
 
 
 def test_a_scan_killed_at_random_moments_and_resumed_is_the_undisturbed_one(plan, undisturbed, tmp_path):
@@ -73,8 +75,8 @@ def test_a_scan_killed_at_random_moments_and_resumed_is_the_undisturbed_one(plan
 
 @pytest.mark.slow
 def test_a_scan_killed_at_a_hundred_random_moments_and_resumed_is_the_undisturbed_one(plan, undisturbed, tmp_path):
-    told = killed(plan, tmp_path, 100, 2, undisturbed)
-    assert len(set(told["moments"])) > 20
+    result = killed(plan, tmp_path, 100, 2, undisturbed)
+    assert len(set(result["moments"])) > 20
 
 
 BLOCKED = """
@@ -96,32 +98,30 @@ main()
 """The command line, with an emulated camera that never returns its 15th exposure."""
 
 
-def test_the_command_killed_and_called_again_finishes_the_run(plan, tmp_path):
+def test_the_command_killed_and_called_again_finishes_the_run(tmp_path):
+    plan = Plan.load(small_rig.write(tmp_path / "bench"))
     save_dataset(small_rig.truth(), tmp_path / "truth.nc", stage="truth", material="tile")
-    arguments = ["rig", "scan", str(plan.path), "--emulate", str(tmp_path / "truth.nc")]
-    command = [sys.executable, "-m", "brdfpipe.cli", *arguments]
-    run, whole = tmp_path / "run", tmp_path / "whole"
-    first = subprocess.Popen(
-        [sys.executable, "-c", BLOCKED, *arguments, "--seed", "3", "--out", str(run)],
-        env=environment(tmp_path),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert first.stdout.readline() == "blocked\n"
-    first.send_signal(signal.SIGKILL)
-    first.communicate()
-    assert len(list((run / "frames").glob("*.fits"))) == 14
-    told = [
-        subprocess.run([*command, *options], env=environment(tmp_path), capture_output=True, text=True, timeout=1800)
-        for options in (
-            ["--seed", "3", "--out", str(run)],
-            ["--seed", "3", "--out", str(run), "--resume"],
-            ["--seed", "3", "--out", str(whole)],
-        )
+    run, undisturbed = tmp_path / "run", tmp_path / "undisturbed"
+    arguments = [
+        "rig",
+        "scan",
+        str(plan.path),
+        "--emulate",
+        str(tmp_path / "truth.nc"),
+        "--seed",
+        "3",
+        "--out",
+        str(run),
     ]
-    assert [each.returncode for each in told] == [2, 0, 0], [each.stderr for each in told]
-    assert "holds a run of this plan already" in told[0].stderr
-    assert "Traceback" not in "".join(each.stderr for each in told)
-    assert small_rig.contents(run) == small_rig.contents(whole)
-    check(plan, run, small_rig.contents(whole))
+    options = {"env": environment(tmp_path), "text": True}
+    command = [sys.executable, "-c", BLOCKED, *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, **options) as first:
+        assert first.stdout.readline() == "blocked\n"
+        first.send_signal(signal.SIGKILL)
+    assert len(list((run / "frames").glob("*.fits"))) == 14
+    command = [sys.executable, "-m", "brdfpipe.cli", *arguments, "--resume"]
+    second = subprocess.run(command, capture_output=True, timeout=1800, **options)
+    assert second.returncode == 0, second.stderr
+    assert "Traceback" not in second.stderr
+    scan_emulated(plan, undisturbed, open_dataset(tmp_path / "truth.nc"), seed=3)
+    check(plan, run, small_rig.contents(undisturbed))

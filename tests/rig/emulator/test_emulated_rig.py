@@ -93,7 +93,7 @@ def test_an_exposure_before_its_move_shows_in_the_pixels(rig, move):
     assert not np.allclose(wrong[MIDDLE_WAVELENGTH], right[MIDDLE_WAVELENGTH], rtol=0.1)
 
 
-def test_a_move_under_way_smears(rig):
+def test_a_move_during_the_exposure_blurs_the_frame(rig):
     truth = lobe(0.2 + 0.001 * (WAVELENGTHS - 380))
     stand = arranged(rig, wavelength=450.0, truth=truth)
     still = float(stand.camera.expose(30.0).counts[MIDDLE_WAVELENGTH])
@@ -125,7 +125,7 @@ def test_a_dark_frame_sees_no_light_but_hot_pixels(rig):
     assert np.median(dark) == 7  # 20 electrons
 
 
-def test_what_lies_in_the_holder_is_seen(rig):
+def test_the_load_of_the_holder_is_measured(rig):
     stand = arranged(rig)
     sample = stand.camera.expose(4.0).counts
     stand.set_entrance(10, load="etalon")
@@ -167,7 +167,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(rig):
         assert (one.started, one.temperature) == (two.started, two.temperature)
 
 
-def test_a_rig_that_is_restored_goes_on_with_the_same_bytes(rig):
+def test_a_restored_rig_continues_with_the_same_bytes(rig):
     whole = steps(arranged(rig, Effects(), seed=5))
     stand = arranged(rig, Effects(), seed=5)
     last = whole[2]
@@ -221,12 +221,12 @@ def test_numbers_below_nought_are_refused(rig, wrong):
 
 
 @pytest.mark.parametrize("seconds", [-1.0, float("nan"), 1e6])
-def test_an_exposure_that_cannot_be_is_refused(rig, seconds):
+def test_an_invalid_exposure_time_is_refused(rig, seconds):
     with pytest.raises(DeviceError, match=r"exposure time .* out of range"):
         arranged(rig).camera.expose(seconds)
 
 
-def test_an_arrangement_that_cannot_be_leaves_the_former(rig):
+def test_an_impossible_arrangement_leaves_the_previous_one(rig):
     stand = arranged(rig)
     with pytest.raises(EmulationError, match="no entrance at 30"):
         stand.set_entrance(30)

@@ -21,7 +21,7 @@ def _line(monochromator: Monochromator, kind: str, *, ordinal: int = 1, seed: in
     return FaultyLine(monochromator, faults), faults
 
 
-def test_silence_carries_the_command_out_and_says_nothing(monochromator: Monochromator) -> None:
+def test_silence_carries_out_the_command_without_a_reply(monochromator: Monochromator) -> None:
     line, faults = _line(monochromator, "silence")
     assert line.feed(b"500 GOTO\r") == b""
     assert line.feed(b"?NM\r") == b"?NM 500.000 nm  ok\r\n"
@@ -54,7 +54,7 @@ def test_a_truncated_answer_has_no_terminator_and_is_never_made_good(monochromat
     assert lengths == set(range(len(b"?NM/MIN"), len(whole)))
 
 
-def test_a_clamped_move_ends_elsewhere_and_is_answered_with_ok(monochromator: Monochromator) -> None:
+def test_a_clamped_move_ends_at_a_wrong_position_with_ok(monochromator: Monochromator) -> None:
     line, faults = _line(monochromator, "clamp")
     assert line.feed(b"546.1 GOTO\r") == b"546.1 GOTO ok\r\n"
     assert line.feed(b"?NM\r") == b"?NM 1400.000 nm  ok\r\n"
@@ -63,7 +63,7 @@ def test_a_clamped_move_ends_elsewhere_and_is_answered_with_ok(monochromator: Mo
 
 
 @pytest.mark.parametrize("asked", [0, 300, 699, 701, 1400])
-def test_a_clamp_is_never_where_it_was_asked_for(monochromator: Monochromator, asked: float) -> None:
+def test_a_clamped_move_never_ends_at_the_requested_position(monochromator: Monochromator, asked: float) -> None:
     line, _ = _line(monochromator, "clamp")
     line.feed(f"{asked} GOTO\r".encode())
     assert abs(monochromator.wavelength - asked) >= 699
@@ -86,7 +86,7 @@ def test_a_clamped_grating_stays(monochromator: Monochromator) -> None:
 
 
 @pytest.mark.parametrize("command", [b"?NM", b"MODEL", b"FOO", b"9 GRATING", b"100 NM/MIN"])
-def test_a_clamp_spares_what_moves_nothing(monochromator: Monochromator, command: bytes) -> None:
+def test_a_clamp_does_not_affect_other_commands(monochromator: Monochromator, command: bytes) -> None:
     line, faults = _line(monochromator, "clamp")
     line.feed(command + b"\r")
     line.feed(b"500 GOTO\r")
@@ -101,7 +101,7 @@ def test_a_late_ok_comes_before_the_echo_of_the_next_command(monochromator: Mono
     assert line.feed(b"?NM\r") == b"?NM 500.000 nm  ok\r\n"
 
 
-def test_a_frame_exposed_before_the_late_ok_sees_the_move_under_way(monochromator: Monochromator) -> None:
+def test_a_frame_exposed_before_the_late_ok_shows_the_move(monochromator: Monochromator) -> None:
     line, _ = _line(monochromator, "late-ok")
     line.feed(b"500 GOTO\r")
     assert monochromator.wavelength == 0
@@ -130,7 +130,7 @@ def test_an_unplugged_line_is_dead_until_it_is_plugged_in_again(monochromator: M
     assert faults.injected == [InjectedFault(1, "unplug", b"500 GOTO\r")]
 
 
-def test_the_wrong_device_answers_in_its_own_dialect_until_the_right_one_is_plugged_in(
+def test_the_wrong_device_answers_in_its_dialect_until_the_right_one_is_connected(
     monochromator: Monochromator,
 ) -> None:
     line, faults = _line(monochromator, "wrong-device", ordinal=2)
@@ -168,7 +168,7 @@ def test_a_fault_happens_once_and_at_its_command(monochromator: Monochromator, k
     assert [(ordinal, kind_) for ordinal, kind_, _ in faults.injected] == [(3, kind)]
 
 
-def test_a_seed_decides_all_and_the_rate_is_kept() -> None:
+def test_the_seed_determines_the_faults_and_the_rate_is_met() -> None:
     def disturbed(seed: int) -> tuple[bytes, list[InjectedFault]]:
         faults = Faults.seeded(seed, 0.1, ["silence", "garbage", "truncated", "late-ok"])
         line = FaultyLine(Monochromator(VirtualClock()), faults)
@@ -204,6 +204,6 @@ def test_a_plan_may_serve_two_lines_and_counts_the_commands_of_both(monochromato
         (lambda: Faults.seeded(1, 0.5, []), "with 0 kinds"),
     ],
 )
-def test_a_plan_that_cannot_be_is_refused(plan, message: str) -> None:
+def test_an_invalid_plan_of_faults_is_refused(plan, message: str) -> None:
     with pytest.raises(FaultError, match=message):
         plan()

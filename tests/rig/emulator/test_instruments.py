@@ -25,7 +25,7 @@ def monochromator(clock: VirtualClock) -> Monochromator:
 # --- time
 
 
-def test_time_passes_only_where_something_says_so(clock: VirtualClock) -> None:
+def test_virtual_time_passes_only_when_advanced(clock: VirtualClock) -> None:
     assert clock.now() == 0
     clock.advance(2.5)
     clock.advance_to(2.0)
@@ -52,14 +52,14 @@ def test_threads_lose_no_time(clock: VirtualClock) -> None:
     assert clock.now() == 2000.0  # quarters add without rounding
 
 
-def test_a_move_in_real_time_takes_as_long_as_it_says() -> None:
+def test_a_move_in_real_time_takes_its_stated_time() -> None:
     monochromator = Monochromator(VirtualClock(realtime=True), slew=1000.0)
     started = time.monotonic()
     assert monochromator.feed(b"200 GOTO\r") == b"200 GOTO ok\r\n"
     assert 0.2 <= time.monotonic() - started < 120
 
 
-def test_released_real_time_holds_nobody_up() -> None:
+def test_released_real_time_does_not_wait() -> None:
     clock = VirtualClock(realtime=True)
     threading.Timer(0.05, clock.release).start()
     started = time.monotonic()
@@ -100,7 +100,7 @@ def test_the_answers_of_a_monochromator(clock: VirtualClock, command: bytes, ans
     assert monochromator.feed(command + b"\r") == command + answer
 
 
-def test_echo_goes_and_comes_back(monochromator: Monochromator) -> None:
+def test_the_echo_can_be_switched_off_and_on(monochromator: Monochromator) -> None:
     assert monochromator.feed(b"NO-ECHO\r") == b"NO-ECHO ok\r\n"
     assert monochromator.feed(b"?GRATING\r") == b" 1  ok\r\n"
     assert monochromator.feed(b"ECHO\r") == b" ok\r\n"
@@ -117,12 +117,12 @@ def test_several_commands_in_one_write_are_answered_in_turn(monochromator: Monoc
     assert monochromator.feed(b"ING\r") == b"ING 1  ok\r\n"
 
 
-def test_several_words_on_a_line_get_one_ok(monochromator: Monochromator) -> None:
+def test_several_commands_on_a_line_get_one_ok(monochromator: Monochromator) -> None:
     line = b"600 NM/MIN 500 GOTO ?NM ?NM/MIN"
     assert monochromator.feed(line + b"\r") == line + b" 500.000 nm  600.000 nm/min  ok\r\n"
 
 
-def test_a_number_waits_for_the_word_that_takes_it(monochromator: Monochromator) -> None:
+def test_a_number_is_used_by_the_next_command_that_takes_one(monochromator: Monochromator) -> None:
     assert monochromator.feed(b"500 600\r") == b"500 600 ok\r\n"
     assert monochromator.feed(b"GOTO\r") == b"GOTO ok\r\n"
     assert monochromator.wavelength == 600
@@ -131,7 +131,7 @@ def test_a_number_waits_for_the_word_that_takes_it(monochromator: Monochromator)
     assert monochromator.feed(b"GOTO\r") == b"GOTOGOTO ? \r\n"
 
 
-def test_an_unknown_word_ends_the_line_and_forgets_the_numbers(monochromator: Monochromator) -> None:
+def test_an_unknown_command_ends_the_line_and_clears_the_numbers(monochromator: Monochromator) -> None:
     assert monochromator.feed(b"?GRATING 500 GTOO 600 GOTO\r").endswith(b" GOTO 1 GTOO ? \r\n")
     assert monochromator.feed(b"GOTO\r").endswith(b"GOTO ? \r\n")
     assert monochromator.wavelength == 0
@@ -217,7 +217,7 @@ def test_a_frame_exposed_during_a_move_sees_the_wavelength_of_that_time(monochro
     assert monochromator.wavelength == 700
 
 
-def test_a_driver_that_asks_whether_it_is_done_gets_there_in_the_time_the_move_takes(
+def test_polling_for_the_end_of_a_move_takes_the_time_of_the_move(
     monochromator: Monochromator,
 ) -> None:
     monochromator.feed(b"1200 NM/MIN 99 >NM\r")
@@ -230,7 +230,7 @@ def test_a_driver_that_asks_whether_it_is_done_gets_there_in_the_time_the_move_t
     assert monochromator.wavelength == 99
 
 
-def test_stop_ends_a_move_where_it_is(monochromator: Monochromator) -> None:
+def test_stop_ends_a_move_at_the_current_position(monochromator: Monochromator) -> None:
     monochromator.feed(b"600 NM/MIN 100 >NM\r")
     monochromator.clock.advance(4)
     assert monochromator.feed(b"MONO-STOP\r") == b"MONO-STOP ok\r\n"
@@ -241,7 +241,7 @@ def test_stop_ends_a_move_where_it_is(monochromator: Monochromator) -> None:
     assert monochromator.feed(b"MONO-?DONE\r") == b"MONO-?DONE 1  ok\r\n"
 
 
-def test_a_new_move_sets_out_from_where_the_old_one_was(monochromator: Monochromator) -> None:
+def test_a_new_move_starts_at_the_current_position(monochromator: Monochromator) -> None:
     monochromator.feed(b"600 NM/MIN 100 >NM\r")
     monochromator.clock.advance(1.9)
     monochromator.feed(b"0 >NM\r")  # at 20 nm: asking took 0.1 s more
@@ -249,7 +249,7 @@ def test_a_new_move_sets_out_from_where_the_old_one_was(monochromator: Monochrom
     assert monochromator.wavelength == pytest.approx(10)
 
 
-def test_a_restored_device_stands_still(monochromator: Monochromator) -> None:
+def test_a_restored_device_is_at_rest(monochromator: Monochromator) -> None:
     monochromator.feed(b"600 NM/MIN 100 >NM\r")
     monochromator.restore(612.5)
     monochromator.clock.advance(100)
@@ -309,7 +309,7 @@ def test_the_answers_of_a_thorlabs_wheel(clock: VirtualClock, command: bytes, an
     assert wheel.feed(command + b"\r") == command + b"\r" + answer
 
 
-def test_settings_of_a_thorlabs_wheel_are_kept(clock: VirtualClock) -> None:
+def test_settings_of_a_thorlabs_wheel_are_stored(clock: VirtualClock) -> None:
     wheel = ThorlabsWheel(clock)
     wheel.feed(b"sensors=1\rtrig=1\r")
     assert wheel.feed(b"sensors?\r") == b"sensors?\r1\r> "
@@ -325,7 +325,7 @@ def test_a_thorlabs_wheel_takes_a_second_a_filter_and_two_when_slow(clock: Virtu
 
 
 @pytest.mark.parametrize(("to", "seen"), [(3, [1, 2, 3, 3]), (5, [1, 6, 5, 5])])
-def test_filters_pass_the_beam_the_shorter_way_round(clock: VirtualClock, to: int, seen: list[int]) -> None:
+def test_a_wheel_turns_the_shorter_way(clock: VirtualClock, to: int, seen: list[int]) -> None:
     wheel = ActonWheel(clock, position=1)
     wheel.receive(f"{to} FILTER\r".encode())  # the answer is not awaited
     positions = []

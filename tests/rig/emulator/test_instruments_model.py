@@ -145,7 +145,7 @@ def _thorlabs(count: int) -> _Dialect:
 
 @pytest.mark.parametrize("dialect", [_acton, _thorlabs])
 @given(count=st.integers(2, 13), moves=st.lists(st.integers(0, 14), max_size=12))
-def test_a_wheel_is_where_it_was_last_sent_and_took_the_shorter_way(dialect, count, moves) -> None:
+def test_a_wheel_reaches_its_last_target_by_the_shorter_way(dialect, count, moves) -> None:
     spoken = dialect(count)
     position, seconds = 1, 0
     for target in moves:
@@ -173,7 +173,7 @@ def _state(device: SerialDevice) -> tuple[float, float]:
 
 @pytest.mark.parametrize(("device_of", "words"), [(Monochromator, ACTON), (ThorlabsWheel, THORLABS)])
 @given(data=st.data())
-def test_a_bad_line_changes_what_is_heard_and_never_what_is_done(device_of, words, data) -> None:
+def test_a_bad_line_changes_replies_but_not_moves(device_of, words, data) -> None:
     script = data.draw(st.lists(st.sampled_from(words), max_size=10))
     plan = data.draw(st.dictionaries(st.integers(1, 10), st.sampled_from(HARMLESS)))
     plain, disturbed = device_of(VirtualClock()), device_of(VirtualClock())

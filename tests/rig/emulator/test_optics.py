@@ -89,7 +89,7 @@ def test_an_ideal_disc_shows_the_cosine_of_view_and_of_the_solid_angle(rig):
     assert sample == pytest.approx(expected, rel=1e-5)
 
 
-def test_the_reference_sees_eight_percent_of_the_lamp_whatever_lies_in_the_holder(rig):
+def test_the_reference_receives_eight_percent_of_the_lamp_for_every_load(rig):
     seen = optics(rig)
     for setup in (Setup(20.0), Setup(10.0, "etalon"), Setup(45.0, "dark-trap")):
         assert at_reference(rig, seen.rates(setup, 480, 1)) == pytest.approx(0.08 * REFERENCE_RATE)
@@ -153,13 +153,13 @@ def test_any_wavelength_shows_the_truth_there(rig):
         assert light == pytest.approx(grey, rel=1e-6)
 
 
-def test_beyond_its_own_wavelengths_the_truth_goes_on(rig):
+def test_beyond_its_wavelengths_the_truth_is_constant(rig):
     truth = lobe(0.2 + 0.001 * (WAVELENGTHS - 380)).isel(wavelength=slice(5, 20))
     seen = optics(rig, truth)
     assert seen.rates(Setup(0.0), 385, 1)[120, 100] == seen.rates(Setup(0.0), 430, 1)[120, 100]
 
 
-def test_what_is_evaluated_together_is_what_would_be_evaluated_alone(rig):
+def test_wavelengths_evaluated_together_equal_those_evaluated_alone(rig):
     truth = lobe(0.2 + 0.001 * (WAVELENGTHS - 380))
     together = optics(rig, truth)
     together.rates(Setup(20.0), 400, 1)
@@ -209,7 +209,7 @@ def test_a_filter_in_the_samples_beam_leaves_the_reference_alone(rig):
     assert at_reference(rig, filtered) == at_reference(rig, open_)
 
 
-def test_taking_the_filters_for_where_they_are_not_is_wrong_by_the_ratio_of_two(rig):
+def test_a_wrong_location_of_the_filters_is_wrong_by_the_ratio_of_two(rig):
     # Where the filters weaken the reference too, L/L′ does not depend on them; dividing it by T is wrong by T₁/T₂ between two frames.
     seen = optics(dataclasses.replace(rig, nd_location="reference"))
     light = [seen.rates(Setup(20.0), 550, position) for position in (2, 3)]
@@ -252,7 +252,7 @@ def test_paths_belong_to_entrances_and_stay(rig):
     assert paths == [other_day.path_factor(entrance, 700) for entrance in (0, 10, 20, 30, 45, 60)]
 
 
-def test_mirrors_of_each_entrance_have_a_spectrum_of_their_own(rig):
+def test_the_mirrors_of_each_entrance_have_their_own_spectrum(rig):
     source = Illumination(rig, dataclasses.replace(IDEAL, path_slope=0.01), 1, 0)
     slopes = [np.diff(source.path_factor(entrance, [460.0, 560.0, 660.0])) for entrance in (0, 10, 20, 30, 45, 60)]
     assert np.ptp(slopes, axis=1) == pytest.approx(np.zeros(6), abs=1e-12)
@@ -299,7 +299,7 @@ def test_a_fibre_sees_the_mean_over_its_field(rig):
     assert wide / narrow == pytest.approx(expected, abs=2e-5)
 
 
-def test_the_corners_and_the_rim_of_the_disc_lose_what_vignetting_says(rig):
+def test_corners_and_rim_of_the_disc_lose_the_share_of_vignetting(rig):
     plain, lossy = (
         optics(rig, effects=dataclasses.replace(IDEAL, vignetting=loss)).rates(Setup(0.0), 550, 1) for loss in (0, 0.3)
     )
@@ -310,7 +310,7 @@ def test_the_corners_and_the_rim_of_the_disc_lose_what_vignetting_says(rig):
     assert lossy[row, column] / plain[row, column] == pytest.approx(expected, rel=1e-4)
 
 
-def test_entrances_see_nothing_but_those_in_the_lens_give_way(rig):
+def test_entrances_return_no_light_except_those_moved_out_of_the_lens(rig):
     effects = dataclasses.replace(IDEAL, holes=3.0)
 
     def blind(entrance, theta, phi, transmission=False):
@@ -347,7 +347,7 @@ def test_the_disc_is_off_by_a_tenth_of_a_degree_and_the_picture_moves_between_se
     assert true_screen(rig, IDEAL, 4, 1) == rig.screen
 
 
-def test_the_spots_of_the_target_stand_where_the_true_screen_has_them(rig):
+def test_the_spots_of_the_target_are_at_their_true_positions(rig):
     effects = dataclasses.replace(Effects(), holes=0, vignetting=0, dead_fibres=0, stray=0, halo=0)
     target = Target((0.0, 5.0, 5.0, 5.0, 8.0), (0.0, 30.0, 120.0, -100.0, 10.0), 0.3)
     rig = dataclasses.replace(rig, target=target)
@@ -406,7 +406,7 @@ def point(row=30, column=40):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.005, 0.2])
-def test_no_light_is_lost_but_what_leaves_the_picture(share):
+def test_light_is_lost_only_beyond_the_edges_of_the_image(share):
     # Of the halo of a point in the middle, what falls outside of a rectangle is known: corners of solid angles seen from height R.
     spread = PointSpread(SHAPE, 0.7, share, 5.0)(point())
     a, b = np.meshgrid([30.5, 29.5], [40.5, 39.5])
@@ -458,7 +458,7 @@ def test_the_dark_beside_a_very_bright_lobe_is_not_made_of_rounding():
         (Setup(float("nan"), side="transmission"), "0 to below 90"),
     ],
 )
-def test_a_setup_that_cannot_be_is_refused(rig, setup, says):
+def test_an_impossible_setup_is_refused(rig, setup, says):
     with pytest.raises(EmulationError, match=says):
         optics(rig).rates(setup, 550, 1)
 
@@ -472,12 +472,12 @@ def test_a_mirror_is_refused(rig, monkeypatch):
         optics(rig, truth).rates(Setup(20.0), 550, 1)
 
 
-def test_what_is_no_bsdf_is_refused(rig):
+def test_a_dataset_that_is_not_a_bsdf_is_refused(rig):
     with pytest.raises(VocabularyError):
         optics(rig, lobe(0.5).assign_attrs(representation="guess"))
 
 
 @pytest.mark.parametrize("wrong", [{"halo": 1.5}, {"drift": -1.0}, {"dark": float("nan")}, {"halo_radius": 0.0}])
-def test_an_effect_that_cannot_be_is_refused(wrong):
+def test_an_effect_out_of_range_is_refused(wrong):
     with pytest.raises(EffectError, match=next(iter(wrong))):
         Effects(**wrong)

@@ -122,7 +122,7 @@ def test_several_commands_may_come_in_one_write(port: Port) -> None:
         assert line.read_until(b"?GRA") == b"500 GOTO ok\r\n?NM 500.000 nm  ok\r\nMODEL SP-2-300i  ok\r\n?GRA"
 
 
-def test_answers_that_nobody_reads_in_time_are_not_lost(port: Port) -> None:
+def test_answers_that_are_read_late_are_not_lost(port: Port) -> None:
     once = Monochromator(VirtualClock()).feed(b"?GRATINGS\r")
     with _open(port) as line:
         for _ in range(500):

@@ -42,7 +42,7 @@ def test_reading_adds_twenty_electrons_about_the_bias():
     assert (3.0 * counts).std() == pytest.approx(np.hypot(20, np.sqrt(0.75)), rel=0.013)
 
 
-def test_pixels_respond_by_one_percent_and_always_the_same_way():
+def test_the_response_of_pixels_varies_by_one_percent_and_is_reproducible():
     effects = dataclasses.replace(IDEAL, response=0.01)
     first, later = frame(20_000.0, effects) / 1.0, frame(20_000.0, effects, number=7) / 1.0
     assert first.std() / first.mean() == pytest.approx(0.01, rel=0.013)

@@ -58,17 +58,10 @@ class Row:
 
 
 def doctor(rig: Rig, camera: Camera | None = None, report: Callable[[str], None] = click.echo) -> list[Row]:
-    """Identify, move and time each device of a rig. The devices return to their initial positions; nothing is recorded.
+    """Identify, move and time each device of a rig; return the table. The rig is ready if every row passed.
 
-    Parameters
-    ----------
-    rig : the description
-    camera : replaces the described one, e.g. the emulator's
-    report : called with each line of the table as soon as it is known
-
-    Returns
-    -------
-    The table; the rig is ready if every row passed.
+    The devices return to their initial positions; nothing is recorded. ``camera`` replaces the described one, ``report`` is called with
+    each line of the table as soon as it is known.
     """
     table = _Table(report)
     for examine in (_examine_monochromator, _examine_wheel, partial(_examine_camera, camera)):

@@ -6,7 +6,7 @@ Hours are an estimate: exposure times are the plan's, the times between them are
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -73,9 +73,9 @@ class Estimate:
 
 def estimate(plan: Plan) -> Estimate:
     """Estimate a plan without its devices."""
-    seconds: dict[str, float] = {}
-    for previous, shot in zip((None, *plan.shots), plan.shots, strict=False):
-        seconds[shot.purpose] = seconds.get(shot.purpose, 0.0) + duration(shot, previous, plan.rig)
+    seconds = defaultdict[str, float](float)
+    for shot, duration in durations(plan).items():
+        seconds[shot.purpose] += duration
     return Estimate(
         title=f"{plan.sample} on {plan.rig.name}",
         counts=Counter(shot.purpose for shot in plan.shots),
@@ -86,12 +86,15 @@ def estimate(plan: Plan) -> Estimate:
     )
 
 
-def duration(shot: Shot, previous: Shot | None, rig: Rig) -> float:
-    """Seconds of an exposure with the preceding moves of the devices, without manual arrangements."""
-    speed = rig.monochromator.speed / 60 or SLEW_SPEED
-    slewing = 0.0 if previous is None else abs(shot.wavelength - previous.wavelength) / speed
-    turning = 0.0 if previous is None or previous.position == shot.position else WHEEL_MOVE
-    return slewing + turning + shot.exposure + READOUT
+def durations(plan: Plan) -> dict[Shot, float]:
+    """Seconds of each exposure with the preceding moves of the devices, without manual arrangements."""
+    speed = plan.rig.monochromator.speed / 60 or SLEW_SPEED
+    seconds = {}
+    for previous, shot in zip((plan.shots[0], *plan.shots), plan.shots, strict=False):
+        slewing = abs(shot.wavelength - previous.wavelength) / speed
+        turning = 0.0 if previous.position == shot.position else WHEEL_MOVE
+        seconds[shot] = slewing + turning + shot.exposure + READOUT
+    return seconds
 
 
 def frame_range(rig: Rig) -> float:

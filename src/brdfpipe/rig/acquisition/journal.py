@@ -18,16 +18,9 @@ _LARGEST_JOURNAL = 256 * 2**20
 
 
 class Journal:
-    """An open journal; events are only appended. A line left incomplete by a power failure is removed.
+    """An open journal, created if it does not exist; events are only appended. A line left incomplete by a power failure is removed.
 
-    Parameters
-    ----------
-    path : created if it does not exist
-    clock : seconds, recorded with every event
-
-    Raises
-    ------
-    StoreError : the file cannot be written.
+    The seconds of the clock are recorded with every event. Raises StoreError: the file cannot be written.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float]) -> None:

@@ -26,7 +26,7 @@ from brdfpipe.rig.acquisition import journal as journals
 from brdfpipe.rig.acquisition import run_folder
 from brdfpipe.rig.acquisition.devices.connection import RigDevices
 from brdfpipe.rig.acquisition.devices.errors import DeviceError, DeviceLost, WrongDevice
-from brdfpipe.rig.acquisition.estimate import duration
+from brdfpipe.rig.acquisition.estimate import durations
 from brdfpipe.rig.filter_location import check_overlaps
 from brdfpipe.rig.frame_file import WAVELENGTH_TOLERANCE, DeviceState, Frame, FrameError, frame_size, write_frame
 from brdfpipe.rig.frames import frames_dataset, read_shots
@@ -371,9 +371,7 @@ def _progress_bar(plan: Plan, missing: list[Shot], progress: bool) -> Iterator[C
     """Frames done and time left, from the expected duration of each; called with None after waiting for the operator."""
     from tqdm import tqdm
 
-    seconds = {
-        shot: duration(shot, before, plan.rig) for before, shot in zip((None, *plan.shots), plan.shots, strict=False)
-    }
+    seconds = durations(plan)
     total, left = sum(seconds.values()), sum(seconds[shot] for shot in missing)
     form = "{percentage:3.0f}%|{bar}| {desc}, {remaining} left"
     shown = None if progress else True  # None: on a terminal

@@ -80,15 +80,13 @@ def in_entrance_hole(
 ) -> NDArray[np.bool_]:
     """Whether directions point to an entrance, which returns no light.
 
+    The lens is in the mirror direction. The mirror of an entrance close to it is moved out of the field of view while another entrance is in use.
+
     Parameters
     ----------
     entrance : in use [degree]
     theta_s, phi_s : about the mirror direction [degree]; the entrance of incidence σ is at ϑ = 2σ, φ = 0
     transmission : the entrance in use is behind the sample
-
-    Notes
-    -----
-    The lens is in the mirror direction. The mirror of an entrance close to it is moved out of the field of view while another entrance is in use.
     """
     rim = np.degrees(np.arctan(rig.screen.disc_radius / rig.screen.focal_length)) + effects.holes
     holes = {sigma for sigma in rig.entrances if 2 * sigma > rim} | (set() if transmission else {entrance})
@@ -186,8 +184,6 @@ def overlap_area(x: Array, y: Array, radius: Array | float) -> Array:
 def _quadrant(x: Array, y: Array, radius: Array | float) -> Array:
     """Area of a circle about the origin to the left of x and below y.
 
-    Notes
-    -----
     With s(u) = √(R² − u²) it is ∫ s + min(y, s) du for y > 0, ∫ max(s + y, 0) du else, from −R to x; the line y meets the circle at ±c.
     """
     radius, y = np.broadcast_arrays(np.asarray(radius, dtype=float), np.clip(y, -radius, radius))

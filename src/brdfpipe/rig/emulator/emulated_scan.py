@@ -59,13 +59,7 @@ def scan_emulated(
     progress: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> Summary:
-    """Scan a plan with an emulated rig, frame by frame as in a laboratory; parameters as of :func:`make_run` and :func:`scan`.
-
-    Raises
-    ------
-    InputError : the folder holds other files, or a run of another plan or rig.
-    ScanStopped, StoreError : the disk is full.
-    """
+    """Scan a plan with an emulated rig, frame by frame as in a laboratory; parameters and errors as of :func:`make_run` and :func:`scan`."""
     with (
         EmulatedRig(plan.rig, truth, seed=seed, session=session) as emulated,
         connect(emulated.rig, camera=emulated.camera) as devices,

@@ -24,7 +24,7 @@ class PortError(BrdfpipeError):
 
 
 class Port:
-    """An emulated device on a serial port, served by a thread until it is closed.
+    """An emulated device on a serial port, served by a thread until it is closed. Raises PortError: there is no pseudo-terminal.
 
     Parameters
     ----------
@@ -32,10 +32,6 @@ class Port:
     faults : of the line; none by default
     other_device : answers after the fault ``wrong-device``; by default a device of the other dialect
     name : last part of :attr:`path`
-
-    Raises
-    ------
-    PortError : the operating system provides no pseudo-terminal.
 
     Notes
     -----

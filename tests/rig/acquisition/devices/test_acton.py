@@ -50,7 +50,7 @@ def finished(driver: Monochromator | FilterWheel, *exchanges: Exchange) -> Scrip
 # --- transcripts
 
 
-def test_a_monochromator_is_known_by_model_and_serial_number_told_twice() -> None:
+def test_a_monochromator_is_identified_by_model_and_serial_number_read_twice() -> None:
     script = Script(*GREETING)
     assert monochromator(script).identify() == "SP-2-300i 2330123"
     assert script.finished
@@ -78,7 +78,7 @@ def test_a_unit_of_lower_case_is_spoken_to_in_lower_case_alone() -> None:
     assert script.finished
 
 
-def test_a_unit_that_knows_no_word_is_refused_with_the_hint_about_case() -> None:
+def test_a_unit_that_knows_no_command_is_refused_with_the_hint_about_case() -> None:
     with pytest.raises(WrongDevice, match=r"'MODEL'.*MODEL \?.*case: upper"):
         monochromator(lambda sent: sent.rstrip(b"\r") + b" ? \r\n").identify()
 
@@ -98,7 +98,7 @@ def test_the_described_serial_number_is_accepted() -> None:
     assert device.identify() == "SP-2-300i 2330123"
 
 
-def test_a_clamped_wavelength_is_never_taken_for_the_one_asked_for() -> None:
+def test_a_clamped_wavelength_is_never_taken_for_the_requested_one() -> None:
     end = (b"?NM\r", b"?NM 1400.000 nm  ok\r\n")
     script = Script(*GREETING, *((b"1500.000 GOTO\r", b"1500.000 GOTO ok\r\n"), end) * 2)
     with pytest.raises(
@@ -108,14 +108,14 @@ def test_a_clamped_wavelength_is_never_taken_for_the_one_asked_for() -> None:
     assert script.finished
 
 
-def test_a_garbled_digit_of_the_read_back_is_no_other_wavelength() -> None:
+def test_a_garbled_digit_never_yields_another_wavelength() -> None:
     move = (b"500.000 GOTO\r", b"500.000 GOTO ok\r\n")
     script = Script(*GREETING, move, (b"?NM\r", b"?NM 900.000 nm  ok\r\n"), move, (b"?NM\r", b"?NM 500.000 nm  ok\r\n"))
     assert monochromator(script).goto(500) == 500
 
 
 @pytest.mark.parametrize("wavelength", [float("nan"), float("inf"), -1.0, 1e9])
-def test_what_is_no_wavelength_is_never_sent(wavelength: float) -> None:
+def test_an_invalid_wavelength_is_never_sent(wavelength: float) -> None:
     script = Script(*GREETING)
     device = monochromator(script)
     device.identify()
@@ -231,7 +231,7 @@ def test_a_late_ok_is_never_read_as_a_wavelength() -> None:
     assert script.finished
 
 
-def test_a_silent_device_is_asked_three_times_and_then_named() -> None:
+def test_a_device_without_replies_is_refused_after_three_attempts() -> None:
     device = monochromator(Script(*GREETING))
     device.identify()
     script = finished(device, (b"?NM\r", b""), *(*WAKE, *NAMES, (b"?NM\r", b"")) * 2)
@@ -242,7 +242,7 @@ def test_a_silent_device_is_asked_three_times_and_then_named() -> None:
     assert script.finished
 
 
-def test_a_device_exchanged_meanwhile_is_found_out() -> None:
+def test_an_exchanged_device_is_detected() -> None:
     device = monochromator(Script(*GREETING))
     device.identify()
     other = ((b"MODEL\r", b"MODEL SP-2-150i  ok\r\n"), *NAMES[1:])
@@ -251,7 +251,7 @@ def test_a_device_exchanged_meanwhile_is_found_out() -> None:
         device.wavelength()
 
 
-def test_a_garbled_name_is_no_other_device() -> None:
+def test_a_garbled_name_is_not_taken_for_another_device() -> None:
     device = monochromator(Script(*GREETING))
     device.identify()
     garbled = ((b"MODEL\r", b"MODEL SP-2-3~0i  ok\r\n"), *NAMES[1:])
@@ -262,7 +262,7 @@ def test_a_garbled_name_is_no_other_device() -> None:
     assert script.finished
 
 
-def test_a_device_that_lost_its_power_gets_its_grating_back_before_it_is_asked_again() -> None:
+def test_after_a_power_failure_the_grating_is_selected_again_before_the_command() -> None:
     device = monochromator(
         Script(*GREETING, (b"?GRATINGS\r", GRATINGS % b"\x1a"), (b"?GRATING\r", b"?GRATING 2  ok\r\n")),
         replace(SETTINGS, grating=2),
@@ -339,7 +339,7 @@ WAVELENGTHS = st.floats(0, 1500, allow_nan=False)
 
 @given(noise=NOISE, command=st.integers(1, 30), wavelengths=st.lists(WAVELENGTHS, min_size=1, max_size=3))
 @settings(max_examples=200)
-def test_noise_before_any_reply_never_yields_a_wavelength_the_device_had_not(
+def test_noise_before_any_reply_never_yields_a_wrong_wavelength(
     noise: bytes, command: int, wavelengths: list[float]
 ) -> None:
     unit = Unit(lambda ordinal, reply: noise + reply if ordinal == command else reply)
@@ -359,7 +359,7 @@ def test_noise_before_any_reply_never_yields_a_wavelength_the_device_had_not(
     wavelengths=st.lists(WAVELENGTHS, min_size=1, max_size=3),
 )
 @settings(max_examples=200)
-def test_replies_cut_off_anywhere_are_recovered_or_one_error(cuts: dict[int, int], wavelengths: list[float]) -> None:
+def test_truncated_replies_are_recovered_or_give_one_error(cuts: dict[int, int], wavelengths: list[float]) -> None:
     def cut(ordinal: int, reply: bytes) -> bytes:
         end = cuts.get(ordinal)
         return reply if end is None else reply[: min(end, len(reply) - 1)]
@@ -405,7 +405,7 @@ WHEEL_NAMES: tuple[Exchange, ...] = (
 WHEEL_GREETING = (*WAKE, *WHEEL_NAMES, *WHEEL_NAMES)
 
 
-def test_a_wheel_that_knows_three_words_is_named_by_its_kind() -> None:
+def test_a_wheel_without_a_model_is_named_by_its_kind() -> None:
     assert wheel(Script(*WHEEL_GREETING)).identify() == "filter wheel"
 
 
@@ -416,7 +416,7 @@ def test_a_wheel_is_moved_and_read_back() -> None:
     assert script.finished
 
 
-def test_a_wheel_that_stands_elsewhere_is_sent_home_and_once_more() -> None:
+def test_a_wheel_at_a_wrong_position_is_sent_home_and_moved_again() -> None:
     move = (b"3 FILTER\r", b"3 FILTER ok\r\n")
     script = Script(
         *WHEEL_GREETING,
@@ -429,7 +429,7 @@ def test_a_wheel_that_stands_elsewhere_is_sent_home_and_once_more() -> None:
     assert wheel(script).goto(3) == 3
 
 
-def test_a_wheel_that_stays_elsewhere_is_refused() -> None:
+def test_a_wheel_that_stays_at_a_wrong_position_is_refused() -> None:
     stuck = ((b"3 FILTER\r", b"3 FILTER ok\r\n"), (b"?FILTER\r", b"?FILTER 4  ok\r\n"))
     script = Script(*WHEEL_GREETING, *stuck, (b"FHOME\r", b"FHOME ok\r\n"), *stuck)
     with pytest.raises(

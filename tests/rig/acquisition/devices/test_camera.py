@@ -119,7 +119,7 @@ def failing(folder: Path, answer: Callable[[Path], None], **others: Any) -> Devi
 # --- the drop folder
 
 
-def test_a_camera_behind_a_folder_gives_the_same_pictures(tmp_path: Path) -> None:
+def test_a_camera_behind_a_folder_gives_the_same_frames(tmp_path: Path) -> None:
     sensor = Sensor()
     camera = DropFolder(settings_of(tmp_path))
     assert camera.identify() == f"drop folder {tmp_path.name}"
@@ -140,7 +140,7 @@ def test_nothing_is_ever_removed_from_the_folder(tmp_path: Path) -> None:
     assert names == [".fits", ".json", ".txt"]
 
 
-def test_a_request_is_three_keys_under_a_name_of_its_own(tmp_path: Path) -> None:
+def test_a_request_has_three_keys_and_a_unique_name(tmp_path: Path) -> None:
     requests: list[dict[str, Any]] = []
 
     def note(request: Path) -> None:
@@ -162,7 +162,7 @@ def test_a_frame_without_date_and_temperature_has_the_time_of_its_request(tmp_pa
     assert math.isnan(picture.temperature)
 
 
-def test_a_frame_still_being_written_is_waited_for(tmp_path: Path) -> None:
+def test_a_frame_is_read_when_it_is_completely_written(tmp_path: Path) -> None:
     content = frame()
 
     def slowly(request: Path) -> Iterator[None]:
@@ -220,7 +220,7 @@ def test_a_frame_under_another_name_is_refused_by_that_name(tmp_path: Path) -> N
         (frame(REQUEST="another"), "the frame states another request: 'another'"),
     ],
 )
-def test_a_frame_that_is_not_the_one_asked_for_is_refused_at_once(tmp_path: Path, content: bytes, told: str) -> None:
+def test_a_frame_other_than_requested_is_refused_at_once(tmp_path: Path, content: bytes, told: str) -> None:
     laboratory = Laboratory(tmp_path, drop(content))
     with pytest.raises(DeviceError) as caught:
         laboratory.camera.expose(0.1)
@@ -240,7 +240,7 @@ def test_signed_counts_without_an_offset_are_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(picture.counts, counts)
 
 
-def test_a_header_that_bends_the_standard_is_read_without_a_word(tmp_path: Path) -> None:
+def test_a_header_that_violates_the_standard_is_read_without_a_warning(tmp_path: Path) -> None:
     content = frame(NOTE="x")
     bent = content.replace(b"NOTE    = 'x       '", b"note    = unquoted\0\0")
     assert bent != content
@@ -267,7 +267,7 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path) -> None:
     assert "not a regular file" in error.problem
 
 
-def test_no_answer_names_the_folder_the_request_and_what_to_do(tmp_path: Path) -> None:
+def test_a_missing_answer_is_reported_with_folder_request_and_advice(tmp_path: Path) -> None:
     error = failing(tmp_path, lambda request: None)
     assert error.problem == "no frame after 20.1 s"
     assert error.command.endswith(".json")
@@ -279,7 +279,7 @@ def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
         DropFolder(settings_of(tmp_path / "gone")).expose(0.1)
 
 
-def test_a_folder_that_goes_away_is_lost(tmp_path: Path) -> None:
+def test_a_folder_that_disappears_is_reported_as_lost(tmp_path: Path) -> None:
     folder = tmp_path / "mounted"
     folder.mkdir()
 
@@ -292,7 +292,7 @@ def test_a_folder_that_goes_away_is_lost(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seconds", [-1.0, float("nan"), float("inf"), 1e6])
-def test_what_is_no_exposure_is_never_asked_for(tmp_path: Path, seconds: float) -> None:
+def test_an_invalid_exposure_time_is_never_requested(tmp_path: Path, seconds: float) -> None:
     with pytest.raises(DeviceError, match=r"exposure time .* out of range"):
         DropFolder(settings_of(tmp_path)).expose(seconds)
     assert not list(tmp_path.iterdir())
@@ -301,7 +301,7 @@ def test_what_is_no_exposure_is_never_asked_for(tmp_path: Path, seconds: float) 
 # --- the other side of the folder
 
 
-def test_a_failing_camera_is_told_through_the_folder(tmp_path: Path) -> None:
+def test_the_folder_passes_on_an_error_of_the_camera(tmp_path: Path) -> None:
     class Broken(Sensor):
         def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
             raise DeviceError("camera", "the cooler failed\x1b[31m")
@@ -336,7 +336,7 @@ def test_a_failing_camera_is_told_through_the_folder(tmp_path: Path) -> None:
         ("..json", b'{"id": ".", "seconds": 1, "shutter": true}', "its name"),
     ],
 )
-def test_what_is_no_request_is_told_once_and_never_exposed(
+def test_an_invalid_request_is_reported_once_and_never_exposed(
     tmp_path: Path, name: str, content: bytes, reason: str
 ) -> None:
     (tmp_path / name).write_bytes(content)
@@ -349,7 +349,7 @@ def test_what_is_no_request_is_told_once_and_never_exposed(
     assert not [path for path in tmp_path.glob(f"{Path(name).stem}.*") if path.name != name]
 
 
-def test_a_link_is_no_request(tmp_path: Path) -> None:
+def test_a_link_is_not_accepted_as_a_request(tmp_path: Path) -> None:
     outside = tmp_path / "outside"
     outside.write_text('{"id": "a", "seconds": 1, "shutter": true}')
     (tmp_path / "in").mkdir()
@@ -369,7 +369,7 @@ def test_an_answered_request_is_not_answered_again(tmp_path: Path) -> None:
     assert len(sensor.exposures) == 3
 
 
-def test_no_answer_can_be_left_half_written(tmp_path: Path) -> None:
+def test_no_answer_is_ever_incomplete(tmp_path: Path) -> None:
     """Every file a looker sees under its last name is whole."""
     sensor, seen = Sensor(), list[int]()
     with served(tmp_path, sensor):
@@ -439,7 +439,7 @@ def test_an_alpaca_picture_has_its_rows_and_columns_in_place(alpaca: Callable[..
     assert (picture.started, picture.seconds, picture.temperature) == (1234567890.25, 0.1, -10.0)
 
 
-def test_what_an_alpaca_camera_need_not_tell_is_left_open(alpaca: Callable[..., AlpacaCamera]) -> None:
+def test_optional_properties_of_an_alpaca_camera_may_be_missing(alpaca: Callable[..., AlpacaCamera]) -> None:
     unknown = raising(NotImplementedException("no"))
     camera = alpaca(LastExposureDuration=unknown, LastExposureStartTime=unknown, CCDTemperature=unknown)
     before = time.time()
@@ -478,14 +478,14 @@ def test_an_alpaca_camera_that_is_not_the_described_one_is_refused(
         ({"ImageReady": raising(DriverException("overheated"))}, "overheated"),
     ],
 )
-def test_an_alpaca_picture_that_is_not_the_one_asked_for_is_refused(
+def test_an_alpaca_image_other_than_requested_is_refused(
     alpaca: Callable[..., AlpacaCamera], attributes: dict[str, Any], told: str
 ) -> None:
     with pytest.raises(DeviceError, match=told):
         alpaca(**attributes).expose(0.1)
 
 
-def test_a_dark_frame_is_not_asked_of_an_alpaca_camera_without_a_shutter(alpaca: Callable[..., AlpacaCamera]) -> None:
+def test_no_dark_frame_is_requested_from_an_alpaca_camera_without_a_shutter(alpaca: Callable[..., AlpacaCamera]) -> None:
     with pytest.raises(DeviceError, match="no shutter"):
         alpaca(HasShutter=False).expose(0.1, shutter=False)
 
@@ -497,13 +497,13 @@ def test_an_alpaca_exposure_that_does_not_end_is_aborted(alpaca: Callable[..., A
     assert camera._camera.aborted
 
 
-def test_without_the_library_alpaca_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library_alpaca_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "alpaca.camera", None)
     with pytest.raises(DeviceError, match=r"need the library alpyca; pip install 'brdfpipe\[alpaca\]'"):
         AlpacaCamera(CameraSettings("alpaca", address="localhost:11111"))
 
 
-def test_an_emulated_camera_is_no_real_one() -> None:
+def test_an_emulated_camera_has_no_driver() -> None:
     with pytest.raises(DeviceError, match="rig emulate"):
         open_camera(CameraSettings("emulated"))
 

@@ -107,7 +107,7 @@ def test_an_absent_port_is_one_clear_refusal() -> None:
         open_monochromator(SerialSettings("acton", "/dev/no-such-port", 9600))
 
 
-def test_a_file_is_no_port(tmp_path: Any) -> None:
+def test_a_file_is_not_accepted_as_a_port(tmp_path: Any) -> None:
     (tmp_path / "tty").write_text("")
     with pytest.raises(DeviceLost, match="cannot be opened"):
         open_monochromator(SerialSettings("acton", str(tmp_path / "tty"), 9600))
@@ -166,20 +166,20 @@ EXPECTED = {kind: {"recovered"} for kind in KINDS} | {
 
 @pytest.mark.parametrize("ordinal", [3, 9, 13])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_fault_at_a_command_of_the_monochromator_is_recovered_or_told(kind: str, ordinal: int) -> None:
+def test_a_fault_at_a_command_of_the_monochromator_is_recovered_or_reported(kind: str, ordinal: int) -> None:
     assert monochromator_meets(kind, ordinal)[1] in EXPECTED[kind]
 
 
 @pytest.mark.parametrize("dialect", ["acton-wheel", "thorlabs"])
 @pytest.mark.parametrize("ordinal", [2, 9])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_fault_at_a_command_of_the_wheel_is_recovered_or_told(kind: str, ordinal: int, dialect: str) -> None:
+def test_a_fault_at_a_command_of_the_wheel_is_recovered_or_reported(kind: str, ordinal: int, dialect: str) -> None:
     assert wheel_meets(kind, ordinal, dialect)[1] in EXPECTED[kind]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_fault_at_every_command_is_recovered_or_told(kind: str) -> None:
+def test_a_fault_at_every_command_is_recovered_or_reported(kind: str) -> None:
     count, _ = monochromator_meets(kind, 10_000)
     assert {monochromator_meets(kind, ordinal)[1] for ordinal in range(1, count + 1)} <= EXPECTED[kind]
     for dialect in ("acton-wheel", "thorlabs"):
@@ -188,7 +188,7 @@ def test_a_fault_at_every_command_is_recovered_or_told(kind: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_bad_line_never_yields_a_wavelength_the_device_had_not() -> None:
+def test_a_bad_line_never_yields_a_wrong_wavelength() -> None:
     """One command in five meets a fault; whatever is returned is where the device stands."""
     met, refusals = 0, list[DeviceError]()
     for seed in range(5):
@@ -233,7 +233,7 @@ def plugged(rig: Rig) -> Iterator[tuple[Rig, Monochromator, ThorlabsWheel]]:
         yield replace(rig, monochromator=acton(first), wheel=thorlabs(second)), monochromator, wheel
 
 
-def test_a_bench_is_opened_identified_and_given_back(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+def test_the_devices_of_a_rig_are_opened_identified_and_closed(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
     rig, monochromator, wheel = plugged
     for _ in range(2):
         with connect(rig, camera=Dark(rig)) as bench:
@@ -261,7 +261,7 @@ def examined(rig: Rig, camera: Any) -> tuple[list[Row], str]:
     return rows, "\n".join(lines)
 
 
-def test_the_doctor_moves_every_device_and_leaves_it_where_it_was(
+def test_the_doctor_moves_every_device_and_back(
     plugged: tuple[Rig, Monochromator, ThorlabsWheel],
 ) -> None:
     rig, monochromator, wheel = plugged
@@ -275,7 +275,7 @@ def test_the_doctor_moves_every_device_and_leaves_it_where_it_was(
     assert table.splitlines()[-1] == f"{len(rows)} passed, 0 failed"
 
 
-def test_a_failing_device_never_hides_the_others(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+def test_a_failed_device_does_not_prevent_the_checks_of_the_others(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
     class Broken(Dark):
         def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
             raise ZeroDivisionError("a bug\x1b[31m")
@@ -291,7 +291,7 @@ def test_a_failing_device_never_hides_the_others(plugged: tuple[Rig, Monochromat
     assert "\x1b" not in table
 
 
-def test_swapped_ports_are_told_by_the_doctor(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+def test_the_doctor_detects_swapped_ports(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
     rig, _, _ = plugged
     swapped = replace(
         rig,

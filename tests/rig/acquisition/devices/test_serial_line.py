@@ -41,7 +41,7 @@ def refused(line: SerialLine, command: str, timeout: float = 1.0) -> NoReply:
 # --- replies as the manuals print them
 
 
-def test_a_reply_is_what_stands_between_the_echo_and_the_ok() -> None:
+def test_a_reply_is_the_text_between_the_echo_and_the_ok() -> None:
     assert line_with((b"?NM\r", b"?NM 546.100 nm  ok\r\n")).transact("?NM", 1) == "546.100 nm"
 
 
@@ -81,7 +81,7 @@ def test_words_are_sent_in_the_case_of_the_description() -> None:
 # --- what is no reply
 
 
-def test_an_unknown_word_is_refused_with_the_hint_about_case() -> None:
+def test_an_unknown_command_is_refused_with_the_hint_about_case() -> None:
     error = refused(line_with((b"MODEL\r", b"MODEL ? \r\n")), "MODEL")
     assert isinstance(error, Refused)
     assert "case: upper" in str(error)
@@ -108,11 +108,11 @@ def test_a_reply_without_an_echo_is_never_parsed() -> None:
 
 
 @pytest.mark.parametrize("end", range(len(b"?NM 546.100 nm  ok\r\n")))
-def test_a_reply_cut_off_anywhere_is_never_parsed(end: int) -> None:
+def test_a_truncated_reply_is_never_parsed(end: int) -> None:
     refused(line_with((b"?NM\r", b"?NM 546.100 nm  ok\r\n"[:end])), "?NM")
 
 
-def test_what_came_before_the_command_is_not_read_as_its_reply() -> None:
+def test_bytes_before_the_command_are_not_read_as_its_reply() -> None:
     line = line_with((b"?NM\r", [(0, b"?NM 546.100 nm  ok\r\n"), (0.5, b"?NM 700.000 nm  ok\r\n")]), (b"?NM\r", b""))
     assert line.transact("?NM", 1) == "546.100 nm"
     line.sleep(1)
@@ -180,7 +180,7 @@ def test_a_reply_is_read_whole_or_not_at_all_however_it_arrives(noise: bytes, en
 # --- the line is put in order
 
 
-def test_settling_ends_half_a_command_switches_the_echo_on_and_waits_for_quiet() -> None:
+def test_a_reset_ends_a_partial_command_switches_the_echo_on_and_waits_for_silence() -> None:
     script = Script(
         (b"\r", b"54MODEL ? \r\n"), (b"ECHO\r", [(0, b" ok"), (0.05, b"\r\n")]), (b"?NM\r", b"?NM 1.0 nm  ok\r\n")
     )
@@ -190,7 +190,7 @@ def test_settling_ends_half_a_command_switches_the_echo_on_and_waits_for_quiet()
     assert script.finished
 
 
-def test_settling_gives_up_on_a_line_that_is_never_quiet() -> None:
+def test_a_reset_refuses_a_line_that_is_never_quiet() -> None:
     line = line_with((b"\r", [(0.02 * k, b"?") for k in range(1000)]))
     with pytest.raises(NoReply, match=r"does not become quiet.*baud rate"):
         line.reset()
@@ -233,7 +233,7 @@ def test_the_port_is_opened_for_this_program_alone() -> None:
         (ValueError("Invalid baud rate: -1"), "cannot be opened"),
     ],
 )
-def test_a_port_that_cannot_be_opened_says_why_and_what_to_do(error: Exception, problem: str) -> None:
+def test_a_port_that_cannot_be_opened_gives_the_reason_and_advice(error: Exception, problem: str) -> None:
     refusal = opening(error)
     assert problem in refusal.problem
     assert refusal.port == "/dev/ttyUSB0"

@@ -53,7 +53,7 @@ def test_a_read_back_has_the_time_of_a_move() -> None:
     assert wheel(script).goto(3) == 3
 
 
-def test_a_wheel_that_stands_elsewhere_is_sent_once_more_and_then_refused() -> None:
+def test_a_wheel_at_a_wrong_position_is_moved_again_and_then_refused() -> None:
     stuck = ((b"pos=3\r", b"pos=3\r> "), (b"pos?\r", b"pos?\r2\r> "))
     with pytest.raises(
         DeviceError, match="filter wheel on /dev/ttyUSB1: wrong position: requested 3, device reports 2; check"
@@ -73,7 +73,7 @@ def test_sensors_that_stay_lit_are_refused() -> None:
         wheel(script).identify()
 
 
-def test_an_expected_name_must_stand_in_what_the_wheel_tells() -> None:
+def test_an_expected_serial_number_must_be_part_of_the_identity() -> None:
     assert wheel(Script(*GREETING), replace(SETTINGS, serial_number="1.07")).identify()
     with pytest.raises(WrongDevice, match="is not 'TP0123'"):
         wheel(Script(*GREETING), replace(SETTINGS, serial_number="TP0123")).identify()
@@ -120,7 +120,7 @@ NOISE = st.one_of(st.binary(max_size=6), st.lists(FRAGMENTS, max_size=3).map(b""
     positions=st.lists(st.integers(1, 6), min_size=1, max_size=4),
 )
 @settings(max_examples=200)
-def test_cut_off_and_noisy_replies_never_yield_a_position_the_wheel_had_not(
+def test_truncated_and_noisy_replies_never_yield_a_wrong_position(
     cuts: dict[int, int], noise: dict[int, bytes], positions: list[int]
 ) -> None:
     unit = Unit(cuts, noise)

@@ -57,7 +57,7 @@ class Dialect:
 
 
 class SerialLine:
-    """A serial line to one device, opened exclusively.
+    """A serial line to one device, opened exclusively. Raises DeviceLost: no such port, no permission, or used by another program.
 
     Parameters
     ----------
@@ -66,10 +66,6 @@ class SerialLine:
     open_port : called like ``serial.Serial``, the default
     other_dialects : of devices that may be connected by mistake
     clock, sleep : seconds
-
-    Raises
-    ------
-    DeviceLost : the port is missing, not permitted, or in use by another program.
     """
 
     def __init__(
