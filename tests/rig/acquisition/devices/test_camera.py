@@ -485,7 +485,9 @@ def test_an_alpaca_image_other_than_requested_is_refused(
         alpaca(**attributes).expose(0.1)
 
 
-def test_no_dark_frame_is_requested_from_an_alpaca_camera_without_a_shutter(alpaca: Callable[..., AlpacaCamera]) -> None:
+def test_no_dark_frame_is_requested_from_an_alpaca_camera_without_a_shutter(
+    alpaca: Callable[..., AlpacaCamera],
+) -> None:
     with pytest.raises(DeviceError, match="no shutter"):
         alpaca(HasShutter=False).expose(0.1, shutter=False)
 

@@ -233,7 +233,9 @@ def plugged(rig: Rig) -> Iterator[tuple[Rig, Monochromator, ThorlabsWheel]]:
         yield replace(rig, monochromator=acton(first), wheel=thorlabs(second)), monochromator, wheel
 
 
-def test_the_devices_of_a_rig_are_opened_identified_and_closed(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+def test_the_devices_of_a_rig_are_opened_identified_and_closed(
+    plugged: tuple[Rig, Monochromator, ThorlabsWheel],
+) -> None:
     rig, monochromator, wheel = plugged
     for _ in range(2):
         with connect(rig, camera=Dark(rig)) as bench:
@@ -275,7 +277,9 @@ def test_the_doctor_moves_every_device_and_back(
     assert table.splitlines()[-1] == f"{len(rows)} passed, 0 failed"
 
 
-def test_a_failed_device_does_not_prevent_the_checks_of_the_others(plugged: tuple[Rig, Monochromator, ThorlabsWheel]) -> None:
+def test_a_failed_device_does_not_prevent_the_checks_of_the_others(
+    plugged: tuple[Rig, Monochromator, ThorlabsWheel],
+) -> None:
     class Broken(Dark):
         def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
             raise ZeroDivisionError("a bug\x1b[31m")
