@@ -147,6 +147,9 @@ class Rig:
         description = reading.load(path, RigKeys)
         content = description.content
         fibres = read_fibres(documents.file_beside(path, content["fibres"]["file"], "fibres.file", "the rig's folder"))
+        screen: dict[str, Any] = {
+            key: _floats(value) if isinstance(value, list) else float(value) for key, value in content["screen"].items()
+        }
         rig = cls(
             name=content["name"],
             monochromator=_serial(content["monochromator"]),
@@ -157,12 +160,7 @@ class Rig:
             entrances=_floats(content["entrances"]),
             etalon_entrance=float(content["etalon_entrance"]),
             fibres=fibres,
-            screen=Screen(
-                **{
-                    key: _floats(value) if isinstance(value, list) else float(value)
-                    for key, value in content["screen"].items()
-                }
-            ),
+            screen=Screen(**screen),
             slit=float(content["slit"]),
             wavelengths=(float(content["wavelengths"]["low"]), float(content["wavelengths"]["high"])),
             target=_target(content.get("target")),

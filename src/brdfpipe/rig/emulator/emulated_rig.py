@@ -16,7 +16,7 @@ from brdfpipe.rig.description import Rig
 from brdfpipe.rig.emulator.clock import VirtualClock
 from brdfpipe.rig.emulator.effects import Effects, random_stream
 from brdfpipe.rig.emulator.faults import Faults
-from brdfpipe.rig.emulator.instruments import GRATINGS, ActonWheel, Monochromator, ThorlabsWheel
+from brdfpipe.rig.emulator.instruments import GRATINGS, SERIAL_NUMBER, ActonWheel, Monochromator, ThorlabsWheel
 from brdfpipe.rig.emulator.optics import Optics
 from brdfpipe.rig.emulator.port import Port
 from brdfpipe.rig.emulator.sample_holder import EmulationError, Etalon, Setup, check_setup
@@ -163,8 +163,7 @@ def _monochromator(rig: Rig, clock: VirtualClock) -> Monochromator:
     """Monochromator with the grating and serial number of the description."""
     settings = rig.monochromator
     gratings = {settings.grating: GRATINGS[1], **GRATINGS} if settings.grating else GRATINGS
-    names = {"serial_number": settings.serial_number} if settings.serial_number else {}
-    return Monochromator(clock, gratings=gratings, **names)
+    return Monochromator(clock, gratings=gratings, serial_number=settings.serial_number or SERIAL_NUMBER)
 
 
 def _wheel(rig: Rig, clock: VirtualClock) -> ActonWheel | ThorlabsWheel:

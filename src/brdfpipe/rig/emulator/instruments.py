@@ -39,6 +39,9 @@ _POLL = 0.1
 
 _GRATING_NUMBERS = range(1, 10)
 
+SERIAL_NUMBER = "2330123"
+"""Serial number of a monochromator whose description states none."""
+
 
 @dataclass(frozen=True)
 class Grating:
@@ -125,7 +128,7 @@ class Monochromator(_Acton):
         echo: bool = True,
         marker: int = 0x1A,
         model: str = "SP-2-300i",
-        serial_number: str = "2330123",
+        serial_number: str = SERIAL_NUMBER,
     ) -> None:
         super().__init__(clock, case=case, echo=echo)
         self.grating = grating

@@ -52,8 +52,8 @@ class DeviceError(BrdfpipeError):
 
     def __reduce__(self) -> tuple[object, ...]:
         # The default would rebuild an unpickled error from the message alone.
-        options = {"port": self.port, "command": self.command, "reply": self.reply, "advice": self.advice}
-        return partial(type(self), self.device, self.problem, **options), ()
+        rebuild = partial(type(self), port=self.port, command=self.command, reply=self.reply, advice=self.advice)
+        return rebuild, (self.device, self.problem)
 
 
 class DeviceLost(DeviceError):
