@@ -1,16 +1,7 @@
 """Masking by ray casting on measured heights: the reference for Smith's formulas.
 
-A line of heights is a chain of straight segments, the facets. Towards a viewer at polar angle θ the running maximum of
-z sin θ − x cos θ, from the viewer's end backwards, is the horizon. A segment is visible where it rises above the horizon, and
-a partly hidden one is clipped. The result is exact for the lines used.
-
-The mean slope of every line is removed, and the line is continued periodically. Its ends then meet, no facet is added or
-lost, and the mean G1 equals 1/(1 + Λ) of the slopes used, for any heights; this identity tests the code. The bistatic G2 and
-the G1 of facets of a given slope have no such identity; they test Smith's assumption.
-
-References
-----------
-Smith 1967; Ashikhmin 2000; Heitz 2014 (JCGT 3(2)), eqs. 43 and 99; Ribardière 2019.
+A line of heights is a chain of straight segments. Towards a viewer at polar angle θ the running maximum of z sin θ − x cos θ, from
+the viewer's end backwards, is the horizon; a segment is visible where it rises above it. The result is exact for the lines used.
 """
 
 from __future__ import annotations
@@ -27,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError, VocabularyError
 from brdfpipe.geometry import Array, check_angles
+from brdfpipe.masking.visibility import g1 as smith_g1
 
 THETA_MAX = 89.99
 THETA_COMPARED = (0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0)
@@ -34,7 +26,6 @@ LEAST_POINTS = 32
 
 _GROUPS = 32
 _BLOCK_SAMPLES = 2**17
-_SLOPE_BINS = 24
 
 
 class RaycastError(BrdfpipeError):
@@ -64,13 +55,15 @@ def raycast(surface: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0, *, line
 
     Notes
     -----
-    Azimuths 0, 90, 180 and 270 follow the rows and columns of the map and are exact. Any other follows lines that cross
-    one column (or row, whichever is the steeper turn) a step, their heights interpolated linearly between the two
-    nearest samples: the heights of the mesh where a ray crosses its edges. That smooths: the height variance of white
-    noise falls by a third, that of structure ten samples long very little. Steps along them are longer than along the rows: at
-    45 degree on equal pitches a line goes from sample to sample, √2 pitches a step. If slopes still increase towards one
-    pixel, such a line has smaller slopes than the facets of its cells (for white noise, 1/√2 of their rms), and its G1 is
-    too high; only the azimuths of the rows and columns use the slopes of the facets themselves.
+    The mean slope of every line is removed, and the line is continued periodically. Its ends then meet, no facet is added or
+    lost, and the mean G1 equals 1/(1 + Λ) of the slopes used, for any heights. The bistatic G2 has no such identity; it tests
+    Smith's assumption.
+
+    Azimuths 0, 90, 180 and 270 follow the rows and columns of the map and are exact. Any other follows lines that cross one
+    column (or row, whichever is the steeper turn) a step, their heights interpolated linearly between the two nearest samples.
+    That smooths: the height variance of white noise falls by a third, that of structure ten samples long very little. Steps are
+    longer than along the rows, √2 pitches at 45 degree on equal pitches. If slopes still increase towards one pixel, such a
+    line has smaller slopes than the facets of its cells (for white noise, 1/√2 of their rms), and its G1 is too high.
 
     A line is split at missing heights. Every piece is levelled and continued periodically by itself; pieces of fewer than 32
     heights are left out. G1 is therefore too high: missing slopes, probably the steepest, do not contribute to Λ, nor does
@@ -81,73 +74,26 @@ def raycast(surface: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0, *, line
     whole surface.
 
     A map is processed a few lines at a time, in constant memory; a line profile as a whole, in eight times its memory.
+
+    References
+    ----------
+    Smith 1967; Ashikhmin 2000; Heitz 2014 (JCGT 3(2)), eqs. 43 and 99; Ribardière 2019.
     """
     vocabulary.validate(surface, "surface")
     polar, azimuth = _axis("theta", theta, 0, THETA_MAX), _axis("phi", phi, -720, 720)
-    sums = [_cast(_AzimuthLines.of(surface, direction), polar, lines) for direction in azimuth]
+    sums = [_sums(_AzimuthLines.of(surface, direction), polar, lines) for direction in azimuth]
     g1, g1_u = np.stack([_ratio(area.visible, area.facing) for area in sums], axis=-1)
     result = xr.Dataset(
         {
             "g1": (("theta", "phi"), g1),
             "g1_u": (("theta", "phi"), g1_u),
-            "lambda_empirical": (("theta", "phi"), np.stack([area.smith(polar) for area in sums], axis=-1)),
+            "lambda_empirical": (("theta", "phi"), np.stack([area.smith_lambda for area in sums], axis=-1)),
         },
         coords={"theta": polar, "phi": azimuth},
         attrs={"method": "ray cast"},
     )
     single = {name: 0 for name, given in (("theta", theta), ("phi", phi)) if np.ndim(given) == 0}
     return vocabulary.label(result.isel(single), "raycast")
-
-
-def by_slope(
-    surface: xr.Dataset, theta: ArrayLike, phi: float = 0.0, *, slope: ArrayLike | None = None, lines: int | None = None
-) -> xr.Dataset:
-    """Visible fraction of facets by their slope towards the viewer; Smith assumes that it does not depend on the slope.
-
-    Parameters
-    ----------
-    surface, theta, phi, lines : as in :func:`raycast`, ``phi`` one number
-    slope : edges of the bins of the slope towards the viewer, increasing [1]; default 24 bins over three times the rms
-
-    Returns
-    -------
-    Dataset of kind ``raycast``: ``g1_by_slope(theta, slope_towards)``, NaN where no facet of that slope faces the
-    direction; ``g1_by_slope_u``; ``slope_count(theta, slope_towards)``, the facets counted.
-
-    Raises
-    ------
-    VocabularyError, RaycastError : as :func:`raycast`; or the edges do not increase.
-    """
-    vocabulary.validate(surface, "surface")
-    polar = _axis("theta", theta, 0, THETA_MAX)
-    azimuth_lines = _AzimuthLines.of(surface, float(check_angles("phi", phi, -720, 720)))
-    edges = _default_edges(azimuth_lines, lines) if slope is None else np.asarray(slope, dtype=float)
-    if edges.ndim != 1 or edges.size < 2 or not (np.diff(edges) > 0).all():
-        raise VocabularyError(
-            "the edges of the slope bins are not increasing; accepted: two or more increasing numbers"
-        )
-    bins = edges.size - 1
-    visible, count = np.zeros((2, polar.size, bins, _GROUPS))
-    for block in azimuth_lines.blocks(lines):
-        owner = np.searchsorted(edges, block.slope, side="right") - 1
-        counted = block.inside & (owner >= 0) & (owner < bins)
-        index = np.where(counted, owner * _GROUPS + block.group, 0)
-        for row, angle in enumerate(polar):
-            fraction, facing = block.fraction(angle)
-            used = (counted & facing).astype(float)
-            count[row] += _by_index(index, used, bins * _GROUPS).reshape(bins, -1)
-            visible[row] += _by_index(index, used * fraction, bins * _GROUPS).reshape(bins, -1)
-    g1, g1_u = _ratio(visible, count)
-    result = xr.Dataset(
-        {
-            "g1_by_slope": (("theta", "slope_towards"), g1),
-            "g1_by_slope_u": (("theta", "slope_towards"), g1_u),
-            "slope_count": (("theta", "slope_towards"), count.sum(axis=-1)),
-        },
-        coords={"theta": polar, "slope_towards": (edges[1:] + edges[:-1]) / 2},
-        attrs={"method": "ray cast"},
-    )
-    return vocabulary.label(result.isel({} if np.ndim(theta) else {"theta": 0}), "raycast")
 
 
 def bistatic(
@@ -178,10 +124,10 @@ def bistatic(
     Notes
     -----
     Facets count by their share of the mean plane, as they do in the slope density. In one plane (φ_o − φ_i = 0 or 180)
-    the part of a segment that both see is exact: the smaller part where both look from one side, the overlap of the two
-    ends where they look from opposite sides.
+    the part of a segment that both see is exact: the smaller part where both are on one side, the overlap of the two
+    ends where they are on opposite sides.
 
-    Out of plane each direction's fraction is found on its own lines and interpolated linearly to the cells of the map;
+    Out of plane each direction's fraction is computed on its own lines and interpolated linearly to the cells of the map;
     a cell faces a direction by its mean slope, and within a cell that both see in part the two are taken as
     independent. This blurs shadow edges by a sample: structure should span ten samples or more. ``lines`` is not used
     there, and the memory is that of some ten maps. On a Gaussian map of slope rms 0.4 and a correlation length of
@@ -200,8 +146,8 @@ def bistatic(
     for plane in np.unique(np.stack([pi, po]), axis=1).T:
         members = (pi == plane[0]) & (po == plane[1])
         turn = (plane[1] - plane[0]) % 180
-        way = _in_plane if min(turn, 180 - turn) < 1e-9 else _out_of_plane
-        values[:, members] = way(surface, ti[members], to[members], float(plane[0]), float(plane[1]), lines)
+        cast = _in_plane if min(turn, 180 - turn) < 1e-9 else _out_of_plane
+        values[:, members] = cast(surface, ti[members], to[members], float(plane[0]), float(plane[1]), lines)
     result = xr.Dataset(
         {name: (dims, row.reshape(angles[0].shape)) for name, row in zip(names, values, strict=True)},
         coords={
@@ -240,42 +186,39 @@ def compare(
     The mean G1 tests the distribution (its isotropy, its tail, what a line profile was taken for), not Smith's
     assumption: on the slopes themselves the two agree identically. G2 tests the assumption.
     """
-    # Lazily, because masking offers ``raycast`` under its own name too.
-    from brdfpipe.masking import visibility
-
     vocabulary.validate(facets, "facets")
     polar = _axis("theta", np.atleast_1d(theta), 0, THETA_MAX)
     axes = (0.0,) if surface["height"].ndim == 1 else (0.0, 90.0)
-    cast = raycast(surface, polar, [*axes, *(axis + 180 for axis in axes)], lines=lines)
+    azimuths = [*axes, *(axis + 180 for axis in axes)]
+    cast = raycast(surface, polar, azimuths, lines=lines)
     mirrored = [bistatic(surface, polar, axis, polar, axis + 180, lines=lines) for axis in axes]
+    g2 = {name: np.stack([pair[name].values for pair in mirrored]) for name in mirrored[0].data_vars}
 
-    def uncertainty(values: list[Array]) -> Array:
+    def uncertainty(values: Array) -> Array:
         # Opposite azimuths share their lines: only the two axes are independent.
         return np.sqrt(np.mean(np.square(values), axis=0) / len(axes))
 
     curves = {
         "g1_raycast": cast["g1"].mean("phi").values,
-        "g1_raycast_u": uncertainty(list(cast["g1_u"].values.T)),
-        "g1_smith": np.mean(
-            [visibility.g1(facets, polar, axis).values for axis in (*axes, *(a + 180 for a in axes))], axis=0
-        ),
-        "g2_raycast": np.mean([pair["g2"].values for pair in mirrored], axis=0),
-        "g2_raycast_u": uncertainty([pair["g2_u"].values for pair in mirrored]),
-        "g2_separable": np.mean([pair["g2_separable"].values for pair in mirrored], axis=0),
-        "g2_height_correlated": np.mean([pair["g2_height_correlated"].values for pair in mirrored], axis=0),
+        "g1_raycast_u": uncertainty(cast["g1_u"].values.T),
+        "g1_smith": np.mean([smith_g1(facets, polar, azimuth).values for azimuth in azimuths], axis=0),
+        "g2_raycast": g2["g2"].mean(axis=0),
+        "g2_raycast_u": uncertainty(g2["g2_u"]),
+        "g2_separable": g2["g2_separable"].mean(axis=0),
+        "g2_height_correlated": g2["g2_height_correlated"].mean(axis=0),
     }
     result = xr.Dataset(
         {name: ("theta", values) for name, values in curves.items()},
         coords={"theta": polar},
         attrs={"method": f"ray cast along at most {lines} lines an azimuth; {facets.attrs['method']}"},
     )
-    return vocabulary.label(_with_doubt(result), "masking")
+    return vocabulary.label(_with_difference_warning(result), "masking")
 
 
-def _with_doubt(comparison: xr.Dataset) -> xr.Dataset:
+def _with_difference_warning(comparison: xr.Dataset) -> xr.Dataset:
     """Warn if G1 differs by more than 0.05 and three uncertainties, up to 75 degree; few surfaces are large enough beyond."""
     difference = abs(comparison["g1_raycast"] - comparison["g1_smith"]).where(comparison["theta"] <= 75, 0.0)
-    # Without independent groups the uncertainty is not known; the difference then speaks for itself.
+    # Without independent groups the uncertainty is unknown, and counts as 0.
     doubtful = difference.where(difference > 3 * comparison["g1_raycast_u"].fillna(0.0), 0.0)
     if float(doubtful.max()) <= 0.05:
         return comparison
@@ -296,16 +239,11 @@ class _AreaSums(NamedTuple):
     """(theta, group) visible projected area."""
     facing: Array
     """(theta, group) projected area of the facets that face the direction."""
-    excess: Array
-    """(theta,) Σ (p sin θ − cos θ)⁺ over the segments."""
-    segments: int
-
-    def smith(self, theta: Array) -> Array:
-        """Λ from the slopes of the lines."""
-        return self.excess / (self.segments * np.cos(np.radians(theta)))
+    smith_lambda: Array
+    """(theta,) Λ from the slopes of the lines."""
 
 
-def _cast(azimuth_lines: _AzimuthLines, theta: Array, lines: int | None) -> _AreaSums:
+def _sums(azimuth_lines: _AzimuthLines, theta: Array, lines: int | None) -> _AreaSums:
     visible, facing = np.zeros((2, theta.size, _GROUPS))
     excess, segments = np.zeros(theta.size), 0
     for block in azimuth_lines.blocks(lines):
@@ -315,7 +253,7 @@ def _cast(azimuth_lines: _AzimuthLines, theta: Array, lines: int | None) -> _Are
             visible[row] += block.by_group(visible_area)
             facing[row] += block.by_group(facing_area)
             excess[row] += block.excess(angle)
-    return _AreaSums(visible, facing, excess, segments)
+    return _AreaSums(visible, facing, excess / (segments * np.cos(np.radians(theta))))
 
 
 def _ratio(part: Array, whole: Array) -> tuple[Array, Array]:
@@ -345,7 +283,7 @@ def _in_plane(
             visible_o, facing_o = block.fraction(outgoing)
             if opposite:
                 visible_i, facing_i = _backwards(visible_i, block.length - 1), _backwards(facing_i, block.length - 1)
-                # Each viewer sees the end of the segment that is nearer the other's side.
+                # Each direction sees the end of the segment that is nearer to it.
                 visible_share = np.maximum(visible_i + visible_o - 1, 0.0)
             else:
                 visible_share = np.minimum(visible_i, visible_o)
@@ -368,8 +306,9 @@ def _out_of_plane(
 ) -> Array:
     """As :func:`_in_plane`, for two directions of any azimuth, on the cells of the map."""
     lines_i, lines_o = _AzimuthLines.of(surface, phi_i), _AzimuthLines.of(surface, phi_o)
-    lambda_i = _cast(lines_i, theta_i, lines).smith(theta_i)
-    lambda_o = _cast(lines_o, theta_o, lines).smith(theta_o)
+    lambda_i, lambda_o = (
+        _sums(side, theta, lines).smith_lambda for side, theta in ((lines_i, theta_i), (lines_o, theta_o))
+    )
     towards_i, towards_o = _cell_slope(surface, phi_i), _cell_slope(surface, phi_o)
     group = np.arange(towards_i.shape[0]) * _GROUPS // towards_i.shape[0]
     both, facing = np.zeros((2, theta_i.size, _GROUPS))
@@ -390,18 +329,6 @@ def _cell_slope(surface: xr.Dataset, phi: float) -> Array:
     p = (along_x[:-1] + along_x[1:]) / (2 * float(surface.attrs["pitch_x"]))
     q = (along_y[:, :-1] + along_y[:, 1:]) / (2 * float(surface.attrs["pitch_y"]))
     return p * np.cos(np.radians(phi)) + q * np.sin(np.radians(phi))
-
-
-def _default_edges(azimuth_lines: _AzimuthLines, lines: int | None) -> Array:
-    square, count = 0.0, 0
-    for block in azimuth_lines.blocks(lines):
-        square, count = square + float(np.sum(block.slope**2)), count + block.segments
-    rms = np.sqrt(square / count)
-    if rms == 0:
-        raise RaycastError(
-            "the surface is perfectly flat, so its facets cannot be sorted by slope; check the heights (`surface.file`)"
-        )
-    return np.linspace(-3 * rms, 3 * rms, _SLOPE_BINS + 1)
 
 
 # --- lines of heights
@@ -492,19 +419,17 @@ class _AzimuthLines:
         edges = np.flatnonzero(np.diff(present.ravel(), prepend=False))
         row, column = np.divmod(edges[::2], columns + 1)
         length = edges[1::2] - edges[::2]
-        # Pieces of like length share a block, so that padding never more than doubles it.
+        # Pieces of similar length share a block, so that padding at most doubles it.
         octave = np.where(length >= LEAST_POINTS, np.frexp(length)[1], 0)
         for size in np.unique(octave[octave > 0]):
             chosen = octave == size
-            yield _Block.of(
-                height,
-                begin=row[chosen] * columns + column[chosen],
-                length=length[chosen],
-                step=self.step,
-                start=lines[row[chosen]] * columns + column[chosen],
-                samples=self.lines * columns,
-                few=self.lines < _GROUPS,
-            )
+            count, start = length[chosen], column[chosen]
+            along = np.minimum(np.arange(count.max()), count[:, None] - 1)
+            z = height[row[chosen][:, None], start[:, None] + along]
+            z -= z[:, :1]
+            z -= z[:, -1:] * (along / (count[:, None] - 1))
+            start = lines[row[chosen]] * columns + start
+            yield _Block(z, count, self.step, start, self.lines * columns, self.lines < _GROUPS)
 
     def cells(self, theta: float) -> Array:
         """Visible fraction of every cell of the map; NaN where unknown."""
@@ -535,24 +460,6 @@ class _Block:
     """Samples of a line."""
     few: bool
     """Whether there are too few lines to estimate their scatter."""
-
-    @classmethod
-    def of(
-        cls,
-        height: Array,
-        *,
-        begin: NDArray[np.intp],
-        length: NDArray[np.intp],
-        step: float,
-        start: NDArray[np.intp],
-        samples: int,
-        few: bool,
-    ) -> _Block:
-        along = np.minimum(np.arange(length.max()), length[:, None] - 1)
-        z = height.ravel()[begin[:, None] + along]
-        z -= z[:, :1]
-        z -= z[:, -1:] * (along / (length[:, None] - 1))
-        return cls(z, length, step, start, samples, few)
 
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
@@ -600,7 +507,7 @@ class _Block:
 
     def excess(self, theta: float) -> float:
         """Σ (p sin θ − cos θ)⁺ over the segments, without the step length."""
-        # Filling has no slope and adds nothing.
+        # Padding has no slope and adds nothing.
         return float(np.maximum(self.slope * np.sin(np.radians(theta)) - np.cos(np.radians(theta)), 0.0).sum())
 
     def by_group(self, values: Array) -> Array:

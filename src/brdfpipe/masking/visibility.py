@@ -47,7 +47,7 @@ def g1(facets: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0) -> xr.DataArr
     """
     vocabulary.validate(facets, "facets")
     polar, azimuth = broadcast(theta=checked_angles("theta", theta, 0, 90), phi=checked_angles("phi", phi, -720, 720))
-    cos, sin, excess = _seen_from(facets, polar.values, azimuth.values)
+    cos, sin, excess = _excess_towards(facets, polar.values, azimuth.values)
     result = polar.copy(data=cos / (cos + excess * sin))
     return result.rename("g1").assign_attrs(units="1", long_name="Smith masking G1")
 
@@ -85,25 +85,22 @@ def g2(
         theta_o=checked_angles("theta_o", theta_o, 0, _BELOW_GRAZING),
         phi_o=checked_angles("phi_o", phi_o, -720, 720),
     )
-    plain = [angle.values for angle in angles]
-    half = half_vector(plain[0], plain[1], plain[2], plain[3])
-    values = _liu(facets, plain) if mode == "liu" else _by_lambda(facets, plain, half, mode)
-    result = angles[0].copy(data=np.broadcast_to(values, plain[0].shape))
-    return result.rename("g2").assign_attrs(units="1", long_name=f"masking and shadowing G2, {mode}")
-
-
-def _liu(facets: xr.Dataset, angles: list[Array]) -> Array:
-    if facets["slope_density"].ndim == 2:
-        raise VocabularyError(
-            "masking mode 'liu' is for isotropic surfaces; this one has a lay. Choose another `model.masking`"
+    theta_i, phi_i, theta_o, phi_o = (angle.values for angle in angles)
+    pair = half_vector(theta_i, phi_i, theta_o, phi_o)
+    if mode == "liu":
+        if facets["slope_density"].ndim == 2:
+            raise VocabularyError(
+                "masking mode 'liu' is for isotropic surfaces; this one has a lay. Choose another `model.masking`"
+            )
+        table = liu.LiuMasking.of(liu.Marginal.of(RadialDensity.of(facets)))
+        values = liu.attenuation(pair, phi_i, phi_o, table)
+    else:
+        excess_i, excess_o = (
+            _excess_towards(facets, *direction)[2] for direction in ((theta_i, phi_i), (theta_o, phi_o))
         )
-    table = liu.LiuMasking.of(liu.Marginal.of(RadialDensity.of(facets)))
-    return np.asarray(liu.attenuation(angles[0], angles[1], angles[2], angles[3], table))
-
-
-def _by_lambda(facets: xr.Dataset, plain: list[Array], half: HalfVector, mode: str) -> Array:
-    excess_i, excess_o = (_seen_from(facets, *each)[2] for each in ((plain[0], plain[1]), (plain[2], plain[3])))
-    return np.minimum(VISIBILITY[mode](half, excess_i, excess_o) * (half.cos_i * half.cos_o), 1.0)
+        values = np.minimum(VISIBILITY[mode](pair, excess_i, excess_o) * (pair.cos_i * pair.cos_o), 1.0)
+    result = angles[0].copy(data=np.broadcast_to(values, theta_i.shape))
+    return result.rename("g2").assign_attrs(units="1", long_name=f"masking and shadowing G2, {mode}")
 
 
 def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
@@ -145,7 +142,7 @@ def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
 _BELOW_GRAZING = 90 - 1e-9
 
 
-def _seen_from(facets: xr.Dataset, theta: Array, phi: Array) -> tuple[Array, Array, Array]:
+def _excess_towards(facets: xr.Dataset, theta: Array, phi: Array) -> tuple[Array, Array, Array]:
     """cos θ, sin θ and the mean excess slope towards directions in degree."""
     angles = np.radians(theta)
     cos, sin = np.where(theta >= 90, 0.0, np.cos(angles)), np.sin(angles)

@@ -272,7 +272,9 @@ def test_the_attenuation_of_liu_is_the_masking_of_that_name():
     bare = samples.beckmann_bsdf(0.3, reflectance=None, masking="none")
     attenuation = liu.LiuMasking.of(liu.Marginal.of(density.RadialDensity.of(table)))
     for directions in ((30, 0, 75, 180), (60, 10, 80, 150), (0, 0, 85, 40)):
-        g = float(liu.attenuation(*directions, attenuation))
+        theta_i, phi_i, theta_o, phi_o = directions
+        pair = geometry.half_vector(theta_i, phi_i, theta_o, phi_o)
+        g = float(liu.attenuation(pair, phi_i, phi_o, attenuation))
         assert at(bsdf, *directions) == pytest.approx(g * at(bare, *directions), rel=1e-9)
         assert float(masking.g2(table, *directions, mode="liu")) == pytest.approx(g, abs=1e-12)
 

@@ -12,8 +12,8 @@ import xarray as xr
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
-from brdfpipe.geometry import Array, HalfVector, slope_towards, tan_half
-from brdfpipe.masking.liu import LiuMasking, Marginal
+from brdfpipe.geometry import Array, HalfVector, slope_towards
+from brdfpipe.masking.liu import LiuMasking, Marginal, attenuation
 from brdfpipe.masking.smith import PlanarSmith, Smith, cotangent
 from brdfpipe.masking.visibility import VISIBILITY
 
@@ -81,17 +81,9 @@ class Microsurface:
     def visibility(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth, masking: str) -> Array:
         """G2 / (cos θ_i cos θ_o) of the facets that mirror one direction into the other; ``masking`` is one of :data:`MASKINGS`."""
         if masking == "liu":
-            return self._liu_attenuation(pair, phi_i, phi_o) / (pair.cos_i * pair.cos_o)
+            return attenuation(pair, phi_i, phi_o, self.liu) / (pair.cos_i * pair.cos_o)
         excess_i, excess_o = self.excess(pair.cos_i, pair.sin_i, phi_i), self.excess(pair.cos_o, pair.sin_o, phi_o)
         return VISIBILITY[masking](pair, excess_i, excess_o)
-
-    def _liu_attenuation(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth) -> Array:
-        turn = tan_half(np.asarray(phi_i, dtype=float) - phi_o)
-        across, normal = 2 / (1 + turn * turn), pair.cos_i + pair.cos_o
-        tilt_i = (pair.sin_i - pair.sin_o + pair.sin_o * across) / normal
-        tilt_o = (pair.sin_o - pair.sin_i + pair.sin_i * across) / normal
-        mu_i, mu_o = cotangent(pair.cos_i, pair.sin_i), cotangent(pair.cos_o, pair.sin_o)
-        return np.minimum(self.liu(mu_i, tilt_i), self.liu(mu_o, tilt_o))
 
     @cached_property
     def liu(self) -> LiuMasking:
