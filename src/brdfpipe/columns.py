@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,6 +187,55 @@ def merge_duplicates(wavelength: Array, values: Array) -> tuple[Array, Array, in
     sums = np.zeros((unique.size, values.shape[1]))
     np.add.at(sums, inverse, values)
     return unique, sums / counts[:, None], wavelength.size - unique.size
+
+
+class SpectralTable(NamedTuple):
+    """Values against wavelength, sorted and without missing ones."""
+
+    wavelength: Array
+    """(rows,) nm, increasing strictly"""
+    values: Array
+    """(rows, columns)"""
+    titles: tuple[str, ...]
+    """Lines of words above the numbers, and names of the columns"""
+    notes: list[str]
+    """Corrections, in words"""
+    doubts: tuple[str, ...]
+
+
+def read_spectral_table(path: Path, key: str, layout: str, *, most: int, widest: float) -> SpectralTable:
+    """Read a text file of wavelengths and one to ``most`` columns of values that covers 400–700 nm.
+
+    Rows without a value are dropped, rows of repeated wavelength are averaged; the notes say so.
+
+    Parameters
+    ----------
+    path : see :func:`read_columns`
+    key : the key of ``material.yaml`` that names the file, for messages
+    layout : accepted columns, for messages
+    most : columns of values
+    widest : accepted distance of wavelengths [nm]
+
+    Raises
+    ------
+    InputError : as :func:`read_columns`; too many columns; wavelengths that leave a gap.
+    """
+    table = read_columns(path)
+    if table.values.shape[1] > 1 + most:
+        raise InputError(path, "too many columns", found=table.values.shape[1], accepted=layout, key=key)
+    nm, note = wavelengths(table, key=key)
+    present = np.isfinite(nm) & np.isfinite(table.values).all(axis=1)
+    wavelength, values, merged = merge_duplicates(nm[present], table.values[present, 1:])
+    missing = gaps(wavelength, 400.0, 700.0, widest=widest)
+    if missing:
+        found = ", ".join(f"{low:g}–{high:g} nm missing" for low, high in missing)
+        accepted = f"400–700 nm in steps of at most {widest:g} nm, or a number in place of the file"
+        raise InputError(path, "must cover 400–700 nm", found=found, accepted=accepted, key=key)
+    dropped = int((~present).sum())
+    notes = [*table.notes, note, f"{dropped} rows without a value were dropped" if dropped else ""]
+    notes.append(f"{merged} rows of repeated wavelength were averaged" if merged else "")
+    titles = (*table.header, *(table.names or ()))
+    return SpectralTable(wavelength, values, titles, [text for text in notes if text], table.doubts)
 
 
 def cut_numbers(cells: Sequence[str], place: Callable[[int], str]) -> list[str]:

@@ -128,7 +128,7 @@ def test_files_that_leave_out_visible_wavelengths_are_refused(shared_data: Path,
         optics.refractive_index({"file": file}, shared_data / "nk" / file)
 
 
-def test_a_sellmeier_formula_is_extrapolated_to_360_nm_and_says_so(tmp_path: Path) -> None:
+def test_a_sellmeier_formula_is_extrapolated_to_360_nm_which_its_history_says(tmp_path: Path) -> None:
     index = optics.refractive_index("PMMA")
     assert index["wavelength"].values[[0, -1]].tolist() == [360, 830]
     assert index.attrs["history"] == "the Sellmeier formula, fitted from 436.8 nm, was extrapolated to 360 nm"
@@ -193,24 +193,24 @@ def test_other_formulas_are_never_extrapolated(tmp_path: Path) -> None:
         ("DATA: [", "page.yml"),
     ],
 )
-def test_a_page_that_is_none_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_a_damaged_page_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         optics.refractive_index(page(tmp_path, text))
 
 
-@pytest.mark.parametrize(("first", "told"), [(0.40, "extrapolated to 400 nm"), (0.30, "extrapolated to 360 nm")])
-def test_a_formula_with_a_later_extinction_is_said_to_reach_only_as_far_as_it_is_stored(
-    tmp_path: Path, first: float, told: str
+@pytest.mark.parametrize(("first", "note"), [(0.40, "extrapolated to 400 nm"), (0.30, "extrapolated to 360 nm")])
+def test_the_history_of_a_formula_joined_to_an_extinction_says_how_far_it_was_extrapolated(
+    tmp_path: Path, first: float, note: str
 ) -> None:
     text = PAGE.format(kind="formula 2", numbers="0 1.2 0.01").replace("0.35 1.0", "0.42 1.0")
     rows = "".join(f"      {wavelength:.2f} 0.001\n" for wavelength in np.arange(first, 0.85, 0.05))
     path = page(tmp_path, f"{text}  - type: tabulated k\n    data: |\n{rows}")
     index = dispersion.read(path)
-    assert f"{index['wavelength'].values[0]:g} nm" == told.removeprefix("extrapolated to ")
-    assert told in index.attrs["history"]
+    assert f"{index['wavelength'].values[0]:g} nm" == note.removeprefix("extrapolated to ")
+    assert note in index.attrs["history"]
 
 
-def test_a_formula_that_is_stored_within_its_range_is_not_said_to_be_extrapolated(tmp_path: Path) -> None:
+def test_a_formula_stored_within_its_range_is_not_recorded_as_extrapolated(tmp_path: Path) -> None:
     text = PAGE.format(kind="formula 2", numbers="0 1.2 0.01").replace("0.35 1.0", "0.37 1.0")
     rows = "".join(f"      {wavelength:.2f} 0.001\n" for wavelength in np.arange(0.40, 0.85, 0.05))
     index = dispersion.read(page(tmp_path, f"{text}  - type: tabulated k\n    data: |\n{rows}"))

@@ -1,4 +1,4 @@
-"""What the inside of a clear body lets pass."""
+"""Internal transmittance of a clear body."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def table(folder: Path, header: str, values: object) -> Path:
     return path
 
 
-def test_a_body_of_which_nothing_is_said_absorbs_nothing() -> None:
+def test_a_body_without_a_stated_absorption_absorbs_nothing() -> None:
     clear = vocabulary.validate(interior.ingest({"thickness": 3}), "interior")
     assert interior.spectral(clear) == 1.0
     assert float(clear["thickness"]) == 3
@@ -61,7 +61,7 @@ def test_a_table_in_percent_is_the_table_in_fractions(tmp_path: Path) -> None:
         ("nm T", -0.1, {}, "negative transmittance or absorption"),
     ],
 )
-def test_values_that_no_body_has_are_refused(
+def test_impossible_or_ambiguous_values_are_refused(
     tmp_path: Path, header: str, values: float, options: dict[str, str], pattern: str
 ) -> None:
     spec = {"thickness": 1, "internal_transmittance": {"file": "t.txt", **options}}
@@ -72,7 +72,7 @@ def test_values_that_no_body_has_are_refused(
 @pytest.mark.parametrize("text", ["500 0.9\n600 0.9\n", "400 0.9 0.8\n700 0.9 0.8\n"])
 def test_a_table_that_is_too_short_or_too_wide_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "t.txt").write_text("wavelength_nm T\n" + text)
-    with pytest.raises(InputError, match=r"must cover 400–700 nm|must have two columns"):
+    with pytest.raises(InputError, match=r"must cover 400–700 nm|too many columns"):
         interior.ingest({"thickness": 1, "internal_transmittance": {"file": "t.txt"}}, tmp_path / "t.txt")
 
 

@@ -20,7 +20,8 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.representations.flake import PHYSICAL, ClearCoat, Flake
 from brdfpipe.errors import InputError
-from brdfpipe.flakes.forms import Fit, Form, fit, leave_one_out
+from brdfpipe.flakes.fitting import Fit, fit, leave_one_out
+from brdfpipe.flakes.forms import Form
 from brdfpipe.flakes.refraction import flake_angle, steepest
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry

@@ -22,7 +22,7 @@ def check_formats(material: Material) -> None:
     from brdfpipe.spectra.formats import registry
     from brdfpipe.surfaces.reading import FORMATS
 
-    suffixes = {"spectrum": registry.extensions(), "index": index.SUFFIXES}
+    suffixes = {"spectrum": registry.extensions(), "index": tuple(index.READERS)}
     surface_suffixes = {suffix for format in FORMATS.values() for suffix in format.extensions}
     content = material.content
     for part, key, _ in raw_files(content):

@@ -44,38 +44,41 @@ def analytic(
     """
     if distribution not in DISTRIBUTIONS:
         raise FacetError(f"unknown facet distribution {distribution!r}; accepted: {', '.join(DISTRIBUTIONS)}")
-    if (a is None) != (a_x is not None and a_y is not None) or (a is not None and (a_x is not None or a_y is not None)):
+    widths = {name: width for name, width in (("a", a), ("a_x", a_x), ("a_y", a_y)) if width is not None}
+    if set(widths) not in ({"a"}, {"a_x", "a_y"}):
         raise FacetError(f"{distribution} takes either a, or a_x and a_y")
     if not np.isfinite(azimuth):
         raise FacetError(f"the azimuth is {azimuth}; accepted: a finite angle in degree")
-    for name, width in (("a", a), ("a_x", a_x), ("a_y", a_y)):
-        if width is not None and not 1e-6 <= width <= 10:
+    for name, width in widths.items():
+        if not 1e-6 <= width <= 10:
             raise FacetError(f"the width {name} of {distribution} is {width:g}; accepted: 1e-6 to 10")
-    if a is not None:
-        return _isotropic(distribution, a)
-    assert a_x is not None
-    assert a_y is not None
-    return _anisotropic(distribution, a_x, a_y, azimuth)
+    if "a" in widths:
+        return _isotropic(distribution, **widths)
+    return _anisotropic(distribution, **widths, azimuth=azimuth)
 
 
 def flat() -> xr.Dataset:
-    """Facet distribution of a perfectly flat surface: all facets lie level, and no density can say so.
+    """Facet distribution of a perfectly flat surface: all facets are level, which no density can describe.
 
     Returns
     -------
     Dataset of kind ``facets`` with ``slope_rms`` 0, and a density without nodes
     """
-    nothing = np.zeros(0)
+    empty = np.zeros(0)
     facets = xr.Dataset(
         {
-            "slope_density": ("slope", nothing),
-            "D": ("alpha", nothing),
-            "lambda_smith": ("theta", nothing),
+            "slope_density": ("slope", empty),
+            "D": ("alpha", empty),
+            "lambda_smith": ("theta", empty),
             "slope_rms": 0.0,
         },
-        coords={"slope": nothing, "alpha": nothing, "theta": nothing},
+        coords={"slope": empty, "alpha": empty, "theta": empty},
     )
-    facets.attrs |= {"method": "perfectly flat", "band": "none: not measured"}
+    return _labelled(facets, "perfectly flat")
+
+
+def _labelled(facets: xr.Dataset, method: str) -> xr.Dataset:
+    facets.attrs |= {"method": method, "band": "none: not measured"}
     return vocabulary.label(facets, "facets")
 
 
@@ -88,9 +91,7 @@ def _isotropic(distribution: str, a: float) -> xr.Dataset:
         # The tail decides the masking at grazing: 1e7 a leaves out 2e-7 of the mean slope.
         slope = a * np.sinh(np.linspace(0, np.arcsinh(1e7), 1024))
         density, slope_rms = 1 / (np.pi * a**2 * (1 + (slope / a) ** 2) ** 2), np.nan
-    facets = radial_dataset(RadialDensity(slope, density), slope_rms)
-    facets.attrs |= {"method": f"analytic {distribution}, a = {a:g}", "band": "none: not measured"}
-    return vocabulary.label(facets, "facets")
+    return _labelled(radial_dataset(RadialDensity(slope, density), slope_rms), f"analytic {distribution}, a = {a:g}")
 
 
 def _anisotropic(distribution: str, a_x: float, a_y: float, azimuth: float) -> xr.Dataset:
@@ -104,9 +105,5 @@ def _anisotropic(distribution: str, a_x: float, a_y: float, azimuth: float) -> x
         # As for the isotropic one: a grid that ends at 1e6 a leaves out 1e-6 of the mean slope.
         planar = PlanarDensity.elliptic(lambda u: 1 / (np.pi * (1 + u) ** 2), ellipse, 1e6, _PLANAR_NODES)
         slope_rms = np.nan
-    facets = planar_dataset(planar, slope_rms)
-    facets.attrs |= {
-        "method": f"analytic {distribution}, a_x = {a_x:g}, a_y = {a_y:g}, azimuth {azimuth:g}°",
-        "band": "none: not measured",
-    }
-    return vocabulary.label(facets, "facets")
+    method = f"analytic {distribution}, a_x = {a_x:g}, a_y = {a_y:g}, azimuth {azimuth:g}°"
+    return _labelled(planar_dataset(planar, slope_rms), method)

@@ -11,14 +11,19 @@ Patent US 9,395,299 (CRF), steps a3 and b; Heitz 2014 (JCGT 3(2)); Ribardière 2
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
+import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.facets.height_maps import estimate_from_maps
 from brdfpipe.facets.line_profiles import METHODS, estimate_from_lines
-from brdfpipe.facets.scan_consistency import check_consistent
 from brdfpipe.facets.slope_histogram import FacetError
+
+_TOLERANCE = 1.01
+_WELL_SAMPLED = 8.0
+"""Pitches to a cutoff λs from which the filter alone decides: slopes then lose less than 3 % of their rms to the pitch."""
 
 
 def estimate(
@@ -39,7 +44,7 @@ def estimate(
     Returns
     -------
     Dataset of kind ``facets``: radial for an isotropic surface, on a grid of slopes for one with a lay; slopes are about each
-    scan's mean. ``effective_count`` is the number of facets over how many count as one in classes of equal share, on average.
+    scan's mean. ``effective_count`` is the number of independent facets.
     Quantised heights of a map are dithered, which the history states
 
     Raises
@@ -60,7 +65,7 @@ def estimate(
         raise FacetError(
             f"scans of one surface must be all maps or all lines; found {len(scans)} scans of {sorted(dimensions)} dimensions"
         )
-    check_consistent(scans)
+    _check_consistent(scans)
     if dimensions == {1}:
         return estimate_from_lines(scans, method, isotropic)
     facets = estimate_from_maps(scans, isotropic)
@@ -70,4 +75,42 @@ def estimate(
         facets,
         f"surface.method {method} is for line profiles and was ignored: an areal map gives slopes in all directions; "
         "remove `surface.method`",
+    )
+
+
+def _check_consistent(scans: Sequence[xr.Dataset]) -> None:
+    """Refuse scans of different bandwidth (pitch, filters), whose slopes are not comparable.
+
+    A common λs of at least 8 pitches makes up for different pitches.
+    """
+    first = scans[0].attrs
+    pitches = [name for name in ("pitch_x", "pitch_y") if name in first]
+    for number, scan in enumerate(scans[1:], start=2):
+        pair = first, scan.attrs
+        required = _WELL_SAMPLED * max(float(attrs[name]) for attrs in pair for name in pitches)
+        filtered = min(float(attrs.get("lambda_s", 0.0)) for attrs in pair) >= required
+        for name in ("lambda_s", "lambda_c", *([] if filtered else pitches)):
+            values = [float(attrs.get(name, 0.0)) for attrs in pair]
+            if max(values) > _TOLERANCE * min(values):
+                raise FacetError(
+                    f"scans 1 and {number} of the surface have different bandwidths: {name} is "
+                    + " and ".join(f"{value:.4g} um" if value else "not set" for value in values)
+                    + "; accepted: cutoffs and pitches equal within 1 %; measure at one pitch and set one `surface.lambda_s` and "
+                    f"`surface.lambda_c` (with λs of at least {required:.4g} um, pitches may differ)"
+                )
+    for (one, a), (two, b) in combinations(enumerate(scans, start=1), 2):
+        if _identical(a, b):
+            raise FacetError(
+                f"scans {one} and {two} of the surface have identical heights; accepted: "
+                "each scan once; remove one of them from `surface.scans`"
+            )
+
+
+def _identical(a: xr.Dataset, b: xr.Dataset) -> bool:
+    first, second = (np.atleast_2d(scan["height"].values) for scan in (a, b))
+    # One line may be given for two directions. Compared row by row: two maps mostly differ in the first.
+    return (
+        first.shape == second.shape
+        and a.attrs.get("azimuth", 0.0) == b.attrs.get("azimuth", 0.0)
+        and all(np.array_equal(*rows, equal_nan=True) for rows in zip(first, second, strict=True))
     )

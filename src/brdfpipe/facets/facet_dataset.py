@@ -67,26 +67,20 @@ def principal_ellipse(first: float, second: float, azimuth: float) -> Ellipse:
     return Ellipse(min(first, second), max(first, second), round((azimuth + turned + 90) % 180 - 90, 9))
 
 
-def with_noise_warning(facets: xr.Dataset) -> xr.Dataset:
-    """Warn if the slope rms over one pixel is much larger than over two."""
+def noise_warning(facets: xr.Dataset) -> list[str]:
+    """A warning if the slope rms over one pixel is much larger than over two."""
     ratio = float(facets["noise_ratio"])
-    if ratio > 1.2:
-        facets = vocabulary.add_warning(
-            facets,
-            f"the slope rms over one pixel is {ratio:.2f} times that over two: the scan is limited by noise or by its pitch; "
-            "measure with more averaging, or at a finer pitch",
-        )
-    return facets
+    if not ratio > 1.2:
+        return []
+    return [
+        f"the slope rms over one pixel is {ratio:.2f} times that over two: the scan is limited by noise or by its pitch; "
+        "measure with more averaging, or at a finer pitch"
+    ]
 
 
 def quality_flags(measured: NDArray[np.bool_]) -> NDArray[np.int8]:
     """Quality flag of each density value: ``measured`` or ``extrapolated``."""
     return np.where(measured, vocabulary.quality("measured"), vocabulary.quality("extrapolated")).astype(np.int8)
-
-
-def positive(values: Array, floor: float = 1e-290) -> Array:
-    """A density with zeros raised to ``floor`` of its peak, so that its logarithm is finite."""
-    return np.maximum(values, floor * values.max())
 
 
 def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
@@ -111,14 +105,12 @@ def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
     density = RadialDensity(slope, average)
     radial = radial_dataset(RadialDensity(slope, average / density.mass), float(facets["slope_rms"]))
     radial.attrs = {name: facets.attrs[name] for name in ("method", "band")}
-    return vocabulary.label(
-        vocabulary.add_warning(
-            radial,
-            f"the surface has a lay (anisotropy {float(facets['anisotropy']):.2f}, along {float(facets['lay']):.0f}°) and the "
-            "reflection model is isotropic: its density was averaged over azimuth; set `surface.isotropic: true` to confirm",
-        ),
-        "facets",
+    radial = vocabulary.add_warning(
+        radial,
+        f"the surface has a lay (anisotropy {float(facets['anisotropy']):.2f}, along {float(facets['lay']):.0f}°) and the "
+        "reflection model is isotropic: its density was averaged over azimuth; set `surface.isotropic: true` to confirm",
     )
+    return vocabulary.label(radial, "facets")
 
 
 def _ring_means(planar: PlanarDensity, slope: Array) -> Array:

@@ -7,16 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.facets.facet_dataset import planar_dataset, positive, quality_flags, radial_dataset, with_noise_warning
+from brdfpipe.facets.facet_dataset import noise_warning, planar_dataset, quality_flags, radial_dataset
 from brdfpipe.facets.planar_density import Ellipse, PlanarDensity, SlopeAxis
 from brdfpipe.facets.radial_density import RadialDensity
-from brdfpipe.facets.scan_consistency import with_roughness_warning
 from brdfpipe.facets.slope_histogram import (
     MIN_PER_BIN,
     FacetError,
     MergedHistogram,
+    check_slope_rms,
     density_from_histogram,
     histogram,
     histogram_of,
@@ -30,7 +31,6 @@ from brdfpipe.facets.slopes import (
     SCALES,
     HeightMap,
     Moments,
-    SlopeCounts,
     correlation_length,
     count_maps,
     slope_rms_by_scale,
@@ -41,21 +41,21 @@ from brdfpipe.geometry import Array
 LAY_LIMIT = 1.2
 """Anisotropy above which a map that is not declared isotropic has a lay."""
 
-_SLOPE_RMS = (1e-9, 1e9)
-"""Range of the slope rms; outside it the squares of slopes may overflow or underflow in single precision."""
-
-_FACETS_A_HEIGHT = 4
+_FACETS_PER_HEIGHT = 4
 """Triangles per height: there are no more independent facets than heights."""
 
 _COARSE_STEPS = 0.5
 """Slope of one height step, over the slope rms, above which the correction determines the shape of the density."""
+
+_RMS_RATIO_LIMIT = 1.2
+"""Ratio of slope rms between scans that is unlikely to arise by chance."""
 
 _CELLS = 41
 _NODES = 129
 _WINDOWS = 9, 5, 3, 1
 _PRIOR = 20.0
 _MEASURED = 50.0
-"""Independent facets that a measured cell holds at least."""
+"""Smallest number of independent facets of a cell that counts as measured."""
 
 
 def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None) -> xr.Dataset:
@@ -64,11 +64,18 @@ def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None) -> xr
     counts, moments = count_maps(heights)
     scans = zip(heights, moments.tilts, strict=True)
     by_scale = np.mean([slope_rms_by_scale(scan, tilt) for scan, tilt in scans], axis=0)
-    _check_slopes(moments, float(by_scale[0]))
+    # Slopes out of the range of single precision are missing or zero in the counts; the sample has double precision.
+    rms = moments.slope_rms or float(by_scale[0])
+    if rms > 0:
+        check_slope_rms(rms)
+    if not rms > 0 or moments.facets == 0:
+        raise FacetError(
+            "the surface is perfectly flat or has no complete facet; check the height unit and the missing heights"
+        )
     has_lay = not isotropic if isotropic is not None else not moments.anisotropy <= LAY_LIMIT
     facets = _with_lay(heights, moments) if has_lay else _isotropic(counts, moments)
     facets = facets.assign(
-        effective_count=moments.facets / max(redundancy_in_classes(counts.counts), _FACETS_A_HEIGHT),
+        effective_count=moments.facets / max(redundancy_in_classes(counts), _FACETS_PER_HEIGHT),
         anisotropy=moments.anisotropy,
         lay=moments.lay,
         facet_count=float(moments.facets),
@@ -76,32 +83,14 @@ def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None) -> xr
         slope_rms_scale=("scale", by_scale),
         noise_ratio=by_scale[0] / by_scale[1],
     ).assign_coords(scale=SCALES)
-    levelled = all(surface.attrs["levelling"] != "none" for surface in maps)
-    extent = min(
-        pitch * count for scan in heights for pitch, count in zip(scan.pitch, scan.height.shape[::-1], strict=True)
-    )
-    together = "" if len(maps) == 1 else f", {len(maps)} scans"
-    facets.attrs |= {"method": f"four triangles a quad{together}", "band": str(maps[0].attrs["band"])}
-    facets = _with_warnings(facets, moments, isotropic, levelled, extent)
-    facets = with_roughness_warning(_with_quantum(facets, heights, moments), moments.scan_rms)
-    return vocabulary.label(with_noise_warning(facets), "facets")
+    count = "" if len(maps) == 1 else f", {len(maps)} scans"
+    facets.attrs |= {"method": f"four triangles a quad{count}", "band": str(maps[0].attrs["band"])}
+    history, warnings = _remarks(facets, maps, heights, moments, isotropic)
+    facets = vocabulary.add_history(facets, *history) if history else facets
+    return vocabulary.label(vocabulary.add_warning(facets, *warnings), "facets")
 
 
-def _check_slopes(moments: Moments, sampled_rms: float) -> None:
-    # Slopes out of the range of single precision are missing or zero in the counts; the sample has double precision.
-    rms = moments.slope_rms or sampled_rms
-    if rms > 0 and not _SLOPE_RMS[0] < rms < _SLOPE_RMS[1]:
-        raise FacetError(
-            f"impossible slope rms {rms:.2g}; accepted: {_SLOPE_RMS[0]:g} to {_SLOPE_RMS[1]:g}; check the unit of the heights (`surface.unit`) and of the "
-            "pitch (`surface.lateral_unit`)"
-        )
-    if not rms > 0 or moments.facets == 0:
-        raise FacetError(
-            "the surface is perfectly flat or has no complete facet; check the height unit and the missing heights"
-        )
-
-
-def _isotropic(counts: SlopeCounts, moments: Moments) -> xr.Dataset:
+def _isotropic(counts: NDArray[np.int64], moments: Moments) -> xr.Dataset:
     bins = merge_bins(histogram(counts, moments.slope_rms))
     widened = float(np.trace(moments.apparent_covariance - moments.covariance)) / 2
     density, quality, relative_u = density_from_histogram(remove_broadening(bins, widened) if widened else bins)
@@ -135,11 +124,9 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     round_density, _, ring_u = density_from_histogram(bins)
     # Dividing by the widths removes the broadening uniformly, but a sharp peak needs more of it and a tail less.
     share = float(np.sqrt(np.linalg.det(moments.covariance) / np.linalg.det(moments.apparent_covariance)))
-    sharp_density = (
-        round_density
-        if share == 1
-        else density_from_histogram(remove_broadening(bins.over(np.sqrt(share)), 1 / share - 1))[0]
-    )
+    sharp_density = round_density
+    if share != 1:
+        sharp_density = density_from_histogram(remove_broadening(bins.over(np.sqrt(share)), 1 / share - 1))[0]
     reach = float(max(round_density.slope[-1], sharp_density.slope[-1]))
     nodes, cells = (SlopeAxis(1.0, reach, size) for size in (_NODES, _CELLS))
     by_block = _cell_counts(maps, moments.tilts, over_widths, cells)
@@ -148,7 +135,9 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     correction = _correction(counts / redundancy, moments.facets * _cell_shares(round_density, cells) / redundancy)
 
     def corrected(square: Array) -> Array:
-        return positive(sharp_density(square) * np.exp(_refine(np.log(correction), cells, nodes)), 1e-18)
+        values = sharp_density(square) * np.exp(_refine(np.log(correction), cells, nodes))
+        # Without zeros, so that the logarithm is finite.
+        return np.maximum(values, 1e-18 * values.max())
 
     density = PlanarDensity.elliptic(corrected, ellipse, reach, _NODES)
     density = replace(density, density=density.density / density.moments[0])
@@ -220,7 +209,7 @@ def _cell_counts(maps: Sequence[HeightMap], tilts: Array, over_widths: Array, ce
 
 
 def _cell_redundancies(by_block: Array, cells: SlopeAxis) -> Array:
-    """How many facets count as one in a cell, (across, along): that of all cells as far from the middle, taken together."""
+    """Facets per independent facet in a cell (across, along), from all cells at the same distance from the middle."""
     distance = np.hypot(cells.nodes, cells.nodes[:, None])
     ring = np.rint(cells.position(np.minimum(distance, cells.reach))).astype(int)
     redundancy = np.ones(cells.size)
@@ -249,31 +238,9 @@ def _refine(values: Array, cells: SlopeAxis, nodes: SlopeAxis) -> Array:
 def _refine_counts(counts: Array, cells: SlopeAxis, nodes: SlopeAxis) -> Array:
     """Counts of cells shown on the nodes nearest to their middles, none elsewhere: their sum is the number of facets."""
     result = np.zeros((nodes.size, nodes.size))
-    places = np.rint(nodes.position(cells.nodes)).astype(int)
-    np.add.at(result, (places[:, None], places), counts)
+    nearest = np.rint(nodes.position(cells.nodes)).astype(int)
+    np.add.at(result, (nearest[:, None], nearest), counts)
     return result
-
-
-def _with_quantum(facets: xr.Dataset, heights: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
-    """Record quantised heights in the history, and warn about coarse steps."""
-    quantum = max(scan.quantum for scan in heights)
-    if not quantum:
-        return facets
-    rms = np.sqrt(np.diag(moments.covariance))
-    share = max(float(np.max(scan.quantum / np.array(scan.pitch) / rms)) for scan in heights)
-    facets = vocabulary.add_history(
-        facets,
-        f"the heights are quantised in steps of {1000 * quantum:.3g} nm, a slope of up to {share:.2g} times the slope rms along x or y: they "
-        "were dithered, and the mean square slope that rounding and dither add was subtracted",
-    )
-    if share < _COARSE_STEPS:
-        return facets
-    return vocabulary.add_warning(
-        facets,
-        f"coarse height steps: one step, {1000 * quantum:.3g} nm, is a slope of {share:.2g} times the slope rms along x or y, and the shape of "
-        "the slope density is uncertain. Export the heights with more digits, measure at a finer height resolution, or smooth "
-        "them with `surface.lambda_s`",
-    )
 
 
 def _with_few_warning(facets: xr.Dataset, bins: MergedHistogram) -> xr.Dataset:
@@ -286,36 +253,61 @@ def _with_few_warning(facets: xr.Dataset, bins: MergedHistogram) -> xr.Dataset:
     )
 
 
-def _with_warnings(
-    facets: xr.Dataset, moments: Moments, isotropic: bool | None, levelled: bool, extent: float
-) -> xr.Dataset:
+def _remarks(
+    facets: xr.Dataset,
+    maps: Sequence[xr.Dataset],
+    heights: Sequence[HeightMap],
+    moments: Moments,
+    isotropic: bool | None,
+) -> tuple[list[str], list[str]]:
+    """History and warnings of the facets of maps."""
+    history, warnings = [], []
     tilt = float(np.hypot(*moments.tilts.T).max())
     if tilt > 0.1 * moments.slope_rms:
-        facets = vocabulary.add_warning(
-            facets,
-            f"a mean slope of {tilt:.2g}, {tilt / moments.slope_rms:.0%} of the slope rms, remained and was subtracted: "
-            + (
-                "try another `surface.form`, or measure a larger area"
-                if levelled
-                else "level the surface (`surface.form: plane`)"
-            ),
+        levelled = all(surface.attrs["levelling"] != "none" for surface in maps)
+        unlevelled = "level the surface (`surface.form: plane`)"
+        advice = "try another `surface.form`, or measure a larger area" if levelled else unlevelled
+        warnings.append(
+            f"a mean slope of {tilt:.2g}, {tilt / moments.slope_rms:.0%} of the slope rms, remained and was subtracted: {advice}"
         )
-    lengths = extent / float(facets["correlation_length"])
+    extents = (
+        pitch * size for scan in heights for pitch, size in zip(scan.pitch, scan.height.shape[::-1], strict=True)
+    )
+    lengths = min(extents) / float(facets["correlation_length"])
     if lengths < 2 * BLOCKS:
-        facets = vocabulary.add_warning(
-            facets,
+        warnings.append(
             f"the scan is only {lengths:.0f} correlation lengths wide, and the uncertainty from its {BLOCKS} x {BLOCKS} blocks is understated; "
-            f"measure a larger area (at least {2 * BLOCKS} correlation lengths)",
+            f"measure a larger area (at least {2 * BLOCKS} correlation lengths)"
         )
     if np.isnan(lengths):
-        facets = vocabulary.add_warning(
-            facets,
+        warnings.append(
             "unknown correlation length: the heights along x or y stay correlated over half of the scan. Unless the lay runs in "
-            "that direction, measure a larger area, or remove long waves with `surface.lambda_c`",
+            "that direction, measure a larger area, or remove long waves with `surface.lambda_c`"
         )
     if isotropic is True and moments.anisotropy > LAY_LIMIT:
-        facets = vocabulary.add_history(
-            facets,
-            f"declared isotropic: the anisotropy of the scan is {moments.anisotropy:.2f}, and the density was averaged over azimuth",
+        history.append(
+            f"declared isotropic: the anisotropy of the scan is {moments.anisotropy:.2f}, and the density was averaged over azimuth"
         )
-    return facets
+    quantum = max(scan.quantum for scan in heights)
+    if quantum:
+        rms = np.sqrt(np.diag(moments.covariance))
+        share = max(float(np.max(scan.quantum / np.array(scan.pitch) / rms)) for scan in heights)
+        history.append(
+            f"the heights are quantised in steps of {1000 * quantum:.3g} nm, a slope of up to {share:.2g} times the slope rms along x or y: "
+            "they were dithered, and the mean square slope that rounding and dither add was subtracted"
+        )
+        if not share < _COARSE_STEPS:
+            warnings.append(
+                f"coarse height steps: one step, {1000 * quantum:.3g} nm, is a slope of {share:.2g} times the slope rms along x or y, and "
+                "the shape of the slope density is uncertain. Export the heights with more digits, measure at a finer height "
+                "resolution, or smooth them with `surface.lambda_s`"
+            )
+    scan_rms = moments.scan_rms
+    smooth, rough = int(np.argmin(scan_rms)), int(np.argmax(scan_rms))
+    # The scans may show two finishes, or one may be worn or out of focus.
+    if scan_rms[rough] > _RMS_RATIO_LIMIT * scan_rms[smooth]:
+        warnings.append(
+            f"the slope rms differs between scans: {scan_rms[smooth]:.3g} in scan {smooth + 1}, {scan_rms[rough]:.3g} in scan {rough + 1}; "
+            "the facet distribution averages both. Check that they show the same finish, or remove one from `surface.scans`"
+        )
+    return history, [*warnings, *noise_warning(facets)]

@@ -7,6 +7,8 @@ rounding (of heights that vary over many steps), once by the dither. The triangl
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +21,7 @@ _SAMPLED = 2**15
 # Limits of the step over the rms of second differences (rounding alone gives an rms of 0.58 steps).
 _FINEST_STEP, _COARSEST_STEP = 1 / 2048, 2.5
 # Second differences closer than this share of their rms count as equal.
-_ALIKE = 1e-6
+_EQUAL = 1e-6
 
 
 def height_step(height: Array, pitch: tuple[float, float]) -> float:
@@ -45,34 +47,53 @@ def height_step(height: Array, pitch: tuple[float, float]) -> float:
 
 
 def _common_step(values: Array) -> float:
-    """Step of which values are multiples; 0 if there is none.
+    """Step of which values are multiples; 0 if there is none."""
+    rms = float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+    multiples = distinct_multiples(values, rms, _EQUAL, 4.0) if 0 < rms < np.inf else None
+    if multiples is None or multiples.frequency < 1 / _COARSEST_STEP:
+        return 0.0
+    # The peak is accurate enough to count the steps in every value; the counts then give the exact step.
+    steps = np.rint(multiples.values * multiples.frequency)
+    return rms * float((multiples.counts * steps) @ multiples.values) / float((multiples.counts * steps) @ steps)
 
-    It is the inverse of the lowest frequency at which the characteristic function returns towards 1. Unlike a greatest common
-    divisor, this tolerates heights that were rounded a second time when they were printed.
+
+class Multiples(NamedTuple):
+    """Values that are multiples of a step, but for an offset."""
+
+    values: Array
+    """Distinct values over their rms, increasing"""
+    counts: NDArray[np.int64]
+    frequency: float
+    """Inverse of the step over the rms, approximately"""
+
+
+def distinct_multiples(values: Array, rms: float, equal: float, reach: float) -> Multiples | None:
+    """Distinct values and the frequency of their step; None if they are not multiples of a step above 1/2048 of their rms.
+
+    The step is the inverse of the lowest frequency at which the characteristic function returns towards 1. Unlike a greatest
+    common divisor, this tolerates heights that were rounded a second time when they were printed.
+
+    Parameters
+    ----------
+    values : of mean or median zero
+    rms : of the values
+    equal : share of the rms within which values count as equal
+    reach : largest value used, over the rms
     """
     from scipy.fft import rfft
 
-    rms = float(np.sqrt(np.mean(values**2))) if values.size else 0.0
-    if not 0 < rms < np.inf:
-        return 0.0
-    distinct, counts = np.unique(np.rint(values / (_ALIKE * rms)), return_counts=True)
+    distinct, counts = np.unique(np.rint(values / (equal * rms)), return_counts=True)
     if distinct.size > values.size / 2:
-        return 0.0
-    distinct, limit = distinct * _ALIKE, 4.0
-    near = np.abs(distinct) < limit
+        return None
+    distinct = distinct * equal
+    near = np.abs(distinct) < reach
     distinct, counts = distinct[near], counts[near]
-    bins = int(2 * limit / _FINEST_STEP) * 2
-    bin_index = ((distinct + limit) * (bins / (2 * limit))).astype(np.int64)
-    characteristic = np.abs(rfft(np.bincount(bin_index, counts, minlength=bins))) / counts.sum()
-    peaks = (
-        np.flatnonzero((characteristic[1:-1] > characteristic[:-2]) & (characteristic[1:-1] >= characteristic[2:])) + 1
-    )
-    peaks = peaks[characteristic[peaks] > 0.5]
-    if peaks.size == 0 or peaks[0] < 2 * limit / _COARSEST_STEP:
-        return 0.0
-    # The peak is accurate enough to count the steps in every value; the counts then give the exact step.
-    steps = np.rint(distinct * (peaks[0] / (2 * limit)))
-    return rms * float((counts * steps) @ distinct) / float((counts * steps) @ steps)
+    bins = int(2 * reach / _FINEST_STEP) * 2
+    index = ((distinct + reach) * (bins / (2 * reach))).astype(np.int64)
+    characteristic = np.abs(rfft(np.bincount(index, counts, minlength=bins))) / counts.sum()
+    inner = characteristic[1:-1]
+    peaks = np.flatnonzero((inner > characteristic[:-2]) & (inner >= characteristic[2:]) & (inner > 0.5)) + 1
+    return Multiples(distinct, counts, float(peaks[0]) / (2 * reach)) if peaks.size else None
 
 
 def dither(rows: slice, columns: slice) -> Array:

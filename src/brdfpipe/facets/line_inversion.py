@@ -15,14 +15,13 @@ _COMPONENTS = 24
 _NODES = 384
 _RINGS = 64
 
-
 _START_SPREAD = 0.3
 """Spread of the logarithm of the widths at the start of the fit: broad enough for heavy tails, narrow enough for a Gaussian."""
 
 _MIN_GAIN = 0.03
 """Gain of log-likelihood per independent slope below which the iteration stops."""
 
-_ROUNDS, _LONGEST_LEAP = 60, 32.0
+_ROUNDS, _LONGEST_STEP = 60, 32.0
 
 
 class RadialEstimate(NamedTuple):
@@ -124,11 +123,11 @@ def _accelerated_em_step(weights: Array, share: Array, counts: Array) -> Array:
     first = maximised(weights)
     second = maximised(first)
     step = np.log(first / weights)
-    bend = np.log(second / first) - step
+    curvature = np.log(second / first) - step
     # Components of small weight must not determine the length of the extrapolation.
-    length, change = (np.sum((second * rate) ** 2, axis=1, keepdims=True) for rate in (step, bend))
-    leap = np.clip(np.sqrt(length / np.maximum(change, 1e-300)), 1, _LONGEST_LEAP)
-    return maximised(weights * np.exp(np.clip(2 * leap * step + leap**2 * bend, -600, 30)))
+    size, change = (np.sum((second * rate) ** 2, axis=1, keepdims=True) for rate in (step, curvature))
+    length = np.clip(np.sqrt(size / np.maximum(change, 1e-300)), 1, _LONGEST_STEP)
+    return maximised(weights * np.exp(np.clip(2 * length * step + length**2 * curvature, -600, 30)))
 
 
 def estimate_from_mixture(marginal: LineSlopeCounts, fit: Mixture) -> RadialEstimate:
@@ -171,8 +170,8 @@ def estimate_from_rings(marginal: LineSlopeCounts, fit: Mixture) -> RadialEstima
 
     def rings_of(counts: Array, mixture: Array, strength: float) -> Array:
         smoothness = strength * np.diff(np.eye(_RINGS), 2, axis=0) / (area * mixture)
-        aim = np.concatenate([root * counts / counts.sum(), np.zeros(_RINGS - 2)])
-        return np.asarray(nnls(np.concatenate([root[:, None] * share, smoothness]), aim, maxiter=50 * _RINGS)[0])
+        target = np.concatenate([root * counts / counts.sum(), np.zeros(_RINGS - 2)])
+        return np.asarray(nnls(np.concatenate([root[:, None] * share, smoothness]), target, maxiter=50 * _RINGS)[0])
 
     strengths = 10.0 ** np.arange(4.0, -4.5, -0.5)
     misfits = [misfit(counts, size * (share @ rings_of(counts, mixtures[0], trial)), redundancy) for trial in strengths]

@@ -19,11 +19,11 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.facets.facet_dataset import (
+    noise_warning,
     planar_dataset,
     principal_ellipse,
     quality_flags,
     radial_dataset,
-    with_noise_warning,
 )
 from brdfpipe.facets.line_inversion import (
     Mixture,
@@ -45,7 +45,7 @@ MISFIT_LIMIT = 3.0
 """Reduced χ² above which a mixture of Gaussians does not fit the slopes."""
 
 AZIMUTH_TOLERANCE = 1.0
-"""Lines whose azimuths differ by no more run in one direction; two directions are perpendicular to the same [degree]."""
+"""Largest difference of the azimuths of lines in one direction, and of two perpendicular directions from 90 [degree]."""
 
 COARSE_QUANTUM = 0.5
 """Slope of one height step, over the slope rms, above which a warning is given."""
@@ -187,20 +187,20 @@ def _with_statistics(
         slope_rms_scale=("scale", by_scale),
         noise_ratio=by_scale[0] / by_scale[1] if by_scale[1] else np.nan,
     ).assign_coords(scale=SCALES)
+    history, warnings = [], []
     for marginal in marginals:
+        step = f"multiples of up to {marginal.quantum:.3g}, {marginal.quantum / marginal.rms:.0%} of their rms"
         if marginal.quantum:
-            step = f"multiples of up to {marginal.quantum:.3g}, {marginal.quantum / marginal.rms:.0%} of their rms"
-            facets = vocabulary.add_history(
-                facets,
-                f"the heights are quantised: slopes along a line are {step}, and were counted in whole multiples",
+            history.append(
+                f"the heights are quantised: slopes along a line are {step}, and were counted in whole multiples"
             )
         if marginal.quantum > COARSE_QUANTUM * marginal.rms:
-            facets = vocabulary.add_warning(
-                facets,
+            warnings.append(
                 f"coarse height steps: slopes along a line are {step}; the density between these values is inferred. "
-                "Measure with a finer height resolution, or at a larger pitch",
+                "Measure with a finer height resolution, or at a larger pitch"
             )
-    return with_noise_warning(facets)
+    facets = vocabulary.add_history(facets, *history) if history else facets
+    return vocabulary.add_warning(facets, *warnings, *noise_warning(facets))
 
 
 def _slope_rms_by_scale(lines: Sequence[xr.Dataset]) -> Array:
@@ -208,9 +208,9 @@ def _slope_rms_by_scale(lines: Sequence[xr.Dataset]) -> Array:
     squares = np.zeros(SCALES.size)
     for line in lines:
         height, pitch = line["height"].values[: 2**18].astype(float), float(line.attrs["pitch_x"])
-        for place, n in enumerate(SCALES.astype(int)):
+        for index, n in enumerate(SCALES.astype(int)):
             slopes = (height[n:] - height[:-n]) / (n * pitch)
-            squares[place] += mean_square(slopes - np.nanmean(slopes)) / len(lines)
+            squares[index] += mean_square(slopes - np.nanmean(slopes)) / len(lines)
     return np.sqrt(squares)
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe.facets.slope_histogram import FacetError, redundancy_of
-from brdfpipe.facets.slopes import FINE_BINS, SlopeCounts, count_bits
+from brdfpipe.facets.height_quantisation import distinct_multiples
+from brdfpipe.facets.slope_histogram import FacetError, check_slope_rms, redundancy_in_classes
+from brdfpipe.facets.slopes import FINE_BINS, count_bits, fine_edges
 from brdfpipe.geometry import Array
 
 STRETCHES = 32
@@ -21,19 +22,14 @@ MIN_SLOPES = 63
 
 BINS = 128
 
-_SLOPE_RMS = (1e-9, 1e9)
-"""Range of the slope rms; outside it the squares of slopes may overflow or underflow in single precision."""
-
 _CHUNK = 2**15
-_CLASSES = 16
 _BLUR = 32
 
-# Search for a quantum: number of slopes, smallest quantum and largest slope (over the slope rms). Finer quanta are harmless.
+# Search for a quantum: number of slopes, and largest slope over the slope rms.
 _SAMPLED = 2**15
-_FINEST = 1 / 2048
 _REACH = 16.0
 
-_EQUAL_BENDS = 1e-4
+_EQUAL_CURVATURES = 1e-4
 _EQUAL_SLOPES = 3e-5
 """Slopes closer than this share of their rms count as equal; rounding in single precision is smaller."""
 
@@ -77,10 +73,7 @@ class LineSlopeCounts(NamedTuple):
     @property
     def redundancy(self) -> float:
         """Slopes per independent slope, from classes wide enough to hold neighbouring slopes together."""
-        cumulative = np.cumsum(self.counts)
-        classes = np.minimum(cumulative - self.counts / 2, cumulative[-1] - 0.5) * _CLASSES // cumulative[-1]
-        starts = np.flatnonzero(np.diff(classes, prepend=-1))
-        return redundancy_of(np.add.reduceat(self.by_stretch, starts, axis=1))
+        return redundancy_in_classes(self.by_stretch)
 
     @property
     def effective(self) -> float:
@@ -153,11 +146,11 @@ def count_slopes(lines: Sequence[xr.Dataset]) -> LineSlopeCounts:
     profiles.sort(key=lambda profile: profile.quantum)
     quanta = np.array([profile.quantum for profile in profiles])
     begins = np.flatnonzero(quanta[1:] > 1.01 * quanta[:-1]) + 1
-    parts = [_count_alike(profiles[a:b]) for a, b in zip([0, *begins], [*begins, len(profiles)], strict=True)]
-    return parts[0] if len(parts) == 1 else _combined(parts)
+    parts = [_count_one_quantum(profiles[a:b]) for a, b in zip([0, *begins], [*begins, len(profiles)], strict=True)]
+    return parts[0] if len(parts) == 1 else _merged_bins(parts)
 
 
-def _combined(parts: Sequence[LineSlopeCounts]) -> LineSlopeCounts:
+def _merged_bins(parts: Sequence[LineSlopeCounts]) -> LineSlopeCounts:
     sizes = np.array([part.size for part in parts]) / sum(part.size for part in parts)
     bins = np.concatenate([part.bins for part in parts])
     order = np.argsort(bins.sum(axis=1), kind="stable")
@@ -171,7 +164,7 @@ def _combined(parts: Sequence[LineSlopeCounts]) -> LineSlopeCounts:
     )
 
 
-def _count_alike(profiles: Sequence[_Profile]) -> LineSlopeCounts:
+def _count_one_quantum(profiles: Sequence[_Profile]) -> LineSlopeCounts:
     """Count the slopes of lines of one quantum."""
     quantum = float(np.mean([profile.quantum for profile in profiles]))
     blur = _blur(profiles, quantum)
@@ -180,11 +173,11 @@ def _count_alike(profiles: Sequence[_Profile]) -> LineSlopeCounts:
     mean_square = float(counts @ (edges[1:] ** 2 + edges[:-1] ** 2)) / 2 / float(counts.sum())
     # Rounding two heights adds q²/6; half of it is the blur about the edges.
     rms = float(np.sqrt(max(mean_square - float(np.mean(blur**2)) - quantum**2 / 12, mean_square / 4)))
-    wanted = rms * np.sinh(np.linspace(0, np.arcsinh(edges[-1] / rms), BINS + 1))
+    targets = rms * np.sinh(np.linspace(0, np.arcsinh(edges[-1] / rms), BINS + 1))
     if quantum:
-        edges, by_stretch = _count_multiples(profiles, quantum, wanted)
+        edges, by_stretch = _count_multiples(profiles, quantum, targets)
     else:
-        cuts = np.unique(np.concatenate([[0], np.minimum(np.searchsorted(edges, wanted), edges.size - 1)]))
+        cuts = np.unique(np.concatenate([[0], np.minimum(np.searchsorted(edges, targets), edges.size - 1)]))
         edges, by_stretch = edges[cuts], np.add.reduceat(fine, cuts[:-1], axis=1).astype(float)
     bins = np.column_stack([edges[:-1], edges[1:]])
     return LineSlopeCounts(bins, by_stretch, np.ones(len(bins)), np.tile(blur, (len(bins), 1)), rms, quantum)
@@ -194,10 +187,12 @@ def _blur(profiles: Sequence[_Profile], quantum: float) -> Array:
     """Distances from an edge at which slopes are rounded across it: half a quantum either way, plus the remainder of their mean."""
     if not quantum:
         return np.zeros(1)
-    places = [np.linspace(0, profile.size - 1, 64).astype(int) for profile in profiles]
-    rests = np.concatenate([p.mean - p.shift(p.places(at), quantum) for p, at in zip(profiles, places, strict=True)])
+    numbers = [np.linspace(0, profile.size - 1, 64).astype(int) for profile in profiles]
+    remainders = np.concatenate(
+        [p.mean - p.shift(p.positions(some), quantum) for p, some in zip(profiles, numbers, strict=True)]
+    )
     within = quantum * ((np.arange(_BLUR) + 0.5) / _BLUR - 0.5)
-    blur = (np.concatenate([rests, -rests])[:, None] + within).ravel()
+    blur = (np.concatenate([remainders, -remainders])[:, None] + within).ravel()
     return np.asarray(np.quantile(blur, (np.arange(_BLUR) + 0.5) / _BLUR))
 
 
@@ -208,12 +203,12 @@ def _fine_counts(profiles: Sequence[_Profile], quantum: float) -> tuple[Array, N
         for stretch, slopes in _stretches(profiles, quantum):
             fine[stretch] += count_bits(np.square(slopes, dtype=np.float32, casting="same_kind"))
     used = int(np.flatnonzero(fine.any(axis=0))[-1]) + 1
-    return SlopeCounts(fine).edges[: used + 1], fine[:, :used]
+    return fine_edges()[: used + 1], fine[:, :used]
 
 
-def _count_multiples(profiles: Sequence[_Profile], quantum: float, wanted: Array) -> tuple[Array, Array]:
-    """Edges of bins of whole multiples of the quantum, about as wide as wanted, and counts in them (stretches, bins)."""
-    cuts = np.unique(np.concatenate([[0, 1], np.rint(wanted / quantum + 0.5).astype(np.int64)]))
+def _count_multiples(profiles: Sequence[_Profile], quantum: float, targets: Array) -> tuple[Array, Array]:
+    """Edges of bins of whole multiples of the quantum, about those of the targets, and counts in them (stretches, bins)."""
+    cuts = np.unique(np.concatenate([[0, 1], np.rint(targets / quantum + 0.5).astype(np.int64)]))
     by_stretch = np.zeros((STRETCHES, cuts.size - 1))
     for stretch, slopes in _stretches(profiles, quantum):
         multiples = np.rint(np.abs(slopes[np.isfinite(slopes)]) / quantum).astype(np.int64)
@@ -236,18 +231,18 @@ class _Profile(NamedTuple):
     quantum: float
     offset: float
     """A value that the first slope may take, modulo the quantum; 0 without a quantum."""
-    bend: float
+    growth: float
     """Growth of the offset from slope to slope, caused by a parabola subtracted from quantised heights."""
 
-    def places(self, numbers: NDArray[np.intp]) -> NDArray[np.intp]:
+    def positions(self, numbers: NDArray[np.intp]) -> NDArray[np.intp]:
         """Positions in the line of slopes given by number."""
         return numbers if self.present is None else self.present[numbers]
 
-    def shift(self, places: NDArray[np.intp], quantum: float) -> Array | float:
+    def shift(self, positions: NDArray[np.intp], quantum: float) -> Array | float:
         """What to subtract from slopes: their mean; of quantised ones, the possible value nearest to it."""
         if not quantum:
             return self.mean
-        lattice = self.offset + self.bend * places
+        lattice = self.offset + self.growth * positions
         # Whole multiples are removed, so that lines of different tilt share them; the remainder of each mean adds to the blur.
         return np.asarray(lattice + quantum * np.rint((self.mean - lattice) / quantum))
 
@@ -269,8 +264,8 @@ def _profile(line: xr.Dataset) -> _Profile:
     profile = _Profile(rises, present, pitch, size, total / (size * pitch), 0.0, 0.0, 0.0)
     sample = sample / pitch - profile.mean
     _check_slopes(sample, profile.mean)
-    quantum, offset, bend = _lattice(sample, profile.places(np.arange(sample.size)))
-    return profile._replace(quantum=quantum, offset=profile.mean + offset, bend=bend)
+    quantum, offset, growth = _lattice(sample, profile.positions(np.arange(sample.size)))
+    return profile._replace(quantum=quantum, offset=profile.mean + offset, growth=growth)
 
 
 def _check_slopes(slopes: Array, mean: float) -> None:
@@ -279,11 +274,7 @@ def _check_slopes(slopes: Array, mean: float) -> None:
     if largest <= 1e-12 * abs(mean):
         raise FacetError("a line profile is flat: all its slopes are equal; check the heights (`surface.file`)")
     rms = largest * float(np.sqrt(np.mean((slopes / largest) ** 2)))
-    if not _SLOPE_RMS[0] < rms < _SLOPE_RMS[1]:
-        raise FacetError(
-            f"impossible slope rms {rms:.2g} of a line profile; accepted: {_SLOPE_RMS[0]:g} to {_SLOPE_RMS[1]:g}; check the unit of the heights "
-            "(`surface.unit`) and of the pitch (`surface.lateral_unit`)"
-        )
+    check_slope_rms(rms, " of a line profile")
 
 
 def _stretches(profiles: Sequence[_Profile], quantum: float) -> Iterator[tuple[int, Array]]:
@@ -293,7 +284,7 @@ def _stretches(profiles: Sequence[_Profile], quantum: float) -> Iterator[tuple[i
     for profile in profiles:
         end = begin + profile.size
         first = max(0, int(np.searchsorted(borders, begin, side="right")) - 1)
-        steady = not quantum or abs(profile.bend) * profile.size < 0.01 * quantum
+        steady = not quantum or abs(profile.growth) * profile.size < 0.01 * quantum
         shift = profile.shift(np.arange(1), quantum)
         for stretch in range(first, STRETCHES):
             low, high = max(borders[stretch], begin) - begin, min(borders[stretch + 1], end) - begin
@@ -305,45 +296,30 @@ def _stretches(profiles: Sequence[_Profile], quantum: float) -> Iterator[tuple[i
                     part *= 1 / profile.pitch
                 else:
                     np.divide(profile.rises[start:stop], profile.pitch, out=part)
-                part -= shift if steady else profile.shift(profile.places(np.arange(start, stop)), quantum)
+                part -= shift if steady else profile.shift(profile.positions(np.arange(start, stop)), quantum)
                 yield stretch, part
         begin = end
 
 
-def _lattice(slopes: Array, places: NDArray[np.intp]) -> tuple[float, float, float]:
+def _lattice(slopes: Array, positions: NDArray[np.intp]) -> tuple[float, float, float]:
     """Quantum of slopes, a value they take, and its growth along the line; zeros if the slopes are not quantised.
 
     Subtracting a parabola makes the possible values grow along the line. The second differences are then that growth plus whole
     quanta; the smallest of them is the growth, which is less than half a quantum.
-
-    The quantum is the inverse of the lowest frequency at which the characteristic function returns towards 1. Unlike a greatest
-    common divisor, this tolerates heights that were rounded a second time when they were printed.
     """
-    from scipy.fft import rfft
-
-    bends = np.diff(slopes)[np.diff(places) == 1]
-    bend = float(bends[np.argmin(np.abs(bends))]) if bends.size else 0.0
-    bend = float(np.mean(bends[np.abs(bends - bend) <= _EQUAL_BENDS * np.abs(bends).max()])) if bends.size else 0.0
-    slopes = slopes - bend * places
+    curvatures, growth = np.diff(slopes)[np.diff(positions) == 1], 0.0
+    if curvatures.size:
+        smallest, largest = curvatures[np.argmin(np.abs(curvatures))], np.abs(curvatures).max()
+        growth = float(np.mean(curvatures[np.abs(curvatures - smallest) <= _EQUAL_CURVATURES * largest]))
+    slopes = slopes - growth * positions
     rms = float(slopes.std())
     centre = float(np.median(slopes))
     slopes = slopes - centre
-    if rms == 0:
+    multiples = distinct_multiples(slopes, rms, _EQUAL_SLOPES, _REACH) if rms else None
+    if multiples is None:
         return 0.0, 0.0, 0.0
-    values, counts = np.unique(np.rint(slopes / (_EQUAL_SLOPES * rms)), return_counts=True)
-    if values.size > slopes.size / 2:
-        return 0.0, 0.0, 0.0
-    values = values * _EQUAL_SLOPES
-    near = np.abs(values) < _REACH
-    values, counts = values[near], counts[near]
-    bins = int(2 * _REACH / _FINEST) * 2
-    place = ((values + _REACH) * (bins / (2 * _REACH))).astype(np.int64)
-    returned = np.abs(rfft(np.bincount(place, counts, minlength=bins))) / counts.sum()
-    peaks = np.flatnonzero((returned[1:-1] > returned[:-2]) & (returned[1:-1] >= returned[2:])) + 1
-    peaks = peaks[returned[peaks] > 0.5]
-    if peaks.size == 0:
-        return 0.0, 0.0, 0.0
-    quantum, offset = 2 * _REACH / float(peaks[0]), 0.0
+    values, counts, frequency = multiples
+    quantum, offset = 1 / frequency, 0.0
     # The peak gives the quantum within a few per cent, enough to count the steps between values; the counts then give it exactly.
     for _ in range(2):
         steps = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(values) / quantum))])
@@ -355,4 +331,4 @@ def _lattice(slopes: Array, places: NDArray[np.intp]) -> tuple[float, float, flo
     others = np.where(counts < counts.max(), counts, 0)
     if abs(others @ np.exp(2j * np.pi * values / quantum)) < 0.5 * others.sum():
         return 0.0, 0.0, 0.0
-    return quantum * rms, centre + offset * rms, bend
+    return quantum * rms, centre + offset * rms, growth

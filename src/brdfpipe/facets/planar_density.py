@@ -1,9 +1,7 @@
 """The slope density P22 of a surface with a lay, as a function, and its masking in every azimuth.
 
-Slopes are given along the lay, where they are small, and across it: the axes in which their covariance is diagonal. Divided by
-its two widths (:class:`Ellipse`), a density of any anisotropy is nearly round; all computations use these scaled slopes.
-
-The isotropic counterpart is :mod:`brdfpipe.facets.radial_density`.
+Slopes are given along the lay, where they are small, and across it. Divided by the two widths (:class:`Ellipse`), a density of
+any anisotropy is nearly round; all computations use these scaled slopes.
 """
 
 from __future__ import annotations
@@ -51,7 +49,7 @@ class SlopeAxis:
 
     @classmethod
     def of(cls, coordinate: xr.DataArray) -> SlopeAxis:
-        """The axis that a dataset's coordinate carries, with its ``scale`` as attribute."""
+        """The axis of a dataset's coordinate, whose attribute ``scale`` it needs."""
         return cls(float(coordinate.attrs["scale"]), float(coordinate.values[-1]), coordinate.size)
 
     def rule(self, panels: int, order: int) -> tuple[Array, Array]:
@@ -125,7 +123,7 @@ class PlanarDensity:
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> PlanarDensity:
-        """The density that a dataset with a lay carries.
+        """The density of a dataset with a lay.
 
         Raises
         ------
@@ -164,8 +162,8 @@ class PlanarDensity:
         from scipy.ndimage import map_coordinates
 
         row, column = np.broadcast_arrays(self.across.position(across), self.along.position(along))
-        places = np.stack([row.ravel(), column.ravel()])
-        values = map_coordinates(self._coefficients, places, order=3, prefilter=False, cval=-np.inf)
+        position = np.stack([row.ravel(), column.ravel()])
+        values = map_coordinates(self._coefficients, position, order=3, prefilter=False, cval=-np.inf)
         return np.exp(values).reshape(row.shape)
 
     @cached_property
@@ -219,7 +217,7 @@ class PlanarDensity:
 def smith_lambda(density: PlanarDensity) -> xr.DataArray:
     """Λ(θ, φ) of a planar density: the mean excess slope of every azimuth's marginal, over cot θ.
 
-    Azimuths are spaced evenly about the ellipse drawn round, so that the narrow sector along the lay has its share of them.
+    Azimuths are evenly spaced in the turn ω of the scaled slopes, which resolves the narrow sector along the lay.
     """
     ellipse = density.ellipse
     phi = ellipse.azimuths(_TURNS)

@@ -40,7 +40,7 @@ class RadialDensity:
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> RadialDensity:
-        """The density that a ``facets`` or microfacet ``bsdf`` dataset carries."""
+        """The density of a ``facets`` or microfacet ``bsdf`` dataset."""
         return cls(dataset["slope"].values.astype(float), dataset["slope_density"].values.astype(float))
 
     def __call__(self, slope_squared: ArrayLike) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.radial_density import RadialDensity
-from brdfpipe.facets.slopes import FINE_BINS, SlopeCounts, count_bits
+from brdfpipe.facets.slopes import FINE_BINS, count_bits, fine_edges
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 
@@ -22,17 +22,32 @@ _MIN_BINS = 6
 _MIN_FACETS_PER_BLOCK = 1000
 _CLASSES = 16
 _SMALL_MAP_FACTOR = 1.3
-"""Factor of the relative uncertainty of densities whose bins hold few independent facets."""
+"""Factor of the relative uncertainty of densities whose bins have few independent facets."""
 
 MIN_PER_BIN, MIN_PER_BIN_OF_SMALL_MAPS = 100, 25
-"""Independent facets that every bin holds at least; the second on maps that are too small for the first."""
+"""Smallest number of independent facets in a bin; the second on maps that are too small for the first."""
 
 
 class FacetError(BrdfpipeError):
     """A surface does not yield a facet distribution."""
 
 
+_SLOPE_RMS = (1e-9, 1e9)
+"""Range of the slope rms; outside it the squares of slopes may overflow or underflow in single precision."""
+
+
+def check_slope_rms(rms: float, of: str = "") -> None:
+    """Refuse an impossible slope rms; ``of`` says of what, for the message."""
+    if not _SLOPE_RMS[0] < rms < _SLOPE_RMS[1]:
+        raise FacetError(
+            f"impossible slope rms {rms:.2g}{of}; accepted: {_SLOPE_RMS[0]:g} to {_SLOPE_RMS[1]:g}; check the unit of the heights "
+            "(`surface.unit`) and of the pitch (`surface.lateral_unit`)"
+        )
+
+
 class Histogram(NamedTuple):
+    """Facets by the magnitude of their slope."""
+
     edges: Array
     """(bins + 1,) slopes, from 0 to the steepest."""
     counts: Array
@@ -42,6 +57,8 @@ class Histogram(NamedTuple):
 
 
 class MergedHistogram(NamedTuple):
+    """Facets in bins that hold enough independent ones each, and in the tail beyond."""
+
     edges: Array
     """(bins + 1,) slopes, from 0."""
     counts: Array
@@ -67,16 +84,16 @@ class MergedHistogram(NamedTuple):
         return np.pad(self.totals, (1, nodes))[:nodes]
 
 
-def histogram(slopes: SlopeCounts, scale: float, bins: int = _COARSE_BINS) -> Histogram:
-    """Counts in at most ``bins`` bins that widen beyond twice ``scale``, a typical slope, from the fine ones."""
-    occupied = np.flatnonzero(slopes.counts.any(axis=0))
+def histogram(fine_counts: NDArray[np.int64], scale: float) -> Histogram:
+    """Counts in at most 112 bins that widen beyond twice ``scale``, a typical slope, from (blocks, fine bins)."""
+    occupied = np.flatnonzero(fine_counts.any(axis=0))
     if occupied.size == 0:
         raise FacetError(
             "the surface has no complete facet: every triangle touches a missing height; measure again with fewer missing heights"
         )
     size = int(occupied[-1]) + 1
-    fine, fine_counts = slopes.edges[: size + 1], slopes.counts[:, :size]
-    targets = 2 * scale * np.sinh(np.linspace(0, np.arcsinh(fine[-1] / (2 * scale)), bins + 1))
+    fine, fine_counts = fine_edges()[: size + 1], fine_counts[:, :size]
+    targets = 2 * scale * np.sinh(np.linspace(0, np.arcsinh(fine[-1] / (2 * scale)), _COARSE_BINS + 1))
     cuts = np.unique(np.concatenate([[0, size], np.clip(np.searchsorted(fine, targets), 0, size)]))
     middles = np.sqrt((fine[1:] ** 2 + fine[:-1] ** 2) / 2)
     return Histogram(
@@ -91,11 +108,11 @@ def histogram_of(squares: Iterable[tuple[int, Array]], scale: float, blocks: int
     counts = np.zeros((blocks, FINE_BINS), dtype=np.int64)
     for block, square in squares:
         counts[block] += count_bits(square.astype(np.float32))
-    return histogram(SlopeCounts(counts), scale)
+    return histogram(counts, scale)
 
 
 def redundancy_of(counts: Array, bins: NDArray[np.bool_] | slice = slice(None)) -> float:
-    """How many facets count as one independent facet in some ``bins`` of (blocks, bins) counts, taken together; at least 1.
+    """Facets per independent facet in some ``bins`` of (blocks, bins) counts, taken together; at least 1.
 
     Neighbouring facets share heights and belong to the same grain, so n facets scatter like n / redundancy. The blocks also
     see what a correlation length does not: a map that is not the same everywhere.
@@ -104,7 +121,7 @@ def redundancy_of(counts: Array, bins: NDArray[np.bool_] | slice = slice(None)) 
 
 
 def redundancy_in_classes(counts: Array | NDArray[np.int64]) -> float:
-    """How many facets count as one in 16 classes of as many facets each: wide enough for neighbours to share them.
+    """Facets per independent facet in 16 classes of equal share, wide enough to hold neighbouring facets together.
 
     Parameters
     ----------
@@ -129,14 +146,13 @@ def _deviations(counts: Array) -> Array:
 
 
 def merge_bins(histogram: Histogram) -> MergedHistogram:
-    """Bins of at least a hundred independent facets each, or 25 if no six such bins are there; beyond the last is the tail.
+    """Bins of at least 100 independent facets each, or 25 if that gives fewer than six bins; the tail is beyond the last.
 
-    A small map needs 100: its blocks are as narrow as its grains, and their variance understates the uncertainty.
+    Bins of a small map need 100: its blocks are as narrow as its grains, and their variance understates the uncertainty.
     """
     blocks, facets = histogram.counts.shape[0], float(histogram.counts.sum())
-    for least in (
-        (MIN_PER_BIN, MIN_PER_BIN_OF_SMALL_MAPS) if facets >= _MIN_FACETS_PER_BLOCK * blocks else (MIN_PER_BIN,)
-    ):
+    small = facets < _MIN_FACETS_PER_BLOCK * blocks
+    for least in (MIN_PER_BIN,) if small else (MIN_PER_BIN, MIN_PER_BIN_OF_SMALL_MAPS):
         cuts = _cut_positions(histogram, least)
         if len(cuts) > _MIN_BINS:
             break
@@ -218,15 +234,14 @@ def density_from_histogram(binned: MergedHistogram) -> tuple[RadialDensity, NDAr
     def with_ends(log_density: Array) -> Array:
         return _with_ends(body, log_density, tail_density)
 
-    def masses(log_density: Array) -> Array:
-        density = RadialDensity(slope, np.concatenate([np.exp(with_ends(log_density)), tail_density[1:]]))
-        return 2 * np.pi * s * density(s**2) * ds
+    def tabulated(log_density: Array) -> RadialDensity:
+        return RadialDensity(slope, np.concatenate([np.exp(with_ends(log_density)), tail_density[1:]]))
 
     # A bin's mean is not the density at its middle: move each node until the interpolant holds the bin's share.
     for _ in range(12):
-        mass = masses(log_density)
+        mass = 2 * np.pi * s * tabulated(log_density)(s**2) * ds
         log_density = log_density + np.log(share / np.bincount(owner, mass, minlength=share.size))
-    density = RadialDensity(slope, np.concatenate([np.exp(with_ends(log_density)), tail_density[1:]]))
+    density = tabulated(log_density)
     # Derivatives of the nodes, and of the shares, with respect to the middles; linear interpolation is accurate enough here.
     step = 1e-6
     jacobian = (
@@ -234,7 +249,9 @@ def density_from_histogram(binned: MergedHistogram) -> tuple[RadialDensity, NDAr
     )
     shares = [np.bincount(owner, mass * np.interp(s**2, body, column), minlength=share.size) for column in jacobian]
     relative_u = _relative_uncertainty(binned, jacobian.T @ np.linalg.inv(np.stack(shares, axis=1) / share[:, None]))
-    relative_u = _along_tail(relative_u, tail_slope)
+    # The relative uncertainty of L in exp(−(s − start)/L) is that of the share of the facets in the tail.
+    lengths = (tail_slope[1:] - tail_slope[0]) / (tail_slope[-1] - tail_slope[0]) * _TAIL_LENGTHS
+    relative_u = np.minimum(np.concatenate([relative_u, relative_u[-1] * np.hypot(1, lengths)]), 1.0)
     quality = np.full(slope.size, vocabulary.quality("measured"))
     quality[share.size + 1 :] = vocabulary.quality("extrapolated")
     return RadialDensity(slope, density.density / density.mass), quality, relative_u
@@ -286,15 +303,6 @@ def _relative_uncertainty(binned: MergedHistogram, jacobian: Array) -> Array:
         1.0 if binned.least == MIN_PER_BIN else _SMALL_MAP_FACTOR
     )
     return np.minimum(relative_u, 1.0)
-
-
-def _along_tail(relative_u: Array, tail_slope: Array) -> Array:
-    """Continue the uncertainty from the tail's first node to its others, at most 1.
-
-    The relative uncertainty of L in exp(−(s − start)/L) is that of the share of the facets in the tail.
-    """
-    lengths = (tail_slope[1:] - tail_slope[0]) / (tail_slope[-1] - tail_slope[0]) * _TAIL_LENGTHS
-    return np.minimum(np.concatenate([relative_u, relative_u[-1] * np.hypot(1, lengths)]), 1.0)
 
 
 def _with_ends(u: Array, log_density: Array, tail_density: Array) -> Array:

@@ -75,21 +75,15 @@ class Moments(NamedTuple):
         return float((np.degrees(np.arctan2(y, x)) + 90) % 180 - 90)
 
 
-class SlopeCounts(NamedTuple):
-    """Counts of squared slopes by block, in bins of 1/128 octave: the upper 16 bits of a 32-bit float."""
-
-    counts: NDArray[np.int64]
-    """(blocks, bins)"""
-
-    @property
-    def edges(self) -> Array:
-        """(bins + 1,) slopes that bound the bins."""
-        bits = np.arange(FINE_BINS + 1, dtype=np.uint32) << 16
-        return np.sqrt(bits.view(np.float32).astype(float))
-
-
 FINE_BINS = 0x7F80
-"""Upper 16 bits of infinity: smaller ones belong to finite numbers, larger ones to NaN."""
+"""Bins of squared slopes, of 1/128 octave: the upper 16 bits of a 32-bit float. Those of infinity; NaN has larger ones."""
+
+
+def fine_edges() -> Array:
+    """(FINE_BINS + 1,) slopes that bound the fine bins of squared slopes."""
+    bits = np.arange(FINE_BINS + 1, dtype=np.uint32) << 16
+    return np.sqrt(bits.view(np.float32).astype(float))
+
 
 _BLOCK_POINTS = 2**16
 
@@ -164,18 +158,13 @@ def triangle_slopes(maps: Sequence[HeightMap], tilts: Array) -> Iterator[tuple[i
     A triangle that touches a missing height is left out. Yields the number of the block, p and q.
     """
     for block, part, pitch in _blocks(maps):
-        along_x, along_y = _edge_slopes(part, pitch, tilts[block // BLOCKS**2])
-        whole = bool(np.isfinite(along_x).all() and np.isfinite(along_y).all())
-        for p, q in _triangles(along_x, along_y):
-            if whole:
-                yield block, p.ravel(), q.ravel()
-            else:
-                complete = np.isfinite(p) & np.isfinite(q)
-                yield block, p[complete], q[complete]
+        for p, q in _triangles(*_edge_slopes(part, pitch, tilts[block // BLOCKS**2])):
+            complete = np.isfinite(p) & np.isfinite(q)
+            yield block, p[complete], q[complete]
 
 
-def count_maps(maps: Sequence[HeightMap]) -> tuple[SlopeCounts, Moments]:
-    """Counts of the squared slopes of every triangle of one or several scans, and the moments of the slopes.
+def count_maps(maps: Sequence[HeightMap]) -> tuple[NDArray[np.int64], Moments]:
+    """Counts (blocks, fine bins) of the squared slopes of every triangle of one or several scans, and the moments of the slopes.
 
     Slopes are about each scan's own mean. The border of a map without gaps gives the mean, so that one pass suffices; otherwise
     a second pass counts about the mean of the first.
@@ -186,7 +175,7 @@ def count_maps(maps: Sequence[HeightMap]) -> tuple[SlopeCounts, Moments]:
     return _count_about(moments.tilts, maps) if residual_tilt > _TILT_LEFT * moments.slope_rms else (counts, moments)
 
 
-def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[SlopeCounts, Moments]:
+def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[NDArray[np.int64], Moments]:
     """Counts about given mean slopes, and moments about the exact ones.
 
     Squares are binned by the bits of a 32-bit float, in bins of 0.5 %: no logarithm, no search. A triangle that touches a missing
@@ -210,7 +199,7 @@ def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[SlopeCounts, 
             products[scan] += second
         mean = total / np.maximum(facets, 1)
         products -= facets * np.column_stack([mean**2, mean.prod(axis=1)])
-    return SlopeCounts(counts), _moments(maps, facets, tilts + mean, products)
+    return counts, _moments(maps, facets, tilts + mean, products)
 
 
 def _moments(maps: Sequence[HeightMap], facets: Array, tilts: Array, products: Array) -> Moments:

@@ -1,7 +1,7 @@
+from .fitting import Fit as Fit
+from .fitting import fit as fit
+from .fitting import leave_one_out as leave_one_out
 from .forms import FORMS as FORMS
-from .forms import Fit as Fit
-from .forms import fit as fit
-from .forms import leave_one_out as leave_one_out
 from .geometries import SETS as SETS
 from .geometries import directions as directions
 from .reading import ingest as ingest

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -82,12 +82,12 @@ def raycast(surface: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0, *, line
     vocabulary.validate(surface, "surface")
     polar, azimuth = _axis("theta", theta, 0, THETA_MAX), _axis("phi", phi, -720, 720)
     sums = [_sums(_AzimuthLines.of(surface, direction), polar, lines) for direction in azimuth]
-    g1, g1_u = np.stack([_ratio(area.visible, area.facing) for area in sums], axis=-1)
+    g1, g1_u = np.stack([_ratio(visible, facing) for visible, facing, _ in sums], axis=-1)
     result = xr.Dataset(
         {
             "g1": (("theta", "phi"), g1),
             "g1_u": (("theta", "phi"), g1_u),
-            "lambda_empirical": (("theta", "phi"), np.stack([area.smith_lambda for area in sums], axis=-1)),
+            "lambda_empirical": (("theta", "phi"), np.stack([smith_lambda for *_, smith_lambda in sums], axis=-1)),
         },
         coords={"theta": polar, "phi": azimuth},
         attrs={"method": "ray cast"},
@@ -234,16 +234,8 @@ def _with_difference_warning(comparison: xr.Dataset) -> xr.Dataset:
 # --- sums over lines
 
 
-class _AreaSums(NamedTuple):
-    visible: Array
-    """(theta, group) visible projected area."""
-    facing: Array
-    """(theta, group) projected area of the facets that face the direction."""
-    smith_lambda: Array
-    """(theta,) Λ from the slopes of the lines."""
-
-
-def _sums(azimuth_lines: _AzimuthLines, theta: Array, lines: int | None) -> _AreaSums:
+def _sums(azimuth_lines: _AzimuthLines, theta: Array, lines: int | None) -> tuple[Array, Array, Array]:
+    """Visible and facing projected area (theta, group), and Λ (theta,) from the slopes of the lines."""
     visible, facing = np.zeros((2, theta.size, _GROUPS))
     excess, segments = np.zeros(theta.size), 0
     for block in azimuth_lines.blocks(lines):
@@ -253,7 +245,7 @@ def _sums(azimuth_lines: _AzimuthLines, theta: Array, lines: int | None) -> _Are
             visible[row] += block.by_group(visible_area)
             facing[row] += block.by_group(facing_area)
             excess[row] += block.excess(angle)
-    return _AreaSums(visible, facing, excess / (segments * np.cos(np.radians(theta))))
+    return visible, facing, excess / (segments * np.cos(np.radians(theta)))
 
 
 def _ratio(part: Array, whole: Array) -> tuple[Array, Array]:
@@ -306,9 +298,7 @@ def _out_of_plane(
 ) -> Array:
     """As :func:`_in_plane`, for two directions of any azimuth, on the cells of the map."""
     lines_i, lines_o = _AzimuthLines.of(surface, phi_i), _AzimuthLines.of(surface, phi_o)
-    lambda_i, lambda_o = (
-        _sums(side, theta, lines).smith_lambda for side, theta in ((lines_i, theta_i), (lines_o, theta_o))
-    )
+    lambda_i, lambda_o = _sums(lines_i, theta_i, lines)[2], _sums(lines_o, theta_o, lines)[2]
     towards_i, towards_o = _cell_slope(surface, phi_i), _cell_slope(surface, phi_o)
     group = np.arange(towards_i.shape[0]) * _GROUPS // towards_i.shape[0]
     both, facing = np.zeros((2, theta_i.size, _GROUPS))
@@ -317,8 +307,8 @@ def _out_of_plane(
         counted = np.isfinite(visible_share)
         for towards, angle in ((towards_i, incidence), (towards_o, outgoing)):
             counted &= towards * np.sin(np.radians(angle)) < np.cos(np.radians(angle))
-        both[row] = _by_index(group, np.where(counted, visible_share, 0.0).sum(axis=1), _GROUPS)
-        facing[row] = _by_index(group, counted.sum(axis=1).astype(float), _GROUPS)
+        both[row] = _group_sums(group, np.where(counted, visible_share, 0.0).sum(axis=1))
+        facing[row] = _group_sums(group, counted.sum(axis=1).astype(float))
     return np.stack([*_ratio(both, facing), *_smith_pair(lambda_i, lambda_o)])
 
 
@@ -382,21 +372,20 @@ class _AzimuthLines:
 
     def blocks(self, most: int | None) -> Iterator[_Block]:
         """The lines, or evenly spaced ones, as pieces without gaps, a bounded number of samples at a time."""
-        count = self.lines
-        chosen = (
-            np.arange(count) if most is None else np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))
-        )
+        most = self.lines if most is None else min(most, self.lines)
+        chosen = np.unique(np.linspace(0, self.lines - 1, most).astype(int))
         at_once = max(1, _BLOCK_SAMPLES // self.height.shape[1])
-        empty = True
-        for begin in range(0, chosen.size, at_once):
-            for block in self._pieces(chosen[begin : begin + at_once]):
-                empty = False
-                yield block
-        if empty:
+        blocks = (
+            block for begin in range(0, chosen.size, at_once) for block in self._pieces(chosen[begin : begin + at_once])
+        )
+        first = next(blocks, None)
+        if first is None:
             raise RaycastError(
                 f"no line has {LEAST_POINTS} heights without a gap; "
                 "measure a larger area, or one with fewer missing heights"
             )
+        yield first
+        yield from blocks
 
     def _heights(self, lines: NDArray[np.intp]) -> Array:
         """(n, columns) along the lines; NaN where a line is off the map."""
@@ -512,17 +501,16 @@ class _Block:
 
     def by_group(self, values: Array) -> Array:
         """(group,) sums of a value of every segment."""
-        if self.few:
-            return _by_index(self.group, values, _GROUPS)
-        return _by_index(self.group[:, 0], values.sum(axis=1), _GROUPS)
+        return _group_sums(self.group, values) if self.few else _group_sums(self.group[:, 0], values.sum(axis=1))
 
     def reversed(self) -> _Block:
         """The same pieces, in reverse direction."""
         return _Block(_backwards(self.height, self.length), self.length, self.step, self.start, self.samples, self.few)
 
 
-def _by_index(index: NDArray[np.intp], values: Array, size: int) -> Array:
-    return np.bincount(np.broadcast_to(index, values.shape).ravel(), values.ravel(), minlength=size).astype(float)
+def _group_sums(group: NDArray[np.intp], values: Array) -> Array:
+    group = np.broadcast_to(group, values.shape)
+    return np.bincount(group.ravel(), values.ravel(), minlength=_GROUPS).astype(float)
 
 
 def _backwards(values: NDArray[Any], count: NDArray[np.intp]) -> NDArray[Any]:

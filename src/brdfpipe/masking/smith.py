@@ -1,8 +1,6 @@
-"""Smith's masking: the mean excess slope of a slope density, tabulated once and evaluated anywhere.
+"""Smith's masking from the mean excess slope of a slope density, g(μ) = E[(p̃ − μ)⁺], p̃ the slope towards the direction, μ = cot θ.
 
-Everything follows from one function of the density, the mean excess slope g(μ) = E[(p̃ − μ)⁺] with p̃ the slope towards the
-direction and μ = cot θ: Λ = g/μ and G1 = 1/(1 + Λ). With it, cos θ (1 + Λ) = cos θ + g sin θ stays exact up to grazing,
-where Λ itself diverges.
+Λ = g/μ and G1 = 1/(1 + Λ). The form cos θ (1 + Λ) = cos θ + g sin θ stays exact up to grazing, where Λ itself diverges.
 
 References
 ----------
@@ -65,7 +63,7 @@ class Smith:
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> Smith:
-        """The masking that a ``facets`` or microfacet ``bsdf`` dataset carries."""
+        """The masking of a ``facets`` or microfacet ``bsdf`` dataset."""
         mu = 1 / np.tan(np.radians(dataset["theta"].values[::-1]))
         excess = dataset["lambda_smith"].values[::-1] * mu
         # Slopes are symmetric about zero, so g + μ/2 is even in μ: its value at grazing follows from the first three nodes.
@@ -74,15 +72,11 @@ class Smith:
         # Beyond the steepest facet g vanishes with its derivative.
         return cls(PiecewiseCubic.of(CubicSpline(mu, excess, bc_type=((1, np.array(-0.5)), (1, np.array(0.0))))))
 
-    def excess(self, mu: ArrayLike) -> Array:
-        """g(μ), of any shape; μ = inf (normal incidence) gives 0."""
+    def excess(self, mu: ArrayLike, phi: ArrayLike = 0.0) -> Array:
+        """g(μ), of any shape and in any azimuth; μ = inf (normal incidence) gives 0."""
         # At the last node g is zero but for rounding.
         excess = self._spline(np.minimum(np.asarray(mu, dtype=float), self._spline.last))
         return np.maximum(excess, 0.0)
-
-    def excess_towards(self, cos: ArrayLike, sin: ArrayLike) -> Array:
-        """g(cot θ) from the cosine and sine of θ."""
-        return self.excess(cotangent(cos, sin))
 
 
 def cotangent(cos: ArrayLike, sin: ArrayLike) -> Array:
@@ -97,7 +91,7 @@ class PlanarSmith:
     """The mean excess slope g(μ, φ) of a surface with a lay, from a table of Λ(θ, φ).
 
     Over the width w of the slopes towards φ, g depends on μ/w alone if the density is elliptic, and little on the azimuth if it
-    is not: g/w is interpolated over asinh(μ/w) and the turn ω of the ellipse drawn round.
+    is not: g/w is interpolated over asinh(μ/w) and the turn ω (:class:`~brdfpipe.facets.planar_density.Ellipse`).
     """
 
     _spline: RectBivariateSpline
@@ -106,7 +100,7 @@ class PlanarSmith:
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> PlanarSmith:
-        """The masking that an anisotropic ``facets`` dataset carries."""
+        """The masking of an anisotropic ``facets`` dataset."""
         ellipse = Ellipse.of(dataset)
         mu = 1 / np.tan(np.radians(dataset["theta"].values[::-1]))
         width, turn = ellipse.towards(dataset["phi"].values)

@@ -146,9 +146,8 @@ def _excess_towards(facets: xr.Dataset, theta: Array, phi: Array) -> tuple[Array
     """cos θ, sin θ and the mean excess slope towards directions in degree."""
     angles = np.radians(theta)
     cos, sin = np.where(theta >= 90, 0.0, np.cos(angles)), np.sin(angles)
-    if "phi" in facets["lambda_smith"].dims:
-        return cos, sin, PlanarSmith.of(facets).excess(cotangent(cos, sin), phi)
-    return cos, sin, Smith.of(facets).excess_towards(cos, sin)
+    smith = PlanarSmith.of(facets) if "phi" in facets["lambda_smith"].dims else Smith.of(facets)
+    return cos, sin, smith.excess(cotangent(cos, sin), phi)
 
 
 Visibility = Callable[[HalfVector, Array, Array], Array]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,12 +19,12 @@ from brdfpipe.geometry import Array
 SUFFIXES = (".yaml", ".yml")
 """Extensions read in the layout of refractiveindex.info."""
 STEP = 5.0
-"""Step of the wavelengths a formula is stored at [nm]; linear interpolation between them is accurate to 2e-5 in n."""
-KEPT = (360.0, 830.0)
-"""Wavelengths of interest [nm]."""
+"""Step of the wavelengths at which a formula is stored [nm]; linear interpolation between them is accurate to 2e-5 in n."""
+STORED_SPAN = (360.0, 830.0)
+"""Wavelengths that are stored, as far as an index is known there [nm]."""
 
 _REQUIRED = (400.0, 700.0)
-_LATEST_START = 0.5
+_LATEST_START = 500.0
 _SELLMEIER = (1, 2)
 _WIDEST_GAP = 150.0
 
@@ -109,14 +110,14 @@ def evaluate(formula: Formula, wavelength: ArrayLike) -> Array:
     return np.where(np.isfinite(n), n, np.nan)
 
 
-def sampled(formula: Formula, source: str, file: str, key: str) -> xr.Dataset:
+def sampled(formula: Formula, source: str, file: str | Path = "material.yaml") -> xr.Dataset:
     """Sample a formula every 5 nm over the known part of 360–830 nm: a dataset of kind ``index``.
 
     Parameters
     ----------
     formula : see :func:`evaluate`
     source : where it was published
-    file, key : for messages
+    file : for messages
 
     Raises
     ------
@@ -127,25 +128,28 @@ def sampled(formula: Formula, source: str, file: str, key: str) -> xr.Dataset:
     A Sellmeier formula fitted from 500 nm or below is extrapolated to 360 nm, which the history records: its poles are at the
     absorption of the material, so the continuation is physical. Other formulas, and the long end, are never extrapolated.
     """
-    low, high = formula.low * 1000, min(formula.high * 1000, KEPT[1])
-    extrapolated = formula.number in _SELLMEIER and KEPT[0] < low <= _LATEST_START * 1000
-    start = KEPT[0] if extrapolated else max(low, KEPT[0])
+    low, high = formula.low * 1000, min(formula.high * 1000, STORED_SPAN[1])
+    extrapolated = formula.number in _SELLMEIER and STORED_SPAN[0] < low <= _LATEST_START
+    start = STORED_SPAN[0] if extrapolated else max(low, STORED_SPAN[0])
     if start > _REQUIRED[0] or high < _REQUIRED[1]:
-        raise _no_coverage(file, f"{low:g}–{formula.high * 1000:g} nm", key)
+        raise _not_covered(file, f"{low:g}–{formula.high * 1000:g} nm")
     grid = np.arange(np.ceil(start / STEP), np.floor(high / STEP) + 1) * STEP
     wavelength = np.unique(np.concatenate([[start], grid, [high]]))
     n = evaluate(formula, wavelength)
     if not np.isfinite(n).all():
-        bad = float(wavelength[~np.isfinite(n)][0])
-        raise InputError(
-            file,
-            "the dispersion formula has no real value",
-            where=f"{bad:g} nm",
-            accepted="n² >= 0 and no pole",
-            key=key,
-        )
-    dataset = _dataset(wavelength, n, np.zeros_like(n), source, "formula")
-    return _record_extrapolation(dataset, formula)
+        undefined = f"{wavelength[~np.isfinite(n)][0]:g} nm"
+        raise _refusal(file, "the dispersion formula has no real value", "n² >= 0 and no pole", where=undefined)
+    return _record_extrapolation(index_dataset(wavelength, n, np.zeros_like(n), source, "formula"), formula)
+
+
+def index_dataset(wavelength: Array, n: Array, k: Array, source: str, dispersion: str) -> xr.Dataset:
+    """Dataset of kind ``index``; ``dispersion`` is constant, table or formula."""
+    dataset = xr.Dataset(
+        {"n": ("wavelength", n), "k": ("wavelength", k)},
+        coords={"wavelength": wavelength},
+        attrs={"source": source, "dispersion": dispersion},
+    )
+    return vocabulary.label(dataset, "index")
 
 
 def _record_extrapolation(dataset: xr.Dataset, formula: Formula) -> xr.Dataset:
@@ -156,63 +160,6 @@ def _record_extrapolation(dataset: xr.Dataset, formula: Formula) -> xr.Dataset:
     return vocabulary.add_history(
         dataset, f"the Sellmeier formula, fitted from {low:g} nm, was extrapolated to {start:g} nm"
     )
-
-
-def read(path: Path, key: str = "index.file") -> xr.Dataset:
-    """Refractive index from a YAML file in the layout of refractiveindex.info.
-
-    Parameters
-    ----------
-    path : ``DATA`` with formulas 1 to 5, ``tabulated n``, ``tabulated nk`` or ``tabulated k``; wavelengths in µm
-    key : of material.yaml, for messages
-
-    Returns
-    -------
-    Dataset of kind ``index`` on 360–830 nm, as far as the file goes; attribute ``source`` is its first reference
-
-    Raises
-    ------
-    InputError : damaged YAML, an unknown type of data, invalid numbers, n missing, or 400–700 nm not covered.
-    """
-    content = documents.plain(path)
-    blocks = content.get("DATA") if isinstance(content, Mapping) else None
-    if not isinstance(blocks, list) or not all(isinstance(block, Mapping) for block in blocks):
-        raise InputError(
-            path, "no DATA of a refractive index", accepted="the layout of refractiveindex.info, with DATA", key=key
-        )
-    source = f"{path.name}: {_reference(content.get('REFERENCES'))}"
-    real: xr.Dataset | None = None
-    imaginary: tuple[Array, Array] | None = None
-    fitted: Formula | None = None
-    for place, block in enumerate(blocks, start=1):
-        kind, where = str(block.get("type", "")).strip().lower(), f"DATA {place}"
-        if kind in ("tabulated nk", "tabulated n") and real is None:
-            real, both = _tabulated(path, where, block, kind, source, key)
-            imaginary = both if kind == "tabulated nk" else imaginary
-        elif kind == "tabulated k" and imaginary is None:
-            table = _table(path, where, block, 2)
-            imaginary = (table[:, 0], table[:, 1])
-        elif kind.startswith("formula ") and real is None:
-            fitted = _formula(path, where, block, kind)
-            real = sampled(fitted, source, path.name, key)
-        else:
-            raise InputError(
-                path,
-                "unsupported type of data",
-                where=where,
-                found=repr(kind)[:60],
-                accepted="formula 1 to 5, tabulated n, tabulated k, tabulated nk, each quantity once",
-                key=key,
-            )
-    if real is None:
-        raise InputError(
-            path, "refractive index n is missing", accepted="a formula, tabulated n or tabulated nk", key=key
-        )
-    if imaginary is None:
-        return real
-    joined = _with_extinction(path, real, imaginary, key)
-    # The range of k may leave less of the extrapolation.
-    return joined if fitted is None else _record_extrapolation(joined, fitted)
 
 
 def _sellmeier(w: Array, c: Array) -> Array:
@@ -242,125 +189,141 @@ _FORMULAS: Mapping[int, Callable[[Array, Array], Array]] = {
 }
 
 
-def _formula(path: Path, where: str, block: Mapping[str, Any], kind: str) -> Formula:
-    number = kind.removeprefix("formula ")
-    if number not in map(str, _FORMULAS):
-        raise InputError(
-            path,
-            "unsupported dispersion formula",
-            where=where,
-            found=repr(kind)[:60],
-            accepted="formula 1 to 5",
-            key="index",
-        )
-    coefficients = _numbers(path, where, block.get("coefficients"))
-    span = _numbers(path, where, block.get("wavelength_range"))
-    if span.size != 2 or not 0 < span[0] < span[1] or not 1 <= coefficients.size <= 17:
-        raise InputError(
-            path,
-            "incomplete dispersion formula",
-            where=where,
-            found=f"{coefficients.size} coefficients, range {' '.join(f'{value:g}' for value in span)[:40]}",
-            accepted="1 to 17 coefficients and a wavelength_range of two increasing µm",
-            key="index.file",
-        )
-    return Formula(int(number), tuple(coefficients.tolist()), float(span[0]), float(span[1]))
+# --- files in the layout of refractiveindex.info
 
 
-def _tabulated(
-    path: Path, where: str, block: Mapping[str, Any], kind: str, source: str, key: str
-) -> tuple[xr.Dataset, tuple[Array, Array]]:
-    table = _table(path, where, block, 3 if kind == "tabulated nk" else 2)
-    nm, n = table[:, 0], table[:, 1]
-    _check_coverage(path, nm, key)
-    low, high = max(nm[0], KEPT[0]), min(nm[-1], KEPT[1])
+def read(path: Path) -> xr.Dataset:
+    """Refractive index from a YAML file in the layout of refractiveindex.info.
+
+    Parameters
+    ----------
+    path : ``DATA`` with formulas 1 to 5, ``tabulated n``, ``tabulated nk`` or ``tabulated k``; wavelengths in µm
+
+    Returns
+    -------
+    Dataset of kind ``index`` on 360–830 nm, as far as the file goes; attribute ``source`` is its first reference
+
+    Raises
+    ------
+    InputError : damaged YAML, an unknown type of data, invalid numbers, n missing, or 400–700 nm not covered.
+    """
+    content = documents.plain(path)
+    entries = content.get("DATA") if isinstance(content, Mapping) else None
+    if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
+        raise _refusal(path, "no DATA of a refractive index", "the layout of refractiveindex.info, with DATA")
+    source = f"{path.name}: {_reference(content.get('REFERENCES'))}"
+    index: xr.Dataset | None = None
+    extinction: Array | None = None
+    formula: Formula | None = None
+    for number, entry in enumerate(entries, start=1):
+        block = _Block(path, f"DATA {number}", entry)
+        kind = str(entry.get("type", "")).strip().lower()
+        if kind in ("tabulated nk", "tabulated n") and index is None:
+            table = block.table(3 if kind == "tabulated nk" else 2)
+            index = _from_table(path, table[:, 0], table[:, 1], source)
+            extinction = table[:, [0, 2]] if kind == "tabulated nk" else extinction
+        elif kind == "tabulated k" and extinction is None:
+            extinction = block.table(2)
+        elif kind.startswith("formula ") and index is None:
+            formula = block.formula(kind)
+            index = sampled(formula, source, path)
+        else:
+            accepted = "formula 1 to 5, tabulated n, tabulated k, tabulated nk, each quantity once"
+            raise block.refusal("unsupported type of data", accepted, repr(kind)[:60])
+    if index is None:
+        raise _refusal(path, "refractive index n is missing", "a formula, tabulated n or tabulated nk")
+    if extinction is None:
+        return index
+    joined = _with_extinction(path, index, *extinction.T)
+    # The range of k may leave less of the extrapolation.
+    return joined if formula is None else _record_extrapolation(joined, formula)
+
+
+class _Block(NamedTuple):
+    """An entry of DATA, with its location for messages."""
+
+    path: Path
+    where: str
+    content: Mapping[str, Any]
+
+    def refusal(self, problem: str, accepted: str, found: str | None = None, row: int | None = None) -> InputError:
+        where = self.where if row is None else f"{self.where}, row {row}"
+        return _refusal(self.path, problem, accepted, found, where)
+
+    def numbers(self, text: Any) -> Array:
+        cells = str("" if text is None else text).split()
+        try:
+            values = np.array([float(cell) for cell in cells])
+        except ValueError:
+            values = np.array([np.nan])
+        if not np.isfinite(values).all():
+            raise self.refusal("not a number", "numbers", repr(" ".join(cells))[:60])
+        return values
+
+    def formula(self, kind: str) -> Formula:
+        number = kind.removeprefix("formula ")
+        if number not in map(str, _FORMULAS):
+            raise self.refusal("unsupported dispersion formula", "formula 1 to 5", repr(kind)[:60])
+        coefficients = self.numbers(self.content.get("coefficients"))
+        span = self.numbers(self.content.get("wavelength_range"))
+        if span.size != 2 or not 0 < span[0] < span[1] or not 1 <= coefficients.size <= 17:
+            found = f"{coefficients.size} coefficients, range {' '.join(f'{value:g}' for value in span)[:40]}"
+            accepted = "1 to 17 coefficients and a wavelength_range of two increasing µm"
+            raise self.refusal("incomplete dispersion formula", accepted, found)
+        return Formula(int(number), tuple(coefficients.tolist()), float(span[0]), float(span[1]))
+
+    def table(self, width: int) -> Array:
+        """Rows of increasing wavelength [nm] and ``width`` − 1 values."""
+        rows = [line.split() for line in str(self.content.get("data", "")).splitlines() if line.strip()]
+        accepted = f"rows of {width} numbers"
+        for number, row in enumerate(rows, start=1):
+            if len(row) != width:
+                raise self.refusal("incomplete table", accepted, f"{len(row)} columns", number)
+        if not rows:
+            raise self.refusal("incomplete table", accepted, "nothing")
+        table = self.numbers(" ".join(cell for row in rows for cell in row)).reshape(-1, width)
+        falls = np.flatnonzero(np.diff(table[:, 0]) <= 0)
+        if falls.size:
+            raise self.refusal("the wavelengths do not increase", "increasing µm", row=int(falls[0]) + 2)
+        # Rounded, since 0.4368 µm becomes 436.79999999999995 nm.
+        return np.column_stack([np.round(table[:, 0] * 1000, 6), table[:, 1:]])
+
+
+def _from_table(path: Path, nm: Array, n: Array, source: str) -> xr.Dataset:
+    _check_coverage(path, nm)
+    low, high = max(nm[0], STORED_SPAN[0]), min(nm[-1], STORED_SPAN[1])
     wavelength = np.concatenate([[low], nm[(nm > low) & (nm < high)], [high]])
-    n = np.interp(wavelength, nm, n)
-    return _dataset(wavelength, n, np.zeros_like(n), source, "table"), (nm, table[:, -1])
+    return index_dataset(wavelength, np.interp(wavelength, nm, n), np.zeros(wavelength.size), source, "table")
 
 
-def _with_extinction(path: Path, real: xr.Dataset, imaginary: tuple[Array, Array], key: str) -> xr.Dataset:
-    nm, k = imaginary
-    _check_coverage(path, nm, key)
-    known = real["wavelength"].values
+def _with_extinction(path: Path, index: xr.Dataset, nm: Array, k: Array) -> xr.Dataset:
+    """The index with k of a table, on the wavelengths of both in their common range."""
+    _check_coverage(path, nm)
+    known = index["wavelength"].values
     low, high = max(known[0], nm[0]), min(known[-1], nm[-1])
     wavelength = np.unique(np.concatenate([known, nm, [low, high]]))
     wavelength = wavelength[(wavelength >= low) & (wavelength <= high)]
-    n = np.interp(wavelength, known, real["n"].values)
-    return _dataset(wavelength, n, np.interp(wavelength, nm, k), real.attrs["source"], real.attrs["dispersion"])
+    n = np.interp(wavelength, known, index["n"].values)
+    return index_dataset(wavelength, n, np.interp(wavelength, nm, k), index.attrs["source"], index.attrs["dispersion"])
 
 
-def _table(path: Path, where: str, block: Mapping[str, Any], width: int) -> Array:
-    """Rows of increasing wavelength [nm] and ``width`` − 1 values."""
-    rows = [line.split() for line in str(block.get("data", "")).splitlines() if line.strip()]
-    bad = next((i for i, row in enumerate(rows, start=1) if len(row) != width), None)
-    if not rows or bad is not None:
-        raise InputError(
-            path,
-            "incomplete table",
-            where=where if bad is None else f"{where}, row {bad}",
-            found="nothing" if bad is None else f"{len(rows[bad - 1])} columns",
-            accepted=f"rows of {width} numbers",
-            key="index.file",
-        )
-    table = _numbers(path, where, " ".join(cell for row in rows for cell in row)).reshape(-1, width)
-    if (np.diff(table[:, 0]) <= 0).any():
-        row = int(np.argmax(np.diff(table[:, 0]) <= 0)) + 2
-        raise InputError(
-            path,
-            "the wavelengths do not increase",
-            where=f"{where}, row {row}",
-            accepted="increasing µm",
-            key="index.file",
-        )
-    # Rounded, since 0.4368 µm becomes 436.79999999999995 nm.
-    return np.column_stack([np.round(table[:, 0] * 1000, 6), table[:, 1:]])
+def _check_coverage(path: Path, nm: Array) -> None:
+    if columns.gaps(nm, *_REQUIRED, widest=_WIDEST_GAP):
+        raise _not_covered(path, f"{nm[0]:g}–{nm[-1]:g} nm in {nm.size} rows")
 
 
-def _numbers(path: Path, where: str, text: Any) -> Array:
-    cells: Sequence[str] = str("" if text is None else text).split()
-    try:
-        values = np.array([float(cell) for cell in cells])
-    except ValueError:
-        values = np.array([np.nan])
-    if not np.isfinite(values).all():
-        raise InputError(
-            path, "not a number", where=where, found=repr(" ".join(cells))[:60], accepted="numbers", key="index.file"
-        )
-    return values
+def _not_covered(file: str | Path, found: str) -> InputError:
+    accepted = "400–700 nm; a Sellmeier formula (1 or 2) may start as late as 500 nm"
+    return _refusal(file, "the refractive index must be known from 400 to 700 nm", accepted, found)
 
 
-def _check_coverage(path: Path, nm: Array, key: str) -> None:
-    missing = columns.gaps(nm, *_REQUIRED, widest=_WIDEST_GAP)
-    if missing:
-        raise _no_coverage(path.name, f"{nm[0]:g}–{nm[-1]:g} nm in {nm.size} rows", key)
-
-
-def _no_coverage(file: str, found: str, key: str) -> InputError:
-    return InputError(
-        file,
-        "the refractive index must be known from 400 to 700 nm",
-        found=found,
-        accepted="400–700 nm; a Sellmeier formula (1 or 2) may start as late as 500 nm",
-        key=key,
-    )
+def _refusal(
+    file: str | Path, problem: str, accepted: str, found: str | None = None, where: str | None = None
+) -> InputError:
+    return InputError(file, problem, where=where, found=found, accepted=accepted, key="index.file")
 
 
 def _reference(text: Any) -> str:
     """The first reference as plain text, without the HTML tags of the database."""
-    words, inside = [], False
-    for character in str(text or "no reference given")[:2000]:
-        inside = character == "<" or (inside and character != ">")
-        words.append("" if inside or character == ">" else character)
-    return textwrap.shorten("".join(words), 200, placeholder=" …")
-
-
-def _dataset(wavelength: Array, n: Array, k: Array, source: str, dispersion: str) -> xr.Dataset:
-    return vocabulary.label(
-        xr.Dataset(
-            {"n": ("wavelength", n), "k": ("wavelength", k)},
-            coords={"wavelength": wavelength},
-            attrs={"source": source, "dispersion": dispersion},
-        ),
-        "index",
-    )
+    plain = re.sub(r"<[^>]*(>|$)|>", "", str(text or "no reference given")[:2000])
+    return textwrap.shorten(plain, 200, placeholder=" …")

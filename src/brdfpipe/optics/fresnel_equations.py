@@ -1,19 +1,15 @@
-"""Fresnel reflection; refractive indices by the names under which :mod:`brdfpipe.optics.index` reads them."""
+"""Fresnel's equations: power reflectance of a smooth interface."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
-from brdfpipe.optics.index import INDEX_SPAN, NAMED_INDEX, interpolate_index, refractive_index
-
-__all__ = ["INDEX_SPAN", "NAMED_INDEX", "Fresnel", "fresnel", "interpolate_index", "refractive_index"]
-
-Array = NDArray[np.float64]
 
 _CLOSEST_TO_METAL = 1e70
 _ROUNDING = 1e-9
@@ -107,10 +103,7 @@ def _checked_cosine(cos_zeta: ArrayLike) -> Array:
     low, high = (c.min(), c.max()) if c.size else (0.0, 1.0)
     if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
         raise BrdfpipeError(f"cos_zeta spans {low:g} to {high:g}; accepted: cosines in [0, 1]")
-    if low >= 0 and high <= 1:
-        return c
-    clipped: Array = np.clip(c, 0.0, 1.0)
-    return clipped
+    return c if low >= 0 and high <= 1 else np.clip(c, 0.0, 1.0)
 
 
 def _checked_index(n: ArrayLike) -> Array:

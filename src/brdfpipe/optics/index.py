@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -17,11 +17,10 @@ from brdfpipe import columns, vocabulary
 from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.geometry import Array
 from brdfpipe.optics import dispersion
+from brdfpipe.optics.dispersion import index_dataset
 
-SUFFIXES = (*columns.TEXT_SUFFIXES, *dispersion.SUFFIXES)
-"""Extensions of the files read."""
 INDEX_SPAN = (360.0, 780.0)
-"""Wavelengths a constant index is stored at [nm]; it holds at every other too."""
+"""Wavelengths at which a constant index is stored [nm]; it applies at every wavelength."""
 
 _D_LINE = 587.56
 NAMED_INDEX: Mapping[str, tuple[float, str]] = {
@@ -76,13 +75,8 @@ def refractive_index(
         return _complex(spec["n"], spec["k"])
     if isinstance(spec, Mapping) and set(spec) == {"n"}:
         raise without_k("material.yaml", spec["n"])
-    raise InputError(
-        "material.yaml",
-        "not a refractive index",
-        where=_KEY,
-        found=repr(spec)[:60],
-        accepted="a number, a name, {n, k} or {file: table.txt or page.yml}",
-        key=_KEY,
+    raise _refusal(
+        "not a refractive index", repr(spec)[:60], "a number, a name, {n, k} or {file: table.txt or page.yml}"
     )
 
 
@@ -129,47 +123,31 @@ def _named(name: str) -> xr.Dataset:
     if spelling not in spellings:
         nearest = difflib.get_close_matches(spelling, spellings, n=1, cutoff=0.5)
         hint = f", nearest is {spellings[nearest[0]]}" if nearest else ""
-        raise InputError(
-            "material.yaml",
-            f"unknown material name of a refractive index{hint}",
-            where=_KEY,
-            found=repr(name[:60]),
-            accepted=f"{', '.join(NAMED_INDEX)}, a number, or {{file: table.txt}}",
-            key=_KEY,
-        )
+        accepted = f"{', '.join(NAMED_INDEX)}, a number, or {{file: table.txt}}"
+        raise _refusal(f"unknown material name of a refractive index{hint}", repr(name[:60]), accepted)
     value, source = dispersion.NAMED[spellings[spelling]]
     source = f"{spellings[spelling]}: {source}"
     if isinstance(value, dispersion.Formula):
-        return dispersion.sampled(value, source, "material.yaml", _KEY)
+        return dispersion.sampled(value, source)
     return _constant(value, source)
 
 
 def _constant(n: float, source: str) -> xr.Dataset:
     if not 1 <= n < 5:
-        raise InputError(
-            "material.yaml",
-            "invalid refractive index of a dielectric",
-            where=_KEY,
-            found=f"{n:g}",
-            accepted=_ACCEPTED_N,
-            key=_KEY,
-        )
-    return _dataset(np.array(INDEX_SPAN), np.full(2, n), np.zeros(2), source, "constant")
+        raise _refusal("invalid refractive index of a dielectric", f"{n:g}", _ACCEPTED_N)
+    return index_dataset(np.array(INDEX_SPAN), np.full(2, n), np.zeros(2), source, "constant")
 
 
 def _complex(n: Any, k: Any) -> xr.Dataset:
     numbers = all(isinstance(value, Real) and not isinstance(value, bool) for value in (n, k))
     if not numbers or not _physical(np.array([n], dtype=float), np.array([k], dtype=float)).all():
-        raise InputError(
-            "material.yaml",
-            "invalid refractive index",
-            where=_KEY,
-            found=f"n = {n}, k = {k}",
-            accepted=_ACCEPTED_NK,
-            key=_KEY,
-        )
-    constant = np.array(INDEX_SPAN)
-    return _dataset(constant, np.full(2, float(n)), np.full(2, float(k)), "constant from material.yaml", "constant")
+        raise _refusal("invalid refractive index", f"n = {n}, k = {k}", _ACCEPTED_NK)
+    n, k = np.full(2, float(n)), np.full(2, float(k))
+    return index_dataset(np.array(INDEX_SPAN), n, k, "constant from material.yaml", "constant")
+
+
+def _refusal(problem: str, found: str, accepted: str) -> InputError:
+    return InputError("material.yaml", problem, where=_KEY, found=found, accepted=accepted, key=_KEY)
 
 
 def _physical(n: Array, k: Array) -> NDArray[np.bool_]:
@@ -177,68 +155,41 @@ def _physical(n: Array, k: Array) -> NDArray[np.bool_]:
     return (n > 0) & (n < 5) & ((k > 0) | (n >= 1)) & (k >= 0) & (k < 20)
 
 
+# --- files
+
+
+def _read_table(path: Path) -> xr.Dataset:
+    """Refractive index from a text table of wavelength, n and optionally k."""
+    table = columns.read_spectral_table(path, "index.file", "wavelength, n and optionally k", most=2, widest=150.0)
+    n = table.values[:, 0]
+    k = table.values[:, 1] if table.values.shape[1] == 2 else np.zeros_like(n)
+    dataset = index_dataset(table.wavelength, n, k, f"table {path.name}", "table")
+    return vocabulary.add_warning(vocabulary.add_history(dataset, *table.notes), *table.doubts)
+
+
+READERS: Mapping[str, Callable[[Path], xr.Dataset]] = {
+    **dict.fromkeys(columns.TEXT_SUFFIXES, _read_table),
+    **dict.fromkeys(dispersion.SUFFIXES, dispersion.read),
+}
+"""Reader of an index file by its extension."""
+
+
 def _from_file(path: Path) -> xr.Dataset:
-    suffix = path.suffix.lower()
-    if suffix in dispersion.SUFFIXES:
-        index = dispersion.read(path)
-        _check_values(path, index["wavelength"].values, index["n"].values, index["k"].values)
-        return index
-    if suffix in columns.TEXT_SUFFIXES:
-        return _from_table(path)
-    raise InputError(
-        path,
-        "unknown extension of an index file",
-        found=path.suffix or "no extension",
-        accepted=f"wavelength, n and optionally k in {', '.join(columns.TEXT_SUFFIXES)}, or the layout of "
-        f"refractiveindex.info in {', '.join(dispersion.SUFFIXES)}",
-        key="index.file",
-    )
-
-
-def _from_table(path: Path) -> xr.Dataset:
-    table = columns.read_columns(path)
-    if table.values.shape[1] > 3:
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
         raise InputError(
             path,
-            "too many columns in an index table",
-            found=table.values.shape[1],
-            accepted="wavelength, n and optionally k",
+            "unknown extension of an index file",
+            found=path.suffix or "no extension",
+            accepted=f"wavelength, n and optionally k in {', '.join(columns.TEXT_SUFFIXES)}, or the layout of "
+            f"refractiveindex.info in {', '.join(dispersion.SUFFIXES)}",
             key="index.file",
         )
-    nm, note = columns.wavelengths(table, key="index.file")
-    present = np.isfinite(nm) & np.isfinite(table.values).all(axis=1)
-    wavelength, values, merged = columns.merge_duplicates(nm[present], table.values[present, 1:])
-    n = values[:, 0]
-    k = values[:, 1] if values.shape[1] == 2 else np.zeros_like(n)
-    _check_table(path, wavelength, n, k)
-    dropped = int((~present).sum())
-    notes = [
-        *table.notes,
-        *([note] if note else []),
-        *([f"{dropped} rows with missing values were dropped"] if dropped else []),
-        *([f"{merged} rows of repeated wavelength were averaged"] if merged else []),
-    ]
-    dataset = vocabulary.add_history(_dataset(wavelength, n, k, f"table {path.name}", "table"), *notes)
-    return vocabulary.add_warning(dataset, *table.doubts)
-
-
-def _check_table(path: Path, wavelength: Array, n: Array, k: Array) -> None:
-    missing = columns.gaps(wavelength, 400.0, 700.0, widest=150.0)
-    if missing:
-        raise InputError(
-            path,
-            "the refractive index must be known from 400 to 700 nm",
-            found=", ".join(f"{a:g}–{b:g} nm missing" for a, b in missing),
-            accepted="a table from 400 to 700 nm without gaps above 150 nm, or a number",
-            key=_KEY,
-        )
-    _check_values(path, wavelength, n, k)
-
-
-def _check_values(path: Path, wavelength: Array, n: Array, k: Array) -> None:
-    bad = ~_physical(n, k)
-    if bad.any():
-        first = int(np.argmax(bad))
+    index = reader(path)
+    wavelength, n, k = (index[name].values for name in ("wavelength", "n", "k"))
+    invalid = np.flatnonzero(~_physical(n, k))
+    if invalid.size:
+        first = invalid[0]
         raise InputError(
             path,
             "refractive index out of range",
@@ -247,12 +198,4 @@ def _check_values(path: Path, wavelength: Array, n: Array, k: Array) -> None:
             accepted=_ACCEPTED_NK,
             key="index.file",
         )
-
-
-def _dataset(wavelength: Array, n: Array, k: Array, source: str, dispersion: str) -> xr.Dataset:
-    dataset = xr.Dataset(
-        {"n": ("wavelength", n), "k": ("wavelength", k)},
-        coords={"wavelength": wavelength},
-        attrs={"source": source, "dispersion": dispersion},
-    )
-    return vocabulary.label(dataset, "index")
+    return index

@@ -17,14 +17,13 @@ from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
 
 NEUTRAL_SPAN = (360.0, 780.0)
-"""Wavelengths a constant is stored at [nm]; it holds at every other too."""
+"""Wavelengths at which a constant is stored [nm]; it applies at every wavelength."""
 
 PER_MM = {"1/mm": 1.0, "1/cm": 0.1, "1/m": 1e-3}
 """Units of an absorption coefficient."""
 
 _KEY = "slab.internal_transmittance"
 _ABSORPTION = "slab.absorption"
-_REQUIRED = (400.0, 700.0)
 _WIDEST_GAP = 50.0
 _NOISE = 1e-3
 _PERCENT = re.compile(r"%|percent|prozent", re.IGNORECASE)
@@ -63,11 +62,26 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
     doubts: tuple[str, ...] = ()
     if isinstance(given, Mapping):
         file = Path(path if path is not None else str(given["file"]))
-        wavelength, values, percent, notes, doubts = _table(file, _ABSORPTION if absorbs else _KEY)
-        if absorbs:
-            values = values * PER_MM[given.get("unit", "1/mm")]
-        else:
-            values = _fraction(file, values, given.get("scale"), percent)
+        key = f"{_ABSORPTION if absorbs else _KEY}.file"
+        table = columns.read_spectral_table(file, key, "wavelength and one value", most=1, widest=_WIDEST_GAP)
+        wavelength, values, notes, doubts = table.wavelength, table.values[:, 0], table.notes, table.doubts
+        lowest = int(np.argmin(values))
+        if values[lowest] < -_NOISE:
+            raise InputError(
+                file,
+                "negative transmittance or absorption",
+                where=f"{wavelength[lowest]:g} nm",
+                found=f"{values[lowest]:.4g}",
+                accepted="values of at least 0",
+                key=key,
+            )
+        values = np.maximum(values, 0.0)
+        percent = any(_PERCENT.search(text) for text in table.titles)
+        values = (
+            values * PER_MM[given.get("unit", "1/mm")]
+            if absorbs
+            else _fraction(file, values, given.get("scale"), percent)
+        )
         source, dispersion = f"table {file.name}", "table"
     else:
         wavelength, values = np.array(NEUTRAL_SPAN), np.full(2, _number(given, absorbs))
@@ -89,59 +103,12 @@ def spectral(interior: xr.Dataset) -> float | xr.DataArray:
 
 
 def _number(value: object, absorbs: bool) -> float:
-    highest = np.inf if absorbs else 1.0
-    if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= float(value) <= highest:
-        accepted = "a number at least 0 in 1/mm, or {file: table.txt}" if absorbs else "0 to 1, or {file: table.txt}"
-        raise _refusal(
-            "invalid absorption coefficient" if absorbs else "invalid internal transmittance",
-            value,
-            accepted,
-            _ABSORPTION if absorbs else _KEY,
-        )
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= float(value) <= (np.inf if absorbs else 1.0):
+        if absorbs:
+            accepted = "a number at least 0 in 1/mm, or {file: table.txt}"
+            raise _refusal("invalid absorption coefficient", value, accepted, _ABSORPTION)
+        raise _refusal("invalid internal transmittance", value, "0 to 1, or {file: table.txt}", _KEY)
     return float(value)
-
-
-def _table(path: Path, key: str) -> tuple[Array, Array, bool, list[str], tuple[str, ...]]:
-    """Sorted, unique wavelengths, their values, whether the header says percent, notes on corrections, and doubts."""
-    table = columns.read_columns(path)
-    if table.values.shape[1] != 2:
-        raise InputError(
-            path,
-            "the table must have two columns",
-            found=f"{table.values.shape[1]} columns",
-            accepted="wavelength and one value",
-            key=f"{key}.file",
-        )
-    nm, note = columns.wavelengths(table, key=f"{key}.file")
-    present = np.isfinite(nm) & np.isfinite(table.values[:, 1])
-    wavelength, values, merged = columns.merge_duplicates(nm[present], table.values[present, 1:])
-    missing = columns.gaps(wavelength, *_REQUIRED, widest=_WIDEST_GAP)
-    if missing:
-        raise InputError(
-            path,
-            "must cover 400–700 nm",
-            found=", ".join(f"{low:g}–{high:g} nm missing" for low, high in missing),
-            accepted=f"400–700 nm in steps of at most {_WIDEST_GAP:g} nm",
-            key=f"{key}.file",
-        )
-    _check(path, wavelength, values[:, 0], f"{key}.file")
-    notes = [*table.notes, note, f"{int((~present).sum())} rows without a value were dropped" * (not present.all())]
-    notes.append(f"{merged} rows of repeated wavelength were averaged" if merged else "")
-    percent = any(_PERCENT.search(text) for text in (*table.header, *(table.names or ())))
-    return wavelength, np.maximum(values[:, 0], 0.0), percent, [text for text in notes if text], table.doubts
-
-
-def _check(path: Path, wavelength: Array, values: Array, key: str) -> None:
-    lowest = int(np.argmin(values))
-    if values[lowest] < -_NOISE:
-        raise InputError(
-            path,
-            "negative transmittance or absorption",
-            where=f"{wavelength[lowest]:g} nm",
-            found=f"{values[lowest]:.4g}",
-            accepted="values of at least 0",
-            key=key,
-        )
 
 
 def _fraction(path: Path, values: Array, scale: str | None, percent: bool) -> Array:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.bsdf.nonspectral import nonspectral
-from brdfpipe.optics.dispersion import KEPT
+from brdfpipe.optics.dispersion import STORED_SPAN
 from brdfpipe.report import material_page
 from brdfpipe.report.plots import dispersion
 
@@ -38,7 +38,7 @@ def curves(svg: str) -> dict[str, np.ndarray]:
     found = {}
     for style, data in re.findall(r'<path class="(l [^"]*)" d="([^"]*)"', svg):
         x = np.array([float(pair.split()[0]) for pair in re.findall(r"[ML]([-0-9.]+ [-0-9.]+)", data)])
-        found[style] = KEPT[0] + (x - _LEFT) / _WIDE * (KEPT[1] - KEPT[0])
+        found[style] = STORED_SPAN[0] + (x - _LEFT) / _WIDE * (STORED_SPAN[1] - STORED_SPAN[0])
     return found
 
 
@@ -69,7 +69,7 @@ def test_a_table_ends_where_it_ends() -> None:
 
 def test_of_a_table_far_beyond_the_visible_what_is_of_use_is_drawn() -> None:
     (figure,) = dispersion.dispersion(table([200, 300, 500, 900, 2500], [2.6, 1.9, 1.55, 1.52, 1.40]))
-    assert [curves(figure.svg)["l c0"].min(), curves(figure.svg)["l c0"].max()] == pytest.approx(KEPT, abs=0.2)
+    assert [curves(figure.svg)["l c0"].min(), curves(figure.svg)["l c0"].max()] == pytest.approx(STORED_SPAN, abs=0.2)
     assert "taken from 200 to 2500 nm" in figure.note
     assert "2.6" not in re.findall(r"<text[^>]*>([^<]*)</text>", figure.svg)
 
@@ -133,7 +133,7 @@ def test_the_point_lies_on_the_curve_and_is_told_in_words() -> None:
     (figure,) = dispersion.dispersion(index, bsdf)
     points = re.search(r'class="p c2" d="M([0-9.]+) ([0-9.]+)h0"', figure.svg)
     assert points is not None
-    wavelength = KEPT[0] + float(points[1]) / _WIDE * (KEPT[1] - KEPT[0])
+    wavelength = STORED_SPAN[0] + float(points[1]) / _WIDE * (STORED_SPAN[1] - STORED_SPAN[0])
     mean = float(nonspectral(bsdf)["n"])
     # 0.05 of a unit of the drawing are 0.05 nm, over which n changes by 1e-5.
     assert float(np.interp(wavelength, index["wavelength"], index["n"])) == pytest.approx(mean, abs=2e-5)

@@ -74,8 +74,6 @@ class Microsurface:
 
     def excess(self, cos: Array, sin: Array, phi: Azimuth) -> Array:
         """Mean excess slope g(cot θ) towards directions of azimuth φ [degree]."""
-        if isinstance(self.smith, Smith):
-            return self.smith.excess_towards(cos, sin)
         return self.smith.excess(cotangent(cos, sin), phi)
 
     def visibility(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth, masking: str) -> Array:

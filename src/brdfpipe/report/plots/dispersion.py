@@ -14,7 +14,7 @@ from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.facets.analytic_distributions import flat
-from brdfpipe.optics.dispersion import KEPT
+from brdfpipe.optics.dispersion import STORED_SPAN
 from brdfpipe.report.formatting import number
 from brdfpipe.report.plots.spectrum import visible_strip
 from brdfpipe.report.plots.svg import (
@@ -96,7 +96,7 @@ def _figure(index: xr.Dataset, name: str, title: str, neutral: _Neutral | None, 
     values = curve / unit
     marks: list[Mark] = [
         Line([end, end], [axis.low, axis.high], "ref", "" if place else "end of validity", "dots")
-        for place, end in enumerate(end for end in known if KEPT[0] < end < KEPT[1])
+        for place, end in enumerate(end for end in known if STORED_SPAN[0] < end < STORED_SPAN[1])
     ]
     valid, beyond = wavelength >= known.low, wavelength <= known.low
     marks.append(Line(wavelength[valid], values[valid], "c0", name))
@@ -107,11 +107,11 @@ def _figure(index: xr.Dataset, name: str, title: str, neutral: _Neutral | None, 
         marks.append(Points([crossing], [mean / unit], [np.nan], "c2", f"{name} of colour-neutral models"))
     svg = chart(
         f"{title} against wavelength, from {number(curve.min(), 5)} to {number(curve.max(), 5)}",
-        Axis("wavelength, nm", *KEPT, step=50),
+        Axis("wavelength, nm", *STORED_SPAN, step=50),
         axis,
         marks,
         height=270,
-        strip=visible_strip(*KEPT),
+        strip=visible_strip(*STORED_SPAN),
     )
     return Figure(title, svg, legend(marks), note)
 
@@ -119,7 +119,7 @@ def _figure(index: xr.Dataset, name: str, title: str, neutral: _Neutral | None, 
 def _shown(index: xr.Dataset, name: str, known: _Known) -> tuple[Array, Array]:
     """Wavelengths and values where they are of use; neither the ends of that nor those of the validity need be nodes."""
     wavelength, values = index["wavelength"].values.astype(float), index[name].values.astype(float)
-    low, high = max(KEPT[0], wavelength[0]), min(KEPT[1], wavelength[-1])
+    low, high = max(STORED_SPAN[0], wavelength[0]), min(STORED_SPAN[1], wavelength[-1])
     at = np.union1d(wavelength, [low, high, *known])
     at = at[(at >= low) & (at <= high)]
     return at, np.interp(at, wavelength, values)

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brdfpipe.errors import InputError
-from brdfpipe.flakes import directions, fit, flake_angle, forms, leave_one_out
-from brdfpipe.flakes.forms import FORMS, curve
+from brdfpipe.flakes import directions, fit, flake_angle, leave_one_out
+from brdfpipe.flakes.forms import FORMS, ChannelData, curve
+from brdfpipe.flakes.least_squares_fit import least_squares_curve
 
 PATENT = np.array([float(flake_angle(*directions(name), 1.524)) for name in ("45:-30", "45:0", "45:65")])
 TEN = np.array([3.3, 5.0, 7.1, 9.0, 11.5, 14.0, 18.0, 23.0, 28.0, 33.0])
@@ -304,8 +305,8 @@ def test_a_term_that_vanished_comes_last_in_every_channel():
 def test_a_term_that_is_nothing_but_rounding_error_has_vanished(steep):
     # At the first geometry this term is below 1e-15 of its amplitude: whether rounding leaves it one depends on the processor.
     theta, values = np.array([4.3, 7.5, 14.1, 23.8, 32.6]), np.array([152.0, 104.1, 28.6, 8.0, 5.3])
-    data = forms._Data(theta, values, 0.01 * values, 0.05 * values, True)
-    found = forms._least_squares(data, FORMS["double-exponential"], np.array([steep, 5.6]))
+    data = ChannelData("1", FORMS["double-exponential"], theta, values, 0.01 * values, 0.05 * values, True)
+    found = least_squares_curve(data, np.array([steep, 5.6]))
     assert (found.amplitude > 0).tolist() == [True, False]
 
 
@@ -328,11 +329,10 @@ def beaten_by_no_grid(width: float, power: float, constant: float, seed: int) ->
     theta = np.cumsum(random.uniform(3, 9, 5))
     values = (100 * np.exp(-((theta / width) ** power)) + constant) * np.exp(0.08 * random.standard_normal(5))
     u = 0.003 * values + 0.005
-    found = forms._least_squares(forms._Data(theta, values, u, u, True), FORMS["double-exponential"])
-    misfit = (
-        curve(theta, found.amplitude[:, None], found.decay[:, None], np.array([found.constant]), 1)[:, 0] - values
-    ) / u
-    decays = np.geomspace(*forms._bounds(theta), 40)
+    data = ChannelData("1", FORMS["double-exponential"], theta, values, u, u, True)
+    found = least_squares_curve(data)
+    misfit = (data.predicted(found) - values) / u
+    decays = np.geomspace(*data.decay_range, 40)
     falls = np.exp(-theta[:, None] / decays) / u[:, None]
     pairs = ((a, b) for a in range(decays.size) for b in range(a))
     grid = min(nnls(np.stack([falls[:, a], falls[:, b], 1 / u], axis=1), values / u)[1] for a, b in pairs)
