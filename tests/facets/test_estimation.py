@@ -86,7 +86,7 @@ def test_independent_facets_are_fewer_than_facets(of_gaussian_map):
     assert float(of_gaussian_map["facet_count"] / of_gaussian_map["effective_count"]) > 3
 
 
-def test_the_correlation_length_is_found(of_gaussian_map):
+def test_the_correlation_length_is_that_of_the_surface(of_gaussian_map):
     assert float(of_gaussian_map["correlation_length"]) == pytest.approx(8, rel=0.1)
 
 
@@ -116,14 +116,14 @@ def test_the_block_borders_neither_lose_nor_double_a_facet():
     assert counted.slope_rms == pytest.approx(exact, rel=1e-6)
 
 
-def test_a_missing_height_takes_its_triangles_with_it_and_nothing_else():
+def test_a_missing_height_removes_its_triangles_alone():
     height = samples.gaussian_surface(128, correlation=3)["height"].values
     height[40, 50] = np.nan
     # A height inside the map belongs to 12 of the triangles of its four quads.
     assert slopes.count_maps([slopes.HeightMap.of(samples.surface(height))])[1].facets == 4 * 127**2 - 12
 
 
-def test_a_lay_is_found_and_kept_until_it_is_averaged():
+def test_a_lay_is_detected_and_removed_by_averaging_alone():
     height = samples.gaussian_surface(512, sigma=0.1, correlation=6)
     lay = samples.surface(height["height"].values, pitch=(1.0, 2.0))
     table = facets.estimate(lay)
@@ -134,7 +134,7 @@ def test_a_lay_is_found_and_kept_until_it_is_averaged():
     assert "has a lay" in vocabulary.warnings(facets.azimuthal_average(table))[0]
 
 
-def test_a_surface_declared_isotropic_is_averaged_and_says_so():
+def test_a_surface_declared_isotropic_is_averaged_which_its_history_says():
     height = samples.gaussian_surface(512, sigma=0.1, correlation=6)["height"].values
     table = facets.estimate(samples.surface(height, pitch=(1.0, 2.0)), isotropic=True)
     assert table["slope_density"].dims == ("slope",)
@@ -254,13 +254,13 @@ def test_several_scans_count_together():
     assert float(together["effective_count"]) > float(facets.estimate(one)["effective_count"])
 
 
-def test_a_map_and_a_line_do_not_go_together():
+def test_a_map_and_a_line_are_refused_together():
     with pytest.raises(facets.FacetError, match="all maps or all lines"):
         facets.estimate([samples.gaussian_surface(128), samples.surface(np.arange(200.0))])
 
 
 @pytest.mark.parametrize("widths", [{}, {"a": 0.1, "a_x": 0.1, "a_y": 0.2}, {"a_x": 0.1}, {"a_x": 1e-3, "a_y": 1.0}])
-def test_widths_that_do_not_say_one_thing_are_refused(widths):
+def test_contradictory_widths_of_a_lay_are_refused(widths):
     with pytest.raises(facets.FacetError, match=r"either a, or a_x and a_y|accepted"):
         facets.analytic("ggx", **widths)
 
@@ -281,18 +281,18 @@ def test_the_average_over_azimuth_keeps_the_roughness_of_the_rough_axis(narrow, 
 
 
 @pytest.mark.parametrize("arguments", [{"a": 0.3, "a_x": 0.2}, {"a_x": 0.2, "a_y": 0.3, "azimuth": np.nan}])
-def test_arguments_that_contradict_or_mean_nothing_are_refused(arguments):
+def test_contradictory_or_missing_widths_are_refused(arguments):
     with pytest.raises(facets.FacetError):
         facets.analytic("beckmann", **arguments)
 
 
 @pytest.mark.parametrize("height", [np.zeros(100), np.zeros((40, 40))])
-def test_an_unknown_method_is_refused_whatever_the_scan(height):
+def test_an_unknown_method_is_refused_for_every_scan(height):
     with pytest.raises(facets.FacetError, match=r"unknown method 'xx'.*accepted: mixture, abel, crf"):
         facets.estimate(samples.surface(height), method="xx", isotropic=True)
 
 
-def test_a_method_for_lines_is_said_to_be_of_no_use_for_a_map(gaussian_map, of_gaussian_map):
+def test_a_method_for_lines_causes_a_warning_on_a_map(gaussian_map, of_gaussian_map):
     asked = facets.estimate(gaussian_map, method="abel")
     (warning,) = [text for text in vocabulary.warnings(asked) if text not in vocabulary.warnings(of_gaussian_map)]
     assert warning.startswith("surface.method abel is for line profiles and was ignored")

@@ -27,7 +27,7 @@ def tilted(scan, slope):
 
 
 @pytest.mark.parametrize("isotropic", [True, False])
-def test_a_tilt_changes_nothing_but_is_warned_about(scan, isotropic):
+def test_a_tilt_is_removed_and_causes_a_warning(scan, isotropic):
     level, tilt = (facets.estimate(each, isotropic=isotropic) for each in (scan, tilted(scan, 0.1)))
     for name in STATISTICS:
         assert float(tilt[name]) == pytest.approx(float(level[name]), rel=1e-5)
@@ -45,7 +45,7 @@ def test_scans_tilted_against_each_other_show_no_lay(scan, other):
         assert float(tilt[name]) == pytest.approx(float(level[name]), rel=1e-5)
 
 
-def test_the_slope_rms_is_about_the_mean_of_what_is_there(scan):
+def test_the_slope_rms_is_about_the_mean_of_the_present_slopes(scan):
     height = scan["height"].values.copy()
     height[0, 3], height[50:120, 20:200] = np.nan, np.nan
     gaps = scan.assign(height=scan["height"].copy(data=height))
@@ -71,7 +71,7 @@ def test_the_mean_slope_of_a_whole_map_is_known_from_its_border():
         ({"lambda_c": 80.0}, "lambda_c is not set and 80 um"),
     ],
 )
-def test_scans_that_hold_other_waves_are_refused(scan, other, attributes, named):
+def test_scans_of_different_bandwidth_are_refused(scan, other, attributes, named):
     with pytest.raises(facets.FacetError, match=f"scans 1 and 3 .* {named}; accepted"):
         facets.estimate([scan, other, other.assign_attrs(attributes)])
 
@@ -81,7 +81,7 @@ def test_pitches_may_differ_a_little_or_below_one_filter(scan, other):
     facets.estimate([each.assign_attrs(lambda_s=16.0, pitch_x=pitch) for each, pitch in ((scan, 1.0), (other, 2.0))])
 
 
-def test_a_scan_given_twice_is_refused(scan, other):
+def test_a_repeated_scan_is_refused(scan, other):
     height = scan["height"].values.copy()
     height[3, 4] = np.nan
     gap = samples.surface(height)
@@ -89,7 +89,7 @@ def test_a_scan_given_twice_is_refused(scan, other):
         facets.estimate([gap, other, gap.copy(deep=True)])
 
 
-def test_one_line_may_stand_for_two_directions_but_not_for_two_lines():
+def test_one_line_may_be_given_for_two_directions_but_not_twice_for_one():
     height = np.cumsum(np.random.default_rng(1).normal(scale=0.1, size=5000))
     line = samples.surface(height, pitch=(1.0,))
     facets.estimate([line, line.assign_attrs(azimuth=90.0)])
@@ -109,7 +109,7 @@ def test_scans_of_clearly_different_roughness_are_warned_about(scan, other):
 
 
 @pytest.mark.parametrize("isotropic", [True, False])
-def test_a_spike_is_named_as_such(scan, isotropic):
+def test_spikes_are_named_in_the_message(scan, isotropic):
     height = scan["height"].values.copy()
     height[100, 100] = 1e3
     with pytest.raises(facets.FacetError, match=r"12 of them, steeper than .* mark the spikes as missing"):
@@ -117,7 +117,7 @@ def test_a_spike_is_named_as_such(scan, isotropic):
 
 
 @pytest.mark.parametrize("isotropic", [True, False])
-def test_a_plateau_is_named_as_such(scan, isotropic):
+def test_a_plateau_is_named_in_the_message(scan, isotropic):
     height = scan["height"].values.copy()
     height[13:] = 0
     with pytest.raises(facets.FacetError, match=r"9[45]% of them .* a plateau"):
@@ -135,7 +135,7 @@ def test_independent_facets_do_not_depend_on_how_the_density_is_made(scan):
     assert one == two
 
 
-def test_lines_that_hold_other_waves_are_refused():
+def test_lines_of_different_bandwidth_are_refused():
     height = np.cumsum(np.random.default_rng(1).normal(scale=0.1, size=2000))
     lines = [samples.surface(height, pitch=(pitch,)) for pitch in (1.0, 2.0)]
     with pytest.raises(facets.FacetError, match="have different bandwidths"):
@@ -144,7 +144,7 @@ def test_lines_that_hold_other_waves_are_refused():
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("factor", [1e25, 1e40, 1e150, 1e-25, 1e-40])
-def test_heights_in_a_unit_that_cannot_be_are_refused_as_such(scan, factor):
+def test_heights_in_an_impossible_unit_are_refused(scan, factor):
     with pytest.raises(facets.FacetError, match="check the unit of the heights"):
         facets.estimate(scan.assign(height=scan["height"] * factor))
 
@@ -156,7 +156,7 @@ def test_an_unknown_correlation_length_says_what_to_do(scan):
     assert any("surface.lambda_c" in warning for warning in vocabulary.warnings(table))
 
 
-def test_a_map_of_few_grains_says_that_its_uncertainty_is_understated():
+def test_a_map_of_few_correlation_lengths_warns_of_an_understated_uncertainty():
     narrow, wide = (facets.estimate(samples.gaussian_surface(size, correlation=10)) for size in (128, 256))
     assert any("correlation lengths wide" in warning for warning in vocabulary.warnings(narrow))
     assert not any("correlation lengths wide" in warning for warning in vocabulary.warnings(wide))

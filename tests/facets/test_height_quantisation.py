@@ -40,7 +40,7 @@ def test_the_step_is_found_on_a_tilt_and_under_a_levelled_form(smooth, share):
         assert step_of(surfaces.level(rounded(tilted, step), form)) == pytest.approx(step, rel=1e-3)
 
 
-def test_the_step_is_found_in_what_was_printed_with_few_digits_more(smooth):
+def test_the_step_is_found_in_heights_rounded_a_second_time_in_print(smooth):
     printed = smooth.assign(height=np.round(rounded(smooth, 0.0371)["height"], 4))
     assert step_of(printed) == pytest.approx(0.0371, rel=1e-3)
 
@@ -63,16 +63,16 @@ def test_the_step_is_found_beside_missing_heights_and_a_plateau(smooth):
         lambda height: np.full_like(height, np.nan),
     ],
 )
-def test_other_heights_are_left_alone(smooth, change):
+def test_heights_that_are_not_quantised_have_no_step(smooth, change):
     assert step_of(smooth.assign(height=(("y", "x"), change(smooth["height"].values)))) == 0
 
 
-def test_the_spread_of_a_place_does_not_depend_on_the_cut():
+def test_the_dither_of_a_height_does_not_depend_on_its_block():
     whole = height_quantisation.dither(slice(0, 300), slice(0, 200))
     assert np.array_equal(whole[40:60, 7:90], height_quantisation.dither(slice(40, 60), slice(7, 90)))
 
 
-def test_the_spread_is_uniform_and_differs_from_neighbour_to_neighbour_like_a_triangle():
+def test_the_dither_is_uniform_and_its_differences_are_triangular():
     values = height_quantisation.dither(slice(0, 1000), slice(0, 1000))
     assert -0.5 <= values.min() < -0.4999
     assert 0.4999 < values.max() < 0.5
@@ -101,7 +101,7 @@ def test_the_density_of_rounded_heights_with_a_lay_is_that_of_the_surface(smooth
 
 
 @pytest.mark.parametrize("isotropic", [True, False])
-def test_a_sharp_peak_and_a_heavy_tail_survive_the_steps(isotropic):
+def test_a_sharp_peak_and_a_heavy_tail_are_recovered_from_quantised_heights(isotropic):
     # Amplitudes that vary from place to place: the slopes have a kurtosis of some 20, and half of them lie below a third of their rms.
     amplitude = np.exp(4 * samples.gaussian_surface(512, correlation=20, sigma=0.014)["height"].values)
     height = samples.gaussian_surface(512, correlation=5, seed=2)["height"].values * amplitude
@@ -123,7 +123,7 @@ def test_a_sharp_peak_and_a_heavy_tail_survive_the_steps(isotropic):
     assert two[..., 1:] == pytest.approx(one[..., 1:], rel=0.1)
 
 
-def test_a_lay_is_kept_where_the_steps_are_as_large_as_the_slopes_along_it(smooth):
+def test_a_lay_is_detected_with_height_steps_as_large_as_the_slopes_along_it(smooth):
     stretched = smooth.assign_attrs(pitch_y=4.0)
     exact, coarse = (facets.estimate(each) for each in (stretched, rounded(stretched, 0.5 * SIGMA)))
     assert float(coarse["anisotropy"]) == pytest.approx(float(exact["anisotropy"]), rel=5e-3)
@@ -148,14 +148,14 @@ def test_a_skew_stays_along_its_axis_if_the_steps_widen_that_axis_more(smooth):
     assert skew[1] == pytest.approx(skew[0], rel=0.05, abs=0.01)
 
 
-def test_gaps_and_a_tilt_change_nothing_about_it(smooth):
+def test_gaps_and_a_tilt_do_not_change_the_quantum(smooth):
     height = (rounded(smooth, 0.05)["height"] + 0.3 * smooth["x"]).values
     height[np.random.default_rng(1).random(height.shape) < 0.02] = np.nan
     density = RadialDensity.of(facets.estimate(samples.surface(height), isotropic=True))
     assert density(SLOPES**2) == pytest.approx(EXACT, rel=0.1)
 
 
-def test_the_step_is_said_and_warned_about_where_it_is_coarse(smooth):
+def test_the_step_is_recorded_and_a_coarse_one_causes_a_warning(smooth):
     fine, coarse = (facets.estimate(rounded(smooth, share * SIGMA), isotropic=True) for share in (0.2, 0.6))
     assert "steps of 40 nm" in fine.attrs["history"]
     assert not vocabulary.warnings(fine)

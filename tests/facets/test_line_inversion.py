@@ -73,7 +73,7 @@ def test_the_patents_histogram_has_the_uncertainty_of_its_scatter():
     assert 0.7 < np.sqrt(np.mean((scatter / relative_u) ** 2)) < 1.4
 
 
-def test_correlated_slopes_leave_the_density_less_certain():
+def test_correlated_slopes_increase_the_uncertainty_of_the_density():
     def tail_u(length):
         table = facets.estimate(gaussian_line(50_000, length, 1)[0], isotropic=True)
         return float(np.interp(0.2, table["slope"], (table["D_u"] / table["D"]).values))

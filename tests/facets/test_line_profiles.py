@@ -36,7 +36,7 @@ def gaussian_line(points=100_000, sigma=0.1, correlation=0.7, seed=5):
     return samples.surface(np.cumsum(slope * sigma / slope.std()))
 
 
-def test_a_lone_line_is_refused_unless_declared_isotropic():
+def test_a_single_line_is_refused_unless_declared_isotropic():
     with pytest.raises(facets.FacetError, match=r"surface\.isotropic: true"):
         facets.estimate(gaussian_line(1000))
 
@@ -56,7 +56,7 @@ def test_an_isotropic_surface_is_twice_as_rough_as_a_line_on_it():
     assert float(table["slope_rms"]) == pytest.approx(0.1 * np.sqrt(2), rel=0.01)
 
 
-def test_a_grooved_line_is_no_mixture_of_gaussians():
+def test_a_mixture_of_gaussians_does_not_fit_a_grooved_line():
     sawtooth = np.cumsum(np.where(np.arange(20_000) % 40 < 20, 0.1, -0.1))
     jitter = np.random.default_rng(6).normal(scale=0.002, size=20_000)
     table = facets.estimate(samples.surface(sawtooth + jitter), isotropic=True)
@@ -69,13 +69,13 @@ def test_a_short_line_is_refused():
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
-def test_a_flat_line_is_refused_as_such(tilt):
+def test_a_flat_line_is_refused(tilt):
     with pytest.raises(facets.FacetError, match="is flat: all its slopes are equal"):
         facets.estimate(samples.surface(tilt * np.arange(1000)), isotropic=True)
 
 
 @pytest.mark.parametrize("factor", [1e-200, 1e-12, 1e12, 1e60, 1e200])
-def test_heights_in_a_unit_that_cannot_be_are_refused_as_such(factor):
+def test_heights_in_an_impossible_unit_are_refused(factor):
     line = gaussian_line(1000)
     line["height"] = line["height"] * factor
     with pytest.raises(facets.FacetError, match=r"impossible slope rms .*; check the unit.*`surface\.unit`"):
@@ -83,12 +83,12 @@ def test_heights_in_a_unit_that_cannot_be_are_refused_as_such(factor):
 
 
 @pytest.mark.parametrize("azimuth", [float("nan"), float("inf")])
-def test_an_azimuth_that_is_no_number_is_refused(azimuth):
+def test_an_azimuth_that_is_not_finite_is_refused(azimuth):
     with pytest.raises(facets.FacetError, match="azimuth of a line is not a finite number"):
         facets.estimate(lines_at(0.0, azimuth))
 
 
-def test_the_shortest_line_that_is_read_has_a_density_of_which_little_is_known():
+def test_the_shortest_accepted_line_has_a_density_of_large_uncertainty():
     table = facets.estimate(gaussian_line(LINE_MIN), isotropic=True)
     assert float(table["facet_count"]) == LINE_MIN - 1
     # The peak of 63 Gaussian slopes deviates by 33 % (median of 20 lines).
@@ -97,7 +97,7 @@ def test_the_shortest_line_that_is_read_has_a_density_of_which_little_is_known()
 
 
 @pytest.mark.parametrize(("points", "warned"), [(200, True), (20_000, False)])
-def test_few_slopes_are_warned_of(points, warned):
+def test_few_slopes_cause_a_warning(points, warned):
     table = facets.estimate(gaussian_line(points), isotropic=True)
     assert any("surface.scans" in warning for warning in vocabulary.warnings(table)) == warned
     rough, smooth = lines_at(0.0, 90.0, points=points)
@@ -150,7 +150,7 @@ def test_rings_recover_what_a_mixture_does(make):
     assert rings.mass == pytest.approx(1, abs=1e-9)
 
 
-def test_rings_find_a_ring():
+def test_rings_recover_a_ring():
     # Cones of one slope: the line sees the arcsine law, which no Gaussian mixture makes.
     slopes = 0.2 * np.cos(2 * np.pi * np.random.default_rng(8).random(50_000))
     table = facets.estimate(line(slopes + np.random.default_rng(9).normal(scale=0.005, size=50_000)), isotropic=True)
@@ -241,7 +241,7 @@ def test_slopes_of_few_distinct_values_keep_their_mean_square():
     assert float(table["slope_rms"]) == pytest.approx(np.sqrt(2) * rms, rel=0.06)
 
 
-def test_two_directions_take_a_mixture_alone_and_add_their_slopes_by_scale():
+def test_two_directions_accept_the_mixture_alone_and_add_their_slopes_by_scale():
     rng = np.random.default_rng(4)
     lines = [line(rng.normal(scale=s, size=20_000), azimuth=z) for s, z in ((0.2, 0.0), (0.02, 90.0))]
     with pytest.raises(facets.FacetError, match="accepted for two directions: mixture"):
@@ -260,14 +260,14 @@ def test_a_real_profile_of_coarse_heights_keeps_its_slope(shared_data):
     assert not any("do not reproduce" in warning for warning in vocabulary.warnings(table))
 
 
-def test_coarse_steps_are_warned_of():
+def test_coarse_steps_cause_a_warning():
     quantum = 0.07
     table = facets.estimate(samples.surface(quantum * np.round(gaussian_line()["height"] / quantum)), isotropic=True)
     assert any("finer height resolution" in warning for warning in vocabulary.warnings(table))
 
 
 @pytest.mark.parametrize("share", [2.0, 3.0, 4.0])
-def test_steps_far_coarser_than_the_slopes_tell_how_wide_they_are_and_no_more(share):
+def test_steps_far_coarser_than_the_slopes_determine_the_width_alone(share):
     # Of steps of four rms, a fifth of the slopes is not zero.
     quantum = 0.1 * share
     table = facets.estimate(samples.surface(quantum * np.round(gaussian_line()["height"] / quantum)), isotropic=True)
@@ -277,7 +277,7 @@ def test_steps_far_coarser_than_the_slopes_tell_how_wide_they_are_and_no_more(sh
     assert (table["D_u"] / table["D"]).values.min() > 0.6
 
 
-def test_what_no_way_fits_is_not_known():
+def test_a_density_that_no_method_fits_has_an_uncertainty_of_1():
     # Nine in ten slopes are zero and the others any: a plateau, whose peak neither way can give.
     rng = np.random.default_rng(7)
     slopes = np.where(rng.random(50_000) < 0.9, 0.0, rng.normal(scale=0.1, size=50_000))
@@ -287,7 +287,7 @@ def test_what_no_way_fits_is_not_known():
 
 
 @pytest.mark.parametrize("share", [1.0, 2.0, 3.0])
-def test_what_lies_between_coarse_steps_is_uncertain_by_as_much_as_its_shape_may_be_off(share):
+def test_coarse_steps_increase_the_uncertainty_of_the_shape(share):
     # Steps in units of the width of GGX: neither a mixture nor rings can know its peak.
     height = 0.1 * share * np.round(ggx_line()["height"] / (0.1 * share))
     table = facets.estimate(samples.surface(height), isotropic=True)

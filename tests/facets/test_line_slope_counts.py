@@ -24,7 +24,7 @@ def test_every_slope_is_counted_once():
     assert count_slopes(lines).size == 299 + 1000 + 19_999
 
 
-def test_a_missing_height_takes_its_two_slopes_and_nothing_else():
+def test_a_missing_height_removes_its_two_slopes_alone():
     height = heights(5000)
     height[[100, 3000]] = np.nan
     marginal = count_slopes([samples.surface(height)])
@@ -39,7 +39,7 @@ def test_each_line_loses_its_own_mean_slope():
     assert found.rms == pytest.approx(expected.rms, rel=1e-6)
 
 
-def test_halves_tell_the_variance_of_a_sum_exactly():
+def test_half_samples_give_the_variance_of_a_sum_exactly():
     by_stretch = np.random.default_rng(0).poisson(100, size=(STRETCHES, 3)).astype(float)
     bins = np.array([[0.0, 1.0], [1.0, 2.0], [2.0, 3.0]])
     halves = LineSlopeCounts(bins, by_stretch, np.ones(3), np.zeros((3, 1)), 1.0, 0.0).halves()
@@ -48,7 +48,7 @@ def test_halves_tell_the_variance_of_a_sum_exactly():
     assert np.mean((halves[1:] - halves[0]) ** 2, axis=0) == pytest.approx(variance, rel=1e-12)
 
 
-def test_correlated_slopes_count_for_less():
+def test_correlated_slopes_give_fewer_independent_slopes():
     independent = samples.surface(np.cumsum(np.random.default_rng(3).normal(size=40_000)))
     # Of five neighbours each: rectangles of 5 make about 5 slopes count as one or two for wide classes.
     assert count_slopes([independent]).redundancy < 1.2 < count_slopes([samples.surface(heights())]).redundancy
@@ -56,7 +56,7 @@ def test_correlated_slopes_count_for_less():
 
 @pytest.mark.parametrize("share", [0.002, 0.03, 0.3, 1.0])
 @pytest.mark.parametrize("tilt", [0.0, 0.0371])
-def test_the_quantum_of_rounded_heights_is_found_and_rounding_taken_out(share, tilt):
+def test_the_quantum_of_rounded_heights_is_found_and_their_rounding_is_removed(share, tilt):
     quantum = 0.1 * share
     height = heights() + tilt * np.arange(40_000)
     line = surfaces.level(samples.surface(quantum * np.round(height / quantum)))
@@ -72,12 +72,12 @@ def test_heights_that_take_any_value_have_no_quantum(seed):
     assert count_slopes([samples.surface(heights(2000, seed=seed))]).quantum == 0
 
 
-def test_a_sawtooth_is_no_rounding():
+def test_a_sawtooth_is_not_taken_for_quantised_heights():
     assert count_slopes([samples.surface(np.cumsum(np.where(np.arange(20_000) % 40 < 20, 0.1, -0.1)))]).quantum == 0
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 1.2])
-def test_the_density_under_rounded_heights_is_that_of_the_heights(share):
+def test_the_density_of_rounded_line_heights_is_that_of_the_heights(share):
     height = heights()
     exact = facets.estimate(samples.surface(height), isotropic=True)
     rounded = facets.estimate(samples.surface(0.1 * share * np.round(height / (0.1 * share))), isotropic=True)
@@ -108,7 +108,7 @@ def test_a_real_profile_of_coarse_heights_has_its_instruments_quantum(shared_dat
 
 @pytest.mark.parametrize("share", [0.25, 1.0])
 @pytest.mark.parametrize("curvature", [1e-7, 3e-6])
-def test_the_quantum_is_found_below_a_parabola_that_was_subtracted(share, curvature):
+def test_the_quantum_is_found_after_a_parabola_was_subtracted(share, curvature):
     quantum, x = 0.1 * share, np.arange(40_000)
     bent = samples.surface(quantum * np.round((heights() + curvature * x**2 / 2) / quantum))
     marginal = count_slopes([surfaces.level(bent, "polynomial-2")])
@@ -117,7 +117,7 @@ def test_the_quantum_is_found_below_a_parabola_that_was_subtracted(share, curvat
     assert marginal.rms == pytest.approx(np.std(np.diff(heights())), rel=0.005)
 
 
-def test_the_quantum_is_found_below_a_parabola_with_heights_missing():
+def test_the_quantum_is_found_after_a_parabola_was_subtracted_with_missing_heights():
     x = np.arange(40_000)
     height = 0.025 * np.round((heights() + 1e-6 * x**2 / 2) / 0.025)
     height[[10, 500, 501, 502, 30_000]] = np.nan
@@ -131,7 +131,7 @@ def test_the_quantum_of_heights_in_single_precision_is_found():
     assert count_slopes([samples.surface(height)]).quantum == pytest.approx(0.025, rel=1e-4)
 
 
-def test_lines_of_different_quanta_keep_their_own():
+def test_lines_of_different_quanta_are_counted_in_separate_bins():
     quanta = (0.01, 0.025, 0.08)
     marginal = count_slopes([samples.surface(q * np.round(heights(seed=n) / q)) for n, q in enumerate(quanta)])
     assert marginal.size == 3 * 39_999

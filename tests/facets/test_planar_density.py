@@ -27,7 +27,7 @@ def exact(distribution, a_x, a_y, azimuth, p, q):
 @pytest.mark.parametrize(("distribution", "limit"), [("beckmann", 1e-6), ("ggx", 1e-5)])
 @given(a_y=st.floats(1e-4, 0.1), ratio=ratios, azimuth=azimuths)
 @settings(max_examples=8, deadline=None)
-def test_any_ellipse_is_normalised_positive_and_lies_where_it_was_laid(distribution, limit, a_y, ratio, azimuth):
+def test_any_ellipse_is_normalised_positive_and_has_its_azimuth(distribution, limit, a_y, ratio, azimuth):
     table = facets.analytic(distribution, a_x=ratio * a_y, a_y=a_y, azimuth=azimuth)
     density = PlanarDensity.of(table)
     weight = density.rule()[2]
@@ -125,7 +125,7 @@ def test_masking_of_any_density_is_the_closed_form_between_its_azimuths(lopsided
     assert (np.abs(found - excess) / excess[0]).max() < 1e-4
 
 
-def test_the_density_faces_the_way_its_slopes_rise(lopsided):
+def test_the_density_has_the_sign_of_its_slopes(lopsided):
     # The gentler, likelier slopes are negative along the lay, and the tail positive.
     density = PlanarDensity.of(lopsided)
     cos, sin = np.cos(np.radians(35)), np.sin(np.radians(35))
@@ -162,7 +162,7 @@ def test_a_density_without_its_lay_is_refused():
 
 
 @given(along=st.floats(1e-4, 1), ratio=ratios, lay=st.floats(-90, 89.99), azimuth=azimuths)
-def test_the_turn_of_an_azimuth_leads_back_to_it(along, ratio, lay, azimuth):
+def test_turns_and_azimuths_are_inverse(along, ratio, lay, azimuth):
     ellipse = Ellipse(along, along * ratio, lay)
     turn = ellipse.towards(azimuth)[1]
     # Azimuths are rounded to 1e-9 degree.

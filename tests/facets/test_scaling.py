@@ -88,6 +88,6 @@ def test_flat_facets_stay_flat():
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, np.nan, np.inf])
-def test_a_factor_that_is_none_is_refused(factor):
+def test_an_invalid_scale_factor_is_refused(factor):
     with pytest.raises(facets.FacetError, match="accepted: a factor above 0"):
         facets.scaled(facets.analytic("beckmann", 0.1), factor)

@@ -85,7 +85,7 @@ def test_the_uncertainty_follows_clumps_that_grow_with_the_slope_of_a_heavy_tail
     assert 0.8 < np.sqrt(np.mean(np.concatenate(steep) ** 2)) < 1.25
 
 
-def test_steep_clumps_make_bins_wider_not_poorer():
+def test_correlated_steep_facets_widen_their_bins():
     bins = slope_histogram.merge_bins(ggx_counts(0))
     for each in range(bins.edges.size - 1):
         independent = bins.totals[each] / slope_histogram.redundancy_of(
@@ -95,7 +95,7 @@ def test_steep_clumps_make_bins_wider_not_poorer():
 
 
 @pytest.mark.parametrize("repeats", [1, 4, 30])
-def test_facets_that_come_in_clumps_count_as_their_clumps(repeats):
+def test_clumps_of_facets_count_as_one_facet_each(repeats):
     counts = repeats * np.random.default_rng(2).poisson(50.0, size=(BLOCKS, 40))
     # 63 × 40 independent squares: 3 %; and never fewer than one facet for one.
     assert slope_histogram.redundancy_of(counts) == pytest.approx(repeats, rel=0.1)
@@ -110,7 +110,7 @@ def test_blocks_of_unequal_size_are_compared_by_their_shares():
     assert slope_histogram.redundancy_of(counts) == pytest.approx(1, abs=0.15)
 
 
-def test_bins_of_few_independent_facets_are_trusted_less():
+def test_bins_of_few_independent_facets_have_a_larger_uncertainty():
     bins = slope_histogram.merge_bins(ggx_counts(0))
     plenty, few = (
         slope_histogram.density_from_histogram(bins._replace(least=least))[2]

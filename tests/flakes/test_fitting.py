@@ -90,7 +90,7 @@ def test_black_stays_black(angles):
     assert (found(np.linspace(0, 40, 9)) == 0).all()
 
 
-def test_black_far_from_the_gloss_is_allowed_where_the_curve_leads_there():
+def test_black_far_from_the_gloss_is_accepted_if_the_curve_ends_at_0():
     theta = np.array([0.0, 10.0, 800.0])
     found = fit(theta, column(10.0, 1.0, 0.0))
     assert found(theta) == pytest.approx(column(10.0, 1.0, 0.0), abs=1e-12)
@@ -121,7 +121,7 @@ def test_ten_geometries_with_2_percent_noise_are_recovered_within_3_percent():
     assert max(np.median(each) for each in errors) < 0.03
 
 
-def test_the_covariance_tells_the_spread_of_repeated_fits():
+def test_the_covariance_is_that_of_repeated_fits():
     random = np.random.default_rng(3)
     truth = curve(TEN, column(18.0), column(5.0), np.array([0.31]), 1)
     found = [fit(TEN, truth * (1 + 0.02 * random.standard_normal(truth.shape))) for _ in range(60)]
@@ -206,7 +206,7 @@ def test_equal_relative_uncertainties_change_the_covariance_alone(factor):
 
 
 @pytest.mark.parametrize("u", [np.zeros((10, 1)), np.full((10, 1), np.nan), np.full((10, 1), -1.0), np.ones((9, 1))])
-def test_uncertainties_that_are_no_weights_are_refused(u):
+def test_invalid_uncertainties_are_refused(u):
     with pytest.raises(InputError, match="invalid uncertainties"):
         fit(TEN, np.ones((10, 1)), uncertainty=u)
 
@@ -220,7 +220,7 @@ def test_leaving_one_out_of_three_is_not_possible():
     assert np.isnan(leave_one_out(PATENT, column(8, 1.5, 0.3))).all()
 
 
-def test_leaving_one_out_finds_the_wrong_geometry():
+def test_leaving_one_out_reveals_a_wrong_geometry():
     values = curve(TEN, column(18.0), column(5.0), np.array([0.31]), 1)
     values[4] *= 1.3
     error = np.abs(leave_one_out(TEN, values) / values - 1)
@@ -302,7 +302,7 @@ def test_a_term_that_vanished_comes_last_in_every_channel():
 
 
 @pytest.mark.parametrize("steep", np.linspace(0.063, 0.12, 20))
-def test_a_term_that_is_nothing_but_rounding_error_has_vanished(steep):
+def test_a_term_below_rounding_error_has_no_amplitude(steep):
     # At the first geometry this term is below 1e-15 of its amplitude: whether rounding leaves it one depends on the processor.
     theta, values = np.array([4.3, 7.5, 14.1, 23.8, 32.6]), np.array([152.0, 104.1, 28.6, 8.0, 5.3])
     data = ChannelData("1", FORMS["double-exponential"], theta, values, 0.01 * values, 0.05 * values, True)

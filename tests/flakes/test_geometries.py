@@ -60,22 +60,22 @@ def test_an_aspecular_name_and_a_view_name_mean_the_same(incidence, view):
 @pytest.mark.parametrize(
     "name", ["45", "", "45:90", "45as200", "95:0", "45;0", "45:1e1", "as\N{MINUS SIGN}15", "x" * 500]
 )
-def test_what_is_no_geometry_is_refused_with_what_is(name):
+def test_an_unknown_geometry_is_refused_with_the_accepted_forms(name):
     with pytest.raises(BrdfpipeError, match="accepted: 45:-30, 45as15"):
         directions(name)
 
 
-def test_every_set_holds_geometries():
+def test_every_set_has_valid_geometries():
     for name in SETS:
         assert len(named(name.lower())) == len(SETS[name])
 
 
-def test_a_misspelt_set_is_told_the_nearest():
+def test_a_misspelt_set_is_refused_with_the_nearest_name():
     with pytest.raises(BrdfpipeError, match="nearest is MA-T12"):
         named("MAT12")
 
 
-def test_short_names_with_and_without_a_hyphen_are_refused_side_by_side():
+def test_short_names_with_and_without_a_hyphen_are_refused_together():
     with pytest.raises(
         BrdfpipeError, match=r"'as-15' and 'as15' are ambiguous together.*write 45as-15 for .* 45as15 for"
     ):

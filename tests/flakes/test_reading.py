@@ -39,7 +39,7 @@ def test_the_patents_colours_have_its_luminances():
     assert found["phi_o"].values.tolist() == [180.0, 0.0, 0.0]
 
 
-def test_a_file_and_the_yaml_say_the_same(tmp_path):
+def test_a_file_and_the_same_colours_in_yaml_give_the_same_dataset(tmp_path):
     rows = "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]}" for name, lab in LAB.items())
     path = written(tmp_path, f"# measured\ngeometry,L*,a*,b*\n{rows}\n")
     assert flakes.ingest({"file": path.name, **VIEWING}, path).identical(flakes.ingest(inline()))
@@ -74,13 +74,13 @@ def test_spectra_are_read_and_sorted(tmp_path, scale, factor):
     assert found["reflectance_factor"].values[0] == pytest.approx(wavelength[::-1] / 1000)
 
 
-def test_an_unquoted_geometry_that_yaml_takes_for_minutes_is_understood():
+def test_a_geometry_that_yaml_reads_as_minutes_is_recognised():
     colours = [dict(item) for item in inline()["colours"]]
     colours[1]["geometry"] = 45 * 60
     assert flakes.ingest(inline(colours=colours))["theta_o"].values[1] == 0
 
 
-def test_a_geometry_measured_twice_is_kept_twice():
+def test_a_geometry_measured_twice_is_numbered():
     found = flakes.ingest(inline(colours=inline()["colours"] * 2))
     assert found.sizes["geometry"] == 6
     assert found["geometry"].values[3] == "45:-30 (2)"
@@ -146,13 +146,13 @@ def test_black_with_no_chroma_is_a_colour():
         ),
     ],
 )
-def test_what_cannot_be_used_is_refused_by_name(changes, pattern):
+def test_unusable_colours_are_refused_with_their_entry(changes, pattern):
     with pytest.raises(InputError, match=pattern):
         flakes.ingest(inline(**changes))
 
 
 @pytest.mark.parametrize("key", ["illuminant", "observer"])
-def test_colours_without_their_viewing_are_refused(key):
+def test_colours_without_illuminant_or_observer_are_refused(key):
     spec = inline()
     del spec[key]
     with pytest.raises(InputError, match=f"the {key} of the colours is missing"):
@@ -166,7 +166,7 @@ U_LAB = (0.3, 0.2, 0.4)
     "titles",
     ["L,a,b,u_L,u_a,u_b", "u(L*),L*,u(a*),a*,u(b*),b*", "L,L_std,a,a_std,b,b std", "L,a,b,sigma_a,SIGMA_L,σ b"],
 )
-def test_uncertainties_are_found_however_they_are_titled(tmp_path, titles):
+def test_uncertainties_are_recognised_by_several_titles(tmp_path, titles):
     plain = {"L": 0, "a": 1, "b": 2}
     order = [
         next(letter for letter in plain if letter in re.sub("std|sigma|SIGMA|σ|u", "", t)) for t in titles.split(",")
@@ -227,7 +227,7 @@ def test_columns_that_are_not_used_are_named(tmp_path):
         ("L,a,b,u_L,u_a,u_b", "9,1,1,.1,,.1", "line 2, column u_a: not a number; found ''"),
     ],
 )
-def test_uncertainties_that_are_no_weights_are_refused_by_their_column(tmp_path, titles, cells, pattern):
+def test_invalid_uncertainties_are_refused_with_their_column(tmp_path, titles, cells, pattern):
     rows = "\n".join(f"{name},{cells}" for name in LAB)
     with pytest.raises(InputError, match=pattern):
         flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
@@ -245,7 +245,7 @@ def test_uncertainties_that_are_no_weights_are_refused_by_their_column(tmp_path,
         ("geometry,L,a,b\n\0,1,2,3\n", "not text"),
     ],
 )
-def test_a_file_that_is_no_table_of_colours_is_refused_by_its_line(tmp_path, text, pattern):
+def test_a_damaged_table_of_colours_is_refused_with_its_line(tmp_path, text, pattern):
     with pytest.raises(InputError, match=pattern):
         flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, text))
 

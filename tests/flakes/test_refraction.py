@@ -48,7 +48,7 @@ def test_the_mirror_direction_needs_a_level_flake(theta, phi, index):
     assert flake_angle(theta, phi, theta, phi + 180, index) == pytest.approx(0, abs=1e-9)
 
 
-def test_a_nearly_level_flake_keeps_its_digits():
+def test_the_angle_of_a_nearly_level_flake_is_accurate():
     # Half of 1e-7 degree inside a coat, times cos θ / cos θ' / n: arccos of the normal would see nothing below 1e-6.
     found = float(flake_angle(45, 0, 45 + 1e-7, 180, 1.5))
     inner = np.sqrt(1 - (np.sin(np.radians(45)) / 1.5) ** 2)

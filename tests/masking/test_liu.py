@@ -161,7 +161,7 @@ def test_the_quadrature_has_the_digits_of_the_published_integrals(sigma, theta, 
 
 @given(theta=st.floats(0, 90), alpha=st.floats(-90, 90), name=st.sampled_from(sorted(DENSITIES)))
 @settings(max_examples=300, deadline=None)
-def test_the_table_is_the_quadrature_and_a_share(theta, alpha, name):
+def test_the_table_agrees_with_the_quadrature(theta, alpha, name):
     exact = float(masking_factor(theta, alpha, DENSITIES[name]))
     assert 0 <= exact <= 1
     assert factor(TABLES[name], theta, alpha) == pytest.approx(exact, abs=1e-6)
@@ -171,7 +171,7 @@ def test_the_table_is_the_quadrature_and_a_share(theta, alpha, name):
     reach=st.floats(0.01, 6), lean=st.floats(-3, 3), edge_on=st.floats(-12, 1), name=st.sampled_from(sorted(DENSITIES))
 )
 @settings(max_examples=200, deadline=None)
-def test_the_table_is_the_quadrature_where_the_density_lies_and_for_facets_seen_edge_on(reach, lean, edge_on, name):
+def test_the_table_agrees_with_the_quadrature_at_typical_slopes_and_edge_on(reach, lean, edge_on, name):
     scale = DENSITIES[name].scale
     theta = np.degrees(np.arctan2(1.0, scale * reach))
     for alpha in (np.degrees(np.arctan(scale * lean)), max(theta - 90 + 10**edge_on, -90.0)):
@@ -205,13 +205,13 @@ def test_a_facet_that_faces_away_is_not_seen():
     assert TABLES["liu 0.5"](*slopes_of(theta, alpha)) == pytest.approx(np.zeros(3), abs=0)
 
 
-def test_seen_from_above_every_facet_is_whole():
+def test_no_facet_is_masked_at_normal_incidence():
     for name in DENSITIES:
         assert factor(TABLES[name], 0.0, [-89.0, -20.0, 0.0, 70.0]) == pytest.approx(np.ones(4), abs=0)
         assert masking_factor(0.0, [-89.0, 0.0, 70.0], DENSITIES[name]) == pytest.approx(np.ones(3), abs=1e-15)
 
 
-def test_a_nearly_flat_surface_hides_nothing_and_a_steep_one_still_has_a_factor():
+def test_a_nearly_flat_surface_masks_nothing_and_a_steep_one_has_a_finite_factor():
     assert factor(TABLES["liu 1e-6"], 89.9, 0.0) == 1.0
     steep = masking_factor([10.0, 60.0, 89.0], [0.0, 30.0, -0.5], liu_density(1e3))
     # Half of the neighbours lean away; of the rest nearly all stand upright.
@@ -231,9 +231,7 @@ def test_in_the_plane_of_incidence_the_attenuation_is_the_published_one(theta_i,
 
 @given(theta_i=st.floats(0, 89), theta_o=st.floats(0, 89), phi_i=st.floats(-180, 180), phi_o=st.floats(-180, 180))
 @settings(max_examples=60, deadline=None)
-def test_the_tilt_towards_a_direction_is_that_of_the_facets_profile_in_its_vertical_plane(
-    theta_i, phi_i, theta_o, phi_o
-):
+def test_the_tilt_towards_a_direction_is_that_of_the_profile_in_its_vertical_plane(theta_i, phi_i, theta_o, phi_o):
     middle = unit_vector(theta_i, phi_i) + unit_vector(theta_o, phi_o)
     found = liu.tilts_towards(half_vector(theta_i, phi_i, theta_o, phi_o), phi_i, phi_o)
     for tilt, theta, phi in zip(found, (theta_i, theta_o), (phi_i, phi_o), strict=True):
@@ -313,7 +311,7 @@ def test_the_albedo_of_mirrors_is_the_integral_over_outgoing_directions(sigma, t
     assert found == pytest.approx(rule.weight @ f, rel=3e-4)
 
 
-def test_the_loss_of_energy_conservation_is_named_with_its_angle():
+def test_the_angle_from_which_energy_is_not_conserved_is_named():
     found = {}
     for sigma in (0.02, 0.1, 0.3, 0.5):
         density = RadialDensity.of(facets.analytic("beckmann", sigma * np.sqrt(2)))

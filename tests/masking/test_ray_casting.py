@@ -89,7 +89,7 @@ def test_the_identity_holds_on_a_map_with_gaps_at_every_azimuth(gaps):
 
 
 @pytest.mark.parametrize("height", [np.zeros(100), 0.3 * np.arange(100), np.zeros((40, 50))])
-def test_a_flat_or_tilted_surface_is_seen_whole(height):
+def test_a_flat_or_tilted_surface_is_not_masked(height):
     # The mean slope is form, not texture, and is taken away.
     assert raycast.raycast(samples.surface(height), THETA)["g1"].values == pytest.approx(1, abs=1e-12)
 
@@ -104,7 +104,7 @@ def test_a_symmetric_sawtooth_has_its_closed_form(slope, phi):
     assert raycast.raycast(samples.surface(teeth), THETA[1:], phi)["g1"].values == pytest.approx(expected, rel=1e-10)
 
 
-def test_a_lopsided_sawtooth_masks_differently_from_either_side():
+def test_an_asymmetric_sawtooth_masks_differently_from_each_side():
     # Up 3 samples at 0.6, down 9 at 0.2: towards +x the steep flank faces away, Λ = ¼ (0.6 − μ)⁺ / μ; back ¾ (0.2 − μ)⁺
     # / μ.
     tooth = np.cumsum(np.where(np.arange(600) % 12 < 3, 0.6, -0.2))
@@ -156,7 +156,7 @@ def test_an_oblique_azimuth_sees_the_slope_projected_onto_it():
         assert found == pytest.approx(1 / (1 + (slope - mu) / (2 * mu)), rel=0.02)
 
 
-def test_a_diagonal_of_equal_pitches_holds_the_gentler_slopes_between_its_own_samples():
+def test_a_diagonal_line_has_the_smaller_slopes_between_its_samples():
     # White noise: differences of one rms over √2 pitches along the diagonal, over one pitch along the rows, where facets of
     # every azimuth keep the latter.
     noise = samples.surface(np.random.default_rng(2).normal(scale=0.3, size=(300, 300)))
@@ -168,7 +168,7 @@ def test_a_diagonal_of_equal_pitches_holds_the_gentler_slopes_between_its_own_sa
     assert [rows, diagonal] == pytest.approx(expected, rel=0.03)
 
 
-def test_a_map_turned_by_a_quarter_is_seen_from_a_quarter_further():
+def test_a_map_rotated_by_90_degree_has_its_masking_rotated():
     height = samples.gaussian_surface(96, sigma=0.4, correlation=4)["height"].values
     # Columns become rows: what lay towards +x lies towards +y, at 33 degree from there.
     here = raycast.raycast(samples.surface(height, pitch=(1.0, 1.5)), 80.0, 33.0)["g1"]
@@ -176,7 +176,7 @@ def test_a_map_turned_by_a_quarter_is_seen_from_a_quarter_further():
     assert float(here) == pytest.approx(float(there), rel=1e-12)
 
 
-def test_a_mirrored_map_is_seen_from_the_mirrored_side():
+def test_a_mirrored_map_has_its_masking_mirrored():
     height = samples.gaussian_surface(96, sigma=0.4, correlation=4)["height"].values[:70]
     here, there = samples.surface(height), samples.surface(height[::-1])
     for phi in (25.0, 70.0):
@@ -208,7 +208,7 @@ def test_the_unit_of_length_does_not_matter():
 
 
 @pytest.mark.parametrize("kind", ["gaussian", "ggx", "white noise"])
-def test_less_is_seen_the_lower_one_looks(kind):
+def test_g1_falls_towards_grazing(kind):
     g1 = raycast.raycast(samples.surface(rough_line(kind, 0.4, points=2001)), np.linspace(0, 89.9, 100))["g1"].values
     assert g1[0] == pytest.approx(1, abs=1e-12)
     assert (np.diff(g1) <= 1e-12).all()
@@ -222,7 +222,7 @@ def test_the_bistatic_fraction_is_the_same_with_light_and_viewer_exchanged(gaps)
         assert float(there["g2"]) == pytest.approx(float(back["g2"]), rel=1e-12)
 
 
-def test_a_second_look_along_the_same_ray_hides_nothing_more():
+def test_two_equal_directions_are_masked_like_one():
     # G2 of a direction with itself is the fraction of the facets it sees; at normal incidence it sees all.
     line = samples.surface(rough_line("gaussian", 0.4))
     for phi in (0.0, 180.0):
@@ -308,7 +308,7 @@ def test_the_bistatic_masking_lies_between_separable_and_height_correlated():
     assert separable + 0.03 < g2 < correlated - 0.02
 
 
-def test_two_azimuths_are_known_better_than_one(gaussian_map):
+def test_two_azimuths_have_a_smaller_uncertainty_than_one(gaussian_map):
     comparison = raycast.compare(gaussian_map, facets.analytic("beckmann", 0.4 * np.sqrt(2)), [80.0])
     one = raycast.raycast(gaussian_map, 80.0, [0.0, 90.0])["g1_u"].mean()
     # Opposite directions add nothing: √2, not 2.
@@ -331,7 +331,7 @@ def test_facets_turned_towards_the_viewer_are_seen_more_often_than_smith_says(ga
     assert np.isnan(g1[slope > 0.35]).all()
 
 
-def test_a_ground_surface_judged_isotropic_is_warned_about():
+def test_a_ground_surface_declared_isotropic_causes_a_warning():
     rough = samples.gaussian_surface(512, sigma=0.6, correlation=6)["height"].values
     ground = samples.surface(rough, pitch=(1.0, 8.0))
     comparison = raycast.compare(ground, facets.estimate(samples.surface(rough[0]), isotropic=True))
@@ -381,7 +381,7 @@ def test_a_surface_without_a_line_is_refused(height):
         raycast.raycast(samples.surface(height), 60.0)
 
 
-def test_a_line_profile_is_not_seen_from_the_side():
+def test_a_line_profile_accepts_azimuths_0_and_180_alone():
     with pytest.raises(RaycastError, match="accepted: 0 and 180"):
         raycast.raycast(samples.surface(np.zeros(100)), 60.0, 90.0)
 

@@ -75,7 +75,7 @@ def test_the_mean_excess_at_zero_is_half_the_mean_absolute_slope():
     assert masking.excess_slope(density, [0.0])[0] == pytest.approx(0.2 / np.sqrt(np.pi) / 2, rel=1e-10)
 
 
-def test_visible_facets_project_to_the_whole_surface():
+def test_masking_conserves_the_projected_area():
     # ∫ G1 D max(0, o·m) dω = cos θ (Heitz 2014, eq. 20): masking conserves the projected area.
     table = facets.analytic("beckmann", 0.4)
     s, weight = RadialDensity.of(table).rule()
@@ -132,7 +132,7 @@ def test_every_other_mode_is_reciprocal_and_between_0_and_1(mode):
     assert ((forward >= 0) & (forward <= 1)).all()
 
 
-def test_the_modes_order_as_they_must():
+def test_the_masking_modes_are_ordered():
     table = facets.analytic("beckmann", 0.6)
     none, correlated, separable = (pair(table, mode, 80, 75) for mode in ("none", "height-correlated", "separable"))
     assert none == pytest.approx(1, rel=1e-15)
@@ -155,7 +155,7 @@ def test_an_unknown_mode_is_refused():
         masking.g2(facets.analytic("beckmann", 0.3), 0, 0, 0, 0, mode="v-groove")
 
 
-def test_masking_straight_from_a_line_is_that_of_its_slopes():
+def test_g1_along_a_line_is_smith_masking_of_its_slopes():
     slopes = np.random.default_rng(2).normal(scale=0.3, size=200_000)
     slopes -= slopes.mean()
     expected = masking.g1(facets.analytic("beckmann", 0.3 * np.sqrt(2)), ANGLES).values
@@ -171,6 +171,6 @@ def test_slopes_that_are_not_levelled_are_refused():
         masking.g1_along([np.nan], [45.0])
 
 
-def test_masking_offers_the_ground_truth():
+def test_ray_casting_is_a_public_name_of_masking():
     cast = masking.raycast(samples.gaussian_surface(128, sigma=0.3, correlation=4), [60.0, 80.0])
     assert cast["g1"].values == pytest.approx(1 / (1 + cast["lambda_empirical"].values), abs=1e-10)

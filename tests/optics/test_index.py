@@ -115,6 +115,6 @@ def test_a_metal_is_a_pair_of_numbers():
 @pytest.mark.parametrize(
     "pair", [{"n": 0.5, "k": 0}, {"n": 1.5, "k": -1}, {"n": 6, "k": 1}, {"n": "1.5", "k": 1}, {"n": 1, "k": True}]
 )
-def test_a_pair_that_is_no_refractive_index_is_refused(pair):
+def test_an_invalid_pair_of_n_and_k_is_refused(pair):
     with pytest.raises(InputError, match="0 < n < 5 and 0 < k < 20 where the material absorbs"):
         optics.refractive_index(pair)

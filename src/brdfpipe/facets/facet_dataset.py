@@ -102,8 +102,7 @@ def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
     slope = SlopeAxis(planar.along.scale / 2, steepest, 1023).nodes[511:]
     average = _ring_means(planar, slope)
     slope, average = slope[average > 0], average[average > 0]
-    density = RadialDensity(slope, average)
-    radial = radial_dataset(RadialDensity(slope, average / density.mass), float(facets["slope_rms"]))
+    radial = radial_dataset(RadialDensity(slope, average).normalised(), float(facets["slope_rms"]))
     radial.attrs = {name: facets.attrs[name] for name in ("method", "band")}
     radial = vocabulary.add_warning(
         radial,

@@ -103,9 +103,6 @@ def _isotropic(counts: NDArray[np.int64], moments: Moments) -> xr.Dataset:
     return _with_few_warning(facets, bins)
 
 
-# --- a surface with a lay
-
-
 def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     """Elliptic density of the slopes, corrected by the counts in cells of the slope plane.
 

@@ -50,9 +50,6 @@ def ratio_of(density: Array, reference: Array) -> Array:
     return np.asarray(np.minimum(density / np.maximum(reference, 1e-290), 1e6))
 
 
-# --- mixture
-
-
 class Mixture(NamedTuple):
     """P1(p) = Σ w_k N(0, σ_k²)."""
 
@@ -149,9 +146,6 @@ def misfit(counts: Array, expected: Array, redundancy: float) -> float:
     return float(deviation.sum()) / redundancy / max(1, starts.size - 1)
 
 
-# --- rings
-
-
 def estimate_from_rings(marginal: LineSlopeCounts, fit: Mixture) -> RadialEstimate | None:
     """Regularised Abel inversion: non-negative rings, as smooth as a reduced χ² of 1 allows.
 
@@ -182,16 +176,14 @@ def estimate_from_rings(marginal: LineSlopeCounts, fit: Mixture) -> RadialEstima
     heights = weights / weights.sum(axis=1, keepdims=True) / area
     slope = np.concatenate([[0.0], middle, rings[-1:]])
     values = np.concatenate([heights[:, :1], heights, heights[:, -1:]], axis=1)
-    density = _normalised(slope, np.maximum(values[0], 1e-12 * heights[0].max()))
+    density = RadialDensity(slope, np.maximum(values[0], 1e-12 * heights[0].max())).normalised()
     s, weight = density.rule()
     # Interpolation between rings must keep their mean slope, and the rings that along the line. Unlike the mean square, it is
     # insensitive to the tail.
     mean_of_rings = 2 * np.pi / 3 * float(np.diff(rings**3) @ heights[0])
     along = marginal.middles
-    mean_ratio = (
-        float(weight @ s) / mean_of_rings * float(along @ share @ (area * heights[0])) / float(along @ counts / size)
-    )
-    if abs(mean_ratio - 1) > 0.05:
+    mean_along = float(along @ share @ (area * heights[0]))
+    if abs(float(weight @ s) / mean_of_rings * mean_along / float(along @ counts / size) - 1) > 0.05:
         return None
     return RadialEstimate(density, marginal.slope_rms, _relative_uncertainty(slope, values))
 
@@ -201,13 +193,6 @@ def _disc_below(p: Array, radius: Array) -> Array:
     inside = np.clip(p[..., None], -radius, radius)
     ratio = np.divide(inside, radius, out=np.zeros_like(inside), where=radius > 0)
     return np.asarray(2 * inside * np.sqrt(np.maximum(radius**2 - inside**2, 0)) + 2 * radius**2 * np.arcsin(ratio))
-
-
-def _normalised(slope: Array, values: Array) -> RadialDensity:
-    return RadialDensity(slope, values / RadialDensity(slope, values).mass)
-
-
-# --- the patent's
 
 
 def estimate_from_patent(marginal: LineSlopeCounts) -> RadialEstimate:
@@ -232,6 +217,6 @@ def estimate_from_patent(marginal: LineSlopeCounts) -> RadialEstimate:
     slope = np.concatenate([[0.0], middle, marginal.bins[cuts[-1] - 1, 1:]])
     values = np.concatenate([marginals[:, :1], marginals, marginals[:, -1:]], axis=1) / (1 + slope**2)
     values /= np.trapezoid(values * slope, slope)[:, None]
-    density = _normalised(slope, values[0])
+    density = RadialDensity(slope, values[0]).normalised()
     s, weight = density.rule()
     return RadialEstimate(density, float(np.sqrt(weight @ s**2)), _relative_uncertainty(slope, values))

@@ -110,9 +110,6 @@ def _directions(lines: Sequence[xr.Dataset]) -> list[_Direction]:
     return sorted(directions, key=lambda direction: direction.azimuth)
 
 
-# --- an isotropic surface
-
-
 def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
     marginal = count_slopes(lines)
     history, warnings = ["declared isotropic"], []
@@ -212,9 +209,6 @@ def _slope_rms_by_scale(lines: Sequence[xr.Dataset]) -> Array:
             slopes = (height[n:] - height[:-n]) / (n * pitch)
             squares[index] += mean_square(slopes - np.nanmean(slopes)) / len(lines)
     return np.sqrt(squares)
-
-
-# --- two perpendicular directions
 
 
 def _perpendicular(directions: Sequence[_Direction]) -> xr.Dataset:

@@ -1,7 +1,7 @@
 """The radial slope density P22(s) of an isotropic surface, as a function.
 
 P22 is the probability density of facet slopes (p, q) per unit of slope plane, s = √(p² + q²) = tan α, so that
-2π ∫ P22 s ds = 1 and D(m) = P22 / cos⁴α (PHYSICS: Surface → facet distribution).
+2π ∫ P22 s ds = 1 and D(m) = P22 / cos⁴α.
 """
 
 from __future__ import annotations
@@ -72,6 +72,10 @@ class RadialDensity:
     def mass(self) -> float:
         """∫ P22 dp dq, which is 1 for a normalised density."""
         return float(self.rule()[1].sum())
+
+    def normalised(self) -> RadialDensity:
+        """The same density with a mass of 1."""
+        return RadialDensity(self.slope, self.density / self.mass)
 
     @cached_property
     def median_slope(self) -> float:

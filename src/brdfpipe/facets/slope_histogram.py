@@ -241,7 +241,6 @@ def density_from_histogram(binned: MergedHistogram) -> tuple[RadialDensity, NDAr
     for _ in range(12):
         mass = 2 * np.pi * s * tabulated(log_density)(s**2) * ds
         log_density = log_density + np.log(share / np.bincount(owner, mass, minlength=share.size))
-    density = tabulated(log_density)
     # Derivatives of the nodes, and of the shares, with respect to the middles; linear interpolation is accurate enough here.
     step = 1e-6
     jacobian = (
@@ -254,7 +253,7 @@ def density_from_histogram(binned: MergedHistogram) -> tuple[RadialDensity, NDAr
     relative_u = np.minimum(np.concatenate([relative_u, relative_u[-1] * np.hypot(1, lengths)]), 1.0)
     quality = np.full(slope.size, vocabulary.quality("measured"))
     quality[share.size + 1 :] = vocabulary.quality("extrapolated")
-    return RadialDensity(slope, density.density / density.mass), quality, relative_u
+    return tabulated(log_density).normalised(), quality, relative_u
 
 
 def remove_broadening(binned: MergedHistogram, mean_square: float) -> MergedHistogram:

@@ -90,12 +90,8 @@ class ChannelData(NamedTuple):
 
     def without(self, geometry: int) -> ChannelData:
         others = np.arange(self.theta.size) != geometry
-        return self._replace(
-            theta=self.theta[others],
-            rho=self.rho[others],
-            scale=self.scale[others],
-            tolerance=self.tolerance[others],
-        )
+        names = ("theta", "rho", "scale", "tolerance")
+        return self._replace(**{name: getattr(self, name)[others] for name in names})
 
     @property
     def decay_range(self) -> tuple[float, float]:

@@ -106,9 +106,6 @@ def _aspecular_angle(pair: Directions) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
-# --- colours
-
-
 def _tristimulus(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
     for key, accepted in (("illuminant", "D65, A, …"), ("observer", "2 or 10")):
         if key not in spec:
@@ -184,9 +181,6 @@ def _spectral(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
     if not below:
         return dataset
     return vocabulary.add_history(dataset, f"{below} reflectance factors between -0.001 and 0 were set to 0")
-
-
-# --- written out in material.yaml
 
 
 def _inline(spec: Mapping[str, Any]) -> _Rows:
@@ -278,9 +272,6 @@ def _unique(names: Sequence[str]) -> tuple[str, ...]:
         counts[name] = counts.get(name, 0) + 1
         unique.append(name if counts[name] == 1 else f"{name} ({counts[name]})")
     return tuple(unique)
-
-
-# --- a file
 
 
 def _table(path: Path) -> _Rows:

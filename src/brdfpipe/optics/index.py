@@ -155,9 +155,6 @@ def _physical(n: Array, k: Array) -> NDArray[np.bool_]:
     return (n > 0) & (n < 5) & ((k > 0) | (n >= 1)) & (k >= 0) & (k < 20)
 
 
-# --- files
-
-
 def _read_table(path: Path) -> xr.Dataset:
     """Refractive index from a text table of wavelength, n and optionally k."""
     table = columns.read_spectral_table(path, "index.file", "wavelength, n and optionally k", most=2, widest=150.0)
