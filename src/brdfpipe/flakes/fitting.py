@@ -135,8 +135,8 @@ def _channel_data(
         scale, tolerance = u, np.maximum(tolerance, _TOLERATED * u)
     names = map(str, range(1, rho.shape[1] + 1) if channels is None else channels)
     return [
-        ChannelData(name, FORMS[form], theta, *columns, uncertainty is not None)
-        for name, *columns in zip(names, rho.T, scale.T, tolerance.T, strict=True)
+        ChannelData(name, FORMS[form], theta, value, weight, limit, uncertainty is not None)
+        for name, value, weight, limit in zip(names, rho.T, scale.T, tolerance.T, strict=True)
     ]
 
 

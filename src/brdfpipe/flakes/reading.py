@@ -299,12 +299,12 @@ def _table(path: Path) -> _Rows:
         numbers = {k: _number(path, cells[k], f"{at}, column {titles[k]}", decimal) for k in numeric}
         items.append({title: cells[k] if title == "geometry" else numbers[k] for title, k in geometry_columns.items()})
         values.append([numbers[k] for k in (*columns, *u_columns)])
-        for k, u in zip(u_columns, values[-1][len(columns) :], strict=True):
-            if u <= 0:
+        for k in u_columns:
+            if numbers[k] <= 0:
                 column = f"{at}, column {titles[k]}"
-                raise _refusal(path.name, "invalid standard uncertainty", "above 0", f"{u:g}", column)
+                raise _refusal(path.name, "invalid standard uncertainty", "above 0", f"{numbers[k]:g}", column)
     stacked = np.array(values, dtype=float).reshape(len(values), len(columns) + len(u_columns))
-    colours, u = np.split(stacked, [len(columns)], axis=1)
+    colours, uncertainty = np.split(stacked, [len(columns)], axis=1)
     if u_columns:
         notes.append("the uncertainties are taken as independent standard uncertainties (k = 1)")
     used = {*geometry_columns.values(), *columns, *u_columns}
@@ -312,7 +312,7 @@ def _table(path: Path) -> _Rows:
     if unused:
         notes.append(f"{path.name}: ignored columns: {', '.join(unused)}"[:200])
     table = _rows(path.name, where, items, kind, colours, wavelength)
-    return table._replace(uncertainty=u if u_columns else None, notes=tuple(notes))
+    return table._replace(uncertainty=uncertainty if u_columns else None, notes=tuple(notes))
 
 
 def _uncertainty_columns(path: Path, titles: Sequence[str], columns: Sequence[int]) -> list[int]:
