@@ -7,6 +7,8 @@ CORES     ?=
 VENV := .venv
 BIN  := $(VENV)/bin
 PIP  := $(BIN)/python -m pip --disable-pip-version-check -qq
+# One thread a process, and compiled modules kept: the tests start many processes.
+PYTEST := OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist worksteal
 
 # An environment holds the path of its checkout: a copied or moved one would run the code of the old place, so it is made anew.
 ifneq ($(shell cat $(VENV)/.place 2>/dev/null),$(CURDIR))
@@ -30,10 +32,10 @@ instruments: $(VENV)/.instruments  ## add the readers of instruments' own file f
 peers: $(VENV)/.peers  ## add the independent implementations that test-full compares with (250 MB, compiles for minutes)
 
 test: $(VENV)/.dev $(VENV)/.instruments  ## run the tests, each at least on a representative case (minutes on two cores)
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+	@$(PYTEST)
 
 test-full: $(VENV)/.dev $(VENV)/.instruments $(VENV)/.peers  ## run the same, every random search in full, the slow proofs and the comparisons with other programs (an hour)
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal --slow
+	@$(PYTEST) --slow
 
 lint: $(VENV)/.dev  ## format check, lint, types, workflow lint
 	@$(BIN)/ruff format --check .

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +28,12 @@ MATERIALS = {
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    base = tmp_path_factory.mktemp("finishes")
+def results(made_once: Callable[[str, Callable[[Path], None]], Path], request: pytest.FixtureRequest) -> Path:
+    slow = request.config.getoption("--slow")
+    return made_once("finishes", lambda base: build_finishes(base, preview=slow)) / "results"
+
+
+def build_finishes(base: Path, preview: bool) -> None:
     for name, text in MATERIALS.items():
         (base / "catalogue" / name).mkdir(parents=True)
         (base / "catalogue" / name / "material.yaml").write_text(text)
@@ -41,10 +46,10 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     settings.write_text(
         "table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}\n"
         "lambert_gauss: {theta_i: [0, 45]}\n"
+        f"preview: {str(preview).lower()}\n"
     )
     summary = build_catalogue(base / "catalogue", base / "results", cores=2, config=settings)
     assert summary.failures == {}
-    return base / "results"
 
 
 def _brushed() -> np.ndarray:
