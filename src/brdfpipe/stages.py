@@ -152,6 +152,11 @@ def _comparable(subject: Subject) -> bool:
 # --- keys
 
 
+def _values(*names: str) -> Keys:
+    """Keys of the description that are in no block."""
+    return Keys(names, (), lambda subject, _: {name: subject.section(name) for name in names})
+
+
 def _section(path: str, only: Sequence[str] = ()) -> Keys:
     """The keys of one part of the description: all of them, or some."""
 
@@ -338,7 +343,7 @@ STAGES: Mapping[str, Stage] = {
             "index",
             "the refractive index",
             when=_has("index"),
-            keys=Keys(("index",), (), lambda subject, _: {"index": subject.section("index")}),
+            keys=_values("index"),
             kind="index",
         ),
         Stage(
