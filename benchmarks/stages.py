@@ -20,26 +20,13 @@ LIMITS = {"predicted": 50, "flake": 30, "measured": 20, "smoothed": 20}
 """Most modules that a stage may depend on."""
 
 BEFORE = {
-    **{
-        "appearance": 94,
-        "back_surface": 15,
-        "bsdf": 4,
-        "calibration": 96,
-        "catalogue": 145,
-        "checks": 94,
-        "comparison": 120,
-    },
-    **{"export_astm": 97, "export_astm_transmission": 97, "facets": 22, "flake": 94, "index": 11, "interior": 7},
-    **{
-        "lambert_gauss": 98,
-        "masking": 11,
-        "measured": 95,
-        "multiangle": 23,
-        "predicted": 95,
-        "preview": 98,
-        "primary": 96,
-    },
-    **{"reduced": 113, "report": 145, "rig_run": 122, "smoothed": 96, "spectrum": 18, "surface": 15, "table": 94},
+    name: int(count)
+    for name, count in re.findall(
+        r"(\w+) (\d+)",
+        """surface 15, facets 22, back_surface 15, masking 11, spectrum 18, index 11, interior 7, multiangle 23, predicted 95, flake 94,
+        rig_run 122, reduced 113, primary 96, smoothed 96, calibration 96, measured 95, comparison 120, bsdf 4, checks 94,
+        appearance 94, preview 98, table 94, lambert_gauss 98, export_astm 97, export_astm_transmission 97, report 145, catalogue 145""",
+    )
 }
 """Modules in the digests before packages were lazy and layers held."""
 

@@ -8,11 +8,16 @@ from __future__ import annotations
 
 import ast
 import importlib
+import itertools
 import re
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 from source_tree import PACKAGE, PROJECT, Import, definitions, imports, modules, packages, tree
+
+from brdfpipe.jobs.code import DISTRIBUTIONS
 
 SCRIPTS = sorted(path for folder in ("workflow", "scripts") for path in (PROJECT / folder).rglob("*.py"))
 
@@ -148,6 +153,30 @@ def test_public_names_of_a_package_load_and_are_no_names_of_its_modules(package)
             assert value is importlib.import_module(statement.target)
         else:
             assert statement.name in definitions(modules()[statement.module])
+
+
+def test_every_library_that_is_imported_is_declared():
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    requirements = [*project["dependencies"], *itertools.chain(*project["optional-dependencies"].values())]
+    declared = {_distribution(re.match(r"[\w.-]+", requirement)[0]) for requirement in requirements}
+    imported = {
+        name.split(".")[0]
+        for path in modules().values()
+        for node in ast.walk(tree(path))
+        for name in _absolute_imports(node)
+    }
+    libraries = imported - sys.stdlib_module_names - {PACKAGE}
+    assert {_distribution(DISTRIBUTIONS.get(name, name)) for name in libraries} - declared == set()
+
+
+def _absolute_imports(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    return [str(node.module)] if isinstance(node, ast.ImportFrom) and not node.level else []
+
+
+def _distribution(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def _indirect(statement: Import) -> str:

@@ -497,7 +497,7 @@ def test_what_a_search_alone_needs_is_refused_elsewhere(tmp_path: Path, said: st
     write(tmp_path, "m", COLOUR.replace("geometry", f"{said}, geometry"))
     key = said.split(", ")[-1].split(":")[0]
     assert f"line 1, spectrum.{key}: no effect, because `method: " in (why := catalogue.load(tmp_path).failures["m"])
-    assert f"`{key}` goes with `method: random4` or `adaptive4`" in why
+    assert f"accepted: `{key}` with `method: random4` or `adaptive4`" in why
 
 
 def test_a_search_has_its_seed_and_threshold(tmp_path: Path) -> None:

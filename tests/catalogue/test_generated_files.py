@@ -62,3 +62,21 @@ def test_values_of_registries_are_those_of_the_registries() -> None:
     from brdfpipe.spectra.formats.registry import FORMATS
 
     assert declared(generated_files.material_keys.MeasuredSpectrum, ["format"]).choices == tuple(FORMATS)
+
+
+def test_the_configuration_of_the_project_has_a_value_for_every_declared_key_and_no_other() -> None:
+    configuration = yaml.safe_load((PROJECT / "config" / "config.yaml").read_text("utf-8"))
+    assert dotted_keys(configuration) == declared_keys(generated_files.Config)
+
+
+def dotted_keys(content: dict[str, Any]) -> set[str]:
+    blocks = {name: value for name, value in content.items() if isinstance(value, dict)}
+    inner = {f"{name}.{key}" for name, value in blocks.items() for key in dotted_keys(value)}
+    return inner | (content.keys() - blocks.keys())
+
+
+def declared_keys(model: type[Keys]) -> set[str]:
+    fields = {name: field.annotation for name, field in model.declared_keys().items()}
+    blocks = {name: block for name, block in fields.items() if isinstance(block, type) and issubclass(block, Keys)}
+    inner = {f"{name}.{key}" for name, block in blocks.items() for key in declared_keys(block)}
+    return inner | (fields.keys() - blocks.keys())

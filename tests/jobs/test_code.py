@@ -13,6 +13,7 @@ import pytest
 from brdfpipe import catalogue, installation
 from brdfpipe.jobs import code
 from brdfpipe.stages import STAGES, Stage
+from brdfpipe.store import canonical_json
 
 SCRIPTS = Path(__file__).parents[2] / "workflow" / "scripts"
 
@@ -43,7 +44,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def digest(root: Path, also: tuple[str, ...] = ()) -> str:
-    code._parsed.cache_clear()
+    code._parsed.clear()
     code._bytes_digest.cache_clear()
     return code.digest(root / "stage.py", root, also)
 
@@ -130,6 +131,23 @@ def test_the_reader_of_instruments_files_counts_with_its_library(root: Path, mon
     assert digest(root) == before
 
 
+def test_unchanged_modules_are_parsed_once_for_all_builds(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = root / "parsed.json"
+    with code.remember_parsed(file):
+        before = digest(root)
+    with monkeypatch.context() as patched, code.remember_parsed(file):
+        patched.delattr(code.ast, "parse")
+        assert digest(root) == before
+    (root / "brdfpipe" / "store.py").write_text("def save():\n    return 2\n")
+    with code.remember_parsed(file):
+        after = digest(root)
+    assert after != before
+    for damaged in ("", "{}", '["key"]'):
+        file.write_text(damaged)
+        with code.remember_parsed(file):
+            assert digest(root) == after
+
+
 @pytest.mark.parametrize("stage", STAGES.values(), ids=list(STAGES))
 def test_every_library_that_a_stage_may_use_is_known_by_its_distribution(stage: Stage) -> None:
     optional = {"SurfaceTopography", "openpyxl", "alpyca"}
@@ -149,37 +167,55 @@ def test_every_stage_has_a_digest_of_its_own(stage: Stage) -> None:
     assert len(code.digest(script(stage), also=stage.modules)) == 32
 
 
-def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: Path) -> None:
-    """Run each stage of the examples in one fresh process a stage and compare what was imported."""
-    program = (
-        "import sys, runpy, json; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__');"
-        "print(json.dumps(sorted(m for m in sys.modules if m.split('.')[0] == 'brdfpipe')))"
-    )
-    material = tmp_path / "m"
-    folder = installation.project_folder() / "examples" / "abs-grain"
-    examples = catalogue.load(folder.parent)
-    steps = {
-        "surface": ({"raw": folder / "grain.x3p"}, ["surface"]),
-        "index": ({}, ["index"]),
-        "facets": ({"surface": material / "surface"}, ["facets"]),
-        "spectrum": ({"raw": folder / "reflectance.txt", "index": material / "index"}, ["spectrum"]),
-        "predicted": ({part: material / part for part in ("facets", "index", "spectrum")}, ["predicted"]),
-        "bsdf": ({"predicted": material / "predicted"}, ["bsdf"]),
-        "checks": ({"bsdf": material / "bsdf"}, ["checks"]),
-        "appearance": ({"bsdf": material / "bsdf"}, ["appearance"]),
-        "preview": ({"bsdf": material / "bsdf"}, ["preview", "png"]),
-        "table": ({"bsdf": material / "bsdf"}, ["table"]),
-        "lambert_gauss": ({"bsdf": material / "bsdf"}, ["lambert_gauss", "csv"]),
-        "export_astm": ({"table": material / "table", "bsdf": material / "bsdf"}, ["file"]),
-        "report": ({"facets": material / "facets", "bsdf": material / "bsdf"}, ["page", "summary"]),
-    }
-    from brdfpipe.store import canonical_json
+RUN_STAGES = """
+import json, os, runpy, sys
+import netCDF4, numpy, pandas, scipy.interpolate, scipy.optimize, scipy.special, xarray
 
-    for stage, (inputs, outputs) in steps.items():
-        command = [sys.executable, "-c", program, str(script(STAGES[stage])), "--material", "abs-grain"]
-        command += ["--spec", canonical_json(examples.spec("abs-grain", stage))]
-        command += ["--input", *(f"{name}={path}" for name, path in inputs.items())] if inputs else []
-        command += ["--output", *(f"{name}={material / name}{'.astm' * (name == 'file')}" for name in outputs)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        loaded = {name for name in json.loads(done.stdout) if not f"{name}.".startswith(code.UNFOLLOWED)}
-        assert loaded <= set(code.modules(script(STAGES[stage]), code.SOURCE, STAGES[stage].modules)), stage
+for stage, arguments in json.load(sys.stdin).items():
+    child = os.fork()
+    if child:
+        assert os.waitpid(child, 0)[1] == 0, stage
+        continue
+    sys.argv = arguments
+    runpy.run_path(arguments[0], run_name="__main__")
+    with open(f"{stage}.loaded", "w") as file:
+        json.dump([name for name in sys.modules if name.split(".")[0] == "brdfpipe"], file)
+    os._exit(0)
+"""
+"""Runs each stage in a process that has loaded libraries but no module of the package, and lists the modules that it loads."""
+
+
+def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: Path) -> None:
+    example = installation.project_folder() / "examples" / "abs-grain"
+    examples = catalogue.load(example.parent)
+    steps: dict[str, tuple[dict[str, str | Path], list[str]]] = {
+        "surface": ({"raw": example / "grain.x3p"}, ["surface"]),
+        "index": ({}, ["index"]),
+        "facets": ({"surface": "surface"}, ["facets"]),
+        "spectrum": ({"raw": example / "reflectance.txt", "index": "index"}, ["spectrum"]),
+        "predicted": ({part: part for part in ("facets", "index", "spectrum")}, ["predicted"]),
+        "bsdf": ({"predicted": "predicted"}, ["bsdf"]),
+        "checks": ({"bsdf": "bsdf"}, ["checks"]),
+        "appearance": ({"bsdf": "bsdf"}, ["appearance"]),
+        "preview": ({"bsdf": "bsdf"}, ["preview", "png"]),
+        "table": ({"bsdf": "bsdf"}, ["table"]),
+        "lambert_gauss": ({"bsdf": "bsdf"}, ["lambert_gauss", "csv"]),
+        "export_astm": ({"table": "table", "bsdf": "bsdf"}, ["file"]),
+        "report": ({"facets": "facets", "bsdf": "bsdf"}, ["page", "summary"]),
+    }
+    commands = {
+        stage: [
+            *(str(script(STAGES[stage])), "--material", "abs-grain"),
+            *("--spec", canonical_json(examples.spec("abs-grain", stage))),
+            *("--input", *(f"{name}={path}" for name, path in inputs.items())),
+            *("--output", *(f"{name}={name}{'.astm' * (name == 'file')}" for name in outputs)),
+        ]
+        for stage, (inputs, outputs) in steps.items()
+    }
+    command = [sys.executable, "-c", RUN_STAGES]
+    subprocess.run(command, cwd=tmp_path, input=json.dumps(commands), text=True, check=True)
+    for stage in steps:
+        loaded = set(json.loads((tmp_path / f"{stage}.loaded").read_text()))
+        followed = {name for name in loaded if not f"{name}.".startswith(code.UNFOLLOWED)}
+        assert len(followed) > 3
+        assert followed <= set(code.modules(script(STAGES[stage]), also=STAGES[stage].modules)), stage

@@ -182,8 +182,7 @@ _DOCS_HEAD = """\
 Columns of `catalogue.csv` and variables of `catalogue.nc`. A cell is empty, and a variable NaN, where the quantity is not known or
 does not apply; `no_gloss`, `no_haze`, … of `catalogue.nc` state why. "-style": computed after the standard; conformance is not claimed.
 
-This file is generated from `src/brdfpipe/appearance/quantities.py`:
-`python -c "from brdfpipe.appearance.quantities import docs_table; print(docs_table(), end='')" > docs/quantities.md`
+`make keys` writes this file from `src/brdfpipe/appearance/quantities.py`.
 """
 
 

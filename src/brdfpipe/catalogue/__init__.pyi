@@ -1,9 +1,9 @@
 from .calibration import Calibration as Calibration
 from .catalogue import Catalogue as Catalogue
+from .catalogue import ignored as ignored
 from .catalogue import load as load
 from .configuration import load_config as load_config
 from .format_checks import check_formats as check_formats
-from .ignored_folders import ignored as ignored
 from .material import Material as Material
 from .material import load_material as load_material
 from .material import start_material as start_material

@@ -1,10 +1,11 @@
-"""The catalogue: one folder per material, each with a ``material.yaml``, validated before anything is computed.
+"""Read a catalogue: a folder for each material with a ``material.yaml``, validated before anything is computed.
 
-One bad material never stops the others: it becomes a line in :attr:`Catalogue.failures`.
+A material that cannot be built does not stop the others: :attr:`Catalogue.failures` says why.
 """
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,9 +16,8 @@ from typing import Any
 from brdfpipe import documents
 from brdfpipe.catalogue.calibration import Calibration, load_calibrations
 from brdfpipe.catalogue.configuration import load_config
-from brdfpipe.catalogue.ignored_folders import ignored
 from brdfpipe.catalogue.material import Material, load_material
-from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION, CatalogueError
+from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION, RESULT_MARKS, CatalogueError
 from brdfpipe.errors import BrdfpipeError, InputError, printable
 from brdfpipe.stages import STAGES, Subject
 
@@ -77,8 +77,8 @@ def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
         raise CatalogueError(f"{folder}: is one material; give the folder above it")
     folders = sorted(path.parent for path in folder.glob(f"*/{DESCRIPTION}") if not path.parent.name.startswith("."))
     if not folders:
-        near = "".join(f"; {name}: {why}" for name, why in [*ignored(folder).items()][:3])
-        raise CatalogueError(f"{folder}: holds no material; `brdfpipe new NAME --folder {folder}` starts one{near}")
+        hints = "".join(f"; {name}: {reason}" for name, reason in [*ignored(folder).items()][:3])
+        raise CatalogueError(f"{folder}: holds no material; `brdfpipe new NAME --folder {folder}` starts one{hints}")
     loaded = {printable(path.name): _load_or_refusal(path, config) for path in folders}
     duplicates = _duplicate_names(loaded)
     failures = {name: item for name, item in loaded.items() if isinstance(item, str)} | duplicates
@@ -101,7 +101,7 @@ def _load_or_refusal(folder: Path, config: Mapping[str, Any]) -> Material | str:
 
 
 def _duplicate_names(loaded: Mapping[str, Material | str]) -> dict[str, str]:
-    """Refusals of folders with the name of another one; letter case does not distinguish folders everywhere."""
+    """Refusals of materials with the name of another one; some file systems ignore letter case."""
     names = {folder: item.name if isinstance(item, Material) else folder for folder, item in loaded.items()}
     counts = Counter(name.casefold() for name in names.values())
     return {
@@ -120,7 +120,7 @@ def _duplicate_names(loaded: Mapping[str, Material | str]) -> dict[str, str]:
 
 
 def _rig_refusals(materials: Mapping[str, Material], calibrations: Mapping[str, Calibration | str]) -> dict[str, str]:
-    """Refusals of materials whose calibration or emulated truth does not exist."""
+    """Refusals of materials whose calibration, or the material to be emulated, does not exist."""
     refusals = {}
     measurable = [name for name, item in materials.items() if "emulate" not in item.content.get("rig", {})]
     for name, material in materials.items():
@@ -144,3 +144,35 @@ def _rig_refusals(materials: Mapping[str, Material], calibrations: Mapping[str, 
         path = material.folder / DESCRIPTION
         refusals[name] = str(InputError(path, problem, where=where, found=repr(value), accepted=accepted))
     return refusals
+
+
+def ignored(folder: Path) -> dict[str, str]:
+    """Folders that look like materials and are ignored: name → what was found and what to do, in one line."""
+    reasons: dict[str, str] = {}
+    for item in sorted(item for item in folder.iterdir() if item.is_dir() and not item.name.startswith((".", "_"))):
+        if item.name == CALIBRATIONS or (item / DESCRIPTION).is_file():
+            continue
+        if not any((item / mark).exists() for mark in RESULT_MARKS) and (reason := _reason_to_ignore(item)):
+            reasons[printable(item.name)] = reason
+    return reasons
+
+
+def _reason_to_ignore(folder: Path) -> str | None:
+    try:
+        names = sorted(item.name for item in folder.iterdir() if not item.name.startswith("."))
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+    misnamed = [name for name in names if re.fullmatch(r"material\.ya?ml(\.txt)?", name, re.IGNORECASE)]
+    if misnamed:
+        return f"{misnamed[0]} is not read; rename it to {DESCRIPTION}"
+    deeper = [name for name in names if (folder / name / DESCRIPTION).is_file()]
+    if deeper:
+        return f"{DESCRIPTION} is one folder too deep, in {deeper[0]}; move that folder into the catalogue itself"
+    from brdfpipe.columns import TEXT_SUFFIXES
+    from brdfpipe.surfaces.reading import FORMATS
+
+    suffixes = {*TEXT_SUFFIXES, *(suffix for format in FORMATS.values() for suffix in format.extensions)}
+    raw = [name for name in names if Path(name).suffix.lower() in suffixes and (folder / name).is_file()]
+    if raw:
+        return f"{raw[0]} but no {DESCRIPTION}; `brdfpipe new` with the folder's name writes one beside the raw files"
+    return None

@@ -1,4 +1,4 @@
-"""The keys of ``config.yaml``: what holds for every material of a catalogue. Its values are the defaults."""
+"""The keys of ``config.yaml``: settings for all materials of a catalogue. The defaults are the values of ``config/config.yaml``."""
 
 from collections.abc import Iterable
 from typing import Annotated, Self
@@ -14,6 +14,8 @@ PolarAngles = Annotated[
     list[Annotated[float, Field(ge=0, lt=90, description="an angle from the normal")]], Items(rising=True)
 ]
 
+FullAngle = Annotated[float, Field(gt=0, le=60, description="a full angle in degree")]
+
 
 def _sets() -> Iterable[str]:
     from brdfpipe.flakes.geometries import SETS
@@ -28,13 +30,9 @@ class HazeWindow(Keys):
     offset: float = key(
         "angle between the mirror direction and the middle of a receptor", required=True, unit="degree", gt=0, le=60
     )
-    aperture: Annotated[
-        tuple[
-            Annotated[float, Field(gt=0, le=60, description="a full angle in degree")],
-            Annotated[float, Field(gt=0, le=60, description="a full angle in degree")],
-        ],
-        Strict(False),
-    ] = key("full angles of a receptor in the plane of incidence and across it", required=True, unit="degree")
+    aperture: Annotated[tuple[FullAngle, FullAngle], Strict(False)] = key(
+        "full angles of a receptor in the plane of incidence and across it", required=True, unit="degree"
+    )
 
 
 class Appearance(Keys):
@@ -71,12 +69,10 @@ class Table(Keys):
     )
 
     @model_validator(mode="after")
-    def _half_a_circle(self) -> Self:
+    def _check_azimuths(self) -> Self:
         if self.phi_o is not None and (self.phi_o[0], self.phi_o[-1]) != (0, 180):
-            found = f"{self.phi_o[0]:g} to {self.phi_o[-1]:g}"
-            raise InputError(
-                "", "the azimuths do not span half a circle", where="phi_o", found=found, accepted="0 to 180"
-            )
+            span, problem = f"{self.phi_o[0]:g} to {self.phi_o[-1]:g}", "the azimuths do not span half a circle"
+            raise InputError("", problem, where="phi_o", found=span, accepted="0 to 180")
         return self
 
 
@@ -97,7 +93,7 @@ class Comparison(Keys):
 
 
 class Config(Keys):
-    """What holds for every material of a catalogue."""
+    """Settings for all materials of a catalogue."""
 
     illuminant: str = key("illuminant of colours and previews, D65, D50, A or another CIE illuminant")
     observer: Observer = key("observer of colours and previews, 10 or 2 degree")

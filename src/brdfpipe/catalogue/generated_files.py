@@ -1,6 +1,6 @@
-"""The files that follow from declared keys: templates, editor schemas, and the key tables of the documentation.
+"""Files that follow from declarations: templates and editor schemas of descriptions, tables of keys and of appearance quantities.
 
-``python -m brdfpipe.catalogue.generated_files``, or ``make keys``, writes them into a checkout after a key was changed.
+``make keys`` (``python -m brdfpipe.catalogue.generated_files``) writes them into a checkout after a declaration was changed.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from brdfpipe import installation
+from brdfpipe.appearance.quantities import docs_table
 from brdfpipe.catalogue import calibration_keys, material_keys
 from brdfpipe.catalogue.config_keys import Config
 from brdfpipe.descriptions import rendering
@@ -163,12 +164,12 @@ def _format_table(formats: Mapping[str, SurfaceFormat | SpectrumFormat], title: 
 
 
 def files(project: Path) -> dict[str, str]:
-    """Every file that follows from declared keys, by path in the project; pages with their tables renewed."""
+    """Every file that follows from declarations, by path in the project; pages with their tables renewed."""
     pages = {
         page: rendering.with_tables((project / page).read_text("utf-8"), tables)
         for page, tables in key_tables().items()
     }
-    return templates() | editor_schemas() | pages
+    return templates() | editor_schemas() | pages | {"docs/quantities.md": docs_table()}
 
 
 if __name__ == "__main__":

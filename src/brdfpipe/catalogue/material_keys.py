@@ -50,15 +50,21 @@ def _spectrum_formats() -> Iterable[str]:
     return FORMATS
 
 
-def _file() -> Any:
-    return key("a file in the material's own folder", required=True, min_length=1, max_length=255, example="scan.txt")
+def _file(holds: str = "", kind: str = "a file", **notes: Any) -> Any:
+    help = f"{holds}{', ' if holds else ''}{kind} in the material's own folder"
+    return key(help, required=True, min_length=1, max_length=255, **notes)
 
 
-def _azimuth(stage: str = "") -> Any:
+def _azimuth(**notes: Any) -> Any:
     help = "direction of a line profile, counter-clockwise from x"
-    return key(help, default_words="0", unit="degree", ge=-360, le=360, stage=stage)
+    return key(help, default_words="0", unit="degree", ge=-360, le=360, **notes)
 
 
+def _scale() -> Any:
+    return key("fraction (0 to 1) or percent, where the file does not state it")
+
+
+Scale = Annotated[str, OneOf(("fraction", "percent"))]
 Length = Annotated[float, Field(gt=0, le=1_000_000)]
 
 
@@ -68,21 +74,14 @@ Length = Annotated[float, Field(gt=0, le=1_000_000)]
 class Scan(Keys):
     """A further scan of the same surface."""
 
-    file: str = _file()
+    file: str = _file(example="scan.txt")
     azimuth: float = _azimuth()
 
 
 class MeasuredSurface(Keys):
     """A scan of a surface, and how it is read."""
 
-    file: str = key(
-        "the scan, a file in the material's own folder",
-        required=True,
-        min_length=1,
-        max_length=255,
-        details="See [formats](#formats-of-surfaces).",
-        stage="surface",
-    )
+    file: str = _file("the scan", details="See [formats](#formats-of-surfaces).", stage="surface")
     format: Annotated[str, OneOf(_surface_formats)] = key(
         "how the file is written; metropro must be named, because its extension .dat means text",
         default_words="by the extension",
@@ -152,7 +151,7 @@ class MeasuredSurface(Keys):
         details="See [the model](model.md). A map does not use it, and a warning says so.",
         stage="facets",
     )
-    azimuth: float = _azimuth("surface")
+    azimuth: float = _azimuth(stage="surface")
     scans: list[Scan] = key(
         "further scans of the same surface, read like the first; a second line perpendicular to the first shows a lay",
         min_length=1,
@@ -161,7 +160,7 @@ class MeasuredSurface(Keys):
     )
 
     @model_validator(mode="after")
-    def _isotropic_line(self) -> Self:
+    def _check_line_profile(self) -> Self:
         if self.layout == "line" and not self.scans and not self.isotropic:
             accepted = "true, if the finish looks the same from every azimuth: one line profile shows one azimuth alone"
             if self.isotropic is None:
@@ -235,7 +234,7 @@ class IndexPair(Keys):
 class IndexFile(Keys):
     """A table of the refractive index."""
 
-    file: str = _file()
+    file: str = _file(example="scan.txt")
 
 
 IndexNumber = Annotated[
@@ -259,16 +258,14 @@ Index = Annotated[IndexPair | IndexFile | IndexNumber | IndexName, Choice(_index
 class TransmittanceFile(Keys):
     """A table of the internal transmittance."""
 
-    file: str = _file()
-    scale: Annotated[str, OneOf(("fraction", "percent"))] = key(
-        "fraction (0 to 1) or percent, where the file does not state it"
-    )
+    file: str = _file(example="scan.txt")
+    scale: Scale = _scale()
 
 
 class AbsorptionFile(Keys):
     """A table of the absorption coefficient."""
 
-    file: str = _file()
+    file: str = _file(example="scan.txt")
     unit: Annotated[str, OneOf(("1/mm", "1/cm", "1/m"))] = key(
         "unit of the coefficient: 1/mm, 1/cm or 1/m", default="1/mm"
     )
@@ -333,20 +330,12 @@ ColumnName = Annotated[int | str, Choice(lambda column: 1 if isinstance(column, 
 class MeasuredSpectrum(Keys):
     """A measured total reflectance."""
 
-    file: str = key(
-        "the total reflectance, a file in the material's own folder",
-        required=True,
-        min_length=1,
-        max_length=255,
-        details="See [formats](#formats-of-spectra).",
-    )
+    file: str = _file("the total reflectance", details="See [formats](#formats-of-spectra).")
     geometry: Geometry = key(GEOMETRY, default_words="what the file states")
     incidence: float = _incidence()
     specular_trap: float = _specular_trap()
     format: Annotated[str, OneOf(_spectrum_formats)] = key("how the file is written", default_words="by the extension")
-    scale: Annotated[str, OneOf(("fraction", "percent"))] = key(
-        "fraction (0 to 1) or percent, where the file does not state it"
-    )
+    scale: Scale = _scale()
     sample: ColumnName = key("which sample of a file that holds several, by name or by number")
     column: ColumnName = key("which column of the file, by name or by number (the wavelength is column 1)")
     uncertainty: ColumnName = key("the column of standard uncertainties, by name or by number")
@@ -400,13 +389,13 @@ class Colour(Keys):
     )
 
     @model_validator(mode="after")
-    def _search_keys(self) -> Self:
+    def _check_search_keys(self) -> Self:
         method = self.method or "lhtss"
         if method not in SEARCHES:
             for name in ("seed", "threshold"):
                 if getattr(self, name) is not None:
                     problem = f"no effect, because `method: {method}` does not search"
-                    accepted = f"`{name}` goes with `method: random4` or `adaptive4`; leave it out here"
+                    accepted = f"`{name}` with `method: random4` or `adaptive4`; leave it out otherwise"
                     raise InputError("", problem, where=name, found=getattr(self, name), accepted=accepted)
         return self
 
@@ -443,7 +432,7 @@ class MultiangleColour(Keys):
 class _Multiangle(Keys):
     illuminant: str = key("illuminant of L*a*b* or XYZ, D65, D50, A or another CIE illuminant", stage="multiangle")
     observer: Observer = key("observer of L*a*b* or XYZ, 10 or 2 degree", stage="multiangle")
-    scale: Annotated[str, OneOf(("fraction", "percent"))] = key(
+    scale: Scale = key(
         "scale of reflectance factors: fraction (1 for the perfect diffuser) or percent", stage="multiangle"
     )
     index: float = key("refractive index of the clear coat", default=1.5, gt=1, lt=5, stage="flake")
@@ -473,11 +462,9 @@ class _Multiangle(Keys):
 class MultiangleFile(_Multiangle):
     """A file of colours at several geometries."""
 
-    file: str = key(
-        "the colours, a CSV file in the material's own folder",
-        required=True,
-        min_length=1,
-        max_length=255,
+    file: str = _file(
+        "the colours",
+        "a CSV file",
         details=(
             "Separated by `,`, by tab, or by `;` with decimal commas. Its first line names the columns: `geometry` or the four angles; then `L`, `a`, `b`, "
             "or `X`, `Y`, `Z`, or wavelengths (`400`, `R400nm`); and their [uncertainties](#uncertainties-of-colours), if known."
@@ -571,13 +558,7 @@ class MeasuredRig(_Rig):
 class EmulatedRig(_Rig):
     """A measurement that the emulator makes."""
 
-    plan: str = key(
-        "the plan of the measurement, a plan.yaml in the material's own folder",
-        required=True,
-        default_words="instead of `run`",
-        min_length=1,
-        max_length=255,
-    )
+    plan: str = _file("the plan of the measurement", "a plan.yaml", default_words="instead of `run`")
     emulate: Emulation = key("emulator instead of a measurement {truth, seed, session}", required=True, stage="rig_run")
 
 
@@ -610,20 +591,17 @@ class Model(Keys):
     )
 
     @property
-    def masking_in_use(self) -> str:
+    def effective_masking(self) -> str:
         """The masking that the keys, the recipe or the default give."""
         return self.masking or RECIPE_MASKING.get(self.recipe or "", MODEL_DEFAULTS["masking"])
 
     @model_validator(mode="after")
-    def _compensated(self) -> Self:
-        if self.multiple_scattering == "compensated" and self.masking_in_use not in TRANSMITTING_MASKING:
-            raise InputError(
-                "",
-                "`multiple_scattering: compensated` needs a masking that conserves energy",
-                where="masking",
-                found=repr(self.masking_in_use),
-                accepted="height-correlated or separable, or `multiple_scattering: none`",
-            )
+    def _check_compensation(self) -> Self:
+        masking = self.effective_masking
+        if self.multiple_scattering == "compensated" and masking not in TRANSMITTING_MASKING:
+            problem = "`multiple_scattering: compensated` needs a masking that conserves energy"
+            accepted = "height-correlated or separable, or `multiple_scattering: none`"
+            raise InputError("", problem, where="masking", found=repr(masking), accepted=accepted)
         return self
 
 
@@ -666,7 +644,7 @@ class Material(Keys):
     )
 
     @model_validator(mode="after")
-    def _index_pair(self) -> Self:
+    def _check_index(self) -> Self:
         if isinstance(self.index, IndexPair) and self.index.k is None:
             from brdfpipe.optics.index import without_k
 
@@ -674,42 +652,37 @@ class Material(Keys):
         return self
 
     @model_validator(mode="after")
-    def _slab_alone(self) -> Self:
+    def _check_slab(self) -> Self:
         """Refuse keys that contradict a clear body."""
         if self.slab is None:
             return self
         if self.spectrum is not None:
-            raise InputError(
-                "",
-                "`slab` and `spectrum` exclude each other: a clear body has no diffuse base, its colour is what it absorbs",
-                accepted="`slab` with `internal_transmittance` or `absorption`; or `spectrum` without `slab`, for an opaque body",
+            problem = "`slab` and `spectrum` exclude each other: a clear body has no diffuse base, its colour is from absorption"
+            accepted = (
+                "`slab` with `internal_transmittance` or `absorption`; or `spectrum` without `slab`, for an opaque body"
             )
-        if self.model.masking_in_use not in TRANSMITTING_MASKING:
-            raise InputError(
-                "",
+            raise InputError("", problem, accepted=accepted)
+        if self.model.effective_masking not in TRANSMITTING_MASKING:
+            problem, accepted = (
                 "this masking does not conserve energy where light passes a surface",
-                where="model.masking",
-                found=repr(self.model.recipe or self.model.masking),
-                accepted=", ".join(TRANSMITTING_MASKING),
+                ", ".join(TRANSMITTING_MASKING),
             )
-        for name, why in (
+            masking = repr(self.model.recipe or self.model.masking)
+            raise InputError("", problem, where="model.masking", found=masking, accepted=accepted)
+        for name, problem in (
             ("diffuse", "a clear body has no diffuse base"),
-            ("multiple_scattering", "a slab always keeps the light that its facets reflect more than once"),
+            ("multiple_scattering", "a slab always includes the light that its facets reflect more than once"),
         ):
             if (value := getattr(self.model, name)) is not None:
-                raise InputError(
-                    "", why, where=f"model.{name}", found=repr(value), accepted=f"`slab` without `model.{name}`"
-                )
+                accepted = f"`slab` without `model.{name}`"
+                raise InputError("", problem, where=f"model.{name}", found=repr(value), accepted=accepted)
         if isinstance(self.index, IndexPair) and self.index.k > 0:
-            raise InputError(
-                "",
-                "the body of a slab would be opaque: an extinction coefficient absorbs all light within micrometres",
-                where="index.k",
-                found=self.index.k,
-                accepted="k of 0; give the absorption of the body by `slab.internal_transmittance` or `slab.absorption`",
+            problem = (
+                "the body of a slab would be opaque: an extinction coefficient absorbs all light within micrometres"
             )
+            accepted = "k of 0; give the absorption of the body by `slab.internal_transmittance` or `slab.absorption`"
+            raise InputError("", problem, where="index.k", found=self.index.k, accepted=accepted)
         if isinstance(self.slab.back, MeasuredSurface) and self.slab.back.scans is not None:
-            raise InputError(
-                "", "further scans are counted for the front alone", where="slab.back.scans", accepted="one file"
-            )
+            problem = "further scans are accepted for the front alone"
+            raise InputError("", problem, where="slab.back.scans", accepted="one file")
         return self

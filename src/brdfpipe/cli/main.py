@@ -54,16 +54,15 @@ def check(catalogue: Path, config: Path | None) -> int:
 
     Exit code: 1 if a material is wrong or needs a reader that is not installed.
     """
-    from brdfpipe.catalogue.catalogue import load
+    from brdfpipe.catalogue.catalogue import ignored, load
     from brdfpipe.catalogue.configuration import load_config
     from brdfpipe.catalogue.format_checks import check_formats
-    from brdfpipe.catalogue.ignored_folders import ignored
     from brdfpipe.catalogue.material import summary_words
-    from brdfpipe.jobs import runs
+    from brdfpipe.jobs.runs import planned_runs
     from brdfpipe.surfaces.reading import check_readable
 
     loaded = load(catalogue, load_config(config))
-    problems = {**loaded.failures, **runs.of(loaded)[1]}
+    problems = {**loaded.failures, **planned_runs(loaded)[1]}
     summaries = {}
     for material in loaded.materials:
         if material.name in problems:

@@ -1,4 +1,4 @@
-"""Declare the keys of a description: type, range, unit, default, help and example, each in one place.
+"""Declarations of the keys of a description: type, range, unit, default, help and example of each in one place.
 
 A block of keys is a pydantic model that derives from :class:`Keys`, and each key is an attribute made by :func:`key`.
 :mod:`brdfpipe.descriptions.reading` validates YAML against it, :mod:`brdfpipe.descriptions.rendering` writes the template, the
@@ -35,7 +35,7 @@ NAME_WORDS = "letters, digits, dots, dashes and underscores, at most 64, startin
 
 
 class Notes(NamedTuple):
-    """What is declared of a key beside its type and range."""
+    """Declarations of a key beside its type and range."""
 
     unit: str
     example: Any
@@ -78,7 +78,7 @@ def key(
 
 
 def notes_of(field: FieldInfo) -> Notes:
-    """What :func:`key` declared of a field beside type and range."""
+    """The notes that :func:`key` attached to a field."""
     extra = field.json_schema_extra
     return extra["notes"] if isinstance(extra, dict) else Notes("", None, "", "", "")  # type: ignore[return-value]
 
@@ -114,13 +114,11 @@ class Keys(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _refuse_together(cls, given: Any) -> Any:
-        if isinstance(given, Mapping):
-            refuse_together(given, cls.not_together)
-        return given
+    def _check_exclusive_keys(cls, given: Any) -> Any:
+        return refuse_exclusive_keys(given, cls.not_together)
 
     @model_validator(mode="after")
-    def _refuse_incomplete(self) -> Keys:
+    def _check_required_keys(self) -> Keys:
         given = self.model_fields_set
         if self.at_least_one and not given & set(self.at_least_one):
             listed = ", ".join(f"`{name}`" for name in self.at_least_one)
@@ -147,12 +145,13 @@ class Keys(BaseModel):
         return schema
 
 
-def refuse_together(given: Mapping[Any, Any], pairs: Iterable[tuple[str, str]]) -> None:
-    """Refuse a mapping that has both keys of a pair."""
-    for pair in pairs:
-        if all(name in given for name in pair):
-            first, second = (f"`{name}`" for name in pair)
-            raise InputError("", f"{first} and {second} exclude each other", accepted=f"either {first} or {second}")
+def refuse_exclusive_keys(value: Any, pairs: Iterable[tuple[str, str]]) -> Any:
+    """Refuse a mapping that has both keys of a pair; return any other value."""
+    for first, second in pairs:
+        if isinstance(value, Mapping) and first in value and second in value:
+            accepted = f"either `{first}` or `{second}`"
+            raise InputError("", f"`{first}` and `{second}` exclude each other", accepted=accepted)
+    return value
 
 
 @dataclass(frozen=True)
@@ -181,25 +180,25 @@ class OneOf:
 
     def _checked(self, value: Any) -> str | int:
         for choice in self.listed:
-            same = folded(value) == folded(str(choice)) if isinstance(value, str) else value == choice
+            same = case_folded(value) == case_folded(str(choice)) if isinstance(value, str) else value == choice
             if same and not isinstance(value, bool) and isinstance(value, str) == isinstance(choice, str):
                 return choice
         raise PydanticCustomError("one_of", "not a listed value", {"choices": self.listed})
 
 
-def folded(word: Any) -> str:
-    """A word without letter case, both letters µ as u."""
+def case_folded(word: Any) -> str:
+    """A word in lower case, with u for both letters µ."""
     return unicodedata.normalize("NFKC", str(word)).casefold().replace("\N{GREEK SMALL LETTER MU}", "u")
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A value of several forms: which one, its keys or its type decide.
+    """A value of one of several forms, by its keys or its type. The path of an error names the form as ``<number>``.
 
     Parameters
     ----------
     form : the value as written → number of the member of the union
-    not_together : pairs of keys that tell two forms and exclude each other
+    not_together : pairs of keys that belong to different forms and exclude each other
     """
 
     form: Callable[[Any], int]
@@ -207,20 +206,12 @@ class Choice:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         forms: dict[Hashable, core_schema.CoreSchema] = {
-            tag(number): handler.generate_schema(member) for number, member in enumerate(get_args(source))
+            f"<{number}>": handler.generate_schema(member) for number, member in enumerate(get_args(source))
         }
-        union = core_schema.tagged_union_schema(forms, discriminator=lambda value: tag(self.form(value)))
-        return core_schema.no_info_before_validator_function(self._alone, union)
-
-    def _alone(self, value: Any) -> Any:
-        if isinstance(value, Mapping):
-            refuse_together(value, self.not_together)
-        return value
-
-
-def tag(number: int) -> str:
-    """How a form of a :class:`Choice` appears in the path of an error."""
-    return f"<{number}>"
+        union = core_schema.tagged_union_schema(forms, discriminator=lambda value: f"<{self.form(value)}>")
+        return core_schema.no_info_before_validator_function(
+            lambda value: refuse_exclusive_keys(value, self.not_together), union
+        )
 
 
 def by_key(*keys: str) -> Callable[[Any], int]:
@@ -237,8 +228,8 @@ def by_word(name: str, *words: str) -> Callable[[Any], int]:
     """The form whose word a key of a mapping holds; the last one if it holds another."""
 
     def form(value: Any) -> int:
-        held = folded(value.get(name)) if isinstance(value, Mapping) else ""
-        return words.index(held) if held in words else len(words)
+        word = case_folded(value.get(name)) if isinstance(value, Mapping) else ""
+        return words.index(word) if word in words else len(words)
 
     return form
 
@@ -250,7 +241,7 @@ def mapping_or_value(value: Any) -> int:
 
 @dataclass(frozen=True)
 class Items:
-    """What holds for the items of a list: each once, or each above the one before."""
+    """A list without repeated items, or a list of increasing numbers."""
 
     rising: bool = False
 
@@ -264,9 +255,8 @@ class Items:
 
     def _checked(self, items: Any) -> Any:
         if self.rising and any(second <= first for first, second in pairwise(items)):
-            raise InputError(
-                "", "the values do not increase", found=list(items), accepted="a list of increasing values"
-            )
+            accepted = "a list of increasing values"
+            raise InputError("", "the values do not increase", found=list(items), accepted=accepted)
         repeated = next((item for number, item in enumerate(items) if item in items[:number]), None)
         if repeated is not None:
             raise InputError("", "an item is listed twice", found=repeated, accepted="each item once")

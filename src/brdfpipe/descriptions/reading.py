@@ -1,7 +1,6 @@
-"""Read a description: strict YAML, validated against its declared keys, refused by line and key.
+"""Read a description: strict YAML, validated by pydantic against its declared keys.
 
-The validation is pydantic's; this module words its errors for people who write YAML: what is wrong, where, what was found and what
-is accepted, from what :mod:`brdfpipe.descriptions.keys` declares.
+Refusals name the line and the key, what was found and what is accepted, in the words of the declarations.
 """
 
 from __future__ import annotations
@@ -80,7 +79,7 @@ def _validator(model: Any) -> TypeAdapter[Any]:
 
 @contextmanager
 def _without_plugins() -> Iterator[None]:
-    """Let pydantic look for no plugins: it would read the metadata of every installed package, a third of the time of a check."""
+    """Keep pydantic from searching the metadata of all installed packages for plugins, a third of the time of a check."""
     variable = "PYDANTIC_DISABLE_PLUGINS"
     before = os.environ.get(variable)
     os.environ[variable] = "1"
@@ -96,24 +95,20 @@ def _plain(value: Any, written: Any) -> Any:
     """Validated values as plain dictionaries and lists; whole numbers stay as they were written."""
     if isinstance(value, Keys):
         given = written if isinstance(written, Mapping) else {}
-        values = {name: getattr(value, field) for name, field in _attributes(type(value))}
-        return {name: _plain(each, given.get(name)) for name, each in values.items() if each is not None}
+        fields = type(value).model_fields
+        values = {field.alias or attribute: getattr(value, attribute) for attribute, field in fields.items()}
+        return {name: _plain(item, given.get(name)) for name, item in values.items() if item is not None}
     if isinstance(value, list | tuple):
         items = written if isinstance(written, list) else [None] * len(value)
         return [_plain(item, given) for item, given in zip(value, items, strict=True)]
     return written if isinstance(value, float) and isinstance(written, int) else value
 
 
-def _attributes(model: type[Keys]) -> Iterator[tuple[str, str]]:
-    for attribute, field in model.model_fields.items():
-        yield field.alias or attribute, attribute
-
-
-# --- what is declared at a place of a description
+# --- declarations at a place of a description
 
 
 class Declared(NamedTuple):
-    """What is declared of one value."""
+    """The declaration of one value."""
 
     annotation: Any
     metadata: tuple[Any, ...]
@@ -125,22 +120,24 @@ class Declared(NamedTuple):
     @property
     def choices(self) -> tuple[str | int, ...]:
         """The accepted values, where they are listed."""
-        return next((each.listed for each in self.metadata if isinstance(each, OneOf)), ())
+        return next((item.listed for item in self.metadata if isinstance(item, OneOf)), ())
 
     @property
     def limits(self) -> str:
         """Range of a number or length of a list, in words."""
-        low = next((each for each in self.metadata if isinstance(each, Ge | Gt)), None)
-        high = next((each for each in self.metadata if isinstance(each, Le | Lt)), None)
-        if low is not None and high is not None:
-            if isinstance(low, Ge):
-                return f"from {figure(low.ge)} to {'' if isinstance(high, Le) else 'below '}{_bound(high)}"
-            return f"above {figure(low.gt)} and {'at most' if isinstance(high, Le) else 'below'} {_bound(high)}"
-        if low is not None:
-            return f"at least {figure(low.ge)}" if isinstance(low, Ge) else f"above {figure(low.gt)}"
-        if high is not None:
-            return f"{'at most' if isinstance(high, Le) else 'below'} {_bound(high)}"
-        shortest = next((each.min_length for each in self.metadata if isinstance(each, MinLen)), 0)
+        bounds = {}
+        for limit in self.metadata:
+            for kind, name in ((Ge, "ge"), (Gt, "gt"), (Le, "le"), (Lt, "lt")):
+                if isinstance(limit, kind):
+                    bounds[name] = figure(getattr(limit, name))
+        high = f"at most {bounds['le']}" if "le" in bounds else f"below {bounds['lt']}" if "lt" in bounds else ""
+        if "gt" in bounds:
+            return f"above {bounds['gt']}" + (f" and {high}" if high else "")
+        if "ge" in bounds:
+            return f"from {bounds['ge']} to {high.removeprefix('at most ')}" if high else f"at least {bounds['ge']}"
+        if high:
+            return high
+        shortest = next((item.min_length for item in self.metadata if isinstance(item, MinLen)), 0)
         if get_origin(self.annotation) is list and shortest > 1:
             return f"{shortest} or more"
         return ""
@@ -156,17 +153,13 @@ class Declared(NamedTuple):
         return words + unit + (f"{comma} {self.limits}" if self.limits else "")
 
 
-def _bound(high: Le | Lt) -> str:
-    return figure(high.le if isinstance(high, Le) else high.lt)
-
-
 def figure(number: Any) -> str:
     """A number without an exponent or trailing zeros."""
     return str(int(number)) if float(number).is_integer() else f"{number:.10f}".rstrip("0")
 
 
 def declared(annotation: Any, steps: Sequence[str | int] = (), field: FieldInfo | None = None) -> Declared:
-    """What is declared of a value of a type, or of a value inside it.
+    """The declaration of a value, or of a value inside it.
 
     Parameters
     ----------
@@ -179,14 +172,14 @@ def declared(annotation: Any, steps: Sequence[str | int] = (), field: FieldInfo 
         members = get_args(place.annotation)
         if _is_tag(step):
             number = int(str(step)[1:-1])
-            others = tuple(keys for i, each in enumerate(members) if i != number and (keys := keys_of(each)))
+            others = tuple(keys for i, other in enumerate(members) if i != number and (keys := keys_of(other)))
             inner = _declared(members[number], None, (*place.alternatives, *others))
             place = inner._replace(help=inner.help or place.help, unit=inner.unit or place.unit)
         elif isinstance(step, int):
             place = _declared(members[step if get_origin(place.annotation) is tuple else 0], None, ())
         else:
-            own = place.annotation.declared_keys()[step]
-            place = _declared(own.annotation, own, ())
+            inner_field = place.annotation.declared_keys()[step]
+            place = _declared(inner_field.annotation, inner_field, ())
     return place
 
 

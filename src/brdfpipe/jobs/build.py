@@ -1,8 +1,7 @@
-"""Build a catalogue: one command that builds, resumes, reports, and leaves a page although materials failed.
+"""Build a catalogue or resume its build; materials that fail are listed on its page with their reasons.
 
-Snakemake decides what to run, in this process, so that no process outlives it. Materials of which a stage failed are left out of a
-second, short run that makes the page of the catalogue, which lists them with their reasons. Damaged results that a stage could not
-read are deleted and made anew.
+Snakemake decides what to run, in this process, so that no process outlives it. A second, short run without the materials that
+failed makes the page of the catalogue. Damaged results that a stage could not read are deleted and computed again.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ class BuildError(BrdfpipeError):
 
 
 def build(folder: Path, results: Path, *, cores: int, config: Path | None = None, dry_run: bool = False) -> Summary:
-    """Build a catalogue; what is up to date stays as it is.
+    """Build a catalogue; results that are up to date are left alone.
 
     Parameters
     ----------
     folder : the catalogue
-    results : where everything goes; made if missing
+    results : folder of the results; made if missing
     cores : how many stages run at once
     config : a configuration instead of the project's own
     dry_run : only list what would run
@@ -101,10 +100,9 @@ class _Work:
 
 
 def _run_until_complete(request: _Request, failed: failures.Failures, interrupts: list[int]) -> _Work:
-    """Run snakemake again where a damaged file was deleted, and again without the materials that failed.
+    """Run snakemake, again after deleting damaged files, and again without the materials that failed (added to ``failed``).
 
-    The latter are added to ``failed``. Each turn deletes a file for the first time in this build or leaves out one more material,
-    so the turns end.
+    The loop ends: each turn deletes a file for the first time in this build or leaves out one more material.
     """
     results, work = request.results, _Work()
     dependents = failures.dependents(request.catalogue)
@@ -116,7 +114,7 @@ def _run_until_complete(request: _Request, failed: failures.Failures, interrupts
             raise KeyboardInterrupt
         names = {material.name for material in request.catalogue.materials} - failed.keys()
         new: failures.Failures = {}
-        if not request.dry_run:  # its records are those of the build before
+        if not request.dry_run:  # the records of a dry run are of the previous build
             new = failures.of_jobs(results, run.failed, names, dependents, LOG)
             damaged = cleanup.delete_damaged(results, work.deleted)
             work.deleted += damaged
@@ -140,7 +138,7 @@ def _reason(run: SnakemakeRun) -> str:
 
 
 def _check_results_folder(results: Path, catalogue: Catalogue) -> None:
-    """Refuse a folder of raw files, a file, and a folder that holds anything but results."""
+    """Refuse a file, a folder of raw files, and a folder of other files."""
     target = results.resolve()
     if target == catalogue.folder or any((folder / DESCRIPTION).is_file() for folder in (target, *target.parents)):
         raise BuildError(f"{results}: results go to a folder of their own, not among the raw files of the catalogue")
@@ -156,7 +154,7 @@ def _check_results_folder(results: Path, catalogue: Catalogue) -> None:
 
 @contextmanager
 def _locked(results: Path) -> Iterator[None]:
-    """No other build runs in the folder of results meanwhile."""
+    """Refuse a second build in the folder of results."""
     from filelock import FileLock, Timeout
 
     try:
@@ -177,7 +175,7 @@ def _locked(results: Path) -> Iterator[None]:
 
 @contextmanager
 def _interruptible() -> Iterator[list[int]]:
-    """Ctrl-C kills the workers at once; the jobs they had are done again by the next build.
+    """Kill the workers on Ctrl-C; the next build runs their jobs again.
 
     Yields the signals received, because snakemake turns an interrupt into a failed run.
     """

@@ -1,4 +1,4 @@
-"""Old files in a folder of results: leftovers of a killed build, damaged results, and results of materials that are gone."""
+"""Old files in a folder of results: leftovers of a killed build, damaged results, results of removed materials."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from brdfpipe.catalogue.catalogue import Catalogue
 from brdfpipe.catalogue.names import RESERVED
 
 TEMPORARY = re.compile(r"\..+\.\d+\.tmp")
-"""Names under which the store writes what is not whole yet."""
+"""Names of files that the store has not finished."""
 
 STALE = "STALE.txt"
-"""In a material's folder: its results are older than the catalogue."""
+"""File that marks the results of a material as older than the catalogue."""
 
 
 def remove_leftovers(results: Path, log: str) -> None:
-    """Remove what an earlier build left: half-written files, its failures and its log."""
+    """Remove unfinished files, failures and the log of an earlier build."""
     forget_failures(results)
     (results / log).unlink(missing_ok=True)
     for pattern in (".*.tmp", "*/.*.tmp", "*/exports/.*.tmp"):
         for leftover in results.glob(pattern):
             if TEMPORARY.fullmatch(leftover.name):
-                with suppress(OSError):  # in a folder that cannot be written: a failure of its own
+                with suppress(OSError):  # a folder that cannot be written is reported as a failure
                     leftover.unlink()
 
 
@@ -60,9 +60,9 @@ def delete_damaged(results: Path, deleted_before: Collection[str]) -> list[str]:
 
 
 def mark_stale(results: Path, catalogue: Catalogue, failed: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Mark reports and exports that no material of the catalogue would give now; return the names of materials that are gone."""
+    """Mark reports and exports of materials that fail or left the catalogue; return the names of those that left."""
     reasons = {**catalogue.failures, **{name: entry["message"] for name, entry in failed.items()}}
-    gone = []
+    removed = []
     for folder in sorted(path for path in results.iterdir() if path.is_dir() and path.name not in RESERVED):
         mark = folder / STALE
         if not (folder / "report.html").exists() and not any(folder.glob("exports/*")):
@@ -73,12 +73,12 @@ def mark_stale(results: Path, catalogue: Catalogue, failed: Mapping[str, Mapping
         if folder.name in reasons:
             reason = f"it cannot be built now: {reasons[folder.name]}"
         else:
-            gone.append(folder.name)
+            removed.append(folder.name)
             reason = "no material of this name is in the catalogue."
-        with suppress(OSError):  # a folder that cannot be written: a failure of its own
+        with suppress(OSError):  # a folder that cannot be written is reported as a failure
             mark.write_text(
                 f"The results in this folder are of an earlier state of the material; {reason}\n"
-                "The build that makes them anew removes this file.\n",
+                "The build that computes them again removes this file.\n",
                 encoding="utf-8",
             )
-    return gone
+    return removed

@@ -1,19 +1,23 @@
-"""The code digest of a stage: changes when the stage's own code changes, and only then.
+"""The code digest of a stage, a parameter of its rule: snakemake does not see changes inside the package.
 
-Snakemake does not see changes inside the package. So each rule has this digest as a parameter: of the stage's script and every
-module of the package that it imports, directly or not, without comments and docstrings; of the data files beside those modules;
-and of the versions of the libraries that those modules import.
+It covers the script of the stage and all modules of the package that it imports, directly or not, without comments and docstrings;
+data files beside these modules; and the versions of the libraries that they import.
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
+import json
 import sys
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import NamedTuple
+
+from brdfpipe.store import write_text
 
 DISTRIBUTIONS = {
     "alpaca": "alpyca",
@@ -25,10 +29,10 @@ DISTRIBUTIONS = {
 """Imported name → distribution, where they differ."""
 
 IMPLIED = {"xarray": ("netCDF4", "numpy", "pandas")}
-"""Library → those that it computes and stores with."""
+"""Library → the libraries that it uses to compute and store."""
 
 OPTIONAL = {"brdfpipe.surfaces.instruments": "SurfaceTopography"}
-"""Module → the library that it imports by a string, where it is installed."""
+"""Module → optional library that it imports by a string."""
 
 UNCOUNTED = frozenset({"lazy_loader", "tqdm"})
 """Libraries that do not shape results."""
@@ -49,7 +53,7 @@ def digest(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> 
     ----------
     script : the stage's script
     root : the folder that holds the package; default :data:`SOURCE`
-    also : modules that the script imports by a name that is known at run time alone
+    also : modules that the script imports by a name known only at run time
 
     Returns
     -------
@@ -58,7 +62,7 @@ def digest(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> 
     root = root or SOURCE
     covered = modules(script, root, also)
     content = hashlib.sha256()
-    for library in libraries(script, root, also):
+    for library in _libraries(script, covered, root):
         content.update(f"{library} {_installed(library)}\n".encode())
     content.update(f"script {_source(script).digest}\n".encode())
     for name in covered:
@@ -71,10 +75,7 @@ def digest(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> 
 
 
 def modules(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> tuple[str, ...]:
-    """Names of the package's modules that a script imports, directly or not, at the top or within a function.
-
-    Parameters are those of :func:`digest`.
-    """
+    """Modules of the package that a script imports, directly or not, in functions too; parameters as for :func:`digest`."""
     root = root or SOURCE
     covered: set[str] = set()
     waiting = [*_source(script).imports, *also]
@@ -92,9 +93,12 @@ def modules(script: Path, root: Path | None = None, also: Iterable[str] = ()) ->
 
 
 def libraries(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> tuple[str, ...]:
-    """Distributions that a script and the package's modules which it imports compute, read or store with; as for :func:`modules`."""
+    """Distributions that the code of a stage imports; parameters as for :func:`digest`."""
     root = root or SOURCE
-    covered = modules(script, root, also)
+    return _libraries(script, modules(script, root, also), root)
+
+
+def _libraries(script: Path, covered: Iterable[str], root: Path) -> tuple[str, ...]:
     sources = [_source(script), *(_source(_module_path(name, root)) for name in covered)]
     names = {name.split(".")[0] for source in sources for name in source.imports if not name.startswith(".")}
     names |= {OPTIONAL[name] for name in covered if name in OPTIONAL}
@@ -110,23 +114,41 @@ def _installed(library: str) -> str:
         return "none"
 
 
-class _Source:
-    """The parts of a module that its digest depends on: its code and what it imports."""
+class _Source(NamedTuple):
+    """What the digest of a stage needs of a module."""
 
-    def __init__(self, text: str) -> None:
-        tree = ast.parse(text)
-        self.imports = tuple(dict.fromkeys(_imports(tree)))
-        _strip_docstrings(tree)
-        self.digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+    imports: tuple[str, ...]
+    digest: str
+    """Of the code without comments and docstrings."""
+
+
+_parsed: dict[str, _Source] = {}
+"""By path, time of the last change, and version of Python."""
+_remembered: dict[str, _Source] = {}
 
 
 def _source(path: Path) -> _Source:
-    return _parsed(path, path.stat().st_mtime_ns)
+    key = f"{path} {path.stat().st_mtime_ns} {sys.hexversion}"
+    if key not in _parsed and key in _remembered:
+        _parsed[key] = _remembered[key]
+    elif key not in _parsed:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        imports = tuple(dict.fromkeys(_imports(tree)))
+        _strip_docstrings(tree)
+        _parsed[key] = _Source(imports, hashlib.sha256(ast.dump(tree).encode()).hexdigest())
+    return _parsed[key]
 
 
-@cache
-def _parsed(path: Path, changed: int) -> _Source:
-    return _Source(path.read_text(encoding="utf-8"))
+@contextmanager
+def remember_parsed(file: Path) -> Iterator[None]:
+    """Reuse what an earlier process has parsed, from a file: parsing all modules takes seconds."""
+    _remembered.clear()
+    with suppress(OSError, ValueError):  # no such file, or a damaged one
+        content = json.loads(file.read_bytes())
+        _remembered.update({key: _Source(tuple(imports), digest) for key, imports, digest in content})
+    yield
+    if _parsed.keys() != _remembered.keys():
+        write_text(file, json.dumps([(key, *source) for key, source in _parsed.items()]))
 
 
 def _imports(tree: ast.AST) -> Iterator[str]:

@@ -10,14 +10,14 @@ from pathlib import Path
 
 from brdfpipe.catalogue.catalogue import Catalogue
 from brdfpipe.catalogue.names import CALIBRATIONS
-from brdfpipe.jobs import runs
+from brdfpipe.jobs.runs import planned_runs
 
 Failures = dict[str, dict[str, str]]
 """Material → ``stage`` and ``message``."""
 
 
 def recorded(results: Path) -> Failures:
-    """The failures that jobs recorded; of calibrations and of the catalogue too."""
+    """Failures that jobs recorded, those of calibrations and of the catalogue included."""
     records = [json.loads(path.read_text(encoding="utf-8")) for path in (results / "failures").glob("*.json")]
     return {record["material"]: {"stage": record["stage"], "message": record["message"]} for record in records}
 
@@ -29,12 +29,12 @@ def of_jobs(
     dependents: Mapping[str, tuple[str, ...]],
     log: str,
 ) -> Failures:
-    """Materials of which a stage failed, and those that need what failed.
+    """Materials with a failed stage, and materials that need what failed.
 
     Parameters
     ----------
     failed_jobs : (rule, material) of jobs that snakemake reports as failed
-    names : the materials that are asked about
+    names : the materials of the build
     dependents : see :func:`dependents`
     log : the log of the build, for jobs that recorded no failure
     """
@@ -50,7 +50,7 @@ def of_jobs(
 
 
 def dependents(catalogue: Catalogue) -> dict[str, tuple[str, ...]]:
-    """Calibration or material → materials that cannot be made without it."""
+    """Calibration or material → materials that need it."""
     measured = [material for material in catalogue.materials if material.has("rig")]
     needs = [
         (f"{CALIBRATIONS}.{calibration}", material.name)
@@ -63,8 +63,8 @@ def dependents(catalogue: Catalogue) -> dict[str, tuple[str, ...]]:
 
 
 def of_plans(catalogue: Catalogue) -> Failures:
-    """Materials whose run of a rig is planned in a way that cannot be used, or that need one of which that holds."""
-    failures = {name: {"stage": "check", "message": reason} for name, reason in runs.of(catalogue)[1].items()}
+    """Materials whose run of a rig has an unusable plan, and materials that need such a run."""
+    failures = {name: {"stage": "check", "message": reason} for name, reason in planned_runs(catalogue)[1].items()}
     for owner, names in dependents(catalogue).items():
         if owner in failures:
             failures |= {name: _needs(owner, failures[owner]) for name in names if name not in failures}
@@ -72,7 +72,7 @@ def of_plans(catalogue: Catalogue) -> Failures:
 
 
 def of_unwritable_folders(results: Path, catalogue: Catalogue) -> Failures:
-    """Materials whose folder of results cannot be written. Snakemake would stop for all materials over one of them."""
+    """Materials whose folder of results cannot be written: one of them would stop snakemake for all materials."""
     folders = [(material.name, part) for material in catalogue.materials for part in (".", "exports")]
     return {
         name: _blocked(str(Path(name, part)), "the folder cannot be written")
@@ -82,7 +82,7 @@ def of_unwritable_folders(results: Path, catalogue: Catalogue) -> Failures:
 
 
 def of_unwritable_files(errors: Iterable[str], names: Collection[str]) -> Failures:
-    """Materials of which snakemake could not remove or write an old result, from its error messages."""
+    """Materials with an old result that snakemake could not replace, from its error messages."""
     failures = {}
     for error in errors:
         blocked = [(file, reason) for reason, file in re.findall(r"\[Errno \d+\] ([^:]+): '([^']+)'", error)]
@@ -96,10 +96,7 @@ def of_unwritable_files(errors: Iterable[str], names: Collection[str]) -> Failur
 
 
 def _needs(owner: str, record: Mapping[str, str]) -> dict[str, str]:
-    return {
-        "stage": record["stage"],
-        "message": f"it needs {owner}, which could not be made: {record['message']}",
-    }
+    return {"stage": record["stage"], "message": f"it needs {owner}, which could not be made: {record['message']}"}
 
 
 def _blocked(path: str, problem: str) -> dict[str, str]:

@@ -1,7 +1,7 @@
-"""Warm worker processes for stages: started when first needed, replaced when killed, gone when the main process is.
+"""Worker processes that run stages. They start on demand, are replaced when they are killed, and end with the main process.
 
-A stage in a fresh interpreter costs a quarter of a second for its imports alone. Workers are forked from a server that has
-imported them, one at a time per job thread of snakemake, each with one thread for linear algebra.
+The imports of a stage alone take a second. So workers are forked from a server that has imported the libraries; each job thread of
+snakemake uses one worker at a time, and each worker one thread for linear algebra.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from brdfpipe.jobs.stage import Job, Outcome, perform, record_failure
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
-"""Stages run side by side already, and the number of threads changes the last bits of sums."""
+"""Stages run in parallel already, and the number of threads changes the last bits of sums."""
 
 PRELOADED = [
     "numpy",
@@ -35,10 +35,10 @@ PRELOADED = [
 ]
 
 PRELOADED_WHERE_USED = ("brdfpipe.spectra.colour_science",)
-"""Slow to import: preloaded if the code of a stage of the run contains them, see :func:`preload`."""
+"""Slow to import: preloaded if a stage of the run uses them, see :func:`preload`."""
 
 ATTEMPTS = 2
-"""A killed worker may have been a passing shortage of memory: once more, then the job fails."""
+"""Memory may have been short for a moment: a job whose worker was killed is tried once more."""
 
 
 class StageError(BrdfpipeError):
@@ -50,7 +50,7 @@ class WorkerDied(Exception):
 
 
 class Pool:
-    """Workers that wait for the next job, as many as jobs ever ran at once."""
+    """Workers, as many as jobs have run at the same time."""
 
     def __init__(self) -> None:
         self._idle: list[_Worker] = []
@@ -59,7 +59,7 @@ class Pool:
         self._closed = False
 
     def perform(self, job: Job) -> Outcome:
-        """Run a job in a worker and wait for it; a job whose worker is killed gets one more, fresh."""
+        """Run a job in a worker and wait for it; in a new worker if the first is killed."""
         died = WorkerDied("the pool is closed")
         for _ in range(ATTEMPTS):
             worker = self._take()
@@ -80,7 +80,7 @@ class Pool:
         return outcome
 
     def close(self) -> None:
-        """Kill every worker, busy or not; jobs that run fail and leave no record."""
+        """Kill all workers, busy ones too; their jobs fail and leave no record."""
         self._closed = True
         with self._lock:
             workers = list(self._workers)
@@ -105,23 +105,23 @@ class Pool:
 
 
 class _Worker:
-    """One process and the line to it."""
+    """One process and the connection to it."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([*PRELOADED, *sorted(_also_preloaded)])
-        resource_tracker.ensure_running()  # it would let the signals through again
+        resource_tracker.ensure_running()  # started later, it would unblock the signal again
         with _environment(ONE_THREAD), sigint_blocked():
             forkserver.ensure_running()
-        self._line, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs,), daemon=True, name="brdfpipe-worker")
+        self._connection, workers_end = context.Pipe()
+        self.process = context.Process(target=_serve, args=(workers_end,), daemon=True, name="brdfpipe-worker")
         self.process.start()
-        theirs.close()
+        workers_end.close()
 
     def perform(self, job: Job) -> Outcome:
         try:
-            self._line.send(job)
-            outcome: Outcome = self._line.recv()
+            self._connection.send(job)
+            outcome: Outcome = self._connection.recv()
         except (EOFError, OSError) as error:
             self.process.join(timeout=10)
             raise WorkerDied(_cause(self.process.exitcode)) from error
@@ -137,38 +137,38 @@ _pools_lock = threading.Lock()
 
 
 def pool() -> Pool:
-    """The pool of this process, made when first asked for."""
+    """The pool of this process."""
     with _pools_lock:
         return _pools.setdefault(os.getpid(), Pool())
 
 
 def preload(modules: Iterable[str]) -> None:
-    """Let the server of the workers import those of :data:`PRELOADED_WHERE_USED` that are among the modules; before the first job."""
+    """Let the server of the workers import the slow ones of some modules (:data:`PRELOADED_WHERE_USED`); call it before the first job."""
     _also_preloaded.update(set(PRELOADED_WHERE_USED).intersection(modules))
 
 
 def close() -> None:
-    """Kill the workers of this process, if there are any; the next job makes new ones."""
+    """Kill the workers of this process; the next job starts new ones."""
     with _pools_lock:
-        found = _pools.pop(os.getpid(), None)
-    if found:
-        found.close()
+        closed = _pools.pop(os.getpid(), None)
+    if closed:
+        closed.close()
 
 
-def _serve(line: Connection) -> None:
-    """A worker's life: take a job, run it, answer, until the main process hangs up."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the main process decides
+def _serve(connection: Connection) -> None:
+    """Main loop of a worker: run jobs until the main process closes the connection."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the main process handles it
     threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:
         try:
-            job = line.recv()
+            job = connection.recv()
         except EOFError:
             return
         try:
             outcome = perform(job)
-        except Exception as fault:  # the log cannot be written, say: the worker itself is sound
+        except Exception as fault:  # for example, the log cannot be written; the worker can go on
             outcome = Outcome(f"unexpected {type(fault).__name__}: {fault}")
-        line.send(outcome)
+        connection.send(outcome)
 
 
 def _end_with_parent() -> None:
@@ -180,7 +180,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def sigint_blocked() -> Iterator[None]:
-    """Processes started here inherit that Ctrl-C does not reach them, from the first moment on; the server ignores it only once set up."""
+    """Block Ctrl-C for processes that are started here, from their first moment: the server ignores it only after its start."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -203,9 +203,4 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 
 
 def _cause(exitcode: int | None) -> str:
-    if exitcode is None or exitcode >= 0:
-        return f"exit code {exitcode}"
-    try:
-        return signal.Signals(-exitcode).name
-    except ValueError:
-        return f"signal {-exitcode}"
+    return signal.Signals(-exitcode).name if exitcode is not None and exitcode < 0 else f"exit code {exitcode}"

@@ -1,4 +1,4 @@
-"""The catalogue as the rules of the workflow see it: input files, parameters, and running a stage."""
+"""What the rules of the workflow take from the catalogue: input files, parameters, and the run of a stage."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from brdfpipe.catalogue.catalogue import load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.material import Material
 from brdfpipe.catalogue.names import CALIBRATIONS, CatalogueError
-from brdfpipe.jobs import code, pool, runs
+from brdfpipe.jobs import code, pool
+from brdfpipe.jobs.runs import planned_runs, results_folder
 from brdfpipe.jobs.stage import Job
 from brdfpipe.stages import STAGES, Stage, Subject
 from brdfpipe.store import canonical_json
@@ -22,7 +23,7 @@ InputFunction = Callable[[Any], Any]
 
 
 class Pipeline:
-    """What the rules ask for: the files that a stage reads, its parameters, and its run.
+    """The files that a stage reads, its parameters, and its run.
 
     Parameters
     ----------
@@ -36,7 +37,7 @@ class Pipeline:
             raise CatalogueError("no catalogue; give its folder: --config catalogue=/path/to/catalogue")
         settings = config.get("settings")
         self.catalogue = load(Path(config["catalogue"]), load_config(Path(settings) if settings else None))
-        self.runs, unplanned = runs.of(self.catalogue)
+        self.runs, unplanned = planned_runs(self.catalogue)
         self.scripts = scripts
         refused = {**self.catalogue.failures, **unplanned}
         self.failures = {name: {"stage": "check", "message": text} for name, text in refused.items()}
@@ -46,20 +47,20 @@ class Pipeline:
         self._subjects: dict[str, Subject] = {}
 
     def subject(self, owner: Material | Calibration) -> Subject:
-        """What the stages of a material or a calibration may depend on."""
-        place = runs.place(owner)
-        if place not in self._subjects:
-            arrangements = self.runs[place].arrangements if place in self.runs else ()
-            self._subjects[place] = Subject(owner, self.catalogue.config, arrangements)
-        return self._subjects[place]
+        """The material or calibration, the configuration and the planned arrangements."""
+        folder = results_folder(owner)
+        if folder not in self._subjects:
+            arrangements = self.runs[folder].arrangements if folder in self.runs else ()
+            self._subjects[folder] = Subject(owner, self.catalogue.config, arrangements)
+        return self._subjects[folder]
 
     # --- input files
 
     def made(self, *stages: str) -> dict[str, InputFunction]:
-        """The results of other stages, by their names: input of a rule.
+        """Results of other stages as input of a rule, by stage.
 
-        A stage that the material does not have gives no file. A stage with several jobs gives a list, of the jobs that agree
-        with the wildcards of the rule.
+        A stage that the material does not have gives no file. A stage with several jobs gives the list of those that agree with
+        the wildcards of the rule.
         """
         return {name: self._result(STAGES[name]) for name in stages}
 
@@ -71,30 +72,30 @@ class Pipeline:
         return {name: files for name, files in results.items() if files}
 
     def raw(self, part: str) -> InputFunction:
-        """The raw file that a material has for a part, if any: ``surface``, or ``surface-{scan}`` for a further scan."""
+        """The raw file of a part of the material, if it has one: ``surface``, or ``surface-{scan}`` for a further scan."""
         return lambda wildcards: str(self._owner(wildcards).files.get(part.format(**wildcards), "")) or []
 
     def rig_sources(self, wildcards: Any) -> list[str]:
         """Plan, rig and fibres of a run to be emulated."""
-        return self.runs[runs.place(self._owner(wildcards))].sources
+        return self.runs[results_folder(self._owner(wildcards))].sources
 
     def rig_truth(self, wildcards: Any) -> str:
         """The BSDF that the emulated rig measures."""
         return f"{self._owner(wildcards).content['rig']['emulate']['truth']}/bsdf.nc"
 
     def rig_journal(self, wildcards: Any) -> str:
-        """The journal of a run: the laboratory's, or the one that the emulator writes."""
+        """The journal of a run, measured or emulated."""
         owner = self._owner(wildcards)
         emulated = "emulate" in self.subject(owner).section("rig")
-        return f"{runs.place(owner)}/run/journal.jsonl" if emulated else str(owner.files["rig"])
+        return f"{results_folder(owner)}/run/journal.jsonl" if emulated else str(owner.files["rig"])
 
     def previous_calibration(self, wildcards: Any) -> Any:
-        """The profile of the calibration before, if the description names one."""
+        """The profile of the previous calibration, if the description names one."""
         previous = self.catalogue.calibrations[wildcards.calibration].previous
         return f"{CALIBRATIONS}/{previous}.nc" if previous else []
 
     def files(self) -> list[str]:
-        """Every result of every material, without the intermediate ones."""
+        """All results of all materials, without the intermediate ones."""
         return [
             pattern.format(material=name, **job)
             for name in self.names
@@ -107,9 +108,12 @@ class Pipeline:
     # --- what follows from the declaration of a stage
 
     def complete(self, workflow: Any) -> None:
-        """Give each rule the log, the parameters, the message and the memory of the stage of its name."""
+        """Set log, parameters, message and memory of each rule from the stage of its name."""
         from snakemake.io import strip_wildcard_constraints  # type: ignore[import-untyped]
 
+        stages = [STAGES[rule.name] for rule in workflow.rules if rule.name in STAGES]
+        with code.remember_parsed(Path(".snakemake", "code.json")):
+            digests = {stage.name: code.digest(self._script(stage), also=stage.modules) for stage in stages}
         for rule in workflow.rules:
             rule.log_modifier = workflow.modifier.path_modifier
             if rule.name not in STAGES:
@@ -121,17 +125,17 @@ class Pipeline:
                 stage.owner, stage.owner
             )
             rule.set_log(f"logs/{owner}/{stage.title}.log")
-            rule.set_params(spec=self.spec(stage), code=code.digest(self._script(stage), also=stage.modules))
+            rule.set_params(spec=self.spec(stage), code=digests[stage.name])
             rule.message = f"{stage.title} of {owner}".replace("{", "{wildcards.")
             rule.resources["mem_mb"] = stage.memory
 
     def preload(self, jobs: Iterable[Any]) -> None:
-        """Let the server of the workers import the slow modules that the stages of some jobs use; before the first of them."""
+        """Import the slow modules that some jobs use once, in the server of the workers; call it before the first job."""
         stages = [STAGES[name] for name in {job.rule.name for job in jobs} if name in STAGES]
         pool.preload(name for stage in stages for name in code.modules(self._script(stage), also=stage.modules))
 
     def spec(self, stage: Stage) -> InputFunction:
-        """The stage's own part of description and configuration, as canonical JSON: a change of it reruns the stage."""
+        """Parameters of a stage as canonical JSON; a change of them reruns the stage."""
 
         def spec(wildcards: Any) -> str:
             if stage.owner == "catalogue":
@@ -167,7 +171,7 @@ class Pipeline:
         return self.scripts / f"{stage.script or stage.name}.py"
 
     def _result(self, stage: Stage) -> InputFunction:
-        """The first output of each job of a stage."""
+        """The first output of each job of a stage, as input of a rule."""
 
         def files(wildcards: Any) -> Any:
             owner: Material | Calibration | None = self._owner(wildcards)
@@ -190,7 +194,7 @@ class Pipeline:
 
 
 def _plain(files: Any) -> dict[str, str | list[str]]:
-    """Plain strings by the names that the rule gave; without what the material does not have."""
+    """Paths by the names that the rule gave, without files that the material does not have."""
     return {
         name: str(value) if isinstance(value, str) else [str(item) for item in value]
         for name, value in files.items()

@@ -1,4 +1,4 @@
-"""The runs of camera rigs that a catalogue's materials and calibrations rest on, as their plans have them; no frame is read."""
+"""Runs of camera rigs that materials and calibrations depend on, as their plans describe them; frames are not read."""
 
 from __future__ import annotations
 
@@ -15,43 +15,43 @@ if TYPE_CHECKING:
 
 
 class Run(NamedTuple):
-    """What is known of a run before it is read."""
+    """What the plan of a run states."""
 
     arrangements: tuple[Arrangement, ...]
     sources: list[str]
+    """Files of the plan, the rig and its fibres."""
 
 
-def place(owner: Material | Calibration) -> str:
-    """Folder of the results of a material, or of a calibration."""
+def results_folder(owner: Material | Calibration) -> str:
+    """Folder of the results of a material or a calibration."""
     return f"{CALIBRATIONS}/{owner.name}" if isinstance(owner, Calibration) else owner.name
 
 
-def of(loaded: Catalogue) -> tuple[dict[str, Run], dict[str, str]]:
-    """The runs of the rigs' materials and calibrations by their places, and what is wrong with those of some materials."""
-    measured = [material for material in loaded.materials if material.has("rig")]
-    owners: list[Material | Calibration] = [*loaded.calibrations.values(), *measured]
+def planned_runs(catalogue: Catalogue) -> tuple[dict[str, Run], dict[str, str]]:
+    """Runs by folder of results; and by material, why a run that it needs cannot be used."""
+    measured = [material for material in catalogue.materials if material.has("rig")]
     runs: dict[str, Run] = {}
     problems: dict[str, str] = {}
-    for owner in owners:
+    for owner in (*catalogue.calibrations.values(), *measured):
         try:
-            runs[place(owner)] = _planned(owner)
+            runs[results_folder(owner)] = _planned_run(owner)
         except BrdfpipeError as error:
-            problems[place(owner)] = str(error)
-    needed = {
-        material.name: [material.name, *(f"calibrations/{each}" for each in loaded.calibrations_of(material))]
-        for material in measured
-    }
-    failures = {name: [problems[place] for place in places if place in problems] for name, places in needed.items()}
-    return runs, {name: found[0] for name, found in failures.items() if found}
+            problems[results_folder(owner)] = str(error)
+    failures = {}
+    for material in measured:
+        folders = [material.name, *(f"{CALIBRATIONS}/{name}" for name in catalogue.calibrations_of(material))]
+        if refused := [problems[folder] for folder in folders if folder in problems]:
+            failures[material.name] = refused[0]
+    return runs, failures
 
 
-def _planned(owner: Material | Calibration) -> Run:
+def _planned_run(owner: Material | Calibration) -> Run:
     from brdfpipe.rig.plan import PLAN, Plan, sources
 
-    told = owner.files["rig"]
-    path = told if told.suffix == ".yaml" else told.parent / PLAN
+    file = owner.files["rig"]  # the plan, or the journal beside it
+    path = file if file.suffix == ".yaml" else file.parent / PLAN
     plan = Plan.load(path)
     load = "etalon" if isinstance(owner, Calibration) else "sample"
-    if all(each.load != load for each in plan.arrangements):
+    if all(arrangement.load != load for arrangement in plan.arrangements):
         raise InputError(path, f"the {load} is not measured", where="runs", accepted=f"a list with {load} in it")
-    return Run(plan.arrangements, [str(file) for file in sources(path).values()])
+    return Run(plan.arrangements, [str(source) for source in sources(path).values()])

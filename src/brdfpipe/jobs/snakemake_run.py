@@ -1,4 +1,4 @@
-"""One run of snakemake within this process, followed through its log events."""
+"""One run of snakemake in this process, followed by its log events."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LOG = "logs/build.log"
 
 @dataclass
 class SnakemakeRun(logging.Handler):
-    """A run of the workflow: what it was asked for, what was done, what failed."""
+    """A run of the workflow: its jobs, failures and errors."""
 
     results: Path
     dry_run: bool = False
@@ -43,7 +43,7 @@ class SnakemakeRun(logging.Handler):
     __hash__ = logging.Handler.__hash__
 
     def start(self, config: Mapping[str, Any], cores: int) -> bool:
-        """Run snakemake and wait; return whether everything that was asked for exists now."""
+        """Run snakemake and wait; return whether all results exist now."""
         from snakemake.cli import args_to_api, parse_args  # type: ignore[import-untyped]
         from snakemake.logging import DefaultFormatter  # type: ignore[import-untyped]
 

@@ -1,14 +1,11 @@
-"""Run one stage: its script's ``main``, its log, its times and, if it refuses, its failure record.
-
-The same function runs in a worker of the pool and in a plain process started by hand.
-"""
+"""Run one stage: ``main`` of its script, with its log, its times and the record of its failure."""
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import os
+import runpy
 import sys
 import time
 import traceback
@@ -30,7 +27,7 @@ Main = Callable[[Files, Files, Mapping[str, Any]], None]
 
 @dataclass(frozen=True)
 class Job:
-    """One stage of one material."""
+    """One job: a stage of a material, a calibration or the catalogue."""
 
     stage: str
     material: str
@@ -56,9 +53,10 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a job ended: ``error`` is None or one line that says what to mend."""
+    """How a job ended."""
 
     error: str | None
+    """One line that says what is wrong and what to change; None of a job that succeeded."""
     wall: float = 0.0
     cpu: float = 0.0
     peak: float = 0.0
@@ -68,7 +66,7 @@ class Outcome:
 
 
 def perform(job: Job) -> Outcome:
-    """Run a job in this process; what the stage does wrong ends in the outcome and the log."""
+    """Run a job in this process; errors of the stage are in the outcome and in the log."""
     os.chdir(job.folder)
     job.log.parent.mkdir(parents=True, exist_ok=True)
     error: str | None = None
@@ -102,21 +100,21 @@ def perform(job: Job) -> Outcome:
 
 
 def _damaged(refusal: BrdfpipeError, job: Job) -> tuple[str, ...]:
-    """The inputs that cannot be opened, if that is what was refused; raw files, whose paths are absolute, are never among them."""
+    """Inputs that cannot be opened, if the stage refused a stored dataset; raw files, whose paths are absolute, do not count."""
     from brdfpipe.store import StoreError, open_dataset
 
     if not isinstance(refusal, StoreError):
         return ()
-    found = []
+    damaged = []
     for path in _paths(job.input):
         try:
             if not Path(path).is_absolute():
                 open_dataset(path)
         except StoreError:
-            found.append(path)
+            damaged.append(path)
         except BrdfpipeError:
             continue  # whole, but of another kind
-    return tuple(found)
+    return tuple(damaged)
 
 
 def _paths(files: Files) -> list[str]:
@@ -124,14 +122,14 @@ def _paths(files: Files) -> list[str]:
 
 
 def _without_folders(message: str, job: Job) -> str:
-    """The message is shown on the catalogue's page, which is the same wherever the folders are."""
+    """The message without paths of folders: the catalogue's page shows it, and must not depend on where it was built."""
     for path in map(str, job.input.values()):
         message = message.replace(path, Path(path).name) if Path(path).is_absolute() else message
     return message.replace(f"{job.folder}/", "")
 
 
 def record_failure(job: Job, message: str, damaged: tuple[str, ...] = ()) -> None:
-    """Record a failed job for the build and the catalogue; of several of a material, always the same one."""
+    """Record a failed job for the build and the catalogue: of several jobs of a material, the first by name of the stage."""
     from brdfpipe.store import write_text
 
     path = Path(job.folder, "failures", f"{job.material}.json")
@@ -145,16 +143,16 @@ def record_failure(job: Job, message: str, damaged: tuple[str, ...] = ()) -> Non
 
 def run_as_script(main: Main) -> None:
     """Run a stage's script as a plain program; ``--help`` says how."""
-    parser = argparse.ArgumentParser(description=main.__doc__, epilog="Paths are relative to the present folder.")
+    parser = argparse.ArgumentParser(description=main.__doc__, epilog="Paths are relative to the current folder.")
     parser.add_argument("--material", required=True, help="name of the material")
     parser.add_argument("--spec", type=json.loads, default={}, help="the stage's part of the description, as JSON")
     parser.add_argument("--input", nargs="*", type=_pair, default=[], metavar="NAME=PATH")
     parser.add_argument("--output", nargs="+", type=_pair, required=True, metavar="NAME=PATH")
-    told = parser.parse_args()
+    options = parser.parse_args()
     try:
-        main(dict(told.input), dict(told.output), {"material": told.material, "spec": told.spec})
+        main(dict(options.input), dict(options.output), {"material": options.material, "spec": options.spec})
     except BrdfpipeError as refusal:
-        sys.exit(f"{told.material}: {refusal}")
+        sys.exit(f"{options.material}: {refusal}")
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -166,24 +164,19 @@ def _pair(text: str) -> tuple[str, str]:
 
 @cache
 def _main(script: str) -> Main:
-    specification = importlib.util.spec_from_file_location(f"brdfpipe_stage_{Path(script).stem}", script)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    main: Main = module.main
+    main: Main = runpy.run_path(script)["main"]
     return main
 
 
 @contextmanager
 def _output_to(log: Any) -> Iterator[None]:
-    """Send what libraries print, C libraries too, to the log; only in a worker, whose output nobody reads."""
+    """Send the output of libraries, C libraries included, to the log; in a worker alone."""
     import multiprocessing
 
     if multiprocessing.parent_process() is None:
         yield
         return
-    kept = os.dup(1), os.dup(2)
+    terminal = os.dup(1), os.dup(2)
     log.flush()
     os.dup2(log.fileno(), 1)
     os.dup2(log.fileno(), 2)
@@ -193,7 +186,7 @@ def _output_to(log: Any) -> Iterator[None]:
         sys.stdout.flush()
         sys.stderr.flush()
         log.flush()
-        for number, file in zip((1, 2), kept, strict=True):
+        for number, file in zip((1, 2), terminal, strict=True):
             os.dup2(file, number)
             os.close(file)
 

@@ -1,4 +1,4 @@
-"""What a build did, in words: materials built and not built, verdicts of their checks, and what else a user should know."""
+"""Summary of a build in words: materials built and not built, verdicts of their checks, notices."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from brdfpipe.catalogue.ignored_folders import ignored
+from brdfpipe.catalogue.catalogue import ignored
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs.cleanup import STALE
 from brdfpipe.store import open_dataset
@@ -21,7 +21,7 @@ _LISTED = 5
 
 @dataclass(frozen=True)
 class Summary:
-    """What a build did."""
+    """Result of a build."""
 
     built: tuple[str, ...]
     """Materials for which something was computed, and which are complete."""
@@ -36,9 +36,9 @@ class Summary:
     verdicts: Mapping[str, str] = field(default_factory=dict)
     """Built material → worst verdict of its checks: pass, warn or fail."""
     faults: Mapping[str, str] = field(default_factory=dict)
-    """Built material with the verdict fail → what the checks found, in one line."""
+    """Built material with the verdict fail → findings of the checks, in one line."""
     notices: tuple[str, ...] = ()
-    """What else the user should know; none of it is a failure."""
+    """Notices for the user that are no failures."""
 
     @property
     def text(self) -> str:
@@ -79,7 +79,7 @@ def read_verdicts(results: Path, names: Iterable[str]) -> dict[str, str]:
 
 
 def failed_checks(results: Path, name: str) -> str:
-    """What the failed checks of a material found, in one line; empty if that cannot be read."""
+    """Findings of the failed checks of a material, in one line; empty if they cannot be read."""
     try:
         checks = json.loads(open_dataset(results / name / "checks.nc", "checks").attrs["verdicts"])
     except (BrdfpipeError, KeyError):
@@ -88,7 +88,7 @@ def failed_checks(results: Path, name: str) -> str:
 
 
 def notices(folder: Path, deleted: Sequence[str], stale: Sequence[str]) -> Iterator[str]:
-    """Damaged files that were made anew, results of materials that left the catalogue, folders that are no materials."""
+    """Damaged files that were replaced, results of materials that left the catalogue, ignored folders."""
     if deleted:
         yield f"{_count(len(deleted), 'damaged file')} deleted and made anew: {', '.join(deleted)}"
     if stale:
