@@ -16,7 +16,7 @@ wildcard_constraints:
     incidence="[0-9.]+",
 
 
-# How every stage runs. Each rule inherits it, and has log, params and message from its entry in brdfpipe/stages.py.
+# Each rule inherits this one. Its log, params, message and memory follow from its entry in brdfpipe/stages.py.
 rule stage:
     run:
         pipeline.run(rule, wildcards, input, output, params)
@@ -40,5 +40,5 @@ rule all:
     default_target: True
     input:
         rules.catalogue.output,
-        # A deleted file is made again only where it is asked for.
+        # All files, so that a deleted one is made again.
         pipeline.files(),

@@ -39,7 +39,7 @@ Record = dict[str, Any]
 )
 @click.option("--out", type=click.Path(path_type=Path), default=PROJECT / "benchmarks" / "results" / "catalogue.json")
 def main(materials: int, cores: int, folder: Path | None, out: Path) -> None:
-    """Build many materials and say where the time goes."""
+    """Build many materials and measure the time of each stage."""
     with tempfile.TemporaryDirectory() as temporary:
         work = folder or Path(temporary)
         catalogue, results = work / "catalogue", work / "results"
@@ -73,7 +73,7 @@ def write_catalogue(folder: Path, count: int) -> None:
 
 
 def timed_build(catalogue: Path, results: Path, cores: int) -> Record:
-    """Build as a person would, in a process of its own."""
+    """Build on the command line, in a separate process."""
     command = [sys.executable, "-m", "brdfpipe.cli", "build", catalogue, "--results", results, "--cores", str(cores)]
     before, started, begin = os.times(), time.time(), time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -81,7 +81,7 @@ def timed_build(catalogue: Path, results: Path, cores: int) -> Record:
     if done.returncode:
         sys.exit(done.stdout + done.stderr)
     main_cpu = after.children_user + after.children_system - before.children_user - before.children_system
-    return {"wall_s": wall, "started": started, "cpu_s": main_cpu, "says": done.stdout.splitlines()[0]}
+    return {"wall_s": wall, "started": started, "cpu_s": main_cpu, "output": done.stdout.splitlines()[0]}
 
 
 def stage_records(results: Path) -> list[Record]:
@@ -118,7 +118,7 @@ def summarise(records: list[Record], first: Record, second: Record, rerun: int, 
         "not_stages": round(1 - total / (first["wall_s"] * cores), 3),
         "second_run_s": round(second["wall_s"], 2),
         "second_run_jobs": rerun,
-        "says": [first["says"], second["says"]],
+        "output": [first["output"], second["output"]],
         "ratio_met": first["wall_s"] <= RATIO_LIMIT * total / cores,
         "second_run_met": second["wall_s"] <= SECOND_RUN_LIMIT and rerun == 0,
     }

@@ -1,6 +1,6 @@
-"""Write docs/stages.md: the stages, the formats, and how much code each stage depends on; from their declarations.
+"""Write docs/stages.md from declarations: the stages, the formats, and the modules that each stage depends on.
 
-``python benchmarks/stages.py`` writes the page; a test fails where it is stale or where a stage depends on more than its limit.
+A test (``tests/test_stages.py``) fails if the page is stale or if a stage depends on more modules than its limit.
 """
 
 from __future__ import annotations
@@ -54,21 +54,19 @@ def modules(stage: Stage) -> tuple[str, ...]:
 
 
 def script(stage: Stage) -> Path:
-    return PROJECT / "workflow" / "scripts" / f"{stage.script or stage.name}.py"
+    return PROJECT / "workflow" / "scripts" / f"{stage.script}.py"
 
 
 def page() -> str:
     covered = {stage.name: modules(stage) for stage in STAGES.values()}
-    own = [name for name, stage in STAGES.items() if stage.script in ("", "export")]
+    own = [name for name, stage in STAGES.items() if stage.script in (name, "export")]
     return "\n".join(
         [
             "# Stages",
             "",
             "`python benchmarks/stages.py` writes this page from the declarations in `src/brdfpipe/stages.py` and `src/brdfpipe/exchange/`.",
             "",
-            "To add a stage, write an entry of `STAGES`, a rule of its name in `workflow/rules/` with input and output, and a script of its",
-            "name in `workflow/scripts/`. Log, parameters, code digest, message and memory of the rule follow from the entry, as do `rule all`,",
-            "the input of the report and this page.",
+            "`CONTRIBUTING.md` says how to add a stage or a format.",
             "",
             *table(
                 (
@@ -86,9 +84,6 @@ def page() -> str:
             "A stage runs again when its input, one of its keys, its code or a library that its code imports has changed.",
             "",
             "## Formats of other programs",
-            "",
-            "To add a format, write one module in `src/brdfpipe/exchange/` that is named like the format and declares `FORMAT` (see",
-            "`exchange/registry.py`). The accepted values of `exports`, the rules and this table follow.",
             "",
             *table(("Format", "Holds", "Files of a material", "Spectral", "Takes", "Options"), formats()),
             "",

@@ -101,7 +101,7 @@ register(
 
 KEY = '    toy_level: float = key("reflectance of the toy", default=0.25, ge=0, le=1)\n'
 
-STAGE = '        Stage("toy", "a toy that is equally bright", keys=_values("toy_level"), kind="bsdf"),\n'
+STAGE = '    Stage("toy", "a toy that is equally bright", keys=_values("toy_level"), kind="bsdf"),\n'
 
 RULE = """
 
@@ -155,7 +155,7 @@ EDITS = {
     ],
     PACKAGE / "catalogue" / "material_keys.py": [("    slab: Slab = key(\n", f"{KEY}    slab: Slab = key(\n")],
     PACKAGE / "stages.py": [
-        ("        *(export.stage for export in EXPORTS),\n", f"{STAGE}        *(export.stage for export in EXPORTS),\n")
+        ("    *(export.stage for export in EXPORTS),\n", f"{STAGE}    *(export.stage for export in EXPORTS),\n")
     ],
 }
 """The lines that name a new module, and the entries of a key and a stage."""

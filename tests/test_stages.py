@@ -12,7 +12,7 @@ from source_tree import SOURCE, modules
 from brdfpipe.jobs import code
 from brdfpipe.stages import STAGES
 
-OWN = {name: stage for name, stage in STAGES.items() if stage.script in ("", "export")}
+OWN = {name: stage for name, stage in STAGES.items() if stage.script in (name, "export")}
 """Stages with a script of their own."""
 
 

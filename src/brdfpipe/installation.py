@@ -1,4 +1,4 @@
-"""Where the files of the project lie that are no Python modules: Snakefile, workflow and config."""
+"""Location of the Snakefile, the workflow and the configuration."""
 
 from __future__ import annotations
 

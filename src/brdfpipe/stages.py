@@ -1,9 +1,8 @@
-"""Every stage of the workflow, declared once.
+"""The stages of the workflow, declared once.
 
-A stage is one entry of :data:`STAGES`, one rule of the same name in ``workflow/rules`` that names its input and output, and one
-script in ``workflow/scripts`` that reads, calls one function of the package and writes. From the entry follow the parameters that
-a change of which reruns the stage, its log and message, what ``rule all`` asks for, the order of the report, and the table of
-stages in the documentation.
+A stage is an entry of :data:`STAGES`, a rule of the same name in ``workflow/rules`` with its input and output, and a script in
+``workflow/scripts`` that reads, calls one function of the package and writes. The parameters of the rule (a change of them reruns
+the stage), its log and message, ``rule all``, the order of the report and the table of stages in the documentation follow from the entry.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ Instance = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Subject:
-    """What a stage is run for, and all that its condition and its parameters may depend on."""
+    """A material or a calibration with all that the conditions and the parameters of stages depend on."""
 
     owner: Material | Calibration
     config: Mapping[str, Any]
@@ -46,7 +45,7 @@ class Subject:
     """Of the owner's run of a camera rig."""
 
     def section(self, path: str) -> Any:
-        """A part of the description, as ``slab.back``; of a calibration, ``rig`` is the whole of it."""
+        """A part of the description, as ``slab.back``; ``rig`` of a calibration is its whole description."""
         content: Any = self.owner.content
         if path == "rig" and "rig" not in content:
             return content
@@ -57,10 +56,10 @@ class Subject:
 
 @dataclass(frozen=True)
 class Condition:
-    """Whether a subject has a stage."""
+    """Which materials have a stage."""
 
     words: str
-    """For the documentation, after "materials with"; empty: every material."""
+    """For the documentation, after "materials with"; empty for all materials."""
     holds: Callable[[Subject], bool]
 
     def __and__(self, other: Condition) -> Condition:
@@ -87,42 +86,46 @@ class Keys:
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage: what it makes, of which subjects, from which keys, by which script."""
+    """One stage: its result, the materials that have it, the keys that it depends on, and its script."""
 
     name: str
-    """Of its rule, and of its script unless that is named."""
+    """Of its rule."""
     makes: str
     when: Condition = Condition("", lambda subject: True)
     keys: Keys = Keys()
     script: str = ""
+    """By default the name."""
     owner: str = "material"
     """``material``, ``calibration`` or ``catalogue``: what its results belong to."""
     instances: Callable[[Subject], list[dict[str, str]]] | None = None
-    """Further wildcards of the rule, of each of its jobs for a subject; None: one job without any."""
+    """Further wildcards of each job for a subject; None for a single job without any."""
     title: str = ""
-    """Name of a job in logs and failures, with its wildcards; filled in with the stage's."""
+    """Name of a job in logs and failures, with its wildcards; by default the name of the stage."""
     modules: tuple[str, ...] = ()
-    """Modules that the script imports by a name which the code digest cannot follow."""
-    kind: str = ""
-    """Kind of the dataset it makes; empty where it makes none."""
+    """Modules that the script imports at run time by a name, for the code digest."""
+    kind: str | None = None
+    """Kind of its dataset; empty for a stage without one. By default the name of the script."""
     reported: bool = True
     """Whether the report reads that dataset."""
     intermediate: bool = False
-    """Made when another stage needs it, and not again when it was deleted since."""
+    """Whether the result may be deleted: it is made again only when another stage that needs it runs."""
     memory: int = 500
-    """What a job may need, MB."""
+    """Largest memory of a job, MB."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "title", self.title or self.name)
+        object.__setattr__(self, "script", self.script or self.name)
+        if self.kind is None:
+            object.__setattr__(self, "kind", self.script)
 
     def jobs(self, subject: Subject) -> list[dict[str, str]]:
-        """The wildcards of each of the stage's jobs for a subject, beside its name; none where the condition does not hold."""
+        """Wildcards of the jobs for a subject, beside its name; no job where the condition does not hold."""
         if not self.when.holds(subject):
             return []
         return [{}] if self.instances is None else self.instances(subject)
 
     def parameters(self, subject: Subject, instance: Instance | None = None) -> dict[str, Any]:
-        """The part of description and configuration that the stage depends on, and nothing else."""
+        """The part of the description and the configuration that the stage depends on."""
         return self.keys.read(subject, instance or {})
 
 
@@ -134,17 +137,17 @@ def _has(part: str, words: str = "") -> Condition:
     return Condition(words or f"`{part}`", lambda subject: subject.owner.has(part))  # type: ignore[union-attr]
 
 
-def _file(part: str, key: str) -> Condition:
+def _has_file(part: str, key: str) -> Condition:
     """The description names a raw file for a part."""
     return Condition(f"`{key}.file`", lambda subject: part in subject.owner.files)
 
 
-def _configured(key: str) -> Condition:
+def _enabled(key: str) -> Condition:
     return Condition(f"`{key}: true` in the configuration", lambda subject: bool(subject.config[key]))
 
 
 def _comparable(subject: Subject) -> bool:
-    # A perfectly flat surface mirrors light into one direction, of which no cell shows a BRDF.
+    # A perfectly flat surface reflects into a single direction, for which no cell measures a BRDF.
     flat = subject.section("surface").get("distribution") == "flat"
     return not flat and any(item.load == "sample" and item.side == "reflection" for item in subject.arrangements)
 
@@ -188,14 +191,14 @@ _COLOURS = (MultiangleFile, MultiangleColours)
 
 
 def _further_scan(subject: Subject, instance: Instance) -> dict[str, Any]:
-    """A further scan is read like the first, but for its own keys."""
+    """Keys of a further scan: those of the first one, and its own instead."""
     surface = subject.section("surface")
     shared = {key: surface[key] for key in _SCAN_KEYS if key in surface and key != "azimuth"}
     return shared | dict(surface["scans"][int(instance["scan"]) - 2])
 
 
 def _model(subject: Subject, instance: Instance) -> dict[str, Any]:
-    """The choices of the model. Defaults are written out, so that stating one changes nothing."""
+    """The choices of the model with their defaults, so that writing a default changes nothing."""
     model = subject.section("model")
     choices = ["masking"] if "slab" in subject.owner.content else list(MODEL_DEFAULTS)
     return ({} if "recipe" in model else {key: MODEL_DEFAULTS[key] for key in choices}) | dict(model)
@@ -215,7 +218,7 @@ def _reduction(subject: Subject, instance: Instance) -> dict[str, Any]:
     return override | {**instance, "incidence": float(instance["incidence"])}
 
 
-def _page(subject: Subject, instance: Instance) -> dict[str, Any]:
+def _page_content(subject: Subject, instance: Instance) -> dict[str, Any]:
     content = subject.owner.content
     return {"description": content.get("description", ""), "exports": sorted(content["exports"])}
 
@@ -230,14 +233,14 @@ def _scans(subject: Subject) -> list[dict[str, str]]:
 def _arrangements(load: str) -> Callable[[Subject], list[dict[str, str]]]:
     """The arrangements of a run in which the sample, or the etalon, is measured."""
 
-    def listed(subject: Subject) -> list[dict[str, str]]:
+    def wildcards(subject: Subject) -> list[dict[str, str]]:
         return [
             {"load": load, "side": item.side, "incidence": f"{item.incidence:g}"}
             for item in subject.arrangements
             if item.load == load
         ]
 
-    return listed
+    return wildcards
 
 
 def _sides(subject: Subject) -> list[dict[str, str]]:
@@ -246,7 +249,7 @@ def _sides(subject: Subject) -> list[dict[str, str]]:
 
 
 class Export(NamedTuple):
-    """The files of one format that hold one side of a material."""
+    """The files of one format for one side of a material."""
 
     format: Format
     side: str
@@ -269,226 +272,191 @@ class Export(NamedTuple):
     @property
     def stage(self) -> Stage:
         name = self.format.name
-        asked = Condition(f"`exports: [{name}]`", lambda subject: name in subject.owner.content["exports"])
+        requested = Condition(f"`exports: [{name}]`", lambda subject: name in subject.owner.content["exports"])
         return Stage(
             self.name,
             f"{self.format.description}: {self.side}",
-            when=asked & _has("slab") if self.side == "transmission" else asked,
+            when=requested & _has("slab") if self.side == "transmission" else requested,
             keys=Keys(("exports",), (), lambda subject, _: {"format": name, "side": self.side}),
             script="export",
             modules=(self.format.module,),
+            kind="",
         )
 
 
 EXPORTS = tuple(Export(format, side) for format in FORMATS.values() for side in format.files)
-"""One for each format, and each side that has files of its own."""
+"""One for each format and each side with separate files."""
 
-STAGES: Mapping[str, Stage] = {
-    stage.name: stage
-    for stage in (
-        Stage(
-            "surface",
-            "the relief of the surface, read and levelled",
-            when=_file("surface", "surface"),
-            keys=_section("surface", _SCAN_KEYS),
-            kind="surface",
-        ),
-        Stage(
-            "scan",
-            "a further scan of the surface, read and levelled",
-            when=_file("surface", "surface"),
-            keys=Keys(("surface.scans", *(f"surface.{key}" for key in _SCAN_KEYS)), (), _further_scan),
-            script="surface",
-            instances=_scans,
-            title="surface-{scan}",
-            kind="surface",
-            reported=False,
-        ),
-        Stage(
-            "facets",
-            "the slope density of the facets",
-            when=_has("surface"),
-            keys=_section("surface", _SLOPE_KEYS),
-            kind="facets",
-        ),
-        Stage(
-            "back_surface",
-            "the relief of the back of a clear body",
-            when=_file("back_surface", "slab.back"),
-            keys=_section("slab.back", _SCAN_KEYS),
-            kind="surface",
-        ),
-        Stage(
-            "back_facets",
-            "the slope density of the back of a clear body",
-            when=_has("back", "`slab.back`"),
-            keys=_section("slab.back", _SLOPE_KEYS),
-            script="facets",
-            kind="facets",
-        ),
-        Stage(
-            "masking",
-            "masking by ray casting, beside Smith's",
-            when=_file("surface", "surface") & _configured("raycast"),
-            kind="masking",
-        ),
-        Stage(
-            "spectrum",
-            "the total reflectance, measured or recovered from a colour",
-            when=_has("spectrum"),
-            keys=_section("spectrum"),
-            kind="spectrum",
-        ),
-        Stage(
-            "index",
-            "the refractive index",
-            when=_has("index"),
-            keys=_values("index"),
-            kind="index",
-        ),
-        Stage(
-            "interior",
-            "the internal transmittance of a clear body",
-            when=_has("slab"),
-            keys=Keys(("slab.thickness", "slab.internal_transmittance", "slab.absorption"), (), _interior),
-            kind="interior",
-        ),
-        Stage(
-            "multiangle",
-            "colours or reflectance factors at several geometries",
-            when=_has("multiangle"),
-            keys=_section("multiangle", _read_by("multiangle", *_COLOURS)),
-            kind="multiangle",
-        ),
-        Stage(
-            "predicted",
-            "the BSDF that facets, index and spectrum predict",
-            when=_has("predicted", "`surface`, or a `spectrum` alone"),
-            keys=Keys(("model",), (), _model),
-            kind="bsdf",
-        ),
-        Stage(
-            "flake",
-            "the BRDF of an effect paint, fitted along the flake angle",
-            when=_has("multiangle"),
-            keys=_section("multiangle", _read_by("flake", *_COLOURS)),
-            kind="bsdf",
-        ),
-        Stage(
-            "rig_run",
-            "the frames of an emulated rig",
-            when=_has("rig"),
-            keys=_section("rig", EmulatedRig.read_by("rig_run")),
-            intermediate=True,
-            memory=1000,
-        ),
-        Stage(
-            "calibration_run",
-            "the frames of an emulated rig with the etalon",
-            keys=_section("rig", EmulatedRig.read_by("rig_run")),
-            script="rig_run",
-            owner="calibration",
-            title="rig_run",
-            intermediate=True,
-            memory=1000,
-        ),
-        Stage(
-            "reduced",
-            "the light of each cell relative to the reference, of one arrangement",
-            when=_has("rig"),
-            keys=Keys(("rig.override",), (), _reduction),
-            instances=_arrangements("sample"),
-            title="reduced-{load}-{side}-{incidence}",
-            kind="reduced",
-            intermediate=True,
-            memory=1000,
-        ),
-        Stage(
-            "calibration_reduced",
-            "the same for an arrangement of the etalon",
-            keys=Keys(("rig.override",), (), _reduction),
-            script="reduced",
-            owner="calibration",
-            instances=_arrangements("etalon"),
-            title="reduced-{load}-{side}-{incidence}",
-            kind="reduced",
-            reported=False,
-            intermediate=True,
-            memory=1000,
-        ),
-        Stage(
-            "primary",
-            "the calibrated BSDF of each cell, with its uncertainty",
-            when=_has("rig"),
-            keys=_section("rig", EmulatedRig.read_by("primary")),
-            instances=_sides,
-            title="primary-{side}",
-            kind="primary",
-            intermediate=True,
-        ),
-        Stage(
-            "smoothed",
-            "the values of the cells, smoothed at each incidence",
-            when=_has("rig"),
-            keys=_section("rig", EmulatedRig.read_by("smoothed")),
-            instances=_sides,
-            title="smoothed-{side}",
-            kind="smoothed",
-            intermediate=True,
-        ),
-        Stage(
-            "calibration",
-            "the calibration profile of a rig",
-            keys=_section("rig", EmulatedCalibration.read_by("calibration")),
-            owner="calibration",
-            kind="calibration",
-            intermediate=True,
-        ),
-        Stage(
-            "measured", "the measured BSDF, completed to all directions", when=_has("rig"), kind="bsdf", reported=False
-        ),
-        Stage(
-            "comparison",
-            "measured against predicted, and the inputs that would agree",
-            when=_has("rig") & _has("surface") & Condition("reflection measured", _comparable),
-            keys=_settings_of("comparison"),
-            kind="comparison",
-        ),
-        Stage(
-            "bsdf",
-            "the BSDF: measured, else of flakes, else predicted",
-            keys=Keys((), (), _route),
-            kind="bsdf",
-        ),
-        Stage("checks", "reciprocity, energy and closure", kind="checks"),
-        Stage(
-            "appearance",
-            "gloss, haze and colours",
-            keys=_settings(illuminant="illuminant", observer="observer", gloss_angles="gloss_angles")
-            | _settings_of("appearance"),
-            kind="appearance",
-        ),
-        Stage(
-            "preview",
-            "a picture of the material",
-            when=_configured("preview"),
-            keys=_settings(illuminant="illuminant", light="preview_light"),
-            kind="preview",
-        ),
-        Stage("table", "the BSDF on a grid of directions", keys=_settings_of("table"), kind="bsdf"),
-        Stage(
-            "lambert_gauss",
-            "the Lambert + Gaussian parameters",
-            keys=_settings_of("lambert_gauss"),
-            kind="bsdf",
-        ),
-        *(export.stage for export in EXPORTS),
-        Stage(
-            "report",
-            "the page of a material and its row of the catalogue",
-            keys=Keys(("description", "exports"), (), _page),
-        ),
-        Stage("catalogue", "the catalogue: page, table, dataset and digests", owner="catalogue"),
-    )
-}
+
+def _by_name(*stages: Stage) -> dict[str, Stage]:
+    return {stage.name: stage for stage in stages}
+
+
+STAGES: Mapping[str, Stage] = _by_name(
+    Stage(
+        "surface",
+        "the relief of the surface, read and levelled",
+        when=_has_file("surface", "surface"),
+        keys=_section("surface", _SCAN_KEYS),
+    ),
+    Stage(
+        "scan",
+        "a further scan of the surface, read and levelled",
+        when=_has_file("surface", "surface"),
+        keys=Keys(("surface.scans", *(f"surface.{key}" for key in _SCAN_KEYS)), (), _further_scan),
+        script="surface",
+        instances=_scans,
+        title="surface-{scan}",
+        reported=False,
+    ),
+    Stage("facets", "the slope density of the facets", when=_has("surface"), keys=_section("surface", _SLOPE_KEYS)),
+    Stage(
+        "back_surface",
+        "the relief of the back of a clear body",
+        when=_has_file("back_surface", "slab.back"),
+        keys=_section("slab.back", _SCAN_KEYS),
+        kind="surface",
+    ),
+    Stage(
+        "back_facets",
+        "the slope density of the back of a clear body",
+        when=_has("back", "`slab.back`"),
+        keys=_section("slab.back", _SLOPE_KEYS),
+        script="facets",
+    ),
+    Stage(
+        "masking", "masking by ray casting, beside Smith's", when=_has_file("surface", "surface") & _enabled("raycast")
+    ),
+    Stage(
+        "spectrum",
+        "the total reflectance, measured or recovered from a colour",
+        when=_has("spectrum"),
+        keys=_section("spectrum"),
+    ),
+    Stage("index", "the refractive index", when=_has("index"), keys=_values("index")),
+    Stage(
+        "interior",
+        "the internal transmittance of a clear body",
+        when=_has("slab"),
+        keys=Keys(("slab.thickness", "slab.internal_transmittance", "slab.absorption"), (), _interior),
+    ),
+    Stage(
+        "multiangle",
+        "colours or reflectance factors at several geometries",
+        when=_has("multiangle"),
+        keys=_section("multiangle", _read_by("multiangle", *_COLOURS)),
+    ),
+    Stage(
+        "predicted",
+        "the BSDF that facets, index and spectrum predict",
+        when=_has("predicted", "`surface`, or a `spectrum` alone"),
+        keys=Keys(("model",), (), _model),
+        kind="bsdf",
+    ),
+    Stage(
+        "flake",
+        "the BRDF of an effect paint, fitted along the flake angle",
+        when=_has("multiangle"),
+        keys=_section("multiangle", _read_by("flake", *_COLOURS)),
+        kind="bsdf",
+    ),
+    Stage(
+        "rig_run",
+        "the frames of an emulated rig",
+        when=_has("rig"),
+        keys=_section("rig", EmulatedRig.read_by("rig_run")),
+        intermediate=True,
+        memory=1000,
+        kind="",
+    ),
+    Stage(
+        "calibration_run",
+        "the frames of an emulated rig with the etalon",
+        keys=_section("rig", EmulatedRig.read_by("rig_run")),
+        script="rig_run",
+        owner="calibration",
+        title="rig_run",
+        intermediate=True,
+        memory=1000,
+        kind="",
+    ),
+    Stage(
+        "reduced",
+        "the light of each cell relative to the reference, of one arrangement",
+        when=_has("rig"),
+        keys=Keys(("rig.override",), (), _reduction),
+        instances=_arrangements("sample"),
+        title="reduced-{load}-{side}-{incidence}",
+        intermediate=True,
+        memory=1000,
+    ),
+    Stage(
+        "calibration_reduced",
+        "the same for an arrangement of the etalon",
+        keys=Keys(("rig.override",), (), _reduction),
+        script="reduced",
+        owner="calibration",
+        instances=_arrangements("etalon"),
+        title="reduced-{load}-{side}-{incidence}",
+        reported=False,
+        intermediate=True,
+        memory=1000,
+    ),
+    Stage(
+        "primary",
+        "the calibrated BSDF of each cell, with its uncertainty",
+        when=_has("rig"),
+        keys=_section("rig", EmulatedRig.read_by("primary")),
+        instances=_sides,
+        title="primary-{side}",
+        intermediate=True,
+    ),
+    Stage(
+        "smoothed",
+        "the values of the cells, smoothed at each incidence",
+        when=_has("rig"),
+        keys=_section("rig", EmulatedRig.read_by("smoothed")),
+        instances=_sides,
+        title="smoothed-{side}",
+        intermediate=True,
+    ),
+    Stage(
+        "calibration",
+        "the calibration profile of a rig",
+        keys=_section("rig", EmulatedCalibration.read_by("calibration")),
+        owner="calibration",
+        intermediate=True,
+    ),
+    Stage("measured", "the measured BSDF, completed to all directions", when=_has("rig"), kind="bsdf", reported=False),
+    Stage(
+        "comparison",
+        "measured against predicted, and the inputs that would agree",
+        when=_has("rig") & _has("surface") & Condition("reflection measured", _comparable),
+        keys=_settings_of("comparison"),
+    ),
+    Stage("bsdf", "the BSDF: measured, else of flakes, else predicted", keys=Keys((), (), _route)),
+    Stage("checks", "reciprocity, energy and closure"),
+    Stage(
+        "appearance",
+        "gloss, haze and colours",
+        keys=_settings(illuminant="illuminant", observer="observer", gloss_angles="gloss_angles")
+        | _settings_of("appearance"),
+    ),
+    Stage(
+        "preview",
+        "a picture of the material",
+        when=_enabled("preview"),
+        keys=_settings(illuminant="illuminant", light="preview_light"),
+    ),
+    Stage("table", "the BSDF on a grid of directions", keys=_settings_of("table"), kind="bsdf"),
+    Stage("lambert_gauss", "the Lambert + Gaussian parameters", keys=_settings_of("lambert_gauss"), kind="bsdf"),
+    *(export.stage for export in EXPORTS),
+    Stage(
+        "report",
+        "the page of a material and its row of the catalogue",
+        keys=Keys(("description", "exports"), (), _page_content),
+        kind="",
+    ),
+    Stage("catalogue", "the catalogue: page, table, dataset and digests", owner="catalogue", kind=""),
+)
 """In the order of the report."""

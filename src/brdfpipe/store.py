@@ -1,7 +1,7 @@
-"""The store: complete, self-describing, byte-reproducible netCDF files.
+"""Read and write datasets as netCDF files with their provenance.
 
-A file appears complete or not at all: it is written under a temporary name in the same folder, flushed to the disk and
-renamed. The bytes depend on the content and the library versions only, not on time, host or path.
+A file appears whole or not at all: it is written under a temporary name in the same folder, flushed to the disk and renamed.
+Its bytes depend on the content and the versions of libraries alone, not on time, host or path.
 """
 
 from __future__ import annotations

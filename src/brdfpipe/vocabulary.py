@@ -1,7 +1,7 @@
-"""The vocabulary every stage speaks: names, units, kinds of dataset, quality flags, and their validation.
+"""Names, units and kinds of all datasets, quality flags, and their validation.
 
-One table says what a name means (:data:`QUANTITIES`), one says what a kind of dataset holds (:data:`KINDS`). A stage builds
-plain arrays under these names, :func:`label` attaches units and long names, :func:`validate` checks the result.
+:data:`QUANTITIES` defines the names of variables, :data:`KINDS` the variables of each kind of dataset. A stage builds plain arrays
+with these names, :func:`label` attaches units and long names, :func:`validate` checks the result.
 """
 
 from __future__ import annotations
@@ -464,7 +464,7 @@ KINDS: Mapping[str, Kind] = {
 }
 
 REPRESENTATIONS: dict[str, Kind] = {}
-"""What a ``bsdf`` of each representation holds besides; a class of :mod:`brdfpipe.bsdf.representations` adds its own when it is imported."""
+"""Further variables of a ``bsdf`` by representation; each class of :mod:`brdfpipe.bsdf.representations` adds its entry when it is imported."""
 
 
 def label(dataset: xr.Dataset, kind: str) -> xr.Dataset:
@@ -505,12 +505,12 @@ def validate(dataset: xr.Dataset, kind: str, source: str | None = None) -> xr.Da
     where = f"{source}: " if source else ""
     if kind not in KINDS:
         raise VocabularyError(f"{where}unknown kind of dataset {kind!r}; accepted: {', '.join(KINDS)}")
-    found = dataset.attrs.get("kind", kind)
-    if found != kind:
-        raise VocabularyError(f"{where}expected a dataset of kind {kind!r}, found kind {found!r}")
+    stated = dataset.attrs.get("kind", kind)
+    if stated != kind:
+        raise VocabularyError(f"{where}expected a dataset of kind {kind!r}, found kind {stated!r}")
     _check_members(dataset, KINDS[kind], kind, where)
     if kind == "bsdf":
-        # A stage that evaluates a BSDF has imported its representation; one that passes it on need not know it.
+        # A stage that evaluates a BSDF has imported its representation; a stage that copies it need not.
         representation = dataset.attrs["representation"]
         if representation in REPRESENTATIONS:
             _check_members(dataset, REPRESENTATIONS[representation], f"bsdf ({representation})", where)
@@ -587,7 +587,7 @@ def add_history(dataset: xr.Dataset, *sentences: str) -> xr.Dataset:
 
 
 def add_warning(dataset: xr.Dataset, *sentences: str) -> xr.Dataset:
-    """Add warnings for the report and the catalogue; every warning says what to do."""
+    """Add warnings to a copy, for the report and the catalogue; a warning says what to do."""
     if not sentences:
         return dataset
     return dataset.assign_attrs(warnings=json.dumps([*warnings(dataset), *sentences], ensure_ascii=False))

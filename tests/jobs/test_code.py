@@ -19,7 +19,7 @@ SCRIPTS = Path(__file__).parents[2] / "workflow" / "scripts"
 
 
 def script(stage: Stage) -> Path:
-    return SCRIPTS / f"{stage.script or stage.name}.py"
+    return SCRIPTS / f"{stage.script}.py"
 
 
 @pytest.fixture

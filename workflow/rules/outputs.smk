@@ -1,4 +1,4 @@
-# From a BSDF to what people ask of it: checks, appearance, table, fit, exports, report.
+# From a BSDF to its checks, appearance, table, fit, exports and report.
 
 
 use rule stage as bsdf with:
@@ -45,7 +45,7 @@ use rule stage as lambert_gauss with:
         csv="{material}/exports/{material}.lambert_gauss.csv",
 
 
-# A rule for each format, and each side of the material that has files of its own.
+# A rule for each format, and each side of the material with separate files.
 for export in EXPORTS:
 
     rule:

@@ -1,4 +1,4 @@
-# From what a laboratory measured to a BSDF: surface, facets, index, spectrum, microfacet model; of a clear body, both its faces.
+# From laboratory measurements to a BSDF: surface, facets, index, spectrum, microfacet model; of a clear body, both faces.
 
 
 use rule stage as surface with:

@@ -1,4 +1,4 @@
-# From a run of the camera rig to a BSDF: the calibration's run and the material's, reduced arrangement by arrangement.
+# From runs of the camera rig, with the etalon and with the material, to a BSDF.
 
 
 use rule stage as rig_run with:

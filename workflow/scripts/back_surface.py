@@ -6,11 +6,11 @@ from brdfpipe.surfaces.reading import ingest
 
 
 def main(input, output, params):
-    """The measured relief of the other face of a clear body: read, checked and levelled like the front's."""
+    """The measured relief of the back of a clear body: read, checked and levelled like the front."""
     raw = Path(input["raw"])
     try:
         surface = ingest(raw, params["spec"])
-    except InputError as refusal:  # the reader knows one place in material.yaml, and this is another
+    except InputError as refusal:  # the reader names keys of `surface`
         key = refusal.key and refusal.key.replace("surface", "slab.back", 1)
         raise InputError(**(vars(refusal) | {"key": key})) from None
     store.save_dataset(

@@ -2,7 +2,7 @@ from brdfpipe import store
 
 
 def main(input, output, params):
-    """The BRDF that everything after is made from: the best route the material has."""
+    """The BSDF of the best route of the material: measured, else of flakes, else predicted."""
     spec, inputs = params["spec"], {name: store.open_dataset(path, "bsdf") for name, path in input.items()}
     bsdf = inputs[spec["route"]].assign_attrs(route=spec["route"])
     store.save_dataset(bsdf, output["bsdf"], stage="bsdf", material=params["material"], inputs=inputs, parameters=spec)

@@ -8,7 +8,7 @@ from brdfpipe.rig.reduction.control_chart import extend_chart
 
 
 def main(input, output, params):
-    """The calibration profile of a rig: from the etalon's light in each cell to a BRDF, by its certificate; with its control chart."""
+    """The calibration profile of a rig, from the light of the etalon in each cell and its certificate; with its control chart."""
     reduced = [store.open_dataset(path, "reduced") for path in input["reduced"]]
     certificate = Path(input["certificate"])
     inputs = {f"reduced-{number}": dataset for number, dataset in enumerate(reduced)} | {"certificate": certificate}

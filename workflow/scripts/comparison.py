@@ -3,7 +3,7 @@ from brdfpipe.comparison.measured_predicted import compare
 
 
 def main(input, output, params):
-    """What a rig measured beside what the surface predicts, and the inputs that would make them agree."""
+    """The measured BSDF beside the predicted one, and the inputs that would make them agree."""
     inputs = {name: store.open_dataset(path) for name, path in input.items()}
     store.save_dataset(
         compare(**inputs, **params["spec"]),

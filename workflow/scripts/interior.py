@@ -5,7 +5,7 @@ from brdfpipe.optics import interior
 
 
 def main(input, output, params):
-    """What the inside of a clear body lets pass: a number or a table."""
+    """The internal transmittance of a clear body: a number or a table."""
     spec, raw = params["spec"], {name: Path(path) for name, path in input.items()}
     store.save_dataset(
         interior.ingest(spec, raw.get("raw")),

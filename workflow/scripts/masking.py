@@ -1,12 +1,12 @@
 from brdfpipe import store
-from brdfpipe.masking import ray_casting as raycast
+from brdfpipe.masking import ray_casting
 
 
 def main(input, output, params):
     """Masking by rays cast over the heights, beside Smith's."""
     inputs = {name: store.open_dataset(path, name) for name, path in input.items()}
     store.save_dataset(
-        raycast.compare(**inputs), output["masking"], stage="masking", material=params["material"], inputs=inputs
+        ray_casting.compare(**inputs), output["masking"], stage="masking", material=params["material"], inputs=inputs
     )
 
 

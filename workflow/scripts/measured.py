@@ -10,7 +10,7 @@ def main(input, output, params):
         output["measured"],
         stage="measured",
         material=params["material"],
-        inputs={f"smoothed-{each.attrs['side']}": each for each in sides},
+        inputs={f"smoothed-{side.attrs['side']}": side for side in sides},
         parameters=params["spec"],
     )
 

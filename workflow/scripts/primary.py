@@ -4,7 +4,7 @@ from brdfpipe.rig.reduction.primary import apply
 
 
 def main(input, output, params):
-    """The BSDF of each cell on one side of the sample, calibrated, with what is uncertain about it."""
+    """The BSDF of each cell on one side of the sample, calibrated, with its uncertainty."""
     reduced = [store.open_dataset(path, "reduced") for path in input["reduced"]]
     profile = store.open_dataset(input["calibration"], "calibration")
     store.save_dataset(
@@ -12,7 +12,7 @@ def main(input, output, params):
         output["primary"],
         stage="primary",
         material=params["material"],
-        inputs={f"reduced-{place}": each for place, each in enumerate(reduced)} | {"calibration": profile},
+        inputs={f"reduced-{number}": dataset for number, dataset in enumerate(reduced)} | {"calibration": profile},
         parameters=params["spec"],
     )
 

@@ -7,7 +7,7 @@ from brdfpipe.rig.reduction.relative_light import reduce
 
 
 def main(input, output, params):
-    """The light of each cell of one arrangement over that of the reference, from its frames."""
+    """The light of each cell relative to the reference, from the frames of one arrangement."""
     folder, spec = Path(input["journal"]).parent, params["spec"]
     run = frames.read_run(folder, spec["incidence"])
     rig = Plan.load(folder / PLAN).rig

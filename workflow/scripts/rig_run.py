@@ -5,10 +5,10 @@ from brdfpipe.rig.emulator import emulated_scan
 
 
 def main(input, output, params):
-    """A run that the emulated rig makes in place of a laboratory, of a material of which the BSDF is known, or of the etalon."""
+    """A run of the emulated rig, with a material of known BSDF or with the etalon."""
     truth = open_dataset(input["truth"], "bsdf") if "truth" in input else None
-    told = {key: value for key, value in params["spec"]["emulate"].items() if key != "truth"}
-    emulated_scan.make_run(Path(input["sources"][0]), Path(output["journal"]).parent, truth, **told)
+    options = {key: value for key, value in params["spec"]["emulate"].items() if key != "truth"}
+    emulated_scan.make_run(Path(input["sources"][0]), Path(output["journal"]).parent, truth, **options)
 
 
 if __name__ == "__main__":

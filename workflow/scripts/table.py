@@ -4,7 +4,7 @@ from brdfpipe.bsdf.nonspectral import nonspectral
 
 
 def main(input, output, params):
-    """A BSDF, as bright as it looks, on the configuration's grid of directions."""
+    """The non-spectral BSDF on the grid of directions of the configuration."""
     spec, bsdf = params["spec"], store.open_dataset(input["bsdf"], "bsdf")
     grid = tabulation.grid_for(bsdf, spec)
     make = tabulation.faithful_table if spec["refine"] else tabulation.tabulate

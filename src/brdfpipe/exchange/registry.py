@@ -1,6 +1,6 @@
-"""The formats that other programs read, each declared by its own module of this package.
+"""Formats of other programs, each declared by a module of this package.
 
-A format is one module. It is named like the format (``-`` becomes ``_``) and declares itself by one statement of literals::
+The module is named like the format (``-`` becomes ``_``) and declares it by one statement of literals::
 
     FORMAT = Format(
         description="what the files hold, in one sentence",
@@ -9,7 +9,7 @@ A format is one module. It is named like the format (``-`` becomes ``_``) and de
     )
 
 and defines the writers that ``files`` names: ``write(bsdf, path, **options)``. The accepted values of ``exports``, the rules of
-the workflow and the documentation follow. Declarations are read without importing the modules, which import the numerics.
+the workflow and the documentation follow. Declarations are read without importing the modules, which is slow.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ class Format:
     description: str
     """What the files hold, in one sentence."""
     files: Mapping[str, Mapping[str, tuple[str, ...]]]
-    """Side of the material (``reflection``, ``transmission``) → writer, a function of the format's module → suffixes of the
-    files it writes. It is given the path of the first and finds the others beside it. A material without transmission has the
-    files of ``reflection`` alone; a format with both sides in one file declares it there."""
+    """Side of the material (``reflection``, ``transmission``) → writer, a function of the module → suffixes of its files. The
+    writer is called with the path of the first and writes the others beside it. A material without transmission has the files of
+    ``reflection`` alone; a format with both sides in one file declares it there."""
     takes: str = "bsdf"
-    """``bsdf``; or ``table``, then the writers are given the material's table too, as keyword ``table``."""
+    """``bsdf``; or ``table``: the writers are called with the keyword ``table`` too, the table of the material."""
     spectral: bool = False
     """Whether the files hold values by wavelength."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Keyword of the writers → its default, such as ``tolerance``."""
     name: str = ""
-    """That of the module; filled in by the registry."""
+    """Name of the module, set by the registry."""
 
     @property
     def module(self) -> str:
@@ -87,7 +87,7 @@ class Format:
 
 
 class _Formats(Mapping[str, Format]):
-    """The declarations in the folders of this package, read when first asked for."""
+    """Formats by name, read from the folders of this package on first use."""
 
     @cached_property
     def _declared(self) -> dict[str, Format]:

@@ -1,7 +1,7 @@
 """Small tables beside a BSDF file: total reflectance and transmittance, and the Lambert + Gaussian parameters.
 
-Light that is mirrored, or passes, in one single direction has no density and is in no row of a BSDF file. These tables hold it in a
-column of its own.
+Light that is reflected or transmitted into a single direction has no density, so no row of a BSDF file can hold it. These tables have
+a column for it.
 """
 
 from __future__ import annotations

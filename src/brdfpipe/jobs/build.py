@@ -10,7 +10,6 @@ import signal
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -20,6 +19,7 @@ from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.names import DESCRIPTION, RESULT_MARKS
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs import cleanup, failures, pool, summary
+from brdfpipe.jobs.failures import Failures
 from brdfpipe.jobs.snakemake_run import LOG, SnakemakeRun
 from brdfpipe.jobs.summary import Summary
 
@@ -55,9 +55,10 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
         if not dry_run:
             cleanup.remove_leftovers(results, LOG)
         failed = failures.of_unwritable_folders(results, catalogue) | failures.of_plans(catalogue)
-        work = _run_until_complete(_Request(results, catalogue, settings, cores, dry_run), failed, interrupts)
+        run = SnakemakeRun(results, dry_run)
+        deleted = _run_until_complete(run, catalogue, settings, cores, failed, interrupts)
         stale = [] if dry_run else cleanup.mark_stale(results, catalogue, failed)
-    touched = {material for _, material in work.jobs}
+    touched = {material for _, material in run.done}
     complete = [material.name for material in catalogue.materials if material.name not in failed]
     verdicts = {} if dry_run else summary.read_verdicts(results, complete)
     return Summary(
@@ -67,63 +68,46 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
             **catalogue.failures,
             **{name: f"{entry['stage']}: {entry['message']}" for name, entry in failed.items()},
         },
-        jobs=sum(rule != "all" for rule, _ in work.jobs),
+        jobs=sum(rule != "all" for rule, _ in run.done),
         page=results / "index.html",
         seconds=time.perf_counter() - started,
         dry_run=dry_run,
         verdicts=verdicts,
         faults={name: summary.failed_checks(results, name) for name, verdict in verdicts.items() if verdict == "fail"},
-        notices=tuple(summary.notices(catalogue.folder, work.deleted, stale)),
+        notices=tuple(summary.notices(catalogue.folder, deleted, stale)),
     )
 
 
-@dataclass(frozen=True)
-class _Request:
-    """What is to be built."""
-
-    results: Path
-    catalogue: Catalogue
-    settings: Mapping[str, Any]
-    """The configuration that the Snakefile reads, without the failures."""
-    cores: int
-    dry_run: bool
-
-
-@dataclass
-class _Work:
-    """What the runs of snakemake did together."""
-
-    jobs: list[tuple[str, str]] = field(default_factory=list)
-    """(rule, material)"""
-    deleted: list[str] = field(default_factory=list)
-    """Damaged files."""
-
-
-def _run_until_complete(request: _Request, failed: failures.Failures, interrupts: list[int]) -> _Work:
+def _run_until_complete(
+    run: SnakemakeRun,
+    catalogue: Catalogue,
+    settings: Mapping[str, Any],
+    cores: int,
+    failed: Failures,
+    interrupts: list[int],
+) -> list[str]:
     """Run snakemake, again after deleting damaged files, and again without the materials that failed (added to ``failed``).
 
-    The loop ends: each turn deletes a file for the first time in this build or leaves out one more material.
+    The loop ends: each turn deletes a file for the first time in this build or leaves out one more material. Returns the deleted files.
     """
-    results, work = request.results, _Work()
-    dependents = failures.dependents(request.catalogue)
+    deleted: list[str] = []
+    dependents = failures.dependents(catalogue)
     while True:
-        run = SnakemakeRun(results, request.dry_run)
-        complete = run.start({**request.settings, "failures": failed}, request.cores)
-        work.jobs += run.done
+        complete = run.start({**settings, "failures": failed}, cores)
         if interrupts:
             raise KeyboardInterrupt
-        names = {material.name for material in request.catalogue.materials} - failed.keys()
-        new: failures.Failures = {}
-        if not request.dry_run:  # the records of a dry run are of the previous build
-            new = failures.of_jobs(results, run.failed, names, dependents, LOG)
-            damaged = cleanup.delete_damaged(results, work.deleted)
-            work.deleted += damaged
+        names = {material.name for material in catalogue.materials} - failed.keys()
+        new: Failures = {}
+        if not run.dry_run:  # the records of a dry run are of the previous build
+            new = failures.of_jobs(run.results, run.failed, names, dependents, LOG)
+            damaged = cleanup.delete_damaged(run.results, deleted)
+            deleted += damaged
             if damaged:
                 continue
         if not complete and not new:
             new = failures.of_unwritable_files(run.errors, names)
         if complete and not new:
-            return work
+            return deleted
         if not new:
             raise BuildError(_reason(run))
         failed |= new

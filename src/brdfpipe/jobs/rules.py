@@ -168,7 +168,7 @@ class Pipeline:
             raise pool.StageError(f"{job.title}: {outcome.error}")
 
     def _script(self, stage: Stage) -> Path:
-        return self.scripts / f"{stage.script or stage.name}.py"
+        return self.scripts / f"{stage.script}.py"
 
     def _result(self, stage: Stage) -> InputFunction:
         """The first output of each job of a stage, as input of a rule."""

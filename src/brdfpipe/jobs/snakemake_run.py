@@ -1,4 +1,4 @@
-"""One run of snakemake in this process, followed by its log events."""
+"""Run snakemake in this process and follow its log events."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import os
 import sys
 from collections.abc import Mapping
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,26 +20,23 @@ LOG = "logs/build.log"
 """In the folder of results."""
 
 
-@dataclass
 class SnakemakeRun(logging.Handler):
-    """A run of the workflow: its jobs, failures and errors."""
+    """Runs of the workflow in a folder of results, followed by their log events.
 
-    results: Path
-    dry_run: bool = False
-    done: list[tuple[str, str]] = field(default_factory=list)
-    """(rule, material) of every job that ran to its end (or would, in a dry run)."""
-    failed: list[tuple[str, str]] = field(default_factory=list)
-    """(rule, material) of every job that failed."""
-    errors: list[str] = field(default_factory=list)
-    """Messages of level error, each in one line."""
+    Attributes
+    ----------
+    done : (rule, material) of the jobs of all runs that succeeded (or would run, in a dry run)
+    failed : (rule, material) of the failed jobs of the last run
+    errors : messages of level error of the last run, each in one line
+    """
 
-    def __post_init__(self) -> None:
+    def __init__(self, results: Path, dry_run: bool = False) -> None:
         super().__init__(logging.INFO)
-        self._jobs: dict[int, tuple[str, str]] = {}
-        self._bar: Any = None
+        self.results, self.dry_run = results, dry_run
+        self.done: list[tuple[str, str]] = []
+        self.failed: list[tuple[str, str]] = []
+        self.errors: list[str] = []
         self._file: Any = None
-
-    __hash__ = logging.Handler.__hash__
 
     def start(self, config: Mapping[str, Any], cores: int) -> bool:
         """Run snakemake and wait; return whether all results exist now."""
@@ -48,6 +44,9 @@ class SnakemakeRun(logging.Handler):
         from snakemake.logging import DefaultFormatter  # type: ignore[import-untyped]
 
         self.setFormatter(DefaultFormatter())
+        self.failed, self.errors = [], []
+        self._jobs: dict[int, tuple[str, str]] = {}
+        self._bar: Any = None
         root, log = installation.project_folder(), self.results / LOG
         arguments = [
             *("--snakefile", str(root / "Snakefile"), "--directory", str(self.results), "--cores", str(cores)),
@@ -62,13 +61,13 @@ class SnakemakeRun(logging.Handler):
         try:
             with (
                 log.open("a", encoding="utf-8") as self._file,
-                Path(os.devnull).open("w") as nowhere,
-                redirect_stdout(nowhere),
-                redirect_stderr(nowhere),  # what matters comes as log events
+                Path(os.devnull).open("w") as null,
+                redirect_stdout(null),
+                redirect_stderr(null),  # messages come as log events
             ):
                 parser, parsed = parse_args(arguments)
-                # The default, 100 jobs a second, costs more than it holds back: a timer thread and a new choice of jobs for
-                # each. No value of the option switches it off.
+                # The default limit, 100 jobs a second, is slow: it starts a timer and schedules anew for each job.
+                # No value of the option switches it off.
                 parsed.max_jobs_per_timespan = None
                 return bool(args_to_api(parsed, parser))
         finally:
