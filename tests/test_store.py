@@ -19,7 +19,7 @@ def save(dataset, path, **provenance):
     return store.save_dataset(dataset, path, **{**given, **provenance})
 
 
-def test_what_is_written_is_what_is_read(tmp_path):
+def test_a_dataset_is_read_as_it_was_written(tmp_path):
     saved = save(samples.spectrum(), tmp_path / "a.nc")
     xr.testing.assert_identical(brdfpipe.open_dataset(tmp_path / "a.nc"), saved)
 
@@ -126,7 +126,7 @@ def test_a_zeroed_block_is_an_error_and_not_zeros(tmp_path):
         brdfpipe.open_dataset(path)
 
 
-def test_a_missing_dataset_says_who_makes_it(tmp_path):
+def test_the_refusal_of_a_missing_dataset_names_the_command_that_makes_it(tmp_path):
     with pytest.raises(store.StoreError, match="brdfpipe build"):
         brdfpipe.open_dataset(tmp_path / "none.nc")
 

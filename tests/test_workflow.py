@@ -1,4 +1,4 @@
-"""The examples through the real workflow: what is made, that it is the same bytes each time, and what a change rebuilds."""
+"""The examples in the real workflow: results, reproducibility of their bytes, and what a change rebuilds."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ preview: false
 table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}
 lambert_gauss: {theta_i: [0, 45]}
 """
-"""Settings of builds whose tables and pictures no test looks at."""
+"""Settings of builds whose tables and pictures no test reads."""
 
 
 @pytest.fixture(scope="session")
@@ -67,7 +67,7 @@ def files(results: Path) -> dict[str, bytes]:
     }
 
 
-def test_every_dataset_says_its_material_stage_and_digest_and_keeps_it(built: tuple[Path, Path]) -> None:
+def test_every_dataset_has_its_material_stage_and_digest(built: tuple[Path, Path]) -> None:
     _, results = built
     paths = [path for name in EXAMPLES for path in sorted((results / name).glob("*.nc"))]
     for path in paths:
@@ -95,7 +95,7 @@ def test_every_material_has_its_page_and_exports(built: tuple[Path, Path]) -> No
         assert name in (results / "index.html").read_text()
 
 
-def test_no_result_knows_where_it_was_made(built: tuple[Path, Path]) -> None:
+def test_no_result_contains_the_folder_where_it_was_made(built: tuple[Path, Path]) -> None:
     folder, results = built
     assert not [name for name, content in files(results).items() if str(folder.parent).encode() in content]
 
@@ -130,7 +130,7 @@ def test_an_edit_changes_the_digests_of_that_material_alone(built: tuple[Path, P
     assert {name for name in before if before[name] != after[name]} == {"paint-lab"}
 
 
-def test_damaged_results_are_made_anew_to_the_same_bytes(built: tuple[Path, Path], results: Path) -> None:
+def test_damaged_results_are_computed_again_to_the_same_bytes(built: tuple[Path, Path], results: Path) -> None:
     folder, undamaged = built
     for name, size in (("bsdf.nc", 5000), ("summary.nc", 0)):
         os.truncate(results / "paint-lab" / name, size)
@@ -141,7 +141,7 @@ def test_damaged_results_are_made_anew_to_the_same_bytes(built: tuple[Path, Path
     assert set(summary.verdicts) == set(EXAMPLES)  # of those that were not built, too
 
 
-def test_a_verdict_of_fail_is_told_with_its_reason(built: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_verdict_of_fail_is_read_with_its_reason(built: tuple[Path, Path], tmp_path: Path) -> None:
     _, results = built
     checks = store.open_dataset(results / "paint-lab" / "checks.nc")
     checks.attrs["verdicts"] = json.dumps(
@@ -155,7 +155,7 @@ def test_a_verdict_of_fail_is_told_with_its_reason(built: tuple[Path, Path], tmp
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 @pytest.mark.parametrize(("place", "set_up"), [("here", False), ("elsewhere", True), (None, True)])
-def test_an_environment_of_another_place_is_made_anew(tmp_path: Path, place: str | None, set_up: bool) -> None:
+def test_an_environment_of_another_folder_is_set_up_again(tmp_path: Path, place: str | None, set_up: bool) -> None:
     for file in ("Makefile", "pyproject.toml", *(path.name for path in PROJECT.glob("requirements*.lock"))):
         shutil.copy(PROJECT / file, tmp_path)
     stamps = [tmp_path / ".venv" / name for name in ("bin/python", ".runtime", ".dev")]
@@ -185,7 +185,7 @@ def test_a_stage_run_by_hand_refuses_in_one_line(built: tuple[Path, Path], tmp_p
     assert done.stderr == "m: none.nc: no such dataset; run `brdfpipe build` to build it\n"
 
 
-def test_snakemake_runs_the_workflow_without_the_front(built: tuple[Path, Path]) -> None:
+def test_snakemake_runs_the_workflow_without_the_command_line(built: tuple[Path, Path]) -> None:
     folder, results = built
     root = installation.project_folder()
     command = [sys.executable, "-m", "snakemake", "--snakefile", root / "Snakefile", "--directory", results]
@@ -210,7 +210,7 @@ def test_the_scripts_only_read_call_and_write() -> None:
 def test_every_deleted_file_is_made_again_as_it_was(
     built: tuple[Path, Path], results: Path, deleted: tuple[str, ...]
 ) -> None:
-    """One file of each stage at a time: a stage that makes two must notice either."""
+    """One file of each stage at a time: a stage with two files notices either."""
     folder, undamaged = built
     for file in deleted:
         (results / "abs-grain" / file).unlink()

@@ -146,7 +146,7 @@ def test_a_wrong_key_is_refused_by_name(tmp_path: Path, text: str, pattern: str)
     assert re.search(pattern, catalogue.load(tmp_path).failures["m"])
 
 
-def test_each_stage_of_a_slab_is_told_of_its_own_face(tmp_path: Path) -> None:
+def test_each_stage_of_a_slab_has_the_parameters_of_its_face(tmp_path: Path) -> None:
     text = "surface: {distribution: ggx, a: 0.1}\nindex: PC\nmodel: {masking: Separable}\n"
     slab = "slab: {thickness: 2, absorption: {file: a.txt, unit: 1/cm}, back: {file: b.txt, unit: nm, isotropic: true}}"
     write(tmp_path, "m", text + slab, a_txt="1 2", b_txt="1 2")
@@ -185,7 +185,7 @@ def test_a_slab_has_a_back_of_its_own_where_it_differs(tmp_path: Path, back: str
         (FRONT + "slab: {thickness: 1, absorption: {file: a.txt", ", unit: 1/mm}}"),
     ],
 )
-def test_writing_out_a_default_tells_no_stage_anything_new(tmp_path: Path, text: str, written: str) -> None:
+def test_writing_a_default_changes_no_parameter_of_a_stage(tmp_path: Path, text: str, written: str) -> None:
     closed = text + "}" * (text.count("{") - text.count("}"))
     write(tmp_path / "a", "m", closed, a_txt="1 2")
     write(tmp_path / "b", "m", text + written, a_txt="1 2")
@@ -194,7 +194,7 @@ def test_writing_out_a_default_tells_no_stage_anything_new(tmp_path: Path, text:
     assert [first.spec("m", stage) for stage in stages] == [second.spec("m", stage) for stage in stages]
 
 
-def test_a_recipe_is_told_alone(tmp_path: Path) -> None:
+def test_a_recipe_is_the_only_parameter_of_the_model(tmp_path: Path) -> None:
     write(tmp_path, "m", COLOUR + "model: {recipe: crf}")
     assert catalogue.load(tmp_path).spec("m", "predicted") == {"recipe": "crf"}
 
@@ -311,7 +311,7 @@ def test_asking_for_an_unknown_material_names_the_nearest(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("unit", ["um", "\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m"])
-def test_stages_are_told_one_spelling(tmp_path: Path, unit: str) -> None:
+def test_parameters_of_stages_have_one_spelling(tmp_path: Path, unit: str) -> None:
     text = f"surface: {{file: a.txt, unit: {unit}, lateral_unit: {unit}, layout: Line, isotropic: true}}\nindex: PP\n"
     write(tmp_path, "m", text + "spectrum: {file: a.txt, geometry: SCI, scale: Percent}", a_txt="1 2")
     loaded = catalogue.load(tmp_path)
@@ -336,7 +336,9 @@ def test_stages_are_told_one_spelling(tmp_path: Path, unit: str) -> None:
         (["raw/material.yaml"], "material.yaml is one folder too deep, in raw"),
     ],
 )
-def test_a_folder_that_looks_like_a_material_and_is_none_is_told(tmp_path: Path, files: list[str], told: str) -> None:
+def test_a_folder_that_looks_like_a_material_and_is_none_is_reported(
+    tmp_path: Path, files: list[str], told: str
+) -> None:
     write(tmp_path, "good")
     for file in files:
         (tmp_path / "odd" / file).parent.mkdir(parents=True, exist_ok=True)
@@ -355,13 +357,13 @@ def test_other_folders_and_results_are_no_materials(tmp_path: Path) -> None:
     assert catalogue.ignored(tmp_path) == {}
 
 
-def test_a_catalogue_of_misnamed_descriptions_says_so(tmp_path: Path) -> None:
+def test_a_catalogue_of_misnamed_descriptions_names_them(tmp_path: Path) -> None:
     (write(tmp_path, "m") / "material.yaml").rename(tmp_path / "m" / "material.yml")
     with pytest.raises(catalogue.CatalogueError, match=r"holds no material.*m: material.yml is not read; rename it"):
         catalogue.load(tmp_path)
 
 
-def test_each_stage_is_told_its_own_part_and_no_more(tmp_path: Path) -> None:
+def test_each_stage_has_its_part_of_the_description_as_parameters(tmp_path: Path) -> None:
     text = "description: d\nsurface: {file: a.txt, unit: um, isotropic: true}\nindex: PP\n"
     write(tmp_path, "m", text + "spectrum: {file: a.txt, geometry: sci}", a_txt="1 2")
     loaded = catalogue.load(tmp_path)
@@ -443,7 +445,7 @@ def test_the_projects_own_configuration_states_every_key() -> None:
             assert set(value) == set(reading.keys_of(Config.declared_keys()[key].annotation)), key
 
 
-def test_a_comparison_is_told_how_well_its_inputs_are_known(tmp_path: Path) -> None:
+def test_a_comparison_has_the_uncertainties_of_its_inputs_as_parameters(tmp_path: Path) -> None:
     write(tmp_path / "of", "m")
     own = tmp_path / "own.yaml"
     own.write_text("comparison: {slope_u: 0.3}\n")
@@ -523,7 +525,7 @@ def test_formats_are_checked_without_reading(tmp_path: Path) -> None:
             catalogue.check_formats(loaded[name])
 
 
-def test_a_started_material_says_what_to_fill_in_and_each_alternative_in_its_comments_is_valid(tmp_path: Path) -> None:
+def test_a_new_material_asks_to_be_filled_in_and_each_alternative_in_its_comments_is_valid(tmp_path: Path) -> None:
     path = catalogue.start_material(tmp_path, "fresh")
     assert "at least one of `surface`, `spectrum`" in catalogue.load(tmp_path).failures["fresh"]
     text = path.read_text()
@@ -551,7 +553,7 @@ def test_a_material_is_started_beside_raw_files(tmp_path: Path) -> None:
     assert catalogue.start_material(tmp_path, "m") == tmp_path / "m" / "material.yaml"
 
 
-def test_a_folder_whose_name_is_no_text_stops_nobody(tmp_path: Path) -> None:
+def test_a_folder_with_an_undecodable_name_stops_no_material(tmp_path: Path) -> None:
     bad = Path(os.fsdecode(os.fsencode(tmp_path) + b"/b\xffd"))
     try:
         bad.mkdir()

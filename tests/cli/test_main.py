@@ -1,4 +1,4 @@
-"""The command line: what it says and how it exits."""
+"""The command line: its output and its exit codes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_version_is_that_of_the_package() -> None:
     assert version("brdfpipe") in run("--version").output
 
 
-def test_check_says_a_line_a_material(tmp_path: Path) -> None:
+def test_check_prints_a_line_for_each_material(tmp_path: Path) -> None:
     write(tmp_path, "good")
     write(tmp_path, "bad", "spectrm: 1\n")
     done = run("check", tmp_path)
@@ -40,7 +40,7 @@ def test_check_says_a_line_a_material(tmp_path: Path) -> None:
     assert count == "1 ok, 1 wrong"
 
 
-def test_check_looks_at_formats_too(tmp_path: Path) -> None:
+def test_check_covers_formats(tmp_path: Path) -> None:
     write(tmp_path, "m", "surface: {file: a.abc}\nindex: PP\n")
     (tmp_path / "m" / "a.abc").write_text("x")
     done = run("check", tmp_path)
@@ -113,7 +113,7 @@ def test_new_starts_a_material_in_the_present_folder(tmp_path: Path, monkeypatch
     assert (tmp_path / "fresh" / "material.yaml").is_file()
 
 
-def test_new_refuses_what_exists(tmp_path: Path) -> None:
+def test_new_refuses_an_existing_material(tmp_path: Path) -> None:
     run("new", "fresh", "--folder", tmp_path)
     before = (tmp_path / "fresh" / "material.yaml").read_text()
     done = run("new", "fresh", "--folder", tmp_path)
@@ -122,7 +122,7 @@ def test_new_refuses_what_exists(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a b", "../up", "logs", ""])
-def test_new_refuses_what_is_no_name(tmp_path: Path, name: str) -> None:
+def test_new_refuses_an_invalid_name(tmp_path: Path, name: str) -> None:
     done = run("new", name, "--folder", tmp_path)
     assert done.exit_code == 2
     assert done.stderr.startswith(f"brdfpipe: the name {name!r}: ")
@@ -130,7 +130,7 @@ def test_new_refuses_what_is_no_name(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize(("failures", "code"), [({}, 0), ({"m": "surface: no"}, 1)])
-def test_build_tells_what_it_did_and_fails_if_a_material_did(
+def test_build_prints_a_summary_and_fails_if_a_material_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failures: Mapping[str, str], code: int
 ) -> None:
     summary = Summary(("a",), ("b",), failures, 12, tmp_path / "index.html", 3.2)
@@ -143,7 +143,9 @@ def test_build_tells_what_it_did_and_fails_if_a_material_did(
     assert done.output.splitlines()[-1] == f"Open {tmp_path / 'index.html'}"
 
 
-def test_a_verdict_is_told_by_name_and_changes_no_exit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_verdict_is_printed_with_its_material_and_does_not_change_the_exit_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     verdicts, faults = {"a": "fail", "b": "warn", "c": "pass"}, {"a": "energy: reflects at most 1.039 of the light"}
     page = tmp_path / "index.html"
     summary = Summary(("a", "b"), ("c",), {}, 3, page, 3.2, verdicts=verdicts, faults=faults, notices=("note",))
@@ -158,7 +160,9 @@ def test_a_verdict_is_told_by_name_and_changes_no_exit_code(tmp_path: Path, monk
     ]
 
 
-def test_what_the_system_refuses_is_one_line_and_exit_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_of_the_operating_system_is_one_line_and_exit_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refused(*given: object, **named: object) -> None:
         raise PermissionError(13, "Permission denied", "results/logs")
 

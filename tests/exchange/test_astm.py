@@ -42,7 +42,7 @@ def test_a_viewer_reads_back_every_value(table, tmp_path):
     assert phi_s.max() == pytest.approx(360)
 
 
-def test_every_pair_of_directions_stands_once(table, tmp_path):
+def test_every_pair_of_directions_is_in_one_row(table, tmp_path):
     astm.write(table, tmp_path / "grey.astm")
     rows = read_as_viewers_do(tmp_path / "grey.astm")[2]
     assert len(np.unique(rows[:, :4], axis=0)) == len(rows)
@@ -110,7 +110,7 @@ def test_rows_of_a_surface_with_a_lay_need_its_model(brushed, tmp_path):
         astm.write(table, tmp_path / "b.astm")
 
 
-def test_the_header_says_what_no_row_can(tmp_path):
+def test_the_header_states_the_specular_share(tmp_path):
     polished = microfacet.build(facets.flat(), index=1.5)
     astm.write(polished, tmp_path / "p.astm", table=polished.bsdf.tabulate(GRID))
     header, rows = (tmp_path / "p.astm").read_text().split("VARS")[0], read_as_viewers_do(tmp_path / "p.astm")[2]

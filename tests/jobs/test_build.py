@@ -1,4 +1,4 @@
-"""The build: what is built, what is left alone, what is said, and what survives a kill."""
+"""The build: what is built and what is not, its messages, and its state after it was killed."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def rewritten(before: dict[str, int], after: dict[str, int]) -> set[str]:
 
 
 def listed_failures(results: Path) -> dict[str, dict[str, str]]:
-    """What the fake catalogue stage was told about failures."""
+    """The failures that the fake catalogue stage received."""
     return dict(json.loads((results / "catalogue.csv").read_text())["failures"])
 
 
@@ -90,7 +90,7 @@ def test_an_unchanged_catalogue_runs_no_job(folder: Path, results: Path) -> None
     assert times(results) == before
 
 
-def test_a_refused_material_stops_nobody_else_and_is_listed(folder: Path, results: Path, write: Write) -> None:
+def test_a_refused_material_stops_no_other_and_is_listed(folder: Path, results: Path, write: Write) -> None:
     write(folder, "bad", raw="refuse")
     summary = build(folder, results)
     assert summary.built == ("first", "second")
@@ -101,7 +101,7 @@ def test_a_refused_material_stops_nobody_else_and_is_listed(folder: Path, result
     assert rewritten(before, times(results)) <= {"failures/bad.json"}
 
 
-def test_a_mended_material_is_listed_again(folder: Path, results: Path, write: Write) -> None:
+def test_a_corrected_material_is_built_again(folder: Path, results: Path, write: Write) -> None:
     write(folder, "bad", raw="refuse")
     build(folder, results)
     write(folder, "bad", raw="4 5 6")
@@ -110,7 +110,9 @@ def test_a_mended_material_is_listed_again(folder: Path, results: Path, write: W
     assert listed_failures(results) == {}
 
 
-def test_an_invalid_description_is_listed_and_stops_nobody(folder: Path, results: Path, write: Write) -> None:
+def test_an_invalid_description_is_listed_and_stops_no_other_material(
+    folder: Path, results: Path, write: Write
+) -> None:
     (write(folder, "typo") / "material.yaml").write_text("spectrm: {}\n")
     summary = build(folder, results)
     assert summary.built == ("first", "second")
@@ -266,7 +268,7 @@ def test_results_that_cannot_be_written_fail_their_material_alone(
     assert build(folder, results).built == ("first",)
 
 
-def test_an_output_that_cannot_be_removed_is_told_by_its_material() -> None:
+def test_an_output_that_cannot_be_removed_is_reported_for_its_material() -> None:
     errors = ["PermissionError: [Errno 13] Permission denied: '/somewhere/results/first/index.nc' Traceback"]
     assert failures.of_unwritable_files(errors, {"first", "second"}) == {
         "first": {
@@ -276,7 +278,7 @@ def test_an_output_that_cannot_be_removed_is_told_by_its_material() -> None:
     }
 
 
-def test_results_of_a_material_that_fails_now_are_marked_until_it_is_mended(
+def test_results_of_a_material_that_fails_now_are_marked_until_it_is_corrected(
     folder: Path, results: Path, write: Write
 ) -> None:
     build(folder, results)
@@ -291,7 +293,7 @@ def test_results_of_a_material_that_fails_now_are_marked_until_it_is_mended(
     assert not mark.exists()
 
 
-def test_results_of_a_material_that_is_gone_are_marked_and_told(folder: Path, results: Path) -> None:
+def test_results_of_a_removed_material_are_marked_and_reported(folder: Path, results: Path) -> None:
     build(folder, results)
     (folder / "first").rename(folder.parent / "kept")
     (notice,) = build(folder, results).notices
@@ -302,7 +304,7 @@ def test_results_of_a_material_that_is_gone_are_marked_and_told(folder: Path, re
     assert not (results / "first" / "STALE.txt").exists()
 
 
-def test_a_folder_that_is_no_material_is_told_and_no_failure(folder: Path, results: Path) -> None:
+def test_a_folder_that_is_no_material_is_reported_and_no_failure(folder: Path, results: Path) -> None:
     (folder / "odd").mkdir()
     (folder / "odd" / "material.yml").touch()
     summary = build_catalogue(folder, results, cores=1, dry_run=True)
@@ -327,7 +329,7 @@ def test_a_dry_run_changes_nothing(folder: Path, results: Path) -> None:
     assert content(results) == {}
 
 
-def test_a_dry_run_plans_the_mended_material_of_a_failed_build(folder: Path, results: Path, write: Write) -> None:
+def test_a_dry_run_plans_the_corrected_material_of_a_failed_build(folder: Path, results: Path, write: Write) -> None:
     write(folder, "first", raw="refuse")
     build(folder, results)
     write(folder, "first")
@@ -397,7 +399,9 @@ def test_a_killed_build_leaves_no_process_and_resumes(
     assert content(results) == content(undisturbed)
 
 
-def test_an_interrupted_build_ends_its_workers_and_says_so(stuck: subprocess.Popen[str], results: Path) -> None:
+def test_an_interrupted_build_ends_its_workers_and_prints_a_message(
+    stuck: subprocess.Popen[str], results: Path
+) -> None:
     children = psutil.Process(stuck.pid).children(recursive=True)
     stuck.send_signal(signal.SIGINT)
     output, _ = stuck.communicate(timeout=PATIENCE)

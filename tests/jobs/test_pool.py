@@ -92,13 +92,15 @@ def test_a_worker_killed_once_is_replaced_and_its_job_done(tmp_path: Path, worke
     assert not (tmp_path / "failures").exists()
 
 
-def test_a_refusal_is_one_line_and_not_tried_again(tmp_path: Path, workers: pool.Pool) -> None:
+def test_a_refusal_is_one_line_and_the_job_is_not_repeated(tmp_path: Path, workers: pool.Pool) -> None:
     outcome = workers.perform(job(tmp_path, refuse=True))
     assert outcome.error == "two lines"
     assert (tmp_path / "logs" / "m" / "stage.log").read_text().count("refused: two lines") == 1
 
 
-def test_of_several_failures_of_a_material_always_the_same_one_is_kept(tmp_path: Path, workers: pool.Pool) -> None:
+def test_of_several_failures_of_a_material_the_first_stage_by_name_is_recorded(
+    tmp_path: Path, workers: pool.Pool
+) -> None:
     from dataclasses import replace
 
     refused = job(tmp_path, refuse=True)
@@ -139,10 +141,10 @@ def test_closing_ends_busy_workers_and_leaves_no_failure(tmp_path: Path, workers
     assert not (tmp_path / "failures").exists()
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="what a process hears is told on Linux alone")
-def test_the_server_of_workers_is_deaf_to_ctrl_c_and_the_main_process_is_not(
-    workers: pool.Pool, tmp_path: Path
-) -> None:
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="the signals that a process blocks are known on Linux alone"
+)
+def test_the_server_of_workers_ignores_ctrl_c_and_the_main_process_does_not(workers: pool.Pool, tmp_path: Path) -> None:
     workers.perform(job(tmp_path))
     server = psutil.Process(int(str(result(tmp_path)[0]))).ppid()
     blocked = Path(f"/proc/{server}/status").read_text().partition("SigBlk:")[2].split()[0]

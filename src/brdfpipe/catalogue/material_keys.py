@@ -638,9 +638,7 @@ class Material(Keys):
     )
     model: Model = key("how the reflection is modelled", default=Model.model_construct())
     exports: Annotated[list[Annotated[str, OneOf(tuple(FORMATS))]], Items()] = key(
-        "files for other programs; " + EXPORT_WORDS,
-        default_words="`exports` of the configuration",
-        example=["astm"],
+        "files for other programs; " + EXPORT_WORDS, default_words="`exports` of the configuration", example=["astm"]
     )
 
     @model_validator(mode="after")

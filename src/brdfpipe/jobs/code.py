@@ -10,7 +10,7 @@ import ast
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -60,13 +60,12 @@ def digest(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> 
     str : hexadecimal
     """
     root = root or SOURCE
-    covered = modules(script, root, also)
+    covered = _module_files(script, root, also)
     content = hashlib.sha256()
-    for library in _libraries(script, covered, root):
+    for library in _libraries(script, covered):
         content.update(f"{library} {_installed(library)}\n".encode())
     content.update(f"script {_source(script).digest}\n".encode())
-    for name in covered:
-        path = _module_path(name, root)
+    for name, path in covered.items():
         content.update(f"{name} {_source(path).digest}\n".encode())
         if path.name == "__init__.py":
             for data in _data_files(path.parent):
@@ -76,30 +75,32 @@ def digest(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> 
 
 def modules(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> tuple[str, ...]:
     """Modules of the package that a script imports, directly or not, in functions too; parameters as for :func:`digest`."""
-    root = root or SOURCE
-    covered: set[str] = set()
+    return tuple(_module_files(script, root or SOURCE, also))
+
+
+def _module_files(script: Path, root: Path, also: Iterable[str]) -> dict[str, Path]:
+    covered: dict[str, Path] = {}
     waiting = [*_source(script).imports, *also]
     while waiting:
         name = waiting.pop()
         if name in covered or f"{name}.".startswith(UNFOLLOWED) or name.split(".")[0] != PACKAGE:
             continue
-        if not _exists(name, root):
-            continue  # a name defined in a module
-        covered.add(name)
         path = _module_path(name, root)
+        if path is None:
+            continue  # a name defined in a module
+        covered[name] = path
         waiting.extend(_absolute(_source(path).imports, name, path))
         waiting.extend(_parents(name))
-    return tuple(sorted(covered))
+    return dict(sorted(covered.items()))
 
 
 def libraries(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> tuple[str, ...]:
     """Distributions that the code of a stage imports; parameters as for :func:`digest`."""
-    root = root or SOURCE
-    return _libraries(script, modules(script, root, also), root)
+    return _libraries(script, _module_files(script, root or SOURCE, also))
 
 
-def _libraries(script: Path, covered: Iterable[str], root: Path) -> tuple[str, ...]:
-    sources = [_source(script), *(_source(_module_path(name, root)) for name in covered)]
+def _libraries(script: Path, covered: Mapping[str, Path]) -> tuple[str, ...]:
+    sources = [_source(script), *map(_source, covered.values())]
     names = {name.split(".")[0] for source in sources for name in source.imports if not name.startswith(".")}
     names |= {OPTIONAL[name] for name in covered if name in OPTIONAL}
     names |= {implied for name in names for implied in IMPLIED.get(name, ())}
@@ -192,12 +193,8 @@ def _candidates(module: str, root: Path) -> tuple[Path, Path]:
     return base.with_suffix(".py"), base / "__init__.py"
 
 
-def _exists(module: str, root: Path) -> bool:
-    return any(path.is_file() for path in _candidates(module, root))
-
-
-def _module_path(module: str, root: Path) -> Path:
-    return next(path for path in _candidates(module, root) if path.is_file())
+def _module_path(module: str, root: Path) -> Path | None:
+    return next((path for path in _candidates(module, root) if path.is_file()), None)
 
 
 def _data_files(package: Path) -> list[Path]:
