@@ -4,7 +4,7 @@ from brdfpipe.jobs.rules import Pipeline
 from brdfpipe.stages import EXPORTS
 
 pipeline = Pipeline(config, Path(workflow.basedir) / "workflow" / "scripts")
-made, raw = pipeline.made, pipeline.raw
+results_of, raw_file = pipeline.results_of, pipeline.raw_file
 
 
 wildcard_constraints:

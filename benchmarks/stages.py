@@ -137,7 +137,7 @@ def rule_inputs() -> dict[str, list[str]]:
         for name, body in re.findall(r"^use rule stage as (\w+) with:\n(.*?)(?=^\S|\Z)", path.read_text(), re.M | re.S):
             source = body.partition("output:")[0]
             inputs[name] = re.findall(r'^\s+(\w+)="\{material\}', source, re.M)
-            inputs[name] += re.findall(r'"(\w+)"', " ".join(re.findall(r"made\(([^)]*)\)", source)))
+            inputs[name] += re.findall(r'"(\w+)"', " ".join(re.findall(r"results_of\(([^)]*)\)", source)))
     inputs["catalogue"] = ["report"]
     return inputs
 

@@ -107,7 +107,7 @@ RULE = """
 
 use rule stage as toy with:
     input:
-        **made("bsdf"),
+        **results_of("bsdf"),
     output:
         toy="{material}/toy.nc",
 """

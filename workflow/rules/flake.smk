@@ -3,13 +3,13 @@
 
 use rule stage as multiangle with:
     input:
-        raw=raw("multiangle"),
+        raw=raw_file("multiangle"),
     output:
         multiangle="{material}/multiangle.nc",
 
 
 use rule stage as flake with:
     input:
-        **made("multiangle"),
+        **results_of("multiangle"),
     output:
         flake="{material}/flake.nc",

@@ -3,28 +3,28 @@
 
 use rule stage as bsdf with:
     input:
-        **made("predicted", "flake", "measured"),
+        **results_of("predicted", "flake", "measured"),
     output:
         bsdf="{material}/bsdf.nc",
 
 
 use rule stage as checks with:
     input:
-        **made("bsdf"),
+        **results_of("bsdf"),
     output:
         checks="{material}/checks.nc",
 
 
 use rule stage as appearance with:
     input:
-        **made("bsdf"),
+        **results_of("bsdf"),
     output:
         appearance="{material}/appearance.nc",
 
 
 use rule stage as preview with:
     input:
-        **made("bsdf"),
+        **results_of("bsdf"),
     output:
         preview="{material}/preview.nc",
         png="{material}/preview.png",
@@ -32,14 +32,14 @@ use rule stage as preview with:
 
 use rule stage as table with:
     input:
-        **made("bsdf"),
+        **results_of("bsdf"),
     output:
         table="{material}/table.nc",
 
 
 use rule stage as lambert_gauss with:
     input:
-        **made("bsdf"),
+        **results_of("bsdf"),
     output:
         lambert_gauss="{material}/lambert_gauss.nc",
         csv="{material}/exports/{material}.lambert_gauss.csv",
@@ -52,7 +52,7 @@ for export in EXPORTS:
         name:
             export.name
         input:
-            **made(*export.inputs),
+            **results_of(*export.inputs),
         output:
             file=export.files[0],
             beside=export.files[1:],

@@ -3,70 +3,70 @@
 
 use rule stage as surface with:
     input:
-        raw=raw("surface"),
+        raw=raw_file("surface"),
     output:
         surface="{material}/surface.nc",
 
 
 use rule stage as scan with:
     input:
-        raw=raw("surface-{scan}"),
+        raw=raw_file("surface-{scan}"),
     output:
         surface="{material}/surface-{scan}.nc",
 
 
 use rule stage as facets with:
     input:
-        **made("surface", "scan"),
+        **results_of("surface", "scan"),
     output:
         facets="{material}/facets.nc",
 
 
 use rule stage as masking with:
     input:
-        **made("surface", "facets"),
+        **results_of("surface", "facets"),
     output:
         masking="{material}/masking.nc",
 
 
 use rule stage as back_surface with:
     input:
-        raw=raw("back_surface"),
+        raw=raw_file("back_surface"),
     output:
         surface="{material}/back_surface.nc",
 
 
 use rule stage as back_facets with:
     input:
-        surface=made("back_surface")["back_surface"],
+        surface=results_of("back_surface")["back_surface"],
     output:
         facets="{material}/back_facets.nc",
 
 
 use rule stage as interior with:
     input:
-        raw=raw("interior"),
+        raw=raw_file("interior"),
     output:
         interior="{material}/interior.nc",
 
 
 use rule stage as index with:
     input:
-        raw=raw("index"),
+        raw=raw_file("index"),
     output:
         index="{material}/index.nc",
 
 
 use rule stage as spectrum with:
     input:
-        **made("index"),
-        raw=raw("spectrum"),
+        **results_of("index"),
+        raw=raw_file("spectrum"),
     output:
         spectrum="{material}/spectrum.nc",
 
 
 use rule stage as predicted with:
     input:
-        **made("facets", "back_facets", "interior", "index", "spectrum"),
+        **results_of("facets", "back_facets", "interior", "index", "spectrum"),
     output:
         predicted="{material}/predicted.nc",

@@ -32,8 +32,8 @@ use rule stage as calibration_reduced with:
 
 use rule stage as calibration with:
     input:
-        reduced=made("calibration_reduced")["calibration_reduced"],
-        certificate=raw("certificate"),
+        reduced=results_of("calibration_reduced")["calibration_reduced"],
+        certificate=raw_file("certificate"),
         previous=pipeline.previous_calibration,
     output:
         calibration="calibrations/{calibration}.nc",
@@ -41,7 +41,7 @@ use rule stage as calibration with:
 
 use rule stage as primary with:
     input:
-        **made("reduced", "calibration"),
+        **results_of("reduced", "calibration"),
     output:
         primary="{material}/primary-{side}.nc",
 
@@ -55,14 +55,14 @@ use rule stage as smoothed with:
 
 use rule stage as measured with:
     input:
-        **made("smoothed"),
+        **results_of("smoothed"),
     output:
         measured="{material}/measured.nc",
 
 
 use rule stage as comparison with:
     input:
-        **made("predicted", "facets", "index", "spectrum"),
+        **results_of("predicted", "facets", "index", "spectrum"),
         primary="{material}/primary-reflection.nc",
     output:
         comparison="{material}/comparison.nc",

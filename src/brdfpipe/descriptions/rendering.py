@@ -1,4 +1,4 @@
-"""What follows from declared keys: the template of a description, the schema for editors, and the tables of the documentation."""
+"""Render declared keys: the template of a description, the schema for editors, and the tables of the documentation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from pydantic.fields import FieldInfo
 
 from brdfpipe.descriptions.keys import Keys, notes_of
-from brdfpipe.descriptions.reading import TYPE_WORDS, declared
+from brdfpipe.descriptions.reading import TYPE_WORDS, Declared, declared
 
 COMMENT_COLUMN, LINE_LENGTH = 30, 120
 """Column at which comments of a template start, and the longest line that has one."""
@@ -27,7 +27,7 @@ def editor_schema(model: Any) -> str:
 
 
 def _without_notes(schema: Any) -> Any:
-    """A schema without what no editor shows: titles, and defaults of keys that are simply absent."""
+    """A schema without titles and without the default None of absent keys, which editors need not show."""
     if isinstance(schema, list):
         return [_without_notes(item) for item in schema]
     if not isinstance(schema, dict):
@@ -156,8 +156,8 @@ def table(model: Any, prefix: str = "", title: str = "Key", nested: bool = True)
 
 
 def _rows(model: Any, prefix: str, nested: bool) -> Iterator[str]:
-    fields = {name: field for block in reversed(_blocks(model)) for name, field in block.declared_keys().items()}
     blocks = _blocks(model)
+    fields = {name: field for block in reversed(blocks) for name, field in block.declared_keys().items()}
     order = list(dict.fromkeys(name for block in blocks for name in block.declared_keys()))
     if len(blocks) > 1:
         order.sort(key=lambda name: not fields[name].is_required())
@@ -191,32 +191,27 @@ def _row(key: str, field: FieldInfo) -> str:
 
 def _accepted(field: FieldInfo) -> str:
     """Type, range and unit of a key, in words."""
-    place = declared(field.annotation, field=field)
-    unit = notes_of(field).unit
-    if place.choices:
-        words = " ".join(f"`{choice}`" for choice in place.choices)
-    elif isinstance(place.annotation, type) and issubclass(place.annotation, Keys):
-        words = "keys"
-    elif get_origin(place.annotation) in (list, tuple):
+    place, unit = declared(field.annotation, field=field), notes_of(field).unit
+    words = _form(place)
+    if get_origin(place.annotation) in (list, tuple):
         item = declared(get_args(place.annotation)[0])
-        listed = " ".join(f"`{choice}`" for choice in item.choices)
-        words = "a list" + (f" of {listed}" if listed else f", {place.limits}" if place.limits else "")
-    elif place.annotation in TYPE_WORDS:
-        words = TYPE_WORDS[place.annotation] + (f" {place.limits}" if place.limits else "")
-    else:
-        words = " or ".join(dict.fromkeys(_form(member) for member in get_args(place.annotation)))
+        words += f" of {_form(item)}" if item.choices else f", {place.limits}" if place.limits else ""
+    elif place.annotation in TYPE_WORDS and not place.choices:
+        words += f" {place.limits}" if place.limits else ""
     return words + (f" [{unit}]" if unit else "")
 
 
-def _form(member: Any) -> str:
-    place = declared(member)
+def _form(place: Declared) -> str:
+    """Type of a value in words, or the listed values."""
     if place.choices:
         return " ".join(f"`{choice}`" for choice in place.choices)
     if place.annotation in TYPE_WORDS:
         return TYPE_WORDS[place.annotation]
     if get_origin(place.annotation) in (list, tuple):
         return "a list"
-    return "keys"
+    if isinstance(place.annotation, type) and issubclass(place.annotation, Keys):
+        return "keys"
+    return " or ".join(dict.fromkeys(_form(declared(member)) for member in get_args(place.annotation)))
 
 
 def with_tables(text: str, tables: Mapping[str, str]) -> str:

@@ -17,10 +17,8 @@ from __future__ import annotations
 import ast
 import importlib
 import os
-import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,40 +71,17 @@ class Format:
             self.writer(writer)(bsdf, Path(f"{stem}{suffixes[0]}"), **self.keywords(keywords))
 
     def writer(self, name: str) -> Callable[..., None]:
-        """A writer of the format's module, which is imported now."""
+        """A writer of the format's module, which this imports."""
         function: Callable[..., None] = getattr(importlib.import_module(self.module), name)
         return function
 
     def keywords(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """What the writers are given beside BSDF and path: the options, and the table where the format takes one."""
+        """Keywords of the writers: the options with their defaults, and the table where the format takes one."""
         known = {*self.options, *(["table"] if self.takes == "table" else [])}
         if unknown := sorted(set(given) - known):
             accepted = ", ".join(sorted(known)) or "no option"
             raise ExchangeError(f"{self.name}: unknown option {unknown[0]!r}; accepted: {accepted}")
         return {**self.options, **given}
-
-
-class _Formats(Mapping[str, Format]):
-    """Formats by name, read from the folders of this package on first use."""
-
-    @cached_property
-    def _declared(self) -> dict[str, Format]:
-        paths = sorted(path for folder in sys.modules[__package__].__path__ for path in Path(folder).glob("*.py"))
-        formats = [declared for path in paths if (declared := _declaration(path)) is not None]
-        return {format.name: format for format in formats}
-
-    def __getitem__(self, name: str) -> Format:
-        return self._declared[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._declared)
-
-    def __len__(self) -> int:
-        return len(self._declared)
-
-
-FORMATS: Mapping[str, Format] = _Formats()
-"""Formats by name."""
 
 
 def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = None, **options: Any) -> None:
@@ -159,3 +134,9 @@ def _declaration(path: Path) -> Format | None:
                     raise ExchangeError(f"{path.name}: FORMAT is declared by literals alone ({error})") from error
                 return Format(**{**values, "name": path.stem.replace("_", "-")})
     return None
+
+
+FORMATS: Mapping[str, Format] = {
+    format.name: format for path in sorted(Path(__file__).parent.glob("*.py")) if (format := _declaration(path))
+}
+"""Formats by name."""

@@ -56,7 +56,7 @@ class Pipeline:
 
     # --- input files
 
-    def made(self, *stages: str) -> dict[str, InputFunction]:
+    def results_of(self, *stages: str) -> dict[str, InputFunction]:
         """Results of other stages as input of a rule, by stage.
 
         A stage that the material does not have gives no file. A stage with several jobs gives the list of those that agree with
@@ -71,7 +71,7 @@ class Pipeline:
         }
         return {name: files for name, files in results.items() if files}
 
-    def raw(self, part: str) -> InputFunction:
+    def raw_file(self, part: str) -> InputFunction:
         """The raw file of a part of the material, if it has one: ``surface``, or ``surface-{scan}`` for a further scan."""
         return lambda wildcards: str(self._owner(wildcards).files.get(part.format(**wildcards), "")) or []
 
