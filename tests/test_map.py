@@ -61,7 +61,7 @@ def _parts(module: str, own: set[str]) -> set[str]:
     while waiting:
         name = waiting.pop()
         targets = {statement.target for statement in imports(modules()[name], name)}
-        found = {target for target in targets if target.startswith(f"{folder}.")} - own - parts
-        parts |= found
-        waiting.extend(found)
+        direct = {target for target in targets if target.startswith(f"{folder}.")} - own - parts
+        parts |= direct
+        waiting.extend(direct)
     return parts

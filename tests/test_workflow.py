@@ -79,11 +79,11 @@ def test_every_dataset_has_its_material_stage_and_digest(built: tuple[Path, Path
 
 def test_the_lock_lists_every_dataset(built: tuple[Path, Path]) -> None:
     _, results = built
-    found = lock(results)
-    assert sorted(found) == list(EXAMPLES)
+    locked = lock(results)
+    assert sorted(locked) == list(EXAMPLES)
     for name in EXAMPLES:
         made = {path.stem for path in (results / name).glob("*.nc")} - {"summary"}
-        assert set(found[name]) == made
+        assert set(locked[name]) == made
 
 
 def test_every_material_has_its_page_and_exports(built: tuple[Path, Path]) -> None:

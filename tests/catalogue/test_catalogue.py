@@ -1,4 +1,4 @@
-"""The catalogue: which materials it finds, what it refuses of them, and what each stage is told."""
+"""The catalogue: its materials, refusals, and the parameters of stages."""
 
 from __future__ import annotations
 
@@ -316,8 +316,8 @@ def test_parameters_of_stages_have_one_spelling(tmp_path: Path, unit: str) -> No
     write(tmp_path, "m", text + "spectrum: {file: a.txt, geometry: SCI, scale: Percent}", a_txt="1 2")
     loaded = catalogue.load(tmp_path)
     assert loaded.failures == {}
-    told = loaded.spec("m", "surface") | loaded.spec("m", "spectrum")
-    assert [told[key] for key in ("unit", "lateral_unit", "layout", "geometry", "scale")] == [
+    parameters = loaded.spec("m", "surface") | loaded.spec("m", "spectrum")
+    assert [parameters[key] for key in ("unit", "lateral_unit", "layout", "geometry", "scale")] == [
         "um",
         "um",
         "line",
@@ -327,7 +327,7 @@ def test_parameters_of_stages_have_one_spelling(tmp_path: Path, unit: str) -> No
 
 
 @pytest.mark.parametrize(
-    ("files", "told"),
+    ("files", "reason"),
     [
         (["material.yml"], "material.yml is not read; rename it to material.yaml"),
         (["Material.YAML"], "Material.YAML is not read; rename it to material.yaml"),
@@ -337,15 +337,15 @@ def test_parameters_of_stages_have_one_spelling(tmp_path: Path, unit: str) -> No
     ],
 )
 def test_a_folder_that_looks_like_a_material_and_is_none_is_reported(
-    tmp_path: Path, files: list[str], told: str
+    tmp_path: Path, files: list[str], reason: str
 ) -> None:
     write(tmp_path, "good")
     for file in files:
         (tmp_path / "odd" / file).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "odd" / file).touch()
-    (found,) = catalogue.ignored(tmp_path).items()
-    assert found[0] == "odd"
-    assert told in found[1]
+    ((name, message),) = catalogue.ignored(tmp_path).items()
+    assert name == "odd"
+    assert reason in message
     assert catalogue.load(tmp_path).failures == {}
 
 
@@ -367,10 +367,10 @@ def test_each_stage_has_its_part_of_the_description_as_parameters(tmp_path: Path
     text = "description: d\nsurface: {file: a.txt, unit: um, isotropic: true}\nindex: PP\n"
     write(tmp_path, "m", text + "spectrum: {file: a.txt, geometry: sci}", a_txt="1 2")
     loaded = catalogue.load(tmp_path)
-    told = {
+    parameters = {
         stage: loaded.spec("m", stage) for stage in ("surface", "facets", "index", "spectrum", "predicted", "report")
     }
-    assert told == {
+    assert parameters == {
         "surface": {"file": "a.txt", "unit": "um", "form": "plane"},
         "facets": {"isotropic": True},
         "index": {"index": "PP"},
@@ -449,8 +449,8 @@ def test_a_comparison_has_the_uncertainties_of_its_inputs_as_parameters(tmp_path
     write(tmp_path / "of", "m")
     own = tmp_path / "own.yaml"
     own.write_text("comparison: {slope_u: 0.3}\n")
-    told = catalogue.load(tmp_path / "of", catalogue.load_config(own)).spec("m", "comparison")
-    assert told == {**{f"{name}_u": u for name, u in PRIOR_U.items()}, "slope_u": 0.3}
+    parameters = catalogue.load(tmp_path / "of", catalogue.load_config(own)).spec("m", "comparison")
+    assert parameters == {**{f"{name}_u": u for name, u in PRIOR_U.items()}, "slope_u": 0.3}
 
 
 @pytest.mark.parametrize("u", ["-0.1", "2", "wide"])

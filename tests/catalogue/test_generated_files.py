@@ -47,15 +47,15 @@ def test_every_key_has_a_help_of_one_line(name: str) -> None:
 
 
 def test_every_description_of_the_examples_fits_its_editor_schema() -> None:
-    found = 0
+    validated = 0
     for name in generated_files.DESCRIPTIONS:
         schema = json.loads(FILES[f"config/schemas/{name}.schema.json"])
         jsonschema.Draft202012Validator.check_schema(schema)
         files = [*(PROJECT / "examples").rglob(f"{name}.yaml"), *(PROJECT / "config").glob(f"{name}.yaml")]
         for file in files:
             jsonschema.validate(yaml.safe_load(file.read_text("utf-8")), schema)
-        found += len(files)
-    assert found > 10
+        validated += len(files)
+    assert validated > 10
 
 
 def test_values_of_registries_are_those_of_the_registries() -> None:

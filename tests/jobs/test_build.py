@@ -295,11 +295,11 @@ def test_results_of_a_material_that_fails_now_are_marked_until_it_is_corrected(
 
 def test_results_of_a_removed_material_are_marked_and_reported(folder: Path, results: Path) -> None:
     build(folder, results)
-    (folder / "first").rename(folder.parent / "kept")
+    (folder / "first").rename(folder.parent / "elsewhere")
     (notice,) = build(folder, results).notices
     assert notice == "1 folder of materials that are no longer in the catalogue, marked by STALE.txt: first"
     assert "no material of this name is in the catalogue" in (results / "first" / "STALE.txt").read_text()
-    (folder.parent / "kept").rename(folder / "first")
+    (folder.parent / "elsewhere").rename(folder / "first")
     assert build(folder, results).notices == ()
     assert not (results / "first" / "STALE.txt").exists()
 

@@ -50,8 +50,13 @@ def digest(root: Path, also: tuple[str, ...] = ()) -> str:
 
 
 def test_imports_are_followed_into_functions_and_packages(root: Path) -> None:
-    found = code.modules(root / "stage.py", root)
-    assert found == ("brdfpipe", "brdfpipe.facets", "brdfpipe.optics", "brdfpipe.optics.fresnel", "brdfpipe.store")
+    assert code.modules(root / "stage.py", root) == (
+        "brdfpipe",
+        "brdfpipe.facets",
+        "brdfpipe.optics",
+        "brdfpipe.optics.fresnel",
+        "brdfpipe.store",
+    )
 
 
 @pytest.mark.parametrize(

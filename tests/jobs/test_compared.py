@@ -71,8 +71,8 @@ def test_the_workflow_compares_what_the_emulated_rig_measured(folder: Path, tmp_
     material(folder, "both", ROUGH + BODY + RIG)
     summary = build_catalogue(folder, tmp_path / "results", cores=2)
     assert summary.failures == {}
-    found = store.open_dataset(tmp_path / "results" / "both" / "comparison.nc", "comparison")
-    assert set(found.attrs["inputs"].split('"')[1::4]) == {"facets", "index", "predicted", "primary", "spectrum"}
+    comparison = store.open_dataset(tmp_path / "results" / "both" / "comparison.nc", "comparison")
+    assert set(comparison.attrs["inputs"].split('"')[1::4]) == {"facets", "index", "predicted", "primary", "spectrum"}
     # The truth is 10 % rougher; frames, reduction and calibration lie between.
-    assert float(found["posterior"].sel(input="slope")) == pytest.approx(1.1, abs=0.01)
-    assert float(found["chi_squared_dof"].sel(model="adjusted")) < 1.5
+    assert float(comparison["posterior"].sel(input="slope")) == pytest.approx(1.1, abs=0.01)
+    assert float(comparison["chi_squared_dof"].sel(model="adjusted")) < 1.5

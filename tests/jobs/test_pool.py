@@ -37,7 +37,7 @@ def main(input, output, params):
     warnings.warn("odd but fine")
     print("to the log", flush=True)
     if spec.get("memory"):
-        kept = bytearray(spec["memory"])
+        occupied = bytearray(spec["memory"])
     threads = os.environ["OMP_NUM_THREADS"], os.environ["OPENBLAS_NUM_THREADS"]
     Path(output["out"]).write_text(json.dumps([os.getpid(), "xarray" in sys.modules, threads]))
 """

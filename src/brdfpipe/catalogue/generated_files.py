@@ -14,7 +14,6 @@ from brdfpipe.appearance.quantities import docs_table
 from brdfpipe.catalogue import calibration_keys, material_keys
 from brdfpipe.catalogue.config_keys import Config
 from brdfpipe.descriptions import rendering
-from brdfpipe.descriptions.keys import Keys
 from brdfpipe.rig.plan_keys import PlanKeys
 from brdfpipe.rig.reduction.certificate_keys import CertificateKeys
 from brdfpipe.rig.rig_keys import RigKeys
@@ -46,80 +45,62 @@ One material: remove the # in front of what it has and enter your own values; li
 docs/materials.md explains every key; `brdfpipe check` says what is wrong or missing."""
 
 
-def _material_blocks() -> list[tuple[type[Keys], str, str, Any]]:
-    """The alternatives that the template of a material shows."""
-    keys = material_keys
-    return [
-        (keys.Material, "", "description", "one line for the reader of the report"),
-        (
-            keys.MeasuredSpectrum,
-            "The colour: a measured spectrum, a file in this folder …",
-            "spectrum",
-            {"file": "reflectance.txt", "geometry": "sci", "incidence": 8, "scale": "percent"},
-        ),
-        (
-            keys.Colour,
-            "… or L*, a*, b* of a colorimeter.",
-            "spectrum",
-            {"lab": [50, 0, 0], "illuminant": "D65", "observer": 10, "geometry": "sci"},
-        ),
-        (
-            keys.MeasuredSurface,
-            "The surface: a scan, a file in this folder (X3P, an instrument's own format, NumPy or text) …",
-            "surface",
-            {"file": "surface.x3p", "form": "plane"},
-        ),
-        (
-            keys.MeasuredSurface,
-            "… or a line profile …",
-            "surface",
-            {"file": "profile.txt", "layout": "line", "unit": "um", "pitch": 0.5, "isotropic": True},
-        ),
-        (keys.BeckmannSurface, "… or an assumed finish …", "surface", {"distribution": "beckmann", "slope_rms": 0.15}),
-        (keys.FlatSurface, "… or a polished one.", "surface", {"distribution": "flat"}),
-        (
-            keys.Material,
-            "The refractive index, needed with a surface: a plastic (ABS, PC/ABS, PP, PMMA, PC, PS, SAN), a number, n and k of a metal,\n"
-            "or a table of wavelength, n and, where it absorbs, k.",
-            "index",
-            "ABS",
-        ),
-        (keys.Material, "", "index", 1.52),
-        (keys.IndexPair, "", "index", {"n": 1.2, "k": 7.0}),
-        (keys.IndexFile, "", "index", {"file": "index.txt"}),
-        (
-            keys.MultiangleFile,
-            "A paint with effect pigments: its colours at three geometries or more, from a multi-angle instrument; it needs nothing else.",
-            "multiangle",
-            {"file": "colours.csv", "illuminant": "D65", "observer": 10, "index": 1.5, "model": "flake-physical"},
-        ),
-        (
-            keys.Slab,
-            "A clear body: light passes it, `surface` is its front, and there is no `spectrum`.",
-            "slab",
-            {"thickness": 2, "internal_transmittance": 0.95, "back": "same"},
-        ),
-        (
-            keys.Slab,
-            "… or with an absorption coefficient.",
-            "slab",
-            {"thickness": 2, "absorption": {"file": "absorption.txt", "unit": "1/mm"}},
-        ),
-        (
-            keys.Model,
-            "How the reflection is modelled, where the defaults do not fit; docs/model.md says what each choice breaks.",
-            "model",
-            dict(keys.MODEL_DEFAULTS),
-        ),
-        (keys.Model, "", "model", {"recipe": "crf"}),
-        (keys.Material, "Files for other programs; by default those of config.yaml.", "exports", ["astm"]),
-    ]
+MATERIAL_BLOCKS = f"""\
+description: one line for the reader of the report
+
+# The colour: a measured spectrum, a file in this folder …
+spectrum: {{file: reflectance.txt, geometry: sci, incidence: 8, scale: percent}}
+
+# … or L*, a*, b* of a colorimeter.
+spectrum: {{lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}}
+
+# The surface: a scan, a file in this folder (X3P, an instrument's own format, NumPy or text) …
+surface: {{file: surface.x3p, form: plane}}
+
+# … or a line profile …
+surface: {{file: profile.txt, layout: line, unit: um, pitch: 0.5, isotropic: true}}
+
+# … or an assumed finish …
+surface: {{distribution: beckmann, slope_rms: 0.15}}
+
+# … or a polished one.
+surface: {{distribution: flat}}
+
+# The refractive index, needed with a surface: a plastic (ABS, PC/ABS, PP, PMMA, PC, PS, SAN), a number, n and k of a metal,
+# or a table of wavelength, n and, where it absorbs, k.
+index: ABS
+
+index: 1.52
+
+index: {{n: 1.2, k: 7.0}}
+
+index: {{file: index.txt}}
+
+# A paint with effect pigments: its colours at three geometries or more, from a multi-angle instrument; it needs nothing else.
+multiangle: {{file: colours.csv, illuminant: D65, observer: 10, index: 1.5, model: flake-physical}}
+
+# A clear body: light passes it, `surface` is its front, and there is no `spectrum`.
+slab: {{thickness: 2, internal_transmittance: 0.95, back: same}}
+
+# … or with an absorption coefficient.
+slab: {{thickness: 2, absorption: {{file: absorption.txt, unit: 1/mm}}}}
+
+# How the reflection is modelled, where the defaults do not fit; docs/model.md says what each choice breaks.
+model: {rendering.flow(material_keys.MODEL_DEFAULTS)}
+
+model: {{recipe: crf}}
+
+# Files for other programs; by default those of config.yaml.
+exports: [astm]"""
+"""The alternatives that the template of a material shows."""
 
 
 def templates() -> dict[str, str]:
     """The templates of descriptions, by path in the project."""
     return {
-        "config/material.template.yaml": rendering.alternatives(MATERIAL_TEMPLATE, _material_blocks()),
+        "config/material.template.yaml": rendering.alternatives(
+            material_keys.Material, MATERIAL_TEMPLATE, MATERIAL_BLOCKS
+        ),
         "config/rig.template.yaml": rendering.template(RigKeys, RIG_TEMPLATE),
         "config/plan.template.yaml": rendering.template(PlanKeys, PLAN_TEMPLATE),
     }

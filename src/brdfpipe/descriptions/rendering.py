@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, get_args, get_origin
 
+import yaml
 from pydantic import TypeAdapter
 from pydantic.fields import FieldInfo
 
@@ -82,24 +83,26 @@ def _plain_default(field: FieldInfo) -> Any:
     return None if field.is_required() or isinstance(field.default, Keys) else field.default
 
 
-def alternatives(intro: str, blocks: Iterable[tuple[type[Keys], str, str, Mapping[str, Any] | Any]]) -> str:
+def alternatives(model: type[Keys], introduction: str, blocks: str) -> str:
     """A template of alternatives, all of them commented out.
 
     Parameters
     ----------
-    intro : the comment at the start
-    blocks : the keys of a block, the comment above it, the key, and the values it shows
+    model : the keys of the description
+    introduction : the comment at the start
+    blocks : YAML, a key in one line after comment lines, separated by blank lines; the help of its inner keys is added
     """
-    parts = [_comment(intro)]
-    for model, above, name, value in blocks:
-        keys = model.declared_keys()
-        comment = f"{_comment(above)}\n" if above else ""
-        if isinstance(value, Mapping):
-            items = (_line(f"  {key}: {flow(item)}", _short_help(keys[key])) for key, item in value.items())
-            lines = [f"{name}:", *(line for pair in items for line in pair)]
-        else:
-            lines = [f"{name}: {flow(value)}"]
-        parts.append(comment + "\n".join(map(_commented, lines)))
+    parts = [_comment(introduction)]
+    for block in blocks.split("\n\n"):
+        *comments, line = block.splitlines()
+        ((name, value),) = yaml.safe_load(line).items()
+        lines = [line]
+        if isinstance(value, dict):
+            forms = (form.declared_keys() for form in _blocks(model.declared_keys()[name].annotation))
+            keys = next(form for form in forms if value.keys() <= form.keys())
+            inner = (_line(f"  {key}: {flow(item)}", _short_help(keys[key])) for key, item in value.items())
+            lines = [f"{name}:", *(text for texts in inner for text in texts)]
+        parts.append("\n".join([*comments, *map(_commented, lines)]))
     return "\n\n".join(parts).replace("…\n\n", "…\n") + "\n"
 
 
