@@ -30,9 +30,10 @@ def results_folder(owner: Material | Calibration) -> str:
 def planned_runs(catalogue: Catalogue) -> tuple[dict[str, Run], dict[str, str]]:
     """Runs by folder of results; and by material, why a run that it needs cannot be used."""
     measured = [material for material in catalogue.materials if material.has("rig")]
+    owners: list[Material | Calibration] = [*catalogue.calibrations.values(), *measured]
     runs: dict[str, Run] = {}
     problems: dict[str, str] = {}
-    for owner in (*catalogue.calibrations.values(), *measured):
+    for owner in owners:
         try:
             runs[results_folder(owner)] = _planned_run(owner)
         except BrdfpipeError as error:
