@@ -23,7 +23,7 @@ def test_the_light_of_an_entrance_follows_from_the_cells_it_shares():
 
 
 def test_the_uncertainty_of_an_entrances_light_is_its_scatter_over_the_shared_cells():
-    """Cells that scatter by 1 % tell each wavelength's path to 1 % over the root of their number."""
+    """Cells that scatter by 1 % give the path of each wavelength to 1 % over the root of their number."""
     etalon = reduced("etalon", relative=0.01)
     noise = np.random.default_rng(3).standard_normal(etalon["signal"].shape)
     etalon["signal"] = etalon["signal"] * (1 + 0.01 * np.sqrt(2) * noise)
@@ -52,7 +52,7 @@ def test_more_entrances_calibrate_more_cells_with_less_noise():
 
 
 def test_a_wrong_angular_shape_of_the_etalon_is_within_the_uncertainty_of_the_entrances_light():
-    """Cells see the etalon at other angles through another entrance: what its shape is uncertain by looks like light."""
+    """Cells see the etalon at other angles through another entrance: an error of its shape looks like more light."""
     silent = replace(certificate(), theta=np.zeros(1), shape=np.ones(1), shape_u=np.zeros(1))
     profile = calibrate(reduced("etalon", (10.0, 45.0)), silent)
     path, u = profile["path"].values[1], profile["path_u"].values[1]

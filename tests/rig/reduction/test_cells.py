@@ -1,4 +1,4 @@
-"""Cells of the disc and of the fibres: where they look, how large they are, and which pixels they take."""
+"""Cells of the disc and of the fibres: their directions, solid angles and pixels."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_solid_angles_add_up_to_the_cone_that_the_rings_cover(rig: Rig):
     assert np.isnan(found.solid_angle[~found.of_disc]).all()
 
 
-def test_a_cell_looks_where_its_light_does_on_average(rig: Rig):
+def test_the_direction_of_a_cell_is_the_mean_direction_of_its_light(rig: Rig):
     """Sums over the directions of sub-pixels against the closed form."""
     seen = cells.cells_of(rig)
     share = cells.weights(rig, rig.screen).tocoo()
@@ -82,7 +82,7 @@ def test_no_pixel_is_counted_twice_and_every_inner_one_belongs_to_a_cell(rig: Ri
     assert share[inner].min() == pytest.approx(1, abs=1e-12)
 
 
-def test_fibres_take_their_spot_and_its_blur_but_nothing_of_a_neighbour(rig: Rig):
+def test_fibres_sum_their_spot_and_its_blur_but_nothing_of_a_neighbour(rig: Rig):
     radii = cells.fibre_radii(rig, rig.screen)
     assert radii == pytest.approx(3 * 1.0 + cells.BLUR)
     crowded = replace(rig, fibres=(*rig.fibres, Fibre("near", 20.0, 0.0, 34.0, 0.0)))
@@ -106,7 +106,7 @@ def test_a_disk_beyond_the_picture_is_empty_and_one_at_its_edge_is_cut(rig: Rig)
     assert half == pytest.approx(np.pi * 25 / 2, rel=0.02)
 
 
-def test_the_cells_are_the_same_wherever_the_picture_lies_in_a_session(rig: Rig):
+def test_the_cells_do_not_depend_on_the_position_of_the_picture(rig: Rig):
     """A registered scale or focal length must not make other rings: etalon and sample would not match."""
     moved = replace(rig.screen, scale=3.02, focal_length=150.8, centre=(160.1, 118.9), disc=(0.2, -0.1), radial=2e-6)
     here, there = cells.weights(rig, rig.screen), cells.weights(rig, moved)

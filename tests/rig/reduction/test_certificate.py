@@ -1,4 +1,4 @@
-"""Certificates of etalons: what they say, and what is refused."""
+"""Certificates of etalons: their values, and refusals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_one_number_holds_at_every_wavelength_and_angle(tmp_path):
     assert found.valid_until == date(2027, 6, 30)
 
 
-def test_a_shape_is_as_uncertain_as_is_stated_and_beyond_the_last_angle_as_such_etalons_are(tmp_path):
+def test_a_shape_has_its_stated_uncertainty_and_beyond_the_last_angle_that_of_diffuse_standards(tmp_path):
     told = load(tmp_path, PLAIN + "angles: [[0, 1], [30, 0.99, 0.002], [60, 0.95, 0.004]]\n")
     assert told.shape_u_at(np.array([0.0, 15.0, 30.0, 45.0, 60.0])) == pytest.approx([0, 0.001, 0.002, 0.003, 0.004])
     # 5 % at 60 degree and growing with the square of the angle, from the last one that is stated.
@@ -38,7 +38,7 @@ def test_a_shape_is_as_uncertain_as_is_stated_and_beyond_the_last_angle_as_such_
     assert load(tmp_path).shape_u_at(np.array([0.0, 30.0, 60.0])) == pytest.approx([0, 0.0125, 0.05])
 
 
-def test_ratios_that_state_no_uncertainty_have_that_of_the_factor(tmp_path):
+def test_ratios_without_an_uncertainty_have_that_of_the_factor(tmp_path):
     told = load(tmp_path, PLAIN + "u: 0.007\nangles: [[0, 1], [30, 0.99], [60, 0.95, 0]]\n")
     assert told.shape_u_at(np.array([0.0, 30.0, 60.0])) == pytest.approx([0, 0.007, 0])
 
@@ -74,7 +74,7 @@ def test_wavelengths_beyond_the_table_are_refused(tmp_path):
         (PLAIN.replace("0.95", "{file: ../white.csv}"), ["reflectance_factor.file"]),
     ],
 )
-def test_a_certificate_that_cannot_be_is_refused_by_name(tmp_path, text, words):
+def test_an_invalid_certificate_is_refused_with_its_key(tmp_path, text, words):
     with pytest.raises(InputError) as refusal:
         load(tmp_path, text)
     for word in words:
@@ -94,7 +94,7 @@ def test_a_certificate_that_cannot_be_is_refused_by_name(tmp_path, text, words):
         ("wavelength,reflectance_factor,u\n400,0.9,0.01\n", ["two lines or more"]),
     ],
 )
-def test_a_table_that_cannot_be_is_refused_with_its_line(tmp_path, table, words):
+def test_an_invalid_table_is_refused_with_its_line(tmp_path, table, words):
     text = PLAIN.replace("0.95", "{file: white.csv}")
     with pytest.raises(InputError) as refusal:
         load(tmp_path, text, table)
@@ -103,7 +103,7 @@ def test_a_table_that_cannot_be_is_refused_with_its_line(tmp_path, table, words)
         assert word in str(refusal.value)
 
 
-def test_a_table_that_is_no_text_is_refused(tmp_path):
+def test_a_binary_table_is_refused(tmp_path):
     (tmp_path / "white.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="UTF-8"):
         load(tmp_path, PLAIN.replace("0.95", "{file: white.csv}"))

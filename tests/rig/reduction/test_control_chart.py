@@ -86,7 +86,7 @@ def test_a_profile_that_violates_the_chart_is_refused_unless_overridden():
 
 
 def test_an_etalon_that_turned_yellow_is_detected_though_the_mean_is_unchanged():
-    """3 % of the light lost at one end is won at the other: of all wavelengths together nothing changed."""
+    """3 % of the light is lost at one end of the spectrum and gained at the other: the mean is unchanged."""
     chart = chain(0.0, 0.002, -0.001, {"spectrum": [0.03, 0.01, 0.0, -0.015, -0.025]})
     assert chart["violation"].values[-1].tolist() == [False, True]
     assert "differs by +3.0% more at 430 nm than at all wavelengths together" in chart.attrs["drift_violation"]
@@ -103,7 +103,7 @@ def test_later_profiles_are_not_compared_with_a_violation():
 
 
 def test_cells_that_changed_are_named_in_a_warning():
-    """That is what a new profile is for; but a fibre that was moved, or exchanged for another, changes too."""
+    """A new profile corrects such changes; but a fibre that was moved or exchanged changes too."""
     cells = np.zeros(80)
     seen = np.flatnonzero(np.isfinite(profile_of(0)["cell_scale"].values).all(axis=0))
     cells[seen[[3, 8]]] = 0.5, -0.1

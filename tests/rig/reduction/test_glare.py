@@ -1,4 +1,4 @@
-"""Veiling glare of known halos: found, taken away, and stated as uncertain as it is."""
+"""Veiling glare of known halos: estimated, subtracted, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def distance(x, y):
 
 
 def scene(lobe: float = 5.0, base: float = 0.3):
-    """A disc with a lobe on it and spots beside it, and where nothing shines."""
+    """A disc with a lobe and spots beside it, and the pixels without light."""
     disc = distance(100, 80) < 45
     lit = np.where(disc, base + lobe * np.exp(-(distance(100, 80) ** 2) / (2 * 12**2)), 0.0)
     dark = distance(100, 80) > 49
@@ -32,7 +32,7 @@ def scene(lobe: float = 5.0, base: float = 0.3):
 
 
 def halo_of(picture, kernel):
-    """The picture spread by a halo of light 1, exactly."""
+    """The exact convolution of the picture with a halo of integral 1."""
     size = [2 * each for each in SHAPE]
     row, column = (np.fft.fftfreq(each, 1 / each) for each in size)
     spread = kernel(np.hypot(row[:, None], column))
@@ -73,12 +73,12 @@ DISC_SUMS = sparse.csr_array(
     ),
     st.floats(0.0, 20.0),
 )
-def test_a_known_halo_is_taken_away(share, kernel, lobe):
-    """What is left at the spots is a tenth of the glare at most; on the disc, where it is extrapolated, what it is said to be."""
+def test_a_known_halo_is_subtracted(share, kernel, lobe):
+    """At the spots at most a tenth of the glare is left; on the disc, where it is extrapolated, as much as its stated uncertainty."""
     shining, dark = scene(lobe)
     seen, variance = photographed(shining, kernel, share)
     found = glare.estimate(seen, variance, dark)
-    clean = glare.removed(seen, found) - found.level
+    clean = glare.subtract(seen, found) - found.level
     error = (clean - (1 - share) * shining).ravel()
     glow = share * halo_of(shining, kernel).ravel()
     noise = np.sqrt(SPOT_SUMS @ variance.ravel())
@@ -91,13 +91,13 @@ def test_a_known_halo_is_taken_away(share, kernel, lobe):
 @pytest.mark.parametrize(
     "kernel", [moffat(40, 1.5), moffat(15, 1.3), exponential(30)], ids=["wide", "steep", "exponential"]
 )
-def test_what_is_left_is_as_large_as_it_is_said_to_be(kernel):
+def test_the_remaining_glare_is_as_large_as_its_stated_uncertainty(kernel):
     ratios = []
     for seed in range(8):
         shining, dark = scene(10.0 * (seed + 1))
         seen, variance = photographed(shining, kernel, 0.005, seed)
         found = glare.estimate(seen, variance, dark)
-        clean = glare.removed(seen, found) - found.level
+        clean = glare.subtract(seen, found) - found.level
         for sums in (SPOT_SUMS, DISC_SUMS):
             u = glare.uncertainty(clean, found, sums)
             error = sums @ (clean - 0.995 * shining).ravel()
@@ -106,23 +106,23 @@ def test_what_is_left_is_as_large_as_it_is_said_to_be(kernel):
     assert 0.2 < np.sqrt(np.mean(ratios)) < 1.3
 
 
-def test_without_a_halo_nothing_is_taken_away():
+def test_without_a_halo_nothing_is_subtracted():
     shining, dark = scene()
     seen, variance = photographed(shining, moffat(40, 1.5), 0.0)
     found = glare.estimate(seen, variance, dark)
     assert found.share < 1e-4
-    changed = np.abs(SPOT_SUMS @ (glare.removed(seen, found) - seen).ravel())
+    changed = np.abs(SPOT_SUMS @ (glare.subtract(seen, found) - seen).ravel())
     assert (changed < 2 * np.sqrt(SPOT_SUMS @ variance.ravel())).all()
 
 
-def test_a_camera_without_noise_or_halo_is_no_special_case():
+def test_a_camera_without_noise_or_halo_has_no_glare():
     shining, dark = scene()
     found = glare.estimate(np.where(dark, 0.0, shining), np.full(SHAPE, 1e-8), dark)
     assert found.share < 1e-5
     assert np.isfinite(glare.uncertainty(shining, found, SPOT_SUMS)).all()
 
 
-def test_a_picture_of_nothing_has_no_glare():
+def test_an_empty_picture_has_no_glare():
     _, dark = scene()
     variance = np.full(SHAPE, NOISE**2)
     found = glare.estimate(NOISE * np.random.default_rng(0).standard_normal(SHAPE), variance, dark)
@@ -131,18 +131,18 @@ def test_a_picture_of_nothing_has_no_glare():
     assert (glare.uncertainty(picture, glare.estimate(picture, variance, dark), SPOT_SUMS) < NOISE).all()
 
 
-def test_an_even_level_is_told_from_a_halo_and_left():
+def test_an_even_level_is_distinguished_from_a_halo_and_left():
     shining, dark = scene()
     seen, variance = photographed(shining, moffat(40, 1.5), 0.005)
     plain = glare.estimate(seen, variance, dark)
     lifted = glare.estimate(seen + 0.01, variance, dark)
     # The widest Gaussian and a level are almost the same: together they change by what was added.
-    glow, lit = (float((seen - glare.removed(seen, each) + each.level)[dark].mean()) for each in (plain, lifted))
+    glow, lit = (float((seen - glare.subtract(seen, each) + each.level)[dark].mean()) for each in (plain, lifted))
     assert lit - glow == pytest.approx(0.01, rel=0.05)
     assert lifted.level - plain.level == pytest.approx(0.01, rel=0.2)
 
 
-def test_the_halo_of_a_picture_is_that_of_what_shines_in_it():
+def test_the_halo_is_that_of_the_scene_and_not_of_the_picture():
     """K/(1 + K) of the picture, not K of it: the halo has a halo already."""
     strong = glare.Glare(np.where(np.arange(glare.WIDTHS.size) == 5, 0.2, 0.0), 0.0, np.zeros((12, 12)), 1.0)
     shining, _ = scene()
@@ -150,27 +150,27 @@ def test_the_halo_of_a_picture_is_that_of_what_shines_in_it():
     seen = shining + 0.2 * halo_of(shining, lambda r: np.exp(-((r / wide) ** 2) / 2) / (2 * np.pi * wide**2))
     # The halo at the edge of the picture ends there, which a transform does not know.
     inner = np.s_[40:-40, 40:-40]
-    left = glare.removed(seen, strong) - shining
+    left = glare.subtract(seen, strong) - shining
     assert np.abs(left[inner]).max() < 0.02 * np.abs(seen - shining)[inner].max()
 
 
-def test_pictures_are_cleaned_one_by_one_as_together():
+def test_pictures_are_corrected_one_by_one_as_together():
     shining, dark = scene()
     seen, variance = photographed(shining, moffat(40, 1.5), 0.005)
     found = glare.estimate(seen, variance, dark)
-    both = glare.removed(np.array([seen, 2 * seen]), found)
-    assert both[0] == pytest.approx(glare.removed(seen, found), abs=1e-12)
+    both = glare.subtract(np.array([seen, 2 * seen]), found)
+    assert both[0] == pytest.approx(glare.subtract(seen, found), abs=1e-12)
     assert both[1] == pytest.approx(2 * both[0], abs=1e-12)
 
 
-def test_a_picture_without_background_tells_nothing():
+def test_the_glare_of_a_picture_without_background_is_unknown():
     found = glare.estimate(np.ones(SHAPE), np.ones(SHAPE), np.zeros(SHAPE, dtype=bool))
-    assert found is glare.NONE
-    assert (glare.removed(np.ones(SHAPE), found) == 1).all()
+    assert found is glare.UNKNOWN
+    assert (glare.subtract(np.ones(SHAPE), found) == 1).all()
     assert (glare.uncertainty(np.ones(SHAPE), found, SPOT_SUMS) == 0).all()
 
 
-def test_a_halo_no_ladder_of_gaussians_fits_is_said_to_be_uncertain():
+def test_a_halo_that_no_sum_of_gaussians_fits_is_uncertain():
     """A ghost: a displaced image of the disc."""
     shining, dark = scene()
     seen, variance = photographed(shining, moffat(40, 1.5), 0.005)

@@ -196,7 +196,7 @@ def test_common_errors_of_the_etalon_stay_common():
 
 
 def test_the_etalons_angular_shape_has_the_certified_uncertainty_or_that_of_diffuse_standards():
-    """Light of an etalon that falls by 5 % towards 60°, once by a certificate that says so, once by one that has nothing to say of it."""
+    """An etalon whose BRDF decreases by 5 % towards 60°, with and without this ratio in its certificate."""
     etalon, sample = reduced("etalon", (10.0,), relative=1e-4), reduced("sample", (10.0,), relative=1e-4)
     stated = certificate()
     silent = replace(stated, theta=np.zeros(1), shape=np.ones(1), shape_u=np.zeros(1))
@@ -279,7 +279,7 @@ def test_an_expired_certificate_is_refused_for_calibration_and_for_use():
         apply(reduced("sample", day="2026-03-16"), profile)
 
 
-def test_what_is_overridden_is_recorded():
+def test_an_override_is_recorded():
     stale = calibrate(reduced("etalon"), certificate(until=date(2026, 2, 28)), override=True)
     assert "valid until 2026-02-28" in stale.attrs["overridden"]
     primary = apply(reduced("sample", day="2027-03-01"), stale, override=True)

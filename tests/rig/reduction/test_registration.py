@@ -1,4 +1,4 @@
-"""Shifts, scales and centres of known size are found, to within what they are said to be uncertain by."""
+"""Shifts, scales and centres of known size are recovered within their stated uncertainty."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def rig(rig: Rig) -> Rig:
 
 
 def spots(column, row, radius, light=1.0):
-    """Round spots, as they lie on the pixels."""
+    """Round spots on the pixels."""
     picture = np.zeros((240, 320))
     for x, y, bright in zip(np.ravel(column), np.ravel(row), np.broadcast_to(light, np.size(column)), strict=True):
         near = np.s_[max(int(y) - 12, 0) : int(y) + 13, max(int(x) - 12, 0) : int(x) + 13]
@@ -79,7 +79,7 @@ def test_a_known_shift_scale_and_distortion_are_found_within_their_uncertainty(r
     assert np.abs(off).max() < 0.05
 
 
-def test_shifts_are_as_uncertain_as_they_are_said_to_be(rig):
+def test_errors_of_shifts_agree_with_their_stated_uncertainty(rig):
     errors = []
     for seed in range(30):
         shift = np.random.default_rng(seed).normal(0, 0.5, 2)
@@ -90,12 +90,12 @@ def test_shifts_are_as_uncertain_as_they_are_said_to_be(rig):
     assert 0.1 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
-def test_the_blur_of_the_camera_is_seen_in_its_spots(rig):
+def test_the_blur_of_the_camera_follows_from_the_spots(rig):
     found = registration.register(rig, *photographed(rig, rig.screen, 0))
     assert found.blur == pytest.approx(BLUR, abs=0.05)
 
 
-def test_the_reference_alone_tells_a_shift_and_no_more(rig):
+def test_the_reference_alone_gives_only_a_shift(rig):
     true = replace(rig.screen, centre=(160.3, 118.8))
     found = registration.register(rig, *photographed(rig, true, 0, fibres=False))
     assert found.spots == 1
@@ -105,7 +105,7 @@ def test_the_reference_alone_tells_a_shift_and_no_more(rig):
     assert found.shift_u > 0.1
 
 
-def test_the_reference_tells_the_shift_against_pictures_of_the_same_lens(rig):
+def test_the_reference_gives_the_shift_against_pictures_of_the_same_lens(rig):
     true = replace(rig.screen, centre=(159.1, 119.9), scale=3.01, radial=2e-6)
     lens = registration.register(rig, *photographed(rig, true, 0)).screen
     moved = replace(true, centre=(159.6, 119.2))
@@ -115,7 +115,7 @@ def test_the_reference_tells_the_shift_against_pictures_of_the_same_lens(rig):
     assert found.shift_u < 0.05
 
 
-def test_a_picture_without_a_spot_leaves_the_description_and_says_so(rig):
+def test_without_a_spot_the_screen_is_as_described_with_a_large_uncertainty(rig):
     found = registration.register(rig, *photographed(rig, rig.screen, 0, fibres=False, lamp=False))
     assert found.screen == rig.screen
     assert found.spots == 0
@@ -133,7 +133,7 @@ def test_spots_that_are_dead_or_beyond_the_picture_are_left_out(rig):
 
 @fixture
 @given(dx=st.floats(-2.5, 2.5), dy=st.floats(-2.5, 2.5), slope=st.floats(0, 0.005))
-def test_a_centroid_is_that_of_the_spot_on_whatever_even_slope(rig, dx, dy, slope):
+def test_a_centroid_is_that_of_the_spot_on_any_even_slope(rig, dx, dy, slope):
     picture, variance = noisy(spots([100.0 + dx], [80.0 + dy], 3.0) + 0.3 + slope * (COLUMNS - 100), 0)
     seen = registration.centroids(picture, variance, [100.0], [80.0], 3.0)
     # A slope of half a percent a pixel draws it by so much of the second moment of its window.
@@ -155,46 +155,46 @@ def target(true: Screen, seed: int, kept=1.0):
 def test_the_centre_of_the_disc_is_found_within_its_uncertainty(rig, x, y, focal, seed):
     true = replace(rig.screen, disc=(x, y), focal_length=150 * focal)
     start = registration.Registration(rig.screen, 0.002, registration.DIRECTION_U, 61)
-    found = registration.centre_disc(start, *target(true, seed), *SPOTS, 0.3)
+    found = registration.fit_disc(start, *target(true, seed), *SPOTS, 0.3)
     assert found.direction_u < 0.01
     millimetres = np.radians(found.direction_u) * 150
     assert np.abs(np.subtract(found.screen.disc, (x, y))).max() < 4.5 * millimetres
     assert found.screen.focal_length == pytest.approx(150 * focal, rel=2e-3)
 
 
-def test_the_scale_of_angles_is_as_uncertain_as_it_is_off(rig):
+def test_errors_of_the_scale_of_angles_agree_with_their_stated_uncertainty(rig):
     start = registration.Registration(rig.screen, 0.002, registration.DIRECTION_U, 61)
     assert start.scale_u == registration.SCALE_U
     off, random = [], np.random.default_rng(0)
     for seed in range(40):
         # Anywhere on the pixels: spots in rows along them would all be off alike.
         true = replace(rig.screen, disc=tuple(random.uniform(-0.5, 0.5, 2)), focal_length=random.uniform(148, 152))
-        found = registration.centre_disc(start, *target(true, seed), *SPOTS, 0.3)
+        found = registration.fit_disc(start, *target(true, seed), *SPOTS, 0.3)
         off.append((found.screen.focal_length / true.focal_length - 1) / found.scale_u)
     # Counted with an uneven sensor, which these pictures do not have.
     assert 0.3 < np.sqrt(np.mean(np.square(off))) < 1.2
 
 
-def test_a_lens_that_keeps_less_at_its_rim_does_not_shorten_the_focal_length(rig):
+def test_the_falloff_of_a_lens_does_not_shorten_the_focal_length(rig):
     true, start = rig.screen, registration.Registration(rig.screen, 0.002, registration.DIRECTION_U, 61)
     place = screen.to_position(true, COLUMNS, ROWS)
     kept = 1 - 0.3 * ((place.x**2 + place.y**2) / true.disc_radius**2)
     theta, phi = screen.disc_direction(true, place.x, place.y)
     etalon = kept * specular_directions.cos_view_etalon(10.0, theta, phi)
-    told = registration.falloff(start, etalon, 10.0)
-    assert (registration.falloff(start, np.zeros_like(etalon), 10.0) == 1).all()
+    told = registration.fit_falloff(start, etalon, 10.0)
+    assert (registration.fit_falloff(start, np.zeros_like(etalon), 10.0) == 1).all()
     inside = np.hypot(place.x, place.y) < 0.9 * true.disc_radius
     np.testing.assert_allclose(told[inside], kept[inside], rtol=2e-3)
     # As it would be without the lens, in which the centroids are drawn by nothing.
     plain, drawn, right = (
-        registration.centre_disc(start, *target(true, 0, light), *SPOTS, 0.3, each).screen.focal_length
+        registration.fit_disc(start, *target(true, 0, light), *SPOTS, 0.3, each).screen.focal_length
         for light, each in ((1.0, None), (np.maximum(kept, 0.1), None), (np.maximum(kept, 0.1), told))
     )
     assert 1 - drawn / plain > 1e-4
     assert right == pytest.approx(plain, rel=3e-5)
 
 
-def test_a_target_that_is_not_seen_changes_nothing(rig):
+def test_an_invisible_target_changes_nothing(rig):
     start = registration.Registration(rig.screen, 0.002, registration.DIRECTION_U, 61)
     dark = noisy(np.zeros((240, 320)), 0)
-    assert registration.centre_disc(start, *dark, *SPOTS, 0.3) == start
+    assert registration.fit_disc(start, *dark, *SPOTS, 0.3) == start

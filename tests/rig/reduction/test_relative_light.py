@@ -66,7 +66,7 @@ def test_the_position_of_picture_and_disc_is_recovered(sample):
 
 
 def test_an_ideal_rig_gives_the_brightness_of_each_direction():
-    """Nothing but geometry: the disc is as bright as f cos γ, the fibres too, to the rounding of counts."""
+    """Without other effects the disc and the fibres are as bright as f cos γ, within the rounding of counts."""
     frames = rig_emulated.frames(WIDE, effects=Effects.none())
     measured = reduced(frames)
     cosine = specular_directions.cos_view(30.0, measured["theta_s"].values, measured["phi_s"].values)
@@ -87,7 +87,7 @@ def test_an_ideal_rig_gives_the_brightness_of_each_direction():
     assert np.median(disc[0]) == pytest.approx(np.median(disc[1]), rel=1e-3)
 
 
-def test_cells_below_the_horizon_hold_nothing(sample):
+def test_cells_below_the_horizon_have_no_light(sample):
     cosine = specular_directions.cos_view(30.0, sample["theta_s"].values, sample["phi_s"].values)
     dark = sample["signal"].values[0][:, cosine < -0.05]
     noise = sample["signal_u_noise"].values[0][:, cosine < -0.05]
@@ -96,7 +96,7 @@ def test_cells_below_the_horizon_hold_nothing(sample):
     assert (np.abs(dark) < 1e-3 * np.nanmedian(sample["signal"].values)).all()
 
 
-def test_the_share_of_light_in_the_halo_is_told(sample):
+def test_the_share_of_light_in_the_halo_is_estimated(sample):
     # Of 0.5 % a third falls beyond the picture's half width, or passes for even light.
     assert 0.002 < sample.attrs["glare_share"] < 0.006
 

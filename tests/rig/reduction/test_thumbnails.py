@@ -25,12 +25,12 @@ def test_levels_are_logarithms_of_the_light() -> None:
 
 
 @pytest.mark.parametrize("dark", [np.nan, 0.0, -1e-3])
-def test_what_holds_no_light_is_black(dark: float) -> None:
+def test_parts_without_light_are_black(dark: float) -> None:
     levels, _ = thumbnail(np.array([[1.0, dark], [dark, dark]]))
     assert levels.tolist() == [[255, 0], [0, 0]]
 
 
-def test_a_picture_of_nothing_is_black() -> None:
+def test_an_empty_picture_is_black() -> None:
     assert not thumbnail(np.full((8, 8), np.nan)).levels.any()
 
 
@@ -46,7 +46,7 @@ def test_a_large_camera_gives_a_small_picture_of_means() -> None:
 
 
 @given(arrays(float, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.floats(-1e9, 1e9)))
-def test_the_brightest_part_is_white_whatever_the_picture(picture: np.ndarray) -> None:
+def test_the_brightest_part_of_any_picture_is_white(picture: np.ndarray) -> None:
     levels, decades = thumbnail(picture)
     assert levels.dtype == np.uint8
     assert DECADES[0] <= decades <= DECADES[1]
@@ -58,7 +58,7 @@ def _drawn(rig: Rig):
     return drawing(np.ones((rig.camera.height, rig.camera.width)), rig, rig.screen, celled.weights(rig, rig.screen))
 
 
-def test_outlines_lie_where_the_fibres_are_seen(rig: Rig) -> None:
+def test_outlines_are_where_the_fibres_are_visible(rig: Rig) -> None:
     drawn = _drawn(rig)
     column, row = screens.to_pixel(rig.screen, [fibre.x for fibre in rig.fibres], [fibre.y for fibre in rig.fibres])
     count = len(rig.fibres)

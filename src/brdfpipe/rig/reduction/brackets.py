@@ -1,7 +1,7 @@
-"""The frames of one wavelength made comparable: their reference light, and the filters they were taken through.
+"""The frames of one wavelength on a common scale: their reference light, and the filters they were taken through.
 
-The reference spot of a frame tells how much light the sample had; a frame whose spot is out of range borrows the lamp from the others
-of its bracket. Transmittances of filters are known to a percent or two: frames that overlap tell them better.
+The light of a frame's reference spot scales the frame. Where the spot is out of range, the lamp's light comes from the other frames of the
+bracket. Transmittances of filters are stated to a percent or two; pixels that two frames both expose well give them more accurately.
 """
 
 from __future__ import annotations
@@ -21,89 +21,69 @@ from brdfpipe.rig import screen as screens
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.reduction import cells as celled
 from brdfpipe.rig.reduction import exposures, registration
-from brdfpipe.rig.reduction.exposures import Dark, ExposureError, Mask, Mending, Picture
+from brdfpipe.rig.reduction.exposures import ExposureError, HotPixels, Mask, MeanDark, Picture
 
-_CLEAR_ELECTRONS = 500.0
-"""Electrons of a pixel in the darker of two frames from which their overlap is looked at."""
-
-_WINDOW = 5
-"""Side of the square about a pixel by whose light it is chosen."""
-
-_FEWEST_PIXELS = 4
-"""Pixels that an overlap needs."""
-
-_SHARED_U = 1e-3
-"""Relative standard uncertainty of an overlap beyond noise: counts are linear, and dark frames right, to no better."""
-
-_RING = (3.0, 5.0)
-"""Where the background of the reference spot is taken: from so far to so far beyond its light [pixel]."""
-
-_CLEAR_REFERENCE = 10.0
-"""A reference spot counts if its light is so many times its noise."""
-
-_LAMP_U = 0.01
-"""Relative standard uncertainty of the lamp where it is taken from the other frames of a bracket."""
+_OVERLAP_ELECTRONS = 500.0  # electrons in the darker of two frames above which a pixel belongs to their overlap
+_WINDOW = 5  # side of the square about a pixel whose mean light is compared with that limit [pixel]
+_FEWEST_PIXELS = 4  # pixels that an overlap needs
+_OVERLAP_U = 1e-3  # relative standard uncertainty of an overlap beyond its noise: accuracy of linearity and dark frames
+_RING = (3.0, 5.0)  # inner and outer distance from the reference spot's edge at which its background is taken [pixel]
+_REFERENCE_SNR = 10.0  # smallest ratio of a usable reference spot's light to its noise
+_LAMP_U = 0.01  # relative standard uncertainty of the lamp's light if it is taken from the other frames of a bracket
 
 
-class Spot(NamedTuple):
-    """Sums over the reference spot: its pixels, and those of the ring about it scaled to as many."""
+class ReferenceSpot(NamedTuple):
+    """Weights for sums over the reference spot's pixels, and over the ring about it scaled to as many pixels."""
 
     inside: sparse.csr_array
     ring: sparse.csr_array
-    away: Mask
-    """(y, x), pixels beyond the ring."""
+    outside: Mask  # (y, x), pixels beyond the ring
 
 
 @dataclass(frozen=True)
-class Darkness:
-    """What all frames of a run have in common: the dark frames by their exposure time [s], and the hot pixels in any of them."""
+class DarkFrames:
+    """The mean dark frames of a run by exposure time [s], and the pixels that are hot in any of them."""
 
-    darks: Mapping[float, Dark]
-    mending: Mending
+    by_exposure: Mapping[float, MeanDark]
+    hot_pixels: HotPixels
 
     @classmethod
-    def of(cls, frames: xr.Dataset, rig: Rig) -> Darkness:
-        """Of the dark ones among frames."""
-        own = frames.isel(frame=frames["purpose"].values == "dark")
-        darks = {
-            float(exposure): exposures.dark(own["counts"].values[own["exposure"].values == exposure], rig.camera)
-            for exposure in np.unique(own["exposure"].values)
+    def of(cls, frames: xr.Dataset, rig: Rig) -> DarkFrames:
+        """From the dark ones among frames of kind ``frames``."""
+        dark = frames.isel(frame=frames["purpose"].values == "dark")
+        by_exposure = {
+            float(exposure): exposures.mean_dark(dark["counts"].values[dark["exposure"].values == exposure], rig.camera)
+            for exposure in np.unique(dark["exposure"].values)
         }
-        hot = np.zeros((rig.camera.height, rig.camera.width), dtype=bool)
-        return cls(darks, Mending(np.logical_or.reduce([hot, *(each.hot for each in darks.values())])))
+        none = np.zeros((rig.camera.height, rig.camera.width), dtype=bool)
+        hot = np.logical_or.reduce([none, *(mean.hot for mean in by_exposure.values())])
+        return cls(by_exposure, HotPixels(hot))
 
 
 @dataclass(frozen=True)
 class Bracket:
     """The frames of one wavelength."""
 
-    light: Picture
-    """(frame, y, x) [e⁻], hot pixels mended."""
-    usable: Mask
-    exposure: Array
-    """(frame,) [s]"""
-    positions: NDArray[np.int64]
-    floor: Array
-    """(frame,) variance of a pixel without light [e⁻²]."""
+    light: Picture  # (frame, y, x) [e⁻], hot pixels interpolated
+    usable: Mask  # (frame, y, x) within the linear range
+    exposure: Array  # (frame,) [s]
+    positions: NDArray[np.int64]  # (frame,) of the filter wheel
+    floor: Array  # (frame,) variance of a pixel without light [e⁻²]
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What makes the frames of a bracket comparable."""
+    """The common scale of the frames of a bracket."""
 
     k: Array
-    """(frame,) electrons per unit of relative light: those of the reference, times the transmittance of a filter the sample alone is behind."""
-    reference: Array
-    """(frame, frame) covariance of ln k that the references leave."""
-    filters: Array
-    """(frame, frame) covariance of ln k that the transmittances leave besides."""
-    lamp: float
-    """Electrons a second of the reference spot behind no filter; NaN if no frame shows it."""
-    lamp_u: float
-    """Its standard uncertainty: noise, and that of filters before the reference."""
+    """(frame,) electrons per unit of relative light: reference electrons times the transmittance of a filter before the sample alone."""
+    reference: Array  # (frame, frame) covariance of ln k from the references
+    filters: Array  # (frame, frame) covariance of ln k that the transmittances add
+    lamp: float  # electrons per second of the reference spot without a filter; NaN if no frame shows the spot
+    lamp_u: float  # its standard uncertainty: noise, and that of filters before the reference
 
 
-def bracket(frames: xr.Dataset, darkness: Darkness, rig: Rig) -> Bracket:
+def read_bracket(frames: xr.Dataset, darks: DarkFrames, rig: Rig) -> Bracket:
     """The light of some frames of one arrangement.
 
     Raises
@@ -112,113 +92,122 @@ def bracket(frames: xr.Dataset, darkness: Darkness, rig: Rig) -> Bracket:
     """
     light, usable, floor = [], [], []
     for counts, exposure in zip(frames["counts"].values, frames["exposure"].values, strict=True):
-        if (dark := darkness.darks.get(float(exposure))) is None:
+        if (dark := darks.by_exposure.get(float(exposure))) is None:
             raise ExposureError(
-                f"no dark frame of {exposure:g} s; `brdfpipe rig scan … --resume` takes what is missing of a run"
+                f"no dark frame of {exposure:g} s; `brdfpipe rig scan … --resume` takes the missing frames of a run"
             )
-        electrons, good = exposures.electrons(counts, dark, rig.camera)
+        electrons, linear = exposures.subtract_dark(counts, dark, rig.camera)
         light.append(electrons)
-        usable.append(good)
+        usable.append(linear)
         floor.append(rig.camera.gain**2 * dark.floor)
     stacked = np.array(light)
-    darkness.mending(stacked)
+    darks.hot_pixels.interpolate(stacked)
     return Bracket(stacked, np.array(usable), frames["exposure"].values, frames["nd_position"].values, np.array(floor))
 
 
-def reference_spot(rig: Rig, frames: Bracket) -> Spot:
-    """Where the light of the reference is gathered: about its centroid if it is clear, else where it is described."""
+def locate_reference_spot(rig: Rig, frames: Bracket) -> ReferenceSpot:
+    """The reference spot about its centroid, or about its described position where the centroid is unclear."""
     screen = rig.screen
     column, row = screens.to_pixel(screen, *screen.reference)
     radius = screen.reference_radius * screen.scale
     variance = np.full(frames.light.shape[1:], frames.floor.sum()) + np.maximum(frames.light, 0).sum(axis=0)
-    seen = registration.centroids(frames.light.sum(axis=0), variance, column, row, radius)
-    place = float(seen.column[0]), float(seen.row[0])
-    inside, narrow, wide = (celled.disk(rig.camera, *place, radius + celled.BLUR + beyond) for beyond in (0.0, *_RING))
-    ring = wide - narrow
-    away = wide.toarray().reshape(frames.light.shape[1:]) == 0
-    return Spot(inside, sparse.csr_array(ring * (inside.sum() / max(ring.sum(), 1e-9))), away)
+    centroid = registration.centroids(frames.light.sum(axis=0), variance, column, row, radius)
+    inside, inner, outer = (
+        celled.disk(rig.camera, float(centroid.column[0]), float(centroid.row[0]), radius + celled.BLUR + beyond)
+        for beyond in (0.0, *_RING)
+    )
+    ring = outer - inner
+    outside = outer.toarray().reshape(frames.light.shape[1:]) == 0
+    return ReferenceSpot(inside, sparse.csr_array(ring * (inside.sum() / max(ring.sum(), 1e-9))), outside)
 
 
-def scaled(frames: Bracket, spot: Spot, rig: Rig) -> Scale:
-    """What makes the frames of a bracket comparable: their references, the filters as described, and what overlapping frames share.
+def scale_bracket(frames: Bracket, spot: ReferenceSpot, rig: Rig) -> Scale:
+    """The common scale of the frames of a bracket, from their references, the described filters, and overlapping frames.
 
     Notes
     -----
-    Unknown are the logarithms of the corrections of each frame's reference, known to its noise, and of each filter, known to what the
-    description says of it; the clearest filter has none, for what it is wrong by is the same for etalon and sample. Two frames that
-    share well exposed pixels tell their difference, better by far than the reference of a short exposure does.
+    Unknown are the logarithms of the corrections of each frame's reference and of each filter, with the noise and the stated
+    uncertainty as priors. The clearest filter has none: its error is the same for etalon and sample. Two frames that share
+    well-exposed pixels give their ratio, far better than the reference of a short exposure does.
     """
-    reference, relative = reference_light(frames, spot)
-    through, through_u = _filters(frames, rig)
-    both = rig.nd_location == "reference"
-    per_lamp = per_rate(frames, rig)
-    dim = ~np.isfinite(reference)
-    rate = (reference / per_lamp)[~dim]
+    reference, relative_u = reference_light(frames, spot)
+    transmittance, transmittance_u = _filters(frames, rig)
+    both_beams = rig.nd_location == "reference"
+    exposure = reference_exposure(frames, rig)
+    missing = ~np.isfinite(reference)
     count = len(reference)
-    if dim.all():
-        return Scale(reference, np.full((count, count), np.nan), np.full((count, count), np.nan), np.nan, np.nan)
+    if missing.all():
+        unknown = np.full((count, count), np.nan)
+        return Scale(reference, unknown, unknown, np.nan, np.nan)
+    rate = (reference / exposure)[~missing]
     lamp = float(rate.mean())
-    rate_u = rate * np.hypot(relative, both * through_u)[~dim]
-    reference = np.where(dim, lamp * per_lamp, reference)
-    # Light that both beams lost divides out.
-    k = reference * (np.ones_like(through) if both else through)
-    positions, where = np.unique(frames.positions, return_inverse=True)
-    of_filter = np.array([through_u[where == place][0] for place in range(positions.size)])
-    of_filter[both | (np.arange(positions.size) == where[int(np.argmax(through))])] = 0.0
-    prior = np.concatenate([np.where(dim, _LAMP_U, relative), of_filter])
-    # ln k of each frame from the unknowns, and what is measured of their differences.
-    told = np.hstack([np.eye(count), np.eye(positions.size)[where]])
-    overlaps = list(_overlaps(frames, k, spot.away))
-    rows = np.array([(told[one] - told[other]) / u for one, other, _, u in overlaps]).reshape(-1, prior.size)
-    values = np.array([difference / u for _, _, difference, u in overlaps])
-    solution, covariance = _solved(rows, values, prior)
-    references_alone = _solved(rows, values, np.append(prior[:count], np.zeros(positions.size)))[1]
-    whole, alone = (told @ each @ told.T for each in (covariance, references_alone))
-    return Scale(k * np.exp(told @ solution), alone, whole - alone, lamp, float(np.linalg.norm(rate_u) / rate.size))
+    rate_u = rate * np.hypot(relative_u, both_beams * transmittance_u)[~missing]
+    reference = np.where(missing, lamp * exposure, reference)
+    # A filter in both beams divides out.
+    k = reference * (1.0 if both_beams else transmittance)
+    positions, of_frame = np.unique(frames.positions, return_inverse=True)
+    filter_u = np.array([transmittance_u[of_frame == index][0] for index in range(positions.size)])
+    filter_u[both_beams | (np.arange(positions.size) == of_frame[int(np.argmax(transmittance))])] = 0.0
+    prior_u = np.concatenate([np.where(missing, _LAMP_U, relative_u), filter_u])
+    # ln k of each frame from the unknowns, and the measured differences of ln k.
+    design = np.hstack([np.eye(count), np.eye(positions.size)[of_frame]])
+    overlaps = list(_overlaps(frames, k, spot.outside))
+    rows = np.array([(design[one] - design[other]) / u for one, other, _, u in overlaps]).reshape(-1, prior_u.size)
+    differences = np.array([difference / u for _, _, difference, u in overlaps])
+    correction, covariance = _solve_with_prior(rows, differences, prior_u)
+    exact_filters = np.append(prior_u[:count], np.zeros(positions.size))
+    _, references_alone = _solve_with_prior(rows, differences, exact_filters)
+    whole, alone = (design @ part @ design.T for part in (covariance, references_alone))
+    return Scale(k * np.exp(design @ correction), alone, whole - alone, lamp, float(np.linalg.norm(rate_u) / rate.size))
 
 
-def per_rate(frames: Bracket, rig: Rig) -> Array:
-    """Electrons of the reference spot of each frame over those a second behind no filter [s]."""
+def reference_exposure(frames: Bracket, rig: Rig) -> Array:
+    """Exposure time of the reference spot, reduced by a filter before it (frame,) [s]."""
     return frames.exposure * (_filters(frames, rig)[0] if rig.nd_location == "reference" else 1.0)
 
 
 def _filters(frames: Bracket, rig: Rig) -> tuple[Array, Array]:
-    """Transmittances of the filters of each frame as described, and their relative uncertainties."""
+    """Described transmittances of the filter of each frame, and their relative uncertainties."""
     filters = [rig.filter_at(int(position)) for position in frames.positions]
-    return np.array([each.transmittance for each in filters]), np.array([each.u for each in filters])
+    return np.array([nd.transmittance for nd in filters]), np.array([nd.u for nd in filters])
 
 
-def _solved(rows: Array, values: Array, prior: Array) -> tuple[Array, Array]:
+def _solve_with_prior(rows: Array, values: Array, prior_u: Array) -> tuple[Array, Array]:
     """Least squares of unknowns with prior standard deviations about 0, and their covariance."""
-    # In units of the prior, so that what is known exactly stays 0.
-    design = rows * prior
-    covariance = np.linalg.inv(np.eye(prior.size) + design.T @ design)
-    return prior * (covariance @ (design.T @ values)), covariance * np.outer(prior, prior)
+    # In units of the prior, so that an exactly known unknown stays 0.
+    design = rows * prior_u
+    covariance = np.linalg.inv(np.eye(prior_u.size) + design.T @ design)
+    return prior_u * (covariance @ (design.T @ values)), covariance * np.outer(prior_u, prior_u)
 
 
-def reference_light(frames: Bracket, spot: Spot) -> tuple[Array, Array]:
-    """Electrons of the reference spot and their relative uncertainty; NaN where it is out of range or dark."""
+def reference_light(frames: Bracket, spot: ReferenceSpot) -> tuple[Array, Array]:
+    """Electrons of the reference spot (frame,) and their relative uncertainty; NaN where it is out of range or dark."""
     flat = frames.light.reshape(len(frames.light), -1).T
     total = (spot.inside @ flat - spot.ring @ flat).ravel().astype(float)
     beyond = (spot.inside @ (~frames.usable.reshape(flat.shape[::-1])).T.astype(float)).ravel() > 0
     pixels = float(spot.inside.power(2).sum() + spot.ring.power(2).sum())
     noise = np.sqrt(np.maximum(total, 0) + pixels * frames.floor)
-    good = ~beyond & (total > _CLEAR_REFERENCE * noise)
+    good = ~beyond & (total > _REFERENCE_SNR * noise)
     return np.where(good, total, np.nan), np.where(good, noise / np.where(good, total, 1.0), np.nan)
 
 
-def _overlaps(frames: Bracket, k: Array, away: Mask) -> Iterator[tuple[int, int, float, float]]:
-    """For frames next to each other in brightness: the logarithm of how much more light one has than its k says against that of the
-    other, and its standard uncertainty."""
-    order = np.argsort(k)
-    for faint, bright in pairwise(order):
+def _overlaps(frames: Bracket, k: Array, outside: Mask) -> Iterator[tuple[int, int, float, float]]:
+    """For frames next to each other in brightness: their indices (faint, bright), the logarithm of the ratio of their light over that
+    of their k, and its standard uncertainty."""
+    for faint, bright in pairwise(np.argsort(k)):
         ratio = float(k[faint] / k[bright])
-        # Chosen by the brighter frame's light about each pixel, without its own: choosing by its own noise would lift what is chosen.
+        # Pixels are chosen by their neighbours in the brighter frame: choosing by a pixel's own noise would bias the ratio.
         light = frames.light[bright]
-        about = (_WINDOW**2 * ndimage.uniform_filter(light, _WINDOW, mode="nearest") - light) / (_WINDOW**2 - 1)
-        shared = away & frames.usable[bright] & frames.usable[faint] & (about * np.float32(ratio) > _CLEAR_ELECTRONS)
+        around = (_WINDOW**2 * ndimage.uniform_filter(light, _WINDOW, mode="nearest") - light) / (_WINDOW**2 - 1)
+        bright_enough = around * np.float32(ratio) > _OVERLAP_ELECTRONS
+        shared = outside & frames.usable[bright] & frames.usable[faint] & bright_enough
         count = int(np.count_nonzero(shared))
-        low, high = (float(frames.light[place][shared].sum(dtype=float)) for place in (faint, bright))
+        low, high = (float(frames.light[frame][shared].sum(dtype=float)) for frame in (faint, bright))
         if count >= _FEWEST_PIXELS and low > 0 and high > 0:
             noise = (low + count * frames.floor[faint]) / low**2 + (high + count * frames.floor[bright]) / high**2
-            yield int(faint), int(bright), float(np.log(low / high / ratio)), float(np.hypot(np.sqrt(noise), _SHARED_U))
+            yield (
+                int(faint),
+                int(bright),
+                float(np.log(low / high / ratio)),
+                float(np.hypot(np.sqrt(noise), _OVERLAP_U)),
+            )

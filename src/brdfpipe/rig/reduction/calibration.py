@@ -1,20 +1,12 @@
 """The calibration profile of a rig, from runs of an etalon with a certificate.
 
-f = s L/(L′/T),  s = (f_st cos ϑ_st / cos γ) / (L_st/(L′_st/T_st)):
-
-the transmittance of a cell's optical path divides out, since etalon and sample are measured through the same path. The etalon is lit at
-normal incidence through one or more entrances. Cells that several entrances share give the relative light of the entrances. A cell that
-one entrance hides may be calibrated through another, and all entrances together have less noise.
-
-References
-----------
-Voloboy et al., Keldysh Institute preprint (2005), with the misprinted bracket of s corrected (PHYSICS, rig).
+f = s L/(L′/T), s = (f_st cos ϑ_st / cos γ) / (L_st/(L′_st/T_st)) (Voloboy et al., Keldysh Institute preprint 2005, with the misprinted bracket
+of s corrected). The transmittance of a cell's optical path divides out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import date
 from typing import Any, NamedTuple
 
@@ -24,10 +16,9 @@ from numpy.typing import NDArray
 
 from brdfpipe import specular_directions, vocabulary
 from brdfpipe.geometry import Array, unit_vector
-from brdfpipe.rig.reduction.arrangements import CalibrationError
+from brdfpipe.rig.reduction.arrangements import CalibrationError, finite_median
 from brdfpipe.rig.reduction.certificate import Certificate
 from brdfpipe.rig.reduction.control_chart import chart_points
-from brdfpipe.rig.reduction.finite_median import finite_median
 
 GRAZING = 0.1
 """Cosine of the etalon's viewing angle below which a cell cannot be calibrated."""
@@ -45,38 +36,26 @@ SUSPICIOUS_ZEROS = 0.005
 """Share of exact zeros among lit cells above which missing values must have been stored as 0."""
 
 _HIDDEN_SIGMA, _HIDDEN_LEAST = 5.0, 0.03
-"""A cell is partly hidden from an entrance if it lacks light, against other entrances, by so many standard uncertainties and at least so
-much [1]."""
-
-_ADJACENT = 1.5
-"""Largest distance of the centres of adjacent disc cells over their width: corner to corner."""
+"""A cell is partly hidden from an entrance if it lacks so many standard uncertainties of light, and at least this share of it."""
+_ADJACENT = 1.5  # largest distance of the centres of adjacent disc cells over their width: corner to corner
 
 
 class _EntranceScales(NamedTuple):
     """The scale of each cell through several entrances of the etalon; the first axis counts entrances."""
 
-    scale: Array
-    """(entrance, wavelength, cell) BRDF times cos ϑ_st over the signal; missing where there is no light."""
-    independent_u: Array
-    """(entrance, wavelength, cell) relative uncertainty that is independent from cell to cell."""
-    common_u: dict[str, Array]
-    """Relative uncertainties common to all cells, by component."""
-    shape_u: Array
-    """(entrance, cell) relative uncertainty of the certified angular shape."""
-    facing: NDArray[np.bool_]
-    """(entrance, cell) whether the cell faces the etalon."""
+    scale: Array  # (entrance, wavelength, cell) BRDF times cos ϑ_st over the signal; missing where there is no light
+    independent_u: Array  # (entrance, wavelength, cell) relative uncertainty that is independent from cell to cell
+    common_u: dict[str, Array]  # relative uncertainties common to all cells, by component
+    shape_u: Array  # (entrance, cell) relative uncertainty of the certified angular shape
+    facing: NDArray[np.bool_]  # (entrance, cell) whether the cell faces the etalon
 
 
-@dataclass(frozen=True)
-class _EntrancePaths:
+class _EntrancePaths(NamedTuple):
     """How the entrances differ."""
 
-    light: Array
-    """(entrance, wavelength) light over that of the first entrance."""
-    u: Array
-    """Its relative standard uncertainty."""
-    hidden: NDArray[np.bool_]
-    """(entrance, cell) whether something, usually the entrance itself, blocks the cell's view."""
+    light: Array  # (entrance, wavelength) light over that of the first entrance
+    u: Array  # its relative standard uncertainty
+    hidden: NDArray[np.bool_]  # (entrance, cell) whether something, usually the entrance itself, blocks the cell's view
 
 
 def calibrate(
@@ -90,6 +69,9 @@ def calibrate(
     override: bool = False,
 ) -> xr.Dataset:
     """A calibration profile from runs of the etalon.
+
+    The etalon is lit at normal incidence through one or more entrances. Cells that several entrances share give the relative light of the
+    entrances. A cell that one entrance hides may be calibrated through another, and all entrances together have less noise.
 
     Parameters
     ----------
@@ -117,10 +99,16 @@ def calibrate(
             f"the frames are of the {etalon.attrs['load']}; a calibration profile needs frames of the etalon"
         )
     day = str(etalon.attrs["day"])
-    doubts = list(_certificate_expiry(certificate, date.fromisoformat(day)))
+    doubts = []
+    if date.fromisoformat(day) > certificate.valid_until:
+        doubts.append(
+            f"the certificate {certificate.identity} was valid until {certificate.valid_until}, the etalon was measured on {day}"
+        )
     if doubts and not override:
         raise CalibrationError(f"{doubts[0]}; have the etalon calibrated anew, or set `override` if you know why")
-    lamp = _lamp_spectrum(etalon)
+    lamp = finite_median(etalon["reference"].values, axis=0)
+    if not np.isfinite(lamp).any():
+        raise CalibrationError("no frame of the etalon shows the reference spot; measure it anew")
     etalon = etalon.isel(wavelength=np.isfinite(lamp))
     scales = _entrance_scales(etalon, certificate)
     # A cell without light at all wavelengths is dead, and its zeros are genuine.
@@ -135,10 +123,7 @@ def calibrate(
             "hidden": (("incidence", "cell"), paths.hidden, {"units": "1", "long_name": "hidden from the entrance"}),
             "lamp": ("wavelength", lamp[np.isfinite(lamp)]),
         },
-        coords={
-            name: etalon[name]
-            for name in ("wavelength", "cell", "theta_s", "phi_s", "kind", "incidence", "solid_angle")
-        },
+        coords=etalon.coords,
         attrs={
             "certificate": certificate.identity,
             "certificate_valid_until": certificate.valid_until.isoformat(),
@@ -171,11 +156,6 @@ def finish(dataset: xr.Dataset, kind: str, source: xr.Dataset, doubts: list[str]
     return vocabulary.validate(vocabulary.label(vocabulary.add_warning(dataset, *warnings), kind), kind)
 
 
-def _certificate_expiry(certificate: Certificate, day: date) -> Iterator[str]:
-    if day > certificate.valid_until:
-        yield f"the certificate {certificate.identity} was valid until {certificate.valid_until}, the etalon was measured on {day}"
-
-
 def _uncertified_angles(certificate: Certificate, etalon: xr.Dataset, profile: xr.Dataset) -> Iterator[str]:
     """A warning of cells that see the etalon, through every entrance, at angles beyond the certificate's."""
     smallest = _etalon_angle(etalon).min(axis=0)
@@ -190,14 +170,6 @@ def _uncertified_angles(certificate: Certificate, etalon: xr.Dataset, profile: x
             f"{certificate.shape_u_at(certificate.theta[-1:])[0]:.1%} to {certificate.shape_u_at(beyond).max():.1%}, as diffuse standards differ. "
             "Have the etalon measured there, and state `angles` in certificate.yaml."
         )
-
-
-def _lamp_spectrum(etalon: xr.Dataset) -> Array:
-    """Reference light (wavelength,), the median of the entrances."""
-    lamp = finite_median(etalon["reference"].values, axis=0)
-    if not np.isfinite(lamp).any():
-        raise CalibrationError("no frame of the etalon shows the reference spot; measure it anew")
-    return lamp
 
 
 def _entrance_scales(etalon: xr.Dataset, certificate: Certificate) -> _EntranceScales:
@@ -237,11 +209,8 @@ def _lit(signal: Array, kinds: Array) -> NDArray[np.bool_]:
 def _entrance_paths(scales: _EntranceScales, adjacent: NDArray[np.bool_]) -> _EntrancePaths:
     """How much light each entrance sends, from the cells it shares with the first, and which cells it hides.
 
-    Mirrors reflect some wavelengths better than others. Each wavelength is evaluated by itself: hundreds of cells share it, so its mean is
-    known better than needed, and a smooth spectrum would gain nothing and might be wrong.
-
-    A partly hidden cell has less light than through other entrances, so its scale is too large. It is left out, with the adjacent cells,
-    of which a small part may be hidden.
+    Each wavelength is evaluated by itself: hundreds of cells give its mean more accurately than needed. A partly hidden cell has less light
+    than through other entrances, so its scale is too large; it is left out, with the adjacent cells, which may be hidden in part.
     """
     lit = np.isfinite(scales.scale).any(axis=1)
     # Without light through one entrance but not through another: hidden, not dead.
@@ -266,13 +235,10 @@ def _entrance_paths(scales: _EntranceScales, adjacent: NDArray[np.bool_]) -> _En
 
 def _fill_spectra(values: Array, known: NDArray[np.bool_]) -> Array:
     """Values (entrance, wavelength) with unknown ones interpolated from the neighbouring wavelengths; 0 where none is known."""
-    index = np.arange(values.shape[1])
-    return np.stack(
-        [
-            np.interp(index, index[good], spectrum[good]) if good.any() else np.zeros(index.size)
-            for spectrum, good in zip(values, known, strict=True)
-        ]
-    )
+    filled, index = np.zeros_like(values), np.arange(values.shape[1])
+    for at in np.flatnonzero(known.any(axis=1)):
+        filled[at] = np.interp(index, index[known[at]], values[at, known[at]])
+    return filled
 
 
 def _adjacent_cells(reduced: xr.Dataset) -> NDArray[np.bool_]:
@@ -299,11 +265,7 @@ def _mean_cell_scales(scales: _EntranceScales, paths: _EntrancePaths, certificat
     # Level and shape of the etalon's BRDF, the same at every incidence.
     relative["certificate"] = np.hypot(certificate_u[:, None], (share * scales.shape_u[:, None]).sum(axis=0))
     dims = ("wavelength", "cell")
+    correlation = dict.fromkeys(relative, "common") | {"calibration": "independent"}
     return {"cell_scale": (dims, mean)} | {
-        f"cell_scale_u_{name}": (
-            dims,
-            mean * u,
-            {"correlation": "independent" if name == "calibration" else "common"},
-        )
-        for name, u in relative.items()
+        f"cell_scale_u_{name}": (dims, mean * u, {"correlation": correlation[name]}) for name, u in relative.items()
     }

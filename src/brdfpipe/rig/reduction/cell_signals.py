@@ -20,11 +20,8 @@ from brdfpipe.rig.reduction.curvature import curvature_correction, curvature_u
 from brdfpipe.rig.reduction.exposures import Mask, Merged
 from brdfpipe.rig.reduction.registration import Registration
 
-_BELOW_NOISE = 2.0
-"""A cell is below the noise if its light is less than this many times its noise."""
-
-_WHOLE = 0.98
-"""Smallest share of a cell within the picture, and within the rim of the disc, that is not vignetted."""
+_BELOW_NOISE = 2.0  # ratio of a cell's light to its noise below which it is below the noise
+_WHOLE = 0.98  # smallest share of a cell within the picture, and within the rim of the disc, that is not vignetted
 
 
 def cell_signals(
@@ -37,10 +34,7 @@ def cell_signals(
 ) -> xr.Dataset:
     """Mean light of each cell at each wavelength, its uncertainty components and quality.
 
-    Parameters
-    ----------
-    merged : a picture a wavelength; None without a reference, where values are missing
-    repeat_u : relative standard uncertainty of light over its reference
+    ``merged`` has a picture for each wavelength, None without a reference; ``repeat_u`` is the relative uncertainty of light over its reference.
     """
     cells, weights = celled.cells_of(rig), celled.weights(rig, registration.screen)
     area, whole = _cell_areas(rig, registration.screen, cells, weights)
@@ -49,36 +43,38 @@ def cell_signals(
     background = pictures.background(rig, registration.screen)
     light = np.array([pictures.fill_saturated(picture) for picture in shown], dtype=float)
     halo = glares.estimate(*pictures.lamp_weighted_mean(merged, scales), background)
-    clean = glares.removed(light, halo)
+    clean = glares.subtract(light, halo)
     clean -= clean[:, background].mean(axis=1)[:, None, None] if background.any() else 0.0
     correction, bends = curvature_correction(rig, registration, weights, clean, area, cells.of_disc)
     signal = cell_sums(weights, clean) - correction
     saturated = cell_sums(weights, np.array([picture.saturated for picture in shown], dtype=float)) > 0
-    reference, nd = _frame_uncertainties(weights, clean, shown, [scales[index] for index in lit])
+    reference_u, nd_u = _frame_uncertainties(weights, clean, shown, [scales[index] for index in lit])
     variance = np.array([np.nan_to_num(picture.variance) for picture in shown])
+    # Each picture's light over that of their mean; a black picture may be all noise, and counts as 0 at least.
+    total = np.maximum(clean.reshape(len(clean), -1).sum(axis=1, keepdims=True), 0.0)
+    brightness = total / max(float(total.mean()), 1e-300)
     u = {
         # The noise of the light is in its curvature too.
         "noise": np.sqrt(cell_sums((weights - bends).power(2), variance)),
         "repeat": repeat_u * np.abs(signal),
-        "reference": reference * np.abs(signal),
-        "nd": nd * np.abs(signal),
-        "glare": _relative_brightness(clean) * glares.uncertainty(clean.mean(axis=0), halo, weights),
+        "reference": reference_u * np.abs(signal),
+        "nd": nd_u * np.abs(signal),
+        "glare": brightness * glares.uncertainty(clean.mean(axis=0), halo, weights),
         "geometry": np.hypot(
             _misregistration(rig, registration, weights, clean, cells.of_disc), curvature_u(correction, signal)
         ),
     }
     missing = saturated | ~whole
     values = {"signal": signal} | {f"signal_u_{name}": component for name, component in u.items()}
-    variables = {
-        name: _at_wavelengths(lit, np.where(missing, np.nan, sums / np.maximum(area, 1e-9)), len(merged))
-        for name, sums in values.items()
-    }
+    spectra = {name: np.full((len(merged), len(area)), np.nan) for name in values}
+    for name, sums in values.items():
+        spectra[name][lit] = np.where(missing, np.nan, sums / np.maximum(area, 1e-9))
     quality = np.full((len(merged), len(area)), vocabulary.quality("below_noise"), dtype=np.int8)
     quality[lit] = _quality(signal, u["noise"], saturated, whole)
     drawing = thumbnails.drawing(light.mean(axis=0), rig, registration.screen, weights)
     drawing.attrs["glare_share"] = halo.share if np.isfinite(halo.misfit) else np.nan
     return drawing.assign(
-        {name: (("wavelength", "cell"), field) for name, field in variables.items()}
+        {name: (("wavelength", "cell"), field) for name, field in spectra.items()}
         | {"signal_quality": (("wavelength", "cell"), quality)}
         | {"reference": ("wavelength", np.array([scale.lamp for scale in scales]))}
         | {"reference_u": ("wavelength", np.array([scale.lamp_u for scale in scales]))}
@@ -101,16 +97,10 @@ def _quality(signal: Array, noise: Array, saturated: Mask, whole: Mask) -> NDArr
     return quality
 
 
-def _relative_brightness(clean: Array) -> Array:
-    """Each picture's light over that of their mean, (wavelength, 1); a black picture may be all noise, and counts as 0 at least."""
-    total = np.maximum(clean.reshape(len(clean), -1).sum(axis=1, keepdims=True), 0.0)
-    return np.asarray(total / max(float(total.mean()), 1e-300))
-
-
 def _cell_areas(rig: Rig, screen: Screen, cells: celled.Cells, weights: sparse.csr_array) -> tuple[Array, Mask]:
-    """Area that the light of each cell is divided by [pixel], and whether the cell is seen whole.
+    """Area that the light of each cell is divided by [pixel], and whether the whole cell is visible.
 
-    A fibre's end is smaller than the circle that gathers its light: the area is that of the description, the same in every session.
+    A fibre's end is smaller than the circle of its sum: the area is that of the description, the same in every session.
     """
     seen = weights.sum(axis=1)
     radius = celled.fibre_radii(rig, screen)
@@ -128,13 +118,12 @@ def _misregistration(
 ) -> Array:
     """Standard uncertainty of the cells' light from the position of the picture and, on the disc, of the mirror direction.
 
-    The direction that a fibre looks in is taken as described.
+    The viewing direction of a fibre is taken as described.
     """
-    centre = np.radians(registration.direction_u) * rig.screen.focal_length * rig.screen.scale
-    # Only on the disc does a wrong centre mean another direction.
-    shift = np.hypot(registration.shift_u, np.where(of_disc, centre, 0.0))
+    centre_u = np.radians(registration.direction_u) * rig.screen.focal_length * rig.screen.scale
+    shift_u = np.hypot(registration.shift_u, np.where(of_disc, centre_u, 0.0))
     down, across = (np.asarray(slope) for slope in np.gradient(clean, axis=(1, 2)))
-    return np.hypot(cell_sums(weights, across), cell_sums(weights, down)) * shift
+    return np.hypot(cell_sums(weights, across), cell_sums(weights, down)) * shift_u
 
 
 def _frame_uncertainties(
@@ -148,12 +137,5 @@ def _frame_uncertainties(
         variances.append(
             [np.einsum("fc,fg,gc->c", shares, covariance, shares) for covariance in (scale.reference, scale.filters)]
         )
-    reference, nd = np.sqrt(np.maximum(np.array(variances).swapaxes(0, 1), 0.0))
-    return reference, nd
-
-
-def _at_wavelengths(lit: list[int], values: Array, count: int) -> Array:
-    """Values of the lit wavelengths among all ``count``; missing elsewhere."""
-    whole = np.full((count, values.shape[1]), np.nan)
-    whole[lit] = values
-    return whole
+    reference_u, nd_u = np.sqrt(np.maximum(np.array(variances).swapaxes(0, 1), 0.0))
+    return reference_u, nd_u

@@ -13,8 +13,7 @@ from scipy import stats
 from brdfpipe import vocabulary
 from brdfpipe.errors import abbreviated
 from brdfpipe.geometry import Array
-from brdfpipe.rig.reduction.arrangements import CalibrationError
-from brdfpipe.rig.reduction.finite_median import finite_median
+from brdfpipe.rig.reduction.arrangements import CalibrationError, finite_median
 
 ALARM = 3.0
 """Control limit in standard deviations, for one watched value. Several at once share its false-alarm rate."""
@@ -24,13 +23,8 @@ CELL_CHANGE_SIGMA, CELL_CHANGE_LEAST = 5.0, 0.03
 
 _EXPECTED_SCATTER = {"level": 0.01, "spectrum": 0.003}
 """Expected relative scatter of profiles: of the mean over all wavelengths, and of each wavelength against that mean."""
-
-_EXPECTED_WEIGHT = 3
-"""Number of profiles that the expected scatter counts for."""
-
-_LISTED = 5
-"""Most cells listed in a warning."""
-
+_EXPECTED_WEIGHT = 3  # number of profiles that the expected scatter counts for
+_LISTED = 5  # most cells listed in a warning
 _NEW_CHART = "remove `previous` from calibration.yaml to begin a new chart"
 
 
@@ -69,17 +63,9 @@ def extend_chart(profile: xr.Dataset, previous: xr.Dataset) -> xr.Dataset:
 
 
 def chart_points(names: ArrayLike, days: ArrayLike, scale_change: Array, wavelength: Array) -> xr.Dataset:
-    """The chart's points, one a profile, in the order the profiles were made.
+    """The chart's points, one for each profile, from the logarithm (profile, wavelength) of the scale over that of the first profile.
 
-    Parameters
-    ----------
-    names, days : of the profiles
-    scale_change : (profile, wavelength) logarithm of the scale over that of the first profile
-    wavelength : nm
-
-    Notes
-    -----
-    A change is taken from the mean of the earlier profiles without violation. The change of the spectrum is that of the wavelength that
+    A change is taken from the mean of the earlier profiles without violation. The change of the spectrum is that of the wavelength [nm] that
     differs most from the level. Only wavelengths that all profiles have count.
     """
     shared = np.isfinite(scale_change).all(axis=0)
@@ -93,12 +79,14 @@ def chart_points(names: ArrayLike, days: ArrayLike, scale_change: Array, wavelen
         for column, (values, expected) in enumerate(zip(watched, _EXPECTED_SCATTER.values(), strict=True)):
             before = values[:new][sound]
             difference = values[new] - before.mean(axis=0)
-            # The expected scatter is a prior; the scatter of the profiles so far updates it.
+            # The expected scatter is a prior, updated by the scatter of the profiles so far.
             observed = ((before - before.mean(axis=0)) ** 2).sum() / difference.size
             variance = (_EXPECTED_WEIGHT * expected**2 + observed) / (_EXPECTED_WEIGHT + len(before) - 1)
             largest = int(np.argmax(np.abs(difference)))
             change[new, column] = difference[largest]
-            limit[new, column] = _control_limit(difference.size) * np.sqrt(variance * (1 + 1 / len(before)))
+            # The largest of several values exceeds its limit as rarely as a single value exceeds ALARM.
+            sigmas = float(stats.norm.isf(stats.norm.sf(ALARM) / difference.size))
+            limit[new, column] = sigmas * np.sqrt(variance * (1 + 1 / len(before)))
         departing[new] = wavelength[shared][largest]
         violation[new] = np.abs(change[new]) > limit[new]
     points = {"change": change, "limit": limit, "violation": violation}
@@ -112,11 +100,6 @@ def chart_points(names: ArrayLike, days: ArrayLike, scale_change: Array, wavelen
         coords={"profile": np.asarray(names), "watched": np.array(list(_EXPECTED_SCATTER))},
     )
     return vocabulary.label(chart, "calibration")
-
-
-def _control_limit(count: int) -> float:
-    """Limit [standard deviations] that the largest of ``count`` values exceeds as rarely as a single value exceeds :data:`ALARM`."""
-    return float(stats.norm.isf(stats.norm.sf(ALARM) / count))
 
 
 def _violations(profile: xr.Dataset) -> Iterator[str]:
@@ -157,12 +140,11 @@ def _log_scale_ratio(profile: xr.Dataset, previous: xr.Dataset) -> Array:
             f"plan.yaml), or {_NEW_CHART}"
         )
     # Each profile's scales refer to its first entrance, which may differ.
-    now, before = (_scale_through(dataset, float(shared[0])) for dataset in (profile, previous))
+    entrance = float(shared[0])
+    now, before = (
+        dataset["cell_scale"] / dataset["path"].sel(incidence=entrance, drop=True) for dataset in (profile, previous)
+    )
     return np.asarray(np.log(now.values / _on_grid_of(profile, before)))
-
-
-def _scale_through(profile: xr.Dataset, entrance: float) -> xr.DataArray:
-    return profile["cell_scale"] / profile["path"].sel(incidence=entrance, drop=True)
 
 
 def _changed_cells(profile: xr.Dataset, previous: xr.Dataset, log_change: Array) -> Iterator[str]:

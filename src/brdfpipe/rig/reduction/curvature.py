@@ -17,42 +17,24 @@ CURVATURE_U = 0.05
 
 _NEXT_ORDER = 0.15
 """Half of the next term over the square of the correction, as of the exponential flank of a lobe: sinh x / x = 1 + b + 0.3 b² + …, b = x²/6."""
-
-_SMOOTHING = 1.5
-"""Standard deviation of the Gaussian [pixel] that smooths the light before its curvature is taken."""
-
-_TRUNCATION = 6.0
-"""Its truncation in standard deviations; at 4 its second derivative would find a curvature of 1e-4 in even light."""
-
-_LARGEST_RATIO = 1.2
-"""Largest ratio of a cell's light to its smoothed light."""
-
-_RIM_CLEARANCE = 3.5
-"""Distance from the disc's rim, in these standard deviations, within which the curvature is not taken: the rim would bend it."""
+_SMOOTHING = 1.5  # standard deviation of the Gaussian [pixel] that smooths the light before its curvature is taken
+_TRUNCATION = 6.0  # in standard deviations; at 4 its second derivative gives even light a curvature of 1e-4
+_LARGEST_RATIO = 1.2  # largest ratio of a cell's light to its smoothed light
+_RIM_CLEARANCE = 3.5  # distance from the disc's rim, in standard deviations, within which no curvature is taken
 
 
 def curvature_correction(
     rig: Rig, registration: Registration, weights: sparse.csr_array, clean: Array, area: Array, of_disc: Mask
 ) -> tuple[Array, sparse.csr_array]:
-    """What curvature adds to the sums over disc cells.
+    """The part of curvature in the sums over disc cells (wavelength, cell), and the weights (cell, pixel) of the light that give it.
 
-    Parameters
-    ----------
-    registration : of the pictures
-    weights : (cell, pixel) share of each pixel in each cell
-    clean : (wavelength, y, x) light without glare
-    area : (cell,) [pixel]
-    of_disc : (cell,)
-
-    Returns
-    -------
-    The correction (wavelength, cell), and the weights of the light (cell, pixel) it is made of
+    ``weights`` are the shares (cell, pixel) of pixels in cells, ``clean`` the light (wavelength, y, x) without glare, ``area`` in pixels.
 
     Notes
     -----
-    The mean over a cell of second moments M about its middle is f + ½ Σ M_jk ∂_j∂_k f, and the core of the point spread adds its own to M.
-    Derivatives are those of the smoothed light, divided by that light: smoothing lifts both alike on the flank of a lobe. Near the rim they
-    follow from the part of a cell that lies further inside.
+    The mean over a cell of second moments M about its middle is f + ½ Σ M_jk ∂_j∂_k f; the core of the point spread adds its own moments.
+    Derivatives are those of the smoothed light, divided by that light: smoothing raises both alike on the flank of a lobe. Near the rim they
+    follow from the part of a cell farther inside.
     """
     margin = -_RIM_CLEARANCE * _SMOOTHING / registration.screen.scale
     inner = pictures.within_disc(rig, registration.screen, margin)
@@ -67,9 +49,8 @@ def curvature_correction(
     for first, second in ((0, 0), (1, 1), (0, 1)):
         moment = weights @ ((y, x)[first] * (y, x)[second]) / np.maximum(area, 1.0) - middle[first] * middle[second]
         orders = ((first == 0) + (second == 0), (first == 1) + (second == 1))
-        # Half of either second derivative, and of the mixed one twice; a pixel has 1/12 itself.
-        pure = first == second
-        coefficients[orders] = whole * ((moment + 1 / 12 + registration.blur**2) / 2 if pure else moment)
+        # Half of either second derivative, and of the mixed one twice; the moment of a pixel is 1/12.
+        coefficients[orders] = whole * ((moment + 1 / 12 + registration.blur**2) / 2 if first == second else moment)
     bends, smooth = _derivative_weights(within, inner.shape, [coefficients, {(0, 0): whole}])
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.nan_to_num(cell_sums(weights, clean) / cell_sums(smooth, clean))

@@ -1,12 +1,7 @@
-"""From counts to relative light: dark frames, masks, electrons, and the merge of a bracket.
+"""From counts to relative light: dark frames, linear range, electrons, and the merge of a bracket.
 
-A bracket is several frames of one arrangement that differ by exposure and neutral filter. Each is first divided by the light of its
-own reference spot and by the transmittance of its filter; what remains of frame b is q, the same for all of them, with a noise of
-
-    var q_b = (q k_b + floor_b) / k_b²,    k_b = reference electrons × transmittance,
-
-and their mean is weighted with the inverse of that. The q in it is the merged one, never the pixel's own count: weights that follow
-the noise of the counts would pull the mean down. Pictures are in single precision, sums over them in double: a count has 16 bits.
+A bracket is several frames of one arrangement that differ in exposure time and neutral filter. Pictures are in single precision, sums over
+them in double: a count has 16 bits.
 """
 
 from __future__ import annotations
@@ -30,10 +25,9 @@ Picture = NDArray[np.float32]
 FEWEST_DARKS = 5
 """Dark frames of an exposure time below which their noise adds to that of every other frame."""
 
-_HOT, _LEAST_HOT = 8.0, 3.0
-"""From how many robust standard deviations above its surroundings, and counts, a pixel of the mean dark frame is hot."""
-
-_ROUNDS = 2
+_HOT_SIGMA, _HOT_LEAST = 8.0, 3.0
+"""A pixel is hot if the mean dark frame there exceeds its surroundings by so many robust standard deviations and so many counts."""
+_REWEIGHTINGS = 2
 
 
 class ExposureError(BrdfpipeError):
@@ -41,97 +35,79 @@ class ExposureError(BrdfpipeError):
 
 
 @dataclass(frozen=True)
-class Dark:
-    """What the camera reads without light in one exposure time."""
+class MeanDark:
+    """The mean of the dark frames of one exposure time."""
 
-    mean: Picture
-    """(y, x) [count]."""
-    variance: float
-    """Of an ordinary pixel of one frame [count²]."""
+    mean: Picture  # (y, x) [count]
+    variance: float  # of an ordinary pixel of one frame [count²]
     hot: Mask
     frames: int
 
     @property
     def floor(self) -> float:
-        """Variance of a pixel [count²] of a frame without light, when this mean has been subtracted."""
+        """Variance of a pixel [count²] of a frame without light after subtraction of this mean."""
         return self.variance * (1 + 1 / self.frames)
 
 
 @dataclass(frozen=True)
-class Mending:
-    """Hot pixels, and the ordinary ones about them of which each takes the mean."""
+class HotPixels:
+    """Hot pixels, which take the mean of their ordinary neighbours."""
 
-    hot: Mask
+    mask: Mask
 
     @cached_property
     def _neighbours(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        height, width = self.hot.shape
-        row, column = np.nonzero(self.hot)
+        """Flat indices of the hot pixels and of their eight neighbours, and the weights of these."""
+        height, width = self.mask.shape
+        row, column = np.nonzero(self.mask)
         steps = np.array([(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if (y, x) != (0, 0)])
         y, x = row[:, None] + steps[:, 0], column[:, None] + steps[:, 1]
         within = (y >= 0) & (y < height) & (x >= 0) & (x < width)
         near = np.where(within, y * width + x, 0)
-        good = within & ~self.hot.ravel()[near]
-        return row * width + column, near, good / np.maximum(good.sum(axis=1, keepdims=True), 1)
+        ordinary = within & ~self.mask.ravel()[near]
+        return row * width + column, near, ordinary / np.maximum(ordinary.sum(axis=1, keepdims=True), 1)
 
-    def __call__(self, light: Picture) -> None:
-        """Mend pictures (…, y, x) in place, so that sums over pixels need no mask. Without a neighbour a hot pixel is 0."""
-        hot, near, share = self._neighbours
-        flat = light.reshape(-1, self.hot.size)
-        flat[:, hot] = (flat[:, near] * share).sum(axis=-1)
+    def interpolate(self, light: Picture) -> None:
+        """Replace hot pixels of pictures (…, y, x) in place, so that sums over pixels need no mask; 0 without an ordinary neighbour."""
+        hot, near, weight = self._neighbours
+        flat = light.reshape(-1, self.mask.size)
+        flat[:, hot] = (flat[:, near] * weight).sum(axis=-1)
 
 
 class Merged(NamedTuple):
     """One picture of relative light q, from a bracket."""
 
-    light: Picture
-    """(y, x); NaN where no frame of the bracket can be used."""
+    light: Picture  # (y, x); NaN where no frame of the bracket can be used
     variance: Picture
-    shares: Picture
-    """(frame, y, x): weight of each frame, 1 in sum, or 0."""
-    saturated: Mask
-    """Where no frame is within the linear range."""
+    shares: Picture  # (frame, y, x): weight of each frame, 1 in sum, or 0
+    saturated: Mask  # where no frame is within the linear range
 
 
-def dark(counts: NDArray[np.uint16], camera: CameraSettings) -> Dark:
-    """The mean of dark frames of one exposure time.
-
-    Parameters
-    ----------
-    counts : (frame, y, x)
-    camera : its read noise stands in where one frame does not tell
-
-    Raises
-    ------
-    ExposureError : there is no frame.
-    """
+def mean_dark(counts: NDArray[np.uint16], camera: CameraSettings) -> MeanDark:
+    """The mean of dark frames (frame, y, x) of one exposure time; the variance of a single frame is the camera's read noise."""
     count = len(counts)
-    if not count:
-        raise ExposureError(
-            "no dark frame of this exposure time; accepted: at least one, better five (`darks` of the plan)"
-        )
     frames = counts.astype(np.float32)
     mean = frames.mean(axis=0, dtype=float)
     # Rounding to whole counts alone has a variance of 1/12.
     variance = 1 / 12 + (camera.read_noise / camera.gain) ** 2
     if count > 1:
-        # One number for all ordinary pixels is known far better than each pixel's own from five frames. The median of sample
-        # variances, which hot pixels leave alone, lies below their mean as that of χ² does.
+        # One variance for all ordinary pixels is known far better than each pixel's own from five frames. The median of the sample
+        # variances ignores hot pixels; it is below their mean as the median of χ² is.
         median = float(np.median(frames.var(axis=0, ddof=1)))
         variance = max(median * (count - 1) / (2 * float(gammaincinv((count - 1) / 2, 0.5))), 1 / 12)
     excess = mean - ndimage.median_filter(mean, size=3, mode="nearest")
-    scale = 1.4826 * float(np.median(np.abs(excess)))
-    return Dark(mean.astype(np.float32), variance, excess > max(_HOT * scale, _LEAST_HOT), count)
+    sigma = 1.4826 * float(np.median(np.abs(excess)))
+    return MeanDark(mean.astype(np.float32), variance, excess > max(_HOT_SIGMA * sigma, _HOT_LEAST), count)
 
 
-def electrons(counts: NDArray[np.uint16], darks: Dark, camera: CameraSettings) -> tuple[Picture, Mask]:
+def subtract_dark(counts: NDArray[np.uint16], dark: MeanDark, camera: CameraSettings) -> tuple[Picture, Mask]:
     """Electrons of light, and which pixels are within the camera's linear range, of one frame.
 
-    A pixel beside one out of range is taken for out of range too: charge flows over.
+    Charge of a pixel out of range flows over: its eight neighbours count as out of range too.
     """
-    light = np.float32(camera.gain) * (counts - darks.mean)
+    light = np.float32(camera.gain) * (counts - dark.mean)
     beyond = (light > camera.linear_to) | (counts >= camera.full)
-    return light, ~(_grown(beyond) if beyond.any() else beyond)
+    return light, ~(ndimage.binary_dilation(beyond, np.ones((3, 3))) if beyond.any() else beyond)
 
 
 def merge(light: Picture, usable: Mask, scale: Array, floor: Array) -> Merged:
@@ -141,29 +117,23 @@ def merge(light: Picture, usable: Mask, scale: Array, floor: Array) -> Merged:
     ----------
     light : (frame, y, x) [e⁻]
     usable : (frame, y, x), whether a pixel is within the linear range
-    scale : (frame,) k, electrons per unit of relative light
+    scale : (frame,) k, electrons per unit of relative light: reference electrons times transmittance of the filter
     floor : (frame,) variance of a pixel without light [e⁻²]
+
+    Notes
+    -----
+    Relative light q = light/k has the variance (q k + floor)/k². The q in it is the merged one: weights from a pixel's own noisy count would
+    bias the mean.
     """
-    k, least = (each.astype(np.float32)[:, None, None] for each in (scale, floor))
+    k, least = (values.astype(np.float32)[:, None, None] for values in (scale, floor))
     relative = light / k
     q = np.zeros(light.shape[1:], dtype=np.float32)
     with np.errstate(invalid="ignore", divide="ignore"):
-        for _ in range(_ROUNDS + 1):
-            # Light never makes the noise smaller than it is in the dark. The first round weighs as if all were dark.
+        for _ in range(_REWEIGHTINGS + 1):
+            # The first weights are those of dark pixels; negative light has no less noise than the dark.
             weight = np.where(usable, k * k / (np.fmax(q, 0.0) * k + least), np.float32(0.0))
             total = weight.sum(axis=0)
             q = (weight * relative).sum(axis=0) / total
         variance, shares = 1 / total, np.nan_to_num(weight / total)
     saturated = total == 0
     return Merged(q, np.where(saturated, np.float32(np.nan), variance), shares, saturated)
-
-
-def _grown(mask: Mask) -> Mask:
-    """A mask and the eight neighbours of each of its pixels."""
-    tall = mask.copy()
-    tall[1:] |= mask[:-1]
-    tall[:-1] |= mask[1:]
-    grown = tall.copy()
-    grown[:, 1:] |= tall[:, :-1]
-    grown[:, :-1] |= tall[:, 1:]
-    return grown

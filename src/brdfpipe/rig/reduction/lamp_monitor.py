@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -11,33 +10,21 @@ import xarray as xr
 from brdfpipe.geometry import Array
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.reduction import brackets
-from brdfpipe.rig.reduction.brackets import Darkness, Spot
+from brdfpipe.rig.reduction.brackets import DarkFrames, ReferenceSpot
 
 REPEAT_U = 0.01 / 3**0.5
 """Assumed relative standard uncertainty of light over its reference before a run shows how well it repeats: a uniform distribution over ±1 %,
 the better end of the 1 to 3 % stated for such a rig (Voloboy et al. 2005)."""
 
-_FEWEST_REPETITIONS = 2
-"""Degrees of freedom from which the observed scatter replaces the assumption."""
-
-
-class Repeatability(NamedTuple):
-    """How well light repeats over its reference."""
-
-    u: float
-    """Relative standard uncertainty."""
-    warnings: list[str]
+_FEWEST_REPETITIONS = 2  # degrees of freedom from which the observed scatter replaces the assumption
 
 
 def lamp_monitor_readings(
-    frames: xr.Dataset, chosen: xr.Dataset, darkness: Darkness, spot: Spot, rig: Rig
+    frames: xr.Dataset, chosen: xr.Dataset, darks: DarkFrames, spot: ReferenceSpot, rig: Rig
 ) -> dict[str, tuple[str, Array]]:
-    """Light of the lamp in the monitor frames taken through the entrance of the arrangement, whatever was in the holder.
+    """Light of the lamp in the monitor frames through the entrance of the arrangement, with any load in the holder.
 
-    Returns
-    -------
-    Variables of dimension ``look``: ``drift_reference`` [e⁻/s], its uncertainty, ``drift_elapsed`` [s] and ``drift_wavelength`` [nm]; empty
-    without such frames
+    Variables of dimension ``look``: ``drift_reference`` [e⁻/s], its uncertainty, ``drift_elapsed`` [s] and ``drift_wavelength`` [nm].
     """
     matching = frames["purpose"].values == "drift"
     for name in ("side", "incidence"):
@@ -45,26 +32,26 @@ def lamp_monitor_readings(
     if not matching.any():
         return {}
     monitor = frames.isel(frame=matching)
-    bracket = brackets.bracket(monitor, darkness, rig)
+    bracket = brackets.read_bracket(monitor, darks, rig)
     reference, relative_u = brackets.reference_light(bracket, spot)
-    rate = reference / brackets.per_rate(bracket, rig)
+    rate = reference / brackets.reference_exposure(bracket, rig)
     readings = {"reference": rate, "reference_u": rate * relative_u}
     readings |= {name: monitor[name].values for name in ("elapsed", "wavelength")}
     return {f"drift_{name}": ("look", values) for name, values in readings.items()}
 
 
-def lamp_repeatability(frames: xr.Dataset, darkness: Darkness, spot: Spot, rig: Rig) -> Repeatability:
-    """Relative scatter of light over its reference between frames of the same settings.
+def lamp_repeatability(frames: xr.Dataset, darks: DarkFrames, spot: ReferenceSpot, rig: Rig) -> tuple[float, list[str]]:
+    """Relative scatter of light over its reference between frames of the same settings, and warnings.
 
-    A monitor reading repeats a frame of its arrangement. All repetitions in the run count, whatever was in the holder, if they are bright
+    A monitor reading repeats a frame of its arrangement. All repetitions in the run count, with any load in the holder, if they are bright
     enough to show less than :data:`REPEAT_U`, which counts as one of them. The part of the scatter that is photon and read noise is subtracted.
     """
     squares, freedom, readings = 0.0, 0, 0
-    for repeated in _repeated_frames(frames, darkness):
+    for repeated in _repeated_frames(frames, darks):
         readings += repeated.sizes["frame"]
-        bracket = brackets.bracket(repeated, darkness, rig)
+        bracket = brackets.read_bracket(repeated, darks, rig)
         reference, relative_u = brackets.reference_light(bracket, spot)
-        lit = bracket.usable.all(axis=0) & spot.away & (bracket.light.mean(axis=0) > np.sqrt(bracket.floor.mean()))
+        lit = bracket.usable.all(axis=0) & spot.outside & (bracket.light.mean(axis=0) > np.sqrt(bracket.floor.mean()))
         light = np.where(lit, bracket.light, 0.0).sum(axis=(1, 2), dtype=float)
         if not ((light > 0) & np.isfinite(reference)).all():
             continue
@@ -75,20 +62,20 @@ def lamp_repeatability(frames: xr.Dataset, darkness: Darkness, spot: Spot, rig: 
             freedom += more
     u = float(np.sqrt((max(squares, 0.0) + REPEAT_U**2) / (freedom + 1)))
     if freedom >= _FEWEST_REPETITIONS:
-        return Repeatability(u, [])
+        return u, []
     warning = (
         f"Lamp repeatability is uncertain: only {freedom} usable repetition{'' if freedom == 1 else 's'} among {readings} frames of equal settings. "
         f"Assumed {u:.1%} (k = 1). Take more readings (`drift.every`) or a brighter frame (`drift.step`)."
     )
-    return Repeatability(u, [warning])
+    return u, [warning]
 
 
-def _repeated_frames(frames: xr.Dataset, darkness: Darkness) -> Iterator[xr.Dataset]:
+def _repeated_frames(frames: xr.Dataset, darks: DarkFrames) -> Iterator[xr.Dataset]:
     """Frames of the same settings: monitor readings, and the frame of the bracket that they repeat."""
     names = ("load", "side", "incidence", "wavelength", "nd_position", "exposure")
     settings = list(zip(*(frames[name].values.tolist() for name in names), strict=True))
     purpose = frames["purpose"].values
     for monitored in sorted({settings[frame] for frame in np.flatnonzero(purpose == "drift")}):
         same = np.array([setting == monitored for setting in settings]) & (purpose != "dark")
-        if same.sum() > 1 and monitored[-1] in darkness.darks:
+        if same.sum() > 1 and monitored[-1] in darks.by_exposure:
             yield frames.isel(frame=same)

@@ -1,4 +1,4 @@
-"""Merged pictures of a bracket, and the parts of a picture: the disc, and the background that holds glare alone."""
+"""Merged pictures of a bracket, and the parts of a picture: the disc, and the background that holds only glare."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from brdfpipe.geometry import Array
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.description import Rig, Screen
 from brdfpipe.rig.reduction import brackets, exposures
-from brdfpipe.rig.reduction.brackets import Bracket, Darkness, Scale
+from brdfpipe.rig.reduction.brackets import Bracket, DarkFrames, Scale
 from brdfpipe.rig.reduction.exposures import Mask, Merged
 
-_MARGIN = 4.0
-"""Distance from disc and spots beyond which the picture holds glare alone [pixel]."""
+_MARGIN = 4.0  # distance from disc and spots beyond which the picture holds only glare [pixel]
 
 
 def merge_bracket(bracket: Bracket, scale: Scale) -> Merged | None:
@@ -40,16 +39,16 @@ def lamp_weighted_mean(merged: list[Merged | None], scales: list[Scale]) -> tupl
     return np.asarray(light / lamp), np.asarray(variance / lamp**2, dtype=float)
 
 
-def merged_picture(frames: xr.Dataset, darkness: Darkness, rig: Rig) -> tuple[Array, Array] | None:
+def merge_frames(frames: xr.Dataset, darks: DarkFrames, rig: Rig) -> tuple[Array, Array] | None:
     """The picture of one wavelength and its variance; None if no frame shows the reference."""
-    bracket = brackets.bracket(frames, darkness, rig)
-    scale = brackets.scaled(bracket, brackets.reference_spot(rig, bracket), rig)
+    bracket = brackets.read_bracket(frames, darks, rig)
+    scale = brackets.scale_bracket(bracket, brackets.locate_reference_spot(rig, bracket), rig)
     merged = merge_bracket(bracket, scale)
     return None if merged is None else lamp_weighted_mean([merged], [scale])
 
 
 def background(rig: Rig, screen: Screen) -> Mask:
-    """Pixels that hold glare alone."""
+    """Pixels that hold only glare."""
     margin = _MARGIN / screen.scale
     lit = within_disc(rig, screen, margin)
     spots = [(fibre.x, fibre.y, screen.fibre_radius) for fibre in rig.fibres]

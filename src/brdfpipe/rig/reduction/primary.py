@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from brdfpipe import specular_directions, vocabulary
 from brdfpipe.errors import abbreviated
 from brdfpipe.geometry import Array
-from brdfpipe.rig.reduction.arrangements import ENTRANCE_EXCLUSION_RADIUS, CalibrationError
+from brdfpipe.rig.reduction.arrangements import ENTRANCE_EXCLUSION_RADIUS, CalibrationError, finite_median
 from brdfpipe.rig.reduction.calibration import COMMON, PATH_U, finish, refuse_zeros
-from brdfpipe.rig.reduction.finite_median import finite_median
 
 HORIZON = 0.01
 """Cosine of view below which part of a cell's field may be below the sample's horizon: half a degree."""
@@ -23,16 +22,8 @@ HORIZON = 0.01
 LAMP_TOLERANCE = 0.1
 """Largest plausible relative change of the lamp's spectrum between etalon and sample, a common factor aside."""
 
-_BELOW_HORIZON = -0.05
-"""Cosine of view below which a cell sees nothing of the sample."""
-
-_FEWEST_BELOW_HORIZON = 5
-"""Cells below the horizon that a stray-light estimate needs."""
-
-_LISTED = 5
-"""Most wavelengths listed in a message."""
-
-_DIMS = ("incidence", "wavelength", "cell")
+_BELOW_HORIZON = -0.05  # cosine of view below which a cell sees nothing of the sample
+_FEWEST_BELOW_HORIZON = 5  # cells below the horizon that a stray-light estimate needs
 
 
 def apply(reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, override: bool = False) -> xr.Dataset:
@@ -42,7 +33,7 @@ def apply(reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, 
     ----------
     reduced : kind ``reduced``, load ``sample``
     profile : kind ``calibration``
-    lamp_hours : hours the lamp had burnt by then
+    lamp_hours : hours the lamp had burnt when the sample was measured
     override : use an expired or doubtful profile; recorded in the dataset
 
     Returns
@@ -74,12 +65,16 @@ def apply(reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, 
     cosine = specular_directions.cos_view(incidence[:, None], reduced["theta_s"].values, reduced["phi_s"].values)
     hidden = _hidden_cells(reduced, profile)
     refuse_zeros(reduced, (cosine > HORIZON) & ~hidden & np.isfinite(profile["cell_scale"].values).any(axis=0))
-    path, path_u = _entrance_light(profile, incidence)
+    # Light of each entrance over that of the etalon's first (incidence, wavelength): 1 for an entrance without the etalon.
+    path, path_u = (
+        profile[name].reindex(incidence=incidence, fill_value=unknown).transpose("incidence", "wavelength").values
+        for name, unknown in (("path", 1.0), ("path_u", PATH_U))
+    )
     scale = np.where(hidden[:, None], np.nan, profile["cell_scale"].values / path[..., None])
     # BRDF times cosine of view.
     projected = scale * reduced["signal"].values
     parts = _uncertainty_components(reduced, profile, scale, projected)
-    parts["path"] = np.abs(projected) * path_u[..., None]
+    parts["path"] = np.abs(projected) * (path_u / path)[..., None]
     stray, stray_u = _stray_light(projected, np.hypot(parts["noise"], parts["calibration"]), cosine)
     parts["glare"] = np.hypot(parts["glare"], stray_u[:, None, None])
     above = np.where(cosine > HORIZON, cosine, np.nan)[:, None]
@@ -87,9 +82,6 @@ def apply(reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, 
     parts = {name: part / above for name, part in parts.items()}
     primary = _primary_dataset(reduced, profile, brdf, parts, cosine)
     return finish(primary, "primary", reduced, doubts).assign_attrs(stray=stray.tolist(), stray_u=stray_u.tolist())
-
-
-# --- may the profile be used
 
 
 def _check_same_rig(reduced: xr.Dataset, profile: xr.Dataset) -> None:
@@ -101,7 +93,7 @@ def _check_same_rig(reduced: xr.Dataset, profile: xr.Dataset) -> None:
     if list(reduced["cell"].values) != list(profile["cell"].values):
         raise CalibrationError("profile and frames have other cells; reduce both with the same version of brdfpipe")
     if missing := sorted(set(reduced["wavelength"].values) - set(profile["wavelength"].values)):
-        listed = abbreviated([f"{wavelength:g}" for wavelength in missing], _LISTED)
+        listed = abbreviated([f"{wavelength:g}" for wavelength in missing], 5)
         raise CalibrationError(
             f"the etalon was not measured at {listed} nm; add these wavelengths to the plan of its run, or take its missing frames "
             "(`brdfpipe rig scan … --resume`)"
@@ -141,9 +133,6 @@ def _lamp_change(reduced: xr.Dataset, profile: xr.Dataset) -> Iterator[str]:
         )
 
 
-# --- light of the entrances, stray light
-
-
 def _hidden_cells(reduced: xr.Dataset, profile: xr.Dataset) -> NDArray[np.bool_]:
     """Cells (incidence, cell) that the entrance in use hides; none in transmission, where light comes from behind the sample."""
     incidences = reduced["incidence"].values
@@ -154,18 +143,6 @@ def _hidden_cells(reduced: xr.Dataset, profile: xr.Dataset) -> NDArray[np.bool_]
     for entrance, observed in zip(profile["incidence"].values, profile["hidden"].values, strict=True):
         hidden[incidences == entrance] = observed
     return hidden & (reduced.attrs["side"] == "reflection")
-
-
-def _entrance_light(profile: xr.Dataset, incidences: Array) -> tuple[Array, Array]:
-    """Light of each entrance over that of the etalon's first, (incidence, wavelength), and its relative uncertainty.
-
-    An entrance without an etalon measurement counts as 1, with the uncertainty :data:`PATH_U`.
-    """
-    path, u = (
-        profile[name].reindex(incidence=incidences, fill_value=unknown).transpose("incidence", "wavelength").values
-        for name, unknown in (("path", 1.0), ("path_u", PATH_U))
-    )
-    return path, u / path
 
 
 def _stray_light(projected: Array, u: Array, cosine: Array) -> tuple[Array, Array]:
@@ -188,34 +165,20 @@ def _stray_light(projected: Array, u: Array, cosine: Array) -> tuple[Array, Arra
     return np.where(known, mean, elsewhere), np.where(known, error, np.hypot(error[known].mean(), elsewhere))
 
 
-# --- uncertainty and dataset
-
-
 def _uncertainty_components(
     reduced: xr.Dataset, profile: xr.Dataset, scale: Array, projected: Array
 ) -> dict[str, Array]:
     """Components of the uncertainty of BRDF times cosine, of the frames and of the profile."""
-    of_signal = {
-        name.removeprefix("signal_u_"): np.abs(scale) * reduced[name].values
-        for name in map(str, reduced.data_vars)
-        if name.startswith("signal_u_")
-    }
-    parts = of_signal | {
-        name: np.hypot(
-            of_signal.get(name, 0.0),
-            np.abs(projected) * (profile[f"cell_scale_u_{name}"] / profile["cell_scale"]).values,
-        )
-        for name in (*COMMON, "calibration", "certificate")
-    }
-    parts["nd"] = np.hypot(parts["nd"], np.abs(projected) * _reference_filter_u(reduced, profile))
+    prefix = "signal_u_"
+    names = [name.removeprefix(prefix) for name in map(str, reduced.data_vars) if name.startswith(prefix)]
+    parts = {name: np.abs(scale) * reduced[prefix + name].values for name in names}
+    for name in (*COMMON, "calibration", "certificate"):
+        relative = (profile[f"cell_scale_u_{name}"] / profile["cell_scale"]).values
+        parts[name] = np.hypot(parts.get(name, 0.0), np.abs(projected) * relative)
+    if reduced.attrs["filter"] != profile.attrs["filter"]:  # the same one would divide out
+        filter_u = np.hypot(reduced.attrs["filter_u"], profile.attrs["filter_u"])
+        parts["nd"] = np.hypot(parts["nd"], np.abs(projected) * filter_u)
     return parts
-
-
-def _reference_filter_u(reduced: xr.Dataset, profile: xr.Dataset) -> float:
-    """Relative uncertainty of the filters that all others refer to: 0 if etalon and sample have the same one, which divides out."""
-    if reduced.attrs["filter"] == profile.attrs["filter"]:
-        return 0.0
-    return float(np.hypot(reduced.attrs["filter_u"], profile.attrs["filter_u"]))
 
 
 def _primary_dataset(
@@ -230,8 +193,9 @@ def _primary_dataset(
     quality[np.isnan(brdf) & ~explained] = vocabulary.quality("vignetted")
     quality[np.broadcast_to((cosine <= HORIZON)[:, None], quality.shape)] = vocabulary.quality("shadowed")
     total = np.sqrt(np.sum([part**2 for part in parts.values()], axis=0))
-    variables: dict[str, Any] = {"brdf": (_DIMS, brdf), "brdf_u": (_DIMS, total), "brdf_quality": (_DIMS, quality)}
-    variables |= {f"brdf_u_{name}": (_DIMS, part, {"correlation": correlation[name]}) for name, part in parts.items()}
+    dims = ("incidence", "wavelength", "cell")
+    variables: dict[str, Any] = {"brdf": (dims, brdf), "brdf_u": (dims, total), "brdf_quality": (dims, quality)}
+    variables |= {f"brdf_u_{name}": (dims, part, {"correlation": correlation[name]}) for name, part in parts.items()}
     attrs = {name: reduced.attrs[name] for name in ("rig", "rig_digest", "sample", "day", "side", "disc_scale_u")}
     attrs |= {"certificate": profile.attrs["certificate"], "calibrated": profile.attrs["day"]}
     return xr.Dataset(variables, coords=reduced.coords, attrs=attrs)

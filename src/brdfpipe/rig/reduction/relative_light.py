@@ -1,7 +1,6 @@
 """From the frames of one arrangement to the relative light of each cell, q = L / (L′/T), with its uncertainty.
 
-Each frame is divided by the light of its own reference spot, which removes the lamp and the exposure time. Then the exposure bracket is
-merged, glare is subtracted, and pixels are summed over cells with one sparse matrix (:mod:`brdfpipe.rig.reduction.cells`).
+Each frame is divided by the light of its own reference spot, which removes the lamp and the exposure time.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from brdfpipe.rig.description import Rig
 from brdfpipe.rig.filter_location import check_overlaps
 from brdfpipe.rig.frames import NOT_MEASURED
 from brdfpipe.rig.reduction import brackets, exposures, pictures
-from brdfpipe.rig.reduction.brackets import Bracket, Darkness, Scale, Spot
+from brdfpipe.rig.reduction.brackets import Bracket, DarkFrames, ReferenceSpot, Scale
 from brdfpipe.rig.reduction.cell_signals import cell_signals
 from brdfpipe.rig.reduction.exposures import Merged
 from brdfpipe.rig.reduction.lamp_monitor import lamp_monitor_readings, lamp_repeatability
@@ -35,14 +34,9 @@ COMPONENTS = {
 }
 """Uncertainty components of q, independent from cell to cell or common to all cells of a picture."""
 
-_OUT_OF_RANGE = 0.99
-"""Share of pixels out of the linear range above which a frame is unusable."""
-
-_CHECKED = 5
-"""Wavelengths whose overlapping frames are checked for the position of the filters."""
-
-_LISTED = 8
-"""Most entries of a list in a message."""
+_OUT_OF_RANGE = 0.99  # share of pixels out of the linear range above which a frame is unusable
+_CHECKED = 5  # wavelengths whose overlapping frames are checked for the position of the filters
+_LISTED = 8  # most entries of a list in a message
 
 
 class ReductionError(BrdfpipeError):
@@ -90,33 +84,32 @@ def reduce(
     if rig.target is not None and target is not frames and (target["purpose"] == "target").any():
         _check_same_rig(target, rig)
     chosen = _frames_of_arrangement(frames, load, side, incidence)
-    darkness = Darkness.of(frames, rig)
-    warnings = [*_too_few_darks(darkness), *_filter_warnings(frames, chosen, rig, override)]
+    darks = DarkFrames.of(frames, rig)
+    warnings = [*_too_few_darks(darks), *_filter_warnings(frames, chosen, rig, override)]
     wavelengths = np.unique(chosen["wavelength"].values)
-    spot: Spot | None = None
+    spot: ReferenceSpot | None = None
     scales: list[Scale] = []
     merged: list[Merged | None] = []
+    elapsed: list[float] = []
     for wavelength in wavelengths:
         own = chosen.isel(frame=chosen["wavelength"].values == wavelength)
-        bracket = brackets.bracket(own, darkness, rig)
+        bracket = brackets.read_bracket(own, darks, rig)
         warnings += _unusable_frames(own, bracket)
-        spot = spot or brackets.reference_spot(rig, bracket)
-        scales.append(brackets.scaled(bracket, spot, rig))
+        spot = spot or brackets.locate_reference_spot(rig, bracket)
+        scales.append(brackets.scale_bracket(bracket, spot, rig))
         merged.append(pictures.merge_bracket(bracket, scales[-1]))
+        elapsed.append(float(own["elapsed"].values.mean()))
     warnings += _without_reference(wavelengths, scales)
     assert spot is not None
     mean = pictures.lamp_weighted_mean(merged, scales)
-    registration = register_fibres(rig, *mean, frames, chosen, darkness)
-    registration = centre_disc(rig, registration, frames, target, darkness)
-    repeatability = lamp_repeatability(frames, darkness, spot, rig)
-    reduced = cell_signals(rig, registration, wavelengths, merged, scales, repeatability.u)
-    reduced = reduced.assign(elapsed=("wavelength", _mean_times(chosen, wavelengths)))
-    reduced = reduced.assign(lamp_monitor_readings(frames, chosen, darkness, spot, rig))
-    warnings += [*repeatability.warnings, *_saturated_cells(reduced), *_glare_unknown(reduced)]
+    registration = register_fibres(rig, *mean, frames, chosen, darks)
+    registration = centre_disc(rig, registration, frames, target, darks)
+    repeat_u, repeat_warnings = lamp_repeatability(frames, darks, spot, rig)
+    reduced = cell_signals(rig, registration, wavelengths, merged, scales, repeat_u)
+    reduced = reduced.assign(elapsed=("wavelength", elapsed))
+    reduced = reduced.assign(lamp_monitor_readings(frames, chosen, darks, spot, rig))
+    warnings += [*repeat_warnings, *_cell_warnings(reduced)]
     return _reduced_dataset(reduced, chosen, rig, registration, warnings)
-
-
-# --- which frames
 
 
 def _check_same_rig(frames: xr.Dataset, rig: Rig) -> None:
@@ -130,9 +123,7 @@ def _check_same_rig(frames: xr.Dataset, rig: Rig) -> None:
 def _frames_of_arrangement(frames: xr.Dataset, load: str, side: str, incidence: float | None) -> xr.Dataset:
     """The light frames of one arrangement."""
     matching = (frames["purpose"].values == load) & (frames["side"].values == side)
-    if incidence is not None:
-        matching &= frames["incidence"].values == incidence
-    chosen = frames.isel(frame=matching)
+    chosen = frames.isel(frame=matching & ((incidence is None) | (frames["incidence"].values == incidence)))
     incidences = np.unique(chosen["incidence"].values)
     if not incidences.size:
         where = "" if incidence is None else f" at {incidence:g} degree"
@@ -160,17 +151,8 @@ def _filter_warnings(frames: xr.Dataset, chosen: xr.Dataset, rig: Rig, override:
     return list(check.warnings)
 
 
-def _mean_times(chosen: xr.Dataset, wavelengths: Array) -> Array:
-    """Mean time of the frames of each wavelength [s]."""
-    elapsed, of_frame = chosen["elapsed"].values, chosen["wavelength"].values
-    return np.array([elapsed[of_frame == wavelength].mean() for wavelength in wavelengths])
-
-
-# --- warnings
-
-
-def _too_few_darks(darkness: Darkness) -> Iterator[str]:
-    for exposure, dark in darkness.darks.items():
+def _too_few_darks(darks: DarkFrames) -> Iterator[str]:
+    for exposure, dark in darks.by_exposure.items():
         if dark.frames < exposures.FEWEST_DARKS:
             yield (
                 f"Too few dark frames of {exposure:g} s: only {dark.frames}, so their noise adds to that of every frame. "
@@ -190,13 +172,10 @@ def _unusable_frames(frames: xr.Dataset, bracket: Bracket) -> Iterator[str]:
 
 
 def _without_reference(wavelengths: Array, scales: list[Scale]) -> Iterator[str]:
-    """Wavelengths at which no frame shows the reference.
-
-    Raises
-    ------
-    ReductionError : all of them.
-    """
-    dark = [f"{each:g}" for each, scale in zip(wavelengths, scales, strict=True) if not np.isfinite(scale.lamp)]
+    """Wavelengths at which no frame shows the reference; :class:`ReductionError` if these are all."""
+    dark = [
+        f"{wavelength:g}" for wavelength, scale in zip(wavelengths, scales, strict=True) if not np.isfinite(scale.lamp)
+    ]
     if len(dark) == len(scales):
         raise ReductionError(
             "the reference spot is out of range, or dark, in every frame; check that the lamp burns, and shorten or lengthen an exposure "
@@ -209,7 +188,7 @@ def _without_reference(wavelengths: Array, scales: list[Scale]) -> Iterator[str]
         )
 
 
-def _saturated_cells(reduced: xr.Dataset) -> Iterator[str]:
+def _cell_warnings(reduced: xr.Dataset) -> Iterator[str]:
     saturated = (reduced["signal_quality"] == vocabulary.quality("saturated")).sum("cell").values
     if saturated.any():
         wavelength = float(reduced["wavelength"].values[int(saturated.argmax())])
@@ -217,17 +196,11 @@ def _saturated_cells(reduced: xr.Dataset) -> Iterator[str]:
             f"Up to {saturated.max()} cells ({wavelength:g} nm) are saturated in every frame of the bracket. They have no value, and the glare "
             "they cause is unknown. Add a shorter exposure, or a darker filter, to the plan's `bracket`."
         )
-
-
-def _glare_unknown(reduced: xr.Dataset) -> Iterator[str]:
     if not np.isfinite(reduced.attrs["glare_share"]):
         yield (
             "Veiling glare was not subtracted, nor is it in the uncertainty: too few pixels between disc and fibres show it. Let the camera "
             "see more of the screen."
         )
-
-
-# --- the dataset
 
 
 def _reduced_dataset(

@@ -11,26 +11,20 @@ from brdfpipe.geometry import Array
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.reduction import glare, pictures, registration
 from brdfpipe.rig.reduction.arrangements import ENTRANCE_EXCLUSION_RADIUS
-from brdfpipe.rig.reduction.brackets import Darkness
+from brdfpipe.rig.reduction.brackets import DarkFrames
 from brdfpipe.rig.reduction.registration import Registration
 
 
 def register_fibres(
-    rig: Rig, picture: Array, variance: Array, frames: xr.Dataset, chosen: xr.Dataset, darkness: Darkness
+    rig: Rig, picture: Array, variance: Array, frames: xr.Dataset, chosen: xr.Dataset, darks: DarkFrames
 ) -> Registration:
-    """Register the mean picture of an arrangement to its fibres.
+    """Register the mean picture (y, x) of an arrangement to its fibres.
 
-    Where too few fibres shine, scale and radial term come from another arrangement of the session.
-
-    Parameters
-    ----------
-    picture, variance : (y, x) of the arrangement
-    frames : of the whole session
-    chosen : of the arrangement
+    If too few fibres are bright enough, scale and radial term come from another arrangement among the session's ``frames``.
     """
     # The glare of a bright lobe is uneven across a faint spot and would shift its centroid.
     background = pictures.background(rig, registration.register(rig, picture, variance).screen)
-    clean = glare.removed(picture, glare.estimate(picture, variance, background))
+    clean = glare.subtract(picture, glare.estimate(picture, variance, background))
     own = registration.register(rig, clean, variance)
     if own.spots >= registration.FIBRES_ENOUGH:
         return own
@@ -39,42 +33,39 @@ def register_fibres(
         & ~np.isin(frames["shot"].values, chosen["shot"].values)
     )
     for _, arrangement in others.groupby(["purpose", "side", "incidence"]) if others.sizes["frame"] else ():
-        other = pictures.merged_picture(_middle_wavelength(arrangement), darkness, rig)
-        if other and (seen := registration.register(rig, *other)).spots >= registration.FIBRES_ENOUGH:
-            return registration.register(rig, clean, variance, seen.screen)
+        other = pictures.merge_frames(_middle_wavelength(arrangement), darks, rig)
+        if other and (lens := registration.register(rig, *other)).spots >= registration.FIBRES_ENOUGH:
+            return registration.register(rig, clean, variance, lens.screen)
     return own
 
 
 def centre_disc(
-    rig: Rig, session: Registration, frames: xr.Dataset, target: xr.Dataset, darkness: Darkness
+    rig: Rig, session: Registration, frames: xr.Dataset, target: xr.Dataset, darks: DarkFrames
 ) -> Registration:
     """Find the mirror direction on the disc, and the focal length, in the pictures of the rig's angular target.
 
-    Parameters
-    ----------
-    session : registration of the session's pictures
-    frames : of the session
-    target : frames with pictures of the target, of this session or another; without any the disc's centre is as described
+    ``session`` and ``frames`` are the session's registration and frames; those of ``target`` may be of another session. Without a picture of
+    the target the disc's centre is as described.
     """
-    own = target.isel(frame=target["purpose"].values == "target")
-    if rig.target is None or not own.sizes["frame"]:
+    pictured = target.isel(frame=target["purpose"].values == "target")
+    if rig.target is None or not pictured.sizes["frame"]:
         return session
-    target_darkness = darkness if target is frames else Darkness.of(target, rig)
-    picture = pictures.merged_picture(own, target_darkness, rig)
+    target_darks = darks if target is frames else DarkFrames.of(target, rig)
+    picture = pictures.merge_frames(pictured, target_darks, rig)
     if picture is None:
         return session
-    # The target leaves few spots but the reference, enough for the shift of its pictures; the lens is the same in every session.
+    # Only the reference and few other spots are visible with the target, enough for the shift; the lens is the same in every session.
     in_target = registration.register(rig, *picture, session.screen)
-    falloff = lens_falloff(rig, session, frames, darkness)
+    falloff = lens_falloff(rig, session, frames, darks)
     if falloff is None and target is not frames:
-        falloff = lens_falloff(rig, in_target, target, target_darkness)
+        falloff = lens_falloff(rig, in_target, target, target_darks)
     spots = rig.target
-    centred = registration.centre_disc(in_target, *picture, spots.theta_s, spots.phi_s, spots.radius, falloff)
+    centred = registration.fit_disc(in_target, *picture, spots.theta_s, spots.phi_s, spots.radius, falloff)
     screen = replace(session.screen, disc=centred.screen.disc, focal_length=centred.screen.focal_length)
     return replace(session, screen=screen, direction_u=centred.direction_u, scale_u=centred.scale_u)
 
 
-def lens_falloff(rig: Rig, session: Registration, frames: xr.Dataset, darkness: Darkness) -> Array | None:
+def lens_falloff(rig: Rig, session: Registration, frames: xr.Dataset, darks: DarkFrames) -> Array | None:
     """Relative light that the lens passes at each pixel, from a picture of the etalon; None without one.
 
     The etalon is taken through the entrance that tilts it least without hiding a part of the disc.
@@ -87,8 +78,8 @@ def lens_falloff(rig: Rig, session: Registration, frames: xr.Dataset, darkness: 
     if not clear.size:
         return None
     etalon = etalon.isel(frame=etalon["incidence"].values == clear[0])
-    picture = pictures.merged_picture(_middle_wavelength(etalon), darkness, rig)
-    return None if picture is None else registration.falloff(session, picture[0], float(clear[0]))
+    picture = pictures.merge_frames(_middle_wavelength(etalon), darks, rig)
+    return None if picture is None else registration.fit_falloff(session, picture[0], float(clear[0]))
 
 
 def _middle_wavelength(frames: xr.Dataset) -> xr.Dataset:

@@ -1,4 +1,4 @@
-"""A picture of the camera made small for people, and where the cells are in it."""
+"""A small picture of the camera for the page, and the positions of the cells in it."""
 
 from __future__ import annotations
 
@@ -16,21 +16,17 @@ from brdfpipe.rig.description import Rig, Screen
 from brdfpipe.rig.reduction import cells as celled
 
 LONGEST = 160
-"""Pixels of a thumbnail's longer side at most."""
+"""Largest size of a thumbnail's longer side [pixel]."""
 
 DECADES = (3.0, 6.0)
-"""From black to white, at least and at most: as many as keep the darkest quarter of a picture black, its glare and its noise."""
-
-_PIXEL = {"units": "pixel"}
+"""Smallest and largest range from black to white: it makes the darkest quarter of a picture, glare and noise, black."""
 
 
 class Thumbnail(NamedTuple):
     """A small picture on a logarithmic scale."""
 
-    levels: NDArray[np.uint8]
-    """(y, x), 255 for the brightest part, 0 without light or for less than can be shown."""
-    decades: float
-    """From 0 to 255."""
+    levels: NDArray[np.uint8]  # (y, x), 255 for the brightest part, 0 without light or below the scale
+    decades: float  # from 0 to 255
 
 
 def thumbnail(picture: Array) -> Thumbnail:
@@ -38,12 +34,12 @@ def thumbnail(picture: Array) -> Thumbnail:
 
     Parameters
     ----------
-    picture : (y, x) light, of any scale; noise may make it negative, and NaN is without light
+    picture : (y, x) light in any unit; negative values and NaN count as no light
     """
     side = squares(picture.shape)
     rows, columns = picture.shape[0] // side, picture.shape[1] // side
-    cut = np.nan_to_num(picture[: rows * side, : columns * side])
-    small = cut.reshape(rows, side, columns, side).mean(axis=(1, 3))
+    cropped = np.nan_to_num(picture[: rows * side, : columns * side])
+    small = cropped.reshape(rows, side, columns, side).mean(axis=(1, 3))
     brightest = float(small.max(initial=0.0))
     if brightest <= 0:
         return Thumbnail(np.zeros(small.shape, dtype=np.uint8), DECADES[0])
@@ -53,51 +49,48 @@ def thumbnail(picture: Array) -> Thumbnail:
 
 
 def squares(shape: tuple[int, ...]) -> int:
-    """Pixels of the camera along the side of one of a thumbnail."""
+    """Pixels of the camera along one side of a thumbnail's pixel."""
     return ceil(max(shape) / LONGEST)
 
 
 def drawing(picture: Array, rig: Rig, screen: Screen, weights: sparse.csr_array) -> xr.Dataset:
-    """What is needed to show a picture with the outlines of its cells.
+    """The data that show a picture with the outlines of its cells.
 
     Parameters
     ----------
     picture : (y, x) merged light
-    rig : what the cells are
-    screen : where they are in this picture; of a registered session
-    weights : share of each pixel in each cell, as of :func:`brdfpipe.rig.reduction.cells.weights`
+    rig : defines the cells
+    screen : their position in this picture; of a registered session
+    weights : share of each pixel in each cell, see :func:`brdfpipe.rig.reduction.cells.weights`
 
     Returns
     -------
-    ``picture(y, x)`` as of :func:`thumbnail`; of each cell the ``column`` and ``row`` of its middle [pixel of the camera], missing
-    where it has no pixel, and of a fibre the radius of the ``aperture`` in which its light is gathered; the ``ring_radius(ring)``
-    of the edges of the disc's rings, about its first cell
+    ``picture(y, x)``, see :func:`thumbnail`; the ``column`` and ``row`` of the middle of each cell [pixel of the camera], missing for a cell
+    outside the picture; the radius of the ``aperture`` over which a fibre's light is summed; the ``ring_radius(ring)`` of the edges of the
+    disc's rings, about its first cell
     """
     rows, columns = np.indices(picture.shape)
     area = np.asarray(weights.sum(axis=1), dtype=float).ravel()
-    seen = np.where(area > 0, area, np.nan)
-    column, row = (weights @ axis.ravel() / seen for axis in (columns, rows))
-    aperture = np.where(celled.cells_of(rig).of_disc, np.nan, np.sqrt(seen / np.pi))
+    area = np.where(area > 0, area, np.nan)
+    column, row = (weights @ axis.ravel() / area for axis in (columns, rows))
+    aperture = np.where(celled.cells_of(rig).of_disc, np.nan, np.sqrt(area / np.pi))
     edges, _ = celled.rings(rig.screen)
     rim = screens.to_pixel(screen, *screens.disc_position(screen, edges, 0.0))
     middle = screens.to_pixel(screen, *screen.disc)
+    ring_radius = np.hypot(rim[0] - middle[0], rim[1] - middle[1])
     levels, decades = thumbnail(picture)
-    told = {
-        "units": "1",
-        "long_name": "light on a logarithmic scale",
-        "decades": decades,
-        "squares": squares(picture.shape),
-    }
+    attrs = {"units": "1", "long_name": "light on a logarithmic scale"}
+    attrs |= {"decades": decades, "squares": squares(picture.shape)}
+
+    def pixels(dim: str, values: Array, long_name: str) -> tuple[str, Array, dict[str, str]]:
+        return dim, values, {"units": "pixel", "long_name": long_name}
+
     return xr.Dataset(
         {
-            "picture": (("y", "x"), levels, told),
-            "column": ("cell", column, {**_PIXEL, "long_name": "column of the middle of the cell"}),
-            "row": ("cell", row, {**_PIXEL, "long_name": "row of the middle of the cell"}),
-            "aperture": ("cell", aperture, {**_PIXEL, "long_name": "radius in which the light of a fibre is gathered"}),
-            "ring_radius": (
-                "ring",
-                np.hypot(rim[0] - middle[0], rim[1] - middle[1]),
-                {**_PIXEL, "long_name": "radius of an edge of the disc's rings"},
-            ),
+            "picture": (("y", "x"), levels, attrs),
+            "column": pixels("cell", column, "column of the middle of the cell"),
+            "row": pixels("cell", row, "row of the middle of the cell"),
+            "aperture": pixels("cell", aperture, "radius in which the light of a fibre is gathered"),
+            "ring_radius": pixels("ring", ring_radius, "radius of an edge of the disc's rings"),
         }
     )
