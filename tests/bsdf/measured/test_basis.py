@@ -1,4 +1,4 @@
-"""The functions a smoothed BSDF is a sum of: values, gradients, roughness, and the solid angles of cells."""
+"""The basis functions of a smoothed BSDF: values, gradients, roughness, and the solid angles of cells."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_the_polynomials_of_the_preprint_have_the_values_of_the_physics_sheet():
 
 
 @pytest.mark.parametrize("n", range(1, 9))
-def test_each_polynomial_has_its_maximum_1_where_the_preprint_says(n):
+def test_each_polynomial_has_its_maximum_1_where_the_preprint_states_it(n):
     x = np.linspace(0, 1, 200001)
     values = basis.polynomial(n, x)
     assert values.max() == pytest.approx(1, abs=1e-9)
@@ -40,7 +40,7 @@ def test_each_polynomial_has_its_maximum_1_where_the_preprint_says(n):
 
 
 @pytest.mark.parametrize("name", SMOOTH)
-def test_the_mirror_direction_has_one_value_from_whichever_side_it_is_reached(name):
+def test_the_basis_is_continuous_at_the_mirror_direction(name):
     around = rows(BASES[name], 0.0, np.linspace(0, 360, 7))
     assert np.ptp(around, axis=0) == pytest.approx(0, abs=1e-12)
     # and no kink: across ϑ = 0 the functions of even k are even, those of odd k odd, to first order.
@@ -49,11 +49,11 @@ def test_the_mirror_direction_has_one_value_from_whichever_side_it_is_reached(na
     assert np.abs(slope).max() < 1e-2 * np.abs(rows(BASES[name], step, 30.0) / step).max()
 
 
-def test_the_printed_basis_has_many_values_at_the_mirror_direction():
+def test_the_printed_basis_is_ambiguous_at_the_mirror_direction():
     assert np.ptp(rows(BASES["keldysh-printed"], 0.0, np.linspace(0, 180, 7)), axis=0).max() == pytest.approx(2)
 
 
-def test_only_the_constant_is_left_at_the_end_of_the_domain():
+def test_only_the_constant_does_not_vanish_at_the_end_of_the_domain():
     found = rows(Keldysh(135.0, 3), 135.0, 20.0)[0]
     assert np.count_nonzero(found) == 1
     assert not rows(Keldysh(printed=True), 90.0, 20.0).any()
@@ -129,7 +129,7 @@ def _rows_of_interval(functions, interval):
     return (np.arange(blocks)[:, None] * points + at).ravel()
 
 
-def test_a_constant_costs_nothing_and_nothing_else_is_free():
+def test_only_a_constant_has_no_roughness():
     size = np.linalg.svd(PSpline.default().roughness(np.empty(0), np.empty(0)))[1]
     assert size[-1] < 1e-10 * size[0]
     assert size[-2] > 1e-6 * size[0]
@@ -144,13 +144,13 @@ def test_solid_angles_are_positive_and_no_more_than_a_sphere(directions):
     assert found.sum() <= 4 * np.pi * (1 + 1e-9)
 
 
-def test_cells_in_one_direction_share_its_solid_angle():
+def test_cells_of_equal_direction_share_one_solid_angle():
     once = basis.solid_angles(np.array([10.0, 40.0]), np.array([0.0, 90.0]))
     twice = basis.solid_angles(np.array([10.0, 10.0, 40.0]), np.array([0.0, 360.0, 90.0]))
     assert twice == pytest.approx([once[0] / 2, once[0] / 2, once[1]])
 
 
-def test_the_solid_angles_of_a_disc_full_of_cells_add_up_to_its_cone():
+def test_the_solid_angles_of_the_cells_of_a_disc_add_up_to_its_cone():
     theta, phi = [0.0], [0.0]
     for ring in np.arange(1.0, 20.0):
         count = round(2 * np.pi * ring)

@@ -11,7 +11,7 @@ from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured import completion, evaluation, smoothing
-from brdfpipe.bsdf.measured.coordinates import of_cells, outgoing
+from brdfpipe.bsdf.measured.coordinates import cell_angles, outgoing
 from brdfpipe.bsdf.measured.node_interpolation import interpolation_abscissa
 from brdfpipe.bsdf.measured.reciprocity import contradictions, reciprocity
 from brdfpipe.errors import VocabularyError
@@ -21,7 +21,7 @@ WAVELENGTHS = (500.0, 600.0)
 
 
 def lean(incidence, theta, phi, wavelength):
-    """Even in σ but for what is odd in cos φ, as every isotropic surface is."""
+    """Even in σ except the terms odd in cos φ, as every isotropic surface."""
     sigma = np.radians(incidence)
     logarithm = np.log(0.3) + 0.8 * sigma**2 + 0.5 * sigma * np.sin(np.radians(theta)) * np.cos(np.radians(phi))
     return np.broadcast_to(np.exp(logarithm), (wavelength.size, theta.size))
@@ -70,7 +70,7 @@ def test_normal_incidence_is_the_even_quadratic_of_the_first_two():
     assert "completed from 10 and 20 degree (even-quadratic" in bsdf.attrs["history"]
 
 
-def test_a_linear_fit_is_extrapolated_as_it_is():
+def test_a_linear_fit_is_extrapolated_linearly():
     primary = rig_primary.measured(lean, INCIDENCES, WAVELENGTHS, noise=0)
     smoothed = smoothing.smooth(primary, "keldysh")
     bsdf = completion.complete(smoothed, reciprocity=False)
@@ -79,7 +79,7 @@ def test_a_linear_fit_is_extrapolated_as_it_is():
     assert bsdf.bsdf.evaluate(0.0, 0.0, 20.0, 70.0, 500.0).values[0] == pytest.approx(expected, rel=1e-3)
 
 
-def test_measured_incidences_are_told_as_they_were_fitted(smoothed_paint):
+def test_at_measured_incidences_the_bsdf_is_the_fit(smoothed_paint):
     bsdf = completion.complete(smoothed_paint, reciprocity=False)
     theta, phi = np.array([0.0, 3.0, 12.0, 40.0]), np.array([0.0, 100.0, 250.0, 30.0])
     expected, u = (each(smoothed_paint, theta, phi) for each in (smoothing.evaluate, smoothing.uncertainty))
@@ -102,7 +102,7 @@ def test_between_the_incidences_a_glossy_paint_is_known_to_a_percent(paint, smoo
     assert (error < 0.04).all()
 
 
-def test_light_that_goes_back_tells_what_lies_beyond_the_last_incidence(paint, smoothed_paint):
+def test_the_reversed_path_gives_the_bsdf_beyond_the_last_incidence(paint, smoothed_paint):
     at = directions(62, 80, 5, 58)
     error = {
         way: np.median(relative_error(completion.complete(smoothed_paint, reciprocity=way), paint, at))
@@ -112,7 +112,7 @@ def test_light_that_goes_back_tells_what_lies_beyond_the_last_incidence(paint, s
     assert error[True] < error[False] / 3
 
 
-def test_light_that_goes_back_makes_what_was_measured_no_worse(paint, smoothed_paint):
+def test_the_reversed_path_does_not_make_measured_values_worse(paint, smoothed_paint):
     at = directions(12, 58, 12, 58)
     one, both = (
         np.sqrt(np.mean(relative_error(completion.complete(smoothed_paint, reciprocity=way), paint, at) ** 2))
@@ -121,7 +121,7 @@ def test_light_that_goes_back_makes_what_was_measured_no_worse(paint, smoothed_p
     assert both < one
 
 
-def test_the_stated_uncertainty_covers_what_was_completed(paint):
+def test_the_stated_uncertainty_covers_completed_values(paint):
     z = []
     for seed in range(4):
         primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01, seed=seed)
@@ -134,7 +134,7 @@ def test_the_stated_uncertainty_covers_what_was_completed(paint):
 
 @pytest.mark.parametrize("sigma", [0.05, 0.1, 0.25, 0.5])
 @pytest.mark.parametrize("beyond_both", [(60, 70, 60, 70), (70, 80, 60, 80)])
-def test_the_stated_uncertainty_covers_what_lies_beyond_the_last_incidence_in_both_ways(sigma, beyond_both):
+def test_the_stated_uncertainty_covers_directions_beyond_the_last_incidence_on_both_sides(sigma, beyond_both):
     truth = samples.beckmann_bsdf(sigma, n=1.5).bsdf.nonspectral()
     bsdf = completion.complete(
         smoothing.smooth(rig_primary.measured(rig_primary.of_model(truth), INCIDENCES, (500.0,), noise=0.01))
@@ -144,7 +144,7 @@ def test_the_stated_uncertainty_covers_what_lies_beyond_the_last_incidence_in_bo
     assert np.sqrt(np.mean(((found - truth.bsdf.evaluate(*at).values) / u) ** 2)) < 1.3
 
 
-def test_there_and_back_agree_within_their_uncertainties_before_and_exactly_after(smoothed_paint):
+def test_both_directions_of_light_agree_within_their_uncertainties_before_averaging_and_exactly_after(smoothed_paint):
     bsdf = completion.complete(smoothed_paint)
     found = reciprocity(bsdf)
     assert found.sizes["pair"] == 10
@@ -170,7 +170,7 @@ def beyond(smoothed, incidences):
     return bsdf, np.array(found)
 
 
-def test_beyond_the_last_incidence_a_linear_fit_stays_as_it_is_about_the_mirror_direction(paint):
+def test_beyond_the_last_incidence_a_linear_fit_is_constant_about_the_mirror_direction(paint):
     primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01)
     bsdf, (last, *others) = beyond(smoothing.smooth(primary, "keldysh"), (60.0, 70.0, 80.0))
     for each in others:
@@ -178,7 +178,7 @@ def test_beyond_the_last_incidence_a_linear_fit_stays_as_it_is_about_the_mirror_
     assert "beyond 60 degree completed: constant about the mirror direction" in bsdf.attrs["history"]
 
 
-def test_beyond_the_last_incidence_the_logarithm_goes_on_as_it_went(smoothed_paint):
+def test_beyond_the_last_incidence_the_logarithm_continues_its_trend(smoothed_paint):
     abscissa = interpolation_abscissa(np.array([45.0, 60.0]))
     steps = np.array([1.0, 3.0, 4.0, 6.0])
     beyond_ = np.degrees(np.arccos(np.exp(-(abscissa[1] + steps * (abscissa[1] - abscissa[0])))))
@@ -208,7 +208,7 @@ def test_the_lobe_beyond_the_last_incidence_is_nearer_the_truth_by_its_trend(sig
 
 @pytest.mark.parametrize("reflectance", [0.95, None])
 @pytest.mark.parametrize("incidences", [INCIDENCES, (10.0, 30.0, 50.0, 70.0)])
-def test_no_trend_makes_more_light_leave_than_arrives(reflectance, incidences):
+def test_no_trend_violates_energy_conservation(reflectance, incidences):
     if reflectance is None:  # a metal, of which the lobe alone is seen
         surface = facets.analytic("beckmann", 0.05 * np.sqrt(2))
         index = optics.refractive_index({"n": 1.0, "k": 7.0})
@@ -250,21 +250,21 @@ def test_a_spectrum_without_a_value_is_filled_from_the_incidences_next_to_it(pai
     assert "1 missing spectra of reflection interpolated" in bsdf.attrs["history"]
 
 
-def test_an_incidence_without_any_value_counts_as_not_measured(smoothed_paint):
+def test_an_incidence_without_any_value_counts_as_unmeasured(smoothed_paint):
     primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), (10.0, 20.0, 45.0), WAVELENGTHS)
     primary["brdf"][1] = np.nan
     bsdf = completion.complete(smoothing.smooth(primary))
     assert list(bsdf["incidence"].values[:3]) == [0.0, 10.0, 45.0]
 
 
-def test_a_wavelength_that_was_measured_nowhere_is_refused():
+def test_a_wavelength_without_any_measurement_is_refused():
     primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), (10.0, 20.0), WAVELENGTHS)
     primary["brdf"][:, 1] = np.nan
     with pytest.raises(VocabularyError, match="nothing was measured at 600 nm"):
         completion.complete(smoothing.smooth(primary))
 
 
-def test_reflection_and_transmission_must_belong_together(smoothed_paint):
+def test_reflection_and_transmission_must_be_of_one_rig_and_plan(smoothed_paint):
     with pytest.raises(VocabularyError, match="smoothed data of transmission, found 'reflection'"):
         completion.complete(smoothed_paint, smoothed_paint)
     lobe = rig_primary.lobe("peak 10 sr-1, 3 degree")
@@ -280,7 +280,7 @@ def test_an_unknown_completion_is_refused(smoothed_paint):
         completion.complete(smoothed_paint, normal="cubic")
 
 
-def test_what_was_warned_about_stays_known():
+def test_warnings_of_the_smoothed_data_are_passed_on():
     primary = vocabulary.add_warning(
         rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), (10.0, 45.0)), "the lamp is old"
     )
@@ -289,7 +289,7 @@ def test_what_was_warned_about_stays_known():
     assert "smoothed by pspline" in bsdf.attrs["history"]
 
 
-def test_common_errors_of_both_ways_add_up(paint):
+def test_common_errors_of_both_directions_of_light_add_up(paint):
     primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01)
     primary["brdf_u_noise"] = primary["brdf_u"].assign_attrs(correlation="independent")
     primary["brdf_u_certificate"] = (3 * primary["brdf_u"]).assign_attrs(correlation="common")
@@ -299,7 +299,7 @@ def test_common_errors_of_both_ways_add_up(paint):
     assert np.median(u) == pytest.approx(0.03, rel=0.15)
 
 
-def test_the_peak_that_its_own_entrance_hides_at_normal_incidence_is_told_by_the_next_ones():
+def test_the_peak_that_the_entrance_hides_at_normal_incidence_follows_from_the_next_incidences():
     def narrow(incidence, theta, phi, wavelength):
         brdf = 0.1 + 300 * rig_primary.gaussian(theta, 1.5) / np.cos(np.radians(incidence))
         return np.broadcast_to(brdf, (wavelength.size, theta.size))
@@ -323,7 +323,7 @@ def test_the_peak_that_its_own_entrance_hides_at_normal_incidence_is_told_by_the
     assert not 0.5 < alone[0] / expected[0] < 1.5
 
 
-def test_what_is_odd_in_the_incidence_goes_to_nothing_as_it_does_at_normal_incidence():
+def test_terms_odd_in_the_incidence_vanish_towards_normal_incidence():
     primary = rig_primary.measured(lean, INCIDENCES, WAVELENGTHS, noise=0)
     bsdf = completion.complete(smoothing.smooth(primary, about="mirror"), reciprocity=False)
     theta, phi = np.array([60.0, 60.0, 60.0]), np.array([0.0, 90.0, 180.0])
@@ -333,7 +333,7 @@ def test_what_is_odd_in_the_incidence_goes_to_nothing_as_it_does_at_normal_incid
         assert bsdf.bsdf.evaluate(incidence, 0.0, *at, 500.0).values[:, 0] == pytest.approx(expected, rel=4e-3)
 
 
-def test_what_falls_towards_grazing_falls_where_the_light_leaves_and_not_where_the_node_sees_it():
+def test_the_decrease_towards_grazing_follows_the_true_outgoing_angle_and_not_that_at_the_node():
     def falling(incidence, theta, phi, wavelength):
         cosine = np.maximum(rig_primary.cos_view(incidence, theta, phi), 0)
         return np.broadcast_to(0.2 * np.exp(-0.8 * np.exp(-cosine / 0.1)), (wavelength.size, theta.size))
@@ -348,7 +348,7 @@ def test_what_falls_towards_grazing_falls_where_the_light_leaves_and_not_where_t
     assert found == pytest.approx(expected, rel=0.02)
 
 
-def test_beyond_its_cells_a_fit_leads_no_farther_than_twice_what_they_saw():
+def test_beyond_its_cells_a_fit_is_limited_to_twice_their_values():
     lobe = rig_primary.lobe("peak 300 sr-1, 1.5 degree")
     primary = rig_primary.measured(lobe, (30.0, 45.0), [500.0], noise=0.01)
     disc = primary["theta_s"].values < 6
@@ -371,7 +371,7 @@ def z_of(bsdf, truth, at, wavelength=500.0):
     return (found - truth.bsdf.evaluate(*at).values) / u
 
 
-def test_an_incidence_that_contradicts_the_others_is_named_and_known_less_well(paint):
+def test_an_incidence_that_contradicts_the_others_is_named_and_more_uncertain(paint):
     primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01)
     sound = completion.complete(smoothing.smooth(primary))
     assert not any("Reciprocity is violated" in text for text in vocabulary.warnings(sound))
@@ -394,7 +394,7 @@ def even(incidence, theta, phi, wavelength):
 
 
 @pytest.mark.parametrize(("name", "expected"), [("path", np.hypot(1.8, 0.8)), ("certificate", 1.0)])
-def test_an_error_of_each_entrance_adds_up_otherwise_than_one_common_to_all(name, expected):
+def test_errors_of_single_entrances_add_up_differently_from_a_common_error(name, expected):
     """Normal incidence from 20 and 30 degree, (900 η₂₀ − 400 η₃₀)/500: 5 % of either entrance are 9.85 %, 5 % of both alike are 5 %."""
     primary = rig_primary.measured(even, (20.0, 30.0), (500.0,), noise=1e-3)
     primary["brdf_u_noise"] = primary["brdf_u"].assign_attrs(correlation="independent")
@@ -404,7 +404,7 @@ def test_an_error_of_each_entrance_adds_up_otherwise_than_one_common_to_all(name
     at_normal = bsdf["incidence"].values == 0
     common = bsdf["coefficient_common"].values[:, at_normal][:, 0, 0]
     theta, phi = np.array([5.0, 10.0, 20.0]), np.zeros(3)
-    seen = of_cells(bsdf.attrs["about"], 0.0, theta, phi)
+    seen = cell_angles(bsdf.attrs["about"], 0.0, theta, phi)
     rows = bases.from_json(bsdf.attrs["basis"]).rows(*seen, np.cos(np.radians(theta)))
     assert np.linalg.norm(rows @ common.T, axis=1) == pytest.approx(np.full(3, 0.05 * expected), rel=0.02)
 
@@ -432,7 +432,7 @@ def test_reciprocity_is_not_averaged_for_a_surface_with_a_lay(paint):
     assert any("Measure the rotated sample" in text for text in vocabulary.warnings(bsdf))
 
 
-def test_a_spectrum_that_was_lost_at_one_incidence_is_as_uncertain_as_what_fills_it(paint):
+def test_a_spectrum_missing_at_one_incidence_is_as_uncertain_as_its_interpolation(paint):
     primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01)
     whole = completion.complete(smoothing.smooth(primary))
     primary["brdf"][3, 1] = np.nan
@@ -444,7 +444,7 @@ def test_a_spectrum_that_was_lost_at_one_incidence_is_as_uncertain_as_what_fills
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.25])
-def test_three_incidences_know_how_little_they_know_between_them(sigma):
+def test_between_three_incidences_the_stated_uncertainty_covers_the_error(sigma):
     truth = samples.beckmann_bsdf(sigma, n=1.5).bsdf.nonspectral()
     primary = rig_primary.measured(rig_primary.of_model(truth), (10.0, 30.0, 60.0), (500.0,), noise=0.01)
     bsdf = completion.complete(smoothing.smooth(primary))

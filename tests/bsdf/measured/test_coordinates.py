@@ -1,4 +1,4 @@
-"""Angles about the mirror direction: there and back, and what they are for."""
+"""Angles about the mirror direction, their inverse, and their use."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_outgoing_directions_return(about, theta_i, theta_o, phi):
 
 
 @pytest.mark.parametrize("about", coordinates.ABOUT)
-def test_the_mirror_direction_is_the_centre_and_the_normal_lies_at_azimuth_0(about):
+def test_the_mirror_direction_is_the_centre_and_the_normal_is_at_azimuth_0(about):
     assert angles(about, 40.0, 40.0, 180.0)[0] == pytest.approx(0, abs=1e-9)
     theta, phi = angles(about, 40.0, 25.0, 180.0)
     assert (theta, phi) == (pytest.approx(15), pytest.approx(0, abs=1e-9))
@@ -37,11 +37,11 @@ def test_the_mirror_direction_is_the_centre_and_the_normal_lies_at_azimuth_0(abo
 
 
 @pytest.mark.parametrize("about", coordinates.ABOUT)
-def test_cells_are_where_they_look(about):
+def test_angles_of_cells_are_those_of_their_outgoing_directions(about):
     theta_s, phi_s = np.array([0.0, 5.0, 20.0, 60.0]), np.array([0.0, 70.0, -120.0, 10.0])
     theta_o, phi_o = outgoing(30.0, theta_s, phi_s)
     expected = coordinates.angles(about, np.full(4, 30.0), theta_o, phi_o)
-    found = coordinates.of_cells(about, 30.0, theta_s, phi_s)
+    found = coordinates.cell_angles(about, 30.0, theta_s, phi_s)
     assert unit_vector(*found) == pytest.approx(unit_vector(*expected), abs=1e-9)
 
 
@@ -57,6 +57,6 @@ def test_facets_of_one_tilt_are_a_circle_in_the_coordinates_of_the_half_vector()
 
 
 @pytest.mark.parametrize("about", coordinates.ABOUT)
-def test_directions_below_the_horizon_have_some_angles(about):
+def test_directions_below_the_horizon_have_finite_angles(about):
     found = coordinates.angles(about, np.full(3, 60.0), np.array([95.0, 120.0, 120.0]), np.array([180.0, 0.0, 180.0]))
     assert np.isfinite(found).all()

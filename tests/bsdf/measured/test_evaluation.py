@@ -1,4 +1,4 @@
-"""The representation ``rig``, asked as any other BSDF is."""
+"""The representation ``rig`` as a BSDF: values, uncertainties, quality and checks."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def lanes(count=40, seed=0, low=0.0, high=89.0):
     )
 
 
-def test_it_is_evaluated_and_its_uncertainty_told_through_the_accessor(bsdf):
+def test_the_accessor_gives_values_and_uncertainties(bsdf):
     found = bsdf.bsdf.evaluate(30, 0, [10, 30, 50], 180, [500, 600])
     u = bsdf.bsdf.uncertainty(30, 0, [10, 30, 50], 180, [500, 600])
     assert found.dims == u.dims == ("direction", "wavelength")
@@ -58,7 +58,7 @@ def test_it_is_evaluated_and_its_uncertainty_told_through_the_accessor(bsdf):
     assert (u / found < 0.1).all()
 
 
-def test_a_representation_without_uncertainties_says_which_have_them():
+def test_a_representation_without_uncertainties_names_those_with_them():
     with pytest.raises(VocabularyError, match="'microfacet' states no uncertainty; those that do: rig"):
         samples.beckmann_bsdf(0.1).bsdf.uncertainty(30, 0, 30, 180)
 
@@ -90,12 +90,12 @@ def test_there_is_no_light_at_and_below_the_horizon(bsdf):
     assert (bsdf.bsdf.uncertainty([90, 30, 30, 120], 0, [30, 90, 120, 30], 0).values == 0).all()
 
 
-def test_it_is_sound(bsdf):
+def test_a_measured_bsdf_passes_its_checks(bsdf):
     verdicts = json.loads(bsdf.sel(wavelength=[550.0]).bsdf.check().attrs["verdicts"])
     assert {verdict["verdict"] for verdict in verdicts.values()} == {"pass"}, verdicts
 
 
-def test_a_material_that_reflects_too_much_is_found_out():
+def test_a_material_that_reflects_too_much_fails_its_checks():
     def bright(incidence, theta, phi, wavelength):
         return np.full((wavelength.size, theta.size), 1.2 / np.pi)
 
@@ -131,7 +131,7 @@ def test_the_uncertainty_of_the_reflectance_is_that_of_its_common_errors():
     assert u.item() == pytest.approx(0.005, rel=0.3)
 
 
-def test_a_reciprocity_that_was_made_is_judged_by_what_was_measured(bsdf):
+def test_averaged_reciprocity_is_judged_by_the_measured_values(bsdf):
     sound = json.loads(bsdf.bsdf.check().attrs["verdicts"])["reciprocity"]
     assert sound["verdict"] == "pass"
     assert "made so: as measured they differ by up to" in sound["text"]
@@ -150,7 +150,7 @@ def test_the_mean_over_wavelengths_is_exact(bsdf):
     assert evaluation.nonspectral(mean, weight) is mean
 
 
-def test_transmitted_light_goes_on_straight_and_either_way(translucent):
+def test_transmitted_light_continues_straight_from_either_side(translucent):
     theta = np.array([0.0, 20.0, 50.0])
     found = translucent.bsdf.evaluate(theta, 0, 180 - theta, 180, 450.0).values[:, 0]
     assert found == pytest.approx(0.55, rel=0.02)
@@ -164,7 +164,7 @@ def test_transmitted_light_goes_on_straight_and_either_way(translucent):
     assert translucent.bsdf.transmittance(20.0, 0.0, 450.0).item() > 0.1
 
 
-def test_what_passes_does_not_change_what_is_reflected(bsdf, translucent):
+def test_transmission_does_not_change_reflection(bsdf, translucent):
     at = lanes()
     assert translucent.bsdf.evaluate(*at).values == pytest.approx(bsdf.bsdf.evaluate(*at).values)
 
@@ -174,7 +174,7 @@ def quality(bsdf, *at):
     return [vocabulary.QUALITY_FLAGS[flag] for flag in flags]
 
 
-def test_every_value_says_where_it_comes_from(bsdf, translucent):
+def test_every_value_has_a_flag_of_its_origin(bsdf, translucent):
     assert quality(bsdf, 30, 0, [10, 30, 60], 180) == ["measured"] * 3
     assert quality(bsdf, 20, 0, [20, 22, 50], 180) == ["interpolated"] * 3
     # Neither the incidence nor, the other way round, the outgoing angle lies among those measured.
@@ -188,7 +188,7 @@ def test_every_value_says_where_it_comes_from(bsdf, translucent):
     assert quality(translucent, 70, 0, 110, 180) == ["completed"]
 
 
-def test_where_no_cell_looks_is_extrapolated():
+def test_directions_without_a_cell_are_extrapolated():
     primary = rig_primary.measured(paint, (30.0,), [550.0])
     hole = (primary["theta_s"] > 40) & (primary["theta_s"] < 70) & (np.abs(primary["phi_s"] - 90) < 40)
     hole = hole | ((primary["theta_s"] > 40) & (primary["theta_s"] < 70) & (np.abs(primary["phi_s"] - 270) < 40))
@@ -198,12 +198,12 @@ def test_where_no_cell_looks_is_extrapolated():
     assert quality(bsdf, 30, 0, theta_o, phi_o) == ["extrapolated", "measured"]
 
 
-def test_the_width_of_the_lobe_is_told_as_a_slope(bsdf):
+def test_the_width_of_the_lobe_is_given_as_a_slope(bsdf):
     # A Gaussian of 3° standard deviation about the mirror direction is that of facets tilted half as much.
     assert representation(bsdf).lobe_slope == pytest.approx(np.tan(np.radians(1.5)), rel=0.1)
 
 
-def test_samples_carry_its_light(bsdf):
+def test_weights_of_samples_add_up_to_the_albedo(bsdf):
     drawn = bsdf.bsdf.sample(4000, 1, 30.0, wavelength=550.0)
     assert float(drawn["weight"].mean()) == pytest.approx(bsdf.bsdf.albedo(30.0, 0.0, 550.0).item(), rel=0.02)
 
@@ -218,7 +218,7 @@ def test_it_is_stored_and_read_back_the_same(bsdf, translucent, tmp_path):
         assert (again.bsdf.uncertainty(*at).values == dataset.bsdf.uncertainty(*at).values).all()
 
 
-def test_shapes_of_any_dimensions_and_none_are_told(bsdf):
+def test_shapes_of_any_dimensions_and_none_are_accepted(bsdf):
     assert bsdf.bsdf.evaluate(30, 0, np.empty(0), 0).shape == (0, 3)
     assert bsdf.bsdf.uncertainty(np.full((2, 3), 30.0), 0, 40, 0).shape == (2, 3, 3)
 
@@ -238,7 +238,7 @@ def test_its_albedo_is_its_integral(bsdf, theta):
     assert representation(bsdf).albedo(*at) == pytest.approx(integral.value, rel=2e-4)
 
 
-def test_a_bsdf_that_leans_to_one_side_is_integrated_all_round():
+def test_a_bsdf_that_leans_to_one_side_is_integrated_over_both_sides():
     def leaning(incidence, theta, phi, wavelength):
         brdf = 0.1 * (1 + 0.5 * np.sin(np.radians(theta)) * np.sin(np.radians(phi)))
         return np.broadcast_to(brdf, (wavelength.size, theta.size))

@@ -28,7 +28,7 @@ WANTED = {
 
 
 def with_cells(primary: xr.Dataset, count: int) -> xr.Dataset:
-    """The data with so many valid cells left, at random."""
+    """The data with a number of random valid cells."""
     seen = np.flatnonzero(np.isfinite(primary["brdf"].values[0, 0]))
     dropped = np.random.default_rng(1).choice(seen, seen.size - count, replace=False)
     primary["brdf"][:, :, dropped] = np.nan
@@ -47,7 +47,7 @@ def error_of(name, mode, **options):
 
 
 @pytest.mark.parametrize("name", WANTED)
-def test_the_spline_is_as_near_the_lobes_as_the_design_sheet_wants(name):
+def test_the_spline_has_the_required_accuracy(name):
     error, smoothed = error_of(name, "pspline")
     assert error <= WANTED[name]["pspline"]
     # And the fit is as good as the noise allows.
@@ -55,13 +55,13 @@ def test_the_spline_is_as_near_the_lobes_as_the_design_sheet_wants(name):
 
 
 @pytest.mark.parametrize("name", WANTED)
-def test_the_repaired_basis_of_the_preprint_is_about_as_near_as_the_design_sheet_says(name):
+def test_the_repaired_basis_of_the_preprint_has_its_expected_accuracy(name):
     # Cells and lobes are ours, not those of the sheet: a tenth more is allowed.
     assert error_of(name, "keldysh")[0] <= 1.1 * WANTED[name]["keldysh"]
 
 
 @pytest.mark.parametrize("name", WANTED)
-def test_the_printed_basis_misses_the_lobes_by_far_and_says_so(name):
+def test_the_printed_basis_has_large_errors_and_a_warning(name):
     error, smoothed = error_of(name, "keldysh-printed")
     assert error > 14
     assert "comparison only" in smoothed.attrs["warnings"]
@@ -72,7 +72,7 @@ def test_three_scales_are_too_few_for_a_narrow_lobe_even_when_repaired():
 
 
 @pytest.mark.parametrize("name", WANTED)
-def test_the_stated_uncertainty_is_honest(name):
+def test_errors_agree_with_the_stated_uncertainty(name):
     z = []
     for seed in range(3):
         primary = rig_primary.measured(rig_primary.lobe(name), wavelengths=WAVELENGTHS, seed=seed)
@@ -108,7 +108,7 @@ def test_dim_light_is_not_biased(dark, allowed):
     assert np.std(found) == pytest.approx(dark / 0.01 / np.sqrt(590), rel=0.25)
 
 
-def test_no_light_at_all_is_a_finite_positive_value_below_the_noise():
+def test_values_without_light_are_finite_positive_and_below_the_noise():
     smoothed = smoothing.smooth(rig_primary.measured(flat(0.0), wavelengths=WAVELENGTHS, noise=0, dark=0.02))
     found, u = smoothing.evaluate(smoothed, *AT).values, smoothing.uncertainty(smoothed, *AT).values
     assert (found > 0).all()
@@ -144,7 +144,7 @@ def test_values_of_other_qualities_do_not_count():
 
 
 @pytest.mark.parametrize("mode", smoothing.MODES)
-def test_missing_cells_stored_as_zeros_are_found_and_left_out(mode):
+def test_missing_cells_stored_as_zeros_are_detected_and_left_out(mode):
     primary = rig_primary.measured(rig_primary.lobe("peak 300 sr-1, 1.5 degree"), wavelengths=[500.0, 600.0])
     lost = np.isfinite(primary["brdf"].values) & (np.random.default_rng(2).random(primary["brdf"].shape) < 0.05)
     as_zero, as_missing = primary.copy(deep=True), primary.copy(deep=True)
@@ -181,7 +181,7 @@ def test_common_errors_are_not_averaged_away():
     assert float((smoothing.uncertainty(alone, *AT) / smoothing.evaluate(alone, *AT)).median()) < 0.004
 
 
-def test_a_fit_that_misses_the_cells_raises_its_uncertainty_and_says_so():
+def test_a_poor_fit_enlarges_its_uncertainty_and_gives_a_warning():
     primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"))
     honest = smoothing.smooth(primary, strength=3.0, about="mirror")
     primary["brdf_u"] = primary["brdf_u"] / 4
@@ -193,7 +193,7 @@ def test_a_fit_that_misses_the_cells_raises_its_uncertainty_and_says_so():
     assert "warnings" not in honest.attrs
 
 
-def test_the_choice_of_strength_is_kept_for_the_report():
+def test_the_choice_of_strength_is_stored_for_the_report():
     smoothed = smoothing.smooth(
         rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), (20.0, 45.0), [500.0, 600.0])
     )
@@ -288,7 +288,7 @@ def test_noise_of_any_size_and_sign_gives_finite_positive_values(seed, noise, sc
     assert np.isfinite(u).all()
 
 
-def test_a_scale_of_all_values_is_a_scale_of_the_fit():
+def test_a_common_factor_of_all_values_is_a_factor_of_the_fit():
     primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"))
     scaled = primary.copy(deep=True)
     scaled["brdf"], scaled["brdf_u"] = 1000 * primary["brdf"], 1000 * primary["brdf_u"]
@@ -341,6 +341,6 @@ def test_cells_below_the_horizon_never_count():
     assert np.isnan(smoothed["residual"].values[0, 0, below]).all()
 
 
-def test_the_warnings_of_the_cells_stay():
+def test_the_warnings_of_the_cells_are_passed_on():
     primary = vocabulary.add_warning(rig_primary.measured(flat(0.2)), "the lamp is old")
     assert "the lamp is old" in json.loads(smoothing.smooth(primary).attrs["warnings"])

@@ -1,20 +1,12 @@
-"""The functions of direction that a smoothed BSDF is a sum of.
+"""The basis functions of a smoothed BSDF.
 
-Directions are polar about the mirror direction: ϑ from it and φ about it, 0 towards the normal. Each basis gives its functions at
-directions, and rows D with ‖D c‖² the roughness of the sum with coefficients c.
-
-``pspline``  cubic B-splines of t = asinh(ϑ/3°) times cos kφ: about a lobe t is a length, far from it a logarithm of one, so that knots
-             evenly spaced in t fit lobes of any width. Two more functions of the outgoing angle alone let the BSDF bend
-             towards grazing, which no smooth function of ϑ and φ can follow.
-``keldysh``  the preprint's, on several scales: p_n(2^j ϑ/ϑ_max) cos kφ with p_n ∝ (1 − x²)² xⁿ on |x| ≤ 1
-
-References
-----------
-Eilers & Marx 1996 (P-splines); Wood 2003 (thin plates); Voloboy et al. 2005 (Keldysh Institute preprint).
+Directions are ϑ from the mirror direction and φ about it, 0 towards the normal. A basis gives its functions at directions, and rows D with
+‖D c‖² the roughness of the sum with coefficients c.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -32,38 +24,38 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 _DEGREE = 3
-_GRAZING = (0.05, 0.15)
-"""Scales in cos θ_o of the functions that bend the BSDF towards grazing."""
+_GRAZING = (0.05, 0.15)  # scales in cos θ_o of the functions that describe the BSDF towards grazing
 _FINE = (0, 1, 2, 4)
 """Harmonics with all knots: a lobe stretched along the plane of incidence needs even ones; others have every second knot."""
-_MOST_POINTS = 20_000
-"""All over the sphere: 1.4° apart."""
-_AZIMUTHAL = 5.0
-"""Weight of bends along φ over bends along ϑ: lobes vary less around the mirror direction than away from it."""
+_MOST_POINTS = 20_000  # largest number of points over the sphere: 1.4° apart
+_AZIMUTHAL = 5.0  # weight of curvature along φ over that along ϑ: lobes vary less around the mirror direction
 
 
 @dataclass(frozen=True)
 class PSpline:
-    """Tensor product of B-splines in asinh(ϑ/scale) and harmonics of φ, and two functions of cos θ_o.
+    """Tensor product of cubic B-splines in t = asinh(ϑ/scale) and harmonics of φ, and two functions of cos θ_o.
 
     Notes
     -----
-    The radial part of cos kφ starts with ϑ^k (up to the third power) and that of k = 0 without slope: so the sum has one value
-    and no kink at ϑ = 0. Roughness is the energy of a thin plate ∫ (η_tt² + 2ρ η_tφ²/τ² + ρ² η_φφ²/τ⁴) dt dφ/2π, τ = tanh t, which makes
-    lengths along φ those along t. Only a constant costs nothing.
+    Near a lobe t is a length, far from it the logarithm of one: evenly spaced knots fit lobes of any width. Smooth functions of ϑ and φ
+    cannot follow the BSDF towards grazing; the functions of cos θ_o do. The radial part of cos kφ starts with ϑ^k (up to the third power) and
+    that of k = 0 without slope: so the sum is smooth at ϑ = 0. Roughness is the energy of a thin plate
+    ∫ (η_tt² + 2ρ η_tφ²/τ² + ρ² η_φφ²/τ⁴) dt dφ/2π, τ = tanh t, which makes lengths along φ those along t. Only a constant has none.
+
+    References
+    ----------
+    Eilers & Marx 1996 (P-splines); Wood 2003 (thin plates).
     """
 
     name: ClassVar[str] = "pspline"
-    edges: tuple[float, ...]
-    """Of the intervals in t, an even number of them."""
+    edges: tuple[float, ...]  # of the intervals in t, an even number of them
     scale: float = 3.0
     harmonics: int = 4
-    symmetric: bool = True
-    """Whether mirror symmetry about the plane of incidence leaves out sin kφ."""
+    symmetric: bool = True  # even about the plane of incidence: without sin kφ
 
     @classmethod
     def default(cls, *, symmetric: bool = True) -> PSpline:
-        """Knots 0.15 apart to 12° and 0.27 beyond: a Gaussian lobe bends into its base within ΔT ≈ 0.2, whatever its width."""
+        """Knots 0.15 apart to 12° and 0.27 beyond: a Gaussian lobe of any width changes to its base within Δt ≈ 0.2."""
         knee, end = np.arcsinh(12 / cls.scale), np.arcsinh(180 / cls.scale)
         edges = [*np.linspace(0, knee, 15), *np.linspace(knee, end, 11)[1:]]
         return cls(tuple(float(edge) for edge in edges), symmetric=symmetric)
@@ -77,39 +69,39 @@ class PSpline:
         return np.concatenate([cosines, sines, np.zeros(len(_GRAZING), dtype=int)])
 
     def rows(self, theta: Array, phi: Array, cosine: Array) -> Array:
-        """The functions (directions, terms) at ϑ and φ [degree] about the mirror direction and cos θ_o of the same directions."""
+        """The functions (directions, terms) at ϑ and φ [degree] and cos θ_o of the same directions."""
         t = np.arcsinh(np.asarray(theta) / self.scale)
         splines = {fine: self._splines(fine, t).toarray() for fine in (True, False)}
-        blocks = [self._joined(k, splines[k in _FINE]) * turn[:, None] for k, turn in self._turns(phi)]
+        blocks = [self._smooth_at_0(k, splines[k in _FINE]) * wave[:, None] for k, wave in self._harmonics(phi)]
         return np.concatenate([*blocks, _grazing(cosine)], axis=1)
 
     def sums(self, coefficient: Array, theta: Array, phi: Array, cosine: Array, even: Array, odd: Array) -> Array:
-        """Sums (directions, any) of the functions with coefficients (terms, any), those of even and of odd k each with a share.
+        """Sums (directions, any) of the functions with coefficients (terms, any), weighted by ``even`` or ``odd`` (directions,) by k.
 
-        Through the four splines that are not 0 somewhere: several times as fast as with rows.
+        With sparse splines, of which four are not 0 at a direction: several times as fast as with :meth:`rows`.
         """
         t = np.arcsinh(np.asarray(theta) / self.scale)
         splines = {fine: self._splines(fine, t) for fine in (True, False)}
         total = _grazing(cosine) @ coefficient[-len(_GRAZING) :] * even[:, None]
         start = 0
-        for k, turn in self._turns(phi):
-            count = self._joined(k, np.zeros((1, splines[k in _FINE].shape[1]))).shape[1]
-            told = coefficient[start : start + count]
+        for k, wave in self._harmonics(phi):
+            matrix = splines[k in _FINE]
+            own = coefficient[start : start + matrix.shape[1] - max(min(k, 3), 1)]
+            start += len(own)
             # As coefficients of all splines: the first two of k = 0 are one function, the first of others are left out.
-            told = np.concatenate([told[:1], told]) if k == 0 else np.pad(told, [(min(k, 3), 0), (0, 0)])
-            total += (splines[k in _FINE] @ told) * (turn * (odd if k % 2 else even))[:, None]
-            start += count
+            own = np.concatenate([own[:1], own]) if k == 0 else np.pad(own, [(min(k, 3), 0), (0, 0)])
+            total += (matrix @ own) * (wave * (odd if k % 2 else even))[:, None]
         return total
 
     def roughness(self, theta: Array, phi: Array) -> Array:
-        """Rows D (any, terms); this basis does not ask for the cells at ϑ and φ."""
+        """Rows D (any, terms); the cells at ϑ and φ do not matter to this basis."""
         t, weight = panel_rule(self.edges, 4)
-        root, along = np.sqrt(weight)[:, None], 1 / np.tanh(t)[:, None]
+        root, scale = np.sqrt(weight)[:, None], 1 / np.tanh(t)[:, None]
         blocks = []
         for k in range(self.harmonics + 1):
             value, slope, bend = (root * self._radial(k, t, derivative) for derivative in range(3))
-            turned = np.sqrt(_AZIMUTHAL) * k * along
-            rows = [bend, np.sqrt(2) * turned * slope, turned**2 * value] if k else [bend]
+            along_phi = np.sqrt(_AZIMUTHAL) * k * scale
+            rows = [bend, np.sqrt(2) * along_phi * slope, along_phi**2 * value] if k else [bend]
             blocks.append(np.concatenate(rows) * np.sqrt(0.5 if k else 1.0))
         if not self.symmetric:
             blocks += blocks[1:]
@@ -117,8 +109,8 @@ class PSpline:
 
         return np.asarray(block_diag(*blocks, np.eye(len(_GRAZING))))
 
-    def _turns(self, phi: Array) -> Iterator[tuple[int, Array]]:
-        """k and cos kφ, then k and sin kφ where there is no symmetry, in the order of the terms."""
+    def _harmonics(self, phi: Array) -> Iterator[tuple[int, Array]]:
+        """k and cos kφ, then k and sin kφ without symmetry, in the order of the terms."""
         azimuth = np.radians(phi)
         for k in range(self.harmonics + 1):
             yield k, np.cos(k * azimuth)
@@ -126,10 +118,10 @@ class PSpline:
             yield k, np.sin(k * azimuth)
 
     def _radial(self, k: int, t: Array, derivative: int = 0) -> Array:
-        return self._joined(k, self._splines(k in _FINE, t, derivative).toarray())
+        return self._smooth_at_0(k, self._splines(k in _FINE, t, derivative).toarray())
 
-    def _joined(self, k: int, splines: Array) -> Array:
-        """The splines that may stand with cos kφ."""
+    def _smooth_at_0(self, k: int, splines: Array) -> Array:
+        """The splines whose products with cos kφ are smooth at ϑ = 0."""
         if k:
             return splines[:, min(k, 3) :]
         # The slopes at 0 of the first two cancel.
@@ -149,18 +141,17 @@ class PSpline:
 
 @dataclass(frozen=True)
 class Keldysh:
-    """The basis of the preprint, repaired or as printed.
+    """The basis of Voloboy et al. 2005 (Keldysh Institute preprint), p_n(2^j ϑ/ϑ_max) cos kφ, repaired or as printed.
 
     Notes
     -----
-    p_n(x) = (1 + n/4)² (1 + 4/n)^{n/2} (1 − x²)² xⁿ has its maximum 1 at x = √(n/(n + 4)). As printed every function vanishes at 90°,
-    and n = 0 stands with every cos kφ, which leaves many values at ϑ = 0. Repaired: a constant besides, ϑ_max as a parameter,
-    and n ≥ k with n − k even, the powers that smooth functions of the plane have.
+    p_n(x) = (1 + n/4)² (1 + 4/n)^{n/2} (1 − x²)² xⁿ on |x| ≤ 1 has its maximum 1 at x = √(n/(n + 4)). As printed, every function vanishes at
+    90°, and n = 0 occurs with every cos kφ, which is ambiguous at ϑ = 0. Repaired: an additional constant, ϑ_max as a parameter, and
+    n ≥ k with n − k even, the powers of smooth functions of the plane.
     """
 
     name: ClassVar[str] = "keldysh"
-    domain: float = 90.0
-    """ϑ_max [degree], where all but the constant vanish."""
+    domain: float = 90.0  # ϑ_max [degree], where all but the constant vanish
     scales: int = 3
     orders: int = 5
     harmonics: int = 4
@@ -170,42 +161,38 @@ class Keldysh:
     @cached_property
     def terms(self) -> NDArray[np.int64]:
         """(terms, 4): scale j, order n, harmonic k and whether it is a sine; j = −1 is the constant."""
-        found = [] if self.printed else [(-1, 0, 0, 0)]
-        for j in range(self.scales):
-            for n in range(self.orders):
-                for k in range(self.harmonics + 1):
-                    if self.printed or (n >= k and (n - k) % 2 == 0):
-                        found.append((j, n, k, 0))
-                        if k and not self.symmetric:
-                            found.append((j, n, k, 1))
-        return np.array(found)
+        terms = [] if self.printed else [(-1, 0, 0, 0)]
+        for j, n, k in itertools.product(range(self.scales), range(self.orders), range(self.harmonics + 1)):
+            if self.printed or (n >= k and (n - k) % 2 == 0):
+                terms += [(j, n, k, sine) for sine in ((0, 1) if k and not self.symmetric else (0,))]
+        return np.array(terms)
 
     @property
     def harmonic(self) -> NDArray[np.int64]:
         return self.terms[:, 2]
 
     def rows(self, theta: Array, phi: Array, cosine: Array) -> Array:
-        return self._values(theta)[0] * self._turns(phi)[0]
+        return self._radial(theta)[0] * self._azimuthal(phi)[0]
 
     def sums(self, coefficient: Array, theta: Array, phi: Array, cosine: Array, even: Array, odd: Array) -> Array:
-        """As that of :class:`PSpline`."""
-        share = np.where(self.harmonic % 2, odd[:, None], even[:, None])
-        return (self.rows(theta, phi, cosine) * share) @ coefficient
+        """See :meth:`PSpline.sums`."""
+        weight = np.where(self.harmonic % 2, odd[:, None], even[:, None])
+        return (self.rows(theta, phi, cosine) * weight) @ coefficient
 
     def roughness(self, theta: Array, phi: Array) -> Array:
         """√Ω ∇F on the cells, Ω their Voronoi solid angles: ∇ = e_ϑ ∂_ϑ + e_φ (1/sin ϑ) ∂_φ, per radian."""
-        value, slope = self._values(theta)
-        turn, turned = self._turns(phi)
+        value, slope = self._radial(theta)
+        wave, wave_slope = self._azimuthal(phi)
         across = value / np.maximum(np.sin(np.radians(theta)), 1e-6)[:, None]
         at_zero = np.asarray(theta)[:, None] < 1e-6
-        # p_n(ϑ)/sin ϑ is the slope there; only the printed basis has functions that do not vanish.
+        # At ϑ = 0, p_n(ϑ)/sin ϑ is the slope; only functions of the printed basis do not vanish there.
         across = np.where(at_zero & (value == 0), slope, across)
         root = np.sqrt(solid_angles(theta, phi))[:, None]
-        return np.concatenate([root * slope * turn, root * across * turned])
+        return np.concatenate([root * slope * wave, root * across * wave_slope])
 
-    def _values(self, theta: Array) -> tuple[Array, Array]:
+    def _radial(self, theta: Array) -> tuple[Array, Array]:
         """Radial parts (directions, terms) and their derivatives per radian."""
-        radial, which = np.unique(self.terms[:, :2], axis=0, return_inverse=True)  # each stands with several cos kφ
+        radial, which = np.unique(self.terms[:, :2], axis=0, return_inverse=True)  # each occurs with several cos kφ
         j, n = radial.T
         stretch = np.where(j < 0, 0.0, 2.0**j / self.domain)
         x = np.asarray(theta, dtype=float)[:, None] * stretch
@@ -215,7 +202,7 @@ class Keldysh:
         slope = peak * (lower * inside**2 - 4 * x * power * inside) * np.degrees(stretch)
         return (peak * power * inside**2)[:, which.ravel()], slope[:, which.ravel()]
 
-    def _turns(self, phi: Array) -> tuple[Array, Array]:
+    def _azimuthal(self, phi: Array) -> tuple[Array, Array]:
         """cos kφ or sin kφ (directions, terms), and their derivatives per radian."""
         azimuthal, which = np.unique(self.terms[:, 2:], axis=0, return_inverse=True)
         k, sine = azimuthal.T
@@ -245,45 +232,40 @@ def to_json(basis: Basis) -> str:
 
 
 def from_json(text: str) -> Basis:
-    """The basis an attribute tells."""
-    told = json.loads(text)
-    name = told.pop("name")
-    return Keldysh(**told) if name == Keldysh.name else PSpline(**{**told, "edges": tuple(told["edges"])})
+    """The basis of such an attribute."""
+    fields = json.loads(text)
+    if fields.pop("name") == Keldysh.name:
+        return Keldysh(**fields)
+    return PSpline(**{**fields, "edges": tuple(fields["edges"])})
 
 
 def solid_angles(theta: Array, phi: Array) -> Array:
-    """Voronoi solid angles of directions [sr]: what lies nearer to each than to any other.
+    """Voronoi solid angles [sr] of directions (n,) [degree]: of all directions nearer to one than to any other.
 
-    Parameters
-    ----------
-    theta, phi : (n,) degree
-
-    Notes
-    -----
-    Where no cell looks, points all over the sphere bound the outermost cells as neighbours at their own distance would. Cells that
-    look in the same direction share one solid angle.
+    Where there are no cells, points all over the sphere bound the outermost cells as neighbours at their own distance would. Cells of equal
+    direction share one solid angle.
     """
     from scipy.spatial import SphericalVoronoi, cKDTree
 
     # Adding 0 makes one of the two zeros that floating-point numbers have.
-    points, place = np.unique(np.round(unit_vector(theta, phi), 7) + 0.0, axis=0, return_inverse=True)
-    place = place.ravel()
+    points, index = np.unique(np.round(unit_vector(theta, phi), 7) + 0.0, axis=0, return_inverse=True)
+    index = index.ravel()
     if not points.size:
         return np.empty(0)
     tree = cKDTree(points)
     nearest = np.asarray(tree.query(points, k=[2])[0])[:, 0] if len(points) > 1 else np.full(1, np.inf)
-    reach = np.clip(nearest, *np.radians([0.1, 10.0]))
-    everywhere = _fibonacci(int(np.clip(4 * np.pi / np.median(reach) ** 2, 400, _MOST_POINTS)))
-    distance, owner = tree.query(everywhere)
-    filled = np.concatenate([points, everywhere[distance > 1.5 * np.maximum(reach[owner], np.median(reach))]])
+    spacing = np.clip(nearest, *np.radians([0.1, 10.0]))
+    sphere = _fibonacci_sphere(int(np.clip(4 * np.pi / np.median(spacing) ** 2, 400, _MOST_POINTS)))
+    distance, closest = tree.query(sphere)
+    filled = np.concatenate([points, sphere[distance > 1.5 * np.maximum(spacing[closest], np.median(spacing))]])
     filled /= np.linalg.norm(filled, axis=1, keepdims=True)
     areas = np.asarray(SphericalVoronoi(filled, threshold=1e-8).calculate_areas(), dtype=float)
-    return (areas[: len(points)] / np.bincount(place))[place]
+    return (areas[: len(points)] / np.bincount(index))[index]
 
 
-def _fibonacci(count: int) -> Array:
-    """Points evenly all over the sphere, (count, 3)."""
+def _fibonacci_sphere(count: int) -> Array:
+    """Even points over the sphere, (count, 3)."""
     z = 1 - (2 * np.arange(count) + 1) / count
-    turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    azimuth = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     radius = np.sqrt(1 - z * z)
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)

@@ -1,14 +1,6 @@
 """From smoothed incidences to a BSDF for all directions: representation ``rig``, evaluated by :mod:`brdfpipe.bsdf.measured.evaluation`.
 
-Incidences that were not measured are estimated from those that were. Normal incidence without an entrance is extrapolated from the first
-two, even in σ and averaged over φ: (σ₂² η₁ − σ₁² η₂)/(σ₂² − σ₁²), which from 10 and 20 degree is (4 η₁ − η₂)/3. η is the fitted quantity,
-so a fitted logarithm keeps the BSDF positive. Beyond the last incidence the BSDF stays as it is about the mirror direction, as printed, unless
-reciprocity gives a better value. A fitted logarithm first continues its trend between the last two incidences: in x = −ln cos σ the lobe of
-facets rises nearly straight, with 1/cos² σ and Fresnel's reflectance, and the printed rule halves it within five degrees.
-
-References
-----------
-Voloboy et al. 2005 (Keldysh Institute preprint).
+Incidences that were not measured, such as normal incidence and those beyond the last, are extrapolated from those that were.
 """
 
 from __future__ import annotations
@@ -22,7 +14,7 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured.basis import Basis
-from brdfpipe.bsdf.measured.coordinates import of_cells
+from brdfpipe.bsdf.measured.coordinates import cell_angles
 from brdfpipe.bsdf.measured.evaluation import evaluate, uncertainty
 from brdfpipe.bsdf.measured.node_interpolation import interpolation_abscissa
 from brdfpipe.bsdf.measured.reciprocity import with_contradictions
@@ -33,43 +25,33 @@ from brdfpipe.specular_directions import cos_view
 NORMAL = ("even-quadratic", "linear")
 """How normal incidence is extrapolated from the first two incidences; ``linear``, 2 η₁₀ − η₂₀, is as printed."""
 
-_AVERAGED_DIRECTIONS, _AVERAGED_WAVELENGTHS = 64, 5
-"""Directions and wavelengths over which the error of one incidence is averaged."""
-_HIDDEN_RADIUS = 1.0
-"""Distance of the first cell from the mirror direction beyond which the entrance must hide it [degree]."""
-_FILLED_ANGLES = 6
-"""Angles in the hidden region at which the extrapolation counts as measured."""
-_EXTRAPOLATION_U = 0.02
-"""Relative standard uncertainty of the extrapolation to normal incidence, beside that of its inputs."""
+_AVERAGED_DIRECTIONS, _AVERAGED_WAVELENGTHS = 64, 5  # over which the error of one incidence is averaged
+_HIDDEN_RADIUS = 1.0  # distance [degree] of the first cell from the mirror direction above which the entrance hides it
+_FILLED_ANGLES = 6  # angles in the hidden region at which the extrapolation counts as measured
+_EXTRAPOLATION_U = 0.02  # relative standard uncertainty of the extrapolation to normal incidence itself
 _TREND_STEPS = (4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.0)
 """How far the trend is continued beyond the last incidence, in steps between the last two: the first value that conserves energy."""
-_GRAZING = 85.0
-"""Largest incidence to which the trend is continued [degree]."""
-_HIGHEST = 80.0
-"""Largest θ_o of the averaged directions [degree]."""
-_OF_ENTRANCE = "path"
-"""The uncertainty component that is common to an incidence and independent between incidences."""
+_GRAZING = 85.0  # largest incidence to which the trend is continued [degree]
+_HIGHEST = 80.0  # largest θ_o of the averaged directions [degree]
+_ENTRANCE_ERROR = "path"  # the uncertainty component that is common to an incidence and independent between incidences
+_LAY_WARNING = (
+    "The BSDF was smoothed without symmetry, as of a surface with a lay. It is valid only in the plane of incidence that was measured; for the "
+    "rotated sample it repeats that plane. Measure the rotated sample as a separate material."
+)
 
 
 class _Nodes(NamedTuple):
     """Incidences of one side, measured or completed; the first axis counts nodes."""
 
     incidence: Array
-    coefficient: Array
-    """(node, wavelength, term)"""
-    factor: Array
-    """(node, wavelength, term, term)"""
-    common: Array
-    """(node, wavelength, term, component)"""
-    lowest: Array
-    """(node, wavelength)"""
+    coefficient: Array  # (node, wavelength, term)
+    factor: Array  # (node, wavelength, term, term)
+    common: Array  # (node, wavelength, term, component)
+    lowest: Array  # (node, wavelength)
     highest: Array
-    horizon: Array
-    """(node,)"""
-    quality: NDArray[np.int8]
-    """(node, wavelength)"""
-    cells: NDArray[np.bool_]
-    """(node, cell) measured at any wavelength."""
+    horizon: Array  # (node,)
+    quality: NDArray[np.int8]  # (node, wavelength)
+    cells: NDArray[np.bool_]  # (node, cell) measured at any wavelength
 
 
 def complete(
@@ -81,17 +63,23 @@ def complete(
 ) -> xr.Dataset:
     """A BSDF for all directions, from the smoothed incidences of a rig.
 
+    Normal incidence without an entrance is extrapolated from the first two, even in σ and averaged over φ:
+    (σ₂² η₁ − σ₁² η₂)/(σ₂² − σ₁²), with η the fitted quantity; a fitted logarithm keeps the BSDF positive. Beyond the last incidence the BSDF is
+    constant about the mirror direction, as printed (Voloboy et al. 2005, Keldysh Institute preprint), unless reciprocity gives a better value.
+    A fitted logarithm first continues its trend between the last two incidences: in x = −ln cos σ the lobe of facets rises nearly
+    straight, with 1/cos² σ and Fresnel's reflectance, and the printed rule halves it within five degrees.
+
     Parameters
     ----------
     smoothed : kind ``smoothed``, of reflection
     transmitted : kind ``smoothed``, of transmission, with the same wavelengths and cells
     normal : one of :data:`NORMAL`; ignored where normal incidence was measured
     reciprocity : whether f(i → o) and f(o → i) are averaged, weighted by the uncertainty at their incidence; ignored without symmetry,
-        where the reversed path is one of the rotated sample
+        because the reversed path is one of the rotated sample
 
     Returns
     -------
-    Dataset of kind ``bsdf``, representation ``rig``; :func:`brdfpipe.bsdf.measured.evaluation.quality` gives the origin of a value
+    Dataset of kind ``bsdf``, representation ``rig``
 
     Raises
     ------
@@ -106,7 +94,6 @@ def complete(
     symmetric = bases.from_json(smoothed.attrs["basis"]).symmetric
     attrs = {name: smoothed.attrs[name] for name in ("link", "about", "basis")} | {
         "representation": "rig",
-        # With a lay, the reversed path is one of the rotated sample.
         "reciprocity": "averaged" if reciprocity and symmetric else "none",
         "transmission": "none" if transmitted is None else "slab",
     }
@@ -123,7 +110,7 @@ def complete(
             break
     bsdf = vocabulary.add_warning(bsdf, *(text for side in sides for text in vocabulary.warnings(side)))
     bsdf = _with_history(bsdf, sides, nodes, normal)
-    bsdf = with_contradictions(bsdf) if symmetric else _with_lay_warning(bsdf)
+    bsdf = with_contradictions(bsdf) if symmetric else vocabulary.add_warning(bsdf, _LAY_WARNING)
     if bsdf.attrs["reciprocity"] == "averaged":
         bsdf = _with_incidence_error(bsdf)
     return vocabulary.validate(bsdf, "bsdf")
@@ -148,27 +135,22 @@ def _checked(smoothed: xr.Dataset, side: str) -> xr.Dataset:
 def _check_same_grid(smoothed: xr.Dataset, transmitted: xr.Dataset) -> None:
     for name in ("wavelength", "theta_s", "phi_s"):
         if not np.array_equal(smoothed[name].values, transmitted[name].values):
-            raise VocabularyError(
-                f"reflection and transmission differ in {name!r}; complete data of one rig and one plan"
-            )
+            raise VocabularyError(f"reflection and transmission differ in {name!r}; complete data of one rig and plan")
     if smoothed.attrs["link"] != transmitted.attrs["link"]:
         raise VocabularyError("reflection and transmission were smoothed in different modes; smooth both in one")
 
 
 def _split_entrance_error(side: xr.Dataset, entrances: Array) -> xr.Dataset:
     """A side in which the error of each entrance is a component of its own, so that errors of different entrances are independent."""
-    if _OF_ENTRANCE not in side.get("component", ()):
+    if _ENTRANCE_ERROR not in side.get("component", ()):
         return side
     common = side["coefficient_common"]
-    of_entrances = common.sel(component=_OF_ENTRANCE, drop=True)
-    components = [
-        of_entrances.where(of_entrances["incidence"] == entrance, 0.0).assign_coords(
-            component=f"{_OF_ENTRANCE} {entrance:g}"
-        )
-        for entrance in entrances
-    ]
-    others = common.isel(component=side["component"].values != _OF_ENTRANCE)
-    split = xr.concat([others, *components], "component").transpose(*common.dims)
+    error = common.sel(component=_ENTRANCE_ERROR, drop=True)
+    parts = [common.isel(component=side["component"].values != _ENTRANCE_ERROR)]
+    for entrance in entrances:
+        own = error.where(error["incidence"] == entrance, 0.0)
+        parts.append(own.assign_coords(component=f"{_ENTRANCE_ERROR} {entrance:g}"))
+    split = xr.concat(parts, "component").transpose(*common.dims)
     return side.drop_dims("component").assign(coefficient_common=split)
 
 
@@ -224,7 +206,7 @@ def _limits(smoothed: xr.Dataset, used: NDArray[np.bool_]) -> tuple[Array, Array
     lowest, highest, horizon = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape[0])
     for at, incidence in enumerate(smoothed["incidence"].values):
         cosine = cos_view(incidence, theta, phi)
-        rows = basis.rows(*of_cells(smoothed.attrs["about"], incidence, theta, phi), cosine)
+        rows = basis.rows(*cell_angles(smoothed.attrs["about"], incidence, theta, phi), cosine)
         fitted = smoothed["coefficient"].values[at] @ rows.T
         some = used[at].any(axis=1)
         lowest[at, some] = np.where(used[at], fitted, np.inf).min(axis=1)[some]
@@ -235,37 +217,37 @@ def _limits(smoothed: xr.Dataset, used: NDArray[np.bool_]) -> tuple[Array, Array
 
 def _with_normal(nodes: _Nodes, basis: Basis, normal: str) -> _Nodes:
     """The nodes with normal incidence first, extrapolated from the first two, or copied from the only one."""
-    grown = _Nodes._make(np.concatenate([part[:1], part]) for part in nodes)
-    grown.incidence[0], grown.quality[0], grown.cells[0] = 0.0, vocabulary.quality("completed"), False
-    sources = np.arange(1, min(grown.incidence.size, 3))
-    power = grown.incidence[sources] ** (2 if normal == "even-quadratic" else 1)
-    shares = np.ones(1) if sources.size == 1 else np.array([power[1], -power[0]]) / (power[1] - power[0])
-    for wavelength in range(grown.coefficient.shape[1]):
-        # With a lay, terms that are even under a rotation by 180 degree remain.
-        remaining = basis.harmonic == 0 if basis.symmetric else basis.harmonic % 2 == 0
-        _combine(grown, (0, wavelength), sources, shares[:, None] * remaining)
-    return grown
+    extended = _Nodes._make(np.concatenate([part[:1], part]) for part in nodes)
+    extended.incidence[0], extended.quality[0], extended.cells[0] = 0.0, vocabulary.quality("completed"), False
+    sources = np.arange(1, min(extended.incidence.size, 3))
+    power = extended.incidence[sources] ** (2 if normal == "even-quadratic" else 1)
+    weight = np.ones(1) if sources.size == 1 else np.array([power[1], -power[0]]) / (power[1] - power[0])
+    # With a lay, terms that are even under a rotation by 180 degree remain.
+    remaining = basis.harmonic == 0 if basis.symmetric else basis.harmonic % 2 == 0
+    for wavelength in range(extended.coefficient.shape[1]):
+        _combine(extended, (0, wavelength), sources, weight[:, None] * remaining)
+    return extended
 
 
 def _with_trend(nodes: _Nodes, smoothed: xr.Dataset, steps: float) -> _Nodes:
-    """The nodes with one more incidence, at which the logarithm has continued its trend between the last two for so many of their steps."""
+    """The nodes with one more incidence: the trend of the logarithm between the last two, continued by a number of their steps."""
     if smoothed.sizes["incidence"] < 2 or steps == 0:
         return nodes
     harmonic = bases.from_json(smoothed.attrs["basis"]).harmonic
     first, last = interpolation_abscissa(nodes.incidence[-2:])
     end = min(last + steps * (last - first), max(interpolation_abscissa(_GRAZING), last))
     steps = (end - last) / (last - first)
-    grown = _Nodes._make(np.concatenate([part, part[-1:]]) for part in nodes)
-    grown.incidence[-1] = np.degrees(np.arccos(np.exp(-end)))
-    grown.quality[-1], grown.cells[-1] = vocabulary.quality("completed"), False
-    odd = (np.sqrt(end) - np.sqrt(last)) / (np.sqrt(last) - np.sqrt(first))
-    farther = np.where(harmonic % 2 == 0, steps, odd)
+    extended = _Nodes._make(np.concatenate([part, part[-1:]]) for part in nodes)
+    extended.incidence[-1] = np.degrees(np.arccos(np.exp(-end)))
+    extended.quality[-1], extended.cells[-1] = vocabulary.quality("completed"), False
+    odd_steps = (np.sqrt(end) - np.sqrt(last)) / (np.sqrt(last) - np.sqrt(first))
+    term_steps = np.where(harmonic % 2 == 0, steps, odd_steps)
     sources = np.arange(nodes.incidence.size - 2, nodes.incidence.size)
-    for wavelength in range(grown.coefficient.shape[1]):
-        _combine(grown, (sources[-1] + 1, wavelength), sources, np.stack([-farther, 1 + farther]))
-    grown.highest[-1] += steps * np.maximum(nodes.highest[-1] - nodes.highest[-2], 0.0)
-    grown.lowest[-1] += steps * np.minimum(nodes.lowest[-1] - nodes.lowest[-2], 0.0)
-    return grown
+    for wavelength in range(extended.coefficient.shape[1]):
+        _combine(extended, (sources[-1] + 1, wavelength), sources, np.stack([-term_steps, 1 + term_steps]))
+    extended.highest[-1] += steps * np.maximum(nodes.highest[-1] - nodes.highest[-2], 0.0)
+    extended.lowest[-1] += steps * np.minimum(nodes.lowest[-1] - nodes.lowest[-2], 0.0)
+    return extended
 
 
 def _violates_energy(bsdf: xr.Dataset) -> bool:
@@ -302,7 +284,7 @@ def _fill_hidden_region(nodes: _Nodes, basis: Basis, normal: str, radius: float,
 
 
 def _combine(nodes: _Nodes, to: tuple[int, int], sources: NDArray[np.int64], weight: Array) -> None:
-    """Set a node at one wavelength to a weighted sum of others, weights (sources, term or 1), with its covariance."""
+    """Set a node at one wavelength to a weighted sum of others, with its covariance; ``weight`` is (sources, term or 1)."""
     at = (sources, to[1])
     nodes.coefficient[to] = (weight * nodes.coefficient[at]).sum(axis=0)
     nodes.common[to] = (weight[..., None] * nodes.common[at]).sum(axis=0)
@@ -319,16 +301,14 @@ def _combine(nodes: _Nodes, to: tuple[int, int], sources: NDArray[np.int64], wei
 def _dataset(sides: list[xr.Dataset], nodes: list[_Nodes]) -> xr.Dataset:
     terms = max(side.coefficient.shape[2] for side in nodes)
     names = [list(side["component"].values) if "component" in side.coords else [] for side in sides]
-    if any(components != names[0] for components in names):
+    if names[-1] != names[0]:
         raise VocabularyError("reflection and transmission differ in their uncertainty components; reduce both alike")
 
     def joined(field: str, *axes: int) -> Array:
+        """A field of all nodes, padded to the same number of terms along some axes."""
         parts = [getattr(side, field) for side in nodes]
-        padded = [
-            np.pad(part, [(0, terms - size if axis in axes else 0) for axis, size in enumerate(part.shape)])
-            for part in parts
-        ]
-        return np.concatenate(padded)
+        widths = [[(0, (terms - size) * (axis in axes)) for axis, size in enumerate(part.shape)] for part in parts]
+        return np.concatenate([np.pad(part, width) for part, width in zip(parts, widths, strict=True)])
 
     spectrum = ("node", "wavelength")
     quality = np.where(joined("cells"), vocabulary.quality("measured"), vocabulary.quality("extrapolated"))
@@ -360,12 +340,11 @@ def _dataset(sides: list[xr.Dataset], nodes: list[_Nodes]) -> xr.Dataset:
 def _with_history(bsdf: xr.Dataset, sides: list[xr.Dataset], nodes: list[_Nodes], normal: str) -> xr.Dataset:
     sentences = [line for side in sides for line in side.attrs["history"].splitlines()]
     for side, own in zip(sides, nodes, strict=True):
-        measured = side["incidence"].values
-        word = side.attrs["side"]
-        radius = _hidden_radius(side)
+        measured, word, radius = side["incidence"].values, side.attrs["side"], _hidden_radius(side)
         if measured[0] == 0 and measured.size > 1 and radius > _HIDDEN_RADIUS:
-            hidden = f"{word} at normal incidence within {radius:.1f} degree of the mirror direction"
-            sentences.append(f"{hidden} completed from {measured[1]:g} degree on")
+            sentences.append(
+                f"{word} at normal incidence within {radius:.1f} degree of the mirror direction completed from {measured[1]:g} degree on"
+            )
         if measured[0] > 0:
             first = " and ".join(f"{angle:g}" for angle in measured[:2])
             sentences.append(
@@ -374,22 +353,13 @@ def _with_history(bsdf: xr.Dataset, sides: list[xr.Dataset], nodes: list[_Nodes]
         end = own.incidence[-1]
         trend = f" trend continued to {end:.0f} degree, then" if end > measured[-1] else ""
         sentences.append(f"{word} beyond {measured[-1]:g} degree completed:{trend} constant about the mirror direction")
-        filled = int((own.quality[np.isin(own.incidence, measured)] == vocabulary.quality("completed")).sum())
-        if filled:
+        if filled := int((own.quality[np.isin(own.incidence, measured)] == vocabulary.quality("completed")).sum()):
             sentences.append(f"{filled} missing spectra of {word} interpolated from the neighbouring incidences")
     if bsdf.attrs["reciprocity"] == "averaged":
         sentences.append(
             "reflection averaged over both directions of light, weighted by the uncertainty at their incidence"
         )
     return vocabulary.add_history(bsdf, *sentences)
-
-
-def _with_lay_warning(bsdf: xr.Dataset) -> xr.Dataset:
-    return vocabulary.add_warning(
-        bsdf,
-        "The BSDF was smoothed without symmetry, as of a surface with a lay. It is valid only in the plane of incidence that was measured; for the "
-        "rotated sample it repeats that plane. Measure the rotated sample as a separate material.",
-    )
 
 
 def _with_incidence_error(bsdf: xr.Dataset) -> xr.Dataset:
@@ -399,9 +369,8 @@ def _with_incidence_error(bsdf: xr.Dataset) -> xr.Dataset:
     sequence = np.arange(1, _AVERAGED_DIRECTIONS + 1)[:, None] * np.array([0.7548776662466927, 0.5698402909980532]) % 1
     theta_o = np.degrees(np.arcsin(np.sqrt(sequence[:, 0]) * np.sin(np.radians(_HIGHEST))))
     theta_i, phi_i, theta_o, phi_o = np.broadcast_arrays(theta[:, None], 0.0, theta_o, 360 * sequence[:, 1])
-    few = bsdf["wavelength"].values[
-        np.unique(np.linspace(0, bsdf.sizes["wavelength"] - 1, _AVERAGED_WAVELENGTHS).round().astype(int))
-    ]
+    indices = np.linspace(0, bsdf.sizes["wavelength"] - 1, _AVERAGED_WAVELENGTHS).round().astype(int)
+    few = bsdf["wavelength"].values[np.unique(indices)]
     value = evaluate(bsdf, theta_i, phi_i, theta_o, phi_o, few)
     u = uncertainty(bsdf, theta_i, phi_i, theta_o, phi_o, few)
     relative = np.minimum(u / np.maximum(value, 1e-30), 1.0)

@@ -1,14 +1,9 @@
-"""The angles ϑ and φ about the mirror direction in which a BSDF is smoothed, and carried from one incidence to another.
+"""The angles ϑ and φ about the mirror direction in which a BSDF is smoothed, and interpolated between incidences.
 
-``mirror``  ϑ from the mirror direction, φ about it
-``half``    ϑ is twice the tilt of the half vector and φ its azimuth
+``mirror``  ϑ from the mirror direction, φ about it (Voloboy et al. 2005, Keldysh Institute preprint)
+``half``    ϑ is twice the tilt of the half vector and φ its azimuth (Rusinkiewicz 1998): the lobe of facets is round at every incidence
 
-In both ϑ = 0 is the mirror direction, φ = 0 leads towards the normal, and ϑ in the plane of incidence is the same. Facets mirror light by
-their tilt: in ``half`` their lobe is round at every incidence, where about the mirror direction it is 1/cos σ times as long as wide.
-
-References
-----------
-Rusinkiewicz 1998 (EGWR), half-angle coordinates; Voloboy et al. 2005 (Keldysh Institute preprint), angles about the specular ray.
+In both, ϑ = 0 is the mirror direction, φ = 0 is towards the normal, and ϑ in the plane of incidence is the same.
 """
 
 from __future__ import annotations
@@ -28,7 +23,7 @@ def angles(about: str, theta_i: Array, theta_o: Array, phi: Array) -> tuple[Arra
     Parameters
     ----------
     about : ``half`` or ``mirror``
-    theta_i, theta_o : degree from the normal, of one shape; in ``half`` directions below the horizon have some ϑ and φ or other
+    theta_i, theta_o : degree from the normal, of one shape; in ``half`` the angles of directions below the horizon are arbitrary but finite
     phi : azimuth of the outgoing direction from that of incidence [degree]
     """
     if about == "mirror":
@@ -41,15 +36,15 @@ def angles(about: str, theta_i: Array, theta_o: Array, phi: Array) -> tuple[Arra
 
 
 def outgoing(about: str, theta_i: Array, theta: Array, phi: Array) -> tuple[Array, Array]:
-    """θ_o, and φ_o from the azimuth of incidence, of ϑ and φ [degree]: the inverse of :func:`angles`; θ_o may exceed 90."""
+    """Inverse of :func:`angles`: θ_o, which may exceed 90, and φ_o from the azimuth of incidence [degree]."""
     if about == "mirror":
         return from_mirror(theta_i, np.zeros_like(theta_i), theta, phi)
     incoming, half = unit_vector(theta_i, np.zeros_like(theta_i)), unit_vector(theta / 2, phi)
     return angles_of(2 * (incoming * half).sum(axis=-1, keepdims=True) * half - incoming)
 
 
-def of_cells(about: str, incidence: float, theta_s: Array, phi_s: Array) -> tuple[Array, Array]:
-    """ϑ and φ of cells, which look from (theta_s, phi_s) about the mirror direction [degree]."""
+def cell_angles(about: str, incidence: float, theta_s: Array, phi_s: Array) -> tuple[Array, Array]:
+    """ϑ and φ [degree] of cells at (theta_s, phi_s) about the mirror direction."""
     if about == "mirror":
         return theta_s, phi_s
     theta_o, phi_o = specular_directions.outgoing(incidence, theta_s, phi_s)

@@ -1,29 +1,20 @@
 """The representation ``rig``: a BSDF measured on a camera rig, smoothed at a few incidences, interpolated between them and completed.
 
-At each incidence (a node) the BSDF, or its logarithm, is a sum of functions of ϑ and φ about the mirror direction
-(:mod:`brdfpipe.bsdf.measured.coordinates`). :mod:`brdfpipe.bsdf.measured.node_interpolation` interpolates between nodes;
-:mod:`brdfpipe.bsdf.measured.completion` may add nodes beyond the measured ones.
-
-Where ``reciprocity`` is ``averaged``, the logarithms of f(i → o) and f(o → i) are averaged, weighted by the uncertainty at their incidence.
-The BSDF is then reciprocal, and incidences beyond the last one are known wherever light leaves at an angle that was measured as an
-incidence.
-
-References
-----------
-Voloboy et al. 2005 (Keldysh Institute preprint), completion; Helmholtz reciprocity: Nicodemus 1977 (NBS 160).
+At each incidence (a node) the BSDF, or its logarithm, is a sum of functions of ϑ and φ about the mirror direction. With ``reciprocity``
+``averaged``, the logarithms of f(i → o) and f(o → i) are averaged, weighted by the uncertainty at their incidence (Helmholtz reciprocity:
+Nicodemus 1977, NBS 160); incidences beyond the last are then known wherever light leaves at a measured incidence.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured import coordinates
 from brdfpipe.bsdf.measured.node_interpolation import (
     TINY,
@@ -42,20 +33,19 @@ from brdfpipe.bsdf.measured.node_interpolation import (
 from brdfpipe.geometry import Array, unit_vector
 from brdfpipe.hemisphere import around_mirror
 
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+_NodeCells: TypeAlias = "tuple[cKDTree, Array]"
+
 ACCURACY = 1e-4
 """Of integrals [1]: the BSDF has kinks at the nodes, and no measurement is more accurate."""
 
-_CHUNK = 8192
-"""Directions evaluated at a time, to limit memory."""
-
-_SAME_INCIDENCE = 0.5
-"""Incidences within this distance of a node count as measured there [degree]."""
-_LARGEST_ERROR = float(np.log(10.0))
-"""Error of a logarithm at which nothing is known."""
-_HORIZON_ERROR = 0.5
-"""Relative error, beyond the last cell, of a fall with cos θ_o as below a dielectric face."""
-_ERROR_RANGE = 10.0
-"""Distance from a single incidence at which the logarithm is uncertain by 1 [degree]."""
+_CHUNK = 8192  # directions evaluated at a time, to limit memory
+_SAME_INCIDENCE = 0.5  # incidences within this distance of a node count as measured there [degree]
+_LARGEST_ERROR = float(np.log(10.0))  # upper limit of the error of a logarithm
+_HORIZON_ERROR = 0.5  # relative error, beyond the last cell, of a decrease with cos θ_o as below a dielectric face
+_ERROR_RANGE = 10.0  # distance from a single incidence at which the logarithm is uncertain by 1 [degree]
 
 
 def evaluate(
@@ -71,18 +61,18 @@ def uncertainty(
     """Standard uncertainty of :func:`evaluate` in sr⁻¹, (directions…, wavelength or 1).
 
     Noise, smoothing and common errors follow from the covariance of the coefficients. The error of interpolation between incidences, and
-    of completion beyond the last, is the next term of Newton's formula; where the trend is no longer followed, its further change is
-    added. Below the horizon the error is the change that the continued fit would make. An error s of the logarithm counts as exp s − 1.
-    Where the two directions of light give different values, their disagreement is added, weighted.
+    of completion beyond the last, is the next term of Newton's formula; where the BSDF is constant, the continued trend is added. Below the
+    horizon the error is the change that the continued fit would make. An error s of the logarithm counts as exp s − 1. Where the two
+    directions of light give different values, their weighted disagreement is added.
     """
     return _over_sides(_uncertainties, bsdf, (theta_i, phi_i, theta_o, phi_o), wavelength)
 
 
 def quality(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> NDArray[np.int8]:
-    """Where a value comes from: a value of ``QUALITY_FLAGS`` each (int8), for most of its wavelengths.
+    """Origin of each value at most of its wavelengths, one of ``QUALITY_FLAGS`` (int8).
 
-    ``measured`` among the cells of an incidence, ``interpolated`` among those of the incidences on both sides, ``completed`` where no
-    incidences are on both sides, ``extrapolated`` where no cells are; of the two directions of light the better one counts.
+    ``measured`` among the cells of an incidence, ``interpolated`` among those of the incidences on both sides, ``completed`` without
+    incidences on both sides, ``extrapolated`` without cells; the better one of the two directions of light counts.
     """
     angles = _flat((theta_i, phi_i, theta_o, phi_o))
     flags = np.full(angles[0].size, vocabulary.quality("extrapolated"), dtype=np.int8)
@@ -93,13 +83,8 @@ def quality(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_
     return flags.reshape(np.broadcast_shapes(*(np.shape(angle) for angle in (theta_i, phi_i, theta_o, phi_o))))
 
 
-def albedo(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array | None:
-    """Directional reflectance [1], (incidences…, wavelength), integrated about the mirror direction to a relative 1e-4.
-
-    None if the BSDF is not even about the plane of incidence.
-    """
-    if not bases.from_json(bsdf.attrs["basis"]).symmetric:
-        return None
+def albedo(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+    """Directional reflectance [1], (incidences…, wavelength), of a BSDF even about the plane of incidence, to a relative 1e-4."""
     return _integrated(evaluate, bsdf, theta_i, wavelength)
 
 
@@ -114,10 +99,8 @@ def _integrated(quantity: Callable[..., Array], bsdf: xr.Dataset, theta_i: Array
     width = _wavelengths(bsdf, wavelength)[1].shape[1]
     integral = np.zeros((incidences.size, width))
     for at in np.flatnonzero(incidences < 90):
-        rule = around_mirror(float(incidences[at]), slope)
-        integral[at] = rule.weight @ quantity(
-            bsdf, incidences[at : at + 1], np.zeros(1), rule.theta, rule.phi, wavelength
-        )
+        rule, theta = around_mirror(float(incidences[at]), slope), incidences[at : at + 1]
+        integral[at] = rule.weight @ quantity(bsdf, theta, np.zeros(1), rule.theta, rule.phi, wavelength)
     return integral.reshape(*shape, width)
 
 
@@ -230,7 +213,7 @@ def _uncertainties(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> Ar
     for path in paths:
         # Both path directions may have the same error: in the mirror direction they coincide.
         model_error += path.weight[:, None] * _model_error(side, path)
-    value = side_values(side, theta_i, theta_o, phi)
+    value = path_values(side, paths)
     model_error = np.hypot(model_error, _reciprocity_error(side, paths))
     if side.logarithmic:
         return value * np.sqrt(variance + model_error**2)
@@ -270,21 +253,18 @@ def _model_error(side: Side, path: PathDirection) -> Array:
 def _interpolation_error(side: Side, path: PathDirection, lobe: LobeCoordinates) -> Array:
     """Error of the logarithm between and beyond the measured incidences (directions, wavelength)."""
     nodes = np.flatnonzero(side.measured.any(axis=1))
-    logarithms = np.stack(
-        [_logarithm(side, node, coordinates_at_node(side, node, lobe)[0]) for node in map(int, nodes)]
-    )
+    logarithms = np.stack([_logarithm(side, node, coordinates_at_node(side, node, lobe)[0]) for node in nodes])
     error = np.empty(logarithms.shape[1:])
-    # A wavelength that is missing at an incidence is known there no better than between incidences.
+    # A wavelength without a measurement at an incidence is interpolated there.
     for known in np.unique(side.measured[nodes], axis=1).T:
         wavelengths = (side.measured[nodes] == known[:, None]).all(axis=0)
-        error[:, wavelengths] = _newton_remainder(
-            side, nodes[known], logarithms[known][:, :, wavelengths], path.theta_i
-        )
+        own = logarithms[known][:, :, wavelengths]
+        error[:, wavelengths] = _newton_remainder(side, nodes[known], own, path.theta_i)
     return error
 
 
 def _newton_remainder(side: Side, nodes: NDArray[np.int64], logarithms: Array, theta_i: Array) -> Array:
-    """The same from the logarithms of some nodes (node, directions, wavelength): the next term of Newton's formula."""
+    """Next term of Newton's formula (directions, wavelength), from the logarithms of some nodes (node, directions, wavelength)."""
     nodes_x, x = side.abscissa[nodes], interpolation_abscissa(theta_i)
     if nodes.size < 2:
         distance = np.abs(theta_i - side.incidence[nodes].sum()) / _ERROR_RANGE
@@ -299,10 +279,10 @@ def _newton_remainder(side: Side, nodes: NDArray[np.int64], logarithms: Array, t
         before, after = np.maximum(first - 1, 0), np.minimum(first, nodes.size - 3)
         bend = np.maximum(np.abs(bends[before, index]), np.abs(bends[after, index]))
     error = np.abs((x - nodes_x[first]) * (x - nodes_x[first + 1]))[:, None] * bend
-    if nodes.size > 3:  # beyond the last node, with no node on the other side, the following term is no smaller
+    if nodes.size > 3:  # beyond the last node the following term is no smaller
         change = np.abs(bends[-1] - bends[-2]) / (nodes_x[-1] - nodes_x[-4])
         error += (np.maximum(x - nodes_x[-1], 0.0) * np.prod(x[:, None] - nodes_x[-3:-1], axis=1))[:, None] * change
-    # Beyond the last node the BSDF is kept constant, and the continued trend is the error.
+    # Beyond the last node the BSDF is constant, and the continued trend is the error.
     return np.asarray(error + np.maximum(x - side.abscissa[-1], 0.0)[:, None] * np.abs(slope[-1]))
 
 
@@ -316,16 +296,8 @@ def _logarithm(side: Side, node: int, lobe: LobeCoordinates) -> Array:
 # --- quality
 
 
-class _NodeCells(NamedTuple):
-    """The cells that were measured at a node."""
-
-    tree: object
-    radius: Array
-    """Distance, as a chord, within which a cell counts as measured."""
-
-
 def _cells_by_node(bsdf: xr.Dataset, transmitted: bool, symmetric: bool) -> list[_NodeCells | None]:
-    """The cells measured at each node of a side; None at a completed node."""
+    """Tree of the cells measured at each node of a side, and the distances [chord] that they cover; None at a completed node."""
     from scipy.spatial import cKDTree
 
     cells: list[_NodeCells | None] = []
@@ -336,7 +308,7 @@ def _cells_by_node(bsdf: xr.Dataset, transmitted: bool, symmetric: bool) -> list
         points = unit_vector(theta, phi)
         if symmetric:  # a cell counts for both sides of the plane of incidence
             points, radius = np.concatenate([points, unit_vector(theta, -phi)]), np.concatenate([radius, radius])
-        cells.append(_NodeCells(cKDTree(points), radius) if measured.any() else None)
+        cells.append((cKDTree(points), radius) if measured.any() else None)
     return cells
 
 
@@ -369,5 +341,6 @@ def _covered(side: Side, node: int, cells: _NodeCells | None, lobe: LobeCoordina
     incidence = np.full_like(lobe.theta, side.incidence[node])
     theta_o, phi_o = coordinates.outgoing(side.about, incidence, lobe.theta, lobe.phi)
     theta_s, phi_s = coordinates.angles("mirror", incidence, theta_o, phi_o)
-    distance, nearest = cells.tree.query(unit_vector(theta_s, phi_s))  # type: ignore[attr-defined]
-    return np.asarray(distance <= cells.radius[nearest])
+    tree, radius = cells
+    distance, nearest = tree.query(unit_vector(theta_s, phi_s))
+    return np.asarray(distance <= radius[nearest])

@@ -1,8 +1,8 @@
-"""One side of a measured BSDF: sums of functions at a few incidences (nodes), interpolated between them.
+"""One side of a measured BSDF: sums of functions at a few incidences (nodes), interpolated between them at equal ϑ and φ.
 
-Coefficients are interpolated at equal ϑ and φ, linearly in the abscissa x = −ln cos σ: the light of facets grows with powers of 1/cos σ, and
-near normal incidence x is σ²/2, which makes the BSDF even in σ. Coefficients of cos kφ with odd k are odd in σ and interpolated in √x.
-Beyond the last node the BSDF stays as it is about the mirror direction; below the lowest measured direction it stays as it is there.
+Linearly in the abscissa x = −ln cos σ: the light of facets grows with powers of 1/cos σ, and near normal incidence x is σ²/2, even in σ.
+Coefficients of cos kφ with odd k are odd in σ and interpolated in √x. Beyond the last node, and below the lowest measured direction, the BSDF
+is constant.
 """
 
 from __future__ import annotations
@@ -24,27 +24,21 @@ from brdfpipe.geometry import Array
 TINY = 1e-30
 
 _MARGIN = float(np.log(2.0))
-"""How far the logarithm may exceed what was fitted at cells: a lobe is higher between cells, and a spline is unbounded beyond them."""
+"""Largest excess of the logarithm over the values fitted at cells: a lobe is higher between cells, and a spline is unbounded beyond them."""
 
 
 @dataclass(frozen=True)
 class Side:
-    """What was measured on one side of the sample."""
+    """The measured nodes of one side of the sample."""
 
-    incidence: Array
-    """(node,)"""
-    horizon: Array
-    """(node,) largest polar angle of a cell."""
-    measured: NDArray[np.bool_]
-    """(node, wavelength) measured, not completed."""
-    coefficient: Array
-    """(node, wavelength, term)"""
-    factor: Array
-    """(node, wavelength, term, any) factor of the coefficients' covariance."""
+    incidence: Array  # (node,)
+    horizon: Array  # (node,) largest polar angle of a cell
+    measured: NDArray[np.bool_]  # (node, wavelength) measured, not completed
+    coefficient: Array  # (node, wavelength, term)
+    factor: Array  # (node, wavelength, term, any) factor of the coefficients' covariance
     common: Array
     """(component, node, wavelength, term) change of the coefficients by one standard uncertainty of a common error."""
-    lowest: Array
-    """(node, wavelength) smallest fitted value at a cell."""
+    lowest: Array  # (node, wavelength) smallest fitted value at a cell
     highest: Array
     basis: Basis
     about: str
@@ -86,7 +80,7 @@ class Side:
 
 
 class PathDirection(NamedTuple):
-    """Pairs of directions, for light that goes one way along their paths, and the weight of that way."""
+    """Pairs of directions for light that takes their paths in one direction, and the weight of that direction."""
 
     theta_i: Array
     theta_o: Array
@@ -97,27 +91,21 @@ class PathDirection(NamedTuple):
 class LobeCoordinates(NamedTuple):
     """Directions in the coordinates of the bases."""
 
-    theta: Array
-    """ϑ from the mirror direction [degree]."""
-    phi: Array
-    """φ about it [degree]."""
-    cosine: Array
-    """cos θ_o."""
+    theta: Array  # ϑ from the mirror direction [degree]
+    phi: Array  # φ about it [degree]
+    cosine: Array  # cos θ_o
 
     def select(self, index: NDArray[np.int64]) -> LobeCoordinates:
         return LobeCoordinates(*(part[index] for part in self))
 
 
 class NodeContribution(NamedTuple):
-    """The part of a node in the BSDF of some pairs of directions."""
+    """The contribution of a node to the BSDF of some pairs of directions."""
 
     node: int
-    pairs: NDArray[np.int64]
-    """Which pairs."""
-    even: Array
-    """Weight of functions even in σ, the weight of the path direction included."""
-    odd: Array
-    """Weight of functions odd in σ; that of the even ones where no logarithm was fitted."""
+    pairs: NDArray[np.int64]  # which pairs
+    even: Array  # weight of functions even in σ, the weight of the path direction included
+    odd: Array  # weight of functions odd in σ; that of the even ones where no logarithm was fitted
     coordinates: LobeCoordinates
 
 
@@ -127,7 +115,7 @@ def interpolation_abscissa(theta_i: Array | float) -> Array:
 
 
 def path_directions(side: Side, theta_i: Array, theta_o: Array, phi: Array) -> list[PathDirection]:
-    """The directions light may take along a path. Their weights add up to 1 and are the same seen from either end."""
+    """The two directions of light along a path; the sum of their weights is 1. One direction if they are not averaged."""
     if side.incidence_error is None:
         return [PathDirection(theta_i, theta_o, phi, np.ones_like(theta_i))]
     forward, backward = (np.interp(theta, *side.incidence_error) ** 2 for theta in (theta_i, theta_o))

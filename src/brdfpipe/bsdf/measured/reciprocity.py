@@ -9,7 +9,7 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured.evaluation import evaluate, uncertainty
 
 CONTRADICTING = 2.0
-"""Disagreement of the two directions of light, over its uncertainty, beyond which it is significant."""
+"""Disagreement of the two directions of light, over its uncertainty, above which it is significant."""
 
 
 def reciprocity(bsdf: xr.Dataset, azimuths: int = 13) -> xr.Dataset:
@@ -40,13 +40,11 @@ def reciprocity(bsdf: xr.Dataset, azimuths: int = 13) -> xr.Dataset:
         ("back", "from the second incidence to the first", one_way, back),
         ("both", "of both directions", bsdf, there),
     )
-    fields = {}
+    fields, dims = {}, ("pair", "phi_o", spectral)
     for name, words, dataset, angles in rows:
-        plain = [np.broadcast_to(angle, (first.size, azimuths)).astype(float) for angle in angles]
-        for suffix, quantity in (("", evaluate), ("_u", uncertainty)):
-            long_name = ("standard uncertainty of: " if suffix else "") + f"BRDF {words}"
-            values = quantity(dataset, plain[0], plain[1], plain[2], plain[3], None)
-            fields[name + suffix] = (("pair", "phi_o", spectral), values, {"units": "sr-1", "long_name": long_name})
+        for suffix, prefix, quantity in (("", "", evaluate), ("_u", "standard uncertainty of: ", uncertainty)):
+            values = quantity(dataset, *angles, None)
+            fields[name + suffix] = (dims, values, {"units": "sr-1", "long_name": f"{prefix}BRDF {words}"})
     degree = {"units": "degree", "long_name": "angle of incidence"}
     coords = {"incidence": ("pair", first, degree), "incidence_2": ("pair", second, degree), "phi_o": phi}
     if spectral in bsdf.coords:

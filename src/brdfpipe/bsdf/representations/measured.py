@@ -58,7 +58,7 @@ class Measured(Representation):
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         if self.albedo_needs_quadrature:
             return super().albedo(theta_i, phi_i, wavelength)
-        return np.asarray(evaluation.albedo(self.dataset, theta_i, phi_i, wavelength))
+        return evaluation.albedo(self.dataset, theta_i, phi_i, wavelength)
 
     def albedo_uncertainty(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         return evaluation.albedo_uncertainty(self.dataset, theta_i, phi_i, wavelength)
