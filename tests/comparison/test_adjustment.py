@@ -1,4 +1,4 @@
-"""The adjustment on models that cost nothing: what it states is what it is off by."""
+"""The adjustment on fast models: its errors agree with the stated uncertainties."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DIMS = ("incidence", "wavelength", "cell")
 
 @dataclass(frozen=True)
 class Lobe:
-    """A lobe of a height and a width over a base, all of them e to the power of their change, in prior uncertainties of 10 %."""
+    """A lobe of a height and a width over a base, which change exponentially, with prior uncertainties of 10 %."""
 
     change: np.ndarray
 
@@ -70,7 +70,7 @@ def fitted(measurement: Measurement):
     return adjust(measurement, Lobe, 3, Lobe(np.zeros(3)))
 
 
-def test_changes_are_off_by_what_is_stated() -> None:
+def test_errors_of_changes_agree_with_their_stated_uncertainty() -> None:
     """Truths drawn from the prior, errors from the stated uncertainties: (found − true)/u has an rms of 1, and no bias."""
     random = np.random.default_rng(7)
     pulls, scatter = [], []
@@ -88,7 +88,7 @@ def test_changes_are_off_by_what_is_stated() -> None:
 
 
 def test_a_scale_error_of_all_values_does_not_pull_the_fit_below_them() -> None:
-    """Peelle's puzzle: over measured values the error would let the smallest of them win."""
+    """Peelle's puzzle: relative to measured values the error would favour the smallest of them."""
     truth = Lobe(np.zeros(3)).values
     ratios = []
     for seed in range(40):
@@ -106,7 +106,7 @@ def test_a_scale_error_leaves_the_height_uncertain_and_the_width_not() -> None:
 
 
 @pytest.mark.parametrize("change", [(10.0, 5.0, -8.0), (-10.0, -9.0, 12.0), (0.0, 15.0, 0.0)])
-def test_it_finds_the_way_from_far_off(change) -> None:
+def test_the_fit_converges_from_far_away(change) -> None:
     measurement = measured(Lobe(np.array(change)).values, 1, noise=0.005, scale=1e-6)
     found = fitted(measurement)
     assert found.converged
@@ -116,13 +116,13 @@ def test_it_finds_the_way_from_far_off(change) -> None:
     assert (variance[:2] < 0.2).all()  # below the widest lobe the base is not seen
 
 
-def test_without_news_nothing_is_changed() -> None:
+def test_a_measurement_without_information_changes_nothing() -> None:
     found = fitted(measured(Lobe(np.zeros(3)).values, None))
     np.testing.assert_allclose(found.change, 0, atol=1e-9)
     assert found.enlarged == 1
 
 
-def test_uncertainties_grow_where_the_data_scatter_more_than_they_say() -> None:
+def test_uncertainties_grow_if_the_data_scatter_more_than_stated() -> None:
     truth = Lobe(np.zeros(3)).values
     honest, hidden = (fitted(measured(truth, 5, scale=1e-6, hidden=hidden)) for hidden in (0.0, 0.06))
     assert honest.enlarged == pytest.approx(1, abs=0.1)

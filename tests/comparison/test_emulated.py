@@ -1,4 +1,4 @@
-"""Whole measurements by emulated rigs, every effect on, against the surface that lay in the holder: the fit knows how far off it is."""
+"""Whole measurements by emulated rigs, with every effect, against the emulated surface: errors of the fit agree with their uncertainties."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import rig_accuracy as accuracy
 import samples
 import xarray as xr
 
-from brdfpipe import comparison as routes
 from brdfpipe import facets
 from brdfpipe.bsdf import microfacet
+from brdfpipe.comparison import compare
 from brdfpipe.rig.plan import Plan
 from brdfpipe.rig.reduction.calibration import calibrate
 from brdfpipe.rig.reduction.primary import apply
@@ -20,7 +20,7 @@ from brdfpipe.rig.reduction.primary import apply
 TRUE = {"index": 0.0, "slope": 1.0, "diffuse": 1.0}
 
 SPECTRUM = samples.spectrum(0.3)
-"""A grey body: of a steep spectrum a band of 10 nm shows another reflectance than its middle, which nothing accounts for yet."""
+"""A grey body: the mean of a steep spectrum over a band of 10 nm differs from its middle, which is not corrected."""
 
 RIGS = range(1, 15)
 
@@ -37,7 +37,7 @@ def predicted(roughness: float) -> xr.Dataset:
 
 @cache
 def measured(roughness: float, seed: int) -> xr.Dataset:
-    """Kind ``primary``: what a rig of its own makes of the surface."""
+    """Kind ``primary``: the surface measured by the rig of a seed."""
     frames = accuracy.frames_of(plan(), predicted(roughness), seed=seed)
     profile = calibrate(accuracy.reduced(plan(), frames, "etalon"), accuracy.certificate())
     return apply(accuracy.reduced(plan(), frames, "sample"), profile)
@@ -46,7 +46,7 @@ def measured(roughness: float, seed: int) -> xr.Dataset:
 def pulls(roughness: float, seed: int) -> np.ndarray:
     """(found − true)/u of each input."""
     finish = facets.analytic("beckmann", roughness)
-    found = routes.compare(measured(roughness, seed), predicted(roughness), facets=finish, index=1.5, spectrum=SPECTRUM)
+    found = compare(measured(roughness, seed), predicted(roughness), facets=finish, index=1.5, spectrum=SPECTRUM)
     assert found.attrs["converged"]
     assert found["chi_squared_dof"][-1] < 1.2
     # An uncertainty of the size of the prior would be no feat.
@@ -55,11 +55,11 @@ def pulls(roughness: float, seed: int) -> np.ndarray:
     return ((found["posterior"] - true) / found["posterior_u"]).values
 
 
-def test_what_an_emulated_rig_tells_of_a_surface_is_true_within_its_uncertainty() -> None:
+def test_inputs_from_an_emulated_rig_are_true_within_their_uncertainty() -> None:
     assert np.abs(pulls(0.037, 1)).max() < 3.5
 
 
-def test_how_well_angles_are_known_goes_with_the_measurement() -> None:
+def test_the_primary_data_state_the_uncertainty_of_angles() -> None:
     # Thirteen spots over 9 degrees, or 70 pixels, each known to 0.02 pixel, or better where they fit better.
     assert 2e-5 < measured(0.037, 1).attrs["disc_scale_u"] < 1.2e-4
 
@@ -78,7 +78,7 @@ RIM = (
         pytest.param(0.11, id="lobe of 9 degree"),
     ],
 )
-def test_over_many_rigs_inputs_are_off_by_what_is_stated(roughness) -> None:
+def test_over_many_rigs_errors_of_inputs_agree_with_their_stated_uncertainty(roughness) -> None:
     off = np.array([pulls(roughness, seed) for seed in RIGS])
     rms = np.sqrt(np.mean(off**2, axis=0))
     # Of 14 an rms is known to 19 %.

@@ -1,4 +1,4 @@
-"""Two routes to one BRDF: a deviation that is known is found, stated with an uncertainty that holds, and told in words."""
+"""Measured and predicted BRDF: a known deviation is recovered within its stated uncertainty, and stated in sentences."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import pytest
 import samples
 import xarray as xr
 
-from brdfpipe import comparison as routes
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import microfacet, slab
-from brdfpipe.comparison import findings
+from brdfpipe.comparison import ComparisonError, findings, measured_predicted
 
 TRUE = {"index": 0.03, "slope": 1.1, "diffuse": 0.95}
 SPECTRUM = samples.spectrum(0.05 + 0.3 * (samples.WAVELENGTH > 540))
@@ -36,7 +35,7 @@ def deviating() -> xr.Dataset:
 
 def compare(primary: xr.Dataset, predicted: xr.Dataset, **options) -> xr.Dataset:
     given = {"facets": finish(), "index": 1.5, "spectrum": SPECTRUM, **options}
-    return routes.compare(primary, predicted, **given)
+    return measured_predicted.compare(primary, predicted, **given)
 
 
 def pulls(comparison: xr.Dataset, true: dict[str, float]) -> np.ndarray:
@@ -66,7 +65,7 @@ def comparison(timed) -> xr.Dataset:
 # --- what is found
 
 
-def test_a_deviation_is_found_within_its_uncertainty(comparison) -> None:
+def test_a_deviation_is_recovered_within_its_uncertainty(comparison) -> None:
     assert list(comparison["input"].values) == ["index", "slope", "diffuse"]
     assert np.abs(pulls(comparison, TRUE)).max() < 3
     # Far less uncertain than before, or it would be no test.
@@ -77,7 +76,7 @@ def test_a_deviation_is_found_within_its_uncertainty(comparison) -> None:
     assert comparison.attrs["converged"]
 
 
-def test_the_median_ratio_and_z_tell_of_the_deviation_until_it_is_fitted(comparison) -> None:
+def test_the_median_ratio_and_z_show_the_deviation_until_it_is_fitted(comparison) -> None:
     before, after = (comparison.sel(model=model) for model in ("predicted", "adjusted"))
     assert (before["rms_z"] > 2 * after["rms_z"]).all()
     np.testing.assert_allclose(after["median_ratio"], 1, atol=0.05)
@@ -85,7 +84,7 @@ def test_the_median_ratio_and_z_tell_of_the_deviation_until_it_is_fitted(compari
     assert np.abs(seen.sel(model="adjusted")).max() < 4
 
 
-def test_what_was_measured_is_passed_on_and_what_was_not_is_missing(comparison, primary) -> None:
+def test_measured_values_are_passed_on_and_others_are_missing(comparison, primary) -> None:
     chosen = primary.sel(wavelength=comparison["wavelength"])
     np.testing.assert_array_equal(comparison["brdf"], chosen["brdf"])
     both = np.hypot(comparison["brdf_u_independent"], comparison["brdf_u_common"])
@@ -96,8 +95,8 @@ def test_what_was_measured_is_passed_on_and_what_was_not_is_missing(comparison, 
         assert (np.isnan(comparison[name].values) == missing).all()
 
 
-def test_the_adjusted_bsdf_is_a_real_one(comparison, predicted) -> None:
-    adjusted = routes.adjusted(comparison, predicted, facets=finish(), index=1.5, spectrum=SPECTRUM)
+def test_the_adjusted_bsdf_is_a_complete_bsdf(comparison, predicted) -> None:
+    adjusted = measured_predicted.adjusted(comparison, predicted, facets=finish(), index=1.5, spectrum=SPECTRUM)
     incidence, cell = 2, 40
     from brdfpipe.specular_directions import outgoing
 
@@ -131,8 +130,8 @@ def test_an_input_that_is_certain_is_not_changed(predicted, deviating) -> None:
     certain = compare(primary, predicted, index_u=0.0, slope_u=0.0, diffuse_u=0.0)
     assert list(certain["model"].values) == ["predicted"]
     assert "posterior" not in certain
-    with pytest.raises(routes.ComparisonError, match="nothing was fitted"):
-        routes.adjusted(certain, predicted, facets=finish(), index=1.5, spectrum=SPECTRUM)
+    with pytest.raises(ComparisonError, match="nothing was fitted"):
+        measured_predicted.adjusted(certain, predicted, facets=finish(), index=1.5, spectrum=SPECTRUM)
 
 
 def test_without_a_base_there_is_none_to_change() -> None:
@@ -144,7 +143,7 @@ def test_without_a_base_there_is_none_to_change() -> None:
 
 
 @pytest.mark.slow
-def test_a_metal_is_told_by_its_slopes() -> None:
+def test_the_slopes_of_a_metal_are_recovered() -> None:
     index = optics.refractive_index({"n": 1.1, "k": 6.0})
     truth = comparison_primary.deviating(finish(), index, shift=0.0)
     found = compare(
@@ -158,7 +157,7 @@ def test_a_metal_is_told_by_its_slopes() -> None:
     assert "the measurement does not constrain it" in findings.sentences(found)[2]
 
 
-def test_it_finds_a_finish_that_is_twice_as_rough() -> None:
+def test_a_finish_twice_as_rough_is_recovered() -> None:
     truth = comparison_primary.deviating(finish(), 1.5, slope=2.0, shift=0.0)
     primary = comparison_primary.measured(truth, 1, incidences=(30.0, 60.0))
     found = compare(primary, microfacet.build(finish(), index=1.5), spectrum=None, index_u=0.0)
@@ -171,7 +170,7 @@ def test_it_finds_a_finish_that_is_twice_as_rough() -> None:
 def test_a_comparison_takes_seconds_and_few_wavelengths(timed) -> None:
     comparison, seconds = timed
     assert seconds < 20
-    assert comparison.sizes["wavelength"] == routes.MOST_WAVELENGTHS
+    assert comparison.sizes["wavelength"] == measured_predicted.MOST_WAVELENGTHS
     assert comparison["wavelength"].values[[0, -1]].tolist() == [400.0, 730.0]
 
 
@@ -187,7 +186,7 @@ def test_uncertainties_of_the_inputs_hold_over_many_seeds(predicted, deviating) 
 
 
 @pytest.mark.slow
-def test_of_a_scan_the_slopes_are_told_as_well_as_it_knows_them() -> None:
+def test_slopes_of_a_scan_are_recovered_within_the_uncertainty_of_the_scan() -> None:
     """Scans of 512² heights of one surface, each with slopes of its own; the truth is the surface, 5 % rougher."""
     sigma, off = 0.1, []
     truth = comparison_primary.deviating(
@@ -205,7 +204,7 @@ def test_of_a_scan_the_slopes_are_told_as_well_as_it_knows_them() -> None:
 
 
 def displaced(bsdf: xr.Dataset, by: float) -> xr.Dataset:
-    """Without errors but for a disc that lies elsewhere by an angle [degree], which its geometry allows for."""
+    """Without errors except a disc displaced by an angle [degree], as stated in the component ``geometry``."""
     primary = comparison_primary.measured(bsdf, None, incidences=(10.0, 30.0))
     theta, phi = primary["theta_s"].values, primary["phi_s"].values
     beside = [primary.assign_coords(theta_s=("cell", theta), phi_s=("cell", phi))]
@@ -222,7 +221,7 @@ def displaced(bsdf: xr.Dataset, by: float) -> xr.Dataset:
     )
 
 
-def test_a_disc_that_lies_elsewhere_is_not_taken_for_another_finish() -> None:
+def test_a_displaced_disc_is_not_mistaken_for_another_finish() -> None:
     narrow = microfacet.build(facets.analytic("beckmann", 0.03), index=1.5)
     found = compare(displaced(narrow, 0.1), narrow, facets=facets.analytic("beckmann", 0.03), spectrum=None)
     assert np.abs(pulls(found, {"index": 0.0, "slope": 1.0})).max() < 2
@@ -232,7 +231,7 @@ def test_a_disc_that_lies_elsewhere_is_not_taken_for_another_finish() -> None:
 # --- what is told
 
 
-def test_findings_say_what_was_changed_and_by_how_much(comparison) -> None:
+def test_findings_state_the_changed_inputs_and_their_changes(comparison) -> None:
     agreement, after, index, slope, diffuse, *_ = findings.sentences(comparison)
     assert agreement.startswith("measured over predicted, median at 10°, 20°, 30°, 45°, 60° of incidence: 0.9")
     assert after.endswith("the prediction describes the measurement")
@@ -253,11 +252,11 @@ def test_findings_say_what_was_changed_and_by_how_much(comparison) -> None:
         (1.0, 0.0, "1.0000 ± 0.0000"),
     ],
 )
-def test_a_value_has_the_figures_of_its_uncertainty(value, u, words) -> None:
+def test_a_value_has_the_decimals_of_its_uncertainty(value, u, words) -> None:
     assert findings.plus_minus(value, u) == words
 
 
-def test_a_model_of_the_wrong_form_is_told() -> None:
+def test_a_model_of_the_wrong_form_gives_a_warning() -> None:
     truth = microfacet.build(facets.analytic("ggx", 0.1), index=1.5)
     wrong = microfacet.build(finish(), index=1.5)
     found = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), wrong, spectrum=None, index_u=0.0)
@@ -270,7 +269,7 @@ def test_a_model_of_the_wrong_form_is_told() -> None:
 LAY = facets.analytic("beckmann", a_x=0.1, a_y=0.25, azimuth=30)
 
 
-def test_a_lay_is_told_and_compared_nevertheless() -> None:
+def test_a_surface_with_a_lay_is_compared_with_a_warning() -> None:
     predicted = microfacet.build(LAY, index=1.5)
     certain = {"index_u": 0.0, "slope_u": 0.0, "spectrum": None}
     found = compare(comparison_primary.measured(predicted, 1, incidences=(30.0,)), predicted, facets=LAY, **certain)
@@ -280,14 +279,14 @@ def test_a_lay_is_told_and_compared_nevertheless() -> None:
 
 
 @pytest.mark.slow
-def test_a_deviation_is_found_of_a_lay() -> None:
+def test_a_deviation_of_a_surface_with_a_lay_is_recovered() -> None:
     predicted = microfacet.build(LAY, index=1.5, spectrum=SPECTRUM)
     truth = comparison_primary.deviating(LAY, 1.5, SPECTRUM)
     found = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), predicted, facets=LAY)
     assert np.abs(pulls(found, TRUE)).max() < 3
 
 
-def test_a_prediction_averaged_over_its_lay_is_compared_as_it_is() -> None:
+def test_a_prediction_averaged_over_its_lay_is_compared_unchanged() -> None:
     predicted = microfacet.build(LAY, index=1.5, isotropic=True)
     primary = comparison_primary.measured(predicted, 1, incidences=(30.0, 60.0))
     found = compare(primary, predicted, facets=LAY, spectrum=None, index_u=0.0)
@@ -311,27 +310,25 @@ def test_no_common_wavelength_is_refused(predicted) -> None:
     primary = comparison_primary.measured(predicted, None, incidences=(30.0,))
     shifted = primary["wavelength"].copy(data=np.arange(900.0, 1101.0, 50.0))
     primary = primary.assign_coords(wavelength=shifted)
-    with pytest.raises(
-        routes.ComparisonError, match="900 to 1100 nm and the prediction covers 360 to 780 nm: they share no"
-    ):
+    with pytest.raises(ComparisonError, match="900 to 1100 nm and the prediction covers 360 to 780 nm: they share no"):
         compare(primary, predicted)
 
 
 def test_nothing_measured_is_refused(predicted) -> None:
     primary = comparison_primary.measured(predicted, None, incidences=(30.0,))
-    with pytest.raises(routes.ComparisonError, match="no cell of the rig has a value"):
+    with pytest.raises(ComparisonError, match="no cell of the rig has a measured value"):
         compare(primary.assign(brdf=primary["brdf"] * np.nan), predicted)
 
 
 def test_a_flat_surface_is_refused(predicted) -> None:
     flat = microfacet.build(facets.flat(), index=1.5, spectrum=SPECTRUM)
-    with pytest.raises(routes.ComparisonError, match="perfectly flat and mirrors light into one single direction"):
+    with pytest.raises(ComparisonError, match="perfectly flat and mirrors light into one single direction"):
         compare(comparison_primary.measured(predicted, None, incidences=(30.0,)), flat, facets=facets.flat())
 
 
 def test_transmitted_light_is_refused(predicted) -> None:
     primary = comparison_primary.measured(predicted, None, incidences=(30.0,)).assign_attrs(side="transmission")
-    with pytest.raises(routes.ComparisonError, match="measured transmitted light"):
+    with pytest.raises(ComparisonError, match="measured transmitted light"):
         compare(primary, predicted)
 
 
@@ -339,13 +336,13 @@ def test_transmitted_light_is_refused(predicted) -> None:
     "other", [{"index": 1.6}, {"facets": facets.analytic("beckmann", 0.2)}, {"spectrum": samples.spectrum(0.5)}]
 )
 def test_inputs_that_are_not_those_of_the_prediction_are_refused(predicted, other) -> None:
-    with pytest.raises(routes.ComparisonError, match="was not made from these facets"):
+    with pytest.raises(ComparisonError, match="was not made from these facets"):
         compare(comparison_primary.measured(predicted, None, incidences=(30.0,)), predicted, **other)
 
 
 @pytest.mark.parametrize("u", [-0.1, np.nan, np.inf])
-def test_an_uncertainty_that_is_none_is_refused(predicted, u) -> None:
-    with pytest.raises(routes.ComparisonError, match=r"the input 'slope' is .*; accepted: 0 or more"):
+def test_an_invalid_uncertainty_is_refused(predicted, u) -> None:
+    with pytest.raises(ComparisonError, match=r"the input 'slope' is .*; accepted: 0 or more"):
         compare(comparison_primary.measured(predicted, None, incidences=(30.0,)), predicted, slope_u=u)
 
 

@@ -1,4 +1,4 @@
-"""What a rig measured: its covariance is that of its components, and common errors are never averaged away."""
+"""Measured values: their covariance is that of the components, and common errors do not average out."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_errors_of_the_model_join_those_of_the_measurement(primary) -> None:
     assert found == pytest.approx(expected, rel=1e-9)
 
 
-def test_chi_squared_of_what_was_stated_is_the_number_of_values() -> None:
+def test_chi_squared_of_errors_of_the_stated_size_is_the_number_of_values() -> None:
     truth = beckmann_bsdf(0.1)
     right = of(comparison_primary.measured(truth, None)).value
     found = []
@@ -103,8 +103,8 @@ def test_a_common_error_is_not_averaged_over_the_cells() -> None:
 
 
 @pytest.mark.parametrize("component", ["nd", "reference"])
-def test_cells_of_other_frames_have_in_common_what_the_better_known_is_uncertain_by(component) -> None:
-    """Frames hang on one another: cells of the next darker one have the errors of the clear one, and their own besides."""
+def test_cells_of_different_frames_have_the_variance_of_the_better_known_one_in_common(component) -> None:
+    """Frames form a chain: cells of the next darker frame have the errors of the clearest one, and their own."""
     value, own, chained = np.array([2.0, 3.0, 5.0, 7.0]), 0.001, np.array([0.01, 0.01, 0.02, 0.02])
     dims = comparison_primary.DIMS
     primary = xr.Dataset(
@@ -130,7 +130,7 @@ def test_cells_of_other_frames_have_in_common_what_the_better_known_is_uncertain
     )
 
 
-def test_what_was_not_measured_counts_for_nothing(primary) -> None:
+def test_unmeasured_values_do_not_count(primary) -> None:
     measurement = of(primary)
     assert not measurement.used.all()
     model = np.where(measurement.used, measurement.value, 1e9)
@@ -154,7 +154,7 @@ def test_a_value_below_the_noise_is_used(primary) -> None:
     assert of(primary.assign(brdf_quality=quality)).used[0, 0, 0]
 
 
-def test_a_component_is_as_independent_as_it_says(primary) -> None:
+def test_a_component_has_its_stated_correlation(primary) -> None:
     stated = primary["brdf_u_calibration"].assign_attrs(correlation="common")
     before, after = (
         of(each).correlated(among_cells=True) for each in (primary, primary.assign(brdf_u_calibration=stated))
@@ -171,7 +171,7 @@ def test_without_components_the_combined_uncertainty_is_independent(primary) -> 
 
 
 def test_nothing_measured_is_refused(primary) -> None:
-    with pytest.raises(ComparisonError, match="no cell of the rig has a value"):
+    with pytest.raises(ComparisonError, match="no cell of the rig has a measured value"):
         of(primary.assign(brdf=primary["brdf"] * np.nan))
 
 

@@ -1,4 +1,4 @@
-"""What a prediction becomes with other inputs, and how uncertain it is: against BSDFs built anew and against integrals."""
+"""Predictions with changed inputs and their uncertainty, against rebuilt BSDFs and against integrals."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_the_index_of_a_clear_body_stays_above_that_of_air_and_a_metals_may_fall
 
 
 @pytest.mark.parametrize("choices", CHOICES)
-def test_the_derivatives_are_those_of_bsdfs_built_anew(choices) -> None:
+def test_the_derivatives_are_those_of_rebuilt_bsdfs(choices) -> None:
     finish = facets.analytic("beckmann", 0.25)
     predicted = microfacet.build(finish, index=1.5, spectrum=spectrum(), **choices)
     measurement = seen_by(predicted, 20)
@@ -88,7 +88,7 @@ def test_the_derivatives_are_those_of_bsdfs_built_anew(choices) -> None:
 # --- what cells resolve
 
 
-def test_what_a_cell_leaves_unresolved_is_of_fourth_order_in_its_side() -> None:
+def test_the_unresolved_part_of_a_cell_is_of_fourth_order_in_its_side() -> None:
     predicted = microfacet.build(facets.analytic("beckmann", 0.03), index=1.5)
     primary = comparison_primary.measured(predicted, None, incidences=(10.0,), wavelengths=(500.0,))
     halved = primary.assign_coords(solid_angle=primary["solid_angle"] / 4)
@@ -98,7 +98,7 @@ def test_what_a_cell_leaves_unresolved_is_of_fourth_order_in_its_side() -> None:
     assert not wide[0, 0, ~(primary["solid_angle"].values > 0)].any()
 
 
-def test_a_cell_tells_its_middle_but_for_its_curvature_and_what_that_leaves() -> None:
+def test_the_mean_over_a_cell_is_its_middle_plus_curvature_and_remainder() -> None:
     """A Gaussian lobe over a square cell at the mirror direction, against its integral in closed form."""
     from scipy.special import erf
 
@@ -152,7 +152,7 @@ def with_lay() -> xr.Dataset:
     return facets.estimate(samples.surface(0.5 * height / height.std()), isotropic=False)
 
 
-def test_at_its_values_the_density_is_as_uncertain_as_the_facets_say(scanned, with_lay) -> None:
+def test_at_its_values_the_density_has_the_stated_uncertainty(scanned, with_lay) -> None:
     picked = scanned.isel(alpha=slice(0, 40, 3))
     slope = np.tan(np.radians(picked["alpha"].values))
     for turn in (0.0, 0.7, 2.0):
@@ -167,13 +167,13 @@ def test_at_its_values_the_density_is_as_uncertain_as_the_facets_say(scanned, wi
 
 
 @pytest.mark.parametrize("kind", ["scanned", "with_lay"])
-def test_beyond_its_table_nothing_is_known_better_than_at_its_end(kind, request) -> None:
+def test_beyond_its_table_a_density_is_no_more_certain_than_at_its_end(kind, request) -> None:
     finish = request.getfixturevalue(kind)
     found = scan.relative_u(finish, np.array([50.0, -50.0, 0.0]), np.array([0.0, 0.0, 50.0]))
     assert ((found > 0.2) & (found <= 1)).all()
 
 
-def test_what_single_values_share_and_what_lies_between_them_is_one_uncertainty(scanned) -> None:
+def test_errors_of_single_values_and_between_them_add_up_to_the_stated_uncertainty(scanned) -> None:
     slope = scanned["slope"].values[:30]
     errors = scan.errors(scanned, slope, np.zeros(30))
     single, wide = errors[: scanned.sizes["slope"]], errors[scanned.sizes["slope"] :]
@@ -181,7 +181,7 @@ def test_what_single_values_share_and_what_lies_between_them_is_one_uncertainty(
     np.testing.assert_allclose(wide.sum(axis=0), 1, rtol=1e-9)
 
 
-def test_facets_of_a_lay_err_together_along_its_ellipse(with_lay) -> None:
+def test_facets_of_a_surface_with_a_lay_have_common_errors_along_its_ellipse(with_lay) -> None:
     lay, widths = (
         np.radians(float(with_lay["lay"])),
         [float(with_lay[f"slope_{way}"].attrs["scale"]) for way in ("along", "across")],
@@ -200,7 +200,7 @@ def test_an_assumed_finish_is_certain() -> None:
 
 
 @pytest.mark.parametrize("kind", ["scanned", "with_lay"])
-def test_a_smooth_density_lies_within_the_uncertainty_of_the_counted_one(kind, request) -> None:
+def test_a_smooth_density_is_within_the_uncertainty_of_the_counted_one(kind, request) -> None:
     finish = request.getfixturevalue(kind)
     smooth = scan.smooth(finish)
     ratio = np.log(smooth["slope_density"] / finish["slope_density"]).values

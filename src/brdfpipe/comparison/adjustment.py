@@ -1,14 +1,7 @@
-"""Generalised least squares: the inputs of a model that agree best with a measurement and with what was known of them before.
+"""Generalised least squares: the inputs of a model that agree best with a measurement and with their prior values.
 
-Minimised is rᵀ C⁻¹ r + Σ (Δ/u)², with r measured less modelled, C the covariance of the values and u the standard uncertainties of the
-inputs. Common errors are not estimated one by one: C holds them, which is the same as fitting each with a prior of one standard
-uncertainty.
-
-References
-----------
-JCGM 100:2008 (GUM); Rodgers 2000, Inverse Methods for Atmospheric Sounding, ch. 5 (Gauss–Newton with a prior); Deuflhard 2004, Newton
-Methods for Nonlinear Problems (the natural monotonicity test); Birge 1932 (Phys. Rev. 40, 207)
-for the enlarged uncertainties of data that scatter more than they say.
+Minimises rᵀ C⁻¹ r + Σ (Δ/u)², with r measured less modelled, C the covariance of the values and u the standard uncertainties of the inputs.
+C includes common errors, which is the same as fitting each with a prior of one standard uncertainty.
 """
 
 from __future__ import annotations
@@ -24,19 +17,16 @@ from brdfpipe.comparison.measurement import Covariance, Measurement
 from brdfpipe.geometry import Array
 
 _TOLERANCES = (0.3, 0.1, 0.03, 0.0)
-"""Relative uncertainties of the model to start with: where it is far off, small weights on bright cells lead to the valley."""
-_FAR_OFF = 100.0
-"""χ² over the degrees of freedom above which they are needed."""
+"""Successive relative uncertainties of a model far from the data: small weights of bright cells make the steps reach the minimum."""
+_FAR_OFF = 100.0  # χ² over the degrees of freedom above which these are needed
 _STEPS = 20
 _HALVINGS = 5
-_CONVERGED = 1e-2
-"""Gain in χ², over that of a degree of freedom, below which no further step is taken: a step of 0.1 standard uncertainties."""
-_LONGEST = 3.0
-"""Of a step, in prior standard uncertainties: farther out the tangent tells nothing."""
+_CONVERGED = 1e-2  # gain in χ², over χ² per degree of freedom, that ends the search: 0.1 standard uncertainties
+_LONGEST_STEP = 3.0  # in prior standard uncertainties: the tangent is not valid farther out
 
 
 class Model(Protocol):
-    """What a model with some inputs says of the cells; fields are (incidence, wavelength, cell)."""
+    """A model at the cells; fields are (incidence, wavelength, cell)."""
 
     @property
     def values(self) -> Array:
@@ -44,11 +34,11 @@ class Model(Protocol):
 
     @property
     def own_u(self) -> Array:
-        """Standard uncertainty that each value has for itself [sr-1]."""
+        """Standard uncertainty independent from value to value [sr-1]."""
 
     @property
     def common(self) -> Array:
-        """Changes (error, …) of the values by errors that many of them share, of one standard uncertainty each [sr-1]."""
+        """Changes (error, …) of the values by common errors of one standard uncertainty each [sr-1]."""
 
     def slopes(self) -> Array:
         """Change of the values (input, …) as each input changes by one prior standard uncertainty."""
@@ -59,23 +49,20 @@ AnyModel = TypeVar("AnyModel", bound=Model)
 
 @dataclass(frozen=True)
 class Adjusted(Generic[AnyModel]):
-    """The outcome; changes are in prior standard uncertainties."""
+    """The result of a fit; changes are in prior standard uncertainties."""
 
-    change: Array
-    """(input,)"""
-    model: AnyModel
-    """With the changes in it."""
+    change: Array  # (input,)
+    model: AnyModel  # the model with the changes
     spread: Array
-    """(input, input) covariance of the changes, enlarged where the data scatter more than they say."""
+    """(input, input) covariance of the changes, enlarged if the data scatter more than their uncertainties."""
     enlarged: float
-    """By how much the uncertainties of the data were enlarged for it; 1 or more."""
-    covariance: Covariance
-    """Of the values."""
+    """Factor by which the uncertainties of the data were enlarged for it; 1 or more (Birge 1932, Phys. Rev. 40, 207)."""
+    covariance: Covariance  # of the values
     converged: bool
 
 
 class _State(Generic[AnyModel]):
-    """Changes, the model with them, and how it fits."""
+    """Changes, the model with these, and its agreement with the measurement."""
 
     def __init__(self, measurement: Measurement, change: Array, model: AnyModel, tolerance: float) -> None:
         self.change, self.model = change, model
@@ -88,25 +75,25 @@ class _State(Generic[AnyModel]):
         return self.covariance.chi_squared(self.residual)
 
     def objective(self, other: _State[AnyModel]) -> float:
-        """Sum of squares, that of the prior included, of another state under the covariance of this one."""
+        """Sum of squares, with that of the prior, of another state under the covariance of this one."""
         return self.covariance.chi_squared(other.residual) + float(other.change @ other.change)
 
     @cached_property
     def normal_equations(self) -> tuple[Array, Array]:
-        """The data's part of the matrix (input, input), and how steeply the objective falls (input,)."""
+        """The data's part of the Hessian (input, input), and the negative gradient of the objective (input,)."""
         slopes, residual = self.covariance.whitened(self.model.slopes()), self.covariance.whitened(self.residual[None])
         both = self.covariance.products(slopes, np.concatenate([slopes, residual]))
         return both[:, :-1], both[:, -1] - self.change
 
     @cached_property
     def step(self) -> Array:
-        """From here to the least of the objective, as the tangent has it."""
+        """Gauss–Newton step to the minimum."""
         hessian, gradient = self.normal_equations
         return np.asarray(np.linalg.solve(hessian + np.eye(gradient.size), gradient))
 
     @property
     def gain(self) -> float:
-        """By how much the step lowers the objective, as the tangent has it: the square of its length in standard uncertainties."""
+        """Expected decrease of the objective by the step: its squared length in standard uncertainties."""
         return float(self.step @ self.normal_equations[1])
 
 
@@ -118,14 +105,18 @@ def adjust(
     Parameters
     ----------
     measurement : the values
-    model : of the changes (input,) of its inputs, in prior standard uncertainties
-    inputs : how many there are
+    model : function of the changes (input,) of its inputs, in prior standard uncertainties
+    inputs : their number
     start : the model without a change
 
     Notes
     -----
-    Gauss–Newton. The covariance is that of a right model and is taken anew at each step, so that there is no one sum of squares that must
-    fall: a step is good if it lowers the present one, or if the next step is shorter.
+    Gauss–Newton with a prior. The covariance is that of a correct model and computed anew at each step, so no single sum of squares must
+    decrease: a step is accepted if it lowers the present one, or if the next step is shorter (natural monotonicity test).
+
+    References
+    ----------
+    JCGM 100:2008 (GUM); Rodgers 2000, Inverse Methods for Atmospheric Sounding, ch. 5; Deuflhard 2004, Newton Methods for Nonlinear Problems.
     """
     freedom = max(int(measurement.used.sum()) - inputs, 1)
     state = _State(measurement, np.zeros(inputs), start, 0.0)
@@ -134,23 +125,23 @@ def adjust(
         enough = _CONVERGED if tolerance == 0 else 1.0
         for _ in range(_STEPS):
             converged = state.gain < enough * max(1.0, state.chi_squared / freedom)
-            following = None if converged else _nearer(measurement, model, state, tolerance)
-            if following is None:
+            better = None if converged else _better_state(measurement, model, state, tolerance)
+            if better is None:
                 break
-            state = following
+            state = better
     scatter = max(1.0, state.chi_squared / freedom)
     spread = np.asarray(np.linalg.inv(state.normal_equations[0] / scatter + np.eye(inputs)))
     return Adjusted(state.change, state.model, spread, float(np.sqrt(scatter)), state.covariance, converged)
 
 
-def _nearer(
+def _better_state(
     measurement: Measurement, model: Callable[[Array], AnyModel], state: _State[AnyModel], tolerance: float
 ) -> _State[AnyModel] | None:
-    """After the first of ever shorter steps that is a good one; None where none is."""
-    step = state.step * min(1.0, _LONGEST / float(np.abs(state.step).max()))
+    """The state after the first accepted of successively halved steps; None if none is."""
+    step = state.step * min(1.0, _LONGEST_STEP / float(np.abs(state.step).max()))
     for halving in range(_HALVINGS):
         change = state.change + step / 2**halving
-        tried = _State(measurement, change, model(change), tolerance)
-        if state.objective(tried) < state.objective(state) or tried.gain < state.gain:
-            return tried
+        trial = _State(measurement, change, model(change), tolerance)
+        if state.objective(trial) < state.objective(state) or trial.gain < state.gain:
+            return trial
     return None

@@ -19,7 +19,7 @@ _PICTURES = ("incidence", "wavelength")
 
 def compared(measurement: Measurement, models: Mapping[str, Predicted], fit: Adjusted[Member] | None) -> xr.Dataset:
     """Measured values beside those of models, and their agreement."""
-    best = [*models.values()][-1]
+    best = list(models.values())[-1]
     covariance = measurement.covariance(best.values, best.own_u, best.common) if fit is None else fit.covariance
     count, fitted = int(measurement.used.sum()), 0 if fit is None else fit.change.size
     chi_squared = {name: covariance.chi_squared(measurement.value - model.values) for name, model in models.items()}
@@ -41,19 +41,15 @@ def compared(measurement: Measurement, models: Mapping[str, Predicted], fit: Adj
 def _measured(measurement: Measurement) -> dict[str, Any]:
     own, common = (measurement.correlated(among_cells=shared) for shared in (False, True))
     fields = {"brdf": measurement.value, "brdf_u": measurement.u, "brdf_u_independent": own, "brdf_u_common": common}
+    attrs = {f"brdf_u_{correlation}": {"correlation": correlation} for correlation in ("independent", "common")}
     variables = {
-        name: (DIMS, np.where(measurement.used, field, np.nan), _correlation(name)) for name, field in fields.items()
+        name: (DIMS, np.where(measurement.used, field, np.nan), attrs.get(name, {})) for name, field in fields.items()
     }
     weight = _weight(measurement)
     return variables | {
         "seen_reflectance": (_PICTURES, (weight * measurement.value).sum(axis=-1)),
         "seen_reflectance_u": (_PICTURES, measurement.sum_u(weight)),
     }
-
-
-def _correlation(name: str) -> dict[str, str]:
-    component = name.removeprefix("brdf_u_")
-    return {} if component == name else {"correlation": component}
 
 
 def _modelled(measurement: Measurement, models: Sequence[Predicted]) -> dict[str, Any]:

@@ -16,20 +16,11 @@ from brdfpipe.bsdf.representations.microfacet import Microfacet
 MISFIT = 1.5
 """χ² over the degrees of freedom above which a model does not agree with a measurement."""
 
-_CERTAIN = 3.0
-"""Standard uncertainties above which a change is significant."""
-
-_FAR = 3.0
-"""Prior standard uncertainties above which a change is implausible."""
-
-_UNINFORMATIVE = 0.8
-"""Posterior over prior uncertainty above which the measurement does not constrain an input."""
-
-_CORRELATED = 0.9
-"""Correlation above which two inputs cannot be separated."""
-
-_REFERENCE = 550.0
-"""Wavelength at which an index is quoted [nm]."""
+_CERTAIN = 3.0  # standard uncertainties above which a change is significant
+_FAR = 3.0  # prior standard uncertainties above which a change is implausible
+_UNINFORMATIVE = 0.8  # posterior over prior uncertainty above which the measurement does not constrain an input
+_CORRELATED = 0.9  # correlation above which two inputs cannot be separated
+_REFERENCE = 550.0  # wavelength at which an index is quoted [nm]
 
 NAMES = {"index": "refractive index", "slope": "slope scale", "diffuse": "diffuse scale"}
 
@@ -72,7 +63,7 @@ def _inputs(comparison: xr.Dataset, predicted: xr.Dataset) -> Iterator[str]:
         return
     for name in map(str, comparison["input"].values):
         one = comparison.sel(input=name)
-        value, u, before = (float(one[each]) for each in ("posterior", "posterior_u", "prior"))
+        value, u, before = (float(one[part]) for part in ("posterior", "posterior_u", "prior"))
         stated = f"{NAMES[name]} {_stated(name, value, u, predicted)}"
         if u > _UNINFORMATIVE * float(one["prior_u"]):
             yield f"{stated}: the measurement does not constrain it beyond the assumed uncertainty"

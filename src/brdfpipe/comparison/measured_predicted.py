@@ -1,8 +1,7 @@
 """The measured BRDF beside the one predicted from the surface, and the inputs with which both agree.
 
-Some inputs of the prediction are uncertain: the refractive index, the slopes of the facets (a scan smooths, or is noisy), and the diffuse
-reflectance. They are fitted until prediction and measurement agree best, each with its prior uncertainty (:mod:`.adjustment`). The change is
-stated with its uncertainty. A remaining misfit is one of the model's form.
+Uncertain inputs are the refractive index, the slopes of the facets (a scan smooths, or is noisy), and the diffuse reflectance. They are fitted
+with their prior uncertainties (:mod:`.adjustment`). A remaining misfit is one of the model's form.
 """
 
 from __future__ import annotations
@@ -27,8 +26,7 @@ PRIOR_U: Mapping[str, float] = {"index": 0.02, "slope": 0.1, "diffuse": 0.05}
 MOST_WAVELENGTHS = 8
 """Wavelengths that are compared, evenly chosen from those of the rig that the prediction covers."""
 
-_SAME = 1e-3
-"""Largest relative difference between a prediction and the same one rebuilt from its inputs."""
+_SAME = 1e-3  # largest relative difference between a prediction and the same one rebuilt from its inputs
 
 
 def compare(
@@ -48,7 +46,7 @@ def compare(
     ----------
     primary : kind ``primary``, of reflection; light comes from azimuth 0, whatever the lay of the surface
     predicted : kind ``bsdf``. One of the representation ``microfacet`` is fitted, any other one only compared
-    facets, index, spectrum : what it was built from, see :func:`brdfpipe.bsdf.microfacet.build`
+    facets, index, spectrum : the inputs it was built from, see :func:`brdfpipe.bsdf.microfacet.build`
     index_u : standard uncertainty of the refractive index [1]
     slope_u, diffuse_u : relative standard uncertainty of the facets' slopes, and of the diffuse reflectance
         below them; an input with an uncertainty of 0 is not changed
@@ -68,9 +66,9 @@ def compare(
 
     Notes
     -----
-    The values of ``primary`` are those in the middle of the cells: the reduction takes the curvature of the light out of their means. What is
-    left of it where a lobe is about as narrow as a cell counts as an uncertainty of the prediction (``brdf_model_u``), beside what the
-    scan leaves uncertain of the facets. z and χ² know of both.
+    The values of ``primary`` are those in the middle of the cells: the reduction corrects their means for the curvature of the light. The
+    remaining error where a lobe is about as narrow as a cell, and the uncertainty of the scanned facets, are uncertainties of the prediction
+    (``brdf_model_u``), which z and χ² include.
     """
     prior_u = {"index": index_u, "slope": slope_u, "diffuse": diffuse_u}
     _check(primary, predicted, facets, prior_u)
@@ -79,11 +77,14 @@ def compare(
     fit: Adjusted[Member] | None = None
     if isinstance(representation(predicted), Microfacet):
         given = Given.to(predicted, facets, index, spectrum, measurement.wavelength)
-        family = Family(given, measurement, _fitted_inputs(prior_u, predicted))
+        # Inputs that may be changed and have an effect.
+        fixed = set() if predicted["diffuse"].values.any() else {"diffuse"}
+        fitted = {name: prior_u[name] for name in INPUTS if prior_u[name] > 0 and name not in fixed}
+        family = Family(given, measurement, fitted)
         _check_same(models["predicted"], family.start)
         models["predicted"] = family.start
-        if family.prior_u:
-            fit = adjust(measurement, family.at, len(family.prior_u), family.start)
+        if fitted:
+            fit = adjust(measurement, family.at, len(fitted), family.start)
             models["adjusted"] = fit.model
     comparison = comparison_dataset.compared(measurement, models, fit)
     if fit is not None:
@@ -100,7 +101,7 @@ def adjusted(
     index: xr.Dataset | float | str,
     spectrum: xr.Dataset | None = None,
 ) -> xr.Dataset:
-    """The BSDF built with the inputs that a comparison found; arguments as for :func:`compare`.
+    """The BSDF built with the fitted inputs of a comparison; arguments as for :func:`compare`.
 
     Raises
     ------
@@ -111,9 +112,6 @@ def adjusted(
     names = map(str, comparison["input"].values)
     changed = dict(zip(names, comparison["posterior"].values.tolist(), strict=True))
     return Given.to(predicted, facets, index, spectrum).bsdf({**NOMINAL, **changed})
-
-
-# --- what is compared
 
 
 def _check(primary: xr.Dataset, predicted: xr.Dataset, facets: xr.Dataset, prior_u: Mapping[str, float]) -> None:
@@ -137,7 +135,7 @@ def _check(primary: xr.Dataset, predicted: xr.Dataset, facets: xr.Dataset, prior
 
 
 def _shared(primary: xr.Dataset, predicted: xr.Dataset) -> NDArray[np.int64]:
-    """Numbers of the rig's wavelengths that are compared."""
+    """Indices of the rig's wavelengths that are compared."""
     own = primary["wavelength"].values
     covered = np.arange(own.size)
     if "wavelength" in predicted.coords:
@@ -148,14 +146,8 @@ def _shared(primary: xr.Dataset, predicted: xr.Dataset) -> NDArray[np.int64]:
                 f"the rig measured from {own[0]:g} to {own[-1]:g} nm and the prediction covers {low:g} to {high:g} nm: they share no "
                 "wavelength; give a `spectrum` (or an `index`) that covers the rig's"
             )
-    places = np.linspace(0, covered.size - 1, min(covered.size, MOST_WAVELENGTHS))
-    return np.asarray(covered[places.round().astype(int)], dtype=np.int64)
-
-
-def _fitted_inputs(prior_u: Mapping[str, float], predicted: xr.Dataset) -> dict[str, float]:
-    """The inputs that may be changed and have an effect."""
-    without = set() if predicted["diffuse"].values.any() else {"diffuse"}
-    return {name: prior_u[name] for name in INPUTS if prior_u[name] > 0 and name not in without}
+    indices = np.linspace(0, covered.size - 1, min(covered.size, MOST_WAVELENGTHS)).round().astype(int)
+    return np.asarray(covered[indices], dtype=np.int64)
 
 
 def _check_same(predicted: Predicted, rebuilt: Predicted) -> None:
@@ -164,6 +156,5 @@ def _check_same(predicted: Predicted, rebuilt: Predicted) -> None:
     # Between the wavelengths of the spectrum the two may differ; of other inputs nearly all values do.
     if used.any() and np.median(np.abs(rebuilt.values[used] / predicted.values[used] - 1)) > _SAME:
         raise ComparisonError(
-            "the prediction was not made from these facets, this index and this spectrum: rebuilt from them it differs; "
-            "run `brdfpipe build`"
+            "the prediction was not made from these facets, this index and this spectrum: one rebuilt from them differs; run `brdfpipe build`"
         )

@@ -1,16 +1,7 @@
-"""The values a rig measured and their covariance: errors of single cells, of pictures, and of the whole measurement.
+"""The values a rig measured and their covariance (JCGM 100:2008, 5.2 and F.1.2): errors of cells, of pictures, and of the whole measurement.
 
-A component of the uncertainty that is marked ``common`` is one error for all the cells of a picture, that is of an incidence at a
-wavelength; some are the same for all wavelengths of an incidence, or for everything. One that is marked ``independent`` is an error of
-each cell; that of the calibration is the same at every incidence. The geometry counts twice: as an error of each cell, and as a shift of
-the whole picture, which looks like another lobe. Frames of a bracket are scaled by the light they share (``reference``, ``nd``): a darker
-frame has the error of the brighter one and adds its own, so that two cells have the variance of the better known one in common. A
-relative component is stated over the measured value. Here it is taken over the model's: if large values had large uncertainties by
-chance, common errors would pull every fit below the data (Peelle's pertinent puzzle).
-
-References
-----------
-JCGM 100:2008 (GUM), 5.2 and F.1.2, common errors; Frühwirth, Neudecker & Leeb 2012 (EPJ Web of Conferences 27, 00008) on Peelle's puzzle.
+A relative component is stated over the measured value, but taken over the model's: otherwise common errors would pull every fit below the data
+(Peelle's pertinent puzzle; Frühwirth, Neudecker & Leeb 2012, EPJ Web of Conferences 27, 00008).
 """
 
 from __future__ import annotations
@@ -32,14 +23,9 @@ from brdfpipe.specular_directions import cos_view, outgoing
 
 DIMS = ("incidence", "wavelength", "cell")
 
-_USED = ("measured", "below_noise")
-"""Quality flags of compared values; a value below the noise is valid within its uncertainty."""
-
-_LINKS = 2
-"""Number of steps that the errors of a chain of frames are divided into."""
-
-_NEAR = 3.0
-"""Largest deviation of a model, in standard uncertainties, at which relative uncertainties still refer to it."""
+_USED = ("measured", "below_noise")  # a value below the noise is valid within its uncertainty
+_LINKS = 2  # number of errors into which the errors of chained frames are divided
+_NEAR = 3.0  # standard uncertainties from the data within which relative uncertainties refer to the model
 
 
 class ComparisonError(BrdfpipeError):
@@ -47,13 +33,11 @@ class ComparisonError(BrdfpipeError):
 
 
 class _ErrorModel(NamedTuple):
-    """Along which dimensions an error is independent, and what it scales with."""
+    """The correlation of an error, and its scale."""
 
-    own: tuple[str, ...]
-    """Dimensions along which errors are independent; along the others they are the same."""
-    relative: bool
-    chained: bool = False
-    """Errors of chained frames: the excess over the best known cell of a picture is common to all cells at least as uncertain."""
+    own: tuple[str, ...]  # dimensions along which errors are independent; along the others they are the same
+    relative: bool  # proportional to the BRDF
+    chained: bool = False  # common to all cells that are at least as uncertain
 
 
 _ERROR_MODELS = {
@@ -67,6 +51,11 @@ _ERROR_MODELS = {
     "certificate": _ErrorModel((), relative=True),
     "path": _ErrorModel(("incidence",), relative=True),
 }
+"""The geometry counts twice: as an error of each cell, and as a shift of the whole picture, which looks like another lobe.
+
+Frames of a bracket form a chain: each is scaled by the light it shares with a brighter one, so it has the brighter one's error and its own
+(``chained``). Two cells have the variance of the better known one in common.
+"""
 _BY_CORRELATION = {
     "independent": _ErrorModel(DIMS, relative=False),
     "common": _ErrorModel(("incidence", "wavelength"), relative=True),
@@ -76,31 +65,23 @@ _BY_CORRELATION = {
 class _Component(NamedTuple):
     name: str
     error_model: _ErrorModel
-    u: Array
-    """(incidence, wavelength, cell) [sr-1]"""
+    u: Array  # (incidence, wavelength, cell) [sr-1]
 
 
 @dataclass(frozen=True)
 class Measurement:
     """The cells of a rig; fields are (incidence, wavelength, cell)."""
 
-    incidence: Array
-    """(incidence,) degree"""
-    wavelength: Array
-    """(wavelength,) nm"""
-    theta_s: Array
-    """(cell,) degree"""
+    incidence: Array  # (incidence,) degree
+    wavelength: Array  # (wavelength,) nm
+    theta_s: Array  # (cell,) degree
     phi_s: Array
-    solid_angle: Array
-    """(cell,) of the cells that take the mean over a piece of the disc [sr]; NaN for the others."""
-    value: Array
-    """BRDF [sr-1]; 0 where it is not used."""
-    u: Array
-    """Combined standard uncertainty [sr-1]; 0 where the value is not used."""
+    solid_angle: Array  # (cell,) of the cells of the disc [sr]; NaN for the others
+    value: Array  # BRDF [sr-1]; 0 where it is not used
+    u: Array  # combined standard uncertainty [sr-1]; 0 where the value is not used
     used: NDArray[np.bool_]
     components: tuple[_Component, ...]
-    scale_u: float = 0.0
-    """Relative standard uncertainty of all angles on the disc."""
+    scale_u: float = 0.0  # relative standard uncertainty of all angles on the disc
 
     @classmethod
     def of(cls, primary: xr.Dataset, wavelengths: NDArray[np.int64]) -> Measurement:
@@ -118,7 +99,7 @@ class Measurement:
             used &= np.isin(primary["brdf_quality"].values, [vocabulary.quality(name) for name in _USED])
         if not used.any():
             raise ComparisonError(
-                "no cell of the rig has a value that was measured: check the quality flags of the primary data"
+                "no cell of the rig has a measured value: check the quality flags of the primary data"
             )
         solid_angle = primary["solid_angle"].values if "solid_angle" in primary else np.full(theta_s.size, np.nan)
         components = tuple(
@@ -137,17 +118,12 @@ class Measurement:
             components,
             float(primary.attrs.get("disc_scale_u", 0.0)),
         )
-        measurement._check_uncertainty(measurement.own_variance(measurement.value))
-        return measurement
-
-    def _check_uncertainty(self, variance: Array) -> None:
-        wrong = np.argwhere(self.used & ~(variance > 0))
-        if wrong.size:
-            at, wavelength, cell = wrong[0]
+        for at, wavelength, cell in np.argwhere(used & ~(measurement.own_variance(measurement.value) > 0)):
             raise ComparisonError(
-                f"no independent uncertainty above 0 is stated where a value was measured (incidence {self.incidence[at]:g}°, "
-                f"{self.wavelength[wavelength]:g} nm, cell {cell}); every value needs one, or is missing (NaN)"
+                f"no independent uncertainty above 0 is stated where a value was measured (incidence {incidence[at]:g}°, "
+                f"{measurement.wavelength[wavelength]:g} nm, cell {cell}); every value needs one, or is missing (NaN)"
             )
+        return measurement
 
     @cached_property
     def directions(self) -> tuple[Array, Array, Array]:
@@ -177,25 +153,25 @@ class Measurement:
         return np.sqrt(independent + np.sum(np.square(common), axis=0)) if common else np.sqrt(independent)
 
     def own_variance(self, model: Array) -> Array:
-        """Variance of the errors that every value has for itself."""
+        """Variance of the errors that are independent from value to value."""
         parts = [self._of_cells(part, model) ** 2 for part in self.components if part.error_model.own == DIMS]
         return np.asarray(np.sum(parts, axis=0)) if parts else np.zeros_like(model)
 
     def covariance(self, model: Array, own_u: Array, common: Array) -> Covariance:
-        """Covariance of values less those of a model, if the model is right.
+        """Covariance of values less those of a model, if the model is correct.
 
         Parameters
         ----------
         model : BRDF of the model [sr-1]
-        own_u : standard uncertainty that each value of the model has for itself [sr-1]
-        common : (error, …) changes of the model by common errors, of one standard uncertainty each [sr-1]
+        own_u : its standard uncertainty independent from value to value [sr-1]
+        common : (error, …) its changes by common errors of one standard uncertainty each [sr-1]
         """
         own = np.where(self.used, self.own_variance(model) + own_u**2, 1.0)
         between = np.einsum("iwc,ij->wcij", own, np.eye(self.incidence.size))
         columns = [np.where(self.used, common, 0.0)]
         for component in self.components:
             if "cell" not in component.error_model.own:
-                # Over the model's values alone: an error that followed the noise of the data would explain it away.
+                # Relative to the model's values: an error proportional to noisy data would absorb the noise.
                 columns += self._shared(component, model)
             elif component.error_model.own != DIMS:
                 u = self._of_cells(component, model)
@@ -206,58 +182,51 @@ class Measurement:
         return Covariance(np.linalg.inv(np.linalg.cholesky(between)), shared[shared.any(axis=(1, 2, 3))], self.used)
 
     def _shared(self, component: _Component, model: Array) -> list[Array]:
-        """Errors that the cells of a picture have in common."""
+        """Errors common to the cells of a picture."""
         u, own = self._over(component, model), component.error_model.own
         if not component.error_model.chained:
             return [_columns(u, own)]
         known = self.used & (self.value != 0)
         relative = np.divide(component.u, np.abs(self.value), out=np.full_like(u, np.nan), where=known)
-        least, most = (
-            extreme(np.where(known, relative, empty), axis=-1, keepdims=True)
-            for extreme, empty in ((np.min, np.inf), (np.max, 0.0))
-        )
-        steps = [
-            np.minimum(least, most) + (most - np.minimum(least, most)) * link / _LINKS for link in range(_LINKS + 1)
-        ]
+        most = np.where(known, relative, 0.0).max(axis=-1, keepdims=True)
+        least = np.minimum(np.where(known, relative, np.inf).min(axis=-1, keepdims=True), most)
+        steps = [least + (most - least) * link / _LINKS for link in range(_LINKS + 1)]
         squares = [np.clip(np.nan_to_num(relative), low, high) ** 2 - low**2 for low, high in pairwise(steps)]
         links = [_columns(np.sqrt(square) * np.abs(model), DIMS[:2]) for square in squares]
         return [_columns(np.where(known, np.minimum(u, steps[0] * np.abs(model)), u), own), *links]
 
     def _shifted(self, u: Array) -> list[Array]:
-        """Errors of the disc's cells from a shift of the picture, one an incidence along either axis."""
-        turn = np.radians(self.phi_s)
-        return [_columns(u * (self.of_disc * pattern), ("incidence",)) for pattern in (np.cos(turn), np.sin(turn))]
+        """Errors of the disc's cells by a shift of the picture along either axis, one for each incidence."""
+        azimuth = np.radians(self.phi_s)
+        return [_columns(u * (self.of_disc * part), ("incidence",)) for part in (np.cos(azimuth), np.sin(azimuth))]
 
     @cached_property
     def of_disc(self) -> NDArray[np.bool_]:
-        """(cell,) whether a cell takes the mean over a piece of the disc."""
+        """(cell,) whether a cell is a piece of the disc."""
         return np.nan_to_num(self.solid_angle) > 0
 
     def _of_cells(self, component: _Component, model: Array) -> Array:
-        """Standard uncertainty of errors of single cells, relative to the model within a few uncertainties of the data."""
+        """Standard uncertainty of errors of single cells; relative ones refer to the model, limited to a few uncertainties from the data."""
         return self._over(component, np.clip(model, self.value - _NEAR * self.u, self.value + _NEAR * self.u))
 
     def _over(self, component: _Component, values: Array) -> Array:
         """Standard uncertainty of a component; a relative one refers to the given values instead of the measured ones."""
         if not component.error_model.relative:
             return component.u
-        return component.u * np.divide(
-            np.abs(values), np.abs(self.value), out=np.ones_like(values), where=self.value != 0
-        )
+        ones = np.ones_like(values)
+        return component.u * np.divide(np.abs(values), np.abs(self.value), out=ones, where=self.value != 0)
 
 
 @dataclass(frozen=True)
 class Covariance:
     """A covariance as a sum: blocks between incidences, and common errors of one standard uncertainty each."""
 
-    whitening: Array
-    """(wavelength, cell, incidence, incidence)"""
-    common: Array
-    """(error, incidence, wavelength, cell) [sr-1]"""
+    whitening: Array  # (wavelength, cell, incidence, incidence)
+    common: Array  # (error, incidence, wavelength, cell) [sr-1]
     used: NDArray[np.bool_]
 
     def whitened(self, fields: Array) -> Array:
-        """Fields (any, incidence, wavelength, cell) as (any, values), in which the errors that are not common are 1 each."""
+        """Fields (any, incidence, wavelength, cell) as (any, values) in units in which independent errors are 1."""
         white = np.einsum("wcij,kjwc->kiwc", self.whitening, np.where(self.used, fields, 0.0))
         return white[:, self.used]
 
@@ -268,12 +237,9 @@ class Covariance:
 
     def products(self, first: Array, second: Array) -> Array:
         """a C⁻¹ bᵀ of whitened fields (any, values), the common errors included (Woodbury)."""
-        there = np.linalg.solve(self._inner, self.nuisances @ second.T)
-        return np.asarray(first @ second.T - (first @ self.nuisances.T) @ there)
-
-    @cached_property
-    def _inner(self) -> Array:
-        return self.nuisances @ self.nuisances.T + np.eye(len(self.nuisances))
+        inner = self.nuisances @ self.nuisances.T + np.eye(len(self.nuisances))
+        solved = np.linalg.solve(inner, self.nuisances @ second.T)
+        return np.asarray(first @ second.T - (first @ self.nuisances.T) @ solved)
 
     def chi_squared(self, residual: Array) -> float:
         """χ² of a residual (incidence, wavelength, cell)."""

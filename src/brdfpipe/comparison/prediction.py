@@ -1,6 +1,6 @@
-"""What a surface's facets, index and reflectance predict at the cells of a rig, and how it changes with the inputs that are in doubt.
+"""The BRDF at the cells of a rig predicted from facets, index and reflectance, and its change with the uncertain inputs.
 
-``index``    the refractive index, shifted alike at all wavelengths: n + Δ
+``index``    the refractive index, with the same shift at all wavelengths: n + Δ
 ``slope``    the slopes of all facets, times a factor
 ``diffuse``  the diffuse reflectance below the facets, times a factor
 """
@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -32,39 +32,24 @@ from brdfpipe.rig.reduction.curvature import CURVATURE_U
 INPUTS = ("index", "slope", "diffuse")
 
 NOMINAL: Mapping[str, float] = {"index": 0.0, "slope": 1.0, "diffuse": 1.0}
-"""Inputs as they were given."""
+"""Inputs of the original prediction."""
 
-_STEP = 0.1
-"""Of an input for a difference, in its prior standard uncertainty."""
-
-_FAR = 3.0
-"""Prior standard uncertainties within which the derivatives of the base are taken for the same."""
-
-_LEAST_INDEX = 1.001
-"""To which the index of a body that does not absorb is bounded."""
-
-_ORDER = 4
-"""Points of a quadrature along a side of a cell."""
-
-_BESIDE = 0.01
-"""Sides of a cell from its edge to where slopes across it are taken."""
-
-_STRETCH = 1e-3
-"""Of the angles on the disc, for a difference."""
-
-
-# --- BSDFs
+_STEP = 0.1  # step of an input for a derivative, in prior standard uncertainties
+_FAR = 3.0  # prior standard uncertainties within which the derivatives of the base count as the same
+_LEAST_INDEX = 1.001  # smallest index of a body without absorption
+_ORDER = 4  # quadrature points along a side of a cell
+_EDGE_STEP = 0.01  # step across the edge of a cell for a derivative, in sides of the cell
+_STRETCH = 1e-3  # relative step of the angles on the disc for a derivative
 
 
 @dataclass(frozen=True)
 class Given:
-    """What a prediction was made from."""
+    """The inputs of a prediction."""
 
     facets: xr.Dataset
     index: xr.Dataset
     spectrum: xr.Dataset | None
-    choices: Mapping[str, str]
-    """Modes of the model."""
+    choices: Mapping[str, str]  # modes of the model
 
     @classmethod
     def to(
@@ -75,7 +60,7 @@ class Given:
         spectrum: xr.Dataset | None,
         wavelength: Array | None = None,
     ) -> Given:
-        """What led to a microfacet ``bsdf``, at some of its wavelengths [nm]."""
+        """The inputs of a microfacet ``bsdf``, at some of its wavelengths [nm]."""
         choices = {name: str(predicted.attrs[name]) for name in ("masking", "diffuse_mode", "multiple_scattering")}
         if representation(predicted).isotropic:
             facets = azimuthal_average(facets)
@@ -88,7 +73,7 @@ class Given:
         return cls(facets, index, spectrum, choices)
 
     def bsdf(self, inputs: Mapping[str, float]) -> xr.Dataset:
-        """The BSDF with other inputs, built anew."""
+        """The BSDF built with other inputs."""
         built = build_microfacet(
             scaling.scaled(self.facets, inputs["slope"]),
             index=self.index.assign(n=self.shifted(self.index["n"], inputs["index"])),
@@ -100,7 +85,7 @@ class Given:
         return _with_base(built, inputs["diffuse"])
 
     def shifted(self, n: xr.DataArray, by: float) -> xr.DataArray:
-        """The real part of the index, shifted; no body without absorption falls below air."""
+        """The real part of the index, shifted; without absorption not below that of air."""
         least = 0.0 if self.index["k"].values.any() else _LEAST_INDEX
         return n.copy(data=np.maximum(n.values + by, least))
 
@@ -110,7 +95,7 @@ def _at(dataset: xr.Dataset, wavelength: Array) -> xr.Dataset:
 
 
 def _with_base(bsdf: xr.Dataset, factor: float) -> xr.Dataset:
-    """A BSDF as a spectrum would have made it that is so much brighter below the facets."""
+    """A BSDF with the diffuse reflectance below the facets times a factor."""
     if factor == 1 or not bsdf["diffuse"].values.any():
         return bsdf
     azimuth = hemisphere.azimuths(representation(bsdf).isotropic)
@@ -119,13 +104,10 @@ def _with_base(bsdf: xr.Dataset, factor: float) -> xr.Dataset:
     diffuse, total = bsdf["diffuse"], bsdf["total_reflectance"]
     below = np.where(diffuse.values > 0, total.values - facets, 0.0)
     return bsdf.assign(
-        # A perfectly white base keeps back what the table of the albedo may err by.
+        # Below a perfectly white base, by the error of the table of the albedo.
         diffuse=diffuse.copy(data=np.minimum(diffuse.values * factor, 1 - 2e-8)),
         total_reflectance=total.copy(data=total.values + (factor - 1) * below),
     )
-
-
-# --- BSDFs at the cells
 
 
 @dataclass(frozen=True)
@@ -138,75 +120,67 @@ class Predicted:
     @cached_property
     def values(self) -> Array:
         """BRDF in the middle of each cell [sr-1]."""
-        return np.moveaxis(self._evaluated(*self.measurement.directions), -1, 1)
+        return np.moveaxis(self._evaluate(*self.measurement.directions), -1, 1)
 
-    @cached_property
+    @property
     def own_u(self) -> Array:
-        """Standard uncertainty that each value has for itself [sr-1]."""
-        return self._own_of_cells
+        """Standard uncertainty independent from value to value [sr-1]."""
+        return np.asarray(np.sqrt(0.5) * np.abs(self._cell_effects[0]))
 
-    @cached_property
+    @property
     def common(self) -> Array:
-        """Changes (error, …) of the values by errors that many of them share, of one standard uncertainty each [sr-1]."""
-        return self._common_to_cells
+        """Changes (error, …) of the values by common errors of one standard uncertainty each [sr-1]."""
+        remainder, curvature = self._cell_effects
+        return np.stack([np.sqrt(0.5) * remainder, CURVATURE_U * curvature, self._scale_error])
 
     @property
     def u(self) -> Array:
         """Combined standard uncertainty [sr-1]."""
         return np.sqrt(self.own_u**2 + np.sum(self.common**2, axis=0))
 
-    @property
-    def _own_of_cells(self) -> Array:
-        return np.asarray(np.sqrt(0.5) * np.abs(self._cells[0]))
-
     @cached_property
-    def _common_to_cells(self) -> Array:
-        left, curvature = self._cells
-        return np.stack([np.sqrt(0.5) * left, CURVATURE_U * curvature, self._wider])
-
-    @cached_property
-    def _cells(self) -> tuple[Array, Array]:
-        """What the light of each cell of the disc tells beside the value in its middle, curvature taken out, and the curvature [sr-1].
+    def _cell_effects(self) -> tuple[Array, Array]:
+        """Mean over each cell of the disc less the value in its middle and the curvature correction, and that correction [sr-1].
 
         Notes
         -----
-        The reduction takes the mean curvature out of the mean over a cell of area A, f = mean − A/24 ∇²f. What it leaves is of fourth order
-        in the side of the cell over the width of the lobe: half of its square is taken for common to all cells, which are alike, and
-        half for each one's own, for they are not square. Of a lobe narrower than the cell it sees no curvature, and leaves the mean.
+        The reduction subtracts the mean curvature from the mean over a cell of area A, f = mean − A/24 ∇²f. The remainder is of fourth order in
+        the side of the cell over the width of the lobe: half of its square counts as common to all cells, which are alike, and half as
+        independent, because they are not square. The reduction finds no curvature in a lobe narrower than a cell, and keeps the mean.
         """
-        left, curvature = np.zeros((2, *self.measurement.value.shape))
-        side = np.sqrt(self.measurement.solid_angle)
+        remainder, curvature = np.zeros((2, *self.measurement.value.shape))
         disc = np.flatnonzero(self.measurement.of_disc)
         if disc.size:
-            left[..., disc], curvature[..., disc] = self._of_means(disc, side[disc, None])
-        return left, curvature
+            remainder[..., disc], curvature[..., disc] = self._square_cells(disc)
+        return remainder, curvature
 
-    def _of_means(self, cells: NDArray[np.int64], side: Array) -> tuple[Array, Array]:
-        """The same of square cells, (incidence, wavelength, cell)."""
+    def _square_cells(self, cells: NDArray[np.int64]) -> tuple[Array, Array]:
+        """The effects on some cells, taken as squares, (incidence, wavelength, cell)."""
+        side = np.sqrt(self.measurement.solid_angle)[cells, None]
         nodes, weights = np.polynomial.legendre.leggauss(_ORDER)
         square = np.stack([np.repeat(nodes, _ORDER), np.tile(nodes, _ORDER)]) / 2
         # The mean curvature follows from the slopes across the edges.
-        edge = np.array([[0.5 + by, node / 2] for by in (_BESIDE, -_BESIDE) for node in nodes]).T
+        edge = np.array([[0.5 + step, node / 2] for step in (_EDGE_STEP, -_EDGE_STEP) for node in nodes]).T
         edges = np.stack([edge, -edge, edge[::-1], -edge[::-1]], axis=1).reshape(2, -1)
         away, around = np.concatenate([square, edges, np.zeros((2, 1))], axis=1)
-        brdf = self._smooth(*self.measurement.seen(*self._beside(cells, side * away, side * around)))
+        brdf = self._evaluate_smooth(*self.measurement.seen(*self._beside(cells, side * away, side * around)))
         mean = brdf[:, :, : _ORDER**2].swapaxes(2, 3) @ np.outer(weights, weights).ravel() / 4
-        across = np.tile(np.concatenate([weights, -weights]), 4) / (4 * _BESIDE)
+        across = np.tile(np.concatenate([weights, -weights]), 4) / (4 * _EDGE_STEP)
         curvature = brdf[:, :, _ORDER**2 : -1].swapaxes(2, 3) @ across / 24
         whole = mean - brdf[:, :, -1]
-        left = np.where(np.abs(whole - curvature) < np.abs(whole), whole - curvature, whole)
-        return np.moveaxis(left, -1, 1), np.moveaxis(curvature, -1, 1)
+        remainder = np.where(np.abs(whole - curvature) < np.abs(whole), whole - curvature, whole)
+        return np.moveaxis(remainder, -1, 1), np.moveaxis(curvature, -1, 1)
 
     @cached_property
-    def _wider(self) -> Array:
-        """Change of the values if angles on the disc are one standard uncertainty larger than they were taken for [sr-1]."""
+    def _scale_error(self) -> Array:
+        """Change of the values if angles on the disc are one standard uncertainty larger than described [sr-1]."""
         theta, u = self.measurement.theta_s, self.measurement.scale_u
         if not u:
             return np.zeros_like(self.measurement.value)
         stretched = np.where(self.measurement.of_disc, theta * (1 + _STRETCH), theta)
-        beside = np.moveaxis(self._smooth(*self.measurement.seen(stretched, self.measurement.phi_s)), -1, 1)
-        here = np.moveaxis(self._smooth(*self.measurement.directions), -1, 1)
-        return np.asarray((beside - here) * u / _STRETCH)
+        changed = np.moveaxis(self._evaluate_smooth(*self.measurement.seen(stretched, self.measurement.phi_s)), -1, 1)
+        described = np.moveaxis(self._evaluate_smooth(*self.measurement.directions), -1, 1)
+        return np.asarray((changed - described) * u / _STRETCH)
 
     def _beside(self, cells: NDArray[np.int64], away: Array, around: Array) -> tuple[Array, Array]:
         """θ_s and φ_s [degree] of directions beside cells, by small angles [rad] away from the mirror direction and around it."""
@@ -214,11 +188,11 @@ class Predicted:
         outwards, turned = unit_vector(theta + 90, phi), unit_vector(np.full_like(theta, 90.0), phi + 90)
         return angles_of(unit_vector(theta, phi) + away[..., None] * outwards + around[..., None] * turned)
 
-    def _smooth(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
-        """Values without bends that are chance, (…, wavelength)."""
-        return self._evaluated(theta_i, theta_o, phi_o)
+    def _evaluate_smooth(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
+        """Values (…, wavelength) without the noise of a measured facet density."""
+        return self._evaluate(theta_i, theta_o, phi_o)
 
-    def _evaluated(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
+    def _evaluate(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
         wavelength = self.measurement.wavelength
         evaluate = representation(self.bsdf).evaluate
         brdf = evaluate(theta_i, np.zeros_like(theta_i), np.minimum(theta_o, 90.0), phi_o, wavelength)
@@ -227,21 +201,23 @@ class Predicted:
 
 @dataclass(frozen=True)
 class Family:
-    """The predictions that inputs in doubt make possible.
+    """The predictions for all values of the uncertain inputs.
 
     Parameters
     ----------
-    given : what is known
-    measurement : at whose cells
-    prior_u : standard uncertainty of each input in doubt: of the index itself, of a factor relative
+    given : the inputs of the prediction
+    measurement : its cells are those of the predictions
+    prior_u : standard uncertainty of each uncertain input: absolute for the index, relative for a factor
     """
 
     given: Given
     measurement: Measurement
     prior_u: Mapping[str, float]
+    _known_base_slopes: list[tuple[Array, Array]] = field(default_factory=list, init=False, repr=False, compare=False)
+    """Changes at which the base's slopes were computed, and these slopes: each takes two BSDFs."""
 
     def inputs(self, change: Array) -> dict[str, float]:
-        """Inputs after changes in prior standard uncertainties; factors change exponentially, so that none is ever negative."""
+        """Inputs after changes in prior standard uncertainties; factors change exponentially, so that none becomes negative."""
         by = dict(zip(self.prior_u, change * np.array([*self.prior_u.values()]), strict=True))
         return {name: float(by.get(name, 0.0) if name == "index" else np.exp(by.get(name, 0.0))) for name in INPUTS}
 
@@ -251,31 +227,25 @@ class Family:
 
     @cached_property
     def start(self) -> Member:
-        """The prediction as it was made."""
+        """The original prediction."""
         return self.at(np.zeros(len(self.prior_u)))
 
     @cached_property
-    def smooth(self) -> xr.Dataset:
-        """The facets without bends that are chance."""
+    def smooth_facets(self) -> xr.Dataset:
         return scan.smooth(self.given.facets)
 
     def base_slopes(self, member: Member) -> Array:
         """Change of the base (input, …) as the facets above it reflect more or less; the same within a few prior uncertainties."""
-        for change, known in self._base_slopes:
+        for change, known in self._known_base_slopes:
             if np.abs(change - member.change).max() < _FAR:
                 return known
         slopes = np.zeros((len(self.prior_u), *self.measurement.value.shape))
         for row, name in enumerate(self.prior_u):
             if name != "diffuse":
-                beside = self.at(member.change + _STEP * np.eye(len(self.prior_u))[row])
-                slopes[row] = (beside.values - member.values) / _STEP - member.lobe_slope(name, self.given.facets)
-        self._base_slopes.append((member.change, slopes))
+                changed = self.at(member.change + _STEP * np.eye(len(self.prior_u))[row])
+                slopes[row] = (changed.values - member.values) / _STEP - member.lobe_slope(name, self.given.facets)
+        self._known_base_slopes.append((member.change, slopes))
         return slopes
-
-    @cached_property
-    def _base_slopes(self) -> list[tuple[Array, Array]]:
-        """Where they were asked for, and what was found: each takes two BSDFs."""
-        return []
 
 
 @dataclass(frozen=True)
@@ -286,42 +256,41 @@ class Member(Predicted):
     change: Array
 
     def slopes(self) -> Array:
-        """Change of the values (input, …) with each input, in prior standard uncertainties."""
-        lobe = np.array([self.lobe_slope(name, self.family.smooth) for name in self.family.prior_u])
+        """Change of the values (input, …) per prior standard uncertainty of each input."""
+        lobe = np.array([self.lobe_slope(name, self.family.smooth_facets) for name in self.family.prior_u])
         return lobe + self.family.base_slopes(self)
 
     def lobe_slope(self, name: str, facets: xr.Dataset) -> Array:
-        """The same for one input and some facets, the base and its coupling to them held."""
+        """The same for one input and some facets, with the base and its coupling to them fixed."""
         u = self.family.prior_u[name]
         if name == "diffuse":
             return u * (self.values - self._with(diffuse=np.zeros(1)))
         if name == "index":
             n = self.family.given.shifted(self.bsdf["n"], _STEP * u).values
             return (self._with(n=np.atleast_1d(n)) - self.values) / _STEP
-        here, steeper = (self._with(surface=self._surface(facets, np.exp(by * u))) for by in (0.0, _STEP))
-        return (steeper - here) / _STEP
+        same, steeper = (self._with(surface=self._surface(facets, np.exp(step * u))) for step in (0.0, _STEP))
+        return (steeper - same) / _STEP
 
     @cached_property
     def own_u(self) -> Array:
-        """Of what is between the values of the density, and of what cells do not resolve."""
-        return np.hypot(self._own_of_cells, scan.BETWEEN * self._lobe_u)
+        """Independent uncertainty of the facet density between its values, and of the mean over a cell [sr-1]."""
+        return np.hypot(super().own_u, scan.BETWEEN * self._lobe_u)
 
     @cached_property
     def common(self) -> Array:
-        """Errors of the cells, and of the scan."""
-        of_scan = scan.errors(self.family.given.facets, *self._facet)[:, :, None] * self._lobe_u
-        return np.concatenate([self._common_to_cells, of_scan])
+        """Common errors of the cells and of the scan."""
+        of_scan = scan.errors(self.family.given.facets, *self._facet_slopes)[:, :, None] * self._lobe_u
+        return np.concatenate([super().common, of_scan])
 
     @cached_property
     def _lobe_u(self) -> Array:
-        """Standard uncertainty of what the facets mirror, as the scan knows them [sr-1]."""
-        return scan.relative_u(self.family.given.facets, *self._facet)[:, None] * (
-            self.values - self._with(surface=None)
-        )
+        """Standard uncertainty of the facets' reflected light from the scan [sr-1]."""
+        relative = scan.relative_u(self.family.given.facets, *self._facet_slopes)[:, None]
+        return relative * (self.values - self._with(surface=None))
 
     @cached_property
-    def _facet(self) -> tuple[Array, Array]:
-        """Slopes along x and y, on the scan, of the facets that mirror the light into each cell, (incidence, cell)."""
+    def _facet_slopes(self) -> tuple[Array, Array]:
+        """Slopes along x and y, on the scan, of the facets that mirror light into each cell, (incidence, cell)."""
         theta_i, theta_o, phi_o = self.measurement.directions
         phi_i = np.zeros_like(theta_i)
         p, q = slope_towards(half_vector(theta_i, phi_i, np.minimum(theta_o, 90.0), phi_o), phi_i, phi_o)
@@ -329,15 +298,14 @@ class Member(Predicted):
         return p / factor, q / factor
 
     def _surface(self, facets: xr.Dataset, factor: float = 1.0) -> Microsurface:
-        """Facets of the scan, as steep as they are here, or by a further factor."""
-        scaled = scaling.scaled(facets, self.family.inputs(self.change)["slope"] * factor)
-        return Microsurface.of(scaled)
+        """Facets of the scan with the slopes of this prediction, times a further factor."""
+        return Microsurface.of(scaling.scaled(facets, self.family.inputs(self.change)["slope"] * factor))
 
-    def _smooth(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
-        return self._modelled(theta_i, theta_o, phi_o, surface=self._surface(self.family.smooth))
+    def _evaluate_smooth(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
+        return self._modelled(theta_i, theta_o, phi_o, surface=self._surface(self.family.smooth_facets))
 
     def _with(self, **parts: Any) -> Array:
-        """Values at the cells with other parts of the model (:class:`brdfpipe.bsdf.microfacet.model.Model`), (incidence, wavelength, cell)."""
+        """Values at the cells with other parts of the :class:`brdfpipe.bsdf.microfacet.model.Model`, (incidence, wavelength, cell)."""
         return np.moveaxis(self._modelled(*self.measurement.directions, **parts), -1, 1)
 
     def _modelled(self, theta_i: Array, theta_o: Array, phi_o: Array, **parts: Any) -> Array:
