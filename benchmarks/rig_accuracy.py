@@ -1,9 +1,9 @@
-"""How accurate the way from frames to a BSDF is, where the truth is known: whole measurements by the emulated rig, with every effect on.
+"""The accuracy of measured BSDFs against known truths: whole measurements by the emulated rig, with every effect on.
 
 ``python benchmarks/rig_accuracy.py`` takes samples of known BSDF through scan, reduction, calibration, smoothing and completion, and
-compares each value with the truth. Every measurement is of a day of its own, and its etalon of another one: another wandering of the lamp,
-another place of the picture, another error of the etalon's certificate; each rig (seed) has its own fibres, filters, mirrors and sensor.
-Nothing of the emulator is told to the reduction but the description of the rig and the certificate.
+compares each value with the truth. Every measurement has its own day, and its etalon another one: with another drift of the lamp, position
+of the picture and error of the etalon's certificate. Each rig (seed) has its own fibres, filters, mirrors and sensor. The reduction knows
+only the description of the rig and the certificate.
 
 References
 ----------
@@ -60,9 +60,9 @@ SEEDS = (1, 2, 3, 4, 5)
 WAVELENGTHS = (470.0, 550.0, 650.0)
 INCIDENCES = (0.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 BETWEEN = (5.0, 15.0, 25.0, 37.5, 52.5)
-"""Incidences at which only the completed BSDF tells."""
+"""Incidences without a measurement, for the completed BSDF alone."""
 PAST = (62.0, 66.0, 70.0, 75.0, 80.0)
-"""The same past the last that was measured."""
+"""The same beyond the last measured incidence."""
 
 TARGET = Target(
     theta_s=(0.0, *(3.0,) * 4, *(6.0,) * 4, *(9.0,) * 4),
@@ -74,20 +74,20 @@ DAYS = {"glare": 0, "no glare": 10, "repeated": 20, "range": 30, "through": 40}
 """First session of each kind of measurement."""
 
 ETALON = 100
-"""Sessions from a sample's to that of its etalon."""
+"""Difference between the session numbers of an etalon and its sample."""
 
 FIBRE_MEDIAN, DISC_MEDIAN, DISC_95, REPEATABILITY = 0.01, 0.03, 0.10, 0.01
 Z_RMS = (0.8, 1.3)
 """What is required (RIG, acceptance)."""
 
 DARKEST = 0.01
-"""Least of the rig's range [1/sr]: below it no relative error is told."""
+"""Lower end of the rig's range [1/sr], below which relative errors are not reported."""
 
 DECADES = ((0.009, 0.03), (0.03, 0.3), (0.3, 3.0), (3.0, 30.0), (30.0, 300.0), (300.0, 2600.0))
-"""Of the dynamic range [1/sr]."""
+"""Parts of the dynamic range [1/sr]."""
 
 GRAZING = 0.1
-"""Cosine of view above which completed values count as none towards the horizon."""
+"""Cosine of view above which a direction is not near the horizon."""
 
 
 def _lobes(base: float, *lobes: tuple[float, float]) -> xr.Dataset:
@@ -103,7 +103,7 @@ def _lobes(base: float, *lobes: tuple[float, float]) -> xr.Dataset:
 
 
 INDEX, SLOPE = 1.5, 0.08
-"""Of the plastic of facets: refractive index, and slope rms per axis."""
+"""Refractive index, and rms slope per axis, of the plastic of facets."""
 
 
 def _colour() -> xr.Dataset:
@@ -127,7 +127,7 @@ TRUTHS: Mapping[str, Callable[[], xr.Dataset]] = {
     "narrow, 300 sr⁻¹, 1.5°, on metallic 14°": lambda: _lobes(0.05, (3.0, 14.0 / FWHM), (300.0, 1.5 / FWHM)),
     FACETS: lambda: microfacet.build(_facets(SLOPE), index=INDEX, spectrum=_colour()),
 }
-"""What the acceptance is judged by; angles of the first two are σ, of the third full widths at half maximum (:func:`report` says why)."""
+"""Samples of the acceptance; angles of the first two are σ, of the third full widths at half maximum (:func:`report` gives the reason)."""
 
 RANGE = "2500 sr⁻¹, 1.3°, on 0.01 sr⁻¹"
 THROUGH = "frosted glass, from behind"
@@ -137,11 +137,11 @@ SAMPLES: Mapping[str, Callable[[], xr.Dataset]] = {
     RANGE: lambda: _lobes(0.01, (2499.99, 1.3)),
     THROUGH: lambda: slab.build(analytic("ggx", 0.2), flat(), index=INDEX, internal_transmittance=0.95),
 }
-"""All that lies in the holder."""
+"""All samples."""
 
 DOUBTED = {"index": 0.02, "slope": 1.1, "diffuse": 1.0}
-"""By how much what is told of the plastic of facets is wrong, where a comparison with its surface is to find out: the index itself, and
-factors of its slopes and of the light from below."""
+"""Errors in the description of the plastic of facets, which a comparison with its surface must recover: of the index itself, and factors of
+its slopes and of the diffuse reflectance."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Measured:
     z: Array
     """Error over the stated standard uncertainty."""
     apart: Array
-    """The same without what all values share: their mean error, and the uncertainty of the etalon's certificate."""
+    """The same without the common part: the mean error, and the uncertainty of the etalon's certificate."""
     of_disc: Array
     truth: Array
     primary: xr.Dataset
@@ -168,12 +168,12 @@ def plan_of(
 ) -> Plan:
     """The plan that ``brdfpipe rig new`` writes, with an angular target and the etalon through every entrance, at fewer wavelengths.
 
-    The lamp is looked at as often in an arrangement as there: the looks tell how well light repeats.
+    An arrangement has as many monitor readings of the lamp as there: they give its repeatability.
     """
     with tempfile.TemporaryDirectory() as folder:
         plan = Plan.load(start(Path(folder), fibres))
     every = max(round(plan.drift.every * len(wavelengths) / len(plan.wavelengths)), 1)
-    nearest = min(wavelengths, key=lambda each: abs(each - plan.drift.wavelength))
+    nearest = min(wavelengths, key=lambda wavelength: abs(wavelength - plan.drift.wavelength))
     return replace(
         plan,
         rig=replace(plan.rig, target=TARGET),
@@ -209,7 +209,7 @@ def frames_of(
 
 
 def certificate(valid_until: date = date(2030, 1, 1)) -> Certificate:
-    """What the emulated etalon is certified for; that of a day differs by what a certificate is uncertain."""
+    """The certificate of the emulated etalon; the etalon of a day differs from it within its uncertainty."""
     etalon, theta = Etalon(), np.arange(0.0, 91.0, 2.0)
     return Certificate(
         identity="emulated",
@@ -234,7 +234,7 @@ def reduced(plan: Plan, frames: xr.Dataset, load: str, side: str = "reflection")
 def two_days(
     plan: Plan, truth: xr.Dataset, *, seed: int = 0, session: int = 0, effects: Effects | None = None
 ) -> tuple[xr.Dataset, xr.Dataset]:
-    """Frames of the etalon, and those of the sample on another day; the target is there on both."""
+    """Frames of the etalon, and those of the sample on another day, both with the target."""
     etalon, sample = (replace(plan, runs=("target", load)) for load in ("etalon", "sample"))
     return (
         frames_of(etalon, truth, seed=seed, session=session + ETALON, effects=effects),
@@ -266,8 +266,8 @@ def compared(primary: xr.Dataset, truth: xr.Dataset) -> Measured:
     for place, incidence in enumerate(map(float, primary["incidence"].values)):
         above = specular_directions.cos_view(incidence, theta_s, phi_s) > 0
         direction = specular_directions.outgoing(incidence, theta_s[above], phi_s[above], side=primary.attrs["side"])
-        found = BSDFAccessor(truth).evaluate(incidence, 0.0, *direction, primary["wavelength"].values)
-        true[place][:, above] = found.values.T
+        brdf = BSDFAccessor(truth).evaluate(incidence, 0.0, *direction, primary["wavelength"].values)
+        true[place][:, above] = brdf.values.T
     value, u, shared = (primary[name].values for name in ("brdf", "brdf_u", "brdf_u_certificate"))
     used = np.isfinite(value) & np.isin(
         primary["brdf_quality"].values, [vocabulary.quality(name) for name in ("measured", "below_noise")]
@@ -282,7 +282,7 @@ def compared(primary: xr.Dataset, truth: xr.Dataset) -> Measured:
 
 
 class Departure(NamedTuple):
-    """How far a completed BSDF is off in some directions."""
+    """Errors of a completed BSDF in some directions."""
 
     error: Array
     """Relative, where the truth is within the rig's range."""
@@ -305,8 +305,8 @@ _LOW, _LOW_AZIMUTHS = np.array([85.0, 87.0, 89.0]), np.arange(0, 181, 15.0)
 
 
 def _about_mirror(incidences: Sequence[float], theta: Array, side: str) -> Directions:
-    """Directions about the mirror direction, or the straight one, but those towards the horizon."""
-    theta_i, theta_s, phi_s = (each.ravel() for each in np.meshgrid(incidences, theta, _ALL_ROUND, indexing="ij"))
+    """Directions about the mirror direction, or the straight one, without those near the horizon."""
+    theta_i, theta_s, phi_s = (angle.ravel() for angle in np.meshgrid(incidences, theta, _ALL_ROUND, indexing="ij"))
     seen = specular_directions.cos_view(theta_i, theta_s, phi_s) > GRAZING
     return Directions(
         theta_i[seen], *specular_directions.outgoing(theta_i[seen], theta_s[seen], phi_s[seen], side=side)
@@ -314,7 +314,7 @@ def _about_mirror(incidences: Sequence[float], theta: Array, side: str) -> Direc
 
 
 def _towards_horizon(incidences: Sequence[float], side: str) -> Directions:
-    theta_i, theta_o, phi_o = (each.ravel() for each in np.meshgrid(incidences, _LOW, _LOW_AZIMUTHS, indexing="ij"))
+    theta_i, theta_o, phi_o = (angle.ravel() for angle in np.meshgrid(incidences, _LOW, _LOW_AZIMUTHS, indexing="ij"))
     return Directions(theta_i, theta_o if side == "reflection" else 180 - theta_o, phi_o)
 
 
@@ -331,38 +331,36 @@ REGIONS: Mapping[str, Callable[[str], Directions]] = {
 
 
 def departures(bsdf: xr.Dataset, truth: xr.Dataset, side: str = "reflection") -> dict[str, Departure]:
-    """How far a completed BSDF is off, region by region."""
-    found = {}
+    """Errors of a completed BSDF by region."""
+    errors = {}
     for region, directions in REGIONS.items():
         theta_i, theta_o, phi_o = directions(side)
-        asked = theta_i, np.zeros_like(theta_i), theta_o, phi_o, bsdf["wavelength"].values
-        value, true = (BSDFAccessor(each).evaluate(*asked).values for each in (bsdf, truth))
-        u = BSDFAccessor(bsdf).uncertainty(*asked).values
-        found[region] = Departure((value / true - 1)[true >= DARKEST], ((value - true) / u).ravel())
-    return found
+        at = theta_i, np.zeros_like(theta_i), theta_o, phi_o, bsdf["wavelength"].values
+        value, true = (BSDFAccessor(dataset).evaluate(*at).values for dataset in (bsdf, truth))
+        u = BSDFAccessor(bsdf).uncertainty(*at).values
+        errors[region] = Departure((value / true - 1)[true >= DARKEST], ((value - true) / u).ravel())
+    return errors
 
 
 def glosses(bsdf: xr.Dataset, truth: xr.Dataset) -> Array:
-    """Gloss at 20, 60 and 85° of the truth and as found, what the BSDF's own uncertainty leaves, and the flag of its basis: (4, angle).
+    """Gloss at 20, 60 and 85°, (4, angle): of the truth, measured, its uncertainty from that of the BSDF, and the flag of its basis.
 
-    Both are read by the same nominal gloss meter, so that the tolerances of gloss meters have no part in it.
+    The gloss meter is nominal, so its tolerances do not matter.
     """
-    found = appearance.gloss(bsdf)
-    u, flags = (
-        gloss_basis.gloss_uncertainty_from_bsdf(bsdf, found),
-        gloss_basis.gloss_quality(bsdf, found["gloss_angle"]),
-    )
+    gloss = appearance.gloss(bsdf)
+    u = gloss_basis.gloss_uncertainty_from_bsdf(bsdf, gloss)
+    flags = gloss_basis.gloss_quality(bsdf, gloss["gloss_angle"])
     assert u is not None
     assert flags is not None
-    return np.stack([appearance.gloss(truth).values, found.values, u.values, flags.values])
+    return np.stack([appearance.gloss(truth).values, gloss.values, u.values, flags.values])
 
 
 def recovered(primary: xr.Dataset) -> Array:
-    """What a comparison with the surface finds of inputs told :data:`DOUBTED` wrong, and its uncertainty: (2, input)."""
+    """Inputs that a comparison with the surface recovers from a description wrong by :data:`DOUBTED`, and their uncertainty: (2, input)."""
     index, finish = INDEX - DOUBTED["index"], _facets(SLOPE / DOUBTED["slope"])
-    told = microfacet.build(finish, index=index, spectrum=_colour())
-    found = compare(primary, told, facets=finish, index=index, spectrum=_colour()).sel(input=list(DOUBTED))
-    return np.stack([found["posterior"].values, found["posterior_u"].values])
+    predicted = microfacet.build(finish, index=index, spectrum=_colour())
+    comparison = compare(primary, predicted, facets=finish, index=index, spectrum=_colour()).sel(input=list(DOUBTED))
+    return np.stack([comparison["posterior"].values, comparison["posterior_u"].values])
 
 
 # --- what is measured
@@ -378,7 +376,7 @@ class Job(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What came of it; errors and z by value."""
+    """The result of a measurement; errors and z by value."""
 
     job: Job
     error: Array
@@ -415,20 +413,20 @@ def outcome(job: Job) -> Outcome:
         plan = replace(plan, side=("reflection", "transmission"))
     effects = Effects(halo=0.0) if job.kind == "no glare" else Effects()
     sides = primaries(plan, truth, seed=job.seed, session=job.session, effects=effects)
-    found = compared(sides[-1], truth)
-    value = found.primary["brdf"].values
-    made = Outcome(job, found.error, found.z, found.apart, found.of_disc, found.truth, value)
+    values = compared(sides[-1], truth)
+    brdf = values.primary["brdf"].values
+    result = Outcome(job, values.error, values.z, values.apart, values.of_disc, values.truth, brdf)
     if job.kind not in ("glare", "through"):
-        return made
-    bsdf = completion.complete(*(smoothing.smooth(each) for each in sides))
-    made = made._replace(completed=departures(bsdf, truth, plan.side[-1]))
+        return result
+    bsdf = completion.complete(*(smoothing.smooth(side) for side in sides))
+    result = result._replace(completed=departures(bsdf, truth, plan.side[-1]))
     if job.kind == "glare":
-        made = made._replace(gloss=glosses(bsdf, truth))
-    return made._replace(recovered=recovered(found.primary)) if job.truth == FACETS else made
+        result = result._replace(gloss=glosses(bsdf, truth))
+    return result._replace(recovered=recovered(values.primary)) if job.truth == FACETS else result
 
 
 def detections() -> Iterator[tuple[str, str]]:
-    """What must not pass unnoticed, and the refusal it met; empty if it met none."""
+    """Mistakes that must be refused, and the refusal; empty if there was none."""
     plan = plan_of((430.0, 470.0, 510.0, 550.0, 650.0), (10.0, 30.0))
     truth = TRUTHS["plastic, 10 sr⁻¹, 3°"]()
     standard, frames = two_days(plan, truth, seed=SEEDS[0])
@@ -468,7 +466,7 @@ def _refusal(action: Callable[[], object]) -> str:
     return ""
 
 
-# --- what a person reads
+# --- the page
 
 
 @dataclass(frozen=True)
@@ -485,23 +483,25 @@ def checks(outcomes: Sequence[Outcome]) -> Iterator[Check]:
     """Each figure of the acceptance."""
     for kind in ("no glare", "glare"):
         for truth in TRUTHS:
-            own = [each for each in outcomes if each.job[:2] == (kind, truth)]
-            error, of_disc = (np.concatenate([getattr(each, name) for each in own]) for name in ("error", "of_disc"))
+            own = [result for result in outcomes if result.job[:2] == (kind, truth)]
+            error, of_disc = (
+                np.concatenate([getattr(result, name) for result in own]) for name in ("error", "of_disc")
+            )
             size = np.abs(error)
             where = f"{truth}, {kind}"
             yield _below(f"{where}: fibres, median", np.median(size[~of_disc]), FIBRE_MEDIAN)
             yield _below(f"{where}: disc, median", np.median(size[of_disc]), DISC_MEDIAN)
             yield _below(f"{where}: disc, 95th percentile", np.percentile(size[of_disc], 95), DISC_95)
-    repeated = np.array([each.value for each in outcomes if each.job.kind == "repeated"])
+    repeated = np.array([result.value for result in outcomes if result.job.kind == "repeated"])
     with np.errstate(invalid="ignore"):
         scatter = repeated.std(axis=0, ddof=1) / repeated.mean(axis=0)
     yield _below("repeatability over 5 runs, median", np.nanmedian(scatter), REPEATABILITY)
     for name, what in (("z", "z-rms overall"), ("apart", "z-rms without what all values of a measurement share")):
-        z = np.concatenate([getattr(each, name) for each in outcomes if each.job.kind in ("glare", "no glare")])
+        z = np.concatenate([getattr(result, name) for result in outcomes if result.job.kind in ("glare", "no glare")])
         rms = _rms(z)
         yield Check(what, f"{rms:.2f}", f"{Z_RMS[0]} to {Z_RMS[1]}", Z_RMS[0] <= rms <= Z_RMS[1])
-    ranged = [each for each in outcomes if each.job.kind == "range"]
-    true, z = (np.concatenate([getattr(each, name) for each in ranged]) for name in ("truth", "z"))
+    ranged = [result for result in outcomes if result.job.kind == "range"]
+    true, z = (np.concatenate([getattr(result, name) for result in ranged]) for name in ("truth", "z"))
     for low, high in DECADES:
         within = z[(true >= low) & (true < high)]
         rms = _rms(within)
@@ -514,50 +514,50 @@ def _below(what: str, found: float, limit: float) -> Check:
 
 
 def report(outcomes: Sequence[Outcome], refusals: Sequence[tuple[str, str]]) -> tuple[str, bool]:
-    """The page, in Markdown, and whether everything required is met."""
+    """The page, in Markdown, and whether every requirement is met."""
     made = list(checks(outcomes))
     made += [Check(what, "refused" if said else "passed", "refused", bool(said)) for what, said in refusals]
     lines = [
         "# Accuracy of the camera rig",
         "",
         "Written by `make rig-accuracy`: whole measurements by the emulated rig, every effect on, seeds "
-        f"{', '.join(map(str, SEEDS))} (a rig each; every measurement on a day of its own, its etalon on another), {len(WAVELENGTHS)} "
-        f"wavelengths, the entrances at {', '.join(f'{each:g}' for each in INCIDENCES)}°, the etalon through each of them. An emulator's effects "
-        "are those somebody thought of: a laboratory will find more.",
+        f"{', '.join(map(str, SEEDS))} (one rig each; every measurement on its own day, its etalon on another), {len(WAVELENGTHS)} "
+        f"wavelengths, the entrances at {', '.join(f'{angle:g}' for angle in INCIDENCES)}°, the etalon through each of them. The emulator "
+        "has the effects that were thought of; a laboratory will have more.",
         "",
         *_table(
             ("", "found", "required", ""),
-            ((each.what, each.found, each.required, "met" if each.met else "**not met**") for each in made),
+            ((check.what, check.found, check.required, "met" if check.met else "**not met**") for check in made),
         ),
         "",
         "The certificate's 0.5 % is a standard deviation, not a floor: one number for all values of a measurement, below "
-        f"{_CERTIFICATE_MEDIAN} % on half of all days. So medians may be below 0.5 % over five rigs. Repeatability is that of days, each with "
-        "an etalon of its own.",
+        f"{_CERTIFICATE_MEDIAN} % on half of all days. So medians may be below 0.5 % over five rigs. Repeatability is that between days, each with "
+        "its own etalon.",
         "",
         *_samples(),
         "## By rig",
         "",
         f"Relative errors of single values from {DARKEST:g} sr⁻¹ on against the truth, in per cent (median / 95th percentile), and the rms of error "
         "over stated uncertainty of all. "
-        "The error of the etalon's certificate makes the z-rms of each a matter of chance, and what all values share is left out of the second "
-        "figure above. *Through* is what passes a sample.",
+        "The error of the etalon's certificate makes the z-rms of a single rig random; the second figure above leaves out the common error. "
+        "*Through* is transmission.",
         "",
         *_table(("sample", "", "seed", "fibres 50 / 95", "disc 50 / 95", "z-rms"), _by_rig(outcomes)),
         "",
         f"## From 0.01 to 2500 sr⁻¹ ({RANGE})",
         "",
-        "Glare of the peak is many times as bright as what surrounds it: the uncertainty there says so.",
+        "Glare of the peak is many times as bright as its surroundings: the uncertainty there includes it.",
         "",
         *_table(("BRDF, sr⁻¹", "values", "error 50 / 95", "z-rms"), _by_decade(outcomes)),
         "",
-        *_of_completed(outcomes),
-        *_of_routes(outcomes),
+        *_completed_section(outcomes),
+        *_comparison_section(outcomes),
         "## Refused",
         "",
         *(f"- {what}: {said or '**nothing**'}" for what, said in refusals),
         "",
     ]
-    return "\n".join(lines), all(each.met for each in made)
+    return "\n".join(lines), all(check.met for check in made)
 
 
 _CERTIFICATE_MEDIAN = f"{100 * NormalDist(0, Effects().certificate).inv_cdf(0.75):.2f}"
@@ -568,10 +568,10 @@ def _samples() -> Iterator[str]:
     yield from ("## Samples", "")
     yield (
         "The first three depend on the angle from the mirror direction alone, which makes interpolation between incidences exact for them; the "
-        "plastic of facets does not. The widths of the narrow lobe and of its base are full ones at half maximum: with "
-        f"1.5° and 14° as standard deviations it would reflect {_reflected(_lobes(0.05, (3.0, 14.0), (300.0, 1.5))):.1f} times the light it gets, the "
-        "lobe alone more than all. The sample of the range breaks energy on purpose, its 1.3° being a standard deviation: a lobe of 2500 sr⁻¹ "
-        "that keeps it is hardly wider than a cell of the disc. What is tested there is the range; its glare is as many times that of a real sample."
+        "plastic of facets does not. The widths of the narrow lobe and of its base are full widths at half maximum: with "
+        f"1.5° and 14° as standard deviations it would reflect {_reflected(_lobes(0.05, (3.0, 14.0), (300.0, 1.5))):.1f} times the incident light, the "
+        "lobe alone more than all of it. The sample of the range violates energy conservation on purpose, its 1.3° being a standard deviation: a lobe of "
+        "2500 sr⁻¹ that conserves energy is hardly wider than a cell of the disc. It tests the range; its glare is larger than that of a real sample."
     )
     yield ""
     yield from _table(("sample", "reflects at 0°, 550 nm", "passes"), ((name, *_shares(name)) for name in SAMPLES))
@@ -584,29 +584,29 @@ def _reflected(truth: xr.Dataset) -> float:
 
 @cache
 def _shares(sample: str) -> tuple[str, str]:
-    """What a sample reflects, and what it lets pass."""
+    """Reflectance and transmittance of a sample."""
     truth = SAMPLES[sample]()
     return f"{_reflected(truth):.2f}", f"{BSDFAccessor(truth).transmittance(0.0, 0.0, 550.0).item():.2f}"
 
 
-def _of_completed(outcomes: Sequence[Outcome]) -> Iterator[str]:
+def _completed_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
     yield from ("## Completed BSDF: error and z by region", "")
     yield (
-        "The BSDF smoothed and completed, with glare, between the cells and where there are none: relative error in per cent "
+        "The smoothed and completed BSDF, with glare, between the cells and beyond them: relative error in per cent "
         "(median / 95th percentile), rms of error over stated uncertainty, and the 95th percentile of its size (1.96 if all is normal). Angles "
         "within 10° and beyond are from the mirror direction (from behind, the straight one), at cosines of view above "
-        f"{GRAZING:g}; errors are of values from {DARKEST:g} sr⁻¹ on, z of all; between: {', '.join(f'{each:g}' for each in BETWEEN)}°. Errors go together in a measurement, so that five rigs tell a z-rms near 1 to a third."
+        f"{GRAZING:g}; errors are of values from {DARKEST:g} sr⁻¹ on, z of all; between: {', '.join(f'{angle:g}' for angle in BETWEEN)}°. Errors of a measurement are correlated: with five rigs a z-rms near 1 is uncertain by a third."
     )
     yield ""
     rows = list(_by_region(outcomes))
     yield from _table(("sample", "region", "error 50 / 95", "z-rms", "z 95"), iter(rows))
     yield ""
     beyond = [f"{sample}: {region} ({z})" for sample, region, _, z, _ in rows if float(z) > Z_RMS[1]]
-    yield f"Off by more than is stated, with a z-rms above {Z_RMS[1]}: {'; '.join(beyond) or 'nowhere'}."
+    yield f"Errors exceed the stated uncertainty, with a z-rms above {Z_RMS[1]}: {'; '.join(beyond) or 'nowhere'}."
     yield ""
     yield (
-        "Gloss of it, read by the same nominal gloss meter as that of the truth: mean of the rigs ± what the BSDF's own uncertainty leaves, for "
-        "the truth's; on what it rests, and the rms of z."
+        "Its gloss with a nominal gloss meter: mean of the rigs ± the uncertainty from that of the BSDF, for the gloss of the truth; the basis of the "
+        "value, and the rms of z."
     )
     yield ""
     yield from _table(("sample", "20°", "60°", "85°"), _by_gloss(outcomes))
@@ -615,15 +615,15 @@ def _of_completed(outcomes: Sequence[Outcome]) -> Iterator[str]:
 
 def _by_region(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:
     for sample in SAMPLES:
-        own = [each.completed for each in outcomes if each.job.truth == sample and each.completed is not None]
+        own = [result.completed for result in outcomes if result.job.truth == sample and result.completed is not None]
         for region in REGIONS if own else ():
-            error, z = (np.concatenate(parts) for parts in zip(*(each[region] for each in own), strict=True))
+            error, z = (np.concatenate(parts) for parts in zip(*(regions[region] for regions in own), strict=True))
             yield sample, region, _percentiles(error), f"{_rms(z):.2f}", f"{np.percentile(np.abs(z), 95):.2f}"
 
 
 def _by_gloss(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:
     for sample in TRUTHS:
-        own = [each.gloss for each in outcomes if each.job.truth == sample and each.gloss is not None]
+        own = [result.gloss for result in outcomes if result.job.truth == sample and result.gloss is not None]
         if own:
             yield sample, *(_gloss(at) for at in np.stack(own, axis=-1).swapaxes(0, 1))
 
@@ -639,17 +639,17 @@ def _digits(value: float, significant: int) -> str:
     return np.format_float_positional(value, significant, fractional=False, trim="-")
 
 
-def _of_routes(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    found = [each.recovered for each in outcomes if each.recovered is not None]
-    if not found:
+def _comparison_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    inputs = [result.recovered for result in outcomes if result.recovered is not None]
+    if not inputs:
         return
     yield from ("## What a comparison with the surface recovers", "")
     yield (
-        f"The plastic of facets is told with an index of {INDEX - DOUBTED['index']:g} instead of {INDEX:g}, and with slopes too small by a factor; "
-        "its BRDF as measured is compared with the prediction, which finds: mean of the rigs, mean of the uncertainty, rms of z."
+        f"The plastic of facets is described with an index of {INDEX - DOUBTED['index']:g} instead of {INDEX:g}, and with slopes too small by a factor. "
+        "The comparison of its measured BRDF with the prediction recovers: mean of the rigs, mean of the uncertainty, rms of z."
     )
     yield ""
-    value, u = np.stack(found, axis=1)
+    value, u = np.stack(inputs, axis=1)
     yield from _table(
         ("to be changed", "true", "found", "u", "z-rms"),
         (
@@ -674,17 +674,18 @@ def _table(titles: Sequence[str], rows: Iterator[Sequence[str]]) -> Iterator[str
 
 
 def _by_rig(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:
-    for each in outcomes:
-        if each.job.kind in ("glare", "no glare", "through"):
+    for result in outcomes:
+        if result.job.kind in ("glare", "no glare", "through"):
             spread = [
-                _percentiles(each.error[(each.of_disc == disc) & (each.truth >= DARKEST)]) for disc in (False, True)
+                _percentiles(result.error[(result.of_disc == disc) & (result.truth >= DARKEST)])
+                for disc in (False, True)
             ]
-            yield each.job.truth, each.job.kind, str(each.job.seed), *spread, f"{_rms(each.z):.2f}"
+            yield result.job.truth, result.job.kind, str(result.job.seed), *spread, f"{_rms(result.z):.2f}"
 
 
 def _by_decade(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:
-    ranged = [each for each in outcomes if each.job.kind == "range"]
-    true, error, z = (np.concatenate([getattr(each, name) for each in ranged]) for name in ("truth", "error", "z"))
+    ranged = [result for result in outcomes if result.job.kind == "range"]
+    true, error, z = (np.concatenate([getattr(result, name) for result in ranged]) for name in ("truth", "error", "z"))
     for low, high in DECADES:
         own = (true >= low) & (true < high)
         yield f"{low:g} to {high:g}", str(own.sum()), _percentiles(error[own]), f"{_rms(z[own]):.2f}"
@@ -695,7 +696,7 @@ def _rms(values: Array) -> float:
 
 
 def _percentiles(error: Array) -> str:
-    return " / ".join(f"{100 * each:.2f}" for each in np.percentile(np.abs(error), [50, 95]))
+    return " / ".join(f"{100 * percentile:.2f}" for percentile in np.percentile(np.abs(error), [50, 95]))
 
 
 @click.command()
@@ -707,7 +708,7 @@ def _percentiles(error: Array) -> str:
 )
 @click.option("--cores", type=click.IntRange(1), default=2, show_default=True)
 def main(out: Path, cores: int) -> None:
-    """Measure samples of known BSDF with emulated rigs, and write how far off the results are."""
+    """Measure samples of known BSDF with emulated rigs, and report the errors of the results."""
     from tqdm import tqdm
 
     todo = list(jobs())

@@ -1,4 +1,4 @@
-"""The acceptance in the emulator, in small; and that its page tells what is not met. ``make rig-accuracy`` is the whole of it."""
+"""A small version of the acceptance in the emulator, and its page. ``make rig-accuracy`` runs all of it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ is no error of the emulator's."""
 
 
 def plan(*incidences: float) -> Plan:
-    """At one wavelength; bright looks at the lamp after every frame tell how well it repeats, as those of a whole plan do."""
+    """At one wavelength, with a bright monitor reading of the lamp after every frame for its repeatability."""
     small = accuracy.plan_of((550.0,), incidences, fibres=80)
     return replace(small, drift=replace(small.drift, every=1, step=4))
 
@@ -30,7 +30,7 @@ def plan(*incidences: float) -> Plan:
     "truth",
     [pytest.param(name, marks=() if name == accuracy.FACETS else pytest.mark.slow) for name in accuracy.TRUTHS],
 )
-def test_a_measurement_of_a_known_sample_is_as_accurate_as_it_says(truth):
+def test_a_measurement_of_a_known_sample_is_as_accurate_as_stated(truth):
     """One rig, one wavelength, two incidences, every effect on; the page has the limits over all rigs."""
     found = accuracy.measured(plan(10.0, 45.0), accuracy.TRUTHS[truth](), seed=3, session=1)
     assert np.median(np.abs(found.on(disc=False))) < 0.015
@@ -44,7 +44,7 @@ def test_a_measurement_of_a_known_sample_is_as_accurate_as_it_says(truth):
     assert (~found.of_disc).sum() > 2 * 45
 
 
-def test_what_passes_a_sample_is_as_accurate_as_it_says():
+def test_transmission_is_as_accurate_as_stated():
     truth = accuracy.SAMPLES[accuracy.THROUGH]()
     _, behind = accuracy.primaries(replace(plan(30.0), side=("reflection", "transmission")), truth, seed=3, session=1)
     assert behind.attrs["side"] == "transmission"
@@ -54,7 +54,7 @@ def test_what_passes_a_sample_is_as_accurate_as_it_says():
 
 
 def test_etalon_and_sample_are_of_two_days():
-    """Nothing of a day is common to them: the picture lies elsewhere, and the lamp wanders otherwise."""
+    """The position of the picture and the drift of the lamp differ between the days."""
     etalon, sample = accuracy.two_days(plan(10.0), accuracy.TRUTHS["milk glass"](), seed=3, session=1)
     assert "sample" not in etalon["purpose"].values
     assert "etalon" not in sample["purpose"].values
@@ -102,20 +102,20 @@ def test_gloss_of_a_completed_bsdf_is_that_of_the_truth_where_it_was_measured():
     assert list(flags) == [1, 0, 3]
 
 
-def test_what_is_told_wrong_of_a_surface_is_found():
+def test_errors_in_the_description_of_a_surface_are_recovered():
     found, u = accuracy.recovered(plastic()[0])
     assert found == pytest.approx(list(accuracy.DOUBTED.values()), abs=0.01)
     assert (u < 0.01).all()
 
 
-def test_the_samples_of_the_acceptance_reflect_no_more_than_they_get():
+def test_the_samples_of_the_acceptance_reflect_no_more_than_the_incident_light():
     for name, truth in accuracy.SAMPLES.items():
         bsdf = truth().bsdf
         total = bsdf.albedo(0.0, wavelength=550.0).item() + bsdf.transmittance(0.0, wavelength=550.0).item()
         assert (total > 1) == (name == accuracy.RANGE), name
 
 
-def test_what_must_not_pass_does_not_pass():
+def test_mistakes_are_refused():
     refusals = dict(accuracy.detections())
     assert len(refusals) == 7
     assert all(refusals.values()), refusals
@@ -136,7 +136,7 @@ def test_the_truths_are_reciprocal():
 
 
 def outcomes(error: float, z: float) -> list[Outcome]:
-    """Made up: errors of this size everywhere."""
+    """Invented outcomes with errors of one size everywhere."""
     found = []
     for job in accuracy.jobs():
         signs = np.resize([1.0, -1.0], 600)
@@ -163,7 +163,7 @@ def test_every_figure_of_the_acceptance_is_judged():
     assert len(unmet) == len(made) == 24 + 3 + 6
 
 
-def test_uncertainties_that_are_too_large_are_not_honest_either():
+def test_too_large_uncertainties_do_not_meet_the_requirement():
     unmet = [check.what for check in accuracy.checks(outcomes(0.005, 0.5)) if not check.met]
     assert unmet == ["z-rms overall", "z-rms without what all values of a measurement share"]
 
@@ -180,7 +180,7 @@ def test_the_page_shows_what_is_not_met_and_what_was_not_refused():
     assert text.count("**not met**") == 9
 
 
-def test_the_page_tells_of_the_completed_bsdf_its_gloss_and_the_comparison():
+def test_the_page_shows_the_completed_bsdf_its_gloss_and_the_comparison():
     text, _ = accuracy.report(outcomes(0.005, 1.5), [])
     for sample in (*accuracy.TRUTHS, accuracy.THROUGH):
         for region in accuracy.REGIONS:
@@ -196,7 +196,7 @@ def test_the_page_tells_of_the_completed_bsdf_its_gloss_and_the_comparison():
     assert "below 0.34 % on half of all days" in text
 
 
-def test_the_jobs_are_all_truths_with_all_rigs_each_on_a_day_of_its_own():
+def test_the_jobs_are_all_truths_with_all_rigs_each_on_its_own_day():
     jobs = list(accuracy.jobs())
     assert len(jobs) == len(set(jobs)) == 2 * 4 * 5 + 5 + 5 + 5
     days = [(job.seed, job.session + later) for job in jobs for later in (0, accuracy.ETALON)]
