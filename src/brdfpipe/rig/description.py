@@ -190,15 +190,7 @@ def read_fibres(path: Path) -> tuple[Fibre, ...]:
     ------
     InputError : naming the file, the line, what was found and what is accepted.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(path, "not UTF-8 text", where=f"byte {error.start}", accepted="a CSV file") from error
-    rows = [
-        (f"line {number}", [cell.strip() for cell in next(csv.reader([line]))])
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+    rows = read_csv(path)
     if not rows:
         accepted = f"a line of column titles ({', '.join(COLUMNS)}) and one line per fibre"
         raise InputError(path, "empty", accepted=accepted)
@@ -212,6 +204,19 @@ def read_fibres(path: Path) -> tuple[Fibre, ...]:
     if repeated := _repeated(fibre.name for fibre in fibres):
         raise InputError(path, "duplicate fibre name", found=repeated, accepted="each name once")
     return fibres
+
+
+def read_csv(path: Path) -> list[tuple[str, list[str]]]:
+    """``line N`` and the cells of each line of a CSV file, without comments (#); :class:`InputError` if it is not text."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(path, "not UTF-8 text", where=f"byte {error.start}", accepted="a CSV file") from error
+    return [
+        (f"line {number}", [cell.strip() for cell in next(csv.reader([line]))])
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
 
 
 def _fibre(path: Path, where: str, titles: list[str], cells: list[str]) -> Fibre:

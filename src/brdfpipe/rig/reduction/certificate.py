@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -14,6 +12,7 @@ from brdfpipe import documents
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.geometry import Array
+from brdfpipe.rig.description import read_csv
 from brdfpipe.rig.reduction.certificate_keys import CertificateKeys
 
 COLUMNS = ("wavelength", "reflectance_factor", "u")
@@ -23,15 +22,10 @@ SHAPE_U, SHAPE_U_ANGLE = 0.05, 60.0
 """Relative standard uncertainty of an etalon's shape without certified ratios, at this angle [degree]; it grows with the square of the angle.
 
 Diffuse standards are not Lambertian: at normal incidence pressed and sintered PTFE, opal glass and ceramics lose some percent towards 60°,
-and ten and more towards grazing, each by its own amount (Weidner & Hsia 1981, Höpe & Hauer 2010). The etalon of the emulator loses as much.
-
-References
-----------
-Weidner & Hsia 1981 (J. Opt. Soc. Am. 71, 856); Höpe & Hauer 2010 (Metrologia 47, 295).
+and ten and more towards grazing (Weidner & Hsia 1981, J. Opt. Soc. Am. 71, 856; Höpe & Hauer 2010, Metrologia 47, 295).
 """
 
-_ALL_WAVELENGTHS = (100.0, 20000.0)
-"""Wavelengths that a certificate with one number covers [nm]."""
+_ALL_WAVELENGTHS = (100.0, 20000.0)  # wavelengths that a certificate with one number covers [nm]
 
 
 class CertificateError(BrdfpipeError):
@@ -40,7 +34,7 @@ class CertificateError(BrdfpipeError):
 
 @dataclass(frozen=True)
 class Certificate:
-    """What a calibration laboratory certifies of an etalon lit at normal incidence."""
+    """The certified BRDF of an etalon lit at normal incidence."""
 
     identity: str
     valid_until: date
@@ -69,8 +63,9 @@ class Certificate:
         content = reading.read(path, CertificateKeys)
         factor = content["reflectance_factor"]
         if isinstance(factor, dict):
-            home = "the certificate's folder"
-            table = read_table(documents.file_beside(path, factor["file"], "reflectance_factor.file", home))
+            table = read_table(
+                documents.file_beside(path, factor["file"], "reflectance_factor.file", "the certificate's folder")
+            )
         else:
             table = np.array([[wavelength, factor, content["u"]] for wavelength in _ALL_WAVELENGTHS])
         angles = np.array([_ratio(entry, content["u"]) for entry in content["angles"]])
@@ -95,7 +90,7 @@ class Certificate:
     def brdf(self, wavelength: Array, theta: Array) -> tuple[Array, Array]:
         """BRDF [1/sr] and its relative standard uncertainty, (wavelength, theta) and (wavelength,); linear in between.
 
-        Beyond its last angle the etalon has its last ratio; :meth:`shape_u_at` gives the uncertainty of that.
+        Beyond the last certified angle its ratio is used, with the uncertainty of :meth:`shape_u_at`.
 
         Raises
         ------
@@ -108,9 +103,8 @@ class Certificate:
                 f"{wavelength.min():g} to {wavelength.max():g} nm; remove wavelengths from the plan, or have the certificate extended"
             )
         height = np.interp(wavelength, self.wavelength, self.reflectance_factor) / np.pi
-        return height[:, None] * np.interp(theta, self.theta, self.shape), np.interp(
-            wavelength, self.wavelength, self.u
-        )
+        u = np.interp(wavelength, self.wavelength, self.u)
+        return height[:, None] * np.interp(theta, self.theta, self.shape), u
 
     def shape_u_at(self, theta: Array) -> Array:
         """Relative standard uncertainty of the BRDF over that at 0 degree, (theta,) [degree]: linear between the certified
@@ -131,37 +125,25 @@ def read_table(path: Path) -> Array:
     ------
     InputError : naming the line, what was found and what is accepted.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(path, "not UTF-8 text", where=f"byte {error.start}", accepted="a CSV file") from error
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if _is_data(line)]
-    rows = list(csv.reader(io.StringIO("\n".join(line for _, line in lines))))
-    if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:
-        where, found = (f"line {lines[0][0]}", lines[0][1][:80]) if lines else (None, "nothing")
-        accepted = ", ".join(COLUMNS)
+    rows = read_csv(path)
+    where, titles = rows.pop(0) if rows else (None, ["nothing"])
+    if titles != list(COLUMNS):
+        found, accepted = ",".join(titles)[:80], ", ".join(COLUMNS)
         raise InputError(path, "wrong column titles", where=where, found=found, accepted=accepted)
-    table = np.array([_row(path, number, row) for (number, _), row in zip(lines[1:], rows[1:], strict=True)])
+    table = np.array([_row(path, where, cells) for where, cells in rows])
     if len(table) < 2 or (np.diff(table[:, 0]) <= 0).any():
         raise InputError(path, "the wavelengths do not increase", accepted="two lines or more, in nm, increasing")
     return table
 
 
-def _is_data(line: str) -> bool:
-    return bool(line.strip()) and not line.lstrip().startswith("#")
-
-
-def _row(path: Path, number: int, row: list[str]) -> list[float]:
+def _row(path: Path, where: str, cells: list[str]) -> list[float]:
     try:
-        values = [float(cell) for cell in row]
+        values = [float(cell) for cell in cells]
     except ValueError:
         values = []
-    good = len(values) == len(COLUMNS) and 100 <= values[0] <= 20000 and 0 < values[1] <= 2 and 0 <= values[2] <= 1
-    if not good:
-        accepted = (
-            "a wavelength in nm, a reflectance factor above 0 and at most 2, and a relative uncertainty from 0 to 1"
-        )
-        raise InputError(path, "not an accepted line", where=f"line {number}", found=row, accepted=accepted)
+    if not (len(values) == len(COLUMNS) and 100 <= values[0] <= 20000 and 0 < values[1] <= 2 and 0 <= values[2] <= 1):
+        accepted = "a wavelength in nm, a reflectance factor above 0 and at most 2, a relative uncertainty from 0 to 1"
+        raise InputError(path, "not an accepted line", where=where, found=cells, accepted=accepted)
     return values
 
 
