@@ -1,7 +1,7 @@
-"""Measure the way from a run's folder to a BSDF: a whole sample of 875 frames and its etalon, as files.
+"""Time the evaluation of a run, from its files to a BSDF: a whole sample of 875 frames and its etalon.
 
 ``python benchmarks/rig_reduction.py`` writes ``benchmarks/results/rig_reduction.json``. The rig and the plan are those of ``brdfpipe rig
-new``: 150 fibres, 35 wavelengths × 5 incidences × 5 frames of a bracket, dark frames and looks at the lamp; the frames are the emulated
+new``: 150 fibres, 35 wavelengths × 5 incidences × 5 frames of a bracket, dark frames and monitor readings of the lamp; the frames are the emulated
 rig's, with all effects. Two requirements are judged:
 
 * reduction of 60 frames a second and more of processor time, on one core, from frames in memory to the light of each cell;
@@ -56,9 +56,9 @@ class Job(NamedTuple):
     "--out", type=click.Path(path_type=Path), default=PROJECT / "benchmarks" / "results" / "rig_reduction.json"
 )
 def main(out: Path) -> None:
-    """Time reading, reduction, calibration, smoothing and completion, and say where the time of the reduction goes."""
+    """Time reading, reduction, calibration, smoothing and completion, and profile the reduction."""
     with tempfile.TemporaryDirectory() as folder:
-        plan = photographed(Path(folder))
+        plan = write_run(Path(folder))
         summary: Record = {
             "machine": f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}"
         }
@@ -73,13 +73,13 @@ def main(out: Path) -> None:
         sys.exit("a requirement is not met")
 
 
-def photographed(folder: Path) -> Plan:
-    """A run's folder, as a scan leaves it."""
+def write_run(folder: Path) -> Plan:
+    """Write the folder of a finished run."""
     plan = Plan.load(start(folder))
-    found = accuracy.frames_of(plan, accuracy.TRUTHS["plastic, 10 sr⁻¹, 3°"]())
+    taken = accuracy.frames_of(plan, accuracy.TRUTHS["plastic, 10 sr⁻¹, 3°"]())
     (folder / FRAMES).mkdir()
-    for place, shot in enumerate(plan.shots):
-        picture = RawFrame(found["counts"].values[place], float(found["elapsed"].values[place]), shot.exposure, 20.0)
+    for counts, elapsed, shot in zip(taken["counts"].values, taken["elapsed"].values, plan.shots, strict=True):
+        picture = RawFrame(counts, float(elapsed), shot.exposure, 20.0)
         state = DeviceState(shot.wavelength, shot.position)
         write_frame(
             folder / FRAMES / shot.name, picture, shot, plan, state=state, run_start=0.0, camera="emulated camera"
@@ -121,21 +121,21 @@ def whole(folder: str, plan: Plan) -> Record:
     jobs += [Job(folder, "sample", incidence) for incidence in plan.incidences]
     begin, own = time.perf_counter(), time.process_time()
     with ProcessPoolExecutor(CORES) as pool:
-        found = list(pool.map(arrangement, jobs))
+        reduced = list(pool.map(arrangement, jobs))
     by_load = {
-        load: join_arrangements([each for each, _ in found if each.attrs["load"] == load])
+        load: join_arrangements([dataset for dataset, _ in reduced if dataset.attrs["load"] == load])
         for load in ("etalon", "sample")
     }
     primary = apply(by_load["sample"], calibrate(by_load["etalon"], accuracy.certificate()))
     completion.complete(smoothing.smooth(primary))
     wall, own = time.perf_counter() - begin, time.process_time() - own
-    arranged = sum(spent for _, spent in found)
-    # What is done once, calibration to completion, has one core.
+    arranged = sum(spent for _, spent in reduced)
+    # The single steps, from calibration to completion, have one core.
     return {"wall_s": round(wall, 1), "busy_s": round(arranged / CORES + own, 1), "once_s": round(own, 1)}
 
 
 def as_text(summary: Record) -> str:
-    """The table a person reads."""
+    """The printed summary."""
     met = {True: "met", False: "NOT met"}
     lines = profiling.lines(summary["goes_to"])
     lines.append(

@@ -34,13 +34,13 @@ Record = dict[str, Any]
 
 
 @click.command()
-@click.option("--repeats", default=3, show_default=True, help="The best of so many runs counts.")
+@click.option("--repeats", default=3, show_default=True, help="Number of runs; the best one counts.")
 @click.option(
     "--out", type=click.Path(path_type=Path), default=PROJECT / "benchmarks" / "results" / "rig_smoothing.json"
 )
 @click.option("--measure", is_flag=True, hidden=True)
 def main(repeats: int, out: Path, measure: bool) -> None:
-    """Time the fits, and what follows them."""
+    """Time the fits and the completion."""
     if measure:
         if hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
@@ -87,7 +87,7 @@ def measured(repeats: int) -> Record:
 
 
 def sample() -> xr.Dataset:
-    """Primary data of a paint: a coloured base, a broad lobe, a narrow one of 300 sr-1; noise, and each spectrum's own holes."""
+    """Primary data of a paint: a coloured base, a broad lobe, a narrow one of 300 sr-1; noise, and random missing values."""
     theta, phi = cells()
     incidence, wavelength = INCIDENCES[:, None, None], WAVELENGTHS[:, None]
     lean = np.sin(np.radians(incidence)) * np.sin(np.radians(theta)) * np.cos(np.radians(phi))
@@ -96,9 +96,9 @@ def sample() -> xr.Dataset:
     brdf = body * (1 + 0.3 * lean) + (0.5 + wavelength / 1000) * lobe(theta, 14) + 300 / steep * lobe(theta, 1.5)
     random = np.random.default_rng(1)
     u = np.hypot(NOISE * brdf, DARK)
-    kept = (cos_view(incidence, theta, phi) > 0.07) & (random.random(brdf.shape) > MISSING)
+    valid = (cos_view(incidence, theta, phi) > 0.07) & (random.random(brdf.shape) > MISSING)
     cell = ("incidence", "wavelength", "cell")
-    values = np.where(kept, brdf + u * random.standard_normal(brdf.shape), np.nan)
+    values = np.where(valid, brdf + u * random.standard_normal(brdf.shape), np.nan)
     return vocabulary.label(
         xr.Dataset(
             {"brdf": (cell, values), "brdf_u": (cell, u)},
@@ -114,7 +114,7 @@ def sample() -> xr.Dataset:
 
 
 def lobe(theta: np.ndarray, width: float) -> np.ndarray:
-    """A Gaussian of so many degrees."""
+    """A Gaussian of a width in degrees."""
     return np.exp(-(theta**2) / (2 * width**2))
 
 
@@ -132,7 +132,7 @@ def cells() -> tuple[np.ndarray, np.ndarray]:
 
 
 def as_text(summary: Record) -> str:
-    """What a person reads."""
+    """The printed summary."""
     lines = [f"{summary['fits']} fits of some {summary['cells']} cells by {summary['terms']} functions"]
     for name in ("floor", "pspline", "keldysh", "complete"):
         seconds = summary[f"{name}_s"]

@@ -1,4 +1,4 @@
-"""What a rig would measure of a BSDF that is known: its cells, and errors drawn from the uncertainties it states."""
+"""Primary data of a known BSDF: the cells of a rig, and errors drawn from their stated uncertainties."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ INCIDENCES = (10.0, 30.0, 45.0, 60.0)
 WAVELENGTHS = np.arange(450.0, 651.0, 50.0)
 
 U = {"noise": 0.01, "calibration": 0.005, "certificate": 0.01, "reference": 0.01, "repeat": 0.003, "glare": 1e-4}
-"""Standard uncertainties: relative, that of the glare in 1/sr."""
+"""Standard uncertainties: relative, but that of the glare in 1/sr."""
 
 OWN = {
     "noise": ("incidence", "wavelength", "cell"),
@@ -26,16 +26,16 @@ OWN = {
     "glare": ("incidence",),
     "certificate": (),
 }
-"""Along which dimensions each error is drawn anew."""
+"""Dimensions along which errors are independent."""
 
 DIMS = ("incidence", "wavelength", "cell")
 
 
 def measured(bsdf: xr.Dataset, seed: int | None = 0, *, incidences=INCIDENCES, wavelengths=WAVELENGTHS) -> xr.Dataset:
-    """Kind ``primary``: the BSDF at the cells of a rig, with errors; without a seed there is none."""
+    """Kind ``primary``: the BSDF at the cells of a rig, with errors if there is a seed."""
     theta, phi = rig_primary.cells()
     incidence, wavelength = np.asarray(incidences, dtype=float), np.asarray(wavelengths, dtype=float)
-    truth = _seen(bsdf, incidence, wavelength, theta, phi)
+    truth = _at_cells(bsdf, incidence, wavelength, theta, phi)
     errors = {name: _drawn(name, truth.shape, seed) for name in OWN}
     value = truth.copy()
     for name in ("calibration", "certificate", "reference", "repeat"):
@@ -44,15 +44,15 @@ def measured(bsdf: xr.Dataset, seed: int | None = 0, *, incidences=INCIDENCES, w
     noise = np.hypot(U["noise"] * truth, dark)
     value = value + noise * errors["noise"] + U["glare"] * errors["glare"]
     parts = {name: U[name] * np.abs(value) for name in OWN} | {"noise": noise, "glare": np.full_like(value, U["glare"])}
-    seen = np.broadcast_to((cos_view(incidence[:, None], theta, phi) > 0.07)[:, None], value.shape)
-    quality = np.where(seen, vocabulary.quality("measured"), vocabulary.quality("shadowed")).astype(np.int8)
+    above = np.broadcast_to((cos_view(incidence[:, None], theta, phi) > 0.07)[:, None], value.shape)
+    quality = np.where(above, vocabulary.quality("measured"), vocabulary.quality("shadowed")).astype(np.int8)
     variables = {
         f"brdf_u_{name}": (DIMS, part, {"correlation": "independent" if "cell" in OWN[name] else "common"})
         for name, part in parts.items()
     }
     primary = xr.Dataset(
         {
-            "brdf": (DIMS, np.where(seen, value, np.nan)),
+            "brdf": (DIMS, np.where(above, value, np.nan)),
             "brdf_u": (DIMS, np.sqrt(np.sum(np.square([*parts.values()]), axis=0))),
             "brdf_quality": (DIMS, quality),
             **variables,
@@ -70,8 +70,8 @@ def measured(bsdf: xr.Dataset, seed: int | None = 0, *, incidences=INCIDENCES, w
 
 
 def truth(bsdf: xr.Dataset, primary: xr.Dataset, theta, phi) -> np.ndarray:
-    """The BSDF that cells would see which look from elsewhere."""
-    return _seen(bsdf, primary["incidence"].values, primary["wavelength"].values, theta, phi)
+    """The BSDF at cells of other directions."""
+    return _at_cells(bsdf, primary["incidence"].values, primary["wavelength"].values, theta, phi)
 
 
 def _drawn(name: str, shape: tuple[int, ...], seed: int | None) -> np.ndarray:
@@ -81,7 +81,7 @@ def _drawn(name: str, shape: tuple[int, ...], seed: int | None) -> np.ndarray:
     )
 
 
-def _seen(bsdf, incidence, wavelength, theta, phi) -> np.ndarray:
+def _at_cells(bsdf, incidence, wavelength, theta, phi) -> np.ndarray:
     theta_o, phi_o = outgoing(incidence[:, None], theta, phi)
     theta_i = np.broadcast_to(incidence[:, None], theta_o.shape)
     evaluate = representation(bsdf).evaluate
@@ -90,8 +90,8 @@ def _seen(bsdf, incidence, wavelength, theta, phi) -> np.ndarray:
 
 
 def deviating(finish, index, spectrum=None, *, slope=1.1, shift=0.03, diffuse=0.95, **choices) -> xr.Dataset:
-    """The BSDF of a material of which slopes, index and diffuse reflectance are not what is known of them."""
+    """The BSDF of a material whose slopes, index and diffuse reflectance deviate from their descriptions."""
     index = optics.refractive_index(index)
-    told = index.assign(n=index["n"].copy(data=index["n"].values + shift))
-    bsdf = microfacet.build(facets.scaled(finish, slope), index=told, spectrum=spectrum, **choices)
+    shifted = index.assign(n=index["n"].copy(data=index["n"].values + shift))
+    bsdf = microfacet.build(facets.scaled(finish, slope), index=shifted, spectrum=spectrum, **choices)
     return bsdf.assign(diffuse=bsdf["diffuse"] * diffuse)

@@ -1,4 +1,4 @@
-"""Synthetic primary data of a rig: cells, lobes and noise of which the truth is known."""
+"""Synthetic primary data of a rig: cells, known lobes, and noise."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Truth = Callable[[float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def cells(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Directions of a rig's cells: rings of the disc out to 10°, each about as wide as its cells are long, and fibres beyond."""
+    """Directions of a rig's cells: rings of the disc to 10° with about square cells, and fibres beyond."""
     random = np.random.default_rng(seed)
     theta, phi = [np.zeros(1)], [np.zeros(1)]
     ring = 0.6
@@ -45,12 +45,12 @@ def measured(
     seed: int = 0,
     side: str = "reflection",
 ) -> xr.Dataset:
-    """Kind ``primary``: the truth at the cells above cos γ = 0.07, with Gaussian noise relative to it and noise of the dark.
+    """Kind ``primary``: the truth at the cells above cos γ = 0.07, with relative Gaussian noise and constant noise.
 
     Parameters
     ----------
     noise : relative standard deviation; 0 for values without noise, whose uncertainty is then stated as 0.1 %
-    dark : standard deviation besides [sr-1]
+    dark : standard deviation of the constant noise [sr-1]
     """
     theta, phi = cells()
     wavelength = np.asarray(wavelengths, dtype=float)
@@ -59,11 +59,11 @@ def measured(
     u = np.hypot(noise * brdf, dark) if noise or dark else 1e-3 * brdf
     if noise or dark:
         brdf = brdf + u * random.standard_normal(brdf.shape)
-    seen = cos_view(np.asarray(incidences)[:, None], theta, phi) > 0.07
-    quality = np.where(seen, vocabulary.quality("measured"), vocabulary.quality("shadowed")).astype(np.int8)
+    above = cos_view(np.asarray(incidences)[:, None], theta, phi) > 0.07
+    quality = np.where(above, vocabulary.quality("measured"), vocabulary.quality("shadowed")).astype(np.int8)
     primary = xr.Dataset(
         {
-            "brdf": (("incidence", "wavelength", "cell"), np.where(seen[:, None], brdf, np.nan)),
+            "brdf": (("incidence", "wavelength", "cell"), np.where(above[:, None], brdf, np.nan)),
             "brdf_u": (("incidence", "wavelength", "cell"), u),
             "brdf_quality": (("incidence", "wavelength", "cell"), np.repeat(quality[:, None], wavelength.size, axis=1)),
         },
@@ -83,7 +83,7 @@ def gaussian(theta: np.ndarray, width: float) -> np.ndarray:
 
 
 def base(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    """A base that leans by 30 %."""
+    """A base that varies by 30 % along the plane of incidence."""
     return 1 + 0.3 * np.sin(np.radians(theta)) * np.cos(np.radians(phi))
 
 
@@ -103,21 +103,21 @@ def dense(incidence: float, lowest: float = 0.1) -> tuple[np.ndarray, np.ndarray
     """A grid of ϑ and φ where cos γ is above ``lowest``, finer in the lobe."""
     theta = np.concatenate([np.arange(0, 12, 0.25), np.arange(12, 130, 1.0)])
     theta, phi = (angle.ravel() for angle in np.meshgrid(theta, np.arange(0, 360, 5.0), indexing="ij"))
-    seen = cos_view(incidence, theta, phi) > lowest
-    return theta[seen], phi[seen]
+    above = cos_view(incidence, theta, phi) > lowest
+    return theta[above], phi[above]
 
 
-def rms(found: np.ndarray, truth: np.ndarray) -> float:
+def rms(value: np.ndarray, truth: np.ndarray) -> float:
     """Root mean square relative error."""
-    return float(np.sqrt(np.mean((found / truth - 1) ** 2)))
+    return float(np.sqrt(np.mean((value / truth - 1) ** 2)))
 
 
 def of_model(bsdf: xr.Dataset) -> Truth:
-    """What a rig would measure of a BSDF that does not depend on wavelength."""
+    """The truth of a BSDF that does not depend on wavelength."""
 
     def truth(incidence: float, theta: np.ndarray, phi: np.ndarray, wavelength: np.ndarray) -> np.ndarray:
         theta_o, phi_o = outgoing(incidence, theta, phi)
-        found = bsdf.bsdf.evaluate(incidence, 0.0, np.minimum(theta_o, 89.99), phi_o).values
-        return np.broadcast_to(found, (wavelength.size, theta.size))
+        brdf = bsdf.bsdf.evaluate(incidence, 0.0, np.minimum(theta_o, 89.99), phi_o).values
+        return np.broadcast_to(brdf, (wavelength.size, theta.size))
 
     return truth

@@ -1,4 +1,4 @@
-"""Datasets of kind ``reduced`` in closed form: the signals of an etalon and of a sample of which every factor is known."""
+"""Datasets of kind ``reduced`` in closed form: signals of an etalon and of a sample with known factors."""
 
 from __future__ import annotations
 
@@ -14,14 +14,8 @@ from brdfpipe.rig.reduction.primary import apply
 from brdfpipe.rig.reduction.relative_light import COMPONENTS
 
 WAVELENGTHS = np.array([430.0, 470.0, 510.0, 550.0, 650.0])
-
-
 LAMP = np.array([5e4, 1.6e5, 1.2e5, 1.25e5, 1.1e5])
-
-
 PATHS = {0.0: 0.9, 10.0: 1.0, 30.0: 1.08, 45.0: 1.03, 60.0: 0.95}
-
-
 NAMES = ("noise", "repeat", "reference", "calibration", "certificate", "nd", "glare", "geometry", "path")
 
 
@@ -64,19 +58,18 @@ def reduced(
     day: str = "2026-03-01",
     **attrs: object,
 ) -> xr.Dataset:
-    """What a perfect reduction gives; ``hidden(incidence)`` says which share of each cell's light is missing."""
+    """The result of a perfect reduction; ``hidden(incidence)`` is the missing share of each cell's light."""
     theta, phi = directions()
     signal = []
     for incidence in incidences:
         if load == "etalon":
-            cosine, brdf = (
-                specular_directions.cos_view_etalon(incidence, theta, phi),
-                etalon_brdf(incidence, theta, phi),
-            )
+            cosine = specular_directions.cos_view_etalon(incidence, theta, phi)
+            brdf = etalon_brdf(incidence, theta, phi)
         else:
             cosine, brdf = specular_directions.cos_view(incidence, theta, phi), sample_brdf(incidence, theta, phi)
-        seen = (brdf * np.maximum(cosine, 0) + stray) * PATHS[incidence] * (1 + 0.1 * np.sin(WAVELENGTHS[:, None] / 70))
-        signal.append(seen * efficiency * (1.0 if hidden is None else 1 - hidden(incidence)))
+        light = (brdf * np.maximum(cosine, 0) + stray) * PATHS[incidence]
+        light = light * (1 + 0.1 * np.sin(WAVELENGTHS[:, None] / 70))
+        signal.append(light * efficiency * (1.0 if hidden is None else 1 - hidden(incidence)))
     values = np.array(signal)
     dims = ("incidence", "wavelength", "cell")
     variables = {"signal": (dims, values), "signal_quality": (dims, np.zeros(values.shape, dtype=np.int8))}

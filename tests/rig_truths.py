@@ -1,4 +1,4 @@
-"""What may lie in the holder of an emulated rig, BSDFs of which every value is a formula; and fibres to look at it."""
+"""Samples of an emulated rig whose BSDF is a formula, and a rig with many fibres."""
 
 from __future__ import annotations
 

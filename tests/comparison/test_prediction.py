@@ -102,21 +102,20 @@ def test_the_mean_over_a_cell_is_its_middle_plus_curvature_and_remainder() -> No
     """A Gaussian lobe over a square cell at the mirror direction, against its integral in closed form."""
     from scipy.special import erf
 
-    a, n, cells = 0.04, 1.5, np.array([0])
-    predicted = microfacet.build(facets.analytic("beckmann", a), index=n, masking="none")
-    measurement = Measurement.of(
-        comparison_primary.measured(predicted, None, incidences=(0.0,), wavelengths=(500.0,)), np.array([0])
-    )
+    a, side = 0.04, np.radians(2.0)
+    predicted = microfacet.build(facets.analytic("beckmann", a), index=1.5, masking="none")
+    primary = comparison_primary.measured(predicted, None, incidences=(0.0,), wavelengths=(500.0,))
+    primary["solid_angle"][0] = side**2
+    measurement = Measurement.of(primary, np.array([0]))
     assert measurement.theta_s[0] == 0
-    side = np.radians(2.0)
-    left, curved = (each[0, 0, 0] for each in Predicted(predicted, measurement)._of_means(cells, np.array([[side]])))
+    remainder, curved = (effect[0, 0, 0] for effect in Predicted(predicted, measurement)._cell_effects)
     width = 2 * a / np.sqrt(2)  # of the lobe [rad]: reflection doubles the tilt
     peak = float(predicted.bsdf.evaluate(0, 0, 0, 0))
     mean = np.sqrt(np.pi / 2) * 2 * width / side * erf(side / (2 * np.sqrt(2) * width))
     curvature = -2 * peak / width**2 * np.exp(-(side**2) / (8 * width**2)) * mean
     # In the tangent plane, and without 1/cos: those are of second order in the width.
     assert curved == pytest.approx(side**2 / 24 * curvature, rel=0.01)
-    assert left == pytest.approx(peak * mean**2 - peak - side**2 / 24 * curvature, rel=0.1)
+    assert remainder == pytest.approx(peak * mean**2 - peak - side**2 / 24 * curvature, rel=0.1)
 
 
 def test_wider_angles_on_the_disc_are_a_common_change() -> None:

@@ -128,9 +128,9 @@ class Measurement:
     @cached_property
     def directions(self) -> tuple[Array, Array, Array]:
         """θ_i, θ_o and φ_o [degree] of every cell, (incidence, cell); light comes from azimuth 0."""
-        return self.seen(self.theta_s, self.phi_s)
+        return self.directions_of(self.theta_s, self.phi_s)
 
-    def seen(self, theta_s: Array, phi_s: Array) -> tuple[Array, Array, Array]:
+    def directions_of(self, theta_s: Array, phi_s: Array) -> tuple[Array, Array, Array]:
         """θ_i, θ_o and φ_o [degree] of directions about the mirror direction, (incidence, …)."""
         incidence = self.incidence.reshape(-1, *(1,) * theta_s.ndim)
         theta_o, phi_o = outgoing(incidence, theta_s, phi_s)

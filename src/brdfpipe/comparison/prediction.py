@@ -163,7 +163,7 @@ class Predicted:
         edge = np.array([[0.5 + step, node / 2] for step in (_EDGE_STEP, -_EDGE_STEP) for node in nodes]).T
         edges = np.stack([edge, -edge, edge[::-1], -edge[::-1]], axis=1).reshape(2, -1)
         away, around = np.concatenate([square, edges, np.zeros((2, 1))], axis=1)
-        brdf = self._evaluate_smooth(*self.measurement.seen(*self._beside(cells, side * away, side * around)))
+        brdf = self._evaluate_smooth(*self.measurement.directions_of(*self._beside(cells, side * away, side * around)))
         mean = brdf[:, :, : _ORDER**2].swapaxes(2, 3) @ np.outer(weights, weights).ravel() / 4
         across = np.tile(np.concatenate([weights, -weights]), 4) / (4 * _EDGE_STEP)
         curvature = brdf[:, :, _ORDER**2 : -1].swapaxes(2, 3) @ across / 24
@@ -178,7 +178,9 @@ class Predicted:
         if not u:
             return np.zeros_like(self.measurement.value)
         stretched = np.where(self.measurement.of_disc, theta * (1 + _STRETCH), theta)
-        changed = np.moveaxis(self._evaluate_smooth(*self.measurement.seen(stretched, self.measurement.phi_s)), -1, 1)
+        changed = np.moveaxis(
+            self._evaluate_smooth(*self.measurement.directions_of(stretched, self.measurement.phi_s)), -1, 1
+        )
         described = np.moveaxis(self._evaluate_smooth(*self.measurement.directions), -1, 1)
         return np.asarray((changed - described) * u / _STRETCH)
 

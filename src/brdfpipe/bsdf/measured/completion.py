@@ -15,11 +15,12 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured.basis import Basis
 from brdfpipe.bsdf.measured.coordinates import cell_angles
-from brdfpipe.bsdf.measured.evaluation import evaluate, uncertainty
+from brdfpipe.bsdf.measured.evaluation import evaluate, lobe_slope, uncertainty
 from brdfpipe.bsdf.measured.node_interpolation import interpolation_abscissa
 from brdfpipe.bsdf.measured.reciprocity import with_contradictions
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
+from brdfpipe.hemisphere import around_mirror
 from brdfpipe.specular_directions import cos_view
 
 NORMAL = ("even-quadratic", "linear")
@@ -141,7 +142,7 @@ def _check_same_grid(smoothed: xr.Dataset, transmitted: xr.Dataset) -> None:
 
 
 def _split_entrance_error(side: xr.Dataset, entrances: Array) -> xr.Dataset:
-    """A side in which the error of each entrance is a component of its own, so that errors of different entrances are independent."""
+    """A side with one component for the error of each entrance, so that errors of different entrances are independent."""
     if _ENTRANCE_ERROR not in side.get("component", ()):
         return side
     common = side["coefficient_common"]
@@ -251,9 +252,11 @@ def _with_trend(nodes: _Nodes, smoothed: xr.Dataset, steps: float) -> _Nodes:
 
 
 def _violates_energy(bsdf: xr.Dataset) -> bool:
-    """Whether the albedo exceeds 1 at the last, extrapolated incidence."""
-    end = float(bsdf["incidence"].values[bsdf["transmitted"].values == 0][-1])
-    return bool((bsdf.bsdf.albedo(end) > 1).any())
+    """Whether the reflectance exceeds 1 at the last, extrapolated incidence."""
+    end = bsdf["incidence"].values[bsdf["transmitted"].values == 0][-1:]
+    rule = around_mirror(float(end[0]), lobe_slope(bsdf))
+    one, other = (evaluate(bsdf, end, np.zeros(1), rule.theta, side * rule.phi, None) for side in (1, -1))
+    return bool((rule.weight @ (one + other) / 2 > 1).any())
 
 
 def _fill_hidden_region(nodes: _Nodes, basis: Basis, normal: str, radius: float, *, logarithmic: bool) -> None:

@@ -178,7 +178,7 @@ def node_weights(side: Side, node: int, theta_i: Array) -> tuple[Array, Array]:
 def coordinates_at_node(
     side: Side, node: int, lobe: LobeCoordinates, *, clamped: bool = True
 ) -> tuple[LobeCoordinates, NDArray[np.bool_]]:
-    """The coordinates at which a node is evaluated, clamped to its horizon, and which of them lie below that horizon.
+    """The coordinates at which a node is evaluated, clamped to its horizon, and which of them are below it.
 
     The functions of cos θ_o are evaluated where the light leaves, not where it would leave at the node.
     """

@@ -36,7 +36,7 @@ SUSPICIOUS_ZEROS = 0.005
 """Share of exact zeros among lit cells above which missing values must have been stored as 0."""
 
 _HIDDEN_SIGMA, _HIDDEN_LEAST = 5.0, 0.03
-"""A cell is partly hidden from an entrance if it lacks so many standard uncertainties of light, and at least this share of it."""
+"""A cell is partly hidden from an entrance if it lacks this many standard uncertainties of light, and at least this share of it."""
 _ADJACENT = 1.5  # largest distance of the centres of adjacent disc cells over their width: corner to corner
 
 
@@ -255,13 +255,13 @@ def _mean_cell_scales(scales: _EntranceScales, paths: _EntrancePaths, certificat
     scale = np.where(paths.hidden[:, None], np.nan, scales.scale * paths.light[..., None])
     weight = np.nan_to_num(1 / scales.independent_u**2) * np.isfinite(scale)
     total = weight.sum(axis=0)
-    seen = total > 0
-    share = weight / np.where(seen, total, 1.0)
-    mean = np.where(seen, (share * np.nan_to_num(scale)).sum(axis=0), np.nan)
+    calibrated = total > 0
+    share = weight / np.where(calibrated, total, 1.0)
+    mean = np.where(calibrated, (share * np.nan_to_num(scale)).sum(axis=0), np.nan)
     # Common errors may be the same for all entrances: they add linearly.
     relative = {name: (share * np.nan_to_num(u)).sum(axis=0) for name, u in scales.common_u.items()}
     relative["reference"] = np.hypot(relative["reference"], (share * paths.u[..., None]).sum(axis=0))
-    relative["calibration"] = 1 / np.sqrt(np.where(seen, total, np.inf))
+    relative["calibration"] = 1 / np.sqrt(np.where(calibrated, total, np.inf))
     # Level and shape of the etalon's BRDF, the same at every incidence.
     relative["certificate"] = np.hypot(certificate_u[:, None], (share * scales.shape_u[:, None]).sum(axis=0))
     dims = ("wavelength", "cell")

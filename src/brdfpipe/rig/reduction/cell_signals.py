@@ -102,15 +102,15 @@ def _cell_areas(rig: Rig, screen: Screen, cells: celled.Cells, weights: sparse.c
 
     A fibre's end is smaller than the circle of its sum: the area is that of the description, the same in every session.
     """
-    seen = weights.sum(axis=1)
+    visible = weights.sum(axis=1)
     radius = celled.fibre_radii(rig, screen)
     fibres = radius.size
     stretch = screen.scale**2 / screens.disc_solid_angle(screen, cells.theta_s[fibres:])
     expected = np.append(np.pi * radius**2, cells.solid_angle[fibres:] * stretch)
     within = np.append(np.ones(fibres), weights[fibres:] @ pictures.within_disc(rig, screen).ravel())
-    within[fibres:] /= np.maximum(seen[fibres:], 1e-9)
+    within[fibres:] /= np.maximum(visible[fibres:], 1e-9)
     nominal = np.pi * celled.fibre_radii(rig, rig.screen) ** 2
-    return np.append(nominal, seen[fibres:]), (seen >= 1) & (np.minimum(seen / expected, 1) * within >= _WHOLE)
+    return np.append(nominal, visible[fibres:]), (visible >= 1) & (np.minimum(visible / expected, 1) * within >= _WHOLE)
 
 
 def _misregistration(

@@ -19,7 +19,7 @@ ALARM = 3.0
 """Control limit in standard deviations, for one watched value. Several at once share its false-alarm rate."""
 
 CELL_CHANGE_SIGMA, CELL_CHANGE_LEAST = 5.0, 0.03
-"""A cell has changed if it differs from the other cells by so many standard uncertainties, and by at least so much [1]."""
+"""A cell has changed if it differs from the other cells by this many standard uncertainties, and by at least this share."""
 
 _EXPECTED_SCATTER = {"level": 0.01, "spectrum": 0.003}
 """Expected relative scatter of profiles: of the mean over all wavelengths, and of each wavelength against that mean."""

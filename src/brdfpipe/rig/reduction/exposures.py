@@ -26,7 +26,7 @@ FEWEST_DARKS = 5
 """Dark frames of an exposure time below which their noise adds to that of every other frame."""
 
 _HOT_SIGMA, _HOT_LEAST = 8.0, 3.0
-"""A pixel is hot if the mean dark frame there exceeds its surroundings by so many robust standard deviations and so many counts."""
+"""A pixel is hot if its mean dark frame exceeds the surroundings by this many robust standard deviations, and this many counts."""
 _REWEIGHTINGS = 2
 
 
