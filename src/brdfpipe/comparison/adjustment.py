@@ -1,4 +1,4 @@
-"""Generalised least squares: the inputs of a model that agree best with a measurement and with their prior values.
+"""Generalised least squares (JCGM 100:2008): the inputs of a model that agree best with a measurement and with their priors.
 
 Minimises rᵀ C⁻¹ r + Σ (Δ/u)², with r measured less modelled, C the covariance of the values and u the standard uncertainties of the inputs.
 C includes common errors, which is the same as fitting each with a prior of one standard uncertainty.
@@ -111,12 +111,9 @@ def adjust(
 
     Notes
     -----
-    Gauss–Newton with a prior. The covariance is that of a correct model and computed anew at each step, so no single sum of squares must
-    decrease: a step is accepted if it lowers the present one, or if the next step is shorter (natural monotonicity test).
-
-    References
-    ----------
-    JCGM 100:2008 (GUM); Rodgers 2000, Inverse Methods for Atmospheric Sounding, ch. 5; Deuflhard 2004, Newton Methods for Nonlinear Problems.
+    Gauss–Newton with a prior (Rodgers 2000, Inverse Methods for Atmospheric Sounding, ch. 5). The covariance is that of a correct model and
+    computed anew at each step, so no single sum of squares must decrease: a step is accepted if it lowers the present one, or if the next
+    step is shorter (natural monotonicity test: Deuflhard 2004, Newton Methods for Nonlinear Problems).
     """
     freedom = max(int(measurement.used.sum()) - inputs, 1)
     state = _State(measurement, np.zeros(inputs), start, 0.0)

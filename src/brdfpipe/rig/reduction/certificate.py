@@ -68,7 +68,9 @@ class Certificate:
             )
         else:
             table = np.array([[wavelength, factor, content["u"]] for wavelength in _ALL_WAVELENGTHS])
-        angles = np.array([_ratio(entry, content["u"]) for entry in content["angles"]])
+        # A ratio without an uncertainty has that of the reflectance factor; at 0 degree the ratio is exactly 1.
+        default = [[content["u"] if entry[0] > 0 else 0.0] for entry in content["angles"]]
+        angles = np.array([[*entry, *u][:3] for entry, u in zip(content["angles"], default, strict=True)])
         if angles[0, 0] != 0 or (np.diff(angles[:, 0]) <= 0).any():
             accepted = "[[0, 1], [30, 0.99], …], increasing from 0 degree"
             raise InputError(path, "the angles do not increase from 0", where="angles", accepted=accepted)
@@ -111,11 +113,6 @@ class Certificate:
         angles; beyond the last one it grows by :data:`SHAPE_U`."""
         beyond = SHAPE_U * np.maximum(theta**2 - self.theta[-1] ** 2, 0.0) / SHAPE_U_ANGLE**2
         return np.asarray(np.hypot(np.interp(theta, self.theta, self.shape_u), beyond))
-
-
-def _ratio(entry: list[float], u: float) -> list[float]:
-    """Angle, ratio and its relative standard uncertainty, by default that of the reflectance factor; 0 at 0 degree, where the ratio is 1."""
-    return entry if len(entry) == 3 else [*entry, u if entry[0] > 0 else 0.0]
 
 
 def read_table(path: Path) -> Array:
