@@ -192,7 +192,7 @@ def test_the_page_shows_the_completed_bsdf_its_gloss_and_the_comparison():
     assert "| diffuse | 1 | 1.00400 | 0.00200 | 2.00 |" in text
     assert "above 1.3: milk glass: measured incidences, within 10° (1.50); " in text
     assert "above 1.3: nowhere." in accuracy.report(outcomes(0.005, 1.0), [])[0]
-    assert "it would reflect 2.5 times the light it gets" in text
+    assert "it would reflect 2.5 times the incident light" in text
     assert "below 0.34 % on half of all days" in text
 
 
