@@ -253,7 +253,9 @@ def _model_error(side: Side, path: PathDirection) -> Array:
 def _interpolation_error(side: Side, path: PathDirection, lobe: LobeCoordinates) -> Array:
     """Error of the logarithm between and beyond the measured incidences (directions, wavelength)."""
     nodes = np.flatnonzero(side.measured.any(axis=1))
-    logarithms = np.stack([_logarithm(side, node, coordinates_at_node(side, node, lobe)[0]) for node in nodes])
+    logarithms = np.stack(
+        [_logarithm(side, node, coordinates_at_node(side, node, lobe)[0]) for node in map(int, nodes)]
+    )
     error = np.empty(logarithms.shape[1:])
     # A wavelength without a measurement at an incidence is interpolated there.
     for known in np.unique(side.measured[nodes], axis=1).T:

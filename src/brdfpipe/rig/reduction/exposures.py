@@ -107,7 +107,7 @@ def subtract_dark(counts: NDArray[np.uint16], dark: MeanDark, camera: CameraSett
     """
     light = np.float32(camera.gain) * (counts - dark.mean)
     beyond = (light > camera.linear_to) | (counts >= camera.full)
-    return light, ~(ndimage.binary_dilation(beyond, np.ones((3, 3))) if beyond.any() else beyond)
+    return light, ~(ndimage.binary_dilation(beyond, np.ones((3, 3), dtype=bool)) if beyond.any() else beyond)
 
 
 def merge(light: Picture, usable: Mask, scale: Array, floor: Array) -> Merged:

@@ -121,9 +121,9 @@ def _nonnegative(design: Array, values: Array) -> Array:
 
 def _misfit(residual: Array, dark: NDArray[np.bool_]) -> float:
     """χ² over the degrees of freedom of the sums over blocks of a residual in standard deviations."""
-    picture = np.zeros(dark.shape)
+    picture: Array = np.zeros(dark.shape)
     picture[dark] = residual
-    total, count = (_blocks(field, _BLOCK).sum(axis=(-3, -1)) for field in (picture, dark))
+    total, count = (_blocks(field, _BLOCK).sum(axis=(-3, -1)) for field in (picture, dark.astype(float)))
     full = count >= _BLOCK**2 / 4
     return float((total[full] ** 2 / count[full]).mean()) if full.any() else 1.0
 

@@ -79,15 +79,14 @@ def drawing(picture: Array, rig: Rig, screen: Screen, weights: sparse.csr_array)
     middle = screens.to_pixel(screen, *screen.disc)
     ring_radius = np.hypot(rim[0] - middle[0], rim[1] - middle[1])
     levels, decades = thumbnail(picture)
-    attrs = {"units": "1", "long_name": "light on a logarithmic scale"}
-    attrs |= {"decades": decades, "squares": squares(picture.shape)}
+    scale = {"decades": decades, "squares": squares(picture.shape)}
 
     def pixels(dim: str, values: Array, long_name: str) -> tuple[str, Array, dict[str, str]]:
         return dim, values, {"units": "pixel", "long_name": long_name}
 
     return xr.Dataset(
         {
-            "picture": (("y", "x"), levels, attrs),
+            "picture": (("y", "x"), levels, {"units": "1", "long_name": "light on a logarithmic scale", **scale}),
             "column": pixels("cell", column, "column of the middle of the cell"),
             "row": pixels("cell", row, "row of the middle of the cell"),
             "aperture": pixels("cell", aperture, "radius in which the light of a fibre is gathered"),
