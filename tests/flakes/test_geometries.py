@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.flakes.geometries import SETS, directions, named
+from brdfpipe.flakes.geometries import SETS, directions, named_directions
 
 
 @pytest.mark.parametrize(
@@ -67,17 +67,17 @@ def test_an_unknown_geometry_is_refused_with_the_accepted_forms(name):
 
 def test_every_set_has_valid_geometries():
     for name in SETS:
-        assert len(named(name.lower())) == len(SETS[name])
+        assert len(named_directions(name.lower())) == len(SETS[name])
 
 
 def test_a_misspelt_set_is_refused_with_the_nearest_name():
     with pytest.raises(BrdfpipeError, match="nearest is MA-T12"):
-        named("MAT12")
+        named_directions("MAT12")
 
 
 def test_short_names_with_and_without_a_hyphen_are_refused_together():
     with pytest.raises(
         BrdfpipeError, match=r"'as-15' and 'as15' are ambiguous together.*write 45as-15 for .* 45as15 for"
     ):
-        named(["as-15", "as15", "as25"])
-    assert len(named(["as-15", "as-45"])) == len(named(["45as-15", "45as15"])) == 2
+        named_directions(["as-15", "as15", "as25"])
+    assert len(named_directions(["as-15", "as-45"])) == len(named_directions(["45as-15", "45as15"])) == 2

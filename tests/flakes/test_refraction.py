@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from brdfpipe.flakes import directions, flake_angle, flake_normal, refract
-from brdfpipe.flakes.refraction import steepest
+from brdfpipe.flakes.refraction import largest_flake_angle
 from brdfpipe.geometry import unit_vector
 
 ANGLE, TURN, INDEX = st.floats(0, 90), st.floats(-360, 360), st.floats(1.01, 3)
@@ -40,7 +40,7 @@ def test_the_flake_angle_is_the_same_both_ways_and_never_beyond_the_critical_ang
 ):
     found = flake_angle(theta_i, phi_i, theta_o, phi_o, index)
     assert found == pytest.approx(flake_angle(theta_o, phi_o, theta_i, phi_i, index), abs=1e-9)
-    assert 0 <= found <= steepest(index) + 1e-9
+    assert 0 <= found <= largest_flake_angle(index) + 1e-9
 
 
 @given(st.floats(0, 89.9), TURN, INDEX)
@@ -57,4 +57,4 @@ def test_the_angle_of_a_nearly_level_flake_is_accurate():
 
 
 def test_grazing_directions_meet_at_the_critical_angle():
-    assert flake_angle(90, 0, 90, 0, 1.5) == pytest.approx(steepest(1.5))
+    assert flake_angle(90, 0, 90, 0, 1.5) == pytest.approx(largest_flake_angle(1.5))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.flakes.geometries import SETS, Directions, named, refuse_mixed_signs
+from brdfpipe.flakes.geometries import SETS, Directions, named_directions, refuse_mixed_signs
 from brdfpipe.geometry import Array, angles_of
 from brdfpipe.spectra import colorimetry
 
@@ -213,7 +213,7 @@ def _places(geometries: Sequence[str] | Mapping[str, tuple[float, float, float]]
     if isinstance(geometries, Mapping):
         return {name: Directions(theta_i, 0.0, theta_o, phi) for name, (theta_i, theta_o, phi) in geometries.items()}
     refuse_mixed_signs(geometries)
-    return {name: place for group in geometries for name, place in named(group).items()}
+    return {name: place for group in geometries for name, place in named_directions(group).items()}
 
 
 def flop_index(lab15: float, lab45: float, lab110: float) -> float:

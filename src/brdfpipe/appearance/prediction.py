@@ -10,7 +10,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.appearance.colours import quality
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.flakes.geometries import Directions, named
+from brdfpipe.flakes.geometries import Directions, named_directions
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
@@ -79,7 +79,7 @@ def colour_difference(
 def _places(geometries: Geometries) -> dict[str, Directions]:
     if isinstance(geometries, Mapping):
         return {name: Directions(*map(float, angles)) for name, angles in geometries.items()}
-    return named(geometries)
+    return named_directions(geometries)
 
 
 def _xyz(bsdf: xr.Dataset, at: Array, illuminant: str, observer: int) -> Array:

@@ -22,7 +22,7 @@ from brdfpipe.bsdf.representations.flake import PHYSICAL, ClearCoat, Flake
 from brdfpipe.errors import InputError
 from brdfpipe.flakes.fitting import Fit, fit, leave_one_out
 from brdfpipe.flakes.forms import Form
-from brdfpipe.flakes.refraction import flake_angle, steepest
+from brdfpipe.flakes.refraction import flake_angle, largest_flake_angle
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
@@ -171,7 +171,7 @@ def _with_spectra(bsdf: xr.Dataset, found: Fit) -> xr.Dataset:
 
     measured = bsdf["theta_f_measured"].values
     stretched = np.expm1(np.linspace(0, 3, _STEPS + 1)) / np.expm1(3.0)
-    nodes = steepest(float(bsdf["clear_coat_index"])) * stretched
+    nodes = largest_flake_angle(float(bsdf["clear_coat_index"])) * stretched
     # A measured angle replaces the node next to it, so that measured colours do not depend on what lies between nodes.
     nodes = np.unique(np.concatenate([nodes[np.abs(nodes[:, None] - measured).min(axis=1) > 0.02], measured]))
     nodes = nodes[np.concatenate([[True], np.diff(nodes) > 1e-6])]
@@ -303,7 +303,7 @@ def _with_warnings(bsdf: xr.Dataset, coat: ClearCoat, found: Fit, unit: float) -
 
 def _mirror_share(found: Fit, coat: ClearCoat, unit: float) -> float:
     """Reflectance of the flakes times their cover: ∫ D cos θf dω, mean over wavelength or of Y; C beyond the reach of light left out."""
-    theta = np.linspace(0, steepest(coat.index), 2001)
+    theta = np.linspace(0, largest_flake_angle(coat.index), 2001)
     rho = found(theta) / unit
     mean = rho[:, 1] if rho.shape[1] == 3 and unit == 100 else rho.mean(axis=1)
     density = mean * 4 * coat.index**2 / (np.pi * coat.normal_transmittance**2)

@@ -644,9 +644,9 @@ class Material(Keys):
     @model_validator(mode="after")
     def _check_index(self) -> Self:
         if isinstance(self.index, IndexPair) and self.index.k is None:
-            from brdfpipe.optics.index import without_k
+            from brdfpipe.optics.index import missing_k_error
 
-            raise without_k("", self.index.n)
+            raise missing_k_error("", self.index.n)
         return self
 
     @model_validator(mode="after")

@@ -116,17 +116,17 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     # Divided by its principal widths the ellipse is a circle, and one axis serves both.
     along, across = np.sqrt(np.linalg.eigvalsh(moments.covariance)).tolist()
     ellipse = Ellipse(along, across, moments.lay)
-    over_widths = _over_widths(moments, ellipse)
-    bins = _rings(maps, moments.tilts, over_widths)
+    scaling = _slope_scaling(moments, ellipse)
+    bins = _rings(maps, moments.tilts, scaling)
     round_density, _, ring_u = density_from_histogram(bins)
     # Dividing by the widths removes the broadening uniformly, but a sharp peak needs more of it and a tail less.
     share = float(np.sqrt(np.linalg.det(moments.covariance) / np.linalg.det(moments.apparent_covariance)))
     sharp_density = round_density
     if share != 1:
-        sharp_density = density_from_histogram(remove_broadening(bins.over(np.sqrt(share)), 1 / share - 1))[0]
+        sharp_density = density_from_histogram(remove_broadening(bins.divided_by(np.sqrt(share)), 1 / share - 1))[0]
     reach = float(max(round_density.slope[-1], sharp_density.slope[-1]))
     nodes, cells = (SlopeAxis(1.0, reach, size) for size in (_NODES, _CELLS))
-    by_block = _cell_counts(maps, moments.tilts, over_widths, cells)
+    by_block = _cell_counts(maps, moments.tilts, scaling, cells)
     counts = by_block.sum(axis=0).reshape(cells.size, cells.size)
     redundancy = _cell_redundancies(by_block, cells)
     correction = _correction(counts / redundancy, moments.facets * _cell_shares(round_density, cells) / redundancy)
@@ -167,7 +167,7 @@ def _correction(observed: Array, expected: Array) -> Array:
     return correction
 
 
-def _over_widths(moments: Moments, ellipse: Ellipse) -> Array:
+def _slope_scaling(moments: Moments, ellipse: Ellipse) -> Array:
     """(2, 2) matrix from counted slopes to slopes of the surface along and across the lay, over their widths.
 
     Of the linear maps that give the covariance of the surface, the one that changes the slopes least.
@@ -183,23 +183,23 @@ def _power(symmetric: Array, exponent: float) -> Array:
     return np.asarray(vectors * values**exponent @ vectors.T)
 
 
-def _scaled_slopes(maps: Sequence[HeightMap], tilts: Array, over_widths: Array) -> Iterator[tuple[int, Array, Array]]:
+def _scaled_slopes(maps: Sequence[HeightMap], tilts: Array, scaling: Array) -> Iterator[tuple[int, Array, Array]]:
     """The slopes along the lay and across it, over their widths, block by block."""
-    (px, qx), (py, qy) = over_widths.tolist()
+    (px, qx), (py, qy) = scaling.tolist()
     for block, p, q in triangle_slopes(maps, tilts):
         yield block, p * px + q * qx, p * py + q * qy
 
 
-def _rings(maps: Sequence[HeightMap], tilts: Array, over_widths: Array) -> MergedHistogram:
+def _rings(maps: Sequence[HeightMap], tilts: Array, scaling: Array) -> MergedHistogram:
     """Counts of the slopes over their widths in rings about the mean."""
-    squares = ((block, x * x + y * y) for block, x, y in _scaled_slopes(maps, tilts, over_widths))
+    squares = ((block, x * x + y * y) for block, x, y in _scaled_slopes(maps, tilts, scaling))
     return merge_bins(histogram_of(squares, np.sqrt(2.0), len(maps) * BLOCKS**2))
 
 
-def _cell_counts(maps: Sequence[HeightMap], tilts: Array, over_widths: Array, cells: SlopeAxis) -> Array:
+def _cell_counts(maps: Sequence[HeightMap], tilts: Array, scaling: Array, cells: SlopeAxis) -> Array:
     """Facets of each block in the cells about the nodes, (blocks, across and along)."""
     counts = np.zeros((len(maps) * BLOCKS**2, cells.size**2))
-    for block, x, y in _scaled_slopes(maps, tilts, over_widths):
+    for block, x, y in _scaled_slopes(maps, tilts, scaling):
         column, row = (np.clip(np.rint(cells.position(slope)), 0, cells.size - 1).astype(np.int64) for slope in (x, y))
         counts[block] += np.bincount(row * cells.size + column, minlength=cells.size**2)
     return counts

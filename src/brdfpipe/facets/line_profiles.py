@@ -158,17 +158,17 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
 
 def _with_rounding_and_sampling(relative_u: Array, marginals: Sequence[LineSlopeCounts]) -> Array:
     """Relative uncertainty, with the parts that half-samples do not show: coarse height steps, and few slopes."""
-    few = 1 + _CORRELATION_COST / min(marginal.effective for marginal in marginals)
+    few = 1 + _CORRELATION_COST / min(marginal.independent for marginal in marginals)
     rounding = max(marginal.rounding for marginal in marginals)
     return np.asarray(np.minimum(1.0, np.sqrt(relative_u**2 * few + rounding**2)))
 
 
 def _short_line_warning(marginals: Sequence[LineSlopeCounts], peak_u: float) -> list[str]:
-    effective = min(marginal.effective for marginal in marginals)
-    if effective >= MIN_INDEPENDENT:
+    independent = min(marginal.independent for marginal in marginals)
+    if independent >= MIN_INDEPENDENT:
         return []
     return [
-        f"only {effective:.0f} independent slopes along the line: the relative uncertainty of the peak density is {peak_u:.0%}; "
+        f"only {independent:.0f} independent slopes along the line: the relative uncertainty of the peak density is {peak_u:.0%}; "
         "measure a longer line, or add lines of the same surface (`surface.scans`)"
     ]
 
@@ -179,7 +179,7 @@ def _with_statistics(
     """Add the statistics of the lines, and warnings about coarse or noisy heights."""
     facets = facets.assign(
         facet_count=float(sum(marginal.size for marginal in marginals)),
-        effective_count=float(sum(marginal.effective for marginal in marginals)),
+        effective_count=float(sum(marginal.independent for marginal in marginals)),
         correlation_length=float(np.mean([correlation_length(line) for line in lines])),
         slope_rms_scale=("scale", by_scale),
         noise_ratio=by_scale[0] / by_scale[1] if by_scale[1] else np.nan,
@@ -221,7 +221,7 @@ def _perpendicular(directions: Sequence[_Direction]) -> xr.Dataset:
     )
     marginals = [marginal for marginal, _ in counted]
     along, across = (marginal.rms for marginal in marginals)
-    fit = fit_mixture([marginal.over(marginal.rms) for marginal in marginals])
+    fit = fit_mixture([marginal.divided_by(marginal.rms) for marginal in marginals])
     ellipse = principal_ellipse(along, across, counted[0][1].azimuth)
     density = PlanarDensity.elliptic(fit.density, ellipse, 8.3 * fit.widest)
     facets = planar_dataset(density, float(np.hypot(along, across)))

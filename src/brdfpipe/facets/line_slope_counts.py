@@ -76,7 +76,7 @@ class LineSlopeCounts(NamedTuple):
         return redundancy_in_classes(self.by_stretch)
 
     @property
-    def effective(self) -> float:
+    def independent(self) -> float:
         """Number of independent slopes."""
         return self.size / self.redundancy
 
@@ -123,7 +123,7 @@ class LineSlopeCounts(NamedTuple):
         low, high = (below(edge[:, None] + self.blur).mean(axis=1) for edge in self.bins.T)
         return np.asarray((high - low) * self.share[:, None])
 
-    def over(self, scale: float) -> LineSlopeCounts:
+    def divided_by(self, scale: float) -> LineSlopeCounts:
         """The same counts of slopes divided by ``scale``."""
         return self._replace(
             bins=self.bins / scale, blur=self.blur / scale, rms=self.rms / scale, quantum=self.quantum / scale

@@ -18,8 +18,8 @@ from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 
-_TURNS = np.arange(0.0, 360.0, 5.0)
-_TOWARDS = 513
+_MASKING_TURNS = np.arange(0.0, 360.0, 5.0)
+_MARGINAL_NODES = 513
 _MASKING_STEP = 0.05
 _SIDEWAYS_PANELS = 24
 
@@ -202,10 +202,10 @@ class PlanarDensity:
     def marginal(self, azimuth: float) -> tuple[Array, Array]:
         """Density P1 of the slope towards an azimuth [degree]: slopes (n,) and values (n,), integrated across."""
         width, turn = self.ellipse.towards(azimuth)
-        slope = SlopeAxis(1.0, self.reach, _TOWARDS).nodes
-        return width * slope, self._across(slope, turn) / width
+        slope = SlopeAxis(1.0, self.reach, _MARGINAL_NODES).nodes
+        return width * slope, self._marginal_density(slope, turn) / width
 
-    def _across(self, slope: Array, turn: Array) -> Array:
+    def _marginal_density(self, slope: Array, turn: Array) -> Array:
         """Density of x cos ω + y sin ω at ``slope``, where x and y are slopes over their widths, integrated across."""
         cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
         sideways, weight = SlopeAxis(1.0, self.reach, 3).rule(_SIDEWAYS_PANELS, 4)
@@ -220,7 +220,7 @@ def smith_lambda(density: PlanarDensity) -> xr.DataArray:
     Azimuths are evenly spaced in the turn ω of the scaled slopes, which resolves the narrow sector along the lay.
     """
     ellipse = density.ellipse
-    phi = ellipse.azimuths(_TURNS)
+    phi = ellipse.azimuths(_MASKING_TURNS)
     steepest = max(ellipse.along, ellipse.across) * density.reach
     scale = min(ellipse.along, ellipse.across)
     end = float(np.arcsinh(steepest / scale))
@@ -236,7 +236,7 @@ def _excess_slope(density: PlanarDensity, edges: Array, azimuth: float) -> Array
     width, turn = density.ellipse.towards(azimuth)
     edges = edges / width
     slope, weight = panel_rule(edges, 2)
-    share = (density._across(slope, turn) * weight).reshape(-1, 2)
+    share = (density._marginal_density(slope, turn) * weight).reshape(-1, 2)
     above = share.sum(axis=1)
     within = (share * (slope.reshape(-1, 2) - edges[:-1, None])).sum(axis=1)
     # Summed from the tail inwards all terms are positive: g is monotonic, without cancellation.

@@ -75,7 +75,7 @@ class MergedHistogram(NamedTuple):
         """(bins + 1,) facets in each bin, and steeper than the last edge."""
         return np.asarray(self.counts.sum(axis=0))
 
-    def over(self, scale: float) -> MergedHistogram:
+    def divided_by(self, scale: float) -> MergedHistogram:
         """The same counts of slopes divided by ``scale``."""
         return self._replace(edges=self.edges / scale, tail_excess=self.tail_excess / scale)
 

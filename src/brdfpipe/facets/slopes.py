@@ -119,10 +119,10 @@ def mean_slope(heights: HeightMap) -> Array:
     # A row or a column inside the map has quads on both sides.
     mean = np.array([(2 * rise.sum() - rise[0] - rise[-1]) / (2 * (rise.size - 1)) for rise in rises])
     steps = np.diff(height[:: max(1, height.shape[0] // _SAMPLED_ROWS)], axis=1)
-    return mean if np.hypot(*mean) > _TILT_LEFT * np.sqrt(mean_square(steps)) / pitch[0] else np.zeros(2)
+    return mean if np.hypot(*mean) > _NEGLIGIBLE_TILT * np.sqrt(mean_square(steps)) / pitch[0] else np.zeros(2)
 
 
-_TILT_LEFT = 1e-3
+_NEGLIGIBLE_TILT = 1e-3
 """Mean slope over slope rms that may stay in the counts: it changes the density by its square."""
 
 _SAMPLED_ROWS = 64
@@ -172,7 +172,9 @@ def count_maps(maps: Sequence[HeightMap]) -> tuple[NDArray[np.int64], Moments]:
     tilts = np.array([mean_slope(heights) for heights in maps])
     counts, moments = _count_about(tilts, maps)
     residual_tilt = np.abs(moments.tilts - tilts).max()
-    return _count_about(moments.tilts, maps) if residual_tilt > _TILT_LEFT * moments.slope_rms else (counts, moments)
+    if residual_tilt > _NEGLIGIBLE_TILT * moments.slope_rms:
+        return _count_about(moments.tilts, maps)
+    return counts, moments
 
 
 def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[NDArray[np.int64], Moments]:
@@ -212,22 +214,22 @@ def _moments(maps: Sequence[HeightMap], facets: Array, tilts: Array, products: A
         # If the steps dominate the slopes, the formula for the mean square of rounding no longer holds.
         widest = np.diag((facets * widening).sum(axis=0) / total)
         largest = float(np.linalg.eigvals(np.linalg.solve(apparent, widest)).real.max())
-        covariance = apparent - widest * min(1.0, _MOST_WIDENED / largest)
+        covariance = apparent - widest * min(1.0, _LARGEST_CORRECTION / largest)
     squares = products[:, :2] / np.maximum(facets, 1)
-    rms = np.sqrt(np.maximum(np.maximum(squares - widening, (1 - _MOST_WIDENED) * squares).sum(axis=1), 0.0))
+    rms = np.sqrt(np.maximum(np.maximum(squares - widening, (1 - _LARGEST_CORRECTION) * squares).sum(axis=1), 0.0))
     return Moments(int(facets.sum()), tilts, covariance, apparent, rms)
 
 
-_MOST_WIDENED = 0.75
+_LARGEST_CORRECTION = 0.75
 """Largest share of the mean square slope that is subtracted for rounding and dither."""
 
 
-_HIGH = 1 if np.little_endian else 0
+_UPPER_HALF = 1 if np.little_endian else 0
 
 
 def count_bits(squares: NDArray[np.float32]) -> NDArray[np.int64]:
     """Counts by the upper 16 bits; NaN of either sign is beyond the last bin and left out."""
-    return np.bincount(squares.reshape(-1).view(np.uint16)[_HIGH::2], minlength=FINE_BINS)[:FINE_BINS]
+    return np.bincount(squares.reshape(-1).view(np.uint16)[_UPPER_HALF::2], minlength=FINE_BINS)[:FINE_BINS]
 
 
 def _block_moments(
@@ -299,12 +301,13 @@ def correlation_length(surface: xr.Dataset) -> float:
     height = surface["height"].values
     pitches = [float(surface.attrs[f"pitch_{axis}"]) for axis in surface["height"].dims]
     lengths = [
-        _along(np.moveaxis(height, axis, -1).reshape(-1, n), pitches[axis]) for axis, n in enumerate(height.shape)
+        _correlation_length_along(np.moveaxis(height, axis, -1).reshape(-1, n), pitches[axis])
+        for axis, n in enumerate(height.shape)
     ]
     return float(np.exp(np.mean(np.log(lengths)))) if np.isfinite(lengths).all() else float("nan")
 
 
-def _along(lines: Array, pitch: float) -> float:
+def _correlation_length_along(lines: Array, pitch: float) -> float:
     from scipy.fft import irfft, next_fast_len, rfft
 
     # Some lines, or parts of a long one, give the correlation as well as all of them.

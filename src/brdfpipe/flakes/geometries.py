@@ -87,12 +87,12 @@ def directions(name: str) -> Directions:
     return pair
 
 
-def named(names: str | Sequence[str]) -> dict[str, Directions]:
+def named_directions(names: str | Sequence[str]) -> dict[str, Directions]:
     """Directions by name, of geometries or of the set of a standard or an instrument (:data:`SETS`)."""
     if isinstance(names, str):
         known = {title.casefold(): title for title in SETS}
         if names.casefold() in known:
-            return named(SETS[known[names.casefold()]])
+            return named_directions(SETS[known[names.casefold()]])
         near = difflib.get_close_matches(names, SETS, n=1)
         if near:
             raise _refusal(names, f"unknown set of geometries (nearest is {near[0]})")

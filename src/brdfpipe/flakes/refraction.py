@@ -62,7 +62,7 @@ def flake_angle(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
     return np.asarray(np.degrees(np.arctan2(tangential, normal)))
 
 
-def steepest(index: float) -> float:
+def largest_flake_angle(index: float) -> float:
     """Largest flake angle [degree] that light from outside can reach."""
     return float(np.degrees(np.arcsin(1 / index)))
 

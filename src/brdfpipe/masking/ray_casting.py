@@ -7,7 +7,7 @@ the viewer's end backwards, is the horizon; a segment is visible where it rises 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -274,7 +274,7 @@ def _in_plane(
             visible_i, facing_i = other.fraction(incidence)
             visible_o, facing_o = block.fraction(outgoing)
             if opposite:
-                visible_i, facing_i = _backwards(visible_i, block.length - 1), _backwards(facing_i, block.length - 1)
+                visible_i, facing_i = (_reversed_rows(values, block.length - 1) for values in (visible_i, facing_i))
                 # Each direction sees the end of the segment that is nearer to it.
                 visible_share = np.maximum(visible_i + visible_o - 1, 0.0)
             else:
@@ -447,7 +447,7 @@ class _Block:
     """(n,) sample of the line at which each piece begins."""
     samples: int
     """Samples of a line."""
-    few: bool
+    few_lines: bool
     """Whether there are too few lines to estimate their scatter."""
 
     @cached_property
@@ -471,7 +471,7 @@ class _Block:
     @cached_property
     def group(self) -> NDArray[np.intp]:
         """Index of the independent group of every piece (n, 1) or, if there are few lines, of every segment (n, m − 1)."""
-        at = self.start[:, None] + (np.arange(self.height.shape[1] - 1) if self.few else 0)
+        at = self.start[:, None] + (np.arange(self.height.shape[1] - 1) if self.few_lines else 0)
         return np.minimum(at * _GROUPS // self.samples, _GROUPS - 1)
 
     def visible_and_facing(self, theta: float) -> tuple[Array, Array]:
@@ -501,11 +501,11 @@ class _Block:
 
     def by_group(self, values: Array) -> Array:
         """(group,) sums of a value of every segment."""
-        return _group_sums(self.group, values) if self.few else _group_sums(self.group[:, 0], values.sum(axis=1))
+        return _group_sums(self.group, values) if self.few_lines else _group_sums(self.group[:, 0], values.sum(axis=1))
 
     def reversed(self) -> _Block:
         """The same pieces, in reverse direction."""
-        return _Block(_backwards(self.height, self.length), self.length, self.step, self.start, self.samples, self.few)
+        return replace(self, height=_reversed_rows(self.height, self.length))
 
 
 def _group_sums(group: NDArray[np.intp], values: Array) -> Array:
@@ -513,7 +513,7 @@ def _group_sums(group: NDArray[np.intp], values: Array) -> Array:
     return np.bincount(group.ravel(), values.ravel(), minlength=_GROUPS).astype(float)
 
 
-def _backwards(values: NDArray[Any], count: NDArray[np.intp]) -> NDArray[Any]:
+def _reversed_rows(values: NDArray[Any], count: NDArray[np.intp]) -> NDArray[Any]:
     """Each row's first ``count`` values from last to first, then its first value repeated."""
     if (count == values.shape[1]).all():
         return values[:, ::-1]

@@ -74,13 +74,13 @@ def refractive_index(
     if isinstance(spec, Mapping) and set(spec) == {"n", "k"}:
         return _complex(spec["n"], spec["k"])
     if isinstance(spec, Mapping) and set(spec) == {"n"}:
-        raise without_k("material.yaml", spec["n"])
+        raise missing_k_error("material.yaml", spec["n"])
     raise _refusal(
         "not a refractive index", repr(spec)[:60], "a number, a name, {n, k} or {file: table.txt or page.yml}"
     )
 
 
-def without_k(file: str | PathLike[str], n: object) -> InputError:
+def missing_k_error(file: str | PathLike[str], n: object) -> InputError:
     """The error for ``{n: …}`` without k: a dielectric is given as a number, a metal as n and k."""
     plain = f"`index: {n}` of a clear or coloured body, or " if isinstance(n, int | float) and 1 <= n < 5 else ""
     accepted = f"{plain}`index: {{n: {n}, k: …}}` of a metal, with k above 0"
