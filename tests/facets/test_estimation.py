@@ -157,7 +157,7 @@ def test_too_small_a_map_is_refused():
         facets.estimate(samples.gaussian_surface(32, correlation=8))
 
 
-def test_the_real_rubber_scan(shared_data):
+def test_a_scan_of_rubber_has_its_slope_rms_and_anisotropy(shared_data):
     rubber = surfaces.level(surfaces.read_surface(shared_data / "surfaces" / "KautschukInfiniteFocus.x3p"))
     table = facets.estimate(rubber)
     assert float(table["slope_rms"]) == pytest.approx(0.136, rel=0.02)

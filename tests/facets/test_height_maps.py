@@ -28,7 +28,7 @@ def tilted(scan, slope):
 
 @pytest.mark.parametrize("isotropic", [True, False])
 def test_a_tilt_is_removed_and_causes_a_warning(scan, isotropic):
-    level, tilt = (facets.estimate(each, isotropic=isotropic) for each in (scan, tilted(scan, 0.1)))
+    level, tilt = (facets.estimate(surface, isotropic=isotropic) for surface in (scan, tilted(scan, 0.1)))
     for name in STATISTICS:
         assert float(tilt[name]) == pytest.approx(float(level[name]), rel=1e-5)
     # Slopes of single precision may move a fine bin's border into the next bin: less than half of the uncertainty, 5 % or more.
@@ -78,7 +78,9 @@ def test_scans_of_different_bandwidth_are_refused(scan, other, attributes, named
 
 def test_pitches_may_differ_a_little_or_below_one_filter(scan, other):
     facets.estimate([scan, other.assign_attrs(pitch_x=1.005)])
-    facets.estimate([each.assign_attrs(lambda_s=16.0, pitch_x=pitch) for each, pitch in ((scan, 1.0), (other, 2.0))])
+    facets.estimate(
+        [surface.assign_attrs(lambda_s=16.0, pitch_x=pitch) for surface, pitch in ((scan, 1.0), (other, 2.0))]
+    )
 
 
 def test_a_repeated_scan_is_refused(scan, other):

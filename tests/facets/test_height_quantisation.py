@@ -112,11 +112,12 @@ def test_a_sharp_peak_and_a_heavy_tail_are_recovered_from_quantised_heights(isot
     )
     slope = SIGMA * np.array([0, 0.5, 1, 2, 4])
     if isotropic:
-        one, two = (RadialDensity.of(each)(slope**2) for each in (exact, coarse))
+        one, two = (RadialDensity.of(table)(slope**2) for table in (exact, coarse))
     else:
         turn = np.radians(np.arange(0, 360, 45))[:, None]
         one, two = (
-            PlanarDensity.of(each)(slope * np.cos(turn), slope * np.sin(turn)).mean(axis=0) for each in (exact, coarse)
+            PlanarDensity.of(table)(slope * np.cos(turn), slope * np.sin(turn)).mean(axis=0)
+            for table in (exact, coarse)
         )
     # Narrowed alike everywhere, as a Gaussian is, the density is off by 26 % at the peak and 15 % beside it.
     assert two[..., 0] == pytest.approx(one[..., 0], rel=0.2)
@@ -125,7 +126,7 @@ def test_a_sharp_peak_and_a_heavy_tail_are_recovered_from_quantised_heights(isot
 
 def test_a_lay_is_detected_with_height_steps_as_large_as_the_slopes_along_it(smooth):
     stretched = smooth.assign_attrs(pitch_y=4.0)
-    exact, coarse = (facets.estimate(each) for each in (stretched, rounded(stretched, 0.5 * SIGMA)))
+    exact, coarse = (facets.estimate(scan) for scan in (stretched, rounded(stretched, 0.5 * SIGMA)))
     assert float(coarse["anisotropy"]) == pytest.approx(float(exact["anisotropy"]), rel=5e-3)
     assert float(coarse["lay"]) % 180 == pytest.approx(float(exact["lay"]) % 180, abs=0.5)
 
@@ -142,7 +143,7 @@ def test_a_skew_stays_along_its_axis_if_the_steps_widen_that_axis_more(smooth):
         table = facets.estimate(samples.surface(values, pitch=(1.0, pitch)), isotropic=False)
         assert float(table["lay"]) % 180 == pytest.approx(88, abs=1)
         p, q, weight = PlanarDensity.of(table).rule()
-        skew.append([np.sum(weight * each**3) / np.sum(weight * each**2) ** 1.5 for each in (p, q)])
+        skew.append([np.sum(weight * slope**3) / np.sum(weight * slope**2) ** 1.5 for slope in (p, q)])
     assert skew[0][0] > 0.3
     # Spread over steps of a quarter of the slope rms, 3 % of the mean square, it is 1.03^(3/2) times smaller.
     assert skew[1] == pytest.approx(skew[0], rel=0.05, abs=0.01)

@@ -1,4 +1,4 @@
-"""From line profiles to densities: known ones are recovered by each way, and a lone line is not trusted."""
+"""From line profiles to densities: every method recovers known ones, and a single line must be declared isotropic."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def test_a_missing_height_removes_its_two_slopes_alone():
 def test_each_line_loses_its_own_mean_slope():
     flat = [heights(seed=1), heights(seed=2)]
     tilted = [height + tilt * np.arange(height.size) for height, tilt in zip(flat, (0.3, -0.2), strict=True)]
-    found, expected = (count_slopes([samples.surface(height) for height in each]) for each in (tilted, flat))
+    found, expected = (count_slopes([samples.surface(height) for height in lines]) for lines in (tilted, flat))
     assert found.rms == pytest.approx(expected.rms, rel=1e-6)
 
 
@@ -82,7 +82,7 @@ def test_the_density_of_rounded_line_heights_is_that_of_the_heights(share):
     exact = facets.estimate(samples.surface(height), isotropic=True)
     rounded = facets.estimate(samples.surface(0.1 * share * np.round(height / (0.1 * share))), isotropic=True)
     slope = np.array([0.0, 0.05, 0.1, 0.15, 0.2])
-    found, expected = (np.interp(slope, each["slope"], each["slope_density"]) for each in (rounded, exact))
+    found, expected = (np.interp(slope, table["slope"], table["slope_density"]) for table in (rounded, exact))
     # Unless rounding is taken out, a quantum of 1.2 rms lowers the peak by 20 %.
     assert found == pytest.approx(expected, rel=0.04)
 
@@ -113,7 +113,7 @@ def test_the_quantum_is_found_after_a_parabola_was_subtracted(share, curvature):
     bent = samples.surface(quantum * np.round((heights() + curvature * x**2 / 2) / quantum))
     marginal = count_slopes([surfaces.level(bent, "polynomial-2")])
     assert marginal.quantum == pytest.approx(quantum, rel=1e-4)
-    # The parabola's slope runs over up to five quanta: the steps lie elsewhere at each point.
+    # The parabola's slope runs over up to five quanta: the steps differ from point to point.
     assert marginal.rms == pytest.approx(np.std(np.diff(heights())), rel=0.005)
 
 

@@ -48,7 +48,7 @@ def test_a_scaled_lay_is_that_of_scaled_widths(factor):
     theta_i, theta_o = generator.uniform(0, 80, (2, 200))
     phi_i, phi_o = generator.uniform(0, 360, (2, 200))
     pair = half_vector(theta_i, phi_i, theta_o, phi_o)
-    brdf = [Microsurface.of(each).reflected(pair, phi_i, phi_o, "height-correlated") for each in (found, expected)]
+    brdf = [Microsurface.of(table).reflected(pair, phi_i, phi_o, "height-correlated") for table in (found, expected)]
     np.testing.assert_allclose(*brdf, rtol=1e-6, atol=1e-12)
 
 

@@ -39,7 +39,7 @@ def deviations(table):
 @pytest.fixture(scope="module")
 def scattered():
     maps = gaussian_maps(256, 6.0, range(6))
-    return np.concatenate([deviations(facets.estimate(each, isotropic=True)) for each in maps], axis=1)
+    return np.concatenate([deviations(facets.estimate(scan, isotropic=True)) for scan in maps], axis=1)
 
 
 def test_maps_of_one_surface_scatter_by_the_uncertainty(scattered):
@@ -87,9 +87,9 @@ def test_the_uncertainty_follows_clumps_that_grow_with_the_slope_of_a_heavy_tail
 
 def test_correlated_steep_facets_widen_their_bins():
     bins = slope_histogram.merge_bins(ggx_counts(0))
-    for each in range(bins.edges.size - 1):
-        independent = bins.totals[each] / slope_histogram.redundancy_of(
-            bins.counts, np.arange(bins.totals.size) == each
+    for bin_index in range(bins.edges.size - 1):
+        independent = bins.totals[bin_index] / slope_histogram.redundancy_of(
+            bins.counts, np.arange(bins.totals.size) == bin_index
         )
         assert independent >= slope_histogram.MIN_PER_BIN * (1 - 1e-9)
 
@@ -139,8 +139,8 @@ def test_the_uncertainty_grows_along_the_tail_by_that_of_its_length():
 
 def test_maps_with_a_lay_scatter_by_the_uncertainty_at_the_peak():
     z = []
-    for each in gaussian_maps(256, 4.0, range(5)):
-        table = facets.estimate(each, isotropic=False)
+    for scan in gaussian_maps(256, 4.0, range(5)):
+        table = facets.estimate(scan, isotropic=False)
         density, middle = table["slope_density"].values, table.sizes["slope_along"] // 2
         truth = 1 / (2 * np.pi * SIGMA**2)
         z.append(

@@ -102,7 +102,7 @@ def test_more_geometries_without_noise_give_the_parameters_back(form):
     amplitude, decay = np.array([[20.0], [8.0]])[:terms], np.array([[3.5], [14.0]])[:terms]
     values = curve(TEN, amplitude, decay, np.array([0.3]), power)
     found = fit(TEN, values, form)
-    # Two decays of a few degrees are told apart to about the square root of rounding.
+    # Two decays of a few degrees are resolved to about the square root of rounding.
     assert found.decay == pytest.approx(decay, rel=1e-6)
     assert found.amplitude == pytest.approx(amplitude, rel=1e-6)
     assert found(TEN) == pytest.approx(values, rel=1e-12)
@@ -118,17 +118,17 @@ def test_ten_geometries_with_2_percent_noise_are_recovered_within_3_percent():
         noisy = truth * (1 + 0.02 * random.standard_normal(truth.shape))
         errors.append(np.abs(fit(TEN, noisy)(between) / exact - 1))
     assert np.median(errors) < 0.03
-    assert max(np.median(each) for each in errors) < 0.03
+    assert max(np.median(error) for error in errors) < 0.03
 
 
 def test_the_covariance_is_that_of_repeated_fits():
     random = np.random.default_rng(3)
     truth = curve(TEN, column(18.0), column(5.0), np.array([0.31]), 1)
     found = [fit(TEN, truth * (1 + 0.02 * random.standard_normal(truth.shape))) for _ in range(60)]
-    spread = np.std([each.decay[0, 0] for each in found])
-    told = np.median([np.sqrt(each.covariance[0, 1, 1]) for each in found])
+    spread = np.std([fitted.decay[0, 0] for fitted in found])
+    stated = np.median([np.sqrt(fitted.covariance[0, 1, 1]) for fitted in found])
     # The spread of 60 is known to 9 %, each estimate from 7 degrees of freedom to 27 %, its median to some 5 %.
-    assert told == pytest.approx(spread, rel=0.3)
+    assert stated == pytest.approx(spread, rel=0.3)
 
 
 def test_an_exact_fit_to_values_of_unknown_uncertainty_has_no_covariance():
@@ -136,7 +136,7 @@ def test_an_exact_fit_to_values_of_unknown_uncertainty_has_no_covariance():
 
 
 def emulated(count: int, relative: float, absolute: float, theta=TEN, form="exponential", seed=5):
-    """Pulls (fitted less true over told) of the parameters of many noisy paints: (count, parameters)."""
+    """Pulls (fitted less true over stated uncertainty) of the parameters of many noisy paints: (count, parameters)."""
     random = np.random.default_rng(seed)
     terms = FORMS[form].terms
     amplitude, decay = np.array([[18.0], [6.0]])[:terms], np.array([[4.0], [16.0]])[:terms]
@@ -145,7 +145,7 @@ def emulated(count: int, relative: float, absolute: float, theta=TEN, form="expo
     noisy = truth + u * random.standard_normal((theta.size, count))
     found = fit(theta, noisy, form, uncertainty=np.broadcast_to(u, noisy.shape))
     fitted = np.stack(
-        [*[each for pair in zip(found.amplitude, found.decay, strict=True) for each in pair], found.constant]
+        [*[parameter for pair in zip(found.amplitude, found.decay, strict=True) for parameter in pair], found.constant]
     )
     true = np.array([*np.stack([amplitude[:, 0], decay[:, 0]], axis=1).ravel(), 2.0])
     return (fitted.T - true) / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))

@@ -243,6 +243,7 @@ def test_invalid_uncertainties_are_refused_with_their_column(tmp_path, titles, c
         ("geometry,L,a,b\n45:0,1,2,three\n", "line 2, column b: not a number; found 'three'"),
         ("geometry,L,a,b\n45:0,1,2,nan\n", "not a number"),
         ("geometry,L,a,b\n\0,1,2,3\n", "not text"),
+        ("geometry,L,a,b\n" + 200_000 * "4" + ",1,2,3\n", "not a table"),
     ],
 )
 def test_a_damaged_table_of_colours_is_refused_with_its_line(tmp_path, text, pattern):

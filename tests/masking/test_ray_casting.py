@@ -397,7 +397,7 @@ def test_directions_of_two_dimensions_are_refused():
         raycast.bistatic(samples.surface(np.zeros(100)), [[60.0]], 0.0, 60.0, 180.0)
 
 
-def test_the_real_rubber_scan_masks_as_its_facets_say(shared_data):
+def test_a_scan_of_rubber_is_masked_like_its_facets(shared_data):
     from brdfpipe import surfaces
 
     rubber = surfaces.level(surfaces.read_surface(shared_data / "surfaces" / "KautschukInfiniteFocus.x3p"))

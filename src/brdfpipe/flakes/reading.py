@@ -82,8 +82,7 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
         raise _refusal("material.yaml", "either `file` or `colours` is required", accepted, key="multiangle")
     rows = _inline(spec) if "colours" in spec else _table(Path(path if path is not None else str(spec["file"])))
     if not _FEWEST <= len(rows.names) <= _MOST:
-        accepted = f"{_FEWEST} to {_MOST}"
-        raise _refusal(rows.file, "wrong number of colours", accepted, len(rows.names), key="multiangle")
+        raise _refusal(rows.file, "wrong number of colours", f"{_FEWEST} to {_MOST}", len(rows.names), key="multiangle")
     dataset = _spectral(rows, spec) if rows.kind == "reflectance" else _tristimulus(rows, spec)
     for k, angle in enumerate(ANGLES):
         dataset[angle] = ("geometry", np.array([pair[k] for pair in rows.directions]))
@@ -282,22 +281,25 @@ def _table(path: Path) -> _Rows:
         raise _refusal(path.name, "the table is empty", "a line of column titles and a row per geometry")
     separator = next((mark for mark in (";", "\t", ",") if mark in lines[0][1]), ",")
     decimal = "," if separator == ";" else "."
-    titles, *rows = ([cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])] for _, line in lines)
+    try:
+        cells = (next(csv.reader([line], delimiter=separator), []) for _, line in lines)
+        titles, *rows = ([cell.strip() for cell in row] for row in cells)
+    except csv.Error as error:
+        raise _refusal(path.name, f"not a table ({error})", "columns of titles and numbers") from error
     where = tuple(f"line {number}" for number, _ in lines[1:])
     geometry_columns = {
         title.casefold(): k for k, title in enumerate(titles) if title.casefold() in ("geometry", *ANGLES)
     }
     kind, columns, wavelength = _colour_columns(path, titles)
     u_columns = _uncertainty_columns(path, titles, columns)
-    angle_columns = [k for title, k in geometry_columns.items() if title != "geometry"]
-    numeric = (*angle_columns, *columns, *u_columns)
+    numeric = (*(k for title, k in geometry_columns.items() if title != "geometry"), *columns, *u_columns)
     values, items = [], []
-    for at, cells in zip(where, rows, strict=True):
-        if len(cells) != len(titles):
+    for at, row in zip(where, rows, strict=True):
+        if len(row) != len(titles):
             problem = "the row has a different number of cells than the title line"
-            raise _refusal(path.name, problem, str(len(titles)), len(cells), at)
-        numbers = {k: _number(path, cells[k], f"{at}, column {titles[k]}", decimal) for k in numeric}
-        items.append({title: cells[k] if title == "geometry" else numbers[k] for title, k in geometry_columns.items()})
+            raise _refusal(path.name, problem, str(len(titles)), len(row), at)
+        numbers = {k: _number(path, row[k], f"{at}, column {titles[k]}", decimal) for k in numeric}
+        items.append({title: row[k] if title == "geometry" else numbers[k] for title, k in geometry_columns.items()})
         values.append([numbers[k] for k in (*columns, *u_columns)])
         for k in u_columns:
             if numbers[k] <= 0:
