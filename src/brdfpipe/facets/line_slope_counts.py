@@ -327,7 +327,7 @@ def _lattice(slopes: Array, positions: NDArray[np.intp]) -> tuple[float, float, 
             # Slopes of two values are the shape of the surface, not quantisation.
             return 0.0, 0.0, 0.0
         quantum, offset = np.polyfit(steps, values, 1, w=np.sqrt(counts)).tolist()
-    # So are arbitrary values next to a plateau.
+    # Arbitrary values next to a plateau are not quantised either.
     others = np.where(counts < counts.max(), counts, 0)
     if abs(others @ np.exp(2j * np.pi * values / quantum)) < 0.5 * others.sum():
         return 0.0, 0.0, 0.0
