@@ -296,7 +296,7 @@ def test_a_file_in_a_folder_below_is_accepted(tmp_path: Path) -> None:
     [
         (lambda folder: folder / "none", "no such folder"),
         (lambda folder: folder, "holds no material; `brdfpipe new NAME"),
-        (lambda folder: write(folder, "m"), "is one material"),
+        (lambda folder: write(folder, "m"), "is a material, not a catalogue"),
     ],
 )
 def test_a_folder_that_is_no_catalogue_is_refused(tmp_path: Path, make: Any, pattern: str) -> None:
@@ -543,7 +543,7 @@ def test_a_new_material_asks_to_be_filled_in_and_each_alternative_in_its_comment
 
 def test_a_material_is_never_started_twice(tmp_path: Path) -> None:
     catalogue.start_material(tmp_path, "m")
-    with pytest.raises(catalogue.CatalogueError, match="exists already"):
+    with pytest.raises(catalogue.CatalogueError, match="already exists"):
         catalogue.start_material(tmp_path, "m")
 
 

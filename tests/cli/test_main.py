@@ -117,7 +117,7 @@ def test_new_refuses_an_existing_material(tmp_path: Path) -> None:
     run("new", "fresh", "--folder", tmp_path)
     before = (tmp_path / "fresh" / "material.yaml").read_text()
     done = run("new", "fresh", "--folder", tmp_path)
-    assert (done.exit_code, "exists already" in done.stderr) == (2, True)
+    assert (done.exit_code, "already exists" in done.stderr) == (2, True)
     assert (tmp_path / "fresh" / "material.yaml").read_text() == before
 
 

@@ -114,7 +114,7 @@ def test_the_header_states_the_specular_share(tmp_path):
     polished = microfacet.build(facets.flat(), index=1.5)
     astm.write(polished, tmp_path / "p.astm", table=polished.bsdf.tabulate(GRID))
     header, rows = (tmp_path / "p.astm").read_text().split("VARS")[0], read_as_viewers_do(tmp_path / "p.astm")[2]
-    assert "NOT in these rows, because no density can say so: the share mirrored" in header
+    assert "NOT in these rows, because light in a single direction has no density: the share mirrored" in header
     assert "0:0.040000" in header
     assert (rows[:, 4] == 0).all()
 

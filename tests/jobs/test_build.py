@@ -216,7 +216,7 @@ def test_a_second_build_into_the_same_folder_is_refused(folder: Path, results: P
 
 @pytest.mark.parametrize("place", [".", "first", "first/results"])
 def test_results_among_the_raw_files_are_refused(folder: Path, project: Path, place: str) -> None:
-    with pytest.raises(BuildError, match="results go to a folder of their own"):
+    with pytest.raises(BuildError, match="choose a separate folder for the results"):
         build(folder, folder / place)
 
 

@@ -158,10 +158,10 @@ def test_an_invalid_rig_block_of_a_material_is_refused_with_its_key(
             {"bench-2": "bench-0"},
             ["no such calibration; did you mean 'bench-1'?", "found 'bench-0'", "accepted: bench-1"],
         ),
-        ({"bench-2": "bench-2"}, ["a circle of previous calibrations: bench-2 → bench-2"]),
+        ({"bench-2": "bench-2"}, ["the previous calibrations form a loop: bench-2 → bench-2"]),
         (
             {"bench-2": "bench-3", "bench-3": "bench-2"},
-            ["a circle of previous calibrations: bench-2 → bench-3 → bench-2"],
+            ["the previous calibrations form a loop: bench-2 → bench-3 → bench-2"],
         ),
         ({"bench-2": "bench-3", "bench-3": "bench-9"}, ["cannot be used; found 'bench-3'", "found 'bench-9'"]),
         ({"bench-2": "'../x'"}, ["no such calibration; found '../x'"]),

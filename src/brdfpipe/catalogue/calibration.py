@@ -31,7 +31,7 @@ class Calibration:
 
 
 def load_calibrations(folder: Path) -> dict[str, Calibration | str]:
-    """The calibrations of a catalogue by name, or what is wrong with them."""
+    """The calibrations of a catalogue by name, or why they cannot be used."""
     calibrations: dict[str, Calibration | str] = {}
     for path in sorted(folder.glob(f"{CALIBRATIONS}/*/{CALIBRATION}")):
         try:
@@ -51,12 +51,12 @@ def _load_calibration(path: Path) -> Calibration:
 
 
 def run_file(rig: Mapping[str, Any], prefix: str) -> tuple[str, str]:
-    """The file that lists the frames of a run: the journal of a finished one, or the plan of an emulated one; and its key."""
+    """The file of a run and its key: the journal of a finished run, or the plan of an emulated one."""
     return (f"{rig['run']}/journal.jsonl", f"{prefix}run") if "run" in rig else (rig["plan"], f"{prefix}plan")
 
 
 def _problem_of_previous(name: str, calibrations: Mapping[str, Calibration | str]) -> str:
-    """What is wrong with the previous calibration, or with any before it; empty if nothing is."""
+    """Why the previous calibration, or one before it, cannot be used; empty if it can."""
     calibration = calibrations[name]
     if not (isinstance(calibration, Calibration) and calibration.previous):
         return ""
@@ -66,7 +66,7 @@ def _problem_of_previous(name: str, calibrations: Mapping[str, Calibration | str
         problem = f"no such calibration{documents.nearest(calibration.previous, others)}"
         accepted = ", ".join(others) or "leave it out; there is no other calibration"
     elif chain[-1] in chain[:-1]:
-        problem, accepted = f"a circle of previous calibrations: {' → '.join(chain)}", "an earlier calibration"
+        problem, accepted = f"the previous calibrations form a loop: {' → '.join(chain)}", "an earlier calibration"
     elif (
         accepted := previous if isinstance(previous, str) else _problem_of_previous(calibration.previous, calibrations)
     ):
@@ -78,7 +78,7 @@ def _problem_of_previous(name: str, calibrations: Mapping[str, Calibration | str
 
 
 def _chain(name: str, calibrations: Mapping[str, Calibration | str]) -> list[str]:
-    """A calibration and those before it, up to the first or to a repetition."""
+    """Names of a calibration and the previous ones, up to the first or to a repetition."""
     names = [name]
     while isinstance(calibration := calibrations.get(names[-1]), Calibration) and calibration.previous:
         names.append(calibration.previous)

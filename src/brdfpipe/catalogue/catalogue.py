@@ -74,7 +74,7 @@ def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
     if not folder.is_dir():
         raise CatalogueError(f"{folder}: no such folder")
     if (folder / DESCRIPTION).is_file():
-        raise CatalogueError(f"{folder}: is one material; give the folder above it")
+        raise CatalogueError(f"{folder}: is a material, not a catalogue; give the folder above it")
     folders = sorted(path.parent for path in folder.glob(f"*/{DESCRIPTION}") if not path.parent.name.startswith("."))
     if not folders:
         hints = "".join(f"; {name}: {reason}" for name, reason in [*ignored(folder).items()][:3])

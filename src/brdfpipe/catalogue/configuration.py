@@ -13,33 +13,33 @@ from brdfpipe.errors import BrdfpipeError, InputError
 
 
 def load_config(path: Path | None = None) -> dict[str, Any]:
-    """The configuration of a catalogue: the project's own, overridden by ``path``.
+    """The configuration of a catalogue: the one of the project, overridden by ``path``.
 
     Raises
     ------
     InputError : naming the file, the line, the key, what was found and what is accepted.
     """
-    common = reading.read(installation.project_folder() / "config" / "config.yaml", Config)
+    defaults = reading.read(installation.project_folder() / "config" / "config.yaml", Config)
     if path is None:
-        return common
-    own = reading.read(path, Config)
-    if "illuminant" in own:
-        check_illuminant(path, own["illuminant"], "illuminant")
-    for number, window in enumerate(own.get("appearance", {}).get("haze", [])):
+        return defaults
+    settings = reading.read(path, Config)
+    if "illuminant" in settings:
+        check_illuminant(path, settings["illuminant"], "illuminant")
+    for number, window in enumerate(settings.get("appearance", {}).get("haze", [])):
         _check_haze_window(path, window, f"appearance.haze.{number}")
-    return _overridden(common, own)
+    return _overridden(defaults, settings)
 
 
-def _overridden(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """One mapping overridden by another, key by key within mappings too; a list replaces the whole list."""
-    return {
-        **common,
-        **{key: _overridden(common[key], own[key]) if isinstance(own[key], Mapping) else own[key] for key in own},
+def _overridden(defaults: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Defaults overridden by settings, key by key within mappings too; a list replaces the whole list."""
+    return {**defaults} | {
+        key: _overridden(defaults[key], value) if isinstance(value, Mapping) else value
+        for key, value in settings.items()
     }
 
 
 def _check_haze_window(path: Path, window: Mapping[str, Any], where: str) -> None:
-    """Refuse an impossible window of the haze meter once, instead of in every material."""
+    """Refuse an impossible window of the haze meter here, not in every material."""
     from brdfpipe.appearance import haze
 
     try:
@@ -49,7 +49,7 @@ def _check_haze_window(path: Path, window: Mapping[str, Any], where: str) -> Non
 
 
 def check_illuminant(path: Path, name: str, where: str) -> None:
-    """Refuse an unknown illuminant; apart from the other keys, because the tables of illuminants are slow to load."""
+    """Refuse an unknown illuminant; not with the other keys, because the tables of illuminants are slow to load."""
     from brdfpipe.spectra import colorimetry
 
     try:

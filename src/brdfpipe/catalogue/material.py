@@ -99,7 +99,7 @@ def start_material(folder: Path, name: str) -> Path:
         with path.open("x", encoding="utf-8") as file:
             file.write(template)
     except FileExistsError as error:
-        raise CatalogueError(f"{error.filename}: exists already; choose another name") from None
+        raise CatalogueError(f"{error.filename}: already exists; choose another name") from None
     except OSError as error:
         raise CatalogueError(f"{path.parent}: cannot be written ({error.strerror})") from error
     return path

@@ -148,7 +148,7 @@ def _azimuths(table: xr.Dataset) -> tuple[Array, Array]:
 
 
 def _specular_note(table: xr.Dataset, model: xr.Dataset | None, through: bool) -> list[str]:
-    """The perfectly specular share: light in one single direction has no density, so no row holds it."""
+    """The share of light in a single direction; it has no density, so no row can hold it."""
     if model is None:
         return []
     theta_i = table["theta_i"].values[table["theta_i"].values < 90]
@@ -157,7 +157,9 @@ def _specular_note(table: xr.Dataset, model: xr.Dataset | None, through: bool) -
         return []
     listed = " ".join(f"{angle:g}:{value:.6f}" for angle, value in zip(theta_i, share, strict=True))
     path = "transmitted undeviated" if through else "mirrored"
-    return [f"NOT in these rows, because no density can say so: the share {path}, by theta_i in degree: {listed}"]
+    return [
+        f"NOT in these rows, because light in a single direction has no density: the share {path}, by theta_i in degree: {listed}"
+    ]
 
 
 def _file(table: xr.Dataset, file: str, notes: list[str], rows: Array) -> str:

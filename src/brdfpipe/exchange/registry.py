@@ -112,7 +112,7 @@ def write(bsdf: xr.Dataset, path: str | os.PathLike[str], format: str | None = N
     longest = {key for key, suffix in matches.items() if len(suffix) == max(map(len, matches.values()))}
     if len(longest) > 1:
         formats = ", ".join(sorted(declared for declared, _ in longest))
-        raise ExchangeError(f"{name}: the suffix is that of several formats; give `format`, one of {formats}")
+        raise ExchangeError(f"{name}: several formats have this suffix; give `format`, one of {formats}")
     if not longest and format is None:
         suffix = Path(path).suffix.removeprefix(".")
         raise ExchangeError(f"{name}: unknown format {suffix!r}; accepted: {', '.join(FORMATS)}")
@@ -131,7 +131,7 @@ def _declaration(path: Path) -> Format | None:
                 try:
                     values = {str(keyword.arg): ast.literal_eval(keyword.value) for keyword in keywords}
                 except ValueError as error:
-                    raise ExchangeError(f"{path.name}: FORMAT is declared by literals alone ({error})") from error
+                    raise ExchangeError(f"{path.name}: FORMAT must be declared with literals only ({error})") from error
                 return Format(**{**values, "name": path.stem.replace("_", "-")})
     return None
 

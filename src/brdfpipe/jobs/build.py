@@ -125,7 +125,7 @@ def _check_results_folder(results: Path, catalogue: Catalogue) -> None:
     """Refuse a file, a folder of raw files, and a folder of other files."""
     target = results.resolve()
     if target == catalogue.folder or any((folder / DESCRIPTION).is_file() for folder in (target, *target.parents)):
-        raise BuildError(f"{results}: results go to a folder of their own, not among the raw files of the catalogue")
+        raise BuildError(f"{results}: is a folder of the catalogue; choose a separate folder for the results")
     if target.exists() and not target.is_dir():
         raise BuildError(f"{results}: is a file; results need a folder")
     if target.is_dir() and not any((target / mark).exists() for mark in RESULT_MARKS):
