@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import pytest
 from source_tree import PACKAGE, PROJECT, SOURCE, imports, modules, packages
 
 README = (PROJECT / "README.md").read_text(encoding="utf-8")
@@ -30,8 +31,11 @@ def test_the_map_of_the_readme_names_every_package_and_module_of_the_first_level
     assert len(section.splitlines()) <= 40
 
 
-def test_every_file_that_the_readme_names_is_there():
-    for path, link in re.findall(r"`((?:src|tests|workflow|docs)/[\w./]+)`|\]\(((?!http)[\w./-]+)", README):
+@pytest.mark.parametrize("text", [README, CONTRIBUTING], ids=["README.md", "CONTRIBUTING.md"])
+def test_every_file_that_a_page_names_is_there(text):
+    for path, link in re.findall(
+        r"`((?:src|tests|workflow|docs|benchmarks|config)/[\w./]+)`|\]\(((?!http)[\w./-]+)", text
+    ):
         assert (PROJECT / (path or link)).exists(), path or link
 
 
