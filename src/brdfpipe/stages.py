@@ -188,6 +188,7 @@ def _settings_of(part: str) -> Keys:
 _SURFACES = (MeasuredSurface, BeckmannSurface, GgxSurface, FlatSurface)
 _SCAN_KEYS, _SLOPE_KEYS = _read_by("surface", *_SURFACES), _read_by("facets", *_SURFACES)
 _COLOURS = (MultiangleFile, MultiangleColours)
+_ARRANGEMENT = Keys(read=lambda subject, instance: {**instance, "incidence": float(instance["incidence"])})
 
 
 def _further_scan(subject: Subject, instance: Instance) -> dict[str, Any]:
@@ -211,11 +212,6 @@ def _route(subject: Subject, instance: Instance) -> dict[str, Any]:
 def _interior(subject: Subject, instance: Instance) -> dict[str, Any]:
     slab = {key: value for key, value in subject.section("slab").items() if key != "back"}
     return ({} if "absorption" in slab else {"internal_transmittance": 1}) | slab
-
-
-def _reduction(subject: Subject, instance: Instance) -> dict[str, Any]:
-    override = _section("rig", EmulatedRig.read_by("reduced")).read(subject, instance)
-    return override | {**instance, "incidence": float(instance["incidence"])}
 
 
 def _page_content(subject: Subject, instance: Instance) -> dict[str, Any]:
@@ -384,7 +380,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         "reduced",
         "the light of each cell relative to the reference, of one arrangement",
         when=_has("rig"),
-        keys=Keys(("rig.override",), (), _reduction),
+        keys=_section("rig", EmulatedRig.read_by("reduced")) | _ARRANGEMENT,
         instances=_arrangements("sample"),
         title="reduced-{load}-{side}-{incidence}",
         intermediate=True,
@@ -393,7 +389,7 @@ STAGES: Mapping[str, Stage] = _by_name(
     Stage(
         "calibration_reduced",
         "the same for an arrangement of the etalon",
-        keys=Keys(("rig.override",), (), _reduction),
+        keys=_section("rig", EmulatedRig.read_by("reduced")) | _ARRANGEMENT,
         script="reduced",
         owner="calibration",
         instances=_arrangements("etalon"),
@@ -434,7 +430,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         when=_has("rig") & _has("surface") & Condition("reflection measured", _comparable),
         keys=_settings_of("comparison"),
     ),
-    Stage("bsdf", "the BSDF: measured, else of flakes, else predicted", keys=Keys((), (), _route)),
+    Stage("bsdf", "the BSDF: measured, else of flakes, else predicted", keys=Keys(read=_route)),
     Stage("checks", "reciprocity, energy and closure"),
     Stage(
         "appearance",
