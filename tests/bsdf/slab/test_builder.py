@@ -62,7 +62,7 @@ def test_two_smooth_faces_reflect_and_transmit_as_the_incoherent_sum_of_a_plate(
     assert transmittance(bsdf, BOTH_SIDES) == pytest.approx((1 - f) ** 2 * tau / (1 - (f * tau) ** 2), abs=tolerance)
 
 
-def test_two_smooth_faces_send_light_nowhere_else():
+def test_two_smooth_faces_do_not_scatter():
     bsdf = sheet(0, 0, 1.5, 0.8)
     mirrored, straight = representation(bsdf).specular(BOTH_SIDES, np.zeros(1), None)
     assert mirrored[:, 0] == pytest.approx(reflectance(bsdf, BOTH_SIDES), abs=1e-13)
@@ -70,7 +70,7 @@ def test_two_smooth_faces_send_light_nowhere_else():
     assert representation(bsdf).evaluate(30.0, 0.0, np.array([30.0, 150.0]), 180.0, None).max() < 1e-10
 
 
-def test_a_black_body_leaves_what_its_front_face_reflects():
+def test_a_black_body_reflects_as_its_front_face_does():
     bsdf, alone = sheet(0.3, 0, 1.5, 0.0), microfacet.build(finish(0.3), index=1.5, transparent=True)
     theta_o, phi = np.meshgrid(np.linspace(0, 85, 18), np.linspace(0, 180, 7))
     zero = np.zeros_like(phi)
@@ -94,7 +94,7 @@ def test_a_smooth_front_face_mirrors_as_a_single_interface_does():
     assert straight.max() == 0
 
 
-def test_a_body_that_is_hardly_there_lets_all_light_pass():
+def test_a_body_of_index_near_1_transmits_all_light():
     for faces in ((0, 0), (0.3, 0)):
         assert transmittance(sheet(*faces, index=1.0001), [0.0, 30.0, 60.0, 150.0]).min() > 1 - 1e-3
 
@@ -150,7 +150,7 @@ def test_energy_closes_between_the_nodes_too(distribution):
 @pytest.mark.parametrize("faces", [(0.3, 0.3), (0.3, 0.0), pytest.param((0.3, 0.1), marks=pytest.mark.slow)])
 @given(theta_i=st.floats(0, 180), theta_o=st.floats(0, 180), phi=st.floats(-360, 360))
 @settings(max_examples=40, deadline=None)
-def test_it_is_reciprocal_finite_and_not_negative(faces, theta_i, theta_o, phi):
+def test_a_slab_is_reciprocal_finite_and_not_negative(faces, theta_i, theta_o, phi):
     bsdf = sheet(*faces, transmittance=0.8 if faces[1] else 0.9)
     forward = representation(bsdf).evaluate(theta_i, 0.0, theta_o, phi, None)
     backward = representation(bsdf).evaluate(theta_o, phi, theta_i, 0.0, None)
@@ -167,7 +167,7 @@ def test_light_along_the_normal_leaves_alike_in_every_azimuth():
         assert around == pytest.approx(around[0], rel=1e-3)
 
 
-def test_one_finish_on_both_faces_looks_the_same_from_both_sides():
+def test_equal_faces_give_equal_light_on_both_sides():
     bsdf = sheet(0.3, 0.3)
     assert reflectance(bsdf, [8.0, 60.0]) == pytest.approx(reflectance(bsdf, [172.0, 120.0]), abs=1e-12)
     there = representation(bsdf).evaluate(30.0, 0.0, np.array([20.0, 140.0]), 170.0, None)
@@ -187,7 +187,7 @@ def test_a_slab_turned_over_is_the_same_slab_from_the_other_side():
 
 @pytest.mark.parametrize("faces", [(0.3, 0.3), (0.1, 0)])
 @pytest.mark.parametrize("theta", [8.0, 60.0, 172.0])
-def test_the_lobes_integrate_to_the_shares(faces, theta):
+def test_the_lobes_integrate_to_reflectance_and_transmittance(faces, theta):
     bsdf = sheet(*faces)
     at = np.array([theta]), np.zeros(1), None
     specular = representation(bsdf).specular(*at)
@@ -415,7 +415,7 @@ def test_an_absorption_coefficient_over_a_thickness_is_an_internal_transmittance
     assert reflectance(by_absorption, BOTH_SIDES) == pytest.approx(reflectance(alike, BOTH_SIDES), abs=1e-15)
 
 
-def test_a_detector_of_one_response_sees_the_mean_over_wavelength():
+def test_the_nonspectral_slab_is_the_mean_over_wavelength():
     bsdf, weight, at = coloured(), np.full(41, 1 / 41), directions()
     seen = representation(bsdf).nonspectral(weight)
     assert "wavelength" not in seen.dims
@@ -443,9 +443,9 @@ def test_it_is_a_dataset_like_any_other(tmp_path):
     assert representation(found).index_below() == 1.0
 
 
-def test_lobes_too_narrow_to_show_are_carried_as_specular_and_said_to_be():
+def test_unresolved_lobes_are_specular_with_a_warning():
     bsdf = sheet(0.01, 0.0)
-    assert "less than a slab resolves" in vocabulary.warnings(bsdf)[0]
+    assert "narrower than a slab resolves" in vocabulary.warnings(bsdf)[0]
     straight = representation(bsdf).specular(np.array([8.0]), np.zeros(1), None)[1]
     plate = transmittance(sheet(0, 0), 8.0)
     # A face of slope 0.01 lets through what a smooth one does, to the square of the slope.
@@ -462,7 +462,7 @@ def test_a_lay_is_averaged_over_azimuth_with_a_warning():
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"masking": "blinn"}, "does not keep energy"),
+        ({"masking": "blinn"}, "does not conserve energy"),
         ({"internal_transmittance": 1.2}, "accepted: 0 to 1"),
         ({"internal_transmittance": float("nan")}, "accepted: 0 to 1"),
         ({"absorption": 0.1}, "thickness"),
@@ -472,12 +472,12 @@ def test_a_lay_is_averaged_over_azimuth_with_a_warning():
         ({"internal_transmittance": xr.DataArray([0.5, 0.6], dims="x")}, "over increasing `wavelength`"),
     ],
 )
-def test_what_makes_no_slab_is_refused(given, says):
+def test_impossible_input_of_a_slab_is_refused(given, says):
     with pytest.raises(microfacet.ModelError, match=says):
         slab.build(finish(0), finish(0), index=1.5, **given)
 
 
-def test_a_metal_makes_no_slab():
+def test_an_absorbing_index_is_refused():
     index = vocabulary.label(
         xr.Dataset(
             {"n": ("wavelength", [0.2, 0.2]), "k": ("wavelength", [3.0, 3.0])},

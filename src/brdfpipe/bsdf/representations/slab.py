@@ -1,51 +1,53 @@
-"""The representation ``slab``: a plane-parallel sheet in air, see :mod:`brdfpipe.bsdf.slab`."""
+"""The representation ``slab``: a plane-parallel sheet in air, see :mod:`brdfpipe.bsdf.slab`.
+
+Light reflected by the facets of a face is evaluated directly; light that has been inside is interpolated in a table over the index
+and the internal transmittance, on which alone it depends, and smoothly. So it is computed at a few nodes of both for all wavelengths.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
-from brdfpipe.bsdf.slab.body import Mixture
-from brdfpipe.bsdf.slab.model import SIDES, SlabModel, share, surface_of
-from brdfpipe.bsdf.spectral import per_wavelength
-from brdfpipe.geometry import Array
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.slab.lobe_table import LobeGrid, barycentric, grazing_factor
+from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
+from brdfpipe.geometry import Array, half_vector
+from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
+
+SIDES = ("front", "back")
+
+TABLE_DIMS = ("path", "theta_low", "span", "turn", "node")
 
 _UNRESOLVED_SLOPE = 1e-6
 """A slope that no instrument resolves."""
 
-_BALANCE = [("theta_i", "wavelength"), ("theta_i",)]
+BALANCE = ("reflectance", "transmittance", "absorptance", "specular_reflectance", "specular_transmittance")
+"""Fluxes of the light from each incidence."""
 
-_TABLE_DIMS = ("path", "theta_low", "span", "turn", "node")
+_BLOCK = 2**14
+_BLACK = 1e-300
 
 
 class Slab(Representation):
-    """Faces evaluated by their facets, light that has been inside by a table; shares of the light by their own tables."""
+    """Two faces and the light between them; reflectance and transmittance have tables of their own."""
 
     name = "slab"
     kind = vocabulary.Kind(
         required={
             "n": vocabulary.SPECTRAL,
             "internal_transmittance": vocabulary.SPECTRAL,
-            "reflectance": _BALANCE,
-            "transmittance": _BALANCE,
-            "absorptance": _BALANCE,
-            "specular_reflectance": _BALANCE,
-            "specular_transmittance": _BALANCE,
-            "front_diffuse": [("theta",), ("theta", "wavelength")],
-            "back_diffuse": [("theta",), ("theta", "wavelength")],
-            "log_scattered": [_TABLE_DIMS],
-            "lobe_scale": vocabulary.SCALAR,
-            "interpolation_error": vocabulary.SCALAR,
-            "quadrature_error": vocabulary.SCALAR,
+            **{name: [("theta_i", "wavelength"), ("theta_i",)] for name in BALANCE},
+            **{f"{side}_diffuse": [("theta",), ("theta", "wavelength")] for side in SIDES},
+            "log_scattered": [TABLE_DIMS],
+            **dict.fromkeys(("lobe_scale", "interpolation_error", "quadrature_error"), vocabulary.SCALAR),
         },
-        optional={
-            "front_slope_density": [("front_slope",)],
-            "front_lambda_smith": [("front_theta",)],
-            "back_slope_density": [("back_slope",)],
-            "back_lambda_smith": [("back_theta",)],
-        },
+        optional={f"{side}_slope_density": [(f"{side}_slope",)] for side in SIDES}
+        | {f"{side}_lambda_smith": [(f"{side}_theta",)] for side in SIDES},
         attributes=("masking", "transmission"),
     )
     uses_index = True
@@ -53,23 +55,33 @@ class Slab(Representation):
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
-        front, back = (surface_of(dataset, side) for side in SIDES)
-        self._surfaces = (front, back)
-        self._model = per_wavelength(lambda wavelength: SlabModel.of(dataset, wavelength, (front, back)))
+        self._surfaces = surfaces = (_surface(dataset, "front"), _surface(dataset, "back"))
+        self._model = per_wavelength(lambda wavelength: SlabModel.of(dataset, wavelength, surfaces))
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         return self._model(wavelength).evaluate(theta_i, phi_i, theta_o, phi_o)
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-        return share(self.dataset, "reflectance", theta_i, wavelength)
+        return self._flux("reflectance", theta_i, wavelength)
 
     def transmittance(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-        return share(self.dataset, "transmittance", theta_i, wavelength)
+        return self._flux("transmittance", theta_i, wavelength)
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
-        names = ("specular_reflectance", "specular_transmittance")
-        mirrored, straight = (share(self.dataset, name, theta_i, wavelength) for name in names)
-        return mirrored, straight
+        return (
+            self._flux("specular_reflectance", theta_i, wavelength),
+            self._flux("specular_transmittance", theta_i, wavelength),
+        )
+
+    def _flux(self, name: str, theta_i: Array, wavelength: Array | None) -> Array:
+        """A reflectance or transmittance between its nodes, (incidences…, wavelength or 1); 0 at 90 degree."""
+        bsdf = self.dataset
+        values = at_wavelengths(bsdf[name], wavelength).reshape(bsdf.sizes["theta_i"], -1)
+        theta, nodes = np.asarray(theta_i, dtype=float).reshape(-1), bsdf["theta"].values
+        matrix = barycentric(nodes, np.where(theta > 90, 180 - theta, theta))
+        front, back = matrix @ values[: nodes.size], matrix @ values[nodes.size :][::-1]
+        flux = np.clip(np.where((theta > 90)[:, None], back, front), 0.0, 1.0)
+        return np.where((theta == 90)[:, None], 0.0, flux).reshape(*np.shape(theta_i), -1)
 
     @property
     def albedo_needs_quadrature(self) -> bool:
@@ -77,26 +89,142 @@ class Slab(Representation):
 
     @property
     def lobe_slope(self) -> float:
-        """The slope that half of the facets of the smoother of the rough faces exceed."""
-        return min(
-            (surface.median_slope for surface in self._surfaces if surface is not None), default=_UNRESOLVED_SLOPE
-        )
+        """Median slope of the smoother of the rough faces."""
+        slopes = [surface.median_slope for surface in self._surfaces if surface is not None]
+        return min(slopes, default=_UNRESOLVED_SLOPE)
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
-        """The slab with the light that has been inside averaged with the weight, and the average index.
+        """The slab with the mean index; the light that has been inside is averaged with the weight.
 
-        What a face reflects at once is exact to second order in the spread of the index.
+        The light reflected by the facets is exact to second order in the spread of the index.
         """
         bsdf = self.dataset
-        by_wavelength = bsdf["log_scattered"].values @ Mixture.of(bsdf, None).weights.T
-        mean = np.maximum(np.exp(by_wavelength) @ weight, 1e-300)
-        reduced = bsdf.drop_dims(["wavelength", "node", "index_node", "depth_node"]).assign(
-            {
-                name: (field.dims[:-1], field.values @ weight)
-                for name, field in bsdf.data_vars.items()
-                if "wavelength" in field.dims
-            }
-        )
+        by_wavelength = bsdf["log_scattered"].values @ _node_weights(bsdf, None)[1].T
+        mean = np.maximum(np.exp(by_wavelength) @ weight, _BLACK)
+        spectral = {name: field for name, field in bsdf.data_vars.items() if "wavelength" in field.dims}
+        averaged = {name: (field.dims[:-1], field.values @ weight) for name, field in spectral.items()}
+        reduced = bsdf.drop_dims(["wavelength", "node", "index_node", "depth_node"]).assign(averaged)
         reduced = reduced.assign_coords(index_node=[float(reduced["n"])], depth_node=[0.0])
         table = np.log(mean)[..., None].astype(np.float32)
-        return vocabulary.label(reduced.assign(log_scattered=(_TABLE_DIMS, table)), "bsdf")
+        return vocabulary.label(reduced.assign(log_scattered=(TABLE_DIMS, table)), "bsdf")
+
+
+@dataclass(frozen=True)
+class SlabModel:
+    """The slab at given wavelengths."""
+
+    surfaces: tuple[Microsurface | None, Microsurface | None]
+    """Facets of the front and the back face; None for a smooth face"""
+    masking: str
+    n: Array
+    """(wavelength or 1,) index"""
+    weights: Array
+    """(wavelength or 1, nodes) of the table's nodes of index and transmittance"""
+    grid: LobeGrid
+    table: Array
+    """(paths, X, T, V, nodes) logarithm of the light that has been inside"""
+    theta: Array
+    """(N,) polar angles of ``diffuse`` [degree]"""
+    diffuse: tuple[Array, Array]
+    """(N, wavelength or 1) factors of either angle in the diffuse reflection of each face"""
+
+    @classmethod
+    def of(
+        cls, bsdf: xr.Dataset, wavelength: Array | None, surfaces: tuple[Microsurface | None, Microsurface | None]
+    ) -> SlabModel:
+        """The model of a ``bsdf`` dataset, representation ``slab``, at its own or other wavelengths [nm]."""
+        front, back = (
+            at_wavelengths(bsdf[f"{name}_diffuse"], wavelength).reshape(bsdf.sizes["theta"], -1) for name in SIDES
+        )
+        return cls(
+            surfaces,
+            str(bsdf.attrs["masking"]),
+            *_node_weights(bsdf, wavelength),
+            LobeGrid(bsdf["theta_low"].values, bsdf.sizes["span"], bsdf.sizes["turn"], float(bsdf["lobe_scale"])),
+            bsdf["log_scattered"].values,
+            bsdf["theta"].values,
+            (front, back),
+        )
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+        """BRDF or BTDF in sr⁻¹, (directions…, wavelength or 1)."""
+        azimuth = np.abs(np.asarray(phi_o, dtype=float) - phi_i)
+        angles = np.broadcast_arrays(np.asarray(theta_i, dtype=float), np.asarray(theta_o, dtype=float), azimuth)
+        flat = [angle.reshape(-1) for angle in angles]
+        result = np.zeros((flat[0].size, self.weights.shape[0]))
+        for start in range(0, flat[0].size, _BLOCK):
+            block = slice(start, start + _BLOCK)
+            result[block] = self._block(*(angle[block] for angle in flat))
+        return result.reshape(*angles[0].shape, result.shape[-1])
+
+    def _block(self, theta_i: Array, theta_o: Array, azimuth: Array) -> Array:
+        behind_i, behind_o = theta_i > 90, theta_o > 90
+        polar_i, polar_o = (np.where(theta > 90, 180 - theta, theta) for theta in (theta_i, theta_o))
+        # From here on the order of the two directions is unknown, so the result is exactly reciprocal.
+        low, high = np.minimum(polar_i, polar_o), np.maximum(polar_i, polar_o)
+        at_front = np.where(behind_i, polar_o, polar_i)
+        crossing = np.where(at_front <= low, 2, 3)
+        path = np.where(behind_i != behind_o, crossing, np.where(behind_i, 1, 0))
+        logarithm = self.grid.interpolate(self.table, path, low, high, azimuth) @ self.weights.T
+        smooth = (self.surfaces[0] is None, self.surfaces[1] is None)
+        result = np.exp(logarithm) * grazing_factor(smooth, path, low, high)[:, None]
+        for side, surface in enumerate(self.surfaces):
+            of_side = path == side
+            if surface is not None and of_side.any():
+                at = low[of_side], high[of_side], azimuth[of_side]
+                result[of_side] += self._outer_reflection(surface, self.diffuse[side], *at)
+        result[high == 90] = 0.0
+        return np.asarray(result)
+
+    def _outer_reflection(
+        self, surface: Microsurface, diffuse: Array, low: Array, high: Array, azimuth: Array
+    ) -> Array:
+        """Light that a face reflects on the outside: by its facets, and diffusely what these lose."""
+        pair = half_vector(low, 0.0, high, azimuth)
+        facets = surface.reflected(pair, 0.0, azimuth, self.masking)[:, None]
+        fresnel = fresnel_reflectance(pair.cos_zeta[:, None], self.n).mean
+        first, second = (np.maximum(barycentric(self.theta, angle) @ diffuse, 0.0) for angle in (low, high))
+        return np.asarray(facets * fresnel + first * second)
+
+
+def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | None:
+    """The facets of a face; None for a smooth face."""
+    if f"{side}_slope_density" not in bsdf:
+        return None
+    members = ("slope_density", "lambda_smith")
+    own = bsdf[[f"{side}_{name}" for name in members]]
+    return Microsurface.of(own.rename({f"{side}_{name}": name for name in (*members, "slope", "theta")}))
+
+
+# --- interpolation over index and internal transmittance
+
+
+def _node_weights(bsdf: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array]:
+    """Index (wavelength or 1,), and weights (wavelength or 1, nodes) of the nodes of index and transmittance."""
+    n, inside = (np.atleast_1d(at_wavelengths(bsdf[name], wavelength)) for name in ("n", "internal_transmittance"))
+    by_depth = _depth_weights(bsdf["depth_node"].values, inside)
+    weights = lagrange(bsdf["index_node"].values, n)[:, :, None] * by_depth[:, None, :]
+    return n, weights.reshape(weights.shape[0], -1)
+
+
+def lagrange(nodes: Array, x: Array) -> Array:
+    """Weights, (x, nodes), of the polynomial through values at the nodes."""
+    others = ~np.eye(nodes.size, dtype=bool)
+    factors = np.where(others, (x[:, None, None] - nodes) / np.where(others, nodes[:, None] - nodes, 1.0), 1.0)
+    return np.asarray(factors.prod(axis=-1))
+
+
+def root_depth(transmittance: Array) -> Array:
+    """√(−ln τ) of an internal transmittance."""
+    return np.sqrt(-np.log(np.clip(transmittance, _BLACK, 1.0)))
+
+
+def _depth_weights(nodes: Array, transmittance: Array) -> Array:
+    depth = root_depth(transmittance)
+    if nodes.size == 1:
+        return np.ones((depth.size, 1))
+    weights = lagrange(nodes, np.minimum(depth, nodes[-1]))
+    # Beyond the darkest node the light with the fewest crossings dominates: its logarithm is linear in ln τ.
+    line = np.zeros_like(weights)
+    line[:, -2:] = lagrange(nodes[-2:] ** 2, depth**2)
+    return np.where((depth > nodes[-1])[:, None], line, weights)

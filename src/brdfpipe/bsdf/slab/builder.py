@@ -1,8 +1,8 @@
 """A plane-parallel sheet in air: two rough or smooth faces, and an internal transmittance between them.
 
-Adding–doubling: each face is an operator between polar angles, in Fourier modes of the azimuth, and all reflections to and fro are
-summed by solving a linear system. What a face reflects at once is evaluated by its facets themselves, so that gloss is as sharp
-as it is; only what has been inside is tabulated.
+Adding–doubling: each face is an operator between polar angles, in Fourier modes of the azimuth, and all reflections between the
+faces are summed by solving a linear system. The outer reflection of a face is evaluated by its facets directly, so gloss keeps its
+sharpness; only the light that has been inside is tabulated.
 
 References
 ----------
@@ -12,27 +12,40 @@ Walter 2007 (EGSR) for the faces; Kulla & Conty 2017 (SIGGRAPH course) for the l
 
 from __future__ import annotations
 
+from typing import NamedTuple, TypeAlias
+
 import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
-from brdfpipe.bsdf.representations.slab import Slab
+from brdfpipe.bsdf.representations.slab import BALANCE, SIDES, TABLE_DIMS, Slab, lagrange, root_depth
 from brdfpipe.bsdf.slab import adding_doubling
-from brdfpipe.bsdf.slab.body import Body, Spectral, lagrange
 from brdfpipe.bsdf.slab.lobe_table import LobeGrid
-from brdfpipe.bsdf.slab.model import SIDES
 from brdfpipe.bsdf.slab.tabulation import Resolution, resolution, sheet, tabulate
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.geometry import Array
+from brdfpipe.optics.index import interpolate_index, refractive_index
+
+Spectral: TypeAlias = float | xr.DataArray
+"""A number, or values over ``wavelength`` [nm]."""
 
 MASKING = ("height-correlated", "separable")
-"""Masking modes that keep energy and reciprocity through an interface."""
+"""Masking modes that conserve energy and are reciprocal through an interface."""
 
 ERROR_LIMIT = 0.02
-"""Error of the interpolation above which a slab warns [1]."""
+"""Interpolation error above which a slab has a warning [1]."""
 
-_BALANCE = ("reflectance", "transmittance", "absorptance", "specular_reflectance", "specular_transmittance")
+_DARKEST_DEPTH = float(np.sqrt(-np.log(1e-4)))
+
+
+class _Body(NamedTuple):
+    """Index and internal transmittance at normal incidence; scalars if they do not depend on wavelength."""
+
+    n: Array
+    transmittance: Array
+    wavelength: Array | None
+    warnings: tuple[str, ...] = ()
 
 
 def build(
@@ -49,20 +62,20 @@ def build(
 
     Parameters
     ----------
-    front, back : kind ``facets``, each seen from the air before it; perfectly smooth faces are :func:`brdfpipe.facets.flat`.
+    front, back : kind ``facets``, each seen from its own air side; a perfectly smooth face is :func:`brdfpipe.facets.flat`.
         A lay is averaged over azimuth, with a warning
     index : kind ``index``, a number or a plastic's name
     internal_transmittance : share of the light that crosses the sheet at normal incidence from face to face, 0 to 1 [1]; a
         number, or a DataArray over ``wavelength``. 1 by default
-    absorption, thickness : instead of it, the (napierian) absorption coefficient [mm-1], a number or a DataArray over
+    absorption, thickness : alternatively, the (napierian) absorption coefficient [mm-1], a number or a DataArray over
         ``wavelength``, and the thickness [mm]
     masking : one of :data:`MASKING`
 
     Returns
     -------
-    Dataset of kind ``bsdf``, representation ``slab``. Light comes from the front for θ_i < 90 degree and from the back for
-    θ_i > 90, and leaves likewise. Perfectly specular parts are shares of the light, ``specular_reflectance(theta_i)`` and
-    ``specular_transmittance(theta_i)``; ``reflectance``, ``transmittance`` and ``absorptance`` hold all of it and sum to 1
+    Dataset of kind ``bsdf``, representation ``slab``. The front side is θ < 90 degree, the back side θ > 90, for both directions.
+    Perfectly specular parts are ``specular_reflectance(theta_i)`` and ``specular_transmittance(theta_i)``; they are included in
+    ``reflectance``, ``transmittance`` and ``absorptance``, which sum to 1
 
     Raises
     ------
@@ -71,31 +84,32 @@ def build(
 
     Notes
     -----
-    What the facets' model loses of the light it gives back diffusely on both sides (:func:`brdfpipe.bsdf.slab.face.rough`): energy closes
-    to rounding. Lobes narrower than :data:`brdfpipe.bsdf.slab.tabulation.NARROWEST_THROUGH` are carried as specular inside and behind the
-    sheet, with a warning; how much light they hold stays exact. ``interpolation_error`` states the error between the nodes,
-    ``quadrature_error`` by how much the operators of the faces were scaled to keep energy.
+    Light that the model of the facets loses is returned diffusely on both sides (:func:`brdfpipe.bsdf.slab.face.rough`), so energy is
+    conserved to rounding. Lobes narrower than :data:`brdfpipe.bsdf.slab.tabulation.NARROWEST_THROUGH` are treated as specular inside
+    and behind the sheet, with a warning; their flux is exact. ``interpolation_error`` is the error between the nodes of the table,
+    ``quadrature_error`` the correction by which the operators of the faces were scaled to conserve energy.
     """
     if masking not in MASKING:
-        raise ModelError(f"masking {masking!r} does not keep energy through a slab; accepted: {', '.join(MASKING)}")
-    faces = [azimuthal_average(vocabulary.validate(each, "facets")) for each in (front, back)]
+        raise ModelError(f"masking {masking!r} does not conserve energy in a slab; accepted: {', '.join(MASKING)}")
+    faces = [azimuthal_average(vocabulary.validate(facets, "facets")) for facets in (front, back)]
     surfaces = _surfaces(front, back, faces)
-    body = Body.of(index, internal_transmittance, absorption, thickness)
+    body = _body(index, internal_transmittance, absorption, thickness)
     resolved = resolution(surfaces, float(body.n.min()))
-    index_node, depth_node = body.index_nodes(), body.depth_nodes()
-    sheets = [sheet(surfaces, masking, float(each), resolved) for each in index_node]
+    low, high = float(body.n.min()), float(body.n.max())
+    index_node = np.array([low]) if low == high else np.linspace(low, high, 3)
+    depth_node = _depth_nodes(body.transmittance)
+    sheets = [sheet(surfaces, masking, float(n), resolved) for n in index_node]
     grid = LobeGrid.of(float(np.degrees(resolved.scale)))
-    table, error = tabulate(
-        sheets, (surfaces[0] is None, surfaces[1] is None), np.exp(-(depth_node**2)), resolved.modes, grid
-    )
+    smooth = (surfaces[0] is None, surfaces[1] is None)
+    table, error = tabulate(sheets, smooth, np.exp(-(depth_node**2)), resolved.modes, grid)
     bsdf = xr.Dataset(
         {
             "n": (("wavelength",) * body.n.ndim, body.n),
             "internal_transmittance": (("wavelength",) * body.transmittance.ndim, body.transmittance),
-            "log_scattered": (("path", "theta_low", "span", "turn", "node"), table),
+            "log_scattered": (TABLE_DIMS, table),
             "lobe_scale": grid.scale,
             "interpolation_error": error,
-            "quadrature_error": max(each.correction for pair in sheets for each in (pair.front, pair.back)),
+            "quadrature_error": max(face.correction for pair in sheets for face in (pair.front, pair.back)),
         },
         coords={"theta_low": grid.low, "index_node": index_node, "depth_node": depth_node},
         attrs={"representation": Slab.name, "masking": masking, "transmission": "slab"},
@@ -103,92 +117,159 @@ def build(
     if body.wavelength is not None:
         bsdf = bsdf.assign_coords(wavelength=body.wavelength)
     bsdf = _with_balance(bsdf, sheets)
-    for name, each, surface in zip(SIDES, faces, surfaces, strict=True):
-        bsdf.attrs[f"{name}_band"] = each.attrs["band"]
-        bsdf = bsdf if surface is None else _with_face(bsdf, name, each)
-    averaged = [each for each, given in zip(faces, (front, back), strict=True) if each is not given]
-    inherited = dict.fromkeys(text for each in averaged for text in vocabulary.warnings(each))
-    texts = [*body.held, *inherited, *_warnings(surfaces, float(body.n.mean()), resolved, error)]
-    return vocabulary.label(vocabulary.add_warning(bsdf, *texts), "bsdf")
+    warnings = list(body.warnings)
+    for side, facets, surface, given in zip(SIDES, faces, surfaces, (front, back), strict=True):
+        bsdf.attrs[f"{side}_band"] = facets.attrs["band"]
+        if facets is not given:
+            warnings += [text for text in vocabulary.warnings(facets) if text not in warnings]
+        if surface is not None:
+            slope, theta = f"{side}_slope", f"{side}_theta"
+            bsdf = bsdf.assign_coords({slope: facets["slope"].values, theta: facets["theta"].values})
+            bsdf[f"{side}_slope_density"] = (slope, facets["slope_density"].values)
+            bsdf[f"{side}_lambda_smith"] = (theta, facets["lambda_smith"].values)
+    warnings += _warnings(surfaces, float(body.n.mean()), resolved, error)
+    return vocabulary.label(vocabulary.add_warning(bsdf, *warnings), "bsdf")
 
 
-# --- what was given
+# --- input
 
 
 def _surfaces(
     front: xr.Dataset, back: xr.Dataset, faces: list[xr.Dataset]
 ) -> tuple[Microsurface | None, Microsurface | None]:
-    surfaces = [Microsurface.of(each) if each["slope_density"].size else None for each in faces]
-    # One finish on both faces is worked out once.
-    alike = front is back or front.drop_attrs().identical(back.drop_attrs())
-    return surfaces[0], surfaces[0] if alike else surfaces[1]
+    surfaces = [Microsurface.of(facets) if facets["slope_density"].size else None for facets in faces]
+    # Two equal faces are computed once.
+    equal = front is back or front.drop_attrs().identical(back.drop_attrs())
+    return surfaces[0], surfaces[0] if equal else surfaces[1]
 
 
-# --- what is kept
-
-
-def _with_face(bsdf: xr.Dataset, name: str, facets: xr.Dataset) -> xr.Dataset:
-    slope, theta = f"{name}_slope", f"{name}_theta"
-    return bsdf.assign_coords({slope: facets["slope"].values, theta: facets["theta"].values}).assign(
-        {
-            f"{name}_slope_density": (slope, facets["slope_density"].values),
-            f"{name}_lambda_smith": (theta, facets["lambda_smith"].values),
-        }
+def _body(
+    index: xr.Dataset | float | str,
+    internal_transmittance: Spectral | None,
+    absorption: Spectral | None,
+    thickness: float | None,
+) -> _Body:
+    known = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
+    if np.any(known["k"].values > 0):
+        raise ModelError(
+            f"the index of the slab absorbs (k up to {float(known['k'].max()):g}); give a real index, and the absorption apart"
+        )
+    inside, wavelength = _transmittance(internal_transmittance, absorption, thickness)
+    n, nm = known["n"].values.astype(float), known["wavelength"].values
+    if np.ptp(n) == 0:
+        return _Body(np.asarray(n[0]), inside, wavelength)
+    if wavelength is None:
+        return _Body(n, inside, nm)
+    within = np.clip(wavelength, nm[0], nm[-1])
+    n = interpolate_index(known, within)[0]
+    if np.array_equal(within, wavelength):
+        return _Body(n, inside, wavelength)
+    warning = (
+        f"the refractive index is known from {nm[0]:g} to {nm[-1]:g} nm and was held constant beyond; give a table that covers "
+        f"{wavelength[0]:g} to {wavelength[-1]:g} nm"
     )
+    return _Body(n, inside, wavelength, (warning,))
+
+
+def _transmittance(
+    internal_transmittance: Spectral | None, absorption: Spectral | None, thickness: float | None
+) -> tuple[Array, Array | None]:
+    if absorption is None and thickness is None:
+        values, wavelength = _spectrum(1.0 if internal_transmittance is None else internal_transmittance)
+        if not (values.min() >= 0 and values.max() <= 1):
+            raise ModelError(f"the internal transmittance spans {values.min():g} to {values.max():g}; accepted: 0 to 1")
+        return values, wavelength
+    if internal_transmittance is not None or absorption is None or thickness is None:
+        raise ModelError("give either the internal transmittance, or the absorption and the thickness")
+    values, wavelength = _spectrum(absorption)
+    if not (values.min() >= 0 and np.isfinite(values).all() and 0 < thickness < np.inf):
+        raise ModelError(
+            f"the absorption spans {values.min():g} to {values.max():g} mm-1 and the thickness is {thickness:g} mm; accepted: finite, "
+            "absorption >= 0 and thickness > 0"
+        )
+    return np.asarray(np.exp(-values * thickness)), wavelength
+
+
+def _spectrum(given: Spectral) -> tuple[Array, Array | None]:
+    if not isinstance(given, xr.DataArray) or given.ndim == 0:
+        return np.asarray(given, dtype=float), None
+    if given.dims != ("wavelength",) or given.size == 0 or not (np.diff(given["wavelength"].values) > 0).all():
+        raise ModelError(
+            f"a spectrum of the slab has dimensions {given.dims}; accepted: a number, or values over increasing `wavelength`"
+        )
+    values, wavelength = given.values.astype(float), given["wavelength"].values.astype(float)
+    return (np.asarray(values[0]), None) if np.ptp(values) == 0 else (values, wavelength)
+
+
+def _depth_nodes(transmittance: Array) -> Array:
+    """Chebyshev nodes of √(−ln τ), between which the logarithm of the scattered light is a polynomial.
+
+    Light trapped beyond the critical angle fades with the slightest absorption: near τ = 1 the logarithm bends like a root.
+    """
+    depth = root_depth(transmittance)
+    low, high = min(float(depth.min()), _DARKEST_DEPTH), min(float(depth.max()), _DARKEST_DEPTH)
+    if depth.max() > _DARKEST_DEPTH:
+        low = min(low, _DARKEST_DEPTH - 0.2)
+    if low == high:
+        return np.array([low])
+    count = 3 if high - low < 0.1 else 5 if high - low < 0.5 else 8
+    return np.asarray((low + high) / 2 - (high - low) / 2 * np.cos(np.pi * np.arange(count) / (count - 1)))
+
+
+# --- output
 
 
 def _with_balance(bsdf: xr.Dataset, sheets: list[adding_doubling.Sheet]) -> xr.Dataset:
-    """Add where the light goes, its specular parts, and what the faces return diffusely, at the nodes of the quadrature."""
+    """Add reflectance, transmittance, absorptance, their specular parts, and the factors of the outer diffuse reflection."""
     n, inside = (np.atleast_1d(bsdf[name].values) for name in ("n", "internal_transmittance"))
     by_index = lagrange(bsdf["index_node"].values, n)
     distinct, where = np.unique(inside, return_inverse=True)
-    by_node = np.array([[_shares(each, float(t)) for t in distinct] for each in sheets])[:, where]
-    # Either, or both, of index and transmittance may depend on wavelength.
-    shares = np.moveaxis((by_index.T[:, :, None, None] * by_node).sum(axis=0), 0, -1)
-    diffuse = np.stack([[each.front.diffuse, each.back.diffuse] for each in sheets], axis=-1) @ by_index.T
+    by_node = np.array([[_fluxes(pair, float(tau)) for tau in distinct] for pair in sheets])[:, where]
+    # Index, transmittance, or both may depend on wavelength.
+    fluxes = np.moveaxis((by_index.T[:, :, None, None] * by_node).sum(axis=0), 0, -1)
+    diffuse = np.stack([[pair.front.diffuse, pair.back.diffuse] for pair in sheets], axis=-1) @ by_index.T
     outside = sheets[0].nodes.outside
-    fields = {name: _field("theta_i", values) for name, values in zip(_BALANCE, shares, strict=True)}
-    fields |= {f"{name}_diffuse": _field("theta", values) for name, values in zip(SIDES, diffuse, strict=True)}
+    fields = {name: _variable("theta_i", values) for name, values in zip(BALANCE, fluxes, strict=True)}
+    fields |= {f"{side}_diffuse": _variable("theta", values) for side, values in zip(SIDES, diffuse, strict=True)}
     return bsdf.assign_coords(theta=outside, theta_i=np.concatenate([outside, 180 - outside[::-1]])).assign(fields)
 
 
-def _field(angle: str, values: Array) -> tuple[tuple[str, ...], Array]:
+def _variable(angle: str, values: Array) -> tuple[tuple[str, ...], Array]:
     """Values, (angles, wavelength or 1), as a variable."""
     return ((angle,), values[:, 0]) if values.shape[1] == 1 else ((angle, "wavelength"), values)
 
 
-def _shares(each: adding_doubling.Sheet, transmittance: float) -> Array:
-    """Reflected, transmitted, absorbed, mirrored and straight shares, (5, 2N) from the front and then the back."""
-    sharp = adding_doubling.straight(each, transmittance)
-    sides = []
-    for balance, lit, rough, inner in zip(
-        adding_doubling.balances(each, transmittance),
-        (each.front, each.back),
-        (each.front.total_loss > 0, each.back.total_loss > 0),
-        (sharp.front, sharp.back),
-        strict=True,
-    ):
-        mirrored = inner + (0.0 if rough else lit.reflected)
-        sides.append(np.stack([*balance, mirrored, sharp.through]))
-    return np.concatenate([sides[0], sides[1][:, ::-1]], axis=1)
+def _fluxes(pair: adding_doubling.Sheet, transmittance: float) -> Array:
+    """The fluxes of ``BALANCE``, (5, 2N), from the front and then the back."""
+    straight = adding_doubling.straight(pair, transmittance)
+    front, back = (
+        np.stack([*balance, inner + (0.0 if face.total_loss > 0 else face.reflected), straight.through])
+        for balance, face, inner in zip(
+            adding_doubling.balances(pair, transmittance),
+            (pair.front, pair.back),
+            (straight.front, straight.back),
+            strict=True,
+        )
+    )
+    return np.concatenate([front, back[:, ::-1]], axis=1)
 
 
 def _warnings(
     surfaces: tuple[Microsurface | None, Microsurface | None], index: float, resolved: Resolution, error: float
 ) -> list[str]:
     texts = []
-    for name, surface, (through, within) in zip(SIDES, surfaces, resolved.sharp, strict=True):
+    for side, surface, (through, within) in zip(SIDES, surfaces, resolved.sharp, strict=True):
         if surface is None or not (through or within):
             continue
         width = np.degrees((index - 1) * surface.median_slope)
         texts.append(
-            f"the lobe that the {name} face transmits is some {width:.2g}° wide, less than a slab resolves, and is carried as specular "
-            "inside and behind the sheet: reflectance and transmittance hold, angles near the straight direction do not; take the "
-            "face for smooth (facets.flat) or evaluate it alone as a transparent interface"
+            f"the lobe transmitted by the {side} face is about {width:.2g}° wide, narrower than a slab resolves, and is treated as "
+            "specular inside and behind the sheet: reflectance and transmittance are right, angles near the straight direction are "
+            "not; take the face as smooth (facets.flat), or evaluate it alone as a transparent interface"
         )
     if error > ERROR_LIMIT:
         texts.append(
-            f"what has been inside the slab is interpolated with an error of {error:.1%} of the flux in the worst incidence; "
-            "integrate with `albedo` and `transmittance`, which do not interpolate, where that matters"
+            f"light that has been inside the slab is interpolated with an error of {error:.1%} of the flux at the worst incidence; "
+            "integrate with `albedo` and `transmittance`, which do not interpolate"
         )
     return texts

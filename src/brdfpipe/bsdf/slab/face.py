@@ -1,8 +1,8 @@
-"""One face of a slab as matrices: what it reflects and lets through, between the nodes of polar angles outside and inside.
+"""Reflection and transmission operators of one face of a slab, between nodes of polar angles outside and inside.
 
-Radiance inside is counted as L/n², and directions by their étendue, cos θ sin θ dθ outside and n² cos θ sin θ dθ inside: then
-every operator is symmetric (reciprocity), and a face that keeps all energy has rows that sum to 1. The angles inside are those
-outside, refracted, and those beyond the critical angle, so that a smooth face is a diagonal.
+Radiance inside is L/n², and directions are weighted by their étendue, cos θ sin θ dθ outside and n² cos θ sin θ dθ inside: then
+every operator is symmetric (reciprocity), and the rows of a lossless face sum to 1. The angles inside are the refracted angles
+outside, and angles beyond the critical angle, so that the operator of a smooth face is diagonal.
 
 References
 ----------
@@ -25,25 +25,21 @@ from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 
 _LEAST_LOSS = 1e-8
-_BALANCING = 60
-_NOTHING = 1e-14
+_BALANCING_STEPS = 60
+_NEGLIGIBLE = 1e-14
 _BLOCK = 2**16
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Polar angles outside and inside a body, and their étendues.
-
-    Parameters
-    ----------
-    outside : (N,) degree
-    inside : (J,) degree; the first N are those outside, refracted
-    weight : (J,) étendue over 2π; the first N are those outside as well
-    """
+    """Polar angles outside and inside a body, and their étendues."""
 
     outside: Array
+    """(N,) degree"""
     inside: Array
+    """(J,) degree; the first N are those outside, refracted"""
     weight: Array
+    """(J,) étendue over 2π; the first N hold outside as well"""
 
     @classmethod
     def of(cls, index: float, outside: int, beyond: int) -> Nodes:
@@ -65,20 +61,16 @@ class Nodes:
 
 @dataclass(frozen=True)
 class Azimuths:
-    """Azimuths from the plane of incidence at which a lobe is sampled, dense at its peak, and its Fourier integrals.
-
-    Parameters
-    ----------
-    phi : (P,) radian, from 0 to π
-    spline : the cubic spline through unit values at each of them, even about both ends
-    """
+    """Azimuths from the plane of incidence at which a lobe is sampled, dense at its peak, and its Fourier integrals."""
 
     phi: Array
+    """(P,) radian, from 0 to π"""
     spline: CubicSpline
+    """Through unit values at each azimuth, even about both ends"""
 
     @classmethod
     def of(cls, scale: float, count: int) -> Azimuths:
-        """Nodes on which a lobe of width ``scale`` [radian], or any wider one, is a smooth spline."""
+        """Nodes that resolve lobes of at least the width ``scale`` [radian]."""
         phi = scale * np.sinh(np.linspace(0, np.arcsinh(np.pi / scale), count))
         phi[-1] = np.pi
         return cls(phi, CubicSpline(phi, np.eye(count), bc_type="clamped"))
@@ -86,7 +78,7 @@ class Azimuths:
     def integrals(self, modes: Array) -> Array:
         """∫ g(φ) cos mφ dφ over the circle of the spline g through unit values, (P, modes).
 
-        Exact for the spline: four integrations by parts leave its third derivative, which is constant between nodes.
+        Exact: after four integrations by parts only the third derivative remains, which is constant between nodes.
         """
         third = 6 * self.spline.c[0]
         cosine = np.cos(self.phi[:, None] * modes)
@@ -97,30 +89,26 @@ class Azimuths:
 
 @dataclass(frozen=True)
 class Face:
-    """The operators of one face, symmetrised by the roots of the étendues.
-
-    Parameters
-    ----------
-    reflected : (N,) share of the light from outside that the facets mirror back at once [1]
-    straight : (N,) share that passes without leaving the plane and angle of refraction [1]
-    mirrored : (J,) share of the light inside that is reflected into the mirror direction [1]
-    through : (N, J, P) what passes into other directions, at the azimuths; None where nothing does
-    within : (J, J, P) what is reflected inside into other directions; None where nothing is
-    lost_outside, lost_inside : (N,), (J,) what the facets lose after one interaction, and is given back diffusely [1]
-    root : (J,) root of the étendues
-    correction : largest share of the light by which the sums over the nodes missed the integrals over the facets, before they
-        were scaled to them
-    """
+    """The operators of one face, symmetrised by the roots of the étendues."""
 
     reflected: Array
+    """(N,) share of the light from outside that the facets reflect outside [1]"""
     straight: Array
+    """(N,) share that is transmitted into the refracted direction [1]"""
     mirrored: Array
+    """(J,) share of the light inside that is reflected into the mirror direction [1]"""
     through: Array | None
+    """(N, J, P) transmission into other directions, at the azimuths; None for none"""
     within: Array | None
+    """(J, J, P) internal reflection into other directions; None for none"""
     lost_outside: Array
+    """(N,) loss of the facets after one interaction, which is returned diffusely [1]"""
     lost_inside: Array
+    """(J,) the same for light from inside [1]"""
     root: Array
+    """(J,) root of the étendues"""
     correction: float
+    """Largest difference, in shares of the light, between sums over the nodes and integrals over the facets, before scaling"""
 
     @property
     def total_loss(self) -> float:
@@ -129,7 +117,7 @@ class Face:
         return float(outer @ self.lost_outside + self.root**2 @ self.lost_inside)
 
     def operators(self, azimuths: Azimuths, modes: Array) -> tuple[Array, Array]:
-        """Transmission (modes, N, J) and inner reflection (modes, J, J) of Fourier modes."""
+        """Transmission (modes, N, J) and internal reflection (modes, J, J) of Fourier modes."""
         outside, inside = self.straight.size, self.mirrored.size
         integrals = azimuths.integrals(modes)
         through = _modes(self.through, integrals, (modes.size, outside, inside))
@@ -137,7 +125,7 @@ class Face:
         through[:, np.arange(outside), np.arange(outside)] += self.straight
         within[:, np.arange(inside), np.arange(inside)] += self.mirrored
         if self.total_loss > 0:
-            # Light that left the facets' model has forgotten its azimuth: it is in the first mode alone.
+            # Light that the facets lose is diffuse: it has the zeroth mode alone.
             into, out = self.root * self.lost_inside, self.root[:outside] * self.lost_outside
             through[modes == 0] += np.outer(out, into) / self.total_loss
             within[modes == 0] += np.outer(into, into) / self.total_loss
@@ -150,7 +138,7 @@ class Face:
 
     @property
     def outer_albedo(self) -> Array:
-        """(N,) share of the light from outside that returns without having been inside."""
+        """(N,) share of the light from outside that is reflected without entering."""
         if self.total_loss == 0:
             return self.reflected
         outer = self.root[: self.straight.size] ** 2
@@ -167,19 +155,12 @@ def smooth(index: float, nodes: Nodes) -> Face:
     """A perfectly smooth face: Fresnel's reflectance on the diagonals, and 1 beyond the critical angle."""
     reflected = fresnel_reflectance(np.cos(np.radians(nodes.outside)), index).mean
     mirrored = np.concatenate([reflected, np.ones(nodes.inside.size - reflected.size)])
-    nothing = np.zeros(reflected.size), np.zeros(mirrored.size)
-    return Face(reflected, 1 - reflected, mirrored, None, None, *nothing, np.sqrt(nodes.weight), 0.0)
+    no_loss = np.zeros(reflected.size), np.zeros(mirrored.size)
+    return Face(reflected, 1 - reflected, mirrored, None, None, *no_loss, np.sqrt(nodes.weight), 0.0)
 
 
 def rough(
-    surface: Microsurface,
-    masking: str,
-    index: float,
-    nodes: Nodes,
-    azimuths: Azimuths,
-    *,
-    sharp_through: bool = False,
-    sharp_within: bool = False,
+    surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths, sharp: tuple[bool, bool]
 ) -> Face:
     """A rough face.
 
@@ -188,55 +169,57 @@ def rough(
     surface : its facets, seen from outside, isotropic
     masking : ``height-correlated`` or ``separable``
     index : of the body
-    sharp_through, sharp_within : take the transmitted, or the inner reflected, lobe for a single direction, because it is
-        narrower than the nodes resolve
+    sharp : whether the transmitted, and the internally reflected, lobe is taken as a single direction, because it is narrower than the
+        nodes resolve
 
     Notes
     -----
-    The kernels are sampled at the nodes, then scaled, d_i K_ij d_j, until their sums over the nodes are the shares that the
-    integrals over the facets give. What is still missing from 1, light that met more than one facet, is e(θ); it is given back as
-    e(θ_i) e(θ_o) / ∫ e over both sides, in L/n²: reciprocal, and the whole then keeps energy to rounding.
+    The kernels are sampled at the nodes, then scaled, d_i K_ij d_j, until their sums over the nodes equal the integrals over the
+    facets. The rest to 1 is e(θ), light that met more than one facet; it is returned as e(θ_i) e(θ_o) / ∫ e over both sides, in L/n²:
+    this is reciprocal, and energy is conserved to rounding.
     """
     one, none = np.array([index]), np.zeros(1)
     reflected = energy.directional_albedo(surface, masking, one, none, nodes.outside)[:, 0]
     mirrored = energy.directional_albedo(surface, masking, 1 / one, none, nodes.inside)[:, 0]
-    passed = transmission.directional_transmittance(surface, masking, one, nodes.outside)[:, 0]
-    left = transmission.directional_transmittance(surface, masking, one, 180 - nodes.inside)[:, 0]
-    passed = np.clip(passed, 0.0, 1 - reflected - _LEAST_LOSS)
-    left = np.clip(left, 0.0, 1 - mirrored - _LEAST_LOSS)
+    inward = transmission.directional_transmittance(surface, masking, one, nodes.outside)[:, 0]
+    outward = transmission.directional_transmittance(surface, masking, one, 180 - nodes.inside)[:, 0]
+    inward = np.clip(inward, 0.0, 1 - reflected - _LEAST_LOSS)
+    outward = np.clip(outward, 0.0, 1 - mirrored - _LEAST_LOSS)
     mirrored = np.clip(mirrored, 0.0, 1 - _LEAST_LOSS)
     root, outside = np.sqrt(nodes.weight), nodes.outside.size
-    straight, delta, missed = np.zeros(outside), np.zeros(nodes.inside.size), []
+    zeroth = azimuths.integrals(np.zeros(1))[:, 0]
+    straight, delta, corrections = np.zeros(outside), np.zeros(nodes.inside.size), [0.0]
     through, within = None, None
-    if sharp_through:
-        straight = np.minimum(passed, left[:outside])
+    t, r = np.zeros((outside, nodes.inside.size)), np.zeros((nodes.inside.size,) * 2)
+    if sharp[0]:
+        straight = np.minimum(inward, outward[:outside])
     else:
-        through = (
-            _through(surface, masking, index, nodes, azimuths) * np.multiply.outer(root[:outside], root)[..., None]
-        )
-        through, miss = _balanced(through, azimuths, root[:outside], root, passed, left)
-        missed.append(miss)
-    if sharp_within:
+        through = _through(surface, masking, index, nodes, azimuths)
+        through = through * np.multiply.outer(root[:outside], root)[..., None]
+        through, correction = _balanced(through, azimuths, root[:outside], root, inward, outward)
+        corrections.append(correction)
+        t = through @ zeroth
+    if sharp[1]:
         delta = mirrored
     else:
         within = _within(surface, masking, index, nodes, azimuths) * np.multiply.outer(root, root)[..., None]
-        within, miss = _balanced(within, azimuths, root, root, mirrored, mirrored)
-        missed.append(miss)
-    sums = np.zeros((outside, nodes.inside.size)), np.zeros((nodes.inside.size,) * 2)
-    zeroth = azimuths.integrals(np.zeros(1))[:, 0]
-    t, r = (total if kernel is None else kernel @ zeroth for kernel, total in zip((through, within), sums, strict=True))
+        within, correction = _balanced(within, azimuths, root, root, mirrored, mirrored)
+        corrections.append(correction)
+        r = within @ zeroth
     leaves = (root[:outside] @ t) / root
     leaves[:outside] += straight
     lost_outside = 1 - reflected - straight - (t @ root) / root[:outside]
     lost_inside = 1 - delta - leaves - (r @ root) / root
-    return Face(reflected, straight, delta, through, within, lost_outside, lost_inside, root, max(missed, default=0.0))
+    return Face(reflected, straight, delta, through, within, lost_outside, lost_inside, root, max(corrections))
 
 
 def _through(surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths) -> Array:
     """f_t/n² from the nodes outside to those inside, (N, J, P)."""
     result = np.empty((nodes.outside.size, nodes.inside.size, azimuths.phi.size))
     phi = 180 + np.degrees(azimuths.phi)
-    steepest = _steepest(surface)
+    assert isinstance(surface.density, RadialDensity)
+    slope, density = surface.density.slope, surface.density.density
+    steepest = float(slope[density > _NEGLIGIBLE * density.max()][-1])
     rows = max(1, _BLOCK // result[0].size)
     for start in range(0, nodes.outside.size, rows):
         block = slice(start, start + rows)
@@ -245,21 +228,14 @@ def _through(surface: Microsurface, masking: str, index: float, nodes: Nodes, az
         )
         cos_i, cos_o = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
         cosine = cos_i * cos_o + np.sin(np.radians(theta_i)) * np.sin(np.radians(theta_o)) * np.cos(np.radians(azimuth))
-        # Most pairs need facets that are too steep to be there, and a facet's slope is soon found.
+        # Most pairs need steeper facets than there are, which the slope shows at little cost.
         length = 1 + index**2 + 2 * index * cosine
-        there = length < (1 + steepest**2) * (cos_i + index * cos_o) ** 2
+        present = length < (1 + steepest**2) * (cos_i + index * cos_o) ** 2
         values = np.zeros(theta_i.shape)
-        angles = theta_i[there], np.zeros(np.count_nonzero(there)), theta_o[there], azimuth[there]
-        values[there] = transmission.transmitted(surface, masking, index, *angles) / index**2
+        angles = theta_i[present], np.zeros(np.count_nonzero(present)), theta_o[present], azimuth[present]
+        values[present] = transmission.transmitted(surface, masking, index, *angles) / index**2
         result[block] = values
     return result
-
-
-def _steepest(surface: Microsurface) -> float:
-    """The slope beyond which a density is nothing beside its peak."""
-    assert isinstance(surface.density, RadialDensity)
-    slope, density = surface.density.slope, surface.density.density
-    return float(slope[density > _NOTHING * density.max()][-1])
 
 
 def _within(surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths) -> Array:
@@ -282,26 +258,24 @@ def _within(surface: Microsurface, masking: str, index: float, nodes: Nodes, azi
 def _balanced(
     kernel: Array, azimuths: Azimuths, row_root: Array, column_root: Array, rows: Array, columns: Array
 ) -> tuple[Array, float]:
-    """A kernel scaled so that its rows and columns sum to given shares, never to more; and how far it was from that.
+    """A kernel scaled so that its rows and columns sum to given shares, never to more; and the largest correction.
 
     Notes
     -----
-    Sinkhorn & Knopp 1967, by roots so that a symmetric kernel stays symmetric. Rows and columns must carry the same light in
-    all: the larger shares are lowered to that. The last steps only shrink, so that nothing is left above its share.
+    Sinkhorn & Knopp 1967, by roots so that a symmetric kernel stays symmetric. Rows and columns must carry the same total: the larger
+    shares are lowered to it. The last steps only shrink, so that no sum exceeds its share.
     """
     carried = float(row_root**2 @ rows), float(column_root**2 @ columns)
     rows, columns = rows * min(1.0, carried[1] / carried[0]), columns * min(1.0, carried[0] / carried[1])
     zeroth = kernel @ azimuths.integrals(np.zeros(1))[:, 0]
     matrix = zeroth * column_root / row_root[:, None]
-    back = zeroth * row_root[:, None] / column_root
+    transposed = zeroth * row_root[:, None] / column_root
     correction = float(row_root**2 @ np.abs(matrix.sum(axis=1) - rows) / carried[0])
     down, across = np.ones(rows.size), np.ones(columns.size)
-    for step in range(_BALANCING):
-        found = down * (matrix @ across), across * (down @ back)
-        ratios = [wanted / np.maximum(sums, 1e-30) for wanted, sums in zip((rows, columns), found, strict=True)]
-        # Shares too small to matter have ratios too rough to follow.
-        high = 2.0 if step < _BALANCING - 8 else 1.0
-        power = 0.5 if step < _BALANCING - 8 else 1.0
-        down = down * np.clip(ratios[0], 0.0, high) ** power
-        across = across * np.clip(ratios[1], 0.0, high) ** power
+    for step in range(_BALANCING_STEPS):
+        sums = down * (matrix @ across), across * (down @ transposed)
+        # Limited, because the ratios of negligible shares are inaccurate.
+        high, power = (2.0, 0.5) if step < _BALANCING_STEPS - 8 else (1.0, 1.0)
+        down = down * np.clip(rows / np.maximum(sums[0], 1e-30), 0.0, high) ** power
+        across = across * np.clip(columns / np.maximum(sums[1], 1e-30), 0.0, high) ** power
     return kernel * (np.clip(down, 0.0, 2.0)[:, None] * np.clip(across, 0.0, 2.0))[..., None], correction

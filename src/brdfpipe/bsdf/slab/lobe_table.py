@@ -1,9 +1,8 @@
-"""Tables over pairs of directions that follow a lobe along its ridge, whatever its width.
+"""Tables over pairs of directions in coordinates that follow the ridge of a lobe of any width.
 
-A pair of polar angles and the azimuth between them become the smaller angle, the distance of the larger from it, and the distance
-across, both counted on a scale that is even within the lobe and logarithmic beyond. Which of two directions came first leaves no
-trace: what is interpolated is reciprocal to the last bit. Logarithms are interpolated, so it is positive too, and exact for
-Gaussian lobes.
+The coordinates of two polar angles and the azimuth between them are the smaller angle, the distance of the larger from it, and the
+distance across, both on a scale that is linear within the lobe and logarithmic beyond. The order of the directions does not matter, so
+the interpolation is exactly reciprocal. Logarithms are interpolated: the result is positive, and exact for Gaussian lobes.
 """
 
 from __future__ import annotations
@@ -18,27 +17,24 @@ _POLE_NODES, _MIDDLE_NODES, _GRAZING_NODES = 36, 16, 16
 _MIDDLE, _GRAZING = 30.0, 70.0
 
 PATH_ENDS = ((0, 0), (1, 1), (0, 1), (1, 0))
-"""The faces, front 0 and back 1, at which the smaller and the larger angle lie, for each path of a table."""
+"""The faces, front 0 and back 1, of the smaller and the larger angle, for each path of a table."""
 
 
 class LobeGrid(NamedTuple):
-    """Nodes of a table, evenly spaced along the stretched distances.
-
-    Parameters
-    ----------
-    low : (X,) the smaller polar angle, from 0 to 90 degree
-    spans, turns : number of nodes along and across
-    scale : the width up to which distances are counted evenly [degree]
-    """
+    """Nodes of a table, evenly spaced along the stretched distances."""
 
     low: Array
+    """(X,) the smaller polar angle, from 0 to 90 degree"""
     spans: int
+    """Number of nodes along the ridge"""
     turns: int
+    """Number of nodes across the ridge"""
     scale: float
+    """Width up to which distances are linear [degree]"""
 
     @classmethod
     def of(cls, scale: float, spans: int = 64, turns: int = 40) -> LobeGrid:
-        """A grid for lobes of a width [degree] and wider ones."""
+        """A grid for lobes of at least a width [degree]."""
         pole = scale * np.sinh(np.linspace(0, np.arcsinh(_MIDDLE / scale), _POLE_NODES))
         grazing = 90 - (90 - _GRAZING) * np.linspace(1, 0, _GRAZING_NODES) ** 2
         low = np.concatenate([pole[:-1], np.linspace(_MIDDLE, _GRAZING, _MIDDLE_NODES)[:-1], grazing])
@@ -56,7 +52,7 @@ class LobeGrid(NamedTuple):
 
     @staticmethod
     def _across(low: Array, high: Array) -> Array:
-        """The distance between two directions of azimuths 180 degree apart, across the plane of either [degree]."""
+        """Scale of the distance across the plane of incidence, of two directions of azimuths 180 degree apart [degree]."""
         return np.asarray(np.degrees(2 * np.sqrt(np.sin(np.radians(low)) * np.sin(np.radians(high)))))
 
     def interpolate(self, table: Array, path: Array, low: Array, high: Array, azimuth: Array) -> Array:
@@ -66,7 +62,7 @@ class LobeGrid(NamedTuple):
         ----------
         path : (D,) which of the paths
         low, high : (D,) degree, low <= high
-        azimuth : (D,) degree between the two; the ridge lies at 180, where light goes that is mirrored or passes straight
+        azimuth : (D,) degree between the two; the ridge is at 180, the azimuth of mirrored and of straight light
         """
         reach = np.arcsinh((90 - low) / self.scale)
         along = np.arcsinh((high - low) / self.scale) / np.maximum(reach, 1e-300)
@@ -88,26 +84,24 @@ class LobeGrid(NamedTuple):
 
 
 def _cell(position: Array, stretch: Array, nodes: int) -> tuple[Array, Array]:
-    """The cell a stretched position lies in, and the weight of its upper end: linear in the square of the distance."""
-    place = np.clip(position, 0.0, 1.0) * (nodes - 1)
-    cell = np.minimum(place.astype(np.intp), nodes - 2)
-    ends = (np.sinh((cell + step) / (nodes - 1) * stretch) ** 2 for step in (0, 1))
-    first, last = ends
-    here = np.sinh(place / (nodes - 1) * stretch) ** 2
+    """The cell of a stretched position, and the weight of its upper end: linear in the square of the distance."""
+    fractional = np.clip(position, 0.0, 1.0) * (nodes - 1)
+    cell = np.minimum(fractional.astype(np.intp), nodes - 2)
+    first, last, at = (np.sinh(node / (nodes - 1) * stretch) ** 2 for node in (cell, cell + 1, fractional))
     with np.errstate(divide="ignore", invalid="ignore"):
-        weight = (here - first) / (last - first)
-    return cell, np.where(last > first, weight, place - cell)
+        weight = (at - first) / (last - first)
+    return cell, np.where(last > first, weight, fractional - cell)
 
 
 def grazing_factor(smooth: tuple[bool, bool], path: Array, low: Array, high: Array) -> Array:
-    """Factor that a table leaves out: cos θ at a smooth face, where light from inside vanishes towards grazing; 1 at a rough one."""
+    """Factor by which a table is divided: cos θ at a smooth face, where light from inside vanishes at grazing; 1 at a rough face."""
     at_smooth = np.array(smooth)[np.array(PATH_ENDS)][path]
-    by_angle = (np.where(at_smooth[..., k], np.cos(np.radians(each)), 1.0) for k, each in enumerate((low, high)))
-    return np.asarray(np.maximum(next(by_angle) * next(by_angle), 0.0))
+    first, second = (np.where(at_smooth[..., k], np.cos(np.radians(t)), 1.0) for k, t in enumerate((low, high)))
+    return np.asarray(np.maximum(first * second, 0.0))
 
 
 def barycentric(nodes: Array, x: Array) -> Array:
-    """The matrix, (…, nodes), that takes values at Gauss–Legendre nodes in [0, 90] to those of their polynomial at x.
+    """Matrix (…, nodes) of polynomial interpolation from Gauss–Legendre nodes in [0, 90] to x.
 
     References
     ----------
@@ -116,7 +110,6 @@ def barycentric(nodes: Array, x: Array) -> Array:
     unit, gauss = np.polynomial.legendre.leggauss(nodes.size)
     weight = (-1.0) ** np.arange(nodes.size) * np.sqrt((1 - unit**2) * gauss)
     difference = np.asarray(x, dtype=float)[..., None] - nodes
-    hit = difference == 0
-    terms = weight / np.where(hit, 1.0, difference)
-    found = hit.any(axis=-1, keepdims=True)
-    return np.where(found, hit, terms / terms.sum(axis=-1, keepdims=True))
+    at_node = difference == 0
+    terms = weight / np.where(at_node, 1.0, difference)
+    return np.where(at_node.any(axis=-1, keepdims=True), at_node, terms / terms.sum(axis=-1, keepdims=True))

@@ -1,10 +1,11 @@
-"""The resolution that the lobes of a slab need, and the table of the light that has been inside it."""
+"""Resolution of the lobes of a slab, and the table of the light that has been inside it."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.slab import adding_doubling, face
@@ -16,7 +17,7 @@ from brdfpipe.geometry import Array
 
 MOST_NODES, MOST_BEYOND, MOST_MODES = 160, 96, 400
 NARROWEST_THROUGH, NARROWEST_WITHIN = 0.018, 0.02
-"""Half widths of a transmitted lobe outside, and slopes of a face seen from inside, below which they are taken for sharp [1]."""
+"""Half width of a transmitted lobe outside, and slope of a face seen from inside, below which a lobe is taken as specular [1]."""
 
 _MODES_AT_ONCE = 16
 _FLOOR = 1e-9
@@ -25,15 +26,15 @@ _CHECKED = 3
 
 
 class Resolution(NamedTuple):
-    """Numbers of nodes for a slab, and which of its lobes are narrower than they can show."""
+    """Numbers of nodes for a slab, and the lobes that are too narrow for them."""
 
     outside: int
     beyond: int
     modes: int
     scale: float
-    """Half width of the narrowest lobe that has been inside [radian]."""
+    """Half width of the narrowest resolved lobe [radian]."""
     sharp: tuple[tuple[bool, bool], tuple[bool, bool]]
-    """Of the front and the back face: whether the transmitted, and the inner reflected, lobe is taken for sharp."""
+    """For front and back face: whether the transmitted, and the internally reflected, lobe is taken as specular."""
 
 
 def resolution(surfaces: tuple[Microsurface | None, Microsurface | None], index: float) -> Resolution:
@@ -41,11 +42,11 @@ def resolution(surfaces: tuple[Microsurface | None, Microsurface | None], index:
 
     Notes
     -----
-    A facet of slope s turns light that passes by (n − 1) s outside and light that is reflected inside by 2 s. The polynomial
-    through values at Gauss nodes, π/2 · π/2N apart, follows a Gaussian lobe to a percent if they are as close as its standard
-    deviation; that of light that passed two rough faces is the wider. The modes of a lobe fall to 1e-3 at 8 over its 1/e width.
+    A facet of slope s turns transmitted light by (n − 1) s outside and internally reflected light by 2 s. The polynomial through values
+    at Gauss nodes, π/2 · π/2N apart, follows a Gaussian lobe to a percent if their distance is its standard deviation; two rough faces
+    widen the lobe. The Fourier modes of a lobe fall to 1e-3 at 8 over its 1/e width.
     """
-    slopes = [None if each is None else _width(each) for each in surfaces]
+    slopes = [None if surface is None else _width(surface) for surface in surfaces]
     rough = [b for b in slopes if b is not None]
     sharp = [
         (True, True) if b is None else ((index - 1) * b < NARROWEST_THROUGH, b < NARROWEST_WITHIN or index == 1)
@@ -53,13 +54,13 @@ def resolution(surfaces: tuple[Microsurface | None, Microsurface | None], index:
     ]
     through = [(index - 1) * b for b, (t, _) in zip(slopes, sharp, strict=True) if b is not None and not t]
     within = [b for b, (_, r) in zip(slopes, sharp, strict=True) if b is not None and not r]
-    # Light reflected inside turns by 2 n s cos θ outside, across the plane of incidence.
+    # A facet turns internally reflected light by 2 n s cos θ outside, across the plane of incidence.
     lobes = [*through, *(2 * b * np.sqrt(index**2 - 1) for b in within if index > 1)]
     scale = min(lobes, default=1.0)
     passed_both = [3.7 / np.hypot.reduce(through)] if through else []
-    outside = max([40.0, *passed_both, *(2.0 / each for each in through), *(1.4 / (index * b) for b in within)])
-    left = np.pi / 2 - np.arcsin(1 / index)
-    beyond = max([28.0, *(2.2 * left / (2 * b) for b in within), *(1.4 * left * index / each for each in through)])
+    outside = max([40.0, *passed_both, *(2.0 / width for width in through), *(1.4 / (index * b) for b in within)])
+    trapped = np.pi / 2 - np.arcsin(1 / index)
+    beyond = max([28.0, *(2.2 * trapped / (2 * b) for b in within), *(1.4 * trapped * index / w for w in through)])
     return Resolution(
         min(int(np.ceil(outside)), MOST_NODES) if rough else 64,
         min(int(np.ceil(beyond)), MOST_BEYOND) if rough else 1,
@@ -70,7 +71,7 @@ def resolution(surfaces: tuple[Microsurface | None, Microsurface | None], index:
 
 
 def _width(surface: Microsurface) -> float:
-    """1/e half width of a Gaussian density, and of one with a sharper core than bulk, something between."""
+    """1/e half width of a Gaussian density; for other densities the geometric mean over core and median."""
     assert isinstance(surface.density, RadialDensity)
     slope, density = surface.density.slope, surface.density.density
     half = np.append(slope[density < density[0] / 2], slope[-1])[0]
@@ -80,7 +81,7 @@ def _width(surface: Microsurface) -> float:
 def sheet(
     surfaces: tuple[Microsurface | None, Microsurface | None], masking: str, index: float, resolved: Resolution
 ) -> Sheet:
-    """The two faces of a body of one index, made ready to be joined."""
+    """The operators of the two faces of a body of one index."""
     nodes = Nodes.of(index, resolved.outside, resolved.beyond)
     azimuths = Azimuths.of(resolved.scale / 3, 48)
     faces: list[face.Face] = []
@@ -90,52 +91,48 @@ def sheet(
         elif surface is None:
             faces.append(face.smooth(index, nodes))
         else:
-            faces.append(
-                face.rough(surface, masking, index, nodes, azimuths, sharp_through=through, sharp_within=within)
-            )
+            faces.append(face.rough(surface, masking, index, nodes, azimuths, (through, within)))
     return Sheet(faces[0], faces[1], nodes, azimuths)
 
 
 def tabulate(
     sheets: list[Sheet], smooth: tuple[bool, bool], transmittances: Array, count: int, grid: LobeGrid
 ) -> tuple[Array, float]:
-    """Logarithm of the BSDF of what has been inside, less its :func:`brdfpipe.bsdf.slab.lobe_table.grazing_factor`, and the error of its interpolation.
+    """Logarithm of the BSDF of light that has been inside, and the error of its interpolation.
 
     Parameters
     ----------
     sheets : one for each index
-    smooth : whether the front, and the back, face is
+    smooth : whether the front and the back face are smooth
     transmittances : (K,) internal transmittances at normal incidence
-    count : of Fourier modes
+    count : number of Fourier modes
     grid : of the pairs of directions
 
     Returns
     -------
-    table : (4, X, T, V, sheets · K): front to front, back to back, front to back where the angle at the front is the smaller, and
-        where it is the larger
-    error : largest over incidences of the mean absolute error between nodes, over the mean, both weighted by flux; relative to a
-        hundredth of the incident light where less than that is scattered [1]
+    table : (4, X, T, V, sheets · K), for the paths of ``PATH_ENDS``, divided by the ``grazing_factor``
+    error : mean absolute error between the nodes over the mean, both weighted by flux, at the worst incidence; relative to a hundredth
+        of the incident light if less than that is scattered [1]
     """
     outside = sheets[0].nodes.outside
     span, turn = np.linspace(0, 1, grid.spans), np.linspace(0, 1, grid.turns)
     on_grid = _PairSums.of(grid, grid.low, span, turn, outside)
-    between = [(each[1:] + each[:-1]) / 2 for each in (grid.low, span, turn)]
+    between = [(nodes[1:] + nodes[:-1]) / 2 for nodes in (grid.low, span, turn)]
     checked = _PairSums.of(grid, between[0][::_CHECKED], between[1], between[2], outside)
-    left_out = np.stack(
-        [grazing_factor(smooth, np.array(path), outside[:, None], outside) for path in range(len(PATH_ENDS))]
-    )[:, None]
-    straights = [[adding_doubling.straight(each, float(t)) for t in transmittances] for each in sheets]
+    paths = range(len(PATH_ENDS))
+    factor = np.stack([grazing_factor(smooth, np.array(path), outside[:, None], outside) for path in paths])[:, None]
+    straights = [[adding_doubling.straight(pair, float(tau)) for tau in transmittances] for pair in sheets]
     values, exact = np.zeros(()), np.zeros(())
     for start in range(0, count, _MODES_AT_ONCE):
         modes = np.arange(start, min(start + _MODES_AT_ONCE, count), dtype=float)
         kernels = np.stack(
             [
-                _densities(part, delta, each.nodes.outer_weight) / left_out
-                for each, deltas in zip(sheets, straights, strict=True)
-                for part, delta in zip(adding_doubling.scattered(each, modes, transmittances), deltas, strict=True)
+                _densities(part, delta, pair.nodes.outer_weight) / factor
+                for pair, deltas in zip(sheets, straights, strict=True)
+                for part, delta in zip(adding_doubling.scattered(pair, modes, transmittances), deltas, strict=True)
             ]
         )
-        # The last modes fade out, lest what is cut off ring.
+        # The last modes fade out: a sharp cut would ring.
         kernels *= ((2 - (modes == 0)) / (2 * np.pi) * np.exp(-36 * (modes / max(count, 2)) ** 12))[:, None, None]
         values, exact = values + on_grid.sums(kernels, modes), exact + checked.sums(kernels, modes)
     least = np.maximum(values.max(axis=(1, 2, 3), keepdims=True) * _FLOOR, 1e-300)
@@ -143,30 +140,24 @@ def tabulate(
     return table, checked.error(grid, smooth, table, exact)
 
 
-def _densities(part: adding_doubling.Scattered, delta: adding_doubling.Straight, weight: Array) -> Array:
+def _densities(part: adding_doubling.InnerLight, delta: adding_doubling.InnerLight, weight: Array) -> Array:
     """BSDF of each mode between the nodes, (paths, modes, N, N), the smaller angle's node first."""
     roots = np.sqrt(np.multiply.outer(weight, weight))
     front, back, through = ((matrix - np.diag(straight)) / roots for matrix, straight in zip(part, delta, strict=True))
-    return np.stack([_even(front), _even(back), through, np.swapaxes(through, -1, -2)])
-
-
-def _even(matrix: Array) -> Array:
-    return np.asarray((matrix + np.swapaxes(matrix, -1, -2)) / 2)
+    front, back = ((matrix + np.swapaxes(matrix, -1, -2)) / 2 for matrix in (front, back))
+    return np.stack([front, back, through, np.swapaxes(through, -1, -2)])
 
 
 def _splines(nodes: Array, x: Array) -> Array:
-    """The matrix, (…, nodes), of quintic splines through the nodes.
+    """Matrix (…, nodes) of quintic splines through the nodes.
 
-    A polynomial through all of them would ring beside a lobe, by little of its peak and much of the tail; a spline forgets a lobe
-    a few nodes away.
+    A polynomial through all nodes would ring beside a lobe, which spoils the tail; a spline does not beyond a few nodes.
     """
-    from scipy.interpolate import make_interp_spline
-
     return np.asarray(make_interp_spline(nodes, np.eye(nodes.size), k=5)(x))
 
 
 class _PairSums(NamedTuple):
-    """Pairs of directions at which a BSDF given by its modes between nodes is summed."""
+    """Pairs of directions at which the Fourier modes of a BSDF, given between nodes, are summed."""
 
     low: Array
     high: Array
@@ -189,17 +180,17 @@ class _PairSums(NamedTuple):
         return np.moveaxis(summed.reshape(*self.azimuth.shape, paths, count), 3, 0)
 
     def error(self, grid: LobeGrid, smooth: tuple[bool, bool], table: Array, exact: Array) -> float:
-        """Largest over the incidences and paths of Σ |interpolated − exact| over Σ exact, weighted by flux, over half the azimuths."""
-        low, high = (np.broadcast_to(each[..., None], self.azimuth.shape) for each in (self.low[:, None], self.high))
+        """Largest Σ |interpolated − exact| over Σ exact of all incidences and paths, weighted by flux, over half the azimuths."""
+        low, high = (np.broadcast_to(angle[..., None], self.azimuth.shape) for angle in (self.low[:, None], self.high))
         projected = np.radians(np.gradient(self.high, axis=1)) * np.sin(2 * np.radians(self.high)) / 2
         weight = projected[..., None] * np.radians(np.abs(np.gradient(self.azimuth, axis=2)))
         worst = 0.0
         for path in range(table.shape[0]):
-            which = np.full(low.size, path)
-            found = grid.interpolate(table, which, low.ravel(), high.ravel(), self.azimuth.ravel())
-            found = np.exp(found).reshape(exact.shape[1:])
+            paths = np.full(low.size, path)
+            logarithm = grid.interpolate(table, paths, low.ravel(), high.ravel(), self.azimuth.ravel())
+            difference = np.abs(np.exp(logarithm).reshape(exact.shape[1:]) - exact[path])
             flux = (weight * grazing_factor(smooth, np.array(path), low, high))[..., None]
-            missed = (flux * np.abs(found - exact[path])).sum(axis=(1, 2))
+            error = (flux * difference).sum(axis=(1, 2))
             total = (flux * np.abs(exact[path])).sum(axis=(1, 2))
-            worst = max(worst, float(np.max(missed / np.maximum(total, _LEAST_SHARE / 2))))
+            worst = max(worst, float(np.max(error / np.maximum(total, _LEAST_SHARE / 2))))
         return worst
