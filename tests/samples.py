@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
+import pytest
 import xarray as xr
 
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf.microfacet import energy
 
 WAVELENGTH = np.arange(360.0, 781.0, 5.0)
 
@@ -32,6 +37,14 @@ def beckmann_bsdf(sigma: float = 0.1, *, n: float = 1.55, reflectance=0.3, **opt
         spectrum=None if reflectance is None else spectrum(reflectance),
         **options,
     )
+
+
+@contextmanager
+def coarse_albedo_tables() -> Iterator[None]:
+    """Makes ``microfacet.build`` cheap, for properties that do not depend on the accuracy of the table of the albedo."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(energy, "_INTERPOLATION_ERROR", 1e-4)
+        yield
 
 
 def gaussian_surface(size: int = 512, *, sigma: float = 0.15, correlation: float = 8.0, seed: int = 1) -> xr.Dataset:

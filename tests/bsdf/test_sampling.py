@@ -141,7 +141,8 @@ def test_the_same_seed_gives_the_same_samples_and_another_one_others():
 @given(theta_i=st.floats(0, 89.99), a=st.floats(1e-3, 3), n=st.floats(1.01, 3))
 @settings(max_examples=20, deadline=None)
 def test_every_sample_is_above_the_surface_with_a_finite_weight(theta_i, a, n):
-    bsdf = microfacet.build(facets.analytic("beckmann", a), index=n)
+    with samples.coarse_albedo_tables():
+        bsdf = microfacet.build(facets.analytic("beckmann", a), index=n)
     drawn = bsdf.bsdf.sample(200, 1, theta_i)
     assert (drawn["theta_o"].values < 90).all()
     assert np.isfinite(drawn["weight"].values).all()
@@ -180,7 +181,7 @@ def test_a_smooth_surface_over_a_base_mixes_rays_and_scatter():
     assert (drawn["weight"].values * specular).mean() == pytest.approx(mirror, abs=4 * scatter)
 
 
-def test_black_is_sampled_evenly_and_weighs_nothing():
+def test_black_is_sampled_uniformly_with_zero_weight():
     bsdf = lambert_gauss.lambertian(samples.spectrum(0.0)).bsdf.nonspectral()
     drawn = bsdf.bsdf.sample(100, 1, 30.0)
     assert (drawn["weight"].values == 0).all()

@@ -1,7 +1,4 @@
-"""All representations of a BSDF, and the prepared representation of a dataset.
-
-A new representation is one module in :mod:`brdfpipe.bsdf.representations` and its class in :data:`REPRESENTATIONS`.
-"""
+"""All representations of a BSDF, and the prepared representation of a dataset."""
 
 from __future__ import annotations
 
@@ -15,14 +12,13 @@ from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.representations.flake import Flake
 from brdfpipe.bsdf.representations.lambert_gauss import LambertGauss
 from brdfpipe.bsdf.representations.measured import Measured
-from brdfpipe.bsdf.representations.microfacet import Microfacet
+from brdfpipe.bsdf.representations.microfacet import Microfacet, Smooth
 from brdfpipe.bsdf.representations.slab import Slab
-from brdfpipe.bsdf.representations.smooth import Smooth
 from brdfpipe.bsdf.representations.table import Table
 from brdfpipe.errors import VocabularyError
 
 REPRESENTATIONS: dict[str, type[Representation]] = {
-    each.name: each for each in (Flake, LambertGauss, Measured, Microfacet, Slab, Smooth, Table)
+    kind.name: kind for kind in (Flake, LambertGauss, Measured, Microfacet, Slab, Smooth, Table)
 }
 """Class by value of the attribute ``representation``."""
 
@@ -35,11 +31,11 @@ class _Entry(NamedTuple):
 
 
 _PREPARED: dict[int, _Entry] = {}
-"""By ``id`` of the dataset, which cannot be hashed; an entry leaves with its dataset."""
+"""By ``id`` of the dataset, which cannot be hashed; an entry is removed together with its dataset."""
 
 
 def representation(bsdf: xr.Dataset) -> Representation:
-    """The representation of a ``bsdf`` dataset, prepared when the dataset is first seen.
+    """The representation of a ``bsdf`` dataset, prepared at the first call.
 
     Raises
     ------
@@ -47,7 +43,7 @@ def representation(bsdf: xr.Dataset) -> Representation:
 
     Notes
     -----
-    The same dataset object gives the same instance as long as its variables and attributes are the same objects. Copies are prepared
+    The same dataset object gives the same instance as long as its variables and attributes are the same objects. A copy is prepared
     anew. Array elements that are changed in place are not noticed: treat datasets as immutable and use ``assign``.
     """
     key = id(bsdf)
@@ -61,15 +57,15 @@ def representation(bsdf: xr.Dataset) -> Representation:
         return entry.representation
     name = bsdf.attrs.get("representation")
     if name not in REPRESENTATIONS:
-        raise VocabularyError(f"unknown representation {name!r} of a BSDF; known: {', '.join(REPRESENTATIONS)}")
+        raise VocabularyError(f"unknown representation {name!r} of a BSDF; accepted: {', '.join(REPRESENTATIONS)}")
 
-    def forget(reference: weakref.ref[xr.Dataset]) -> None:
+    def remove(reference: weakref.ref[xr.Dataset]) -> None:
         if key in _PREPARED and _PREPARED[key].dataset is reference:
             del _PREPARED[key]
 
-    # The shallow copy shares the arrays; a reference to the dataset itself would keep it alive for ever.
+    # The shallow copy shares the arrays; a reference to the dataset itself would keep it alive.
     prepared = REPRESENTATIONS[name](bsdf.copy())
-    _PREPARED[key] = _Entry(weakref.ref(bsdf, forget), dict(bsdf.variables), dict(bsdf.attrs), prepared)
+    _PREPARED[key] = _Entry(weakref.ref(bsdf, remove), dict(bsdf.variables), dict(bsdf.attrs), prepared)
     return prepared
 
 

@@ -33,7 +33,7 @@ def test_light_along_the_normal_meets_every_facet_once():
     assert covariance == pytest.approx(density.moments[2], abs=1e-8)
 
 
-def test_light_near_grazing_finds_half_of_the_facets_turned_to_it():
+def test_half_of_the_facets_face_light_near_grazing():
     density = PlanarDensity.of(facets.analytic("ggx", a_x=0.1, a_y=0.3))
     _, _, share = quadrature.facet_rule(density, np.array([89.999]), np.array([40.0]), mirroring=False)
     assert share.sum() == pytest.approx(0.5, abs=1e-3)

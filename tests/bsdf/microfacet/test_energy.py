@@ -42,7 +42,7 @@ def test_other_maskings_of_perfect_mirrors_keep_energy(a, masking):
 
 @given(a=st.floats(1e-3, 5), n=st.floats(1.0001, 4), k=st.sampled_from([0.0, 0.5, 7.0, 100.0]))
 @settings(max_examples=8, deadline=None)
-def test_a_table_lies_nowhere_below_the_integral(a, n, k):
+def test_the_table_is_an_upper_bound_of_the_integral(a, n, k):
     surface = Microsurface.of(facets.analytic("beckmann", a))
 
     def albedo(theta, phi):
@@ -56,7 +56,7 @@ def test_a_table_lies_nowhere_below_the_integral(a, n, k):
     assert excess.max() <= 1e-6
 
 
-def test_dispersion_costs_a_few_nodes_and_is_exact_to_a_billionth():
+def test_dispersion_needs_few_nodes_and_is_exact_to_a_billionth():
     surface, n = gaussian(0.2), np.linspace(1.48, 1.56, 40)
     together = energy.directional_albedo(surface, "height-correlated", n, 0 * n, np.array([8.0, 70.0]))
     alone = [
@@ -76,7 +76,7 @@ def test_the_albedo_of_a_lay_is_that_of_its_brdf_over_the_hemisphere(theta, phi)
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 30.0])
-def test_a_lay_that_is_none_has_the_albedo_of_the_isotropic_surface(azimuth):
+def test_equal_widths_have_the_albedo_of_the_isotropic_surface(azimuth):
     round_ = microfacet.build(facets.analytic("beckmann", 0.2), index=1.5)
     lay = microfacet.build(facets.analytic("beckmann", a_x=0.2, a_y=0.2, azimuth=azimuth), index=1.5)
     theta = np.array([0.0, 30.0, 60.0, 80.0, 89.0])
@@ -95,7 +95,7 @@ def net() -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize(("distribution", "widths"), LAYS)
-def test_a_white_surface_with_a_lay_gives_back_what_it_receives_and_no_more(distribution, widths):
+def test_a_white_surface_with_a_lay_reflects_all_light_and_no_more(distribution, widths):
     white = samples.spectrum(1.0).isel(wavelength=[0, -1])
     bsdf = microfacet.build(
         facets.analytic(distribution, **widths), index=1.5, spectrum=vocabulary.label(white, "spectrum")
@@ -108,7 +108,7 @@ def test_a_white_surface_with_a_lay_gives_back_what_it_receives_and_no_more(dist
 
 
 @pytest.mark.parametrize(("distribution", "widths"), LAYS)
-def test_compensated_perfect_mirrors_with_a_lay_give_back_everything(distribution, widths):
+def test_compensated_perfect_mirrors_with_a_lay_reflect_everything(distribution, widths):
     surface = facets.analytic(distribution, **widths)
     bsdf = microfacet.build(surface, index=1.5, multiple_scattering="compensated").assign(
         n=np.inf, k=0.0, compensation=1.0
@@ -119,7 +119,7 @@ def test_compensated_perfect_mirrors_with_a_lay_give_back_everything(distributio
     assert total[theta <= 85].min() >= 1 - 3e-4
 
 
-def test_light_from_within_a_lay_is_reflected_as_its_brdf_says_near_total_reflection():
+def test_the_inner_albedo_of_a_lay_near_total_reflection_is_the_integral_of_its_brdf():
     bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.08, a_y=0.5, azimuth=25.0), index=1.5, transparent=True)
     at = np.array([135.0]), np.array([115.0])
     reflected = representation(bsdf).integrate(*at, None, relative=1e-4).value
@@ -128,7 +128,7 @@ def test_light_from_within_a_lay_is_reflected_as_its_brdf_says_near_total_reflec
 
 @pytest.mark.parametrize("a", [0.1, 0.5, 2.0])
 @pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)
-def test_compensated_perfect_mirrors_give_back_everything(distribution, a):
+def test_compensated_perfect_mirrors_reflect_everything(distribution, a):
     # n so large that F = 1: the furnace.
     bsdf = microfacet.build(facets.analytic(distribution, a), index=1.5, multiple_scattering="compensated").assign(
         n=np.inf, k=0.0, compensation=1.0

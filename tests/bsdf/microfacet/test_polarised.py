@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mueller_matrices import RECIPROCAL, physical
 
 from brdfpipe import optics
 from brdfpipe.bsdf.microfacet import polarised
@@ -121,7 +122,7 @@ def test_stokes_vectors_are_those_of_reflected_field_vectors(n, k, theta_i, phi_
 
 @given(theta_i=polar, phi_i=azimuth, theta_o=polar, phi_o=azimuth, index=indices, diffuse=st.floats(0, 1))
 @settings(max_examples=200, deadline=None)
-def test_unpolarised_light_sees_the_scalar_brdf(theta_i, phi_i, theta_o, phi_o, index, diffuse):
+def test_unpolarised_light_has_the_scalar_brdf(theta_i, phi_i, theta_o, phi_o, index, diffuse):
     fresnel = optics.fresnel(half_vector(theta_i, phi_i, theta_o, phi_o).cos_zeta, *index).mean
     found = matrix(theta_i, phi_i, theta_o, phi_o, n=index[0], k=index[1], shape_factor=2.5, diffuse=diffuse)[0, 0]
     assert found == pytest.approx(2.5 * fresnel + diffuse, rel=1e-12)
@@ -129,10 +130,10 @@ def test_unpolarised_light_sees_the_scalar_brdf(theta_i, phi_i, theta_o, phi_o, 
 
 @given(theta_i=polar, phi_i=azimuth, theta_o=polar, phi_o=azimuth, index=indices)
 @settings(max_examples=200, deadline=None)
-def test_light_that_runs_back_meets_the_transposed_matrix(theta_i, phi_i, theta_o, phi_o, index):
+def test_reversed_light_has_the_transposed_matrix(theta_i, phi_i, theta_o, phi_o, index):
     there = matrix(theta_i, phi_i, theta_o, phi_o, n=index[0], k=index[1])
     back = matrix(theta_o, phi_o, theta_i, phi_i, n=index[0], k=index[1])
-    assert back == pytest.approx(polarised.RECIPROCAL @ there.T @ polarised.RECIPROCAL, abs=1e-12)
+    assert back == pytest.approx(RECIPROCAL @ there.T @ RECIPROCAL, abs=1e-12)
 
 
 @given(theta_i=st.floats(0, 90), phi_i=azimuth, theta_o=st.floats(0, 90), phi_o=azimuth, index=indices)
@@ -140,7 +141,7 @@ def test_light_that_runs_back_meets_the_transposed_matrix(theta_i, phi_i, theta_
 def test_every_matrix_is_finite_and_physical_and_one_facet_never_depolarises(theta_i, phi_i, theta_o, phi_o, index):
     found = matrix(theta_i, phi_i, theta_o, phi_o, n=index[0], k=index[1])
     assert np.isfinite(found).all()
-    assert polarised.physical(found)
+    assert physical(found)
     if found[0, 0] > 0:
         out = polarised.stokes_out(found, [1.0, 0.6, 0.0, 0.8])
         assert polarised.degree_of_polarisation(out) == pytest.approx(1.0, abs=1e-9)
@@ -148,7 +149,7 @@ def test_every_matrix_is_finite_and_physical_and_one_facet_never_depolarises(the
 
 @pytest.mark.parametrize("theta", [1e-9, 10.0, 45.0, 89.0, 89.999])
 @pytest.mark.parametrize("phi", [0.0, 77.0])
-def test_retro_reflection_continues_its_neighbourhood(theta, phi):
+def test_the_matrix_is_continuous_at_retro_reflection(theta, phi):
     # Seen along the incident beam a facet is met at normal incidence: it exchanges the hands and the diagonals.
     step = 1e-8 * min(theta, 1.0)
     expected = matrix(theta, phi, theta, phi)[0, 0] * np.diag([1.0, 1.0, -1.0, -1.0])
@@ -168,7 +169,7 @@ def test_at_the_normal_the_frames_follow_the_azimuth(phi_i, phi_o):
         assert matrix(theta_i, phi_i, theta_o, phi_o) == pytest.approx(exact, abs=1e-14)
 
 
-def test_a_polariser_along_x_stays_along_x_whatever_azimuth_the_normal_is_given():
+def test_polarisation_along_x_at_the_normal_is_independent_of_the_given_azimuth():
     # From straight above, mirrored straight back; the s axes in space are (−sin φ_i, cos φ_i) and (sin φ_o, −cos φ_o).
     for phi_i, phi_o in [(0.0, 0.0), (90.0, 0.0), (20.0, 75.0)]:
         a, b = np.radians(phi_i), np.radians(phi_o)
@@ -186,21 +187,21 @@ def test_the_matrix_is_continuous_up_to_grazing(theta_i, theta_o):
         assert near == pytest.approx(at, abs=2e-10)
 
 
-def test_a_mirror_direction_leaves_s_and_p_apart():
+def test_s_and_p_do_not_mix_in_the_mirror_direction():
     found = matrix(60.0, 20.0, 60.0, 200.0, n=1.8)
     s, p = (0.26911389, 0.00017270)  # PHYSICS §5
     assert found[0, :2] == pytest.approx([(s + p) / 2, (s - p) / 2], abs=5e-9)
     assert found[:2, 2:] == pytest.approx(np.zeros((2, 2)), abs=1e-15)
 
 
-def test_at_brewsters_angle_all_that_is_reflected_is_polarised_across_the_plane():
+def test_light_reflected_at_brewsters_angle_is_s_polarised():
     theta = np.degrees(np.arctan(1.55))
     out = polarised.stokes_out(matrix(theta, 0.0, theta, 180.0), [1.0, 0.0, 0.0, 0.0])
     assert polarised.degree_of_polarisation(out) == pytest.approx(1.0, abs=1e-14)
     assert polarised.angle_of_polarisation(out) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_total_reflection_delays_p_against_s_by_fresnels_rhomb():
+def test_total_reflection_retards_p_against_s_as_in_fresnels_rhomb():
     # Born & Wolf §1.5.4: tan(δ/2) = cos ζ √(sin²ζ − n²) / sin²ζ; 45° at ζ = 54°37' for n = 1/1.51.
     zeta, n = np.radians(54 + 37 / 60), 1 / 1.51
     delay = 2 * np.arctan(np.cos(zeta) * np.sqrt(np.sin(zeta) ** 2 - n**2) / np.sin(zeta) ** 2)
@@ -217,11 +218,11 @@ def test_a_perfect_mirror_is_the_limit_of_a_good_one():
         assert polarised.facet_mueller(cosine, 1e9) == pytest.approx(polarised.facet_mueller(cosine, np.inf), abs=1e-6)
 
 
-def test_no_interface_reflects_nothing():
+def test_an_index_of_1_reflects_nothing():
     assert not polarised.facet_mueller([0.0, 0.5, 1.0], 1.0).any()
 
 
-def test_a_refractive_index_that_is_none_is_refused():
+def test_an_invalid_refractive_index_is_refused():
     with pytest.raises(BrdfpipeError, match="refractive index"):
         matrix(10.0, 0.0, 20.0, 30.0, n=-1.0)
 
@@ -259,11 +260,11 @@ def test_degree_and_angle_of_polarisation_are_those_of_plain_states(vector, degr
     assert polarised.angle_of_polarisation(vector) == pytest.approx(angle, abs=1e-13)
 
 
-def test_a_matrix_that_polarises_more_than_there_is_light_is_not_physical():
-    assert polarised.physical(np.diag([1.0, 0.0, 0.0, 0.0]))
-    assert polarised.physical(np.eye(4))
+def test_a_matrix_that_polarises_by_more_than_1_is_not_physical():
+    assert physical(np.diag([1.0, 0.0, 0.0, 0.0]))
+    assert physical(np.eye(4))
     # Cloude: a matrix may keep the degree of polarisation below 1 and still belong to no sum of Jones matrices.
-    assert not polarised.physical(np.diag([1.0, 1.0, 1.0, -1.0]))
+    assert not physical(np.diag([1.0, 1.0, 1.0, -1.0]))
     too_much = np.zeros((4, 4))
     too_much[0, 0], too_much[1, 0] = 1.0, 1.1
-    assert not polarised.physical(too_much)
+    assert not physical(too_much)

@@ -37,7 +37,7 @@ def test_the_btdf_is_the_printed_one():
     masking=st.sampled_from(["height-correlated", "separable"]),
 )
 @settings(max_examples=25, deadline=None)
-def test_what_is_reciprocal_is_the_btdf_over_n_squared(theta_i, theta_o, phi, a, n, masking):
+def test_the_btdf_over_n_squared_is_reciprocal(theta_i, theta_o, phi, a, n, masking):
     bsdf = interface(a, n, masking)
     down, up = (float(bsdf.bsdf.evaluate(*each)) for each in ((theta_i, 0, theta_o, phi), (theta_o, phi, theta_i, 0)))
     assert np.isfinite([down, up]).all()
@@ -47,7 +47,7 @@ def test_what_is_reciprocal_is_the_btdf_over_n_squared(theta_i, theta_o, phi, a,
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 35.0])
-def test_a_lay_is_reciprocal_too_seen_from_below_as_well(azimuth):
+def test_a_lay_is_reciprocal_from_below_as_well(azimuth):
     bsdf = interface(a_x=0.1, a_y=0.4, azimuth=azimuth)
     rng = np.random.default_rng(2)
     above, below = np.degrees(np.arccos(rng.random(200))), 180 - np.degrees(np.arccos(rng.random(200)))
@@ -76,7 +76,7 @@ def test_the_transmittance_is_the_btdf_over_the_other_hemisphere(theta, masking)
 
 @pytest.mark.parametrize("n", [1.0001, 1.5, 3.0])
 @pytest.mark.parametrize("a", [1e-3, 0.1, 0.5, 2.0])
-def test_reflected_and_transmitted_light_are_never_more_than_came(a, n):
+def test_reflectance_and_transmittance_sum_to_at_most_1(a, n):
     bsdf = interface(a, n)
     theta = np.array([0, 30, 60, 80, 89, 91, 100, 120, 135, 150, 180.0])
     reflected = representation(bsdf).albedo(theta, 0 * theta, None)[:, 0]
@@ -95,14 +95,14 @@ def test_both_albedos_near_total_reflection_are_those_of_an_adaptive_quadrature(
     assert through(bsdf, theta)[0] == pytest.approx(float(passed.value.ravel()[0]), abs=2e-6)
 
 
-def test_gentle_facets_lose_nothing():
+def test_facets_of_small_slopes_lose_no_light():
     bsdf = interface(0.01)
     theta = np.array([0, 30, 60, 150.0, 180.0])
     total = representation(bsdf).albedo(theta, 0 * theta, None)[:, 0] + through(bsdf, theta)
     assert total == pytest.approx(1.0, abs=1e-7)
 
 
-def test_beyond_the_critical_angle_a_gentle_surface_reflects_everything_from_within():
+def test_beyond_the_critical_angle_facets_of_small_slopes_reflect_everything():
     bsdf = interface(1e-3)
     assert representation(bsdf).albedo(np.array([130.0]), np.zeros(1), None)[0, 0] == pytest.approx(1.0, abs=1e-6)
     assert through(bsdf, 130.0)[0] == pytest.approx(0.0, abs=1e-9)
@@ -122,20 +122,20 @@ def test_a_smooth_interface_sends_all_light_into_two_directions():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"index": optics.refractive_index(1.5), "masking": "blinn"}, "not defined through an interface"),
+        ({"index": optics.refractive_index(1.5), "masking": "blinn"}, "not defined for transmission"),
         ({"index": optics.refractive_index(1.5), "multiple_scattering": "compensated"}, "opaque bodies alone"),
     ],
 )
-def test_choices_that_transmission_has_no_meaning_for_are_refused(options, said):
+def test_modes_without_transmission_are_refused(options, said):
     with pytest.raises(microfacet.ModelError, match=said):
         microfacet.build(facets.analytic("beckmann", 0.2), transparent=True, **options)
 
 
-def test_a_rough_interface_to_nothing_is_refused():
-    with pytest.raises(microfacet.ModelError, match="no interface"):
+def test_a_rough_interface_to_an_index_of_1_is_refused():
+    with pytest.raises(microfacet.ModelError, match="the index of the body below a rough interface is 1"):
         interface(0.2, 1.0)
 
 
-def test_every_masking_of_transmission_is_one_for_facets_that_hide_nothing():
+def test_every_masking_of_transmission_is_1_for_flat_facets():
     for masking in transmission.MASKING.values():
         assert masking(np.zeros(1), np.zeros(1)) == pytest.approx(1.0)

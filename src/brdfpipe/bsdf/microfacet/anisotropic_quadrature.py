@@ -1,13 +1,14 @@
-"""Facets of a surface with a lay, as light from one direction meets them, and azimuths that resolve what it sees.
+"""Quadrature over the facets of a surface with a lay that one direction meets, and azimuths that resolve its albedo.
 
-Over the widths of their two axes slopes are about round: with x = r cos t along the lay and y = r sin t across it, the slope
-towards the light is w r cos(t − ω), and facets of one t mirror it above the horizon up to one r. The rule ends there, so that
-what it integrates is smooth.
+Scaled by the two principal widths, the slope density is nearly round: with x = r cos t along the lay and y = r sin t across it, the
+slope towards the light is w r cos(t − ω), and facets of one t mirror it above the horizon up to one r. The rule ends there, so that
+its integrand is smooth.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import ellipj, ellipkm1, elliprf
 
 from brdfpipe.facets.planar_density import Ellipse, PlanarDensity
 from brdfpipe.geometry import Array
@@ -26,13 +27,13 @@ _TOWARDS_KINK = np.concatenate([-(4.0 ** -np.arange(1, 6)), [0.0], 4.0 ** -np.ar
 def facet_rule(
     density: PlanarDensity, theta: Array, phi: Array, critical: float | None = None, *, mirroring: bool = True
 ) -> tuple[Array, Array, Array]:
-    """Slopes along x and y of the facets of a quadrature and their shares of all, (incidences, facets) each.
+    """Slopes along x and y of the facets of a quadrature and their shares, (incidences, facets) each.
 
     Parameters
     ----------
     density : of the slopes
     theta, phi : (incidences,) of the light [degree]
-    critical : angle on the facet from which on it reflects everything [rad]; the rule is split where facets are met at it
+    critical : critical angle of total reflection on the facet [rad], at which the rule is split
     mirroring : only facets that mirror the light above the horizon; otherwise all that face it
     """
     ellipse = density.ellipse
@@ -48,7 +49,7 @@ def facet_rule(
     edges = end[..., None] * _radial_edges(float(np.arcsinh(reach.max())))
     if critical is not None:
         kinks = (
-            np.arcsinh(_radii_met_at(critical, cos_i, towards, squared))[..., None]
+            np.arcsinh(_critical_radii(critical, cos_i, towards, squared))[..., None]
             + end[..., None, None] * _TOWARDS_KINK
         )
         crowding = np.clip(kinks, 0.0, end[..., None, None]).reshape(*end.shape, -1)
@@ -67,7 +68,7 @@ def facet_rule(
 def _azimuthal_rule(
     ellipse: Ellipse, width: Array, turn: Array, cos_i: Array, sin_i: Array, finer: int
 ) -> tuple[Array, Array]:
-    """Rule over t, (incidences, T): panels crowd where facets neither face the light nor turn from it, and end on the axes."""
+    """Rule over t, (incidences, T): panels are dense where facets are edge-on to the light, and end on the axes."""
     sideways = np.hypot(ellipse.along * np.sin(turn), ellipse.across * np.cos(turn))
     with np.errstate(divide="ignore"):
         sharp = np.clip(cos_i * sideways / (width * sin_i), _SHARPEST, 1.0)[:, None]
@@ -80,7 +81,7 @@ def _azimuthal_rule(
 
 
 def _radial_edges(end: float) -> Array:
-    """Panel edges in asinh r, as shares of the last: even where most facets are, then longer and longer to the ends of the tails."""
+    """Panel edges in asinh r, as shares of the last: uniform where most facets are, then widening to the ends of the tails."""
     tail = _RADIAL_CORE[-1] + np.cumsum(np.diff(_RADIAL_CORE)[0] * _RADIAL_GROWTH ** np.arange(1, 13))
     edges = np.concatenate([_RADIAL_CORE, tail])
     last = min(int(np.searchsorted(edges, end)), edges.size - 1)
@@ -97,8 +98,8 @@ def _horizon_radius(cos_i: Array, towards: Array, squared: Array | None) -> Arra
         return np.where(towards > 0, cos_i / (root + np.abs(towards)), (root - towards) / (squared * cos_i))
 
 
-def _radii_met_at(critical: float, cos_i: Array, towards: Array, squared: Array) -> Array:
-    """The r ≥ 0, none or two, (…, 2), of facets met at an angle [rad]: cos θ_i − r p̃ sin θ_i = cos ζ √(1 + s²); 0 for none."""
+def _critical_radii(critical: float, cos_i: Array, towards: Array, squared: Array) -> Array:
+    """Up to two r ≥ 0, (…, 2), of facets met at an angle [rad]: cos θ_i − r p̃ sin θ_i = cos ζ √(1 + s²); 0 for none."""
     cos_c = np.cos(critical)
     a, b, c = towards**2 - cos_c**2 * squared, -towards * cos_i, cos_i**2 - cos_c**2
     root = np.sqrt(np.maximum(b * b - a * c, 0.0))
@@ -108,7 +109,7 @@ def _radii_met_at(critical: float, cos_i: Array, towards: Array, squared: Array)
 
 
 def is_symmetric(density: PlanarDensity) -> bool:
-    """Whether slopes up and down either axis are equally many, so that one quarter of the azimuths tells the others."""
+    """Whether the density is symmetric about both axes, so that one quarter of the azimuths determines the others."""
     values = density.density
     return bool(np.allclose(values, values[::-1], rtol=1e-12) and np.allclose(values, values[:, ::-1], rtol=1e-12))
 
@@ -117,34 +118,28 @@ def is_symmetric(density: PlanarDensity) -> bool:
 
 
 def azimuth_to_arc(ellipse: Ellipse, azimuth: Array | float) -> Array:
-    """Arc [degree], in [0, 360), of an azimuth from the wider axis: ∫ dφ / w(φ), a quarter being 90.
+    """Arc [degree], in [0, 360), of an azimuth from the wider axis: ∫ dφ / w(φ), scaled to 90 for a quarter.
 
-    In it the width w of the slopes turns evenly from wide to narrow, however long the ellipse.
+    It resolves the change of the width w of the slopes from wide to narrow at any ratio.
     """
-    from scipy.special import ellipkm1, elliprf
-
     ratio, wide = _axis_ratio(ellipse)
     angle = np.asarray(azimuth, dtype=float) - wide
     halves = np.round(angle / 180)
     rest = np.radians(angle - 180 * halves)
     sin, cos = np.sin(rest), np.cos(rest)
-    # Carlson's form: scipy's ellipkinc takes a wrong branch at isolated angles.
+    # Carlson's form, because scipy's ellipkinc takes a wrong branch at isolated angles.
     arc = sin * elliprf(cos**2, cos**2 + (ratio * sin) ** 2, 1.0)
     return np.asarray((90 * arc / ellipkm1(ratio**2) + 180 * halves) % 360)
 
 
 def arc_to_azimuth(ellipse: Ellipse, arc: Array) -> Array:
     """Azimuths [degree] of arcs, in their order; the inverse of :func:`azimuth_to_arc`."""
-    from scipy.special import ellipj, ellipkm1
-
     ratio, wide = _axis_ratio(ellipse)
     return np.asarray(wide + np.degrees(ellipj(arc / 90 * ellipkm1(ratio**2), 1 - ratio**2)[3]))
 
 
 def quarter_arc(ellipse: Ellipse) -> float:
-    """∫ dφ / w over a quarter, times the larger width: 90 for a round one [degree], growing like the logarithm of the ratio."""
-    from scipy.special import ellipkm1
-
+    """∫ dφ / w over a quarter, times the larger width [degree]: 90 for a circle, growing as the logarithm of the ratio."""
     return float(np.degrees(ellipkm1(_axis_ratio(ellipse)[0] ** 2)))
 
 

@@ -1,9 +1,9 @@
 """The microfacet BSDF of a rough interface over a diffuse base, or of a perfectly smooth one.
 
 Specular part: SC = D F G2 / (4 cos θ_i cos θ_o), D from the measured slope density, Smith masking from the same density, so
-that energy and reciprocity hold by construction. Diffuse part: coupled to what the facets let through (Kelemen &
-Szirmay-Kalos), so that the total reflectance at the measuring geometry is the measured one, exactly. The choices of the
-patent and of other sources are modes by name; what they break is found by the checks.
+that energy is conserved and reciprocity holds. Diffuse part: coupled to the light that the facets transmit (Kelemen &
+Szirmay-Kalos), so that the total reflectance at the measuring geometry is exactly the measured one. The choices of the
+patent and of other sources are modes by name; the checks find the laws that they violate.
 
 References
 ----------
@@ -19,10 +19,8 @@ import xarray as xr
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.microfacet import energy, transmission
 from brdfpipe.bsdf.microfacet.microsurface import MASKINGS, NOT_PHYSICAL, Microsurface, ModelError
-from brdfpipe.bsdf.microfacet.model import CRF_DIFFUSE_SHARE, Model
-from brdfpipe.bsdf.microfacet.reflectance import diffuse_for, total_reflectance_at, with_albedo
-from brdfpipe.bsdf.representations.microfacet import Microfacet
-from brdfpipe.bsdf.representations.smooth import Smooth
+from brdfpipe.bsdf.microfacet.model import CRF_DIFFUSE_SHARE, Model, diffuse_for, total_reflectance_at, with_albedo
+from brdfpipe.bsdf.representations.microfacet import Microfacet, Smooth
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
@@ -34,7 +32,7 @@ DIFFUSE_MODES = ("coupled", "crf", "none")
 MULTIPLE_SCATTERING_MODES = ("none", "compensated")
 
 RECIPES = {"crf": {"masking": "crf", "diffuse": "crf", "multiple_scattering": "none"}}
-"""Choices that belong together, by the name of their source."""
+"""Modes of one source, by its name."""
 
 SPECULAR_TRAP = 5.0
 """Half angle of the gloss trap of a sphere instrument, unless the spectrum says otherwise [degree]."""
@@ -57,27 +55,27 @@ def build(
     Parameters
     ----------
     facets : kind ``facets``, isotropic, with a lay, or perfectly flat (:func:`brdfpipe.facets.flat`)
-    index : kind ``index``, a number or a plastic's name; the refractive index of the body, against air. A metal's has k > 0
+    index : kind ``index``, a number or a plastic's name; the refractive index of the body relative to air. A metal has k > 0
     spectrum : kind ``spectrum``; the total reflectance at incidence ``theta_i``, specular included (``sci``), or excluded
-        (``sce``): then what the facets mirror into the instrument's gloss trap, a cone of half angle ``specular_trap``
-        (attribute, 5 degree by default) about the mirror direction, is added. Without it the specular part stands alone
+        (``sce``): then the light that the facets mirror into the instrument's gloss trap, a cone of half angle ``specular_trap``
+        (attribute, 5 degree by default) about the mirror direction, is added. Without a spectrum there is no diffuse part
     masking : one of :data:`brdfpipe.bsdf.microfacet.microsurface.MASKINGS`; ``height-correlated`` by default
-    diffuse : ``coupled`` (default), ``crf`` (the patent's: R less the facets' share, under the masking of a flat distribution)
+    diffuse : ``coupled`` (default), ``crf`` (the patent's: R minus the facets' share, with the masking of a flat distribution)
         or ``none``
-    multiple_scattering : ``none`` (default): light that leaves the facets only after a second reflection is lost, as in the plain
-        model; ``compensated``: it comes back, diffuse, coloured by the average reflectance of the facets once more
-    recipe : ``crf`` sets the patent's choices together; a choice given beside it must be the same
+    multiple_scattering : ``none`` (default): light that leaves the facets after a second reflection is lost, as in the plain
+        model; ``compensated``: it is returned diffusely, multiplied once more by the mean reflectance of the facets
+    recipe : ``crf`` sets the patent's modes together; other given modes must agree
     isotropic : average a surface with a lay over azimuth, with a warning
-    transparent : the interface of a clear body: light passes to the other side and comes from there too (θ > 90 degree)
+    transparent : the interface of a clear body, with light on the other side too (θ > 90 degree)
 
     Returns
     -------
-    Dataset of kind ``bsdf``, representation ``microfacet``; ``smooth`` of a flat surface, whose mirror image is no density but
-    a share of the light
+    Dataset of kind ``bsdf``, representation ``microfacet``; ``smooth`` for a flat surface, whose mirror reflection is not part of the
+    BSDF
 
     Raises
     ------
-    ModelError : an unknown mode, or choices that exclude each other.
+    ModelError : an unknown mode, or modes that exclude each other.
     VocabularyError : a dataset of the wrong kind.
 
     Notes
@@ -85,24 +83,24 @@ def build(
     f = SC + d′ (1 − E(θ_i)) (1 − E(θ_o)) / [π (1 − Ē)] with E the directional albedo of SC, Ē = 2 ∫ E μ dμ and
     d′ = (R − E(θ_m)) / (1 − E(θ_m)). Where R < E(θ_m), d′ is clamped at 0, flagged, and a warning names the wavelengths.
     Compensated, SC also holds F_ms (1 − E₁(θ_i)) (1 − E₁(θ_o)) / [π (1 − Ē₁)], E₁ the albedo of perfect mirrors and
-    F_ms = F̄² Ē₁ / (1 − F̄ (1 − Ē₁)), F̄ = 2 ∫ F μ dμ: exactly what is missing where F = 1.
+    F_ms = F̄² Ē₁ / (1 − F̄ (1 − Ē₁)), F̄ = 2 ∫ F μ dμ: exactly the loss for F = 1.
     """
     vocabulary.validate(facets, "facets")
     index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
     chosen = _choices(recipe, masking=masking, diffuse=diffuse, multiple_scattering=multiple_scattering)
     if spectrum is not None:
         vocabulary.validate(spectrum, "spectrum")
-    n, k, wavelength, held = _index_on(index, None if spectrum is None else spectrum["wavelength"].values)
+    n, k, wavelength, warnings = _index_on(index, None if spectrum is None else spectrum["wavelength"].values)
     if np.any((n < 1) & (k == 0)):
         raise ModelError(
-            f"the refractive index is {np.min(n):g} somewhere, below that of air, and nothing absorbs; accepted: n >= 1, or k > 0"
+            f"the refractive index falls to {np.min(n):g}, below that of air, without absorption; accepted: n >= 1, or k > 0"
         )
     if transparent:
         _check_transparent(chosen, spectrum, n, k, facets["slope_density"].size > 0)
     surface = azimuthal_average(facets) if isotropic else facets
     if chosen["masking"] == "liu" and surface["slope_density"].ndim == 2:
         raise ModelError(
-            "masking 'liu' knows isotropic surfaces alone, and this one has a lay; set `surface.isotropic: true` or another `model.masking`"
+            "masking 'liu' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another `model.masking`"
         )
     bsdf = _surface_of(surface)
     bsdf.attrs = {
@@ -118,7 +116,7 @@ def build(
     if wavelength is not None:
         bsdf = bsdf.assign_coords(wavelength=wavelength)
     spectral = () if n.ndim == 0 else ("wavelength",)
-    bsdf = vocabulary.add_warning(bsdf.assign(n=(spectral, n), k=(spectral, k)), *held)
+    bsdf = vocabulary.add_warning(bsdf.assign(n=(spectral, n), k=(spectral, k)), *warnings)
     theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
     bsdf = with_albedo(bsdf, theta_m)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
@@ -128,7 +126,7 @@ def build(
     return vocabulary.label(bsdf, "bsdf")
 
 
-# --- what was chosen
+# --- modes
 
 
 def _choices(recipe: str | None, **given: str | None) -> dict[str, str]:
@@ -148,38 +146,36 @@ def _choices(recipe: str | None, **given: str | None) -> dict[str, str]:
             raise ModelError(f"unknown {name} {value!r}; accepted: {', '.join(accepted[name])}; set `model.{name}`")
         if recipe and value != chosen[name]:
             raise ModelError(
-                f"recipe {recipe!r} has {name} {chosen[name]!r}, but {value!r} was asked for; drop `model.recipe` or `model.{name}`"
+                f"recipe {recipe!r} has {name} {chosen[name]!r}, but {name} is {value!r}; drop `model.recipe` or `model.{name}`"
             )
         chosen[name] = value
     if chosen["multiple_scattering"] == "compensated" and chosen["masking"] not in ("height-correlated", "separable"):
         raise ModelError(
-            f"what masking {chosen['masking']!r} loses cannot be compensated: it does not keep energy; "
-            "set `model.masking: height-correlated`"
+            f"the loss of masking {chosen['masking']!r} cannot be compensated: it does not conserve energy; set `model.masking: "
+            "height-correlated`"
         )
     return chosen
 
 
 def _check_transparent(chosen: dict[str, str], spectrum: xr.Dataset | None, n: Array, k: Array, rough: bool) -> None:
+    problem = ""
     if rough and np.any(n == 1):
-        raise ModelError("a rough interface to a body of index 1 is no interface; accepted: n > 1, or a flat surface")
-    if spectrum is not None:
-        raise ModelError("a transparent interface has no diffuse base; leave out the `spectrum`, or the transparency")
-    if np.any(k > 0):
-        raise ModelError(
-            f"the body of a transparent interface absorbs (k up to {k.max():g}); give a real index, and the absorption to the slab"
-        )
-    if chosen["masking"] not in transmission.MASKING:
-        raise ModelError(
-            f"masking {chosen['masking']!r} is not defined through an interface; accepted: {', '.join(transmission.MASKING)}"
-        )
-    if chosen["multiple_scattering"] != "none":
-        raise ModelError(
-            "multiple scattering is compensated for opaque bodies alone; set `model.multiple_scattering: none`"
-        )
+        problem = "the index of the body below a rough interface is 1; accepted: n > 1, or a flat surface"
+    elif spectrum is not None:
+        problem = "a transparent interface has no diffuse base; leave out the `spectrum`, or the transparency"
+    elif np.any(k > 0):
+        problem = f"the body of a transparent interface absorbs (k up to {k.max():g}); give a real index, and the absorption to the slab"
+    elif chosen["masking"] not in transmission.MASKING:
+        accepted = ", ".join(transmission.MASKING)
+        problem = f"masking {chosen['masking']!r} is not defined for transmission; accepted: {accepted}"
+    elif chosen["multiple_scattering"] != "none":
+        problem = "multiple scattering is compensated for opaque bodies alone; set `model.multiple_scattering: none`"
+    if problem:
+        raise ModelError(problem)
 
 
 def _with_source_warning(bsdf: xr.Dataset) -> xr.Dataset:
-    """Say from which incidence on a source's own masking reflects more than it receives."""
+    """Add a warning with the incidence from which a masking mode violates energy conservation."""
     masking = bsdf.attrs["masking"]
     if masking not in NOT_PHYSICAL or "slope_density" not in bsdf:
         return bsdf
@@ -188,40 +184,33 @@ def _with_source_warning(bsdf: xr.Dataset) -> xr.Dataset:
         assert isinstance(surface.density, RadialDensity)
         return vocabulary.add_warning(bsdf, str(energy_limit(surface.density, surface.liu)))
     theta = np.arange(0.5, 89.75, 0.5)
-    mirrors = energy.directional_albedo(
-        surface, masking, np.ones(1), np.zeros(1), theta, reflectance=energy.perfect_mirror
-    )
-    beyond = theta[mirrors[:, 0] > 1.001]
-    if beyond.size == 0:
+    excessive = theta[energy.mirror_albedo(surface, masking, theta) > 1.001]
+    if excessive.size == 0:
         return bsdf
     return vocabulary.add_warning(
         bsdf,
-        f"masking {masking!r} {NOT_PHYSICAL[masking]}: perfect mirrors would reflect more than they receive from {beyond[0]:g}° "
-        "on; set `model.masking: height-correlated` for steeper light",
+        f"masking {masking!r} {NOT_PHYSICAL[masking]}: perfect mirrors would reflect more than they receive from {excessive[0]:g}° "
+        "on; set `model.masking: height-correlated` for larger angles of incidence",
     )
-
-
-_KEPT = ("slope_density", "lambda_smith", "lay")
 
 
 def _surface_of(facets: xr.Dataset) -> xr.Dataset:
+    """Slope density, masking and lay alone; of the coordinates' attributes only the scale of a slope axis is copied."""
     if facets["slope_density"].size == 0:
         return xr.Dataset()
-    kept = facets[[name for name in _KEPT if name in facets and (name != "lay" or facets["slope_density"].ndim == 2)]]
-    used = {dim for name in kept.data_vars for dim in kept[name].dims}
-    kept = kept.drop_vars([name for name in kept.coords if name not in used])
-    return xr.Dataset(
-        {name: (field.dims, field.values) for name, field in kept.data_vars.items()},
-        coords={name: (field.dims, field.values, _own(field)) for name, field in kept.coords.items()},
-    )
+    names = [
+        "slope_density",
+        "lambda_smith",
+        *(["lay"] if facets["slope_density"].ndim == 2 and "lay" in facets else []),
+    ]
+    coords = {}
+    for dim in dict.fromkeys(dim for name in names for dim in facets[name].dims):
+        attrs = {key: value for key, value in facets[dim].attrs.items() if key not in ("units", "long_name")}
+        coords[dim] = (dim, facets[dim].values, attrs)
+    return xr.Dataset({name: (facets[name].dims, facets[name].values) for name in names}, coords)
 
 
-def _own(coordinate: xr.DataArray) -> dict[str, object]:
-    """What a coordinate carries beside its unit and name: the scale of a slope axis."""
-    return {name: value for name, value in coordinate.attrs.items() if name not in ("units", "long_name")}
-
-
-# --- what is left to the base
+# --- the diffuse base
 
 
 def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float) -> xr.Dataset:
@@ -229,14 +218,13 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
     if spectrum is None or bsdf.attrs["diffuse_mode"] == "none":
         return bare
     model = Model.of(bare, None)
-    measured = spectrum["total_reflectance"].values.astype(float)
     trapped = _trapped(model, spectrum, theta_m)
-    total = measured + trapped
-    wanted = diffuse_for(model, total, theta_m)
-    clamped = wanted < 0
+    total = spectrum["total_reflectance"].values.astype(float) + trapped
+    diffuse = diffuse_for(model, total, theta_m)
+    clamped = diffuse < 0
     quality = np.where(clamped, vocabulary.quality("clamped"), vocabulary.quality("measured")).astype(np.int8)
     bsdf = bsdf.assign(
-        diffuse=("wavelength", np.maximum(wanted, 0.0)),
+        diffuse=("wavelength", np.maximum(diffuse, 0.0)),
         diffuse_quality=("wavelength", quality),
         total_reflectance=("wavelength", total),
         theta_m=theta_m,
@@ -244,23 +232,22 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
     if spectrum.attrs["geometry"] == "sce":
         bsdf = vocabulary.add_history(
             bsdf,
-            f"the specular was excluded: what the facets mirror into a gloss trap of half angle {trap_of(spectrum):g}°, "
-            f"{float(np.mean(trapped)):.4f} of the light, was added to the measured reflectance",
+            f"specular excluded: the light mirrored into a gloss trap of half angle {trap_of(spectrum):g}°, "
+            f"{float(np.mean(trapped)):.4f} of the incident light, was added to the measured reflectance",
         )
     if bsdf.attrs["diffuse_mode"] == "crf":
         bsdf = vocabulary.add_history(
             bsdf,
-            f"the patent's diffuse part is masked like a flat distribution of facets, which keeps {CRF_DIFFUSE_SHARE:.4f} of it: the "
-            "total reflectance is not the measured one",
+            f"the patent's masking of the diffuse part leaves {CRF_DIFFUSE_SHARE:.4f} of it: the total reflectance is not the measured one",
         )
     if clamped.any():
         where = spectrum["wavelength"].values[clamped]
         deficit = float((total_reflectance_at(model, theta_m) - total)[clamped].max())
         bsdf = vocabulary.add_warning(
             bsdf,
-            f"the total reflectance lies up to {deficit:.4f} below the specular albedo of the facets at {where.size} wavelengths "
-            f"({where.min():g} to {where.max():g} nm); the diffuse part was set to 0 there. Was the specular excluded "
-            "(`spectrum.geometry: sce`), or is the refractive index or the surface another one?",
+            f"the total reflectance is up to {deficit:.4f} below the specular albedo of the facets at {where.size} wavelengths "
+            f"({where.min():g} to {where.max():g} nm); the diffuse part was set to 0 there. Check whether the specular was excluded "
+            "(`spectrum.geometry: sce`), the refractive index and the surface.",
         )
     return bsdf
 
@@ -271,10 +258,10 @@ def trap_of(spectrum: xr.Dataset) -> float:
 
 
 def _trapped(model: Model, spectrum: xr.Dataset, theta_m: float) -> Array:
-    """Light that the facets mirror into the gloss trap, (wavelength or 1,); 0 where the specular was included.
+    """Light that the facets mirror into the gloss trap, (wavelength or 1,); 0 if the specular was included.
 
-    A trap takes the light within a few degrees of the mirror direction; a rough surface mirrors most of it elsewhere, where
-    the instrument collects it as if it were diffuse.
+    A trap absorbs light within a few degrees of the mirror direction; a rough surface mirrors most light to other directions, where
+    the instrument collects it with the diffuse light.
     """
     if spectrum.attrs["geometry"] != "sce":
         return np.zeros(1)
@@ -285,7 +272,7 @@ def _trapped(model: Model, spectrum: xr.Dataset, theta_m: float) -> Array:
 
 
 def _index_on(index: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array, Array | None, list[str]]:
-    """n and k on the wavelengths of the model, scalars where they do not depend on wavelength, and what to warn about."""
+    """n and k on the wavelengths of the model, scalars if they do not depend on wavelength; the wavelengths; and warnings."""
     n, k = index["n"].values.astype(float), index["k"].values.astype(float)
     if np.ptp(n) == 0 and np.ptp(k) == 0:
         return n[0], k[0], wavelength, []
@@ -295,8 +282,8 @@ def _index_on(index: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array
     n, k = interpolate_index(index, np.clip(wavelength, known[0], known[-1]))
     if known[0] <= wavelength[0] and wavelength[-1] <= known[-1]:
         return n, k, wavelength, []
-    held = (
+    warning = (
         f"the refractive index is known from {known[0]:g} to {known[-1]:g} nm and was held constant beyond, out to "
         f"{wavelength[0]:g} and {wavelength[-1]:g} nm; give a table that covers the spectrum"
     )
-    return n, k, wavelength, [held]
+    return n, k, wavelength, [warning]

@@ -1,8 +1,8 @@
-"""How much of the light the facets reflect: directional albedo, its mean, and its table.
+"""Directional albedo of the facets, its mean, and its table.
 
 The albedo is integrated over the facets instead of the outgoing directions,
-E = ∫∫ P22 F G2 (cos θ_i − p̃ sin θ_i) / cos θ_i dp dq over facets that mirror upwards, so that a narrow lobe costs no more than
-a wide one.
+E = ∫∫ P22 F G2 (cos θ_i − p̃ sin θ_i) / cos θ_i dp dq over facets that mirror upwards, so that its cost does not depend on the width
+of the lobe.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ _AZIMUTHS = 12
 _WINDOW_PANELS = 8
 _INDEX_DIGITS = np.log(1e10)
 _LEAST_COSINE = 1e-150
-
-_INTERPOLATION = 2e-9
+_INTERPOLATION_ERROR = 2e-9
 _NOISE = 1e-9
 _MOST_NODES = 400
 _LAY_STEP = 0.2
@@ -42,12 +41,12 @@ _LAY_MOST_GRAZING = 2.0
 
 
 def fresnel_mean(cos_zeta: Array, n: ArrayLike, k: ArrayLike) -> Array:
-    """Reflectance of a facet for unpolarised light."""
+    """Fresnel reflectance of a facet for unpolarised light."""
     return fresnel(cos_zeta, n, k).mean
 
 
 def perfect_mirror(cos_zeta: Array, n: ArrayLike, k: ArrayLike) -> Array:
-    """A facet that reflects everything: the furnace."""
+    """Reflectance of a perfectly reflecting facet."""
     return np.ones_like(cos_zeta)
 
 
@@ -67,17 +66,17 @@ def directional_albedo(
     surface : the facets
     masking : one of :data:`brdfpipe.bsdf.microfacet.microsurface.MASKINGS`
     n, k : (wavelength,) index relative to the medium of incidence
-    theta_i, phi_i : (incidences,) in degree, 0 <= theta_i <= 90; the azimuth matters to a surface with a lay
-    reflectance : of a facet; Fresnel's for unpolarised light by default
+    theta_i, phi_i : (incidences,) degree, 0 <= theta_i <= 90; the azimuth is for a surface with a lay
+    reflectance : of a facet
     """
     theta_i = np.asarray(theta_i, dtype=float)
     if n.size > 1 and ((n < 1) & (k == 0)).any():
-        # Total reflection begins elsewhere for every index.
+        # The critical angle depends on the index.
         pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
-        alone = [
-            directional_albedo(surface, masking, each[:1], each[1:], theta_i, phi_i, reflectance) for each in pairs.T
+        columns = [
+            directional_albedo(surface, masking, index[:1], index[1:], theta_i, phi_i, reflectance) for index in pairs.T
         ]
-        return np.concatenate(alone, axis=1)[:, where.ravel()]
+        return np.concatenate(columns, axis=1)[:, where.ravel()]
     critical = float(np.arcsin(n[0])) if n[0] < 1 and k[0] == 0 else None
     blocks = []
     step = 64 if surface.isotropic and critical is None else 8
@@ -87,19 +86,23 @@ def directional_albedo(
         if surface.isotropic:
             weight, cos_zeta = _isotropic_facets(surface, masking, np.radians(theta_i[part]), critical)
         else:
-            weight, cos_zeta = _facets(surface, masking, theta_i[part], azimuth[part], critical)
+            weight, cos_zeta = _facets_with_lay(surface, masking, theta_i[part], azimuth[part], critical)
         blocks.append(_spectral_sum(weight, cos_zeta, n, k, reflectance))
     return np.concatenate(blocks) if blocks else np.zeros((0, n.size))
 
 
+def mirror_albedo(surface: Microsurface, masking: str, theta_i: Array, phi_i: Array | float = 0.0) -> Array:
+    """Directional albedo of the same facets as perfect mirrors, (incidences,)."""
+    return directional_albedo(surface, masking, np.ones(1), np.zeros(1), theta_i, phi_i, perfect_mirror)[:, 0]
+
+
 def _isotropic_facets(
-    surface: Microsurface, masking: str, theta_i: Array, critical: float | None = None
+    surface: Microsurface, masking: str, theta_i: Array, critical: float | None
 ) -> tuple[Array, Array]:
-    """Weights and cos ζ of the facets of a quadrature, (incidences, facets).
+    """Weights and cos ζ of the facets of a quadrature, (incidences, facets); ``critical`` is the critical angle [rad].
 
     In polar slope coordinates the horizon is p = s cos β < (1 − s²) cot θ_i / 2: β is integrated from there, and s in panels
-    split from tan(45° − θ_i/2) to its inverse, where that limit enters and leaves. ``critical`` is the angle [rad] on the facet from
-    which on it reflects everything.
+    split from tan(45° − θ_i/2) to its inverse, the range in which the horizon limits β.
     """
     assert isinstance(surface.density, RadialDensity)
     cos_i, sin_i = np.cos(theta_i)[:, None, None], np.sin(theta_i)[:, None, None]
@@ -120,13 +123,13 @@ def _isotropic_facets(
 
 def _slope_rule(density: RadialDensity, theta_i: Array, critical: float | None) -> tuple[Array, Array, Array, Array]:
     """Quadrature over the facets that mirror (θ_i, 0) above the horizon: s and its weight (θ, S), β and its weight (θ, S, B)."""
-    # The range of β opens and closes like a square root: panels crowd at both ends of where it does.
+    # The range of β opens and closes like a square root: panels are dense at both ends.
     tilt = np.pi / 4 - theta_i[:, None] / 2 * np.cos(np.linspace(0, np.pi, _WINDOW_PANELS + 1))
     splits = np.clip(np.tan(tilt), 0.0, density.slope[-1])
     splits[tilt >= np.pi / 2] = density.slope[-1]
     if critical is not None:
         splits = np.concatenate([splits, slopes_of_total_reflection(theta_i, critical, density.slope[-1])], axis=1)
-    panels = np.broadcast_to(density.panels(), (theta_i.size, density.panels().size))
+    panels = np.tile(density.panels(), (theta_i.size, 1))
     s, s_weight = panel_rule(np.sort(np.concatenate([panels, splits], axis=1), axis=1), 4)
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = (1 - s**2) / (2 * s * np.tan(theta_i)[:, None])
@@ -142,18 +145,18 @@ _TOWARDS_KINK = np.concatenate([-(4.0 ** -np.arange(1, 7)), [0.0], 4.0 ** -np.ar
 
 
 def slopes_of_total_reflection(theta_i: Array, critical: float, reach: float) -> Array:
-    """Panel edges (θ, n) that crowd about the slope from which on some facets, not all, are met at the critical angle [rad]."""
+    """Panel edges (θ, n) about the smallest slope of facets that are met at the critical angle [rad]."""
     tilt = np.abs(critical - theta_i)[:, None] * (1 + _TOWARDS_KINK)
     return np.asarray(np.clip(np.tan(np.minimum(tilt, 1.57)), 0.0, reach))
 
 
 def azimuths_of_total_reflection(edges: Array, slope: Array, theta_i: Array, critical: float) -> Array:
-    """Panel edges (…, n) in the azimuth of facets, crowding about the one met at the critical angle: F bends there like a root.
+    """Panel edges (…, n) about the azimuth of the facets that are met at the critical angle, where F bends like a root.
 
     Parameters
     ----------
     edges : (…, 2) range of azimuths
-    slope, theta_i : (…) of the facets, and of the light on the mean plane [rad]
+    slope, theta_i : (…) slope of the facets, and angle of incidence on the mean plane [rad]
     critical : angle of total reflection [rad]
     """
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -164,10 +167,10 @@ def azimuths_of_total_reflection(edges: Array, slope: Array, theta_i: Array, cri
     return np.sort(np.concatenate([edges, crowding], axis=-1), axis=-1)
 
 
-def _facets(
-    surface: Microsurface, masking: str, theta_i: Array, phi_i: Array, critical: float | None = None
+def _facets_with_lay(
+    surface: Microsurface, masking: str, theta_i: Array, phi_i: Array, critical: float | None
 ) -> tuple[Array, Array]:
-    """The same for a surface with a lay."""
+    """The same as :func:`_isotropic_facets` for a surface with a lay."""
     assert not isinstance(surface.density, RadialDensity)
     p, q, share = quadrature.facet_rule(surface.density, theta_i, phi_i, critical)
     u = p * p + q * q
@@ -189,30 +192,29 @@ def _facets(
 def _spectral_sum(weight: Array, cos_zeta: Array, n: Array, k: Array, reflectance: Reflectance) -> Array:
     """Σ weight · F(cos ζ; λ), (incidences, wavelength).
 
-    F is smooth in n > 1: where only n disperses, it is evaluated at a few Chebyshev nodes of n and interpolated, which costs the same
-    for any number of wavelengths. The error falls by a factor ρ with every node, ρ = x + √(x² − 1) with x the distance of n = 1
-    from the middle of the spread, in half spreads: there are as many nodes as make it 1e-10, or else every n has its turn.
+    F is smooth in n > 1: for k = 0 it is evaluated at a few Chebyshev nodes of n and interpolated, at the same cost for any number of
+    wavelengths. The error falls by a factor ρ with every node, ρ = x + √(x² − 1) with x the distance of n = 1 from the middle of the
+    range, in half ranges. The number of nodes gives an error of 1e-10; if it exceeds the number of indices, each index is evaluated.
     """
     pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
-    count = _index_nodes(pairs[0])
+    count = _chebyshev_count(pairs[0])
     if pairs.shape[1] > count and not pairs[1].any():
         unit = np.cos(np.pi * (np.arange(count) + 0.5) / count)
         low, high = pairs[0, 0], pairs[0, -1]
         nodes = low + (high - low) * (unit + 1) / 2
-        at_nodes = np.stack([(weight * reflectance(cos_zeta, each, 0.0)).sum(axis=-1) for each in nodes], axis=-1)
+        at_nodes = np.stack([(weight * reflectance(cos_zeta, node, 0.0)).sum(axis=-1) for node in nodes], axis=-1)
         chebyshev = np.polynomial.chebyshev
         coefficients = np.linalg.solve(chebyshev.chebvander(unit, count - 1), at_nodes.T)
         return np.asarray(chebyshev.chebval(2 * (n - low) / (high - low) - 1, coefficients))
-    values = [(weight * reflectance(cos_zeta, *each)).sum(axis=-1) for each in pairs.T]
+    values = [(weight * reflectance(cos_zeta, *index)).sum(axis=-1) for index in pairs.T]
     return np.stack(values, axis=-1)[:, where.ravel()]
 
 
-def _index_nodes(n: Array) -> int:
-    """Chebyshev nodes that hold a function of n > 1 to 1e-10 between the least and the largest of n; more than there are, if none do."""
+def _chebyshev_count(n: Array) -> int:
+    """Number of Chebyshev nodes that interpolate a function of n > 1 to 1e-10; at least the number of n if interpolation does not help."""
     if n.size < 3 or n[0] <= 1:
         return int(n.size)
-    spread = n[-1] - n[0]
-    distance = (n[0] + n[-1] - 2) / spread
+    distance = (n[0] + n[-1] - 2) / (n[-1] - n[0])
     rate = np.log(distance + np.sqrt(distance**2 - 1))
     return int(min(np.ceil(_INDEX_DIGITS / rate), n.size)) + 1
 
@@ -222,20 +224,16 @@ def _index_nodes(n: Array) -> int:
 
 @dataclass(frozen=True)
 class AlbedoTable:
-    """The directional albedo between its nodes: a spline in the angle from grazing, where it bends.
-
-    Parameters
-    ----------
-    theta : (θ,) increasing, from 0 to 90 degree
-    values : (θ, wavelength), or (θ, φ, wavelength) of a surface with a lay
-    phi : (φ,) degree, increasing around the circle; of a surface with a lay
-    ellipse : widths of its slopes: they say in which measures of both angles the albedo is smooth
-    """
+    """The directional albedo as a spline in the angle from grazing."""
 
     theta: Array
+    """(θ,) increasing, from 0 to 90 degree"""
     values: Array
+    """(θ, wavelength), or (θ, φ, wavelength) of a surface with a lay"""
     phi: Array | None = None
+    """(φ,) degree, increasing around the circle; of a surface with a lay"""
     ellipse: Ellipse | None = None
+    """Principal slopes of a surface with a lay, which scale both angles so that the albedo is smooth"""
 
     def __call__(self, theta: Array, phi: Array | float = 0.0) -> Array:
         """E, (…, wavelength), in [0, 1]."""
@@ -244,7 +242,7 @@ class AlbedoTable:
             return np.clip(self._spline(grazing), 0.0, 1.0)
         assert self.ellipse is not None
         at = np.arcsinh(grazing / _lay_scale(self.ellipse)), quadrature.azimuth_to_arc(self.ellipse, phi)
-        return np.clip(np.stack([each.ev(*at) for each in self._surfaces], axis=-1), 0.0, 1.0)
+        return np.clip(np.stack([spline.ev(*at) for spline in self._surfaces], axis=-1), 0.0, 1.0)
 
     def mean(self) -> Array:
         """2 ∫ E μ dμ, averaged over azimuth, (wavelength,): exact for the spline."""
@@ -272,32 +270,33 @@ class AlbedoTable:
         around = np.concatenate([order[-4:], order, order[:4]])
         grazing = np.arcsinh((90 - self.theta[::-1]) / _lay_scale(self.ellipse))
         values = np.moveaxis(self.values[::-1][:, around], -1, 0)
-        return [RectBivariateSpline(grazing, np.unwrap(arc[around] - 360, period=360), each) for each in values]
+        arcs = np.unwrap(arc[around] - 360, period=360)
+        return [RectBivariateSpline(grazing, arcs, by_angles) for by_angles in values]
 
 
 def _lay_scale(ellipse: Ellipse) -> float:
-    """Angle from grazing [degree] within which the albedo of a surface with a lay may turn."""
+    """Angle from grazing [degree] on which the albedo of a surface with a lay varies."""
     return min(float(np.degrees(min(ellipse.along, ellipse.across))) / _LAY_FINENESS, _LAY_MOST_GRAZING)
 
 
 def _even_spline(grazing: Array, values: Array) -> CubicSpline:
-    # E is even in θ: its derivative vanishes at the normal, 90 degree from grazing.
+    # E is even in θ: its derivative is 0 at the normal, 90 degree from grazing.
     return CubicSpline(grazing, values, axis=0, bc_type=("not-a-knot", (1, np.zeros(values.shape[1]))))
 
 
 def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], exact: Array) -> AlbedoTable:
-    """Table of a directional albedo, nowhere below it.
+    """Table of a directional albedo, an upper bound.
 
     Parameters
     ----------
     surface : the facets
     albedo : (θ, φ), both (n,) degree → (n, wavelength)
-    exact : angles of incidence that must be among the nodes [degree]
+    exact : angles of incidence that must be nodes [degree]
 
     Notes
     -----
-    What is not reflected by the facets is handed to the base. Between the nodes the spline errs by parts in 10⁹ to either side, so
-    the table is lifted by the largest error found: the whole then never reflects more than it receives.
+    Light that the facets do not reflect enters the base. Between the nodes the spline has errors of parts in 10⁹ of either sign; the
+    table is raised by the largest one, so that facets and base together conserve energy.
     """
     if surface.isotropic:
         return refined(lambda theta: albedo(theta, np.zeros_like(theta)), surface.median_slope, exact)
@@ -306,78 +305,74 @@ def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], ex
 
 
 def _tabulated_lay(density: PlanarDensity, albedo: Callable[[Array, Array], Array], exact: Array) -> AlbedoTable:
-    """The same for a surface with a lay: even in the measures in which its albedo is smooth, tried between all nodes."""
+    """The same for a surface with a lay: uniform in scaled angles, with the error found between all nodes."""
     ellipse = density.ellipse
     scale = _lay_scale(ellipse)
     end = np.arcsinh(90 / scale)
-    even = np.linspace(0, end, int(np.ceil(end / _LAY_STEP)) + 1)
-    wanted = np.arcsinh((90 - exact) / scale)
-    # A node right beside another would make the spline ring.
-    apart = (np.abs(even[:, None] - wanted) > _LAY_STEP / 3).all(axis=1)
-    grazing = np.unique(np.concatenate([even[apart], wanted]))
+    uniform = np.linspace(0, end, int(np.ceil(end / _LAY_STEP)) + 1)
+    exact_grazing = np.arcsinh((90 - exact) / scale)
+    # Nodes that are too close together would make the spline ring.
+    separate = (np.abs(uniform[:, None] - exact_grazing) > _LAY_STEP / 3).all(axis=1)
+    grazing = np.unique(np.concatenate([uniform[separate], exact_grazing]))
     arcs = np.arange(0.0, 360.0, 90 / np.ceil(quadrature.quarter_arc(ellipse) / _LAY_AZIMUTH))
 
-    def on_net(grazing: Array, arcs: Array) -> tuple[Array, Array, Array]:
-        """θ, φ and the albedo on a net, of a symmetric surface from one quarter."""
-        folded = np.minimum(arcs % 180, 180 - arcs % 180) if quadrature.is_symmetric(density) else arcs
+    symmetric = quadrature.is_symmetric(density)
+
+    def on_grid(grazing: Array, arcs: Array) -> tuple[Array, Array, Array]:
+        """θ, φ and the albedo on a grid; only one quarter is computed for a symmetric surface."""
+        folded = np.minimum(arcs % 180, 180 - arcs % 180) if symmetric else arcs
         distinct, where = np.unique(np.round(folded, 9), return_inverse=True)
         theta = np.clip(90 - scale * np.sinh(grazing), 0.0, 90.0)
         polar, around = np.meshgrid(theta, quadrature.arc_to_azimuth(ellipse, distinct), indexing="ij")
         values = albedo(polar.ravel(), around.ravel()).reshape(*polar.shape, -1)
         return theta, quadrature.arc_to_azimuth(ellipse, arcs), values[:, where]
 
-    theta, phi, values = on_net(grazing, arcs)
-    theta[np.searchsorted(grazing, wanted)] = exact
+    theta, phi, values = on_grid(grazing, arcs)
+    theta[np.searchsorted(grazing, exact_grazing)] = exact
     order = np.argsort(np.round(phi % 360, 9))
     table = AlbedoTable(theta[::-1], values[::-1][:, order], np.round(phi % 360, 9)[order], ellipse)
-    # Of a surface without symmetry, for its cost, at every second azimuth.
-    probes = arcs[:: 1 if quadrature.is_symmetric(density) else 2] + arcs[1] / 2
-    between, around, found = on_net((grazing[1:] + grazing[:-1]) / 2, probes)
-    miss = np.abs(table(between[:, None], around) - found).max(axis=(1, 2))
-    error = np.maximum(np.append(miss, 0.0), np.append(0.0, miss))[::-1]
-    # Raised and cut off at 1 the table would bend there, and ring: what is lost fades instead.
+    # Without symmetry at every second azimuth alone, to save time.
+    probes = arcs[:: 1 if symmetric else 2] + arcs[1] / 2
+    between, around, expected = on_grid((grazing[1:] + grazing[:-1]) / 2, probes)
+    misses = np.abs(table(between[:, None], around) - expected).max(axis=(1, 2))
+    error = np.maximum(np.append(misses, 0.0), np.append(0.0, misses))[::-1]
+    # A clip at 1 would make a kink, and the spline ring: the loss decreases smoothly instead.
     lost = np.maximum(1 - table.values, 0.0)
     return replace(table, values=1 - lost**2 / (lost + _lift(table.theta, error)[:, None, None]))
 
 
 def _lift(theta: Array, error: Array) -> Array:
-    """How far to raise a table at its nodes for the errors found about them, both (θ,)."""
-    # An error close to grazing says nothing about the rest; spread smoothly, lest the spline overshoot.
+    """By how much a table is raised at its nodes, for errors beside the nodes, both (θ,)."""
+    # Errors near grazing are local; the smooth decrease keeps the spline from overshooting.
     grazing = np.maximum(90 - theta, 1e-9)
     return np.asarray(4 * np.max(error * np.minimum(1.0, grazing / grazing[:, None]), axis=1) + _NOISE)
 
 
 def refined(albedo: Callable[[Array], Array], slope: float, exact: Array) -> AlbedoTable:
-    """Table of the albedo of an isotropic surface, nowhere below it.
+    """Table of the albedo of an isotropic surface, an upper bound; intervals are halved until the spline is accurate.
 
     Parameters
     ----------
     albedo : (θ,) degree → (θ, wavelength)
-    slope : scale on which it bends close to grazing [rad]
-    exact : angles of incidence that must be among the nodes [degree]
+    slope : angle on which it varies near grazing [rad]
+    exact : angles of incidence that must be nodes [degree]
     """
-    nodes, values, error = _bisected(albedo, slope, exact)
-    return AlbedoTable(nodes, np.clip(values + _lift(nodes, error)[:, None], 0.0, 1.0))
-
-
-def _bisected(albedo: Callable[[Array], Array], slope: float, exact: Array) -> tuple[Array, Array, Array]:
-    """Nodes between which a spline keeps an albedo, its values, and at each node the error found half way to its neighbours."""
     theta = np.degrees(np.arccos(np.cos(np.linspace(0, np.pi / 2, 48)) ** 2))
-    # Within a few slopes of grazing the masking decides: E turns there on the scale of the roughness.
+    # Near grazing masking dominates: E varies on the scale of the slopes.
     grazing = 90 - np.degrees(slope) * 2.0 ** np.arange(-5, 7, 0.25)
     nodes = np.unique(np.round(np.concatenate([theta, grazing[(grazing > 45) & (grazing < 90)], exact]), 9))
     values, error, pending = albedo(nodes), np.zeros(nodes.size), np.arange(nodes.size - 1)
     while pending.size:
         middle = (nodes[1:] + nodes[:-1])[pending] / 2
-        found = albedo(middle)
-        miss = np.abs(_even_spline(90 - nodes[::-1], values[::-1])(90 - middle) - found).max(axis=1)
-        good = (miss <= _INTERPOLATION) | (nodes.size >= _MOST_NODES)
-        settled = np.where(good, miss, 0.0)
+        expected = albedo(middle)
+        miss = np.abs(_even_spline(90 - nodes[::-1], values[::-1])(90 - middle) - expected).max(axis=1)
+        accurate = (miss <= _INTERPOLATION_ERROR) | (nodes.size >= _MOST_NODES)
+        final = np.where(accurate, miss, 0.0)
         for neighbour in (pending, pending + 1):
-            np.maximum.at(error, neighbour, settled)
+            np.maximum.at(error, neighbour, final)
         order = np.argsort(np.concatenate([nodes, middle]))
-        split = np.flatnonzero(np.concatenate([np.zeros(nodes.size, dtype=bool), ~good])[order])
-        nodes, values = np.concatenate([nodes, middle])[order], np.concatenate([values, found])[order]
-        error = np.concatenate([error, settled])[order]
+        split = np.flatnonzero(np.concatenate([np.zeros(nodes.size, dtype=bool), ~accurate])[order])
+        nodes, values = np.concatenate([nodes, middle])[order], np.concatenate([values, expected])[order]
+        error = np.concatenate([error, final])[order]
         pending = np.union1d(split - 1, split)
-    return nodes, values, error
+    return AlbedoTable(nodes, np.clip(values + _lift(nodes, error)[:, None], 0.0, 1.0))

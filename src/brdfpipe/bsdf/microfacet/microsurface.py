@@ -1,4 +1,4 @@
-"""The rough interface itself, whatever it is made of: how many facets mirror one direction into another, and how many are seen."""
+"""Rough interface: slope density of the facets that mirror one direction into another, and their visibility."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from brdfpipe.masking.visibility import VISIBILITY
 Azimuth: TypeAlias = "Array | float"
 
 MASKINGS = (*VISIBILITY, "liu")
-"""Every masking by name."""
+"""Names of the masking modes."""
 
 NOT_PHYSICAL = {
-    "crf": "hides facets from the viewer alone, so it is not reciprocal and does not keep energy",
-    "none": "hides no facet, so it does not keep energy",
+    "crf": "hides facets from the viewer alone, so it is not reciprocal and does not conserve energy",
+    "none": "hides no facet, so it does not conserve energy",
     "liu": "does not vanish at grazing",
 }
-"""Maskings of the sources that are known to break energy or reciprocity: chosen on purpose, they are warned about."""
+"""Masking modes of the sources that violate energy conservation or reciprocity, with the reason; they cause a warning."""
 
 
 class ModelError(BrdfpipeError):
-    """A BSDF cannot be built from what was given."""
+    """A BSDF cannot be built from the given input."""
 
 
 @dataclass(frozen=True)
 class Microsurface:
-    """Slope density and mean excess slope of a surface, isotropic or with a lay."""
+    """Slope density and Smith masking of a surface, isotropic or with a lay."""
 
     density: RadialDensity | PlanarDensity
     smith: Smith | PlanarSmith
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> Microsurface:
-        """The surface that a ``facets`` or microfacet ``bsdf`` dataset carries."""
+        """The surface of a ``facets`` or microfacet ``bsdf`` dataset."""
         if dataset["slope_density"].ndim == 1:
             return cls(RadialDensity.of(dataset), Smith.of(dataset))
         return cls(PlanarDensity.of(dataset), PlanarSmith.of(dataset))
@@ -54,20 +54,20 @@ class Microsurface:
 
     @property
     def median_slope(self) -> float:
-        """A width that every density has: of one with a lay, the geometric mean of its two."""
+        """Median slope; with a lay, the geometric mean of the two principal rms slopes."""
         if isinstance(self.density, RadialDensity):
             return self.density.median_slope
         _, _, covariance = self.density.moments
         return float(np.linalg.det(covariance) ** 0.25)
 
     def density_at(self, slope_x: Array, slope_y: Array) -> Array:
-        """Slope density at slopes along x and y."""
+        """P22 at slopes along x and y."""
         if isinstance(self.density, RadialDensity):
             return self.density(slope_x * slope_x + slope_y * slope_y)
         return self.density(slope_x, slope_y)
 
     def p22(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth) -> Array:
-        """Slope density of the facets that mirror one direction into the other."""
+        """P22 of the facets that mirror one direction into the other."""
         if isinstance(self.density, RadialDensity):
             return self.density(pair.slope_squared)
         return self.density(*slope_towards(pair, phi_i, phi_o))
@@ -85,12 +85,12 @@ class Microsurface:
 
     @cached_property
     def liu(self) -> LiuMasking:
-        """Liu's one-direction factor of an isotropic surface."""
+        """Liu's attenuation for one direction, of an isotropic surface."""
         assert isinstance(self.density, RadialDensity)
         return LiuMasking.of(Marginal.of(self.density))
 
     def reflected(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth, masking: str) -> Array:
-        """D G2 / (4 cos θ_i cos θ_o), the BRDF of the facets if all were perfect mirrors [sr-1]."""
+        """D G2 / (4 cos θ_i cos θ_o), the BRDF of perfectly mirroring facets [sr-1]."""
         visible = self.visibility(pair, phi_i, phi_o, masking)
         spread = 1 + pair.slope_squared
         spread *= spread

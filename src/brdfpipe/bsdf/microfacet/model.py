@@ -1,7 +1,4 @@
-"""A microfacet dataset made ready to evaluate in bulk.
-
-Directions are taken in blocks that stay in the processor's cache: a block's arrays are read and written there many times.
-"""
+"""The microfacet model: BSDF, directional reflectance and transmittance, and the diffuse base that closes the total reflectance."""
 
 from __future__ import annotations
 
@@ -12,36 +9,51 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe.bsdf.microfacet import polarised, transmission
+from brdfpipe import hemisphere
+from brdfpipe.bsdf.microfacet import energy, polarised, transmission
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable, directional_albedo
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.geometry import Array, half_vector
+from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
+from brdfpipe.optics.fresnel_equations import mean_fresnel as mean_fresnel_reflectance
 
 CRF_DIFFUSE_SHARE = 4 * (np.log(2) - 0.5)
 """Albedo of the patent's masked Lambertian lobe over that of the unmasked one: 4 ∫ μ²/(1 + μ) dμ = 0.7726."""
 
 _BLOCK = 2**14
+"""Directions that are evaluated together, so that their arrays stay in the processor's cache."""
+
+_ALBEDO_FIELDS = (
+    "directional_albedo",
+    "mean_albedo",
+    "furnace_albedo",
+    "mean_furnace_albedo",
+    "compensation",
+    "theta_i",
+    "phi_i",
+)
+"""Variables that :func:`with_albedo` adds."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """The interface and the base below it; spectral fields are (wavelength,) or of length 1."""
+    """The interface and the diffuse base below it; spectral fields are (wavelength,) or of length 1."""
 
     surface: Microsurface | None
-    """None where it is perfectly smooth."""
+    """None if perfectly smooth"""
     masking: str
     n: Array
     k: Array
     diffuse_mode: str
     diffuse: Array
     albedo: AlbedoTable
-    """Of all that the facets send back, after one reflection or several."""
+    """Of the facets, after one or several reflections"""
     mean_albedo: Array
     furnace: AlbedoTable | None
-    """Albedo of the same facets as perfect mirrors, where what they lose is compensated."""
+    """Albedo of the same facets as perfect mirrors, if their loss is compensated"""
     mean_furnace: float
     compensation: Array
     transparent: bool
@@ -50,12 +62,12 @@ class Model:
     def of(cls, bsdf: xr.Dataset, wavelength: Array | None, surface: Microsurface | None = None) -> Model:
         """The model of a ``bsdf`` dataset, representation ``microfacet`` or ``smooth``, at its own or other wavelengths [nm].
 
-        The ``surface`` of the dataset may be given prepared.
+        ``surface`` is that of the dataset, if it is prepared already.
         """
 
-        def on(field: xr.DataArray) -> Array:
-            values = at_wavelengths(field, wavelength)
-            return values if "wavelength" in field.dims else values[..., None]
+        def spectral(name: str) -> Array:
+            values = at_wavelengths(bsdf[name], wavelength)
+            return values if "wavelength" in bsdf[name].dims else values[..., None]
 
         theta = bsdf["theta_i"].values
         phi = bsdf["phi_i"].values if "phi_i" in bsdf["directional_albedo"].dims else None
@@ -66,15 +78,15 @@ class Model:
         return cls(
             surface,
             str(bsdf.attrs["masking"]),
-            on(bsdf["n"]),
-            on(bsdf["k"]),
+            spectral("n"),
+            spectral("k"),
             str(bsdf.attrs["diffuse_mode"]),
-            on(bsdf["diffuse"]),
-            AlbedoTable(theta, on(bsdf["directional_albedo"]), phi, ellipse),
-            on(bsdf["mean_albedo"]),
+            spectral("diffuse"),
+            AlbedoTable(theta, spectral("directional_albedo"), phi, ellipse),
+            spectral("mean_albedo"),
             None if furnace is None else AlbedoTable(theta, furnace.values[..., None], phi, ellipse),
             float(bsdf.get("mean_furnace_albedo", 1.0)),
-            on(bsdf["compensation"]) if furnace is not None else np.zeros(1),
+            spectral("compensation") if furnace is not None else np.zeros(1),
             bsdf.attrs["transmission"] == "interface",
         )
 
@@ -82,31 +94,35 @@ class Model:
     def isotropic(self) -> bool:
         return self.albedo.phi is None
 
+    @property
+    def _width(self) -> int:
+        return max(field.shape[-1] for field in (self.n, self.diffuse, self.compensation))
+
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF or BTDF in sr⁻¹, (directions…, wavelength)."""
         angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
         shape = angles[0].shape
         flat = [angle.reshape(-1) for angle in angles]
-        width = max(each.shape[-1] for each in (self.n, self.diffuse, self.compensation))
         in_above, out_above = flat[0] < 90, flat[2] < 90
         above = in_above & out_above
-        result = np.empty((flat[0].size, width)) if above.all() else np.zeros((flat[0].size, width))
+        result = (np.empty if above.all() else np.zeros)((flat[0].size, self._width))
         self._fill(result, above, self._reflected, flat)
         if self.transparent:
             in_below, out_below = flat[0] > 90, flat[2] > 90
             self._fill(result, in_below & out_below, self._reflected_below, flat)
             self._fill(result, (in_above & out_below) | (in_below & out_above), self._transmitted, flat)
-        return result.reshape(*shape, width)
+        return result.reshape(*shape, self._width)
 
     @staticmethod
-    def _fill(result: Array, where: NDArray[np.bool_], part: Callable[..., Array], angles: list[Array]) -> None:
+    def _fill(result: Array, where: NDArray[np.bool_], evaluate: Callable[..., Array], angles: list[Array]) -> None:
+        """Evaluate the directions of a mask in blocks."""
         everywhere = bool(where.all())
-        chosen = angles if everywhere else [angle[where] for angle in angles]
-        target = result if everywhere else np.empty((chosen[0].size, result.shape[1]))
+        selected = angles if everywhere else [angle[where] for angle in angles]
+        target = result if everywhere else np.empty((selected[0].size, result.shape[1]))
         step = max(_BLOCK // result.shape[1], 256)
-        for start in range(0, chosen[0].size, step):
+        for start in range(0, selected[0].size, step):
             block = slice(start, start + step)
-            target[block] = part(*(angle[block] for angle in chosen))
+            target[block] = evaluate(*(angle[block] for angle in selected))
         if not everywhere:
             result[where] = target
 
@@ -119,41 +135,37 @@ class Model:
             fresnel = fresnel_reflectance(pair.cos_zeta[:, None], self.n, self.k).mean
             brdf = self.surface.reflected(pair, phi_i, phi_o, self.masking)[:, None] * fresnel
         if self.furnace is not None:
-            missed = (1 - self.furnace(theta_i, phi_i)) * (1 - self.furnace(theta_o, phi_o))
-            brdf = brdf + self.compensation * missed / (np.pi * max(1 - self.mean_furnace, 1e-300))
+            lost = (1 - self.furnace(theta_i, phi_i)) * (1 - self.furnace(theta_o, phi_o))
+            brdf = brdf + self.compensation * lost / (np.pi * max(1 - self.mean_furnace, 1e-300))
         if not self.diffuse.any():
             return brdf
         if self.diffuse_mode == "crf":
             cos_o = np.cos(np.radians(theta_o)) if cos_o is None else cos_o
             return np.asarray(brdf + self.diffuse / np.pi * (2 * cos_o / (1 + cos_o))[:, None])
-        let_in, let_out = 1 - self.albedo(theta_i, phi_i), 1 - self.albedo(theta_o, phi_o)
-        return np.asarray(brdf + self.diffuse / (np.pi * (1 - self.mean_albedo)) * (let_in * let_out))
+        entering, leaving = 1 - self.albedo(theta_i, phi_i), 1 - self.albedo(theta_o, phi_o)
+        return np.asarray(brdf + self.diffuse / (np.pi * (1 - self.mean_albedo)) * (entering * leaving))
 
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
-        """Mueller matrix of the BRDF, (directions…, wavelength, 4, 4): facets polarise, what comes from below them does not.
+        """Mueller matrix of the BRDF, (directions…, wavelength, 4, 4): facets polarise, light from below them is unpolarised.
 
-        NaN where light passes a transparent interface or meets it from within, which is not modelled for polarised light.
+        NaN for light through a transparent interface or from within it, which is not modelled for polarised light.
         """
         angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
-        shape = angles[0].shape
-        flat = [angle.reshape(-1).astype(float) for angle in angles]
-        width = max(each.shape[-1] for each in (self.n, self.diffuse, self.compensation))
-        result = np.full((flat[0].size, width, 4, 4), np.nan if self.transparent else 0.0)
-        above = (flat[0] < 90) & (flat[2] < 90)
-        directions = [angle[above] for angle in flat]
-        base = replace(self, surface=None)._reflected(*directions)
-        if self.surface is None:
-            facets = np.zeros(directions[0].size)
-        else:
-            facets = self.surface.reflected(half_vector(*directions), directions[1], directions[3], self.masking)
-        theta_i, phi_i, theta_o, phi_o = directions
+        above = (angles[0] < 90) & (angles[2] < 90)
+        theta_i, phi_i, theta_o, phi_o = (angle[above].astype(float) for angle in angles)
+        result = np.full((*above.shape, self._width, 4, 4), np.nan if self.transparent else 0.0)
+        base = replace(self, surface=None)._reflected(theta_i, phi_i, theta_o, phi_o)
+        facets = np.zeros(theta_i.size)
+        if self.surface is not None:
+            pair = half_vector(theta_i, phi_i, theta_o, phi_o)
+            facets = self.surface.reflected(pair, phi_i, phi_o, self.masking)
         result[above] = polarised.mueller(facets, theta_i, phi_i, theta_o, phi_o, self.n, self.k, base)
-        return result.reshape(*shape, width, 4, 4)
+        return result
 
     def _reflected_below(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         if self.surface is None:
             return np.zeros((1, 1))
-        # From below the surface is seen upside down: slopes change sign, as if turned by half a circle.
+        # Seen from below the slopes change sign, as if the surface were turned by 180 degree.
         phi_i, phi_o = phi_i + 180, phi_o + 180
         pair = half_vector(180 - theta_i, phi_i, 180 - theta_o, phi_o)
         fresnel = fresnel_reflectance(pair.cos_zeta[:, None], 1 / self.n).mean
@@ -169,7 +181,7 @@ class Model:
         return np.stack(values, axis=-1)
 
     def directional_albedo(self, theta_i: Array, phi_i: Array) -> Array:
-        """Directional reflectance, (incidences…, wavelength): that of the facets, integrated anew, plus the other parts."""
+        """Directional reflectance, (incidences…, wavelength): of the facets, by quadrature, and of the other parts."""
         shape = theta_i.shape
         theta, phi = theta_i.reshape(-1), np.broadcast_to(phi_i, shape).reshape(-1)
         below = theta > 90
@@ -184,7 +196,7 @@ class Model:
     def _albedo_above(self, theta: Array, phi: Array) -> Array:
         total = self.specular(theta, phi, self.n)
         if self.furnace is not None:
-            # ∫ (1 − E(θ_o)) cos θ_o dω_o = π (1 − Ē): the lobe keeps its share exactly.
+            # ∫ (1 − E(θ_o)) cos θ_o dω_o = π (1 − Ē): exact.
             total = total + self.compensation * (1 - self.furnace(theta, phi))
         if self.diffuse_mode == "crf":
             return total + self.diffuse * CRF_DIFFUSE_SHARE
@@ -193,12 +205,11 @@ class Model:
     def specular(self, theta: Array, phi: Array, n: Array) -> Array:
         """Single reflection by the facets, or by the smooth surface, (incidences, wavelength)."""
         if self.surface is None:
-            cos = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
-            return np.asarray(fresnel_reflectance(cos[:, None], n, self.k).mean)
+            return _smooth_reflectance(theta, n, self.k)
         return directional_albedo(self.surface, self.masking, n, self.k, theta, phi)
 
     def transmittance(self, theta_i: Array, phi_i: Array) -> Array:
-        """Share of the light that passes the interface, (incidences…, wavelength)."""
+        """Directional transmittance of the interface, (incidences…, wavelength)."""
         theta, phi = theta_i.reshape(-1), np.broadcast_to(phi_i, theta_i.shape).reshape(-1)
         if not self.transparent:
             return np.zeros((*theta_i.shape, 1))
@@ -209,3 +220,109 @@ class Model:
         else:
             passed = transmission.directional_transmittance(self.surface, self.masking, self.n, theta, phi)
         return np.where((theta == 90)[:, None], 0.0, passed).reshape(*theta_i.shape, -1)
+
+
+# --- albedo and diffuse base of a dataset
+
+
+def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
+    """Add the directional albedo of the facets, its mean, and the fields that compensate multiple scattering."""
+    spectral = bsdf["n"].dims
+    n, k = np.atleast_1d(bsdf["n"].values), np.atleast_1d(bsdf["k"].values)
+    if "slope_density" not in bsdf:
+        return _smooth_albedo(bsdf, n, k, theta_m)
+    surface, masking = Microsurface.of(bsdf), str(bsdf.attrs["masking"])
+    compensated = bsdf.attrs["multiple_scattering"] == "compensated"
+
+    def both(theta: Array, phi: Array) -> Array:
+        # Masking modes that do not conserve energy may exceed 1: no light is left for the base.
+        single = np.minimum(directional_albedo(surface, masking, n, k, theta, phi), 1.0)
+        if not compensated:
+            return single
+        return np.concatenate([single, energy.mirror_albedo(surface, masking, theta, phi)[:, None]], axis=1)
+
+    table = energy.tabulated(surface, both, np.array([0.0, theta_m, 90.0]))
+    dims = ("theta_i",) if table.phi is None else ("theta_i", "phi_i")
+    bsdf = bsdf.assign_coords({"theta_i": table.theta} | ({} if table.phi is None else {"phi_i": table.phi}))
+    single = replace(table, values=table.values[..., : n.size])
+    if compensated:
+        furnace = replace(table, values=table.values[..., n.size :])
+        mean_furnace = float(furnace.mean()[0])
+        fresnel = mean_fresnel_reflectance(n, k)
+        # F_ms of all reflections after the first, each with the mean reflectance of a facet.
+        factor = np.asarray(fresnel**2 * mean_furnace / (1 - fresnel * (1 - mean_furnace)))
+        single = replace(table, values=single.values + factor * (1 - furnace.values))
+        bsdf = bsdf.assign(
+            furnace_albedo=(dims, furnace.values[..., 0]),
+            mean_furnace_albedo=mean_furnace,
+            compensation=(spectral, factor if spectral else factor[0]),
+        )
+    else:
+        bsdf = bsdf.assign(mean_furnace_albedo=_mean_mirror_albedo(surface, masking))
+    values, mean = single.values, single.mean()
+    return bsdf.assign(
+        directional_albedo=((*dims, *spectral), values if spectral else values[..., 0]),
+        mean_albedo=(spectral, mean if spectral else mean[0]),
+    )
+
+
+def _smooth_albedo(bsdf: xr.Dataset, n: Array, k: Array, theta_m: float) -> xr.Dataset:
+    spectral = bsdf["n"].dims
+
+    # The reflectance varies within 1/|N| of grazing, and for a small contrast within √(2 (n − 1)).
+    table = energy.refined(lambda theta: _smooth_reflectance(theta, n, k), 0.01, np.array([0.0, theta_m, 90.0]))
+    mean = table.mean()
+    return bsdf.assign_coords(theta_i=table.theta).assign(
+        directional_albedo=(("theta_i", *spectral), table.values if spectral else table.values[:, 0]),
+        mean_albedo=(spectral, mean if spectral else mean[0]),
+        mean_furnace_albedo=1.0,
+    )
+
+
+def _smooth_reflectance(theta: Array, n: Array, k: Array) -> Array:
+    cos = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
+    return np.asarray(fresnel_reflectance(cos[:, None], n, k).mean)
+
+
+def _mean_mirror_albedo(surface: Microsurface, masking: str) -> float:
+    """Ē₁ to 1e-5, the mean albedo of perfect mirrors at their first reflection."""
+    theta, weight = panel_rule(np.linspace(0, np.pi / 2, 3), 6)
+    azimuths = hemisphere.azimuths(surface.isotropic)
+    albedos = [energy.mirror_albedo(surface, masking, np.degrees(theta), azimuth) for azimuth in azimuths]
+    return float((weight * np.sin(2 * theta)) @ np.mean(albedos, axis=0))
+
+
+def total_reflectance_at(model: Model, theta: float) -> Array:
+    """Total reflectance at an incidence [degree], mean over azimuth, (wavelength or 1,)."""
+    phi = hemisphere.azimuths(model.isotropic)
+    return np.asarray(model.directional_albedo(np.full(phi.size, theta), phi).mean(axis=0))
+
+
+def diffuse_for(model: Model, total: Array, theta_m: float) -> Array:
+    """Diffuse reflectance with which a model of ``diffuse`` 0 reflects ``total`` at an incidence; negative if that is impossible."""
+    base = total - total_reflectance_at(model, theta_m)
+    if model.diffuse_mode == "crf":
+        return np.asarray(base)
+    phi = hemisphere.azimuths(model.isotropic)
+    entering = 1 - model.albedo(np.full(phi.size, theta_m), phi).mean(axis=0)
+    # Below 1 by the error of the albedo's table, so that a white base does not violate energy conservation.
+    return np.asarray(np.minimum(base / np.maximum(entering, 1e-12), 1 - 2e-8))
+
+
+def with_mean_index(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
+    """A dataset averaged over wavelength with weights of sum 1: the mean index, and the diffuse reflectance that keeps the total."""
+    n, k = (np.broadcast_to(bsdf[name].values, weight.shape) for name in ("n", "k"))
+    if k.any():
+        mean_n, mean_k = weight @ n, weight @ k
+    else:
+        amplitude = np.sqrt(weight @ ((n - 1) / (n + 1)) ** 2)
+        mean_n, mean_k = (1 + amplitude) / (1 - amplitude), 0.0
+    reduced = bsdf.drop_dims("wavelength").assign(n=mean_n, k=mean_k)
+    theta_m = float(bsdf["theta_m"])
+    reduced = with_albedo(reduced.drop_vars(_ALBEDO_FIELDS, errors="ignore"), theta_m).assign(diffuse=0.0)
+    if not bsdf["diffuse"].values.any():
+        return reduced
+    spectrum = total_reflectance_at(Model.of(bsdf, None), theta_m)
+    total = np.array([weight @ np.broadcast_to(spectrum, weight.shape)])
+    diffuse = diffuse_for(Model.of(reduced, None), total, theta_m)
+    return reduced.assign(diffuse=float(diffuse.clip(0.0)[0]))

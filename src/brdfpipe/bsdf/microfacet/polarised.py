@@ -1,19 +1,18 @@
-"""The Mueller matrix of a microfacet BRDF: what a rough surface does to the polarisation of light.
+"""The Mueller matrix of a microfacet BRDF.
 
 Frames. Light travels along k, which is −w_i before and w_o after the reflection. Its s axis is perpendicular to the plane of
 k and the surface normal z, and its p axis lies in it: s = k × z / |k × z|, p = k × s, so that (s, p, k) is right-handed. Hence
-s_i = (−sin φ_i, cos φ_i, 0) and s_o = (sin φ_o, −cos φ_o, 0), the same vector for a mirror reflection. At θ = 0, where the
-plane is not defined, these formulas hold on: the frame follows the azimuth that the direction was given.
+s_i = (−sin φ_i, cos φ_i, 0) and s_o = (sin φ_o, −cos φ_o, 0), the same vector for a mirror reflection. These formulas are also
+used at θ = 0, where the plane is not defined: the frame follows the given azimuth.
 
 Stokes vectors. With fields E e^{−iωt} (so that N = n + ik absorbs) S0 = |E_s|² + |E_p|², S1 = |E_s|² − |E_p|²,
 S2 = 2 Re(E_s* E_p), S3 = 2 Im(E_s* E_p): S2 > 0 is light polarised along s + p, and S3 > 0 is light whose field turns from s to p,
-counter-clockwise for an eye that it travels into ("left" in optics, positive helicity).
+counter-clockwise for an observer who looks into the light ("left" in optics, positive helicity).
 
 References
 ----------
 Born & Wolf, Principles of Optics, 7th ed., §1.4 and §1.5.2; Priest & Germer 2000 (Proc. MSS Specialty Group on Camouflage),
-polarimetric microfacet BRDF; Cloude 1986 (Optik 75, 26), physical Mueller matrices; Sekera 1966 (J. Opt. Soc. Am. 56, 1732),
-their reciprocity.
+polarimetric microfacet BRDF.
 """
 
 from __future__ import annotations
@@ -26,12 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 from brdfpipe.geometry import Array, half_vector
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 
-RECIPROCAL = np.diag([1.0, 1.0, -1.0, 1.0])
-"""Q of the reciprocity M(o → i) = Q M(i → o)ᵀ Q: light that runs back sees its 45° axes mirrored."""
-
-
 _PERFECT_MIRROR = 1e70
-"""Index beyond which N⁴ might overflow and a body is a mirror in every digit."""
+"""Index beyond which a body is a perfect mirror in double precision, and N⁴ might overflow."""
 
 
 class FrameRotation(NamedTuple):
@@ -51,19 +46,19 @@ def mueller(
     k: ArrayLike = 0.0,
     diffuse: ArrayLike = 0.0,
 ) -> Array:
-    """Mueller matrix BRDF of a microfacet surface over a base that depolarises what it scatters.
+    """Mueller matrix BRDF of a microfacet surface over a depolarising base.
 
     Parameters
     ----------
-    shape_factor : (…) D G / (4 cos θ_i cos θ_o) [sr⁻¹]: the BRDF if every facet were a perfect mirror
+    shape_factor : (…) D G / (4 cos θ_i cos θ_o) [sr⁻¹], the BRDF of perfect mirrors
     theta_i, phi_i, theta_o, phi_o : (…) degree, broadcastable; 0 <= θ <= 90
-    n, k : (wavelength,) or scalars; refractive index n + ik of the body relative to the medium before it
+    n, k : (wavelength,) or scalars; refractive index n + ik of the body relative to the outer medium
     diffuse : (…, wavelength) BRDF of the diffuse part [sr⁻¹]
 
     Returns
     -------
-    (…, wavelength, 4, 4) [sr⁻¹], from the Stokes frame of ``i`` to that of ``o`` (frames: module). A scalar index counts as one
-    wavelength. M[0, 0] is the BRDF for unpolarised light.
+    (…, wavelength, 4, 4) [sr⁻¹], from the Stokes frame of ``i`` to that of ``o``, defined above; M[0, 0] is the BRDF for unpolarised
+    light
 
     Raises
     ------
@@ -71,7 +66,7 @@ def mueller(
 
     Notes
     -----
-    M = D G / (4 cos θ_i cos θ_o) R(−ψ_o) M_F R(ψ_i) + diag(f_d, 0, 0, 0), with M_F of :func:`facet_mueller` and ψ of
+    M = D G / (4 cos θ_i cos θ_o) R(−ψ_o) M_F R(ψ_i) + diag(f_d, 0, 0, 0), with M_F from :func:`facet_mueller` and ψ from
     :func:`frame_rotation`.
     """
     n, k = np.atleast_1d(n), np.atleast_1d(k)
@@ -93,7 +88,7 @@ def facet_mueller(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0) -> Arra
     Parameters
     ----------
     cos_zeta : cosine of the angle of incidence on the facet, in [0, 1]
-    n, k : refractive index n + ik relative to the near medium, broadcastable; n < 1 may reflect totally, n = inf is a mirror
+    n, k : refractive index n + ik relative to the outer medium, broadcastable; total reflection for n < 1, a mirror for n = inf
 
     Returns
     -------
@@ -105,9 +100,8 @@ def facet_mueller(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0) -> Arra
 
     Notes
     -----
-    With F = |r|² and Z = r_s* r_p the matrix is ½(F_s ± F_p) in the upper block and Re Z, ∓Im Z in the lower, which turns circular
-    into linear light at metals and at total reflection. The diagonal uses the power reflectances of
-    :func:`brdfpipe.optics.fresnel`, so that M[0, 0] is theirs to the last digit.
+    With F = |r|² and Z = r_s* r_p the upper block is ½(F_s ± F_p) and the lower block Re Z, ∓Im Z, which converts circular to linear
+    polarisation at metals and at total reflection. M[0, 0] is exactly the reflectance of :func:`brdfpipe.optics.fresnel`.
     """
     fresnel = fresnel_reflectance(cos_zeta, n, k)
     z = _phased_product(cos_zeta, n, k)
@@ -120,14 +114,14 @@ def facet_mueller(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0) -> Arra
 
 
 def _phased_product(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike) -> NDArray[np.complex128]:
-    """r_s* r_p of a smooth interface, in the forms of :func:`brdfpipe.optics.fresnel` that do not cancel as N → 1."""
+    """r_s* r_p of a smooth interface, in a form without cancellation as N → 1."""
     c = np.clip(np.asarray(cos_zeta, dtype=float), 0.0, 1.0)
     n, k = np.asarray(n, dtype=float), np.asarray(k, dtype=float)
     mirror, absent = n > _PERFECT_MIRROR, (n == 1) & (k == 0)
     index = np.where(mirror | absent, 2.0, n) + 1j * k
     contrast = (index - 1) * (index + 1)
     q = np.sqrt(contrast + c * c)
-    # The wave beyond a total reflection decays: of the two roots the one with Im q >= 0, whatever the sign of a zero says.
+    # The evanescent wave decays: take the root with Im q >= 0, independent of the sign of zero.
     q = q.real + 1j * np.abs(q.imag)
     into_p = index * index * c + q
     r_s = -contrast / (c + q) ** 2
@@ -136,26 +130,18 @@ def _phased_product(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike) -> NDArray[
 
 
 def frame_rotation(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> FrameRotation:
-    """Angles by which the frames of both directions turn, from s towards p, into the frame of the facet between them.
+    """Angles ψ_i, ψ_o [radian], in [−π, π], from the frames of both directions to the frame of the facet, from s towards p.
 
     Parameters
     ----------
     theta_i, phi_i, theta_o, phi_o : (…) degree, broadcastable; 0 <= θ <= 90
 
-    Returns
-    -------
-    ψ_i, ψ_o [radian], in [−π, π]
-
     Notes
     -----
-    The facet's s axis is w_o × w_i / |w_o × w_i|, the same before and after. With Δ = φ_o − φ_i,
-    ψ_i = atan2(sin θ_o sin Δ, sin(θ_i − θ_o) + 2 sin θ_o cos θ_i sin²(Δ/2)) and ψ_o the same with i and o exchanged and Δ kept.
-    Towards retro-reflection both turn without limit, but 2(ψ_i + ψ_o), on which the light depends there, has one: written
-    through sin(θ_i − θ_o) it survives the cancellation. Where the cross product is zero, ψ_i = 0 and ψ_o = π − Δ continue it.
-
-    References
-    ----------
-    Derived from the frames of the module; checked against a construction with vectors and against SCATMECH.
+    The facet's s axis is w_o × w_i / |w_o × w_i| for both directions. With Δ = φ_o − φ_i,
+    ψ_i = atan2(sin θ_o sin Δ, sin(θ_i − θ_o) + 2 sin θ_o cos θ_i sin²(Δ/2)); ψ_o is the same with i and o exchanged except in Δ.
+    Towards retro-reflection both diverge, but 2(ψ_i + ψ_o), on which the light depends there, has a limit; the form with
+    sin(θ_i − θ_o) avoids cancellation. If the cross product is zero, ψ_i = 0 and ψ_o = π − Δ are the limits.
     """
     theta_i, theta_o = np.radians(theta_i), np.radians(theta_o)
     delta = np.radians(np.asarray(phi_o, dtype=float) - phi_i)
@@ -173,7 +159,7 @@ def frame_rotation(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi
 
 
 def rotation(psi: ArrayLike) -> Array:
-    """Mueller matrices (…, 4, 4) that express a Stokes vector in axes turned by ψ [radian] from s towards p."""
+    """Mueller matrices (…, 4, 4) of a rotation of the axes by ψ [radian] from s towards p."""
     cos, sin = np.cos(2 * np.asarray(psi, dtype=float)), np.sin(2 * np.asarray(psi, dtype=float))
     matrix = np.zeros((*cos.shape, 4, 4))
     matrix[..., 0, 0] = matrix[..., 3, 3] = 1
@@ -183,55 +169,27 @@ def rotation(psi: ArrayLike) -> Array:
 
 
 def stokes_out(mueller: ArrayLike, stokes_in: ArrayLike) -> Array:
-    """Stokes vectors (…, 4) that Mueller matrices (…, 4, 4) make of Stokes vectors (…, 4)."""
+    """Stokes vectors (…, 4) of the outgoing light: Mueller matrices (…, 4, 4) times Stokes vectors (…, 4)."""
     return np.einsum("...ab,...b->...a", np.asarray(mueller, dtype=float), np.asarray(stokes_in, dtype=float))
 
 
 def degree_of_polarisation(stokes: ArrayLike) -> Array:
-    """√(S1² + S2² + S3²) / S0 of Stokes vectors (…, 4) [1]; 0 where there is no light."""
+    """√(S1² + S2² + S3²) / S0 of Stokes vectors (…, 4) [1]; 0 without light."""
     s = np.asarray(stokes, dtype=float)
     return _share(np.linalg.norm(s[..., 1:], axis=-1), s[..., 0])
 
 
 def degree_of_linear_polarisation(stokes: ArrayLike) -> Array:
-    """√(S1² + S2²) / S0 of Stokes vectors (…, 4) [1]; 0 where there is no light."""
+    """√(S1² + S2²) / S0 of Stokes vectors (…, 4) [1]; 0 without light."""
     s = np.asarray(stokes, dtype=float)
     return _share(np.hypot(s[..., 1], s[..., 2]), s[..., 0])
 
 
 def angle_of_polarisation(stokes: ArrayLike) -> Array:
-    """Azimuth of the major axis of the polarisation ellipse of Stokes vectors (…, 4), from s towards p [degree], in [−90, 90].
-
-    ½ atan2(S2, S1); 0 for light without linear polarisation.
-    """
+    """½ atan2(S2, S1) of Stokes vectors (…, 4), from s towards p [degree], in [−90, 90]; 0 without linear polarisation."""
     s = np.asarray(stokes, dtype=float)
     return np.degrees(np.arctan2(s[..., 2], s[..., 1])) / 2
 
 
 def _share(part: Array, whole: Array) -> Array:
     return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)
-
-
-_PAULI = np.array([[[1, 0], [0, 1]], [[1, 0], [0, -1]], [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])
-
-
-def coherency(mueller: ArrayLike) -> NDArray[np.complex128]:
-    """Cloude's Hermitian coherency matrix (…, 4, 4) of Mueller matrices (…, 4, 4); its trace is M[0, 0].
-
-    ¼ Σ M_ab σ_a ⊗ σ_b*: positive semi-definite exactly where the Mueller matrix is a sum of Jones matrices.
-    """
-    m = np.asarray(mueller, dtype=float)
-    matrix = np.einsum("...ab,aij,bkl->...ikjl", m, _PAULI, _PAULI.conj()) / 4
-    return matrix.reshape(*m.shape[:-2], 4, 4)
-
-
-def physical(mueller: ArrayLike, tolerance: float = 1e-12) -> NDArray[np.bool_]:
-    """Whether Mueller matrices (…, 4, 4) can belong to a surface: no eigenvalue of the coherency matrix below −tolerance · M[0, 0].
-
-    References
-    ----------
-    Cloude 1986 (Optik 75, 26).
-    """
-    m = np.asarray(mueller, dtype=float)
-    smallest = np.linalg.eigvalsh(coherency(m))[..., 0]
-    return np.asarray((m[..., 0, 0] >= 0) & (smallest >= -tolerance * m[..., 0, 0]))

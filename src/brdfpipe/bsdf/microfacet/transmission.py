@@ -1,13 +1,13 @@
-"""Light through a rough interface: the BTDF of its facets, and how much passes.
+"""BTDF and directional transmittance of a rough interface.
 
-f_t = |i·h||o·h| / (|cos θ_i||cos θ_o|) · n_o² (1 − F) D G2 / (n_i i·h + n_o o·h)², h ∝ n_i w_i + n_o w_o. It counts radiance per
-irradiance, so f_t / n_o² is what is reciprocal: light that enters a body of index n is squeezed into a cone, and its
-radiance grows with n².
+f_t = |i·h||o·h| / (|cos θ_i||cos θ_o|) · n_o² (1 − F) D G2 / (n_i i·h + n_o o·h)², h ∝ n_i w_i + n_o w_o. f_t is radiance over
+irradiance. f_t / n_o² is reciprocal, because refraction into a body of index n compresses the solid angle and increases the radiance by
+n².
 
 References
 ----------
-Walter 2007 (EGSR), eqs. 16 and 21; Heitz 2014 (JCGT 3(2)) for the masking, whose height correlation is that of directions on
-opposite sides, G2 = B(1 + Λ_i, 1 + Λ_o) with B Euler's beta function (Dupuy et al. 2016).
+Walter 2007 (EGSR), eqs. 16 and 21; Heitz 2014 (JCGT 3(2)) for the masking; for directions on opposite sides its height-correlated form
+is G2 = B(1 + Λ_i, 1 + Λ_o) with B Euler's beta function (Dupuy et al. 2016).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import beta
 
 from brdfpipe.bsdf.microfacet import anisotropic_quadrature as quadrature
 from brdfpipe.bsdf.microfacet import energy
@@ -29,29 +30,17 @@ _AZIMUTHS = 16
 _LEAST_COSINE = 1e-12
 
 
-def _beta(lambda_i: Array, lambda_o: Array) -> Array:
-    from scipy.special import beta
-
-    return np.asarray(beta(1 + lambda_i, 1 + lambda_o))
-
-
 MASKING: dict[str, Callable[[Array, Array], Array]] = {
-    "height-correlated": _beta,
+    "height-correlated": lambda lambda_i, lambda_o: np.asarray(beta(1 + lambda_i, 1 + lambda_o)),
     "separable": lambda lambda_i, lambda_o: 1 / ((1 + lambda_i) * (1 + lambda_o)),
     "crf": lambda lambda_i, lambda_o: 1 / (1 + lambda_o),
     "none": lambda lambda_i, lambda_o: np.ones_like(lambda_i),
 }
-"""G2 of directions on opposite sides, from Λ of both. V-grooves (``blinn``, ``liu``) are not defined for them."""
+"""G2 of directions on opposite sides, from Λ of both; not defined for V-grooves (``blinn``, ``liu``)."""
 
 
 def transmitted(
-    surface: Microsurface,
-    masking: str,
-    index: float,
-    theta_i: Array,
-    phi_i: Array,
-    theta_o: Array,
-    phi_o: Array,
+    surface: Microsurface, masking: str, index: float, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array
 ) -> Array:
     """BTDF of the facets [sr-1], of the shape of the angles.
 
@@ -59,8 +48,8 @@ def transmitted(
     ----------
     surface : the facets, seen from above
     masking : a key of :data:`MASKING`
-    index : of the body below, against the medium above
-    theta_i, phi_i, theta_o, phi_o : degree; one of the two polar angles below 90, the other above
+    index : of the body below, relative to the medium above
+    theta_i, phi_i, theta_o, phi_o : degree; one of the polar angles is below 90, the other above
     """
     w_i, w_o = unit_vector(theta_i, phi_i), unit_vector(theta_o, phi_o)
     from_above = theta_i < 90
@@ -72,23 +61,23 @@ def transmitted(
         slope_x, slope_y = -m[..., 0] / m[..., 2], -m[..., 1] / m[..., 2]
     i_m, o_m = (w_i * m).sum(axis=-1), (w_o * m).sum(axis=-1)
     side = np.where(from_above, 1.0, -1.0)
-    # Each direction must lie on its own side of the facet, as it does of the surface.
-    seen = (i_m * side > 0) & (o_m * side < 0) & np.isfinite(slope_x) & np.isfinite(slope_y)
-    slope_x, slope_y = np.where(seen, slope_x, 0.0), np.where(seen, slope_y, 0.0)
-    cos_m = np.abs(np.where(seen, np.clip(i_m, -1.0, 1.0), 1.0))
-    passed = np.where(seen, 1 - fresnel(cos_m, n_o / n_i).mean, 0.0)
+    # Each direction is on the same side of the facet as of the surface.
+    valid = (i_m * side > 0) & (o_m * side < 0) & np.isfinite(slope_x) & np.isfinite(slope_y)
+    slope_x, slope_y = np.where(valid, slope_x, 0.0), np.where(valid, slope_y, 0.0)
+    cos_m = np.abs(np.where(valid, np.clip(i_m, -1.0, 1.0), 1.0))
+    transmittance = np.where(valid, 1 - fresnel(cos_m, n_o / n_i).mean, 0.0)
     spread = (1 + slope_x**2 + slope_y**2) ** 2
     masked = MASKING[masking](
         _smith_lambda(surface, theta_i, phi_i, from_above), _smith_lambda(surface, theta_o, phi_o, ~from_above)
     )
     cosines = np.maximum(np.abs(w_i[..., 2] * w_o[..., 2]), _LEAST_COSINE)
-    denominator = np.where(seen, (n_i * i_m + n_o * o_m) ** 2, 1.0)
+    denominator = np.where(valid, (n_i * i_m + n_o * o_m) ** 2, 1.0)
     facets = surface.density_at(slope_x, slope_y) * spread * masked
-    return np.asarray(np.abs(i_m * o_m) / cosines * n_o**2 * passed * facets / denominator)
+    return np.asarray(np.abs(i_m * o_m) / cosines * n_o**2 * transmittance * facets / denominator)
 
 
 def _smith_lambda(surface: Microsurface, theta: Array, phi: Array, above: NDArray[np.bool_]) -> Array:
-    """Λ towards directions above the surface, or below it, from where every slope is seen reversed."""
+    """Λ towards directions above the surface, or below it, where the slopes change sign."""
     cos = np.maximum(np.abs(np.cos(np.radians(theta))), _LEAST_COSINE)
     sin = np.abs(np.sin(np.radians(theta)))
     return np.asarray(surface.excess(cos, sin, phi + np.where(above, 0.0, 180.0)) * sin / cos)
@@ -97,13 +86,13 @@ def _smith_lambda(surface: Microsurface, theta: Array, phi: Array, above: NDArra
 def directional_transmittance(
     surface: Microsurface, masking: str, index: Array, theta_i: Array, phi_i: Array | float = 0.0
 ) -> Array:
-    """Share of the light from one direction that passes the facets, (incidences, wavelength).
+    """Directional transmittance of the facets, (incidences, wavelength).
 
     Parameters
     ----------
     surface : the facets, seen from above
     masking : a key of :data:`MASKING`
-    index : (wavelength,) of the body below, against the medium above
+    index : (wavelength,) of the body below, relative to the medium above
     theta_i, phi_i : (incidences,) degree; above 90 from within the body
 
     Notes
@@ -115,13 +104,13 @@ def directional_transmittance(
     distinct, where = np.unique(index, return_inverse=True)
     for row, (theta, phi) in enumerate(zip(theta_i, azimuth, strict=True)):
         below = theta > 90
-        # From below the surface is seen upside down: slopes and azimuths change sign with the normal.
+        # Seen from below the slopes change sign, as if the surface were turned by 180 degree.
         polar, around = (180 - theta, phi + 180) if below else (theta, phi)
         around = 0.0 if surface.isotropic else around
         values = []
         for ratio in 1 / distinct if below else distinct:
             facets = _facets_facing(surface, polar, around, float(np.arcsin(ratio)) if ratio < 1 else None)
-            values.append(_passed(surface, masking, float(ratio), polar, around, facets))
+            values.append(_facet_transmittance(surface, masking, float(ratio), polar, around, facets))
         result[row] = np.array(values)[where]
     return result
 
@@ -132,8 +121,8 @@ def _facets_facing(
     """Slopes along x and y of the facets of a quadrature that face (θ, φ), and their shares; φ = 0 of an isotropic surface."""
     if not isinstance(surface.density, RadialDensity):
         at = np.array([theta]), np.array([phi])
-        p, q, share = (each[0] for each in quadrature.facet_rule(surface.density, *at, critical, mirroring=False))
-        return p, q, share
+        p, q, share = quadrature.facet_rule(surface.density, *at, critical, mirroring=False)
+        return p[0], q[0], share[0]
     cot = 1 / np.tan(np.radians(max(theta, 1e-9)))
     reach = surface.density.slope[-1]
     edges = np.append(surface.density.panels(), min(cot, reach))
@@ -142,19 +131,19 @@ def _facets_facing(
         edges = np.concatenate([edges, splits])
     s, ds = panel_rule(np.sort(edges), 4)
     start = np.arccos(np.clip(cot / s, -1.0, 1.0))
-    # Two panels: the second begins where few facets are steep enough to matter.
+    # In the second of the two panels few facets are steep enough to contribute.
     around = np.stack([start, (start + np.pi) / 2, np.full_like(start, np.pi)], axis=-1)
     if critical is not None:
         around = energy.azimuths_of_total_reflection(around, s, np.radians(theta), critical)
-    beta, weight = panel_rule(around, _AZIMUTHS)
+    turn, weight = panel_rule(around, _AZIMUTHS)
     share = 2 * weight * (surface.density(s**2) * s * ds)[:, None]
-    return (s[:, None] * np.cos(beta)).ravel(), (s[:, None] * np.sin(beta)).ravel(), share.ravel()
+    return (s[:, None] * np.cos(turn)).ravel(), (s[:, None] * np.sin(turn)).ravel(), share.ravel()
 
 
-def _passed(
+def _facet_transmittance(
     surface: Microsurface, masking: str, ratio: float, theta: float, phi: float, facets: tuple[Array, Array, Array]
 ) -> float:
-    """Transmittance for light from (θ, φ), its own medium above and one of ``ratio`` times its index below."""
+    """Transmittance for light from (θ, φ), with ``ratio`` the index of the other medium over that of its own."""
     cos_i, sin_i = max(np.cos(np.radians(theta)), _LEAST_COSINE), np.sin(np.radians(theta))
     p, q, share = facets
     azimuth = np.radians(phi)
@@ -166,12 +155,12 @@ def _passed(
     o_x = -refracted * p / root - sin_i * np.cos(azimuth) / ratio
     o_y = -refracted * q / root - sin_i * np.sin(azimuth) / ratio
     o_z = refracted / root - cos_i / ratio
-    there = (towards > 0) & (inside > 0) & (o_z < 0)
+    valid = (towards > 0) & (inside > 0) & (o_z < 0)
     cos_o = np.clip(-o_z, _LEAST_COSINE, 1.0)
     sin_o = np.sqrt((1 - cos_o) * (1 + cos_o))
     lambda_i = surface.excess(np.asarray(cos_i), np.asarray(sin_i), phi) * sin_i / cos_i
     phi_o = np.degrees(np.arctan2(o_y, o_x)) + 180
     lambda_o = surface.excess(cos_o, sin_o, phi_o) * sin_o / cos_o
-    passed = 1 - fresnel(cos_m, ratio).mean
-    weight = share * passed * MASKING[masking](lambda_i + 0 * lambda_o, lambda_o) * towards / cos_i
-    return float(weight[there].sum())
+    transmittance = 1 - fresnel(cos_m, ratio).mean
+    weight = share * transmittance * MASKING[masking](lambda_i + 0 * lambda_o, lambda_o) * towards / cos_i
+    return float(weight[valid].sum())

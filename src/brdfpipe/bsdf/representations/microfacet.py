@@ -1,23 +1,28 @@
-"""The representation ``microfacet``: a rough interface over a diffuse base, or over a transparent body."""
+"""The representations ``microfacet`` and ``smooth``: an interface over a diffuse base, or over a transparent body."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
-from brdfpipe.bsdf.microfacet.model import Model
-from brdfpipe.bsdf.microfacet.reflectance import with_mean_index
+from brdfpipe.bsdf.microfacet.model import Model, with_mean_index
 from brdfpipe.bsdf.spectral import per_wavelength
 from brdfpipe.geometry import Array
 
 _LAY_ALBEDO_ACCURACY = 2e-4
 """Tables of the albedo over two angles agree with the integral to about 1e-4."""
 
+_UNRESOLVED_SLOPE = 1e-6
+"""A slope that no instrument resolves."""
+
 
 class Interface(Representation):
-    """What rough and perfectly smooth interfaces share."""
+    """Base class of rough and of perfectly smooth interfaces."""
 
     uses_index = True
     transmittance_needs_quadrature = False
@@ -31,7 +36,7 @@ class Interface(Representation):
         return self._model(wavelength).evaluate(theta_i, phi_i, theta_o, phi_o)
 
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
-        """Frames as in :mod:`brdfpipe.bsdf.microfacet.polarised`; NaN where light passes the interface or meets it from within."""
+        """Frames as in :mod:`brdfpipe.bsdf.microfacet.polarised`; NaN for light through the interface or from within it."""
         return self._model(wavelength).mueller(theta_i, phi_i, theta_o, phi_o)
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
@@ -53,9 +58,9 @@ class Interface(Representation):
         return "phi_i" not in self.dataset["directional_albedo"].dims
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
-        """The surface with the reflectance averaged with the weight, and one index.
+        """The surface with the weighted mean of the reflectance, and one index.
 
-        The index is the one that reflects the average at normal incidence (of a metal, the average of n and of k). Elsewhere the error
+        The index gives the mean reflectance at normal incidence (of a metal, it is the mean of n and of k). At other angles the error
         is of second order in the spread of n: 1e-5 of the specular part for a polymer over the visible.
         """
         bsdf = self.dataset
@@ -82,44 +87,54 @@ class Interface(Representation):
         return f"masking {masking}" if masking in NOT_PHYSICAL else ""
 
 
-ALBEDO_DIMS = [("theta_i", "wavelength"), ("theta_i",), ("theta_i", "phi_i", "wavelength"), ("theta_i", "phi_i")]
+_INCIDENCE_DIMS = [("theta_i",), ("theta_i", "phi_i")]
 
-INTERFACE_KIND = vocabulary.Kind(
+_INTERFACE_KIND = vocabulary.Kind(
     required={
-        "n": vocabulary.SPECTRAL,
-        "k": vocabulary.SPECTRAL,
-        "directional_albedo": ALBEDO_DIMS,
-        "mean_albedo": vocabulary.SPECTRAL,
+        **dict.fromkeys(("n", "k", "mean_albedo", "diffuse"), vocabulary.SPECTRAL),
+        "directional_albedo": [(*dims, *spectral) for dims in _INCIDENCE_DIMS for spectral in (("wavelength",), ())],
         "mean_furnace_albedo": vocabulary.SCALAR,
-        "diffuse": vocabulary.SPECTRAL,
     },
     optional={
-        "lay": vocabulary.SCALAR,
-        "furnace_albedo": [("theta_i",), ("theta_i", "phi_i")],
-        "compensation": vocabulary.SPECTRAL,
-        "total_reflectance": vocabulary.SPECTRAL,
-        "theta_m": vocabulary.SCALAR,
+        **dict.fromkeys(("lay", "theta_m"), vocabulary.SCALAR),
+        **dict.fromkeys(("compensation", "total_reflectance"), vocabulary.SPECTRAL),
+        "furnace_albedo": _INCIDENCE_DIMS,
     },
     attributes=("masking", "diffuse_mode", "multiple_scattering", "transmission"),
 )
 
 
 class Microfacet(Interface):
-    """A rough interface: the slope density of its facets, and what follows from it."""
+    """A rough interface, given by the slope density of its facets."""
 
     name = "microfacet"
-    kind = vocabulary.Kind(
+    kind = replace(
+        _INTERFACE_KIND,
         required={
             "slope_density": vocabulary.SLOPES,
             "lambda_smith": [("theta",), ("theta", "phi")],
-            **INTERFACE_KIND.required,
+            **_INTERFACE_KIND.required,
         },
-        optional=INTERFACE_KIND.optional,
-        attributes=INTERFACE_KIND.attributes,
     )
 
     @property
     def lobe_slope(self) -> float:
-        """The slope that half of the facets exceed."""
+        """Median slope of the facets."""
         assert self._surface is not None
         return self._surface.median_slope
+
+
+class Smooth(Interface):
+    """A perfectly smooth interface: its mirror reflection is not part of the BSDF, but of :meth:`specular`."""
+
+    name = "smooth"
+    kind = _INTERFACE_KIND
+
+    def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
+        model = self._model(wavelength)
+        bare = replace(model, diffuse=np.zeros(1))
+        return bare.directional_albedo(theta_i, phi_i), model.transmittance(theta_i, phi_i)
+
+    @property
+    def lobe_slope(self) -> float:
+        return _UNRESOLVED_SLOPE
