@@ -21,12 +21,12 @@ def dispersive(spread, mean=1.5):
     return vocabulary.label(index, "index")
 
 
-def test_a_form_that_is_everywhere_too_bright_errs_by_that():
+def test_a_form_that_is_too_bright_by_a_factor_has_that_error():
     weight, model = np.array([1.0, 2.0]), np.array([0.3, 0.1])
     assert comparison.misfit(weight, 1.1 * model, model) == pytest.approx((0.1, 0.1, 0.1))
 
 
-def test_black_is_matched_by_black_alone():
+def test_only_black_matches_black():
     weight, nothing = np.ones(2), np.zeros(2)
     assert comparison.misfit(weight, nothing, nothing) == (0, 0, 0)
     assert comparison.misfit(weight, np.ones(2), nothing).rms == np.inf
@@ -39,13 +39,13 @@ def test_a_neutral_index_is_averaged_without_error():
     vocabulary.validate(found, "nonspectral")
 
 
-def test_what_does_not_depend_on_wavelength_has_no_error():
+def test_a_bsdf_without_wavelengths_has_no_error():
     assert float(samples.beckmann_bsdf(0.1, reflectance=None).bsdf.nonspectral_error()["largest"].max()) == 0
     matt = lambert_gauss.lambertian(samples.spectrum(np.linspace(0, 1, 85)))
     assert float(matt.bsdf.nonspectral_error()["rms"].max()) < 1e-12
 
 
-def test_averaging_a_dispersive_index_errs_in_the_second_order_of_its_spread():
+def test_the_error_of_averaging_a_dispersive_index_is_of_second_order():
     errors = []
     for spread in (0.02, 0.04):
         bsdf = microfacet.build(facets.analytic("beckmann", 0.05), index=dispersive(spread))

@@ -15,7 +15,7 @@ polar, azimuth = st.floats(0, 89.99), st.floats(-180, 180)
 
 @pytest.mark.parametrize("kind", grids.GRIDS)
 @given(theta_i=polar, phi_i=azimuth, theta_o=polar, phi_o=azimuth)
-def test_directions_come_back_from_their_coordinates(kind, theta_i, phi_i, theta_o, phi_o):
+def test_coordinates_convert_back_to_directions(kind, theta_i, phi_i, theta_o, phi_o):
     asked = tuple(np.array([angle]) for angle in (theta_i, phi_i, theta_o, phi_o))
     found = grids.GRIDS[kind].directions(grids.GRIDS[kind].coordinates(*asked))
     for k in (0, 2):

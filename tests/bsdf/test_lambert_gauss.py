@@ -57,7 +57,7 @@ def test_the_small_angle_formula_of_the_reflectance_errs_as_printed(fwhm, ratio)
 
 
 @pytest.mark.parametrize("theta", [0.0, 30.0, 60.0])
-def test_a_fit_recovers_what_it_was_made_of(theta):
+def test_a_fit_recovers_the_parameters_of_its_own_form(theta):
     found = fitting.fit_lambert_gauss(lobe(), [theta])
     assert float(found["lambert"][0]) == pytest.approx(0.2, rel=1e-6)
     assert float(found["gauss_peak"][0]) == pytest.approx(5.0, rel=1e-6)
@@ -120,7 +120,7 @@ def test_a_weighted_mean_of_a_lambertian_is_the_mean_reflectance():
     assert float(nonspectral(bsdf, np.ones(85))["lambert"]) == pytest.approx(0.5)
 
 
-def test_a_fit_of_a_lay_says_that_it_holds_for_one_azimuth():
+def test_a_fit_of_a_lay_warns_that_it_is_valid_for_one_azimuth():
     bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.05, a_y=0.1, azimuth=90.0), index=1.5)
     found = fitting.fit_lambert_gauss(bsdf, [0.0])
     assert "the surface has a lay" in vocabulary.warnings(found)[0]
@@ -134,6 +134,6 @@ def test_a_single_incidence_needs_no_list():
     assert alone.identical(listed)
 
 
-def test_incidences_that_are_no_list_are_refused():
+def test_incidences_in_two_dimensions_are_refused():
     with pytest.raises(VocabularyError, match=r"theta_i of a fit .* shape \(1, 2\)"):
         fitting.fit_lambert_gauss(lobe(), [[0.0, 30.0]])

@@ -1,4 +1,4 @@
-"""How far an approximate form of a BSDF is from the full model: one measure for tables, fits and spectral averages."""
+"""Error of an approximate form of a BSDF against the full model, for tables, fits and spectral averages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from brdfpipe.geometry import Array, check_angles
 from brdfpipe.hemisphere import Directions
 
 _UNKNOWN_SLOPE = 2e-3
-"""Scale of the narrowest lobe that is expected of a representation that does not know its own."""
+"""Slope of the narrowest lobe that is resolved for a representation without a :attr:`lobe_slope`."""
 
 
 class Misfit(NamedTuple):
@@ -24,14 +24,14 @@ class Misfit(NamedTuple):
     rms: float
     """Flux-weighted rms error over the flux-weighted rms BRDF"""
     largest: float
-    """Largest |error| over the BRDF there or over that of a Lambertian of the same reflectance, whichever is larger"""
+    """Largest |error| over the BRDF or over that of a Lambertian of the same reflectance, whichever is larger"""
     reflectance: float
-    """Error of the reflectance, over the reflectance; signed"""
+    """Relative error of the reflectance, signed"""
 
 
-def misfit(weight: Array, found: Array, model: Array) -> Misfit:
+def misfit(weight: Array, approximation: Array, model: Array) -> Misfit:
     """Compare two BRDFs at directions of projected solid angles ``weight``."""
-    error, flux = found - model, float(weight @ model)
+    error, flux = approximation - model, float(weight @ model)
     scale = np.maximum(model, flux / weight.sum())
     if not scale.any():
         return Misfit(0.0, 0.0, 0.0) if not error.any() else Misfit(np.inf, np.inf, np.inf)
@@ -44,9 +44,9 @@ def directions(bsdf: xr.Dataset, theta_i: float, phi_i: float = 0.0, order: int 
     slope = representation(bsdf).lobe_slope
     rule = hemisphere.around_mirror(theta_i, _UNKNOWN_SLOPE if slope is None else slope, order=order, turns=turns)
     if not representation(bsdf).isotropic:
-        # The rule covers one side of the plane of incidence, and a lay makes the other one differ.
-        both = (np.concatenate([rule.theta, rule.theta]), np.concatenate([rule.phi, -rule.phi]))
-        rule = Directions(*both, np.concatenate([rule.weight, rule.weight]) / 2)
+        # The rule covers one side of the plane of incidence; with a lay the other side differs.
+        phi, weight = np.concatenate([rule.phi, -rule.phi]), np.tile(rule.weight / 2, 2)
+        rule = Directions(np.tile(rule.theta, 2), phi, weight)
     return rule._replace(phi=rule.phi + phi_i)
 
 
@@ -56,10 +56,20 @@ def brdf_at(bsdf: xr.Dataset, theta_i: float, phi_i: float, rule: Directions, wa
     return np.asarray(representation(bsdf).evaluate(*incidence, rule.theta, rule.phi, wavelength))
 
 
+def lost_specular(bsdf: xr.Dataset, form: str) -> list[str]:
+    """A warning if a form of finite values leaves out a perfectly specular part."""
+    if not any(part.any() for part in representation(bsdf).specular(np.array([45.0]), np.zeros(1), None)):
+        return []
+    return [
+        f"the {form} does not hold the perfectly specular part of the surface: take it from the BSDF itself, or give the surface a "
+        "roughness"
+    ]
+
+
 def nonspectral_error(
     bsdf: xr.Dataset, weight: ArrayLike | None = None, theta_i: ArrayLike = (8.0, 30.0, 60.0, 80.0)
 ) -> xr.Dataset:
-    """What averaging the optical constants over wavelength costs, against averaging the full model.
+    """Error of averaging the optical constants over wavelength, against averaging the full model.
 
     Parameters
     ----------
@@ -69,28 +79,25 @@ def nonspectral_error(
 
     Returns
     -------
-    Dataset of kind ``nonspectral``: ``rms``, ``largest`` and ``reflectance_error`` against ``theta_i``, see :class:`Misfit`; all 0 where
+    Dataset of kind ``nonspectral``: ``rms``, ``largest`` and ``reflectance_error`` against ``theta_i``, see :class:`Misfit`; all 0 if
     the BSDF does not depend on wavelength
     """
     angles = np.atleast_1d(check_angles("theta_i", theta_i, 0, 89.99))
     response = normalised_response(bsdf, weight)
     reduced = nonspectral(bsdf, weight)
-    told = np.zeros((angles.size, 3))
+    errors = np.zeros((angles.size, 3))
     if response is not None:
         for row, angle in enumerate(angles):
             rule = directions(bsdf, float(angle))
             full = np.broadcast_to(brdf_at(bsdf, angle, 0.0, rule), (rule.theta.size, response.size)) @ response
-            told[row] = misfit(rule.weight, brdf_at(reduced, angle, 0.0, rule)[:, 0], full)
-    words = {
+            errors[row] = misfit(rule.weight, brdf_at(reduced, angle, 0.0, rule)[:, 0], full)
+    texts = {
         "rms": "flux-weighted rms error of the non-spectral form over the flux-weighted rms BRDF",
         "largest": "largest error of the non-spectral form over the BRDF or that of a Lambertian as bright",
         "reflectance_error": "error of the reflectance of the non-spectral form over that of the model",
     }
-    result = xr.Dataset(
-        {
-            name: ("theta_i", told[:, column], {"units": "1", "long_name": text})
-            for column, (name, text) in enumerate(words.items())
-        },
-        coords={"theta_i": angles},
-    )
-    return vocabulary.label(result, "nonspectral")
+    fields = {
+        name: ("theta_i", values, {"units": "1", "long_name": text})
+        for (name, text), values in zip(texts.items(), errors.T, strict=True)
+    }
+    return vocabulary.label(xr.Dataset(fields, coords={"theta_i": angles}), "nonspectral")

@@ -1,12 +1,12 @@
-"""The coordinates a table of a BSDF may be laid out in.
+"""Coordinates of the tables of a BSDF.
 
-- ``uniform``: θ_i, θ_o, and φ_o counted from the azimuth of incidence; θ of either may exceed 90 (transmission).
+- ``uniform``: θ_i, θ_o, and φ_o counted from the azimuth of incidence; either θ may exceed 90 (transmission).
 - ``specular``: θ_i, and the outgoing direction in polar coordinates about the mirror direction: θ_s from it, φ_s = 0 towards the
-  normal in the plane of incidence. A lobe stays where it is as the incidence changes.
+  normal in the plane of incidence. The position of a lobe does not change with the incidence.
 - ``half``: θ_h of the half vector from the normal, θ_d of the directions from it, and φ_d of the incidence about it.
 
-The first two hold what leaves on the side the light comes from (``uniform`` both sides), ``half`` light from above. Of a surface
-with a lay a table has one axis more: φ_i, or φ_h.
+``uniform`` holds both sides of the surface, ``specular`` the side of incidence, and ``half`` light from above. With a lay a table has one
+more axis: φ_i, or φ_h.
 
 References
 ----------
@@ -15,7 +15,7 @@ Voloboy et al. 2005 (Keldysh Institute preprint), angles about the specular ray;
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -27,15 +27,15 @@ Angles: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 class Grid(NamedTuple):
-    """One layout: its axes, and the way there and back."""
+    """One layout: its axes, and the conversion from and to directions."""
 
     axes: tuple[str, str, str]
     azimuth: str
-    """The axis, first of all, that a surface with a lay needs besides."""
+    """The additional first axis of a surface with a lay"""
     coordinates: Callable[[Array, Array, Array, Array], Mapping[str, Array]]
-    """Every coordinate of pairs of directions."""
+    """All coordinates of pairs of directions"""
     directions: Callable[[Mapping[str, Array]], Angles]
-    """The pairs of directions at coordinates; without ``azimuth`` it is 0."""
+    """Pairs of directions from coordinates; ``azimuth`` is 0 by default"""
 
     def named(self, lay: bool) -> tuple[str, ...]:
         return (self.azimuth, *self.axes) if lay else self.axes
@@ -76,7 +76,7 @@ def half_angles(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> M
 
 
 def from_half_angles(at: Mapping[str, Array]) -> Angles:
-    """The pairs of directions at half-angle coordinates [degree]; they may lie below the horizon."""
+    """Pairs of directions at half-angle coordinates [degree]; they may be below the horizon."""
     theta_h, theta_d, phi_d = at["theta_h"], at["theta_d"], at["phi_d"]
     phi_h = at.get("phi_h", np.zeros_like(theta_h))
     x_axis, y_axis = unit_vector(theta_h + 90, phi_h), unit_vector(np.full_like(theta_h, 90.0), phi_h + 90)
@@ -111,12 +111,11 @@ GRIDS: Mapping[str, Grid] = {
 }
 
 AZIMUTHS = ("phi_o", "phi_s", "phi_d")
-"""Axes that hold a full circle, or half of one that is mirrored about the plane of incidence."""
+"""Axes that hold a full circle, or half a circle that is mirrored about the plane of incidence."""
 
 
-def kind_of(names: object) -> str:
-    """Which layout a table, or the grid wanted of one, is in: by the axis only that one has."""
-    found = set(names) if isinstance(names, tuple | list | set | frozenset) else set()
-    if found & {"theta_s", "phi_s"}:
-        return "specular"
-    return "half" if found & {"theta_h", "theta_d", "phi_d", "phi_h"} else "uniform"
+def layout_of(axes: Collection[Hashable]) -> Grid:
+    """The layout to which the names of axes belong; ``uniform`` if none is characteristic."""
+    if {"theta_s", "phi_s"} & set(axes):
+        return GRIDS["specular"]
+    return GRIDS["half" if {"theta_h", "theta_d", "phi_d", "phi_h"} & set(axes) else "uniform"]

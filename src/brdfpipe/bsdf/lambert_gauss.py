@@ -1,4 +1,4 @@
-"""The BSDF of a material of which only the reflectance is known: perfectly diffuse."""
+"""The perfectly diffuse BSDF of a material of which only the reflectance is known."""
 
 from __future__ import annotations
 
@@ -10,16 +10,7 @@ from brdfpipe.bsdf.representations.lambert_gauss import LambertGauss
 
 
 def lambertian(spectrum: xr.Dataset) -> xr.Dataset:
-    """A perfectly diffuse BSDF.
-
-    Parameters
-    ----------
-    spectrum : kind ``spectrum``
-
-    Returns
-    -------
-    Dataset of kind ``bsdf``, representation ``lambert_gauss``, with a warning that no gloss is modelled
-    """
+    """A perfectly diffuse BSDF, representation ``lambert_gauss``, of a ``spectrum``, with a warning that no gloss is modelled."""
     vocabulary.validate(spectrum, "spectrum")
     no_lobe = ("theta_i", np.zeros(2))
     bsdf = xr.Dataset(
@@ -34,17 +25,14 @@ def lambertian(spectrum: xr.Dataset) -> xr.Dataset:
         coords={"wavelength": spectrum["wavelength"].values, "theta_i": [0.0, 90.0]},
         attrs={"representation": LambertGauss.name},
     )
+    warnings = [
+        "No surface is given, so the material is modelled as perfectly diffuse: gloss and haze are those of a matt sheet of this "
+        "colour. Add a `surface` to material.yaml (a scan, or an assumed finish) to model its gloss."
+    ]
     if spectrum.attrs["geometry"] == "sce":
-        bsdf = vocabulary.add_warning(
-            bsdf,
+        warnings.insert(
+            0,
             "The reflectance was measured with the specular excluded (`sce`) and is used as the total reflectance: the light in the gloss "
             "trap is missing. Add a `surface` and an `index` to material.yaml to have it added.",
         )
-    return vocabulary.label(
-        vocabulary.add_warning(
-            bsdf,
-            "No surface is given, so the material is modelled as perfectly diffuse: gloss and haze are those of a matt sheet of this "
-            "colour. Add a `surface` to material.yaml (a scan, or an assumed finish) to model its gloss.",
-        ),
-        "bsdf",
-    )
+    return vocabulary.label(vocabulary.add_warning(bsdf, *warnings), "bsdf")

@@ -1,4 +1,4 @@
-"""From any BSDF to a table: only what a scene or an exchange format asks for."""
+"""Tables of a BSDF on a grid of directions, for scenes and exchange formats."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf import approximation_error as comparison
-from brdfpipe.bsdf.grids import AZIMUTHS, GRIDS, Grid, kind_of
+from brdfpipe.bsdf import approximation_error
+from brdfpipe.bsdf.grids import AZIMUTHS, GRIDS, Grid, layout_of
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.table import AXES, Table
 from brdfpipe.errors import VocabularyError
@@ -22,9 +22,11 @@ WARN_LIMIT, FAIL_LIMIT = 0.05, 0.5
 
 _OFFSETS = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0])
 _LAST_ABOVE = 89.9
-"""Where nodes below the horizon take their value from, so that what lies above is not interpolated towards 0 [degree]."""
-_ROUND = np.arange(0.0, 360.0, 30.0)
-_PLAIN_INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
+"""Polar angle whose values nodes below the horizon take, so that those above are not interpolated towards 0 [degree]."""
+_AZIMUTHS = np.arange(0.0, 360.0, 30.0)
+"""Azimuths of incidence over which a surface with a lay is averaged [degree]."""
+_INCIDENCES_WITHOUT_AXIS = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
+"""Incidences at which a table without the axis ``theta_i`` is compared with its model [degree]."""
 _MOST_INCIDENCES = 6
 
 
@@ -36,14 +38,14 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     bsdf : kind ``bsdf``
     grid : increasing lists [degree] of the axes of one of the layouts of :mod:`brdfpipe.bsdf.grids`: ``theta_i``, ``theta_o``, ``phi_o``
         (uniform), ``theta_i``, ``theta_s``, ``phi_s`` (specular-centred) or ``theta_h``, ``theta_d``, ``phi_d`` (half-angle); for a
-        surface with a lay ``phi_i`` (``phi_h``) too. Polar angles of a uniform grid may go beyond 90 where the BSDF transmits. Between
-        the nodes the table is interpolated linearly, so a lobe narrower than the steps is lost: the table says how much
+        surface with a lay also ``phi_i`` (``phi_h``). Polar angles of a uniform grid may exceed 90 if the BSDF transmits. The table is
+        interpolated linearly between the nodes, so a lobe narrower than the steps is lost
 
     Returns
     -------
     Dataset of kind ``bsdf``, representation ``table``: ``brdf`` on the axes[, wavelength]; the reflectance of the grid
-        ``grid_albedo(theta_i[, wavelength])`` and of the model ``model_albedo``, so that their difference tells what the grid
-        leaves out; and the errors of interpolation, see :func:`with_interpolation_error`
+        ``grid_albedo(theta_i[, wavelength])`` and of the model ``model_albedo``, whose difference is lost by the grid; and the
+        interpolation errors, see :func:`with_interpolation_error`
 
     Raises
     ------
@@ -51,110 +53,124 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
         turn of 360 nor, without a lay, 0 to 180.
     """
     vocabulary.validate(bsdf, "bsdf")
-    layout = GRIDS[kind_of(set(grid))]
-    _check_keys(grid, layout)
-    even = representation(bsdf).isotropic
+    model, layout = representation(bsdf), layout_of(grid)
+    known = layout.named(lay=True)
+    unknown = sorted(str(name) for name in set(grid) - set(known))
+    if unknown:
+        raise VocabularyError(
+            f"unknown axis of the grid: {', '.join(map(repr, unknown))}; accepted: {', '.join(known)}"
+        )
     axes = {name: _axis(grid, name, bsdf) for name in layout.named(layout.azimuth in grid)}
-    _check_circles(axes, even)
-    averaged = not even and layout.azimuth not in axes
-    brdf = _averaged(bsdf, layout, axes) if averaged else _on_nodes(bsdf, layout, axes)
+    _check_circles(axes, model.isotropic)
+    averaged = not model.isotropic and layout.azimuth not in axes
+    turns = _AZIMUTHS if averaged else np.zeros(1)
+    brdf = np.asarray(sum(_on_nodes(bsdf, layout, axes, turn) for turn in turns) / turns.size)
     spectral = ("wavelength",) if "wavelength" in bsdf.coords else ()
-    made = xr.Dataset(
+    table = xr.Dataset(
         {"brdf": ((*axes, *spectral), brdf if spectral else brdf[..., 0])},
         coords={**axes, **({"wavelength": bsdf["wavelength"].values} if spectral else {})},
-        attrs={"representation": Table.name, "source_representation": representation(bsdf).name},
+        attrs={"representation": Table.name, "source_representation": model.name},
     )
-    kept = ["total_reflectance", "theta_m"]
-    if representation(bsdf).transmits and "theta_o" in axes and axes["theta_o"][-1] > 90:
-        made.attrs["transmission"] = bsdf.attrs["transmission"]
-        kept.append("n")
-    for name in kept:
+    copied = ["total_reflectance", "theta_m"]
+    if model.transmits and "theta_o" in axes and axes["theta_o"][-1] > 90:
+        table.attrs["transmission"] = bsdf.attrs["transmission"]
+        copied.append("n")
+    for name in copied:
         if name in bsdf:
-            made[name] = bsdf[name].drop_vars("theta_i", errors="ignore")
-    made = _with_albedo(made, bsdf, axes, spectral)
-    made = vocabulary.label(with_interpolation_error(made, bsdf, averaged), "bsdf")
-    made = _with_verdict(made)
-    return vocabulary.add_warning(made, *_left_out(bsdf, layout, made, averaged))
+            table[name] = bsdf[name].drop_vars("theta_i", errors="ignore")
+    table = _with_albedo(table, bsdf, axes, spectral)
+    table = vocabulary.label(with_interpolation_error(table, bsdf, averaged), "bsdf")
+    table = _with_verdict(table)
+    if averaged:
+        table = vocabulary.add_warning(
+            table,
+            "the surface has a lay, and the table holds the mean over the azimuth of incidence: add "
+            f"`{layout.azimuth}` to the grid to resolve the azimuth",
+        )
+    table = vocabulary.add_warning(table, *approximation_error.lost_specular(bsdf, "table"))
+    if model.transmits and "transmission" not in table.attrs:
+        text = "the table holds reflection alone, and the material transmits: give a uniform grid `theta_o` beyond 90 degree"
+        table = vocabulary.add_warning(table, text)
+    return table
 
 
-def _on_nodes(bsdf: xr.Dataset, layout: Grid, axes: Mapping[str, Array], turned: float = 0.0) -> Array:
-    """The BSDF on the nodes, (axes…, wavelength), the whole arrangement turned by an azimuth."""
+def _on_nodes(bsdf: xr.Dataset, layout: Grid, axes: Mapping[str, Array], turn: float) -> Array:
+    """The BSDF on the nodes, (axes…, wavelength), with all azimuths turned."""
     nodes = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True))
     theta_i, phi_i, theta_o, phi_o = layout.directions(nodes)
-    if layout is not GRIDS["uniform"]:
-        above = axes.get("theta_i", np.zeros(1))[-1] <= 90
-        theta_i, theta_o = (np.minimum(angle, _LAST_ABOVE) if above else angle for angle in (theta_i, theta_o))
-    evaluator = representation(bsdf)
-    return np.asarray(evaluator.evaluate(theta_i, phi_i + turned, theta_o, phi_o + turned, None))
-
-
-def _averaged(bsdf: xr.Dataset, layout: Grid, axes: Mapping[str, Array]) -> Array:
-    return np.asarray(sum(_on_nodes(bsdf, layout, axes, turn) for turn in _ROUND) / _ROUND.size)
+    if layout is not GRIDS["uniform"] and axes.get("theta_i", np.zeros(1))[-1] <= 90:
+        theta_i, theta_o = np.minimum(theta_i, _LAST_ABOVE), np.minimum(theta_o, _LAST_ABOVE)
+    return representation(bsdf).evaluate(theta_i, phi_i + turn, theta_o, phi_o + turn, None)
 
 
 def _with_albedo(
-    made: xr.Dataset, bsdf: xr.Dataset, axes: Mapping[str, Array], spectral: tuple[str, ...]
+    table: xr.Dataset, bsdf: xr.Dataset, axes: Mapping[str, Array], spectral: tuple[str, ...]
 ) -> xr.Dataset:
     """Add the reflectance of the grid and of the model, means over the azimuth of incidence."""
-    theta_i = axes.get("theta_i", _PLAIN_INCIDENCES)
-    of_model = _mean_albedo(bsdf, theta_i)
+    theta_i = axes.get("theta_i", _INCIDENCES_WITHOUT_AXIS)
     if tuple(axes) == AXES:
-        of_grid = _grid_albedo(made["brdf"].values, axes["theta_i"], axes["theta_o"], axes["phi_o"])
+        of_grid = _grid_albedo(table["brdf"].values, axes["theta_i"], axes["theta_o"], axes["phi_o"])
         of_grid = of_grid if spectral else of_grid[..., None]
     else:
-        of_grid = _mean_albedo(made, theta_i)
-    reflectance = {"units": "1"}
-    told = {
+        of_grid = _mean_albedo(table, theta_i)
+    albedos = {
         "grid_albedo": (of_grid, "directional reflectance of the grid, by its own trapezoidal integral"),
-        "model_albedo": (of_model, "directional reflectance of the model, without a perfectly specular part"),
+        "model_albedo": (
+            _mean_albedo(bsdf, theta_i),
+            "directional reflectance of the model, without a perfectly specular part",
+        ),
     }
-    made = made.assign_coords(theta_i=theta_i)
-    for name, (values, words) in told.items():
-        values = np.broadcast_to(values, (theta_i.size, max(1, made.sizes.get("wavelength", 1))))
-        made[name] = (("theta_i", *spectral), values if spectral else values[:, 0], {**reflectance, "long_name": words})
-    return made
+    table = table.assign_coords(theta_i=theta_i)
+    for name, (values, text) in albedos.items():
+        values = np.broadcast_to(values, (theta_i.size, max(1, table.sizes.get("wavelength", 1))))
+        attrs = {"units": "1", "long_name": text}
+        table[name] = (("theta_i", *spectral), values if spectral else values[:, 0], attrs)
+    return table
 
 
 def _mean_albedo(bsdf: xr.Dataset, theta_i: Array) -> Array:
-    """What a grid can hold of the reflectance: all but the perfectly specular part."""
-    turns = np.zeros(1) if representation(bsdf).isotropic else _ROUND
+    """Reflectance without the perfectly specular part, which no grid holds."""
+    turns = np.zeros(1) if representation(bsdf).isotropic else _AZIMUTHS
     polar, azimuth = np.meshgrid(theta_i, turns, indexing="ij")
     mirrored = representation(bsdf).specular(polar, azimuth, None)[0]
     return np.asarray((representation(bsdf).albedo(polar, azimuth, None) - mirrored).mean(axis=1))
 
 
-def with_interpolation_error(made: xr.Dataset, bsdf: xr.Dataset, averaged: bool = False) -> xr.Dataset:
+def with_interpolation_error(table: xr.Dataset, bsdf: xr.Dataset, averaged: bool = False) -> xr.Dataset:
     """Compare a table with its model between the nodes.
 
     Returns
     -------
-    The table with ``interpolation_rms`` and ``interpolation_max``, worst of incidences midway between its own, and
-    ``interpolation_rms_on_nodes``, of incidences that it holds: see :class:`brdfpipe.bsdf.approximation_error.Misfit`. A table of a surface
-    with a lay that was averaged over the azimuth is compared with the average.
+    The table with ``interpolation_rms`` and ``interpolation_max``, worst of incidences midway between the nodes, and
+    ``interpolation_rms_on_nodes``, worst of incidences on the nodes: see :class:`brdfpipe.bsdf.approximation_error.Misfit`. A table
+    that is averaged over the azimuth of incidence is compared with the average.
 
     Notes
     -----
-    At each incidence the outgoing directions are those of a rule over the hemisphere that is graded towards the lobe, and weigh
-    their projected solid angles. At the middle wavelength.
+    At the middle wavelength, at outgoing directions of a quadrature of the hemisphere that is graded towards the lobe, weighted by
+    projected solid angle.
     """
-    nodes = made["theta_i"].values
+    nodes = table["theta_i"].values
     nodes = nodes[nodes < 89]
-    own = "theta_i" in made["brdf"].dims
     between = (nodes[1:] + nodes[:-1]) / 2 if nodes.size > 1 else nodes
-    told = {
-        "interpolation_rms": "rms, worst incidence midway between those of the table",
-        "interpolation_max": "largest error over the larger of the BRDF and that of a Lambertian of the same reflectance",
-        "interpolation_rms_on_nodes": "rms, worst of the table's own incidences",
+    off = [_interpolation_misfit(table, bsdf, angle, averaged) for angle in _some(between)]
+    on = off
+    if "theta_i" in table["brdf"].dims:
+        on = [_interpolation_misfit(table, bsdf, angle, averaged) for angle in _some(nodes)]
+    errors = {
+        "interpolation_rms": (
+            max(error.rms for error in off),
+            "rms, worst incidence midway between those of the table",
+        ),
+        "interpolation_max": (
+            max(error.largest for error in off),
+            "largest error over the larger of the BRDF and that of a Lambertian of the same reflectance",
+        ),
+        "interpolation_rms_on_nodes": (max(error.rms for error in on), "rms, worst of the table's own incidences"),
     }
-    off = [_interpolation_misfit(made, bsdf, angle, averaged) for angle in _some(between)]
-    on = [_interpolation_misfit(made, bsdf, angle, averaged) for angle in _some(nodes)] if own else off
-    values = [max(each.rms for each in off), max(each.largest for each in off), max(each.rms for each in on)]
-    words = "error of the table between its nodes: "
-    return made.assign(
-        {
-            name: ((), value, {"units": "1", "long_name": words + text})
-            for (name, text), value in zip(told.items(), values, strict=True)
-        }
+    prefix = "error of the table between its nodes: "
+    return table.assign(
+        {name: ((), value, {"units": "1", "long_name": prefix + text}) for name, (value, text) in errors.items()}
     )
 
 
@@ -162,56 +178,37 @@ def _some(angles: Array) -> Array:
     return angles[np.unique(np.linspace(0, angles.size - 1, min(angles.size, _MOST_INCIDENCES)).round().astype(int))]
 
 
-def _interpolation_misfit(made: xr.Dataset, bsdf: xr.Dataset, theta_i: float, averaged: bool) -> comparison.Misfit:
-    rule = comparison.directions(bsdf, theta_i)
+def _interpolation_misfit(
+    table: xr.Dataset, bsdf: xr.Dataset, theta_i: float, averaged: bool
+) -> approximation_error.Misfit:
+    rule = approximation_error.directions(bsdf, theta_i)
     middle = bsdf["wavelength"].values[[bsdf.sizes["wavelength"] // 2]] if "wavelength" in bsdf.coords else None
-    # Between the nodes of the azimuth, too.
-    phi_i = float(made["phi_i"].values[:2].mean()) if "phi_i" in made["brdf"].dims else 0.0
-    turns = _ROUND if averaged else np.array([0.0])
-    model, found = (
-        sum(
-            comparison.brdf_at(each, theta_i, phi_i + turn, rule._replace(phi=rule.phi + phi_i + turn), middle)
-            for turn in turns
-        )
-        for each in (bsdf, made)
-    )
-    return comparison.misfit(rule.weight, np.asarray(found)[:, 0], np.asarray(model)[:, 0])
+    # Between the nodes of the azimuth as well.
+    phi_i = float(table["phi_i"].values[:2].mean()) if "phi_i" in table["brdf"].dims else 0.0
 
+    def brdf(dataset: xr.Dataset) -> Array:
+        turned = (phi_i + turn for turn in (_AZIMUTHS if averaged else np.zeros(1)))
+        rules = ((phi, rule._replace(phi=rule.phi + phi)) for phi in turned)
+        return np.asarray(sum(approximation_error.brdf_at(dataset, theta_i, *at, middle) for at in rules))[:, 0]
 
-def _left_out(bsdf: xr.Dataset, layout: Grid, made: xr.Dataset, averaged: bool) -> list[str]:
-    """What the model has and the table has not."""
-    warnings = []
-    if averaged:
-        warnings.append(
-            f"the surface has a lay, and the table holds the mean over the azimuth of incidence: add `{layout.azimuth}` to the grid to keep it"
-        )
-    at = np.array([45.0]), np.zeros(1)
-    if any(part.any() for part in representation(bsdf).specular(*at, None)):
-        warnings.append(
-            "the perfectly specular part of the surface is not on the grid: take it from the BSDF itself, or give the surface a roughness"
-        )
-    if representation(bsdf).transmits and "transmission" not in made.attrs:
-        warnings.append(
-            "the table holds reflection alone, and the material transmits: give a uniform grid `theta_o` beyond 90 degree"
-        )
-    return warnings
+    return approximation_error.misfit(rule.weight, brdf(table), brdf(bsdf))
 
 
 def faithful_table(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """A table on the grid, or, where the grid is too coarse for the lobe, on one refined about the mirror directions."""
+    """A table on the grid, or on a refined grid (:func:`refined`) if the grid is too coarse for the lobe."""
     table = tabulate(bsdf, grid)
     return table if verdict_of(table) == "pass" else tabulate(bsdf, refined(bsdf, grid))
 
 
 def relative_loss(table: xr.Dataset) -> xr.DataArray:
-    """Relative difference between the reflectance of the grid and of the model; 0 where there is none to reflect."""
+    """Relative difference between the reflectance of the grid and of the model; 0 for a black material."""
     difference = abs(table["grid_albedo"] - table["model_albedo"])
-    # What rounding leaves of a difference of reflectances is no reflectance.
+    # Smaller differences are rounding.
     return (difference / table["model_albedo"]).where(difference > 1e-12, 0.0)
 
 
 def verdict_of(table: xr.Dataset) -> str:
-    """``pass``, ``warn`` or ``fail``: how well a table holds the reflectance of its model."""
+    """``pass``, ``warn`` or ``fail``, by the difference between the reflectance of a table and of its model."""
     return str(json.loads(table.attrs["verdicts"])["table"]["verdict"])
 
 
@@ -220,48 +217,44 @@ def refined(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> dict[str, Array]
 
     Parameters
     ----------
-    bsdf : kind ``bsdf``; one whose lobe is not known leaves the grid as it is
-    grid : ``theta_i``, ``theta_o``, ``phi_o`` [degree], phi_o a full circle; ``phi_i`` stays as it is
+    bsdf : kind ``bsdf``; without a known lobe width the grid is not changed
+    grid : ``theta_i``, ``theta_o``, ``phi_o`` [degree], phi_o a full circle; ``phi_i`` is not changed
 
     Returns
     -------
     dict of the same axes. A facet of slope s turns the mirror direction by 2s in the plane of incidence and by 2s cot θ_i in
-    azimuth; nodes lie at half that for a typical slope, and at steps that widen from there. Where the grid goes beyond 90 degree,
-    nodes are added about the transmitted directions too.
+    azimuth. The first added node is at half that for a typical slope, the next ones at increasing steps. If the grid goes beyond
+    90 degree, nodes are also added about the transmitted directions.
     """
     axes = {name: _axis(grid, name, bsdf) for name in GRIDS["uniform"].named("phi_i" in grid)}
     scale = representation(bsdf).lobe_slope
     if scale is None:
         return axes
     half = np.degrees(scale)
-    steps = np.concatenate([[0.0], half * _OFFSETS])
-    mirror = axes["theta_i"][:, None] + np.concatenate([-steps[:0:-1], steps])
+    steps = np.concatenate([-half * _OFFSETS[::-1], [0.0], half * _OFFSETS])
+    mirror = axes["theta_i"][:, None] + steps
     theta_o = np.concatenate([axes["theta_o"], mirror[(mirror > 0) & (mirror < 89.9)]])
     if axes["theta_o"][-1] > 90:
-        through = representation(bsdf).refracted(axes["theta_i"])[:, None] + np.concatenate([-steps[:0:-1], steps])
-        theta_o = np.concatenate([theta_o, through[(through > 90.1) & (through < 180)]])
+        transmitted = representation(bsdf).refracted(axes["theta_i"])[:, None] + steps
+        theta_o = np.concatenate([theta_o, transmitted[(transmitted > 90.1) & (transmitted < 180)]])
     steepest = np.radians(max(axes["theta_i"].max(), 1.0))
     narrowest = np.degrees(2 * scale / np.tan(steepest)) * _OFFSETS[0]
-    about = np.concatenate(
-        [[0.0], np.geomspace(narrowest, 60, max(2, int(np.ceil(np.log(60 / narrowest) / np.log(1.6)))))]
-    )
-    phi_o = np.concatenate([axes["phi_o"], 180 - about, 180 + about]) if narrowest < 30 else axes["phi_o"]
-    return axes | {
-        "theta_o": _distinct(theta_o, half / 8),
-        "phi_o": _distinct(phi_o, narrowest / 2),
-    }
+    count = max(2, int(np.ceil(np.log(60 / narrowest) / np.log(1.6))))
+    azimuths = np.concatenate([[0.0], np.geomspace(narrowest, 60, count)])
+    phi_o = np.concatenate([axes["phi_o"], 180 - azimuths, 180 + azimuths]) if narrowest < 30 else axes["phi_o"]
+    return axes | {"theta_o": _distinct(theta_o, half / 8), "phi_o": _distinct(phi_o, narrowest / 2)}
 
 
-def _distinct(nodes: Array, apart: float) -> Array:
-    """Nodes in order, without those closer to their neighbour than ``apart`` or than half a thousandth of a degree."""
+def _distinct(nodes: Array, step: float) -> Array:
+    """Sorted nodes, without those closer to their neighbour than ``step``, which is limited to 0.0005 to 0.2 degree."""
     ordered = np.unique(np.round(nodes, 4))
-    keep = np.concatenate([[True], np.diff(ordered) > min(max(apart, 5e-4), 0.2)])
+    keep = np.concatenate([[True], np.diff(ordered) > min(max(step, 5e-4), 0.2)])
     keep[-1] = True
     return ordered[keep]
 
 
 def grid_for(bsdf: xr.Dataset, spec: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
-    """The uniform grid that a BSDF needs, from the configuration's ``table``.
+    """The uniform grid of a BSDF, from the configuration's ``table``.
 
     Parameters
     ----------
@@ -270,8 +263,8 @@ def grid_for(bsdf: xr.Dataset, spec: Mapping[str, ArrayLike]) -> dict[str, Array
 
     Returns
     -------
-    dict of ``theta_i``; ``theta_o``, mirrored beyond 90 where the BSDF transmits; ``phi_o``, mirrored to 360; and ``phi_i``, from
-    the lay, where the surface has one
+    dict of ``theta_i``; ``theta_o``, mirrored beyond 90 if the BSDF transmits; ``phi_o``, mirrored to 360; and ``phi_i``, counted
+    from the lay, if the surface has one
     """
     above = np.asarray(spec["theta_o"], dtype=float)
     theta_o = np.concatenate([above, 180 - above[::-1]]) if representation(bsdf).transmits else above
@@ -290,13 +283,15 @@ def full_circle(half: ArrayLike) -> Array:
     """
     phi = check_angles("phi_o", half, 0, 180)
     if phi.ndim != 1 or phi.size < 2 or phi[0] != 0 or phi[-1] != 180 or not (np.diff(phi) > 0).all():
-        raise VocabularyError("phi_o of the grid must increase from 0 to 180; set `table.phi_o` in the configuration")
+        raise VocabularyError(
+            "phi_o of the grid must increase from 0 to 180; change `table.phi_o` in the configuration"
+        )
     return np.concatenate([phi, 360 - phi[-2::-1]])
 
 
 def _axis(grid: Mapping[str, ArrayLike], name: str, bsdf: xr.Dataset) -> Array:
     if name not in grid:
-        raise VocabularyError(f"the grid needs {name!r}; found {', '.join(grid)}")
+        raise VocabularyError(f"the grid has no axis {name!r}; found: {', '.join(grid)}; add it")
     polar = 180 if representation(bsdf).transmits or name == "theta_s" else 90
     low, high = (-360, 360) if name.startswith("phi") else (0, 90 if name in ("theta_h", "theta_d") else polar)
     values = check_angles(name, grid[name], low, high)
@@ -305,31 +300,21 @@ def _axis(grid: Mapping[str, ArrayLike], name: str, bsdf: xr.Dataset) -> Array:
     return values
 
 
-def _check_keys(grid: Mapping[str, ArrayLike], layout: Grid) -> None:
-    known = layout.named(lay=True)
-    unknown = sorted(str(name) for name in set(grid) - set(known))
-    if unknown:
-        raise VocabularyError(f"the grid knows no {', '.join(map(repr, unknown))}; accepted: {', '.join(known)}")
-
-
-def _check_circles(axes: Mapping[str, Array], even: bool) -> None:
-    """Refuse less than a full circle, or than the half that mirror symmetry completes."""
+def _check_circles(axes: Mapping[str, Array], isotropic: bool) -> None:
+    """Refuse less than a full circle, or than the half circle of an isotropic surface."""
+    accepted = "from 0 to 180, or a full turn of 360"
+    if not isotropic:
+        accepted = "a full turn of 360, because the surface has a lay and is not symmetric about the plane of incidence"
     for name in set(AZIMUTHS) & set(axes):
         first, last = axes[name][0], axes[name][-1]
-        if last - first == 360 or (even and (first, last) == (0, 180)):
-            continue
-        accepted = (
-            "from 0 to 180, or a full turn of 360"
-            if even
-            else "a full turn of 360: the surface has a lay, and the halves of a circle differ"
-        )
-        raise VocabularyError(
-            f"{name} of the grid runs from {first:g} to {last:g} degree; accepted: {accepted}; mend `{name}` of the grid"
-        )
+        if last - first != 360 and not (isotropic and (first, last) == (0, 180)):
+            raise VocabularyError(
+                f"{name} of the grid runs from {first:g} to {last:g} degree; accepted: {accepted}; change `{name}` of the grid"
+            )
 
 
 def _grid_albedo(brdf: Array, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
-    """∫ BRDF |cos θ_o| dω_o by the trapezoidal rule on the nodes of the side the light comes from, completed to a full circle.
+    """∫ BRDF |cos θ_o| dω_o over the side of incidence by the trapezoidal rule on the nodes, completed to a full circle.
 
     The last polar node before the horizon extends to it.
     """
@@ -355,7 +340,7 @@ def _trapezoid(brdf: Array, theta_o: Array, phi_o: Array) -> Array:
 
 
 def _with_verdict(table: xr.Dataset) -> xr.Dataset:
-    """Say how well the grid holds the model: programs that read a table believe its own integral."""
+    """Add the verdict on the grid's own integral, which programs that read a table rely on."""
     lost = relative_loss(table)
     by_incidence = lost.max("wavelength") if "wavelength" in lost.dims else lost
     worst, angle = float(by_incidence.max()), float(by_incidence.idxmax("theta_i"))
@@ -366,6 +351,6 @@ def _with_verdict(table: xr.Dataset) -> xr.Dataset:
         return table
     return vocabulary.add_warning(
         table,
-        f"the table's own integral differs from the model's reflectance by up to {worst:.1%} (at {angle:g}° incidence): the grid is "
-        "too coarse for the lobe; use finer steps in the configuration's `table`, or `table.refine: true`",
+        f"the grid of the table is too coarse for the lobe: {text}; use finer steps in the configuration's `table`, or "
+        "`table.refine: true`",
     )

@@ -1,4 +1,4 @@
-"""Lambert + Gaussian: the approximate form that illumination programs take, and the form of a purely diffuse material.
+"""The representation ``lambert_gauss``: the approximate form for illumination programs, and the form of a diffuse material.
 
 f = ρ/π + G0 exp[−δ∥²/(2σ∥²) − δ⊥²/(2σ⊥²)] with δ∥, δ⊥ the angles from the mirror direction along and across the plane of
 incidence (longitude and latitude about it), and FWHM = 2.3548 σ.
@@ -21,6 +21,9 @@ from brdfpipe.geometry import Array, unit_vector
 FWHM = 2 * np.sqrt(2 * np.log(2))
 """Full width at half maximum of a Gaussian over its σ."""
 
+FIT_RESULTS = ("gauss_reflectance", "fit_residual", "fit_error_max", "reflectance_error")
+"""Further variables of a fit."""
+
 
 class LambertGauss(Representation):
     """Lambertian plus Gaussian; parameters are interpolated between incidences."""
@@ -34,10 +37,7 @@ class LambertGauss(Representation):
             "gauss_fwhm_perpendicular": [("theta_i",)],
         },
         optional={
-            "gauss_reflectance": [("theta_i",)],
-            "fit_residual": [("theta_i",)],
-            "fit_error_max": [("theta_i",)],
-            "reflectance_error": [("theta_i",)],
+            **{name: [("theta_i",)] for name in FIT_RESULTS},
             "total_reflectance": vocabulary.SPECTRAL,
             "theta_m": vocabulary.SCALAR,
         },
@@ -51,8 +51,8 @@ class LambertGauss(Representation):
             base = lambert.values if wavelength is None else np.interp(wavelength, own, lambert.values)
             diffuse = np.broadcast_to(base / np.pi, (*theta_i.shape, base.size))
         else:
-            flat = np.interp(theta_i, bsdf["theta_i"].values, np.broadcast_to(lambert.values, bsdf["theta_i"].shape))
-            diffuse = flat[..., None] / np.pi
+            base = np.interp(theta_i, bsdf["theta_i"].values, np.broadcast_to(lambert.values, bsdf["theta_i"].shape))
+            diffuse = base[..., None] / np.pi
         peak, parallel, perpendicular = (
             np.interp(theta_i, bsdf["theta_i"].values, bsdf[name].values)
             for name in ("gauss_peak", "gauss_fwhm_parallel", "gauss_fwhm_perpendicular")
@@ -78,14 +78,14 @@ class LambertGauss(Representation):
 def gaussian(
     along: Array, across: Array, peak: Array | float, sigma_parallel: Array | float, sigma_perpendicular: Array | float
 ) -> Array:
-    """Gaussian of angles from the mirror direction [degree] with its peak and widths σ [degree]; 0 where the peak is 0."""
+    """Gaussian of angles from the mirror direction [degree], by its peak and widths σ [degree]; 0 if the peak is 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         exponent = (along / sigma_parallel) ** 2 / 2 + (across / sigma_perpendicular) ** 2 / 2
     return np.where(np.asarray(peak) > 0, peak * np.exp(-np.nan_to_num(exponent, nan=0.0, posinf=np.inf)), 0.0)
 
 
 def about_mirror(theta_i: ArrayLike, theta_o: Array, phi: Array) -> tuple[Array, Array]:
-    """Longitude in the plane of incidence and latitude across it [degree], from the mirror direction of (theta_i, 0)."""
+    """Longitude in the plane of incidence and latitude across it [degree], relative to the mirror direction of (theta_i, 0)."""
     x, y, z = np.moveaxis(unit_vector(theta_o, phi), -1, 0)
     along = np.degrees(np.arctan2(-x, z)) - theta_i
     return along, np.degrees(np.arcsin(np.clip(y, -1.0, 1.0)))
