@@ -111,7 +111,7 @@ def test_every_model_is_sound(model):
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_nothing_is_seen_at_and_below_the_horizon(model):
+def test_the_brdf_is_0_at_and_below_the_horizon(model):
     bsdf = flake.build(colours(), index=1.524, **model)
     assert (bsdf.bsdf.evaluate([90, 30, 100, 30], 0, [30, 90, 30, 120], 0).values == 0).all()
     assert np.isfinite(bsdf.bsdf.evaluate([89.9999, 30], 0, [89.9999, 89.9999], [0, 180]).values).all()
@@ -130,14 +130,14 @@ def test_a_rough_clear_coat_reflects_as_much_as_a_smooth_one():
     assert rough.bsdf.albedo([0, 45]).values == pytest.approx(smooth.bsdf.albedo([0, 45]).values, rel=1e-3)
 
 
-def test_the_gloss_of_a_rough_coat_is_taken_out_of_the_measured_colours():
+def test_the_gloss_of_a_rough_coat_is_subtracted_from_the_measured_colours():
     bsdf = flake.build(colours(), index=1.524, model="flake-physical", clear_coat=0.05)
     lower = flake.build(colours(), index=1.524, model="flake-physical")
     assert (bsdf["flake_amplitude"].values < lower["flake_amplitude"].values).all()
     assert lab_of(bsdf, directions(colours())) == pytest.approx(np.array(list(LAB.values())), abs=1e-5)
 
 
-def test_a_coat_that_outshines_the_colours_is_refused():
+def test_a_coat_with_more_gloss_than_the_colours_is_refused():
     with pytest.raises(InputError, match="gloss of the clear coat alone is more than a measured colour"):
         flake.build(colours(), index=1.524, model="flake-physical", clear_coat=0.3)
 
@@ -168,7 +168,7 @@ def noisy(path, true, random) -> xr.Dataset:
 
 
 @pytest.mark.parametrize("model", ["flake", "flake-physical"])
-def test_parameters_of_a_file_with_uncertainties_are_as_far_off_as_they_say(tmp_path, model):
+def test_errors_of_fitted_parameters_agree_with_their_uncertainties(tmp_path, model):
     true = flake.build(spectra(), model=model).drop_vars("flake_covariance")
     bsdf = flake.build(noisy(tmp_path / "a.csv", true, np.random.default_rng(11)), model=model)
     vocabulary.validate(bsdf, "bsdf")
@@ -203,7 +203,7 @@ def misses(bsdf):
     return [text for text in vocabulary.warnings(bsdf) if "standard uncertainties" in text]
 
 
-def test_a_missed_uncertainty_is_warned_about_without_degrees_of_freedom(tmp_path):
+def test_an_outlier_is_warned_about_without_degrees_of_freedom(tmp_path):
     multiangle = five(tmp_path / "a.csv", 0.3)
     bsdf = flake.build(multiangle, form="double-exponential")
     assert "reduced_chi_squared" not in bsdf
@@ -258,7 +258,7 @@ def test_the_mean_over_wavelength_is_the_mean_of_the_model(multiangle):
 
 
 @pytest.mark.parametrize("multiangle", [colours(), spectra()], ids=["colours", "spectra"])
-def test_it_is_stored_and_read_back(multiangle, tmp_path):
+def test_a_flake_bsdf_is_stored_and_read_back(multiangle, tmp_path):
     bsdf = flake.build(multiangle, index=1.5)
     path = tmp_path / "flake.nc"
     store.save_dataset(bsdf, path, stage="flake", material="m", inputs={"multiangle": multiangle}, parameters={})
@@ -297,16 +297,16 @@ def test_a_black_paint_is_black():
     assert (bsdf.bsdf.evaluate(30, 0, [10, 80], 180).values == 0).all()
 
 
-def test_a_colour_that_no_light_has_takes_that_of_the_nearest_flake_angle():
+def test_an_impossible_colour_is_replaced_by_that_of_the_nearest_flake_angle():
     # X and Z fall far more slowly than Y, so that the fit leaves the spectral locus far from the gloss.
     xyz = [[30.0, 27.5, 30.0], [12.0, 2.68, 20.0], [8.0, 0.323, 16.0]]
     listed = [{"geometry": name, "xyz": each} for name, each in zip(LAB, xyz, strict=True)]
     bsdf = flake.build(flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10}))
-    assert any("no light has the colour" in text for text in vocabulary.warnings(bsdf))
+    assert any("no reflectance has the fitted colour" in text for text in vocabulary.warnings(bsdf))
     assert (bsdf.bsdf.evaluate(45, 0, [0, 65, 80], 0).values > 0).all()
 
 
-def test_geometries_that_need_the_same_flake_are_too_few():
+def test_geometries_of_equal_flake_angles_are_too_few():
     labs = {"45:-30": (30, 0, 0), "30:-45": (30, 0, 0), "45:0": (10, 0, 0)}
     with pytest.raises(InputError, match="2 in 3 geometries"):
         flake.build(colours(labs))
@@ -315,17 +315,17 @@ def test_geometries_that_need_the_same_flake_are_too_few():
 @pytest.mark.parametrize(
     ("options", "pattern"),
     [
-        ({"index": 1.0}, "no refractive index"),
-        ({"index": True}, "no refractive index"),
+        ({"index": 1.0}, "invalid refractive index"),
+        ({"index": True}, "invalid refractive index"),
         ({"model": "silver"}, "unknown model.*flake, flake-physical"),
         ({"form": "cauchy"}, "unknown form"),
         ({"form": "double-exponential"}, "at least 5"),
-        ({"clear_coat": "smooth"}, "would break energy"),
+        ({"clear_coat": "smooth"}, "would violate energy conservation"),
         ({"model": "flake-physical", "clear_coat": "matt"}, "unknown clear coat"),
         ({"model": "flake-physical", "clear_coat": 2.0}, "0.0001 to 1"),
     ],
 )
-def test_choices_that_cannot_be_are_refused(options, pattern):
+def test_impossible_options_are_refused(options, pattern):
     with pytest.raises(InputError, match=pattern):
         flake.build(colours(), **options)
 
@@ -336,7 +336,7 @@ def test_a_paint_given_as_spectra_has_no_tristimulus_of_its_own():
     assert representation(flake.build(colours())).tristimulus(*at, "A", 10) is None
 
 
-def test_a_table_of_it_is_the_model_at_its_nodes():
+def test_a_table_of_a_flake_bsdf_is_exact_at_its_nodes():
     bsdf = flake.build(colours(), index=1.524)
     table = bsdf.bsdf.tabulate({"theta_i": [0, 45], "theta_o": [0, 30, 60], "phi_o": [0, 90, 180, 270, 360]})
     assert table.bsdf.evaluate(45, 0, 30, 180).values == pytest.approx(bsdf.bsdf.evaluate(45, 0, 30, 180).values)

@@ -1,11 +1,11 @@
 """Paints with effect pigments, from their colours at several geometries: representation ``flake``.
 
-Flakes below a clear coat mirror light by their tilt, so the reflection is taken as a function of the flake angle θf alone, fitted
-in each linear channel: ρ(θf) = A exp(−θf/B) + C or another named form (:mod:`brdfpipe.flakes.forms`).
+Flakes below a clear coat mirror light according to their tilt, so the reflection is modelled as a function of the flake angle θf,
+fitted in each linear channel: ρ(θf) = A exp(−θf/B) + C or another named form (:mod:`brdfpipe.flakes.forms`).
 
 ``flake``           f = ρ/π, the patent's: ρ is the reflectance factor itself
-``flake-physical``  f = (ρ/π) N(θi, θo)/N(0, 0) with N = (1−F_i)(1−F_o)/(4 n² cos θ_i' cos θ_o'), what single flakes of one
-                    orientation density send through the smooth interface; and the gloss of the coat
+``flake-physical``  f = (ρ/π) N(θi, θo)/N(0, 0) with N = (1−F_i)(1−F_o)/(4 n² cos θ_i' cos θ_o'), single reflection by flakes of one
+                    orientation density below a smooth interface; and the gloss of the coat
 
 References
 ----------
@@ -28,17 +28,18 @@ from brdfpipe.spectra import colorimetry
 
 MODELS = ("flake", PHYSICAL)
 
-_STEPS = 160
-_DIM = 0.01
-"""Y at which the spectrum of a chromaticity is recovered: far from 1, where recovery does not depend on it."""
-_CHANCE = 1e-3
-"""Probability below which a misfit is no chance."""
-_MISSED = 3.0
-"""Over its standard uncertainty, from where on the misfit of a single value is warned about."""
-_SOME_CHANCE = 0.05
-"""Probability that chance alone makes that warning, where there are so many values that 3 would be exceeded more often."""
-_POOR = 3.0
-"""CIEDE2000 of the fit from a measured colour, from where on it is warned about."""
+_SPECTRUM_NODES = 160
+"""Flake angles at which the spectrum of the fitted colour is recovered."""
+_RECOVERY_Y = 0.01
+"""Y at which the spectrum of a chromaticity is recovered: far below 1, where the recovery does not depend on it."""
+_CHI_SQUARED_PROBABILITY = 1e-3
+"""Probability of a reduced χ² below which there is a warning."""
+_OUTLIER = 3.0
+"""Misfit of a single value, in standard uncertainties, above which there is a warning."""
+_OUTLIER_PROBABILITY = 0.05
+"""Probability of that warning by chance; the limit is raised for many values."""
+_POOR_COLOUR = 3.0
+"""CIEDE2000 between fit and measured colour above which there is a warning."""
 
 
 def build(
@@ -55,53 +56,56 @@ def build(
     ----------
     multiangle : kind ``multiangle``: colours or reflectance factors at three geometries or more
     index : refractive index of the clear coat, above 1 and below 5
-    form : of the fall along the flake angle, a key of :data:`brdfpipe.flakes.forms.FORMS`
+    form : of the decay along the flake angle, a key of :data:`brdfpipe.flakes.forms.FORMS`
     model : ``flake`` or ``flake-physical``
     clear_coat : ``none``, ``smooth``, or the root mean square slope of a rough one; by default ``smooth`` with ``flake-physical``
-        and ``none`` with ``flake``, whose ρ holds all the light already
+        and ``none`` with ``flake``, whose ρ includes all the light
 
     Returns
     -------
-    Dataset of kind ``bsdf``, representation ``flake``: ``flake_amplitude`` A, ``flake_decay`` B and ``flake_constant`` C a
-        channel (on the scale of Y = 100) or a wavelength; of colours, ``flake_spectrum(theta_f, wavelength)``, the spectrum of the
-        chromaticity at each flake angle, of Y = 1; per geometry ``theta_f_measured``, ``delta_e_00`` of the fit and
-        ``leave_one_out``, and relative ``misfit`` and ``leave_one_out_misfit`` a channel; ``reduced_chi_squared`` a channel of more
-        than three colours of known uncertainty
+    Dataset of kind ``bsdf``, representation ``flake``: ``flake_amplitude`` A, ``flake_decay`` B and ``flake_constant`` C for each
+        channel (on the scale of Y = 100) or wavelength; for colours, ``flake_spectrum(theta_f, wavelength)``, the spectrum of the
+        chromaticity at each flake angle, scaled to Y = 1; per geometry ``theta_f_measured``, ``delta_e_00`` of the fit and
+        ``leave_one_out``, and relative ``misfit`` and ``leave_one_out_misfit`` of each channel; ``reduced_chi_squared`` of each
+        channel, for more than three colours of known uncertainty
 
     Raises
     ------
-    InputError : an index, form, model or coat that cannot be, too few flake angles, or A, B or C out of range.
+    InputError : an impossible index, form, model or coat, too few flake angles, or A, B or C out of range.
 
     Notes
     -----
-    A fit to three geometries is exact; to more it is of least squares, over the uncertainties where they are known and else over
-    the values. The uncertainties of A, B and C hold where the form does; those of X, Y and Z of one geometry are not taken to hang
-    together, since every channel is fitted alone. The reflection below the smallest flake angle measured, and above the largest, is
-    extrapolated: see :meth:`brdfpipe.bsdf.representations.flake.Flake.quality`. Colours carry no spectrum; the one given back has the smallest slope of its logarithm (LHTSS
-    far below 1), so that the fitted X, Y and Z at every flake angle return exactly, however bright.
+    A fit to three geometries is exact; to more it is by least squares, relative to the uncertainties if they are known, else to the
+    values. The uncertainties of A, B and C assume that the form is right, and neglect correlations between X, Y and Z. Below the
+    smallest measured flake angle, and above the largest, the reflection is extrapolated
+    (:meth:`brdfpipe.bsdf.representations.flake.Flake.quality`). The spectrum of colours has the smallest slope of its logarithm (LHTSS
+    far below 1); it reproduces the fitted X, Y and Z at every flake angle exactly, however bright.
     """
     vocabulary.validate(multiangle, "multiangle")
     coat, finish = _clear_coat(index, model, clear_coat)
-    at = [multiangle[angle].values for angle in ("theta_i", "phi_i", "theta_o", "phi_o")]
-    theta_f = flake_angle(at[0], at[1], at[2], at[3], coat.index)
-    name = "tristimulus" if "tristimulus" in multiangle else "reflectance_factor"
+    theta_i, phi_i, theta_o, phi_o = (multiangle[name].values for name in ("theta_i", "phi_i", "theta_o", "phi_o"))
+    theta_f = flake_angle(theta_i, phi_i, theta_o, phi_o, coat.index)
+    is_colour = "tristimulus" in multiangle
+    name = "tristimulus" if is_colour else "reflectance_factor"
     across = str(multiangle[name].dims[1])
-    unit = 100.0 if name == "tristimulus" else 1.0
-    measured = multiangle[name].values
-    white = np.array([1.0]) if name == "reflectance_factor" else colorimetry.weights(*_viewing(multiangle)).white
-    values = _reduced(measured, coat, at, white)
-    doubt = (
-        None if f"{name}_u" not in multiangle else multiangle[f"{name}_u"].values / coat.share(at[0], at[2])[:, None]
-    )
-    titles = [f"{each}" if across == "channel" else f"{each:g} nm" for each in multiangle[across].values]
-    found = fit(theta_f, values, form, titles, doubt)
+    white = colorimetry.weights(*_viewing(multiangle)).white if is_colour else np.array([1.0])
+    # Fitted are the measured values without the gloss of the coat, as at normal incidence and view.
+    values = multiangle[name].values - np.pi * coat.gloss(theta_i, phi_i, theta_o, phi_o)[:, None] * white
+    if (values < 0).any():
+        problem = "the gloss of the clear coat alone is more than a measured colour"
+        accepted = "a smaller slope, or geometries farther from the mirror direction"
+        raise _refusal("clear_coat", problem, f"slope {coat.slope:g}", accepted)
+    share = coat.share(theta_i, theta_o)[:, None]
+    values = values / share
+    u = multiangle[f"{name}_u"].values / share if f"{name}_u" in multiangle else None
+    fitted = fit(theta_f, values, form, [_channel_title(across, value) for value in multiangle[across].values], u)
     bsdf = xr.Dataset(
         {
             "clear_coat_index": coat.index,
-            "flake_amplitude": (("term", across), found.amplitude),
-            "flake_decay": (("term", across), found.decay),
-            "flake_constant": (across, found.constant),
-            **_uncertainties(found, across),
+            "flake_amplitude": (("term", across), fitted.amplitude),
+            "flake_decay": (("term", across), fitted.decay),
+            "flake_constant": (across, fitted.constant),
+            **_uncertainties(fitted, across),
             "theta_f_measured": ("geometry", theta_f),
         },
         coords={"geometry": multiangle["geometry"].values, across: multiangle[across].values},
@@ -115,73 +119,68 @@ def build(
     )
     if coat.slope is not None:
         bsdf["clear_coat_slope"] = coat.slope
-    if name == "tristimulus":
+    if is_colour:
         bsdf.attrs |= {key: multiangle.attrs[key] for key in ("illuminant", "observer")}
-        bsdf = _with_spectra(bsdf, found)
-    bsdf = _with_errors(bsdf, multiangle, found, values, doubt)
-    return vocabulary.label(_with_warnings(bsdf, coat, found, unit), "bsdf")
+        bsdf = _with_spectra(bsdf, fitted)
+    bsdf = _with_errors(bsdf, multiangle, fitted, values, u)
+    return vocabulary.label(_with_warnings(bsdf, coat, fitted, 100.0 if is_colour else 1.0), "bsdf")
 
 
 def _clear_coat(index: float, model: str, clear_coat: str | float | None) -> tuple[ClearCoat, str]:
     if model not in MODELS:
         raise _refusal("model", "unknown model", repr(model)[:40], ", ".join(MODELS))
     if isinstance(index, bool) or not isinstance(index, int | float | np.number) or not 1 < index < 5:
-        raise _refusal("index", "no refractive index of a clear coat", repr(index)[:40], "above 1 and below 5")
+        raise _refusal("index", "invalid refractive index of the clear coat", repr(index)[:40], "above 1 and below 5")
     physical = model == PHYSICAL
     finish = ("smooth" if physical else "none") if clear_coat is None else clear_coat
     slope = float(finish) if isinstance(finish, int | float) and not isinstance(finish, bool) else None
     if slope is None and finish not in ("none", "smooth"):
         raise _refusal("clear_coat", "unknown clear coat", repr(finish)[:40], "none, smooth, or its rms slope")
     if slope is not None and not 1e-4 <= slope <= 1:
-        raise _refusal("clear_coat", "no slope of a clear coat", f"{slope:g}", "0.0001 to 1")
+        raise _refusal("clear_coat", "invalid rms slope of the clear coat", f"{slope:g}", "0.0001 to 1")
     if finish != "none" and not physical:
-        problem = "the model `flake` takes the measured light for all there is; a gloss on top of it would break energy"
+        problem = (
+            "the model `flake` includes all the measured light; additional gloss would violate energy conservation"
+        )
         raise _refusal("clear_coat", problem, repr(finish), "none, or `model: flake-physical`")
     return ClearCoat(float(index), physical, slope), "rough" if slope is not None else str(finish)
 
 
-def _reduced(measured: Array, coat: ClearCoat, at: list[Array], white: Array) -> Array:
-    """The measured values without gloss, as at normal incidence and view."""
-    below = measured - np.pi * coat.gloss(at[0], at[1], at[2], at[3])[:, None] * white
-    if (below < 0).any():
-        problem = "the gloss of the clear coat alone is more than a measured colour"
-        raise _refusal(
-            "clear_coat", problem, f"slope {coat.slope:g}", "a smaller slope, or geometries farther from the mirror"
-        )
-    return np.asarray(below / coat.share(at[0], at[2])[:, None])
+def _channel_title(across: str, value: object) -> str:
+    return f"{value}" if across == "channel" else f"{value:g} nm"
 
 
-def _uncertainties(found: Fit, across: str) -> dict[str, tuple[tuple[str, ...], Array]]:
-    names = [f"{symbol}{term + 1}" for term in range(found.form.terms) for symbol in "AB"] + ["C"]
-    if np.isnan(found.covariance).all():
+def _uncertainties(fitted: Fit, across: str) -> dict[str, tuple[tuple[str, ...], Array]]:
+    names = [f"{symbol}{term + 1}" for term in range(fitted.form.terms) for symbol in "AB"] + ["C"]
+    if np.isnan(fitted.covariance).all():
         return {}
-    spread = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2)).T
+    spread = np.sqrt(np.diagonal(fitted.covariance, axis1=1, axis2=2)).T
     return {
         "flake_amplitude_u": (("term", across), spread[0:-1:2]),
         "flake_decay_u": (("term", across), spread[1:-1:2]),
         "flake_constant_u": ((across,), spread[-1]),
-        "flake_covariance": ((across, "parameter", "parameter_2"), found.covariance),
+        "flake_covariance": ((across, "parameter", "parameter_2"), fitted.covariance),
         "parameter": (("parameter",), np.array(names)),
     }
 
 
-def _with_spectra(bsdf: xr.Dataset, found: Fit) -> xr.Dataset:
-    """Add the spectrum of the fitted chromaticity at each flake angle, of Y = 1."""
+def _with_spectra(bsdf: xr.Dataset, fitted: Fit) -> xr.Dataset:
+    """Add the spectrum of the fitted chromaticity at each flake angle, scaled to Y = 1."""
     from brdfpipe.spectra.recovery_methods.lhtss import lhtss
 
     measured = bsdf["theta_f_measured"].values
-    stretched = np.expm1(np.linspace(0, 3, _STEPS + 1)) / np.expm1(3.0)
+    stretched = np.expm1(np.linspace(0, 3, _SPECTRUM_NODES + 1)) / np.expm1(3.0)
     nodes = largest_flake_angle(float(bsdf["clear_coat_index"])) * stretched
-    # A measured angle replaces the node next to it, so that measured colours do not depend on what lies between nodes.
+    # A measured angle replaces the node next to it, so that measured colours do not depend on interpolation.
     nodes = np.unique(np.concatenate([nodes[np.abs(nodes[:, None] - measured).min(axis=1) > 0.02], measured]))
     nodes = nodes[np.concatenate([[True], np.diff(nodes) > 1e-6])]
-    xyz = found(nodes)
-    seen = xyz[:, 1] > 0
-    chromaticity = np.where(seen[:, None], xyz / np.where(seen, xyz[:, 1], 1.0)[:, None], np.nan)
+    xyz = fitted(nodes)
+    visible = xyz[:, 1] > 0
+    chromaticity = np.where(visible[:, None], xyz / np.where(visible, xyz[:, 1], 1.0)[:, None], np.nan)
     viewing = {"illuminant": bsdf.attrs["illuminant"], "observer": int(bsdf.attrs["observer"])}
-    recovered = lhtss(100 * _DIM * np.nan_to_num(chromaticity), **viewing)
-    reached = recovered.reached & seen
-    spectrum = recovered.reflectance / _DIM
+    recovered = lhtss(100 * _RECOVERY_Y * np.nan_to_num(chromaticity), **viewing)
+    reached = recovered.reached & visible
+    spectrum = recovered.reflectance / _RECOVERY_Y
     if reached.any():
         index = np.flatnonzero(reached)
         nearest = index[np.abs(nodes[:, None] - nodes[index]).argmin(axis=1)]
@@ -190,73 +189,62 @@ def _with_spectra(bsdf: xr.Dataset, found: Fit) -> xr.Dataset:
         spectrum = np.ones_like(spectrum)
     bsdf = bsdf.assign_coords(theta_f=nodes, wavelength=recovered.wavelength)
     bsdf["flake_spectrum"] = (("theta_f", "wavelength"), spectrum)
-    missed = nodes[seen & ~reached]
-    if missed.size:
+    impossible = nodes[visible & ~reached]
+    if impossible.size:
         bsdf = vocabulary.add_warning(
             bsdf,
-            f"no light has the colour that the fit gives at flake angles of {missed.min():.3g} to {missed.max():.3g} degree; that of the "
-            "nearest angle is taken: check the colours, or measure more geometries",
+            f"no reflectance has the fitted colour at flake angles of {impossible.min():.3g} to {impossible.max():.3g} degree; the colour "
+            "of the nearest angle is used: check the colours, or measure more geometries",
         )
     return vocabulary.add_history(
         bsdf,
         f"spectra recovered from fitted X, Y, Z ({bsdf.attrs['illuminant']}, {bsdf.attrs['observer']} degree) at {nodes.size} flake "
-        "angles: the smallest slope of the logarithm; colours under this illuminant are exact, under others they are a guess",
+        "angles, with the smallest slope of the logarithm; exact under this illuminant, a guess under others",
     )
 
 
-def _with_errors(
-    bsdf: xr.Dataset, multiangle: xr.Dataset, found: Fit, values: Array, doubt: Array | None
-) -> xr.Dataset:
+def _with_errors(bsdf: xr.Dataset, multiangle: xr.Dataset, fitted: Fit, values: Array, u: Array | None) -> xr.Dataset:
     theta_f = bsdf["theta_f_measured"].values
-    fitted, left_out = found(theta_f), leave_one_out(theta_f, values, bsdf.attrs["form"], doubt)
+    model, left_out = fitted(theta_f), leave_one_out(theta_f, values, bsdf.attrs["form"], u)
     dims = ("geometry", "channel" if "channel" in multiangle.dims else "wavelength")
-    if doubt is not None and theta_f.size > found.form.parameters:
-        bsdf = _with_chi_squared(bsdf, (fitted - values) / doubt, found.form, dims[1])
-    if doubt is not None:
-        bsdf = _with_misses(bsdf, np.abs(fitted - values) / doubt, found.form)
-    black = np.where(values > 0, values, np.nan)
-    bsdf["misfit"] = (dims, fitted / black - 1)
-    bsdf["leave_one_out_misfit"] = (dims, left_out / black - 1)
-    colours = [_lab(multiangle, each) for each in (values, fitted, np.nan_to_num(left_out))]
-    bsdf["delta_e_00"] = ("geometry", colorimetry.delta_e_00(colours[0], colours[1]))
-    difference = colorimetry.delta_e_00(colours[0], colours[2])
+    if u is not None:
+        bsdf = _with_chi_squared(bsdf, (model - values) / u, fitted.form, dims[1])
+    not_black = np.where(values > 0, values, np.nan)
+    bsdf["misfit"] = (dims, model / not_black - 1)
+    bsdf["leave_one_out_misfit"] = (dims, left_out / not_black - 1)
+    measured, predicted, without = (_lab(multiangle, part) for part in (values, model, np.nan_to_num(left_out)))
+    bsdf["delta_e_00"] = ("geometry", colorimetry.delta_e_00(measured, predicted))
+    difference = colorimetry.delta_e_00(measured, without)
     bsdf["leave_one_out"] = ("geometry", np.where(np.isnan(left_out).any(axis=1), np.nan, difference))
     return bsdf
 
 
 def _with_chi_squared(bsdf: xr.Dataset, misfit: Array, form: Form, across: str) -> xr.Dataset:
-    """Add the reduced χ² of each channel, and a warning where chance would hardly make it as large."""
-    from scipy.stats import chi2
+    """Add the reduced χ² of each channel, and warnings of misfits that are improbable by chance; misfits over uncertainties."""
+    from scipy.stats import chi2, norm
 
     freedom = len(misfit) - form.parameters
-    reduced = (misfit**2).sum(axis=0) / freedom
-    words = {"units": "1", "long_name": "sum of squared misfits over their uncertainties, over the degrees of freedom"}
-    bsdf["reduced_chi_squared"] = ((across,), reduced, words)
-    if reduced.max() <= chi2.isf(_CHANCE / reduced.size, freedom) / freedom:
-        return bsdf
-    return vocabulary.add_warning(
-        bsdf,
-        f"the fit misses the colours by more than their uncertainties (reduced χ² up to {reduced.max():.3g}), so that those of A, B "
-        f"and C are too small: try another `multiangle.form` ({form.others}), or check the uncertainties",
-    )
-
-
-def _with_misses(bsdf: xr.Dataset, misfit: Array, form: Form) -> xr.Dataset:
-    """Add a warning where single values are missed by far more than their uncertainties, which no degree of freedom need tell."""
-    from scipy.stats import norm
-
-    # Of hundreds of wavelengths some lie beyond 3 u by chance.
-    missed = misfit > max(_MISSED, float(norm.isf(_SOME_CHANCE / (2 * misfit.size))))
-    if not missed.any():
+    if freedom > 0:
+        reduced = (misfit**2).sum(axis=0) / freedom
+        text = "sum of squared misfits over their uncertainties, over the degrees of freedom"
+        bsdf["reduced_chi_squared"] = ((across,), reduced, {"units": "1", "long_name": text})
+        if reduced.max() > chi2.isf(_CHI_SQUARED_PROBABILITY / reduced.size, freedom) / freedom:
+            bsdf = vocabulary.add_warning(
+                bsdf,
+                f"the fit misses the colours by more than their uncertainties (reduced χ² up to {reduced.max():.3g}), so the uncertainties "
+                f"of A, B and C are too small: try another `multiangle.form` ({form.others}), or check the uncertainties of the colours",
+            )
+    misfit = np.abs(misfit)
+    # Of hundreds of wavelengths some exceed 3 u by chance.
+    outlier = misfit > max(_OUTLIER, float(norm.isf(_OUTLIER_PROBABILITY / (2 * misfit.size))))
+    if not outlier.any():
         return bsdf
     geometry, channel = np.unravel_index(int(misfit.argmax()), misfit.shape)
-    across = "channel" if "channel" in bsdf["flake_constant"].dims else "wavelength"
-    title = f"{bsdf[across].values[channel]}" if across == "channel" else f"{bsdf[across].values[channel]:g} nm"
     return vocabulary.add_warning(
         bsdf,
-        f"the fit misses {int(missed.sum())} of {missed.size} values by more than {_MISSED:g} standard uncertainties, {title} at "
-        f"{bsdf['geometry'].values[geometry]} by {misfit.max():.3g}: try another `multiangle.form` ({form.others}), or check the "
-        "uncertainties",
+        f"the fit misses {int(outlier.sum())} of {outlier.size} values by more than {_OUTLIER:g} standard uncertainties, "
+        f"{_channel_title(across, bsdf[across].values[channel])} at {bsdf['geometry'].values[geometry]} by {misfit.max():.3g}: try "
+        f"another `multiangle.form` ({form.others}), or check the uncertainties",
     )
 
 
@@ -266,45 +254,41 @@ def _viewing(multiangle: xr.Dataset) -> tuple[str, int]:
 
 def _lab(multiangle: xr.Dataset, values: Array) -> Array:
     viewing = _viewing(multiangle)
-    white = colorimetry.weights(*viewing).white
-    if "channel" in multiangle.dims:
-        return colorimetry.xyz_to_lab(values, white)
-    return colorimetry.xyz_to_lab(
-        colorimetry.reflectance_to_xyz(multiangle["wavelength"].values, values, *viewing), white
-    )
+    if "channel" not in multiangle.dims:
+        values = colorimetry.reflectance_to_xyz(multiangle["wavelength"].values, values, *viewing)
+    return colorimetry.xyz_to_lab(values, colorimetry.weights(*viewing).white)
 
 
-def _with_warnings(bsdf: xr.Dataset, coat: ClearCoat, found: Fit, unit: float) -> xr.Dataset:
-    known = bsdf["theta_f_measured"].values
-    sentences = [
-        f"flake angles below {known.min():.3g} and above {known.max():.3g} degree were not measured: near the gloss and far from it the "
-        "reflection is extrapolated; measure geometries there if that matters"
+def _with_warnings(bsdf: xr.Dataset, coat: ClearCoat, fitted: Fit, unit: float) -> xr.Dataset:
+    measured = bsdf["theta_f_measured"].values
+    warnings = [
+        f"flake angles below {measured.min():.3g} and above {measured.max():.3g} degree were not measured: the reflection near the gloss "
+        "and far from it is extrapolated; add geometries there if it matters"
     ]
     worst = float(bsdf["delta_e_00"].max())
-    if worst > _POOR:
+    if worst > _POOR_COLOUR:
         name = str(bsdf["geometry"].values[int(bsdf["delta_e_00"].values.argmax())])
-        sentences.append(
-            f"the fit misses the colour at {name} by ΔE00 = {worst:.1f}: try another `multiangle.form` ({found.form.others})"
+        warnings.append(
+            f"the fit misses the colour at {name} by ΔE00 = {worst:.1f}: try another `multiangle.form` ({fitted.form.others})"
         )
     if coat.physical:
-        share = _mirror_share(found, coat, unit)
-        if share > 1:
-            sentences.append(
-                f"the flakes would mirror {share:.2f} of the light that meets them, more than all: check the scale of the colours"
+        reflectance = _flake_reflectance(fitted, coat, unit)
+        if reflectance > 1:
+            warnings.append(
+                f"the reflectance of the flakes is {reflectance:.2f}, above 1: check the scale of the colours (`multiangle.scale`)"
             )
-        bsdf = bsdf.assign_attrs(flake_reflectance=round(share, 6))
-    clamped = found.constant == 0
-    if clamped.any() and known.size > found.form.parameters:
-        bsdf = vocabulary.add_history(
-            bsdf, f"the constant C was held at 0 in {int(clamped.sum())} of {clamped.size} channels"
-        )
-    return vocabulary.add_warning(bsdf, *sentences)
+        bsdf = bsdf.assign_attrs(flake_reflectance=round(reflectance, 6))
+    clamped = fitted.constant == 0
+    if clamped.any() and measured.size > fitted.form.parameters:
+        text = f"the constant C was held at 0 in {int(clamped.sum())} of {clamped.size} channels"
+        bsdf = vocabulary.add_history(bsdf, text)
+    return vocabulary.add_warning(bsdf, *warnings)
 
 
-def _mirror_share(found: Fit, coat: ClearCoat, unit: float) -> float:
-    """Reflectance of the flakes times their cover: ∫ D cos θf dω, mean over wavelength or of Y; C beyond the reach of light left out."""
+def _flake_reflectance(fitted: Fit, coat: ClearCoat, unit: float) -> float:
+    """Reflectance of the flakes times their cover: ∫ D cos θf dω over the visible flake angles, mean over wavelength or of Y."""
     theta = np.linspace(0, largest_flake_angle(coat.index), 2001)
-    rho = found(theta) / unit
+    rho = fitted(theta) / unit
     mean = rho[:, 1] if rho.shape[1] == 3 and unit == 100 else rho.mean(axis=1)
     density = mean * 4 * coat.index**2 / (np.pi * coat.normal_transmittance**2)
     angle = np.radians(theta)

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.special import erfcx
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
@@ -23,12 +24,12 @@ PHYSICAL = "flake-physical"
 
 @dataclass(frozen=True)
 class ClearCoat:
-    """The clear coat above the flakes, which turns the reflection ρ of the flake angle into a BRDF."""
+    """The clear coat above the flakes, which converts the reflection ρ of a flake angle to a BRDF."""
 
     index: float
     """Refractive index"""
     physical: bool
-    """Whether light is refracted at the coat, and partly lost there"""
+    """Whether losses and refraction at the interface are modelled"""
     slope: float | None
     """Root mean square slope of a rough coat; None for a smooth one"""
 
@@ -39,12 +40,12 @@ class ClearCoat:
         return cls(float(bsdf["clear_coat_index"]), bsdf.attrs["model"] == PHYSICAL, slope)
 
     def share(self, theta_i: Array, theta_o: Array) -> Array:
-        """N(θi, θo)/N(0, 0) [1]; 1 for a model that is not physical."""
+        """N(θi, θo)/N(0, 0) [1]; 1 without the physical model."""
         if not self.physical:
             return np.ones(np.broadcast(theta_i, theta_o).shape)
-        passed = self._passed(theta_i) * self._passed(theta_o)
+        transmittance = self._transmittance(theta_i) * self._transmittance(theta_o)
         inner = inner_cosine(theta_i, self.index) * inner_cosine(theta_o, self.index)
-        return np.asarray(passed / (inner * self.normal_transmittance**2))
+        return np.asarray(transmittance / (inner * self.normal_transmittance**2))
 
     def gloss(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF of a rough clear coat [sr-1]: Beckmann, height-correlated Smith; 0 for a smooth coat or none."""
@@ -61,9 +62,9 @@ class ClearCoat:
 
     @property
     def normal_transmittance(self) -> float:
-        return float(self._passed(np.zeros(1))[0])
+        return float(self._transmittance(np.zeros(1))[0])
 
-    def _passed(self, theta: Array) -> Array:
+    def _transmittance(self, theta: Array) -> Array:
         return np.asarray(1 - fresnel_reflectance(np.abs(np.cos(np.radians(theta))), self.index).mean)
 
 
@@ -102,37 +103,35 @@ class Flake(Representation):
         self._chromaticity_spectrum = per_wavelength(lambda wavelength: _spectrum_of_chromaticity(dataset, wavelength))
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
-        coat = self._coat
-        theta_i, phi_i, theta_o, phi_o = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
-        above = (theta_i < 90) & (theta_o < 90)
-        inside = [np.where(above, angle, 0.0) for angle in (theta_i, phi_i, theta_o, phi_o)]
-        factor = self._factor(flake_angle(inside[0], inside[1], inside[2], inside[3], coat.index), wavelength)
-        share = coat.share(inside[0], inside[2]) / np.pi
-        brdf = factor * share[..., None] + coat.gloss(*inside)[..., None]
+        coat, angles = self._coat, np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
+        above = (angles[0] < 90) & (angles[2] < 90)
+        theta_i, phi_i, theta_o, phi_o = (np.where(above, angle, 0.0) for angle in angles)
+        factor = self._factor(flake_angle(theta_i, phi_i, theta_o, phi_o, coat.index), wavelength)
+        share = coat.share(theta_i, theta_o) / np.pi
+        brdf = factor * share[..., None] + coat.gloss(theta_i, phi_i, theta_o, phi_o)[..., None]
         return np.where(above[..., None], brdf, 0.0)
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
         """Mirror reflectance of a smooth clear coat, and no transmittance."""
-        nothing = np.zeros((*np.shape(theta_i), 1))
+        zero = np.zeros((*np.shape(theta_i), 1))
         if self.dataset.attrs["clear_coat"] != "smooth":
-            return nothing, nothing
-        cosine = np.abs(np.cos(np.radians(theta_i)))
-        mirrored = fresnel_reflectance(cosine, self._coat.index).mean
-        return np.where(np.asarray(theta_i) <= 90, mirrored, 0.0)[..., None], nothing
+            return zero, zero
+        reflectance = fresnel_reflectance(np.abs(np.cos(np.radians(theta_i))), self._coat.index).mean
+        return np.where(np.asarray(theta_i) <= 90, reflectance, 0.0)[..., None], zero
 
     def quality(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> NDArray[np.int8]:
-        """Whether directions lie between the flake angles that were measured."""
+        """Measured, interpolated or extrapolated, by the measured flake angles."""
         theta_f = flake_angle(theta_i, phi_i, theta_o, phi_o, self._coat.index)
-        known = self.dataset["theta_f_measured"].values
-        hit = (np.abs(theta_f[..., None] - known) < 1e-6).any(axis=-1)
-        inside = (theta_f >= known.min()) & (theta_f <= known.max())
-        between = np.where(inside, vocabulary.quality("interpolated"), vocabulary.quality("extrapolated"))
-        return np.where(hit, vocabulary.quality("measured"), between).astype(np.int8)
+        measured = self.dataset["theta_f_measured"].values
+        inside = (theta_f >= measured.min()) & (theta_f <= measured.max())
+        quality = np.where(inside, vocabulary.quality("interpolated"), vocabulary.quality("extrapolated"))
+        at_measured = (np.abs(theta_f[..., None] - measured) < 1e-6).any(axis=-1)
+        return np.where(at_measured, vocabulary.quality("measured"), quality).astype(np.int8)
 
     def tristimulus(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, illuminant: str, observer: int
     ) -> Array | None:
-        """Of a paint that was given as colours, under their own illuminant and observer, without any spectrum."""
+        """Of a paint given by colours, under their illuminant and observer; independent of the recovered spectrum."""
         bsdf, coat = self.dataset, self._coat
         if "channel" not in bsdf.dims or (bsdf.attrs["illuminant"], bsdf.attrs["observer"]) != (illuminant, observer):
             return None
@@ -145,7 +144,7 @@ class Flake(Representation):
 
     @property
     def lobe_slope(self) -> float:
-        """Slope that belongs to the narrowest decay, as seen from outside; that of the clear coat where it is rough."""
+        """Slope of a rough clear coat, else the slope that corresponds to the narrowest decay, seen from outside."""
         if self._coat.slope is not None:
             return self._coat.slope
         decay = self.dataset["flake_decay"].values[self.dataset["flake_amplitude"].values > 0]
@@ -159,12 +158,12 @@ class Flake(Representation):
         model = self.dataset.attrs["model"]
         option = "clear_coat: smooth" if self._coat.physical else f"model: {PHYSICAL}"
         return (
-            "Gloss and haze are those of the flakes alone, without the clear coat that a gloss meter reads. "
+            "Gloss and haze are those of the flakes alone, without the clear coat that a gloss meter measures. "
             f"The model `{model}` without a clear coat has no gloss lobe. Set `multiangle.{option}` to model the clear coat."
         )
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
-        """The dataset averaged over wavelength; exact: each wavelength of a spectral fit becomes a term."""
+        """The dataset averaged over wavelength, exactly: each wavelength of a spectral fit becomes a term."""
         bsdf = self.dataset
         if "flake_spectrum" in bsdf:
             mean = bsdf["flake_spectrum"].values @ weight
@@ -177,7 +176,7 @@ class Flake(Representation):
         return vocabulary.label(bsdf.drop_dims(["wavelength", "term"]).assign(terms), "bsdf")
 
     def _curves(self, theta_f: Array) -> Array:
-        """A exp(−θf/B) + C, or another form, on the scale of the fit, (..., channel or wavelength)."""
+        """A exp(−θf/B) + C, or another form, on the scale of the fit, (…, channel or wavelength)."""
         constant = np.atleast_1d(self.dataset["flake_constant"].values)
         amplitude, decay = (
             self.dataset[name].values.reshape(-1, constant.size) for name in ("flake_amplitude", "flake_decay")
@@ -185,7 +184,7 @@ class Flake(Representation):
         return curve(theta_f, amplitude, decay, constant, FORMS[self.dataset.attrs["form"]].power)
 
     def _factor(self, theta_f: Array, wavelength: Array | None) -> Array:
-        """ρ as a fraction, (..., wavelength or 1)."""
+        """ρ as a fraction, (…, wavelength or 1)."""
         curves = self._curves(theta_f)
         if "flake_spectrum" not in self.dataset:
             if wavelength is None or "wavelength" not in self.dataset.coords:
@@ -203,7 +202,7 @@ def _spectrum_of_chromaticity(bsdf: xr.Dataset, wavelength: Array | None) -> Cub
         spectrum = spectrum[:, None]
     elif wavelength is not None:
         spectrum = spectrum @ _interpolation_matrix(bsdf["wavelength"].values, wavelength)
-    # A spline is linear in its nodes: the Y of 1 that all of them have, everything between them has too.
+    # A spline is linear in its nodes, so Y is 1 between the nodes too.
     return CubicSpline(bsdf["theta_f"].values, spectrum)
 
 
@@ -213,8 +212,6 @@ def _interpolation_matrix(own: Array, wavelength: Array) -> Array:
 
 
 def _smith(theta: Array, a: float) -> Array:
-    """Λ of Beckmann facets of width a."""
-    from scipy.special import erfcx
-
+    """Smith's Λ of Beckmann facets of width a."""
     nu = 1 / (a * np.tan(np.radians(np.clip(theta, 1e-9, 90 - 1e-9))))
     return np.asarray(np.exp(-(nu**2)) * (1 / (nu * np.sqrt(np.pi)) - erfcx(nu)) / 2)
