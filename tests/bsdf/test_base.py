@@ -22,7 +22,7 @@ def quadrature(bsdf, theta, phi=0.0, **options):
 
 
 @pytest.mark.parametrize("a", [1e-4, 1e-3, 0.01, 0.1, 1.0])
-def test_a_lobe_of_any_width_is_integrated_without_being_told_the_width(a):
+def test_a_lobe_of_unknown_width_is_integrated(a):
     # Against the model's own albedo, an integral over the facets.
     bsdf = microfacet.build(facets.analytic("beckmann", a), index=1.55)
     found = quadrature(bsdf, THETA)
@@ -31,7 +31,7 @@ def test_a_lobe_of_any_width_is_integrated_without_being_told_the_width(a):
     assert (found.error <= 1.001e-6 * found.value).all()
 
 
-def test_a_lay_is_integrated_all_round():
+def test_a_lay_is_integrated_at_every_azimuth():
     bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.05, a_y=0.3, azimuth=25.0), index=1.5)
     for phi in (0.0, 70.0):
         own = representation(bsdf).albedo(np.array([55.0]), np.array([phi]), None)
@@ -56,7 +56,7 @@ def test_a_lambertian_is_exact():
 
 @given(theta=st.floats(0, 70), phi=st.floats(-180, 180), kappa=st.floats(1, 1500), incidence=st.floats(0, 89.9))
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_lobe_anywhere_is_found(monkeypatch, theta, phi, kappa, incidence):
+def test_a_lobe_in_any_direction_is_integrated(monkeypatch, theta, phi, kappa, incidence):
     # κ = 1500 is a standard deviation of 1.5°. The lobe integrates to 1 less what lies below the horizon.
     bsdf = synthetic.register(monkeypatch, synthetic.cap_lobe(theta, phi, kappa))
     found = quadrature(bsdf, incidence)
@@ -65,7 +65,7 @@ def test_a_lobe_anywhere_is_found(monkeypatch, theta, phi, kappa, incidence):
     assert float(found.value[0, 0]) >= 1 - below - 2e-6
 
 
-def test_no_more_rounds_than_allowed_leave_an_honest_error(monkeypatch):
+def test_the_stated_error_covers_an_integral_that_does_not_converge(monkeypatch):
     # A step along a line that no cell follows cannot be integrated to 1e-12.
     def step(_w_i, w_o):
         return (w_o[..., 0] + 0.3 * w_o[..., 1] > 0.2).astype(float)
@@ -92,7 +92,7 @@ def test_no_incidences_give_no_values():
     assert representation(bsdf).integrate(np.empty(0), np.empty(0), None).value.shape == (0, 1)
 
 
-def test_a_smooth_surface_counts_its_mirror_image_in_the_albedo_and_not_in_the_integral():
+def test_mirror_reflection_is_part_of_the_albedo_and_not_of_the_integral():
     bsdf = microfacet.build(facets.flat(), index=1.5)
     at = np.array([0.0]), np.zeros(1)
     mirror, straight = representation(bsdf).specular(*at, None)

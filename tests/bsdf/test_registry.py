@@ -11,11 +11,15 @@ import pytest
 import samples
 import synthetic
 
-from brdfpipe import facets, vocabulary
+import brdfpipe
+from brdfpipe import facets, store, vocabulary
 from brdfpipe.bsdf import microfacet, registry, slab
+from brdfpipe.bsdf.checks import check
 from brdfpipe.bsdf.microfacet.model import Model
+from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import REPRESENTATIONS, representation
-from brdfpipe.bsdf.slab.model import SlabModel
+from brdfpipe.bsdf.representations.slab import SlabModel
+from brdfpipe.errors import VocabularyError
 
 AT = (30.0, 0.0, [10.0, 30.0, 50.0], 180.0)
 
@@ -88,6 +92,23 @@ def test_a_changed_variable_or_attribute_is_noticed():
     assert not bsdf.bsdf.evaluate(*AT).identical(before)
 
 
+def test_an_unknown_representation_is_refused_with_the_accepted_ones(tmp_path):
+    # `vocabulary.validate` accepts it: a stage that passes a BSDF on does not import its representation.
+    bsdf = vocabulary.validate(samples.beckmann_bsdf().assign_attrs(representation="magic"), "bsdf")
+    store.save_dataset(bsdf, tmp_path / "bsdf.nc", stage="bsdf", material="magic")
+    message = (
+        "unknown representation 'magic' of a BSDF; accepted: flake, lambert_gauss, rig, microfacet, slab, smooth, table"
+    )
+    for use in (
+        lambda: brdfpipe.open_dataset(tmp_path / "bsdf.nc"),
+        lambda: bsdf.bsdf.evaluate(*AT),
+        lambda: nonspectral(bsdf, np.ones(samples.WAVELENGTH.size)),
+        lambda: check(bsdf),
+    ):
+        with pytest.raises(VocabularyError, match=message):
+            use()
+
+
 def test_copies_are_prepared_anew():
     bsdf = samples.beckmann_bsdf(reflectance=0.3)
     brighter = bsdf.assign(diffuse=bsdf["diffuse"] * 2)
@@ -96,7 +117,7 @@ def test_copies_are_prepared_anew():
     assert (brighter.bsdf.evaluate(*AT) > bsdf.bsdf.evaluate(*AT)).all()
 
 
-def test_what_was_prepared_leaves_with_its_dataset():
+def test_a_prepared_representation_is_deleted_with_its_dataset():
     bsdf = samples.beckmann_bsdf()
     bsdf.bsdf.evaluate(*AT)
     key, prepared = id(bsdf), weakref.ref(representation(bsdf))

@@ -1,4 +1,4 @@
-"""What every representation of a BSDF offers, and how it is derived from ``evaluate`` where a representation knows nothing better."""
+"""The interface of a representation of a BSDF; every quantity but ``evaluate`` has a default that is derived from it."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 
 QUADRATURE_ACCURACY = 1e-6
-"""Relative error of integrals by adaptive cubature, unless a representation asks for less."""
+"""Relative error of integrals by adaptive cubature, unless a representation sets its own."""
 
 _ALBEDO_ACCURACY = 1e-8
-"""Of an albedo that is not integrated: reflectance and transmittance are interpolated to 2e-9 each."""
+"""Error of an albedo from a table [1]: reflectance and transmittance are interpolated to 2e-9 each."""
 
 
 class Integral(NamedTuple):
@@ -27,18 +27,17 @@ class Integral(NamedTuple):
     value: Array
     """(incidences…, wavelength or 1)"""
     error: Array
-    """Estimated error of the quadrature, of the same shape; valid for lobes that :meth:`Representation.integrate` resolves"""
+    """Estimated error of the quadrature, same shape; valid for lobes that :meth:`Representation.integrate` resolves"""
 
 
 class Representation(ABC):
     """A ``bsdf`` dataset of one representation, prepared for evaluation on plain arrays.
 
-    Angles are in degree and wavelengths in nm; ``wavelength=None`` means those of the dataset. Directions have any one shape, and the
-    results have the wavelength as an additional last dimension: (directions…, wavelength), of length 1 where they do not depend on it.
-    Get instances from :func:`brdfpipe.bsdf.registry.representation`, which prepares each dataset once.
+    Angles are in degree and wavelengths in nm; ``wavelength=None`` means those of the dataset. All directions have the same shape.
+    Results have the wavelength as an additional last dimension, (directions…, wavelength), of length 1 if they do not depend on it.
+    :func:`brdfpipe.bsdf.registry.representation` returns the instance of a dataset.
 
-    Subclasses set ``name`` and ``kind`` and define ``evaluate`` and ``nonspectral``. They override the other methods where they know
-    better than a quadrature over ``evaluate``.
+    Subclasses set ``name`` and ``kind`` and define ``evaluate`` and ``nonspectral``. They override a default that they can improve.
     """
 
     name: ClassVar[str]
@@ -50,9 +49,9 @@ class Representation(ABC):
     states_uncertainty: ClassVar[bool] = False
     """Whether :meth:`uncertainty` and :meth:`albedo_uncertainty` are defined."""
     states_quality: ClassVar[bool] = False
-    """Whether :meth:`quality` is defined: the representation holds measured directions."""
+    """Whether :meth:`quality` is defined, because the representation holds measured directions."""
     uses_index: ClassVar[bool] = False
-    """Whether ``n`` (and ``k``) of the dataset is the refractive index from which the reflection is computed."""
+    """Whether the reflection is computed from the refractive index ``n`` (and ``k``) of the dataset."""
     transmittance_needs_quadrature: ClassVar[bool] = True
 
     def __init_subclass__(cls) -> None:
@@ -83,31 +82,21 @@ class Representation(ABC):
     def uncertainty(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
     ) -> Array:
-        """Standard uncertainty (k = 1) of :meth:`evaluate` [sr-1].
-
-        Raises
-        ------
-        VocabularyError : the representation states no uncertainty (``states_uncertainty``).
-        """
+        """Standard uncertainty (k = 1) of :meth:`evaluate` [sr-1]; :class:`VocabularyError` unless ``states_uncertainty``."""
         raise self._undefined("uncertainty")
 
     def quality(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> NDArray[np.int8]:
-        """Where values come from: ``brdfpipe.vocabulary.QUALITY_FLAGS``, (directions…).
-
-        Raises
-        ------
-        VocabularyError : the representation holds no measured directions (``states_quality``).
-        """
+        """Indices into ``vocabulary.QUALITY_FLAGS``, (directions…); :class:`VocabularyError` unless ``states_quality``."""
         raise self._undefined("quality")
 
     def tristimulus(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, illuminant: str, observer: int
     ) -> Array | None:
-        """X, Y and Z, (directions…, 3), of a BSDF that was fitted to colours under this illuminant and observer; None for others."""
+        """X, Y and Z, (directions…, 3), of a BSDF that was fitted to colours under this illuminant and observer; otherwise None."""
         return None
 
     def stored_values(self) -> Array:
-        """Values that are interpolated linearly, (values, wavelength or 1) [sr-1]; none by default."""
+        """Values at the nodes of a linear interpolation, (nodes, wavelength or 1) [sr-1]; none by default."""
         return np.empty((0, 1))
 
     # --- shares of the light
@@ -117,25 +106,20 @@ class Representation(ABC):
         return self.integrate(theta_i, phi_i, wavelength).value + self.specular(theta_i, phi_i, wavelength)[0]
 
     def albedo_uncertainty(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-        """Standard uncertainty (k = 1) of :meth:`albedo` [1].
-
-        Raises
-        ------
-        VocabularyError : the representation states no uncertainty (``states_uncertainty``).
-        """
+        """Standard uncertainty (k = 1) of :meth:`albedo` [1]; :class:`VocabularyError` unless ``states_uncertainty``."""
         raise self._undefined("uncertainty")
 
     def transmittance(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-        """Share of the light that leaves on the other side [1], (incidences…, wavelength), straight transmission included."""
+        """Directional transmittance [1], (incidences…, wavelength), regular transmission included."""
         if not self.transmits:
             return np.zeros((*np.shape(theta_i), 1))
         scattered = self.integrate(theta_i, phi_i, wavelength, through=True).value
         return scattered + self.specular(theta_i, phi_i, wavelength)[1]
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
-        """Reflectance and transmittance into single directions [1], (incidences…, wavelength) each; not part of :meth:`evaluate`."""
-        nothing = np.zeros((*np.shape(theta_i), 1))
-        return nothing, nothing
+        """Mirror reflectance and regular transmittance [1], (incidences…, wavelength) each; not part of :meth:`evaluate`."""
+        zero = np.zeros((*np.shape(theta_i), 1))
+        return zero, zero
 
     @property
     def albedo_needs_quadrature(self) -> bool:
@@ -143,11 +127,11 @@ class Representation(ABC):
 
     @property
     def albedo_accuracy(self) -> float:
-        """Error of :meth:`albedo` [1]: how far it may exceed 1 for a BSDF that keeps energy."""
+        """Error of :meth:`albedo` [1], by which it may exceed 1 although the BSDF conserves energy."""
         return self.accuracy if self.albedo_needs_quadrature else _ALBEDO_ACCURACY
 
     def total_reflectance(self) -> tuple[Array, Array]:
-        """Wavelengths, and the directional reflectance at 8 degree; of a surface with a lay, the mean over azimuths.
+        """Wavelengths, and the directional reflectance at 8 degree, mean over azimuth.
 
         A BSDF that does not depend on wavelength gives two equal values, at 360 and 780 nm.
         """
@@ -155,43 +139,43 @@ class Representation(ABC):
         return self._spectrum(self.albedo(np.full(azimuths.size, 8.0), azimuths, None).mean(axis=0))
 
     def total_transmittance(self) -> tuple[Array, Array]:
-        """Wavelengths, and the total transmittance at normal incidence; as :meth:`total_reflectance`."""
+        """Wavelengths, and the total transmittance at normal incidence; otherwise as :meth:`total_reflectance`."""
         return self._spectrum(self.transmittance(np.zeros(1), np.zeros(1), None)[0])
 
     # --- symmetry, lobe, transmission
 
     @property
     def isotropic(self) -> bool:
-        """Whether the BSDF depends on the azimuths by their difference alone."""
+        """Whether the BSDF depends on the azimuths only through their difference."""
         return True
 
     @property
     def lay(self) -> float | None:
-        """Azimuth along the lay of the surface [degree]; None for an isotropic surface or an unknown lay."""
+        """Azimuth along the lay of the surface [degree]; None if the surface is isotropic or the lay is unknown."""
         return None if self.isotropic or "lay" not in self.dataset else float(self.dataset["lay"])
 
     @property
     def lobe_slope(self) -> float | None:
-        """A typical slope of the facets behind the specular lobe [1]; None where it is unknown."""
+        """Typical slope of the facets that form the specular lobe [1]; None if it is unknown."""
         return None
 
     @property
     def kinks(self) -> tuple[Array, Array]:
-        """θ_o, and φ_o − φ_i, at which the BSDF is not smooth [degree]; none by default."""
+        """θ_o, and φ_o − φ_i, at which the slope of the BSDF jumps [degree]; none by default."""
         return np.empty(0), np.empty(0)
 
     def stored_incidences(self) -> tuple[Array, Array]:
-        """θ_i and φ_i between which the BSDF is interpolated linearly [degree]; none by default."""
+        """θ_i and φ_i of the nodes of a linear interpolation [degree]; none by default."""
         return np.empty(0), np.empty(0)
 
     @property
     def transmits(self) -> bool:
-        """Whether light passes to the other side."""
+        """Whether light passes to the other side of the surface."""
         return self._transmission != "none"
 
     @property
     def is_interface(self) -> bool:
-        """Whether transmitted light ends inside the body below the surface."""
+        """Whether transmitted light ends in the body below the surface."""
         return self._transmission == "interface"
 
     @property
@@ -204,7 +188,7 @@ class Representation(ABC):
         return str(self.dataset.attrs.get("transmission", "none"))
 
     def index_below(self, wavelength: Array | None = None) -> float:
-        """Refractive index of the medium behind the surface, mean over wavelength; 1 for air behind a slab, or an unknown one."""
+        """Refractive index of the medium behind the surface, mean over wavelength; 1 behind a slab, or if it is unknown."""
         if "n" not in self.dataset or self.is_slab:
             return 1.0
         n = self.dataset["n"]
@@ -213,7 +197,7 @@ class Representation(ABC):
         return float(n.mean())
 
     def refracted(self, theta_i: Array, wavelength: Array | None = None) -> Array:
-        """Polar angle of the ray that a smooth surface transmits [degree], above 90 for light from above; NaN for total reflection."""
+        """Polar angle of the refracted ray [degree], above 90 for light from above; NaN for total reflection."""
         theta_i = np.asarray(theta_i, dtype=float)
         index = self.index_below(wavelength)
         sine = np.sin(np.radians(theta_i)) * np.where(theta_i <= 90, 1 / index, index)
@@ -223,21 +207,21 @@ class Representation(ABC):
     # --- parts and limits of the model
 
     def without_diffuse(self) -> xr.Dataset | None:
-        """The dataset without the light scattered below the surface; None where that is not a separate part."""
+        """The dataset without the light scattered below the surface; None if that is not a separate part."""
         return None
 
     def single_reflection(self) -> xr.Dataset | None:
-        """:meth:`without_diffuse`, without light reflected several times either; None where that is not a separate part."""
+        """:meth:`without_diffuse`, without multiply reflected light either; None if that is not a separate part."""
         return None
 
     @property
     def unphysical_choice(self) -> str:
-        """The option of the model that is known to violate energy or reciprocity; empty where there is none."""
+        """Option of the model that is known to violate energy conservation or reciprocity; empty if there is none."""
         return ""
 
     @property
     def gloss_caveat(self) -> str:
-        """Why gloss computed from this BSDF is not that of the material; empty where it is."""
+        """Why gloss computed from this BSDF is not that of the material; empty if it is."""
         return ""
 
     # --- integration and sampling
@@ -251,50 +235,44 @@ class Representation(ABC):
         through: bool = False,
         relative: float | None = None,
     ) -> Integral:
-        """∫ f |cos θ_o| dω_o over the side the light comes from, or the other side, by adaptive cubature over :meth:`evaluate`.
+        """∫ f |cos θ_o| dω_o over the side of incidence, or the other side, without perfectly specular parts.
 
         Parameters
         ----------
-        theta_i, phi_i : degree, of any one shape
-        through : integrate over the side the light does not come from
+        theta_i, phi_i : degree, of the same shape
+        through : integrate over the other side
         relative : relative error; by default ``accuracy``
 
         Notes
         -----
-        Genz–Malik cubature on cells that are graded towards the mirror direction (or the refracted and the straight direction) down to
-        0.001 degree. So lobes about these directions are resolved at any width; other lobes are found if they are wider than about
-        2 degree, or if :attr:`kinks` names their position. Perfectly specular parts are not included.
+        Adaptive Genz–Malik cubature over :meth:`evaluate`. Cells are graded down to 0.001 degree towards the mirror direction, or the
+        refracted and the straight direction: lobes about these are resolved at any width. Other lobes are resolved if they are wider
+        than about 2 degree, or if :attr:`kinks` gives their position.
         """
         incidences = np.atleast_1d(theta_i).ravel().astype(float), np.atleast_1d(phi_i).ravel().astype(float)
         if incidences[0].size == 0:
             empty = np.zeros((*np.shape(theta_i), 1))
             return Integral(empty, empty)
-        cells = [
-            sphere_cubature.rectangles(*self.cell_edges(*incidence, through))
-            for incidence in zip(*incidences, strict=True)
-        ]
+        cells = [sphere_cubature.rectangles(*self.cell_edges(*at, through)) for at in zip(*incidences, strict=True)]
         owner = np.repeat(np.arange(len(cells)), [low.shape[0] for low, _ in cells])
         low, high = (np.concatenate(corners) for corners in zip(*cells, strict=True))
-        rule = sphere_cubature.integral(self._integrand(*incidences, wavelength), self.wavelength_count(wavelength))
+        rule = sphere_cubature.integral(self._integrand(*incidences, wavelength), self._wavelength_count(wavelength))
         mesh = sphere_cubature.refine((owner, low, high), rule, self.accuracy if relative is None else relative)
         shape = (*np.shape(theta_i), -1)
         value, error = (mesh.totals(field, len(cells)).reshape(shape) for field in (mesh.value, mesh.error))
         return Integral(value, error)
 
     def distribution(self, theta_i: float, phi_i: float, wavelength: Array | None) -> sampling.Distribution:
-        """Density close to the mean over wavelength of f |cos θ_o|, from which outgoing directions of one incidence are drawn."""
+        """Density from which outgoing directions are drawn, close to the mean over wavelength of f |cos θ_o|."""
         incidence = np.array([theta_i]), np.array([phi_i])
         theta, phi = self.cell_edges(theta_i, phi_i, through=False)
         if self.transmits:
             theta = np.union1d(theta, self.cell_edges(theta_i, phi_i, through=True)[0])
         shares = np.stack([share[0] for share in self.specular(*incidence, wavelength)])
-        straight = float(self.refracted(np.array(theta_i), wavelength)) if shares[1].mean() > 0 else 180 - theta_i
-        return sampling.Distribution.of(
-            (theta, phi),
-            sphere_cubature.constant(self._integrand(*incidence, wavelength), self.wavelength_count(wavelength)),
-            shares,
-            np.array([[theta_i, (phi_i + 180) % 360], [straight, (phi_i + 180) % 360]]),
-        )
+        refracted = float(self.refracted(np.array(theta_i), wavelength)) if shares[1].mean() > 0 else 180 - theta_i
+        rule = sphere_cubature.constant(self._integrand(*incidence, wavelength), self._wavelength_count(wavelength))
+        rays = np.array([[theta_i, (phi_i + 180) % 360], [refracted, (phi_i + 180) % 360]])
+        return sampling.Distribution.of((theta, phi), rule, shares, rays)
 
     def sample(self, n: int, seed: int, theta_i: float, phi_i: float, wavelength: Array | None) -> xr.Dataset:
         """Outgoing directions of one incidence, kind ``samples``; see :meth:`brdfpipe.bsdf.accessor.BSDFAccessor.sample`."""
@@ -302,16 +280,12 @@ class Representation(ABC):
             raise VocabularyError(f"number of samples is {n!r}; accepted: an integer >= 1")
         distribution = self.distribution(theta_i, phi_i, wavelength)
         samples = distribution.draw(int(n), np.random.default_rng(seed))
-        rough = ~samples.is_specular
-        brdf = self.evaluate(
-            np.full(int(rough.sum()), float(theta_i)),
-            np.full(int(rough.sum()), float(phi_i)),
-            samples.theta[rough],
-            samples.phi[rough],
-            wavelength,
-        )
-        weight = np.empty((samples.theta.size, self.wavelength_count(wavelength)))
-        weight[rough] = brdf * (np.abs(np.cos(np.radians(samples.theta[rough]))) / samples.pdf[rough])[:, None]
+        scattered = ~samples.is_specular
+        theta_o, phi_o = samples.theta[scattered], samples.phi[scattered]
+        incidence = np.full_like(theta_o, theta_i), np.full_like(theta_o, phi_i)
+        brdf = self.evaluate(*incidence, theta_o, phi_o, wavelength)
+        weight = np.empty((samples.theta.size, self._wavelength_count(wavelength)))
+        weight[scattered] = brdf * (np.abs(np.cos(np.radians(theta_o))) / samples.pdf[scattered])[:, None]
         for ray, probability in enumerate(distribution.specular_probability):
             if probability > 0:
                 weight[samples.ray == ray] = distribution.specular_share[ray] / probability
@@ -319,24 +293,23 @@ class Representation(ABC):
         return sampling.as_dataset(samples, weight, (theta_i, phi_i), own if wavelength is None else wavelength)
 
     def pdf(self, theta_i: float, phi_i: float, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
-        """Density with which :meth:`sample` draws outgoing directions [sr-1], of their shape; specular rays have none."""
+        """Density with which :meth:`sample` draws outgoing directions [sr-1], without specular rays; of the directions' shape."""
         return self.distribution(theta_i, phi_i, wavelength).pdf(theta_o, phi_o)
 
-    def wavelength_count(self, wavelength: Array | None) -> int:
-        """Number of wavelengths of an evaluation."""
+    def _wavelength_count(self, wavelength: Array | None) -> int:
         return int(self.dataset.sizes.get("wavelength", 1)) if wavelength is None else max(1, wavelength.size)
 
     def cell_edges(self, theta_i: float, phi_i: float, through: bool) -> tuple[Array, Array]:
-        """Polar and azimuthal edges [degree] of cells that cover one side, graded towards the directions where a lobe may be."""
+        """Polar and azimuthal edges [degree] of cells that cover one side, graded towards possible lobes."""
         peaks = np.array([180 - theta_i, float(self.refracted(np.array(theta_i)))]) if through else np.array([theta_i])
         below = (theta_i > 90) != through
         theta = sphere_cubature.theta_edges(peaks[np.isfinite(peaks)], below)
         phi = sphere_cubature.phi_edges(phi_i + 180)
         polar, azimuths = self.kinks
         if polar.size or azimuths.size:
-            turned = (azimuths + phi_i - phi[0]) % 360 + phi[0]
+            azimuths = (azimuths + phi_i - phi[0]) % 360 + phi[0]
             theta = np.union1d(theta, polar[(polar > theta[0]) & (polar < theta[-1])])
-            phi = np.union1d(phi, turned[(turned > phi[0]) & (turned < phi[-1])])
+            phi = np.union1d(phi, azimuths[(azimuths > phi[0]) & (azimuths < phi[-1])])
         return theta, phi
 
     def _integrand(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> sphere_cubature.Integrand:

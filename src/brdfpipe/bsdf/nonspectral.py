@@ -1,4 +1,4 @@
-"""A BSDF as a detector of one spectral response sees it."""
+"""Spectral averages of a BSDF."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from brdfpipe.geometry import Array
 
 
 def nonspectral(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> xr.Dataset:
-    """The BSDF averaged over wavelength; itself where it does not depend on wavelength.
+    """The BSDF averaged over wavelength; the same dataset if it does not depend on wavelength.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def nonspectral(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> xr.Dataset
 
 
 def normalised_response(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> Array | None:
-    """Spectral response on the wavelengths of a BSDF, of sum 1; None where the BSDF does not depend on wavelength.
+    """Spectral response on the wavelengths of a BSDF, of sum 1; None if the BSDF does not depend on wavelength.
 
     Raises
     ------
@@ -42,12 +42,7 @@ def normalised_response(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> Ar
 
         weight = colorimetry.luminous_weight(wavelength)
     response = np.asarray(weight, dtype=float)
-    if (
-        response.shape != wavelength.shape
-        or not np.isfinite(response).all()
-        or response.min() < 0
-        or not response.any()
-    ):
+    if response.shape != wavelength.shape or not (response.min() >= 0 and 0 < response.sum() < np.inf):
         raise VocabularyError(
             f"the weight needs {wavelength.size} finite values >= 0, not all 0; found shape {response.shape}"
         )

@@ -1,8 +1,7 @@
-"""Outgoing directions drawn in proportion to a BSDF, for Monte Carlo programs."""
+"""Random outgoing directions in proportion to a BSDF, for Monte Carlo programs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,10 +14,10 @@ from brdfpipe.bsdf import sphere_cubature
 from brdfpipe.geometry import Array
 
 _VARIANCE = 0.02
-"""Relative excess of the weights' rms over their mean that the cells are refined to, and half their relative variance."""
+"""Limit of the relative excess of the weights' rms over their mean, which is half their relative variance."""
 
 DEFENSIVE = 0.05
-"""Share of the samples that is spread evenly over the sphere, so that the weights stay bounded."""
+"""Share of the samples that is uniform over the sphere, so that the weights are bounded."""
 
 
 class Samples(NamedTuple):
@@ -31,7 +30,7 @@ class Samples(NamedTuple):
     pdf: Array
     """Density [sr-1]; NaN for specular rays"""
     ray: NDArray[np.int64]
-    """Which specular direction: 0 the mirrored, 1 the straight or refracted one, -1 none"""
+    """Index of the specular direction: 0 for reflection, 1 for transmission, -1 for scattered light"""
 
     @property
     def is_specular(self) -> NDArray[np.bool_]:
@@ -40,7 +39,7 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True)
 class Distribution:
-    """Where light from one direction goes: a constant density per cell, and two specular directions of finite probability."""
+    """Outgoing directions of one incidence: a constant density in each cell, and two specular directions of finite probability."""
 
     theta: Array
     """Polar edges of the first cells [degree]"""
@@ -49,46 +48,38 @@ class Distribution:
     mesh: sphere_cubature.Mesh
     leaves: sphere_cubature.Indices
     probability: Array
-    """(leaves,) of drawing a cell, given that the sample is not specular"""
+    """(leaves,) of a cell, if the sample is not specular"""
     density: Array
-    """(leaves,) probability per solid angle, over all samples [sr-1]"""
+    """(leaves,) probability per solid angle, of all samples [sr-1]"""
     specular_probability: Array
-    """(2,) of the mirror direction, and of the straight or refracted direction"""
+    """(2,) of specular reflection and transmission"""
     specular_direction: Array
-    """(2, 2) θ and φ of these [degree]"""
+    """(2, 2) their θ and φ [degree]"""
     specular_share: Array
-    """(2, wavelength) reflectance and transmittance of these"""
+    """(2, wavelength) their reflectance and transmittance"""
 
     @classmethod
     def of(
         cls,
         edges: tuple[Array, Array],
-        rule: Callable[..., sphere_cubature.Rule],
+        rule: sphere_cubature.Rule,
         specular_share: Array,
         specular_direction: Array,
     ) -> Distribution:
-        """Refine cells until a constant density in each is close to the integrand.
+        """Refine cells with the rule :func:`brdfpipe.bsdf.sphere_cubature.constant` until the variance of the weights is small.
 
-        Parameters
-        ----------
-        edges : polar and azimuthal edges of the first cells [degree]
-        rule : of :func:`brdfpipe.bsdf.sphere_cubature.constant`
-        specular_share, specular_direction : as the fields
-
-        Notes
-        -----
-        Among all densities that are constant over given cells, the one in proportion to the rms of f |cos θ_o| over each cell gives
-        the weights of least variance. Cells are halved until that variance is small.
+        ``edges`` are the polar and azimuthal edges of the first cells [degree].
         """
         theta, phi = edges
         low, high = sphere_cubature.rectangles(theta, phi)
         mesh = sphere_cubature.refine((np.zeros(low.shape[0], dtype=np.intp), low, high), rule, _VARIANCE)
         leaves = mesh.leaves
         size = sphere_cubature.solid_angle(mesh.low[leaves], mesh.high[leaves])
-        wanted = mesh.value[leaves, 0]
-        scattered = wanted.sum()
-        even = size / size.sum()
-        probability = (1 - DEFENSIVE) * wanted / scattered + DEFENSIVE * even if scattered > 0 else even
+        value = mesh.value[leaves, 0]
+        scattered = value.sum()
+        probability = uniform = size / size.sum()
+        if scattered > 0:
+            probability = (1 - DEFENSIVE) * value / scattered + DEFENSIVE * uniform
         expected = specular_share.mean(axis=1)
         total = scattered + expected.sum()
         specular = expected / total if total > 0 else np.zeros(2)
@@ -96,7 +87,7 @@ class Distribution:
         return cls(theta, phi, mesh, leaves, probability, density, specular, specular_direction, specular_share)
 
     def pdf(self, theta_o: Array, phi_o: Array) -> Array:
-        """Density of the samples that are not specular [sr-1], of the shape of the directions."""
+        """Density without the specular samples [sr-1], of the shape of the directions."""
         theta, phi = np.broadcast_arrays(np.asarray(theta_o, dtype=float), np.asarray(phi_o, dtype=float))
         turned = (phi.ravel() - self.phi[0]) % 360 + self.phi[0]
         row = np.searchsorted(self.theta, theta.ravel(), side="right") - 1
@@ -112,13 +103,13 @@ class Distribution:
     def draw(self, n: int, generator: np.random.Generator) -> Samples:
         """Draw n directions."""
         choice, polar, azimuth = generator.random((3, n))
-        reflected, passed = self.specular_probability
-        ray = np.where(choice < reflected, 0, np.where(choice < reflected + passed, 1, -1))
-        rest = np.clip((choice - reflected - passed) / max(1 - reflected - passed, 1e-300), 0.0, 1.0)
+        reflected, transmitted = self.specular_probability
+        ray = np.where(choice < reflected, 0, np.where(choice < reflected + transmitted, 1, -1))
+        rest = np.clip((choice - reflected - transmitted) / max(1 - reflected - transmitted, 1e-300), 0.0, 1.0)
         running = np.cumsum(self.probability)
         leaf = np.minimum(np.searchsorted(running, rest * running[-1], side="right"), running.size - 1)
         low, high = np.radians(self.mesh.low[self.leaves[leaf]]), np.radians(self.mesh.high[self.leaves[leaf]])
-        # Even in solid angle is even in sin²(θ/2), which keeps its digits at the pole where cos θ loses them.
+        # Uniform in solid angle is uniform in sin²(θ/2), which is accurate at the pole, unlike cos θ.
         first, last = np.sin(low[:, 0] / 2) ** 2, np.sin(high[:, 0] / 2) ** 2
         theta = 2 * np.degrees(np.arcsin(np.sqrt(np.clip(first + polar * (last - first), 0.0, 1.0))))
         phi = np.degrees(low[:, 1] + azimuth * (high[:, 1] - low[:, 1])) % 360
@@ -133,13 +124,14 @@ def as_dataset(samples: Samples, weight: Array, incidence: tuple[float, float], 
 
     Parameters
     ----------
-    weight : (n, wavelength or 1) f |cos θ_o| / pdf; for a specular ray, its share of the light over its probability
+    weight : (n, wavelength or 1) f |cos θ_o| / pdf; for a specular ray its reflectance or transmittance over its probability
     incidence : θ_i and φ_i [degree]
-    wavelength : nm, in any order; None where the BSDF does not depend on wavelength
+    wavelength : nm, in any order; None if the BSDF does not depend on wavelength
     """
     n = samples.theta.size
     spectral = () if wavelength is None else ("wavelength",)
     weight = weight if spectral else weight[:, 0]
+    specular = {"units": "1", "long_name": "whether the sample is a specular ray"}
     result = xr.Dataset(
         {
             "theta_o": ("sample", samples.theta),
@@ -147,11 +139,7 @@ def as_dataset(samples: Samples, weight: Array, incidence: tuple[float, float], 
             "pdf": ("sample", samples.pdf),
             "weight": (("sample", *spectral), weight),
             "weight_variance": (spectral, weight.var(axis=0, ddof=min(1, n - 1))),
-            "specular": (
-                "sample",
-                samples.is_specular,
-                {"units": "1", "long_name": "whether the sample is a specular ray"},
-            ),
+            "specular": ("sample", samples.is_specular, specular),
             "theta_i": float(incidence[0]),
             "phi_i": float(incidence[1]),
         }

@@ -1,4 +1,4 @@
-"""Fields of a BSDF at other wavelengths than its own, and state that is prepared once per set of wavelengths."""
+"""Interpolation of the fields of a BSDF over wavelength, and a cache of state for each set of wavelengths."""
 
 from __future__ import annotations
 
@@ -14,20 +14,13 @@ from brdfpipe.geometry import Array
 State = TypeVar("State")
 
 _WAVELENGTH_SETS = 4
-"""Sets of wavelengths whose prepared state is kept."""
+"""Sets of wavelengths whose state is cached."""
 
 
 def at_wavelengths(field: xr.DataArray, wavelength: Array | None) -> Array:
-    """Values of a field, linear between its own wavelengths.
+    """Values of a field, linear between its wavelengths, (…, W); (…) if it does not depend on wavelength.
 
-    Parameters
-    ----------
-    field : of any dimensions; brought to have ``wavelength`` last, where it has it
-    wavelength : (W,) nm, within the field's own; None for these
-
-    Returns
-    -------
-    (…, W), or (…) of a field that does not depend on wavelength
+    ``wavelength`` is (W,) nm, within those of the field; None for these.
     """
     if "wavelength" not in field.dims:
         return np.asarray(field.values, dtype=float)
@@ -39,12 +32,12 @@ def at_wavelengths(field: xr.DataArray, wavelength: Array | None) -> Array:
     if own.size == 1:
         return np.repeat(values, np.size(wavelength), axis=-1)
     above = np.clip(np.searchsorted(own, wavelength), 1, own.size - 1)
-    part = (np.asarray(wavelength) - own[above - 1]) / (own[above] - own[above - 1])
-    return np.asarray(values[..., above - 1] * (1 - part) + values[..., above] * part)
+    fraction = (np.asarray(wavelength) - own[above - 1]) / (own[above] - own[above - 1])
+    return np.asarray(values[..., above - 1] * (1 - fraction) + values[..., above] * fraction)
 
 
 def per_wavelength(prepare: Callable[[Array | None], State]) -> Callable[[Array | None], State]:
-    """Keep what ``prepare`` returns for the last few sets of wavelengths (None for those of the dataset)."""
+    """Cache ``prepare`` for the last few sets of wavelengths (None for those of the dataset)."""
 
     @lru_cache(maxsize=_WAVELENGTH_SETS)
     def prepared(wavelengths: bytes | None) -> State:

@@ -1,13 +1,13 @@
-"""Adaptive cells of the sphere: rectangles of polar angle and azimuth, halved where a function needs it.
+"""Adaptive cubature over the sphere: rectangles of polar angle and azimuth that are halved where the error is large.
 
-In these coordinates every smooth function of direction is smooth, at the pole too; the solid angle carries the sine. All cells
-of a round, of all incidences, are evaluated together.
+A smooth function of direction is smooth in these coordinates, at the pole too. All cells of a round, of all incidences, are evaluated
+together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -19,30 +19,36 @@ from brdfpipe.hemisphere import panel_rule
 Indices: TypeAlias = NDArray[np.intp]
 
 Integrand: TypeAlias = Callable[[Indices, Array, Array], Array]
-"""Values (points, wavelength) from the incidence each point belongs to (points,), its θ_o and φ_o [degree, (points,)]."""
+"""Values (points, wavelength) from the index of the incidence, θ_o and φ_o [degree] of each point, (points,) each."""
 
-_DOUBLINGS = 17
-_EVERY_THETA, _EVERY_PHI = 7.5, 15.0
+_HALVINGS = 17
+_STEP_THETA, _STEP_PHI = 7.5, 15.0
 _MOST_VALUES = 2_000_000
+"""Values that are evaluated at a time, to limit memory."""
+_ABSOLUTE_ERROR, _MOST_ROUNDS, _MOST_CELLS = 1e-12, 40, 40_000
 
 
-class Rule(NamedTuple):
-    """What a rule says of cells."""
+class Estimate(NamedTuple):
+    """Estimates for cells."""
 
     value: Array
     """(cells, wavelength)"""
     error: Array
     """(cells, wavelength), >= 0"""
     axis: Indices
-    """(cells,) 0 where halving θ helps most, 1 where halving φ does"""
+    """(cells,) along which to halve: 0 for θ, 1 for φ"""
+
+
+Rule: TypeAlias = Callable[[Indices, Array, Array], Estimate]
+"""From owner, low and high of cells to their estimates."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Cells and, of those that were halved, what became of them."""
+    """A binary tree of cells."""
 
     owner: Indices
-    """(cells,) the incidence a cell belongs to"""
+    """(cells,) index of the incidence"""
     low: Array
     """(cells, 2) smallest θ and φ [degree]"""
     high: Array
@@ -51,7 +57,7 @@ class Mesh:
     error: Array
     axis: Indices
     child: Indices
-    """(cells,) the first of the two halves, which lie next to each other; -1 for a leaf"""
+    """(cells,) index of the first of the two halves, which is followed by the second; -1 for a leaf"""
 
     @property
     def leaves(self) -> Indices:
@@ -64,39 +70,39 @@ class Mesh:
         return sums
 
     def leaf_of(self, root: Indices, theta: Array, phi: Array) -> Indices:
-        """The leaf that holds each direction, from the starting cell that does."""
+        """The leaf that contains each direction, from the root cell that contains it."""
         cell, at = root.copy(), np.stack([theta, phi], axis=-1)
-        inside = np.flatnonzero(self.child[cell] >= 0)
-        while inside.size:
-            parent = cell[inside]
+        inner = np.flatnonzero(self.child[cell] >= 0)
+        while inner.size:
+            parent = cell[inner]
             axis, first = self.axis[parent], self.child[parent]
-            cell[inside] = first + (at[inside, axis] >= self.low[first + 1, axis])
-            inside = inside[self.child[cell[inside]] >= 0]
+            cell[inner] = first + (at[inner, axis] >= self.low[first + 1, axis])
+            inner = inner[self.child[cell[inner]] >= 0]
         return cell
 
 
-def graded(peaks: Array, low: float, high: float, every: float) -> Array:
-    """Edges on ``[low, high]`` [degree], no further apart than ``every`` and halving in distance towards each peak."""
-    reach = (high - low) * 0.5 ** np.arange(_DOUBLINGS + 1)
-    about = (peaks[:, None] + np.concatenate([-reach, [0.0], reach])).ravel()
-    regular = np.linspace(low, high, 1 + round((high - low) / every))
-    edges = np.concatenate([regular, about[(about > low) & (about < high)]])
+def graded(peaks: Array, low: float, high: float, step: float) -> Array:
+    """Edges on ``[low, high]`` [degree], at most ``step`` apart and with distances that halve towards each peak."""
+    offsets = (high - low) * 0.5 ** np.arange(_HALVINGS + 1)
+    dense = (peaks[:, None] + np.concatenate([-offsets, [0.0], offsets])).ravel()
+    regular = np.linspace(low, high, 1 + round((high - low) / step))
+    edges = np.concatenate([regular, dense[(dense > low) & (dense < high)]])
     edges = np.unique(np.round(edges, 9))
-    # A sliver between an edge and a peak's costs cells and resolves nothing.
-    keep = np.concatenate([[True], np.diff(edges) > 0.4 * reach[-1]])
+    # Narrow cells between a regular and a graded edge cost time and resolve nothing.
+    keep = np.concatenate([[True], np.diff(edges) > 0.4 * offsets[-1]])
     keep[-1] = True
     return edges[keep]
 
 
 def theta_edges(peaks: Array, below: bool) -> Array:
-    """Polar edges of one hemisphere, graded towards the peaks that lie in it or near."""
+    """Polar edges of one hemisphere, graded towards peaks."""
     low = 90.0 if below else 0.0
-    return graded(peaks, low, low + 90, _EVERY_THETA)
+    return graded(peaks, low, low + 90, _STEP_THETA)
 
 
 def phi_edges(centre: float) -> Array:
-    """Azimuths of a full turn that ends opposite to ``centre``, graded towards it."""
-    return graded(np.array([centre]), centre - 180, centre + 180, _EVERY_PHI)
+    """Azimuths of a full turn, graded towards its centre."""
+    return graded(np.array([centre]), centre - 180, centre + 180, _STEP_PHI)
 
 
 def rectangles(theta: Array, phi: Array) -> tuple[Array, Array]:
@@ -106,54 +112,44 @@ def rectangles(theta: Array, phi: Array) -> tuple[Array, Array]:
     return low, high
 
 
-def refine(
-    start: tuple[Indices, Array, Array],
-    rule: Callable[[Indices, Array, Array], Rule],
-    relative: float,
-    *,
-    absolute: float = 1e-12,
-    rounds: int = 40,
-    most: int = 40_000,
-) -> Mesh:
-    """Halve cells until the errors of each incidence add up to less than wanted.
+def refine(start: tuple[Indices, Array, Array], rule: Rule, relative: float) -> Mesh:
+    """Halve cells until the sum of their errors is small enough for each incidence.
 
     Parameters
     ----------
     start : owner, low and high of the first cells
-    rule : what to know of cells from their owner, low and high
-    relative, absolute : the error wanted, as a share of the total and in itself, at every wavelength
-    rounds, most : when to stop nevertheless: after so many rounds, or with so many new cells an incidence
+    relative : largest error over the total at any wavelength
 
     Notes
     -----
-    In each round every cell is halved but those with the least errors, which together stay below half of what is allowed.
+    In each round all cells are halved except those with the smallest errors, whose sum is below half of the limit. The refinement ends
+    after 40 rounds, or with 40 000 new cells for each incidence.
     """
     owner, low, high = start
-    found = rule(owner, low, high)
     owners = int(owner.max()) + 1
-    mesh = Mesh(owner, low, high, *found, np.full(owner.size, -1))
-    for _ in range(rounds):
-        allowed = relative * np.abs(mesh.totals(mesh.value, owners)) + absolute
-        halved = _to_halve(mesh, allowed)
-        if halved.size == 0 or mesh.owner.size - owner.size > most * owners:
+    mesh = Mesh(owner, low, high, *rule(owner, low, high), np.full(owner.size, -1))
+    for _ in range(_MOST_ROUNDS):
+        limit = relative * np.abs(mesh.totals(mesh.value, owners)) + _ABSOLUTE_ERROR
+        cells = _inaccurate_leaves(mesh, limit)
+        if cells.size == 0 or mesh.owner.size - owner.size > _MOST_CELLS * owners:
             break
-        mesh = _halve(mesh, halved, rule)
+        mesh = _halve(mesh, cells, rule)
     return mesh
 
 
-def _to_halve(mesh: Mesh, allowed: Array) -> Indices:
+def _inaccurate_leaves(mesh: Mesh, limit: Array) -> Indices:
     leaves = mesh.leaves
-    share = (mesh.error[leaves] / allowed[mesh.owner[leaves]]).max(axis=1)
-    order = np.lexsort((share, mesh.owner[leaves]))
-    leaves, share, owner = leaves[order], share[order], mesh.owner[leaves][order]
-    running = np.cumsum(share)
-    first = np.searchsorted(owner, np.arange(allowed.shape[0] + 1))
+    error = (mesh.error[leaves] / limit[mesh.owner[leaves]]).max(axis=1)
+    order = np.lexsort((error, mesh.owner[leaves]))
+    leaves, error, owner = leaves[order], error[order], mesh.owner[leaves][order]
+    running = np.cumsum(error)
+    first = np.searchsorted(owner, np.arange(limit.shape[0] + 1))
     before = np.concatenate([[0.0], running])[first]
-    left, total = running - before[owner], (before[1:] - before[:-1])[owner]
-    return leaves[(left > 0.5) & (total > 1)]
+    cumulative, total = running - before[owner], (before[1:] - before[:-1])[owner]
+    return leaves[(cumulative > 0.5) & (total > 1)]
 
 
-def _halve(mesh: Mesh, cells: Indices, rule: Callable[[Indices, Array, Array], Rule]) -> Mesh:
+def _halve(mesh: Mesh, cells: Indices, rule: Rule) -> Mesh:
     axis = mesh.axis[cells]
     low, high = mesh.low[cells].repeat(2, axis=0), mesh.high[cells].repeat(2, axis=0)
     first = 2 * np.arange(cells.size)
@@ -161,34 +157,26 @@ def _halve(mesh: Mesh, cells: Indices, rule: Callable[[Indices, Array, Array], R
     high[first, axis] = middle
     low[first + 1, axis] = middle
     owner = mesh.owner[cells].repeat(2)
-    found = rule(owner, low, high)
     child = mesh.child.copy()
     child[cells] = mesh.owner.size + first
-    return replace(
-        mesh,
-        owner=np.concatenate([mesh.owner, owner]),
-        low=np.concatenate([mesh.low, low]),
-        high=np.concatenate([mesh.high, high]),
-        value=np.concatenate([mesh.value, found.value]),
-        error=np.concatenate([mesh.error, found.error]),
-        axis=np.concatenate([mesh.axis, found.axis]),
-        child=np.concatenate([child, np.full(owner.size, -1)]),
-    )
+    old = (mesh.owner, mesh.low, mesh.high, mesh.value, mesh.error, mesh.axis, child)
+    new = (owner, low, high, *rule(owner, low, high), np.full(owner.size, -1))
+    return Mesh(*(np.concatenate(fields) for fields in zip(old, new, strict=True)))
 
 
-def _in_parts(rule: Callable[[Indices, Array, Array], Rule], points: int, wavelengths: int) -> Callable[..., Rule]:
-    """The same rule, on no more cells at a time than memory likes."""
+def _in_parts(rule: Rule, points: int, wavelengths: int) -> Rule:
+    """The same rule, on as many cells at a time as memory allows."""
     size = max(1, _MOST_VALUES // (points * wavelengths))
 
-    def parts(owner: Indices, low: Array, high: Array) -> Rule:
+    def parts(owner: Indices, low: Array, high: Array) -> Estimate:
         starts = range(0, owner.size, size)
-        found = [rule(owner[k : k + size], low[k : k + size], high[k : k + size]) for k in starts]
-        return Rule(*(np.concatenate(fields) for fields in zip(*found, strict=True)))
+        estimates = [rule(owner[k : k + size], low[k : k + size], high[k : k + size]) for k in starts]
+        return Estimate(*(np.concatenate(fields) for fields in zip(*estimates, strict=True)))
 
     return parts
 
 
-# --- the integral over a cell, with an error: Genz & Malik 1980 (J. Comput. Appl. Math. 6), degree 7 with embedded degree 5
+# --- the integral over a cell and its error: Genz & Malik 1980 (J. Comput. Appl. Math. 6), degree 7 with embedded degree 5
 
 _NEAR, _FAR, _INNER = np.sqrt(9 / 70), np.sqrt(9 / 10), np.sqrt(9 / 19)
 _SIGNS = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
@@ -198,28 +186,25 @@ _DEGREE_7 = np.repeat(np.array([-3816, 2940, 1020, 200, 6859 / 4]) / 19683, [1, 
 _DEGREE_5 = np.repeat(np.array([-971 / 729, 245 / 486, 65 / 1458, 25 / 729, 0.0]), [1, 4, 4, 4, 4])
 
 
-def integral(integrand: Integrand, wavelengths: int = 1) -> Callable[..., Rule]:
+def integral(integrand: Integrand, wavelengths: int = 1) -> Rule:
     """Rule for ∫ f |cos θ| dω over cells."""
 
-    def rule(owner: Indices, low: Array, high: Array) -> Rule:
+    def rule(owner: Indices, low: Array, high: Array) -> Estimate:
         values = _at(_GENZ_MALIK, integrand, owner, low, high)
         area = np.prod(np.radians(high - low), axis=1)[:, None]
         fine = np.einsum("p,cpw->cw", _DEGREE_7, values) * area
         coarse = np.einsum("p,cpw->cw", _DEGREE_5, values) * area
-        centre = 2 * values[:, :1]
-        ratio = (_NEAR / _FAR) ** 2
-        along_theta, along_phi = (
-            np.abs(
-                values[:, [k, k + 1]].sum(axis=1)
-                - centre[:, 0]
-                - ratio * (values[:, [k + 4, k + 5]].sum(axis=1) - centre[:, 0])
-            ).max(axis=1)
-            for k in (1, 3)
-        )
+        centre, ratio = 2 * values[:, 0], (_NEAR / _FAR) ** 2
+
+        def fourth_difference(first: int) -> Array:
+            near, far = (values[:, [k, k + 1]].sum(axis=1) - centre for k in (first, first + 4))
+            return np.abs(near - ratio * far).max(axis=1)
+
+        along_theta, along_phi = fourth_difference(1), fourth_difference(3)
         wide = (high - low)[:, 1] > (high - low)[:, 0]
         tie = np.isclose(along_theta, along_phi, rtol=1e-3)
         axis = np.where(tie, wide, along_phi > along_theta).astype(np.intp)
-        return Rule(fine, np.abs(fine - coarse), axis)
+        return Estimate(fine, np.abs(fine - coarse), axis)
 
     return _in_parts(rule, len(_GENZ_MALIK), wavelengths)
 
@@ -233,28 +218,28 @@ def _at(nodes: Array, integrand: Integrand, owner: Indices, low: Array, high: Ar
     return values.reshape(*theta.shape, -1) * jacobian[..., None]
 
 
-# --- how well one constant stands for f |cos θ| over a cell
+# --- the best constant density over a cell
 
 _ORDER = 3
 
 
 def solid_angle(low: Array, high: Array) -> Array:
-    """Solid angle of cells [sr], to the last digit of narrow ones too."""
+    """Solid angle of cells [sr], without cancellation for narrow cells."""
     middle, half = np.radians(low + high)[:, 0] / 2, np.radians(high - low)[:, 0] / 2
     return np.asarray(2 * np.sin(middle) * np.sin(half) * np.radians(high - low)[:, 1])
 
 
-def constant(integrand: Integrand, wavelengths: int = 1) -> Callable[..., Rule]:
-    """Rule that gives each cell the solid angle times the rms of g = mean over wavelength of f |cos θ|; the error is rms − mean.
+def constant(integrand: Integrand, wavelengths: int = 1) -> Rule:
+    """Rule for the solid angle times the rms of g = mean over wavelength of f |cos θ|; its error is that times rms − mean.
 
-    Drawing cells in proportion to that value, and directions evenly inside, has the least variance that a constant a cell allows:
-    with S its sum and I the integral of g, the weights g / pdf have the mean square S².
+    Cells drawn in proportion to that value, with uniform directions inside, have the smallest variance of all densities that are
+    constant in each cell: with S the sum of the values, the weights g / pdf have the mean square S².
     """
     unit, weight = panel_rule([-1.0, 1.0], _ORDER)
     nodes = np.stack(np.meshgrid(unit, unit, indexing="ij"), axis=-1).reshape(-1, 2)
     product = np.outer(weight, weight).ravel()
 
-    def rule(owner: Indices, low: Array, high: Array) -> Rule:
+    def rule(owner: Indices, low: Array, high: Array) -> Estimate:
         weighted = _at(nodes, integrand, owner, low, high).mean(axis=2)
         theta = np.radians((low + high)[:, :1] / 2 + (high - low)[:, :1] / 2 * nodes[:, 0])
         share = product * np.sin(theta)
@@ -264,6 +249,6 @@ def constant(integrand: Integrand, wavelengths: int = 1) -> Callable[..., Rule]:
         size = solid_angle(low, high)
         square = g.reshape(-1, _ORDER, _ORDER)
         axis = (square.mean(axis=1).std(axis=1) > square.mean(axis=2).std(axis=1)).astype(np.intp)
-        return Rule((size * rms)[:, None], (size * np.maximum(rms - mean, 0.0))[:, None], axis)
+        return Estimate((size * rms)[:, None], (size * np.maximum(rms - mean, 0.0))[:, None], axis)
 
     return _in_parts(rule, len(nodes), wavelengths)
