@@ -20,6 +20,9 @@ QUADRATURE_ACCURACY = 1e-6
 _ALBEDO_ACCURACY = 1e-8
 """Error of an albedo from a table [1]: reflectance and transmittance are interpolated to 2e-9 each."""
 
+UNRESOLVED_SLOPE = 1e-6
+"""Lobe slope of a perfectly smooth surface: no instrument resolves it."""
+
 
 class Integral(NamedTuple):
     """∫ f |cos θ_o| dω_o over one side of the surface, by quadrature."""
@@ -131,10 +134,7 @@ class Representation(ABC):
         return self.accuracy if self.albedo_needs_quadrature else _ALBEDO_ACCURACY
 
     def total_reflectance(self) -> tuple[Array, Array]:
-        """Wavelengths, and the directional reflectance at 8 degree, mean over azimuth.
-
-        A BSDF that does not depend on wavelength gives two equal values, at 360 and 780 nm.
-        """
+        """Wavelengths (360 and 780 nm if the BSDF does not depend on it), and the reflectance at 8 degree, mean over azimuth."""
         azimuths = hemisphere.azimuths(self.isotropic)
         return self._spectrum(self.albedo(np.full(azimuths.size, 8.0), azimuths, None).mean(axis=0))
 

@@ -117,11 +117,9 @@ def check(bsdf: xr.Dataset) -> xr.Dataset:
     )
     if model.transmits:
         result["transmittance"] = azimuthal_mean(fixed.transmittance)
-    verdicts = {
-        name: {"verdict": verdict, "text": text}
-        for name, (verdict, text) in _verdicts(result, residuals, model).items()
-    }
-    result.attrs["verdicts"] = json.dumps(verdicts, ensure_ascii=False)
+    verdicts = _verdicts(result, residuals, model).items()
+    described = {name: {"verdict": verdict, "text": text} for name, (verdict, text) in verdicts}
+    result.attrs["verdicts"] = json.dumps(described, ensure_ascii=False)
     return vocabulary.label(result, "checks")
 
 
@@ -172,9 +170,8 @@ def _fixed_incidences(model: Representation) -> tuple[Array, Array]:
 def _further_incidences(model: Representation) -> tuple[Array, Array]:
     """θ_i and φ_i of a low-discrepancy sequence, denser towards grazing, where energy is hardest to conserve; and of a table's nodes."""
     costly = model.albedo_needs_quadrature or model.transmits
-    unit = _low_discrepancy(
-        _FURTHER_INCIDENCES_BY_QUADRATURE if costly else _FURTHER_INCIDENCES, 1 if model.isotropic else 2
-    )
+    count = _FURTHER_INCIDENCES_BY_QUADRATURE if costly else _FURTHER_INCIDENCES
+    unit = _low_discrepancy(count, 1 if model.isotropic else 2)
     theta_i = np.minimum(90 * (1 - unit[:, 0] ** 2), _INCIDENCES[-1])
     phi_i = np.zeros_like(theta_i) if model.isotropic else 360 * unit[:, 1]
     if model.transmits:

@@ -14,6 +14,8 @@ Patent US 7,991,596 (DuPont); Walter 2007 (EGSR), the Jacobian of a mirror; Burn
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
@@ -139,14 +141,12 @@ def _clear_coat(index: float, model: str, clear_coat: str | float | None) -> tup
     if slope is not None and not 1e-4 <= slope <= 1:
         raise _refusal("clear_coat", "invalid rms slope of the clear coat", f"{slope:g}", "0.0001 to 1")
     if finish != "none" and not physical:
-        problem = (
-            "the model `flake` includes all the measured light; additional gloss would violate energy conservation"
-        )
+        problem = "the model `flake` includes all measured light; additional gloss would violate energy conservation"
         raise _refusal("clear_coat", problem, repr(finish), "none, or `model: flake-physical`")
     return ClearCoat(float(index), physical, slope), "rough" if slope is not None else str(finish)
 
 
-def _channel_title(across: str, value: object) -> str:
+def _channel_title(across: str, value: Any) -> str:
     return f"{value}" if across == "channel" else f"{value:g} nm"
 
 

@@ -86,11 +86,12 @@ def _fit_one(bsdf: xr.Dataset, theta_i: float, azimuth: float) -> tuple[float, .
 
     lowest = np.log([1e-9 * start[1], 1e-9 * start[1], 1e-3, 1e-3])
     highest = np.log([1e3 * start[1], 1e3 * start[1], _WIDEST / FWHM, _WIDEST / FWHM])
+
+    def residuals(parameters: Array) -> Array:
+        return root * (model(parameters) - brdf)
+
     solution = least_squares(
-        lambda parameters: root * (model(parameters) - brdf),
-        np.clip(np.log(start), lowest, highest),
-        bounds=(lowest, highest),
-        x_scale="jac",
+        residuals, np.clip(np.log(start), lowest, highest), bounds=(lowest, highest), x_scale="jac"
     )
     floor, peak, parallel, perpendicular = map(float, np.exp(solution.x))
     error = approximation_error.misfit(weight, model(solution.x), brdf)

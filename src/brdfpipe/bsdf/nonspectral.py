@@ -14,14 +14,8 @@ from brdfpipe.geometry import Array
 def nonspectral(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> xr.Dataset:
     """The BSDF averaged over wavelength; the same dataset if it does not depend on wavelength.
 
-    Parameters
-    ----------
-    bsdf : kind ``bsdf``
-    weight : spectral response on the dataset's wavelengths, any scale; by default V(λ) times the illuminant D65
-
-    Raises
-    ------
-    VocabularyError : see :func:`normalised_response`.
+    ``weight`` is the spectral response on the dataset's wavelengths, any scale; by default V(λ) times the illuminant D65. See
+    :func:`normalised_response` for the errors raised.
     """
     response = normalised_response(bsdf, weight)
     return bsdf if response is None else representation(bsdf).nonspectral(response)

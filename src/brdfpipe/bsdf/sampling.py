@@ -120,13 +120,9 @@ class Distribution:
 
 
 def as_dataset(samples: Samples, weight: Array, incidence: tuple[float, float], wavelength: Array | None) -> xr.Dataset:
-    """Dataset of kind ``samples``.
+    """Dataset of kind ``samples`` for one incidence (θ_i, φ_i) [degree].
 
-    Parameters
-    ----------
-    weight : (n, wavelength or 1) f |cos θ_o| / pdf; for a specular ray its reflectance or transmittance over its probability
-    incidence : θ_i and φ_i [degree]
-    wavelength : nm, in any order; None if the BSDF does not depend on wavelength
+    ``weight`` is (n, wavelength or 1), f |cos θ_o| / pdf, for a specular ray its reflectance or transmittance over its probability.
     """
     n = samples.theta.size
     spectral = () if wavelength is None else ("wavelength",)

@@ -27,14 +27,10 @@ _TOWARDS_KINK = np.concatenate([-(4.0 ** -np.arange(1, 6)), [0.0], 4.0 ** -np.ar
 def facet_rule(
     density: PlanarDensity, theta: Array, phi: Array, critical: float | None = None, *, mirroring: bool = True
 ) -> tuple[Array, Array, Array]:
-    """Slopes along x and y of the facets of a quadrature and their shares, (incidences, facets) each.
+    """Slopes along x and y of the facets of a quadrature and their shares, (incidences, facets) each, for θ and φ in degree.
 
-    Parameters
-    ----------
-    density : of the slopes
-    theta, phi : (incidences,) of the light [degree]
-    critical : critical angle of total reflection on the facet [rad], at which the rule is split
-    mirroring : only facets that mirror the light above the horizon; otherwise all that face it
+    The rule is split at the ``critical`` angle of total reflection on the facet [rad]. If ``mirroring``, it covers only facets that mirror
+    the light above the horizon; otherwise all that face it.
     """
     ellipse = density.ellipse
     width, turn = ellipse.towards(phi)

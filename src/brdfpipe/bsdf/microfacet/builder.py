@@ -90,7 +90,7 @@ def build(
     chosen = _choices(recipe, masking=masking, diffuse=diffuse, multiple_scattering=multiple_scattering)
     if spectrum is not None:
         vocabulary.validate(spectrum, "spectrum")
-    n, k, wavelength, warnings = _index_on(index, None if spectrum is None else spectrum["wavelength"].values)
+    n, k, wavelength, warnings = index_on(index, None if spectrum is None else spectrum["wavelength"].values)
     if np.any((n < 1) & (k == 0)):
         raise ModelError(
             f"the refractive index falls to {np.min(n):g}, below that of air, without absorption; accepted: n >= 1, or k > 0"
@@ -271,8 +271,8 @@ def _trapped(model: Model, spectrum: xr.Dataset, theta_m: float) -> Array:
     return np.asarray(weight @ model.evaluate(np.full_like(theta, theta_m), np.zeros_like(phi), theta, phi))
 
 
-def _index_on(index: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array, Array | None, list[str]]:
-    """n and k on the wavelengths of the model, scalars if they do not depend on wavelength; the wavelengths; and warnings."""
+def index_on(index: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array, Array | None, list[str]]:
+    """n and k on given wavelengths, scalars if they do not depend on wavelength; the wavelengths; and warnings."""
     n, k = index["n"].values.astype(float), index["k"].values.astype(float)
     if np.ptp(n) == 0 and np.ptp(k) == 0:
         return n[0], k[0], wavelength, []
@@ -283,7 +283,7 @@ def _index_on(index: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array
     if known[0] <= wavelength[0] and wavelength[-1] <= known[-1]:
         return n, k, wavelength, []
     warning = (
-        f"the refractive index is known from {known[0]:g} to {known[-1]:g} nm and was held constant beyond, out to "
-        f"{wavelength[0]:g} and {wavelength[-1]:g} nm; give a table that covers the spectrum"
+        f"the refractive index is known from {known[0]:g} to {known[-1]:g} nm and was held constant beyond; give a table that covers "
+        f"{wavelength[0]:g} to {wavelength[-1]:g} nm"
     )
     return n, k, wavelength, [warning]

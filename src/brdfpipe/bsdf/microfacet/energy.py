@@ -151,13 +151,9 @@ def slopes_of_total_reflection(theta_i: Array, critical: float, reach: float) ->
 
 
 def azimuths_of_total_reflection(edges: Array, slope: Array, theta_i: Array, critical: float) -> Array:
-    """Panel edges (…, n) about the azimuth of the facets that are met at the critical angle, where F bends like a root.
+    """Panel edges (…, n) in a range of azimuths (…, 2), dense about the facets met at the critical angle, where F bends like a root.
 
-    Parameters
-    ----------
-    edges : (…, 2) range of azimuths
-    slope, theta_i : (…) slope of the facets, and angle of incidence on the mean plane [rad]
-    critical : angle of total reflection [rad]
+    ``slope`` is that of the facets, ``theta_i`` the angle of incidence on the mean plane, (…) each; angles in radian.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         cos = (np.cos(theta_i) - np.cos(critical) * np.sqrt(1 + slope**2)) / (slope * np.sin(theta_i))
@@ -251,11 +247,10 @@ class AlbedoTable:
         if self.phi is None:
             return np.asarray(weight @ self(np.degrees(theta)))
         assert self.ellipse is not None
-        around = quadrature.arc_to_azimuth(self.ellipse, np.linspace(0.0, 360.0, 4 * self.phi.size, endpoint=False))
-        width, _ = self.ellipse.towards(around)
-        return np.asarray(
-            weight @ np.einsum("tpl,p->tl", self(np.degrees(theta)[:, None], around), width / width.sum())
-        )
+        phi = quadrature.arc_to_azimuth(self.ellipse, np.linspace(0.0, 360.0, 4 * self.phi.size, endpoint=False))
+        width, _ = self.ellipse.towards(phi)
+        mean = np.einsum("tpl,p->tl", self(np.degrees(theta)[:, None], phi), width / width.sum())
+        return np.asarray(weight @ mean)
 
     @cached_property
     def _spline(self) -> PiecewiseCubic:
@@ -285,18 +280,10 @@ def _even_spline(grazing: Array, values: Array) -> CubicSpline:
 
 
 def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], exact: Array) -> AlbedoTable:
-    """Table of a directional albedo, an upper bound.
+    """Table of a directional albedo, (θ, φ) in degree → (n, wavelength), with ``exact`` among its nodes θ.
 
-    Parameters
-    ----------
-    surface : the facets
-    albedo : (θ, φ), both (n,) degree → (n, wavelength)
-    exact : angles of incidence that must be nodes [degree]
-
-    Notes
-    -----
-    Light that the facets do not reflect enters the base. Between the nodes the spline has errors of parts in 10⁹ of either sign; the
-    table is raised by the largest one, so that facets and base together conserve energy.
+    It is an upper bound: between the nodes the spline has errors of parts in 10⁹ of either sign, and the table is raised by the largest
+    one, so that the facets, and the base that the rest of the light enters, together conserve energy.
     """
     if surface.isotropic:
         return refined(lambda theta: albedo(theta, np.zeros_like(theta)), surface.median_slope, exact)
@@ -349,14 +336,7 @@ def _lift(theta: Array, error: Array) -> Array:
 
 
 def refined(albedo: Callable[[Array], Array], slope: float, exact: Array) -> AlbedoTable:
-    """Table of the albedo of an isotropic surface, an upper bound; intervals are halved until the spline is accurate.
-
-    Parameters
-    ----------
-    albedo : (θ,) degree → (θ, wavelength)
-    slope : angle on which it varies near grazing [rad]
-    exact : angles of incidence that must be nodes [degree]
-    """
+    """The same for an isotropic albedo that varies on the angle ``slope`` [rad] near grazing; intervals are halved until it is accurate."""
     theta = np.degrees(np.arccos(np.cos(np.linspace(0, np.pi / 2, 48)) ** 2))
     # Near grazing masking dominates: E varies on the scale of the slopes.
     grazing = 90 - np.degrees(slope) * 2.0 ** np.arange(-5, 7, 0.25)

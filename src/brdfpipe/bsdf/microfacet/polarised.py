@@ -57,17 +57,12 @@ def mueller(
 
     Returns
     -------
-    (…, wavelength, 4, 4) [sr⁻¹], from the Stokes frame of ``i`` to that of ``o``, defined above; M[0, 0] is the BRDF for unpolarised
-    light
+    (…, wavelength, 4, 4) [sr⁻¹], M = D G / (4 cos θ_i cos θ_o) R(−ψ_o) M_F R(ψ_i) + diag(f_d, 0, 0, 0), with M_F from
+    :func:`facet_mueller` and ψ from :func:`frame_rotation`; M[0, 0] is the BRDF for unpolarised light
 
     Raises
     ------
     BrdfpipeError : n <= 0, k < 0, or undefined values.
-
-    Notes
-    -----
-    M = D G / (4 cos θ_i cos θ_o) R(−ψ_o) M_F R(ψ_i) + diag(f_d, 0, 0, 0), with M_F from :func:`facet_mueller` and ψ from
-    :func:`frame_rotation`.
     """
     n, k = np.atleast_1d(n), np.atleast_1d(k)
     cos_zeta = half_vector(theta_i, phi_i, theta_o, phi_o).cos_zeta
@@ -83,25 +78,18 @@ def mueller(
 
 
 def facet_mueller(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0) -> Array:
-    """Mueller matrix of the Fresnel reflection by one facet, in the facet's own s–p frame.
+    """Mueller matrix (…, 4, 4) [1] of the Fresnel reflection by one facet, in the facet's own s–p frame.
 
     Parameters
     ----------
     cos_zeta : cosine of the angle of incidence on the facet, in [0, 1]
     n, k : refractive index n + ik relative to the outer medium, broadcastable; total reflection for n < 1, a mirror for n = inf
 
-    Returns
-    -------
-    (…, 4, 4) [1]
-
-    Raises
-    ------
-    BrdfpipeError : as :func:`brdfpipe.optics.fresnel`.
-
     Notes
     -----
     With F = |r|² and Z = r_s* r_p the upper block is ½(F_s ± F_p) and the lower block Re Z, ∓Im Z, which converts circular to linear
-    polarisation at metals and at total reflection. M[0, 0] is exactly the reflectance of :func:`brdfpipe.optics.fresnel`.
+    polarisation at metals and at total reflection. M[0, 0] is exactly the reflectance of :func:`brdfpipe.optics.fresnel`, which also
+    refuses invalid input.
     """
     fresnel = fresnel_reflectance(cos_zeta, n, k)
     z = _phased_product(cos_zeta, n, k)

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.base import UNRESOLVED_SLOPE, Representation
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
 from brdfpipe.bsdf.microfacet.model import Model, with_mean_index
 from brdfpipe.bsdf.spectral import per_wavelength
@@ -16,9 +16,6 @@ from brdfpipe.geometry import Array
 
 _LAY_ALBEDO_ACCURACY = 2e-4
 """Tables of the albedo over two angles agree with the integral to about 1e-4."""
-
-_UNRESOLVED_SLOPE = 1e-6
-"""A slope that no instrument resolves."""
 
 
 class Interface(Representation):
@@ -137,4 +134,4 @@ class Smooth(Interface):
 
     @property
     def lobe_slope(self) -> float:
-        return _UNRESOLVED_SLOPE
+        return UNRESOLVED_SLOPE

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.base import UNRESOLVED_SLOPE, Representation
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.slab.lobe_table import LobeGrid, barycentric, grazing_factor
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
@@ -22,9 +22,6 @@ from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 SIDES = ("front", "back")
 
 TABLE_DIMS = ("path", "theta_low", "span", "turn", "node")
-
-_UNRESOLVED_SLOPE = 1e-6
-"""A slope that no instrument resolves."""
 
 BALANCE = ("reflectance", "transmittance", "absorptance", "specular_reflectance", "specular_transmittance")
 """Fluxes of the light from each incidence."""
@@ -68,10 +65,8 @@ class Slab(Representation):
         return self._flux("transmittance", theta_i, wavelength)
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
-        return (
-            self._flux("specular_reflectance", theta_i, wavelength),
-            self._flux("specular_transmittance", theta_i, wavelength),
-        )
+        reflectance = self._flux("specular_reflectance", theta_i, wavelength)
+        return reflectance, self._flux("specular_transmittance", theta_i, wavelength)
 
     def _flux(self, name: str, theta_i: Array, wavelength: Array | None) -> Array:
         """A reflectance or transmittance between its nodes, (incidences…, wavelength or 1); 0 at 90 degree."""
@@ -91,7 +86,7 @@ class Slab(Representation):
     def lobe_slope(self) -> float:
         """Median slope of the smoother of the rough faces."""
         slopes = [surface.median_slope for surface in self._surfaces if surface is not None]
-        return min(slopes, default=_UNRESOLVED_SLOPE)
+        return min(slopes, default=UNRESOLVED_SLOPE)
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The slab with the mean index; the light that has been inside is averaged with the weight.

@@ -18,6 +18,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
+from brdfpipe.bsdf.microfacet.builder import index_on
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
 from brdfpipe.bsdf.representations.slab import BALANCE, SIDES, TABLE_DIMS, Slab, lagrange, root_depth
 from brdfpipe.bsdf.slab import adding_doubling
@@ -25,7 +26,7 @@ from brdfpipe.bsdf.slab.lobe_table import LobeGrid
 from brdfpipe.bsdf.slab.tabulation import Resolution, resolution, sheet, tabulate
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.geometry import Array
-from brdfpipe.optics.index import interpolate_index, refractive_index
+from brdfpipe.optics.index import refractive_index
 
 Spectral: TypeAlias = float | xr.DataArray
 """A number, or values over ``wavelength`` [nm]."""
@@ -45,7 +46,7 @@ class _Body(NamedTuple):
     n: Array
     transmittance: Array
     wavelength: Array | None
-    warnings: tuple[str, ...] = ()
+    warnings: list[str]
 
 
 def build(
@@ -155,20 +156,8 @@ def _body(
             f"the index of the slab absorbs (k up to {float(known['k'].max()):g}); give a real index, and the absorption apart"
         )
     inside, wavelength = _transmittance(internal_transmittance, absorption, thickness)
-    n, nm = known["n"].values.astype(float), known["wavelength"].values
-    if np.ptp(n) == 0:
-        return _Body(np.asarray(n[0]), inside, wavelength)
-    if wavelength is None:
-        return _Body(n, inside, nm)
-    within = np.clip(wavelength, nm[0], nm[-1])
-    n = interpolate_index(known, within)[0]
-    if np.array_equal(within, wavelength):
-        return _Body(n, inside, wavelength)
-    warning = (
-        f"the refractive index is known from {nm[0]:g} to {nm[-1]:g} nm and was held constant beyond; give a table that covers "
-        f"{wavelength[0]:g} to {wavelength[-1]:g} nm"
-    )
-    return _Body(n, inside, wavelength, (warning,))
+    n, _, wavelength, warnings = index_on(known, wavelength)
+    return _Body(np.asarray(n), inside, wavelength, warnings)
 
 
 def _transmittance(

@@ -162,15 +162,9 @@ def smooth(index: float, nodes: Nodes) -> Face:
 def rough(
     surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths, sharp: tuple[bool, bool]
 ) -> Face:
-    """A rough face.
+    """A rough, isotropic face, with ``index`` that of the body and the facets seen from outside.
 
-    Parameters
-    ----------
-    surface : its facets, seen from outside, isotropic
-    masking : ``height-correlated`` or ``separable``
-    index : of the body
-    sharp : whether the transmitted, and the internally reflected, lobe is taken as a single direction, because it is narrower than the
-        nodes resolve
+    ``sharp`` takes the transmitted, or the internally reflected, lobe as a single direction, because the nodes do not resolve it.
 
     Notes
     -----
@@ -178,11 +172,11 @@ def rough(
     facets. The rest to 1 is e(θ), light that met more than one facet; it is returned as e(θ_i) e(θ_o) / ∫ e over both sides, in L/n²:
     this is reciprocal, and energy is conserved to rounding.
     """
-    one, none = np.array([index]), np.zeros(1)
-    reflected = energy.directional_albedo(surface, masking, one, none, nodes.outside)[:, 0]
-    mirrored = energy.directional_albedo(surface, masking, 1 / one, none, nodes.inside)[:, 0]
-    inward = transmission.directional_transmittance(surface, masking, one, nodes.outside)[:, 0]
-    outward = transmission.directional_transmittance(surface, masking, one, 180 - nodes.inside)[:, 0]
+    n, k = np.array([index]), np.zeros(1)
+    reflected = energy.directional_albedo(surface, masking, n, k, nodes.outside)[:, 0]
+    mirrored = energy.directional_albedo(surface, masking, 1 / n, k, nodes.inside)[:, 0]
+    inward = transmission.directional_transmittance(surface, masking, n, nodes.outside)[:, 0]
+    outward = transmission.directional_transmittance(surface, masking, n, 180 - nodes.inside)[:, 0]
     inward = np.clip(inward, 0.0, 1 - reflected - _LEAST_LOSS)
     outward = np.clip(outward, 0.0, 1 - mirrored - _LEAST_LOSS)
     mirrored = np.clip(mirrored, 0.0, 1 - _LEAST_LOSS)

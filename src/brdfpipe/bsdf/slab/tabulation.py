@@ -98,15 +98,13 @@ def sheet(
 def tabulate(
     sheets: list[Sheet], smooth: tuple[bool, bool], transmittances: Array, count: int, grid: LobeGrid
 ) -> tuple[Array, float]:
-    """Logarithm of the BSDF of light that has been inside, and the error of its interpolation.
+    """Logarithm of the BSDF of light that has been inside, by ``count`` Fourier modes, and the error of its interpolation.
 
     Parameters
     ----------
     sheets : one for each index
     smooth : whether the front and the back face are smooth
     transmittances : (K,) internal transmittances at normal incidence
-    count : number of Fourier modes
-    grid : of the pairs of directions
 
     Returns
     -------
