@@ -60,11 +60,7 @@ class Distribution:
 
     @classmethod
     def of(
-        cls,
-        edges: tuple[Array, Array],
-        rule: sphere_cubature.Rule,
-        specular_share: Array,
-        specular_direction: Array,
+        cls, edges: tuple[Array, Array], rule: sphere_cubature.Rule, specular_share: Array, specular_direction: Array
     ) -> Distribution:
         """Refine cells with the rule :func:`brdfpipe.bsdf.sphere_cubature.constant` until the variance of the weights is small.
 

@@ -20,7 +20,7 @@ ONE, NONE = np.ones(1), np.zeros(1)
 
 def mirrors(surface: Microsurface, theta, masking: str = "height-correlated") -> Array:
     theta = np.atleast_1d(np.asarray(theta, dtype=float))
-    return energy.directional_albedo(surface, masking, ONE, NONE, theta, 0.0, energy.perfect_mirror)[:, 0]
+    return energy.mirror_albedo(surface, masking, theta)
 
 
 def gaussian(sigma: float) -> Microsurface:

@@ -1,9 +1,6 @@
 """The microfacet BSDF of a rough interface over a diffuse base, or of a perfectly smooth one.
 
-Specular part: SC = D F G2 / (4 cos θ_i cos θ_o), D from the measured slope density, Smith masking from the same density, so
-that energy is conserved and reciprocity holds. Diffuse part: coupled to the light that the facets transmit (Kelemen &
-Szirmay-Kalos), so that the total reflectance at the measuring geometry is exactly the measured one. The choices of the
-patent and of other sources are modes by name; the checks find the laws that they violate.
+The choices of the patent and of other sources are modes by name; the checks find the laws that they violate.
 
 References
 ----------
@@ -80,8 +77,9 @@ def build(
 
     Notes
     -----
-    f = SC + d′ (1 − E(θ_i)) (1 − E(θ_o)) / [π (1 − Ē)] with E the directional albedo of SC, Ē = 2 ∫ E μ dμ and
-    d′ = (R − E(θ_m)) / (1 − E(θ_m)). Where R < E(θ_m), d′ is clamped at 0, flagged, and a warning names the wavelengths.
+    f = SC + d′ (1 − E(θ_i)) (1 − E(θ_o)) / [π (1 − Ē)] with SC = D F G2 / (4 cos θ_i cos θ_o), D from the measured slope density and
+    G2 from the same density; E the directional albedo of SC, Ē = 2 ∫ E μ dμ and d′ = (R − E(θ_m)) / (1 − E(θ_m)). So the total
+    reflectance at θ_m is the measured R. Where R < E(θ_m), d′ is clamped at 0, flagged, and a warning names the wavelengths.
     Compensated, SC also holds F_ms (1 − E₁(θ_i)) (1 − E₁(θ_o)) / [π (1 − Ē₁)], E₁ the albedo of perfect mirrors and
     F_ms = F̄² Ē₁ / (1 − F̄ (1 − Ē₁)), F̄ = 2 ∫ F μ dμ: exactly the loss for F = 1.
     """
@@ -130,11 +128,7 @@ def build(
 
 
 def _choices(recipe: str | None, **given: str | None) -> dict[str, str]:
-    accepted = {
-        "masking": MASKINGS,
-        "diffuse": DIFFUSE_MODES,
-        "multiple_scattering": MULTIPLE_SCATTERING_MODES,
-    }
+    accepted = {"masking": MASKINGS, "diffuse": DIFFUSE_MODES, "multiple_scattering": MULTIPLE_SCATTERING_MODES}
     if recipe is not None and recipe not in RECIPES:
         raise ModelError(f"unknown recipe {recipe!r}; accepted: {', '.join(RECIPES)}; set `model.recipe`")
     chosen = {"masking": "height-correlated", "diffuse": "coupled", "multiple_scattering": "none"}

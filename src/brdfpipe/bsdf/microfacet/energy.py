@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from brdfpipe.bsdf.microfacet import anisotropic_quadrature as quadrature
@@ -23,9 +22,6 @@ from brdfpipe.geometry import Array, HalfVector
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.piecewise import PiecewiseCubic
-
-Reflectance = Callable[[Array, ArrayLike, ArrayLike], Array]
-"""Reflectance of a facet from (cos ζ, n, k)."""
 
 _AZIMUTHS = 12
 _WINDOW_PANELS = 8
@@ -40,24 +36,8 @@ _LAY_FINENESS = 8.0
 _LAY_MOST_GRAZING = 2.0
 
 
-def fresnel_mean(cos_zeta: Array, n: ArrayLike, k: ArrayLike) -> Array:
-    """Fresnel reflectance of a facet for unpolarised light."""
-    return fresnel(cos_zeta, n, k).mean
-
-
-def perfect_mirror(cos_zeta: Array, n: ArrayLike, k: ArrayLike) -> Array:
-    """Reflectance of a perfectly reflecting facet."""
-    return np.ones_like(cos_zeta)
-
-
 def directional_albedo(
-    surface: Microsurface,
-    masking: str,
-    n: Array,
-    k: Array,
-    theta_i: Array,
-    phi_i: Array | float = 0.0,
-    reflectance: Reflectance = fresnel_mean,
+    surface: Microsurface, masking: str, n: Array, k: Array, theta_i: Array, phi_i: Array | float = 0.0
 ) -> Array:
     """Directional albedo E of the facets' single reflection, (incidences, wavelength).
 
@@ -67,15 +47,12 @@ def directional_albedo(
     masking : one of :data:`brdfpipe.bsdf.microfacet.microsurface.MASKINGS`
     n, k : (wavelength,) index relative to the medium of incidence
     theta_i, phi_i : (incidences,) degree, 0 <= theta_i <= 90; the azimuth is for a surface with a lay
-    reflectance : of a facet
     """
     theta_i = np.asarray(theta_i, dtype=float)
     if n.size > 1 and ((n < 1) & (k == 0)).any():
         # The critical angle depends on the index.
         pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
-        columns = [
-            directional_albedo(surface, masking, index[:1], index[1:], theta_i, phi_i, reflectance) for index in pairs.T
-        ]
+        columns = [directional_albedo(surface, masking, pair[:1], pair[1:], theta_i, phi_i) for pair in pairs.T]
         return np.concatenate(columns, axis=1)[:, where.ravel()]
     critical = float(np.arcsin(n[0])) if n[0] < 1 and k[0] == 0 else None
     blocks = []
@@ -87,13 +64,13 @@ def directional_albedo(
             weight, cos_zeta = _isotropic_facets(surface, masking, np.radians(theta_i[part]), critical)
         else:
             weight, cos_zeta = _facets_with_lay(surface, masking, theta_i[part], azimuth[part], critical)
-        blocks.append(_spectral_sum(weight, cos_zeta, n, k, reflectance))
+        blocks.append(_spectral_sum(weight, cos_zeta, n, k))
     return np.concatenate(blocks) if blocks else np.zeros((0, n.size))
 
 
 def mirror_albedo(surface: Microsurface, masking: str, theta_i: Array, phi_i: Array | float = 0.0) -> Array:
     """Directional albedo of the same facets as perfect mirrors, (incidences,)."""
-    return directional_albedo(surface, masking, np.ones(1), np.zeros(1), theta_i, phi_i, perfect_mirror)[:, 0]
+    return directional_albedo(surface, masking, np.array([np.inf]), np.zeros(1), theta_i, phi_i)[:, 0]
 
 
 def _isotropic_facets(
@@ -185,7 +162,7 @@ def _facets_with_lay(
     return np.where(mirrored_up, weight, 0.0), cos_zeta
 
 
-def _spectral_sum(weight: Array, cos_zeta: Array, n: Array, k: Array, reflectance: Reflectance) -> Array:
+def _spectral_sum(weight: Array, cos_zeta: Array, n: Array, k: Array) -> Array:
     """Σ weight · F(cos ζ; λ), (incidences, wavelength).
 
     F is smooth in n > 1: for k = 0 it is evaluated at a few Chebyshev nodes of n and interpolated, at the same cost for any number of
@@ -198,11 +175,11 @@ def _spectral_sum(weight: Array, cos_zeta: Array, n: Array, k: Array, reflectanc
         unit = np.cos(np.pi * (np.arange(count) + 0.5) / count)
         low, high = pairs[0, 0], pairs[0, -1]
         nodes = low + (high - low) * (unit + 1) / 2
-        at_nodes = np.stack([(weight * reflectance(cos_zeta, node, 0.0)).sum(axis=-1) for node in nodes], axis=-1)
+        at_nodes = np.stack([(weight * fresnel(cos_zeta, node, 0.0).mean).sum(axis=-1) for node in nodes], axis=-1)
         chebyshev = np.polynomial.chebyshev
         coefficients = np.linalg.solve(chebyshev.chebvander(unit, count - 1), at_nodes.T)
         return np.asarray(chebyshev.chebval(2 * (n - low) / (high - low) - 1, coefficients))
-    values = [(weight * reflectance(cos_zeta, *index)).sum(axis=-1) for index in pairs.T]
+    values = [(weight * fresnel(cos_zeta, *index).mean).sum(axis=-1) for index in pairs.T]
     return np.stack(values, axis=-1)[:, where.ravel()]
 
 

@@ -26,17 +26,6 @@ CRF_DIFFUSE_SHARE = 4 * (np.log(2) - 0.5)
 _BLOCK = 2**14
 """Directions that are evaluated together, so that their arrays stay in the processor's cache."""
 
-_ALBEDO_FIELDS = (
-    "directional_albedo",
-    "mean_albedo",
-    "furnace_albedo",
-    "mean_furnace_albedo",
-    "compensation",
-    "theta_i",
-    "phi_i",
-)
-"""Variables that :func:`with_albedo` adds."""
-
 
 @dataclass(frozen=True)
 class Model:
@@ -226,56 +215,43 @@ class Model:
 
 
 def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
-    """Add the directional albedo of the facets, its mean, and the fields that compensate multiple scattering."""
-    spectral = bsdf["n"].dims
+    """Add the directional albedo of the interface, its mean, and the fields that compensate multiple scattering."""
+    spectral, exact = bsdf["n"].dims, np.array([0.0, theta_m, 90.0])
     n, k = np.atleast_1d(bsdf["n"].values), np.atleast_1d(bsdf["k"].values)
+    compensated = bsdf.attrs["multiple_scattering"] == "compensated" and "slope_density" in bsdf
+    mean_furnace = 1.0
     if "slope_density" not in bsdf:
-        return _smooth_albedo(bsdf, n, k, theta_m)
-    surface, masking = Microsurface.of(bsdf), str(bsdf.attrs["masking"])
-    compensated = bsdf.attrs["multiple_scattering"] == "compensated"
+        # The reflectance varies within 1/|N| of grazing, and for a small contrast within √(2 (n − 1)).
+        table = energy.refined(lambda theta: _smooth_reflectance(theta, n, k), 0.01, exact)
+    else:
+        surface, masking = Microsurface.of(bsdf), str(bsdf.attrs["masking"])
 
-    def both(theta: Array, phi: Array) -> Array:
-        # Masking modes that do not conserve energy may exceed 1: no light is left for the base.
-        single = np.minimum(directional_albedo(surface, masking, n, k, theta, phi), 1.0)
-        if not compensated:
-            return single
-        return np.concatenate([single, energy.mirror_albedo(surface, masking, theta, phi)[:, None]], axis=1)
+        def albedos(theta: Array, phi: Array) -> Array:
+            # Masking modes that do not conserve energy may exceed 1: no light is left for the base.
+            single = np.minimum(directional_albedo(surface, masking, n, k, theta, phi), 1.0)
+            if not compensated:
+                return single
+            return np.concatenate([single, energy.mirror_albedo(surface, masking, theta, phi)[:, None]], axis=1)
 
-    table = energy.tabulated(surface, both, np.array([0.0, theta_m, 90.0]))
+        table = energy.tabulated(surface, albedos, exact)
+        mean_furnace = 0.0 if compensated else _mean_mirror_albedo(surface, masking)
     dims = ("theta_i",) if table.phi is None else ("theta_i", "phi_i")
     bsdf = bsdf.assign_coords({"theta_i": table.theta} | ({} if table.phi is None else {"phi_i": table.phi}))
-    single = replace(table, values=table.values[..., : n.size])
+    albedo = replace(table, values=table.values[..., : n.size])
     if compensated:
         furnace = replace(table, values=table.values[..., n.size :])
         mean_furnace = float(furnace.mean()[0])
         fresnel = mean_fresnel_reflectance(n, k)
         # F_ms of all reflections after the first, each with the mean reflectance of a facet.
         factor = np.asarray(fresnel**2 * mean_furnace / (1 - fresnel * (1 - mean_furnace)))
-        single = replace(table, values=single.values + factor * (1 - furnace.values))
-        bsdf = bsdf.assign(
-            furnace_albedo=(dims, furnace.values[..., 0]),
-            mean_furnace_albedo=mean_furnace,
-            compensation=(spectral, factor if spectral else factor[0]),
-        )
-    else:
-        bsdf = bsdf.assign(mean_furnace_albedo=_mean_mirror_albedo(surface, masking))
-    values, mean = single.values, single.mean()
+        albedo = replace(table, values=albedo.values + factor * (1 - furnace.values))
+        compensation = (spectral, factor if spectral else factor[0])
+        bsdf = bsdf.assign(furnace_albedo=(dims, furnace.values[..., 0]), compensation=compensation)
+    values, mean = albedo.values, albedo.mean()
     return bsdf.assign(
         directional_albedo=((*dims, *spectral), values if spectral else values[..., 0]),
         mean_albedo=(spectral, mean if spectral else mean[0]),
-    )
-
-
-def _smooth_albedo(bsdf: xr.Dataset, n: Array, k: Array, theta_m: float) -> xr.Dataset:
-    spectral = bsdf["n"].dims
-
-    # The reflectance varies within 1/|N| of grazing, and for a small contrast within √(2 (n − 1)).
-    table = energy.refined(lambda theta: _smooth_reflectance(theta, n, k), 0.01, np.array([0.0, theta_m, 90.0]))
-    mean = table.mean()
-    return bsdf.assign_coords(theta_i=table.theta).assign(
-        directional_albedo=(("theta_i", *spectral), table.values if spectral else table.values[:, 0]),
-        mean_albedo=(spectral, mean if spectral else mean[0]),
-        mean_furnace_albedo=1.0,
+        mean_furnace_albedo=mean_furnace,
     )
 
 
@@ -317,9 +293,9 @@ def with_mean_index(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
     else:
         amplitude = np.sqrt(weight @ ((n - 1) / (n + 1)) ** 2)
         mean_n, mean_k = (1 + amplitude) / (1 - amplitude), 0.0
-    reduced = bsdf.drop_dims("wavelength").assign(n=mean_n, k=mean_k)
     theta_m = float(bsdf["theta_m"])
-    reduced = with_albedo(reduced.drop_vars(_ALBEDO_FIELDS, errors="ignore"), theta_m).assign(diffuse=0.0)
+    reduced = bsdf.drop_dims(["wavelength", "theta_i", "phi_i"], errors="ignore").assign(n=mean_n, k=mean_k)
+    reduced = with_albedo(reduced, theta_m).assign(diffuse=0.0)
     if not bsdf["diffuse"].values.any():
         return reduced
     spectrum = total_reflectance_at(Model.of(bsdf, None), theta_m)
