@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -29,13 +30,23 @@ def spectrum(reflectance=0.3, *, geometry: str = "sci", theta: float = 8.0) -> x
     )
 
 
+beckmann = cache(partial(facets.analytic, "beckmann"))
+"""Gaussian facets of a width a, built once: tests do not change them."""
+
+
 def beckmann_bsdf(sigma: float = 0.1, *, n: float = 1.55, reflectance=0.3, **options) -> xr.Dataset:
     """The microfacet BSDF of a Gaussian surface of slope rms ``sigma`` per axis; ``reflectance=None`` for its gloss alone."""
+    values = None if reflectance is None else tuple(np.atleast_1d(reflectance).astype(float).tolist())
+    return _beckmann_bsdf(sigma, n, values, tuple(sorted(options.items()))).copy(deep=True)
+
+
+@cache
+def _beckmann_bsdf(sigma: float, n: float, reflectance: tuple[float, ...] | None, options: tuple) -> xr.Dataset:
     return microfacet.build(
-        facets.analytic("beckmann", sigma * np.sqrt(2)),
+        beckmann(sigma * np.sqrt(2)),
         index=optics.refractive_index(n),
         spectrum=None if reflectance is None else spectrum(reflectance),
-        **options,
+        **dict(options),
     )
 
 

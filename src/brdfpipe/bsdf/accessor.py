@@ -183,7 +183,7 @@ class BSDFAccessor:
         """
         text, stokes = "Mueller matrix of the BRDF", ["I", "Q", "U", "V"]
         angles = _directions(theta_i, phi_i, theta_o, phi_o)
-        frames = {"stokes_out": stokes, "stokes_in": stokes}
+        frames: dict[Hashable, list[str]] = {"stokes_out": stokes, "stokes_in": stokes}
         return self._labelled(self._representation.mueller, angles, wavelength, "mueller", text, "sr-1", frames)
 
     def nonspectral(self, weight: ArrayLike | None = None) -> xr.Dataset:
@@ -245,7 +245,7 @@ class BSDFAccessor:
         name: str,
         long_name: str,
         units: str,
-        frames: Mapping[str, list[str]] = MappingProxyType({}),
+        frames: Mapping[Hashable, list[str]] = MappingProxyType({}),
     ) -> xr.DataArray:
         """A method of the representation at labelled angles; ``frames`` are the dimensions after the wavelength."""
         wavelengths = self._wavelengths(wavelength)

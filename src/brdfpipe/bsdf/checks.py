@@ -151,7 +151,8 @@ def _checked_wavelengths(model: Representation, pairs: Angles, fixed: _Fluxes) -
     own = model.dataset["wavelength"].values
     chosen = {0, own.size // 2, own.size - 1}
     step = pairs[0].size // _PROBED_PAIRS
-    probed = model.evaluate(*(angle[::step] for angle in pairs), None)
+    theta_i, phi_i, theta_o, phi_o = (angle[::step] for angle in pairs)
+    probed = model.evaluate(theta_i, phi_i, theta_o, phi_o, None)
     for field in (probed, model.stored_values(), fixed.total):
         by_wavelength = field.reshape(-1, field.shape[-1])
         if by_wavelength.size and by_wavelength.shape[1] == own.size:

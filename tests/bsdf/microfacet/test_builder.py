@@ -125,12 +125,12 @@ def test_a_gloss_trap_absorbs_only_light_near_the_mirror_direction(sigma, share)
 
 def test_a_trap_as_wide_as_the_hemisphere_excludes_the_whole_specular_part():
     excluded = samples.spectrum(0.3, geometry="sce").assign_attrs(specular_trap=180.0)
-    bsdf = microfacet.build(facets.analytic("beckmann", 0.2), index=1.5, spectrum=excluded)
+    bsdf = microfacet.build(samples.beckmann(0.2), index=1.5, spectrum=excluded)
     assert bsdf.bsdf.albedo(8.0).values == pytest.approx(0.3 + specular_albedo(bsdf, 8.0)[0], abs=1e-7)
 
 
 def test_the_index_may_be_a_number_or_a_name():
-    table = facets.analytic("beckmann", 0.2)
+    table = samples.beckmann(0.2)
     for index in (1.55, "ABS", optics.refractive_index(1.55)):
         bsdf = microfacet.build(table, index=index)
         assert at(bsdf, 30, 0, 30, 180) == at(microfacet.build(table, index=1.55), 30, 0, 30, 180)
@@ -139,7 +139,7 @@ def test_the_index_may_be_a_number_or_a_name():
 def test_an_index_that_covers_less_than_the_spectrum_is_held_constant_with_a_warning():
     known = dispersive(0.02).assign_coords(wavelength=[400.0, 550.0, 700.0])
     known["wavelength"].attrs["units"] = "nm"
-    bsdf = microfacet.build(facets.analytic("beckmann", 0.2), index=known, spectrum=samples.spectrum(0.3))
+    bsdf = microfacet.build(samples.beckmann(0.2), index=known, spectrum=samples.spectrum(0.3))
     assert float(bsdf["n"].sel(wavelength=780)) == pytest.approx(1.48)
     assert "known from 400 to 700 nm and was held constant" in vocabulary.warnings(bsdf)[0]
 
@@ -188,7 +188,7 @@ def dispersive(spread):
 
 
 def test_dispersion_reaches_every_wavelength():
-    bsdf = microfacet.build(facets.analytic("beckmann", 0.2), index=dispersive(0.02), spectrum=samples.spectrum(0.3))
+    bsdf = microfacet.build(samples.beckmann(0.2), index=dispersive(0.02), spectrum=samples.spectrum(0.3))
     for wavelength, n in ((360, 1.52), (550, 1.5), (780, 1.48)):
         alone = samples.beckmann_bsdf(0.2 / np.sqrt(2), n=n)
         assert at(bsdf.sel(wavelength=[wavelength]), 30, 0, 30, 180) == pytest.approx(
@@ -201,7 +201,7 @@ def test_a_weighted_mean_over_wavelength_keeps_the_reflectance():
     reflectance = np.linspace(0.1, 0.6, samples.WAVELENGTH.size)
     weight = np.where(abs(samples.WAVELENGTH - 550) < 60, 1.0, 0.0)
     for index in (optics.refractive_index(1.5), dispersive(0.02)):
-        bsdf = microfacet.build(facets.analytic("beckmann", 0.2), index=index, spectrum=samples.spectrum(reflectance))
+        bsdf = microfacet.build(samples.beckmann(0.2), index=index, spectrum=samples.spectrum(reflectance))
         reduced = bsdf.bsdf.nonspectral(weight)
         expected = np.average(bsdf.bsdf.albedo(8.0).values, weights=weight)
         assert float(reduced.bsdf.albedo(8.0)) == pytest.approx(expected, abs=1e-6)
@@ -210,7 +210,7 @@ def test_a_weighted_mean_over_wavelength_keeps_the_reflectance():
 @pytest.mark.parametrize("index", [optics.refractive_index(1.5), dispersive(0.02)], ids=["constant", "dispersive"])
 def test_the_gloss_alone_of_a_coloured_material_averages_too(index):
     options = {"index": index, "spectrum": samples.spectrum(0.4), "diffuse": "none"}
-    bsdf = microfacet.build(facets.analytic("beckmann", 0.2), **options)
+    bsdf = microfacet.build(samples.beckmann(0.2), **options)
     expected = bsdf.bsdf.albedo(8.0).values.mean()
     assert float(bsdf.bsdf.nonspectral(np.ones(85)).bsdf.albedo(8.0)) == pytest.approx(expected, rel=1e-4)
 
@@ -406,7 +406,7 @@ def test_the_limit_of_small_slopes_is_the_flat_surface():
 
 
 def test_an_index_of_1_reflects_nothing():
-    for table in (facets.flat(), facets.analytic("beckmann", 0.2)):
+    for table in (facets.flat(), samples.beckmann(0.2)):
         assert float(microfacet.build(table, index=1.0).bsdf.albedo(45.0)) == 0
 
 
@@ -433,9 +433,9 @@ def test_any_dispersion_has_the_albedo_of_each_of_its_indices(low, high):
     data = {"n": ("wavelength", n), "k": ("wavelength", 0 * n)}
     index = vocabulary.label(xr.Dataset(data, coords, {"source": "synthetic"}), "index")
     options = {"spectrum": samples.spectrum(0.9), "diffuse": "none"}
-    bsdf = microfacet.build(facets.analytic("beckmann", 0.3), index=index, **options)
+    bsdf = microfacet.build(samples.beckmann(0.3), index=index, **options)
     for k in (0, 40, 84):
-        alone = microfacet.build(facets.analytic("beckmann", 0.3), index=float(n[k]))
+        alone = microfacet.build(samples.beckmann(0.3), index=float(n[k]))
         assert bsdf.bsdf.albedo(60.0).values[k] == pytest.approx(float(alone.bsdf.albedo(60.0)), abs=1e-8)
 
 
@@ -456,7 +456,7 @@ EDGES = np.array([0.0, 1e-6, 30.0, 60.0, 89.0, 89.9, 89.999])
 @pytest.mark.parametrize(("n", "k"), [(1.0, 0.0), (1.0001, 0.0), (4.0, 0.0), (1.5, 100.0)])
 @pytest.mark.parametrize("a", [0.0, 1e-6, 0.5, 10.0])
 def test_the_default_model_is_sound_at_every_corner(a, n, k, reflectance, multiple_scattering):
-    table = facets.analytic("beckmann", a) if a else facets.flat()
+    table = samples.beckmann(a) if a else facets.flat()
     index = optics.refractive_index(1.5)
     index = index.assign(n=index["n"] * 0 + n, k=index["k"] * 0 + k)
     spectrum = None if reflectance is None else samples.spectrum(reflectance).isel(wavelength=[0, 20])
