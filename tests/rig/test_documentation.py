@@ -106,7 +106,7 @@ def test_the_columns_of_the_fibres_are_named():
 
 def test_the_page_says_what_makes_another_rig(rig_file):
     """Ports, dialects and how frames are had make none; all else does."""
-    (told,) = re.findall(r"everything above but(.*?)\. Their digest", section("rig.yaml"), re.DOTALL)
+    (told,) = re.findall(r"all keys above except(.*?)\. The digest", section("rig.yaml"), re.DOTALL)
     assert words(told) == ["monochromator", "wheel", "kind", "folder", "address", "device", "timeout"]
     text = rig_file.read_text()
     before = Rig.load(rig_file).digest

@@ -20,9 +20,6 @@ EMULATED = "emulated"
 
 NOT_MEASURED = "The frames come from the rig emulator, not from a laboratory: use the result to test the pipeline, not as data of a material"
 
-_LISTED = 8
-"""Wavelengths that a warning lists."""
-
 
 def read_run(folder: str | Path, incidence: float | None = None) -> xr.Dataset:
     """Read the frames of a run.
@@ -152,7 +149,7 @@ def _missing_frames(planned: Sequence[Shot], missing: Sequence[Shot]) -> Iterato
             yield f"{count} of {total} lamp monitor readings {_at(arrangement)} are missing; {remedy}"
         else:
             wavelengths = [f"{shot.wavelength:g}" for shot in missing if _frame_group(shot) == group]
-            details = f"{purpose}: {abbreviated(wavelengths, _LISTED)} nm"
+            details = f"{purpose}: {abbreviated(wavelengths, 8)} nm"
             yield f"bracket step {detail} is missing at {count} of {total} wavelengths {_at(arrangement)} ({details}); {remedy}"
 
 

@@ -31,13 +31,9 @@ def reference_signal(counts: Counts, dark: Array, rig: Rig) -> float:
 
 
 def drift_warnings(readings: Sequence[LampReading], wavelength: float, tolerance: float) -> list[str]:
-    """Warn where the lamp changed by more than the tolerance since the first reading, or since the last change warned of.
+    """Warn where the lamp changed by more than a relative tolerance since the first reading, or since the last change warned of.
 
-    Parameters
-    ----------
-    readings : in the order they were taken
-    wavelength : of the readings [nm], for the message
-    tolerance : relative
+    The readings are in the order they were taken, at one wavelength [nm].
     """
     warnings = []
     usable = [reading for reading in readings if reading.signal > 0]

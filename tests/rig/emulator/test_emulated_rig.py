@@ -12,11 +12,10 @@ from rig_truths import WAVELENGTHS, lobe, with_fibres
 from brdfpipe.rig import screen
 from brdfpipe.rig.acquisition.devices.connection import connect
 from brdfpipe.rig.acquisition.devices.errors import DeviceError
-from brdfpipe.rig.emulator.effects import Effects
+from brdfpipe.rig.emulator.effects import Effects, EmulationError
 from brdfpipe.rig.emulator.emulated_rig import READOUT, EmulatedRig
 from brdfpipe.rig.emulator.illumination import SPLIT
 from brdfpipe.rig.emulator.optics import REFERENCE_RATE, SAMPLE_RATE
-from brdfpipe.rig.emulator.sample_holder import EmulationError
 
 IDEAL = Effects.none()
 MIDDLE_WAVELENGTH = (119, 159)
@@ -109,7 +108,7 @@ def test_the_mean_of_the_lamp_over_the_exposure_counts_in_sample_and_reference_a
     stand = arranged(rig, dataclasses.replace(IDEAL, warm_up=0.05, drift=0.01), seed=3)
     seen = []
     for wait in (0, 100, 400, 2000, 5000):
-        stand.clock.advance(wait)
+        stand.clock.advance_to(stand.clock.now() + wait)
         counts = stand.camera.expose(10.0).counts
         seen.append((float(counts[MIDDLE_WAVELENGTH]), float(reference(rig, counts))))
     sample, lamp = np.array(seen).T
@@ -154,7 +153,7 @@ def test_exposures_and_readouts_take_virtual_time(rig):
 def steps(stand, count=6):
     pictures = []
     for number in range(count):
-        stand.clock.advance(1.7)
+        stand.clock.advance_to(stand.clock.now() + 1.7)
         stand.monochromator.restore(430.0 + 20 * number)
         pictures.append(stand.camera.expose(0.7 + 0.1 * number))
     return pictures
@@ -173,7 +172,7 @@ def test_a_restored_rig_continues_with_the_same_bytes(rig):
     last = whole[2]
     stand.restore(last.started + last.seconds + READOUT, 470.0, 1, 3)
     for number in (3, 4, 5):
-        stand.clock.advance(1.7)
+        stand.clock.advance_to(stand.clock.now() + 1.7)
         stand.monochromator.restore(430.0 + 20 * number)
         assert stand.camera.expose(0.7 + 0.1 * number).counts.tobytes() == whole[number].counts.tobytes()
 

@@ -7,7 +7,8 @@ from collections import Counter
 import pytest
 
 from brdfpipe.rig.emulator.clock import VirtualClock
-from brdfpipe.rig.emulator.faults import KINDS, FaultError, Faults, FaultyLine, InjectedFault
+from brdfpipe.rig.emulator.effects import EmulationError
+from brdfpipe.rig.emulator.faults import KINDS, Faults, FaultyLine, InjectedFault
 from brdfpipe.rig.emulator.instruments import ActonWheel, Monochromator, ThorlabsWheel
 
 
@@ -105,7 +106,7 @@ def test_a_frame_exposed_before_the_late_ok_shows_the_move(monochromator: Monoch
     line, _ = _line(monochromator, "late-ok")
     line.feed(b"500 GOTO\r")
     assert monochromator.wavelength == 0
-    monochromator.clock.advance(2)
+    monochromator.clock.advance_to(monochromator.clock.now() + 2)
     assert monochromator.wavelength == pytest.approx(200)
     line.feed(b"MODEL\r")
     assert monochromator.wavelength == 500
@@ -205,5 +206,5 @@ def test_a_plan_may_serve_two_lines_and_counts_the_commands_of_both(monochromato
     ],
 )
 def test_an_invalid_plan_of_faults_is_refused(plan, message: str) -> None:
-    with pytest.raises(FaultError, match=message):
+    with pytest.raises(EmulationError, match=message):
         plan()

@@ -102,7 +102,7 @@ class MonochromatorAgainstAModel(RuleBasedStateMachine):
 
     @rule(seconds=st.floats(0, 30))
     def wait(self, seconds: float) -> None:
-        self.clock.advance(seconds)
+        self.clock.advance_to(self.clock.now() + seconds)
         self.pass_time(seconds)
 
     @rule(state=st.integers(0, 700))

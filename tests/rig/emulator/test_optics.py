@@ -16,10 +16,10 @@ from brdfpipe.errors import VocabularyError
 from brdfpipe.rig import screen
 from brdfpipe.rig.description import Fibre, Target
 from brdfpipe.rig.emulator.camera_view import fibre_efficiency, in_entrance_hole, overlap_area, true_screen
-from brdfpipe.rig.emulator.effects import EffectError, Effects
+from brdfpipe.rig.emulator.effects import Effects, EmulationError
 from brdfpipe.rig.emulator.illumination import MIDDLE_WAVELENGTH, SPLIT, Illumination
 from brdfpipe.rig.emulator.optics import REFERENCE_RATE, SAMPLE_RATE, Optics, PointSpread, halo
-from brdfpipe.rig.emulator.sample_holder import EmulationError, Etalon, Setup
+from brdfpipe.rig.emulator.sample_holder import Etalon, Setup
 
 IDEAL = Effects.none()
 ETALON = Etalon()
@@ -479,5 +479,5 @@ def test_a_dataset_that_is_not_a_bsdf_is_refused(rig):
 
 @pytest.mark.parametrize("wrong", [{"halo": 1.5}, {"drift": -1.0}, {"dark": float("nan")}, {"halo_radius": 0.0}])
 def test_an_effect_out_of_range_is_refused(wrong):
-    with pytest.raises(EffectError, match=next(iter(wrong))):
+    with pytest.raises(EmulationError, match=next(iter(wrong))):
         Effects(**wrong)

@@ -63,6 +63,7 @@ def doctor(rig: Rig, camera: Camera | None = None, report: Callable[[str], None]
     The devices return to their initial positions; nothing is recorded. ``camera`` replaces the described one, ``report`` is called with
     each line of the table as soon as it is known.
     """
+    report(HEADING)
     table = _Table(report)
     for examine in (_examine_monochromator, _examine_wheel, partial(_examine_camera, camera)):
         with suppress(_CheckFailed):
@@ -80,9 +81,6 @@ class _CheckFailed(Exception):
 class _Table:
     report: Callable[[str], None]
     rows: list[Row] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.report(HEADING)
 
     def check(
         self, device: str, check: str, action: Callable[[], Result], describe: Callable[[Result], str] = str

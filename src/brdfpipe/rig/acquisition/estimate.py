@@ -62,10 +62,8 @@ class Estimate:
     @property
     def text(self) -> str:
         lines = [f"{self.title}: {self.frames} frames, {self.size / 1e6:.1f} MB, about {self.hours:.1f} h"]
-        lines += [
-            f"  {purpose:<8}{count:6d} frames  {self.seconds[purpose] / 3600:5.2f} h"
-            for purpose, count in self.counts.items()
-        ]
+        for purpose, count in self.counts.items():
+            lines.append(f"  {purpose:<8}{count:6d} frames  {self.seconds[purpose] / 3600:5.2f} h")
         manual = self.arrangements * ARRANGEMENT_TIME / 3600
         lines.append(f"  manual  {self.arrangements:6d} arrangements of mirrors and sample  {manual:5.2f} h")
         return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])

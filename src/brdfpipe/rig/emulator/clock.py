@@ -5,19 +5,13 @@ from __future__ import annotations
 import threading
 import time
 
-from brdfpipe.errors import BrdfpipeError
-
-
-class ClockError(BrdfpipeError):
-    """A negative or undefined step of time."""
-
 
 class VirtualClock:
     """Time that advances only by exposures, readouts and moves. Safe to use from several threads.
 
     Parameters
     ----------
-    realtime : follow the wall clock, and let :meth:`advance` take real time; for interactive tests of programs
+    realtime : follow the wall clock, and let :meth:`advance_to` take real time; for interactive tests of programs
     """
 
     def __init__(self, *, realtime: bool = False) -> None:
@@ -30,16 +24,6 @@ class VirtualClock:
     def now(self) -> float:
         """Seconds."""
         return time.monotonic() - self._origin if self._realtime else self._now
-
-    def advance(self, seconds: float) -> None:
-        """Advance by a number of seconds; raises ClockError if it is negative or NaN."""
-        if not seconds >= 0:
-            raise ClockError(f"the clock cannot advance by {seconds} s; accepted: 0 or more")
-        if self._realtime:
-            self._released.wait(seconds)
-        else:
-            with self._lock:
-                self._now += seconds
 
     def advance_to(self, target: float) -> None:
         """Advance to a time [s]; does nothing if it is past."""

@@ -14,15 +14,15 @@ import numpy as np
 from brdfpipe.errors import BrdfpipeError
 
 
-class EffectError(BrdfpipeError):
-    """The value of an effect is out of range."""
+class EmulationError(BrdfpipeError):
+    """An effect, fault, arrangement or sample that the emulated rig does not support."""
 
 
 @dataclass(frozen=True)
 class Effects:
     """Size of each effect; ``Effects()`` is a realistic rig, :meth:`none` an ideal one.
 
-    Raises EffectError: a number is negative or not finite, or a share exceeds 1. The design of the rig is that of Voloboy et al., Keldysh
+    Raises EmulationError: a number is negative or not finite, or a share exceeds 1. The design of the rig is that of Voloboy et al., Keldysh
     Institute preprint (2005). Sizes it does not state are typical of a good laboratory.
     """
 
@@ -94,9 +94,9 @@ class Effects:
             value, largest = getattr(self, field.name), 1.0 if field.name in _SHARES else np.inf
             if not 0 <= value <= largest or not np.isfinite(value):
                 accepted = "0 to 1" if field.name in _SHARES else "0 or more"
-                raise EffectError(f"effect `{field.name}` out of range: {value}; accepted: {accepted}")
+                raise EmulationError(f"effect `{field.name}` out of range: {value}; accepted: {accepted}")
         if self.halo and not self.halo_radius:
-            raise EffectError("effect `halo_radius` out of range: 0; accepted: above 0 if `halo` is above 0")
+            raise EmulationError("effect `halo_radius` out of range: 0; accepted: above 0 if `halo` is above 0")
 
     @classmethod
     def none(cls) -> Effects:

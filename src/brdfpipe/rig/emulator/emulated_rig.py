@@ -14,12 +14,12 @@ from brdfpipe.geometry import Array
 from brdfpipe.rig.acquisition.devices.camera import check_exposure
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.emulator.clock import VirtualClock
-from brdfpipe.rig.emulator.effects import Effects, random_stream
+from brdfpipe.rig.emulator.effects import Effects, EmulationError, random_stream
 from brdfpipe.rig.emulator.faults import Faults
 from brdfpipe.rig.emulator.instruments import GRATINGS, SERIAL_NUMBER, ActonWheel, Monochromator, ThorlabsWheel
 from brdfpipe.rig.emulator.optics import Optics
 from brdfpipe.rig.emulator.port import Port
-from brdfpipe.rig.emulator.sample_holder import EmulationError, Etalon, Setup, check_setup
+from brdfpipe.rig.emulator.sample_holder import Etalon, Setup, check_setup
 from brdfpipe.rig.emulator.sensor import Sensor
 from brdfpipe.rig.raw_frame import RawFrame
 

@@ -23,8 +23,6 @@ def make_run(plan_file: Path, folder: Path, truth: xr.Dataset | None, *, seed: i
 
     Parameters
     ----------
-    plan_file : ``plan.yaml``
-    folder : of the run
     truth : kind ``bsdf``, the sample; None for a plan that measures no sample
     seed, session : of the random properties of the rig, and of the day
 

@@ -23,15 +23,11 @@ import threading
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from brdfpipe.errors import BrdfpipeError
+from brdfpipe.rig.emulator.effects import EmulationError
 from brdfpipe.rig.emulator.instruments import Monochromator, ThorlabsWheel
 from brdfpipe.rig.emulator.serial_device import SerialDevice, split_commands
 
 KINDS = ("silence", "garbage", "truncated", "clamp", "late-ok", "unplug", "wrong-device")
-
-
-class FaultError(BrdfpipeError):
-    """An invalid plan of faults."""
 
 
 class InjectedFault(NamedTuple):
@@ -46,18 +42,18 @@ class InjectedFault(NamedTuple):
 class Faults:
     """Faults by command: see :meth:`at` and :meth:`seeded`. One plan may serve several ports and then counts the commands of all.
 
-    Raises FaultError for an unknown kind, a number of a command below 1, or a rate outside 0 to 1.
+    Raises EmulationError for an unknown kind, a number of a command below 1, or a rate outside 0 to 1.
     """
 
     def __init__(self, plan: Mapping[int, str], rate: float, kinds: Sequence[str], seed: int) -> None:
         unknown = sorted({*plan.values(), *kinds} - {*KINDS})
         if unknown:
-            raise FaultError(f"unknown kind of fault {unknown[0]!r}; accepted: {', '.join(KINDS)}")
+            raise EmulationError(f"unknown kind of fault {unknown[0]!r}; accepted: {', '.join(KINDS)}")
         if any(ordinal < 1 for ordinal in plan):
-            raise FaultError(f"invalid number of a command: {min(plan)}; accepted: 1 or more")
+            raise EmulationError(f"invalid number of a command: {min(plan)}; accepted: 1 or more")
         if not 0 <= rate <= 1 or (rate and not kinds):
             found = f"invalid fault rate {rate} with {len(kinds)} kinds"
-            raise FaultError(f"{found}; accepted: 0 to 1, with at least one kind")
+            raise EmulationError(f"{found}; accepted: 0 to 1, with at least one kind")
         self._plan, self._rate, self._kinds = dict(plan), rate, tuple(kinds)
         self._random = random.Random(seed)
         self._commands = 0

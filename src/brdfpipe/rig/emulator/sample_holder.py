@@ -9,11 +9,10 @@ import xarray as xr
 from scipy.special import ndtr
 
 from brdfpipe import specular_directions, vocabulary
-from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array, unit_vector
 from brdfpipe.rig.description import Rig, Target
 from brdfpipe.rig.emulator.camera_view import in_entrance_hole
-from brdfpipe.rig.emulator.effects import Effects, random_stream
+from brdfpipe.rig.emulator.effects import Effects, EmulationError, random_stream
 from brdfpipe.rig.emulator.illumination import Illumination
 
 LOADS = ("sample", "etalon", "target", "dark-trap")
@@ -21,10 +20,6 @@ SIDES = ("reflection", "transmission")
 
 _CHUNK = 20_000
 """Directions per evaluation, to limit memory."""
-
-
-class EmulationError(BrdfpipeError):
-    """A state or sample that the emulated rig does not support."""
 
 
 @dataclass(frozen=True)

@@ -38,10 +38,7 @@ class SerialDevice(ABC):
         return reply
 
     def receive(self, piece: bytes) -> tuple[bytes, bytes]:
-        """Echo of one piece of :func:`split_commands`, and the answer that is due after the move it may have started.
-
-        A busy device reads the piece only when its move has finished.
-        """
+        """Echo of one piece, read when the device is not busy, and the answer that is due after the move it may have started."""
         self.finish_move()
         echo = self.echoed(piece)
         self._line += piece

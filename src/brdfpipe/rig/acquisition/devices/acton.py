@@ -154,10 +154,9 @@ class FilterWheel(SerialFilterWheel):
 
 def _optional_name(instrument: SerialInstrument, command: str) -> str:
     """Text with which a device identifies itself, empty if it does not know the command."""
-    try:
+    with suppress(Refused):
         return instrument.ask_name(command)
-    except Refused:
-        return ""
+    return ""
 
 
 def _installed_gratings(reply: str) -> dict[int, str]:

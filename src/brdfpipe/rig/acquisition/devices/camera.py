@@ -35,13 +35,7 @@ class Camera(Protocol):
 
 
 class CameraDriver(ABC):
-    """What the drivers share.
-
-    Parameters
-    ----------
-    settings : of the description
-    clock, sleep : seconds
-    """
+    """What the drivers share. ``clock`` and ``sleep`` count seconds."""
 
     def __init__(
         self,

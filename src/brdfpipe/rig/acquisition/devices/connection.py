@@ -39,10 +39,7 @@ class RigDevices:
 def connect(rig: Rig, *, camera: Camera | None = None) -> Iterator[RigDevices]:
     """Open and identify the devices of a rig, for a ``with`` block; its end, or a refusal, closes the ports.
 
-    Parameters
-    ----------
-    rig : the description
-    camera : replaces the described one, e.g. the emulator's
+    ``camera`` replaces the described one, for example by the emulator's.
 
     Raises
     ------

@@ -110,7 +110,7 @@ class DropFolder(CameraDriver):
                     return _read_fits(path.read_bytes())
                 except PermissionError:  # on Windows, while the writer has the file open
                     state = "a frame that cannot be opened"
-                except _Incomplete as problem:
+                except _InvalidFile as problem:
                     tried = status
                     state = f"a truncated or invalid FITS file ({status[0]} bytes; {problem})"
             previous = status
@@ -191,7 +191,7 @@ def serve_folder(
                 continue
             try:
                 identifier, seconds, shutter = _read_request(path)
-            except _InvalidRequest as reason:
+            except _InvalidFile as reason:
                 refused.add(path.name)
                 report(f"{printable(path.name)}: invalid request: {reason}")
                 continue
@@ -205,37 +205,33 @@ def serve_folder(
         stop.wait(POLL)
 
 
-class _InvalidRequest(Exception):
-    """A file is not a valid request."""
-
-
 def _read_request(path: Path) -> tuple[str, float, bool]:
     """Identifier, exposure time and shutter of a request."""
     if not _IDENTIFIER.fullmatch(path.stem):
-        raise _InvalidRequest("its name must have 1 to 64 letters, digits, - and _")
+        raise _InvalidFile("its name must have 1 to 64 letters, digits, - and _")
     if path.is_symlink() or not path.is_file() or path.stat().st_size > _LARGEST_REQUEST:
-        raise _InvalidRequest(f"not a regular file of at most {_LARGEST_REQUEST} bytes")
+        raise _InvalidFile(f"not a regular file of at most {_LARGEST_REQUEST} bytes")
     try:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
-        raise _InvalidRequest("not JSON") from error
+        raise _InvalidFile("not JSON") from error
     if not isinstance(content, dict) or set(content) != {"id", "seconds", "shutter"}:
-        raise _InvalidRequest("its keys must be id, seconds, shutter")
+        raise _InvalidFile("its keys must be id, seconds, shutter")
     seconds = content["seconds"]
     if content["id"] != path.stem:
-        raise _InvalidRequest("id differs from the name of the file")
+        raise _InvalidFile("id differs from the name of the file")
     if not is_number(seconds) or not 0 <= seconds <= LONGEST_EXPOSURE:
-        raise _InvalidRequest(f"seconds must be a number from 0 to {LONGEST_EXPOSURE:g}")
+        raise _InvalidFile(f"seconds must be a number from 0 to {LONGEST_EXPOSURE:g}")
     if not isinstance(content["shutter"], bool):
-        raise _InvalidRequest("shutter must be true or false")
+        raise _InvalidFile("shutter must be true or false")
     return path.stem, float(seconds), content["shutter"]
 
 
 # --- FITS: astropy converts unsigned 16-bit counts, which the file stores with an offset
 
 
-class _Incomplete(Exception):
-    """Bytes are not, or not yet, a complete FITS file."""
+class _InvalidFile(Exception):
+    """A file is not, or not yet, a complete FITS file or a valid request."""
 
 
 def _read_fits(content: bytes) -> tuple[dict[str, Any], NDArray[Any]]:
@@ -244,11 +240,11 @@ def _read_fits(content: bytes) -> tuple[dict[str, Any], NDArray[Any]]:
         # Headers of cameras often violate the standard: warnings are ignored, and other keywords may not even be readable.
         header, image, excess = read_fits(content, "ignore", _KEYWORDS)
     except Exception as error:  # see read_fits
-        raise _Incomplete(type(error).__name__) from error
+        raise _InvalidFile(type(error).__name__) from error
     if excess < 0:
-        raise _Incomplete(f"{-excess} bytes are missing")
+        raise _InvalidFile(f"{-excess} bytes are missing")
     if image is None:
-        raise _Incomplete("the first image is empty")
+        raise _InvalidFile("the first image is empty")
     return header, image
 
 
