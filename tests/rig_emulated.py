@@ -29,7 +29,7 @@ def frames(
     effects: Effects | None = None,
     of: str = "sample",
 ) -> xr.Dataset:
-    """Of a truth; ``of`` the filters standing before the ``sample`` or before the ``reference`` too."""
+    """Frames of a truth; ``of`` is the ``nd_location`` of the filters."""
     rig = replace(plan().rig, nd_location=of)
     return accuracy.frames_of(
         replace(plan(), rig=rig), accuracy.TRUTHS[truth](), seed=seed, session=session, effects=effects
@@ -43,7 +43,7 @@ def reduced(load: str = "sample", truth: str = "plastic, 10 sr⁻¹, 3°", seed:
 
 
 def without(frames: xr.Dataset, **conditions: object) -> xr.Dataset:
-    """Frames but those of which all of these coordinates have these values."""
+    """Frames without those whose coordinates all have these values."""
     lost = np.ones(frames.sizes["frame"], dtype=bool)
     for name, value in conditions.items():
         lost &= frames[name].values == value

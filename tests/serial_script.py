@@ -29,7 +29,7 @@ class Clock:
 
 
 class ScriptedPort:
-    """Stands for ``serial.Serial``: reads end when POLL seconds bring nothing, as its timeout makes them."""
+    """Replacement of ``serial.Serial``: a read ends after POLL seconds without a byte."""
 
     def __init__(self, reply: Callable[[bytes], bytes | Sequence[Chunk] | Exception], clock: Clock) -> None:
         self.reply = reply
@@ -80,7 +80,7 @@ class ScriptedPort:
 
 
 class Script:
-    """Exchanges in their order; anything else the host sends fails the test."""
+    """Exchanges in order; any other command of the host fails the test."""
 
     def __init__(self, *exchanges: Exchange) -> None:
         self._left = deque(exchanges)

@@ -35,7 +35,7 @@ A4,60,270,-40,-12
 
 @pytest.fixture
 def rig_file(tmp_path: Path) -> Path:
-    """``rig.yaml`` of a rig with four fibres, in a folder of its own."""
+    """``rig.yaml`` of a rig with four fibres, in its own folder."""
     folder = tmp_path / "bench"
     folder.mkdir()
     (folder / "fibres.csv").write_text(FIBRES)

@@ -1,4 +1,4 @@
-"""rig.yaml: what is read, what is refused, and in which words."""
+"""rig.yaml: values, digest and refusals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What docs/rig.md says is what the program does: keys, defaults, words, commands, keywords, and code that runs."""
+"""docs/rig.md agrees with the program: tables, commands, keywords, links, and code that runs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import re
 import shlex
 from dataclasses import fields, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -44,10 +45,10 @@ PAGES = (
 
 
 def section(title: str) -> str:
-    """What stands below a heading, up to the next one."""
-    found = re.search(rf"^#+ {re.escape(title)}\n(.*?)(?=^#+ |\Z)", _without_code(TEXT), re.MULTILINE | re.DOTALL)
-    assert found, f"no heading {title!r}"
-    return found[1]
+    """Text below a heading, up to the next one."""
+    match = re.search(rf"^#+ {re.escape(title)}\n(.*?)(?=^#+ |\Z)", _without_code(TEXT), re.MULTILINE | re.DOTALL)
+    assert match, f"no heading {title!r}"
+    return match[1]
 
 
 def _without_code(text: str) -> str:
@@ -56,18 +57,13 @@ def _without_code(text: str) -> str:
 
 
 def rows(text: str, first: str) -> list[dict[str, str]]:
-    """Lines of the table whose first column is titled so, by the titles."""
+    """Rows of the table with this title of its first column; cells by title."""
     lines = text.splitlines()
-    starts = [number for number, each in enumerate(lines) if each.startswith(f"| {first} |")]
+    starts = [number for number, line in enumerate(lines) if line.startswith(f"| {first} |")]
     assert len(starts) == 1, f"{len(starts)} tables of {first!r}"
-    titles, found = _cells(lines[starts[0]]), []
-    for each in lines[starts[0] + 2 :]:
-        if not each.startswith("|"):
-            break
-        cells = _cells(each)
-        assert len(cells) == len(titles), each
-        found.append(dict(zip(titles, cells, strict=True)))
-    return found
+    titles = _cells(lines[starts[0]])
+    body = takewhile(lambda line: line.startswith("|"), lines[starts[0] + 2 :])
+    return [dict(zip(titles, _cells(line), strict=True)) for line in body]
 
 
 def _cells(row: str) -> list[str]:
@@ -75,7 +71,7 @@ def _cells(row: str) -> list[str]:
 
 
 def words(cell: str) -> list[str]:
-    """What stands in backquotes."""
+    """Words in backquotes."""
     return re.findall(r"`([^`]*)`", cell)
 
 
@@ -89,8 +85,8 @@ def test_the_speeds_of_lines_are_those_of_the_dialects():
 
 
 def test_the_wiring_has_every_dialect():
-    told = [word for row in rows(section("Wiring"), "Device") for word in words(row["`dialect`"])]
-    assert sorted(told) == sorted({**devices.MONOCHROMATORS, **devices.WHEELS})
+    documented = [word for row in rows(section("Wiring"), "Device") for word in words(row["`dialect`"])]
+    assert sorted(documented) == sorted({**devices.MONOCHROMATORS, **devices.WHEELS})
 
 
 def test_every_dialect_of_the_description_has_a_driver():
@@ -99,15 +95,15 @@ def test_every_dialect_of_the_description_has_a_driver():
 
 
 def test_the_columns_of_the_fibres_are_named():
-    told = [word for row in rows(section("fibres.csv"), "Column") for word in words(row["Column"])]
-    assert tuple(told) == description.COLUMNS
+    documented = [word for row in rows(section("fibres.csv"), "Column") for word in words(row["Column"])]
+    assert tuple(documented) == description.COLUMNS
     assert f"`{','.join(description.COLUMNS)}`" in section("fibres.csv")
 
 
 def test_the_page_says_what_makes_another_rig(rig_file):
-    """Ports, dialects and how frames are had make none; all else does."""
-    (told,) = re.findall(r"all keys above except(.*?)\. The digest", section("rig.yaml"), re.DOTALL)
-    assert words(told) == ["monochromator", "wheel", "kind", "folder", "address", "device", "timeout"]
+    """Ports, dialects and the connection of the camera do not; all other keys do."""
+    (exceptions,) = re.findall(r"all keys above except(.*?)\. The digest", section("rig.yaml"), re.DOTALL)
+    assert words(exceptions) == ["monochromator", "wheel", "kind", "folder", "address", "device", "timeout"]
     text = rig_file.read_text()
     before = Rig.load(rig_file).digest
     other = text.replace("kind: drop-folder, folder: camera", "kind: alpaca, address: 'host:1', device: 2, timeout: 5")
@@ -124,7 +120,7 @@ def digest(path: Path, text: str) -> str:
     return Rig.load(path).digest
 
 
-# --- what a scan leaves
+# --- files of a run
 
 
 def test_every_keyword_of_a_frame_is_explained(tmp_path):
@@ -165,12 +161,12 @@ def test_every_exit_code_is_explained():
 
 
 def test_the_table_of_effects_is_complete_with_defaults():
-    told = {
+    documented = {
         words(row["Effect"])[0]: ast.literal_eval(words(row["Default"])[0])
         for row in rows(section("The emulator"), "Effect")
     }
-    assert told == {field.name: field.default for field in fields(Effects)}
-    assert list(told) == [field.name for field in fields(Effects)]
+    assert documented == {field.name: field.default for field in fields(Effects)}
+    assert list(documented) == [field.name for field in fields(Effects)]
 
 
 def test_the_table_of_faults_is_complete():
@@ -185,8 +181,8 @@ def commands_in(path: Path) -> list[str]:
     text = path.read_text(encoding="utf-8")
     blocks = re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     quoted = re.findall(r"`(brdfpipe [^`]*)`", _without_code(text))
-    lines = [each.split(" #")[0].strip() for block in blocks for each in block.splitlines()]
-    return [each for each in (*lines, *quoted) if each.startswith("brdfpipe ")]
+    lines = [line.split(" #")[0].strip() for block in blocks for line in block.splitlines()]
+    return [command for command in (*lines, *quoted) if command.startswith("brdfpipe ")]
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
@@ -254,7 +250,7 @@ def test_the_camera_of_the_drop_folder_serves_it(tmp_path, monkeypatch):
 
 
 def test_the_emulated_rig_of_the_example_sees_light_through_both_faults(tmp_path, monkeypatch):
-    small_rig.write(tmp_path / "bench")
+    small_rig.write(tmp_path / "bench", timeout=0.4)
     (tmp_path / "results" / "opal-glass").mkdir(parents=True)
     truth = tmp_path / "results" / "opal-glass" / "bsdf.nc"
     save_dataset(small_rig.truth(), truth, stage="truth", material="tile")
@@ -268,7 +264,7 @@ def test_the_emulated_rig_of_the_example_sees_light_through_both_faults(tmp_path
 
 
 def example(*marks: str) -> dict[str, Any]:
-    """Names that the blocks of code leave which hold these words, run one after the other."""
+    """Names defined by the blocks of code that contain these words, run one after the other."""
     names: dict[str, Any] = {}
     for mark in marks:
         (code,) = [block for block in blocks() if mark in block]
@@ -284,7 +280,7 @@ def test_the_device_of_the_example_is_driven_through_faults(drivers, capsys):
 
 @pytest.fixture(scope="module")
 def dotted():
-    """The names of both blocks of the example; the table is as before."""
+    """Names defined by both blocks of the example; the table of drivers is restored."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(devices, "WHEELS", dict(devices.WHEELS))
         return example('WHEELS["dotted"]', "class DottedWheel")
@@ -297,12 +293,12 @@ def known(dotted, drivers):
     return dotted
 
 
-SETTINGS = description.SerialSettings("dotted", "", 9600, query_timeout=0.15, motion_timeout=0.15)
+SETTINGS = description.SerialSettings("dotted", "", 9600, query_timeout=0.3, motion_timeout=0.3)
 
 
 @pytest.mark.parametrize("kind", ["silence", "garbage", "truncated", "late-ok"])
 def test_the_device_of_the_example_recovers_from_a_fault_at_any_command(known, kind):
-    for ordinal in range(1, 8):  # the commands of a greeting, a move and its read-back
+    for ordinal in range(1, 8):  # the commands of an identification, a move and its read-back
         faults = Faults.at({ordinal: kind})
         with Port(known["DottedWheel"](VirtualClock()), faults) as port:
             wheel = devices.open_wheel(replace(SETTINGS, port=port.path))

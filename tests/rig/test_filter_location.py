@@ -50,49 +50,49 @@ def described(plan, **changes):
     return replace(plan.rig, **changes)
 
 
-@pytest.mark.parametrize(("said", "power"), [("sample", 0), ("reference", 1)])
-def test_filters_in_the_described_location_give_no_warning(plan, said, power):
-    found = check_overlaps(pictured(plan, reference_power=power, light=20_000), described(plan, nd_location=said))
-    assert found.nd_location == said
-    assert found.warnings == ()
-    assert {overlap.positions for overlap in found.overlaps} >= {(2, 1)}
-    for overlap in found.overlaps:
+@pytest.mark.parametrize(("location", "power"), [("sample", 0), ("reference", 1)])
+def test_filters_in_the_described_location_give_no_warning(plan, location, power):
+    check = check_overlaps(pictured(plan, reference_power=power, light=20_000), described(plan, nd_location=location))
+    assert check.nd_location == location
+    assert check.warnings == ()
+    assert {overlap.positions for overlap in check.overlaps} >= {(2, 1)}
+    for overlap in check.overlaps:
         # Hundreds of pixels of a hundred counts and more; but the reference's may be forty each, on a dark of a hundred: 6 %.
         assert overlap.sample == pytest.approx(overlap.expected, rel=0.02)
         assert overlap.exponent == pytest.approx(1 - power, abs=0.1)
 
 
-@pytest.mark.parametrize(("said", "power", "truth"), [("sample", 1, "reference"), ("reference", 0, "sample")])
-def test_filters_in_the_other_place_are_detected_and_named(plan, said, power, truth):
-    found = check_overlaps(pictured(plan, reference_power=power, light=20_000), described(plan, nd_location=said))
-    assert found.nd_location == truth
-    (warning,) = found.warnings
-    assert f"`nd_location: {said}`" in warning
+@pytest.mark.parametrize(("location", "power", "truth"), [("sample", 1, "reference"), ("reference", 0, "sample")])
+def test_filters_in_the_other_place_are_detected_and_named(plan, location, power, truth):
+    check = check_overlaps(pictured(plan, reference_power=power, light=20_000), described(plan, nd_location=location))
+    assert check.nd_location == truth
+    (warning,) = check.warnings
+    assert f"`nd_location: {location}`" in warning
     assert f"`nd_location: {truth}`" in warning
-    widest = max(max(overlap.expected, 1 / overlap.expected) for overlap in found.overlaps)
+    widest = max(max(overlap.expected, 1 / overlap.expected) for overlap in check.overlaps)
     assert f"would disagree by {widest:.3g} = T1/T{4 if widest == 100 else 2};" in warning
     assert "correct `nd_location` in rig.yaml" in warning
 
 
 def test_filters_before_the_reference_alone_disagree_by_the_square(plan):
-    """The preprint's own formula, f = s L T/L', holds where the reference alone passes the filter."""
-    found = check_overlaps(pictured(plan, sample_power=0, reference_power=1, light=20_000), described(plan))
-    assert found.nd_location == ""
-    (warning,) = found.warnings
+    """The formula of the preprint, f = s L T/L', is right if only the reference passes the filter."""
+    check = check_overlaps(pictured(plan, sample_power=0, reference_power=1, light=20_000), described(plan))
+    assert check.nd_location == ""
+    (warning,) = check.warnings
     assert "the reference beam alone" in warning
     assert "²" in warning
     factor = float(warning.split("disagree by ")[1].split(" ")[0])
-    widest = max(max(each.expected, 1 / each.expected) for each in found.overlaps)
+    widest = max(max(overlap.expected, 1 / overlap.expected) for overlap in check.overlaps)
     assert factor == pytest.approx(widest**2, rel=0.01)
 
 
 def test_a_wrong_transmittance_is_named(plan):
-    found = check_overlaps(pictured(plan, light=20_000, errors={2: 1.15}), described(plan))
-    assert found.nd_location == "sample"
-    assert found.warnings[0].startswith("filters 2 and 1: the measured ratio of transmittances deviates by +1")
-    deviation = float(found.warnings[0].split(" deviates by ")[1].split("%")[0])
+    check = check_overlaps(pictured(plan, light=20_000, errors={2: 1.15}), described(plan))
+    assert check.nd_location == "sample"
+    assert check.warnings[0].startswith("filters 2 and 1: the measured ratio of transmittances deviates by +1")
+    deviation = float(check.warnings[0].split(" deviates by ")[1].split("%")[0])
     assert deviation == pytest.approx(15, abs=0.5)
-    assert "`filters` in rig.yaml" in found.warnings[0]
+    assert "`filters` in rig.yaml" in check.warnings[0]
 
 
 def test_a_transmittance_within_its_uncertainty_is_in_order(plan):
@@ -105,28 +105,28 @@ def test_without_pixels_well_exposed_twice_there_is_no_warning(plan, light):
 
 
 def test_hot_pixels_are_not_taken_for_light(plan):
-    """In a picture too faint to compare, hot pixels alone are well exposed; behind both filters they are the same."""
-    found = pictured(plan, light=3.0)
-    hot = np.random.default_rng(1).uniform(size=found["counts"].shape[1:]) < 0.05
-    glow = 1000 * hot * found["exposure"].values[:, None, None]
-    found["counts"] = (found["counts"].dims, (found["counts"].values + glow).astype(np.uint16))
-    assert check_overlaps(found, plan.rig).overlaps == ()
-    found = pictured(plan, light=20_000)
-    without = check_overlaps(found, plan.rig)
-    found["counts"] = (found["counts"].dims, (found["counts"].values + glow).clip(0, 65535).astype(np.uint16))
-    for one, other in zip(check_overlaps(found, plan.rig).overlaps, without.overlaps, strict=True):
+    """In an image too faint to compare, only hot pixels are well exposed, equally behind both filters."""
+    frames = pictured(plan, light=3.0)
+    hot = np.random.default_rng(1).uniform(size=frames["counts"].shape[1:]) < 0.05
+    glow = 1000 * hot * frames["exposure"].values[:, None, None]
+    frames["counts"] = (frames["counts"].dims, (frames["counts"].values + glow).astype(np.uint16))
+    assert check_overlaps(frames, plan.rig).overlaps == ()
+    frames = pictured(plan, light=20_000)
+    without = check_overlaps(frames, plan.rig)
+    frames["counts"] = (frames["counts"].dims, (frames["counts"].values + glow).clip(0, 65535).astype(np.uint16))
+    for one, other in zip(check_overlaps(frames, plan.rig).overlaps, without.overlaps, strict=True):
         assert one.sample == pytest.approx(other.sample, rel=0.005)
 
 
 def test_frames_of_different_wavelengths_or_incidences_are_not_compared(plan):
-    found = pictured(plan, light=20_000)
-    assert check_overlaps(found, plan.rig).overlaps
+    frames = pictured(plan, light=20_000)
+    assert check_overlaps(frames, plan.rig).overlaps
     for name in ("wavelength", "incidence"):
-        apart = found.copy()
-        apart[name] = ("frame", np.arange(found.sizes["frame"]) * 0.1 + 400.0)
+        apart = frames.copy()
+        apart[name] = ("frame", np.arange(frames.sizes["frame"]) * 0.1 + 400.0)
         assert check_overlaps(apart, plan.rig).overlaps == ()
 
 
 def test_without_dark_frames_there_is_no_warning(plan):
-    found = pictured(plan, light=20_000)
-    assert check_overlaps(found.isel(frame=found["purpose"].values != "dark"), plan.rig).overlaps == ()
+    frames = pictured(plan, light=20_000)
+    assert check_overlaps(frames.isel(frame=frames["purpose"].values != "dark"), plan.rig).overlaps == ()

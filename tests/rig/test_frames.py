@@ -1,4 +1,4 @@
-"""Frames on disk: whole or not at all, labelled by what was read back, and never believed without a look."""
+"""Frames on disk: complete or absent, labelled with the state read back, and verified when they are read."""
 
 from __future__ import annotations
 
@@ -57,18 +57,18 @@ def picture(shot, seed=0, **changes):
 
 def written(plan, folder, shot=None, taken=None, **changes):
     shot = shot or light(plan)
-    told = {
+    options = {
         "state": DeviceState(shot.wavelength + 0.02, shot.position),
         "run_start": STARTED - 60,
         "camera": "CCD",
         **changes,
     }
     path = folder / shot.name
-    return path, shot, write_frame(path, taken or picture(shot), shot, plan, **told)
+    return path, shot, write_frame(path, taken or picture(shot), shot, plan, **options)
 
 
 def relabelled(path, **labels):
-    """A frame whose header says something else, with sums that fit."""
+    """A frame with another label and valid checksums."""
     content = fits.getdata(path), fits.getheader(path)
     image = fits.PrimaryHDU(content[0], content[1])
     for keyword, value in labels.items():
@@ -90,12 +90,12 @@ def frame_of(plan, folder, number):
 
 def test_what_is_written_is_read_back(plan, tmp_path):
     path, shot, frame = written(plan, tmp_path)
-    found = read_frame(path, shot, plan)
-    assert np.array_equal(found.counts, picture(shot).counts)
-    assert found.counts.dtype == np.uint16
-    assert replace(found, counts=None) == replace(frame, counts=None)
-    assert (found.state, found.started, found.elapsed) == (DeviceState(500.02, 2), STARTED, 60)
-    assert (found.temperature, found.camera, found.run_start) == (-3.25, "CCD", STARTED - 60)
+    read_back = read_frame(path, shot, plan)
+    assert np.array_equal(read_back.counts, picture(shot).counts)
+    assert read_back.counts.dtype == np.uint16
+    assert replace(read_back, counts=None) == replace(frame, counts=None)
+    assert (read_back.state, read_back.started, read_back.elapsed) == (DeviceState(500.02, 2), STARTED, 60)
+    assert (read_back.temperature, read_back.camera, read_back.run_start) == (-3.25, "CCD", STARTED - 60)
 
 
 @given(st.integers(0, 2**16 - 1), st.floats(0, 9.9e9), st.floats(-273, 100))
@@ -105,11 +105,11 @@ def test_any_count_and_any_time_come_back(plan, tmp_path, count, started, temper
     shot = light(plan)
     taken = picture(shot, counts=counts, started=started, temperature=temperature)
     path, _, frame = written(plan, tmp_path, shot, taken, run_start=None)
-    found = read_frame(path, shot, plan)
-    assert (found.counts == count).all()
-    assert found.started == frame.started == pytest.approx(started, abs=1e-6)
-    assert (found.elapsed, found.run_start) == (0, frame.started)
-    assert found.temperature == pytest.approx(temperature, abs=5e-4)
+    read_back = read_frame(path, shot, plan)
+    assert (read_back.counts == count).all()
+    assert read_back.started == frame.started == pytest.approx(started, abs=1e-6)
+    assert (read_back.elapsed, read_back.run_start) == (0, frame.started)
+    assert read_back.temperature == pytest.approx(temperature, abs=5e-4)
 
 
 def test_other_programs_read_the_same_from_it(plan, tmp_path):
@@ -189,7 +189,7 @@ def test_a_full_disk_is_reported(plan, tmp_path, monkeypatch):
         written(plan, tmp_path)
 
 
-# --- frames that are none
+# --- damaged and wrong files
 
 
 def test_any_damaged_byte_is_detected(plan, tmp_path):
@@ -204,16 +204,16 @@ def test_any_damaged_byte_is_detected(plan, tmp_path):
             read_frame(path, shot, plan)
 
 
-@pytest.mark.parametrize("kept", [0, 1, 79, 2879, 2880, 5760, 10_000, -1, -2880])
-def test_a_truncated_frame_is_detected(plan, tmp_path, kept):
+@pytest.mark.parametrize("length", [0, 1, 79, 2879, 2880, 5760, 10_000, -1, -2880])
+def test_a_truncated_frame_is_detected(plan, tmp_path, length):
     path, shot, _ = written(plan, tmp_path)
-    path.write_bytes(path.read_bytes()[:kept])
+    path.write_bytes(path.read_bytes()[:length])
     with pytest.raises(FrameError, match=shot.name):
         read_frame(path, shot, plan)
 
 
 def test_a_frame_with_zeros_at_its_end_is_detected(plan, tmp_path):
-    """What a file system may leave of a file whose size was written before its content."""
+    """A file system may have written the size of a file before its content."""
     path, shot, _ = written(plan, tmp_path)
     content = path.read_bytes()
     path.write_bytes(content[:12_000] + bytes(len(content) - 12_000))
@@ -340,16 +340,16 @@ def test_refusals_cross_process_borders(plan, tmp_path):
 
 
 def test_a_whole_run_is_a_dataset_without_warnings(run):
-    found = read_run(run)
+    frames = read_run(run)
     plan = Plan.load(run / "plan.yaml")
-    assert found.attrs["kind"] == "frames"
-    assert vocabulary.warnings(found) == []
-    assert found["counts"].shape == (len(plan.shots), 72, 96)
-    assert found["counts"].dtype == np.uint16
-    # The fake camera counts its exposures in its pictures.
-    assert (found["counts"].values == found["shot"].values[:, None, None]).all()
+    assert frames.attrs["kind"] == "frames"
+    assert vocabulary.warnings(frames) == []
+    assert frames["counts"].shape == (len(plan.shots), 72, 96)
+    assert frames["counts"].dtype == np.uint16
+    # Every pixel of the fake camera holds the number of the exposure.
+    assert (frames["counts"].values == frames["shot"].values[:, None, None]).all()
     for place, shot in enumerate(plan.shots):
-        one = found.isel(frame=place)
+        one = frames.isel(frame=place)
         assert one["purpose"] == shot.purpose
         assert one["side"] == shot.arrangement.side
         assert one["incidence"] == shot.arrangement.incidence
@@ -357,16 +357,16 @@ def test_a_whole_run_is_a_dataset_without_warnings(run):
         assert (one["exposure"], one["nd_position"]) == (shot.exposure, shot.position)
         assert one["nd_transmittance"] == {1: 1, 2: 0.1}[shot.position]
         assert one["elapsed"] == 10 * place
-    assert found.attrs["rig_digest"] == plan.rig.digest
-    assert (found.attrs["sample"], found.attrs["rig"], found.attrs["camera"]) == ("tile", "small", "fake camera")
+    assert frames.attrs["rig_digest"] == plan.rig.digest
+    assert (frames.attrs["sample"], frames.attrs["rig"], frames.attrs["camera"]) == ("tile", "small", "fake camera")
 
 
 def test_one_incidence_comes_with_all_dark_frames_and_lamp_readings(run):
-    found = read_run(run, 20)
-    assert set(found["purpose"].values) == {"sample", "dark", "drift"}
-    assert set(found["incidence"].values[found["purpose"].values == "sample"]) == {20}
-    # Looks through the other entrance, and the frame of its bracket that they repeat, tell how well the rig repeats itself.
-    there = found.isel(frame=(found["purpose"].values == "drift") & (found["incidence"].values == 10))
+    frames = read_run(run, 20)
+    assert set(frames["purpose"].values) == {"sample", "dark", "drift"}
+    assert set(frames["incidence"].values[frames["purpose"].values == "sample"]) == {20}
+    # Lamp readings of the other entrance, and the bracket frames that they repeat, give the repeatability of the rig.
+    there = frames.isel(frame=(frames["purpose"].values == "drift") & (frames["incidence"].values == 10))
     states = zip(there["load"].values, there["wavelength"].values, there["exposure"].values, strict=True)
     drift = Plan.load(run / "plan.yaml").drift
     assert len(set(states)) == 1
@@ -374,7 +374,7 @@ def test_one_incidence_comes_with_all_dark_frames_and_lamp_readings(run):
     assert there.sizes["frame"] == 1 + sum(
         shot.purpose == "drift" and shot.arrangement.incidence == 10 for shot in Plan.load(run / "plan.yaml").shots
     )
-    assert (found["purpose"].values == "dark").sum() == 10
+    assert (frames["purpose"].values == "dark").sum() == 10
     assert set(read_run(run, 10)["purpose"].values) == {"etalon", "dark", "drift"}
 
 
@@ -395,8 +395,8 @@ def test_a_run_without_a_usable_frame_is_refused(copy):
 
 
 def warnings_after(copy, incidence=None):
-    found = read_run(copy, incidence)
-    return found, vocabulary.warnings(found)
+    frames = read_run(copy, incidence)
+    return frames, vocabulary.warnings(frames)
 
 
 def test_a_warning_names_a_damaged_frame_and_what_is_missing(copy):
@@ -404,10 +404,10 @@ def test_a_warning_names_a_damaged_frame_and_what_is_missing(copy):
     shot = light(plan, 3)
     path = copy / "frames" / shot.name
     path.write_bytes(path.read_bytes()[:-100])
-    found, told = warnings_after(copy)
-    assert shot.ordinal not in found["shot"].values
-    assert found.sizes["frame"] == len(plan.shots) - 1
-    named, gap = told
+    frames, messages = warnings_after(copy)
+    assert shot.ordinal not in frames["shot"].values
+    assert frames.sizes["frame"] == len(plan.shots) - 1
+    named, gap = messages
     assert shot.name in named
     assert "not used" in named
     assert gap.startswith("bracket step 2 is missing at 1 of 2 wavelengths at 20 degree (sample: 550 nm)")
@@ -419,8 +419,8 @@ def test_missing_frames_are_summarised_by_purpose(copy):
     for shot in plan.shots:
         if (shot.purpose == "etalon" and shot.step == 1) or shot.ordinal in (1, 2, 3) or shot.purpose == "drift":
             (copy / "frames" / shot.name).unlink()
-    _, told = warnings_after(copy)
-    assert [line.split(";")[0] for line in told] == [
+    _, messages = warnings_after(copy)
+    assert [line.split(";")[0] for line in messages] == [
         "3 of 10 dark frames of 1 s are missing",
         "1 of 1 lamp monitor readings at 10 degree are missing",
         "bracket step 1 is missing at 2 of 2 wavelengths at 10 degree (etalon: 500, 550 nm)",
@@ -441,20 +441,20 @@ def test_a_second_frame_of_a_shot_is_named_and_not_used(copy):
     shot = light(plan)
     other = copy / "frames" / f"{shot.ordinal:05d}-sample-20deg-510nm.fits"
     shutil.copy(copy / "frames" / shot.name, other)
-    found, told = warnings_after(copy)
-    assert found.sizes["frame"] == len(plan.shots)
-    assert len(told) == 1
-    assert other.name in told[0]
-    assert f"second file of frame {shot.ordinal}, whose file is {shot.name}" in told[0]
+    frames, messages = warnings_after(copy)
+    assert frames.sizes["frame"] == len(plan.shots)
+    assert len(messages) == 1
+    assert other.name in messages[0]
+    assert f"second file of frame {shot.ordinal}, whose file is {shot.name}" in messages[0]
 
 
 def test_a_other_device_among_the_frames_is_named(copy):
     (copy / "frames" / "holiday.fits").write_bytes(b"sun")
     (copy / "frames" / "99999-sample.fits").write_bytes(b"sun")
     (copy / "frames" / "notes.txt").write_text("no frame")
-    _, told = warnings_after(copy)
-    assert [line.split(":")[0] for line in told] == ["99999-sample.fits", "holiday.fits"]
-    assert all("not a frame of the plan" in line for line in told)
+    _, messages = warnings_after(copy)
+    assert [line.split(":")[0] for line in messages] == ["99999-sample.fits", "holiday.fits"]
+    assert all("not a frame of the plan" in line for line in messages)
 
 
 def test_exchanged_frames_are_both_named(copy):
@@ -463,15 +463,15 @@ def test_exchanged_frames_are_both_named(copy):
     content = one.read_bytes()
     one.write_bytes(other.read_bytes())
     other.write_bytes(content)
-    found, told = warnings_after(copy)
-    assert found.sizes["frame"] == len(plan.shots) - 2
-    assert one.name in told[0]
-    assert other.name in told[1]
-    assert len(told) == 4
+    frames, messages = warnings_after(copy)
+    assert frames.sizes["frame"] == len(plan.shots) - 2
+    assert one.name in messages[0]
+    assert other.name in messages[1]
+    assert len(messages) == 4
 
 
 def test_frames_of_another_rig_are_not_used(copy):
-    """The description in the run's folder was edited after the scan: no frame is of that rig."""
+    """The description in the folder of the run was edited after the scan: every frame belongs to another rig."""
     rig = copy / "rig.yaml"
     rig.write_text(rig.read_text().replace("transmittance: 0.1}", "transmittance: 0.12}"))
     with pytest.raises(
@@ -483,9 +483,11 @@ def test_frames_of_another_rig_are_not_used(copy):
 def test_a_wavelength_axis_that_was_shifted_in_the_plan_is_noticed(copy):
     plan = copy / "plan.yaml"
     plan.write_text(plan.read_text().replace("[500, 550]", "[510, 550]"))
-    _, told = warnings_after(copy)
-    assert any("bracket step 1 is missing at 1 of 2 wavelengths at 20 degree (sample: 510 nm)" in line for line in told)
-    assert sum("whose file is 0" in line for line in told) == 4
+    _, messages = warnings_after(copy)
+    assert any(
+        "bracket step 1 is missing at 1 of 2 wavelengths at 20 degree (sample: 510 nm)" in line for line in messages
+    )
+    assert sum("whose file is 0" in line for line in messages) == 4
 
 
 def test_file_names_that_cannot_be_printed_do_not_stop_the_reading(copy):
@@ -493,5 +495,5 @@ def test_file_names_that_cannot_be_printed_do_not_stop_the_reading(copy):
         (copy / "frames" / "\udcff.fits").write_bytes(b"x")
     except (ValueError, OSError):
         pytest.skip("this system has no such names")
-    (told,) = warnings_after(copy)[1]
-    assert told.startswith("\\xff.fits")
+    (messages,) = warnings_after(copy)[1]
+    assert messages.startswith("\\xff.fits")

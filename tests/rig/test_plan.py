@@ -1,4 +1,4 @@
-"""plan.yaml: what is read, what is refused, and in which order it is exposed."""
+"""plan.yaml: values, refusals, and the order of exposures."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ def plan(folder, text=small_rig.PLAN, **changes):
 
 
 def test_a_plan_is_read_with_its_defaults(tmp_path):
-    found = plan(tmp_path)
-    assert found.sample == "tile"
-    assert found.wavelengths == (500, 550)
-    assert found.bracket == (Step(1, 2), Step(1, 1))
-    assert (found.darks, found.runs, found.side) == (5, ("etalon", "sample"), ("reflection",))
-    assert found.drift == Drift(every=4, wavelength=550, step=1, tolerance=0.03)
-    assert found.etalon_entrances == (10,)
-    assert found.rig.name == "small"
+    loaded = plan(tmp_path)
+    assert loaded.sample == "tile"
+    assert loaded.wavelengths == (500, 550)
+    assert loaded.bracket == (Step(1, 2), Step(1, 1))
+    assert (loaded.darks, loaded.runs, loaded.side) == (5, ("etalon", "sample"), ("reflection",))
+    assert loaded.drift == Drift(every=4, wavelength=550, step=1, tolerance=0.03)
+    assert loaded.etalon_entrances == (10,)
+    assert loaded.rig.name == "small"
 
 
 @pytest.mark.parametrize(
-    ("told", "expected"),
+    ("written", "expected"),
     [
         ("{from: 390, to: 730, step: 10}", [390 + 10 * k for k in range(35)]),
         ("{from: 400, to: 401, step: 0.1}", [400 + k / 10 for k in range(11)]),
@@ -38,8 +38,8 @@ def test_a_plan_is_read_with_its_defaults(tmp_path):
         ("[500.5]", [500.5]),
     ],
 )
-def test_wavelengths_are_a_list_or_steps_that_reach_both_ends(tmp_path, told, expected):
-    assert plan(tmp_path, wavelengths=told).wavelengths == tuple(expected)
+def test_wavelengths_are_a_list_or_steps_that_reach_both_ends(tmp_path, written, expected):
+    assert plan(tmp_path, wavelengths=written).wavelengths == tuple(expected)
 
 
 @pytest.mark.parametrize(
@@ -102,8 +102,8 @@ def test_no_light_is_measured_through_a_sample_at_75_degree(tmp_path):
 
 
 def test_every_light_frame_of_the_plan_is_taken_once(tmp_path):
-    found = plan(tmp_path, incidences="[20, 45]", side="[reflection, transmission]", runs="[sample, etalon]")
-    lights = [shot for shot in found.shots if shot.step]
+    loaded = plan(tmp_path, incidences="[20, 45]", side="[reflection, transmission]", runs="[sample, etalon]")
+    lights = [shot for shot in loaded.shots if shot.step]
     wanted = {
         (load, side, sigma, wavelength, step)
         for load, side, sigma in [("etalon", "reflection", 10)]
@@ -117,15 +117,15 @@ def test_every_light_frame_of_the_plan_is_taken_once(tmp_path):
     ]
     assert set(keys) == wanted
     assert len(keys) == len(wanted)
-    assert [shot.ordinal for shot in found.shots] == list(range(1, len(found.shots) + 1))
+    assert [shot.ordinal for shot in loaded.shots] == list(range(1, len(loaded.shots) + 1))
     for shot in lights:
-        assert (shot.exposure, shot.position) == (1, found.bracket[shot.step - 1].position)
+        assert (shot.exposure, shot.position) == (1, loaded.bracket[shot.step - 1].position)
 
 
 def test_no_arrangement_is_made_twice(tmp_path):
-    found = plan(tmp_path, incidences="[45, 20]", side="[reflection, transmission]")
-    arranged = [arrangement for arrangement, _ in groupby(shot.arrangement for shot in found.shots)]
-    assert arranged == list(found.arrangements)
+    loaded = plan(tmp_path, incidences="[45, 20]", side="[reflection, transmission]")
+    arranged = [arrangement for arrangement, _ in groupby(shot.arrangement for shot in loaded.shots)]
+    assert arranged == list(loaded.arrangements)
     assert [(each.load, each.side, each.incidence) for each in arranged] == [
         ("etalon", "reflection", 10),
         ("sample", "reflection", 45),
@@ -136,35 +136,37 @@ def test_no_arrangement_is_made_twice(tmp_path):
 
 
 def test_wavelengths_rise_once_in_each_arrangement(tmp_path):
-    found = plan(tmp_path, wavelengths="{from: 500, to: 600, step: 10}", drift="{every: 1000}")
-    for _, shots in groupby((shot for shot in found.shots if shot.step), lambda shot: shot.arrangement):
+    loaded = plan(tmp_path, wavelengths="{from: 500, to: 600, step: 10}", drift="{every: 1000}")
+    for _, shots in groupby((shot for shot in loaded.shots if shot.step), lambda shot: shot.arrangement):
         assert all(before.wavelength <= after.wavelength for before, after in pairwise(shots))
 
 
 def test_the_lamp_is_read_at_both_ends_and_after_every_given_number_of_frames(tmp_path):
-    found = plan(tmp_path, wavelengths="{from: 500, to: 600, step: 10}", drift="{every: 5, wavelength: 530, step: 2}")
-    light = [shot for shot in found.shots if not shot.dark]
+    loaded = plan(tmp_path, wavelengths="{from: 500, to: 600, step: 10}", drift="{every: 5, wavelength: 530, step: 2}")
+    light = [shot for shot in loaded.shots if not shot.dark]
     assert light[0].purpose == light[-1].purpose == "drift"
-    runs = [len(list(group)) for looks, group in groupby(light, lambda shot: shot.purpose == "drift") if not looks]
+    runs = [
+        len(list(group)) for is_reading, group in groupby(light, lambda shot: shot.purpose == "drift") if not is_reading
+    ]
     assert set(runs[:-1]) == {5}
     assert sum(runs) == 2 * 11 * 2
-    for look in (shot for shot in light if shot.purpose == "drift"):
-        assert (look.wavelength, look.position, look.exposure, look.step) == (530, 1, 1, 0)
+    for reading in (shot for shot in light if shot.purpose == "drift"):
+        assert (reading.wavelength, reading.position, reading.exposure, reading.step) == (530, 1, 1, 0)
 
 
 def test_dark_frames_of_every_exposure_open_and_close_the_run(tmp_path):
-    found = plan(
+    loaded = plan(
         tmp_path, bracket="[{exposure: 1, position: 2}, {exposure: 0.2, position: 2}, {exposure: 1, position: 1}]"
     )
-    for ends in (found.shots[:10], found.shots[-10:]):
+    for ends in (loaded.shots[:10], loaded.shots[-10:]):
         assert [shot.exposure for shot in ends] == [0.2] * 5 + [1] * 5
         assert all(shot.dark for shot in ends)
-    assert not any(shot.dark for shot in found.shots[10:-10])
+    assert not any(shot.dark for shot in loaded.shots[10:-10])
 
 
 def test_dark_frames_need_no_move_of_mirrors_or_devices(tmp_path):
-    found = plan(tmp_path, darks="6")
-    opening, closing = found.shots[:7], found.shots[-7:]
+    loaded = plan(tmp_path, darks="6")
+    opening, closing = loaded.shots[:7], loaded.shots[-7:]
     for group in (opening, closing):
         assert len({(shot.arrangement, shot.wavelength, shot.position) for shot in group}) == 1
 
@@ -173,10 +175,10 @@ def test_the_target_is_measured_at_one_wavelength(tmp_path):
     path = small_rig.write(tmp_path, small_rig.PLAN + "runs: [target, etalon, sample]\n")
     with (tmp_path / "rig.yaml").open("a") as rig:
         rig.write("target: {spots: [[0, 0], [4, 0], [4, 90]]}\n")
-    found = Plan.load(path)
-    shots = [shot for shot in found.shots if shot.purpose == "target"]
+    loaded = Plan.load(path)
+    shots = [shot for shot in loaded.shots if shot.purpose == "target"]
     assert [(shot.wavelength, shot.step) for shot in shots] == [(550, 1), (550, 2)]
-    assert found.sample_id(shots[0].arrangement) == "target"
+    assert loaded.sample_id(shots[0].arrangement) == "target"
 
 
 def test_plans_differ_by_their_values_and_not_by_their_ports(tmp_path):

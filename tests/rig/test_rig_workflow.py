@@ -18,7 +18,7 @@ NAMES = ("milk-glass", "opal-glass")
 
 
 def copied(folder: Path) -> Path:
-    """The measured glass, its truth, and the bench's calibration, at three wavelengths."""
+    """The measured glass, its truth, and the calibration of the rig, at three wavelengths."""
     for name in (*NAMES, "calibrations"):
         shutil.copytree(EXAMPLES / name, folder / name)
     for plan in folder.rglob("plan.yaml"):
@@ -28,18 +28,17 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-def follow(folder: Path, name: str, previous: str) -> Path:
-    """A calibration of the bench on another day, after one that was made before; its description."""
+def add_calibration(folder: Path, name: str, previous: str) -> None:
+    """Add a calibration of the rig on another day, after a previous one."""
     shutil.copytree(folder / "calibrations" / "bench-1", folder / "calibrations" / name)
     path = folder / "calibrations" / name / "calibration.yaml"
     text = path.read_text()
     assert "emulate: {seed: 1}" in text
     path.write_text(text.replace("emulate: {seed: 1}", "emulate: {seed: 1, session: 2}") + f"previous: {previous}\n")
-    return path
 
 
-def go_by(folder: Path, calibration: str) -> None:
-    """Let the measured glass go by another calibration."""
+def use_calibration(folder: Path, calibration: str) -> None:
+    """Use another calibration for the measured glass."""
     path = folder / "milk-glass" / "material.yaml"
     path.write_text(path.read_text().replace("calibration: bench-1", f"calibration: {calibration}"))
 
@@ -48,8 +47,8 @@ def go_by(folder: Path, calibration: str) -> None:
 def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     base = tmp_path_factory.mktemp("rig")
     folder, results = copied(base / "catalogue"), base / "results"
-    follow(folder, "bench-2", "bench-1")
-    go_by(folder, "bench-2")
+    add_calibration(folder, "bench-2", "bench-1")
+    use_calibration(folder, "bench-2")
     summary = build_catalogue(folder, results, cores=2)
     assert summary.failures == {}
     assert summary.built == NAMES
@@ -65,21 +64,21 @@ def test_the_measured_bsdf_is_that_of_the_material(built: tuple[Path, Path]) -> 
 
 def test_the_measured_bsdf_agrees_with_the_truth_within_its_uncertainty(built: tuple[Path, Path]) -> None:
     _, results = built
-    truth, found = (brdfpipe.open_dataset(results / name / "bsdf.nc") for name in ("opal-glass", "milk-glass"))
+    truth, measured = (brdfpipe.open_dataset(results / name / "bsdf.nc") for name in ("opal-glass", "milk-glass"))
     theta_o = np.linspace(0, 70, 15)
     for incidence in (10, 30, 60):
-        told = (incidence, 0, theta_o, 180)
-        wavelength = found["wavelength"].values
-        expected = truth.bsdf.evaluate(*told, wavelength=wavelength).values
-        ratio = found.bsdf.evaluate(*told, wavelength=wavelength).values / expected - 1
-        assert np.median(np.abs(ratio)) < 0.02
-        u = found.bsdf.uncertainty(*told, wavelength=wavelength).values / expected
-        assert np.sqrt(np.mean((ratio / u) ** 2)) < 2
+        directions = (incidence, 0, theta_o, 180)
+        wavelength = measured["wavelength"].values
+        expected = truth.bsdf.evaluate(*directions, wavelength=wavelength).values
+        deviation = measured.bsdf.evaluate(*directions, wavelength=wavelength).values / expected - 1
+        assert np.median(np.abs(deviation)) < 0.02
+        u = measured.bsdf.uncertainty(*directions, wavelength=wavelength).values / expected
+        assert np.sqrt(np.mean((deviation / u) ** 2)) < 2
 
 
 def test_nothing_is_rebuilt(built: tuple[Path, Path]) -> None:
     folder, results = built
-    assert build_catalogue(folder, results, cores=2).jobs == 0
+    assert build_catalogue(folder, results, cores=2, dry_run=True).jobs == 0
 
 
 def test_the_same_run_gives_the_same_bytes(built: tuple[Path, Path]) -> None:
@@ -173,8 +172,8 @@ def test_an_invalid_previous_calibration_is_refused_with_its_key(
 ) -> None:
     folder = copied(tmp_path / "catalogue")
     for name, before in previous.items():
-        follow(folder, name, before)
-    go_by(folder, "bench-2")
+        add_calibration(folder, name, before)
+    use_calibration(folder, "bench-2")
     loaded = catalogue.load(folder)
     assert list(loaded.failures) == ["milk-glass"]
     for word in ["rig.calibration: the calibration cannot be used", "calibration.yaml, ", "previous", *words]:
@@ -183,8 +182,8 @@ def test_an_invalid_previous_calibration_is_refused_with_its_key(
 
 def test_a_wrong_plan_of_a_previous_calibration_is_a_failure_of_the_material(tmp_path: Path) -> None:
     folder = copied(tmp_path / "catalogue")
-    follow(folder, "bench-2", "bench-1")
-    go_by(folder, "bench-2")
+    add_calibration(folder, "bench-2", "bench-1")
+    use_calibration(folder, "bench-2")
     plan = folder / "calibrations" / "bench-1" / "plan.yaml"
     plan.write_text(plan.read_text().replace("etalon_entrances: [10, 30, 60]", "etalon_entrances: [10, 33]"))
     pipeline = Pipeline({"catalogue": str(folder)}, installation.project_folder() / "workflow" / "scripts")

@@ -1,4 +1,4 @@
-"""The bench to start from: fibres where the lens is not, ends that do not touch, every key explained."""
+"""The template of a rig: fibres outside the cone of the lens, ends that do not touch, every key explained."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_fibres_cover_all_directions_outside_the_cone_of_the_lens(plan):
 
 
 def test_a_share_of_the_fibres_is_below_the_horizon_as_in_the_preprint(plan):
-    """29 % at 60 degree in the design paper's typical set; this one looks a little farther round."""
+    """29 % at 60 degree in the typical set of the design paper; this set covers slightly larger angles."""
     theta = [fibre.theta_s for fibre in plan.rig.fibres]
     phi = [fibre.phi_s for fibre in plan.rig.fibres]
     assert 0.25 < np.mean(specular_directions.cos_view(60, theta, phi) < 0) < 0.36

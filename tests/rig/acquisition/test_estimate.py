@@ -1,4 +1,4 @@
-"""The dry run: frames, bytes, hours, and brackets that do not reach."""
+"""The dry run: frames, bytes, hours, and brackets with gaps or too small a range."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import pytest
 import small_rig
 
-from brdfpipe.rig import templates as starting
+from brdfpipe.rig import templates
 from brdfpipe.rig.acquisition.estimate import ARRANGEMENT_TIME, READOUT, SLEW_SPEED, WHEEL_MOVE, estimate, frame_range
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.frame_file import frame_size
@@ -52,7 +52,7 @@ def test_a_slow_monochromator_takes_longer(plan, tmp_path):
     rig = tmp_path / "rig.yaml"
     rig.write_text(rig.read_text().replace("dialect: acton,", "dialect: acton, speed: 100,"))
     slow = estimate(Plan.load(tmp_path / "plan.yaml"))
-    # 500 to 550 nm and back in each of two arrangements, from look to look: 250 nm in all.
+    # 500 to 550 nm and back in each of two arrangements, between lamp readings: 250 nm in total.
     travelled = sum(abs(b.wavelength - a.wavelength) for a, b in zip(plan.shots, plan.shots[1:], strict=False))
     assert 3600 * (slow.hours - estimate(plan).hours) == pytest.approx(travelled * (60 / 100 - 1 / SLEW_SPEED))
 
@@ -72,8 +72,8 @@ def test_nine_pixels_hold_51_to_one(tmp_path):
 
 
 def test_steps_that_do_not_overlap_are_named(tmp_path):
-    found = estimate(bracketed(tmp_path, "[{exposure: 10, position: 1}, {exposure: 0.01, position: 1}]"))
-    assert "bracket steps 2 and 1 do not overlap: 1e+03 times the light" in found.warnings[0]
+    result = estimate(bracketed(tmp_path, "[{exposure: 10, position: 1}, {exposure: 0.01, position: 1}]"))
+    assert "bracket steps 2 and 1 do not overlap: 1e+03 times the light" in result.warnings[0]
 
 
 def test_a_bracket_that_is_too_short_gives_a_warning(tmp_path):
@@ -90,11 +90,13 @@ def test_a_bracket_that_reaches_gives_no_warning(tmp_path):
 
 
 def test_the_bench_to_start_from_takes_hours_and_reaches_everything(tmp_path):
-    found = estimate(Plan.load(starting.start(tmp_path / "bench")))
-    assert found.warnings == ()
-    assert found.counts["sample"] == 875
-    assert 1 < found.hours < 4  # the preprint: 3 to 4 hours a sample
-    first, *lines = found.text.splitlines()
-    assert first == f"sample-1 on bench-1: {found.frames} frames, {found.size / 1e6:.1f} MB, about {found.hours:.1f} h"
+    result = estimate(Plan.load(templates.start(tmp_path / "bench")))
+    assert result.warnings == ()
+    assert result.counts["sample"] == 875
+    assert 1 < result.hours < 4  # the preprint: 3 to 4 hours a sample
+    first, *lines = result.text.splitlines()
+    assert (
+        first == f"sample-1 on bench-1: {result.frames} frames, {result.size / 1e6:.1f} MB, about {result.hours:.1f} h"
+    )
     assert [line.split()[0] for line in lines] == ["dark", "drift", "etalon", "sample", "manual"]
     assert "6 arrangements" in lines[-1]

@@ -1,4 +1,4 @@
-"""The journal: whole lines only, whatever ended the program before."""
+"""The journal: complete lines only, after any end of the program."""
 
 from __future__ import annotations
 
@@ -56,14 +56,16 @@ def test_an_incomplete_last_line_is_removed_wherever_it_ends(tmp_path, cut, padd
     whole = path.read_bytes()
     cut = min(cut, len(whole))
     path.write_bytes(whole[: len(whole) - cut])
-    kept = whole[: whole.rfind(b"\n", 0, len(whole) - cut) + 1]
+    complete = whole[: whole.rfind(b"\n", 0, len(whole) - cut) + 1]
     with opened(path) as journal:
         journal.append("resumed")
-    assert path.read_bytes().startswith(kept)
+    assert path.read_bytes().startswith(complete)
     events = [json.loads(line) for line in path.read_text().splitlines()]
     assert events == read(path)
-    torn = len(whole) - cut - len(kept)
-    assert [event["event"] for event in events[kept.count(b"\n") :]] == (["healed"] if torn else []) + ["resumed"]
+    incomplete = len(whole) - cut - len(complete)
+    assert [event["event"] for event in events[complete.count(b"\n") :]] == (["healed"] if incomplete else []) + [
+        "resumed"
+    ]
 
 
 def test_lines_that_are_not_events_are_skipped(tmp_path):

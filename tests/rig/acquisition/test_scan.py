@@ -1,4 +1,4 @@
-"""The scan: what is on the disk when, by which labels, and how it goes on after whatever ended it."""
+"""The scan: frames on disk, their labels, and resuming after every kind of interruption."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from brdfpipe.rig.raw_frame import RawFrame
 
 @pytest.fixture(autouse=True)
 def quick_disk(monkeypatch):
-    """Nothing here is about power cuts."""
+    """No test here is about power failures."""
     monkeypatch.setattr(os, "fsync", lambda file: None)
 
 
@@ -51,7 +51,7 @@ def events(folder, kind=None):
 
 
 def stopped_at(plan, folder, number, error=None, **options):
-    """A scan that is stopped by its camera at an exposure."""
+    """A scan that stops because the camera fails at an exposure."""
     camera = small_rig.FakeCamera(before=small_rig.failing({number}, error or DeviceLost("camera", "gone")))
     with pytest.raises(ScanStopped) as stop:
         small_rig.take(plan, small_rig.fake_bench(camera=camera), folder, **options)
@@ -62,11 +62,11 @@ def stopped_at(plan, folder, number, error=None, **options):
 
 
 def test_each_frame_is_on_the_disk_before_the_next_exposure(plan, folder):
-    seen = []
-    camera = small_rig.FakeCamera(before=lambda number: seen.append((on_disk(folder), len(events(folder, "frame")))))
+    states = []
+    camera = small_rig.FakeCamera(before=lambda number: states.append((on_disk(folder), len(events(folder, "frame")))))
     small_rig.take(plan, small_rig.fake_bench(camera=camera), folder)
     names = [shot.name for shot in plan.shots]
-    assert seen == [(names[:done], done) for done in range(len(names))]
+    assert states == [(names[:done], done) for done in range(len(names))]
     assert on_disk(folder) == names
 
 
@@ -125,9 +125,9 @@ def test_an_operator_who_refuses_stops_the_scan(plan, folder):
 def test_the_journal_has_every_state_of_the_devices(plan, folder):
     ticks = iter(range(10_000))
     small_rig.take(plan, small_rig.fake_bench(), folder, clock=lambda: float(next(ticks)), operator="ada")
-    found = events(folder)
-    assert [event["clock"] for event in found] == sorted(event["clock"] for event in found)
-    begun, *_, finished = found
+    records = events(folder)
+    assert [event["clock"] for event in records] == sorted(event["clock"] for event in records)
+    begun, *_, finished = records
     assert (begun["monochromator"], begun["wheel"], begun["camera"]) == (
         "fake monochromator",
         "fake wheel",
@@ -167,8 +167,8 @@ def test_a_frame_is_labelled_with_the_state_read_back(plan, folder):
     small_rig.take(plan, bench, folder)
     for shot in plan.shots:
         assert fits.getheader(folder / "frames" / shot.name)["WAVELEN"] == shot.wavelength + 0.03
-    found = read_run(folder)
-    assert (found["wavelength_read"] - found["wavelength"]).values == pytest.approx(0.03)
+    frames = read_run(folder)
+    assert (frames["wavelength_read"] - frames["wavelength"]).values == pytest.approx(0.03)
 
 
 @pytest.mark.parametrize("bench", [
@@ -205,7 +205,7 @@ def test_a_frame_during_which_a_device_moved_is_taken_again(plan, folder, device
     retries = events(folder, "retry")
     assert [event["shot"] for event in retries] == [4, 6]
     assert "a device moved during the exposure" in retries[0]["problem"]
-    # The fake camera's pictures hold the number of the exposure: the fourth and the seventh are nowhere.
+    # Every pixel holds the number of the exposure: the fourth and the seventh are missing.
     numbers = [int(fits.getdata(folder / "frames" / shot.name)[0, 0]) for shot in plan.shots]
     assert numbers == [number for number in range(1, len(plan.shots) + 3) if number not in (4, 7)]
     assert (read_run(folder)["wavelength_read"] == read_run(folder)["wavelength"]).all()
@@ -336,15 +336,15 @@ def test_resume_starts_a_run_in_a_new_folder(plan, folder):
 def test_a_frame_missing_in_the_journal_is_adopted(plan, folder):
     stopped_at(plan, folder, 6)
     lines = (folder / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    kept = [line for line in lines if b'"shot":5' not in line and b"stopped" not in line]
-    (folder / "journal.jsonl").write_bytes(b"".join(kept) + b'{"clock":3,"event":"fra')
+    other_lines = [line for line in lines if b'"shot":5' not in line and b"stopped" not in line]
+    (folder / "journal.jsonl").write_bytes(b"".join(other_lines) + b'{"clock":3,"event":"fra')
     camera = small_rig.FakeCamera()
     done = small_rig.take(plan, small_rig.fake_bench(camera=camera), folder, resume=True)
     assert done.taken == len(camera.exposures) == len(plan.shots) - 5
     assert [event["shot"] for event in events(folder, "adopted")] == [5]
     assert [event["event"] for event in events(folder)].count("healed") == 1
-    told = sorted(event["shot"] for event in events(folder) if event["event"] in ("frame", "adopted"))
-    assert told == [shot.ordinal for shot in plan.shots]
+    recorded = sorted(event["shot"] for event in events(folder) if event["event"] in ("frame", "adopted"))
+    assert recorded == [shot.ordinal for shot in plan.shots]
 
 
 def test_without_a_journal_the_frames_still_count(plan, folder):
@@ -368,7 +368,7 @@ def removed(path):
 
 
 def replaced(path):
-    """A whole frame with the right labels and other counts."""
+    """A complete frame with the right labels and other counts."""
     with fits.open(path) as images:
         images[0].data[:] = 7
         images[0].add_checksum()
@@ -394,14 +394,14 @@ def test_a_damaged_frame_is_taken_again(plan, folder, damage, number):
     small_rig.take(plan, small_rig.fake_bench(), folder)
     whole = small_rig.contents(folder)
     damage(folder / "frames" / plan.shots[number - 1].name)
-    said = []
+    messages = []
     camera = small_rig.FakeCamera(started=lambda count: 1.7e9 + 5000.0)
-    done = small_rig.take(plan, small_rig.fake_bench(camera=camera), folder, resume=True, say=said.append)
+    done = small_rig.take(plan, small_rig.fake_bench(camera=camera), folder, resume=True, say=messages.append)
     assert done.taken == len(camera.exposures) == 1
-    told = [line for line in said if "taken again" in line]
-    assert len(told) == (damage is not removed)
-    found = read_run(folder)
-    assert found["elapsed"].values[number - 1] == 4990
+    repeated = [line for line in messages if "taken again" in line]
+    assert len(repeated) == (damage is not removed)
+    frames = read_run(folder)
+    assert frames["elapsed"].values[number - 1] == 4990
     for name, content in whole.items():
         assert ((folder / "frames" / name).read_bytes() == content) == (name != plan.shots[number - 1].name)
 
@@ -424,7 +424,7 @@ def test_the_last_finished_frame_is_found(plan, folder):
     assert last_finished(plan, folder)[0] == plan.shots[3]
 
 
-# --- folders that are not this run's
+# --- folders of other runs
 
 
 def test_a_started_run_needs_resume(plan, folder):
@@ -555,7 +555,7 @@ def test_a_disk_that_is_full_when_the_journal_is_written_loses_no_frame(plan, fo
     def fill(number):
         if number == 6:
             (folder / "journal.jsonl").write_bytes((folder / "journal.jsonl").read_bytes() + 80_000 * b" " + b"\n")
-            limited(80_000)  # a frame has room, the journal has none
+            limited(80_000)  # enough for a frame, too little for the journal
 
     camera = small_rig.FakeCamera(before=fill)
     with pytest.raises(ScanStopped, match=r"journal\.jsonl: could not be written"):

@@ -1,4 +1,4 @@
-"""The emulated rig as a whole: the camera sees what the devices do, and the same run gives the same bytes."""
+"""The emulated rig: the camera sees the state of the devices, and the same run gives the same bytes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def emulated(rig, effects=IDEAL, truth=None, **options):
 
 
 def arranged(rig, effects=IDEAL, *, wavelength=550.0, position=1, sigma=20.0, truth=None, **options):
-    """A rig without lines, its devices in place."""
+    """A rig without serial lines, with its devices at their positions."""
     stand = emulated(rig, effects, truth, **options)
     stand.monochromator.restore(wavelength)
     stand.wheel.restore(position)
@@ -35,7 +35,7 @@ def arranged(rig, effects=IDEAL, *, wavelength=550.0, position=1, sigma=20.0, tr
 
 
 def reference(rig, counts):
-    column, row = (int(np.rint(each)) for each in screen.to_pixel(rig.screen, *rig.screen.reference))
+    column, row = (int(np.rint(coordinate)) for coordinate in screen.to_pixel(rig.screen, *rig.screen.reference))
     return int(counts[row, column])
 
 
@@ -106,12 +106,12 @@ def test_a_move_during_the_exposure_blurs_the_frame(rig):
 
 def test_the_mean_of_the_lamp_over_the_exposure_counts_in_sample_and_reference_alike(rig):
     stand = arranged(rig, dataclasses.replace(IDEAL, warm_up=0.05, drift=0.01), seed=3)
-    seen = []
+    signals = []
     for wait in (0, 100, 400, 2000, 5000):
         stand.clock.advance_to(stand.clock.now() + wait)
         counts = stand.camera.expose(10.0).counts
-        seen.append((float(counts[MIDDLE_WAVELENGTH]), float(reference(rig, counts))))
-    sample, lamp = np.array(seen).T
+        signals.append((float(counts[MIDDLE_WAVELENGTH]), float(reference(rig, counts))))
+    sample, lamp = np.array(signals).T
     assert np.ptp(lamp) > 0.03 * lamp.mean()
     # Rounding to whole counts, of 4300 and more.
     assert sample / lamp == pytest.approx(np.full(5, sample[0] / lamp[0]), rel=3e-4)
@@ -186,7 +186,7 @@ def test_another_session_is_the_same_rig_on_another_day(rig):
 
 @pytest.mark.parametrize("effect", sorted(field.name for field in dataclasses.fields(Effects)))
 def test_every_effect_shows(rig, effect):
-    # Beside those without which others cannot: a dark current, a halo, and a sensor that is warm by now.
+    # Together with effects that others need: a dark current, a halo, and a warm sensor.
     base = dataclasses.replace(IDEAL, dark=5.0, halo=0.01, halo_radius=20.0)
     stage = with_fibres(rig)
     in_a_hole = dataclasses.replace(stage.fibres[0], theta_s=20.0, phi_s=0.0)
@@ -203,7 +203,7 @@ def test_every_effect_shows(rig, effect):
     assert not np.array_equal(picture(changed), picture(base))
 
 
-# --- what cannot be
+# --- refusals
 
 
 def test_time_does_not_run_backwards(rig):

@@ -1,4 +1,4 @@
-"""Each kind of fault, at the command that meets it and at the next."""
+"""Each kind of fault, at its command and at the next."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def test_silence_swallows_the_echo_of_every_piece(monochromator: Monochromator) 
 def test_garbage_comes_before_the_echo(monochromator: Monochromator) -> None:
     for seed in range(20):
         line, _ = _line(monochromator, "garbage", seed=seed)
-        said = line.feed(b"?GRATING\r")
-        assert said.endswith(b"?GRATING 1  ok\r\n")
-        assert 1 <= len(said) - len(b"?GRATING 1  ok\r\n") <= 12
+        reply = line.feed(b"?GRATING\r")
+        assert reply.endswith(b"?GRATING 1  ok\r\n")
+        assert 1 <= len(reply) - len(b"?GRATING 1  ok\r\n") <= 12
         assert line.feed(b"?GRATING\r") == b"?GRATING 1  ok\r\n"
 
 
@@ -48,9 +48,9 @@ def test_a_truncated_answer_has_no_terminator_and_is_never_made_good(monochromat
     lengths = set()
     for seed in range(200):
         line, _ = _line(monochromator, "truncated", seed=seed)
-        said = line.feed(b"?NM/MIN\r")
-        assert whole.startswith(said)
-        lengths.add(len(said))
+        reply = line.feed(b"?NM/MIN\r")
+        assert whole.startswith(reply)
+        lengths.add(len(reply))
         assert line.feed(b"?NM/MIN\r") == whole
     assert lengths == set(range(len(b"?NM/MIN"), len(whole)))
 
@@ -75,8 +75,8 @@ def test_a_clamped_move_never_ends_at_the_requested_position(monochromator: Mono
 def test_a_clamped_wheel_stops_at_another_filter(wheel_of: type[ActonWheel | ThorlabsWheel], asked: int) -> None:
     wheel = wheel_of(VirtualClock(), position=3)
     command = b"%d FILTER\r" if wheel_of is ActonWheel else b"pos=%d\r"
-    said = FaultyLine(wheel, Faults.at({1: "clamp"})).feed(command % asked)
-    assert said in (b"%d FILTER ok\r\n" % asked, b"pos=%d\r> " % asked)
+    reply = FaultyLine(wheel, Faults.at({1: "clamp"})).feed(command % asked)
+    assert reply in (b"%d FILTER ok\r\n" % asked, b"pos=%d\r> " % asked)
     assert wheel.position == asked % 6 + 1
 
 
@@ -175,8 +175,8 @@ def test_the_seed_determines_the_faults_and_the_rate_is_met() -> None:
         line = FaultyLine(Monochromator(VirtualClock()), faults)
         return b"".join(line.feed(b"?NM\r") for _ in range(2000)), faults.injected
 
-    said, injected = disturbed(7)
-    assert (said, injected) == disturbed(7)
+    reply, injected = disturbed(7)
+    assert (reply, injected) == disturbed(7)
     assert injected != disturbed(8)[1]
     counted = Counter(kind for _, kind, _ in injected)
     # 50 expected of each, standard deviation 7; 200 of all, 13.

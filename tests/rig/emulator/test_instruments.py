@@ -107,8 +107,8 @@ def test_the_echo_can_be_switched_off_and_on(monochromator: Monochromator) -> No
 
 
 def test_characters_are_echoed_as_they_come(monochromator: Monochromator) -> None:
-    said = [monochromator.feed(bytes([character])) for character in b"?GRATING\r"]
-    assert said == [b"?", b"G", b"R", b"A", b"T", b"I", b"N", b"G", b" 1  ok\r\n"]
+    replies = [monochromator.feed(bytes([character])) for character in b"?GRATING\r"]
+    assert replies == [b"?", b"G", b"R", b"A", b"T", b"I", b"N", b"G", b" 1  ok\r\n"]
 
 
 def test_several_commands_in_one_write_are_answered_in_turn(monochromator: Monochromator) -> None:
@@ -148,8 +148,8 @@ def test_a_unit_that_knows_only_lower_case(clock: VirtualClock) -> None:
 @pytest.mark.parametrize("marker", [0x1A, 0xAF])
 def test_the_grating_in_place_is_marked(clock: VirtualClock, marker: int) -> None:
     gratings = {1: Grating(1200, "500NM"), 3: Grating(150, "2UM")}
-    said = Monochromator(clock, gratings=gratings, grating=3, echo=False, marker=marker).feed(b"?GRATINGS\r")
-    lines = said.decode("latin-1").split("\r\n")
+    reply = Monochromator(clock, gratings=gratings, grating=3, echo=False, marker=marker).feed(b"?GRATINGS\r")
+    lines = reply.decode("latin-1").split("\r\n")
     assert lines[:4] == [
         "",
         " 1 1200 g/mm BLZ=  500NM ",
@@ -208,11 +208,11 @@ def test_speeds_out_of_range_are_clamped_in_silence(monochromator: Monochromator
 def test_a_frame_exposed_during_a_move_sees_the_wavelength_of_that_time(monochromator: Monochromator) -> None:
     monochromator.restore(500)
     assert monochromator.feed(b"1200 NM/MIN 700 >NM\r").endswith(b">NM ok\r\n")
-    seen = []
+    wavelengths = []
     for _ in range(6):
-        seen.append(monochromator.wavelength)
+        wavelengths.append(monochromator.wavelength)
         monochromator.clock.advance_to(monochromator.clock.now() + 2)
-    assert seen == pytest.approx([500, 540, 580, 620, 660, 700])
+    assert wavelengths == pytest.approx([500, 540, 580, 620, 660, 700])
     assert monochromator.wavelength == 700
 
 
@@ -323,15 +323,15 @@ def test_a_thorlabs_wheel_takes_a_second_a_filter_and_two_when_slow(clock: Virtu
     assert clock.now() == pytest.approx(8)
 
 
-@pytest.mark.parametrize(("to", "seen"), [(3, [1, 2, 3, 3]), (5, [1, 6, 5, 5])])
-def test_a_wheel_turns_the_shorter_way(clock: VirtualClock, to: int, seen: list[int]) -> None:
+@pytest.mark.parametrize(("to", "expected"), [(3, [1, 2, 3, 3]), (5, [1, 6, 5, 5])])
+def test_a_wheel_turns_the_shorter_way(clock: VirtualClock, to: int, expected: list[int]) -> None:
     wheel = ActonWheel(clock, position=1)
     wheel.receive(f"{to} FILTER\r".encode())  # the answer is not awaited
     positions = []
     for _ in range(4):
         positions.append(wheel.position)
         clock.advance_to(clock.now() + 1)
-    assert positions == seen
+    assert positions == expected
 
 
 def test_a_busy_wheel_reads_on_when_it_has_arrived(clock: VirtualClock) -> None:

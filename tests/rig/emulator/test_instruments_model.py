@@ -1,4 +1,4 @@
-"""Emulated devices against models of a few lines, over whatever a host may think of."""
+"""Emulated devices against short models, for random sequences of commands."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ chunk_sizes = st.lists(st.integers(1, 9), min_size=1, max_size=6)
 
 
 class MonochromatorAgainstAModel(RuleBasedStateMachine):
-    """The model: a time, a place and where it is going, all worked out anew at every step."""
+    """The model: time, position and target, computed at every step."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -46,12 +46,12 @@ class MonochromatorAgainstAModel(RuleBasedStateMachine):
     def say(self, command: str, chunks: list[int], expected: str = "") -> None:
         """Send in pieces; the answer must be what the model expects."""
         self.pass_time(min(0.1, self.left()))
-        data, said = f"{command}\r".encode(), b""
+        data, reply = f"{command}\r".encode(), b""
         while data:
             size = chunks.pop() if chunks else len(data)
-            said += self.device.feed(data[:size])
+            reply += self.device.feed(data[:size])
             data = data[size:]
-        assert said == f"{command if self.echo else ''}{expected} ok\r\n".encode()
+        assert reply == f"{command if self.echo else ''}{expected} ok\r\n".encode()
 
     @rule(destination=wavelengths, chunks=chunk_sizes)
     def goto(self, destination: float, chunks: list[int]) -> None:
@@ -112,7 +112,7 @@ class MonochromatorAgainstAModel(RuleBasedStateMachine):
 
     @invariant()
     def it_is_where_the_model_is(self) -> None:
-        # To rounding: the model adds step by step what the device works out from the start of its move.
+        # To rounding: the model adds steps, the device computes from the start of its move.
         assert self.device.wavelength == pytest.approx(self.place, abs=1e-6)
         assert self.clock.now() == pytest.approx(self.time, abs=1e-6)
         assert 0 <= self.device.wavelength <= LIMITS[self.device.grating]
@@ -149,13 +149,13 @@ def test_a_wheel_reaches_its_last_target_by_the_shorter_way(dialect, count, move
     spoken = dialect(count)
     position, seconds = 1, 0
     for target in moves:
-        said = spoken.wheel.feed(spoken.move.format(target).encode())
+        reply = spoken.wheel.feed(spoken.move.format(target).encode())
         if 1 <= target <= count:
-            assert said == spoken.accepted.format(target).encode()
+            assert reply == spoken.accepted.format(target).encode()
             seconds += min(abs(target - position), count - abs(target - position))
             position = target
         else:
-            assert said == spoken.refused.format(target).encode()
+            assert reply == spoken.refused.format(target).encode()
         assert spoken.wheel.feed(spoken.ask.encode()) == spoken.told.format(position).encode()
         assert (spoken.wheel.position, spoken.wheel.clock.now()) == (position, pytest.approx(seconds))
 
@@ -189,12 +189,12 @@ def test_a_bad_line_changes_replies_but_not_moves(device_of, words, data) -> Non
 def test_a_line_without_faults_is_the_device_however_it_is_cut(device_of, words, data) -> None:
     script = b"".join(word + b"\r" for word in data.draw(st.lists(st.sampled_from(words), max_size=8)))
     whole, line = device_of(VirtualClock()), FaultyLine(device_of(VirtualClock()))
-    said, rest = b"", script
+    reply, rest = b"", script
     while rest:
         size = data.draw(st.integers(1, len(rest)))
-        said += line.feed(rest[:size])
+        reply += line.feed(rest[:size])
         rest = rest[size:]
-    assert said == whole.feed(script)
+    assert reply == whole.feed(script)
 
 
 @pytest.mark.parametrize(("device_of", "words"), [(Monochromator, ACTON), (ThorlabsWheel, THORLABS)])
@@ -204,9 +204,11 @@ def test_late_answers_are_late_and_nothing_else(device_of, words, data) -> None:
     late = data.draw(st.sets(st.integers(1, len(script))))
     plain = device_of(VirtualClock())
     line = FaultyLine(device_of(VirtualClock()), Faults.at(dict.fromkeys(late, "late-ok")))
-    said = b""
+    reply = b""
     for ordinal, command in enumerate(script, start=1):
-        said += line.feed(command + b"\r")
+        reply += line.feed(command + b"\r")
         if ordinal in late:
-            assert said.endswith(command + (b"\r" if device_of is ThorlabsWheel else b""))
-    assert said + line.feed(words[1] + b"\r") == plain.feed(b"".join(each + b"\r" for each in [*script, words[1]]))
+            assert reply.endswith(command + (b"\r" if device_of is ThorlabsWheel else b""))
+    assert reply + line.feed(words[1] + b"\r") == plain.feed(
+        b"".join(command + b"\r" for command in [*script, words[1]])
+    )

@@ -1,4 +1,4 @@
-"""The light of the emulated rig: an ideal one against closed forms, and each effect alone against its figure."""
+"""The light of the emulated rig: an ideal rig against closed forms, and each effect alone against its size."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def optics(rig, truth=None, effects=IDEAL, *, seed=0, session=0):
 def at_fibres(rig, picture):
     """Light of the pixel in the middle of each fibre's end."""
     places = np.array([[fibre.x, fibre.y] for fibre in rig.fibres])
-    column, row = (np.rint(each).astype(int) for each in screen.to_pixel(rig.screen, *places.T))
+    column, row = (np.rint(coordinate).astype(int) for coordinate in screen.to_pixel(rig.screen, *places.T))
     return picture[row, column]
 
 
 def at_reference(rig, picture):
-    column, row = (int(np.rint(each)) for each in screen.to_pixel(rig.screen, *rig.screen.reference))
+    column, row = (int(np.rint(coordinate)) for coordinate in screen.to_pixel(rig.screen, *rig.screen.reference))
     return picture[row, column]
 
 
@@ -60,8 +60,8 @@ def disc_directions(rig, within=9.0):
 @pytest.mark.parametrize("sigma", [10.0, 20.0, 45.0])
 def test_an_ideal_rig_shows_the_cosine_of_view_over_that_of_the_etalon(rig, sigma):
     rig = with_fibres(rig)
-    seen = optics(rig)
-    sample, etalon = seen.rates(Setup(sigma), 550, 1), seen.rates(Setup(10.0, "etalon"), 550, 1)
+    model = optics(rig)
+    sample, etalon = model.rates(Setup(sigma), 550, 1), model.rates(Setup(10.0, "etalon"), 550, 1)
     cosine, cosine_etalon = (
         specular_directions.cos_view(sigma, *directions(rig)),
         specular_directions.cos_view_etalon(10, *directions(rig)),
@@ -90,9 +90,9 @@ def test_an_ideal_disc_shows_the_cosine_of_view_and_of_the_solid_angle(rig):
 
 
 def test_the_reference_receives_eight_percent_of_the_lamp_for_every_load(rig):
-    seen = optics(rig)
+    model = optics(rig)
     for setup in (Setup(20.0), Setup(10.0, "etalon"), Setup(45.0, "dark-trap")):
-        assert at_reference(rig, seen.rates(setup, 480, 1)) == pytest.approx(0.08 * REFERENCE_RATE)
+        assert at_reference(rig, model.rates(setup, 480, 1)) == pytest.approx(0.08 * REFERENCE_RATE)
 
 
 def test_a_dark_trap_leaves_the_screen_dark(rig):
@@ -111,9 +111,9 @@ def test_the_mean_over_a_pixel_of_a_narrow_lobe_is_right(rig):
     brdf = truth.bsdf.evaluate(20, 0, *specular_directions.outgoing(20, theta, phi)).values
     bright = brdf * specular_directions.cos_view(20, theta, phi) * np.cos(np.radians(theta)) ** 3
     expected = SAMPLE_RATE * (1 - SPLIT) * bright.reshape(40, 16, 40, 16).mean(axis=(1, 3))
-    found = optics(rig, truth).rates(Setup(20.0), 550, 1)[100:140, 140:180]
-    assert np.abs(found - expected).max() < 1e-4 * expected.max()
-    assert found == pytest.approx(expected, rel=1e-3)
+    light = optics(rig, truth).rates(Setup(20.0), 550, 1)[100:140, 140:180]
+    assert np.abs(light - expected).max() < 1e-4 * expected.max()
+    assert light == pytest.approx(expected, rel=1e-3)
 
 
 def test_nothing_is_seen_below_the_horizon_of_the_sample(rig):
@@ -132,12 +132,12 @@ def test_transmission_shows_the_other_side_of_the_sample(rig, monkeypatch):
         return np.where(w_i[..., 2] * w_o[..., 2] < 0, 0.25 + 0.1 * w_o[..., 0], 0.0)
 
     truth = synthetic.register(monkeypatch, btdf, through="slab")
-    found = at_fibres(rig, optics(rig, truth).rates(Setup(30.0, side="transmission"), 550, 1))
+    light = at_fibres(rig, optics(rig, truth).rates(Setup(30.0, side="transmission"), 550, 1))
     theta, phi = directions(rig)
     theta_o, phi_o = specular_directions.outgoing(30, theta, phi, side="transmission")
     x = np.sin(np.radians(theta_o)) * np.cos(np.radians(phi_o))
     cosine = np.maximum(specular_directions.cos_view(30, theta, phi), 0)
-    assert found == pytest.approx(SAMPLE_RATE * (1 - SPLIT) * cosine * (0.25 + 0.1 * x), rel=1e-9)
+    assert light == pytest.approx(SAMPLE_RATE * (1 - SPLIT) * cosine * (0.25 + 0.1 * x), rel=1e-9)
     assert (at_fibres(rig, optics(rig, truth).rates(Setup(20.0), 550, 1)) == 0).all()
 
 
@@ -146,17 +146,17 @@ def test_transmission_shows_the_other_side_of_the_sample(rig, monkeypatch):
 
 def test_any_wavelength_shows_the_truth_there(rig):
     truth = lobe(0.2 + 0.001 * (WAVELENGTHS - 380))
-    seen = optics(rig, truth)
+    model = optics(rig, truth)
     for wavelength in (380.0, 546.074, 779.5):
-        light = seen.rates(Setup(0.0), wavelength, 1)[120, 100]
+        light = model.rates(Setup(0.0), wavelength, 1)[120, 100]
         grey = optics(rig, lobe(0.2 + 0.001 * (wavelength - 380))).rates(Setup(0.0), wavelength, 1)[120, 100]
         assert light == pytest.approx(grey, rel=1e-6)
 
 
 def test_beyond_its_wavelengths_the_truth_is_constant(rig):
     truth = lobe(0.2 + 0.001 * (WAVELENGTHS - 380)).isel(wavelength=slice(5, 20))
-    seen = optics(rig, truth)
-    assert seen.rates(Setup(0.0), 385, 1)[120, 100] == seen.rates(Setup(0.0), 430, 1)[120, 100]
+    model = optics(rig, truth)
+    assert model.rates(Setup(0.0), 385, 1)[120, 100] == model.rates(Setup(0.0), 430, 1)[120, 100]
 
 
 def test_wavelengths_evaluated_together_equal_those_evaluated_alone(rig):
@@ -168,8 +168,8 @@ def test_wavelengths_evaluated_together_equal_those_evaluated_alone(rig):
 
 
 def test_a_monochromator_at_rest_sends_no_light(rig):
-    seen = optics(rig, effects=dataclasses.replace(IDEAL, xenon=True))
-    assert seen.rates(Setup(20.0), 0.0, 1).max() < 1e-3
+    model = optics(rig, effects=dataclasses.replace(IDEAL, xenon=True))
+    assert model.rates(Setup(20.0), 0.0, 1).max() < 1e-3
 
 
 def test_the_band_of_the_slit_has_the_moments_of_a_triangle(rig):
@@ -203,17 +203,19 @@ def test_the_splitters_slope_is_per_hundred_nanometres(rig):
 
 
 def test_a_filter_in_the_samples_beam_leaves_the_reference_alone(rig):
-    seen = optics(rig)
-    open_, filtered = (seen.rates(Setup(20.0), 550, position) for position in (1, 3))
+    model = optics(rig)
+    open_, filtered = (model.rates(Setup(20.0), 550, position) for position in (1, 3))
     assert at_fibres(rig, filtered) == pytest.approx(0.01 * at_fibres(rig, open_))
     assert at_reference(rig, filtered) == at_reference(rig, open_)
 
 
 def test_a_wrong_location_of_the_filters_is_wrong_by_the_ratio_of_two(rig):
     # Where the filters weaken the reference too, L/L′ does not depend on them; dividing it by T is wrong by T₁/T₂ between two frames.
-    seen = optics(dataclasses.replace(rig, nd_location="reference"))
-    light = [seen.rates(Setup(20.0), 550, position) for position in (2, 3)]
-    taken = [at_fibres(rig, each)[0] / at_reference(rig, each) / t for each, t in zip(light, (0.1, 0.01), strict=True)]
+    model = optics(dataclasses.replace(rig, nd_location="reference"))
+    light = [model.rates(Setup(20.0), 550, position) for position in (2, 3)]
+    taken = [
+        at_fibres(rig, image)[0] / at_reference(rig, image) / t for image, t in zip(light, (0.1, 0.01), strict=True)
+    ]
     assert taken[1] / taken[0] == pytest.approx(0.1 / 0.01)
 
 
@@ -223,7 +225,7 @@ def test_a_filters_true_transmittance_is_within_its_uncertainty(rig):
         source = Illumination(rig, dataclasses.replace(IDEAL, filters=1.0), seed, 0)
         errors.append([source.filter_transmittance(2, wavelength) / 0.1 - 1 for wavelength in (390, 560, 730)])
         assert source.filter_transmittance(1, 560) == 1  # stated without an error
-        assert source.filter_transmittance(5, 560) == 1  # nothing stands there
+        assert source.filter_transmittance(5, 560) == 1  # no filter
     assert 0.01 < np.abs(errors).max() <= 0.02
     assert np.ptp(errors, axis=1).min() > 0
 
@@ -267,8 +269,11 @@ def test_efficiencies_vignetting_and_spectrum_cancel_in_the_ratio_to_the_etalon(
     rig = with_fibres(rig)
     effects = dataclasses.replace(IDEAL, fibres=0.15, vignetting=0.3, splitter_slope=0.02, xenon=True)
 
-    def ratio(seen):
-        sample, etalon = seen.rates(Setup(20.0), 550, 1), seen.rates(Setup(10.0, "etalon"), 550, 1)
+    def ratio(model):
+        sample, etalon = (
+            model.rates(Setup(20.0), 550, 1),
+            model.rates(Setup(10.0, "etalon"), 550, 1),
+        )
         lit = specular_directions.cos_view_etalon(10, *directions(rig)) > 0.1
         return at_fibres(rig, sample)[lit] / at_fibres(rig, etalon)[lit]
 
@@ -321,7 +326,7 @@ def test_entrances_return_no_light_except_those_moved_out_of_the_lens(rig):
     assert blind(20.0, 90.0, 0.0)  # the entrance of 45 degree
     assert blind(20.0, 87.1, 0.0)
     assert not blind(20.0, 86.9, 0.0)
-    assert blind(20.0, 40.0, 4.0)  # the one the light comes through, 2.6 degree off
+    assert blind(20.0, 40.0, 4.0)  # the illuminated entrance, 2.6 degree away
     assert not blind(20.0, 40.0, 180.0)
     assert blind(0.0, 1.0, 70.0)  # light that comes through the lens
     assert not blind(20.0, 1.0, 70.0)
@@ -340,8 +345,8 @@ def test_the_disc_is_off_by_a_tenth_of_a_degree_and_the_picture_moves_between_se
     away = np.hypot(*np.subtract(screens[0].disc, rig.screen.disc))
     assert np.degrees(np.arctan(away / 150)) == pytest.approx(0.1)
     assert abs(screens[0].radial - rig.screen.radial) == pytest.approx(5e-7)
-    assert len({(each.disc, each.radial) for each in screens}) == 1
-    shifts = np.array([each.centre for each in screens]) - rig.screen.centre
+    assert len({(true.disc, true.radial) for true in screens}) == 1
+    shifts = np.array([true.centre for true in screens]) - rig.screen.centre
     # Standard error of a standard deviation of 400 numbers: 3.5 %.
     assert shifts.std() == pytest.approx(0.3, rel=0.14)
     assert true_screen(rig, IDEAL, 4, 1) == rig.screen
@@ -443,7 +448,7 @@ def test_the_dark_beside_a_very_bright_lobe_is_not_made_of_rounding():
     assert (PointSpread(SHAPE, 0.7, 0.005, 40.0)(picture) > 0).all()
 
 
-# --- what cannot be
+# --- refusals
 
 
 @pytest.mark.parametrize(

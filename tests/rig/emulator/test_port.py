@@ -49,11 +49,11 @@ def _ask(line, command: bytes, terminator: bytes = b" ok\r\n") -> bytes:
 
 
 def _heard_in_quiet(line) -> bytes:
-    """All that comes until the line is quiet."""
+    """All bytes until the line is quiet."""
     line.timeout = QUIET
-    said = line.read(65536)
+    reply = line.read(65536)
     line.timeout = PATIENCE
-    return said
+    return reply
 
 
 def _wait_for(condition: Callable[[], bool]) -> None:
@@ -85,10 +85,10 @@ def test_every_byte_passes_as_it_is(port: Port) -> None:
     every = bytes(value for value in range(256) if value != 0x0D)
     with _open(port) as line:
         line.write(every + b"\r")
-        said = line.read_until(b" ? \r\n")
-    assert said[: len(every)] == every
+        reply = line.read_until(b" ? \r\n")
+    assert reply[: len(every)] == every
     assert port.sent_by("host") == every + b"\r"
-    assert said == port.sent_by("device")
+    assert reply == port.sent_by("device")
 
 
 def test_the_line_is_raw_before_any_program_has_set_it(port: Port) -> None:
@@ -166,7 +166,7 @@ def test_a_program_killed_in_the_middle_of_a_command_frees_the_port(port: Port) 
     with _open(port, exclusive=True) as line:
         _wait_for(lambda: port.sent_by("device").endswith(b"54"))
         _heard_in_quiet(line)
-        # What the other had begun is still in the device's line, as it would be in a laboratory.
+        # The partial command of the killed program is still in the device's buffer, as in a laboratory.
         assert _ask(line, b"6.1 GOTO ?NM").endswith(b" 546.100 nm  ok\r\n")
 
 
@@ -278,13 +278,13 @@ def test_a_transaction_takes_less_than_a_third_of_a_millisecond(port: Port) -> N
     """By processor time of both sides, which a busy machine does not lengthen; the best of thirty rounds."""
     rounds = []
     with _open(port) as line:
-        os.set_blocking(line.fd, True)  # pyserial's own way of reading is not what is measured
+        os.set_blocking(line.fd, True)  # the reading of pyserial is not measured
         for _ in range(30):
             started = time.process_time()
             for _ in range(20):
                 os.write(line.fd, b"?NM\r")
-                said = b""
-                while not said.endswith(b" ok\r\n"):
-                    said += os.read(line.fd, 100)
+                reply = b""
+                while not reply.endswith(b" ok\r\n"):
+                    reply += os.read(line.fd, 100)
             rounds.append((time.process_time() - started) / 20)
     assert min(rounds) < 0.3e-3

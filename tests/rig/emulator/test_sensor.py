@@ -1,4 +1,4 @@
-"""The sensor of the emulated rig: each effect by its figure, over as many pixels as a frame has."""
+"""The sensor of the emulated rig: each effect against its size, over the pixels of a frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Acton drivers against scripts written from the manuals, and against a device whose line mangles what it sends."""
+"""The Acton drivers against scripts written from the manuals, and against a device on a line that damages its replies."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ GREETING = (*WAKE, *NAMES, *NAMES)
 
 
 def finished(driver: Monochromator | FilterWheel, *exchanges: Exchange) -> Script:
-    """The driver's port goes on with these exchanges."""
+    """The port of the driver continues with these exchanges."""
     script = Script(*exchanges)
     port = driver.line._port
     assert isinstance(port, ScriptedPort)
@@ -209,11 +209,11 @@ def test_a_move_at_a_speed_that_does_not_end_is_stopped() -> None:
     assert sent[-1] == b"MONO-STOP\r"
 
 
-# --- faults: a lost reply, then the device is asked who it is, then the command again
+# --- faults: after a lost reply the device is identified and the command repeated
 
 
 def test_a_late_ok_is_never_read_as_a_wavelength() -> None:
-    """The ok of a GOTO that timed out comes behind the echo of the next question, before its answer."""
+    """The ok of a GOTO that timed out comes after the echo of the next query, before its reply."""
     device = monochromator(Script(*GREETING))
     device.identify()
     script = finished(
@@ -221,7 +221,7 @@ def test_a_late_ok_is_never_read_as_a_wavelength() -> None:
         (b"700.000 GOTO\r", b"700.000 GOTO"),
         *WAKE[:1],
         (b"ECHO\r", b""),
-        (b"MODEL\r", b"MODEL ok\r\n SP-2-300i  ok\r\n"),  # still busy when it was asked: void
+        (b"MODEL\r", b"MODEL ok\r\n SP-2-300i  ok\r\n"),  # still busy: this reply does not count
         *WAKE,
         *NAMES,
         (b"700.000 GOTO\r", b"700.000 GOTO ok\r\n"),
@@ -303,12 +303,12 @@ def test_a_filter_wheel_on_the_port_of_a_monochromator_is_refused() -> None:
         monochromator(filter_wheel).identify()
 
 
-# --- a device that keeps its state, on a line that mangles
+# --- a device with a state, on a line that damages its replies
 
 
 @dataclass
 class Unit:
-    """A monochromator: what it is told moves it, whatever becomes of its reply."""
+    """A monochromator that carries out each command even if its reply is damaged."""
 
     mangle: Callable[[int, bytes], bytes | Exception] = lambda _, reply: reply
     wavelength: float = 0.0
@@ -331,7 +331,7 @@ class Unit:
         return self.mangle(self.ordinal, command + body + (b" \r\n" if body == b" ?" else b" ok\r\n"))
 
 
-# Whole replies to other questions are beyond any driver: the line has no checksum.
+# No driver can detect complete replies to other queries: the line has no checksum.
 FRAGMENTS = st.sampled_from([b" ok\r\n", b"?NM", b" ", b"\r\n", b"\r> ", b" ? \r\n", b"nm", b"7", b"MODEL", b"\x1a"])
 NOISE = st.one_of(st.binary(max_size=6), st.lists(FRAGMENTS, max_size=4).map(b"".join))
 WAVELENGTHS = st.floats(0, 1500, allow_nan=False)

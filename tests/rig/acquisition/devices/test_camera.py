@@ -1,4 +1,4 @@
-"""The drop folder and the Alpaca camera: a frame is whole, and the one that was asked for, or there is none."""
+"""The drop folder and the Alpaca camera: a frame is complete and as requested, or refused."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def frame(counts: np.ndarray = COUNTS, **cards: Any) -> bytes:
 
 
 class Laboratory:
-    """A laboratory's script on a folder, which takes a step whenever the camera's driver sleeps, in virtual seconds."""
+    """A camera's script on a folder, which takes a step whenever the driver sleeps, in virtual seconds."""
 
     def __init__(self, folder: Path, answer: Callable[[Path], Iterator[None] | None], **others: Any) -> None:
         self.clock = Clock()
@@ -81,9 +81,9 @@ class Laboratory:
 
 
 @contextmanager
-def served(folder: Path, camera: Any, told: list[str] | None = None) -> Iterator[None]:
+def served(folder: Path, camera: Any, messages: list[str] | None = None) -> Iterator[None]:
     stop = threading.Event()
-    report = told.append if told is not None else pytest.fail
+    report = messages.append if messages is not None else pytest.fail
     thread = threading.Thread(target=serve_folder, args=(folder, camera), kwargs={"stop": stop, "report": report})
     thread.start()
     try:
@@ -94,7 +94,7 @@ def served(folder: Path, camera: Any, told: list[str] | None = None) -> Iterator
 
 
 def expose_twice(folder: Path) -> None:
-    """Two proper exposures: when the second is answered, the server has looked at every file of the folder at least twice."""
+    """Two valid exposures: when the second is answered, the server has read every file of the folder at least twice."""
     for _ in range(2):
         DropFolder(settings_of(folder)).expose(0.1)
 
@@ -150,8 +150,8 @@ def test_a_request_has_three_keys_and_a_unique_name(tmp_path: Path) -> None:
     camera = Laboratory(tmp_path, note).camera
     camera.expose(0.1)
     camera.expose(0.1)
-    assert [set(each) for each in requests] == [{"id", "seconds", "shutter", "name"}] * 2
-    assert all(each["id"] == each["name"] for each in requests)
+    assert [set(request) for request in requests] == [{"id", "seconds", "shutter", "name"}] * 2
+    assert all(request["id"] == request["name"] for request in requests)
     assert requests[0]["id"] != requests[1]["id"]
 
 
@@ -203,7 +203,7 @@ def test_a_frame_under_another_name_is_refused_by_that_name(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (frame(COUNTS[:-1]), "image of 16 × 11 uint16, expected 16 × 12 uint16"),
         (frame(COUNTS.T), "image of 12 × 16 uint16"),
@@ -220,11 +220,11 @@ def test_a_frame_under_another_name_is_refused_by_that_name(tmp_path: Path) -> N
         (frame(REQUEST="another"), "the frame states another request: 'another'"),
     ],
 )
-def test_a_frame_other_than_requested_is_refused_at_once(tmp_path: Path, content: bytes, told: str) -> None:
+def test_a_frame_other_than_requested_is_refused_at_once(tmp_path: Path, content: bytes, message: str) -> None:
     laboratory = Laboratory(tmp_path, drop(content))
     with pytest.raises(DeviceError) as caught:
         laboratory.camera.expose(0.1)
-    assert told in caught.value.problem
+    assert message in caught.value.problem
     assert caught.value.advice
     assert laboratory.clock.now < 0.1
 
@@ -298,7 +298,7 @@ def test_an_invalid_exposure_time_is_never_requested(tmp_path: Path, seconds: fl
     assert not list(tmp_path.iterdir())
 
 
-# --- the other side of the folder
+# --- the camera's side of the folder
 
 
 def test_the_folder_passes_on_an_error_of_the_camera(tmp_path: Path) -> None:
@@ -306,14 +306,14 @@ def test_the_folder_passes_on_an_error_of_the_camera(tmp_path: Path) -> None:
         def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
             raise DeviceError("camera", "the cooler failed\x1b[31m")
 
-    told: list[str] = []
+    messages: list[str] = []
     with (
-        served(tmp_path, Broken(), told),
+        served(tmp_path, Broken(), messages),
         pytest.raises(DeviceError, match=r"the camera's script reports: .*cooler failed") as caught,
     ):
         DropFolder(settings_of(tmp_path)).expose(0.1)
     assert "\x1b" not in str(caught.value)
-    assert len(told) == 1
+    assert len(messages) == 1
 
 
 @pytest.mark.parametrize(
@@ -340,12 +340,12 @@ def test_an_invalid_request_is_reported_once_and_never_exposed(
     tmp_path: Path, name: str, content: bytes, reason: str
 ) -> None:
     (tmp_path / name).write_bytes(content)
-    sensor, told = Sensor(), list[str]()
-    with served(tmp_path, sensor, told):
+    sensor, messages = Sensor(), list[str]()
+    with served(tmp_path, sensor, messages):
         expose_twice(tmp_path)
     assert len(sensor.exposures) == 2
-    assert len(told) == 1
-    assert reason in told[0]
+    assert len(messages) == 1
+    assert reason in messages[0]
     assert not [path for path in tmp_path.glob(f"{Path(name).stem}.*") if path.name != name]
 
 
@@ -354,10 +354,10 @@ def test_a_link_is_not_accepted_as_a_request(tmp_path: Path) -> None:
     outside.write_text('{"id": "a", "seconds": 1, "shutter": true}')
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a.json").symlink_to(outside)
-    told: list[str] = []
-    with served(tmp_path / "in", Sensor(), told):
+    messages: list[str] = []
+    with served(tmp_path / "in", Sensor(), messages):
         expose_twice(tmp_path / "in")
-    assert "regular file" in told[0]
+    assert "regular file" in messages[0]
 
 
 def test_an_answered_request_is_not_answered_again(tmp_path: Path) -> None:
@@ -370,21 +370,21 @@ def test_an_answered_request_is_not_answered_again(tmp_path: Path) -> None:
 
 
 def test_no_answer_is_ever_incomplete(tmp_path: Path) -> None:
-    """Every file a looker sees under its last name is whole."""
-    sensor, seen = Sensor(), list[int]()
+    """Every file with its final name is complete."""
+    sensor, remainders = Sensor(), list[int]()
     with served(tmp_path, sensor):
         camera = DropFolder(settings_of(tmp_path))
         for _ in range(5):
             camera.expose(0.1)
-            seen += [path.stat().st_size % 2880 for path in tmp_path.glob("*.fits")]
-    assert set(seen) == {0}
+            remainders += [path.stat().st_size % 2880 for path in tmp_path.glob("*.fits")]
+    assert set(remainders) == {0}
 
 
 # --- Alpaca
 
 
 class FakeAlpaca:
-    """What is used of ``alpaca.camera.Camera``."""
+    """The part of ``alpaca.camera.Camera`` that the driver uses."""
 
     CameraXSize, CameraYSize, BinX, BinY = WIDTH, HEIGHT, 1, 1
     Name, HasShutter, ImageReady = "Simulated", True, True
@@ -450,7 +450,7 @@ def test_optional_properties_of_an_alpaca_camera_may_be_missing(alpaca: Callable
 
 
 @pytest.mark.parametrize(
-    ("attributes", "told"),
+    ("attributes", "message"),
     [
         ({"CameraXSize": 20}, "sensor of 20 × 12 pixels"),
         ({"BinX": 2}, "2 × 1 binning"),
@@ -460,16 +460,16 @@ def test_optional_properties_of_an_alpaca_camera_may_be_missing(alpaca: Callable
     ],
 )
 def test_an_alpaca_camera_that_is_not_the_described_one_is_refused(
-    alpaca: Callable[..., AlpacaCamera], attributes: dict[str, Any], told: str
+    alpaca: Callable[..., AlpacaCamera], attributes: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(DeviceError, match=told) as caught:
+    with pytest.raises(DeviceError, match=message) as caught:
         alpaca(**attributes).identify()
     assert "localhost:11111" in str(caught.value)
     assert "\x1b" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("attributes", "told"),
+    ("attributes", "message"),
     [
         ({"ImageArray": COUNTS.tolist()}, "image of 12 × 16"),
         ({"ImageArray": (COUNTS.T / 2).tolist()}, "float64"),
@@ -479,9 +479,9 @@ def test_an_alpaca_camera_that_is_not_the_described_one_is_refused(
     ],
 )
 def test_an_alpaca_image_other_than_requested_is_refused(
-    alpaca: Callable[..., AlpacaCamera], attributes: dict[str, Any], told: str
+    alpaca: Callable[..., AlpacaCamera], attributes: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(DeviceError, match=told):
+    with pytest.raises(DeviceError, match=message):
         alpaca(**attributes).expose(0.1)
 
 
@@ -511,7 +511,7 @@ def test_an_emulated_camera_has_no_driver() -> None:
 
 
 class _AlpacaServer(BaseHTTPRequestHandler):
-    """What a server of the Alpaca protocol answers to a picture of :data:`COUNTS`."""
+    """Replies of an Alpaca server whose image is :data:`COUNTS`."""
 
     values: ClassVar[dict[str, Any]] = {
         "cameraxsize": WIDTH,

@@ -1,4 +1,4 @@
-"""The drivers, the bench and the doctor on pseudo-terminals, with emulated devices at the other end and every fault."""
+"""Drivers, connection and doctor on pseudo-terminals, with emulated devices and every fault."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from brdfpipe.rig.emulator.instruments import ActonWheel, Monochromator, Thorlab
 from brdfpipe.rig.emulator.port import Port
 from brdfpipe.rig.raw_frame import RawFrame
 
-QUICK = {"query_timeout": 0.2, "motion_timeout": 0.2}
+QUICK = {"query_timeout": 0.4, "motion_timeout": 0.4}
 
 
 @pytest.fixture(autouse=True)
-def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    # A pseudo-terminal holds no byte back; silence needs no tenth of a second.
+def short_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A pseudo-terminal holds no bytes back, so a shorter silence is enough.
     monkeypatch.setattr(serial_line, "QUIET", 0.02)
     monkeypatch.setattr(serial_line, "POLL", 0.01)
 
@@ -42,7 +42,7 @@ def thorlabs(port: Port, **others: Any) -> SerialSettings:
     return SerialSettings("thorlabs", port.path, 115200, **(QUICK | others))
 
 
-# --- the devices as they are
+# --- devices without faults
 
 
 @pytest.mark.parametrize("case", ["upper", "lower"])
@@ -116,15 +116,15 @@ def test_a_file_is_not_accepted_as_a_port(tmp_path: Any) -> None:
 # --- every fault
 
 
-def told(error: DeviceError, device: str, port: str) -> str:
-    """The kind of an error that names its device, its port, and what to do."""
+def checked_kind(error: DeviceError, device: str, port: str) -> str:
+    """Type of an error that must name its device, its port, and advice."""
     assert (error.device, error.port) == (device, port)
     assert error.advice
     return type(error).__name__
 
 
 def monochromator_meets(kind: str, ordinal: int) -> tuple[int, str]:
-    """A series of moves with one fault; how many commands it took, and how it ended."""
+    """A series of moves with one fault; the number of commands, and the result."""
     unit, faults = Monochromator(VirtualClock()), Faults.at({ordinal: kind}, seed=ordinal)
     with Port(unit, faults) as port:
         try:
@@ -137,7 +137,7 @@ def monochromator_meets(kind: str, ordinal: int) -> tuple[int, str]:
                 assert unit.grating == 2
             device.close()
         except DeviceError as error:
-            return faults.commands, told(error, "monochromator", port.path)
+            return faults.commands, checked_kind(error, "monochromator", port.path)
     return faults.commands, "recovered"
 
 
@@ -152,14 +152,14 @@ def wheel_meets(kind: str, ordinal: int, dialect: str) -> tuple[int, str]:
                 assert device.goto(position) == position == unit.position
             device.close()
         except DeviceError as error:
-            return faults.commands, told(error, "filter wheel", port.path)
+            return faults.commands, checked_kind(error, "filter wheel", port.path)
     return faults.commands, "recovered"
 
 
 EXPECTED = {kind: {"recovered"} for kind in KINDS} | {
     "unplug": {"DeviceLost"},
     "wrong-device": {"WrongDevice"},
-    # A turret that did not turn is told at once; a wavelength or filter missed is tried again.
+    # A turret that did not turn is an error at once; a wrong wavelength or position is corrected by a second move.
     "clamp": {"recovered", "DeviceError"},
 }
 
@@ -189,7 +189,7 @@ def test_a_fault_at_every_command_is_recovered_or_reported(kind: str) -> None:
 
 @pytest.mark.slow
 def test_a_bad_line_never_yields_a_wrong_wavelength() -> None:
-    """One command in five meets a fault; whatever is returned is where the device stands."""
+    """One command in five has a fault; every returned wavelength is the true one."""
     met, refusals = 0, list[DeviceError]()
     for seed in range(5):
         unit = Monochromator(VirtualClock())
@@ -209,7 +209,7 @@ def test_a_bad_line_never_yields_a_wrong_wavelength() -> None:
     assert not any(isinstance(error, WrongDevice | DeviceLost) for error in refusals)
 
 
-# --- the bench
+# --- connection
 
 
 class Dark:

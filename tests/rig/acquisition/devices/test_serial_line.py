@@ -78,7 +78,7 @@ def test_words_are_sent_in_the_case_of_the_description() -> None:
     assert line_with((b"*idn?\r", b"*idn?\rX\r> "), settings=THORLABS).transact("*IDN?", 1) == "X"
 
 
-# --- what is no reply
+# --- invalid replies
 
 
 def test_an_unknown_command_is_refused_with_the_hint_about_case() -> None:
@@ -162,7 +162,7 @@ PIECES = st.lists(
 
 @given(noise=PIECES, end=st.integers(0, len(REPLY)), cuts=st.lists(st.integers(0, 60), max_size=8))
 def test_a_reply_is_read_whole_or_not_at_all_however_it_arrives(noise: bytes, end: int, cuts: list[int]) -> None:
-    """Noise made of the device's own words, a reply cut off anywhere, bytes in any bundles."""
+    """Noise of the device's own replies, a reply truncated anywhere, bytes in pieces of any size."""
     whole = noise + REPLY[:end]
     edges = sorted({0, len(whole), *(cut for cut in cuts if cut < len(whole))})
     chunks = [(0.001 * k, whole[a:b]) for k, (a, b) in enumerate(pairwise(edges))]
@@ -171,13 +171,13 @@ def test_a_reply_is_read_whole_or_not_at_all_however_it_arrives(noise: bytes, en
         text = line.transact("?NM", 0.5)
     except NoReply:
         return
-    # What is returned is all that stands between the first echo and an end that came.
+    # The result is the text between the first echo and a received terminator.
     behind = whole.split(b"?NM", 1)[1].decode("latin-1").lstrip(" \r\n")
     assert behind.startswith(text)
     assert behind[len(text) :].lstrip(" \r\n").startswith("ok\r\n")
 
 
-# --- the line is put in order
+# --- reset
 
 
 def test_a_reset_ends_a_partial_command_switches_the_echo_on_and_waits_for_silence() -> None:

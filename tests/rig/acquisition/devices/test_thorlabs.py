@@ -1,4 +1,4 @@
-"""The Thorlabs wheel against scripts written from its manual, and on a line that mangles what it sends."""
+"""The Thorlabs wheel against scripts written from its manual, and on a line that damages its replies."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_wheel_is_moved_and_read_back() -> None:
 
 
 def test_a_read_back_has_the_time_of_a_move() -> None:
-    """The prompt came at once; the wheel arrives later, and answers only then."""
+    """The prompt comes at once; the wheel arrives and replies later."""
     script = Script(*GREETING, (b"pos=3\r", b"pos=3\r> "), (b"pos?\r", [(4.0, b"pos?\r3\r> ")]))
     assert wheel(script).goto(3) == 3
 
@@ -91,7 +91,7 @@ def test_a_position_the_wheel_has_not_is_never_sent(position: int) -> None:
 
 
 class Unit:
-    """A wheel that keeps its place; a reply may be cut off, or have noise before it."""
+    """A wheel with a position; a reply may be truncated, or have noise before it."""
 
     def __init__(self, cuts: dict[int, int], noise: dict[int, bytes]) -> None:
         self.position, self.ordinal = 1, 0
@@ -105,7 +105,7 @@ class Unit:
             self.position = int(command[4:])
         text = answers.get(command, str(self.position) if command == "pos?" else "")
         reply = sent + (f"{text}\r> " if text else "> ").encode()
-        if self.ordinal in self.cuts:  # without its space a prompt is still whole
+        if self.ordinal in self.cuts:  # a prompt without its space is complete
             reply = reply[: min(self.cuts[self.ordinal], len(reply) - 2)]
         return self.noise.get(self.ordinal, b"") + reply
 
