@@ -8,6 +8,7 @@ import pytest
 import small_rig
 
 from brdfpipe.errors import InputError
+from brdfpipe.rig import plan as plans
 from brdfpipe.rig.plan import Drift, Plan, Step, sources
 
 
@@ -74,21 +75,25 @@ def test_wavelengths_are_a_list_or_steps_that_reach_both_ends(tmp_path, written,
         ({"rig": "../rig.yaml"}, ["rig", "outside the plan's folder"]),
         ({"rig": "rgi.yaml"}, ["no such file", "did you mean 'rig.yaml'"]),
         ({"wavelength": "[500]"}, ["unknown key 'wavelength'", "wavelengths"]),
-        ({"bracket": "[{exposure: 1, position: 1}]", "drift": "{every: 1}", "wavelengths": "{from: 380, to: 780, step: 0.2}",
-          "incidences": "[0, 10, 20, 45]", "etalon_entrances": "[0, 10, 20, 45]",
-          "runs": "[etalon, sample]", "side": "[reflection, transmission]", "darks": "1000"}, None),
         ({"wavelengths": "{from: 380, to: 780, step: 0.1}", "incidences": "[0, 10, 20, 45]", "etalon_entrances": "[0, 10, 20, 45]",
           "side": "[reflection, transmission]", "drift": "{every: 1}"}, ["too many frames", "99999"]),
     ],
 )  # fmt: skip
 def test_an_invalid_value_is_refused_with_its_key_and_what_is_accepted(tmp_path, changes, words):
-    if words is None:
-        assert len(plan(tmp_path, **changes).shots) < 100_000
-        return
     with pytest.raises(InputError) as refusal:
         plan(tmp_path, **changes)
     for word in ["plan.yaml", *words]:
         assert word in str(refusal.value)
+
+
+def test_the_limit_of_frames_includes_dark_frames_and_lamp_readings(tmp_path, monkeypatch):
+    changes = {"bracket": "[{exposure: 1, position: 1}]", "drift": "{every: 3}", "darks": "7"}
+    count = len(plan(tmp_path, **changes).shots)
+    monkeypatch.setattr(plans, "MAX_SHOTS", count)
+    plan(tmp_path, **changes)
+    monkeypatch.setattr(plans, "MAX_SHOTS", count - 1)
+    with pytest.raises(InputError, match=f"too many frames; found {count}; accepted: at most {count - 1}"):
+        plan(tmp_path, **changes)
 
 
 def test_no_light_is_measured_through_a_sample_at_75_degree(tmp_path):

@@ -139,7 +139,7 @@ def scan(
     "truth_path",
     type=_TRUTH,
     required=True,
-    help="A BSDF (.nc), or the folder of a built material: what lies in the holder.",
+    help="A BSDF (.nc), or the folder of a built material: the sample in the holder.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of everything random.")
 @_SESSION
@@ -147,7 +147,7 @@ def scan(
 @click.option("--realtime", is_flag=True, help="Let exposures and moves take real time.")
 @exit_on_error
 def emulate(description: Path, truth_path: Path, seed: int, session: int, out: Path | None, realtime: bool) -> int:
-    """Emulate a rig on serial ports of its own, until Ctrl-C.
+    """Emulate a rig on its own serial ports, until Ctrl-C.
 
     Type what an operator does by hand: the entrance in degree, the load of the holder (sample, etalon, target or
     dark-trap), and the side (reflection or transmission).
@@ -160,15 +160,15 @@ def emulate(description: Path, truth_path: Path, seed: int, session: int, out: P
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     real, clock = Rig.load(description), VirtualClock(realtime=realtime)
     with (
-        EmulatedRig(real, truth(truth_path), seed=seed, session=session, clock=clock) as stand,
-        _emulated_description(description, stand, out or description.parent) as written,
-        _camera_serving(written.parent / EMULATED_CAMERA, stand),
+        EmulatedRig(real, truth(truth_path), seed=seed, session=session, clock=clock) as emulated,
+        _emulated_description(description, emulated, out or description.parent) as written,
+        _camera_serving(written.parent / EMULATED_CAMERA, emulated),
     ):
         try:
             advice = f"Try `brdfpipe rig doctor {written}`, or scan a plan with `rig: {EMULATED}`."
             click.echo(f"Emulated rig ready: {written}. {advice}")
             click.echo(f"Type each arrangement, as `{real.entrances[0]:g} sample reflection`; Ctrl-C ends the rig.")
-            _apply_typed_arrangements(stand)
+            _apply_typed_arrangements(emulated)
         except KeyboardInterrupt:
             click.echo("Emulated rig stopped.")
     return 0
@@ -196,9 +196,9 @@ def _real_scan(plan: Plan, folder: Path, yes: bool, options: dict[str, Any]) -> 
     from brdfpipe.rig.acquisition.devices.connection import connect
     from brdfpipe.rig.acquisition.scan import scan as take
 
-    def confirm(arrangement: Arrangement, words: str) -> bool:
+    def confirm(arrangement: Arrangement, instruction: str) -> bool:
         try:
-            return yes or click.confirm(f"{words}. Done?", default=True, err=True)
+            return yes or click.confirm(f"{instruction}. Done?", default=True, err=True)
         except click.Abort:
             raise KeyboardInterrupt from None
 
@@ -208,7 +208,7 @@ def _real_scan(plan: Plan, folder: Path, yes: bool, options: dict[str, Any]) -> 
 
 
 @contextmanager
-def _emulated_description(description: Path, stand: EmulatedRig, folder: Path) -> Iterator[Path]:
+def _emulated_description(description: Path, emulated: EmulatedRig, folder: Path) -> Iterator[Path]:
     """The description of an emulated rig while it runs: the real one, with the emulated ports and camera folder."""
     import yaml
 
@@ -226,7 +226,7 @@ def _emulated_description(description: Path, stand: EmulatedRig, folder: Path) -
     camera = {key: value for key, value in content["camera"].items() if key not in ("address", "device")}
     content["camera"] = {**camera, "kind": "drop-folder", "folder": str(folder.resolve() / EMULATED_CAMERA)}
     for device in ("monochromator", "wheel"):
-        content[device]["port"] = getattr(stand.rig, device).port
+        content[device]["port"] = getattr(emulated.rig, device).port
     (folder / EMULATED_CAMERA).mkdir(parents=True, exist_ok=True)
     store.write_text(path, _EMULATED_HEADER + yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
     try:
@@ -236,28 +236,28 @@ def _emulated_description(description: Path, stand: EmulatedRig, folder: Path) -
 
 
 @contextmanager
-def _camera_serving(folder: Path, stand: EmulatedRig) -> Iterator[None]:
+def _camera_serving(folder: Path, emulated: EmulatedRig) -> Iterator[None]:
     """Serve frames for the requests in a folder, in a thread."""
     from brdfpipe.rig.acquisition.devices.drop_folder import serve_folder
 
     stop = threading.Event()
-    serve = partial(serve_folder, folder, stand.camera, stop=stop, report=click.echo)
+    serve = partial(serve_folder, folder, emulated.camera, stop=stop, report=click.echo)
     camera = threading.Thread(target=serve)
     camera.start()
     try:
         yield
     finally:
         stop.set()
-        stand.clock.release()  # an exposure under way ends now
+        emulated.clock.release()  # an exposure under way ends now
         camera.join()
 
 
-def _apply_typed_arrangements(stand: EmulatedRig) -> None:
+def _apply_typed_arrangements(emulated: EmulatedRig) -> None:
     """Apply the arrangements that the operator types, until Ctrl-C."""
     for words in filter(None, map(str.split, sys.stdin)):
         try:
             entrance, load, side = [*words, *_DEFAULT_ARRANGEMENT[len(words) :]][:3]
-            stand.set_entrance(_degrees(entrance), load=load, side=side)
+            emulated.set_entrance(_degrees(entrance), load=load, side=side)
             click.echo(f"{_degrees(entrance):g} degree, {load}, {side}")
         except BrdfpipeError as refusal:
             click.echo(str(refusal))

@@ -263,7 +263,7 @@ class RigKeys(Keys):
     )
     fibres: FibreTable = key("fibres of the hemisphere {file: fibres.csv}", required=True)
     screen: ScreenGeometry = key(
-        "the screen that the camera looks at: frosted disc, ends of the fibres, reference spot", required=True
+        "the screen in front of the camera: frosted disc, ends of the fibres, reference spot", required=True
     )
     target: AngularTarget = key(
         "an angular target that finds the disc's centre {spots: [[0, 0], [4, 0], [4, 90], …], radius: 0.3}, if there is one",
