@@ -40,18 +40,13 @@ class EmulatedRig:
     Parameters
     ----------
     rig : the description
-    truth : kind ``bsdf``, the sample
-    seed : of all random properties, 0 or more
+    truth : kind ``bsdf``, the sample. Raises VocabularyError for another kind
+    seed : of all random properties, 0 or more. Raises EmulationError for a negative seed or session
     session : of the properties that change from day to day: registration, drift of the lamp, error of the certificate; 0 or more
     effects : imperfections of the rig
     faults : of the serial lines; one plan for both
     etalon : as certified
     clock : default: starts at 0, when lamp and camera are switched on
-
-    Raises
-    ------
-    VocabularyError : the truth is not of kind ``bsdf``.
-    EmulationError : seed or session below 0.
     """
 
     def __init__(

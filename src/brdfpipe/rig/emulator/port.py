@@ -26,19 +26,17 @@ class PortError(BrdfpipeError):
 class Port:
     """An emulated device on a serial port, served by a thread until it is closed. Raises PortError: there is no pseudo-terminal.
 
+    A pseudo-terminal gets a new number each time the device is connected. The path is a link to it, like ``/dev/serial/by-id``, and is absent while
+    the device is disconnected. Both ends are raw: a cooked end would echo the device's replies back to it as commands. The far end stays open here
+    too, so that the line survives the programs that open and close it. Only the thread uses the terminal; requests of other threads wait in a queue,
+    and a byte on a pipe wakes the thread.
+
     Parameters
     ----------
     device : answers on the port
     faults : of the line; none by default
     other_device : answers after the fault ``wrong-device``; by default a device of the other dialect
     name : last part of :attr:`path`
-
-    Notes
-    -----
-    A pseudo-terminal gets a new number each time the device is connected. The path is a link to it, like ``/dev/serial/by-id``, and is absent while
-    the device is disconnected. Both ends are raw: a cooked end would echo the device's replies back to it as commands. The far end stays open here
-    too, so that the line survives the programs that open and close it. Only the thread uses the terminal; requests of other threads wait in a queue,
-    and a byte on a pipe wakes the thread.
     """
 
     def __init__(
