@@ -38,7 +38,7 @@ class Lobe:
 
     def slopes(self) -> np.ndarray:
         step = 1e-5 * np.eye(3)
-        return np.array([(Lobe(self.change + each).values - self.values) / 1e-5 for each in step])
+        return np.array([(Lobe(self.change + change).values - self.values) / 1e-5 for change in step])
 
 
 def measured(
@@ -71,16 +71,16 @@ def fitted(measurement: Measurement):
 
 
 def test_errors_of_changes_agree_with_their_stated_uncertainty() -> None:
-    """Truths drawn from the prior, errors from the stated uncertainties: (found − true)/u has an rms of 1, and no bias."""
+    """Truths drawn from the prior, errors from the stated uncertainties: (fit − true)/u has an rms of 1, and no bias."""
     random = np.random.default_rng(7)
     pulls, scatter = [], []
     for seed in range(300):
         truth = random.standard_normal(3)
         measurement = measured(Lobe(truth).values, seed)
-        found = fitted(measurement)
-        assert found.converged
-        pulls.append((found.change - truth) / np.sqrt(np.diag(found.spread)))
-        scatter.append(found.covariance.chi_squared(measurement.value - found.model.values) / (CELLS - 3))
+        fit = fitted(measurement)
+        assert fit.converged
+        pulls.append((fit.change - truth) / np.sqrt(np.diag(fit.spread)))
+        scatter.append(fit.covariance.chi_squared(measurement.value - fit.model.values) / (CELLS - 3))
     # Of 300 pulls an rms is known to 4 %, a mean to 6 %, and a mean χ² over the degrees of freedom to 0.6 %.
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(pulls), axis=0)), 1, atol=0.13)
     np.testing.assert_allclose(np.mean(pulls, axis=0), 0, atol=0.2)
@@ -108,18 +108,18 @@ def test_a_scale_error_leaves_the_height_uncertain_and_the_width_not() -> None:
 @pytest.mark.parametrize("change", [(10.0, 5.0, -8.0), (-10.0, -9.0, 12.0), (0.0, 15.0, 0.0)])
 def test_the_fit_converges_from_far_away(change) -> None:
     measurement = measured(Lobe(np.array(change)).values, 1, noise=0.005, scale=1e-6)
-    found = fitted(measurement)
-    assert found.converged
-    variance = np.diag(found.spread)
+    fit = fitted(measurement)
+    assert fit.converged
+    variance = np.diag(fit.spread)
     # The prior draws a change by its share of the knowledge.
-    assert (np.abs(found.change - change) < 4 * np.sqrt(variance) + variance * np.abs(change)).all()
+    assert (np.abs(fit.change - change) < 4 * np.sqrt(variance) + variance * np.abs(change)).all()
     assert (variance[:2] < 0.2).all()  # below the widest lobe the base is not seen
 
 
 def test_a_measurement_without_information_changes_nothing() -> None:
-    found = fitted(measured(Lobe(np.zeros(3)).values, None))
-    np.testing.assert_allclose(found.change, 0, atol=1e-9)
-    assert found.enlarged == 1
+    fit = fitted(measured(Lobe(np.zeros(3)).values, None))
+    np.testing.assert_allclose(fit.change, 0, atol=1e-9)
+    assert fit.enlarged == 1
 
 
 def test_uncertainties_grow_if_the_data_scatter_more_than_stated() -> None:

@@ -44,15 +44,15 @@ def measured(roughness: float, seed: int) -> xr.Dataset:
 
 
 def pulls(roughness: float, seed: int) -> np.ndarray:
-    """(found − true)/u of each input."""
+    """Error of each input over its uncertainty."""
     finish = facets.analytic("beckmann", roughness)
-    found = compare(measured(roughness, seed), predicted(roughness), facets=finish, index=1.5, spectrum=SPECTRUM)
-    assert found.attrs["converged"]
-    assert found["chi_squared_dof"][-1] < 1.2
+    comparison = compare(measured(roughness, seed), predicted(roughness), facets=finish, index=1.5, spectrum=SPECTRUM)
+    assert comparison.attrs["converged"]
+    assert comparison["chi_squared_dof"][-1] < 1.2
     # An uncertainty of the size of the prior would be no feat.
-    assert (found["posterior_u"] < [0.002, 0.001, 0.005]).all()
-    true = np.array([TRUE[str(name)] for name in found["input"].values])
-    return ((found["posterior"] - true) / found["posterior_u"]).values
+    assert (comparison["posterior_u"] < [0.002, 0.001, 0.005]).all()
+    true = np.array([TRUE[str(name)] for name in comparison["input"].values])
+    return ((comparison["posterior"] - true) / comparison["posterior_u"]).values
 
 
 def test_inputs_from_an_emulated_rig_are_true_within_their_uncertainty() -> None:

@@ -39,7 +39,7 @@ def compare(primary: xr.Dataset, predicted: xr.Dataset, **options) -> xr.Dataset
 
 
 def pulls(comparison: xr.Dataset, true: dict[str, float]) -> np.ndarray:
-    """(found − true)/u of each input."""
+    """Error of each input over its uncertainty."""
     expected = np.array([true[str(name)] for name in comparison["input"].values])
     return ((comparison["posterior"] - expected) / comparison["posterior_u"]).values
 
@@ -62,7 +62,7 @@ def comparison(timed) -> xr.Dataset:
     return timed[0]
 
 
-# --- what is found
+# --- the fit
 
 
 def test_a_deviation_is_recovered_within_its_uncertainty(comparison) -> None:
@@ -102,8 +102,12 @@ def test_the_adjusted_bsdf_is_a_complete_bsdf(comparison, predicted) -> None:
 
     theta_o, phi_o = outgoing(
         *(
-            float(each)
-            for each in (comparison["incidence"][incidence], comparison["theta_s"][cell], comparison["phi_s"][cell])
+            float(coordinate)
+            for coordinate in (
+                comparison["incidence"][incidence],
+                comparison["theta_s"][cell],
+                comparison["phi_s"][cell],
+            )
         )
     )
     value = adjusted.bsdf.evaluate(
@@ -112,21 +116,21 @@ def test_the_adjusted_bsdf_is_a_complete_bsdf(comparison, predicted) -> None:
     shown = comparison["brdf_model"].sel(model="adjusted")[incidence, :, cell]
     np.testing.assert_allclose(value.values.ravel(), shown, rtol=1e-6)
     verdicts = json.loads(adjusted.bsdf.check().attrs["verdicts"])
-    assert {each["verdict"] for each in verdicts.values()} == {"pass"}
+    assert {check["verdict"] for check in verdicts.values()} == {"pass"}
 
 
 def test_without_a_deviation_nothing_is_changed_beyond_its_uncertainty(predicted) -> None:
-    found = compare(comparison_primary.measured(predicted, 2), predicted)
-    assert np.abs(pulls(found, {"index": 0.0, "slope": 1.0, "diffuse": 1.0})).max() < 3
-    told = findings.sentences(found)[2:5]
-    assert [each.rpartition(": ")[2] for each in told] == ["unchanged within its uncertainty"] * 3
-    assert vocabulary.warnings(found) == []
+    result = compare(comparison_primary.measured(predicted, 2), predicted)
+    assert np.abs(pulls(result, {"index": 0.0, "slope": 1.0, "diffuse": 1.0})).max() < 3
+    statements = findings.sentences(result)[2:5]
+    assert [statement.rpartition(": ")[2] for statement in statements] == ["unchanged within its uncertainty"] * 3
+    assert vocabulary.warnings(result) == []
 
 
 def test_an_input_that_is_certain_is_not_changed(predicted, deviating) -> None:
     primary = comparison_primary.measured(deviating, 1, incidences=(30.0, 60.0))
-    found = compare(primary, predicted, index_u=0.0)
-    assert list(found["input"].values) == ["slope", "diffuse"]
+    result = compare(primary, predicted, index_u=0.0)
+    assert list(result["input"].values) == ["slope", "diffuse"]
     certain = compare(primary, predicted, index_u=0.0, slope_u=0.0, diffuse_u=0.0)
     assert list(certain["model"].values) == ["predicted"]
     assert "posterior" not in certain
@@ -137,34 +141,34 @@ def test_an_input_that_is_certain_is_not_changed(predicted, deviating) -> None:
 def test_without_a_base_there_is_none_to_change() -> None:
     bare = microfacet.build(finish(), index=1.5)
     truth = comparison_primary.deviating(finish(), 1.5)
-    found = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), bare, spectrum=None)
-    assert list(found["input"].values) == ["index", "slope"]
-    assert np.abs(pulls(found, TRUE)).max() < 3
+    result = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), bare, spectrum=None)
+    assert list(result["input"].values) == ["index", "slope"]
+    assert np.abs(pulls(result, TRUE)).max() < 3
 
 
 @pytest.mark.slow
 def test_the_slopes_of_a_metal_are_recovered() -> None:
     index = optics.refractive_index({"n": 1.1, "k": 6.0})
     truth = comparison_primary.deviating(finish(), index, shift=0.0)
-    found = compare(
+    result = compare(
         comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)),
         microfacet.build(finish(), index=index),
         index=index,
         spectrum=None,
     )
-    assert np.abs(pulls(found, {"index": 0.0, "slope": 1.1})).max() < 3
-    # The light of a metal hardly depends on n: nothing is told that was not assumed.
-    assert "the measurement does not constrain it" in findings.sentences(found)[2]
+    assert np.abs(pulls(result, {"index": 0.0, "slope": 1.1})).max() < 3
+    # The light of a metal hardly depends on n: the measurement adds nothing to the prior.
+    assert "the measurement does not constrain it" in findings.sentences(result)[2]
 
 
 def test_a_finish_twice_as_rough_is_recovered() -> None:
     truth = comparison_primary.deviating(finish(), 1.5, slope=2.0, shift=0.0)
     primary = comparison_primary.measured(truth, 1, incidences=(30.0, 60.0))
-    found = compare(primary, microfacet.build(finish(), index=1.5), spectrum=None, index_u=0.0)
-    assert found.attrs["converged"]
-    assert found["posterior"].values == pytest.approx([2.0], rel=0.001)
-    (told,) = vocabulary.warnings(found)
-    assert "only if the slope scale changes by 10.0 times its assumed standard uncertainty" in told
+    result = compare(primary, microfacet.build(finish(), index=1.5), spectrum=None, index_u=0.0)
+    assert result.attrs["converged"]
+    assert result["posterior"].values == pytest.approx([2.0], rel=0.001)
+    (warning,) = vocabulary.warnings(result)
+    assert "only if the slope scale changes by 10.0 times its assumed standard uncertainty" in warning
 
 
 def test_a_comparison_takes_seconds_and_few_wavelengths(timed) -> None:
@@ -176,12 +180,12 @@ def test_a_comparison_takes_seconds_and_few_wavelengths(timed) -> None:
 
 @pytest.mark.slow
 def test_uncertainties_of_the_inputs_hold_over_many_seeds(predicted, deviating) -> None:
-    found = [compare(comparison_primary.measured(deviating, seed), predicted) for seed in range(100, 124)]
-    off = np.array([pulls(each, TRUE) for each in found])
+    result = [compare(comparison_primary.measured(deviating, seed), predicted) for seed in range(100, 124)]
+    off = np.array([pulls(dataset, TRUE) for dataset in result])
     # Of 24 an rms is known to 14 %, a mean to 20 %.
     np.testing.assert_allclose(np.sqrt(np.mean(off**2, axis=0)), 1, atol=0.45)
     np.testing.assert_allclose(off.mean(axis=0), 0, atol=0.7)
-    scatter = [float(each["chi_squared_dof"][-1]) for each in found]
+    scatter = [float(dataset["chi_squared_dof"][-1]) for dataset in result]
     assert np.mean(scatter) == pytest.approx(1, abs=0.005)
 
 
@@ -195,10 +199,10 @@ def test_slopes_of_a_scan_are_recovered_within_the_uncertainty_of_the_scan() -> 
     for seed in range(8):
         scanned = facets.estimate(samples.gaussian_surface(512, sigma=sigma, correlation=8, seed=seed), isotropic=True)
         predicted = microfacet.build(scanned, index=1.5, spectrum=SPECTRUM)
-        found = compare(comparison_primary.measured(truth, seed), predicted, facets=scanned)
-        assert found.attrs["converged"]
+        result = compare(comparison_primary.measured(truth, seed), predicted, facets=scanned)
+        assert result.attrs["converged"]
         true = {"index": 0.03, "slope": 1.05 * sigma * np.sqrt(2) / float(scanned["slope_rms"]), "diffuse": 1.0}
-        off.append(pulls(found, true))
+        off.append(pulls(result, true))
     # A scan is off by more than a scale, so that the factor that describes it best is one of several.
     assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 2
 
@@ -213,7 +217,7 @@ def displaced(bsdf: xr.Dataset, by: float) -> xr.Dataset:
         seen = comparison_primary.truth(bsdf, beside[0], np.hypot(across, down), np.degrees(np.arctan2(down, across)))
         beside.append(primary.assign(brdf=primary["brdf"].copy(data=np.where(primary["brdf"].notnull(), seen, np.nan))))
     disc = primary["solid_angle"].notnull()
-    moved = [abs(each["brdf"] - primary["brdf"]).where(disc, 0.0) for each in beside[1:]]
+    moved = [abs(shifted["brdf"] - primary["brdf"]).where(disc, 0.0) for shifted in beside[1:]]
     geometry = np.hypot(*moved).transpose(*primary["brdf"].dims).assign_attrs(correlation="independent")
     value = beside[1]["brdf"].where(disc, primary["brdf"]).transpose(*primary["brdf"].dims)
     return vocabulary.label(
@@ -223,12 +227,12 @@ def displaced(bsdf: xr.Dataset, by: float) -> xr.Dataset:
 
 def test_a_displaced_disc_is_not_mistaken_for_another_finish() -> None:
     narrow = microfacet.build(facets.analytic("beckmann", 0.03), index=1.5)
-    found = compare(displaced(narrow, 0.1), narrow, facets=facets.analytic("beckmann", 0.03), spectrum=None)
-    assert np.abs(pulls(found, {"index": 0.0, "slope": 1.0})).max() < 2
-    assert float(found["posterior_u"].sel(input="slope")) < 0.02
+    result = compare(displaced(narrow, 0.1), narrow, facets=facets.analytic("beckmann", 0.03), spectrum=None)
+    assert np.abs(pulls(result, {"index": 0.0, "slope": 1.0})).max() < 2
+    assert float(result["posterior_u"].sel(input="slope")) < 0.02
 
 
-# --- what is told
+# --- findings and warnings
 
 
 def test_findings_state_the_changed_inputs_and_their_changes(comparison) -> None:
@@ -259,11 +263,11 @@ def test_a_value_has_the_decimals_of_its_uncertainty(value, u, words) -> None:
 def test_a_model_of_the_wrong_form_gives_a_warning() -> None:
     truth = microfacet.build(facets.analytic("ggx", 0.1), index=1.5)
     wrong = microfacet.build(finish(), index=1.5)
-    found = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), wrong, spectrum=None, index_u=0.0)
-    (told, *_) = vocabulary.warnings(found)
-    assert told.startswith("no change of the prediction's inputs makes it agree with the measurement")
-    assert "they do not explain the difference" in findings.sentences(found)[1]
-    assert found.attrs["enlarged"] > 2
+    result = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), wrong, spectrum=None, index_u=0.0)
+    (warning, *_) = vocabulary.warnings(result)
+    assert warning.startswith("no change of the prediction's inputs makes it agree with the measurement")
+    assert "they do not explain the difference" in findings.sentences(result)[1]
+    assert result.attrs["enlarged"] > 2
 
 
 LAY = facets.analytic("beckmann", a_x=0.1, a_y=0.25, azimuth=30)
@@ -272,35 +276,35 @@ LAY = facets.analytic("beckmann", a_x=0.1, a_y=0.25, azimuth=30)
 def test_a_surface_with_a_lay_is_compared_with_a_warning() -> None:
     predicted = microfacet.build(LAY, index=1.5)
     certain = {"index_u": 0.0, "slope_u": 0.0, "spectrum": None}
-    found = compare(comparison_primary.measured(predicted, 1, incidences=(30.0,)), predicted, facets=LAY, **certain)
-    assert float(found["chi_squared_dof"][0]) == pytest.approx(1, abs=0.1)
-    (told,) = vocabulary.warnings(found)
-    assert "has a lay, along 30°, and the rig saw it in one plane of incidence" in told
+    result = compare(comparison_primary.measured(predicted, 1, incidences=(30.0,)), predicted, facets=LAY, **certain)
+    assert float(result["chi_squared_dof"][0]) == pytest.approx(1, abs=0.1)
+    (warning,) = vocabulary.warnings(result)
+    assert "has a lay, along 30°, and the rig saw it in one plane of incidence" in warning
 
 
 @pytest.mark.slow
 def test_a_deviation_of_a_surface_with_a_lay_is_recovered() -> None:
     predicted = microfacet.build(LAY, index=1.5, spectrum=SPECTRUM)
     truth = comparison_primary.deviating(LAY, 1.5, SPECTRUM)
-    found = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), predicted, facets=LAY)
-    assert np.abs(pulls(found, TRUE)).max() < 3
+    result = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), predicted, facets=LAY)
+    assert np.abs(pulls(result, TRUE)).max() < 3
 
 
 def test_a_prediction_averaged_over_its_lay_is_compared_unchanged() -> None:
     predicted = microfacet.build(LAY, index=1.5, isotropic=True)
     primary = comparison_primary.measured(predicted, 1, incidences=(30.0, 60.0))
-    found = compare(primary, predicted, facets=LAY, spectrum=None, index_u=0.0)
-    assert np.abs(pulls(found, {"slope": 1.0})).max() < 3
-    assert vocabulary.warnings(found) == []
+    result = compare(primary, predicted, facets=LAY, spectrum=None, index_u=0.0)
+    assert np.abs(pulls(result, {"slope": 1.0})).max() < 3
+    assert vocabulary.warnings(result) == []
 
 
 def test_a_clear_sheet_is_compared_and_not_fitted() -> None:
     sheet = slab.build(finish(), finish(), index=1.5, internal_transmittance=0.9)
-    found = compare(comparison_primary.measured(sheet, 1, incidences=(30.0,)), sheet, spectrum=None)
-    assert list(found["model"].values) == ["predicted"]
-    assert float(found["chi_squared_dof"][0]) == pytest.approx(1, abs=0.3)
-    (told,) = vocabulary.warnings(found)
-    assert "(slab) was compared and not fitted" in told
+    result = compare(comparison_primary.measured(sheet, 1, incidences=(30.0,)), sheet, spectrum=None)
+    assert list(result["model"].values) == ["predicted"]
+    assert float(result["chi_squared_dof"][0]) == pytest.approx(1, abs=0.3)
+    (warning,) = vocabulary.warnings(result)
+    assert "(slab) was compared and not fitted" in warning
 
 
 # --- what is refused

@@ -60,23 +60,23 @@ def test_errors_of_the_model_join_those_of_the_measurement(primary) -> None:
     model, own_u = measurement.value, 0.02 * measurement.value
     common = np.random.default_rng(2).standard_normal((2, *model.shape))
     matrix = dense(measurement, primary, model) + np.diag(own_u[measurement.used] ** 2)
-    matrix += sum(np.outer(each[measurement.used], each[measurement.used]) for each in common)
+    matrix += sum(np.outer(error[measurement.used], error[measurement.used]) for error in common)
     residual = np.random.default_rng(3).standard_normal(model.shape)
     expected = residual[measurement.used] @ np.linalg.solve(matrix, residual[measurement.used])
-    found = measurement.covariance(model, own_u, common).chi_squared(residual)
-    assert found == pytest.approx(expected, rel=1e-9)
+    chi_squared = measurement.covariance(model, own_u, common).chi_squared(residual)
+    assert chi_squared == pytest.approx(expected, rel=1e-9)
 
 
 def test_chi_squared_of_errors_of_the_stated_size_is_the_number_of_values() -> None:
     truth = beckmann_bsdf(0.1)
     right = of(comparison_primary.measured(truth, None)).value
-    found = []
+    ratios = []
     for seed in range(8):
         measurement = of(comparison_primary.measured(truth, seed))
         covariance = measurement.covariance(right, nothing(measurement), np.zeros((0, *right.shape)))
-        found.append(covariance.chi_squared(measurement.value - right) / measurement.used.sum())
-    count = len(found) * measurement.used.sum()
-    assert np.mean(found) == pytest.approx(1, abs=4 * np.sqrt(2 / count))
+        ratios.append(covariance.chi_squared(measurement.value - right) / measurement.used.sum())
+    count = len(ratios) * measurement.used.sum()
+    assert np.mean(ratios) == pytest.approx(1, abs=4 * np.sqrt(2 / count))
 
 
 def test_a_common_error_is_not_averaged_over_the_cells() -> None:
@@ -124,8 +124,8 @@ def test_cells_of_different_frames_have_the_variance_of_the_better_known_one_in_
     measurement = of(vocabulary.label(primary, "primary"))
     residual = np.array([0.01, -0.02, 0.1, 0.05])
     matrix = own**2 * np.eye(4) + np.minimum.outer(chained, chained) ** 2 * np.outer(value, value)
-    found = measurement.covariance(measurement.value, nothing(measurement), np.zeros((0, 1, 1, 4)))
-    assert found.chi_squared(residual[None, None]) == pytest.approx(
+    covariance = measurement.covariance(measurement.value, nothing(measurement), np.zeros((0, 1, 1, 4)))
+    assert covariance.chi_squared(residual[None, None]) == pytest.approx(
         residual @ np.linalg.solve(matrix, residual), rel=1e-9
     )
 
@@ -157,7 +157,7 @@ def test_a_value_below_the_noise_is_used(primary) -> None:
 def test_a_component_has_its_stated_correlation(primary) -> None:
     stated = primary["brdf_u_calibration"].assign_attrs(correlation="common")
     before, after = (
-        of(each).correlated(among_cells=True) for each in (primary, primary.assign(brdf_u_calibration=stated))
+        of(dataset).correlated(among_cells=True) for dataset in (primary, primary.assign(brdf_u_calibration=stated))
     )
     u = np.where(of(primary).used, primary["brdf_u_calibration"].values, 0.0)
     np.testing.assert_allclose(after, np.hypot(before, u))

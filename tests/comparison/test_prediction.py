@@ -32,9 +32,9 @@ def seen_by(bsdf: xr.Dataset, every: int = 5) -> Measurement:
 
 @pytest.mark.parametrize("choices", CHOICES)
 def test_without_a_change_the_prediction_is_built_again(choices) -> None:
-    finish, told = facets.analytic("beckmann", 0.2), spectrum()
-    predicted = microfacet.build(finish, index="PMMA", spectrum=told, **choices)
-    again = Given.to(predicted, finish, "PMMA", told).bsdf(NOMINAL)
+    finish, reflectance = facets.analytic("beckmann", 0.2), spectrum()
+    predicted = microfacet.build(finish, index="PMMA", spectrum=reflectance, **choices)
+    again = Given.to(predicted, finish, "PMMA", reflectance).bsdf(NOMINAL)
     for name in predicted.variables:
         # The facets are scaled by 1, of which their angles take the rounding.
         np.testing.assert_allclose(again[name], predicted[name], rtol=1e-9, atol=1e-300)
@@ -43,12 +43,15 @@ def test_without_a_change_the_prediction_is_built_again(choices) -> None:
 @pytest.mark.parametrize("geometry", ["sci", "sce"])
 @pytest.mark.parametrize("choices", CHOICES[:2])
 def test_a_darker_base_is_that_of_a_darker_spectrum(choices, geometry) -> None:
-    finish, told = facets.analytic("beckmann", 0.2), spectrum(geometry=geometry)
-    predicted = microfacet.build(finish, index=1.5, spectrum=told, **choices)
-    darker = Given.to(predicted, finish, 1.5, told).bsdf({**NOMINAL, "diffuse": 0.8})
+    finish, reflectance = facets.analytic("beckmann", 0.2), spectrum(geometry=geometry)
+    predicted = microfacet.build(finish, index=1.5, spectrum=reflectance, **choices)
+    darker = Given.to(predicted, finish, 1.5, reflectance).bsdf({**NOMINAL, "diffuse": 0.8})
     lost = darker["total_reflectance"] - predicted["total_reflectance"]
     expected = microfacet.build(
-        finish, index=1.5, spectrum=told.assign(total_reflectance=told["total_reflectance"] + lost.values), **choices
+        finish,
+        index=1.5,
+        spectrum=reflectance.assign(total_reflectance=reflectance["total_reflectance"] + lost.values),
+        **choices,
     )
     np.testing.assert_allclose(darker["diffuse"], 0.8 * predicted["diffuse"], rtol=1e-12)
     np.testing.assert_allclose(darker["diffuse"], expected["diffuse"], rtol=1e-6)
@@ -67,7 +70,7 @@ def test_a_steeper_finish_and_a_higher_index_are_those_of_a_build() -> None:
 
 def test_the_index_of_a_clear_body_stays_above_that_of_air_and_a_metals_may_fall_below() -> None:
     given = {index: Given(facets.flat(), optics.refractive_index({"n": 1.1, "k": index}), None, {}) for index in (0, 5)}
-    assert [float(each.shifted(xr.DataArray(1.1), -0.3)) for each in given.values()] == pytest.approx([1.001, 0.8])
+    assert [float(inputs.shifted(xr.DataArray(1.1), -0.3)) for inputs in given.values()] == pytest.approx([1.001, 0.8])
 
 
 @pytest.mark.parametrize("choices", CHOICES)
@@ -92,7 +95,7 @@ def test_the_unresolved_part_of_a_cell_is_of_fourth_order_in_its_side() -> None:
     predicted = microfacet.build(facets.analytic("beckmann", 0.03), index=1.5)
     primary = comparison_primary.measured(predicted, None, incidences=(10.0,), wavelengths=(500.0,))
     halved = primary.assign_coords(solid_angle=primary["solid_angle"] / 4)
-    wide, narrow = (Predicted(predicted, Measurement.of(each, np.array([0]))).own_u for each in (primary, halved))
+    wide, narrow = (Predicted(predicted, Measurement.of(dataset, np.array([0]))).own_u for dataset in (primary, halved))
     middle = primary["theta_s"].values < 3
     assert np.median(wide[0, 0, middle] / narrow[0, 0, middle]) == pytest.approx(16, rel=0.1)
     assert not wide[0, 0, ~(primary["solid_angle"].values > 0)].any()
@@ -124,12 +127,12 @@ def test_wider_angles_on_the_disc_are_a_common_change() -> None:
     predicted = microfacet.build(facets.analytic("beckmann", a), index=1.5, masking="none")
     primary = comparison_primary.measured(predicted, None, incidences=(0.0,), wavelengths=(500.0,))
     measurement = Measurement.of(primary.assign_attrs(disc_scale_u=u), np.array([0]))
-    found = Predicted(predicted, measurement)
+    prediction = Predicted(predicted, measurement)
     inside, theta = measurement.of_disc & (measurement.theta_s < 5), np.radians(measurement.theta_s)
-    change = found.common[2][0, 0]
+    change = prediction.common[2][0, 0]
     assert not change[~measurement.of_disc].any()
     width = 2 * a / np.sqrt(2)
-    relative = change[inside] / found.values[0, 0, inside]
+    relative = change[inside] / prediction.values[0, 0, inside]
     np.testing.assert_allclose(relative, -u * theta[inside] ** 2 / width**2, atol=0.03 * u, rtol=0.05)
 
 
@@ -155,8 +158,8 @@ def test_at_its_values_the_density_has_the_stated_uncertainty(scanned, with_lay)
     picked = scanned.isel(alpha=slice(0, 40, 3))
     slope = np.tan(np.radians(picked["alpha"].values))
     for turn in (0.0, 0.7, 2.0):
-        found = scan.relative_u(scanned, slope * np.cos(turn), slope * np.sin(turn))
-        np.testing.assert_allclose(found, picked["D_u"] / picked["D"], rtol=1e-9)
+        u = scan.relative_u(scanned, slope * np.cos(turn), slope * np.sin(turn))
+        np.testing.assert_allclose(u, picked["D_u"] / picked["D"], rtol=1e-9)
     corner = with_lay.isel(slope_along=slice(100, 140, 7), slope_across=slice(90, 130, 7))
     lay = np.radians(float(with_lay["lay"]))
     along, across = np.meshgrid(corner["slope_along"], corner["slope_across"])
@@ -168,8 +171,8 @@ def test_at_its_values_the_density_has_the_stated_uncertainty(scanned, with_lay)
 @pytest.mark.parametrize("kind", ["scanned", "with_lay"])
 def test_beyond_its_table_a_density_is_no_more_certain_than_at_its_end(kind, request) -> None:
     finish = request.getfixturevalue(kind)
-    found = scan.relative_u(finish, np.array([50.0, -50.0, 0.0]), np.array([0.0, 0.0, 50.0]))
-    assert ((found > 0.2) & (found <= 1)).all()
+    u = scan.relative_u(finish, np.array([50.0, -50.0, 0.0]), np.array([0.0, 0.0, 50.0]))
+    assert ((u > 0.2) & (u <= 1)).all()
 
 
 def test_errors_of_single_values_and_between_them_add_up_to_the_stated_uncertainty(scanned) -> None:

@@ -16,8 +16,8 @@ from brdfpipe.bsdf.measured import completion, smoothing
 from brdfpipe.rig.plan import Plan
 
 APART = (0.6, 1.3)
-"""Of the z-rms without the certificate. The page requires 0.8: of few pictures how well light repeats is hardly told, and what is taken for it
-is no error of the emulator's."""
+"""Limits of the z-rms without the certificate. The page requires 0.8: with few pictures the repeatability is uncertain, and its assumed value
+exceeds the emulator's error."""
 
 
 def plan(*incidences: float) -> Plan:
@@ -32,25 +32,25 @@ def plan(*incidences: float) -> Plan:
 )
 def test_a_measurement_of_a_known_sample_is_as_accurate_as_stated(truth):
     """One rig, one wavelength, two incidences, every effect on; the page has the limits over all rigs."""
-    found = accuracy.measured(plan(10.0, 45.0), accuracy.TRUTHS[truth](), seed=3, session=1)
-    assert np.median(np.abs(found.on(disc=False))) < 0.015
-    assert np.median(np.abs(found.on(disc=True))) < 0.015
+    values = accuracy.measured(plan(10.0, 45.0), accuracy.TRUTHS[truth](), seed=3, session=1)
+    assert np.median(np.abs(values.on(disc=False))) < 0.015
+    assert np.median(np.abs(values.on(disc=True))) < 0.015
     # Cells are no finer than the flanks of the narrow lobe.
-    assert np.percentile(np.abs(found.on(disc=True)), 95) < (0.05 if truth.startswith("narrow") else 0.03)
-    assert np.sqrt(np.mean(found.z**2)) < 2.5
-    assert APART[0] < np.sqrt(np.mean(found.apart**2)) < APART[1]
+    assert np.percentile(np.abs(values.on(disc=True)), 95) < (0.05 if truth.startswith("narrow") else 0.03)
+    assert np.sqrt(np.mean(values.z**2)) < 2.5
+    assert APART[0] < np.sqrt(np.mean(values.apart**2)) < APART[1]
     # All fibres that are alive and above the horizon, and the whole disc.
-    assert found.of_disc.sum() > 2 * 370
-    assert (~found.of_disc).sum() > 2 * 45
+    assert values.of_disc.sum() > 2 * 370
+    assert (~values.of_disc).sum() > 2 * 45
 
 
 def test_transmission_is_as_accurate_as_stated():
     truth = accuracy.SAMPLES[accuracy.THROUGH]()
     _, behind = accuracy.primaries(replace(plan(30.0), side=("reflection", "transmission")), truth, seed=3, session=1)
     assert behind.attrs["side"] == "transmission"
-    found = accuracy.compared(behind, truth)
-    assert np.median(np.abs(found.on(disc=True))) < 0.015
-    assert APART[0] < np.sqrt(np.mean(found.apart**2)) < APART[1]
+    values = accuracy.compared(behind, truth)
+    assert np.median(np.abs(values.on(disc=True))) < 0.015
+    assert APART[0] < np.sqrt(np.mean(values.apart**2)) < APART[1]
 
 
 def test_etalon_and_sample_are_of_two_days():
@@ -58,7 +58,9 @@ def test_etalon_and_sample_are_of_two_days():
     etalon, sample = accuracy.two_days(plan(10.0), accuracy.TRUTHS["milk glass"](), seed=3, session=1)
     assert "sample" not in etalon["purpose"].values
     assert "etalon" not in sample["purpose"].values
-    longest = [each["counts"][each["purpose"].values == "target"][-1].values.astype(float) for each in (etalon, sample)]
+    longest = [
+        frames["counts"][frames["purpose"].values == "target"][-1].values.astype(float) for frames in (etalon, sample)
+    ]
     # Of one day they would be the same, count by count.
     assert np.abs(longest[0] - longest[1]).max() > 1000
 
@@ -86,25 +88,25 @@ def test_directions_of_the_regions_are_where_their_names_say():
 
 def test_a_completed_bsdf_is_compared_region_by_region():
     _, bsdf, truth = plastic()
-    found = accuracy.departures(bsdf, truth)
-    assert list(found) == list(accuracy.REGIONS)
-    assert all(np.isfinite(each.error).all() and np.isfinite(each.z).all() for each in found.values())
-    assert np.median(np.abs(found["measured incidences, within 10°"].error)) < 0.03
+    regions = accuracy.departures(bsdf, truth)
+    assert list(regions) == list(accuracy.REGIONS)
+    assert all(np.isfinite(departure.error).all() and np.isfinite(departure.z).all() for departure in regions.values())
+    assert np.median(np.abs(regions["measured incidences, within 10°"].error)) < 0.03
     # A BSDF against itself is off by nothing.
-    assert not any(each.error.any() or each.z.any() for each in accuracy.departures(bsdf, bsdf).values())
+    assert not any(departure.error.any() or departure.z.any() for departure in accuracy.departures(bsdf, bsdf).values())
 
 
 def test_gloss_of_a_completed_bsdf_is_that_of_the_truth_where_it_was_measured():
     _, bsdf, truth = plastic()
-    true, found, u, flags = accuracy.glosses(bsdf, truth)
-    assert found[1] == pytest.approx(true[1], abs=4 * u[1])
-    assert u[2] / found[2] > 10 * u[1] / found[1]
+    true, measured, u, flags = accuracy.glosses(bsdf, truth)
+    assert measured[1] == pytest.approx(true[1], abs=4 * u[1])
+    assert u[2] / measured[2] > 10 * u[1] / measured[1]
     assert list(flags) == [1, 0, 3]
 
 
 def test_errors_in_the_description_of_a_surface_are_recovered():
-    found, u = accuracy.recovered(plastic()[0])
-    assert found == pytest.approx(list(accuracy.DOUBTED.values()), abs=0.01)
+    inputs, u = accuracy.recovered(plastic()[0])
+    assert inputs == pytest.approx(list(accuracy.DOUBTED.values()), abs=0.01)
     assert (u < 0.01).all()
 
 
@@ -137,7 +139,7 @@ def test_the_truths_are_reciprocal():
 
 def outcomes(error: float, z: float) -> list[Outcome]:
     """Invented outcomes with errors of one size everywhere."""
-    found = []
+    results = []
     for job in accuracy.jobs():
         signs = np.resize([1.0, -1.0], 600)
         truth = np.geomspace(0.0091, 2500, 600)
@@ -152,8 +154,8 @@ def outcomes(error: float, z: float) -> list[Outcome]:
             )
         if job.truth == accuracy.FACETS:
             made = made._replace(recovered=np.array([[0.02, 1.1, 1.004], [0.001, 0.001, 0.002]]))
-        found.append(made)
-    return found
+        results.append(made)
+    return results
 
 
 def test_every_figure_of_the_acceptance_is_judged():

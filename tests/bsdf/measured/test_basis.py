@@ -26,8 +26,8 @@ def rows(functions, theta, phi):
 
 
 def test_the_polynomials_of_the_preprint_have_the_values_of_the_physics_sheet():
-    found = [float(basis.polynomial(n, np.array(0.3))) for n in range(5)]
-    assert found == pytest.approx([0.8281, 0.8679786995, 0.50307075, 0.2440550644, 0.10732176], abs=5e-11)
+    values = [float(basis.polynomial(n, np.array(0.3))) for n in range(5)]
+    assert values == pytest.approx([0.8281, 0.8679786995, 0.50307075, 0.2440550644, 0.10732176], abs=5e-11)
 
 
 @pytest.mark.parametrize("n", range(1, 9))
@@ -54,8 +54,8 @@ def test_the_printed_basis_is_ambiguous_at_the_mirror_direction():
 
 
 def test_only_the_constant_does_not_vanish_at_the_end_of_the_domain():
-    found = rows(Keldysh(135.0, 3), 135.0, 20.0)[0]
-    assert np.count_nonzero(found) == 1
+    values = rows(Keldysh(135.0, 3), 135.0, 20.0)[0]
+    assert np.count_nonzero(values) == 1
     assert not rows(Keldysh(printed=True), 90.0, 20.0).any()
 
 
@@ -93,8 +93,8 @@ def test_the_roughness_of_the_preprint_is_the_squared_gradient_on_the_cells(name
     inside = np.maximum(theta, 1e-3)
     across = (value(inside, phi + step) - value(inside, phi - step)) / np.radians(2 * step) / np.sin(np.radians(inside))
     expected = (basis.solid_angles(theta, phi) * (slope**2 + across**2)).sum()
-    found = ((BASES[name].roughness(theta, phi) @ c) ** 2).sum()
-    assert found == pytest.approx(expected, rel=1e-4)
+    energy = ((BASES[name].roughness(theta, phi) @ c) ** 2).sum()
+    assert energy == pytest.approx(expected, rel=1e-4)
 
 
 def test_the_roughness_of_a_spline_is_the_energy_of_a_thin_plate():
@@ -117,8 +117,8 @@ def test_the_roughness_of_a_spline_is_the_energy_of_a_thin_plate():
     lying = 5.0 / np.tanh(t) ** 2  # weight of bends along φ, per length along it
     energy = (along**2 + 2 * lying * mixed**2 + lying**2 * around**2).mean(axis=1)
     expected = (energy * weight).sum() * (high - low) / 2
-    found = functions.roughness(np.empty(0), np.empty(0)) @ c
-    assert (found[_rows_of_interval(functions, 16)] ** 2).sum() == pytest.approx(expected, rel=1e-4)
+    roughness = functions.roughness(np.empty(0), np.empty(0)) @ c
+    assert (roughness[_rows_of_interval(functions, 16)] ** 2).sum() == pytest.approx(expected, rel=1e-4)
 
 
 def _rows_of_interval(functions, interval):
@@ -139,9 +139,9 @@ def test_only_a_constant_has_no_roughness():
 @settings(max_examples=50, deadline=None)
 def test_solid_angles_are_positive_and_no_more_than_a_sphere(directions):
     theta, phi = np.array(directions).T
-    found = basis.solid_angles(theta, phi)
-    assert (found > 0).all()
-    assert found.sum() <= 4 * np.pi * (1 + 1e-9)
+    solid_angle = basis.solid_angles(theta, phi)
+    assert (solid_angle > 0).all()
+    assert solid_angle.sum() <= 4 * np.pi * (1 + 1e-9)
 
 
 def test_cells_of_equal_direction_share_one_solid_angle():
@@ -156,6 +156,6 @@ def test_the_solid_angles_of_the_cells_of_a_disc_add_up_to_its_cone():
         count = round(2 * np.pi * ring)
         theta += [ring] * count
         phi += list(np.arange(count) * 360 / count)
-    found = basis.solid_angles(np.array(theta), np.array(phi))
+    solid_angle = basis.solid_angles(np.array(theta), np.array(phi))
     inner = np.array(theta) < 15.5
-    assert found[inner].sum() == pytest.approx(2 * np.pi * (1 - np.cos(np.radians(15.5))), rel=0.01)
+    assert solid_angle[inner].sum() == pytest.approx(2 * np.pi * (1 - np.cos(np.radians(15.5))), rel=0.01)

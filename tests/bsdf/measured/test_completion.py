@@ -57,12 +57,12 @@ def test_normal_incidence_is_the_even_quadratic_of_the_first_two():
     primary = rig_primary.measured(lean, INCIDENCES, WAVELENGTHS, noise=0)
     smoothed = smoothing.smooth(primary, about="mirror")
     bsdf = completion.complete(smoothed, reciprocity=False)
-    found = bsdf.bsdf.evaluate(0.0, 0.0, [0.0, 20.0, 50.0], [0.0, 70.0, 200.0]).values
+    value = bsdf.bsdf.evaluate(0.0, 0.0, [0.0, 20.0, 50.0], [0.0, 70.0, 200.0]).values
     # Even in σ, so that the quadratic through ±10 and ±20 is exact.
-    assert found == pytest.approx(0.3, rel=2e-3)
+    assert value == pytest.approx(0.3, rel=2e-3)
     f10, f20 = (smoothing.evaluate(smoothed, 20.0, np.arange(0.0, 360, 5)).values[k, 0] for k in (0, 1))
     mean = [np.exp(np.log(f).mean()) for f in (f10, f20)]
-    assert found[1, 0] == pytest.approx(mean[0] ** (4 / 3) * mean[1] ** (-1 / 3), rel=1e-3)
+    assert value[1, 0] == pytest.approx(mean[0] ** (4 / 3) * mean[1] ** (-1 / 3), rel=1e-3)
     printed = completion.complete(smoothed, reciprocity=False, normal="linear")
     assert printed.bsdf.evaluate(0.0, 0.0, 20.0, 70.0, 500.0).values[0] == pytest.approx(
         mean[0] ** 2 / mean[1], rel=1e-3
@@ -82,7 +82,7 @@ def test_a_linear_fit_is_extrapolated_linearly():
 def test_at_measured_incidences_the_bsdf_is_the_fit(smoothed_paint):
     bsdf = completion.complete(smoothed_paint, reciprocity=False)
     theta, phi = np.array([0.0, 3.0, 12.0, 40.0]), np.array([0.0, 100.0, 250.0, 30.0])
-    expected, u = (each(smoothed_paint, theta, phi) for each in (smoothing.evaluate, smoothing.uncertainty))
+    expected, u = (quantity(smoothed_paint, theta, phi) for quantity in (smoothing.evaluate, smoothing.uncertainty))
     for k, incidence in enumerate(INCIDENCES):
         theta_o, phi_o = rig_primary.outgoing(incidence, theta, phi)
         seen = theta_o < 84
@@ -140,20 +140,20 @@ def test_the_stated_uncertainty_covers_directions_beyond_the_last_incidence_on_b
         smoothing.smooth(rig_primary.measured(rig_primary.of_model(truth), INCIDENCES, (500.0,), noise=0.01))
     )
     at = directions(*beyond_both)
-    found, u = bsdf.bsdf.evaluate(*at, 500.0).values[:, 0], bsdf.bsdf.uncertainty(*at, 500.0).values[:, 0]
-    assert np.sqrt(np.mean(((found - truth.bsdf.evaluate(*at).values) / u) ** 2)) < 1.3
+    value, u = bsdf.bsdf.evaluate(*at, 500.0).values[:, 0], bsdf.bsdf.uncertainty(*at, 500.0).values[:, 0]
+    assert np.sqrt(np.mean(((value - truth.bsdf.evaluate(*at).values) / u) ** 2)) < 1.3
 
 
 def test_both_directions_of_light_agree_within_their_uncertainties_before_averaging_and_exactly_after(smoothed_paint):
     bsdf = completion.complete(smoothed_paint)
-    found = reciprocity(bsdf)
-    assert found.sizes["pair"] == 10
-    z = (found["there"] - found["back"]) / np.hypot(found["there_u"], found["back_u"])
+    pairs = reciprocity(bsdf)
+    assert pairs.sizes["pair"] == 10
+    z = (pairs["there"] - pairs["back"]) / np.hypot(pairs["there_u"], pairs["back_u"])
     assert 0.3 < float(np.sqrt((z**2).mean())) < 2
-    # Averaged, the value lies between the two, and is better known than either alone.
-    inside = (found["both"] - found["there"]) * (found["both"] - found["back"])
-    assert (inside <= 1e-12 * found["both"] ** 2).all()
-    assert float((found["both_u"] / np.minimum(found["there_u"], found["back_u"])).median()) < 1
+    # The average is between the two, and less uncertain than either alone.
+    inside = (pairs["both"] - pairs["there"]) * (pairs["both"] - pairs["back"])
+    assert (inside <= 1e-12 * pairs["both"] ** 2).all()
+    assert float((pairs["both_u"] / np.minimum(pairs["there_u"], pairs["back_u"])).median()) < 1
     at = directions(1, 85, 1, 85)
     there, back = bsdf.bsdf.evaluate(*at), bsdf.bsdf.evaluate(at[2], at[3], at[0], at[1])
     assert there.values == pytest.approx(back.values, rel=1e-10)
@@ -163,18 +163,18 @@ def beyond(smoothed, incidences):
     """About the mirror direction at incidences, (incidence, direction)."""
     bsdf = completion.complete(smoothed, reciprocity=False)
     theta, phi = np.array([0.0, 1.0, 4.0]), np.array([0.0, 90.0, 0.0])
-    found = []
+    values = []
     for incidence in incidences:
         theta_o, phi_o = outgoing(smoothed.attrs["about"], np.full(3, incidence), theta, phi)
-        found.append(bsdf.bsdf.evaluate(incidence, 0.0, theta_o, phi_o).values[:, 0])
-    return bsdf, np.array(found)
+        values.append(bsdf.bsdf.evaluate(incidence, 0.0, theta_o, phi_o).values[:, 0])
+    return bsdf, np.array(values)
 
 
 def test_beyond_the_last_incidence_a_linear_fit_is_constant_about_the_mirror_direction(paint):
     primary = rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01)
     bsdf, (last, *others) = beyond(smoothing.smooth(primary, "keldysh"), (60.0, 70.0, 80.0))
-    for each in others:
-        assert each == pytest.approx(last, rel=1e-6)
+    for value in others:
+        assert value == pytest.approx(last, rel=1e-6)
     assert "beyond 60 degree completed: constant about the mirror direction" in bsdf.attrs["history"]
 
 
@@ -182,11 +182,11 @@ def test_beyond_the_last_incidence_the_logarithm_continues_its_trend(smoothed_pa
     abscissa = interpolation_abscissa(np.array([45.0, 60.0]))
     steps = np.array([1.0, 3.0, 4.0, 6.0])
     beyond_ = np.degrees(np.arccos(np.exp(-(abscissa[1] + steps * (abscissa[1] - abscissa[0])))))
-    bsdf, found = beyond(smoothed_paint, (45.0, 60.0, *beyond_))
-    before, last, *after = np.log(found[:, 0])
+    bsdf, values = beyond(smoothed_paint, (45.0, 60.0, *beyond_))
+    before, last, *after = np.log(values[:, 0])
     # But for what bends it towards grazing, which goes with the outgoing angle.
-    for number, each in zip((1, 3, 4, 4), after, strict=True):
-        assert each - last == pytest.approx(number * (last - before), rel=0.1)
+    for number, value in zip((1, 3, 4, 4), after, strict=True):
+        assert value - last == pytest.approx(number * (last - before), rel=0.1)
     assert f"beyond 60 degree completed: trend continued to {beyond_[2]:.0f} degree" in bsdf.attrs["history"]
     assert float(bsdf["incidence"][-1]) == pytest.approx(beyond_[2])
 
@@ -198,12 +198,13 @@ def test_the_lobe_beyond_the_last_incidence_is_nearer_the_truth_by_its_trend(sig
     bsdf = completion.complete(smoothed)
     mirror = np.array([62.0, 65.0, 70.0])
     at = (mirror, 0 * mirror, mirror, 180 + 0 * mirror)
-    expected, found, u = (
-        each.values.ravel() for each in (truth.bsdf.evaluate(*at), bsdf.bsdf.evaluate(*at), bsdf.bsdf.uncertainty(*at))
+    expected, value, u = (
+        field.values.ravel()
+        for field in (truth.bsdf.evaluate(*at), bsdf.bsdf.evaluate(*at), bsdf.bsdf.uncertainty(*at))
     )
     stays = float(truth.bsdf.evaluate(60.0, 0.0, 60.0, 180.0).values.squeeze())
-    assert (np.abs(found - expected) < np.abs(stays - expected)).all()
-    assert (np.abs(found - expected) < u).all()
+    assert (np.abs(value - expected) < np.abs(stays - expected)).all()
+    assert (np.abs(value - expected) < u).all()
 
 
 @pytest.mark.parametrize("reflectance", [0.95, None])
@@ -228,13 +229,13 @@ def test_every_direction_has_a_finite_value_that_is_not_negative_and_an_uncertai
     bsdf = completion.complete(smoothing.smooth(rig_primary.measured(lobe, incidences, [500.0]), mode))
     edges = np.array([0.0, 1e-6, 10.0, 45.0, 60.0, 77.0, 89.0, 89.99, 89.9999999])
     theta_i, theta_o, phi = (axis.ravel() for axis in np.meshgrid(edges, edges, [0.0, 90.0, 180.0, 359.0]))
-    found, u = (each(theta_i, 0.0, theta_o, phi) for each in (bsdf.bsdf.evaluate, bsdf.bsdf.uncertainty))
-    assert np.isfinite(found).all()
-    assert (found >= 0).all()
+    value, u = (quantity(theta_i, 0.0, theta_o, phi) for quantity in (bsdf.bsdf.evaluate, bsdf.bsdf.uncertainty))
+    assert np.isfinite(value).all()
+    assert (value >= 0).all()
     assert np.isfinite(u).all()
     assert (u >= 0).all()
     # Nowhere more than twice of what was measured.
-    assert float(found.max()) < 22 or mode != "pspline"
+    assert float(value.max()) < 22 or mode != "pspline"
 
 
 def test_a_spectrum_without_a_value_is_filled_from_the_incidences_next_to_it(paint, smoothed_paint):
@@ -311,15 +312,17 @@ def test_the_peak_that_the_entrance_hides_at_normal_incidence_follows_from_the_n
     bsdf = completion.complete(smoothed, reciprocity=False)
     theta = np.array([0.0, 1.0, 2.5, 6.0, 12.0, 40.0])
     expected = narrow(0.0, theta, 0 * theta, np.ones(1))[0]
-    found, u = (each(0.0, 0.0, theta, 0.0, 500.0).values[:, 0] for each in (bsdf.bsdf.evaluate, bsdf.bsdf.uncertainty))
-    assert found == pytest.approx(expected, rel=0.06)
-    assert (np.abs(found - expected) < 2 * u)[:3].all()
-    assert 0.01 < u[0] / found[0] < 0.1
+    value, u = (
+        quantity(0.0, 0.0, theta, 0.0, 500.0).values[:, 0] for quantity in (bsdf.bsdf.evaluate, bsdf.bsdf.uncertainty)
+    )
+    assert value == pytest.approx(expected, rel=0.06)
+    assert (np.abs(value - expected) < 2 * u)[:3].all()
+    assert 0.01 < u[0] / value[0] < 0.1
     first = primary["theta_s"].values[~hidden].min()
     assert f"within {first:.1f} degree of the mirror direction completed from 10 degree on" in bsdf.attrs["history"]
     # Where cells looked, they have the last word; without the others the peak is missed by far.
     alone = smoothing.evaluate(smoothed, theta, 0.0).values[0, 0]
-    assert found[3:] == pytest.approx(alone[3:], rel=0.02)
+    assert value[3:] == pytest.approx(alone[3:], rel=0.02)
     assert not 0.5 < alone[0] / expected[0] < 1.5
 
 
@@ -343,9 +346,9 @@ def test_the_decrease_towards_grazing_follows_the_true_outgoing_angle_and_not_th
     )
     # On the side of the source, where the same place about the mirror direction is at 71° and 86° for the incidences around.
     theta_o = np.array([60.0, 70.0, 79.0])
-    found = bsdf.bsdf.evaluate(37.0, 0.0, theta_o, 15.0, 500.0).values[:, 0]
+    value = bsdf.bsdf.evaluate(37.0, 0.0, theta_o, 15.0, 500.0).values[:, 0]
     expected = 0.2 * np.exp(-0.8 * np.exp(-np.cos(np.radians(theta_o)) / 0.1))
-    assert found == pytest.approx(expected, rel=0.02)
+    assert value == pytest.approx(expected, rel=0.02)
 
 
 def test_beyond_its_cells_a_fit_is_limited_to_twice_their_values():
@@ -355,9 +358,9 @@ def test_beyond_its_cells_a_fit_is_limited_to_twice_their_values():
     primary["brdf"].values[:, :, ~disc] = np.nan
     smoothed = smoothing.smooth(primary)
     seen = smoothing.evaluate(smoothed, primary["theta_s"].values[disc], primary["phi_s"].values[disc])
-    found = completion.complete(smoothed).bsdf.evaluate(*directions(0, 89, 0, 89), 500.0).values
-    assert found.min() >= float(seen.min()) / 2 * (1 - 1e-9)
-    assert found.max() <= float(seen.max()) * 2 * (1 + 1e-9)
+    value = completion.complete(smoothed).bsdf.evaluate(*directions(0, 89, 0, 89), 500.0).values
+    assert value.min() >= float(seen.min()) / 2 * (1 - 1e-9)
+    assert value.max() <= float(seen.max()) * 2 * (1 + 1e-9)
     # Without that bound it would: the lobe goes on falling.
     assert float(smoothing.evaluate(smoothed, 60.0, 0.0).min()) < float(seen.min()) / 100
 
@@ -367,8 +370,8 @@ def test_beyond_its_cells_a_fit_is_limited_to_twice_their_values():
 
 def z_of(bsdf, truth, at, wavelength=500.0):
     """Errors over their stated uncertainties."""
-    found, u = (each(*at, wavelength).values[:, 0] for each in (bsdf.bsdf.evaluate, bsdf.bsdf.uncertainty))
-    return (found - truth.bsdf.evaluate(*at).values) / u
+    value, u = (quantity(*at, wavelength).values[:, 0] for quantity in (bsdf.bsdf.evaluate, bsdf.bsdf.uncertainty))
+    return (value - truth.bsdf.evaluate(*at).values) / u
 
 
 def test_an_incidence_that_contradicts_the_others_is_named_and_more_uncertain(paint):
@@ -439,7 +442,7 @@ def test_a_spectrum_missing_at_one_incidence_is_as_uncertain_as_its_interpolatio
     bsdf = completion.complete(smoothing.smooth(primary))
     at = directions(44.8, 45.2, 0, 75)
     assert np.sqrt(np.mean(z_of(bsdf, paint, at, 600.0) ** 2)) < 2
-    u, before = (each.bsdf.uncertainty(*at, [500.0, 600.0]).values for each in (bsdf, whole))
+    u, before = (dataset.bsdf.uncertainty(*at, [500.0, 600.0]).values for dataset in (bsdf, whole))
     assert np.median(u[:, 1] / before[:, 1]) > 1.5 * np.median(u[:, 0] / before[:, 0])
 
 

@@ -14,7 +14,8 @@ from brdfpipe.specular_directions import outgoing
 
 def angles(about, theta_i, theta_o, phi):
     return tuple(
-        float(each[0]) for each in coordinates.angles(about, *(np.array([each]) for each in (theta_i, theta_o, phi)))
+        float(angle[0])
+        for angle in coordinates.angles(about, *(np.array([angle]) for angle in (theta_i, theta_o, phi)))
     )
 
 
@@ -41,8 +42,8 @@ def test_angles_of_cells_are_those_of_their_outgoing_directions(about):
     theta_s, phi_s = np.array([0.0, 5.0, 20.0, 60.0]), np.array([0.0, 70.0, -120.0, 10.0])
     theta_o, phi_o = outgoing(30.0, theta_s, phi_s)
     expected = coordinates.angles(about, np.full(4, 30.0), theta_o, phi_o)
-    found = coordinates.cell_angles(about, 30.0, theta_s, phi_s)
-    assert unit_vector(*found) == pytest.approx(unit_vector(*expected), abs=1e-9)
+    values = coordinates.cell_angles(about, 30.0, theta_s, phi_s)
+    assert unit_vector(*values) == pytest.approx(unit_vector(*expected), abs=1e-9)
 
 
 def test_facets_of_one_tilt_are_a_circle_in_the_coordinates_of_the_half_vector():
@@ -58,5 +59,5 @@ def test_facets_of_one_tilt_are_a_circle_in_the_coordinates_of_the_half_vector()
 
 @pytest.mark.parametrize("about", coordinates.ABOUT)
 def test_directions_below_the_horizon_have_finite_angles(about):
-    found = coordinates.angles(about, np.full(3, 60.0), np.array([95.0, 120.0, 120.0]), np.array([180.0, 0.0, 180.0]))
-    assert np.isfinite(found).all()
+    values = coordinates.angles(about, np.full(3, 60.0), np.array([95.0, 120.0, 120.0]), np.array([180.0, 0.0, 180.0]))
+    assert np.isfinite(values).all()

@@ -50,12 +50,12 @@ def lanes(count=40, seed=0, low=0.0, high=89.0):
 
 
 def test_the_accessor_gives_values_and_uncertainties(bsdf):
-    found = bsdf.bsdf.evaluate(30, 0, [10, 30, 50], 180, [500, 600])
+    brdf = bsdf.bsdf.evaluate(30, 0, [10, 30, 50], 180, [500, 600])
     u = bsdf.bsdf.uncertainty(30, 0, [10, 30, 50], 180, [500, 600])
-    assert found.dims == u.dims == ("direction", "wavelength")
+    assert brdf.dims == u.dims == ("direction", "wavelength")
     assert (u.name, u.attrs["units"]) == ("brdf_u", "sr-1")
-    assert (u / found > 0.001).all()
-    assert (u / found < 0.1).all()
+    assert (u / brdf > 0.001).all()
+    assert (u / brdf < 0.1).all()
 
 
 def test_a_representation_without_uncertainties_names_those_with_them():
@@ -66,8 +66,8 @@ def test_a_representation_without_uncertainties_names_those_with_them():
 def test_wavelengths_are_interpolated_linearly(bsdf):
     at = lanes()
     own = bsdf.bsdf.evaluate(*at).values
-    found = bsdf.bsdf.evaluate(*at, [450.0, 475.0, 650.0]).values
-    assert found == pytest.approx(np.stack([own[:, 0], 0.75 * own[:, 0] + 0.25 * own[:, 1], own[:, 2]], axis=1))
+    brdf = bsdf.bsdf.evaluate(*at, [450.0, 475.0, 650.0]).values
+    assert brdf == pytest.approx(np.stack([own[:, 0], 0.75 * own[:, 0] + 0.25 * own[:, 1], own[:, 2]], axis=1))
     with pytest.raises(VocabularyError, match="cover 450 to 650 nm"):
         bsdf.bsdf.evaluate(30, 0, 30, 180, 700)
 
@@ -120,9 +120,9 @@ def sheet(reflectance, u):
     ("reflectance", "verdict"), [pytest.param(0.97, "pass", marks=pytest.mark.slow), (1.004, "warn"), (1.05, "fail")]
 )
 def test_more_light_than_arrives_is_a_failure_where_the_uncertainty_does_not_explain_it(reflectance, verdict):
-    found = json.loads(sheet(reflectance, 0.01).bsdf.check().attrs["verdicts"])["energy"]
-    assert found["verdict"] == verdict, found
-    assert ("within its uncertainty" in found["text"]) == (verdict == "warn")
+    energy = json.loads(sheet(reflectance, 0.01).bsdf.check().attrs["verdicts"])["energy"]
+    assert energy["verdict"] == verdict, energy
+    assert ("within its uncertainty" in energy["text"]) == (verdict == "warn")
 
 
 def test_the_uncertainty_of_the_reflectance_is_that_of_its_common_errors():
@@ -152,8 +152,8 @@ def test_the_mean_over_wavelengths_is_exact(bsdf):
 
 def test_transmitted_light_continues_straight_from_either_side(translucent):
     theta = np.array([0.0, 20.0, 50.0])
-    found = translucent.bsdf.evaluate(theta, 0, 180 - theta, 180, 450.0).values[:, 0]
-    assert found == pytest.approx(0.55, rel=0.02)
+    btdf = translucent.bsdf.evaluate(theta, 0, 180 - theta, 180, 450.0).values[:, 0]
+    assert btdf == pytest.approx(0.55, rel=0.02)
     theta_i, phi_i, theta_o, phi_o = lanes(low=91, high=180)
     there = translucent.bsdf.evaluate(theta_i, phi_i, theta_o, phi_o)
     back = translucent.bsdf.evaluate(theta_o, phi_o, theta_i, phi_i)
@@ -177,10 +177,10 @@ def quality(bsdf, *at):
 def test_every_value_has_a_flag_of_its_origin(bsdf, translucent):
     assert quality(bsdf, 30, 0, [10, 30, 60], 180) == ["measured"] * 3
     assert quality(bsdf, 20, 0, [20, 22, 50], 180) == ["interpolated"] * 3
-    # Neither the incidence nor, the other way round, the outgoing angle lies among those measured.
+    # Neither the incidence nor, on the reversed path, the outgoing angle is among those measured.
     assert quality(bsdf, 5, 0, 5, 180) == ["completed"]
     assert quality(bsdf, 75, 0, 75, 180) == ["completed"]
-    # Light that goes back tells of incidences beyond the last.
+    # The reversed path gives incidences beyond the last.
     assert quality(bsdf, 75, 0, 30, 180) == ["measured"]
     assert quality(bsdf.assign_attrs(reciprocity="none"), 75, 0, 30, 180) == ["completed"]
     assert quality(bsdf, 45, 0, 89, 90) == ["extrapolated"]

@@ -28,13 +28,13 @@ def problem():
 def test_the_solution_is_that_of_the_normal_equations(problem, epsilon):
     rows, roughness, weight, values = problem
     parts = Decomposition.of(StandardForm.of(rows, roughness), weight, values)
-    found, spread = parts.solution(epsilon) @ parts.form.to_basis.T, parts.covariance_factor(epsilon)
+    solution, spread = parts.solution(epsilon) @ parts.form.to_basis.T, parts.covariance_factor(epsilon)
     at = np.array([epsilon])
     for k in range(3):
         weighted = weight[k][:, None] * rows
         matrix = weighted.T @ weighted + epsilon * roughness.T @ roughness
         expected = np.linalg.solve(matrix, weighted.T @ (weight[k] * values[k]))
-        assert found[k] == pytest.approx(expected, rel=1e-9)
+        assert solution[k] == pytest.approx(expected, rel=1e-9)
         factor = parts.form.to_basis @ spread[k]
         assert factor @ factor.T == pytest.approx(np.linalg.inv(matrix), rel=1e-7, abs=1e-9)
         smoother = weighted @ np.linalg.solve(matrix, weighted.T)
@@ -100,14 +100,14 @@ def test_a_narrow_lobe_is_solved_where_normal_equations_lose_their_digits():
     truth = 1e-2 + 2500 * rig_primary.gaussian(theta, 1.5)
     weight, epsilon = 50 / truth, 1e-10
     parts = Decomposition.of(StandardForm.of(rows, roughness), weight[None], truth[None])
-    found = (parts.solution(epsilon) @ parts.form.rows.T)[0]
+    fitted = (parts.solution(epsilon) @ parts.form.rows.T)[0]
     with mpmath.workdps(60):
         weighted = mpmath.matrix((weight[:, None] * rows).tolist())
         penalty = mpmath.matrix(roughness.tolist())
         right = weighted.T * mpmath.matrix((weight * truth).tolist())
         exact = mpmath.lu_solve(weighted.T * weighted + epsilon * (penalty.T * penalty), right)
         expected = np.array((mpmath.matrix(rows.tolist()) * exact).tolist(), dtype=float)[:, 0]
-    assert np.abs(weight * (found - expected)).max() < 1e-7
+    assert np.abs(weight * (fitted - expected)).max() < 1e-7
     matrix = (weight[:, None] * rows).T @ (weight[:, None] * rows) + epsilon * roughness.T @ roughness
     assert np.linalg.cond(matrix) > 1e20
     normal = rows @ np.linalg.solve(matrix, rows.T @ (weight**2 * truth))

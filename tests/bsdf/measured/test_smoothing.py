@@ -98,23 +98,23 @@ def test_a_range_of_five_decades_is_recovered_within_the_uncertainty():
 @pytest.mark.parametrize(("dark", "allowed"), [(0.02, 0.03), (0.005, 0.005)])
 def test_dim_light_is_not_biased(dark, allowed):
     # 0.01 sr⁻¹ in noise of twice and half as much a cell: 160 spectra. A mean of logarithms would be off by a factor.
-    found = []
+    errors = []
     for seed in range(4):
         primary = rig_primary.measured(flat(0.01), wavelengths=np.arange(400, 440), noise=0, dark=dark, seed=seed)
         smoothed = smoothing.smooth(primary, about="mirror")
-        found.append(smoothing.evaluate(smoothed, *AT).values[0].mean(axis=1) / 0.01 - 1)
-    assert abs(np.mean(found)) < allowed + 2 * np.std(found) / np.sqrt(160)
-    # Some 590 cells tell one constant.
-    assert np.std(found) == pytest.approx(dark / 0.01 / np.sqrt(590), rel=0.25)
+        errors.append(smoothing.evaluate(smoothed, *AT).values[0].mean(axis=1) / 0.01 - 1)
+    assert abs(np.mean(errors)) < allowed + 2 * np.std(errors) / np.sqrt(160)
+    # About 590 cells determine one constant.
+    assert np.std(errors) == pytest.approx(dark / 0.01 / np.sqrt(590), rel=0.25)
 
 
 def test_values_without_light_are_finite_positive_and_below_the_noise():
     smoothed = smoothing.smooth(rig_primary.measured(flat(0.0), wavelengths=WAVELENGTHS, noise=0, dark=0.02))
-    found, u = smoothing.evaluate(smoothed, *AT).values, smoothing.uncertainty(smoothed, *AT).values
-    assert (found > 0).all()
+    value, u = smoothing.evaluate(smoothed, *AT).values, smoothing.uncertainty(smoothed, *AT).values
+    assert (value > 0).all()
     assert np.isfinite(u).all()
-    assert np.median(found) < 3 * 0.02 / np.sqrt(590)
-    assert (found < 3 * u).mean() > 0.95
+    assert np.median(value) < 3 * 0.02 / np.sqrt(590)
+    assert (value < 3 * u).mean() > 0.95
 
 
 def test_each_wavelength_has_its_own_mask_and_weights():
@@ -139,8 +139,8 @@ def test_values_of_other_qualities_do_not_count():
         spoiled["brdf"][0, 0, 100 + k] = 1e4
         spoiled["brdf_quality"][0, 0, 100 + k] = vocabulary.quality(name)
         primary["brdf"][0, 0, 100 + k] = np.nan
-    found = smoothing.evaluate(smoothing.smooth(spoiled), *AT)
-    assert (found == smoothing.evaluate(smoothing.smooth(primary), *AT)).all()
+    value = smoothing.evaluate(smoothing.smooth(spoiled), *AT)
+    assert (value == smoothing.evaluate(smoothing.smooth(primary), *AT)).all()
 
 
 @pytest.mark.parametrize("mode", smoothing.MODES)
@@ -149,12 +149,10 @@ def test_missing_cells_stored_as_zeros_are_detected_and_left_out(mode):
     lost = np.isfinite(primary["brdf"].values) & (np.random.default_rng(2).random(primary["brdf"].shape) < 0.05)
     as_zero, as_missing = primary.copy(deep=True), primary.copy(deep=True)
     as_zero["brdf"].values[lost], as_missing["brdf"].values[lost] = 0.0, np.nan
-    found, expected = smoothing.smooth(as_zero, mode), smoothing.smooth(as_missing, mode)
+    fit, expected = smoothing.smooth(as_zero, mode), smoothing.smooth(as_missing, mode)
     if mode != "keldysh-printed":  # which is negative in places, so that zeros there are plausible
-        assert f"{int(lost.sum())} values are exactly 0" in found.attrs["warnings"]
-        assert smoothing.evaluate(found, *AT).values == pytest.approx(
-            smoothing.evaluate(expected, *AT).values, rel=1e-9
-        )
+        assert f"{int(lost.sum())} values are exactly 0" in fit.attrs["warnings"]
+        assert smoothing.evaluate(fit, *AT).values == pytest.approx(smoothing.evaluate(expected, *AT).values, rel=1e-9)
 
 
 def test_exact_zeros_among_noise_are_values():
@@ -211,7 +209,7 @@ def test_the_choice_of_strength_is_stored_for_the_report():
 
 def test_more_smoothing_is_smoother():
     primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"))
-    rough, smooth = (smoothing.smooth(primary, strength=each, about="mirror") for each in (0.1, 1e4))
+    rough, smooth = (smoothing.smooth(primary, strength=strength, about="mirror") for strength in (0.1, 1e4))
     assert float(smooth["chi_squared_dof"].mean()) > 5 * float(rough["chi_squared_dof"].mean())
 
 
@@ -234,15 +232,15 @@ def test_without_symmetry_a_lobe_may_lean_to_one_side():
         return np.broadcast_to(brdf, (wavelength.size, theta.size))
 
     primary, truth = rig_primary.measured(leaning), leaning(45.0, *AT, np.ones(1))[0]
-    even, any_ = (smoothing.smooth(primary, symmetric=each) for each in (True, False))
+    even, any_ = (smoothing.smooth(primary, symmetric=option) for option in (True, False))
     assert rig_primary.rms(smoothing.evaluate(any_, *AT).values[0, 0], truth) < 0.01
     assert rig_primary.rms(smoothing.evaluate(even, *AT).values[0, 0], truth) > 0.1
 
 
 def test_normal_incidence_has_no_azimuth():
     smoothed = smoothing.smooth(rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), (0.0, 30.0)))
-    found = smoothing.evaluate(smoothed, 20.0, np.arange(0, 360, 45.0)).values[0, 0]
-    assert np.ptp(found) == pytest.approx(0, abs=1e-9)
+    value = smoothing.evaluate(smoothed, 20.0, np.arange(0, 360, 45.0)).values[0, 0]
+    assert np.ptp(value) == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.parametrize("mode", smoothing.MODES)
@@ -253,13 +251,13 @@ def test_few_cells_give_a_finite_fit_or_none(mode, count):
     primary["brdf"][1, 1, np.setdiff1d(seen, seen[:: max(seen.size // max(count, 1), 1)][:count])] = np.nan
     smoothed = smoothing.smooth(primary, mode)
     some = [angle[::20] for angle in AT]
-    found, u = smoothing.evaluate(smoothed, *some).values, smoothing.uncertainty(smoothed, *some).values
-    assert np.isfinite(found[:, 0]).all()
+    value, u = smoothing.evaluate(smoothed, *some).values, smoothing.uncertainty(smoothed, *some).values
+    assert np.isfinite(value[:, 0]).all()
     if count:
-        assert np.isfinite(found).all()
+        assert np.isfinite(value).all()
         assert np.isfinite(u).all()
     else:
-        assert np.isnan(found[1, 1]).all()
+        assert np.isnan(value[1, 1]).all()
         assert "1 of 4 fits" in smoothed.attrs["warnings"]
 
 
@@ -267,10 +265,11 @@ def test_one_cell_is_a_constant_that_is_uncertain_elsewhere():
     primary = rig_primary.measured(flat(0.2))
     primary["brdf"][0, 0, 1:] = np.nan
     smoothed = smoothing.smooth(primary)
-    found, u = (
-        each(smoothed, [0.0, 5.0, 60.0], 0.0).values[0, 0] for each in (smoothing.evaluate, smoothing.uncertainty)
+    value, u = (
+        quantity(smoothed, [0.0, 5.0, 60.0], 0.0).values[0, 0]
+        for quantity in (smoothing.evaluate, smoothing.uncertainty)
     )
-    assert found == pytest.approx(float(primary["brdf"][0, 0, 0]), rel=1e-6)
+    assert value == pytest.approx(float(primary["brdf"][0, 0, 0]), rel=1e-6)
     assert u[0] == pytest.approx(0.02 * 0.2, rel=0.01)
     assert u[0] < u[1] < u[2]
 
@@ -282,9 +281,9 @@ def test_noise_of_any_size_and_sign_gives_finite_positive_values(seed, noise, sc
     assert (primary["brdf"] < 0).any() or noise < 1
     smoothed = smoothing.smooth(primary, about="mirror")
     some = [angle[::20] for angle in AT]
-    found, u = smoothing.evaluate(smoothed, *some).values, smoothing.uncertainty(smoothed, *some).values
-    assert np.isfinite(found).all()
-    assert (found > 0).all()
+    value, u = smoothing.evaluate(smoothed, *some).values, smoothing.uncertainty(smoothed, *some).values
+    assert np.isfinite(value).all()
+    assert (value > 0).all()
     assert np.isfinite(u).all()
 
 
@@ -293,7 +292,7 @@ def test_a_common_factor_of_all_values_is_a_factor_of_the_fit():
     scaled = primary.copy(deep=True)
     scaled["brdf"], scaled["brdf_u"] = 1000 * primary["brdf"], 1000 * primary["brdf_u"]
     scaled = vocabulary.label(scaled, "primary")
-    once, again = (smoothing.evaluate(smoothing.smooth(each), *AT).values for each in (primary, scaled))
+    once, again = (smoothing.evaluate(smoothing.smooth(dataset), *AT).values for dataset in (primary, scaled))
     assert again == pytest.approx(1000 * once, rel=1e-9)
 
 

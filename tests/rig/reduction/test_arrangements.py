@@ -66,7 +66,9 @@ def test_a_wavelength_the_etalon_lacks_through_one_entrance_is_interpolated(lost
     plain = brdf_of(reduced("sample"))
     both = np.isfinite(primary["brdf"].values) & np.isfinite(plain["brdf"].values)
     others = specular_directions.cos_view_etalon(40.0 - lost, *directions()) > 0.11
-    assert np.isfinite(primary["brdf"].values[:, 2])[np.array([others & above(each) for each in (10.0, 30.0)])].all()
+    assert np.isfinite(primary["brdf"].values[:, 2])[
+        np.array([others & above(incidence) for incidence in (10.0, 30.0)])
+    ].all()
     # These paths are the same at all wavelengths.
     assert primary["brdf"].values[both] == pytest.approx(plain["brdf"].values[both], rel=1e-6)
     relative = np.hypot(primary["brdf_u_path"].values, primary["brdf_u_reference"].values) / primary["brdf"].values

@@ -29,19 +29,19 @@ def test_the_uncertainty_of_an_entrances_light_is_its_scatter_over_the_shared_ce
     etalon["signal"] = etalon["signal"] * (1 + 0.01 * np.sqrt(2) * noise)
     profile = calibrate(etalon, certificate())
     count = (
-        (np.array([specular_directions.cos_view_etalon(each, *directions()) for each in (10.0, 30.0)]) > 0.1)
+        (np.array([specular_directions.cos_view_etalon(entrance, *directions()) for entrance in (10.0, 30.0)]) > 0.1)
         .all(axis=0)
         .sum()
     )
     path, u = profile["path"].values[1], profile["path_u"].values[1]
-    # Noise and geometry are each cell's own, through both entrances.
+    # Noise and geometry are independent from cell to cell, through both entrances.
     assert u / path == pytest.approx(0.02 / np.sqrt(count), rel=0.25)
     assert np.sqrt((((path - 1.08) / u) ** 2).mean()) < 2
 
 
 def test_more_entrances_calibrate_more_cells_with_less_noise():
     one, all_ = (calibrate(reduced("etalon", entrances), certificate()) for entrances in ((10.0,), tuple(PATHS)))
-    counted = [int(np.isfinite(each["cell_scale"].values[0]).sum()) for each in (one, all_)]
+    counted = [int(np.isfinite(profile["cell_scale"].values[0]).sum()) for profile in (one, all_)]
     assert counted[1] > counted[0]
     shared = np.isfinite(one["cell_scale"].values)
     ratio = (all_["cell_scale_u_calibration"] / all_["cell_scale"]).values[shared] / (

@@ -38,10 +38,10 @@ def test_the_rings_widen_from_half_a_degree_and_their_cells_are_about_as_wide_as
 
 
 def test_solid_angles_add_up_to_the_cone_that_the_rings_cover(rig: Rig):
-    found = cells.cells_of(rig)
+    described = cells.cells_of(rig)
     rim = np.radians(cells.rings(rig.screen)[0][-1])
-    assert found.solid_angle[found.of_disc].sum() == pytest.approx(2 * np.pi * (1 - np.cos(rim)), rel=1e-12)
-    assert np.isnan(found.solid_angle[~found.of_disc]).all()
+    assert described.solid_angle[described.of_disc].sum() == pytest.approx(2 * np.pi * (1 - np.cos(rim)), rel=1e-12)
+    assert np.isnan(described.solid_angle[~described.of_disc]).all()
 
 
 def test_the_direction_of_a_cell_is_the_mean_direction_of_its_light(rig: Rig):
@@ -56,16 +56,18 @@ def test_the_direction_of_a_cell_is_the_mean_direction_of_its_light(rig: Rig):
     )
     count = len(seen.names)
     total = np.bincount(share.row, light, count)
-    mean = np.stack([np.bincount(share.row, light * each, count) for each in vector]) / total
-    told = np.sin(np.radians(seen.theta_s)) * np.stack([np.cos(np.radians(seen.phi_s)), np.sin(np.radians(seen.phi_s))])
+    mean = np.stack([np.bincount(share.row, light * axis, count) for axis in vector]) / total
+    expected = np.sin(np.radians(seen.theta_s)) * np.stack(
+        [np.cos(np.radians(seen.phi_s)), np.sin(np.radians(seen.phi_s))]
+    )
     # A pixel is 0.13 degree wide; a cell has sixteen and more, whose edges are cut into sixths.
-    assert np.degrees(np.abs(mean - told)[:, seen.of_disc]).max() < 0.01
+    assert np.degrees(np.abs(mean - expected)[:, seen.of_disc]).max() < 0.01
 
 
 def test_the_middle_of_a_cell_is_within_its_ring_and_nearer_to_the_mirror_than_the_middle_of_the_ring(rig: Rig):
-    found = cells.cells_of(rig)
+    described = cells.cells_of(rig)
     edges, per_ring = cells.rings(rig.screen)
-    theta = found.theta_s[found.of_disc]
+    theta = described.theta_s[described.of_disc]
     assert theta[0] == 0
     ring = np.repeat(np.arange(len(per_ring)), per_ring)[1:]
     assert (theta[1:] > edges[ring]).all()

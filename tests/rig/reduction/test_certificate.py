@@ -22,25 +22,27 @@ def load(folder, text=PLAIN, table=None):
 
 
 def test_one_number_holds_at_every_wavelength_and_angle(tmp_path):
-    found = load(tmp_path)
-    brdf, u = found.brdf(np.array([390.0, 730.0]), np.array([0.0, 40.0, 89.0]))
+    certificate = load(tmp_path)
+    brdf, u = certificate.brdf(np.array([390.0, 730.0]), np.array([0.0, 40.0, 89.0]))
     assert brdf == pytest.approx(np.full((2, 3), 0.95 / np.pi))
     assert u == pytest.approx([0.005, 0.005])
-    assert found.valid_until == date(2027, 6, 30)
+    assert certificate.valid_until == date(2027, 6, 30)
 
 
 def test_a_shape_has_its_stated_uncertainty_and_beyond_the_last_angle_that_of_diffuse_standards(tmp_path):
-    told = load(tmp_path, PLAIN + "angles: [[0, 1], [30, 0.99, 0.002], [60, 0.95, 0.004]]\n")
-    assert told.shape_u_at(np.array([0.0, 15.0, 30.0, 45.0, 60.0])) == pytest.approx([0, 0.001, 0.002, 0.003, 0.004])
+    certificate = load(tmp_path, PLAIN + "angles: [[0, 1], [30, 0.99, 0.002], [60, 0.95, 0.004]]\n")
+    assert certificate.shape_u_at(np.array([0.0, 15.0, 30.0, 45.0, 60.0])) == pytest.approx(
+        [0, 0.001, 0.002, 0.003, 0.004]
+    )
     # 5 % at 60 degree and growing with the square of the angle, from the last one that is stated.
     beyond = np.hypot(0.004, 0.05 * (80**2 - 60**2) / 60**2)
-    assert told.shape_u_at(np.array([80.0])) == pytest.approx(beyond)
+    assert certificate.shape_u_at(np.array([80.0])) == pytest.approx(beyond)
     assert load(tmp_path).shape_u_at(np.array([0.0, 30.0, 60.0])) == pytest.approx([0, 0.0125, 0.05])
 
 
 def test_ratios_without_an_uncertainty_have_that_of_the_factor(tmp_path):
-    told = load(tmp_path, PLAIN + "u: 0.007\nangles: [[0, 1], [30, 0.99], [60, 0.95, 0]]\n")
-    assert told.shape_u_at(np.array([0.0, 30.0, 60.0])) == pytest.approx([0, 0.007, 0])
+    certificate = load(tmp_path, PLAIN + "u: 0.007\nangles: [[0, 1], [30, 0.99], [60, 0.95, 0]]\n")
+    assert certificate.shape_u_at(np.array([0.0, 30.0, 60.0])) == pytest.approx([0, 0.007, 0])
 
 
 def test_a_table_and_angles_are_interpolated_linearly(tmp_path):
@@ -54,9 +56,9 @@ def test_a_table_and_angles_are_interpolated_linearly(tmp_path):
 
 def test_wavelengths_beyond_the_table_are_refused(tmp_path):
     text = 'id: SRM-2\nvalid_until: "2027-06-30"\nreflectance_factor: {file: white.csv}\n'
-    found = load(tmp_path, text, TABLE)
+    certificate = load(tmp_path, text, TABLE)
     with pytest.raises(CertificateError, match=r"covers 400 to 700 nm, the etalon was measured from 390 to 650 nm"):
-        found.brdf(np.array([390.0, 650.0]), np.zeros(1))
+        certificate.brdf(np.array([390.0, 650.0]), np.zeros(1))
 
 
 @pytest.mark.parametrize(

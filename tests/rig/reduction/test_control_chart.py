@@ -168,5 +168,5 @@ def test_profiles_without_a_common_wavelength_cannot_extend_a_chart():
 def test_the_chart_is_stored_in_the_file_of_the_last_profile(tmp_path):
     chart = chain(*STEADY)
     store.save_dataset(chart, tmp_path / "bench-5.nc", stage="calibration", material="calibrations.bench-5")
-    kept = store.open_dataset(tmp_path / "bench-5.nc", "calibration")
-    xr.testing.assert_equal(extend_chart(profile_of(5), kept)["change"], extend_chart(profile_of(5), chart)["change"])
+    stored = store.open_dataset(tmp_path / "bench-5.nc", "calibration")
+    xr.testing.assert_equal(extend_chart(profile_of(5), stored)["change"], extend_chart(profile_of(5), chart)["change"])

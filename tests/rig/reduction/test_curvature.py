@@ -35,7 +35,7 @@ def test_the_curvature_of_a_paraboloid_is_the_second_moment_of_the_cell(rig) -> 
     x, y = (float(pixel) for pixel in screens.to_pixel(rig.screen, *rig.screen.disc))
     bowl = 1 + 3e-4 * (column - x) ** 2 + 1e-4 * (column - x) * (row - y) + 2e-4 * (row - y) ** 2
     sums, bend, weights, _, area, inside = corrected(rig, bowl[None])
-    column_of, row_of = (weights @ each.ravel() / area for each in (column, row))
+    column_of, row_of = (weights @ axis.ravel() / area for axis in (column, row))
     # The light itself is the mean over a pixel of the bowl; sampled in its middle, it lacks a twelfth of the curvature.
     own = area * (3e-4 + 2e-4) / 12
     a, b = column_of - x, row_of - y

@@ -36,8 +36,8 @@ def halo_of(picture, kernel):
     size = [2 * each for each in SHAPE]
     row, column = (np.fft.fftfreq(each, 1 / each) for each in size)
     spread = kernel(np.hypot(row[:, None], column))
-    found = fft.irfft2(fft.rfft2(picture, size) * fft.rfft2(spread, size), size)
-    return found[: SHAPE[0], : SHAPE[1]]
+    halo = fft.irfft2(fft.rfft2(picture, size) * fft.rfft2(spread, size), size)
+    return halo[: SHAPE[0], : SHAPE[1]]
 
 
 def moffat(radius, exponent):
@@ -68,7 +68,7 @@ DISC_SUMS = sparse.csr_array(
 @given(
     st.floats(0.002, 0.02),
     st.one_of(
-        st.tuples(st.floats(15.0, 80.0), st.floats(1.3, 2.0)).map(lambda told: moffat(*told)),
+        st.tuples(st.floats(15.0, 80.0), st.floats(1.3, 2.0)).map(lambda shape_of: moffat(*shape_of)),
         st.floats(25.0, 60.0).map(exponential),
     ),
     st.floats(0.0, 20.0),
@@ -77,13 +77,13 @@ def test_a_known_halo_is_subtracted(share, kernel, lobe):
     """At the spots at most a tenth of the glare is left; on the disc, where it is extrapolated, as much as its stated uncertainty."""
     shining, dark = scene(lobe)
     seen, variance = photographed(shining, kernel, share)
-    found = glare.estimate(seen, variance, dark)
-    clean = glare.subtract(seen, found) - found.level
+    halo = glare.estimate(seen, variance, dark)
+    clean = glare.subtract(seen, halo) - halo.level
     error = (clean - (1 - share) * shining).ravel()
     glow = share * halo_of(shining, kernel).ravel()
     noise = np.sqrt(SPOT_SUMS @ variance.ravel())
     assert rms(SPOT_SUMS @ error) < 0.1 * rms(SPOT_SUMS @ glow) + 2 * rms(noise)
-    u = np.hypot(glare.uncertainty(clean, found, DISC_SUMS), np.sqrt(DISC_SUMS @ variance.ravel()))
+    u = np.hypot(glare.uncertainty(clean, halo, DISC_SUMS), np.sqrt(DISC_SUMS @ variance.ravel()))
     assert rms(DISC_SUMS @ error / u) < 3
     assert rms(u) < 1.5 * rms(DISC_SUMS @ glow) + 2 * rms(noise)
 
@@ -96,10 +96,10 @@ def test_the_remaining_glare_is_as_large_as_its_stated_uncertainty(kernel):
     for seed in range(8):
         shining, dark = scene(10.0 * (seed + 1))
         seen, variance = photographed(shining, kernel, 0.005, seed)
-        found = glare.estimate(seen, variance, dark)
-        clean = glare.subtract(seen, found) - found.level
+        halo = glare.estimate(seen, variance, dark)
+        clean = glare.subtract(seen, halo) - halo.level
         for sums in (SPOT_SUMS, DISC_SUMS):
-            u = glare.uncertainty(clean, found, sums)
+            u = glare.uncertainty(clean, halo, sums)
             error = sums @ (clean - 0.995 * shining).ravel()
             noise = sums @ variance.ravel()
             ratios += list(error**2 / (u**2 + noise))
@@ -109,24 +109,24 @@ def test_the_remaining_glare_is_as_large_as_its_stated_uncertainty(kernel):
 def test_without_a_halo_nothing_is_subtracted():
     shining, dark = scene()
     seen, variance = photographed(shining, moffat(40, 1.5), 0.0)
-    found = glare.estimate(seen, variance, dark)
-    assert found.share < 1e-4
-    changed = np.abs(SPOT_SUMS @ (glare.subtract(seen, found) - seen).ravel())
+    halo = glare.estimate(seen, variance, dark)
+    assert halo.share < 1e-4
+    changed = np.abs(SPOT_SUMS @ (glare.subtract(seen, halo) - seen).ravel())
     assert (changed < 2 * np.sqrt(SPOT_SUMS @ variance.ravel())).all()
 
 
 def test_a_camera_without_noise_or_halo_has_no_glare():
     shining, dark = scene()
-    found = glare.estimate(np.where(dark, 0.0, shining), np.full(SHAPE, 1e-8), dark)
-    assert found.share < 1e-5
-    assert np.isfinite(glare.uncertainty(shining, found, SPOT_SUMS)).all()
+    halo = glare.estimate(np.where(dark, 0.0, shining), np.full(SHAPE, 1e-8), dark)
+    assert halo.share < 1e-5
+    assert np.isfinite(glare.uncertainty(shining, halo, SPOT_SUMS)).all()
 
 
 def test_an_empty_picture_has_no_glare():
     _, dark = scene()
     variance = np.full(SHAPE, NOISE**2)
-    found = glare.estimate(NOISE * np.random.default_rng(0).standard_normal(SHAPE), variance, dark)
-    assert np.isfinite(found.amplitudes).all()
+    halo = glare.estimate(NOISE * np.random.default_rng(0).standard_normal(SHAPE), variance, dark)
+    assert np.isfinite(halo.amplitudes).all()
     picture = np.zeros(SHAPE)
     assert (glare.uncertainty(picture, glare.estimate(picture, variance, dark), SPOT_SUMS) < NOISE).all()
 
@@ -157,17 +157,17 @@ def test_the_halo_is_that_of_the_scene_and_not_of_the_picture():
 def test_pictures_are_corrected_one_by_one_as_together():
     shining, dark = scene()
     seen, variance = photographed(shining, moffat(40, 1.5), 0.005)
-    found = glare.estimate(seen, variance, dark)
-    both = glare.subtract(np.array([seen, 2 * seen]), found)
-    assert both[0] == pytest.approx(glare.subtract(seen, found), abs=1e-12)
+    halo = glare.estimate(seen, variance, dark)
+    both = glare.subtract(np.array([seen, 2 * seen]), halo)
+    assert both[0] == pytest.approx(glare.subtract(seen, halo), abs=1e-12)
     assert both[1] == pytest.approx(2 * both[0], abs=1e-12)
 
 
 def test_the_glare_of_a_picture_without_background_is_unknown():
-    found = glare.estimate(np.ones(SHAPE), np.ones(SHAPE), np.zeros(SHAPE, dtype=bool))
-    assert found is glare.UNKNOWN
-    assert (glare.subtract(np.ones(SHAPE), found) == 1).all()
-    assert (glare.uncertainty(np.ones(SHAPE), found, SPOT_SUMS) == 0).all()
+    halo = glare.estimate(np.ones(SHAPE), np.ones(SHAPE), np.zeros(SHAPE, dtype=bool))
+    assert halo is glare.UNKNOWN
+    assert (glare.subtract(np.ones(SHAPE), halo) == 1).all()
+    assert (glare.uncertainty(np.ones(SHAPE), halo, SPOT_SUMS) == 0).all()
 
 
 def test_a_halo_that_no_sum_of_gaussians_fits_is_uncertain():
@@ -175,7 +175,7 @@ def test_a_halo_that_no_sum_of_gaussians_fits_is_uncertain():
     shining, dark = scene()
     seen, variance = photographed(shining, moffat(40, 1.5), 0.005)
     ghost = 0.01 * np.roll(shining, (50, 70), (0, 1))
-    found = glare.estimate(seen + ghost, variance, dark)
-    assert found.misfit > 10
+    halo = glare.estimate(seen + ghost, variance, dark)
+    assert halo.misfit > 10
     plain = glare.estimate(seen, variance, dark)
-    assert glare.uncertainty(shining, found, DISC_SUMS).mean() > 3 * glare.uncertainty(shining, plain, DISC_SUMS).mean()
+    assert glare.uncertainty(shining, halo, DISC_SUMS).mean() > 3 * glare.uncertainty(shining, plain, DISC_SUMS).mean()

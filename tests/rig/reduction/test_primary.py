@@ -56,11 +56,11 @@ def test_the_efficiency_of_a_cell_divides_out(seed):
     bent = apply(
         reduced("sample", efficiency=efficiency), calibrate(reduced("etalon", efficiency=efficiency), certificate())
     )
-    for name in ("brdf", "brdf_u", *(f"brdf_u_{each}" for each in NAMES)):
+    for name in ("brdf", "brdf_u", *(f"brdf_u_{component}" for component in NAMES)):
         assert np.array_equal(np.isnan(plain[name].values), np.isnan(bent[name].values))
-        kept = np.isfinite(plain[name].values)
-        size = np.abs(plain["brdf"].values[kept])
-        assert (np.abs(plain[name].values - bent[name].values)[kept] / size).max() < 1e-12
+        valid = np.isfinite(plain[name].values)
+        size = np.abs(plain["brdf"].values[valid])
+        assert (np.abs(plain[name].values - bent[name].values)[valid] / size).max() < 1e-12
 
 
 @settings(max_examples=20, deadline=None)
@@ -71,14 +71,14 @@ def test_the_spectral_reflectance_of_an_entrances_mirrors_divides_out(seed):
     plain = apply(sample, calibrate(etalon, certificate()))
     spectra = np.random.default_rng(seed).uniform(0.95, 1.05, (2, WAVELENGTHS.size, 1))
     for dataset in (etalon, sample):
-        for name in ("signal", *(f"signal_u_{each}" for each in COMPONENTS)):
+        for name in ("signal", *(f"signal_u_{component}" for component in COMPONENTS)):
             dataset[name] = dataset[name] * spectra
             dataset[name].attrs["correlation"] = COMPONENTS.get(name.removeprefix("signal_u_"), "")
-    etalon, sample = (vocabulary.label(each, "reduced") for each in (etalon, sample))
+    etalon, sample = (vocabulary.label(dataset, "reduced") for dataset in (etalon, sample))
     bent = apply(sample, calibrate(etalon, certificate()))
-    kept = np.isfinite(plain["brdf"].values)
-    assert np.array_equal(kept, np.isfinite(bent["brdf"].values))
-    assert bent["brdf"].values[kept] == pytest.approx(plain["brdf"].values[kept], rel=1e-9)
+    valid = np.isfinite(plain["brdf"].values)
+    assert np.array_equal(valid, np.isfinite(bent["brdf"].values))
+    assert bent["brdf"].values[valid] == pytest.approx(plain["brdf"].values[valid], rel=1e-9)
 
 
 def test_an_entrance_without_an_etalon_measurement_has_an_uncertainty_of_five_percent():
@@ -351,8 +351,8 @@ def test_values_that_are_nan_leave_the_others_unchanged():
     lost = np.random.default_rng(0).random(sample["signal"].shape) < 0.05
     sample["signal"] = sample["signal"].where(~lost)
     primary, plain = brdf_of(sample), brdf_of(reduced("sample"))
-    kept = np.isfinite(primary["brdf"].values)
-    assert primary["brdf"].values[kept] == pytest.approx(plain["brdf"].values[kept])
+    valid = np.isfinite(primary["brdf"].values)
+    assert primary["brdf"].values[valid] == pytest.approx(plain["brdf"].values[valid])
     assert np.isnan(primary["brdf"].values[lost]).all()
 
 

@@ -42,7 +42,7 @@ def photographed(rig: Rig, true: Screen, seed: int, fibres=True, lamp=True):
     """A picture of the ends of the fibres and of the reference, and its variance."""
     picture = np.zeros((240, 320))
     if fibres:
-        ends = screen.to_pixel(true, [each.x for each in rig.fibres], [each.y for each in rig.fibres])
+        ends = screen.to_pixel(true, [fibre.x for fibre in rig.fibres], [fibre.y for fibre in rig.fibres])
         efficiency = np.random.default_rng(3).uniform(0.85, 1.15, len(rig.fibres))
         picture += spots(*ends, true.fibre_radius * true.scale, efficiency)
     if lamp:
@@ -68,14 +68,14 @@ def test_a_known_shift_scale_and_distortion_are_found_within_their_uncertainty(r
     known = rig.screen
     centre = (known.centre[0] + dx, known.centre[1] + dy)
     true = replace(known, centre=centre, scale=known.scale * stretch, radial=radial)
-    found = registration.register(rig, *photographed(rig, true, seed))
-    assert found.spots == 61
-    error = np.subtract(found.shift(rig), (dx, dy))
-    assert found.shift_u < 0.01
-    assert np.abs(error).max() < 4.5 * found.shift_u
+    registered = registration.register(rig, *photographed(rig, true, seed))
+    assert registered.spots == 61
+    error = np.subtract(registered.shift(rig), (dx, dy))
+    assert registered.shift_u < 0.01
+    assert np.abs(error).max() < 4.5 * registered.shift_u
     # Anywhere on the disc.
     edge = [-26.0, 26.0, 0.0, 18.0], [0.0, 0.0, 26.0, -18.0]
-    off = np.subtract(screen.to_pixel(found.screen, *edge), screen.to_pixel(true, *edge))
+    off = np.subtract(screen.to_pixel(registered.screen, *edge), screen.to_pixel(true, *edge))
     assert np.abs(off).max() < 0.05
 
 
@@ -84,43 +84,43 @@ def test_errors_of_shifts_agree_with_their_stated_uncertainty(rig):
     for seed in range(30):
         shift = np.random.default_rng(seed).normal(0, 0.5, 2)
         true = replace(rig.screen, centre=tuple(np.add(rig.screen.centre, shift)))
-        found = registration.register(rig, *photographed(rig, true, seed))
-        errors += list(np.subtract(found.shift(rig), shift) / found.shift_u)
+        registered = registration.register(rig, *photographed(rig, true, seed))
+        errors += list(np.subtract(registered.shift(rig), shift) / registered.shift_u)
     # The uneven response that the uncertainty allows for is not in these pictures.
     assert 0.1 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
 def test_the_blur_of_the_camera_follows_from_the_spots(rig):
-    found = registration.register(rig, *photographed(rig, rig.screen, 0))
-    assert found.blur == pytest.approx(BLUR, abs=0.05)
+    registered = registration.register(rig, *photographed(rig, rig.screen, 0))
+    assert registered.blur == pytest.approx(BLUR, abs=0.05)
 
 
 def test_the_reference_alone_gives_only_a_shift(rig):
     true = replace(rig.screen, centre=(160.3, 118.8))
-    found = registration.register(rig, *photographed(rig, true, 0, fibres=False))
-    assert found.spots == 1
-    assert found.shift(rig) == pytest.approx((0.8, -0.7), abs=0.02)
-    assert found.screen.scale == rig.screen.scale
-    # Its place hangs on a scale that it does not tell.
-    assert found.shift_u > 0.1
+    registered = registration.register(rig, *photographed(rig, true, 0, fibres=False))
+    assert registered.spots == 1
+    assert registered.shift(rig) == pytest.approx((0.8, -0.7), abs=0.02)
+    assert registered.screen.scale == rig.screen.scale
+    # Its position depends on a scale that it does not determine.
+    assert registered.shift_u > 0.1
 
 
 def test_the_reference_gives_the_shift_against_pictures_of_the_same_lens(rig):
     true = replace(rig.screen, centre=(159.1, 119.9), scale=3.01, radial=2e-6)
     lens = registration.register(rig, *photographed(rig, true, 0)).screen
     moved = replace(true, centre=(159.6, 119.2))
-    found = registration.register(rig, *photographed(rig, moved, 1, fibres=False), lens)
-    assert found.screen.centre == pytest.approx(moved.centre, abs=0.03)
-    assert found.screen.scale == lens.scale
-    assert found.shift_u < 0.05
+    registered = registration.register(rig, *photographed(rig, moved, 1, fibres=False), lens)
+    assert registered.screen.centre == pytest.approx(moved.centre, abs=0.03)
+    assert registered.screen.scale == lens.scale
+    assert registered.shift_u < 0.05
 
 
 def test_without_a_spot_the_screen_is_as_described_with_a_large_uncertainty(rig):
-    found = registration.register(rig, *photographed(rig, rig.screen, 0, fibres=False, lamp=False))
-    assert found.screen == rig.screen
-    assert found.spots == 0
-    assert found.shift_u == 0.5
-    assert found.blur == 0
+    registered = registration.register(rig, *photographed(rig, rig.screen, 0, fibres=False, lamp=False))
+    assert registered.screen == rig.screen
+    assert registered.spots == 0
+    assert registered.shift_u == 0.5
+    assert registered.blur == 0
 
 
 def test_spots_that_are_dead_or_beyond_the_picture_are_left_out(rig):
@@ -144,10 +144,10 @@ def test_a_centroid_is_that_of_the_spot_on_any_even_slope(rig, dx, dy, slope):
 # --- the angular target
 
 
-def target(true: Screen, seed: int, kept=1.0):
+def target(true: Screen, seed: int, falloff=1.0):
     places = screen.disc_position(true, *SPOTS)
     sharp = spots(*screen.to_pixel(true, *places), np.radians(0.3) * true.focal_length * true.scale)
-    return noisy(kept * sharp, seed)
+    return noisy(falloff * sharp, seed)
 
 
 @fixture
@@ -155,11 +155,11 @@ def target(true: Screen, seed: int, kept=1.0):
 def test_the_centre_of_the_disc_is_found_within_its_uncertainty(rig, x, y, focal, seed):
     true = replace(rig.screen, disc=(x, y), focal_length=150 * focal)
     start = registration.Registration(rig.screen, 0.002, registration.DIRECTION_U, 61)
-    found = registration.fit_disc(start, *target(true, seed), *SPOTS, 0.3)
-    assert found.direction_u < 0.01
-    millimetres = np.radians(found.direction_u) * 150
-    assert np.abs(np.subtract(found.screen.disc, (x, y))).max() < 4.5 * millimetres
-    assert found.screen.focal_length == pytest.approx(150 * focal, rel=2e-3)
+    registered = registration.fit_disc(start, *target(true, seed), *SPOTS, 0.3)
+    assert registered.direction_u < 0.01
+    millimetres = np.radians(registered.direction_u) * 150
+    assert np.abs(np.subtract(registered.screen.disc, (x, y))).max() < 4.5 * millimetres
+    assert registered.screen.focal_length == pytest.approx(150 * focal, rel=2e-3)
 
 
 def test_errors_of_the_scale_of_angles_agree_with_their_stated_uncertainty(rig):
@@ -169,8 +169,8 @@ def test_errors_of_the_scale_of_angles_agree_with_their_stated_uncertainty(rig):
     for seed in range(40):
         # Anywhere on the pixels: spots in rows along them would all be off alike.
         true = replace(rig.screen, disc=tuple(random.uniform(-0.5, 0.5, 2)), focal_length=random.uniform(148, 152))
-        found = registration.fit_disc(start, *target(true, seed), *SPOTS, 0.3)
-        off.append((found.screen.focal_length / true.focal_length - 1) / found.scale_u)
+        registered = registration.fit_disc(start, *target(true, seed), *SPOTS, 0.3)
+        off.append((registered.screen.focal_length / true.focal_length - 1) / registered.scale_u)
     # Counted with an uneven sensor, which these pictures do not have.
     assert 0.3 < np.sqrt(np.mean(np.square(off))) < 1.2
 
@@ -178,17 +178,17 @@ def test_errors_of_the_scale_of_angles_agree_with_their_stated_uncertainty(rig):
 def test_the_falloff_of_a_lens_does_not_shorten_the_focal_length(rig):
     true, start = rig.screen, registration.Registration(rig.screen, 0.002, registration.DIRECTION_U, 61)
     place = screen.to_position(true, COLUMNS, ROWS)
-    kept = 1 - 0.3 * ((place.x**2 + place.y**2) / true.disc_radius**2)
+    falloff = 1 - 0.3 * ((place.x**2 + place.y**2) / true.disc_radius**2)
     theta, phi = screen.disc_direction(true, place.x, place.y)
-    etalon = kept * specular_directions.cos_view_etalon(10.0, theta, phi)
-    told = registration.fit_falloff(start, etalon, 10.0)
+    etalon = falloff * specular_directions.cos_view_etalon(10.0, theta, phi)
+    fitted = registration.fit_falloff(start, etalon, 10.0)
     assert (registration.fit_falloff(start, np.zeros_like(etalon), 10.0) == 1).all()
     inside = np.hypot(place.x, place.y) < 0.9 * true.disc_radius
-    np.testing.assert_allclose(told[inside], kept[inside], rtol=2e-3)
+    np.testing.assert_allclose(fitted[inside], falloff[inside], rtol=2e-3)
     # As it would be without the lens, in which the centroids are drawn by nothing.
     plain, drawn, right = (
         registration.fit_disc(start, *target(true, 0, light), *SPOTS, 0.3, each).screen.focal_length
-        for light, each in ((1.0, None), (np.maximum(kept, 0.1), None), (np.maximum(kept, 0.1), told))
+        for light, each in ((1.0, None), (np.maximum(falloff, 0.1), None), (np.maximum(falloff, 0.1), fitted))
     )
     assert 1 - drawn / plain > 1e-4
     assert right == pytest.approx(plain, rel=3e-5)

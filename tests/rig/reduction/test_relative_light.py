@@ -182,8 +182,8 @@ def test_a_frame_out_of_the_linear_range_is_named_and_not_used(sample):
     measured = reduced(frames)
     shot = int(frames["shot"].values[place])
     assert any(
-        f"Frame {shot} (470 nm) exceeds the camera's linear range everywhere" in each
-        for each in vocabulary.warnings(measured)
+        f"Frame {shot} (470 nm) exceeds the camera's linear range everywhere" in warning
+        for warning in vocabulary.warnings(measured)
     )
     both = np.isfinite(measured["signal"].values) & np.isfinite(sample["signal"].values)
     u = np.sqrt(sum(measured[f"signal_u_{name}"].values ** 2 for name in COMPONENTS))
@@ -205,7 +205,8 @@ def test_a_wavelength_without_light_is_named_and_left_missing():
     assert np.isnan(measured["reference"].values[0, 0])
     assert np.isfinite(measured["signal"].values[0, 1]).sum() > 300
     assert any(
-        "1 of 2 wavelengths have no values" in each and "470 nm" in each for each in vocabulary.warnings(measured)
+        "1 of 2 wavelengths have no values" in warning and "470 nm" in warning
+        for warning in vocabulary.warnings(measured)
     )
 
 
@@ -348,8 +349,8 @@ def test_without_usable_monitor_readings_the_assumed_repeatability_is_stated():
     dark = frames["counts"].values[(frames["purpose"].values == "dark") & (frames["exposure"].values == 2.0)][0]
     for place in np.flatnonzero(frames["purpose"].values == "drift"):
         dim["counts"][place] = dark
-    for each in (without, dim):
-        repeat, warnings = _repeat_of(each)
+    for some in (without, dim):
+        repeat, warnings = _repeat_of(some)
         assert repeat == pytest.approx(REPEAT_U)
         assert len(warnings) == 1
         assert "`drift.every`" in warnings[0]
@@ -461,7 +462,7 @@ def test_a_corrupt_file_is_named_and_the_other_frames_are_used(run, how):
     assert name in warnings or how == "gone"
     assert "bracket step 4 is missing at 1 of" in warnings
     assert "(sample: 470 nm)" in warnings
-    u = np.sqrt(sum(measured[f"signal_u_{each}"].values ** 2 for each in COMPONENTS))
+    u = np.sqrt(sum(measured[f"signal_u_{component}"].values ** 2 for component in COMPONENTS))
     error = np.abs(measured["signal"].values - whole["signal"].values) / u
     assert np.nanmax(error) < 6
     assert np.isfinite(measured["signal"].values).sum() == np.isfinite(whole["signal"].values).sum()
