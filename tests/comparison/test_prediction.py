@@ -12,7 +12,7 @@ from brdfpipe import facets, optics
 from brdfpipe.bsdf import microfacet
 from brdfpipe.comparison import scan_uncertainty as scan
 from brdfpipe.comparison.measurement import Measurement
-from brdfpipe.comparison.prediction import NOMINAL, Family, Given, Predicted
+from brdfpipe.comparison.prediction import NOMINAL, Family, Predicted, PredictionInputs
 
 CHOICES = [{}, {"masking": "crf", "diffuse": "crf"}, {"multiple_scattering": "compensated"}]
 PRIOR_U = {"index": 0.02, "slope": 0.1, "diffuse": 0.05}
@@ -34,7 +34,7 @@ def seen_by(bsdf: xr.Dataset, every: int = 5) -> Measurement:
 def test_without_a_change_the_prediction_is_built_again(choices) -> None:
     finish, reflectance = facets.analytic("beckmann", 0.2), spectrum()
     predicted = microfacet.build(finish, index="PMMA", spectrum=reflectance, **choices)
-    again = Given.to(predicted, finish, "PMMA", reflectance).bsdf(NOMINAL)
+    again = PredictionInputs.of(predicted, finish, "PMMA", reflectance).bsdf(NOMINAL)
     for name in predicted.variables:
         # The facets are scaled by 1, of which their angles take the rounding.
         np.testing.assert_allclose(again[name], predicted[name], rtol=1e-9, atol=1e-300)
@@ -45,7 +45,7 @@ def test_without_a_change_the_prediction_is_built_again(choices) -> None:
 def test_a_darker_base_is_that_of_a_darker_spectrum(choices, geometry) -> None:
     finish, reflectance = facets.analytic("beckmann", 0.2), spectrum(geometry=geometry)
     predicted = microfacet.build(finish, index=1.5, spectrum=reflectance, **choices)
-    darker = Given.to(predicted, finish, 1.5, reflectance).bsdf({**NOMINAL, "diffuse": 0.8})
+    darker = PredictionInputs.of(predicted, finish, 1.5, reflectance).bsdf({**NOMINAL, "diffuse": 0.8})
     lost = darker["total_reflectance"] - predicted["total_reflectance"]
     expected = microfacet.build(
         finish,
@@ -60,7 +60,7 @@ def test_a_darker_base_is_that_of_a_darker_spectrum(choices, geometry) -> None:
 
 def test_a_steeper_finish_and_a_higher_index_are_those_of_a_build() -> None:
     predicted = microfacet.build(facets.analytic("beckmann", 0.2), index=1.5, spectrum=spectrum())
-    changed = Given.to(predicted, facets.analytic("beckmann", 0.2), 1.5, spectrum()).bsdf(
+    changed = PredictionInputs.of(predicted, facets.analytic("beckmann", 0.2), 1.5, spectrum()).bsdf(
         {"index": 0.1, "slope": 1.5, "diffuse": 1.0}
     )
     expected = microfacet.build(facets.analytic("beckmann", 0.3), index=1.6, spectrum=spectrum())
@@ -69,7 +69,10 @@ def test_a_steeper_finish_and_a_higher_index_are_those_of_a_build() -> None:
 
 
 def test_the_index_of_a_clear_body_stays_above_that_of_air_and_a_metals_may_fall_below() -> None:
-    given = {index: Given(facets.flat(), optics.refractive_index({"n": 1.1, "k": index}), None, {}) for index in (0, 5)}
+    given = {
+        index: PredictionInputs(facets.flat(), optics.refractive_index({"n": 1.1, "k": index}), None, {})
+        for index in (0, 5)
+    }
     assert [float(inputs.shifted(xr.DataArray(1.1), -0.3)) for inputs in given.values()] == pytest.approx([1.001, 0.8])
 
 
@@ -78,7 +81,9 @@ def test_the_derivatives_are_those_of_rebuilt_bsdfs(choices) -> None:
     finish = facets.analytic("beckmann", 0.25)
     predicted = microfacet.build(finish, index=1.5, spectrum=spectrum(), **choices)
     measurement = seen_by(predicted, 20)
-    family = Family(Given.to(predicted, finish, 1.5, spectrum(), measurement.wavelength), measurement, PRIOR_U)
+    family = Family(
+        PredictionInputs.of(predicted, finish, 1.5, spectrum(), measurement.wavelength), measurement, PRIOR_U
+    )
     slopes = family.at(np.array([0.5, -0.5, 0.5])).slopes()
     for row, step in enumerate(0.2 * np.eye(3)):
         ends = [family.at(np.array([0.5, -0.5, 0.5]) + way * step).values for way in (-1, 1)]

@@ -18,7 +18,7 @@ from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.comparison import comparison_dataset, findings
 from brdfpipe.comparison.adjustment import Adjusted, adjust
 from brdfpipe.comparison.measurement import ComparisonError, Measurement
-from brdfpipe.comparison.prediction import INPUTS, NOMINAL, Family, Given, Member, Predicted
+from brdfpipe.comparison.prediction import INPUTS, NOMINAL, Family, Member, Predicted, PredictionInputs
 
 PRIOR_U: Mapping[str, float] = {"index": 0.02, "slope": 0.1, "diffuse": 0.05}
 """Default standard uncertainty of the inputs: absolute for the index, relative for the others."""
@@ -76,7 +76,7 @@ def compare(
     models: dict[str, Predicted] = {"predicted": Predicted(predicted, measurement)}
     fit: Adjusted[Member] | None = None
     if isinstance(representation(predicted), Microfacet):
-        given = Given.to(predicted, facets, index, spectrum, measurement.wavelength)
+        given = PredictionInputs.of(predicted, facets, index, spectrum, measurement.wavelength)
         # Inputs that may be changed and have an effect.
         fixed = set() if predicted["diffuse"].values.any() else {"diffuse"}
         fitted = {name: prior_u[name] for name in INPUTS if prior_u[name] > 0 and name not in fixed}
@@ -111,7 +111,7 @@ def adjusted(
         raise ComparisonError("nothing was fitted: the prediction has no inputs that could be changed")
     names = map(str, comparison["input"].values)
     changed = dict(zip(names, comparison["posterior"].values.tolist(), strict=True))
-    return Given.to(predicted, facets, index, spectrum).bsdf({**NOMINAL, **changed})
+    return PredictionInputs.of(predicted, facets, index, spectrum).bsdf({**NOMINAL, **changed})
 
 
 def _check(primary: xr.Dataset, predicted: xr.Dataset, facets: xr.Dataset, prior_u: Mapping[str, float]) -> None:

@@ -43,7 +43,7 @@ _STRETCH = 1e-3  # relative step of the angles on the disc for a derivative
 
 
 @dataclass(frozen=True)
-class Given:
+class PredictionInputs:
     """The inputs of a prediction."""
 
     facets: xr.Dataset
@@ -52,14 +52,14 @@ class Given:
     choices: Mapping[str, str]  # modes of the model
 
     @classmethod
-    def to(
+    def of(
         cls,
         predicted: xr.Dataset,
         facets: xr.Dataset,
         index: xr.Dataset | float | str,
         spectrum: xr.Dataset | None,
         wavelength: Array | None = None,
-    ) -> Given:
+    ) -> PredictionInputs:
         """The inputs of a microfacet ``bsdf``, at some of its wavelengths [nm]."""
         choices = {name: str(predicted.attrs[name]) for name in ("masking", "diffuse_mode", "multiple_scattering")}
         if representation(predicted).isotropic:
@@ -212,7 +212,7 @@ class Family:
     prior_u : standard uncertainty of each uncertain input: absolute for the index, relative for a factor
     """
 
-    given: Given
+    given: PredictionInputs
     measurement: Measurement
     prior_u: Mapping[str, float]
     _known_base_slopes: list[tuple[Array, Array]] = field(default_factory=list, init=False, repr=False, compare=False)
