@@ -30,7 +30,7 @@ REFLECTION, TRANSMISSION, REFLECTION_BELOW, TRANSMISSION_UP = range(4)
 UNMASKED = {None: "Unit_Shadow_Function"}
 V_GROOVES = {None: "Torrance_Sparrow_Shadow_Function"}
 BEYOND_THE_TABLE = 1e-30
-"""A density below this share of its peak is none to the package [sr-1]."""
+"""The package takes a density below this share of its peak as 0 [sr-1]."""
 
 SLOPES = {
     "gaussian": {None: "Gaussian_Slope_Distribution_Function", "s": A},

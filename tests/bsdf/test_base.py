@@ -1,4 +1,4 @@
-"""What every representation can do through ``evaluate`` alone: the adaptive albedo, both sides, and its own error."""
+"""Defaults that follow from ``evaluate`` alone: the adaptive integral over both sides, and its error."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_both_sides_of_an_interface_are_integrated():
     reflected, passed = quadrature(bsdf, theta), quadrature(bsdf, theta, through=True)
     own = representation(bsdf).transmittance(theta, np.zeros(3), None)
     assert passed.value == pytest.approx(own, rel=1e-5)
-    # Smooth enough that nothing is lost between the facets.
+    # The loss by multiple reflection is negligible for such small slopes.
     assert reflected.value + passed.value == pytest.approx(1.0, abs=1e-4)
 
 
@@ -57,7 +57,7 @@ def test_a_lambertian_is_exact():
 @given(theta=st.floats(0, 70), phi=st.floats(-180, 180), kappa=st.floats(1, 1500), incidence=st.floats(0, 89.9))
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_lobe_in_any_direction_is_integrated(monkeypatch, theta, phi, kappa, incidence):
-    # κ = 1500 is a standard deviation of 1.5°. The lobe integrates to 1 less what lies below the horizon.
+    # κ = 1500 is a standard deviation of 1.5°. The lobe integrates to 1 minus the part below the horizon.
     bsdf = synthetic.register(monkeypatch, synthetic.cap_lobe(theta, phi, kappa))
     found = quadrature(bsdf, incidence)
     below = np.exp(-kappa * (1 - np.sin(np.radians(theta))))

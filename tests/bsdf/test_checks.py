@@ -1,4 +1,4 @@
-"""The checks find what is wrong, and only that."""
+"""The checks detect violated laws, and pass sound BSDFs."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_light_through_an_interface_is_reciprocal_over_the_square_of_the_index(m
 def test_a_lay_is_checked_at_several_azimuths():
     bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.1, a_y=0.3), index=1.5, spectrum=samples.spectrum(0.3))
     assert set(verdicts(bsdf).values()) == {"pass"}
-    # Bright from one azimuth alone: only a check that looks all round sees it.
+    # Too bright at one azimuth: only a check at several azimuths detects it.
     bright = bsdf.copy()
     bright["diffuse"] = bright["diffuse"] * 0 + 1.2
     bright["diffuse"].attrs = bsdf["diffuse"].attrs

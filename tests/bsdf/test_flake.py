@@ -126,7 +126,7 @@ def test_a_smooth_clear_coat_mirrors_as_fresnel_says():
 
 def test_a_rough_clear_coat_reflects_as_much_as_a_smooth_one():
     rough, smooth = (flake.build(colours(), index=1.524, **model) for model in (MODELS[2], MODELS[1]))
-    # At 2 % slope facets hide next to nothing from each other.
+    # At 2 % slope masking is negligible.
     assert rough.bsdf.albedo([0, 45]).values == pytest.approx(smooth.bsdf.albedo([0, 45]).values, rel=1e-3)
 
 
@@ -153,7 +153,7 @@ def test_a_synthetic_paint_is_recovered_within_3_percent():
 
 
 def noisy(path, true, random) -> xr.Dataset:
-    """A file of what a paint reflects at ten geometries, each value off by chance as its own uncertainty says."""
+    """A file of the reflectance of a paint at ten geometries, with random errors of the stated uncertainties."""
     at = np.array([flakes.directions(name) for name in TEN]).T
     factor = np.pi * true.bsdf.evaluate(*at).values
     u = 0.005 * factor + 0.0005

@@ -19,7 +19,7 @@ def test_coordinates_convert_back_to_directions(kind, theta_i, phi_i, theta_o, p
     asked = tuple(np.array([angle]) for angle in (theta_i, phi_i, theta_o, phi_o))
     found = grids.GRIDS[kind].directions(grids.GRIDS[kind].coordinates(*asked))
     for k in (0, 2):
-        # As vectors: azimuths turn, and mean nothing at the pole.
+        # Compared as vectors: azimuths are periodic, and undefined at the pole.
         assert unit_vector(found[k], found[k + 1]) == pytest.approx(unit_vector(asked[k], asked[k + 1]), abs=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Tables: exact on their nodes, honest about what lies between."""
+"""Tables: exact on their nodes, with a stated error between them."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ def test_a_table_may_hold_both_sides_of_an_interface():
     table = bsdf.bsdf.tabulate(grid)
     for direction in ((30, 0, 60, 180), (30, 0, 161, 180), (150, 0, 60, 180), (150, 0, 161, 180)):
         assert float(table.bsdf.evaluate(*direction)) == pytest.approx(float(bsdf.bsdf.evaluate(*direction)), rel=1e-9)
-    # Between 87 and 92° nothing is mixed: what is reflected stays as it was at the last node above.
+    # Between 87 and 92° the sides are not mixed: reflection is constant beyond the last node above.
     assert float(table.bsdf.evaluate(30, 0, 89.5, 180)) == float(table.bsdf.evaluate(30, 0, 87, 180))
     # Steps of 3° on a lobe of 6°.
     model = bsdf.bsdf.transmittance([0.0, 150.0]).values

@@ -134,7 +134,7 @@ def test_compensated_perfect_mirrors_reflect_everything(distribution, a):
         n=np.inf, k=0.0, compensation=1.0
     )
     theta = np.array([0, 20, 45, 60, 75, 85, 89])
-    # The table of perfect mirrors is lifted by its error: that much is kept back, and no more.
+    # The table of perfect mirrors is raised by its error, and only that is missing.
     assert bsdf.bsdf.albedo(theta).values == pytest.approx(1.0, abs=1e-7 if distribution == "beckmann" else 2e-5)
     rule = hemisphere.around_mirror(60.0, a, order=8, turns=48)
     integral = rule.weight @ bsdf.bsdf.evaluate(60.0, 0.0, rule.theta, rule.phi).values

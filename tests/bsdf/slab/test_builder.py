@@ -1,4 +1,4 @@
-"""The slab: closed forms of smooth faces, balance of energy, reciprocity, and a path tracer that knows none of its matrices."""
+"""The slab: closed forms of smooth faces, energy balance, reciprocity, and an independent path tracer."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_two_smooth_faces_reflect_and_transmit_as_the_incoherent_sum_of_a_plate(
     bsdf = sheet(0, 0, index, inside)
     f = optics.fresnel(np.abs(np.cos(np.radians(BOTH_SIDES))), index).mean
     tau = inside ** (1 / inner_cosine(BOTH_SIDES, index))
-    # Interpolated between the nodes by a polynomial of high degree: to 1e-9, but where the way through an absorbing body that hardly
+    # Interpolated between the nodes by a polynomial of high degree: to 1e-9, except where the path through an absorbing body that hardly
     # refracts grows without limit towards grazing.
     tolerance = 1e-9 if index > 1.1 else 1e-5
     assert reflectance(bsdf, BOTH_SIDES) == pytest.approx(
@@ -76,7 +76,7 @@ def test_a_black_body_reflects_as_its_front_face_does():
     zero = np.zeros_like(phi)
     found = representation(bsdf).evaluate(40 + zero, zero, theta_o, phi, None)
     expected = representation(alone).evaluate(40 + zero, zero, theta_o, phi, None)
-    # Beside it there is what the facets lose, as diffuse light on both sides: less than 4 % at 40° for a = 0.3.
+    # The loss of the facets is added as diffuse light on both sides: less than 4 % at 40° for a = 0.3.
     lost = (
         1
         - alone.bsdf.albedo(40.0).item()
@@ -100,7 +100,7 @@ def test_a_body_of_index_near_1_transmits_all_light():
 
 
 def test_behind_a_smooth_back_face_the_lobe_is_that_of_the_front_face_refracted_once_more():
-    # Without reflections inside, f = f_t(i → x) (1 − F(x)) dω_x cos x / (dω_o cos o) = f_t (1 − F) / n²; those add F² ~ 0.0016 of it.
+    # Without reflections inside, f = f_t(i → x) (1 − F(x)) dω_x cos x / (dω_o cos o) = f_t (1 − F) / n²; those add F² ~ 0.0016 of the light.
     bsdf, alone = sheet(0.1, 0), microfacet.build(finish(0.1), index=1.5, transparent=True)
     theta_o = np.array([26.0, 28.0, 30.0, 32.0, 34.0])
     inside = np.degrees(np.arcsin(np.sin(np.radians(theta_o)) / 1.5))
@@ -303,7 +303,7 @@ class Tracer:
 
 
 def expected_share(bsdf, theta_i, low, high, forward):
-    """∫ f |cos θ_o| dω_o over polar angles and the half of the azimuths towards, or away from, where the light goes straight on."""
+    """∫ f |cos θ_o| dω_o over polar angles and the half of the azimuths towards, or away from, the straight direction."""
     theta, d_theta = panel_rule(np.linspace(low, high, 13), 6)
     phi, d_phi = panel_rule(np.linspace(90, 180, 13) if forward else np.linspace(0, 90, 7), 6)
     values = representation(bsdf).evaluate(theta_i, 0.0, theta[:, None], phi, None)[..., 0]
@@ -448,7 +448,7 @@ def test_unresolved_lobes_are_specular_with_a_warning():
     assert "narrower than a slab resolves" in vocabulary.warnings(bsdf)[0]
     straight = representation(bsdf).specular(np.array([8.0]), np.zeros(1), None)[1]
     plate = transmittance(sheet(0, 0), 8.0)
-    # A face of slope 0.01 lets through what a smooth one does, to the square of the slope.
+    # A face of slope 0.01 transmits as much as a smooth one, to the square of the slope.
     assert straight[0] == pytest.approx(plate, abs=2e-4)
     assert transmittance(bsdf, 8.0) == pytest.approx(plate, abs=2e-4)
 
