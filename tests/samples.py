@@ -55,6 +55,7 @@ def coarse_albedo_tables() -> Iterator[None]:
     """Makes ``microfacet.build`` cheap, for properties that do not depend on the accuracy of the table of the albedo."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(energy, "_INTERPOLATION_ERROR", 1e-4)
+        patch.setattr(energy, "_LAY_STEP", 0.8)
         yield
 
 
