@@ -59,7 +59,6 @@ QUANTITIES: Mapping[str, Quantity] = {
     "slope": Quantity("1", "magnitude of the surface slope", 0),
     "slope_along": Quantity("1", "surface slope along the lay"),
     "slope_across": Quantity("1", "surface slope across the lay, 90 degree counter-clockwise from it"),
-    "slope_towards": Quantity("1", "slope of the facet towards the viewer"),
     "x": Quantity("um", "position along x"),
     "y": Quantity("um", "position along y"),
     "scale": Quantity("1", "distance between the heights a slope is taken from, in pixels", 1),
@@ -90,8 +89,6 @@ QUANTITIES: Mapping[str, Quantity] = {
     "noise_ratio": Quantity("1", "rms slope over one pixel divided by rms slope over two", 0, missing=True),
     # Masking
     "g1": Quantity("1", "visible fraction of the facets that face the direction, by ray casting", 0, 1 + 1e-9),
-    "g1_by_slope": Quantity("1", "visible fraction of facets of one slope, by ray casting", 0, 1 + 1e-9, missing=True),
-    "slope_count": Quantity("1", "number of facets of the slope that face the direction", 0),
     "lambda_empirical": Quantity("1", "Smith's masking function Λ of the slopes along the lines cast", 0),
     "g1_raycast": Quantity("1", "G1 by ray casting, mean over the azimuths", 0, 1 + 1e-9),
     "g1_smith": Quantity("1", "G1 after Smith, of the facet distribution", 0, 1 + 1e-9),
