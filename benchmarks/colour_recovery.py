@@ -25,7 +25,7 @@ from brdfpipe.spectra.recovery_methods import basis4, random_search
 from brdfpipe.spectra.recovery_methods.lhtss import lhtss
 
 PROJECT = Path(__file__).resolve().parents[1]
-VIEW: dict[str, Any] = {"illuminant": "D65", "observer": 10}
+VIEW = colorimetry.weights("D65", 10)
 WANTED_SPEED = 2000
 WANTED_RATIO = 1 / 3
 WANTED_DELTA_E = 1e-5
@@ -47,7 +47,7 @@ def main(colours: int, searched: int, threshold: float, out: Path) -> None:
     """Measure the four methods side by side."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    table = colorimetry.weights(**VIEW)
+    table = VIEW
     truth = random_reflectances(colours)
     labs = colorimetry.xyz_to_lab(truth @ table.weights, table.white)
     found = [batch(method, labs) for method in EXACT]
@@ -75,13 +75,13 @@ def main(colours: int, searched: int, threshold: float, out: Path) -> None:
 def random_reflectances(count: int) -> np.ndarray:
     """Reflectances (count, 85), straight between seven knots."""
     knots = np.random.default_rng(11).beta(0.7, 0.7, (count, 7)).clip(0.003, 0.997)
-    grid = colorimetry.weights(**VIEW).wavelength
+    grid = VIEW.wavelength
     return np.stack([np.interp(grid, np.linspace(360, 780, 7), row) for row in knots])
 
 
 def bands(count: int) -> np.ndarray:
     """Reflectances (count, 85) of 0.99 in a band and 0.01 beside it, or the reverse: near the limit of all object colours."""
-    rng, grid = np.random.default_rng(5), colorimetry.weights(**VIEW).wavelength
+    rng, grid = np.random.default_rng(5), VIEW.wavelength
     first, width = rng.uniform(380, 600, (count, 1)), rng.uniform(30, 150, (count, 1))
     inside = (grid >= first) & (grid <= first + width)
     return 0.01 + 0.98 * (inside ^ (rng.random((count, 1)) < 0.5))
@@ -90,15 +90,15 @@ def bands(count: int) -> np.ndarray:
 def batch(method: str, labs: np.ndarray) -> Found:
     """An exact method, all colours in one call, the best of three runs; and the first colours one a call."""
     exact = EXACT[method]
-    xyz = colorimetry.lab_to_xyz(labs, colorimetry.weights(**VIEW).white)
+    xyz = colorimetry.lab_to_xyz(labs, VIEW.white)
     seconds = np.inf
     for _ in range(3):
         started = time.process_time()
-        found = exact(xyz, **VIEW)
+        found = exact(xyz, VIEW)
         seconds = min(seconds, time.process_time() - started)
     started = time.process_time()
     for one in xyz[:SINGLE]:
-        exact(one, **VIEW)
+        exact(one, VIEW)
     alone = (time.process_time() - started) / len(xyz[:SINGLE])
     record = described(labs, found.reflectance, seconds, len(labs)) | {"seconds_per_single_call": alone}
     return method, record, found.reflectance
@@ -106,13 +106,13 @@ def batch(method: str, labs: np.ndarray) -> Found:
 
 def each(method: str, labs: np.ndarray, threshold: float) -> Found:
     """A search, colour by colour; where the nearest mixture is not within the threshold it is not begun, nor is its time counted."""
-    near = [basis4.nearest(lab, **VIEW) for lab in labs]
-    xyz = colorimetry.lab_to_xyz(labs, colorimetry.weights(**VIEW).white)
-    begun = basis4.closed_form(xyz, **VIEW).reached | (colorimetry.delta_e_ab(np.stack(near), labs) < threshold)
+    near = [basis4.nearest(lab, VIEW) for lab in labs]
+    xyz = colorimetry.lab_to_xyz(labs, VIEW.white)
+    begun = basis4.closed_form(xyz, VIEW).reached | (colorimetry.delta_e_ab(np.stack(near), labs) < threshold)
     spectra, tried = np.full((len(labs), basis4.basis().shape[1]), np.nan), []
     started = time.process_time()
     for i in np.flatnonzero(begun):
-        found = random_search.search(labs[i], **VIEW, method=method, threshold=threshold)
+        found = random_search.search(labs[i], VIEW, method=method, threshold=threshold)
         tried.append(found.tried)
         if found.ended == "threshold":
             spectra[i] = found.weights @ basis4.basis()
@@ -122,7 +122,7 @@ def each(method: str, labs: np.ndarray, threshold: float) -> Found:
 
 def described(labs: np.ndarray, spectra: np.ndarray, seconds: float, begun: int) -> Record:
     """What is kept of a method; spectra are NaN where the colour was not reached."""
-    table = colorimetry.weights(**VIEW)
+    table = VIEW
     reached = np.isfinite(spectra).all(axis=1)
     apart = colorimetry.delta_e_ab(colorimetry.xyz_to_lab(spectra[reached] @ table.weights, table.white), labs[reached])
     return {
@@ -142,7 +142,7 @@ def metamerism(spectra: dict[str, np.ndarray], truth: np.ndarray) -> Record:
 
     def apart(first: np.ndarray, second: np.ndarray) -> Record:
         return {
-            light: float(np.median(recovery._difference(first[common], second[common], light, VIEW["observer"])))
+            light: float(np.median(recovery._difference(first[common], second[common], light, VIEW.observer)))
             for light in recovery.LIGHTS
         }
 

@@ -43,7 +43,7 @@ SPECTRUM_READER = '''
 
 import numpy as np
 
-from brdfpipe.spectra.formats.sample import FRACTION, Sample, SpectrumFormat
+from brdfpipe.spectra.formats.base import FRACTION, Sample, SpectrumFormat
 
 
 def _read(path):
@@ -66,7 +66,7 @@ def _read(path, *, unit="um"):
     return Heights(np.random.default_rng(int(path.read_text())).normal(0, 0.1, (64, 64)), 0.5, 0.5)
 
 
-FORMATS = (SurfaceFormat("toy", _read, (".seed",), "a seed", ("unit",)),)
+FORMATS = (SurfaceFormat("toy", (".seed",), "a seed", _read, ("unit",)),)
 '''
 
 REPRESENTATION = '''

@@ -579,6 +579,8 @@ def quality(name: str) -> np.int8:
 
 def add_history(dataset: xr.Dataset, *sentences: str) -> xr.Dataset:
     """Add sentences about corrections to the history of a copy."""
+    if not sentences:
+        return dataset
     lines = [line for line in dataset.attrs.get("history", "").splitlines() if line]
     return dataset.assign_attrs(history="\n".join([*lines, *sentences]))
 

@@ -18,12 +18,12 @@ from brdfpipe.errors import BrdfpipeError
 from brdfpipe.spectra import colorimetry
 from brdfpipe.spectra.recovery_methods import basis4, random_search
 
-VIEW = {"illuminant": "D65", "observer": 10}
+VIEW = colorimetry.weights("D65", 10)
 RED = [40.0, 30.0, 20.0]
 
 
 def lab_of(weights: np.ndarray, floor: float = 0.0) -> np.ndarray:
-    table = colorimetry.weights(**VIEW)
+    table = VIEW
     return colorimetry.xyz_to_lab((floor + (1 - floor) * weights @ basis4.basis()) @ table.weights, table.white)
 
 
@@ -50,20 +50,20 @@ def test_every_mixture_is_found_again_as_one_of_its_colour(weights: list[float])
     basis = basis4.basis()
     mixture = np.array(weights) @ basis
     mixture /= max(mixture.max(), 1.0)
-    xyz = mixture @ colorimetry.weights(**VIEW).weights
-    found = basis4.closed_form(xyz, **VIEW)
+    xyz = mixture @ VIEW.weights
+    found = basis4.closed_form(xyz, VIEW)
     assert found.reached.all()
     assert found.weights.min() >= 0
     assert found.reflectance.max() <= 1
     # At the very edge of reach the interval is closed by rounding, and the mixture cut to 1.
-    assert found.reflectance @ colorimetry.weights(**VIEW).weights == pytest.approx(xyz[None], abs=1e-6)
+    assert found.reflectance @ VIEW.weights == pytest.approx(xyz[None], abs=1e-6)
     assert (np.diff(found.reflectance) ** 2).sum() <= (np.diff(mixture) ** 2).sum() + 1e-9
 
 
 def test_no_mixture_of_the_colour_is_smoother() -> None:
-    table = colorimetry.weights(**VIEW)
+    table = VIEW
     xyz = colorimetry.lab_to_xyz(RED, table.white)
-    found = basis4.closed_form(xyz, **VIEW)
+    found = basis4.closed_form(xyz, VIEW)
     basis = basis4.basis()
     null = np.linalg.svd((basis @ table.weights).T)[2][3]
     smoothness = (np.diff(found.reflectance) ** 2).sum()
@@ -74,9 +74,9 @@ def test_no_mixture_of_the_colour_is_smoother() -> None:
 
 
 def test_colours_no_mixture_has_are_marked_and_do_not_disturb_the_others() -> None:
-    table = colorimetry.weights(**VIEW)
+    table = VIEW
     found = basis4.closed_form(
-        colorimetry.lab_to_xyz([RED, [50, 120, 0], [99, 0, 0], [np.nan, 0, 0]], table.white), **VIEW
+        colorimetry.lab_to_xyz([RED, [50, 120, 0], [99, 0, 0], [np.nan, 0, 0]], table.white), VIEW
     )
     assert found.reached.tolist() == [True, False, False, False]
     assert np.isnan(found.reflectance[1:]).all()
@@ -84,20 +84,20 @@ def test_colours_no_mixture_has_are_marked_and_do_not_disturb_the_others() -> No
 
 def test_the_nearest_mixture_is_within_reach_and_none_of_many_is_nearer() -> None:
     wanted = [70.0, -60.0, -50.0]
-    near = basis4.nearest(wanted, **VIEW)
+    near = basis4.nearest(wanted, VIEW)
     rng = np.random.default_rng(3)
     w = rng.random((20000, 4))
     w /= np.maximum((w @ basis4.basis()).max(axis=1, keepdims=True), 1)
     apart = colorimetry.delta_e_ab(near, wanted)
     assert colorimetry.delta_e_ab(lab_of(w), wanted).min() >= apart - 1e-6
     inside = np.array(near) * [1, 0.999, 0.999]
-    assert basis4.closed_form(colorimetry.lab_to_xyz(inside, colorimetry.weights(**VIEW).white), **VIEW).reached.all()
+    assert basis4.closed_form(colorimetry.lab_to_xyz(inside, VIEW.white), VIEW).reached.all()
 
 
 @pytest.mark.parametrize("method", random_search.SEARCHES)
 @pytest.mark.parametrize("floor", [0.0, 0.0465])
 def test_a_search_ends_below_its_threshold_at_the_colour_it_says(method: str, floor: float) -> None:
-    found = random_search.search(RED, **VIEW, method=method, threshold=3.0, floor=floor)
+    found = random_search.search(RED, VIEW, method=method, threshold=3.0, floor=floor)
     assert found.ended == "threshold"
     assert found.delta_e < 3
     assert found.weights.min() >= 0
@@ -108,14 +108,13 @@ def test_a_search_ends_below_its_threshold_at_the_colour_it_says(method: str, fl
 @pytest.mark.parametrize("method", random_search.SEARCHES)
 def test_one_seed_has_one_answer_and_another_seed_another(method: str) -> None:
     first, again, other = (
-        random_search.search(RED, **VIEW, method=method, threshold=3.0, seed=seed).weights.tolist()
-        for seed in (7, 7, 8)
+        random_search.search(RED, VIEW, method=method, threshold=3.0, seed=seed).weights.tolist() for seed in (7, 7, 8)
     )
     assert first == again != other
 
 
 def test_adaptive_steps_reach_what_random_weights_never_would() -> None:
-    found = random_search.search(RED, **VIEW, method="adaptive4", threshold=1e-6)
+    found = random_search.search(RED, VIEW, method="adaptive4", threshold=1e-6)
     assert found.delta_e < 1e-6
     assert found.tried < 50_000
 
@@ -140,7 +139,7 @@ def _killer(after: int):
 def test_a_search_that_was_killed_resumes_to_the_same_answer(
     tmp_path: Path, method: str, threshold: float, after: int
 ) -> None:
-    options = {**VIEW, "method": method, "threshold": threshold, "seed": 5}
+    options = {"table": VIEW, "method": method, "threshold": threshold, "seed": 5}
     whole = random_search.search(RED, **options)
     checkpoint = tmp_path / "best.json"
     kills = 0
@@ -163,7 +162,7 @@ def test_a_search_that_was_killed_resumes_to_the_same_answer(
 def test_a_checkpoint_that_is_damaged_or_of_another_search_is_ignored(tmp_path: Path, content: str) -> None:
     checkpoint = tmp_path / "best.json"
     checkpoint.write_text(content, encoding="utf-8")
-    options = {**VIEW, "threshold": 3.0}
+    options = {"table": VIEW, "threshold": 3.0}
     assert (
         random_search.search(RED, **options, checkpoint=checkpoint).weights.tolist()
         == random_search.search(RED, **options).weights.tolist()
@@ -172,10 +171,10 @@ def test_a_checkpoint_that_is_damaged_or_of_another_search_is_ignored(tmp_path: 
 
 def test_a_request_to_stop_accepts_the_best_so_far(tmp_path: Path) -> None:
     asked = iter([False, False, True])
-    found = random_search.search(RED, **VIEW, threshold=1e-9, stop=lambda: next(asked))
+    found = random_search.search(RED, VIEW, threshold=1e-9, stop=lambda: next(asked))
     assert (found.ended, found.tried) == ("stopped", 3 * 4096)
     checkpoint, request = tmp_path / "best.json", tmp_path / "best.json.stop"
-    found = random_search.search(RED, **VIEW, threshold=1e-9, checkpoint=checkpoint, stop=lambda: bool(request.touch()))
+    found = random_search.search(RED, VIEW, threshold=1e-9, checkpoint=checkpoint, stop=lambda: bool(request.touch()))
     assert (found.ended, found.tried) == ("stopped", 4096)
     assert found.delta_e < 30
     assert not request.exists()
@@ -184,29 +183,29 @@ def test_a_request_to_stop_accepts_the_best_so_far(tmp_path: Path) -> None:
 def test_a_request_from_before_the_search_is_removed_and_stops_nothing(tmp_path: Path) -> None:
     request = tmp_path / "best.json.stop"
     request.touch()
-    found = random_search.search(RED, **VIEW, threshold=3.0, checkpoint=tmp_path / "best.json")
+    found = random_search.search(RED, VIEW, threshold=3.0, checkpoint=tmp_path / "best.json")
     assert found.ended == "threshold"
     assert not request.exists()
 
 
 def test_a_colour_infinitely_far_from_all_mixtures_is_refused() -> None:
     with pytest.raises(BrdfpipeError, match="no mixture has a finite ΔE"):
-        random_search.search([50.0, np.nan, 0.0], **VIEW)
+        random_search.search([50.0, np.nan, 0.0], VIEW)
 
 
 @pytest.mark.parametrize("method", random_search.SEARCHES)
 def test_a_search_at_its_limit_goes_on_as_far_again(tmp_path: Path, method: str) -> None:
-    options = {**VIEW, "method": method, "threshold": 1e-12, "limit": 8192, "checkpoint": tmp_path / "best.json"}
+    options = {"table": VIEW, "method": method, "threshold": 1e-12, "limit": 8192, "checkpoint": tmp_path / "best.json"}
     first, second = random_search.search(RED, **options), random_search.search(RED, **options)
     assert (first.ended, second.ended) == ("limit", "limit")
     assert (first.tried, second.tried) == (8192, 16384)
     assert second.delta_e <= first.delta_e
     if method == "random4":
-        assert second.delta_e == random_search.search(RED, **VIEW, threshold=1e-12, limit=16384).delta_e
+        assert second.delta_e == random_search.search(RED, VIEW, threshold=1e-12, limit=16384).delta_e
 
 
 def test_a_search_killed_on_its_way_to_the_limit_ends_where_it_would_have_ended(tmp_path: Path) -> None:
-    options = {**VIEW, "threshold": 1e-12, "limit": 40_000, "seed": 5}
+    options = {"table": VIEW, "threshold": 1e-12, "limit": 40_000, "seed": 5}
     whole = random_search.search(RED, **options)
     with pytest.raises(_Killed):
         random_search.search(RED, **options, checkpoint=tmp_path / "best.json", stop=_killer(3))
@@ -215,7 +214,7 @@ def test_a_search_killed_on_its_way_to_the_limit_ends_where_it_would_have_ended(
 
 
 def _stopped(checkpoint: Path, threshold: float = 1e-9) -> dict[str, Any]:
-    random_search.search(RED, **VIEW, threshold=threshold, checkpoint=checkpoint, stop=lambda: True)
+    random_search.search(RED, VIEW, threshold=threshold, checkpoint=checkpoint, stop=lambda: True)
     kept: dict[str, Any] = json.loads(checkpoint.read_text(encoding="utf-8"))
     return kept
 
@@ -223,7 +222,7 @@ def _stopped(checkpoint: Path, threshold: float = 1e-9) -> dict[str, Any]:
 def test_another_threshold_is_another_search(tmp_path: Path) -> None:
     checkpoint = tmp_path / "best.json"
     _stopped(checkpoint)
-    found = random_search.search(RED, **VIEW, threshold=60.0, checkpoint=checkpoint, stop=lambda: True)
+    found = random_search.search(RED, VIEW, threshold=60.0, checkpoint=checkpoint, stop=lambda: True)
     assert found.tried == 4096
     assert not checkpoint.exists()
 
@@ -254,22 +253,22 @@ def test_a_damaged_state_is_not_trusted(tmp_path: Path, place: int, value: objec
     kept = _stopped(checkpoint)
     kept["state"][place] = value
     checkpoint.write_text(json.dumps(kept), encoding="utf-8")
-    found = random_search.search(RED, **VIEW, threshold=1e-9, checkpoint=checkpoint, stop=lambda: True)
+    found = random_search.search(RED, VIEW, threshold=1e-9, checkpoint=checkpoint, stop=lambda: True)
     # From the start; a state taken up would have a block more.
     assert found.tried == 4096
 
 
 def test_a_floor_may_differ_between_wavelengths() -> None:
-    table, basis = colorimetry.weights(**VIEW), basis4.basis()
+    table, basis = VIEW, basis4.basis()
     floor, w = np.linspace(0.06, 0.04, 85), np.array([0.3, 0.2, 0.1, 0.2])
     truth = floor + (1 - floor) * (w @ basis)
-    found = basis4.closed_form(truth @ table.weights, **VIEW, floor=floor)
+    found = basis4.closed_form(truth @ table.weights, VIEW, floor=floor)
     assert found.reached.all()
     assert (found.reflectance >= floor).all()
     assert found.reflectance @ table.weights == pytest.approx((truth @ table.weights)[None], abs=1e-9)
     lab = colorimetry.xyz_to_lab(truth @ table.weights, table.white)
-    assert random_search.search(lab, **VIEW, method="adaptive4", threshold=1e-4, floor=floor).ended == "threshold"
-    assert colorimetry.delta_e_ab(basis4.nearest(lab, **VIEW, floor=floor), lab) < 1e-2
+    assert random_search.search(lab, VIEW, method="adaptive4", threshold=1e-4, floor=floor).ended == "threshold"
+    assert colorimetry.delta_e_ab(basis4.nearest(lab, VIEW, floor=floor), lab) < 1e-2
 
 
 def test_an_interrupt_accepts_the_best_so_far_and_gives_the_signal_back() -> None:
@@ -281,7 +280,7 @@ def test_an_interrupt_accepts_the_best_so_far_and_gives_the_signal_back() -> Non
             os.kill(os.getpid(), signal.SIGINT)
         return False
 
-    found = random_search.search(RED, **VIEW, threshold=1e-9, stop=interrupt)
+    found = random_search.search(RED, VIEW, threshold=1e-9, stop=interrupt)
     assert found.ended == "stopped"
     assert np.isfinite(found.delta_e)
     assert signal.getsignal(signal.SIGINT) is before
@@ -289,12 +288,12 @@ def test_an_interrupt_accepts_the_best_so_far_and_gives_the_signal_back() -> Non
 
 def test_a_search_runs_in_a_thread_that_gets_no_signals() -> None:
     found = []
-    thread = threading.Thread(target=lambda: found.append(random_search.search(RED, **VIEW, threshold=3.0)))
+    thread = threading.Thread(target=lambda: found.append(random_search.search(RED, VIEW, threshold=3.0)))
     thread.start()
     thread.join()
     assert found[0].ended == "threshold"
 
 
 def test_a_search_ends_at_its_limit() -> None:
-    found = random_search.search([50, 100, 0], **VIEW, limit=10_000)
+    found = random_search.search([50, 100, 0], VIEW, limit=10_000)
     assert (found.ended, found.tried) == ("limit", 12288)

@@ -51,7 +51,7 @@ def test_the_24_patches_of_the_colour_checker_are_matched(observer: int) -> None
         labs = colour.XYZ_to_Lab(np.array(xyz), checker.illuminant)
     assert len(labs) == 24
     table = colorimetry.weights("D65", observer)
-    found = lhtss(colorimetry.lab_to_xyz(labs, table.white), illuminant="D65", observer=observer)
+    found = lhtss(colorimetry.lab_to_xyz(labs, table.white), table)
     assert found.reached.all()
     assert ((found.reflectance > 0) & (found.reflectance < 1)).all()
     back = colorimetry.xyz_to_lab(
@@ -111,23 +111,23 @@ def test_thousands_of_colours_go_in_one_call_and_match_the_single_ones() -> None
         [np.interp(table.wavelength, np.linspace(360, 780, 5), row) for row in rng.uniform(0.01, 0.99, (1000, 5))]
     )
     xyz = reflectances @ table.weights
-    many = lhtss(xyz, illuminant="D65", observer=10)
+    many = lhtss(xyz, colorimetry.weights("D65", 10))
     assert many.reached.all()
     assert many.reflectance @ table.weights == pytest.approx(xyz, abs=1e-8)
     assert many.reflectance[777] == pytest.approx(
-        lhtss(xyz[777], illuminant="D65", observer=10).reflectance[0], rel=1e-10
+        lhtss(xyz[777], colorimetry.weights("D65", 10)).reflectance[0], rel=1e-10
     )
 
 
 def test_colours_out_of_reach_do_not_disturb_the_others() -> None:
     xyz = np.array([[20, 20, 20], [90, 10, 1], [-1, 5, 5], [50, 100, 50], [30, 30, np.nan]], dtype=float)
-    found = lhtss(xyz, illuminant="D65", observer=10)
+    found = lhtss(xyz, colorimetry.weights("D65", 10))
     assert found.reached.tolist() == [True, False, False, False, False]
     assert np.isnan(found.reflectance[1:]).all()
 
 
 def test_no_colours_give_no_spectra() -> None:
-    assert lhtss(np.empty((0, 3)), illuminant="D65", observer=10).reflectance.shape == (0, 85)
+    assert lhtss(np.empty((0, 3)), colorimetry.weights("D65", 10)).reflectance.shape == (0, 85)
 
 
 def test_a_colour_out_of_reach_is_refused_with_the_largest_chroma_of_its_hue() -> None:
@@ -140,7 +140,7 @@ def test_a_colour_out_of_reach_is_refused_with_the_largest_chroma_of_its_hue() -
 
 def test_the_largest_chroma_is_reachable_and_a_little_more_is_not() -> None:
     lab = np.array([50.0, 120.0, -90.0])
-    chroma = largest_chroma(lab, illuminant="D65", observer=10)
+    chroma = largest_chroma(lab, colorimetry.weights("D65", 10))
     hue = lab[1:] / np.hypot(*lab[1:])
     recover([50, *(chroma * hue)], illuminant="D65", observer=10)
     with pytest.raises(InputError):
@@ -218,7 +218,7 @@ def test_a_thousand_random_colours_of_reflectances_are_matched() -> None:
         [np.interp(table.wavelength, knots, row) for row in rng.beta(0.7, 0.7, (1000, 7)).clip(0.003, 0.997)]
     )
     labs = colorimetry.xyz_to_lab(reflectances @ table.weights, table.white)
-    found = lhtss(colorimetry.lab_to_xyz(labs, table.white), illuminant="D65", observer=10)
+    found = lhtss(colorimetry.lab_to_xyz(labs, table.white), table)
     assert found.reached.all()
     back = colorimetry.xyz_to_lab(found.reflectance @ table.weights, table.white)
     assert colorimetry.delta_e_ab(back, labs).max() < 1e-5
@@ -228,7 +228,7 @@ def test_a_thousand_random_colours_of_reflectances_are_matched() -> None:
 def test_the_nearest_colour_is_reachable_and_no_spectrum_of_many_is_nearer(lab: list[float]) -> None:
     with pytest.raises(InputError, match=r"impossible colour.*nearest colour is L\*a\*b\* \("):
         recover(lab, illuminant="D65", observer=10)
-    near = nearest_colour(lab, illuminant="D65", observer=10)
+    near = nearest_colour(lab, colorimetry.weights("D65", 10))
     apart = colorimetry.delta_e_ab(near, lab)
     recover(near, illuminant="D65", observer=10)
     # Spectra of 0 and 1 with two steps bound all object colours (Schroedinger).
@@ -252,7 +252,7 @@ def test_the_nearest_colour_is_reachable_and_no_spectrum_of_many_is_nearer(lab: 
     ],
 )
 def test_the_nearest_colour_is_the_nearest(lab: list[float], observer: int, least: float) -> None:
-    near = nearest_colour(lab, illuminant="D65", observer=observer)
+    near = nearest_colour(lab, colorimetry.weights("D65", observer))
     assert least - 0.005 < colorimetry.delta_e_ab(near, lab) < least + 0.02
 
 
@@ -281,7 +281,7 @@ def test_colours_near_the_limit_of_all_reflectances_are_recovered() -> None:
     first, width = rng.uniform(380, 600, (300, 1)), rng.uniform(30, 150, (300, 1))
     band = ((table.wavelength >= first) & (table.wavelength <= first + width)).astype(float)
     xyz = (0.01 + 0.98 * np.concatenate([band, 1 - band])) @ table.weights
-    found = lhtss(xyz, illuminant="D65", observer=10)
+    found = lhtss(xyz, colorimetry.weights("D65", 10))
     assert found.reached.all()
     assert found.reflectance @ table.weights == pytest.approx(xyz, abs=1e-8)
 

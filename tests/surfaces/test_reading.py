@@ -100,7 +100,7 @@ def test_an_unknown_extension_is_refused_with_the_known_ones(tmp_path: Path, nam
 
 
 def test_an_unknown_format_is_refused(profile: Path) -> None:
-    with pytest.raises(InputError, match="found raw; accepted: text, hfm, x3p"):
+    with pytest.raises(InputError, match="found 'raw'; accepted: text, hfm, x3p"):
         read_surface(profile, "raw")
 
 

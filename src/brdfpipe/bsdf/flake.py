@@ -177,8 +177,8 @@ def _with_spectra(bsdf: xr.Dataset, fitted: Fit) -> xr.Dataset:
     xyz = fitted(nodes)
     visible = xyz[:, 1] > 0
     chromaticity = np.where(visible[:, None], xyz / np.where(visible, xyz[:, 1], 1.0)[:, None], np.nan)
-    viewing = {"illuminant": bsdf.attrs["illuminant"], "observer": int(bsdf.attrs["observer"])}
-    recovered = lhtss(100 * _RECOVERY_Y * np.nan_to_num(chromaticity), **viewing)
+    table = colorimetry.weights(bsdf.attrs["illuminant"], int(bsdf.attrs["observer"]))
+    recovered = lhtss(100 * _RECOVERY_Y * np.nan_to_num(chromaticity), table)
     reached = recovered.reached & visible
     spectrum = recovered.reflectance / _RECOVERY_Y
     if reached.any():
@@ -187,7 +187,7 @@ def _with_spectra(bsdf: xr.Dataset, fitted: Fit) -> xr.Dataset:
         spectrum = spectrum[np.where(reached, np.arange(nodes.size), nearest)]
     else:
         spectrum = np.ones_like(spectrum)
-    bsdf = bsdf.assign_coords(theta_f=nodes, wavelength=recovered.wavelength)
+    bsdf = bsdf.assign_coords(theta_f=nodes, wavelength=table.wavelength)
     bsdf["flake_spectrum"] = (("theta_f", "wavelength"), spectrum)
     impossible = nodes[visible & ~reached]
     if impossible.size:

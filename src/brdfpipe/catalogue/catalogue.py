@@ -169,9 +169,10 @@ def _reason_to_ignore(folder: Path) -> str | None:
     if deeper:
         return f"{DESCRIPTION} is one folder too deep, in {deeper[0]}; move that folder into the catalogue itself"
     from brdfpipe.columns import TEXT_SUFFIXES
+    from brdfpipe.file_formats import extensions
     from brdfpipe.surfaces.reading import FORMATS
 
-    suffixes = {*TEXT_SUFFIXES, *(suffix for format in FORMATS.values() for suffix in format.extensions)}
+    suffixes = {*TEXT_SUFFIXES, *extensions(FORMATS)}
     raw = [name for name in names if Path(name).suffix.lower() in suffixes and (folder / name).is_file()]
     if raw:
         return f"{raw[0]} but no {DESCRIPTION}; `brdfpipe new` with the folder's name writes one beside the raw files"

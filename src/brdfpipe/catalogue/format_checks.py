@@ -7,6 +7,7 @@ from brdfpipe.catalogue.material import Material, raw_files
 from brdfpipe.catalogue.material_keys import MultiangleColours
 from brdfpipe.catalogue.names import DESCRIPTION
 from brdfpipe.errors import InputError
+from brdfpipe.file_formats import extensions
 
 
 def check_formats(material: Material) -> None:
@@ -19,11 +20,11 @@ def check_formats(material: Material) -> None:
     from brdfpipe.columns import TEXT_SUFFIXES
     from brdfpipe.optics import index
     from brdfpipe.optics.index import refractive_index
-    from brdfpipe.spectra.formats import registry
-    from brdfpipe.surfaces.reading import FORMATS
+    from brdfpipe.spectra.formats.registry import FORMATS as SPECTRUM_FORMATS
+    from brdfpipe.surfaces.reading import FORMATS as SURFACE_FORMATS
 
-    suffixes = {"spectrum": registry.extensions(), "index": tuple(index.READERS)}
-    surface_suffixes = {suffix for format in FORMATS.values() for suffix in format.extensions}
+    suffixes = {"spectrum": extensions(SPECTRUM_FORMATS), "index": tuple(index.READERS)}
+    surface_suffixes = extensions(SURFACE_FORMATS)
     content = material.content
     for part, key, _ in raw_files(content):
         path, is_surface = material.files[part], "surface" in part
@@ -46,7 +47,7 @@ def check_formats(material: Material) -> None:
     if "illuminant" in content.get("spectrum", {}):
         check_illuminant(material.folder / DESCRIPTION, content["spectrum"]["illuminant"], "spectrum.illuminant")
     if "colours" in content.get("multiangle", {}):
-        from brdfpipe.flakes.reading import ingest
+        from brdfpipe.flakes.reading import check_colours
 
         measured = MultiangleColours.read_by("multiangle")
-        ingest({key: value for key, value in content["multiangle"].items() if key in measured})
+        check_colours({key: value for key, value in content["multiangle"].items() if key in measured})

@@ -14,12 +14,11 @@ from brdfpipe.appearance.quantities import docs_table
 from brdfpipe.catalogue import calibration_keys, material_keys
 from brdfpipe.catalogue.config_keys import Config
 from brdfpipe.descriptions import rendering
+from brdfpipe.file_formats import FileFormat
 from brdfpipe.rig.plan_keys import PlanKeys
 from brdfpipe.rig.reduction.certificate_keys import CertificateKeys
 from brdfpipe.rig.rig_keys import RigKeys
 from brdfpipe.spectra.formats.registry import FORMATS as SPECTRUM_FORMATS
-from brdfpipe.spectra.formats.sample import SpectrumFormat
-from brdfpipe.surfaces.heights import SurfaceFormat
 from brdfpipe.surfaces.reading import FORMATS as SURFACE_FORMATS
 
 DESCRIPTIONS: Mapping[str, Any] = {
@@ -136,7 +135,7 @@ def key_tables() -> dict[str, dict[str, str]]:
     }
 
 
-def _format_table(formats: Mapping[str, SurfaceFormat | SpectrumFormat], title: str) -> str:
+def _format_table(formats: Mapping[str, FileFormat], title: str) -> str:
     rows = [f"| Format | Extensions | {title} |", "|---|---|---|"]
     for name, known in formats.items():
         extensions = " ".join(f"`{extension}`" for extension in known.extensions)

@@ -77,12 +77,7 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
     InputError : with file and row: fewer than three colours, unknown geometries, missing colours or illuminant,
         uncertainties of some of the colours only, …
     """
-    if not isinstance(spec, Mapping) or ("file" in spec) == ("colours" in spec):
-        accepted = "file: … or colours: […]"
-        raise _refusal("material.yaml", "either `file` or `colours` is required", accepted, key="multiangle")
-    rows = _inline(spec) if "colours" in spec else _table(Path(path if path is not None else str(spec["file"])))
-    if not _FEWEST <= len(rows.names) <= _MOST:
-        raise _refusal(rows.file, "wrong number of colours", f"{_FEWEST} to {_MOST}", len(rows.names), key="multiangle")
+    rows = _checked_rows(spec, path)
     dataset = _spectral(rows, spec) if rows.kind == "reflectance" else _tristimulus(rows, spec)
     for k, angle in enumerate(ANGLES):
         dataset[angle] = ("geometry", np.array([pair[k] for pair in rows.directions]))
@@ -98,6 +93,34 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
     )
 
 
+def check_colours(spec: Mapping[str, Any]) -> None:
+    """Check colours without the tables of the illuminants, which take seconds to load.
+
+    Raises
+    ------
+    InputError : as :func:`ingest`, unless the error depends on the white point (tristimulus values that are too large).
+    """
+    rows = _checked_rows(spec, None)
+    if rows.kind == "reflectance":
+        _spectral(rows, spec)
+        return
+    _illuminant(rows, spec)
+    if rows.kind == "lab":
+        _check_lab(rows)
+    else:
+        _check_xyz(rows, rows.values)
+
+
+def _checked_rows(spec: Mapping[str, Any], path: str | PathLike[str] | None) -> _Rows:
+    if not isinstance(spec, Mapping) or ("file" in spec) == ("colours" in spec):
+        accepted = "file: … or colours: […]"
+        raise _refusal("material.yaml", "either `file` or `colours` is required", accepted, key="multiangle")
+    rows = _inline(spec) if "colours" in spec else _table(Path(path if path is not None else str(spec["file"])))
+    if not _FEWEST <= len(rows.names) <= _MOST:
+        raise _refusal(rows.file, "wrong number of colours", f"{_FEWEST} to {_MOST}", len(rows.names), key="multiangle")
+    return rows
+
+
 def _aspecular_angle(pair: Directions) -> float:
     """Angle from the mirror direction [degree]."""
     theta_i, phi_i, theta_o, phi_o = np.radians(pair)
@@ -105,26 +128,30 @@ def _aspecular_angle(pair: Directions) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
-def _tristimulus(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
+def _illuminant(rows: _Rows, spec: Mapping[str, Any]) -> str:
+    """Name of the illuminant of the colours; illuminant and observer are checked."""
     for key, accepted in (("illuminant", "D65, A, …"), ("observer", "2 or 10")):
         if key not in spec:
             raise _refusal(rows.file, f"the {key} of the colours is missing", accepted, key=f"multiangle.{key}")
     try:
-        illuminant = colorimetry.illuminant_name(spec["illuminant"])
-        table = colorimetry.weights(illuminant, spec["observer"])
+        colorimetry.check_observer(spec["observer"])
+        return colorimetry.illuminant_name(spec["illuminant"])
     except BrdfpipeError as error:
         key = "multiangle.observer" if "observer" in str(error) else "multiangle.illuminant"
         raise InputError(rows.file, str(error), where="multiangle", key=key) from error
-    xyz = rows.values if rows.kind == "xyz" else _from_lab(rows, table.white)
-    for k, name in enumerate(rows.names):
-        if (xyz[k] < 0).any() or xyz[k].max() > 100 * _BRIGHTEST:
-            found = f"XYZ ({', '.join(f'{value:.4g}' for value in xyz[k])})"
-            accepted = f"X, Y, Z from 0 to {100 * _BRIGHTEST:g}; check L*, a*, b* and their order"
-            where = f"{rows.where[k]} ({name})"
-            raise _refusal(rows.file, "tristimulus value out of range", accepted, found, where)
+
+
+def _tristimulus(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
+    illuminant = _illuminant(rows, spec)
+    white, xyz = colorimetry.weights(illuminant, spec["observer"]).white, rows.values
+    if rows.kind == "lab":
+        _check_lab(rows)
+        # A black that is not exactly neutral gives XYZ slightly below 0.
+        xyz = np.maximum(colorimetry.lab_to_xyz(rows.values, white), 0.0)
+    _check_xyz(rows, xyz)
     variables = {"tristimulus": (("geometry", "channel"), xyz)}
     if rows.uncertainty is not None:
-        u = rows.uncertainty if rows.kind == "xyz" else _u_from_lab(rows.values, rows.uncertainty, table.white)
+        u = rows.uncertainty if rows.kind == "xyz" else _u_from_lab(rows.values, rows.uncertainty, white)
         variables["tristimulus_u"] = (("geometry", "channel"), u)
     return xr.Dataset(
         variables,
@@ -133,14 +160,24 @@ def _tristimulus(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
     )
 
 
-def _from_lab(rows: _Rows, white: Array) -> Array:
+def _check_xyz(rows: _Rows, xyz: Array) -> None:
+    for where, name, values in zip(rows.where, rows.names, xyz, strict=True):
+        if values.min() < 0 or values.max() > 100 * _BRIGHTEST:
+            found = f"XYZ ({', '.join(f'{value:.4g}' for value in values)})"
+            accepted = f"X, Y, Z from 0 to {100 * _BRIGHTEST:g}; check L*, a*, b* and their order"
+            raise _refusal(rows.file, "tristimulus value out of range", accepted, found, f"{where} ({name})")
+
+
+def _check_lab(rows: _Rows) -> None:
     for where, (lightness, a, b) in zip(rows.where, rows.values, strict=True):
+        found = f"L*a*b* ({lightness:g}, {a:g}, {b:g})"
         if not 0 <= lightness <= 500 or max(abs(a), abs(b)) > _CHROMATIC:
             accepted = f"L* from 0 to 500, a* and b* within ±{_CHROMATIC:g}"
-            raise _refusal(rows.file, "L*a*b* out of range", accepted, f"({lightness:g}, {a:g}, {b:g})", where)
-    xyz = colorimetry.lab_to_xyz(rows.values, white)
-    # A black that is not exactly neutral gives XYZ slightly below 0.
-    return np.where((xyz < 0) & (xyz > -1e-9 * white), 0.0, xyz)
+            raise _refusal(rows.file, "L*a*b* out of range", accepted, found, where)
+        # X/X_n and Z/Z_n are these times 108/841 near black (CIE 15:2018); rounded blacks may be off by 1e-9 of white.
+        if min(lightness / 116 + a / 500, lightness / 116 - b / 200) * 108 / 841 <= -1e-9:
+            problem, accepted = "tristimulus value out of range", "X, Y, Z from 0; check L*, a*, b* and their order"
+            raise _refusal(rows.file, problem, accepted, f"{found}: X or Z below 0", where)
 
 
 def _u_from_lab(lab: Array, u: Array, white: Array) -> Array:

@@ -27,8 +27,10 @@ _USUAL_ILLUMINANTS = ("D65", "A", "D50", "C", "E", "FL2", "FL11", "LED-B3")
 
 
 class Weights(NamedTuple):
-    """What turns a reflectance into tristimulus values: XYZ = R @ weights."""
+    """Weights of an illuminant and an observer that turn a reflectance into tristimulus values: XYZ = R @ weights."""
 
+    illuminant: str
+    observer: int
     wavelength: Array
     """(n,) nm: :data:`GRID`."""
     weights: Array
@@ -79,9 +81,14 @@ def weights(illuminant: str = "D65", observer: int = 10) -> Weights:
     ----------
     CIE 15:2018, tables of the illuminants and of the CIE 1931 and CIE 1964 standard observers.
     """
+    check_observer(observer)
+    return _weights(illuminant_name(illuminant), observer)
+
+
+def check_observer(observer: int) -> None:
+    """Refuse an observer other than 2 and 10 degree."""
     if observer not in OBSERVERS:
         raise BrdfpipeError(f"unknown observer {str(observer)[:40]!r}; accepted: 2 or 10 (degree)")
-    return _weights(illuminant_name(illuminant), observer)
 
 
 def reflectance_to_xyz(
@@ -109,8 +116,7 @@ def reflectance_to_xyz(
     range of its neighbours, and on 10- and 20-nm data comes nearer to the 5-nm result than straight lines, which cut every
     peak. Beyond the ends the reflectance is held constant (CIE 15:2018, extrapolation).
     """
-    nodes = np.asarray(wavelength, dtype=float)
-    values = np.asarray(reflectance, dtype=float)
+    nodes, values = np.asarray(wavelength, dtype=float), np.asarray(reflectance, dtype=float)
     if nodes.ndim != 1 or values.ndim == 0 or values.shape[-1] != nodes.size or nodes.size == 0:
         raise BrdfpipeError(
             f"reflectance has shape {values.shape}, wavelength {nodes.shape}; accepted: (..., n) on increasing (n,) nm"
@@ -238,4 +244,4 @@ def _weights(name: str, observer: int) -> Weights:
     white = product.sum(axis=0)
     for array in (product, white):
         array.setflags(write=False)
-    return Weights(GRID, product, white)
+    return Weights(name, observer, GRID, product, white)

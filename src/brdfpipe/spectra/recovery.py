@@ -15,6 +15,7 @@ from brdfpipe.geometry import Array
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import interpolate_index
 from brdfpipe.spectra import colorimetry
+from brdfpipe.spectra.colorimetry import Weights
 from brdfpipe.spectra.recovery_methods import basis4, random_search
 from brdfpipe.spectra.recovery_methods.lhtss import lhtss
 from brdfpipe.spectra.recovery_methods.reachable_colours import largest_chroma, nearest_colour
@@ -86,18 +87,16 @@ def recover(
         )
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise _refusal("invalid seed", found=repr(seed)[:40], accepted="a whole number >= 0", key="spectrum.seed")
-    colour = _checked_lab(lab)
-    illuminant, table = _viewing(illuminant, observer)
+    colour, table = _checked_lab(lab), _weights(illuminant, observer)
     specular = np.zeros(table.wavelength.size)
     if specular_index is not None:
         specular = specular_reflectance(specular_index, theta, table.wavelength)
-    search = random_search.SearchResult(np.empty(0), 0.0, 0, "threshold")
+    search = None
     if method in random_search.SEARCHES:
-        _check_mixable(colour, illuminant, observer, specular, threshold)
+        _check_mixable(colour, table, specular, threshold)
         search = random_search.search(
             colour,
-            illuminant=illuminant,
-            observer=observer,
+            table,
             method=method,
             threshold=threshold,
             seed=seed,
@@ -108,29 +107,29 @@ def recover(
         mixture = np.minimum(search.weights @ basis4.basis(), 1.0)
         reflectance: Array | None = specular + (1 - specular) * mixture
     else:
-        reflectance = _spectrum(colour, illuminant, observer, specular, method)
+        reflectance = _spectrum(colour, table, specular, method)
     if reflectance is None:
         if method == "basis4":
-            _check_mixable(colour, illuminant, observer, specular, 0.0)
-        raise _unreachable(colour, illuminant, observer, specular, specular_index)
+            _check_mixable(colour, table, specular, 0.0)
+        raise _unreachable(colour, table, specular, specular_index)
     lab_of_spectrum = colorimetry.xyz_to_lab(reflectance @ table.weights, table.white)
     attrs = {
         "geometry": geometry or "sci",
         "theta_i": float(theta),
         "method": method,
         "residual_delta_e": float(colorimetry.delta_e_ab(lab_of_spectrum, colour)),
-        "illuminant": illuminant,
+        "illuminant": table.illuminant,
         "observer": int(observer),
         **({} if specular_index is None else {"specular_index": _sodium_index(specular_index)}),
-        **({"seed": int(seed), "threshold": float(threshold), "tried": search.tried} if search.tried else {}),
-        **_metamerism(reflectance, colour, illuminant, observer, specular, method),
+        **({"seed": int(seed), "threshold": float(threshold), "tried": search.tried} if search else {}),
+        **_metamerism(reflectance, colour, table, specular, method),
     }
     dataset = xr.Dataset(
         {"total_reflectance": ("wavelength", reflectance)}, coords={"wavelength": table.wavelength}, attrs=attrs
     )
-    sentence = f"recovered by {method} from L*a*b* {_words(colour)} ({illuminant}, {observer} degree)"
+    sentence = f"recovered by {method} from L*a*b* {_words(colour)} ({table.illuminant}, {observer} degree)"
     dataset = vocabulary.add_history(vocabulary.label(dataset, "spectrum"), sentence)
-    if search.ended == "threshold":
+    if search is None or search.ended == "threshold":
         return dataset
     why = f"{'was stopped on request' if search.ended == 'stopped' else 'ended'} after {search.tried} mixtures"
     return vocabulary.add_warning(
@@ -169,7 +168,7 @@ def metamerism(
     InputError : as :func:`recover` if no method reaches the colour; or an unknown method.
     """
     spectrum_of: dict[str, xr.Dataset] = {}
-    left_out: dict[str, InputError] = {}
+    errors: dict[str, InputError] = {}
     for method in methods:
         try:
             spectrum_of[method] = recover(
@@ -185,35 +184,27 @@ def metamerism(
         except InputError as error:
             if method not in METHODS:
                 raise
-            left_out[method] = error
+            errors[method] = error
     if not spectrum_of:
-        raise next(iter(left_out.values()))
-    recovered = list(spectrum_of.values())
+        raise next(iter(errors.values()))
+    recovered, names = list(spectrum_of.values()), list(spectrum_of)
     spectra = np.stack([spectrum["total_reflectance"].values for spectrum in recovered])
     pairs = np.stack([_difference(spectra[:, None], spectra[None], light, observer) for light in LIGHTS])
-    own = [spectrum.attrs["residual_delta_e"] for spectrum in recovered]
+    residuals = [spectrum.attrs["residual_delta_e"] for spectrum in recovered]
+    difference = {"units": "1", "long_name": "colour difference CIEDE2000"}
     dataset = xr.Dataset(
         {
             "total_reflectance": (("recovery", "wavelength"), spectra),
-            "delta_e00": (
-                ("light", "recovery", "other"),
-                pairs,
-                {"units": "1", "long_name": "colour difference CIEDE2000"},
-            ),
-            "residual_delta_e": ("recovery", own, {"units": "1", "long_name": "ΔE*ab to the given colour"}),
+            "delta_e00": (("light", "recovery", "other"), pairs, difference),
+            "residual_delta_e": ("recovery", residuals, {"units": "1", "long_name": "ΔE*ab to the given colour"}),
         },
-        coords={
-            "recovery": list(spectrum_of),
-            "other": list(spectrum_of),
-            "light": list(LIGHTS),
-            "wavelength": recovered[0]["wavelength"],
-        },
-        attrs={"illuminant": recovered[0].attrs["illuminant"], "observer": int(observer)},
+        {"recovery": names, "other": names, "light": list(LIGHTS), "wavelength": recovered[0]["wavelength"]},
+        {"illuminant": recovered[0].attrs["illuminant"], "observer": int(observer)},
     )
     for name in ("total_reflectance", "wavelength"):
         dataset[name].attrs = dict(recovered[0][name].attrs)
-    reasons = [f"method {method} was left out: {error}" for method, error in left_out.items()]
-    return vocabulary.add_warning(dataset, *reasons) if reasons else dataset
+    reasons = [f"method {method} was left out: {error}" for method, error in errors.items()]
+    return vocabulary.add_warning(dataset, *reasons)
 
 
 def specular_reflectance(index: float | xr.Dataset, theta: float, wavelength: Array) -> Array:
@@ -242,66 +233,61 @@ def _difference(first: Array, second: Array, light: str, observer: int) -> Array
     )
 
 
-def _metamerism(
-    reflectance: Array, lab: Array, illuminant: str, observer: int, specular: Array, method: str
-) -> dict[str, float | str]:
+def _metamerism(reflectance: Array, lab: Array, table: Weights, specular: Array, method: str) -> dict[str, float | str]:
+    """ΔE00 under other lights to the spectrum of the other exact method, as attributes."""
     against = "basis4" if method == "lhtss" else "lhtss"
-    other = _spectrum(lab, illuminant, observer, specular, against)
+    other = _spectrum(lab, table, specular, against)
     if other is None:
         return {}
-    apart = {f"metamerism_{light}": float(_difference(reflectance, other, light, observer)) for light in LIGHTS}
-    return {"metamerism_against": against, **apart}
+    differences = {light: float(_difference(reflectance, other, light, table.observer)) for light in LIGHTS}
+    return {"metamerism_against": against, **{f"metamerism_{light}": value for light, value in differences.items()}}
 
 
-def _spectrum(lab: Array, illuminant: str, observer: int, specular: Array, method: str = "lhtss") -> Array | None:
-    table = colorimetry.weights(illuminant, observer)
+def _spectrum(lab: Array, table: Weights, specular: Array, method: str = "lhtss") -> Array | None:
     if lab[1] == 0 and lab[2] == 0 and lab[0] in ((0.0, 100.0) if method == "lhtss" else (0.0,)):
         return None if lab[0] == 0 and specular.any() else np.full(table.wavelength.size, lab[0] / 100)
     exact = lhtss if method == "lhtss" else basis4.closed_form
-    result = exact(colorimetry.lab_to_xyz(lab, table.white), illuminant=illuminant, observer=observer, floor=specular)
+    result = exact(colorimetry.lab_to_xyz(lab, table.white), table, specular)
     return np.asarray(result.reflectance[0]) if result.reached[0] else None
 
 
-def _check_mixable(lab: Array, illuminant: str, observer: int, specular: Array, threshold: float) -> None:
+def _check_mixable(lab: Array, table: Weights, specular: Array, threshold: float) -> None:
     """Refuse a colour that no mixture approaches within the threshold; its search would not end."""
-    if _spectrum(lab, illuminant, observer, specular, "basis4") is not None:
+    if _spectrum(lab, table, specular, "basis4") is not None:
         return
-    near = basis4.nearest(lab, illuminant=illuminant, observer=observer, floor=specular)
-    apart = float(colorimetry.delta_e_ab(near, lab))
-    if apart >= threshold:
+    near = basis4.nearest(lab, table, specular)
+    if colorimetry.delta_e_ab(near, lab) >= threshold:
         raise _refusal(
             "no mixture of the four basis spectra has this colour",
             found=f"L*a*b* {_words(lab)}",
-            accepted=f"lhtss; or a colour like the nearest one, L*a*b* {_words(np.round(near, 2) + 0.0)}, ΔE {apart:.2f} away",
+            accepted=f"lhtss; or a colour like the nearest one, {_distance_words(np.round(near, 2) + 0.0, lab)}",
             key="spectrum.method",
         )
 
 
-def _unreachable(
-    lab: Array, illuminant: str, observer: int, specular: Array, index: float | xr.Dataset | None
-) -> InputError:
-    if index is not None and _spectrum(lab, illuminant, observer, np.zeros_like(specular)) is not None:
-        return InputError(
-            "material.yaml",
+def _unreachable(lab: Array, table: Weights, specular: Array, index: float | xr.Dataset | None) -> InputError:
+    none = np.zeros_like(specular)
+    if index is not None and _spectrum(lab, table, none) is not None:
+        return _refusal(
             f"every spectrum of this colour falls below {_span(specular, '.4f')}, the specular reflectance of index "
             f"{index_words(index)}; perhaps the specular was excluded (SCE)",
-            where=_KEY,
             found=f"L*a*b* {_words(lab)}",
-            accepted=f"a colour measured with the specular included, the nearest being {_near(lab, illuminant, observer, specular)}; "
-            "or `geometry: sce`; or the index of this material",
+            accepted="a colour measured with the specular included, the nearest being "
+            f"{_distance_words(nearest_colour(lab, table, specular), lab)}; or `geometry: sce`; or the index of this material",
             key="spectrum.geometry",
         )
-    chroma = float(np.hypot(lab[1], lab[2]))
+    accepted = "a* = b* = 0 at L* = 0 and L* = 100"
     if 0 < lab[0] < 100:
-        largest = largest_chroma(lab, illuminant=illuminant, observer=observer)
-        accepted = f"C* up to {largest:.2f} at this L* and hue; check illuminant and observer"
-    else:
-        accepted = "a* = b* = 0 at L* = 0 and L* = 100"
+        accepted = f"C* up to {largest_chroma(lab, table):.2f} at this L* and hue; check illuminant and observer"
     return _refusal(
         "impossible colour: no reflectance has it",
-        found=f"L*a*b* {_words(lab)}, C* = {chroma:.2f}",
-        accepted=f"{accepted}. The nearest colour is {_near(lab, illuminant, observer, np.zeros_like(specular))}",
+        found=f"L*a*b* {_words(lab)}, C* = {float(np.hypot(lab[1], lab[2])):.2f}",
+        accepted=f"{accepted}. The nearest colour is {_distance_words(nearest_colour(lab, table), lab)}",
     )
+
+
+def _distance_words(near: Array, lab: Array) -> str:
+    return f"L*a*b* {_words(near)}, ΔE {float(colorimetry.delta_e_ab(near, lab)):.2f} away"
 
 
 def index_words(index: float | xr.Dataset) -> str:
@@ -318,21 +304,15 @@ def _sodium_index(index: float | xr.Dataset) -> float:
     return float(interpolate_index(index, 589.3)[0] if isinstance(index, xr.Dataset) else index)
 
 
-def _near(lab: Array, illuminant: str, observer: int, specular: Array) -> str:
-    near = nearest_colour(lab, illuminant=illuminant, observer=observer, specular=specular)
-    return f"L*a*b* {_words(near)}, ΔE {float(colorimetry.delta_e_ab(near, lab)):.2f} away"
-
-
-def _viewing(illuminant: str, observer: int) -> tuple[str, colorimetry.Weights]:
-    """CIE name of the illuminant, and the weights; errors name the key to correct."""
+def _weights(illuminant: str, observer: int) -> Weights:
+    """Weights of the colour; errors name the key to correct."""
+    key = "illuminant"
     try:
         name = colorimetry.illuminant_name(illuminant)
+        key = "observer"
+        return colorimetry.weights(name, observer)
     except BrdfpipeError as error:
-        raise InputError("material.yaml", str(error), where="spectrum", key="spectrum.illuminant") from error
-    try:
-        return name, colorimetry.weights(name, observer)
-    except BrdfpipeError as error:
-        raise InputError("material.yaml", str(error), where="spectrum", key="spectrum.observer") from error
+        raise InputError("material.yaml", str(error), where="spectrum", key=f"spectrum.{key}") from error
 
 
 def _checked_lab(lab: ArrayLike) -> Array:

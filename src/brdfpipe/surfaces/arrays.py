@@ -227,13 +227,13 @@ def _no_archive(path: Path, error: Exception) -> InputError:
 
 FORMATS = (
     SurfaceFormat(
-        "npy", read_npy, (".npy",), "unit and pitch. One dimension is a line, two are a map with rows along y", UNSTATED
+        "npy", (".npy",), "unit and pitch. One dimension is a line, two are a map with rows along y", read_npy, UNSTATED
     ),
     SurfaceFormat(
         "npz",
-        read_npz,
         (".npz",),
         "the array `height`, or a single array; unit and pitch, unless the archive has `unit`, `lateral_unit`, `pitch` or `pitch_x`, `pitch_y`",
+        read_npz,
         UNSTATED,
     ),
 )

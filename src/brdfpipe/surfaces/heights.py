@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
+from brdfpipe.file_formats import FileFormat
 from brdfpipe.vocabulary import add_history, add_warning, label
 
 PITCH_RANGE = (1e-3, 1e3)
@@ -52,16 +53,10 @@ class Heights:
 
 
 @dataclass(frozen=True)
-class SurfaceFormat:
+class SurfaceFormat(FileFormat):
     """A format of surface files."""
 
-    name: str
-    """Value of ``surface.format``."""
     read: Callable[..., Heights]
-    extensions: tuple[str, ...]
-    """Extensions that select it; without any it must be named."""
-    description: str
-    """What reading it needs, for the documentation."""
     options: tuple[str, ...] = ()
     """Keyword arguments of the reader, keys of ``surface``."""
 

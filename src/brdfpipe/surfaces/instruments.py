@@ -253,9 +253,9 @@ def _refusal(path: Path, title: str, error: Exception) -> InputError:
 FORMATS = tuple(
     SurfaceFormat(
         name,
-        partial(read_instrument, format=name),
         instrument.extensions,
         f"{instrument.title}; needs the extra `instruments`",
+        partial(read_instrument, format=name),
         instrument.options,
     )
     for name, instrument in INSTRUMENTS.items()

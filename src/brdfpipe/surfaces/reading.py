@@ -1,8 +1,4 @@
-"""Read, level and filter surface files; formats register here.
-
-The extension or the material file selects the format. Readers are never tried in turn: some would open damaged files, or files
-of another kind, without an error.
-"""
+"""Read, level and filter surface files; formats register here."""
 
 from __future__ import annotations
 
@@ -14,6 +10,7 @@ from typing import Any
 import xarray as xr
 
 from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.file_formats import format_of
 from brdfpipe.surfaces import arrays, instruments, text, x3p
 from brdfpipe.surfaces.filtering import high_pass, low_pass
 from brdfpipe.surfaces.heights import SurfaceFormat, examine, surface_dataset
@@ -23,14 +20,6 @@ FORMATS: dict[str, SurfaceFormat] = {
     known.name: known for module in (text, x3p, arrays, instruments) for known in module.FORMATS
 }
 """Formats of surface files by name. To add one, write a module with ``FORMATS`` like :mod:`.x3p` and list it above."""
-
-_STEPS: Mapping[str, Callable[[xr.Dataset, Any], xr.Dataset]] = {
-    "form": level,
-    "lambda_s": low_pass,
-    "lambda_c": high_pass,
-}
-"""Processing step of each key of the material file, in order."""
-_OTHER_KEYS = ("file", "format", "isotropic", "azimuth", "scans", "method")
 
 
 def read_surface(path: str | os.PathLike[str], format: str | None = None, **options: Any) -> xr.Dataset:
@@ -58,7 +47,7 @@ def read_surface(path: str | os.PathLike[str], format: str | None = None, **opti
         (see :func:`brdfpipe.surfaces.heights.examine`).
     """
     path = Path(path)
-    chosen = FORMATS[_format_name(path, format)]
+    chosen = format_of(path, format, FORMATS, "surface.format")
     given = {name: value for name, value in options.items() if value is not None}
     for name in given:
         if name not in chosen.options:
@@ -79,8 +68,8 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
     ----------
     path : the file that ``spec["file"]`` names, resolved
     spec : ``format`` and the reading options of :func:`read_surface`; ``form`` to level by (default plane); ``lambda_s`` and
-        ``lambda_c``, cutoffs [um] of a low-pass and a high-pass filter (default none); keys of other stages
-        (``isotropic``) are ignored
+        ``lambda_c``, cutoffs [um] of a low-pass and a high-pass filter (default none); ``azimuth`` [degree] of a line profile. Keys of
+        other stages (``isotropic``, ``method``, ``scans``) have no effect
 
     Returns
     -------
@@ -88,23 +77,42 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
 
     Raises
     ------
-    InputError : as :func:`read_surface`; an unknown form, or one that the heights do not determine; a cutoff out of range.
+    InputError : as :func:`read_surface`, also for an unknown key; an unknown form, or one that the heights do not determine; a cutoff
+        out of range; an azimuth of a map.
     """
-    options = {key: value for key, value in spec.items() if key not in (*_OTHER_KEYS, *_STEPS)}
-    surface = read_surface(path, spec.get("format"), **options)
-    parameters = {"form": "plane"} | {key: spec[key] for key in _STEPS if spec.get(key) is not None}
-    for key, step in _STEPS.items():
-        if key not in parameters:
-            continue
+    return _ingested(Path(path), **spec)
+
+
+def _ingested(
+    path: Path,
+    *,
+    file: str | None = None,
+    format: str | None = None,
+    form: str | None = None,
+    lambda_s: float | None = None,
+    lambda_c: float | None = None,
+    azimuth: float | None = None,
+    isotropic: bool | None = None,
+    method: str | None = None,
+    scans: Any = None,
+    **options: Any,
+) -> xr.Dataset:
+    surface = read_surface(path, format, **options)
+    steps: list[tuple[str, Callable[[xr.Dataset, Any], xr.Dataset], Any]] = [
+        ("form", level, form or "plane"),
+        ("lambda_s", low_pass, lambda_s),
+        ("lambda_c", high_pass, lambda_c),
+    ]
+    for key, step, value in steps:
         try:
-            surface = step(surface, parameters[key])
+            surface = surface if value is None else step(surface, value)
         except BrdfpipeError as error:
-            raise InputError(Path(path), str(error), key=f"surface.{key}") from error
-    if "azimuth" not in spec:
+            raise InputError(path, str(error), key=f"surface.{key}") from error
+    if azimuth is None:
         return surface
     if surface["height"].ndim != 1:
-        raise InputError(Path(path), "`azimuth` applies to line profiles only", found="a map", key="surface.azimuth")
-    return surface.assign_attrs(azimuth=float(spec["azimuth"]))
+        raise InputError(path, "`azimuth` applies to line profiles only", found="a map", key="surface.azimuth")
+    return surface.assign_attrs(azimuth=float(azimuth))
 
 
 def check_readable(path: str | os.PathLike[str], format: str | None = None) -> None:
@@ -114,22 +122,5 @@ def check_readable(path: str | os.PathLike[str], format: str | None = None) -> N
     ------
     InputError : as :func:`read_surface`, or naming the command that installs the optional extra.
     """
-    if _format_name(Path(path), format) in instruments.INSTRUMENTS:
+    if format_of(Path(path), format, FORMATS, "surface.format") in instruments.FORMATS:
         instruments.check_installed(Path(path))
-
-
-def _format_name(path: Path, name: str | None) -> str:
-    if name is not None:
-        if name in FORMATS:
-            return name
-        raise InputError(path, "unknown format", found=name, accepted=", ".join(FORMATS), key="surface.format")
-    for candidate, known in FORMATS.items():
-        if path.suffix.lower() in known.extensions:
-            return candidate
-    raise InputError(
-        path,
-        "unknown file extension",
-        found=path.suffix or "none",
-        accepted=", ".join(suffix for known in FORMATS.values() for suffix in known.extensions),
-        key="surface.format",
-    )

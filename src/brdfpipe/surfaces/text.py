@@ -494,10 +494,10 @@ def _check_agreement(stated: tuple[float, ...], measured_pitches: tuple[float, .
 FORMATS = (
     SurfaceFormat(
         "text",
-        read_text,
         (".txt", ".csv", ".dat", ".asc", ".xyz"),
         "unit (or a line `# unit: um`); pitch (or `# pitch: 0.5 0.5`) where there are no positions",
+        read_text,
         ("layout", *UNSTATED),
     ),
-    SurfaceFormat("hfm", read_hfm, (".hfm",), "the file states unit and pitch"),
+    SurfaceFormat("hfm", (".hfm",), "the file states unit and pitch", read_hfm),
 )

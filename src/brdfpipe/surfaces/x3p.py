@@ -405,4 +405,4 @@ def _document(feature: str, code: str, shape: tuple[int, ...], pitches: tuple[fl
 """
 
 
-FORMATS = (SurfaceFormat("x3p", read_x3p, (".x3p",), "the file states unit and pitch"),)
+FORMATS = (SurfaceFormat("x3p", (".x3p",), "the file states unit and pitch", read_x3p),)

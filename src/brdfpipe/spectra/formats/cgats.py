@@ -8,67 +8,51 @@ from pathlib import Path
 
 import numpy as np
 
-from brdfpipe import columns
 from brdfpipe.errors import InputError
-from brdfpipe.spectra.formats.sample import (
-    FRACTION,
-    PERCENT,
-    UNSCALED,
-    Sample,
-    SpectrumFormat,
-    doubts_of_cut_numbers,
-    lines_of,
-    parse_numbers,
-    stated_number,
-    truncated,
-)
+from brdfpipe.spectra.formats import base
 
 _BAND = re.compile(r"(?:SPEC|SPECTRAL|SPECTRAL_NM|NM|R)_?(\d{3,4}(?:\.\d+)?)", re.IGNORECASE)
 
 
-def _read(path: Path) -> tuple[list[Sample], list[str]]:
-    text, notes = columns.read_text(path)
-    return _samples(path, text), notes
-
-
-def _samples(path: Path, text: str) -> list[Sample]:
-    samples: list[Sample] = []
+def _samples(path: Path, text: str) -> list[base.Sample]:
+    samples: list[base.Sample] = []
     keywords: dict[str, str] = {}
     fields: list[str] = []
     data: list[str] = []
-    into: list[str] | None = None
-    for line in lines_of(text):
+    block: list[str] | None = None
+    for line in base.lines_of(text):
         tokens = [token.strip('"') for token in re.findall(r'"[^"]*"|[^\s"]+', re.sub(r"^\s*#.*", "", line))]
         head = tokens[0].upper() if tokens else ""
         if head in ("BEGIN_DATA_FORMAT", "BEGIN_DATA"):
-            into = fields if head == "BEGIN_DATA_FORMAT" else data
-            into.clear()
+            block = fields if head == "BEGIN_DATA_FORMAT" else data
+            block.clear()
         elif head in ("END_DATA_FORMAT", "END_DATA"):
-            into = None
+            block = None
             if head == "END_DATA":
                 samples += _table_samples(path, keywords, fields, data)
-        elif into is not None:
-            into += tokens
+        elif block is not None:
+            block += tokens
         elif len(tokens) > 1:
             keywords[head] = tokens[1]
-    if into is not None:
+    if block is not None:
         raise InputError(path, "truncated: a block does not end", accepted="END_DATA")
     return samples
 
 
-def _table_samples(path: Path, keywords: Mapping[str, str], fields: Sequence[str], data: Sequence[str]) -> list[Sample]:
+def _table_samples(
+    path: Path, keywords: Mapping[str, str], fields: Sequence[str], data: Sequence[str]
+) -> list[base.Sample]:
     bands = {i: float(match.group(1)) for i, name in enumerate(fields) if (match := _BAND.fullmatch(name))}
     if not bands:
         return []
     if keywords.get("DEVICE_CLASS", "").upper() == "DISPLAY":
         raise InputError(path, "not a reflectance", found="DEVICE_CLASS DISPLAY", accepted="reflectance of a print")
-    sets = stated_number(path, "NUMBER_OF_SETS", keywords.get("NUMBER_OF_SETS", ""))
-    if len(data) != sets * len(fields):
-        raise truncated(path, len(data), sets * len(fields))
+    sets = base.stated_number(path, "NUMBER_OF_SETS", keywords.get("NUMBER_OF_SETS", ""))
+    base.check_count(path, len(data), sets * len(fields))
     wavelength = np.array(list(bands.values()))
     if "SPECTRAL_BANDS" in keywords:
         low, high, count = (
-            stated_number(path, key, keywords.get(key, ""))
+            base.stated_number(path, key, keywords.get(key, ""))
             for key in ("SPECTRAL_START_NM", "SPECTRAL_END_NM", "SPECTRAL_BANDS")
         )
         exact = np.linspace(low, high, len(bands))
@@ -82,17 +66,17 @@ def _table_samples(path: Path, keywords: Mapping[str, str], fields: Sequence[str
             )
         wavelength = exact
     norm = keywords.get("SPECTRAL_NORM")
-    stated = {100.0: PERCENT, 1.0: FRACTION}.get(stated_number(path, "SPECTRAL_NORM", norm)) if norm else UNSCALED
-    if stated is None:
+    largest = base.stated_number(path, "SPECTRAL_NORM", norm) if norm else None
+    scale = {100.0: base.PERCENT, 1.0: base.FRACTION, None: base.UNSCALED}.get(largest)
+    if scale is None:
         raise InputError(path, "unknown scale", where="SPECTRAL_NORM", found=repr(norm)[:40], accepted="1 or 100")
     names = [fields.index(name) for name in ("SAMPLE_NAME", "SAMPLE_ID", "SAMPLE_LOC") if name in fields]
-    rows = [data[start : start + len(fields)] for start in range(0, len(data), len(fields))]
     samples = []
-    for place, row in enumerate(rows, start=1):
-        cells = [row[i] for i in bands]
-        name, values = row[names[0]] if names else str(place), parse_numbers(path, f"set {place}", cells)
-        samples.append(Sample(name, wavelength, values, (stated,), doubts=doubts_of_cut_numbers(cells, wavelength)))
+    for place, start in enumerate(range(0, len(data), len(fields)), start=1):
+        row = data[start : start + len(fields)]
+        name, cells = row[names[0]] if names else str(place), [row[i] for i in bands]
+        samples.append(base.parsed_sample(path, f"set {place}", name, wavelength, cells, (scale,)))
     return samples
 
 
-FORMAT = SpectrumFormat("cgats", (".cgats", ".ti3"), "spectral fields of CGATS tables", _read)
+FORMAT = base.SpectrumFormat("cgats", (".cgats", ".ti3"), "spectral fields of CGATS tables", base.from_text(_samples))

@@ -9,16 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from brdfpipe import columns
 from brdfpipe.errors import InputError
-from brdfpipe.spectra.formats.sample import (
-    FRACTION,
-    Sample,
-    SpectrumFormat,
-    doubt_of_end,
-    doubts_of_cut_numbers,
-    even_grid,
-    parse_numbers,
-    stated_number,
-)
+from brdfpipe.spectra.formats import base
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -31,12 +22,7 @@ _GLOSS = 10.0
 """Angles of light and view that are closer [degree] may hold the mirror direction."""
 
 
-def _read(path: Path) -> tuple[list[Sample], list[str]]:
-    text, notes = columns.read_text(path)
-    return _samples(path, text), notes
-
-
-def _samples(path: Path, text: str) -> list[Sample]:
+def _samples(path: Path, text: str) -> list[base.Sample]:
     root = _xml(path, text)
     elements = root.findall(".//{*}ColorSpecification")
     specifications = {element.get("Id", ""): _specification(element) for element in elements}
@@ -97,7 +83,7 @@ def _specification(element: Element) -> _Specification:
     return _Specification(start, step, quantity, doubts=doubts if several else ())
 
 
-def _sample(path: Path, name: str, spectrum: Element, specification: _Specification) -> Sample:
+def _sample(path: Path, name: str, spectrum: Element, specification: _Specification) -> base.Sample:
     if "Transmittance" in specification.quantity or "Emissive" in specification.quantity:
         found, accepted = specification.quantity[:40], "Spectrum_Reflectance"
         raise InputError(
@@ -108,32 +94,29 @@ def _sample(path: Path, name: str, spectrum: Element, specification: _Specificat
         for key, stated in (("StartWL", specification.start), ("Increment", specification.step))
     )
     cells = (spectrum.text or "").split()
-    values, wavelength = parse_numbers(path, name[:40], cells), even_grid(low, step, len(cells))
-    if low + step * (values.size - 1) > _END:
+    wavelength = base.even_grid(low, step, len(cells))
+    doubts = (*specification.doubts, *base.doubt_of_end(wavelength, step))
+    if not _STARTS[0] <= low <= _STARTS[1]:
+        doubts += (f"StartWL is {low:g} nm; CxF3 allows 360 to 400. Compare it with the instrument",)
+    header = (base.FRACTION, *specification.header)
+    sample = base.parsed_sample(path, name[:40], name, wavelength, cells, header, doubts=doubts)
+    if low + step * (len(cells) - 1) > _END:
         raise InputError(
             path,
             "damaged: wavelengths beyond the range of colour instruments",
             where=name[:40],
-            found=f"{values.size} values from {low:g} nm by {step:g} nm",
+            found=f"{len(cells)} values from {low:g} nm by {step:g} nm",
             accepted=f"values up to {_END:g} nm",
         )
-    doubts = (*specification.doubts, *doubt_of_end(wavelength, step), *doubts_of_cut_numbers(cells, wavelength))
-    if not _STARTS[0] <= low <= _STARTS[1]:
-        doubts += (f"StartWL is {low:g} nm; CxF3 allows 360 to 400. Compare it with the instrument",)
-    return Sample(name, wavelength, values, (FRACTION, *specification.header), doubts=doubts)
+    return sample
 
 
 def _agreed(path: Path, name: str, key: str, own: str | None, shared: str | None) -> float:
     """A number that a spectrum, its specification or both of them state."""
-    value = stated_number(path, f"{key} of {name[:40]}", own or shared or "")
+    value = base.stated_number(path, f"{key} of {name[:40]}", own or shared or "")
     if own and shared and value != columns.number(shared):
-        raise InputError(
-            path,
-            f"damaged: two values of {key}",
-            where=name[:40],
-            found=f"{value:g} and {shared[:20]} nm",
-            accepted=f"one {key}",
-        )
+        found = f"{value:g} and {shared[:20]} nm"
+        raise InputError(path, f"damaged: two values of {key}", where=name[:40], found=found, accepted=f"one {key}")
     return value
 
 
@@ -145,4 +128,6 @@ def _unlike(size: int, sizes: Sequence[int]) -> list[str]:
     return [f"it has {size} values, others of the file {others}. Look for lost or added values"]
 
 
-FORMAT = SpectrumFormat("cxf", (".cxf",), "CxF3 objects with a `ReflectanceSpectrum`, fractions", _read)
+FORMAT = base.SpectrumFormat(
+    "cxf", (".cxf",), "CxF3 objects with a `ReflectanceSpectrum`, fractions", base.from_text(_samples)
+)

@@ -8,19 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from brdfpipe import columns
-from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError
-from brdfpipe.spectra.formats.sample import (
-    PERCENT,
-    Sample,
-    SpectrumFormat,
-)
+from brdfpipe.spectra.formats import base
 from brdfpipe.spectra.formats.text import wide_rows, wide_samples
 
 _UNPACKED = 2**28
 
 
-def _read(path: Path) -> tuple[Columns | list[Sample], list[str]]:
+def _read(path: Path) -> base.Content:
     rows, notes = _sheet(path)
     text = "\n".join("\t".join(row) for row in rows)
     wide = wide_rows(text)
@@ -65,7 +60,7 @@ def _sheet(path: Path) -> tuple[list[list[str]], list[str]]:
         rows = [row[:-1] for row in rows]
     if has_percentages:
         notes.append("cells formatted as percentages were read as percent")
-        rows.insert(0, [f"# {PERCENT}"])
+        rows.insert(0, [f"# {base.PERCENT}"])
     return rows, notes
 
 
@@ -81,6 +76,6 @@ def _cell(value: Any, form: str) -> str:
     return "" if value is None else " ".join(str(value).split())
 
 
-FORMAT = SpectrumFormat(
+FORMAT = base.SpectrumFormat(
     "excel", (".xlsm", ".xlsx"), "the first sheet, laid out like `text`; needs `pip install 'brdfpipe[excel]'`", _read
 )

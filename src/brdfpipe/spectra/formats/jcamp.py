@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from brdfpipe import columns
 from brdfpipe.errors import InputError
 from brdfpipe.geometry import Array
-from brdfpipe.spectra.formats.sample import FRACTION, PERCENT, Sample, SpectrumFormat
+from brdfpipe.spectra.formats import base
 
 Block = tuple[str, str, str, Array, Array, tuple[str, ...]]
 
@@ -46,7 +45,7 @@ def blocks(path: Path, text: str) -> list[Block]:
 
 def _records(text: str) -> Iterator[dict[str, str]]:
     """Labels and their text, block by block; labels without blanks, dashes, slashes and underscores."""
-    lines = [re.sub(r"\$\$.*", "", line) for line in re.split(r"\r\n|\r|\n", text)]
+    lines = [re.sub(r"\$\$.*", "", line) for line in base.lines_of(text)]
     record: dict[str, str] = {}
     for part in re.split(r"^\s*##", "\n".join(lines), flags=re.MULTILINE)[1:]:
         label, _, value = part.partition("=")
@@ -193,8 +192,7 @@ def _value(token: str) -> float:
     return float(f"{sign}{abs(lead)}{token[1:]}")
 
 
-def _read(path: Path) -> tuple[list[Sample], list[str]]:
-    text, notes = columns.read_text(path)
+def _samples(path: Path, text: str) -> list[base.Sample]:
     samples = []
     for title, x_unit, y_unit, wavelength, values, doubts in blocks(path, text):
         unit = {"NANOMETERS": "nm", "NM": "nm", "MICROMETERS": "um", "MICRONS": "um", "UM": "um"}.get(x_unit)
@@ -206,11 +204,14 @@ def _read(path: Path) -> tuple[list[Sample], list[str]]:
                 found=f"XUNITS {x_unit[:20]}, YUNITS {y_unit[:20]}",
                 accepted="NANOMETERS or MICROMETERS, REFLECTANCE",
             )
-        scale = PERCENT if "%" in y_unit or "PERCENT" in y_unit else FRACTION
-        samples.append(Sample(title, wavelength, values, (scale,), unit, doubts))
-    return samples, notes
+        scale = base.PERCENT if "%" in y_unit or "PERCENT" in y_unit else base.FRACTION
+        samples.append(base.Sample(title, wavelength, values, (scale,), unit, doubts))
+    return samples
 
 
-FORMAT = SpectrumFormat(
-    "jcamp", (".dx", ".jcamp", ".jcm", ".jdx"), "JCAMP-DX `XYDATA` or `XYPOINTS`, packed or not, over nm or µm", _read
+FORMAT = base.SpectrumFormat(
+    "jcamp",
+    (".dx", ".jcamp", ".jcm", ".jdx"),
+    "JCAMP-DX `XYDATA` or `XYPOINTS`, packed or not, over nm or µm",
+    base.from_text(_samples),
 )

@@ -6,29 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from brdfpipe import columns
 from brdfpipe.errors import InputError
-from brdfpipe.spectra.formats.sample import (
-    FRACTION,
-    PERCENT,
-    Sample,
-    SpectrumFormat,
-    doubts_of_cut_numbers,
-    even_grid,
-    lines_of,
-    parse_numbers,
-    stated_number,
-    truncated,
-)
+from brdfpipe.spectra.formats import base
 
 
-def _read(path: Path) -> tuple[list[Sample], list[str]]:
-    text, notes = columns.read_text(path)
-    return _samples(path, text), notes
-
-
-def _samples(path: Path, text: str) -> list[Sample]:
-    lines = [line.strip() for line in lines_of(text)]
+def _samples(path: Path, text: str) -> list[base.Sample]:
+    lines = [line.strip() for line in base.lines_of(text)]
     if "#DATA" not in lines or "#GR" not in lines or not lines[0].startswith("PE "):
         raise InputError(
             path, "not a PerkinElmer ASCII file", accepted="PE … in line 1, then #GR and #DATA", key="spectrum.format"
@@ -45,31 +28,35 @@ def _samples(path: Path, text: str) -> list[Sample]:
             accepted="nm and %R or R",
         )
     rows = [_row(path, line, place) for place, line in enumerate(lines[start:], start=start + 1) if line]
-    points = stated_number(path, "number of points", stated[6])
-    if len(rows) != points:
-        raise truncated(path, len(rows), points)
+    points = base.stated_number(path, "number of points", stated[6])
+    base.check_count(path, len(rows), points)
     cells = list(zip(*rows, strict=True)) or [(), ()]
-    wavelength, values = (parse_numbers(path, "#DATA", column) for column in cells)
-    scale, offset = (stated_number(path, word, cell) for word, cell in (("factor", stated[2]), ("offset", stated[3])))
+    wavelength = base.parse_numbers(path, "#DATA", cells[0])
+    scale, offset = (
+        base.stated_number(path, word, cell) for word, cell in (("factor", stated[2]), ("offset", stated[3]))
+    )
     if scale != 1 or offset != 0:
         raise InputError(
             path, "unsupported factor or offset", where="#GR", found=f"{scale:g}, {offset:g}", accepted="1 and 0"
         )
-    first, step = (stated_number(path, what, cell) for what, cell in (("first nm", stated[4]), ("step", stated[5])))
-    doubts = doubts_of_cut_numbers(cells[1], wavelength)
-    if wavelength.size and np.abs(wavelength - even_grid(first, step, wavelength.size)).max() > 0.5 * abs(step):
-        doubts += (
+    first, step = (
+        base.stated_number(path, what, cell) for what, cell in (("first nm", stated[4]), ("step", stated[5]))
+    )
+    doubts: tuple[str, ...] = ()
+    if wavelength.size and np.abs(wavelength - base.even_grid(first, step, wavelength.size)).max() > 0.5 * abs(step):
+        doubts = (
             f"the header states wavelengths from {first:g} nm by {step:g} nm. The table differs from that: look for mistyped or lost ones",
         )
-    return [Sample(lines[2], wavelength, values, (PERCENT if "%" in y_unit else FRACTION,), doubts=doubts)]
+    scaled = (base.PERCENT if "%" in y_unit else base.FRACTION,)
+    return [base.parsed_sample(path, "#DATA", lines[2], wavelength, cells[1], scaled, doubts=doubts)]
 
 
 def _row(path: Path, line: str, place: int) -> tuple[str, str]:
     cells = line.split()
     if len(cells) != 2:
         raise InputError(path, "not a row of two columns", where=f"line {place}", found=repr(line)[:60])
-    parse_numbers(path, f"line {place}", cells)
+    base.parse_numbers(path, f"line {place}", cells)
     return cells[0], cells[1]
 
 
-FORMAT = SpectrumFormat("perkinelmer", (".asc",), "one spectrum in nm, %R or R", _read)
+FORMAT = base.SpectrumFormat("perkinelmer", (".asc",), "one spectrum in nm, %R or R", base.from_text(_samples))

@@ -5,33 +5,16 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from brdfpipe import columns
 from brdfpipe.errors import InputError
-from brdfpipe.spectra.formats.sample import (
-    PERCENT,
-    Sample,
-    SpectrumFormat,
-    doubt_of_end,
-    doubts_of_cut_numbers,
-    even_grid,
-    lines_of,
-    parse_numbers,
-    stated_number,
-    truncated,
-)
+from brdfpipe.spectra.formats import base
 
-_QTX_GRID = ("REFLLOW", "REFLINTERVAL", "REFLPOINTS")
+_GRID = ("REFLLOW", "REFLINTERVAL", "REFLPOINTS")
 
 
-def _read(path: Path) -> tuple[list[Sample], list[str]]:
-    text, notes = columns.read_text(path)
-    return _samples(path, text), notes
-
-
-def _samples(path: Path, text: str) -> list[Sample]:
+def _samples(path: Path, text: str) -> list[base.Sample]:
     sections: list[dict[str, str]] = []
     last = ""
-    for place, line in enumerate(lines_of(text), start=1):
+    for place, line in enumerate(base.lines_of(text), start=1):
         line = line.strip()
         if line.startswith("["):
             sections.append({})
@@ -39,7 +22,7 @@ def _samples(path: Path, text: str) -> list[Sample]:
         elif "=" in line and sections:
             last, _, value = line.partition("=")
             last = re.sub("^(?:STD|BAT)_", "", last.strip().upper())
-            if last in ("NAME", "VIEWING", "R", *_QTX_GRID) and last in sections[-1]:
+            if last in ("NAME", "VIEWING", "R", *_GRID) and last in sections[-1]:
                 raise InputError(path, f"damaged: duplicate key {last} in a section", where=f"line {place}")
             sections[-1][last] = value.strip()
         elif line and sections and last == "R":
@@ -53,15 +36,14 @@ def _samples(path: Path, text: str) -> list[Sample]:
         if "R" not in section and "REFLPOINTS" not in section:
             continue
         cells = [cell for cell in re.split(r"[,\s]+", section.get("R", "")) if cell]
-        low, step, points = (stated_number(path, key, section.get(key, "").rstrip(", ")) for key in _QTX_GRID)
-        if len(cells) != points:
-            raise truncated(path, len(cells), points)
-        wavelength, values = even_grid(low, step, len(cells)), parse_numbers(path, f"section {place}", cells)
+        low, step, points = (base.stated_number(path, key, section.get(key, "").rstrip(", ")) for key in _GRID)
+        base.check_count(path, len(cells), points)
+        wavelength = base.even_grid(low, step, len(cells))
         viewing = (f"viewing {section['VIEWING']}",) if "VIEWING" in section else ()
-        name = section.get("NAME", f"sample {place}")
-        doubts = (*doubt_of_end(wavelength, step), *doubts_of_cut_numbers(cells, wavelength))
-        samples.append(Sample(name, wavelength, values, (PERCENT, *viewing), doubts=doubts))
+        name, doubts = section.get("NAME", f"sample {place}"), base.doubt_of_end(wavelength, step)
+        header = (base.PERCENT, *viewing)
+        samples.append(base.parsed_sample(path, f"section {place}", name, wavelength, cells, header, doubts=doubts))
     return samples
 
 
-FORMAT = SpectrumFormat("qtx", (".qtx",), "Datacolor standards and batches, percent", _read)
+FORMAT = base.SpectrumFormat("qtx", (".qtx",), "Datacolor standards and batches, percent", base.from_text(_samples))

@@ -10,15 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from brdfpipe import columns
-from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError
-from brdfpipe.spectra.formats.sample import (
-    Sample,
-    SpectrumFormat,
-    doubts_of_cut_numbers,
-    lines_of,
-    parse_numbers,
-)
+from brdfpipe.spectra.formats import base
 
 _LABEL = re.compile(r"[A-Za-zλ%_\s]{0,12}[\s_(\[]?(\d{3,5}(?:\.\d+)?|\d?\.\d{2,5})\s*(?:nm|[µμu]m)?[)\]]?", re.ASCII)
 _FEWEST_LABELS = 7
@@ -26,7 +19,7 @@ _FEWEST_LABELS = 7
 
 def wide_rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]], str] | None:
     """Lines above, then header and rows of a table whose header is wavelengths; None for other tables."""
-    lines = lines_of(text)
+    lines = base.lines_of(text)
     for place, line in enumerate(lines):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
@@ -64,38 +57,34 @@ def _labels(cells: Sequence[str]) -> dict[int, float]:
     return labels if (steps > 0).all() or (steps < 0).all() else {}
 
 
-def wide_samples(path: Path, above: Sequence[str], rows: Sequence[tuple[int, list[str]]], decimal: str) -> list[Sample]:
+def wide_samples(
+    path: Path, above: Sequence[str], rows: Sequence[tuple[int, list[str]]], decimal: str
+) -> list[base.Sample]:
+    """Samples of the header and rows of :func:`wide_rows`."""
     header = rows[0][1]
     labels = _labels(header)
-    stated = "nm" if any("nm" in header[i] for i in labels) else ""
+    unit = "nm" if any("nm" in header[i] for i in labels) else ""
     if decimal == "," and not any("," in row[i] for _, row in rows[1:] for i in labels if i < len(row)):
         decimal = "."
+    wavelength = np.array(list(labels.values()))
     samples = []
     for line, row in rows[1:]:
         if len(row) != len(header):
-            raise InputError(
-                path,
-                "rows of unequal length",
-                where=f"line {line}",
-                found=f"{len(row)} cells",
-                accepted=f"{len(header)} cells, as in the header",
-            )
-        cells = [row[i] for i in labels]
-        wavelength = np.array(list(labels.values()))
-        values = parse_numbers(path, f"line {line}", cells, decimal)
-        samples.append(
-            Sample(row[0].strip(), wavelength, values, tuple(above), stated, doubts_of_cut_numbers(cells, wavelength))
-        )
+            found, accepted = f"{len(row)} cells", f"{len(header)} cells, as in the header"
+            raise InputError(path, "rows of unequal length", where=f"line {line}", found=found, accepted=accepted)
+        name, cells = row[0].strip(), [row[i] for i in labels]
+        sample = base.parsed_sample(path, f"line {line}", name, wavelength, cells, tuple(above), unit, decimal=decimal)
+        samples.append(sample)
     return samples
 
 
-def _read(path: Path) -> tuple[Columns | list[Sample], list[str]]:
+def _read(path: Path) -> base.Content:
     text, notes = columns.read_text(path)
     table = wide_rows(text)
     return (columns.parse_columns(text, path, notes) if table is None else wide_samples(path, *table)), notes
 
 
-FORMAT = SpectrumFormat(
+FORMAT = base.SpectrumFormat(
     "text",
     columns.TEXT_SUFFIXES,
     "columns of wavelength (nm or µm) and reflectance; or one row per sample below a header of wavelengths. UTF-8, UTF-16 or Latin-1; `;`, tab, "

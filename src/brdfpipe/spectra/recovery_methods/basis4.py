@@ -8,26 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
+from brdfpipe.spectra.colorimetry import Weights
+from brdfpipe.spectra.recovery_methods.lhtss import Recovered
 
 ROUNDING = 1e-9
-
-
-class Mixtures(NamedTuple):
-    """Mixtures of the basis spectra for many colours."""
-
-    weights: Array
-    """(B, 4)"""
-    reflectance: Array
-    """(B, n) from the floor to 1; NaN where no mixture has the colour."""
-    reached: NDArray[np.bool_]
-    """(B,)"""
 
 
 @cache
@@ -48,18 +38,14 @@ def basis() -> Array:
     return spectra
 
 
-def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 0.0) -> Mixtures:
+def closed_form(xyz: ArrayLike, table: Weights, floor: ArrayLike = 0.0) -> Recovered:
     """Smoothest mixtures that have given colours exactly (method ``basis4``).
 
     Parameters
     ----------
     xyz : (B, 3) tristimulus values, Y = 100 for the perfect diffuser
-    illuminant, observer : see :func:`brdfpipe.spectra.colorimetry.weights`
+    table : of :func:`brdfpipe.spectra.colorimetry.weights`
     floor : () or (n,), what every spectrum has beneath its mixture (specular), 0 <= floor < 1: R = floor + (1 − floor) S
-
-    Returns
-    -------
-    Mixtures : NaN and ``reached`` False where no mixture within [0, 1] has the colour
 
     Notes
     -----
@@ -67,7 +53,7 @@ def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayL
     Σ (S_{i+1} − S_i)², a parabola in t, is smallest.
     """
     spectra, under = basis(), np.asarray(floor, dtype=float)
-    primaries, darkest = _primaries(illuminant, observer, under)
+    primaries, darkest = _primaries(table, under)
     colours = np.atleast_2d(np.asarray(xyz, dtype=float)) - darkest
     w_0 = colours @ np.linalg.pinv(primaries)
     null = np.linalg.svd(primaries.T)[2][3]
@@ -84,16 +70,14 @@ def closed_form(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayL
     reached = still & (lowest <= highest + ROUNDING) & np.isfinite(colours).all(axis=1)
     t = np.where(reached, np.clip(smoothest, lowest, np.maximum(lowest, highest)), np.nan)
     weights = np.where(reached[:, None], np.maximum(w_0 + t[:, None] * null, 0.0), np.nan)
-    return Mixtures(weights, under + (1 - under) * np.minimum(weights @ spectra, 1.0), np.asarray(reached))
+    return Recovered(under + (1 - under) * np.minimum(weights @ spectra, 1.0), np.asarray(reached), weights)
 
 
-def nearest(lab: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 0.0) -> Array:
+def nearest(lab: ArrayLike, table: Weights, floor: ArrayLike = 0.0) -> Array:
     """Colour (3,) of a mixture nearest to a given one by ΔE*ab."""
     from scipy.optimize import LinearConstraint, minimize
 
-    wanted, spectra = np.asarray(lab, dtype=float), basis()
-    distance = distance_to(wanted, illuminant, observer, floor, rescale=False)
-    table = colorimetry.weights(illuminant, observer)
+    distance, spectra = distance_to(np.asarray(lab, dtype=float), table, floor, rescale=False), basis()
     optimum = minimize(  # type: ignore[call-overload]
         lambda w: float(distance(w[None])[0] ** 2),
         np.full(4, 0.3),
@@ -103,32 +87,29 @@ def nearest(lab: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike 
         options={"maxiter": 300, "ftol": 1e-10},
     )
     w = np.clip(optimum.x, 0, 1)
-    primaries, darkest = _primaries(illuminant, observer, floor)
+    primaries, darkest = _primaries(table, floor)
     return colorimetry.xyz_to_lab(darkest + w / max(float((w @ spectra).max()), 1.0) @ primaries, table.white)
 
 
-def distance_to(
-    wanted: Array, illuminant: str, observer: int, floor: ArrayLike, rescale: bool = True
-) -> Callable[[Array], Array]:
+def distance_to(lab: Array, table: Weights, floor: ArrayLike, rescale: bool = True) -> Callable[[Array], Array]:
     """ΔE*ab to a colour, of weights (B, 4)."""
-    white = colorimetry.weights(illuminant, observer).white
-    primaries, darkest = _primaries(illuminant, observer, floor)
+    primaries, darkest = _primaries(table, floor)
 
     def distance(w: Array) -> Array:
         xyz = darkest + (rescaled(w) if rescale else w) @ primaries
-        return colorimetry.delta_e_ab(colorimetry.xyz_to_lab(xyz, white), wanted)
+        return colorimetry.delta_e_ab(colorimetry.xyz_to_lab(xyz, table.white), lab)
 
     return distance
 
 
-def _primaries(illuminant: str, observer: int, floor: ArrayLike) -> tuple[Array, Array]:
+def _primaries(table: Weights, floor: ArrayLike) -> tuple[Array, Array]:
     """Tristimulus values (4, 3) that each basis spectrum adds above a floor, and (3,) of the floor alone."""
-    weights = colorimetry.weights(illuminant, observer).weights
-    under = np.broadcast_to(np.asarray(floor, dtype=float), len(weights))
-    return (basis() * (1 - under)) @ weights, under @ weights
+    under = np.broadcast_to(np.asarray(floor, dtype=float), len(table.weights))
+    return (basis() * (1 - under)) @ table.weights, under @ table.weights
 
 
 def rescaled(w: Array) -> Array:
+    """Weights (B, 4) divided by the largest reflectance of their mixture where that exceeds 1."""
     scaled: Array = w / np.maximum((w @ peaks()).max(axis=1, keepdims=True), 1.0)
     return scaled
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe.geometry import Array
-from brdfpipe.spectra import colorimetry
+from brdfpipe.spectra.colorimetry import Weights
 
 _TOLERANCE = 1e-8
 # On tristimulus values with Y = 1 for white: 4e-8 in L*a*b*, whose slope is 3900 at black.
@@ -21,28 +21,24 @@ _CHUNK = 256
 
 
 class Recovered(NamedTuple):
-    """Spectra of many colours."""
+    """Spectra of many colours, on the wavelengths of the weights."""
 
-    wavelength: Array
-    """(n,) nm: 360 to 780 by 5."""
     reflectance: Array
     """(B, n) from the floor to 1; NaN where the colour is out of reach."""
     reached: NDArray[np.bool_]
-    """(B,) whether a reflectance between the floor and 1 has this colour."""
+    """(B,) whether a spectrum of the method between the floor and 1 has this colour."""
+    weights: Array | None = None
+    """(B, 4) of the basis spectra, of a method that mixes them."""
 
 
-def lhtss(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 0.0) -> Recovered:
+def lhtss(xyz: ArrayLike, table: Weights, floor: ArrayLike = 0.0) -> Recovered:
     """Spectra of many colours at once, by least hyperbolic tangent slope squared.
 
     Parameters
     ----------
     xyz : (B, 3) tristimulus values, Y = 100 for the perfect diffuser
-    illuminant, observer : see :func:`brdfpipe.spectra.colorimetry.weights`
+    table : of :func:`brdfpipe.spectra.colorimetry.weights`
     floor : () or (n,), what every spectrum has beneath the smoothest (specular), 0 <= floor < 1: R = floor + (1 − floor) r
-
-    Returns
-    -------
-    Recovered : a colour out of reach gives NaN and ``reached`` False, never a wrong spectrum
 
     Notes
     -----
@@ -54,7 +50,6 @@ def lhtss(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 
     ----------
     Burns, "Numerical methods for smoothest reflectance reconstruction", Color Res. Appl. 45 (2020) 8–21.
     """
-    table = colorimetry.weights(illuminant, observer)
     under = np.broadcast_to(np.asarray(floor, dtype=float), table.wavelength.size)
     above = table.weights * (1 - under)[:, None]
     # Y = 1 for r = 1 throughout.
@@ -64,7 +59,7 @@ def lhtss(xyz: ArrayLike, *, illuminant: str, observer: int, floor: ArrayLike = 
     parts = [_newton(colours[start : start + _CHUNK], above / white) for start in range(0, len(colours), _CHUNK)]
     z = np.concatenate(parts) if parts else np.empty((0, table.wavelength.size))
     reached = np.asarray(np.isfinite(z).all(axis=1))
-    return Recovered(table.wavelength, under + (1 - under) * _logistic(z), reached)
+    return Recovered(under + (1 - under) * _logistic(z), reached)
 
 
 def _newton(xyz: Array, a: Array) -> Array:

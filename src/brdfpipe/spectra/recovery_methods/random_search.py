@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from brdfpipe import store
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
+from brdfpipe.spectra.colorimetry import Weights
 from brdfpipe.spectra.recovery_methods.basis4 import ROUNDING, distance_to, peaks, rescaled
 
 SEARCHES = ("random4", "adaptive4")
@@ -57,9 +58,8 @@ class _State(NamedTuple):
 
 def search(
     lab: ArrayLike,
+    table: Weights,
     *,
-    illuminant: str,
-    observer: int,
     method: str = "random4",
     threshold: float = THRESHOLD,
     seed: int = 0,
@@ -74,7 +74,7 @@ def search(
     Parameters
     ----------
     lab : (3,) the colour wanted
-    illuminant, observer : see :func:`brdfpipe.spectra.colorimetry.weights`
+    table : of :func:`brdfpipe.spectra.colorimetry.weights`
     method : ``random4``, weights drawn anew each time from [0, 1]⁴ and divided by the largest reflectance where that exceeds 1;
         ``adaptive4``, random steps from the best so far, wider after a success and narrower after a failure
     threshold : ΔE*ab below which the search ends
@@ -106,8 +106,18 @@ def search(
     Patent US 9,395,299 (CRF), reconstruction of a spectrum from L*a*b*.
     """
     wanted = np.asarray(lab, dtype=float)
-    distance = distance_to(wanted, illuminant, observer, floor)
-    problem = _problem(wanted, illuminant, observer, method, threshold, seed, floor)
+    distance = distance_to(wanted, table, floor)
+    problem = store.canonical_json(
+        {
+            "lab": wanted.tolist(),
+            "illuminant": table.illuminant,
+            "observer": table.observer,
+            "method": method,
+            "threshold": threshold,
+            "seed": seed,
+            "floor": np.asarray(floor, dtype=float).tolist(),
+        }
+    )
     state, ended = _resumed(checkpoint, problem, distance), "threshold"
     most = LIMIT[method] if limit is None else limit
     _stop_file(checkpoint)
@@ -117,7 +127,7 @@ def search(
             if not np.isfinite(after.delta_e):
                 raise BrdfpipeError(f"no mixture has a finite ΔE to L*a*b* {wanted.tolist()}")
             if after.delta_e < state.delta_e:
-                _keep(checkpoint, problem, after)
+                _save(checkpoint, problem, after)
             state = after
             show(_BLOCK[method], state.delta_e)
             if state.delta_e < threshold:
@@ -131,7 +141,7 @@ def search(
     if ended != "threshold":
         # At the limit the steps have shrunk to nothing; to go on they start wide again.
         step = _FIRST_STEP if ended == "limit" else state.step
-        _keep(checkpoint, problem, state._replace(step=step, since=state.block))
+        _save(checkpoint, problem, state._replace(step=step, since=state.block))
     elif checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
     return SearchResult(np.array(state.weights), state.delta_e, state.block * _BLOCK[method], ended)
@@ -167,23 +177,7 @@ _ADVANCE: dict[str, Callable[[_State, int, Callable[[Array], Array]], _State]] =
 }
 
 
-def _problem(
-    lab: Array, illuminant: str, observer: int, method: str, threshold: float, seed: int, floor: ArrayLike
-) -> str:
-    return store.canonical_json(
-        {
-            "lab": lab.tolist(),
-            "illuminant": illuminant,
-            "observer": observer,
-            "method": method,
-            "threshold": threshold,
-            "seed": seed,
-            "floor": np.asarray(floor, dtype=float).tolist(),
-        }
-    )
-
-
-def _keep(checkpoint: Path | None, problem: str, state: _State) -> None:
+def _save(checkpoint: Path | None, problem: str, state: _State) -> None:
     if checkpoint is not None:
         store.write_text(checkpoint, json.dumps({"problem": problem, "state": state}) + "\n")
 

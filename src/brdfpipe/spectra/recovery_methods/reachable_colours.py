@@ -9,24 +9,25 @@ from numpy.typing import ArrayLike
 
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
+from brdfpipe.spectra.colorimetry import Weights
 from brdfpipe.spectra.recovery_methods.lhtss import lhtss
 
 
-def largest_chroma(lab: ArrayLike, *, illuminant: str, observer: int, specular: ArrayLike = 0.0) -> float:
+def largest_chroma(lab: ArrayLike, table: Weights, specular: ArrayLike = 0.0) -> float:
     """Largest C*ab that a reflectance reaches at the L* and hue of a colour, from below, to 0.1 % of its own C*.
 
     Parameters
     ----------
     lab : (3,), 0 < L* < 100
-    illuminant, observer : see :func:`brdfpipe.spectra.colorimetry.weights`
+    table : of :func:`brdfpipe.spectra.colorimetry.weights`
     specular : reflectance every wavelength has at least [1]
     """
-    colour, white = np.asarray(lab, dtype=float), colorimetry.weights(illuminant, observer).white
+    colour = np.asarray(lab, dtype=float)
     low, high, pieces = 0.0, 1.0, 32
     for _ in range(2):
         scale = np.linspace(low, high, pieces + 1)
-        xyz = colorimetry.lab_to_xyz(colour * np.stack([np.ones_like(scale), scale, scale], axis=1), white)
-        reached = lhtss(xyz, illuminant=illuminant, observer=observer, floor=specular).reached
+        xyz = colorimetry.lab_to_xyz(colour * np.stack([np.ones_like(scale), scale, scale], axis=1), table.white)
+        reached = lhtss(xyz, table, specular).reached
         last = int(np.argmin(reached)) - 1 if not reached.all() else pieces
         if last < 0:
             return 0.0
@@ -34,13 +35,13 @@ def largest_chroma(lab: ArrayLike, *, illuminant: str, observer: int, specular: 
     return float(low * np.hypot(*colour[1:]))
 
 
-def nearest_colour(lab: ArrayLike, *, illuminant: str, observer: int, specular: ArrayLike = 0.0) -> Array:
+def nearest_colour(lab: ArrayLike, table: Weights, specular: ArrayLike = 0.0) -> Array:
     """Colour that a reflectance reaches, about nearest to one out of reach by ΔE*ab.
 
     Parameters
     ----------
     lab : (3,) CIE 1976 L*, a*, b*, of two decimals
-    illuminant, observer : see :func:`brdfpipe.spectra.colorimetry.weights`
+    table : of :func:`brdfpipe.spectra.colorimetry.weights`
     specular : reflectance every wavelength has at least [1]
 
     Returns
@@ -54,7 +55,7 @@ def nearest_colour(lab: ArrayLike, *, illuminant: str, observer: int, specular: 
     """
     from scipy.optimize import minimize
 
-    wanted, table = np.asarray(lab, dtype=float), colorimetry.weights(illuminant, observer)
+    wanted = np.asarray(lab, dtype=float)
 
     def square(r: Array) -> tuple[float, Array]:
         xyz = r @ table.weights
@@ -71,7 +72,7 @@ def nearest_colour(lab: ArrayLike, *, illuminant: str, observer: int, specular: 
     share = np.append(0.0, np.geomspace(1e-6, 1, 64))[:, None]
     xyz = ((1 - share) * best + share * grey) @ table.weights
     near = np.round(colorimetry.xyz_to_lab(xyz, table.white), 2) + 0.0
-    within = lhtss(colorimetry.lab_to_xyz(near, table.white), illuminant=illuminant, observer=observer, floor=floor)
+    within = lhtss(colorimetry.lab_to_xyz(near, table.white), table, floor)
     return np.asarray(near[np.argmax(within.reached)])
 
 

@@ -1,4 +1,4 @@
-"""Result and registration of a reader of spectra, and checks that readers share."""
+"""What readers of spectra return and register, and the checks that they share."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 from brdfpipe import columns
 from brdfpipe.columns import Columns
 from brdfpipe.errors import InputError
+from brdfpipe.file_formats import FileFormat
 from brdfpipe.geometry import Array
 
 PERCENT = "reflectance in percent"
@@ -39,18 +40,25 @@ class Sample(NamedTuple):
     """Signs of lost or damaged values, in words"""
 
 
+Content = tuple[Columns | list[Sample], list[str]]
+"""A table of columns, or the samples of a file; and notes for the history."""
+
+
 @dataclass(frozen=True)
-class SpectrumFormat:
+class SpectrumFormat(FileFormat):
     """A format of spectrum files."""
 
-    name: str
-    """Value of ``spectrum.format``."""
-    extensions: tuple[str, ...]
-    """Extensions that select it."""
-    description: str
-    """What a file holds, for the documentation."""
-    read: Callable[[Path], tuple[Columns | list[Sample], list[str]]]
-    """Reads a file: a table of columns, or its samples; and notes for the history."""
+    read: Callable[[Path], Content]
+
+
+def from_text(samples: Callable[[Path, str], list[Sample]]) -> Callable[[Path], Content]:
+    """Reader of a file whose text ``samples`` parses."""
+
+    def read(path: Path) -> Content:
+        text, notes = columns.read_text(path)
+        return samples(path, text), notes
+
+    return read
 
 
 def lines_of(text: str) -> list[str]:
@@ -64,6 +72,23 @@ def even_grid(low: float, step: float, count: int) -> Array:
     return grid
 
 
+def parsed_sample(
+    path: Path,
+    where: str,
+    name: str,
+    wavelength: Array,
+    cells: Sequence[str],
+    header: tuple[str, ...] = (),
+    unit: str = "nm",
+    *,
+    doubts: tuple[str, ...] = (),
+    decimal: str = ".",
+) -> Sample:
+    """A sample of printed numbers, with doubts about those of fewer digits than the others; ``where`` is for messages."""
+    cut = columns.cut_numbers(cells, lambda i: f"at {wavelength[i]:g} nm")
+    return Sample(name, wavelength, parse_numbers(path, where, cells, decimal), header, unit, (*doubts, *cut))
+
+
 def doubt_of_end(wavelength: Array, step: float) -> tuple[str, ...]:
     """Doubt about a spectrum whose end, from start, step and number of values, is unusual for colour instruments."""
     if not wavelength.size or (step in _USUAL_STEPS and wavelength[-1] in _USUAL_ENDS):
@@ -72,11 +97,6 @@ def doubt_of_end(wavelength: Array, step: float) -> tuple[str, ...]:
         f"{wavelength.size} values from {wavelength[0]:g} nm by {step:g} nm end at {wavelength[-1]:g} nm, an unusual "
         "end. Look for lost or added values, or compare step and end with the instrument",
     )
-
-
-def doubts_of_cut_numbers(cells: Sequence[str], wavelength: Array) -> tuple[str, ...]:
-    """Doubts about numbers with fewer digits than the others of the file."""
-    return tuple(columns.cut_numbers(cells, lambda i: f"at {wavelength[i]:g} nm"))
 
 
 def parse_numbers(path: Path, where: str, cells: Sequence[str], decimal: str = ".") -> Array:
@@ -95,8 +115,8 @@ def stated_number(path: Path, what: str, text: str) -> float:
     return value
 
 
-def truncated(path: Path, found: int, stated: float) -> InputError:
-    """The error for a file whose number of values differs from the stated one."""
-    return InputError(
-        path, "truncated or damaged", found=f"{found} values", accepted=f"{stated:g} values, as the file states"
-    )
+def check_count(path: Path, found: int, stated: float) -> None:
+    """Refuse a file whose number of values differs from the stated one."""
+    if found != stated:
+        accepted = f"{stated:g} values, as the file states"
+        raise InputError(path, "truncated or damaged", found=f"{found} values", accepted=accepted)
