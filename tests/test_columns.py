@@ -73,7 +73,7 @@ def test_typographic_minus_and_no_break_spaces_are_understood(read) -> None:
     assert read("400\u00a0\u22120.5\n410\u00a01e\u22122\n").values[:, 1].tolist() == [-0.5, 0.01]
 
 
-def test_rows_know_their_line_of_the_file(read) -> None:
+def test_each_row_has_its_line_of_the_file(read) -> None:
     assert read("a b\n\n400 1\n# x\n410 2\n").lines.tolist() == [3, 5]
 
 
@@ -109,19 +109,19 @@ def test_columns_are_named_by_the_last_line_above_them(read, text: str, names: t
         ("\u0664\u0660\u0660 1\n", "no table of numbers found"),
     ],
 )
-def test_what_is_unclear_is_refused_by_line(read, text: str, message: str) -> None:
+def test_ambiguous_text_is_refused_by_line(read, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(text)
 
 
 @pytest.mark.parametrize("data", [b"\x89PNG\r\n\x1a\n\x00\x00\x01", b"400 1\n\x00\x00\x00", b"\xff\xfe400"])
 def test_what_is_not_text_is_refused(read, data: bytes) -> None:
-    with pytest.raises(InputError, match=r"table\.txt: (is not text|no table of numbers found)"):
+    with pytest.raises(InputError, match=r"table\.txt: (the file is binary, not text|no table of numbers found)"):
         read(data)
 
 
 def test_a_file_too_large_for_a_table_is_refused_before_it_is_parsed(read) -> None:
-    with pytest.raises(InputError, match="too large for columns of text; accepted: up to 16 MiB"):
+    with pytest.raises(InputError, match="too large for a text file; accepted: up to 16 MiB"):
         read(b"4" * (2**24 + 1))
 
 
@@ -155,7 +155,7 @@ def test_any_bytes_give_a_table_or_a_refusal(tmp_path_factory: pytest.TempPathFa
         ("measured every 10 nm\nR of a film of 5 um\n400 1\n700 2\n", [400, 700]),
     ],
 )
-def test_wavelengths_are_in_nm_whatever_the_file_has(read, text: str, expected: list[float]) -> None:
+def test_wavelengths_are_converted_to_nm(read, text: str, expected: list[float]) -> None:
     assert wavelengths(read(text), key="spectrum.file")[0].tolist() == expected
 
 
@@ -193,7 +193,7 @@ def test_repeated_wavelengths_are_averaged_and_sorted() -> None:
         ([], [(400, 700)]),
     ],
 )
-def test_gaps_name_what_is_not_covered(wavelength: list[float], expected: list[tuple[float, float]]) -> None:
+def test_gaps_are_the_uncovered_intervals(wavelength: list[float], expected: list[tuple[float, float]]) -> None:
     assert gaps(np.array(wavelength, dtype=float), 400, 700, widest=200) == expected
 
 
@@ -246,7 +246,7 @@ def test_a_mistyped_wavelength_is_between_odd_steps(place: int, off: float) -> N
         ([], []),
     ],
 )
-def test_a_number_with_other_decimals_than_the_rest_is_doubted(cells: list[str], odd: list[str]) -> None:
+def test_a_number_with_other_decimals_than_the_rest_raises_a_doubt(cells: list[str], odd: list[str]) -> None:
     told = cut_numbers(cells, lambda i: f"at {i}")
     assert [doubt.partition(" has not")[0] for doubt in told] == odd
 

@@ -97,7 +97,7 @@ FINISH = "surface: {distribution: flat}\n"
         (FINISH + "index: PP\nspectrun: {}", "line 3: unknown key 'spectrun'; did you mean 'spectrum'?; accepted"),
     ],
 )  # fmt: skip
-def test_a_key_at_the_wrong_place_is_told_the_right_one(tmp_path: Path, text: str, message: str) -> None:
+def test_a_key_at_the_wrong_place_is_refused_with_the_right_place(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "material.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as refusal:
@@ -108,7 +108,7 @@ def test_a_key_at_the_wrong_place_is_told_the_right_one(tmp_path: Path, text: st
 
 
 @pytest.mark.parametrize("text", ["count: 0,1", "count: 1\npair: [0,5, 0,5]", "{part: {}, count: 0,1}"])
-def test_a_decimal_comma_is_told_from_other_mistakes(path: Path, text: str) -> None:
+def test_a_decimal_comma_is_distinguished_from_other_mistakes(path: Path, text: str) -> None:
     with pytest.raises(InputError, match="numbers take a decimal point, not a comma"):
         read(path, text)
 
@@ -145,7 +145,7 @@ def test_a_listed_word_is_taken_in_any_case_and_with_either_letter_mu(path: Path
         ("[" * 5000, "YAML|deeply"),
     ],
 )
-def test_what_cannot_be_trusted_is_refused(path: Path, text: str | bytes, pattern: str) -> None:
+def test_unsafe_yaml_is_refused(path: Path, text: str | bytes, pattern: str) -> None:
     with pytest.raises(InputError, match=pattern) as refusal:
         read(path, text)
     assert "\n" not in str(refusal.value)
@@ -161,6 +161,6 @@ def test_a_missing_document_is_refused(path: Path) -> None:
         reading.read(path, Description)
 
 
-def test_a_bottomless_document_is_refused_and_not_a_crash(path: Path) -> None:
+def test_a_deeply_nested_document_is_refused_without_a_crash(path: Path) -> None:
     with pytest.raises(InputError, match="nested too deeply"):
         read(path, "description: " + "[" * 40_000 + "]" * 40_000)

@@ -31,7 +31,11 @@ def test_extensions_of_all_formats_are_sorted() -> None:
 @pytest.mark.parametrize(
     ("file", "name", "message"),
     [
-        ("a.raw", None, r"^a\.raw: unknown file extension; found \.raw; accepted: \.csv, \.sur, \.txt; .*`spectrum\.format`"),
+        (
+            "a.raw",
+            None,
+            r"^a\.raw: unknown file extension; found \.raw; accepted: \.csv, \.sur, \.txt; .*`spectrum\.format`",
+        ),
         ("raw", None, "found no extension"),
         ("a.txt", "raw", "unknown format; found 'raw'; accepted: table, scan, named; set `spectrum.format`"),
     ],

@@ -32,7 +32,7 @@ def test_half_vector_is_that_of_the_plain_vectors(theta_i, phi_i, theta_o, phi_o
 
 
 @given(polar, azimuth, polar, azimuth)
-def test_half_vector_does_not_care_which_direction_is_which(theta_i, phi_i, theta_o, phi_o):
+def test_half_vector_is_symmetric_in_both_directions(theta_i, phi_i, theta_o, phi_o):
     forward = geometry.half_vector(theta_i, phi_i, theta_o, phi_o)
     backward = geometry.half_vector(theta_o, phi_o, theta_i, phi_i)
     assert np.stack(forward[:2]) == pytest.approx(np.stack(backward[:2]), rel=1e-13, abs=1e-30)
@@ -52,7 +52,7 @@ def test_plain_angles_of_different_lengths_are_refused_by_name():
         geometry.broadcast(theta_i=np.zeros(2), phi_i=np.zeros(()), theta_o=np.zeros(3))
 
 
-def test_labelled_angles_that_do_not_belong_together_are_refused():
+def test_labelled_angles_of_different_coordinates_are_refused():
     first = xr.DataArray([0.0, 10.0, 20.0], coords={"x": [0, 1, 2]}, dims="x")
     for second in (first.assign_coords(x=[1, 2, 3]), first[:2].drop_vars("x")):
         with pytest.raises(VocabularyError, match="differ in coordinates or size"):
@@ -78,5 +78,5 @@ def test_angles_out_of_range_are_refused(angle, message):
         geometry.check_angles("theta_o", angle, 0, 180)
 
 
-def test_no_angles_at_all_are_fine():
+def test_empty_angles_are_accepted():
     assert geometry.check_angles("theta_i", [], 0, 90).size == 0

@@ -27,7 +27,7 @@ def spline(nodes, trailing=()):
     ],
     ids=["even", "long tail", "crowded at zero", "crowded elsewhere", "one interval"],
 )
-def test_it_is_the_spline_at_nodes_between_them_and_at_both_ends(nodes):
+def test_values_are_those_of_the_spline_at_nodes_between_them_and_at_both_ends(nodes):
     exact = spline(nodes)
     between = nodes[:-1] + np.diff(nodes) * np.random.default_rng(1).random((7, nodes.size - 1))
     x = np.concatenate([nodes, between.ravel(), np.nextafter(nodes[1:], 0)])
@@ -35,7 +35,7 @@ def test_it_is_the_spline_at_nodes_between_them_and_at_both_ends(nodes):
     assert PiecewiseCubic.of(exact)(x) == pytest.approx(exact(x), rel=1e-12, abs=1e-11)
 
 
-def test_it_carries_several_functions_at_once():
+def test_several_functions_are_evaluated_at_once():
     exact = spline(np.linspace(0, 1, 9), (3,))
     x = np.random.default_rng(0).random((4, 5))
     assert PiecewiseCubic.of(exact)(x).shape == (4, 5, 3)
@@ -43,6 +43,6 @@ def test_it_carries_several_functions_at_once():
 
 
 @given(st.floats(0, 1))
-def test_it_takes_a_single_number(x):
+def test_a_single_number_is_accepted(x):
     exact = spline(np.array([0, 0.1, 0.2, 0.4, 1.0]))
     assert float(PiecewiseCubic.of(exact)(np.asarray(x))) == pytest.approx(float(exact(x)), abs=1e-12)

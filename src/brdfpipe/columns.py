@@ -1,7 +1,6 @@
 """Columns of numbers against wavelength, as instruments and spreadsheets write them in text files.
 
-One separator and one decimal mark are deduced from the whole file, never tried out line by line, and every line that is
-neither numbers nor a comment is refused by its number: a table read wrongly is worse than one not read.
+Separator and decimal mark are deduced from the whole file; a line that is neither numbers nor a comment is refused by its number.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _POINTS_STATED = re.compile(
 _END_STATED = re.compile(r"(first|last) x(?: value)?\s*[:=;,\t]\s*(\d+(?:\.\d*)?)[\s;,]*", re.IGNORECASE)
 _FEWEST_ALIKE = 10
 _MOST_ODD = 2
-"""Numbers of the usual decimals, and others beside them, where the others are mistakes and not the way a file is written."""
+"""Fewest numbers of the usual decimals, and most others, for which the others are mistakes and not the file's format."""
 _MOST_IRREGULAR = 0.2
 """Share of other steps up to which a grid is regular."""
 _NOT_A_WAVELENGTH = re.compile(r"cm\s?(?:\^?-1|⁻¹)|wave\s?number|wellenzahl|\bev\b|\bthz\b", re.IGNORECASE)
@@ -46,22 +45,22 @@ _NOT_A_WAVELENGTH = re.compile(r"cm\s?(?:\^?-1|⁻¹)|wave\s?number|wellenzahl|\
 
 @dataclass(frozen=True)
 class Columns:
-    """A text file's numbers, with the words above them."""
+    """Numbers of a text file, with the words above them."""
 
     file: str
     """Name of the file, for messages."""
     header: tuple[str, ...]
     """Lines of words, comments included, without their comment marks."""
     names: tuple[str, ...] | None
-    """Names of the columns, where the last line above the numbers has one for each."""
+    """Names of the columns, if the last line above the numbers has as many cells."""
     values: Array
     """(rows, columns); missing cells and sentinels are NaN."""
     lines: NDArray[np.int64]
-    """Line of the file each row stands in, from 1."""
+    """Line of the file of each row, from 1."""
     notes: tuple[str, ...]
-    """What was corrected, in words."""
+    """Corrections, for the history."""
     doubts: tuple[str, ...] = ()
-    """What looks lost or damaged, in words: warnings for whoever uses the numbers."""
+    """Signs of lost or damaged values, for warnings."""
 
 
 def read_columns(path: Path) -> Columns:
@@ -80,14 +79,42 @@ def read_columns(path: Path) -> Columns:
     -----
     Missing are empty cells, ``NaN``, ``n/a``, infinities, ±1e30 and beyond (USGS writes −1.23e34), −999 and −9999.
     """
-    text, notes = read_text(Path(path))
-    return parse_columns(text, Path(path), notes)
+    text, notes = read_text(path)
+    return parse_columns(text, path, notes)
 
 
-def read_text(path: Path) -> tuple[str, list[str]]:
-    """Text of a file in UTF-8, UTF-16 or Latin-1, and a note if it was not UTF-8; :class:`InputError` if it is no text."""
-    text, encoding = _decode(_bytes(path), path)
-    return text, [] if encoding == "UTF-8" else [f"{path.name} was decoded as {encoding}"]
+def read_text(path: Path, most_bytes: int = _MAX_BYTES, key: str | None = None) -> tuple[str, list[str]]:
+    """Text of a file in UTF-8, UTF-16 or Latin-1, and a note if it was not UTF-8.
+
+    Raises
+    ------
+    InputError : unreadable, too large, or binary; ``key`` is the key of material.yaml to set.
+    """
+    try:
+        if path.stat().st_size > most_bytes:
+            raise InputError(path, "too large for a text file", accepted=f"up to {most_bytes >> 20} MiB", key=key)
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})") from error
+    candidates = [("utf-8-sig", "UTF-8"), ("latin-1", "Latin-1")]
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        candidates = [("utf-16", "UTF-16")]
+    elif b"\0" in data:
+        # Western text in UTF-16 has a zero in every other byte; its position gives the byte order.
+        little = data[1:400:2].count(0) > data[:400:2].count(0)
+        candidates = [("utf-16-le" if little else "utf-16-be", "UTF-16")]
+    for codec, title in candidates:
+        try:
+            text = data.decode(codec)
+        except UnicodeDecodeError:
+            continue
+        if re.search(r"[\x00-\x08\x0e-\x19\x1b-\x1f]", text):
+            break
+        if not text.isascii():
+            # Minus signs and no-break spaces come from spreadsheets.
+            text = text.translate({0x2212: "-", 0xA0: " ", 0x202F: " ", 0xFEFF: None})
+        return text, [] if title == "UTF-8" else [f"{path.name} was decoded as {title}"]
+    raise InputError(path, "the file is binary, not text", accepted="text in UTF-8, UTF-16 or Latin-1", key=key)
 
 
 def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
@@ -96,20 +123,21 @@ def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
     header: list[str] = []
     remarks: list[str] = []
     rows: list[tuple[int, str]] = []
-    for number, raw in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
-        line = _unquote(raw).strip(" \f\x1a")
+    for place, raw in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
+        # "0,35" in quotes is one number, whatever separates the columns.
+        line = re.sub(r'"([+-]?\d+),(\d+)"', r"\1.\2", raw).replace('"', "").strip(" \f\x1a")
         body = re.split(r"\s*(?:#|!|//)", line, maxsplit=1)[0].rstrip(" ")
         if not line.strip():
             continue
         if _is_numbers(body):
-            rows.append((number, body))
+            rows.append((place, body))
         elif not rows or line.startswith(_COMMENT):
             (remarks if rows else header).append(re.sub(r"^[#!*;/]+\s*", "", line))
         else:
             raise InputError(
                 path,
                 "neither numbers nor a comment",
-                where=f"line {number}",
+                where=f"line {place}",
                 found=repr(_shorten(line)),
                 accepted="two or more columns of numbers, or a comment that starts with #",
             )
@@ -121,10 +149,10 @@ def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
     if decimal == ",":
         notes.append("decimal commas were read as decimal points")
     split = _cells(rows, separator, path)
-    values = _values(split, decimal)
+    values = np.array([[number(cell, decimal) for cell in cells] for cells in split], dtype=float)
     names = _names(header, separator, values.shape[1])
-    lines = np.array([number for number, _ in rows])
-    doubts = _against_header(header, values[:, 0])
+    lines = np.array([place for place, _ in rows])
+    doubts = _header_contradictions(header, values[:, 0])
     for cells in zip(*split, strict=True):
         doubts += cut_numbers(cells, lambda i: f"in line {lines[i]}")
     return Columns(path.name, (*header, *remarks), names, values, lines, tuple(notes), tuple(doubts))
@@ -239,12 +267,12 @@ def read_spectral_table(path: Path, key: str, layout: str, *, most: int, widest:
 
 
 def cut_numbers(cells: Sequence[str], place: Callable[[int], str]) -> list[str]:
-    """Doubts about the one or two numbers printed with another count of decimals than all others.
+    """Doubts about one or two numbers printed with fewer or more decimals than all others, in a column with trailing zeros.
 
     Parameters
     ----------
-    cells : numbers as they are printed. Where the zeros at their end are left out any count is usual, and none is doubted
-    place : of a position among the cells, in words
+    cells : numbers as printed
+    place : position of a cell, in words
     """
     decimals = [len(match[1]) if (match := re.search(r"[.,](\d*)", cell)) else 0 for cell in cells]
     usual = max(set(decimals), key=decimals.count, default=0)
@@ -258,7 +286,7 @@ def cut_numbers(cells: Sequence[str], place: Callable[[int], str]) -> list[str]:
 
 
 def odd_steps(wavelength: Array) -> list[tuple[float, float]]:
-    """Neighbours at another distance than almost all others [nm]: rows that were lost, or wavelengths mistyped.
+    """Neighbours whose distance differs from almost all others [nm]: lost rows, or mistyped wavelengths.
 
     Parameters
     ----------
@@ -266,7 +294,7 @@ def odd_steps(wavelength: Array) -> list[tuple[float, float]]:
 
     Returns
     -------
-    Pairs of wavelengths; none where the grid is irregular, or changes its step from some wavelength on.
+    Pairs of wavelengths; none if the grid is irregular, or changes its step from some wavelength on.
     """
     steps = np.diff(wavelength)
     if steps.size < _FEWEST_ALIKE:
@@ -285,7 +313,7 @@ def odd_steps(wavelength: Array) -> list[tuple[float, float]]:
 
 
 def last_digit(values: Array) -> float:
-    """The unit of the last decimal that any of the values has: 0.01 of 0.5, 0.53."""
+    """Unit of the last decimal of any of the values: 0.01 of 0.5, 0.53."""
     for digits in range(12):
         scaled = values * 10**digits
         if (np.abs(scaled - np.round(scaled)) <= 1e-6).all():
@@ -294,9 +322,9 @@ def last_digit(values: Array) -> float:
 
 
 def gaps(wavelength: Array, low: float, high: float, widest: float, slack: float = 1.0) -> list[tuple[float, float]]:
-    """Intervals of ``[low, high]`` that increasing wavelengths leave uncovered [nm].
+    """Intervals of ``[low, high]`` that increasing wavelengths do not cover [nm].
 
-    An instrument that starts within ``slack`` of ``low`` covers it; neighbours further apart than ``widest`` leave a gap.
+    Neighbours further apart than ``widest`` leave a gap; the first and last wavelength may be off by ``slack``.
     """
     if wavelength.size == 0:
         return [(low, high)]
@@ -316,7 +344,7 @@ def gaps(wavelength: Array, low: float, high: float, widest: float, slack: float
 
 
 def number(cell: str, decimal: str = ".") -> float | None:
-    """A cell as a number: NaN where it says missing or holds a sentinel, None where it is no number."""
+    """A cell as a number: NaN if it is missing or a sentinel, None if it is not a number."""
     cell = cell.strip()
     if cell.lower() in _MISSING:
         return float("nan")
@@ -341,43 +369,6 @@ def _stated_unit(columns: Columns, key: str) -> str | None:
         if nm != um:
             return "nm" if nm else "um"
     return None
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        with path.open("rb") as handle:
-            data = handle.read(_MAX_BYTES + 1)
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from error
-    if len(data) > _MAX_BYTES:
-        raise InputError(path, "too large for columns of text", accepted=f"up to {_MAX_BYTES >> 20} MiB")
-    return data
-
-
-def _decode(data: bytes, path: Path) -> tuple[str, str]:
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        candidates = [("utf-16", "UTF-16")]
-    elif b"\0" in data:
-        # Western text in UTF-16 has a zero in every other byte; which one tells the byte order.
-        even, odd = data[::2].count(0), data[1::2].count(0)
-        candidates = [("utf-16-le", "UTF-16")] if odd > even else [("utf-16-be", "UTF-16")]
-    else:
-        candidates = [("utf-8-sig", "UTF-8"), ("latin-1", "Latin-1")]
-    for codec, title in candidates:
-        try:
-            text = data.decode(codec)
-        except UnicodeDecodeError:
-            continue
-        if not re.search(r"[\x00-\x08\x0e-\x19\x1b-\x1f]", text):
-            # Minus signs and no-break spaces come from spreadsheets.
-            return text.translate({0x2212: "-", 0xA0: " ", 0x202F: " ", 0xFEFF: None}), title
-    raise InputError(path, "is not text", accepted="UTF-8, UTF-16 or Latin-1 text")
-
-
-def _unquote(line: str) -> str:
-    # "0,35" in quotes is one number, whatever separates the columns.
-    line = re.sub(r'"([+-]?\d+),(\d+)"', r"\1.\2", line)
-    return line.replace('"', "")
 
 
 def _is_numbers(line: str) -> bool:
@@ -408,14 +399,9 @@ def _layout(rows: Sequence[tuple[int, str]], path: Path) -> tuple[str | None, st
     if comma and point:
         # Of two marks, the one in fewer lines is the odd one.
         odd = min(",.", key=lambda mark: sum(mark in line for line in lines))
-        number, bad = next((number, line) for number, line in rows if odd in line)
-        raise InputError(
-            path,
-            "both . and , inside numbers",
-            where=f"line {number}",
-            found=repr(_shorten(bad)),
-            accepted="one decimal mark, no thousands mark",
-        )
+        place, bad = next((place, line) for place, line in rows if odd in line)
+        found, accepted = repr(_shorten(bad)), "one decimal mark, no thousands mark"
+        raise InputError(path, "both . and , inside numbers", where=f"line {place}", found=found, accepted=accepted)
     return separator, "," if comma else "."
 
 
@@ -424,31 +410,17 @@ def _cells(rows: Sequence[tuple[int, str]], separator: str | None, path: Path) -
     while all(len(cells) > 2 and cells[-1] == "" for cells in split):
         split = [cells[:-1] for cells in split]
     width = len(split[0])
-    for (number, _), cells in zip(rows, split, strict=True):
+    for (line, _), cells in zip(rows, split, strict=True):
         if len(cells) != width or width < 2:
-            raise InputError(
-                path,
-                "rows of unequal length",
-                where=f"line {number}",
-                found=f"{len(cells)} columns",
-                accepted=f"{width} columns, as in line {rows[0][0]}",
-            )
-        if any(cell.lower() not in _MISSING and not _NUMBER.fullmatch(cell) for cell in cells):
-            raise InputError(path, "not a number", where=f"line {number}", found=repr(_shorten(" ".join(cells))))
+            found, accepted = f"{len(cells)} columns", f"{width} columns, as in line {rows[0][0]}"
+            raise InputError(path, "rows of unequal length", where=f"line {line}", found=found, accepted=accepted)
+        if any(number(cell, ",") is None for cell in cells):
+            raise InputError(path, "not a number", where=f"line {line}", found=repr(_shorten(" ".join(cells))))
     return split
 
 
-def _values(split: Sequence[Sequence[str]], decimal: str) -> Array:
-    spelling = str.maketrans({"D": "e", "d": "e", decimal: "."})
-    values = np.array(
-        [[float("nan" if c.lower() in _MISSING else c.translate(spelling)) for c in cells] for cells in split]
-    )
-    values[(np.abs(values) >= _SENTINEL_MAGNITUDE) | np.isin(values, _SENTINELS)] = np.nan
-    return values
-
-
-def _against_header(header: Sequence[str], positions: Array) -> list[str]:
-    """What the words above the table state of its length and ends, where the table says otherwise."""
+def _header_contradictions(header: Sequence[str], positions: Array) -> list[str]:
+    """Doubts about a table whose length or ends contradict the header."""
     doubts = []
     for line in header:
         if (stated := _POINTS_STATED.fullmatch(line.strip())) and int(stated[1]) != positions.size:

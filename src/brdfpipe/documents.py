@@ -1,7 +1,6 @@
-"""YAML documents that people write, read strictly; and the files that they name.
+"""YAML documents, read strictly, and the files that they name.
 
-Untrusted text: only plain values are built. Aliases (which can expand without end), repeated keys and large files are refused.
-:mod:`brdfpipe.descriptions.reading` validates the keys.
+The text is untrusted: only plain values are built; aliases (which can expand without end), repeated keys and large files are refused.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ def file_beside(description: Path, value: str, where: str, folder: str = "the de
     description : the YAML document
     value : the path it names, relative to its folder
     where : its key, for messages
-    folder : how messages call the folder
+    folder : name of the folder in messages
 
     Raises
     ------
@@ -72,17 +71,15 @@ def file_beside(description: Path, value: str, where: str, folder: str = "the de
         raise InputError(description, problem, where=where, found=repr(value), accepted="a path without braces")
     if not target.is_file():
         present = sorted(item.name for item in home.iterdir() if item.is_file() and item.name != description.name)
-        close, listed = (
-            nearest(value, present),
-            ", ".join(present[:10]) or f"none; {folder} holds no other file, put it there",
-        )
-        raise InputError(description, f"no such file{close}", where=where, found=repr(value), accepted=listed)
+        listed = ", ".join(present[:10]) or f"none; {folder} holds no other file, put it there"
+        problem = f"no such file{nearest(value, present)}"
+        raise InputError(description, problem, where=where, found=repr(value), accepted=listed)
     return target
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """``"; did you mean 'x'?"`` if a known word is close to this one, else nothing."""
-    # Two letters are near to far too much: "cm" to "m".
+    # Short words resemble too many others: "cm" and "m".
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6) if len(word) > 2 else []
     return f"; did you mean {close[0]!r}?" if close else ""
 

@@ -1,4 +1,4 @@
-"""Refusals: every error a user can cause says what is wrong, where, and what would be accepted."""
+"""Errors: each says what is wrong, where, what was found, what is accepted and which key to set."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import PurePath
 
 
 def printable(text: str) -> str:
-    """Text that can be written anywhere: bytes of a file name that are no UTF-8 appear as ``\\xff``."""
+    """Text that can be written anywhere: bytes of a file name that are not UTF-8 appear as ``\\xff``."""
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
@@ -17,23 +17,23 @@ def abbreviated(items: Sequence[str], most: int, separator: str = ", ") -> str:
 
 
 class BrdfpipeError(ValueError):
-    """Base of all refusals."""
+    """Base of all errors that a user can cause."""
 
 
 class VocabularyError(BrdfpipeError):
-    """A dataset is not what its kind promises."""
+    """A dataset does not have the variables, units or attributes of its kind."""
 
 
 class InputError(BrdfpipeError):
-    """Something a user wrote or measured cannot be used.
+    """A file or a description cannot be used.
 
     Parameters
     ----------
-    file : the file at fault; only its name is shown, so that messages are the same on every machine
+    file : only its name is shown, so that messages are the same on every machine
     problem : what is wrong, in a few words
     where : line, channel or key inside the file
-    found, accepted : what stands there, and what could
-    key : the key of ``material.yaml`` that mends or overrides it
+    found, accepted : the value, and the accepted values
+    key : the key of ``material.yaml`` to set
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class InputError(BrdfpipeError):
         super().__init__(printable(message))
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Errors cross process borders; the default would rebuild them from the message alone.
+        # Workers pickle errors; by default only the message would be restored.
         return (_rebuild, (self.file, self.problem, self.where, self.found, self.accepted, self.key))
 
 

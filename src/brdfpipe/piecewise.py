@@ -1,4 +1,4 @@
-"""Piecewise cubics, fast for many values: a table over the bits of a number gives its interval."""
+"""Piecewise cubics, evaluated fast for many values: a table indexed by the bits of a number gives its interval."""
 
 from __future__ import annotations
 

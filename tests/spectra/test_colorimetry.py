@@ -194,12 +194,12 @@ def test_many_spectra_go_in_one_call() -> None:
     ("wavelength", "reflectance"),
     [([500, 400], [0, 0]), ([400, 400], [0, 0]), ([400, 500], [0, np.nan]), ([400, 500], [0, 0, 0]), ([], [])],
 )
-def test_what_has_no_colour_is_refused(wavelength: list[float], reflectance: list[float]) -> None:
+def test_invalid_wavelengths_and_reflectances_are_refused(wavelength: list[float], reflectance: list[float]) -> None:
     with pytest.raises(BrdfpipeError, match="increas"):
         colorimetry.reflectance_to_xyz(wavelength, reflectance)
 
 
-def test_an_unknown_illuminant_is_refused_with_those_known() -> None:
+def test_an_unknown_illuminant_is_refused_with_the_known_ones() -> None:
     with pytest.raises(BrdfpipeError, match=r"'D56' \(nearest is D65\); accepted: A, B, C, .*FL3.15, .*LED-B3, "):
         colorimetry.weights("D56", 10)
 
@@ -233,7 +233,7 @@ def test_luminous_weights_of_the_grid_are_v_times_s() -> None:
     assert colorimetry.luminous_weight(GRID, "A") == pytest.approx(expected / expected.sum(), rel=1e-12)
 
 
-def test_luminous_weights_average_a_straight_line_alike_on_every_grid() -> None:
+def test_luminous_weights_average_a_straight_line_equally_on_every_grid() -> None:
     coarse = np.array([360.0, 500, 530, 780])
     assert (coarse * colorimetry.luminous_weight(coarse)).sum() == pytest.approx(
         (GRID * colorimetry.luminous_weight(GRID)).sum(), rel=1e-13

@@ -133,20 +133,20 @@ def test_headers_and_decimals_of_rows_are_understood(tmp_path: Path, text: str, 
 
 
 @pytest.mark.parametrize("sample", [None, 0, 3, "green", True, 1.0])
-def test_a_sample_left_open_or_unknown_is_refused_with_those_there_are(tmp_path: Path, sample: object) -> None:
+def test_a_missing_or_unknown_sample_is_refused_with_the_names_of_the_file(tmp_path: Path, sample: object) -> None:
     with pytest.raises(InputError, match=r"the file has 2 samples.*1 to 2, or one of red, blue") as refusal:
         read(write(tmp_path, "many.csv", wide()), sample=sample, scale="fraction")
     assert refusal.value.key == "spectrum.sample"
 
 
 @pytest.mark.parametrize("sample", [2, "green"])
-def test_of_one_sample_another_is_refused_in_the_singular(tmp_path: Path, sample: object) -> None:
+def test_another_sample_of_a_file_with_one_is_refused(tmp_path: Path, sample: object) -> None:
     alone = "\n".join(line for line in wide().splitlines() if "blue" not in line) + "\n"
     with pytest.raises(InputError, match=r"unknown sample; the file has one; found .*accepted: 1 or red, or no key"):
         read(write(tmp_path, "one.csv", alone), sample=sample, scale="fraction")
 
 
-def test_two_samples_of_one_name_are_told_apart_by_number_alone(tmp_path: Path) -> None:
+def test_two_samples_of_one_name_are_chosen_by_number(tmp_path: Path) -> None:
     path = write(tmp_path, "many.csv", wide().replace('"blue"', "red"))
     with pytest.raises(InputError, match="ambiguous sample name"):
         read(path, sample="red", scale="fraction")
@@ -201,7 +201,7 @@ def test_an_excel_sheet_with_a_row_a_sample_is_read(tmp_path: Path) -> None:
     assert read(path, sample="blue", scale="fraction")["total_reflectance"].values == pytest.approx(BLUE)
 
 
-def test_excel_cells_shown_in_percent_are_what_they_show(tmp_path: Path) -> None:
+def test_excel_cells_formatted_as_percentages_are_read_as_percent(tmp_path: Path) -> None:
     path = workbook(
         tmp_path, [["nm", "R"], *([int(nm), float(r) / 20] for nm, r in zip(NM, RED, strict=True))], "0.00%"
     )
@@ -244,7 +244,7 @@ def test_perkinelmer_ascii_is_read_from_its_data_on(tmp_path: Path) -> None:
         (pe().replace("650.000000\t", "650.000000 x"), r"line \d+: not a number"),
     ],
 )
-def test_perkinelmer_ascii_of_something_else_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_perkinelmer_ascii_of_another_quantity_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(write(tmp_path, "red.asc", text))
 
@@ -287,7 +287,7 @@ def test_cxf_objects_take_their_grid_from_their_specification(tmp_path: Path) ->
         (CXF.replace('Increment="10"', ""), "does not state its Increment of a"),
     ],
 )
-def test_cxf_with_entities_or_without_what_it_needs_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_cxf_with_entities_or_without_required_elements_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(write(tmp_path, "a.cxf", text), sample=1)
 
@@ -306,7 +306,7 @@ def ti3(norm: str = "100", device: str = "OUTPUT", sets: int = 2) -> str:
 
 
 @pytest.mark.parametrize("norm", ["100", "1", ""])
-def test_cgats_states_its_norm_or_leaves_percent_to_its_values(tmp_path: Path, norm: str) -> None:
+def test_the_scale_of_cgats_is_its_norm_or_follows_from_its_values(tmp_path: Path, norm: str) -> None:
     spectrum = read(write(tmp_path, "a.ti3", ti3(norm)), sample="my red")
     assert spectrum["total_reflectance"].values == pytest.approx(RED, abs=1e-6)
 
@@ -321,7 +321,7 @@ def test_cgats_states_its_norm_or_leaves_percent_to_its_values(tmp_path: Path, n
         ("CTI3\n", "no reflectance spectrum in the file"),
     ],
 )
-def test_cgats_of_something_else_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_cgats_of_another_quantity_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(write(tmp_path, "a.ti3", text), sample=1)
 
@@ -360,7 +360,7 @@ def test_the_real_cxf_was_measured_at_45_0(shared_data: Path) -> None:
     assert "the header says light from 45 degree; `spectrum.incidence: " in warnings(said)[1]
 
 
-def test_a_cxf_that_is_silent_of_its_geometry_leaves_it_to_the_description(tmp_path: Path) -> None:
+def test_a_cxf_without_a_geometry_needs_it_in_the_description(tmp_path: Path) -> None:
     for choice in ("", "<GeometryChoice><UnknownGeometry>x</UnknownGeometry></GeometryChoice>"):
         path = write(tmp_path, "a.cxf", CXF.replace("<WavelengthRange", f"{choice}<WavelengthRange"))
         with pytest.raises(InputError, match="specular reflection included or excluded: not stated") as refusal:
@@ -427,17 +427,17 @@ def test_a_damaged_qtx_section_is_refused(tmp_path: Path, text: str, message: st
         read(write(tmp_path, "a.qtx", text))
 
 
-def test_a_grid_of_no_usual_instrument_is_warned_about(tmp_path: Path) -> None:
+def test_an_unusual_wavelength_grid_is_warned_about(tmp_path: Path) -> None:
     text = qtx("STD", "a", BLUE).replace("INTERVAL=10", "INTERVAL=12")
     assert "31 values from 400 nm by 12 nm end at 760 nm" in warnings(read(write(tmp_path, "a.qtx", text)))[0]
 
 
-def test_a_cgats_norm_that_is_no_scale_is_refused(tmp_path: Path) -> None:
+def test_a_cgats_norm_other_than_1_and_100_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"SPECTRAL_NORM: unknown scale; found '10'; accepted: 1 or 100"):
         read(write(tmp_path, "a.ti3", ti3("10")), sample=1)
 
 
-def test_values_above_the_header_of_wavelengths_are_not_passed_over(tmp_path: Path) -> None:
+def test_values_above_the_header_of_wavelengths_are_not_skipped(tmp_path: Path) -> None:
     head, red, blue = wide().splitlines()
     with pytest.raises(InputError):
         read(write(tmp_path, "many.csv", "\n".join([red, head, blue])), sample="blue", scale="fraction")

@@ -41,18 +41,18 @@ def test_a_measured_black_is_judged_by_the_index_of_each_wavelength(tmp_path: Pa
         assert any("If the specular was excluded" in each for each in warnings(ingest(spec, path, index))) == expected
 
 
-def test_the_incidence_is_8_degree_unless_said() -> None:
+def test_the_incidence_is_8_degree_by_default() -> None:
     assert ingest(LAB).attrs["theta_i"] == 8
 
 
-def test_a_file_is_read_where_it_lies_with_its_options(tmp_path: Path) -> None:
+def test_a_file_is_read_from_its_path_with_its_options(tmp_path: Path) -> None:
     path = tmp_path / "r.txt"
     path.write_text("".join(f"{nm} 0.5 0.6\n" for nm in range(400, 701, 10)), encoding="ascii")
     spectrum = ingest({"file": "r.txt", "geometry": "sci", "scale": "fraction", "column": 3}, path)
     assert (spectrum["total_reflectance"] == 0.6).all()
 
 
-def test_the_file_tells_its_geometry_where_the_description_does_not(tmp_path: Path) -> None:
+def test_the_geometry_of_the_file_is_used_if_the_description_has_none(tmp_path: Path) -> None:
     rows = "".join(f"{nm} 0.5\n" for nm in range(400, 701, 10))
     path = tmp_path / "r.txt"
     path.write_text("# specular included\n" + rows, encoding="ascii")
@@ -108,7 +108,7 @@ def test_the_method_its_threshold_and_seed_reach_the_search(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_gloss_trap_belongs_to_a_reflectance_without_the_specular() -> None:
+def test_a_gloss_trap_needs_a_reflectance_with_the_specular_excluded() -> None:
     spec = {"lab": [50, 0, 0], "illuminant": "D65", "observer": 10, "geometry": "sce", "specular_trap": 3}
     assert ingest(spec).attrs["specular_trap"] == 3.0
     for bad in ({"geometry": "sci"}, {"specular_trap": 0}, {"specular_trap": True}):

@@ -46,7 +46,7 @@ def test_a_line_after_differences_repeats_the_last_ordinate_as_a_check() -> None
         jcamp.blocks(Path("a.jdx"), document("400AJJ%\n403Djjjjjj"))
 
 
-def test_numbers_may_have_exponents_where_nothing_is_packed() -> None:
+def test_numbers_of_unpacked_tables_may_have_exponents() -> None:
     ((*_, y, _),) = jcamp.blocks(Path("a.jdx"), document("400 1.5E-1 2e0", 2, last=401))
     assert y.tolist() == [0.15, 2]
 
@@ -54,7 +54,7 @@ def test_numbers_may_have_exponents_where_nothing_is_packed() -> None:
 @pytest.mark.parametrize(
     ("label", "stated", "found"), [("FIRSTY", 3, 1), ("MAXY", 4, 3), ("MINY", 0, -3), ("DELTAX", 2, 1)]
 )
-def test_labels_written_for_checks_that_are_not_met_raise_a_doubt(label: str, stated: float, found: float) -> None:
+def test_labels_that_contradict_the_table_raise_a_doubt(label: str, stated: float, found: float) -> None:
     for value, doubts in ((found, 0), (stated, 1)):
         ((*_, told),) = jcamp.blocks(Path("a.jdx"), document(FORMS["fix"], head=f"##{label}={value}\n"))
         assert len(told) == doubts
@@ -107,7 +107,7 @@ def test_several_blocks_are_samples(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_spectrum(path, geometry="sci", sample=1)["wavelength"], np.arange(400, 701, 10))
 
 
-def test_a_file_of_another_format_is_told_by_the_key_that_names_the_format(tmp_path: Path) -> None:
+def test_a_file_of_another_format_is_refused_with_the_key_of_the_format(tmp_path: Path) -> None:
     path = tmp_path / "a.qtx"
     path.write_text("[STANDARD_DATA 0]\nSTD_NAME=a\n", encoding="ascii")
     with pytest.raises(InputError, match="no JCAMP-DX table in the file") as refusal:

@@ -46,7 +46,7 @@ def test_the_basis_is_that_of_smits_with_peak_one() -> None:
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0, 1), min_size=4, max_size=4))
-def test_every_mixture_is_found_again_as_one_of_its_colour(weights: list[float]) -> None:
+def test_the_colour_of_every_mixture_is_recovered(weights: list[float]) -> None:
     basis = basis4.basis()
     mixture = np.array(weights) @ basis
     mixture /= max(mixture.max(), 1.0)
@@ -82,7 +82,7 @@ def test_colours_no_mixture_has_are_marked_and_do_not_disturb_the_others() -> No
     assert np.isnan(found.reflectance[1:]).all()
 
 
-def test_the_nearest_mixture_is_within_reach_and_none_of_many_is_nearer() -> None:
+def test_the_nearest_mixture_is_reachable_and_none_of_many_is_nearer() -> None:
     wanted = [70.0, -60.0, -50.0]
     near = basis4.nearest(wanted, VIEW)
     rng = np.random.default_rng(3)
@@ -96,7 +96,7 @@ def test_the_nearest_mixture_is_within_reach_and_none_of_many_is_nearer() -> Non
 
 @pytest.mark.parametrize("method", random_search.SEARCHES)
 @pytest.mark.parametrize("floor", [0.0, 0.0465])
-def test_a_search_ends_below_its_threshold_at_the_colour_it_says(method: str, floor: float) -> None:
+def test_a_search_ends_below_its_threshold_at_the_stated_colour(method: str, floor: float) -> None:
     found = random_search.search(RED, VIEW, method=method, threshold=3.0, floor=floor)
     assert found.ended == "threshold"
     assert found.delta_e < 3
@@ -106,14 +106,14 @@ def test_a_search_ends_below_its_threshold_at_the_colour_it_says(method: str, fl
 
 
 @pytest.mark.parametrize("method", random_search.SEARCHES)
-def test_one_seed_has_one_answer_and_another_seed_another(method: str) -> None:
+def test_the_result_depends_on_the_seed_alone(method: str) -> None:
     first, again, other = (
         random_search.search(RED, VIEW, method=method, threshold=3.0, seed=seed).weights.tolist() for seed in (7, 7, 8)
     )
     assert first == again != other
 
 
-def test_adaptive_steps_reach_what_random_weights_never_would() -> None:
+def test_adaptive_steps_reach_thresholds_that_random_weights_do_not() -> None:
     found = random_search.search(RED, VIEW, method="adaptive4", threshold=1e-6)
     assert found.delta_e < 1e-6
     assert found.tried < 50_000
@@ -136,9 +136,7 @@ def _killer(after: int):
 
 @pytest.mark.parametrize(("method", "threshold"), [("random4", 3.0), ("adaptive4", 1e-5)])
 @pytest.mark.parametrize("after", [1, 3])
-def test_a_search_that_was_killed_resumes_to_the_same_answer(
-    tmp_path: Path, method: str, threshold: float, after: int
-) -> None:
+def test_a_killed_search_resumes_to_the_same_result(tmp_path: Path, method: str, threshold: float, after: int) -> None:
     options = {"table": VIEW, "method": method, "threshold": threshold, "seed": 5}
     whole = random_search.search(RED, **options)
     checkpoint = tmp_path / "best.json"
@@ -180,7 +178,7 @@ def test_a_request_to_stop_accepts_the_best_so_far(tmp_path: Path) -> None:
     assert not request.exists()
 
 
-def test_a_request_from_before_the_search_is_removed_and_stops_nothing(tmp_path: Path) -> None:
+def test_a_stop_file_from_before_the_search_is_removed_without_effect(tmp_path: Path) -> None:
     request = tmp_path / "best.json.stop"
     request.touch()
     found = random_search.search(RED, VIEW, threshold=3.0, checkpoint=tmp_path / "best.json")
@@ -194,7 +192,7 @@ def test_a_colour_infinitely_far_from_all_mixtures_is_refused() -> None:
 
 
 @pytest.mark.parametrize("method", random_search.SEARCHES)
-def test_a_search_at_its_limit_goes_on_as_far_again(tmp_path: Path, method: str) -> None:
+def test_a_search_at_its_limit_continues_for_another_limit(tmp_path: Path, method: str) -> None:
     options = {"table": VIEW, "method": method, "threshold": 1e-12, "limit": 8192, "checkpoint": tmp_path / "best.json"}
     first, second = random_search.search(RED, **options), random_search.search(RED, **options)
     assert (first.ended, second.ended) == ("limit", "limit")
@@ -204,7 +202,7 @@ def test_a_search_at_its_limit_goes_on_as_far_again(tmp_path: Path, method: str)
         assert second.delta_e == random_search.search(RED, VIEW, threshold=1e-12, limit=16384).delta_e
 
 
-def test_a_search_killed_on_its_way_to_the_limit_ends_where_it_would_have_ended(tmp_path: Path) -> None:
+def test_a_search_killed_before_its_limit_ends_with_the_same_result(tmp_path: Path) -> None:
     options = {"table": VIEW, "threshold": 1e-12, "limit": 40_000, "seed": 5}
     whole = random_search.search(RED, **options)
     with pytest.raises(_Killed):
@@ -271,7 +269,7 @@ def test_a_floor_may_differ_between_wavelengths() -> None:
     assert colorimetry.delta_e_ab(basis4.nearest(lab, VIEW, floor=floor), lab) < 1e-2
 
 
-def test_an_interrupt_accepts_the_best_so_far_and_gives_the_signal_back() -> None:
+def test_an_interrupt_accepts_the_best_so_far_and_restores_the_handler() -> None:
     before = signal.getsignal(signal.SIGINT)
     asked = iter(range(100))
 

@@ -37,7 +37,7 @@ def test_a_german_file_in_percent_and_latin_1_is_read(shared_data: Path) -> None
         assert words in spectrum.attrs["history"]
 
 
-def test_an_irregular_grid_is_kept_and_its_silent_scale_asked_for(shared_data: Path) -> None:
+def test_an_irregular_grid_is_preserved_and_a_missing_scale_refused(shared_data: Path) -> None:
     path = shared_data / "spectra" / "hdpe_yellow_irregular.txt"
     with pytest.raises(InputError, match=r"ambiguous scale: fraction, or percent.*fraction or percent") as refusal:
         read_spectrum(path, geometry="sci")
@@ -80,7 +80,7 @@ def test_a_black_below_the_fresnel_reflectance_warns_that_the_specular_was_exclu
     assert "set `spectrum.geometry: sce`" in told
 
 
-def test_the_same_black_with_the_specular_excluded_is_no_reason_to_warn(shared_data: Path) -> None:
+def test_the_same_black_with_the_specular_excluded_gives_no_warning(shared_data: Path) -> None:
     spec = {"file": "abs_black_3col.txt", "geometry": "sce", "scale": "fraction"}
     assert warnings(ingest(spec, shared_data / "spectra" / "abs_black_3col.txt", 1.55)) == []
 
@@ -91,7 +91,7 @@ def test_a_reflectance_just_above_one_is_kept_and_warned_about(shared_data: Path
     assert any("exceeds 1 at 5 wavelengths from 690 to 730 nm" in warning for warning in warnings(spectrum))
 
 
-def test_other_extensions_are_refused_with_those_read() -> None:
+def test_an_unknown_extension_is_refused_with_the_known_ones() -> None:
     with pytest.raises(
         InputError, match=r"unknown file extension; found \.sp; accepted: \.asc, .*\.cxf, .*\.txt.*`spectrum\.format`"
     ):
@@ -112,27 +112,27 @@ def test_a_value_off_its_neighbours_is_warned_about_in_a_dark_sample_too(read) -
     assert "0.0278 at 520 nm differs by 0.003 from its neighbours" in warnings(read(text))[0]
 
 
-def test_two_values_off_their_neighbours_do_not_excuse_each_other(read) -> None:
+def test_two_outliers_are_both_warned_about(read) -> None:
     told = " ".join(warnings(read(rows(400, 700).replace("500;50", "500;60").replace("520;50", "520;40"))))
     assert "at 500 nm differs" in told
     assert "at 520 nm differs" in told
 
 
 @pytest.mark.parametrize(("nm", "value"), [(400, "57"), (700, "42")])
-def test_the_first_and_the_last_value_are_looked_at_too(read, nm: int, value: str) -> None:
+def test_the_first_and_the_last_value_are_checked(read, nm: int, value: str) -> None:
     assert f"at {nm} nm differs" in warnings(read(rows(400, 700).replace(f"{nm};50", f"{nm};{value}")))[0]
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.5, 2])
 @pytest.mark.parametrize("step", [1, 5, 10])
-def test_noise_is_no_reason_to_warn(read, noise: float, step: int) -> None:
+def test_noise_gives_no_warning(read, noise: float, step: int) -> None:
     random, nm = np.random.default_rng(7), np.arange(400, 701, step)
     for _ in range(20):
         values = 10 + 60 / (1 + np.exp((random.uniform(450, 650) - nm) / 15)) + noise * random.standard_normal(nm.size)
         assert warnings(read(HEAD + "".join(f"{w};{r:.3f}\n" for w, r in zip(nm, values, strict=True)))) == []
 
 
-def test_coarse_digits_are_no_reason_to_warn(read) -> None:
+def test_coarse_digits_give_no_warning(read) -> None:
     level = [50, 50, 51, 50, 50, 50, 49, 49, 50, 51, 51, 50, 50, 50, 50, 51]
     text = HEAD + "".join(f"{nm};{r}\n" for nm, r in zip(range(400, 701, 20), level, strict=True))
     assert warnings(read(text)) == []
@@ -146,7 +146,7 @@ def test_no_patch_of_the_color_checkers_is_warned_about(read) -> None:
             assert warnings(read(text)) == []
 
 
-def test_a_narrow_peak_and_a_steep_edge_are_no_reason_to_warn(read) -> None:
+def test_a_narrow_peak_and_a_steep_edge_give_no_warning(read) -> None:
     nm = np.arange(400, 701, 10)
     for shape in (80 * np.exp(-(((nm - 550) / 12) ** 2)), 90 / (1 + np.exp((500 - nm) / 6))):
         text = HEAD + "".join(f"{w};{r:.4f}\n" for w, r in zip(nm, shape, strict=True))
@@ -198,7 +198,7 @@ def test_a_percent_header_makes_dark_values_percent(read) -> None:
     assert (read(HEAD + dark)["total_reflectance"] == 0.015).all()
 
 
-def test_a_silent_header_and_values_above_two_make_percent(read) -> None:
+def test_values_above_2_without_a_stated_scale_are_percent(read) -> None:
     spectrum = read("nm;R\n" + ROWS)
     assert float(spectrum["total_reflectance"][0]) == 0.24
     assert "the header states no scale, and values reach 27" in spectrum.attrs["history"]
@@ -211,7 +211,7 @@ def test_the_option_overrides_the_header_and_says_so(read) -> None:
     assert "header says percent; `spectrum.scale: fraction` in material.yaml was used" in warnings(spectrum)[0]
 
 
-def test_percent_called_a_fraction_is_refused(read) -> None:
+def test_percent_stated_as_a_fraction_is_refused(read) -> None:
     with pytest.raises(InputError, match="the scale is `fraction`, but values exceed 1; found up to 27"):
         read("nm;R\n" + ROWS, scale="fraction")
 
@@ -240,13 +240,13 @@ def test_a_column_is_chosen_by_number_or_name(read, column: int | str, value: fl
     assert warnings(spectrum) == []
 
 
-def test_columns_left_unread_without_being_asked_are_warned_about(read) -> None:
+def test_unread_columns_are_warned_about_unless_one_was_chosen(read) -> None:
     spectrum = read(WIDE, scale="fraction")
     assert (spectrum["total_reflectance"] == 0.7).all()
     assert "column 2 (red) was read; ignored: column 3 (blue), column 4 (std)" in warnings(spectrum)[0]
 
 
-def test_an_unnamed_third_column_is_an_uncertainty_only_when_asked(read) -> None:
+def test_an_untitled_third_column_is_an_uncertainty_only_on_request(read) -> None:
     rows = "".join(f"{nm} 30 1\n" for nm in range(400, 701, 20))
     assert "total_reflectance_u" not in read(rows)
     assert (read(rows, column=2, uncertainty=3)["total_reflectance_u"] == 0.01).all()
@@ -278,7 +278,7 @@ def test_a_title_that_begins_or_ends_with_a_word_for_it_is_an_uncertainty(read, 
 @pytest.mark.parametrize(
     "titles", ["coated %;uncoated %", "red %;understated %", "BAT;STD", "STD;BAT", "R %;Stdlib", "R %;errant"]
 )
-def test_a_word_that_only_starts_like_one_is_another_sample(read, titles: str) -> None:
+def test_a_word_that_only_starts_like_an_uncertainty_is_another_sample(read, titles: str) -> None:
     text = f"nm;{titles}\n" + "".join(f"{nm};60;25\n" for nm in range(400, 701, 20))
     spectrum = read(text, scale="percent")
     assert "total_reflectance_u" not in spectrum
@@ -308,7 +308,7 @@ def test_an_expanded_uncertainty_is_divided_by_its_coverage_factor(read, title: 
         ("u [%]", "[%]", "-0.6", "16 values are negative, the first in line 2"),
     ],
 )
-def test_what_is_no_absolute_standard_uncertainty_is_not_taken_for_one(
+def test_columns_that_are_not_absolute_standard_uncertainties_are_ignored(
     read, title: str, unit: str, doubt: str, why: str
 ) -> None:
     text = three(title, doubt, unit, 0.3 if unit == "[0-1]" else 30)
@@ -322,7 +322,7 @@ def test_what_is_no_absolute_standard_uncertainty_is_not_taken_for_one(
     assert refusal.value.key == "spectrum.uncertainty"
 
 
-def test_an_uncertainty_without_a_unit_beside_percent_is_taken_in_percent_and_asked_about(read) -> None:
+def test_an_uncertainty_without_a_unit_beside_percent_is_read_in_percent_with_a_warning(read) -> None:
     spectrum = read(three("u", "0.6"))
     assert spectrum["total_reflectance_u"].values == pytest.approx(0.006)
     assert "Write `u [%]` or `u [1]`" in warnings(spectrum)[0]
@@ -331,7 +331,7 @@ def test_an_uncertainty_without_a_unit_beside_percent_is_taken_in_percent_and_as
     assert warnings(fraction) == warnings(read(three("u [%]", "0.6"))) == []
 
 
-def test_a_missing_uncertainty_is_told_with_its_wavelengths(read) -> None:
+def test_missing_uncertainties_are_warned_about_with_their_wavelengths(read) -> None:
     spectrum = read(three("u [%]", "0.6").replace("500;30;0.6", "500;30;-9999"))
     assert np.isnan(spectrum["total_reflectance_u"].sel(wavelength=500))
     assert "missing at 1 wavelengths from 500 to 500 nm" in warnings(spectrum)[0]
@@ -345,7 +345,7 @@ def test_a_relative_humidity_is_no_unit_of_reflectance(read) -> None:
 
 
 @pytest.mark.parametrize("line", ["refl. in %", "scale: 0-100 %", "%R", "reflectance 100% white"])
-def test_a_header_in_percent_above_what_may_be_fractions_is_doubted(read, line: str) -> None:
+def test_percent_in_the_header_of_values_below_1_is_warned_about(read, line: str) -> None:
     text = f"# {line}\nnm;R\n" + "".join(f"{nm};0.5\n" for nm in range(400, 701, 20))
     spectrum = read(text)
     assert float(spectrum["total_reflectance"][0]) == 0.005
@@ -354,7 +354,7 @@ def test_a_header_in_percent_above_what_may_be_fractions_is_doubted(read, line: 
 
 
 @pytest.mark.parametrize("column", [0, 1, 5, -1, "green", "nm", True, 2.0])
-def test_a_column_that_is_not_there_is_refused_with_those_that_are(read, column: object) -> None:
+def test_an_unknown_column_is_refused_with_the_known_ones(read, column: object) -> None:
     with pytest.raises(InputError, match=r"unknown column.*accepted: 2 to 4, or one of red, blue, std") as refusal:
         read(WIDE, column=column, scale="fraction")
     assert refusal.value.key == "spectrum.column"
@@ -376,7 +376,9 @@ def rows(first: int, last: int, step: int = 10, value: float = 50) -> str:
         ),
     ],
 )
-def test_a_spectrum_that_leaves_out_visible_wavelengths_says_which(read, text: str, message: str) -> None:
+def test_a_spectrum_without_all_visible_wavelengths_is_refused_with_the_missing_ones(
+    read, text: str, message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         read(text)
 
@@ -401,7 +403,7 @@ def test_a_fluorescent_reflectance_is_refused_unless_allowed(read) -> None:
 
 
 @pytest.mark.parametrize("title", ["T [%]", "Transmittance (%)", "Absorbance %", "%T"])
-def test_what_is_no_reflectance_is_refused(read, title: str) -> None:
+def test_another_quantity_than_a_reflectance_is_refused(read, title: str) -> None:
     with pytest.raises(InputError, match="not a reflectance"):
         read(f"nm;{title}\n" + ROWS)
 
@@ -415,18 +417,18 @@ def test_what_is_no_reflectance_is_refused(read, title: str) -> None:
         ({"incidence": 90}, "spectrum.incidence"),
     ],
 )
-def test_an_option_out_of_its_values_names_its_key(read, options: dict, key: str) -> None:
+def test_an_invalid_option_is_refused_with_its_key(read, options: dict, key: str) -> None:
     with pytest.raises(InputError) as refusal:
         read(HEAD + ROWS, **options)
     assert refusal.value.key == key
 
 
-def test_a_header_that_says_otherwise_about_the_specular_is_warned_about(read) -> None:
+def test_a_header_that_contradicts_the_specular_component_is_warned_about(read) -> None:
     spectrum = read("Mode: specular included\n" + HEAD + ROWS, geometry="sce")
     assert "the header says SCI; `spectrum.geometry: sce` in material.yaml was used" in warnings(spectrum)[0]
 
 
-def test_the_header_tells_the_specular_where_nothing_else_does(read) -> None:
+def test_the_header_states_the_specular_component_if_no_option_does(read) -> None:
     spectrum = read("Mode: specular included\n" + HEAD + ROWS, geometry=None)
     assert (spectrum.attrs["geometry"], spectrum.attrs["theta_i"]) == ("sci", 8)
     assert "geometry sci was read from the file" in spectrum.attrs["history"]

@@ -177,7 +177,7 @@ def test_a_colour_darker_than_its_specular_reflection_is_refused_as_specular_exc
 @pytest.mark.parametrize(
     "lab", [[50, 0], [[50, 0, 0]], [101, 0, 0], [-1, 0, 0], [50, np.nan, 0], "red", None, ["a", 0, 0]]
 )
-def test_what_is_no_colour_is_refused(lab: object) -> None:
+def test_an_invalid_colour_is_refused(lab: object) -> None:
     with pytest.raises(InputError, match=r"invalid colour.*\[L\*, a\*, b\*\] with 0 <= L\* <= 100"):
         recover(lab, illuminant="D65", observer=10)  # type: ignore[arg-type]
 
@@ -195,14 +195,14 @@ def test_an_unknown_illuminant_or_observer_names_its_key(options: dict, key: str
     assert refusal.value.key == key
 
 
-def test_an_unknown_method_is_refused_with_those_known() -> None:
+def test_an_unknown_method_is_refused_with_the_known_ones() -> None:
     with pytest.raises(
         InputError, match="unknown method of recovery; found 'magic'; accepted: lhtss, basis4, random4, adaptive4"
     ):
         recover([50, 0, 0], illuminant="D65", observer=10, method="magic")
 
 
-def test_a_recovered_spectrum_is_valid_and_says_how_it_was_made(tmp_path: Path) -> None:
+def test_a_recovered_spectrum_is_valid_and_states_its_method(tmp_path: Path) -> None:
     spectrum = validate(recover([50, 10, 0], illuminant="d65", observer=10, geometry="sce", theta=10), "spectrum")
     save_dataset(spectrum, tmp_path / "spectrum.nc", stage="spectrum", material="m")
     expected = {"geometry": "sce", "theta_i": 10.0, "method": "lhtss", "illuminant": "D65", "observer": 10}

@@ -112,7 +112,7 @@ def test_single_precision_stays_single(asymmetric: xr.Dataset) -> None:
 
 @pytest.mark.parametrize("filtered", [low_pass, high_pass])
 @pytest.mark.parametrize("cutoff", [2.7, 25.1, 0.0, -5.0, np.nan])
-def test_a_cutoff_that_the_pitch_or_the_extent_does_not_carry_is_refused(
+def test_a_cutoff_outside_the_range_of_pitch_and_extent_is_refused(
     asymmetric: xr.Dataset, filtered, cutoff: float
 ) -> None:
     with pytest.raises(BrdfpipeError, match=r"is out of range; accepted: 2\.8 um \(4 pitches\) to 25 um"):

@@ -110,7 +110,7 @@ def test_a_few_steps_that_carry_the_slope_are_warned_of(step: float, warned: boo
     assert any("A few steps dominate the rms slope" in text for text in texts) == warned
 
 
-def test_the_heavy_tail_of_ggx_is_no_few_steps() -> None:
+def test_the_heavy_tail_of_ggx_gives_no_warning() -> None:
     u = np.random.default_rng(7).uniform(-1, 1, 200_000)
     # Its slopes along a line, P1 = a² / [2 (a² + p²)^(3/2)], inverted; heights are their sum.
     height = np.cumsum(0.1 * u / np.sqrt(1 - u * u))
@@ -124,7 +124,7 @@ def test_heights_that_overflow_are_refused_in_words() -> None:
     refuse(Heights(height, 1.0, 1.0), "implausible rms slope of a surface finish")
 
 
-def test_the_dataset_carries_what_the_reader_found() -> None:
+def test_the_dataset_has_the_history_and_warnings_of_the_reader() -> None:
     notes: dict[str, Any] = {"history": ("Reversed.",), "warnings": ("Measure again.",)}
     surface = surface_dataset(Heights(rough((40, 50)), 0.5, 0.7, **notes))
     vocabulary.validate(surface, "surface")

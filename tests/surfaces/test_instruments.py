@@ -79,7 +79,7 @@ def test_real_files_give_the_known_roughness(
 
 
 @pytest.mark.usefixtures("library")
-def test_the_real_al3d_map_lies_as_its_bytes_do(shared_data: Path) -> None:
+def test_the_real_al3d_map_has_the_orientation_of_its_bytes(shared_data: Path) -> None:
     path = shared_data / "surfaces" / "al3d-1.al3d"
     # The depth image stands before the texture, row by row, at an offset its tags name.
     content = path.read_bytes()
@@ -117,14 +117,14 @@ def test_a_third_missing_stays_missing_through_the_whole_stage(shared_data: Path
 
 
 @pytest.mark.usefixtures("library")
-def test_the_unit_taken_for_the_pitch_of_an_nms_file_is_warned_about(shared_data: Path) -> None:
+def test_an_assumed_unit_of_the_pitch_of_an_nms_file_is_warned_about(shared_data: Path) -> None:
     (warning,) = vocabulary.warnings(read_surface(shared_data / "surfaces" / "nms-2.nms"))
     assert "states the pitch 312.5 x 312.5 without a unit. It was read in nm" in warning
     assert "set `surface.lateral_unit`" in warning
 
 
 @pytest.mark.usefixtures("library")
-def test_a_stated_unit_of_the_pitch_of_an_nms_file_counts(shared_data: Path) -> None:
+def test_a_stated_unit_of_the_pitch_of_an_nms_file_is_used(shared_data: Path) -> None:
     path = shared_data / "surfaces" / "nms-2.nms"
     confirmed = ingest(path, {"file": "nms-2.nms", "lateral_unit": "nm"})
     assert confirmed.attrs["pitch_x"] == pytest.approx(0.3125)
@@ -134,13 +134,13 @@ def test_a_stated_unit_of_the_pitch_of_an_nms_file_counts(shared_data: Path) -> 
         read_surface(path, lateral_unit="inch")
 
 
-def test_a_plausible_pitch_of_an_nms_file_is_left_alone() -> None:
+def test_a_plausible_pitch_of_an_nms_file_is_not_converted() -> None:
     for pitches in ([0.5, 0.7], [5e8, 0.7]):
         assert instruments._of_unstated_unit(pitches, None, Path("map.nms")) == (pitches, ())
 
 
 @pytest.mark.usefixtures("library")
-def test_the_unit_of_the_pitch_is_not_asked_of_a_format_that_states_it(tmp_path: Path) -> None:
+def test_a_unit_of_the_pitch_is_refused_for_a_format_that_states_it(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"surface\.lateral_unit: this key does not apply to the format"):
         read_surface(tmp_path / "map.opd", lateral_unit="nm")
 
@@ -159,7 +159,7 @@ def test_without_the_extra_the_refusal_says_how_to_get_it(tmp_path: Path, monkey
         read_surface(tmp_path / "map.opd")
 
 
-def test_a_missing_extra_is_told_before_anything_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_is_reported_before_anything_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "SurfaceTopography", None)
     with pytest.raises(InputError, match=r"^map\.opd: .*not installed.*pip install 'brdfpipe\[instruments\]'"):
         check_readable("absent/map.opd")
@@ -253,7 +253,7 @@ def test_the_first_height_channel_is_taken_unless_one_is_named(rigged: Any, valu
         ({"heights": lambda: 1 / 0}, "not a Wyko OPD file, or damaged; found ZeroDivisionError"),
     ],
 )
-def test_what_the_library_hands_out_is_checked(
+def test_results_of_the_library_are_checked(
     rigged: Any, values: np.ndarray, changes: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):

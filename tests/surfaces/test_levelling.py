@@ -18,7 +18,7 @@ TILT = st.floats(-2, 2)
 
 @settings(max_examples=30, deadline=None)
 @given(a=TILT, b=TILT, offset=st.floats(-1e4, 1e4), gaps=st.floats(0, 0.6), seed=st.integers(0, 99))
-def test_a_plane_is_removed_whole_whatever_is_missing(
+def test_a_plane_is_removed_also_with_missing_heights(
     a: float, b: float, offset: float, gaps: float, seed: int
 ) -> None:
     x, y = np.arange(20) * 0.5, np.arange(15)[:, None] * 0.7
@@ -77,7 +77,7 @@ COEFFICIENT = st.floats(-0.1, 0.1)
 
 @settings(max_examples=30, deadline=None)
 @given(c=st.tuples(*[COEFFICIENT] * 5), offset=st.floats(-1e4, 1e4), gaps=st.floats(0, 0.6), seed=st.integers(0, 99))
-def test_a_polynomial_of_degree_2_is_removed_whole_whatever_is_missing(
+def test_a_polynomial_of_degree_2_is_removed_also_with_missing_heights(
     c: tuple[float, ...], offset: float, gaps: float, seed: int
 ) -> None:
     height = offset + c[0] * X + c[1] * Y + c[2] * X**2 + c[3] * X * Y + c[4] * Y**2
@@ -99,9 +99,7 @@ def test_the_polynomial_is_that_of_a_general_solver(asymmetric: xr.Dataset) -> N
 
 @settings(max_examples=30, deadline=None)
 @given(angle=st.floats(0, 180), radius=st.floats(200, 1e5), sign=st.sampled_from([-1, 1]), gaps=st.floats(0, 0.6))
-def test_a_parabolic_cylinder_is_removed_whole_whatever_its_direction(
-    angle: float, radius: float, sign: int, gaps: float
-) -> None:
+def test_a_parabolic_cylinder_of_any_direction_is_removed(angle: float, radius: float, sign: int, gaps: float) -> None:
     u = X * np.cos(np.radians(angle)) + Y * np.sin(np.radians(angle)) - 20
     height = sign * u**2 / (2 * radius) + 0.02 * X - 0.03 * Y + 5
     height[np.random.default_rng(3).random(height.shape) < gaps] = np.nan
@@ -124,7 +122,7 @@ def test_the_cylinder_bends_one_way_alone() -> None:
     assert 0.3 * left["plane"] < left["cylinder"] < 0.8 * left["plane"]
 
 
-def test_what_remains_of_a_circular_arc_is_what_the_description_says() -> None:
+def test_the_remainder_of_a_circular_arc_is_that_of_the_docstring() -> None:
     radius, x = 1000.0, np.arange(-3000, 3001) * 0.1
     arc = surface_dataset(Heights(np.sqrt(radius**2 - x**2), 0.1))
     slope = float(np.gradient(level(arc, "cylinder").height.values, 0.1).std())
@@ -146,7 +144,7 @@ def test_levelling_by_a_polynomial_again_changes_nothing_more(asymmetric: xr.Dat
 
 
 @pytest.mark.parametrize("form", ["polynomial-2", "cylinder"])
-def test_heights_that_fix_no_bent_form_are_refused(asymmetric: xr.Dataset, form: str) -> None:
+def test_heights_that_do_not_determine_a_bent_form_are_refused(asymmetric: xr.Dataset, form: str) -> None:
     for keep in (np.s_[:2, :], np.s_[:, 4:6], np.s_[0, :5]):
         height = np.full(asymmetric.height.shape, np.nan)
         height[keep] = asymmetric.height.values[keep]
@@ -154,7 +152,7 @@ def test_heights_that_fix_no_bent_form_are_refused(asymmetric: xr.Dataset, form:
             level(asymmetric.assign(height=asymmetric.height.copy(data=height)), form)
 
 
-def test_heights_along_one_diagonal_fix_no_plane() -> None:
+def test_heights_along_one_diagonal_do_not_determine_a_plane() -> None:
     height = np.where(np.eye(40, dtype=bool), 1.0, np.nan)
     with pytest.raises(BrdfpipeError, match="too few lines"):
         level(surface_dataset(Heights(height, 1.0, 1.0)))
@@ -165,7 +163,7 @@ def test_an_unknown_form_is_refused(asymmetric: xr.Dataset) -> None:
         level(asymmetric, form="sphere")
 
 
-def test_heights_that_fix_no_plane_are_refused(asymmetric: xr.Dataset) -> None:
+def test_heights_that_do_not_determine_a_plane_are_refused(asymmetric: xr.Dataset) -> None:
     for keep in (np.s_[0, :2], np.s_[5, :], np.s_[:, 5]):
         height = np.full(asymmetric.height.shape, np.nan)
         height[keep] = asymmetric.height.values[keep]

@@ -38,7 +38,7 @@ def test_the_stage_result_survives_the_store(tmp_path: Path, asymmetric: xr.Data
     np.testing.assert_array_equal(open_dataset(tmp_path / "surface.nc", "surface").height, surface.height)
 
 
-def test_the_band_is_told_in_words(tmp_path: Path, profile: Path, asymmetric: xr.Dataset) -> None:
+def test_the_band_is_stated_in_words(tmp_path: Path, profile: Path, asymmetric: xr.Dataset) -> None:
     write_x3p(asymmetric, tmp_path / "map.x3p")
     assert read_surface(tmp_path / "map.x3p").attrs["band"] == "0.5 x 0.7 um pitch; no λs, no λc filter"
     assert read_surface(profile, unit="um", pitch=0.25).attrs["band"] == "0.25 um pitch; no λs, no λc filter"
@@ -82,7 +82,7 @@ def test_the_keys_of_a_material_know_the_formats_the_forms_and_every_option() ->
     assert set(MeasuredSurface.declared_keys()) == reading | {"isotropic", "method", "azimuth", "scans"}
 
 
-def test_each_extension_tells_one_format() -> None:
+def test_each_extension_selects_one_format() -> None:
     suffixes = [suffix for known in FORMATS.values() for suffix in known.extensions]
     assert len(set(suffixes)) == len(suffixes)
     assert all(re.fullmatch(r"\.[a-z0-9]+", suffix) for suffix in suffixes)

@@ -94,7 +94,7 @@ def test_the_material_file_overrides_the_header(tmp_path: Path, line: xr.Dataset
     assert found.attrs["pitch_x"] == 0.25
 
 
-def test_comments_may_stand_anywhere(tmp_path: Path, line: xr.Dataset) -> None:
+def test_comments_may_be_anywhere(tmp_path: Path, line: xr.Dataset) -> None:
     values = [f"{z}" for z in line.height.values]
     values[5] += "  # a scratch"
     values.insert(9, "% the stylus jumped")
@@ -131,7 +131,9 @@ def test_a_ragged_row_is_refused_by_its_line(
 
 
 @pytest.mark.parametrize("wrong", ["abc", "1.2.3", "0x1F", "1,2", "1 2"])
-def test_what_is_no_number_is_refused_by_line_and_column(tmp_path: Path, asymmetric: xr.Dataset, wrong: str) -> None:
+def test_a_cell_that_is_not_a_number_is_refused_by_line_and_column(
+    tmp_path: Path, asymmetric: xr.Dataset, wrong: str
+) -> None:
     lines = spell(asymmetric.height.values).splitlines()
     cells = lines[11].split(";")
     cells[4] = wrong
@@ -180,7 +182,7 @@ def test_random_bytes_are_refused(tmp_path: Path, content: bytes) -> None:
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(text=st.text("0123456789.,;-+eE \t\n#%*naNx", max_size=400))
-def test_whatever_looks_like_numbers_is_read_or_refused_in_words(tmp_path: Path, text: str) -> None:
+def test_text_like_numbers_is_read_or_refused_with_a_message(tmp_path: Path, text: str) -> None:
     # No text this short holds enough heights: anything but a refusal in the user's words is a fault.
     with pytest.raises(InputError):
         read_surface(put(tmp_path, text), **GRID)
@@ -278,7 +280,7 @@ def test_a_layout_that_does_not_fit_is_refused(
 
 
 @pytest.mark.parametrize("end", ["", "\n"])
-def test_a_file_without_a_last_line_end_is_not_doubted(tmp_path: Path, asymmetric: xr.Dataset, end: str) -> None:
+def test_a_file_without_a_last_line_end_gives_no_warning(tmp_path: Path, asymmetric: xr.Dataset, end: str) -> None:
     for separator, missing in ((";", ""), (" ", "NaN"), (",", "***")):
         text = spell(asymmetric.height.values, separator, missing=missing).rstrip("\n") + end
         assert not vocabulary.warnings(read_surface(put(tmp_path, text), **GRID))
@@ -286,7 +288,7 @@ def test_a_file_without_a_last_line_end_is_not_doubted(tmp_path: Path, asymmetri
     assert not vocabulary.warnings(read_surface(put(tmp_path, text.rstrip("\n") + end), unit="um"))
 
 
-def test_a_last_number_of_fewer_decimals_is_doubted(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+def test_a_last_number_of_fewer_decimals_is_warned_about(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     text = spell(asymmetric.height.values, decimal=",")
     found = read_surface(put(tmp_path, text[:-3]), **GRID)
     assert vocabulary.warnings(found)[-1].startswith(
@@ -306,7 +308,7 @@ def test_a_last_number_of_fewer_decimals_is_doubted(tmp_path: Path, asymmetric: 
         ("Length of the stylus,20 mm", False),
     ],
 )
-def test_a_profile_shorter_than_its_header_says_is_doubted(
+def test_a_profile_shorter_than_its_header_says_is_warned_about(
     tmp_path: Path, line: xr.Dataset, words: str, doubted: bool
 ) -> None:
     rows = "".join(f"{x:.2f};{z:.5f}\n" for x, z in zip(line.x.values, line.height.values, strict=True))
@@ -321,7 +323,7 @@ def test_a_profile_shorter_than_its_header_says_is_doubted(
 
 
 @pytest.mark.parametrize("order", ["rows", "columns", "downwards", "to and fro"])
-def test_points_that_stop_within_a_row_are_doubted(tmp_path: Path, asymmetric: xr.Dataset, order: str) -> None:
+def test_points_that_end_within_a_row_are_warned_about(tmp_path: Path, asymmetric: xr.Dataset, order: str) -> None:
     rows = points(asymmetric.fillna(0.0))
     if order == "columns":
         rows = rows[np.lexsort([rows[:, 1], rows[:, 0]])]
@@ -336,7 +338,7 @@ def test_points_that_stop_within_a_row_are_doubted(tmp_path: Path, asymmetric: x
         assert any("last row of points is incomplete" in text for text in vocabulary.warnings(found)) == doubted
 
 
-def test_points_left_out_of_an_aperture_are_not_doubted(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+def test_points_left_out_of_an_aperture_give_no_warning(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     rows = points(asymmetric.fillna(0.0))
     inside = ((rows[:, 0] - 12.25) / 12.6) ** 2 + ((rows[:, 1] - 13.65) / 14) ** 2 <= 1
     found = read_surface(put(tmp_path, spell(rows[inside]), "map.xyz"), unit="um")

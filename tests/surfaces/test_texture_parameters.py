@@ -97,6 +97,6 @@ def test_heights_with_no_neighbours_have_no_gradient(line: xr.Dataset) -> None:
     assert float(found.Rq) > 0
 
 
-def test_a_surface_of_nothing_is_refused(line: xr.Dataset) -> None:
+def test_a_surface_without_a_valid_height_is_refused(line: xr.Dataset) -> None:
     with pytest.raises(BrdfpipeError, match="no valid height"):
         parameters(line.assign(height=line.height * np.nan).assign_attrs(line.attrs))

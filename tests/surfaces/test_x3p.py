@@ -136,7 +136,7 @@ def test_a_sub_folder_is_accepted(tmp_path: Path, asymmetric: xr.Dataset) -> Non
     assert read_surface(path).height.shape == (40, 50)
 
 
-def test_elements_may_all_stand_in_the_namespace(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+def test_all_elements_may_be_in_the_namespace(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     path = pack(tmp_path, {"main.xml": document(p="q:"), "bindata/data.bin": binary(asymmetric)})
     assert read_surface(path).height.shape == (40, 50)
 
@@ -269,7 +269,7 @@ def test_a_broken_document_is_refused(tmp_path: Path, xml: bytes) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"PK", b"1;2;3\n" * 99, np.random.default_rng(3).bytes(5000)])
-def test_what_is_no_archive_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_an_archive_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "map.x3p"
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"not an X3P file.*`surface\.format`"):
@@ -328,7 +328,7 @@ def test_real_maps_give_the_known_roughness(
     assert float(found.missing_fraction) == pytest.approx(missing, abs=5e-5)
 
 
-def test_damaged_names_of_entries_do_not_flood_the_message(tmp_path: Path, asymmetric: xr.Dataset) -> None:
+def test_damaged_names_of_entries_are_cut_in_the_message(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     write_x3p(asymmetric, tmp_path / "map.x3p")
     content = bytearray((tmp_path / "map.x3p").read_bytes())
     # The length of the first entry's name, in its own header.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,14 @@ GRID = np.arange(360.0, 781.0, 5.0)
 """Wavelengths of the integration, nm."""
 
 _USUAL_ILLUMINANTS = ("D65", "A", "D50", "C", "E", "FL2", "FL11", "LED-B3")
-# Recognised without loading colour-science, so that a catalogue is checked in milliseconds.
+"""Recognised without colour-science, which takes seconds to load."""
+
+
+def _colour() -> Any:
+    """colour-science, imported on first use."""
+    from brdfpipe.spectra.colour_science import colour
+
+    return colour
 
 
 class Weights(NamedTuple):
@@ -41,9 +48,7 @@ class Weights(NamedTuple):
 
 def illuminants() -> tuple[str, ...]:
     """Names of the illuminants colour-science has a spectrum of."""
-    from brdfpipe.spectra.colour_science import colour
-
-    return tuple(colour.SDS_ILLUMINANTS)
+    return tuple(_colour().SDS_ILLUMINANTS)
 
 
 def illuminant_name(name: str) -> str:
@@ -112,9 +117,8 @@ def reflectance_to_xyz(
 
     Notes
     -----
-    The 5-nm grid is filled by monotone cubic (PCHIP) interpolation: it keeps the data, takes irregular grids, never leaves the
-    range of its neighbours, and on 10- and 20-nm data comes nearer to the 5-nm result than straight lines, which cut every
-    peak. Beyond the ends the reflectance is held constant (CIE 15:2018, extrapolation).
+    The 5-nm grid is filled by monotone cubic (PCHIP) interpolation: on 10- and 20-nm data it is closer to the 5-nm result than
+    straight lines, which cut every peak. Beyond the ends the reflectance is held constant (CIE 15:2018, extrapolation).
     """
     nodes, values = np.asarray(wavelength, dtype=float), np.asarray(reflectance, dtype=float)
     if nodes.ndim != 1 or values.ndim == 0 or values.shape[-1] != nodes.size or nodes.size == 0:
@@ -123,45 +127,34 @@ def reflectance_to_xyz(
         )
     if not (np.isfinite(nodes).all() and np.isfinite(values).all() and (np.diff(nodes) > 0).all()):
         raise BrdfpipeError("a colour needs strictly increasing wavelengths and finite reflectances")
-    xyz: Array = _on_grid(nodes, values) @ weights(illuminant, observer).weights
-    return xyz
+    return np.asarray(_on_grid(nodes, values) @ weights(illuminant, observer).weights)
 
 
 def xyz_to_lab(xyz: ArrayLike, white: ArrayLike) -> Array:
     """CIE 1976 L*a*b* (..., 3) of XYZ (..., 3); ``white`` is the XYZ (3,) of the white, on the same scale (:func:`weights`)."""
-    from brdfpipe.spectra.colour_science import colour
-
-    reference = np.asarray(white, dtype=float)
+    colour, reference = _colour(), np.asarray(white, dtype=float)
     return np.asarray(colour.XYZ_to_Lab(np.asarray(xyz, dtype=float) / reference[1], colour.XYZ_to_xy(reference)))
 
 
 def lab_to_xyz(lab: ArrayLike, white: ArrayLike) -> Array:
     """Inverse of :func:`xyz_to_lab`: XYZ (..., 3) on the scale of ``white``."""
-    from brdfpipe.spectra.colour_science import colour
-
-    reference = np.asarray(white, dtype=float)
+    colour, reference = _colour(), np.asarray(white, dtype=float)
     return np.asarray(colour.Lab_to_XYZ(np.asarray(lab, dtype=float), colour.XYZ_to_xy(reference)) * reference[1])
 
 
 def delta_e_ab(lab_1: ArrayLike, lab_2: ArrayLike) -> Array:
     """Colour difference ΔE*ab between L*a*b* (..., 3): Euclidean distance (CIE 15:2018)."""
-    from brdfpipe.spectra.colour_science import colour
-
-    return np.asarray(colour.delta_E(lab_1, lab_2, method="CIE 1976"))
+    return np.asarray(_colour().delta_E(lab_1, lab_2, method="CIE 1976"))
 
 
 def delta_e_00(lab_1: ArrayLike, lab_2: ArrayLike) -> Array:
     """Colour difference CIEDE2000 between L*a*b* (..., 3), with k_L = k_C = k_H = 1 (ISO/CIE 11664-6)."""
-    from brdfpipe.spectra.colour_science import colour
-
-    return np.asarray(colour.delta_E(lab_1, lab_2, method="CIE 2000"))
+    return np.asarray(_colour().delta_E(lab_1, lab_2, method="CIE 2000"))
 
 
 def encoded_srgb(linear: ArrayLike) -> Array:
     """Non-linear sRGB (..., 3) of linear one, clipped to [0, 1] (IEC 61966-2-1)."""
-    from brdfpipe.spectra.colour_science import colour
-
-    return np.asarray(colour.cctf_encoding(np.clip(np.asarray(linear, dtype=float), 0.0, 1.0), function="sRGB"))
+    return np.asarray(_colour().cctf_encoding(np.clip(np.asarray(linear, dtype=float), 0.0, 1.0), function="sRGB"))
 
 
 def srgb_from_xyz(white: ArrayLike) -> Array:
@@ -176,8 +169,7 @@ def srgb_from_xyz(white: ArrayLike) -> Array:
     Bradford adaptation to the white of sRGB, then the matrix that follows from the primaries. That of IEC 61966-2-1 is rounded to four
     digits and leaves white off (1, 1, 1) by 2e-4.
     """
-    from brdfpipe.spectra.colour_science import colour
-
+    colour = _colour()
     srgb, reference = colour.RGB_COLOURSPACES["sRGB"], np.asarray(white, dtype=float)
     to_rgb = np.linalg.inv(colour.normalised_primary_matrix(srgb.primaries, srgb.whitepoint))
     screen_white = colour.xy_to_XYZ(srgb.whitepoint)
@@ -205,8 +197,8 @@ def luminous_weight(wavelength: ArrayLike, illuminant: str = "D65") -> Array:
 
     Notes
     -----
-    ``(R * weight).sum()`` is ∫ R V S dλ / ∫ V S dλ on the 5-nm grid for the R that is linear between ``wavelength`` and
-    constant beyond its ends, so that coarse and irregular grids weigh what they stand for. V is the CIE 1931 ȳ.
+    ``(R * weight).sum()`` is ∫ R V S dλ / ∫ V S dλ on the 5-nm grid, with R linear between ``wavelength`` and constant beyond its
+    ends. V is the CIE 1931 ȳ.
     """
     nodes = np.asarray(wavelength, dtype=float)
     if nodes.ndim != 1 or nodes.size == 0 or not np.isfinite(nodes).all() or (np.diff(nodes) <= 0).any():
@@ -214,28 +206,25 @@ def luminous_weight(wavelength: ArrayLike, illuminant: str = "D65") -> Array:
     luminous = weights(illuminant, 2).weights[:, 1]
     position = np.interp(GRID, nodes, np.arange(nodes.size, dtype=float))
     left = np.minimum(position.astype(int), max(nodes.size - 2, 0))
-    right = np.minimum(left + 1, nodes.size - 1)
     fraction = position - left
     weight = np.bincount(left, luminous * (1 - fraction), nodes.size)
-    weight += np.bincount(right, luminous * fraction, nodes.size)
+    weight += np.bincount(np.minimum(left + 1, nodes.size - 1), luminous * fraction, nodes.size)
     return np.asarray(weight / weight.sum())
 
 
 def _on_grid(nodes: Array, values: Array) -> Array:
+    from scipy.interpolate import PchipInterpolator
+
     if np.array_equal(nodes, GRID):
         return values
     if nodes.size == 1:
         return np.broadcast_to(values, (*values.shape[:-1], GRID.size))
-    from scipy.interpolate import PchipInterpolator
-
-    filled: Array = PchipInterpolator(nodes, values, axis=-1)(np.clip(GRID, nodes[0], nodes[-1]))
-    return filled
+    return np.asarray(PchipInterpolator(nodes, values, axis=-1)(np.clip(GRID, nodes[0], nodes[-1])))
 
 
 @cache
 def _weights(name: str, observer: int) -> Weights:
-    from brdfpipe.spectra.colour_science import colour
-
+    colour = _colour()
     shape = colour.SpectralShape(GRID[0], GRID[-1], GRID[1] - GRID[0])
     zero_beyond = {"method": "Constant", "left": 0, "right": 0}
     power = colour.SDS_ILLUMINANTS[name].copy().align(shape, extrapolator_kwargs=zero_beyond).values

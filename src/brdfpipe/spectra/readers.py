@@ -229,13 +229,11 @@ def _divisor(table: Columns, value: int, nm: Array, scale: str | None, log: _Log
     if (scale or stated) == "fraction":
         if largest < _DARKEST_PERCENT:
             return 1.0
-        raise InputError(
-            table.file,
+        problem, accepted = (
             "the scale is `fraction`, but values exceed 1",
-            found=f"up to {largest:g}",
-            accepted="values up to 1 (1.1 if fluorescent), or percent",
-            key="spectrum.scale",
+            "values up to 1 (1.1 if fluorescent), or percent",
         )
+        raise InputError(table.file, problem, found=f"up to {largest:g}", accepted=accepted, key="spectrum.scale")
     if scale is None and stated is not None and largest <= 1:
         log.warn(
             f"the header says percent, but no value exceeds {largest:g}. If they are fractions, set `spectrum.scale: fraction`; if the "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -59,10 +60,10 @@ def recover(
 
     Returns
     -------
-    Dataset of kind ``spectrum`` on 360 to 780 nm by 5; attributes ``geometry``, ``theta_i``, ``method``,
-    ``residual_delta_e`` (ΔE*ab of the spectrum to ``lab``), ``illuminant``, ``observer`` and, if given, ``specular_index``. Where
-    the other exact method, ``basis4`` or ``lhtss``, reaches the colour too, ``metamerism_<light>`` is ΔE00 to its spectrum under
-    each of :data:`LIGHTS`: the effect of the choice of method. ``specular_index`` of a dispersive index is that at 589.3 nm
+    Dataset of kind ``spectrum`` on 360 to 780 nm by 5; attributes ``geometry``, ``theta_i``, ``method``, ``residual_delta_e`` (ΔE*ab of
+    the spectrum to ``lab``), ``illuminant``, ``observer`` and, if given, ``specular_index`` (at 589.3 nm). Where the other exact
+    method, ``basis4`` or ``lhtss``, reaches the colour too, ``metamerism_<light>`` is ΔE00 to its spectrum under each of
+    :data:`LIGHTS`
 
     Raises
     ------
@@ -72,8 +73,7 @@ def recover(
     Notes
     -----
     r = R_s + (1 − R_s) r′ with R_s = F(θ, n(λ)); r′ is the smoothest whose XYZ under the weights (1 − R_s) W are those of the
-    colour less R_s W. For a constant index that is r′ recovered from XYZ′ = (XYZ − R_s XYZ_w)/(1 − R_s).
-    L* = 0 and L* = 100 without chroma are 0 and 1 at every wavelength, the limits that atanh does not reach.
+    colour less R_s W. L* = 0 and L* = 100 without chroma are 0 and 1 at every wavelength, the limits that atanh does not reach.
 
     References
     ----------
@@ -91,6 +91,9 @@ def recover(
     specular = np.zeros(table.wavelength.size)
     if specular_index is not None:
         specular = specular_reflectance(specular_index, theta, table.wavelength)
+    sodium_index = (
+        interpolate_index(specular_index, 589.3)[0] if isinstance(specular_index, xr.Dataset) else specular_index
+    )
     search = None
     if method in random_search.SEARCHES:
         _check_mixable(colour, table, specular, threshold)
@@ -120,7 +123,7 @@ def recover(
         "residual_delta_e": float(colorimetry.delta_e_ab(lab_of_spectrum, colour)),
         "illuminant": table.illuminant,
         "observer": int(observer),
-        **({} if specular_index is None else {"specular_index": _sodium_index(specular_index)}),
+        **({} if sodium_index is None else {"specular_index": float(sodium_index)}),
         **({"seed": int(seed), "threshold": float(threshold), "tried": search.tried} if search else {}),
         **_metamerism(reflectance, colour, table, specular, method),
     }
@@ -169,18 +172,11 @@ def metamerism(
     """
     spectrum_of: dict[str, xr.Dataset] = {}
     errors: dict[str, InputError] = {}
+    colour: dict[str, Any] = {"illuminant": illuminant, "observer": observer}
+    colour |= {"specular_index": specular_index, "theta": theta}
     for method in methods:
         try:
-            spectrum_of[method] = recover(
-                lab,
-                illuminant=illuminant,
-                observer=observer,
-                method=method,
-                threshold=threshold,
-                seed=seed,
-                specular_index=specular_index,
-                theta=theta,
-            )
+            spectrum_of[method] = recover(lab, method=method, threshold=threshold, seed=seed, **colour)
         except InputError as error:
             if method not in METHODS:
                 raise
@@ -227,10 +223,7 @@ def specular_reflectance(index: float | xr.Dataset, theta: float, wavelength: Ar
 def _difference(first: Array, second: Array, light: str, observer: int) -> Array:
     """ΔE00 between reflectances (..., n) on the grid, under a light."""
     table = colorimetry.weights(light, observer)
-    return colorimetry.delta_e_00(
-        colorimetry.xyz_to_lab(first @ table.weights, table.white),
-        colorimetry.xyz_to_lab(second @ table.weights, table.white),
-    )
+    return colorimetry.delta_e_00(*(colorimetry.xyz_to_lab(r @ table.weights, table.white) for r in (first, second)))
 
 
 def _metamerism(reflectance: Array, lab: Array, table: Weights, specular: Array, method: str) -> dict[str, float | str]:
@@ -298,10 +291,6 @@ def index_words(index: float | xr.Dataset) -> str:
 def _span(values: Array, form: str) -> str:
     least, most = (f"{value:{form}}" for value in (values.min(), values.max()))
     return least if least == most else f"{least} to {most}"
-
-
-def _sodium_index(index: float | xr.Dataset) -> float:
-    return float(interpolate_index(index, 589.3)[0] if isinstance(index, xr.Dataset) else index)
 
 
 def _weights(illuminant: str, observer: int) -> Weights:

@@ -15,9 +15,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array
 from brdfpipe.surfaces.heights import band
 from brdfpipe.vocabulary import add_history, validate
 
@@ -27,8 +27,6 @@ LEAST_PITCHES = 4
 _BLOCK = 2**21
 _REACH = 1.0
 """Half width of the weights in cutoffs: exp(-π/α²) = 7e-7 of the peak remains there."""
-
-Array = NDArray[np.float64]
 
 
 def low_pass(surface: xr.Dataset, lambda_s: float) -> xr.Dataset:

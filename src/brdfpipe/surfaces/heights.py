@@ -7,7 +7,7 @@ are far from any finish of a plastic, paint or film.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,7 @@ class Heights:
     height : (y, x) or (x,), um, NaN where missing
     pitch_x, pitch_y : um; ``pitch_y`` is None for a line
     history : corrections, in words
-    warnings : doubts, each saying what to do
+    warnings : doubts; each says what to do
     """
 
     height: NDArray[np.floating]
@@ -65,18 +65,23 @@ UNSTATED = ("unit", "lateral_unit", "pitch")
 """Options of formats that do not state unit and pitch."""
 
 
+def infinite_as_missing(height: NDArray[np.floating]) -> tuple[str, ...]:
+    """Mark infinite heights as missing, in place; return a note for the history if there are any."""
+    infinite = np.isinf(height)
+    height[infinite] = np.nan
+    return (f"{np.count_nonzero(infinite)} infinite heights taken as missing.",) if infinite.any() else ()
+
+
 def surface_dataset(heights: Heights) -> xr.Dataset:
     """The dataset of kind ``surface`` of the heights from a reader, not levelled."""
-    height = heights.height
-    pitches = {"pitch_x": heights.pitch_x} | ({} if heights.pitch_y is None else {"pitch_y": heights.pitch_y})
-    dims = ("x",) if heights.pitch_y is None else ("y", "x")
-    steps = [pitches[f"pitch_{dim}"] for dim in dims]
+    steps = {"x": heights.pitch_x} if heights.pitch_y is None else {"y": heights.pitch_y, "x": heights.pitch_x}
+    pitches = {f"pitch_{dim}": steps[dim] for dim in ("x", "y") if dim in steps}
     surface = xr.Dataset(
-        {"height": (dims, height, {"long_name": "height, not levelled"})},
-        {dim: np.arange(count) * step for dim, count, step in zip(dims, height.shape, steps, strict=True)},
+        {"height": (tuple(steps), heights.height, {"long_name": "height, not levelled"})},
+        {dim: np.arange(count) * step for (dim, step), count in zip(steps.items(), heights.height.shape, strict=True)},
         {**pitches, "levelling": "none", "band": band(pitches)},
     )
-    return _with_notes(label(surface, "surface"), heights.history, heights.warnings)
+    return add_warning(add_history(label(surface, "surface"), *heights.history), *heights.warnings)
 
 
 def band(attrs: Mapping[str, Any]) -> str:
@@ -97,7 +102,7 @@ def examine(surface: xr.Dataset, file: Path) -> xr.Dataset:
     Parameters
     ----------
     surface : kind ``surface``
-    file : where it came from, for the message
+    file : raw file, for messages
 
     Returns
     -------
@@ -116,40 +121,21 @@ def examine(surface: xr.Dataset, file: Path) -> xr.Dataset:
     missing = np.isnan(height)
     fraction = float(missing.mean())
     if fraction > MISSING_MAX:
-        raise InputError(
-            file,
-            "more than half of the heights are missing",
-            found=f"{fraction:.1%}",
-            accepted="at most 50 %; measure again, or export a part with fewer gaps",
-        )
+        accepted = "at most 50 %; measure again, or export a part with fewer gaps"
+        raise InputError(file, "more than half of the heights are missing", found=f"{fraction:.1%}", accepted=accepted)
     steepest, peaked = _check_heights(height, pitches, file)
-    return _with_notes(surface, (), _doubts(fraction, pitches, steepest, peaked))
-
-
-def _with_notes(surface: xr.Dataset, history: Sequence[str], warnings: Sequence[str]) -> xr.Dataset:
-    surface = add_history(surface, *history) if history else surface
-    return add_warning(surface, *warnings) if warnings else surface
+    return add_warning(surface, *_doubts(fraction, pitches, steepest, peaked))
 
 
 def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path) -> None:
     for dim, pitch, count in zip("yx"[-len(shape) :], pitches, shape, strict=True):
-        key = "surface.lateral_unit"
+        extent, problem = pitch * count, ""
         if not PITCH_RANGE[0] <= pitch <= PITCH_RANGE[1]:
-            raise InputError(
-                file,
-                f"implausible pitch along {dim}",
-                found=f"{pitch:g} um",
-                accepted="1 nm to 1 mm",
-                key=key,
-            )
-        if pitch * count >= EXTENT_MAX:
-            raise InputError(
-                file,
-                f"implausible extent along {dim}",
-                found=f"{pitch * count / 1e6:g} m",
-                accepted="less than 1 m",
-                key=key,
-            )
+            problem, found, accepted = "implausible pitch", f"{pitch:g} um", "1 nm to 1 mm"
+        elif extent >= EXTENT_MAX:
+            problem, found, accepted = "implausible extent", f"{extent / 1e6:g} m", "less than 1 m"
+        if problem:
+            raise InputError(file, f"{problem} along {dim}", found=found, accepted=accepted, key="surface.lateral_unit")
     least = LINE_MIN if len(shape) == 1 else GRID_MIN
     if min(shape) < least:
         raise InputError(
@@ -164,12 +150,8 @@ def _check_grid(shape: tuple[int, ...], pitches: list[float], file: Path) -> Non
 def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Path) -> tuple[float, float]:
     """Refuse implausible heights; return the steepest slope between two neighbours, and rms over median slope."""
     if np.isinf(height).any():
-        raise InputError(
-            file,
-            "infinite heights",
-            found=f"{int(np.isinf(height).sum())} of them",
-            accepted="numbers; NaN, *** or an empty field where a height is missing",
-        )
+        found, accepted = int(np.isinf(height).sum()), "numbers; NaN, *** or an empty field where a height is missing"
+        raise InputError(file, "infinite heights", found=f"{found} of them", accepted=accepted)
     sample = _sample(height)
     levels = np.unique(sample[~np.isnan(sample)]).size
     if levels < LEVELS_MIN:

@@ -21,15 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
-from brdfpipe.surfaces.heights import PITCH_RANGE, Heights, SurfaceFormat
+from brdfpipe.surfaces import archives
+from brdfpipe.surfaces.archives import MAX_POINTS
+from brdfpipe.surfaces.heights import PITCH_RANGE, Heights, SurfaceFormat, infinite_as_missing
 from brdfpipe.surfaces.units import UNITS, scales
 
 LIBRARY = "SurfaceTopography"
 
 _MAX_BYTES = 2**31
-_MAX_POINTS = 2**28
-_MAX_RATIO = 200
-_RATIO_FROM = 2**24
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,6 @@ def read_instrument(path: Path, format: str, *, channel: str | None = None, late
 
     Parameters
     ----------
-    path : the file
     format : a key of :data:`INSTRUMENTS`
     channel : the name of the height channel; by default the first of the file
     lateral_unit : nm, um, mm, m; of the pitch in a format that does not state it (``nms``)
@@ -81,11 +79,6 @@ def read_instrument(path: Path, format: str, *, channel: str | None = None, late
     Returns
     -------
     Heights [um] in float64, ``height[y, x]``, the lower edge of the picture at y = 0; masked and infinite heights are NaN
-
-    Raises
-    ------
-    InputError : the extra is not installed; no such file; damaged or of another format; no height channel, or none of
-        this name; unit or pitch not stated; positions not at constant pitch.
     """
     library = _library(path)
     instrument = INSTRUMENTS[format]
@@ -96,7 +89,7 @@ def read_instrument(path: Path, format: str, *, channel: str | None = None, late
             reader = library.lookup_reader_by_format[format](handle)
             chosen, history = _height_channel(reader.channels, channel, path)
             topography = chosen.topography()
-            height, missing = _height_array(topography.heights(), instrument.from_top)
+            height = _height_array(topography.heights(), instrument.from_top)
             unit_scale = _unit_scale(topography.unit, path)
             pitches = _pitches(topography, path)
     except InputError:
@@ -104,22 +97,18 @@ def read_instrument(path: Path, format: str, *, channel: str | None = None, late
     # A reader may raise any exception on a damaged file or one of another format.
     except Exception as error:
         raise _refusal(path, instrument.title, error) from error
+    history = [f"Read as {instrument.title}.", *history, *infinite_as_missing(height)]
     doubts: tuple[str, ...] = ()
     pitches = [pitch * unit_scale for pitch in pitches]
     if "lateral_unit" in instrument.options:
         pitches, doubts = _of_unstated_unit(pitches, lateral_unit, path)
     height *= unit_scale
     pitch_y = pitches[1] if height.ndim == 2 else None
-    return Heights(height, pitches[0], pitch_y, (f"Read as {instrument.title}.", *history, *missing), doubts)
+    return Heights(height, pitches[0], pitch_y, tuple(history), doubts)
 
 
 def check_installed(path: Path) -> None:
-    """Refuse a file whose reader, the optional extra, is not installed; nothing is imported.
-
-    Raises
-    ------
-    InputError : naming the file and the command that installs the extra.
-    """
+    """Refuse a file whose reader, the optional extra, is not installed; nothing is imported."""
     if importlib.util.find_spec(LIBRARY) is None:
         raise _not_installed(path)
 
@@ -145,17 +134,10 @@ def _check_size(path: Path) -> None:
     size = path.stat().st_size
     if size > _MAX_BYTES:
         raise InputError(path, "the file is too large", found=f"{size >> 20} MiB", accepted=f"{_MAX_BYTES >> 20} MiB")
-    if not zipfile.is_zipfile(path):
-        return
-    with zipfile.ZipFile(path) as archive:
-        inflated = sum(entry.file_size for entry in archive.infolist())
-    if inflated > _MAX_BYTES or inflated > max(_RATIO_FROM, _MAX_RATIO * size):
-        raise InputError(
-            path,
-            "the archive is suspiciously large",
-            found=f"{inflated >> 20} MiB",
-            accepted=f"up to {_MAX_BYTES >> 20} MiB, compressed at most {_MAX_RATIO} times",
-        )
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            inflated = sum(entry.file_size for entry in archive.infolist())
+        archives.check_inflated(path, None, inflated, size, _MAX_BYTES)
 
 
 def _height_channel(channels: Sequence[Any], name: str | None, path: Path) -> tuple[Any, list[str]]:
@@ -172,21 +154,17 @@ def _height_channel(channels: Sequence[Any], name: str | None, path: Path) -> tu
             key="surface.channel",
         )
     points = math.prod(chosen[0].nb_grid_pts or (1,))
-    if points > _MAX_POINTS:
-        raise InputError(path, "too many points", found=points, accepted=f"up to {_MAX_POINTS}")
+    if points > MAX_POINTS:
+        raise InputError(path, "too many points", found=points, accepted=f"up to {MAX_POINTS}")
     several = len(heights) > 1 and name is None
     return chosen[0], [f"Took the first of the height channels {names}."] if several else []
 
 
-def _height_array(heights: NDArray[Any], from_top: bool) -> tuple[NDArray[np.float64], list[str]]:
-    """(y, x) or (x,), y upwards, NaN where masked or infinite, as a copy; and notes on corrections."""
+def _height_array(heights: NDArray[Any], from_top: bool) -> NDArray[np.float64]:
+    """(y, x) or (x,), y upwards, NaN where masked, as a copy."""
     height = np.ma.filled(np.ma.asarray(heights).astype(np.float64), np.nan)
     # The library counts x first.
-    height = height.reshape(-1) if 1 in height.shape else height.T[:: -1 if from_top else 1]
-    height = np.ascontiguousarray(height)
-    infinite = np.isinf(height)
-    height[infinite] = np.nan
-    return height, [f"{np.count_nonzero(infinite)} infinite heights taken as missing."] if infinite.any() else []
+    return np.ascontiguousarray(height.reshape(-1) if 1 in height.shape else height.T[:: -1 if from_top else 1])
 
 
 def _unit_scale(unit: str | None, path: Path) -> float:

@@ -15,16 +15,17 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.geometry import Array
 from brdfpipe.vocabulary import add_history, validate
 
 FORMS = ("none", "plane", "polynomial-2", "cylinder")
 
 _DEGREE = {"plane": 1, "polynomial-2": 2, "cylinder": 2}
+_NAMES = {"plane": "plane", "polynomial-2": "polynomial of degree 2", "cylinder": "parabolic cylinder"}
+_LINE_NAMES = {"plane": "straight line", "polynomial-2": "parabola", "cylinder": "parabola"}
 _BLOCK = 2**20
 _WORST_CONDITION = 1e10
 _TOO_FEW_LINES = "cannot level: the valid heights are on too few lines to determine the form"
-
-Array = NDArray[np.float64]
 
 
 class _Sums(NamedTuple):
@@ -72,9 +73,11 @@ def level(surface: xr.Dataset, form: str = "plane") -> xr.Dataset:
     height = surface.height
     axes = [surface[dim].values for dim in height.dims]
     sums = _sums(height.values, axes, _DEGREE[form])
-    fit = _cylinder if form == "cylinder" and height.ndim == 2 else _polynomial
-    coefficients, words = fit(sums)
-    name = _name(form, height.ndim)
+    if form == "cylinder" and height.ndim == 2:
+        coefficients, words = _cylinder(sums)
+    else:
+        coefficients, words = np.asarray(np.linalg.solve(sums.matrix, sums.moments), dtype=np.float64), ""
+    name = _LINE_NAMES[form] if height.ndim == 1 else _NAMES[form]
     levelled = surface.copy()
     levelled["height"] = height.copy(data=_subtract(height.values, axes, sums, coefficients))
     levelled["height"].attrs = {**height.attrs, "long_name": f"height above the least-squares {name}"}
@@ -84,18 +87,8 @@ def level(surface: xr.Dataset, form: str = "plane") -> xr.Dataset:
     )
 
 
-def _name(form: str, dims: int) -> str:
-    if dims == 1:
-        return "straight line" if form == "plane" else "parabola"
-    return {"plane": "plane", "polynomial-2": "polynomial of degree 2", "cylinder": "parabolic cylinder"}[form]
-
-
 def _sums(height: NDArray[np.floating], axes: Sequence[Array], degree: int) -> _Sums:
-    """The normal equations of the fit.
-
-    Every moment is a sum of powers of x along rows, then of powers of y along columns: the design matrix of a general solver,
-    a column a monomial, is never built. Blocks of rows keep the copies small.
-    """
+    """The normal equations of the fit; no design matrix is built, and blocks of rows keep the copies small."""
     counts = [_count(height, axis) for axis in range(height.ndim)]
     total = int(counts[0].sum())
     powers = [power for power in product(range(degree + 1), repeat=height.ndim) if sum(power) <= degree]
@@ -105,20 +98,21 @@ def _sums(height: NDArray[np.floating], axes: Sequence[Array], degree: int) -> _
     if min(map(np.count_nonzero, counts)) <= degree:
         raise BrdfpipeError(_TOO_FEW_LINES)
     centres = [float(count @ x) / total for count, x in zip(counts, axes, strict=True)]
-    spreads = [
-        math.sqrt(float(n @ (x - centre) ** 2) / total) for n, x, centre in zip(counts, axes, centres, strict=True)
-    ]
     # Positions of unit spread keep the normal equations well conditioned.
-    towers = [
-        ((x - centre) / spread)[:, None] ** np.arange(2 * degree + 1)
-        for x, centre, spread in zip(axes, centres, spreads, strict=True)
-    ]
-    weights, moments = _moments(height, counts, towers, degree)
+    offsets = zip(counts, axes, centres, strict=True)
+    spreads = [math.sqrt(float(count @ (x - centre) ** 2) / total) for count, x, centre in offsets]
+    powers_of_x = [_powers(*axis, 2 * degree) for axis in zip(axes, centres, spreads, strict=True)]
+    weights, moments = _moments(height, counts, powers_of_x, degree)
     matrix = np.array([[weights[tuple(np.add(a, b))] for b in powers] for a in powers])
     scaled = matrix / np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
     if np.linalg.cond(scaled) > _WORST_CONDITION:
         raise BrdfpipeError(_TOO_FEW_LINES)
     return _Sums(powers, matrix, np.array([moments[power] for power in powers]), centres, spreads)
+
+
+def _powers(x: Array, centre: float, scale: float, degree: int) -> Array:
+    """Powers (n, degree + 1) of scaled positions."""
+    return np.asarray(((x - centre) / scale)[:, None] ** np.arange(degree + 1))
 
 
 def _count(height: NDArray[np.floating], axis: int) -> Array:
@@ -128,31 +122,27 @@ def _count(height: NDArray[np.floating], axis: int) -> Array:
 
 
 def _moments(
-    height: NDArray[np.floating], counts: Sequence[Array], towers: Sequence[Array], degree: int
+    height: NDArray[np.floating], counts: Sequence[Array], powers: Sequence[Array], degree: int
 ) -> tuple[Array, Array]:
     """Sums of the powers of the positions, up to twice the degree, and of the heights times them, up to the degree."""
     complete = counts[0].sum() == height.size
-    low = [tower[:, : degree + 1] for tower in towers]
+    low = [power[:, : degree + 1] for power in powers]
     if height.ndim == 1:
-        return counts[0] @ towers[0], np.nan_to_num(height.astype(np.float64)) @ low[0]
-    columns = towers[1].shape[0]
+        return counts[0] @ powers[0], np.nan_to_num(height.astype(np.float64)) @ low[0]
+    columns = powers[1].shape[0]
     weights, moments = np.zeros((2 * degree + 1,) * 2), np.zeros((degree + 1,) * 2)
     if complete:
-        weights = np.outer(towers[0].sum(axis=0), towers[1].sum(axis=0))
+        weights = np.outer(powers[0].sum(axis=0), powers[1].sum(axis=0))
     rows = max(1, _BLOCK // columns)
     for start in range(0, height.shape[0], rows):
         part = slice(start, start + rows)
         block = height[part].astype(np.float64)
         if not complete:
             valid = ~np.isnan(block)
-            weights += towers[0][part].T @ (valid.astype(np.float64) @ towers[1])
+            weights += powers[0][part].T @ (valid.astype(np.float64) @ powers[1])
             block[~valid] = 0
         moments += low[0][part].T @ (block @ low[1])
     return weights, moments
-
-
-def _polynomial(sums: _Sums) -> tuple[Array, str]:
-    return np.asarray(np.linalg.solve(sums.matrix, sums.moments), dtype=np.float64), ""
 
 
 def _cylinder(sums: _Sums) -> tuple[Array, str]:
@@ -201,10 +191,7 @@ def _subtract(
     factors = np.zeros((degree + 1,) * height.ndim)
     for power, coefficient in zip(sums.powers, coefficients, strict=True):
         factors[power] = coefficient
-    low = [
-        ((x - centre) / scale)[:, None] ** np.arange(degree + 1)
-        for x, centre, scale in zip(axes, sums.centres, sums.scales, strict=True)
-    ]
+    low = [_powers(*axis, degree) for axis in zip(axes, sums.centres, sums.scales, strict=True)]
     if height.ndim == 1:
         return (height - low[0] @ factors).astype(height.dtype, copy=False)
     along_x = factors @ low[1].T

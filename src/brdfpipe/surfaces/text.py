@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from brdfpipe import columns
 from brdfpipe.errors import InputError
 from brdfpipe.surfaces.heights import UNSTATED, Heights, SurfaceFormat
 from brdfpipe.surfaces.units import UNITS, needed_steps, pitch_steps, scales
@@ -45,7 +46,7 @@ class _Body:
     text: str
     first_line: int
     settings: dict[str, str]
-    notes: tuple[str, ...]
+    notes: list[str]
     length: float | None = None
     """Length of the profile according to the header [um]."""
 
@@ -62,13 +63,12 @@ def read_text(
 
     Parameters
     ----------
-    path : UTF-8, UTF-16 or Latin-1 text; columns separated by ``;``, tab, ``,`` or white space; decimal point or comma;
-        comments after ``#`` or ``%``; header lines above the first line of numbers are skipped
+    path : columns separated by ``;``, tab, ``,`` or white space; decimal point or comma; comments after ``#`` or ``%``; header lines
+        above the first line of numbers are skipped
     layout : ``line`` (x and z, or z alone), ``grid`` (a row of heights a line, the first at y = 0) or ``xyz`` (in any
         order); by default from the shape: one row, one or two columns are a line, three columns are xyz, more a grid
-    unit : of the heights: nm, um, mm, m; by default from a line ``# unit: um``
-    lateral_unit : of x, y and pitch; by default from a line ``# lateral_unit: mm``, else as ``unit``
-    pitch : a number, or [x, y]; by default from a line ``# pitch: 0.5 0.5``, or from x and y where the file has them
+    unit, lateral_unit, pitch : by default from lines ``# unit: um``, ``# lateral_unit: mm``, ``# pitch: 0.5 0.5``; the pitch also from
+        x and y where the file has them
 
     Returns
     -------
@@ -76,19 +76,14 @@ def read_text(
     regular xyz grid. Warnings if the file may be truncated: the header states a greater length, the last row of points is
     incomplete, or the last line has no line end and fewer decimals than those above.
 
-    Raises
-    ------
-    InputError : not text; no numbers; rows of unequal length, or a field that is not a number, with its line; missing unit or
-        pitch; unevenly spaced x; points that do not form a regular grid.
-
     Notes
     -----
-    Printed positions are rounded: at 0.1 um printed and 0.156 um pitch, slopes from printed neighbours come out 28 % too
-    steep. The pitch is constant and comes from the end points; positions must follow it within their printed digits.
+    Printed positions are rounded: at 0.1 um printed and 0.156 um pitch, slopes from printed neighbours would be 28 % too steep. So
+    the pitch is constant and comes from the end points; positions must follow it within their printed digits.
     """
     if layout is not None and layout not in LAYOUTS:
         raise InputError(path, "unknown layout", found=layout, accepted=", ".join(LAYOUTS), key="surface.layout")
-    text, notes = _decode(path)
+    text, notes = _decoded(path)
     body = _split_header(text, path)
     height_scale, lateral_scale = scales(path, body.settings, unit, lateral_unit, setting="a line `# unit: um`")
     table = _table(body, path)
@@ -113,34 +108,20 @@ def read_text(
 
 
 def read_hfm(path: Path) -> Heights:
-    """Read a line profile in the text form HFM: x, z and validity of z, below a line of titles and one of units.
+    """Line profile in the text form HFM, x, z and validity of z, below the lines ``X;Y;valid`` and ``[mm];[mm];[1/0]`` (or other units).
 
-    Parameters
-    ----------
-    path : text that starts with ``X;Y;valid`` and ``[mm];[mm];[1/0]``, or other units
-
-    Returns
-    -------
-    Heights [um] in float64; NaN where the file marks a height as invalid
-
-    Raises
-    ------
-    InputError : another header, or as :func:`read_text`.
+    float64; NaN where the file marks a height as invalid.
     """
-    text, notes = _decode(path)
+    text, notes = _decoded(path)
     titles, units, rows = [*text.split("\n", 2), "", ""][:3]
     named = re.fullmatch(r"\s*\[(\S+)\];\[(\S+)\];\[1/0\]\s*", units)
     if titles.strip() != "X;Y;valid" or named is None or not rows.strip():
-        raise InputError(
-            path,
-            "not an HFM profile",
-            found=repr(f"{titles.strip()} {units.strip()}"[:60]),
-            accepted="rows of numbers under the lines X;Y;valid and [mm];[mm];[1/0]",
-            key="surface.format",
-        )
+        accepted = "rows of numbers under the lines X;Y;valid and [mm];[mm];[1/0]"
+        found = repr(f"{titles.strip()} {units.strip()}"[:60])
+        raise InputError(path, "not an HFM profile", found=found, accepted=accepted, key="surface.format")
     x_unit, z_unit = named.groups()
     z_scale, x_scale = scales(path, {}, z_unit, x_unit, setting="a line [mm];[mm];[1/0]")
-    table = _table(_Body(rows, 3, {}, ()), path)
+    table = _table(_Body(rows, 3, {}, []), path)
     if table.shape[1] != 3:
         raise InputError(path, "not an HFM profile", found=f"{table.shape[1]} columns", accepted="x, z and valid")
     profile = np.column_stack([table[:, 0], np.where(table[:, 2] == 1, table[:, 1], np.nan)])
@@ -183,40 +164,9 @@ def _stops_within_a_row(points: NDArray[np.float64]) -> bool:
     return False
 
 
-def _decode(path: Path) -> tuple[str, tuple[str, ...]]:
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(path, "too large for a text file of heights", accepted="up to 2 GiB; export X3P instead")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from error
-    codec = "utf-8-sig"
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        codec = "utf-16"
-    elif b"\0" in data:
-        # Western text in UTF-16 has a zero in every other byte; its position gives the byte order.
-        codec = "utf-16-le" if data[1:200:2].count(0) > data[0:200:2].count(0) else "utf-16-be"
-    notes: tuple[str, ...] = ()
-    try:
-        text = data.decode(codec)
-    except UnicodeDecodeError:
-        if codec != "utf-8-sig":
-            raise _not_text(path) from None
-        text, notes = data.decode("latin-1"), ("Decoded as Latin-1.",)
-    if re.search(r"[\x00-\x08\x0e-\x19\x1b-\x1f]", text):
-        raise _not_text(path)
-    if not text.isascii():
-        # Minus signs and no-break spaces come from spreadsheets.
-        text = text.translate({0x2212: "-", 0xA0: " ", 0x202F: " ", 0xFEFF: None})
-    if "\r" in text:
-        text = re.sub(r"\r*\n|\r", "\n", text)
-    return text, notes
-
-
-def _not_text(path: Path) -> InputError:
-    return InputError(
-        path, "the file is binary, not text", accepted="text in UTF-8, UTF-16 or Latin-1, or X3P", key="surface.format"
-    )
+def _decoded(path: Path) -> tuple[str, list[str]]:
+    text, notes = columns.read_text(path, _MAX_BYTES, key="surface.format")
+    return re.sub(r"\r*\n|\r", "\n", text) if "\r" in text else text, notes
 
 
 def _split_header(text: str, path: Path) -> _Body:
@@ -229,15 +179,10 @@ def _split_header(text: str, path: Path) -> _Body:
         content = re.split("[#%]", line, maxsplit=1)[0].strip()
         first = next(filter(None, re.split(r"[;\s]+|,(?!\d)", content)), "")
         if _NUMBER.fullmatch(first) or _NUMBER.fullmatch(first.split(",")[0]):
-            note = f"Skipped {skipped} header lines above the heights." if skipped else ""
-            length = _LENGTH.search(text[:offset])
-            return _Body(
-                _without_comments(text[offset:]),
-                number,
-                settings,
-                (note,) if note else (),
-                float(length[1]) * UNITS[length[2].lower()] if length else None,
-            )
+            notes = [f"Skipped {skipped} header lines above the heights."] if skipped else []
+            stated = _LENGTH.search(text[:offset])
+            length = float(stated[1]) * UNITS[stated[2].lower()] if stated else None
+            return _Body(_without_comments(text[offset:]), number, settings, notes, length)
         skipped += bool(content)
         offset += len(line)
     raise InputError(
@@ -294,13 +239,9 @@ def _marks(body: _Body, path: Path) -> tuple[str | None, str]:
         return None, decimal
     if "." in body.text or (padded and not bare) or (bare > 1 and not padded):
         return ",", "."
-    raise InputError(
-        path,
-        "ambiguous comma: decimal mark or column separator",
-        where=f"line {body.first_line}",
-        found=repr(row[:60]),
-        accepted="decimal points, or columns separated by `;` or a tab",
-    )
+    where, accepted = f"line {body.first_line}", "decimal points, or columns separated by `;` or a tab"
+    problem = "ambiguous comma: decimal mark or column separator"
+    raise InputError(path, problem, where=where, found=repr(row[:60]), accepted=accepted)
 
 
 def _decimal_mark(text: str) -> str | None:
@@ -328,13 +269,8 @@ def _check_rows(body: _Body, separator: str | None, path: Path) -> tuple[str, ND
     uneven = np.flatnonzero(fields[rows] != fields[rows[0]])
     if uneven.size:
         row = rows[uneven[0]]
-        raise InputError(
-            path,
-            "rows of unequal length",
-            where=f"line {body.first_line + row}",
-            found=f"{fields[row]} fields",
-            accepted=f"{fields[rows[0]]}, as in line {body.first_line}",
-        )
+        where, accepted = f"line {body.first_line + row}", f"{fields[rows[0]]}, as in line {body.first_line}"
+        raise InputError(path, "rows of unequal length", where=where, found=f"{fields[row]} fields", accepted=accepted)
     if np.count_nonzero(np.diff(ends, prepend=-1) > 1) > rows.size:
         text = re.sub(r"(?m)^[ \t]+$" if separator != "\t" else r"(?m)^ +$", "", text)
     return text, body.first_line + rows
@@ -353,13 +289,9 @@ def _not_a_number(text: str, options: dict[str, Any], lines: NDArray[np.int64], 
             numbers = numbers.where(~cells[column].str.contains(".", regex=False, na=False), "mixed marks")
         wrong = np.flatnonzero(pd.to_numeric(numbers, errors="coerce").isna() & cells[column].notna())
         if wrong.size:
-            return InputError(
-                path,
-                "not a number",
-                where=f"line {lines[wrong[0]]}, column {int(str(column)) + 1}",
-                found=repr(str(cells[column].iloc[wrong[0]])[:60]),
-                accepted="numbers; comments after #; NaN, *** or an empty field where a height is missing",
-            )
+            where, found = f"line {lines[wrong[0]]}, column {int(str(column)) + 1}", str(cells[column].iloc[wrong[0]])
+            accepted = "numbers; comments after #; NaN, *** or an empty field where a height is missing"
+            return InputError(path, "not a number", where=where, found=repr(found[:60]), accepted=accepted)
     return InputError(path, "not all fields are numbers", accepted="numbers; comments after #")
 
 
@@ -378,13 +310,8 @@ def _line(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _
     if table.shape[1] == 1:
         return table[:, 0], needed_steps(path, steps, setting=_PITCH_SETTING)[0], None, ()
     if table.shape[1] != 2:
-        raise InputError(
-            path,
-            "not a line profile",
-            found=f"{table.shape[1]} columns",
-            accepted="one column z, or two: x and z",
-            key="surface.layout",
-        )
+        found, accepted = f"{table.shape[1]} columns", "one column z, or two: x and z"
+        raise InputError(path, "not a line profile", found=found, accepted=accepted, key="surface.layout")
     x, z = table.T
     backwards = x[-1] < x[0]
     if backwards:
@@ -421,12 +348,8 @@ def _xyz(table: NDArray[np.float64], steps: tuple[float, ...], path: Path) -> _R
     times = np.bincount(cells, minlength=x.size * y.size)
     if times.max() > 1:
         duplicate = int(np.argmax(times))
-        raise InputError(
-            path,
-            "duplicate point",
-            found=f"x = {x[duplicate % x.size]:g}, y = {y[duplicate // x.size]:g}",
-            accepted="one height per point",
-        )
+        found = f"x = {x[duplicate % x.size]:g}, y = {y[duplicate // x.size]:g}"
+        raise InputError(path, "duplicate point", found=found, accepted="one height per point")
     height = np.full(x.size * y.size, np.nan)
     height[cells] = table[:, 2]
     absent = int(np.count_nonzero(times == 0))
@@ -445,25 +368,17 @@ def _positions(values: NDArray[np.float64], name: str, path: Path) -> tuple[NDAr
 def _constant_pitch(positions: NDArray[np.float64], name: str, path: Path) -> float:
     """The pitch from the end points; every position must agree with it within its printed digits."""
     if positions.size < 2 or not np.isfinite(positions).all() or positions[-1] == positions[0]:
-        raise InputError(
-            path,
-            f"the positions {name} do not give a pitch",
-            accepted=f"increasing numbers {name} in every row",
-            key="surface.layout",
-        )
+        problem, accepted = f"the positions {name} do not give a pitch", f"increasing numbers {name} in every row"
+        raise InputError(path, problem, accepted=accepted, key="surface.layout")
     pitch = float(positions[-1] - positions[0]) / (positions.size - 1)
     deviation = np.abs(positions - (positions[0] + pitch * np.arange(positions.size)))
     # Each position and both ends are rounded by half a printed step; scanners jitter by little more.
     allowed = _printed_step(positions) + _TWO_PERCENT * pitch
     worst = int(np.argmax(deviation))
     if deviation[worst] > allowed:
-        raise InputError(
-            path,
-            f"the positions {name} are unevenly spaced",
-            where=f"point {worst + 1}",
-            found=f"{deviation[worst] / pitch:.2g} pitches from its regular position",
-            accepted="a constant pitch: resample the file",
-        )
+        found = f"{deviation[worst] / pitch:.2g} pitches from its regular position"
+        problem, accepted = f"the positions {name} are unevenly spaced", "a constant pitch: resample the file"
+        raise InputError(path, problem, where=f"point {worst + 1}", found=found, accepted=accepted)
     return pitch
 
 
@@ -482,13 +397,9 @@ def _printed_step(positions: NDArray[np.float64]) -> float:
 def _check_agreement(stated: tuple[float, ...], measured_pitches: tuple[float, ...], path: Path) -> None:
     for name, given, measured in zip("xy", (*stated, *stated[-1:]), measured_pitches, strict=False):
         if abs(given - measured) > 0.01 * measured:
-            raise InputError(
-                path,
-                f"the stated pitch contradicts the positions {name}",
-                found=f"{given:g} against {measured:g}",
-                accepted="no pitch where the file has positions",
-                key="surface.pitch",
-            )
+            problem, found = f"the stated pitch contradicts the positions {name}", f"{given:g} against {measured:g}"
+            accepted = "no pitch where the file has positions"
+            raise InputError(path, problem, found=found, accepted=accepted, key="surface.pitch")
 
 
 FORMATS = (

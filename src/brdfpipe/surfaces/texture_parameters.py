@@ -55,20 +55,18 @@ def parameters(surface: xr.Dataset) -> xr.Dataset:
     if valid.size == 0:
         raise BrdfpipeError("the surface has no valid height")
     if height.ndim == 2:
-        scalars = {
-            **_heights(valid, "S"),
-            **_areal_gradients(height, surface.attrs["pitch_x"], surface.attrs["pitch_y"]),
-        }
+        letter, gradients = "S", _areal_gradients(height, surface.attrs["pitch_x"], surface.attrs["pitch_y"])
     else:
-        scalars = {**_heights(valid, "R"), **_line_gradients(height, surface.attrs["pitch_x"])}
-    scalars["missing_fraction"] = (1 - valid.size / height.size, "1", "share of heights that are missing")
+        letter, gradients = "R", _line_gradients(height, surface.attrs["pitch_x"])
+    missing = (1 - valid.size / height.size, "1", "share of heights that are missing")
+    scalars = {**_heights(valid, letter), **gradients, "missing_fraction": missing}
     values = {name: ((), value, {"units": u, "long_name": text}) for name, (value, u, text) in scalars.items()}
     attrs = {name: surface.attrs[name] for name in ("levelling", "band")}
     return label(xr.Dataset(values, attrs=attrs), "parameters")
 
 
 def with_parameters(surface: xr.Dataset) -> xr.Dataset:
-    """The surface with its texture parameters as further variables; arguments as for :func:`parameters`."""
+    """The surface with its texture parameters (:func:`parameters`) as further variables."""
     return surface.assign(parameters(surface).data_vars)
 
 

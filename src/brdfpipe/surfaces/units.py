@@ -23,39 +23,24 @@ def scales(
 
     Parameters
     ----------
-    path : for the message
     settings : ``unit`` and ``lateral_unit`` of the data file
     unit, lateral_unit : of the material file, which have priority. Positions are in the unit of the heights by default
     setting : how a data file of this format states a unit, for the message
-
-    Raises
-    ------
-    InputError : the unit of the heights is missing, or a unit is unknown.
     """
     unit = unit or settings.get("unit")
     if unit is None:
-        raise InputError(
-            path,
-            "the unit of the heights is missing",
-            accepted=f"nm, um, mm, m, or {setting} in the file",
-            key="surface.unit",
-        )
+        problem, accepted = "the unit of the heights is missing", f"nm, um, mm, m, or {setting} in the file"
+        raise InputError(path, problem, accepted=accepted, key="surface.unit")
     lateral_unit = lateral_unit or settings.get("lateral_unit") or unit
     for key, value in (("unit", unit), ("lateral_unit", lateral_unit)):
         if value not in UNITS:
-            raise InputError(
-                path, "unknown unit", found=repr(value)[:60], accepted="nm, um, mm, m", key=f"surface.{key}"
-            )
+            found, accepted = repr(value)[:60], "nm, um, mm, m"
+            raise InputError(path, "unknown unit", found=found, accepted=accepted, key=f"surface.{key}")
     return UNITS[unit], UNITS[lateral_unit]
 
 
 def pitch_steps(path: Path, settings: Mapping[str, str], pitch: Any) -> tuple[float, ...]:
-    """The stated pitch in x and, if given, in y; empty if none is stated.
-
-    Raises
-    ------
-    InputError : not a length above 0, or more than two.
-    """
+    """The stated pitch in x and, if given, in y; empty if none is stated."""
     if pitch is None:
         pitch = [part.replace(",", ".") for part in re.split(r"[;\s]+", settings.get("pitch", "")) if part]
     parts = pitch if isinstance(pitch, (list, tuple, np.ndarray)) else [pitch]
@@ -64,28 +49,14 @@ def pitch_steps(path: Path, settings: Mapping[str, str], pitch: Any) -> tuple[fl
     except (TypeError, ValueError):
         steps = (math.nan,)
     if len(steps) > 2 or not all(math.isfinite(step) and step > 0 for step in steps):
-        raise InputError(
-            path,
-            "invalid pitch",
-            found=repr(pitch)[:60],
-            accepted="a length above 0, or two: [x, y]",
-            key="surface.pitch",
-        )
+        found, accepted = repr(pitch)[:60], "a length above 0, or two: [x, y]"
+        raise InputError(path, "invalid pitch", found=found, accepted=accepted, key="surface.pitch")
     return steps
 
 
 def needed_steps(path: Path, steps: Sequence[float], *, setting: str) -> tuple[float, ...]:
-    """The stated pitch, required for files without positions.
-
-    Raises
-    ------
-    InputError : no pitch is stated.
-    """
+    """The stated pitch, required for files without positions."""
     if not steps:
-        raise InputError(
-            path,
-            "the pitch is missing",
-            accepted=f"a length or [x, y] in surface.lateral_unit, or {setting} in the file",
-            key="surface.pitch",
-        )
+        accepted = f"a length or [x, y] in surface.lateral_unit, or {setting} in the file"
+        raise InputError(path, "the pitch is missing", accepted=accepted, key="surface.pitch")
     return tuple(steps)

@@ -11,7 +11,6 @@ import math
 import os
 import re
 import zipfile
-import zlib
 from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
@@ -22,39 +21,24 @@ from numpy.typing import NDArray
 
 from brdfpipe.errors import InputError
 from brdfpipe.store import atomic_path
-from brdfpipe.surfaces.heights import Heights, SurfaceFormat
+from brdfpipe.surfaces import archives
+from brdfpipe.surfaces.archives import MAX_POINTS
+from brdfpipe.surfaces.heights import Heights, SurfaceFormat, infinite_as_missing
 from brdfpipe.vocabulary import validate
 
 DATA_TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 
 _MICROMETRES = 1e6
-_MAX_POINTS = 2**28
 _MAX_XML = 2**26
 _MAX_ENTRIES = 1000
-_MAX_RATIO = 200
-_RATIO_FROM = 2**24
 _TRUNCATED = "a whole file: export or copy it again"
-
-_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, NotImplementedError, ValueError, KeyError)
-"""Exceptions that zipfile raises on damaged, encrypted or unknown content."""
 
 
 def read_x3p(path: Path) -> Heights:
-    """Read an areal map or a line profile.
+    """Heights [um] of an areal map or a line profile; float32 where the file has float32, else float64; missing points are NaN.
 
-    Parameters
-    ----------
-    path : an X3P file: ``main.xml`` at the root or in one sub-folder, a matrix of one layer of heights, incremental x and y
-        axes; heights as 16- or 32-bit integers, float32 or float64, in a binary file or in the XML
-
-    Returns
-    -------
-    Heights [um], ``height[y, x]``; float32 where the file carries float32, else float64; invalid and infinite points are NaN.
-
-    Raises
-    ------
-    InputError : not X3P, damaged, unsafe, of wrong checksum or size, or of an unsupported kind (point lists,
-        absolute axes, several layers).
+    The file is a matrix of one layer with incremental x and y axes; heights are 16- or 32-bit integers, float32 or float64, in a
+    binary file or in the XML. Point lists, absolute axes, several layers and wrong checksums are refused.
 
     References
     ----------
@@ -65,7 +49,7 @@ def read_x3p(path: Path) -> Heights:
             return _read_archive(_Archive(archive, path))
     except InputError:
         raise
-    except _DAMAGE as error:
+    except archives.DAMAGE as error:
         raise _refusal(path, error) from error
 
 
@@ -88,10 +72,8 @@ def write_x3p(surface: xr.Dataset, path: str | os.PathLike[str]) -> None:
     points = np.ascontiguousarray(metres).tobytes()
     pitches = surface.attrs["pitch_x"], surface.attrs.get("pitch_y", surface.attrs["pitch_x"])
     feature = "PRF" if surface.height.ndim == 1 else "SUR"
-    xml = _document(
-        feature, code, height.shape, pitches, hashlib.md5(points, usedforsecurity=False).hexdigest()
-    ).encode()
-    checksum = f"{hashlib.md5(xml, usedforsecurity=False).hexdigest()} *main.xml".encode()
+    xml = _document(feature, code, height.shape, pitches, _md5(points)).encode()
+    checksum = f"{_md5(xml)} *main.xml".encode()
     entries = {"main.xml": xml, "bindata/data.bin": points, "md5checksum.hex": checksum}
     with atomic_path(path, size_hint=len(points)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, content in entries.items():
@@ -106,48 +88,28 @@ class _Archive:
 
     def __init__(self, archive: zipfile.ZipFile, path: Path) -> None:
         self.archive, self.path = archive, path
-        names = archive.namelist()
-        if len(names) > _MAX_ENTRIES or len(set(names)) < len(names):
-            raise InputError(path, "too many or repeated entries in the archive", found=f"{len(names)} entries")
+        names = archives.checked_names(archive, path, _MAX_ENTRIES)
         for name in names:
             self._check_name(name)
         mains = [name for name in names if PurePosixPath(name).name == "main.xml" and name.count("/") <= 1]
         if len(mains) != 1:
-            raise InputError(
-                path,
-                "not an X3P archive",
-                found=f"{len(mains)} files main.xml",
-                accepted="one, at the root or in one sub-folder",
-                key="surface.format",
-            )
+            found, accepted = f"{len(mains)} files main.xml", "one, at the root or in one sub-folder"
+            raise InputError(path, "not an X3P archive", found=found, accepted=accepted, key="surface.format")
         self.main = mains[0]
         self.folder = PurePosixPath(self.main).parent
 
-    def read(self, name: str, size: int | None = None, limit: int = _MAX_XML) -> bytes:
-        """The content of an entry of exactly ``size`` bytes, or of at most ``limit``."""
+    def read(self, name: str, size: int | None = None) -> bytes:
+        """The content of an entry: exactly ``size`` bytes, or an XML file."""
         self._check_name(name)
-        entry = str(self.folder / name)
         try:
-            info = self.archive.getinfo(entry)
+            info = self.archive.getinfo(str(self.folder / name))
         except KeyError:
             raise InputError(self.path, "missing entry in the archive", where=name, accepted=_TRUNCATED) from None
         if size is not None and info.file_size != size:
-            raise InputError(
-                self.path,
-                "the size of the data does not match the matrix",
-                where=name,
-                found=f"{info.file_size} bytes",
-                accepted=f"{size} bytes, as main.xml says",
-            )
-        bomb = info.file_size > max(_RATIO_FROM, _MAX_RATIO * info.compress_size)
-        if bomb or (size is None and info.file_size > limit):
-            raise InputError(
-                self.path,
-                "an entry is suspiciously large",
-                where=name,
-                found=f"{info.file_size} bytes",
-                accepted=f"up to {limit >> 20} MiB of XML, compressed at most {_MAX_RATIO} times",
-            )
+            problem, accepted = "the size of the data does not match the matrix", f"{size} bytes, as main.xml says"
+            raise InputError(self.path, problem, where=name, found=f"{info.file_size} bytes", accepted=accepted)
+        most = _MAX_XML if size is None else size
+        archives.check_inflated(self.path, name, info.file_size, info.compress_size, most)
         # Reading stops at the stated size: the header of an entry may be wrong.
         with self.archive.open(info) as handle:
             content = handle.read(info.file_size)
@@ -157,12 +119,8 @@ class _Archive:
 
     def _check_name(self, name: str) -> None:
         if name.startswith("/") or "\\" in name or ":" in name or ".." in name.split("/"):
-            raise InputError(
-                self.path,
-                "unsafe entry name outside the archive",
-                found=repr(name[:60]),
-                accepted="names relative to main.xml",
-            )
+            problem, accepted = "unsafe entry name outside the archive", "names relative to main.xml"
+            raise InputError(self.path, problem, found=repr(name[:60]), accepted=accepted)
 
 
 def _read_archive(archive: _Archive) -> Heights:
@@ -182,9 +140,7 @@ def _read_archive(archive: _Archive) -> Heights:
     pitch_y = None if line else _pitch(root, "CY", path)
     height = _heights(root, archive, columns * rows).reshape(rows, columns)
     # Alicona and others write infinity, not NaN, for missing heights.
-    infinite = np.isinf(height)
-    height[infinite] = np.nan
-    history = (f"{np.count_nonzero(infinite)} infinite heights taken as missing.",) if infinite.any() else ()
+    history = infinite_as_missing(height)
     warnings = _stale_checksum(root, archive, xml)
     return Heights(height[0] if line else height, pitch_x, pitch_y, history, warnings)
 
@@ -213,7 +169,7 @@ def _find(root: Element, location: str) -> Element | None:
 
 def _optional(root: Element, location: str) -> str | None:
     element = _find(root, location)
-    return None if element is None or not (element.text or "").strip() else (element.text or "").strip()
+    return (None if element is None else (element.text or "").strip()) or None
 
 
 def _text(root: Element, location: str, path: Path) -> str:
@@ -238,13 +194,8 @@ def _number(root: Element, location: str, path: Path, default: float | None = No
 
 def _matrix_size(root: Element, path: Path) -> tuple[int, int]:
     if _find(root, "Record3/MatrixDimension") is None:
-        raise InputError(
-            path,
-            "a list of points, not a matrix",
-            where="Record3",
-            found="ListDimension",
-            accepted="MatrixDimension: export a height map on a regular grid",
-        )
+        problem, accepted = "a list of points, not a matrix", "MatrixDimension: export a height map on a regular grid"
+        raise InputError(path, problem, where="Record3", found="ListDimension", accepted=accepted)
     sizes = []
     for axis in "XYZ":
         text = _text(root, f"Record3/MatrixDimension/Size{axis}", path)
@@ -254,27 +205,17 @@ def _matrix_size(root: Element, path: Path) -> tuple[int, int]:
     columns, rows, layers = sizes
     if layers != 1:
         raise InputError(path, "several heights per point", where="SizeZ", found=layers, accepted="one layer")
-    if columns * rows > _MAX_POINTS:
-        raise InputError(
-            path,
-            "too many points",
-            where="MatrixDimension",
-            found=f"{columns} x {rows}",
-            accepted=f"up to {_MAX_POINTS}: export a smaller part",
-        )
+    if columns * rows > MAX_POINTS:
+        found, accepted = f"{columns} x {rows}", f"up to {MAX_POINTS}: export a smaller part"
+        raise InputError(path, "too many points", where="MatrixDimension", found=found, accepted=accepted)
     return columns, rows
 
 
 def _pitch(root: Element, axis: str, path: Path) -> float:
     kind = _text(root, f"Record1/Axes/{axis}/AxisType", path)
     if kind != "I":
-        raise InputError(
-            path,
-            "an axis of absolute positions",
-            where=f"{axis} AxisType",
-            found=kind,
-            accepted="I: export at constant pitch",
-        )
+        problem, accepted = "an axis of absolute positions", "I: export at constant pitch"
+        raise InputError(path, problem, where=f"{axis} AxisType", found=kind, accepted=accepted)
     return _number(root, f"Record1/Axes/{axis}/Increment", path) * _MICROMETRES
 
 
@@ -283,15 +224,14 @@ def _heights(root: Element, archive: _Archive, count: int) -> NDArray[np.floatin
     path = archive.path
     code = _text(root, "Record1/Axes/CZ/DataType", path)
     if code not in DATA_TYPES:
-        raise InputError(
-            path,
-            "unknown type of heights",
-            where="CZ DataType",
-            found=repr(code[:60]),
-            accepted=", ".join(DATA_TYPES),
-        )
-    linked = _find(root, "Record3/DataLink") is not None
-    raw = _binary(root, archive, np.dtype(DATA_TYPES[code]), count) if linked else _listed(root, path, count)
+        found, accepted = repr(code[:60]), ", ".join(DATA_TYPES)
+        raise InputError(path, "unknown type of heights", where="CZ DataType", found=found, accepted=accepted)
+    raw: NDArray[Any]
+    if _find(root, "Record3/DataLink") is None:
+        raw = _listed(root, path, count)
+    else:
+        dtype, link = np.dtype(DATA_TYPES[code]), _text(root, "Record3/DataLink/PointDataLink", path)
+        raw = np.frombuffer(_linked(root, archive, link, "MD5ChecksumPointData", count * dtype.itemsize), dtype)
     # Increment and offset belong to incremental axes and to integers; absolute floats are in metres.
     scaled = code in "IL" or _optional(root, "Record1/Axes/CZ/AxisType") == "I"
     step = _number(root, "Record1/Axes/CZ/Increment", path, 1.0) if scaled else 1.0
@@ -301,60 +241,39 @@ def _heights(root: Element, archive: _Archive, count: int) -> NDArray[np.floatin
     with np.errstate(over="ignore"):
         height *= step * _MICROMETRES
         height += offset * _MICROMETRES
-    valid = _valid_points(root, archive, count)
-    if valid is not None:
-        height[~valid] = np.nan
+    link_of_valid = _optional(root, "Record3/DataLink/ValidPointsLink")
+    if link_of_valid is not None:
+        mask = _linked(root, archive, link_of_valid, "MD5ChecksumValidPoints", (count + 7) // 8)
+        valid = np.unpackbits(np.frombuffer(mask, np.uint8), count=count, bitorder="little")
+        height[valid == 0] = np.nan
     return height
 
 
-def _binary(root: Element, archive: _Archive, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
-    link = _text(root, "Record3/DataLink/PointDataLink", archive.path)
-    points = archive.read(link, size=count * dtype.itemsize)
-    _check_md5(root, "MD5ChecksumPointData", points, archive.path)
-    return np.frombuffer(points, dtype)
+def _linked(root: Element, archive: _Archive, name: str, checksum: str, size: int) -> bytes:
+    """Content of a binary entry, of the stated checksum if there is one."""
+    content = archive.read(name, size)
+    stated, actual = _optional(root, f"Record3/DataLink/{checksum}"), _md5(content)
+    if stated is not None and stated.lower() != actual:
+        accepted, path = f"{stated[:40].lower()}: export or copy the file again", archive.path
+        raise InputError(path, "wrong checksum of the data", where=checksum, found=actual, accepted=accepted)
+    return content
 
 
 def _listed(root: Element, path: Path, count: int) -> NDArray[np.float64]:
     # A point is "x;y;z", without x and y on incremental axes; an empty one is invalid.
-    texts = [
-        (datum.text or "").rpartition(";")[2].strip() for datum in root.iterfind("{*}Record3/{*}DataList/{*}Datum")
-    ]
+    points = root.iterfind("{*}Record3/{*}DataList/{*}Datum")
+    texts = [(point.text or "").rpartition(";")[2].strip() for point in points]
     if len(texts) != count:
-        raise InputError(
-            path,
-            "the size of the data does not match the matrix",
-            where="DataList",
-            found=f"{len(texts)} points",
-            accepted=f"{count} points, as MatrixDimension says",
-        )
+        problem, accepted = "the size of the data does not match the matrix", f"{count} points, as MatrixDimension says"
+        raise InputError(path, problem, where="DataList", found=f"{len(texts)} points", accepted=accepted)
     try:
         return np.array([text or "nan" for text in texts], dtype=str).astype(np.float64)
     except ValueError as error:
         raise InputError(path, f"not a number ({error})", where="DataList") from error
 
 
-def _valid_points(root: Element, archive: _Archive, count: int) -> NDArray[np.bool_] | None:
-    link = _optional(root, "Record3/DataLink/ValidPointsLink")
-    if link is None:
-        return None
-    mask = archive.read(link, size=(count + 7) // 8)
-    _check_md5(root, "MD5ChecksumValidPoints", mask, archive.path)
-    return np.unpackbits(np.frombuffer(mask, np.uint8), count=count, bitorder="little").astype(bool)
-
-
-def _check_md5(root: Element, tag: str, content: bytes, path: Path) -> None:
-    stated = _optional(root, f"Record3/DataLink/{tag}")
-    if stated is None:
-        return
-    actual = hashlib.md5(content, usedforsecurity=False).hexdigest()
-    if stated.lower() != actual:
-        raise InputError(
-            path,
-            "wrong checksum of the data",
-            where=tag,
-            found=actual,
-            accepted=f"{stated[:40].lower()}: export or copy the file again",
-        )
+def _md5(content: bytes) -> str:
+    return hashlib.md5(content, usedforsecurity=False).hexdigest()
 
 
 def _stale_checksum(root: Element, archive: _Archive, xml: bytes) -> tuple[str, ...]:
@@ -363,7 +282,7 @@ def _stale_checksum(root: Element, archive: _Archive, xml: bytes) -> tuple[str, 
     if name is None or str(archive.folder / name) not in archive.archive.namelist():
         return ()
     stated = archive.read(name)[:32].decode("latin-1").lower()
-    if not re.fullmatch("[0-9a-f]{32}", stated) or stated == hashlib.md5(xml, usedforsecurity=False).hexdigest():
+    if not re.fullmatch("[0-9a-f]{32}", stated) or stated == _md5(xml):
         return ()
     return ("The X3P file's main.xml was changed after it was written; compare pitch and size with the instrument's.",)
 

@@ -68,8 +68,7 @@ def lines_of(text: str) -> list[str]:
 
 def even_grid(low: float, step: float, count: int) -> Array:
     """Wavelengths from the first one in even steps."""
-    grid: Array = low + step * np.arange(count, dtype=float)
-    return grid
+    return np.asarray(low + step * np.arange(count, dtype=float))
 
 
 def parsed_sample(

@@ -74,10 +74,8 @@ def _specification(element: Element) -> _Specification:
     if single is not None:
         light, view = (columns.number(single.findtext(f"{{*}}{key}") or "") for key in _DIRECTIONS)
         if light is not None and view is not None and abs(abs(light) - abs(view)) > _GLOSS:
-            angles = f"SingleAngle {abs(light):g}/{abs(view):g}"
-            return _Specification(
-                start, step, quantity, (f"{angles}: light from {abs(light):g} degree, specular excluded",)
-            )
+            angles = f"SingleAngle {abs(light):g}/{abs(view):g}: light from {abs(light):g} degree"
+            return _Specification(start, step, quantity, (f"{angles}, specular excluded",))
     several = element.find(".//{*}MultiAngle") is not None
     doubts = ("it was measured at several angles, so no value is a total reflectance. Use `multiangle`",)
     return _Specification(start, step, quantity, doubts=doubts if several else ())

@@ -19,8 +19,9 @@ from brdfpipe.spectra.formats import base
 
 Block = tuple[str, str, str, Array, Array, tuple[str, ...]]
 
-_SQUEEZED = {**{c: i for i, c in enumerate("@ABCDEFGHI")}, **{c: -i - 1 for i, c in enumerate("abcdefghi")}}
-_DIFFERENCE = {**{c: i for i, c in enumerate("%JKLMNOPQR")}, **{c: -i - 1 for i, c in enumerate("jklmnopqr")}}
+_SIGNED_DIGITS = [*"0123456789", *(f"-{digit}" for digit in range(1, 10))]
+_SQUEEZED = dict(zip("@ABCDEFGHIabcdefghi", _SIGNED_DIGITS, strict=True))
+_DIFFERENCE = dict(zip("%JKLMNOPQRjklmnopqr", _SIGNED_DIGITS, strict=True))
 _DUPLICATE = {c: i + 1 for i, c in enumerate("STUVWXYZs")}
 
 _PLAIN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -185,11 +186,7 @@ def _unpacked(tokens: list[str]) -> tuple[list[float], bool]:
 
 
 def _value(token: str) -> float:
-    lead = {**_SQUEEZED, **_DIFFERENCE}.get(token[0])
-    if lead is None:
-        return float(token)
-    sign = "-" if token[0] in "abcdefghijklmnopqr" else ""
-    return float(f"{sign}{abs(lead)}{token[1:]}")
+    return float({**_SQUEEZED, **_DIFFERENCE}.get(token[0], token[0]) + token[1:])
 
 
 def _samples(path: Path, text: str) -> list[base.Sample]:

@@ -27,21 +27,11 @@ _MOST_NAMES = 10
 
 
 def read(path: Path, format: str | None = None, sample: int | str | None = None) -> Columns:
-    """Read one spectrum from a file of any known format.
-
-    Parameters
-    ----------
-    path : see :data:`FORMATS`
-    format : a key of :data:`FORMATS`; by default from the extension
-    sample : number (from 1) or name, where the file holds several
+    """Read one spectrum from a file of any known format; the options are those of :func:`brdfpipe.spectra.readers.read_spectrum`.
 
     Returns
     -------
     Columns : all columns of a table; of other formats wavelength and reflectance of the sample
-
-    Raises
-    ------
-    InputError : unknown format, damaged or truncated content, several samples and none chosen.
     """
     content, notes = format_of(path, format, FORMATS, "spectrum.format").read(path)
     if isinstance(content, Columns):

@@ -110,8 +110,7 @@ def _primaries(table: Weights, floor: ArrayLike) -> tuple[Array, Array]:
 
 def rescaled(w: Array) -> Array:
     """Weights (B, 4) divided by the largest reflectance of their mixture where that exceeds 1."""
-    scaled: Array = w / np.maximum((w @ peaks()).max(axis=1, keepdims=True), 1.0)
-    return scaled
+    return np.asarray(w / np.maximum((w @ peaks()).max(axis=1, keepdims=True), 1.0))
 
 
 @cache

@@ -147,5 +147,4 @@ def _solved(system: Array, constant: Array) -> Array:
 
 def _logistic(z: Array) -> Array:
     # (1 + tanh z)/2, with full relative precision near 0.
-    r: Array = 1 / (1 + np.exp(-2 * z))
-    return r
+    return np.asarray(1 / (1 + np.exp(-2 * z)))

@@ -41,7 +41,7 @@ class SearchResult(NamedTuple):
     delta_e: float
     """ΔE*ab to the given colour"""
     tried: int
-    """weights tried altogether"""
+    """number of weights tried"""
     ended: str
     """``threshold`` reached, ``limit`` of trials, or ``stopped`` on request"""
 
@@ -81,11 +81,11 @@ def search(
     seed : of the random numbers; one seed has one answer
     floor : () or (n,), reflectance that wavelengths have at least (specular), 0 <= floor < 1
     limit : weights tried at most; by default :data:`LIMIT`
-    checkpoint : JSON file that keeps the best so far, rewritten whole after every improvement and removed once the threshold is
-        reached. A search that was killed resumes from it and ends where it would have ended; one that was stopped or came to its
-        limit goes on from it, as far again. A damaged file, or one of another search, is dropped
-    stop : asked after every block; once true, the best so far is accepted. So it is on the first SIGINT, and when a file named
-        like ``checkpoint`` with ``.stop`` appended appears. One left from before the search is removed
+    checkpoint : JSON file with the best so far, rewritten whole after every improvement and removed once the threshold is reached.
+        A search that was killed resumes from it with the same result; one that was stopped or reached its limit continues from it,
+        for another ``limit``. A damaged file, or one of another search, is dropped
+    stop : called after every block; once true, the best so far is accepted. So it is on the first SIGINT, and when a file named
+        like ``checkpoint`` with ``.stop`` appended appears; one from before the search is removed
     progress : show a progress bar on a terminal
 
     Returns
@@ -98,13 +98,14 @@ def search(
 
     Notes
     -----
-    Numbers of each block come from a generator of their own, seeded with the seed and the block's number: to resume needs
-    nothing but that number.
+    Each block has a random generator of its own, seeded with the seed and the block's number, so that a search can resume.
 
     References
     ----------
     Patent US 9,395,299 (CRF), reconstruction of a spectrum from L*a*b*.
     """
+    from tqdm import tqdm
+
     wanted = np.asarray(lab, dtype=float)
     distance = distance_to(wanted, table, floor)
     problem = store.canonical_json(
@@ -121,15 +122,17 @@ def search(
     state, ended = _resumed(checkpoint, problem, distance), "threshold"
     most = LIMIT[method] if limit is None else limit
     _stop_file(checkpoint)
-    with _interrupts() as interrupted, _bar(progress) as show:
+    bar = tqdm(desc="spectrum", unit="mixture", unit_scale=True, disable=None if progress else True)
+    with _interrupts() as interrupted, bar:
         while state.delta_e >= threshold:
-            after = _ADVANCE[method](state, seed, distance)
+            after = _advanced(method, state, seed, distance)
             if not np.isfinite(after.delta_e):
                 raise BrdfpipeError(f"no mixture has a finite ΔE to L*a*b* {wanted.tolist()}")
             if after.delta_e < state.delta_e:
                 _save(checkpoint, problem, after)
             state = after
-            show(_BLOCK[method], state.delta_e)
+            bar.set_postfix_str(f"ΔE {state.delta_e:.3g}", refresh=False)
+            bar.update(_BLOCK[method])
             if state.delta_e < threshold:
                 break
             if interrupted() or (stop is not None and stop()) or _stop_file(checkpoint):
@@ -147,34 +150,24 @@ def search(
     return SearchResult(np.array(state.weights), state.delta_e, state.block * _BLOCK[method], ended)
 
 
-def _advance_random(state: _State, seed: int, distance: Callable[[Array], Array]) -> _State:
-    w = np.random.default_rng([seed, state.block]).random((_BLOCK["random4"], 4))
-    delta_e = distance(w)
+def _advanced(method: str, state: _State, seed: int, distance: Callable[[Array], Array]) -> _State:
+    """The state after one more block of weights: ``random4`` draws them anew, ``adaptive4`` around the best so far."""
+    rng, count, adaptive = np.random.default_rng([seed, state.block]), _BLOCK[method], method == "adaptive4"
+    if adaptive and state.block > 0:
+        w = np.array(state.weights) + state.step * rng.standard_normal((count, 4))
+    else:
+        w = rng.random((count, 4))
+    w = rescaled(np.clip(w, 0.0, 1.0)) if adaptive else w
+    delta_e, step = distance(w), state.step
     best = int(np.argmin(delta_e))
-    if delta_e[best] < state.delta_e:
-        weights = tuple(rescaled(w[best : best + 1])[0].tolist())
-        return state._replace(block=state.block + 1, weights=weights, delta_e=float(delta_e[best]))
-    return state._replace(block=state.block + 1)
-
-
-def _advance_adaptive(state: _State, seed: int, distance: Callable[[Array], Array]) -> _State:
-    rng = np.random.default_rng([seed, state.block])
-    count = _BLOCK["adaptive4"]
-    first = state.block == 0
-    w = rng.random((count, 4)) if first else np.array(state.weights) + state.step * rng.standard_normal((count, 4))
-    w = rescaled(np.clip(w, 0.0, 1.0))
-    delta_e = distance(w)
-    best = int(np.argmin(delta_e))
-    if delta_e[best] < state.delta_e:
-        step = _FIRST_STEP if first else min(state.step * _WIDER, _FIRST_STEP)
-        return _State(state.block + 1, tuple(w[best].tolist()), float(delta_e[best]), step, state.since)
-    return state._replace(block=state.block + 1, step=max(state.step * _NARROWER, _LEAST_STEP))
-
-
-_ADVANCE: dict[str, Callable[[_State, int, Callable[[Array], Array]], _State]] = {
-    "random4": _advance_random,
-    "adaptive4": _advance_adaptive,
-}
+    improved = delta_e[best] < state.delta_e
+    if adaptive:
+        step = min(step * _WIDER, _FIRST_STEP) if improved else max(step * _NARROWER, _LEAST_STEP)
+    state = state._replace(block=state.block + 1, step=step)
+    if not improved:
+        return state
+    weights = w[best] if adaptive else rescaled(w[best : best + 1])[0]
+    return state._replace(weights=tuple(weights.tolist()), delta_e=float(delta_e[best]))
 
 
 def _save(checkpoint: Path | None, problem: str, state: _State) -> None:
@@ -214,39 +207,26 @@ def _stop_file(checkpoint: Path | None) -> bool:
     if checkpoint is None:
         return False
     request = checkpoint.with_name(checkpoint.name + ".stop")
-    found = request.exists()
+    requested = request.exists()
     request.unlink(missing_ok=True)
-    return found
+    return requested
 
 
 @contextmanager
 def _interrupts() -> Iterator[Callable[[], bool]]:
     """Whether SIGINT was received; a second one interrupts as usual. Only the main thread receives signals."""
-    seen = threading.Event()
+    received = threading.Event()
     if threading.current_thread() is not threading.main_thread():
-        yield seen.is_set
+        yield received.is_set
         return
     usual = signal.getsignal(signal.SIGINT) or signal.default_int_handler
 
     def handle(number: int, frame: Any) -> None:
-        seen.set()
+        received.set()
         signal.signal(signal.SIGINT, usual)
 
     signal.signal(signal.SIGINT, handle)
     try:
-        yield seen.is_set
+        yield received.is_set
     finally:
         signal.signal(signal.SIGINT, usual)
-
-
-@contextmanager
-def _bar(progress: bool) -> Iterator[Callable[[int, float], None]]:
-    from tqdm import tqdm
-
-    with tqdm(desc="spectrum", unit="mixture", unit_scale=True, disable=None if progress else True) as bar:
-
-        def show(count: int, delta_e: float) -> None:
-            bar.set_postfix_str(f"ΔE {delta_e:.3g}", refresh=False)
-            bar.update(count)
-
-        yield show
