@@ -89,7 +89,7 @@ def channels_of(bsdf: xr.Dataset, illuminant: str = "D65") -> tuple[Array | None
     A reflectance is taken as linear between wavelengths 20 nm apart and constant beyond 400 and 700 nm; the tristimulus sums are
     exact for such ones. Other illuminants are adapted to D65 with the Bradford matrix.
     """
-    grid, weights, white = colorimetry.weights(illuminant, 2)
+    *_, grid, weights, white = colorimetry.weights(illuminant, 2)
     to_screen = colorimetry.srgb_from_xyz(white)
     if "wavelength" not in bsdf.coords:
         return None, (to_screen @ white)[None]

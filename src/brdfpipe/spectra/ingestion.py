@@ -57,7 +57,7 @@ def ingest(
         return _warn_if_excluded(dataset, source.name, index).assign_attrs(trap_attribute)
     check_geometry("material.yaml", geometry)
     check_incidence("material.yaml", options.get("incidence"))
-    trap_attribute = _trap_attribute(trap, geometry)
+    trap_attribute = _trap_attribute(trap, str(geometry))
     if "incidence" in options:
         options["theta"] = options.pop("incidence")
     specular_index = index if geometry == "sci" else None
