@@ -101,7 +101,7 @@ register(
 
 KEY = '    toy_level: float = key("reflectance of the toy", default=0.25, ge=0, le=1)\n'
 
-STAGE = '    Stage("toy", "a toy that is equally bright", keys=_values("toy_level"), kind="bsdf"),\n'
+STAGE = '    Stage("toy", "a toy that is equally bright", keys=_keys("toy_level"), kind="bsdf"),\n'
 
 RULE = """
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from brdfpipe.rig.plan import Arrangement
 
 Instance = Mapping[str, str]
-"""Values of the wildcards that a stage has beside its material or calibration: scan, or load, side and incidence."""
+"""Wildcards of a job beside its material or calibration: scan; or load, side and incidence."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Subject:
     owner: Material | Calibration
     config: Mapping[str, Any]
     arrangements: Sequence[Arrangement] = ()
-    """Of the owner's run of a camera rig."""
+    """Arrangements of its run of a camera rig."""
 
     def section(self, path: str) -> Any:
         """A part of the description, as ``slab.back``; ``rig`` of a calibration is its whole description."""
@@ -96,7 +96,7 @@ class Stage:
     script: str = ""
     """By default the name."""
     owner: str = "material"
-    """``material``, ``calibration`` or ``catalogue``: what its results belong to."""
+    """Owner of the results: ``material``, ``calibration`` or ``catalogue``."""
     instances: Callable[[Subject], list[dict[str, str]]] | None = None
     """Further wildcards of each job for a subject; None for a single job without any."""
     title: str = ""
@@ -155,13 +155,13 @@ def _comparable(subject: Subject) -> bool:
 # --- keys
 
 
-def _values(*names: str) -> Keys:
-    """Keys of the description that are in no block."""
+def _keys(*names: str) -> Keys:
+    """Keys at the top level of the description."""
     return Keys(names, (), lambda subject, _: {name: subject.section(name) for name in names})
 
 
-def _section(path: str, only: Sequence[str] = ()) -> Keys:
-    """The keys of one part of the description: all of them, or some."""
+def _block(path: str, only: Sequence[str] = ()) -> Keys:
+    """The keys of a block of the description: all, or some."""
 
     def read(subject: Subject, instance: Instance) -> dict[str, Any]:
         content = subject.section(path)
@@ -175,13 +175,13 @@ def _read_by(stage: str, *declarations: type[DeclaredKeys]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(key for declaration in declarations for key in declaration.read_by(stage)))
 
 
-def _settings(**keys: str) -> Keys:
-    """Keys of the configuration, by the names of the parameters."""
+def _config_keys(**keys: str) -> Keys:
+    """Keys of the configuration by the names of the parameters."""
     return Keys((), tuple(keys.values()), lambda subject, _: {name: subject.config[key] for name, key in keys.items()})
 
 
-def _settings_of(part: str) -> Keys:
-    """All keys of one part of the configuration."""
+def _config_block(part: str) -> Keys:
+    """All keys of a block of the configuration."""
     return Keys((), (part,), lambda subject, _: dict(subject.config[part]))
 
 
@@ -222,7 +222,7 @@ def _page_content(subject: Subject, instance: Instance) -> dict[str, Any]:
 # --- jobs
 
 
-def _scans(subject: Subject) -> list[dict[str, str]]:
+def _further_scans(subject: Subject) -> list[dict[str, str]]:
     return [{"scan": str(number)} for number, _ in enumerate(subject.section("surface").get("scans", []), start=2)]
 
 
@@ -293,7 +293,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         "surface",
         "the relief of the surface, read and levelled",
         when=_has_file("surface", "surface"),
-        keys=_section("surface", _SCAN_KEYS),
+        keys=_block("surface", _SCAN_KEYS),
     ),
     Stage(
         "scan",
@@ -301,23 +301,23 @@ STAGES: Mapping[str, Stage] = _by_name(
         when=_has_file("surface", "surface"),
         keys=Keys(("surface.scans", *(f"surface.{key}" for key in _SCAN_KEYS)), (), _further_scan),
         script="surface",
-        instances=_scans,
+        instances=_further_scans,
         title="surface-{scan}",
         reported=False,
     ),
-    Stage("facets", "the slope density of the facets", when=_has("surface"), keys=_section("surface", _SLOPE_KEYS)),
+    Stage("facets", "the slope density of the facets", when=_has("surface"), keys=_block("surface", _SLOPE_KEYS)),
     Stage(
         "back_surface",
         "the relief of the back of a clear body",
         when=_has_file("back_surface", "slab.back"),
-        keys=_section("slab.back", _SCAN_KEYS),
+        keys=_block("slab.back", _SCAN_KEYS),
         kind="surface",
     ),
     Stage(
         "back_facets",
         "the slope density of the back of a clear body",
         when=_has("back", "`slab.back`"),
-        keys=_section("slab.back", _SLOPE_KEYS),
+        keys=_block("slab.back", _SLOPE_KEYS),
         script="facets",
     ),
     Stage(
@@ -327,9 +327,9 @@ STAGES: Mapping[str, Stage] = _by_name(
         "spectrum",
         "the total reflectance, measured or recovered from a colour",
         when=_has("spectrum"),
-        keys=_section("spectrum"),
+        keys=_block("spectrum"),
     ),
-    Stage("index", "the refractive index", when=_has("index"), keys=_values("index")),
+    Stage("index", "the refractive index", when=_has("index"), keys=_keys("index")),
     Stage(
         "interior",
         "the internal transmittance of a clear body",
@@ -340,7 +340,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         "multiangle",
         "colours or reflectance factors at several geometries",
         when=_has("multiangle"),
-        keys=_section("multiangle", _read_by("multiangle", *_COLOURS)),
+        keys=_block("multiangle", _read_by("multiangle", *_COLOURS)),
     ),
     Stage(
         "predicted",
@@ -353,14 +353,14 @@ STAGES: Mapping[str, Stage] = _by_name(
         "flake",
         "the BRDF of an effect paint, fitted along the flake angle",
         when=_has("multiangle"),
-        keys=_section("multiangle", _read_by("flake", *_COLOURS)),
+        keys=_block("multiangle", _read_by("flake", *_COLOURS)),
         kind="bsdf",
     ),
     Stage(
         "rig_run",
         "the frames of an emulated rig",
         when=_has("rig"),
-        keys=_section("rig", EmulatedRig.read_by("rig_run")),
+        keys=_block("rig", EmulatedRig.read_by("rig_run")),
         intermediate=True,
         memory=1000,
         kind="",
@@ -368,7 +368,7 @@ STAGES: Mapping[str, Stage] = _by_name(
     Stage(
         "calibration_run",
         "the frames of an emulated rig with the etalon",
-        keys=_section("rig", EmulatedRig.read_by("rig_run")),
+        keys=_block("rig", EmulatedRig.read_by("rig_run")),
         script="rig_run",
         owner="calibration",
         title="rig_run",
@@ -380,7 +380,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         "reduced",
         "the light of each cell relative to the reference, of one arrangement",
         when=_has("rig"),
-        keys=_section("rig", EmulatedRig.read_by("reduced")) | _ARRANGEMENT,
+        keys=_block("rig", EmulatedRig.read_by("reduced")) | _ARRANGEMENT,
         instances=_arrangements("sample"),
         title="reduced-{load}-{side}-{incidence}",
         intermediate=True,
@@ -389,7 +389,7 @@ STAGES: Mapping[str, Stage] = _by_name(
     Stage(
         "calibration_reduced",
         "the same for an arrangement of the etalon",
-        keys=_section("rig", EmulatedRig.read_by("reduced")) | _ARRANGEMENT,
+        keys=_block("rig", EmulatedRig.read_by("reduced")) | _ARRANGEMENT,
         script="reduced",
         owner="calibration",
         instances=_arrangements("etalon"),
@@ -402,7 +402,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         "primary",
         "the calibrated BSDF of each cell, with its uncertainty",
         when=_has("rig"),
-        keys=_section("rig", EmulatedRig.read_by("primary")),
+        keys=_block("rig", EmulatedRig.read_by("primary")),
         instances=_sides,
         title="primary-{side}",
         intermediate=True,
@@ -411,7 +411,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         "smoothed",
         "the values of the cells, smoothed at each incidence",
         when=_has("rig"),
-        keys=_section("rig", EmulatedRig.read_by("smoothed")),
+        keys=_block("rig", EmulatedRig.read_by("smoothed")),
         instances=_sides,
         title="smoothed-{side}",
         intermediate=True,
@@ -419,7 +419,7 @@ STAGES: Mapping[str, Stage] = _by_name(
     Stage(
         "calibration",
         "the calibration profile of a rig",
-        keys=_section("rig", EmulatedCalibration.read_by("calibration")),
+        keys=_block("rig", EmulatedCalibration.read_by("calibration")),
         owner="calibration",
         intermediate=True,
     ),
@@ -428,24 +428,24 @@ STAGES: Mapping[str, Stage] = _by_name(
         "comparison",
         "measured against predicted, and the inputs that would agree",
         when=_has("rig") & _has("surface") & Condition("reflection measured", _comparable),
-        keys=_settings_of("comparison"),
+        keys=_config_block("comparison"),
     ),
     Stage("bsdf", "the BSDF: measured, else of flakes, else predicted", keys=Keys(read=_route)),
     Stage("checks", "reciprocity, energy and closure"),
     Stage(
         "appearance",
         "gloss, haze and colours",
-        keys=_settings(illuminant="illuminant", observer="observer", gloss_angles="gloss_angles")
-        | _settings_of("appearance"),
+        keys=_config_keys(illuminant="illuminant", observer="observer", gloss_angles="gloss_angles")
+        | _config_block("appearance"),
     ),
     Stage(
         "preview",
         "a picture of the material",
         when=_enabled("preview"),
-        keys=_settings(illuminant="illuminant", light="preview_light"),
+        keys=_config_keys(illuminant="illuminant", light="preview_light"),
     ),
-    Stage("table", "the BSDF on a grid of directions", keys=_settings_of("table"), kind="bsdf"),
-    Stage("lambert_gauss", "the Lambert + Gaussian parameters", keys=_settings_of("lambert_gauss"), kind="bsdf"),
+    Stage("table", "the BSDF on a grid of directions", keys=_config_block("table"), kind="bsdf"),
+    Stage("lambert_gauss", "the Lambert + Gaussian parameters", keys=_config_block("lambert_gauss"), kind="bsdf"),
     *(export.stage for export in EXPORTS),
     Stage(
         "report",
