@@ -52,7 +52,7 @@ def test_a_material_without_colour_is_neutral():
     assert lab.sel(component=["a*", "b*"]).values == pytest.approx(0, abs=1e-9)
 
 
-def test_an_appraisal_holds_together():
+def test_the_appearance_is_consistent():
     found = appearance.compute_appearance(samples.beckmann_bsdf(0.1, reflectance=0.2))
     gloss = found["gloss"].sel(gloss_angle=[60, 20]).values
     assert float(found["haze"]) == pytest.approx(gloss[0] - gloss[1])
@@ -62,7 +62,7 @@ def test_an_appraisal_holds_together():
 
 
 @pytest.mark.parametrize("name", SETS)
-def test_every_standard_and_instrument_sees_a_white_lambertian_white(name):
+def test_a_white_lambertian_is_white_at_every_geometry(name):
     lab = colour(lambert_gauss.lambertian(samples.spectrum(1.0)), [name])
     assert lab["geometry"].values.tolist() == ["8:total", *SETS[name]]
     assert lab.sel(component="L*").values == pytest.approx(100, abs=1e-9)
@@ -109,7 +109,7 @@ def test_a_perfect_diffuser_has_a_flop_index_of_0_and_no_warning():
     assert not vocabulary.warnings(found)
 
 
-def test_an_appraisal_tells_what_tolerances_leave_and_the_haze_beside_the_mirror_direction():
+def test_the_appearance_contains_uncertainties_and_reflectance_haze():
     found = vocabulary.validate(appearance.compute_appearance(samples.beckmann_bsdf(0.1)), "appearance")
     assert ((found["gloss_u"] > 0) & (found["gloss_u"] < found["gloss"])).all()
     assert found["reflectance_haze"].sizes == {"haze_window": 1}
@@ -141,7 +141,7 @@ def test_colours_of_a_surface_with_a_lay_are_those_of_the_mean_over_the_azimuth(
     assert lightness[1] > float(first.sel(geometry="45as15", component="L*")) > lightness[0]
 
 
-def test_an_appraisal_of_a_surface_with_a_lay_tells_of_both_planes():
+def test_the_appearance_of_a_surface_with_a_lay_contains_both_planes():
     found = vocabulary.validate(appearance.compute_appearance(brushed(37), gloss_angles=[60]), "appearance")
     assert float(found["lay"]) == pytest.approx(37, abs=1e-6)
     assert float(found["gloss_along"][0]) > float(found["gloss"][0]) > float(found["gloss_across"][0])
@@ -183,7 +183,7 @@ def test_the_uncertainty_of_a_colour_is_that_of_instruments_off_by_the_tolerance
     assert float(found) > 0
 
 
-def test_the_uncertainty_of_a_flop_index_shares_the_light():
+def test_the_uncertainty_of_a_flop_index_has_one_light_for_all_geometries():
     glossy = samples.beckmann_bsdf(0.3)
 
     def index(light, views):

@@ -44,7 +44,7 @@ def test_a_configuration_may_ask_for_geometries_and_windows(tmp_path: Path):
     "asked",
     ["geometries: [E2195]", "haze: [{angle: 20, offset: 1.9}]", "windows: []", "haze: [{angle: 20, offset: -2}]"],
 )
-def test_what_the_appearance_cannot_give_is_refused_at_once(tmp_path: Path, asked: str):
+def test_impossible_settings_of_the_appearance_are_refused(tmp_path: Path, asked: str):
     own = tmp_path / "own.yaml"
     own.write_text(f"appearance: {{{asked}}}\n")
     with pytest.raises(InputError, match="appearance"):
@@ -66,7 +66,7 @@ def paint(**options):
         ({"model": "flake-physical", "clear_coat": "none"}, "`multiangle.clear_coat: smooth`"),
     ],
 )
-def test_the_gloss_of_flakes_without_their_coat_says_so_and_names_the_model_that_has_one(tmp_path: Path, options, mend):
+def test_the_gloss_of_flakes_without_a_clear_coat_has_a_warning_with_the_remedy(tmp_path: Path, options, mend):
     path = tmp_path / "appearance.nc"
     store.save_dataset(appearance.compute_appearance(paint(**options)), path, stage="appearance", material="m")
     found = store.open_dataset(path, "appearance")
@@ -106,7 +106,7 @@ def test_a_colour_beyond_the_measured_flake_angles_is_flagged(tmp_path: Path):
     assert "lab_quality" not in appearance.compute_appearance(samples.beckmann_bsdf(0.3))
 
 
-def test_every_number_of_instruments_stands_beside_its_uncertainty():
+def test_every_quantity_of_instruments_has_its_uncertainty():
     found = appearance.compute_appearance(paint(model="flake-physical", clear_coat=0.02))
     for name in ("gloss", "haze", "reflectance_haze", "flop_index"):
         assert (found[f"{name}_u"] > 0).all(), name

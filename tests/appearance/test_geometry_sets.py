@@ -54,7 +54,7 @@ def test_the_view_is_as_far_from_the_mirror_direction_as_the_name_says(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_positive_aspecular_angle_leads_from_the_mirror_direction_towards_the_light(name):
+def test_a_positive_aspecular_angle_is_towards_the_light(name):
     light, mirror, view = vectors(name)
     assert light[0] > 0
     # From the normal, positive on the light's side.
@@ -83,6 +83,6 @@ def test_two_lamps_of_one_instrument_share_its_detectors_out_of_the_plane():
 
 
 @pytest.mark.parametrize("name", SETS)
-def test_a_set_looks_from_nowhere_twice(name):
+def test_no_set_contains_a_direction_twice(name):
     pairs = [directions(each) for each in SETS[name]]
     assert len(set(pairs)) == len(pairs) >= 3

@@ -25,7 +25,7 @@ def seen(paint):
     return appearance.compute_appearance(completion.complete(smoothing.smooth(primary)))
 
 
-def test_a_gloss_says_whether_its_mirror_direction_was_measured(seen):
+def test_the_quality_of_gloss_is_that_of_its_mirror_direction(seen):
     flags = [vocabulary.QUALITY_FLAGS[flag] for flag in seen["gloss_quality"].values]
     assert flags[:2] == ["measured", "measured"]
     assert flags[2] not in ("measured", "interpolated")

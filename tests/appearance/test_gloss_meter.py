@@ -245,8 +245,8 @@ def perturbed(bsdf, angle, azimuths=(0.0,), *, source=(0.0, 0.0), receptor=(0.0,
     window = apertures.centred(*full)
     shift = np.tan(np.radians(axis))
     window = window._replace(low_u=window.low_u + shift, high_u=window.high_u + shift)
-    scale = apertures.lobe_scale(bsdf)
-    (got,) = apertures.received(bsdf, [apertures.Beam(angle + incidence, light, window, 5)], np.array(azimuths), scale)
+    sample = apertures.sample_of(bsdf, 0.0)
+    (got,) = apertures.received(sample, [apertures.Beam(angle + incidence, light, window, 5)], np.array(azimuths))
     return 100 * (light.weight @ got.mean(axis=0)) / (light.weight @ light.glass)
 
 

@@ -11,7 +11,7 @@ from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.facets import analytic, flat
 
 
-def test_the_loss_of_the_plain_model_is_what_compensation_gives_back() -> None:
+def test_the_loss_of_the_plain_model_is_the_compensated_light() -> None:
     rough = analytic("ggx", 0.5)
     for k in (0.0, 4.0):
         index = xr.Dataset(
@@ -27,6 +27,6 @@ def test_the_loss_of_the_plain_model_is_what_compensation_gives_back() -> None:
         assert plain.share == pytest.approx(given.share, rel=1e-3)  # of which 1 − Ē₁ has 1e-4
 
 
-def test_what_has_no_facets_loses_nothing() -> None:
+def test_a_bsdf_without_facets_has_no_multiple_scattering() -> None:
     assert multiple_scattering(lambertian(spectrum(0.3))) is None
     assert multiple_scattering(microfacet.build(flat(), index=1.5)) is None

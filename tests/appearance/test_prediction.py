@@ -28,7 +28,7 @@ def test_measured_geometries_have_the_measured_colours_and_others_are_flagged():
     assert LAB["45as45"][0] < float(found["lab"].sel(geometry="45as25", component="L*")) < LAB["45as15"][0]
 
 
-def test_another_light_goes_through_the_spectra():
+def test_colours_under_another_illuminant_follow_from_the_spectra():
     found = predicted_colours(paint(), "E2194", illuminant="A", observer=2)
     assert found["geometry"].values.tolist() == ["45as15", "45as45", "45as110"]
     # A blue under the reddish illuminant stays blue, and darkens.

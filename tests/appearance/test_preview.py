@@ -63,7 +63,7 @@ def test_the_file_is_a_small_png_of_the_picture():
         assert (np.asarray(stored) == picture["picture"].values).all()
 
 
-def test_the_picture_is_what_the_vocabulary_promises():
+def test_the_picture_is_valid_in_the_vocabulary():
     picture = preview(lambert_gauss.lambertian(samples.spectrum(0.5)), side=32, light="overcast", illuminant="d50")
     vocabulary.validate(picture, "preview")
     assert picture["picture"].shape == (32, 64, 3)

@@ -70,7 +70,7 @@ def renderers_picture(subject, material, spp):
         "lights": renderers_lights(),
         "camera": camera | {"film": film},
     }
-    return np.array(mitsuba.render(mitsuba.load_dict(scene), spp=spp), dtype=float)[..., 1] * STUDIO.exposure()
+    return np.array(mitsuba.render(mitsuba.load_dict(scene), spp=spp), dtype=float)[..., 1] * STUDIO.exposure
 
 
 def own_picture(subject, bsdf):

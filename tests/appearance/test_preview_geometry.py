@@ -21,7 +21,7 @@ def test_all_that_is_covered_faces_the_camera(shot):
 
 
 @SHOTS
-def test_the_subject_lies_inside_its_picture(shot):
+def test_the_subject_is_inside_its_picture(shot):
     edge = np.concatenate([shot.coverage[[0, -1]].ravel(), shot.coverage[:, [0, -1]].ravel()])
     assert edge.max() == 0
     assert shot.coverage.max() == 1
@@ -43,7 +43,7 @@ def test_the_panel_covers_the_area_of_its_projection():
 
 
 @SHOTS
-def test_what_varies_slowly_is_found_again_between_the_points_of_the_grid(shot):
+def test_slowly_varying_light_is_interpolated_between_the_points_of_the_grid(shot):
     def slow(points):
         return np.stack(
             [points.normal[:, 2] * points.view[:, 0] + points.normal[:, 0], points.normal[:, 1] ** 2], axis=-1

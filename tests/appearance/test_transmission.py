@@ -47,14 +47,14 @@ def test_haze_of_one_rough_face_is_the_share_of_facets_that_deflect_more_than_th
     assert transmission_haze(through) == pytest.approx(np.exp(-((np.tan(tilt) / a) ** 2)), abs=3e-3)
 
 
-def test_what_does_not_transmit_has_no_haze_of_transmission():
+def test_an_opaque_material_has_no_haze_of_transmission():
     opaque = samples.beckmann_bsdf(0.1)
     assert np.isnan(transmission_haze(opaque))
     assert luminous_transmittance(opaque) == 0
     assert "transmission_haze" not in appearance.compute_appearance(opaque)
 
 
-def test_an_appraisal_of_a_sheet_says_what_passes():
+def test_the_appearance_of_a_sheet_contains_its_transmittance():
     frosted = slab.build(facets.flat(), facets.analytic("beckmann", 0.2), index=1.5)
     found = vocabulary.validate(appearance.compute_appearance(frosted), "appearance")
     assert 0.5 < float(found["transmission_haze"]) < 1

@@ -31,7 +31,7 @@ def some(points, count, seed=2):
 
 
 def views(points, table):
-    _, theta, phi = table._local(points)
+    _, theta, phi = table._local_views(points)
     return theta, phi
 
 
@@ -42,7 +42,7 @@ def test_in_an_even_light_a_surface_shows_its_albedo(a):
     points = some(shots.sphere(64).pixels, 200)
     theta, _ = views(points, found)
     points, theta = shots.Points(*(f[theta < 80] for f in points)), theta[theta < 80]
-    seen = found.seen_near(points, EVEN) + found.seen_far(points, EVEN)
+    seen = found.near_light(points, EVEN) + found.far_light(points, EVEN)
     assert seen[:, 0] == pytest.approx(bsdf.bsdf.albedo(theta).values, rel=0.01)
 
 
@@ -50,14 +50,16 @@ def test_in_an_even_light_a_surface_with_a_lay_shows_its_albedo():
     bsdf = gloss_alone(a_x=0.05, a_y=0.3)
     found = Table.of(bsdf, *ONE)
     points = some(shots.panel(64).pixels, 50)
-    seen = found.seen_near(points, EVEN) + found.seen_far(points, EVEN)
+    seen = found.near_light(points, EVEN) + found.far_light(points, EVEN)
     assert seen[:, 0] == pytest.approx(bsdf.bsdf.albedo(*views(points, found)).values, rel=0.015)
 
 
 def test_in_an_even_light_a_white_lambertian_is_white():
     found = Table.of(lambert_gauss.lambertian(samples.spectrum(1.0)), np.array([550.0]), np.ones((1, 1)))
     shot = shots.sphere(48)
-    assert shot.upsampled(found.seen_far(shot.coarse, EVEN)) == pytest.approx(np.ones((len(shot.at[0]), 1)), rel=2e-3)
+    assert shot.upsampled(found.far_light(shot.coarse, EVEN)) == pytest.approx(
+        np.ones((len(shot.grid_position[0]), 1)), rel=2e-3
+    )
 
 
 def test_a_polished_surface_mirrors_the_lights_by_its_reflectance():
@@ -68,7 +70,7 @@ def test_a_polished_surface_mirrors_the_lights_by_its_reflectance():
     light = lights("studio").radiance(mirrored, float(points.spread[0]))
     expected = light * optics.fresnel(cosine, 1.5).mean
     # The reflectance is linear between polar angles of view 2 degree apart.
-    assert found.seen_near(points, lights("studio"))[:, 0] == pytest.approx(expected, rel=5e-3)
+    assert found.near_light(points, lights("studio"))[:, 0] == pytest.approx(expected, rel=5e-3)
 
 
 @pytest.mark.parametrize(
@@ -90,12 +92,12 @@ def test_pixels_are_those_of_many_samples(build, name, shot):
     inner = np.flatnonzero((shot.pixels.normal * shot.pixels.view).sum(axis=1) > 0.3)
     chosen = np.random.default_rng(4).choice(inner, 15, replace=False)
     points = shots.Points(*(field[chosen] for field in shot.pixels))
-    frame, theta, phi = found._local(points)
+    frame, theta, phi = found._local_views(points)
     for k, pixel in enumerate(chosen):
         drawn = bsdf.bsdf.sample(20_000, 9, float(theta[k]), float(phi[k]), wavelength)
         directions = unit_vector(drawn["theta_o"].values, drawn["phi_o"].values) @ frame[k]
         light = environment.radiance(directions, float(points.spread[k]))
-        each = light * drawn["weight"].values.reshape(20_000) * environment.exposure()
+        each = light * drawn["weight"].values.reshape(20_000) * environment.exposure
         noise = each.std() / np.sqrt(each.size)
         # A pixel of 64 is wider than the edges of the boxes, and the nodes blur the lobe by 2 % more.
         assert abs(pixels[pixel] - each.mean()) < 4 * noise + 0.05 * each.mean()
@@ -113,7 +115,7 @@ def test_a_lambertian_has_no_lobe():
     assert found.near.shape[2] == 0
 
 
-def test_a_table_looks_like_what_it_was_made_of():
+def test_a_table_looks_like_the_model_it_was_made_from():
     bsdf = gloss_alone(a=0.2)
     stored = bsdf.bsdf.tabulate(
         {

@@ -52,7 +52,7 @@ def test_a_figure_shows_the_cells_near_the_plane_that_were_measured(compared) ->
     assert [each.title for each in page.figures(nothing)] == ["Measured over modelled BRDF"]
 
 
-def test_every_bar_of_the_differences_lies_within_its_frame_or_is_counted(compared) -> None:
+def test_every_bar_of_the_differences_is_within_its_frame_or_counted(compared) -> None:
     for figure in page.figures(compared)[1:]:
         _, below = (
             figure.svg.split("</svg></svg>", 1) if "</svg></svg>" in figure.svg else figure.svg.rsplit("<svg class", 1)
@@ -83,7 +83,7 @@ def test_a_difference_of_the_measured_to_a_model_is_drawn_with_its_uncertainty(c
     assert np.sort(tall / 2 - (low + high) / 2) == pytest.approx(np.sort((ratio - 1) * np.median(scale)), abs=0.3)
 
 
-def test_the_inputs_are_told_before_and_after(compared) -> None:
+def test_the_table_of_inputs_shows_values_before_and_after(compared) -> None:
     table, _ = page.tables(compared)
     index, slope, diffuse = table.rows
     assert index[:2] == ("Refractive index, shift", "+0.000 ± 0.020")
@@ -94,7 +94,7 @@ def test_the_inputs_are_told_before_and_after(compared) -> None:
     assert {len(row) for row in table.rows} == {len(table.header)}
 
 
-def test_each_incidence_is_told_for_each_model(compared) -> None:
+def test_the_table_of_agreement_has_a_row_for_each_incidence_and_model(compared) -> None:
     *_, table = page.tables(compared)
     incidences = [row[:2] for row in table.rows]
     assert incidences == [("10°", "predicted"), ("10°", "adjusted"), ("60°", "predicted"), ("60°", "adjusted")]
@@ -102,12 +102,12 @@ def test_each_incidence_is_told_for_each_model(compared) -> None:
     assert float(table.rows[0][3]) > float(table.rows[1][3])
 
 
-def test_enlarged_uncertainties_are_told(compared) -> None:
+def test_a_note_states_enlarged_uncertainties(compared) -> None:
     assert "enlarged" not in page.tables(compared)[0].note
     assert "enlarged 3.0 times" in page.tables(compared.assign_attrs(enlarged=3.0))[0].note
 
 
-def test_what_was_not_fitted_is_shown_without_a_fit(compared) -> None:
+def test_a_prediction_that_was_not_fitted_is_shown_without_a_fit(compared) -> None:
     inputs = [name for name in compared.variables if "input" in compared[name].dims or name == "correlation"]
     alone = compared.isel(model=[0]).drop_vars(inputs)
     assert [table.title for table in page.tables(alone)] == ["Agreement at each incidence"]
@@ -115,21 +115,21 @@ def test_what_was_not_fitted_is_shown_without_a_fit(compared) -> None:
     assert page.figures(alone)[0].legend == ()
 
 
-def test_the_chapter_is_well_formed_and_says_what_was_found(compared) -> None:
-    html = pages.render("comparison.html.j2", comparison=page.chapter(compared))
+def test_the_chapter_is_well_formed_and_lists_the_findings(compared) -> None:
+    html = pages.render("chapter.html.j2", chapter=page.chapter(compared))
     root = ElementTree.fromstring(html)
     assert [item.text for item in root.iter("h2")] == ["Measured and predicted"]
-    told = ["".join(item.itertext()).strip() for item in root.iter("li")]
-    assert told[0].startswith("Measured over predicted, median at 10°, 60° of incidence:")
-    assert any("rougher than its facets say." in text for text in told)
+    findings = ["".join(item.itertext()).strip() for item in root.iter("li")]
+    assert findings[0].startswith("Measured over predicted, median at 10°, 60° of incidence:")
+    assert any("rougher than its facets say." in text for text in findings)
     assert len(list(root.iter("figure"))) == 3
     assert len(list(root.iter("table"))) == 2
 
 
-def test_warnings_stand_in_the_chapter(compared) -> None:
-    assert "notice warn" not in pages.render("comparison.html.j2", comparison=page.chapter(compared))
+def test_warnings_are_listed_in_the_chapter(compared) -> None:
+    assert "notice warn" not in pages.render("chapter.html.j2", chapter=page.chapter(compared))
     warned = vocabulary.add_warning(compared, "raise `comparison.slope_u`")
-    html = pages.render("comparison.html.j2", comparison=page.chapter(warned))
+    html = pages.render("chapter.html.j2", chapter=page.chapter(warned))
     assert "1 warning of the comparison" in html
     assert "raise <code>comparison.slope_u</code>" in html
 
@@ -140,4 +140,4 @@ def test_without_a_comparison_there_is_no_chapter() -> None:
 
 def test_text_of_a_dataset_is_escaped(compared) -> None:
     wild = compared.assign_attrs(findings=json.dumps(["<script>alert(1)</script>"]))
-    assert "<script" not in pages.render("comparison.html.j2", comparison=page.chapter(wild))
+    assert "<script" not in pages.render("chapter.html.j2", chapter=page.chapter(wild))

@@ -1,7 +1,6 @@
 from brdfpipe import store
 from brdfpipe.report.catalogue.page import catalogue_page
-from brdfpipe.report.catalogue.rows import combine
-from brdfpipe.report.catalogue.table import catalogue_csv, lock
+from brdfpipe.report.catalogue.rows import catalogue_csv, combine, lock
 
 
 def main(input, output, params):

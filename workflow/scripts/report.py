@@ -11,15 +11,16 @@ def main(input, output, params):
     for stage, files in input.items():
         paths = {stage: files} if isinstance(files, str) else {Path(path).stem: path for path in files}
         datasets |= {name: store.open_dataset(path) for name, path in paths.items()}
-    description = params["spec"]["description"]
-    store.write_text(output["page"], material_page(datasets, description=description))
+    spec = params["spec"]
+    page = material_page(datasets, description=spec["description"], exports=spec["exports"])
+    store.write_text(output["page"], page)
     store.save_dataset(
-        summarise(datasets, description=description),
+        summarise(datasets, description=spec["description"]),
         output["summary"],
         stage="report",
         material=params["material"],
         inputs=datasets,
-        parameters=params["spec"],
+        parameters=spec,
     )
 
 

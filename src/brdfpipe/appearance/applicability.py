@@ -1,17 +1,19 @@
-"""When a quantity applies to a material, and why it does not otherwise.
+"""Where a quantity does not apply to a material, and what its model leaves out, each with the reason and the remedy.
 
-Every ``…_exclusion`` returns a sentence with the reason and the remedy, or an empty text where the quantity applies.
+Every ``…_exclusion`` returns a sentence, or an empty text where the quantity applies.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import xarray as xr
 
+from brdfpipe import vocabulary
 from brdfpipe.appearance.colours import BLACK
 from brdfpipe.appearance.haze import WINDOWS
-from brdfpipe.appearance.origin import Datasets, has_finish, is_metal
+from brdfpipe.appearance.origin import Datasets, has_finish, has_no_diffuse_base, is_metal, route
 
 HAZE_ANGLES = (20.0, 60.0)
 """Gloss geometries of ASTM D4039 [degree]."""
@@ -89,3 +91,45 @@ def flop_exclusion(datasets: Datasets) -> str:
     if far > near:
         return f"The flop index is for surfaces that darken away from the mirror direction. L* is {near:.1f} at 15° and {far:.1f} at 110°."
     return f"The flop index is not defined for black: L* is {middle:.2g} at 45°." if middle < BLACK else ""
+
+
+# --- limits of the model
+
+
+def limits(datasets: Datasets) -> list[str]:
+    """Sentences: what was not measured, modelled, checked or computed, and which key of material.yaml changes it."""
+    return [*_finish_limits(datasets), *_spectrum_limits(datasets), *_missing_stages(datasets)]
+
+
+def _finish_limits(datasets: Datasets) -> Iterator[str]:
+    warned = any(vocabulary.warnings(datasets[stage]) for stage in ("predicted", "bsdf") if stage in datasets)
+    if not has_finish(datasets):
+        if not warned:  # the stage that assumes a perfect diffuser warns of it
+            yield (
+                "Gloss and haze are not modelled. No surface finish was measured or assumed. The BRDF is perfectly diffuse. "
+                "Set `surface` in material.yaml to model gloss and haze."
+            )
+    elif "facets" in datasets and "surface" not in datasets and route(datasets) == "predicted":
+        method = str(datasets["facets"].attrs.get("method", "")).strip()
+        yield (
+            f"The surface finish is assumed{f' ({method})' if method else ''}, not measured. Gloss, haze and the angular "
+            "figures follow from the assumption. Set `surface: file` in material.yaml to use a measurement."
+        )
+
+
+def _spectrum_limits(datasets: Datasets) -> Iterator[str]:
+    needs_spectrum = route(datasets) != "measured" and not has_no_diffuse_base(datasets.get("bsdf"))
+    if needs_spectrum and not {"spectrum", "multiangle"} & set(datasets):
+        yield (
+            "Colour and diffuse reflection are not modelled. No spectrum is known. The BRDF contains only the light that the facets "
+            "mirror. Set `spectrum` in material.yaml to model the rest."
+        )
+
+
+def _missing_stages(datasets: Datasets) -> Iterator[str]:
+    if "bsdf" not in datasets:
+        yield "No BRDF was built."
+    elif "checks" not in datasets:
+        yield "The BRDF was not checked for reciprocity and energy."
+    if "appearance" not in datasets:
+        yield "Gloss, haze and colour were not computed."

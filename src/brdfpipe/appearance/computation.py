@@ -92,12 +92,16 @@ def compute_appearance(
     if haze:
         appearance["reflectance_haze"], appearance["reflectance_haze_u"] = reflectance_haze_with_uncertainty(bsdf, haze)
     if not representation(bsdf).isotropic:
-        appearance = appearance.assign(_along_and_across(bsdf, illuminant, observer, gloss_angles, geometries))
+        appearance = appearance.assign(_along_and_across(bsdf, illuminant, observer, gloss_angles, all_geometries))
     appearance = appearance.assign(quantities.computed(bsdf))
     if reason := representation(bsdf).gloss_caveat:
         appearance = vocabulary.add_warning(_mark_flakes_alone(appearance, reason), reason)
     if math.isnan(flop) and lightness[2] > lightness[0]:
-        appearance = vocabulary.add_warning(appearance, _rising_lightness_warning(lightness[0], lightness[2]))
+        appearance = vocabulary.add_warning(
+            appearance,
+            f"No flop index: L* rises from {lightness[0]:.1f} at 15° from the mirror direction to {lightness[2]:.1f} at 110°. The flop "
+            "index is for paints that darken away from the mirror direction. Check that the colours belong to their geometries.",
+        )
     return vocabulary.label(appearance, "appearance")
 
 
@@ -111,12 +115,8 @@ def _add_gloss_basis(appearance: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
     appearance["gloss_quality"] = flags
     if u is None:  # the gloss of a paint is that of its clear coat
         return appearance
-    measured = {vocabulary.quality(name) for name in MEASURED_FLAGS}
-    unmeasured = [
-        f"{angle:g}°"
-        for angle, flag in zip(flags["gloss_angle"].values, flags.values, strict=True)
-        if flag not in measured
-    ]
+    measured = np.isin(flags.values, [vocabulary.quality(name) for name in MEASURED_FLAGS])
+    unmeasured = [f"{angle:g}°" for angle in flags["gloss_angle"].values[~measured]]
     if not unmeasured:
         return appearance
     return vocabulary.add_warning(
@@ -135,23 +135,14 @@ def _mark_flakes_alone(appearance: xr.Dataset, reason: str) -> xr.Dataset:
     return appearance.assign(marked).assign_attrs(no_gloss=reason)
 
 
-def _rising_lightness_warning(near: float, far: float) -> str:
-    return (
-        f"No flop index: L* rises from {near:.1f} at 15° from the mirror direction to {far:.1f} at 110°. The flop index is for paints "
-        "that darken away from the mirror direction. Check that the colours belong to their geometries."
-    )
-
-
 def _along_and_across(
     bsdf: xr.Dataset, illuminant: str, observer: int, gloss_angles: Sequence[float], geometries: Sequence[str]
 ) -> dict[str, xr.DataArray | float]:
-    """Gloss and colour in the two principal planes; where the lay is not known, in those of azimuth 0 and 90."""
+    """Gloss and colour in the planes along and across the lay; at azimuths 0 and 90° where the lay is not known."""
     lay = representation(bsdf).lay or 0.0
     values: dict[str, xr.DataArray | float] = {"lay": lay}
     for plane, azimuth in (("along", lay), ("across", lay + 90)):
-        # Dropped units and long names: the vocabulary has others for these names.
+        # Without units and long names, as the vocabulary has others for these names.
         values[f"gloss_{plane}"] = gloss(bsdf, gloss_angles, azimuth=azimuth).drop_attrs()
-        values[f"lab_{plane}"] = colour(
-            bsdf, [*GEOMETRIES, *geometries], illuminant, observer, azimuth=azimuth
-        ).drop_attrs()
+        values[f"lab_{plane}"] = colour(bsdf, geometries, illuminant, observer, azimuth=azimuth).drop_attrs()
     return values

@@ -1,4 +1,4 @@
-"""What gloss rests on: whether its directions were measured, and how uncertain the BSDF is there."""
+"""Basis of gloss values: whether their directions were measured, and the uncertainty of the BSDF there."""
 
 from __future__ import annotations
 

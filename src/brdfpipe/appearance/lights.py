@@ -1,15 +1,14 @@
 """The lights of a preview: soft boxes and a sky, infinitely far away.
 
-World axes: x to the right, y away from the camera, z up. Every light has the spectrum of the illuminant, so that a direction has
-one radiance. The edges of a box are a Gaussian integral: blurred by a Gaussian once more they are one again, exactly, which is
-what makes a coarse quadrature over the directions of light free of noise.
+World axes: x to the right, y away from the camera, z up. Every light has the spectrum of the illuminant, so that each direction
+has one radiance. The edges of a box are Gaussian integrals, which a Gaussian blur turns into wider Gaussian integrals, exactly.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +19,14 @@ from brdfpipe.geometry import Array
 Floats = NDArray[np.float32]
 
 WHITE_LEVEL = 0.75
-"""What a perfect white diffuser shows at its brightest, as a share of the screen's white: L* 89."""
+"""Brightest spot of a perfect white diffuser, as a share of the screen's white: L* 89."""
 
 SOFTNESS = 0.02
 """Standard deviation of the edges of a box, in the tangent plane of its axis [1]; a little over 1 degree."""
 
 
 class LightError(BrdfpipeError):
-    """A light is not known."""
+    """Unknown light."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +34,14 @@ class SoftBox:
     """An area light."""
 
     axis: tuple[float, float, float]
-    """Towards its centre; need not be normalised"""
+    """Towards the centre of the box; need not be normalised."""
     half_width: float
-    """Level, in the plane tangent to the axis [1]"""
+    """Horizontal, in the plane tangent to the axis [1]."""
     half_height: float
     radiance: float
     softness: float = SOFTNESS
 
-    def seen(self, directions: Array, blur: float = 0.0) -> Array:
+    def light_from(self, directions: Array, blur: float = 0.0) -> Array:
         """Radiance from directions (…, 3), the light convolved with a Gaussian of standard deviation ``blur`` [radian]."""
         from scipy.special import ndtr
 
@@ -60,14 +59,14 @@ class SoftBox:
             ndtr((half + at[near]) / sigma) - ndtr((at[near] - half) / sigma)
             for at, half in ((u, self.half_width), (v, self.half_height))
         ]
-        # The tangent plane is larger than the solid angle by cos⁻³: what is spread in it must gain what that takes away.
+        # The tangent plane is larger than the solid angle by cos⁻³: a blur in it loses light, which this factor restores.
         value[near] = self.radiance * (1 + 3 * blur**2) * inside[0] * inside[1]
         return value
 
 
 @dataclass(frozen=True)
 class Lights:
-    """An environment."""
+    """Soft boxes and a sky."""
 
     boxes: tuple[SoftBox, ...]
     zenith: float
@@ -79,15 +78,21 @@ class Lights:
         """Radiance from unit vectors (…, 3), before exposure, convolved with a Gaussian of ``blur`` [radian]."""
         rise = np.clip((directions[..., 2] + 0.4) / 1.4, 0, 1)
         sky = self.ground + (self.zenith - self.ground) * rise * rise * (3 - 2 * rise)
-        return np.asarray(sky + sum(box.seen(directions, blur) for box in self.boxes))
+        return np.asarray(sky + sum(box.light_from(directions, blur) for box in self.boxes))
 
+    @cached_property
     def exposure(self) -> float:
-        """Factor by which the brightest spot of a white matt sphere becomes :data:`WHITE_LEVEL`."""
-        return _exposure(self)
+        """Factor that gives the brightest spot of a white matt sphere :data:`WHITE_LEVEL`."""
+        directions, solid_angle = sphere_rule(20_000)
+        light = self.radiance(directions, float(np.sqrt(solid_angle)) / 2)
+        normals, _ = sphere_rule(400)
+        irradiance = (float(light @ np.maximum(directions @ normal, 0.0)) for normal in normals)
+        return WHITE_LEVEL / max(total * solid_angle / np.pi for total in irradiance)
 
+    @cached_property
     def filtered(self) -> Filtered:
-        """The same lights, looked up quickly."""
-        return _filtered(self)
+        """Lookup tables of the same lights."""
+        return Filtered(self)
 
 
 LIGHTS: Mapping[str, Lights] = {
@@ -103,8 +108,8 @@ LIGHTS: Mapping[str, Lights] = {
     "sun": Lights((SoftBox((-0.50, -0.55, 0.72), 0.045, 0.045, 60.0, 0.012),), zenith=0.16, ground=0.06),
     "overcast": Lights((), zenith=1.0, ground=0.15),
 }
-"""``studio``: three soft boxes, in front to the left, above, and a strip to the right. ``sun``: a small bright disc under a clear
-sky. ``overcast``: a sky alone."""
+"""``studio``: three soft boxes, in front to the left, above, and a strip to the right. ``sun``: a small bright disc and a clear sky.
+``overcast``: only a sky."""
 
 
 def lights(name: str) -> Lights:
@@ -119,19 +124,25 @@ def lights(name: str) -> Lights:
     return LIGHTS[name]
 
 
+_LEVELS = 8
+_FIRST_BLUR = 0.01
+_COARSEST_SIZE = 320
+"""Texels along the side of the coarsest level."""
+_STRAIGHT_DOWN = np.float32(-1 + 2e-6)
+"""z below which the map has no azimuth; a corner of it contains the radiance from there."""
+
+
 class Filtered:
     """Lights tabulated at several blurs on Lambert's equal-area map of the sphere about the zenith.
 
-    Notes
-    -----
-    Each level's texels are smaller than its blur, so that the nearest one will do.
+    The texels of each level are smaller than its blur, so that the nearest one is accurate enough.
     """
 
     def __init__(self, lights: Lights) -> None:
         self.blur = _FIRST_BLUR * np.sqrt(2.0) ** np.arange(_LEVELS) * (np.arange(_LEVELS) > 0)
         finest = min([box.softness for box in lights.boxes], default=SOFTNESS)
         width = np.hypot(finest, self.blur)
-        self.size = np.round(_SMALLEST * (width[-1] / width) ** 0.7).astype(np.int32)
+        self.size = np.round(_COARSEST_SIZE * (width[-1] / width) ** 0.7).astype(np.int32)
         tables = [lights.radiance(_texels(int(n)), float(blur)) for n, blur in zip(self.size, self.blur, strict=True)]
         self.table = np.concatenate([table.ravel() for table in tables]).astype(np.float32)
         self.start = np.concatenate([[0], np.cumsum(self.size**2)[:-1]]).astype(np.int32)
@@ -143,7 +154,7 @@ class Filtered:
         scale = (size / (2 * np.sqrt(2.0))).astype(np.float32)
         stretch = scale / np.sqrt(np.maximum(1 + z, np.float32(1e-6)))
         half = (size / 2).astype(np.float32)
-        # In single precision the rim of the map, straight down, lies a little to either side of where it should.
+        # In single precision, positions on the rim of the map (straight down) are slightly off to either side.
         column = np.clip((x * stretch + half).astype(np.int32), 0, size - 1)
         row = np.clip((y * stretch + half).astype(np.int32), 0, size - 1)
         if z.min() < _STRAIGHT_DOWN:
@@ -154,18 +165,10 @@ class Filtered:
         return np.take(self.table, row)
 
 
-_LEVELS = 8
-_FIRST_BLUR = 0.01
-_SMALLEST = 320
-_STRAIGHT_DOWN = np.float32(-1 + 2e-6)
-"""Where the map loses the azimuth; a corner of it holds the radiance from there."""
-"""Texels along the side of the coarsest level."""
-
-
 def _texels(size: int) -> Array:
-    """Directions (size, size, 3) of the texels' centres; outside the map those of its rim."""
-    at = (np.arange(size) + 0.5) / size * 2 * np.sqrt(2) - np.sqrt(2)
-    x, y = np.meshgrid(at, at)
+    """Directions (size, size, 3) of the texels' centres; outside the map, of its rim."""
+    centres = (np.arange(size) + 0.5) / size * 2 * np.sqrt(2) - np.sqrt(2)
+    x, y = np.meshgrid(centres, centres)
     square = np.minimum(x * x + y * y, 2.0)
     stretch = np.sqrt(2 - square)
     z = 1 - square
@@ -173,23 +176,13 @@ def _texels(size: int) -> Array:
     return np.stack([x * stretch, y * stretch, z], axis=-1)
 
 
-@cache
-def _filtered(lights: Lights) -> Filtered:
-    return Filtered(lights)
-
-
-@cache
-def _exposure(lights: Lights) -> float:
-    directions, share = sphere_rule(20_000)
-    light = lights.radiance(directions, float(np.sqrt(share)) / 2)
-    normals, _ = sphere_rule(400)
-    brightest = max(float(light @ np.maximum(directions @ normal, 0.0)) * share / np.pi for normal in normals)
-    return WHITE_LEVEL / brightest
-
-
 def sphere_rule(count: int) -> tuple[Array, float]:
-    """Directions (count, 3) spread evenly over the sphere along a golden spiral, and the solid angle of each [sr]."""
-    z = 1 - (np.arange(count) + 0.5) * 2 / count
-    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    """Directions (count, 3) spread evenly over the sphere, and the solid angle of each [sr]."""
+    return golden_spiral(1 - (np.arange(count) + 0.5) * 2 / count), 4 * np.pi / count
+
+
+def golden_spiral(z: Array) -> Array:
+    """Directions (…, 3) at heights z along a golden spiral; evenly spaced heights give equal solid angles."""
+    azimuth = np.arange(z.size) * np.pi * (3 - np.sqrt(5))
     radius = np.sqrt(1 - z * z)
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=-1), 4 * np.pi / count
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)

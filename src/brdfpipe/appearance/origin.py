@@ -1,4 +1,4 @@
-"""What the BRDF of a material rests on: a prediction, measured colours, or a camera rig."""
+"""Origin of the BRDF of a material: a prediction, measured colours, or a camera rig."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PREDICTION_INPUTS = (
     "multiangle",
     "flake",
 )
-"""Stages that a measured BRDF does not rest on; its prediction, for comparison, does."""
+"""Stages on which only a prediction is based, and not a measured BRDF."""
 
 _METAL_EXTINCTION = 0.1
 """Extinction coefficient above which no light returns from below the surface."""

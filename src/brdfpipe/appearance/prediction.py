@@ -8,10 +8,9 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.colours import quality
+from brdfpipe.appearance.colours import angles, quality, xyz_of
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.flakes.geometries import Directions, named_directions
-from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
 Geometries = str | Sequence[str] | Mapping[str, Sequence[float]]
@@ -31,27 +30,32 @@ def predicted_colours(
 
     Returns
     -------
-    Dataset of kind ``colours``: ``lab(geometry, component)`` and the directions; where it rests
-    on measured angles (an effect paint, a measured BRDF) with ``lab_quality(geometry)`` as well, which flags what lies outside of
-    them as extrapolated
+    Dataset of kind ``colours``: ``lab(geometry, component)`` and the directions. A BSDF that rests on measured angles (an effect
+        paint, a measured BRDF) has ``lab_quality(geometry)`` too, which flags geometries beyond the measured ones as extrapolated
 
     Notes
     -----
-    An effect paint that was given as colours is exact under the illuminant and the observer of these, through X, Y and Z alone;
-    under others the spectra recovered from them are a guess.
+    An effect paint that was given as colours is exact under the illuminant and the observer of these, from X, Y and Z. Under others
+    it depends on spectra that were recovered from the colours, and is a guess.
     """
     vocabulary.validate(bsdf, "bsdf")
-    places = _places(geometries)
-    at = np.array([list(place) for place in places.values()], dtype=float).reshape(-1, 4).T
-    table = colorimetry.weights(illuminant, observer)
+    if isinstance(geometries, Mapping):
+        directions = {name: Directions(*map(float, pair)) for name, pair in geometries.items()}
+    else:
+        directions = named_directions(geometries)
+    at = angles(directions)
+    name, white = colorimetry.illuminant_name(illuminant), colorimetry.weights(illuminant, observer).white
+    evaluator = representation(bsdf)
+    xyz = evaluator.tristimulus(at[0], at[1], at[2], at[3], name, observer)
+    if xyz is None:
+        xyz = xyz_of(bsdf, evaluator.evaluate(at[0], at[1], at[2], at[3], None), illuminant, observer)
     result = xr.Dataset(
-        {"lab": (("geometry", "component"), colorimetry.xyz_to_lab(_xyz(bsdf, at, illuminant, observer), table.white))},
-        coords={"geometry": list(places), "component": ["L*", "a*", "b*"]},
-        attrs={"illuminant": colorimetry.illuminant_name(illuminant), "observer": observer},
+        {"lab": (("geometry", "component"), colorimetry.xyz_to_lab(xyz, white))},
+        coords={"geometry": list(directions), "component": ["L*", "a*", "b*"]},
+        attrs={"illuminant": name, "observer": observer},
     )
-    for name, angle in zip(("theta_i", "phi_i", "theta_o", "phi_o"), at, strict=True):
-        result[name] = ("geometry", angle)
-    if (flags := quality(bsdf, places)) is not None:
+    result = result.assign({angle: ("geometry", values) for angle, values in zip(Directions._fields, at, strict=True)})
+    if (flags := quality(bsdf, directions)) is not None:
         result["lab_quality"] = ("geometry", flags)
     return vocabulary.label(result, "colours")
 
@@ -64,7 +68,7 @@ def colour_difference(
     Returns
     -------
     DataArray ``delta_e_00(geometry)`` [1]; with the coordinate ``lab_quality(geometry)`` where either material has one, the worse of
-    both: of a difference flagged as extrapolated nothing was measured that would bear it out
+    both: no measurement supports a difference that is flagged as extrapolated
     """
     colours = [predicted_colours(bsdf, geometries, illuminant, observer) for bsdf in (first, second)]
     difference = colorimetry.delta_e_00(colours[0]["lab"].values, colours[1]["lab"].values)
@@ -74,20 +78,3 @@ def colour_difference(
     if flags:
         coords["lab_quality"] = ("geometry", np.max([flag.values for flag in flags], axis=0), flags[0].attrs)
     return xr.DataArray(difference, coords, ("geometry",), "delta_e_00", attrs)
-
-
-def _places(geometries: Geometries) -> dict[str, Directions]:
-    if isinstance(geometries, Mapping):
-        return {name: Directions(*map(float, angles)) for name, angles in geometries.items()}
-    return named_directions(geometries)
-
-
-def _xyz(bsdf: xr.Dataset, at: Array, illuminant: str, observer: int) -> Array:
-    evaluator = representation(bsdf)
-    own = evaluator.tristimulus(at[0], at[1], at[2], at[3], colorimetry.illuminant_name(illuminant), observer)
-    if own is not None:
-        return own
-    brdf = evaluator.evaluate(at[0], at[1], at[2], at[3], None)
-    wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else np.array([360.0, 780.0])
-    factor = np.broadcast_to(np.pi * brdf, (*brdf.shape[:-1], wavelength.size))
-    return colorimetry.reflectance_to_xyz(wavelength, factor, illuminant, observer)

@@ -1,9 +1,9 @@
 """A picture of a material: a sphere and a flat panel under known lights.
 
-The picture is a rendering of the model, through ``evaluate`` and ``specular`` alone, at a fixed exposure: pictures of different
-materials are comparable. A perfect white diffuser shows :data:`brdfpipe.appearance.lights.WHITE_LEVEL` at its brightest. Below
-that level the picture is linear; above it :func:`tone` bends it smoothly towards the screen's white, each channel for itself, so that
-highlights whiten. Light that one subject would throw on the other is left out. What passes a slab comes from an evenly lit backdrop.
+The picture is a rendering of the model, through ``evaluate`` and ``specular``, at a fixed exposure: pictures of different materials
+are comparable. The brightest spot of a perfect white diffuser has :data:`brdfpipe.appearance.lights.WHITE_LEVEL`. Below that level
+the picture is linear; above it :func:`tone` compresses each channel towards the screen's white. Light that one subject reflects to
+the other is not included. Light through a slab comes from an evenly lit backdrop.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.appearance.lights import WHITE_LEVEL, Lights, lights
 from brdfpipe.appearance.preview_geometry import Shot, panel, sphere
-from brdfpipe.appearance.transport import Table, weighed
+from brdfpipe.appearance.transport import Table, in_channels
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
@@ -32,12 +32,12 @@ _WAVELENGTHS = np.arange(400.0, 701.0, 20.0)
 
 
 def preview(bsdf: xr.Dataset, *, illuminant: str = "D65", light: str = "studio", side: int = SIDE) -> xr.Dataset:
-    """How a material would look.
+    """Render a material.
 
     Parameters
     ----------
     bsdf : kind ``bsdf``, of any representation
-    illuminant : spectrum of all lights; the eye is taken to be used to it
+    illuminant : spectrum of all lights; the eye is assumed to be adapted to it
     light : one of :data:`brdfpipe.appearance.lights.LIGHTS`
     side : pixels along each side of each of the two pictures
 
@@ -55,7 +55,7 @@ def preview(bsdf: xr.Dataset, *, illuminant: str = "D65", light: str = "studio",
     table = Table.of(bsdf, *channels)
     pictures = []
     for shot in (sphere(side), panel(side)):
-        pictures.append(_composed(shot, radiance(table, shot, environment), _passed(bsdf, shot, *channels)))
+        pictures.append(_composed(shot, radiance(table, shot, environment), _transmitted(bsdf, shot, *channels)))
     shown = (255 * colorimetry.encoded_srgb(np.concatenate(pictures, axis=1))).round().astype(np.uint8)
     picture = xr.Dataset(
         {"picture": (("row", "column", "channel"), shown)},
@@ -76,18 +76,16 @@ def png(preview: xr.Dataset) -> bytes:
 
 
 def radiance(table: Table, shot: Shot, environment: Lights) -> Array:
-    """Light of the pixels that a subject covers, (pixels, channels), at the exposure of the picture."""
-    slow = shot.upsampled(table.seen_far(shot.coarse, environment))
-    return (table.seen_near(shot.pixels, environment) + slow) * environment.exposure()
+    """Radiance of the pixels that a subject covers, (pixels, channels), at the exposure of the picture."""
+    far = shot.upsampled(table.far_light(shot.coarse, environment))
+    return (table.near_light(shot.pixels, environment) + far) * environment.exposure
 
 
 def channels_of(bsdf: xr.Dataset, illuminant: str = "D65") -> tuple[Array | None, Array]:
-    """Wavelengths to evaluate at, and what each weighs in linear sRGB (wavelength, 3), white being (1, 1, 1).
+    """Wavelengths to evaluate at, and their weights in linear sRGB (wavelength, 3), for white (1, 1, 1).
 
-    Notes
-    -----
-    A reflectance is taken as linear between wavelengths 20 nm apart and constant beyond 400 and 700 nm; the tristimulus sums are
-    exact for such ones. Other illuminants are adapted to D65 with the Bradford matrix.
+    A reflectance is interpolated linearly between wavelengths 20 nm apart, and constant beyond 400 and 700 nm. Other illuminants
+    are adapted to D65 with the Bradford matrix.
     """
     *_, grid, weights, white = colorimetry.weights(illuminant, 2)
     to_screen = colorimetry.srgb_from_xyz(white)
@@ -102,32 +100,32 @@ def channels_of(bsdf: xr.Dataset, illuminant: str = "D65") -> tuple[Array | None
 
 
 def tone(linear: Array) -> Array:
-    """From linear light to the screen's linear range: itself up to :data:`WHITE_LEVEL`, then an exponential that ends at 1."""
+    """Linear light in the linear range of the screen: unchanged up to :data:`WHITE_LEVEL`, then an exponential that ends at 1."""
     room = 1 - WHITE_LEVEL
     above = np.maximum(linear - WHITE_LEVEL, 0)
     return np.clip(np.minimum(linear, WHITE_LEVEL) + room * (1 - np.exp(-above / room)), 0, 1)
 
 
-def _passed(bsdf: xr.Dataset, shot: Shot, wavelength: Array | None, channels: Array) -> Array | float:
-    """Share of an even light behind a slab that reaches the camera, (pixels, channels): its transmittance, by reciprocity."""
+def _transmitted(bsdf: xr.Dataset, shot: Shot, wavelength: Array | None, channels: Array) -> Array | float:
+    """Share of an even light behind a slab that reaches the camera, (pixels, channels): the transmittance, by reciprocity."""
     if not representation(bsdf).is_slab:
         return 0.0
     theta = np.linspace(0.0, 85.0, 18)
     share = representation(bsdf).transmittance(theta, np.zeros(theta.size), wavelength)
-    share = weighed(share, channels)
-    seen = np.degrees(np.arccos(np.minimum((shot.pixels.normal * shot.pixels.view).sum(axis=1), 1)))
+    share = in_channels(share, channels)
+    view_angle = np.degrees(np.arccos(np.minimum((shot.pixels.normal * shot.pixels.view).sum(axis=1), 1)))
     # At grazing all light is reflected.
     nodes, share = np.append(theta, 90.0), np.concatenate([share, np.zeros((1, share.shape[1]))])
-    return np.stack([np.interp(seen, nodes, column) for column in share.T], axis=-1)
+    return np.stack([np.interp(view_angle, nodes, column) for column in share.T], axis=-1)
 
 
-def _composed(shot: Shot, seen: Array, passed: Array | float) -> Array:
-    """The subject before the backdrop, (side, side, 3), linear."""
+def _composed(shot: Shot, reflected: Array, transmitted: Array | float) -> Array:
+    """The subject in front of the backdrop, (side, side, 3), linear."""
     side = len(shot.coverage)
     grey = np.broadcast_to(np.linspace(*BACKDROP, side)[:, None, None], (side, side, 3))
     covered = shot.coverage > 0
     subject = np.zeros((side, side, 3))
-    # Mixed as the screen shows it: a highlight many times brighter than white would leave a jagged edge.
-    subject[covered] = tone(seen + passed * grey[covered])
+    # Toned before it is blended: a highlight much brighter than white would leave a jagged edge.
+    subject[covered] = tone(reflected + transmitted * grey[covered])
     share = shot.coverage[..., None]
     return np.asarray(share * subject + (1 - share) * grey)

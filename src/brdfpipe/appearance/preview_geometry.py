@@ -1,7 +1,7 @@
-"""The two subjects of a preview, as the camera sees them: a sphere from afar, and a flat panel in perspective.
+"""The two subjects of a preview in front of the camera: a distant sphere, and a flat panel in perspective.
 
-World axes as in :mod:`brdfpipe.appearance.lights`; the camera looks along +y. What is seen of a material depends on the point
-through its normal, the direction to the camera and the direction of the lay alone: the lights are infinitely far away.
+World axes as in :mod:`brdfpipe.appearance.lights`; the camera looks along +y. As the lights are infinitely far away, the light from
+a point depends only on its normal, the direction to the camera and the direction of the lay.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import numpy as np
 from brdfpipe.geometry import Array
 
 SPHERE_RADIUS = 0.45
-"""Of the sphere, as a share of the picture's side"""
+"""Share of the picture's side."""
 
 PANEL_HALF_SIDE = 1.0
 PANEL_NORMAL = (0.0, -0.62, 0.78)
 PANEL_DISTANCE = 5.0
-"""From the camera to the panel's centre; the panel's side is 2."""
+"""Distance from the camera to the panel's centre; the panel's side is 2."""
 PANEL_FIELD = 0.262
-"""Half the field of view, as a tangent"""
+"""Tangent of half the field of view."""
 
-_AFAR = np.array([0.0, -1.0, 0.0])
+_CAMERA = np.array([0.0, -1.0, 0.0])
 
 
 class Points(NamedTuple):
@@ -43,16 +43,16 @@ class Shot(NamedTuple):
     """A subject in a square picture."""
 
     pixels: Points
-    """Of the pixels that it covers, in the order of ``coverage``'s non-zero ones"""
+    """Points of the covered pixels, in the order of the non-zero values of ``coverage``"""
     coverage: Array
-    """(side, side) share of each pixel that it covers"""
+    """(side, side) share of each pixel that the subject covers"""
     coarse: Points
-    """Of a grid that is fine enough for what varies slowly"""
+    """Points of a coarse grid, for light that varies slowly"""
     grid: tuple[int, int]
-    at: Array
-    """(2, n) where the pixels lie on that grid"""
+    grid_position: Array
+    """(2, n) positions of the pixels on that grid"""
     polar: bool
-    """Whether the second axis of the grid goes all round"""
+    """Whether the second axis of the grid is a full turn"""
 
     def upsampled(self, values: Array) -> Array:
         """Values of the coarse grid (points, channels) at the pixels (n, channels), by cubic splines."""
@@ -62,25 +62,25 @@ class Shot(NamedTuple):
         first, second = np.arange(self.grid[0]), np.arange(self.grid[1])
         if self.polar:
             turns = self.grid[1]
-            # Through the centre a ring goes on half a turn away.
+            # Beyond the centre a ring continues half a turn away.
             field = np.concatenate([np.roll(field[4:0:-1], turns // 2, axis=1), field])
             field = np.concatenate([field[:, -4:], field, field[:, :4]], axis=1)
             first, second = np.arange(-4, self.grid[0]), np.arange(-4, turns + 4)
         channels = [RectBivariateSpline(first, second, channel) for channel in np.moveaxis(field, -1, 0)]
-        return np.stack([channel.ev(self.at[0], self.at[1]) for channel in channels], axis=-1)
+        return np.stack([channel.ev(*self.grid_position) for channel in channels], axis=-1)
 
 
 def sphere(side: int, rings: int = 40, turns: int = 72) -> Shot:
-    """A sphere seen from afar, brushed along its circles of latitude."""
+    """A distant sphere, brushed along its circles of latitude."""
     x, z = _pixels(side, 0.5 / SPHERE_RADIUS)
     radius = np.hypot(x, z)
     width = 1 / (SPHERE_RADIUS * side)
     coverage = np.clip((1 - radius) / width + 0.5, 0, 1)
-    seen = coverage > 0
-    # What a pixel on the rim shows is the part of it that lies on the sphere.
-    sine = np.minimum(radius[seen], 1 - width / 4)
-    turn = np.arctan2(z[seen], x[seen])
-    at = np.stack([np.arcsin(sine) * 2 / np.pi * (rings - 1), turn % (2 * np.pi) * turns / (2 * np.pi)])
+    covered = coverage > 0
+    # A pixel on the rim shows the part of it that is on the sphere.
+    sine = np.minimum(radius[covered], 1 - width / 4)
+    turn = np.arctan2(z[covered], x[covered])
+    position = np.stack([np.arcsin(sine) * 2 / np.pi * (rings - 1), turn % (2 * np.pi) * turns / (2 * np.pi)])
     sines = np.minimum(np.sin(np.linspace(0, np.pi / 2, rings)), 1 - 1e-5)
     sine_grid, turn_grid = np.meshgrid(sines, np.arange(turns) * 2 * np.pi / turns, indexing="ij")
     return Shot(
@@ -88,7 +88,7 @@ def sphere(side: int, rings: int = 40, turns: int = 72) -> Shot:
         coverage,
         _on_sphere(sine_grid.ravel(), turn_grid.ravel(), width),
         (rings, turns),
-        at,
+        position,
         True,
     )
 
@@ -98,7 +98,7 @@ def _on_sphere(sine: Array, turn: Array, width: float) -> Points:
     normal = np.stack([sine * np.cos(turn), -cosine, sine * np.sin(turn)], axis=-1)
     lay = np.stack([cosine, normal[:, 0], np.zeros(sine.size)], axis=-1)
     lay /= np.linalg.norm(lay, axis=1, keepdims=True)
-    return Points(normal, np.broadcast_to(_AFAR, normal.shape), lay, width / np.sqrt(cosine))
+    return Points(normal, np.broadcast_to(_CAMERA, normal.shape), lay, width / np.sqrt(cosine))
 
 
 def panel(side: int, lines: int = 24) -> Shot:
@@ -107,32 +107,32 @@ def panel(side: int, lines: int = 24) -> Shot:
     across = np.cross([0.0, 0.0, 1.0], normal)
     across /= np.linalg.norm(across)
     axes = np.stack([across, np.cross(normal, across)])
-    camera = PANEL_DISTANCE * _AFAR
+    camera = PANEL_DISTANCE * _CAMERA
     x, z = _pixels(side, PANEL_FIELD)
     ray = np.stack([x, np.ones_like(x), z], axis=-1)
-    met = camera + ray * (-(camera @ normal) / (ray @ normal))[..., None]
-    u, v = np.moveaxis(met @ axes.T, -1, 0) / PANEL_HALF_SIDE
+    hit = camera + ray * (-(camera @ normal) / (ray @ normal))[..., None]
+    u, v = np.moveaxis(hit @ axes.T, -1, 0) / PANEL_HALF_SIDE
     width_u, width_v = (np.hypot(*np.gradient(coordinate)) for coordinate in (u, v))
     coverage = np.clip((1 - np.abs(u)) / width_u + 0.5, 0, 1) * np.clip((1 - np.abs(v)) / width_v + 0.5, 0, 1)
-    seen = coverage > 0
+    covered = coverage > 0
     even = np.linspace(-1, 1, lines)
     grid = np.stack(np.meshgrid(even, even, indexing="ij"), axis=-1).reshape(-1, 2)
     spread = PANEL_FIELD / side
     points = partial(_on_panel, normal=normal, axes=axes, camera=camera, spread=spread)
-    pixels = np.clip(np.stack([v[seen], u[seen]], axis=-1), -1, 1)
+    pixels = np.clip(np.stack([v[covered], u[covered]], axis=-1), -1, 1)
     return Shot(points(pixels), coverage, points(grid), (lines, lines), (pixels.T + 1) / 2 * (lines - 1), False)
 
 
-def _on_panel(place: Array, normal: Array, axes: Array, camera: Array, spread: float) -> Points:
+def _on_panel(position: Array, normal: Array, axes: Array, camera: Array, spread: float) -> Points:
     """Points at (v, u) of the panel, both -1 to 1."""
-    view = camera - PANEL_HALF_SIDE * (place[:, ::-1] @ axes)
+    view = camera - PANEL_HALF_SIDE * (position[:, ::-1] @ axes)
     view /= np.linalg.norm(view, axis=1, keepdims=True)
-    count = (len(place), 3)
-    return Points(np.broadcast_to(normal, count), view, np.broadcast_to(axes[0], count), np.full(len(place), spread))
+    count = (len(position), 3)
+    return Points(np.broadcast_to(normal, count), view, np.broadcast_to(axes[0], count), np.full(len(position), spread))
 
 
 def _pixels(side: int, half_field: float) -> tuple[Array, Array]:
     """x and z of the pixels' centres, top row first, on a plane of half width ``half_field``."""
-    at = ((np.arange(side) + 0.5) / side * 2 - 1) * half_field
-    x, z = np.meshgrid(at, -at)
+    centres = ((np.arange(side) + 0.5) / side * 2 - 1) * half_field
+    x, z = np.meshgrid(centres, -centres)
     return x, z

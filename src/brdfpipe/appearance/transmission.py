@@ -1,4 +1,4 @@
-"""What passes a material, and how much of it is scattered on the way.
+"""Total transmittance of a material, and its haze: the scattered share of the transmitted light.
 
 References
 ----------
@@ -18,7 +18,7 @@ from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 
 HAZE_CONE = 2.5
-"""Half angle of the light that counts as not scattered [degree]."""
+"""Half angle of the cone of light that counts as not scattered [degree]."""
 
 _UNKNOWN_SLOPE = 5e-3
 _ORDER = 8
@@ -35,8 +35,8 @@ def luminous_transmittance(bsdf: xr.Dataset) -> float:
     from brdfpipe.spectra import colorimetry
 
     wavelength, total = representation(bsdf).total_transmittance()
-    seen = colorimetry.luminous_weight(wavelength)
-    return float(seen @ total / seen.sum())
+    weight = colorimetry.luminous_weight(wavelength)
+    return float(weight @ total / weight.sum())
 
 
 def transmission_haze(bsdf: xr.Dataset) -> float:
@@ -60,8 +60,8 @@ def transmission_haze(bsdf: xr.Dataset) -> float:
     theta, phi, weight = _cone(representation(bsdf).lobe_slope or _UNKNOWN_SLOPE)
     incidence = np.zeros_like(theta)
     btdf = representation(reduced).evaluate(incidence, incidence, 180 - theta, phi, None)
-    scattered_little = float(weight @ btdf[:, 0])
-    return float(np.clip(1 - (straight + scattered_little) / total, 0.0, 1.0))
+    within_cone = straight + float(weight @ btdf[:, 0])
+    return float(np.clip(1 - within_cone / total, 0.0, 1.0))
 
 
 def _cone(slope: float) -> tuple[Array, Array, Array]:
@@ -70,5 +70,5 @@ def _cone(slope: float) -> tuple[Array, Array, Array]:
     edges = np.concatenate([[0.0], HAZE_CONE * 2.0 ** np.arange(-doublings, 1)])
     theta, width = panel_rule(edges, _ORDER)
     share = np.radians(width) * np.sin(np.radians(theta)) * np.cos(np.radians(theta))
-    theta, phi = (each.ravel() for each in np.meshgrid(theta, _AZIMUTHS, indexing="ij"))
+    theta, phi = (grid.ravel() for grid in np.meshgrid(theta, _AZIMUTHS, indexing="ij"))
     return theta, phi, np.repeat(share, _AZIMUTHS.size) * 2 * np.pi / _AZIMUTHS.size

@@ -1,10 +1,10 @@
-"""Light from all directions, through any BSDF, to the camera: ∫ L(ω_i) f(ω_i, ω_o) cos θ_i dω_i at many points.
+"""Light transport of the preview: ∫ L(ω_i) f(ω_i, ω_o) cos θ_i dω_i towards the camera at many points, for any BSDF.
 
-The BSDF is evaluated on a table of views, once for all points: of an isotropic one the view is its polar angle alone. Two sets of
-nodes share the directions of light between them by a smooth weight. Near the mirror direction they are facets, on a log-polar
-grid of slopes: their contributions vary slowly with the view, and the grid is as fine in the peak of a lobe as in its tail,
-whatever its width. Elsewhere they are directions, spread evenly. Every node looks up the lights blurred by its own share of
-solid angle (Křivánek & Colbert 2008, Computer Graphics Forum 27), so that no noise and no pattern remains.
+The BSDF is evaluated on a table of view directions, once for all points. Two sets of nodes share the directions of light by a
+smooth weight. Near the mirror direction the nodes are facets on a log-polar grid of slopes: their contributions vary slowly with
+the view, and the grid resolves peak and tail of a lobe of any width. Elsewhere the nodes are directions of equal solid angle.
+Every node looks up the lights blurred by its own solid angle (Křivánek & Colbert 2008, Computer Graphics Forum 27), so that the
+picture has no noise and no pattern.
 """
 
 from __future__ import annotations
@@ -16,108 +16,108 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe.appearance.lights import Floats, Lights
+from brdfpipe.appearance.lights import Floats, Lights, golden_spiral
 from brdfpipe.appearance.preview_geometry import Points
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.geometry import Array, angles_of
+from brdfpipe.geometry import Array, angles_of, unit_vector
 
 _NARROWEST, _WIDEST = 7e-4, 0.15
-"""Half widths of lobes, in slope, below which no pixel and above which the evenly spread nodes tell the difference."""
+"""Half widths of lobes, in slope: narrower ones are below a pixel, wider ones are resolved by the directions."""
 
 _NEAR, _FAR = 0.1, 0.25
-"""Slopes, along the narrow axis of the lobe, between which facets hand over to directions."""
+"""Slopes, along the narrow axis of the lobe, between which the weight moves from facets to directions."""
 
-_BLUR, _FAR_BLUR = 0.6, 0.75
-"""Standard deviation of the blur over the distance of facets, and of directions: of 0.6 the ripple of a square lattice is
+_FACET_BLUR, _DIRECTION_BLUR = 0.6, 0.75
+"""Standard deviation of the blur over the distance of nodes. With 0.6 the ripple of a square lattice is
 2 exp(−2 π² 0.36) = 0.2 %, and the lobe 2 % wider."""
 
-_MOST = 2**17
-"""Pairs of point and node looked up together."""
+_MOST_LOOKUPS = 2**17
+"""Pairs of point and node that are looked up together."""
 
 
-class Fineness(NamedTuple):
-    """How many nodes and views there are."""
+class Resolution(NamedTuple):
+    """Numbers of nodes and views."""
 
     directions: int
-    per_turn: int
-    """Facets on each circle of slope"""
+    facets_per_circle: int
+    """On each circle of equal slope."""
     thetas: int
     phis: int
-    """Azimuths of view, of a BSDF with a lay"""
+    """Azimuths of view; 1 for an isotropic BSDF."""
 
 
-ISOTROPIC = Fineness(1600, 20, 40, 1)
-WITH_LAY = Fineness(900, 32, 18, 24)
+ISOTROPIC = Resolution(1600, 20, 40, 1)
+WITH_LAY = Resolution(900, 32, 18, 24)
 
 
 @dataclass(frozen=True)
 class Table:
-    """What each node contributes to each view."""
+    """The contribution of each node to each view."""
 
     theta: Array
     """(views,) degree, increasing"""
     phi: Array
-    """(azimuths,) degree, increasing over a full turn; one where the BSDF is isotropic"""
+    """(azimuths,) degree, increasing over a full turn; one for an isotropic BSDF"""
     lay: float
     facets: Array
     """(nodes, 3) unit normals in the frame of the surface"""
     facet_angle: Array
-    """(nodes,) solid angle of each [sr]"""
+    """(nodes,) solid angle of each facet [sr]"""
     near: Array
-    """(views, azimuths, nodes, channels)"""
+    """(views, azimuths, nodes, channels) contributions of facets"""
     directions: Array
     """(nodes, 3)"""
     far: Array
-    """(views, azimuths, nodes, channels)"""
+    """(views, azimuths, nodes, channels) contributions of directions"""
     mirror: Array
-    """(views, azimuths, channels) what a smooth surface mirrors"""
+    """(views, azimuths, channels) share of the light that a smooth surface mirrors"""
 
     @classmethod
-    def of(cls, bsdf: xr.Dataset, wavelength: Array | None, channels: Array, fineness: Fineness | None = None) -> Table:
-        """Tabulate a BSDF; ``channels`` (wavelength or 1, channels) are what each wavelength weighs in each of them."""
-        turning = not representation(bsdf).isotropic
-        fineness = fineness or (WITH_LAY if turning else ISOTROPIC)
-        theta = 89.9 * np.sin(np.linspace(0, np.pi / 2, fineness.thetas))
-        phi = np.arange(fineness.phis) * 360 / fineness.phis if turning else np.zeros(1)
-        lay = (representation(bsdf).lay or 0.0) if turning else 0.0
+    def of(cls, bsdf: xr.Dataset, wavelength: Array | None, channels: Array) -> Table:
+        """Tabulate a BSDF; ``channels`` (wavelength or 1, channels) are the weights of the wavelengths in each channel."""
+        isotropic = representation(bsdf).isotropic
+        resolution = ISOTROPIC if isotropic else WITH_LAY
+        theta = 89.9 * np.sin(np.linspace(0, np.pi / 2, resolution.thetas))
+        phi = np.arange(resolution.phis) * 360 / resolution.phis
+        lay = 0.0 if isotropic else representation(bsdf).lay or 0.0
         widths = _lobe_widths(bsdf, lay, wavelength)
-        facets, facet_angle, share = _facets(widths, lay, fineness.per_turn)
-        directions = _even_directions(fineness.directions)
+        facets, facet_angle, share = _facets(widths, lay, resolution.facets_per_circle)
+        directions = golden_spiral(1 - (np.arange(resolution.directions) + 0.5) / resolution.directions)
         near = np.empty((theta.size, phi.size, len(facets), channels.shape[1]))
         far = np.empty((theta.size, phi.size, len(directions), channels.shape[1]))
         mirror = np.empty((theta.size, phi.size, channels.shape[1]))
         for j, polar in enumerate(theta):
-            view = _unit(polar, phi)
+            view = unit_vector(polar, phi)
             lights = 2 * (view @ facets.T)[..., None] * facets - view[:, None]
             weight = 4 * np.maximum(view @ facets.T, 0) * facet_angle * share
-            near[j] = weighed(_sent(bsdf, lights, weight, (polar, phi), wavelength), channels)
+            near[j] = in_channels(_reflected(bsdf, lights, weight, (polar, phi), wavelength), channels)
             between = directions + view[:, None]
-            weight = (1 - _handover(between, widths, lay)) * 2 * np.pi / len(directions)
-            even = np.broadcast_to(directions, between.shape)
-            far[j] = weighed(_sent(bsdf, even, weight, (polar, phi), wavelength), channels)
+            weight = (1 - _facet_share(between, widths, lay)) * 2 * np.pi / len(directions)
+            lights = np.broadcast_to(directions, between.shape)
+            far[j] = in_channels(_reflected(bsdf, lights, weight, (polar, phi), wavelength), channels)
             shares = representation(bsdf).specular(np.full(phi.size, polar), phi + 180, wavelength)[0]
-            mirror[j] = weighed(shares, channels)
+            mirror[j] = in_channels(shares, channels)
         return cls(theta, phi, lay, facets, facet_angle, near, directions, far, mirror)
 
-    def seen_near(self, points: Points, lights: Lights) -> Array:
-        """Light that facets near the mirror direction, and smooth surfaces, send to the camera: (points, channels)."""
-        return self._gathered(points, lights, near=True) + self._mirrored(points, lights)
+    def near_light(self, points: Points, lights: Lights) -> Array:
+        """Light that facets near the mirror direction, and smooth surfaces, reflect to the camera: (points, channels)."""
+        return self._reflected_light(points, lights, near=True) + self._mirrored_light(points, lights)
 
-    def seen_far(self, points: Points, lights: Lights) -> Array:
-        """Light from everywhere else, which varies slowly: (points, channels)."""
-        return self._gathered(points, lights, near=False)
+    def far_light(self, points: Points, lights: Lights) -> Array:
+        """Light from all other directions, which varies slowly: (points, channels)."""
+        return self._reflected_light(points, lights, near=False)
 
-    def _gathered(self, points: Points, lights: Lights, near: bool) -> Array:
+    def _reflected_light(self, points: Points, lights: Lights, near: bool) -> Array:
         weights = self.near if near else self.far
         radiance = np.zeros((len(points.normal), weights.shape[-1]))
         if weights.shape[2] == 0 or not weights.any():
             return radiance
-        frame, theta, phi = self._local(points)
-        for chosen, corners, shares in self._cells(theta, phi):
+        frame, theta, phi = self._local_views(points)
+        for in_cell, corners, shares in self._table_cells(theta, phi):
             table = np.concatenate([weights[corner] for corner in corners], axis=1).astype(np.float32)
-            step = max(1, _MOST // weights.shape[2])
-            for start in range(0, chosen.size, step):
-                at = chosen[start : start + step]
+            step = max(1, _MOST_LOOKUPS // weights.shape[2])
+            for start in range(0, in_cell.size, step):
+                at = in_cell[start : start + step]
                 if near:
                     light = self._from_facets(frame[at], points.view[at], points.spread[at], lights)
                 else:
@@ -132,34 +132,34 @@ class Table:
         cosine = world[0] * towards[0] + world[1] * towards[1] + world[2] * towards[2]
         turned = np.einsum("pa,pca->pc", view, frame).mean(axis=0)
         solid = 4 * np.maximum(self.facets @ (turned / np.linalg.norm(turned)), 0.01) * self.facet_angle
-        blur = np.hypot(_BLUR * np.sqrt(solid), float(spread.mean()))
+        blur = np.hypot(_FACET_BLUR * np.sqrt(solid), float(spread.mean()))
         cosine *= 2
         x, y, z = (cosine * w - v for w, v in zip(world, towards, strict=True))
-        return lights.filtered()(x, y, z, blur)
+        return lights.filtered(x, y, z, blur)
 
     def _from_directions(self, frame: Array, lights: Lights) -> Floats:
-        blur = np.full(len(self.directions), _FAR_BLUR * np.sqrt(2 * np.pi / len(self.directions)))
+        blur = np.full(len(self.directions), _DIRECTION_BLUR * np.sqrt(2 * np.pi / len(self.directions)))
         x, y, z = ((frame[:, :, axis] @ self.directions.T).astype(np.float32) for axis in range(3))
-        return lights.filtered()(x, y, z, blur)
+        return lights.filtered(x, y, z, blur)
 
-    def _mirrored(self, points: Points, lights: Lights) -> Array:
+    def _mirrored_light(self, points: Points, lights: Lights) -> Array:
         radiance = np.zeros((len(points.normal), self.mirror.shape[-1]))
         if not self.mirror.any():
             return radiance
-        _, theta, phi = self._local(points)
+        _, theta, phi = self._local_views(points)
         cosine = (points.normal * points.view).sum(axis=1, keepdims=True)
         directions = 2 * cosine * points.normal - points.view
-        light = _spread_radiance(lights, directions, points.spread)
-        for chosen, corners, shares in self._cells(theta, phi):
+        light = _pixel_radiance(lights, directions, points.spread)
+        for in_cell, corners, shares in self._table_cells(theta, phi):
             reflectance = np.stack([self.mirror[corner] for corner in corners])
-            radiance[chosen] = shares @ reflectance * light[chosen, None]
+            radiance[in_cell] = shares @ reflectance * light[in_cell, None]
         return radiance
 
-    def _local(self, points: Points) -> tuple[Array, Array, Array]:
+    def _local_views(self, points: Points) -> tuple[Array, Array, Array]:
         """Axes of the surface (points, 3, 3), and the view in them [degree]."""
         normal, view = points.normal, points.view
         if self.phi.size == 1:
-            # Where the view is along the normal any tangent will do.
+            # Where the view is along the normal, any tangent does.
             x = view - (view * normal).sum(axis=1, keepdims=True) * normal + 1e-12 * points.lay
             x /= np.linalg.norm(x, axis=1, keepdims=True)
         else:
@@ -169,8 +169,8 @@ class Table:
         theta, phi = angles_of(np.einsum("pca,pa->pc", frame, view))
         return frame, np.minimum(theta, self.theta[-1]), np.zeros(len(phi)) if self.phi.size == 1 else phi % 360
 
-    def _cells(self, theta: Array, phi: Array) -> list[tuple[NDArray[np.intp], list[tuple[int, int]], Array]]:
-        """Points by the cell of views they lie in: which, the corners of the cell, and how near each is (points, corners)."""
+    def _table_cells(self, theta: Array, phi: Array) -> list[tuple[NDArray[np.intp], list[tuple[int, int]], Array]]:
+        """Points by cell of the table: their indices, the corners of the cell, and bilinear weights (points, corners)."""
         j = np.clip(np.searchsorted(self.theta, theta, side="right") - 1, 0, self.theta.size - 2)
         t = (theta - self.theta[j]) / np.diff(self.theta)[j]
         step = 360 / self.phi.size
@@ -179,31 +179,33 @@ class Table:
         cells = []
         for cell in np.unique(j * self.phi.size + m):
             row, column = divmod(int(cell), self.phi.size)
-            chosen = np.flatnonzero((j == row) & (m == column))
-            a, b = t[chosen], s[chosen]
+            in_cell = np.flatnonzero((j == row) & (m == column))
+            a, b = t[in_cell], s[in_cell]
             if self.phi.size == 1:
-                cells.append((chosen, [(row, 0), (row + 1, 0)], np.stack([1 - a, a], axis=1)))
+                cells.append((in_cell, [(row, 0), (row + 1, 0)], np.stack([1 - a, a], axis=1)))
                 continue
             after = (column + 1) % self.phi.size
             corners = [(row, column), (row + 1, column), (row, after), (row + 1, after)]
-            cells.append((chosen, corners, np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b], axis=1)))
+            cells.append((in_cell, corners, np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b], axis=1)))
         return cells
 
 
-def weighed(values: Array, channels: Array) -> Array:
-    """Channels (…, channels) of values (…, wavelength), or (…, 1) that are the same at every wavelength."""
+def in_channels(values: Array, channels: Array) -> Array:
+    """Channels (…, channels) of values (…, wavelength), or (…, 1) for values that do not depend on wavelength."""
     return np.asarray(values * channels.sum(axis=0) if values.shape[-1] == 1 else values @ channels)
 
 
-def _spread_radiance(lights: Lights, directions: Array, spread: Array) -> Array:
-    """Radiance of single directions, each blurred by what its pixel spans."""
+def _pixel_radiance(lights: Lights, directions: Array, spread: Array) -> Array:
+    """Radiance from single directions, each blurred by the spread of its pixel."""
     light, order = np.empty(len(spread)), np.argsort(spread, kind="stable")
-    for some in np.array_split(order, min(32, len(order))):
-        light[some] = lights.radiance(directions[some], float(spread[some].mean()))
+    for group in np.array_split(order, min(32, len(order))):
+        light[group] = lights.radiance(directions[group], float(spread[group].mean()))
     return light
 
 
-def _sent(bsdf: xr.Dataset, lights: Array, weight: Array, view: tuple[float, Array], wavelength: Array | None) -> Array:
+def _reflected(
+    bsdf: xr.Dataset, lights: Array, weight: Array, view: tuple[float, Array], wavelength: Array | None
+) -> Array:
     """f cos θ_i times the weight, (azimuths, nodes, wavelength), for light from directions (azimuths, nodes, 3)."""
     used = (lights[..., 2] > 1e-9) & (weight > 0)
     if not used.any():
@@ -211,18 +213,18 @@ def _sent(bsdf: xr.Dataset, lights: Array, weight: Array, view: tuple[float, Arr
     theta_i, phi_i = angles_of(lights[used])
     phi_o = np.broadcast_to(view[1][:, None], used.shape)[used]
     values = representation(bsdf).evaluate(theta_i, phi_i, np.full(theta_i.size, view[0]), phi_o, wavelength)
-    sent = np.zeros((*used.shape, values.shape[-1]))
-    sent[used] = values * (lights[used][:, 2] * weight[used])[:, None]
-    return sent
+    reflected = np.zeros((*used.shape, values.shape[-1]))
+    reflected[used] = values * (lights[used][:, 2] * weight[used])[:, None]
+    return reflected
 
 
-# --- where the nodes are
+# --- nodes
 
 
 def _lobe_widths(bsdf: xr.Dataset, lay: float, wavelength: Array | None) -> tuple[float, float]:
-    """Slopes along the lay and across it at which the lobe, seen along the normal, has fallen to half its height.
+    """Slopes along the lay and across it at which the lobe at normal view has half its height; the widest where there is no lobe.
 
-    Found by evaluation alone, so that any representation will do; without a lobe, the widest of interest.
+    Found by evaluation, so that it works for every representation.
     """
     slope = np.concatenate([[_NARROWEST / 10], np.geomspace(_NARROWEST, 0.5, 60)])
     widths = []
@@ -237,18 +239,18 @@ def _lobe_widths(bsdf: xr.Dataset, lay: float, wavelength: Array | None) -> tupl
     return widths[0], widths[1]
 
 
-def _facets(widths: tuple[float, float], lay: float, per_turn: int) -> tuple[Array, Array, Array]:
-    """Normals (nodes, 3), solid angles and shares of facets on a log-polar grid of slopes, stretched as the lobe is.
+def _facets(widths: tuple[float, float], lay: float, per_circle: int) -> tuple[Array, Array, Array]:
+    """Normals (nodes, 3), solid angles and weights of facets on a log-polar grid of slopes, stretched like the lobe.
 
-    The trapezoidal rule in the logarithm of the slope and in azimuth converges faster than any power for densities that are
-    smooth; what lies within the innermost circle is a disc of one value.
+    The trapezoidal rule in the logarithm of the slope and in azimuth converges faster than any power for smooth densities. The
+    innermost circle is a disc of constant value.
     """
     narrow = min(widths)
     if narrow >= _WIDEST:
         return np.zeros((0, 3)), np.zeros(0), np.zeros(0)
-    step = 2 * np.pi / per_turn
+    step = 2 * np.pi / per_circle
     ring = np.exp(np.arange(np.log(narrow / 4), np.log(_FAR), step))
-    turn = np.arange(per_turn) * step
+    turn = np.arange(per_circle) * step
     r, phi = (grid.ravel() for grid in np.meshgrid(ring, turn, indexing="ij"))
     along, across = r * np.cos(phi) * widths[0] / narrow, r * np.sin(phi) * widths[1] / narrow
     stretch = widths[0] * widths[1] / narrow**2
@@ -261,35 +263,21 @@ def _facets(widths: tuple[float, float], lay: float, per_turn: int) -> tuple[Arr
     q = along * np.sin(azimuth) + across * np.cos(azimuth)
     length = np.sqrt(1 + p * p + q * q)
     normals = np.stack([-p, -q, np.ones_like(p)], axis=-1) / length[:, None]
-    return normals, area / length**3, _share(r)
+    return normals, area / length**3, _near_weight(r)
 
 
-def _handover(between: Array, widths: tuple[float, float], lay: float) -> Array:
-    """Share that facets along vectors (…, 3) have of the integral."""
+def _facet_share(between: Array, widths: tuple[float, float], lay: float) -> Array:
+    """Weight of the facets along vectors (…, 3)."""
     narrow = min(widths)
     if narrow >= _WIDEST:
         return np.zeros(between.shape[:-1])
     azimuth = np.radians(lay)
     cos, sin = np.cos(azimuth) / between[..., 2], np.sin(azimuth) / between[..., 2]
     along, across = between[..., 0] * cos + between[..., 1] * sin, between[..., 1] * cos - between[..., 0] * sin
-    return _share(np.hypot(along * narrow / widths[0], across * narrow / widths[1]))
+    return _near_weight(np.hypot(along * narrow / widths[0], across * narrow / widths[1]))
 
 
-def _share(r: Array) -> Array:
-    t = np.clip(np.log(np.maximum(r, 1e-12) / _NEAR) / np.log(_FAR / _NEAR), 0, 1)
+def _near_weight(slope: Array) -> Array:
+    """1 at slopes near the mirror direction, 0 far from it, smooth between."""
+    t = np.clip(np.log(np.maximum(slope, 1e-12) / _NEAR) / np.log(_FAR / _NEAR), 0, 1)
     return np.asarray(1 - t * t * (3 - 2 * t))
-
-
-def _even_directions(count: int) -> Array:
-    """Directions (count, 3) of the upper hemisphere along a golden spiral, of equal solid angle."""
-    z = 1 - (np.arange(count) + 0.5) / count
-    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
-    radius = np.sqrt(1 - z * z)
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=-1)
-
-
-def _unit(theta: float, phi: Array) -> Array:
-    polar, azimuth = np.radians(theta), np.radians(phi)
-    return np.stack(
-        [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.full(phi.size, np.cos(polar))], axis=-1
-    )

@@ -38,12 +38,11 @@ def verdicts(datasets: Datasets) -> list[Verdict]:
 def check_verdicts(datasets: Datasets) -> list[Verdict]:
     """Verdicts of the checks and of the table."""
     results: dict[str, Verdict] = {}
-    for stage in ("checks", "table"):
-        for name, entry in json_object(datasets[stage].attrs.get("verdicts") if stage in datasets else None).items():
+    for dataset in (datasets[stage] for stage in ("checks", "table") if stage in datasets):
+        for name, entry in json_object(dataset.attrs.get("verdicts")).items():
             outcome = entry if isinstance(entry, dict) else {"verdict": entry}
-            results[name] = Verdict(
-                name.replace("_", " "), str(outcome.get("verdict", "")), str(outcome.get("text", ""))
-            )
+            verdict, text = (str(outcome.get(key, "")) for key in ("verdict", "text"))
+            results[name] = Verdict(name.replace("_", " "), verdict, text)
     return list(results.values())
 
 

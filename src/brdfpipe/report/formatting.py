@@ -10,15 +10,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from brdfpipe.report.plots.svg import minus
+from brdfpipe.report.plots.svg import minus, power_of_ten
 
 MISSING = "–"
 """A number that is not known."""
 
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+EXPANDED_UNCERTAINTY = "± 2 standard uncertainties"
+
 _UNITS = {"degree": "°", "sr-1": "sr⁻¹", "1": "", "nm": "nm"}
 _NANOMETRES_BELOW = 0.1
-"""Lengths below this [µm] are written in nm."""
+"""Lengths below this are written in nm [µm]."""
 
 _BASIS = {
     "measured": "at a measured angle",
@@ -37,8 +38,7 @@ def number(value: float, digits: int = 3) -> str:
         return "0"
     exponent = math.floor(math.log10(abs(value)))
     if not -4 <= exponent < 6:
-        mantissa = f"{value / 10.0**exponent:.{digits - 1}f}"
-        return minus(mantissa) + "×10" + str(exponent).translate(_SUPERSCRIPT)
+        return f"{minus(f'{value / 10.0**exponent:.{digits - 1}f}')}×{power_of_ten(exponent)}"
     return fixed(value, max(0, digits - 1 - exponent))
 
 

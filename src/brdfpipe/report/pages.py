@@ -1,12 +1,14 @@
-"""Rendering of the pages from their templates."""
+"""Rendering of the pages from their templates, and which datasets of a material they show."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import xarray as xr
 from markupsafe import Markup, escape
 
 if TYPE_CHECKING:
@@ -15,6 +17,10 @@ if TYPE_CHECKING:
 TEMPLATES = Path(__file__).parent / "templates"
 
 _MARKS = {"pass": "✓", "warn": "!", "fail": "✕"}
+
+
+OTHER_SECTIONS = frozenset({"reduced", "primary", "smoothed", "calibration", "comparison"})
+"""Kinds of dataset that the sections of the rig and of the comparison show."""
 
 
 def render(template: str, **context: Any) -> str:
@@ -43,3 +49,15 @@ def _environment() -> Environment:
     environment.globals["mark"] = _MARKS
     environment.globals["style"] = Markup((TEMPLATES / "style.css").read_text("utf-8"))
     return environment
+
+
+def own_stages(datasets: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
+    """The datasets of a material, without those from the frames of a rig to its measured BSDF, and without the comparison."""
+    return {stage: dataset for stage, dataset in datasets.items() if dataset.attrs.get("kind") not in OTHER_SECTIONS}
+
+
+def material_name(datasets: Mapping[str, xr.Dataset]) -> str:
+    """The name of the material in the attributes of its datasets."""
+    return next(
+        (str(dataset.attrs["material"]) for dataset in datasets.values() if "material" in dataset.attrs), "unnamed"
+    )

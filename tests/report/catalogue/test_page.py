@@ -23,7 +23,7 @@ from brdfpipe.errors import VocabularyError
 from brdfpipe.report import catalogue_csv, catalogue_page, combine, lock, summarise
 
 
-def test_a_row_holds_the_numbers_people_search_by(full: Datasets) -> None:
+def test_a_row_contains_the_quantities_of_the_material(full: Datasets) -> None:
     row = summarise(full).isel(material=0)
     assert str(row["material"].values) == "abs-grain"
     assert [float(row[name]) for name in ("gloss_20", "gloss_60", "gloss_85")] == [3.21, 21.43, 48.94]
@@ -42,14 +42,14 @@ def test_every_number_of_a_row_has_units_and_words(full: Datasets) -> None:
         assert row[name].dtype.kind == "U" or row[name].attrs["units"]
 
 
-def test_what_is_not_known_is_nan(full: Datasets) -> None:
+def test_unknown_quantities_are_nan(full: Datasets) -> None:
     row = summarise({"index": full["index"]})
     assert all(np.isnan(row[quantity.name].values).all() for quantity in quantities())
     assert np.isnan(row["srgb"].values).all()
     assert row["verdict"].values.tolist() == [""]
 
 
-def test_gloss_of_a_finish_nobody_measured_is_not_known(full: Datasets) -> None:
+def test_gloss_of_an_unknown_finish_is_nan(full: Datasets) -> None:
     row = summarise({stage: full[stage] for stage in ("spectrum", "appearance")})
     assert np.isnan([float(row[name][0]) for name in ("gloss_20", "gloss_60", "gloss_85", "haze")]).all()
     assert float(row["L"][0]) == 45.21
@@ -113,7 +113,7 @@ def test_the_page_links_each_material_and_counts_them(full: Datasets) -> None:
     assert "2 materials built" in html
 
 
-def test_failures_stand_before_the_table_with_stage_and_message(full: Datasets) -> None:
+def test_failures_are_listed_before_the_table_with_stage_and_message(full: Datasets) -> None:
     html = catalogue_page(combine([_row(full, "a")]), FAILURES)
     assert "1 material could not be built" in html
     assert html.index("grain.txt: no unit") < html.index("<table")
@@ -133,7 +133,7 @@ def test_the_policy_allows_the_one_script_by_its_hash_and_nothing_else(full: Dat
 
 
 @pytest.mark.parametrize("place", ["name", "description", "failure"])
-def test_what_users_wrote_never_becomes_markup_in_the_catalogue(full: Datasets, place: str) -> None:
+def test_text_of_users_never_becomes_markup_in_the_catalogue(full: Datasets, place: str) -> None:
     attack = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
     row = _row(full, attack if place == "name" else "a", attack if place == "description" else "")
     failures = {attack: {"stage": attack, "message": attack}} if place == "failure" else {}
@@ -142,7 +142,7 @@ def test_what_users_wrote_never_becomes_markup_in_the_catalogue(full: Datasets, 
     assert "<img" not in html
 
 
-def test_a_thousand_materials_make_a_light_page(full: Datasets) -> None:
+def test_a_thousand_materials_make_a_small_page(full: Datasets) -> None:
     catalogue = combine([_row(full, "a", "Grained panel")]).isel(material=np.zeros(1000, dtype=int))
     catalogue = catalogue.assign_coords(material=[f"material-{k:04d}" for k in range(1000)])
     html = catalogue_page(catalogue, {})
@@ -204,7 +204,7 @@ def test_a_material_that_passes_has_no_check_to_name(full: Datasets) -> None:
     assert row["verdict_checks"].values.tolist() == row["verdict_text"].values.tolist() == [""]
 
 
-def test_what_its_own_scan_warns_of_does_not_pass(full: Datasets) -> None:
+def test_a_material_with_a_warning_of_its_scan_does_not_pass(full: Datasets) -> None:
     """The checks find the BRDF of a scan that is hardly measured as sound as any."""
     passed = _verdict(full, energy="pass")
     told = vocabulary.add_warning(
@@ -232,7 +232,7 @@ def test_a_failed_check_is_worse_than_any_warning(full: Datasets) -> None:
 
 
 @pytest.mark.parametrize("stage", ["lambert_gauss", "table", "preview"])
-def test_what_a_by_product_leaves_out_is_no_doubt_about_the_material(full: Datasets, stage: str) -> None:
+def test_warnings_of_by_products_do_not_change_the_verdict(full: Datasets, stage: str) -> None:
     passed = _verdict(full, energy="pass")
     by_product = vocabulary.add_warning(passed["lambert_gauss"] if stage == "lambert_gauss" else _picture(), "left out")
     row = _row({**passed, stage: by_product}, "a")
@@ -347,7 +347,7 @@ def test_a_thousand_pictured_materials_make_a_page_of_one_or_two_megabytes(full:
     assert len(catalogue_page(catalogue, {}).encode()) < 2_000_000
 
 
-def test_failures_stand_in_columns(full: Datasets) -> None:
+def test_failures_have_their_columns(full: Datasets) -> None:
     html = catalogue_page(
         combine([_row(full, "a")]), {"b": {"stage": "surface", "message": "m"}, "c": {"message": "n"}}
     )

@@ -42,7 +42,7 @@ def test_the_lock_lists_the_digest_of_every_stage(full: Datasets) -> None:
     assert list(locked["a"]) == ["index"]
 
 
-def test_what_rounding_leaves_of_zero_is_zero_in_the_table(full: Datasets) -> None:
+def test_rounding_errors_of_zero_are_zero_in_the_table(full: Datasets) -> None:
     lab = full["appearance"]["lab"].copy(data=[[50.0, 5.55112e-14, -3e-15], [50.0, 0.0, 0.0]])
     line = _table(catalogue_csv(combine([_row({**full, "appearance": full["appearance"].assign(lab=lab)}, "a")]), {}))[
         0

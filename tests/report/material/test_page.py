@@ -16,15 +16,30 @@ from PIL import Image
 from brdfpipe import flakes, optics, vocabulary
 from brdfpipe.appearance import compute_appearance
 from brdfpipe.appearance.verdicts import stage_warnings, verdicts
-from brdfpipe.bsdf import flake, microfacet
+from brdfpipe.bsdf import flake, microfacet, slab
+from brdfpipe.exchange.registry import FORMATS, Format
 from brdfpipe.facets import analytic, flat
 from brdfpipe.report import material_page
+from brdfpipe.report.plots import bsdf_cuts, directional_maps
 from brdfpipe.spectra import recover
 
 Datasets = dict[str, xr.Dataset]
 
 _VOID = {"meta", "img", "input", "br", "link"}
 _ATTACK = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
+
+
+@pytest.fixture(scope="module")
+def full_page(full: Datasets) -> str:
+    return material_page(full)
+
+
+@pytest.fixture
+def without_bsdf_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves out the figures that take long and depend on the BSDF alone."""
+    monkeypatch.setattr(bsdf_cuts, "cuts", lambda bsdf: [])
+    monkeypatch.setattr(directional_maps, "directional_maps", lambda bsdf: [])
+    monkeypatch.setattr(directional_maps, "polarisation", lambda bsdf: None)
 
 
 class _Page(HTMLParser):
@@ -74,7 +89,7 @@ def _figures(html: str) -> list[ElementTree.Element]:
     ]
 
 
-def test_the_page_of_a_full_material_nests_and_shows_every_chapter(full: Datasets) -> None:
+def test_the_page_of_a_full_material_nests_and_shows_every_section(full: Datasets) -> None:
     page = _Page(material_page(full, description="Grained panel"))
     for words in (
         "abs-grain",
@@ -87,20 +102,20 @@ def test_the_page_of_a_full_material_nests_and_shows_every_chapter(full: Dataset
         assert words in page.text
 
 
-def test_every_figure_is_well_formed_and_says_what_it_shows(full: Datasets) -> None:
-    figures = _figures(material_page(full))
+def test_every_figure_is_well_formed_and_described(full_page: str) -> None:
+    figures = _figures(full_page)
     assert len(figures) == 12
     assert all(figure.attrib["role"] == "img" and figure.attrib["aria-label"] for figure in figures)
 
 
-def test_no_figure_holds_an_undefined_number(full: Datasets) -> None:
-    for figure in _figures(material_page(full)):
+def test_no_figure_contains_nan(full_page: str) -> None:
+    for figure in _figures(full_page):
         for element in figure.iter():
             assert not re.search(r"nan|inf\b", element.get("d", "") + element.get("x", "") + element.get("y", ""))
 
 
-def test_the_page_asks_nothing_of_anybody_else(full: Datasets) -> None:
-    html = material_page(full)
+def test_the_page_requests_nothing_from_elsewhere(full_page: str) -> None:
+    html = full_page
     page = _Page(html)
     assert all(address.startswith("data:image/png;base64,") or address == "../index.html" for address in page.addresses)
     assert not {"script", "link", "iframe", "object", "embed", "base", "form"} & set(page.tags)
@@ -108,8 +123,9 @@ def test_the_page_asks_nothing_of_anybody_else(full: Datasets) -> None:
     assert not re.search(r"@import|url\(", html)
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 @pytest.mark.parametrize("place", ["name", "description", "warning", "history", "verdict", "geometry", "parameter"])
-def test_what_users_wrote_never_becomes_markup(full: Datasets, place: str) -> None:
+def test_text_of_users_never_becomes_markup(full: Datasets, place: str) -> None:
     datasets, description = dict(full), ""
     if place == "name":
         datasets = {stage: dataset.assign_attrs(material=_ATTACK) for stage, dataset in full.items()}
@@ -136,36 +152,71 @@ def test_equal_datasets_give_equal_bytes(full: Datasets) -> None:
     )
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_stages_are_shown_in_the_order_given(full: Datasets) -> None:
     for datasets in (full, dict(reversed(full.items()))):
         shown = re.findall(r"<h3>([^<]+)</h3>\n\s*<dl>", material_page(datasets))
         assert shown == [stage.replace("_", " ") for stage in datasets]
 
 
-def test_the_page_is_light(full: Datasets) -> None:
-    assert len(material_page(full).encode()) < 400_000
+def test_the_page_is_small(full_page: str) -> None:
+    assert len(full_page.encode()) < 400_000
 
 
 def test_any_dataset_may_be_absent(full: Datasets) -> None:
-    for absent in [*combinations(full, 1), *combinations(full, 2), tuple(full), tuple(full)[1:]]:
+    for absent in [*combinations(full, 1), tuple(full), tuple(full)[1:]]:
         _Page(material_page({stage: dataset for stage, dataset in full.items() if stage not in absent}))
 
 
-def test_a_material_known_by_its_colour_alone_says_that_its_finish_is_not_modelled(full: Datasets) -> None:
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_any_two_datasets_may_be_absent(full: Datasets) -> None:
+    for absent in combinations(full, 2):
+        _Page(material_page({stage: dataset for stage, dataset in full.items() if stage not in absent}))
+
+
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_every_exported_file_is_listed_as_its_format_declares_it(
+    full: Datasets, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toy = Format("rays that <toys> read", {"reflection": {"write": (".toy", ".toy.csv")}}, name="toy")
+    monkeypatch.setitem(FORMATS, "toy", toy)
+    html = material_page(full, exports=["astm", "toy"])
+    rows = re.findall(r'<th scope="row">(abs-grain\.[^<]*)</th><td>reflection</td><td class="words">([^<]*)</td>', html)
+    astm = ", ".join(f"abs-grain{suffix}" for suffix in FORMATS["astm"].suffixes("reflection"))
+    assert rows == [
+        (astm, FORMATS["astm"].description),
+        ("abs-grain.toy, abs-grain.toy.csv", "rays that &lt;toys&gt; read"),
+        ("abs-grain.lambert_gauss.csv", "parameters of the Lambert + Gauss fit"),
+    ]
+    assert "Exported files" not in material_page({"spectrum": full["spectrum"]})
+
+
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_files_of_both_sides_of_a_sheet_are_listed() -> None:
+    sheet = slab.build(flat(), flat(), index=1.5).assign_attrs(material="sheet")
+    html = material_page({"bsdf": sheet}, exports=["astm"])
+    for side in ("reflection", "transmission"):
+        files = ", ".join(f"sheet{suffix}" for suffix in FORMATS["astm"].suffixes(side))
+        assert f'<th scope="row">{files}</th><td>{side}</td>' in html
+
+
+def test_the_limits_of_a_material_known_only_by_its_colour_name_the_finish(full: Datasets) -> None:
     text = _Page(material_page({stage: full[stage] for stage in ("spectrum", "appearance")})).text
     assert "Gloss and haze are not modelled" in text
     assert "The BRDF is perfectly diffuse." in text
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_an_assumed_finish_is_called_assumed(full: Datasets) -> None:
     text = _Page(material_page({stage: full[stage] for stage in full if stage != "surface"})).text
     assert "assumed (analytic beckmann, a = 0.2)" in text
 
 
-def test_a_full_material_has_no_limits_to_tell(full: Datasets) -> None:
-    assert 'id="limits"' not in material_page(full)
+def test_a_full_material_has_no_limits(full_page: str) -> None:
+    assert 'id="limits"' not in full_page
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_warnings_name_their_stage_and_appear_once(full: Datasets) -> None:
     repeated = {**full, "bsdf": vocabulary.add_warning(full["bsdf"], *vocabulary.warnings(full["spectrum"]))}
     assert [(stage, text[:9]) for stage, text in stage_warnings(repeated)] == [("spectrum", "R is high")]
@@ -179,11 +230,12 @@ def test_a_line_profile_is_drawn_as_a_line(full: Datasets, line: xr.Dataset) -> 
     assert len(_figures(html)) == 12
 
 
-def test_missing_heights_are_in_the_legend(full: Datasets) -> None:
+def test_missing_heights_are_in_the_legend(full_page: str) -> None:
     # 20 by 30 of 96 by 128 heights
-    assert "missing heights (4.9 %)" in _Page(material_page(full)).text
+    assert "missing heights (4.9 %)" in _Page(full_page).text
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_a_complete_map_mentions_no_missing_heights(full: Datasets) -> None:
     complete = full["surface"].assign(height=full["surface"]["height"].fillna(0.0))
     assert "missing heights" not in material_page({**full, "surface": complete})
@@ -196,8 +248,8 @@ def test_an_extrapolated_tail_is_marked(full: Datasets) -> None:
     )
 
 
-def test_digests_are_shown_short_and_kept_whole(full: Datasets) -> None:
-    html, digest = material_page(full), full["bsdf"].attrs["digest"]
+def test_digests_are_shown_short_with_the_whole_as_tooltip(full: Datasets, full_page: str) -> None:
+    html, digest = full_page, full["bsdf"].attrs["digest"]
     assert f'<code title="{digest}">{digest[:16]}</code>' in html
 
 
@@ -215,12 +267,14 @@ def _with_gloss(datasets: Datasets, **gloss: float) -> Datasets:
     return {**datasets, "appearance": appearance.assign(gloss=("gloss_angle", list(gloss.values())), haze=haze)}
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_haze_of_a_high_gloss_film_is_shown_by_its_standard(full: Datasets) -> None:
     html = material_page(_with_gloss(full, g20=80.0, g60=92.0))
     assert _tiles(html)["Haze D4039"] == "12.0 GU"
     assert "Haze (D4039-style), 60° − 20°" in html
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 @pytest.mark.parametrize("g60", [30.0, 70.0])
 def test_at_lower_gloss_the_difference_is_not_called_haze(full: Datasets, g60: float) -> None:
     html = material_page(_with_gloss(full, g20=10.0, g60=g60))
@@ -229,8 +283,9 @@ def test_at_lower_gloss_the_difference_is_not_called_haze(full: Datasets, g60: f
     assert '<th scope="row">60° − 20°</th>' in html
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 @pytest.mark.parametrize("gloss", [{"g85": 49.0}, {"g60": 90.0}, {"g20": 80.0, "g85": 49.0}])
-def test_without_both_angles_nothing_is_said_of_haze(full: Datasets, gloss: dict[str, float]) -> None:
+def test_without_both_angles_there_is_no_haze(full: Datasets, gloss: dict[str, float]) -> None:
     html = material_page(_with_gloss(full, **gloss))
     names = [name for name in _tiles(html) if name.startswith(("Gloss", "Haze"))]
     assert names == [f"Gloss {name[1:]}°" for name in gloss]
@@ -238,6 +293,7 @@ def test_without_both_angles_nothing_is_said_of_haze(full: Datasets, gloss: dict
     assert '<th scope="row">haze' not in html.lower()
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_a_metal_has_no_haze_by_a_standard_for_nonmetallic_surfaces(full: Datasets) -> None:
     metal = microfacet.build(full["facets"], index=optics.refractive_index({"n": 2.9, "k": 3.1}))
     html = material_page({**_with_gloss(full, g20=1100.0, g60=200.0), "bsdf": metal})
@@ -246,6 +302,7 @@ def test_a_metal_has_no_haze_by_a_standard_for_nonmetallic_surfaces(full: Datase
     assert '<th scope="row">60° − 20°</th><td>−900.00</td>' in html
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 @pytest.mark.parametrize(
     ("options", "remedy"),
     [
@@ -253,7 +310,7 @@ def test_a_metal_has_no_haze_by_a_standard_for_nonmetallic_surfaces(full: Datase
         ({"model": "flake-physical", "clear_coat": "none"}, "Set <code>multiangle.clear_coat: smooth</code>"),
     ],
 )
-def test_flakes_without_a_gloss_lobe_say_so_and_how_to_have_one(options: dict[str, str], remedy: str) -> None:
+def test_the_page_of_flakes_without_a_gloss_lobe_states_the_remedy(options: dict[str, str], remedy: str) -> None:
     colours = {"45:-30": [33.90, -7.58, -36.61], "45:0": [12.29, 1.19, -25.77], "45:65": [3.07, 2.09, -13.24]}
     listed = [{"geometry": name, "lab": lab} for name, lab in colours.items()]
     measured = flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10})
@@ -268,8 +325,8 @@ def test_flakes_without_a_gloss_lobe_say_so_and_how_to_have_one(options: dict[st
     assert "Haze (" not in html
 
 
-def test_a_stage_that_warned_stands_among_the_verdicts_and_not_among_the_checks(full: Datasets) -> None:
-    html = material_page(full)
+def test_a_stage_with_a_warning_is_a_verdict_but_no_check(full_page: str) -> None:
+    html = full_page
     badges = re.search(r'<ul class="badges".*?</ul>', html, re.S)
     checks = re.search(r'<ul class="verdicts">.*?</ul>', html, re.S)
     assert badges is not None
@@ -284,7 +341,8 @@ def test_a_material_without_a_finish_has_no_gloss_tile_but_a_remark(full: Datase
     assert '<th scope="row">20°, 60°, 85°</th><td>not modelled</td>' in html
 
 
-def test_the_spectrum_of_a_specular_excluded_measurement_says_so(full: Datasets) -> None:
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_the_spectrum_of_a_specular_excluded_measurement_is_labelled(full: Datasets) -> None:
     excluded = full["spectrum"].assign_attrs(geometry="sce")
     bsdf = microfacet.build(full["facets"], index=full["index"], spectrum=excluded)
     text = _Page(material_page({**full, "spectrum": excluded, "bsdf": bsdf})).text
@@ -292,6 +350,7 @@ def test_the_spectrum_of_a_specular_excluded_measurement_says_so(full: Datasets)
     assert "total reflectance" in text
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_the_tile_of_total_reflectance_is_under_d65_whatever_the_illuminant_of_lab(full: Datasets) -> None:
     appearance = full["appearance"].assign(luminous_reflectance=0.171).assign_attrs(illuminant="A", observer=2)
     html = material_page({**full, "appearance": appearance})
@@ -299,12 +358,13 @@ def test_the_tile_of_total_reflectance_is_under_d65_whatever_the_illuminant_of_l
     assert re.search(r"<dt>L\* a\* b\*</dt><dd>.*?8:total, A/2°", html)
 
 
-def test_a_value_stays_on_one_line_with_its_unit(full: Datasets) -> None:
-    html = material_page(full)
+def test_a_value_stays_on_one_line_with_its_unit(full_page: str) -> None:
+    html = full_page
     assert ".facts dt,.value{white-space:pre}" in html
     assert _tiles(html)["L* a* b*"] == "45.2  41.0  27.2"
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_the_verdict_of_the_table_joins_those_of_the_checks(full: Datasets) -> None:
     table = xr.Dataset(attrs={"verdicts": json.dumps({"table": {"verdict": "fail", "text": "too coarse at 85°"}})})
     found = verdicts({**full, "table": table})
@@ -319,13 +379,15 @@ def test_the_verdict_of_the_table_joins_those_of_the_checks(full: Datasets) -> N
     assert verdicts({"table": xr.Dataset()}) == []
 
 
-def test_a_poor_fit_is_remarked_with_its_incidences(full: Datasets) -> None:
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_a_remark_names_the_incidences_of_a_poor_fit(full: Datasets, full_page: str) -> None:
     poor = full["lambert_gauss"].assign(fit_residual=("theta_i", [0.1, 0.25, 0.6]))
     text = _Page(material_page({**full, "lambert_gauss": poor})).text
     assert "Residual above 20 % at 30°, 60°: the lobe is not a Gaussian there" in text
-    assert "not a Gaussian" not in material_page(full)  # its worst residual is 20 % exactly
+    assert "not a Gaussian" not in full_page  # its worst residual is 20 % exactly
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_facets_with_a_lay_are_shown_with_their_lay(full: Datasets) -> None:
     brushed = analytic("beckmann", a_x=0.2, a_y=0.5, azimuth=30.0)
     html = material_page({**full, "facets": brushed})
@@ -336,11 +398,13 @@ def test_facets_with_a_lay_are_shown_with_their_lay(full: Datasets) -> None:
     assert "nan" not in "".join(re.findall(r' d="([^"]*)"', html))
 
 
-def test_the_page_of_facets_with_a_lay_is_light(full: Datasets) -> None:
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_the_page_of_facets_with_a_lay_is_small(full: Datasets) -> None:
     assert len(material_page({**full, "facets": analytic("ggx", a_x=0.05, a_y=0.2)}).encode()) < 400_000
 
 
-def test_ray_cast_masking_is_shown_with_its_numbers(full: Datasets) -> None:
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_ray_cast_masking_is_shown_with_its_numbers(full: Datasets, full_page: str) -> None:
     curves = {"g1_raycast": [1.0, 0.97], "g1_raycast_u": [0.0, np.nan], "g1_smith": [1.0, 0.99]}
     comparison = xr.Dataset(
         {name: ("theta", values) for name, values in curves.items()}, {"theta": [0.0, 60.0]}, {"method": "rays"}
@@ -348,9 +412,10 @@ def test_ray_cast_masking_is_shown_with_its_numbers(full: Datasets) -> None:
     text = _Page(material_page({**full, "masking": vocabulary.label(comparison, "masking")})).text
     assert "G₁ by ray casting and after Smith" in text
     assert "60° 0.9700 – 0.9900 −0.0200" in text
-    assert "ray casting" not in _Page(material_page(full)).text
+    assert "ray casting" not in _Page(full_page).text
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 @pytest.mark.parametrize(("smith", "u", "said"), [(0.95, 0.001, True), (0.98, 0.001, False), (0.95, 0.03, False)])
 def test_a_difference_between_rays_and_smith_is_explained(full: Datasets, smith: float, u: float, said: bool) -> None:
     curves = {"g1_raycast": [1.0, 0.99, 0.5], "g1_raycast_u": [0.0, u, np.nan], "g1_smith": [1.0, smith, 0.5]}
@@ -384,7 +449,7 @@ def _page_of(facets: xr.Dataset, **options: object) -> tuple[str, str]:
     return html, _Page(html).text
 
 
-def test_a_flat_surface_has_sentences_where_pictures_would_be_empty(full: Datasets) -> None:
+def test_a_flat_surface_has_notes_instead_of_empty_figures(full: Datasets) -> None:
     _, text = _page_of(flat(), index=1.5, spectrum=full["spectrum"])
     assert "The surface is perfectly flat: all facets are level, and none masks another." in text
     assert "light mirrored into one direction by a perfectly smooth surface" in text
@@ -392,20 +457,22 @@ def test_a_flat_surface_has_sentences_where_pictures_would_be_empty(full: Datase
     assert "Slope density" not in text
 
 
-def test_a_flat_transparent_surface_is_told_in_words_and_shares() -> None:
+def test_a_flat_transparent_surface_has_notes_and_shares() -> None:
     html, text = _page_of(flat(), index=1.5, transparent=True)
     assert "Reflection and transmission" in text
     assert "Light in one single direction has no BTDF; there is nothing to draw." in text
     assert _tiles(html)["Transmittance"] == "96.0 %"
 
 
-def test_a_transparent_surface_is_not_said_to_lack_a_spectrum() -> None:
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_a_transparent_surface_needs_no_spectrum() -> None:
     _, text = _page_of(analytic("ggx", 0.2), index=1.5, transparent=True)
     assert "Colour and diffuse reflection are not modelled" not in text
     assert "Balance of the light" in text
 
 
-def test_a_metal_is_not_said_to_lack_a_spectrum_and_a_plastic_is() -> None:
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_a_plastic_needs_a_spectrum_but_a_metal_does_not() -> None:
     rough = analytic("beckmann", 0.2)
     assert "Colour and diffuse reflection are not modelled" not in _page_of(rough, index=_metal())[1]
     assert "Colour and diffuse reflection are not modelled" in _page_of(rough, index=1.5)[1]
@@ -418,7 +485,8 @@ def test_a_brushed_surface_is_shown_along_its_lay_and_across(full: Datasets) -> 
         assert words in text
 
 
-def test_a_loss_that_matters_is_remarked_and_a_small_one_noted() -> None:
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_a_large_loss_is_a_remark_and_a_small_one_a_note() -> None:
     advice = "Set <code>model.multiple_scattering: compensated</code> to compensate it"
     rough = analytic("ggx", 0.6)
     loses, _ = _page_of(rough, index=_metal())
@@ -427,26 +495,27 @@ def test_a_loss_that_matters_is_remarked_and_a_small_one_noted() -> None:
     assert re.search(rf'<p class="note">The model loses [\d.]+\u202f% of the light[^<]*{advice}', hardly)
 
 
-def test_what_a_compensated_model_gives_back_is_told() -> None:
+def test_a_note_states_the_compensated_light() -> None:
     html, text = _page_of(analytic("ggx", 0.6), index=_metal(), multiple_scattering="compensated")
     assert "is compensated by a diffuse part" in text
     assert "by one facet alone" in text
     assert "The model loses" not in html
 
 
-def test_a_source_s_own_choices_are_named_with_what_they_may_break(full: Datasets) -> None:
+def test_the_model_table_names_a_recipe_and_its_violation_of_energy_conservation(full: Datasets) -> None:
     _, text = _page_of(analytic("beckmann", 0.4), index=1.5, spectrum=full["spectrum"], recipe="crf")
     assert "Masking crf follows its source and need not conserve energy" in text
     assert "Recipe crf" in text
     assert "on more light leaves than arrives" in text
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_a_model_s_choices_never_become_markup(full: Datasets) -> None:
     html = material_page({"bsdf": full["bsdf"].assign_attrs(recipe=_ATTACK, diffuse_mode=f"`{_ATTACK}`")})
     assert not {"script", "img"} & set(_Page(html).tags)
 
 
-def test_the_picture_of_a_material_stands_near_the_top_of_its_page():
+def test_the_picture_of_a_material_is_near_the_top_of_its_page():
     pixels = np.random.default_rng(1).integers(0, 256, (8, 16, 3)).astype(np.uint8)
     attrs = {"illuminant": "D65", "light": "studio", "white_level": 0.75, "material": "steel"}
     picture = xr.Dataset({"picture": (("row", "column", "channel"), pixels)}, {"channel": list("RGB")}, attrs)
@@ -458,16 +527,19 @@ def test_the_picture_of_a_material_stands_near_the_top_of_its_page():
         assert (np.asarray(shown) == pixels).all()
 
 
-def test_a_page_without_a_picture_says_nothing_of_it():
+def test_a_page_without_a_picture_does_not_mention_it():
     assert "<figcaption>Preview</figcaption>" not in material_page({})
 
 
-def test_gloss_stands_beside_what_tolerances_leave_and_the_haze_of_windows(full: Datasets) -> None:
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_gloss_has_its_uncertainty_and_the_haze_of_windows(full: Datasets) -> None:
     gloss = full["appearance"]["gloss"]
-    told = full["appearance"].assign(
+    with_uncertainty = full["appearance"].assign(
         gloss_u=("gloss_angle", np.full(gloss.size, 0.25)), reflectance_haze=("haze_window", [1.5])
     )
-    html = material_page({**full, "appearance": told.assign_coords(haze_window=["20° ± 1.9°, 1.8° × 3.6°"])})
+    html = material_page(
+        {**full, "appearance": with_uncertainty.assign_coords(haze_window=["20° ± 1.9°, 1.8° × 3.6°"])}
+    )
     assert html.count("<td>± 0.25</td>") == gloss.size
     assert '<th scope="row">Haze (ISO 13803-style), 20° ± 1.9°, 1.8° × 3.6°</th><td>1.50</td>' in html
 
@@ -483,6 +555,7 @@ def _paint_page(**options: object) -> str:
     return material_page({"multiangle": measured, "flake": bsdf, "bsdf": bsdf, "appearance": seen})
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_a_colour_beyond_the_measured_angles_is_marked_and_explained() -> None:
     html = _paint_page()
     rows = {found[1]: found[2] for found in re.finditer(r'<th scope="row">([^<]*)</th>(<td>.*?)</tr>', html, re.S)}
@@ -492,6 +565,7 @@ def test_a_colour_beyond_the_measured_angles_is_marked_and_explained() -> None:
     assert re.search(r"Flop index [\d.]+ ± [\d.]+\.", html)
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 @pytest.mark.parametrize(
     ("coat", "words"),
     [
@@ -499,18 +573,19 @@ def test_a_colour_beyond_the_measured_angles_is_marked_and_explained() -> None:
         ("smooth", "clear coat is assumed smooth, not measured"),
     ],
 )
-def test_the_gloss_of_a_paint_says_that_its_coat_was_assumed(coat: float | str, words: str) -> None:
+def test_the_note_on_gloss_states_that_the_clear_coat_is_assumed(coat: float | str, words: str) -> None:
     assert words in _Page(_paint_page(model="flake-physical", clear_coat=coat)).text
     assert words not in _Page(_paint_page()).text
 
 
-def test_the_haze_of_windows_and_of_d4039_stand_beside_their_tolerances() -> None:
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_the_haze_of_windows_and_of_d4039_has_its_tolerances() -> None:
     html = _paint_page(model="flake-physical", clear_coat=0.02)
     assert re.search(r'<th scope="row">Haze \(D4039-style\), 60° − 20°</th><td>[\d.]+</td><td>± [\d.]+</td>', html)
     assert re.search(r'<th scope="row">Haze \(ISO 13803-style\)[^<]*</th><td>[\d.]+</td><td>± [\d.]+</td>', html)
 
 
-def test_a_recovered_spectrum_stands_with_its_residual_and_what_other_light_may_show(full: Datasets) -> None:
+def test_a_recovered_spectrum_has_its_residual_and_its_metamerism(full_page: str) -> None:
     recovered = recover([40, 20, 10], illuminant="D65", observer=10)
     text = _Page(material_page({"spectrum": recovered})).text
     assert "ΔE*ab to the given colour" in text
@@ -519,7 +594,7 @@ def test_a_recovered_spectrum_stands_with_its_residual_and_what_other_light_may_
         assert re.search(rf"ΔE00 to basis4 under {light}\s*{apart}", text)
     alone = _Page(material_page({"spectrum": recover([70, -55, -45], illuminant="D65", observer=10)})).text
     assert "No other exact method reaches this colour" in alone
-    assert "ΔE*ab to the given colour" not in _Page(material_page(full)).text
+    assert "ΔE*ab to the given colour" not in _Page(full_page).text
 
 
 def _with_basis(full: Datasets, *flags: str) -> xr.Dataset:
@@ -527,9 +602,10 @@ def _with_basis(full: Datasets, *flags: str) -> xr.Dataset:
     return full["appearance"].assign(gloss_quality=("gloss_angle", np.array(values, dtype=np.int8)))
 
 
-def test_the_gloss_says_what_it_rests_on(full: Datasets) -> None:
-    told = _with_basis(full, "interpolated", "measured", "completed")
-    html = material_page({**full, "appearance": told})
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_gloss_states_its_basis(full: Datasets) -> None:
+    flagged = _with_basis(full, "interpolated", "measured", "completed")
+    html = material_page({**full, "appearance": flagged})
     rows = dict(re.findall(r'<th scope="row">((?:20|60|85)°)</th><td>[\d.]+</td><td>(\w+)</td>', html))
     assert rows == {"20°": "interpolated", "60°": "measured", "85°": "completed"}
     assert re.search(r'<th scope="row">60° − 20°</th><td>[\d.]+</td><td>interpolated</td>', html)
@@ -537,22 +613,26 @@ def test_the_gloss_says_what_it_rests_on(full: Datasets) -> None:
     assert html.count("D523-style</span>") == 2
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 def test_a_haze_of_a_gloss_that_was_not_measured_was_not_either(full: Datasets) -> None:
     glossy = _with_basis(full, "extrapolated", "measured", "measured")
     glossy = glossy.assign(gloss=("gloss_angle", [70.0, 90.0, 95.0]), haze=20.0)
     assert "D4039-style (extrapolated)</span>" in material_page({**full, "appearance": glossy})
 
 
-def test_gloss_of_a_model_has_no_basis(full: Datasets) -> None:
-    html = material_page(full)
+def test_gloss_of_a_model_has_no_basis(full_page: str) -> None:
+    html = full_page
     assert '<th scope="col">Basis</th>' not in html
     assert "D523-style</span>" in html
 
 
+@pytest.mark.usefixtures("without_bsdf_figures")
 @pytest.mark.parametrize(
     ("title", "column"), [("from tolerances", "Tolerances"), ("from tolerances and the BSDF", "Uncertainty")]
 )
-def test_the_uncertainty_of_gloss_says_whether_the_bsdf_s_own_is_in_it(full: Datasets, title: str, column: str) -> None:
+def test_the_uncertainty_of_gloss_states_whether_that_of_the_bsdf_is_included(
+    full: Datasets, title: str, column: str
+) -> None:
     u = xr.Variable("gloss_angle", np.full(3, 0.25), {"long_name": f"standard uncertainty of gloss, {title}"})
     html = material_page({**full, "appearance": full["appearance"].assign(gloss_u=u)})
     assert f'<th scope="col">{column}</th>' in html
@@ -562,7 +642,7 @@ def _measured_page(full: Datasets, on_rig: xr.Dataset) -> str:
     return material_page({**full, "bsdf": on_rig, "predicted": full["bsdf"]})
 
 
-def test_what_a_prediction_starts_from_is_no_measured_result(full: Datasets, on_rig: xr.Dataset) -> None:
+def test_inputs_of_a_prediction_are_no_measured_results(full: Datasets, on_rig: xr.Dataset) -> None:
     html = _measured_page(full, on_rig)
     headings = re.findall(r"<h2>([^<]*)</h2>", html)
     for title in ("Spectrum and index", "Surface", "Facets"):
@@ -575,18 +655,18 @@ def test_what_a_prediction_starts_from_is_no_measured_result(full: Datasets, on_
     assert "nothing above rests on it" in html
 
 
-def test_headline_facts_of_a_prediction_are_marked(full: Datasets, on_rig: xr.Dataset) -> None:
+def test_headline_facts_of_a_prediction_are_marked(full: Datasets, full_page: str, on_rig: xr.Dataset) -> None:
     facts = dict(
         re.findall(r"<dt>([^<]*)</dt><dd>.*?<span class=\"hint\">([^<]*)</span>", _measured_page(full, on_rig))
     )
     assert facts["rms slope"].startswith("of the prediction, all azimuths")
     assert facts["rms height"] == "of the prediction, Sq"
-    plain = dict(re.findall(r"<dt>([^<]*)</dt><dd>.*?<span class=\"hint\">([^<]*)</span>", material_page(full)))
+    plain = dict(re.findall(r"<dt>([^<]*)</dt><dd>.*?<span class=\"hint\">([^<]*)</span>", full_page))
     assert plain["rms height"] == "Sq"
-    assert "of the prediction" not in material_page(full)
+    assert "of the prediction" not in full_page
 
 
-def test_a_warning_of_a_prediction_says_whose_it_is(full: Datasets, on_rig: xr.Dataset) -> None:
+def test_a_warning_of_a_prediction_is_marked(full: Datasets, on_rig: xr.Dataset) -> None:
     measured = {**full, "bsdf": on_rig, "predicted": full["bsdf"]}
-    assert "spectrum (of the prediction)" in {each.name for each in verdicts(measured)}
-    assert "spectrum" in {each.name for each in verdicts(full)}
+    assert "spectrum (of the prediction)" in {entry.name for entry in verdicts(measured)}
+    assert "spectrum" in {entry.name for entry in verdicts(full)}

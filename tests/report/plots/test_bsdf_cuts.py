@@ -50,14 +50,14 @@ def test_both_planes_of_a_lay_share_one_scale() -> None:
     assert along == across
 
 
-def test_a_mirrored_ray_is_told_with_its_share_and_not_drawn_as_a_density() -> None:
+def test_the_share_of_a_mirrored_ray_is_in_the_note_and_not_drawn_as_a_density() -> None:
     smooth = bsdf_cuts.cuts(microfacet.build(flat(), index=1.5, spectrum=spectrum(0.3)))
     assert [figure.title for figure in smooth] == ["BRDF, Cartesian"]
     assert "Dotted: light mirrored into one direction" in smooth[0].note
     assert "4.00\u202f% at 0°" in smooth[0].note  # (n − 1)² / (n + 1)²
 
 
-def test_what_has_no_density_at_all_is_a_sentence() -> None:
+def test_light_without_a_density_has_a_note_instead_of_a_chart() -> None:
     figures = bsdf_cuts.cuts(microfacet.build(flat(), index=1.5, transparent=True))
     assert [figure.title for figure in figures] == ["BRDF", "BTDF"]
     assert not any(figure.svg for figure in figures)
@@ -65,7 +65,7 @@ def test_what_has_no_density_at_all_is_a_sentence() -> None:
     assert "96.0\u202f% at 0°" in figures[1].note
 
 
-def test_a_black_material_says_that_it_reflects_nothing() -> None:
+def test_the_note_on_a_black_material_states_that_it_reflects_nothing() -> None:
     (figure,) = bsdf_cuts.cuts(lambertian(spectrum(0.0)))
     assert figure.note == "No light is reflected in these planes."
     assert not figure.svg

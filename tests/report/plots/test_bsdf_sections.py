@@ -26,7 +26,7 @@ def test_light_comes_from_the_side_opposite_to_the_positive_angles() -> None:
     assert theta[np.argmax(value)] == pytest.approx(45.0, abs=1.0)
 
 
-def test_a_cut_of_a_narrow_lobe_holds_its_peak() -> None:
+def test_a_cut_of_a_narrow_lobe_contains_its_peak() -> None:
     bsdf = beckmann_bsdf(1e-4, reflectance=None)
     theta, value = bsdf_sections.cut(bsdf, bsdf_sections.planes(bsdf)[0], 30.0)
     exact = float(bsdf.bsdf.evaluate(30.0, 0.0, 30.0, 180.0))
@@ -35,7 +35,7 @@ def test_a_cut_of_a_narrow_lobe_holds_its_peak() -> None:
     assert half.size > 4  # and its width: several samples between its half maxima
 
 
-def test_the_light_that_passes_peaks_at_the_refracted_direction() -> None:
+def test_transmitted_light_peaks_at_the_refracted_direction() -> None:
     glass = microfacet.build(analytic("beckmann", 0.05), index=1.5, transparent=True)
     theta, value = bsdf_sections.cut(glass, bsdf_sections.planes(glass)[0], 45.0, through=True)
     inner = np.degrees(np.arcsin(np.sin(np.radians(45.0)) / 1.5))
@@ -52,7 +52,7 @@ def test_without_its_base_a_bsdf_reflects_less_and_not_nothing() -> None:
     assert bsdf_sections.reflectance(bsdf, plane, theta)[0] == pytest.approx(0.3, abs=1e-6)
 
 
-def test_a_table_cannot_tell_its_parts() -> None:
+def test_a_table_does_not_distinguish_its_parts() -> None:
     table = beckmann_bsdf().bsdf.tabulate({"theta_i": [0.0, 80.0], "theta_o": [0.0, 80.0], "phi_o": [0.0, 180.0]})
     assert representation(table).without_diffuse() is None
 
@@ -70,7 +70,7 @@ def test_only_a_compensated_bsdf_has_a_part_that_was_reflected_once() -> None:
     )
 
 
-def test_a_flat_surface_sends_its_light_into_one_direction() -> None:
+def test_a_flat_surface_reflects_into_one_direction() -> None:
     mirrored, refracted = bsdf_sections.specular(microfacet.build(flat(), index=1.5, transparent=True), np.array([0.0]))
     assert mirrored == pytest.approx([0.04], rel=1e-12)  # (n − 1)² / (n + 1)²
     assert refracted == pytest.approx([0.96], rel=1e-12)
@@ -81,6 +81,6 @@ def test_the_wavelength_shown_is_the_nearest_of_its_own() -> None:
     assert bsdf_sections.wavelength_words(beckmann_bsdf(reflectance=None)) == "all wavelengths alike"
 
 
-def test_what_rounding_leaves_of_no_light_is_no_light() -> None:
+def test_rounding_errors_are_no_light() -> None:
     nearly_black = lambertian(spectrum(1e-15))
     assert not bsdf_sections.value(nearly_black, bsdf_sections.Plane(0.0, ""), 45.0, np.array([0.0, 60.0]), 0.0).any()

@@ -74,7 +74,7 @@ def test_a_lay_gives_two_maps_and_marks_the_lay() -> None:
     assert widths[0] > 2 > 0.5 > widths[1]
 
 
-def test_light_that_passes_has_a_disc_of_its_own() -> None:
+def test_transmitted_light_has_its_own_map() -> None:
     reflected, passed = _maps(microfacet.build(analytic("ggx", 0.2), index=1.5, transparent=True))
     assert reflected.title.startswith("BRDF")
     assert passed.title.startswith("BTDF")

@@ -53,7 +53,7 @@ def test_the_extrapolated_part_is_dashed_and_meets_the_fitted_one_where_that_beg
     assert "Sultanova" in figure.note
 
 
-def test_a_formula_that_holds_throughout_has_no_dashes_and_no_end() -> None:
+def test_a_formula_valid_at_all_wavelengths_has_no_dashes_and_no_end() -> None:
     (figure,) = dispersion.dispersion(optics.refractive_index("N-BK7"))
     assert list(curves(figure.svg)) == ["l c0"]
     assert "A formula, taken from 360 to 830 nm" in figure.note
@@ -67,7 +67,7 @@ def test_a_table_ends_where_it_ends() -> None:
     assert [entry[2] for entry in figure.legend] == ["end of validity", "n"]
 
 
-def test_of_a_table_far_beyond_the_visible_what_is_of_use_is_drawn() -> None:
+def test_a_table_far_beyond_the_visible_is_drawn_within_the_stored_range() -> None:
     (figure,) = dispersion.dispersion(table([200, 300, 500, 900, 2500], [2.6, 1.9, 1.55, 1.52, 1.40]))
     assert [curves(figure.svg)["l c0"].min(), curves(figure.svg)["l c0"].max()] == pytest.approx(STORED_SPAN, abs=0.2)
     assert "taken from 200 to 2500 nm" in figure.note
@@ -100,7 +100,7 @@ def test_an_extinction_table_that_starts_late_leaves_nothing_extrapolated(tmp_pa
         (table([400, 700], 1.5), "n = 1.5 and k = 0 at all wavelengths."),
     ],
 )
-def test_a_constant_is_said_in_words(index: xr.Dataset, words: str) -> None:
+def test_a_constant_index_is_a_note(index: xr.Dataset, words: str) -> None:
     (figure,) = dispersion.dispersion(index)
     assert figure.svg == ""
     assert words in figure.note
@@ -118,16 +118,16 @@ BODIES = {
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_the_point_is_the_index_that_models_without_wavelengths_have(body: str) -> None:
+def test_the_mean_index_is_that_of_the_nonspectral_model(body: str) -> None:
     bsdf = BODIES[body]()
     reduced = nonspectral(bsdf)
-    neutral = dispersion._neutral(bsdf)
+    neutral = dispersion._mean_index(bsdf)
     assert neutral is not None
     assert neutral.n == pytest.approx(float(reduced["n"]), rel=1e-12)
     assert neutral.k == pytest.approx(float(reduced["k"]) if "k" in reduced else 0.0, rel=1e-12)
 
 
-def test_the_point_lies_on_the_curve_and_is_told_in_words() -> None:
+def test_the_mean_index_is_on_the_curve_and_in_the_note() -> None:
     index = optics.refractive_index("PC")
     bsdf = samples.beckmann_bsdf(0.1, n="PC")
     (figure,) = dispersion.dispersion(index, bsdf)
@@ -142,7 +142,7 @@ def test_the_point_lies_on_the_curve_and_is_told_in_words() -> None:
 
 
 @pytest.mark.parametrize("n", [1.55, None])
-def test_a_brdf_that_knows_no_wavelengths_of_its_index_has_no_point(n: float | None) -> None:
+def test_a_brdf_with_a_constant_index_has_no_mean_index(n: float | None) -> None:
     bsdf = None if n is None else samples.beckmann_bsdf(0.1, n=n)
     (figure,) = dispersion.dispersion(optics.refractive_index("PC"), bsdf)
     assert "colour-neutral" not in f"{figure.legend}{figure.note}"
@@ -157,7 +157,7 @@ def test_a_brdf_that_knows_no_wavelengths_of_its_index_has_no_point(n: float | N
         ([0.0, 0.0, 2e-5], "k, 10⁻⁵"),
     ],
 )
-def test_the_axis_of_k_counts_in_what_suits_it(k: list[float], label: str) -> None:
+def test_the_unit_of_the_axis_of_k_follows_its_values(k: list[float], label: str) -> None:
     _, figure = dispersion.dispersion(table([400, 550, 700], [1.57, 1.55, 1.54], k))
     texts = re.findall(r"<text[^>]*>([^<]*)</text>", figure.svg)
     assert label in texts
@@ -190,7 +190,7 @@ def test_equal_indices_give_equal_figures() -> None:
     st.floats(0.0, 1.0),
     st.floats(360.0, 830.0),
 )
-def test_a_crossing_lies_on_the_curve(values: list[float], share: float, about: float) -> None:
+def test_a_crossing_is_on_the_curve(values: list[float], share: float, about: float) -> None:
     curve = np.array(values)
     wavelength = np.linspace(360.0, 830.0, curve.size)
     value = float(curve.min() + share * np.ptp(curve))

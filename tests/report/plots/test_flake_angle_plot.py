@@ -35,7 +35,7 @@ def test_the_page_has_geometries_parameters_and_their_uncertainty(kind, model):
     assert "no spectrum is known" not in html.lower()
 
 
-def test_the_table_tells_what_leaving_a_geometry_out_gives():
+def test_the_table_contains_the_errors_of_left_out_geometries():
     measured = multiangle("lab")
     header, rows = flake_angle_plot.geometry_rows(flake.build(measured), measured)
     assert len(header) == len(rows[0]) == 7

@@ -26,7 +26,7 @@ def _dashed(svg: str) -> int:
 
 
 @given(st.lists(st.booleans(), min_size=2, max_size=30))
-def test_a_curve_that_is_split_stays_whole_and_only_what_is_known_is_solid(told: list[bool]) -> None:
+def test_the_parts_of_a_split_curve_meet_and_only_the_known_one_is_solid(told: list[bool]) -> None:
     value = np.arange(1.0, len(told) + 1)
     solid, dashed = measurement_coverage.split(Line(value, value, "c0"), np.array(told))
     known, rest = (np.isfinite(np.asarray(line.y)) for line in (solid, dashed))
@@ -51,7 +51,7 @@ def test_incidences_that_were_not_measured_are_dashed_and_named(on_rig: xr.Datas
     assert goniometric.svg.count('class="s ') == 5
 
 
-def test_the_uncertainty_that_is_told_is_that_of_the_bsdf(on_rig: xr.Dataset) -> None:
+def test_the_uncertainty_in_the_note_is_that_of_the_bsdf(on_rig: xr.Dataset) -> None:
     asked = (75.0, 0.0, 75.0, 180.0, 550.0)
     value, u = (float(each(*asked).values.item()) for each in (on_rig.bsdf.evaluate, on_rig.bsdf.uncertainty))
     told = re.search(r"([\d.]+)\u202f% at 75°", measurement_coverage.words(on_rig, _NORMAL, (30.0, 75.0)))
@@ -100,7 +100,7 @@ def test_directions_that_were_not_measured_are_counted_on_a_map(on_rig: xr.Datas
     assert float(share[1]) == pytest.approx(100 * (1 - measurement_coverage.known(flags).mean()), abs=1.5)
 
 
-def test_flakes_whose_gloss_was_not_measured_say_so_by_the_same_means() -> None:
+def test_flakes_without_a_measured_gloss_have_the_same_note() -> None:
     listed = [{"geometry": name, "lab": [30.0, -5.0, -20.0]} for name in ("45as15", "45as45", "45as110")]
     measured = flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10})
     bsdf = flake.build(measured)

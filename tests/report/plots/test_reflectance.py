@@ -45,7 +45,7 @@ def test_without_a_bsdf_the_checks_give_the_directional_reflectance(full: Datase
     assert reflectance.shares(None, None) == []
 
 
-def test_a_masking_that_gains_energy_is_drawn_to_scale_and_told() -> None:
+def test_a_masking_that_gains_energy_is_drawn_to_scale_with_a_note() -> None:
     (figure,) = reflectance.shares(None, beckmann_bsdf(0.3, recipe="crf"))
     assert "on more light leaves than arrives" in figure.note
     assert "`model.masking: height-correlated`" in figure.note
@@ -54,7 +54,7 @@ def test_a_masking_that_gains_energy_is_drawn_to_scale_and_told() -> None:
     assert "leaves than arrives" not in sound.note
 
 
-def test_what_a_compensated_model_gives_back_is_a_line_of_its_own() -> None:
+def test_the_compensated_light_is_a_line_of_its_own() -> None:
     (figure,) = reflectance.shares(None, beckmann_bsdf(0.5, n=2.5, multiple_scattering="compensated"))
     assert "by one facet alone" in [label for *_, label in figure.legend]
 
@@ -66,13 +66,13 @@ def test_the_balance_of_a_smooth_interface_closes() -> None:
     assert "R + T = 1.0000 at every incidence." in figure.note
 
 
-def test_the_balance_of_rough_facets_names_what_they_lose() -> None:
+def test_the_balance_of_rough_facets_states_their_loss() -> None:
     (figure,) = reflectance.shares(None, microfacet.build(analytic("ggx", 0.4), index=1.5, transparent=True))
     assert [label for *_, label in figure.legend] == ["R, reflected", "T, transmitted", "lost between facets"]
     assert "The rest would leave after a second reflection between facets" in figure.note
 
 
-def test_the_balance_of_a_slab_states_what_it_absorbs() -> None:
+def test_the_balance_of_a_slab_states_its_absorption() -> None:
     sheet = slab.build(flat(), flat(), index=1.5, internal_transmittance=0.8)
     (figure,) = reflectance.shares(None, sheet)
     assert [label for *_, label in figure.legend] == ["R, mirrored", "T, straight", "absorbed"]
@@ -89,5 +89,5 @@ def test_the_balance_of_a_slab_states_what_it_absorbs() -> None:
         (0.2, 0.9, None, "R + T reaches 1.1000 at 0° incidence: more light leaves than arrives"),
     ],
 )
-def test_the_sum_of_a_balance_is_told(reflected: float, passed: float, total: float | None, words: str) -> None:
+def test_the_note_on_a_balance_states_its_sum(reflected: float, passed: float, total: float | None, words: str) -> None:
     assert words in reflectance.balance_words(np.array([0.0, 60.0]), np.full(2, reflected), np.full(2, passed), total)

@@ -11,7 +11,9 @@ from PIL import Image
 
 from brdfpipe import vocabulary
 from brdfpipe.facets import analytic
-from brdfpipe.report.plots import equivalent_densities, slope_density
+from brdfpipe.facets.planar_density import PlanarDensity
+from brdfpipe.report.material import inputs
+from brdfpipe.report.plots import slope_density
 from brdfpipe.report.plots.svg import Figure
 
 Datasets = dict[str, xr.Dataset]
@@ -30,7 +32,7 @@ def brushed() -> xr.Dataset:
 # --- isotropic
 
 
-def test_the_slope_against_scale_leaves_out_what_is_missing(full: Datasets) -> None:
+def test_the_slope_against_scale_omits_missing_values(full: Datasets) -> None:
     figure = slope_density.slope_by_scale(full["facets"])
     assert figure is not None
     assert figure.svg.count("h0") == 3  # one point each; the fourth scale is missing
@@ -44,16 +46,16 @@ def test_a_single_scale_makes_no_figure(full: Datasets) -> None:
 
 def test_isotropic_facets_need_only_their_density(full: Datasets) -> None:
     bare = full["facets"][["slope_density"]]
-    titles = [figure.title for figure in slope_density.facet_figures(bare)]
+    titles = [figure.title for figure in inputs.facet_figures(bare)]
     assert titles == ["Slope density of the facets", "Facet distribution D(α)"]
-    assert slope_density.facet_figures(full["facets"][["slope_rms"]]) == []
+    assert inputs.facet_figures(full["facets"][["slope_rms"]]) == []
 
 
 # --- with a lay
 
 
 def test_facets_with_a_lay_have_a_rose_a_map_two_sections_and_masking(brushed: xr.Dataset) -> None:
-    assert [figure.title for figure in slope_density.facet_figures(brushed)] == [
+    assert [figure.title for figure in inputs.facet_figures(brushed)] == [
         "Lay",
         "Slope density, all azimuths",
         "Slope density along the lay",
@@ -63,16 +65,16 @@ def test_facets_with_a_lay_have_a_rose_a_map_two_sections_and_masking(brushed: x
 
 
 def test_the_rose_of_a_beckmann_finish_is_its_width_over_root_two(brushed: xr.Dataset) -> None:
-    density = slope_density._planar(brushed)
-    towards = equivalent_densities.rms_slope_towards(density, np.array([30.0, 120.0]))
+    density = PlanarDensity.of(brushed)
+    towards = slope_density.rms_slope_towards(density, np.array([30.0, 120.0]))
     # The density is a spline between nodes: its moments hold to 1e-4.
     np.testing.assert_allclose(towards, np.array([0.2, 0.5]) / np.sqrt(2), rtol=1e-3)
-    mean = slope_density._mean_towards(density, np.array([30.0, 120.0]))
+    mean = slope_density._mean_slope_towards(density, np.array([30.0, 120.0]))
     np.testing.assert_allclose(mean, np.array([0.2, 0.5]) / np.sqrt(np.pi), rtol=1e-3)
 
 
 def test_the_map_shows_steps_of_half_a_decade(brushed: xr.Dataset) -> None:
-    figure = slope_density.facet_figures(brushed)[1]
+    figure = inputs.facet_figures(brushed)[1]
     data = re.search(r"data:image/png;base64,([^\"]+)", figure.svg)
     assert data is not None
     colours = np.unique(np.asarray(Image.open(io.BytesIO(b64decode(data[1]))).convert("RGB")).reshape(-1, 3), axis=0)
@@ -99,7 +101,7 @@ def test_no_variable_of_a_finish_with_a_lay_is_needed(brushed: xr.Dataset, absen
     counted = brushed.assign(
         slope_density_u=0.1 * brushed["slope_density"], slope_density_quality=quality, count=brushed["slope_density"]
     )
-    figures = slope_density.facet_figures(counted.drop_vars(absent))
+    figures = inputs.facet_figures(counted.drop_vars(absent))
     assert all("nan" not in figure.svg for figure in figures)
     if absent != "slope_density":
         assert {"measured", "extrapolated"} <= {label for figure in figures for label in _labels(figure)}

@@ -32,7 +32,7 @@ def test_a_spectrum_with_the_specular_included_is_the_total(full: Datasets) -> N
     ]
 
 
-def test_a_spectrum_with_the_specular_excluded_stands_below_the_total(full: Datasets) -> None:
+def test_a_spectrum_with_the_specular_excluded_is_below_the_total(full: Datasets) -> None:
     excluded = full["spectrum"].assign_attrs(geometry="sce")
     bsdf = microfacet.build(full["facets"], index=full["index"], spectrum=excluded)
     shown = spectrum.spectrum_figure(excluded, bsdf)

@@ -56,7 +56,7 @@ def test_a_single_spike_does_not_flatten_the_colours_of_the_rest() -> None:
     assert len(np.unique(picture[0], axis=0)) > 50
 
 
-def test_a_long_narrow_map_says_that_it_is_not_to_scale() -> None:
+def test_the_note_on_a_long_narrow_map_states_that_it_is_not_to_scale() -> None:
     assert "not to the same scale" in surface.height_map(_map(np.random.default_rng(0).normal(size=(32, 1000)))).note
 
 

@@ -53,7 +53,7 @@ def test_every_pair_is_drawn_before_and_after(on_rig: xr.Dataset, smoothed_on_ri
     assert reciprocity_figure.figure(on_rig, smoothed_on_rig) == figure
 
 
-def test_what_is_drawn_is_what_the_completion_tells(on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset) -> None:
+def test_the_points_are_the_values_of_the_completion(on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset) -> None:
     told = reciprocity(on_rig, reciprocity_figure.AZIMUTHS)
     apart = 100 * (told["there"] / told["back"] - 1).median("wavelength").values.ravel()
     moved = 100 * (told["both"] / told["there"] - 1).median("wavelength").values.ravel()
@@ -66,17 +66,17 @@ def test_what_is_drawn_is_what_the_completion_tells(on_rig: xr.Dataset, smoothed
     assert after == pytest.approx(slope * moved + level, abs=0.11)
 
 
-def test_the_bsdf_lies_between_what_was_told_there_and_back(on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset) -> None:
+def test_the_bsdf_is_between_the_values_there_and_back(on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset) -> None:
     (there,), (back,) = (_ends(reciprocity_figure.figure(on_rig, smoothed_on_rig).svg, style) for style in ("c2", "c4"))
     (before,) = _ends(reciprocity_figure.figure(on_rig, smoothed_on_rig).svg, "c0")
     assert np.ptp(np.concatenate([there, back])) < np.ptp(before)
 
 
-def test_incidences_that_agree_are_said_to(on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset) -> None:
+def test_the_note_states_that_no_pair_differs_significantly(on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset) -> None:
     assert reciprocity_figure.figure(on_rig, smoothed_on_rig).note.endswith("No pair differs significantly.")
 
 
-def test_an_incidence_that_is_wrong_is_named_by_its_pairs_with_what_to_do() -> None:
+def test_the_note_names_the_pairs_of_a_wrong_incidence_and_the_remedy() -> None:
     note = _figure(wrong=30.0).note
     assert "Different by more than 2 standard uncertainties: 10°–30°, 30°–60°." in note
     assert "`runs` in plan.yaml" in note
@@ -84,7 +84,7 @@ def test_an_incidence_that_is_wrong_is_named_by_its_pairs_with_what_to_do() -> N
 
 
 @pytest.mark.parametrize("wrong", [None, 30.0])
-def test_all_bars_lie_within_their_frame(wrong: float | None) -> None:
+def test_all_bars_are_within_their_frame(wrong: float | None) -> None:
     svg = _figure(wrong=wrong).svg
     tall = float(re.search(r'<svg x="\d+" y="\d+" width="\d+" height="(\d+)">', svg)[1])
     bars = [
@@ -106,10 +106,10 @@ def test_all_bars_lie_within_their_frame(wrong: float | None) -> None:
 def test_an_uncertainty_that_was_not_enlarged_is_that_of_the_smoothed_incidence(
     on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset
 ) -> None:
-    enlarged = reciprocity_figure._enlarged(on_rig, smoothed_on_rig)
+    enlarged = reciprocity_figure._enlargement(on_rig, smoothed_on_rig)
     assert enlarged == pytest.approx(dict.fromkeys(INCIDENCES, 1.0), abs=1e-6)
     grown = on_rig.assign(coefficient_factor=2.5 * on_rig["coefficient_factor"])
-    assert reciprocity_figure._enlarged(grown, smoothed_on_rig) == pytest.approx(
+    assert reciprocity_figure._enlargement(grown, smoothed_on_rig) == pytest.approx(
         dict.fromkeys(INCIDENCES, 2.5), rel=1e-6
     )
 

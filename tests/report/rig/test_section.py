@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -14,10 +13,10 @@ from brdfpipe import store, vocabulary
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.bsdf.measured import completion, smoothing
 from brdfpipe.report import pages
-from brdfpipe.report.cards import Table
+from brdfpipe.report.cards import Chapter, Table
 from brdfpipe.report.plots import indicatrix
 from brdfpipe.report.plots.svg import Figure
-from brdfpipe.report.rig import figures, fit, section
+from brdfpipe.report.rig import figures, fit, reciprocity, section
 from brdfpipe.rig.description import Rig
 from brdfpipe.rig.reduction import cells as celled
 from brdfpipe.rig.reduction import thumbnails
@@ -45,12 +44,17 @@ def run(bench: Rig) -> Datasets:
 
 
 @pytest.fixture(scope="session")
+def chapter(run: Datasets) -> Chapter:
+    return _chapter(run)
+
+
+@pytest.fixture(scope="session")
 def six(bench: Rig) -> Datasets:
     return _run(bench, (10.0, 20.0, 30.0, 45.0, 60.0, 70.0))
 
 
 def _run(bench: Rig, incidences: tuple[float, ...] = INCIDENCES, **options) -> Datasets:
-    """What the stages write of a plastic: a lobe of 10 sr⁻¹ and 3° on a base of 0.1 sr⁻¹, with the noise that is stated."""
+    """The results of the stages for a plastic: a lobe of 10 sr⁻¹ and 3° on a base of 0.1 sr⁻¹, with the noise that is stated."""
     primary = _primary(bench, incidences, **options)
     smoothed = smoothing.smooth(primary, strength=5.0, about="mirror")
     reduced = {f"reduced-sample-reflection-{each:g}": _reduced(bench, primary, each) for each in incidences}
@@ -104,7 +108,7 @@ def _reduced(bench: Rig, primary: xr.Dataset, incidence: float) -> xr.Dataset:
         "drift_reference": ("look", 9e4 * (1 + elapsed / 1e5)),
         "drift_reference_u": ("look", np.full(2, 90.0)),
     }
-    # Between the looks; at 500 nm there is more light, which is no drift.
+    # Between the readings; at 500 nm there is more light, which is no drift.
     time = elapsed.mean() + np.array([[-30.0, 30.0]])
     bracket = {
         "elapsed": time,
@@ -144,21 +148,46 @@ def _calibration(bench: Rig, changes: tuple[float, ...] = (0.0, 0.004, -0.002)) 
     return vocabulary.validate(vocabulary.label(profile, "calibration"), "calibration")
 
 
-def _chapter(datasets: Datasets) -> section.Chapter:
+def _chapter(datasets: Datasets) -> Chapter:
     chapter = section.chapter(datasets)
     assert chapter is not None
     return chapter
 
 
+def _part(chapter: Chapter, title: str) -> Figure | Table | None:
+    return next((part for part in chapter.parts if title in part.title), None)
+
+
+def _coverage(datasets: Datasets) -> Table:
+    return section.coverage_table(section.sides(datasets), datasets.get("calibration"), 2)
+
+
+def _measurement(datasets: Datasets) -> Table:
+    return section.measurement_table(section.sides(datasets), datasets.get("calibration"))
+
+
+def _drift(datasets: Datasets) -> Figure:
+    return figures.drift([arrangement for side in section.sides(datasets) for arrangement in side.reduced])
+
+
+def _frames(datasets: Datasets) -> Figure:
+    sides = section.sides(datasets)
+    pictures = [picture for side in sides for at in range(2) for picture in section._pictures(side, at)]
+    drawn = figures.frames(pictures)
+    assert drawn is not None
+    return drawn
+
+
+def _fits(chapter: Chapter) -> list[Figure]:
+    return [part for part in chapter.parts if "in the plane, fit against data" in part.title]
+
+
 def _page(datasets: Datasets) -> str:
-    return pages.render("rig.html.j2", rig=section.chapter(datasets))
+    return pages.render("chapter.html.j2", chapter=section.chapter(datasets))
 
 
-def _figures(chapter: section.Chapter) -> Iterator[Figure]:
-    yield from (each for each in (chapter.frames, chapter.lobe) if each is not None)
-    yield from (each for each in (*chapter.run, *chapter.budget) if isinstance(each, Figure))
-    yield from (figure for pair in chapter.fits for figure in pair)
-    yield from chapter.smoothing
+def _figures(chapter: Chapter) -> list[Figure]:
+    return [part for part in chapter.parts if isinstance(part, Figure)]
 
 
 def _paths(svg: object, style: str) -> list[str]:
@@ -181,9 +210,9 @@ def test_a_material_that_no_rig_measured_has_no_chapter() -> None:
     assert section.chapter({"bsdf": beckmann_bsdf()}) is None
 
 
-def test_every_figure_is_well_formed(run: Datasets) -> None:
-    figures = list(_figures(_chapter(run)))
-    assert len(figures) == 12
+def test_every_figure_is_well_formed(chapter: Chapter) -> None:
+    figures = _figures(chapter)
+    assert len(figures) == 13
     for figure in figures:
         ElementTree.fromstring(f"<div>{figure.svg}</div>")
         drawn = re.sub(r"base64,[^\"]*", "", str(figure.svg))
@@ -205,7 +234,7 @@ def test_equal_data_gives_equal_bytes_also_when_stored(run: Datasets, tmp_path: 
     assert page == _page(stored)
 
 
-def test_what_the_emulator_made_is_said_loudly(run: Datasets) -> None:
+def test_a_notice_states_that_frames_are_emulated(run: Datasets) -> None:
     assert "not measured" not in _page(run)
     made = {name: each.assign_attrs(camera="emulated camera, 320 x 240 pixels") for name, each in run.items()}
     assert section.emulated(made)
@@ -226,7 +255,7 @@ def test_text_from_files_is_never_markup(run: Datasets) -> None:
     assert page.count("&lt;img") >= 6
 
 
-def test_warnings_of_the_stages_are_told_once_unless_the_bsdf_tells_them(run: Datasets) -> None:
+def test_warnings_of_the_stages_appear_once_unless_the_bsdf_repeats_them(run: Datasets) -> None:
     datasets = dict(run)
     for name in ("reduced-sample-reflection-10", "primary-reflection"):
         datasets[name] = vocabulary.add_warning(datasets[name], "frame 7 is damaged; take it again", "known")
@@ -234,13 +263,16 @@ def test_warnings_of_the_stages_are_told_once_unless_the_bsdf_tells_them(run: Da
     assert list(_chapter(datasets).warnings) == ["frame 7 is damaged; take it again"]
 
 
-def test_no_more_fits_are_shown_than_the_page_can_carry_and_that_is_said(six: Datasets) -> None:
+def test_at_most_five_fits_are_shown_and_the_note_states_the_number(six: Datasets) -> None:
     chapter = _chapter(six)
-    assert [figure.title.split("°")[0] for figure, _ in chapter.fits] == ["10", "20", "30", "60", "70"]
-    assert len(chapter.coverage.rows) == 6
-    assert "5 of the 6 incidences" in chapter.coverage.note
-    assert chapter.frames is not None
-    assert str(chapter.frames.svg).count("<figcaption>") == 6
+    assert [figure.title.split("°")[0] for figure in _fits(chapter)] == ["10", "20", "30", "60", "70"]
+    coverage, frames = _part(chapter, "Coverage and fit"), _part(chapter, "Camera pictures")
+    assert isinstance(coverage, Table)
+    assert len(coverage.rows) == 6
+    assert "5 of the 6 incidences" in coverage.note
+    assert isinstance(frames, Figure)
+    assert frames.full
+    assert str(frames.svg).count("<figcaption>") == 6
 
 
 def test_both_sides_of_a_sample_have_their_parts(run: Datasets) -> None:
@@ -250,31 +282,32 @@ def test_both_sides_of_a_sample_have_their_parts(run: Datasets) -> None:
         if "reflection" in name
     }
     chapter = _chapter({**run, **other})
-    assert sum("BTDF" in figure.title for figure, _ in chapter.fits) == 2
-    assert sum("BRDF" in figure.title for figure, _ in chapter.fits) == 2
-    assert [row[0] for row in chapter.coverage.rows] == [
+    assert sum("BTDF" in figure.title for figure in _fits(chapter)) == 2
+    assert sum("BRDF" in figure.title for figure in _fits(chapter)) == 2
+    coverage = _part(chapter, "Coverage and fit")
+    assert isinstance(coverage, Table)
+    assert [row[0] for row in coverage.rows] == [
         f"{each:g}° {side}" for side in ("reflection", "transmission") for each in INCIDENCES
     ]
 
 
-def test_data_of_before_pictures_and_looks_were_kept_still_has_a_chapter(run: Datasets) -> None:
+def test_data_without_pictures_and_monitor_readings_has_a_chapter(run: Datasets) -> None:
     bare = {
         name: each.drop_vars(["picture", "elapsed", "reference_u"], errors="ignore").drop_dims("look", errors="ignore")
         for name, each in run.items()
         if name != "calibration"
     }
     chapter = _chapter(bare)
-    assert chapter.frames is None
-    looks = next(each for each in chapter.run if isinstance(each, Figure))
-    assert "`drift.every`" in looks.note
-    assert "Dead" not in chapter.coverage.note
+    assert _part(chapter, "Camera pictures") is None
+    assert "`drift.every`" in _drift(bare).note
+    assert "Dead" not in _coverage(bare).note
 
 
-# --- in words
+# --- tables
 
 
-def test_the_profile_is_told_with_its_age(run: Datasets) -> None:
-    measurement = next(each for each in _chapter(run).run if isinstance(each, Table))
+def test_the_measurement_table_states_the_age_of_the_profile(run: Datasets) -> None:
+    measurement = _measurement(run)
     rows = _rows(measurement)
     assert rows["Calibration profile"] == ("of 2026-03-02, 10 days before; valid for 90 days",)
     assert rows["Certificate"] == ("PTB-1",)
@@ -283,74 +316,72 @@ def test_the_profile_is_told_with_its_age(run: Datasets) -> None:
     assert measurement.remark == ""
 
 
-def test_an_overridden_profile_is_not_passed_over(run: Datasets) -> None:
+def test_a_remark_states_that_the_profile_was_overridden(run: Datasets) -> None:
     primary = run["primary-reflection"].assign_attrs(overridden="the profile has expired")
-    measurement = next(each for each in _chapter({**run, "primary-reflection": primary}).run if isinstance(each, Table))
+    measurement = _measurement({**run, "primary-reflection": primary})
     assert "the profile has expired" in measurement.remark
     assert "Measure the etalon again" in measurement.remark
 
 
-def test_what_became_of_the_cells_adds_up_to_all_of_them(run: Datasets) -> None:
-    header = list(_chapter(run).coverage.header)
-    for row in _chapter(run).coverage.rows:
-        told = dict(zip(header, row, strict=True))
-        parts = [int(told[name]) for name in ("Fitted", "Saturated", "Below horizon", "Otherwise left out")]
+def test_the_counts_of_cells_add_up_to_all_of_them(run: Datasets) -> None:
+    coverage = _coverage(run)
+    for row in coverage.rows:
+        counts = dict(zip(coverage.header, row, strict=True))
+        parts = [int(counts[name]) for name in ("Fitted", "Saturated", "Below horizon", "Otherwise left out")]
         assert sum(parts) == run["primary-reflection"].sizes["cell"]
         assert parts[2] > 0
 
 
-def test_cells_that_are_saturated_or_dim_are_counted_as_such(run: Datasets) -> None:
+def test_saturated_cells_and_cells_below_noise_are_counted(run: Datasets) -> None:
     primary = run["primary-reflection"].copy(deep=True)
     quality = primary["brdf_quality"].values
     quality[0, :, 160:170] = vocabulary.quality("saturated")
     quality[0, :, 170:175] = vocabulary.quality("below_noise")
     smoothed = smoothing.smooth(primary, strength=5.0, about="mirror")
     datasets = {**run, "primary-reflection": primary, "smoothed-reflection": smoothed}
-    first, second = (
-        dict(zip(_chapter(datasets).coverage.header, row, strict=True)) for row in _chapter(datasets).coverage.rows
-    )
+    coverage = _coverage(datasets)
+    first, second = (dict(zip(coverage.header, row, strict=True)) for row in coverage.rows)
     assert (first["Saturated"], first["of them below noise"]) == ("10", "5")
     assert (second["Saturated"], second["of them below noise"]) == ("0", "0")
 
 
-def test_dead_fibres_are_named_and_those_that_cannot_see_the_etalon_are_not(run: Datasets) -> None:
-    note = _chapter(run).coverage.note
+def test_dead_fibres_are_named_but_not_fibres_that_do_not_see_the_etalon(run: Datasets) -> None:
+    note = _coverage(run).note
     assert "without light from the etalon: F004." in note
     profile = run["calibration"].copy(deep=True)
     profile["cell_scale"].values[:, [3, 149]] = 1.0, np.nan  # F150 looks from 88°, away from the etalon's normal
     profile["phi_s"].values[149] = 180.0
-    note = _chapter({**run, "calibration": profile}).coverage.note
+    note = _coverage({**run, "calibration": profile}).note
     assert "No fibre is dead" in note
     assert "1 fibres see the etalon at grazing angles" in note
 
 
-def test_a_fit_that_rests_on_few_cells_is_remarked(run: Datasets) -> None:
+def test_a_remark_names_fits_with_few_cells(run: Datasets) -> None:
     smoothed = run["smoothed-reflection"].copy(deep=True)
-    assert _chapter(run).coverage.remark == ""
+    assert _coverage(run).remark == ""
     smoothed["residual"].values[1, :, 100:] = np.nan
-    remark = _chapter({**run, "smoothed-reflection": smoothed}).coverage.remark
+    remark = _coverage({**run, "smoothed-reflection": smoothed}).remark
     assert "45° (" in remark
     assert "10° (" not in remark
     assert "`bracket`" in remark
 
 
-def test_cells_that_differ_across_the_plane_of_incidence_are_remarked(bench: Rig) -> None:
+def test_a_remark_states_that_the_two_sides_of_the_plane_of_incidence_differ(bench: Rig) -> None:
     leaning = _run(bench, lean=0.05)
-    remark = _chapter(leaning).coverage.remark
+    remark = _coverage(leaning).remark
     assert "`rig.smoothing.symmetric: false`" in remark
     free = smoothing.smooth(leaning["primary-reflection"], strength=5.0, about="mirror", symmetric=False)
-    assert "symmetric" not in _chapter({**leaning, "smoothed-reflection": free}).coverage.remark
+    assert "symmetric" not in _coverage({**leaning, "smoothed-reflection": free}).remark
 
 
 # --- pictures
 
 
-def test_each_fibre_is_outlined_once_by_what_became_of_it(run: Datasets) -> None:
+def test_each_fibre_is_outlined_once_in_the_style_of_its_state(run: Datasets) -> None:
     datasets = {name: each for name, each in run.items() if name != "reduced-sample-reflection-45"}
     primary, smoothed = run["primary-reflection"], run["smoothed-reflection"].copy(deep=True)
     smoothed["residual"].values[0, :, 7] = np.nan
-    frames = _chapter({**datasets, "smoothed-reflection": smoothed}).frames
-    assert frames is not None
+    frames = _frames({**datasets, "smoothed-reflection": smoothed})
     drawn = {name: "".join(_paths(frames.svg, f"cells {style}")).count("z") for name, style in figures.STYLES.items()}
     hidden = int((cos_view(10.0, primary["theta_s"].values, primary["phi_s"].values) <= 0).sum())
     assert drawn == {figures.FITTED: 149 - hidden, figures.HIDDEN: hidden, figures.LEFT_OUT: 1}
@@ -360,8 +391,7 @@ def test_each_fibre_is_outlined_once_by_what_became_of_it(run: Datasets) -> None
 
 def test_an_outline_is_a_circle_about_the_fibre(run: Datasets) -> None:
     datasets = {name: each for name, each in run.items() if name != "reduced-sample-reflection-45"}
-    frames = _chapter(datasets).frames
-    assert frames is not None
+    frames = _frames(datasets)
     steps = re.findall(r"m(-?\d+)([+-]\d+)a(\d+) ", "".join(_paths(frames.svg, "cells fit")))
     found = np.array(steps, dtype=int)[:, :2].cumsum(axis=0).T / 2
     reduced = run["reduced-sample-reflection-10"]
@@ -375,56 +405,48 @@ def test_an_outline_is_a_circle_about_the_fibre(run: Datasets) -> None:
 # --- the lamp
 
 
-def _lamp(datasets: Datasets) -> Figure:
-    return next(each for each in _chapter(datasets).run if isinstance(each, Figure))
-
-
-def test_the_drift_of_the_lamp_is_told_against_its_first_look(run: Datasets) -> None:
-    figure = _lamp(run)
-    # From 10 to 50 minutes, at 1e-5 a second on 1.006; two looks and a bracket of either incidence.
+def test_the_drift_of_the_lamp_is_relative_to_its_first_reading(run: Datasets) -> None:
+    figure = _drift(run)
+    # From 10 to 50 minutes, at 1e-5 a second on 1.006; two readings and a bracket of each incidence.
     assert "at 550\u202fnm: 6 values" in figure.note
     assert f"{100 * 2400e-5 / 1.006:.1f}\u202f%" in figure.note
     assert [label for _, _, label in figure.legend] == ["10°", "45°"]
     line = _points(_paths(figure.svg, "l ref")[0])
-    # What grows evenly lies on one line, looks and brackets alike.
+    # What grows evenly lies on one line, readings and brackets alike.
     slope, start = np.polyfit(line[:, 0], line[:, 1], 1)
     assert line[:, 1] == pytest.approx(start + slope * line[:, 0], abs=0.2)
     for style in ("c0", "c2"):
         assert _paths(figure.svg, f"p {style}")[0].count("h0") == 3
 
 
-def test_without_looks_the_brackets_tell_of_the_lamp(run: Datasets) -> None:
-    figure = _lamp({name: each.drop_dims("look", errors="ignore") for name, each in run.items()})
+def test_without_monitor_readings_the_brackets_show_the_drift(run: Datasets) -> None:
+    figure = _drift({name: each.drop_dims("look", errors="ignore") for name, each in run.items()})
     # At 500 nm, of most light, half a minute before the middle.
     assert "at 500\u202fnm: 2 values" in figure.note
     assert f"{100 * 2100e-5 / (1 + 720e-5):.1f}\u202f%" in figure.note
 
 
-def test_what_the_lamp_may_change_by_is_drawn(run: Datasets) -> None:
-    assert not _paths(_lamp(run).svg, "l c3 d")
-    told = {name: each.assign_attrs(drift_tolerance=0.03) for name, each in run.items()}
-    figure = _lamp(told)
+def test_the_tolerance_of_the_drift_is_drawn(run: Datasets) -> None:
+    assert not _paths(_drift(run).svg, "l c3 d")
+    tolerant = {name: each.assign_attrs(drift_tolerance=0.03) for name, each in run.items()}
+    figure = _drift(tolerant)
     assert len(_paths(figure.svg, "l c3 d")) == 2
     assert "±\u202f3\u202f%" in figure.note
 
 
-def test_a_session_of_hours_is_told_in_hours(run: Datasets) -> None:
-    assert "run, min<" in _lamp(run).svg
+def test_the_time_of_a_long_session_is_in_hours(run: Datasets) -> None:
+    assert "run, min<" in _drift(run).svg
     late = run["reduced-sample-reflection-45"].copy(deep=True)
     late["drift_elapsed"] = late["drift_elapsed"] + 10_000
-    assert "run, h<" in _lamp({**run, "reduced-sample-reflection-45": late}).svg
+    assert "run, h<" in _drift({**run, "reduced-sample-reflection-45": late}).svg
 
 
 # --- the profiles
 
 
-def _profiles(run: Datasets, profile: xr.Dataset) -> Figure:
-    return [each for each in _chapter({**run, "calibration": profile}).run if isinstance(each, Figure)][1]
-
-
-def test_the_chart_of_the_profiles_shows_their_level_and_their_limits(run: Datasets, bench: Rig) -> None:
+def test_the_chart_of_the_profiles_shows_their_level_and_their_limits(bench: Rig) -> None:
     profile = _calibration(bench, (0.0, 0.004, -0.002, 0.006))
-    figure = _profiles(run, profile)
+    figure = figures.profiles(profile)
     level, spectrum = (_points(_paths(figure.svg, f"l {style}")[0]) for style in ("c0", "c2"))
     band = _points(_paths(figure.svg, "b c0")[0])
     ticks = re.findall(r'<text x="48.0" y="([\d.]+)" text-anchor="end">([−\d.]+)</text>', str(figure.svg))
@@ -441,15 +463,15 @@ def test_the_chart_of_the_profiles_shows_their_level_and_their_limits(run: Datas
     assert figure.note.endswith("No profile is beyond them.")
 
 
-def test_violations_are_marked_and_named(run: Datasets, bench: Rig) -> None:
-    figure = _profiles(run, _calibration(bench, (0.0, 0.001, 0.09, -0.001, 0.002)))
+def test_violations_are_marked_and_named(bench: Rig) -> None:
+    figure = figures.profiles(_calibration(bench, (0.0, 0.001, 0.09, -0.001, 0.002)))
     assert _paths(figure.svg, "p c3")[0].count("h0") == 1
     assert figure.note.endswith("Violations: bench-3 of 2026-03-03.")
     assert "violation" in [label for _, _, label in figure.legend]
 
 
-def test_one_profile_alone_says_how_to_get_a_chart(run: Datasets, bench: Rig) -> None:
-    figure = _profiles(run, _calibration(bench, (0.0,)))
+def test_the_note_on_a_single_profile_states_how_to_get_a_chart(bench: Rig) -> None:
+    figure = figures.profiles(_calibration(bench, (0.0,)))
     assert not figure.svg
     assert "`previous` in calibration.yaml" in figure.note
 
@@ -457,7 +479,7 @@ def test_one_profile_alone_says_how_to_get_a_chart(run: Datasets, bench: Rig) ->
 # --- the uncertainty
 
 
-def test_components_stack_up_with_independent_ones_below_the_line(bench: Rig) -> None:
+def test_components_are_stacked_with_independent_ones_below_the_line(bench: Rig) -> None:
     primary = _primary(bench, INCIDENCES, noise=0.03, common=0.01)
     figure = figures.budget(primary, "fibre")
     assert figure is not None
@@ -473,9 +495,9 @@ def test_components_stack_up_with_independent_ones_below_the_line(bench: Rig) ->
 def test_the_table_of_components_gives_medians(bench: Rig) -> None:
     primary = _primary(bench, INCIDENCES, noise=0.03, common=0.01)
     # Values scatter about the truth by 3 %, and so does what is stated, relative to them; medians do not.
-    assert figures.relative(primary, "disc", "noise") == pytest.approx(0.03, rel=0.01)
-    assert figures.relative(primary, "fibre") == pytest.approx(np.hypot(0.03, 0.01), rel=0.01)
-    assert np.isnan(figures.relative(primary.where(primary["kind"] == "disc"), "fibre"))
+    assert figures.median_uncertainty(primary, "disc", "noise") == pytest.approx(0.03, rel=0.01)
+    assert figures.median_uncertainty(primary, "fibre") == pytest.approx(np.hypot(0.03, 0.01), rel=0.01)
+    assert np.isnan(figures.median_uncertainty(primary.where(primary["kind"] == "disc"), "fibre"))
 
 
 def test_without_cells_of_a_kind_there_is_no_budget_of_them(run: Datasets) -> None:
@@ -526,7 +548,7 @@ def test_the_side_towards_the_normal_is_on_the_right(bench: Rig) -> None:
     assert "−60" not in labels
 
 
-def test_a_linear_fit_that_turns_negative_is_drawn_as_far_as_it_goes(bench: Rig) -> None:
+def test_a_linear_fit_that_becomes_negative_is_drawn_where_it_is_positive(bench: Rig) -> None:
     primary = _primary(bench, (45.0,))
     smoothed = smoothing.smooth(primary, "keldysh", scales=2)
     figure = fit.fit(primary, smoothed, 0)
@@ -534,16 +556,13 @@ def test_a_linear_fit_that_turns_negative_is_drawn_as_far_as_it_goes(bench: Rig)
     assert "nan" not in str(figure.svg)
 
 
-def test_an_incidence_without_a_value_says_so(run: Datasets) -> None:
+def test_an_incidence_without_values_has_notes_instead_of_figures(run: Datasets) -> None:
     smoothed = run["smoothed-reflection"].copy(deep=True)
     for name in ("residual", "coefficient", "coefficient_factor", "gcv", "chi_squared_dof"):
         smoothed[name].values[1] = np.nan
-    chapter = _chapter({**run, "smoothed-reflection": smoothed})
-    fit, residuals = chapter.fits[1]
-    assert not fit.svg
-    assert not residuals.svg
-    assert fit.note
-    assert residuals.note
+    for figure in (function(run["primary-reflection"], smoothed, 1) for function in (fit.fit, fit.residuals)):
+        assert not figure.svg
+        assert figure.note
 
 
 def test_every_fitted_cell_is_a_dot_of_the_map(run: Datasets) -> None:
@@ -565,7 +584,7 @@ def test_strong_residuals_are_red_above_and_blue_below(run: Datasets) -> None:
 
 
 def test_the_strength_used_is_marked_on_its_curves(run: Datasets) -> None:
-    for figure in _chapter(run).smoothing:
+    for figure in (function(run["smoothed-reflection"]) for function in (fit.cross_validation, fit.l_curve)):
         curves = [_points(_paths(figure.svg, f"l {style}")[0]) for style in ("c0", "c1")]
         for style, curve in zip(("c0", "c1"), curves, strict=True):
             (mark,) = (data for data in _paths(figure.svg, f"p {style}") if "h0" in data)
@@ -630,39 +649,37 @@ def test_the_lobe_stays_within_its_picture(incidence: float) -> None:
         assert (mesh <= [520, 390]).all()
 
 
-def test_of_what_reflects_nothing_there_is_no_lobe() -> None:
+def test_a_black_material_has_no_lobe() -> None:
     assert indicatrix.indicatrix(lambertian(spectrum(0.0)), 30.0) is None
 
 
-def test_the_lobe_of_a_chapter_is_that_of_the_incidence_nearest_45(run: Datasets) -> None:
-    lobe = _chapter(run).lobe
+def test_the_lobe_of_a_chapter_is_that_of_the_incidence_nearest_45(chapter: Chapter) -> None:
+    lobe = _part(chapter, "3-D lobe")
     assert lobe is not None
     assert lobe.title == "3-D lobe at 45° incidence"
 
 
 def test_the_chapter_shows_reciprocity(run: Datasets) -> None:
     completed = completion.complete(run["smoothed-reflection"])
-    figure = _chapter({**run, "bsdf": completed}).reciprocity
-    assert figure is not None
-    assert figure.title in _page({**run, "bsdf": completed})
-    assert _chapter({**run, "bsdf": beckmann_bsdf()}).reciprocity is None
+    assert reciprocity.TITLE in _page({**run, "bsdf": completed})
+    assert reciprocity.TITLE not in _page({**run, "bsdf": beckmann_bsdf()})
 
 
-def test_the_axis_of_differences_holds_all_bars_but_for_a_few_far_out() -> None:
+def test_the_axis_of_differences_contains_all_bars_except_a_few_large_ones() -> None:
     off, u = np.linspace(-2.0, 2.0, 40), np.full(40, 0.5)
-    axis, words = fit.about_zero("", off, u)
+    axis, words = fit.axis_about_zero("", off, u)
     assert axis.high == -axis.low > 2.5
     assert words == ""
-    axis, words = fit.about_zero("", np.r_[off, 40.0], np.r_[u, 0.5])
+    axis, words = fit.axis_about_zero("", np.r_[off, 40.0], np.r_[u, 0.5])
     assert 2.5 < axis.high < 8
     assert words == " Beyond the lower axis: 1 value."
-    axis, words = fit.about_zero("", np.r_[off, 1.0], np.r_[u, 60.0])
+    axis, words = fit.axis_about_zero("", np.r_[off, 1.0], np.r_[u, 60.0])
     assert 2.5 < axis.high < 8
     assert words == " Beyond the lower axis: ends of 1 bar."
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_the_axis_of_differences_is_never_empty(count: int) -> None:
-    axis, words = fit.about_zero("", np.full(3, np.nan)[:count], np.full(3, np.nan)[:count])
+    axis, words = fit.axis_about_zero("", np.full(3, np.nan)[:count], np.full(3, np.nan)[:count])
     assert axis.high >= 1
     assert words == ""

@@ -43,16 +43,12 @@ def catalogue_page(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, st
     """
     script = (TEMPLATES / "catalogue.js").read_text("utf-8")
     vocabulary.validate(catalogue, "catalogue")
-    shown = [
-        quantity
-        for quantity in quantities()
-        if quantity.in_catalogue and np.isfinite(catalogue[quantity.name].values.astype(float)).any()
-    ]
+    shown = [quantity for quantity in quantities() if np.isfinite(catalogue[quantity.name].values.astype(float)).any()]
     return render(
         "catalogue.html.j2",
         script=Markup(script),
         script_hash=b64encode(sha256(script.encode()).digest()).decode(),
-        headings=[_heading(quantity) for quantity in shown],
+        headings=[f"{quantity.label}, µm" if quantity.unit == "um" else quantity.label for quantity in shown],
         scopes=_scopes(shown),
         pictured=any(texts(catalogue, "thumbnail")),
         rows=_page_rows(catalogue, shown),
@@ -61,12 +57,8 @@ def catalogue_page(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, st
     )
 
 
-def _heading(quantity: AppearanceQuantity) -> str:
-    return f"{quantity.label}, µm" if quantity.unit == "um" else quantity.label
-
-
 def _scopes(shown: Sequence[AppearanceQuantity]) -> list[str]:
-    """To which materials a quantity applies, where its cells may be blank."""
+    """The materials to which a quantity applies, for quantities with blank cells."""
     return [
         f"{quantity.label} applies to {quantity.applicability.words}."
         for quantity in shown
@@ -77,29 +69,22 @@ def _scopes(shown: Sequence[AppearanceQuantity]) -> list[str]:
 def _page_rows(catalogue: xr.Dataset, shown: Sequence[AppearanceQuantity]) -> list[dict[str, Any]]:
     """The rows in the order of the page: worst verdict first, then by name."""
     columns = [_cells(catalogue, quantity) for quantity in shown]
-    cells = list(zip(*columns, strict=True)) or [()] * catalogue.sizes["material"]
-    pictures = texts(catalogue, "thumbnail")
-    names, verdicts = texts(catalogue, "material"), texts(catalogue, "verdict")
-    descriptions, bases = texts(catalogue, "description"), texts(catalogue, "basis")
-    checks, reasons = texts(catalogue, "verdict_checks"), texts(catalogue, "verdict_text")
-    warnings, srgb = catalogue["warning_count"].values.tolist(), catalogue["srgb"].values
+    names, descriptions, bases = (texts(catalogue, name) for name in ("material", "description", "basis"))
+    rows = {
+        "name": names,
+        "link": [f"{quote(name, safe='')}/report.html" for name in names],
+        "words": [_subtitle(*pair) for pair in zip(descriptions, bases, strict=True)],
+        "picture": texts(catalogue, "thumbnail"),
+        "colour": [colour(srgb) for srgb in catalogue["srgb"].values],
+        "cells": list(zip(*columns, strict=True)) or [()] * len(names),
+        "verdict": texts(catalogue, "verdict"),
+        "checks": texts(catalogue, "verdict_checks"),
+        "reason": [_shortened(reason, _LONGEST_REASON) for reason in texts(catalogue, "verdict_text")],
+        "warnings": catalogue["warning_count"].values.tolist(),
+    }
     rank = {verdict: k for k, verdict in enumerate(VERDICTS)}
-    order = sorted(range(len(names)), key=lambda k: (rank.get(verdicts[k], len(rank)), _natural_key(names[k])))
-    return [
-        {
-            "name": names[k],
-            "link": f"{quote(names[k], safe='')}/report.html",
-            "words": _subtitle(descriptions[k], bases[k]),
-            "picture": pictures[k],
-            "colour": colour(srgb[k]),
-            "cells": cells[k],
-            "verdict": verdicts[k],
-            "checks": checks[k],
-            "reason": _shortened(reasons[k], _LONGEST_REASON),
-            "warnings": int(warnings[k]),
-        }
-        for k in order
-    ]
+    records = [dict(zip(rows, values, strict=True)) for values in zip(*rows.values(), strict=True)]
+    return sorted(records, key=lambda row: (rank.get(row["verdict"], len(rank)), _natural_key(row["name"])))
 
 
 def _cells(catalogue: xr.Dataset, quantity: AppearanceQuantity) -> list[tuple[str, str]]:
@@ -108,17 +93,17 @@ def _cells(catalogue: xr.Dataset, quantity: AppearanceQuantity) -> list[tuple[st
     applicability = quantity.applicability
     if applicability is None:
         return [(fixed(value, quantity.decimals), "") for value in values]
-    reasons = texts(catalogue, f"no_{applicability.name}")
+    reasons = (reason.replace("`", "") for reason in texts(catalogue, f"no_{applicability.name}"))
     return [
-        ("", reason.replace("`", ""))
-        if math.isnan(value) and applicability.blank
-        else (fixed(value, quantity.decimals), reason.replace("`", "") if math.isnan(value) else "")
+        ("" if applicability.blank else fixed(value, quantity.decimals), reason)
+        if math.isnan(value)
+        else (fixed(value, quantity.decimals), "")
         for value, reason in zip(values, reasons, strict=True)
     ]
 
 
 def _subtitle(description: str, basis: str) -> str:
-    # A measured surface is the rule; any other basis is stated.
+    # A measured surface is the usual basis; any other one is stated.
     parts = (_shortened(description, _LONGEST_DESCRIPTION), "" if basis.startswith("surface") else basis)
     return " · ".join(part for part in parts if part)
 

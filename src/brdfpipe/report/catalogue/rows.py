@@ -1,34 +1,49 @@
-"""The catalogue as a dataset: one row for each material."""
+"""The catalogue: one row for each material, as a dataset, as comma-separated values, and as digests."""
 
 from __future__ import annotations
 
+import csv
 import json
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from io import StringIO
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.origin import basis, route
-from brdfpipe.appearance.quantities import applicabilities, quantities, stored_unit
+from brdfpipe.appearance.quantities import applicabilities, quantities
 from brdfpipe.appearance.verdicts import stage_warnings, verdicts, worst
 from brdfpipe.errors import VocabularyError
-from brdfpipe.report.plots.thumbnail import thumbnail
-from brdfpipe.report.shown_stages import material_name, own_stages
+from brdfpipe.report.formatting import colour
+from brdfpipe.report.pages import material_name, own_stages
+from brdfpipe.report.plots.svg import data_uri
+
+_UNTRUSTED = ("material", "route", "basis", "verdict_text", "description", "stage", "message")
+"""Columns with text from users and their files."""
+
+_ROUNDING_ERROR = 1e-9
+"""Largest magnitude that is written as 0: the rounding error of sums."""
+
+THUMBNAIL_SIDE = 96
+"""Pixels along the side; shown at about half as many, for screens of high resolution."""
+
+_THUMBNAIL_QUALITY = 85
 
 
 def text_columns() -> dict[str, str]:
     """Text variables of a row: name → long name."""
+    reasons = {f"no_{a.name}": f"why {a.name} does not apply; empty where it applies" for a in applicabilities()}
     return {
         "route": "how the BRDF was obtained",
         "basis": "inputs of the BRDF",
         "verdict": "worst verdict of the checks; warn at best where a stage has a warning; empty where nothing was checked",
         "verdict_checks": "checks and stages with that verdict, unless it is pass",
         "verdict_text": "what those checks found, or the warnings of those stages",
-        **{f"no_{each.name}": f"why {each.name} does not apply; empty where it applies" for each in applicabilities()},
+        **reasons,
         "thumbnail": "small picture, a data URI; empty without a preview",
         "digests": "JSON: stage to digest of its dataset",
         "description": "description of the material by its user",
@@ -50,24 +65,21 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> x
     """
     known = own_stages(datasets)
     digests = {stage: str(dataset.attrs["digest"]) for stage, dataset in known.items() if "digest" in dataset.attrs}
-    texts = {
+    appearance = known.get("appearance", xr.Dataset())
+    row = {
+        "material": material_name(known),
+        **{quantity.name: quantity.value(known) for quantity in quantities()},
         "route": route(known),
         "basis": basis(known),
         **_verdict_texts(known),
-        **{f"no_{each.name}": each.exclusion(known) for each in applicabilities()},
+        **{f"no_{applicability.name}": applicability.exclusion(known) for applicability in applicabilities()},
         "thumbnail": thumbnail(known["preview"]) if "preview" in known else "",
         "digests": json.dumps(digests, sort_keys=True),
         "description": description,
+        "warning_count": len(stage_warnings(known)),
+        "srgb": appearance["srgb"].values if "srgb" in appearance else np.full(3, np.nan),
     }
-    appearance = known.get("appearance")
-    srgb = np.full(3, np.nan) if appearance is None or "srgb" not in appearance else appearance["srgb"].values
-    return _dataset(
-        [material_name(known)],
-        {quantity.name: np.array([quantity.value(known)]) for quantity in quantities()},
-        {name: [text] for name, text in texts.items()},
-        np.array([len(stage_warnings(known))], dtype=np.int64),
-        np.asarray(srgb, dtype=float)[None],
-    )
+    return _dataset([row])
 
 
 def combine(rows: Sequence[xr.Dataset]) -> xr.Dataset:
@@ -81,33 +93,42 @@ def combine(rows: Sequence[xr.Dataset]) -> xr.Dataset:
     ------
     VocabularyError : a row is of another kind or lacks a variable, or two rows have the same name.
     """
+    columns = ("material", *(quantity.name for quantity in quantities()), *text_columns(), "warning_count", "srgb")
     for row in rows:
-        _check_row(row)
-    # Plain arrays: xarray.concat aligns and compares every variable of every row, which takes minutes for a thousand.
-    names = [str(name) for row in rows for name in row.variables["material"].values]
-    repeated = [name for name, count in Counter(names).items() if count > 1]
-    if repeated:
+        if row.attrs.get("kind") != "catalogue":
+            raise VocabularyError(f"expected a dataset of kind 'catalogue', found kind {row.attrs.get('kind')!r}")
+        if absent := [name for name in columns if name not in row.variables]:
+            found = ", ".join(map(str, row.variables))
+            raise VocabularyError(
+                f"a row of the catalogue lacks {absent[0]!r}; found {found}; build the material again"
+            )
+    # Plain values: xarray.concat aligns and compares every variable of every row, which takes minutes for a thousand.
+    values = {name: [value for row in rows for value in row.variables[name].values] for name in columns}
+    names = [str(name) for name in values["material"]]
+    if repeated := [name for name, count in Counter(names).items() if count > 1]:
         raise VocabularyError(
             f"two materials of the catalogue are named {repeated[0]!r}; change `name` in material.yaml"
         )
     order = sorted(range(len(names)), key=names.__getitem__)
-
-    def sorted_values(name: str) -> list[Any]:
-        values = [value for row in rows for value in row.variables[name].values]
-        return [values[k] for k in order]
-
-    return _dataset(
-        [names[k] for k in order],
-        {quantity.name: np.array(sorted_values(quantity.name), dtype=float) for quantity in quantities()},
-        {name: [str(value) for value in sorted_values(name)] for name in text_columns()},
-        np.array(sorted_values("warning_count"), dtype=np.int64),
-        np.array(sorted_values("srgb"), dtype=float).reshape(len(names), 3),
-    )
+    return _dataset([{name: values[name][k] for name in columns} for k in order])
 
 
 def texts(catalogue: xr.Dataset, name: str) -> list[str]:
     """A text variable of all materials."""
     return [str(value) for value in catalogue[name].values]
+
+
+def thumbnail(preview: xr.Dataset) -> str:
+    """Data URI of the sphere of a ``preview``, small.
+
+    WebP takes 0.5 to 0.9 kB, a third of a PNG of 64 colours: a page with a thousand of them is small and needs no other file.
+    """
+    from PIL import Image
+
+    sphere = np.ascontiguousarray(preview["picture"].values[:, : preview.sizes["row"]], dtype=np.uint8)
+    # Means over areas: other filters put a dark rim around highlights.
+    small = Image.fromarray(sphere).resize((THUMBNAIL_SIDE, THUMBNAIL_SIDE), Image.Resampling.BOX)
+    return data_uri(small, "webp", quality=_THUMBNAIL_QUALITY, method=6)
 
 
 def _verdict_texts(datasets: Mapping[str, xr.Dataset]) -> dict[str, str]:
@@ -121,41 +142,72 @@ def _verdict_texts(datasets: Mapping[str, xr.Dataset]) -> dict[str, str]:
     }
 
 
-def _dataset(
-    names: list[str],
-    values: Mapping[str, NDArray[np.float64]],
-    text_values: Mapping[str, list[str]],
-    warning_count: NDArray[np.int64],
-    srgb: NDArray[np.float64],
-) -> xr.Dataset:
+def _dataset(rows: Sequence[Mapping[str, Any]]) -> xr.Dataset:
+    """The dataset of rows: column → value."""
+
+    def column(name: str, dtype: type, **attrs: str) -> tuple[str, Any, dict[str, str]]:
+        return "material", np.array([row[name] for row in rows], dtype=dtype), attrs
+
     variables: dict[str, Any] = {
-        quantity.name: (
-            "material",
-            values[quantity.name],
-            {"units": stored_unit(quantity), "long_name": quantity.definition},
-        )
+        quantity.name: column(quantity.name, float, units=quantity.stored_unit, long_name=quantity.definition)
         for quantity in quantities()
     }
-    variables |= {
-        name: ("material", np.array(text_values[name], dtype=str), {"long_name": long_name})
-        for name, long_name in text_columns().items()
-    }
-    variables["warning_count"] = ("material", warning_count, {"units": "1", "long_name": "number of warnings"})
-    # Not the vocabulary's ``srgb``: a material without a colour is NaN here.
+    variables |= {name: column(name, str, long_name=long_name) for name, long_name in text_columns().items()}
+    variables["warning_count"] = column("warning_count", np.int64, units="1", long_name="number of warnings")
+    # Not the vocabulary's ``srgb``: NaN for a material without a colour.
+    srgb = np.array([row["srgb"] for row in rows], dtype=float).reshape(len(rows), 3)
     variables["srgb"] = (("material", "channel"), srgb)
-    coordinates = {
-        "material": ("material", np.array(names, dtype=str), {"long_name": "name of the material"}),
-        "channel": list("RGB"),
-    }
+    coordinates = {"material": column("material", str, long_name="name of the material"), "channel": list("RGB")}
     return vocabulary.label(xr.Dataset(variables, coords=coordinates), "catalogue")
 
 
-def _check_row(row: xr.Dataset) -> None:
-    if row.attrs.get("kind") != "catalogue":
-        raise VocabularyError(f"expected a dataset of kind 'catalogue', found kind {row.attrs.get('kind')!r}")
-    needed = (*(quantity.name for quantity in quantities()), *text_columns(), "material", "warning_count", "srgb")
-    absent = [name for name in needed if name not in row.variables]
-    if absent:
-        raise VocabularyError(
-            f"a row of the catalogue lacks {absent[0]!r}; found {', '.join(map(str, row.variables))}; build the material again"
+# --- files beside the dataset
+
+
+def catalogue_csv(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str]]) -> str:
+    """The catalogue as comma-separated values, one line for each material, failed ones included.
+
+    Parameters
+    ----------
+    catalogue : kind ``catalogue``
+    failures : material → ``stage`` and ``message``
+
+    Notes
+    -----
+    A spreadsheet reads text that starts with ``= + - @`` as a formula. Such text from users and their files gets an apostrophe in
+    front. Control characters and line breaks become spaces.
+    """
+    names = ("route", "basis", "verdict", "verdict_checks", "verdict_text")
+    columns = {name: texts(catalogue, name) for name in ("material", *names)}
+    columns["warnings"] = [str(count) for count in catalogue["warning_count"].values.tolist()]
+    for quantity in quantities():
+        values = catalogue[quantity.name].values.astype(float)
+        rounded = np.where(np.abs(values) < _ROUNDING_ERROR, 0.0, values).tolist()
+        columns[quantity.name] = ["" if math.isnan(value) else f"{value:.6g}" for value in rounded]
+    columns["srgb"] = [colour(channels) or "" for channels in catalogue["srgb"].values]
+    columns["description"] = texts(catalogue, "description")
+    rows = [{"status": "built", **dict(zip(columns, row, strict=True))} for row in zip(*columns.values(), strict=True)]
+    rows += [{"material": name, "status": "failed", **failure} for name, failure in failures.items()]
+    header = ["material", "status", *list(columns)[1:], "stage", "message"]
+    stream = StringIO()
+    writer = csv.DictWriter(stream, header, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for row in sorted(rows, key=lambda row: row["material"]):
+        writer.writerow(
+            {name: _escape_formula(row.get(name, "")) if name in _UNTRUSTED else row.get(name) for name in header}
         )
+    return stream.getvalue()
+
+
+def lock(catalogue: xr.Dataset) -> str:
+    """JSON {material: {stage: digest}}: equal for two catalogues exactly when all their datasets are equal."""
+    digests = {
+        name: json.loads(text)
+        for name, text in zip(texts(catalogue, "material"), texts(catalogue, "digests"), strict=True)
+    }
+    return json.dumps(digests, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def _escape_formula(text: str) -> str:
+    line = "".join(character if character.isprintable() else " " for character in text).strip()
+    return "'" + line if line[:1] in tuple("=+-@") else line

@@ -1,15 +1,18 @@
-"""Checks of the BRDF: verdicts and residuals."""
+"""Checks of the BRDF (verdicts and residuals), exported files, and provenance of every stage."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Collection, Mapping
+from typing import Any
 
 import xarray as xr
 
-from brdfpipe.appearance.verdicts import check_verdicts
-from brdfpipe.report.cards import Table
+from brdfpipe.appearance.verdicts import check_verdicts, json_object
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.exchange.registry import FORMATS
+from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import quantity
-from brdfpipe.report.material.sections import Section
 
 _RESIDUALS = (
     "reciprocity_residual",
@@ -30,3 +33,32 @@ def checks_section(datasets: Mapping[str, xr.Dataset]) -> Section:
         rows = [(str(residual.attrs.get("long_name", residual.name)), quantity(residual)) for residual in residuals]
         section.tables.append(Table("Checks in numbers", ("Quantity", "Value"), rows))
     return section
+
+
+def exports_table(datasets: Mapping[str, xr.Dataset], name: str, formats: Collection[str]) -> Table | None:
+    """The exported files of a material, described as their formats declare them; None where there are none."""
+    bsdf = datasets.get("bsdf")
+    sides = ("reflection", "transmission") if bsdf is not None and representation(bsdf).is_slab else ("reflection",)
+    rows = [
+        (", ".join(f"{name}{suffix}" for suffix in FORMATS[format].suffixes(side)), side, FORMATS[format].description)
+        for format in formats
+        for side in sides
+        if side in FORMATS[format].files
+    ]
+    if "lambert_gauss" in datasets:
+        rows.append((f"{name}.lambert_gauss.csv", "reflection", "parameters of the Lambert + Gauss fit"))
+    return Table("Exported files", ("Files", "Side", "Description"), rows, "In the folder `exports`.") if rows else None
+
+
+def provenance(stage: str, dataset: xr.Dataset) -> dict[str, Any]:
+    """Provenance of one stage, for the template."""
+    attrs = dataset.attrs
+    parameters = json_object(attrs.get("parameters"))
+    return {
+        "stage": stage,
+        "digest": str(attrs.get("digest", "")),
+        "inputs": [(name, str(value)) for name, value in json_object(attrs.get("inputs")).items()],
+        "parameters": [(name, json.dumps(value, ensure_ascii=False)) for name, value in parameters.items()],
+        "software": ", ".join(f"{name} {value}" for name, value in json_object(attrs.get("software")).items()),
+        "history": [line for line in str(attrs.get("history", "")).splitlines() if line],
+    }

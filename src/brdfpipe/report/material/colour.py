@@ -12,22 +12,18 @@ from brdfpipe import vocabulary
 from brdfpipe.appearance.applicability import flop_exclusion
 from brdfpipe.appearance.origin import is_measured
 from brdfpipe.appearance.quantities import viewing_conditions
-from brdfpipe.report.cards import Table
+from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import basis_legend, fixed, labels, number, plus_minus_u
-from brdfpipe.report.material.sections import Section
-from brdfpipe.report.material.spectrum import spectrum_section
+from brdfpipe.report.material.inputs import spectrum_section
 
 
 def colour_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     """Colours, and for a prediction its spectrum and refractive index."""
-    inputs = Section("") if is_measured(datasets) else spectrum_section(datasets)
+    section = Section("") if is_measured(datasets) else spectrum_section(datasets)
     appearance = datasets.get("appearance")
-    colours = (
-        [_lab_table(appearance, flop=not flop_exclusion(datasets))]
-        if appearance is not None and "lab" in appearance
-        else []
-    )
-    return Section("Colour", inputs.figures, [*inputs.tables, *colours])
+    if appearance is not None and "lab" in appearance:
+        section.tables.append(_lab_table(appearance, flop=not flop_exclusion(datasets)))
+    return Section("Colour", section.figures, section.tables)
 
 
 def _lab_table(appearance: xr.Dataset, *, flop: bool) -> Table:

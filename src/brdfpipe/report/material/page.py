@@ -2,39 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import xarray as xr
 
-from brdfpipe.appearance.limits import limits
+from brdfpipe.appearance.applicability import limits
 from brdfpipe.appearance.origin import basis, is_measured, route
 from brdfpipe.appearance.quantities import viewing_conditions
 from brdfpipe.appearance.verdicts import stage_title, stage_warnings, verdicts
 from brdfpipe.report import comparison
+from brdfpipe.report.cards import Section
 from brdfpipe.report.formatting import colour
-from brdfpipe.report.material import provenance
-from brdfpipe.report.material.checks import checks_section
+from brdfpipe.report.material.checks import checks_section, exports_table, provenance
 from brdfpipe.report.material.colour import colour_section
-from brdfpipe.report.material.effect_pigments import effect_pigment_section
-from brdfpipe.report.material.facets import facet_section
-from brdfpipe.report.material.key_numbers import key_numbers
-from brdfpipe.report.material.lambert_gauss import lambert_gauss_section
-from brdfpipe.report.material.picture import picture
-from brdfpipe.report.material.reflection import reflection_section
-from brdfpipe.report.material.spectrum import spectrum_section
-from brdfpipe.report.material.surface import surface_section
-from brdfpipe.report.pages import render
+from brdfpipe.report.material.head import key_numbers, picture
+from brdfpipe.report.material.inputs import effect_pigment_section, facet_section, spectrum_section, surface_section
+from brdfpipe.report.material.reflection import lambert_gauss_section, reflection_section
+from brdfpipe.report.pages import material_name, own_stages, render
 from brdfpipe.report.rig import section as rig_section
-from brdfpipe.report.shown_stages import material_name, own_stages
 
 
-def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> str:
+def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", exports: Collection[str] = ()) -> str:
     """The report of one material, one self-contained HTML file.
 
     Parameters
     ----------
     datasets : stage → its dataset, in the order of the page; any may be absent
     description : of the material, by its user; untrusted, shown as text
+    exports : names of the formats in :data:`brdfpipe.exchange.registry.FORMATS` in which the material was exported
 
     Returns
     -------
@@ -43,6 +38,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
     known = own_stages(datasets)
     appearance = known.get("appearance")
     measured = is_measured(known)
+    exported = exports_table(known, material_name(known), exports)
     inputs = [effect_pigment_section(known), surface_section(known), facet_section(known)]
     sections = [
         reflection_section(known),
@@ -50,6 +46,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
         *([] if measured else inputs),
         lambert_gauss_section(known),
         checks_section(known),
+        Section("Files", tables=[exported] if exported else []),
     ]
     prediction = [spectrum_section(known), *inputs] if measured else []
     return render(
@@ -68,5 +65,5 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "") 
         prediction=[section for section in prediction if section],
         rig=rig_section.chapter(datasets),
         comparison=comparison.chapter(datasets.get("comparison")),
-        provenance=[provenance.entry(stage_title(known, stage), dataset) for stage, dataset in known.items()],
+        provenance=[provenance(stage_title(known, stage), dataset) for stage, dataset in known.items()],
     )

@@ -1,22 +1,53 @@
-"""Reflection and transmission: curves, maps and shares of the light, gloss, and the model."""
+"""Sections on the BRDF: reflection and transmission with gloss and the model, and the Lambert + Gauss fit."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
+import numpy as np
 import xarray as xr
 
+from brdfpipe.appearance.applicability import HAZE_ANGLES, gloss_exclusion, gloss_units, haze_exclusion
+from brdfpipe.appearance.gloss_basis import gloss_flags, worst_flag
+from brdfpipe.appearance.multiple_scattering import MultipleScattering, multiple_scattering
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.report.material.gloss_table import gloss_table
-from brdfpipe.report.material.model_table import model_table
-from brdfpipe.report.material.sections import Section
-from brdfpipe.report.plots import bsdf_cuts, directional_maps, polarisation, reflectance
-from brdfpipe.report.plots.svg import sentence
+from brdfpipe.report.cards import Section, Table
+from brdfpipe.report.formatting import basis_legend, fixed, labels, number, percent, plus_minus_u
+from brdfpipe.report.plots import bsdf_cuts, bsdf_sections, directional_maps, reflectance
+from brdfpipe.report.plots.svg import Figure
+
+LOSS_LIMIT = 0.01
+"""Share of the light lost to multiple scattering above which the page advises to compensate it."""
+
+_NEGLIGIBLE_LOSS = 1e-4
+_ENERGY_CONSERVING = ("height-correlated", "separable")
+_MODEL_CHOICES = {
+    "recipe": "Recipe",
+    "masking": "Masking",
+    "diffuse_mode": "Diffuse part",
+    "multiple_scattering": "Multiple scattering",
+    "transmission": "Transmission",
+}
+
+RESIDUAL_LIMIT = 0.2
+"""Residual above which a Gaussian does not describe the lobe."""
+
+_FIT_COLUMNS = (
+    ("lambert", "Lambertian ρ", 1.0),
+    ("gauss_peak", "Peak G₀, sr⁻¹", 1.0),
+    ("gauss_fwhm_parallel", "FWHM ∥, °", 1.0),
+    ("gauss_fwhm_perpendicular", "FWHM ⊥, °", 1.0),
+    ("gauss_reflectance", "Gaussian ρ", 1.0),
+    ("fit_residual", "Residual, %", 100.0),
+)
+
+_STYLE_NOTE = "D523-style: computed from the BRDF with the apertures of the standard. Conformance is not claimed."
 
 
 def reflection_section(datasets: Mapping[str, xr.Dataset]) -> Section:
-    """What the BRDF, and the BTDF where there is one, look like, and the gloss that follows."""
+    """Curves, maps and parts of the BRDF and BTDF, gloss, and the model."""
     bsdf = datasets.get("bsdf")
     transmits = bsdf is not None and representation(bsdf).transmits
     section = Section("Reflection and transmission" if transmits else "Reflection")
@@ -24,11 +55,160 @@ def reflection_section(datasets: Mapping[str, xr.Dataset]) -> Section:
         try:
             section.figures += [*bsdf_cuts.cuts(bsdf), *directional_maps.directional_maps(bsdf)]
         except BrdfpipeError as error:  # a measured table may not cover the directions shown
-            section.figures.append(sentence("BRDF in the plane of incidence", f"Not shown: {error}"))
+            section.figures.append(Figure("BRDF in the plane of incidence", note=f"Not shown: {error}"))
     section.figures += reflectance.shares(datasets.get("checks"), bsdf)
-    polarised = polarisation.polarisation(bsdf) if bsdf is not None else None
-    section.figures += [polarised] if polarised else []
-    table = gloss_table(datasets)
-    section.tables += [table] if table else []
+    section.figures += filter(None, [None if bsdf is None else directional_maps.polarisation(bsdf)])
+    section.tables += filter(None, [gloss_table(datasets)])
     section.tables += [model_table(bsdf)] if bsdf is not None and "masking" in bsdf.attrs else []
     return section
+
+
+# --- gloss
+
+
+def gloss_table(datasets: Mapping[str, xr.Dataset]) -> Table | None:
+    """Gloss at each geometry, haze after D4039, haze after ISO 13803; None where no gloss was computed."""
+    appearance = datasets.get("appearance")
+    gloss = gloss_units(appearance)
+    if appearance is None or not gloss:
+        return None
+    header: tuple[str, ...] = ("Geometry", "Gloss units")
+    if reason := gloss_exclusion(datasets):
+        return Table("Gloss", header, [(", ".join(f"{angle:g}°" for angle in gloss), "not modelled")], reason)
+    uncertainties, flags = _gloss_uncertainties(appearance), gloss_flags(appearance)
+    rows = [
+        *(
+            (f"{angle:g}°", fixed(value, 2), uncertainties.get(angle, ""), flags.get(angle, ""))
+            for angle, value in gloss.items()
+        ),
+        *_d4039_rows(datasets, appearance),
+        *_iso_13803_rows(appearance),
+    ]
+    columns, note = [0, 1], _STYLE_NOTE + _clear_coat_note(datasets.get("bsdf"))
+    if uncertainties:
+        title, sentence = _uncertainty_words(appearance)
+        columns, header, note = [*columns, 2], (*header, title), note + sentence
+    if flags:
+        columns, header, note = [*columns, 3], (*header, "Basis"), f"{note} {basis_legend(flags.values())}"
+    return Table("Gloss", header, [[row[column] for column in columns] for row in rows], note)
+
+
+def _d4039_rows(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset) -> list[tuple[str, str, str, str]]:
+    """G60 − G20, called haze only where D4039 applies."""
+    if "haze" not in appearance or not np.isfinite(appearance["haze"]):
+        return []
+    title = "60° − 20°" if haze_exclusion(datasets) else "Haze (D4039-style), 60° − 20°"
+    u = plus_minus_u(float(appearance.get("haze_u", math.nan)))
+    return [(title, fixed(float(appearance["haze"]), 2), u, worst_flag(appearance, *HAZE_ANGLES))]
+
+
+def _iso_13803_rows(appearance: xr.Dataset) -> list[tuple[str, str, str, str]]:
+    """Haze of every window."""
+    if "reflectance_haze" not in appearance:
+        return []
+    haze = appearance["reflectance_haze"]
+    uncertainties = appearance.get("reflectance_haze_u", xr.full_like(haze, np.nan)).values.tolist()
+    values = zip(labels(haze, "haze_window"), haze.values.tolist(), uncertainties, strict=True)
+    return [(f"Haze (ISO 13803-style), {window}", fixed(value, 2), plus_minus_u(u), "") for window, value, u in values]
+
+
+def _gloss_uncertainties(appearance: xr.Dataset) -> dict[float, str]:
+    """``± u`` of gloss by geometry [degree]."""
+    if "gloss_u" not in appearance:
+        return {}
+    angles, uncertainties = appearance["gloss_angle"].values.tolist(), appearance["gloss_u"].values.tolist()
+    return {angle: plus_minus_u(u) for angle, u in zip(angles, uncertainties, strict=True) if math.isfinite(u)}
+
+
+def _uncertainty_words(appearance: xr.Dataset) -> tuple[str, str]:
+    """Title of the column, and a sentence on what the uncertainty includes."""
+    source = "standard uncertainty from the tolerances of apertures and axes"
+    if "BSDF" in str(appearance["gloss_u"].attrs.get("long_name", "")):
+        included = "that of gloss includes the uncertainty of the BRDF, that of haze does not"
+        return "Uncertainty", f" Uncertainty: {source}; {included}."
+    return "Tolerances", f" Tolerances: {source}. The uncertainty of the BRDF is not included."
+
+
+def _clear_coat_note(bsdf: xr.Dataset | None) -> str:
+    """The assumption on the clear coat of a paint; empty for other materials."""
+    if bsdf is None or (coat := bsdf.attrs.get("clear_coat", "none")) == "none":
+        return ""
+    if coat == "rough":
+        slope = float(bsdf["clear_coat_slope"])
+        return f" The slope of the clear coat is given ({slope:g}), not measured; gloss and haze follow from it."
+    return " The clear coat is assumed smooth, not measured; gloss and haze follow from it."
+
+
+# --- model
+
+
+def model_table(bsdf: xr.Dataset) -> Table:
+    """Choices of the model, with a note on multiple scattering."""
+    rows = [(title, str(bsdf.attrs[name])) for name, title in _MODEL_CHOICES.items() if name in bsdf.attrs]
+    # The balance of the light shows the losses of a body that transmits.
+    several = None if representation(bsdf).transmits else multiple_scattering(bsdf, bsdf_sections.REFERENCE_WAVELENGTH)
+    texts: tuple[str, ...] = ()
+    if several is not None and (masking := str(bsdf.attrs["masking"])) not in _ENERGY_CONSERVING:
+        texts = (_masking_note(several, masking),)
+    elif several is not None:
+        state = "compensated" if several.compensated else "lost"
+        rows.append((f"Light reflected more than once, {state}", percent(several.share)))
+        texts = _scattering_note_and_remark(several)
+    return Table("Model", ("Choice", "Value"), rows, *texts)
+
+
+def _masking_note(several: MultipleScattering, masking: str) -> str:
+    return (
+        f"Masking `{masking}` follows its source and need not conserve energy. Facets that are perfect mirrors would reflect "
+        f"{percent(1 - several.mirrors)} of the light, mean over the hemisphere. `model.masking: height-correlated` never reflects more "
+        "than arrives. The checks state where this model does."
+    )
+
+
+def _scattering_note_and_remark(several: MultipleScattering) -> tuple[str, str]:
+    """A note, and a remark where the loss is large."""
+    mean = f"mean over the hemisphere; for facets that are perfect mirrors {percent(max(several.mirrors, 0.0))}"
+    if several.compensated:
+        light = f"Light that leaves after two or more reflections, {percent(several.share)} ({mean})"
+        return f"{light}, is compensated by a diffuse part.", ""
+    loss = f"The model loses {percent(several.share)} of the light to multiple scattering ({mean})"
+    if several.share < _NEGLIGIBLE_LOSS:
+        return f"{loss}: negligible.", ""
+    advice = f"{loss}. Set `model.multiple_scattering: compensated` to compensate it."
+    return ("", advice) if several.share >= LOSS_LIMIT else (advice, "")
+
+
+# --- Lambert + Gauss fit
+
+
+def lambert_gauss_section(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """Parameters and residuals of the fit."""
+    section = Section("Lambert + Gauss fit")
+    fit = datasets.get("lambert_gauss")
+    if fit is None or "theta_i" not in fit.coords:
+        return section
+    theta_i = np.atleast_1d(fit["theta_i"].values)
+    present = [column for column in _FIT_COLUMNS if column[0] in fit]
+    columns = [
+        np.broadcast_to(factor * bsdf_sections.at_reference(fit[name]).values, theta_i.shape)
+        for name, _, factor in present
+    ]
+    rows = [(f"{angle:g}°", *(number(column[k]) for column in columns)) for k, angle in enumerate(theta_i)]
+    note = "Residual: flux-weighted rms misfit over the flux-weighted rms BRDF."
+    if "wavelength" in fit["lambert"].dims:
+        note = f"Lambertian ρ {bsdf_sections.wavelength_words(fit)}. {note}"
+    header = ("Incidence", *(title for _, title, _ in present))
+    section.tables.append(Table("Fit at each angle of incidence", header, rows, note, _residual_remark(fit)))
+    return section
+
+
+def _residual_remark(fit: xr.Dataset) -> str:
+    """Incidences at which the lobe is not a Gaussian; empty where there are none."""
+    if "fit_residual" not in fit:
+        return ""
+    theta_i = np.atleast_1d(fit["theta_i"].values)
+    poor = theta_i[np.broadcast_to(fit["fit_residual"].values, theta_i.shape) > RESIDUAL_LIMIT].tolist()
+    if not poor:
+        return ""
+    angles = "every incidence" if len(poor) == theta_i.size > 1 else ", ".join(f"{angle:g}°" for angle in poor)
+    return f"Residual above {100 * RESIDUAL_LIMIT:.0f}\u202f% at {angles}: the lobe is not a Gaussian there. Use the table or the BSDF itself."

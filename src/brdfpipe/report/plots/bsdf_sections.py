@@ -1,7 +1,4 @@
-"""A BSDF as the figures see it: at one wavelength, in the planes that matter, part by part.
-
-All goes through the functions that every representation offers: nothing here knows how a material came in.
-"""
+"""Values of a BSDF for the figures: at one wavelength, in the plane of incidence or the planes along and across the lay."""
 
 from __future__ import annotations
 
@@ -15,13 +12,13 @@ from brdfpipe.bsdf.registry import representation
 from brdfpipe.report.plots.svg import Array
 
 REFERENCE_WAVELENGTH = 550.0
-"""Wavelength shown where one must stand for all, nm: near the peak of the eye's response."""
+"""Wavelength of figures that show a single one [nm]: near the peak of the eye's response."""
 
 DARKEST = 1e-12
-"""BSDF below which there is no light, but the rounding of some interpolation; sr-1."""
+"""BSDF below which there is no light, only rounding of an interpolation [sr-1]."""
 
 _WIDEST_STEP = 0.02
-"""Distance from a peak at which a cut of unknown lobe is sampled first, degree."""
+"""First distance from a peak at which a cut is sampled, for a lobe of unknown width [degree]."""
 
 
 class Plane(NamedTuple):
@@ -29,11 +26,10 @@ class Plane(NamedTuple):
 
     azimuth: float
     words: str
-    """``along the lay``, ``across the lay``; empty where all azimuths are alike"""
+    """``along the lay``, ``across the lay``; empty for an isotropic BSDF"""
 
-    def outgoing(self, turn: ArrayLike) -> Array:
-        """Azimuths that lie ``turn`` degree from the one away from the source."""
-        return self.azimuth + np.asarray(turn, dtype=float)
+    def title(self, text: str) -> str:
+        return f"{text} {self.words}".strip()
 
 
 def planes(bsdf: xr.Dataset) -> list[Plane]:
@@ -50,7 +46,7 @@ def directions(
     plane: Plane, incidence: ArrayLike, theta_o: ArrayLike, turn: ArrayLike
 ) -> tuple[Array, Array, Array, Array]:
     """θ_i, φ_i, θ_o and φ_o [degree] of one shape; arguments as of :func:`value`."""
-    angles = np.broadcast_arrays(incidence, plane.azimuth + 180, theta_o, plane.outgoing(turn))
+    angles = np.broadcast_arrays(incidence, plane.azimuth + 180, theta_o, plane.azimuth + np.asarray(turn, dtype=float))
     theta_i, phi_i, theta_o, phi_o = (np.array(angle, dtype=float) for angle in angles)
     return theta_i, phi_i, theta_o, phi_o
 
@@ -58,10 +54,7 @@ def directions(
 def value(bsdf: xr.Dataset, plane: Plane, incidence: ArrayLike, theta_o: ArrayLike, turn: ArrayLike) -> Array:
     """BRDF or BTDF [sr-1] at the reference wavelength; 0 where it is below :data:`DARKEST`.
 
-    Parameters
-    ----------
-    incidence : degree, in the plane
-    theta_o, turn : polar angle, and azimuth from the one away from the source; degree, broadcastable
+    ``theta_o`` and ``turn`` are the polar angle, and the azimuth from the one away from the source [degree], broadcastable.
     """
     angles = directions(plane, incidence, theta_o, turn)
     values = representation(bsdf).evaluate(*angles, reference(bsdf))[..., 0].astype(float)
@@ -69,17 +62,12 @@ def value(bsdf: xr.Dataset, plane: Plane, incidence: ArrayLike, theta_o: ArrayLi
 
 
 def cut(bsdf: xr.Dataset, plane: Plane, incidence: float, *, through: bool = False) -> tuple[Array, Array]:
-    """The BSDF in a plane of incidence.
-
-    Parameters
-    ----------
-    incidence : degree
-    through : of the light that passes, instead of the light that is reflected
+    """The BRDF in a plane of incidence; the BTDF with ``through``.
 
     Returns
     -------
-    Angles from the normal (the one below the surface where the light passes) in degree, negative on the side of the source, and
-    values [sr-1]; crowded about the directions in which a smooth surface would send the light
+    Angles from the upper (``through``: lower) normal [degree], negative on the side of the source, and values [sr-1]; dense near the
+    directions into which a smooth surface would reflect or transmit the light
     """
     slope = representation(bsdf).lobe_slope
     first = _WIDEST_STEP if slope is None else float(np.clip(np.degrees(slope) / 4, 1e-4, _WIDEST_STEP))
@@ -97,7 +85,7 @@ def in_plane(theta: Array, *, through: bool = False) -> tuple[Array, Array]:
 
 
 def smooth_angles(bsdf: xr.Dataset, incidence: float) -> Array:
-    """Angles from the lower normal [degree] at which light from above would pass a smooth surface: refracted, and straight on."""
+    """Angles from the lower normal [degree] of light that a smooth surface would transmit: refracted, and straight."""
     refracted = 180 - float(representation(bsdf).refracted(np.array(incidence), reference(bsdf)))
     return np.unique(np.array([refracted, incidence]).round(6))
 
@@ -105,20 +93,19 @@ def smooth_angles(bsdf: xr.Dataset, incidence: float) -> Array:
 def reflectance(bsdf: xr.Dataset, plane: Plane, incidence: Array) -> Array:
     """Share of the light that is reflected [1], at the reference wavelength."""
     phi = np.full_like(incidence, plane.azimuth + 180)
-    return np.asarray(representation(bsdf).albedo(incidence, phi, reference(bsdf)), dtype=float)[..., 0]
+    return representation(bsdf).albedo(incidence, phi, reference(bsdf))[..., 0]
 
 
 def transmittance(bsdf: xr.Dataset, plane: Plane, incidence: Array) -> Array:
-    """Share of the light that passes [1], at the reference wavelength."""
+    """Share of the light that is transmitted [1], at the reference wavelength."""
     phi = np.full_like(incidence, plane.azimuth + 180)
-    return np.asarray(representation(bsdf).transmittance(incidence, phi, reference(bsdf)), dtype=float)[..., 0]
+    return representation(bsdf).transmittance(incidence, phi, reference(bsdf))[..., 0]
 
 
 def specular(bsdf: xr.Dataset, incidence: Array) -> tuple[Array, Array]:
-    """Shares of the light that perfectly smooth surfaces send into one direction: reflected, and passed [1]."""
-    shares = representation(bsdf).specular(incidence, np.zeros_like(incidence), reference(bsdf))
-    mirrored, straight = (np.asarray(share, dtype=float)[..., 0] for share in shares)
-    return mirrored, straight
+    """Shares of the light [1] that perfectly smooth surfaces reflect, and transmit, into one direction."""
+    mirrored, straight = representation(bsdf).specular(incidence, np.zeros_like(incidence), reference(bsdf))
+    return mirrored[..., 0], straight[..., 0]
 
 
 def reference(dataset: xr.Dataset) -> Array | None:
@@ -130,9 +117,7 @@ def reference(dataset: xr.Dataset) -> Array | None:
 
 
 def at_reference(values: xr.DataArray) -> xr.DataArray:
-    if "wavelength" not in values.dims:
-        return values
-    return values.sel(wavelength=REFERENCE_WAVELENGTH, method="nearest")
+    return values.sel(wavelength=REFERENCE_WAVELENGTH, method="nearest") if "wavelength" in values.dims else values
 
 
 def wavelength_words(dataset: xr.Dataset) -> str:

@@ -1,32 +1,17 @@
-"""Masking G₁ and shadowing G₂: after Smith, and by ray casting over the heights."""
+"""Masking G₁ and shadowing G₂ against the angle: after Smith, and by ray casting over the heights."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
-from markupsafe import Markup
+from scipy.special import erf
 
-from brdfpipe.report.plots.equivalent_densities import GGX_LABEL, Pattern, beckmann_width, median_slope
-from brdfpipe.report.plots.svg import (
-    Array,
-    Axis,
-    Figure,
-    Line,
-    Mark,
-    Points,
-    chart,
-    legend,
-)
-
-if TYPE_CHECKING:
-    pass
-
-
-EXPANDED_UNCERTAINTY = "± 2 standard uncertainties"
+from brdfpipe.report.formatting import EXPANDED_UNCERTAINTY
+from brdfpipe.report.plots.slope_density import GGX_LABEL, beckmann_width, median_slope
+from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, Mark, Pattern, Points, chart, legend
 
 _SMITH_G2: Sequence[tuple[str, str, str, Pattern]] = (
     ("g2_height_correlated", "c0", "Smith, height-correlated", "line"),
@@ -34,100 +19,85 @@ _SMITH_G2: Sequence[tuple[str, str, str, Pattern]] = (
 )
 
 
+_CAST = f"rays cast over the heights, {EXPANDED_UNCERTAINTY}"
+
+
 def smith_masking(facets: xr.Dataset) -> Figure:
-    """Smith's G1 against the angle."""
-    theta = facets["theta"].values.astype(float)
-    marks: list[Mark] = [_g1_line(theta, facets["lambda_smith"].values.astype(float), "c0", "facets")]
-    fine = np.linspace(0.5, 89.9, 180)
-    width, label = beckmann_width(facets)
-    marks.append(Line(fine, _beckmann_g1(fine, width), "ref", label, "dash"))
-    marks.append(Line(fine, _ggx_g1(fine, median_slope(facets)), "ref", GGX_LABEL, "dots"))
-    return Figure("Masking G₁(θ)", _masking_chart("G₁", marks), legend(marks), "1 / (1 + Λ), Smith.")
+    """Smith's G1 of an isotropic facet distribution, beside a Beckmann and a GGX."""
+    theta, lambda_smith = facets["theta"].values.astype(float), facets["lambda_smith"].values.astype(float)
+    fine, (width, label) = np.linspace(0.5, 89.9, 180), beckmann_width(facets)
+    marks = [
+        _g1_line(theta, lambda_smith, "c0", "facets"),
+        Line(fine, _beckmann_g1(fine, width), "ref", label, "dash"),
+        Line(fine, _ggx_g1(fine, median_slope(facets)), "ref", GGX_LABEL, "dots"),
+    ]
+    return _figure("Masking G₁(θ)", "G₁", marks, "1 / (1 + Λ), Smith.")
 
 
 def smith_masking_with_lay(facets: xr.Dataset, lay: float) -> Figure:
+    """Smith's G1 along the lay and across it."""
     theta = facets["theta"].values.astype(float)
-    marks: list[Mark] = [
+    marks = [
         _g1_line(theta, _lambda_towards(facets, lay + turn), style, f"{name} the lay")
         for turn, style, name in ((0, "c0", "along"), (90, "c2", "across"))
     ]
     note = "1 / (1 + Λ), Smith; Λ is the mean of the two opposite directions."
-    return Figure("Masking G₁(θ)", _masking_chart("G₁", marks), legend(marks), note)
+    return _figure("Masking G₁(θ)", "G₁", marks, note)
 
 
 def raycast_figure(comparison: xr.Dataset, facets: xr.Dataset | None = None) -> Figure:
-    """G1 by ray casting over the heights against G1 of the facet distribution.
+    """G1 by ray casting over the heights against Smith's G1 of the facet distribution.
 
-    Parameters
-    ----------
-    comparison : kind ``masking``
-    facets : kind ``facets``, whose Smith curve is finer than the comparison
+    ``comparison`` is of kind ``masking``; ``facets``, of kind ``facets``, have a finer Smith curve than the comparison.
     """
-    theta = comparison["theta"].values.astype(float)
+    theta, g1 = comparison["theta"].values.astype(float), comparison["g1_raycast"].values
     marks: list[Mark] = [
         Line(*_smith_curve(comparison, facets), "c0", "Smith, of the facet distribution"),
-        Points(
-            theta,
-            comparison["g1_raycast"].values,
-            2 * raycast_uncertainty(comparison),
-            "c2",
-            f"rays cast over the heights, {EXPANDED_UNCERTAINTY}",
-        ),
+        Points(theta, g1, 2 * raycast_uncertainty(comparison), "c2", _CAST),
     ]
     note = "Mean over the azimuths. They agree where the facet distribution represents the surface."
-    return Figure("Masking G₁(θ) against ray casting", _masking_chart("G₁", marks), legend(marks), note)
+    return _figure("Masking G₁(θ) against ray casting", "G₁", marks, note)
 
 
 def bistatic_figure(comparison: xr.Dataset) -> Figure | None:
-    """G2 of the mirror direction by ray casting against Smith's two forms; None where it was not cast.
-
-    Parameters
-    ----------
-    comparison : kind ``masking``
-    """
+    """G2 of the mirror direction by ray casting against Smith's two forms; None where it was not cast."""
     if "g2_raycast" not in comparison:
         return None
-    theta = comparison["theta"].values.astype(float)
-    cast = comparison["g2_raycast"].values.astype(float)
-    seen = np.isfinite(cast)  # no facet may face both directions at grazing
-    uncertainty = comparison["g2_raycast_u"].values if "g2_raycast_u" in comparison else np.full(theta.size, np.nan)
+    theta, cast = comparison["theta"].values.astype(float), comparison["g2_raycast"].values.astype(float)
+    known = np.isfinite(cast)  # no facet may face both directions at grazing
     marks: list[Mark] = [
         Line(theta, comparison[name].values.astype(float), style, label, pattern)
         for name, style, label, pattern in _SMITH_G2
         if name in comparison
     ]
-    label = f"rays cast over the heights, {EXPANDED_UNCERTAINTY}"
-    marks.append(Points(theta[seen], cast[seen], 2 * uncertainty[seen], "c2", label))
+    u = raycast_uncertainty(comparison, "g2_raycast_u")
+    marks.append(Points(theta[known], cast[known], 2 * u[known], "c2", _CAST))
     note = (
         "Incidence θ, view −θ, both in one plane; mean over the azimuths, Smith with the slopes of the lines cast. "
         "This tests Smith's assumption; the agreement of G₁ does not."
     )
-    return Figure("Masking and shadowing G₂(θ, −θ)", _masking_chart("G₂", marks), legend(marks), note)
+    return _figure("Masking and shadowing G₂(θ, −θ)", "G₂", marks, note)
 
 
 def _smith_curve(comparison: xr.Dataset, facets: xr.Dataset | None) -> tuple[Array, Array]:
-    """The compared G1 after Smith, finely where it is the facets' own."""
+    """Smith's G1 of the comparison; the finer curve of the facets where it is the same."""
     theta, compared = comparison["theta"].values.astype(float), comparison["g1_smith"].values.astype(float)
     if facets is None or "lambda_smith" not in facets or facets["lambda_smith"].dims != ("theta",):
         return theta, compared
     fine = np.r_[0.0, facets["theta"].values.astype(float)]
     g1 = np.r_[1.0, 1 / (1 + facets["lambda_smith"].values.astype(float))]
-    own = bool(np.allclose(np.interp(theta, fine, g1), compared, atol=2e-3))
-    return (fine, g1) if own else (theta, compared)
+    return (fine, g1) if np.allclose(np.interp(theta, fine, g1), compared, atol=2e-3) else (theta, compared)
 
 
-def raycast_uncertainty(comparison: xr.Dataset) -> Array:
-    """Standard uncertainty of G1 by ray casting; NaN where it is not known."""
-    if "g1_raycast_u" not in comparison:
-        return np.full(comparison.sizes["theta"], np.nan)
-    return np.asarray(comparison["g1_raycast_u"].values, dtype=float)
+def raycast_uncertainty(comparison: xr.Dataset, name: str = "g1_raycast_u") -> Array:
+    """Standard uncertainty of G1, or G2, by ray casting; NaN where it is not known."""
+    return comparison[name].values.astype(float) if name in comparison else np.full(comparison.sizes["theta"], np.nan)
 
 
 def _beckmann_g1(theta: Array, width: float) -> Array:
     """Smith's G1 of a Beckmann surface (Heitz 2014, eq. 73)."""
     nu = 1 / (width * np.tan(np.radians(theta)))
-    erf = np.array([math.erf(value) for value in nu.tolist()])  # scipy.special would cost its import for one curve
-    return np.asarray(1 / (1 + (erf - 1) / 2 + np.exp(-(np.minimum(nu, 30.0) ** 2)) / (2 * nu * np.sqrt(np.pi))))
+    return np.asarray(1 / (1 + (erf(nu) - 1) / 2 + np.exp(-(np.minimum(nu, 30.0) ** 2)) / (2 * nu * np.sqrt(np.pi))))
 
 
 def _ggx_g1(theta: Array, width: float) -> Array:
@@ -151,10 +121,11 @@ def _g1_line(theta: Array, lambda_smith: Array, style: str, label: str) -> Line:
     return Line(np.r_[0.0, theta], np.r_[1.0, 1 / (1 + lambda_smith)], style, label)
 
 
-def _masking_chart(name: str, marks: Sequence[Mark]) -> Markup:
-    return chart(
+def _figure(title: str, name: str, marks: Sequence[Mark], note: str) -> Figure:
+    svg = chart(
         f"Masking {name} against the polar angle",
         Axis("angle from the normal θ, degree", 0.0, 90.0, step=15),
         Axis(f"{name}, visible fraction of the facets", 0.0, 1.02, step=0.2),
         marks,
     )
+    return Figure(title, svg, legend(marks), note)

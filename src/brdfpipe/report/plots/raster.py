@@ -1,4 +1,4 @@
-"""Pictures of fields in false colour: the colours, the colour bar, and a raster image in its axes."""
+"""Rasters in false colour: the colour map, the colour bar, and an image in its axes."""
 
 from __future__ import annotations
 
@@ -11,26 +11,17 @@ from numpy.typing import NDArray
 from brdfpipe.report.plots.svg import Array, frame, image, linear_ticks, png, text
 
 _MISSING_COLOUR = (240, 90, 120)
-_LEVELS = 160
-
-DISC_CENTRE = (212.0, 186.0)
-"""Of a picture of the hemisphere, figure units"""
-DISC_RADIUS = 158.0
 
 Ticks = Sequence[tuple[float, str]]
-"""(fraction of the bar from its lower end, label)"""
+"""(fraction of the colour bar from its lower end, label)"""
 
 
 def false_colour(
-    values: Array, low: float, high: float, levels: int = _LEVELS
+    values: Array, low: float, high: float, levels: int = 160
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Palette indices, top row first, and the palette; the last index is the missing one.
+    """Palette indices, top row first, and the palette, whose last colour is that of missing values.
 
-    Parameters
-    ----------
-    values : (rows, columns), rows upwards; NaN where missing
-    low, high : values of the first and the last colour
-    levels : number of colours; few of them look like contours
+    ``values`` has rows upwards and NaN where missing; ``low`` and ``high`` are those of the first and the last colour.
     """
     level = np.clip((values[::-1] - low) / (high - low), 0, 1) * levels
     missing = np.isnan(level)
@@ -44,24 +35,13 @@ def framed(
     x: tuple[str, float, float],
     y: tuple[str, float, float],
     unit: str,
-    bar: Ticks,
+    ticks: Ticks,
     *,
     levels: int = 64,
 ) -> tuple[Markup, bool]:
-    """An image in its axes with a colour bar, x and y to one scale unless that would leave a mere line.
+    """An image in its axes (label, low, high) with a colour bar, and whether x and y have the same scale.
 
-    Parameters
-    ----------
-    description : what a person who cannot see it should know
-    uri : data URI of the image
-    x, y : label, low and high of each axis
-    unit : what the colours mean
-    bar : ticks of the colour bar
-    levels : number of colours of the bar
-
-    Returns
-    -------
-    The figure, and whether x and y are to one scale
+    They do, unless the image would be narrower than 120 figure units.
     """
     extent_x, extent_y = x[2] - x[1], y[2] - y[1]
     top, room_x, room_y = 28.0, 370.0, 400.0
@@ -80,55 +60,13 @@ def framed(
         parts.append(text(left - 7, at + 4, name, "end"))
     parts.append(text(left + wide / 2, height - 8, x[0], "middle", "t"))
     parts.append(text(left - 50, 15, y[0], "start", "t"))
-    parts += _colour_bar(left + wide + 18, top, tall, unit, bar, levels)
+    parts += colour_bar(left + wide + 18, top, tall, unit, ticks, levels)
     return frame(description, height, parts), bool(np.isclose(wide / extent_x, tall / extent_y, rtol=1e-6))
 
 
-def disc(
-    description: str, uri: str, margin: float, unit: str, bar: Ticks, signs: Sequence[str], *, levels: int = 64
-) -> Markup:
-    """A picture of the hemisphere of directions, seen along the normal, with a colour bar.
-
-    Parameters
-    ----------
-    description : what a person who cannot see it should know
-    uri : data URI of the image
-    margin : direction cosine at its edges, a little above 1
-    unit : what the colours mean
-    bar : ticks of the colour bar
-    signs : marks on the disc, in figure units (:func:`on_disc`)
-    levels : number of colours of the bar
-    """
-    side = 2 * DISC_RADIUS * margin
-    left, top = DISC_CENTRE[0] - side / 2, DISC_CENTRE[1] - side / 2
-    parts = [image(uri, left, top, side, side, smooth=True)]
-    for angle in (30, 60, 90):
-        r = DISC_RADIUS * np.sin(np.radians(angle))
-        style = "a" if angle == 90 else "v"
-        parts.append(f'<circle class="{style}" cx="{DISC_CENTRE[0]:g}" cy="{DISC_CENTRE[1]:g}" r="{r:.1f}"/>')
-        parts.append(
-            text(
-                DISC_CENTRE[0],
-                DISC_CENTRE[1] - r + (14 if angle < 90 else -6),
-                f"{angle}°",
-                "middle",
-                "w" if angle < 90 else "",
-            )
-        )
-    parts += signs
-    parts += _colour_bar(410, DISC_CENTRE[1] - DISC_RADIUS, 2 * DISC_RADIUS, unit, bar, levels)
-    return frame(description, DISC_CENTRE[1] + DISC_RADIUS + 14, parts)
-
-
-def on_disc(theta: float, azimuth: float) -> tuple[float, float]:
-    """Where a direction stands on a disc, in figure units; azimuth 0 to the right, counter-clockwise [degree]."""
-    r = DISC_RADIUS * np.sin(np.radians(theta))
-    return DISC_CENTRE[0] + r * np.cos(np.radians(azimuth)), DISC_CENTRE[1] - r * np.sin(np.radians(azimuth))
-
-
-def _colour_bar(x: float, top: float, tall: float, unit: str, ticks: Ticks, levels: int) -> list[str]:
+def colour_bar(x: float, top: float, tall: float, unit: str, ticks: Ticks, levels: int) -> list[str]:
     ramp = viridis(np.linspace(1, 0, levels))[:, None, :]
-    # A long unit ends at the picture's edge instead of starting at the bar.
+    # The unit ends at the edge of the picture, as a long one would not fit to the right of the bar.
     parts = [image(png(ramp), x, top, 12, tall), text(x + 12, 15, unit, "end", "t")]
     for fraction, name in ticks:
         at = top + tall * (1 - fraction)

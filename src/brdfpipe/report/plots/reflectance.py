@@ -1,4 +1,4 @@
-"""Directional reflectance and transmittance against the angle of incidence, in parts."""
+"""Directional reflectance and transmittance against the angle of incidence, total and parts."""
 
 from __future__ import annotations
 
@@ -17,29 +17,31 @@ from brdfpipe.report.plots.bsdf_sections import Plane
 from brdfpipe.report.plots.svg import Array, Axis, Band, Figure, Line, Mark, chart, legend
 
 GRAZING = np.unique(np.r_[np.linspace(0, 80, 33), 90 - np.geomspace(10, 0.1, 24)])
-"""Angles of incidence of the directional reflectance, crowding towards grazing, where it is steepest; degree."""
-
+"""Angles of incidence of the directional reflectance [degree], dense towards grazing, where it is steepest."""
 _GRAZING_LAY = np.r_[np.arange(0.0, 75.0, 7.5), 90 - np.geomspace(15, 0.1, 16)]
-
 _GRAZING_FEW = np.r_[np.arange(0.0, 75.0, 15.0), 90 - np.geomspace(15, 0.1, 8)]
 
 _NEGLIGIBLE = 1e-4
-"""Share of the light below which nothing is said of it."""
-
+"""Share of the light below which a part is not drawn."""
 _MOST_SHOWN = 1.25
 """Directional reflectance up to which a model that gains energy is drawn."""
-
 _CLOSED = 1e-5
-"""Difference from 1 up to which a balance closes: the accuracy of the quadratures."""
+"""Accuracy of the quadratures, and so of a balance of the light."""
+
+_INCIDENCE_AXIS = Axis("angle of incidence θᵢ, degree", 0.0, 90.0, step=15)
 
 
 def shares(checks: xr.Dataset | None, bsdf: xr.Dataset | None) -> list[Figure]:
-    """Directional reflectance against the incidence, in parts; of what transmits, the balance of the light.
+    """Directional reflectance against the incidence, in parts; the balance of the light of a body that transmits.
 
-    Without a BSDF the reflectance that the checks found.
+    Without a BSDF, the directional reflectance of the checks.
     """
     if bsdf is None:
-        return _checked(checks)
+        if checks is None or "albedo" not in checks:
+            return []
+        albedo = bsdf_sections.at_reference(checks["albedo"])
+        total = Line(albedo["theta_i"].values, albedo.values, "c0", "total")
+        return [_reflectance_figure([total], f"{bsdf_sections.wavelength_words(checks).capitalize()}.", [total])]
     if representation(bsdf).transmits:
         return [_balance(bsdf, plane) for plane in bsdf_sections.planes(bsdf)]
     marks: list[Line] = []
@@ -47,15 +49,15 @@ def shares(checks: xr.Dataset | None, bsdf: xr.Dataset | None) -> list[Figure]:
     note = f"{bsdf_sections.wavelength_words(bsdf).capitalize()}."
     for k, plane in enumerate(bsdf_sections.planes(bsdf)):
         total, *parts = _reflectance_lines(bsdf, plane, k)
-        known = _known(bsdf, plane, total)
+        known = _split_by_coverage(bsdf, plane, total)
         marks, drawn = [*marks, total, *parts], [*drawn, *known, *parts]
         if known[0] is not total:
             note += f" Dashed: not measured.{measurement_coverage.reflectance_words(bsdf, plane, INCIDENCES)}"
     return [_reflectance_figure(marks, note, drawn)]
 
 
-def _known(bsdf: xr.Dataset, plane: Plane, total: Line) -> list[Line]:
-    """A directional reflectance, dashed at incidences of which the mirror direction was not measured."""
+def _split_by_coverage(bsdf: xr.Dataset, plane: Plane, total: Line) -> list[Line]:
+    """A directional reflectance, dashed at incidences whose mirror direction was not measured."""
     flags = measurement_coverage.at_mirror(bsdf, plane, total.x)
     if flags is None or (measured := measurement_coverage.known(flags)).all():
         return [total]
@@ -63,43 +65,33 @@ def _known(bsdf: xr.Dataset, plane: Plane, total: Line) -> list[Line]:
     return [*([known] if measured.any() else []), replace(rest, label=f"{total.label} (completed)")]
 
 
-def _checked(checks: xr.Dataset | None) -> list[Figure]:
-    if checks is None or "albedo" not in checks:
-        return []
-    checked = bsdf_sections.at_reference(checks["albedo"])
-    note = f"{bsdf_sections.wavelength_words(checks).capitalize()}."
-    total = [Line(checked["theta_i"].values, checked.values, "c0", "total")]
-    return [_reflectance_figure(total, note, total)]
-
-
 def _reflectance_figure(marks: Sequence[Line], note: str, drawn: Sequence[Line]) -> Figure:
     highest = max(float(np.nanmax(np.asarray(mark.y))) for mark in marks)
     top = next((limit for limit in (0.2, 0.5, 1.0) if highest <= limit * (1 + 1e-9)), min(highest * 1.05, _MOST_SHOWN))
     svg = chart(
         "Directional reflectance against the angle of incidence",
-        Axis("angle of incidence θᵢ, degree", 0.0, 90.0, step=15),
+        _INCIDENCE_AXIS,
         Axis("directional reflectance", 0.0, top),
         drawn,
     )
     return Figure("Directional reflectance", svg, legend(drawn), f"{note} {_excess_words(marks)}".strip())
 
 
-def _excess_words(totals: Sequence[Line]) -> str:
-    """Where more light leaves than arrives; empty where it does nowhere."""
-    theta, most = max(
-        ((np.asarray(line.x), np.asarray(line.y)) for line in totals), key=lambda curve: float(np.max(curve[1]))
-    )
-    if np.max(most) <= 1 + _CLOSED:
+def _excess_words(lines: Sequence[Line]) -> str:
+    """The incidences at which more light leaves than arrives; empty where there are none."""
+    worst = max(lines, key=lambda line: float(np.max(line.y)))
+    theta, total = np.asarray(worst.x), np.asarray(worst.y)
+    first, largest = int(np.argmax(total > 1 + _CLOSED)), int(np.argmax(total))
+    if total[largest] <= 1 + _CLOSED:
         return ""
-    first, worst = int(np.argmax(most > 1 + _CLOSED)), int(np.argmax(most))
     return (
-        f"From {theta[first]:.3g}° on more light leaves than arrives, up to {number(most[worst])} times at {theta[worst]:.3g}°. The "
+        f"From {theta[first]:.3g}° on more light leaves than arrives, up to {number(total[largest])} times at {theta[largest]:.3g}°. The "
         "chosen masking does not conserve energy. Set `model.masking: height-correlated` to conserve it."
     )
 
 
 def _reflectance_lines(bsdf: xr.Dataset, plane: Plane, turn: int) -> Iterator[Line]:
-    """Total and parts in one plane; ``turn`` counts the planes."""
+    """Total and parts in plane number ``turn``."""
     theta = _incidences(bsdf)
     words = f", {plane.words}" if plane.words else ""
     total_style, part_style = (("c0", "c2"), ("c1", "c3"))[turn]
@@ -116,22 +108,23 @@ def _reflectance_lines(bsdf: xr.Dataset, plane: Plane, turn: int) -> Iterator[Li
 
 
 class ReflectanceParts(NamedTuple):
-    """Shares of the light [1] against the incidence; None where a representation cannot tell them apart."""
+    """Shares of the light [1] against the incidence; None where a representation does not distinguish them."""
 
     total: Array
     mirrored: Array
-    """Into one direction, by a perfectly smooth surface"""
+    """Reflected into one direction by a perfectly smooth surface."""
     facets: Array | None
-    """Into many directions by the facets"""
+    """Scattered by the facets."""
     once: Array | None
-    """Of that, what left after one reflection; None where nothing else is in it"""
+    """The part of ``facets`` after one reflection; None where this is all of it."""
     below: Array | None
+    """Diffuse, from below the surface."""
 
 
 def reflectance_parts(bsdf: xr.Dataset, plane: Plane, theta: Array) -> ReflectanceParts:
-    """Directional reflectance at incidences [degree], and what it is made of.
+    """Directional reflectance at incidences [degree], total and parts.
 
-    Total and parts come from one rule at one set of angles: interpolated, a part would wiggle across the total towards grazing.
+    All come from one quadrature at the same angles: an interpolated part would cross the total towards grazing.
     """
     total = bsdf_sections.reflectance(bsdf, plane, theta)
     mirrored, _ = bsdf_sections.specular(bsdf, theta)
@@ -165,24 +158,23 @@ def _balance(bsdf: xr.Dataset, plane: Plane) -> Figure:
     floor = np.zeros_like(theta)
     for layer, style, label in layers:
         if layer.max() > _NEGLIGIBLE:
-            marks.append(Band(theta, floor, floor + np.maximum(layer, 0.0), style, label))
-            floor = floor + np.maximum(layer, 0.0)
-            marks.append(Line(theta, floor, style))
+            top = floor + np.maximum(layer, 0.0)
+            marks += [Band(theta, floor, top, style, label), Line(theta, top, style)]
+            floor = top
     svg = chart(
         f"Shares of the light reflected and transmitted {plane.words} against the angle of incidence, stacked",
-        Axis("angle of incidence θᵢ, degree", 0.0, 90.0, step=15),
+        _INCIDENCE_AXIS,
         Axis("share of the light", 0.0, max(1.0, float(floor.max()))),
         marks,
     )
-    title = f"Balance of the light {plane.words}".strip()
     entries = tuple(("area", mark.style, mark.label) for mark in marks if isinstance(mark, Band))
     note = f"{bsdf_sections.wavelength_words(bsdf).capitalize()}. {balance_words(theta, reflected, passed, _sum(bsdf, plane))}"
     note += measurement_coverage.words(bsdf, plane, INCIDENCES)
-    return Figure(title, svg, entries, note)
+    return Figure(plane.title("Balance of the light"), svg, entries, note)
 
 
 def _sum(bsdf: xr.Dataset, plane: Plane) -> float | None:
-    """R + T + A where it is farthest from 1, of a BSDF that states its absorptance apart; None of one that does not."""
+    """R + T + A where it is farthest from 1; None for a BSDF that does not state its absorptance."""
     if "absorptance" not in bsdf:
         return None
     stated = bsdf_sections.at_reference(bsdf["absorptance"])
@@ -193,12 +185,9 @@ def _sum(bsdf: xr.Dataset, plane: Plane) -> float | None:
 
 
 def balance_words(theta: Array, reflected: Array, passed: Array, total: float | None = None) -> str:
-    """What reflectance and transmittance add up to, and what that means.
+    """The sum of reflectance and transmittance, (incidences,), and what it means.
 
-    Parameters
-    ----------
-    theta, reflected, passed : (incidences,)
-    total : R + T + A where it is farthest from 1, if absorption is known; else what is missing was lost by the model
+    ``total`` is R + T + A where it is farthest from 1; None where the absorptance is not known, and the model loses the rest.
     """
     rest = 1 - reflected - passed
     most, least = int(np.argmax(rest)), int(np.argmin(rest))
@@ -221,7 +210,7 @@ def balance_words(theta: Array, reflected: Array, passed: Array, total: float | 
 
 
 def _incidences(bsdf: xr.Dataset) -> Array:
-    """Angles of incidence; fewer where each costs more."""
+    """Angles of incidence; fewer for representations that take long."""
     evaluator = representation(bsdf)
     if evaluator.albedo_needs_quadrature or (evaluator.transmits and evaluator.transmittance_needs_quadrature):
         return _GRAZING_FEW

@@ -1,24 +1,19 @@
-"""Slope density and facet distribution; with a lay, its rose and sections."""
+"""Slope density and facet distribution beside a Beckmann and a GGX of the same slopes; with a lay, its rose and sections."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.report.plots.equivalent_densities import (
-    median_slope,
-    median_slope_towards,
-    planar_equivalents,
-    radial_equivalents,
-    rms_slope_towards,
-    scalar_or_nan,
-)
-from brdfpipe.report.plots.masking import EXPANDED_UNCERTAINTY, smith_masking, smith_masking_with_lay
+from brdfpipe.facets.planar_density import PlanarDensity
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.report.formatting import EXPANDED_UNCERTAINTY
 from brdfpipe.report.plots.raster import false_colour, framed
 from brdfpipe.report.plots.svg import (
     Array,
@@ -27,60 +22,40 @@ from brdfpipe.report.plots.svg import (
     Figure,
     Line,
     Mark,
+    Pattern,
     Points,
     chart,
     legend,
     png,
     power_of_ten,
     rose,
-    sentence,
+    with_neighbours,
 )
 
-if TYPE_CHECKING:
-    from brdfpipe.facets.planar_density import PlanarDensity
-
-
 _DECADES_SHOWN = 6
-
 _HEAVY_TAIL = 25
-"""Median slopes shown at most: a tail that falls as a power would leave the rest a spike."""
+"""Largest slope shown, in median slopes: a tail that falls like a power law would leave the rest a spike."""
+_MAP_DECADES, _MAP_STEPS_PER_DECADE, _MAP_PIXELS = 5, 2, 241
 
-_MAP_DECADES = 5
+GGX_LABEL = "GGX of the same median slope"
 
-_MAP_PIXELS = 241
+# Medians of |slope| towards one azimuth over the width a, of Beckmann (a Gaussian of σ = a/√2) and of GGX.
+_BECKMANN_MEDIAN, _GGX_MEDIAN = 0.6744897501960817 / math.sqrt(2), 1 / math.sqrt(3)
 
-_STEPS_A_DECADE = 2
-
-
-def facet_figures(facets: xr.Dataset) -> list[Figure]:
-    """Every figure that a ``facets`` dataset has the variables for.
-
-    Parameters
-    ----------
-    facets : kind ``facets``, isotropic (slope density over ``slope``) or with a lay (over ``slope_across``, ``slope_along``)
-    """
-    figures: list[Figure] = []
-    if "slope_density" in facets and facets["slope_density"].size == 0:
-        return [sentence("Slopes", "The surface is perfectly flat: all facets are level, and none masks another.")]
-    if "slope_density" in facets and facets["slope_density"].dims == ("slope",):
-        figures += [slope_density(facets), facet_distribution(facets)]
-        figures += [smith_masking(facets)] if "lambda_smith" in facets else []
-    elif "slope_density" in facets:
-        figures += _with_lay(facets)
-    by_scale = slope_by_scale(facets)
-    return [*figures, by_scale] if by_scale else figures
+Model = Callable[[Array], Array]
 
 
 def slope_density(facets: xr.Dataset) -> Figure:
-    """The density of facets in slope space, with its uncertainty, its extrapolated tail, a Beckmann and a GGX."""
+    """Slope density with uncertainty and extrapolated tail, beside a Beckmann and a GGX."""
     slope, density = facets["slope"].values, facets["slope_density"].values
     peak = float(density.max())
     shown = density > peak * 10.0**-_DECADES_SHOWN
     most = float(slope[shown][-1]) * 1.05
     slope_rms = scalar_or_nan(facets, "slope_rms")
     most = min(most, 8 * slope_rms if math.isfinite(slope_rms) else _HEAVY_TAIL * median_slope(facets))
-    tail = _extrapolated(facets) & (slope <= most)
-    marks = _counted(slope, density, _relative_uncertainty(facets), tail)
+    quality = facets.get("slope_density_quality", xr.zeros_like(facets["slope"])).values
+    tail = (quality == vocabulary.quality("extrapolated")) & (slope <= most)
+    marks = _density_marks(slope, density, _relative_uncertainty(facets), tail)
     fine = np.linspace(0, most, 200)
     marks += [Line(fine, model(fine), "ref", label, pattern) for model, label, pattern in radial_equivalents(facets)]
     top = 10.0 ** math.ceil(math.log10(peak) + 0.05)
@@ -94,7 +69,7 @@ def slope_density(facets: xr.Dataset) -> Figure:
 
 
 def facet_distribution(facets: xr.Dataset) -> Figure:
-    """D(α), with a Beckmann and a GGX."""
+    """Facet distribution D(α), beside a Beckmann and a GGX."""
     slope, density = facets["slope"].values.astype(float), facets["slope_density"].values
     alpha = np.degrees(np.arctan(slope))
     distribution = density * (1 + slope**2) ** 2
@@ -123,7 +98,7 @@ def facet_distribution(facets: xr.Dataset) -> Figure:
 
 
 def slope_by_scale(facets: xr.Dataset) -> Figure | None:
-    """The slope rms against the distance it is taken over; None where fewer than two are known."""
+    """rms slope against the distance between the heights; None where fewer than two are known."""
     if "slope_rms_scale" not in facets or "scale" not in facets.coords:
         return None
     scale, slope_rms = facets["scale"].values.astype(float), facets["slope_rms_scale"].values.astype(float)
@@ -133,44 +108,50 @@ def slope_by_scale(facets: xr.Dataset) -> Figure | None:
     scale, slope_rms = scale[known], slope_rms[known]
     svg = chart(
         "Root mean square slope against the distance it is taken over",
-        Axis("distance, pixels (log)", float(scale[0]) / 1.15, float(scale[-1]) * 1.15, log=True, at=tuple(scale)),
+        Axis(
+            "distance, pixels (log)",
+            float(scale[0]) / 1.15,
+            float(scale[-1]) * 1.15,
+            log=True,
+            tick_values=tuple(scale),
+        ),
         Axis("rms slope", 0.0, float(slope_rms.max()) * 1.12),
-        [Line(scale, slope_rms, "c0"), Points(scale, slope_rms, np.full(scale.size, np.nan), "c0")],
+        [Line(scale, slope_rms, "c0"), Points(scale, slope_rms)],
         height=230,
     )
     note = "A slope that still rises towards 1 pixel shows that a smaller pitch would find steeper facets, or that noise adds slope."
     return Figure("Slope against scale", svg, note=note)
 
 
-def _with_lay(facets: xr.Dataset) -> list[Figure]:
-    density = _planar(facets)
-    figures = [_lay_rose(facets, density), _density_map(density), *_sections(facets, density)]
-    return [*figures, smith_masking_with_lay(facets, density.azimuth)] if "lambda_smith" in facets else figures
+def figures_with_lay(facets: xr.Dataset, density: PlanarDensity) -> list[Figure]:
+    """Rose of slopes, map of the density, and sections along and across the lay."""
+    return [_lay_rose(facets, density), _density_map(density), *_sections(facets, density)]
 
 
 def _lay_rose(facets: xr.Dataset, density: PlanarDensity) -> Figure:
     lay = density.azimuth
     azimuth = np.arange(0.0, 360.0, 3.0)
     finite = math.isfinite(scalar_or_nan(facets, "slope_rms"))
-    towards = rms_slope_towards(density, azimuth) if finite else _mean_towards(density, azimuth)
+    # The mean is finite where the rms is not.
+    slope = rms_slope_towards(density, azimuth) if finite else _mean_slope_towards(density, azimuth)
     quantity = "rms slope" if finite else "mean |slope|"
     label = f"lay {axis_degrees(lay)}"
-    svg = rose(f"{quantity} against azimuth; {label}", f"{quantity} towards the azimuth", azimuth, towards, lay)
-    along, across = (float(np.interp((lay + turn) % 360, azimuth, towards, period=360)) for turn in (0, 90))
+    svg = rose(f"{quantity} against azimuth; {label}", f"{quantity} towards the azimuth", azimuth, slope, lay)
+    along, across = (float(np.interp((lay + turn) % 360, azimuth, slope, period=360)) for turn in (0, 90))
     entries = (("line", "c0", quantity), ("dash", "c3", label))
     return Figure("Lay", svg, entries, f"{quantity.capitalize()} {along:.3g} along the lay, {across:.3g} across it.")
 
 
 def _density_map(density: PlanarDensity) -> Figure:
     peak = float(density.density.max())
-    top = math.ceil(math.log10(peak) * _STEPS_A_DECADE) / _STEPS_A_DECADE
+    top = math.ceil(math.log10(peak) * _MAP_STEPS_PER_DECADE) / _MAP_STEPS_PER_DECADE
     bottom = top - _MAP_DECADES
-    present = density.density > 10.0**bottom
+    shown = density.density > 10.0**bottom
     along, across = (
-        float(np.abs(axis.nodes[present.any(axis=k)]).max()) for axis, k in ((density.along, 0), (density.across, 1))
+        float(np.abs(axis.nodes[shown.any(axis=k)]).max()) for axis, k in ((density.along, 0), (density.across, 1))
     )
     pixels = np.linspace(-1, 1, _MAP_PIXELS)
-    levels = _MAP_DECADES * _STEPS_A_DECADE
+    levels = _MAP_DECADES * _MAP_STEPS_PER_DECADE
     values = np.log10(np.maximum(density.principal(along * pixels, across * pixels[:, None]), 1e-300))
     first = math.ceil(bottom - 1e-9)
     svg, to_scale = framed(
@@ -182,9 +163,11 @@ def _density_map(density: PlanarDensity) -> Figure:
         [((k - bottom) / _MAP_DECADES, power_of_ten(k)) for k in range(first, math.floor(top + 1e-9) + 1)],
         levels=levels,
     )
-    note = f"Two colour steps per decade. {'' if to_scale else 'The two slopes are not to the same scale. '}"
-    lay = f"The lay runs towards {axis_degrees(density.azimuth)} from x; slopes are smallest along it."
-    return Figure("Slope density, all azimuths", svg, note=f"{note}{lay}")
+    note = (
+        f"Two colour steps per decade. {'' if to_scale else 'The two slopes are not to the same scale. '}"
+        f"The lay runs towards {axis_degrees(density.azimuth)} from x; slopes are smallest along it."
+    )
+    return Figure("Slope density, all azimuths", svg, note=note)
 
 
 def _sections(facets: xr.Dataset, density: PlanarDensity) -> list[Figure]:
@@ -201,7 +184,7 @@ def _sections(facets: xr.Dataset, density: PlanarDensity) -> list[Figure]:
     figures = []
     for turn, (name, azimuth) in enumerate(zip(("along", "across"), azimuths, strict=True)):
         section = (slope, 0 * slope)[:: -1 if turn else 1]
-        marks = _counted(slope, density.principal(*section), *_section_quality(facets, density, *section))
+        marks = _density_marks(slope, density.principal(*section), *_section_quality(facets, density, *section))
         marks += [Line(slope, model[turn](slope), "ref", label, pattern) for model, label, pattern in models]
         svg = chart(
             f"Slope density {name} the lay, logarithmic",
@@ -214,23 +197,15 @@ def _sections(facets: xr.Dataset, density: PlanarDensity) -> list[Figure]:
 
 
 def axis_degrees(azimuth: float) -> str:
-    """An axis, in words, as an azimuth from 0 to 180 degree."""
+    """The azimuth of an axis, from 0 to 180 degree, as text."""
     return f"{round(azimuth % 180, 1) % 180:g}°" if math.isfinite(azimuth) else "–"
 
 
-def _planar(facets: xr.Dataset) -> PlanarDensity:
-    """The density as a function; loaded here because few surfaces have a lay."""
-    from brdfpipe.facets.planar_density import PlanarDensity
-
-    return PlanarDensity.of(facets)
-
-
-def _mean_towards(density: PlanarDensity, azimuth: Array) -> Array:
-    """Mean |slope| towards azimuths, which is finite where the rms is not."""
+def _mean_slope_towards(density: PlanarDensity, azimuth: Array) -> Array:
+    """Mean |slope| towards azimuths."""
     p, q, weight = density.rule()
-    angle = np.radians(azimuth)
-    means = [np.sum(weight * np.abs(p * math.cos(a) + q * math.sin(a))) for a in angle.tolist()]
-    return np.asarray(means) / weight.sum()
+    angles = np.radians(azimuth).tolist()
+    return np.array([np.sum(weight * np.abs(p * math.cos(a) + q * math.sin(a))) for a in angles]) / weight.sum()
 
 
 def _reach(density: PlanarDensity, peak: float) -> tuple[float, float]:
@@ -246,14 +221,14 @@ def _reach(density: PlanarDensity, peak: float) -> tuple[float, float]:
 def _section_quality(
     facets: xr.Dataset, density: PlanarDensity, along: Array, across: Array
 ) -> tuple[Array | None, NDArray[np.bool_]]:
-    """Relative uncertainty, and where the density was extrapolated, at slopes along the lay and across it."""
+    """Relative uncertainty, and whether the density is extrapolated, at slopes along the lay and across it."""
     from scipy.ndimage import map_coordinates
 
-    places = np.stack([density.across.position(across), density.along.position(along)])
+    positions = np.stack([density.across.position(across), density.along.position(along)])
 
     def at(name: str, order: Literal[0, 1]) -> Array:
         grid = facets[name].transpose("slope_across", "slope_along").values.astype(float)
-        return np.asarray(map_coordinates(grid, places, order=order, mode="nearest"))
+        return np.asarray(map_coordinates(grid, positions, order=order, mode="nearest"))
 
     tail = np.zeros(along.shape, dtype=bool)
     if "slope_density_quality" in facets:
@@ -264,8 +239,8 @@ def _section_quality(
         return np.minimum(at("slope_density_u", 1) / density.principal(along, across), 3.0), tail
 
 
-def _counted(slope: Array, density: Array, relative: Array | None, tail: NDArray[np.bool_]) -> list[Mark]:
-    """A counted density, its uncertainty and its extrapolated tail, on a log axis."""
+def _density_marks(slope: Array, density: Array, relative: Array | None, tail: NDArray[np.bool_]) -> list[Mark]:
+    """Density, uncertainty and extrapolated tail for a log axis."""
     marks: list[Mark] = []
     if relative is not None:
         # Two standard uncertainties, as factors: a band on a log axis must not reach zero.
@@ -273,19 +248,8 @@ def _counted(slope: Array, density: Array, relative: Array | None, tail: NDArray
         marks.append(Band(slope, density / factor, density * factor, "c0", EXPANDED_UNCERTAINTY))
     marks.append(Line(slope, np.where(tail, np.nan, density), "c0", "measured" if tail.any() else "facets"))
     if tail.any():
-        marks.append(Line(slope, np.where(_grown(tail), density, np.nan), "c3", "extrapolated", "dash"))
+        marks.append(Line(slope, np.where(with_neighbours(tail), density, np.nan), "c3", "extrapolated", "dash"))
     return marks
-
-
-def _extrapolated(facets: xr.Dataset) -> NDArray[np.bool_]:
-    if "slope_density_quality" not in facets:
-        return np.zeros(facets.sizes["slope"], dtype=bool)
-    return np.asarray(facets["slope_density_quality"].values == vocabulary.quality("extrapolated"))
-
-
-def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The mask and its neighbours, so that two curves meet."""
-    return np.asarray(mask | np.r_[mask[1:], False] | np.r_[False, mask[:-1]])
 
 
 def _relative_uncertainty(facets: xr.Dataset) -> Array | None:
@@ -297,3 +261,71 @@ def _relative_uncertainty(facets: xr.Dataset) -> Array | None:
                 relative = np.where(value > 0, facets[f"{name}_u"].values / value, np.nan)
             return np.asarray(np.minimum(relative, 3.0))
     return None
+
+
+# --- Beckmann and GGX of the same slopes
+
+
+def radial_equivalents(facets: xr.Dataset) -> list[tuple[Model, str, Pattern]]:
+    a, label = beckmann_width(facets)
+    b = median_slope(facets)
+    return [
+        (lambda s: np.exp(-np.minimum((s / a) ** 2, 690.0)) / (np.pi * a**2), f"{label}, {a:.3g}", "dash"),
+        (lambda s: 1 / (np.pi * b**2 * (1 + (s / b) ** 2) ** 2), f"{GGX_LABEL}, {b:.3g}", "dots"),
+    ]
+
+
+def beckmann_width(facets: xr.Dataset) -> tuple[float, str]:
+    """Width a and label of the Beckmann beside a radial density; a heavy tail may have no finite slope rms."""
+    slope_rms = scalar_or_nan(facets, "slope_rms")
+    if math.isfinite(slope_rms) and slope_rms > 0:
+        return slope_rms, "Beckmann of the same rms slope"
+    return median_slope(facets) / math.sqrt(math.log(2)), "Beckmann of the same median slope"
+
+
+def median_slope(facets: xr.Dataset) -> float:
+    """The median slope; for a GGX, its width."""
+    return RadialDensity.of(facets).median_slope
+
+
+def planar_equivalents(facets: xr.Dataset, density: PlanarDensity) -> list[tuple[tuple[Model, Model], str, Pattern]]:
+    """Beckmann and GGX, each as its sections (along, across)."""
+    azimuths = np.array([density.azimuth, density.azimuth + 90])
+    medians = np.array([median_slope_towards(density, azimuth) for azimuth in azimuths.tolist()])
+    if math.isfinite(scalar_or_nan(facets, "slope_rms")):
+        wide, rule = rms_slope_towards(density, azimuths) * math.sqrt(2), "rms slopes"
+    else:
+        wide, rule = medians / _BECKMANN_MEDIAN, "median slopes"
+    narrow = medians / _GGX_MEDIAN
+
+    def beckmann(a: float) -> Model:
+        return lambda s: np.exp(-np.minimum((s / a) ** 2, 690.0)) / (np.pi * np.prod(wide))
+
+    def ggx(a: float) -> Model:
+        return lambda s: 1 / (np.pi * np.prod(narrow) * (1 + (s / a) ** 2) ** 2)
+
+    return [
+        ((beckmann(wide[0]), beckmann(wide[1])), f"Beckmann of the same {rule}", "dash"),
+        ((ggx(narrow[0]), ggx(narrow[1])), "GGX of the same median slopes", "dots"),
+    ]
+
+
+def rms_slope_towards(density: PlanarDensity, azimuth: Array) -> Array:
+    """Slope rms about zero towards azimuths."""
+    _, mean, covariance = density.moments
+    towards = np.stack([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
+    second = covariance + np.outer(mean, mean)
+    return np.asarray(np.sqrt(np.einsum("ik,ij,jk->k", towards, second, towards)))
+
+
+def median_slope_towards(density: PlanarDensity, azimuth: float) -> float:
+    """Median |slope| towards an azimuth."""
+    slope, values = density.marginal(azimuth)
+    below = np.r_[0.0, np.cumsum(np.diff(slope) * (values[1:] + values[:-1]) / 2)]
+    positive = slope[slope > 0]
+    within = np.interp(positive, slope, below) - np.interp(-positive, slope, below)
+    return float(np.interp(0.5 * below[-1], within, positive))
+
+
+def scalar_or_nan(dataset: xr.Dataset, name: str) -> float:
+    return float(dataset[name]) if name in dataset else math.nan

@@ -1,4 +1,4 @@
-"""The figure of a reflectance spectrum, and the strip of visible colours below wavelength axes."""
+"""Reflectance spectrum, and the strip of visible colours below wavelength axes."""
 
 from __future__ import annotations
 
@@ -7,34 +7,25 @@ import xarray as xr
 
 from brdfpipe import hemisphere
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.report.plots.svg import (
-    Array,
-    Axis,
-    Band,
-    Figure,
-    Line,
-    Mark,
-    chart,
-    legend,
-    png,
-)
+from brdfpipe.report.formatting import EXPANDED_UNCERTAINTY
+from brdfpipe.report.plots.svg import Array, Axis, Band, Figure, Line, Mark, chart, legend, png
 
 
 def spectrum_figure(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Figure:
-    """What was measured, the total reflectance where that is another thing, and the part that the facets mirror."""
+    """Measured reflectance, total reflectance where it differs, and the part that the facets reflect."""
     measured = spectral["total_reflectance"]
     wavelength, values = measured["wavelength"].values.astype(float), measured.values.astype(float)
     total = _total(spectral, bsdf)
     excluded = spectral.attrs.get("geometry") == "sce"
-    style, words = ("c1", "measured, specular excluded") if excluded else ("c0", "total reflectance")
+    style, label = ("c1", "measured, specular excluded") if excluded else ("c0", "total reflectance")
     marks: list[Mark] = []
     uncertainty = spectral.get("total_reflectance_u")
     if uncertainty is not None and np.isfinite(uncertainty.values).any():
         u = 2 * uncertainty.values
-        marks.append(Band(wavelength, values - u, values + u, style, "± 2 standard uncertainties"))
+        marks.append(Band(wavelength, values - u, values + u, style, EXPANDED_UNCERTAINTY))
     if total is not None:
         marks.append(Line(*total, "c0", "total reflectance"))
-    marks.append(Line(wavelength, values, style, words))
+    marks.append(Line(wavelength, values, style, label))
     specular = _specular_part(bsdf, wavelength)
     if specular is not None:
         marks.append(Line(wavelength, specular, "c2", "mirrored by the facets", "dash"))
@@ -48,7 +39,7 @@ def spectrum_figure(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Fig
         marks,
         strip=visible_strip(low, high),
     )
-    return Figure("Spectrum", svg, legend(marks), _spectrum_words(spectral, total is not None))
+    return Figure("Spectrum", svg, legend(marks), _measurement_note(spectral, total is not None))
 
 
 def visible_strip(low: float, high: float) -> str:
@@ -63,13 +54,12 @@ def visible_strip(low: float, high: float) -> str:
         ],
         axis=-1,
     )
-    linear = np.clip(linear, 0, None)
-    linear = np.minimum(linear / 1.35, 1)
-    return png(np.asarray((255 * linear ** (1 / 2.2)).round(), dtype=np.uint8)[None])
+    linear = np.minimum(np.clip(linear, 0, None) / 1.35, 1)
+    return png((255 * linear ** (1 / 2.2)).round().astype(np.uint8)[None])
 
 
 def _total(spectral: xr.Dataset, bsdf: xr.Dataset | None) -> tuple[Array, Array] | None:
-    """Wavelengths and total reflectance of the BSDF where the spectrum was measured with the specular excluded."""
+    """Wavelengths and total reflectance of the BSDF, where the spectrum was measured with the specular component excluded."""
     if spectral.attrs.get("geometry") != "sce" or bsdf is None or "total_reflectance" not in bsdf:
         return None
     total = bsdf["total_reflectance"]
@@ -78,19 +68,19 @@ def _total(spectral: xr.Dataset, bsdf: xr.Dataset | None) -> tuple[Array, Array]
     return total["wavelength"].values.astype(float), total.values.astype(float)
 
 
-def _spectrum_words(spectral: xr.Dataset, completed: bool) -> str:
+def _measurement_note(spectral: xr.Dataset, completed: bool) -> str:
     geometry = {"sci": "Specular included", "sce": "Specular excluded"}.get(str(spectral.attrs.get("geometry")), "")
     incidence, method = spectral.attrs.get("theta_i"), str(spectral.attrs.get("method", ""))
     method = {"lhtss": "recovered from L*a*b* as the smoothest spectrum (LHTSS)"}.get(method, method)
-    words = [geometry, f"incidence {float(incidence):g}°" if incidence is not None else "", method]
-    sentence = ", ".join(word for word in words if word)
-    sentence = sentence[:1].upper() + sentence[1:] + "." if sentence else ""
-    added = " The total reflectance includes the mirrored light that the measurement excluded." if completed else ""
-    return sentence + added
+    angle = f"incidence {float(incidence):g}°" if incidence is not None else ""
+    sentence = ", ".join(words for words in (geometry, angle, method) if words)
+    note = sentence[:1].upper() + sentence[1:] + "." if sentence else ""
+    excluded = " The total reflectance includes the mirrored light that the measurement excluded."
+    return note + (excluded if completed else "")
 
 
 def _specular_part(bsdf: xr.Dataset | None, wavelength: Array) -> Array | None:
-    """What the facets mirror at the incidence of the measurement, mean over the azimuths of a lay."""
+    """Reflectance of the facets at the incidence of the measurement, mean over azimuths for a surface with a lay."""
     if bsdf is None or "theta_m" not in bsdf or (facets := representation(bsdf).without_diffuse()) is None:
         return None
     azimuth = hemisphere.azimuths(representation(bsdf).isotropic)
@@ -98,13 +88,13 @@ def _specular_part(bsdf: xr.Dataset | None, wavelength: Array) -> Array | None:
     part = representation(facets).albedo(incidence, azimuth, None).mean(axis=0)
     if not part.any():
         return None
-    if part.size == 1:
-        return np.full(wavelength.size, float(part[0]))
-    return np.asarray(np.interp(wavelength, bsdf["wavelength"].values, part))
+    return (
+        np.full(wavelength.size, part[0]) if part.size == 1 else np.interp(wavelength, bsdf["wavelength"].values, part)
+    )
 
 
 def _tristimulus(wavelength: Array) -> tuple[Array, Array, Array]:
-    """CIE 1931 colour-matching functions by Gaussian lobes (Wyman 2013): close enough to paint a strip, not to measure."""
+    """CIE 1931 colour-matching functions by Gaussian lobes (Wyman 2013): accurate enough for a coloured strip."""
 
     def lobe(height: float, centre: float, below: float, above: float) -> Array:
         width = np.where(wavelength < centre, below, above)

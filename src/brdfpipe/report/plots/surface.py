@@ -8,16 +8,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.report.plots.raster import false_colour, framed
-from brdfpipe.report.plots.svg import (
-    Array,
-    Axis,
-    Figure,
-    Line,
-    chart,
-    linear_ticks,
-    nice_range,
-    png,
-)
+from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, chart, linear_ticks, nice_range, png
 
 _MAP_PIXELS = 300
 
@@ -28,11 +19,11 @@ def height_map(surface: xr.Dataset) -> Figure:
     extent_x, extent_y = (_extent(height[axis].values.astype(float)) for axis in ("x", "y"))
     values = height.values
     missing = float(np.mean(np.isnan(values)))
-    small = _reduced(values)
-    low, high = _robust_range(small)
+    reduced = _reduced(values)
+    low, high = _robust_range(reduced)
     svg, to_scale = framed(
         f"Height map, {extent_x:.4g} by {extent_y:.4g} micrometres, heights from {low:.3g} to {high:.3g} micrometres",
-        png(*false_colour(small, low, high)),
+        png(*false_colour(reduced, low, high)),
         ("x, µm", 0.0, extent_x),
         ("y, µm", 0.0, extent_y),
         "µm",
@@ -50,17 +41,17 @@ def height_profile(surface: xr.Dataset) -> Figure:
     low, high = nice_range(float(np.nanmin(height)), float(np.nanmax(height)), margin=0.06)
     axis_x = Axis("x, µm", 0.0, float(x[-1] - x[0]))
     axis_y = Axis("height, µm", low, high)
-    shown_x, shown = _envelope(x - x[0], height)
-    svg = chart("Levelled line profile, height against position", axis_x, axis_y, [Line(shown_x, shown)], height=240)
+    line = Line(*_envelope(x - x[0], height))
+    svg = chart("Levelled line profile, height against position", axis_x, axis_y, [line], height=240)
     missing = float(np.mean(np.isnan(height)))
     note = f"{height.size} heights" + (f", {100 * missing:.2g} % missing." if missing else ".")
     return Figure("Height, levelled", svg, note=note)
 
 
 def _reduced(height: Array) -> Array:
-    """At most ``_MAP_PIXELS`` along the longer side: means of blocks, missing where half of a block is."""
+    """At most ``_MAP_PIXELS`` along the longer side: means of blocks, missing where half of the block is missing."""
     step = math.ceil(max(height.shape) / _MAP_PIXELS)
-    # A mean over four samples of each block, not over all: a map of 4096² heights must not hold up the page.
+    # A mean over four samples of each block, not over all: a map of 4096² heights must not delay the page.
     stride = max(1, step // 2)
     sampled = height[::stride, ::stride]
     block = math.ceil(step / stride)
@@ -79,23 +70,17 @@ def _extent(positions: Array) -> float:
 
 def _robust_range(values: Array) -> tuple[float, float]:
     present = values[np.isfinite(values)]
-    if present.size == 0:
-        return 0.0, 1.0
-    low, high = np.percentile(present, [0.5, 99.5])
-    return (float(low), float(high)) if high > low else nice_range(float(low), float(high))
+    low, high = np.percentile(present, [0.5, 99.5]).tolist() if present.size else (0.0, 1.0)
+    return (low, high) if high > low else nice_range(low, high)
 
 
 def _envelope(x: Array, height: Array, columns: int = 440) -> tuple[Array, Array]:
-    """A long profile as the lowest and highest of each column, so that no peak is lost."""
+    """A long profile as the lowest and highest height of each column, so that no peak is lost."""
     if x.size <= 2 * columns:
         return x, height
     block = math.ceil(x.size / columns)
     rows = x.size // block
     blocks = height[: rows * block].reshape(rows, block)
-    # A column without any height stays missing; nanmin would warn.
-    low = np.where(np.isnan(blocks), np.inf, blocks).min(axis=1)
-    high = np.where(np.isnan(blocks), -np.inf, blocks).max(axis=1)
-    pair = np.stack([low, high], axis=1)
-    pair[~np.isfinite(pair)] = np.nan
-    places = np.repeat(x[: rows * block].reshape(rows, block).mean(axis=1), 2)
-    return places, pair.ravel()
+    # fmin and fmax, other than nanmin, do not warn of a column without any height.
+    extremes = np.stack([np.fmin.reduce(blocks, axis=1), np.fmax.reduce(blocks, axis=1)], axis=1)
+    return np.repeat(x[: rows * block].reshape(rows, block).mean(axis=1), 2), extremes.ravel()

@@ -1,4 +1,4 @@
-"""The rig section of a page: the measurement, its uncertainty, and the fit to it."""
+"""Section of the page on a rig measurement: the run, its uncertainty, and the fit."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.measured import Measured
-from brdfpipe.report.cards import Table
+from brdfpipe.report.cards import Chapter, Table
 from brdfpipe.report.formatting import MISSING, fixed, number
 from brdfpipe.report.plots.indicatrix import indicatrix
 from brdfpipe.report.plots.svg import Figure
 from brdfpipe.report.rig import figures as rig_figures
 from brdfpipe.report.rig import fit as rig_fit
 from brdfpipe.report.rig import reciprocity as rig_reciprocity
-from brdfpipe.report.rig.figures import FITTED, HIDDEN, percent
+from brdfpipe.report.rig.figures import FITTED, HIDDEN, uncertainty_percent
 from brdfpipe.rig.reduction.calibration import GRAZING
 from brdfpipe.specular_directions import cos_view_etalon
 
 MOST_PICTURES, MOST_FITS = 6, 5
-"""Incidences with a picture, and with figures of the fit, both sides together: more would make the page heavy."""
+"""Largest number of incidences with a picture, and with figures of the fit, both sides together: more would make a large file."""
 
 LOBE_INCIDENCE = 45.0
-"""Angle of incidence near which the lobe is shown as a body [degree]."""
+"""Angle of incidence nearest to which the lobe is shown in 3-D [degree]."""
 
 EMULATED = (
     "Frames, noise and errors are simulated. The sample in the holder is the model of another material. Nothing here describes "
     "a real sample. It shows what the rig and the reduction from frames to BSDF would do."
 )
 
-_LISTED = 20
+_MOST_LISTED = 20
 _FEW = 0.5
-"""Share of the cells above the horizon that are fitted below which a remark is made."""
+"""Share of fitted cells, of those above the horizon, below which the table advises on exposures."""
 
 
 @dataclass(frozen=True)
@@ -47,36 +47,15 @@ class Side:
     name: str
     """``reflection`` or ``transmission``"""
     reduced: tuple[xr.Dataset, ...]
-    """By incidence."""
+    """Sorted by incidence."""
     primary: xr.Dataset
     smoothed: xr.Dataset
 
 
-@dataclass(frozen=True)
-class Chapter:
-    """The part of a page about the rig."""
-
-    emulated: str
-    """Loud words where nothing was measured, else empty."""
-    warnings: Sequence[str]
-    frames: Figure | None
-    run: Sequence[Figure | Table]
-    coverage: Table
-    budget: Sequence[Figure | Table]
-    fits: Sequence[tuple[Figure, Figure]]
-    """Of each incidence shown: the fit against data, and its residuals."""
-    smoothing: Sequence[Figure]
-    reciprocity: Figure | None
-    lobe: Figure | None
-
-
 def chapter(datasets: Mapping[str, xr.Dataset]) -> Chapter | None:
-    """The chapter of a material that was measured on a rig; None of any other.
+    """The rig section of a material; None for one that was not measured on a rig.
 
-    Parameters
-    ----------
-    datasets : any stages of a material; looked at are those of kind ``reduced``, ``primary``, ``smoothed``, ``calibration``
-        and ``bsdf``
+    It shows the datasets of kind ``reduced``, ``primary``, ``smoothed``, ``calibration`` and ``bsdf``.
     """
     measured_sides = sides(datasets)
     if not measured_sides:
@@ -87,45 +66,43 @@ def chapter(datasets: Mapping[str, xr.Dataset]) -> Chapter | None:
         return [
             (side, at)
             for side in measured_sides
-            for at in _spread(side.smoothed.sizes["incidence"], most // len(measured_sides))
+            for at in _evenly_spaced(side.smoothed.sizes["incidence"], most // len(measured_sides))
         ]
 
+    parts: list[Figure | Table | None] = [
+        rig_figures.frames([picture for side, at in shown(MOST_PICTURES) for picture in _pictures(side, at)]),
+        measurement_table(measured_sides, profile),
+        rig_figures.drift([arrangement for side in measured_sides for arrangement in side.reduced]),
+        None if profile is None else rig_figures.profiles(profile),
+        coverage_table(measured_sides, profile, len(shown(MOST_FITS))),
+    ]
+    for side in measured_sides:
+        parts += [rig_figures.budget(side.primary, kind) for kind in ("disc", "fibre")]
+        parts.append(_uncertainty_table(side, named=len(measured_sides) > 1))
+    parts.append(_lobe(datasets, measured_sides))
+    for side, at in shown(MOST_FITS):
+        parts += [rig_fit.fit(side.primary, side.smoothed, at), rig_fit.residuals(side.primary, side.smoothed, at)]
+    for side in measured_sides:
+        parts += [rig_fit.cross_validation(side.smoothed), rig_fit.l_curve(side.smoothed)]
+    parts.append(_reciprocity(datasets, measured_sides))
     return Chapter(
+        "Rig measurement",
+        "rig",
+        "the rig's stages",
+        _warnings(datasets),
+        [part for part in parts if part is not None],
         emulated=EMULATED if emulated(datasets) else "",
-        warnings=_warnings(datasets),
-        frames=rig_figures.frames([look for side, at in shown(MOST_PICTURES) for look in _look(side, at)]),
-        run=[
-            _measurement(measured_sides, profile),
-            rig_figures.drift([arrangement for side in measured_sides for arrangement in side.reduced]),
-            *([] if profile is None else [rig_figures.profiles(profile)]),
-        ],
-        coverage=_coverage(measured_sides, profile, len(shown(MOST_FITS))),
-        budget=[part for side in measured_sides for part in _budget(side, named=len(measured_sides) > 1)],
-        fits=[
-            (rig_fit.fit(side.primary, side.smoothed, at), rig_fit.residuals(side.primary, side.smoothed, at))
-            for side, at in shown(MOST_FITS)
-        ],
-        smoothing=[
-            figure
-            for side in measured_sides
-            for figure in (rig_fit.cross_validation(side.smoothed), rig_fit.l_curve(side.smoothed))
-        ],
-        reciprocity=_reciprocity(datasets, measured_sides),
-        lobe=_lobe(datasets, measured_sides),
     )
 
 
 def emulated(datasets: Mapping[str, xr.Dataset]) -> bool:
-    """Whether frames of the emulated rig's camera are behind the datasets: its name for itself says so."""
-    return any(
-        "emulated" in str(dataset.attrs.get("camera", "")).lower()
-        for kind in ("reduced", "primary")
-        for dataset in _of_kind(datasets, kind)
-    )
+    """Whether the camera that took the frames is that of the emulated rig, by its name."""
+    frames = [*_of_kind(datasets, "reduced"), *_of_kind(datasets, "primary")]
+    return any("emulated" in str(dataset.attrs.get("camera", "")).lower() for dataset in frames)
 
 
 def sides(datasets: Mapping[str, xr.Dataset]) -> list[Side]:
-    """What was measured, reflection first; a side without primary and smoothed data is left out."""
+    """The measured sides with primary and smoothed data, reflection first."""
     measured_sides = []
     for name in ("reflection", "transmission"):
         reduced, primary, smoothed = (
@@ -133,9 +110,9 @@ def sides(datasets: Mapping[str, xr.Dataset]) -> list[Side]:
             for kind in ("reduced", "primary", "smoothed")
         )
         if primary and smoothed:
-            own = [arrangement for arrangement in reduced if arrangement.attrs.get("load") == "sample"]
-            by_incidence = tuple(sorted(own, key=lambda arrangement: float(arrangement["incidence"][0])))
-            measured_sides.append(Side(name, by_incidence, primary[0], smoothed[0]))
+            of_sample = (arrangement for arrangement in reduced if arrangement.attrs.get("load") == "sample")
+            by_incidence = sorted(of_sample, key=lambda arrangement: float(arrangement["incidence"][0]))
+            measured_sides.append(Side(name, tuple(by_incidence), primary[0], smoothed[0]))
     return measured_sides
 
 
@@ -143,26 +120,25 @@ def _of_kind(datasets: Mapping[str, xr.Dataset], kind: str) -> Iterator[xr.Datas
     return (dataset for dataset in datasets.values() if dataset.attrs.get("kind") == kind)
 
 
-def _spread(count: int, most: int) -> list[int]:
-    """Up to so many of some places, evenly, with the first and the last."""
-    return sorted({int(place) for place in np.linspace(0, count - 1, min(count, most)).round()})
+def _evenly_spaced(count: int, most: int) -> list[int]:
+    """At most ``most`` of ``count`` indices, evenly spaced, with the first and the last."""
+    return sorted({int(index) for index in np.linspace(0, count - 1, min(count, most)).round()})
 
 
-def _look(side: Side, at: int) -> Iterator[tuple[xr.Dataset, NDArray[np.str_]]]:
+def _pictures(side: Side, at: int) -> Iterator[tuple[xr.Dataset, NDArray[np.str_]]]:
     incidence = float(side.smoothed["incidence"][at])
     for reduced in side.reduced:
         if float(reduced["incidence"][0]) == incidence:
-            yield reduced, rig_figures.states(side.primary, side.smoothed, at)
+            yield reduced, rig_figures.cell_states(side.primary, side.smoothed, at)
 
 
 def _warnings(datasets: Mapping[str, xr.Dataset]) -> list[str]:
-    """Warnings of the rig's stages that the BSDF did not take over."""
+    """Warnings of the rig's stages that the BSDF does not repeat."""
     kinds = ("calibration", "reduced", "primary", "smoothed")
-    rig_warnings = [
-        text for kind in kinds for dataset in _of_kind(datasets, kind) for text in vocabulary.warnings(dataset)
-    ]
-    known = {text for dataset in _of_kind(datasets, "bsdf") for text in vocabulary.warnings(dataset)}
-    return [text for text in dict.fromkeys(rig_warnings) if text not in known]
+    rig_stages = [dataset for kind in kinds for dataset in _of_kind(datasets, kind)]
+    repeated = {text for dataset in _of_kind(datasets, "bsdf") for text in vocabulary.warnings(dataset)}
+    texts = dict.fromkeys(text for dataset in rig_stages for text in vocabulary.warnings(dataset))
+    return [text for text in texts if text not in repeated]
 
 
 def _reciprocity(datasets: Mapping[str, xr.Dataset], measured_sides: Sequence[Side]) -> Figure | None:
@@ -173,24 +149,19 @@ def _reciprocity(datasets: Mapping[str, xr.Dataset], measured_sides: Sequence[Si
 
 def _lobe(datasets: Mapping[str, xr.Dataset], measured_sides: Sequence[Side]) -> Figure | None:
     bsdf = datasets.get("bsdf")
-    measured = [
-        float(angle)
-        for side in measured_sides
-        if side.name == "reflection"
-        for angle in side.smoothed["incidence"].values
-    ]
-    if bsdf is None or not measured:
+    reflected = next((side for side in measured_sides if side.name == "reflection"), None)
+    if bsdf is None or reflected is None:
         return None
-    return indicatrix(bsdf, min(measured, key=lambda angle: abs(angle - LOBE_INCIDENCE)))
+    return indicatrix(bsdf, min(reflected.smoothed["incidence"].values, key=lambda angle: abs(angle - LOBE_INCIDENCE)))
 
 
-# --- in words
+# --- measurement
 
 
-def _measurement(measured_sides: Sequence[Side], profile: xr.Dataset | None) -> Table:
+def measurement_table(measured_sides: Sequence[Side], profile: xr.Dataset | None) -> Table:
     primary = measured_sides[0].primary
-    every = [arrangement for side in measured_sides for arrangement in side.reduced]
-    attrs = {name: value for dataset in (*every, primary) for name, value in dataset.attrs.items()}
+    arrangements = [arrangement for side in measured_sides for arrangement in side.reduced]
+    attrs = {name: value for dataset in (*arrangements, primary) for name, value in dataset.attrs.items()}
     rows = [
         ("Rig", str(attrs.get("rig", MISSING))),
         ("Camera", str(attrs.get("camera", MISSING))),
@@ -204,42 +175,37 @@ def _measurement(measured_sides: Sequence[Side], profile: xr.Dataset | None) -> 
     kinds = primary["kind"].values
     rows.append(("Cells", f"{int((kinds == 'fibre').sum())} fibres, {int((kinds == 'disc').sum())} of the disc"))
     rows += list(_calibration(attrs, profile))
-    rows += [(f"Smoothing, {side.name}", _smoothing(side.smoothed)) for side in measured_sides]
-    rows += list(_registration(every))
-    return Table("Measurement", ("What", "Value"), rows, remark=_override(attrs))
+    about = {"half": "about the half vector", "mirror": "about the mirror direction"}
+    for side in measured_sides:
+        smoothing = side.smoothed.attrs
+        rows.append(
+            (f"Smoothing, {side.name}", f"{smoothing['mode']}, {about.get(smoothing['about'], smoothing['about'])}")
+        )
+    rows += list(_registration(arrangements))
+    reasons = str(attrs.get("overridden", ""))
+    remark = (
+        f"The calibration profile is not valid, and was used by `rig.override`: {reasons}. Measure the etalon again."
+    )
+    return Table("Measurement", ("What", "Value"), rows, remark=remark if reasons else "")
 
 
 def _calibration(attrs: Mapping[str, object], profile: xr.Dataset | None) -> Iterator[tuple[str, str]]:
     yield "Certificate", str(attrs.get("certificate", MISSING))
-    made, day = _day(attrs.get("calibrated")), _day(attrs.get("day"))
-    if made is None:
+    calibrated, day = _date(attrs.get("calibrated")), _date(attrs.get("day"))
+    if calibrated is None:
         return
-    age = f", {(day - made).days} days before" if day is not None else ""
-    if profile is None:
-        yield "Calibration profile", f"of {made}{age}"
-    else:
-        yield "Calibration profile", f"of {made}{age}; valid for {int(profile.attrs['valid_days'])} days"
-        entrances = ", ".join(f"{angle:g}" for angle in profile["incidence"].values)
-        yield "Etalon through", f"{entrances} °"
+    age = f", {(day - calibrated).days} days before" if day is not None else ""
+    validity = "" if profile is None else f"; valid for {int(profile.attrs['valid_days'])} days"
+    yield "Calibration profile", f"of {calibrated}{age}{validity}"
+    if profile is not None:
+        yield "Etalon through", f"{', '.join(f'{angle:g}' for angle in profile['incidence'].values)} °"
 
 
-def _override(attrs: Mapping[str, object]) -> str:
-    doubts = str(attrs.get("overridden", ""))
-    if not doubts:
-        return ""
-    return f"The calibration profile is not valid, and was used by `rig.override`: {doubts}. Measure the etalon again."
-
-
-def _day(text: object) -> date | None:
+def _date(text: object) -> date | None:
     try:
         return date.fromisoformat(str(text))
     except ValueError:
         return None
-
-
-def _smoothing(smoothed: xr.Dataset) -> str:
-    about = {"half": "about the half vector", "mirror": "about the mirror direction"}
-    return f"{smoothed.attrs['mode']}, {about.get(str(smoothed.attrs['about']), smoothed.attrs['about'])}"
 
 
 def _registration(reduced: Sequence[xr.Dataset]) -> Iterator[tuple[str, str]]:
@@ -256,49 +222,40 @@ def _registration(reduced: Sequence[xr.Dataset]) -> Iterator[tuple[str, str]]:
 # --- coverage
 
 
-def _coverage(measured_sides: Sequence[Side], profile: xr.Dataset | None, shown: int) -> Table:
-    header = (
-        "Incidence",
-        "Fitted",
-        "of them below noise",
-        "Saturated",
-        "Below horizon",
-        "Otherwise left out",
-        "rms of residual / u",
-        "χ² / dof",
-        "Strength ε",
-    )
-    rows, few, lopsided = [], [], []
+def coverage_table(measured_sides: Sequence[Side], profile: xr.Dataset | None, shown: int) -> Table:
+    counts = ("Fitted", "of them below noise", "Saturated", "Below horizon", "Otherwise left out")
+    header = ("Incidence", *counts, "rms of residual / u", "χ² / dof", "Strength ε")
+    rows, few, asymmetric = [], [], []
     for side in measured_sides:
         for at, incidence in enumerate(side.smoothed["incidence"].values.tolist()):
             name = f"{incidence:g}°" + (f" {side.name}" if len(measured_sides) > 1 else "")
             rows.append((name, *_counted(side, at), *_misfit(side.smoothed, at)))
-            became = rig_figures.states(side.primary, side.smoothed, at)
-            fitted, above = int((became == FITTED).sum()), int((became != HIDDEN).sum())
+            states = rig_figures.cell_states(side.primary, side.smoothed, at)
+            fitted, above = int((states == FITTED).sum()), int((states != HIDDEN).sum())
             few += [f"{name} ({fitted} of {above})"] if fitted < _FEW * above else []
-            differ = rig_fit.lopsided(side.smoothed, at)
-            lopsided += [f"{number(differ, 2)} at {name}"] if differ else []
+            asymmetry = rig_fit.asymmetry(side.smoothed, at)
+            asymmetric += [f"{number(asymmetry, 2)} at {name}"] if asymmetry else []
     note = (
         "Number of cells, mean over the wavelengths. Otherwise left out: vignetted, or not calibrated by the profile. The rms of the "
         "residuals over their uncertainties should be slightly below 1. Above 1, the fit misses features of the data, or the "
-        f"uncertainties are too small. Far below 1, the uncertainties are too large.{_dead(profile)}"
+        f"uncertainties are too small. Far below 1, the uncertainties are too large.{_dead_fibres(profile)}"
     )
     if shown < len(rows):
         note += f" The fits at {shown} of the {len(rows)} incidences are shown."
-    return Table("Coverage and fit", header, rows, note, " ".join(_advice(few, lopsided)))
+    return Table("Coverage and fit", header, rows, note, " ".join(_advice(few, asymmetric)))
 
 
-def _advice(few: Sequence[str], lopsided: Sequence[str]) -> Iterator[str]:
-    """What to do where few cells were fitted, and where those on either side of the plane of incidence differ."""
+def _advice(few: Sequence[str], asymmetric: Sequence[str]) -> Iterator[str]:
+    """Advice where few cells were fitted, and where the two sides of the plane of incidence differ."""
     if few:
         yield (
             f"Fewer than half of the cells above the horizon were fitted at {', '.join(few)}. Where many are saturated, add a "
             "shorter exposure or a denser filter to `bracket` in plan.yaml. Where many are below noise, add a longer exposure."
         )
-    if lopsided:
+    if asymmetric:
         yield (
             "The fit assumes symmetry about the plane of incidence, but cells on the two sides differ. Mean difference in standard "
-            f"uncertainties: {', '.join(lopsided)}. Either the mirror direction is not where the angular target places it: measure the target "
+            f"uncertainties: {', '.join(asymmetric)}. Either the mirror direction is not where the angular target places it: measure the target "
             "in this run too (`target` first in `runs` of plan.yaml). Or the sample has a lay: set `rig.smoothing.symmetric: false` "
             "in material.yaml."
         )
@@ -320,8 +277,8 @@ def _misfit(smoothed: xr.Dataset, at: int) -> tuple[str, str, str]:
     return number(rms), number(median), number(float(smoothed["chosen_strength"][at]))
 
 
-def _dead(profile: xr.Dataset | None) -> str:
-    """Fibres without light from the etalon, by name."""
+def _dead_fibres(profile: xr.Dataset | None) -> str:
+    """Note on fibres without light from the etalon, by name."""
     if profile is None:
         return ""
     entrance = profile["incidence"].values[:, None]
@@ -330,41 +287,33 @@ def _dead(profile: xr.Dataset | None) -> str:
     dark = np.isnan(profile["cell_scale"].values).all(axis=0) & (profile["kind"].values == "fibre")
     dead = profile["cell"].values[dark & lit.any(axis=0)].tolist()
     grazing = int((dark & ~lit.any(axis=0)).sum())
-    words = (
-        f" {grazing} fibres see the etalon at grazing angles, or not at all. They cannot be calibrated."
-        if grazing
-        else ""
-    )
-    if not dead:
-        return words + " No fibre is dead."
-    listed = ", ".join(dead[:_LISTED]) + (", …" if len(dead) > _LISTED else "")
-    return (
-        f"{words} Dead fibres, without light from the etalon: {listed}. Clean or replace them, or remove them from the table "
-        "of fibres."
-    )
+    note = " No fibre is dead."
+    if dead:
+        listed = ", ".join(dead[:_MOST_LISTED]) + (", …" if len(dead) > _MOST_LISTED else "")
+        remedy = "Clean or replace them, or remove them from the table of fibres."
+        note = f" Dead fibres, without light from the etalon: {listed}. {remedy}"
+    not_seen = f" {grazing} fibres see the etalon at grazing angles, or not at all. They cannot be calibrated."
+    return (not_seen if grazing else "") + note
 
 
 # --- uncertainty
 
 
-def _budget(side: Side, *, named: bool) -> Iterator[Figure | Table]:
-    for kind in ("disc", "fibre"):
-        figure = rig_figures.budget(side.primary, kind)
-        if figure is not None:
-            yield figure
-    yield _components(side, named=named)
-
-
-def _components(side: Side, *, named: bool) -> Table:
+def _uncertainty_table(side: Side, *, named: bool) -> Table:
     rows = [
         (
-            rig_figures.NAMES.get(name, name),
+            rig_figures.COMPONENT_NAMES.get(name, name),
             correlation,
-            *(percent(rig_figures.relative(side.primary, kind, name)) for kind in ("disc", "fibre")),
+            *(
+                uncertainty_percent(rig_figures.median_uncertainty(side.primary, kind, name))
+                for kind in ("disc", "fibre")
+            ),
         )
         for name, correlation in rig_figures.components(side.primary).items()
     ]
-    whole = (percent(rig_figures.relative(side.primary, kind)) for kind in ("disc", "fibre"))
+    combined = (uncertainty_percent(rig_figures.median_uncertainty(side.primary, kind)) for kind in ("disc", "fibre"))
     title = "Standard uncertainty of a cell's value" + (f", {side.name}" if named else "")
     note = "k = 1, relative. Medians over cells, wavelengths and incidences; the combined median is not the root sum of squares of the others."
-    return Table(title, ("Component", "from cell to cell", "Disc", "Fibres"), [*rows, ("combined", "", *whole)], note)
+    return Table(
+        title, ("Component", "from cell to cell", "Disc", "Fibres"), [*rows, ("combined", "", *combined)], note
+    )

@@ -14,7 +14,7 @@ from PIL import Image
 from brdfpipe import facets, flakes
 from brdfpipe.appearance.preview import preview
 from brdfpipe.bsdf import flake, lambert_gauss, microfacet
-from brdfpipe.report.plots.thumbnail import SIDE, thumbnail
+from brdfpipe.report.catalogue.rows import THUMBNAIL_SIDE, thumbnail
 
 
 def metallic(**options) -> xr.Dataset:
@@ -39,17 +39,19 @@ def pictures() -> dict[str, xr.Dataset]:
 
 
 def decoded(uri: str) -> np.ndarray:
-    """(SIDE, SIDE, 3)"""
+    """(THUMBNAIL_SIDE, THUMBNAIL_SIDE, 3)"""
     head, data = uri.split(",")
     assert head == "data:image/webp;base64"
     with Image.open(BytesIO(base64.b64decode(data))) as image:
         return np.asarray(image.convert("RGB")).astype(float)
 
 
-def test_it_is_the_sphere_of_the_picture_as_small_as_told(pictures: dict[str, xr.Dataset]) -> None:
+def test_the_thumbnail_is_the_sphere_of_the_picture(pictures: dict[str, xr.Dataset]) -> None:
     for picture in pictures.values():
         sphere = picture["picture"].values[:, :256]
-        exact = np.asarray(Image.fromarray(sphere).resize((SIDE, SIDE), Image.Resampling.BOX)).astype(float)
+        exact = np.asarray(
+            Image.fromarray(sphere).resize((THUMBNAIL_SIDE, THUMBNAIL_SIDE), Image.Resampling.BOX)
+        ).astype(float)
         # What the compression may cost, of 255.
         assert np.abs(decoded(thumbnail(picture)) - exact).mean() < 2.0
         assert len(thumbnail(picture)) < 1500
@@ -57,7 +59,7 @@ def test_it_is_the_sphere_of_the_picture_as_small_as_told(pictures: dict[str, xr
 
 def _lightness(picture: xr.Dataset) -> np.ndarray:
     """Of the sphere, its rim left out."""
-    place = (np.arange(SIDE) + 0.5) / SIDE - 0.5
+    place = (np.arange(THUMBNAIL_SIDE) + 0.5) / THUMBNAIL_SIDE - 0.5
     inside = np.hypot(place[:, None], place) < 0.38
     return np.where(inside, decoded(thumbnail(picture)).mean(axis=2), np.nan)
 
@@ -88,7 +90,7 @@ def test_the_same_picture_gives_the_same_bytes(pictures: dict[str, xr.Dataset]) 
 
 def test_a_picture_of_any_size_will_do() -> None:
     assert decoded(thumbnail(preview(lambert_gauss.lambertian(samples.spectrum(0.3)), side=32))).shape == (
-        SIDE,
-        SIDE,
+        THUMBNAIL_SIDE,
+        THUMBNAIL_SIDE,
         3,
     )

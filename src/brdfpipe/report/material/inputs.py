@@ -1,0 +1,201 @@
+"""Sections on the inputs of a prediction: measured surface, facets, effect pigments, spectrum and refractive index."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.appearance.origin import is_measured
+from brdfpipe.facets.planar_density import PlanarDensity
+from brdfpipe.report.cards import Section, Table
+from brdfpipe.report.formatting import attribute_note, fixed, grouped, number, quantity
+from brdfpipe.report.plots import dispersion, flake_angle_plot, masking, slope_density
+from brdfpipe.report.plots.spectrum import spectrum_figure
+from brdfpipe.report.plots.surface import height_map, height_profile
+from brdfpipe.report.plots.svg import Figure
+from brdfpipe.surfaces.texture_parameters import NAMES
+
+RAYCAST_LIMIT = 0.03
+"""Difference of G1 by ray casting and after Smith above which the page gives reasons."""
+
+_FACET_TITLES = {
+    "slope_rms": "rms slope",
+    "anisotropy": "Anisotropy, larger over smaller principal rms slope",
+    "lay": "Lay, azimuth of the smaller principal rms slope",
+    "facet_count": "Facets",
+    "effective_count": "Independent facets",
+    "correlation_length": "Correlation length of the heights (1/e)",
+    "noise_ratio": "rms slope over 1 pixel / over 2 pixels",
+}
+_COUNTS = ("facet_count", "effective_count")
+
+_GEOMETRY_NOTE = (
+    "θf: flake angle. ΔE00: of the fitted colour. Left out: of the colour that a fit to the other geometries predicts here; needs four "
+    "geometries or more."
+)
+
+_LINES_F_D_C = np.array([486.1, 587.6, 656.3])
+"""Wavelengths at which refractive indices are quoted [nm]."""
+
+
+def surface_section(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """Heights and surface texture parameters."""
+    section = Section("Surface")
+    if (surface := datasets.get("surface")) is None:
+        return section
+    section.figures.append(height_map(surface) if surface["height"].ndim == 2 else height_profile(surface))
+    parameters = [surface[name] for name in NAMES if name in surface]
+    if parameters:
+        rows = [
+            (str(parameter.name).replace("_", " "), quantity(parameter), str(parameter.attrs.get("long_name", "")))
+            for parameter in parameters
+        ]
+        note = attribute_note(surface, ("levelling", "band"))
+        section.tables.append(Table("Surface parameters", ("Parameter", "Value", "Definition"), rows, note))
+    return section
+
+
+# --- facets
+
+
+def facet_section(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """Slope density and masking."""
+    section = Section("Facets")
+    if "facets" in datasets:
+        section.figures += facet_figures(datasets["facets"])
+        section.tables.append(_facet_table(datasets["facets"]))
+    if "masking" in datasets:
+        section.figures.append(masking.raycast_figure(datasets["masking"], datasets.get("facets")))
+        section.figures += filter(None, [masking.bistatic_figure(datasets["masking"])])
+        section.tables.append(_raycast_table(datasets["masking"]))
+    return section
+
+
+def facet_figures(facets: xr.Dataset) -> list[Figure]:
+    """The figures for which a ``facets`` dataset has the variables, isotropic (slope density over ``slope``) or with a lay."""
+    figures: list[Figure] = []
+    if "slope_density" in facets:
+        density, masked = facets["slope_density"], "lambda_smith" in facets
+        if density.size == 0:
+            note = "The surface is perfectly flat: all facets are level, and none masks another."
+            return [Figure("Slopes", note=note)]
+        if density.dims == ("slope",):
+            figures += [slope_density.slope_density(facets), slope_density.facet_distribution(facets)]
+            figures += [masking.smith_masking(facets)] if masked else []
+        else:
+            planar = PlanarDensity.of(facets)
+            figures += slope_density.figures_with_lay(facets, planar)
+            figures += [masking.smith_masking_with_lay(facets, planar.azimuth)] if masked else []
+    by_scale = slope_density.slope_by_scale(facets)
+    return [*figures, by_scale] if by_scale else figures
+
+
+def _facet_table(facets: xr.Dataset) -> Table:
+    rows = [(title, _facet_value(name, facets[name])) for name, title in _FACET_TITLES.items() if name in facets]
+    if "slope_rms_scale" in facets and "scale" in facets.coords:
+        rows += [
+            (f"rms slope over {scale:g} pixel{'s' if scale != 1 else ''}", number(value))
+            for scale, value in zip(facets["scale"].values, facets["slope_rms_scale"].values, strict=True)
+        ]
+    return Table("Facets in numbers", ("Quantity", "Value"), rows, attribute_note(facets, ("method", "band")))
+
+
+def _facet_value(name: str, scalar: xr.DataArray) -> str:
+    if name in _COUNTS:
+        return grouped(float(scalar))
+    return slope_density.axis_degrees(float(scalar)) if name == "lay" else quantity(scalar)
+
+
+def _raycast_table(comparison: xr.Dataset) -> Table:
+    raycast, smith = comparison["g1_raycast"].values, comparison["g1_smith"].values
+    columns = (raycast, 2 * masking.raycast_uncertainty(comparison), smith, raycast - smith)
+    rows = [
+        (f"{theta:g}°", *(fixed(value, 4) for value in values))
+        for theta, *values in zip(comparison["theta"].values, *columns, strict=True)
+    ]
+    header = ("θ", "Ray casting", "± 2 u", "Smith", "Difference")
+    note = attribute_note(comparison, ("method",))
+    return Table("G₁ by ray casting and after Smith", header, rows, note, _raycast_remark(comparison))
+
+
+def _raycast_remark(comparison: xr.Dataset) -> str:
+    """Reasons and remedies for a difference of G1 that is large and beyond its uncertainty; else empty."""
+    difference = np.abs(comparison["g1_raycast"].values - comparison["g1_smith"].values)
+    expanded_u = np.nan_to_num(2 * masking.raycast_uncertainty(comparison))
+    largest = int(np.argmax(np.where(difference > expanded_u, difference, 0.0)))
+    if difference[largest] <= max(RAYCAST_LIMIT, expanded_u[largest]):
+        return ""
+    return (
+        f"Ray casting and Smith differ by up to {fixed(difference[largest], 2)}, at {comparison['theta'].values[largest]:g}°. "
+        "For the slopes along one line they agree exactly. The facet distribution is therefore not that of the cast lines. Possible "
+        "reasons: the slopes still grow towards one pixel (noise, or a pitch that is too wide); a lay is treated as isotropic; heights "
+        "are missing; too few facets are independent. Measure at a smaller pitch, with less noise or over a larger area, or check "
+        "`surface.isotropic`. Gloss and reflection at grazing angles have at least this uncertainty."
+    )
+
+
+# --- effect pigments
+
+
+def effect_pigment_section(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """Measured geometries, and the fit."""
+    section = Section("Effect pigments")
+    flake, multiangle = datasets.get("flake"), datasets.get("multiangle")
+    if flake is None or multiangle is None:
+        return section
+    section.figures.append(flake_angle_plot.flake_angle_plot(flake, multiangle))
+    rows = flake_angle_plot.geometry_rows(flake, multiangle)
+    section.tables.append(Table("Measured geometries", *rows, _GEOMETRY_NOTE))
+    scale = "A and C on the scale of Y = 100." if "channel" in flake.dims else "A and C as fractions."
+    section.tables.append(Table("Fit along the flake angle", *flake_angle_plot.parameter_rows(flake), scale))
+    return section
+
+
+# --- spectrum and refractive index
+
+
+def spectrum_section(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """Spectrum and refractive index, the inputs of the modelled BRDF."""
+    section = Section("Spectrum and index")
+    model = datasets.get("predicted" if is_measured(datasets) else "bsdf")
+    if "spectrum" in datasets:
+        section.figures.append(spectrum_figure(datasets["spectrum"], model))
+        section.tables += filter(None, [_recovery_table(datasets["spectrum"])])
+    if "index" in datasets:
+        section.figures += dispersion.dispersion(datasets["index"], model)
+        section.tables += [_index_table(datasets["index"])] if dispersion.dispersive(datasets["index"]) else []
+    return section
+
+
+def _recovery_table(spectrum: xr.Dataset) -> Table | None:
+    """Residual of a spectrum recovered from a colour, and its difference from another recovery under other illuminants."""
+    residual = float(spectrum.attrs.get("residual_delta_e", math.nan))
+    if not math.isfinite(residual):
+        return None
+    other_method = str(spectrum.attrs.get("metamerism_against", ""))
+    differences = {
+        name.removeprefix("metamerism_"): float(value)
+        for name, value in spectrum.attrs.items()
+        if name.startswith("metamerism_") and name != "metamerism_against"
+    }
+    rows = [("ΔE*ab to the given colour", fixed(residual, 2))]
+    rows += [(f"ΔE00 to {other_method} under {light}", fixed(value, 2)) for light, value in differences.items()]
+    note = f"Recovered by {spectrum.attrs['method']}. Many spectra have the same colour."
+    if differences:
+        note += f" ΔE00: colour difference from the spectrum that {other_method} recovers, under another illuminant."
+    else:
+        note += " No other exact method reaches this colour: its uncertainty under another illuminant is not known."
+    return Table("Recovery of the spectrum", ("Quantity", "Value"), rows, note)
+
+
+def _index_table(index: xr.Dataset) -> Table:
+    wavelength = np.atleast_1d(index["wavelength"].values) if "wavelength" in index.coords else _LINES_F_D_C
+    n, k = (
+        np.interp(_LINES_F_D_C, wavelength, np.broadcast_to(index[name].values, wavelength.shape))
+        for name in ("n", "k")
+    )
+    rows = [(f"{line:g} nm", fixed(n, 4), number(k)) for line, n, k in zip(_LINES_F_D_C, n, k, strict=True)]
+    return Table("Refractive index at the lines F, d and C", ("Wavelength", "n", "k"), rows)
