@@ -171,21 +171,17 @@ class Representation(ABC):
     @property
     def transmits(self) -> bool:
         """Whether light passes to the other side of the surface."""
-        return self._transmission != "none"
+        return bool(self.dataset.attrs.get("transmission", "none") != "none")
 
     @property
     def is_interface(self) -> bool:
         """Whether transmitted light ends in the body below the surface."""
-        return self._transmission == "interface"
+        return bool(self.dataset.attrs.get("transmission") == "interface")
 
     @property
     def is_slab(self) -> bool:
         """Whether transmitted light passes a body and ends in air."""
-        return self._transmission == "slab"
-
-    @property
-    def _transmission(self) -> str:
-        return str(self.dataset.attrs.get("transmission", "none"))
+        return bool(self.dataset.attrs.get("transmission") == "slab")
 
     def index_below(self, wavelength: Array | None = None) -> float:
         """Refractive index of the medium behind the surface, mean over wavelength; 1 behind a slab, or if it is unknown."""

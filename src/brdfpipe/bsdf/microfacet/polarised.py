@@ -17,8 +17,6 @@ polarimetric microfacet BRDF.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -27,13 +25,6 @@ from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 
 _PERFECT_MIRROR = 1e70
 """Index beyond which a body is a perfect mirror in double precision, and N⁴ might overflow."""
-
-
-class FrameRotation(NamedTuple):
-    """Angles from the s axes of both directions to the s axis of the facet between them [radian]."""
-
-    incident: Array
-    outgoing: Array
 
 
 def mueller(
@@ -66,9 +57,9 @@ def mueller(
     """
     n, k = np.atleast_1d(n), np.atleast_1d(k)
     cos_zeta = half_vector(theta_i, phi_i, theta_o, phi_o).cos_zeta
-    psi = frame_rotation(theta_i, phi_i, theta_o, phi_o)
+    psi_i, psi_o = frame_rotation(theta_i, phi_i, theta_o, phi_o)
     facet = facet_mueller(cos_zeta[..., None], n, k)
-    turned = rotation(-psi.outgoing)[..., None, :, :] @ facet @ rotation(psi.incident)[..., None, :, :]
+    turned = rotation(-psi_o)[..., None, :, :] @ facet @ rotation(psi_i)[..., None, :, :]
     specular = np.asarray(shape_factor, dtype=float)[..., None, None, None] * turned
     diffuse = np.asarray(diffuse, dtype=float)
     shape = np.broadcast_shapes(specular.shape[:-2], diffuse.shape)
@@ -117,7 +108,7 @@ def _phased_product(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike) -> NDArray[
     return np.where(absent, 0.0, np.where(mirror, -1.0, np.conj(r_s) * r_p))
 
 
-def frame_rotation(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> FrameRotation:
+def frame_rotation(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> tuple[Array, Array]:
     """Angles ψ_i, ψ_o [radian], in [−π, π], from the frames of both directions to the frame of the facet, from s towards p.
 
     Parameters
@@ -140,10 +131,8 @@ def frame_rotation(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi
     across_o, along_o = sin_i * np.sin(delta), -difference + sin_i * cos_o * ahead
     undefined = (across_i == 0) & (along_i == 0) & (across_o == 0) & (along_o == 0)
     straight = np.arctan2(np.sin(delta), -np.cos(delta))
-    return FrameRotation(
-        np.where(undefined, 0.0, np.arctan2(across_i, along_i)),
-        np.where(undefined, straight, np.arctan2(across_o, along_o)),
-    )
+    psi_i = np.where(undefined, 0.0, np.arctan2(across_i, along_i))
+    return psi_i, np.where(undefined, straight, np.arctan2(across_o, along_o))
 
 
 def rotation(psi: ArrayLike) -> Array:

@@ -54,6 +54,11 @@ class Interface(Representation):
     def isotropic(self) -> bool:
         return "phi_i" not in self.dataset["directional_albedo"].dims
 
+    @property
+    def lobe_slope(self) -> float:
+        """Median slope of the facets."""
+        return UNRESOLVED_SLOPE if self._surface is None else self._surface.median_slope
+
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The surface with the weighted mean of the reflectance, and one index.
 
@@ -114,12 +119,6 @@ class Microfacet(Interface):
         },
     )
 
-    @property
-    def lobe_slope(self) -> float:
-        """Median slope of the facets."""
-        assert self._surface is not None
-        return self._surface.median_slope
-
 
 class Smooth(Interface):
     """A perfectly smooth interface: its mirror reflection is not part of the BSDF, but of :meth:`specular`."""
@@ -131,7 +130,3 @@ class Smooth(Interface):
         model = self._model(wavelength)
         bare = replace(model, diffuse=np.zeros(1))
         return bare.directional_albedo(theta_i, phi_i), model.transmittance(theta_i, phi_i)
-
-    @property
-    def lobe_slope(self) -> float:
-        return UNRESOLVED_SLOPE

@@ -44,14 +44,6 @@ class InnerLight(NamedTuple):
     through: Array
 
 
-class Balance(NamedTuple):
-    """Flux of the light from one side, (N,) each [1]."""
-
-    reflected: Array
-    transmitted: Array
-    absorbed: Array
-
-
 def straight(sheet: Sheet, transmittance: float) -> InnerLight:
     """Shares of specular reflections and refractions alone: R = F + (1 − F)² τ² F / (1 − F² τ²), without its first term."""
     front, back = sheet.front, sheet.back
@@ -83,8 +75,8 @@ def scattered(sheet: Sheet, modes: Array, transmittances: Array) -> list[InnerLi
     return result
 
 
-def balances(sheet: Sheet, transmittance: float) -> tuple[Balance, Balance]:
-    """Reflectance, transmittance and absorptance, for light from the front and from the back.
+def balances(sheet: Sheet, transmittance: float) -> tuple[Array, Array]:
+    """Reflectance, transmittance and absorptance, (3, N), for light from the front and from the back.
 
     Each is computed independently; the absorptance is (1 − τ) of the light that leaves either face inwards.
     """
@@ -92,7 +84,7 @@ def balances(sheet: Sheet, transmittance: float) -> tuple[Balance, Balance]:
 
     front, back = (face.operators(sheet.azimuths, np.zeros(1)) for face in (sheet.front, sheet.back))
 
-    def balance(face: Face, near: tuple[Array, Array], far: tuple[Array, Array]) -> Balance:
+    def balance(face: Face, near: tuple[Array, Array], far: tuple[Array, Array]) -> Array:
         root, count = face.root, face.straight.size
         (t_near,), (r_near,), (t_far,), (r_far,) = *near, *far
         inward = _solved((r_near * passage) @ (r_far * passage), t_near)
@@ -100,7 +92,7 @@ def balances(sheet: Sheet, transmittance: float) -> tuple[Balance, Balance]:
         reflected = root[:count] @ (t_near * passage) @ outward / root[:count]
         transmitted = root[:count] @ (t_far * passage) @ inward / root[:count]
         absorbed = (root * (1 - passage)) @ (inward + outward) / root[:count]
-        return Balance(face.outer_albedo + reflected, transmitted, absorbed)
+        return np.stack([face.outer_albedo + reflected, transmitted, absorbed])
 
     return balance(sheet.front, front, back), balance(sheet.back, back, front)
 
