@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.special import k0e, k1e
 
 from brdfpipe import facets, hemisphere, masking, optics
+from brdfpipe.bsdf import microfacet
 from brdfpipe.errors import VocabularyError
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import half_vector, unit_vector
@@ -254,7 +255,8 @@ def test_the_attenuation_is_reciprocal_and_a_share(theta_i, theta_o, phi):
 def in_plane(sigma: float, n, theta_i: float, theta_o: float):
     """f_s, f_p and f of the microfacet BRDF under Liu's attenuation, in the plane of incidence, at one wavelength."""
     # Built with another masking, whose energy balance is faster.
-    bsdf = samples.beckmann_bsdf(sigma, n=n, reflectance=None).assign_attrs(masking="liu")
+    bsdf = microfacet.build(samples.beckmann(sigma * np.sqrt(2)), index=optics.refractive_index(n))
+    bsdf = bsdf.assign_attrs(masking="liu")
     matrix = bsdf.bsdf.mueller(theta_i, 10.0, theta_o, 190.0).values.reshape(-1, 4, 4)[0]
     return matrix[0, 0] + matrix[0, 1], matrix[0, 0] - matrix[0, 1], matrix[0, 0]
 
