@@ -16,8 +16,8 @@ wildcard_constraints:
     incidence="[0-9.]+",
 
 
-# Each rule inherits this one. Its log, params, message and memory follow from its entry in brdfpipe/stages.py.
-rule stage:
+# No job of its own: each rule inherits this one. Its log, params, message and memory follow from its entry in brdfpipe/stages.py.
+rule stage_template:
     run:
         pipeline.run(rule, wildcards, input, output, params)
 
@@ -33,7 +33,7 @@ include: "workflow/rules/outputs.smk"
 include: "workflow/rules/catalogue.smk"
 
 
-pipeline.complete(workflow)
+pipeline.declare_stage_properties(workflow)
 
 
 rule all:

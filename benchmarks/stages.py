@@ -122,7 +122,7 @@ def stages() -> Iterable[Row]:
             stage.makes,
             "all datasets with a kind" if name == "report" else names or "raw files",
             {"calibration": "each calibration", "catalogue": "all together"}.get(
-                stage.owner, stage.when.words or "any"
+                stage.owner_kind, stage.when.words or "any"
             ),
             ", ".join(f"`{key}`" for key in stage.keys.description),
             ", ".join(f"`{key}`" for key in stage.keys.config),
@@ -134,7 +134,7 @@ def rule_inputs() -> dict[str, list[str]]:
     """Rule → the stages whose results it names as input."""
     inputs = {export.name: list(export.inputs) for export in EXPORTS}
     for path in sorted((PROJECT / "workflow" / "rules").glob("*.smk")):
-        for name, body in re.findall(r"^use rule stage as (\w+) with:\n(.*?)(?=^\S|\Z)", path.read_text(), re.M | re.S):
+        for name, body in re.findall(r"^use rule \w+ as (\w+) with:\n(.*?)(?=^\S|\Z)", path.read_text(), re.M | re.S):
             source = body.partition("output:")[0]
             inputs[name] = re.findall(r'^\s+(\w+)="\{material\}', source, re.M)
             inputs[name] += re.findall(r'"(\w+)"', " ".join(re.findall(r"results_of\(([^)]*)\)", source)))

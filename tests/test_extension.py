@@ -105,7 +105,7 @@ STAGE = '    Stage("toy", "a toy that is equally bright", keys=_keys("toy_level"
 
 RULE = """
 
-use rule stage as toy with:
+use rule stage_template as toy with:
     input:
         **results_of("bsdf"),
     output:

@@ -33,7 +33,7 @@ def test_an_edit_of_a_report_module_reruns_the_report_and_the_catalogue_alone(tm
     for file, users in {
         "report/material/page.py": {"report"},
         "report/catalogue/page.py": {"catalogue"},
-        "report/pages.py": {"report", "catalogue"},
+        "report/rendering.py": {"report", "catalogue"},
     }.items():
         text = (package / file).read_text(encoding="utf-8")
         (package / file).write_text(f"{text}\nEDITED = True\n", encoding="utf-8")

@@ -1,8 +1,8 @@
 """The stages of the workflow, declared once.
 
 A stage is an entry of :data:`STAGES`, a rule of the same name in ``workflow/rules`` with its input and output, and a script in
-``workflow/scripts`` that reads, calls one function of the package and writes. The parameters of the rule (a change of them reruns
-the stage), its log and message, ``rule all``, the order of the report and the table of stages in the documentation follow from the entry.
+``workflow/scripts`` that reads, calls one function of the package and writes. The parameters of the rule, whose change reruns
+the stage, its log and message, ``rule all``, the order of the report and the table of stages in the documentation follow from the entry.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from brdfpipe.exchange.registry import FORMATS, Format
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration
     from brdfpipe.catalogue.material import Material
-    from brdfpipe.descriptions.keys import Keys as DeclaredKeys
+    from brdfpipe.descriptions.keys import Keys
     from brdfpipe.rig.plan import Arrangement
 
-Instance = Mapping[str, str]
+Wildcards = Mapping[str, str]
 """Wildcards of a job beside its material or calibration: scan; or load, side and incidence."""
 
 
@@ -67,20 +67,20 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Keys:
+class StageKeys:
     """The keys that a stage depends on: its parameters."""
 
     description: tuple[str, ...] = ()
     """Keys of ``material.yaml``."""
     config: tuple[str, ...] = ()
     """Keys of ``config.yaml``."""
-    read: Callable[[Subject, Instance], dict[str, Any]] = lambda subject, instance: {}
+    read: Callable[[Subject, Wildcards], dict[str, Any]] = lambda subject, wildcards: {}
 
-    def __or__(self, other: Keys) -> Keys:
-        return Keys(
+    def __or__(self, other: StageKeys) -> StageKeys:
+        return StageKeys(
             self.description + other.description,
             self.config + other.config,
-            lambda subject, instance: self.read(subject, instance) | other.read(subject, instance),
+            lambda subject, wildcards: self.read(subject, wildcards) | other.read(subject, wildcards),
         )
 
 
@@ -92,14 +92,14 @@ class Stage:
     """Of its rule."""
     makes: str
     when: Condition = Condition("", lambda subject: True)
-    keys: Keys = Keys()
+    keys: StageKeys = StageKeys()
     script: str = ""
     """By default the name."""
-    owner: str = "material"
+    owner_kind: str = "material"
     """Owner of the results: ``material``, ``calibration`` or ``catalogue``."""
     instances: Callable[[Subject], list[dict[str, str]]] | None = None
     """Further wildcards of each job for a subject; None for a single job without any."""
-    title: str = ""
+    job_title: str = ""
     """Name of a job in logs and failures, with its wildcards; by default the name of the stage."""
     modules: tuple[str, ...] = ()
     """Modules that the script imports at run time by a name, for the code digest."""
@@ -113,7 +113,7 @@ class Stage:
     """Largest memory of a job, MB."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "title", self.title or self.name)
+        object.__setattr__(self, "job_title", self.job_title or self.name)
         object.__setattr__(self, "script", self.script or self.name)
         if self.kind is None:
             object.__setattr__(self, "kind", self.script)
@@ -124,22 +124,25 @@ class Stage:
             return []
         return [{}] if self.instances is None else self.instances(subject)
 
-    def parameters(self, subject: Subject, instance: Instance | None = None) -> dict[str, Any]:
+    def parameters(self, subject: Subject, wildcards: Wildcards | None = None) -> dict[str, Any]:
         """The part of the description and the configuration that the stage depends on."""
-        return self.keys.read(subject, instance or {})
+        return self.keys.read(subject, wildcards or {})
 
 
 # --- conditions
 
 
 def _has(part: str, words: str = "") -> Condition:
-    """The description has a part."""
+    """See :meth:`brdfpipe.catalogue.material.Material.has`."""
     return Condition(words or f"`{part}`", lambda subject: subject.owner.has(part))  # type: ignore[union-attr]
 
 
-def _has_file(part: str, key: str) -> Condition:
+def _names_file(part: str, key: str) -> Condition:
     """The description names a raw file for a part."""
     return Condition(f"`{key}.file`", lambda subject: part in subject.owner.files)
+
+
+_MEASURED_RELIEF = _names_file("surface", "surface")
 
 
 def _enabled(key: str) -> Condition:
@@ -155,66 +158,68 @@ def _comparable(subject: Subject) -> bool:
 # --- keys
 
 
-def _keys(*names: str) -> Keys:
+def _keys(*names: str) -> StageKeys:
     """Keys at the top level of the description."""
-    return Keys(names, (), lambda subject, _: {name: subject.section(name) for name in names})
+    return StageKeys(names, (), lambda subject, _: {name: subject.section(name) for name in names})
 
 
-def _block(path: str, only: Sequence[str] = ()) -> Keys:
+def _block(path: str, only: Sequence[str] = ()) -> StageKeys:
     """The keys of a block of the description: all, or some."""
 
-    def read(subject: Subject, instance: Instance) -> dict[str, Any]:
+    def read(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
         content = subject.section(path)
         return {key: content[key] for key in content if not only or key in only}
 
-    return Keys(tuple(f"{path}.{key}" for key in only) or (path,), (), read)
+    return StageKeys(tuple(f"{path}.{key}" for key in only) or (path,), (), read)
 
 
-def _read_by(stage: str, *declarations: type[DeclaredKeys]) -> tuple[str, ...]:
+def _read_by(stage: str, *declarations: type[Keys]) -> tuple[str, ...]:
     """The keys whose declaration names a stage."""
     return tuple(dict.fromkeys(key for declaration in declarations for key in declaration.read_by(stage)))
 
 
-def _config_keys(**keys: str) -> Keys:
+def _config_keys(**keys: str) -> StageKeys:
     """Keys of the configuration by the names of the parameters."""
-    return Keys((), tuple(keys.values()), lambda subject, _: {name: subject.config[key] for name, key in keys.items()})
+    return StageKeys(
+        (), tuple(keys.values()), lambda subject, _: {name: subject.config[key] for name, key in keys.items()}
+    )
 
 
-def _config_block(part: str) -> Keys:
+def _config_block(part: str) -> StageKeys:
     """All keys of a block of the configuration."""
-    return Keys((), (part,), lambda subject, _: dict(subject.config[part]))
+    return StageKeys((), (part,), lambda subject, _: dict(subject.config[part]))
 
 
 _SURFACES = (MeasuredSurface, BeckmannSurface, GgxSurface, FlatSurface)
 _SCAN_KEYS, _SLOPE_KEYS = _read_by("surface", *_SURFACES), _read_by("facets", *_SURFACES)
 _COLOURS = (MultiangleFile, MultiangleColours)
-_ARRANGEMENT = Keys(read=lambda subject, instance: {**instance, "incidence": float(instance["incidence"])})
+_ARRANGEMENT = StageKeys(read=lambda subject, wildcards: {**wildcards, "incidence": float(wildcards["incidence"])})
 
 
-def _further_scan(subject: Subject, instance: Instance) -> dict[str, Any]:
+def _further_scan(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     """Keys of a further scan: those of the first one, and its own instead."""
     surface = subject.section("surface")
     shared = {key: surface[key] for key in _SCAN_KEYS if key in surface and key != "azimuth"}
-    return shared | dict(surface["scans"][int(instance["scan"]) - 2])
+    return shared | dict(surface["scans"][int(wildcards["scan"]) - 2])
 
 
-def _model(subject: Subject, instance: Instance) -> dict[str, Any]:
+def _model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     """The choices of the model with their defaults, so that writing a default changes nothing."""
     model = subject.section("model")
     choices = ["masking"] if "slab" in subject.owner.content else list(MODEL_DEFAULTS)
     return ({} if "recipe" in model else {key: MODEL_DEFAULTS[key] for key in choices}) | dict(model)
 
 
-def _route(subject: Subject, instance: Instance) -> dict[str, Any]:
+def _route(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     return {"route": next((route for part, route in ROUTES if part in subject.owner.content), "predicted")}
 
 
-def _interior(subject: Subject, instance: Instance) -> dict[str, Any]:
+def _interior(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     slab = {key: value for key, value in subject.section("slab").items() if key != "back"}
     return ({} if "absorption" in slab else {"internal_transmittance": 1}) | slab
 
 
-def _page_content(subject: Subject, instance: Instance) -> dict[str, Any]:
+def _report_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     content = subject.owner.content
     return {"description": content.get("description", ""), "exports": sorted(content["exports"])}
 
@@ -273,7 +278,7 @@ class Export(NamedTuple):
             self.name,
             f"{self.format.description}: {self.side}",
             when=requested & _has("slab") if self.side == "transmission" else requested,
-            keys=Keys(("exports",), (), lambda subject, _: {"format": name, "side": self.side}),
+            keys=StageKeys(("exports",), (), lambda subject, _: {"format": name, "side": self.side}),
             script="export",
             modules=(self.format.module,),
             kind="",
@@ -292,24 +297,24 @@ STAGES: Mapping[str, Stage] = _by_name(
     Stage(
         "surface",
         "the relief of the surface, read and levelled",
-        when=_has_file("surface", "surface"),
+        when=_MEASURED_RELIEF,
         keys=_block("surface", _SCAN_KEYS),
     ),
     Stage(
         "scan",
         "a further scan of the surface, read and levelled",
-        when=_has_file("surface", "surface"),
-        keys=Keys(("surface.scans", *(f"surface.{key}" for key in _SCAN_KEYS)), (), _further_scan),
+        when=_MEASURED_RELIEF,
+        keys=StageKeys(("surface.scans", *(f"surface.{key}" for key in _SCAN_KEYS)), (), _further_scan),
         script="surface",
         instances=_further_scans,
-        title="surface-{scan}",
+        job_title="surface-{scan}",
         reported=False,
     ),
     Stage("facets", "the slope density of the facets", when=_has("surface"), keys=_block("surface", _SLOPE_KEYS)),
     Stage(
         "back_surface",
         "the relief of the back of a clear body",
-        when=_has_file("back_surface", "slab.back"),
+        when=_names_file("back_surface", "slab.back"),
         keys=_block("slab.back", _SCAN_KEYS),
         kind="surface",
     ),
@@ -320,9 +325,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         keys=_block("slab.back", _SLOPE_KEYS),
         script="facets",
     ),
-    Stage(
-        "masking", "masking by ray casting, beside Smith's", when=_has_file("surface", "surface") & _enabled("raycast")
-    ),
+    Stage("masking", "masking by ray casting, beside Smith's", when=_MEASURED_RELIEF & _enabled("raycast")),
     Stage(
         "spectrum",
         "the total reflectance, measured or recovered from a colour",
@@ -334,7 +337,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         "interior",
         "the internal transmittance of a clear body",
         when=_has("slab"),
-        keys=Keys(("slab.thickness", "slab.internal_transmittance", "slab.absorption"), (), _interior),
+        keys=StageKeys(("slab.thickness", "slab.internal_transmittance", "slab.absorption"), (), _interior),
     ),
     Stage(
         "multiangle",
@@ -346,7 +349,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         "predicted",
         "the BSDF that facets, index and spectrum predict",
         when=_has("predicted", "`surface`, or a `spectrum` alone"),
-        keys=Keys(("model",), (), _model),
+        keys=StageKeys(("model",), (), _model),
         kind="bsdf",
     ),
     Stage(
@@ -370,8 +373,8 @@ STAGES: Mapping[str, Stage] = _by_name(
         "the frames of an emulated rig with the etalon",
         keys=_block("rig", EmulatedRig.read_by("rig_run")),
         script="rig_run",
-        owner="calibration",
-        title="rig_run",
+        owner_kind="calibration",
+        job_title="rig_run",
         intermediate=True,
         memory=1000,
         kind="",
@@ -382,7 +385,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         when=_has("rig"),
         keys=_block("rig", EmulatedRig.read_by("reduced")) | _ARRANGEMENT,
         instances=_arrangements("sample"),
-        title="reduced-{load}-{side}-{incidence}",
+        job_title="reduced-{load}-{side}-{incidence}",
         intermediate=True,
         memory=1000,
     ),
@@ -391,9 +394,9 @@ STAGES: Mapping[str, Stage] = _by_name(
         "the same for an arrangement of the etalon",
         keys=_block("rig", EmulatedRig.read_by("reduced")) | _ARRANGEMENT,
         script="reduced",
-        owner="calibration",
+        owner_kind="calibration",
         instances=_arrangements("etalon"),
-        title="reduced-{load}-{side}-{incidence}",
+        job_title="reduced-{load}-{side}-{incidence}",
         reported=False,
         intermediate=True,
         memory=1000,
@@ -404,7 +407,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         when=_has("rig"),
         keys=_block("rig", EmulatedRig.read_by("primary")),
         instances=_sides,
-        title="primary-{side}",
+        job_title="primary-{side}",
         intermediate=True,
     ),
     Stage(
@@ -413,14 +416,14 @@ STAGES: Mapping[str, Stage] = _by_name(
         when=_has("rig"),
         keys=_block("rig", EmulatedRig.read_by("smoothed")),
         instances=_sides,
-        title="smoothed-{side}",
+        job_title="smoothed-{side}",
         intermediate=True,
     ),
     Stage(
         "calibration",
         "the calibration profile of a rig",
         keys=_block("rig", EmulatedCalibration.read_by("calibration")),
-        owner="calibration",
+        owner_kind="calibration",
         intermediate=True,
     ),
     Stage("measured", "the measured BSDF, completed to all directions", when=_has("rig"), kind="bsdf", reported=False),
@@ -430,7 +433,7 @@ STAGES: Mapping[str, Stage] = _by_name(
         when=_has("rig") & _has("surface") & Condition("reflection measured", _comparable),
         keys=_config_block("comparison"),
     ),
-    Stage("bsdf", "the BSDF: measured, else of flakes, else predicted", keys=Keys(read=_route)),
+    Stage("bsdf", "the BSDF: measured, else of flakes, else predicted", keys=StageKeys(read=_route)),
     Stage("checks", "reciprocity, energy and closure"),
     Stage(
         "appearance",
@@ -450,9 +453,9 @@ STAGES: Mapping[str, Stage] = _by_name(
     Stage(
         "report",
         "the page of a material and its row of the catalogue",
-        keys=Keys(("description", "exports"), (), _page_content),
+        keys=StageKeys(("description", "exports"), (), _report_parameters),
         kind="",
     ),
-    Stage("catalogue", "the catalogue: page, table, dataset and digests", owner="catalogue", kind=""),
+    Stage("catalogue", "the catalogue: page, table, dataset and digests", owner_kind="catalogue", kind=""),
 )
 """In the order of the report."""

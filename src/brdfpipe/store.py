@@ -26,7 +26,7 @@ from brdfpipe.errors import BrdfpipeError, InputError
 SOFTWARE = ("brdfpipe", "netCDF4", "numpy", "scipy", "xarray")
 """Packages whose versions are recorded with every dataset."""
 
-_UNDIGESTED = ("digest", "software")
+_NOT_IN_DIGEST = ("digest", "software")
 
 
 class StoreError(BrdfpipeError):
@@ -148,7 +148,7 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 def digest(dataset: xr.Dataset) -> str:
     """Content digest: sha256 over names, dimensions, types, values and attributes, except the digest and the software."""
     content = hashlib.sha256()
-    content.update(_attributes_json({k: v for k, v in dataset.attrs.items() if k not in _UNDIGESTED}))
+    content.update(_attributes_json({k: v for k, v in dataset.attrs.items() if k not in _NOT_IN_DIGEST}))
     for name in sorted(map(str, dataset.variables)):
         variable = dataset.variables[name]
         values = np.asarray(variable.values)
@@ -164,7 +164,7 @@ def digest(dataset: xr.Dataset) -> str:
     return content.hexdigest()
 
 
-def verify(dataset: xr.Dataset, source: str) -> xr.Dataset:
+def verify_digest(dataset: xr.Dataset, source: str) -> xr.Dataset:
     """Check a dataset against the digest it carries; return it.
 
     Raises
@@ -187,7 +187,7 @@ def file_digest(path: str | os.PathLike[str]) -> str:
 
 def canonical_json(value: Any) -> str:
     """Unique JSON of a value: sorted keys, no spaces, shortest round-trip floats."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=_plain)
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=_json_value)
 
 
 def _cause(error: Exception) -> str:
@@ -201,7 +201,7 @@ def _input_digest(value: str | os.PathLike[str] | xr.Dataset) -> str:
     return value if isinstance(value, str) else file_digest(value)
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):

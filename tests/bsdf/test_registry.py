@@ -121,18 +121,18 @@ def test_a_prepared_representation_is_deleted_with_its_dataset():
     bsdf = samples.beckmann_bsdf()
     bsdf.bsdf.evaluate(*AT)
     key, prepared = id(bsdf), weakref.ref(representation(bsdf))
-    assert key in registry._PREPARED
+    assert key in registry._CACHE
     del bsdf
     gc.collect()
     assert prepared() is None
-    assert key not in registry._PREPARED
+    assert key not in registry._CACHE
 
 
 def test_an_entry_of_another_dataset_under_the_same_id_is_not_used():
     first, second = samples.beckmann_bsdf(reflectance=0.2), samples.beckmann_bsdf(reflectance=0.6)
     representation(first)
     # As if the second dataset had taken the place of the first one in memory.
-    registry._PREPARED[id(second)] = registry._PREPARED[id(first)]
+    registry._CACHE[id(second)] = registry._CACHE[id(first)]
     assert representation(second) is not representation(first)
 
 

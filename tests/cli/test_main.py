@@ -148,7 +148,7 @@ def test_a_verdict_is_printed_with_its_material_and_does_not_change_the_exit_cod
 ) -> None:
     verdicts, faults = {"a": "fail", "b": "warn", "c": "pass"}, {"a": "energy: reflects at most 1.039 of the light"}
     page = tmp_path / "index.html"
-    summary = Summary(("a", "b"), ("c",), {}, 3, page, 3.2, verdicts=verdicts, faults=faults, notices=("note",))
+    summary = Summary(("a", "b"), ("c",), {}, 3, page, 3.2, verdicts=verdicts, fail_reasons=faults, notices=("note",))
     monkeypatch.setattr("brdfpipe.jobs.build.build", lambda *given, **named: summary)
     done = run("build", tmp_path)
     assert done.exit_code == 0

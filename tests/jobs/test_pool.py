@@ -105,7 +105,7 @@ def test_of_several_failures_of_a_material_the_first_stage_by_name_is_recorded(
 
     refused = job(tmp_path, refuse=True)
     for stage in ("b", "a", "c"):
-        workers.perform(replace(refused, stage=stage))
+        workers.perform(replace(refused, title=stage))
     assert json.loads((tmp_path / "failures" / "m.json").read_text())["stage"] == "a"
 
 

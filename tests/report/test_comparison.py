@@ -16,7 +16,7 @@ from brdfpipe import comparison as routes
 from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.report import comparison as page
-from brdfpipe.report import pages
+from brdfpipe.report import rendering
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_a_prediction_that_was_not_fitted_is_shown_without_a_fit(compared) -> No
 
 
 def test_the_chapter_is_well_formed_and_lists_the_findings(compared) -> None:
-    html = pages.render("chapter.html.j2", chapter=page.chapter(compared))
+    html = rendering.render("chapter.html.j2", chapter=page.chapter(compared))
     root = ElementTree.fromstring(html)
     assert [item.text for item in root.iter("h2")] == ["Measured and predicted"]
     findings = ["".join(item.itertext()).strip() for item in root.iter("li")]
@@ -127,9 +127,9 @@ def test_the_chapter_is_well_formed_and_lists_the_findings(compared) -> None:
 
 
 def test_warnings_are_listed_in_the_chapter(compared) -> None:
-    assert "notice warn" not in pages.render("chapter.html.j2", chapter=page.chapter(compared))
+    assert "notice warn" not in rendering.render("chapter.html.j2", chapter=page.chapter(compared))
     warned = vocabulary.add_warning(compared, "raise `comparison.slope_u`")
-    html = pages.render("chapter.html.j2", chapter=page.chapter(warned))
+    html = rendering.render("chapter.html.j2", chapter=page.chapter(warned))
     assert "1 warning of the comparison" in html
     assert "raise <code>comparison.slope_u</code>" in html
 
@@ -140,4 +140,4 @@ def test_without_a_comparison_there_is_no_chapter() -> None:
 
 def test_text_of_a_dataset_is_escaped(compared) -> None:
     wild = compared.assign_attrs(findings=json.dumps(["<script>alert(1)</script>"]))
-    assert "<script" not in pages.render("chapter.html.j2", chapter=page.chapter(wild))
+    assert "<script" not in rendering.render("chapter.html.j2", chapter=page.chapter(wild))

@@ -78,7 +78,7 @@ def test_light_that_passes_straight_is_the_centre_in_transmission():
 def test_spot_masks_cover_the_described_spots(tmp_path):
     plan = Plan.load(small_rig.write(tmp_path))
     reference, sample = screen.spot_masks(plan.rig)
-    column, row = screen.to_pixel(plan.rig.screen, *plan.rig.screen.reference)
+    column, row = screen.to_pixel(plan.rig.screen, *plan.rig.screen.reference_centre)
     rows, columns = np.nonzero(reference)
     assert np.hypot(columns - column, rows - row).max() <= 3 * 0.9 + 1e-9
     assert not (reference & sample).any()

@@ -55,10 +55,10 @@ def test_ends_of_fibres_disc_and_reference_do_not_touch_and_are_in_the_picture(t
     apart = np.hypot(*(ends[:, None] - ends).transpose(2, 0, 1)) + 1e9 * np.eye(count)
     assert apart.min() >= 4.5 - 1e-9
     assert (np.hypot(*ends.T) - rig.screen.fibre_radius).min() > rig.screen.disc_radius + 3
-    reference = np.hypot(*(ends - rig.screen.reference).T)
+    reference = np.hypot(*(ends - rig.screen.reference_centre).T)
     assert reference.min() >= 4.5 - 1e-9
     margin = rig.screen.scale * rig.screen.reference_radius + 3
-    for x, y in [*ends, rig.screen.reference]:
+    for x, y in [*ends, rig.screen.reference_centre]:
         column, row = screen.to_pixel(rig.screen, x, y)
         assert margin < column < 319 - margin
         assert margin < row < 239 - margin

@@ -1,7 +1,7 @@
 # All materials on one page. Materials that failed are listed with their reasons.
 
 
-use rule stage as catalogue with:
+use rule stage_template as catalogue with:
     input:
         summaries=expand("{material}/summary.nc", material=pipeline.names),
         pages=expand("{material}/report.html", material=pipeline.names),

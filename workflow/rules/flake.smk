@@ -1,14 +1,14 @@
 # From colours at several geometries to a BSDF: effect pigments.
 
 
-use rule stage as multiangle with:
+use rule stage_template as multiangle with:
     input:
         raw=raw_file("multiangle"),
     output:
         multiangle="{material}/multiangle.nc",
 
 
-use rule stage as flake with:
+use rule stage_template as flake with:
     input:
         **results_of("multiangle"),
     output:

@@ -1,28 +1,28 @@
 # From a BSDF to its checks, appearance, table, fit, exports and report.
 
 
-use rule stage as bsdf with:
+use rule stage_template as bsdf with:
     input:
         **results_of("predicted", "flake", "measured"),
     output:
         bsdf="{material}/bsdf.nc",
 
 
-use rule stage as checks with:
+use rule stage_template as checks with:
     input:
         **results_of("bsdf"),
     output:
         checks="{material}/checks.nc",
 
 
-use rule stage as appearance with:
+use rule stage_template as appearance with:
     input:
         **results_of("bsdf"),
     output:
         appearance="{material}/appearance.nc",
 
 
-use rule stage as preview with:
+use rule stage_template as preview with:
     input:
         **results_of("bsdf"),
     output:
@@ -30,14 +30,14 @@ use rule stage as preview with:
         png="{material}/preview.png",
 
 
-use rule stage as table with:
+use rule stage_template as table with:
     input:
         **results_of("bsdf"),
     output:
         table="{material}/table.nc",
 
 
-use rule stage as lambert_gauss with:
+use rule stage_template as lambert_gauss with:
     input:
         **results_of("bsdf"),
     output:
@@ -60,7 +60,7 @@ for export in EXPORTS:
             pipeline.run(rule, wildcards, input, output, params)
 
 
-use rule stage as report with:
+use rule stage_template as report with:
     input:
         unpack(pipeline.reported),
     output:

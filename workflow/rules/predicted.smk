@@ -1,63 +1,63 @@
 # From laboratory measurements to a BSDF: surface, facets, index, spectrum, microfacet model; of a clear body, both faces.
 
 
-use rule stage as surface with:
+use rule stage_template as surface with:
     input:
         raw=raw_file("surface"),
     output:
         surface="{material}/surface.nc",
 
 
-use rule stage as scan with:
+use rule stage_template as scan with:
     input:
         raw=raw_file("surface-{scan}"),
     output:
         surface="{material}/surface-{scan}.nc",
 
 
-use rule stage as facets with:
+use rule stage_template as facets with:
     input:
         **results_of("surface", "scan"),
     output:
         facets="{material}/facets.nc",
 
 
-use rule stage as masking with:
+use rule stage_template as masking with:
     input:
         **results_of("surface", "facets"),
     output:
         masking="{material}/masking.nc",
 
 
-use rule stage as back_surface with:
+use rule stage_template as back_surface with:
     input:
         raw=raw_file("back_surface"),
     output:
         surface="{material}/back_surface.nc",
 
 
-use rule stage as back_facets with:
+use rule stage_template as back_facets with:
     input:
-        surface=results_of("back_surface")["back_surface"],
+        **results_of(surface="back_surface"),
     output:
         facets="{material}/back_facets.nc",
 
 
-use rule stage as interior with:
+use rule stage_template as interior with:
     input:
         raw=raw_file("interior"),
     output:
         interior="{material}/interior.nc",
 
 
-use rule stage as index with:
+use rule stage_template as index with:
     input:
         raw=raw_file("index"),
     output:
         index="{material}/index.nc",
 
 
-use rule stage as spectrum with:
+use rule stage_template as spectrum with:
     input:
         **results_of("index"),
         raw=raw_file("spectrum"),
@@ -65,7 +65,7 @@ use rule stage as spectrum with:
         spectrum="{material}/spectrum.nc",
 
 
-use rule stage as predicted with:
+use rule stage_template as predicted with:
     input:
         **results_of("facets", "back_facets", "interior", "index", "spectrum"),
     output:

@@ -18,7 +18,7 @@ QUADRATURE_ACCURACY = 1e-6
 """Relative error of integrals by adaptive cubature, unless a representation sets its own."""
 
 _ALBEDO_ACCURACY = 1e-8
-"""Error of an albedo from a table [1]: reflectance and transmittance are interpolated to 2e-9 each."""
+"""Error of an albedo interpolated from a table [1]: reflectance and transmittance are interpolated to 2e-9 each."""
 
 UNRESOLVED_SLOPE = 1e-6
 """Lobe slope of a perfectly smooth surface: no instrument resolves it."""
@@ -116,7 +116,7 @@ class Representation(ABC):
         """Directional transmittance [1], (incidences…, wavelength), regular transmission included."""
         if not self.transmits:
             return np.zeros((*np.shape(theta_i), 1))
-        scattered = self.integrate(theta_i, phi_i, wavelength, through=True).value
+        scattered = self.integrate(theta_i, phi_i, wavelength, transmitted_side=True).value
         return scattered + self.specular(theta_i, phi_i, wavelength)[1]
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
@@ -160,7 +160,7 @@ class Representation(ABC):
         return None
 
     @property
-    def kinks(self) -> tuple[Array, Array]:
+    def non_smooth_angles(self) -> tuple[Array, Array]:
         """θ_o, and φ_o − φ_i, at which the slope of the BSDF jumps [degree]; none by default."""
         return np.empty(0), np.empty(0)
 
@@ -174,7 +174,7 @@ class Representation(ABC):
         return bool(self.dataset.attrs.get("transmission", "none") != "none")
 
     @property
-    def is_interface(self) -> bool:
+    def transmits_into_body(self) -> bool:
         """Whether transmitted light ends in the body below the surface."""
         return bool(self.dataset.attrs.get("transmission") == "interface")
 
@@ -207,7 +207,7 @@ class Representation(ABC):
         return None
 
     def single_reflection(self) -> xr.Dataset | None:
-        """:meth:`without_diffuse`, without multiply reflected light either; None if that is not a separate part."""
+        """The dataset of the light reflected once, as :meth:`without_diffuse`; None if that is not a separate part."""
         return None
 
     @property
@@ -228,7 +228,7 @@ class Representation(ABC):
         phi_i: Array,
         wavelength: Array | None,
         *,
-        through: bool = False,
+        transmitted_side: bool = False,
         relative: float | None = None,
     ) -> Integral:
         """∫ f |cos θ_o| dω_o over the side of incidence, or the other side, without perfectly specular parts.
@@ -236,20 +236,21 @@ class Representation(ABC):
         Parameters
         ----------
         theta_i, phi_i : degree, of the same shape
-        through : integrate over the other side
+        transmitted_side : integrate over the other side
         relative : relative error; by default ``accuracy``
 
         Notes
         -----
         Adaptive Genz–Malik cubature over :meth:`evaluate`. Cells are graded down to 0.001 degree towards the mirror direction, or the
         refracted and the straight direction: lobes about these are resolved at any width. Other lobes are resolved if they are wider
-        than about 2 degree, or if :attr:`kinks` gives their position.
+        than about 2 degree, or if :attr:`non_smooth_angles` gives their position.
         """
         incidences = np.atleast_1d(theta_i).ravel().astype(float), np.atleast_1d(phi_i).ravel().astype(float)
         if incidences[0].size == 0:
             empty = np.zeros((*np.shape(theta_i), 1))
             return Integral(empty, empty)
-        cells = [sphere_cubature.rectangles(*self.cell_edges(*at, through)) for at in zip(*incidences, strict=True)]
+        edges = [self.quadrature_edges(*at, transmitted_side) for at in zip(*incidences, strict=True)]
+        cells = [sphere_cubature.rectangles(theta, phi) for theta, phi in edges]
         owner = np.repeat(np.arange(len(cells)), [low.shape[0] for low, _ in cells])
         low, high = (np.concatenate(corners) for corners in zip(*cells, strict=True))
         rule = sphere_cubature.integral(self._integrand(*incidences, wavelength), self._wavelength_count(wavelength))
@@ -261,9 +262,9 @@ class Representation(ABC):
     def distribution(self, theta_i: float, phi_i: float, wavelength: Array | None) -> sampling.Distribution:
         """Density from which outgoing directions are drawn, close to the mean over wavelength of f |cos θ_o|."""
         incidence = np.array([theta_i]), np.array([phi_i])
-        theta, phi = self.cell_edges(theta_i, phi_i, through=False)
+        theta, phi = self.quadrature_edges(theta_i, phi_i, transmitted_side=False)
         if self.transmits:
-            theta = np.union1d(theta, self.cell_edges(theta_i, phi_i, through=True)[0])
+            theta = np.union1d(theta, self.quadrature_edges(theta_i, phi_i, transmitted_side=True)[0])
         shares = np.stack([share[0] for share in self.specular(*incidence, wavelength)])
         refracted = float(self.refracted(np.array(theta_i), wavelength)) if shares[1].mean() > 0 else 180 - theta_i
         rule = sphere_cubature.constant(self._integrand(*incidence, wavelength), self._wavelength_count(wavelength))
@@ -285,8 +286,9 @@ class Representation(ABC):
         for ray, probability in enumerate(distribution.specular_probability):
             if probability > 0:
                 weight[samples.ray == ray] = distribution.specular_share[ray] / probability
-        own = self.dataset["wavelength"].values if "wavelength" in self.dataset.coords else None
-        return sampling.as_dataset(samples, weight, (theta_i, phi_i), own if wavelength is None else wavelength)
+        if wavelength is None and "wavelength" in self.dataset.coords:
+            wavelength = self.dataset["wavelength"].values
+        return sampling.as_dataset(samples, weight, (theta_i, phi_i), wavelength)
 
     def pdf(self, theta_i: float, phi_i: float, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         """Density with which :meth:`sample` draws outgoing directions [sr-1], without specular rays; of the directions' shape."""
@@ -295,13 +297,15 @@ class Representation(ABC):
     def _wavelength_count(self, wavelength: Array | None) -> int:
         return int(self.dataset.sizes.get("wavelength", 1)) if wavelength is None else max(1, wavelength.size)
 
-    def cell_edges(self, theta_i: float, phi_i: float, through: bool) -> tuple[Array, Array]:
+    def quadrature_edges(self, theta_i: float, phi_i: float, transmitted_side: bool) -> tuple[Array, Array]:
         """Polar and azimuthal edges [degree] of cells that cover one side, graded towards possible lobes."""
-        peaks = np.array([180 - theta_i, float(self.refracted(np.array(theta_i)))]) if through else np.array([theta_i])
-        below = (theta_i > 90) != through
+        peaks = np.array([theta_i])
+        if transmitted_side:
+            peaks = np.array([180 - theta_i, float(self.refracted(np.array(theta_i)))])
+        below = (theta_i > 90) != transmitted_side
         theta = sphere_cubature.theta_edges(peaks[np.isfinite(peaks)], below)
         phi = sphere_cubature.phi_edges(phi_i + 180)
-        polar, azimuths = self.kinks
+        polar, azimuths = self.non_smooth_angles
         if polar.size or azimuths.size:
             azimuths = (azimuths + phi_i - phi[0]) % 360 + phi[0]
             theta = np.union1d(theta, polar[(polar > theta[0]) & (polar < theta[-1])])

@@ -276,7 +276,7 @@ def _integral_difference(model: Representation, wavelength: Array | None) -> _Re
         if model.transmits:
             expected.append(model.transmittance(*at, wavelength) - straight)
         for through, flux in enumerate(expected):
-            integral = model.integrate(*at, wavelength, through=bool(through), relative=1e-5).value
+            integral = model.integrate(*at, wavelength, transmitted_side=bool(through), relative=1e-5).value
             size = float(np.abs(integral - flux).max())
             if not size <= worst.size:
                 worst = _Residual(size, f"at θ_i = {theta:g}°")

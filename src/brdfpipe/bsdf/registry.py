@@ -1,4 +1,4 @@
-"""All representations of a BSDF, and the prepared representation of a dataset."""
+"""All representations of a BSDF, and the one of a dataset, made once because that may compute tables."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ REPRESENTATIONS: dict[str, type[Representation]] = {
 """Class by value of the attribute ``representation``."""
 
 
-class _Entry(NamedTuple):
+class _CachedRepresentation(NamedTuple):
     dataset: weakref.ref[xr.Dataset]
     variables: Mapping[Hashable, object]
     attributes: Mapping[Hashable, object]
     representation: Representation
 
 
-_PREPARED: dict[int, _Entry] = {}
+_CACHE: dict[int, _CachedRepresentation] = {}
 """By ``id`` of the dataset, which cannot be hashed; an entry is removed together with its dataset."""
 
 
 def representation(bsdf: xr.Dataset) -> Representation:
-    """The representation of a ``bsdf`` dataset, prepared at the first call.
+    """The representation of a ``bsdf`` dataset, made at the first call and cached.
 
     Raises
     ------
@@ -43,11 +43,11 @@ def representation(bsdf: xr.Dataset) -> Representation:
 
     Notes
     -----
-    The same dataset object gives the same instance as long as its variables and attributes are the same objects. A copy is prepared
-    anew. Array elements that are changed in place are not noticed: treat datasets as immutable and use ``assign``.
+    The same dataset object gives the same instance as long as its variables and attributes are the same objects. A copy gets
+    a new one. Array elements that are changed in place are not noticed: treat datasets as immutable and use ``assign``.
     """
     key = id(bsdf)
-    entry = _PREPARED.get(key)
+    entry = _CACHE.get(key)
     if (
         entry is not None
         and entry.dataset() is bsdf
@@ -60,13 +60,13 @@ def representation(bsdf: xr.Dataset) -> Representation:
         raise VocabularyError(f"unknown representation {name!r} of a BSDF; accepted: {', '.join(REPRESENTATIONS)}")
 
     def remove(reference: weakref.ref[xr.Dataset]) -> None:
-        if key in _PREPARED and _PREPARED[key].dataset is reference:
-            del _PREPARED[key]
+        if key in _CACHE and _CACHE[key].dataset is reference:
+            del _CACHE[key]
 
     # The shallow copy shares the arrays; a reference to the dataset itself would keep it alive.
-    prepared = REPRESENTATIONS[name](bsdf.copy())
-    _PREPARED[key] = _Entry(weakref.ref(bsdf, remove), dict(bsdf.variables), dict(bsdf.attrs), prepared)
-    return prepared
+    made = REPRESENTATIONS[name](bsdf.copy())
+    _CACHE[key] = _CachedRepresentation(weakref.ref(bsdf, remove), dict(bsdf.variables), dict(bsdf.attrs), made)
+    return made
 
 
 def _same_objects(one: Mapping[Hashable, object], other: Mapping[Hashable, object]) -> bool:

@@ -39,11 +39,12 @@ class Format:
     description: str
     """What the files hold, in one sentence."""
     files: Mapping[str, Mapping[str, tuple[str, ...]]]
-    """Side of the material (``reflection``, ``transmission``) → writer, a function of the module → suffixes of its files. The
-    writer is called with the path of the first and writes the others beside it. A material without transmission has the files of
-    ``reflection`` alone; a format with both sides in one file declares it there."""
+    """Files of each side of the material, ``reflection`` and ``transmission``: name of a writer → suffixes of the files it writes.
+
+    A writer is a function of the module. It is called with the path of the first file and writes the others beside it. A material
+    without transmission has the files of ``reflection`` alone; a format with both sides in one file declares it there."""
     takes: str = "bsdf"
-    """``bsdf``; or ``table``: the writers are called with the keyword ``table`` too, the table of the material."""
+    """``bsdf``: the writers take the BSDF; ``table``: they take the BSDF and, as keyword ``table``, the table of the material."""
     spectral: bool = False
     """Whether the files hold values by wavelength."""
     options: Mapping[str, Any] = field(default_factory=dict)

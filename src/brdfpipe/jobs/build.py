@@ -1,7 +1,7 @@
 """Build a catalogue or resume its build; materials that fail are listed on its page with their reasons.
 
-Snakemake decides what to run, in this process, so that no process outlives it. A second, short run without the materials that
-failed makes the page of the catalogue. Damaged results that a stage could not read are deleted and computed again.
+Snakemake runs in this process, so no snakemake process remains when the build is killed. A second, short run without the materials
+that failed makes the page of the catalogue. Damaged results that a stage could not read are deleted and computed again.
 """
 
 from __future__ import annotations
@@ -48,32 +48,34 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
     started = time.perf_counter()
     catalogue = load(folder, load_config(config))
     _check_results_folder(results, catalogue)
-    settings: dict[str, Any] = {"catalogue": str(catalogue.folder)}
+    snakemake_config: dict[str, Any] = {"catalogue": str(catalogue.folder)}
     if config is not None:
-        settings["settings"] = str(config.resolve())
+        snakemake_config["settings"] = str(config.resolve())
     with _locked(results), _interruptible() as interrupts:
         if not dry_run:
             cleanup.remove_leftovers(results, LOG)
-        failed = failures.of_unwritable_folders(results, catalogue) | failures.of_plans(catalogue)
+        failed_materials = failures.of_unwritable_folders(results, catalogue) | failures.of_plans(catalogue)
         run = SnakemakeRun(results, dry_run)
-        deleted = _run_until_complete(run, catalogue, settings, cores, failed, interrupts)
-        stale = [] if dry_run else cleanup.mark_stale(results, catalogue, failed)
+        deleted = _run_until_complete(run, catalogue, snakemake_config, cores, failed_materials, interrupts)
+        stale = [] if dry_run else cleanup.mark_stale(results, catalogue, failed_materials)
     touched = {material for _, material in run.done}
-    complete = [material.name for material in catalogue.materials if material.name not in failed]
-    verdicts = {} if dry_run else summary.read_verdicts(results, complete)
+    built_materials = [material.name for material in catalogue.materials if material.name not in failed_materials]
+    verdicts = {} if dry_run else summary.read_verdicts(results, built_materials)
     return Summary(
-        built=tuple(name for name in complete if name in touched),
-        current=tuple(name for name in complete if name not in touched),
+        built=tuple(name for name in built_materials if name in touched),
+        current=tuple(name for name in built_materials if name not in touched),
         failures={
             **catalogue.failures,
-            **{name: f"{entry['stage']}: {entry['message']}" for name, entry in failed.items()},
+            **{name: f"{entry['stage']}: {entry['message']}" for name, entry in failed_materials.items()},
         },
         jobs=sum(rule != "all" for rule, _ in run.done),
         page=results / "index.html",
         seconds=time.perf_counter() - started,
         dry_run=dry_run,
         verdicts=verdicts,
-        faults={name: summary.failed_checks(results, name) for name, verdict in verdicts.items() if verdict == "fail"},
+        fail_reasons={
+            name: summary.failed_checks(results, name) for name, verdict in verdicts.items() if verdict == "fail"
+        },
         notices=tuple(summary.notices(catalogue.folder, deleted, stale)),
     )
 
@@ -81,22 +83,22 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
 def _run_until_complete(
     run: SnakemakeRun,
     catalogue: Catalogue,
-    settings: Mapping[str, Any],
+    snakemake_config: Mapping[str, Any],
     cores: int,
-    failed: Failures,
+    failed_materials: Failures,
     interrupts: list[int],
 ) -> list[str]:
-    """Run snakemake, again after deleting damaged files, and again without the materials that failed (added to ``failed``).
+    """Run snakemake, again after deleting damaged files, and again without the materials that failed (added to ``failed_materials``).
 
-    The loop ends: each turn deletes a file for the first time in this build or leaves out one more material. Returns the deleted files.
+    The loop ends: each iteration deletes a file for the first time in this build or leaves out one more material. Returns the deleted files.
     """
     deleted: list[str] = []
     dependents = failures.dependents(catalogue)
     while True:
-        complete = run.start({**settings, "failures": failed}, cores)
+        succeeded = run.start({**snakemake_config, "failures": failed_materials}, cores)
         if interrupts:
             raise KeyboardInterrupt
-        names = {material.name for material in catalogue.materials} - failed.keys()
+        names = {material.name for material in catalogue.materials} - failed_materials.keys()
         new: Failures = {}
         if not run.dry_run:  # the records of a dry run are of the previous build
             new = failures.of_jobs(run.results, run.failed, names, dependents, LOG)
@@ -104,13 +106,13 @@ def _run_until_complete(
             deleted += damaged
             if damaged:
                 continue
-        if not complete and not new:
+        if not succeeded and not new:
             new = failures.of_unwritable_files(run.errors, names)
-        if complete and not new:
+        if succeeded and not new:
             return deleted
         if not new:
             raise BuildError(_reason(run))
-        failed |= new
+        failed_materials |= new
 
 
 def _reason(run: SnakemakeRun) -> str:

@@ -50,7 +50,7 @@ class WorkerDied(Exception):
 
 
 class Pool:
-    """Workers, as many as jobs have run at the same time."""
+    """Workers: a job starts a new one if all others are busy."""
 
     def __init__(self) -> None:
         self._idle: list[_Worker] = []
@@ -110,13 +110,13 @@ class _Worker:
     def __init__(self) -> None:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([*PRELOADED, *sorted(_also_preloaded)])
-        resource_tracker.ensure_running()  # started later, it would unblock the signal again
+        resource_tracker.ensure_running()  # started later, the tracker would unblock SIGINT again
         with _environment(ONE_THREAD), sigint_blocked():
             forkserver.ensure_running()
-        self._connection, workers_end = context.Pipe()
-        self.process = context.Process(target=_serve, args=(workers_end,), daemon=True, name="brdfpipe-worker")
+        self._connection, worker_end = context.Pipe()
+        self.process = context.Process(target=_serve, args=(worker_end,), daemon=True, name="brdfpipe-worker")
         self.process.start()
-        workers_end.close()
+        worker_end.close()
 
     def perform(self, job: Job) -> Outcome:
         try:
@@ -133,11 +133,12 @@ class _Worker:
 
 _also_preloaded: set[str] = set()
 _pools: dict[int, Pool] = {}
+"""By process id: a forked process must not use the workers of its parent."""
 _pools_lock = threading.Lock()
 
 
-def pool() -> Pool:
-    """The pool of this process."""
+def shared_pool() -> Pool:
+    """The pool that all threads of this process share."""
     with _pools_lock:
         return _pools.setdefault(os.getpid(), Pool())
 
@@ -172,6 +173,7 @@ def _serve(connection: Connection) -> None:
 
 
 def _end_with_parent() -> None:
+    """End this worker when the main process ends, even in the middle of a job."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

@@ -56,13 +56,14 @@ class Pipeline:
 
     # --- input files
 
-    def results_of(self, *stages: str) -> dict[str, InputFunction]:
-        """Results of other stages as input of a rule, by stage.
+    def results_of(self, *stages: str, **renamed: str) -> dict[str, InputFunction]:
+        """Results of other stages as input of a rule, by stage, or by a name of its own: ``results_of(surface="back_surface")``.
 
         A stage that the material does not have gives no file. A stage with several jobs gives the list of those that agree with
         the wildcards of the rule.
         """
-        return {name: self._result(STAGES[name]) for name in stages}
+        names = {stage: stage for stage in stages} | renamed
+        return {name: self._result(STAGES[stage]) for name, stage in names.items()}
 
     def reported(self, wildcards: Any) -> dict[str, Any]:
         """The datasets that the report reads, by stage, in the order of the declarations."""
@@ -100,14 +101,14 @@ class Pipeline:
             pattern.format(material=name, **job)
             for name in self.names
             for stage in STAGES.values()
-            if stage.owner == "material" and not stage.intermediate
+            if stage.owner_kind == "material" and not stage.intermediate
             for job in stage.jobs(self.subject(self.catalogue[name]))
             for pattern in self._outputs[stage.name]
         ]
 
     # --- what follows from the declaration of a stage
 
-    def complete(self, workflow: Any) -> None:
+    def declare_stage_properties(self, workflow: Any) -> None:
         """Set log, parameters, message and memory of each rule from the stage of its name."""
         from snakemake.io import strip_wildcard_constraints  # type: ignore[import-untyped]
 
@@ -122,11 +123,11 @@ class Pipeline:
             stage = STAGES[rule.name]
             self._outputs[stage.name] = [strip_wildcard_constraints(str(pattern)) for pattern in rule.output]
             owner = {"material": "{material}", "calibration": f"{CALIBRATIONS}.{{calibration}}"}.get(
-                stage.owner, stage.owner
+                stage.owner_kind, stage.owner_kind
             )
-            rule.set_log(f"logs/{owner}/{stage.title}.log")
+            rule.set_log(f"logs/{owner}/{stage.job_title}.log")
             rule.set_params(spec=self.spec(stage), code=digests[stage.name])
-            rule.message = f"{stage.title} of {owner}".replace("{", "{wildcards.")
+            rule.message = f"{stage.job_title} of {owner}".replace("{", "{wildcards.")
             rule.resources["mem_mb"] = stage.memory
 
     def preload(self, jobs: Iterable[Any]) -> None:
@@ -135,10 +136,10 @@ class Pipeline:
         pool.preload(name for stage in stages for name in code.modules(self._script(stage), also=stage.modules))
 
     def spec(self, stage: Stage) -> InputFunction:
-        """Parameters of a stage as canonical JSON; a change of them reruns the stage."""
+        """Parameters of a stage as canonical JSON; their change reruns the stage."""
 
         def spec(wildcards: Any) -> str:
-            if stage.owner == "catalogue":
+            if stage.owner_kind == "catalogue":
                 return canonical_json({"failures": self.failures})
             job = {name: value for name, value in wildcards.items() if name not in ("material", "calibration")}
             return canonical_json(stage.parameters(self.subject(self._owner(wildcards)), job))
@@ -155,17 +156,17 @@ class Pipeline:
         stage = STAGES[rule]
         calibration = wildcards.get("calibration")
         job = Job(
-            stage=stage.title.format(**wildcards),
-            material=f"{CALIBRATIONS}.{calibration}" if calibration else wildcards.get("material", stage.owner),
+            title=stage.job_title.format(**wildcards),
+            material=f"{CALIBRATIONS}.{calibration}" if calibration else wildcards.get("material", stage.owner_kind),
             script=str(self._script(stage)),
             folder=str(Path.cwd()),
-            input=_plain(input),
-            output=_plain(output),
+            input=_existing_paths(input),
+            output=_existing_paths(output),
             spec=json.loads(params.spec),
         )
-        outcome = pool.pool().perform(job)
+        outcome = pool.shared_pool().perform(job)
         if outcome.error:
-            raise pool.StageError(f"{job.title}: {outcome.error}")
+            raise pool.StageError(f"{job.description}: {outcome.error}")
 
     def _script(self, stage: Stage) -> Path:
         return self.scripts / f"{stage.script}.py"
@@ -175,12 +176,12 @@ class Pipeline:
 
         def files(wildcards: Any) -> Any:
             owner: Material | Calibration | None = self._owner(wildcards)
-            if stage.owner == "calibration" and isinstance(owner, Material):
+            if stage.owner_kind == "calibration" and isinstance(owner, Material):
                 rig = owner.content.get("rig")
                 owner = self.catalogue.calibrations[rig["calibration"]] if rig else None
             jobs = stage.jobs(self.subject(owner)) if owner else []
             paths = [
-                self._outputs[stage.name][0].format(**{stage.owner: owner.name}, **job)
+                self._outputs[stage.name][0].format(**{stage.owner_kind: owner.name}, **job)
                 for job in jobs
                 if owner and all(wildcards.get(name, value) == value for name, value in job.items())
             ]
@@ -193,7 +194,7 @@ class Pipeline:
         return self.catalogue.calibrations[name] if name else self.catalogue[wildcards.material]
 
 
-def _plain(files: Any) -> dict[str, str | list[str]]:
+def _existing_paths(files: Any) -> dict[str, str | list[str]]:
     """Paths by the names that the rule gave, without files that the material does not have."""
     return {
         name: str(value) if isinstance(value, str) else [str(item) for item in value]

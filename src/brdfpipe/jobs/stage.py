@@ -29,7 +29,8 @@ Main = Callable[[Files, Files, Mapping[str, Any]], None]
 class Job:
     """One job: a stage of a material, a calibration or the catalogue."""
 
-    stage: str
+    title: str
+    """Name of the stage with the wildcards of the job, as ``surface-2``."""
     material: str
     script: str
     folder: str
@@ -39,12 +40,12 @@ class Job:
     spec: Mapping[str, Any]
 
     @property
-    def title(self) -> str:
-        return f"{self.stage} of {self.material}"
+    def description(self) -> str:
+        return f"{self.title} of {self.material}"
 
     @property
     def log(self) -> Path:
-        return Path(self.folder, "logs", self.material, f"{self.stage}.log")
+        return Path(self.folder, "logs", self.material, f"{self.title}.log")
 
     @property
     def params(self) -> dict[str, Any]:
@@ -62,7 +63,7 @@ class Outcome:
     peak: float = 0.0
     """Largest memory of the process while the stage ran, MB."""
     damaged: tuple[str, ...] = ()
-    """Results that the stage could not read, relative to the results folder: they can be made anew."""
+    """Results that the stage could not read, relative to the results folder: they can be computed again."""
 
 
 def perform(job: Job) -> Outcome:
@@ -72,7 +73,7 @@ def perform(job: Job) -> Outcome:
     error: str | None = None
     damaged: tuple[str, ...] = ()
     with job.log.open("w", encoding="utf-8") as log, _output_to(log):
-        print(job.title, file=log)
+        print(job.description, file=log)
         _reset_peak_memory()
         wall, cpu = time.perf_counter(), time.process_time()
         try:
@@ -86,7 +87,7 @@ def perform(job: Job) -> Outcome:
             print(f"refused: {error}", file=log)
         except Exception as fault:
             error = f"unexpected {type(fault).__name__}: {_without_folders(' '.join(str(fault).split()), job)}"
-            error += f" (see logs/{job.material}/{job.stage}.log)"
+            error += f" (see logs/{job.material}/{job.title}.log)"
             traceback.print_exc(file=log)
         outcome = Outcome(error, time.perf_counter() - wall, time.process_time() - cpu, _peak_memory(), damaged)
         for warning in caught:
@@ -129,13 +130,13 @@ def _without_folders(message: str, job: Job) -> str:
 
 
 def record_failure(job: Job, message: str, damaged: tuple[str, ...] = ()) -> None:
-    """Record a failed job for the build and the catalogue: of several jobs of a material, the first by name of the stage."""
+    """Record a failed job for the build and the catalogue; if several jobs of a material fail, the alphabetically first one."""
     from brdfpipe.store import write_text
 
     path = Path(job.folder, "failures", f"{job.material}.json")
-    if path.is_file() and json.loads(path.read_text(encoding="utf-8"))["stage"] < job.stage:
+    if path.is_file() and json.loads(path.read_text(encoding="utf-8"))["stage"] < job.title:
         return
-    record: dict[str, Any] = {"material": job.material, "stage": job.stage, "message": message}
+    record: dict[str, Any] = {"material": job.material, "stage": job.title, "message": message}
     if damaged:
         record["damaged"] = list(damaged)
     write_text(path, json.dumps(record, ensure_ascii=False) + "\n")
@@ -194,7 +195,7 @@ def _output_to(log: Any) -> Iterator[None]:
 def _record_time(job: Job, outcome: Outcome) -> None:
     record = {
         "material": job.material,
-        "stage": job.stage,
+        "stage": job.title,
         "wall_s": round(outcome.wall, 4),
         "cpu_s": round(outcome.cpu, 4),
         "peak_mb": round(outcome.peak, 1),

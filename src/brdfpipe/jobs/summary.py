@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -35,8 +34,8 @@ class Summary:
     dry_run: bool = False
     verdicts: Mapping[str, str] = field(default_factory=dict)
     """Built material → worst verdict of its checks: pass, warn or fail."""
-    faults: Mapping[str, str] = field(default_factory=dict)
-    """Built material with the verdict fail → findings of the checks, in one line."""
+    fail_reasons: Mapping[str, str] = field(default_factory=dict)
+    """Built material with the verdict fail → its failed checks with their findings, in one line."""
     notices: tuple[str, ...] = ()
     """Notices for the user that are no failures."""
 
@@ -65,7 +64,7 @@ class Summary:
             f"Verdicts of the checks: {counts['fail']} fail, {counts['warn']} warn; the reports say why",
             *(
                 f"  {name}: verdict fail{f': {reason}' if reason else ''} ({folder / name / 'report.html'})"
-                for name, reason in sorted(self.faults.items())
+                for name, reason in sorted(self.fail_reasons.items())
             ),
         ]
 
@@ -79,12 +78,14 @@ def read_verdicts(results: Path, names: Iterable[str]) -> dict[str, str]:
 
 
 def failed_checks(results: Path, name: str) -> str:
-    """Findings of the failed checks of a material, in one line; empty if they cannot be read."""
-    try:
-        checks = json.loads(open_dataset(results / name / "checks.nc", "checks").attrs["verdicts"])
-    except (BrdfpipeError, KeyError):
-        return ""
-    return "; ".join(f"{check}: {entry['text']}" for check, entry in checks.items() if entry["verdict"] == "fail")
+    """Failed checks of a material and its table with their findings, in one line; empty if they cannot be read."""
+    from brdfpipe.appearance.verdicts import check_verdicts
+
+    datasets = {}
+    for stage in ("checks", "table"):
+        with suppress(BrdfpipeError):
+            datasets[stage] = open_dataset(results / name / f"{stage}.nc")
+    return "; ".join(f"{check.name}: {check.text}" for check in check_verdicts(datasets) if check.verdict == "fail")
 
 
 def notices(folder: Path, deleted: Sequence[str], stale: Sequence[str]) -> Iterator[str]:

@@ -28,6 +28,9 @@ COLUMNS = ("name", "theta_s", "phi_s", "x", "y")
 
 MAX_FIBRES = 10_000
 
+_SCREEN_FIELDS = {"disc": "disc_centre", "reference": "reference_centre"}
+"""Key of ``screen`` in rig.yaml → field of :class:`Screen`, where they differ."""
+
 
 @dataclass(frozen=True)
 class SerialSettings:
@@ -104,8 +107,8 @@ class Screen:
 
     focal_length: float
     disc_radius: float
-    disc: tuple[float, float]
-    reference: tuple[float, float]
+    disc_centre: tuple[float, float]
+    reference_centre: tuple[float, float]
     fibre_radius: float
     reference_radius: float
     scale: float
@@ -125,11 +128,15 @@ class Rig:
     """``reference``: the light of the reference fibre passes the filter too; ``sample``: it does not."""
     filters: tuple[Filter, ...]
     entrances: tuple[float, ...]
+    """Possible angles of incidence [degree]."""
     etalon_entrance: float
+    """Degree."""
     fibres: tuple[Fibre, ...]
     screen: Screen
     slit: float
+    """Spectral width, full at half maximum [nm]."""
     wavelengths: tuple[float, float]
+    """Shortest and longest of the monochromator [nm]."""
     target: Target | None
     """``None`` where the laboratory has none."""
     digest: str
@@ -148,7 +155,8 @@ class Rig:
         content = description.content
         fibres = read_fibres(documents.file_beside(path, content["fibres"]["file"], "fibres.file", "the rig's folder"))
         screen: dict[str, Any] = {
-            key: _floats(value) if isinstance(value, list) else float(value) for key, value in content["screen"].items()
+            _SCREEN_FIELDS.get(key, key): _floats(value) if isinstance(value, list) else float(value)
+            for key, value in content["screen"].items()
         }
         rig = cls(
             name=content["name"],

@@ -55,12 +55,12 @@ def to_position(screen: Screen, column: ArrayLike, row: ArrayLike) -> ScreenPosi
 def disc_position(screen: Screen, theta_s: ArrayLike, phi_s: ArrayLike) -> ScreenPositions:
     """Position on the screen to which the lens maps a direction about the mirror direction [degree], below 90 degree."""
     radius, phi = screen.focal_length * np.tan(np.radians(theta_s)), np.radians(phi_s)
-    return ScreenPositions(screen.disc[0] + radius * np.cos(phi), screen.disc[1] + radius * np.sin(phi))
+    return ScreenPositions(screen.disc_centre[0] + radius * np.cos(phi), screen.disc_centre[1] + radius * np.sin(phi))
 
 
 def disc_direction(screen: Screen, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
     """Direction (theta_s, phi_s) about the mirror direction [degree] that the lens maps to a position of the disc."""
-    dx, dy = np.asarray(x, dtype=float) - screen.disc[0], np.asarray(y, dtype=float) - screen.disc[1]
+    dx, dy = np.asarray(x, dtype=float) - screen.disc_centre[0], np.asarray(y, dtype=float) - screen.disc_centre[1]
     theta = np.degrees(np.arctan2(np.hypot(dx, dy), screen.focal_length))
     return theta, np.degrees(np.arctan2(dy, dx))
 
@@ -80,11 +80,11 @@ def spot_masks(rig: Rig) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     def within(centre: tuple[float, float], radius: float) -> NDArray[np.bool_]:
         return np.hypot(positions.x - centre[0], positions.y - centre[1]) <= radius
 
-    reference = within(rig.screen.reference, max(rig.screen.reference_radius, 0.5 / rig.screen.scale))
-    sample = within(rig.screen.disc, rig.screen.disc_radius - margin)
+    reference = within(rig.screen.reference_centre, max(rig.screen.reference_radius, 0.5 / rig.screen.scale))
+    sample = within(rig.screen.disc_centre, rig.screen.disc_radius - margin)
     for fibre in rig.fibres:
         sample |= within((fibre.x, fibre.y), rig.screen.fibre_radius)
-    return reference, sample & ~within(rig.screen.reference, rig.screen.reference_radius + margin)
+    return reference, sample & ~within(rig.screen.reference_centre, rig.screen.reference_radius + margin)
 
 
 def linear_limit(rig: Rig) -> float:

@@ -94,7 +94,7 @@ def test_reflectance_and_transmittance_sum_to_at_most_1(a, n):
 def test_both_albedos_near_total_reflection_are_those_of_an_adaptive_quadrature(a, theta):
     bsdf, at = interface(a), np.array([theta])
     reflected = representation(bsdf).integrate(at, np.zeros(1), None)
-    passed = representation(bsdf).integrate(at, np.zeros(1), None, through=True)
+    passed = representation(bsdf).integrate(at, np.zeros(1), None, transmitted_side=True)
     assert representation(bsdf).albedo(at, np.zeros(1), None)[0, 0] == pytest.approx(
         float(reflected.value.ravel()[0]), abs=2e-6
     )

@@ -192,7 +192,7 @@ def test_the_lobes_integrate_to_reflectance_and_transmittance(faces, theta):
     at = np.array([theta]), np.zeros(1), None
     specular = representation(bsdf).specular(*at)
     for through, share in enumerate((representation(bsdf).albedo(*at), representation(bsdf).transmittance(*at))):
-        lobe = representation(bsdf).integrate(at[0], at[1], None, through=bool(through), relative=1e-4).value
+        lobe = representation(bsdf).integrate(at[0], at[1], None, transmitted_side=bool(through), relative=1e-4).value
         # The stated error of the interpolation is of the worst incidence, 1 %; these are better ones.
         assert lobe + specular[through] == pytest.approx(share, rel=4e-3)
     assert float(bsdf["interpolation_error"]) < ERROR_LIMIT

@@ -12,7 +12,7 @@ from samples import beckmann_bsdf, spectrum
 from brdfpipe import store, vocabulary
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.bsdf.measured import completion, smoothing
-from brdfpipe.report import pages
+from brdfpipe.report import rendering
 from brdfpipe.report.cards import Chapter, Table
 from brdfpipe.report.plots import indicatrix
 from brdfpipe.report.plots.svg import Figure
@@ -183,7 +183,7 @@ def _fits(chapter: Chapter) -> list[Figure]:
 
 
 def _page(datasets: Datasets) -> str:
-    return pages.render("chapter.html.j2", chapter=section.chapter(datasets))
+    return rendering.render("chapter.html.j2", chapter=section.chapter(datasets))
 
 
 def _figures(chapter: Chapter) -> list[Figure]:

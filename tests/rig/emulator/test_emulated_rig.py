@@ -35,7 +35,7 @@ def arranged(rig, effects=IDEAL, *, wavelength=550.0, position=1, sigma=20.0, tr
 
 
 def reference(rig, counts):
-    column, row = (int(np.rint(coordinate)) for coordinate in screen.to_pixel(rig.screen, *rig.screen.reference))
+    column, row = (int(np.rint(coordinate)) for coordinate in screen.to_pixel(rig.screen, *rig.screen.reference_centre))
     return int(counts[row, column])
 
 

@@ -38,7 +38,7 @@ def at_fibres(rig, picture):
 
 
 def at_reference(rig, picture):
-    column, row = (int(np.rint(coordinate)) for coordinate in screen.to_pixel(rig.screen, *rig.screen.reference))
+    column, row = (int(np.rint(coordinate)) for coordinate in screen.to_pixel(rig.screen, *rig.screen.reference_centre))
     return picture[row, column]
 
 
@@ -342,10 +342,10 @@ def test_stray_light_is_all_that_a_dark_trap_shows(rig):
 
 def test_the_disc_is_off_by_a_tenth_of_a_degree_and_the_picture_moves_between_sessions(rig):
     screens = [true_screen(rig, Effects(), 4, session) for session in range(200)]
-    away = np.hypot(*np.subtract(screens[0].disc, rig.screen.disc))
+    away = np.hypot(*np.subtract(screens[0].disc_centre, rig.screen.disc_centre))
     assert np.degrees(np.arctan(away / 150)) == pytest.approx(0.1)
     assert abs(screens[0].radial - rig.screen.radial) == pytest.approx(5e-7)
-    assert len({(true.disc, true.radial) for true in screens}) == 1
+    assert len({(true.disc_centre, true.radial) for true in screens}) == 1
     shifts = np.array([true.centre for true in screens]) - rig.screen.centre
     # Standard error of a standard deviation of 400 numbers: 3.5 %.
     assert shifts.std() == pytest.approx(0.3, rel=0.14)
@@ -369,7 +369,9 @@ def test_the_spots_of_the_target_are_at_their_true_positions(rig):
 
 def test_a_certificate_errs_for_a_session_by_its_figure(rig):
     small = dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, width=16, height=16))
-    small = dataclasses.replace(small, screen=dataclasses.replace(rig.screen, centre=(7.5, 7.5), reference=(2.0, 2.0)))
+    small = dataclasses.replace(
+        small, screen=dataclasses.replace(rig.screen, centre=(7.5, 7.5), reference_centre=(2.0, 2.0))
+    )
 
     def bright(effects, session):
         return optics(small, effects=effects, session=session).rates(Setup(10.0, "etalon"), 550, 1)[8, 8]

@@ -110,7 +110,9 @@ def test_a_disk_beyond_the_picture_is_empty_and_one_at_its_edge_is_cut(rig: Rig)
 
 def test_the_cells_do_not_depend_on_the_position_of_the_picture(rig: Rig):
     """A registered scale or focal length must not make other rings: etalon and sample would not match."""
-    moved = replace(rig.screen, scale=3.02, focal_length=150.8, centre=(160.1, 118.9), disc=(0.2, -0.1), radial=2e-6)
+    moved = replace(
+        rig.screen, scale=3.02, focal_length=150.8, centre=(160.1, 118.9), disc_centre=(0.2, -0.1), radial=2e-6
+    )
     here, there = cells.weights(rig, rig.screen), cells.weights(rig, moved)
     assert here.shape == there.shape
     # A cell's pixels follow it.

@@ -32,7 +32,7 @@ def corrected(rig: Rig, pictures: np.ndarray):
 
 def test_the_curvature_of_a_paraboloid_is_the_second_moment_of_the_cell(rig) -> None:
     row, column = np.indices((rig.camera.height, rig.camera.width)).astype(float)
-    x, y = (float(pixel) for pixel in screens.to_pixel(rig.screen, *rig.screen.disc))
+    x, y = (float(pixel) for pixel in screens.to_pixel(rig.screen, *rig.screen.disc_centre))
     bowl = 1 + 3e-4 * (column - x) ** 2 + 1e-4 * (column - x) * (row - y) + 2e-4 * (row - y) ** 2
     sums, bend, weights, _, area, inside = corrected(rig, bowl[None])
     column_of, row_of = (weights @ axis.ravel() / area for axis in (column, row))

@@ -46,7 +46,7 @@ def photographed(rig: Rig, true: Screen, seed: int, fibres=True, lamp=True):
         efficiency = np.random.default_rng(3).uniform(0.85, 1.15, len(rig.fibres))
         picture += spots(*ends, true.fibre_radius * true.scale, efficiency)
     if lamp:
-        picture += spots(*screen.to_pixel(true, *true.reference), true.reference_radius * true.scale)
+        picture += spots(*screen.to_pixel(true, *true.reference_centre), true.reference_radius * true.scale)
     return noisy(picture, seed)
 
 
@@ -153,12 +153,12 @@ def target(true: Screen, seed: int, falloff=1.0):
 @fixture
 @given(x=st.floats(-0.5, 0.5), y=st.floats(-0.5, 0.5), focal=st.floats(0.99, 1.01), seed=st.integers(0, 100))
 def test_the_centre_of_the_disc_is_found_within_its_uncertainty(rig, x, y, focal, seed):
-    true = replace(rig.screen, disc=(x, y), focal_length=150 * focal)
+    true = replace(rig.screen, disc_centre=(x, y), focal_length=150 * focal)
     start = registration.Registration(rig.screen, 0.002, registration.DIRECTION_U, 61)
     registered = registration.fit_disc(start, *target(true, seed), *SPOTS, 0.3)
     assert registered.direction_u < 0.01
     millimetres = np.radians(registered.direction_u) * 150
-    assert np.abs(np.subtract(registered.screen.disc, (x, y))).max() < 4.5 * millimetres
+    assert np.abs(np.subtract(registered.screen.disc_centre, (x, y))).max() < 4.5 * millimetres
     assert registered.screen.focal_length == pytest.approx(150 * focal, rel=2e-3)
 
 
@@ -168,7 +168,9 @@ def test_errors_of_the_scale_of_angles_agree_with_their_stated_uncertainty(rig):
     off, random = [], np.random.default_rng(0)
     for seed in range(40):
         # Anywhere on the pixels: spots in rows along them would all be off alike.
-        true = replace(rig.screen, disc=tuple(random.uniform(-0.5, 0.5, 2)), focal_length=random.uniform(148, 152))
+        true = replace(
+            rig.screen, disc_centre=tuple(random.uniform(-0.5, 0.5, 2)), focal_length=random.uniform(148, 152)
+        )
         registered = registration.fit_disc(start, *target(true, seed), *SPOTS, 0.3)
         off.append((registered.screen.focal_length / true.focal_length - 1) / registered.scale_u)
     # Counted with an uneven sensor, which these pictures do not have.

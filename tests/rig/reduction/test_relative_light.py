@@ -61,7 +61,7 @@ def test_the_position_of_picture_and_disc_is_recovered(sample):
     shift = np.subtract(true.centre, rig.screen.centre)
     assert sample.attrs["registration_shift"] == pytest.approx(shift, abs=4.5 * sample.attrs["registration_u"])
     millimetres = np.radians(sample.attrs["disc_centre_u"]) * true.focal_length
-    assert sample.attrs["disc_centre"] == pytest.approx(true.disc, abs=4.5 * millimetres)
+    assert sample.attrs["disc_centre"] == pytest.approx(true.disc_centre, abs=4.5 * millimetres)
     assert sample.attrs["disc_centre_u"] < 0.01
 
 
@@ -103,7 +103,7 @@ def test_the_share_of_light_in_the_halo_is_estimated(sample):
 
 def test_glare_that_too_few_pixels_show_is_not_subtracted_and_a_warning_says_so():
     plan = accuracy.plan_of((550.0,), (30.0,), fibres=40)
-    screen_ = replace(plan.rig.screen, disc_radius=62.0, reference=(52.0, 38.0))
+    screen_ = replace(plan.rig.screen, disc_radius=62.0, reference_centre=(52.0, 38.0))
     rig = replace(plan.rig, screen=screen_, fibres=plan.rig.fibres[:1])
     plan = replace(plan, rig=rig, etalon_entrances=(10.0,), runs=("sample",))
     measured = reduce(accuracy.frames_of(plan, accuracy.TRUTHS[WIDE](), seed=1), rig, incidence=30.0, override=True)
@@ -241,7 +241,7 @@ def test_cells_saturated_in_every_frame_are_missing_and_flagged():
 
 def test_without_a_target_the_mirror_direction_is_as_uncertain_as_described(sample):
     measured = reduced(rig_emulated.without(rig_emulated.frames(), purpose="target"))
-    assert measured.attrs["disc_centre"] == list(rig_emulated.plan().rig.screen.disc)
+    assert measured.attrs["disc_centre"] == list(rig_emulated.plan().rig.screen.disc_centre)
     assert measured.attrs["disc_centre_u"] == 0.1
     flank = (measured["theta_s"].values > 3) & (measured["theta_s"].values < 6) & (measured["kind"].values == "disc")
     share = (measured["signal_u_geometry"] / measured["signal"]).values[0][:, flank]
@@ -260,7 +260,7 @@ def test_a_sample_too_dark_to_register_is_registered_by_the_etalon_of_its_sessio
     frames = rig_emulated.frames().copy(deep=True)
     own = np.flatnonzero(frames["purpose"].values == "sample")
     rows, columns = np.mgrid[:240, :320]
-    centre = screen.to_pixel(rig_emulated.plan().rig.screen, *rig_emulated.plan().rig.screen.reference)
+    centre = screen.to_pixel(rig_emulated.plan().rig.screen, *rig_emulated.plan().rig.screen.reference_centre)
     away = np.hypot(columns - centre[0], rows - centre[1]) > 15
     dark = frames["counts"].values[frames["purpose"].values == "dark"]
     random = np.random.default_rng(0)
@@ -290,7 +290,7 @@ def test_repeatability_is_the_scatter_of_the_monitor_readings():
     own = np.flatnonzero((frames["purpose"].values == "sample") & (frames["incidence"].values == 30.0))
     base = own[2]
     rows, columns = np.mgrid[:240, :320]
-    centre = screen.to_pixel(rig_emulated.plan().rig.screen, *rig_emulated.plan().rig.screen.reference)
+    centre = screen.to_pixel(rig_emulated.plan().rig.screen, *rig_emulated.plan().rig.screen.reference_centre)
     away = np.hypot(columns - centre[0], rows - centre[1]) > 15
     readings = []
     for number, factor in enumerate((1.0, 1.02, 0.98, 1.03, 0.97)):
@@ -330,7 +330,7 @@ def test_monitor_readings_of_all_arrangements_count_for_the_repeatability():
     steady, warnings = _repeat_of(frames, incidence=10.0)
     assert not warnings
     assert steady < 1.5 * REPEAT_U / np.sqrt(freedom + 1)
-    centre = screen.to_pixel(rig_emulated.plan().rig.screen, *rig_emulated.plan().rig.screen.reference)
+    centre = screen.to_pixel(rig_emulated.plan().rig.screen, *rig_emulated.plan().rig.screen.reference_centre)
     rows, columns = np.mgrid[:240, :320]
     away = np.hypot(columns - centre[0], rows - centre[1]) > 15
     bright = frames.copy(deep=True)

@@ -15,7 +15,10 @@ _WAVELENGTHS = ("wavelength", "mixed")
 
 
 class Measured(Representation):
-    """A BSDF smoothed at measured incidences, interpolated between them and completed beyond them."""
+    """A BSDF smoothed at measured incidences, interpolated between them and completed beyond them.
+
+    Its attribute ``representation`` is ``rig``: stored datasets and exported files have it.
+    """
 
     name = "rig"
     kind = vocabulary.Kind(

@@ -94,10 +94,10 @@ class Table(Representation):
         return self._grid.azimuth not in self._names
 
     @property
-    def kinks(self) -> tuple[Array, Array]:
+    def non_smooth_angles(self) -> tuple[Array, Array]:
         """The nodes of a uniform table; none for others, whose nodes are not lines of θ_o and φ_o − φ_i."""
         if self._grid is not GRIDS["uniform"]:
-            return super().kinks
+            return super().non_smooth_angles
         azimuth = self._axes["phi_o"]
         return self._axes["theta_o"], np.unique(np.concatenate([azimuth, 360 - azimuth]) % 360)
 

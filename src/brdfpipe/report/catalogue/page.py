@@ -20,7 +20,7 @@ from brdfpipe.appearance.quantities import AppearanceQuantity, quantities
 from brdfpipe.appearance.verdicts import VERDICTS
 from brdfpipe.report.catalogue.rows import texts
 from brdfpipe.report.formatting import colour, fixed
-from brdfpipe.report.pages import TEMPLATES, render
+from brdfpipe.report.rendering import TEMPLATES, render
 
 _LONGEST_DESCRIPTION = 90
 """Characters of a description in the table."""

@@ -19,8 +19,8 @@ from brdfpipe.appearance.quantities import applicabilities, quantities
 from brdfpipe.appearance.verdicts import stage_warnings, verdicts, worst
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report.formatting import colour
-from brdfpipe.report.pages import material_name, own_stages
 from brdfpipe.report.plots.svg import data_uri
+from brdfpipe.report.rendering import material_name, own_stages
 
 _UNTRUSTED = ("material", "route", "basis", "verdict_text", "description", "stage", "message")
 """Columns with text from users and their files."""

@@ -18,7 +18,7 @@ from brdfpipe.report.material.colour import colour_section
 from brdfpipe.report.material.head import key_numbers, picture
 from brdfpipe.report.material.inputs import effect_pigment_section, facet_section, spectrum_section, surface_section
 from brdfpipe.report.material.reflection import lambert_gauss_section, reflection_section
-from brdfpipe.report.pages import material_name, own_stages, render
+from brdfpipe.report.rendering import material_name, own_stages, render
 from brdfpipe.report.rig import section as rig_section
 
 

@@ -135,7 +135,7 @@ def _cartesian(
         return [Figure(quantity, note=f"No light is {'reflected' if reflected else 'transmitted'} in these planes.")]
     low, high = (10.0**exponent for exponent in decades)
     inside = " The light is inside the body; its radiance is n² times that in air."
-    inside = inside if not reflected and representation(bsdf).is_interface else ""
+    inside = inside if not reflected and representation(bsdf).transmits_into_body else ""
     figures = []
     for plane, cuts in zip(planes, cuts_by_plane, strict=True):
         curves = _lines(cuts)

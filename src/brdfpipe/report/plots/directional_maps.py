@@ -136,7 +136,7 @@ def _colour_range(positive: Array) -> tuple[float, float, int]:
 
 
 def _map_note(bsdf: xr.Dataset, plane: Plane, through: bool, peak: float, dark: bool) -> str:
-    slope, interface = representation(bsdf).lobe_slope, representation(bsdf).is_interface
+    slope, interface = representation(bsdf).lobe_slope, representation(bsdf).transmits_into_body
     marked = f"the {'mirror' if not through else 'refracted' if interface else 'straight'} direction"
     sentences = [
         f"Light comes from the left (arrow); the ring marks {marked}, {bsdf_sections.wavelength_words(bsdf)}.",

@@ -49,11 +49,12 @@ def true_screen(rig: Rig, effects: Effects, seed: int, session: int) -> Screen:
     """True position and distortion of the screen in a session."""
     described = rig.screen
     azimuth, sign = random_stream(seed, "screen").uniform(-1, 1, 2) * [np.pi, 1]
+    x, y = described.disc_centre
     offset = described.focal_length * np.tan(np.radians(effects.disc_offset))
     shift = effects.registration * random_stream(seed, "registration", session).standard_normal(2)
     return replace(
         described,
-        disc=(described.disc[0] + offset * np.cos(azimuth), described.disc[1] + offset * np.sin(azimuth)),
+        disc_centre=(x + offset * np.cos(azimuth), y + offset * np.sin(azimuth)),
         radial=described.radial + float(np.copysign(effects.radial_error, sign)),
         centre=(described.centre[0] + float(shift[0]), described.centre[1] + float(shift[1])),
     )
@@ -70,7 +71,7 @@ def camera_view(rig: Rig, effects: Effects, seed: int, session: int) -> CameraVi
     matrix = sparse.csr_array(sparse.diags_array(vignetting.ravel()) @ sparse.hstack([disc, fibres]))
     illuminated = np.flatnonzero(np.diff(matrix.indptr))
     reference = np.zeros(vignetting.size)
-    spot = _spots(true, shape, np.array([true.reference]), true.reference_radius)
+    spot = _spots(true, shape, np.array([true.reference_centre]), true.reference_radius)
     reference[spot.pixel] = spot.coverage
     return CameraView(theta_s, phi_s, matrix[illuminated], illuminated, reference.reshape(shape) * vignetting)
 
@@ -107,7 +108,7 @@ class _Spots(NamedTuple):
 
 def _disc(true: Screen, shape: tuple[int, int], effects: Effects) -> tuple[Array, sparse.coo_array]:
     """Directions (2, n) seen through the disc, and matrix to the pixels (pixels, n)."""
-    spot = _spots(true, shape, np.array([true.disc]), true.disc_radius)
+    spot = _spots(true, shape, np.array([true.disc_centre]), true.disc_radius)
     row, column = np.divmod(spot.pixel, shape[1])
     positions = screen.to_position(true, column[:, None] + _PIXEL_NODES[:, 0], row[:, None] + _PIXEL_NODES[:, 1])
     theta_s, phi_s = screen.disc_direction(true, *positions)

@@ -108,7 +108,7 @@ def read_bracket(frames: xr.Dataset, darks: DarkFrames, rig: Rig) -> Bracket:
 def locate_reference_spot(rig: Rig, frames: Bracket) -> ReferenceSpot:
     """The reference spot about its centroid, or about its described position where the centroid is unclear."""
     screen = rig.screen
-    column, row = screens.to_pixel(screen, *screen.reference)
+    column, row = screens.to_pixel(screen, *screen.reference_centre)
     radius = screen.reference_radius * screen.scale
     variance = np.full(frames.light.shape[1:], frames.floor.sum()) + np.maximum(frames.light, 0).sum(axis=0)
     centroid = registration.centroids(frames.light.sum(axis=0), variance, column, row, radius)

@@ -146,7 +146,7 @@ def _subpixels(pixels: NDArray[np.int64]) -> Array:
 def _disc_pixels(screen: Screen, width: int, height: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Columns and rows that the disc spans."""
     corners = np.array([-1.0, 1.0]) * screen.disc_radius
-    ends = screens.to_pixel(screen, screen.disc[0] + corners, screen.disc[1] + corners)
+    ends = screens.to_pixel(screen, screen.disc_centre[0] + corners, screen.disc_centre[1] + corners)
     # Radial distortion may bend the sides beyond the corners, hence the margin.
     columns, rows = (
         np.arange(max(int(end.min()) - 3, 0), min(int(end.max()) + 4, size), dtype=np.int64)

@@ -52,14 +52,14 @@ def background(rig: Rig, screen: Screen) -> Mask:
     margin = _MARGIN / screen.scale
     lit = within_disc(rig, screen, margin)
     spots = [(fibre.x, fibre.y, screen.fibre_radius) for fibre in rig.fibres]
-    for x, y, radius in (*spots, (*screen.reference, screen.reference_radius)):
+    for x, y, radius in (*spots, (*screen.reference_centre, screen.reference_radius)):
         lit |= _within_circle(rig, screen, x, y, radius + margin)
     return ~lit
 
 
 def within_disc(rig: Rig, screen: Screen, margin: float = 0.0) -> Mask:
     """Pixels within the rim of the disc, widened by a margin [mm]."""
-    return _within_circle(rig, screen, *screen.disc, screen.disc_radius + margin)
+    return _within_circle(rig, screen, *screen.disc_centre, screen.disc_radius + margin)
 
 
 def _within_circle(rig: Rig, screen: Screen, x: float, y: float, radius: float) -> Mask:

@@ -107,8 +107,8 @@ def register(rig: Rig, picture: Array, variance: Array, screen: Screen | None = 
     """
     known = screen is not None
     screen = screen or rig.screen
-    x = np.array([*(fibre.x for fibre in rig.fibres), screen.reference[0]])
-    y = np.array([*(fibre.y for fibre in rig.fibres), screen.reference[1]])
+    x = np.array([*(fibre.x for fibre in rig.fibres), screen.reference_centre[0]])
+    y = np.array([*(fibre.y for fibre in rig.fibres), screen.reference_centre[1]])
     radius = np.append(np.full(len(rig.fibres), screen.fibre_radius), screen.reference_radius) * screen.scale
     column, row = screens.to_pixel(screen, x, y)
     fibres = centroids(picture, variance, column[:-1], row[:-1], radius[0])
@@ -152,7 +152,7 @@ def fit_falloff(registration: Registration, picture: Array, entrance: float) -> 
     screen = registration.screen
     row, column = np.indices(picture.shape)
     position = screens.to_position(screen, column, row)
-    x, y = (position.x - screen.disc[0]) / screen.disc_radius, (position.y - screen.disc[1]) / screen.disc_radius
+    x, y = ((at - centre) / screen.disc_radius for at, centre in zip(position, screen.disc_centre, strict=True))
     radius = np.hypot(x, y)
     inside = radius < 1 - _RIM / (screen.scale * screen.disc_radius)
     cosine = specular_directions.cos_view_etalon(entrance, *screens.disc_direction(screen, position.x, position.y))
@@ -200,8 +200,8 @@ def fit_disc(
         bias = pixels**2 / 4 * np.array([gradient[at] for gradient in np.gradient(np.log(falloff))])
 
     def moved(by: Array) -> Screen:
-        disc = (screen.disc[0] + by[0], screen.disc[1] + by[1])
-        return replace(screen, disc=disc, focal_length=screen.focal_length * (1 + 1e-2 * by[2]))
+        disc_centre = (screen.disc_centre[0] + by[0], screen.disc_centre[1] + by[1])
+        return replace(screen, disc_centre=disc_centre, focal_length=screen.focal_length * (1 + 1e-2 * by[2]))
 
     def residuals(by: Array) -> Array:
         trial = moved(by)

@@ -228,7 +228,7 @@ def _reduced_dataset(
         "registration_spots": registration.spots,
         "registration_shift": list(registration.shift(rig)),
         "registration_u": registration.shift_u,
-        "disc_centre": list(registration.screen.disc),
+        "disc_centre": list(registration.screen.disc_centre),
         "disc_centre_u": registration.direction_u,
         "disc_scale_u": registration.scale_u,
     }

@@ -61,7 +61,7 @@ def centre_disc(
         falloff = lens_falloff(rig, in_target, target, target_darks)
     spots = rig.target
     centred = registration.fit_disc(in_target, *picture, spots.theta_s, spots.phi_s, spots.radius, falloff)
-    screen = replace(session.screen, disc=centred.screen.disc, focal_length=centred.screen.focal_length)
+    screen = replace(session.screen, disc_centre=centred.screen.disc_centre, focal_length=centred.screen.focal_length)
     return replace(session, screen=screen, direction_u=centred.direction_u, scale_u=centred.scale_u)
 
 

@@ -76,7 +76,7 @@ def drawing(picture: Array, rig: Rig, screen: Screen, weights: sparse.csr_array)
     aperture = np.where(celled.cells_of(rig).of_disc, np.nan, np.sqrt(area / np.pi))
     edges, _ = celled.rings(rig.screen)
     rim = screens.to_pixel(screen, *screens.disc_position(screen, edges, 0.0))
-    middle = screens.to_pixel(screen, *screen.disc)
+    middle = screens.to_pixel(screen, *screen.disc_centre)
     ring_radius = np.hypot(rim[0] - middle[0], rim[1] - middle[1])
     levels, decades = thumbnail(picture)
     scale = {"decades": decades, "squares": squares(picture.shape)}

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
 TEMPLATES = Path(__file__).parent / "templates"
 
-_MARKS = {"pass": "✓", "warn": "!", "fail": "✕"}
-
+_VERDICT_SYMBOLS = {"pass": "✓", "warn": "!", "fail": "✕"}
 
 OTHER_SECTIONS = frozenset({"reduced", "primary", "smoothed", "calibration", "comparison"})
 """Kinds of dataset that the sections of the rig and of the comparison show."""
@@ -46,7 +45,7 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["code"] = with_code
-    environment.globals["mark"] = _MARKS
+    environment.globals["mark"] = _VERDICT_SYMBOLS
     environment.globals["style"] = Markup((TEMPLATES / "style.css").read_text("utf-8"))
     return environment
 
