@@ -86,9 +86,7 @@ def read_columns(path: Path) -> Columns:
 def read_text(path: Path, most_bytes: int = _MAX_BYTES, key: str | None = None) -> tuple[str, list[str]]:
     """Text of a file in UTF-8, UTF-16 or Latin-1, and a note if it was not UTF-8.
 
-    Raises
-    ------
-    InputError : unreadable, too large, or binary; ``key`` is the key of material.yaml to set.
+    Raises InputError: unreadable, too large, or binary; ``key`` is the key of material.yaml to set.
     """
     try:
         if path.stat().st_size > most_bytes:

@@ -35,12 +35,7 @@ _Loader.add_implicit_resolver(
 
 
 def plain(path: Path) -> Any:
-    """Read a YAML document without declared keys.
-
-    Raises
-    ------
-    InputError : naming the file and the line.
-    """
+    """Read a YAML document without declared keys. Raises InputError: naming the file and the line."""
     return parse(path)[0]
 
 
@@ -85,12 +80,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def parse(path: Path) -> tuple[Any, Lines]:
-    """Plain content of a YAML document, and the line of each of its keys.
-
-    Raises
-    ------
-    InputError : naming the file and the line.
-    """
+    """Plain content of a YAML document, and the line of each of its keys. Raises InputError: naming the file and the line."""
     try:
         if not path.is_file():
             raise InputError(path, "no such file")

@@ -37,9 +37,7 @@ def extensions(formats: Mapping[str, FileFormat]) -> tuple[str, ...]:
 def format_of(path: Path, name: str | None, formats: Mapping[str, AnyFormat], key: str) -> AnyFormat:
     """The format of a file: that of the name or, without a name, that of the extension.
 
-    Raises
-    ------
-    InputError : unknown name or extension; ``key`` is the key of material.yaml to set.
+    Raises InputError: unknown name or extension; ``key`` is the key of material.yaml to set.
     """
     if name is not None:
         if name not in formats:

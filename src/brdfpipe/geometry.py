@@ -87,9 +87,7 @@ def tan_half(angle: ArrayLike) -> Array:
 def check_angles(name: str, angles: ArrayLike, low: float, high: float) -> Array:
     """Check angles and return them as floats.
 
-    Raises
-    ------
-    VocabularyError : an angle outside ``[low, high]`` degree, not finite, or with units other than degree.
+    Raises VocabularyError: an angle outside ``[low, high]`` degree, not finite, or with units other than degree.
     """
     units = getattr(angles, "attrs", {}).get("units", "degree")
     if units not in ("degree", "degrees", "deg", "°"):
@@ -129,10 +127,8 @@ def checked_angles(name: str, angle: ArrayLike, low: float, high: float) -> xr.D
 def broadcast(**angles: xr.DataArray | Array) -> tuple[xr.DataArray, ...]:
     """Directions that broadcast together: DataArrays by dimension name, plain arrays as in numpy into ``direction``.
 
-    Raises
-    ------
-    VocabularyError : plain angles of different lengths; labelled angles with different coordinates or sizes along a common
-        dimension; or a dimension ``wavelength``.
+    Raises VocabularyError: plain angles of different lengths; labelled angles with different coordinates or sizes along a common
+    dimension; or a dimension ``wavelength``.
     """
     plain = {name: angle for name, angle in angles.items() if not isinstance(angle, xr.DataArray)}
     try:

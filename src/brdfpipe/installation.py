@@ -10,9 +10,7 @@ from brdfpipe.errors import BrdfpipeError
 def project_folder() -> Path:
     """The folder of Snakefile, workflow and config: beside the sources in a checkout, inside the package once installed.
 
-    Raises
-    ------
-    BrdfpipeError : the workflow is not installed with the package.
+    Raises BrdfpipeError: the workflow is not installed with the package.
     """
     package = Path(__file__).resolve().parent
     for candidate in (package / "_project", package.parents[1]):

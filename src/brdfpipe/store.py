@@ -165,12 +165,7 @@ def digest(dataset: xr.Dataset) -> str:
 
 
 def verify_digest(dataset: xr.Dataset, source: str) -> xr.Dataset:
-    """Check a dataset against the digest it carries; return it.
-
-    Raises
-    ------
-    StoreError : the content does not match the digest.
-    """
+    """Check a dataset against the digest it carries; return it. Raises StoreError: the content does not match the digest."""
     if digest(dataset) != dataset.attrs.get("digest"):
         raise StoreError(f"{source}: the content does not match its digest; delete it and run `brdfpipe build`")
     return dataset

@@ -42,7 +42,7 @@ def test_a_lay_is_integrated_at_every_azimuth():
 def test_both_sides_of_an_interface_are_integrated():
     bsdf = microfacet.build(facets.analytic("beckmann", 0.01), index=1.5, transparent=True)
     theta = np.array([0.0, 60.0, 160.0])
-    reflected, passed = quadrature(bsdf, theta), quadrature(bsdf, theta, through=True)
+    reflected, passed = quadrature(bsdf, theta), quadrature(bsdf, theta, transmitted_side=True)
     own = representation(bsdf).transmittance(theta, np.zeros(3), None)
     assert passed.value == pytest.approx(own, rel=1e-5)
     # The loss by multiple reflection is negligible for such small slopes.

@@ -118,9 +118,7 @@ def _labelled(name: str, values: Sequence[float], windows: Sequence[HazeWindow])
 def checked_window(window: HazeWindow | Mapping[str, Any]) -> HazeWindow:
     """A window, or the mapping that describes it, checked.
 
-    Raises
-    ------
-    HazeError : the window covers part of the mirror image of the source, or extends below the surface.
+    Raises HazeError: the window covers part of the mirror image of the source, or extends below the surface.
     """
     if isinstance(window, Mapping):
         along, across = window["aperture"]

@@ -92,12 +92,7 @@ _TABLE: dict[str, AppearanceQuantity] = {}
 
 
 def register(quantity: AppearanceQuantity) -> AppearanceQuantity:
-    """Add a quantity at the end of the table.
-
-    Raises
-    ------
-    BrdfpipeError : the table already has a quantity of that name.
-    """
+    """Add a quantity at the end of the table. Raises BrdfpipeError: the table already has a quantity of that name."""
     if quantity.name in _TABLE:
         raise BrdfpipeError(f"appearance quantity {quantity.name!r} is registered twice; choose another name")
     _TABLE[quantity.name] = quantity

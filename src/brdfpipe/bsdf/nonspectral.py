@@ -24,9 +24,7 @@ def nonspectral(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> xr.Dataset
 def normalised_response(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> Array | None:
     """Spectral response on the wavelengths of a BSDF, of sum 1; None if the BSDF does not depend on wavelength.
 
-    Raises
-    ------
-    VocabularyError : the weight is not one finite number >= 0 per wavelength, or 0 everywhere.
+    Raises VocabularyError: the weight is not one finite number >= 0 per wavelength, or 0 everywhere.
     """
     if "wavelength" not in bsdf.coords:
         return None

@@ -277,9 +277,7 @@ def grid_for(bsdf: xr.Dataset, spec: Mapping[str, ArrayLike]) -> dict[str, Array
 def full_circle(half: ArrayLike) -> Array:
     """Azimuths from 0 to 180 degree, mirrored about the plane of incidence to 360.
 
-    Raises
-    ------
-    VocabularyError : they do not increase from 0 to 180.
+    Raises VocabularyError: they do not increase from 0 to 180.
     """
     phi = check_angles("phi_o", half, 0, 180)
     if phi.ndim != 1 or phi.size < 2 or phi[0] != 0 or phi[-1] != 180 or not (np.diff(phi) > 0).all():

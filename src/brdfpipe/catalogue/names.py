@@ -30,9 +30,7 @@ class CatalogueError(BrdfpipeError):
 def check_name(name: str, path: Path | None = None) -> None:
     """Refuse a name given on the command line or, with ``path``, in a description or as its folder.
 
-    Raises
-    ------
-    InputError, CatalogueError : with and without ``path``.
+    Raises InputError, CatalogueError: with and without ``path``.
     """
     if not re.fullmatch(NAME, name):
         problem, key, accepted = "not an accepted name", "name", NAME_WORDS

@@ -66,10 +66,7 @@ def new(folder: Path, fibres: int) -> int:
 @click.argument("description", metavar="RIG.yaml", type=FILE)
 @exit_on_error
 def doctor(description: Path) -> int:
-    """Identify, move and time each device of a rig.
-
-    Exit code: 1 if one fails.
-    """
+    """Identify, move and time each device of a rig. Exit code: 1 if one fails."""
     from brdfpipe.rig.acquisition.doctor import doctor as examine
     from brdfpipe.rig.description import Rig
 
@@ -177,10 +174,7 @@ def emulate(description: Path, truth_path: Path, seed: int, session: int, out: P
 def truth(path: Path) -> xr.Dataset:
     """The BSDF in a file, or of a material whose folder of results is given.
 
-    Raises
-    ------
-    InputError : the material is not built.
-    StoreError, VocabularyError : no BSDF.
+    Raises InputError: the material is not built; StoreError, VocabularyError: no BSDF.
     """
     from brdfpipe.bsdf.accessor import open_dataset
 

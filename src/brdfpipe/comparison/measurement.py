@@ -87,9 +87,7 @@ class Measurement:
     def of(cls, primary: xr.Dataset, wavelengths: NDArray[np.int64]) -> Measurement:
         """Some wavelengths of a dataset of kind ``primary``.
 
-        Raises
-        ------
-        ComparisonError : no cell has a value, or one has no uncertainty above 0.
+        Raises ComparisonError: no cell has a value, or one has no uncertainty above 0.
         """
         primary = primary.isel(wavelength=wavelengths).transpose(*DIMS, ...)
         value, u = primary["brdf"].values, primary["brdf_u"].values

@@ -71,9 +71,7 @@ def write(bsdf: xr.Dataset, path: str | os.PathLike[str], *, table: xr.Dataset |
 def write_transmission(bsdf: xr.Dataset, path: str | os.PathLike[str], *, table: xr.Dataset | None = None) -> None:
     """Write the transmitting side of a non-spectral table; as :func:`write`.
 
-    Raises
-    ------
-    ExchangeError : as :func:`write`, and where the table has no polar angles beyond 90 degree.
+    Raises ExchangeError: as :func:`write`, and where the table has no polar angles beyond 90 degree.
     """
     table, model = (bsdf, None) if table is None else (table, bsdf)
     reduced = _checked(table, model)

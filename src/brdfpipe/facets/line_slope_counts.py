@@ -138,9 +138,7 @@ def count_slopes(lines: Sequence[xr.Dataset]) -> LineSlopeCounts:
     in proportion to the distances: slopes within half a quantum of an edge may cross it. Lines of different quantum are counted
     in separate bins.
 
-    Raises
-    ------
-    FacetError : a line has fewer than 63 slopes, slopes that are all equal, or an impossible slope rms.
+    Raises FacetError: a line has fewer than 63 slopes, slopes that are all equal, or an impossible slope rms.
     """
     profiles = [_profile(line) for line in lines]
     profiles.sort(key=lambda profile: profile.quantum)

@@ -76,9 +76,7 @@ class Ellipse:
     def of(cls, dataset: xr.Dataset) -> Ellipse:
         """The ellipse of a dataset with the coordinates ``slope_along`` and ``slope_across``, and the scalar ``lay``.
 
-        Raises
-        ------
-        VocabularyError : the azimuth of the lay is missing.
+        Raises VocabularyError: the azimuth of the lay is missing.
         """
         if "lay" not in dataset or not np.isfinite(dataset["lay"]):
             raise VocabularyError(
@@ -123,12 +121,7 @@ class PlanarDensity:
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> PlanarDensity:
-        """The density of a dataset with a lay.
-
-        Raises
-        ------
-        VocabularyError : the dataset has no ``lay``.
-        """
+        """The density of a dataset with a lay. Raises VocabularyError: the dataset has no ``lay``."""
         along, across = (SlopeAxis.of(dataset[name]) for name in ("slope_along", "slope_across"))
         density = dataset["slope_density"].transpose("slope_across", "slope_along").values
         return cls(along, across, density.astype(float), Ellipse.of(dataset).lay)

@@ -104,9 +104,7 @@ def named_directions(names: str | Sequence[str]) -> dict[str, Directions]:
 def refuse_mixed_signs(names: Iterable[object]) -> None:
     """Refuse short names with and without a hyphen together: the hyphen may be a sign.
 
-    Raises
-    ------
-    BrdfpipeError : with both names, and what to write instead.
+    Raises BrdfpipeError: with both names, and what to write instead.
     """
     short = [str(name).strip() for name in names if _SHORT.fullmatch(str(name).strip())]
     hyphen = next((name for name in short if "-" in name), None)

@@ -96,9 +96,7 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
 def check_colours(spec: Mapping[str, Any]) -> None:
     """Check colours without the tables of the illuminants, which take seconds to load.
 
-    Raises
-    ------
-    InputError : as :func:`ingest`, unless the error depends on the white point (tristimulus values that are too large).
+    Raises InputError: as :func:`ingest`, unless the error depends on the white point (tristimulus values that are too large).
     """
     rows = _checked_rows(spec, None)
     if rows.kind == "reflectance":

@@ -14,9 +14,7 @@ def three_point_curve(data: ChannelData) -> ChannelCurve:
     With t = θf^p and κ = B^−p, (ρ1 − ρ2)/(ρ2 − ρ3) = expm1(κ(t2 − t1)) / −expm1(−κ(t3 − t2)) rises with κ from
     (t2 − t1)/(t3 − t2), so there is one solution or none.
 
-    Raises
-    ------
-    InputError : A, B or C would be out of range.
+    Raises InputError: A, B or C would be out of range.
     """
     from scipy.optimize import brentq
 

@@ -147,12 +147,7 @@ class Pipeline:
         return spec
 
     def run(self, rule: str, wildcards: Any, input: Any, output: Any, params: Any) -> None:
-        """Run the stage of a rule in a worker.
-
-        Raises
-        ------
-        StageError : it refused or failed, in one line.
-        """
+        """Run the stage of a rule in a worker. Raises StageError: it refused or failed, in one line."""
         stage = STAGES[rule]
         calibration = wildcards.get("calibration")
         job = Job(

@@ -178,12 +178,7 @@ class Rig:
         return rig
 
     def filter_at(self, position: int) -> Filter:
-        """The filter at a position of the wheel.
-
-        Raises
-        ------
-        InputError : the rig has no filter there.
-        """
+        """The filter at a position of the wheel. Raises InputError: the rig has no filter there."""
         for neutral_filter in self.filters:
             if neutral_filter.position == position:
                 return neutral_filter
@@ -194,9 +189,7 @@ class Rig:
 def read_fibres(path: Path) -> tuple[Fibre, ...]:
     """Read the table of the fibres: CSV with the columns :data:`COLUMNS`, in any order; lines with # are comments.
 
-    Raises
-    ------
-    InputError : naming the file, the line, what was found and what is accepted.
+    Raises InputError: naming the file, the line, what was found and what is accepted.
     """
     rows = read_csv(path)
     if not rows:

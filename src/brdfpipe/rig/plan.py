@@ -193,9 +193,7 @@ class Plan:
 def sources(path: Path) -> dict[str, Path]:
     """The files of a plan by their names in the folder of a run: the plan itself, its rig and the rig's fibres.
 
-    Raises
-    ------
-    InputError : two of them would have the same name.
+    Raises InputError: two of them would have the same name.
     """
     rig = PurePosixPath(reading.read(path, PlanKeys)["rig"])
     fibres = rig.parent / documents.plain(path.parent / rig)["fibres"]["file"]

@@ -29,9 +29,7 @@ MAX_FIBRES = 2 * _COLUMNS * _ROWS - 1
 def start(folder: Path, fibres: int = 150) -> Path:
     """Write ``rig.yaml``, ``fibres.csv`` (1 to :data:`MAX_FIBRES` fibres) and ``plan.yaml`` to start from; return the plan's path.
 
-    Raises
-    ------
-    InputError : one of the files exists already, or the screen has no places for so many fibres.
+    Raises InputError: one of the files exists already, or the screen has no places for so many fibres.
     """
     if not 1 <= fibres <= MAX_FIBRES:
         raise InputError("fibres.csv", "wrong number of fibres", found=fibres, accepted=f"1 to {MAX_FIBRES}")

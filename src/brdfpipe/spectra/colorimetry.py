@@ -54,9 +54,7 @@ def illuminants() -> tuple[str, ...]:
 def illuminant_name(name: str) -> str:
     """colour-science's spelling of an illuminant's name, given in any case.
 
-    Raises
-    ------
-    BrdfpipeError : unknown name, with the nearest known one.
+    Raises BrdfpipeError: unknown name, with the nearest known one.
     """
     wanted = str(name).casefold()
     usual = {spelling.casefold(): spelling for spelling in _USUAL_ILLUMINANTS}

@@ -42,9 +42,7 @@ _LIGHT_FROM = re.compile(r"\blight from (\d+(?:\.\d+)?) degree")
 def scale(file: str, title: str, header: Sequence[str]) -> str | None:
     """``fraction`` or ``percent``, as the title of the values or the header says; None if neither does.
 
-    Raises
-    ------
-    InputError : the values are another quantity, such as a transmittance.
+    Raises InputError: the values are another quantity, such as a transmittance.
     """
     for text in [title, *(line for line in header if _ABOUT_VALUES.search(line))]:
         if _NO_REFLECTANCE.search(text) and not re.search("refl", text, re.IGNORECASE):

@@ -118,9 +118,7 @@ def _ingested(
 def check_readable(path: str | os.PathLike[str], format: str | None = None) -> None:
     """Check that the reader of a file is known and installed; read nothing.
 
-    Raises
-    ------
-    InputError : as :func:`read_surface`, or naming the command that installs the optional extra.
+    Raises InputError: as :func:`read_surface`, or naming the command that installs the optional extra.
     """
     if format_of(Path(path), format, FORMATS, "surface.format") in instruments.FORMATS:
         instruments.check_installed(Path(path))

@@ -69,10 +69,7 @@ class SerialDevice(ABC):
 
 
 class Motor:
-    """A motor of constant speed.
-
-    The motion is one immutable value, so that the camera can read it from another thread at any time.
-    """
+    """A motor of constant speed. The motion is one immutable value, so that the camera can read it from another thread at any time."""
 
     def __init__(self, clock: VirtualClock, position: float) -> None:
         self._clock = clock

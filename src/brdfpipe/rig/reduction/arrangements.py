@@ -24,9 +24,7 @@ def join_arrangements(reduced: Sequence[xr.Dataset]) -> xr.Dataset:
 
     A wavelength that an arrangement lacks is missing there, with a warning.
 
-    Raises
-    ------
-    CalibrationError : there are none, or they differ in rig, load, side or reference filter.
+    Raises CalibrationError: there are none, or they differ in rig, load, side or reference filter.
     """
     if not reduced:
         raise CalibrationError("no arrangement to join; check `runs` and `side` in the plan")

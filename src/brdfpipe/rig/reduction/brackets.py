@@ -84,12 +84,7 @@ class Scale:
 
 
 def read_bracket(frames: xr.Dataset, darks: DarkFrames, rig: Rig) -> Bracket:
-    """The light of some frames of one arrangement.
-
-    Raises
-    ------
-    ExposureError : there is no dark frame of an exposure time.
-    """
+    """The light of some frames of one arrangement. Raises ExposureError: there is no dark frame of an exposure time."""
     light, usable, floor = [], [], []
     for counts, exposure in zip(frames["counts"].values, frames["exposure"].values, strict=True):
         if (dark := darks.by_exposure.get(float(exposure))) is None:

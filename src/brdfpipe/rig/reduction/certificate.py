@@ -94,9 +94,7 @@ class Certificate:
 
         Beyond the last certified angle its ratio is used, with the uncertainty of :meth:`shape_u_at`.
 
-        Raises
-        ------
-        CertificateError : the certificate does not cover a wavelength.
+        Raises CertificateError: the certificate does not cover a wavelength.
         """
         low, high = self.wavelength[0], self.wavelength[-1]
         if wavelength.min() < low or wavelength.max() > high:
@@ -118,9 +116,7 @@ class Certificate:
 def read_table(path: Path) -> Array:
     """The columns :data:`COLUMNS` of a CSV file; lines with # are comments.
 
-    Raises
-    ------
-    InputError : naming the line, what was found and what is accepted.
+    Raises InputError: naming the line, what was found and what is accepted.
     """
     rows = read_csv(path)
     where, titles = rows.pop(0) if rows else (None, ["nothing"])

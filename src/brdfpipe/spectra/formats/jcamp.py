@@ -32,10 +32,8 @@ _MOST = 2**20
 def blocks(path: Path, text: str) -> list[Block]:
     """All tables of a file: title, units of X and Y (upper case), X, Y, and doubts in words.
 
-    Raises
-    ------
-    InputError : no table, an unsupported form, or a table that contradicts its header (number of points, first and last X) or
-        its check values.
+    Raises InputError: no table, an unsupported form, or a table that contradicts its header (number of points, first and last X) or its
+    check values.
     """
     tables = [_table(path, record) for record in _records(text) if _form(record)]
     if not tables:

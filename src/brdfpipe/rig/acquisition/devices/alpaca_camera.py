@@ -46,10 +46,8 @@ class AlpacaCamera(CameraDriver):
     def expose(self, seconds: float, *, shutter: bool = True) -> RawFrame:
         """Expose, wait, and read the counts.
 
-        Raises
-        ------
-        DeviceError : the server or the camera refuses, takes too long, or returns another image; or a dark frame is requested from a camera
-            without a shutter, which would expose it to light.
+        Raises DeviceError: the server or the camera refuses, takes too long, or returns another image; or a dark frame is requested
+        from a camera without a shutter, which would expose it to light.
         """
         check_exposure(seconds)
         camera = self._camera

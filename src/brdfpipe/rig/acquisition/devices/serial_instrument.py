@@ -47,10 +47,8 @@ class SerialInstrument(ABC):
     def identify(self) -> str:
         """Model and serial number, where the device states them. The device then has the settings of the description.
 
-        Raises
-        ------
-        WrongDevice : a different device answers, or the serial number differs from the description.
-        DeviceError : no reply, or a setting is not accepted.
+        Raises WrongDevice: a different device answers, or the serial number differs from the description; DeviceError: no reply, or a
+        setting is not accepted.
         """
         attempt = 0
         while True:

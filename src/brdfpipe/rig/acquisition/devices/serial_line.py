@@ -122,10 +122,7 @@ class SerialLine:
     def reset(self) -> None:
         """Terminate partial commands, switch the echo on, and wait until the line is quiet.
 
-        Raises
-        ------
-        NoReply : the line does not become quiet.
-        DeviceLost : the port was disconnected.
+        Raises NoReply: the line does not become quiet; DeviceLost: the port was disconnected.
         """
         for command in map(self._in_case, self.dialect.wake):
             self._write(command)
