@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import PurePath
 
 
@@ -63,10 +64,5 @@ class InputError(BrdfpipeError):
 
     def __reduce__(self) -> tuple[object, ...]:
         # Workers pickle errors; by default only the message would be restored.
-        return (_rebuild, (self.file, self.problem, self.where, self.found, self.accepted, self.key))
-
-
-def _rebuild(
-    file: str, problem: str, where: str | None, found: object, accepted: str | None, key: str | None
-) -> InputError:
-    return InputError(file, problem, where=where, found=found, accepted=accepted, key=key)
+        rebuild = partial(InputError, where=self.where, found=self.found, accepted=self.accepted, key=self.key)
+        return rebuild, (self.file, self.problem)

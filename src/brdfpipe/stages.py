@@ -289,11 +289,7 @@ EXPORTS = tuple(Export(format, side) for format in FORMATS.values() for side in 
 """One for each format and each side with separate files."""
 
 
-def _by_name(*stages: Stage) -> dict[str, Stage]:
-    return {stage.name: stage for stage in stages}
-
-
-STAGES: Mapping[str, Stage] = _by_name(
+_STAGES = (
     Stage(
         "surface",
         "the relief of the surface, read and levelled",
@@ -458,4 +454,6 @@ STAGES: Mapping[str, Stage] = _by_name(
     ),
     Stage("catalogue", "the catalogue: page, table, dataset and digests", owner_kind="catalogue", kind=""),
 )
+
+STAGES: Mapping[str, Stage] = {stage.name: stage for stage in _STAGES}
 """In the order of the report."""

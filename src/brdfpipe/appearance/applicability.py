@@ -41,13 +41,16 @@ def reflectance_haze_by_window(appearance: xr.Dataset | None) -> dict[str, float
     return dict(zip(windows, appearance["reflectance_haze"].values.tolist(), strict=True))
 
 
+_NO_FINISH = (
+    "No surface finish was measured or assumed. The BRDF is perfectly diffuse, and its {quantity} is not that of the material. "
+    "Set `surface` in material.yaml to model it."
+)
+
+
 def gloss_exclusion(datasets: Datasets) -> str:
     """Gloss needs a surface finish, and a paint needs its clear coat."""
     if not has_finish(datasets):
-        return (
-            "No surface finish was measured or assumed. The BRDF is perfectly diffuse, and its gloss is not that of the material. "
-            "Set `surface` in material.yaml to model gloss."
-        )
+        return _NO_FINISH.format(quantity="gloss")
     # The appearance stage states this of a paint without a modelled clear coat.
     return str(datasets["appearance"].attrs.get("no_gloss", "")) if "appearance" in datasets else ""
 
@@ -79,10 +82,7 @@ def reflectance_haze_exclusion(datasets: Datasets) -> str:
 def flop_exclusion(datasets: Datasets) -> str:
     """The flop index needs a surface finish, a surface that darkens away from the mirror direction, and one not black at 45°."""
     if not has_finish(datasets):
-        return (
-            "No surface finish was measured or assumed. The BRDF is perfectly diffuse, and its flop index is not that of the material. "
-            "Set `surface` in material.yaml to model it."
-        )
+        return _NO_FINISH.format(quantity="flop index")
     appearance = datasets.get("appearance", xr.Dataset())
     if "flop_index" not in appearance or math.isfinite(float(appearance["flop_index"])):
         return ""

@@ -52,7 +52,9 @@ def template(model: type[Keys], introduction: str) -> str:
 def _template_lines(model: type[Keys], indent: str) -> Iterator[str]:
     for name, field in model.declared_keys().items():
         notes = notes_of(field)
-        value = notes.example if notes.example is not None else _plain_default(field)
+        value = notes.example
+        if value is None and not (field.is_required() or isinstance(field.default, Keys)):
+            value = field.default
         block = declared(field.annotation).annotation
         if value is None and not (isinstance(block, type) and issubclass(block, Keys)):
             continue
@@ -77,10 +79,6 @@ def _key_lines(name: str, field: FieldInfo, value: Any, block: Any, indent: str)
         yield from (f"{indent}  - {flow(item)}" for item in value)
     else:
         yield from _line(f"{indent}{name}: {flow(value)}", _short_help(field))
-
-
-def _plain_default(field: FieldInfo) -> Any:
-    return None if field.is_required() or isinstance(field.default, Keys) else field.default
 
 
 def alternatives(model: type[Keys], introduction: str, blocks: str) -> str:

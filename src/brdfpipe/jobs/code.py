@@ -188,13 +188,9 @@ def _parents(name: str) -> Iterator[str]:
 
 
 @cache
-def _candidates(module: str, root: Path) -> tuple[Path, Path]:
-    base = root.joinpath(*module.split("."))
-    return base.with_suffix(".py"), base / "__init__.py"
-
-
 def _module_path(module: str, root: Path) -> Path | None:
-    return next((path for path in _candidates(module, root) if path.is_file()), None)
+    base = root.joinpath(*module.split("."))
+    return next((path for path in (base.with_suffix(".py"), base / "__init__.py") if path.is_file()), None)
 
 
 def _data_files(package: Path) -> list[Path]:

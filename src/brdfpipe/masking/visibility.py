@@ -158,29 +158,17 @@ def _height_correlated(pair: HalfVector, excess_i: Array, excess_o: Array) -> Ar
     return 1 / (cos_i * cos_o + (excess_i * pair.sin_i * cos_o + excess_o * pair.sin_o * cos_i))
 
 
-def _separable(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
-    return 1 / ((pair.cos_i + excess_i * pair.sin_i) * (pair.cos_o + excess_o * pair.sin_o))
-
-
-def _crf(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
-    return 1 / (pair.cos_i * (pair.cos_o + excess_o * pair.sin_o))
-
-
 def _blinn(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
     grooved = 2 * pair.cos_alpha / (pair.cos_zeta * np.maximum(pair.cos_i, pair.cos_o))
     return np.minimum(1 / (pair.cos_i * pair.cos_o), grooved)
 
 
-def _unmasked(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
-    return 1 / (pair.cos_i * pair.cos_o)
-
-
 VISIBILITY: dict[str, Visibility] = {
     "height-correlated": _height_correlated,
-    "separable": _separable,
-    "crf": _crf,
+    "separable": lambda pair, g_i, g_o: 1 / ((pair.cos_i + g_i * pair.sin_i) * (pair.cos_o + g_o * pair.sin_o)),
+    "crf": lambda pair, g_i, g_o: 1 / (pair.cos_i * (pair.cos_o + g_o * pair.sin_o)),
     "blinn": _blinn,
-    "none": _unmasked,
+    "none": lambda pair, g_i, g_o: 1 / (pair.cos_i * pair.cos_o),
 }
 """G2 / (cos θ_i cos θ_o) by mode, from the pair of directions and the mean excess slopes g = Λ cot θ towards them.
 

@@ -162,12 +162,8 @@ def _record_extrapolation(dataset: xr.Dataset, formula: Formula) -> xr.Dataset:
     )
 
 
-def _sellmeier(w: Array, c: Array) -> Array:
-    return np.sqrt(1 + c[0] + sum(b * w**2 / (w**2 - r**2) for b, r in zip(c[1::2], c[2::2], strict=False)))
-
-
-def _sellmeier_squared(w: Array, c: Array) -> Array:
-    return np.sqrt(1 + c[0] + sum(b * w**2 / (w**2 - r) for b, r in zip(c[1::2], c[2::2], strict=False)))
+def _sellmeier(w: Array, c: Array, power: int) -> Array:
+    return np.sqrt(1 + c[0] + sum(b * w**2 / (w**2 - r**power) for b, r in zip(c[1::2], c[2::2], strict=False)))
 
 
 def _power_series(w: Array, c: Array) -> Array:
@@ -181,8 +177,8 @@ def _database(w: Array, c: Array) -> Array:
 
 
 _FORMULAS: Mapping[int, Callable[[Array, Array], Array]] = {
-    1: _sellmeier,
-    2: _sellmeier_squared,
+    1: lambda w, c: _sellmeier(w, c, 2),
+    2: lambda w, c: _sellmeier(w, c, 1),
     3: lambda w, c: np.sqrt(_power_series(w, c)),
     4: _database,
     5: _power_series,

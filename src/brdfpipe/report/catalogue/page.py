@@ -49,21 +49,16 @@ def catalogue_page(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, st
         script=Markup(script),
         script_hash=b64encode(sha256(script.encode()).digest()).decode(),
         headings=[f"{quantity.label}, µm" if quantity.unit == "um" else quantity.label for quantity in shown],
-        scopes=_scopes(shown),
+        scopes=[
+            f"{quantity.label} applies to {quantity.applicability.words}."
+            for quantity in shown
+            if quantity.applicability and quantity.applicability.blank
+        ],
         pictured=any(texts(catalogue, "thumbnail")),
         rows=_page_rows(catalogue, shown),
         failures=[(name, str(e.get("stage", "")), str(e.get("message", ""))) for name, e in sorted(failures.items())],
         counts=Counter(texts(catalogue, "verdict")),
     )
-
-
-def _scopes(shown: Sequence[AppearanceQuantity]) -> list[str]:
-    """The materials to which a quantity applies, for quantities with blank cells."""
-    return [
-        f"{quantity.label} applies to {quantity.applicability.words}."
-        for quantity in shown
-        if quantity.applicability and quantity.applicability.blank
-    ]
 
 
 def _page_rows(catalogue: xr.Dataset, shown: Sequence[AppearanceQuantity]) -> list[dict[str, Any]]:

@@ -149,20 +149,17 @@ def model_table(bsdf: xr.Dataset) -> Table:
     several = None if representation(bsdf).transmits else multiple_scattering(bsdf, bsdf_sections.REFERENCE_WAVELENGTH)
     texts: tuple[str, ...] = ()
     if several is not None and (masking := str(bsdf.attrs["masking"])) not in _ENERGY_CONSERVING:
-        texts = (_masking_note(several, masking),)
+        note = (
+            f"Masking `{masking}` follows its source and need not conserve energy. Facets that are perfect mirrors would reflect "
+            f"{percent(1 - several.mirrors)} of the light, mean over the hemisphere. `model.masking: height-correlated` never reflects "
+            "more than arrives. The checks state where this model does."
+        )
+        texts = (note,)
     elif several is not None:
         state = "compensated" if several.compensated else "lost"
         rows.append((f"Light reflected more than once, {state}", percent(several.share)))
         texts = _scattering_note_and_remark(several)
     return Table("Model", ("Choice", "Value"), rows, *texts)
-
-
-def _masking_note(several: MultipleScattering, masking: str) -> str:
-    return (
-        f"Masking `{masking}` follows its source and need not conserve energy. Facets that are perfect mirrors would reflect "
-        f"{percent(1 - several.mirrors)} of the light, mean over the hemisphere. `model.masking: height-correlated` never reflects more "
-        "than arrives. The checks state where this model does."
-    )
 
 
 def _scattering_note_and_remark(several: MultipleScattering) -> tuple[str, str]:

@@ -115,7 +115,8 @@ class FaultyLine:
         """Disconnected: bytes fed are lost."""
         self._own = self._device = device
         self._faults = faults or Faults.at({})
-        self._other_device = other_device or _other_dialect(device)
+        other_dialect = Monochromator if isinstance(device, ThorlabsWheel) else ThorlabsWheel
+        self._other_device = other_device or other_dialect(device.clock)
         self._late_answer = b""
         self._clear_command()
 
@@ -170,7 +171,3 @@ class FaultyLine:
     def _clear_command(self) -> None:
         self._command = b""
         self._ordinal, self._kind = 0, ""
-
-
-def _other_dialect(device: SerialDevice) -> SerialDevice:
-    return (Monochromator if isinstance(device, ThorlabsWheel) else ThorlabsWheel)(device.clock)
