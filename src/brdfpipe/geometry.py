@@ -66,8 +66,6 @@ def half_vector(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
 def slope_towards(half: HalfVector, phi_i: ArrayLike, phi_o: ArrayLike) -> tuple[Array, Array]:
     """Slopes (p, q) along x and y of the facet that mirrors ``i`` into ``o``: −w_xy / w_z of w_i + w_o.
 
-    Notes
-    -----
     Along the mean azimuth ψ of the two directions w_xy is (sin θ_i + sin θ_o) cos δ, across it (sin θ_i − sin θ_o) sin δ, δ half the
     difference of the azimuths: exact near the mirror direction, where the plain sum cancels.
     """

@@ -142,8 +142,6 @@ class Predicted:
     def _cell_effects(self) -> tuple[Array, Array]:
         """Mean over each cell of the disc less the value in its middle and the curvature correction, and that correction [sr-1].
 
-        Notes
-        -----
         The reduction subtracts the mean curvature from the mean over a cell of area A, f = mean − A/24 ∇²f. The remainder is of fourth order in
         the side of the cell over the width of the lobe: half of its square counts as common to all cells, which are alike, and half as
         independent, because they are not square. The reduction finds no curvature in a lobe narrower than a cell, and keeps the mean.

@@ -101,9 +101,7 @@ def dither(rows: slice, columns: slice) -> Array:
 
     A hash, because differences between neighbours in a low-discrepancy sequence take two values only.
 
-    References
-    ----------
-    Steele, Lea & Flood 2014, OOPSLA: the mixer of SplitMix64.
+    Source: Steele, Lea & Flood 2014, OOPSLA: the mixer of SplitMix64.
     """
     row, column = (np.arange(span.start, span.stop, dtype=np.uint64) for span in (rows, columns))
     mixed: NDArray[np.uint64] = (row[:, None] << np.uint64(32) | column) * np.uint64(0x9E3779B97F4A7C15)

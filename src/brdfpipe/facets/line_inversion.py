@@ -108,9 +108,7 @@ def fit_mixture(marginals: Sequence[LineSlopeCounts]) -> Mixture:
 def _accelerated_em_step(weights: Array, share: Array, counts: Array) -> Array:
     """Three steps of expectation maximisation (sets, components), with an extrapolation of the logarithms of the first two.
 
-    References
-    ----------
-    Varadhan and Roland 2008, Scand. J. Stat. 35, 335: squared extrapolation.
+    Source: Varadhan and Roland 2008, Scand. J. Stat. 35, 335: squared extrapolation.
     """
 
     def maximised(weights: Array) -> Array:

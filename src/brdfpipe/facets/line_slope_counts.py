@@ -108,9 +108,7 @@ class LineSlopeCounts(NamedTuple):
         The half-samples are the rows of a Hadamard matrix. The mean square deviation over them is the variance of an estimate
         from all stretches; exactly so for estimates that are linear in the counts.
 
-        References
-        ----------
-        McCarthy 1969, Rev. Int. Stat. Inst. 37, 239: balanced half-samples.
+        Source: McCarthy 1969, Rev. Int. Stat. Inst. 37, 239: balanced half-samples.
         """
         from scipy.linalg import hadamard
 

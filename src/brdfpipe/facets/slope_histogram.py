@@ -262,9 +262,7 @@ def remove_broadening(binned: MergedHistogram, mean_square: float) -> MergedHist
     Noise moves a density along its gradient: to first order slopes came from s + mean_square/2 · d log P22/ds. A Gaussian keeps
     its shape; a tail moves less and a sharp peak more.
 
-    References
-    ----------
-    Song et al. 2021, ICLR, eq. 13: the probability flow of a diffusion.
+    Source: Song et al. 2021, ICLR, eq. 13: the probability flow of a diffusion.
     """
     # The gradient of a smooth curve through the bins, since their scatter would exaggerate it.
     squares, totals = binned.edges**2, binned.totals[:-1]

@@ -70,8 +70,6 @@ class Marginal:
 class LiuMasking:
     """Share S(θ, α) of a facet that its neighbour leaves visible, from a table of one slope density; accurate to 1e-6.
 
-    Notes
-    -----
     A facet of tilt α is one side of a groove; the other side has the slope t = tan γ, drawn from the density q(t) of slopes
     along the line of sight, and its length. Seen at θ it hides |cos(γ + θ)| / cos(θ − α) of the facet, at most all of it. With
     μ = cot θ and a = tan α the published factor,
@@ -89,9 +87,7 @@ class LiuMasking:
 
     S does not vanish at grazing, where it stays above ½: the BRDF diverges as 1/cos θ.
 
-    References
-    ----------
-    Liu, Zhu & Wang 2015 (Opt. Express 23(17), 22788), with these misprints corrected: the upper limit is printed as
+    Source: Liu, Zhu & Wang 2015 (Opt. Express 23(17), 22788), with these misprints corrected: the upper limit is printed as
     π/2 − 2θ + α, which makes S negative; lower limits are −π/2; the local angle of incidence is ζ, in plane half of
     |θ_i + θ_r|. Blinn 1977; Torrance & Sparrow 1967 for the groove.
     """

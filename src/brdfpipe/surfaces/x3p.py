@@ -40,9 +40,7 @@ def read_x3p(path: Path) -> Heights:
     The file is a matrix of one layer with incremental x and y axes; heights are 16- or 32-bit integers, float32 or float64, in a
     binary file or in the XML. Point lists, absolute axes, several layers and wrong checksums are refused.
 
-    References
-    ----------
-    ISO 25178-72:2017; schema http://www.opengps.eu/2008/ISO5436_2.
+    Source: ISO 25178-72:2017; schema http://www.opengps.eu/2008/ISO5436_2.
     """
     try:
         with zipfile.ZipFile(path) as archive:

@@ -35,16 +35,12 @@ _AZIMUTHAL = 5.0  # weight of curvature along φ over that along ϑ: lobes vary 
 class PSpline:
     """Tensor product of cubic B-splines in t = asinh(ϑ/scale) and harmonics of φ, and two functions of cos θ_o.
 
-    Notes
-    -----
     Near a lobe t is a length, far from it the logarithm of one: evenly spaced knots fit lobes of any width. Smooth functions of ϑ and φ
     cannot follow the BSDF towards grazing; the functions of cos θ_o do. The radial part of cos kφ starts with ϑ^k (up to the third power) and
     that of k = 0 without slope: so the sum is smooth at ϑ = 0. Roughness is the energy of a thin plate
     ∫ (η_tt² + 2ρ η_tφ²/τ² + ρ² η_φφ²/τ⁴) dt dφ/2π, τ = tanh t, which makes lengths along φ those along t. Only a constant has none.
 
-    References
-    ----------
-    Eilers & Marx 1996 (P-splines); Wood 2003 (thin plates).
+    Source: Eilers & Marx 1996 (P-splines); Wood 2003 (thin plates).
     """
 
     name: ClassVar[str] = "pspline"
@@ -143,8 +139,6 @@ class PSpline:
 class Keldysh:
     """The basis of Voloboy et al. 2005 (Keldysh Institute preprint), p_n(2^j ϑ/ϑ_max) cos kφ, repaired or as printed.
 
-    Notes
-    -----
     p_n(x) = (1 + n/4)² (1 + 4/n)^{n/2} (1 − x²)² xⁿ on |x| ≤ 1 has its maximum 1 at x = √(n/(n + 4)). As printed, every function vanishes at
     90°, and n = 0 occurs with every cos kφ, which is ambiguous at ϑ = 0. Repaired: an additional constant, ϑ_max as a parameter, and
     n ≥ k with n − k even, the powers of smooth functions of the plane.

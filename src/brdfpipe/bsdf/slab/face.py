@@ -166,8 +166,6 @@ def rough(
 
     ``sharp`` takes the transmitted, or the internally reflected, lobe as a single direction, because the nodes do not resolve it.
 
-    Notes
-    -----
     The kernels are sampled at the nodes, then scaled, d_i K_ij d_j, until their sums over the nodes equal the integrals over the
     facets. The rest to 1 is e(θ), light that met more than one facet; it is returned as e(θ_i) e(θ_o) / ∫ e over both sides, in L/n²:
     this is reciprocal, and energy is conserved to rounding.
@@ -254,8 +252,6 @@ def _balanced(
 ) -> tuple[Array, float]:
     """A kernel scaled so that its rows and columns sum to given shares, never to more; and the largest correction.
 
-    Notes
-    -----
     Sinkhorn & Knopp 1967, by roots so that a symmetric kernel stays symmetric. Rows and columns must carry the same total: the larger
     shares are lowered to it. The last steps only shrink, so that no sum exceeds its share.
     """

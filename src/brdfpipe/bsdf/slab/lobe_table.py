@@ -103,9 +103,7 @@ def grazing_factor(smooth: tuple[bool, bool], path: Array, low: Array, high: Arr
 def barycentric(nodes: Array, x: Array) -> Array:
     """Matrix (…, nodes) of polynomial interpolation from Gauss–Legendre nodes in [0, 90] to x.
 
-    References
-    ----------
-    Berrut & Trefethen 2004 (SIAM Review 46); the weights are those of Wang & Xiang 2012 for Legendre points.
+    Source: Berrut & Trefethen 2004 (SIAM Review 46); the weights are those of Wang & Xiang 2012 for Legendre points.
     """
     unit, gauss = np.polynomial.legendre.leggauss(nodes.size)
     weight = (-1.0) ** np.arange(nodes.size) * np.sqrt((1 - unit**2) * gauss)

@@ -40,8 +40,6 @@ class Resolution(NamedTuple):
 def resolution(surfaces: tuple[Microsurface | None, Microsurface | None], index: float) -> Resolution:
     """Node counts from the widths of the lobes.
 
-    Notes
-    -----
     A facet of slope s turns transmitted light by (n − 1) s outside and internally reflected light by 2 s. The polynomial through values
     at Gauss nodes, π/2 · π/2N apart, follows a Gaussian lobe to a percent if their distance is its standard deviation; two rough faces
     widen the lobe. The Fourier modes of a lobe fall to 1e-3 at 8 over its 1/e width.

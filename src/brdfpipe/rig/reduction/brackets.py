@@ -119,8 +119,6 @@ def locate_reference_spot(rig: Rig, frames: Bracket) -> ReferenceSpot:
 def scale_bracket(frames: Bracket, spot: ReferenceSpot, rig: Rig) -> Scale:
     """The common scale of the frames of a bracket, from their references, the described filters, and overlapping frames.
 
-    Notes
-    -----
     Unknown are the logarithms of the corrections of each frame's reference and of each filter, with the noise and the stated
     uncertainty as priors. The clearest filter has none: its error is the same for etalon and sample. Two frames that share
     well-exposed pixels give their ratio, far better than the reference of a short exposure does.

@@ -30,8 +30,6 @@ def curvature_correction(
 
     ``weights`` are the shares (cell, pixel) of pixels in cells, ``clean`` the light (wavelength, y, x) without glare, ``area`` in pixels.
 
-    Notes
-    -----
     The mean over a cell of second moments M about its middle is f + ½ Σ M_jk ∂_j∂_k f; the core of the point spread adds its own moments.
     Derivatives are those of the smoothed light, divided by that light: smoothing raises both alike on the flank of a lobe. Near the rim they
     follow from the part of a cell farther inside.

@@ -24,9 +24,7 @@ ROUNDING = 1e-9
 def basis() -> Array:
     """Four basis reflectances (4, n) on :data:`brdfpipe.spectra.colorimetry.GRID`: red, green, blue and cyan, each with peak 1.
 
-    References
-    ----------
-    Smits, "An RGB-to-spectrum conversion for reflectances", J. Graphics Tools 4 (1999) 11–22, straight lines between the centres of its
+    Source: Smits, "An RGB-to-spectrum conversion for reflectances", J. Graphics Tools 4 (1999) 11–22, straight lines between the centres of its
     ten bins. The patent US 9,395,299 names the four colours without their spectra.
     """
     from brdfpipe.spectra.colour_science import colour
