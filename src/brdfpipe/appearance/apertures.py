@@ -172,9 +172,8 @@ def first_half(azimuths: Array) -> slice:
 def received(sample: Sample, beams: Sequence[Beam], azimuths: Array) -> list[Array]:
     """∫window f cos θ_r dω_r of each beam at azimuths of the plane of incidence [degree], (azimuths, points of its source)."""
     nodes = [_window_nodes(beam, sample.lobe) for beam in beams]
-    theta_i, phi_i, theta_o, phi_o = (
-        np.concatenate(angles) for angles in zip(*(node.directions for node in nodes), strict=True)
-    )
+    angles = zip(*(node.directions for node in nodes), strict=True)
+    theta_i, phi_i, theta_o, phi_o = map(np.concatenate, angles)
     evaluate = representation(sample.bsdf).evaluate
     flux: list[list[Array]] = [[] for _ in beams]
     # One evaluation for many azimuths: a representation may work hard before it evaluates its first direction.

@@ -299,9 +299,8 @@ def _verdicts(result: xr.Dataset, residuals: dict[str, _Residual], model: Repres
     """Verdict and text of each check."""
     bsdf, unphysical = model.dataset, model.unphysical_choice
     broken, known = ("warn", f"; a known property of {unphysical}") if unphysical else ("fail", "")
-    reciprocity, energy, negative, growth, integral = (
-        residuals[name] for name in ("reciprocity", "energy", "negative", "grazing", "integral")
-    )
+    names = ("reciprocity", "energy", "negative", "grazing", "integral")
+    reciprocity, energy, negative, growth, integral = (residuals[name] for name in names)
     verdicts = {}
 
     reciprocal = reciprocity.size <= RECIPROCITY_LIMIT

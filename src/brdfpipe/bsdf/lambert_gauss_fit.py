@@ -90,11 +90,10 @@ def _fit_one(bsdf: xr.Dataset, theta_i: float, azimuth: float) -> tuple[float, .
     def residuals(parameters: Array) -> Array:
         return root * (model(parameters) - brdf)
 
-    solution = least_squares(
-        residuals, np.clip(np.log(start), lowest, highest), bounds=(lowest, highest), x_scale="jac"
-    )
-    floor, peak, parallel, perpendicular = map(float, np.exp(solution.x))
-    error = approximation_error.misfit(weight, model(solution.x), brdf)
+    start = np.clip(np.log(start), lowest, highest)
+    fitted = least_squares(residuals, start, bounds=(lowest, highest), x_scale="jac").x
+    floor, peak, parallel, perpendicular = map(float, np.exp(fitted))
+    error = approximation_error.misfit(weight, model(fitted), brdf)
     reflected = float(weight @ gaussian(along, across, peak, parallel, perpendicular))
     lambert = float(np.pi * floor)
     missing = _reflectance_error(bsdf, theta_i, azimuth, lambert + reflected)

@@ -281,9 +281,7 @@ def full_circle(half: ArrayLike) -> Array:
     """
     phi = check_angles("phi_o", half, 0, 180)
     if phi.ndim != 1 or phi.size < 2 or phi[0] != 0 or phi[-1] != 180 or not (np.diff(phi) > 0).all():
-        raise VocabularyError(
-            "phi_o of the grid must increase from 0 to 180; change `table.phi_o` in the configuration"
-        )
+        raise VocabularyError("phi_o of the grid must increase from 0 to 180; change `table.phi_o` in config.yaml")
     return np.concatenate([phi, 360 - phi[-2::-1]])
 
 

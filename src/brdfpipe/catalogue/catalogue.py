@@ -82,9 +82,7 @@ def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
     loaded = {printable(path.name): _load_or_refusal(path, config) for path in folders}
     duplicates = _duplicate_names(loaded)
     failures = {name: item for name, item in loaded.items() if isinstance(item, str)} | duplicates
-    materials = {
-        item.name: item for name, item in loaded.items() if isinstance(item, Material) and name not in failures
-    }
+    materials = {item.name: item for key, item in loaded.items() if isinstance(item, Material) and key not in failures}
     calibrations = load_calibrations(folder)
     for name, refusal in _rig_refusals(materials, calibrations).items():
         failures[name] = refusal

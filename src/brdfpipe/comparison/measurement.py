@@ -96,9 +96,7 @@ class Measurement:
         if "brdf_quality" in primary:
             used &= np.isin(primary["brdf_quality"].values, [vocabulary.quality(name) for name in _USED])
         if not used.any():
-            raise ComparisonError(
-                "no cell of the rig has a measured value: check the quality flags of the primary data"
-            )
+            raise ComparisonError("no cell of the rig has a measured value: check the quality flags in `primary`")
         solid_angle = primary["solid_angle"].values if "solid_angle" in primary else np.full(theta_s.size, np.nan)
         components = tuple(
             _Component(name, error_model, np.where(used, np.nan_to_num(u_of_component), 0.0))

@@ -267,10 +267,8 @@ def _remarks(
         warnings.append(
             f"a mean slope of {tilt:.2g}, {tilt / moments.slope_rms:.0%} of the slope rms, remained and was subtracted: {advice}"
         )
-    extents = (
-        pitch * size for scan in heights for pitch, size in zip(scan.pitch, scan.height.shape[::-1], strict=True)
-    )
-    lengths = min(extents) / float(facets["correlation_length"])
+    widths = (pitch * size for scan in heights for pitch, size in zip(scan.pitch, scan.height.shape[::-1], strict=True))
+    lengths = min(widths) / float(facets["correlation_length"])
     if lengths < 2 * BLOCKS:
         warnings.append(
             f"the scan is only {lengths:.0f} correlation lengths wide, and the uncertainty from its {BLOCKS} x {BLOCKS} blocks is understated; "

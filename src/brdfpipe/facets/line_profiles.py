@@ -216,9 +216,7 @@ def _perpendicular(directions: Sequence[_Direction]) -> xr.Dataset:
 
     The slopes in each direction, over their rms, are drawn from one scale mixture; P22 = Σ w_k N(p; σ_k a) N(q; σ_k b).
     """
-    counted = sorted(
-        ((count_slopes(direction.lines), direction) for direction in directions), key=lambda pair: pair[0].rms
-    )
+    counted = sorted(((count_slopes(item.lines), item) for item in directions), key=lambda pair: pair[0].rms)
     marginals = [marginal for marginal, _ in counted]
     along, across = (marginal.rms for marginal in marginals)
     fit = fit_mixture([marginal.divided_by(marginal.rms) for marginal in marginals])

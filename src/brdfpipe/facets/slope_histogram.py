@@ -243,9 +243,8 @@ def density_from_histogram(binned: MergedHistogram) -> tuple[RadialDensity, NDAr
         log_density = log_density + np.log(share / np.bincount(owner, mass, minlength=share.size))
     # Derivatives of the nodes, and of the shares, with respect to the middles; linear interpolation is accurate enough here.
     step = 1e-6
-    jacobian = (
-        np.stack([with_ends(row) - with_ends(log_density) for row in log_density + step * np.eye(share.size)]) / step
-    )
+    moved = log_density + step * np.eye(share.size)
+    jacobian = np.stack([with_ends(row) - with_ends(log_density) for row in moved]) / step
     shares = [np.bincount(owner, mass * np.interp(s**2, body, column), minlength=share.size) for column in jacobian]
     relative_u = _relative_uncertainty(binned, jacobian.T @ np.linalg.inv(np.stack(shares, axis=1) / share[:, None]))
     # The relative uncertainty of L in exp(−(s − start)/L) is that of the share of the facets in the tail.

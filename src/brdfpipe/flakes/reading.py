@@ -322,9 +322,7 @@ def _table(path: Path) -> _Rows:
     except csv.Error as error:
         raise _refusal(path.name, f"not a table ({error})", "columns of titles and numbers") from error
     where = tuple(f"line {number}" for number, _ in lines[1:])
-    geometry_columns = {
-        title.casefold(): k for k, title in enumerate(titles) if title.casefold() in ("geometry", *ANGLES)
-    }
+    geometry_columns = {name: k for k, name in enumerate(map(str.casefold, titles)) if name in ("geometry", *ANGLES)}
     kind, columns, wavelength = _colour_columns(path, titles)
     u_columns = _uncertainty_columns(path, titles, columns)
     numeric = (*(k for title, k in geometry_columns.items() if title != "geometry"), *columns, *u_columns)

@@ -73,9 +73,7 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
         seconds=time.perf_counter() - started,
         dry_run=dry_run,
         verdicts=verdicts,
-        fail_reasons={
-            name: summary.failed_checks(results, name) for name, verdict in verdicts.items() if verdict == "fail"
-        },
+        fail_reasons={name: summary.failed_checks(results, name) for name in verdicts if verdicts[name] == "fail"},
         notices=tuple(summary.notices(catalogue.folder, deleted, stale)),
     )
 

@@ -95,9 +95,7 @@ def g2(
         table = liu.LiuMasking.of(liu.Marginal.of(RadialDensity.of(facets)))
         values = liu.attenuation(pair, phi_i, phi_o, table)
     else:
-        excess_i, excess_o = (
-            _excess_towards(facets, *direction)[2] for direction in ((theta_i, phi_i), (theta_o, phi_o))
-        )
+        excess_i, excess_o = (_excess_towards(facets, *towards)[2] for towards in ((theta_i, phi_i), (theta_o, phi_o)))
         values = np.minimum(VISIBILITY[mode](pair, excess_i, excess_o) * (pair.cos_i * pair.cos_o), 1.0)
     result = angles[0].copy(data=np.broadcast_to(values, theta_i.shape))
     return result.rename("g2").assign_attrs(units="1", long_name=f"masking and shadowing G2, {mode}")

@@ -57,6 +57,4 @@ def own_stages(datasets: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
 
 def material_name(datasets: Mapping[str, xr.Dataset]) -> str:
     """The name of the material in the attributes of its datasets."""
-    return next(
-        (str(dataset.attrs["material"]) for dataset in datasets.values() if "material" in dataset.attrs), "unnamed"
-    )
+    return next((str(item.attrs["material"]) for item in datasets.values() if "material" in item.attrs), "unnamed")

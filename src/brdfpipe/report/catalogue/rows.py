@@ -99,16 +99,12 @@ def combine(rows: Sequence[xr.Dataset]) -> xr.Dataset:
             raise VocabularyError(f"expected a dataset of kind 'catalogue', found kind {row.attrs.get('kind')!r}")
         if absent := [name for name in columns if name not in row.variables]:
             found = ", ".join(map(str, row.variables))
-            raise VocabularyError(
-                f"a row of the catalogue lacks {absent[0]!r}; found {found}; build the material again"
-            )
+            raise VocabularyError(f"a catalogue row lacks {absent[0]!r}; found {found}; build the material again")
     # Plain values: xarray.concat aligns and compares every variable of every row, which takes minutes for a thousand.
     values = {name: [value for row in rows for value in row.variables[name].values] for name in columns}
     names = [str(name) for name in values["material"]]
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
-        raise VocabularyError(
-            f"two materials of the catalogue are named {repeated[0]!r}; change `name` in material.yaml"
-        )
+        raise VocabularyError(f"two materials are named {repeated[0]!r}; change `name` in material.yaml")
     order = sorted(range(len(names)), key=names.__getitem__)
     return _dataset([{name: values[name][k] for name in columns} for k in order])
 

@@ -125,14 +125,10 @@ def _cartesian(
     reflected = quantity == "BRDF"
     into_one = _into_one_words("mirrored" if reflected else "transmitted", single)
     if decades is None:
+        note = f"No light is {'reflected' if reflected else 'transmitted'} in these planes."
         if into_one:
-            return [
-                Figure(
-                    quantity,
-                    note=f"{into_one} Light in one single direction has no {quantity}; there is nothing to draw.",
-                )
-            ]
-        return [Figure(quantity, note=f"No light is {'reflected' if reflected else 'transmitted'} in these planes.")]
+            note = f"{into_one} Light in one single direction has no {quantity}; there is nothing to draw."
+        return [Figure(quantity, note=note)]
     low, high = (10.0**exponent for exponent in decades)
     inside = " The light is inside the body; its radiance is n² times that in air."
     inside = inside if not reflected and representation(bsdf).transmits_into_body else ""

@@ -139,9 +139,7 @@ def _mean_index(bsdf: xr.Dataset | None) -> _MeanIndex | None:
     if representation(bsdf).is_slab:
         return _MeanIndex(float(weight @ bsdf["n"].values), 0.0, mean_wavelength)
     # The index of a polished body of the same material has the same mean, and takes a twelfth of the time.
-    own = xr.Dataset(
-        {name: ("wavelength", bsdf[name].values) for name in ("n", "k")}, {"wavelength": bsdf["wavelength"]}
-    )
+    own = xr.Dataset({part: ("wavelength", bsdf[part].values) for part in "nk"}, {"wavelength": bsdf["wavelength"]})
     polished = build_microfacet(flat(), index=vocabulary.label(own.assign_attrs(source="own"), "index"))
     reduced = nonspectral(polished, weight)
     return _MeanIndex(float(reduced["n"]), float(reduced["k"]), mean_wavelength)

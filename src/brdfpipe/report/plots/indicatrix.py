@@ -130,9 +130,8 @@ def _lines(x: Array, y: Array, pairs: list[tuple[int, int]], style: str) -> str:
 
 def _rays(incidence: float, tip: float) -> list[str]:
     """Incident light, the mirror direction beyond the lobe, and the normal."""
-    source, mirror, normal = (
-        _SIZE * unit_vector(theta, azimuth) for theta, azimuth in ((incidence, 180.0), (incidence, 0.0), (0.0, 0.0))
-    )
+    directions = (incidence, 180.0), (incidence, 0.0), (0.0, 0.0)
+    source, mirror, normal = (_SIZE * unit_vector(*direction) for direction in directions)
     x, y = _projected(np.stack([source, mirror * tip, mirror * 1.12, normal * _NORMAL_LENGTH, 0 * normal]))
     return [_lines(x, y, [pair], style) for style, pair in (("l c3", (0, 4)), ("l ref d", (1, 2)), ("l ref", (3, 4)))]
 

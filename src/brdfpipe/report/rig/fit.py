@@ -176,9 +176,7 @@ def _curve(smoothed: xr.Dataset, at: int, cells: _Plane) -> tuple[Array, Array, 
     theta = np.union1d(np.clip(theta, -180, 180).round(6), [0.0])
     phi = np.where(theta < 0, 180.0, 0.0)
     one = _one_incidence(smoothed, at)
-    value, u = (
-        function(one, np.abs(theta), phi).values[0, 0] for function in (smoothing.evaluate, smoothing.uncertainty)
-    )
+    value, u = (method(one, np.abs(theta), phi).values[0, 0] for method in (smoothing.evaluate, smoothing.uncertainty))
     above_horizon = cos_view(float(one["incidence"][0]), np.abs(theta), phi) > 0
     return theta, np.where(above_horizon, value, np.nan), np.where(above_horizon, u, np.nan)
 
@@ -315,11 +313,8 @@ def _strength_curves(smoothed: xr.Dataset, abscissa: str, y: Array) -> tuple[lis
     validated = np.flatnonzero(np.isfinite(smoothed["gcv"].values).any(axis=1)).tolist()
     for at, style in zip(validated, cycle(_STYLES), strict=False):
         label = f"{'' if lines else 'incidence '}{float(smoothed['incidence'][at]):g}°"
-        x, strength, used = (
-            smoothed[abscissa].values[at],
-            smoothed["strength"].values[at],
-            float(smoothed["chosen_strength"][at]),
-        )
+        x, strength = (smoothed[name].values[at] for name in (abscissa, "strength"))
+        used = float(smoothed["chosen_strength"][at])
         lines.append(Line(x, y[at], style, label))
         x_used, y_used = (np.interp(np.log(used), np.log(strength), values) for values in (x, y[at]))
         points.append(Points([used if abscissa == "strength" else x_used], [y_used], style=style))

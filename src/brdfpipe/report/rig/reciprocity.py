@@ -113,9 +113,7 @@ def _enlargement(bsdf: xr.Dataset, smoothed: xr.Dataset) -> dict[float, float]:
 def _with_own_uncertainty(pairs: xr.Dataset, enlarged: dict[float, float]) -> xr.Dataset:
     """Pairs with the uncertainties of their incidences before the enlargement."""
     ends = {"there_u": "incidence", "back_u": "incidence_2"}
-    factors = {
-        name: [enlarged.get(incidence, 1.0) for incidence in pairs[end].values.tolist()] for name, end in ends.items()
-    }
+    factors = {name: [enlarged.get(angle, 1.0) for angle in pairs[end].values.tolist()] for name, end in ends.items()}
     return pairs.assign({name: pairs[name] / xr.DataArray(factor, dims="pair") for name, factor in factors.items()})
 
 

@@ -183,9 +183,7 @@ def measurement_table(measured_sides: Sequence[Side], profile: xr.Dataset | None
         )
     rows += list(_registration(arrangements))
     reasons = str(attrs.get("overridden", ""))
-    remark = (
-        f"The calibration profile is not valid, and was used by `rig.override`: {reasons}. Measure the etalon again."
-    )
+    remark = f"The calibration profile is invalid, and was used by `rig.override`: {reasons}. Measure the etalon again."
     return Table("Measurement", ("What", "Value"), rows, remark=remark if reasons else "")
 
 

@@ -134,8 +134,6 @@ def _frame_uncertainties(
     for light, picture, scale in zip(clean, merged, scales, strict=True):
         shares = cell_sums(weights, picture.shares * np.abs(light))
         shares /= np.maximum(shares.sum(axis=0), 1e-300)
-        variances.append(
-            [np.einsum("fc,fg,gc->c", shares, covariance, shares) for covariance in (scale.reference, scale.filters)]
-        )
+        variances.append([np.einsum("fc,fg,gc->c", shares, part, shares) for part in (scale.reference, scale.filters)])
     reference_u, nd_u = np.sqrt(np.maximum(np.array(variances).swapaxes(0, 1), 0.0))
     return reference_u, nd_u

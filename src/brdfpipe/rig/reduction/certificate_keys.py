@@ -43,9 +43,7 @@ class CertificateKeys(Keys):
         le=1,
     )
     angles: list[
-        Annotated[
-            UncertainRatios | Ratios, Choice(lambda entry: 0 if isinstance(entry, list) and len(entry) > 2 else 1)
-        ]
+        Annotated[UncertainRatios | Ratios, Choice(lambda item: 0 if isinstance(item, list) and len(item) > 2 else 1)]
     ] = key(
         "BRDF against the angle from the normal: [angle in degree, ratio to 0 degree, relative standard uncertainty], "
         "[[0, 1], [30, 0.99, 0.002], [60, 0.95, 0.004]]; linear in between",

@@ -141,9 +141,7 @@ def _log_scale_ratio(profile: xr.Dataset, previous: xr.Dataset) -> Array:
         )
     # Each profile's scales refer to its first entrance, which may differ.
     entrance = float(shared[0])
-    now, before = (
-        dataset["cell_scale"] / dataset["path"].sel(incidence=entrance, drop=True) for dataset in (profile, previous)
-    )
+    now, before = (item["cell_scale"] / item["path"].sel(incidence=entrance, drop=True) for item in (profile, previous))
     return np.asarray(np.log(now.values / _on_grid_of(profile, before)))
 
 

@@ -77,9 +77,7 @@ def _derivative_weights(
     margin = int(_TRUNCATION * _SMOOTHING + 0.5) + 1
     starts = weights.indptr[filled]
     low = [np.minimum.reduceat(axis, starts) - margin if filled.size else axis for axis in (row, column)]
-    box = [
-        int((axis - least[cell]).max(initial=0)) + margin + 1 for axis, least in zip((row, column), low, strict=True)
-    ]
+    box = [int((at - least[cell]).max(initial=0)) + margin + 1 for at, least in zip((row, column), low, strict=True)]
     boxed = np.zeros((filled.size, *box))
     boxed[cell, row - low[0][cell], column - low[1][cell]] = weights.data
     y, x = (least[:, None] + np.arange(size) for least, size in zip(low, box, strict=True))

@@ -173,9 +173,7 @@ def _unusable_frames(frames: xr.Dataset, bracket: Bracket) -> Iterator[str]:
 
 def _without_reference(wavelengths: Array, scales: list[Scale]) -> Iterator[str]:
     """Wavelengths at which no frame shows the reference; :class:`ReductionError` if these are all."""
-    dark = [
-        f"{wavelength:g}" for wavelength, scale in zip(wavelengths, scales, strict=True) if not np.isfinite(scale.lamp)
-    ]
+    dark = [f"{nm:g}" for nm, scale in zip(wavelengths, scales, strict=True) if not np.isfinite(scale.lamp)]
     if len(dark) == len(scales):
         raise ReductionError(
             "the reference spot is out of range, or dark, in every frame; check that the lamp burns, and shorten or lengthen an exposure "

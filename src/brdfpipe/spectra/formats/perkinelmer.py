@@ -39,9 +39,7 @@ def _samples(path: Path, text: str) -> list[base.Sample]:
         raise InputError(
             path, "unsupported factor or offset", where="#GR", found=f"{scale:g}, {offset:g}", accepted="1 and 0"
         )
-    first, step = (
-        base.stated_number(path, what, cell) for what, cell in (("first nm", stated[4]), ("step", stated[5]))
-    )
+    first, step = (base.stated_number(path, key, cell) for key, cell in (("first nm", stated[4]), ("step", stated[5])))
     doubts: tuple[str, ...] = ()
     if wavelength.size and np.abs(wavelength - base.even_grid(first, step, wavelength.size)).max() > 0.5 * abs(step):
         doubts = (
