@@ -61,13 +61,11 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
     touched = {material for _, material in run.done}
     built_materials = [material.name for material in catalogue.materials if material.name not in failed_materials]
     verdicts = {} if dry_run else summary.read_verdicts(results, built_materials)
+    reasons = {name: f"{entry['stage']}: {entry['message']}" for name, entry in failed_materials.items()}
     return Summary(
         built=tuple(name for name in built_materials if name in touched),
         current=tuple(name for name in built_materials if name not in touched),
-        failures={
-            **catalogue.failures,
-            **{name: f"{entry['stage']}: {entry['message']}" for name, entry in failed_materials.items()},
-        },
+        failures={**catalogue.failures, **reasons},
         jobs=sum(rule != "all" for rule, _ in run.done),
         page=results / "index.html",
         seconds=time.perf_counter() - started,

@@ -67,7 +67,9 @@ class Pool:
                 outcome = worker.perform(job)
             except WorkerDied as death:
                 died = death
-                self._forget(worker)
+                with self._lock:
+                    self._workers.discard(worker)
+                worker.process.kill()
                 continue
             with self._lock:
                 self._idle.append(worker)
@@ -86,7 +88,7 @@ class Pool:
             workers = list(self._workers)
             self._idle.clear()
         for worker in workers:
-            worker.kill()
+            worker.process.kill()
 
     def _take(self) -> _Worker:
         with self._lock:
@@ -97,11 +99,6 @@ class Pool:
             worker = _Worker()
             self._workers.add(worker)
             return worker
-
-    def _forget(self, worker: _Worker) -> None:
-        with self._lock:
-            self._workers.discard(worker)
-        worker.kill()
 
 
 class _Worker:
@@ -126,9 +123,6 @@ class _Worker:
             self.process.join(timeout=10)
             raise WorkerDied(_cause(self.process.exitcode)) from error
         return outcome
-
-    def kill(self) -> None:
-        self.process.kill()
 
 
 _also_preloaded: set[str] = set()

@@ -115,6 +115,7 @@ class Pipeline:
         stages = [STAGES[rule.name] for rule in workflow.rules if rule.name in STAGES]
         with code.remember_parsed(Path(".snakemake", "code.json")):
             digests = {stage.name: code.digest(self._script(stage), also=stage.modules) for stage in stages}
+        owners = {"material": "{material}", "calibration": f"{CALIBRATIONS}.{{calibration}}"}
         for rule in workflow.rules:
             rule.log_modifier = workflow.modifier.path_modifier
             if rule.name not in STAGES:
@@ -122,9 +123,7 @@ class Pipeline:
                 continue
             stage = STAGES[rule.name]
             self._outputs[stage.name] = [strip_wildcard_constraints(str(pattern)) for pattern in rule.output]
-            owner = {"material": "{material}", "calibration": f"{CALIBRATIONS}.{{calibration}}"}.get(
-                stage.owner_kind, stage.owner_kind
-            )
+            owner = owners.get(stage.owner_kind, stage.owner_kind)
             rule.set_log(f"logs/{owner}/{stage.job_title}.log")
             rule.set_params(spec=self.spec(stage), code=digests[stage.name])
             rule.message = f"{stage.job_title} of {owner}".replace("{", "{wildcards.")

@@ -91,10 +91,8 @@ def perform(job: Job) -> Outcome:
             traceback.print_exc(file=log)
         outcome = Outcome(error, time.perf_counter() - wall, time.process_time() - cpu, _peak_memory(), damaged)
         for warning in caught:
-            print(
-                f"{warning.category.__name__}: {warning.message} ({Path(warning.filename).name}:{warning.lineno})",
-                file=log,
-            )
+            place = f"{Path(warning.filename).name}:{warning.lineno}"
+            print(f"{warning.category.__name__}: {warning.message} ({place})", file=log)
         print(f"{outcome.wall:.3f} s, {outcome.cpu:.3f} s of processor, at most {outcome.peak:.0f} MB", file=log)
     _record_time(job, outcome)
     return outcome

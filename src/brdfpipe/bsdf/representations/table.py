@@ -114,9 +114,7 @@ class Table(Representation):
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         response = xr.DataArray(weight, dims="wavelength")
-        fields = {
-            name: field @ response for name, field in self.dataset.data_vars.items() if "wavelength" in field.dims
-        }
+        fields = {name: data @ response for name, data in self.dataset.data_vars.items() if "wavelength" in data.dims}
         return vocabulary.label(self.dataset.drop_dims("wavelength").assign(fields), "bsdf")
 
     def _folded(self, names: Sequence[str], coordinates: Mapping[str, Array]) -> dict[str, Array]:
