@@ -155,18 +155,23 @@ def test_public_names_of_a_package_load_and_are_no_names_of_its_modules(package)
             assert statement.name in definitions(modules()[statement.module])
 
 
-def test_every_library_that_is_imported_is_declared():
+def test_the_libraries_that_are_imported_are_those_declared():
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    requirements = [*project["dependencies"], *itertools.chain(*project["optional-dependencies"].values())]
-    declared = {_distribution(re.match(r"[\w.-]+", requirement)[0]) for requirement in requirements}
+    runtime, optional = (
+        {_distribution(re.match(r"[\w.-]+", requirement)[0]) for requirement in requirements}
+        for requirements in (project["dependencies"], itertools.chain(*project["optional-dependencies"].values()))
+    )
     imported = {
         name.split(".")[0]
-        for path in modules().values()
+        for path in (*modules().values(), *SCRIPTS)
         for node in ast.walk(tree(path))
         for name in _absolute_imports(node)
     }
-    libraries = imported - sys.stdlib_module_names - {PACKAGE}
-    assert {_distribution(DISTRIBUTIONS.get(name, name)) for name in libraries} - declared == set()
+    libraries = {
+        _distribution(DISTRIBUTIONS.get(name, name)) for name in imported - sys.stdlib_module_names - {PACKAGE}
+    }
+    assert libraries - runtime - optional == set()
+    assert runtime - libraries == set()
 
 
 def _absolute_imports(node: ast.AST) -> list[str]:
