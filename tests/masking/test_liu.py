@@ -6,12 +6,14 @@ import mpmath
 import numpy as np
 import pytest
 import samples
+import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import k0e, k1e
 
 from brdfpipe import facets, hemisphere, masking, optics
 from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.errors import VocabularyError
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import half_vector, unit_vector
@@ -252,11 +254,15 @@ def test_the_attenuation_is_reciprocal_and_a_share(theta_i, theta_o, phi):
     assert attenuation(theta_o, phi, theta_i, 0.0, TABLES["ggx 0.2"]) == pytest.approx(forward, abs=1e-12)
 
 
+def liu_bsdf(sigma: float, n) -> xr.Dataset:
+    """Microfacet BSDF under Liu's attenuation; built with another masking, whose energy balance is faster."""
+    bsdf = microfacet.build(samples.beckmann(sigma * np.sqrt(2)), index=optics.refractive_index(n))
+    return bsdf.assign_attrs(masking="liu")
+
+
 def in_plane(sigma: float, n, theta_i: float, theta_o: float):
     """f_s, f_p and f of the microfacet BRDF under Liu's attenuation, in the plane of incidence, at one wavelength."""
-    # Built with another masking, whose energy balance is faster.
-    bsdf = microfacet.build(samples.beckmann(sigma * np.sqrt(2)), index=optics.refractive_index(n))
-    bsdf = bsdf.assign_attrs(masking="liu")
+    bsdf = liu_bsdf(sigma, n)
     matrix = bsdf.bsdf.mueller(theta_i, 10.0, theta_o, 190.0).values.reshape(-1, 4, 4)[0]
     return matrix[0, 0] + matrix[0, 1], matrix[0, 0] - matrix[0, 1], matrix[0, 0]
 
@@ -275,12 +281,21 @@ def test_the_brdf_of_polarised_light_has_the_reflectances_of_the_source():
 
 
 def test_a_metal_is_attenuated_by_the_modulus_of_its_amplitudes():
-    g = attenuation(50.0, 10.0, 70.0, 190.0, liu.LiuMasking.of(gaussian_marginal(0.5)))
-    cos_zeta = half_vector(50.0, 10.0, 70.0, 190.0).cos_zeta
-    found = in_plane(0.5, {"n": 0.2, "k": 3.4}, 50.0, 70.0)[0] / mirrors(0.5, 50.0, 10.0, 70.0, 190.0)
-    q = np.sqrt((0.2 + 3.4j) ** 2 - 1 + cos_zeta**2)
+    metal = {"n": 0.2, "k": 3.4}
+    bsdf, pair = liu_bsdf(0.5, metal), half_vector(50.0, 10.0, 70.0, 190.0)
+    surface, u = Microsurface.of(bsdf), pair.slope_squared
+    g = attenuation(50.0, 10.0, 70.0, 190.0, surface.liu)
+    mirror = surface.density(u) * (1 + u) ** 2 / (4 * pair.cos_i * pair.cos_o)
+    found = in_plane(0.5, metal, 50.0, 70.0)
+    q = np.sqrt((0.2 + 3.4j) ** 2 - 1 + pair.cos_zeta**2)
+    sin2 = 1 - pair.cos_zeta**2
+    r_s = (pair.cos_zeta - q) / (pair.cos_zeta + q)
+    r_p = r_s * (pair.cos_zeta * q - sin2) / (pair.cos_zeta * q + sin2)
+    assert found[:2] == pytest.approx([mirror * g * abs(r_s) ** 2, mirror * g * abs(r_p) ** 2], rel=1e-13)
+    unpolarised = bsdf.bsdf.evaluate(50.0, 10.0, 70.0, 190.0).values.ravel()[0]
+    assert unpolarised == pytest.approx((found[0] + found[1]) / 2, rel=1e-14)
     # The tabulated density is good to 1e-6 of its value.
-    assert found == pytest.approx(g * abs((cos_zeta - q) / (cos_zeta + q)) ** 2, rel=1e-6)
+    assert mirror == pytest.approx(mirrors(0.5, 50.0, 10.0, 70.0, 190.0), rel=1e-6)
 
 
 def test_the_attenuation_is_the_smaller_of_the_published_factors():
@@ -328,6 +343,23 @@ def test_the_angle_from_which_energy_is_not_conserved_is_named():
     assert "mirrors" not in str(liu.EnergyLimit(90.0, 1.0))
 
 
-def test_angles_below_the_horizon_are_refused():
-    with pytest.raises(VocabularyError, match="theta_o"):
-        masking.g2(facets.analytic("beckmann", 0.3), 10.0, 0.0, 100.0, 0.0, mode="liu")
+def test_directions_and_wavelengths_broadcast():
+    theta_o = np.linspace(0, 80, 5)
+    ggx = facets.analytic("ggx", 0.2)
+    found = masking.g2(ggx, 30.0, 0.0, theta_o, 170.0, mode="liu")
+    assert found.shape == (5,)
+    assert float(masking.g2(ggx, 30.0, 0.0, theta_o[3], 170.0, mode="liu")) == pytest.approx(float(found[3]), rel=1e-13)
+    n, k = ("wavelength", [1.5, 1.6, 0.3]), ("wavelength", [0.0, 0.0, 2.0])
+    metal = liu_bsdf(0.2, 1.6).assign_coords(wavelength=[400.0, 500.0, 700.0]).assign(n=n, k=k)
+    values = metal.bsdf.evaluate(30.0, 0.0, theta_o, 170.0)
+    assert values.sizes == {"direction": 5, "wavelength": 3}
+    alone = liu_bsdf(0.2, 1.6).bsdf.evaluate(30.0, 0.0, theta_o[3], 170.0).values.ravel()
+    assert alone == pytest.approx(values.values[3, 1:2], rel=1e-13)
+
+
+@pytest.mark.parametrize("angle", ["theta_i", "theta_o"])
+@pytest.mark.parametrize("theta", [-1.0, 91.0, 100.0, np.nan])
+def test_polar_angles_out_of_range_are_refused(angle, theta):
+    angles = {"theta_i": 10.0, "phi_i": 0.0, "theta_o": 10.0, "phi_o": 0.0, angle: theta}
+    with pytest.raises(VocabularyError, match=angle):
+        masking.g2(facets.analytic("beckmann", 0.3), **angles, mode="liu")
