@@ -383,8 +383,8 @@ LONG = CXF.replace(f" {RED[-1]}<", f" {RED[-1]}" + " 0.75" * 8 + "<")
 )
 def test_a_cxf_that_may_have_lost_values_is_warned_about(tmp_path: Path, text: str, message: str) -> None:
     # Its schema knows neither the number of values nor the end.
-    told = warnings(read(write(tmp_path, "a.cxf", text), sample="a"))
-    assert any(message in warning for warning in told), told
+    messages = warnings(read(write(tmp_path, "a.cxf", text), sample="a"))
+    assert any(message in warning for warning in messages), messages
 
 
 @pytest.mark.parametrize(
@@ -410,8 +410,8 @@ def test_a_cxf_may_hold_transmittances_beside_reflectances(tmp_path: Path) -> No
 
 def test_perkinelmer_wavelengths_that_are_not_those_of_the_header_are_warned_about(tmp_path: Path) -> None:
     assert warnings(read(write(tmp_path, "red.asc", pe()))) == []
-    told = warnings(read(write(tmp_path, "red.asc", pe().replace("\n700.0\r", "\n690.0\r"))))
-    assert "the header states wavelengths from 690 nm by -10 nm" in told[0]
+    messages = warnings(read(write(tmp_path, "red.asc", pe().replace("\n700.0\r", "\n690.0\r"))))
+    assert "the header states wavelengths from 690 nm by -10 nm" in messages[0]
 
 
 @pytest.mark.parametrize(

@@ -56,9 +56,9 @@ def test_numbers_of_unpacked_tables_may_have_exponents() -> None:
 )
 def test_labels_that_contradict_the_table_raise_a_doubt(label: str, stated: float, found: float) -> None:
     for value, doubts in ((found, 0), (stated, 1)):
-        ((*_, told),) = jcamp.blocks(Path("a.jdx"), document(FORMS["fix"], head=f"##{label}={value}\n"))
-        assert len(told) == doubts
-    assert f"##{label} states {stated}, the table has {found}" in told[0]
+        ((*_, warnings),) = jcamp.blocks(Path("a.jdx"), document(FORMS["fix"], head=f"##{label}={value}\n"))
+        assert len(warnings) == doubts
+    assert f"##{label} states {stated}, the table has {found}" in warnings[0]
 
 
 @pytest.mark.parametrize(

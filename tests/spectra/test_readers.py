@@ -74,10 +74,10 @@ def test_a_black_below_the_fresnel_reflectance_warns_that_the_specular_was_exclu
     shared_data: Path, index: float | None
 ) -> None:
     spec = {"file": "abs_black_3col.txt", "geometry": "sci", "scale": "fraction"}
-    told = " ".join(warnings(ingest(spec, shared_data / "spectra" / "abs_black_3col.txt", index)))
-    assert "the header says SCE" in told
-    assert f"specular reflectance of a smooth surface of index {index or 1.45:g}" in told
-    assert "set `spectrum.geometry: sce`" in told
+    messages = " ".join(warnings(ingest(spec, shared_data / "spectra" / "abs_black_3col.txt", index)))
+    assert "the header says SCE" in messages
+    assert f"specular reflectance of a smooth surface of index {index or 1.45:g}" in messages
+    assert "set `spectrum.geometry: sce`" in messages
 
 
 def test_the_same_black_with_the_specular_excluded_gives_no_warning(shared_data: Path) -> None:
@@ -113,9 +113,9 @@ def test_a_value_off_its_neighbours_is_warned_about_in_a_dark_sample_too(read) -
 
 
 def test_two_outliers_are_both_warned_about(read) -> None:
-    told = " ".join(warnings(read(rows(400, 700).replace("500;50", "500;60").replace("520;50", "520;40"))))
-    assert "at 500 nm differs" in told
-    assert "at 520 nm differs" in told
+    messages = " ".join(warnings(read(rows(400, 700).replace("500;50", "500;60").replace("520;50", "520;40"))))
+    assert "at 500 nm differs" in messages
+    assert "at 520 nm differs" in messages
 
 
 @pytest.mark.parametrize(("nm", "value"), [(400, "57"), (700, "42")])
@@ -175,9 +175,9 @@ def test_a_lost_row_and_a_mistyped_wavelength_are_warned_about(read) -> None:
 def test_the_number_of_rows_and_the_ends_that_a_header_states_are_compared(read) -> None:
     head = "Number of X Values: 31\nFirst X Value: 400\nLast X Value: 700\n"
     assert warnings(read(head + rows(400, 700))) == []
-    told = warnings(read(head + rows(400, 720)))
-    assert "the header states 31 rows, 33 were found" in told[0]
-    assert "the header states a last X of 700, 720 was found" in told[1]
+    messages = warnings(read(head + rows(400, 720)))
+    assert "the header states 31 rows, 33 were found" in messages[0]
+    assert "the header states a last X of 700, 720 was found" in messages[1]
 
 
 def test_a_number_cut_short_is_warned_about(read) -> None:

@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import samples
 import xarray as xr
 from PIL import Image
 from samples import beckmann_bsdf, spectrum
@@ -54,15 +53,15 @@ def test_a_lobe_narrower_than_a_pixel_keeps_its_peak() -> None:
     bsdf = beckmann_bsdf(1e-4)
     (figure,) = _maps(bsdf)
     exact = float(bsdf.bsdf.evaluate(45.0, 0.0, 45.0, 180.0, wavelength=[550.0]).squeeze())
-    told = re.search(r"largest ([\d.×⁰¹²³⁴⁵⁶⁷⁸⁹]+) sr", figure.note)
-    assert told is not None
-    mantissa, _, power = told[1].partition("×10")
+    match = re.search(r"largest ([\d.×⁰¹²³⁴⁵⁶⁷⁸⁹]+) sr", figure.note)
+    assert match is not None
+    mantissa, _, power = match[1].partition("×10")
     shown = float(mantissa) * 10 ** int(power.translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹", "0123456789")) or 0)
     assert shown == pytest.approx(exact, rel=5e-3)  # three digits
 
 
 def test_a_lay_gives_two_maps_and_marks_the_lay() -> None:
-    along, across = _maps(samples.brushed_bsdf(0.1, 0.4, 30.0))
+    along, across = _maps(microfacet.build(analytic("beckmann", a_x=0.1, a_y=0.4, azimuth=30.0), index=1.5))
     assert along.title.endswith("along the lay")
     assert across.title.endswith("across the lay")
     assert "The dashed line is the lay." in along.note
@@ -97,7 +96,7 @@ def test_a_black_material_has_no_map() -> None:
 
 
 def test_maps_and_cuts_agree_in_the_plane_of_incidence() -> None:
-    bsdf = samples.brushed_bsdf(0.1, 0.4, 30.0)
+    bsdf = microfacet.build(analytic("beckmann", a_x=0.1, a_y=0.4, azimuth=30.0), index=1.5)
     plane = bsdf_sections.planes(bsdf)[1]
     theta, cut = bsdf_sections.cut(bsdf, plane, 45.0)
     mapped = bsdf_sections.value(bsdf, plane, 45.0, np.abs(theta), np.where(theta < 0, 180.0, 0.0))
