@@ -183,7 +183,7 @@ def wavelengths(columns: Columns, *, key: str) -> tuple[Array, str]:
     if by_size is None or (unit is not None and unit != by_size):
         raise InputError(
             columns.file,
-            f"the first column is no wavelength in {'µm' if unit == 'um' else unit or 'nm or µm'}",
+            f"the first column does not hold wavelengths in {'µm' if unit == 'um' else unit or 'nm or µm'}",
             found=f"{low:g} to {high:g}",
             accepted="100 to 20000 nm or 0.1 to 20 µm, as the header says",
             key=key,
@@ -358,7 +358,7 @@ def _stated_unit(columns: Columns, key: str) -> str | None:
         if _NOT_A_WAVELENGTH.search(text):
             raise InputError(
                 columns.file,
-                "the first column is no wavelength",
+                "the first column does not hold wavelengths",
                 found=repr(_shorten(text)),
                 accepted="wavelengths in nm or µm",
                 key=key,

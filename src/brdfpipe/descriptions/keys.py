@@ -40,7 +40,7 @@ class Notes(NamedTuple):
     unit: str
     example: Any
     default_words: str
-    """The default in words, where it is no fixed value."""
+    """The default in words, if it is not a fixed value."""
     details: str
     """Further explanation, for the documentation alone. Markdown."""
     stage: str
@@ -66,7 +66,7 @@ def key(
     help : one line; messages, template, editor and documentation quote it. The template shows it up to the first semicolon
     required : whether the key must be given
     default : value of an absent key; ``None`` leaves it absent
-    default_words : the default in words, where it is no fixed value
+    default_words : the default in words, if it is not a fixed value
     unit : of the number, as ``nm`` or ``degree``
     example : value that the template shows where there is no default
     details : further sentences for the documentation alone
@@ -84,7 +84,7 @@ def notes_of(field: FieldInfo) -> Notes:
 
 
 class Keys(BaseModel):
-    """A block of keys. Unknown keys are refused, and values are never converted: ``yes`` is no number, 1 is no text."""
+    """A block of keys. Unknown keys are refused, and values are never converted: ``yes`` is not accepted as a number, nor 1 as text."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 

@@ -184,7 +184,7 @@ def _planned_cards(shot: Shot, plan: Plan) -> Cards:
         "WLBAND": (rig.slit, "spectral width [nm]"),
         "INCANG": (shot.arrangement.incidence, "entrance confirmed by the operator [degree]"),
         "NDTRANS": (rig.filter_at(shot.position).transmittance, "transmittance of the filter"),
-        "SAMPLEID": (plan.sample_id(shot.arrangement), "what lies in the holder"),
+        "SAMPLEID": (plan.sample_id(shot.arrangement), "object in the holder"),
         "SHOT": (shot.ordinal, "number in the plan"),
         "PURPOSE": (shot.purpose, "sample, etalon, target, dark or drift"),
         "SIDE": (shot.arrangement.side, "reflection or transmission"),

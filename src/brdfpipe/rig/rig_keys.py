@@ -169,7 +169,7 @@ class ScreenGeometry(Keys):
     """The screen in front of the camera."""
 
     focal_length: float = _length(
-        "focal length f of the lens; a direction ϑ from the mirror direction falls f tan ϑ from the centre of the disc",
+        "focal length f of the lens; a direction ϑ from the mirror direction is imaged at f tan ϑ from the centre of the disc",
         default=150,
     )
     disc_radius: float = _length("radius of the frosted disc; 26.4 at f = 150 is 10 degree", default=26.4)

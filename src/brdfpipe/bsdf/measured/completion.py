@@ -87,7 +87,7 @@ def complete(
     VocabularyError : not such datasets, or not of one rig and plan; a wavelength without a measurement at any incidence.
     """
     if normal not in NORMAL:
-        raise VocabularyError(f"unknown completion of normal incidence {normal!r}; known: {', '.join(NORMAL)}")
+        raise VocabularyError(f"unknown completion of normal incidence {normal!r}; accepted: {', '.join(NORMAL)}")
     sides = [_checked(smoothed, "reflection")]
     if transmitted is not None:
         sides.append(_checked(transmitted, "transmission"))

@@ -72,10 +72,10 @@ def _table_samples(
         raise InputError(path, "unknown scale", where="SPECTRAL_NORM", found=repr(norm)[:40], accepted="1 or 100")
     names = [fields.index(name) for name in ("SAMPLE_NAME", "SAMPLE_ID", "SAMPLE_LOC") if name in fields]
     samples = []
-    for place, start in enumerate(range(0, len(data), len(fields)), start=1):
+    for number, start in enumerate(range(0, len(data), len(fields)), start=1):
         row = data[start : start + len(fields)]
-        name, cells = row[names[0]] if names else str(place), [row[i] for i in bands]
-        samples.append(base.parsed_sample(path, f"set {place}", name, wavelength, cells, (scale,)))
+        name, cells = row[names[0]] if names else str(number), [row[i] for i in bands]
+        samples.append(base.parsed_sample(path, f"set {number}", name, wavelength, cells, (scale,)))
     return samples
 
 

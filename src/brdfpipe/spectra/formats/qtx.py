@@ -14,7 +14,7 @@ _GRID = ("REFLLOW", "REFLINTERVAL", "REFLPOINTS")
 def _samples(path: Path, text: str) -> list[base.Sample]:
     sections: list[dict[str, str]] = []
     last = ""
-    for place, line in enumerate(base.lines_of(text), start=1):
+    for number, line in enumerate(base.lines_of(text), start=1):
         line = line.strip()
         if line.startswith("["):
             sections.append({})
@@ -23,16 +23,16 @@ def _samples(path: Path, text: str) -> list[base.Sample]:
             last, _, value = line.partition("=")
             last = re.sub("^(?:STD|BAT)_", "", last.strip().upper())
             if last in ("NAME", "VIEWING", "R", *_GRID) and last in sections[-1]:
-                raise InputError(path, f"damaged: duplicate key {last} in a section", where=f"line {place}")
+                raise InputError(path, f"damaged: duplicate key {last} in a section", where=f"line {number}")
             sections[-1][last] = value.strip()
         elif line and sections and last == "R":
             sections[-1][last] += line
         elif line:
             raise InputError(
-                path, "the line is neither a section nor a key", where=f"line {place}", found=repr(line)[:60]
+                path, "the line is neither a section nor a key", where=f"line {number}", found=repr(line)[:60]
             )
     samples = []
-    for place, section in enumerate(sections, start=1):
+    for number, section in enumerate(sections, start=1):
         if "R" not in section and "REFLPOINTS" not in section:
             continue
         cells = [cell for cell in re.split(r"[,\s]+", section.get("R", "")) if cell]
@@ -40,9 +40,9 @@ def _samples(path: Path, text: str) -> list[base.Sample]:
         base.check_count(path, len(cells), points)
         wavelength = base.even_grid(low, step, len(cells))
         viewing = (f"viewing {section['VIEWING']}",) if "VIEWING" in section else ()
-        name, doubts = section.get("NAME", f"sample {place}"), base.doubt_of_end(wavelength, step)
+        name, doubts = section.get("NAME", f"sample {number}"), base.doubt_of_end(wavelength, step)
         header = (base.PERCENT, *viewing)
-        samples.append(base.parsed_sample(path, f"section {place}", name, wavelength, cells, header, doubts=doubts))
+        samples.append(base.parsed_sample(path, f"section {number}", name, wavelength, cells, header, doubts=doubts))
     return samples
 
 
