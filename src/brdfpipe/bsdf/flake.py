@@ -66,10 +66,9 @@ def build(
     Returns
     -------
     Dataset of kind ``bsdf``, representation ``flake``: ``flake_amplitude`` A, ``flake_decay`` B and ``flake_constant`` C for each
-        channel (on the scale of Y = 100) or wavelength; for colours, ``flake_spectrum(theta_f, wavelength)``, the spectrum of the
-        chromaticity at each flake angle, scaled to Y = 1; per geometry ``theta_f_measured``, ``delta_e_00`` of the fit and
-        ``leave_one_out``, and relative ``misfit`` and ``leave_one_out_misfit`` of each channel; ``reduced_chi_squared`` of each
-        channel, for more than three colours of known uncertainty
+        channel (on the scale of Y = 100) or wavelength; of colours ``flake_spectrum(theta_f, wavelength)``, scaled to Y = 1; per
+        geometry ``theta_f_measured``, ``delta_e_00`` of the fit, ``leave_one_out``, and the relative ``misfit`` and
+        ``leave_one_out_misfit`` of each channel; ``reduced_chi_squared``, for more than three colours of known uncertainty
 
     Raises
     ------
@@ -77,11 +76,9 @@ def build(
 
     Notes
     -----
-    A fit to three geometries is exact; to more it is by least squares, relative to the uncertainties if they are known, else to the
-    values. The uncertainties of A, B and C assume that the form is right, and neglect correlations between X, Y and Z. Below the
-    smallest measured flake angle, and above the largest, the reflection is extrapolated
-    (:meth:`brdfpipe.bsdf.representations.flake.Flake.quality`). The spectrum of colours has the smallest slope of its logarithm (LHTSS
-    far below 1); it reproduces the fitted X, Y and Z at every flake angle exactly, however bright.
+    ``docs/model.md`` describes the fit. The uncertainties of A, B and C assume that the form is right, and neglect correlations between
+    X, Y and Z. Below the smallest measured flake angle, and above the largest, the reflection is extrapolated
+    (:meth:`brdfpipe.bsdf.representations.flake.Flake.quality`).
     """
     vocabulary.validate(multiangle, "multiangle")
     coat, finish = _clear_coat(index, model, clear_coat)

@@ -70,20 +70,10 @@ class Marginal:
 class LiuMasking:
     """Share S(θ, α) of a facet that its neighbour leaves visible, from a table of one slope density; accurate to 1e-6.
 
-    A facet of tilt α is one side of a groove; the other side has the slope t = tan γ, drawn from the density q(t) of slopes
-    along the line of sight, and its length. Seen at θ it hides |cos(γ + θ)| / cos(θ − α) of the facet, at most all of it. With
-    μ = cot θ and a = tan α the published factor,
-
-        S = ∫_{−∞}^{μ} q dt + ∫_{μ}^{t_u} q [1 + cos(γ + θ) / cos(θ − α)] dt,    t_u = tan min(π − 2θ + α, π/2),
-
-    becomes S = 1 − E[min(1, κ (t − μ)⁺ / √(1 + t²))], κ = √(1 + a²) / (μ + a): the bracket vanishes exactly at t_u. Between μ
-    and t_u it is linear in three tails of the density, Q(t) = ∫_t^∞ q, A(t) = ∫_t^∞ q t/√(1 + t²) and B(t) = ∫_t^∞ q/√(1 + t²):
-
-        S = 1 − Q(t_u) − κ [A(μ) − A(t_u) − μ (B(μ) − B(t_u))],
-
-    so that one table over t serves every pair (θ, α). The derivatives of the tails are known: the table is a cubic Hermite
-    spline. Where the facet is seen nearly edge-on, κ grows without limit and the bracket loses its digits; there t_u is close to
-    μ, q does not change in between, and what is hidden is half of the facets between them.
+    With μ = cot θ, a = tan α and the slope t of the neighbour, of density q(t), S = 1 − E[min(1, κ (t − μ)⁺ / √(1 + t²))],
+    κ = √(1 + a²) / (μ + a). Three tails of the density are tabulated, Q(t) = ∫_t^∞ q, A(t) = ∫_t^∞ q t/√(1 + t²) and
+    B(t) = ∫_t^∞ q/√(1 + t²): S = 1 − Q(t_u) − κ [A(μ) − A(t_u) − μ (B(μ) − B(t_u))], t_u = tan(π − 2θ + α). Where a facet is seen
+    nearly edge-on, the bracket loses its digits; there t_u ≈ μ and q is constant, so half of the facets between them are hidden.
 
     S does not vanish at grazing, where it stays above ½: the BRDF diverges as 1/cos θ.
 

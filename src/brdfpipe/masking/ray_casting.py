@@ -21,11 +21,14 @@ from brdfpipe.geometry import Array, check_angles
 from brdfpipe.masking.visibility import g1 as smith_g1
 
 THETA_MAX = 89.99
+"""Largest polar angle of a ray [degree]."""
 THETA_COMPARED = (0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0)
+"""Polar angles of :func:`compare` [degree]."""
 LEAST_POINTS = 32
+"""Heights of the shortest piece of a line that is used."""
 
-_GROUPS = 32
-_BLOCK_SAMPLES = 2**17
+_GROUPS = 32  # groups of lines whose scatter is the uncertainty
+_BLOCK_SAMPLES = 2**17  # heights that are processed at once
 
 
 class RaycastError(BrdfpipeError):
@@ -55,25 +58,8 @@ def raycast(surface: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0, *, line
 
     Notes
     -----
-    The mean slope of every line is removed, and the line is continued periodically. Its ends then meet, no facet is added or
-    lost, and the mean G1 equals 1/(1 + Λ) of the slopes used, for any heights. The bistatic G2 has no such identity; it tests
-    Smith's assumption.
-
-    Azimuths 0, 90, 180 and 270 follow the rows and columns of the map and are exact. Any other follows lines that cross one
-    column (or row, whichever is the steeper turn) a step, their heights interpolated linearly between the two nearest samples.
-    That smooths: the height variance of white noise falls by a third, that of structure ten samples long very little. Steps are
-    longer than along the rows, √2 pitches at 45 degree on equal pitches. If slopes still increase towards one pixel, such a
-    line has smaller slopes than the facets of its cells (for white noise, 1/√2 of their rms), and its G1 is too high.
-
-    A line is split at missing heights. Every piece is levelled and continued periodically by itself; pieces of fewer than 32
-    heights are left out. G1 is therefore too high: missing slopes, probably the steepest, do not contribute to Λ, nor does
-    waviness longer than a piece.
-
-    The standard uncertainty is that of the ratio over 32 groups of neighbouring lines (of a line profile: stretches of
-    it), which holds where a group is wider than the correlation length. It describes how well this area represents the
-    whole surface.
-
-    A map is processed a few lines at a time, in constant memory; a line profile as a whole, in eight times its memory.
+    Exact at azimuths 0, 90, 180 and 270. At any other, heights are interpolated linearly on lines that cross one column (or row) a
+    step, along the axis closer to the azimuth. ``docs/model.md`` states the method, its errors and the meaning of ``g1_u``.
 
     References
     ----------

@@ -49,31 +49,25 @@ def recover(
     ----------
     lab : (3,) CIE 1976 L*, a*, b*; 0 <= L* <= 100
     illuminant, observer : of the colour, see :func:`brdfpipe.spectra.colorimetry.weights`
-    method : ``lhtss``, least hyperbolic tangent slope squared; or a mixture of four basis spectra: ``basis4``, in closed form,
-        ``random4`` and ``adaptive4``, by random search (:func:`brdfpipe.spectra.recovery_methods.random_search.search`)
+    method : a name of :data:`METHODS`: ``lhtss``, the smoothest; or a mixture of four basis spectra, ``basis4`` in closed form,
+        ``random4`` and ``adaptive4`` by :func:`brdfpipe.spectra.recovery_methods.random_search.search`
     threshold, seed : of a search: ΔE*ab at which it ends, and of its random numbers
-    specular_index : if given, a number or a dataset of kind ``index``: the colour includes the specular reflection of a smooth
-        surface of this index, and the spectrum stays at or above its Fresnel reflectance, wavelength by wavelength
+    specular_index : a number or a dataset of kind ``index``, if the colour includes the specular reflection of a smooth surface;
+        the spectrum then stays at or above its Fresnel reflectance
     theta : degree, incidence of the measurement
-    geometry : ``sci`` or ``sce``, recorded; by default ``sci``
+    geometry : ``sci`` (default) or ``sce``, recorded
     checkpoint, progress : of a search: the file it resumes from, and whether to show a progress bar
 
     Returns
     -------
-    Dataset of kind ``spectrum`` on 360 to 780 nm by 5; attributes ``geometry``, ``theta_i``, ``method``, ``residual_delta_e`` (ΔE*ab of
-    the spectrum to ``lab``), ``illuminant``, ``observer`` and, if given, ``specular_index`` (at 589.3 nm). Where the other exact
-    method, ``basis4`` or ``lhtss``, reaches the colour too, ``metamerism_<light>`` is ΔE00 to its spectrum under each of
-    :data:`LIGHTS`
+    Dataset of kind ``spectrum`` on 360 to 780 nm by 5; attributes ``geometry``, ``theta_i``, ``method``, ``residual_delta_e`` (ΔE*ab to
+    ``lab``), ``illuminant``, ``observer``, ``specular_index`` (at 589.3 nm) if given, and ``metamerism_<light>``: ΔE00 under each of
+    :data:`LIGHTS` to the spectrum of the other exact method, if that reaches the colour
 
     Raises
     ------
     InputError : not a colour; a colour that no reflectance or no mixture has (with the nearest possible colour); or one darker
         than the specular reflection that it includes.
-
-    Notes
-    -----
-    r = R_s + (1 − R_s) r′ with R_s = F(θ, n(λ)); r′ is the smoothest whose XYZ under the weights (1 − R_s) W are those of the
-    colour less R_s W. L* = 0 and L* = 100 without chroma are 0 and 1 at every wavelength, the limits that atanh does not reach.
 
     References
     ----------
