@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from brdfpipe.catalogue.material_keys import Colour, MeasuredSpectrum
 from brdfpipe.errors import InputError
 from brdfpipe.optics import fresnel, interpolate_index, refractive_index
 from brdfpipe.spectra import ingest
@@ -56,8 +58,8 @@ def test_the_geometry_of_the_file_is_used_if_the_description_has_none(tmp_path: 
     rows = "".join(f"{nm} 0.5\n" for nm in range(400, 701, 10))
     path = tmp_path / "r.txt"
     path.write_text("# specular included\n" + rows, encoding="ascii")
-    told = ingest({"file": "r.txt", "scale": "fraction"}, path)
-    assert (told.attrs["geometry"], told.attrs["theta_i"]) == ("sci", 8)
+    spectrum = ingest({"file": "r.txt", "scale": "fraction"}, path)
+    assert (spectrum.attrs["geometry"], spectrum.attrs["theta_i"]) == ("sci", 8)
     path.write_text(rows, encoding="ascii")
     with pytest.raises(InputError, match="specular reflection included or excluded: not stated") as refusal:
         ingest({"file": "r.txt", "scale": "fraction"}, path)
@@ -111,6 +113,12 @@ def test_the_method_its_threshold_and_seed_reach_the_search(tmp_path: Path) -> N
 def test_a_gloss_trap_needs_a_reflectance_with_the_specular_excluded() -> None:
     spec = {"lab": [50, 0, 0], "illuminant": "D65", "observer": 10, "geometry": "sce", "specular_trap": 3}
     assert ingest(spec).attrs["specular_trap"] == 3.0
-    for bad in ({"geometry": "sci"}, {"specular_trap": 0}, {"specular_trap": True}):
-        with pytest.raises(InputError, match=r"spectrum\.specular_trap"):
-            ingest({**spec, **bad})
+    with pytest.raises(InputError, match=r"needs a reflectance with the specular excluded.*spectrum\.specular_trap"):
+        ingest({**spec, "geometry": "sci"})
+
+
+@pytest.mark.parametrize("angle", [0, True, 90.1, -1])
+@pytest.mark.parametrize(("keys", "source"), [(MeasuredSpectrum, {"file": "r.txt"}), (Colour, LAB)])
+def test_the_half_angle_of_a_gloss_trap_is_checked_with_the_keys(keys: Any, source: Any, angle: Any) -> None:
+    with pytest.raises(ValidationError, match="specular_trap"):
+        keys.model_validate({**source, "geometry": "sce", "specular_trap": angle})

@@ -26,7 +26,7 @@ def profile(tmp_path: Path, line: xr.Dataset) -> Path:
 
 
 def test_the_stage_reads_and_levels_as_the_material_says(profile: Path) -> None:
-    spec = {"file": "profile.txt", "unit": "um", "pitch": 0.25, "isotropic": True}
+    spec = {"file": "profile.txt", "unit": "um", "pitch": 0.25}
     assert ingest(profile, spec).attrs["levelling"] == "plane"
     assert ingest(profile, {**spec, "form": "none"}).attrs["levelling"] == "none"
 
@@ -45,7 +45,7 @@ def test_the_band_is_stated_in_words(tmp_path: Path, profile: Path, asymmetric: 
 
 
 def test_an_unknown_form_names_its_key(profile: Path) -> None:
-    with pytest.raises(InputError, match=r"form 'sphere'; accepted: none, plane.*`surface\.form`"):
+    with pytest.raises(InputError, match=r"form 'sphere'; accepted: plane, polynomial-2.*`surface\.form`"):
         ingest(profile, {"unit": "um", "pitch": 0.25, "form": "sphere"})
 
 

@@ -69,9 +69,9 @@ def _trap_attribute(trap: float | None, geometry: str) -> dict[str, float]:
     """Half angle of the gloss trap [degree], as an attribute; empty if none is given."""
     if trap is None:
         return {}
-    if isinstance(trap, bool) or not 0 < trap <= 90 or geometry != "sce":
-        found, accepted = f"{trap!r} with geometry {geometry}"[:60], "0 < degree <= 90, with geometry sce"
-        raise _refusal("invalid half angle of the gloss trap", found, accepted, "spectrum.specular_trap")
+    if geometry != "sce":
+        problem = "a gloss trap needs a reflectance with the specular excluded"
+        raise _refusal(problem, f"geometry {geometry}", "geometry sce", "spectrum.specular_trap")
     return {"specular_trap": float(trap)}
 
 

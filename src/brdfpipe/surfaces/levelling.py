@@ -18,7 +18,8 @@ from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
 from brdfpipe.vocabulary import add_history, validate
 
-FORMS = ("none", "plane", "polynomial-2", "cylinder")
+FORMS = ("plane", "polynomial-2", "cylinder", "none")
+"""Forms of :func:`level`; the first one is the default."""
 
 _DEGREE = {"plane": 1, "polynomial-2": 2, "cylinder": 2}
 _NAMES = {"plane": "plane", "polynomial-2": "polynomial of degree 2", "cylinder": "parabolic cylinder"}
@@ -39,7 +40,7 @@ class _Sums(NamedTuple):
     scales: list[float]
 
 
-def level(surface: xr.Dataset, form: str = "plane") -> xr.Dataset:
+def level(surface: xr.Dataset, form: str = FORMS[0]) -> xr.Dataset:
     """Subtract the least-squares form from a surface.
 
     Parameters

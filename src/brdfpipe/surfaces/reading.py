@@ -14,7 +14,7 @@ from brdfpipe.file_formats import format_of
 from brdfpipe.surfaces import arrays, instruments, text, x3p
 from brdfpipe.surfaces.filtering import high_pass, low_pass
 from brdfpipe.surfaces.heights import SurfaceFormat, examine, surface_dataset
-from brdfpipe.surfaces.levelling import level
+from brdfpipe.surfaces.levelling import FORMS, level
 
 FORMATS: dict[str, SurfaceFormat] = {
     known.name: known for module in (text, x3p, arrays, instruments) for known in module.FORMATS
@@ -68,8 +68,8 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
     ----------
     path : the file that ``spec["file"]`` names, resolved
     spec : ``format`` and the reading options of :func:`read_surface`; ``form`` to level by (default plane); ``lambda_s`` and
-        ``lambda_c``, cutoffs [um] of a low-pass and a high-pass filter (default none); ``azimuth`` [degree] of a line profile. Keys of
-        other stages (``isotropic``, ``method``, ``scans``) have no effect
+        ``lambda_c``, cutoffs [um] of a low-pass and a high-pass filter (default none); ``azimuth`` [degree] of a line profile;
+        ``file`` has no effect
 
     Returns
     -------
@@ -80,32 +80,20 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
     InputError : as :func:`read_surface`, also for an unknown key; an unknown form, or one that the heights do not determine; a cutoff
         out of range; an azimuth of a map.
     """
-    return _ingested(Path(path), **spec)
-
-
-def _ingested(
-    path: Path,
-    *,
-    file: str | None = None,
-    format: str | None = None,
-    form: str | None = None,
-    lambda_s: float | None = None,
-    lambda_c: float | None = None,
-    azimuth: float | None = None,
-    isotropic: bool | None = None,
-    method: str | None = None,
-    scans: Any = None,
-    **options: Any,
-) -> xr.Dataset:
-    surface = read_surface(path, format, **options)
-    steps: list[tuple[str, Callable[[xr.Dataset, Any], xr.Dataset], Any]] = [
-        ("form", level, form or "plane"),
-        ("lambda_s", low_pass, lambda_s),
-        ("lambda_c", high_pass, lambda_c),
-    ]
-    for key, step, value in steps:
+    path, options = Path(path), dict(spec)
+    options.pop("file", None)
+    azimuth = options.pop("azimuth", None)
+    steps: dict[str, Callable[[xr.Dataset, Any], xr.Dataset]] = {
+        "form": level,
+        "lambda_s": low_pass,
+        "lambda_c": high_pass,
+    }
+    values = {key: options.pop(key, None) for key in steps}
+    values["form"] = values["form"] or FORMS[0]
+    surface = read_surface(path, **options)
+    for key, step in steps.items():
         try:
-            surface = surface if value is None else step(surface, value)
+            surface = surface if values[key] is None else step(surface, values[key])
         except BrdfpipeError as error:
             raise InputError(path, str(error), key=f"surface.{key}") from error
     if azimuth is None:
