@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from brdfpipe.catalogue.calibration_keys import EmulatedCalibration
 from brdfpipe.catalogue.material import ROUTES
 from brdfpipe.catalogue.material_keys import (
-    MODEL_DEFAULTS,
     BeckmannSurface,
     EmulatedRig,
     FlatSurface,
@@ -24,6 +23,7 @@ from brdfpipe.catalogue.material_keys import (
     MultiangleFile,
 )
 from brdfpipe.exchange.registry import FORMATS, Format
+from brdfpipe.masking.modes import MODEL_DEFAULTS
 
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration

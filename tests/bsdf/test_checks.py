@@ -12,8 +12,9 @@ import synthetic
 from brdfpipe import facets
 from brdfpipe.bsdf import lambert_gauss, microfacet
 from brdfpipe.bsdf.base import QUADRATURE_ACCURACY, Representation
-from brdfpipe.bsdf.microfacet.microsurface import MASKINGS, NOT_PHYSICAL
+from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL
 from brdfpipe.bsdf.representations.microfacet import Microfacet
+from brdfpipe.masking.modes import MODES
 
 
 def verdicts(bsdf):
@@ -248,4 +249,4 @@ def test_a_negative_albedo_fails(monkeypatch):
 
 
 def test_every_unphysical_masking_is_a_known_masking():
-    assert set(NOT_PHYSICAL) < set(MASKINGS)
+    assert set(NOT_PHYSICAL) < set(MODES["masking"])

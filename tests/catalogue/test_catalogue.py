@@ -14,7 +14,7 @@ from brdfpipe.catalogue import material_keys
 from brdfpipe.catalogue.config_keys import Config
 from brdfpipe.comparison.measured_predicted import PRIOR_U
 from brdfpipe.descriptions import reading
-from brdfpipe.descriptions.keys import Keys
+from brdfpipe.descriptions.keys import Keys, case_folded
 from brdfpipe.errors import InputError
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
@@ -115,7 +115,7 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         ),
         (
             FRONT + "slab: {thickness: 1}\nmodel: {masking: blinn}",
-            "model.masking: this masking does not conserve energy where",
+            "model.masking: this masking is not defined where light passes",
         ),
         (FRONT + "slab: {thickness: 1}\nmodel: {recipe: crf}", "found 'crf'; accepted: height-correlated, separable"),
         (FRONT + "slab: {thickness: 1}\nmodel: {diffuse: coupled}", "model.diffuse: a clear body has no diffuse base"),
@@ -134,7 +134,7 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         (COLOUR + "model: {recipe: crf, masking: crf}", "either `recipe` or `masking`$"),
         (
             COLOUR + "model: {multiple_scattering: compensated, masking: blinn}",
-            "model.masking: `multiple_scattering: compensated` needs a masking that conserves energy; found 'blinn'",
+            "model.masking: `multiple_scattering: compensated` needs one of Smith's maskings; found 'blinn'",
         ),
         (COLOUR + "exports: [zemax]", "exports.0"),
         (COLOUR + "name: a b", "name"),
@@ -204,21 +204,47 @@ def choices(model: type[Keys], key: str) -> set[str | int]:
 
 
 def test_the_keys_offer_what_the_model_has() -> None:
-    from brdfpipe.bsdf.microfacet import builder, microsurface
-    from brdfpipe.bsdf.slab import builder as slab
-    from brdfpipe.optics.interior import PER_MM
+    from brdfpipe.bsdf.microfacet import transmission
+    from brdfpipe.masking import modes
+    from brdfpipe.masking.visibility import VISIBILITY
 
     offered = {key: choices(material_keys.Model, key) for key in material_keys.Model.declared_keys()}
     assert offered == {
-        "masking": set(microsurface.MASKINGS),
-        "diffuse": set(builder.DIFFUSE_MODES),
-        "multiple_scattering": set(builder.MULTIPLE_SCATTERING_MODES),
-        "recipe": set(builder.RECIPES),
+        "masking": {*VISIBILITY, "liu"},
+        "diffuse": set(modes.MODES["diffuse"]),
+        "multiple_scattering": set(modes.MODES["multiple_scattering"]),
+        "recipe": set(modes.RECIPES),
     }
-    assert choices(material_keys.AbsorptionFile, "unit") == set(PER_MM)
-    recipes = {name: recipe["masking"] for name, recipe in builder.RECIPES.items()}
-    assert recipes == material_keys.RECIPE_MASKING
-    assert slab.MASKING == material_keys.TRANSMITTING_MASKING
+    assert set(modes.SMITH_MASKINGS) == set(transmission.MASKING)
+    assert all(recipe[key] in modes.MODES[key] for recipe in modes.RECIPES.values() for key in modes.MODES)
+
+
+def test_the_keys_offer_the_words_of_their_stages() -> None:
+    from brdfpipe.bsdf import flake
+    from brdfpipe.bsdf.measured import smoothing
+    from brdfpipe.facets import line_profiles
+    from brdfpipe.flakes.forms import FORMS as FLAKE_FORMS
+    from brdfpipe.optics.interior import PER_MM
+    from brdfpipe.spectra import recovery
+    from brdfpipe.spectra.recovery_methods import random_search
+    from brdfpipe.surfaces import levelling, text, units
+
+    for model, key, words in (
+        (material_keys.MeasuredSurface, "layout", text.LAYOUTS),
+        (material_keys.MeasuredSurface, "form", levelling.FORMS),
+        (material_keys.MeasuredSurface, "method", line_profiles.METHODS),
+        (material_keys.AbsorptionFile, "unit", PER_MM),
+        (material_keys.Colour, "method", recovery.METHODS),
+        (material_keys.MultiangleFile, "form", FLAKE_FORMS),
+        (material_keys.MultiangleFile, "model", flake.MODELS),
+        (material_keys.Smoothing, "mode", smoothing.MODES),
+    ):
+        assert tuple(reading.declared(model, [key]).choices) == tuple(words), key
+    assert {case_folded(unit) for unit in units.UNITS} == set(material_keys.UNITS)
+    assert material_keys.SEARCHES == random_search.SEARCHES
+    assert material_keys.MeasuredSurface.default_of("form") == levelling.FORMS[0]
+    assert material_keys.MultiangleFile.default_of("model") == flake.MODELS[0]
+    assert material_keys.Smoothing.default_of("mode") == smoothing.MODES[0]
 
 
 def test_an_unknown_illuminant_is_refused_before_a_build(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from brdfpipe.catalogue import calibration_keys, material_keys
 from brdfpipe.catalogue.config_keys import Config
 from brdfpipe.descriptions import rendering
 from brdfpipe.file_formats import FileFormat
+from brdfpipe.masking.modes import MODEL_DEFAULTS
 from brdfpipe.rig.plan_keys import PlanKeys
 from brdfpipe.rig.reduction.certificate_keys import CertificateKeys
 from brdfpipe.rig.rig_keys import RigKeys
@@ -85,7 +86,7 @@ slab: {{thickness: 2, internal_transmittance: 0.95, back: same}}
 slab: {{thickness: 2, absorption: {{file: absorption.txt, unit: 1/mm}}}}
 
 # How the reflection is modelled, where the defaults do not fit; docs/model.md says what each choice breaks.
-model: {rendering.flow(material_keys.MODEL_DEFAULTS)}
+model: {rendering.flow(MODEL_DEFAULTS)}
 
 model: {{recipe: crf}}
 

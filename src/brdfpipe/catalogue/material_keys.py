@@ -1,6 +1,7 @@
 """The keys of ``material.yaml``.
 
-To add a key, declare it here in its block and read it in the stage. A block with keys of several stages names the stage of each.
+To add a key, declare it here in its block and read it in the stage. Words of a stage are repeated where its module takes long to import;
+tests compare them. A block with keys of several stages names the stage of each.
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,15 +24,7 @@ from brdfpipe.descriptions.keys import (
 )
 from brdfpipe.errors import InputError
 from brdfpipe.exchange.registry import FORMATS
-
-TRANSMITTING_MASKING = ("height-correlated", "separable")
-"""Values of ``model.masking`` that conserve energy where light passes a surface."""
-
-MODEL_DEFAULTS = {"masking": "height-correlated", "diffuse": "coupled", "multiple_scattering": "none"}
-"""Values of ``model`` where it gives neither the key nor a recipe."""
-
-RECIPE_MASKING = {"crf": "crf"}
-"""Value of ``model.masking`` that a recipe implies."""
+from brdfpipe.masking.modes import MODEL_DEFAULTS, MODES, RECIPES, SMITH_MASKINGS
 
 EXPORT_WORDS = "; ".join(f"{name}: {format.description}" for name, format in FORMATS.items())
 
@@ -390,13 +383,11 @@ class Colour(Keys):
 
     @model_validator(mode="after")
     def _check_search_keys(self) -> Self:
-        method = self.method or "lhtss"
-        if method not in SEARCHES:
-            for name in ("seed", "threshold"):
-                if getattr(self, name) is not None:
-                    problem = f"no effect, because `method: {method}` does not search"
-                    accepted = f"`{name}` with `method: random4` or `adaptive4`; leave it out otherwise"
-                    raise InputError("", problem, where=name, found=getattr(self, name), accepted=accepted)
+        for name in ("seed", "threshold"):
+            if (value := getattr(self, name)) is not None and self.method not in SEARCHES:
+                problem = f"no effect, because `method: {self.method or 'lhtss'}` does not search"
+                accepted = f"`{name}` with `method: {'` or `'.join(SEARCHES)}`; leave it out otherwise"
+                raise InputError("", problem, where=name, found=value, accepted=accepted)
         return self
 
 
@@ -573,34 +564,34 @@ class Model(Keys):
 
     not_together = (("recipe", "masking"), ("recipe", "diffuse"), ("recipe", "multiple_scattering"))
 
-    masking: Annotated[str, OneOf((*TRANSMITTING_MASKING, "blinn", "liu", "crf", "none"))] = key(
+    masking: Annotated[str, OneOf(MODES["masking"])] = key(
         "masking and shadowing of facets by their neighbours: height-correlated, separable, blinn, liu, crf or none",
         default_words=f"`{MODEL_DEFAULTS['masking']}`",
         details="See [modes](model.md#modes-and-what-they-break).",
     )
-    diffuse: Annotated[str, OneOf(("coupled", "crf", "none"))] = key(
+    diffuse: Annotated[str, OneOf(MODES["diffuse"])] = key(
         "the diffuse part: coupled to the facets' transmission, crf (the patent's) or none",
         default_words=f"`{MODEL_DEFAULTS['diffuse']}`",
     )
-    multiple_scattering: Annotated[str, OneOf(("none", "compensated"))] = key(
+    multiple_scattering: Annotated[str, OneOf(MODES["multiple_scattering"])] = key(
         "light reflected by more than one facet: none (lost) or compensated (given back as diffuse light)",
         default_words=f"`{MODEL_DEFAULTS['multiple_scattering']}`",
     )
-    recipe: Annotated[str, OneOf(tuple(RECIPE_MASKING))] = key(
+    recipe: Annotated[str, OneOf(tuple(RECIPES))] = key(
         "all choices of a source together, instead of the other keys: crf (patent US 9,395,299)"
     )
 
     @property
     def effective_masking(self) -> str:
         """The masking that the keys, the recipe or the default give."""
-        return self.masking or RECIPE_MASKING.get(self.recipe or "", MODEL_DEFAULTS["masking"])
+        return self.masking or RECIPES.get(self.recipe or "", MODEL_DEFAULTS)["masking"]
 
     @model_validator(mode="after")
     def _check_compensation(self) -> Self:
         masking = self.effective_masking
-        if self.multiple_scattering == "compensated" and masking not in TRANSMITTING_MASKING:
-            problem = "`multiple_scattering: compensated` needs a masking that conserves energy"
-            accepted = "height-correlated or separable, or `multiple_scattering: none`"
+        if self.multiple_scattering == "compensated" and masking not in SMITH_MASKINGS:
+            problem = "`multiple_scattering: compensated` needs one of Smith's maskings"
+            accepted = f"{' or '.join(SMITH_MASKINGS)}, or `multiple_scattering: none`"
             raise InputError("", problem, where="masking", found=repr(masking), accepted=accepted)
         return self
 
@@ -660,10 +651,10 @@ class Material(Keys):
                 "`slab` with `internal_transmittance` or `absorption`; or `spectrum` without `slab`, for an opaque body"
             )
             raise InputError("", problem, accepted=accepted)
-        if self.model.effective_masking not in TRANSMITTING_MASKING:
+        if self.model.effective_masking not in SMITH_MASKINGS:
             problem, accepted = (
-                "this masking does not conserve energy where light passes a surface",
-                ", ".join(TRANSMITTING_MASKING),
+                "this masking is not defined where light passes a surface",
+                ", ".join(SMITH_MASKINGS),
             )
             masking = repr(self.model.recipe or self.model.masking)
             raise InputError("", problem, where="model.masking", found=masking, accepted=accepted)

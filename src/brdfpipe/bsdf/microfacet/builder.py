@@ -15,21 +15,15 @@ import xarray as xr
 
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.microfacet import energy, transmission
-from brdfpipe.bsdf.microfacet.microsurface import MASKINGS, NOT_PHYSICAL, Microsurface, ModelError
+from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface, ModelError
 from brdfpipe.bsdf.microfacet.model import CRF_DIFFUSE_SHARE, Model, diffuse_for, total_reflectance_at, with_albedo
 from brdfpipe.bsdf.representations.microfacet import Microfacet, Smooth
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.masking.liu import energy_limit
+from brdfpipe.masking.modes import MODEL_DEFAULTS, MODES, RECIPES, SMITH_MASKINGS
 from brdfpipe.optics.index import interpolate_index, refractive_index
-
-DIFFUSE_MODES = ("coupled", "crf", "none")
-
-MULTIPLE_SCATTERING_MODES = ("none", "compensated")
-
-RECIPES = {"crf": {"masking": "crf", "diffuse": "crf", "multiple_scattering": "none"}}
-"""Modes of one source, by its name."""
 
 SPECULAR_TRAP = 5.0
 """Half angle of the gloss trap of a sphere instrument, unless the spectrum says otherwise [degree]."""
@@ -53,14 +47,10 @@ def build(
     ----------
     facets : kind ``facets``, isotropic, with a lay, or perfectly flat (:func:`brdfpipe.facets.flat`)
     index : kind ``index``, a number or a plastic's name; the refractive index of the body relative to air. A metal has k > 0
-    spectrum : kind ``spectrum``; the total reflectance at incidence ``theta_i``, specular included (``sci``), or excluded
-        (``sce``): then the light that the facets mirror into the instrument's gloss trap, a cone of half angle ``specular_trap``
-        (attribute, 5 degree by default) about the mirror direction, is added. Without a spectrum there is no diffuse part
-    masking : one of :data:`brdfpipe.bsdf.microfacet.microsurface.MASKINGS`; ``height-correlated`` by default
-    diffuse : ``coupled`` (default), ``crf`` (the patent's: R minus the facets' share, with the masking of a flat distribution)
-        or ``none``
-    multiple_scattering : ``none`` (default): light that leaves the facets after a second reflection is lost, as in the plain
-        model; ``compensated``: it is returned diffusely, multiplied once more by the mean reflectance of the facets
+    spectrum : kind ``spectrum``; the total reflectance at incidence ``theta_i``, specular included (``sci``), or excluded (``sce``)
+        by a gloss trap of half angle ``specular_trap`` (attribute, 5 degree by default); the light that the facets mirror into
+        the trap is then added. Without a spectrum there is no diffuse part
+    masking, diffuse, multiple_scattering : names of :data:`brdfpipe.masking.modes.MODES`; the first of each is the default
     recipe : ``crf`` sets the patent's modes together; other given modes must agree
     isotropic : average a surface with a lay over azimuth, with a warning
     transparent : the interface of a clear body, with light on the other side too (θ > 90 degree)
@@ -77,11 +67,7 @@ def build(
 
     Notes
     -----
-    f = SC + d′ (1 − E(θ_i)) (1 − E(θ_o)) / [π (1 − Ē)] with SC = D F G2 / (4 cos θ_i cos θ_o), D from the measured slope density and
-    G2 from the same density; E the directional albedo of SC, Ē = 2 ∫ E μ dμ and d′ = (R − E(θ_m)) / (1 − E(θ_m)). So the total
-    reflectance at θ_m is the measured R. Where R < E(θ_m), d′ is clamped at 0, flagged, and a warning names the wavelengths.
-    Compensated, SC also holds F_ms (1 − E₁(θ_i)) (1 − E₁(θ_o)) / [π (1 − Ē₁)], E₁ the albedo of perfect mirrors and
-    F_ms = F̄² Ē₁ / (1 − F̄ (1 − Ē₁)), F̄ = 2 ∫ F μ dμ: exactly the loss for F = 1.
+    ``docs/model.md`` has the equations. Where R < E(θ_m), the diffuse part is clamped at 0, flagged, and a warning names the wavelengths.
     """
     vocabulary.validate(facets, "facets")
     index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
@@ -128,25 +114,23 @@ def build(
 
 
 def _choices(recipe: str | None, **given: str | None) -> dict[str, str]:
-    accepted = {"masking": MASKINGS, "diffuse": DIFFUSE_MODES, "multiple_scattering": MULTIPLE_SCATTERING_MODES}
     if recipe is not None and recipe not in RECIPES:
         raise ModelError(f"unknown recipe {recipe!r}; accepted: {', '.join(RECIPES)}; set `model.recipe`")
-    chosen = {"masking": "height-correlated", "diffuse": "coupled", "multiple_scattering": "none"}
-    chosen |= RECIPES[recipe] if recipe else {}
+    chosen = MODEL_DEFAULTS | (RECIPES[recipe] if recipe else {})
     for name, value in given.items():
         if value is None:
             continue
-        if value not in accepted[name]:
-            raise ModelError(f"unknown {name} {value!r}; accepted: {', '.join(accepted[name])}; set `model.{name}`")
+        if value not in MODES[name]:
+            raise ModelError(f"unknown {name} {value!r}; accepted: {', '.join(MODES[name])}; set `model.{name}`")
         if recipe and value != chosen[name]:
             raise ModelError(
                 f"recipe {recipe!r} has {name} {chosen[name]!r}, but {name} is {value!r}; drop `model.recipe` or `model.{name}`"
             )
         chosen[name] = value
-    if chosen["multiple_scattering"] == "compensated" and chosen["masking"] not in ("height-correlated", "separable"):
+    if chosen["multiple_scattering"] == "compensated" and chosen["masking"] not in SMITH_MASKINGS:
         raise ModelError(
-            f"the loss of masking {chosen['masking']!r} cannot be compensated: it does not conserve energy; set `model.masking: "
-            "height-correlated`"
+            f"`multiple_scattering: compensated` needs one of Smith's maskings, and masking is {chosen['masking']!r}; accepted: "
+            f"{' or '.join(SMITH_MASKINGS)}; set `model.masking`"
         )
     return chosen
 
@@ -261,7 +245,7 @@ def _trapped(model: Model, spectrum: xr.Dataset, theta_m: float) -> Array:
         return np.zeros(1)
     if model.surface is None:
         return total_reflectance_at(model, theta_m)
-    theta, phi, weight = hemisphere.around_mirror(theta_m, model.surface.median_slope, trap_of(spectrum))
+    theta, phi, weight = hemisphere.around_mirror(theta_m, model.surface.typical_slope, trap_of(spectrum))
     return np.asarray(weight @ model.evaluate(np.full_like(theta, theta_m), np.zeros_like(phi), theta, phi))
 
 

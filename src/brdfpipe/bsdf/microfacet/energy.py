@@ -23,17 +23,17 @@ from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.piecewise import PiecewiseCubic
 
-_AZIMUTHS = 12
-_WINDOW_PANELS = 8
-_INDEX_DIGITS = np.log(1e10)
-_LEAST_COSINE = 1e-150
-_INTERPOLATION_ERROR = 2e-9
-_NOISE = 1e-9
-_MOST_NODES = 400
-_LAY_STEP = 0.2
-_LAY_AZIMUTH = 18.0
-_LAY_FINENESS = 8.0
-_LAY_MOST_GRAZING = 2.0
+_AZIMUTHS = 12  # nodes of the quadrature over the azimuths of a panel
+_WINDOW_PANELS = 8  # panels of the tilts that mirror light upwards
+_INDEX_DIGITS = np.log(1e10)  # accuracy of the interpolation over the index
+_LEAST_COSINE = 1e-150  # avoids division by 0 at the horizon
+_INTERPOLATION_ERROR = 2e-9  # of the albedo between the nodes of its table
+_NOISE = 1e-9  # of the quadrature, by which the table is raised in any case
+_MOST_NODES = 400  # of an isotropic table
+_LAY_STEP = 0.2  # between nodes θ of a table with a lay, in scaled angles from grazing
+_LAY_AZIMUTH = 18.0  # between its azimuths, in arc length of the ellipse [degree]
+_LAY_FINENESS = 8.0  # smaller rms slope, as an angle, over the angle on which the albedo varies near grazing
+_LAY_MOST_GRAZING = 2.0  # upper limit of that angle [degree]
 
 
 def directional_albedo(
@@ -44,7 +44,7 @@ def directional_albedo(
     Parameters
     ----------
     surface : the facets
-    masking : one of :data:`brdfpipe.bsdf.microfacet.microsurface.MASKINGS`
+    masking : one of :data:`brdfpipe.masking.modes.MODES`
     n, k : (wavelength,) index relative to the medium of incidence
     theta_i, phi_i : (incidences,) degree, 0 <= theta_i <= 90; the azimuth is for a surface with a lay
     """
@@ -263,7 +263,7 @@ def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], ex
     one, so that the facets, and the base that the rest of the light enters, together conserve energy.
     """
     if surface.isotropic:
-        return refined(lambda theta: albedo(theta, np.zeros_like(theta)), surface.median_slope, exact)
+        return refined(lambda theta: albedo(theta, np.zeros_like(theta)), surface.typical_slope, exact)
     assert not isinstance(surface.density, RadialDensity)
     return _tabulated_lay(surface.density, albedo, exact)
 

@@ -19,9 +19,6 @@ from brdfpipe.masking.visibility import VISIBILITY
 
 Azimuth: TypeAlias = "Array | float"
 
-MASKINGS = (*VISIBILITY, "liu")
-"""Names of the masking modes."""
-
 NOT_PHYSICAL = {
     "crf": "hides facets from the viewer alone, so it is not reciprocal and does not conserve energy",
     "none": "hides no facet, so it does not conserve energy",
@@ -53,7 +50,7 @@ class Microsurface:
         return isinstance(self.density, RadialDensity)
 
     @property
-    def median_slope(self) -> float:
+    def typical_slope(self) -> float:
         """Median slope; with a lay, the geometric mean of the two principal rms slopes."""
         if isinstance(self.density, RadialDensity):
             return self.density.median_slope
@@ -77,7 +74,7 @@ class Microsurface:
         return self.smith.excess(cotangent(cos, sin), phi)
 
     def visibility(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth, masking: str) -> Array:
-        """G2 / (cos θ_i cos θ_o) of the facets that mirror one direction into the other; ``masking`` is one of :data:`MASKINGS`."""
+        """G2 / (cos θ_i cos θ_o) of the facets that mirror one direction into the other; ``masking`` is a mode of :mod:`brdfpipe.masking.modes`."""
         if masking == "liu":
             return attenuation(pair, phi_i, phi_o, self.liu) / (pair.cos_i * pair.cos_o)
         excess_i, excess_o = self.excess(pair.cos_i, pair.sin_i, phi_i), self.excess(pair.cos_o, pair.sin_o, phi_o)

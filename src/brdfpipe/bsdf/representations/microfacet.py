@@ -57,7 +57,7 @@ class Interface(Representation):
     @property
     def lobe_slope(self) -> float:
         """Median slope of the facets."""
-        return UNRESOLVED_SLOPE if self._surface is None else self._surface.median_slope
+        return UNRESOLVED_SLOPE if self._surface is None else self._surface.typical_slope
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The surface with the weighted mean of the reflectance, and one index.

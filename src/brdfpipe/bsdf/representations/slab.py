@@ -85,7 +85,7 @@ class Slab(Representation):
     @property
     def lobe_slope(self) -> float:
         """Median slope of the smoother of the rough faces."""
-        slopes = [surface.median_slope for surface in self._surfaces if surface is not None]
+        slopes = [surface.typical_slope for surface in self._surfaces if surface is not None]
         return min(slopes, default=UNRESOLVED_SLOPE)
 
     def nonspectral(self, weight: Array) -> xr.Dataset:

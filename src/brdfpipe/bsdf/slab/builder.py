@@ -26,13 +26,11 @@ from brdfpipe.bsdf.slab.lobe_table import LobeGrid
 from brdfpipe.bsdf.slab.tabulation import Resolution, resolution, sheet, tabulate
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.geometry import Array
+from brdfpipe.masking.modes import SMITH_MASKINGS
 from brdfpipe.optics.index import refractive_index
 
 Spectral: TypeAlias = float | xr.DataArray
 """A number, or values over ``wavelength`` [nm]."""
-
-MASKING = ("height-correlated", "separable")
-"""Masking modes that conserve energy and are reciprocal through an interface."""
 
 ERROR_LIMIT = 0.02
 """Interpolation error above which a slab has a warning [1]."""
@@ -70,7 +68,7 @@ def build(
         number, or a DataArray over ``wavelength``. 1 by default
     absorption, thickness : alternatively, the (napierian) absorption coefficient [mm-1], a number or a DataArray over
         ``wavelength``, and the thickness [mm]
-    masking : one of :data:`MASKING`
+    masking : one of :data:`brdfpipe.masking.modes.SMITH_MASKINGS`
 
     Returns
     -------
@@ -90,8 +88,8 @@ def build(
     and behind the sheet, with a warning; their flux is exact. ``interpolation_error`` is the error between the nodes of the table,
     ``quadrature_error`` the correction by which the operators of the faces were scaled to conserve energy.
     """
-    if masking not in MASKING:
-        raise ModelError(f"masking {masking!r} does not conserve energy in a slab; accepted: {', '.join(MASKING)}")
+    if masking not in SMITH_MASKINGS:
+        raise ModelError(f"masking {masking!r} is not defined for a slab; accepted: {', '.join(SMITH_MASKINGS)}")
     faces = [azimuthal_average(vocabulary.validate(facets, "facets")) for facets in (front, back)]
     surfaces = _surfaces(front, back, faces)
     body = _body(index, internal_transmittance, absorption, thickness)
@@ -250,7 +248,7 @@ def _warnings(
     for side, surface, (through, within) in zip(SIDES, surfaces, resolved.sharp, strict=True):
         if surface is None or not (through or within):
             continue
-        width = np.degrees((index - 1) * surface.median_slope)
+        width = np.degrees((index - 1) * surface.typical_slope)
         texts.append(
             f"the lobe transmitted by the {side} face is about {width:.2g}° wide, narrower than a slab resolves, and is treated as "
             "specular inside and behind the sheet: reflectance and transmittance are right, angles near the straight direction are "

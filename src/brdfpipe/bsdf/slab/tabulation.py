@@ -73,7 +73,7 @@ def _width(surface: Microsurface) -> float:
     assert isinstance(surface.density, RadialDensity)
     slope, density = surface.density.slope, surface.density.density
     half = np.append(slope[density < density[0] / 2], slope[-1])[0]
-    return float(np.sqrt(half * surface.median_slope / np.log(2)))
+    return float(np.sqrt(half * surface.typical_slope / np.log(2)))
 
 
 def sheet(

@@ -13,6 +13,7 @@ from brdfpipe.appearance.gloss_basis import gloss_flags, worst_flag
 from brdfpipe.appearance.multiple_scattering import MultipleScattering, multiple_scattering
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.masking.modes import SMITH_MASKINGS
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import basis_legend, fixed, labels, number, percent, plus_minus_u
 from brdfpipe.report.plots import bsdf_cuts, bsdf_sections, directional_maps, reflectance
@@ -22,7 +23,6 @@ LOSS_LIMIT = 0.01
 """Share of the light lost to multiple scattering above which the page advises to compensate it."""
 
 _NEGLIGIBLE_LOSS = 1e-4
-_ENERGY_CONSERVING = ("height-correlated", "separable")
 _MODEL_CHOICES = {
     "recipe": "Recipe",
     "masking": "Masking",
@@ -148,7 +148,7 @@ def model_table(bsdf: xr.Dataset) -> Table:
     # The balance of the light shows the losses of a body that transmits.
     several = None if representation(bsdf).transmits else multiple_scattering(bsdf, bsdf_sections.REFERENCE_WAVELENGTH)
     texts: tuple[str, ...] = ()
-    if several is not None and (masking := str(bsdf.attrs["masking"])) not in _ENERGY_CONSERVING:
+    if several is not None and (masking := str(bsdf.attrs["masking"])) not in SMITH_MASKINGS:
         note = (
             f"Masking `{masking}` follows its source and need not conserve energy. Facets that are perfect mirrors would reflect "
             f"{percent(1 - several.mirrors)} of the light, mean over the hemisphere. `model.masking: height-correlated` never reflects "

@@ -1,0 +1,17 @@
+"""Modes of the microfacet model by name; light to import, because every check of a material reads them."""
+
+SMITH_MASKINGS = ("height-correlated", "separable")
+"""Smith's maskings: reciprocal, and energy is conserved where light passes the surface too."""
+
+MODES = {
+    "masking": (*SMITH_MASKINGS, "blinn", "liu", "crf", "none"),
+    "diffuse": ("coupled", "crf", "none"),
+    "multiple_scattering": ("none", "compensated"),
+}
+"""Accepted modes by key of ``model``; the first one is the default."""
+
+MODEL_DEFAULTS = {key: names[0] for key, names in MODES.items()}
+"""Modes that apply where neither the key nor a recipe is given."""
+
+RECIPES = {"crf": {"masking": "crf", "diffuse": "crf", "multiple_scattering": "none"}}
+"""Modes of one source, by its name."""
