@@ -162,11 +162,11 @@ def test_wavelengths_are_converted_to_nm(read, text: str, expected: list[float])
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("nm R\n0.4 1\n0.7 2\n", "no wavelength in nm; found 0.4 to 0.7"),
-        ("um R\n400 1\n700 2\n", "no wavelength in µm; found 400 to 700"),
+        ("nm R\n0.4 1\n0.7 2\n", "not hold wavelengths in nm; found 0.4 to 0.7"),
+        ("um R\n400 1\n700 2\n", "not hold wavelengths in µm; found 400 to 700"),
         ("wavenumber cm-1;R\n14000;1\n25000;2\n", "does not hold wavelengths; found 'wavenumber cm-1'"),
-        ("20 1\n400 2\n", "no wavelength in nm or µm; found 20 to 400"),
-        ("0 1\n1 2\n", "no wavelength"),
+        ("20 1\n400 2\n", "not hold wavelengths in nm or µm; found 20 to 400"),
+        ("0 1\n1 2\n", "not hold wavelengths"),
     ],
 )
 def test_a_unit_that_is_unclear_or_contradicted_is_refused(read, text: str, message: str) -> None:
