@@ -652,10 +652,7 @@ class Material(Keys):
             )
             raise InputError("", problem, accepted=accepted)
         if self.model.effective_masking not in SMITH_MASKINGS:
-            problem, accepted = (
-                "this masking is not defined where light passes a surface",
-                ", ".join(SMITH_MASKINGS),
-            )
+            problem, accepted = "a slab needs one of Smith's maskings", ", ".join(SMITH_MASKINGS)
             masking = repr(self.model.recipe or self.model.masking)
             raise InputError("", problem, where="model.masking", found=masking, accepted=accepted)
         for name, problem in (

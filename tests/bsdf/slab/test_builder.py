@@ -462,7 +462,7 @@ def test_a_lay_is_averaged_over_azimuth_with_a_warning():
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"masking": "blinn"}, "is not defined for a slab"),
+        ({"masking": "blinn"}, "needs one of Smith's maskings"),
         ({"internal_transmittance": 1.2}, "accepted: 0 to 1"),
         ({"internal_transmittance": float("nan")}, "accepted: 0 to 1"),
         ({"absorption": 0.1}, "thickness"),

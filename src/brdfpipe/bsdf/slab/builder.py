@@ -89,7 +89,9 @@ def build(
     ``quadrature_error`` the correction by which the operators of the faces were scaled to conserve energy.
     """
     if masking not in SMITH_MASKINGS:
-        raise ModelError(f"masking {masking!r} is not defined for a slab; accepted: {', '.join(SMITH_MASKINGS)}")
+        raise ModelError(
+            f"a slab needs one of Smith's maskings; found {masking!r}; accepted: {', '.join(SMITH_MASKINGS)}"
+        )
     faces = [azimuthal_average(vocabulary.validate(facets, "facets")) for facets in (front, back)]
     surfaces = _surfaces(front, back, faces)
     body = _body(index, internal_transmittance, absorption, thickness)
