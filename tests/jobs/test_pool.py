@@ -184,3 +184,16 @@ def test_workers_end_when_the_main_process_is_gone(tmp_path: Path) -> None:
     _, alive = psutil.wait_procs(children, timeout=600)
     assert len(children) >= 3  # the server and two workers
     assert not [child for child in alive if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
+
+
+def test_a_progress_bar_in_a_killed_worker_leaves_no_semaphore(tmp_path: Path) -> None:
+    job(tmp_path)
+    script = tmp_path / "stage.py"
+    script.write_text("from tqdm import tqdm\n" + SCRIPT + "    list(tqdm([1], disable=True))\n")
+    program = (
+        "from brdfpipe.jobs.pool import Pool; from brdfpipe.jobs.stage import Job; pool = Pool();"
+        f"outcome = pool.perform(Job('stage', 'm', {str(script)!r}, {str(tmp_path)!r}, {{}}, {{'out': 'm/out.json'}}, {{}}));"
+        "assert not outcome.error, outcome.error; pool.close()"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

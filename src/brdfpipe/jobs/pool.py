@@ -30,6 +30,7 @@ PRELOADED = [
     "scipy.interpolate",
     "scipy.optimize",
     "scipy.special",
+    "tqdm",
     "brdfpipe.jobs.stage",
     "brdfpipe.bsdf",
 ]
@@ -152,6 +153,9 @@ def close() -> None:
 
 def _serve(connection: Connection) -> None:
     """Main loop of a worker: run jobs until the main process closes the connection."""
+    from tqdm import tqdm
+
+    tqdm.set_lock(threading.RLock())  # the default is a semaphore of the system, which a killed worker would leak
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the main process handles it
     threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:
