@@ -167,3 +167,11 @@ def test_turns_and_azimuths_are_inverse(along, ratio, lay, azimuth):
     turn = ellipse.towards(azimuth)[1]
     # Azimuths are rounded to 1e-9 degree.
     assert np.cos(np.radians(ellipse.azimuths([turn])[0] - azimuth)) == pytest.approx(1, abs=1e-12)
+
+
+def test_the_rms_and_mean_slopes_of_a_beckmann_finish_follow_from_its_widths():
+    density = PlanarDensity.of(facets.analytic("beckmann", a_x=0.2, a_y=0.5, azimuth=30.0))
+    widths, azimuths = np.array([0.2, 0.5]), np.array([30.0, 120.0])
+    # The density is a spline between nodes: its moments hold to 1e-4.
+    np.testing.assert_allclose(density.rms_slope(azimuths), widths / np.sqrt(2), rtol=1e-3)
+    np.testing.assert_allclose(density.mean_slope(azimuths), widths / np.sqrt(np.pi), rtol=1e-3)

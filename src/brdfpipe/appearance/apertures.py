@@ -137,35 +137,35 @@ def source(angle: float, rule: Rule, window: Window | None = None) -> Source:
     return Source(u, v, weight, fresnel(cos, REFERENCE_INDEX)[2], theta, phi)
 
 
-def units(light: Source, reflected: Array) -> Array:
+def gloss_units_of(light: Source, reflected: Array) -> Array:
     """Gloss units of the share of light reflected from each point of a source, (azimuths, points) → (azimuths,)."""
     return np.asarray(100 * (reflected @ light.weight) / (light.weight @ light.glass))
 
 
-def read(sample: Sample, reading: Callable[[Array, Rule], Array], rule: Rule) -> tuple[Array, Array]:
-    """Azimuths of the plane of incidence [degree], and a reading (azimuths, rule) → values at each.
+def over_azimuths(sample: Sample, measure: Callable[[Array, Rule], Array], rule: Rule) -> tuple[Array, Array]:
+    """Azimuths of the plane of incidence [degree], and the values of a measure (azimuths, rule) → values at each.
 
     One azimuth with ``rule``; or as many as give the mean to 1e-4, the first and the second half of them evenly spaced. They start
     from the lay: at 85° a fine lay shows only within a few degrees of it, and the mean must not settle before this peak is resolved.
     """
     if sample.azimuth is not None:
         azimuths = np.array([sample.azimuth])
-        return azimuths, reading(azimuths, rule)
+        return azimuths, measure(azimuths, rule)
     quick = _QUICKEST if sample.lobe > _MODERATE_SLOPE else QUICK
     azimuths = (representation(sample.bsdf).lay or 0.0) + np.arange(0.0, 360.0, 360 / _FIRST_AZIMUTHS)
-    values = reading(azimuths, quick)
+    values = measure(azimuths, quick)
     while True:
         between = azimuths + 180 / azimuths.size
-        values_between = reading(between, quick)
+        values_between = measure(between, quick)
         change = abs(values_between.mean() - values.mean()) / 2
         azimuths, values = np.concatenate([azimuths, between]), np.concatenate([values, values_between])
-        # Periodic and smooth: each doubling about squares the error, and the change is that of the coarser mean.
+        # Periodic and smooth: each doubling roughly squares the error, and the change is that of the coarser mean.
         if change <= _CONVERGED * abs(values.mean()) or azimuths.size >= _MOST_AZIMUTHS:
             return azimuths, values
 
 
 def first_half(azimuths: Array) -> slice:
-    """The evenly spaced first half of azimuths of :func:`read`, which is enough for an uncertainty."""
+    """The evenly spaced first half of azimuths of :func:`over_azimuths`, which is enough for an uncertainty."""
     return slice(-(-azimuths.size // 2))
 
 
@@ -229,7 +229,7 @@ def _panels(centre: Array, scale: float, low: float, high: float, order: int) ->
 
 
 def lobe_scale(bsdf: xr.Dataset) -> float:
-    """Half the half width of the specular lobe [rad], a typical slope; a moderate one where there is no lobe or its width is not known."""
+    """A quarter of the full width of the specular lobe [rad], a typical slope; a moderate one where there is no lobe or its width is not known."""
     slope = representation(bsdf).lobe_slope
     if slope is None or (slope < _NARROW_SLOPE and not _has_lobe(bsdf)):
         return _MODERATE_SLOPE

@@ -104,7 +104,7 @@ def colour_uncertainty(
 
     Returns
     -------
-    ``lab_u(geometry, component)`` [1], NaN for the total reflectance, which is no single geometry; and ``flop_index_u`` [1], NaN
+    ``lab_u(geometry, component)`` [1], NaN for the total reflectance, because it is not one geometry; and ``flop_index_u`` [1], NaN
         without the three geometries of E2194 or where there is no index
     """
     directions = _directions(geometries)

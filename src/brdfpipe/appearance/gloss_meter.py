@@ -139,14 +139,14 @@ def _checked(bsdf: xr.Dataset, angles: Sequence[float], azimuth: float | None) -
 def _gloss(sample: Sample, angle: float) -> tuple[Array, Array]:
     """Azimuths of the plane of incidence, and gloss units at each."""
 
-    def reading(azimuths: Array, rule: Rule) -> Array:
+    def measure(azimuths: Array, rule: Rule) -> Array:
         light = apertures.source(angle, rule)
         (scattered,) = apertures.received(
             sample, [Beam(angle, light, centred(*RECEPTOR[angle]), rule.window)], azimuths
         )
-        return apertures.units(light, _mirrored(sample, light, azimuths) + scattered)
+        return apertures.gloss_units_of(light, _mirrored(sample, light, azimuths) + scattered)
 
-    return apertures.read(sample, reading, apertures.FINE)
+    return apertures.over_azimuths(sample, measure, apertures.FINE)
 
 
 def _mirrored(sample: Sample, light: Source, azimuths: Array) -> Array:
@@ -192,14 +192,14 @@ def _half_ranges(sample: Sample, angle: float, azimuths: Array, gloss_by_azimuth
         *(Beam(other, other_light, receptor, apertures.UNCERTAINTY_ORDER) for other, other_light in lights),
     ]
     scattered = apertures.received(sample, beams, azimuths)
-    left, right, near, far = (apertures.units(light, flux) / 2 for flux in scattered[:4])
+    left, right, near, far = (apertures.gloss_units_of(light, flux) / 2 for flux in scattered[:4])
     axis = (right - left) * float(np.radians(AXIS_TOLERANCE)) / edge_shift
     others = [other_light for _, other_light in lights]
     mirrored = np.split(
         _mirrored(sample, _joined(others), azimuths), np.cumsum([one.u.size for one in others])[:-1], axis=1
     )
     reflected = [flux + into_one for flux, into_one in zip(mirrored, scattered[4:], strict=True)]
-    less, more = (apertures.units(*reading) for reading in zip(others[4:], reflected[4:], strict=True))
+    less, more = (apertures.gloss_units_of(*reading) for reading in zip(others[4:], reflected[4:], strict=True))
     both = less + more
     incidence = np.divide(gloss_by_azimuth * (more - less), both, out=np.zeros_like(both), where=both > 0)
     glass = float(light.weight @ light.glass)

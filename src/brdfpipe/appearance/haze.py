@@ -140,12 +140,14 @@ def checked_window(window: HazeWindow | Mapping[str, Any]) -> HazeWindow:
 def _haze(sample: Sample, window: HazeWindow) -> tuple[Array, Array]:
     """Azimuths of the plane of incidence, and the haze at each."""
 
-    def reading(azimuths: Array, rule: Rule) -> Array:
+    def measure(azimuths: Array, rule: Rule) -> Array:
         light = apertures.source(window.angle, rule)
         beams = [Beam(window.angle, light, _rectangle(window, side), rule.window) for side in _SIDES]
-        return np.sum([apertures.units(light, flux) for flux in apertures.received(sample, beams, azimuths)], axis=0)
+        return np.sum(
+            [apertures.gloss_units_of(light, flux) for flux in apertures.received(sample, beams, azimuths)], axis=0
+        )
 
-    return apertures.read(sample, reading, apertures.QUICK)
+    return apertures.over_azimuths(sample, measure, apertures.QUICK)
 
 
 def _rectangle(window: HazeWindow, side: int, shift: float = 0.0) -> Window:
@@ -163,7 +165,10 @@ def _uncertainty(sample: Sample, window: HazeWindow, azimuths: Array) -> float:
     """Standard uncertainty from the tolerances; for a surface with a lay, of the mean over its azimuths."""
     common, own = _common_beams(window), _window_beams(window)
     flux = apertures.received(sample, [*common, *own], azimuths)
-    haze = [float(apertures.units(beam.light, part).mean()) for beam, part in zip([*common, *own], flux, strict=True)]
+    haze = [
+        float(apertures.gloss_units_of(beam.light, part).mean())
+        for beam, part in zip([*common, *own], flux, strict=True)
+    ]
     # Common tolerances move both windows together, (tolerance, end, side); those of each window move it alone.
     both = np.array(haze[: len(common)]).reshape(-1, 2, 2).sum(axis=2)
     alone = np.array(haze[len(common) :]).reshape(-1, 2)

@@ -104,6 +104,10 @@ def quantities() -> tuple[AppearanceQuantity, ...]:
     return tuple(_TABLE.values())
 
 
+def quantity(name: str) -> AppearanceQuantity:
+    return _TABLE[name]
+
+
 def applicabilities() -> tuple[Applicability, ...]:
     """The distinct applicabilities of all quantities."""
     return tuple(dict.fromkeys(quantity.applicability for quantity in quantities() if quantity.applicability))

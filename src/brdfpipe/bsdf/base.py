@@ -75,6 +75,10 @@ class Representation(ABC):
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The dataset averaged over its wavelengths with weights of sum 1; see :func:`brdfpipe.bsdf.nonspectral.nonspectral`."""
 
+    def mean_index(self, weight: Array) -> tuple[float, float] | None:
+        """n and k of :meth:`nonspectral`; None if the reflection is not computed from an index over wavelength."""
+        return None
+
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         """Mueller matrix of the BRDF [sr-1], (directions…, wavelength, 4, 4); by default a perfect depolariser."""
         brdf = self.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)

@@ -1,6 +1,10 @@
-"""Facet distributions of named densities, for tests and for materials known by a roughness figure alone."""
+"""Named slope densities: facet distributions of given widths, and the named densities with the slopes of a facet distribution."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -10,8 +14,18 @@ from brdfpipe.facets.facet_dataset import planar_dataset, principal_ellipse, rad
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.facets.slope_histogram import FacetError
+from brdfpipe.geometry import Array
 
-DISTRIBUTIONS = ("beckmann", "ggx")
+_DENSITY: Mapping[str, Callable[[Array], Array]] = {
+    "beckmann": lambda u: np.exp(-np.minimum(u, 690.0)) / np.pi,
+    "ggx": lambda u: 1 / (np.pi * (1 + u) ** 2),
+}
+"""P22 of width 1 at a squared slope; above 1e-301, so that its logarithm is finite."""
+
+DISTRIBUTIONS = tuple(_DENSITY)
+
+_MEDIAN = {"beckmann": 0.6744897501960817 / math.sqrt(2), "ggx": 1 / math.sqrt(3)}
+"""Median of |slope| towards one azimuth, of width 1; that of a Beckmann is a Gaussian of σ = 1/√2."""
 
 _PLANAR_NODES = 257
 
@@ -57,6 +71,40 @@ def analytic(
     return _anisotropic(distribution, **widths, azimuth=azimuth)
 
 
+class EquivalentDensity(NamedTuple):
+    """A named density that has a slope in common with a facet distribution."""
+
+    distribution: str
+    """One of :data:`DISTRIBUTIONS`."""
+    matched: str
+    """The slope in common: ``rms`` or ``median``."""
+    widths: tuple[float, float]
+    """Along the lay and across it; equal for an isotropic surface."""
+
+    def section(self, slope: Array, axis: int = 0) -> Array:
+        """P22 at slopes along the lay (axis 0) or across it (1), through zero slope."""
+        return _DENSITY[self.distribution]((slope / self.widths[axis]) ** 2) / math.prod(self.widths)
+
+
+def equivalent_densities(facets: xr.Dataset) -> tuple[EquivalentDensity, EquivalentDensity]:
+    """The Beckmann of the same rms slope, or of the same median slope if no rms slope is known, and the GGX of the same median slope.
+
+    ``facets`` is of kind ``facets``, isotropic or with a lay, and not flat.
+    """
+    slope_rms = float(facets.get("slope_rms", math.nan))
+    matched = "rms" if math.isfinite(slope_rms) and slope_rms > 0 else "median"
+    if facets["slope_density"].dims == ("slope",):
+        median = RadialDensity.of(facets).median_slope
+        a = slope_rms if matched == "rms" else median / math.sqrt(math.log(2))
+        return EquivalentDensity("beckmann", matched, (a, a)), EquivalentDensity("ggx", "median", (median, median))
+    density = PlanarDensity.of(facets)
+    azimuths = (density.azimuth, density.azimuth + 90)
+    medians = np.array([density.median_slope(azimuth) for azimuth in azimuths])
+    widths = density.rms_slope(azimuths) * math.sqrt(2) if matched == "rms" else medians / _MEDIAN["beckmann"]
+    beckmann, ggx = ((float(along), float(across)) for along, across in (widths, medians / _MEDIAN["ggx"]))
+    return EquivalentDensity("beckmann", matched, beckmann), EquivalentDensity("ggx", "median", ggx)
+
+
 def flat() -> xr.Dataset:
     """Facet distribution of a perfectly flat surface: all facets are level, which no density can describe.
 
@@ -99,11 +147,11 @@ def _anisotropic(distribution: str, a_x: float, a_y: float, azimuth: float) -> x
         raise FacetError(f"a_x / a_y is {a_x / a_y:g}; accepted: 0.01 to 100")
     ellipse = principal_ellipse(a_x, a_y, azimuth)
     if distribution == "beckmann":
-        planar = PlanarDensity.elliptic(lambda u: np.exp(-u) / np.pi, ellipse, 8.3, _PLANAR_NODES)
+        planar = PlanarDensity.elliptic(_DENSITY[distribution], ellipse, 8.3, _PLANAR_NODES)
         slope_rms = float(np.hypot(a_x, a_y) / np.sqrt(2))
     else:
         # As for the isotropic one: a grid that ends at 1e6 a leaves out 1e-6 of the mean slope.
-        planar = PlanarDensity.elliptic(lambda u: 1 / (np.pi * (1 + u) ** 2), ellipse, 1e6, _PLANAR_NODES)
+        planar = PlanarDensity.elliptic(_DENSITY[distribution], ellipse, 1e6, _PLANAR_NODES)
         slope_rms = np.nan
     method = f"analytic {distribution}, a_x = {a_x:g}, a_y = {a_y:g}, azimuth {azimuth:g}°"
     return _labelled(planar_dataset(planar, slope_rms), method)

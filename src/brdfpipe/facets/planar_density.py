@@ -198,6 +198,27 @@ class PlanarDensity:
         slope = SlopeAxis(1.0, self.reach, _MARGINAL_NODES).nodes
         return width * slope, self._marginal_density(slope, turn) / width
 
+    def rms_slope(self, azimuth: ArrayLike) -> Array:
+        """Root mean square slope about zero towards azimuths (n,) [degree]."""
+        _, mean, covariance = self.moments
+        towards = np.stack([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
+        second = covariance + np.outer(mean, mean)
+        return np.asarray(np.sqrt(np.einsum("ik,ij,jk->k", towards, second, towards)))
+
+    def mean_slope(self, azimuth: Array) -> Array:
+        """Mean |slope| towards azimuths (n,) [degree]; finite for some densities whose rms slope is not."""
+        p, q, weight = self.rule()
+        means = [np.sum(weight * np.abs(p * np.cos(angle) + q * np.sin(angle))) for angle in np.radians(azimuth)]
+        return np.array(means) / weight.sum()
+
+    def median_slope(self, azimuth: float) -> float:
+        """Median |slope| towards an azimuth [degree]."""
+        slope, values = self.marginal(azimuth)
+        below = np.r_[0.0, np.cumsum(np.diff(slope) * (values[1:] + values[:-1]) / 2)]
+        positive = slope[slope > 0]
+        within = np.interp(positive, slope, below) - np.interp(-positive, slope, below)
+        return float(np.interp(0.5 * below[-1], within, positive))
+
     def _marginal_density(self, slope: Array, turn: Array) -> Array:
         """Density of x cos ω + y sin ω at ``slope``, where x and y are slopes over their widths, integrated across."""
         cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))

@@ -8,8 +8,9 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.facets import analytic
+from brdfpipe.masking.analytic_smith import beckmann_lambda
 from brdfpipe.report.plots import masking
-from brdfpipe.report.plots.svg import Figure
+from brdfpipe.report.plots.svg import Figure, Line
 
 
 def _labels(figure: Figure) -> list[str]:
@@ -18,7 +19,7 @@ def _labels(figure: Figure) -> list[str]:
 
 def _masking(smith: np.ndarray | None = None) -> xr.Dataset:
     theta = np.array([0.0, 30.0, 60.0, 80.0])
-    g1 = masking._beckmann_g1(np.maximum(theta, 1e-3), 0.2) if smith is None else smith
+    g1 = 1 / (1 + beckmann_lambda(theta, 0.2)) if smith is None else smith
     curves = {"g1_raycast": g1 - 0.01, "g1_raycast_u": np.array([0.0, 0.002, 0.003, np.nan]), "g1_smith": g1}
     result = xr.Dataset(
         {name: ("theta", values) for name, values in curves.items()}, coords={"theta": theta}, attrs={"method": "rays"}
@@ -26,30 +27,13 @@ def _masking(smith: np.ndarray | None = None) -> xr.Dataset:
     return vocabulary.label(result, "masking")
 
 
-@pytest.fixture(scope="module")
-def brushed() -> xr.Dataset:
-    """A Beckmann finish with a lay at 30 degree."""
-    return analytic("beckmann", a_x=0.2, a_y=0.5, azimuth=30.0)
-
-
-def test_the_beckmann_overlay_of_masking_is_the_closed_form() -> None:
-    # PHYSICS: G1 of Beckmann a = 0.3 at 60, 75, 85 degree
-    g1 = masking._beckmann_g1(np.array([60.0, 75.0, 85.0]), 0.3)
-    np.testing.assert_allclose(g1, [0.99963733, 0.96249761, 0.64581632], atol=1e-8)
-
-
-def test_the_masking_overlay_of_ggx_is_the_masking_of_ggx() -> None:
-    facets = analytic("ggx", 0.2)
-    theta = np.array([45.0, 70.0, 85.0])
-    own = 1 / (1 + np.interp(theta, facets["theta"].values, facets["lambda_smith"].values))
-    np.testing.assert_allclose(masking._ggx_g1(theta, 0.2), own, atol=2e-3)
-
-
-def test_masking_along_the_lay_is_that_of_the_narrow_width(brushed: xr.Dataset) -> None:
+def test_masking_along_the_lay_is_that_of_the_narrow_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Line] = []
+    monkeypatch.setattr(masking, "_figure", lambda title, name, marks, note: drawn.extend(marks))
+    masking.smith_masking_with_lay(analytic("beckmann", a_x=0.2, a_y=0.5, azimuth=30.0), 30.0)
     theta = np.array([70.0, 85.0])
-    for turn, width in ((0, 0.2), (90, 0.5)):
-        smith = np.interp(theta, brushed["theta"].values, masking._lambda_towards(brushed, 30.0 + turn))
-        np.testing.assert_allclose(1 / (1 + smith), masking._beckmann_g1(theta, width), atol=5e-3)
+    for line, width in zip(drawn, (0.2, 0.5), strict=True):
+        np.testing.assert_allclose(np.interp(theta, line.x, line.y), 1 / (1 + beckmann_lambda(theta, width)), atol=5e-3)
 
 
 def test_ray_casting_is_drawn_with_error_bars_where_they_are_known() -> None:

@@ -3,40 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
-from samples import beckmann_bsdf, spectrum
+from samples import beckmann_bsdf
 
 from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.facets import analytic, flat
 from brdfpipe.report.plots import reflectance
-from brdfpipe.report.plots.bsdf_sections import Plane
 
 Datasets = dict[str, xr.Dataset]
-
-_NORMAL = Plane(0.0, "")
-
-
-def test_the_parts_of_the_reflectance_add_up_to_the_total(full: Datasets) -> None:
-    parts = reflectance.reflectance_parts(full["bsdf"], _NORMAL, reflectance.GRAZING)
-    assert parts.facets is not None
-    assert parts.below is not None
-    assert (parts.facets <= parts.total).all()
-    np.testing.assert_allclose(parts.mirrored + parts.facets + parts.below, parts.total, rtol=1e-12)
-    assert not parts.mirrored.any()
-
-
-def test_of_a_smooth_surface_the_mirrored_part_is_that_of_fresnel() -> None:
-    smooth = microfacet.build(flat(), index=1.5, spectrum=spectrum(0.3))
-    parts = reflectance.reflectance_parts(smooth, _NORMAL, np.array([0.0, 8.0]))
-    assert parts.facets is not None
-    assert parts.mirrored[0] == pytest.approx(0.04, rel=1e-12)
-    assert np.abs(parts.facets).max() < 1e-15
-    assert parts.total[1] == pytest.approx(0.3, abs=1e-9)
-
-
-def test_the_directional_reflectance_is_that_of_the_bsdf(full: Datasets) -> None:
-    total = reflectance.reflectance_parts(full["bsdf"], _NORMAL, np.array([8.0])).total[0]
-    # The BSDF closes on the spectrum at 8 degree, to the accuracy of the tabulated albedo.
-    assert total == pytest.approx(float(full["spectrum"]["total_reflectance"].sel(wavelength=550.0)), abs=1e-6)
 
 
 def test_without_a_bsdf_the_checks_give_the_directional_reflectance(full: Datasets) -> None:

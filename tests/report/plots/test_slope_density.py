@@ -11,9 +11,8 @@ from PIL import Image
 
 from brdfpipe import vocabulary
 from brdfpipe.facets import analytic
-from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.report.material import inputs
-from brdfpipe.report.plots import slope_density
+from brdfpipe.report.plots import masking, slope_density
 from brdfpipe.report.plots.svg import Figure
 
 Datasets = dict[str, xr.Dataset]
@@ -51,6 +50,13 @@ def test_isotropic_facets_need_only_their_density(full: Datasets) -> None:
     assert inputs.facet_figures(full["facets"][["slope_rms"]]) == []
 
 
+def test_beckmann_has_the_rms_slope_where_it_is_finite_and_else_the_median() -> None:
+    assert "Beckmann of the same rms slope, 0.1" in _labels(slope_density.slope_density(analytic("beckmann", 0.1)))
+    assert any(
+        "Beckmann of the same median slope" in label for label in _labels(masking.smith_masking(analytic("ggx", 0.1)))
+    )
+
+
 # --- with a lay
 
 
@@ -62,15 +68,6 @@ def test_facets_with_a_lay_have_a_rose_a_map_two_sections_and_masking(brushed: x
         "Slope density across the lay",
         "Masking G₁(θ)",
     ]
-
-
-def test_the_rose_of_a_beckmann_finish_is_its_width_over_root_two(brushed: xr.Dataset) -> None:
-    density = PlanarDensity.of(brushed)
-    towards = slope_density.rms_slope_towards(density, np.array([30.0, 120.0]))
-    # The density is a spline between nodes: its moments hold to 1e-4.
-    np.testing.assert_allclose(towards, np.array([0.2, 0.5]) / np.sqrt(2), rtol=1e-3)
-    mean = slope_density._mean_slope_towards(density, np.array([30.0, 120.0]))
-    np.testing.assert_allclose(mean, np.array([0.2, 0.5]) / np.sqrt(np.pi), rtol=1e-3)
 
 
 def test_the_map_shows_steps_of_half_a_decade(brushed: xr.Dataset) -> None:

@@ -103,17 +103,6 @@ def test_all_bars_are_within_their_frame(wrong: float | None) -> None:
     assert 0 < ends.min() < ends.max() < tall
 
 
-def test_an_uncertainty_that_was_not_enlarged_is_that_of_the_smoothed_incidence(
-    on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset
-) -> None:
-    enlarged = reciprocity_figure._enlargement(on_rig, smoothed_on_rig)
-    assert enlarged == pytest.approx(dict.fromkeys(INCIDENCES, 1.0), abs=1e-6)
-    grown = on_rig.assign(coefficient_factor=2.5 * on_rig["coefficient_factor"])
-    assert reciprocity_figure._enlargement(grown, smoothed_on_rig) == pytest.approx(
-        dict.fromkeys(INCIDENCES, 2.5), rel=1e-6
-    )
-
-
 def test_the_two_ways_of_a_surface_with_a_lay_need_not_agree() -> None:
     figure = _figure(symmetric=False)
     assert figure.svg.count('<svg class="fig"') == 1

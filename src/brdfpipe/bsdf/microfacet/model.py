@@ -285,14 +285,18 @@ def diffuse_for(model: Model, total: Array, theta_m: float) -> Array:
     return np.asarray(np.minimum(base / np.maximum(entering, 1e-12), 1 - 2e-8))
 
 
-def with_mean_index(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
-    """A dataset averaged over wavelength with weights of sum 1: the mean index, and the diffuse reflectance that keeps the total."""
+def mean_index(bsdf: xr.Dataset, weight: Array) -> tuple[float, float]:
+    """n and k averaged over wavelength with weights of sum 1; of a dielectric, the n of the mean reflectance at normal incidence."""
     n, k = (np.broadcast_to(bsdf[name].values, weight.shape) for name in ("n", "k"))
     if k.any():
-        mean_n, mean_k = weight @ n, weight @ k
-    else:
-        amplitude = np.sqrt(weight @ ((n - 1) / (n + 1)) ** 2)
-        mean_n, mean_k = (1 + amplitude) / (1 - amplitude), 0.0
+        return float(weight @ n), float(weight @ k)
+    amplitude = np.sqrt(weight @ ((n - 1) / (n + 1)) ** 2)
+    return float((1 + amplitude) / (1 - amplitude)), 0.0
+
+
+def with_mean_index(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
+    """A dataset averaged over wavelength with weights of sum 1: the mean index, and the diffuse reflectance that keeps the total."""
+    mean_n, mean_k = mean_index(bsdf, weight)
     theta_m = float(bsdf["theta_m"])
     reduced = bsdf.drop_dims(["wavelength", "theta_i", "phi_i"], errors="ignore").assign(n=mean_n, k=mean_k)
     reduced = with_albedo(reduced, theta_m).assign(diffuse=0.0)

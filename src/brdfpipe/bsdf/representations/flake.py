@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.special import erfcx
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
@@ -16,6 +15,7 @@ from brdfpipe.bsdf.spectral import per_wavelength
 from brdfpipe.flakes.forms import FORMS, curve
 from brdfpipe.flakes.refraction import flake_angle, inner_cosine
 from brdfpipe.geometry import Array, half_vector
+from brdfpipe.masking.analytic_smith import beckmann_lambda
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 
 PHYSICAL = "flake-physical"
@@ -55,7 +55,7 @@ class ClearCoat:
         squared = self.slope**2
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             density = np.exp(-half.slope_squared / squared) / (np.pi * squared * half.cos_alpha**4)
-            masked = 1 + _smith(theta_i, self.slope) + _smith(theta_o, self.slope)
+            masked = 1 + beckmann_lambda(theta_i, self.slope) + beckmann_lambda(theta_o, self.slope)
             fresnel = fresnel_reflectance(half.cos_zeta, self.index).mean
             lobe = fresnel * density / (4 * half.cos_i * half.cos_o * masked)
         return np.where((half.cos_i > 1e-12) & (half.cos_o > 1e-12), np.nan_to_num(lobe), 0.0)
@@ -209,9 +209,3 @@ def _spectrum_of_chromaticity(bsdf: xr.Dataset, wavelength: Array | None) -> Cub
 def _interpolation_matrix(own: Array, wavelength: Array) -> Array:
     """Matrix (own, wavelength) of linear interpolation."""
     return np.stack([np.interp(wavelength, own, row) for row in np.eye(own.size)])
-
-
-def _smith(theta: Array, a: float) -> Array:
-    """Smith's Λ of Beckmann facets of width a."""
-    nu = 1 / (a * np.tan(np.radians(np.clip(theta, 1e-9, 90 - 1e-9))))
-    return np.asarray(np.exp(-(nu**2)) * (1 / (nu * np.sqrt(np.pi)) - erfcx(nu)) / 2)

@@ -1,4 +1,4 @@
-"""The representation ``rig``: a BSDF measured on a camera rig, see :mod:`brdfpipe.bsdf.measured`."""
+"""The representation of a measured BSDF, see :mod:`brdfpipe.bsdf.measured`."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import UNRESOLVED_SLOPE, Representation
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
-from brdfpipe.bsdf.microfacet.model import Model, with_mean_index
+from brdfpipe.bsdf.microfacet.model import Model, mean_index, with_mean_index
 from brdfpipe.bsdf.spectral import per_wavelength
 from brdfpipe.geometry import Array
 
@@ -73,6 +73,9 @@ class Interface(Representation):
         else:
             reduced = with_mean_index(bsdf, weight)
         return vocabulary.label(reduced if total is None else reduced.assign(total_reflectance=total), "bsdf")
+
+    def mean_index(self, weight: Array) -> tuple[float, float] | None:
+        return mean_index(self.dataset, weight) if self.dataset["n"].ndim else None
 
     def without_diffuse(self) -> xr.Dataset:
         return self.dataset.assign(diffuse=xr.zeros_like(self.dataset["diffuse"]))

@@ -103,6 +103,9 @@ class Slab(Representation):
         table = np.log(mean)[..., None].astype(np.float32)
         return vocabulary.label(reduced.assign(log_scattered=(TABLE_DIMS, table)), "bsdf")
 
+    def mean_index(self, weight: Array) -> tuple[float, float] | None:
+        return (float(weight @ self.dataset["n"].values), 0.0) if self.dataset["n"].ndim else None
+
 
 @dataclass(frozen=True)
 class SlabModel:

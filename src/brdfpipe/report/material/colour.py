@@ -9,11 +9,10 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.applicability import flop_exclusion
 from brdfpipe.appearance.origin import is_measured
-from brdfpipe.appearance.quantities import viewing_conditions
+from brdfpipe.appearance.quantities import quantity, viewing_conditions
 from brdfpipe.report.cards import Section, Table
-from brdfpipe.report.formatting import basis_legend, fixed, labels, number, plus_minus_u
+from brdfpipe.report.formatting import basis_legend, fixed, labels, plus_minus_u
 from brdfpipe.report.material.inputs import spectrum_section
 
 
@@ -22,11 +21,11 @@ def colour_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     section = Section("") if is_measured(datasets) else spectrum_section(datasets)
     appearance = datasets.get("appearance")
     if appearance is not None and "lab" in appearance:
-        section.tables.append(_lab_table(appearance, flop=not flop_exclusion(datasets)))
+        section.tables.append(_lab_table(datasets, appearance))
     return Section("Colour", section.figures, section.tables)
 
 
-def _lab_table(appearance: xr.Dataset, *, flop: bool) -> Table:
+def _lab_table(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset) -> Table:
     geometries, lab = labels(appearance["lab"], "geometry"), appearance["lab"]
     uncertainties = appearance.get("lab_u", xr.full_like(lab, np.nan))
     rows = [
@@ -34,7 +33,7 @@ def _lab_table(appearance: xr.Dataset, *, flop: bool) -> Table:
         for geometry, values, us in zip(geometries, lab.values.tolist(), uncertainties.values.tolist(), strict=True)
     ]
     header: tuple[str, ...] = ("Geometry", "L*", "a*", "b*")
-    notes = _lab_notes(appearance, geometries, flop=flop)
+    notes = _lab_notes(datasets, appearance, geometries)
     if "lab_quality" in appearance:
         flags = [vocabulary.QUALITY_FLAGS[flag] for flag in appearance["lab_quality"].values]
         header, rows = (*header, "Basis"), [(*row, flag) for row, flag in zip(rows, flags, strict=True)]
@@ -42,15 +41,15 @@ def _lab_table(appearance: xr.Dataset, *, flop: bool) -> Table:
     return Table(f"L*a*b*, {viewing_conditions(appearance)}", header, rows, " ".join(notes))
 
 
-def _lab_notes(appearance: xr.Dataset, geometries: list[str], *, flop: bool) -> list[str]:
+def _lab_notes(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset, geometries: list[str]) -> list[str]:
     notes = []
     total = str(appearance.attrs.get("total_geometry", ""))
     if total in geometries:
         notes.append(f"{total}: all reflected light, as an integrating sphere collects it.")
-    index = float(appearance.get("flop_index", math.nan))
-    if flop and math.isfinite(index):
+    flop = quantity("flop_index")
+    if math.isfinite(value := flop.value(datasets)):
         u = float(appearance.get("flop_index_u", math.nan))
-        notes.append(f"Flop index {number(index)} {plus_minus_u(u)}".rstrip() + ".")
+        notes.append(f"{flop.label} {fixed(value, flop.decimals)} {plus_minus_u(u)}".rstrip() + ".")
     if "lab_u" in appearance and "angle_tolerance" in appearance.attrs:
         notes.append(
             f"±: standard uncertainty from ± {float(appearance.attrs['angle_tolerance']):g}° of the directions of light and of view, an "

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import xarray as xr
 
-from brdfpipe.appearance.applicability import HAZE_ANGLES, gloss_exclusion, gloss_units, haze_exclusion
+from brdfpipe.appearance.applicability import HAZE_ANGLES, gloss_exclusion, gloss_units
 from brdfpipe.appearance.gloss_basis import gloss_flags, worst_flag
 from brdfpipe.appearance.multiple_scattering import MultipleScattering, multiple_scattering
+from brdfpipe.appearance.quantities import quantity
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.masking.modes import SMITH_MASKINGS
@@ -72,20 +73,13 @@ def gloss_table(datasets: Mapping[str, xr.Dataset]) -> Table | None:
     gloss = gloss_units(appearance)
     if appearance is None or not gloss:
         return None
-    header: tuple[str, ...] = ("Geometry", "Gloss units")
+    header: tuple[str, ...] = ("Quantity", quantity("haze").unit)
     if reason := gloss_exclusion(datasets):
-        return Table("Gloss", header, [(", ".join(f"{angle:g}°" for angle in gloss), "not modelled")], reason)
-    uncertainties, flags = _gloss_uncertainties(appearance), gloss_flags(appearance)
-    rows = [
-        *(
-            (f"{angle:g}°", fixed(value, 2), uncertainties.get(angle, ""), flags.get(angle, ""))
-            for angle, value in gloss.items()
-        ),
-        *_d4039_rows(datasets, appearance),
-        *_iso_13803_rows(appearance),
-    ]
+        geometries = ", ".join(quantity(f"gloss_{angle:g}").label for angle in gloss)
+        return Table("Gloss", header, [(geometries, "not modelled")], reason)
+    flags, rows = gloss_flags(appearance), list(_gloss_rows(datasets, appearance))
     columns, note = [0, 1], _STYLE_NOTE + _clear_coat_note(datasets.get("bsdf"))
-    if uncertainties:
+    if "gloss_u" in appearance and np.isfinite(appearance["gloss_u"]).any():
         title, sentence = _uncertainty_words(appearance)
         columns, header, note = [*columns, 2], (*header, title), note + sentence
     if flags:
@@ -93,31 +87,31 @@ def gloss_table(datasets: Mapping[str, xr.Dataset]) -> Table | None:
     return Table("Gloss", header, [[row[column] for column in columns] for row in rows], note)
 
 
-def _d4039_rows(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset) -> list[tuple[str, str, str, str]]:
-    """G60 − G20, called haze only where D4039 applies."""
-    if "haze" not in appearance or not np.isfinite(appearance["haze"]):
+def _gloss_rows(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset) -> Iterator[tuple[str, str, str, str]]:
+    """Label, value, uncertainty and basis of gloss, of G60 − G20, called haze only where D4039 applies, and of ISO 13803 windows."""
+    flags, haze, window_haze = gloss_flags(appearance), quantity("haze"), quantity("reflectance_haze")
+    for angle, (value, u) in zip(appearance["gloss_angle"].values.tolist(), _values(appearance, "gloss"), strict=True):
+        if math.isfinite(value):
+            gloss = quantity(f"gloss_{angle:g}")
+            yield gloss.label, fixed(value, gloss.decimals), u, flags.get(angle, "")
+    for value, u in _values(appearance, "haze"):
+        if math.isfinite(value):
+            label = haze.symbol if haze.exclusion(datasets) else haze.label
+            yield label, fixed(value, haze.decimals), u, worst_flag(appearance, *HAZE_ANGLES)
+    if "reflectance_haze" in appearance:
+        windows = labels(appearance["reflectance_haze"], "haze_window")
+        for window, (value, u) in zip(windows, _values(appearance, "reflectance_haze"), strict=True):
+            yield f"{window_haze.label}, {window}", fixed(value, window_haze.decimals), u, ""
+
+
+def _values(appearance: xr.Dataset, name: str) -> list[tuple[float, str]]:
+    """Values of a variable and ``± u``, which is empty where it is not known."""
+    if name not in appearance:
         return []
-    title = "60° − 20°" if haze_exclusion(datasets) else "Haze (D4039-style), 60° − 20°"
-    u = plus_minus_u(float(appearance.get("haze_u", math.nan)))
-    return [(title, fixed(float(appearance["haze"]), 2), u, worst_flag(appearance, *HAZE_ANGLES))]
-
-
-def _iso_13803_rows(appearance: xr.Dataset) -> list[tuple[str, str, str, str]]:
-    """Haze of every window."""
-    if "reflectance_haze" not in appearance:
-        return []
-    haze = appearance["reflectance_haze"]
-    uncertainties = appearance.get("reflectance_haze_u", xr.full_like(haze, np.nan)).values.tolist()
-    values = zip(labels(haze, "haze_window"), haze.values.tolist(), uncertainties, strict=True)
-    return [(f"Haze (ISO 13803-style), {window}", fixed(value, 2), plus_minus_u(u), "") for window, value, u in values]
-
-
-def _gloss_uncertainties(appearance: xr.Dataset) -> dict[float, str]:
-    """``± u`` of gloss by geometry [degree]."""
-    if "gloss_u" not in appearance:
-        return {}
-    angles, uncertainties = appearance["gloss_angle"].values.tolist(), appearance["gloss_u"].values.tolist()
-    return {angle: plus_minus_u(u) for angle, u in zip(angles, uncertainties, strict=True) if math.isfinite(u)}
+    uncertainty = appearance.get(f"{name}_u", xr.full_like(appearance[name], np.nan))
+    return list(
+        zip(appearance[name].values.ravel().tolist(), map(plus_minus_u, uncertainty.values.ravel()), strict=True)
+    )
 
 
 def _uncertainty_words(appearance: xr.Dataset) -> tuple[str, str]:

@@ -9,11 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from brdfpipe import vocabulary
-from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
-from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
+from brdfpipe.bsdf.nonspectral import normalised_response
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.facets.analytic_distributions import flat
 from brdfpipe.optics.dispersion import STORED_SPAN
 from brdfpipe.report.formatting import number
 from brdfpipe.report.plots.spectrum import visible_strip
@@ -131,18 +128,10 @@ def _range_words(index: xr.Dataset) -> str:
 
 def _mean_index(bsdf: xr.Dataset | None) -> _MeanIndex | None:
     """The index averaged with V(λ) and D65; None where a BSDF has no index over wavelength."""
-    if bsdf is None or not representation(bsdf).uses_index or bsdf["n"].dims != ("wavelength",):
+    if bsdf is None or not representation(bsdf).uses_index or (weight := normalised_response(bsdf)) is None:
         return None
-    weight = normalised_response(bsdf)
-    assert weight is not None
-    mean_wavelength = float(weight @ bsdf["wavelength"].values)
-    if representation(bsdf).is_slab:
-        return _MeanIndex(float(weight @ bsdf["n"].values), 0.0, mean_wavelength)
-    # The index of a polished body of the same material has the same mean, and takes a twelfth of the time.
-    own = xr.Dataset({part: ("wavelength", bsdf[part].values) for part in "nk"}, {"wavelength": bsdf["wavelength"]})
-    polished = build_microfacet(flat(), index=vocabulary.label(own.assign_attrs(source="own"), "index"))
-    reduced = nonspectral(polished, weight)
-    return _MeanIndex(float(reduced["n"]), float(reduced["k"]), mean_wavelength)
+    index = representation(bsdf).mean_index(weight)
+    return None if index is None else _MeanIndex(*index, float(weight @ bsdf["wavelength"].values))
 
 
 def _mean_index_words(mean: _MeanIndex) -> str:

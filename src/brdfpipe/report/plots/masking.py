@@ -2,43 +2,43 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from scipy.special import erf
 
+from brdfpipe.facets.analytic_distributions import equivalent_densities
+from brdfpipe.masking.analytic_smith import beckmann_lambda, ggx_lambda
+from brdfpipe.masking.smith import PlanarSmith
 from brdfpipe.report.formatting import EXPANDED_UNCERTAINTY
-from brdfpipe.report.plots.slope_density import GGX_LABEL, beckmann_width, median_slope
+from brdfpipe.report.plots.slope_density import equivalent_label
 from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, Mark, Pattern, Points, chart, legend
 
 _SMITH_G2: Sequence[tuple[str, str, str, Pattern]] = (
     ("g2_height_correlated", "c0", "Smith, height-correlated", "line"),
     ("g2_separable", "c3", "Smith, separable", "dash"),
 )
-
-
 _CAST = f"rays cast over the heights, {EXPANDED_UNCERTAINTY}"
 
 
 def smith_masking(facets: xr.Dataset) -> Figure:
     """Smith's G1 of an isotropic facet distribution, beside a Beckmann and a GGX."""
     theta, lambda_smith = facets["theta"].values.astype(float), facets["lambda_smith"].values.astype(float)
-    fine, (width, label) = np.linspace(0.5, 89.9, 180), beckmann_width(facets)
+    fine, (beckmann, ggx) = np.linspace(0.5, 89.9, 180), equivalent_densities(facets)
     marks = [
         _g1_line(theta, lambda_smith, "c0", "facets"),
-        Line(fine, _beckmann_g1(fine, width), "ref", label, "dash"),
-        Line(fine, _ggx_g1(fine, median_slope(facets)), "ref", GGX_LABEL, "dots"),
+        Line(fine, 1 / (1 + beckmann_lambda(fine, beckmann.widths[0])), "ref", equivalent_label(beckmann), "dash"),
+        Line(fine, 1 / (1 + ggx_lambda(fine, ggx.widths[0])), "ref", equivalent_label(ggx), "dots"),
     ]
     return _figure("Masking G₁(θ)", "G₁", marks, "1 / (1 + Λ), Smith.")
 
 
 def smith_masking_with_lay(facets: xr.Dataset, lay: float) -> Figure:
     """Smith's G1 along the lay and across it."""
-    theta = facets["theta"].values.astype(float)
+    theta, smith = facets["theta"].values.astype(float), PlanarSmith.of(facets)
+    mu, opposite = 1 / np.tan(np.radians(theta)), np.array([[0.0], [180.0]])
     marks = [
-        _g1_line(theta, _lambda_towards(facets, lay + turn), style, f"{name} the lay")
+        _g1_line(theta, smith.excess(mu, lay + turn + opposite).mean(axis=0) / mu, style, f"{name} the lay")
         for turn, style, name in ((0, "c0", "along"), (90, "c2", "across"))
     ]
     note = "1 / (1 + Λ), Smith; Λ is the mean of the two opposite directions."
@@ -92,29 +92,6 @@ def _smith_curve(comparison: xr.Dataset, facets: xr.Dataset | None) -> tuple[Arr
 def raycast_uncertainty(comparison: xr.Dataset, name: str = "g1_raycast_u") -> Array:
     """Standard uncertainty of G1, or G2, by ray casting; NaN where it is not known."""
     return comparison[name].values.astype(float) if name in comparison else np.full(comparison.sizes["theta"], np.nan)
-
-
-def _beckmann_g1(theta: Array, width: float) -> Array:
-    """Smith's G1 of a Beckmann surface (Heitz 2014, eq. 73)."""
-    nu = 1 / (width * np.tan(np.radians(theta)))
-    return np.asarray(1 / (1 + (erf(nu) - 1) / 2 + np.exp(-(np.minimum(nu, 30.0) ** 2)) / (2 * nu * np.sqrt(np.pi))))
-
-
-def _ggx_g1(theta: Array, width: float) -> Array:
-    """Smith's G1 of a GGX surface (Walter 2007, eq. 34)."""
-    return np.asarray(2 / (1 + np.sqrt(1 + (width * np.tan(np.radians(theta))) ** 2)))
-
-
-def _lambda_towards(facets: xr.Dataset, azimuth: float) -> Array:
-    """Λ(θ) towards an azimuth, linear between the tabulated ones, mean of the two opposite directions."""
-    phi = facets["phi"].values.astype(float)
-    table = facets["lambda_smith"].transpose("theta", "phi").values.astype(float)
-    senses = []
-    for towards in (azimuth, azimuth + 180):
-        place = float(np.interp((towards - phi[0]) % 360, np.r_[phi - phi[0], 360.0], np.arange(phi.size + 1)))
-        lower, share = math.floor(place), place % 1
-        senses.append((1 - share) * table[:, lower % phi.size] + share * table[:, (lower + 1) % phi.size])
-    return np.asarray(np.mean(senses, axis=0))
 
 
 def _g1_line(theta: Array, lambda_smith: Array, style: str, label: str) -> Line:

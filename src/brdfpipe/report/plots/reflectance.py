@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
+from brdfpipe.bsdf.light_shares import light_sum, reflectance_parts
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.report.formatting import fixed, number, share_percent
 from brdfpipe.report.plots import bsdf_sections, measurement_coverage
@@ -95,7 +95,7 @@ def _reflectance_lines(bsdf: xr.Dataset, plane: Plane, turn: int) -> Iterator[Li
     theta = _incidences(bsdf)
     words = f", {plane.words}" if plane.words else ""
     total_style, part_style = (("c0", "c2"), ("c1", "c3"))[turn]
-    parts = reflectance_parts(bsdf, plane, theta)
+    parts = reflectance_parts(bsdf, theta, np.full_like(theta, plane.azimuth + 180), bsdf_sections.reference(bsdf))
     yield Line(theta, parts.total, total_style, f"total{words}")
     if parts.mirrored.any():
         yield Line(theta, parts.mirrored, part_style, f"mirrored{words}", "dash")
@@ -105,40 +105,6 @@ def _reflectance_lines(bsdf: xr.Dataset, plane: Plane, turn: int) -> Iterator[Li
         yield Line(theta, parts.once, part_style, f"by one facet alone{words}", "dots")
     if parts.below is not None and parts.below.max() > _NEGLIGIBLE and not words:
         yield Line(theta, parts.below, "c4", "diffuse, from below", "dash")
-
-
-class ReflectanceParts(NamedTuple):
-    """Shares of the light [1] against the incidence; None where a representation does not distinguish them."""
-
-    total: Array
-    mirrored: Array
-    """Reflected into one direction by a perfectly smooth surface."""
-    facets: Array | None
-    """Scattered by the facets."""
-    once: Array | None
-    """The part of ``facets`` after one reflection; None where this is all of it."""
-    below: Array | None
-    """Diffuse, from below the surface."""
-
-
-def reflectance_parts(bsdf: xr.Dataset, plane: Plane, theta: Array) -> ReflectanceParts:
-    """Directional reflectance at incidences [degree], total and parts.
-
-    All come from one quadrature at the same angles: an interpolated part would cross the total towards grazing.
-    """
-    total = bsdf_sections.reflectance(bsdf, plane, theta)
-    mirrored, _ = bsdf_sections.specular(bsdf, theta)
-    facets, once = representation(bsdf).without_diffuse(), representation(bsdf).single_reflection()
-    if facets is None:
-        return ReflectanceParts(total, mirrored, None, None, None)
-    of_surface = bsdf_sections.reflectance(facets, plane, theta)
-    return ReflectanceParts(
-        total,
-        mirrored,
-        of_surface - mirrored,
-        None if once is None else bsdf_sections.reflectance(once, plane, theta),
-        np.maximum(total - of_surface, 0.0),
-    )
 
 
 def _balance(bsdf: xr.Dataset, plane: Plane) -> Figure:
@@ -168,20 +134,10 @@ def _balance(bsdf: xr.Dataset, plane: Plane) -> Figure:
         marks,
     )
     entries = tuple(("area", mark.style, mark.label) for mark in marks if isinstance(mark, Band))
-    note = f"{bsdf_sections.wavelength_words(bsdf).capitalize()}. {balance_words(theta, reflected, passed, _sum(bsdf, plane))}"
+    total = light_sum(bsdf, plane.azimuth + 180, bsdf_sections.reference(bsdf))
+    note = f"{bsdf_sections.wavelength_words(bsdf).capitalize()}. {balance_words(theta, reflected, passed, total)}"
     note += measurement_coverage.words(bsdf, plane, INCIDENCES)
     return Figure(plane.title("Balance of the light"), svg, entries, note)
-
-
-def _sum(bsdf: xr.Dataset, plane: Plane) -> float | None:
-    """R + T + A where it is farthest from 1; None for a BSDF that does not state its absorptance."""
-    if "absorptance" not in bsdf:
-        return None
-    stated = bsdf_sections.at_reference(bsdf["absorptance"])
-    known = stated["theta_i"].values < 90
-    theta, absorbed = (np.asarray(variable.values[known], dtype=float) for variable in (stated["theta_i"], stated))
-    total = absorbed + bsdf_sections.reflectance(bsdf, plane, theta) + bsdf_sections.transmittance(bsdf, plane, theta)
-    return float(total[np.argmax(np.abs(total - 1))])
 
 
 def balance_words(theta: Array, reflected: Array, passed: Array, total: float | None = None) -> str:

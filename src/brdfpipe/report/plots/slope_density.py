@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.facets.analytic_distributions import EquivalentDensity, equivalent_densities
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.report.formatting import EXPANDED_UNCERTAINTY
@@ -37,12 +39,7 @@ _HEAVY_TAIL = 25
 """Largest slope shown, in median slopes: a tail that falls like a power law would leave the rest a spike."""
 _MAP_DECADES, _MAP_STEPS_PER_DECADE, _MAP_PIXELS = 5, 2, 241
 
-GGX_LABEL = "GGX of the same median slope"
-
-# Medians of |slope| towards one azimuth over the width a, of Beckmann (a Gaussian of σ = a/√2) and of GGX.
-_BECKMANN_MEDIAN, _GGX_MEDIAN = 0.6744897501960817 / math.sqrt(2), 1 / math.sqrt(3)
-
-Model = Callable[[Array], Array]
+_EQUIVALENTS: Mapping[str, tuple[str, Pattern]] = {"beckmann": ("Beckmann", "dash"), "ggx": ("GGX", "dots")}
 
 
 def slope_density(facets: xr.Dataset) -> Figure:
@@ -50,18 +47,17 @@ def slope_density(facets: xr.Dataset) -> Figure:
     slope, density = facets["slope"].values, facets["slope_density"].values
     peak = float(density.max())
     shown = density > peak * 10.0**-_DECADES_SHOWN
-    most = float(slope[shown][-1]) * 1.05
-    slope_rms = scalar_or_nan(facets, "slope_rms")
-    most = min(most, 8 * slope_rms if math.isfinite(slope_rms) else _HEAVY_TAIL * median_slope(facets))
+    slope_rms = float(facets.get("slope_rms", math.nan))
+    tail_shown = 8 * slope_rms if math.isfinite(slope_rms) else _HEAVY_TAIL * RadialDensity.of(facets).median_slope
+    slope_max = min(float(slope[shown][-1]) * 1.05, tail_shown)
     quality = facets.get("slope_density_quality", xr.zeros_like(facets["slope"])).values
-    tail = (quality == vocabulary.quality("extrapolated")) & (slope <= most)
+    tail = (quality == vocabulary.quality("extrapolated")) & (slope <= slope_max)
     marks = _density_marks(slope, density, _relative_uncertainty(facets), tail)
-    fine = np.linspace(0, most, 200)
-    marks += [Line(fine, model(fine), "ref", label, pattern) for model, label, pattern in radial_equivalents(facets)]
+    marks += _equivalent_lines(facets, np.linspace(0, slope_max, 200))
     top = 10.0 ** math.ceil(math.log10(peak) + 0.05)
     svg = chart(
         "Slope density against slope, logarithmic",
-        Axis("slope, tan α", 0.0, most),
+        Axis("slope, tan α", 0.0, slope_max),
         Axis("slope density P₂₂", top * 10.0 ** -(_DECADES_SHOWN + 1), top, log=True),
         marks,
     )
@@ -74,27 +70,44 @@ def facet_distribution(facets: xr.Dataset) -> Figure:
     alpha = np.degrees(np.arctan(slope))
     distribution = density * (1 + slope**2) ** 2
     present = distribution > distribution.max() * 1e-3
-    most = min(90.0, float(alpha[present][-1]) * 1.1)
+    alpha_max = min(90.0, float(alpha[present][-1]) * 1.1)
     marks: list[Mark] = []
     relative = _relative_uncertainty(facets)
     if relative is not None:
         band = 2 * relative * distribution
         marks.append(Band(alpha, np.maximum(distribution - band, 0), distribution + band, "c0", EXPANDED_UNCERTAINTY))
     marks.append(Line(alpha, distribution, "c0", "facets"))
-    fine = np.linspace(0, most, 200)
+    fine = np.linspace(0, alpha_max, 200)
     s = np.tan(np.radians(np.minimum(fine, 89.9)))
-    highest = float(distribution.max())
-    for model, label, pattern in radial_equivalents(facets):
-        values = model(s) * (1 + s**2) ** 2
-        marks.append(Line(fine, values, "ref", label, pattern))
-        highest = max(highest, float(values.max()))
+    equivalents = [replace(line, x=fine, y=line.y * (1 + s**2) ** 2) for line in _equivalent_lines(facets, s)]
+    highest = max(float(np.max(values)) for values in (distribution, *(line.y for line in equivalents)))
+    marks += equivalents
     svg = chart(
         "Facet distribution D against the tilt of the facet",
-        Axis("tilt of the facet α, degree", 0.0, most),
+        Axis("tilt of the facet α, degree", 0.0, alpha_max),
         Axis("D, sr⁻¹", 0.0, highest * 1.06),
         marks,
     )
     return Figure("Facet distribution D(α)", svg, legend(marks))
+
+
+def equivalent_label(density: EquivalentDensity) -> str:
+    """``Beckmann of the same rms slope``"""
+    return f"{_EQUIVALENTS[density.distribution][0]} of the same {density.matched} slope"
+
+
+def _equivalent_lines(facets: xr.Dataset, slope: Array, axis: int | None = None) -> list[Line]:
+    """Sections of the Beckmann and the GGX: of an isotropic surface, or along (axis 0) or across (1) a lay."""
+    return [
+        Line(
+            slope,
+            density.section(slope, axis or 0),
+            "ref",
+            equivalent_label(density) + (f", {density.widths[0]:.3g}" if axis is None else "s"),
+            _EQUIVALENTS[density.distribution][1],
+        )
+        for density in equivalent_densities(facets)
+    ]
 
 
 def slope_by_scale(facets: xr.Dataset) -> Figure | None:
@@ -131,9 +144,8 @@ def figures_with_lay(facets: xr.Dataset, density: PlanarDensity) -> list[Figure]
 def _lay_rose(facets: xr.Dataset, density: PlanarDensity) -> Figure:
     lay = density.azimuth
     azimuth = np.arange(0.0, 360.0, 3.0)
-    finite = math.isfinite(scalar_or_nan(facets, "slope_rms"))
-    # The mean is finite where the rms is not.
-    slope = rms_slope_towards(density, azimuth) if finite else _mean_slope_towards(density, azimuth)
+    finite = math.isfinite(float(facets.get("slope_rms", math.nan)))
+    slope = density.rms_slope(azimuth) if finite else density.mean_slope(azimuth)
     quantity = "rms slope" if finite else "mean |slope|"
     label = f"lay {axis_degrees(lay)}"
     svg = rose(f"{quantity} against azimuth; {label}", f"{quantity} towards the azimuth", azimuth, slope, lay)
@@ -174,21 +186,20 @@ def _sections(facets: xr.Dataset, density: PlanarDensity) -> list[Figure]:
     """The density along the lay and across it, on common axes."""
     azimuths = (density.azimuth, density.azimuth + 90)
     peak = float(density.density.max())
-    most = max(
-        min(reach, _HEAVY_TAIL * median_slope_towards(density, azimuth))
-        for reach, azimuth in zip(_reach(density, peak), azimuths, strict=True)
+    slope_max = max(
+        min(shown, _HEAVY_TAIL * density.median_slope(azimuth))
+        for shown, azimuth in zip(_slope_range_shown(density, peak), azimuths, strict=True)
     )
-    slope = np.linspace(-most, most, 361)
+    slope = np.linspace(-slope_max, slope_max, 361)
     top = 10.0 ** math.ceil(math.log10(peak) + 0.05)
-    models = planar_equivalents(facets, density)
     figures = []
-    for turn, (name, azimuth) in enumerate(zip(("along", "across"), azimuths, strict=True)):
-        section = (slope, 0 * slope)[:: -1 if turn else 1]
+    for axis, (name, azimuth) in enumerate(zip(("along", "across"), azimuths, strict=True)):
+        section = (slope, 0 * slope)[:: -1 if axis else 1]
         marks = _density_marks(slope, density.principal(*section), *_section_quality(facets, density, *section))
-        marks += [Line(slope, model[turn](slope), "ref", label, pattern) for model, label, pattern in models]
+        marks += _equivalent_lines(facets, slope, axis)
         svg = chart(
             f"Slope density {name} the lay, logarithmic",
-            Axis(f"slope towards {axis_degrees(azimuth)}", -most, most),
+            Axis(f"slope towards {axis_degrees(azimuth)}", -slope_max, slope_max),
             Axis("slope density P₂₂", top * 10.0 ** -(_DECADES_SHOWN + 1), top, log=True),
             marks,
         )
@@ -201,14 +212,7 @@ def axis_degrees(azimuth: float) -> str:
     return f"{round(azimuth % 180, 1) % 180:g}°" if math.isfinite(azimuth) else "–"
 
 
-def _mean_slope_towards(density: PlanarDensity, azimuth: Array) -> Array:
-    """Mean |slope| towards azimuths."""
-    p, q, weight = density.rule()
-    angles = np.radians(azimuth).tolist()
-    return np.array([np.sum(weight * np.abs(p * math.cos(a) + q * math.sin(a))) for a in angles]) / weight.sum()
-
-
-def _reach(density: PlanarDensity, peak: float) -> tuple[float, float]:
+def _slope_range_shown(density: PlanarDensity, peak: float) -> tuple[float, float]:
     """Largest slopes along the lay and across it at which the density is shown."""
     shown = peak * 10.0**-_DECADES_SHOWN
     along, across = density.along.nodes, density.across.nodes
@@ -261,71 +265,3 @@ def _relative_uncertainty(facets: xr.Dataset) -> Array | None:
                 relative = np.where(value > 0, facets[f"{name}_u"].values / value, np.nan)
             return np.asarray(np.minimum(relative, 3.0))
     return None
-
-
-# --- Beckmann and GGX of the same slopes
-
-
-def radial_equivalents(facets: xr.Dataset) -> list[tuple[Model, str, Pattern]]:
-    a, label = beckmann_width(facets)
-    b = median_slope(facets)
-    return [
-        (lambda s: np.exp(-np.minimum((s / a) ** 2, 690.0)) / (np.pi * a**2), f"{label}, {a:.3g}", "dash"),
-        (lambda s: 1 / (np.pi * b**2 * (1 + (s / b) ** 2) ** 2), f"{GGX_LABEL}, {b:.3g}", "dots"),
-    ]
-
-
-def beckmann_width(facets: xr.Dataset) -> tuple[float, str]:
-    """Width a and label of the Beckmann beside a radial density; a heavy tail may have no finite slope rms."""
-    slope_rms = scalar_or_nan(facets, "slope_rms")
-    if math.isfinite(slope_rms) and slope_rms > 0:
-        return slope_rms, "Beckmann of the same rms slope"
-    return median_slope(facets) / math.sqrt(math.log(2)), "Beckmann of the same median slope"
-
-
-def median_slope(facets: xr.Dataset) -> float:
-    """The median slope; for a GGX, its width."""
-    return RadialDensity.of(facets).median_slope
-
-
-def planar_equivalents(facets: xr.Dataset, density: PlanarDensity) -> list[tuple[tuple[Model, Model], str, Pattern]]:
-    """Beckmann and GGX, each as its sections (along, across)."""
-    azimuths = np.array([density.azimuth, density.azimuth + 90])
-    medians = np.array([median_slope_towards(density, azimuth) for azimuth in azimuths.tolist()])
-    if math.isfinite(scalar_or_nan(facets, "slope_rms")):
-        wide, rule = rms_slope_towards(density, azimuths) * math.sqrt(2), "rms slopes"
-    else:
-        wide, rule = medians / _BECKMANN_MEDIAN, "median slopes"
-    narrow = medians / _GGX_MEDIAN
-
-    def beckmann(a: float) -> Model:
-        return lambda s: np.exp(-np.minimum((s / a) ** 2, 690.0)) / (np.pi * np.prod(wide))
-
-    def ggx(a: float) -> Model:
-        return lambda s: 1 / (np.pi * np.prod(narrow) * (1 + (s / a) ** 2) ** 2)
-
-    return [
-        ((beckmann(wide[0]), beckmann(wide[1])), f"Beckmann of the same {rule}", "dash"),
-        ((ggx(narrow[0]), ggx(narrow[1])), "GGX of the same median slopes", "dots"),
-    ]
-
-
-def rms_slope_towards(density: PlanarDensity, azimuth: Array) -> Array:
-    """Slope rms about zero towards azimuths."""
-    _, mean, covariance = density.moments
-    towards = np.stack([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
-    second = covariance + np.outer(mean, mean)
-    return np.asarray(np.sqrt(np.einsum("ik,ij,jk->k", towards, second, towards)))
-
-
-def median_slope_towards(density: PlanarDensity, azimuth: float) -> float:
-    """Median |slope| towards an azimuth."""
-    slope, values = density.marginal(azimuth)
-    below = np.r_[0.0, np.cumsum(np.diff(slope) * (values[1:] + values[:-1]) / 2)]
-    positive = slope[slope > 0]
-    within = np.interp(positive, slope, below) - np.interp(-positive, slope, below)
-    return float(np.interp(0.5 * below[-1], within, positive))
-
-
-def scalar_or_nan(dataset: xr.Dataset, name: str) -> float:
-    return float(dataset[name]) if name in dataset else math.nan

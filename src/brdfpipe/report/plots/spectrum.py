@@ -9,6 +9,7 @@ from brdfpipe import hemisphere
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.report.formatting import EXPANDED_UNCERTAINTY
 from brdfpipe.report.plots.svg import Array, Axis, Band, Figure, Line, Mark, chart, legend, png
+from brdfpipe.spectra.colorimetry import encoded_srgb, srgb_from_xyz, weights
 
 
 def spectrum_figure(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Figure:
@@ -44,18 +45,11 @@ def spectrum_figure(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Fig
 
 def visible_strip(low: float, high: float) -> str:
     """Colours of the spectrum between two wavelengths, as an image one pixel high."""
+    light = weights("E", 2)
+    linear = light.weights @ srgb_from_xyz(light.white).T
     wavelength = np.linspace(low, high, 140)
-    x, y, z = _tristimulus(wavelength)
-    linear = np.stack(
-        [
-            3.2406 * x - 1.5372 * y - 0.4986 * z,
-            -0.9689 * x + 1.8758 * y + 0.0415 * z,
-            0.0557 * x - 0.2040 * y + 1.0570 * z,
-        ],
-        axis=-1,
-    )
-    linear = np.minimum(np.clip(linear, 0, None) / 1.35, 1)
-    return png((255 * linear ** (1 / 2.2)).round().astype(np.uint8)[None])
+    channels = [np.interp(wavelength, light.wavelength, channel, 0.0, 0.0) for channel in (linear / linear.max()).T]
+    return png((255 * encoded_srgb(np.stack(channels, axis=-1))).round().astype(np.uint8)[None])
 
 
 def _total(spectral: xr.Dataset, bsdf: xr.Dataset | None) -> tuple[Array, Array] | None:
@@ -91,16 +85,3 @@ def _specular_part(bsdf: xr.Dataset | None, wavelength: Array) -> Array | None:
     return (
         np.full(wavelength.size, part[0]) if part.size == 1 else np.interp(wavelength, bsdf["wavelength"].values, part)
     )
-
-
-def _tristimulus(wavelength: Array) -> tuple[Array, Array, Array]:
-    """CIE 1931 colour-matching functions by Gaussian lobes (Wyman 2013): accurate enough for a coloured strip."""
-
-    def lobe(height: float, centre: float, below: float, above: float) -> Array:
-        width = np.where(wavelength < centre, below, above)
-        return np.asarray(height * np.exp(-0.5 * ((wavelength - centre) / width) ** 2))
-
-    x = lobe(1.056, 599.8, 37.9, 31.0) + lobe(0.362, 442.0, 16.0, 26.7) + lobe(-0.065, 501.1, 20.4, 26.2)
-    y = lobe(0.821, 568.8, 46.9, 40.5) + lobe(0.286, 530.9, 16.3, 31.1)
-    z = lobe(1.217, 437.0, 11.8, 36.0) + lobe(0.681, 459.0, 26.0, 13.8)
-    return x, y, z

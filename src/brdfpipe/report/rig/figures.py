@@ -56,10 +56,10 @@ _LONG_SESSION = 7200.0
 _MOST_TICKS = 12
 
 
-def cell_states(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> NDArray[np.str_]:
-    """State of each cell at incidence number ``at``, the best of all wavelengths."""
-    hidden = (primary["brdf_quality"].values[at] == vocabulary.quality("shadowed")).all(axis=0)
-    fitted = np.isfinite(smoothed["residual"].values[at]).any(axis=0)
+def cell_states(primary: xr.Dataset, smoothed: xr.Dataset, index: int) -> NDArray[np.str_]:
+    """State of each cell at incidence number ``index``, the best of all wavelengths."""
+    hidden = (primary["brdf_quality"].values[index] == vocabulary.quality("shadowed")).all(axis=0)
+    fitted = np.isfinite(smoothed["residual"].values[index]).any(axis=0)
     return np.select([fitted, hidden], [FITTED, HIDDEN], LEFT_OUT)
 
 
@@ -137,8 +137,8 @@ def drift(reduced: Sequence[xr.Dataset]) -> Figure:
     time, change, error = elapsed / seconds, 100 * (value / value[0] - 1), 100 * u / value[0]
     marks: list[Mark] = [Line(time, change, "ref")]
     for angle, style in zip(np.unique(incidence), cycle(_COLOURS), strict=False):
-        own = incidence == angle
-        marks.append(Points(time[own], change[own], error[own], style, f"{angle:g}°"))
+        of_angle = incidence == angle
+        marks.append(Points(time[of_angle], change[of_angle], error[of_angle], style, f"{angle:g}°"))
     shown = [float(np.nanmin([change - error, change])), float(np.nanmax([change + error, change]))]
     tolerance = 100 * max((float(arrangement.attrs.get("drift_tolerance", 0.0)) for arrangement in reduced), default=0)
     if tolerance:
@@ -179,9 +179,9 @@ def _lamp_readings(reduced: xr.Dataset, wavelength: float) -> Array:
         names = ("drift_elapsed", "drift_reference", "drift_reference_u")
         readings.append(np.stack([monitored[name].values for name in names], axis=1))
     if "elapsed" in reduced:
-        at = reduced["wavelength"].values == wavelength
+        selected = reduced["wavelength"].values == wavelength
         names = ("elapsed", "reference", "reference_u")
-        readings.append(np.stack([reduced[name].values[0, at] for name in names], axis=1))
+        readings.append(np.stack([reduced[name].values[0, selected] for name in names], axis=1))
     values = np.concatenate(readings)
     return np.column_stack([values, np.full(len(values), float(reduced["incidence"][0]))])
 
@@ -191,14 +191,14 @@ def profiles(calibration: xr.Dataset) -> Figure:
     title = "Calibration profiles of the rig"
     count = calibration.sizes.get("profile", 0)
     if count < 2:
-        advice = "Name the preceding calibration as `previous` in calibration.yaml; each new profile is then compared with those before."
+        advice = "Name the preceding calibration as `previous` in calibration.yaml; each new profile is then compared with the earlier profiles."
         return Figure(title, note=f"A chart needs two profiles. {advice}")
     level = calibration["scale_change"].dropna("wavelength").mean("wavelength").values
     change, limit, violation = (
         calibration[name].transpose("watched", "profile").sel(watched=["level", "spectrum"]).values
         for name in ("change", "limit", "violation")
     )
-    # The level of each profile is compared with the mean level of those before, its spectrum with their mean spectrum.
+    # The level of each profile is compared with the mean level of the earlier profiles, its spectrum with their mean spectrum.
     values, expected = np.array([level, change[1]]), np.array([level - change[0], np.zeros(count)])
     shown, low, high = (100 * np.expm1(logs) for logs in (values, expected - limit, expected + limit))
     number_of_profile = np.arange(1.0, count + 1)
@@ -210,8 +210,8 @@ def profiles(calibration: xr.Dataset) -> Figure:
         Line(steps, top[1], "c2", "limits of one wavelength", pattern="dash"),
     ]
     labels = {"c0": "mean over wavelengths", "c2": "wavelength that deviates most"}
-    for own, (style, label) in zip(shown, labels.items(), strict=True):
-        marks += [Line(number_of_profile, own, style), Points(number_of_profile, own, style=style, label=label)]
+    for curve, (style, label) in zip(shown, labels.items(), strict=True):
+        marks += [Line(number_of_profile, curve, style), Points(number_of_profile, curve, style=style, label=label)]
     beyond = np.asarray(violation, dtype=bool)
     if beyond.any():
         violations = np.where(beyond, shown, np.nan).ravel()
@@ -235,7 +235,7 @@ def _profile_note(calibration: xr.Dataset, violation: NDArray[np.bool_]) -> str:
     ]
     note = (
         f"From 1, {named[0]}, to {len(named)}, {named[-1]}, which is in use: scale of the cells over that of the first, median of "
-        "the cells, and the wavelength that deviates most. Limits: 3 standard deviations about the mean of the profiles before. A change "
+        "the cells, and the wavelength that deviates most. Limits: 3 standard deviations about the mean of the earlier profiles. A change "
         "beyond them is significant: the etalon is dirty or aged, or the optics changed."
     )
     violations = [profile for profile, is_violation in zip(named, violation, strict=True) if is_violation]

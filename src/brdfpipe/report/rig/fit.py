@@ -11,7 +11,6 @@ import xarray as xr
 from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
-from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured import smoothing
 from brdfpipe.report.formatting import number
 from brdfpipe.report.plots import bsdf_sections
@@ -37,8 +36,6 @@ _OUTLYING = 3.0
 _MOST_DECADES = 7
 _HIGHEST_GCV = 1e3
 """Largest generalised cross-validation shown, over the smallest."""
-_ASYMMETRIC = 5.0
-"""Standard deviations by which the means of two sides differ significantly."""
 
 _STYLES = ("c0", "c1", "c4", "c2", "c3", "ref")
 
@@ -68,13 +65,13 @@ class _AngleAxis(Axis):
         return [(value, minus(f"{value + 0.0:g}")) for value in values if self.low <= value <= self.high]
 
 
-def fit(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> Figure:
-    """The smoothed BSDF of incidence number ``at`` against the cells near the plane of incidence, and the difference."""
-    incidence, side = float(smoothed["incidence"][at]), str(smoothed.attrs["side"])
+def fit(primary: xr.Dataset, smoothed: xr.Dataset, index: int) -> Figure:
+    """The smoothed BSDF of incidence number ``index`` against the cells near the plane of incidence, and the difference."""
+    incidence, side = float(smoothed["incidence"][index]), str(smoothed.attrs["side"])
     quantity = "BTDF" if side == "transmission" else "BRDF"
     title = f"{incidence:g}° incidence: {quantity} in the plane, fit against data"
-    cells = _in_plane(primary, smoothed, at)
-    theta, fitted, u = _curve(smoothed, at, cells)
+    cells = _in_plane(primary, smoothed, index)
+    theta, fitted, u = _curve(smoothed, index, cells)
     if not (cells.value > 0).any() or not (fitted > 0).any():
         return Figure(title, note="No fitted cell near the plane of incidence has a value above 0.")
     axis = _AngleAxis(
@@ -145,37 +142,37 @@ class _Plane:
     fibre: NDArray[np.bool_]
 
 
-def _in_plane(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> _Plane:
-    own = primary.isel(incidence=at).sel(wavelength=bsdf_sections.REFERENCE_WAVELENGTH, method="nearest")
-    theta, phi = own["theta_s"].values, (own["phi_s"].values + 180) % 360 - 180
+def _in_plane(primary: xr.Dataset, smoothed: xr.Dataset, index: int) -> _Plane:
+    measured = primary.isel(incidence=index).sel(wavelength=bsdf_sections.REFERENCE_WAVELENGTH, method="nearest")
+    theta, phi = measured["theta_s"].values, (measured["phi_s"].values + 180) % 360 - 180
     towards, away = np.abs(phi) <= NEAR_PLANE, np.abs(phi) >= 180 - NEAR_PLANE
-    used = np.isfinite(bsdf_sections.at_reference(smoothed["residual"]).values[at])
+    used = np.isfinite(bsdf_sections.at_reference(smoothed["residual"]).values[index])
     cells = np.flatnonzero((towards | away | (theta < 1e-6)) & used)
     fitted = np.zeros(0)
     if cells.size:
-        fitted = smoothing.evaluate(_one_incidence(smoothed, at), theta[cells], phi[cells]).values[0, 0]
+        fitted = smoothing.evaluate(_one_incidence(smoothed, index), theta[cells], phi[cells]).values[0, 0]
     return _Plane(
         np.where(away, -theta, theta)[cells],
-        own["brdf"].values[cells],
-        own["brdf_u"].values[cells],
+        measured["brdf"].values[cells],
+        measured["brdf_u"].values[cells],
         fitted,
-        own["kind"].values[cells] == "fibre",
+        measured["kind"].values[cells] == "fibre",
     )
 
 
-def _one_incidence(smoothed: xr.Dataset, at: int) -> xr.Dataset:
+def _one_incidence(smoothed: xr.Dataset, index: int) -> xr.Dataset:
     """One incidence at the reference wavelength."""
-    return smoothed.isel(incidence=[at]).sel(wavelength=[bsdf_sections.REFERENCE_WAVELENGTH], method="nearest")
+    return smoothed.isel(incidence=[index]).sel(wavelength=[bsdf_sections.REFERENCE_WAVELENGTH], method="nearest")
 
 
-def _curve(smoothed: xr.Dataset, at: int, cells: _Plane) -> tuple[Array, Array, Array]:
+def _curve(smoothed: xr.Dataset, index: int, cells: _Plane) -> tuple[Array, Array, Array]:
     """Angles, fit and its uncertainty over the range of the cells; NaN below the horizon."""
     ends = _asinh([cells.theta.min(initial=-1.0), cells.theta.max(initial=1.0)])
     margin = 0.02 * np.ptp(ends)
     theta = LINEAR_UP_TO * np.sinh(np.linspace(ends[0] - margin, ends[1] + margin, _CURVE_POINTS))
     theta = np.union1d(np.clip(theta, -180, 180).round(6), [0.0])
     phi = np.where(theta < 0, 180.0, 0.0)
-    one = _one_incidence(smoothed, at)
+    one = _one_incidence(smoothed, index)
     value, u = (method(one, np.abs(theta), phi).values[0, 0] for method in (smoothing.evaluate, smoothing.uncertainty))
     above_horizon = cos_view(float(one["incidence"][0]), np.abs(theta), phi) > 0
     return theta, np.where(above_horizon, value, np.nan), np.where(above_horizon, u, np.nan)
@@ -187,10 +184,10 @@ def _points(cells: _Plane, value: Array, u: Array, axis: Axis, tall: float) -> l
     visible = length > 2 * _SHORTEST_BAR
     shown = np.where(value > 0, value, np.nan) if axis.log else value
     marks: list[Mark] = []
-    for own, style, label in ((~cells.fibre, "c0", "disc"), (cells.fibre, "c2", "fibres")):
-        if own.any():
-            marks.append(bars(cells.theta, value, np.where(visible & own, u, np.nan), f"{style} thin"))
-            marks.append(Points(cells.theta[own], shown[own], style=f"{style} small", label=label))
+    for group, style, label in ((~cells.fibre, "c0", "disc"), (cells.fibre, "c2", "fibres")):
+        if group.any():
+            marks.append(bars(cells.theta, value, np.where(visible & group, u, np.nan), f"{style} thin"))
+            marks.append(Points(cells.theta[group], shown[group], style=f"{style} small", label=label))
     return marks
 
 
@@ -203,11 +200,11 @@ def bars(x: Array, y: Array, u: Array, style: str) -> Line:
 # --- residuals
 
 
-def residuals(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> Figure:
+def residuals(primary: xr.Dataset, smoothed: xr.Dataset, index: int) -> Figure:
     """A map of the residuals of an incidence over their uncertainties, about the mirror direction."""
-    incidence = float(smoothed["incidence"][at])
+    incidence = float(smoothed["incidence"][index])
     title = f"{incidence:g}° incidence: residuals of the fit"
-    residual = bsdf_sections.at_reference(smoothed["residual"]).values[at]
+    residual = bsdf_sections.at_reference(smoothed["residual"]).values[index]
     theta, phi = smoothed["theta_s"].values, smoothed["phi_s"].values
     used = np.isfinite(residual)
     if not used.any():
@@ -218,11 +215,11 @@ def residuals(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> Figure:
     level = np.digitize(residual, _CLASS_LIMITS)
     groups = {f"z{k}": used & (level == k) for k in range(len(_CLASS_NAMES))}
     groups["none"] = ~used & (distance <= _MAP_RADIUS)
-    parts = [_rings(largest), *(_dots(x[own], y[own], f"dot {style}") for style, own in groups.items())]
-    parts.append(_key({style: int(own.sum()) for style, own in groups.items()}))
+    parts = [_rings(largest), *(_dots(x[group], y[group], f"dot {style}") for style, group in groups.items())]
+    parts.append(_key({style: int(group.sum()) for style, group in groups.items()}))
     parts.append(text(4, 15, "ϑ from the mirror direction, asinh", "start", "t"))
     parts.append(text(_MAP_X + _MAP_RADIUS + 8, _MAP_Y + 4, "φ = 0, to the normal" if incidence else "φ = 0"))
-    spectral = smoothed["residual"].values[at]
+    spectral = smoothed["residual"].values[index]
     spectral = spectral[np.isfinite(spectral)]
     note = (
         f"{bsdf_sections.wavelength_words(primary).capitalize()}. Of all wavelengths, rms "
@@ -231,20 +228,6 @@ def residuals(primary: xr.Dataset, smoothed: xr.Dataset, at: int) -> Figure:
     )
     svg = frame(f"Map of residuals over their uncertainty at {incidence:g} degrees of incidence", 356, parts)
     return Figure(title, svg, note=note)
-
-
-def asymmetry(smoothed: xr.Dataset, at: int) -> float:
-    """Difference of the mean residuals of the two sides of the plane of incidence [standard uncertainties].
-
-    0 where it is not significant, and for a fit that does not assume symmetry.
-    """
-    residual = bsdf_sections.at_reference(smoothed["residual"]).values[at]
-    across = np.sin(np.radians(smoothed["phi_s"].values))
-    sides = [residual[np.isfinite(residual) & side] for side in (across > 0.1, across < -0.1)]
-    if min(side.size for side in sides) < 2 or not bases.from_json(smoothed.attrs["basis"]).symmetric:
-        return 0.0
-    difference = abs(float(sides[0].mean() - sides[1].mean()))
-    return difference if difference > _ASYMMETRIC * float(np.sqrt(sum(1 / side.size for side in sides))) else 0.0
 
 
 def _rings(largest: float) -> str:
@@ -311,12 +294,12 @@ def _strength_curves(smoothed: xr.Dataset, abscissa: str, y: Array) -> tuple[lis
     lines: list[Line] = []
     points: list[Points] = []
     validated = np.flatnonzero(np.isfinite(smoothed["gcv"].values).any(axis=1)).tolist()
-    for at, style in zip(validated, cycle(_STYLES), strict=False):
-        label = f"{'' if lines else 'incidence '}{float(smoothed['incidence'][at]):g}°"
-        x, strength = (smoothed[name].values[at] for name in (abscissa, "strength"))
-        used = float(smoothed["chosen_strength"][at])
-        lines.append(Line(x, y[at], style, label))
-        x_used, y_used = (np.interp(np.log(used), np.log(strength), values) for values in (x, y[at]))
+    for index, style in zip(validated, cycle(_STYLES), strict=False):
+        label = f"{'' if lines else 'incidence '}{float(smoothed['incidence'][index]):g}°"
+        x, strength = (smoothed[name].values[index] for name in (abscissa, "strength"))
+        used = float(smoothed["chosen_strength"][index])
+        lines.append(Line(x, y[index], style, label))
+        x_used, y_used = (np.interp(np.log(used), np.log(strength), values) for values in (x, y[index]))
         points.append(Points([used if abscissa == "strength" else x_used], [y_used], style=style))
     return lines, points
 

@@ -11,10 +11,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.bsdf.measured.agreement import asymmetry
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.measured import Measured
 from brdfpipe.report.cards import Chapter, Table
 from brdfpipe.report.formatting import MISSING, fixed, number
+from brdfpipe.report.plots.bsdf_sections import REFERENCE_WAVELENGTH
 from brdfpipe.report.plots.indicatrix import indicatrix
 from brdfpipe.report.plots.svg import Figure
 from brdfpipe.report.rig import figures as rig_figures
@@ -64,13 +66,13 @@ def chapter(datasets: Mapping[str, xr.Dataset]) -> Chapter | None:
 
     def shown(most: int) -> list[tuple[Side, int]]:
         return [
-            (side, at)
+            (side, index)
             for side in measured_sides
-            for at in _evenly_spaced(side.smoothed.sizes["incidence"], most // len(measured_sides))
+            for index in _evenly_spaced(side.smoothed.sizes["incidence"], most // len(measured_sides))
         ]
 
     parts: list[Figure | Table | None] = [
-        rig_figures.frames([picture for side, at in shown(MOST_PICTURES) for picture in _pictures(side, at)]),
+        rig_figures.frames([picture for side, index in shown(MOST_PICTURES) for picture in _pictures(side, index)]),
         measurement_table(measured_sides, profile),
         rig_figures.drift([arrangement for side in measured_sides for arrangement in side.reduced]),
         None if profile is None else rig_figures.profiles(profile),
@@ -80,8 +82,9 @@ def chapter(datasets: Mapping[str, xr.Dataset]) -> Chapter | None:
         parts += [rig_figures.budget(side.primary, kind) for kind in ("disc", "fibre")]
         parts.append(_uncertainty_table(side, named=len(measured_sides) > 1))
     parts.append(_lobe(datasets, measured_sides))
-    for side, at in shown(MOST_FITS):
-        parts += [rig_fit.fit(side.primary, side.smoothed, at), rig_fit.residuals(side.primary, side.smoothed, at)]
+    for side, index in shown(MOST_FITS):
+        arguments = side.primary, side.smoothed, index
+        parts += [rig_fit.fit(*arguments), rig_fit.residuals(*arguments)]
     for side in measured_sides:
         parts += [rig_fit.cross_validation(side.smoothed), rig_fit.l_curve(side.smoothed)]
     parts.append(_reciprocity(datasets, measured_sides))
@@ -125,11 +128,11 @@ def _evenly_spaced(count: int, most: int) -> list[int]:
     return sorted({int(index) for index in np.linspace(0, count - 1, min(count, most)).round()})
 
 
-def _pictures(side: Side, at: int) -> Iterator[tuple[xr.Dataset, NDArray[np.str_]]]:
-    incidence = float(side.smoothed["incidence"][at])
+def _pictures(side: Side, index: int) -> Iterator[tuple[xr.Dataset, NDArray[np.str_]]]:
+    incidence = float(side.smoothed["incidence"][index])
     for reduced in side.reduced:
         if float(reduced["incidence"][0]) == incidence:
-            yield reduced, rig_figures.cell_states(side.primary, side.smoothed, at)
+            yield reduced, rig_figures.cell_states(side.primary, side.smoothed, index)
 
 
 def _warnings(datasets: Mapping[str, xr.Dataset]) -> list[str]:
@@ -225,14 +228,15 @@ def coverage_table(measured_sides: Sequence[Side], profile: xr.Dataset | None, s
     header = ("Incidence", *counts, "rms of residual / u", "χ² / dof", "Strength ε")
     rows, few, asymmetric = [], [], []
     for side in measured_sides:
-        for at, incidence in enumerate(side.smoothed["incidence"].values.tolist()):
+        for index, incidence in enumerate(side.smoothed["incidence"].values.tolist()):
             name = f"{incidence:g}°" + (f" {side.name}" if len(measured_sides) > 1 else "")
-            rows.append((name, *_counted(side, at), *_misfit(side.smoothed, at)))
-            states = rig_figures.cell_states(side.primary, side.smoothed, at)
+            rows.append((name, *_counted(side, index), *_misfit(side.smoothed, index)))
+            states = rig_figures.cell_states(side.primary, side.smoothed, index)
             fitted, above = int((states == FITTED).sum()), int((states != HIDDEN).sum())
             few += [f"{name} ({fitted} of {above})"] if fitted < _FEW * above else []
-            asymmetry = rig_fit.asymmetry(side.smoothed, at)
-            asymmetric += [f"{number(asymmetry, 2)} at {name}"] if asymmetry else []
+            at_incidence = side.smoothed.isel(incidence=index)
+            difference = asymmetry(at_incidence.sel(wavelength=REFERENCE_WAVELENGTH, method="nearest"))
+            asymmetric += [f"{number(difference, 2)} at {name}"] if difference else []
     note = (
         "Number of cells, mean over the wavelengths. Otherwise left out: vignetted, or not calibrated by the profile. The rms of the "
         "residuals over their uncertainties should be slightly below 1. Above 1, the fit misses features of the data, or the "
@@ -259,20 +263,20 @@ def _advice(few: Sequence[str], asymmetric: Sequence[str]) -> Iterator[str]:
         )
 
 
-def _counted(side: Side, at: int) -> Iterator[str]:
-    quality = side.primary["brdf_quality"].values[at]
-    fitted = np.isfinite(side.smoothed["residual"].values[at])
+def _counted(side: Side, index: int) -> Iterator[str]:
+    quality = side.primary["brdf_quality"].values[index]
+    fitted = np.isfinite(side.smoothed["residual"].values[index])
     dim = quality == vocabulary.quality("below_noise")
     saturated, hidden = (~fitted & (quality == vocabulary.quality(name)) for name in ("saturated", "shadowed"))
     columns = fitted, fitted & dim, saturated, hidden, ~(fitted | saturated | hidden)
     return (f"{column.sum(axis=1).mean():.0f}" for column in columns)
 
 
-def _misfit(smoothed: xr.Dataset, at: int) -> tuple[str, str, str]:
-    residual, reduced = smoothed["residual"].values[at], smoothed["chi_squared_dof"].values[at]
+def _misfit(smoothed: xr.Dataset, index: int) -> tuple[str, str, str]:
+    residual, reduced = smoothed["residual"].values[index], smoothed["chi_squared_dof"].values[index]
     rms = float(np.sqrt(np.nanmean(residual**2))) if np.isfinite(residual).any() else np.nan
     median = float(np.nanmedian(reduced)) if np.isfinite(reduced).any() else np.nan
-    return number(rms), number(median), number(float(smoothed["chosen_strength"][at]))
+    return number(rms), number(median), number(float(smoothed["chosen_strength"][index]))
 
 
 def _dead_fibres(profile: xr.Dataset | None) -> str:
