@@ -317,7 +317,7 @@ def test_the_page_of_flakes_without_a_gloss_lobe_states_the_remedy(options: dict
     bsdf = flake.build(measured, **options).assign_attrs(route="flake")
     html = material_page({"multiangle": measured, "flake": bsdf, "bsdf": bsdf, "appearance": compute_appearance(bsdf)})
     assert not [name for name in _tiles(html) if name.startswith(("Gloss", "Haze"))]
-    assert '<th scope="row">20°, 60°, 85°</th><td>not modelled</td>' in html
+    assert '<th scope="row">Gloss 20°, Gloss 60°, Gloss 85°</th><td>not modelled</td>' in html
     table = re.search(r"<h3>Gloss</h3>.*?<p class=\"note\">(.*?)</p>", html, re.S)
     assert table is not None
     assert "has no gloss lobe" in table[1]
@@ -338,7 +338,7 @@ def test_a_stage_with_a_warning_is_a_verdict_but_no_check(full_page: str) -> Non
 def test_a_material_without_a_finish_has_no_gloss_tile_but_a_remark(full: Datasets) -> None:
     html = material_page({stage: full[stage] for stage in ("spectrum", "appearance")})
     assert not [name for name in _tiles(html) if name.startswith(("Gloss", "Haze"))]
-    assert '<th scope="row">20°, 60°, 85°</th><td>not modelled</td>' in html
+    assert '<th scope="row">Gloss 20°, Gloss 60°, Gloss 85°</th><td>not modelled</td>' in html
 
 
 @pytest.mark.usefixtures("without_bsdf_figures")

@@ -112,8 +112,8 @@ def reference(dataset: xr.Dataset) -> Array | None:
     """The dataset's own wavelength nearest to the reference, (1,); None where it has none."""
     if "wavelength" not in dataset.coords or dataset["wavelength"].ndim != 1:
         return None
-    own = dataset["wavelength"].values.astype(float)
-    return own[[int(np.argmin(np.abs(own - REFERENCE_WAVELENGTH)))]]
+    wavelength = dataset["wavelength"].values.astype(float)
+    return wavelength[[int(np.argmin(np.abs(wavelength - REFERENCE_WAVELENGTH)))]]
 
 
 def at_reference(values: xr.DataArray) -> xr.DataArray:

@@ -90,9 +90,9 @@ def _visible_part(index: xr.Dataset, name: str, validity: tuple[float, float]) -
     """Wavelengths and values within the range of the models, with nodes at both ends of the validity."""
     wavelength, values = index["wavelength"].values.astype(float), index[name].values.astype(float)
     low, high = max(STORED_SPAN[0], wavelength[0]), min(STORED_SPAN[1], wavelength[-1])
-    at = np.union1d(wavelength, [low, high, *validity])
-    at = at[(at >= low) & (at <= high)]
-    return at, np.interp(at, wavelength, values)
+    nodes = np.union1d(wavelength, [low, high, *validity])
+    nodes = nodes[(nodes >= low) & (nodes <= high)]
+    return nodes, np.interp(nodes, wavelength, values)
 
 
 def _axis(name: str, values: Array) -> tuple[Axis, float]:
