@@ -159,7 +159,7 @@ def test_heights_along_one_diagonal_do_not_determine_a_plane() -> None:
 
 
 def test_an_unknown_form_is_refused(asymmetric: xr.Dataset) -> None:
-    with pytest.raises(BrdfpipeError, match="'sphere'; accepted: none, plane, polynomial-2, cylinder"):
+    with pytest.raises(BrdfpipeError, match="'sphere'; accepted: plane, polynomial-2, cylinder, none"):
         level(asymmetric, form="sphere")
 
 
