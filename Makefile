@@ -7,8 +7,8 @@ CORES     ?=
 VENV := .venv
 BIN  := $(VENV)/bin
 PIP  := $(BIN)/python -m pip --disable-pip-version-check -qq
-# One thread a process, and compiled modules kept: the tests start many processes.
-PYTEST := OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist worksteal
+# One thread a process, and compiled modules kept: the tests start many processes. Three workers keep two cores busy, as some tests wait.
+PYTEST := OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 3 --dist worksteal
 
 # An environment holds the path of its checkout: a copied or moved one would run the code of the old place, so it is made anew.
 ifneq ($(shell cat $(VENV)/.place 2>/dev/null),$(CURDIR))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from brdfpipe.exchange.registry import FORMATS
 from brdfpipe.jobs import code
+from brdfpipe.jobs.rules import Pipeline
 from brdfpipe.stages import EXPORTS, STAGES, Stage
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -116,11 +117,10 @@ def page() -> str:
 def stages() -> Iterable[Row]:
     sources = rule_inputs()
     for name, stage in STAGES.items():
-        names = ", ".join(f"`{source}`" for source in sources.get(name, ()))
         yield (
             f"`{name}`",
             stage.makes,
-            "all datasets with a kind" if name == "report" else names or "raw files",
+            ", ".join(sources[name]),
             {"calibration": "each calibration", "catalogue": "all together"}.get(
                 stage.owner_kind, stage.when.words or "any"
             ),
@@ -131,15 +131,21 @@ def stages() -> Iterable[Row]:
 
 
 def rule_inputs() -> dict[str, list[str]]:
-    """Rule → the stages whose results it names as input."""
-    inputs = {export.name: list(export.inputs) for export in EXPORTS}
+    """Rule → its input: stages whose results it names, raw files, and other files in the words of the function that finds them."""
+    inputs = {export.name: [f"`{name}`" for name in export.inputs] for export in EXPORTS}
     for path in sorted((PROJECT / "workflow" / "rules").glob("*.smk")):
         for name, body in re.findall(r"^use rule \w+ as (\w+) with:\n(.*?)(?=^\S|\Z)", path.read_text(), re.M | re.S):
             source = body.partition("output:")[0]
-            inputs[name] = re.findall(r'^\s+(\w+)="\{material\}', source, re.M)
-            inputs[name] += re.findall(r'"(\w+)"', " ".join(re.findall(r"results_of\(([^)]*)\)", source)))
-    inputs["catalogue"] = ["report"]
-    return inputs
+            stages = re.findall(r'^\s+(\w+)="\{material\}', source, re.M)
+            for arguments in re.findall(r"results_of\(([^)]*)\)", source):
+                stages += re.findall(r'"(\w+)"', arguments)
+            found_by = [getattr(Pipeline, method).__doc__ for method in re.findall(r"=pipeline\.(\w+),", source)]
+            inputs[name] = [
+                *(f"`{stage}`" for stage in stages),
+                *["raw files"] * ("raw_file(" in source),
+                *(text[0].lower() + text[1:].rstrip(".") for text in found_by),
+            ]
+    return {**inputs, "report": ["all datasets with a kind"], "catalogue": ["`report`"]}
 
 
 def formats() -> Iterable[Row]:

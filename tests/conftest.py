@@ -15,7 +15,7 @@ from filelock import FileLock
 
 PROJECT = Path(__file__).parents[1]
 
-EXAMPLES = 20
+EXAMPLES = 12
 """Cases of a random search in ``make test``, at most; ``make test-full`` tries as many as each test asks for."""
 
 # No deadline: a busy machine is no failure. The same cases in every `make test`; `make test-full` searches at random.
@@ -31,12 +31,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: a slow proof, run by `make test-full`")
+    config.addinivalue_line(
+        "markers", "cases(n): `make test` runs n of the test's cases, evenly spread; `make test-full` runs all"
+    )
     hypothesis.settings.load_profile("random" if config.getoption("--slow") else "repeatable")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--slow"):
         return
+    functions: dict[tuple[Path, str], list[pytest.Item]] = {}
+    for item in items:
+        if "cases" in item.keywords and "slow" not in item.keywords:
+            functions.setdefault((item.path, item.originalname), []).append(item)  # type: ignore[attr-defined]
+    for cases in functions.values():
+        (number,) = cases[0].keywords["cases"].args
+        chosen = {index * len(cases) // number for index in range(number)}
+        for index in set(range(len(cases))) - chosen:
+            cases[index].add_marker(pytest.mark.slow)
     for item in items:
         if "slow" in item.keywords:
             item.add_marker(pytest.mark.skip(reason="a slow proof: make test-full"))

@@ -50,6 +50,16 @@ def _beckmann_bsdf(sigma: float, n: float, reflectance: tuple[float, ...] | None
     )
 
 
+def brushed_bsdf(a_x: float, a_y: float, azimuth: float = 0.0) -> xr.Dataset:
+    """The microfacet BSDF of a Gaussian surface of index 1.5 with a lay: widths along and across it, its azimuth."""
+    return _brushed_bsdf(a_x, a_y, azimuth).copy(deep=True)
+
+
+@cache
+def _brushed_bsdf(a_x: float, a_y: float, azimuth: float) -> xr.Dataset:
+    return microfacet.build(facets.analytic("beckmann", a_x=a_x, a_y=a_y, azimuth=azimuth), index=1.5)
+
+
 @contextmanager
 def coarse_albedo_tables() -> Iterator[None]:
     """Makes ``microfacet.build`` cheap, for properties that do not depend on the accuracy of the table of the albedo."""

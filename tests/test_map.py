@@ -39,6 +39,18 @@ def test_every_file_that_a_page_names_is_there(text):
         assert (PROJECT / (path or link)).exists(), path or link
 
 
+def test_every_place_in_the_map_is_there():
+    """A place without a folder is in the folder of the place before it."""
+    rows = README.split("| Where is … |")[1].split("\n\n")[0].splitlines()[2:]
+    assert len(rows) > 8
+    for row in rows:
+        folder = SOURCE / PACKAGE
+        for place in re.findall(r"`([\w/]+(?:\.py|/))`", row.split("|")[2]):
+            path = SOURCE / PACKAGE / place if "/" in place or (SOURCE / PACKAGE / place).exists() else folder / place
+            assert path.exists(), place
+            folder = path.parent
+
+
 def test_every_module_has_a_test():
     """Its own, that of a module of its folder which is built on it, or the one that CONTRIBUTING.md names."""
     plain = set(modules()) - set(packages())

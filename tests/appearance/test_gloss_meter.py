@@ -124,6 +124,7 @@ def counted(bsdf, angle, n, seed, azimuth=0.0):
 ANGLES = [20.0, 60.0, 85.0]
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(("a", "angle"), [(0.01, 20.0), (0.01, 85.0), (0.05, 60.0), (0.5, 60.0)])
 def test_gloss_agrees_with_one_panel_of_many_points(a, angle):
     assert float(of(rough(a), [angle])[0]) == pytest.approx(brute_force(rough(a), angle), rel=1e-4)
@@ -137,6 +138,7 @@ def test_gloss_agrees_with_one_panel_of_many_points_at_any_roughness(a, angle):
     assert float(of(rough(a), [angle])[0]) == pytest.approx(brute_force(rough(a), angle), rel=1e-5)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("a", [0.01, 0.1, 0.5])
 def test_gloss_agrees_with_a_monte_carlo_of_the_apertures(a):
     mean, sigma = monte_carlo(rough(a), 60.0, 400_000, seed=11)
@@ -155,6 +157,7 @@ def test_gloss_agrees_with_a_monte_carlo_of_the_apertures_at_every_angle(a, angl
     assert abs(float(of(rough(a), [angle])[0]) - mean) < 3 * sigma
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("a", "angle"), [(0.02, 20.0), (0.05, 85.0), (0.1, 60.0)])
 def test_gloss_is_the_light_that_is_sampled_into_the_receptor(a, angle):
     mean, sigma = counted(rough(a), angle, 20_000, seed=17)
@@ -174,7 +177,7 @@ def test_gloss_is_the_light_that_is_sampled_into_the_receptor_at_every_angle(a, 
 
 @cache
 def lay(azimuth, a_x=0.02, a_y=0.2):
-    return microfacet.build(facets.analytic("beckmann", a_x=a_x, a_y=a_y, azimuth=azimuth), index=1.5)
+    return samples.brushed_bsdf(a_x, a_y, azimuth)
 
 
 @cache
@@ -195,6 +198,7 @@ OTHERS = {
 QUICK_OTHERS = [("flakes", 60.0), ("flakes under a rough coat", 20.0), ("a lay", 85.0)]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("name", "angle"), QUICK_OTHERS)
 def test_gloss_of_other_bsdfs_agrees_with_one_panel_of_many_points(name, angle):
     bsdf = OTHERS[name]()
@@ -271,6 +275,7 @@ def spread_of_instruments(bsdf, angle, azimuths=(0.0,)):
     return np.sqrt(np.sum(np.square(half)) / 3)
 
 
+@pytest.mark.cases(5)
 @pytest.mark.parametrize("a", [0.005, 0.02, 0.1, 0.4])
 @pytest.mark.parametrize("angle", ANGLES)
 def test_the_uncertainty_is_that_of_instruments_at_the_ends_of_their_tolerances(a, angle):

@@ -60,14 +60,14 @@ def test_windows_further_off_see_less_and_are_named():
 
 
 def test_haze_of_a_surface_with_a_lay_is_between_those_of_its_planes():
-    brushed = microfacet.build(facets.analytic("beckmann", a_x=0.01, a_y=0.1, azimuth=20), index=1.5)
+    brushed = samples.brushed_bsdf(0.01, 0.1, 20)
     mean = float(reflectance_haze(brushed)[0])
     planes = [float(reflectance_haze(brushed, azimuth=azimuth)[0]) for azimuth in (20, 110)]
     assert min(planes) < mean < max(planes)
 
 
 def test_haze_of_a_surface_with_a_lay_is_the_mean_of_many_azimuths():
-    brushed = microfacet.build(facets.analytic("beckmann", a_x=0.01, a_y=0.1, azimuth=20), index=1.5)
+    brushed = samples.brushed_bsdf(0.01, 0.1, 20)
     around = [float(reflectance_haze(brushed, azimuth=azimuth)[0]) for azimuth in np.arange(23.75, 110.0, 7.5)]
     # The lay and what lies across it are axes of symmetry: these are half steps off both.
     assert float(reflectance_haze(brushed)[0]) == pytest.approx(np.mean(around), rel=1e-4)

@@ -35,6 +35,7 @@ def views(points, table):
     return theta, phi
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("a", [0.002, 0.02, 0.1, 0.3])
 def test_in_an_even_light_a_surface_shows_its_albedo(a):
     bsdf = gloss_alone(a=a)
@@ -73,6 +74,7 @@ def test_a_polished_surface_mirrors_the_lights_by_its_reflectance():
     assert found.near_light(points, lights("studio"))[:, 0] == pytest.approx(expected, rel=5e-3)
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize(
     ("build", "name"),
     [

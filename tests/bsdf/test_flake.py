@@ -103,6 +103,7 @@ def test_the_physical_form_carries_transmission_and_jacobian():
         assert found == pytest.approx(expected)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("model", MODELS)
 def test_every_model_is_sound(model):
     verdicts = flake.build(colours(), index=1.524, **model).bsdf.check().attrs["verdicts"]
@@ -167,6 +168,7 @@ def noisy(path, true, random) -> xr.Dataset:
     return flakes.ingest({"file": path.name, "scale": "fraction"}, path)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("model", ["flake", "flake-physical"])
 def test_errors_of_fitted_parameters_agree_with_their_uncertainties(tmp_path, model):
     true = flake.build(spectra(), model=model).drop_vars("flake_covariance")
@@ -216,6 +218,7 @@ def test_an_outlier_is_warned_about_without_degrees_of_freedom(tmp_path):
     assert misses(flake.build(five(tmp_path / "a.csv", 5.0), form="double-exponential")) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("paints", "warned"), [(2, 1), pytest.param(8, 2, marks=pytest.mark.slow)])
 def test_hundreds_of_values_within_their_uncertainties_are_not_warned_about(tmp_path, paints, warned):
     found = [

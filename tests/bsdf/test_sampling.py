@@ -75,6 +75,7 @@ def expected_counts(bsdf, theta_i, phi_i, theta, phi):
     return N * np.einsum("tc,pc,c->tp", along, np.radians(around), value)
 
 
+@pytest.mark.cases(9)
 def test_samples_follow_their_pdf(case):
     bsdf, theta_i, phi_i = case
     theta, phi = bins_about(bsdf, theta_i, phi_i)

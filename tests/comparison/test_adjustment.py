@@ -70,6 +70,7 @@ def fitted(measurement: Measurement):
     return adjust(measurement, Lobe, 3, Lobe(np.zeros(3)))
 
 
+@pytest.mark.slow
 def test_errors_of_changes_agree_with_their_stated_uncertainty() -> None:
     """Truths drawn from the prior, errors from the stated uncertainties: (fit − true)/u has an rms of 1, and no bias."""
     random = np.random.default_rng(7)

@@ -55,6 +55,7 @@ def pulls(roughness: float, seed: int) -> np.ndarray:
     return ((comparison["posterior"] - true) / comparison["posterior_u"]).values
 
 
+@pytest.mark.slow
 def test_inputs_from_an_emulated_rig_are_true_within_their_uncertainty() -> None:
     assert np.abs(pulls(0.037, 1)).max() < 3.5
 

@@ -30,6 +30,7 @@ def seen_by(bsdf: xr.Dataset, every: int = 5) -> Measurement:
 # --- BSDFs
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("choices", CHOICES)
 def test_without_a_change_the_prediction_is_built_again(choices) -> None:
     finish, reflectance = facets.analytic("beckmann", 0.2), spectrum()
@@ -40,6 +41,7 @@ def test_without_a_change_the_prediction_is_built_again(choices) -> None:
         np.testing.assert_allclose(again[name], predicted[name], rtol=1e-9, atol=1e-300)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("geometry", ["sci", "sce"])
 @pytest.mark.parametrize("choices", CHOICES[:2])
 def test_a_darker_base_is_that_of_a_darker_spectrum(choices, geometry) -> None:
@@ -76,6 +78,7 @@ def test_the_index_of_a_clear_body_stays_above_that_of_air_and_a_metals_may_fall
     assert [float(inputs.shifted(xr.DataArray(1.1), -0.3)) for inputs in given.values()] == pytest.approx([1.001, 0.8])
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("choices", CHOICES)
 def test_the_derivatives_are_those_of_rebuilt_bsdfs(choices) -> None:
     finish = facets.analytic("beckmann", 0.25)

@@ -65,8 +65,9 @@ def test_the_grain_is_isotropic_and_as_steep_as_told() -> None:
     assert along_x / along_y == pytest.approx(1, abs=0.1)
 
 
-def test_the_moulding_is_as_steep_as_told_with_tails_a_little_heavy() -> None:
-    surface = ingest(EXAMPLES / "pp-moulding" / "profile.txt", description("pp-moulding")["surface"])
+def test_the_moulding_has_the_stated_slope_and_slightly_heavy_tails() -> None:
+    assert description("pp-moulding")["surface"]["layout"] == "line"
+    surface = ingest(EXAMPLES / "pp-moulding" / "profile.txt", {"layout": "line"})
     assert surface.height.shape == (4096,)
     assert float(parameters(surface).Rdq) == pytest.approx(0.08, abs=0.002)
     slope = surface.height.diff("x").values

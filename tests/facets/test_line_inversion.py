@@ -49,6 +49,7 @@ def deviations(make, method, seeds, points, length):
     return np.array(result)
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("method", ["mixture", "abel"])
 @pytest.mark.parametrize("make", [gaussian_line, ggx_line])
 @pytest.mark.parametrize(("points", "length"), [(100_000, 30), (20_000, 10)])
@@ -82,6 +83,7 @@ def test_correlated_slopes_increase_the_uncertainty_of_the_density():
     assert 2 < tail_u(48) / tail_u(3) < 8
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_two_perpendicular_lines_is_as_large_as_the_deviation():
     square = []
     for seed in range(8):

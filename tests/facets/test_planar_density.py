@@ -24,6 +24,7 @@ def exact(distribution, a_x, a_y, azimuth, p, q):
     return (np.exp(-u) if distribution == "beckmann" else 1 / (1 + u) ** 2) / (np.pi * a_x * a_y)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("distribution", "limit"), [("beckmann", 1e-6), ("ggx", 1e-5)])
 @given(a_y=st.floats(1e-4, 0.1), ratio=ratios, azimuth=azimuths)
 @settings(max_examples=8, deadline=None)
@@ -51,6 +52,7 @@ def test_turning_a_surface_turns_its_masking(ratio, azimuth):
     assert found == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.cases(4)
 @pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)
 @pytest.mark.parametrize("azimuth", [0.0, 20.0, 45.0, 110.0])
 def test_a_narrow_ellipse_is_exact_between_its_nodes(distribution, azimuth):

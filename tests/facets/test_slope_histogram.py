@@ -137,6 +137,7 @@ def test_the_uncertainty_grows_along_the_tail_by_that_of_its_length():
     assert u[inside] == pytest.approx(u[0] * np.hypot(1, (tail - tail[0])[inside] / length), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_maps_with_a_lay_scatter_by_the_uncertainty_at_the_peak():
     z = []
     for scan in gaussian_maps(256, 4.0, range(5)):

@@ -151,6 +151,7 @@ def emulated(count: int, relative: float, absolute: float, theta=TEN, form="expo
     return (fitted.T - true) / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     ("relative", "absolute", "form"),
     [(0.01, 0.0, "exponential"), (0.002, 0.03, "exponential"), (0.0, 0.05, "gaussian")],

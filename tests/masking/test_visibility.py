@@ -86,6 +86,7 @@ def test_masking_conserves_the_projected_area():
         assert float(masking.g1(table, theta)) * (weight @ towards) == pytest.approx(cos, rel=1e-5)
 
 
+@pytest.mark.cases(6)
 @pytest.mark.parametrize("azimuth", [0.0, 20.0, 45.0, 110.0])
 @pytest.mark.parametrize("ratio", [0.4, 5.0, 20.0, 0.01])
 @pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)

@@ -44,6 +44,7 @@ def test_a_measurement_of_a_known_sample_is_as_accurate_as_stated(truth):
     assert (~values.of_disc).sum() > 2 * 45
 
 
+@pytest.mark.slow
 def test_transmission_is_as_accurate_as_stated():
     truth = accuracy.SAMPLES[accuracy.THROUGH]()
     _, behind = accuracy.primaries(replace(plan(30.0), side=("reflection", "transmission")), truth, seed=3, session=1)
@@ -86,6 +87,7 @@ def test_directions_of_the_regions_are_where_their_names_say():
             assert (theta_i > 60).all() if "past" in name else (theta_i <= 60).all()
 
 
+@pytest.mark.slow
 def test_a_completed_bsdf_is_compared_region_by_region():
     _, bsdf, truth = plastic()
     regions = accuracy.departures(bsdf, truth)
@@ -96,6 +98,7 @@ def test_a_completed_bsdf_is_compared_region_by_region():
     assert not any(departure.error.any() or departure.z.any() for departure in accuracy.departures(bsdf, bsdf).values())
 
 
+@pytest.mark.slow
 def test_gloss_of_a_completed_bsdf_is_that_of_the_truth_where_it_was_measured():
     _, bsdf, truth = plastic()
     true, measured, u, flags = accuracy.glosses(bsdf, truth)
@@ -104,6 +107,7 @@ def test_gloss_of_a_completed_bsdf_is_that_of_the_truth_where_it_was_measured():
     assert list(flags) == [1, 0, 3]
 
 
+@pytest.mark.slow
 def test_errors_in_the_description_of_a_surface_are_recovered():
     inputs, u = accuracy.recovered(plastic()[0])
     assert inputs == pytest.approx(list(accuracy.DOUBTED.values()), abs=0.01)

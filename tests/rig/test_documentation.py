@@ -296,6 +296,7 @@ def known(dotted, drivers):
 SETTINGS = description.SerialSettings("dotted", "", 9600, query_timeout=0.3, motion_timeout=0.3)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("kind", ["silence", "garbage", "truncated", "late-ok"])
 def test_the_device_of_the_example_recovers_from_a_fault_at_any_command(known, kind):
     for ordinal in range(1, 8):  # the commands of an identification, a move and its read-back

@@ -81,6 +81,7 @@ def test_nothing_is_rebuilt(built: tuple[Path, Path]) -> None:
     assert build_catalogue(folder, results, cores=2, dry_run=True).jobs == 0
 
 
+@pytest.mark.slow
 def test_the_same_run_gives_the_same_bytes(built: tuple[Path, Path]) -> None:
     folder, results = built
     run = results / "milk-glass" / "run"

@@ -99,6 +99,7 @@ def test_the_nearest_mixture_is_reachable_and_none_of_many_is_nearer() -> None:
     assert basis4.closed_form(colorimetry.lab_to_xyz(inside, VIEW.white), VIEW).reached.all()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("method", random_search.SEARCHES)
 @pytest.mark.parametrize("floor", [0.0, 0.0465])
 def test_a_search_ends_below_its_threshold_at_the_stated_colour(method: str, floor: float) -> None:
@@ -139,6 +140,7 @@ def _killer(after: int):
     return stop
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(("method", "threshold"), [("random4", 3.0), ("adaptive4", 1e-5)])
 @pytest.mark.parametrize("after", [1, 3])
 def test_a_killed_search_resumes_to_the_same_result(tmp_path: Path, method: str, threshold: float, after: int) -> None:
@@ -159,6 +161,7 @@ def test_a_killed_search_resumes_to_the_same_result(tmp_path: Path, method: str,
     assert not checkpoint.exists()
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(
     "content", ["", "{", "[]", '{"problem": "another", "state": [1, [0, 0, 0, 0], 0.1, 0]}', '{"state": 3}']
 )

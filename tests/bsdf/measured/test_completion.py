@@ -132,6 +132,7 @@ def test_the_stated_uncertainty_covers_completed_values(paint):
     assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.5
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("sigma", [0.05, 0.1, 0.25, 0.5])
 @pytest.mark.parametrize("beyond_both", [(60, 70, 60, 70), (70, 80, 60, 80)])
 def test_the_stated_uncertainty_covers_directions_beyond_the_last_incidence_on_both_sides(sigma, beyond_both):
@@ -207,6 +208,7 @@ def test_the_lobe_beyond_the_last_incidence_is_nearer_the_truth_by_its_trend(sig
     assert (np.abs(value - expected) < u).all()
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("reflectance", [0.95, None])
 @pytest.mark.parametrize("incidences", [INCIDENCES, (10.0, 30.0, 50.0, 70.0)])
 def test_no_trend_violates_energy_conservation(reflectance, incidences):
@@ -222,6 +224,7 @@ def test_no_trend_violates_energy_conservation(reflectance, incidences):
         assert float(bsdf.bsdf.albedo(incidence).max()) <= 1, incidence
 
 
+@pytest.mark.cases(5)
 @pytest.mark.parametrize("mode", smoothing.MODES)
 @pytest.mark.parametrize("incidences", [(45.0,), (30.0, 60.0), (0.0, 10.0, 45.0), INCIDENCES])
 def test_every_direction_has_a_finite_value_that_is_not_negative_and_an_uncertainty(mode, incidences):

@@ -116,6 +116,7 @@ def sheet(reflectance, u):
     return completion.complete(smoothing.smooth(vocabulary.label(primary, "primary")))
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     ("reflectance", "verdict"), [pytest.param(0.97, "pass", marks=pytest.mark.slow), (1.004, "warn"), (1.05, "fail")]
 )

@@ -71,6 +71,7 @@ def test_three_scales_are_too_few_for_a_narrow_lobe_even_when_repaired():
     assert error_of("peak 300 sr-1, 1.5 degree", "keldysh", scales=3)[0] > 20
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("name", WANTED)
 def test_errors_agree_with_the_stated_uncertainty(name):
     z = []
@@ -95,6 +96,7 @@ def test_a_range_of_five_decades_is_recovered_within_the_uncertainty():
     assert peak == pytest.approx(2500, rel=0.05)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("dark", "allowed"), [(0.02, 0.03), (0.005, 0.005)])
 def test_dim_light_is_not_biased(dark, allowed):
     # 0.01 sr⁻¹ in noise of twice and half as much a cell: 160 spectra. A mean of logarithms would be off by a factor.

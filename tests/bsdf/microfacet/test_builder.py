@@ -257,6 +257,7 @@ def test_a_recipe_and_a_choice_against_it_are_refused():
         samples.beckmann_bsdf(recipe="CRF")
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("mode", modes.MODES["masking"])
 def test_every_masking_closes_at_the_measuring_geometry(mode):
     assert samples.beckmann_bsdf(0.3, masking=mode).bsdf.albedo(8.0).values == pytest.approx(0.3, abs=1e-9)
@@ -427,6 +428,7 @@ def test_a_single_wavelength_has_the_values_of_the_spectrum():
     assert table.bsdf.albedo(30, wavelength=550).values == pytest.approx(table.bsdf.albedo(30).values, rel=1e-12)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(("low", "high"), [(1.45, 1.55), (1.3, 1.8), (1.01, 1.5), (2.0, 4.5)])
 def test_any_dispersion_has_the_albedo_of_each_of_its_indices(low, high):
     n = np.linspace(high, low, samples.WAVELENGTH.size)
@@ -451,6 +453,7 @@ def test_an_index_dataset_below_that_of_air_is_refused_too():
 EDGES = np.array([0.0, 1e-6, 30.0, 60.0, 89.0, 89.9, 89.999])
 
 
+@pytest.mark.cases(12)
 @pytest.mark.parametrize(
     ("reflectance", "multiple_scattering"), [(None, "none"), (0.0, "compensated"), (1.0, "none"), (1.0, "compensated")]
 )

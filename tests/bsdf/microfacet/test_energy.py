@@ -65,6 +65,7 @@ def test_dispersion_needs_few_nodes_and_is_exact_to_a_billionth():
     assert together == pytest.approx(np.concatenate(alone, axis=1), abs=1e-9)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(("theta", "phi"), [(0.0, 0.0), (45.0, 10.0), (70.0, 100.0), (85.0, 60.0)])
 def test_the_albedo_of_a_lay_is_that_of_its_brdf_over_the_hemisphere(theta, phi):
     bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.1, a_y=0.3, azimuth=30), index=1.5)
@@ -94,6 +95,7 @@ def net() -> tuple[Array, Array]:
     return polar.ravel(), around.ravel()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("distribution", "widths"), LAYS)
 def test_a_white_surface_with_a_lay_reflects_all_light_and_no_more(distribution, widths):
     white = samples.spectrum(1.0).isel(wavelength=[0, -1])
@@ -107,6 +109,7 @@ def test_a_white_surface_with_a_lay_reflects_all_light_and_no_more(distribution,
     assert total[theta <= 85].min() >= 1 - 1e-4
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("distribution", "widths"), LAYS)
 def test_compensated_perfect_mirrors_with_a_lay_reflect_everything(distribution, widths):
     surface = facets.analytic(distribution, **widths)
@@ -126,6 +129,7 @@ def test_the_inner_albedo_of_a_lay_near_total_reflection_is_the_integral_of_its_
     assert representation(bsdf).albedo(*at, None) == pytest.approx(reflected, abs=1e-4)
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("a", [0.1, 0.5, 2.0])
 @pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)
 def test_compensated_perfect_mirrors_reflect_everything(distribution, a):

@@ -66,6 +66,7 @@ def test_a_lay_is_reciprocal_from_below_as_well(azimuth):
     assert inside == pytest.approx(back, rel=1e-12)
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("theta", [20.0, 70.0, 115.0, 150.0])
 @pytest.mark.parametrize("masking", ["height-correlated", "separable"])
 def test_the_transmittance_is_the_btdf_over_the_other_hemisphere(theta, masking):
@@ -80,6 +81,7 @@ def test_the_transmittance_is_the_btdf_over_the_other_hemisphere(theta, masking)
     assert integral == pytest.approx(through(bsdf, theta)[0], abs=2e-4)
 
 
+@pytest.mark.cases(5)
 @pytest.mark.parametrize("n", [1.0001, 1.5, 3.0])
 @pytest.mark.parametrize("a", [1e-3, 0.1, 0.5, 2.0])
 def test_reflectance_and_transmittance_sum_to_at_most_1(a, n):

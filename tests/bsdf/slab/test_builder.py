@@ -47,6 +47,7 @@ def inner_cosine(theta, index):
 # --- closed forms
 
 
+@pytest.mark.cases(5)
 @pytest.mark.parametrize("index", [1.0, 1.01, 1.5, 2.4])
 @pytest.mark.parametrize("inside", [1.0, 0.8, 0.0])
 def test_two_smooth_faces_reflect_and_transmit_as_the_incoherent_sum_of_a_plate(index, inside):
@@ -114,6 +115,7 @@ def test_behind_a_smooth_back_face_the_lobe_is_that_of_the_front_face_refracted_
 # --- balance and reciprocity
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("front", "back", "index", "inside"), [(0.3, 0.3, 1.5, 0.8), (0.3, 0.0, 1.5, 1.0)])
 def test_energy_is_balanced(front, back, index, inside):
     balance(front, back, index, inside)
@@ -140,6 +142,7 @@ def balance(front: float, back: float, index: float, inside: float) -> None:
         assert float(bsdf["absorptance"].max()) == 0
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)
 def test_energy_closes_between_the_nodes_too(distribution):
     table = facets.analytic(distribution, 0.4)
@@ -147,6 +150,7 @@ def test_energy_closes_between_the_nodes_too(distribution):
     assert reflectance(bsdf, BOTH_SIDES) + transmittance(bsdf, BOTH_SIDES) == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("faces", [(0.3, 0.3), (0.3, 0.0), pytest.param((0.3, 0.1), marks=pytest.mark.slow)])
 @given(theta_i=st.floats(0, 180), theta_o=st.floats(0, 180), phi=st.floats(-360, 360))
 @settings(max_examples=40, deadline=None)
@@ -314,6 +318,7 @@ def expected_share(bsdf, theta_i, low, high, forward):
 BINS = [(0, 30), (30, 60), (60, 90), (90, 120), (120, 150), (150, 180)]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     ("front", "back", "theta_i", "inside"),
     [
@@ -372,6 +377,7 @@ def directions(count=400):
     return theta_i, np.zeros(count), theta_o, generator.uniform(0, 360, count)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("k", [0, 25, *(pytest.param(k, marks=pytest.mark.slow) for k in (3, 38))])
 def test_every_wavelength_is_the_slab_of_its_own_transmittance(k):
     bsdf = coloured()
@@ -390,6 +396,7 @@ def test_every_wavelength_is_the_slab_of_its_own_transmittance(k):
     assert flux @ np.abs(found - expected) <= 0.01 * (flux @ expected)
 
 
+@pytest.mark.slow
 def test_dispersion_is_interpolated_over_few_indices():
     index = vocabulary.label(
         xr.Dataset(

@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 from xml.etree import ElementTree
 
+import samples
 import xarray as xr
 from samples import beckmann_bsdf, spectrum
 
@@ -29,8 +30,7 @@ def test_the_cuts_of_a_surface_are_those_of_its_planes_and_sides() -> None:
         "BRDF, Cartesian",
         "BTDF, Cartesian",
     ]
-    brushed = analytic("beckmann", a_x=0.1, a_y=0.4, azimuth=30.0)
-    assert _titles(microfacet.build(brushed, index=1.5)) == ["BRDF along the lay", "BRDF across the lay"]
+    assert _titles(samples.brushed_bsdf(0.1, 0.4, 30.0)) == ["BRDF along the lay", "BRDF across the lay"]
 
 
 def test_a_narrow_lobe_is_also_shown_about_its_mirror_direction() -> None:
@@ -45,7 +45,7 @@ def test_every_incidence_has_its_line_and_its_colour() -> None:
 
 
 def test_both_planes_of_a_lay_share_one_scale() -> None:
-    brushed = microfacet.build(analytic("beckmann", a_x=0.05, a_y=0.4), index=1.5)
+    brushed = samples.brushed_bsdf(0.05, 0.4)
     along, across = (re.findall(r">(10[⁻⁰-⁹]+|[\d.]+)</text>", cut.svg)[7:] for cut in bsdf_cuts.cuts(brushed))
     assert along == across
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import samples
 from samples import beckmann_bsdf, spectrum
 
 from brdfpipe.bsdf import microfacet
@@ -13,7 +14,7 @@ from brdfpipe.report.plots import bsdf_sections
 
 def test_an_isotropic_surface_has_one_plane_and_one_with_a_lay_two() -> None:
     assert [plane.words for plane in bsdf_sections.planes(beckmann_bsdf())] == [""]
-    brushed = microfacet.build(analytic("beckmann", a_x=0.1, a_y=0.4, azimuth=30.0), index=1.5)
+    brushed = samples.brushed_bsdf(0.1, 0.4, 30.0)
     found = bsdf_sections.planes(brushed)
     assert [plane.words for plane in found] == ["along the lay", "across the lay"]
     # The lay is the azimuth of the smaller slope, which is that of a_x.

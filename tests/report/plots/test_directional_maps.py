@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import samples
 import xarray as xr
 from PIL import Image
 from samples import beckmann_bsdf, spectrum
@@ -61,7 +62,7 @@ def test_a_lobe_narrower_than_a_pixel_keeps_its_peak() -> None:
 
 
 def test_a_lay_gives_two_maps_and_marks_the_lay() -> None:
-    along, across = _maps(microfacet.build(analytic("beckmann", a_x=0.1, a_y=0.4, azimuth=30.0), index=1.5))
+    along, across = _maps(samples.brushed_bsdf(0.1, 0.4, 30.0))
     assert along.title.endswith("along the lay")
     assert across.title.endswith("across the lay")
     assert "The dashed line is the lay." in along.note
@@ -96,7 +97,7 @@ def test_a_black_material_has_no_map() -> None:
 
 
 def test_maps_and_cuts_agree_in_the_plane_of_incidence() -> None:
-    bsdf = microfacet.build(analytic("beckmann", a_x=0.1, a_y=0.4, azimuth=30.0), index=1.5)
+    bsdf = samples.brushed_bsdf(0.1, 0.4, 30.0)
     plane = bsdf_sections.planes(bsdf)[1]
     theta, cut = bsdf_sections.cut(bsdf, plane, 45.0)
     mapped = bsdf_sections.value(bsdf, plane, 45.0, np.abs(theta), np.where(theta < 0, 180.0, 0.0))

@@ -117,6 +117,7 @@ BODIES = {
 }
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("body", BODIES)
 def test_the_mean_index_is_that_of_the_nonspectral_model(body: str) -> None:
     bsdf = BODIES[body]()

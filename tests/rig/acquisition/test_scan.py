@@ -388,6 +388,7 @@ def test_an_adopted_frame_is_recorded_with_its_digest(plan, folder):
     assert [event["shot"] for event in events(folder, "damaged")] == [5]
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("damage", [spoilt, cut, removed, replaced])
 @pytest.mark.parametrize("number", [1, 4])
 def test_a_damaged_frame_is_taken_again(plan, folder, damage, number):
@@ -505,6 +506,7 @@ def test_ctrl_c_during_an_exposure_leaves_only_complete_frames(plan, folder, num
     assert read_run(folder).sizes["frame"] == len(plan.shots)
 
 
+@pytest.mark.cases(4)
 @pytest.mark.parametrize("number", range(4, 40, 5))
 def test_ctrl_c_during_a_write_leaves_only_complete_files(plan, folder, monkeypatch, number):
     fsync, count = os.fsync, iter(range(10_000))

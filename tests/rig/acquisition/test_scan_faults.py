@@ -130,6 +130,7 @@ def check(plan, folder, kind, ordinals, undisturbed_frames):
         assert small_rig.contents(folder) == undisturbed_frames
 
 
+@pytest.mark.cases(6)
 @pytest.mark.parametrize("wheel", WHEELS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_fault_is_recovered_or_stops_the_scan_resumably(plans, undisturbed, tmp_path, kind, wheel):
@@ -154,6 +155,7 @@ def test_a_fault_at_any_command_is_recovered_or_stops_the_scan_resumably(plans, 
         check(plans[wheel], tmp_path / f"{ordinal}", kind, [ordinal], undisturbed_frames)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_many_faults_at_once_never_make_a_wrong_label(plans, tmp_path, seed):
     kinds = [kind for kind in KINDS if kind not in FATAL]

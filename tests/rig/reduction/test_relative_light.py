@@ -451,6 +451,7 @@ def spoil(path, how: str, other=None) -> None:
     path.write_bytes(bytes(content))
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("how", ["cut off", "a bit turned", "of another wavelength", "gone"])
 def test_a_corrupt_file_is_named_and_the_other_frames_are_used(run, how):
     folder, plan = run

@@ -164,12 +164,14 @@ EXPECTED = {kind: {"recovered"} for kind in KINDS} | {
 }
 
 
+@pytest.mark.cases(8)
 @pytest.mark.parametrize("ordinal", [3, 9, 13])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_fault_at_a_command_of_the_monochromator_is_recovered_or_reported(kind: str, ordinal: int) -> None:
     assert monochromator_meets(kind, ordinal)[1] in EXPECTED[kind]
 
 
+@pytest.mark.cases(8)
 @pytest.mark.parametrize("dialect", ["acton-wheel", "thorlabs"])
 @pytest.mark.parametrize("ordinal", [2, 9])
 @pytest.mark.parametrize("kind", KINDS)
