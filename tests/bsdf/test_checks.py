@@ -217,14 +217,14 @@ def test_a_table_is_checked_at_its_own_incidences(spectral_table):
 
 
 def test_an_albedo_without_quadrature_may_exceed_one_by_less(monkeypatch):
-    def told(excess):
+    def with_excess(excess):
         def albedo(_bsdf, theta_i, _phi_i, _wavelength):
             return np.full((*np.shape(theta_i), 1), 1 + excess)
 
         return synthetic.register(monkeypatch, constant(1 / np.pi), albedo=albedo, albedo_needs_quadrature=False)
 
-    assert verdicts(told(0.5e-8))["energy"] == "pass"
-    assert verdicts(told(QUADRATURE_ACCURACY / 2))["energy"] == "fail"
+    assert verdicts(with_excess(0.5e-8))["energy"] == "pass"
+    assert verdicts(with_excess(QUADRATURE_ACCURACY / 2))["energy"] == "fail"
 
 
 def test_a_gain_of_a_lay_off_its_axes_fails(monkeypatch):

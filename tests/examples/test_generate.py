@@ -54,7 +54,7 @@ def test_every_example_says_that_it_is_synthetic(name: str) -> None:
     assert "synthetic" in description(name)["description"]
 
 
-def test_the_grain_is_isotropic_and_as_steep_as_told() -> None:
+def test_the_grain_is_isotropic_and_has_the_stated_slope() -> None:
     surface = ingest(EXAMPLES / "abs-grain" / "grain.x3p", description("abs-grain")["surface"])
     assert vocabulary.warnings(surface) == []
     assert surface.height.dtype == np.float32

@@ -197,3 +197,10 @@ def test_a_progress_bar_in_a_killed_worker_leaves_no_semaphore(tmp_path: Path) -
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("exitcode", "cause"), [(-9, "SIGKILL"), (-35, "signal 35"), (3, "exit code 3"), (None, "exit code None")]
+)
+def test_the_cause_of_death_is_a_signal_or_an_exit_code(exitcode: int | None, cause: str) -> None:
+    assert pool._cause(exitcode) == cause
