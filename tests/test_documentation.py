@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from pathlib import Path
 
 import pytest
 import xarray as xr
+from source_tree import PACKAGE, modules
 
 from brdfpipe import flakes, spectra, store
 from brdfpipe.bsdf import flake, lambert_gauss
+from brdfpipe.catalogue import generated_files
 from brdfpipe.spectra import colorimetry
+from brdfpipe.stages import STAGES
 
 PROJECT = Path(__file__).parents[1]
+PAGES = [PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *sorted((PROJECT / "docs").glob("*.md"))]
+FILE_TYPES = ("csv", "html", "json", "nc", "py", "pyi", "yaml")
 
 
 def examples(document: str) -> list[str]:
@@ -56,3 +62,39 @@ def test_the_documentation_lists_the_illuminants_that_are_known() -> None:
     text = (PROJECT / "docs/materials.md").read_text(encoding="utf-8")
     listed = text.split("## Illuminants")[1].split("in Python: ")[1].split(", in any case")[0].split(", ")
     assert sorted(listed) == sorted(colorimetry.illuminants())
+
+
+def dotted_names(text: str) -> set[str]:
+    """Names in backticks that begin with a package or a module of ``brdfpipe`` and are no names of files; arguments are left out."""
+    rooms = {PACKAGE, *(module.split(".")[1] for module in modules() if module != PACKAGE)}
+    names = set(re.findall(r"`(\w+(?:\.\w+)+)(?:\([^`]*\))?`", text))
+    return {name for name in names if name.split(".")[0] in rooms and name.split(".")[-1] not in FILE_TYPES}
+
+
+def resolves(name: str) -> bool:
+    parts = name.removeprefix(f"{PACKAGE}.").split(".")
+    paths = [".".join([PACKAGE, *parts[:count]]) for count in range(len(parts), -1, -1)]
+    module = next(path for path in paths if path in modules())
+    rest = parts[module.count(".") :]
+    return not rest or _has(importlib.import_module(module), rest)
+
+
+def _has(value: object, names: list[str]) -> bool:
+    return not names or (hasattr(value, names[0]) and _has(getattr(value, names[0]), names[1:]))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_module_and_function_that_a_page_names_is_there(page: Path) -> None:
+    tables = "".join(table for tables in generated_files.key_tables().values() for table in tables.values())
+    keys = set(re.findall(r"^\| `([\w.]+)` \|", tables, re.MULTILINE))
+    keys |= {key for stage in STAGES.values() for key in (*stage.keys.description, *stage.keys.config)}
+    blocks = {key[: dot.start()] for key in keys for dot in re.finditer(r"\.", key)}
+    names = dotted_names(page.read_text(encoding="utf-8")) - keys - blocks
+    assert sorted(name for name in names if not resolves(name)) == []
+
+
+def test_a_name_that_is_not_there_is_noticed() -> None:
+    text = "`surfaces.level`, `surfaces.levelling.tilt`, `rig.raycast`, `catalogue.csv`, `spectra.recover([1], 2)`, `plain.words`"
+    names = dotted_names(text)
+    assert names == {"surfaces.level", "surfaces.levelling.tilt", "rig.raycast", "spectra.recover"}
+    assert {name for name in names if resolves(name)} == {"surfaces.level", "spectra.recover"}
