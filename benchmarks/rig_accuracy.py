@@ -34,6 +34,7 @@ from brdfpipe.appearance import gloss_basis
 from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.bsdf.accessor import BSDFAccessor
 from brdfpipe.bsdf.measured import completion, smoothing
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.lambert_gauss import FWHM
 from brdfpipe.comparison.measured_predicted import compare
 from brdfpipe.errors import BrdfpipeError
@@ -186,10 +187,12 @@ def plan_of(
 
 
 def frames_of(
-    plan: Plan, truth: xr.Dataset, *, seed: int = 0, session: int = 0, effects: Effects | None = None
+    plan: Plan, truth: xr.Dataset | None, *, seed: int = 0, session: int = 0, effects: Effects | None = None
 ) -> xr.Dataset:
-    """The frames of a plan, taken by the emulated rig without serial lines and files: kind ``frames``."""
-    stand = EmulatedRig(plan.rig, truth, seed=seed, session=session, effects=effects)
+    """The frames of a plan, taken by the emulated rig without serial lines and files: kind ``frames``; no truth is a black sample."""
+    stand = EmulatedRig(
+        plan.rig, None if truth is None else representation(truth), seed=seed, session=session, effects=effects
+    )
     frames = {}
     for shot in plan.shots:
         stand.set_entrance(shot.arrangement.incidence, load=shot.arrangement.load, side=shot.arrangement.side)

@@ -26,6 +26,8 @@ import xarray as xr
 
 from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.emulator.emulated_rig import EmulatedRig
 from brdfpipe.rig.plan import Plan
@@ -67,7 +69,7 @@ def main(out: Path) -> None:
 # --- what is measured
 
 
-def sample() -> xr.Dataset:
+def sample() -> Representation:
     """A plastic of slope rms 0.1 per axis with a reflectance that rises towards the red."""
     wavelength = np.arange(380.0, 741.0, 5.0)
     spectrum = xr.Dataset(
@@ -76,7 +78,7 @@ def sample() -> xr.Dataset:
         attrs={"geometry": "sci", "theta_i": 8.0, "method": "synthetic", "residual_delta_e": 0.0},
     )
     slopes = facets.analytic("beckmann", a=0.1 * 2**0.5)
-    return microfacet.build(slopes, index=1.5, spectrum=vocabulary.label(spectrum, "spectrum"))
+    return representation(microfacet.build(slopes, index=1.5, spectrum=vocabulary.label(spectrum, "spectrum")))
 
 
 def measure(plan: Plan) -> Record:

@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import xarray as xr
 
-import brdfpipe.bsdf.accessor  # noqa: F401 - registers Dataset.bsdf, which the emulator evaluates
 from brdfpipe import vocabulary
 from brdfpipe.rig.description import Fibre, Rig
 

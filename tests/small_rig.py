@@ -14,6 +14,7 @@ import samples
 import xarray as xr
 
 from brdfpipe.bsdf import lambert_gauss
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.rig.acquisition.devices.connection import RigDevices, connect
 from brdfpipe.rig.acquisition.devices.errors import DeviceError
 from brdfpipe.rig.acquisition.scan import Summary, scan
@@ -189,7 +190,7 @@ def emulated(
     plan: Plan, *, folder: Path | None = None, seed: int = 1, **options: Any
 ) -> Iterator[tuple[EmulatedRig, RecordingCamera]]:
     """An emulated rig of a plan; with the folder of a run, in the state after its last finished frame."""
-    with EmulatedRig(plan.rig, truth(), seed=seed, **options) as rig:
+    with EmulatedRig(plan.rig, representation(truth()), seed=seed, **options) as rig:
         if folder is not None:
             restore_state(rig, plan, folder)
         yield rig, RecordingCamera(rig)

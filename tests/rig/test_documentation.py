@@ -260,7 +260,7 @@ def test_the_emulated_rig_of_the_example_sees_light_through_both_faults(tmp_path
     rig: Rig = names["plan"].rig
     assert names["raw"].counts.shape == (rig.camera.height, rig.camera.width)
     assert names["raw"].counts.max() > 2 * np.median(names["raw"].counts)
-    assert names["truth"].identical(brdfpipe.open_dataset(truth))
+    assert names["truth"].dataset.identical(brdfpipe.open_dataset(truth))
 
 
 def example(*marks: str) -> dict[str, Any]:

@@ -22,8 +22,7 @@ from brdfpipe.cli.console import FILE, FOLDER, exit_on_error
 from brdfpipe.errors import BrdfpipeError, InputError
 
 if TYPE_CHECKING:
-    import xarray as xr
-
+    from brdfpipe.bsdf.base import Representation
     from brdfpipe.rig.acquisition.scan import Summary
     from brdfpipe.rig.emulator.emulated_rig import EmulatedRig
     from brdfpipe.rig.plan import Arrangement, Plan
@@ -171,19 +170,20 @@ def emulate(description: Path, truth_path: Path, seed: int, session: int, out: P
     return 0
 
 
-def truth(path: Path) -> xr.Dataset:
+def truth(path: Path) -> Representation:
     """The BSDF in a file, or of a material whose folder of results is given.
 
     Raises InputError: the material is not built; StoreError, VocabularyError: no BSDF.
     """
-    from brdfpipe.bsdf.accessor import open_dataset
+    from brdfpipe.bsdf.registry import representation
+    from brdfpipe.store import open_dataset
 
     if path.is_dir():
         if not (path / "bsdf.nc").is_file():
             accepted = "a BSDF (.nc), or a folder of results with bsdf.nc, which `brdfpipe build` writes"
             raise InputError(path, "a folder without a built material", accepted=accepted)
         path = path / "bsdf.nc"
-    return open_dataset(path, "bsdf")
+    return representation(open_dataset(path, "bsdf"))
 
 
 def _real_scan(plan: Plan, folder: Path, yes: bool, options: dict[str, Any]) -> Summary:

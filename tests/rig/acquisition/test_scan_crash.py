@@ -14,6 +14,7 @@ import pytest
 import small_rig
 
 import brdfpipe
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.rig.acquisition import journal
 from brdfpipe.rig.emulator.emulated_scan import scan_emulated
 from brdfpipe.rig.frames import read_run
@@ -123,5 +124,5 @@ def test_the_command_killed_and_called_again_finishes_the_run(tmp_path):
     second = subprocess.run(command, capture_output=True, timeout=1800, **options)
     assert second.returncode == 0, second.stderr
     assert "Traceback" not in second.stderr
-    scan_emulated(plan, undisturbed, open_dataset(tmp_path / "truth.nc"), seed=3)
+    scan_emulated(plan, undisturbed, representation(open_dataset(tmp_path / "truth.nc")), seed=3)
     check(plan, run, small_rig.contents(undisturbed))

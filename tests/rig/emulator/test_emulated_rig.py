@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rig_truths import WAVELENGTHS, lobe, with_fibres
 
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.rig import screen
 from brdfpipe.rig.acquisition.devices.connection import connect
 from brdfpipe.rig.acquisition.devices.errors import DeviceError
@@ -22,7 +23,7 @@ MIDDLE_WAVELENGTH = (119, 159)
 
 
 def emulated(rig, effects=IDEAL, truth=None, **options):
-    return EmulatedRig(rig, lobe(0.6) if truth is None else truth, effects=effects, **options)
+    return EmulatedRig(rig, representation(lobe(0.6) if truth is None else truth), effects=effects, **options)
 
 
 def arranged(rig, effects=IDEAL, *, wavelength=550.0, position=1, sigma=20.0, truth=None, **options):
@@ -194,7 +195,7 @@ def test_every_effect_shows(rig, effect):
     truth = lobe(np.where(WAVELENGTHS < 535, 0.2, 0.5), 20.0, 6.0)
 
     def picture(effects):
-        stand = EmulatedRig(stage, truth, effects=effects, seed=1)
+        stand = EmulatedRig(stage, representation(truth), effects=effects, seed=1)
         stand.restore(50.0 if effect == "warm_up" else 5000.0, 530.0, 2, 0)
         stand.set_entrance(10, load="etalon" if effect == "certificate" else "sample")
         return stand.camera.expose(30.0).counts

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rig_truths import WAVELENGTHS, lobe, with_fibres
 
 from brdfpipe import specular_directions
+from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 from brdfpipe.rig import screen
 from brdfpipe.rig.description import Fibre, Target
@@ -27,7 +28,7 @@ ETALON = Etalon()
 
 def optics(rig, truth=None, effects=IDEAL, *, seed=0, session=0):
     truth = lobe(0.6) if truth is None else truth
-    return Optics(rig, truth, effects, seed=seed, session=session, etalon=ETALON)
+    return Optics(rig, representation(truth), effects, seed=seed, session=session, etalon=ETALON)
 
 
 def at_fibres(rig, picture):

@@ -15,7 +15,7 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.measured import basis as bases
 from brdfpipe.bsdf.measured.basis import Basis
 from brdfpipe.bsdf.measured.coordinates import cell_angles
-from brdfpipe.bsdf.measured.evaluation import evaluate, lobe_slope, uncertainty
+from brdfpipe.bsdf.measured.evaluation import REPRESENTATION, evaluate, lobe_slope, uncertainty
 from brdfpipe.bsdf.measured.node_interpolation import interpolation_abscissa
 from brdfpipe.bsdf.measured.reciprocity import with_contradictions
 from brdfpipe.errors import VocabularyError
@@ -94,7 +94,7 @@ def complete(
         _check_same_grid(smoothed, transmitted)
     symmetric = bases.from_json(smoothed.attrs["basis"]).symmetric
     attrs = {name: smoothed.attrs[name] for name in ("link", "about", "basis")} | {
-        "representation": "rig",
+        "representation": REPRESENTATION,
         "reciprocity": "averaged" if reciprocity and symmetric else "none",
         "transmission": "none" if transmitted is None else "slab",
     }

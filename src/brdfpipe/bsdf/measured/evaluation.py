@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 _NodeCells: TypeAlias = "tuple[cKDTree, Array]"
 
+REPRESENTATION = "rig"
+"""Attribute ``representation`` of these datasets."""
+
 ACCURACY = 1e-4
 """Of integrals [1]: the BSDF has kinks at the nodes, and no measurement is more accurate."""
 

@@ -20,7 +20,7 @@ class Measured(Representation):
     Its attribute ``representation`` is ``rig``: stored datasets and exported files have it.
     """
 
-    name = "rig"
+    name = evaluation.REPRESENTATION
     kind = vocabulary.Kind(
         required={
             "coefficient": [("node", spectral, "term") for spectral in _WAVELENGTHS],

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
-import xarray as xr
 
 from brdfpipe.geometry import Array
 from brdfpipe.rig.acquisition.devices.camera import check_exposure
@@ -19,7 +18,7 @@ from brdfpipe.rig.emulator.faults import Faults
 from brdfpipe.rig.emulator.instruments import GRATINGS, SERIAL_NUMBER, ActonWheel, Monochromator, ThorlabsWheel
 from brdfpipe.rig.emulator.optics import Optics
 from brdfpipe.rig.emulator.port import Port
-from brdfpipe.rig.emulator.sample_holder import Etalon, Setup, check_setup
+from brdfpipe.rig.emulator.sample_holder import Etalon, Setup, Truth, check_setup
 from brdfpipe.rig.emulator.sensor import Sensor
 from brdfpipe.rig.raw_frame import RawFrame
 
@@ -40,7 +39,7 @@ class EmulatedRig:
     Parameters
     ----------
     rig : the description
-    truth : kind ``bsdf``, the sample. Raises VocabularyError for another kind
+    truth : the sample, :func:`brdfpipe.bsdf.registry.representation` of a ``bsdf`` dataset. None: a sample that reflects nothing
     seed : of all random properties, 0 or more. Raises EmulationError for a negative seed or session
     session : of the properties that change from day to day: registration, drift of the lamp, error of the certificate; 0 or more
     effects : imperfections of the rig
@@ -52,7 +51,7 @@ class EmulatedRig:
     def __init__(
         self,
         rig: Rig,
-        truth: xr.Dataset,
+        truth: Truth | None,
         *,
         seed: int = 0,
         session: int = 0,

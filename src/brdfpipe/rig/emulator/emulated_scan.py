@@ -6,24 +6,21 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-import xarray as xr
-
-from brdfpipe import vocabulary
 from brdfpipe.errors import InputError
 from brdfpipe.rig.acquisition import journal as journals
 from brdfpipe.rig.acquisition.devices.connection import connect
 from brdfpipe.rig.acquisition.scan import Summary, last_finished, scan
 from brdfpipe.rig.emulator.emulated_rig import READOUT, EmulatedRig
+from brdfpipe.rig.emulator.sample_holder import Truth
 from brdfpipe.rig.plan import JOURNAL, Arrangement, Plan
 
 
-def make_run(plan_file: Path, folder: Path, truth: xr.Dataset | None, *, seed: int = 0, session: int = 0) -> Summary:
+def make_run(plan_file: Path, folder: Path, truth: Truth | None, *, seed: int = 0, session: int = 0) -> Summary:
     """Scan a plan with an emulated rig; the folder of the run appears complete or not at all, and replaces an existing one.
 
     Parameters
     ----------
-    truth : kind ``bsdf``, the sample; None for a plan that measures no sample
+    truth : the sample, :func:`brdfpipe.bsdf.registry.representation` of a ``bsdf`` dataset; None for a plan that measures no sample
     seed, session : of the random properties of the rig, and of the day
 
     Raises
@@ -38,7 +35,7 @@ def make_run(plan_file: Path, folder: Path, truth: xr.Dataset | None, *, seed: i
     temporary = folder.with_name(f".{folder.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
-        summary = scan_emulated(plan, temporary, black_sample() if truth is None else truth, seed=seed, session=session)
+        summary = scan_emulated(plan, temporary, truth, seed=seed, session=session)
         shutil.rmtree(folder, ignore_errors=True)
         temporary.rename(folder)
     finally:
@@ -49,7 +46,7 @@ def make_run(plan_file: Path, folder: Path, truth: xr.Dataset | None, *, seed: i
 def scan_emulated(
     plan: Plan,
     folder: Path,
-    truth: xr.Dataset,
+    truth: Truth | None,
     *,
     seed: int = 0,
     session: int = 0,
@@ -104,11 +101,3 @@ def automatic_operator(emulated: EmulatedRig) -> Callable[[Arrangement, str], bo
         return True
 
     return confirm
-
-
-def black_sample() -> xr.Dataset:
-    """BSDF that reflects nothing."""
-    zero = ("theta_i", np.zeros(2))
-    variables = dict.fromkeys(("gauss_peak", "gauss_fwhm_parallel", "gauss_fwhm_perpendicular"), zero)
-    bsdf = xr.Dataset({"lambert": 0.0, **variables}, {"theta_i": [0.0, 90.0]}, {"representation": "lambert_gauss"})
-    return vocabulary.label(bsdf, "bsdf")

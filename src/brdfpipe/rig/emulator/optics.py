@@ -10,7 +10,6 @@ from collections.abc import Callable
 from functools import cached_property, lru_cache
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
@@ -19,7 +18,7 @@ from brdfpipe.rig.description import Rig
 from brdfpipe.rig.emulator.camera_view import camera_view
 from brdfpipe.rig.emulator.effects import Effects
 from brdfpipe.rig.emulator.illumination import Illumination
-from brdfpipe.rig.emulator.sample_holder import Etalon, SampleHolder, Setup
+from brdfpipe.rig.emulator.sample_holder import Etalon, SampleHolder, Setup, Truth
 
 SAMPLE_RATE = 5000.0
 """Electrons per second and pixel for BRDF × cosine of view = 1 sr⁻¹, at the middle wavelength and without a filter.
@@ -47,7 +46,7 @@ class Optics:
     """
 
     def __init__(
-        self, rig: Rig, truth: xr.Dataset, effects: Effects, *, seed: int, session: int, etalon: Etalon
+        self, rig: Rig, truth: Truth | None, effects: Effects, *, seed: int, session: int, etalon: Etalon
     ) -> None:
         self._rig = rig
         self.illumination = Illumination(rig, effects, seed, session)

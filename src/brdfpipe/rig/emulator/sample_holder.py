@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import xarray as xr
 from scipy.special import ndtr
 
-from brdfpipe import specular_directions, vocabulary
+from brdfpipe import specular_directions
 from brdfpipe.geometry import Array, unit_vector
 from brdfpipe.rig.description import Rig, Target
 from brdfpipe.rig.emulator.camera_view import in_entrance_hole
@@ -47,6 +48,22 @@ class Setup:
     side: str = "reflection"
 
 
+class Truth(Protocol):
+    """The BSDF of a sample, ready for evaluation, as :func:`brdfpipe.bsdf.registry.representation` makes it of a dataset.
+
+    The rig cannot import this function, because it is below the BSDF.
+    """
+
+    dataset: xr.Dataset
+    """Kind ``bsdf``."""
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        """BRDF or BTDF [1/sr], (directions, wavelengths or 1)."""
+
+    def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
+        """Mirror reflectance and regular transmittance [1], (incidences, wavelengths or 1) each."""
+
+
 class SampleHolder:
     """The sample holder of a rig.
 
@@ -56,7 +73,7 @@ class SampleHolder:
     Parameters
     ----------
     rig : the description
-    truth : kind ``bsdf``, the sample; its azimuth 0 points to the entrance. Raises VocabularyError for another kind
+    truth : the sample; its azimuth 0 points to the entrance. None: a sample that reflects nothing
     illumination : of the sample
     effects, seed, session : see :mod:`brdfpipe.rig.emulator.effects`
     etalon : as certified
@@ -65,7 +82,7 @@ class SampleHolder:
     def __init__(
         self,
         rig: Rig,
-        truth: xr.Dataset,
+        truth: Truth | None,
         illumination: Illumination,
         effects: Effects,
         *,
@@ -73,8 +90,7 @@ class SampleHolder:
         session: int,
         etalon: Etalon,
     ) -> None:
-        self._rig, self._truth, self._illumination = rig, vocabulary.validate(truth, "bsdf"), illumination
-        self._bsdf = truth.bsdf
+        self._rig, self._truth, self._illumination = rig, truth, illumination
         self._effects, self._etalon = effects, etalon
         deviate = float(random_stream(seed, "certificate", session).standard_normal())
         self._etalon_factor = 1 + effects.certificate * deviate
@@ -99,11 +115,11 @@ class SampleHolder:
         elif setup.load == "target":
             assert self._rig.target is not None
             brightness += target_brightness(self._rig.target, theta_s, phi_s)[:, None] * total
-        elif setup.load == "sample":
-            self._refuse_specular(setup)
+        elif setup.load == "sample" and self._truth is not None:
+            _refuse_specular(self._truth, setup)
             cosine = specular_directions.cos_view(setup.entrance, theta_s, phi_s)
             for chunk in np.array_split(np.flatnonzero(cosine > 0), 1 + theta_s.size // _CHUNK):
-                brdf = self._brdf(setup, theta_s[chunk], phi_s[chunk], nodes)
+                brdf = _brdf(self._truth, setup, theta_s[chunk], phi_s[chunk], nodes)
                 brightness[chunk] += cosine[chunk, None] * np.einsum("dwn,wn->dw", brdf, light)
         hole = in_entrance_hole(self._rig, self._effects, setup.entrance, theta_s, phi_s, transmission=transmission)
         brightness[hole] = 0.0
@@ -114,24 +130,27 @@ class SampleHolder:
         theta = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
         return self._etalon_factor * cosine * self._etalon.brdf(theta)
 
-    def _brdf(self, setup: Setup, theta_s: Array, phi_s: Array, nodes: Array) -> Array:
-        """BRDF or BTDF of the truth [1/sr], (directions, wavelengths, nodes of the band) or broadcastable; negative values of fits become 0."""
-        theta_o, phi_o = specular_directions.outgoing(setup.entrance, theta_s, phi_s, side=setup.side)
-        evaluate = self._bsdf.evaluate
-        if "wavelength" not in self._truth.coords:
-            return np.maximum(evaluate(setup.entrance, 0.0, theta_o, phi_o).values, 0.0)[:, None, None]
-        available = self._truth["wavelength"].values
-        distinct, inverse = np.unique(np.clip(nodes, available[0], available[-1]), return_inverse=True)
-        brdf = np.maximum(evaluate(setup.entrance, 0.0, theta_o, phi_o, distinct).values, 0.0)
-        return np.asarray(brdf[:, inverse.reshape(nodes.shape)])
 
-    def _refuse_specular(self, setup: Setup) -> None:
-        reflected, transmitted = self._bsdf.specular(setup.entrance)
-        if float((transmitted if setup.side == "transmission" else reflected).max()) > 0:
-            raise EmulationError(
-                "the truth has a perfectly smooth surface, which the emulator does not support: the brightness of its mirror "
-                "image depends on the size of the source; use a rough surface"
-            )
+def _brdf(truth: Truth, setup: Setup, theta_s: Array, phi_s: Array, nodes: Array) -> Array:
+    """BRDF or BTDF of the truth [1/sr], (directions, wavelengths, nodes of the band) or broadcastable; negative values of fits become 0."""
+    theta_o, phi_o = specular_directions.outgoing(setup.entrance, theta_s, phi_s, side=setup.side)
+    directions = np.full_like(theta_o, setup.entrance), np.zeros_like(theta_o), theta_o, phi_o
+    if "wavelength" not in truth.dataset.coords:
+        return np.maximum(truth.evaluate(*directions, None), 0.0)[:, :1, None]
+    available = truth.dataset["wavelength"].values
+    distinct, inverse = np.unique(np.clip(nodes, available[0], available[-1]), return_inverse=True)
+    brdf = np.maximum(truth.evaluate(*directions, distinct), 0.0)
+    brdf = np.broadcast_to(brdf, (theta_o.size, distinct.size))
+    return np.asarray(brdf[:, inverse.reshape(nodes.shape)])
+
+
+def _refuse_specular(truth: Truth, setup: Setup) -> None:
+    reflected, transmitted = truth.specular(np.array([setup.entrance]), np.zeros(1), None)
+    if float((transmitted if setup.side == "transmission" else reflected).max()) > 0:
+        raise EmulationError(
+            "the truth has a perfectly smooth surface, which the emulator does not support: the brightness of its mirror "
+            "image depends on the size of the source; use a rough surface"
+        )
 
 
 def target_brightness(target: Target, theta_s: Array, phi_s: Array) -> Array:
