@@ -7,13 +7,27 @@ import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
+import small_rig
 
 from brdfpipe import catalogue, installation
 from brdfpipe.jobs import code
 from brdfpipe.stages import STAGES, Stage
-from brdfpipe.store import canonical_json
+
+Files = dict[str, Any]
+"""Name → path or paths."""
+
+
+class Step(NamedTuple):
+    """One run of a stage's script."""
+
+    stage: str
+    inputs: Files
+    outputs: Files
+    params: dict[str, Any]
+
 
 SCRIPTS = Path(__file__).parents[2] / "workflow" / "scripts"
 
@@ -176,51 +190,74 @@ RUN_STAGES = """
 import json, os, runpy, sys
 import netCDF4, numpy, pandas, scipy.interpolate, scipy.optimize, scipy.special, xarray
 
-for stage, arguments in json.load(sys.stdin).items():
+for step, (script, *arguments) in enumerate(json.load(sys.stdin)):
     child = os.fork()
     if child:
-        assert os.waitpid(child, 0)[1] == 0, stage
+        assert os.waitpid(child, 0)[1] == 0, script
         continue
-    sys.argv = arguments
-    runpy.run_path(arguments[0], run_name="__main__")
-    with open(f"{stage}.loaded", "w") as file:
+    runpy.run_path(script)["main"](*arguments)
+    with open(f"{step}.loaded", "w") as file:
         json.dump([name for name in sys.modules if name.split(".")[0] == "brdfpipe"], file)
     os._exit(0)
 """
 """Runs each stage in a process that has loaded libraries but no module of the package, and lists the modules that it loads."""
 
+RIG_PLAN = small_rig.PLAN.replace("incidences: [20]", "incidences: [20, 45]\nruns: [etalon, sample]")
+
 
 def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: Path) -> None:
+    """Every script, from raw files to the catalogue; the rig of 26 small frames is emulated."""
     example = installation.project_folder() / "examples" / "abs-grain"
     examples = catalogue.load(example.parent)
-    steps: dict[str, tuple[dict[str, str | Path], list[str]]] = {
-        "surface": ({"raw": example / "grain.x3p"}, ["surface"]),
-        "index": ({}, ["index"]),
-        "facets": ({"surface": "surface"}, ["facets"]),
-        "spectrum": ({"raw": example / "reflectance.txt", "index": "index"}, ["spectrum"]),
-        "predicted": ({part: part for part in ("facets", "index", "spectrum")}, ["predicted"]),
-        "bsdf": ({"predicted": "predicted"}, ["bsdf"]),
-        "checks": ({"bsdf": "bsdf"}, ["checks"]),
-        "appearance": ({"bsdf": "bsdf"}, ["appearance"]),
-        "preview": ({"bsdf": "bsdf"}, ["preview", "png"]),
-        "table": ({"bsdf": "bsdf"}, ["table"]),
-        "lambert_gauss": ({"bsdf": "bsdf"}, ["lambert_gauss", "csv"]),
-        "export_astm": ({"table": "table", "bsdf": "bsdf"}, ["file"]),
-        "report": ({"facets": "facets", "bsdf": "bsdf"}, ["page", "summary"]),
-    }
-    commands = {
-        stage: [
-            *(str(script(STAGES[stage])), "--material", "abs-grain"),
-            *("--spec", canonical_json(examples.spec("abs-grain", stage))),
-            *("--input", *(f"{name}={path}" for name, path in inputs.items())),
-            *("--output", *(f"{name}={name}{'.astm' * (name == 'file')}" for name in outputs)),
-        ]
-        for stage, (inputs, outputs) in steps.items()
-    }
+    certificate = example.parent / "calibrations" / "bench-1" / "certificate.yaml"
+    plan = small_rig.write(tmp_path / "bench", RIG_PLAN)
+    steps: list[Step] = []
+
+    def run(stage: str, inputs: Files, outputs: Files, spec: dict[str, Any] | None = None, of: str = "abs-grain"):
+        spec = examples.spec(of, stage) if spec is None else spec
+        steps.append(Step(stage, inputs, outputs, {"material": of, "spec": spec}))
+
+    def same(*names: str) -> Files:
+        return {name: name for name in names}
+
+    raw = {"raw": str(example / "grain.x3p")}
+    run("surface", raw, same("surface"))
+    run("back_surface", raw, {"surface": "back"}, examples.spec("abs-grain", "surface"))
+    run("index", {}, same("index"))
+    run("interior", {}, same("interior"), {"thickness": 2.0, "internal_transmittance": 0.95})
+    run("facets", same("surface"), same("facets"))
+    run("masking", same("surface", "facets"), same("masking"))
+    run("spectrum", {"raw": str(example / "reflectance.txt"), **same("index")}, same("spectrum"))
+    run("predicted", same("facets", "index", "spectrum"), same("predicted"))
+    run("multiangle", {}, same("multiangle"), of="metallic-blue")
+    run("flake", same("multiangle"), same("flake"), of="metallic-blue")
+    journal = {"journal": "run/journal.jsonl"}
+    run("rig_run", {"sources": [str(plan)], "truth": "predicted"}, journal, {"emulate": {"seed": 1}})
+    arrangements = [("etalon", 10.0), ("sample", 20.0), ("sample", 45.0)]
+    files = [f"reduced-{load}-{incidence:g}" for load, incidence in arrangements]
+    for (load, incidence), file in zip(arrangements, files, strict=True):
+        run("reduced", journal, {"reduced": file}, {"load": load, "incidence": incidence})
+    run("calibration", {"reduced": files[:1], "certificate": str(certificate)}, same("calibration"), {})
+    run("primary", {"reduced": files[1:], **same("calibration")}, same("primary"), {})
+    run("smoothed", same("primary"), same("smoothed"), {"smoothing": {}})
+    run("measured", {"smoothed": ["smoothed"]}, same("measured"), {})
+    run("comparison", same("primary", "predicted", "facets", "index", "spectrum"), same("comparison"))
+    run("bsdf", same("predicted"), same("bsdf"))
+    run("checks", same("bsdf"), same("checks"))
+    run("appearance", same("bsdf"), same("appearance"))
+    run("preview", same("bsdf"), same("preview", "png"))
+    run("table", same("bsdf"), same("table"))
+    run("lambert_gauss", same("bsdf"), same("lambert_gauss", "csv"))
+    run("export_astm", same("table", "bsdf"), {"file": "file.astm"})
+    run("report", same("facets", "bsdf"), same("page", "summary"))
+    run("catalogue", {"summaries": ["summary"]}, same("dataset", "csv", "lock", "page"), {"failures": {}})
+    assert {script(STAGES[step.stage]) for step in steps} == set(SCRIPTS.glob("*.py"))
+
+    commands = [(str(script(STAGES[step.stage])), step.inputs, step.outputs, step.params) for step in steps]
     command = [sys.executable, "-c", RUN_STAGES]
     subprocess.run(command, cwd=tmp_path, input=json.dumps(commands), text=True, check=True)
-    for stage in steps:
-        loaded = set(json.loads((tmp_path / f"{stage}.loaded").read_text()))
+    for number, step in enumerate(steps):
+        loaded = set(json.loads((tmp_path / f"{number}.loaded").read_text()))
         followed = {name for name in loaded if not f"{name}.".startswith(code.UNFOLLOWED)}
         assert len(followed) > 3
-        assert followed <= set(code.modules(script(STAGES[stage]), also=STAGES[stage].modules)), stage
+        assert followed <= set(code.modules(script(STAGES[step.stage]), also=STAGES[step.stage].modules)), step.stage
