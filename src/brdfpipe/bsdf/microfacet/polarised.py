@@ -153,20 +153,5 @@ def stokes_out(mueller: ArrayLike, stokes_in: ArrayLike) -> Array:
 def degree_of_polarisation(stokes: ArrayLike) -> Array:
     """√(S1² + S2² + S3²) / S0 of Stokes vectors (…, 4) [1]; 0 without light."""
     s = np.asarray(stokes, dtype=float)
-    return _share(np.linalg.norm(s[..., 1:], axis=-1), s[..., 0])
-
-
-def degree_of_linear_polarisation(stokes: ArrayLike) -> Array:
-    """√(S1² + S2²) / S0 of Stokes vectors (…, 4) [1]; 0 without light."""
-    s = np.asarray(stokes, dtype=float)
-    return _share(np.hypot(s[..., 1], s[..., 2]), s[..., 0])
-
-
-def angle_of_polarisation(stokes: ArrayLike) -> Array:
-    """½ atan2(S2, S1) of Stokes vectors (…, 4), from s towards p [degree], in [−90, 90]; 0 without linear polarisation."""
-    s = np.asarray(stokes, dtype=float)
-    return np.degrees(np.arctan2(s[..., 2], s[..., 1])) / 2
-
-
-def _share(part: Array, whole: Array) -> Array:
-    return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)
+    part = np.linalg.norm(s[..., 1:], axis=-1)
+    return np.divide(part, s[..., 0], out=np.zeros_like(part), where=s[..., 0] > 0)
