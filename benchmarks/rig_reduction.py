@@ -22,16 +22,18 @@ from typing import Any, NamedTuple
 import click
 import numpy as np
 import profiling
+import rig_accuracy as accuracy
 import xarray as xr
 
 from brdfpipe.bsdf.measured import completion, smoothing
-from brdfpipe.rig import accuracy, frames, reduce
+from brdfpipe.rig import frames
 from brdfpipe.rig.frame_file import DeviceState, write_frame
 from brdfpipe.rig.plan import FRAMES, Plan
 from brdfpipe.rig.raw_frame import RawFrame
 from brdfpipe.rig.reduction.arrangements import join_arrangements
 from brdfpipe.rig.reduction.calibration import calibrate
 from brdfpipe.rig.reduction.primary import apply
+from brdfpipe.rig.reduction.relative_light import reduce
 from brdfpipe.rig.templates import start
 
 PROJECT = Path(__file__).resolve().parents[1]

@@ -95,6 +95,19 @@ def test_names_are_imported_from_the_module_that_defines_them():
     assert not indirect, "\n".join(indirect)
 
 
+def test_every_name_that_a_benchmark_imports_is_there():
+    missing = [
+        f"{described(path)}, {statement}"
+        for path in sorted((PROJECT / "benchmarks").glob("*.py"))
+        for statement in imports(path)
+        if statement.target not in modules()
+        or (statement.name
+        and statement.target == statement.module
+        and not hasattr(importlib.import_module(statement.module), statement.name))
+    ]
+    assert not missing, "\n".join(missing)
+
+
 def test_no_module_of_the_package_is_imported_by_a_string():
     importers = {"import_module", "__import__", "find_spec", "resolve_name", "run_module"}
     hidden = [
