@@ -101,9 +101,11 @@ def test_every_name_that_a_benchmark_imports_is_there():
         for path in sorted((PROJECT / "benchmarks").glob("*.py"))
         for statement in imports(path)
         if statement.target not in modules()
-        or (statement.name
-        and statement.target == statement.module
-        and not hasattr(importlib.import_module(statement.module), statement.name))
+        or (
+            statement.name
+            and statement.target == statement.module
+            and not hasattr(importlib.import_module(statement.module), statement.name)
+        )
     ]
     assert not missing, "\n".join(missing)
 
