@@ -33,7 +33,7 @@ SINGLE = 50
 EXACT: dict[str, Any] = {"lhtss": lhtss, "basis4": basis4.closed_form}
 
 Record = dict[str, Any]
-Found = tuple[str, Record, np.ndarray]
+Measured = tuple[str, Record, np.ndarray]
 
 
 @click.command()
@@ -50,15 +50,15 @@ def main(colours: int, searched: int, threshold: float, out: Path) -> None:
     table = VIEW
     truth = random_reflectances(colours)
     labs = colorimetry.xyz_to_lab(truth @ table.weights, table.white)
-    found = [batch(method, labs) for method in EXACT]
-    found += [each(method, labs[:searched], threshold) for method in random_search.SEARCHES]
+    measured = [batch(method, labs) for method in EXACT]
+    measured += [one_by_one(method, labs[:searched], threshold) for method in random_search.SEARCHES]
     hard = colorimetry.xyz_to_lab(bands(colours) @ table.weights, table.white)
     summary: Record = {
         "machine": f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}, one core",
         "threshold": threshold,
-        "methods": {method: record for method, record, _ in found},
+        "methods": {method: record for method, record, _ in measured},
         "lhtss_near_limit": batch("lhtss", hard)[1],
-        **metamerism({method: spectra[:searched] for method, _, spectra in found}, truth[:searched]),
+        **metamerism({method: spectra[:searched] for method, _, spectra in measured}, truth[:searched]),
     }
     ordinary, near_limit = summary["methods"]["lhtss"], summary["lhtss_near_limit"]
     summary["near_limit_speed_ratio"] = near_limit["per_second"] / ordinary["per_second"]
@@ -87,24 +87,24 @@ def bands(count: int) -> np.ndarray:
     return 0.01 + 0.98 * (inside ^ (rng.random((count, 1)) < 0.5))
 
 
-def batch(method: str, labs: np.ndarray) -> Found:
+def batch(method: str, labs: np.ndarray) -> Measured:
     """An exact method, all colours in one call, the best of three runs; and the first colours one a call."""
     exact = EXACT[method]
     xyz = colorimetry.lab_to_xyz(labs, VIEW.white)
     seconds = np.inf
     for _ in range(3):
         started = time.process_time()
-        found = exact(xyz, VIEW)
+        recovered = exact(xyz, VIEW)
         seconds = min(seconds, time.process_time() - started)
     started = time.process_time()
     for one in xyz[:SINGLE]:
         exact(one, VIEW)
     alone = (time.process_time() - started) / len(xyz[:SINGLE])
-    record = described(labs, found.reflectance, seconds, len(labs)) | {"seconds_per_single_call": alone}
-    return method, record, found.reflectance
+    record = described(labs, recovered.reflectance, seconds, len(labs)) | {"seconds_per_single_call": alone}
+    return method, record, recovered.reflectance
 
 
-def each(method: str, labs: np.ndarray, threshold: float) -> Found:
+def one_by_one(method: str, labs: np.ndarray, threshold: float) -> Measured:
     """A search, colour by colour; where the nearest mixture is not within the threshold it is not begun, nor is its time counted."""
     near = [basis4.nearest(lab, VIEW) for lab in labs]
     xyz = colorimetry.lab_to_xyz(labs, VIEW.white)
@@ -112,10 +112,10 @@ def each(method: str, labs: np.ndarray, threshold: float) -> Found:
     spectra, tried = np.full((len(labs), basis4.basis().shape[1]), np.nan), []
     started = time.process_time()
     for i in np.flatnonzero(begun):
-        found = random_search.search(labs[i], VIEW, method=method, threshold=threshold)
-        tried.append(found.tried)
-        if found.ended == "threshold":
-            spectra[i] = found.weights @ basis4.basis()
+        result = random_search.search(labs[i], VIEW, method=method, threshold=threshold)
+        tried.append(result.tried)
+        if result.ended == "threshold":
+            spectra[i] = result.weights @ basis4.basis()
     seconds = time.process_time() - started
     return method, described(labs, spectra, seconds, len(tried)) | {"tried_median": float(np.median(tried))}, spectra
 

@@ -512,8 +512,8 @@ def checks(outcomes: Sequence[Outcome]) -> Iterator[Check]:
         yield Check(what, f"{rms:.2f}", f"at most {Z_RMS[1]}", bool(within.size) and rms <= Z_RMS[1])
 
 
-def _below(what: str, found: float, limit: float) -> Check:
-    return Check(what, f"{100 * found:.2f} %", f"below {100 * limit:g} %", bool(found < limit))
+def _below(what: str, error: float, limit: float) -> Check:
+    return Check(what, f"{100 * error:.2f} %", f"below {100 * limit:g} %", bool(error < limit))
 
 
 def report(outcomes: Sequence[Outcome], refusals: Sequence[tuple[str, str]]) -> tuple[str, bool]:
@@ -632,10 +632,10 @@ def _by_gloss(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:
 
 
 def _gloss(rigs: Array) -> str:
-    """One angle: (truth, found, u, flag) by rig."""
-    true, found, u, flags = rigs
+    """One angle: (truth, measured, u, flag) by rig."""
+    true, measured, u, flags = rigs
     basis = " or ".join(vocabulary.QUALITY_FLAGS[int(flag)] for flag in np.unique(flags))
-    return f"{_digits(found.mean(), 4)} ± {_digits(u.mean(), 2)} for {_digits(true[0], 4)}, {basis}, {_rms((found - true) / u):.2f}"
+    return f"{_digits(measured.mean(), 4)} ± {_digits(u.mean(), 2)} for {_digits(true[0], 4)}, {basis}, {_rms((measured - true) / u):.2f}"
 
 
 def _digits(value: float, significant: int) -> str:

@@ -110,12 +110,12 @@ def answer_all(near: int) -> None:
 
 def summarised(times: dict[str, list[float]]) -> Record:
     """The numbers of the table, and the requirement."""
-    middle = {kind: statistics.median(each) for kind, each in times.items()}
+    middle = {kind: statistics.median(spent) for kind, spent in times.items()}
     # Beyond the ninth tenth it is the system that has other things to do.
-    late = {kind: statistics.quantiles(each, n=10)[8] for kind, each in times.items()}
+    late = {kind: statistics.quantiles(spent, n=10)[8] for kind, spent in times.items()}
     return {
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
-        "transactions": {kind: len(each) for kind, each in times.items()},
+        "transactions": {kind: len(spent) for kind, spent in times.items()},
         "median_ms": {kind: round(value, 4) for kind, value in middle.items()},
         "p90_ms": {kind: round(value, 4) for kind, value in late.items()},
         "overhead_ms": {kind: round(middle[kind] - middle["bare"], 4) for kind in ("line", "driver")},

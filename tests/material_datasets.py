@@ -57,13 +57,13 @@ def _index() -> xr.Dataset:
 
 
 def _facets() -> xr.Dataset:
-    found = facets.analytic("beckmann", 0.2)
-    size = found.sizes["slope"]
+    beckmann = facets.analytic("beckmann", 0.2)
+    size = beckmann.sizes["slope"]
     quality = np.full(size, vocabulary.quality("measured"))
     quality[size // 2 :] = vocabulary.quality("extrapolated")
     return vocabulary.label(
-        found.assign(
-            D_u=found["D"] * 0.05,
+        beckmann.assign(
+            D_u=beckmann["D"] * 0.05,
             slope_density_quality=("slope", quality),
             anisotropy=1.25,
             facet_count=123456.0,

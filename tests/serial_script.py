@@ -54,8 +54,8 @@ class ScriptedPort:
             self._arrive()
         if self._failure and not self._here:
             raise self._failure
-        found, self._here = self._here[:size], self._here[size:]
-        return found
+        read, self._here = self._here[:size], self._here[size:]
+        return read
 
     def write(self, data: bytes, /) -> int:
         if self.closed:

@@ -66,17 +66,17 @@ def opened(results: Path, material: str, stage: str) -> xr.Dataset:
 
 
 def test_a_polished_material_has_the_gloss_of_its_reflectance(results: Path) -> None:
-    bsdf, found = opened(results, "polished", "bsdf"), opened(results, "polished", "appearance")
+    bsdf, computed = opened(results, "polished", "bsdf"), opened(results, "polished", "appearance")
     assert bsdf.attrs["representation"] == "smooth"
-    assert found["gloss"].values == pytest.approx((82.0454, 89.1385, 98.9730), abs=5e-5)
+    assert computed["gloss"].values == pytest.approx((82.0454, 89.1385, 98.9730), abs=5e-5)
     listed = pd.read_csv(results / "polished" / "exports" / "polished.total_reflectance.csv", comment="#")
     assert listed["specular_reflectance"].values == pytest.approx(listed["total_reflectance"].values)
 
 
 def test_a_brushed_material_keeps_its_lay_to_the_last_file(results: Path) -> None:
-    found = opened(results, "brushed", "appearance")
-    assert abs(float(found["lay"])) < 5
-    assert float(found["gloss_along"][2]) > 1.5 * float(found["gloss_across"][2])
+    computed = opened(results, "brushed", "appearance")
+    assert abs(float(computed["lay"])) < 5
+    assert float(computed["gloss_along"][2]) > 1.5 * float(computed["gloss_across"][2])
     assert opened(results, "brushed", "table")["brdf"].dims[0] == "phi_i"
     assert "NOT isotropic" in (results / "brushed" / "exports" / "brushed.astm").read_text()
     fits = pd.read_csv(results / "brushed" / "exports" / "brushed.lambert_gauss.csv", comment="#")
@@ -84,10 +84,10 @@ def test_a_brushed_material_keeps_its_lay_to_the_last_file(results: Path) -> Non
 
 
 def test_a_metal_is_opaque_and_bright(results: Path) -> None:
-    found = opened(results, "steel", "appearance")
+    computed = opened(results, "steel", "appearance")
     # F of n = 2.9, k = 3.1 at normal incidence is 0.532; masking loses a few percent of it.
-    assert 0.48 < float(found["luminous_reflectance"]) < 0.532
-    assert "luminous_transmittance" not in found
+    assert 0.48 < float(computed["luminous_reflectance"]) < 0.532
+    assert "luminous_transmittance" not in computed
 
 
 def test_what_the_facets_lose_is_given_back_where_asked_for(results: Path) -> None:
@@ -98,7 +98,7 @@ def test_what_the_facets_lose_is_given_back_where_asked_for(results: Path) -> No
 
 def test_the_patents_choices_are_warned_about_by_the_checks(results: Path) -> None:
     verdicts = json.loads(opened(results, "patent", "checks").attrs["verdicts"])
-    assert {name for name, found in verdicts.items() if found["verdict"] == "warn"} >= {
+    assert {name for name, check in verdicts.items() if check["verdict"] == "warn"} >= {
         "reciprocity",
         "energy",
         "closure",
@@ -110,8 +110,8 @@ def test_a_clear_sheet_has_two_faces_and_two_sides(results: Path) -> None:
     assert {"facets.nc", "back_facets.nc", "interior.nc"} <= {path.name for path in folder.iterdir()}
     assert not (folder / "back_surface.nc").exists()
     assert float(opened(results, "frosted", "interior")["internal_transmittance"][0]) == pytest.approx(np.exp(-0.1))
-    found = vocabulary.validate(opened(results, "frosted", "appearance"), "appearance")
-    assert 0 < float(found["transmission_haze"]) < 1
+    computed = vocabulary.validate(opened(results, "frosted", "appearance"), "appearance")
+    assert 0 < float(computed["transmission_haze"]) < 1
     exports = {path.name for path in (folder / "exports").iterdir()}
     assert {"frosted.transmission.astm", "frosted.total_transmittance.csv"} <= exports
     assert opened(results, "frosted", "table")["theta_o"].values.max() > 90

@@ -426,10 +426,10 @@ def _header_contradictions(header: Sequence[str], positions: Array) -> list[str]
                 f"the header states {stated[1]} rows, {positions.size} were found. Look for rows lost or added"
             )
         if end := _END_STATED.fullmatch(line.strip()):
-            found, given = float(positions[0 if end[1].lower() == "first" else -1]), float(end[2])
-            if abs(found - given) > 1e-3 * given:
+            position, given = float(positions[0 if end[1].lower() == "first" else -1]), float(end[2])
+            if abs(position - given) > 1e-3 * given:
                 doubts.append(
-                    f"the header states a {end[1].lower()} X of {given:g}, {found:g} was found. Look for lost rows"
+                    f"the header states a {end[1].lower()} X of {given:g}, {position:g} was found. Look for lost rows"
                 )
     return doubts
 

@@ -53,12 +53,12 @@ def test_a_material_without_colour_is_neutral():
 
 
 def test_the_appearance_is_consistent():
-    found = appearance.compute_appearance(samples.beckmann_bsdf(0.1, reflectance=0.2))
-    gloss = found["gloss"].sel(gloss_angle=[60, 20]).values
-    assert float(found["haze"]) == pytest.approx(gloss[0] - gloss[1])
-    assert float(found["luminous_reflectance"]) == pytest.approx(0.2, abs=1e-9)
-    assert found["srgb"].values == pytest.approx(np.full(3, 0.4845), abs=1e-3)
-    assert json.dumps(found.attrs)
+    computed = appearance.compute_appearance(samples.beckmann_bsdf(0.1, reflectance=0.2))
+    gloss = computed["gloss"].sel(gloss_angle=[60, 20]).values
+    assert float(computed["haze"]) == pytest.approx(gloss[0] - gloss[1])
+    assert float(computed["luminous_reflectance"]) == pytest.approx(0.2, abs=1e-9)
+    assert computed["srgb"].values == pytest.approx(np.full(3, 0.4845), abs=1e-3)
+    assert json.dumps(computed.attrs)
 
 
 @pytest.mark.parametrize("name", SETS)
@@ -98,21 +98,21 @@ def test_a_paint_that_brightens_away_from_the_mirror_direction_has_no_flop_index
         return lab
 
     monkeypatch.setattr(computation, "colour", upside_down)
-    found = appearance.compute_appearance(samples.beckmann_bsdf(0.1, reflectance=0.2))
-    assert np.isnan(float(found["flop_index"]))
-    assert vocabulary.warnings(found)[0].startswith("No flop index: L* rises from 30.0 at 15°")
+    computed = appearance.compute_appearance(samples.beckmann_bsdf(0.1, reflectance=0.2))
+    assert np.isnan(float(computed["flop_index"]))
+    assert vocabulary.warnings(computed)[0].startswith("No flop index: L* rises from 30.0 at 15°")
 
 
 def test_a_perfect_diffuser_has_a_flop_index_of_0_and_no_warning():
-    found = appearance.compute_appearance(lambert_gauss.lambertian(samples.spectrum(0.5)))
-    assert float(found["flop_index"]) == pytest.approx(0, abs=1e-8)
-    assert not vocabulary.warnings(found)
+    computed = appearance.compute_appearance(lambert_gauss.lambertian(samples.spectrum(0.5)))
+    assert float(computed["flop_index"]) == pytest.approx(0, abs=1e-8)
+    assert not vocabulary.warnings(computed)
 
 
 def test_the_appearance_contains_uncertainties_and_reflectance_haze():
-    found = vocabulary.validate(appearance.compute_appearance(samples.beckmann_bsdf(0.1)), "appearance")
-    assert ((found["gloss_u"] > 0) & (found["gloss_u"] < found["gloss"])).all()
-    assert found["reflectance_haze"].sizes == {"haze_window": 1}
+    computed = vocabulary.validate(appearance.compute_appearance(samples.beckmann_bsdf(0.1)), "appearance")
+    assert ((computed["gloss_u"] > 0) & (computed["gloss_u"] < computed["gloss"])).all()
+    assert computed["reflectance_haze"].sizes == {"haze_window": 1}
     assert "reflectance_haze" not in appearance.compute_appearance(samples.beckmann_bsdf(0.1), haze=[])
 
 
@@ -142,11 +142,11 @@ def test_colours_of_a_surface_with_a_lay_are_those_of_the_mean_over_the_azimuth(
 
 
 def test_the_appearance_of_a_surface_with_a_lay_contains_both_planes():
-    found = vocabulary.validate(appearance.compute_appearance(brushed(37), gloss_angles=[60]), "appearance")
-    assert float(found["lay"]) == pytest.approx(37, abs=1e-6)
-    assert float(found["gloss_along"][0]) > float(found["gloss"][0]) > float(found["gloss_across"][0])
-    assert found["lab_along"].sel(geometry="8:total").values == pytest.approx(
-        found["lab"].sel(geometry="8:total").values, abs=1e-12
+    computed = vocabulary.validate(appearance.compute_appearance(brushed(37), gloss_angles=[60]), "appearance")
+    assert float(computed["lay"]) == pytest.approx(37, abs=1e-6)
+    assert float(computed["gloss_along"][0]) > float(computed["gloss"][0]) > float(computed["gloss_across"][0])
+    assert computed["lab_along"].sel(geometry="8:total").values == pytest.approx(
+        computed["lab"].sel(geometry="8:total").values, abs=1e-12
     )
     assert not {"gloss_along", "lay"} & set(appearance.compute_appearance(samples.beckmann_bsdf(0.1)).variables)
 
@@ -161,9 +161,9 @@ def test_geometries_off_the_mirror_direction_of_a_polished_surface_see_its_base_
 
 
 def test_the_tolerance_of_directions_leaves_a_perfect_diffuser_as_it_is():
-    found = colour_uncertainty(lambert_gauss.lambertian(samples.spectrum(0.5)))
-    assert found["lab_u"].values[1:] == pytest.approx(0, abs=1e-9)
-    assert float(found["flop_index_u"]) == pytest.approx(0, abs=1e-6) or np.isnan(found["flop_index_u"])
+    uncertainty = colour_uncertainty(lambert_gauss.lambertian(samples.spectrum(0.5)))
+    assert uncertainty["lab_u"].values[1:] == pytest.approx(0, abs=1e-9)
+    assert float(uncertainty["flop_index_u"]) == pytest.approx(0, abs=1e-6) or np.isnan(uncertainty["flop_index_u"])
 
 
 @pytest.mark.parametrize("a", [0.2, 0.4])
@@ -178,9 +178,9 @@ def test_the_uncertainty_of_a_colour_is_that_of_instruments_off_by_the_tolerance
     }
     lightness = colour(glossy, asked).sel(component="L*").values[1:]
     expected = np.sqrt((np.diff(lightness)[[0, 2]] ** 2).sum() / 12)
-    found = colour_uncertainty(glossy)["lab_u"].sel(geometry="45as15", component="L*")
-    assert float(found) == pytest.approx(expected, rel=1e-3)
-    assert float(found) > 0
+    lightness_u = colour_uncertainty(glossy)["lab_u"].sel(geometry="45as15", component="L*")
+    assert float(lightness_u) == pytest.approx(expected, rel=1e-3)
+    assert float(lightness_u) > 0
 
 
 def test_the_uncertainty_of_a_flop_index_has_one_light_for_all_geometries():

@@ -25,16 +25,16 @@ def test_the_configuration_offers_every_set_of_geometries_and_no_other():
 def test_the_configuration_s_own_windows_are_those_of_the_function():
     asked = catalogue.load_config()["appearance"]
     assert asked["geometries"] == []
-    assert [(each["angle"], each["offset"], tuple(each["aperture"])) for each in asked["haze"]] == list(WINDOWS)
+    assert [(window["angle"], window["offset"], tuple(window["aperture"])) for window in asked["haze"]] == list(WINDOWS)
 
 
 def test_a_configuration_may_ask_for_geometries_and_windows(tmp_path: Path):
     own = tmp_path / "own.yaml"
     window = "{angle: 30, offset: 2, aperture: [0.5, 3]}"
     own.write_text(f"appearance: {{geometries: [DIN 6175-2], haze: [{window}]}}\n")
-    found = appearance.compute_appearance(samples.beckmann_bsdf(0.1), **catalogue.load_config(own)["appearance"])
+    computed = appearance.compute_appearance(samples.beckmann_bsdf(0.1), **catalogue.load_config(own)["appearance"])
     path = tmp_path / "appearance.nc"
-    store.save_dataset(found, path, stage="appearance", material="m")
+    store.save_dataset(computed, path, stage="appearance", material="m")
     kept = store.open_dataset(path, "appearance")
     assert kept["haze_window"].values.tolist() == ["30° ± 2°, 0.5° × 3°"]
     assert "45as75" in kept["geometry"].values.tolist()
@@ -69,23 +69,23 @@ def paint(**options):
 def test_the_gloss_of_flakes_without_a_clear_coat_has_a_warning_with_the_remedy(tmp_path: Path, options, mend):
     path = tmp_path / "appearance.nc"
     store.save_dataset(appearance.compute_appearance(paint(**options)), path, stage="appearance", material="m")
-    found = store.open_dataset(path, "appearance")
-    assert mend in found.attrs["no_gloss"]
-    assert vocabulary.warnings(found) == [found.attrs["no_gloss"]]
+    computed = store.open_dataset(path, "appearance")
+    assert mend in computed.attrs["no_gloss"]
+    assert vocabulary.warnings(computed) == [computed.attrs["no_gloss"]]
     for name in ("gloss", "gloss_u", "haze", "reflectance_haze"):
-        assert found[name].attrs["comment"] == "of the flakes alone: no clear coat is modelled"
-    assert "comment" not in found["lab"].attrs
+        assert computed[name].attrs["comment"] == "of the flakes alone: no clear coat is modelled"
+    assert "comment" not in computed["lab"].attrs
     # What a gloss meter would see of any such paint is a hundred times this.
-    assert float(found["gloss"].max()) < 1
+    assert float(computed["gloss"].max()) < 1
 
 
 @pytest.mark.parametrize("coat", ["smooth", 0.02])
 def test_the_gloss_of_a_paint_with_its_coat_is_given_without_reserve(coat):
-    found = appearance.compute_appearance(paint(model="flake-physical", clear_coat=coat))
-    assert float(found["gloss"].sel(gloss_angle=60)) > 50
-    assert "no_gloss" not in found.attrs
-    assert not vocabulary.warnings(found)
-    assert "comment" not in found["gloss"].attrs
+    computed = appearance.compute_appearance(paint(model="flake-physical", clear_coat=coat))
+    assert float(computed["gloss"].sel(gloss_angle=60)) > 50
+    assert "no_gloss" not in computed.attrs
+    assert not vocabulary.warnings(computed)
+    assert "comment" not in computed["gloss"].attrs
 
 
 def test_only_flakes_lack_a_coat():
@@ -97,8 +97,8 @@ def test_a_colour_beyond_the_measured_flake_angles_is_flagged(tmp_path: Path):
     store.save_dataset(
         appearance.compute_appearance(paint(), geometries=["MA-T6"]), path, stage="appearance", material="m"
     )
-    found = store.open_dataset(path, "appearance")
-    flags = found["lab_quality"].to_series().map(dict(enumerate(vocabulary.QUALITY_FLAGS))).to_dict()
+    computed = store.open_dataset(path, "appearance")
+    flags = computed["lab_quality"].to_series().map(dict(enumerate(vocabulary.QUALITY_FLAGS))).to_dict()
     assert flags["45as-15"] == "extrapolated"
     assert flags["45as15"] == flags["45as110"] == "measured"
     assert flags["45as25"] == "interpolated"
@@ -107,11 +107,11 @@ def test_a_colour_beyond_the_measured_flake_angles_is_flagged(tmp_path: Path):
 
 
 def test_every_quantity_of_instruments_has_its_uncertainty():
-    found = appearance.compute_appearance(paint(model="flake-physical", clear_coat=0.02))
+    computed = appearance.compute_appearance(paint(model="flake-physical", clear_coat=0.02))
     for name in ("gloss", "haze", "reflectance_haze", "flop_index"):
-        assert (found[f"{name}_u"] > 0).all(), name
-        assert (found[f"{name}_u"] < 0.2 * abs(found[name])).all(), name
-    single = found["lab_u"].drop_sel(geometry="8:total")
+        assert (computed[f"{name}_u"] > 0).all(), name
+        assert (computed[f"{name}_u"] < 0.2 * abs(computed[name])).all(), name
+    single = computed["lab_u"].drop_sel(geometry="8:total")
     assert (single > 0).all()
-    assert found["lab_u"].sel(geometry="8:total").isnull().all()
-    vocabulary.validate(found, "appearance")
+    assert computed["lab_u"].sel(geometry="8:total").isnull().all()
+    vocabulary.validate(computed, "appearance")

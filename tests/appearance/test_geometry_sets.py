@@ -58,7 +58,7 @@ def test_a_positive_aspecular_angle_is_towards_the_light(name):
     light, mirror, view = vectors(name)
     assert light[0] > 0
     # From the normal, positive on the light's side.
-    mirrored, seen = (float(np.degrees(np.arctan2(each[0], each[2]))) for each in (mirror, view))
+    mirrored, seen = (float(np.degrees(np.arctan2(direction[0], direction[2]))) for direction in (mirror, view))
     assert seen - mirrored == pytest.approx(numbers(name)[1], abs=1e-6)
     assert view[1] == pytest.approx(0, abs=1e-12)
 
@@ -84,5 +84,5 @@ def test_two_lamps_of_one_instrument_share_its_detectors_out_of_the_plane():
 
 @pytest.mark.parametrize("name", SETS)
 def test_no_set_contains_a_direction_twice(name):
-    pairs = [directions(each) for each in SETS[name]]
+    pairs = [directions(geometry) for geometry in SETS[name]]
     assert len(set(pairs)) == len(pairs) >= 3

@@ -47,6 +47,6 @@ def test_the_uncertainty_of_the_bsdf_is_in_that_of_the_gloss(seen, paint):
 
 
 def test_a_gloss_that_rests_on_a_model_has_no_such_flags(paint):
-    found = appearance.compute_appearance(paint)
-    assert "gloss_quality" not in found
-    assert "BSDF" not in found["gloss_u"].attrs["long_name"]
+    computed = appearance.compute_appearance(paint)
+    assert "gloss_quality" not in computed
+    assert "BSDF" not in computed["gloss_u"].attrs["long_name"]

@@ -53,10 +53,10 @@ def test_gloss_of_a_polished_dielectric_is_its_reflectance_over_the_source():
         cos = np.cos(np.radians(light.theta))
         reflected = [np.sum(light.weight * optics.fresnel(cos, n)[2]) for n in (1.5, 1.567)]
         exact.append(100 * reflected[0] / reflected[1])
-    found = of(rough(1e-4), angles).values
-    assert found == pytest.approx(exact, rel=1e-6)
+    gloss = of(rough(1e-4), angles).values
+    assert gloss == pytest.approx(exact, rel=1e-6)
     # The printed values are the ratio on the axis; the aperture adds 2e-5.
-    assert found == pytest.approx(on_axis, rel=3e-5)
+    assert gloss == pytest.approx(on_axis, rel=3e-5)
 
 
 def sides(angle):
@@ -79,7 +79,7 @@ def brute_force(bsdf, angle, points=(8, 10, 60, 200), azimuth=0.0):
     """Gauss and Legendre's rule over both rectangles, one panel each: 200 points across, for a lobe 40 times narrower at 85°."""
     nodes, weights = zip(*(np.polynomial.legendre.leggauss(n) for n in points), strict=True)
     at = np.meshgrid(*(half * node for half, node in zip(sides(angle), nodes, strict=True)), indexing="ij")
-    flux, glass = aperture_flux(bsdf, angle, azimuth, *(each.ravel() for each in at))
+    flux, glass = aperture_flux(bsdf, angle, azimuth, *(angles.ravel() for angles in at))
     over_receptor = np.einsum("abcd,a,b,c,d", flux.reshape(points), *weights, optimize=True)
     over_source = np.einsum("ab,a,b", glass.reshape(points)[:, :, 0, 0], *weights[:2])
     half_u, half_v = sides(angle)[2:]
@@ -202,8 +202,8 @@ QUICK_OTHERS = [("flakes", 60.0), ("flakes under a rough coat", 20.0), ("a lay",
 @pytest.mark.parametrize(("name", "angle"), QUICK_OTHERS)
 def test_gloss_of_other_bsdfs_agrees_with_one_panel_of_many_points(name, angle):
     bsdf = OTHERS[name]()
-    found = float(of(bsdf, [angle], azimuth=13.0)[0])
-    assert found == pytest.approx(brute_force(bsdf, angle, azimuth=13.0), rel=1e-4)
+    gloss = float(of(bsdf, [angle], azimuth=13.0)[0])
+    assert gloss == pytest.approx(brute_force(bsdf, angle, azimuth=13.0), rel=1e-4)
 
 
 @pytest.mark.slow
@@ -212,9 +212,9 @@ def test_gloss_of_other_bsdfs_agrees_with_one_panel_of_many_points(name, angle):
 @pytest.mark.parametrize("azimuth", [30.0, 52.0])
 def test_gloss_of_other_bsdfs_agrees_with_one_panel_of_many_points_at_every_angle(name, angle, azimuth):
     bsdf = OTHERS[name]()
-    found = float(of(bsdf, [angle], azimuth=azimuth)[0])
+    gloss = float(of(bsdf, [angle], azimuth=azimuth)[0])
     # The peak of flakes is a cone, which one panel of a rule for smooth functions takes in to some 1e-5.
-    assert found == pytest.approx(brute_force(bsdf, angle, azimuth=azimuth), rel=5e-5)
+    assert gloss == pytest.approx(brute_force(bsdf, angle, azimuth=azimuth), rel=5e-5)
 
 
 @pytest.mark.parametrize(("name", "angle"), QUICK_OTHERS)
@@ -244,7 +244,7 @@ def test_gloss_of_a_lay_is_the_light_that_is_sampled_into_the_receptor():
 def perturbed(bsdf, angle, azimuths=(0.0,), *, source=(0.0, 0.0), receptor=(0.0, 0.0), axis=0.0, incidence=0.0):
     """Gloss of an instrument whose apertures and axes [degree] are off by this, set to 100 on black glass; mean over azimuths."""
     whole = [0.75 + source[0], 2.5 + source[1]]
-    full = [each + more for each, more in zip(RECEPTOR[angle], receptor, strict=True)]
+    full = [width + more for width, more in zip(RECEPTOR[angle], receptor, strict=True)]
     light = apertures.source(angle + incidence, apertures.FINE, apertures.centred(*whole))
     window = apertures.centred(*full)
     shift = np.tan(np.radians(axis))
@@ -267,7 +267,10 @@ def spread_of_instruments(bsdf, angle, azimuths=(0.0,)):
         {"incidence": 0.1},
     ):
         ends = [
-            {key: tuple(s * x for x in each) if isinstance(each, tuple) else s * each for key, each in off.items()}
+            {
+                key: tuple(s * x for x in offset) if isinstance(offset, tuple) else s * offset
+                for key, offset in off.items()
+            }
             for s in (-1, 1)
         ]
         less, more = (perturbed(bsdf, angle, azimuths, **end) for end in ends)
@@ -343,15 +346,15 @@ def test_the_uncertainty_of_haze_is_that_of_instruments_with_one_source(a):
             less, more = (perturbed(bsdf, angle, **{key: end}) for end in ends)
             ranges.append((more - less) / 2)
         half += [ranges[1] - ranges[0]] if key == "source" else ranges
-    found = gloss_and_haze(bsdf)
-    assert float(found["haze_u"]) == pytest.approx(np.sqrt(np.sum(np.square(half)) / 3), rel=0.05)
-    assert float(found["haze"]) == pytest.approx(perturbed(bsdf, 60.0) - perturbed(bsdf, 20.0), rel=1e-6)
+    readings = gloss_and_haze(bsdf)
+    assert float(readings["haze_u"]) == pytest.approx(np.sqrt(np.sum(np.square(half)) / 3), rel=0.05)
+    assert float(readings["haze"]) == pytest.approx(perturbed(bsdf, 60.0) - perturbed(bsdf, 20.0), rel=1e-6)
 
 
 def test_haze_needs_both_angles():
-    found = gloss_and_haze(rough(0.1), [20.0, 85.0])
-    assert np.isnan(found["haze"])
-    assert np.isnan(found["haze_u"])
+    readings = gloss_and_haze(rough(0.1), [20.0, 85.0])
+    assert np.isnan(readings["haze"])
+    assert np.isnan(readings["haze_u"])
 
 
 def test_a_lay_leaves_an_uncertainty_between_those_of_its_planes():

@@ -28,11 +28,11 @@ def test_a_polished_surface_has_no_haze():
 
 
 def test_haze_of_a_white_lambertian_is_the_solid_angle_of_its_windows():
-    found = reflectance_haze(lambert_gauss.lambertian(samples.spectrum(1.0)))
+    haze = reflectance_haze(lambert_gauss.lambertian(samples.spectrum(1.0)))
     solid = 2 * np.radians(1.8) * np.radians(3.6) * np.cos(np.radians(20))
     # Small windows: solid angles to 1e-3, and black glass on the axis to 1e-4.
     expected = 100 * solid / np.pi / float(optics.fresnel(np.cos(np.radians(20)), 1.567)[2])
-    assert float(found[0]) == pytest.approx(expected, rel=2e-3)
+    assert float(haze[0]) == pytest.approx(expected, rel=2e-3)
 
 
 @pytest.mark.parametrize("a", [0.01, 0.05, 0.3])
@@ -47,16 +47,16 @@ def test_the_windows_and_the_receptor_between_them_make_one_wide_receptor(a):
 
 
 def test_haze_has_a_maximum_between_polished_and_matt():
-    found = [float(reflectance_haze(rough(a))[0]) for a in (0.001, 0.005, 0.015, 0.1, 0.4)]
-    assert np.argmax(found) in (1, 2)
-    assert found[0] < 0.1 < found[-1] < max(found)
+    hazes = [float(reflectance_haze(rough(a))[0]) for a in (0.001, 0.005, 0.015, 0.1, 0.4)]
+    assert np.argmax(hazes) in (1, 2)
+    assert hazes[0] < 0.1 < hazes[-1] < max(hazes)
 
 
 def test_windows_further_off_see_less_and_are_named():
     asked = [{"angle": 30, "offset": offset, "aperture": [0.5, 3]} for offset in (2, 5, 15)]
-    found = reflectance_haze(rough(0.05), asked)
-    assert (np.diff(found.values) < 0).all()
-    assert found["haze_window"].values.tolist()[0] == "30° ± 2°, 0.5° × 3°"
+    hazes = reflectance_haze(rough(0.05), asked)
+    assert (np.diff(hazes.values) < 0).all()
+    assert hazes["haze_window"].values.tolist()[0] == "30° ± 2°, 0.5° × 3°"
 
 
 def test_haze_of_a_surface_with_a_lay_is_between_those_of_its_planes():
@@ -94,8 +94,8 @@ def test_a_window_that_cannot_be_is_refused(window, said):
 def test_the_uncertainty_of_a_matt_surface_is_that_of_solid_angles_and_cosines():
     value, spread = reflectance_haze_with_uncertainty(lambert_gauss.lambertian(samples.spectrum(1.0)))
     axes = np.radians([18.1, 21.9])
-    each = float(value[0]) * np.cos(axes) / np.cos(axes).sum()
-    own = [each * 0.05 / 1.8, each * 0.1 / 3.6, each * np.radians(0.1) * np.tan(axes)]
+    by_window = float(value[0]) * np.cos(axes) / np.cos(axes).sum()
+    own = [by_window * 0.05 / 1.8, by_window * 0.1 / 3.6, by_window * np.radians(0.1) * np.tan(axes)]
     glass = [float(optics.fresnel(np.cos(np.radians(angle)), 1.567)[2]) for angle in (19.9, 20.1)]
     # The window's axes move with the mirror direction.
     cosines = [np.cos(np.radians([18.1, 21.9]) + np.radians(off)).sum() for off in (-0.1, 0.1)]
@@ -115,8 +115,8 @@ def test_the_uncertainty_follows_instruments_whose_windows_are_off(a):
     both = [of(nominal._replace(offset=nominal.offset + off)) for off in (-0.1, 0.1)]
     # Both windows moved outwards together add linearly what counts as independent, nearly alike on either side.
     by_axes = abs(np.diff(both)[0]) / 2 / np.sqrt(2) / np.sqrt(3)
-    found = float(reflectance_haze_with_uncertainty(rough(a))[1][0])
-    assert by_axes < found < 2 * by_axes + 0.03 * of(nominal)
+    total_u = float(reflectance_haze_with_uncertainty(rough(a))[1][0])
+    assert by_axes < total_u < 2 * by_axes + 0.03 * of(nominal)
 
 
 def test_a_polished_surface_has_no_uncertainty_of_haze():

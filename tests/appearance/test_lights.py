@@ -18,7 +18,7 @@ def test_a_blur_keeps_the_light_of_a_box(blur):
     # The tangent plane is flat and the sphere is not: exact for a small box on its axis up to the fourth power of the blur.
     box = SoftBox((-0.5, -0.6, 0.6), 0.1, 0.2, 3.0)
     directions, share = sphere_rule(400_000)
-    sharp, soft = (box.light_from(directions, each).sum() * share for each in (0.0, blur))
+    sharp, soft = (box.light_from(directions, width).sum() * share for width in (0.0, blur))
     assert soft == pytest.approx(sharp, rel=0.002 + 20 * blur**4 + 0.5 * blur * 0.1)
 
 
@@ -34,18 +34,18 @@ def test_the_lookup_table_agrees_with_the_lights(name, blur):
     environment = lights(name)
     directions, _ = sphere_rule(50_000)
     x, y, z = (directions[:, k, None].astype(np.float32) for k in range(3))
-    found = environment.filtered(x, y, z, np.array([blur]))[:, 0]
+    filtered = environment.filtered(x, y, z, np.array([blur]))[:, 0]
     expected = environment.radiance(directions, blur)
     # The nearest texel errs at the edges of boxes, to either side; few of the directions meet the sun's.
-    assert found.mean() == pytest.approx(expected.mean(), rel=4e-3)
-    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.02 * expected.max()
+    assert filtered.mean() == pytest.approx(expected.mean(), rel=4e-3)
+    assert np.sqrt(np.mean((filtered - expected) ** 2)) < 0.02 * expected.max()
 
 
 def test_nadir_and_zenith_are_in_the_lookup_table():
-    found = Lights((), zenith=2.0, ground=0.5).filtered
+    filtered = Lights((), zenith=2.0, ground=0.5).filtered
     z = np.array([[1.0], [-1.0]], dtype=np.float32)
     zero = np.zeros((2, 1), dtype=np.float32)
-    assert found(zero, zero, z, np.zeros(1))[:, 0] == pytest.approx([2.0, 0.5], rel=1e-3)
+    assert filtered(zero, zero, z, np.zeros(1))[:, 0] == pytest.approx([2.0, 0.5], rel=1e-3)
 
 
 def test_an_even_sky_is_exposed_to_the_white_level():

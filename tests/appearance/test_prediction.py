@@ -20,20 +20,20 @@ def paint(factor=1.0, **options):
 
 
 def test_measured_geometries_have_the_measured_colours_and_others_are_flagged():
-    found = predicted_colours(paint(), [*LAB, "45as25", "45as5"])
-    vocabulary.validate(found, "colours")
-    assert found["lab"].values[:3] == pytest.approx(np.array(list(LAB.values())), abs=1e-9)
-    flags = [vocabulary.QUALITY_FLAGS[flag] for flag in found["lab_quality"].values]
+    predicted = predicted_colours(paint(), [*LAB, "45as25", "45as5"])
+    vocabulary.validate(predicted, "colours")
+    assert predicted["lab"].values[:3] == pytest.approx(np.array(list(LAB.values())), abs=1e-9)
+    flags = [vocabulary.QUALITY_FLAGS[flag] for flag in predicted["lab_quality"].values]
     assert flags == ["measured"] * 3 + ["interpolated", "extrapolated"]
-    assert LAB["45as45"][0] < float(found["lab"].sel(geometry="45as25", component="L*")) < LAB["45as15"][0]
+    assert LAB["45as45"][0] < float(predicted["lab"].sel(geometry="45as25", component="L*")) < LAB["45as15"][0]
 
 
 def test_colours_under_another_illuminant_follow_from_the_spectra():
-    found = predicted_colours(paint(), "E2194", illuminant="A", observer=2)
-    assert found["geometry"].values.tolist() == ["45as15", "45as45", "45as110"]
+    predicted = predicted_colours(paint(), "E2194", illuminant="A", observer=2)
+    assert predicted["geometry"].values.tolist() == ["45as15", "45as45", "45as110"]
     # A blue under the reddish illuminant stays blue, and darkens.
-    assert (found["lab"].sel(component="b*") < 0).all()
-    assert float(found["lab"][0, 0]) < LAB["45as15"][0]
+    assert (predicted["lab"].sel(component="b*") < 0).all()
+    assert float(predicted["lab"][0, 0]) < LAB["45as15"][0]
 
 
 def test_a_material_does_not_differ_from_itself():
@@ -42,9 +42,9 @@ def test_a_material_does_not_differ_from_itself():
 
 def test_a_paint_differs_from_a_lambertian_by_the_colours_of_both():
     grey = lambert_gauss.lambertian(samples.spectrum(0.2))
-    found = colour_difference(paint(), grey, {"here": (45.0, 0.0, 30.0, 180.0)})
-    assert float(found[0]) > 20
-    assert found["geometry"].values.tolist() == ["here"]
+    difference = colour_difference(paint(), grey, {"here": (45.0, 0.0, 30.0, 180.0)})
+    assert float(difference[0]) > 20
+    assert difference["geometry"].values.tolist() == ["here"]
 
 
 def test_the_two_models_agree_where_measured_and_part_elsewhere():
@@ -75,7 +75,7 @@ def test_a_difference_beyond_the_measured_angles_is_flagged():
         )
     )
     for pair in ((paint(), grey), (grey, paint()), (paint(), wide)):
-        found = colour_difference(*pair, ["45as15", "45as5"])
-        flags = [vocabulary.QUALITY_FLAGS[flag] for flag in found["lab_quality"].values]
+        difference = colour_difference(*pair, ["45as15", "45as5"])
+        flags = [vocabulary.QUALITY_FLAGS[flag] for flag in difference["lab_quality"].values]
         assert flags == ["measured", "extrapolated"]
     assert "lab_quality" not in colour_difference(grey, grey, ["45:0"]).coords

@@ -112,8 +112,8 @@ def rough_metal(**widths):
 )
 def test_the_preview_shows_what_mitsuba_renders(subject, theirs, ours):
     expected = renderers_picture(subject, theirs, 256)
-    found, whole = own_picture(subject, ours())
-    difference = (found - expected)[whole]
+    picture, whole = own_picture(subject, ours())
+    difference = (picture - expected)[whole]
     # Mitsuba's masking is a rational fit of Smith's, off by up to 3e-3.
     assert difference.mean() == pytest.approx(0, abs=0.008 * expected[whole].mean())
     assert np.sqrt(np.mean(difference**2)) < 0.05
@@ -123,7 +123,7 @@ def test_gloss_over_glass_is_what_mitsuba_renders():
     # Of the sphere alone: what enters it meets the light no more within one reflection.
     glass = {"type": "roughdielectric", "distribution": "beckmann", "alpha": 0.2, "int_ior": GLASS[0], "ext_ior": 1.0}
     expected = renderers_picture("sphere", glass, 512)
-    found, whole = own_picture("sphere", own_material(facets.analytic("beckmann", 0.2), GLASS))
-    difference = (found - expected)[whole]
+    picture, whole = own_picture("sphere", own_material(facets.analytic("beckmann", 0.2), GLASS))
+    difference = (picture - expected)[whole]
     assert difference.mean() == pytest.approx(0, abs=0.02 * expected[whole].mean())
     assert np.sqrt(np.mean(difference**2)) < 0.1 * expected[whole].max()

@@ -56,7 +56,7 @@ def test_an_opaque_material_has_no_haze_of_transmission():
 
 def test_the_appearance_of_a_sheet_contains_its_transmittance():
     frosted = slab.build(facets.flat(), facets.analytic("beckmann", 0.2), index=1.5)
-    found = vocabulary.validate(appearance.compute_appearance(frosted), "appearance")
-    assert 0.5 < float(found["transmission_haze"]) < 1
+    computed = vocabulary.validate(appearance.compute_appearance(frosted), "appearance")
+    assert 0.5 < float(computed["transmission_haze"]) < 1
     # A sheet that absorbs nothing passes what it does not reflect; 8° of incidence against 0° differ by a thousandth.
-    assert float(found["luminous_transmittance"] + found["luminous_reflectance"]) == pytest.approx(1, abs=1e-3)
+    assert float(computed["luminous_transmittance"] + computed["luminous_reflectance"]) == pytest.approx(1, abs=1e-3)

@@ -39,39 +39,39 @@ def views(points, table):
 @pytest.mark.parametrize("a", [0.002, 0.02, 0.1, 0.3])
 def test_in_an_even_light_a_surface_shows_its_albedo(a):
     bsdf = gloss_alone(a=a)
-    found = Table.of(bsdf, *ONE)
+    table = Table.of(bsdf, *ONE)
     points = some(shots.sphere(64).pixels, 200)
-    theta, _ = views(points, found)
+    theta, _ = views(points, table)
     points, theta = shots.Points(*(f[theta < 80] for f in points)), theta[theta < 80]
-    seen = found.near_light(points, EVEN) + found.far_light(points, EVEN)
+    seen = table.near_light(points, EVEN) + table.far_light(points, EVEN)
     assert seen[:, 0] == pytest.approx(bsdf.bsdf.albedo(theta).values, rel=0.01)
 
 
 def test_in_an_even_light_a_surface_with_a_lay_shows_its_albedo():
     bsdf = gloss_alone(a_x=0.05, a_y=0.3)
-    found = Table.of(bsdf, *ONE)
+    table = Table.of(bsdf, *ONE)
     points = some(shots.panel(64).pixels, 50)
-    seen = found.near_light(points, EVEN) + found.far_light(points, EVEN)
-    assert seen[:, 0] == pytest.approx(bsdf.bsdf.albedo(*views(points, found)).values, rel=0.015)
+    seen = table.near_light(points, EVEN) + table.far_light(points, EVEN)
+    assert seen[:, 0] == pytest.approx(bsdf.bsdf.albedo(*views(points, table)).values, rel=0.015)
 
 
 def test_in_an_even_light_a_white_lambertian_is_white():
-    found = Table.of(lambert_gauss.lambertian(samples.spectrum(1.0)), np.array([550.0]), np.ones((1, 1)))
+    table = Table.of(lambert_gauss.lambertian(samples.spectrum(1.0)), np.array([550.0]), np.ones((1, 1)))
     shot = shots.sphere(48)
-    assert shot.upsampled(found.far_light(shot.coarse, EVEN)) == pytest.approx(
+    assert shot.upsampled(table.far_light(shot.coarse, EVEN)) == pytest.approx(
         np.ones((len(shot.grid_position[0]), 1)), rel=2e-3
     )
 
 
 def test_a_polished_surface_mirrors_the_lights_by_its_reflectance():
-    found = Table.of(microfacet.build(facets.flat(), index=1.5), *ONE)
+    table = Table.of(microfacet.build(facets.flat(), index=1.5), *ONE)
     points = some(shots.panel(64).pixels, 40)
     cosine = (points.normal * points.view).sum(axis=1)
     mirrored = 2 * cosine[:, None] * points.normal - points.view
     light = lights("studio").radiance(mirrored, float(points.spread[0]))
     expected = light * optics.fresnel(cosine, 1.5).mean
     # The reflectance is linear between polar angles of view 2 degree apart.
-    assert found.near_light(points, lights("studio"))[:, 0] == pytest.approx(expected, rel=5e-3)
+    assert table.near_light(points, lights("studio"))[:, 0] == pytest.approx(expected, rel=5e-3)
 
 
 @pytest.mark.cases(3)
@@ -89,20 +89,20 @@ def test_a_polished_surface_mirrors_the_lights_by_its_reflectance():
 def test_pixels_are_those_of_many_samples(build, name, shot):
     bsdf, environment = build(), lights(name)
     wavelength = np.array([550.0]) if "wavelength" in bsdf.coords else None
-    found = Table.of(bsdf, wavelength, np.ones((1, 1)))
-    pixels = radiance(found, shot, environment)[:, 0]
+    table = Table.of(bsdf, wavelength, np.ones((1, 1)))
+    pixels = radiance(table, shot, environment)[:, 0]
     inner = np.flatnonzero((shot.pixels.normal * shot.pixels.view).sum(axis=1) > 0.3)
     chosen = np.random.default_rng(4).choice(inner, 15, replace=False)
     points = shots.Points(*(field[chosen] for field in shot.pixels))
-    frame, theta, phi = found._local_views(points)
+    frame, theta, phi = table._local_views(points)
     for k, pixel in enumerate(chosen):
         drawn = bsdf.bsdf.sample(20_000, 9, float(theta[k]), float(phi[k]), wavelength)
         directions = unit_vector(drawn["theta_o"].values, drawn["phi_o"].values) @ frame[k]
         light = environment.radiance(directions, float(points.spread[k]))
-        each = light * drawn["weight"].values.reshape(20_000) * environment.exposure
-        noise = each.std() / np.sqrt(each.size)
+        sampled = light * drawn["weight"].values.reshape(20_000) * environment.exposure
+        noise = sampled.std() / np.sqrt(sampled.size)
         # A pixel of 64 is wider than the edges of the boxes, and the nodes blur the lobe by 2 % more.
-        assert abs(pixels[pixel] - each.mean()) < 4 * noise + 0.05 * each.mean()
+        assert abs(pixels[pixel] - sampled.mean()) < 4 * noise + 0.05 * sampled.mean()
 
 
 def test_lobes_are_found_through_evaluation_alone():
@@ -113,8 +113,8 @@ def test_lobes_are_found_through_evaluation_alone():
 
 
 def test_a_lambertian_has_no_lobe():
-    found = Table.of(lambert_gauss.lambertian(samples.spectrum(0.5)), np.array([550.0]), np.ones((1, 1)))
-    assert found.near.shape[2] == 0
+    table = Table.of(lambert_gauss.lambertian(samples.spectrum(0.5)), np.array([550.0]), np.ones((1, 1)))
+    assert table.near.shape[2] == 0
 
 
 def test_a_table_looks_like_the_model_it_was_made_from():
@@ -127,7 +127,7 @@ def test_a_table_looks_like_the_model_it_was_made_from():
         }
     )
     shot, environment = shots.sphere(48), lights("studio")
-    modelled, tabulated = (radiance(Table.of(each, *ONE), shot, environment) for each in (bsdf, stored))
+    modelled, tabulated = (radiance(Table.of(dataset, *ONE), shot, environment) for dataset in (bsdf, stored))
     inner = (shot.pixels.normal * shot.pixels.view).sum(axis=1) > 0.4
     # Linear interpolation cuts the peak of the lobe.
     assert tabulated[inner] == pytest.approx(modelled[inner], rel=0.06, abs=0.003)

@@ -18,19 +18,19 @@ def bsdf():
 
 
 def test_plain_arrays_are_paired_into_directions(bsdf):
-    found = bsdf.bsdf.evaluate(30, 0, [10, 30, 50], 180, wavelength=[450, 550])
-    assert found.dims == ("direction", "wavelength")
-    assert found.shape == (3, 2)
-    assert found.attrs["units"] == "sr-1"
+    brdf = bsdf.bsdf.evaluate(30, 0, [10, 30, 50], 180, wavelength=[450, 550])
+    assert brdf.dims == ("direction", "wavelength")
+    assert brdf.shape == (3, 2)
+    assert brdf.attrs["units"] == "sr-1"
 
 
 def test_labelled_arrays_broadcast_by_name(bsdf):
     theta_i = xr.DataArray([0.0, 30.0], dims="theta_i", coords={"theta_i": [0.0, 30.0]})
     theta_o = xr.DataArray([0.0, 30.0, 60.0], dims="theta_o", coords={"theta_o": [0.0, 30.0, 60.0]})
-    found = bsdf.bsdf.evaluate(theta_i, 0, theta_o, 180, wavelength=550)
-    assert found.sizes == {"theta_i": 2, "theta_o": 3, "wavelength": 1}
+    brdf = bsdf.bsdf.evaluate(theta_i, 0, theta_o, 180, wavelength=550)
+    assert brdf.sizes == {"theta_i": 2, "theta_o": 3, "wavelength": 1}
     alone = bsdf.bsdf.evaluate(30, 0, 60, 180, wavelength=550)
-    assert found.sel(theta_i=30, theta_o=60).values == alone.values
+    assert brdf.sel(theta_i=30, theta_o=60).values == alone.values
 
 
 def test_scalars_give_no_direction(bsdf):

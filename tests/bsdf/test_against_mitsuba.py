@@ -93,7 +93,7 @@ def renderers_masking(distribution: str, widths: tuple[float, float], where: Dir
     name = {"beckmann": mitsuba.MicrofacetType.Beckmann, "ggx": mitsuba.MicrofacetType.GGX}[distribution]
     facet_normals = mitsuba.MicrofacetDistribution(name, *widths)
     return np.array(
-        [facet_normals.G(*(mitsuba.Vector3f(each) for each in three)) for three in zip(*where, strict=True)]
+        [facet_normals.G(*(mitsuba.Vector3f(vector) for vector in three)) for three in zip(*where, strict=True)]
     )
 
 

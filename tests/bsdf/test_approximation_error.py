@@ -34,9 +34,9 @@ def test_only_black_matches_black():
 
 def test_a_neutral_index_is_averaged_without_error():
     bsdf = samples.beckmann_bsdf(0.1, reflectance=np.linspace(0.1, 0.6, 85))
-    found = bsdf.bsdf.nonspectral_error()
-    assert float(found["rms"].max()) < 1e-12
-    vocabulary.validate(found, "nonspectral")
+    error = bsdf.bsdf.nonspectral_error()
+    assert float(error["rms"].max()) < 1e-12
+    vocabulary.validate(error, "nonspectral")
 
 
 def test_a_bsdf_without_wavelengths_has_no_error():

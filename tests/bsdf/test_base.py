@@ -25,10 +25,10 @@ def quadrature(bsdf, theta, phi=0.0, **options):
 def test_a_lobe_of_unknown_width_is_integrated(a):
     # Against the model's own albedo, an integral over the facets.
     bsdf = microfacet.build(facets.analytic("beckmann", a), index=1.55)
-    found = quadrature(bsdf, THETA)
+    integral = quadrature(bsdf, THETA)
     own = representation(bsdf).albedo(THETA, np.zeros_like(THETA), None)
-    assert found.value == pytest.approx(own, rel=2e-6)
-    assert (found.error <= 1.001e-6 * found.value).all()
+    assert integral.value == pytest.approx(own, rel=2e-6)
+    assert (integral.error <= 1.001e-6 * integral.value).all()
 
 
 def test_a_lay_is_integrated_at_every_azimuth():
@@ -59,10 +59,10 @@ def test_a_lambertian_is_exact():
 def test_a_lobe_in_any_direction_is_integrated(monkeypatch, theta, phi, kappa, incidence):
     # κ = 1500 is a standard deviation of 1.5°. The lobe integrates to 1 minus the part below the horizon.
     bsdf = synthetic.register(monkeypatch, synthetic.cap_lobe(theta, phi, kappa))
-    found = quadrature(bsdf, incidence)
+    integral = quadrature(bsdf, incidence)
     below = np.exp(-kappa * (1 - np.sin(np.radians(theta))))
-    assert float(found.value[0, 0]) <= 1 + 2e-6
-    assert float(found.value[0, 0]) >= 1 - below - 2e-6
+    assert float(integral.value[0, 0]) <= 1 + 2e-6
+    assert float(integral.value[0, 0]) >= 1 - below - 2e-6
 
 
 def test_the_stated_error_covers_an_integral_that_does_not_converge(monkeypatch):
@@ -71,20 +71,20 @@ def test_the_stated_error_covers_an_integral_that_does_not_converge(monkeypatch)
         return (w_o[..., 0] + 0.3 * w_o[..., 1] > 0.2).astype(float)
 
     bsdf = synthetic.register(monkeypatch, step)
-    found = quadrature(bsdf, 30.0, relative=1e-12)
-    assert found.error[0, 0] > 1e-12 * found.value[0, 0]
+    integral = quadrature(bsdf, 30.0, relative=1e-12)
+    assert integral.error[0, 0] > 1e-12 * integral.value[0, 0]
     # The step cuts a cap off the projected disc: π/2 − asin(d) − d √(1 − d²) with d = 0.2 / √1.09.
     d = 0.2 / np.sqrt(1.09)
     expected = np.pi / 2 - np.arcsin(d) - d * np.sqrt(1 - d * d)
-    assert abs(found.value[0, 0] - expected) <= found.error[0, 0]
+    assert abs(integral.value[0, 0] - expected) <= integral.error[0, 0]
 
 
 def test_many_wavelengths_and_incidences_are_integrated_together():
     bsdf = samples.beckmann_bsdf(0.1, reflectance=np.linspace(0.1, 0.6, samples.WAVELENGTH.size))
     theta = np.array([[10.0, 50.0], [20.0, 70.0]])
-    found = representation(bsdf).integrate(theta, np.zeros_like(theta), None).value
-    assert found.shape == (2, 2, 85)
-    assert found == pytest.approx(representation(bsdf).albedo(theta, np.zeros_like(theta), None), rel=2e-6)
+    reflectance = representation(bsdf).integrate(theta, np.zeros_like(theta), None).value
+    assert reflectance.shape == (2, 2, 85)
+    assert reflectance == pytest.approx(representation(bsdf).albedo(theta, np.zeros_like(theta), None), rel=2e-6)
 
 
 def test_no_incidences_give_no_values():

@@ -81,9 +81,9 @@ def texts(bsdf):
 @pytest.mark.parametrize("options", [{"masking": "none"}, {"masking": "crf"}, {"recipe": "crf"}])
 def test_a_violation_by_an_unphysical_mode_is_a_warning_with_its_angle(options):
     bsdf = microfacet.build(facets.analytic("beckmann", 0.3), index=1.55, spectrum=samples.spectrum(0.3), **options)
-    found = verdicts(bsdf)
-    assert "fail" not in found.values()
-    assert found["energy"] == found["grazing"] == "warn"
+    by_check = verdicts(bsdf)
+    assert "fail" not in by_check.values()
+    assert by_check["energy"] == by_check["grazing"] == "warn"
     name, value = next(iter(options.items()))
     assert f"maximum at θ_i = 89.99°; a known property of {name} {value}" in texts(bsdf)["energy"]
     assert "= 90°" in texts(bsdf)["grazing"]
@@ -107,15 +107,15 @@ def test_undefined_values_at_grazing_fail(monkeypatch):
     def brdf(_w_i, w_o):
         return np.where(w_o[..., 2] < 1e-3, np.nan, 0.1)
 
-    found = synthetic.register(monkeypatch, brdf)
-    assert verdicts(found)["grazing"] == "fail"
+    bsdf = synthetic.register(monkeypatch, brdf)
+    assert verdicts(bsdf)["grazing"] == "fail"
 
 
 def test_light_through_an_interface_is_reciprocal_over_the_square_of_the_index(monkeypatch):
     bsdf = microfacet.build(facets.analytic("beckmann", 0.05), index=1.5, transparent=True)
-    found = bsdf.bsdf.check()
-    assert json.loads(found.attrs["verdicts"])["reciprocity"]["verdict"] == "pass"
-    assert float((found["albedo"] + found["transmittance"]).max()) <= 1 + 1e-6
+    checked = bsdf.bsdf.check()
+    assert json.loads(checked.attrs["verdicts"])["reciprocity"]["verdict"] == "pass"
+    assert float((checked["albedo"] + checked["transmittance"]).max()) <= 1 + 1e-6
     # Without the square of the index the two ways differ by n² = 2.25: 2 · 1.25 / 3.25 of their mean.
     monkeypatch.setattr(Representation, "index_below", lambda *_: 1.0)
     assert float(bsdf.bsdf.check()["reciprocity_residual"]) == pytest.approx(2 * 1.25 / 3.25, rel=1e-3)
@@ -153,10 +153,10 @@ def test_a_sound_table_passes_everything(spectral_table):
 @pytest.mark.parametrize("at", [0, 17, 84])
 def test_a_negative_value_at_one_wavelength_fails(spectral_table, at):
     spectral_table["brdf"][..., at] = -0.01
-    found = verdicts(spectral_table)
-    assert found["positivity"] == "fail"
+    by_check = verdicts(spectral_table)
+    assert by_check["positivity"] == "fail"
     # Its albedo is -0.01 π.
-    assert found["energy"] == "fail"
+    assert by_check["energy"] == "fail"
     assert "negative reflectance or transmittance, -0.031 at" in texts(spectral_table)["energy"]
 
 
@@ -184,9 +184,9 @@ def test_growth_towards_grazing_at_an_outer_wavelength_is_detected(monkeypatch):
         return right(self, theta_i, phi_i, theta_o, phi_o, wavelength) * growth
 
     monkeypatch.setattr(Microfacet, "evaluate", wrong)
-    found = verdicts(bsdf)
-    assert found["grazing"] == "warn"
-    assert found["integral"] == "fail"
+    by_check = verdicts(bsdf)
+    assert by_check["grazing"] == "warn"
+    assert by_check["integral"] == "fail"
 
 
 def constant(value):

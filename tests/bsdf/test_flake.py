@@ -57,9 +57,9 @@ def lab_of(bsdf, at, illuminant="D65", observer=10):
 def test_the_measured_colours_return_exactly(model, illuminant, observer):
     multiangle = colours(illuminant=illuminant, observer=observer)
     bsdf = flake.build(multiangle, index=1.524, **model)
-    found = lab_of(bsdf, directions(multiangle), illuminant, observer)
+    lab = lab_of(bsdf, directions(multiangle), illuminant, observer)
     # The recovery stops at 1e-11 of Y = 1, and Y is 0.003 where it is darkest.
-    assert found == pytest.approx(np.array(list(LAB.values())), abs=1e-5)
+    assert lab == pytest.approx(np.array(list(LAB.values())), abs=1e-5)
     assert bsdf["delta_e_00"].values == pytest.approx(0, abs=1e-6)
 
 
@@ -97,10 +97,8 @@ def test_the_physical_form_carries_transmission_and_jacobian():
             return float(share) / (4 * 1.524**2)
 
         expected = rho * interface(theta_i, theta_o) / interface(0, 0)
-        found = representation(bsdf).tristimulus(*(np.array([v]) for v in (theta_i, phi_i, theta_o, phi_o)), "D65", 10)[
-            0
-        ]
-        assert found == pytest.approx(expected)
+        xyz = representation(bsdf).tristimulus(*(np.array([v]) for v in (theta_i, phi_i, theta_o, phi_o)), "D65", 10)[0]
+        assert xyz == pytest.approx(expected)
 
 
 @pytest.mark.cases(1)
@@ -160,7 +158,7 @@ def noisy(path, true, random) -> xr.Dataset:
     u = 0.005 * factor + 0.0005
     measured = factor + u * random.standard_normal(factor.shape)
     nm = true["wavelength"].values
-    titles = ["geometry", *(f"R{each:g}" for each in nm), *(f"u_{each:g}" for each in nm)]
+    titles = ["geometry", *(f"R{band:g}" for band in nm), *(f"u_{band:g}" for band in nm)]
     rows = [
         [name, *map(repr, [*row, *doubt])] for name, row, doubt in zip(TEN, measured.tolist(), u.tolist(), strict=True)
     ]
@@ -211,22 +209,22 @@ def test_an_outlier_is_warned_about_without_degrees_of_freedom(tmp_path):
     assert "reduced_chi_squared" not in bsdf
     pulls = np.abs(bsdf["misfit"].values * multiangle["tristimulus"].values / multiangle["tristimulus_u"].values)
     geometry, channel = np.unravel_index(pulls.argmax(), pulls.shape)
-    (told,) = misses(bsdf)
-    assert f"misses {int((pulls > 3).sum())} of 15 values" in told
-    assert f"{'XYZ'[channel]} at {list(FIVE)[geometry]} by {pulls.max():.3g}:" in told
-    assert "`multiangle.form` (exponential, gaussian)" in told
+    (warning,) = misses(bsdf)
+    assert f"misses {int((pulls > 3).sum())} of 15 values" in warning
+    assert f"{'XYZ'[channel]} at {list(FIVE)[geometry]} by {pulls.max():.3g}:" in warning
+    assert "`multiangle.form` (exponential, gaussian)" in warning
     assert misses(flake.build(five(tmp_path / "a.csv", 5.0), form="double-exponential")) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("paints", "warned"), [(2, 1), pytest.param(8, 2, marks=pytest.mark.slow)])
 def test_hundreds_of_values_within_their_uncertainties_are_not_warned_about(tmp_path, paints, warned):
-    found = [
+    warnings = [
         misses(flake.build(noisy(tmp_path / "a.csv", flake.build(spectra()), np.random.default_rng(seed))))
         for seed in range(paints)
     ]
     # One in twenty is, by chance.
-    assert sum(map(bool, found)) <= warned
+    assert sum(map(bool, warnings)) <= warned
 
 
 def test_three_colours_of_known_uncertainty_have_parameters_of_known_uncertainty(tmp_path):
@@ -243,8 +241,8 @@ def test_three_colours_of_known_uncertainty_have_parameters_of_known_uncertainty
 def test_spectra_without_noise_return_at_any_geometry_and_wavelength():
     bsdf = flake.build(spectra(), index=1.5)
     theta_f = flakes.flake_angle(20.0, 0.0, 60.0, 140.0, 1.5)
-    found = np.pi * bsdf.bsdf.evaluate(20, 0, 60, 140).values
-    assert found == pytest.approx(truth(theta_f), rel=1e-8)
+    reflectance_factor = np.pi * bsdf.bsdf.evaluate(20, 0, 60, 140).values
+    assert reflectance_factor == pytest.approx(truth(theta_f), rel=1e-8)
     between = np.pi * bsdf.bsdf.evaluate(20, 0, 60, 140, wavelength=[410.0, 700.0]).values
     assert between == pytest.approx([truth(theta_f)[:2].mean(), truth(theta_f)[-1]], rel=1e-8)
 
@@ -274,10 +272,10 @@ def test_flake_angles_that_were_not_measured_are_flagged():
     bsdf = flake.build(colours(), index=1.524)
     at = directions(colours())
     assert (representation(bsdf).quality(*at) == vocabulary.quality("measured")).all()
-    found = representation(bsdf).quality(
+    flags = representation(bsdf).quality(
         np.full(3, 45.0), np.zeros(3), np.array([40.0, 10.0, 85.0]), np.array([180.0, 180.0, 0.0])
     )
-    assert found.tolist() == [vocabulary.quality(name) for name in ("extrapolated", "interpolated", "extrapolated")]
+    assert flags.tolist() == [vocabulary.quality(name) for name in ("extrapolated", "interpolated", "extrapolated")]
     assert "flake angles below 4.25 and above 32.1 degree" in vocabulary.warnings(bsdf)[0]
 
 
@@ -303,7 +301,7 @@ def test_a_black_paint_is_black():
 def test_an_impossible_colour_is_replaced_by_that_of_the_nearest_flake_angle():
     # X and Z fall far more slowly than Y, so that the fit leaves the spectral locus far from the gloss.
     xyz = [[30.0, 27.5, 30.0], [12.0, 2.68, 20.0], [8.0, 0.323, 16.0]]
-    listed = [{"geometry": name, "xyz": each} for name, each in zip(LAB, xyz, strict=True)]
+    listed = [{"geometry": name, "xyz": colour} for name, colour in zip(LAB, xyz, strict=True)]
     bsdf = flake.build(flakes.ingest({"colours": listed, "illuminant": "D65", "observer": 10}))
     assert any("no reflectance has the fitted colour" in text for text in vocabulary.warnings(bsdf))
     assert (bsdf.bsdf.evaluate(45, 0, [0, 65, 80], 0).values > 0).all()

@@ -17,10 +17,10 @@ polar, azimuth = st.floats(0, 89.99), st.floats(-180, 180)
 @given(theta_i=polar, phi_i=azimuth, theta_o=polar, phi_o=azimuth)
 def test_coordinates_convert_back_to_directions(kind, theta_i, phi_i, theta_o, phi_o):
     asked = tuple(np.array([angle]) for angle in (theta_i, phi_i, theta_o, phi_o))
-    found = grids.GRIDS[kind].directions(grids.GRIDS[kind].coordinates(*asked))
+    returned = grids.GRIDS[kind].directions(grids.GRIDS[kind].coordinates(*asked))
     for k in (0, 2):
         # Compared as vectors: azimuths are periodic, and undefined at the pole.
-        assert unit_vector(found[k], found[k + 1]) == pytest.approx(unit_vector(asked[k], asked[k + 1]), abs=1e-9)
+        assert unit_vector(returned[k], returned[k + 1]) == pytest.approx(unit_vector(asked[k], asked[k + 1]), abs=1e-9)
 
 
 def test_the_mirror_direction_is_the_origin_of_the_specular_layout():
@@ -36,10 +36,10 @@ def test_azimuth_zero_about_the_mirror_direction_points_to_the_normal():
 
 def test_the_half_angles_are_those_of_the_facet_between():
     # CRF's example (30, 60, 90): ζ = 32.17054686, α = 36.20602311.
-    found = grids.half_angles(*(np.array([angle]) for angle in (30.0, 0.0, 60.0, 90.0)))
-    assert found["theta_d"][0] == pytest.approx(32.17054686, abs=5e-9)
-    assert found["theta_h"][0] == pytest.approx(36.20602311, abs=5e-9)
-    assert np.tan(np.radians(found["theta_h"][0])) ** 2 == pytest.approx(half_vector(30, 0, 60, 90).slope_squared)
+    angles = grids.half_angles(*(np.array([angle]) for angle in (30.0, 0.0, 60.0, 90.0)))
+    assert angles["theta_d"][0] == pytest.approx(32.17054686, abs=5e-9)
+    assert angles["theta_h"][0] == pytest.approx(36.20602311, abs=5e-9)
+    assert np.tan(np.radians(angles["theta_h"][0])) ** 2 == pytest.approx(half_vector(30, 0, 60, 90).slope_squared)
 
 
 @given(theta_i=polar, theta_o=polar, phi=st.floats(1, 179))

@@ -58,55 +58,55 @@ def test_the_small_angle_formula_of_the_reflectance_errs_as_printed(fwhm, ratio)
 
 @pytest.mark.parametrize("theta", [0.0, 30.0, 60.0])
 def test_a_fit_recovers_the_parameters_of_its_own_form(theta):
-    found = fitting.fit_lambert_gauss(lobe(), [theta])
-    assert float(found["lambert"][0]) == pytest.approx(0.2, rel=1e-6)
-    assert float(found["gauss_peak"][0]) == pytest.approx(5.0, rel=1e-6)
-    assert float(found["gauss_fwhm_parallel"][0]) == pytest.approx(10.0, rel=1e-6)
-    assert float(found["gauss_fwhm_perpendicular"][0]) == pytest.approx(6.0, rel=1e-6)
-    assert float(found["fit_residual"][0]) < 1e-6
-    assert float(found["fit_error_max"][0]) < 1e-5
+    fit = fitting.fit_lambert_gauss(lobe(), [theta])
+    assert float(fit["lambert"][0]) == pytest.approx(0.2, rel=1e-6)
+    assert float(fit["gauss_peak"][0]) == pytest.approx(5.0, rel=1e-6)
+    assert float(fit["gauss_fwhm_parallel"][0]) == pytest.approx(10.0, rel=1e-6)
+    assert float(fit["gauss_fwhm_perpendicular"][0]) == pytest.approx(6.0, rel=1e-6)
+    assert float(fit["fit_residual"][0]) < 1e-6
+    assert float(fit["fit_error_max"][0]) < 1e-5
     # The reflectance of the model is a quadrature to 1e-6.
-    assert float(found["reflectance_error"][0]) == pytest.approx(0, abs=1e-6)
+    assert float(fit["reflectance_error"][0]) == pytest.approx(0, abs=1e-6)
 
 
 def test_a_lambertian_has_no_lobe_to_fit():
-    found = fitting.fit_lambert_gauss(lambert_gauss.lambertian(samples.spectrum(0.5)), [0.0, 45.0])
-    assert found["lambert"].values == pytest.approx(0.5, rel=1e-9)
-    assert (found["gauss_peak"].values == 0).all()
+    fit = fitting.fit_lambert_gauss(lambert_gauss.lambertian(samples.spectrum(0.5)), [0.0, 45.0])
+    assert fit["lambert"].values == pytest.approx(0.5, rel=1e-9)
+    assert (fit["gauss_peak"].values == 0).all()
 
 
 def test_black_fits_to_nothing():
-    found = fitting.fit_lambert_gauss(lambert_gauss.lambertian(samples.spectrum(0.0)), [30.0])
-    assert (found["lambert"].values, found["gauss_peak"].values) == (0, 0)
+    fit = fitting.fit_lambert_gauss(lambert_gauss.lambertian(samples.spectrum(0.0)), [30.0])
+    assert (fit["lambert"].values, fit["gauss_peak"].values) == (0, 0)
 
 
 def test_a_fit_of_a_real_lobe_states_its_residual_and_keeps_the_flux():
     bsdf = samples.beckmann_bsdf(0.08)
-    found = fitting.fit_lambert_gauss(bsdf, [0.0, 30.0, 45.0])
-    total = (found["lambert"] + found["gauss_reflectance"]).values
+    fit = fitting.fit_lambert_gauss(bsdf, [0.0, 30.0, 45.0])
+    total = (fit["lambert"] + fit["gauss_reflectance"]).values
     # The fit minimises the flux-weighted square, it does not conserve the flux: a lobe that is no Gaussian costs half a percent.
     assert total == pytest.approx(bsdf.bsdf.nonspectral().bsdf.albedo([0.0, 30.0, 45.0]).values, rel=0.006)
-    assert (found["fit_residual"].values < 0.2).all()
-    assert (found["fit_residual"].values > 0).all()
+    assert (fit["fit_residual"].values < 0.2).all()
+    assert (fit["fit_residual"].values > 0).all()
     model = bsdf.bsdf.nonspectral().bsdf.albedo([0.0, 30.0, 45.0]).values
-    assert found["reflectance_error"].values == pytest.approx(total / model - 1, abs=1e-5)
-    assert (found["fit_error_max"] > found["fit_residual"]).all()
+    assert fit["reflectance_error"].values == pytest.approx(total / model - 1, abs=1e-5)
+    assert (fit["fit_error_max"] > fit["fit_residual"]).all()
 
 
 @pytest.mark.parametrize("a", [0.7, 2.0])
 def test_a_lobe_wider_than_the_hemisphere_is_left_to_the_lambertian_part(a):
     bsdf = microfacet.build(facets.analytic("ggx", a), index=1.5, spectrum=samples.spectrum(0.3))
-    found = fitting.fit_lambert_gauss(bsdf, [0.0, 20.0, 30.0, 60.0])
-    widths = found[["gauss_fwhm_parallel", "gauss_fwhm_perpendicular"]].to_array()
+    fit = fitting.fit_lambert_gauss(bsdf, [0.0, 20.0, 30.0, 60.0])
+    widths = fit[["gauss_fwhm_parallel", "gauss_fwhm_perpendicular"]].to_array()
     assert float(widths.max()) <= 90 * (1 + 1e-9)
-    assert (found["gauss_reflectance"].values < 0.3).all()
+    assert (fit["gauss_reflectance"].values < 0.3).all()
 
 
 @pytest.mark.parametrize("sigma", [1e-4, 1e-3])
 def test_a_very_narrow_lobe_is_fitted_with_its_flux(sigma):
-    found = fitting.fit_lambert_gauss(samples.beckmann_bsdf(sigma, reflectance=None), [0.0, 45.0])
+    fit = fitting.fit_lambert_gauss(samples.beckmann_bsdf(sigma, reflectance=None), [0.0, 45.0])
     albedo = samples.beckmann_bsdf(sigma, reflectance=None).bsdf.albedo([0.0, 45.0]).values
-    assert found["gauss_reflectance"].values == pytest.approx(albedo, rel=0.002)
+    assert fit["gauss_reflectance"].values == pytest.approx(albedo, rel=0.002)
 
 
 def test_parameters_between_incidences_are_interpolated():
@@ -122,10 +122,10 @@ def test_a_weighted_mean_of_a_lambertian_is_the_mean_reflectance():
 
 def test_a_fit_of_a_lay_warns_that_it_is_valid_for_one_azimuth():
     bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.05, a_y=0.1, azimuth=90.0), index=1.5)
-    found = fitting.fit_lambert_gauss(bsdf, [0.0])
-    assert "the surface has a lay" in vocabulary.warnings(found)[0]
+    fit = fitting.fit_lambert_gauss(bsdf, [0.0])
+    assert "the surface has a lay" in vocabulary.warnings(fit)[0]
     # The steep slopes, of 0.1 along x turned by 90°, are those along x: the lobe is wide in the plane of incidence's y.
-    ratio = float(found["gauss_fwhm_parallel"][0] / found["gauss_fwhm_perpendicular"][0])
+    ratio = float(fit["gauss_fwhm_parallel"][0] / fit["gauss_fwhm_perpendicular"][0])
     assert ratio == pytest.approx(2.0, rel=0.05)
 
 

@@ -146,8 +146,8 @@ def test_an_evaluated_dataset_can_be_pickled():
 
 
 def test_each_representation_registers_its_kind():
-    assert {name: each.kind for name, each in REPRESENTATIONS.items()} == vocabulary.REPRESENTATIONS
-    assert all(name == each.name for name, each in REPRESENTATIONS.items())
+    assert {name: kind.kind for name, kind in REPRESENTATIONS.items()} == vocabulary.REPRESENTATIONS
+    assert all(name == kind.name for name, kind in REPRESENTATIONS.items())
 
 
 def test_a_representation_needs_no_more_than_its_values(monkeypatch):

@@ -119,8 +119,8 @@ def test_the_light_in_any_part_of_the_sphere_is_that_of_the_bsdf(case):
 def test_the_pdf_of_a_sample_is_the_pdf_at_its_direction(case):
     bsdf, theta_i, phi_i = case
     drawn = bsdf.bsdf.sample(500, 3, theta_i, phi_i)
-    found = bsdf.bsdf.pdf(theta_i, phi_i, drawn["theta_o"].values, drawn["phi_o"].values)
-    assert found.values == pytest.approx(drawn["pdf"].values, rel=1e-12)
+    density = bsdf.bsdf.pdf(theta_i, phi_i, drawn["theta_o"].values, drawn["phi_o"].values)
+    assert density.values == pytest.approx(drawn["pdf"].values, rel=1e-12)
 
 
 def test_the_pdf_is_positive_wherever_there_is_light(case):
@@ -154,8 +154,8 @@ def test_weights_are_spectral_where_the_bsdf_is():
     bsdf = samples.beckmann_bsdf(0.1, reflectance=np.linspace(0.1, 0.6, samples.WAVELENGTH.size))
     drawn = bsdf.bsdf.sample(2000, 1, 30.0, wavelength=[450, 650])
     assert drawn["weight"].dims == ("sample", "wavelength")
-    found, wanted = drawn["weight"].mean("sample").values, bsdf.bsdf.albedo(30.0, wavelength=[450, 650]).values
-    assert found == pytest.approx(wanted, rel=0.06)
+    reflectance, wanted = drawn["weight"].mean("sample").values, bsdf.bsdf.albedo(30.0, wavelength=[450, 650]).values
+    assert reflectance == pytest.approx(wanted, rel=0.06)
 
 
 @pytest.mark.parametrize("theta_i", [0.0, 40.0, 120.0, 160.0])

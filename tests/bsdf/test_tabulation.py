@@ -158,8 +158,8 @@ def test_other_layouts_hold_the_model_within_the_error_they_state(grid, rms):
     rng = np.random.default_rng(3)
     theta_i, theta_o = rng.uniform(0, 60, (2, 300))
     phi_o = rng.uniform(0, 360, 300)
-    model, found = (each.bsdf.evaluate(theta_i, 20.0, theta_o, phi_o + 20).values for each in (bsdf, table))
-    share = np.abs(found - model) / np.maximum(model, float(bsdf.bsdf.albedo(0.0)) / np.pi)
+    model, tabulated = (dataset.bsdf.evaluate(theta_i, 20.0, theta_o, phi_o + 20).values for dataset in (bsdf, table))
+    share = np.abs(tabulated - model) / np.maximum(model, float(bsdf.bsdf.albedo(0.0)) / np.pi)
     assert share.max() <= float(table["interpolation_max"])
     assert np.median(share) < 0.05
 
@@ -192,8 +192,8 @@ def test_the_reflectance_of_a_uniform_table_is_exactly_that_of_its_interpolation
     # Against a quadrature whose cells end at the nodes.
     theta = np.array([0.0, 33.0, 71.0])
     own = representation(table).albedo(theta, np.zeros(3), None)
-    found = representation(table).integrate(theta, np.zeros(3), None, relative=1e-8)
-    assert own == pytest.approx(found.value, rel=1e-8)
+    integral = representation(table).integrate(theta, np.zeros(3), None, relative=1e-8)
+    assert own == pytest.approx(integral.value, rel=1e-8)
 
 
 def test_a_table_may_hold_both_sides_of_an_interface():
@@ -260,8 +260,8 @@ def test_part_of_a_circle_that_no_symmetry_completes_is_refused(bsdf, phi_o):
 @pytest.mark.parametrize("phi_o", [(0, 180), (0, 360), (-180, 180)])
 def test_half_a_circle_and_a_full_turn_from_anywhere_hold_the_mirror_direction(bsdf, phi_o):
     model = bsdf.bsdf.nonspectral()
-    found = model.bsdf.tabulate({**GRID, "phi_o": np.arange(phi_o[0], phi_o[1] + 1, 10.0)})
-    assert float(found.bsdf.evaluate(30, 0, 30, 180)) == pytest.approx(
+    tabulated = model.bsdf.tabulate({**GRID, "phi_o": np.arange(phi_o[0], phi_o[1] + 1, 10.0)})
+    assert float(tabulated.bsdf.evaluate(30, 0, 30, 180)) == pytest.approx(
         float(model.bsdf.evaluate(30, 0, 30, 180)), rel=1e-12
     )
 

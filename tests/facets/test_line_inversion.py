@@ -68,9 +68,9 @@ def test_the_patents_histogram_has_the_uncertainty_of_its_scatter():
 
     tables = [table_of(seed) for seed in range(12)]
     slope = np.array([0.03, 0.05, 0.1, 0.15, 0.2])
-    found = np.array([RadialDensity.of(table)(slope**2) for table in tables])
+    densities = np.array([RadialDensity.of(table)(slope**2) for table in tables])
     relative_u = np.array([np.interp(slope, t["slope"], (t["D_u"] / t["D"]).values) for t in tables])
-    scatter = np.std(found, axis=0, ddof=1) / np.mean(found, axis=0)
+    scatter = np.std(densities, axis=0, ddof=1) / np.mean(densities, axis=0)
     assert 0.7 < np.sqrt(np.mean((scatter / relative_u) ** 2)) < 1.4
 
 

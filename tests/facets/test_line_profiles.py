@@ -316,9 +316,9 @@ def test_the_patents_histogram_of_lines_of_different_quanta_is_that_of_one():
     fine, coarse = gaussian_line(seed=1), gaussian_line(seed=2)
     mixed = [fine, samples.surface(0.03 * np.round(coarse["height"] / 0.03))]
     slope = 0.1 * np.array([0.3, 0.6, 1.0, 1.5])
-    found, expected = (
+    rounded, expected = (
         RadialDensity.of(facets.estimate(lines, isotropic=True, method="crf"))(slope**2)
         for lines in (mixed, [fine, coarse])
     )
     # Bins of a few thousand slopes each, whose borders differ, and 1.5 % more mean square by rounding.
-    assert found == pytest.approx(expected, rel=0.06)
+    assert rounded == pytest.approx(expected, rel=0.06)

@@ -35,8 +35,8 @@ def test_a_missing_height_removes_its_two_slopes_alone():
 def test_each_line_loses_its_own_mean_slope():
     flat = [heights(seed=1), heights(seed=2)]
     tilted = [height + tilt * np.arange(height.size) for height, tilt in zip(flat, (0.3, -0.2), strict=True)]
-    found, expected = (count_slopes([samples.surface(height) for height in lines]) for lines in (tilted, flat))
-    assert found.rms == pytest.approx(expected.rms, rel=1e-6)
+    of_tilted, expected = (count_slopes([samples.surface(height) for height in lines]) for lines in (tilted, flat))
+    assert of_tilted.rms == pytest.approx(expected.rms, rel=1e-6)
 
 
 def test_half_samples_give_the_variance_of_a_sum_exactly():
@@ -82,9 +82,9 @@ def test_the_density_of_rounded_line_heights_is_that_of_the_heights(share):
     exact = facets.estimate(samples.surface(height), isotropic=True)
     rounded = facets.estimate(samples.surface(0.1 * share * np.round(height / (0.1 * share))), isotropic=True)
     slope = np.array([0.0, 0.05, 0.1, 0.15, 0.2])
-    found, expected = (np.interp(slope, table["slope"], table["slope_density"]) for table in (rounded, exact))
+    of_rounded, expected = (np.interp(slope, table["slope"], table["slope_density"]) for table in (rounded, exact))
     # Unless rounding is taken out, a quantum of 1.2 rms lowers the peak by 20 %.
-    assert found == pytest.approx(expected, rel=0.04)
+    assert of_rounded == pytest.approx(expected, rel=0.04)
 
 
 def test_lines_of_different_tilt_share_one_quantum():

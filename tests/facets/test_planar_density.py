@@ -48,8 +48,8 @@ def test_turning_a_surface_turns_its_masking(ratio, azimuth):
     still = facets.analytic("beckmann", a_x=0.3 * ratio**0.5, a_y=0.3 / ratio**0.5)
     turned = facets.analytic("beckmann", a_x=0.3 * ratio**0.5, a_y=0.3 / ratio**0.5, azimuth=azimuth)
     expected = masking.g1(still, THETA, phi).values
-    found = masking.g1(turned, THETA, (phi + azimuth) % 360).values
-    assert found == pytest.approx(expected, abs=1e-6)
+    visible = masking.g1(turned, THETA, (phi + azimuth) % 360).values
+    assert visible == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.cases(4)
@@ -121,10 +121,10 @@ def test_masking_of_any_density_is_the_closed_form_between_its_azimuths(lopsided
     for weight, shift in zip(WEIGHT, SHIFT, strict=True):
         z = (mu - shift * SIGMA[0] * cos) / sigma
         excess = excess + weight * sigma * (norm.pdf(z) - z * norm.sf(z))
-    found = masking.PlanarSmith.of(lopsided).excess(mu, phi)
+    tabulated = masking.PlanarSmith.of(lopsided).excess(mu, phi)
     # Not elliptic: azimuths five degrees of turn apart hold it to a few parts in 1e5 of the excess at grazing.
-    assert np.abs(found - excess).max() < 5e-5 * excess.max()
-    assert (np.abs(found - excess) / excess[0]).max() < 1e-4
+    assert np.abs(tabulated - excess).max() < 5e-5 * excess.max()
+    assert (np.abs(tabulated - excess) / excess[0]).max() < 1e-4
 
 
 def test_the_density_has_the_sign_of_its_slopes(lopsided):

@@ -16,19 +16,19 @@ from brdfpipe.geometry import half_vector
 @pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)
 @pytest.mark.parametrize("factor", [0.5, 1.07, 3.0])
 def test_a_scaled_density_is_the_one_of_the_scaled_width(distribution, factor):
-    found, expected = (
+    scaled, expected = (
         facets.scaled(facets.analytic(distribution, 0.1), factor),
         facets.analytic(distribution, 0.1 * factor),
     )
     for name in ("slope_density", "D", "lambda_smith", "slope_rms", "slope", "alpha", "theta"):
         # The tables are made at the same nodes, but for the rounding of the factor; Λ by a quadrature worth 1e-9.
-        np.testing.assert_allclose(found[name], expected[name], rtol=1e-7, atol=1e-300, err_msg=name)
-    assert found["slope"].attrs == expected["slope"].attrs
+        np.testing.assert_allclose(scaled[name], expected[name], rtol=1e-7, atol=1e-300, err_msg=name)
+    assert scaled["slope"].attrs == expected["slope"].attrs
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.3])
 def test_a_scaled_lay_is_that_of_scaled_widths(factor):
-    found = facets.scaled(facets.analytic("beckmann", a_x=0.05, a_y=0.15, azimuth=30), factor)
+    scaled = facets.scaled(facets.analytic("beckmann", a_x=0.05, a_y=0.15, azimuth=30), factor)
     expected = facets.analytic("beckmann", a_x=0.05 * factor, a_y=0.15 * factor, azimuth=30)
     for name in (
         "slope_density",
@@ -41,14 +41,14 @@ def test_a_scaled_lay_is_that_of_scaled_widths(factor):
         "phi",
         "alpha",
     ):
-        np.testing.assert_allclose(found[name], expected[name], rtol=1e-7, atol=1e-12, err_msg=name)
-    np.testing.assert_allclose(found["D"], expected["D"], rtol=1e-6, atol=1e-9)
-    assert found["slope_along"].attrs["scale"] == pytest.approx(0.05 * factor)
+        np.testing.assert_allclose(scaled[name], expected[name], rtol=1e-7, atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(scaled["D"], expected["D"], rtol=1e-6, atol=1e-9)
+    assert scaled["slope_along"].attrs["scale"] == pytest.approx(0.05 * factor)
     generator = np.random.default_rng(1)
     theta_i, theta_o = generator.uniform(0, 80, (2, 200))
     phi_i, phi_o = generator.uniform(0, 360, (2, 200))
     pair = half_vector(theta_i, phi_i, theta_o, phi_o)
-    brdf = [Microsurface.of(table).reflected(pair, phi_i, phi_o, "height-correlated") for table in (found, expected)]
+    brdf = [Microsurface.of(table).reflected(pair, phi_i, phi_o, "height-correlated") for table in (scaled, expected)]
     np.testing.assert_allclose(*brdf, rtol=1e-6, atol=1e-12)
 
 
@@ -66,20 +66,20 @@ def test_scaling_back_gives_the_facets_again(factor):
 
 def test_counts_stay_and_uncertainties_follow_the_density():
     start = facets.estimate(samples.gaussian_surface(256, sigma=0.1), isotropic=True)
-    found = vocabulary.validate(facets.scaled(start, 1.5), "facets")
-    np.testing.assert_array_equal(found["count"], start["count"])
-    np.testing.assert_allclose(found["D_u"].values * start["D"].values, start["D_u"].values * found["D"].values)
-    assert float(found["slope_rms"]) == pytest.approx(1.5 * float(start["slope_rms"]))
+    scaled = vocabulary.validate(facets.scaled(start, 1.5), "facets")
+    np.testing.assert_array_equal(scaled["count"], start["count"])
+    np.testing.assert_allclose(scaled["D_u"].values * start["D"].values, start["D_u"].values * scaled["D"].values)
+    assert float(scaled["slope_rms"]) == pytest.approx(1.5 * float(start["slope_rms"]))
 
 
 def test_the_density_of_a_lay_stays_as_uncertain_as_it_was():
     height = samples.gaussian_surface(256, sigma=0.1)
     stretched = height.assign_coords(x=height["x"] * 2).assign_attrs(pitch_x=2.0)
     start = facets.estimate(stretched, isotropic=False)
-    found = facets.scaled(start, 0.7)
+    scaled = facets.scaled(start, 0.7)
     np.testing.assert_allclose(
-        found["slope_density_u"].values * start["slope_density"].values,
-        start["slope_density_u"].values * found["slope_density"].values,
+        scaled["slope_density_u"].values * start["slope_density"].values,
+        start["slope_density_u"].values * scaled["slope_density"].values,
     )
 
 

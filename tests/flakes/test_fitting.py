@@ -22,10 +22,10 @@ def column(*values):
 
 def test_the_patents_luminances_give_the_reference_parameters():
     # 0.33986494 belongs to L* = 3.07 with the rounded constant 903.3, as the patent's time used it.
-    found = fit(PATENT, column(7.96026763, 1.45052385, 0.33986494))
-    assert float(found.amplitude[0, 0]) == pytest.approx(17.78740303, abs=5e-8)
-    assert float(found.decay[0, 0]) == pytest.approx(5.03256792, abs=5e-8)
-    assert float(found.constant[0]) == pytest.approx(0.30947027, abs=5e-9)
+    fitted = fit(PATENT, column(7.96026763, 1.45052385, 0.33986494))
+    assert float(fitted.amplitude[0, 0]) == pytest.approx(17.78740303, abs=5e-8)
+    assert float(fitted.decay[0, 0]) == pytest.approx(5.03256792, abs=5e-8)
+    assert float(fitted.constant[0]) == pytest.approx(0.30947027, abs=5e-9)
 
 
 @given(
@@ -44,9 +44,9 @@ def test_three_points_are_met_exactly(amplitude, decay, constant, steps, form):
         return
     if abs(values[1, 0] - values[2, 0]) < 1e-6 * values[0, 0] or (theta[2] / decay) ** power < 0.1:
         return
-    found = fit(theta, values, form)
-    assert found(theta) == pytest.approx(values, rel=1e-9)
-    assert float(found.decay[0, 0]) == pytest.approx(decay, rel=1e-3)
+    fitted = fit(theta, values, form)
+    assert fitted(theta) == pytest.approx(values, rel=1e-9)
+    assert float(fitted.decay[0, 0]) == pytest.approx(decay, rel=1e-3)
 
 
 def test_the_order_of_the_geometries_does_not_matter():
@@ -80,20 +80,20 @@ def test_parameters_out_of_range_are_refused_with_the_reason(values, reason):
 
 
 def test_a_channel_that_does_not_depend_on_the_angle_is_constant():
-    found = fit(PATENT, column(2.0, 2.0, 2.0))
-    assert (float(found.amplitude[0, 0]), float(found.constant[0])) == (0.0, 2.0)
+    fitted = fit(PATENT, column(2.0, 2.0, 2.0))
+    assert (float(fitted.amplitude[0, 0]), float(fitted.constant[0])) == (0.0, 2.0)
 
 
 @pytest.mark.parametrize("angles", [PATENT, TEN])
 def test_black_stays_black(angles):
-    found = fit(angles, np.zeros((angles.size, 1)))
-    assert (found(np.linspace(0, 40, 9)) == 0).all()
+    fitted = fit(angles, np.zeros((angles.size, 1)))
+    assert (fitted(np.linspace(0, 40, 9)) == 0).all()
 
 
 def test_black_far_from_the_gloss_is_accepted_if_the_curve_ends_at_0():
     theta = np.array([0.0, 10.0, 800.0])
-    found = fit(theta, column(10.0, 1.0, 0.0))
-    assert found(theta) == pytest.approx(column(10.0, 1.0, 0.0), abs=1e-12)
+    fitted = fit(theta, column(10.0, 1.0, 0.0))
+    assert fitted(theta) == pytest.approx(column(10.0, 1.0, 0.0), abs=1e-12)
 
 
 @pytest.mark.parametrize("form", list(FORMS))
@@ -101,11 +101,11 @@ def test_more_geometries_without_noise_give_the_parameters_back(form):
     terms, power = FORMS[form].terms, FORMS[form].power
     amplitude, decay = np.array([[20.0], [8.0]])[:terms], np.array([[3.5], [14.0]])[:terms]
     values = curve(TEN, amplitude, decay, np.array([0.3]), power)
-    found = fit(TEN, values, form)
+    fitted = fit(TEN, values, form)
     # Two decays of a few degrees are resolved to about the square root of rounding.
-    assert found.decay == pytest.approx(decay, rel=1e-6)
-    assert found.amplitude == pytest.approx(amplitude, rel=1e-6)
-    assert found(TEN) == pytest.approx(values, rel=1e-12)
+    assert fitted.decay == pytest.approx(decay, rel=1e-6)
+    assert fitted.amplitude == pytest.approx(amplitude, rel=1e-6)
+    assert fitted(TEN) == pytest.approx(values, rel=1e-12)
 
 
 def test_ten_geometries_with_2_percent_noise_are_recovered_within_3_percent():
@@ -124,9 +124,9 @@ def test_ten_geometries_with_2_percent_noise_are_recovered_within_3_percent():
 def test_the_covariance_is_that_of_repeated_fits():
     random = np.random.default_rng(3)
     truth = curve(TEN, column(18.0), column(5.0), np.array([0.31]), 1)
-    found = [fit(TEN, truth * (1 + 0.02 * random.standard_normal(truth.shape))) for _ in range(60)]
-    spread = np.std([fitted.decay[0, 0] for fitted in found])
-    stated = np.median([np.sqrt(fitted.covariance[0, 1, 1]) for fitted in found])
+    fits = [fit(TEN, truth * (1 + 0.02 * random.standard_normal(truth.shape))) for _ in range(60)]
+    spread = np.std([fitted.decay[0, 0] for fitted in fits])
+    stated = np.median([np.sqrt(fitted.covariance[0, 1, 1]) for fitted in fits])
     # The spread of 60 is known to 9 %, each estimate from 7 degrees of freedom to 27 %, its median to some 5 %.
     assert stated == pytest.approx(spread, rel=0.3)
 
@@ -143,12 +143,15 @@ def emulated(count: int, relative: float, absolute: float, theta=TEN, form="expo
     truth = curve(theta, amplitude, decay, np.array([2.0]), FORMS[form].power)
     u = relative * truth + absolute
     noisy = truth + u * random.standard_normal((theta.size, count))
-    found = fit(theta, noisy, form, uncertainty=np.broadcast_to(u, noisy.shape))
-    fitted = np.stack(
-        [*[parameter for pair in zip(found.amplitude, found.decay, strict=True) for parameter in pair], found.constant]
+    fitted = fit(theta, noisy, form, uncertainty=np.broadcast_to(u, noisy.shape))
+    parameters = np.stack(
+        [
+            *[parameter for pair in zip(fitted.amplitude, fitted.decay, strict=True) for parameter in pair],
+            fitted.constant,
+        ]
     )
     true = np.array([*np.stack([amplitude[:, 0], decay[:, 0]], axis=1).ravel(), 2.0])
-    return (fitted.T - true) / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    return (parameters.T - true) / np.sqrt(np.diagonal(fitted.covariance, axis1=1, axis2=2))
 
 
 @pytest.mark.cases(1)
@@ -192,9 +195,9 @@ def test_a_dark_channel_within_its_uncertainty_is_constant():
     for values, parameter in ((rising * [[0.8]] + column(*[0.0] * 9, 0.08), "A"), (dark, "B")):
         with pytest.raises(InputError, match=f"{parameter} of the fit is out of range"):
             fit(TEN, values)
-        found = fit(TEN, values, uncertainty=np.full((10, 1), 0.03))
-        assert float(found.constant[0]) == pytest.approx(values.mean(), rel=1e-9)
-        assert float(np.sqrt(found.covariance[0, 2, 2])) == pytest.approx(0.03 / np.sqrt(10))
+        fitted = fit(TEN, values, uncertainty=np.full((10, 1), 0.03))
+        assert float(fitted.constant[0]) == pytest.approx(values.mean(), rel=1e-9)
+        assert float(np.sqrt(fitted.covariance[0, 2, 2])) == pytest.approx(0.03 / np.sqrt(10))
 
 
 @given(st.floats(1e-6, 1e6))
@@ -243,14 +246,14 @@ def test_too_few_different_flake_angles_are_refused(theta, found):
 
 def test_repeated_geometries_are_averaged_in_relative_squares():
     theta, values = np.array([5.0, 5.0, 15.0, 30.0]), column(8.0, 8.2, 1.5, 0.4)
-    found = fit(theta, values)
-    assert float(found(5.0)[0]) == pytest.approx(8.1, rel=2e-3)
-    assert found(np.array([15.0, 30.0])) == pytest.approx(values[2:], rel=1e-6)
+    fitted = fit(theta, values)
+    assert float(fitted(5.0)[0]) == pytest.approx(8.1, rel=2e-3)
+    assert fitted(np.array([15.0, 30.0])) == pytest.approx(values[2:], rel=1e-6)
 
 
 def test_noise_that_pulls_the_constant_below_0_leaves_it_at_0():
-    found = fit(TEN, curve(TEN, column(18.0), column(8.0), np.array([0.0]), 1) - 0.1)
-    assert float(found.constant[0]) == 0
+    fitted = fit(TEN, curve(TEN, column(18.0), column(8.0), np.array([0.0]), 1) - 0.1)
+    assert float(fitted.constant[0]) == 0
 
 
 @pytest.mark.parametrize(
@@ -278,13 +281,13 @@ def test_an_unknown_form_is_refused():
 def test_any_data_is_fitted_within_the_constraints_or_refused(values):
     theta = np.array([2.0, 6.0, 10.0, 15.0, 22.0, 31.0])
     try:
-        found = fit(theta, np.array(values)[:, None])
+        fitted = fit(theta, np.array(values)[:, None])
     except InputError:
         return
-    assert (found.amplitude >= 0).all()
-    assert (found.decay > 0).all()
-    assert (found.constant >= 0).all()
-    assert np.isfinite(found(np.linspace(0, 41, 20))).all()
+    assert (fitted.amplitude >= 0).all()
+    assert (fitted.decay > 0).all()
+    assert (fitted.constant >= 0).all()
+    assert np.isfinite(fitted(np.linspace(0, 41, 20))).all()
 
 
 def test_a_term_that_vanished_comes_last_in_every_channel():
@@ -293,13 +296,15 @@ def test_a_term_that_vanished_comes_last_in_every_channel():
     two = curve(theta, column(60.0, 20.0), column(5.0, 15.0), np.array([0.5]), 1)
     # A fall that is straighter than any decay leaves one term alone.
     bent = 80 * np.exp(-((theta / 14) ** 2))[:, None]
-    found = fit(theta, np.concatenate([one, two, bent], axis=1), "double-exponential", uncertainty=np.full((5, 3), 0.3))
-    gone = found.amplitude == 0
+    fitted = fit(
+        theta, np.concatenate([one, two, bent], axis=1), "double-exponential", uncertainty=np.full((5, 3), 0.3)
+    )
+    gone = fitted.amplitude == 0
     assert gone.any()
     assert not gone[0].any()
     there = ~gone.any(axis=0)
     assert there.any()
-    assert (np.diff(found.decay[:, there], axis=0) > 0).all()
+    assert (np.diff(fitted.decay[:, there], axis=0) > 0).all()
 
 
 @pytest.mark.parametrize("steep", np.linspace(0.063, 0.12, 20))
@@ -307,8 +312,8 @@ def test_a_term_below_rounding_error_has_no_amplitude(steep):
     # At the first geometry this term is below 1e-15 of its amplitude: whether rounding leaves it one depends on the processor.
     theta, values = np.array([4.3, 7.5, 14.1, 23.8, 32.6]), np.array([152.0, 104.1, 28.6, 8.0, 5.3])
     data = ChannelData("1", FORMS["double-exponential"], theta, values, 0.01 * values, 0.05 * values, True)
-    found = least_squares_curve(data, np.array([steep, 5.6]))
-    assert (found.amplitude > 0).tolist() == [True, False]
+    fitted = least_squares_curve(data, np.array([steep, 5.6]))
+    assert (fitted.amplitude > 0).tolist() == [True, False]
 
 
 @pytest.mark.parametrize(("width", "power", "constant", "seed"), [(6.0, 1.0, 1.0, 3), (14.0, 2.0, 0.2, 8)])
@@ -331,8 +336,8 @@ def beaten_by_no_grid(width: float, power: float, constant: float, seed: int) ->
     values = (100 * np.exp(-((theta / width) ** power)) + constant) * np.exp(0.08 * random.standard_normal(5))
     u = 0.003 * values + 0.005
     data = ChannelData("1", FORMS["double-exponential"], theta, values, u, u, True)
-    found = least_squares_curve(data)
-    misfit = (data.predicted(found) - values) / u
+    fitted = least_squares_curve(data)
+    misfit = (data.predicted(fitted) - values) / u
     decays = np.geomspace(*data.decay_range, 40)
     falls = np.exp(-theta[:, None] / decays) / u[:, None]
     pairs = ((a, b) for a in range(decays.size) for b in range(a))

@@ -43,10 +43,10 @@ def test_a_name_in_the_plane_of_incidence(name, expected):
     ],
 )
 def test_a_name_out_of_the_plane_turns_about_the_mirror_direction(name, theta_o, from_mirror):
-    found = directions(name)
+    angles = directions(name)
     # The names round their angles to 0.1 degree.
-    assert found.theta_o == pytest.approx(theta_o, abs=0.1)
-    assert (found.phi_o - 180 + 180) % 360 - 180 == pytest.approx(from_mirror, abs=0.15)
+    assert angles.theta_o == pytest.approx(theta_o, abs=0.1)
+    assert (angles.phi_o - 180 + 180) % 360 - 180 == pytest.approx(from_mirror, abs=0.15)
 
 
 @given(st.floats(0, 80), st.floats(-80, 80))

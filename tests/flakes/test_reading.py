@@ -33,13 +33,15 @@ def written(folder: Path, text: str, encoding: str = "utf-8") -> Path:
 
 
 def test_the_patents_colours_have_its_luminances():
-    found = flakes.ingest(inline())
-    vocabulary.validate(found, "multiangle")
+    multiangle = flakes.ingest(inline())
+    vocabulary.validate(multiangle, "multiangle")
     # The third is printed for the constant 903.3 of L*; the exact 24389/27 gives 4e-6 less.
-    assert found["tristimulus"].sel(channel="Y").values == pytest.approx([7.96026763, 1.45052385, 0.33986494], rel=5e-6)
-    assert found["tristimulus"].sel(channel="Y").values[:2] == pytest.approx([7.96026763, 1.45052385], abs=5e-9)
-    assert found["theta_o"].values.tolist() == [30.0, 0.0, 65.0]
-    assert found["phi_o"].values.tolist() == [180.0, 0.0, 0.0]
+    assert multiangle["tristimulus"].sel(channel="Y").values == pytest.approx(
+        [7.96026763, 1.45052385, 0.33986494], rel=5e-6
+    )
+    assert multiangle["tristimulus"].sel(channel="Y").values[:2] == pytest.approx([7.96026763, 1.45052385], abs=5e-9)
+    assert multiangle["theta_o"].values.tolist() == [30.0, 0.0, 65.0]
+    assert multiangle["phi_o"].values.tolist() == [180.0, 0.0, 0.0]
 
 
 def test_a_file_and_the_same_colours_in_yaml_give_the_same_dataset(tmp_path):
@@ -61,9 +63,9 @@ def test_explicit_angles_and_xyz_are_read(tmp_path):
     path = written(
         tmp_path, "theta_i\ttheta_o\tphi_o\tX\tY\tZ\n45\t30\t180\t7\t8\t24\n45\t0\t0\t2\t2\t5\n45\t65\t90\t1\t1\t1\n"
     )
-    found = flakes.ingest({"file": "x", **VIEWING}, path)
-    assert found["geometry"].values.tolist() == ["45:-30", "45:0", "45,0:65,90"]
-    assert found["tristimulus"].values[0].tolist() == [7.0, 8.0, 24.0]
+    multiangle = flakes.ingest({"file": "x", **VIEWING}, path)
+    assert multiangle["geometry"].values.tolist() == ["45:-30", "45:0", "45,0:65,90"]
+    assert multiangle["tristimulus"].values[0].tolist() == [7.0, 8.0, 24.0]
 
 
 @pytest.mark.parametrize(("scale", "factor"), [("percent", 100), ("fraction", 1)])
@@ -71,10 +73,10 @@ def test_spectra_are_read_and_sorted(tmp_path, scale, factor):
     wavelength = np.arange(700, 399, -20)
     titles = ",".join(f"R{value}nm" for value in wavelength)
     rows = "\n".join(f"{name}," + ",".join(str(factor * k / 1000) for k in wavelength) for name in LAB)
-    found = flakes.ingest({"file": "x", "scale": scale}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
-    vocabulary.validate(found, "multiangle")
-    assert found["wavelength"].values.tolist() == wavelength[::-1].tolist()
-    assert found["reflectance_factor"].values[0] == pytest.approx(wavelength[::-1] / 1000)
+    multiangle = flakes.ingest({"file": "x", "scale": scale}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
+    vocabulary.validate(multiangle, "multiangle")
+    assert multiangle["wavelength"].values.tolist() == wavelength[::-1].tolist()
+    assert multiangle["reflectance_factor"].values[0] == pytest.approx(wavelength[::-1] / 1000)
 
 
 def test_a_geometry_that_yaml_reads_as_minutes_is_recognised():
@@ -84,9 +86,9 @@ def test_a_geometry_that_yaml_reads_as_minutes_is_recognised():
 
 
 def test_a_geometry_measured_twice_is_numbered():
-    found = flakes.ingest(inline(colours=inline()["colours"] * 2))
-    assert found.sizes["geometry"] == 6
-    assert found["geometry"].values[3] == "45:-30 (2)"
+    multiangle = flakes.ingest(inline(colours=inline()["colours"] * 2))
+    assert multiangle.sizes["geometry"] == 6
+    assert multiangle["geometry"].values[3] == "45:-30 (2)"
 
 
 def test_a_geometry_in_the_gloss_is_warned_about():
@@ -111,9 +113,9 @@ def test_colours_go_to_xyz_and_back(labs, illuminant, observer):
     if (colorimetry.lab_to_xyz(labs, white) < 0).any():
         return
     check_colours(spec)
-    found = flakes.ingest(spec)
+    multiangle = flakes.ingest(spec)
     # The steepest part of L*a*b* is 3900 a unit of relative XYZ.
-    assert colorimetry.xyz_to_lab(found["tristimulus"].values, white) == pytest.approx(np.array(labs), abs=1e-9)
+    assert colorimetry.xyz_to_lab(multiangle["tristimulus"].values, white) == pytest.approx(np.array(labs), abs=1e-9)
 
 
 def test_black_with_no_chroma_is_a_colour():
@@ -193,22 +195,22 @@ def test_uncertainties_are_recognised_by_several_titles(tmp_path, titles):
         f"{name}," + ",".join(str(U_LAB[plain[letter]] if u else lab[plain[letter]]) for letter, u in zip(order, known, strict=True))
         for name, lab in LAB.items()
     )  # fmt: skip
-    found = flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
-    vocabulary.validate(found, "multiangle")
-    assert found["tristimulus"].identical(flakes.ingest(inline())["tristimulus"])
-    assert (found["tristimulus_u"] > 0).all()
-    assert "independent standard uncertainties (k = 1)" in found.attrs["history"]
+    multiangle = flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
+    vocabulary.validate(multiangle, "multiangle")
+    assert multiangle["tristimulus"].identical(flakes.ingest(inline())["tristimulus"])
+    assert (multiangle["tristimulus_u"] > 0).all()
+    assert "independent standard uncertainties (k = 1)" in multiangle.attrs["history"]
 
 
 def test_uncertainties_of_lab_become_those_of_xyz_as_many_draws_show(tmp_path):
     rows = "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]},0.3,0.2,0.4" for name, lab in LAB.items())
     path = written(tmp_path, f"geometry,L,a,b,u_L,u_a,u_b\n{rows}\n")
-    found = flakes.ingest({"file": "x", **VIEWING}, path)
+    multiangle = flakes.ingest({"file": "x", **VIEWING}, path)
     random = np.random.default_rng(1)
     draws = np.array(list(LAB.values())) + np.array(U_LAB) * random.standard_normal((20000, 3, 3))
     xyz = colorimetry.lab_to_xyz(draws, colorimetry.weights("D65", 10).white)
     # 20000 draws know a standard deviation to 0.5 %; L* = 3.07 lies in the linear part of the scale, 12.29 near its end.
-    assert found["tristimulus_u"].values == pytest.approx(xyz.std(axis=0), rel=0.02)
+    assert multiangle["tristimulus_u"].values == pytest.approx(xyz.std(axis=0), rel=0.02)
 
 
 def test_uncertainties_of_xyz_and_of_spectra_are_kept_in_their_scale(tmp_path):
@@ -219,16 +221,16 @@ def test_uncertainties_of_xyz_and_of_spectra_are_kept_in_their_scale(tmp_path):
     nm = np.arange(700, 399, -50)
     titles = ",".join([*(f"R{value}" for value in nm), *(f"u_{value} nm" for value in nm)])
     rows = "\n".join(",".join([name, *["50"] * nm.size, *(str(value / 100) for value in nm)]) for name in LAB)
-    found = flakes.ingest({"file": "x", "scale": "percent"}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
-    vocabulary.validate(found, "multiangle")
-    assert found["reflectance_factor_u"].values[0] == pytest.approx(nm[::-1] / 1e4)
+    multiangle = flakes.ingest({"file": "x", "scale": "percent"}, written(tmp_path, f"geometry,{titles}\n{rows}\n"))
+    vocabulary.validate(multiangle, "multiangle")
+    assert multiangle["reflectance_factor_u"].values[0] == pytest.approx(nm[::-1] / 1e4)
 
 
 def test_columns_that_are_not_used_are_named(tmp_path):
     rows = "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]},x" for name, lab in LAB.items())
-    found = flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, f"geometry,L,a,b,operator\n{rows}\n"))
-    assert "tristimulus_u" not in found
-    assert "colours.csv: ignored columns: operator" in found.attrs["history"]
+    multiangle = flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, f"geometry,L,a,b,operator\n{rows}\n"))
+    assert "tristimulus_u" not in multiangle
+    assert "colours.csv: ignored columns: operator" in multiangle.attrs["history"]
 
 
 @pytest.mark.parametrize(
@@ -282,10 +284,10 @@ def test_a_damaged_file_is_read_or_refused_but_never_crashes(tmp_path, data):
     path = tmp_path / "colours.csv"
     path.write_bytes(good[:at] + damage + good[at + data.draw(st.integers(0, 5)) :])
     try:
-        found = flakes.ingest({"file": "x", **VIEWING}, path)
+        multiangle = flakes.ingest({"file": "x", **VIEWING}, path)
     except BrdfpipeError:
         return
-    vocabulary.validate(found, "multiangle")
+    vocabulary.validate(multiangle, "multiangle")
 
 
 SIX = ["as-15", "as15", "as25", "as45", "as75", "as110"]

@@ -16,8 +16,8 @@ ANGLE, TURN, INDEX = st.floats(0, 90), st.floats(-360, 360), st.floats(1.01, 3)
 
 def test_the_patents_geometries_have_its_flake_angles():
     # US 7,991,596 prints 4.25, 13.82 and 32.07 degree (its geometry 45:75 is a misprint of 45:65); n = 1.524.
-    found = [float(flake_angle(*directions(name), 1.524)) for name in ("45:-30", "45:0", "45:65")]
-    assert found == pytest.approx([4.245880, 13.822141, 32.067415], abs=5e-7)
+    angles = [float(flake_angle(*directions(name), 1.524)) for name in ("45:-30", "45:0", "45:65")]
+    assert angles == pytest.approx([4.245880, 13.822141, 32.067415], abs=5e-7)
 
 
 @given(ANGLE, TURN, ANGLE, TURN, INDEX)
@@ -38,9 +38,9 @@ def test_refraction_keeps_snells_law_and_the_length(theta, phi, index):
 def test_the_flake_angle_is_the_same_both_ways_and_never_beyond_the_critical_angle(
     theta_i, phi_i, theta_o, phi_o, index
 ):
-    found = flake_angle(theta_i, phi_i, theta_o, phi_o, index)
-    assert found == pytest.approx(flake_angle(theta_o, phi_o, theta_i, phi_i, index), abs=1e-9)
-    assert 0 <= found <= largest_flake_angle(index) + 1e-9
+    angle = flake_angle(theta_i, phi_i, theta_o, phi_o, index)
+    assert angle == pytest.approx(flake_angle(theta_o, phi_o, theta_i, phi_i, index), abs=1e-9)
+    assert 0 <= angle <= largest_flake_angle(index) + 1e-9
 
 
 @given(st.floats(0, 89.9), TURN, INDEX)
@@ -50,10 +50,10 @@ def test_the_mirror_direction_needs_a_level_flake(theta, phi, index):
 
 def test_the_angle_of_a_nearly_level_flake_is_accurate():
     # Half of 1e-7 degree inside a coat, times cos θ / cos θ' / n: arccos of the normal would see nothing below 1e-6.
-    found = float(flake_angle(45, 0, 45 + 1e-7, 180, 1.5))
+    angle = float(flake_angle(45, 0, 45 + 1e-7, 180, 1.5))
     inner = np.sqrt(1 - (np.sin(np.radians(45)) / 1.5) ** 2)
     # The offset itself has 1e-14 / 1e-7 of relative rounding.
-    assert found == pytest.approx(0.5e-7 * np.cos(np.radians(45)) / inner / 1.5, rel=1e-6)
+    assert angle == pytest.approx(0.5e-7 * np.cos(np.radians(45)) / inner / 1.5, rel=1e-6)
 
 
 def test_grazing_directions_meet_at_the_critical_angle():

@@ -158,8 +158,8 @@ def test_the_factor_is_the_printed_one(sigma, theta, alpha, printed):
 )
 def test_the_quadrature_has_the_digits_of_the_published_integrals(sigma, theta, alpha):
     # Panels of at most a slope rms with eight points each: 1e-12.
-    found = masking_factor(theta, alpha, liu_density(sigma))
-    assert found == pytest.approx(published(sigma, theta, alpha), abs=1e-11)
+    factor = masking_factor(theta, alpha, liu_density(sigma))
+    assert factor == pytest.approx(published(sigma, theta, alpha), abs=1e-11)
 
 
 @given(theta=st.floats(0, 90), alpha=st.floats(-90, 90), name=st.sampled_from(sorted(DENSITIES)))
@@ -190,9 +190,9 @@ def test_the_marginal_of_a_radial_density_is_its_closed_form(distribution, a):
         if distribution == "beckmann"
         else a**2 / 2 / (a**2 + t**2) ** 1.5
     )
-    found = liu.Marginal.of(RadialDensity.of(facets.analytic(distribution, a))).density(t)
+    density = liu.Marginal.of(RadialDensity.of(facets.analytic(distribution, a))).density(t)
     # The tabulated density is itself good to 1e-6 of its value.
-    assert found == pytest.approx(closed, rel=2e-6)
+    assert density == pytest.approx(closed, rel=2e-6)
 
 
 def test_a_density_need_not_be_normalised():
@@ -236,8 +236,8 @@ def test_in_the_plane_of_incidence_the_attenuation_is_the_published_one(theta_i,
 @settings(max_examples=60, deadline=None)
 def test_the_tilt_towards_a_direction_is_that_of_the_profile_in_its_vertical_plane(theta_i, phi_i, theta_o, phi_o):
     middle = unit_vector(theta_i, phi_i) + unit_vector(theta_o, phi_o)
-    found = liu.tilts_towards(half_vector(theta_i, phi_i, theta_o, phi_o), phi_i, phi_o)
-    for tilt, theta, phi in zip(found, (theta_i, theta_o), (phi_i, phi_o), strict=True):
+    tilts = liu.tilts_towards(half_vector(theta_i, phi_i, theta_o, phi_o), phi_i, phi_o)
+    for tilt, theta, phi in zip(tilts, (theta_i, theta_o), (phi_i, phi_o), strict=True):
         assert tilt == pytest.approx(middle @ unit_vector(90.0, phi) / middle[2], abs=1e-12)
         # The profile faces the direction just as the facet does: both cosines have one sign.
         across = middle @ unit_vector(90.0, phi + 90)
@@ -275,9 +275,9 @@ def mirrors(sigma: float, theta_i, phi_i, theta_o, phi_o):
 
 
 def test_the_brdf_of_polarised_light_has_the_reflectances_of_the_source():
-    found = np.array(in_plane(0.1, 1.8, 60.0, 60.0)) / mirrors(0.1, 60.0, 10.0, 60.0, 190.0)
+    reflectance = np.array(in_plane(0.1, 1.8, 60.0, 60.0)) / mirrors(0.1, 60.0, 10.0, 60.0, 190.0)
     # PHYSICS §5: R at 60°, n = 1.8; at σ = 0.1 the mirror facet is whole to 1e-9.
-    assert found == pytest.approx([0.26911389, 0.00017270, 0.13464330], abs=5.1e-9)
+    assert reflectance == pytest.approx([0.26911389, 0.00017270, 0.13464330], abs=5.1e-9)
 
 
 def test_a_metal_is_attenuated_by_the_modulus_of_its_amplitudes():
@@ -286,14 +286,14 @@ def test_a_metal_is_attenuated_by_the_modulus_of_its_amplitudes():
     surface, u = Microsurface.of(bsdf), pair.slope_squared
     g = attenuation(50.0, 10.0, 70.0, 190.0, surface.liu)
     mirror = surface.density(u) * (1 + u) ** 2 / (4 * pair.cos_i * pair.cos_o)
-    found = in_plane(0.5, metal, 50.0, 70.0)
+    reflected = in_plane(0.5, metal, 50.0, 70.0)
     q = np.sqrt((0.2 + 3.4j) ** 2 - 1 + pair.cos_zeta**2)
     sin2 = 1 - pair.cos_zeta**2
     r_s = (pair.cos_zeta - q) / (pair.cos_zeta + q)
     r_p = r_s * (pair.cos_zeta * q - sin2) / (pair.cos_zeta * q + sin2)
-    assert found[:2] == pytest.approx([mirror * g * abs(r_s) ** 2, mirror * g * abs(r_p) ** 2], rel=1e-13)
+    assert reflected[:2] == pytest.approx([mirror * g * abs(r_s) ** 2, mirror * g * abs(r_p) ** 2], rel=1e-13)
     unpolarised = bsdf.bsdf.evaluate(50.0, 10.0, 70.0, 190.0).values.ravel()[0]
-    assert unpolarised == pytest.approx((found[0] + found[1]) / 2, rel=1e-14)
+    assert unpolarised == pytest.approx((reflected[0] + reflected[1]) / 2, rel=1e-14)
     # The tabulated density is good to 1e-6 of its value.
     assert mirror == pytest.approx(mirrors(0.5, 50.0, 10.0, 70.0, 190.0), rel=1e-6)
 
@@ -323,32 +323,34 @@ def test_the_albedo_of_mirrors_is_the_integral_over_outgoing_directions(sigma, t
     table, beckmann = liu.LiuMasking.of(liu_density(sigma)), facets.analytic("beckmann", sigma * np.sqrt(2))
     rule = hemisphere.around_mirror(theta, sigma, order=8, turns=40)
     f = mirrors(sigma, theta, 0.0, rule.theta, rule.phi) * attenuation(theta, 0.0, rule.theta, rule.phi, table)
-    found = liu.directional_albedo(RadialDensity.of(beckmann), table, np.array([theta]))
+    albedo = liu.directional_albedo(RadialDensity.of(beckmann), table, np.array([theta]))
     # Both rules meet the bends of min(…).
-    assert found == pytest.approx(rule.weight @ f, rel=3e-4)
+    assert albedo == pytest.approx(rule.weight @ f, rel=3e-4)
 
 
 def test_the_angle_from_which_energy_is_not_conserved_is_named():
-    found = {}
+    limits = {}
     for sigma in (0.02, 0.1, 0.3, 0.5):
         density = RadialDensity.of(facets.analytic("beckmann", sigma * np.sqrt(2)))
-        found[sigma] = liu.energy_limit(density, liu.LiuMasking.of(liu.Marginal.of(density)))
+        limits[sigma] = liu.energy_limit(density, liu.LiuMasking.of(liu.Marginal.of(density)))
     # 2.2 in PHYSICS §5, where α enters unsigned for both directions; 2.13 with the tilt towards each.
-    assert found[0.5].albedo == pytest.approx(2.127, abs=2e-3)
-    assert found[0.02].angle > found[0.1].angle > found[0.3].angle > found[0.5].angle
-    assert found[0.5].angle == pytest.approx(69, abs=0.5)
-    assert "2.13" in str(found[0.5])
-    assert "above 69°" in str(found[0.5])
-    assert "above 70°" in str(found[0.1])
+    assert limits[0.5].albedo == pytest.approx(2.127, abs=2e-3)
+    assert limits[0.02].angle > limits[0.1].angle > limits[0.3].angle > limits[0.5].angle
+    assert limits[0.5].angle == pytest.approx(69, abs=0.5)
+    assert "2.13" in str(limits[0.5])
+    assert "above 69°" in str(limits[0.5])
+    assert "above 70°" in str(limits[0.1])
     assert "mirrors" not in str(liu.EnergyLimit(90.0, 1.0))
 
 
 def test_directions_and_wavelengths_broadcast():
     theta_o = np.linspace(0, 80, 5)
     ggx = facets.analytic("ggx", 0.2)
-    found = masking.g2(ggx, 30.0, 0.0, theta_o, 170.0, mode="liu")
-    assert found.shape == (5,)
-    assert float(masking.g2(ggx, 30.0, 0.0, theta_o[3], 170.0, mode="liu")) == pytest.approx(float(found[3]), rel=1e-13)
+    visible = masking.g2(ggx, 30.0, 0.0, theta_o, 170.0, mode="liu")
+    assert visible.shape == (5,)
+    assert float(masking.g2(ggx, 30.0, 0.0, theta_o[3], 170.0, mode="liu")) == pytest.approx(
+        float(visible[3]), rel=1e-13
+    )
     n, k = ("wavelength", [1.5, 1.6, 0.3]), ("wavelength", [0.0, 0.0, 2.0])
     metal = liu_bsdf(0.2, 1.6).assign_coords(wavelength=[400.0, 500.0, 700.0]).assign(n=n, k=k)
     values = metal.bsdf.evaluate(30.0, 0.0, theta_o, 170.0)

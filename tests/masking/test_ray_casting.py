@@ -133,8 +133,8 @@ def test_the_floor_of_a_groove_is_lit_and_seen_where_the_shadows_of_its_walls_le
     groove = np.concatenate([np.zeros(9), np.full(floor + 1, -2.0)])
     line = samples.surface(np.append(np.tile(groove, 10), 0.0))
     theta_i, theta_o = np.degrees(np.arctan2(1 + np.array(lost), 2.0))
-    found = raycast.bistatic(line, theta_i, 0.0, theta_o, 180.0)
-    assert float(found["g2"]) == pytest.approx((8 + max(floor - sum(lost), 0)) / (8 + floor), rel=1e-10)
+    traced = raycast.bistatic(line, theta_i, 0.0, theta_o, 180.0)
+    assert float(traced["g2"]) == pytest.approx((8 + max(floor - sum(lost), 0)) / (8 + floor), rel=1e-10)
 
 
 def test_lines_run_along_the_rows_for_azimuth_0_and_the_columns_for_90():
@@ -152,8 +152,8 @@ def test_an_oblique_azimuth_sees_the_slope_projected_onto_it():
     mu = 1 / np.tan(np.radians(80.0))
     for phi in (30.0, 150.0, -30.0):
         slope = 0.5 * np.cos(np.radians(30))
-        found = float(raycast.raycast(samples.surface(ridges), 80.0, phi)["g1"])
-        assert found == pytest.approx(1 / (1 + (slope - mu) / (2 * mu)), rel=0.02)
+        visible = float(raycast.raycast(samples.surface(ridges), 80.0, phi)["g1"])
+        assert visible == pytest.approx(1 / (1 + (slope - mu) / (2 * mu)), rel=0.02)
 
 
 def test_a_diagonal_line_has_the_smaller_slopes_between_its_samples():
@@ -264,9 +264,9 @@ def test_the_uncertainty_covers_the_scatter_between_maps():
     maps = [samples.surface(part) for strip in np.split(whole, 4) for part in np.split(strip, 4, axis=1)]
     cast = [raycast.raycast(rough, 80.0) for rough in maps]
     stated = np.mean([float(one["g1_u"]) for one in cast])
-    found = np.std([float(one["g1"]) for one in cast], ddof=1)
+    scatter = np.std([float(one["g1"]) for one in cast], ddof=1)
     # Sixteen parts know their scatter to 18 %; neighbouring groups of eight lines are not quite independent.
-    assert 0.6 < stated / found < 1.6
+    assert 0.6 < stated / scatter < 1.6
 
 
 # --- Smith

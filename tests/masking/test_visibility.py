@@ -42,9 +42,9 @@ def test_g1_of_beckmann_is_the_printed_one(a, theta, printed):
 @pytest.mark.parametrize("distribution", facets.DISTRIBUTIONS)
 @pytest.mark.parametrize("a", [1e-4, 0.1, 0.3, 1.0, 10.0])
 def test_g1_is_the_closed_form_up_to_grazing(distribution, a):
-    found = masking.g1(facets.analytic(distribution, a), ANGLES).values
+    visible = masking.g1(facets.analytic(distribution, a), ANGLES).values
     # The table and its spline, not the formula, limit the agreement; GGX ends at 1e7 a.
-    assert found == pytest.approx(closed_form(distribution, a, ANGLES), rel=1e-6)
+    assert visible == pytest.approx(closed_form(distribution, a, ANGLES), rel=1e-6)
 
 
 def test_g1_is_1_at_normal_and_0_at_grazing():
@@ -58,9 +58,9 @@ def test_g1_falls_with_the_angle():
 
 def test_g1_keeps_the_labels_of_its_angles():
     theta = xr.DataArray([[10.0, 20.0]], dims=("row", "column"), coords={"column": ["a", "b"]})
-    found = masking.g1(facets.analytic("beckmann", 0.4), theta)
-    assert found.dims == ("row", "column")
-    assert found["column"].values.tolist() == ["a", "b"]
+    visible = masking.g1(facets.analytic("beckmann", 0.4), theta)
+    assert visible.dims == ("row", "column")
+    assert visible["column"].values.tolist() == ["a", "b"]
 
 
 @pytest.mark.parametrize("theta", [-1.0, 90.1])
@@ -96,18 +96,18 @@ def test_masking_of_a_lay_is_that_of_the_width_towards_each_azimuth(distribution
     table = facets.analytic(distribution, a_x=a_x, a_y=a_y, azimuth=azimuth)
     theta, phi = ANGLES[2:, None], np.linspace(-180, 180, 411)
     width = np.hypot(a_x * np.cos(np.radians(phi - azimuth)), a_y * np.sin(np.radians(phi - azimuth)))
-    found = masking.g1(table, theta, phi).values
+    visible = masking.g1(table, theta, phi).values
     # The masking of each grid and its spline, not the formula, limit the agreement; GGX ends at 1e6 a.
-    assert found == pytest.approx(closed_form(distribution, width, theta), rel=1e-5)
+    assert visible == pytest.approx(closed_form(distribution, width, theta), rel=1e-5)
 
 
 def test_directions_of_a_lay_broadcast_by_name():
     table = facets.analytic("beckmann", a_x=0.2, a_y=0.5)
     theta = xr.DataArray([60.0, 80.0], dims="theta")
     phi = xr.DataArray([0.0, 45.0, 90.0], dims="phi")
-    found = masking.g1(table, theta, phi)
-    assert found.sizes == {"theta": 2, "phi": 3}
-    assert (found.diff("phi") < 0).all()
+    visible = masking.g1(table, theta, phi)
+    assert visible.sizes == {"theta": 2, "phi": 3}
+    assert (visible.diff("phi") < 0).all()
 
 
 def pair(table, mode, theta_i, theta_o, phi=180.0):

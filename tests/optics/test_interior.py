@@ -29,8 +29,8 @@ def test_a_body_without_a_stated_absorption_absorbs_nothing() -> None:
 @pytest.mark.parametrize(("unit", "per_mm"), [("1/mm", 0.25), ("1/cm", 0.025), ("1/m", 0.00025)])
 def test_an_absorption_coefficient_follows_lamberts_law(tmp_path: Path, unit: str, per_mm: float) -> None:
     spec = {"thickness": 2.0, "absorption": {"file": "t.txt", "unit": unit}}
-    found = interior.ingest(spec, table(tmp_path, "wavelength_nm absorption", 0.25))
-    assert found["internal_transmittance"].values == pytest.approx(np.exp(-2 * per_mm), rel=1e-12)
+    interior_dataset = interior.ingest(spec, table(tmp_path, "wavelength_nm absorption", 0.25))
+    assert interior_dataset["internal_transmittance"].values == pytest.approx(np.exp(-2 * per_mm), rel=1e-12)
     assert interior.spectral(interior.ingest({"thickness": 2.0, "absorption": per_mm})) == pytest.approx(
         np.exp(-2 * per_mm), rel=1e-12
     )
@@ -38,8 +38,10 @@ def test_an_absorption_coefficient_follows_lamberts_law(tmp_path: Path, unit: st
 
 def test_a_table_in_percent_is_the_table_in_fractions(tmp_path: Path) -> None:
     given = {"file": "t.txt", "scale": "percent"}
-    found = interior.ingest({"thickness": 1, "internal_transmittance": given}, table(tmp_path, "nm T%", 85.0))
-    assert interior.spectral(found).values == pytest.approx(0.85)  # type: ignore[union-attr]
+    interior_dataset = interior.ingest(
+        {"thickness": 1, "internal_transmittance": given}, table(tmp_path, "nm T%", 85.0)
+    )
+    assert interior.spectral(interior_dataset).values == pytest.approx(0.85)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def test_a_figure_shows_the_cells_near_the_plane_that_were_measured(compared) ->
     (dots,) = re.findall(r'class="p c0 tiny" d="([^"]*)"', figure.svg)
     assert dots.count("h0") == near.sum() > 20
     nothing = compared.assign(brdf=compared["brdf"] * np.nan)
-    assert [each.title for each in page.figures(nothing)] == ["Measured over modelled BRDF"]
+    assert [figure.title for figure in page.figures(nothing)] == ["Measured over modelled BRDF"]
 
 
 def test_every_bar_of_the_differences_is_within_its_frame_or_counted(compared) -> None:

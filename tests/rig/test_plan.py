@@ -131,7 +131,7 @@ def test_no_arrangement_is_made_twice(tmp_path):
     loaded = plan(tmp_path, incidences="[45, 20]", side="[reflection, transmission]")
     arranged = [arrangement for arrangement, _ in groupby(shot.arrangement for shot in loaded.shots)]
     assert arranged == list(loaded.arrangements)
-    assert [(each.load, each.side, each.incidence) for each in arranged] == [
+    assert [(arrangement.load, arrangement.side, arrangement.incidence) for arrangement in arranged] == [
         ("etalon", "reflection", 10),
         ("sample", "reflection", 45),
         ("sample", "reflection", 20),

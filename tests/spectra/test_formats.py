@@ -47,7 +47,7 @@ REAL = [
 ]
 
 
-@pytest.mark.parametrize(("name", "options", "count", "ends", "values"), REAL, ids=[each[0] for each in REAL])
+@pytest.mark.parametrize(("name", "options", "count", "ends", "values"), REAL, ids=[file[0] for file in REAL])
 def test_every_real_file_is_read_right(
     shared_data: Path, name: str, options: dict, count: int, ends: tuple, values: tuple
 ) -> None:
@@ -507,7 +507,7 @@ def unseen(original: Path, damaged: Path, options: dict) -> float:
     return float(np.abs(off).max() / truth["total_reflectance"].max())
 
 
-@pytest.mark.parametrize(("name", "options"), [each[:2] for each in REAL], ids=[each[0] for each in REAL])
+@pytest.mark.parametrize(("name", "options"), [file[:2] for file in REAL], ids=[file[0] for file in REAL])
 def test_a_damaged_file_is_refused_or_warned_about_or_nearly_right(
     shared_data: Path, tmp_path: Path, name: str, options: dict
 ) -> None:

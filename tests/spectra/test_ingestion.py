@@ -40,7 +40,10 @@ def test_a_measured_black_is_judged_by_the_index_of_each_wavelength(tmp_path: Pa
     for above, expected in ((1e-4, False), (-1e-4, True)):
         rows = zip(wavelength, specular + above, strict=True)
         path.write_text("".join(f"{nm} {r:.8f}\n" for nm, r in rows), encoding="ascii")
-        assert any("If the specular was excluded" in each for each in warnings(ingest(spec, path, index))) == expected
+        assert (
+            any("If the specular was excluded" in warning for warning in warnings(ingest(spec, path, index)))
+            == expected
+        )
 
 
 def test_the_incidence_is_8_degree_by_default() -> None:

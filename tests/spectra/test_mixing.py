@@ -56,35 +56,35 @@ def test_the_colour_of_every_mixture_is_recovered(weights: list[float]) -> None:
     mixture = np.array(weights) @ basis
     mixture /= max(mixture.max(), 1.0)
     xyz = mixture @ VIEW.weights
-    found = basis4.closed_form(xyz, VIEW)
-    assert found.reached.all()
-    assert found.weights.min() >= 0
-    assert found.reflectance.max() <= 1
+    recovered = basis4.closed_form(xyz, VIEW)
+    assert recovered.reached.all()
+    assert recovered.weights.min() >= 0
+    assert recovered.reflectance.max() <= 1
     # At the very edge of reach the interval is closed by rounding, and the mixture cut to 1.
-    assert found.reflectance @ VIEW.weights == pytest.approx(xyz[None], abs=1e-6)
-    assert (np.diff(found.reflectance) ** 2).sum() <= (np.diff(mixture) ** 2).sum() + 1e-9
+    assert recovered.reflectance @ VIEW.weights == pytest.approx(xyz[None], abs=1e-6)
+    assert (np.diff(recovered.reflectance) ** 2).sum() <= (np.diff(mixture) ** 2).sum() + 1e-9
 
 
 def test_no_mixture_of_the_colour_is_smoother() -> None:
     table = VIEW
     xyz = colorimetry.lab_to_xyz(RED, table.white)
-    found = basis4.closed_form(xyz, VIEW)
+    recovered = basis4.closed_form(xyz, VIEW)
     basis = basis4.basis()
     null = np.linalg.svd((basis @ table.weights).T)[2][3]
-    smoothness = (np.diff(found.reflectance) ** 2).sum()
+    smoothness = (np.diff(recovered.reflectance) ** 2).sum()
     for t in np.linspace(-0.3, 0.3, 61):
-        other = found.weights[0] + t * null
+        other = recovered.weights[0] + t * null
         if other.min() >= 0 and (other @ basis).max() <= 1:
             assert (np.diff(other @ basis) ** 2).sum() >= smoothness - 1e-12
 
 
 def test_colours_no_mixture_has_are_marked_and_do_not_disturb_the_others() -> None:
     table = VIEW
-    found = basis4.closed_form(
+    recovered = basis4.closed_form(
         colorimetry.lab_to_xyz([RED, [50, 120, 0], [99, 0, 0], [np.nan, 0, 0]], table.white), VIEW
     )
-    assert found.reached.tolist() == [True, False, False, False]
-    assert np.isnan(found.reflectance[1:]).all()
+    assert recovered.reached.tolist() == [True, False, False, False]
+    assert np.isnan(recovered.reflectance[1:]).all()
 
 
 def test_the_nearest_mixture_is_reachable_and_none_of_many_is_nearer() -> None:
@@ -103,12 +103,12 @@ def test_the_nearest_mixture_is_reachable_and_none_of_many_is_nearer() -> None:
 @pytest.mark.parametrize("method", random_search.SEARCHES)
 @pytest.mark.parametrize("floor", [0.0, 0.0465])
 def test_a_search_ends_below_its_threshold_at_the_stated_colour(method: str, floor: float) -> None:
-    found = random_search.search(RED, VIEW, method=method, threshold=3.0, floor=floor)
-    assert found.ended == "threshold"
-    assert found.delta_e < 3
-    assert found.weights.min() >= 0
-    assert (found.weights @ basis4.basis()).max() <= 1 + 1e-12
-    assert colorimetry.delta_e_ab(lab_of(found.weights, floor), RED) == pytest.approx(found.delta_e, rel=1e-9)
+    result = random_search.search(RED, VIEW, method=method, threshold=3.0, floor=floor)
+    assert result.ended == "threshold"
+    assert result.delta_e < 3
+    assert result.weights.min() >= 0
+    assert (result.weights @ basis4.basis()).max() <= 1 + 1e-12
+    assert colorimetry.delta_e_ab(lab_of(result.weights, floor), RED) == pytest.approx(result.delta_e, rel=1e-9)
 
 
 @pytest.mark.parametrize("method", random_search.SEARCHES)
@@ -120,9 +120,9 @@ def test_the_result_depends_on_the_seed_alone(method: str) -> None:
 
 
 def test_adaptive_steps_reach_thresholds_that_random_weights_do_not() -> None:
-    found = random_search.search(RED, VIEW, method="adaptive4", threshold=1e-6)
-    assert found.delta_e < 1e-6
-    assert found.tried < 50_000
+    result = random_search.search(RED, VIEW, method="adaptive4", threshold=1e-6)
+    assert result.delta_e < 1e-6
+    assert result.tried < 50_000
 
 
 class _Killed(Exception):
@@ -177,20 +177,20 @@ def test_a_checkpoint_that_is_damaged_or_of_another_search_is_ignored(tmp_path: 
 
 def test_a_request_to_stop_accepts_the_best_so_far(tmp_path: Path) -> None:
     asked = iter([False, False, True])
-    found = random_search.search(RED, VIEW, threshold=1e-9, stop=lambda: next(asked))
-    assert (found.ended, found.tried) == ("stopped", 3 * 4096)
+    result = random_search.search(RED, VIEW, threshold=1e-9, stop=lambda: next(asked))
+    assert (result.ended, result.tried) == ("stopped", 3 * 4096)
     checkpoint, request = tmp_path / "best.json", tmp_path / "best.json.stop"
-    found = random_search.search(RED, VIEW, threshold=1e-9, checkpoint=checkpoint, stop=lambda: bool(request.touch()))
-    assert (found.ended, found.tried) == ("stopped", 4096)
-    assert found.delta_e < 30
+    result = random_search.search(RED, VIEW, threshold=1e-9, checkpoint=checkpoint, stop=lambda: bool(request.touch()))
+    assert (result.ended, result.tried) == ("stopped", 4096)
+    assert result.delta_e < 30
     assert not request.exists()
 
 
 def test_a_stop_file_from_before_the_search_is_removed_without_effect(tmp_path: Path) -> None:
     request = tmp_path / "best.json.stop"
     request.touch()
-    found = random_search.search(RED, VIEW, threshold=3.0, checkpoint=tmp_path / "best.json")
-    assert found.ended == "threshold"
+    result = random_search.search(RED, VIEW, threshold=3.0, checkpoint=tmp_path / "best.json")
+    assert result.ended == "threshold"
     assert not request.exists()
 
 
@@ -228,8 +228,8 @@ def _stopped(checkpoint: Path, threshold: float = 1e-9) -> dict[str, Any]:
 def test_another_threshold_is_another_search(tmp_path: Path) -> None:
     checkpoint = tmp_path / "best.json"
     _stopped(checkpoint)
-    found = random_search.search(RED, VIEW, threshold=60.0, checkpoint=checkpoint, stop=lambda: True)
-    assert found.tried == 4096
+    result = random_search.search(RED, VIEW, threshold=60.0, checkpoint=checkpoint, stop=lambda: True)
+    assert result.tried == 4096
     assert not checkpoint.exists()
 
 
@@ -259,19 +259,19 @@ def test_a_damaged_state_is_not_trusted(tmp_path: Path, place: int, value: objec
     kept = _stopped(checkpoint)
     kept["state"][place] = value
     checkpoint.write_text(json.dumps(kept), encoding="utf-8")
-    found = random_search.search(RED, VIEW, threshold=1e-9, checkpoint=checkpoint, stop=lambda: True)
+    result = random_search.search(RED, VIEW, threshold=1e-9, checkpoint=checkpoint, stop=lambda: True)
     # From the start; a state taken up would have a block more.
-    assert found.tried == 4096
+    assert result.tried == 4096
 
 
 def test_a_floor_may_differ_between_wavelengths() -> None:
     table, basis = VIEW, basis4.basis()
     floor, w = np.linspace(0.06, 0.04, 85), np.array([0.3, 0.2, 0.1, 0.2])
     truth = floor + (1 - floor) * (w @ basis)
-    found = basis4.closed_form(truth @ table.weights, VIEW, floor=floor)
-    assert found.reached.all()
-    assert (found.reflectance >= floor).all()
-    assert found.reflectance @ table.weights == pytest.approx((truth @ table.weights)[None], abs=1e-9)
+    recovered = basis4.closed_form(truth @ table.weights, VIEW, floor=floor)
+    assert recovered.reached.all()
+    assert (recovered.reflectance >= floor).all()
+    assert recovered.reflectance @ table.weights == pytest.approx((truth @ table.weights)[None], abs=1e-9)
     lab = colorimetry.xyz_to_lab(truth @ table.weights, table.white)
     assert random_search.search(lab, VIEW, method="adaptive4", threshold=1e-4, floor=floor).ended == "threshold"
     assert colorimetry.delta_e_ab(basis4.nearest(lab, VIEW, floor=floor), lab) < 1e-2
@@ -286,20 +286,20 @@ def test_an_interrupt_accepts_the_best_so_far_and_restores_the_handler() -> None
             os.kill(os.getpid(), signal.SIGINT)
         return False
 
-    found = random_search.search(RED, VIEW, threshold=1e-9, stop=interrupt)
-    assert found.ended == "stopped"
-    assert np.isfinite(found.delta_e)
+    result = random_search.search(RED, VIEW, threshold=1e-9, stop=interrupt)
+    assert result.ended == "stopped"
+    assert np.isfinite(result.delta_e)
     assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_search_runs_in_a_thread_that_gets_no_signals() -> None:
-    found = []
-    thread = threading.Thread(target=lambda: found.append(random_search.search(RED, VIEW, threshold=3.0)))
+    results = []
+    thread = threading.Thread(target=lambda: results.append(random_search.search(RED, VIEW, threshold=3.0)))
     thread.start()
     thread.join()
-    assert found[0].ended == "threshold"
+    assert results[0].ended == "threshold"
 
 
 def test_a_search_ends_at_its_limit() -> None:
-    found = random_search.search([50, 100, 0], VIEW, limit=10_000)
-    assert (found.ended, found.tried) == ("limit", 12288)
+    result = random_search.search([50, 100, 0], VIEW, limit=10_000)
+    assert (result.ended, result.tried) == ("limit", 12288)

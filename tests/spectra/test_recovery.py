@@ -51,11 +51,11 @@ def test_the_24_patches_of_the_colour_checker_are_matched(observer: int) -> None
         labs = colour.XYZ_to_Lab(np.array(xyz), checker.illuminant)
     assert len(labs) == 24
     table = colorimetry.weights("D65", observer)
-    found = lhtss(colorimetry.lab_to_xyz(labs, table.white), table)
-    assert found.reached.all()
-    assert ((found.reflectance > 0) & (found.reflectance < 1)).all()
+    recovered = lhtss(colorimetry.lab_to_xyz(labs, table.white), table)
+    assert recovered.reached.all()
+    assert ((recovered.reflectance > 0) & (recovered.reflectance < 1)).all()
     back = colorimetry.xyz_to_lab(
-        colorimetry.reflectance_to_xyz(table.wavelength, found.reflectance, "D65", observer), table.white
+        colorimetry.reflectance_to_xyz(table.wavelength, recovered.reflectance, "D65", observer), table.white
     )
     assert colorimetry.delta_e_ab(back, labs).max() < 1e-5
 
@@ -121,9 +121,9 @@ def test_thousands_of_colours_go_in_one_call_and_match_the_single_ones() -> None
 
 def test_colours_out_of_reach_do_not_disturb_the_others() -> None:
     xyz = np.array([[20, 20, 20], [90, 10, 1], [-1, 5, 5], [50, 100, 50], [30, 30, np.nan]], dtype=float)
-    found = lhtss(xyz, colorimetry.weights("D65", 10))
-    assert found.reached.tolist() == [True, False, False, False, False]
-    assert np.isnan(found.reflectance[1:]).all()
+    recovered = lhtss(xyz, colorimetry.weights("D65", 10))
+    assert recovered.reached.tolist() == [True, False, False, False, False]
+    assert np.isnan(recovered.reflectance[1:]).all()
 
 
 def test_no_colours_give_no_spectra() -> None:
@@ -218,9 +218,9 @@ def test_a_thousand_random_colours_of_reflectances_are_matched() -> None:
         [np.interp(table.wavelength, knots, row) for row in rng.beta(0.7, 0.7, (1000, 7)).clip(0.003, 0.997)]
     )
     labs = colorimetry.xyz_to_lab(reflectances @ table.weights, table.white)
-    found = lhtss(colorimetry.lab_to_xyz(labs, table.white), table)
-    assert found.reached.all()
-    back = colorimetry.xyz_to_lab(found.reflectance @ table.weights, table.white)
+    recovered = lhtss(colorimetry.lab_to_xyz(labs, table.white), table)
+    assert recovered.reached.all()
+    back = colorimetry.xyz_to_lab(recovered.reflectance @ table.weights, table.white)
     assert colorimetry.delta_e_ab(back, labs).max() < 1e-5
 
 
@@ -282,9 +282,9 @@ def test_colours_near_the_limit_of_all_reflectances_are_recovered() -> None:
     first, width = rng.uniform(380, 600, (300, 1)), rng.uniform(30, 150, (300, 1))
     band = ((table.wavelength >= first) & (table.wavelength <= first + width)).astype(float)
     xyz = (0.01 + 0.98 * np.concatenate([band, 1 - band])) @ table.weights
-    found = lhtss(xyz, colorimetry.weights("D65", 10))
-    assert found.reached.all()
-    assert found.reflectance @ table.weights == pytest.approx(xyz, abs=1e-8)
+    recovered = lhtss(xyz, colorimetry.weights("D65", 10))
+    assert recovered.reached.all()
+    assert recovered.reflectance @ table.weights == pytest.approx(xyz, abs=1e-8)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -348,18 +348,20 @@ def test_a_threshold_or_seed_out_of_range_names_its_key(options: dict, key: str)
 
 
 def test_metamerism_compares_the_methods_under_other_light() -> None:
-    found = metamerism([40, 20, 10], illuminant="D65", observer=10, methods=("lhtss", "basis4", "adaptive4"))
-    assert found["delta_e00"].dims == ("light", "recovery", "other")
-    assert found["light"].values.tolist() == ["A", "FL2", "LED-B3"]
-    pairs = found["delta_e00"].values
+    differences = metamerism([40, 20, 10], illuminant="D65", observer=10, methods=("lhtss", "basis4", "adaptive4"))
+    assert differences["delta_e00"].dims == ("light", "recovery", "other")
+    assert differences["light"].values.tolist() == ["A", "FL2", "LED-B3"]
+    pairs = differences["delta_e00"].values
     np.testing.assert_allclose(pairs, np.swapaxes(pairs, 1, 2), atol=1e-9)
     assert np.abs(np.einsum("lmm->lm", pairs)).max() < 1e-9
     table = colorimetry.weights("A", 10)
-    labs = colorimetry.xyz_to_lab(found["total_reflectance"].values @ table.weights, table.white)
+    labs = colorimetry.xyz_to_lab(differences["total_reflectance"].values @ table.weights, table.white)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         theirs = float(colour.delta_E(labs[0], labs[1], method="CIE 2000"))
-    assert float(found["delta_e00"].sel(light="A", recovery="lhtss", other="basis4")) == pytest.approx(theirs, rel=1e-9)
+    assert float(differences["delta_e00"].sel(light="A", recovery="lhtss", other="basis4")) == pytest.approx(
+        theirs, rel=1e-9
+    )
 
 
 def test_a_recovered_spectrum_says_what_the_other_exact_method_would_have_changed() -> None:
@@ -374,9 +376,9 @@ def test_a_recovered_spectrum_says_what_the_other_exact_method_would_have_change
 
 
 def test_a_method_that_does_not_reach_a_colour_is_left_out_of_the_comparison_and_named() -> None:
-    found = metamerism([70, -55, -45], illuminant="D65", observer=10, methods=("basis4", "lhtss"))
-    assert found["recovery"].values.tolist() == found["other"].values.tolist() == ["lhtss"]
-    (reason,) = vocabulary.warnings(found)
+    differences = metamerism([70, -55, -45], illuminant="D65", observer=10, methods=("basis4", "lhtss"))
+    assert differences["recovery"].values.tolist() == differences["other"].values.tolist() == ["lhtss"]
+    (reason,) = vocabulary.warnings(differences)
     assert reason.startswith("method basis4 was left out: ")
     assert "no mixture of the four basis spectra" in reason
     with pytest.raises(InputError, match="no mixture"):

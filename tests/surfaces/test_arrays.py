@@ -29,24 +29,24 @@ def test_a_map_keeps_its_orientation_whatever_its_layout(
     tmp_path: Path, asymmetric: xr.Dataset, dtype: str, order: Any
 ) -> None:
     array = np.asarray(asymmetric.height.values, dtype=dtype, order=order)
-    found = read_surface(saved(tmp_path, array), **STATED)
-    np.testing.assert_array_equal(found.height, array)
-    assert found.height.dtype == array.dtype.newbyteorder("=")
-    assert (found.attrs["pitch_x"], found.attrs["pitch_y"]) == (0.5, 0.7)
+    surface = read_surface(saved(tmp_path, array), **STATED)
+    np.testing.assert_array_equal(surface.height, array)
+    assert surface.height.dtype == array.dtype.newbyteorder("=")
+    assert (surface.attrs["pitch_x"], surface.attrs["pitch_y"]) == (0.5, 0.7)
 
 
 @pytest.mark.parametrize("shape", [(-1,), (1, -1), (-1, 1)])
 def test_one_row_or_column_is_a_line(tmp_path: Path, line: xr.Dataset, shape: tuple[int, ...]) -> None:
-    found = read_surface(saved(tmp_path, line.height.values.reshape(shape)), unit="um", pitch=0.25)
-    assert found.height.dims == ("x",)
-    np.testing.assert_array_equal(found.height, line.height)
+    surface = read_surface(saved(tmp_path, line.height.values.reshape(shape)), unit="um", pitch=0.25)
+    assert surface.height.dims == ("x",)
+    np.testing.assert_array_equal(surface.height, line.height)
 
 
 def test_units_scale_heights_and_pitch(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     path = saved(tmp_path, asymmetric.height.values * 1e3)
-    found = read_surface(path, unit="nm", lateral_unit="mm", pitch=[5e-4, 7e-4])
-    np.testing.assert_allclose(found.height, asymmetric.height, rtol=1e-15)
-    assert (found.attrs["pitch_x"], found.attrs["pitch_y"]) == pytest.approx((0.5, 0.7))
+    surface = read_surface(path, unit="nm", lateral_unit="mm", pitch=[5e-4, 7e-4])
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=1e-15)
+    assert (surface.attrs["pitch_x"], surface.attrs["pitch_y"]) == pytest.approx((0.5, 0.7))
 
 
 def test_integers_are_read_as_numbers(tmp_path: Path, asymmetric: xr.Dataset) -> None:
@@ -132,9 +132,9 @@ def test_a_file_with_something_behind_the_array_is_refused(tmp_path: Path, asymm
 def test_an_archive_brings_its_unit_and_pitch(tmp_path: Path, asymmetric: xr.Dataset, save: Any, name: str) -> None:
     heights = {name: asymmetric.height.values * 1e3}
     save(tmp_path / "map.npz", unit="nm", lateral_unit="um", pitch_x=0.5, pitch_y=0.7, **heights)
-    found = read_surface(tmp_path / "map.npz")
-    np.testing.assert_allclose(found.height, asymmetric.height, rtol=1e-15)
-    assert (found.attrs["pitch_x"], found.attrs["pitch_y"]) == (0.5, 0.7)
+    surface = read_surface(tmp_path / "map.npz")
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=1e-15)
+    assert (surface.attrs["pitch_x"], surface.attrs["pitch_y"]) == (0.5, 0.7)
     assert read_surface(tmp_path / "map.npz", pitch=2, lateral_unit="um").attrs["pitch_y"] == 2
 
 
@@ -143,8 +143,8 @@ def test_an_archive_may_hold_one_pitch_or_two(
     tmp_path: Path, asymmetric: xr.Dataset, pitch: Any, expected: tuple[float, float]
 ) -> None:
     np.savez(tmp_path / "map.npz", height=asymmetric.height.values, unit="um", pitch=pitch)
-    found = read_surface(tmp_path / "map.npz")
-    assert (found.attrs["pitch_x"], found.attrs["pitch_y"]) == expected
+    surface = read_surface(tmp_path / "map.npz")
+    assert (surface.attrs["pitch_x"], surface.attrs["pitch_y"]) == expected
 
 
 @pytest.mark.parametrize(

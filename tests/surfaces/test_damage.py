@@ -78,11 +78,11 @@ def outcome(path: Path) -> str:
 
 def check(surface: xr.Dataset) -> None:
     """What was read lies within the limits of a surface, beside what a warning names."""
-    found = parameters(level(surface))
+    texture = parameters(level(surface))
     # The checks on reading take the mean slope away before, levelling after; a little room for that.
-    gradient = float(found.get("Sdq", found.get("Rdq")))
+    gradient = float(texture.get("Sdq", texture.get("Rdq")))
     assert SLOPE_RANGE[0] / 2 < gradient < 2 * SLOPE_RANGE[1]
-    assert float(found.missing_fraction) <= 0.5
+    assert float(texture.missing_fraction) <= 0.5
     # A lone height out of place may pass the rms slope, but not unsaid.
     steepest = max(float(np.nanmax(np.abs(np.diff(surface.height, axis=axis)))) for axis in range(surface.height.ndim))
     if steepest > STEP_WARN * max(surface.attrs[f"pitch_{dim}"] for dim in surface.height.dims):

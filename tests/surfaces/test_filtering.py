@@ -70,14 +70,14 @@ def test_what_stands_in_a_gap_has_no_weight(asymmetric: xr.Dataset) -> None:
     # The definition, point by point, without transforms.
     z = asymmetric.height.values.copy()
     z[5:15, 20:40] = np.nan
-    found = low_pass(asymmetric.assign(height=asymmetric.height.copy(data=z)), 5.0).height.values
+    filtered = low_pass(asymmetric.assign(height=asymmetric.height.copy(data=z)), 5.0).height.values
     y, x = asymmetric.y.values[:, None], asymmetric.x.values
     valid = ~np.isnan(z)
     for row, column in ((0, 0), (4, 30), (20, 25), (39, 49), (15, 19)):
         square = (x - x[column]) ** 2 + (y - y[row]) ** 2
         weight = np.exp(-np.pi * square / (ALPHA * 5.0) ** 2)[valid]
         # Weights below 1e-6 of the peak are left out.
-        assert found[row, column] == pytest.approx((weight * z[valid]).sum() / weight.sum(), abs=1e-5)
+        assert filtered[row, column] == pytest.approx((weight * z[valid]).sum() / weight.sum(), abs=1e-5)
 
 
 @pytest.mark.parametrize("missing", [False, True])
@@ -97,12 +97,12 @@ def test_the_two_filters_share_a_surface_between_them(asymmetric: xr.Dataset) ->
 
 def test_what_was_done_is_recorded_and_the_original_left_alone(asymmetric: xr.Dataset) -> None:
     before = asymmetric.copy(deep=True)
-    found = high_pass(low_pass(level(asymmetric), 3.0), 12.0)
-    assert (found.attrs["lambda_s"], found.attrs["lambda_c"]) == (3.0, 12.0)
-    assert found.attrs["band"] == "0.5 x 0.7 um pitch; λs 3 um, λc 12 um filter"
+    filtered = high_pass(low_pass(level(asymmetric), 3.0), 12.0)
+    assert (filtered.attrs["lambda_s"], filtered.attrs["lambda_c"]) == (3.0, 12.0)
+    assert filtered.attrs["band"] == "0.5 x 0.7 um pitch; λs 3 um, λc 12 um filter"
     assert low_pass(asymmetric, 3.0).attrs["band"] == "0.5 x 0.7 um pitch; λs 3 um, no λc filter"
-    assert found.attrs["history"].count("Gaussian filter") == 2
-    assert parameters(found).attrs["band"] == found.attrs["band"]
+    assert filtered.attrs["history"].count("Gaussian filter") == 2
+    assert parameters(filtered).attrs["band"] == filtered.attrs["band"]
     xr.testing.assert_identical(asymmetric, before)
 
 

@@ -33,11 +33,11 @@ def test_a_map_keeps_its_orientation_its_scale_and_its_gaps(
     height = asymmetric.height.values
     path = tmp_path / f"map.{suffix}"
     path.write_bytes(instrument_files.WRITERS[suffix](height))
-    found = read_surface(path)
+    surface = read_surface(path)
     expected = height if suffix in instrument_files.MARKS_MISSING else np.nan_to_num(height, nan=np.nanmin(height))
     # Integers of 1e-4 um, or single precision.
-    np.testing.assert_allclose(found.height, expected, rtol=0, atol=5.1e-5)
-    assert (found.attrs["pitch_x"], found.attrs["pitch_y"]) == pytest.approx(instrument_files.PITCH, rel=1e-6)
+    np.testing.assert_allclose(surface.height, expected, rtol=0, atol=5.1e-5)
+    assert (surface.attrs["pitch_x"], surface.attrs["pitch_y"]) == pytest.approx(instrument_files.PITCH, rel=1e-6)
 
 
 @pytest.mark.usefixtures("library")
@@ -69,13 +69,13 @@ def test_real_files_give_the_known_roughness(
     surface = read_surface(shared_data / "surfaces" / name, **options)
     assert surface.height.shape == shape
     assert [surface.attrs[f"pitch_{dim}"] for dim in ("x", "y")[: len(shape)]] == pytest.approx(pitch, rel=1e-3)
-    found = parameters(level(surface))
-    assert float(found.missing_fraction) == pytest.approx(missing, abs=5e-5)
+    texture = parameters(level(surface))
+    assert float(texture.missing_fraction) == pytest.approx(missing, abs=5e-5)
     if heights is not None:
         letter = "S" if len(shape) == 2 else "R"
         # Reference values, levelled by a plane and taken over four triangles, are given to two or three digits.
-        assert float(found[f"{letter}q"]) == pytest.approx(heights, rel=0.02)
-        assert float(found[f"{letter}dq"]) == pytest.approx(slope, rel=0.02)
+        assert float(texture[f"{letter}q"]) == pytest.approx(heights, rel=0.02)
+        assert float(texture[f"{letter}dq"]) == pytest.approx(slope, rel=0.02)
 
 
 @pytest.mark.usefixtures("library")

@@ -51,11 +51,11 @@ def test_an_unknown_form_names_its_key(profile: Path) -> None:
 
 def test_the_stage_levels_then_filters_as_the_material_says(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     write_x3p(asymmetric, tmp_path / "map.x3p")
-    found = ingest(tmp_path / "map.x3p", {"form": "polynomial-2", "lambda_s": 3.0, "lambda_c": 12.0})
+    surface = ingest(tmp_path / "map.x3p", {"form": "polynomial-2", "lambda_s": 3.0, "lambda_c": 12.0})
     expected = high_pass(low_pass(level(read_surface(tmp_path / "map.x3p"), "polynomial-2"), 3.0), 12.0)
-    xr.testing.assert_identical(found, expected)
-    assert found.attrs["band"] == "0.5 x 0.7 um pitch; λs 3 um, λc 12 um filter"
-    assert [line.split()[0] for line in found.attrs["history"].splitlines()] == ["Levelled", "Low-pass", "High-pass"]
+    xr.testing.assert_identical(surface, expected)
+    assert surface.attrs["band"] == "0.5 x 0.7 um pitch; λs 3 um, λc 12 um filter"
+    assert [line.split()[0] for line in surface.attrs["history"].splitlines()] == ["Levelled", "Low-pass", "High-pass"]
 
 
 @pytest.mark.parametrize(

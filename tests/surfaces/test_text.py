@@ -48,17 +48,17 @@ def test_every_separator_and_decimal_mark_reads_the_same_grid(
     tmp_path: Path, asymmetric: xr.Dataset, separator: str, decimal: str, missing: str
 ) -> None:
     path = put(tmp_path, spell(asymmetric.height.values, separator, decimal, missing))
-    found = read_surface(path, **GRID)
-    np.testing.assert_allclose(found.height, asymmetric.height, rtol=0, atol=PRINTED)
-    assert found.height.dims == ("y", "x")
-    np.testing.assert_allclose(found.x, asymmetric.x)
-    np.testing.assert_allclose(found.y, asymmetric.y)
+    surface = read_surface(path, **GRID)
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=0, atol=PRINTED)
+    assert surface.height.dims == ("y", "x")
+    np.testing.assert_allclose(surface.x, asymmetric.x)
+    np.testing.assert_allclose(surface.y, asymmetric.y)
 
 
 @pytest.mark.parametrize("separator", [",", ", "])
 def test_commas_separate_where_points_are_decimal(tmp_path: Path, asymmetric: xr.Dataset, separator: str) -> None:
-    found = read_surface(put(tmp_path, spell(asymmetric.height.values, separator), "map.csv"), **GRID)
-    np.testing.assert_allclose(found.height, asymmetric.height, rtol=0, atol=PRINTED)
+    surface = read_surface(put(tmp_path, spell(asymmetric.height.values, separator), "map.csv"), **GRID)
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=0, atol=PRINTED)
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "\r\r\n"])
@@ -67,39 +67,39 @@ def test_every_encoding_and_line_end_reads_the_same(
     tmp_path: Path, asymmetric: xr.Dataset, codec: str, end: str
 ) -> None:
     text = "# Größe\n" + spell(asymmetric.height.values) + "\n   \n"
-    found = read_surface(put(tmp_path, text.replace("\n", end).encode(codec)), **GRID)
-    np.testing.assert_allclose(found.height, asymmetric.height, rtol=0, atol=PRINTED)
+    surface = read_surface(put(tmp_path, text.replace("\n", end).encode(codec)), **GRID)
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=0, atol=PRINTED)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("nm", 1e-3), ("um", 1), ("µm", 1), ("mm", 1e3), ("m", 1e6)])
 def test_heights_come_out_in_micrometres(tmp_path: Path, line: xr.Dataset, unit: str, factor: float) -> None:
     printed = "\n".join(f"{z / factor:.9e}" for z in line.height.values)
-    found = read_surface(put(tmp_path, printed), unit=unit, lateral_unit="um", pitch=0.25)
-    np.testing.assert_allclose(found.height, line.height, rtol=1e-9)
-    assert found.attrs["pitch_x"] == pytest.approx(0.25)
+    surface = read_surface(put(tmp_path, printed), unit=unit, lateral_unit="um", pitch=0.25)
+    np.testing.assert_allclose(surface.height, line.height, rtol=1e-9)
+    assert surface.attrs["pitch_x"] == pytest.approx(0.25)
 
 
 def test_header_lines_state_unit_lateral_unit_and_pitch(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     header = "Instrument X\n# unit: nm\n# Lateral_Unit = mm\n# pitch: 0.0005 0.0007\n"
-    found = read_surface(put(tmp_path, header + spell(asymmetric.height.values * 1e3)))
-    np.testing.assert_allclose(found.height, asymmetric.height, rtol=0, atol=PRINTED)
-    assert (found.attrs["pitch_x"], found.attrs["pitch_y"]) == pytest.approx((0.5, 0.7))
-    assert "Skipped 1 header lines" in found.attrs["history"]
+    surface = read_surface(put(tmp_path, header + spell(asymmetric.height.values * 1e3)))
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=0, atol=PRINTED)
+    assert (surface.attrs["pitch_x"], surface.attrs["pitch_y"]) == pytest.approx((0.5, 0.7))
+    assert "Skipped 1 header lines" in surface.attrs["history"]
 
 
 def test_the_material_file_overrides_the_header(tmp_path: Path, line: xr.Dataset) -> None:
     text = "# unit: mm\n# pitch: 9\n" + "\n".join(map(str, line.height.values))
-    found = read_surface(put(tmp_path, text), unit="um", pitch=0.25)
-    np.testing.assert_allclose(found.height, line.height)
-    assert found.attrs["pitch_x"] == 0.25
+    surface = read_surface(put(tmp_path, text), unit="um", pitch=0.25)
+    np.testing.assert_allclose(surface.height, line.height)
+    assert surface.attrs["pitch_x"] == 0.25
 
 
 def test_comments_may_be_anywhere(tmp_path: Path, line: xr.Dataset) -> None:
     values = [f"{z}" for z in line.height.values]
     values[5] += "  # a scratch"
     values.insert(9, "% the stylus jumped")
-    found = read_surface(put(tmp_path, "\n".join(values)), unit="um", pitch=0.25)
-    np.testing.assert_allclose(found.height, line.height)
+    surface = read_surface(put(tmp_path, "\n".join(values)), unit="um", pitch=0.25)
+    np.testing.assert_allclose(surface.height, line.height)
 
 
 def test_a_height_file_without_a_unit_is_refused(tmp_path: Path, line: xr.Dataset) -> None:
@@ -152,8 +152,8 @@ def test_rows_may_be_padded_with_blanks(tmp_path: Path, asymmetric: xr.Dataset) 
     height = np.nan_to_num(asymmetric.height.values)
     for separator in (" ", ";"):
         text = "".join(f"  {row}  \n" for row in spell(height, separator).splitlines())
-        found = read_surface(put(tmp_path, text), **GRID)
-        np.testing.assert_allclose(found.height, height, rtol=0, atol=PRINTED)
+        surface = read_surface(put(tmp_path, text), **GRID)
+        np.testing.assert_allclose(surface.height, height, rtol=0, atol=PRINTED)
 
 
 def test_an_infinite_height_is_refused(tmp_path: Path, asymmetric: xr.Dataset) -> None:
@@ -190,24 +190,24 @@ def test_text_like_numbers_is_read_or_refused_with_a_message(tmp_path: Path, tex
 
 def test_columns_that_are_empty_at_the_end_are_left_out(tmp_path: Path, line: xr.Dataset) -> None:
     rows = "".join(f"{x:.4f},{z:.6f},,\n" for x, z in zip(line.x.values, line.height.values, strict=True))
-    found = read_surface(put(tmp_path, rows, "line.csv"), unit="um")
-    np.testing.assert_allclose(found.height, line.height, rtol=0, atol=PRINTED)
+    surface = read_surface(put(tmp_path, rows, "line.csv"), unit="um")
+    np.testing.assert_allclose(surface.height, line.height, rtol=0, atol=PRINTED)
 
 
 def test_one_row_is_a_line(tmp_path: Path, line: xr.Dataset) -> None:
-    found = read_surface(put(tmp_path, spell(line.height.values[None])), unit="um", pitch=0.25)
-    assert found.height.dims == ("x",)
+    surface = read_surface(put(tmp_path, spell(line.height.values[None])), unit="um", pitch=0.25)
+    assert surface.height.dims == ("x",)
 
 
 def test_rounded_positions_give_the_pitch_of_the_end_points(tmp_path: Path) -> None:
     # 0.156 um printed to 0.1 um: the trap of stylus files, whose printed neighbours make slopes 28 % too steep.
     x = np.arange(2000) * 0.156
     text = "".join(f"{a:.1f} {b:.5f}\n" for a, b in zip(x, np.sin(x), strict=True))
-    found = read_surface(put(tmp_path, text), unit="um")
+    surface = read_surface(put(tmp_path, text), unit="um")
     # The end point itself is printed to 0.1 um of 312 um.
-    assert found.attrs["pitch_x"] == pytest.approx(0.156, rel=2e-4)
+    assert surface.attrs["pitch_x"] == pytest.approx(0.156, rel=2e-4)
     # The forward difference of a sine of pitch d is cos(x) sinc(d/2).
-    assert float(parameters(found).Rdq) == pytest.approx(0.5**0.5, rel=4e-3)
+    assert float(parameters(surface).Rdq) == pytest.approx(0.5**0.5, rel=4e-3)
 
 
 def test_positions_printed_to_six_digits_are_accepted(tmp_path: Path) -> None:
@@ -232,9 +232,9 @@ def test_uneven_spacing_is_refused(tmp_path: Path, fault: str) -> None:
 
 def test_a_line_measured_backwards_is_reversed(tmp_path: Path, line: xr.Dataset) -> None:
     pairs = zip(line.x.values[::-1], line.height.values[::-1], strict=True)
-    found = read_surface(put(tmp_path, "".join(f"{x:.3f};{z:.5f}\n" for x, z in pairs)), unit="um")
-    np.testing.assert_allclose(found.height, line.height, rtol=0, atol=PRINTED)
-    assert "Reversed" in found.attrs["history"]
+    surface = read_surface(put(tmp_path, "".join(f"{x:.3f};{z:.5f}\n" for x, z in pairs)), unit="um")
+    np.testing.assert_allclose(surface.height, line.height, rtol=0, atol=PRINTED)
+    assert "Reversed" in surface.attrs["history"]
 
 
 def test_a_stated_pitch_that_contradicts_the_positions_is_refused(tmp_path: Path, line: xr.Dataset) -> None:
@@ -246,17 +246,17 @@ def test_a_stated_pitch_that_contradicts_the_positions_is_refused(tmp_path: Path
 def test_points_fill_the_grid_in_any_order(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     rows = np.random.default_rng(1).permutation(points(asymmetric))
     text = "\n".join(" ".join(f"{v:.5f}" for v in row) for row in rows)
-    found = read_surface(put(tmp_path, text, "map.xyz"), unit="um")
-    np.testing.assert_allclose(found.height, asymmetric.height, rtol=0, atol=PRINTED)
-    np.testing.assert_allclose(found.y, asymmetric.y)
+    surface = read_surface(put(tmp_path, text, "map.xyz"), unit="um")
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=0, atol=PRINTED)
+    np.testing.assert_allclose(surface.y, asymmetric.y)
 
 
 def test_points_left_out_of_the_grid_are_missing(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     rows = points(asymmetric)
     text = "\n".join(" ".join(f"{v:.5f}" for v in row) for row in rows[~np.isnan(rows[:, 2])])
-    found = read_surface(put(tmp_path, text, "map.xyz"), unit="um")
-    np.testing.assert_array_equal(np.isnan(found.height), np.isnan(asymmetric.height))
-    assert "1 points of the grid are not in the file" in found.attrs["history"]
+    surface = read_surface(put(tmp_path, text, "map.xyz"), unit="um")
+    np.testing.assert_array_equal(np.isnan(surface.height), np.isnan(asymmetric.height))
+    assert "1 points of the grid are not in the file" in surface.attrs["history"]
 
 
 def test_a_cloud_of_points_is_refused(tmp_path: Path) -> None:
@@ -290,8 +290,8 @@ def test_a_file_without_a_last_line_end_gives_no_warning(tmp_path: Path, asymmet
 
 def test_a_last_number_of_fewer_decimals_is_warned_about(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     text = spell(asymmetric.height.values, decimal=",")
-    found = read_surface(put(tmp_path, text[:-3]), **GRID)
-    assert vocabulary.warnings(found)[-1].startswith(
+    surface = read_surface(put(tmp_path, text[:-3]), **GRID)
+    assert vocabulary.warnings(surface)[-1].startswith(
         "The file may be truncated. The last line has no line end, and its last number"
     )
 
@@ -312,8 +312,8 @@ def test_a_profile_shorter_than_its_header_says_is_warned_about(
     tmp_path: Path, line: xr.Dataset, words: str, doubted: bool
 ) -> None:
     rows = "".join(f"{x:.2f};{z:.5f}\n" for x, z in zip(line.x.values, line.height.values, strict=True))
-    found = vocabulary.warnings(read_surface(put(tmp_path, f"{words}\n{rows}"), unit="um"))
-    assert found == (
+    doubts = vocabulary.warnings(read_surface(put(tmp_path, f"{words}\n{rows}"), unit="um"))
+    assert doubts == (
         [
             "The file may be truncated. The header states a length of 60 um, the data have 50 um; compare it with the original, or export it again."
         ]
@@ -334,29 +334,29 @@ def test_points_that_end_within_a_row_are_warned_about(tmp_path: Path, asymmetri
         rows[1::2] = rows[1::2, ::-1]
         rows = rows.reshape(-1, 3)
     for kept, doubted in ((len(rows), False), (len(rows) - 7, True)):
-        found = read_surface(put(tmp_path, spell(rows[:kept]), "map.xyz"), unit="um")
-        assert any("last row of points is incomplete" in text for text in vocabulary.warnings(found)) == doubted
+        surface = read_surface(put(tmp_path, spell(rows[:kept]), "map.xyz"), unit="um")
+        assert any("last row of points is incomplete" in text for text in vocabulary.warnings(surface)) == doubted
 
 
 def test_points_left_out_of_an_aperture_give_no_warning(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     rows = points(asymmetric.fillna(0.0))
     inside = ((rows[:, 0] - 12.25) / 12.6) ** 2 + ((rows[:, 1] - 13.65) / 14) ** 2 <= 1
-    found = read_surface(put(tmp_path, spell(rows[inside]), "map.xyz"), unit="um")
-    assert not any("may be truncated" in text for text in vocabulary.warnings(found))
+    surface = read_surface(put(tmp_path, spell(rows[inside]), "map.xyz"), unit="um")
+    assert not any("may be truncated" in text for text in vocabulary.warnings(surface))
 
 
 def test_a_real_stylus_file_gives_the_known_roughness(shared_data: Path) -> None:
-    found = parameters(level(read_surface(shared_data / "surfaces" / "dektak-1.csv", unit="um")))
+    texture = parameters(level(read_surface(shared_data / "surfaces" / "dektak-1.csv", unit="um")))
     # Reference values are given to two digits.
-    assert float(found.Rq) == pytest.approx(0.094, abs=5e-4)
-    assert float(found.Rdq) == pytest.approx(0.0095, abs=5e-5)
+    assert float(texture.Rq) == pytest.approx(0.094, abs=5e-4)
+    assert float(texture.Rdq) == pytest.approx(0.0095, abs=5e-5)
 
 
 def test_a_real_scan_with_mixed_units_is_read_as_stated(shared_data: Path) -> None:
     path = shared_data / "surfaces" / "nanovea_test1.txt"
-    found = read_surface(path, unit="um", lateral_unit="mm")
-    assert found.height.shape == (101, 101)
-    assert found.attrs["pitch_x"] == pytest.approx(5)
+    surface = read_surface(path, unit="um", lateral_unit="mm")
+    assert surface.height.shape == (101, 101)
+    assert surface.attrs["pitch_x"] == pytest.approx(5)
     with pytest.raises(InputError, match="rms slope"):
         read_surface(path, unit="um")
 

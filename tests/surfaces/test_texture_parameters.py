@@ -20,26 +20,26 @@ def sine(count: int = 64, periods: int = 4, pitch: float = 0.5) -> np.ndarray:
 
 
 def test_the_heights_of_a_sine_have_their_textbook_moments() -> None:
-    found = parameters(surface_dataset(Heights(np.tile(sine(), (40, 1)), 0.5, 0.5)))
-    assert float(found.Sq) == pytest.approx(0.5**0.5)
-    assert float(found.Sz) == pytest.approx(2)
-    assert float(found.Ssk) == pytest.approx(0, abs=1e-12)
-    assert float(found.Sku) == pytest.approx(1.5)
+    texture = parameters(surface_dataset(Heights(np.tile(sine(), (40, 1)), 0.5, 0.5)))
+    assert float(texture.Sq) == pytest.approx(0.5**0.5)
+    assert float(texture.Sz) == pytest.approx(2)
+    assert float(texture.Ssk) == pytest.approx(0, abs=1e-12)
+    assert float(texture.Sku) == pytest.approx(1.5)
     # <|sin|> over 16 points a period is cot(π/16)/8, against 2/π.
-    assert float(found.Sa) == pytest.approx(1 / np.tan(np.pi / 16) / 8)
+    assert float(texture.Sa) == pytest.approx(1 / np.tan(np.pi / 16) / 8)
 
 
 def test_a_tilted_plane_has_its_own_slope_and_area() -> None:
     x, y = np.arange(40) * 0.5, np.arange(50)[:, None] * 0.7
-    found = parameters(surface_dataset(Heights(0.3 * x + 0.4 * y, 0.5, 0.7)))
-    assert float(found.Sdq) == pytest.approx(0.5)
-    assert float(found.Sdr) == pytest.approx(1.25**0.5 - 1)
+    texture = parameters(surface_dataset(Heights(0.3 * x + 0.4 * y, 0.5, 0.7)))
+    assert float(texture.Sdq) == pytest.approx(0.5)
+    assert float(texture.Sdr) == pytest.approx(1.25**0.5 - 1)
 
 
 def test_the_area_of_a_nearly_flat_plane_does_not_cancel() -> None:
     x = np.arange(40) * np.ones((40, 1))
-    found = parameters(surface_dataset(Heights(1e-6 * x, 1.0, 1.0)))
-    assert float(found.Sdr) == pytest.approx(5e-13, rel=1e-9)
+    texture = parameters(surface_dataset(Heights(1e-6 * x, 1.0, 1.0)))
+    assert float(texture.Sdr) == pytest.approx(5e-13, rel=1e-9)
 
 
 def test_gradients_are_those_of_the_triangles_of_both_diagonals(asymmetric: xr.Dataset) -> None:
@@ -57,44 +57,44 @@ def test_gradients_are_those_of_the_triangles_of_both_diagonals(asymmetric: xr.D
                 areas.append(np.linalg.norm(normal) / abs(normal[2]))
     # A missing height takes three triangles from each of its four cells.
     assert len(slopes) == 4 * 39 * 49 - 12
-    found = parameters(asymmetric)
-    assert float(found.Sdq) == pytest.approx(np.mean(slopes) ** 0.5, rel=1e-12)
-    assert float(found.Sdr) == pytest.approx(np.mean(areas) - 1, rel=1e-10)
+    texture = parameters(asymmetric)
+    assert float(texture.Sdq) == pytest.approx(np.mean(slopes) ** 0.5, rel=1e-12)
+    assert float(texture.Sdr) == pytest.approx(np.mean(areas) - 1, rel=1e-10)
 
 
 def test_line_slopes_of_a_sine_follow_their_transfer_functions() -> None:
     periods, count, pitch = 40, 6400, 0.5
-    found = parameters(surface_dataset(Heights(sine(count, periods), pitch)))
+    texture = parameters(surface_dataset(Heights(sine(count, periods), pitch)))
     w = 2 * np.pi * periods / count
     true = w / pitch / 2**0.5
     forward = np.sin(w / 2) / (w / 2)
     seven = (45 * np.sin(w) - 9 * np.sin(2 * w) + np.sin(3 * w)) / (30 * w)
     # The open end leaves out a few of 6400 slopes.
-    assert float(found.Rdq) == pytest.approx(true * forward, rel=5e-4)
-    assert float(found.Rdq_7point) == pytest.approx(true * seven, rel=5e-4)
+    assert float(texture.Rdq) == pytest.approx(true * forward, rel=5e-4)
+    assert float(texture.Rdq_7point) == pytest.approx(true * seven, rel=5e-4)
 
 
 def test_a_line_has_line_parameters_with_named_formulas(line: xr.Dataset) -> None:
-    found = parameters(level(line))
-    assert set(found) == {"Ra", "Rq", "Rz", "Rsk", "Rku", "Rdq", "Rdq_7point", "missing_fraction"}
-    assert "forward difference" in found.Rdq.attrs["long_name"]
-    assert "7-point" in found.Rdq_7point.attrs["long_name"]
-    assert all("units" in variable.attrs for variable in found.values())
-    validate(found, "parameters")
+    texture = parameters(level(line))
+    assert set(texture) == {"Ra", "Rq", "Rz", "Rsk", "Rku", "Rdq", "Rdq_7point", "missing_fraction"}
+    assert "forward difference" in texture.Rdq.attrs["long_name"]
+    assert "7-point" in texture.Rdq_7point.attrs["long_name"]
+    assert all("units" in variable.attrs for variable in texture.values())
+    validate(texture, "parameters")
 
 
 def test_missing_heights_are_counted_and_left_out(asymmetric: xr.Dataset) -> None:
-    found = parameters(asymmetric)
-    assert float(found.missing_fraction) == pytest.approx(1 / 2000)
-    assert float(found.Sq) == pytest.approx(np.nanstd(asymmetric.height.values))
+    texture = parameters(asymmetric)
+    assert float(texture.missing_fraction) == pytest.approx(1 / 2000)
+    assert float(texture.Sq) == pytest.approx(np.nanstd(asymmetric.height.values))
 
 
 def test_heights_with_no_neighbours_have_no_gradient(line: xr.Dataset) -> None:
     height = line.height.values.copy()
     height[::2] = np.nan
-    found = parameters(line.assign(height=line.height.copy(data=height)))
-    assert np.isnan(float(found.Rdq))
-    assert float(found.Rq) > 0
+    texture = parameters(line.assign(height=line.height.copy(data=height)))
+    assert np.isnan(float(texture.Rdq))
+    assert float(texture.Rq) > 0
 
 
 def test_a_surface_without_a_valid_height_is_refused(line: xr.Dataset) -> None:

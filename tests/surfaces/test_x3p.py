@@ -63,19 +63,19 @@ def test_a_written_map_reads_back_in_the_same_orientation(
 ) -> None:
     surface = asymmetric.astype(dtype)
     write_x3p(surface, tmp_path / "map.x3p")
-    found = read_surface(tmp_path / "map.x3p")
-    assert found.height.dtype == dtype
+    read_back = read_surface(tmp_path / "map.x3p")
+    assert read_back.height.dtype == dtype
     # Micrometres to metres and back costs a rounding or two.
-    np.testing.assert_allclose(found.height, surface.height, rtol=4 * np.finfo(dtype).eps)
-    assert (found.attrs["pitch_x"], found.attrs["pitch_y"]) == pytest.approx((0.5, 0.7), rel=1e-12)
+    np.testing.assert_allclose(read_back.height, surface.height, rtol=4 * np.finfo(dtype).eps)
+    assert (read_back.attrs["pitch_x"], read_back.attrs["pitch_y"]) == pytest.approx((0.5, 0.7), rel=1e-12)
 
 
 def test_a_written_line_reads_back_as_a_line(tmp_path: Path, line: xr.Dataset) -> None:
     write_x3p(line, tmp_path / "line.x3p")
-    found = read_surface(tmp_path / "line.x3p")
-    assert found.height.dims == ("x",)
-    assert "pitch_y" not in found.attrs
-    np.testing.assert_allclose(found.height, line.height, rtol=1e-15)
+    surface = read_surface(tmp_path / "line.x3p")
+    assert surface.height.dims == ("x",)
+    assert "pitch_y" not in surface.attrs
+    np.testing.assert_allclose(surface.height, line.height, rtol=1e-15)
 
 
 def test_writing_twice_gives_the_same_bytes(tmp_path: Path, asymmetric: xr.Dataset) -> None:
@@ -112,9 +112,9 @@ def test_integers_are_scaled_shifted_and_masked(
         "bindata/data.bin": raw.tobytes(),
         "bindata/valid.bin": mask,
     }
-    found = read_surface(pack(tmp_path, entries))
+    surface = read_surface(pack(tmp_path, entries))
     # Rounding leaves half a step.
-    np.testing.assert_allclose(found.height, asymmetric.height, rtol=0, atol=1.01 * tolerance)
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=0, atol=1.01 * tolerance)
 
 
 def test_heights_in_the_xml_are_read(tmp_path: Path, asymmetric: xr.Dataset) -> None:
@@ -126,9 +126,9 @@ def test_heights_in_the_xml_are_read(tmp_path: Path, asymmetric: xr.Dataset) -> 
 
 def test_infinite_heights_are_missing(tmp_path: Path, asymmetric: xr.Dataset) -> None:
     raw = np.where(np.isnan(asymmetric.height), np.inf, asymmetric.height * METRES)
-    found = read_surface(pack(tmp_path, {"main.xml": document(), "bindata/data.bin": raw.tobytes()}))
-    assert int(np.isnan(found.height).sum()) == 1
-    assert "infinite heights" in found.attrs["history"]
+    surface = read_surface(pack(tmp_path, {"main.xml": document(), "bindata/data.bin": raw.tobytes()}))
+    assert int(np.isnan(surface.height).sum()) == 1
+    assert "infinite heights" in surface.attrs["history"]
 
 
 def test_a_sub_folder_is_accepted(tmp_path: Path, asymmetric: xr.Dataset) -> None:
@@ -301,11 +301,11 @@ def test_damaged_bytes_are_refused_or_leave_the_heights_alone(
     path = tmp_path / "damaged.x3p"
     path.write_bytes(content)
     try:
-        found = read_surface(path)
+        surface = read_surface(path)
     except InputError:
         return
     # Times and comments of the archive are not protected, heights are, by the CRC.
-    np.testing.assert_allclose(found.height, asymmetric.height, rtol=1e-15)
+    np.testing.assert_allclose(surface.height, asymmetric.height, rtol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -321,11 +321,11 @@ def test_real_maps_give_the_known_roughness(
     surface = read_surface(shared_data / "surfaces" / name)
     assert surface.height.shape == shape
     assert surface.height.dtype == dtype
-    found = parameters(level(surface))
+    texture = parameters(level(surface))
     # Reference values, levelled by a plane and taken over four triangles, are given to two or three digits.
-    assert float(found.Sq) == pytest.approx(sq, rel=0.01)
-    assert float(found.Sdq) == pytest.approx(sdq, rel=0.01)
-    assert float(found.missing_fraction) == pytest.approx(missing, abs=5e-5)
+    assert float(texture.Sq) == pytest.approx(sq, rel=0.01)
+    assert float(texture.Sdq) == pytest.approx(sdq, rel=0.01)
+    assert float(texture.missing_fraction) == pytest.approx(missing, abs=5e-5)
 
 
 def test_damaged_names_of_entries_are_cut_in_the_message(tmp_path: Path, asymmetric: xr.Dataset) -> None:

@@ -319,7 +319,9 @@ def test_the_mueller_matrix_is_labelled_like_the_brdf():
 
 def test_light_mirrored_at_the_brewster_angle_is_polarised_across_the_plane_of_incidence():
     bsdf, brewster = samples.beckmann_bsdf(0.05, reflectance=None), np.degrees(np.arctan(1.55))
-    matrix = representation(bsdf).mueller(*(np.array([each]) for each in (brewster, 0.0, brewster, 180.0)), None)[0, 0]
+    matrix = representation(bsdf).mueller(*(np.array([angle]) for angle in (brewster, 0.0, brewster, 180.0)), None)[
+        0, 0
+    ]
     assert polarised.degree_of_polarisation(matrix[:, 0]) == pytest.approx(1.0, abs=1e-12)
     assert matrix[1, 0] > 0
 
@@ -349,8 +351,8 @@ def test_a_lay_has_the_closed_form_of_an_elliptic_gaussian():
     fresnel = optics.fresnel(np.linalg.norm(w, axis=1) / 2, 1.5).mean
     cosines = np.cos(np.radians(theta_i)) * np.cos(np.radians(theta_o))
     expected = d * fresnel / (1 + smith(theta_i, phi_i) + smith(theta_o, phi_o)) / (4 * cosines)
-    found = bsdf.bsdf.evaluate(theta_i, phi_i, theta_o, phi_o).values
-    assert found == pytest.approx(expected, rel=1e-5, abs=1e-9 * expected.max())
+    brdf = bsdf.bsdf.evaluate(theta_i, phi_i, theta_o, phi_o).values
+    assert brdf == pytest.approx(expected, rel=1e-5, abs=1e-9 * expected.max())
 
 
 @given(
@@ -465,7 +467,7 @@ def test_the_default_model_is_sound_at_every_corner(a, n, k, reflectance, multip
     index = index.assign(n=index["n"] * 0 + n, k=index["k"] * 0 + k)
     spectrum = None if reflectance is None else samples.spectrum(reflectance).isel(wavelength=[0, 20])
     bsdf = microfacet.build(table, index=index, spectrum=spectrum, multiple_scattering=multiple_scattering)
-    theta_i, theta_o, phi = (each.ravel() for each in np.meshgrid(EDGES, EDGES, [0.0, 1e-7, 90.0, 180.0]))
+    theta_i, theta_o, phi = (axis.ravel() for axis in np.meshgrid(EDGES, EDGES, [0.0, 1e-7, 90.0, 180.0]))
     forward = bsdf.bsdf.evaluate(theta_i, 0.0, theta_o, phi).values
     backward = bsdf.bsdf.evaluate(theta_o, phi, theta_i, 0.0).values
     assert np.isfinite(forward).all()
@@ -483,4 +485,4 @@ def test_the_real_rubber_with_a_real_spectrum_closes(shared_data):
     rule = hemisphere.around_mirror(8.0, 0.1, order=12, turns=48)
     brdf = bsdf.bsdf.evaluate(8.0, 0.0, rule.theta, rule.phi).values
     assert rule.weight @ brdf == pytest.approx(white["total_reflectance"].values, abs=1e-6)
-    assert {each["verdict"] for each in json.loads(bsdf.bsdf.check().attrs["verdicts"]).values()} == {"pass"}
+    assert {check["verdict"] for check in json.loads(bsdf.bsdf.check().attrs["verdicts"]).values()} == {"pass"}

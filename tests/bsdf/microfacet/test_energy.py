@@ -60,7 +60,8 @@ def test_dispersion_needs_few_nodes_and_is_exact_to_a_billionth():
     surface, n = gaussian(0.2), np.linspace(1.48, 1.56, 40)
     together = energy.directional_albedo(surface, "height-correlated", n, 0 * n, np.array([8.0, 70.0]))
     alone = [
-        energy.directional_albedo(surface, "height-correlated", each * ONE, NONE, np.array([8.0, 70.0])) for each in n
+        energy.directional_albedo(surface, "height-correlated", one_index * ONE, NONE, np.array([8.0, 70.0]))
+        for one_index in n
     ]
     assert together == pytest.approx(np.concatenate(alone, axis=1), abs=1e-9)
 

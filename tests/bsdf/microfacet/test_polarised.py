@@ -100,9 +100,9 @@ def reflected(field, k_i, k_o, n, k):
 @pytest.mark.parametrize(("case", "printed"), SCATMECH)
 def test_the_mueller_matrix_is_scatmechs(case, printed):
     n, k, theta_i, theta_o, phi = case
-    found = matrix(theta_i, 0.0, theta_o, 180.0 + phi, n=n, k=k)
+    mueller = matrix(theta_i, 0.0, theta_o, 180.0 + phi, n=n, k=k)
     # Ten printed decimals.
-    assert found / found[0, 0] == pytest.approx(np.array(printed), abs=5.1e-11)
+    assert mueller / mueller[0, 0] == pytest.approx(np.array(printed), abs=5.1e-11)
 
 
 @given(theta_i=st.floats(0.1, 89), phi_i=azimuth, theta_o=st.floats(0.1, 89), phi_o=azimuth, state=st.integers(0, 3))
@@ -115,17 +115,19 @@ def test_stokes_vectors_are_those_of_reflected_field_vectors(n, k, theta_i, phi_
     amplitudes = [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.3, 0.8j)][state]
     (s_i, p_i), (s_o, p_o) = frame(k_i), frame(k_o)
     out = reflected(amplitudes[0] * s_i + amplitudes[1] * p_i, k_i, k_o, n, k)
-    found = polarised.stokes_out(matrix(theta_i, phi_i, theta_o, phi_o, n=n, k=k), stokes(*map(complex, amplitudes)))
+    stokes_reflected = polarised.stokes_out(
+        matrix(theta_i, phi_i, theta_o, phi_o, n=n, k=k), stokes(*map(complex, amplitudes))
+    )
     # Cross products of nearly parallel vectors lose up to three of sixteen digits, frames near the normal as many again.
-    assert found == pytest.approx(stokes(out @ s_o, out @ p_o), abs=1e-9)
+    assert stokes_reflected == pytest.approx(stokes(out @ s_o, out @ p_o), abs=1e-9)
 
 
 @given(theta_i=polar, phi_i=azimuth, theta_o=polar, phi_o=azimuth, index=indices, diffuse=st.floats(0, 1))
 @settings(max_examples=200, deadline=None)
 def test_unpolarised_light_has_the_scalar_brdf(theta_i, phi_i, theta_o, phi_o, index, diffuse):
     fresnel = optics.fresnel(half_vector(theta_i, phi_i, theta_o, phi_o).cos_zeta, *index).mean
-    found = matrix(theta_i, phi_i, theta_o, phi_o, n=index[0], k=index[1], shape_factor=2.5, diffuse=diffuse)[0, 0]
-    assert found == pytest.approx(2.5 * fresnel + diffuse, rel=1e-12)
+    brdf = matrix(theta_i, phi_i, theta_o, phi_o, n=index[0], k=index[1], shape_factor=2.5, diffuse=diffuse)[0, 0]
+    assert brdf == pytest.approx(2.5 * fresnel + diffuse, rel=1e-12)
 
 
 @given(theta_i=polar, phi_i=azimuth, theta_o=polar, phi_o=azimuth, index=indices)
@@ -139,11 +141,11 @@ def test_reversed_light_has_the_transposed_matrix(theta_i, phi_i, theta_o, phi_o
 @given(theta_i=st.floats(0, 90), phi_i=azimuth, theta_o=st.floats(0, 90), phi_o=azimuth, index=indices)
 @settings(max_examples=200, deadline=None)
 def test_every_matrix_is_finite_and_physical_and_one_facet_never_depolarises(theta_i, phi_i, theta_o, phi_o, index):
-    found = matrix(theta_i, phi_i, theta_o, phi_o, n=index[0], k=index[1])
-    assert np.isfinite(found).all()
-    assert physical(found)
-    if found[0, 0] > 0:
-        out = polarised.stokes_out(found, [1.0, 0.6, 0.0, 0.8])
+    mueller = matrix(theta_i, phi_i, theta_o, phi_o, n=index[0], k=index[1])
+    assert np.isfinite(mueller).all()
+    assert physical(mueller)
+    if mueller[0, 0] > 0:
+        out = polarised.stokes_out(mueller, [1.0, 0.6, 0.0, 0.8])
         assert polarised.degree_of_polarisation(out) == pytest.approx(1.0, abs=1e-9)
 
 
@@ -188,10 +190,10 @@ def test_the_matrix_is_continuous_up_to_grazing(theta_i, theta_o):
 
 
 def test_s_and_p_do_not_mix_in_the_mirror_direction():
-    found = matrix(60.0, 20.0, 60.0, 200.0, n=1.8)
+    mueller = matrix(60.0, 20.0, 60.0, 200.0, n=1.8)
     s, p = (0.26911389, 0.00017270)  # PHYSICS §5
-    assert found[0, :2] == pytest.approx([(s + p) / 2, (s - p) / 2], abs=5e-9)
-    assert found[:2, 2:] == pytest.approx(np.zeros((2, 2)), abs=1e-15)
+    assert mueller[0, :2] == pytest.approx([(s + p) / 2, (s - p) / 2], abs=5e-9)
+    assert mueller[:2, 2:] == pytest.approx(np.zeros((2, 2)), abs=1e-15)
 
 
 def test_light_reflected_at_brewsters_angle_is_s_polarised():
@@ -205,10 +207,10 @@ def test_total_reflection_retards_p_against_s_as_in_fresnels_rhomb():
     # Born & Wolf §1.5.4: tan(δ/2) = cos ζ √(sin²ζ − n²) / sin²ζ; 45° at ζ = 54°37' for n = 1/1.51.
     zeta, n = np.radians(54 + 37 / 60), 1 / 1.51
     delay = 2 * np.arctan(np.cos(zeta) * np.sqrt(np.sin(zeta) ** 2 - n**2) / np.sin(zeta) ** 2)
-    found = polarised.facet_mueller(np.cos(zeta), n)
-    assert found[:2, :2] == pytest.approx(np.eye(2), abs=1e-15)
-    assert np.hypot(found[2, 2], found[3, 2]) == pytest.approx(1.0, abs=1e-14)
-    assert abs(np.arctan2(found[3, 2], found[2, 2])) == pytest.approx(delay, abs=1e-14)
+    mueller = polarised.facet_mueller(np.cos(zeta), n)
+    assert mueller[:2, :2] == pytest.approx(np.eye(2), abs=1e-15)
+    assert np.hypot(mueller[2, 2], mueller[3, 2]) == pytest.approx(1.0, abs=1e-14)
+    assert abs(np.arctan2(mueller[3, 2], mueller[2, 2])) == pytest.approx(delay, abs=1e-14)
     assert np.degrees(delay) == pytest.approx(45.0, abs=0.02)  # the angle is printed to a minute
 
 
@@ -231,10 +233,10 @@ def test_directions_and_wavelengths_broadcast():
     theta_o = np.linspace(0, 80, 5)
     n, k = np.array([1.5, 1.6, 0.3]), np.array([0.0, 0.0, 2.0])
     diffuse = np.full((5, 3), 0.1)
-    found = polarised.mueller(np.ones(5), 30.0, 0.0, theta_o, 150.0, n, k, diffuse)
-    assert found.shape == (5, 3, 4, 4)
+    matrices = polarised.mueller(np.ones(5), 30.0, 0.0, theta_o, 150.0, n, k, diffuse)
+    assert matrices.shape == (5, 3, 4, 4)
     alone = polarised.mueller(1.0, 30.0, 0.0, theta_o[3], 150.0, n[2], k[2], 0.1)[0]
-    assert found[3, 2] == pytest.approx(alone, abs=1e-16)
+    assert matrices[3, 2] == pytest.approx(alone, abs=1e-16)
 
 
 def test_the_diffuse_part_has_no_polarisation():

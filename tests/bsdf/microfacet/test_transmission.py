@@ -44,7 +44,10 @@ def test_the_btdf_is_the_printed_one():
 def test_the_btdf_over_n_squared_is_reciprocal(theta_i, theta_o, phi, a, n, masking):
     with samples.coarse_albedo_tables():
         bsdf = interface.__wrapped__(a, n, masking)
-    down, up = (float(bsdf.bsdf.evaluate(*each)) for each in ((theta_i, 0, theta_o, phi), (theta_o, phi, theta_i, 0)))
+    down, up = (
+        float(bsdf.bsdf.evaluate(*directions))
+        for directions in ((theta_i, 0, theta_o, phi), (theta_o, phi, theta_i, 0))
+    )
     assert np.isfinite([down, up]).all()
     assert min(down, up) >= 0
     # Near the end of its support the facet's two cosines are differences of nearly equal numbers.
@@ -74,7 +77,7 @@ def test_the_transmittance_is_the_btdf_over_the_other_hemisphere(theta, masking)
     cos, phi = (np.arange(600) + 0.5) / 600, (np.arange(360) + 0.5)
     polar = np.degrees(np.arccos(cos))
     polar = 180 - polar if theta < 90 else polar
-    grid, azimuth = (each.ravel() for each in np.meshgrid(polar, phi))
+    grid, azimuth = (axis.ravel() for axis in np.meshgrid(polar, phi))
     values = bsdf.bsdf.evaluate(theta, 0.0, grid, azimuth).values
     integral = 2 * np.pi * np.mean(values * np.abs(np.cos(np.radians(grid))))
     # A midpoint rule against a rule over the facets, both across the kink of total reflection.

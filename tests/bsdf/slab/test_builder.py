@@ -75,7 +75,7 @@ def test_a_black_body_reflects_as_its_front_face_does():
     bsdf, alone = sheet(0.3, 0, 1.5, 0.0), microfacet.build(finish(0.3), index=1.5, transparent=True)
     theta_o, phi = np.meshgrid(np.linspace(0, 85, 18), np.linspace(0, 180, 7))
     zero = np.zeros_like(phi)
-    found = representation(bsdf).evaluate(40 + zero, zero, theta_o, phi, None)
+    btdf = representation(bsdf).evaluate(40 + zero, zero, theta_o, phi, None)
     expected = representation(alone).evaluate(40 + zero, zero, theta_o, phi, None)
     # The loss of the facets is added as diffuse light on both sides: less than 4 % at 40° for a = 0.3.
     lost = (
@@ -83,8 +83,8 @@ def test_a_black_body_reflects_as_its_front_face_does():
         - alone.bsdf.albedo(40.0).item()
         - representation(alone).transmittance(np.array([40.0]), np.zeros(1), None).item()
     )
-    assert (found - expected >= 0).all()
-    assert (found - expected).max() < lost
+    assert (btdf - expected >= 0).all()
+    assert (btdf - expected).max() < lost
     assert transmittance(bsdf, BOTH_SIDES).max() == 0
 
 
@@ -108,8 +108,8 @@ def test_behind_a_smooth_back_face_the_lobe_is_that_of_the_front_face_refracted_
     zero = np.zeros(theta_o.size)
     once = representation(alone).evaluate(30 + zero, zero, 180 - inside, 180 + zero, None)[:, 0]
     leaves = 1 - optics.fresnel(np.cos(np.radians(theta_o)), 1.5).mean
-    found = representation(bsdf).evaluate(30 + zero, zero, 180 - theta_o, 180 + zero, None)[:, 0]
-    assert found == pytest.approx(once * leaves / 1.5**2, rel=0.012)
+    btdf = representation(bsdf).evaluate(30 + zero, zero, 180 - theta_o, 180 + zero, None)[:, 0]
+    assert btdf == pytest.approx(once * leaves / 1.5**2, rel=0.012)
 
 
 # --- balance and reciprocity
@@ -214,7 +214,7 @@ class Tracer:
     def __init__(self, front: float, back: float, index: float, inside: float, seed: int) -> None:
         self.a, self.index, self.inside = (front, back), index, inside
         self.generator = np.random.default_rng(seed)
-        self.diffuse = [self._lost(each, index) for each in self.a]
+        self.diffuse = [self._lost(width, index) for width in self.a]
 
     @staticmethod
     @cache
@@ -289,12 +289,12 @@ class Tracer:
         travel = np.tile([-np.sin(theta), 0.0, -np.cos(theta)], (photons, 1))
         weight, who = np.ones(photons), np.arange(photons)
         from_air = np.ones(photons, dtype=bool)
-        face, found = (0 if theta_i < 90 else 1), []
+        face, escaped = (0 if theta_i < 90 else 1), []
         for _ in range(400):
             turn = flip if face else np.ones(3)
             travel, weight, air = self.meet(face, travel * turn, weight, from_air)
             travel = travel * turn
-            found.append((travel[air], weight[air], who[air]))
+            escaped.append((travel[air], weight[air], who[air]))
             survive = ~air & (weight > 0)
             travel, weight, who = travel[survive], weight[survive], who[survive]
             weight = weight * self.inside ** (1 / np.abs(travel[:, 2]))
@@ -303,7 +303,7 @@ class Tracer:
             if not weight.size:
                 break
             from_air, face = np.zeros(weight.size, dtype=bool), 1 - face
-        return [np.concatenate(each) for each in zip(*found, strict=True)]
+        return [np.concatenate(parts) for parts in zip(*escaped, strict=True)]
 
 
 def expected_share(bsdf, theta_i, low, high, forward):
@@ -340,7 +340,9 @@ def test_a_path_tracer_finds_the_same_light_in_the_same_directions(front, back, 
         by_photon = np.bincount(who, np.where(where, weight, 0.0), photons)
         return by_photon.mean(), by_photon.std() / np.sqrt(photons)
 
-    mirrored, straight = (each[0, 0] for each in representation(bsdf).specular(np.array([theta_i]), np.zeros(1), None))
+    mirrored, straight = (
+        share[0, 0] for share in representation(bsdf).specular(np.array([theta_i]), np.zeros(1), None)
+    )
     returned = theta_o < 90 if theta_i < 90 else theta_o > 90
     for where, share in ((returned, reflectance), (~returned, transmittance)):
         value, error = traced(where)
@@ -388,12 +390,12 @@ def test_every_wavelength_is_the_slab_of_its_own_transmittance(k):
     assert transmittance(alone, at[0]) == pytest.approx(
         representation(bsdf).transmittance(at[0], at[1], None)[:, k], abs=1e-12
     )
-    found, expected = (
+    spectral, expected = (
         representation(bsdf).evaluate(*at, WAVELENGTH[[k]])[:, 0],
         representation(alone).evaluate(*at, None)[:, 0],
     )
     flux = np.abs(np.cos(np.radians(at[2])))
-    assert flux @ np.abs(found - expected) <= 0.01 * (flux @ expected)
+    assert flux @ np.abs(spectral - expected) <= 0.01 * (flux @ expected)
 
 
 @pytest.mark.slow
@@ -411,8 +413,8 @@ def test_dispersion_is_interpolated_over_few_indices():
     alone, at = sheet(0.3, 0.3, float(index["n"][7]), 0.9), directions(100)
     # A parabola through three indices 0.02 apart; the error goes with the cube of that.
     assert representation(bsdf).albedo(at[0], at[1], None)[:, 7] == pytest.approx(reflectance(alone, at[0]), abs=1e-5)
-    found, expected = representation(bsdf).evaluate(*at, None)[:, 7], representation(alone).evaluate(*at, None)[:, 0]
-    assert np.abs(found - expected).sum() < 3e-3 * expected.sum()
+    spectral, expected = representation(bsdf).evaluate(*at, None)[:, 7], representation(alone).evaluate(*at, None)[:, 0]
+    assert np.abs(spectral - expected).sum() < 3e-3 * expected.sum()
 
 
 def test_an_absorption_coefficient_over_a_thickness_is_an_internal_transmittance():
@@ -440,14 +442,14 @@ def test_the_nonspectral_slab_is_the_mean_over_wavelength():
 def test_it_is_a_dataset_like_any_other(tmp_path):
     bsdf = vocabulary.validate(coloured(), "bsdf")
     store.save_dataset(bsdf, tmp_path / "slab.nc", stage="bsdf", material="sheet")
-    found = store.open_dataset(tmp_path / "slab.nc")
+    stored = store.open_dataset(tmp_path / "slab.nc")
     at = 30.0, 0.0, np.array([30.0, 150.0]), 180.0
-    assert found.bsdf.evaluate(*at, wavelength=[450, 550]).values == pytest.approx(
+    assert stored.bsdf.evaluate(*at, wavelength=[450, 550]).values == pytest.approx(
         bsdf.bsdf.evaluate(*at, wavelength=[450, 550]).values, rel=1e-12
     )
-    assert representation(found).transmits
-    assert representation(found).isotropic
-    assert representation(found).index_below() == 1.0
+    assert representation(stored).transmits
+    assert representation(stored).isotropic
+    assert representation(stored).index_below() == 1.0
 
 
 def test_unresolved_lobes_are_specular_with_a_warning():

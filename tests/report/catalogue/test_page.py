@@ -164,8 +164,8 @@ def _silent(dataset: xr.Dataset) -> xr.Dataset:
 
 def _verdict(datasets: Datasets, **verdicts: str) -> Datasets:
     """The material with other verdicts, and without the warnings of its stages."""
-    told = {name: {"verdict": verdict, "text": f"{name} found"} for name, verdict in verdicts.items()}
-    checks = datasets["checks"].assign_attrs(verdicts=json.dumps(told))
+    stated = {name: {"verdict": verdict, "text": f"{name} found"} for name, verdict in verdicts.items()}
+    checks = datasets["checks"].assign_attrs(verdicts=json.dumps(stated))
     return {**{stage: _silent(dataset) for stage, dataset in datasets.items()}, "checks": checks}
 
 
@@ -207,10 +207,10 @@ def test_a_material_that_passes_has_no_check_to_name(full: Datasets) -> None:
 def test_a_material_with_a_warning_of_its_scan_does_not_pass(full: Datasets) -> None:
     """The checks find the BRDF of a scan that is hardly measured as sound as any."""
     passed = _verdict(full, energy="pass")
-    told = vocabulary.add_warning(
+    with_warning = vocabulary.add_warning(
         passed["facets"], "one step of the heights: the shape is hardly measured; export more digits."
     )
-    row = _row({**passed, "facets": told}, "a")
+    row = _row({**passed, "facets": with_warning}, "a")
     assert [str(row[name].values[0]) for name in ("verdict", "verdict_checks")] == ["warn", "facets"]
     assert "facets: one step of the heights" in str(row["verdict_text"].values[0])
     html = catalogue_page(combine([row]), {})
@@ -221,8 +221,8 @@ def test_a_material_with_a_warning_of_its_scan_does_not_pass(full: Datasets) -> 
 
 def test_a_warning_that_stages_pass_on_counts_where_it_arose(full: Datasets) -> None:
     passed = _verdict(full, energy="pass")
-    told = {stage: vocabulary.add_warning(passed[stage], "the same doubt") for stage in ("spectrum", "bsdf")}
-    assert str(_row({**passed, **told}, "a")["verdict_checks"].values[0]) == "spectrum"
+    with_warning = {stage: vocabulary.add_warning(passed[stage], "the same doubt") for stage in ("spectrum", "bsdf")}
+    assert str(_row({**passed, **with_warning}, "a")["verdict_checks"].values[0]) == "spectrum"
 
 
 def test_a_failed_check_is_worse_than_any_warning(full: Datasets) -> None:
@@ -241,8 +241,8 @@ def test_warnings_of_by_products_do_not_change_the_verdict(full: Datasets, stage
 
 
 def test_the_verdict_of_the_table_counts(full: Datasets) -> None:
-    told = json.dumps({"table": {"verdict": "fail", "text": "too coarse"}})
-    row = _row({**full, "table": xr.Dataset(attrs={"verdicts": told})}, "a")
+    stated = json.dumps({"table": {"verdict": "fail", "text": "too coarse"}})
+    row = _row({**full, "table": xr.Dataset(attrs={"verdicts": stated})}, "a")
     assert (str(row["verdict"].values[0]), str(row["verdict_checks"].values[0])) == ("fail", "table")
 
 

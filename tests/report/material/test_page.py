@@ -367,8 +367,8 @@ def test_a_value_stays_on_one_line_with_its_unit(full_page: str) -> None:
 @pytest.mark.usefixtures("without_bsdf_figures")
 def test_the_verdict_of_the_table_joins_those_of_the_checks(full: Datasets) -> None:
     table = xr.Dataset(attrs={"verdicts": json.dumps({"table": {"verdict": "fail", "text": "too coarse at 85°"}})})
-    found = verdicts({**full, "table": table})
-    assert [(entry.name, entry.verdict) for entry in found] == [
+    entries = verdicts({**full, "table": table})
+    assert [(entry.name, entry.verdict) for entry in entries] == [
         ("reciprocity", "pass"),
         ("energy", "warn"),
         ("table", "fail"),
@@ -558,7 +558,7 @@ def _paint_page(**options: object) -> str:
 @pytest.mark.usefixtures("without_bsdf_figures")
 def test_a_colour_beyond_the_measured_angles_is_marked_and_explained() -> None:
     html = _paint_page()
-    rows = {found[1]: found[2] for found in re.finditer(r'<th scope="row">([^<]*)</th>(<td>.*?)</tr>', html, re.S)}
+    rows = {match[1]: match[2] for match in re.finditer(r'<th scope="row">([^<]*)</th>(<td>.*?)</tr>', html, re.S)}
     assert rows["45as-15"].count("<td>extrapolated</td>") == 1
     assert "extrapolated, beyond the measured angles" in html
     assert "± 0.5° of the directions of light and of view" in html

@@ -15,10 +15,10 @@ from brdfpipe.report.plots import bsdf_sections
 def test_an_isotropic_surface_has_one_plane_and_one_with_a_lay_two() -> None:
     assert [plane.words for plane in bsdf_sections.planes(beckmann_bsdf())] == [""]
     brushed = samples.brushed_bsdf(0.1, 0.4, 30.0)
-    found = bsdf_sections.planes(brushed)
-    assert [plane.words for plane in found] == ["along the lay", "across the lay"]
+    azimuths = bsdf_sections.planes(brushed)
+    assert [plane.words for plane in azimuths] == ["along the lay", "across the lay"]
     # The lay is the azimuth of the smaller slope, which is that of a_x.
-    assert [plane.azimuth for plane in found] == pytest.approx([30.0, 120.0], abs=0.1)
+    assert [plane.azimuth for plane in azimuths] == pytest.approx([30.0, 120.0], abs=0.1)
 
 
 def test_light_comes_from_the_side_opposite_to_the_positive_angles() -> None:

@@ -35,11 +35,11 @@ def table(wavelength, n, k=None, **attrs) -> xr.Dataset:
 
 def curves(svg: str) -> dict[str, np.ndarray]:
     """Class of each curve → its wavelengths [nm], from the drawing."""
-    found = {}
+    wavelengths = {}
     for style, data in re.findall(r'<path class="(l [^"]*)" d="([^"]*)"', svg):
         x = np.array([float(pair.split()[0]) for pair in re.findall(r"[ML]([-0-9.]+ [-0-9.]+)", data)])
-        found[style] = STORED_SPAN[0] + (x - _LEFT) / _WIDE * (STORED_SPAN[1] - STORED_SPAN[0])
-    return found
+        wavelengths[style] = STORED_SPAN[0] + (x - _LEFT) / _WIDE * (STORED_SPAN[1] - STORED_SPAN[0])
+    return wavelengths
 
 
 def test_the_extrapolated_part_is_dashed_and_meets_the_fitted_one_where_that_begins() -> None:
@@ -195,7 +195,7 @@ def test_a_crossing_is_on_the_curve(values: list[float], share: float, about: fl
     curve = np.array(values)
     wavelength = np.linspace(360.0, 830.0, curve.size)
     value = float(curve.min() + share * np.ptp(curve))
-    found = dispersion._crossing(wavelength, curve, value, about)
-    assert 360.0 <= found <= 830.0
+    crossing = dispersion._crossing(wavelength, curve, value, about)
+    assert 360.0 <= crossing <= 830.0
     # Steps of the curve times the rounding of wavelengths of some hundred nm.
-    assert float(np.interp(found, wavelength, curve)) == pytest.approx(value, abs=1e-11)
+    assert float(np.interp(crossing, wavelength, curve)) == pytest.approx(value, abs=1e-11)

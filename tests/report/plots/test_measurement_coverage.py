@@ -26,11 +26,11 @@ def _dashed(svg: str) -> int:
 
 
 @given(st.lists(st.booleans(), min_size=2, max_size=30))
-def test_the_parts_of_a_split_curve_meet_and_only_the_known_one_is_solid(told: list[bool]) -> None:
-    value = np.arange(1.0, len(told) + 1)
-    solid, dashed = measurement_coverage.split(Line(value, value, "c0"), np.array(told))
+def test_the_parts_of_a_split_curve_meet_and_only_the_known_one_is_solid(known_points: list[bool]) -> None:
+    value = np.arange(1.0, len(known_points) + 1)
+    solid, dashed = measurement_coverage.split(Line(value, value, "c0"), np.array(known_points))
     known, rest = (np.isfinite(np.asarray(line.y)) for line in (solid, dashed))
-    assert known.tolist() == told
+    assert known.tolist() == known_points
     # Every stretch between neighbours belongs to one of them.
     assert ((known[1:] & known[:-1]) | (rest[1:] & rest[:-1])).all()
     assert (solid.pattern, dashed.pattern) == ("line", "dash")
@@ -53,11 +53,11 @@ def test_incidences_that_were_not_measured_are_dashed_and_named(on_rig: xr.Datas
 
 def test_the_uncertainty_in_the_note_is_that_of_the_bsdf(on_rig: xr.Dataset) -> None:
     asked = (75.0, 0.0, 75.0, 180.0, 550.0)
-    value, u = (float(each(*asked).values.item()) for each in (on_rig.bsdf.evaluate, on_rig.bsdf.uncertainty))
-    told = re.search(r"([\d.]+)\u202f% at 75°", measurement_coverage.words(on_rig, _NORMAL, (30.0, 75.0)))
-    assert told is not None
-    assert float(told[1]) == (100.0 if u > value else pytest.approx(100 * u / value, rel=0.05))
-    assert "at 30°" not in told.string
+    value, u = (float(method(*asked).values.item()) for method in (on_rig.bsdf.evaluate, on_rig.bsdf.uncertainty))
+    stated = re.search(r"([\d.]+)\u202f% at 75°", measurement_coverage.words(on_rig, _NORMAL, (30.0, 75.0)))
+    assert stated is not None
+    assert float(stated[1]) == (100.0 if u > value else pytest.approx(100 * u / value, rel=0.05))
+    assert "at 30°" not in stated.string
 
 
 def test_a_model_has_neither_dashes_nor_words() -> None:

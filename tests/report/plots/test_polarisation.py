@@ -22,8 +22,8 @@ def test_bare_facets_polarise_by_fresnel() -> None:
     bsdf = beckmann_bsdf(0.1, n=1.5, reflectance=None)
     figure = directional_maps.polarisation(bsdf)
     assert figure is not None
-    found = optics.fresnel(0.5, 1.5)
-    expected = 100 * float((found.s - found.p) / (found.s + found.p))
+    fresnel = optics.fresnel(0.5, 1.5)
+    expected = 100 * float((fresnel.s - fresnel.p) / (fresnel.s + fresnel.p))
     assert f"{expected:.0f}\u202f% of the light in the mirror direction" in figure.note
 
 
@@ -37,19 +37,19 @@ def test_at_brewsters_angle_all_of_the_mirrored_light_is_polarised() -> None:
 def test_a_base_dilutes_the_polarisation() -> None:
     wide = directional_maps.polarisation(beckmann_bsdf(0.3, reflectance=0.9))
     assert wide is not None
-    told = re.search(r"([\d.]+)\u202f% of the light", wide.note)
-    assert told is not None
-    assert 0 < float(told[1]) < 60
+    stated = re.search(r"([\d.]+)\u202f% of the light", wide.note)
+    assert stated is not None
+    assert 0 < float(stated[1]) < 60
 
 
 def test_the_degree_of_polarisation_is_the_same_from_both_formulas() -> None:
     bsdf = beckmann_bsdf(0.1, n=1.5, reflectance=None)
     theta, turn = np.array([20.0, 60.0, 80.0]), np.array([150.0, 0.0, 40.0])
-    found = directional_maps._facet_polarisation(bsdf, theta, turn)
+    degree = directional_maps._facet_polarisation(bsdf, theta, turn)
     w_i, w_o = (_direction(t, p) for t, p in ((60.0, 180.0), (theta, turn)))
     cos_zeta = np.sqrt((1 + np.sum(w_i * w_o, axis=-1)) / 2)
     facet = optics.fresnel(cos_zeta, 1.5)
-    np.testing.assert_allclose(found, np.abs(facet.s - facet.p) / (facet.s + facet.p), rtol=1e-9)
+    np.testing.assert_allclose(degree, np.abs(facet.s - facet.p) / (facet.s + facet.p), rtol=1e-9)
 
 
 def test_a_metal_has_a_scale_of_its_own() -> None:

@@ -54,9 +54,9 @@ def test_every_pair_is_drawn_before_and_after(on_rig: xr.Dataset, smoothed_on_ri
 
 
 def test_the_points_are_the_values_of_the_completion(on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset) -> None:
-    told = reciprocity(on_rig, reciprocity_figure.AZIMUTHS)
-    apart = 100 * (told["there"] / told["back"] - 1).median("wavelength").values.ravel()
-    moved = 100 * (told["both"] / told["there"] - 1).median("wavelength").values.ravel()
+    compared = reciprocity(on_rig, reciprocity_figure.AZIMUTHS)
+    apart = 100 * (compared["there"] / compared["back"] - 1).median("wavelength").values.ravel()
+    moved = 100 * (compared["both"] / compared["there"] - 1).median("wavelength").values.ravel()
     figure = reciprocity_figure.figure(on_rig, smoothed_on_rig)
     (before,), (after,) = (_ends(figure.svg, style) for style in ("c0", "c2"))
     # Both panels have one scale, upwards.

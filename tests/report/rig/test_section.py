@@ -57,7 +57,9 @@ def _run(bench: Rig, incidences: tuple[float, ...] = INCIDENCES, **options) -> D
     """The results of the stages for a plastic: a lobe of 10 sr⁻¹ and 3° on a base of 0.1 sr⁻¹, with the noise that is stated."""
     primary = _primary(bench, incidences, **options)
     smoothed = smoothing.smooth(primary, strength=5.0, about="mirror")
-    reduced = {f"reduced-sample-reflection-{each:g}": _reduced(bench, primary, each) for each in incidences}
+    reduced = {
+        f"reduced-sample-reflection-{incidence:g}": _reduced(bench, primary, incidence) for incidence in incidences
+    }
     return {
         **reduced,
         "calibration": _calibration(bench),
@@ -82,7 +84,7 @@ def _primary(
     quality = np.where(seen, vocabulary.quality("measured"), vocabulary.quality("shadowed")).astype(np.int8)
     fields = {"brdf": value, "brdf_u": truth * np.hypot(noise, common)}
     parts = {"noise": (noise, "independent"), "certificate": (common, "common")}
-    variables = {name: (dims, np.where(seen, each, np.nan)) for name, each in fields.items()}
+    variables = {name: (dims, np.where(seen, field, np.nan)) for name, field in fields.items()}
     variables |= {
         f"brdf_u_{name}": (dims, np.where(seen, share * truth, np.nan), {"correlation": correlation})
         for name, (share, correlation) in parts.items()
@@ -117,7 +119,7 @@ def _reduced(bench: Rig, primary: xr.Dataset, incidence: float) -> xr.Dataset:
     }
     spectral = ("incidence", "wavelength")
     reduced = xr.Dataset(
-        {"signal": own["brdf"]} | {name: (spectral, each) for name, each in bracket.items()}
+        {"signal": own["brdf"]} | {name: (spectral, values) for name, values in bracket.items()}
     ).drop_attrs()
     reduced = reduced.assign(thumbnails.drawing(picture, bench, bench.screen, weights)).assign(looks)
     attrs = {**own.attrs, "load": "sample", "camera": "ASI 174", "registration_spots": 99, "registration_u": 0.002}
@@ -236,7 +238,7 @@ def test_equal_data_gives_equal_bytes_also_when_stored(run: Datasets, tmp_path: 
 
 def test_a_notice_states_that_frames_are_emulated(run: Datasets) -> None:
     assert "not measured" not in _page(run)
-    made = {name: each.assign_attrs(camera="emulated camera, 320 x 240 pixels") for name, each in run.items()}
+    made = {name: dataset.assign_attrs(camera="emulated camera, 320 x 240 pixels") for name, dataset in run.items()}
     assert section.emulated(made)
     assert re.search(r'class="notice fail"[^>]*><h2>Made by the emulator, not measured</h2>', _page(made))
 
@@ -277,8 +279,8 @@ def test_at_most_five_fits_are_shown_and_the_note_states_the_number(six: Dataset
 
 def test_both_sides_of_a_sample_have_their_parts(run: Datasets) -> None:
     other = {
-        name.replace("reflection", "transmission"): each.assign_attrs(side="transmission")
-        for name, each in run.items()
+        name.replace("reflection", "transmission"): dataset.assign_attrs(side="transmission")
+        for name, dataset in run.items()
         if "reflection" in name
     }
     chapter = _chapter({**run, **other})
@@ -287,14 +289,16 @@ def test_both_sides_of_a_sample_have_their_parts(run: Datasets) -> None:
     coverage = _part(chapter, "Coverage and fit")
     assert isinstance(coverage, Table)
     assert [row[0] for row in coverage.rows] == [
-        f"{each:g}° {side}" for side in ("reflection", "transmission") for each in INCIDENCES
+        f"{incidence:g}° {side}" for side in ("reflection", "transmission") for incidence in INCIDENCES
     ]
 
 
 def test_data_without_pictures_and_monitor_readings_has_a_chapter(run: Datasets) -> None:
     bare = {
-        name: each.drop_vars(["picture", "elapsed", "reference_u"], errors="ignore").drop_dims("look", errors="ignore")
-        for name, each in run.items()
+        name: dataset.drop_vars(["picture", "elapsed", "reference_u"], errors="ignore").drop_dims(
+            "look", errors="ignore"
+        )
+        for name, dataset in run.items()
         if name != "calibration"
     }
     chapter = _chapter(bare)
@@ -378,7 +382,7 @@ def test_a_remark_states_that_the_two_sides_of_the_plane_of_incidence_differ(ben
 
 
 def test_each_fibre_is_outlined_once_in_the_style_of_its_state(run: Datasets) -> None:
-    datasets = {name: each for name, each in run.items() if name != "reduced-sample-reflection-45"}
+    datasets = {name: dataset for name, dataset in run.items() if name != "reduced-sample-reflection-45"}
     primary, smoothed = run["primary-reflection"], run["smoothed-reflection"].copy(deep=True)
     smoothed["residual"].values[0, :, 7] = np.nan
     frames = _frames({**datasets, "smoothed-reflection": smoothed})
@@ -390,16 +394,16 @@ def test_each_fibre_is_outlined_once_in_the_style_of_its_state(run: Datasets) ->
 
 
 def test_an_outline_is_a_circle_about_the_fibre(run: Datasets) -> None:
-    datasets = {name: each for name, each in run.items() if name != "reduced-sample-reflection-45"}
+    datasets = {name: dataset for name, dataset in run.items() if name != "reduced-sample-reflection-45"}
     frames = _frames(datasets)
     steps = re.findall(r"m(-?\d+)([+-]\d+)a(\d+) ", "".join(_paths(frames.svg, "cells fit")))
-    found = np.array(steps, dtype=int)[:, :2].cumsum(axis=0).T / 2
+    starts = np.array(steps, dtype=int)[:, :2].cumsum(axis=0).T / 2
     reduced = run["reduced-sample-reflection-10"]
     fitted = np.isfinite(run["smoothed-reflection"]["residual"].values[0, 0, :150])
     # The path starts on top of each circle; all is to half a pixel.
-    assert found[0] == pytest.approx(reduced["column"].values[:150][fitted], abs=0.26)
+    assert starts[0] == pytest.approx(reduced["column"].values[:150][fitted], abs=0.26)
     top = reduced["row"].values[:150] - reduced["aperture"].values[:150]
-    assert found[1] == pytest.approx(top[fitted], abs=0.51)
+    assert starts[1] == pytest.approx(top[fitted], abs=0.51)
 
 
 # --- the lamp
@@ -420,7 +424,7 @@ def test_the_drift_of_the_lamp_is_relative_to_its_first_reading(run: Datasets) -
 
 
 def test_without_monitor_readings_the_brackets_show_the_drift(run: Datasets) -> None:
-    figure = _drift({name: each.drop_dims("look", errors="ignore") for name, each in run.items()})
+    figure = _drift({name: dataset.drop_dims("look", errors="ignore") for name, dataset in run.items()})
     # At 500 nm, of most light, half a minute before the middle.
     assert "at 500\u202fnm: 2 values" in figure.note
     assert f"{100 * 2100e-5 / (1 + 720e-5):.1f}\u202f%" in figure.note
@@ -428,7 +432,7 @@ def test_without_monitor_readings_the_brackets_show_the_drift(run: Datasets) -> 
 
 def test_the_tolerance_of_the_drift_is_drawn(run: Datasets) -> None:
     assert not _paths(_drift(run).svg, "l c3 d")
-    tolerant = {name: each.assign_attrs(drift_tolerance=0.03) for name, each in run.items()}
+    tolerant = {name: dataset.assign_attrs(drift_tolerance=0.03) for name, dataset in run.items()}
     figure = _drift(tolerant)
     assert len(_paths(figure.svg, "l c3 d")) == 2
     assert "±\u202f3\u202f%" in figure.note
@@ -598,11 +602,11 @@ def test_the_strength_used_is_marked_on_its_curves(run: Datasets) -> None:
 
 def _meshes(svg: str) -> list[np.ndarray]:
     """Corners of the meshes, in figure units."""
-    found = re.findall(r'<path fill="#[0-9a-f]{6}" d="M(-?\d+) (-?\d+)l([^z]*)z"', svg)
+    outlines = re.findall(r'<path fill="#[0-9a-f]{6}" d="M(-?\d+) (-?\d+)l([^z]*)z"', svg)
     return [
         np.cumsum([[int(x), int(y)], *([int(a), int(b)] for a, b in re.findall(r"(-?\d+)([+-]\d+)", steps))], axis=0)
         / 2
-        for x, y, steps in found
+        for x, y, steps in outlines
     ]
 
 

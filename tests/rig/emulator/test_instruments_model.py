@@ -129,7 +129,7 @@ class _Dialect:
     accepted: str
     refused: str
     ask: str
-    told: str
+    position_reply: str
 
 
 def _acton(count: int) -> _Dialect:
@@ -156,7 +156,7 @@ def test_a_wheel_reaches_its_last_target_by_the_shorter_way(dialect, count, move
             position = target
         else:
             assert reply == spoken.refused.format(target).encode()
-        assert spoken.wheel.feed(spoken.ask.encode()) == spoken.told.format(position).encode()
+        assert spoken.wheel.feed(spoken.ask.encode()) == spoken.position_reply.format(position).encode()
         assert (spoken.wheel.position, spoken.wheel.clock.now()) == (position, pytest.approx(seconds))
 
 

@@ -33,8 +33,8 @@ def scene(lobe: float = 5.0, base: float = 0.3):
 
 def halo_of(picture, kernel):
     """The exact convolution of the picture with a halo of integral 1."""
-    size = [2 * each for each in SHAPE]
-    row, column = (np.fft.fftfreq(each, 1 / each) for each in size)
+    size = [2 * side for side in SHAPE]
+    row, column = (np.fft.fftfreq(count, 1 / count) for count in size)
     spread = kernel(np.hypot(row[:, None], column))
     halo = fft.irfft2(fft.rfft2(picture, size) * fft.rfft2(spread, size), size)
     return halo[: SHAPE[0], : SHAPE[1]]
@@ -137,7 +137,9 @@ def test_an_even_level_is_distinguished_from_a_halo_and_left():
     plain = glare.estimate(seen, variance, dark)
     lifted = glare.estimate(seen + 0.01, variance, dark)
     # The widest Gaussian and a level are almost the same: together they change by what was added.
-    glow, lit = (float((seen - glare.subtract(seen, each) + each.level)[dark].mean()) for each in (plain, lifted))
+    glow, lit = (
+        float((seen - glare.subtract(seen, estimated) + estimated.level)[dark].mean()) for estimated in (plain, lifted)
+    )
     assert lit - glow == pytest.approx(0.01, rel=0.05)
     assert lifted.level - plain.level == pytest.approx(0.01, rel=0.2)
 

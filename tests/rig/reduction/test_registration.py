@@ -189,8 +189,8 @@ def test_the_falloff_of_a_lens_does_not_shorten_the_focal_length(rig):
     np.testing.assert_allclose(fitted[inside], falloff[inside], rtol=2e-3)
     # As it would be without the lens, in which the centroids are drawn by nothing.
     plain, drawn, right = (
-        registration.fit_disc(start, *target(true, 0, light), *SPOTS, 0.3, each).screen.focal_length
-        for light, each in ((1.0, None), (np.maximum(falloff, 0.1), None), (np.maximum(falloff, 0.1), fitted))
+        registration.fit_disc(start, *target(true, 0, light), *SPOTS, 0.3, lens).screen.focal_length
+        for light, lens in ((1.0, None), (np.maximum(falloff, 0.1), None), (np.maximum(falloff, 0.1), fitted))
     )
     assert 1 - drawn / plain > 1e-4
     assert right == pytest.approx(plain, rel=3e-5)

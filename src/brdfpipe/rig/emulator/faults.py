@@ -52,8 +52,8 @@ class Faults:
         if any(ordinal < 1 for ordinal in plan):
             raise EmulationError(f"invalid number of a command: {min(plan)}; accepted: 1 or more")
         if not 0 <= rate <= 1 or (rate and not kinds):
-            found = f"invalid fault rate {rate} with {len(kinds)} kinds"
-            raise EmulationError(f"{found}; accepted: 0 to 1, with at least one kind")
+            problem = f"invalid fault rate {rate} with {len(kinds)} kinds"
+            raise EmulationError(f"{problem}; accepted: 0 to 1, with at least one kind")
         self._plan, self._rate, self._kinds = dict(plan), rate, tuple(kinds)
         self._random = random.Random(seed)
         self._commands = 0

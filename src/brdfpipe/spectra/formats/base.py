@@ -114,8 +114,8 @@ def stated_number(path: Path, what: str, text: str) -> float:
     return value
 
 
-def check_count(path: Path, found: int, stated: float) -> None:
+def check_count(path: Path, count: int, stated: float) -> None:
     """Refuse a file whose number of values differs from the stated one."""
-    if found != stated:
+    if count != stated:
         accepted = f"{stated:g} values, as the file states"
-        raise InputError(path, "truncated or damaged", found=f"{found} values", accepted=accepted)
+        raise InputError(path, "truncated or damaged", found=f"{count} values", accepted=accepted)
