@@ -37,7 +37,7 @@ _POINTS_STATED = re.compile(
 _END_STATED = re.compile(r"(first|last) x(?: value)?\s*[:=;,\t]\s*(\d+(?:\.\d*)?)[\s;,]*", re.IGNORECASE)
 _FEWEST_ALIKE = 10
 _MOST_ODD = 2
-"""Fewest numbers of the usual decimals, and most others, for which the others are mistakes and not the file's format."""
+"""If at least so many numbers have the usual number of decimals and at most so many another, the latter are mistakes and not the file's format."""
 _MOST_IRREGULAR = 0.2
 """Share of other steps up to which a grid is regular."""
 _NOT_A_WAVELENGTH = re.compile(r"cm\s?(?:\^?-1|⁻¹)|wave\s?number|wellenzahl|\bev\b|\bthz\b", re.IGNORECASE)
@@ -279,7 +279,7 @@ def cut_numbers(cells: Sequence[str], place: Callable[[int], str]) -> list[str]:
     keeps_zeros = usual > 0 and any(re.search(r"0(?:[eEdD]|$)", cell) for cell in alike)
     if not keeps_zeros or len(odd) > _MOST_ODD or len(alike) < _FEWEST_ALIKE:
         return []
-    words = "has not as many decimals as the others. Look for a number that was cut or damaged"
+    words = "has another number of decimals than the others. Look for a number that was cut or damaged"
     return [f"{_shorten(cells[i], 20)} {place(i)} {words}" for i in odd]
 
 
@@ -413,7 +413,9 @@ def _cells(rows: Sequence[tuple[int, str]], separator: str | None, path: Path) -
             found, accepted = f"{len(cells)} columns", f"{width} columns, as in line {rows[0][0]}"
             raise InputError(path, "rows of unequal length", where=f"line {line}", found=found, accepted=accepted)
         if any(number(cell, ",") is None for cell in cells):
-            raise InputError(path, "not a number", where=f"line {line}", found=repr(_shorten(" ".join(cells))))
+            raise InputError(
+                path, "not a number", where=f"line {line}", found=repr(_shorten(" ".join(cells))), accepted="numbers"
+            )
     return split
 
 

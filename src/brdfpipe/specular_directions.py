@@ -16,7 +16,7 @@ from brdfpipe.geometry import Array
 
 
 def cos_view(incidence: ArrayLike, theta_s: ArrayLike, phi_s: ArrayLike) -> Array:
-    """Cosine of the angle γ between a direction about the mirror direction and the sample's normal (PHYSICS, rig).
+    """Cosine of the angle γ between a direction about the mirror direction and the sample's normal.
 
     cos γ = sin ϑ cos φ sin σ + cos ϑ cos σ; negative below the sample's horizon.
     """

@@ -95,7 +95,7 @@ def monte_carlo(bsdf, angle, n, seed, azimuth=0.0):
 
 
 def counted(bsdf, angle, n, seed, azimuth=0.0):
-    """Light that the sampler of the BSDF sends to where the receptor is, told by the two angles from its axis."""
+    """Light that the sampler of the BSDF sends to where the receptor is, found by the two angles from its axis."""
     (nodes_u, weights_u), (nodes_v, weights_v) = (np.polynomial.legendre.leggauss(points) for points in (3, 4))
     # Of a source this small, angles serve as well as points of its tangent plane.
     source = [
@@ -428,7 +428,7 @@ def test_gloss_with_a_lay_that_is_hardly_one_is_that_without():
 
 
 def test_an_unknown_geometry_is_refused():
-    with pytest.raises(GlossError, match="no gloss geometry 45°; accepted: 20, 60, 85"):
+    with pytest.raises(GlossError, match="no gloss geometry 45°; accepted: 20, 60, 85; set `gloss_angles`"):
         of(rough(0.1), [45])
 
 

@@ -9,7 +9,9 @@ from brdfpipe.appearance.lights import LIGHTS, WHITE_LEVEL, LightError, Lights, 
 
 
 def test_an_unknown_light_is_refused_with_those_known():
-    with pytest.raises(LightError, match=r"unknown light 'candle'; known: studio, sun, overcast; set `preview_light`"):
+    with pytest.raises(
+        LightError, match=r"unknown light 'candle'; accepted: studio, sun, overcast; set `preview_light`"
+    ):
         lights("candle")
 
 

@@ -255,7 +255,7 @@ def test_a_real_profile_of_coarse_heights_keeps_its_slope(shared_data):
     table = facets.estimate(profile, isotropic=True)
     assert float(table["slope_rms"]) == pytest.approx(0.0224, rel=0.02)
     assert "counted in whole multiples" in table.attrs["history"]
-    # The stage rang at the measurement: the shoulder is too steep for a mixture, and rings now keep the mean.
+    # The instrument's stage vibrated during the measurement: the shoulder is too steep for a mixture, and rings now keep the mean.
     assert table.attrs["method"] == "line profile, abel"
     assert not any("do not reproduce" in warning for warning in vocabulary.warnings(table))
 

@@ -147,7 +147,7 @@ def test_black_with_no_chroma_is_a_colour():
         ),
         ({"illuminant": "D66"}, "unknown illuminant.*set `multiangle.illuminant`"),
         ({"observer": 5}, "set `multiangle.observer`"),
-        ({"file": "a.csv"}, "either `file` or `colours` is required"),
+        ({"file": "a.csv"}, "exactly one of `file` and `colours` is required"),
         (
             {"colours": [{"geometry": "45:0", "reflectance": [0.1] * 5}] * 3, "wavelength": [400, 450, 500, 550, 600]},
             "must cover 400–700",

@@ -81,7 +81,7 @@ def test_a_killed_worker_fails_its_own_job_by_name_and_no_other(tmp_path: Path, 
     with ThreadPoolExecutor(3) as threads:
         good, bad, other = threads.map(workers.perform, jobs)
     assert (good.error, other.error) == (None, None)
-    assert bad.error == "the process was killed 2 times (SIGKILL); is there enough memory?"
+    assert bad.error == "the process was killed 2 times (SIGKILL); free memory, or build with fewer cores (--cores)"
     record = json.loads((tmp_path / "failures" / "bad.json").read_text())
     assert record == {"material": "bad", "stage": "stage", "message": bad.error}
     assert workers.perform(job(tmp_path)).error is None

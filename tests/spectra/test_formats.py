@@ -446,7 +446,7 @@ def test_values_above_the_header_of_wavelengths_are_not_skipped(tmp_path: Path) 
 def test_a_cut_number_in_a_container_is_warned_about(tmp_path: Path) -> None:
     cells = qtx("STD", "a", BLUE).rstrip(",\n")
     path = write(tmp_path, "a.qtx", cells[:-2])
-    assert "at 700 nm has not as many decimals as the others" in warnings(read(path))[0]
+    assert "at 700 nm has another number of decimals than the others" in warnings(read(path))[0]
 
 
 # Damage

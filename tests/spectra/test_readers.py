@@ -184,7 +184,7 @@ def test_a_number_cut_short_is_warned_about(read) -> None:
     text = HEAD + "".join(f"{nm};{nm / 20:.3f}\n" for nm in range(400, 701, 10))
     assert warnings(read(text)) == []
     assert warnings(read(text.removesuffix("00\n"))) == [
-        "sample.csv: 35.0 in line 32 has not as many decimals as the others. Look for a number that was cut or damaged."
+        "sample.csv: 35.0 in line 32 has another number of decimals than the others. Look for a number that was cut or damaged."
     ]
 
 

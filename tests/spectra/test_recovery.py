@@ -198,8 +198,9 @@ def test_an_unknown_illuminant_or_observer_names_its_key(options: dict, key: str
 def test_an_unknown_method_is_refused_with_the_known_ones() -> None:
     with pytest.raises(
         InputError, match="unknown method of recovery; found 'magic'; accepted: lhtss, basis4, random4, adaptive4"
-    ):
+    ) as refusal:
         recover([50, 0, 0], illuminant="D65", observer=10, method="magic")
+    assert (refusal.value.where, refusal.value.key) == ("spectrum.method", "spectrum.method")
 
 
 def test_a_recovered_spectrum_is_valid_and_states_its_method(tmp_path: Path) -> None:

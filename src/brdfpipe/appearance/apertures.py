@@ -229,7 +229,7 @@ def _panels(centre: Array, scale: float, low: float, high: float, order: int) ->
 
 
 def lobe_scale(bsdf: xr.Dataset) -> float:
-    """A quarter of the full width of the specular lobe [rad], a typical slope; a moderate one where there is no lobe or its width is not known."""
+    """A quarter of the full width of the specular lobe [rad], a typical slope. Without a lobe, or if its width is unknown: a moderate slope."""
     slope = representation(bsdf).lobe_slope
     if slope is None or (slope < _NARROW_SLOPE and not _has_lobe(bsdf)):
         return _MODERATE_SLOPE
@@ -237,7 +237,7 @@ def lobe_scale(bsdf: xr.Dataset) -> float:
 
 
 def _has_lobe(bsdf: xr.Dataset) -> bool:
-    """Whether the BSDF is larger in the mirror direction than a degree beside it: that of a polished surface is not."""
+    """Whether the BSDF is larger in the mirror direction than a degree beside it; a polished surface has no such lobe."""
     theta, zero = np.full(2, 45.0), np.zeros(2)
     at, beside = representation(bsdf).evaluate(theta, zero, np.array([45.0, 44.0]), zero + 180, None)[:, 0]
     return bool(at > 2 * beside and at > _DARKEST_LOBE)

@@ -132,7 +132,9 @@ def _checked(bsdf: xr.Dataset, angles: Sequence[float], azimuth: float | None) -
     sample, gloss_angle = apertures.sample_of(bsdf, azimuth), [float(angle) for angle in angles]
     unknown = [angle for angle in gloss_angle if angle not in RECEPTOR]
     if unknown:
-        raise GlossError(f"no gloss geometry {unknown[0]:g}°; accepted: {', '.join(f'{a:g}' for a in RECEPTOR)}")
+        raise GlossError(
+            f"no gloss geometry {unknown[0]:g}°; accepted: {', '.join(f'{a:g}' for a in RECEPTOR)}; set `gloss_angles`"
+        )
     return sample, gloss_angle
 
 

@@ -69,7 +69,8 @@ def check(bsdf: xr.Dataset) -> xr.Dataset:
     mirror directions, and about the normal, the last two on all scales. Each pair is evaluated both ways, at the first, middle and
     last wavelength and at those of the largest and smallest values; positivity includes every node of a table. Energy is checked at
     fixed incidences up to 89.99°, at a low-discrepancy sequence of incidences and at the nodes of a table; from both sides if light
-    is transmitted; at several azimuths if there is a lay. Reciprocal is f / n_o², n_o the index of the medium of the outgoing light.
+    is transmitted; at several azimuths if there is a lay. The reciprocal quantity is f / n_o², with n_o the index
+    of the medium of the outgoing light.
 
     Energy may exceed 1 by :attr:`brdfpipe.bsdf.base.Representation.albedo_accuracy`.
     """

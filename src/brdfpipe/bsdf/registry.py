@@ -1,4 +1,4 @@
-"""All representations of a BSDF, and the one of a dataset, made once because that may compute tables."""
+"""All representations of a BSDF, and the representation of a dataset, cached because it may compute tables."""
 
 from __future__ import annotations
 

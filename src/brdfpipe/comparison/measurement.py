@@ -51,10 +51,10 @@ _ERROR_MODELS = {
     "certificate": _ErrorModel((), relative=True),
     "path": _ErrorModel(("incidence",), relative=True),
 }
-"""The geometry counts twice: as an error of each cell, and as a shift of the whole picture, which looks like another lobe.
+"""The geometry enters twice: as an independent error of each cell, and as a displacement of the whole picture, which moves the lobe.
 
 Frames of a bracket form a chain: each is scaled by the light it shares with a brighter one, so it has the brighter one's error and its own
-(``chained``). Two cells have the variance of the better known one in common.
+(``chained``). The variance that two cells share is that of the better known one.
 """
 _BY_CORRELATION = {
     "independent": _ErrorModel(DIMS, relative=False),

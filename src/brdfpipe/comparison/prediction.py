@@ -189,7 +189,7 @@ class Predicted:
         return angles_of(unit_vector(theta, phi) + away[..., None] * outwards + around[..., None] * turned)
 
     def _evaluate_smooth(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
-        """Values (…, wavelength) without the noise of a measured facet density."""
+        """Values (…, wavelength) for derivatives over directions; a subclass may smooth the noise of a measured facet density."""
         return self._evaluate(theta_i, theta_o, phi_o)
 
     def _evaluate(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:

@@ -80,8 +80,8 @@ def write_lambert_gauss(
     ----------
     fit : kind ``bsdf``, representation ``lambert_gauss``
     path : the file; it appears whole or not at all
-    model : the BSDF it was fitted to; where that mirrors light into one single direction, a column says how much: no Gaussian does
-    azimuths : of a surface with a lay, fits by the azimuth of incidence [degree]; written instead of the one, with a column ``phi_i_deg``
+    model : the BSDF it was fitted to; if it mirrors light into a single direction, a column gives that share, which no Gaussian describes
+    azimuths : of a surface with a lay, fits by the azimuth of incidence [degree]; written instead of ``fit``, with a column ``phi_i_deg``
     """
     fits = {0.0: fit} if azimuths is None else azimuths
     frames = [_parameters(single, model) for single in fits.values()]

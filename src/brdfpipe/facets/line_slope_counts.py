@@ -226,7 +226,7 @@ class _Profile(NamedTuple):
     mean: float
     quantum: float
     offset: float
-    """A value that the first slope may take, modulo the quantum; 0 without a quantum."""
+    """Offset of the grid of possible slopes, at the first slope; 0 without a quantum."""
     growth: float
     """Growth of the offset from slope to slope, caused by a parabola subtracted from quantised heights."""
 

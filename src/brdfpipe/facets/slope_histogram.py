@@ -207,7 +207,7 @@ def _cut_positions(histogram: Histogram, least: int) -> list[int]:
         facets, left = totals[cuts[-1] + 1 :] - totals[cuts[-1]], totals[-1] - totals[cuts[-1]]
         variance = ((deviations[:, cuts[-1] + 1 :] - deviations[:, cuts[-1], None]) ** 2).sum(axis=0)
         redundancy = np.maximum(variance / np.maximum(facets, 1), 1)
-        # Four times as many where there are plenty halve the noise; only the last bins make do with the least.
+        # Four times as many where there are plenty halve the noise; the last bins have only the least number.
         required = np.where(left >= 8 * least * redundancy, 4, 1) * least
         sufficient = np.flatnonzero(facets >= required * redundancy)
         if sufficient.size == 0:

@@ -59,8 +59,8 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
 
     Parameters
     ----------
-    spec : ``{file}`` or ``{colours}``, a list of ``{geometry or theta_i, phi_i, theta_o, phi_o; lab, xyz or reflectance}`` of one
-        sort, with ``wavelength`` [nm] for reflectances; ``illuminant`` and ``observer`` of L*a*b* and XYZ; ``scale`` (fraction or
+    spec : ``{file}`` or ``{colours}``, a list of ``{geometry or theta_i, phi_i, theta_o, phi_o; lab, xyz or reflectance}`` of
+        the same kind, with ``wavelength`` [nm] for reflectances; ``illuminant`` and ``observer`` of L*a*b* and XYZ; ``scale`` (fraction or
         percent) of reflectance factors. Of a CSV file the first line names the columns: ``geometry`` or the four angles, then
         L, a, b or X, Y, Z or wavelengths, and ``u_L``, ``u_a``, ``u_b`` (or ``u_X`` …, ``u_400`` …) where standard uncertainties
         are known. XYZ are on the scale of Y = 100 for the perfect diffuser
@@ -112,7 +112,7 @@ def check_colours(spec: Mapping[str, Any]) -> None:
 def _checked_rows(spec: Mapping[str, Any], path: str | PathLike[str] | None) -> _Rows:
     if not isinstance(spec, Mapping) or ("file" in spec) == ("colours" in spec):
         accepted = "file: … or colours: […]"
-        raise _refusal("material.yaml", "either `file` or `colours` is required", accepted, key="multiangle")
+        raise _refusal("material.yaml", "exactly one of `file` and `colours` is required", accepted, key="multiangle")
     rows = _inline(spec) if "colours" in spec else _table(Path(path if path is not None else str(spec["file"])))
     if not _FEWEST <= len(rows.names) <= _MOST:
         raise _refusal(rows.file, "wrong number of colours", f"{_FEWEST} to {_MOST}", len(rows.names), key="multiangle")

@@ -76,7 +76,9 @@ class Pool:
                 self._idle.append(worker)
             break
         else:
-            outcome = Outcome(f"the process was killed {ATTEMPTS} times ({died}); is there enough memory?")
+            outcome = Outcome(
+                f"the process was killed {ATTEMPTS} times ({died}); free memory, or build with fewer cores (--cores)"
+            )
         if outcome.error and not self._closed:
             with self._lock:
                 record_failure(job, outcome.error, outcome.damaged)

@@ -77,7 +77,7 @@ def _agreement_table(comparison: xr.Dataset) -> Table:
         for at in range(reference.sizes["incidence"])
         for model in range(reference.sizes["model"])
     ]
-    header = ("Incidence", "Model", "Measured / model", "rms z", "Reflectance into the cells", "of the model")
+    header = ("Incidence", "Model", "Measured / model", "rms z", "Reflectance into the cells, measured", "of the model")
     note = (
         "Median of the ratio and rms of the difference over its uncertainty: all values. Reflectance: into the directions of the cells, "
         f"{bsdf_sections.wavelength_words(comparison)}."

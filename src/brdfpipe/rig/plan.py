@@ -1,7 +1,7 @@
 """The plan of one measurement: ``plan.yaml`` → every exposure, in order. The keys: :mod:`brdfpipe.rig.plan_keys`.
 
-The order is fixed. Work by hand comes outermost: for each run (target, etalon, sample), each side and each incidence, one arrangement
-of mirrors and holder; in it each wavelength, and at each wavelength the frames of the bracket. The lamp is read through the reference
+The order is fixed and needs the fewest changes by hand. For each run (target, etalon, sample), each side and each incidence there is one
+arrangement of mirrors and holder; in it each wavelength, and at each wavelength the frames of the bracket. The lamp is read through the reference
 fibre before the first frame, after every ``drift.every`` frames, and after the last. Dark frames of every exposure time open and close
 the measurement, without a move of mirrors or devices.
 """

@@ -74,7 +74,9 @@ def recover(
     Burns, "Numerical methods for smoothest reflectance reconstruction", Color Res. Appl. 45 (2020) 8–21 (method LHTSS).
     """
     if method not in METHODS:
-        raise _refusal("unknown method of recovery", found=repr(method)[:40], accepted=", ".join(METHODS))
+        raise _refusal(
+            "unknown method of recovery", found=repr(method)[:40], accepted=", ".join(METHODS), key="spectrum.method"
+        )
     if not (np.isfinite(threshold) and threshold > 0):
         raise _refusal(
             "invalid threshold", found=repr(threshold)[:40], accepted="a ΔE*ab above 0", key="spectrum.threshold"
@@ -313,4 +315,4 @@ def _words(lab: Sequence[float] | Array) -> str:
 
 
 def _refusal(problem: str, *, found: str, accepted: str, key: str = _KEY) -> InputError:
-    return InputError("material.yaml", problem, where=_KEY, found=found, accepted=accepted, key=key)
+    return InputError("material.yaml", problem, where=key, found=found, accepted=accepted, key=key)

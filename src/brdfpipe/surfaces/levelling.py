@@ -149,7 +149,7 @@ def _moments(
 def _cylinder(sums: _Sums) -> tuple[Array, str]:
     """Coefficients of the plane and the parabola along the direction of the smallest residual, and that direction in words.
 
-    With the plane solved for, what a parabola along φ takes away is a ratio of two quadratic forms in cos²φ, 2 cosφ sinφ and
+    With the plane solved for, the decrease of the residual by a parabola along φ is a ratio of two quadratic forms in cos²φ, 2 cosφ sinφ and
     sin²φ, known from the sums alone: a scan over the half circle and a short search around its best find the direction.
     """
     from scipy.optimize import minimize_scalar

@@ -198,7 +198,9 @@ def _matrix_size(root: Element, path: Path) -> tuple[int, int]:
     for axis in "XYZ":
         text = _text(root, f"Record3/MatrixDimension/Size{axis}", path)
         if not re.fullmatch(r"[0-9]{1,9}", text) or int(text) == 0:
-            raise InputError(path, "not a count of points", where=f"Size{axis}", found=repr(text[:60]))
+            raise InputError(
+                path, "not a count of points", where=f"Size{axis}", found=repr(text[:60]), accepted="1 or more"
+            )
         sizes.append(int(text))
     columns, rows, layers = sizes
     if layers != 1:
@@ -267,7 +269,7 @@ def _listed(root: Element, path: Path, count: int) -> NDArray[np.float64]:
     try:
         return np.array([text or "nan" for text in texts], dtype=str).astype(np.float64)
     except ValueError as error:
-        raise InputError(path, f"not a number ({error})", where="DataList") from error
+        raise InputError(path, f"not a number ({error})", where="DataList", accepted="numbers") from error
 
 
 def _md5(content: bytes) -> str:

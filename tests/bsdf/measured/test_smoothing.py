@@ -316,9 +316,9 @@ def test_data_that_cannot_be_fitted_is_refused(change, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"mode": "splines"}, "unknown mode .* known: pspline, keldysh, keldysh-printed"),
+        ({"mode": "splines"}, "unknown mode .* accepted: pspline, keldysh, keldysh-printed"),
         ({"strength": 0.0}, "a number above 0"),
-        ({"about": "normal"}, "known: half, mirror"),
+        ({"about": "normal"}, "accepted: half, mirror"),
         ({"mode": "keldysh", "scales": 40}, "1 to 12"),
     ],
 )

@@ -284,7 +284,7 @@ def _newton_remainder(side: Side, nodes: NDArray[np.int64], logarithms: Array, t
         before, after = np.maximum(first - 1, 0), np.minimum(first, nodes.size - 3)
         bend = np.maximum(np.abs(bends[before, index]), np.abs(bends[after, index]))
     error = np.abs((x - nodes_x[first]) * (x - nodes_x[first + 1]))[:, None] * bend
-    if nodes.size > 3:  # beyond the last node the following term is no smaller
+    if nodes.size > 3:  # beyond the last node the next term can be as large
         change = np.abs(bends[-1] - bends[-2]) / (nodes_x[-1] - nodes_x[-4])
         error += (np.maximum(x - nodes_x[-1], 0.0) * np.prod(x[:, None] - nodes_x[-3:-1], axis=1))[:, None] * change
     # Beyond the last node the BSDF is constant, and the continued trend is the error.

@@ -176,9 +176,9 @@ def _over_directions(smoothed: xr.Dataset, values: Array, long_name: str) -> xr.
 
 def _check_options(mode: str, about: str | None, strength: float | None, scales: int | None) -> None:
     if mode not in MODES:
-        raise VocabularyError(f"unknown mode of smoothing {mode!r}; known: {', '.join(MODES)}")
+        raise VocabularyError(f"unknown mode of smoothing {mode!r}; accepted: {', '.join(MODES)}")
     if about is not None and about not in ABOUT:
-        raise VocabularyError(f"unknown coordinates {about!r}; known: {', '.join(ABOUT)}")
+        raise VocabularyError(f"unknown coordinates {about!r}; accepted: {', '.join(ABOUT)}")
     if strength is not None and not (np.isfinite(strength) and strength > 0):
         raise VocabularyError(f"the strength of smoothing is {strength!r}; it must be a number above 0")
     if scales is not None and not (isinstance(scales, int) and 1 <= scales <= 12):

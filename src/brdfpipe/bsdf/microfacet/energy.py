@@ -259,8 +259,8 @@ def _even_spline(grazing: Array, values: Array) -> CubicSpline:
 def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], exact: Array) -> AlbedoTable:
     """Table of a directional albedo, (θ, φ) in degree → (n, wavelength), with ``exact`` among its nodes θ.
 
-    It is an upper bound: between the nodes the spline has errors of parts in 10⁹ of either sign, and the table is raised by the largest
-    one, so that the facets, and the base that the rest of the light enters, together conserve energy.
+    It is an upper bound: between the nodes the spline deviates by up to 1e-9 in both directions, and the table is raised by the largest
+    deviation. Facets, and the base that the rest of the light enters, together then conserve energy.
     """
     if surface.isotropic:
         return refined(lambda theta: albedo(theta, np.zeros_like(theta)), surface.typical_slope, exact)

@@ -220,7 +220,7 @@ def _through(surface: Microsurface, masking: str, index: float, nodes: Nodes, az
         )
         cos_i, cos_o = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
         cosine = cos_i * cos_o + np.sin(np.radians(theta_i)) * np.sin(np.radians(theta_o)) * np.cos(np.radians(azimuth))
-        # Most pairs need steeper facets than there are, which the slope shows at little cost.
+        # Most pairs of directions would need facets steeper than any in the density; their slope is cheap to test.
         length = 1 + index**2 + 2 * index * cosine
         present = length < (1 + steepest**2) * (cos_i + index * cos_o) ** 2
         values = np.zeros(theta_i.shape)

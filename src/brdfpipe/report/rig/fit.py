@@ -271,9 +271,9 @@ def cross_validation(smoothed: xr.Dataset) -> Figure:
     return _strength_figure(
         "Strength of smoothing: cross-validation",
         Axis("strength ε", *_range([line.x for line in lines]), log=True),
-        Axis("GCV over its least", 0.9, highest, log=True),
+        Axis("GCV over its minimum", 0.9, highest, log=True),
         [*lines, *points],
-        "Dot: strength used. In a deep, narrow minimum the strength is well determined; in a flat one it matters little.",
+        "The dot marks the strength used. In a deep, narrow minimum the strength is well determined; in a flat one it matters little.",
     )
 
 

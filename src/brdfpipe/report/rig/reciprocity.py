@@ -118,7 +118,7 @@ def _note(differences: xr.Dataset, pair_score: Array, shown: int, *, averaged: b
     count = f"The {shown} of {pairs} pairs that differ most. " if shown < pairs else ""
     note = (
         f"{count}By reciprocity, the BRDF from one measured incidence to another equals the BRDF back. Medians over wavelength; bars: "
-        f"±\u202f1 standard uncertainty, including errors common to both, which cancel in the difference. Before: the difference over "
+        f"±\u202f1 standard uncertainty. They include errors common to both directions, which cancel in the difference. Before: the difference over "
         f"its uncertainty has an rms of {rms}; up to about 1 the two agree. "
     )
     if not symmetric:

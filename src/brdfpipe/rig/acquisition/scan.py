@@ -267,7 +267,7 @@ class _Scan:
     def _move_devices(self, shot: Shot) -> DeviceState:
         """State the devices report after they have moved to that of the shot."""
         target = DeviceState(shot.wavelength, shot.position)
-        # Forgotten until the devices have arrived, so that a repetition moves both.
+        # Cleared until the devices have arrived: a repetition then moves both.
         before, self._requested = self._requested, None
         if before is None or before.wavelength != target.wavelength:
             self.devices.monochromator.goto(target.wavelength)

@@ -144,7 +144,7 @@ def refuse_zeros(reduced: xr.Dataset, lit: NDArray[np.bool_]) -> None:
     share = float(zeros.sum() / max(lit.sum() * reduced.sizes["wavelength"], 1))
     if share > SUSPICIOUS_ZEROS:
         raise CalibrationError(
-            f"{share:.1%} of the signals are exactly 0, which no measurement gives: missing values were stored as 0; store NaN instead"
+            f"{share:.1%} of the signals are exactly 0, which no measurement gives: missing values were stored as 0; store NaN instead; accepted: at most {SUSPICIOUS_ZEROS:.1%}"
         )
 
 

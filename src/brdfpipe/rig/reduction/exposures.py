@@ -103,7 +103,7 @@ def mean_dark(counts: NDArray[np.uint16], camera: CameraSettings) -> MeanDark:
 def subtract_dark(counts: NDArray[np.uint16], dark: MeanDark, camera: CameraSettings) -> tuple[Picture, Mask]:
     """Electrons of light, and which pixels are within the camera's linear range, of one frame.
 
-    Charge of a pixel out of range flows over: its eight neighbours count as out of range too.
+    Charge of a saturated pixel spills over: its eight neighbours count as out of range too.
     """
     light = np.float32(camera.gain) * (counts - dark.mean)
     beyond = (light > camera.linear_to) | (counts >= camera.full)

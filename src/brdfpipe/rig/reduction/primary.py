@@ -91,7 +91,7 @@ def _check_same_rig(reduced: xr.Dataset, profile: xr.Dataset) -> None:
             "changed since; measure the etalon with this rig"
         )
     if list(reduced["cell"].values) != list(profile["cell"].values):
-        raise CalibrationError("profile and frames have other cells; reduce both with the same version of brdfpipe")
+        raise CalibrationError("profile and frames have different cells; reduce both with the same version of brdfpipe")
     if missing := sorted(set(reduced["wavelength"].values) - set(profile["wavelength"].values)):
         listed = abbreviated([f"{wavelength:g}" for wavelength in missing], 5)
         raise CalibrationError(
@@ -103,17 +103,17 @@ def _check_same_rig(reduced: xr.Dataset, profile: xr.Dataset) -> None:
 def _profile_expiry(profile: xr.Dataset, day: date, lamp_hours: float) -> Iterator[str]:
     """Reasons not to use a profile on a day."""
     attrs, made = profile.attrs, date.fromisoformat(profile.attrs["day"])
-    age, burnt = (day - made).days, lamp_hours - float(attrs["lamp_hours"])
+    age, lamp_run = (day - made).days, lamp_hours - float(attrs["lamp_hours"])
     if age > int(attrs["valid_days"]):
         yield f"the profile of {made} has expired: it is {age} days old and valid for {attrs['valid_days']} days"
     if age < 0:
         yield f"the profile is of {made}, after the sample was measured ({day})"
-    if burnt > float(attrs["valid_hours"]):
+    if lamp_run > float(attrs["valid_hours"]):
         yield (
-            f"the profile of {made} has expired: the lamp has burnt {burnt:g} h since, and the profile is valid for {attrs['valid_hours']:g} h"
+            f"the profile of {made} has expired: the lamp has run {lamp_run:g} h since, and the profile is valid for {attrs['valid_hours']:g} h"
         )
-    if burnt < 0:
-        yield f"the lamp was changed since the profile of {made}: it has burnt {-burnt:g} h less"
+    if lamp_run < 0:
+        yield f"the lamp was changed since the profile of {made}: its hour counter is {-lamp_run:g} h lower"
     if day > date.fromisoformat(attrs["certificate_valid_until"]):
         yield f"the etalon's certificate {attrs['certificate']} was valid until {attrs['certificate_valid_until']}"
     if attrs.get("drift_violation"):

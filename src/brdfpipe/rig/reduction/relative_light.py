@@ -166,8 +166,8 @@ def _unusable_frames(frames: xr.Dataset, bracket: Bracket) -> Iterator[str]:
         if usable.mean() < 1 - _OUT_OF_RANGE:
             wavelength = float(frames["wavelength"].values[0])
             yield (
-                f"Frame {shot} ({wavelength:g} nm) exceeds the camera's linear range everywhere and is not used. Was the shutter stuck, or the "
-                "room lit? Delete its file, and `brdfpipe rig scan … --resume` takes it again."
+                f"Frame {shot} ({wavelength:g} nm) exceeds the camera's linear range everywhere and is not used. Check the shutter and the "
+                "light of the room; delete its file, and `brdfpipe rig scan … --resume` takes it again."
             )
 
 

@@ -33,7 +33,7 @@ _GRATING_LIST = re.compile(f"{_GRATING_LINE}(?:\r?\n{_GRATING_LINE})*")
 _INSTALLED_GRATING = re.compile("[\x1a\xaf> ]*([1-9]) +([^ ].*g/mm.*)", re.IGNORECASE)
 _POLL = 0.05
 
-# RS-232 ports of Acton devices echo unless told not to, USB ports only after ECHO.
+# RS-232 ports of Acton devices echo by default, USB ports only after the command ECHO.
 _END, _REFUSAL, _WAKE = re.compile(rb"\s(?:ok|\? ?)\r\n"), re.compile(rb"\s\? ?\r\n"), ("", "ECHO")
 
 
