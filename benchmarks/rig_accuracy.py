@@ -452,7 +452,7 @@ def detections() -> Iterator[tuple[str, str]]:
         "stale etalon: its certificate has run out",
         _refusal(lambda: calibrate(etalon, certificate(date(1969, 12, 31)))),
     )
-    yield "lamp has burnt too long since the etalon", _refusal(lambda: apply(sample, profile, lamp_hours=201.0))
+    yield "lamp has run too long since the etalon", _refusal(lambda: apply(sample, profile, lamp_hours=201.0))
     yield "swapped wavelength axis", _refusal(lambda: apply(turned, profile))
     yield (
         "etalon of another rig",

@@ -16,7 +16,7 @@ azimuth = st.floats(-360, 360)
 
 
 def test_half_vector_of_the_reference_directions():
-    # PHYSICS, microfacet BRDF: (30, 60, 90) gives ζ = 32.17054686 and α = 36.20602311.
+    # Reference: (30, 60, 90) gives ζ = 32.17054686 and α = 36.20602311.
     half = geometry.half_vector(30, 0, 60, 90)
     assert np.degrees(np.arccos(half.cos_zeta)) == pytest.approx(32.17054686, abs=5e-9)
     assert np.degrees(np.arctan(np.sqrt(half.slope_squared))) == pytest.approx(36.20602311, abs=5e-9)

@@ -30,7 +30,7 @@ def layers() -> list[list[str]]:
     return [line.split() for line in block[1].splitlines()]
 
 
-def room(module: str) -> str:
+def top_package(module: str) -> str:
     """The part of the package that a module belongs to: the first name below ``brdfpipe``."""
     return module.split(".")[1]
 
@@ -41,16 +41,18 @@ def described(path: Path) -> str:
 
 def test_every_room_is_in_exactly_one_layer():
     listed = [name for layer in layers() for name in layer]
-    assert sorted(listed) == sorted({room(module) for module in modules() if module != PACKAGE})
+    assert sorted(listed) == sorted({top_package(module) for module in modules() if module != PACKAGE})
 
 
 def test_no_import_points_upwards():
     rank = {name: height for height, layer in enumerate(layers()) for name in layer}
     upward = [
-        f"{described(path)}, {statement}: {room(statement.target)} is above {room(module)}"
+        f"{described(path)}, {statement}: {top_package(statement.target)} is above {top_package(module)}"
         for module, path in modules().items()
         for statement in imports(path, module)
-        if module != PACKAGE and statement.target != PACKAGE and rank[room(statement.target)] > rank[room(module)]
+        if module != PACKAGE
+        and statement.target != PACKAGE
+        and rank[top_package(statement.target)] > rank[top_package(module)]
     ]
     assert not upward, "\n".join(upward)
 

@@ -48,7 +48,7 @@ def test_a_lambertian_is_the_same_in_every_direction():
 
 @pytest.mark.parametrize(("fwhm", "ratio"), [(5, 0.99794), (10, 0.99181), (20, 0.96781)])
 def test_the_small_angle_formula_of_the_reflectance_errs_as_printed(fwhm, ratio):
-    # R_gauss ≈ 2π G0 σ⊥ σ∥ cos θ_i; PHYSICS prints exact over approximate.
+    # R_gauss ≈ 2π G0 σ⊥ σ∥ cos θ_i; the references are exact over approximate.
     bsdf = lobe(peak=1.0, parallel=fwhm, perpendicular=fwhm, rho=0.0)
     sigma = np.radians(fwhm / FWHM)
     theta = 30.0

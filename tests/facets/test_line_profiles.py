@@ -124,7 +124,7 @@ def gaussian_quantiles(points=2_000_000, sigma=0.2):
 
 
 def test_the_patents_histogram_is_off_by_k_cos_squared():
-    # K = 1/⟨1/(1 + s²)⟩ = 1.07476 at σ = 0.2 (PHYSICS, line profile).
+    # K = 1/⟨1/(1 + s²)⟩ = 1.07476 at σ = 0.2.
     table = facets.estimate(gaussian_quantiles(), isotropic=True, method="crf")
     alpha = np.radians(np.array([1.0, 5.0, 10.0, 20.0, 30.0]))
     slope = np.tan(alpha)

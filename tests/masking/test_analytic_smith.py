@@ -7,7 +7,7 @@ from brdfpipe.masking.analytic_smith import beckmann_lambda, ggx_lambda
 
 
 def test_the_masking_of_beckmann_is_the_closed_form() -> None:
-    # PHYSICS: G1 of Beckmann a = 0.3 at 60, 75, 85 degree
+    # G1 of Beckmann a = 0.3 at 60, 75, 85 degree
     g1 = 1 / (1 + beckmann_lambda(np.array([60.0, 75.0, 85.0]), 0.3))
     np.testing.assert_allclose(g1, [0.99963733, 0.96249761, 0.64581632], atol=1e-8)
 

@@ -98,7 +98,7 @@ TABLES = {name: liu.LiuMasking.of(marginal) for name, marginal in DENSITIES.item
 
 
 def published(sigma: float, theta: float, alpha: float) -> float:
-    """The printed integrals over γ with the mended limits (PHYSICS §5), in 30 digits."""
+    """The printed integrals over γ with corrected limits, in 30 digits."""
     with mpmath.workdps(30):
         sigma, theta, alpha = mpmath.mpf(sigma), mpmath.radians(theta), mpmath.radians(alpha)
         if theta - alpha >= mpmath.pi / 2:
@@ -276,7 +276,7 @@ def mirrors(sigma: float, theta_i, phi_i, theta_o, phi_o):
 
 def test_the_brdf_of_polarised_light_has_the_reflectances_of_the_source():
     reflectance = np.array(in_plane(0.1, 1.8, 60.0, 60.0)) / mirrors(0.1, 60.0, 10.0, 60.0, 190.0)
-    # PHYSICS §5: R at 60°, n = 1.8; at σ = 0.1 the mirror facet is whole to 1e-9.
+    # R_s, R_p and their mean at 60°, n = 1.8; at σ = 0.1 the mirror facet is whole to 1e-9.
     assert reflectance == pytest.approx([0.26911389, 0.00017270, 0.13464330], abs=5.1e-9)
 
 
@@ -333,7 +333,7 @@ def test_the_angle_from_which_energy_is_not_conserved_is_named():
     for sigma in (0.02, 0.1, 0.3, 0.5):
         density = RadialDensity.of(facets.analytic("beckmann", sigma * np.sqrt(2)))
         limits[sigma] = liu.energy_limit(density, liu.LiuMasking.of(liu.Marginal.of(density)))
-    # 2.2 in PHYSICS §5, where α enters unsigned for both directions; 2.13 with the tilt towards each.
+    # 2.2 if α enters unsigned for both directions; 2.13 with the tilt towards each.
     assert limits[0.5].albedo == pytest.approx(2.127, abs=2e-3)
     assert limits[0.02].angle > limits[0.1].angle > limits[0.3].angle > limits[0.5].angle
     assert limits[0.5].angle == pytest.approx(69, abs=0.5)

@@ -294,7 +294,7 @@ def test_smith_of_the_density_drawn_from_is_the_ray_cast_g1(gaussian_map):
 
 
 def test_the_bistatic_masking_lies_between_separable_and_height_correlated():
-    # PHYSICS.md: 0.234 at 85 degree and slope rms 0.4 per axis, against 0.178 and 0.268. Three maps of 64 x 64
+    # Reference: 0.234 at 85 degree and slope rms 0.4 per axis, against 0.178 and 0.268. Three maps of 64 x 64
     # correlation lengths (16 samples) give 0.228 with a scatter of 0.005; finer sampling and fewer grains of 2048² maps
     # 0.234 ± 0.009.
     maps = [samples.gaussian_surface(1024, sigma=0.4, correlation=16, seed=seed) for seed in (1, 2, 3)]

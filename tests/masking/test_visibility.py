@@ -115,7 +115,7 @@ def pair(table, mode, theta_i, theta_o, phi=180.0):
 
 
 def test_the_patents_masking_is_not_reciprocal_by_the_printed_ratio():
-    # PHYSICS, masking: f(30→75)/f(75→30) = 0.7413888795 at σ = 0.5.
+    # Reference: f(30→75)/f(75→30) = 0.7413888795 at σ = 0.5.
     table = facets.analytic("beckmann", 0.5 * np.sqrt(2))
     # The table of Λ is good to 1e-9.
     assert pair(table, "crf", 30, 75) / pair(table, "crf", 75, 30) == pytest.approx(0.7413888795, abs=2e-9)

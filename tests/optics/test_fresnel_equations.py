@@ -13,7 +13,7 @@ from brdfpipe.errors import BrdfpipeError
 
 
 def exact(cos_zeta: float, n: float, k: float = 0.0) -> tuple[float, float]:
-    """Textbook Fresnel reflectances (PHYSICS §4) in 60 digits."""
+    """Textbook Fresnel reflectances in 60 digits."""
     with mpmath.workdps(60):
         c, index = mpmath.mpf(cos_zeta), mpmath.mpc(n, k)
         q = mpmath.sqrt(index**2 - 1 + c**2)

@@ -1,4 +1,4 @@
-"""Directions and pixels: closed forms of PHYSICS, and round trips over the whole screen."""
+"""Directions and pixels: closed forms, and round trips over the whole screen."""
 
 from __future__ import annotations
 

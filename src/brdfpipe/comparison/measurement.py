@@ -24,7 +24,7 @@ from brdfpipe.specular_directions import cos_view, outgoing
 DIMS = ("incidence", "wavelength", "cell")
 
 _USED = ("measured", "below_noise")  # a value below the noise is valid within its uncertainty
-_LINKS = 2  # number of errors into which the errors of chained frames are divided
+_CHAIN_STEPS = 2  # number of errors into which the errors of chained frames are divided
 _NEAR = 3.0  # standard uncertainties from the data within which relative uncertainties refer to the model
 
 
@@ -35,7 +35,7 @@ class ComparisonError(BrdfpipeError):
 class _ErrorModel(NamedTuple):
     """The correlation of an error, and its scale."""
 
-    own: tuple[str, ...]  # dimensions along which errors are independent; along the others they are the same
+    independent_over: tuple[str, ...]  # dimensions; along the others the errors are the same
     relative: bool  # proportional to the BRDF
     chained: bool = False  # common to all cells that are at least as uncertain
 
@@ -139,18 +139,24 @@ class Measurement:
 
     def correlated(self, *, among_cells: bool) -> Array:
         """Combined uncertainty of the components that are common to the cells of a picture, or of those that are not [sr-1]."""
-        parts = [part.u for part in self.components if ("cell" not in part.error_model.own) == among_cells]
+        parts = [part.u for part in self.components if ("cell" not in part.error_model.independent_over) == among_cells]
         return np.sqrt(np.sum(np.square(parts), axis=0)) if parts else np.zeros_like(self.value)
 
     def sum_u(self, weight: Array) -> Array:
         """Standard uncertainty of Σ weight · value over the cells of each picture, (incidence, wavelength)."""
         independent = np.sum((weight * self.correlated(among_cells=False)) ** 2, axis=-1)
-        common = [np.sum(weight * part.u, axis=-1) for part in self.components if "cell" not in part.error_model.own]
+        common = [
+            np.sum(weight * part.u, axis=-1)
+            for part in self.components
+            if "cell" not in part.error_model.independent_over
+        ]
         return np.sqrt(independent + np.sum(np.square(common), axis=0)) if common else np.sqrt(independent)
 
     def own_variance(self, model: Array) -> Array:
         """Variance of the errors that are independent from value to value."""
-        parts = [self._of_cells(part, model) ** 2 for part in self.components if part.error_model.own == DIMS]
+        parts = [
+            self._cell_u(part, model) ** 2 for part in self.components if part.error_model.independent_over == DIMS
+        ]
         return np.asarray(np.sum(parts, axis=0)) if parts else np.zeros_like(model)
 
     def covariance(self, model: Array, own_u: Array, common: Array) -> Covariance:
@@ -166,32 +172,32 @@ class Measurement:
         between = np.einsum("iwc,ij->wcij", own, np.eye(self.incidence.size))
         columns = [np.where(self.used, common, 0.0)]
         for component in self.components:
-            if "cell" not in component.error_model.own:
+            if "cell" not in component.error_model.independent_over:
                 # Relative to the model's values: an error proportional to noisy data would absorb the noise.
-                columns += self._shared(component, model)
-            elif component.error_model.own != DIMS:
-                u = self._of_cells(component, model)
+                columns += self._picture_errors(component, model)
+            elif component.error_model.independent_over != DIMS:
+                u = self._cell_u(component, model)
                 between = between + np.einsum("iwc,jwc->wcij", u, u)
             if component.name == "geometry":
-                columns += self._shifted(component.u)
+                columns += self._displacement_errors(component.u)
         shared = np.concatenate(columns)
         return Covariance(np.linalg.inv(np.linalg.cholesky(between)), shared[shared.any(axis=(1, 2, 3))], self.used)
 
-    def _shared(self, component: _Component, model: Array) -> list[Array]:
+    def _picture_errors(self, component: _Component, model: Array) -> list[Array]:
         """Errors common to the cells of a picture."""
-        u, own = self._over(component, model), component.error_model.own
+        u, own = self._u_referred_to(component, model), component.error_model.independent_over
         if not component.error_model.chained:
             return [_columns(u, own)]
         known = self.used & (self.value != 0)
         relative = np.divide(component.u, np.abs(self.value), out=np.full_like(u, np.nan), where=known)
         most = np.where(known, relative, 0.0).max(axis=-1, keepdims=True)
         least = np.minimum(np.where(known, relative, np.inf).min(axis=-1, keepdims=True), most)
-        steps = [least + (most - least) * link / _LINKS for link in range(_LINKS + 1)]
+        steps = [least + (most - least) * link / _CHAIN_STEPS for link in range(_CHAIN_STEPS + 1)]
         squares = [np.clip(np.nan_to_num(relative), low, high) ** 2 - low**2 for low, high in pairwise(steps)]
         links = [_columns(np.sqrt(square) * np.abs(model), DIMS[:2]) for square in squares]
         return [_columns(np.where(known, np.minimum(u, steps[0] * np.abs(model)), u), own), *links]
 
-    def _shifted(self, u: Array) -> list[Array]:
+    def _displacement_errors(self, u: Array) -> list[Array]:
         """Errors of the disc's cells by a shift of the picture along either axis, one for each incidence."""
         azimuth = np.radians(self.phi_s)
         return [_columns(u * (self.of_disc * part), ("incidence",)) for part in (np.cos(azimuth), np.sin(azimuth))]
@@ -201,11 +207,11 @@ class Measurement:
         """(cell,) whether a cell is a piece of the disc."""
         return np.nan_to_num(self.solid_angle) > 0
 
-    def _of_cells(self, component: _Component, model: Array) -> Array:
+    def _cell_u(self, component: _Component, model: Array) -> Array:
         """Standard uncertainty of errors of single cells; relative ones refer to the model, limited to a few uncertainties from the data."""
-        return self._over(component, np.clip(model, self.value - _NEAR * self.u, self.value + _NEAR * self.u))
+        return self._u_referred_to(component, np.clip(model, self.value - _NEAR * self.u, self.value + _NEAR * self.u))
 
-    def _over(self, component: _Component, values: Array) -> Array:
+    def _u_referred_to(self, component: _Component, values: Array) -> Array:
         """Standard uncertainty of a component; a relative one refers to the given values instead of the measured ones."""
         if not component.error_model.relative:
             return component.u
@@ -256,7 +262,11 @@ def _components(primary: xr.Dataset) -> Iterator[tuple[str, _ErrorModel, Array]]
         component = name.removeprefix("brdf_u_")
         known = _ERROR_MODELS.get(component)
         # The stated correlation has precedence over the known component.
-        error_model = known if known and ("cell" in known.own) == (stated == "independent") else _BY_CORRELATION[stated]
+        error_model = (
+            known
+            if known and ("cell" in known.independent_over) == (stated == "independent")
+            else _BY_CORRELATION[stated]
+        )
         yield component, error_model, primary[name].broadcast_like(whole).transpose(*DIMS).values
 
 

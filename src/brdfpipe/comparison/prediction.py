@@ -161,7 +161,9 @@ class Predicted:
         edge = np.array([[0.5 + step, node / 2] for step in (_EDGE_STEP, -_EDGE_STEP) for node in nodes]).T
         edges = np.stack([edge, -edge, edge[::-1], -edge[::-1]], axis=1).reshape(2, -1)
         away, around = np.concatenate([square, edges, np.zeros((2, 1))], axis=1)
-        brdf = self._evaluate_smooth(*self.measurement.directions_of(*self._beside(cells, side * away, side * around)))
+        brdf = self._evaluate_smooth(
+            *self.measurement.directions_of(*self._directions_near(cells, side * away, side * around))
+        )
         mean = brdf[:, :, : _ORDER**2].swapaxes(2, 3) @ np.outer(weights, weights).ravel() / 4
         across = np.tile(np.concatenate([weights, -weights]), 4) / (4 * _EDGE_STEP)
         curvature = brdf[:, :, _ORDER**2 : -1].swapaxes(2, 3) @ across / 24
@@ -182,7 +184,7 @@ class Predicted:
         described = np.moveaxis(self._evaluate_smooth(*self.measurement.directions), -1, 1)
         return np.asarray((changed - described) * u / _STRETCH)
 
-    def _beside(self, cells: NDArray[np.int64], away: Array, around: Array) -> tuple[Array, Array]:
+    def _directions_near(self, cells: NDArray[np.int64], away: Array, around: Array) -> tuple[Array, Array]:
         """θ_s and φ_s [degree] of directions beside cells, by small angles [rad] away from the mirror direction and around it."""
         theta, phi = self.measurement.theta_s[cells, None], self.measurement.phi_s[cells, None]
         outwards, turned = unit_vector(theta + 90, phi), unit_vector(np.full_like(theta, 90.0), phi + 90)
@@ -264,12 +266,14 @@ class Member(Predicted):
         """The same for one input and some facets, with the base and its coupling to them fixed."""
         u = self.family.prior_u[name]
         if name == "diffuse":
-            return u * (self.values - self._with(diffuse=np.zeros(1)))
+            return u * (self.values - self._values_with(diffuse=np.zeros(1)))
         if name == "index":
             n = self.family.given.shifted(self.bsdf["n"], _STEP * u).values
-            return (self._with(n=np.atleast_1d(n)) - self.values) / _STEP
-        same, steeper = (self._with(surface=self._surface(facets, np.exp(step * u))) for step in (0.0, _STEP))
-        return (steeper - same) / _STEP
+            return (self._values_with(n=np.atleast_1d(n)) - self.values) / _STEP
+        unscaled, steeper = (
+            self._values_with(surface=self._surface(facets, np.exp(step * u))) for step in (0.0, _STEP)
+        )
+        return (steeper - unscaled) / _STEP
 
     @cached_property
     def own_u(self) -> Array:
@@ -286,7 +290,7 @@ class Member(Predicted):
     def _lobe_u(self) -> Array:
         """Standard uncertainty of the facets' reflected light from the scan [sr-1]."""
         relative = scan.relative_u(self.family.given.facets, *self._facet_slopes)[:, None]
-        return relative * (self.values - self._with(surface=None))
+        return relative * (self.values - self._values_with(surface=None))
 
     @cached_property
     def _facet_slopes(self) -> tuple[Array, Array]:
@@ -304,7 +308,7 @@ class Member(Predicted):
     def _evaluate_smooth(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
         return self._modelled(theta_i, theta_o, phi_o, surface=self._surface(self.family.smooth_facets))
 
-    def _with(self, **parts: Any) -> Array:
+    def _values_with(self, **parts: Any) -> Array:
         """Values at the cells with other parts of the :class:`brdfpipe.bsdf.microfacet.model.Model`, (incidence, wavelength, cell)."""
         return np.moveaxis(self._modelled(*self.measurement.directions, **parts), -1, 1)
 

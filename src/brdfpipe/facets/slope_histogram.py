@@ -36,11 +36,11 @@ _SLOPE_RMS = (1e-9, 1e9)
 """Range of the slope rms; outside it the squares of slopes may overflow or underflow in single precision."""
 
 
-def check_slope_rms(rms: float, of: str = "") -> None:
-    """Refuse an impossible slope rms; ``of`` says of what, for the message."""
+def check_slope_rms(rms: float, subject: str = "") -> None:
+    """Refuse an impossible slope rms; ``subject`` is the end of its name in the message."""
     if not _SLOPE_RMS[0] < rms < _SLOPE_RMS[1]:
         raise FacetError(
-            f"impossible slope rms {rms:.2g}{of}; accepted: {_SLOPE_RMS[0]:g} to {_SLOPE_RMS[1]:g}; check the unit of the heights "
+            f"impossible slope rms {rms:.2g}{subject}; accepted: {_SLOPE_RMS[0]:g} to {_SLOPE_RMS[1]:g}; check the unit of the heights "
             "(`surface.unit`) and of the pitch (`surface.lateral_unit`)"
         )
 

@@ -154,11 +154,11 @@ def _cylinder(sums: _Sums) -> tuple[Array, str]:
     """
     from scipy.optimize import minimize_scalar
 
-    flat = [index for index, power in enumerate(sums.powers) if sum(power) < 2]
-    bent = [sums.powers.index(power) for power in ((0, 2), (1, 1), (2, 0))]
-    plane, cross = sums.matrix[np.ix_(flat, flat)], sums.matrix[np.ix_(flat, bent)]
-    bending = sums.matrix[np.ix_(bent, bent)] - cross.T @ np.linalg.solve(plane, cross)
-    pull = sums.moments[bent] - cross.T @ np.linalg.solve(plane, sums.moments[flat])
+    linear = [index for index, power in enumerate(sums.powers) if sum(power) < 2]
+    quadratic = [sums.powers.index(power) for power in ((0, 2), (1, 1), (2, 0))]
+    plane, cross = sums.matrix[np.ix_(linear, linear)], sums.matrix[np.ix_(linear, quadratic)]
+    reduced_matrix = sums.matrix[np.ix_(quadratic, quadratic)] - cross.T @ np.linalg.solve(plane, cross)
+    right_side = sums.moments[quadratic] - cross.T @ np.linalg.solve(plane, sums.moments[linear])
     scale_y, scale_x = np.asarray(sums.scales) / math.sqrt(math.prod(sums.scales))
 
     def parabola(angle: float) -> Array:
@@ -166,21 +166,21 @@ def _cylinder(sums: _Sums) -> tuple[Array, str]:
         x, y = scale_x * math.cos(angle), scale_y * math.sin(angle)
         return np.array([x * x, 2 * x * y, y * y])
 
-    def height(angle: float) -> float:
+    def curvature_factor(angle: float) -> float:
         """The least-squares factor of the parabola."""
         along = parabola(angle)
-        return float(pull @ along) / float(along @ bending @ along)
+        return float(right_side @ along) / float(along @ reduced_matrix @ along)
 
-    def taken(angle: float) -> float:
-        return -height(angle) * float(pull @ parabola(angle))
+    def residual_change(angle: float) -> float:
+        return -curvature_factor(angle) * float(right_side @ parabola(angle))
 
     scan = np.radians(np.arange(180.0))
-    coarse = float(scan[np.argmin([taken(angle) for angle in scan])])
-    best = float(minimize_scalar(taken, bounds=(coarse - 0.02, coarse + 0.02), method="bounded").x)
+    coarse = float(scan[np.argmin([residual_change(angle) for angle in scan])])
+    best = float(minimize_scalar(residual_change, bounds=(coarse - 0.02, coarse + 0.02), method="bounded").x)
     coefficients = np.zeros(len(sums.powers))
-    coefficients[bent] = height(best) * parabola(best)
-    coefficients[flat] = np.linalg.solve(plane, sums.moments[flat] - cross @ coefficients[bent])
-    curvature = 2 * height(best) / math.prod(sums.scales)
+    coefficients[quadratic] = curvature_factor(best) * parabola(best)
+    coefficients[linear] = np.linalg.solve(plane, sums.moments[linear] - cross @ coefficients[quadratic])
+    curvature = 2 * curvature_factor(best) / math.prod(sums.scales)
     return coefficients, f", curvature {curvature:.4g} per um along {math.degrees(best) % 180:.1f} degree"
 
 

@@ -92,7 +92,7 @@ def read_text(
     read = {"line": _line, "grid": _grid, "xyz": _xyz}[chosen]
     height, pitch_x, pitch_y, remarks = read(table, steps, path)
     height = height * height_scale if height_scale != 1 else height
-    doubt = _loose_end(body.text)
+    doubt = _truncation_sign(body.text)
     extent = height.shape[-1] * pitch_x * lateral_scale
     if chosen == "line" and body.length is not None and extent < (1 - _TWO_PERCENT) * body.length:
         doubt = f"The header states a length of {body.length:.5g} um, the data have {extent:.5g} um"
@@ -126,14 +126,14 @@ def read_hfm(path: Path) -> Heights:
         raise InputError(path, "not an HFM profile", found=f"{table.shape[1]} columns", accepted="x, z and valid")
     profile = np.column_stack([table[:, 0], np.where(table[:, 2] == 1, table[:, 1], np.nan)])
     height, pitch, _, remarks = _line(profile, (), path)
-    return Heights(height * z_scale, pitch * x_scale, None, (*notes, *remarks), _cut_warning(_loose_end(rows)))
+    return Heights(height * z_scale, pitch * x_scale, None, (*notes, *remarks), _cut_warning(_truncation_sign(rows)))
 
 
 def _cut_warning(doubt: str) -> tuple[str, ...]:
     return (f"The file may be truncated. {doubt}; compare it with the original, or export it again.",) if doubt else ()
 
 
-def _loose_end(text: str) -> str:
+def _truncation_sign(text: str) -> str:
     """Sign of truncation in a last line without line end; empty if there is none, since many files lack the last line end."""
     *above, last = text.rsplit("\n", _COMPARED)
     rows = [row.rstrip(" ") for row in above[1:] if row.strip()]

@@ -228,10 +228,10 @@ def _heights(root: Element, archive: _Archive, count: int) -> NDArray[np.floatin
         raise InputError(path, "unknown type of heights", where="CZ DataType", found=found, accepted=accepted)
     raw: NDArray[Any]
     if _find(root, "Record3/DataLink") is None:
-        raw = _listed(root, path, count)
+        raw = _point_list_values(root, path, count)
     else:
         dtype, link = np.dtype(DATA_TYPES[code]), _text(root, "Record3/DataLink/PointDataLink", path)
-        raw = np.frombuffer(_linked(root, archive, link, "MD5ChecksumPointData", count * dtype.itemsize), dtype)
+        raw = np.frombuffer(_binary_values(root, archive, link, "MD5ChecksumPointData", count * dtype.itemsize), dtype)
     # Increment and offset belong to incremental axes and to integers; absolute floats are in metres.
     scaled = code in "IL" or _optional(root, "Record1/Axes/CZ/AxisType") == "I"
     step = _number(root, "Record1/Axes/CZ/Increment", path, 1.0) if scaled else 1.0
@@ -243,13 +243,13 @@ def _heights(root: Element, archive: _Archive, count: int) -> NDArray[np.floatin
         height += offset * _MICROMETRES
     link_of_valid = _optional(root, "Record3/DataLink/ValidPointsLink")
     if link_of_valid is not None:
-        mask = _linked(root, archive, link_of_valid, "MD5ChecksumValidPoints", (count + 7) // 8)
+        mask = _binary_values(root, archive, link_of_valid, "MD5ChecksumValidPoints", (count + 7) // 8)
         valid = np.unpackbits(np.frombuffer(mask, np.uint8), count=count, bitorder="little")
         height[valid == 0] = np.nan
     return height
 
 
-def _linked(root: Element, archive: _Archive, name: str, checksum: str, size: int) -> bytes:
+def _binary_values(root: Element, archive: _Archive, name: str, checksum: str, size: int) -> bytes:
     """Content of a binary entry, of the stated checksum if there is one."""
     content = archive.read(name, size)
     stated, actual = _optional(root, f"Record3/DataLink/{checksum}"), _md5(content)
@@ -259,7 +259,7 @@ def _linked(root: Element, archive: _Archive, name: str, checksum: str, size: in
     return content
 
 
-def _listed(root: Element, path: Path, count: int) -> NDArray[np.float64]:
+def _point_list_values(root: Element, path: Path, count: int) -> NDArray[np.float64]:
     # A point is "x;y;z", without x and y on incremental axes; an empty one is invalid.
     points = root.iterfind("{*}Record3/{*}DataList/{*}Datum")
     texts = [(point.text or "").rpartition(";")[2].strip() for point in points]

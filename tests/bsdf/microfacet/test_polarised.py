@@ -191,7 +191,7 @@ def test_the_matrix_is_continuous_up_to_grazing(theta_i, theta_o):
 
 def test_s_and_p_do_not_mix_in_the_mirror_direction():
     mueller = matrix(60.0, 20.0, 60.0, 200.0, n=1.8)
-    s, p = (0.26911389, 0.00017270)  # PHYSICS §5
+    s, p = (0.26911389, 0.00017270)  # Fresnel reflectances at 60°, n = 1.8
     assert mueller[0, :2] == pytest.approx([(s + p) / 2, (s - p) / 2], abs=5e-9)
     assert mueller[:2, 2:] == pytest.approx(np.zeros((2, 2)), abs=1e-15)
 

@@ -164,8 +164,8 @@ def _silent(dataset: xr.Dataset) -> xr.Dataset:
 
 def _verdict(datasets: Datasets, **verdicts: str) -> Datasets:
     """The material with other verdicts, and without the warnings of its stages."""
-    stated = {name: {"verdict": verdict, "text": f"{name} found"} for name, verdict in verdicts.items()}
-    checks = datasets["checks"].assign_attrs(verdicts=json.dumps(stated))
+    described = {name: {"verdict": verdict, "text": f"{name} found"} for name, verdict in verdicts.items()}
+    checks = datasets["checks"].assign_attrs(verdicts=json.dumps(described))
     return {**{stage: _silent(dataset) for stage, dataset in datasets.items()}, "checks": checks}
 
 

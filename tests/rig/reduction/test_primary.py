@@ -30,7 +30,7 @@ def test_the_brdf_is_recovered_exactly():
 
 
 def test_the_published_example_of_both_cosines():
-    """σ = 45, σ_st = 10, (20, 30): cos γ = 0.8739067326, cos ϑ_st = 0.9843279494 (PHYSICS, rig)."""
+    """σ = 45, σ_st = 10, (20, 30): cos γ = 0.8739067326, cos ϑ_st = 0.9843279494."""
     cosine, facing = (
         specular_directions.cos_view(45.0, 20.0, 30.0),
         specular_directions.cos_view_etalon(10.0, 20.0, 30.0),

@@ -246,8 +246,8 @@ def _model_error(side: Side, path: PathDirection) -> Array:
         if changed.size:
             continued, _ = coordinates_at_node(side, node, lobe.select(pairs[changed]), clamped=False)
             change = np.abs(_logarithm(side, node, continued) - _logarithm(side, node, clamped.select(changed)))
-            fall = np.cos(np.radians(side.horizon[node])) / np.maximum(lobe.cosine[pairs[changed]], TINY)
-            change = np.hypot(change, _HORIZON_ERROR * np.log(np.maximum(fall, 1.0))[:, None])
+            cosine_ratio = np.cos(np.radians(side.horizon[node])) / np.maximum(lobe.cosine[pairs[changed]], TINY)
+            change = np.hypot(change, _HORIZON_ERROR * np.log(np.maximum(cosine_ratio, 1.0))[:, None])
             below_horizon[pairs[changed]] += weight[pairs[changed], None] * change
     over_incidence = _interpolation_error(side, path, lobe)
     return np.expm1(np.minimum(np.hypot(below_horizon, over_incidence), _LARGEST_ERROR))

@@ -124,8 +124,8 @@ def smooth(
     elif about is None:
         about = _better_coordinates(primary, cells, basis)
     forms = [_standard_form(primary, basis, about, at) for at in range(len(cells))]
-    printed = np.sqrt(_ring_weights(primary["theta_s"].values)) if mode == "keldysh-printed" else None
-    fits = [_fit(form, values, mode, strength, printed) for form, values in zip(forms, cells, strict=True)]
+    preprint_weights = np.sqrt(_ring_weights(primary["theta_s"].values)) if mode == "keldysh-printed" else None
+    fits = [_fit(form, values, mode, strength, preprint_weights) for form, values in zip(forms, cells, strict=True)]
     link = "log" if mode == "pspline" else "identity"
     attrs = {name: primary.attrs[name] for name in ("history", "warnings") if name in primary.attrs}
     attrs |= {"mode": mode, "link": link, "about": about, "basis": bases.to_json(basis), "side": side}
@@ -325,13 +325,13 @@ def _solve_logarithm(form: StandardForm, value: Array, u: Array, strength: float
         chosen = _best_strength(problems, _STRENGTHS) if strength is None else strength
         coefficients, before = problems.solution(chosen), mean
         fitted = _exponential(coefficients @ form.rows.T)
-        moving = _movement(problems, coefficients, before, fitted, value, u, chosen) > _CONVERGED**2
-        if not (moving.any() and passes_left):
+        unconverged = _movement(problems, coefficients, before, fitted, value, u, chosen) > _CONVERGED**2
+        if not (unconverged.any() and passes_left):
             break
-        mean = np.where(moving, fitted, before)
-        at = np.flatnonzero(moving)
-        again = Decomposition.of(form, mean[at] / u[at], _working_response(value[at], mean[at]))
-        problems = problems.replaced(at, again)
+        mean = np.where(unconverged, fitted, before)
+        at = np.flatnonzero(unconverged)
+        updated = Decomposition.of(form, mean[at] / u[at], _working_response(value[at], mean[at]))
+        problems = problems.replaced(at, updated)
     return _Solution(problems, _STRENGTHS, chosen, coefficients, fitted)
 
 

@@ -78,7 +78,7 @@ def calibrate(
     etalon : kind ``reduced``, load ``etalon``; its incidences are the entrances the etalon was lit through
     certificate : of the etalon
     name : of the profile in control charts; by default its day
-    lamp_hours : hours the lamp had burnt by then
+    lamp_hours : hours the lamp had run by then
     valid_days, valid_hours : how long the profile may be used, in calendar days and in lamp hours
     override : use an expired certificate; recorded in the dataset
 

@@ -33,7 +33,7 @@ def apply(reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, 
     ----------
     reduced : kind ``reduced``, load ``sample``
     profile : kind ``calibration``
-    lamp_hours : hours the lamp had burnt when the sample was measured
+    lamp_hours : hours the lamp had run when the sample was measured
     override : use an expired or doubtful profile; recorded in the dataset
 
     Returns
@@ -161,8 +161,8 @@ def _stray_light(projected: Array, u: Array, cosine: Array) -> tuple[Array, Arra
     if not known.any():
         return np.zeros(count.size), np.zeros(count.size)
     error = np.sqrt(np.maximum(scatter, 1.0) / np.where(total > 0, total, 1.0))
-    elsewhere = float(mean[known].mean())
-    return np.where(known, mean, elsewhere), np.where(known, error, np.hypot(error[known].mean(), elsewhere))
+    mean_of_known = float(mean[known].mean())
+    return np.where(known, mean, mean_of_known), np.where(known, error, np.hypot(error[known].mean(), mean_of_known))
 
 
 def _uncertainty_components(

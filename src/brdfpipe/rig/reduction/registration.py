@@ -105,7 +105,7 @@ def register(rig: Rig, picture: Array, variance: Array, screen: Screen | None = 
     With a ``screen`` its scale and radial term are taken and only the shift is fitted. Otherwise it starts from the described screen, and scale
     and radial term are fitted too if there are enough spots.
     """
-    known = screen is not None
+    screen_given = screen is not None
     screen = screen or rig.screen
     x = np.array([*(fibre.x for fibre in rig.fibres), screen.reference_centre[0]])
     y = np.array([*(fibre.y for fibre in rig.fibres), screen.reference_centre[1]])
@@ -120,7 +120,7 @@ def register(rig: Rig, picture: Array, variance: Array, screen: Screen | None = 
     if not used.any():
         return Registration(screen, _POSITION_U, DIRECTION_U, 0)
     u = np.hypot(u[used], _SENSOR_U)
-    fit_lens = not known and used.sum() >= FIBRES_ENOUGH
+    fit_lens = not screen_given and used.sum() >= FIBRES_ENOUGH
 
     def moved(by: Array) -> Screen:
         dx, dy, stretch, bend = np.pad(by, (0, 4 - by.size))
@@ -138,7 +138,7 @@ def register(rig: Rig, picture: Array, variance: Array, screen: Screen | None = 
     # A disc of radius R has the variance R²/4 along either axis, a pixel 1/12.
     blur = float(np.sqrt(max(np.median(spread[used] - radius[used] ** 2 / 4) - 1 / 12, 0.0)))
     shift_u = _shift_u(by_u)
-    if not (known or fit_lens):
+    if not (screen_given or fit_lens):
         shift_u = float(np.hypot(shift_u, _DISTORTION_U))
     return Registration(moved(by), shift_u, DIRECTION_U, int(used.sum()), blur=blur)
 
@@ -211,8 +211,8 @@ def fit_disc(
 
     by, by_u = _robust_fit(residuals, 3)
     # The scatter of many spots shows their uncertainty better than the assumed one of the sensor.
-    left = residuals(by)
-    scatter = np.sqrt((left**2).sum() / max(left.size - by.size, 1))
+    final_residuals = residuals(by)
+    scatter = np.sqrt((final_residuals**2).sum() / max(final_residuals.size - by.size, 1))
     millimetres, scale_u = _shift_u(by_u), 1e-2 * float(by_u[2] * min(scatter, 1.0))
     shift = registration.shift_u / screen.scale
     direction_u = float(np.degrees(np.arctan(np.hypot(millimetres, shift) / screen.focal_length)))
