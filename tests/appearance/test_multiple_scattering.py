@@ -22,9 +22,20 @@ def test_the_loss_of_the_plain_model_is_the_compensated_light() -> None:
         given = multiple_scattering(microfacet.build(rough, index=index, multiple_scattering="compensated"))
         assert plain is not None
         assert given is not None
-        assert (plain.compensated, given.compensated) == (False, True)
+        assert (plain.mode, given.mode) == ("none", "compensated")
         assert plain.mirrors == pytest.approx(given.mirrors, abs=2e-5)  # the tabulated mean and the quick one
         assert plain.share == pytest.approx(given.share, rel=1e-3)  # of which 1 − Ē₁ has 1e-4
+
+
+def test_directional_light_of_perfect_mirrors_is_all_that_a_single_reflection_leaves() -> None:
+    rough = analytic("beckmann", 0.5)
+    plain = multiple_scattering(microfacet.build(rough, index=1.5))
+    given = multiple_scattering(microfacet.build(rough, index=1.5, multiple_scattering="directional"))
+    assert plain is not None
+    assert given is not None
+    assert given.mode == "directional"
+    assert given.mirrors == pytest.approx(plain.mirrors, abs=2e-5)
+    assert given.share > 2 * plain.share  # facets that light meets near grazing after others reflect most
 
 
 def test_a_bsdf_without_facets_has_no_multiple_scattering() -> None:

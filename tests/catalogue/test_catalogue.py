@@ -134,7 +134,7 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         (COLOUR + "model: {recipe: crf, masking: crf}", "either `recipe` or `masking`$"),
         (
             COLOUR + "model: {multiple_scattering: compensated, masking: blinn}",
-            "model.masking: `multiple_scattering: compensated` needs one of Smith's maskings; found 'blinn'",
+            "model.masking: `multiple_scattering: compensated` is defined for Smith's masking; found 'blinn'",
         ),
         (COLOUR + "exports: [zemax]", "exports.0"),
         (COLOUR + "name: a b", "name"),

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection, albedo_of_mirrors
+from brdfpipe.geometry import Array
+from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import mean_fresnel
 
 
 class MultipleScattering(NamedTuple):
     """Light reflected more than once [1], mean over the hemisphere of incidence."""
 
-    compensated: bool
-    """Whether the model adds this light as a diffuse part; otherwise the light is lost."""
+    mode: str
+    """Of :data:`brdfpipe.masking.modes.MODES`: ``none`` loses this light."""
     share: float
     """Share of the incident light, for this material."""
     mirrors: float
@@ -31,6 +36,7 @@ def multiple_scattering(bsdf: xr.Dataset, wavelength: float = 550.0) -> Multiple
     Notes
     -----
     With Ē₁ the mean albedo of perfect mirrors and F̄ = 2 ∫ F μ dμ: F̄² Ē₁ (1 − Ē₁) / (1 − F̄ (1 − Ē₁)), a geometric series.
+    Of the mode ``directional`` the tabulated reflections are integrated instead.
 
     References
     ----------
@@ -38,13 +44,27 @@ def multiple_scattering(bsdf: xr.Dataset, wavelength: float = 550.0) -> Multiple
     """
     if "mean_furnace_albedo" not in bsdf or "slope_density" not in bsdf:
         return None
-    mirrors = 1 - float(bsdf["mean_furnace_albedo"])
-    if "compensation" in bsdf:
-        return MultipleScattering(True, float(_at(bsdf["compensation"], wavelength)) * mirrors, mirrors)
+    mode, mirrors = str(bsdf.attrs["multiple_scattering"]), 1 - float(bsdf["mean_furnace_albedo"])
+    if mode != "none":
+        compensated = float(_at(bsdf["compensation"], wavelength)) * mirrors
+        if mode != "directional":
+            return MultipleScattering(mode, compensated, mirrors)
+        table = _at(bsdf["second_reflection"], wavelength).values[..., None]
+        directional = SecondReflection.of(bsdf, table, Microsurface.of(bsdf)).albedo
+        share, of_mirrors = (
+            _mean(albedo, bsdf["second_theta_i"].values) for albedo in (directional, albedo_of_mirrors(bsdf))
+        )
+        return MultipleScattering(mode, compensated + share, mirrors + of_mirrors)
     n, k = (np.atleast_1d(_at(bsdf[name], wavelength)) for name in ("n", "k"))
     fresnel = float(mean_fresnel(n, k)[0])
     share = fresnel**2 * (1 - mirrors) * mirrors / max(1 - fresnel * mirrors, 1e-12)
-    return MultipleScattering(False, max(share, 0.0), mirrors)
+    return MultipleScattering(mode, max(share, 0.0), mirrors)
+
+
+def _mean(albedo: Callable[[Array], Array], theta: Array) -> float:
+    """2 ∫ E μ dμ of an albedo that is smooth between the nodes θ [degree]."""
+    nodes, weight = panel_rule(np.radians(theta), 4)
+    return float(((weight * np.sin(2 * nodes)) @ albedo(np.degrees(nodes)))[0])
 
 
 def _at(values: xr.DataArray, wavelength: float) -> xr.DataArray:

@@ -24,7 +24,7 @@ from brdfpipe.descriptions.keys import (
 )
 from brdfpipe.errors import InputError
 from brdfpipe.exchange.registry import FORMATS
-from brdfpipe.masking.modes import MODEL_DEFAULTS, MODES, RECIPES, SMITH_MASKINGS
+from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, MODEL_DEFAULTS, MODES, RECIPES, SMITH_MASKINGS
 
 EXPORT_WORDS = "; ".join(f"{name}: {format.description}" for name, format in FORMATS.items())
 
@@ -574,7 +574,8 @@ class Model(Keys):
         default_words=f"`{MODEL_DEFAULTS['diffuse']}`",
     )
     multiple_scattering: Annotated[str, OneOf(MODES["multiple_scattering"])] = key(
-        "light reflected by more than one facet: none (lost) or compensated (given back as diffuse light)",
+        "light reflected by more than one facet: none (lost), compensated (given back as diffuse light) or directional (the second "
+        "reflection in its directions, further ones as diffuse light; not for a surface with a lay)",
         default_words=f"`{MODEL_DEFAULTS['multiple_scattering']}`",
     )
     recipe: Annotated[str, OneOf(tuple(RECIPES))] = key(
@@ -588,10 +589,11 @@ class Model(Keys):
 
     @model_validator(mode="after")
     def _check_compensation(self) -> Self:
-        masking = self.effective_masking
-        if self.multiple_scattering == "compensated" and masking not in SMITH_MASKINGS:
-            problem = "`multiple_scattering: compensated` needs one of Smith's maskings"
-            accepted = f"{' or '.join(SMITH_MASKINGS)}, or `multiple_scattering: none`"
+        masking, mode = self.effective_masking, self.multiple_scattering or MODEL_DEFAULTS["multiple_scattering"]
+        defined = MASKINGS_OF_MULTIPLE_SCATTERING[mode]
+        if masking not in defined:
+            problem = f"`multiple_scattering: {mode}` is defined for Smith's masking"
+            accepted = f"{' or '.join(defined)}, or `multiple_scattering: none`"
             raise InputError("", problem, where="masking", found=repr(masking), accepted=accepted)
         return self
 

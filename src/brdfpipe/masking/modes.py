@@ -6,12 +6,19 @@ SMITH_MASKINGS = ("height-correlated", "separable")
 MODES = {
     "masking": (*SMITH_MASKINGS, "blinn", "liu", "crf", "none"),
     "diffuse": ("coupled", "crf", "none"),
-    "multiple_scattering": ("none", "compensated"),
+    "multiple_scattering": ("none", "compensated", "directional"),
 }
 """Accepted modes by key of ``model``; the first one is the default."""
 
 MODEL_DEFAULTS = {key: names[0] for key, names in MODES.items()}
 """Modes that apply where neither the key nor a recipe is given."""
+
+MASKINGS_OF_MULTIPLE_SCATTERING = {
+    "none": MODES["masking"],
+    "compensated": SMITH_MASKINGS,
+    "directional": ("height-correlated",),
+}
+"""Masking modes with which each mode of ``multiple_scattering`` is defined."""
 
 RECIPES = {"crf": {"masking": "crf", "diffuse": "crf", "multiple_scattering": "none"}}
 """Modes of one source, by its name."""

@@ -487,7 +487,7 @@ def test_a_brushed_surface_is_shown_along_its_lay_and_across(full: Datasets) -> 
 
 @pytest.mark.usefixtures("without_bsdf_figures")
 def test_a_large_loss_is_a_remark_and_a_small_one_a_note() -> None:
-    advice = "Set <code>model.multiple_scattering: compensated</code> to compensate it"
+    advice = "Set <code>model.multiple_scattering: directional</code> to add it"
     rough = analytic("ggx", 0.6)
     loses, _ = _page_of(rough, index=_metal())
     assert re.search(rf'<p class="remark">The model loses [\d.]+\u202f% of the light[^<]*{advice}', loses)

@@ -22,7 +22,7 @@ from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.masking.liu import energy_limit
-from brdfpipe.masking.modes import MODEL_DEFAULTS, MODES, RECIPES, SMITH_MASKINGS
+from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, MODEL_DEFAULTS, MODES, RECIPES
 from brdfpipe.optics.index import interpolate_index, refractive_index
 
 SPECULAR_TRAP = 5.0
@@ -86,6 +86,11 @@ def build(
         raise ModelError(
             "masking 'liu' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another `model.masking`"
         )
+    if chosen["multiple_scattering"] == "directional" and surface["slope_density"].ndim == 2:
+        raise ModelError(
+            "`multiple_scattering: directional` is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true`, or "
+            "`model.multiple_scattering: compensated`"
+        )
     bsdf = _surface_of(surface)
     bsdf.attrs = {
         "representation": Microfacet.name if "slope_density" in bsdf else Smooth.name,
@@ -127,10 +132,11 @@ def _choices(recipe: str | None, **given: str | None) -> dict[str, str]:
                 f"recipe {recipe!r} has {name} {chosen[name]!r}, but {name} is {value!r}; drop `model.recipe` or `model.{name}`"
             )
         chosen[name] = value
-    if chosen["multiple_scattering"] == "compensated" and chosen["masking"] not in SMITH_MASKINGS:
+    accepted = MASKINGS_OF_MULTIPLE_SCATTERING[chosen["multiple_scattering"]]
+    if chosen["masking"] not in accepted:
         raise ModelError(
-            f"`multiple_scattering: compensated` needs one of Smith's maskings, and masking is {chosen['masking']!r}; accepted: "
-            f"{' or '.join(SMITH_MASKINGS)}; set `model.masking`"
+            f"`multiple_scattering: {chosen['multiple_scattering']}` is defined for Smith's masking, and masking is {chosen['masking']!r}; "
+            f"accepted: {' or '.join(accepted)}; set `model.masking`"
         )
     return chosen
 

@@ -207,12 +207,15 @@ class AlbedoTable:
     """(φ,) degree, increasing around the circle; of a surface with a lay"""
     ellipse: Ellipse | None = None
     """Principal slopes of a surface with a lay, which scale both angles so that the albedo is smooth"""
+    second: Callable[[Array], Array] | None = None
+    """Part of an isotropic albedo that is not smooth in θ and is left out of the spline, (θ,) → (θ, wavelength)"""
 
     def __call__(self, theta: Array, phi: Array | float = 0.0) -> Array:
         """E, (…, wavelength), in [0, 1]."""
         grazing = 90 - np.asarray(theta, dtype=float)
         if self.phi is None:
-            return np.clip(self._spline(grazing), 0.0, 1.0)
+            values = self._spline(grazing)
+            return np.clip(values if self.second is None else values + self.second(90 - grazing), 0.0, 1.0)
         assert self.ellipse is not None
         at = np.arcsinh(grazing / _lay_scale(self.ellipse)), quadrature.azimuth_to_arc(self.ellipse, phi)
         return np.clip(np.stack([spline.ev(*at) for spline in self._surfaces], axis=-1), 0.0, 1.0)
@@ -231,7 +234,8 @@ class AlbedoTable:
 
     @cached_property
     def _spline(self) -> PiecewiseCubic:
-        return PiecewiseCubic.of(_even_spline(90 - self.theta[::-1], self.values[::-1]))
+        smooth = self.values if self.second is None else self.values - self.second(self.theta)
+        return PiecewiseCubic.of(_even_spline(90 - self.theta[::-1], smooth[::-1]))
 
     @cached_property
     def _surfaces(self) -> list[RectBivariateSpline]:

@@ -13,6 +13,12 @@ from brdfpipe import hemisphere
 from brdfpipe.bsdf.microfacet import energy, polarised, transmission
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable, directional_albedo
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.microfacet.second_reflection import (
+    SecondReflection,
+    albedo_of_mirrors,
+    second_reflection,
+    with_second_reflection,
+)
 from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.geometry import Array, half_vector
@@ -42,9 +48,10 @@ class Model:
     """Of the facets, after one or several reflections"""
     mean_albedo: Array
     furnace: AlbedoTable | None
-    """Albedo of the same facets as perfect mirrors, if their loss is compensated"""
+    """Albedo of the same facets as perfect mirrors, if their loss is compensated; with the second reflection, if it is modelled"""
     mean_furnace: float
     compensation: Array
+    second: SecondReflection | None
     transparent: bool
 
     @classmethod
@@ -64,6 +71,13 @@ class Model:
         furnace = bsdf.get("furnace_albedo")
         if surface is None and "slope_density" in bsdf:
             surface = Microsurface.of(bsdf)
+        compensation = spectral("compensation") if furnace is not None else np.zeros(1)
+        second = second_of_mirrors = second_albedo = None
+        if "second_reflection" in bsdf:
+            assert surface is not None
+            second = SecondReflection.of(bsdf, spectral("second_reflection"), surface)
+            second_of_mirrors = albedo_of_mirrors(bsdf)
+            second_albedo = _second_share(second.albedo, second_of_mirrors, compensation)
         return cls(
             surface,
             str(bsdf.attrs["masking"]),
@@ -71,11 +85,12 @@ class Model:
             spectral("k"),
             str(bsdf.attrs["diffuse_mode"]),
             spectral("diffuse"),
-            AlbedoTable(theta, spectral("directional_albedo"), phi, ellipse),
+            AlbedoTable(theta, spectral("directional_albedo"), phi, ellipse, second_albedo),
             spectral("mean_albedo"),
-            None if furnace is None else AlbedoTable(theta, furnace.values[..., None], phi, ellipse),
+            None if furnace is None else AlbedoTable(theta, furnace.values[..., None], phi, ellipse, second_of_mirrors),
             float(bsdf.get("mean_furnace_albedo", 1.0)),
-            spectral("compensation") if furnace is not None else np.zeros(1),
+            compensation,
+            second,
             bsdf.attrs["transmission"] == "interface",
         )
 
@@ -123,6 +138,8 @@ class Model:
             cos_o = pair.cos_o
             fresnel = fresnel_reflectance(pair.cos_zeta[:, None], self.n, self.k).mean
             brdf = self.surface.reflected(pair, phi_i, phi_o, self.masking)[:, None] * fresnel
+        if self.second is not None:
+            brdf = brdf + self.second(theta_i, phi_i, theta_o, phi_o)
         if self.furnace is not None:
             lost = (1 - self.furnace(theta_i, phi_i)) * (1 - self.furnace(theta_o, phi_o))
             brdf = brdf + self.compensation * lost / (np.pi * max(1 - self.mean_furnace, 1e-300))
@@ -184,6 +201,8 @@ class Model:
 
     def _albedo_above(self, theta: Array, phi: Array) -> Array:
         total = self.specular(theta, phi, self.n)
+        if self.second is not None:
+            total = total + self.second.albedo(theta)
         if self.furnace is not None:
             # ∫ (1 − E(θ_o)) cos θ_o dω_o = π (1 − Ē): exact.
             total = total + self.compensation * (1 - self.furnace(theta, phi))
@@ -218,41 +237,65 @@ def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
     """Add the directional albedo of the interface, its mean, and the fields that compensate multiple scattering."""
     spectral, exact = bsdf["n"].dims, np.array([0.0, theta_m, 90.0])
     n, k = np.atleast_1d(bsdf["n"].values), np.atleast_1d(bsdf["k"].values)
-    compensated = bsdf.attrs["multiple_scattering"] == "compensated" and "slope_density" in bsdf
+    multiple = bsdf.attrs["multiple_scattering"] if "slope_density" in bsdf else "none"
+    second = second_of_mirrors = None
     mean_furnace = 1.0
     if "slope_density" not in bsdf:
         # The reflectance varies within 1/|N| of grazing, and for a small contrast within √(2 (n − 1)).
         table = energy.refined(lambda theta: _smooth_reflectance(theta, n, k), 0.01, exact)
     else:
         surface, masking = Microsurface.of(bsdf), str(bsdf.attrs["masking"])
+        if multiple == "directional":
+            second, second_of_mirrors = second_reflection(
+                surface, n, k, lambda theta: energy.mirror_albedo(surface, masking, theta)
+            )
 
         def albedos(theta: Array, phi: Array) -> Array:
             # Masking modes that do not conserve energy may exceed 1: no light is left for the base.
             single = np.minimum(directional_albedo(surface, masking, n, k, theta, phi), 1.0)
-            if not compensated:
+            if multiple == "none":
                 return single
             return np.concatenate([single, energy.mirror_albedo(surface, masking, theta, phi)[:, None]], axis=1)
 
         table = energy.tabulated(surface, albedos, exact)
-        mean_furnace = 0.0 if compensated else _mean_mirror_albedo(surface, masking)
+        mean_furnace = _mean_mirror_albedo(surface, masking) if multiple == "none" else 0.0
     dims = ("theta_i",) if table.phi is None else ("theta_i", "phi_i")
     bsdf = bsdf.assign_coords({"theta_i": table.theta} | ({} if table.phi is None else {"phi_i": table.phi}))
     albedo = replace(table, values=table.values[..., : n.size])
-    if compensated:
+    if multiple != "none":
         furnace = replace(table, values=table.values[..., n.size :])
+        if second is not None:
+            assert second_of_mirrors is not None
+            of_mirrors = second_of_mirrors.albedo
+            furnace = replace(furnace, values=furnace.values + of_mirrors(table.theta), second=of_mirrors)
         mean_furnace = float(furnace.mean()[0])
         fresnel = mean_fresnel_reflectance(n, k)
-        # F_ms of all reflections after the first, each with the mean reflectance of a facet.
-        factor = np.asarray(fresnel**2 * mean_furnace / (1 - fresnel * (1 - mean_furnace)))
-        albedo = replace(table, values=albedo.values + factor * (1 - furnace.values))
+        # F_ms of all further reflections, each with the mean reflectance of a facet.
+        modelled = 1 if second is None else 2
+        factor = np.asarray(fresnel ** (modelled + 1) * mean_furnace / (1 - fresnel * (1 - mean_furnace)))
+        values = albedo.values + factor * (1 - furnace.values)
+        if second is None:
+            albedo = replace(albedo, values=values)
+        else:
+            share = _second_share(second.albedo, of_mirrors, factor)
+            albedo = replace(albedo, values=values + second.albedo(table.theta), second=share)
         compensation = (spectral, factor if spectral else factor[0])
         bsdf = bsdf.assign(furnace_albedo=(dims, furnace.values[..., 0]), compensation=compensation)
+        if second is not None:
+            bsdf = with_second_reflection(bsdf, second, second_of_mirrors)
     values, mean = albedo.values, albedo.mean()
     return bsdf.assign(
         directional_albedo=((*dims, *spectral), values if spectral else values[..., 0]),
         mean_albedo=(spectral, mean if spectral else mean[0]),
         mean_furnace_albedo=mean_furnace,
     )
+
+
+def _second_share(
+    second: Callable[[Array], Array], of_mirrors: Callable[[Array], Array], compensation: Array
+) -> Callable[[Array], Array]:
+    """Part of the albedo that follows the table of the second reflection: it also reduces what is left for the compensation."""
+    return lambda theta: second(theta) - compensation * of_mirrors(theta)
 
 
 def _smooth_reflectance(theta: Array, n: Array, k: Array) -> Array:

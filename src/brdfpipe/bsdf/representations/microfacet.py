@@ -82,7 +82,11 @@ class Interface(Representation):
 
     def single_reflection(self) -> xr.Dataset | None:
         facets = self.without_diffuse()
-        return facets.drop_vars("furnace_albedo") if "furnace_albedo" in facets else None
+        return (
+            facets.drop_vars(["furnace_albedo", "second_reflection", "second_mirror_albedo"], errors="ignore")
+            if "furnace_albedo" in facets
+            else None
+        )
 
     @property
     def unphysical_choice(self) -> str:
@@ -104,6 +108,10 @@ _INTERFACE_KIND = vocabulary.Kind(
         **dict.fromkeys(("lay", "theta_m"), vocabulary.SCALAR),
         **dict.fromkeys(("compensation", "total_reflectance"), vocabulary.SPECTRAL),
         "furnace_albedo": _INCIDENCE_DIMS,
+        "second_mirror_albedo": [("second_theta",)],
+        "second_reflection": [
+            ("second_theta_i", "second_theta_o", "second_azimuth", *spectral) for spectral in (("wavelength",), ())
+        ],
     },
     attributes=("masking", "diffuse_mode", "multiple_scattering", "transmission"),
 )

@@ -150,7 +150,7 @@ def model_table(bsdf: xr.Dataset) -> Table:
         )
         texts = (note,)
     elif several is not None:
-        state = "compensated" if several.compensated else "lost"
+        state = "lost" if several.mode == "none" else several.mode
         rows.append((f"Light reflected more than once, {state}", percent(several.share)))
         texts = _scattering_note_and_remark(several)
     return Table("Model", ("Choice", "Value"), rows, *texts)
@@ -159,13 +159,16 @@ def model_table(bsdf: xr.Dataset) -> Table:
 def _scattering_note_and_remark(several: MultipleScattering) -> tuple[str, str]:
     """A note, and a remark where the loss is large."""
     mean = f"mean over the hemisphere; for facets that are perfect mirrors {percent(max(several.mirrors, 0.0))}"
-    if several.compensated:
+    if several.mode == "directional":
+        light = f"Light that leaves after two or more reflections, {percent(several.share)} ({mean})"
+        return f"{light}, leaves in the directions that the facets give it.", ""
+    if several.mode == "compensated":
         light = f"Light that leaves after two or more reflections, {percent(several.share)} ({mean})"
         return f"{light}, is compensated by a diffuse part.", ""
     loss = f"The model loses {percent(several.share)} of the light to multiple scattering ({mean})"
     if several.share < _NEGLIGIBLE_LOSS:
         return f"{loss}: negligible.", ""
-    advice = f"{loss}. Set `model.multiple_scattering: compensated` to compensate it."
+    advice = f"{loss}. Set `model.multiple_scattering: directional` to add it; of a surface with a lay, `compensated`."
     return ("", advice) if several.share >= LOSS_LIMIT else (advice, "")
 
 
