@@ -281,7 +281,7 @@ def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
             albedo = replace(albedo, values=values + second.albedo(table.theta), second=share)
         compensation = (spectral, factor if spectral else factor[0])
         bsdf = bsdf.assign(furnace_albedo=(dims, furnace.values[..., 0]), compensation=compensation)
-        if second is not None:
+        if second is not None and second_of_mirrors is not None:
             bsdf = with_second_reflection(bsdf, second, second_of_mirrors)
     values, mean = albedo.values, albedo.mean()
     return bsdf.assign(

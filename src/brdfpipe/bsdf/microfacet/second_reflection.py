@@ -22,6 +22,7 @@ from functools import cached_property
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
@@ -39,7 +40,7 @@ _COSINES = np.linspace(0.0, 1.0, 513) ** 2  # where that reflectance is tabulate
 _PATHS = 4096  # of the quadrature over three facets
 _LEAST = 1e-300
 
-_Cell = tuple[Array, Array]
+_Cell = tuple[NDArray[np.int64], Array]
 """Index of an interval of a table, and the position in it, from 0 to 1."""
 
 
@@ -173,7 +174,7 @@ def albedo_of_mirrors(bsdf: xr.Dataset) -> Callable[[Array], Array]:
 def _linear(nodes: Array, values: Array) -> _Cell:
     """Index of the interval of each value, and its position in it."""
     index = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, nodes.size - 2)
-    return index, np.clip((values - nodes[index]) / (nodes[index + 1] - nodes[index]), 0.0, 1.0)
+    return index.astype(np.int64), np.clip((values - nodes[index]) / (nodes[index + 1] - nodes[index]), 0.0, 1.0)
 
 
 def azimuth_width(surface: Microsurface, cos_i: Array, cos_o: Array) -> Array:
