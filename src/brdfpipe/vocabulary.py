@@ -146,6 +146,16 @@ QUANTITIES: Mapping[str, Quantity] = {
         "1", "share of light by which sums over nodes missed what they were then scaled to", 0
     ),
     "interpolation_error": Quantity("1", "error of the tabulated part between its nodes, in the worst incidence", 0),
+    "traced_incidence": Quantity("degree", "angle of incidence of traced rays", 0, 90),
+    "half_slope_along": Quantity("1", "slope of the half vector along the plane of incidence, positive towards the light"),
+    "half_slope_across": Quantity("1", "slope of the half vector across the plane of incidence, without sign", 0),
+    "single_density": Quantity("1", "density in slope space of facets that reflect traced light once", 0),
+    "multiple_density": Quantity("1", "the same of facets that would reflect the light traced over more than one", 0),
+    "smith_slope": Quantity("1", "slope rms along one axis of the Gaussian masking that divides traced densities", 0),
+    "traced_reflectance": Quantity("1", "reflectance of a facet under light from everywhere, of the index traced", 0, 1 + 1e-9),
+    "reflected": Quantity("1", "share of the light that leaves after one, two, and three or more reflections", 0, 1 + 1e-9),
+    "refracted": Quantity("1", "share of the light refracted at the first, second, and any further facet", 0, 1 + 1e-9),
+    "lost": Quantity("1", "share of the traced light that was lost", 0, 1 + 1e-9),
     "tristimulus": Quantity("1", "CIE tristimulus values, Y = 100 for the perfect diffuser", 0),
     "reflectance_factor": Quantity(
         "1", "light over that of the perfect diffuser in the same directions, π times the BRDF", 0

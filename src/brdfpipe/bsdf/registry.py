@@ -15,10 +15,11 @@ from brdfpipe.bsdf.representations.measured import Measured
 from brdfpipe.bsdf.representations.microfacet import Microfacet, Smooth
 from brdfpipe.bsdf.representations.slab import Slab
 from brdfpipe.bsdf.representations.table import Table
+from brdfpipe.bsdf.representations.traced import Traced
 from brdfpipe.errors import VocabularyError
 
 REPRESENTATIONS: dict[str, type[Representation]] = {
-    kind.name: kind for kind in (Flake, LambertGauss, Measured, Microfacet, Slab, Smooth, Table)
+    kind.name: kind for kind in (Flake, LambertGauss, Measured, Microfacet, Slab, Smooth, Table, Traced)
 }
 """Class by value of the attribute ``representation``."""
 

@@ -18,6 +18,8 @@ EDGES = ("mirrored", "periodic", "open")
 LEAST_HEIGHTS = 16
 """Heights along each axis of the smallest map."""
 
+_SAMPLED_FACETS = 2**20
+
 
 class ReferenceError(BrdfpipeError):
     """A surface or an option that a reference solution cannot use."""
@@ -83,13 +85,27 @@ class HeightMesh(NamedTuple):
             height, present = np.pad(height, ((0, 1), (0, 1)), mode="wrap"), np.pad(present, ((0, 1), (0, 1)), mode="edge")
         return cls(height, present, *_ceilings(height), pitch, EDGES.index(edges))
 
+    def slopes(self) -> tuple[Array, Array]:
+        """Slopes along x and y of a sample of evenly spaced facets, (facets,)."""
+        step = max(1, self.present.size // _SAMPLED_FACETS)
+        cells = np.flatnonzero(self.present)[::step]
+        row, column = np.divmod(cells, self.present.shape[1])
+        low = self.height[row, column]
+        return (
+            (self.height[row, column + 1] - low) / self.pitch[0],
+            (self.height[row + 1, column] - low) / self.pitch[1],
+        )
+
     @property
     def typical_slope(self) -> float:
         """Slope rms along one axis of a Gaussian surface of the same median slope; spikes do not change it."""
-        step = max(1, self.height.size // 2**20)
-        p = np.diff(self.height, axis=1)[:-1][self.present] / self.pitch[0]
-        q = np.diff(self.height, axis=0)[:, :-1][self.present] / self.pitch[1]
-        return float(np.median(np.hypot(p[::step], q[::step])) / np.sqrt(2 * np.log(2)))
+        return float(np.median(np.hypot(*self.slopes())) / np.sqrt(2 * np.log(2)))
+
+    @property
+    def anisotropy(self) -> float:
+        """Larger over smaller principal slope rms; infinite where the smaller vanishes."""
+        smaller, larger = np.linalg.eigvalsh(np.cov(np.stack(self.slopes())))
+        return float(np.sqrt(larger / smaller)) if smaller > 0 else float("inf")
 
 
 def _ceilings(height: Array) -> tuple[Array, NDArray[np.int64]]:

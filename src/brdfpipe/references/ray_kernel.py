@@ -339,36 +339,32 @@ def trace(
         frame[0], frame[1], frame[2] = -sin_phi * ray[6], cos_phi * ray[7], 0.0
         jones[0, 0], jones[0, 1], jones[1, 0], jones[1, 1] = 1.0, 0.0, 0.0, ray[6] * ray[7]
         before_s, before_p = 1.0, 1.0
-        status = first_hit(height, ceiling, offset, low, edges, ray, at, True)
-        if status != _HIT or not present[at[1], at[0]]:
-            continue
-        counted += 1
-        bounce = 0
+        bounce, order = 0, 0
         while True:
-            facet_normal(height, pitch, at, normal)
-            reflect(ray, normal, pitch, frame, jones, epsilon, mirror)
-            order = min(bounce, ORDERS - 1)
-            after_s = _power(jones[0, 0]) + _power(jones[1, 0])
-            after_p = _power(jones[0, 1]) + _power(jones[1, 1])
-            balance[1, order, 0] += before_s - after_s
-            balance[1, order, 1] += before_p - after_p
-            before_s, before_p = after_s, after_p
-            bounce += 1
-            if bounce == _MOST_BOUNCES or before_s + before_p < _NEGLIGIBLE_POWER:
-                balance[0, ORDERS, 0] += before_s
-                balance[0, ORDERS, 1] += before_p
-                break
-            flip = ray[6] * ray[7]
-            old_x, old_y = ray[6], ray[7]
-            status = first_hit(height, ceiling, offset, low, edges, ray, at, False)
+            flip_x, flip_y = ray[6], ray[7]
+            status = first_hit(height, ceiling, offset, low, edges, ray, at, bounce == 0)
             # In a mirror image the frame is mirrored, and its second axis points the other way.
-            frame[0] *= old_x * ray[6]
-            frame[1] *= old_y * ray[7]
-            flip *= ray[6] * ray[7]
-            jones[1, 0] *= flip
-            jones[1, 1] *= flip
+            flip_x, flip_y = flip_x * ray[6], flip_y * ray[7]
+            frame[0] *= flip_x
+            frame[1] *= flip_y
+            jones[1, 0] *= flip_x * flip_y
+            jones[1, 1] *= flip_x * flip_y
             if status == _HIT and present[at[1], at[0]]:
-                continue
+                counted += bounce == 0
+                order = min(bounce, ORDERS - 1)
+                bounce += 1
+                facet_normal(height, pitch, at, normal)
+                reflect(ray, normal, pitch, frame, jones, epsilon, mirror)
+                after_s = _power(jones[0, 0]) + _power(jones[1, 0])
+                after_p = _power(jones[0, 1]) + _power(jones[1, 1])
+                balance[1, order, 0] += before_s - after_s
+                balance[1, order, 1] += before_p - after_p
+                before_s, before_p = after_s, after_p
+                if bounce < _MOST_BOUNCES and before_s + before_p > _NEGLIGIBLE_POWER:
+                    continue
+                status = _LOST
+            if bounce == 0:
+                break
             if status != _ESCAPED:
                 balance[0, ORDERS, 0] += before_s
                 balance[0, ORDERS, 1] += before_p

@@ -1,0 +1,213 @@
+"""The representation ``traced``: light followed over a measured height map by rays, as a table."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.ndimage import map_coordinates
+from scipy.special import erfc
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.coupled_base import CoupledBase
+from brdfpipe.bsdf.microfacet.model import mean_index
+from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
+from brdfpipe.geometry import Array, HalfVector, half_vector, slope_towards
+from brdfpipe.optics.fresnel_equations import fresnel, mean_fresnel
+
+_NODES = ("traced_incidence", "half_slope_across", "half_slope_along")
+_BLOCK = 2**15
+
+
+class Traced(Representation):
+    """A table of traced light over incidence and slope of the half vector, over a diffuse base.
+
+    The table holds the density T of f = T F G / (4 cos θ_i cos θ_o cos⁴α), with Fresnel's reflectance F of the half vector, and G
+    Smith's masking of a Gaussian surface of slope ``smith_slope``: factors that take the steep part of the dependence on the directions,
+    so that T can be interpolated linearly. The mean of both directions of light is returned, so the BSDF is reciprocal.
+    """
+
+    name = "traced"
+    kind = vocabulary.Kind(
+        required={
+            **dict.fromkeys(("single_density", "single_density_u", "multiple_density", "multiple_density_u"), [_NODES]),
+            **dict.fromkeys(("n", "k", "mean_albedo", "diffuse"), vocabulary.SPECTRAL),
+            "directional_albedo": [("theta_i", "wavelength"), ("theta_i",)],
+            **dict.fromkeys(("smith_slope", "traced_reflectance", "theta_m"), vocabulary.SCALAR),
+            **dict.fromkeys(("reflected", "reflected_u", "refracted"), [("order", "traced_incidence")]),
+            "lost": [("traced_incidence",)],
+        },
+        optional={"total_reflectance": vocabulary.SPECTRAL},
+        attributes=("rays", "seed", "edges", "band"),
+    )
+    accuracy = 1e-3
+    """The table has kinks at its nodes."""
+    states_uncertainty = True
+    uses_index = True
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        super().__init__(dataset)
+        self._table = TracedTable.of(dataset)
+        self._base = per_wavelength(lambda wavelength: CoupledBase.of(dataset, wavelength))
+        self._index = per_wavelength(lambda wavelength: self._index_at(wavelength))
+
+    def _index_at(self, wavelength: Array | None) -> tuple[Array, Array]:
+        n, k = (np.atleast_1d(at_wavelengths(self.dataset[name], wavelength)) for name in ("n", "k"))
+        return n, k
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        index, base = self._index(wavelength), self._base(wavelength)
+
+        def values(angles: list[Array]) -> Array:
+            return self._table.brdf(*angles, *index) + base.brdf(angles[0], angles[2])
+
+        return self._above(values, theta_i, phi_i, theta_o, phi_o, max(index[0].size, base.diffuse.size))
+
+    def uncertainty(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
+    ) -> Array:
+        """Of the number of rays and of the finite map, as if the errors of neighbouring nodes were common."""
+        index = self._index(wavelength)
+        return self._above(
+            lambda angles: self._table.uncertainty(*angles, *index), theta_i, phi_i, theta_o, phi_o, index[0].size
+        )
+
+    def _above(self, values, theta_i, phi_i, theta_o, phi_o, width):  # type: ignore[no-untyped-def]
+        angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
+        flat = [np.asarray(angle, dtype=float).reshape(-1) for angle in angles]
+        result = np.zeros((flat[0].size, width))
+        above = np.flatnonzero((flat[0] < 90) & (flat[2] < 90))
+        step = max(_BLOCK // width, 256)
+        for start in range(0, above.size, step):
+            at = above[start : start + step]
+            result[at] = values([angle[at] for angle in flat])
+        return result.reshape(*angles[0].shape, width)
+
+    def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        return self._base(wavelength).total_albedo(theta_i)
+
+    def albedo_uncertainty(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        """Of the number of rays and of the finite map; the diffuse part returns a share of what the surface misses."""
+        node, total_u = self.dataset["traced_incidence"].values, self.dataset["reflected_u"].sum("order").values
+        return np.interp(theta_i, node, total_u)[..., None] * (1 - self._base(wavelength).diffuse)
+
+    @property
+    def albedo_needs_quadrature(self) -> bool:
+        return False
+
+    @property
+    def albedo_accuracy(self) -> float:
+        return self.accuracy
+
+    @property
+    def lobe_slope(self) -> float:
+        return float(self.dataset["smith_slope"])
+
+    def stored_values(self) -> Array:
+        return self.dataset["single_density"].values.reshape(-1, 1)
+
+    def nonspectral(self, weight: Array) -> xr.Dataset:
+        """The weighted mean of the reflectance, and one index: as of the representation ``microfacet``."""
+        bsdf = self.dataset
+        names = ("directional_albedo", "mean_albedo", "diffuse", "total_reflectance")
+        means = {
+            name: (bsdf[name].dims[:-1], bsdf[name].values @ weight)
+            for name in names
+            if name in bsdf and "wavelength" in bsdf[name].dims
+        }
+        if "wavelength" in bsdf["n"].dims:
+            n, k = mean_index(bsdf, weight)
+            means |= {"n": ((), n), "k": ((), k)}
+        return vocabulary.label(bsdf.drop_dims("wavelength", errors="ignore").assign(means), "bsdf")
+
+    def mean_index(self, weight: Array) -> tuple[float, float] | None:
+        return mean_index(self.dataset, weight) if self.dataset["n"].ndim else None
+
+    def without_diffuse(self) -> xr.Dataset:
+        return self.dataset.assign(diffuse=xr.zeros_like(self.dataset["diffuse"]))
+
+    def single_reflection(self) -> xr.Dataset:
+        facets = self.without_diffuse()
+        return facets.assign(multiple_density=xr.zeros_like(facets["multiple_density"]))
+
+
+class TracedTable(NamedTuple):
+    """Densities over incidence and slope of the half vector, and the factors that they are multiplied with."""
+
+    incidence: Array
+    """(incidences,) degree"""
+    width: float
+    step: float
+    """Nodes are evenly spaced by ``step`` in asinh(slope/width)"""
+    first: tuple[float, float]
+    """asinh(slope/width) of the first node across and along"""
+    density: Array
+    """(2, incidences, across, along): reflected once, and more often"""
+    density_u: Array
+    smith_slope: float
+    traced_reflectance: float
+    """Mean reflectance of the facets with which the light reflected more than once was traced"""
+
+    @classmethod
+    def of(cls, bsdf: xr.Dataset) -> TracedTable:
+        across, along = (bsdf[name].values for name in _NODES[1:])
+        width = float(bsdf["smith_slope"])
+        return cls(
+            bsdf["traced_incidence"].values,
+            width,
+            float(np.diff(np.arcsinh(along[:2] / width))[0]),
+            (float(np.arcsinh(across[0] / width)), float(np.arcsinh(along[0] / width))),
+            np.stack([bsdf[f"{name}_density"].values for name in ("single", "multiple")]),
+            np.stack([bsdf[f"{name}_density_u"].values for name in ("single", "multiple")]),
+            width,
+            float(bsdf["traced_reflectance"]),
+        )
+
+    def brdf(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, n: Array, k: Array) -> Array:
+        """Of the surface [sr-1], (directions, wavelength); both directions above it."""
+        single, multiple = self._interpolated(self.density, theta_i, phi_i, theta_o, phi_o)
+        return self._scaled(single, multiple, half_vector(theta_i, phi_i, theta_o, phi_o), n, k)
+
+    def uncertainty(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, n: Array, k: Array) -> Array:
+        """Standard uncertainty of :meth:`brdf`."""
+        single, multiple = self._interpolated(self.density_u, theta_i, phi_i, theta_o, phi_o)
+        return self._scaled(single, multiple, half_vector(theta_i, phi_i, theta_o, phi_o), n, k)
+
+    def _scaled(self, single: Array, multiple: Array, pair: HalfVector, n: Array, k: Array) -> Array:
+        reflectance = fresnel(pair.cos_zeta[:, None], n, k).mean
+        colour = mean_fresnel(n, k) / self.traced_reflectance
+        return reflectance * masking_over_cosines(pair, self.smith_slope)[:, None] * (single[:, None] + multiple[:, None] * colour)
+
+    def _interpolated(self, density: Array, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+        """(2, directions), mean of both directions of light."""
+        pair = half_vector(theta_i, phi_i, theta_o, phi_o)
+        p, q = slope_towards(pair, phi_i, phi_o)
+        result = np.zeros((2, theta_i.size))
+        for theta, phi in ((theta_i, phi_i), (theta_o, phi_o)):
+            cos, sin = np.cos(np.radians(phi)), np.sin(np.radians(phi))
+            node = np.interp(theta, self.incidence, np.arange(self.incidence.size))
+            across, along = (
+                (np.arcsinh(slope / self.width) - first) / self.step
+                for slope, first in zip((np.abs(q * cos - p * sin), p * cos + q * sin), self.first, strict=True)
+            )
+            for part in range(2):
+                result[part] += map_coordinates(density[part], [node, across, along], order=1, mode="nearest") / 2
+        return result
+
+
+def masking_over_cosines(pair: HalfVector, slope: float) -> Array:
+    """G / (4 cos θ_i cos θ_o cos⁴α), finite at the horizon; G is Smith's height-correlated masking of Gaussian slopes."""
+    over = [cosine + _cosine_lambda(cosine, sine, slope) for cosine, sine in ((pair.cos_i, pair.sin_i), (pair.cos_o, pair.sin_o))]
+    # cos_i cos_o (1 + Λ_i + Λ_o)
+    both = over[0] * pair.cos_o + pair.cos_i * over[1] - pair.cos_i * pair.cos_o
+    return np.asarray((1 + pair.slope_squared) ** 2 / (4 * np.maximum(both, 1e-300)))
+
+
+def _cosine_lambda(cosine: Array, sine: Array, slope: float) -> Array:
+    """Λ(θ) cos θ of a Gaussian surface of slope rms ``slope`` along one axis (Heitz 2014, eq. 68)."""
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        v = cosine / (np.sqrt(2) * slope * sine)
+        lifted = sine * slope / np.sqrt(2 * np.pi) * np.exp(-v * v)
+    return np.asarray(np.maximum(lifted - cosine * erfc(np.minimum(v, 40.0)) / 2, 0.0))
