@@ -156,6 +156,14 @@ QUANTITIES: Mapping[str, Quantity] = {
     "reflected": Quantity("1", "share of the light that leaves after one, two, and three or more reflections", 0, 1 + 1e-9),
     "refracted": Quantity("1", "share of the light refracted at the first, second, and any further facet", 0, 1 + 1e-9),
     "lost": Quantity("1", "share of the traced light that was lost", 0, 1 + 1e-9),
+    "phase_per_height": Quantity("um-1", "change of the phase of reflected light with height [rad/um]", 0),
+    "spatial_frequency": Quantity("um-1", "spatial frequency that diffracts light into a direction", 0),
+    "frequency_scale": Quantity("um-1", "frequency up to which a table counts frequencies evenly", 0),
+    "log_phase_spectrum": Quantity("1", "natural logarithm of the spectrum of the reflected field [um2] over (rad/um)²"),
+    "phase_spectrum_relative_u": Quantity("1", "relative standard uncertainty of the spectrum of the reflected field", 0),
+    "coherent_share": Quantity("1", "share of the mirror reflection that is coherent", 0, 1 + 1e-9),
+    "mixture": Quantity("1", "share of a wavelength in a mean over wavelengths", 0),
+    "mixed_wavelength": Quantity("nm", "wavelength of a mean over wavelengths", 100, 20000),
     "tristimulus": Quantity("1", "CIE tristimulus values, Y = 100 for the perfect diffuser", 0),
     "reflectance_factor": Quantity(
         "1", "light over that of the perfect diffuser in the same directions, π times the BRDF", 0
@@ -234,7 +242,6 @@ QUANTITIES: Mapping[str, Quantity] = {
     "lowest": Quantity("1", "smallest fitted value at a cell that was measured, or its logarithm"),
     "highest": Quantity("1", "largest fitted value at a cell that was measured, or its logarithm"),
     "incidence_error": Quantity("1", "relative standard uncertainty of the BSDF predicted from one incidence, rms", 0),
-    "mixture": Quantity("1", "share of a wavelength in a mean over wavelengths", 0),
     # Comparison of two routes
     "brdf_model": Quantity("sr-1", "bidirectional reflectance distribution function of a model", 0),
     "ratio": Quantity("1", "measured over modelled value; missing where not used", missing=True),

@@ -10,6 +10,7 @@ import xarray as xr
 
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.representations.flake import Flake
+from brdfpipe.bsdf.representations.kirchhoff import Kirchhoff
 from brdfpipe.bsdf.representations.lambert_gauss import LambertGauss
 from brdfpipe.bsdf.representations.measured import Measured
 from brdfpipe.bsdf.representations.microfacet import Microfacet, Smooth
@@ -19,7 +20,7 @@ from brdfpipe.bsdf.representations.traced import Traced
 from brdfpipe.errors import VocabularyError
 
 REPRESENTATIONS: dict[str, type[Representation]] = {
-    kind.name: kind for kind in (Flake, LambertGauss, Measured, Microfacet, Slab, Smooth, Table, Traced)
+    kind.name: kind for kind in (Flake, Kirchhoff, LambertGauss, Measured, Microfacet, Slab, Smooth, Table, Traced)
 }
 """Class by value of the attribute ``representation``."""
 

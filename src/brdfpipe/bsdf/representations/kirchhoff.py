@@ -1,0 +1,226 @@
+"""The representation ``kirchhoff``: light diffracted by a measured height map, after Kirchhoff's approximation, over a diffuse base."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.interpolate import RectBivariateSpline
+from scipy.ndimage import map_coordinates
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.coupled_base import CoupledBase
+from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
+from brdfpipe.geometry import Array, half_vector
+from brdfpipe.optics.fresnel_equations import fresnel
+
+_BLOCK = 2**17
+_NODES = ("phase_per_height", "spatial_frequency")
+_LEAST_SHARE = 1e-3  # of a wavelength in a mean, over that of the heaviest
+
+
+class Kirchhoff(Representation):
+    """Coherent mirror reflection and diffracted light f = F(ζ) U(q, f)/λ² of one map; F is Fresnel's reflectance of the half vector."""
+
+    name = "kirchhoff"
+    kind = vocabulary.Kind(
+        required={
+            "log_phase_spectrum": [_NODES],
+            "phase_spectrum_relative_u": [_NODES],
+            "coherent_share": [_NODES[:1]],
+            "frequency_scale": vocabulary.SCALAR,
+            **dict.fromkeys(("n", "k"), [("wavelength",), ("mixed",)]),
+            **dict.fromkeys(("mean_albedo", "diffuse"), vocabulary.SPECTRAL),
+            "directional_albedo": [("theta_i", "wavelength"), ("theta_i",)],
+            "theta_m": vocabulary.SCALAR,
+        },
+        optional={
+            "total_reflectance": vocabulary.SPECTRAL,
+            **dict.fromkeys(("mixture", "mixed_wavelength"), [("mixed",)]),
+        },
+        attributes=("band",),
+    )
+    accuracy = 1e-4
+    states_uncertainty = True
+    uses_index = True
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        super().__init__(dataset)
+        self._diffraction = Diffraction.of(dataset)
+        self._base = per_wavelength(lambda wavelength: CoupledBase.of(dataset, wavelength))
+        self._light = per_wavelength(self._light_at)
+
+    def _light_at(self, wavelength: Array | None) -> _Light:
+        bsdf = self.dataset
+        if "mixture" in bsdf:
+            return _Light(*(bsdf[name].values for name in ("mixed_wavelength", "n", "k", "mixture")))
+        used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
+        return _Light(used, at_wavelengths(bsdf["n"], wavelength), at_wavelengths(bsdf["k"], wavelength), None)
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        light, base = self._light(wavelength), self._base(wavelength)
+        shape, above, angles = _above(theta_i, phi_i, theta_o, phi_o)
+        values = light.mixed(self._diffraction.brdf(*angles, light.wavelength, light.n, light.k))
+        values = values + base.brdf(angles[0], angles[2])
+        result = np.zeros((above.size, values.shape[1]))
+        result[above] = values
+        return result.reshape(*shape, -1)
+
+    def uncertainty(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
+    ) -> Array:
+        """Of the finite map, from the scatter between its patches; that of the coherent part is not included."""
+        light = self._light(wavelength)
+        shape, above, angles = _above(theta_i, phi_i, theta_o, phi_o)
+        values = light.mixed(self._diffraction.brdf_u(*angles, light.wavelength, light.n, light.k))
+        result = np.zeros((above.size, values.shape[1]))
+        result[above] = values
+        return result.reshape(*shape, -1)
+
+    def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
+        light, theta = self._light(wavelength), np.asarray(theta_i, dtype=float)
+        cosine = np.where(theta < 90, np.cos(np.radians(theta)), 0.0)[..., None]
+        coherent = fresnel(cosine, light.n, light.k).mean * self._diffraction.coherent_share(cosine, light.wavelength)
+        reflected = np.where((theta < 90)[..., None], light.mixed(coherent), 0.0)
+        return reflected, np.zeros_like(reflected)
+
+    def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        return self._base(wavelength).total_albedo(theta_i)
+
+    def albedo_uncertainty(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        """0: coherent and diffracted light together are what the map returns, whatever its heights."""
+        return np.zeros_like(self.albedo(theta_i, phi_i, wavelength))
+
+    @property
+    def albedo_needs_quadrature(self) -> bool:
+        return False
+
+    @property
+    def albedo_accuracy(self) -> float:
+        return self.accuracy
+
+    @property
+    def lobe_slope(self) -> float:
+        """Slope of the half vector at which the diffracted light has half its peak, at normal incidence and the middle wavelength."""
+        wavelength = self._light(None).wavelength
+        return self._diffraction.lobe_slope(float(wavelength[wavelength.size // 2]))
+
+    def nonspectral(self, weight: Array) -> xr.Dataset:
+        """The mean over wavelength: every wavelength of weight is evaluated before averaging."""
+        bsdf = self.dataset
+        means = {
+            name: (bsdf[name].dims[:-1], bsdf[name].values @ weight)
+            for name in ("directional_albedo", "mean_albedo", "diffuse", "total_reflectance")
+            if name in bsdf and "wavelength" in bsdf[name].dims
+        }
+        heavy = np.abs(weight) >= _LEAST_SHARE * np.abs(weight).max()
+        mixed = {"mixture": weight[heavy] / weight[heavy].sum(), "mixed_wavelength": bsdf["wavelength"].values[heavy]}
+        mixed |= {name: bsdf[name].values[heavy] for name in ("n", "k")}
+        reduced = bsdf.drop_dims("wavelength").assign(means)
+        return vocabulary.label(reduced.assign({name: ("mixed", values) for name, values in mixed.items()}), "bsdf")
+
+    def mean_index(self, weight: Array) -> tuple[float, float] | None:
+        n, k = self.dataset["n"].values, self.dataset["k"].values
+        return (float(weight @ n), float(weight @ k)) if np.ptp(n) or np.ptp(k) else None
+
+    def without_diffuse(self) -> xr.Dataset:
+        return self.dataset.assign(diffuse=xr.zeros_like(self.dataset["diffuse"]))
+
+
+class _Light(NamedTuple):
+    """Wavelengths [nm] and indices, and the weights of their mean (None: no mean)."""
+
+    wavelength: Array
+    n: Array
+    k: Array
+    mixture: Array | None
+
+    def mixed(self, values: Array) -> Array:
+        return values if self.mixture is None else np.asarray(values @ self.mixture[:, None])
+
+
+def _above(
+    theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array
+) -> tuple[tuple[int, ...], Array, list[Array]]:
+    """Shape of the directions, which of them are above the surface, and the angles of these."""
+    angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
+    flat = [np.asarray(angle, dtype=float).reshape(-1) for angle in angles]
+    above = (flat[0] < 90) & (flat[2] < 90)
+    return angles[0].shape, above, [angle[above] for angle in flat]
+
+
+class Diffraction(NamedTuple):
+    """The spectrum of the phase of one map, prepared for evaluation."""
+
+    spline: RectBivariateSpline
+    """ln(U/q²) over the numbers of the nodes, (q, f)"""
+    relative_u: Array
+    coherent: Array
+    phase: Array
+    frequency: Array
+    scale: float
+    """Nodes are evenly spaced in ln q, and in asinh(f/scale)"""
+
+    @classmethod
+    def of(cls, bsdf: xr.Dataset) -> Diffraction:
+        values = bsdf["log_phase_spectrum"].values
+        return cls(
+            RectBivariateSpline(*(np.arange(size) for size in values.shape), values),
+            bsdf["phase_spectrum_relative_u"].values,
+            bsdf["coherent_share"].values,
+            *(bsdf[name].values for name in _NODES),
+            float(bsdf["frequency_scale"]),
+        )
+
+    def brdf(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array, n: Array, k: Array
+    ) -> Array:
+        """Of the diffracted light [sr-1], (directions, wavelength); both directions above the surface."""
+        return self._by_block(False, theta_i, phi_i, theta_o, phi_o, wavelength, n, k)
+
+    def brdf_u(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array, n: Array, k: Array
+    ) -> Array:
+        """Standard uncertainty of :meth:`brdf`."""
+        return self._by_block(True, theta_i, phi_i, theta_o, phi_o, wavelength, n, k)
+
+    def _by_block(self, uncertain: bool, *fields: Array) -> Array:
+        *angles, wavelength, n, k = fields
+        result = np.empty((angles[0].size, wavelength.size))
+        step = max(_BLOCK // wavelength.size, 64)
+        for start in range(0, angles[0].size, step):
+            part = slice(start, start + step)
+            result[part] = self._diffracted(uncertain, [angle[part] for angle in angles], wavelength, n, k)
+        return result
+
+    def _diffracted(self, uncertain: bool, angles: list[Array], wavelength: Array, n: Array, k: Array) -> Array:
+        pair, um = half_vector(*angles), wavelength * 1e-3
+        cosines = (pair.cos_i + pair.cos_o)[:, None]
+        phase, frequency = 2 * np.pi * cosines / um, np.sqrt(pair.slope_squared)[:, None] * cosines / um
+        with np.errstate(divide="ignore"):
+            row = np.log(phase / self.phase[0]) / np.log(self.phase[1] / self.phase[0])
+        column = np.arcsinh(frequency / self.scale) / np.arcsinh(self.frequency[1] / self.scale)
+        # Below the first node U grows as q².
+        at = [np.maximum(row, 0.0), np.minimum(column, self.frequency.size - 1.0)]
+        spectrum = np.exp(self.spline.ev(*at)) * phase**2
+        if uncertain:
+            spectrum *= map_coordinates(self.relative_u, at, order=1, mode="nearest")
+        sampled = frequency <= self.frequency[-1]
+        return np.where(sampled, fresnel(pair.cos_zeta[:, None], n, k).mean * spectrum / um**2, 0.0)
+
+    def coherent_share(self, cosine: Array, wavelength: Array) -> Array:
+        """Share of the mirror reflection that is coherent, of cos θ_i (…, 1) at wavelengths [nm]."""
+        phase = 4e3 * np.pi * cosine / wavelength
+        share = np.interp(phase, self.phase, self.coherent)
+        below = np.minimum(phase / self.phase[0], 1.0) ** 2
+        return np.where(phase < self.phase[0], 1 - below * (1 - self.coherent[0]), share)
+
+    def lobe_slope(self, wavelength: float) -> float:
+        """Slope at which the light has half its peak, at normal incidence and a wavelength [nm]."""
+        row = int(np.argmin(np.abs(self.phase - 4e3 * np.pi / wavelength)))
+        values = self.spline(row, np.arange(self.frequency.size))[0]
+        below = values < values[0] - np.log(2)
+        half = self.frequency[below.argmax()] if below.any() else self.frequency[-1]
+        return float(half * wavelength * 1e-3 / 2)
