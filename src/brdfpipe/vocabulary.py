@@ -147,20 +147,30 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "interpolation_error": Quantity("1", "error of the tabulated part between its nodes, in the worst incidence", 0),
     "traced_incidence": Quantity("degree", "angle of incidence of traced rays", 0, 90),
-    "half_slope_along": Quantity("1", "slope of the half vector along the plane of incidence, positive towards the light"),
+    "half_slope_along": Quantity(
+        "1", "slope of the half vector along the plane of incidence, positive towards the light"
+    ),
     "half_slope_across": Quantity("1", "slope of the half vector across the plane of incidence, without sign", 0),
     "single_density": Quantity("1", "density in slope space of facets that reflect traced light once", 0),
     "multiple_density": Quantity("1", "the same of facets that would reflect the light traced over more than one", 0),
     "smith_slope": Quantity("1", "slope rms along one axis of the Gaussian masking that divides traced densities", 0),
-    "traced_reflectance": Quantity("1", "reflectance of a facet under light from everywhere, of the index traced", 0, 1 + 1e-9),
-    "reflected": Quantity("1", "share of the light that leaves after one, two, and three or more reflections", 0, 1 + 1e-9),
+    "traced_reflectance": Quantity(
+        "1", "reflectance of a facet under light from everywhere, of the index traced", 0, 1 + 1e-9
+    ),
+    "reflected": Quantity(
+        "1", "share of the light that leaves after one, two, and three or more reflections", 0, 1 + 1e-9
+    ),
     "refracted": Quantity("1", "share of the light refracted at the first, second, and any further facet", 0, 1 + 1e-9),
     "lost": Quantity("1", "share of the traced light that was lost", 0, 1 + 1e-9),
     "phase_per_height": Quantity("um-1", "change of the phase of reflected light with height [rad/um]", 0),
     "spatial_frequency": Quantity("um-1", "spatial frequency that diffracts light into a direction", 0),
     "frequency_scale": Quantity("um-1", "frequency up to which a table counts frequencies evenly", 0),
-    "log_phase_spectrum": Quantity("1", "natural logarithm of the spectrum of the reflected field [um2] over (rad/um)²"),
-    "phase_spectrum_relative_u": Quantity("1", "relative standard uncertainty of the spectrum of the reflected field", 0),
+    "log_phase_spectrum": Quantity(
+        "1", "natural logarithm of the spectrum of the reflected field [um2] over (rad/um)²"
+    ),
+    "phase_spectrum_relative_u": Quantity(
+        "1", "relative standard uncertainty of the spectrum of the reflected field", 0
+    ),
     "coherent_share": Quantity("1", "share of the mirror reflection that is coherent", 0, 1 + 1e-9),
     "mixture": Quantity("1", "share of a wavelength in a mean over wavelengths", 0),
     "mixed_wavelength": Quantity("nm", "wavelength of a mean over wavelengths", 100, 20000),

@@ -8,7 +8,7 @@ Kelemen & Szirmay-Kalos 2001 (Eurographics short papers).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -22,6 +22,10 @@ from brdfpipe.geometry import Array
 INCIDENCES = np.array([0, 8, 15, 22.5, 30, 37.5, 45, 52.5, 60, 65, 70, 74, 78, 81, 84, 86, 88, 89, 89.6, 90.0])
 """Nodes of the table of the directional albedo [degree], beside the incidence of the spectrum."""
 
+OfDirections: TypeAlias = Callable[[Array, Array, Array, Array], Array]
+"""θ_i, φ_i, θ_o, φ_o [degree], (directions,) each, to values (directions, wavelength)"""
+
+_VALUES_AT_ONCE = 2**17  # that are computed together, to limit memory
 _LARGEST_DIFFUSE = 1 - 2e-8  # below 1 by the error of the table, so that a white base conserves energy
 
 
@@ -107,9 +111,22 @@ def with_base(
     )
 
 
-def around_mirror_direction(
-    brdf: Callable[[Array, Array, Array, Array], Array], theta_i: float, slope: float, half_angle: float = 180.0
+def above_surface(
+    values: OfDirections, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, width: int
 ) -> Array:
+    """Values of pairs of directions above the surface, in blocks, and 0 of others, (directions…, wavelength); ``width`` wavelengths."""
+    angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
+    flat = [np.asarray(angle, dtype=float).reshape(-1) for angle in angles]
+    result = np.zeros((flat[0].size, width))
+    above = np.flatnonzero((flat[0] < 90) & (flat[2] < 90))
+    step = max(_VALUES_AT_ONCE // width, 64)
+    for start in range(0, above.size, step):
+        at = above[start : start + step]
+        result[at] = values(flat[0][at], flat[1][at], flat[2][at], flat[3][at])
+    return result.reshape(*angles[0].shape, width)
+
+
+def around_mirror_direction(brdf: OfDirections, theta_i: float, slope: float, half_angle: float = 180.0) -> Array:
     """∫ f cos θ_o dω_o over a cone about the mirror direction of an incidence [degree], or over the hemisphere, (wavelength or 1,)."""
     theta, phi, weight = hemisphere.around_mirror(theta_i, slope, half_angle)
     return np.asarray(weight @ brdf(np.full_like(theta, theta_i), np.zeros_like(phi), theta, phi))

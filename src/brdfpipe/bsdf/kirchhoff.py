@@ -90,7 +90,12 @@ def build(
     slope = diffraction.lobe_slope(float(given[given.size // 2]))
 
     def diffracted(theta_i: float, half_angle: float = 180.0) -> Array:
-        return around_mirror_direction(lambda *angles: diffraction.brdf(*angles, given, n, k), theta_i, slope, half_angle)
+        return around_mirror_direction(
+            lambda i, azimuth_i, o, azimuth_o: diffraction.brdf(i, azimuth_i, o, azimuth_o, given, n, k),
+            theta_i,
+            slope,
+            half_angle,
+        )
 
     def reflected(theta: Array) -> Array:
         cosine = np.cos(np.radians(np.minimum(theta, 89.99)))[:, None]

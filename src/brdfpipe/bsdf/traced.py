@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from brdfpipe import vocabulary
@@ -81,7 +82,9 @@ def build(
         vocabulary.validate(spectrum, "spectrum")
     n, k, wavelength, warnings = index_on(index, None if spectrum is None else spectrum["wavelength"].values)
     spectral = () if n.ndim == 0 else ("wavelength",)
-    bsdf = xr.Dataset({"n": (spectral, n), "k": (spectral, k)}, {} if wavelength is None else {"wavelength": wavelength})
+    bsdf = xr.Dataset(
+        {"n": (spectral, n), "k": (spectral, k)}, {} if wavelength is None else {"wavelength": wavelength}
+    )
     weight = np.full(n.size, 1 / n.size)
     traced_n, traced_k = mean_index(bsdf, weight) if spectral else (float(n), float(k))
     bins = SlopeBins.of(slope)
@@ -90,19 +93,31 @@ def build(
         for theta in INCIDENCES
     ]
     bsdf = bsdf.assign(_densities(light, bins, slope, traced_n, traced_k)).assign(_account(light))
-    bsdf = bsdf.assign(smith_slope=slope, traced_reflectance=float(mean_fresnel(np.array([traced_n]), np.array([traced_k]))[0]))
+    bsdf = bsdf.assign(
+        smith_slope=slope, traced_reflectance=float(mean_fresnel(np.array([traced_n]), np.array([traced_k]))[0])
+    )
     bsdf = bsdf.assign_coords(
         traced_incidence=INCIDENCES, half_slope_across=bins.centres[bins.half :], half_slope_along=bins.centres
     )
-    bsdf.attrs = {"representation": Traced.name, "rays": rays, "seed": seed, "edges": edges, "band": surface.attrs["band"]}
+    bsdf.attrs = {
+        "representation": Traced.name,
+        "rays": rays,
+        "seed": seed,
+        "edges": edges,
+        "band": surface.attrs["band"],
+    }
     table = TracedTable.of(bsdf)
     n, k = np.atleast_1d(n), np.atleast_1d(k)
 
     def reflectance(theta_i: float, half_angle: float = 180.0) -> Array:
         at = min(theta_i, 89.99)
-        return around_mirror_direction(lambda *angles: table.brdf(*angles, n, k), at, slope, half_angle)
+        return around_mirror_direction(
+            lambda i, azimuth_i, o, azimuth_o: table.brdf(i, azimuth_i, o, azimuth_o, n, k), at, slope, half_angle
+        )
 
-    bsdf = with_base(bsdf, lambda theta: np.stack([reflectance(float(angle)) for angle in theta]), spectrum, reflectance)
+    bsdf = with_base(
+        bsdf, lambda theta: np.stack([reflectance(float(angle)) for angle in theta]), spectrum, reflectance
+    )
     return vocabulary.label(vocabulary.add_warning(bsdf, *warnings, *_warnings(bsdf, mesh)), "bsdf")
 
 
@@ -152,20 +167,20 @@ def _factors(theta_i: float, bins: SlopeBins, slope: float, n: float, k: float) 
     above = (towards > 0) & (cos_o > 0)
     cos_o = np.where(above, cos_o, 1.0)
     cos_zeta = np.where(above, np.minimum(towards / np.sqrt(1 + square), 1.0), 1.0)
-    pair = HalfVector(square, cos_zeta, np.full_like(cos_o, cos_i), np.full_like(cos_o, sin_i), cos_o, np.sqrt(1 - cos_o**2))
+    pair = HalfVector(
+        square, cos_zeta, np.full_like(cos_o, cos_i), np.full_like(cos_o, sin_i), cos_o, np.sqrt(1 - cos_o**2)
+    )
     # f cos θ_o dω_o, with dω_o = 4 cos ζ cos³α dp dq.
     light = fresnel(cos_zeta, n, k).mean * masking_over_cosines(pair, slope) * cos_o * 4 * cos_zeta * pair.cos_alpha**3
     return np.where(above, light * area * height, 0.0).reshape(bins.half, _POINTS, 2 * bins.half, _POINTS)
 
 
-def _interpolable(power: Array, factors: Array, known: Array) -> Array:
+def _interpolable(power: Array, factors: Array, known: NDArray[np.bool_]) -> Array:
     """Density at the centres whose linear interpolation has the given light in every bin."""
     by_bin = np.where(known, factors.sum(axis=(1, 3)), 1.0)
     mean = _extended(np.where(known, power / by_bin, 0.0), known)
     centre = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
-    positions = np.meshgrid(
-        *((np.arange(size)[:, None] + centre).ravel() for size in power.shape), indexing="ij"
-    )
+    positions = np.meshgrid(*((np.arange(size)[:, None] + centre).ravel() for size in power.shape), indexing="ij")
     density = mean
     for _ in range(_CORRECTIONS):
         between = map_coordinates(density, positions, order=1, mode="nearest").reshape(factors.shape)
@@ -175,7 +190,7 @@ def _interpolable(power: Array, factors: Array, known: Array) -> Array:
     return density
 
 
-def _extended(values: Array, known: Array) -> Array:
+def _extended(values: Array, known: NDArray[np.bool_]) -> Array:
     """Values with those beyond the horizon, which no light reaches, taken from the nearest bin."""
     if known.all():
         return values

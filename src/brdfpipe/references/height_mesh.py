@@ -68,7 +68,7 @@ class HeightMesh(NamedTuple):
             found = " × ".join(map(str, height.shape))
             raise ReferenceError(f"the map has {found} heights; accepted: {LEAST_HEIGHTS} × {LEAST_HEIGHTS} or more")
         pitch = np.array([float(surface.attrs["pitch_x"]), float(surface.attrs["pitch_y"])])
-        rows, columns = np.indices(height.shape, sparse=True)
+        rows, columns = np.arange(height.shape[0])[:, None], np.arange(height.shape[1])
         tilt = mean_slope(HeightMap(height, (pitch[0], pitch[1]), 0.0))
         height -= tilt[0] * pitch[0] * columns + tilt[1] * pitch[1] * rows
         missing = np.isnan(height)
@@ -82,7 +82,10 @@ class HeightMesh(NamedTuple):
             height = height[tuple(nearest)]
         height -= height.mean()
         if edges == "periodic":
-            height, present = np.pad(height, ((0, 1), (0, 1)), mode="wrap"), np.pad(present, ((0, 1), (0, 1)), mode="edge")
+            height, present = (
+                np.pad(height, ((0, 1), (0, 1)), mode="wrap"),
+                np.pad(present, ((0, 1), (0, 1)), mode="edge"),
+            )
         return cls(height, present, *_ceilings(height), pitch, EDGES.index(edges))
 
     def slopes(self) -> tuple[Array, Array]:

@@ -112,12 +112,12 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
 def _complete_patches(mesh: HeightMesh, side: int) -> list[tuple[int, int]]:
     """First row and column of the patches without missing heights, which overlap by half."""
     rows, columns = mesh.height.shape
-    starts = [np.unique(np.linspace(0, size - side, max(1, int(np.ceil(2 * size / side)) - 1)).astype(int)) for size in (rows, columns)]
+    starts = [
+        np.unique(np.linspace(0, size - side, max(1, int(np.ceil(2 * size / side)) - 1)).astype(int))
+        for size in (rows, columns)
+    ]
     return [
-        (int(y), int(x))
-        for y in starts[0]
-        for x in starts[1]
-        if mesh.present[y : y + side - 1, x : x + side - 1].all()
+        (int(y), int(x)) for y in starts[0] for x in starts[1] if mesh.present[y : y + side - 1, x : x + side - 1].all()
     ]
 
 
@@ -135,21 +135,22 @@ class _Rings(NamedTuple):
 
     frequency: Array
     scale: float
-    ring: Array
+    ring: NDArray[np.intp]
     """Ring of every bin of the transform; the last one holds the corners, which are not used"""
-    count: Array
+    bins: NDArray[np.intp]
+    """Number of bins of every ring"""
 
     @classmethod
     def of(cls, side: int, pitch: Array) -> _Rings:
-        bins = [fft.fftfreq(side, step) for step in pitch]
-        frequency = np.hypot(bins[0], bins[1][:, None]).ravel()
+        along, across = (fft.fftfreq(side, step) for step in pitch)
+        frequency = np.hypot(along, across[:, None]).ravel()
         finest, nyquist = 1 / (side * float(pitch.min())), 0.5 / float(pitch.max())
         scale = finest / _RING_STEP
         rings = int(np.arcsinh(nyquist / scale) / _RING_STEP)
-        ring = np.minimum(np.rint(np.arcsinh(frequency / scale) / _RING_STEP), rings + 1).astype(int)
-        count = np.bincount(ring, minlength=rings + 2)[:-1]
-        return cls(scale * np.sinh(_RING_STEP * np.arange(rings + 1)), scale, ring, count)
+        ring = np.minimum(np.rint(np.arcsinh(frequency / scale) / _RING_STEP), rings + 1).astype(np.intp)
+        number = np.bincount(ring, minlength=rings + 2)[:-1]
+        return cls(scale * np.sinh(_RING_STEP * np.arange(rings + 1)), scale, ring, number)
 
     def mean(self, power: Array) -> Array:
         """Mean over every ring."""
-        return np.bincount(self.ring, power.ravel(), minlength=self.count.size + 1)[:-1] / np.maximum(self.count, 1)
+        return np.bincount(self.ring, power.ravel(), minlength=self.bins.size + 1)[:-1] / np.maximum(self.bins, 1)

@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from brdfpipe.geometry import Array
 
@@ -80,11 +81,11 @@ def triangle(height: Array, ix: int, iy: int, upper: bool) -> tuple[float, float
 def first_hit(
     height: Array,
     ceiling: Array,
-    offset: Array,
+    offset: NDArray[np.int64],
     low: float,
     edges: int,
     ray: Array,
-    at: Array,
+    at: NDArray[np.int64],
     from_above: bool,
 ) -> int:
     """Follow a ray to the first triangle that it meets.
@@ -224,7 +225,9 @@ def random_unit(seed: int, stream: int) -> float:
 
 
 @_compiled
-def reflect(ray: Array, normal: Array, pitch: Array, frame: Array, jones: Array, epsilon: complex, mirror: bool) -> None:
+def reflect(
+    ray: Array, normal: Array, pitch: Array, frame: Array, jones: NDArray[np.complex128], epsilon: complex, mirror: bool
+) -> None:
     """Reflect a ray at a facet: its direction, the s direction of its frame (3,), and its Jones matrix (2, 2), s first.
 
     The second axis of a frame is the direction of propagation × the first. E ∝ exp(−iωt).
@@ -259,7 +262,7 @@ def reflect(ray: Array, normal: Array, pitch: Array, frame: Array, jones: Array,
 
 
 @_compiled
-def facet_normal(height: Array, pitch: Array, at: Array, normal: Array) -> None:
+def facet_normal(height: Array, pitch: Array, at: NDArray[np.int64], normal: Array) -> None:
     """Unit normal (3,) of the triangle ``at`` (3,) column, row and side."""
     _, p, q = triangle(height, at[0], at[1], at[2] == 1)
     p, q = p / pitch[0], q / pitch[1]
@@ -275,9 +278,9 @@ def _power(amplitude: complex) -> float:
 @_compiled
 def trace(
     height: Array,
-    present: Array,
+    present: NDArray[np.bool_],
     ceiling: Array,
-    offset: Array,
+    offset: NDArray[np.int64],
     low: float,
     mean: float,
     pitch: Array,
@@ -377,8 +380,8 @@ def trace(
             q = -(sin_i * sin_phi + out_y) / rise
             if around:
                 p, q = p * cos_phi + q * sin_phi, abs(q * cos_phi - p * sin_phi)
-            column = min(max(int(math.floor(math.asinh(p / width) / step)) + half, 0), 2 * half - 1)
-            row = min(max(int(math.floor(math.asinh(q / width) / step)) + half, 0), 2 * half - 1)
+            column = min(max(math.floor(math.asinh(p / width) / step) + half, 0), 2 * half - 1)
+            row = min(max(math.floor(math.asinh(q / width) / step) + half, 0), 2 * half - 1)
             power[order, 0, row, column] += before_s
             power[order, 1, row, column] += before_p
             square[row, column] += (before_s + before_p) ** 2 / 4

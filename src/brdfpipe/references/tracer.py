@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -119,11 +120,18 @@ def trace(
     blocks = list(_areas(mesh))
     size = 2 * bins.half
 
-    def run(block: int) -> tuple[Array, Array, Array, int]:
-        power, square = np.zeros((ray_kernel.ORDERS, 2, size, size)), np.zeros((size, size))
-        balance = np.zeros((2, ray_kernel.ORDERS + 1, 2))
+    def run(block: int) -> _BlockSums:
+        sums = _BlockSums(
+            np.zeros((ray_kernel.ORDERS, 2, size, size)),
+            np.zeros((size, size)),
+            np.zeros((2, ray_kernel.ORDERS + 1, 2)),
+            0,
+        )
         counted = ray_kernel.trace(
-            *mesh[:4],
+            mesh.height,
+            mesh.present,
+            mesh.ceiling,
+            mesh.offset,
             float(mesh.height.min()),
             float(mesh.height.mean()),
             mesh.pitch,
@@ -135,56 +143,84 @@ def trace(
             -(-rays // len(blocks)),
             seed * len(blocks) + block,
             np.array(bins, dtype=float),
-            power,
-            square,
-            balance,
+            *sums[:3],
         )
-        return power, square, balance, int(counted)
+        return sums._replace(rays=int(counted))
 
     with ThreadPoolExecutor(threads) as pool:
         return _collected(pool.map(run, range(len(blocks))))
 
 
-def _collected(results: Iterator[tuple[Array, Array, Array, int]]) -> TracedLight:
+class _BlockSums(NamedTuple):
+    """What the kernel adds up over the rays of a block; sums of blocks have one more form, with ``rays`` their total."""
+
+    power: Array
+    square: Array
+    balance: Array
+    rays: int
+
+    def plus(self, other: _BlockSums) -> _BlockSums:
+        return _BlockSums(
+            self.power + other.power,
+            self.square + other.square,
+            self.balance + other.balance,
+            self.rays + other.rays,
+        )
+
+    @property
+    def quantities(self) -> tuple[Array, Array]:
+        """Unpolarised light by bin, once and more often reflected, and reflected light by order."""
+        unpolarised = self.power.mean(axis=1)
+        return np.stack([unpolarised[0], unpolarised[1:].sum(axis=0)]), self.balance[0, :-1].mean(axis=-1)
+
+
+def _collected(results: Iterator[_BlockSums]) -> TracedLight:
     """Means and uncertainties of the results of the blocks, in their order."""
-    blocks, rays, balance = 0, 0, 0.0
-    power = square = by_block = by_block_power = reflected_square = counts_square = 0.0
-    reflected_counts: Array | float = 0.0
-    for block_power, block_square, block_balance, counted in results:
-        blocks += counted > 0
-        rays += counted
-        power, square, balance = power + block_power, square + block_square, balance + block_balance
-        unpolarised = block_power.mean(axis=1)
-        parts = np.stack([unpolarised[0], unpolarised[1:].sum(axis=0)])
-        by_block = by_block + parts**2
-        by_block_power = by_block_power + parts * counted
-        counts_square += float(counted) ** 2
-        reflected = block_balance[0, :-1].mean(axis=-1)
-        reflected_square = reflected_square + reflected**2
-        reflected_counts = reflected_counts + reflected * counted
-    if rays == 0:
+    total, scatter, blocks = next(results), [_Scatter(), _Scatter()], 0
+    for part in chain([total], results):
+        if part is not total:
+            total = total.plus(part)
+        blocks += part.rays > 0
+        for spread, values in zip(scatter, part.quantities, strict=True):
+            spread.add(values, part.rays)
+    if total.rays == 0:
         raise ReferenceError("no ray met a measured facet; measure a larger area, or one with fewer missing heights")
-    power, balance = np.asarray(power) / rays, np.asarray(balance) / rays
-
-    def scatter(total_square: Array | float, cross: Array | float, mean: Array) -> Array:
-        """Standard uncertainty of Σ values / Σ rays from the blocks' values."""
-        spread = np.maximum(np.asarray(total_square) - 2 * mean * cross + mean**2 * counts_square, 0.0)
-        return np.sqrt(spread * blocks / max(blocks - 1, 1)) / rays
-
-    unpolarised = power.mean(axis=1)
-    parts = np.stack([unpolarised[0], unpolarised[1:].sum(axis=0)])
-    ray_noise = np.sqrt(np.asarray(square)) / rays
-    uncertainty = scatter(by_block, by_block_power, parts)
+    by_bin_u, by_order_u = (
+        spread.uncertainty(values, total.rays, blocks) for spread, values in zip(scatter, total.quantities, strict=True)
+    )
+    power, balance = total.power / total.rays, total.balance / total.rays
+    ray_noise = np.sqrt(total.square) / total.rays
+    parts = total.quantities[0]
+    share = parts / np.maximum(parts.sum(axis=0), 1e-300)
     return TracedLight(
         power,
-        np.maximum(uncertainty, ray_noise * np.sqrt(parts / np.maximum(parts.sum(axis=0), 1e-300))),
+        np.maximum(by_bin_u, ray_noise * np.sqrt(share)),
         ray_noise,
         balance[0, :-1],
-        scatter(reflected_square, reflected_counts, balance[0, :-1].mean(axis=-1)),
+        by_order_u,
         balance[1, :-1],
         balance[0, -1],
-        rays,
+        total.rays,
     )
+
+
+class _Scatter:
+    """Sums for the standard uncertainty of a ratio Σ values / Σ rays from the scatter between blocks."""
+
+    def __init__(self) -> None:
+        self._square: Array = np.zeros(())
+        self._cross: Array = np.zeros(())
+        self._rays_square = 0.0
+
+    def add(self, values: Array, rays: int) -> None:
+        self._square = self._square + values**2
+        self._cross = self._cross + values * rays
+        self._rays_square += float(rays) ** 2
+
+    def uncertainty(self, total: Array, rays: int, blocks: int) -> Array:
+        mean = total / rays
+        spread = np.maximum(self._square - 2 * mean * self._cross + mean**2 * self._rays_square, 0.0)
+        return np.asarray(np.sqrt(spread * blocks / max(blocks - 1, 1)) / rays)
 
 
 def _areas(mesh: HeightMesh) -> Iterator[Array]:

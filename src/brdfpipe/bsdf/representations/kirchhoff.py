@@ -6,18 +6,20 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import map_coordinates
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
-from brdfpipe.bsdf.coupled_base import CoupledBase
+from brdfpipe.bsdf.coupled_base import CoupledBase, above_surface
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
-from brdfpipe.geometry import Array, half_vector
+from brdfpipe.geometry import Array, HalfVector, half_vector
 from brdfpipe.optics.fresnel_equations import fresnel
 
-_BLOCK = 2**17
 _NODES = ("phase_per_height", "spatial_frequency")
+_MIXED = [("mixed",)]
+_SPECTRAL = [("wavelength",), *_MIXED]
 _LEAST_SHARE = 1e-3  # of a wavelength in a mean, over that of the heaviest
 
 
@@ -31,14 +33,16 @@ class Kirchhoff(Representation):
             "phase_spectrum_relative_u": [_NODES],
             "coherent_share": [_NODES[:1]],
             "frequency_scale": vocabulary.SCALAR,
-            **dict.fromkeys(("n", "k"), [("wavelength",), ("mixed",)]),
+            "n": _SPECTRAL,
+            "k": _SPECTRAL,
             **dict.fromkeys(("mean_albedo", "diffuse"), vocabulary.SPECTRAL),
             "directional_albedo": [("theta_i", "wavelength"), ("theta_i",)],
             "theta_m": vocabulary.SCALAR,
         },
         optional={
             "total_reflectance": vocabulary.SPECTRAL,
-            **dict.fromkeys(("mixture", "mixed_wavelength"), [("mixed",)]),
+            "mixture": _MIXED,
+            "mixed_wavelength": _MIXED,
         },
         attributes=("band",),
     )
@@ -61,23 +65,25 @@ class Kirchhoff(Representation):
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         light, base = self._light(wavelength), self._base(wavelength)
-        shape, above, angles = _above(theta_i, phi_i, theta_o, phi_o)
-        values = light.mixed(self._diffraction.brdf(*angles, light.wavelength, light.n, light.k))
-        values = values + base.brdf(angles[0], angles[2])
-        result = np.zeros((above.size, values.shape[1]))
-        result[above] = values
-        return result.reshape(*shape, -1)
+
+        def values(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+            diffracted = self._diffraction.brdf(theta_i, phi_i, theta_o, phi_o, light.wavelength, light.n, light.k)
+            return light.mixed(diffracted) + base.brdf(theta_i, theta_o)
+
+        return above_surface(values, theta_i, phi_i, theta_o, phi_o, light.width)
 
     def uncertainty(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
     ) -> Array:
         """Of the finite map, from the scatter between its patches; that of the coherent part is not included."""
         light = self._light(wavelength)
-        shape, above, angles = _above(theta_i, phi_i, theta_o, phi_o)
-        values = light.mixed(self._diffraction.brdf_u(*angles, light.wavelength, light.n, light.k))
-        result = np.zeros((above.size, values.shape[1]))
-        result[above] = values
-        return result.reshape(*shape, -1)
+
+        def values(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+            return light.mixed(
+                self._diffraction.brdf_u(theta_i, phi_i, theta_o, phi_o, light.wavelength, light.n, light.k)
+            )
+
+        return above_surface(values, theta_i, phi_i, theta_o, phi_o, light.width)
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
         light, theta = self._light(wavelength), np.asarray(theta_i, dtype=float)
@@ -137,18 +143,12 @@ class _Light(NamedTuple):
     k: Array
     mixture: Array | None
 
+    @property
+    def width(self) -> int:
+        return 1 if self.mixture is not None else self.wavelength.size
+
     def mixed(self, values: Array) -> Array:
         return values if self.mixture is None else np.asarray(values @ self.mixture[:, None])
-
-
-def _above(
-    theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array
-) -> tuple[tuple[int, ...], Array, list[Array]]:
-    """Shape of the directions, which of them are above the surface, and the angles of these."""
-    angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
-    flat = [np.asarray(angle, dtype=float).reshape(-1) for angle in angles]
-    above = (flat[0] < 90) & (flat[2] < 90)
-    return angles[0].shape, above, [angle[above] for angle in flat]
 
 
 class Diffraction(NamedTuple):
@@ -167,10 +167,11 @@ class Diffraction(NamedTuple):
     def of(cls, bsdf: xr.Dataset) -> Diffraction:
         values = bsdf["log_phase_spectrum"].values
         return cls(
-            RectBivariateSpline(*(np.arange(size) for size in values.shape), values),
+            RectBivariateSpline(np.arange(values.shape[0]), np.arange(values.shape[1]), values),
             bsdf["phase_spectrum_relative_u"].values,
             bsdf["coherent_share"].values,
-            *(bsdf[name].values for name in _NODES),
+            bsdf[_NODES[0]].values,
+            bsdf[_NODES[1]].values,
             float(bsdf["frequency_scale"]),
         )
 
@@ -178,37 +179,33 @@ class Diffraction(NamedTuple):
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array, n: Array, k: Array
     ) -> Array:
         """Of the diffracted light [sr-1], (directions, wavelength); both directions above the surface."""
-        return self._by_block(False, theta_i, phi_i, theta_o, phi_o, wavelength, n, k)
+        pair = half_vector(theta_i, phi_i, theta_o, phi_o)
+        phase, row, column, sampled = self._position(pair, wavelength)
+        spectrum = np.exp(self.spline.ev(row, column)) * phase**2
+        return np.where(sampled, fresnel(pair.cos_zeta[:, None], n, k).mean * spectrum / (wavelength * 1e-3) ** 2, 0.0)
 
     def brdf_u(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array, n: Array, k: Array
     ) -> Array:
         """Standard uncertainty of :meth:`brdf`."""
-        return self._by_block(True, theta_i, phi_i, theta_o, phi_o, wavelength, n, k)
+        _, row, column, _ = self._position(half_vector(theta_i, phi_i, theta_o, phi_o), wavelength)
+        relative = map_coordinates(self.relative_u, [row, column], order=1, mode="nearest")
+        return relative * self.brdf(theta_i, phi_i, theta_o, phi_o, wavelength, n, k)
 
-    def _by_block(self, uncertain: bool, *fields: Array) -> Array:
-        *angles, wavelength, n, k = fields
-        result = np.empty((angles[0].size, wavelength.size))
-        step = max(_BLOCK // wavelength.size, 64)
-        for start in range(0, angles[0].size, step):
-            part = slice(start, start + step)
-            result[part] = self._diffracted(uncertain, [angle[part] for angle in angles], wavelength, n, k)
-        return result
-
-    def _diffracted(self, uncertain: bool, angles: list[Array], wavelength: Array, n: Array, k: Array) -> Array:
-        pair, um = half_vector(*angles), wavelength * 1e-3
-        cosines = (pair.cos_i + pair.cos_o)[:, None]
+    def _position(self, pair: HalfVector, wavelength: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """q, its row and the column of f in the table, and whether the pitch of the map samples f, (directions, wavelength) each."""
+        um, cosines = wavelength * 1e-3, (pair.cos_i + pair.cos_o)[:, None]
         phase, frequency = 2 * np.pi * cosines / um, np.sqrt(pair.slope_squared)[:, None] * cosines / um
         with np.errstate(divide="ignore"):
             row = np.log(phase / self.phase[0]) / np.log(self.phase[1] / self.phase[0])
         column = np.arcsinh(frequency / self.scale) / np.arcsinh(self.frequency[1] / self.scale)
         # Below the first node U grows as q².
-        at = [np.maximum(row, 0.0), np.minimum(column, self.frequency.size - 1.0)]
-        spectrum = np.exp(self.spline.ev(*at)) * phase**2
-        if uncertain:
-            spectrum *= map_coordinates(self.relative_u, at, order=1, mode="nearest")
-        sampled = frequency <= self.frequency[-1]
-        return np.where(sampled, fresnel(pair.cos_zeta[:, None], n, k).mean * spectrum / um**2, 0.0)
+        return (
+            phase,
+            np.maximum(row, 0.0),
+            np.minimum(column, self.frequency.size - 1.0),
+            frequency <= self.frequency[-1],
+        )
 
     def coherent_share(self, cosine: Array, wavelength: Array) -> Array:
         """Share of the mirror reflection that is coherent, of cos θ_i (…, 1) at wavelengths [nm]."""
@@ -220,7 +217,7 @@ class Diffraction(NamedTuple):
     def lobe_slope(self, wavelength: float) -> float:
         """Slope at which the light has half its peak, at normal incidence and a wavelength [nm]."""
         row = int(np.argmin(np.abs(self.phase - 4e3 * np.pi / wavelength)))
-        values = self.spline(row, np.arange(self.frequency.size))[0]
+        values = self.spline.ev(np.full(self.frequency.size, row), np.arange(self.frequency.size))
         below = values < values[0] - np.log(2)
         half = self.frequency[below.argmax()] if below.any() else self.frequency[-1]
         return float(half * wavelength * 1e-3 / 2)

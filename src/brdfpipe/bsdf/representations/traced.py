@@ -11,14 +11,15 @@ from scipy.special import erfc
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
-from brdfpipe.bsdf.coupled_base import CoupledBase
+from brdfpipe.bsdf.coupled_base import CoupledBase, above_surface
 from brdfpipe.bsdf.microfacet.model import mean_index
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.geometry import Array, HalfVector, half_vector, slope_towards
 from brdfpipe.optics.fresnel_equations import fresnel, mean_fresnel
 
 _NODES = ("traced_incidence", "half_slope_across", "half_slope_along")
-_BLOCK = 2**15
+_DENSITY = [_NODES]
+_BY_ORDER = [("order", "traced_incidence")]
 
 
 class Traced(Representation):
@@ -32,11 +33,11 @@ class Traced(Representation):
     name = "traced"
     kind = vocabulary.Kind(
         required={
-            **dict.fromkeys(("single_density", "single_density_u", "multiple_density", "multiple_density_u"), [_NODES]),
+            **dict.fromkeys(("single_density", "single_density_u", "multiple_density", "multiple_density_u"), _DENSITY),
             **dict.fromkeys(("n", "k", "mean_albedo", "diffuse"), vocabulary.SPECTRAL),
             "directional_albedo": [("theta_i", "wavelength"), ("theta_i",)],
             **dict.fromkeys(("smith_slope", "traced_reflectance", "theta_m"), vocabulary.SCALAR),
-            **dict.fromkeys(("reflected", "reflected_u", "refracted"), [("order", "traced_incidence")]),
+            **dict.fromkeys(("reflected", "reflected_u", "refracted"), _BY_ORDER),
             "lost": [("traced_incidence",)],
         },
         optional={"total_reflectance": vocabulary.SPECTRAL},
@@ -58,32 +59,23 @@ class Traced(Representation):
         return n, k
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
-        index, base = self._index(wavelength), self._base(wavelength)
-
-        def values(angles: list[Array]) -> Array:
-            return self._table.brdf(*angles, *index) + base.brdf(angles[0], angles[2])
-
-        return self._above(values, theta_i, phi_i, theta_o, phi_o, max(index[0].size, base.diffuse.size))
+        (n, k), base = self._index(wavelength), self._base(wavelength)
+        return above_surface(
+            lambda i, azimuth_i, o, azimuth_o: self._table.brdf(i, azimuth_i, o, azimuth_o, n, k) + base.brdf(i, o),
+            *(theta_i, phi_i, theta_o, phi_o),
+            max(n.size, base.diffuse.size),
+        )
 
     def uncertainty(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
     ) -> Array:
         """Of the number of rays and of the finite map, as if the errors of neighbouring nodes were common."""
-        index = self._index(wavelength)
-        return self._above(
-            lambda angles: self._table.uncertainty(*angles, *index), theta_i, phi_i, theta_o, phi_o, index[0].size
+        n, k = self._index(wavelength)
+        return above_surface(
+            lambda i, azimuth_i, o, azimuth_o: self._table.uncertainty(i, azimuth_i, o, azimuth_o, n, k),
+            *(theta_i, phi_i, theta_o, phi_o),
+            n.size,
         )
-
-    def _above(self, values, theta_i, phi_i, theta_o, phi_o, width):  # type: ignore[no-untyped-def]
-        angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
-        flat = [np.asarray(angle, dtype=float).reshape(-1) for angle in angles]
-        result = np.zeros((flat[0].size, width))
-        above = np.flatnonzero((flat[0] < 90) & (flat[2] < 90))
-        step = max(_BLOCK // width, 256)
-        for start in range(0, above.size, step):
-            at = above[start : start + step]
-            result[at] = values([angle[at] for angle in flat])
-        return result.reshape(*angles[0].shape, width)
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         return self._base(wavelength).total_albedo(theta_i)
@@ -117,10 +109,11 @@ class Traced(Representation):
             for name in names
             if name in bsdf and "wavelength" in bsdf[name].dims
         }
+        reduced = bsdf.drop_dims("wavelength", errors="ignore").assign(means)
         if "wavelength" in bsdf["n"].dims:
             n, k = mean_index(bsdf, weight)
-            means |= {"n": ((), n), "k": ((), k)}
-        return vocabulary.label(bsdf.drop_dims("wavelength", errors="ignore").assign(means), "bsdf")
+            reduced = reduced.assign(n=n, k=k)
+        return vocabulary.label(reduced, "bsdf")
 
     def mean_index(self, weight: Array) -> tuple[float, float] | None:
         return mean_index(self.dataset, weight) if self.dataset["n"].ndim else None
@@ -178,7 +171,11 @@ class TracedTable(NamedTuple):
     def _scaled(self, single: Array, multiple: Array, pair: HalfVector, n: Array, k: Array) -> Array:
         reflectance = fresnel(pair.cos_zeta[:, None], n, k).mean
         colour = mean_fresnel(n, k) / self.traced_reflectance
-        return reflectance * masking_over_cosines(pair, self.smith_slope)[:, None] * (single[:, None] + multiple[:, None] * colour)
+        return (
+            reflectance
+            * masking_over_cosines(pair, self.smith_slope)[:, None]
+            * (single[:, None] + multiple[:, None] * colour)
+        )
 
     def _interpolated(self, density: Array, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """(2, directions), mean of both directions of light."""
@@ -199,7 +196,10 @@ class TracedTable(NamedTuple):
 
 def masking_over_cosines(pair: HalfVector, slope: float) -> Array:
     """G / (4 cos θ_i cos θ_o cos⁴α), finite at the horizon; G is Smith's height-correlated masking of Gaussian slopes."""
-    over = [cosine + _cosine_lambda(cosine, sine, slope) for cosine, sine in ((pair.cos_i, pair.sin_i), (pair.cos_o, pair.sin_o))]
+    over = [
+        cosine + _cosine_lambda(cosine, sine, slope)
+        for cosine, sine in ((pair.cos_i, pair.sin_i), (pair.cos_o, pair.sin_o))
+    ]
     # cos_i cos_o (1 + Λ_i + Λ_o)
     both = over[0] * pair.cos_o + pair.cos_i * over[1] - pair.cos_i * pair.cos_o
     return np.asarray((1 + pair.slope_squared) ** 2 / (4 * np.maximum(both, 1e-300)))
