@@ -18,7 +18,7 @@ from brdfpipe.bsdf.representations.kirchhoff import Diffraction, Kirchhoff
 from brdfpipe.geometry import Array
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import refractive_index
-from brdfpipe.references.height_mesh import HeightMesh, ReferenceError
+from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 from brdfpipe.references.phase_spectrum import phase_spectrum
 
 WAVELENGTHS = np.arange(380.0, 781.0, 10.0)
@@ -53,7 +53,7 @@ def build(
 
     Raises
     ------
-    ReferenceError : a surface that :func:`brdfpipe.references.phase_spectrum.phase_spectrum` refuses, or unusable wavelengths.
+    HeightMapError : a surface that :func:`brdfpipe.references.phase_spectrum.phase_spectrum` refuses, or unusable wavelengths.
     VocabularyError : a dataset of the wrong kind.
 
     Notes
@@ -69,7 +69,7 @@ def build(
     n, k, _, warnings = index_on(index, given)
     n, k = np.broadcast_to(n, given.shape), np.broadcast_to(k, given.shape)
     if np.any((n < 1) & (k == 0)):
-        raise ReferenceError(
+        raise HeightMapError(
             f"the refractive index falls to {np.min(n):g}, below that of air, without absorption; accepted: n >= 1, or k > 0"
         )
     found = phase_spectrum(surface, 4e3 * np.pi / float(given[0]))
@@ -116,14 +116,14 @@ def build(
 def _wavelengths(spectrum: xr.Dataset | None, index: xr.Dataset, wavelength: ArrayLike | None) -> Array:
     if spectrum is not None:
         if wavelength is not None:
-            raise ReferenceError("the wavelengths are those of the spectrum; leave out `wavelength`")
+            raise HeightMapError("the wavelengths are those of the spectrum; leave out `wavelength`")
         return np.asarray(spectrum["wavelength"].values, dtype=float)
     if wavelength is None:
         constant = np.ptp(index["n"].values) == 0 and np.ptp(index["k"].values) == 0
         return WAVELENGTHS if constant else np.asarray(index["wavelength"].values, dtype=float)
     given = np.atleast_1d(np.asarray(wavelength, dtype=float))
     if given.ndim != 1 or given.size == 0 or not (given > 0).all() or not (np.diff(given) > 0).all():
-        raise ReferenceError(
+        raise HeightMapError(
             "`wavelength` is not an increasing list of wavelengths in nm; accepted: one number or several, above 0"
         )
     return given

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, map_coordinates
+from scipy.ndimage import distance_transform_edt
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.coupled_base import around_mirror_direction, with_base
@@ -21,7 +21,7 @@ from brdfpipe.bsdf.representations.traced import Traced, TracedTable, masking_ov
 from brdfpipe.geometry import Array, HalfVector
 from brdfpipe.optics.fresnel_equations import fresnel, mean_fresnel
 from brdfpipe.optics.index import refractive_index
-from brdfpipe.references.height_mesh import HeightMesh, ReferenceError
+from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 from brdfpipe.references.tracer import SlopeBins, TracedLight, trace
 
 INCIDENCES = np.array([0, 10, 20, 30, 40, 50, 60, 65, 70, 75, 80, 84, 88.0])
@@ -29,9 +29,9 @@ INCIDENCES = np.array([0, 10, 20, 30, 40, 50, 60, 65, 70, 75, 80, 84, 88.0])
 LAY_LIMIT = 1.2
 """Ratio of the principal slopes above which the mean over azimuth is reported as such."""
 LOST_LIMIT = 0.01
-"""Share of lost light above which the result warns."""
+"""Lost light, over reflected and lost light, above which the result warns."""
 
-_POINTS = 8  # along each axis of a bin, over which its factors are averaged
+_POINTS = 6  # along each axis of a bin, over which its factors are averaged
 _LEAST_SHARE = 0.4  # of a bin above the horizon, for its light to give a density
 _CORRECTIONS = 3  # of the densities, so that their interpolation returns the light of every bin
 
@@ -64,7 +64,7 @@ def build(
 
     Raises
     ------
-    ReferenceError : a line profile, or a map, index or number of rays that cannot be used.
+    HeightMapError : a line profile, or a map, index or number of rays that cannot be used.
     VocabularyError : a dataset of the wrong kind.
 
     Notes
@@ -76,7 +76,7 @@ def build(
     mesh = HeightMesh.of(surface, edges)
     slope = mesh.typical_slope
     if not slope > 0:
-        raise ReferenceError("the surface is perfectly flat; use `brdfpipe.facets.flat` and the facet model")
+        raise HeightMapError("the surface is perfectly flat; use `brdfpipe.facets.flat` and the facet model")
     index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
     if spectrum is not None:
         vocabulary.validate(spectrum, "spectrum")
@@ -179,15 +179,20 @@ def _interpolable(power: Array, factors: Array, known: NDArray[np.bool_]) -> Arr
     """Density at the centres whose linear interpolation has the given light in every bin."""
     by_bin = np.where(known, factors.sum(axis=(1, 3)), 1.0)
     mean = _extended(np.where(known, power / by_bin, 0.0), known)
-    centre = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
-    positions = np.meshgrid(*((np.arange(size)[:, None] + centre).ravel() for size in power.shape), indexing="ij")
+    across, along = (_at_points(size) for size in power.shape)
     density = mean
     for _ in range(_CORRECTIONS):
-        between = map_coordinates(density, positions, order=1, mode="nearest").reshape(factors.shape)
-        found = (between * factors).sum(axis=(1, 3)) / by_bin
+        between = (across @ density @ along.T).reshape(factors.shape)
+        found = np.einsum("apbq,apbq->ab", between, factors) / by_bin
         ratio = np.where(known & (found > 0), mean / np.where(found > 0, found, 1.0), 1.0)
         density = _extended(density * np.clip(ratio, 0.5, 2.0), known)
     return density
+
+
+def _at_points(bins: int) -> Array:
+    """(bins · points, bins) matrix of the linear interpolation between the centres of bins, constant beyond the outermost."""
+    points = (np.arange(bins)[:, None] + (np.arange(_POINTS) + 0.5) / _POINTS - 0.5).ravel()
+    return np.stack([np.interp(points, np.arange(bins), unit) for unit in np.eye(bins)], axis=-1)
 
 
 def _extended(values: Array, known: NDArray[np.bool_]) -> Array:
@@ -206,10 +211,10 @@ def _warnings(bsdf: xr.Dataset, mesh: HeightMesh) -> list[str]:
             f"the principal slopes of the surface differ by a factor {anisotropy:.2f}, and the traced BSDF is the mean over the azimuth of "
             "incidence: it does not show the lay"
         )
-    lost = float(bsdf["lost"].max())
+    lost = float((bsdf["lost"] / (bsdf["lost"] + bsdf["reflected"].sum("order"))).max())
     if lost > LOST_LIMIT:
         warnings.append(
-            f"{lost:.1%} of the traced light was lost on missing heights or beyond the map; measure a larger area, or one with fewer "
+            f"{lost:.1%} of the reflected light was lost on missing heights or beyond the map; measure a larger area, or one with fewer "
             "missing heights"
         )
     return warnings

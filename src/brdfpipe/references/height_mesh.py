@@ -21,8 +21,8 @@ LEAST_HEIGHTS = 16
 _SAMPLED_FACETS = 2**20
 
 
-class ReferenceError(BrdfpipeError):
-    """A surface or an option that a reference solution cannot use."""
+class HeightMapError(BrdfpipeError):
+    """A height map, or an option, that a reference solution cannot use."""
 
 
 class HeightMesh(NamedTuple):
@@ -53,20 +53,20 @@ class HeightMesh(NamedTuple):
 
         Raises
         ------
-        ReferenceError : a line profile, a map below 16 × 16 heights, a map without complete cells, or unknown edges.
+        HeightMapError : a line profile, a map below 16 × 16 heights, a map without complete cells, or unknown edges.
         VocabularyError : the dataset is not of kind ``surface``.
         """
         vocabulary.validate(surface, "surface")
         if edges not in EDGES:
-            raise ReferenceError(f"unknown edges {edges!r}; accepted: {', '.join(EDGES)}")
+            raise HeightMapError(f"unknown edges {edges!r}; accepted: {', '.join(EDGES)}")
         if surface["height"].ndim == 1:
-            raise ReferenceError(
+            raise HeightMapError(
                 "a line profile has no second dimension for rays; measure an areal map (`surface.file`), or use the facet model"
             )
         height = np.array(surface["height"].values, dtype=float)
         if min(height.shape) < LEAST_HEIGHTS:
             found = " × ".join(map(str, height.shape))
-            raise ReferenceError(f"the map has {found} heights; accepted: {LEAST_HEIGHTS} × {LEAST_HEIGHTS} or more")
+            raise HeightMapError(f"the map has {found} heights; accepted: {LEAST_HEIGHTS} × {LEAST_HEIGHTS} or more")
         pitch = np.array([float(surface.attrs["pitch_x"]), float(surface.attrs["pitch_y"])])
         rows, columns = np.arange(height.shape[0])[:, None], np.arange(height.shape[1])
         tilt = mean_slope(HeightMap(height, (pitch[0], pitch[1]), 0.0))
@@ -74,7 +74,7 @@ class HeightMesh(NamedTuple):
         missing = np.isnan(height)
         present = ~(missing[:-1, :-1] | missing[1:, :-1] | missing[:-1, 1:] | missing[1:, 1:])
         if not present.any():
-            raise ReferenceError("the map has no complete cell of four heights; measure with fewer missing heights")
+            raise HeightMapError("the map has no complete cell of four heights; measure with fewer missing heights")
         if missing.any():
             from scipy.ndimage import distance_transform_edt
 

@@ -18,14 +18,20 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from brdfpipe.geometry import Array
-from brdfpipe.references.height_mesh import HeightMesh, ReferenceError
+from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 
 LARGEST_PHASE_STEP = np.pi
 """Phase between neighbouring heights [rad] above which the map samples the field too coarsely."""
 COARSE_LIMIT = 0.02
 """Share of such steps above which the map is refused."""
 
-_PATCHES = 4  # patches along the shorter side, without their overlap
+_PATCHES = (
+    2,
+    4,
+    8,
+    16,
+)  # along the shorter side, without overlap: the largest without gaps, as smaller ones blur the spectrum
+_BLOCKS = 8  # along the shorter side, whose scatter is the chance part of the coherent light
 _LEAST_PATCH = 32
 _RING_STEP = 0.05  # between the rings in asinh(f/f0), with f0 so that the finest rings are one bin wide
 _PHASE_STEP = 0.2  # of ln q
@@ -61,24 +67,29 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
 
     Raises
     ------
-    ReferenceError : a line profile, a map that is too small, without complete patches or perfectly flat; or heights that differ by more
+    HeightMapError : a line profile, a map that is too small, without complete patches or perfectly flat; or heights that differ by more
         than π in phase between neighbours on more than 2 % of the map.
     """
     mesh = HeightMesh.of(surface)
-    side = max(_LEAST_PATCH, 2 * (min(mesh.height.shape) // (2 * _PATCHES)))
-    patches = _complete_patches(mesh, side)
+    for count in _PATCHES:
+        side = max(_LEAST_PATCH, 2 * (min(mesh.height.shape) // (2 * count)))
+        patches = _complete_patches(mesh, side, 2)
+        if len(patches) > 1:
+            break
+    block = min(mesh.height.shape) // _BLOCKS
+    blocks = _complete_patches(mesh, block, 1)
     if len(patches) < 2:
-        raise ReferenceError(
+        raise HeightMapError(
             f"the map has {len(patches)} patches of {side} × {side} heights without gaps, and two are needed; measure a larger area, or one "
             "with fewer missing heights"
         )
     sigma = float(np.std(mesh.height))
     steps = np.concatenate([np.abs(np.diff(mesh.height, axis=axis)).ravel() for axis in (0, 1)])
     if sigma == 0:
-        raise ReferenceError("the surface is perfectly flat; use `brdfpipe.facets.flat` and the facet model")
+        raise HeightMapError("the surface is perfectly flat; use `brdfpipe.facets.flat` and the facet model")
     coarse = float(np.mean(steps * largest_phase > LARGEST_PHASE_STEP))
     if coarse > COARSE_LIMIT:
-        raise ReferenceError(
+        raise HeightMapError(
             f"the phase of reflected light changes by more than π between {coarse:.1%} of neighbouring heights: the map is too coarse or too "
             "steep for Kirchhoff's integral; measure with a finer pitch, or trace rays (`brdfpipe.bsdf.traced.build`)"
         )
@@ -95,7 +106,7 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
     for row, q in enumerate(phase):
         # Single precision: its rounding is 1e-7 of the phase.
         fields = np.exp(np.complex64(1j * q) * heights)
-        coherent[row], amplitude = _coherent(fields, patches, side)
+        coherent[row], amplitude = _coherent(fields, blocks, block)
         total = square = np.zeros(rings.frequency.size)
         for y, x in patches:
             transform = fft.fft2((fields[y : y + side, x : x + side] - amplitude) * window)
@@ -109,11 +120,11 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
     return PhaseSpectrum(phase, rings.frequency, rings.scale, spectrum, uncertainty / spectrum, coherent, coarse)
 
 
-def _complete_patches(mesh: HeightMesh, side: int) -> list[tuple[int, int]]:
-    """First row and column of the patches without missing heights, which overlap by half."""
+def _complete_patches(mesh: HeightMesh, side: int, overlap: int) -> list[tuple[int, int]]:
+    """First row and column of the patches without missing heights; ``overlap`` of them along each axis share a height."""
     rows, columns = mesh.height.shape
     starts = [
-        np.unique(np.linspace(0, size - side, max(1, int(np.ceil(2 * size / side)) - 1)).astype(int))
+        np.unique(np.linspace(0, size - side, max(1, overlap * size // side - overlap + 1)).astype(int))
         for size in (rows, columns)
     ]
     return [
@@ -121,9 +132,9 @@ def _complete_patches(mesh: HeightMesh, side: int) -> list[tuple[int, int]]:
     ]
 
 
-def _coherent(fields: NDArray[np.complex64], patches: list[tuple[int, int]], side: int) -> tuple[float, np.complex64]:
+def _coherent(fields: NDArray[np.complex64], blocks: list[tuple[int, int]], side: int) -> tuple[float, np.complex64]:
     """Coherent share without the light that a finite area scatters into it by chance, and the mean amplitude."""
-    means = np.array([fields[y : y + side, x : x + side].mean(dtype=complex) for y, x in patches])
+    means = np.array([fields[y : y + side, x : x + side].mean(dtype=complex) for y, x in blocks])
     amplitude = means.mean()
     bias = float(np.mean(np.abs(means - amplitude) ** 2)) / (means.size - 1)
     share = float(np.abs(amplitude) ** 2)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from brdfpipe.geometry import Array
-from brdfpipe.references.height_mesh import HeightMesh, ReferenceError
+from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 
 BLOCKS = 8
 """The map is cut into this many blocks along each axis; the scatter between them gives the uncertainty."""
@@ -104,7 +104,7 @@ def trace(
 
     Raises
     ------
-    ReferenceError : an incidence, index or number of rays out of range, or no ray met a measured facet.
+    HeightMapError : an incidence, index or number of rays out of range, or no ray met a measured facet.
 
     Notes
     -----
@@ -184,7 +184,7 @@ def _collected(results: Iterator[_BlockSums]) -> TracedLight:
         for spread, values in zip(scatter, part.quantities, strict=True):
             spread.add(values, part.rays)
     if total.rays == 0:
-        raise ReferenceError("no ray met a measured facet; measure a larger area, or one with fewer missing heights")
+        raise HeightMapError("no ray met a measured facet; measure a larger area, or one with fewer missing heights")
     by_bin_u, by_order_u = (
         spread.uncertainty(values, total.rays, blocks) for spread, values in zip(scatter, total.quantities, strict=True)
     )
@@ -234,9 +234,9 @@ def _areas(mesh: HeightMesh) -> Iterator[Array]:
 
 def _check(theta_i: float, index: complex, rays: int) -> None:
     if not 0 <= theta_i < 90:
-        raise ReferenceError(f"invalid incidence angle {theta_i:g}°; accepted: 0 <= theta_i < 90")
+        raise HeightMapError(f"invalid incidence angle {theta_i:g}°; accepted: 0 <= theta_i < 90")
     n, k = np.real(index), np.imag(index)
     if not (n > 0 and k >= 0 and (n >= 1 or k > 0)):
-        raise ReferenceError(f"invalid refractive index {n:g} + {k:g}i; accepted: n >= 1, or n > 0 and k > 0")
+        raise HeightMapError(f"invalid refractive index {n:g} + {k:g}i; accepted: n >= 1, or n > 0 and k > 0")
     if isinstance(rays, bool) or rays != int(rays) or rays < 1:
-        raise ReferenceError(f"invalid number of rays {rays!r}; accepted: an integer >= 1")
+        raise HeightMapError(f"invalid number of rays {rays!r}; accepted: an integer >= 1")

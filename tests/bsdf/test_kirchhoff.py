@@ -1,0 +1,122 @@
+"""The BSDF of Kirchhoff's integral on a map, from coherent reflection to facets."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+import samples
+
+from brdfpipe import vocabulary
+from brdfpipe.appearance import gloss
+from brdfpipe.bsdf.accessor import open_dataset
+from brdfpipe.bsdf.checks import check
+from brdfpipe.bsdf.kirchhoff import build
+from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.facets.estimation import estimate
+from brdfpipe.optics.fresnel_equations import fresnel
+from brdfpipe.references.height_mesh import HeightMapError
+from brdfpipe.store import save_dataset
+
+
+def gaussian_map(sigma: float, seed: int = 1, size: int = 512):
+    """A periodic map of rms height ``sigma`` [um], correlation exp(−r²/ℓ²) with ℓ = 5 µm, pitch 0.5 µm."""
+    height = samples.gaussian_surface(size, correlation=10.0, seed=seed)["height"].values
+    return samples.surface(height / height.std() * sigma, pitch=(0.5, 0.5))
+
+
+@cache
+def diffracted(sigma: float = 0.05, spectral: bool = False):
+    spectrum = samples.spectrum(np.linspace(0.1, 0.5, samples.WAVELENGTH.size)) if spectral else None
+    return build(gaussian_map(sigma), index=1.5, spectrum=spectrum, wavelength=None if spectral else [550.0])
+
+
+@pytest.mark.parametrize(
+    ("sigma", "expected", "tolerance"),
+    # Coherent + halo of an infinite surface, 550 nm: independent quadrature of the series. One map of 512 × 512 heights scatters.
+    [(0.013, [77.889, 88.280, 98.913], 0.3), (0.05, [40.282, 77.629, 98.1], 1.5), (0.2, [2.211, 24.144, 85.7], 2.5)],
+)
+def test_gloss_is_that_of_waves(sigma, expected, tolerance):
+    np.testing.assert_allclose(gloss(diffracted(sigma), [20, 60, 85]), expected, atol=tolerance)
+
+
+def test_mirror_reflection_is_the_coherent_share():
+    bsdf = diffracted(0.05)
+    theta = np.array([0.0, 45.0, 80.0, 90.0])
+    mirrored = representation(bsdf).specular(theta, np.zeros(4), None)[0][:, 0]
+    cosine = np.cos(np.radians(theta))
+    expected = fresnel(np.clip(cosine, 0, 1), 1.5).mean * np.exp(-((4 * np.pi * 0.05 * cosine / 0.55) ** 2))
+    np.testing.assert_allclose(mirrored[:3], expected[:3], rtol=0.03)  # rms height of one map
+    assert mirrored[3] == 0
+
+
+def test_all_light_is_fresnels_reflectance():
+    bsdf = diffracted(0.05)
+    theta = np.array([0.0, 30.0, 60.0])
+    np.testing.assert_allclose(
+        representation(bsdf).albedo(theta, np.zeros(3), None)[:, 0],
+        fresnel(np.cos(np.radians(theta)), 1.5).mean,
+        rtol=0.01,
+    )
+
+
+def test_it_tends_to_the_facets_of_the_map():
+    surface = gaussian_map(0.4)
+    bsdf = build(surface, index=1.5, wavelength=[550.0])
+    facet_model = build_microfacet(estimate(surface, isotropic=True), index=1.5)
+    theta_o = np.linspace(21.0, 39.0, 7)
+    angles = np.full(7, 30.0), np.zeros(7), theta_o, np.full(7, 180.0)
+    waves, rays = (representation(one).evaluate(*angles, None)[:, 0] for one in (bsdf, facet_model))
+    assert np.mean(waves / rays) == pytest.approx(1, abs=0.08)
+
+
+def test_all_checks_pass():
+    verdicts = json.loads(check(diffracted()).attrs["verdicts"])
+    assert {entry["verdict"] for entry in verdicts.values()} == {"pass"}, verdicts
+
+
+def test_the_total_reflectance_is_that_of_the_spectrum():
+    bsdf = diffracted(spectral=True)
+    reflectance = representation(bsdf).albedo(np.array([8.0]), np.zeros(1), None)[0]
+    np.testing.assert_allclose(reflectance, bsdf["total_reflectance"], rtol=1e-9)
+
+
+def test_the_mean_over_wavelength_is_that_of_every_wavelength():
+    bsdf = diffracted(spectral=True)
+    weight = np.exp(-(((bsdf["wavelength"].values - 555) / 50) ** 2))
+    weight /= weight.sum()
+    mean = representation(representation(bsdf).nonspectral(weight))
+    angles = np.array([[20.0], [0.0], [23.0], [180.0]])
+    expected = representation(bsdf).evaluate(*angles, None) @ weight
+    # Wavelengths of a thousandth of the largest weight are left out; the base is averaged by itself.
+    np.testing.assert_allclose(mean.evaluate(*angles, None)[:, 0], expected, rtol=0.01)
+    mirrored = representation(bsdf).specular(angles[0], angles[1], None)[0] @ weight
+    np.testing.assert_allclose(mean.specular(angles[0], angles[1], None)[0][:, 0], mirrored, rtol=0.01)
+
+
+def test_it_is_stored_and_read_and_sampled(tmp_path):
+    save_dataset(diffracted(), tmp_path / "kirchhoff.nc", stage="predicted", material="test")
+    again = representation(open_dataset(tmp_path / "kirchhoff.nc"))
+    drawn = again.sample(2000, 1, 30.0, 0.0, None)
+    assert float(drawn["weight"].mean()) == pytest.approx(
+        float(again.albedo(np.array([30.0]), np.zeros(1), None)[0, 0]), rel=0.05
+    )
+    assert (again.uncertainty(*np.array([[30.0], [0.0], [35.0], [180.0]]), None) > 0).all()
+
+
+def test_limits_of_the_method_are_reported():
+    steep = build(samples.gaussian_surface(128, sigma=0.3), index=1.5, wavelength=[5000.0])
+    assert any("typical slope of the surface is 0.4" in text for text in vocabulary.warnings(steep))
+    assert any("up to" in text and "mirror direction" in text for text in vocabulary.warnings(diffracted()))
+
+
+def test_unusable_input_is_refused():
+    with pytest.raises(HeightMapError, match="increasing list of wavelengths"):
+        build(gaussian_map(0.05), index=1.5, wavelength=[600.0, 500.0])
+    with pytest.raises(HeightMapError, match="leave out `wavelength`"):
+        build(gaussian_map(0.05), index=1.5, spectrum=samples.spectrum(), wavelength=[550.0])
+    with pytest.raises(HeightMapError, match="line profile"):
+        build(samples.surface(np.zeros(100)), index=1.5, wavelength=[550.0])
