@@ -12,9 +12,9 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.coupled_base import around_mirror_direction, with_base
 from brdfpipe.bsdf.microfacet.builder import index_on
 from brdfpipe.bsdf.representations.kirchhoff import Diffraction, Kirchhoff
+from brdfpipe.bsdf.spectrum_closure import around_mirror_direction, with_base
 from brdfpipe.geometry import Array
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import refractive_index

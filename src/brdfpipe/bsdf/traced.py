@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.coupled_base import around_mirror_direction, with_base
 from brdfpipe.bsdf.microfacet.builder import index_on
 from brdfpipe.bsdf.microfacet.model import mean_index
 from brdfpipe.bsdf.representations.traced import Traced, TracedTable, masking_over_cosines
+from brdfpipe.bsdf.spectrum_closure import around_mirror_direction, with_base
 from brdfpipe.geometry import Array, HalfVector
 from brdfpipe.optics.fresnel_equations import fresnel, mean_fresnel
 from brdfpipe.optics.index import refractive_index
