@@ -71,6 +71,36 @@ def fresnel(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0) -> Fresnel:
     return Fresnel(f_s, f_p, (f_s + f_p) / 2)
 
 
+def plate(cos_theta: ArrayLike, n: ArrayLike, transmittance: ArrayLike) -> tuple[Array, Array]:
+    """Reflectance and transmittance of a plane-parallel plate with two smooth faces, for unpolarised light.
+
+    Parameters
+    ----------
+    cos_theta : cosine of the angle of incidence, in (0, 1]
+    n : index of the plate relative to its surroundings; n >= 1
+    transmittance : internal transmittance at normal incidence, in [0, 1]
+
+    Notes
+    -----
+    With τ' = τ^(1/cos θ') R = F + (1 − F)² τ'² F / (1 − F² τ'²) and T = (1 − F)² τ' / (1 − F² τ'²) for s and for p, since each stays
+    what it is between the faces; then their mean. Reflections are added without interference.
+
+    References
+    ----------
+    Stokes 1862 (Proc. R. Soc. 11, 545), on a pile of plates.
+    """
+    cos_theta, n = np.asarray(cos_theta, dtype=float), np.asarray(n, dtype=float)
+    inner = np.sqrt(np.maximum((n - 1) * (n + 1) + cos_theta**2, 1e-300)) / n
+    passage = np.asarray(transmittance, dtype=float) ** (1 / inner)
+    values = fresnel(cos_theta, n)
+    reflected, transmitted = [], []
+    for f in (values.s, values.p):
+        series = (1 - f) ** 2 * passage / ((1 - f * passage) * (1 + f * passage))
+        reflected.append(f + series * passage * f)
+        transmitted.append(series)
+    return np.asarray(sum(reflected) / 2), np.asarray(sum(transmitted) / 2)
+
+
 def mean_fresnel(n: Array, k: Array) -> Array:
     """Reflectance 2 ∫ F μ dμ of a smooth interface under light from everywhere, (wavelength,), of (wavelength,) n and k."""
     theta, weight = panel_rule(np.linspace(0, np.pi / 2, 17), 8)

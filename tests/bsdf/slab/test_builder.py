@@ -48,19 +48,25 @@ def inner_cosine(theta, index):
 
 
 @pytest.mark.cases(5)
-@pytest.mark.parametrize("index", [1.0, 1.01, 1.5, 2.4])
-@pytest.mark.parametrize("inside", [1.0, 0.8, 0.0])
-def test_two_smooth_faces_reflect_and_transmit_as_the_incoherent_sum_of_a_plate(index, inside):
+@pytest.mark.parametrize("index", [1.0, 1.01, 1.5, 2.4, 4.0])
+@pytest.mark.parametrize("inside", [1.0, 0.999, 0.8, 0.0])
+def test_two_smooth_faces_reflect_and_transmit_as_the_incoherent_sum_of_s_and_p(index, inside):
     bsdf = sheet(0, 0, index, inside)
-    f = optics.fresnel(np.abs(np.cos(np.radians(BOTH_SIDES))), index).mean
-    tau = inside ** (1 / inner_cosine(BOTH_SIDES, index))
-    # Interpolated between the nodes by a polynomial of high degree: to 1e-9, except where the path through an absorbing body that hardly
-    # refracts grows without limit towards grazing.
-    tolerance = 1e-9 if index > 1.1 else 1e-5
-    assert reflectance(bsdf, BOTH_SIDES) == pytest.approx(
-        f + (1 - f) ** 2 * tau**2 * f / (1 - (f * tau) ** 2), abs=tolerance
-    )
-    assert transmittance(bsdf, BOTH_SIDES) == pytest.approx((1 - f) ** 2 * tau / (1 - (f * tau) ** 2), abs=tolerance)
+    theta = np.concatenate([BOTH_SIDES, np.linspace(0.0, 89.9, 90), [89.999]])
+    tau = inside ** (1 / inner_cosine(theta, index))
+    reflected, transmitted = np.zeros((2, theta.size))
+    for f in optics.fresnel(np.abs(np.cos(np.radians(theta))), index)[:2]:
+        reflected += (f + (1 - f) ** 2 * tau**2 * f / (1 - (f * tau) ** 2)) / 2
+        transmitted += (1 - f) ** 2 * tau / (1 - (f * tau) ** 2) / 2
+    assert reflectance(bsdf, theta) == pytest.approx(reflected, abs=1e-9)
+    assert transmittance(bsdf, theta) == pytest.approx(transmitted, abs=1e-9)
+
+
+def test_a_clear_plate_has_its_published_reflectance_and_transmittance():
+    # s and p summed apart; the mean of both between the faces would give .0647, .6142 and .4477, .2481.
+    bsdf = sheet(0, 0, 1.5, 0.7)
+    assert reflectance(bsdf, [40.0, 80.0]) == pytest.approx([0.0638, 0.4402], abs=5e-5)
+    assert transmittance(bsdf, [40.0, 80.0]) == pytest.approx([0.6151, 0.2603], abs=5e-5)
 
 
 def test_two_smooth_faces_do_not_scatter():
@@ -206,100 +212,152 @@ def test_the_lobes_integrate_to_reflectance_and_transmittance(faces, theta):
 
 
 class Tracer:
-    """Photons between two Beckmann faces: facets drawn from their density, weighted by how much of them is seen.
+    """Photons with an electric field between two Beckmann faces: facets drawn from their density, weighted by how much of them is seen.
 
-    What the facets lose leaves diffusely on both sides, in proportion to what they lose there and to the étendue.
+    What the facets lose leaves diffusely on both sides, in proportion to what they lose there and to the étendue. The field is a
+    complex vector, so no frame of polarisation is needed but that of each facet.
     """
 
     def __init__(self, front: float, back: float, index: float, inside: float, seed: int) -> None:
         self.a, self.index, self.inside = (front, back), index, inside
         self.generator = np.random.default_rng(seed)
-        self.diffuse = [self._lost(width, index) for width in self.a]
+        self.diffuse = [self._lost(width) for width in self.a]
 
-    @staticmethod
-    @cache
-    def _lost(a, index):
+    def _lost(self, a):
+        """Polar angles, their losses of s and p, the cells between them, and the cumulated share of the cells."""
         if a == 0:
             return None
-        alone = microfacet.build(finish(a), index=index, transparent=True)
         edges = np.concatenate([np.linspace(0, 90, 91), np.linspace(90, 180, 121)[1:]])
         middle = (edges[1:] + edges[:-1]) / 2
-        none = np.zeros(middle.size)
-        kept = representation(alone).albedo(middle, none, None) + representation(alone).transmittance(
-            middle, none, None
-        )
-        lost = np.maximum(1 - kept[:, 0], 0)
-        extent = np.abs(np.diff(np.cos(np.radians(edges)) ** 2)) * np.where(middle > 90, index**2, 1.0)
-        return middle, lost, edges, np.cumsum(extent * lost) / (extent @ lost)
+        lost = np.maximum(1 - np.array([self._kept(a, theta) for theta in middle]).T, 0)
+        extent = np.abs(np.diff(np.cos(np.radians(edges)) ** 2)) * np.where(middle > 90, self.index**2, 1.0)
+        cumulated = np.cumsum(extent * lost.sum(axis=0))
+        return middle, lost, edges, cumulated / cumulated[-1]
+
+    def _kept(self, a, theta, rings=150, turns=96):
+        """Shares of s and p light from a polar angle that are scattered once, by facets of equal shares of the slopes."""
+        slope = a * np.sqrt(-np.log1p(-(np.arange(rings) + 0.5) / rings))
+        turn = 2 * np.pi * (np.arange(turns) + 0.5) / turns
+        p, q = (np.multiply.outer(slope, wave(turn)).ravel() for wave in (np.cos, np.sin))
+        normal = np.column_stack([-p, -q, np.ones(p.size)]) / np.sqrt(1 + p * p + q * q)[:, None]
+        travel = np.tile([-np.sin(np.radians(theta)), 0.0, -np.cos(np.radians(theta))], (p.size, 1))
+        from_air = np.full(p.size, theta < 90)
+        s_axis = np.cross(travel, [0.0, 0.0, 1.0])
+        shares = []
+        for field in (s_axis, np.cross(travel, s_axis)):
+            field = field / np.linalg.norm(field, axis=1, keepdims=True)
+            branches = self._scatter(travel, field.astype(complex), from_air, normal)
+            shares.append(
+                sum(
+                    (power * self._seen(a, travel, out, normal, from_air, air)).mean()
+                    for out, _, power, air in branches
+                )
+            )
+        return shares
 
     @staticmethod
     def _hidden(a, cos):
         nu = np.abs(cos) / np.sqrt(np.maximum(1 - cos**2, 1e-300)) / a
         return np.where(nu > 6, 0.0, (erf(nu) - 1 + np.exp(-(nu**2)) / (nu * np.sqrt(np.pi))) / 2)
 
-    def meet(self, face, travel, weight, from_air):
-        """New directions and weights of light that meets a face, z pointing out of the body there; and who is now in air."""
+    def _seen(self, a, travel, out, normal, from_air, air):
+        """Share of a facet that light meets on its way, and leaves unhidden, over its projected area."""
+        facing = (travel * normal).sum(axis=1) / normal[:, 2] / travel[:, 2]
+        hidden_i, hidden_o = self._hidden(a, travel[:, 2]), self._hidden(a, out[:, 2])
+        seen = np.where(air == from_air, 1 / (1 + hidden_i + hidden_o), beta(1 + hidden_i, 1 + hidden_o))
+        return np.where((out[:, 2] > 0) == air, np.maximum(facing, 0) * seen, 0.0)
+
+    def meet(self, face, travel, field, weight, from_air):
+        """New directions, fields and weights of light that meets a face, z pointing out of the body there; and who is now in air."""
         if self.a[face] == 0:
-            return self._meet_smooth(travel, weight, from_air)
+            return self._facet(face, travel, field, weight, from_air, np.broadcast_to([0.0, 0.0, 1.0], travel.shape))
         share = 0.15
         diffuse = self.generator.random(weight.size) < share
-        by_facet = self._facet(self.a[face], travel, weight / (1 - share), from_air)
+        slope = self.generator.normal(0, self.a[face] / np.sqrt(2), (weight.size, 2))
+        normal = np.column_stack([-slope, np.ones(weight.size)])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        by_facet = self._facet(face, travel, field, weight / (1 - share), from_air, normal)
+        spread = self._spread(face, travel, field, weight / share)
+        return [np.where(diffuse.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(spread, by_facet, strict=True)]
+
+    def _spread(self, face, travel, field, weight):
+        """The light that a face loses, from everywhere on both sides, with the polarisation of what it loses there."""
         middle, lost, edges, cumulated = self.diffuse[face]
         theta = np.degrees(np.arccos(np.clip(-travel[:, 2], -1, 1)))
+        in_s = (np.abs((field * self._s_axis(travel)).sum(axis=1))) ** 2
+        carried = in_s * np.interp(theta, middle, lost[0]) + (1 - in_s) * np.interp(theta, middle, lost[1])
         cell = np.searchsorted(cumulated, self.generator.random(weight.size))
         low, high = np.cos(np.radians(edges[cell])) ** 2, np.cos(np.radians(edges[cell + 1])) ** 2
         cos = np.sqrt(low + self.generator.random(weight.size) * (high - low)) * np.where(middle[cell] > 90, -1, 1)
         phi, sin = 2 * np.pi * self.generator.random(weight.size), np.sqrt(1 - cos**2)
-        spread = np.stack([sin * np.cos(phi), sin * np.sin(phi), cos], axis=1)
-        return (
-            np.where(diffuse[:, None], spread, by_facet[0]),
-            np.where(diffuse, weight / share * np.interp(theta, middle, lost), by_facet[1]),
-            np.where(diffuse, cos > 0, by_facet[2]),
+        out = np.stack([sin * np.cos(phi), sin * np.sin(phi), cos], axis=1)
+        s_axis = self._s_axis(out)
+        is_s = self.generator.random(weight.size) * lost[:, cell].sum(axis=0) < lost[0, cell]
+        turned = np.where(is_s[:, None], s_axis, np.cross(out, s_axis))
+        return out, turned.astype(complex), weight * carried, cos > 0
+
+    @staticmethod
+    def _s_axis(travel, normal=(0.0, 0.0, 1.0)):
+        axis = np.cross(travel, normal)
+        return axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
+
+    def _facet(self, face, travel, field, weight, from_air, normal):
+        """Reflected or refracted at a facet, drawn by the power of its field."""
+        branches = self._scatter(travel, field, from_air, normal)
+        choice = self.generator.random(weight.size) < branches[0][2]
+        out, field, _, air = (
+            np.where(choice.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(*branches, strict=True)
         )
+        if self.a[face]:
+            weight = weight * self._seen(self.a[face], travel, out, normal, from_air, air)
+        return out, field, weight, air
 
-    def _meet_smooth(self, travel, weight, from_air):
-        return self._scatter(travel, weight, from_air, np.broadcast_to([0.0, 0.0, 1.0], travel.shape))
-
-    def _facet(self, a, travel, weight, from_air):
-        slope = self.generator.normal(0, a / np.sqrt(2), (weight.size, 2))
-        normal = np.column_stack([-slope, np.ones(weight.size)])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        out, carried, air = self._scatter(travel, weight, from_air, normal)
-        facing = (travel * normal).sum(axis=1) / normal[:, 2] / travel[:, 2]
-        hidden_i, hidden_o = self._hidden(a, travel[:, 2]), self._hidden(a, out[:, 2])
-        seen = np.where(air == from_air, 1 / (1 + hidden_i + hidden_o), beta(1 + hidden_i, 1 + hidden_o))
-        right_side = (out[:, 2] > 0) == air
-        return out, np.where(right_side, carried * np.maximum(facing, 0) * seen, 0.0), air
-
-    def _scatter(self, travel, weight, from_air, normal):
-        """Reflected or refracted at a facet, drawn by Fresnel's reflectance."""
+    def _scatter(self, travel, field, from_air, normal):
+        """Direction, unit field, power and side of the light that a facet reflects, and of the light that it refracts."""
         towards = normal * np.where(from_air, 1.0, -1.0)[:, None]
         cos = np.clip(-(travel * towards).sum(axis=1), 0.0, 1.0)
         ratio = np.where(from_air, 1 / self.index, self.index)
-        reflectance = optics.fresnel(cos, 1 / ratio).mean
-        mirrored = self.generator.random(weight.size) < reflectance
-        inner = np.sqrt(np.maximum(1 - ratio**2 * (1 - cos**2), 0.0))
-        refracted = ratio[:, None] * travel + (ratio * cos - inner)[:, None] * towards
-        out = np.where(mirrored[:, None], travel + 2 * cos[:, None] * towards, refracted)
-        return out, weight, np.where(mirrored, from_air, ~from_air)
+        inner = np.emath.sqrt(1 - ratio**2 * (1 - cos**2) + 0j)
+        s_axis = np.cross(travel, towards)
+        length = np.linalg.norm(s_axis, axis=1, keepdims=True)
+        s_axis = np.where(length > 1e-9, s_axis / np.maximum(length, 1e-300), self._s_axis(travel, [0.3, 0.9, 0.3]))
+        mirrored = travel + 2 * cos[:, None] * towards
+        refracted = ratio[:, None] * travel + (ratio * cos - inner.real)[:, None] * towards
+        in_s, in_p = ((field * axis).sum(axis=1) for axis in (s_axis, np.cross(travel, s_axis)))
+        with np.errstate(invalid="ignore"):
+            r_s = np.nan_to_num((ratio * cos - inner) / (ratio * cos + inner), nan=-1.0)
+            r_p = np.nan_to_num((cos - ratio * inner) / (cos + ratio * inner), nan=-1.0)
+        t_s, t_p = (np.sqrt(np.maximum(1 - np.abs(r) ** 2, 0.0)) for r in (r_s, r_p))
+        branches = []
+        for out, s, p, air in (
+            (mirrored, r_s * in_s, r_p * in_p, from_air),
+            (refracted, t_s * in_s, t_p * in_p, ~from_air),
+        ):
+            power = np.abs(s) ** 2 + np.abs(p) ** 2
+            turned = s[:, None] * s_axis + p[:, None] * np.cross(out, s_axis)
+            branches.append((out, turned / np.sqrt(np.maximum(power, 1e-300))[:, None], power, air))
+        return branches
 
     def trace(self, theta_i, photons):
-        """Direction and weight of every photon that came out, z towards the front; and which it was."""
+        """Direction and weight of every photon that came out, z towards the front; and which it was. Natural light falls in."""
         flip, theta = np.array([1.0, 1.0, -1.0]), np.radians(theta_i)
         travel = np.tile([-np.sin(theta), 0.0, -np.cos(theta)], (photons, 1))
+        turn = self.generator.uniform(0, np.pi, (photons, 1))
+        s_axis = np.tile([0.0, 1.0, 0.0], (photons, 1))
+        field = (np.cos(turn) * s_axis + np.sin(turn) * np.cross(travel, s_axis)).astype(complex)
         weight, who = np.ones(photons), np.arange(photons)
         from_air = np.ones(photons, dtype=bool)
         face, escaped = (0 if theta_i < 90 else 1), []
         for _ in range(400):
             turn = flip if face else np.ones(3)
-            travel, weight, air = self.meet(face, travel * turn, weight, from_air)
-            travel = travel * turn
+            travel, field, weight, air = self.meet(face, travel * turn, field * turn, weight, from_air)
+            travel, field = travel * turn, field * turn
             escaped.append((travel[air], weight[air], who[air]))
             survive = ~air & (weight > 0)
-            travel, weight, who = travel[survive], weight[survive], who[survive]
+            travel, field, weight, who = travel[survive], field[survive], weight[survive], who[survive]
             weight = weight * self.inside ** (1 / np.abs(travel[:, 2]))
             lives = self.generator.random(weight.size) < np.minimum(weight / 0.1, 1)
-            travel, weight, who = travel[lives], np.maximum(weight, 0.1)[lives], who[lives]
+            travel, field, weight, who = travel[lives], field[lives], np.maximum(weight, 0.1)[lives], who[lives]
             if not weight.size:
                 break
             from_air, face = np.zeros(weight.size, dtype=bool), 1 - face
@@ -318,6 +376,37 @@ def expected_share(bsdf, theta_i, low, high, forward):
 BINS = [(0, 30), (30, 60), (60, 90), (90, 120), (120, 150), (150, 180)]
 
 
+def compared_with_tracer(front, back, theta_i, inside, photons):
+    """Shares of the light in bins of directions and on both sides: expected, traced, and the standard error of the second."""
+    bsdf = sheet(front, back, 1.5, inside)
+    travel, weight, who = Tracer(front, back, 1.5, inside, seed=7).trace(theta_i, photons)
+    theta_o = np.degrees(np.arccos(np.clip(travel[:, 2], -1, 1)))
+    # The photons set out in the plane of azimuth 0 and travel towards 180°.
+    forward = travel[:, 0] < 0
+
+    def traced(where):
+        by_photon = np.bincount(who, np.where(where, weight, 0.0), photons)
+        return by_photon.mean(), by_photon.std() / np.sqrt(photons)
+
+    mirrored, straight = (each[0, 0] for each in representation(bsdf).specular(np.array([theta_i]), np.zeros(1), None))
+    returned = theta_o < 90 if theta_i < 90 else theta_o > 90
+    fluxes = [
+        (share(bsdf, theta_i)[0], *traced(where))
+        for where, share in ((returned, reflectance), (~returned, transmittance))
+    ]
+    lobes = []
+    for low, high in BINS:
+        for ahead in (True, False):
+            delta = sum(
+                part
+                for part, angle in ((mirrored, theta_i), (straight, 180 - theta_i))
+                if ahead and low <= angle < high
+            )
+            wanted = expected_share(bsdf, theta_i, low, high, ahead) + delta
+            lobes.append((wanted, *traced((theta_o >= low) & (theta_o < high) & (forward == ahead))))
+    return fluxes, lobes
+
+
 @pytest.mark.cases(1)
 @pytest.mark.parametrize(
     ("front", "back", "theta_i", "inside"),
@@ -330,34 +419,24 @@ BINS = [(0, 30), (30, 60), (60, 90), (90, 120), (120, 150), (150, 180)]
     ],
 )
 def test_a_path_tracer_finds_the_same_light_in_the_same_directions(front, back, theta_i, inside):
-    bsdf, photons = sheet(front, back, 1.5, inside), 100_000
-    travel, weight, who = Tracer(front, back, 1.5, inside, seed=7).trace(theta_i, photons)
-    theta_o = np.degrees(np.arccos(np.clip(travel[:, 2], -1, 1)))
-    # The photons set out in the plane of azimuth 0 and travel towards 180°.
-    forward = travel[:, 0] < 0
+    fluxes, lobes = compared_with_tracer(front, back, theta_i, inside, 100_000)
+    for wanted, value, error in fluxes:
+        assert wanted == pytest.approx(value, abs=4 * error)
+    for wanted, value, error in lobes:
+        # A thousandth of the light in the bin for the interpolation, beside the noise.
+        assert wanted == pytest.approx(value, abs=4 * error + 1e-3 * wanted)
 
-    def traced(where):
-        by_photon = np.bincount(who, np.where(where, weight, 0.0), photons)
-        return by_photon.mean(), by_photon.std() / np.sqrt(photons)
 
-    mirrored, straight = (
-        share[0, 0] for share in representation(bsdf).specular(np.array([theta_i]), np.zeros(1), None)
-    )
-    returned = theta_o < 90 if theta_i < 90 else theta_o > 90
-    for where, share in ((returned, reflectance), (~returned, transmittance)):
-        value, error = traced(where)
-        assert share(bsdf, theta_i)[0] == pytest.approx(value, abs=4 * error)
-    for low, high in BINS:
-        for ahead in (True, False):
-            value, error = traced((theta_o >= low) & (theta_o < high) & (forward == ahead))
-            delta = sum(
-                part
-                for part, angle in ((mirrored, theta_i), (straight, 180 - theta_i))
-                if ahead and low <= angle < high
-            )
-            wanted = expected_share(bsdf, theta_i, low, high, ahead) + delta
-            # A thousandth of the light in the bin for the interpolation, beside the noise.
-            assert wanted == pytest.approx(value, abs=4 * error + 1e-3 * wanted)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("front", "back", "theta_i", "inside"), [(0.3, 0.3, 75.0, 0.8), (0.1, 0.1, 70.0, 0.9), (0.1, 0.0, 105.0, 0.7)]
+)
+def test_a_long_run_of_the_path_tracer_agrees_within_1_percent(front, back, theta_i, inside):
+    # With the mean of s and p between the faces the last sheet would transmit 2.6 % too little, the second reflect 2.6 % too much.
+    fluxes, lobes = compared_with_tracer(front, back, theta_i, inside, 1_500_000)
+    for wanted, value, error in fluxes + [lobe for lobe in lobes if lobe[0] > 0.03]:
+        assert error < 0.005 * value
+        assert wanted == pytest.approx(value, rel=0.01)
 
 
 # --- over wavelength

@@ -83,7 +83,7 @@ def facet_mueller(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0) -> Arra
     refuses invalid input.
     """
     fresnel = fresnel_reflectance(cos_zeta, n, k)
-    z = _phased_product(cos_zeta, n, k)
+    z = phased_product(cos_zeta, n, k)
     matrix = np.zeros((*np.broadcast_shapes(fresnel.mean.shape, z.shape), 4, 4))
     matrix[..., 0, 0] = matrix[..., 1, 1] = fresnel.mean
     matrix[..., 0, 1] = matrix[..., 1, 0] = (fresnel.s - fresnel.p) / 2
@@ -92,7 +92,7 @@ def facet_mueller(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0) -> Arra
     return matrix
 
 
-def _phased_product(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike) -> NDArray[np.complex128]:
+def phased_product(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike) -> NDArray[np.complex128]:
     """r_s* r_p of a smooth interface, in a form without cancellation as N → 1."""
     c = np.clip(np.asarray(cos_zeta, dtype=float), 0.0, 1.0)
     n, k = np.asarray(n, dtype=float), np.asarray(k, dtype=float)

@@ -18,6 +18,7 @@ from brdfpipe.bsdf.slab.lobe_table import LobeGrid, barycentric, grazing_factor
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.geometry import Array, half_vector
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
+from brdfpipe.optics.fresnel_equations import plate
 
 SIDES = ("front", "back")
 
@@ -28,6 +29,7 @@ BALANCE = ("reflectance", "transmittance", "absorptance", "specular_reflectance"
 
 _BLOCK = 2**14
 _BLACK = 1e-300
+_LEAST_COSINE = 1e-12
 
 
 class Slab(Representation):
@@ -73,10 +75,24 @@ class Slab(Representation):
         bsdf = self.dataset
         values = at_wavelengths(bsdf[name], wavelength).reshape(bsdf.sizes["theta_i"], -1)
         theta, nodes = np.asarray(theta_i, dtype=float).reshape(-1), bsdf["theta"].values
-        matrix = barycentric(nodes, np.where(theta > 90, 180 - theta, theta))
-        front, back = matrix @ values[: nodes.size], matrix @ values[nodes.size :][::-1]
+        polar = np.where(theta > 90, 180 - theta, theta)
+        matrix = barycentric(nodes, polar)
+        front, back = values[: nodes.size], values[nodes.size :][::-1]
+        if self._surfaces == (None, None):
+            # Near grazing no polynomial follows the flux of a plate that hardly absorbs: interpolated is what it differs by from a
+            # plate of this index and transmittance, which is nothing but for means over wavelength.
+            alike, at_nodes = (self._plate(name, angle, wavelength) for angle in (polar, nodes))
+            front, back = (matrix @ (side - at_nodes) + alike for side in (front, back))
+        else:
+            front, back = matrix @ front, matrix @ back
         flux = np.clip(np.where((theta > 90)[:, None], back, front), 0.0, 1.0)
         return np.where((theta == 90)[:, None], 0.0, flux).reshape(*np.shape(theta_i), -1)
+
+    def _plate(self, name: str, theta: Array, wavelength: Array | None) -> Array:
+        """The same flux of a plate with two smooth faces, (angles, wavelength or 1)."""
+        n, inside = (at_wavelengths(self.dataset[key], wavelength) for key in ("n", "internal_transmittance"))
+        cos = np.maximum(np.cos(np.radians(theta)), _LEAST_COSINE)[:, None]
+        return plate(cos, np.atleast_1d(n), inside)[name.endswith("transmittance")]
 
     @property
     def albedo_needs_quadrature(self) -> bool:

@@ -1,7 +1,8 @@
 """Adding–doubling: all reflections between two faces, summed by solving one linear system for each Fourier mode.
 
 Downward light just below the front face obeys d = t_F + ρ_F τ ρ_B τ d; t_B τ d leaves through the back and t_F τ ρ_B τ d through the
-front.
+front. Light is a Stokes vector here, of as many components as asked for. Each face is described as seen from its own outside, so the
+back is turned over, which changes the sign of U and V.
 
 References
 ----------
@@ -14,10 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from brdfpipe.bsdf.slab.face import Azimuths, Face, Nodes
+from brdfpipe.bsdf.slab.face import REVERSED, Azimuths, Face, Nodes
 from brdfpipe.geometry import Array
 
 _ISOLATED = 1e-12
+_TURNED_OVER = np.array([1.0, 1.0, -1.0, -1.0])
 
 
 class Sheet(NamedTuple):
@@ -45,64 +47,96 @@ class InnerLight(NamedTuple):
 
 
 def straight(sheet: Sheet, transmittance: float) -> InnerLight:
-    """Shares of specular reflections and refractions alone: R = F + (1 − F)² τ² F / (1 − F² τ²), without its first term."""
+    """Shares of specular reflections and refractions alone: R = F + (1 − F)² τ² F / (1 − F² τ²), without its first term.
+
+    Summed for s and p apart; the mean of both is returned.
+    """
     front, back = sheet.front, sheet.back
-    count = front.straight.size
+    count = front.lost_outside.size
     passage = sheet.passage(transmittance)[:count]
-    r_front, r_back = front.mirrored[:count], back.mirrored[:count]
+    polarisations = np.array([[1.0, 1.0], [1.0, -1.0]])
+    t_front, t_back = polarisations @ front.straight, polarisations @ back.straight
+    r_front, r_back = polarisations @ front.mirrored[:2, :count], polarisations @ back.mirrored[:2, :count]
     series = passage / (1 - r_front * r_back * passage**2)
     return InnerLight(
-        front.straight**2 * r_back * passage * series,
-        back.straight**2 * r_front * passage * series,
-        front.straight * back.straight * series,
+        (t_front**2 * r_back * passage * series).mean(axis=0),
+        (t_back**2 * r_front * passage * series).mean(axis=0),
+        (t_front * t_back * series).mean(axis=0),
     )
 
 
-def scattered(sheet: Sheet, modes: Array, transmittances: Array) -> list[InnerLight]:
-    """Operators of Fourier modes, for each internal transmittance at normal incidence."""
+def scattered(sheet: Sheet, modes: Array, transmittances: Array, components: int) -> list[InnerLight]:
+    """Operators of Fourier modes, for each internal transmittance at normal incidence, with ``components`` of I, Q, U and V inside."""
+    t_front, r_front = _flat(*sheet.front.operators(sheet.azimuths, modes, components))
+    size = sheet.nodes.inside.size
+    reversed_, turned = (np.repeat(signs[:components], size) for signs in (REVERSED, _TURNED_OVER))
     equal = sheet.front is sheet.back
-    t_front, r_front = sheet.front.operators(sheet.azimuths, modes)
-    t_back, r_back = (t_front, r_front) if equal else sheet.back.operators(sheet.azimuths, modes)
+    if not equal:
+        t_back, r_back = _flat(*sheet.back.operators(sheet.azimuths, modes, components))
+        t_back, r_back = t_back * turned[:, None], r_back * (turned[:, None] * turned)
     result = []
     for transmittance in transmittances:
-        passage = sheet.passage(float(transmittance))
+        passage = np.tile(sheet.passage(float(transmittance)), components)
+        if equal:
+            # The two faces differ by a turn-over, so each crossing is the same factor of the series.
+            crossing = r_front * (turned * passage)
+            odd, even = (_solved(sign * crossing, t_front) for sign in (1.0, -1.0))
+            down, up = (odd + even) / 2, (odd - even) / 2 * turned[:, None]
+            leaves = np.swapaxes(t_front, -1, -2) * (reversed_ * passage)
+            to_front = leaves @ up
+            result.append(InnerLight(to_front, to_front, np.swapaxes((leaves * turned) @ down, -1, -2)))
+            continue
         below, above = r_back * passage, r_front * passage
-        down = _solved(above @ below, t_front)
-        leaving = t_back * passage
-        to_front = t_front * passage @ (below @ down)
-        to_back = to_front if equal else leaving @ (above @ _solved(below @ above, t_back))
-        result.append(InnerLight(to_front, to_back, np.swapaxes(leaving @ down, -1, -2)))
+        both = _solved(above @ below, np.concatenate([t_front, above @ t_back], axis=-1))
+        down, down_of_back = np.split(both, [t_front.shape[-1]], axis=-1)
+        leaves_front, leaves_back = (np.swapaxes(t, -1, -2) * (reversed_ * passage) for t in (t_front, t_back))
+        result.append(
+            InnerLight(
+                leaves_front @ (below @ down), leaves_back @ down_of_back, np.swapaxes(leaves_back @ down, -1, -2)
+            )
+        )
     return result
+
+
+def _flat(through: Array, within: Array) -> tuple[Array, Array]:
+    """Components and nodes as one axis."""
+    modes, components, inside, outside = through.shape
+    size = components * inside
+    return through.reshape(modes, size, outside), within.reshape(modes, size, size)
 
 
 def balances(sheet: Sheet, transmittance: float) -> tuple[Array, Array]:
     """Reflectance, transmittance and absorptance, (3, N), for light from the front and from the back.
 
-    Each is computed independently; the absorptance is (1 − τ) of the light that leaves either face inwards.
+    Each is computed independently; the absorptance is (1 − τ) of the light that leaves either face inwards. The zeroth mode holds
+    them, and in it I and Q do not mix with U and V.
     """
-    passage = sheet.passage(transmittance)
-
-    front, back = (face.operators(sheet.azimuths, np.zeros(1)) for face in (sheet.front, sheet.back))
+    inside, components = sheet.nodes.inside.size, 2
+    passage = np.tile(sheet.passage(transmittance), components)
+    front, back = (
+        _flat(*face.operators(sheet.azimuths, np.zeros(1), components)) for face in (sheet.front, sheet.back)
+    )
 
     def balance(face: Face, near: tuple[Array, Array], far: tuple[Array, Array]) -> Array:
-        root, count = face.root, face.straight.size
+        root, outer_root = face.root, face.outer_root
         (t_near,), (r_near,), (t_far,), (r_far,) = *near, *far
         inward = _solved((r_near * passage) @ (r_far * passage), t_near)
         outward = (r_far * passage) @ inward
-        reflected = root[:count] @ (t_near * passage) @ outward / root[:count]
-        transmitted = root[:count] @ (t_far * passage) @ inward / root[:count]
-        absorbed = (root * (1 - passage)) @ (inward + outward) / root[:count]
+        reflected = outer_root @ (t_near.T * passage) @ outward / outer_root
+        transmitted = outer_root @ (t_far.T * passage) @ inward / outer_root
+        absorbed = (root * (1 - passage[:inside])) @ (inward + outward)[:inside] / outer_root
         return np.stack([face.outer_albedo + reflected, transmitted, absorbed])
 
     return balance(sheet.front, front, back), balance(sheet.back, back, front)
 
 
 def _solved(returned: Array, entering: Array) -> Array:
-    """(1 − A)⁻¹ tᵀ, of one mode or several."""
-    size = returned.shape[-1]
-    diagonal = np.arange(size)
-    matrix = np.eye(size) - returned
-    # Modes trapped between smooth faces are singular, and carry no light: any solution will do.
-    trapped = (matrix[..., diagonal, diagonal] < _ISOLATED) & (np.abs(returned).sum(axis=-1) <= 1 + _ISOLATED)
-    matrix[..., diagonal, diagonal] += trapped
-    return np.asarray(np.linalg.solve(matrix, np.swapaxes(entering, -1, -2)))
+    """(1 − A)⁻¹ t, of one mode or several."""
+    matrix = -returned
+    diagonal = np.einsum("...ii->...i", matrix)
+    diagonal += 1
+    isolated = diagonal < _ISOLATED
+    if isolated.any():
+        # Modes trapped between smooth faces are singular, and carry no light: any solution will do.
+        diagonal += isolated & (np.abs(returned).sum(axis=-1) <= 1 + _ISOLATED)
+    return np.asarray(np.linalg.solve(matrix, entering))

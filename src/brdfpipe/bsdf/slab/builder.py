@@ -1,8 +1,8 @@
 """A plane-parallel sheet in air: two rough or smooth faces, and an internal transmittance between them.
 
 Adding–doubling: each face is an operator between polar angles, in Fourier modes of the azimuth, and all reflections between the
-faces are summed by solving a linear system. The outer reflection of a face is evaluated by its facets directly, so gloss keeps its
-sharpness; only the light that has been inside is tabulated.
+faces are summed by solving a linear system. Light between the faces keeps its polarisation, as a Stokes vector. The outer reflection
+of a face is evaluated by its facets directly, so gloss keeps its sharpness; only the light that has been inside is tabulated.
 
 References
 ----------

@@ -19,7 +19,11 @@ MOST_NODES, MOST_BEYOND, MOST_MODES = 160, 96, 400
 NARROWEST_THROUGH, NARROWEST_WITHIN = 0.018, 0.02
 """Half width of a transmitted lobe outside, and slope of a face seen from inside, below which a lobe is taken as specular [1]."""
 
-_MODES_AT_ONCE = 16
+_MODES_AT_ONCE = 8
+_STOKES_MODES = 48
+"""Fourier modes with all of I, Q, U and V; a multiple of those at once. Higher ones have I and Q alone, because light of narrow lobes
+hardly turns its plane of polarisation. Measured on faces of a = 0.02 to 1 and n = 1.5 and 2.4, this changes at most 2e-4 of the
+scattered light of an incidence."""
 _FLOOR = 1e-9
 _LEAST_SHARE = 0.01
 _CHECKED = 3
@@ -121,11 +125,14 @@ def tabulate(
     values, exact = np.zeros(()), np.zeros(())
     for start in range(0, count, _MODES_AT_ONCE):
         modes = np.arange(start, min(start + _MODES_AT_ONCE, count), dtype=float)
+        components = 4 if start < _STOKES_MODES else 2
         kernels = np.stack(
             [
                 _densities(part, delta, pair.nodes.outer_weight) / factor
                 for pair, deltas in zip(sheets, straights, strict=True)
-                for part, delta in zip(adding_doubling.scattered(pair, modes, transmittances), deltas, strict=True)
+                for part, delta in zip(
+                    adding_doubling.scattered(pair, modes, transmittances, components), deltas, strict=True
+                )
             ]
         )
         # The last modes fade out: a sharp cut would ring.
