@@ -17,8 +17,10 @@ from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.polarised import mueller
+from brdfpipe.bsdf.representations.flake import ClearCoat
 from brdfpipe.facets.facet_dataset import radial_dataset
 from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.flakes.refraction import flake_angle
 from brdfpipe.geometry import half_vector
 
 brdf = pytest.importorskip("pySCATMECH.brdf", reason="pySCATMECH is not there: make peers")
@@ -167,3 +169,28 @@ def test_the_mueller_matrix_is_that_of_scatmech(index):
     there = expected[:, 0, 0] > BEYOND_THE_TABLE
     scale = expected[there, :1, :1]
     assert values[there] / scale == pytest.approx(expected[there] / scale, abs=1e-9)
+
+
+def test_the_interface_above_flakes_is_that_of_scatmech():
+    # Flakes of a metal with k = 3000 mirror s and p alike to 1e-3 of a percent.
+    where, index = random_directions(), 1.524
+    model = brdf.BRDF_Model(
+        "Subsurface_Facet_BRDF_Model",
+        **{"lambda": 0.55},
+        substrate="(1e-4,3000)",
+        type=REFLECTION,
+        overcoat=f"({index},0)",
+        sdf=SLOPES["gaussian"],
+        stack="No_StackModel",
+        overcoat_films="No_StackModel",
+    )
+    expected = np.array([model.MuellerBRDF(*pair) for pair in zip(*np.radians(where), strict=True)], dtype=float)[
+        :, 0, 0
+    ]
+    coat = ClearCoat(index, physical=True, slope=None)
+    incidence = np.full(where.theta_i.size, 180.0)
+    tilt = np.radians(flake_angle(where.theta_i, 180.0, where.theta_o, where.phi_o, index))
+    flake_density = density("gaussian")(np.tan(tilt) ** 2) / np.cos(tilt) ** 4
+    share = coat.share(where.theta_i, incidence, where.theta_o, where.phi_o)
+    values = flake_density * share * coat.normal_transmittance**2 / (4 * index**2)
+    assert values == pytest.approx(expected, rel=1e-6, abs=BEYOND_THE_TABLE)

@@ -12,6 +12,8 @@ from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import InputError
 from brdfpipe.flakes.forms import curve
+from brdfpipe.flakes.refraction import refract
+from brdfpipe.geometry import unit_vector
 from brdfpipe.spectra import colorimetry
 
 LAB = {"45:-30": (33.90, -7.58, -36.61), "45:0": (12.29, 1.19, -25.77), "45:65": (3.07, 2.09, -13.24)}
@@ -82,23 +84,48 @@ def test_the_patents_form_is_the_reflectance_factor_over_pi():
     assert y == pytest.approx(a * np.exp(-theta_f / b) + c)
 
 
-def test_the_physical_form_carries_transmission_and_jacobian():
+def passed_by_fields(theta_i, phi_i, theta_o, phi_o, index):
+    """Share of natural light that enters a coat, is mirrored by a perfect flake and leaves, by its electric fields."""
+    outside = unit_vector([theta_i, theta_o], [phi_i, phi_o])
+    inside = refract(outside, index)
+    flake_normal = inside.sum(axis=0) / np.linalg.norm(inside.sum(axis=0))
+    fresnels = [optics.fresnel(np.cos(np.radians(theta)), index) for theta in (theta_i, theta_o)]
+    (s_in, p_in), (s_out, p_out) = (
+        (axis := np.cross(ray, [0, 0, 1]) / np.linalg.norm(np.cross(ray, [0, 0, 1])), np.cross(ray, axis))
+        for ray in (-inside[0], inside[1])
+    )
+    power = 0.0
+    for field in (np.sqrt(1 - fresnels[0].s) * s_in, np.sqrt(1 - fresnels[0].p) * p_in):
+        mirrored = 2 * (field @ flake_normal) * flake_normal - field
+        power += ((1 - fresnels[1].s) * (mirrored @ s_out) ** 2 + (1 - fresnels[1].p) * (mirrored @ p_out) ** 2) / 2
+    return float(power)
+
+
+@pytest.mark.parametrize(
+    "at", [(10.0, 0.0, 50.0, 120.0), (70.0, 0.0, 5.0, 33.0), (75.0, 10.0, 80.0, 190.0), (80.0, 0.0, 75.0, 80.0)]
+)
+def test_the_physical_form_carries_the_transmission_of_s_and_p_and_the_jacobian(at):
+    index = 1.524
+    bsdf = flake.build(colours(), index=index, model="flake-physical")
+    theta_f = flakes.flake_angle(*at, index)
+    rho = curve(theta_f, *(bsdf[f"flake_{name}"].values for name in ("amplitude", "decay", "constant")), 1)
+    cosines = [np.sqrt(1 - (np.sin(np.radians(theta)) / index) ** 2) for theta in (at[0], at[2])]
+    at_normal = (1 - float(optics.fresnel(1.0, index).mean)) ** 2
+    expected = rho * passed_by_fields(*at, index) / np.prod(cosines) / at_normal
+    found = representation(bsdf).tristimulus(*(np.array([v]) for v in at), "D65", 10)[0]
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_coat_lets_the_light_of_both_planes_pass_alike_in_both_directions():
     bsdf = flake.build(colours(), index=1.524, model="flake-physical")
-    pairs = ((10.0, 0.0, 50.0, 120.0), (70.0, 0.0, 5.0, 33.0))
-    for theta_i, phi_i, theta_o, phi_o in pairs:
-        theta_f = flakes.flake_angle(theta_i, phi_i, theta_o, phi_o, 1.524)
-        rho = curve(theta_f, *(bsdf[f"flake_{name}"].values for name in ("amplitude", "decay", "constant")), 1)
-
-        def interface(*angles):
-            share = 1.0
-            for angle in angles:
-                inside = np.sqrt(1 - (np.sin(np.radians(angle)) / 1.524) ** 2)
-                share *= (1 - optics.fresnel(np.cos(np.radians(angle)), 1.524).mean) / inside
-            return float(share) / (4 * 1.524**2)
-
-        expected = rho * interface(theta_i, theta_o) / interface(0, 0)
-        xyz = representation(bsdf).tristimulus(*(np.array([v]) for v in (theta_i, phi_i, theta_o, phi_o)), "D65", 10)[0]
-        assert xyz == pytest.approx(expected)
+    generator = np.random.default_rng(5)
+    theta_i, theta_o = generator.uniform(0, 89, (2, 200))
+    phi = generator.uniform(0, 360, 200)
+    there, back = (
+        bsdf.bsdf.evaluate(theta_i, 0, theta_o, phi).values,
+        bsdf.bsdf.evaluate(theta_o, phi, theta_i, 0).values,
+    )
+    assert there == pytest.approx(back, rel=1e-12)
 
 
 @pytest.mark.cases(1)

@@ -4,11 +4,13 @@ Flakes below a clear coat mirror light according to their tilt, so the reflectio
 fitted in each linear channel: ρ(θf) = A exp(−θf/B) + C or another named form (:mod:`brdfpipe.flakes.forms`).
 
 ``flake``           f = ρ/π, the patent's: ρ is the reflectance factor itself
-``flake-physical``  f = (ρ/π) N(θi, θo)/N(0, 0) with N = (1−F_i)(1−F_o)/(4 n² cos θ_i' cos θ_o'), single reflection by flakes of one
-                    orientation density below a smooth interface; and the gloss of the coat
+``flake-physical``  f = (ρ/π) N(i, o)/N(0, 0) with N = T(i, o)/(4 n² cos θ_i' cos θ_o'), single reflection by flakes of one orientation
+                    density below a smooth interface; and the gloss of the coat. T is the share of unpolarised light that both passages
+                    of the interface let through, s and p apart (:meth:`brdfpipe.bsdf.representations.flake.ClearCoat.share`)
 
 References
 ----------
+Germer & Marx 2004 (Appl. Opt. 43, 1266), flakes below a smooth coat, with polarisation;
 Patent US 7,991,596 (DuPont); Walter 2007 (EGSR), the Jacobian of a mirror; Burns 2020, recovery of spectra from colours.
 """
 
@@ -94,7 +96,7 @@ def build(
         problem = "the gloss of the clear coat alone is more than a measured colour"
         accepted = "a smaller slope, or geometries farther from the mirror direction"
         raise _refusal("clear_coat", problem, f"slope {coat.slope:g}", accepted)
-    share = coat.share(theta_i, theta_o)[:, None]
+    share = coat.share(theta_i, phi_i, theta_o, phi_o)[:, None]
     values = values / share
     u = multiangle[f"{name}_u"].values / share if f"{name}_u" in multiangle else None
     fitted = fit(theta_f, values, form, [_channel_title(across, value) for value in multiangle[across].values], u)

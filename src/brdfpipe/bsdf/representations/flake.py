@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.microfacet.polarised import frame_rotation
 from brdfpipe.bsdf.spectral import per_wavelength
 from brdfpipe.flakes.forms import FORMS, curve
 from brdfpipe.flakes.refraction import flake_angle, inner_cosine
@@ -39,13 +40,23 @@ class ClearCoat:
         slope = float(bsdf["clear_coat_slope"]) if rough else None
         return cls(float(bsdf["clear_coat_index"]), bsdf.attrs["model"] == PHYSICAL, slope)
 
-    def share(self, theta_i: Array, theta_o: Array) -> Array:
-        """N(θi, θo)/N(0, 0) [1]; 1 without the physical model."""
+    def share(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+        """N(i, o)/N(0, 0) [1], for unpolarised light; 1 without the physical model.
+
+        The coat polarises the light that enters, and a flake, which mirrors s and p alike, passes that on to where it leaves: with
+        T = 1 − F and D = (T_s − T_p)/2 both passages let through T_i T_o + D_i D_o cos 2(ψ_i + ψ_o). The angle is between the planes of
+        incidence and of exit, as the flake carries the first to the second (:func:`brdfpipe.bsdf.microfacet.polarised.frame_rotation`).
+
+        Source: Germer & Marx 2004 (Appl. Opt. 43, 1266).
+        """
         if not self.physical:
-            return np.ones(np.broadcast(theta_i, theta_o).shape)
-        transmittance = self._transmittance(theta_i) * self._transmittance(theta_o)
-        inner = inner_cosine(theta_i, self.index) * inner_cosine(theta_o, self.index)
-        return np.asarray(transmittance / (inner * self.normal_transmittance**2))
+            return np.ones(np.broadcast(theta_i, phi_i, theta_o, phi_o).shape)
+        (mean_i, half_i), (mean_o, half_o) = self._transmittance(theta_i), self._transmittance(theta_o)
+        cos_i, cos_o = inner_cosine(theta_i, self.index), inner_cosine(theta_o, self.index)
+        below_i, below_o = (np.degrees(np.arccos(cosine)) for cosine in (cos_i, cos_o))
+        psi_i, psi_o = frame_rotation(below_i, phi_i, below_o, phi_o)
+        passed = mean_i * mean_o + half_i * half_o * np.cos(2 * (psi_i + psi_o))
+        return np.asarray(passed / (cos_i * cos_o * self.normal_transmittance**2))
 
     def gloss(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF of a rough clear coat [sr-1]: Beckmann, height-correlated Smith; 0 for a smooth coat or none."""
@@ -62,10 +73,12 @@ class ClearCoat:
 
     @property
     def normal_transmittance(self) -> float:
-        return float(self._transmittance(np.zeros(1))[0])
+        return float(self._transmittance(np.zeros(1))[0][0])
 
-    def _transmittance(self, theta: Array) -> Array:
-        return np.asarray(1 - fresnel_reflectance(np.abs(np.cos(np.radians(theta))), self.index).mean)
+    def _transmittance(self, theta: Array) -> tuple[Array, Array]:
+        """Transmittance of the interface, the mean of s and p, and half their difference."""
+        reflectance = fresnel_reflectance(np.abs(np.cos(np.radians(theta))), self.index)
+        return 1 - reflectance.mean, (reflectance.p - reflectance.s) / 2
 
 
 _CURVES = [("term", "channel"), ("term", "wavelength"), ("term",)]
@@ -107,7 +120,7 @@ class Flake(Representation):
         above = (angles[0] < 90) & (angles[2] < 90)
         theta_i, phi_i, theta_o, phi_o = (np.where(above, angle, 0.0) for angle in angles)
         factor = self._factor(flake_angle(theta_i, phi_i, theta_o, phi_o, coat.index), wavelength)
-        share = coat.share(theta_i, theta_o) / np.pi
+        share = coat.share(theta_i, phi_i, theta_o, phi_o) / np.pi
         brdf = factor * share[..., None] + coat.gloss(theta_i, phi_i, theta_o, phi_o)[..., None]
         return np.where(above[..., None], brdf, 0.0)
 
@@ -140,7 +153,7 @@ class Flake(Representation):
         rho = self._curves(flake_angle(theta_i, phi_i, theta_o, phi_o, coat.index))
         white = colorimetry.weights(illuminant, observer).white
         gloss = np.pi * coat.gloss(theta_i, phi_i, theta_o, phi_o)
-        return np.asarray(rho * coat.share(theta_i, theta_o)[..., None] + gloss[..., None] * white)
+        return np.asarray(rho * coat.share(theta_i, phi_i, theta_o, phi_o)[..., None] + gloss[..., None] * white)
 
     @property
     def lobe_slope(self) -> float:
