@@ -91,6 +91,21 @@ QUANTITIES: Mapping[str, Quantity] = {
     "effective_count": Quantity("1", "number of independent facets", 0),
     "correlation_length": Quantity("um", "distance at which the height correlation falls to 1/e", 0, missing=True),
     "noise_ratio": Quantity("1", "rms slope over one pixel divided by rms slope over two", 0, missing=True),
+    # Roughness spectrum
+    "frequency": Quantity("um-1", "spatial frequency of the heights", 1e-300),
+    "frequency_x": Quantity("um-1", "spatial frequency of the heights along x"),
+    "frequency_y": Quantity("um-1", "spatial frequency of the heights along y"),
+    "psd": Quantity("um4", "two-sided power spectral density of the heights, mean over azimuth, without noise", 0),
+    "psd_uncertainty": Quantity("um4", "standard uncertainty of: power spectral density of the heights", 0),
+    "psd_planar": Quantity("um4", "two-sided power spectral density of the heights, without noise", 0),
+    "sigma": Quantity("um", "rms height of the roughness spectrum in its band", 0),
+    "sigma_heights": Quantity("um", "rms height of the levelled heights", 0),
+    "noise_sigma": Quantity("um", "rms height of the noise that was subtracted", 0),
+    "band_low": Quantity("um-1", "frequency above which the roughness spectrum is measured", 0),
+    "band_high": Quantity("um-1", "frequency below which the roughness spectrum is measured", 0),
+    "fit_sigma": Quantity("um", "rms height of the fitted form over all frequencies", 0),
+    "fit_length": Quantity("um", "correlation length of the fitted form", 0),
+    "fit_slope": Quantity("1", "exponent of the decay of the fitted form at high frequencies", 0, missing=True),
     # Masking
     "g1": Quantity("1", "visible fraction of the facets that face the direction, by ray casting", 0, 1 + 1e-9),
     "lambda_empirical": Quantity("1", "Smith's masking function Λ of the slopes along the lines cast", 0),
@@ -357,6 +372,20 @@ _FACETS = Kind(
 KINDS: Mapping[str, Kind] = {
     "surface": Kind({"height": [("y", "x"), ("x",)]}, attributes=("pitch_x", "levelling", "band")),
     "facets": _FACETS,
+    "psd": Kind(
+        {
+            "psd": [("frequency",)],
+            "psd_uncertainty": [("frequency",)],
+            **dict.fromkeys(("sigma", "sigma_heights", "noise_sigma", "band_low", "band_high"), SCALAR),
+            **{f"fit_{name}{u}": SCALAR for name in ("sigma", "length", "slope") for u in ("", "_u")},
+        },
+        optional={
+            "psd_planar": [("frequency_y", "frequency_x")],
+            "psd_quality": [("frequency",)],
+            "noise_sigma_u": SCALAR,
+        },
+        attributes=("form", "method"),
+    ),
     "spectrum": Kind({"total_reflectance": [("wavelength",)]}, attributes=("geometry", "theta_i", "method")),
     "index": Kind({"n": [("wavelength",)], "k": [("wavelength",)]}, attributes=("source",)),
     "interior": Kind(

@@ -1,0 +1,5 @@
+"""The roughness spectrum: power spectral density of the heights of a surface."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
