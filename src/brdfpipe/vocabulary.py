@@ -267,6 +267,13 @@ QUANTITIES: Mapping[str, Quantity] = {
     "lowest": Quantity("1", "smallest fitted value at a cell that was measured, or its logarithm"),
     "highest": Quantity("1", "largest fitted value at a cell that was measured, or its logarithm"),
     "incidence_error": Quantity("1", "relative standard uncertainty of the BSDF predicted from one incidence, rms", 0),
+    "log_halo": Quantity("1", "natural logarithm of the halo's transform [um2] over the phase variance"),
+    "phase_variance": Quantity("1", "variance g of the phase that the heights give to reflected light", 0),
+    "halo_frequency": Quantity("um-1", "spatial frequency that scatters light into a direction", 0),
+    "coherent_excess": Quantity(
+        "1", "reflectance by which the coherent part is reduced, so that no light is gained", 0
+    ),
+    "energy_residual": Quantity("1", "share of the light that coherent part and halo miss of Fresnel's reflectance", 0),
     # Comparison of two routes
     "brdf_model": Quantity("sr-1", "bidirectional reflectance distribution function of a model", 0),
     "ratio": Quantity("1", "measured over modelled value; missing where not used", missing=True),

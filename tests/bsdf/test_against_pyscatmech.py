@@ -13,8 +13,8 @@ import pytest
 import xarray as xr
 from scipy.special import ndtr
 
-from brdfpipe import facets, vocabulary
-from brdfpipe.bsdf import microfacet
+from brdfpipe import facets, psd, vocabulary
+from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.polarised import mueller
 from brdfpipe.bsdf.representations.flake import ClearCoat
@@ -194,3 +194,37 @@ def test_the_interface_above_flakes_is_that_of_scatmech():
     share = coat.share(where.theta_i, incidence, where.theta_o, where.phi_o)
     values = flake_density * share * coat.normal_transmittance**2 / (4 * index**2)
     assert values == pytest.approx(expected, rel=1e-6, abs=BEYOND_THE_TABLE)
+
+
+PSDS = {
+    "gaussian": {None: "Gaussian_PSD_Function", "sigma": 0.013, "length": 5},
+    # Its exponent is C/2: a slope of 3 is C = 3.
+    "k-correlation": {None: "ABC_PSD_Function", "A": 2 * np.pi * 0.013**2 * 5**2, "B": 2 * np.pi * 5, "C": 3},
+}
+
+
+@pytest.mark.parametrize("index", [DIELECTRIC, ALUMINIUM], ids=["dielectric", "metal"])
+@pytest.mark.parametrize("name", PSDS)
+def test_rayleigh_rice_is_that_of_scatmech(name, index):
+    where = random_directions()
+    model = brdf.BRDF_Model(
+        "Microroughness_BRDF_Model", wavelength=0.55, substrate=f"({index[0]!r},{index[1]!r})", type=0, psd=PSDS[name]
+    )
+    expected = np.array([model.MuellerBRDF(*pair) for pair in zip(*np.radians(where), strict=True)], dtype=float)
+    n, k = index
+    refractive = vocabulary.label(
+        xr.Dataset(
+            {"n": ("wavelength", [n, n]), "k": ("wavelength", [k, k])},
+            coords={"wavelength": [360.0, 780.0]},
+            attrs={"source": "a number", "dispersion": "constant"},
+        ),
+        "index",
+    )
+    spectrum = psd.analytic(name, sigma=0.013, length=5.0)
+    bsdf = wave.build(spectrum, index=refractive, wavelength=550.0, form="rayleigh-rice")
+    values = bsdf.bsdf.mueller(where.theta_i, 180.0, where.theta_o, where.phi_o).values.squeeze()
+    seen = expected[:, 0, 0] > BEYOND_THE_TABLE
+    scale = np.abs(expected[seen]).max(axis=(1, 2), keepdims=True)
+    # Rounding: SCATMECH takes the index apart into real and imaginary parts.
+    assert np.abs(values[seen, 0, 0] / expected[seen, 0, 0] - 1).max() < 1e-9
+    assert (np.abs(values[seen] - expected[seen]) / scale).max() < 1e-9

@@ -5,4 +5,5 @@ from . import measured as measured
 from . import microfacet as microfacet
 from . import slab as slab
 from . import traced as traced
+from . import wave as wave
 from .accessor import BSDFAccessor as BSDFAccessor

@@ -17,10 +17,11 @@ from brdfpipe.bsdf.representations.microfacet import Microfacet, Smooth
 from brdfpipe.bsdf.representations.slab import Slab
 from brdfpipe.bsdf.representations.table import Table
 from brdfpipe.bsdf.representations.traced import Traced
+from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.errors import VocabularyError
 
 REPRESENTATIONS: dict[str, type[Representation]] = {
-    kind.name: kind for kind in (Flake, Kirchhoff, LambertGauss, Measured, Microfacet, Slab, Smooth, Table, Traced)
+    kind.name: kind for kind in (Flake, Kirchhoff, LambertGauss, Measured, Microfacet, Slab, Smooth, Table, Traced, Wave)
 }
 """Class by value of the attribute ``representation``."""
 

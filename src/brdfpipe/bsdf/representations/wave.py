@@ -1,0 +1,202 @@
+"""The representation ``wave``: coherent mirror reflection, wave-optical halo, and a diffuse base."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.microfacet.energy import AlbedoTable
+from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
+from brdfpipe.bsdf.wave.halo import Halo
+from brdfpipe.geometry import Array
+from brdfpipe.optics.fresnel_equations import fresnel
+
+_MIXTURE_NODES = 8
+"""Wavelengths that stand for a spectral mean: exact for a polynomial of degree 15 in the wavelength."""
+
+
+_MIXED_OR_NOT = (("wavelength",), ("mixed",))
+_BY_INCIDENCE = (("theta_i", "wavelength"), ("theta_i",))
+
+
+class _Spectral(NamedTuple):
+    """Fields at a set of wavelengths, or of a mixture of wavelengths."""
+
+    wavelength: Array
+    n: Array
+    k: Array
+    diffuse: Array
+    albedo: AlbedoTable
+    mean_albedo: Array
+    excess: AlbedoTable
+    mixture: Array | None
+    """(wavelength,) weights of sum 1 of coherent part and halo; None without a mixture"""
+
+    def mixed(self, values: Array) -> Array:
+        """Values (…, wavelength); averaged to (…, 1) for a mixture."""
+        return values if self.mixture is None else np.asarray(values @ self.mixture[:, None])
+
+
+class Wave(Representation):
+    """A surface with low slopes: light is reflected coherently, scattered by the heights, and diffuse from below."""
+
+    name = "wave"
+    kind = vocabulary.Kind(
+        required={
+            "log_halo": [("phase_variance", "halo_frequency")],
+            "sigma": vocabulary.SCALAR,
+            "frequency_scale": vocabulary.SCALAR,
+            **dict.fromkeys(("n", "k"), _MIXED_OR_NOT),
+            **dict.fromkeys(("diffuse", "mean_albedo"), vocabulary.SPECTRAL),
+            **dict.fromkeys(("directional_albedo", "coherent_excess"), _BY_INCIDENCE),
+            "energy_residual": vocabulary.SCALAR,
+        },
+        optional={
+            **dict.fromkeys(("fit_length", "fit_slope", "theta_m"), vocabulary.SCALAR),
+            "total_reflectance": vocabulary.SPECTRAL,
+            **dict.fromkeys(("mixture", "mixed_wavelength"), _MIXED_OR_NOT[1:]),
+        },
+        attributes=("form", "spectrum", "diffuse_mode", "transmission"),
+        missing=("fit_slope",),
+    )
+    uses_index = True
+    transmittance_needs_quadrature = False
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        super().__init__(dataset)
+        self._halo = Halo.of(dataset)
+        self._spectral = per_wavelength(self._at)
+
+    def _at(self, wavelength: Array | None) -> _Spectral:
+        bsdf = self.dataset
+
+        def spectral(name: str) -> Array:
+            values = at_wavelengths(bsdf[name], wavelength)
+            return values if "wavelength" in bsdf[name].dims else values[..., None]
+
+        theta = bsdf["theta_i"].values
+        tables = [AlbedoTable(theta, spectral(name)) for name in ("directional_albedo", "coherent_excess")]
+        fields = spectral("diffuse"), tables[0], spectral("mean_albedo"), tables[1]
+        if "mixture" in bsdf:
+            own = (bsdf[name].values for name in ("mixed_wavelength", "n", "k"))
+            return _Spectral(*own, *fields, bsdf["mixture"].values)
+        used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
+        return _Spectral(used, spectral("n"), spectral("k"), *fields, None)
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        at, shape, angles = self._prepared(theta_i, phi_i, theta_o, phi_o, wavelength)
+        brdf = at.mixed(self._halo.evaluate(*angles, at.wavelength, at.n, at.k)) + self._base(at, angles)
+        return brdf.reshape(*shape, -1)
+
+    def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        """Frames as in :mod:`brdfpipe.bsdf.microfacet.polarised`; the coherent part is not included."""
+        at, shape, angles = self._prepared(theta_i, phi_i, theta_o, phi_o, wavelength)
+        matrix = self._halo.mueller(*angles, at.wavelength, at.n, at.k)
+        matrix = np.moveaxis(at.mixed(np.moveaxis(matrix, 1, -1)), -1, 1)
+        matrix[..., 0, 0] += self._base(at, angles)
+        return matrix.reshape(*shape, *matrix.shape[1:])
+
+    def _prepared(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
+    ) -> tuple[_Spectral, tuple[int, ...], list[Array]]:
+        angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
+        flat = [np.asarray(angle, dtype=float).reshape(-1) for angle in angles]
+        return self._spectral(wavelength), angles[0].shape, flat
+
+    def _base(self, at: _Spectral, angles: list[Array]) -> Array:
+        """BRDF of the diffuse base [sr-1], (directions, wavelength)."""
+        if not at.diffuse.any():
+            return np.zeros((1, 1))
+        entering, leaving = 1 - at.albedo(angles[0]), 1 - at.albedo(angles[2])
+        above = ((angles[0] < 90) & (angles[2] < 90))[:, None]
+        return np.where(above, at.diffuse / (np.pi * (1 - at.mean_albedo)) * (entering * leaving), 0.0)
+
+    def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        at, theta = self._spectral(wavelength), np.asarray(theta_i, dtype=float)
+        of_surface = at.albedo(np.minimum(theta, 90.0))
+        total = of_surface + at.diffuse * (1 - of_surface)
+        return np.where((theta >= 90)[..., None], 0.0, total)
+
+    def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
+        at, theta = self._spectral(wavelength), np.asarray(theta_i, dtype=float)
+        cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
+        coherent = fresnel(cosine[..., None], at.n, at.k).mean * self._halo.coherent_share(theta, at.wavelength)
+        reflected = np.maximum(at.mixed(coherent) - at.excess(np.minimum(theta, 90.0)), 0.0)
+        return np.where((theta >= 90)[..., None], 0.0, reflected), np.zeros_like(reflected)
+
+    @property
+    def albedo_needs_quadrature(self) -> bool:
+        return False
+
+    @property
+    def lobe_slope(self) -> float:
+        """Facet slope at which the halo has half its peak, at normal incidence and the middle wavelength."""
+        return self.slope_of(self.dataset)
+
+    @staticmethod
+    def slope_of(bsdf: xr.Dataset) -> float:
+        """Slope at which the halo of a ``bsdf`` dataset has half its peak, at normal incidence and the middle wavelength."""
+        wavelength = bsdf["mixed_wavelength" if "mixture" in bsdf else "wavelength"].values
+        middle = float(wavelength[wavelength.size // 2]) * 1e-3
+        phase, frequency = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
+        row = int(np.argmin(np.abs(phase - (4 * np.pi * float(bsdf["sigma"]) / middle) ** 2)))
+        values = bsdf["log_halo"].values[row]
+        below = values < values[0] - np.log(2)
+        half = frequency[below.argmax()] if below.any() else frequency[-1]
+        return float(np.clip(half * middle / 2, 1e-9, 1.0))
+
+    def nonspectral(self, weight: Array) -> xr.Dataset:
+        """The mean over wavelength. Coherent part and halo are evaluated at a few wavelengths that stand for all of them."""
+        bsdf = self.dataset
+        wavelength, mixture = _gauss_nodes(bsdf["wavelength"].values, weight)
+        kept = bsdf.drop_dims("wavelength")
+        means = {
+            name: (bsdf[name].dims[:-1], bsdf[name].values @ weight)
+            for name in ("directional_albedo", "coherent_excess", "mean_albedo", "total_reflectance")
+            if name in bsdf
+        }
+        entering = 1 - bsdf["directional_albedo"].sel(theta_i=float(bsdf["theta_m"])).values
+        base = float(weight @ (bsdf["diffuse"].values * entering)) / max(float(weight @ entering), 1e-12)
+        reduced = kept.assign(means).assign(
+            n=("mixed", at_wavelengths(bsdf["n"], wavelength)),
+            k=("mixed", at_wavelengths(bsdf["k"], wavelength)),
+            mixture=("mixed", mixture),
+            mixed_wavelength=("mixed", wavelength),
+            diffuse=base,
+        )
+        return vocabulary.label(reduced, "bsdf")
+
+    def mean_index(self, weight: Array) -> tuple[float, float] | None:
+        n, k = self.dataset["n"].values, self.dataset["k"].values
+        return (float(weight @ n), float(weight @ k)) if np.ptp(n) or np.ptp(k) else None
+
+    def without_diffuse(self) -> xr.Dataset:
+        return self.dataset.assign(diffuse=xr.zeros_like(self.dataset["diffuse"]))
+
+    @property
+    def unphysical_choice(self) -> str:
+        return "form rayleigh-rice" if self.dataset.attrs["form"] == "rayleigh-rice" else ""
+
+
+def _gauss_nodes(wavelength: Array, weight: Array) -> tuple[Array, Array]:
+    """Wavelengths and weights of a Gauss quadrature of the discrete weights (Golub & Welsch 1969, by Lanczos' recurrence)."""
+    used = weight > 0
+    x, w = wavelength[used], weight[used]
+    if x.size <= _MIXTURE_NODES:
+        return x, w
+    centre, half = (x[0] + x[-1]) / 2, (x[-1] - x[0]) / 2
+    vectors = [np.sqrt(w / w.sum())]
+    diagonal, beside = [], []
+    for _ in range(_MIXTURE_NODES):
+        product = (x - centre) / half * vectors[-1]
+        diagonal.append(float(vectors[-1] @ product))
+        for vector in vectors:
+            product = product - (vector @ product) * vector
+        beside.append(float(np.linalg.norm(product)))
+        vectors.append(product / beside[-1])
+    values, basis = np.linalg.eigh(np.diag(diagonal) + np.diag(beside[:-1], 1) + np.diag(beside[:-1], -1))
+    return np.asarray(centre + half * values), np.asarray(w.sum() * basis[0] ** 2)

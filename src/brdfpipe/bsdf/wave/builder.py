@@ -1,0 +1,296 @@
+"""The BSDF of a surface with low slopes over a diffuse base, from its roughness spectrum.
+
+References
+----------
+:mod:`brdfpipe.bsdf.wave.halo` has those of the halo. The coherent share of the mirror reflection is e^(−g): Davies 1954 (Proc. IEE 101
+part IV, 209), Bennett & Porteus 1961 (J. Opt. Soc. Am. 51, 123).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+
+from brdfpipe import hemisphere, vocabulary
+from brdfpipe.bsdf.microfacet import energy
+from brdfpipe.bsdf.microfacet.builder import index_on, trap_of
+from brdfpipe.bsdf.microfacet.microsurface import ModelError
+from brdfpipe.bsdf.representations.wave import Wave
+from brdfpipe.bsdf.wave import height_transform
+from brdfpipe.bsdf.wave.halo import FORMS, Halo
+from brdfpipe.geometry import Array
+from brdfpipe.optics.fresnel_equations import fresnel
+from brdfpipe.optics.index import refractive_index
+
+WAVELENGTHS = np.arange(380.0, 781.0, 10.0)
+"""Wavelengths of a BSDF whose index and spectrum do not set them [nm]."""
+
+ENERGY_LIMIT = 1e-3
+"""Share of the incident light by which coherent part and halo may miss Fresnel's reflectance without a statement."""
+
+ENERGY_WARNING = 0.01
+"""The same, above which the statement is a warning."""
+
+SLOPE_LIMIT = 0.2
+"""Rms slope √⟨p² + q²⟩ up to which the halo is used without a warning: it knows neither masking nor the local angle of incidence."""
+
+_LEAST_SIGMA = 1e-9
+"""Rms height below which a surface is as good as flat [um]."""
+_INCIDENCES = 25
+
+
+def build(
+    psd: xr.Dataset,
+    *,
+    index: xr.Dataset | float | str,
+    spectrum: xr.Dataset | None = None,
+    wavelength: ArrayLike | None = None,
+    form: str = FORMS[0],
+    diffuse: str = "coupled",
+) -> xr.Dataset:
+    """Wave-optical BSDF of a surface with low slopes.
+
+    Parameters
+    ----------
+    psd : kind ``psd``, measured or analytic (:func:`brdfpipe.psd.analytic`)
+    index : kind ``index``, a number or a plastic's name; the refractive index of the body relative to air. A metal has k > 0
+    spectrum : kind ``spectrum``, as for :func:`brdfpipe.bsdf.microfacet.build`. Without a spectrum there is no diffuse part
+    wavelength : [nm], increasing; by default those of the spectrum, else of the index, else :data:`WAVELENGTHS`
+    form : one of :data:`brdfpipe.bsdf.wave.halo.FORMS`
+    diffuse : ``coupled``, or ``none``
+
+    Returns
+    -------
+    Dataset of kind ``bsdf``, representation ``wave``: the coherent share F e^(−g) of the mirror reflection is not part of the BSDF but of
+    its specular reflectance, as that of a smooth surface
+
+    Raises
+    ------
+    ModelError : an unknown form, no usable wavelengths, or an index below that of air without absorption.
+    VocabularyError : a dataset of the wrong kind.
+
+    Notes
+    -----
+    ``docs/model.md`` has the equations. Coherent part and halo together return at most Fresnel's reflectance F: where they would return
+    more, the coherent part is reduced. Where they return less, the light enters the base, and ``energy_residual`` states how much.
+    """
+    vocabulary.validate(psd, "psd")
+    index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
+    if form not in FORMS:
+        raise ModelError(f"unknown form of the wave model {form!r}; accepted: {', '.join(FORMS)}; set `model.halo`")
+    if diffuse not in ("coupled", "none"):
+        raise ModelError(f"unknown diffuse {diffuse!r} of the wave model; accepted: coupled, none; set `model.diffuse`")
+    given = _wavelengths(spectrum, index, wavelength)
+    n, k, _, warnings = index_on(index, given)
+    n, k = np.broadcast_to(n, given.shape), np.broadcast_to(k, given.shape)
+    if np.any((n < 1) & (k == 0)):
+        raise ModelError(
+            f"the refractive index falls to {np.min(n):g}, below that of air, without absorption; accepted: n >= 1, or k > 0"
+        )
+    correlation, sigma = _roughness(psd)
+    bsdf = _halo_table(correlation, sigma, psd, given).assign_coords(wavelength=given)
+    bsdf = bsdf.assign(n=("wavelength", n), k=("wavelength", k))
+    bsdf.attrs |= {"representation": Wave.name, "form": form, "diffuse_mode": diffuse, "transmission": "none"}
+    theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
+    bsdf = _with_albedo(bsdf, theta_m)
+    bsdf = _with_diffuse(bsdf, spectrum, theta_m)
+    bsdf = vocabulary.add_warning(bsdf, *warnings, *_limits(bsdf, psd, correlation))
+    return vocabulary.label(bsdf, "bsdf")
+
+
+def _wavelengths(spectrum: xr.Dataset | None, index: xr.Dataset, wavelength: ArrayLike | None) -> Array:
+    if spectrum is not None:
+        vocabulary.validate(spectrum, "spectrum")
+        if wavelength is not None:
+            raise ModelError("the wavelengths are those of the spectrum; leave out `wavelength`")
+        return np.asarray(spectrum["wavelength"].values, dtype=float)
+    if wavelength is None:
+        constant = np.ptp(index["n"].values) == 0 and np.ptp(index["k"].values) == 0
+        return WAVELENGTHS if constant else np.asarray(index["wavelength"].values, dtype=float)
+    given = np.atleast_1d(np.asarray(wavelength, dtype=float))
+    if given.ndim != 1 or given.size == 0 or not (given > 0).all() or not (np.diff(given) > 0).all():
+        raise ModelError(
+            "`wavelength` is not an increasing list of wavelengths in nm; accepted: one number or several, above 0"
+        )
+    return given
+
+
+# --- the roughness
+
+
+def _roughness(psd: xr.Dataset) -> tuple[height_transform.Autocorrelation, float]:
+    """Roughness of a spectrum, and its rms height [um]."""
+    form, length, slope = psd.attrs["form"], float(psd["fit_length"]), float(psd["fit_slope"])
+    fitted: height_transform.Autocorrelation | None = None
+    if np.isfinite(length) and length > 0:
+        by_slope = np.isfinite(slope) and slope > 2
+        fitted = height_transform.k_correlation(length, slope) if by_slope else height_transform.gaussian(length)
+    if form != "measured":
+        if fitted is None:
+            raise ModelError(
+                f"a roughness spectrum of the form {form!r} has no `fit_length`; give one, or measured values"
+            )
+        return fitted, float(psd["fit_sigma"])
+    if not psd["psd"].values.any():
+        return height_transform.gaussian(1.0), 0.0
+    return height_transform.measured(psd["frequency"].values, psd["psd"].values, fitted)
+
+
+def _halo_table(
+    correlation: height_transform.Autocorrelation, sigma: float, psd: xr.Dataset, wavelength: Array
+) -> xr.Dataset:
+    shortest = float(wavelength[0]) * 1e-3
+    largest_phase = (4 * np.pi * max(sigma, _LEAST_SIGMA) / shortest) ** 2
+    table = height_transform.tabulated(correlation, largest_phase, 2 / shortest).assign(sigma=sigma)
+    table.attrs["spectrum"] = psd.attrs["form"]
+    if psd.attrs["form"] != "measured":
+        table = table.assign({name: float(psd[name]) for name in ("fit_length", "fit_slope")})
+    return table
+
+
+# --- energy and the diffuse base
+
+
+class _Shares(NamedTuple):
+    """Shares of the incident light, (incidences, wavelength)."""
+
+    fresnel: Array
+    coherent: Array
+    halo: Array
+
+
+def _with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
+    """Add the reflectance of coherent part and halo, and what both miss of Fresnel's."""
+    n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
+
+    def smooth(theta: Array) -> Array:
+        cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
+        return np.asarray(fresnel(cosine[:, None], n, k).mean)
+
+    # Evenly spaced in the cosine of the doubled angle: dense towards the normal and towards grazing.
+    theta = np.degrees(np.arccos((1 + np.cos(np.linspace(np.pi, 0, _INCIDENCES))) / 2))[::-1]
+    theta[-1] = 90.0
+    halo = Halo.of(bsdf)
+    shares = _Shares(
+        smooth(theta),
+        smooth(theta) * halo.coherent_share(theta, wavelength),
+        _halo_albedo(halo, Wave.slope_of(bsdf), theta, wavelength, n, k),
+    )
+    missing = shares.fresnel - shares.coherent - shares.halo
+    table = energy.refined(smooth, 0.01, np.array([0.0, theta_m, 90.0]))
+
+    def between(values: Array) -> Array:
+        cosines = np.cos(np.radians(theta))[::-1]
+        return np.asarray(CubicSpline(cosines, values[::-1])(np.cos(np.radians(table.theta))))
+
+    lost = between(missing)
+    albedo = np.clip(table.values - np.maximum(lost, 0.0), 0.0, 1.0)
+    excess = np.maximum(-lost, 0.0) if missing.min() < 0 else np.zeros_like(lost)
+    mean = energy.AlbedoTable(table.theta, albedo).mean()
+    bsdf = _with_energy_statement(bsdf, missing.max(axis=1), theta)
+    return bsdf.assign_coords(theta_i=table.theta).assign(
+        directional_albedo=(("theta_i", "wavelength"), albedo),
+        coherent_excess=(("theta_i", "wavelength"), excess),
+        mean_albedo=("wavelength", mean),
+        energy_residual=float(missing.max(initial=0.0)),
+    )
+
+
+def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr.Dataset:
+    """Say how much light coherent part and halo miss, (incidences,), if that is more than they should."""
+    worst = int(missing.argmax())
+    if missing[worst] <= ENERGY_LIMIT:
+        return bsdf
+    text = (
+        f"coherent part and halo miss up to {missing[worst]:.4f} of the incident light that Fresnel's equations reflect, at "
+        f"{theta[worst]:.0f}° incidence; it enters the base"
+    )
+    if missing[worst] <= ENERGY_WARNING:
+        return vocabulary.add_history(bsdf, text)
+    return vocabulary.add_warning(bsdf, f"{text}. Set `model.optics: facets` if this matters")
+
+
+def _halo_albedo(halo: Halo, slope: float, theta: Array, wavelength: Array, n: Array, k: Array) -> Array:
+    """∫ f cos θ_o dω_o of the halo, (incidences, wavelength)."""
+    result = np.zeros((theta.size, wavelength.size))
+    for row, angle in enumerate(theta):
+        if angle >= 90:
+            continue
+        rule = hemisphere.around_mirror(float(angle), slope, order=5, turns=12)
+        zero = np.zeros_like(rule.theta)
+        result[row] = rule.weight @ halo.evaluate(zero + angle, zero, rule.theta, rule.phi, wavelength, n, k)
+    return result
+
+
+def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float) -> xr.Dataset:
+    """Add the diffuse base that closes the total reflectance."""
+    bare = bsdf.assign(diffuse=("wavelength", np.zeros(bsdf.sizes["wavelength"])), theta_m=theta_m)
+    if spectrum is None or bsdf.attrs["diffuse_mode"] == "none":
+        return bare
+    model = Wave(bare)
+    trapped = _trapped(model, spectrum, theta_m)
+    total = spectrum["total_reflectance"].values.astype(float) + trapped
+    of_surface = model.albedo(np.array([theta_m]), np.zeros(1), None)[0]
+    # Below 1 by the error of the albedo's table, so that a white base does not violate energy conservation.
+    base = np.minimum((total - of_surface) / np.maximum(1 - of_surface, 1e-12), 1 - 2e-8)
+    clamped = base < 0
+    quality = np.where(clamped, vocabulary.quality("clamped"), vocabulary.quality("measured")).astype(np.int8)
+    result = bare.assign(
+        diffuse=("wavelength", np.maximum(base, 0.0)),
+        diffuse_quality=("wavelength", quality),
+        total_reflectance=("wavelength", total),
+    )
+    if spectrum.attrs["geometry"] == "sce":
+        result = vocabulary.add_history(
+            result,
+            f"specular excluded: the light reflected into a gloss trap of half angle {trap_of(spectrum):g}°, "
+            f"{float(np.mean(trapped)):.4f} of the incident light, was added to the measured reflectance",
+        )
+    if clamped.any():
+        where = spectrum["wavelength"].values[clamped]
+        deficit = float((of_surface - total)[clamped].max())
+        result = vocabulary.add_warning(
+            result,
+            f"the total reflectance is up to {deficit:.4f} below the specular albedo of the surface at {where.size} wavelengths "
+            f"({where.min():g} to {where.max():g} nm); the diffuse part was set to 0 there. Check whether the specular was excluded "
+            "(`spectrum.geometry: sce`), the refractive index and the surface.",
+        )
+    return result
+
+
+def _trapped(model: Wave, spectrum: xr.Dataset, theta_m: float) -> Array:
+    """Light that the surface reflects into the gloss trap, (wavelength or 1,); 0 if the specular was included."""
+    if spectrum.attrs["geometry"] != "sce":
+        return np.zeros(1)
+    rule = hemisphere.around_mirror(theta_m, model.lobe_slope, trap_of(spectrum))
+    zero = np.zeros_like(rule.theta)
+    scattered = rule.weight @ model.evaluate(zero + theta_m, zero, rule.theta, rule.phi, None)
+    return np.asarray(scattered + model.specular(np.array([theta_m]), np.zeros(1), None)[0][0])
+
+
+# --- limits of the model
+
+
+def _limits(bsdf: xr.Dataset, psd: xr.Dataset, correlation: height_transform.Autocorrelation) -> list[str]:
+    """Warnings about what the model does not hold."""
+    texts = []
+    sigma = float(bsdf["sigma"])
+    shortest = float(bsdf["wavelength"].min()) * 1e-3
+    grid = np.geomspace(1e-6 / correlation.length, 1 / shortest, 4001)
+    slope_rms = sigma * float(np.sqrt(8 * np.pi**3 * np.trapezoid(correlation.spectrum(grid) * grid**4, np.log(grid))))
+    if slope_rms > SLOPE_LIMIT:
+        texts.append(
+            f"the rms slope at scales above the wavelength is {slope_rms:.2g}; the wave model, which has no masking and no local angle of "
+            f"incidence, is accurate up to {SLOPE_LIMIT:g}. Set `model.optics: facets`"
+        )
+    if psd.attrs["form"] == "measured" and float(psd["band_high"]) < 1 / shortest:
+        texts.append(
+            f"the roughness spectrum is measured up to {float(psd['band_high']):.3g} µm⁻¹; light scattered by more than "
+            f"{np.degrees(np.arcsin(min(1.0, float(psd['band_high']) * shortest))):.2g}° at {1e3 * shortest:g} nm and normal incidence "
+            "follows from its fitted form. Scan with a smaller pitch"
+        )
+    return texts

@@ -1,0 +1,235 @@
+"""Light that a surface with low slopes scatters beside the mirror direction, by first-order wave optics.
+
+Of an incidence (θ_i, φ_i) and γ = cos θ the Bragg frequency is f = |sin θ_o e_o + sin θ_i e_i|/λ, e the unit vectors of the azimuths, and
+the phase variance is g = [2πσ(γ_i + γ_o)/λ]². With the transform K(g, f) of :mod:`brdfpipe.bsdf.wave.height_transform` and the
+polarisation factor Q, the halo is one of
+
+``ssa1``             f_r = Q (K/λ²) 4γ_i γ_o/(γ_i + γ_o)²   first-order small-slope approximation
+``ghs``              f_r = Q K/λ²                          generalised Harvey-Shack theory
+``rayleigh-rice``    f_r = (16π²/λ⁴) γ_i γ_o Q S(f)        limit of ``ssa1`` as g → 0
+
+In the mirror direction Q is Fresnel's reflectance. All three are reciprocal.
+
+References
+----------
+Rice 1951, Commun. Pure Appl. Math. 4, 351; Church, Jenkinson & Zavada 1977, Opt. Eng. 16, 360; Stover, Optical Scattering, 3rd ed.,
+ch. 4 (Rayleigh-Rice, and Q after Barrick); Krywonos, Harvey & Choi 2011, J. Opt. Soc. Am. A 28, 1121; Voronovich 1994, Wave
+Scattering from Rough Surfaces, ch. 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, spline_filter
+
+from brdfpipe.geometry import Array, HalfVector, half_vector
+
+FORMS = ("ssa1", "ghs", "rayleigh-rice")
+"""Theories of the halo; the first one is the default."""
+
+_BLOCK = 2**15
+"""Values that are computed together, so that their arrays stay in the processor's cache."""
+_TINY = 1e-300
+
+_PAULI = np.array([[[1, 0], [0, 1]], [[1, 0], [0, -1]], [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])
+"""Matrices σ with Stokes components S = ½ Tr(σ E E†) of the field E = (E_s, E_p), in the frames of :mod:`brdfpipe.bsdf.microfacet.polarised`."""
+
+Field = NDArray[np.float64] | NDArray[np.complex128]
+
+
+class Amplitudes(NamedTuple):
+    """Polarisation factors of first-order scattering, incident polarisation first, (directions…, wavelength)."""
+
+    ss: Field
+    sp: Field
+    ps: Field
+    pp: Field
+
+    @property
+    def s(self) -> Array:
+        """Q of light incident polarised s, all exits."""
+        return np.asarray(np.abs(self.ss) ** 2 + np.abs(self.sp) ** 2)
+
+    @property
+    def p(self) -> Array:
+        """Q of light incident polarised p, all exits."""
+        return np.asarray(np.abs(self.ps) ** 2 + np.abs(self.pp) ** 2)
+
+    @property
+    def mean(self) -> Array:
+        """Q of unpolarised light."""
+        return (self.s + self.p) / 2
+
+    def mueller(self) -> Array:
+        """Mueller matrices (…, 4, 4) [1]; [0, 0] is :attr:`mean`."""
+        jones = np.stack([np.stack([-self.ss, self.ps], axis=-1), np.stack([self.sp, self.pp], axis=-1)], axis=-2)
+        return np.asarray(np.einsum("aij,...jk,bkl,...il->...ab", _PAULI, jones, _PAULI, jones.conj()).real / 2)
+
+
+def amplitudes(pair: HalfVector, azimuth: Array, n: Array, k: Array) -> Amplitudes:
+    """Polarisation factors of Rayleigh-Rice theory for a body of index n + ik.
+
+    Parameters
+    ----------
+    pair : of the directions, (directions,)
+    azimuth : φ_o − φ_i [degree], (directions,); 180 is the plane of incidence beyond the normal
+    n, k : (wavelength,)
+
+    References
+    ----------
+    Stover, Optical Scattering, 3rd ed., eq. 4.2 to 4.5 (Barrick 1970).
+    """
+    absorbing = bool(np.any(k))
+    index = n + 1j * k if absorbing else n
+    contrast, epsilon = (index - 1) * (index + 1), index * index
+    cos_i, cos_o, sin_i, sin_o = (part[:, None] for part in (pair.cos_i, pair.cos_o, pair.sin_i, pair.sin_o))
+    turned = np.radians(180 - azimuth)[:, None]
+    cos, sin = np.cos(turned), np.sin(turned)
+    root_i, root_o = _root(contrast, cos_i, absorbing), _root(contrast, cos_o, absorbing)
+    s_i, s_o = 1 / (cos_i + root_i + _TINY), 1 / (cos_o + root_o + _TINY)
+    p_i, p_o = 1 / (epsilon * cos_i + root_i + _TINY), 1 / (epsilon * cos_o + root_o + _TINY)
+    return Amplitudes(
+        contrast * cos * s_i * s_o,
+        -contrast * sin * root_o * s_i * p_o,
+        -contrast * sin * root_i * p_i * s_o,
+        contrast * (root_i * root_o * cos - epsilon * sin_i * sin_o) * p_i * p_o,
+    )
+
+
+def _root(contrast: Field, cosine: Array, absorbing: bool) -> Field:
+    """√(ε − sin²θ)."""
+    square = contrast + cosine * cosine
+    if not absorbing:
+        return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+    root = np.sqrt(square)
+    return np.asarray(root.real + 1j * np.abs(root.imag))
+
+
+@dataclass(frozen=True)
+class Halo:
+    """The halo of one surface, prepared for evaluation."""
+
+    sigma: float
+    """Rms height [um]"""
+    form: str
+    """One of :data:`FORMS`"""
+    spline: Array
+    """Coefficients of a cubic spline through ln(K/g), (phase variance, frequency)"""
+    first_phase: float
+    """ln g of the first node"""
+    phase_step: float
+    """Step of ln g"""
+    scale: float
+    """f0 [um-1]: nodes are evenly spaced in asinh(f/f0)"""
+    frequency_step: float
+    """Step of asinh(f/f0)"""
+    spectrum: Callable[[Array], Array] | None
+    """S/σ² [um2] where it is known in closed form"""
+
+    @classmethod
+    def of(cls, bsdf: xr.Dataset) -> Halo:
+        """The halo of a ``bsdf`` dataset, representation ``wave``."""
+        phase, frequency = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
+        scale = float(bsdf["frequency_scale"])
+        return cls(
+            float(bsdf["sigma"]),
+            str(bsdf.attrs["form"]),
+            spline_filter(bsdf["log_halo"].values, order=3, mode="mirror"),
+            float(np.log(phase[0])),
+            float(np.log(phase[-1] / phase[0])) / (phase.size - 1),
+            scale,
+            float(np.arcsinh(frequency[-1] / scale)) / (frequency.size - 1),
+            _closed_form(bsdf),
+        )
+
+    def phase_variance(self, cosines: Array, wavelength: Array) -> Array:
+        """g [1], (…, wavelength), of cos θ_i + cos θ_o (…) at wavelengths [nm]."""
+        return np.asarray((2e3 * np.pi * self.sigma * cosines[..., None] / wavelength) ** 2)
+
+    def coherent_share(self, theta_i: Array, wavelength: Array) -> Array:
+        """e^(−g) in the mirror direction, (incidences…, wavelength); 1 − g, at least 0, of ``rayleigh-rice``."""
+        g = self.phase_variance(2 * np.cos(np.radians(theta_i)), wavelength)
+        return np.maximum(1 - g, 0.0) if self.form == "rayleigh-rice" else np.exp(-g)
+
+    def evaluate(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array, n: Array, k: Array
+    ) -> Array:
+        """BRDF of the halo [sr-1], (directions, wavelength); 0 unless both directions are above the surface.
+
+        Angles are (directions,) degree; wavelength [nm], n and k are (wavelength,).
+        """
+        return self._in_blocks(theta_i, phi_i, theta_o, phi_o, wavelength, n, k, lambda factors: factors.mean, ())
+
+    def mueller(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array, n: Array, k: Array
+    ) -> Array:
+        """Mueller matrices of the halo [sr-1], (directions, wavelength, 4, 4), in the frames of the microfacet model."""
+        of_factors: Callable[[Amplitudes], Array] = lambda factors: factors.mueller()  # noqa: E731
+        return self._in_blocks(theta_i, phi_i, theta_o, phi_o, wavelength, n, k, of_factors, (4, 4))
+
+    def _in_blocks(
+        self,
+        theta_i: Array,
+        phi_i: Array,
+        theta_o: Array,
+        phi_o: Array,
+        wavelength: Array,
+        n: Array,
+        k: Array,
+        of_factors: Callable[[Amplitudes], Array],
+        shape: tuple[int, ...],
+    ) -> Array:
+        result = np.zeros((theta_i.size, wavelength.size, *shape))
+        above = np.flatnonzero((theta_i < 90) & (theta_o < 90))
+        step = max(_BLOCK // wavelength.size, 64)
+        for start in range(0, above.size, step):
+            at = above[start : start + step]
+            pair = half_vector(theta_i[at], phi_i[at], theta_o[at], phi_o[at])
+            strength = self._strength(pair, wavelength)
+            factors = of_factors(amplitudes(pair, phi_o[at] - phi_i[at], n, k))
+            result[at] = strength.reshape(*strength.shape, *(1,) * len(shape)) * factors
+        return result
+
+    def _strength(self, pair: HalfVector, wavelength: Array) -> Array:
+        """BRDF over the polarisation factor [sr-1], (directions, wavelength)."""
+        # 16π²σ²γ_iγ_o/λ⁴ · K/g, which has no quotient of small cosines.
+        nm = wavelength * 1e-3
+        cosines = pair.cos_i + pair.cos_o
+        geometry = cosines**2 / 4 if self.form == "ghs" else pair.cos_i * pair.cos_o
+        frequency = (np.sqrt(pair.slope_squared) * cosines)[:, None] / nm
+        return (
+            (4 * np.pi * self.sigma) ** 2
+            * geometry[:, None]
+            / nm**4
+            * self._transform_ratio(cosines, frequency, wavelength)
+        )
+
+    def _transform_ratio(self, cosines: Array, frequency: Array, wavelength: Array) -> Array:
+        """K/g [um2], (directions, wavelength)."""
+        if self.form == "rayleigh-rice" and self.spectrum is not None:
+            return self.spectrum(frequency)
+        column = np.arcsinh(frequency / self.scale) / self.frequency_step
+        if self.form == "rayleigh-rice":
+            row = np.zeros_like(column)
+        else:
+            with np.errstate(divide="ignore"):
+                log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)[:, None] - 2 * np.log(wavelength)
+            row = np.maximum((log_phase - self.first_phase) / self.phase_step, 0.0)
+        return np.exp(map_coordinates(self.spline, [row, column], order=3, mode="mirror", prefilter=False))
+
+
+def _closed_form(bsdf: xr.Dataset) -> Callable[[Array], Array] | None:
+    spectrum = bsdf.attrs["spectrum"]
+    if spectrum == "measured":
+        return None
+    length = float(bsdf["fit_length"])
+    if spectrum == "gaussian":
+        return lambda f: np.pi * length**2 * np.exp(-((np.pi * length * f) ** 2))
+    slope = float(bsdf["fit_slope"])
+    return lambda f: 2 * np.pi * length**2 * (slope - 2) * (1 + (2 * np.pi * length * f) ** 2) ** (-slope / 2)

@@ -1,0 +1,212 @@
+"""Transform of the phases that the heights of a surface give to reflected light, as a table.
+
+For heights with a Gaussian distribution and the autocovariance σ²ρ(r), light that is reflected with the phase variance
+g = [2πσ(cos θ_i + cos θ_o)/λ]² has the coherent share e^(−g), and the halo
+
+    K(g, f) = 2π ∫ e^(−g) (e^(gρ(r)) − 1) J0(2πfr) r dr   [µm²]
+
+at the spatial frequency f. K depends on the wavelength and on the directions through g and f alone, so that one table serves all of
+them. The table holds ln(K/g), which tends to ln(S/σ²) as g → 0, S the roughness spectrum.
+
+References
+----------
+Krywonos, Harvey & Choi 2011, J. Opt. Soc. Am. A 28, 1121 (surface transfer function, and its series for a Gaussian autocovariance);
+Beckmann & Spizzichino 1963, §5.3; Hamilton 2000, Mon. Not. R. Astron. Soc. 312, 257, appendix B (logarithmic Hankel transform).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.fft import fht, fhtoffset
+from scipy.interpolate import CubicSpline
+from scipy.special import gammaln, kv
+
+from brdfpipe.geometry import Array
+
+FREQUENCY_STEP, PHASE_STEP = 0.03, 0.06
+"""Steps of the table in asinh(f/f0) and in ln g; a cubic spline between its nodes is accurate to 1e-6 of K."""
+
+_MARGIN = 12
+"""Nodes beyond the largest f and g, so that the ends of the spline do not matter."""
+_LEAST_PHASE = 1e-6
+"""Phase variance below which K is proportional to g."""
+_DENSE_TERMS = 400.0
+"""Phase variance above which not every term of a series is summed: its terms vary slowly, and a coarser sum is exact."""
+_MOST_TERMS = 3000
+_NOISE = 1e-13
+"""Share of the largest K that a discrete transform cannot tell from 0."""
+_RADII, _DECADES = 8192, 20
+"""Nodes of the logarithmic Hankel transform, and its decades about the correlation length."""
+
+
+class Autocorrelation(NamedTuple):
+    """Isotropic roughness: its spectrum over its variance, and its correlation length."""
+
+    spectrum: Callable[[Array], Array]
+    """S/σ² [um2] at frequencies [um-1]; its integral over the plane is 1"""
+    length: float
+    """Distance at which ρ falls to about 1/e [um]"""
+    form: str
+    """``gaussian`` and ``exponential`` have series; ``any`` has none"""
+    of_distance: Callable[[Array], Array] | None = None
+    """ρ at distances [um]; None if it is found from the spectrum"""
+
+
+def gaussian(length: float) -> Autocorrelation:
+    """ρ = exp(−r²/ℓ²)."""
+    peak = np.pi * length**2
+    return Autocorrelation(lambda f: peak * np.exp(-((np.pi * length * f) ** 2)), length, "gaussian")
+
+
+def k_correlation(length: float, slope: float) -> Autocorrelation:
+    """ρ of the spectrum A′/(1 + (2πℓf)²)^(slope/2): exp(−r/ℓ) for the slope 3, else (x^ν K_ν(x))/(2^(ν−1) Γ(ν)), x = r/ℓ, ν = slope/2 − 1."""
+    peak, order = 2 * np.pi * length**2 * (slope - 2), slope / 2 - 1
+
+    def spectrum(f: Array) -> Array:
+        return np.asarray(peak * (1 + (2 * np.pi * length * f) ** 2) ** (-slope / 2))
+
+    def of_distance(r: Array) -> Array:
+        x = np.clip(r / length, 1e-300, 700.0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            rho = np.exp((1 - order) * np.log(2) - gammaln(order) + order * np.log(x)) * kv(order, x)
+        return np.clip(np.nan_to_num(rho, nan=1.0, posinf=1.0), 0.0, 1.0)
+
+    return Autocorrelation(spectrum, length, "exponential" if slope == 3 else "any", of_distance)
+
+
+def measured(frequency: Array, psd: Array, tail: Autocorrelation | None) -> tuple[Autocorrelation, float]:
+    """Roughness of a measured spectrum, and its rms height [um].
+
+    Parameters
+    ----------
+    frequency, psd : increasing [um-1], and S [um4]; logarithms are interpolated linearly
+    tail : form that continues the spectrum beyond its ends, scaled to meet it; without one, and below the first frequency of a form
+        that rises, the spectrum ends at the value of its last frequency, and falls with f⁻³ above
+    """
+    log_f, log_s = np.log(frequency), np.log(np.maximum(psd, psd.max() * 1e-30))
+
+    def spectrum(f: Array) -> Array:
+        inside = np.exp(np.interp(np.log(f), log_f, log_s))
+        low, high = np.minimum(f / frequency[0], 1.0), np.maximum(f / frequency[-1], 1.0)
+        if tail is None:
+            return np.asarray(inside * high**-3)
+        below = tail.spectrum(low * frequency[0]) / tail.spectrum(frequency[:1])
+        beyond = tail.spectrum(high * frequency[-1]) / tail.spectrum(frequency[-1:])
+        return np.asarray(inside * below * beyond)
+
+    grid = np.geomspace(1e-5 * frequency[0], 1e6 * frequency[-1], 20001)
+    values = spectrum(grid)
+    variance = 2 * np.pi * float(np.trapezoid(values * grid**2, np.log(grid)))
+    # ρ falls to 1/e at about the distance where a Gaussian of the same peak and variance does.
+    length = float(np.sqrt(values[0] / (np.pi * variance)))
+    return Autocorrelation(lambda f: spectrum(f) / variance, length, "any"), float(np.sqrt(variance))
+
+
+def tabulated(correlation: Autocorrelation, largest_phase: float, largest_frequency: float) -> xr.Dataset:
+    """Table of ln(K/g) up to a phase variance and a frequency [um-1].
+
+    Returns
+    -------
+    ``log_halo(phase_variance, halo_frequency)``, with nodes evenly spaced in ln g and in asinh(f/f0); f0 is ``frequency_scale``. The
+    nodes go beyond the given ends
+    """
+    scale = 1 / (2 * np.pi * correlation.length)
+    nodes = int(np.ceil(np.arcsinh(largest_frequency / scale) / FREQUENCY_STEP)) + _MARGIN
+    frequency = scale * np.sinh(FREQUENCY_STEP * np.arange(nodes + 1))
+    span = np.log(max(largest_phase, 2 * _LEAST_PHASE) / _LEAST_PHASE)
+    phase = _LEAST_PHASE * np.exp(PHASE_STEP * np.arange(int(np.ceil(span / PHASE_STEP)) + _MARGIN + 1))
+    if correlation.form == "any":
+        values = _by_hankel_transform(correlation, phase, frequency)
+    else:
+        values = np.array([_by_series(correlation, g, frequency) for g in phase])
+    return xr.Dataset(
+        {"log_halo": (("phase_variance", "halo_frequency"), values), "frequency_scale": scale},
+        coords={"phase_variance": phase, "halo_frequency": frequency},
+    )
+
+
+# --- series over the orders of scattering
+
+
+def _by_series(correlation: Autocorrelation, g: float, frequency: Array) -> Array:
+    """ln(K/g) at one g: Σ_m e^(−g) g^(m−1)/m! times the transform of ρ^m, which is known in closed form."""
+    order, weight = _orders(correlation, g, float(frequency[-1]))
+    x = (2 * np.pi * correlation.length * frequency[:, None]) ** 2
+    terms = (order - 1) * np.log(g) - g - gammaln(order + 1) + np.log(weight)
+    if correlation.form == "gaussian":
+        terms = terms + np.log(np.pi * correlation.length**2 / order) - x / (4 * order)
+    else:
+        terms = terms + np.log(2 * np.pi * (correlation.length / order) ** 2) - 1.5 * np.log1p(x / order**2)
+    largest = terms.max(axis=1)
+    return np.asarray(largest + np.log(np.exp(terms - largest[:, None]).sum(axis=1)))
+
+
+def _orders(correlation: Autocorrelation, g: float, largest_frequency: float) -> tuple[Array, Array]:
+    """Orders m that contribute, and how many orders each stands for."""
+    last = g + 12 * np.sqrt(g) + 20
+    if correlation.form == "gaussian":
+        # Far from the mirror direction high orders prevail.
+        order = np.geomspace(1, 1e7, 500)
+        exponent = (
+            order * np.log(g) - gammaln(order + 1) - (np.pi * correlation.length * largest_frequency) ** 2 / order
+        )
+        prevailing = order[exponent.argmax()]
+        last = max(last, prevailing + 12 * np.sqrt(prevailing) + 20)
+    first = max(1.0, np.floor(g - 12 * np.sqrt(g))) if g > _DENSE_TERMS else 1.0
+    step = max(1.0, np.floor(np.sqrt(g) / 3)) if g > _DENSE_TERMS else 1.0
+    step = max(step, np.ceil((last - first) / _MOST_TERMS))
+    order = np.arange(first, last + step, step)
+    return order, np.full(order.size, step)
+
+
+# --- Hankel transform
+
+
+def _by_hankel_transform(correlation: Autocorrelation, phase: Array, frequency: Array) -> Array:
+    """ln(K/g), (phases, frequencies), by one logarithmic Hankel transform for each g.
+
+    The first order, g e^(−g) S/σ², is known. The rest, e^(−g)(e^(gρ) − 1 − gρ), decays faster with distance, so that a discrete
+    transform of it is accurate. It is >= 0, because every power of ρ is an autocorrelation.
+    """
+    step = _DECADES * np.log(10) / _RADII
+    offset = fhtoffset(step, mu=0.0, bias=0.0)
+    index = np.arange(_RADII) - (_RADII - 1) / 2
+    distance, wave_number = (
+        correlation.length * np.exp(index * step),
+        np.exp(index * step + offset) / correlation.length,
+    )
+    grid = wave_number / (2 * np.pi)
+    rho = _autocorrelation(correlation, distance)
+    first_order = correlation.spectrum(grid)
+    # Between the ends, where the periodic repetition of the transform does not reach.
+    inside = (grid > 1e-3 * frequency[1]) & (grid < 10 * frequency[-1])
+    asked = np.log(np.maximum(frequency, 2e-3 * frequency[1]))
+    values = np.empty((phase.size, frequency.size))
+    for row, g in enumerate(phase):
+        exponent = g * rho
+        higher = np.where(
+            exponent < 1e-3,
+            np.exp(-g) * exponent**2 * (0.5 + exponent / 6 + exponent**2 / 24),
+            np.exp(exponent - g) - np.exp(-g) * (1 + exponent),
+        )
+        rest = 2 * np.pi * fht(higher * distance, step, 0.0, offset=offset) / wave_number
+        total = np.exp(-g) * first_order + np.maximum(rest, 0.0) / g
+        total = np.maximum(total, _NOISE * total[inside].max())[inside]
+        values[row] = CubicSpline(np.log(grid[inside]), np.log(total))(asked)
+    return values
+
+
+def _autocorrelation(correlation: Autocorrelation, distance: Array) -> Array:
+    """ρ at distances evenly spaced in their logarithm."""
+    if correlation.of_distance is not None:
+        return correlation.of_distance(distance)
+    step = float(np.log(distance[1] / distance[0]))
+    offset = fhtoffset(step, mu=0.0, bias=0.0)
+    frequency = np.exp(offset) / (2 * np.pi * distance[::-1])
+    transformed = fht(correlation.spectrum(frequency) * frequency, step, 0.0, offset=offset)
+    rho = np.asarray(transformed) / distance
+    return np.clip(rho, -1.0, 1.0)

@@ -1,0 +1,74 @@
+"""Transforms of the phases of a surface: series against Hankel transforms and against arithmetic of 40 digits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from brdfpipe.bsdf.wave import height_transform
+from brdfpipe.bsdf.wave.height_transform import gaussian, k_correlation
+
+FREQUENCY = np.concatenate([[0.0], np.geomspace(1e-3, 5.0, 60)])
+LENGTH = 5.0
+CORRELATIONS = {
+    "gaussian": (gaussian(LENGTH), lambda r: np.exp(-((r / LENGTH) ** 2))),
+    "exponential": (k_correlation(LENGTH, 3.0), lambda r: np.exp(-r / LENGTH)),
+}
+
+
+@pytest.mark.parametrize("name", CORRELATIONS)
+@pytest.mark.parametrize("g", [1e-6, 0.09, 3.0, 60.0, 900.0])
+def test_a_series_is_the_hankel_transform(name, g):
+    series, of_distance = CORRELATIONS[name]
+    by_transform = series._replace(form="any", of_distance=of_distance)
+    expected = height_transform._by_series(series, g, FREQUENCY)
+    found = height_transform._by_hankel_transform(by_transform, np.array([g]), FREQUENCY)[0]
+    error = np.abs(np.exp(found) - np.exp(expected)) / np.exp(expected.max())
+    assert error.max() < (1e-6 if g < 100 else 2e-5)
+
+
+def test_the_series_has_the_values_of_forty_digits():
+    mpmath = pytest.importorskip("mpmath")
+    mpmath.mp.dps = 40
+    g, f = mpmath.mpf("0.0874"), mpmath.mpf("0.25")
+    length = mpmath.mpf(5)
+
+    def order(m: int, name: str) -> mpmath.mpf:
+        if name == "gaussian":
+            of_power = mpmath.pi * length**2 / m * mpmath.exp(-((mpmath.pi * length * f) ** 2) / m)
+        else:
+            of_power = (
+                2 * mpmath.pi * (length / m) ** 2 / (1 + (2 * mpmath.pi * length * f / m) ** 2) ** mpmath.mpf(1.5)
+            )
+        return mpmath.exp(-g) * g ** (m - 1) / mpmath.factorial(m) * of_power
+
+    for name, (series, _) in CORRELATIONS.items():
+        expected = float(mpmath.fsum(order(m, name) for m in range(1, 80)))
+        assert np.exp(height_transform._by_series(series, float(g), np.array([float(f)])))[0] == pytest.approx(
+            expected, rel=1e-13
+        )
+
+
+@pytest.mark.parametrize("slope", [2.5, 3.0, 4.5])
+def test_the_autocorrelation_of_a_spectrum_is_the_closed_one(slope):
+    closed = k_correlation(LENGTH, slope)
+    assert closed.of_distance is not None
+    distance = LENGTH * np.exp((np.arange(8192) - 4095.5) * 20 * np.log(10) / 8192)
+    middle = (distance > 1e-2 * LENGTH) & (distance < 20 * LENGTH)
+    found = height_transform._autocorrelation(closed._replace(of_distance=None), distance)
+    # The spectrum of slope 2.5 falls slowly: the logarithmic transform misses 1e-4 of its fine end.
+    assert found[middle] == pytest.approx(closed.of_distance(distance)[middle], abs=2e-4 if slope < 3 else 1e-6)
+
+
+def test_a_measured_spectrum_is_continued_by_its_fitted_form():
+    truth = k_correlation(LENGTH, 3.5)
+    frequency = np.geomspace(0.004, 0.6, 120)
+    found, sigma = height_transform.measured(frequency, 1e-4 * truth.spectrum(frequency), truth)
+    assert sigma == pytest.approx(1e-2, rel=1e-4)
+    everywhere = np.geomspace(1e-5, 50, 200)
+    # Linear between logarithms of 120 values.
+    assert found.spectrum(everywhere) == pytest.approx(truth.spectrum(everywhere), rel=2e-3)
+    table = height_transform.tabulated(found, 0.1, 4.0)
+    expected = height_transform.tabulated(truth, 0.1, 4.0).interp(halo_frequency=table["halo_frequency"])
+    inside = table["halo_frequency"].values < 4.0
+    assert table["log_halo"].values[:, inside] == pytest.approx(expected["log_halo"].values[:, inside], abs=3e-3)
