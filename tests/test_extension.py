@@ -151,7 +151,7 @@ EDITS = {
     ],
     PACKAGE / "bsdf" / "registry.py": [
         ("from brdfpipe.errors ", "from brdfpipe.bsdf.representations.toy import Toy\nfrom brdfpipe.errors "),
-        (", Smooth, Table)", ", Smooth, Table, Toy)"),
+        (", Traced, Wave)", ", Toy, Traced, Wave)"),
     ],
     PACKAGE / "catalogue" / "material_keys.py": [("    slab: Slab = key(\n", f"{KEY}    slab: Slab = key(\n")],
     PACKAGE / "stages.py": [

@@ -23,7 +23,7 @@ from brdfpipe.catalogue.material_keys import (
     MultiangleFile,
 )
 from brdfpipe.exchange.registry import FORMATS, Format
-from brdfpipe.masking.modes import MODEL_DEFAULTS
+from brdfpipe.masking.modes import HALOS, MODEL_DEFAULTS, OPTICS
 
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration
@@ -143,6 +143,15 @@ def _names_file(part: str, key: str) -> Condition:
 
 
 _MEASURED_RELIEF = _names_file("surface", "surface")
+_ASSUMED_ROUGHNESS = Condition("`surface.length`", lambda subject: "length" in subject.owner.content.get("surface", {}))
+
+
+def _uses_waves(subject: Subject) -> bool:
+    return bool(subject.section("model").get("optics", OPTICS[0]) != "facets")
+
+
+_WAVES = Condition("`model.optics` other than facets", _uses_waves)
+_FACETS = Condition("`model.optics: facets`", lambda subject: not _uses_waves(subject))
 
 
 def _enabled(key: str) -> Condition:
@@ -150,9 +159,12 @@ def _enabled(key: str) -> Condition:
 
 
 def _comparable(subject: Subject) -> bool:
-    # A perfectly flat surface reflects into a single direction, for which no cell measures a BRDF.
+    # A perfectly flat surface reflects into a single direction, for which no cell measures a BRDF. The inputs that are fitted are those of
+    # facets.
     flat = subject.section("surface").get("distribution") == "flat"
-    return not flat and any(item.load == "sample" and item.side == "reflection" for item in subject.arrangements)
+    return not (flat or _uses_waves(subject)) and any(
+        item.load == "sample" and item.side == "reflection" for item in subject.arrangements
+    )
 
 
 # --- keys
@@ -206,8 +218,14 @@ def _further_scan(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
 def _model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     """The choices of the model with their defaults, so that writing a default changes nothing."""
     model = subject.section("model")
-    choices = ["masking"] if "slab" in subject.owner.content else list(MODEL_DEFAULTS)
-    return ({} if "recipe" in model else {key: MODEL_DEFAULTS[key] for key in choices}) | dict(model)
+    if "recipe" in model:
+        return dict(model)
+    defaults: dict[str, Any] = MODEL_DEFAULTS
+    if "slab" in subject.owner.content:
+        defaults = {"masking": MODEL_DEFAULTS["masking"]}
+    elif _uses_waves(subject):
+        defaults = {"optics": OPTICS[0], "diffuse": MODEL_DEFAULTS["diffuse"], "halo": HALOS[0]}
+    return {key: model.get(key, default) for key, default in defaults.items()}
 
 
 def _route(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
@@ -308,6 +326,13 @@ _STAGES = (
     ),
     Stage("facets", "the slope density of the facets", when=_has("surface"), keys=_block("surface", _SLOPE_KEYS)),
     Stage(
+        "psd",
+        "the roughness spectrum of the surface",
+        when=_ASSUMED_ROUGHNESS,
+        keys=_block("surface", ("distribution", "slope_rms", "length")),
+        reported=False,
+    ),
+    Stage(
         "back_surface",
         "the relief of the back of a clear body",
         when=_names_file("back_surface", "slab.back"),
@@ -344,9 +369,17 @@ _STAGES = (
     Stage(
         "predicted",
         "the BSDF that facets, index and spectrum predict",
-        when=_has("predicted", "`surface`, or a `spectrum` alone"),
+        when=_has("predicted", "`surface`, or a `spectrum` alone") & _FACETS,
         keys=StageKeys(("model",), (), _model),
         kind="bsdf",
+    ),
+    Stage(
+        "wave",
+        "the BSDF that the roughness spectrum predicts by wave optics",
+        when=_has("predicted", "`surface`") & _WAVES,
+        keys=StageKeys(("model",), (), _model),
+        kind="bsdf",
+        reported=False,
     ),
     Stage(
         "flake",

@@ -270,6 +270,16 @@ QUANTITIES: Mapping[str, Quantity] = {
     "log_halo": Quantity("1", "natural logarithm of the halo's transform [um2] over the phase variance"),
     "phase_variance": Quantity("1", "variance g of the phase that the heights give to reflected light", 0),
     "halo_frequency": Quantity("um-1", "spatial frequency that scatters light into a direction", 0),
+    "log_fine_halo": Quantity("1", "the same of roughness finer than facets, convolved with the facets' slopes"),
+    "fine_phase_variance": Quantity("1", "phase variance of the roughness finer than facets", 0),
+    "fine_frequency": Quantity("um-1", "spatial frequency that scatters light of the roughness finer than facets", 0),
+    "fine_scale": Quantity("um-1", "frequency up to which that table counts frequencies evenly", 0),
+    "fine_sigma": Quantity("um", "rms height of the roughness finer than facets", 0),
+    "facet_sigma": Quantity("um", "rms height of the relief that is one of facets", 0),
+    "resolved_slope": Quantity("1", "root mean square slope at scales above the wavelength", 0),
+    "facet_share": Quantity(
+        "1", "share of the light that is reflected as by facets, towards the mirror direction", 0, 1 + 1e-9
+    ),
     "coherent_excess": Quantity(
         "1", "reflectance by which the coherent part is reduced, so that no light is gained", 0
     ),

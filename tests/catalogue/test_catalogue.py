@@ -214,6 +214,8 @@ def test_the_keys_offer_what_the_model_has() -> None:
         "diffuse": set(modes.MODES["diffuse"]),
         "multiple_scattering": set(modes.MODES["multiple_scattering"]),
         "recipe": set(modes.RECIPES),
+        "optics": set(modes.OPTICS),
+        "halo": set(modes.HALOS),
     }
     assert set(modes.SMITH_MASKINGS) < set(transmission.MASKING)
     assert all(recipe[key] in modes.MODES[key] for recipe in modes.RECIPES.values() for key in modes.MODES)

@@ -22,6 +22,11 @@ use rule stage_template as facets with:
         facets="{material}/facets.nc",
 
 
+use rule stage_template as psd with:
+    output:
+        psd="{material}/psd.nc",
+
+
 use rule stage_template as masking with:
     input:
         **results_of("surface", "facets"),
@@ -67,6 +72,13 @@ use rule stage_template as spectrum with:
 
 use rule stage_template as predicted with:
     input:
-        **results_of("facets", "back_facets", "interior", "index", "spectrum"),
+        **results_of("facets", "psd", "back_facets", "interior", "index", "spectrum"),
     output:
         predicted="{material}/predicted.nc",
+
+
+use rule stage_template as wave with:
+    input:
+        **results_of("psd", "facets", "index", "spectrum"),
+    output:
+        wave="{material}/wave.nc",

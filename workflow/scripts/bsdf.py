@@ -4,7 +4,8 @@ from brdfpipe import store
 def main(input, output, params):
     """The BSDF of the best route of the material: measured, else of flakes, else predicted."""
     spec, inputs = params["spec"], {name: store.open_dataset(path, "bsdf") for name, path in input.items()}
-    bsdf = inputs[spec["route"]].assign_attrs(route=spec["route"])
+    source = "wave" if spec["route"] == "predicted" and "wave" in inputs else spec["route"]
+    bsdf = inputs[source].assign_attrs(route=spec["route"])
     store.save_dataset(bsdf, output["bsdf"], stage="bsdf", material=params["material"], inputs=inputs, parameters=spec)
 
 

@@ -1,5 +1,6 @@
 from brdfpipe import store
 from brdfpipe.bsdf import lambert_gauss
+from brdfpipe.bsdf.microfacet import phase_variance
 from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 from brdfpipe.bsdf.slab.builder import build as build_slab
 from brdfpipe.optics import interior
@@ -14,7 +15,9 @@ def main(input, output, params):
         passed = interior.spectral(inputs["interior"])
         bsdf = build_slab(*faces, index=inputs["index"], internal_transmittance=passed, **spec)
     elif "facets" in inputs:
+        psd = inputs.pop("psd", None)
         bsdf = build_microfacet(**inputs, **spec)
+        bsdf = bsdf if psd is None else phase_variance.with_warning(bsdf, psd)
     else:
         bsdf = lambert_gauss.lambertian(inputs["spectrum"])
     store.save_dataset(

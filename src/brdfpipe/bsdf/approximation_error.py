@@ -17,6 +17,9 @@ from brdfpipe.hemisphere import Directions
 _UNKNOWN_SLOPE = 2e-3
 """Slope of the narrowest lobe that is resolved for a representation without a :attr:`lobe_slope`."""
 
+_NEGLIGIBLE_SHARE = 1e-6
+"""Share of the light in a single direction that no form needs."""
+
 
 class Misfit(NamedTuple):
     """Error of an approximation over the hemisphere, for one incidence [1]."""
@@ -57,13 +60,14 @@ def brdf_at(bsdf: xr.Dataset, theta_i: float, phi_i: float, rule: Directions, wa
 
 
 def lost_specular(bsdf: xr.Dataset, form: str) -> list[str]:
-    """A warning if a form of finite values leaves out a perfectly specular part."""
-    if not any(part.any() for part in representation(bsdf).specular(np.array([45.0]), np.zeros(1), None)):
+    """A warning if a form of finite values leaves out light that is reflected or transmitted into one single direction."""
+    parts = representation(bsdf).specular(np.array([45.0]), np.zeros(1), None)
+    share = max(float(part.max()) for part in parts)
+    if share <= _NEGLIGIBLE_SHARE:
         return []
-    return [
-        f"the {form} does not hold the perfectly specular part of the surface: take it from the BSDF itself, or give the surface a "
-        "roughness"
-    ]
+    text = f"the {form} does not hold the perfectly specular part of the surface: take it from the BSDF itself"
+    # A rough surface has a coherent part too.
+    return [text if "optics" in bsdf.attrs else f"{text}, or give the surface a roughness"]
 
 
 def nonspectral_error(

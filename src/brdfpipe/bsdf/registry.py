@@ -21,7 +21,8 @@ from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.errors import VocabularyError
 
 REPRESENTATIONS: dict[str, type[Representation]] = {
-    kind.name: kind for kind in (Flake, Kirchhoff, LambertGauss, Measured, Microfacet, Slab, Smooth, Table, Traced, Wave)
+    kind.name: kind
+    for kind in (Flake, Kirchhoff, LambertGauss, Measured, Microfacet, Slab, Smooth, Table, Traced, Wave)
 }
 """Class by value of the attribute ``representation``."""
 

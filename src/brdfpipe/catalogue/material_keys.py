@@ -24,7 +24,15 @@ from brdfpipe.descriptions.keys import (
 )
 from brdfpipe.errors import InputError
 from brdfpipe.exchange.registry import FORMATS
-from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, MODEL_DEFAULTS, MODES, RECIPES, SMITH_MASKINGS
+from brdfpipe.masking.modes import (
+    HALOS,
+    MASKINGS_OF_MULTIPLE_SCATTERING,
+    MODEL_DEFAULTS,
+    MODES,
+    OPTICS,
+    RECIPES,
+    SMITH_MASKINGS,
+)
 
 EXPORT_WORDS = "; ".join(f"{name}: {format.description}" for name, format in FORMATS.items())
 
@@ -203,6 +211,15 @@ class BeckmannSurface(Keys):
         le=3,
         example=0.15,
         stage="facets",
+    )
+    length: float = key(
+        "correlation length ℓ of a beckmann finish: the autocovariance of its heights falls to 1/e there",
+        unit="um",
+        ge=0.01,
+        le=100_000,
+        example=5,
+        stage="psd",
+        details="The rms height is then slope_rms · ℓ / 2. `model.optics: wave` needs it.",
     )
 
 
@@ -562,7 +579,24 @@ RigRoute = Annotated[MeasuredRig | EmulatedRig, Choice(by_key("run", "emulate"),
 class Model(Keys):
     """How the reflection is modelled."""
 
-    not_together = (("recipe", "masking"), ("recipe", "diffuse"), ("recipe", "multiple_scattering"))
+    not_together = (
+        ("recipe", "masking"),
+        ("recipe", "diffuse"),
+        ("recipe", "multiple_scattering"),
+        ("recipe", "optics"),
+    )
+
+    optics: Annotated[str, OneOf(OPTICS)] = key(
+        "how the surface reflects: facets (geometrical optics), wave (coherent mirror reflection and a halo), composite (facets with finer "
+        "roughness) or auto (waves or facets, by roughness, slope and incidence)",
+        default_words=f"`{OPTICS[0]}`",
+        details="See [waves](model.md#waves). A scan, or a beckmann finish with `length`, gives the roughness spectrum that wave needs.",
+    )
+    halo: Annotated[str, OneOf(HALOS)] = key(
+        "theory of the halo of waves: ssa1, ghs or rayleigh-rice",
+        default_words=f"`{HALOS[0]}`",
+        details="See [waves](model.md#waves).",
+    )
 
     masking: Annotated[str, OneOf(MODES["masking"])] = key(
         "masking and shadowing of facets by their neighbours: height-correlated, separable, blinn, liu, crf or none",
@@ -586,6 +620,40 @@ class Model(Keys):
     def effective_masking(self) -> str:
         """The masking that the keys, the recipe or the default give."""
         return self.masking or RECIPES.get(self.recipe or "", MODEL_DEFAULTS)["masking"]
+
+    @property
+    def uses_waves(self) -> bool:
+        """Whether the model needs a roughness spectrum."""
+        return (self.optics or OPTICS[0]) != "facets"
+
+    @model_validator(mode="after")
+    def _check_optics(self) -> Self:
+        """Refuse keys of facets with waves, and of waves with facets."""
+        if not self.uses_waves:
+            if self.halo not in (None, HALOS[0]):
+                raise InputError(
+                    "",
+                    "a halo belongs to waves",
+                    where="halo",
+                    found=repr(self.halo),
+                    accepted="`optics: wave`, composite or auto",
+                )
+            return self
+        for name, found in (("masking", self.masking), ("multiple_scattering", self.multiple_scattering)):
+            if found is not None:
+                problem = f"`optics: {self.optics}` sets it: Smith's height-correlated masking, and one reflection by each facet"
+                raise InputError(
+                    "", problem, where=name, found=repr(found), accepted=f"`optics: {self.optics}` without `{name}`"
+                )
+        if self.diffuse == "crf":
+            raise InputError(
+                "",
+                f"`optics: {self.optics}` couples its base",
+                where="diffuse",
+                found="'crf'",
+                accepted="coupled or none",
+            )
+        return self
 
     @model_validator(mode="after")
     def _check_compensation(self) -> Self:
@@ -640,6 +708,24 @@ class Material(Keys):
             from brdfpipe.optics.index import missing_k_error
 
             raise missing_k_error("", self.index.n)
+        return self
+
+    @model_validator(mode="after")
+    def _check_roughness_spectrum(self) -> Self:
+        """Refuse waves where no roughness spectrum is known."""
+        if not self.model.uses_waves:
+            return self
+        known = isinstance(self.surface, MeasuredSurface) or getattr(self.surface, "length", None) is not None
+        if self.slab is not None or not known:
+            problem = "is for a body with one face" if self.slab is not None else "needs a roughness spectrum"
+            accepted = "facets; or a measured `surface`, or a beckmann finish with `length`, without `slab`"
+            raise InputError(
+                "",
+                f"`model.optics: {self.model.optics}` {problem}",
+                where="model.optics",
+                found=repr(self.model.optics),
+                accepted=accepted,
+            )
         return self
 
     @model_validator(mode="after")

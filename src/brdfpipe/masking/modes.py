@@ -1,4 +1,4 @@
-"""Modes of the microfacet model by name; light to import, because every check of a material reads them."""
+"""Modes of the model by name; light to import, because every check of a material reads them."""
 
 SMITH_MASKINGS = ("height-correlated", "separable")
 """Smith's maskings: reciprocal, and energy is conserved where light passes the surface too."""
@@ -9,6 +9,12 @@ MODES = {
     "multiple_scattering": ("none", "compensated", "directional"),
 }
 """Accepted modes by key of ``model``; the first one is the default."""
+
+OPTICS = ("facets", "wave", "composite", "auto")
+"""Accepted values of ``model.optics``; the first one is the default."""
+
+HALOS = ("ssa1", "ghs", "rayleigh-rice")
+"""Accepted values of ``model.halo``, theories of light scattered by waves; the first one is the default."""
 
 MODEL_DEFAULTS = {key: names[0] for key, names in MODES.items()}
 """Modes that apply where neither the key nor a recipe is given."""

@@ -12,10 +12,11 @@ from brdfpipe import psd
 from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.bsdf.microfacet.polarised import mueller as facet_mueller
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.wave.halo import FORMS, Halo, amplitudes
+from brdfpipe.bsdf.wave.halo import Halo, amplitudes
 from brdfpipe.facets import analytic
 from brdfpipe.geometry import half_vector
 from brdfpipe.hemisphere import around_mirror
+from brdfpipe.masking.modes import HALOS
 from brdfpipe.optics import fresnel
 
 REFERENCE = """
@@ -80,7 +81,7 @@ def surface(
 
 @pytest.fixture(scope="module")
 def surfaces() -> dict[tuple[str, str], xr.Dataset]:
-    return {(name, form): surface(name, form) for name in SURFACES for form in FORMS}
+    return {(name, form): surface(name, form) for name in SURFACES for form in HALOS}
 
 
 def polarised(bsdf: xr.Dataset, theta_i, theta_o, azimuth) -> np.ndarray:
@@ -92,7 +93,7 @@ def polarised(bsdf: xr.Dataset, theta_i, theta_o, azimuth) -> np.ndarray:
     return np.array([matrix[:, 0, 0] + matrix[:, 0, 1], matrix[:, 0, 0] - matrix[:, 0, 1]])
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", HALOS)
 @pytest.mark.parametrize("name", SURFACES)
 def test_the_halo_has_the_reference_values(surfaces, name, form):
     rows = np.array([values for row, values in ROWS if row == name])
@@ -146,7 +147,7 @@ polar, around = st.floats(0.0, 90.0), st.floats(-360.0, 360.0)
 
 @given(
     sigma=st.sampled_from([0.0, 1e-4, 0.013, 0.3, 3.0]),
-    form=st.sampled_from(FORMS),
+    form=st.sampled_from(HALOS),
     index=st.sampled_from(["1.5", "1", "1.0000001", "aluminium", "glass-like metal"]),
     theta_i=polar,
     phi_i=around,

@@ -10,8 +10,9 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
-from brdfpipe.bsdf.wave.halo import Halo
+from brdfpipe.bsdf.wave.two_scale import Angles, RoughSurface
 from brdfpipe.geometry import Array
 from brdfpipe.optics.fresnel_equations import fresnel
 
@@ -59,8 +60,13 @@ class Wave(Representation):
             **dict.fromkeys(("fit_length", "fit_slope", "theta_m"), vocabulary.SCALAR),
             "total_reflectance": vocabulary.SPECTRAL,
             **dict.fromkeys(("mixture", "mixed_wavelength"), _MIXED_OR_NOT[1:]),
+            "slope_density": [("slope",)],
+            "lambda_smith": [("theta",)],
+            "log_fine_halo": [("fine_phase_variance", "fine_frequency")],
+            **dict.fromkeys(("fine_scale", "fine_sigma", "facet_sigma", "resolved_slope"), vocabulary.SCALAR),
+            "facet_share": _BY_INCIDENCE,
         },
-        attributes=("form", "spectrum", "diffuse_mode", "transmission"),
+        attributes=("optics", "form", "spectrum", "diffuse_mode", "transmission"),
         missing=("fit_slope",),
     )
     uses_index = True
@@ -68,7 +74,7 @@ class Wave(Representation):
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
-        self._halo = Halo.of(dataset)
+        self._surface = RoughSurface.of(dataset)
         self._spectral = per_wavelength(self._at)
 
     def _at(self, wavelength: Array | None) -> _Spectral:
@@ -82,32 +88,32 @@ class Wave(Representation):
         tables = [AlbedoTable(theta, spectral(name)) for name in ("directional_albedo", "coherent_excess")]
         fields = spectral("diffuse"), tables[0], spectral("mean_albedo"), tables[1]
         if "mixture" in bsdf:
-            own = (bsdf[name].values for name in ("mixed_wavelength", "n", "k"))
-            return _Spectral(*own, *fields, bsdf["mixture"].values)
+            wavelength, n, k, mixture = (bsdf[name].values for name in ("mixed_wavelength", "n", "k", "mixture"))
+            return _Spectral(wavelength, n, k, *fields, mixture)
         used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
         return _Spectral(used, spectral("n"), spectral("k"), *fields, None)
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         at, shape, angles = self._prepared(theta_i, phi_i, theta_o, phi_o, wavelength)
-        brdf = at.mixed(self._halo.evaluate(*angles, at.wavelength, at.n, at.k)) + self._base(at, angles)
+        brdf = at.mixed(self._surface.evaluate(angles, at.wavelength, at.n, at.k)) + self._base(at, angles)
         return brdf.reshape(*shape, -1)
 
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         """Frames as in :mod:`brdfpipe.bsdf.microfacet.polarised`; the coherent part is not included."""
         at, shape, angles = self._prepared(theta_i, phi_i, theta_o, phi_o, wavelength)
-        matrix = self._halo.mueller(*angles, at.wavelength, at.n, at.k)
+        matrix = self._surface.mueller(angles, at.wavelength, at.n, at.k)
         matrix = np.moveaxis(at.mixed(np.moveaxis(matrix, 1, -1)), -1, 1)
         matrix[..., 0, 0] += self._base(at, angles)
         return matrix.reshape(*shape, *matrix.shape[1:])
 
     def _prepared(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
-    ) -> tuple[_Spectral, tuple[int, ...], list[Array]]:
+    ) -> tuple[_Spectral, tuple[int, ...], Angles]:
         angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
-        flat = [np.asarray(angle, dtype=float).reshape(-1) for angle in angles]
-        return self._spectral(wavelength), angles[0].shape, flat
+        one, two, three, four = (np.asarray(angle, dtype=float).reshape(-1) for angle in angles)
+        return self._spectral(wavelength), angles[0].shape, (one, two, three, four)
 
-    def _base(self, at: _Spectral, angles: list[Array]) -> Array:
+    def _base(self, at: _Spectral, angles: Angles) -> Array:
         """BRDF of the diffuse base [sr-1], (directions, wavelength)."""
         if not at.diffuse.any():
             return np.zeros((1, 1))
@@ -124,9 +130,14 @@ class Wave(Representation):
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
         at, theta = self._spectral(wavelength), np.asarray(theta_i, dtype=float)
         cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
-        coherent = fresnel(cosine[..., None], at.n, at.k).mean * self._halo.coherent_share(theta, at.wavelength)
+        coherent = fresnel(cosine[..., None], at.n, at.k).mean * self._surface.coherent_share(theta, at.wavelength)
         reflected = np.maximum(at.mixed(coherent) - at.excess(np.minimum(theta, 90.0)), 0.0)
         return np.where((theta >= 90)[..., None], 0.0, reflected), np.zeros_like(reflected)
+
+    def regime(self, theta_i: Array, wavelength: Array) -> tuple[Array, Array]:
+        """Shares of the reflection towards the mirror direction that are coherent, and as of facets [1], (incidences, wavelength) each."""
+        share = self._surface.facet_share(2 * np.cos(np.radians(theta_i)), wavelength)
+        return self._surface.coherent_share(theta_i, wavelength), share
 
     @property
     def albedo_needs_quadrature(self) -> bool:
@@ -134,7 +145,7 @@ class Wave(Representation):
 
     @property
     def lobe_slope(self) -> float:
-        """Facet slope at which the halo has half its peak, at normal incidence and the middle wavelength."""
+        """Facet slope at which the halo has half its peak, at normal incidence and the middle wavelength, or of the facets if smaller."""
         return self.slope_of(self.dataset)
 
     @staticmethod
@@ -147,13 +158,14 @@ class Wave(Representation):
         values = bsdf["log_halo"].values[row]
         below = values < values[0] - np.log(2)
         half = frequency[below.argmax()] if below.any() else frequency[-1]
-        return float(np.clip(half * middle / 2, 1e-9, 1.0))
+        slope = float(np.clip(half * middle / 2, 1e-9, 1.0))
+        return min(slope, Microsurface.of(bsdf).typical_slope) if "slope_density" in bsdf else slope
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The mean over wavelength. Coherent part and halo are evaluated at a few wavelengths that stand for all of them."""
         bsdf = self.dataset
         wavelength, mixture = _gauss_nodes(bsdf["wavelength"].values, weight)
-        kept = bsdf.drop_dims("wavelength")
+        kept = bsdf.drop_dims("wavelength").drop_vars("facet_share", errors="ignore")
         means = {
             name: (bsdf[name].dims[:-1], bsdf[name].values @ weight)
             for name in ("directional_albedo", "coherent_excess", "mean_albedo", "total_reflectance")

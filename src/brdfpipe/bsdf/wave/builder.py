@@ -8,8 +8,6 @@ part IV, 209), Bennett & Porteus 1961 (J. Opt. Soc. Am. 51, 123).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
@@ -21,13 +19,18 @@ from brdfpipe.bsdf.microfacet.builder import index_on, trap_of
 from brdfpipe.bsdf.microfacet.microsurface import ModelError
 from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.wave import height_transform
-from brdfpipe.bsdf.wave.halo import FORMS, Halo
+from brdfpipe.bsdf.wave.two_scale import RoughSurface, characteristic_function
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
+from brdfpipe.masking.modes import HALOS, OPTICS
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import refractive_index
 
 WAVELENGTHS = np.arange(380.0, 781.0, 10.0)
 """Wavelengths of a BSDF whose index and spectrum do not set them [nm]."""
+
+FINE_PHASE = 0.02
+"""Phase variance of roughness that is too fine to be facets, at normal incidence and 550 nm."""
 
 ENERGY_LIMIT = 1e-3
 """Share of the incident light by which coherent part and halo may miss Fresnel's reflectance without a statement."""
@@ -38,9 +41,11 @@ ENERGY_WARNING = 0.01
 SLOPE_LIMIT = 0.2
 """Rms slope √⟨p² + q²⟩ up to which the halo is used without a warning: it knows neither masking nor the local angle of incidence."""
 
+_MIDDLE = 0.55
+"""Wavelength at which a surface is judged [um]."""
 _LEAST_SIGMA = 1e-9
 """Rms height below which a surface is as good as flat [um]."""
-_INCIDENCES = 25
+_INCIDENCES = 33
 
 
 def build(
@@ -49,10 +54,13 @@ def build(
     index: xr.Dataset | float | str,
     spectrum: xr.Dataset | None = None,
     wavelength: ArrayLike | None = None,
-    form: str = FORMS[0],
+    form: str = HALOS[0],
     diffuse: str = "coupled",
+    facets: xr.Dataset | None = None,
+    optics: str = "wave",
+    cut: float | None = None,
 ) -> xr.Dataset:
-    """Wave-optical BSDF of a surface with low slopes.
+    """Wave-optical BSDF of a surface, alone or together with facets.
 
     Parameters
     ----------
@@ -60,8 +68,13 @@ def build(
     index : kind ``index``, a number or a plastic's name; the refractive index of the body relative to air. A metal has k > 0
     spectrum : kind ``spectrum``, as for :func:`brdfpipe.bsdf.microfacet.build`. Without a spectrum there is no diffuse part
     wavelength : [nm], increasing; by default those of the spectrum, else of the index, else :data:`WAVELENGTHS`
-    form : one of :data:`brdfpipe.bsdf.wave.halo.FORMS`
+    form : one of :data:`brdfpipe.masking.modes.HALOS`
     diffuse : ``coupled``, or ``none``
+    facets : kind ``facets``, of the same surface; needed unless ``optics`` is ``wave``
+    optics : ``wave``; ``composite``, where roughness below a cut scatters upon facets; or ``auto``, which passes from ``wave`` to
+        ``composite`` with the phase variance and the slope
+    cut : frequency that parts facets from finer roughness [um-1]; by default that above which the roughness has a phase variance of
+        :data:`FINE_PHASE`, at most half an inverse wavelength
 
     Returns
     -------
@@ -80,10 +93,19 @@ def build(
     """
     vocabulary.validate(psd, "psd")
     index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
-    if form not in FORMS:
-        raise ModelError(f"unknown form of the wave model {form!r}; accepted: {', '.join(FORMS)}; set `model.halo`")
+    if form not in HALOS:
+        raise ModelError(f"unknown form of the wave model {form!r}; accepted: {', '.join(HALOS)}; set `model.halo`")
     if diffuse not in ("coupled", "none"):
         raise ModelError(f"unknown diffuse {diffuse!r} of the wave model; accepted: coupled, none; set `model.diffuse`")
+    if optics not in OPTICS[1:]:
+        raise ModelError(
+            f"unknown optics {optics!r} of the wave model; accepted: {', '.join(OPTICS[1:])}; set `model.optics`"
+        )
+    if optics != "wave" and (facets is None or facets["slope_density"].ndim != 1 or facets["slope_density"].size == 0):
+        raise ModelError(
+            f"optics {optics!r} needs facets of a rough surface without a lay; set `surface.isotropic: true` to average over its azimuth, or "
+            "`model.optics: wave`"
+        )
     given = _wavelengths(spectrum, index, wavelength)
     n, k, _, warnings = index_on(index, given)
     n, k = np.broadcast_to(n, given.shape), np.broadcast_to(k, given.shape)
@@ -94,7 +116,10 @@ def build(
     correlation, sigma = _roughness(psd)
     bsdf = _halo_table(correlation, sigma, psd, given).assign_coords(wavelength=given)
     bsdf = bsdf.assign(n=("wavelength", n), k=("wavelength", k))
-    bsdf.attrs |= {"representation": Wave.name, "form": form, "diffuse_mode": diffuse, "transmission": "none"}
+    attributes = {"optics": optics, "form": form, "diffuse_mode": diffuse, "transmission": "none"}
+    bsdf.attrs |= {"representation": Wave.name, **attributes}
+    if optics != "wave":
+        bsdf = _with_relief(bsdf, correlation, psd, facets, cut)
     theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
     bsdf = _with_albedo(bsdf, theta_m)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
@@ -152,51 +177,101 @@ def _halo_table(
     return table
 
 
+def _with_relief(
+    bsdf: xr.Dataset,
+    correlation: height_transform.Autocorrelation,
+    psd: xr.Dataset,
+    facets: xr.Dataset | None,
+    cut: float | None,
+) -> xr.Dataset:
+    """Add the facets of the coarse relief, and the halo of the roughness upon them."""
+    assert facets is not None
+    vocabulary.validate(facets, "facets")
+    sigma, shortest = float(bsdf["sigma"]), float(bsdf["wavelength"][0]) * 1e-3
+    cut = _cut(correlation, sigma) if cut is None else cut
+    fine, fine_sigma, facet_sigma = height_transform.split(correlation, sigma, cut)
+    # The slopes that were counted, and those of them that are coarser than the cut.
+    counted = float(psd["band_high"]) if psd.attrs["form"] == "measured" else 1e4 / correlation.length
+    whole = height_transform.slope_variance(correlation, sigma, counted)
+    coarse = whole - height_transform.slope_variance(fine, fine_sigma, counted)
+    factor = float(np.sqrt(np.clip(coarse / max(whole, 1e-300), 1e-6, 1.0)))
+    # All slopes `factor` times as steep: Λ keeps its value where cot θ is as many times as large.
+    relief = RadialDensity(facets["slope"].values * factor, facets["slope_density"].values / factor**2)
+    theta = np.radians(facets["theta"].values)
+    slopes = characteristic_function(relief)
+
+    def of_slopes(distance: Array, root_g: float) -> Array:
+        return slopes(distance * (root_g / fine_sigma))
+
+    largest = (4 * np.pi * max(fine_sigma, _LEAST_SIGMA) / shortest) ** 2
+    table = height_transform.tabulated(fine, largest, 2 / shortest, of_slopes)
+    names = {"log_halo": "log_fine_halo", "phase_variance": "fine_phase_variance", "halo_frequency": "fine_frequency"}
+    table = table.rename({**names, "frequency_scale": "fine_scale"})
+    resolved = np.sqrt(height_transform.slope_variance(correlation, sigma, 1 / _MIDDLE))
+    return (
+        bsdf.assign({name: table[name] for name in ("log_fine_halo", "fine_scale")})
+        .assign(
+            slope_density=("slope", relief.density),
+            lambda_smith=("theta", facets["lambda_smith"].values),
+            fine_sigma=fine_sigma,
+            facet_sigma=facet_sigma,
+            resolved_slope=float(resolved),
+        )
+        .assign_coords(slope=relief.slope, theta=np.degrees(np.arctan2(np.sin(theta) / factor, np.cos(theta))))
+    )
+
+
+def _cut(correlation: height_transform.Autocorrelation, sigma: float) -> float:
+    """Frequency above which the roughness has the phase variance :data:`FINE_PHASE`, at most half an inverse wavelength [um-1]."""
+    limit = np.sqrt(FINE_PHASE) * _MIDDLE / (4 * np.pi)
+    cuts = (
+        np.geomspace(1e-2 / correlation.length, 0.5 / _MIDDLE, 60)
+        if 1e-2 / correlation.length < 0.5 / _MIDDLE
+        else np.empty(0)
+    )
+    rough = [cut for cut in cuts if height_transform.split(correlation, sigma, float(cut))[1] > limit]
+    return float(max(rough, default=0.5 / _MIDDLE))
+
+
 # --- energy and the diffuse base
 
 
-class _Shares(NamedTuple):
-    """Shares of the incident light, (incidences, wavelength)."""
-
-    fresnel: Array
-    coherent: Array
-    halo: Array
-
-
 def _with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
-    """Add the reflectance of coherent part and halo, and what both miss of Fresnel's."""
+    """Add the reflectance of the surface, and what it misses of Fresnel's."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
 
     def smooth(theta: Array) -> Array:
         cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
         return np.asarray(fresnel(cosine[:, None], n, k).mean)
 
-    # Evenly spaced in the cosine of the doubled angle: dense towards the normal and towards grazing.
+    # Dense towards the normal and towards grazing.
     theta = np.degrees(np.arccos((1 + np.cos(np.linspace(np.pi, 0, _INCIDENCES))) / 2))[::-1]
     theta[-1] = 90.0
-    halo = Halo.of(bsdf)
-    shares = _Shares(
-        smooth(theta),
-        smooth(theta) * halo.coherent_share(theta, wavelength),
-        _halo_albedo(halo, Wave.slope_of(bsdf), theta, wavelength, n, k),
-    )
-    missing = shares.fresnel - shares.coherent - shares.halo
+    surface = RoughSurface.of(bsdf)
+    scattered = _scattered(surface, Wave.slope_of(bsdf), theta, wavelength, n, k)
+    missing = smooth(theta) * (1 - surface.coherent_share(theta, wavelength)) - scattered
+    # Facets may reflect more than a smooth surface; waves may not.
+    waves = 1 - surface.facet_share(2 * np.cos(np.radians(theta)), wavelength)
+    excess = np.maximum(-missing, 0.0) * waves
     table = energy.refined(smooth, 0.01, np.array([0.0, theta_m, 90.0]))
 
     def between(values: Array) -> Array:
         cosines = np.cos(np.radians(theta))[::-1]
         return np.asarray(CubicSpline(cosines, values[::-1])(np.cos(np.radians(table.theta))))
 
-    lost = between(missing)
-    albedo = np.clip(table.values - np.maximum(lost, 0.0), 0.0, 1.0)
-    excess = np.maximum(-lost, 0.0) if missing.min() < 0 else np.zeros_like(lost)
+    albedo = np.clip(table.values - between(missing + excess), 0.0, 1.0)
+    excess = np.maximum(between(excess), 0.0) if excess.any() else np.zeros_like(albedo)
     mean = energy.AlbedoTable(table.theta, albedo).mean()
-    bsdf = _with_energy_statement(bsdf, missing.max(axis=1), theta)
+    if surface.relief is None:
+        bsdf = _with_energy_statement(bsdf, missing.max(axis=1), theta)
+    else:
+        share = surface.facet_share(2 * np.cos(np.radians(table.theta)), wavelength)
+        bsdf = bsdf.assign(facet_share=(("theta_i", "wavelength"), share))
     return bsdf.assign_coords(theta_i=table.theta).assign(
         directional_albedo=(("theta_i", "wavelength"), albedo),
         coherent_excess=(("theta_i", "wavelength"), excess),
         mean_albedo=("wavelength", mean),
-        energy_residual=float(missing.max(initial=0.0)),
+        energy_residual=float(np.max(missing * waves, initial=0.0)),
     )
 
 
@@ -211,18 +286,19 @@ def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr
     )
     if missing[worst] <= ENERGY_WARNING:
         return vocabulary.add_history(bsdf, text)
-    return vocabulary.add_warning(bsdf, f"{text}. Set `model.optics: facets` if this matters")
+    return vocabulary.add_warning(bsdf, f"{text}. Set `model.optics: auto` if this matters")
 
 
-def _halo_albedo(halo: Halo, slope: float, theta: Array, wavelength: Array, n: Array, k: Array) -> Array:
-    """∫ f cos θ_o dω_o of the halo, (incidences, wavelength)."""
+def _scattered(surface: RoughSurface, slope: float, theta: Array, wavelength: Array, n: Array, k: Array) -> Array:
+    """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, wavelength)."""
     result = np.zeros((theta.size, wavelength.size))
     for row, angle in enumerate(theta):
         if angle >= 90:
             continue
         rule = hemisphere.around_mirror(float(angle), slope, order=5, turns=12)
         zero = np.zeros_like(rule.theta)
-        result[row] = rule.weight @ halo.evaluate(zero + angle, zero, rule.theta, rule.phi, wavelength, n, k)
+        values = surface.evaluate((zero + angle, zero, rule.theta, rule.phi), wavelength, n, k)
+        result[row] = rule.weight @ values
     return result
 
 

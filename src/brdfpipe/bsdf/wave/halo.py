@@ -28,13 +28,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from brdfpipe.geometry import Array, HalfVector, half_vector
+from brdfpipe.geometry import Array, HalfVector
 
-FORMS = ("ssa1", "ghs", "rayleigh-rice")
-"""Theories of the halo; the first one is the default."""
-
-_BLOCK = 2**15
-"""Values that are computed together, so that their arrays stay in the processor's cache."""
 _TINY = 1e-300
 
 _PAULI = np.array([[[1, 0], [0, 1]], [[1, 0], [0, -1]], [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])
@@ -118,7 +113,7 @@ class Halo:
     sigma: float
     """Rms height [um]"""
     form: str
-    """One of :data:`FORMS`"""
+    """One of :data:`brdfpipe.masking.modes.HALOS`"""
     spline: Array
     """Coefficients of a cubic spline through ln(K/g), (phase variance, frequency)"""
     first_phase: float
@@ -157,52 +152,25 @@ class Halo:
         g = self.phase_variance(2 * np.cos(np.radians(theta_i)), wavelength)
         return np.maximum(1 - g, 0.0) if self.form == "rayleigh-rice" else np.exp(-g)
 
-    def evaluate(
-        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array, n: Array, k: Array
-    ) -> Array:
-        """BRDF of the halo [sr-1], (directions, wavelength); 0 unless both directions are above the surface.
+    def strength_and_transform(self, pair: HalfVector, wavelength: Array) -> tuple[Array, Array]:
+        """BRDF over the polarisation factor [sr-1], and K/λ² [1], (directions, wavelength) each."""
+        nm, cosines = wavelength * 1e-3, pair.cos_i + pair.cos_o
+        ratio = self._transform_ratio(cosines, self._frequency(pair, wavelength), wavelength) / nm**2
+        geometry = (4 * np.pi * self.sigma / nm) ** 2 * (pair.cos_i * pair.cos_o)[:, None]
+        return geometry * ratio, self.phase_variance(cosines, wavelength) * ratio
 
-        Angles are (directions,) degree; wavelength [nm], n and k are (wavelength,).
-        """
-        return self._in_blocks(theta_i, phi_i, theta_o, phi_o, wavelength, n, k, lambda factors: factors.mean, ())
+    @staticmethod
+    def _frequency(pair: HalfVector, wavelength: Array) -> Array:
+        """Bragg frequency [um-1], (directions, wavelength)."""
+        return np.asarray((np.sqrt(pair.slope_squared) * (pair.cos_i + pair.cos_o))[:, None] / (wavelength * 1e-3))
 
-    def mueller(
-        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array, n: Array, k: Array
-    ) -> Array:
-        """Mueller matrices of the halo [sr-1], (directions, wavelength, 4, 4), in the frames of the microfacet model."""
-        of_factors: Callable[[Amplitudes], Array] = lambda factors: factors.mueller()  # noqa: E731
-        return self._in_blocks(theta_i, phi_i, theta_o, phi_o, wavelength, n, k, of_factors, (4, 4))
-
-    def _in_blocks(
-        self,
-        theta_i: Array,
-        phi_i: Array,
-        theta_o: Array,
-        phi_o: Array,
-        wavelength: Array,
-        n: Array,
-        k: Array,
-        of_factors: Callable[[Amplitudes], Array],
-        shape: tuple[int, ...],
-    ) -> Array:
-        result = np.zeros((theta_i.size, wavelength.size, *shape))
-        above = np.flatnonzero((theta_i < 90) & (theta_o < 90))
-        step = max(_BLOCK // wavelength.size, 64)
-        for start in range(0, above.size, step):
-            at = above[start : start + step]
-            pair = half_vector(theta_i[at], phi_i[at], theta_o[at], phi_o[at])
-            strength = self._strength(pair, wavelength)
-            factors = of_factors(amplitudes(pair, phi_o[at] - phi_i[at], n, k))
-            result[at] = strength.reshape(*strength.shape, *(1,) * len(shape)) * factors
-        return result
-
-    def _strength(self, pair: HalfVector, wavelength: Array) -> Array:
+    def strength(self, pair: HalfVector, wavelength: Array) -> Array:
         """BRDF over the polarisation factor [sr-1], (directions, wavelength)."""
         # 16π²σ²γ_iγ_o/λ⁴ · K/g, which has no quotient of small cosines.
         nm = wavelength * 1e-3
         cosines = pair.cos_i + pair.cos_o
         geometry = cosines**2 / 4 if self.form == "ghs" else pair.cos_i * pair.cos_o
-        frequency = (np.sqrt(pair.slope_squared) * cosines)[:, None] / nm
+        frequency = self._frequency(pair, wavelength)
         return (
             (4 * np.pi * self.sigma) ** 2
             * geometry[:, None]

@@ -39,6 +39,8 @@ _DENSE_TERMS = 400.0
 _MOST_TERMS = 3000
 _NOISE = 1e-13
 """Share of the largest K that a discrete transform cannot tell from 0."""
+_SPREAD_NOISE = 1e-9
+"""The same upon a coarser relief, where no order is known without a transform."""
 _RADII, _DECADES = 8192, 20
 """Nodes of the logarithmic Hankel transform, and its decades about the correlation length."""
 
@@ -106,8 +108,40 @@ def measured(frequency: Array, psd: Array, tail: Autocorrelation | None) -> tupl
     return Autocorrelation(lambda f: spectrum(f) / variance, length, "any"), float(np.sqrt(variance))
 
 
-def tabulated(correlation: Autocorrelation, largest_phase: float, largest_frequency: float) -> xr.Dataset:
+def slope_variance(correlation: Autocorrelation, sigma: float, highest: float) -> float:
+    """⟨p² + q²⟩ of the heights up to a frequency [um-1]."""
+    grid = np.geomspace(min(1e-6 / correlation.length, 1e-3 * highest), highest, 4001)
+    return float(sigma**2 * 8 * np.pi**3 * np.trapezoid(correlation.spectrum(grid) * grid**4, np.log(grid)))
+
+
+def split(correlation: Autocorrelation, sigma: float, cut: float) -> tuple[Autocorrelation, float, float]:
+    """The part of a roughness at frequencies above a cut [um-1], its rms height, and that of the other part [um].
+
+    The spectrum is parted by exp(−(f/cut)²), so that neither autocorrelation rings.
+    """
+    grid = np.geomspace(1e-6 * min(cut, 1 / correlation.length), 1e5 * max(cut, 1 / correlation.length), 20001)
+    share = (
+        2
+        * np.pi
+        * float(np.trapezoid(correlation.spectrum(grid) * -np.expm1(-((grid / cut) ** 2)) * grid**2, np.log(grid)))
+    )
+    share = min(max(share, 1e-15), 1.0)
+    fine = Autocorrelation(
+        lambda f: correlation.spectrum(f) * -np.expm1(-((f / cut) ** 2)) / share, 1 / (2 * np.pi * cut), "any"
+    )
+    return fine, float(sigma * np.sqrt(share)), float(sigma * np.sqrt(1 - share))
+
+
+def tabulated(
+    correlation: Autocorrelation,
+    largest_phase: float,
+    largest_frequency: float,
+    coarse: Callable[[Array, float], Array] | None = None,
+) -> xr.Dataset:
     """Table of ln(K/g) up to a phase variance and a frequency [um-1].
+
+    ``coarse`` is a characteristic function by which the integrand is multiplied: of (distance [um], √g), for roughness upon a coarser
+    relief, whose slopes spread the halo.
 
     Returns
     -------
@@ -120,7 +154,7 @@ def tabulated(correlation: Autocorrelation, largest_phase: float, largest_freque
     span = np.log(max(largest_phase, 2 * _LEAST_PHASE) / _LEAST_PHASE)
     phase = _LEAST_PHASE * np.exp(PHASE_STEP * np.arange(int(np.ceil(span / PHASE_STEP)) + _MARGIN + 1))
     if correlation.form == "any":
-        values = _by_hankel_transform(correlation, phase, frequency)
+        values = _by_hankel_transform(correlation, phase, frequency, coarse)
     else:
         values = np.array([_by_series(correlation, g, frequency) for g in phase])
     return xr.Dataset(
@@ -166,7 +200,12 @@ def _orders(correlation: Autocorrelation, g: float, largest_frequency: float) ->
 # --- Hankel transform
 
 
-def _by_hankel_transform(correlation: Autocorrelation, phase: Array, frequency: Array) -> Array:
+def _by_hankel_transform(
+    correlation: Autocorrelation,
+    phase: Array,
+    frequency: Array,
+    coarse: Callable[[Array, float], Array] | None = None,
+) -> Array:
     """ln(K/g), (phases, frequencies), by one logarithmic Hankel transform for each g.
 
     The first order, g e^(−g) S/σ², is known. The rest, e^(−g)(e^(gρ) − 1 − gρ), decays faster with distance, so that a discrete
@@ -193,9 +232,13 @@ def _by_hankel_transform(correlation: Autocorrelation, phase: Array, frequency: 
             np.exp(-g) * exponent**2 * (0.5 + exponent / 6 + exponent**2 / 24),
             np.exp(exponent - g) - np.exp(-g) * (1 + exponent),
         )
-        rest = 2 * np.pi * fht(higher * distance, step, 0.0, offset=offset) / wave_number
-        total = np.exp(-g) * first_order + np.maximum(rest, 0.0) / g
-        total = np.maximum(total, _NOISE * total[inside].max())[inside]
+        if coarse is None:
+            rest = 2 * np.pi * fht(higher * distance, step, 0.0, offset=offset) / wave_number
+            total = np.exp(-g) * first_order + np.maximum(rest, 0.0) / g
+        else:
+            spread = (higher + np.exp(-g) * exponent) * coarse(distance, float(np.sqrt(g)))
+            total = 2 * np.pi * fht(spread * distance, step, 0.0, offset=offset) / wave_number / g
+        total = np.maximum(total, (_NOISE if coarse is None else _SPREAD_NOISE) * total[inside].max())[inside]
         values[row] = CubicSpline(np.log(grid[inside]), np.log(total))(asked)
     return values
 

@@ -13,6 +13,7 @@ from brdfpipe.appearance.gloss_basis import gloss_flags, worst_flag
 from brdfpipe.appearance.multiple_scattering import MultipleScattering, multiple_scattering
 from brdfpipe.appearance.quantities import quantity
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.masking.modes import SMITH_MASKINGS
 from brdfpipe.report.cards import Section, Table
@@ -26,11 +27,16 @@ LOSS_LIMIT = 0.01
 _NEGLIGIBLE_LOSS = 1e-4
 _MODEL_CHOICES = {
     "recipe": "Recipe",
+    "optics": "Optics",
+    "form": "Theory of the halo",
     "masking": "Masking",
     "diffuse_mode": "Diffuse part",
     "multiple_scattering": "Multiple scattering",
     "transmission": "Transmission",
 }
+
+_REGIME_INCIDENCES = (0.0, 20.0, 45.0, 60.0, 75.0, 85.0)
+_REGIME_WAVELENGTHS = (450.0, 550.0, 650.0)
 
 RESIDUAL_LIMIT = 0.2
 """Residual above which a Gaussian does not describe the lobe."""
@@ -60,7 +66,8 @@ def reflection_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     section.figures += reflectance.shares(datasets.get("checks"), bsdf)
     section.figures += filter(None, [None if bsdf is None else directional_maps.polarisation(bsdf)])
     section.tables += filter(None, [gloss_table(datasets)])
-    section.tables += [model_table(bsdf)] if bsdf is not None and "masking" in bsdf.attrs else []
+    if bsdf is not None and ("masking" in bsdf.attrs or "optics" in bsdf.attrs):
+        section.tables += filter(None, [regime_table(bsdf), model_table(bsdf)])
     return section
 
 
@@ -134,6 +141,26 @@ def _clear_coat_note(bsdf: xr.Dataset | None) -> str:
 
 
 # --- model
+
+
+def regime_table(bsdf: xr.Dataset) -> Table | None:
+    """Shares of the surface's reflection that are coherent, and as of facets, by incidence and wavelength; None for facets alone."""
+    evaluator = representation(bsdf)
+    if not isinstance(evaluator, Wave):
+        return None
+    wavelength = bsdf["wavelength"].values
+    nearest = np.unique([wavelength[np.abs(wavelength - nm).argmin()] for nm in _REGIME_WAVELENGTHS])
+    coherent, facets = (100 * share for share in evaluator.regime(np.array(_REGIME_INCIDENCES), nearest))
+    cells = [
+        [f"{one:.0f}\u202f%, {other:.0f}\u202f%" for one, other in zip(*rows, strict=True)]
+        for rows in zip(coherent, facets, strict=True)
+    ]
+    note = (
+        "Of the light that the surface reflects towards the mirror direction: first the share that is reflected coherently, as by a smooth "
+        "surface, then the share that is reflected as by facets. The rest is scattered as waves are."
+    )
+    rows = [(f"{angle:g}°", *row) for angle, row in zip(_REGIME_INCIDENCES, cells, strict=True)]
+    return Table("Coherent light, waves and facets", ("Incidence", *(f"{nm:g} nm" for nm in nearest)), rows, note)
 
 
 def model_table(bsdf: xr.Dataset) -> Table:

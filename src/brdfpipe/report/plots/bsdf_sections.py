@@ -103,7 +103,7 @@ def transmittance(bsdf: xr.Dataset, plane: Plane, incidence: Array) -> Array:
 
 
 def specular(bsdf: xr.Dataset, incidence: Array) -> tuple[Array, Array]:
-    """Shares of the light [1] that perfectly smooth surfaces reflect, and transmit, into one direction."""
+    """Shares of the light [1] that are reflected, and transmitted, into one direction, as by a perfectly smooth surface."""
     mirrored, straight = representation(bsdf).specular(incidence, np.zeros_like(incidence), reference(bsdf))
     return mirrored[..., 0], straight[..., 0]
 

@@ -100,7 +100,8 @@ def _reflectance_lines(bsdf: xr.Dataset, plane: Plane, turn: int) -> Iterator[Li
     if parts.mirrored.any():
         yield Line(theta, parts.mirrored, part_style, f"mirrored{words}", "dash")
     if parts.facets is not None and parts.facets.max() > _NEGLIGIBLE and not np.allclose(parts.facets, parts.total):
-        yield Line(theta, parts.facets, part_style, f"by the facets{words}", "dash")
+        by_what = "by the facets" if "optics" not in bsdf.attrs else "scattered by the relief"
+        yield Line(theta, parts.facets, part_style, f"{by_what}{words}", "dash")
     if parts.once is not None:
         yield Line(theta, parts.once, part_style, f"by one facet alone{words}", "dots")
     if parts.below is not None and parts.below.max() > _NEGLIGIBLE and not words:

@@ -29,7 +29,8 @@ def spectrum_figure(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Fig
     marks.append(Line(wavelength, values, style, label))
     specular = _specular_part(bsdf, wavelength)
     if specular is not None:
-        marks.append(Line(wavelength, specular, "c2", "mirrored by the facets", "dash"))
+        by_what = "mirrored by the facets" if bsdf is None or "optics" not in bsdf.attrs else "reflected by the surface"
+        marks.append(Line(wavelength, specular, "c2", by_what, "dash"))
     highest = max(float(np.nanmax(np.asarray(mark.y))) for mark in marks if isinstance(mark, Line))
     top = next((limit for limit in (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0) if highest * 1.03 <= limit), highest * 1.05)
     low, high = float(wavelength[0]), float(wavelength[-1])

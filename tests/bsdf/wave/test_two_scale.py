@@ -1,0 +1,164 @@
+"""Facets with finer roughness, and the passage from waves to facets."""
+
+from __future__ import annotations
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from brdfpipe import appearance, psd
+from brdfpipe.bsdf import microfacet, wave
+from brdfpipe.bsdf.microfacet.microsurface import ModelError
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.wave.two_scale import characteristic_function, facet_share
+from brdfpipe.facets import analytic
+from brdfpipe.facets.radial_density import RadialDensity
+
+
+def rough(sigma: float, length: float = 5.0, optics: str = "auto", **options) -> xr.Dataset:
+    """A Gaussian surface of index 1.5 at 550 nm."""
+    return wave.build(
+        psd.analytic("gaussian", sigma=sigma, length=length),
+        facets=analytic("beckmann", a=2 * sigma / length),
+        index=1.5,
+        wavelength=550.0,
+        optics=optics,
+        **options,
+    )
+
+
+def facets_alone(sigma: float, length: float = 5.0) -> xr.Dataset:
+    return microfacet.build(analytic("beckmann", a=2 * sigma / length), index=1.5)
+
+
+def gloss(bsdf: xr.Dataset) -> np.ndarray:
+    return np.asarray(appearance.gloss(bsdf, [20, 60]).values)
+
+
+def test_the_characteristic_function_of_gaussian_slopes_is_a_gaussian():
+    t = np.geomspace(1e-3, 200, 60)
+    found = characteristic_function(RadialDensity.of(analytic("beckmann", a=0.1)))(t)
+    # The table of the density ends at a few rms slopes.
+    assert found == pytest.approx(np.exp(-((0.1 * t) ** 2) / 4), abs=5e-6)
+
+
+def test_the_share_of_facets_rises_from_none_to_all_with_phase_and_slope():
+    phase = np.geomspace(1e-3, 1e4, 200)
+    shares = [facet_share(phase, slope, False) for slope in (0.0, 0.1, 0.25, 0.3, 0.5)]
+    assert shares[0][0] == 0
+    assert shares[0][-1] == 1
+    assert (np.diff(shares[0]) >= 0).all()
+    for less, more in itertools.pairwise(shares):
+        assert (more >= less).all()
+    assert (shares[-1] == 1).all()
+
+
+def test_auto_is_waves_on_a_smooth_surface():
+    # The panels of the receptor follow the width of the lobe, which is that of the facets where they are steeper.
+    assert gloss(rough(0.02)) == pytest.approx(gloss(rough(0.02, optics="wave")), abs=1e-6)
+
+
+@pytest.mark.parametrize("optics", ["auto", "composite"])
+def test_a_rough_surface_of_low_slopes_reflects_as_its_facets(optics):
+    bsdf, expected = rough(1.0, 20.0, optics), facets_alone(1.0, 20.0)
+    # Phase variances of 130 at 60 and 460 at 20 degree: the next order of geometrical optics is 1/g.
+    assert gloss(bsdf) == pytest.approx(gloss(expected), rel=0.01)
+    assert representation(bsdf).specular(np.array([20.0]), np.zeros(1), None)[0][0, 0] < 1e-12
+    theta = np.array([0.0, 30.0, 60.0])
+    assert bsdf.bsdf.albedo(theta).values[:, 0] == pytest.approx(expected.bsdf.albedo(theta).values, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("slope", "steps"),
+    [(None, 4), *(pytest.param(slope, 60, marks=pytest.mark.slow) for slope in (None, 0.1))],
+)
+def test_gloss_has_no_jump_from_1_nm_to_2_um(slope, steps):
+    # At a fixed length of 5 um, or at a fixed slope.
+    sigma = np.geomspace(0.001, 2.0, steps)
+    waves, auto = (
+        np.array([gloss(rough(s, 5.0 if slope is None else 2 * s / slope, optics)) for s in sigma])
+        for optics in ("wave", "auto")
+    )
+    facets = np.array([gloss(facets_alone(s, 5.0 if slope is None else 2 * s / slope)) for s in sigma])
+    # Between both models wherever they differ, and therefore as smooth as they are.
+    low, high = np.minimum(waves, facets), np.maximum(waves, facets)
+    assert (auto > 0.93 * low).all()
+    assert (auto < 1.02 * high).all()
+    assert (np.diff(auto, axis=0) < 0.01).all()
+
+
+def test_the_lobe_of_two_scales_does_not_depend_on_the_cut():
+    # 0.4 um over 20 um carries 20 nm over 1 um: as two Gaussian surfaces, between whose frequencies any cut parts the same.
+    theta = np.full(40, 30.0)
+    view = np.linspace(10.0, 50.0, 40)
+    values = [
+        rough(0.4, 10.0, "composite", cut=cut).bsdf.evaluate(theta, 0.0, view, 180.0).values.squeeze()
+        for cut in (0.08, 0.12, 0.2)
+    ]
+    lobe = values[-1] > 0.3 * values[-1].max()
+    for other in values[:-1]:
+        # The coarse part has a phase variance of 50: its next order is 1/g.
+        assert other[lobe] == pytest.approx(values[-1][lobe], rel=0.03)
+
+
+def test_fine_roughness_dims_the_lobe_and_spreads_its_light():
+    coarse, fine = rough(1.0, 20.0, "composite"), 0.03
+    together = _of_two_gaussians(1.0, 20.0, fine, 0.2)
+    peaks = [float(bsdf.bsdf.evaluate(20.0, 0.0, 20.0, 180.0).squeeze()) for bsdf in (coarse, together)]
+    phase = (4 * np.pi * fine * np.cos(np.radians(20)) / 0.55) ** 2
+    # The wide halo of the fine roughness adds 2 % at the peak.
+    assert peaks[1] / peaks[0] == pytest.approx(np.exp(-phase), rel=0.04)
+    beside = [float(bsdf.bsdf.evaluate(20.0, 0.0, 65.0, 180.0).squeeze()) for bsdf in (coarse, together)]
+    assert beside[1] > 100 * beside[0]
+
+
+def _of_two_gaussians(sigma: float, length: float, fine_sigma: float, fine_length: float) -> xr.Dataset:
+    """The composite of two independent Gaussian roughnesses, from the sum of their spectra."""
+    spectrum = psd.analytic("gaussian", sigma=sigma, length=length)
+    frequency = np.geomspace(1e-4, 4.0, 1200)
+    total = sum(
+        np.pi * (s * ell) ** 2 * np.exp(-((np.pi * ell * frequency) ** 2))
+        for s, ell in ((sigma, length), (fine_sigma, fine_length))
+    )
+    measured = spectrum.drop_dims("frequency").assign_coords(frequency=frequency).assign(psd=("frequency", total))
+    measured = measured.assign(
+        psd_uncertainty=("frequency", 0 * total), band_low=1e-4, band_high=4.0, fit_length=fine_length
+    )
+    measured.attrs = spectrum.attrs | {"form": "measured"}
+    for name, unit in (
+        ("frequency", "um-1"),
+        ("psd", "um4"),
+        ("psd_uncertainty", "um4"),
+        ("band_low", "um-1"),
+        ("band_high", "um-1"),
+    ):
+        measured[name].attrs["units"] = unit
+    measured["fit_length"].attrs["units"] = "um"
+    slopes = analytic("beckmann", a=float(np.hypot(2 * sigma / length, 2 * fine_sigma / fine_length)))
+    return wave.build(measured, facets=slopes, index=1.5, wavelength=550.0, optics="composite", cut=0.25)
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3])
+def test_every_check_of_an_auto_bsdf_passes(sigma):
+    checked = rough(sigma).bsdf.check()
+    assert {verdict["verdict"] for verdict in json.loads(checked.attrs["verdicts"]).values()} == {"pass"}
+
+
+def test_the_mueller_matrix_has_the_scalar_brdf():
+    bsdf = rough(0.25)
+    angles = np.array([20.0, 60.0]), np.zeros(2), np.array([25.0, 50.0]), np.array([170.0, 185.0])
+    model = representation(bsdf)
+    assert model.mueller(*angles, None)[..., 0, 0] == pytest.approx(model.evaluate(*angles, None), rel=1e-12)
+
+
+def test_facets_with_a_lay_are_refused():
+    with pytest.raises(ModelError, match="without a lay"):
+        wave.build(
+            psd.analytic("gaussian", sigma=0.1, length=5.0),
+            facets=analytic("beckmann", a_x=0.1, a_y=0.05),
+            index=1.5,
+            optics="auto",
+        )
