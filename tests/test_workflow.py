@@ -219,14 +219,15 @@ def test_every_deleted_file_is_made_again_as_it_was(
     assert files(results) == files(undamaged)
 
 
-def test_rays_are_cast_where_the_configuration_asks_for_it(
+def test_rays_are_cast_and_traced_where_the_configuration_asks_for_it(
     built: tuple[Path, Path], results: Path, tmp_path: Path
 ) -> None:
     own = tmp_path / "own.yaml"
-    own.write_text("raycast: true\n")
+    own.write_text("raycast: true\nmodel_error: true\n")
     summary = build_catalogue(built[0], results, cores=2, config=own)
     assert summary.failures == {}
-    assert sorted(path.parent.name for path in results.glob("*/masking.nc")) == ["abs-grain", "pp-moulding"]
+    for stage in ("masking", "model_error"):
+        assert sorted(path.parent.name for path in results.glob(f"*/{stage}.nc")) == ["abs-grain", "pp-moulding"]
     before, after = (root / "abs-grain" / "report.html" for root in (built[1], results))
     assert "ray" in after.read_text(encoding="utf-8").lower()
     assert before.read_bytes() != after.read_bytes()

@@ -152,6 +152,7 @@ def _uses_waves(subject: Subject) -> bool:
 
 _WAVES = Condition("`model.optics` other than facets", _uses_waves)
 _FACETS = Condition("`model.optics: facets`", lambda subject: not _uses_waves(subject))
+_OPAQUE = Condition("no `slab`", lambda subject: "slab" not in subject.owner.content)
 
 
 def _enabled(key: str) -> Condition:
@@ -380,6 +381,11 @@ _STAGES = (
         keys=StageKeys(("model",), (), _model),
         kind="bsdf",
         reported=False,
+    ),
+    Stage(
+        "model_error",
+        "the predicted BSDF beside rays and diffraction on its own height map",
+        when=_MEASURED_RELIEF & _has("predicted") & _OPAQUE & _enabled("model_error"),
     ),
     Stage(
         "flake",

@@ -178,6 +178,13 @@ QUANTITIES: Mapping[str, Quantity] = {
     "refracted": Quantity("1", "share of the light refracted at the first, second, and any further facet", 0, 1 + 1e-9),
     "lost": Quantity("1", "share of the traced light that was lost", 0, 1 + 1e-9),
     "phase_per_height": Quantity("um-1", "change of the phase of reflected light with height [rad/um]", 0),
+    "light": Quantity("1", "share of the light that a model sends into a region", 0, 1 + 1e-9),
+    "reference_light": Quantity("1", "the same of a reference solution", 0, 1 + 1e-9, missing=True),
+    "light_error": Quantity("1", "predicted over reference light, less 1", missing=True),
+    "valid": Quantity("1", "whether a reference solution holds at an incidence", 0, 1),
+    "reference_gloss": Quantity("1", "gloss units of a reference solution", 0, missing=True),
+    "gloss_error": Quantity("1", "predicted less reference gloss units", missing=True),
+    "gloss_valid": Quantity("1", "whether a reference solution holds at a gloss angle", 0, 1),
     "spatial_frequency": Quantity("um-1", "spatial frequency that diffracts light into a direction", 0),
     "frequency_scale": Quantity("um-1", "frequency up to which a table counts frequencies evenly", 0),
     "log_phase_spectrum": Quantity(
@@ -471,6 +478,23 @@ KINDS: Mapping[str, Kind] = {
         },
         attributes=("findings",),
         missing=("brdf",),
+    ),
+    "model_error": Kind(
+        {
+            "light": [("theta_i", "region")],
+            **{
+                name: [("reference", "theta_i", "region")]
+                for name in ("reference_light", "light_error", "light_error_u")
+            },
+            "valid": [("reference", "theta_i")],
+            "gloss": [("gloss_angle",)],
+            **{
+                name: [("reference", "gloss_angle")]
+                for name in ("reference_gloss", "gloss_error", "gloss_error_u", "gloss_valid")
+            },
+            "phase_variance": [("theta_i",)],
+        },
+        attributes=("rays", "seed", "refusals"),
     ),
     "bsdf": Kind({}, attributes=("representation",)),
     "appearance": Kind(

@@ -82,3 +82,10 @@ use rule stage_template as wave with:
         **results_of("psd", "facets", "index", "spectrum"),
     output:
         wave="{material}/wave.nc",
+
+
+use rule stage_template as model_error with:
+    input:
+        **results_of("surface", "predicted", "wave"),
+    output:
+        model_error="{material}/model_error.nc",

@@ -31,7 +31,7 @@ LAY_LIMIT = 1.2
 LOST_LIMIT = 0.01
 """Lost light, over reflected and lost light, above which the result warns."""
 
-_POINTS = 6  # along each axis of a bin, over which its factors are averaged
+_POINTS = 5  # along each axis of a bin, over which its factors are averaged
 _LEAST_SHARE = 0.4  # of a bin above the horizon, for its light to give a density
 _CORRECTIONS = 3  # of the densities, so that their interpolation returns the light of every bin
 

@@ -36,7 +36,7 @@ class SlopeBins(NamedTuple):
     """Bins on each side of slope 0"""
 
     @classmethod
-    def of(cls, slope: float, steepest: float = 25.0, step: float = 0.14) -> SlopeBins:
+    def of(cls, slope: float, steepest: float = 12.0, step: float = 0.14) -> SlopeBins:
         """Bins for a lobe of typical slope ``slope``, up to the ``steepest``; the finest are 0.14 of it wide."""
         return cls(slope, step, int(np.ceil(np.arcsinh(steepest / slope) / step)))
 
