@@ -17,6 +17,7 @@ from brdfpipe.report.material.checks import checks_section, exports_table, prove
 from brdfpipe.report.material.colour import colour_section
 from brdfpipe.report.material.head import key_numbers, picture
 from brdfpipe.report.material.inputs import effect_pigment_section, facet_section, spectrum_section, surface_section
+from brdfpipe.report.material.model_error import model_error_section
 from brdfpipe.report.material.reflection import lambert_gauss_section, reflection_section
 from brdfpipe.report.rendering import material_name, own_stages, render
 from brdfpipe.report.rig import section as rig_section
@@ -39,7 +40,12 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
     appearance = known.get("appearance")
     measured = is_measured(known)
     exported = exports_table(known, material_name(known), exports)
-    inputs = [effect_pigment_section(known), surface_section(known), facet_section(known)]
+    inputs = [
+        effect_pigment_section(known),
+        surface_section(known),
+        facet_section(known),
+        model_error_section(known),
+    ]
     sections = [
         reflection_section(known),
         colour_section(known),
