@@ -36,13 +36,13 @@ def cells_with_valleys(size: int, seed: int = 0):
     return gaussian_filter(-12 * np.exp(-to_border / 5), 2, mode="wrap")
 
 
-def peak_errors(height, theta_i: float, rays: int) -> tuple[float, float]:
+def peak_errors(height, theta_i: float, rays: int, **options) -> tuple[float, float]:
     """Predicted over traced light less 1 where the prediction exceeds 0.3 of its peak: of one reflection, and of all."""
     surface = samples.surface(height)
     mesh = HeightMesh.of(surface, "periodic")
     bins = SlopeBins.of(mesh.typical_slope)
     traced = trace(mesh, theta_i, index=1.5, bins=bins, rays=rays)
-    predicted, brdf = predicted_light(build(estimate(surface, isotropic=True), index=1.5), theta_i, bins)
+    predicted, brdf = predicted_light(build(estimate(surface, isotropic=True), index=1.5, **options), theta_i, bins)
     peak = brdf > 0.3 * brdf.max()
     by_order = traced.power.mean(axis=1)[:, bins.half :]
     return tuple(predicted[peak].sum() / light[peak].sum() - 1 for light in (by_order[0], by_order.sum(axis=0)))
@@ -227,6 +227,23 @@ def test_errors_of_the_facet_model_are_those_of_an_independent_tracer(sigma, the
     height = samples.gaussian_surface(1024, sigma=sigma, correlation=16.0)["height"].values
     tolerance = {0: 0.004, 30: 0.012, 60: 0.03, 75: 0.03}[theta_i]
     np.testing.assert_allclose(peak_errors(height, theta_i, 2**21), [single, total], atol=tolerance)
+
+
+def test_reflections_from_facet_to_facet_are_those_of_the_rays():
+    height = samples.gaussian_surface(256, sigma=0.1, correlation=8.0)["height"].values
+    _, lost = peak_errors(height, 75.0, 2**17)
+    _, directional = peak_errors(height, 75.0, 2**17, multiple_scattering="directional")
+    assert lost < -0.06
+    assert abs(directional) < 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma", [0.1, 0.3])
+@pytest.mark.parametrize(("theta_i", "limit"), [(0, 0.05), (30, 0.05), (60, 0.05), (75, 0.1)])
+def test_reflections_from_facet_to_facet_predict_the_traced_light_of_gaussian_maps(sigma, theta_i, limit):
+    height = samples.gaussian_surface(1024, sigma=sigma, correlation=16.0)["height"].values
+    _, total = peak_errors(height, theta_i, 2**20, multiple_scattering="directional")
+    assert abs(total) < limit
 
 
 @pytest.mark.slow

@@ -205,7 +205,7 @@ def second_reflection(
 
     Notes
     -----
-    Where the error of the table would make perfect mirrors reflect more than they receive, both tables are reduced by that share.
+    Where the error of the table would make perfect mirrors reflect more than they receive, both tables are reduced at these angles.
     """
     scale = np.degrees(min(surface.typical_slope, 0.6)) / 2
     grazing = scale * np.sinh(np.linspace(0.0, np.arcsinh(90 / scale), _POLAR_NODES))
@@ -227,18 +227,22 @@ def second_reflection(
 
     single = mirror_albedo(theta)
     second_of_mirrors = SecondReflection(surface, theta, azimuth, _log(products[:, 0, ..., None]))
-    left = np.maximum(1 - single[:, None] - second_of_mirrors.albedo(theta), 0.0)
+    # Where second reflections are rare, the rounding of 1 − E₁ must not appear as further ones.
+    twice = second_of_mirrors.albedo(theta)
+    left = np.clip(1 - single[:, None] - twice, 0.0, twice)
     attenuation = third / np.maximum(third_of_mirrors, _LEAST)[:, None]
     mirrors = table(products[:, 0, ..., None], left)
     material = table(spectral, left * attenuation)
     # Towards grazing the albedo of the first reflection bends within the last interval of the table.
     finer = np.concatenate([mirrors.albedo_nodes[1:-1], 90 - grazing[1] * 2.0 ** -np.arange(1, 12)])
-    reflected = mirrors.albedo(finer)[:, 0]
-    considerable = reflected > 1e-6  # below, the rounding of 1 − E₁ is not small against it
-    available = (1 - mirror_albedo(finer))[considerable] / reflected[considerable]
-    reduction = np.log(min(available.min(initial=1.0), 1.0))
+    available = np.clip((1 - mirror_albedo(finer)) / np.maximum(mirrors.albedo(finer)[:, 0], _LEAST), 0.0, 1.0)
+    reduction = np.ones(theta.size)
+    interval = np.clip(np.searchsorted(theta, finer, side="right") - 1, 0, theta.size - 2)
+    for node in (interval, interval + 1):
+        np.minimum.at(reduction, node, available)
+    by_pair = np.log(np.maximum(reduction[:, None] * reduction, _LEAST))[..., None, None]
     every = material.log_upward[..., where.ravel()]
-    return replace(material, log_upward=every + reduction), replace(mirrors, log_upward=mirrors.log_upward + reduction)
+    return replace(material, log_upward=every + by_pair), replace(mirrors, log_upward=mirrors.log_upward + by_pair)
 
 
 def _third_reflection(surface: Microsurface, theta: Array, pairs: Array) -> tuple[Array, Array]:
