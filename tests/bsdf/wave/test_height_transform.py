@@ -62,13 +62,24 @@ def test_the_autocorrelation_of_a_spectrum_is_the_closed_one(slope):
 
 def test_a_measured_spectrum_is_continued_by_its_fitted_form():
     truth = k_correlation(LENGTH, 3.5)
-    frequency = np.geomspace(0.004, 0.6, 120)
+    frequency = np.geomspace(0.0002, 0.6, 200)
     found, sigma = height_transform.measured(frequency, 1e-4 * truth.spectrum(frequency), truth)
     assert sigma == pytest.approx(1e-2, rel=1e-4)
-    everywhere = np.geomspace(1e-5, 50, 200)
-    # Linear between logarithms of 120 values.
+    everywhere = np.geomspace(0.0002, 50, 200)
+    # Linear between logarithms of 200 values.
     assert found.spectrum(everywhere) == pytest.approx(truth.spectrum(everywhere), rel=2e-3)
     table = height_transform.tabulated(found, 0.1, 4.0)
     expected = height_transform.tabulated(truth, 0.1, 4.0).interp(halo_frequency=table["halo_frequency"])
-    inside = table["halo_frequency"].values < 4.0
+    inside = (table["halo_frequency"].values > 0) & (table["halo_frequency"].values < 4.0)
     assert table["log_halo"].values[:, inside] == pytest.approx(expected["log_halo"].values[:, inside], abs=3e-3)
+
+
+def test_a_measured_spectrum_has_no_heights_below_its_band():
+    # A steep spectrum that its fitted form would continue to heights of many micrometres.
+    steep = k_correlation(400.0, 4.6)
+    frequency = np.geomspace(0.03, 1.0, 100)
+    values = 1e-3 * (frequency / 0.03) ** -4.6
+    found, sigma = height_transform.measured(frequency, values, steep)
+    in_band = np.sqrt(2 * np.pi * 1e-3 * 0.03**2 / 2.6)
+    assert sigma == pytest.approx(in_band, rel=0.06)
+    assert found.spectrum(np.array([0.02]))[0] < 1e-3 * found.spectrum(np.array([0.03]))[0]

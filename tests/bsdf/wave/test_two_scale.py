@@ -47,13 +47,19 @@ def test_the_characteristic_function_of_gaussian_slopes_is_a_gaussian():
 
 def test_the_share_of_facets_rises_from_none_to_all_with_phase_and_slope():
     phase = np.geomspace(1e-3, 1e4, 200)
-    shares = [facet_share(phase, slope, False) for slope in (0.0, 0.1, 0.25, 0.3, 0.5)]
+    shares = [facet_share(phase, np.ones(1), slope) for slope in (0.0, 0.1, 0.25, 0.3, 0.5)]
     assert shares[0][0] == 0
     assert shares[0][-1] == 1
     assert (np.diff(shares[0]) >= 0).all()
     for less, more in itertools.pairwise(shares):
         assert (more >= less).all()
     assert (shares[-1] == 1).all()
+
+
+def test_masked_facets_prevail_near_grazing_once_phases_matter():
+    for phase, share in ((0.5, 0.0), (12.0, 1.0)):
+        assert facet_share(np.array([phase]), np.array([0.05]), 0.15)[0] == pytest.approx(share)
+    assert facet_share(np.array([5.0]), np.array([0.5]), 0.15)[0] == 0
 
 
 def test_auto_is_waves_on_a_smooth_surface():

@@ -156,7 +156,8 @@ class Wave(Representation):
         phase, frequency = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
         row = int(np.argmin(np.abs(phase - (4 * np.pi * float(bsdf["sigma"]) / middle) ** 2)))
         values = bsdf["log_halo"].values[row]
-        below = values < values[0] - np.log(2)
+        # A measured spectrum has no heights longer than the scan, and its halo a dip in the middle.
+        below = (values < values.max() - np.log(2)) & (np.arange(values.size) > values.argmax())
         half = frequency[below.argmax()] if below.any() else frequency[-1]
         slope = float(np.clip(half * middle / 2, 1e-9, 1.0))
         return min(slope, Microsurface.of(bsdf).typical_slope) if "slope_density" in bsdf else slope

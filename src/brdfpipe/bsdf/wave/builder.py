@@ -32,6 +32,12 @@ WAVELENGTHS = np.arange(380.0, 781.0, 10.0)
 FINE_PHASE = 0.02
 """Phase variance of roughness that is too fine to be facets, at normal incidence and 550 nm."""
 
+LEAST_SLOPE = 3.0
+"""Least exponent with which a measured spectrum is continued beyond its band: at 2 the heights beyond it have no end."""
+
+EXTRAPOLATED_LIMIT = 0.2
+"""Share of the mean square height beyond the band of a measured spectrum above which a warning says so."""
+
 ENERGY_LIMIT = 1e-3
 """Share of the incident light by which coherent part and halo may miss Fresnel's reflectance without a statement."""
 
@@ -162,6 +168,8 @@ def _roughness(psd: xr.Dataset) -> tuple[height_transform.Autocorrelation, float
         return fitted, float(psd["fit_sigma"])
     if not psd["psd"].values.any():
         return height_transform.gaussian(1.0), 0.0
+    if fitted is not None and np.isfinite(slope) and slope < LEAST_SLOPE:
+        fitted = height_transform.k_correlation(length, LEAST_SLOPE)
     return height_transform.measured(psd["frequency"].values, psd["psd"].values, fitted)
 
 
@@ -363,6 +371,13 @@ def _limits(bsdf: xr.Dataset, psd: xr.Dataset, correlation: height_transform.Aut
             f"the rms slope at scales above the wavelength is {slope_rms:.2g}; the wave model, which has no masking and no local angle of "
             f"incidence, is accurate up to {SLOPE_LIMIT:g}. Set `model.optics: facets`"
         )
+    if psd.attrs["form"] == "measured":
+        beyond = 1 - (float(psd["sigma"]) / sigma) ** 2
+        if beyond > EXTRAPOLATED_LIMIT:
+            texts.append(
+                f"{100 * beyond:.0f} % of the mean square height are beyond the band of the roughness spectrum, from its fitted form. Scan "
+                "with a smaller pitch"
+            )
     if psd.attrs["form"] == "measured" and float(psd["band_high"]) < 1 / shortest:
         texts.append(
             f"the roughness spectrum is measured up to {float(psd['band_high']):.3g} µm⁻¹; light scattered by more than "

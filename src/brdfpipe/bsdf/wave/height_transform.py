@@ -39,6 +39,8 @@ _DENSE_TERMS = 400.0
 _MOST_TERMS = 3000
 _NOISE = 1e-13
 """Share of the largest K that a discrete transform cannot tell from 0."""
+_LOW_CUT = 24
+"""Power of f with which a measured spectrum falls below its first frequency."""
 _SPREAD_NOISE = 1e-9
 """The same upon a coarser relief, where no order is known without a transform."""
 _RADII, _DECADES = 8192, 20
@@ -86,25 +88,26 @@ def measured(frequency: Array, psd: Array, tail: Autocorrelation | None) -> tupl
     Parameters
     ----------
     frequency, psd : increasing [um-1], and S [um4]; logarithms are interpolated linearly
-    tail : form that continues the spectrum beyond its ends, scaled to meet it; without one, and below the first frequency of a form
-        that rises, the spectrum ends at the value of its last frequency, and falls with f⁻³ above
+    tail : form that continues the spectrum above its last frequency, scaled to meet it; f⁻³ without one
+
+    Notes
+    -----
+    Below the first frequency the spectrum falls to 0: what is longer than the scan is form, which levelling has removed, and the light
+    that it scatters stays within the mirror image of a source.
     """
     log_f, log_s = np.log(frequency), np.log(np.maximum(psd, psd.max() * 1e-30))
 
     def spectrum(f: Array) -> Array:
         inside = np.exp(np.interp(np.log(f), log_f, log_s))
         low, high = np.minimum(f / frequency[0], 1.0), np.maximum(f / frequency[-1], 1.0)
-        if tail is None:
-            return np.asarray(inside * high**-3)
-        below = tail.spectrum(low * frequency[0]) / tail.spectrum(frequency[:1])
-        beyond = tail.spectrum(high * frequency[-1]) / tail.spectrum(frequency[-1:])
-        return np.asarray(inside * below * beyond)
+        beyond = high**-3 if tail is None else tail.spectrum(high * frequency[-1]) / tail.spectrum(frequency[-1:])
+        return np.asarray(inside * low**_LOW_CUT * beyond)
 
     grid = np.geomspace(1e-5 * frequency[0], 1e6 * frequency[-1], 20001)
     values = spectrum(grid)
     variance = 2 * np.pi * float(np.trapezoid(values * grid**2, np.log(grid)))
     # ρ falls to 1/e at about the distance where a Gaussian of the same peak and variance does.
-    length = float(np.sqrt(values[0] / (np.pi * variance)))
+    length = float(np.sqrt(values.max() / (np.pi * variance)))
     return Autocorrelation(lambda f: spectrum(f) / variance, length, "any"), float(np.sqrt(variance))
 
 

@@ -40,24 +40,33 @@ PHASES = (10.0, 60.0)
 SLOPES = (0.2, 0.4)
 """Rms slopes at scales above the wavelength between which a surface passes from waves to facets at any phase variance."""
 
+MASKED_SLOPES, MASKED_PHASES = (1.0, 2.0), (1.0, 10.0)
+"""The same of slopes over the mean cosine of both directions, near grazing, where waves lack masking; and phase variances from which it acts."""
+
 _BLOCK = 2**15
 """Values that are computed together, so that their arrays stay in the processor's cache."""
 _NODES, _DECADES = 8192, 20
 
 
-def facet_share(phase_variance: Array, slope: float, cut: bool) -> Array:
-    """Share of the light [1] for which the surface is one of facets; 1 everywhere if ``cut`` alone parts the roughness."""
-    if cut:
-        return np.ones_like(phase_variance)
+def facet_share(phase_variance: Array, cosine: Array, slope: float) -> Array:
+    """Share of the light [1] for which the surface is one of facets.
+
+    Parameters
+    ----------
+    phase_variance : g of the facets' relief [1]
+    cosine : mean of cos θ_i and cos θ_o, broadcastable to it
+    slope : rms slope at scales above the wavelength [1]
+    """
+    slope = max(slope, 1e-300)
+    by_masking = _step(slope / np.maximum(cosine, 1e-300), MASKED_SLOPES) * _step(phase_variance, MASKED_PHASES)
+    by_slope = _step(np.array(slope), SLOPES)
+    return np.asarray(1 - (1 - _step(phase_variance, PHASES)) * (1 - by_slope) * (1 - by_masking))
+
+
+def _step(value: Array, limits: tuple[float, float]) -> Array:
+    """A smooth step from 0 to 1 in the logarithm."""
     with np.errstate(divide="ignore"):
-        by_phase = _step(np.log(phase_variance), np.log(PHASES[0]), np.log(PHASES[1]))
-    by_slope = _step(np.log(np.array(max(slope, 1e-300))), np.log(SLOPES[0]), np.log(SLOPES[1]))
-    return np.asarray(1 - (1 - by_phase) * (1 - by_slope))
-
-
-def _step(value: Array, low: float, high: float) -> Array:
-    """A smooth step from 0 to 1."""
-    x = np.clip((value - low) / (high - low), 0.0, 1.0)
+        x = np.clip(np.log(value / limits[0]) / np.log(limits[1] / limits[0]), 0.0, 1.0)
     return np.asarray(x * x * (3 - 2 * x))
 
 
@@ -135,8 +144,10 @@ class RoughSurface:
         """Share of the light [1], (…, wavelength), that is reflected as by facets, of γ_i + γ_o (…) at wavelengths [nm]."""
         if self.relief is None:
             return np.zeros((*np.shape(cosines), wavelength.size))
+        if self.always_facets:
+            return np.ones((*np.shape(cosines), wavelength.size))
         phase = (2e3 * np.pi * self.facet_sigma * cosines[..., None] / wavelength) ** 2
-        return facet_share(phase, self.slope, self.always_facets)
+        return facet_share(phase, cosines[..., None] / 2, self.slope)
 
     def coherent_share(self, theta_i: Array, wavelength: Array) -> Array:
         """Share of Fresnel's reflectance that is reflected coherently, (incidences…, wavelength)."""
