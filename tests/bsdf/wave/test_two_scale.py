@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from brdfpipe import appearance, psd
+from brdfpipe import appearance, psd, vocabulary
 from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.bsdf.microfacet.microsurface import ModelError
 from brdfpipe.bsdf.registry import representation
@@ -158,6 +158,11 @@ def test_the_mueller_matrix_has_the_scalar_brdf():
     angles = np.array([20.0, 60.0]), np.zeros(2), np.array([25.0, 50.0]), np.array([170.0, 185.0])
     model = representation(bsdf)
     assert model.mueller(*angles, None)[..., 0, 0] == pytest.approx(model.evaluate(*angles, None), rel=1e-12)
+
+
+def test_a_composite_of_smooth_relief_warns():
+    assert any("facets need 20" in text for text in vocabulary.warnings(rough(0.05, optics="composite")))
+    assert vocabulary.warnings(rough(1.0, 20.0, "composite")) == []
 
 
 def test_facets_with_a_lay_are_refused():

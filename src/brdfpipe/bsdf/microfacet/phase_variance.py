@@ -34,6 +34,6 @@ def with_warning(bsdf: xr.Dataset, psd: xr.Dataset) -> xr.Dataset:
         return bsdf
     text = (
         f"the surface is too smooth for facets: with its rms height of {1e3 * sigma:.3g} nm the phase variance g is {', '.join(between)} "
-        f"incidence (550 nm); below {LIMITS[1]:g} facets give wrong gloss and haze. Set `model.optics: auto`"
+        f"incidence (550 nm); below {LIMITS[1]:g} facets give wrong light near the mirror direction. Set `model.optics: auto`"
     )
     return vocabulary.add_warning(bsdf, text)

@@ -38,6 +38,9 @@ LEAST_SLOPE = 3.0
 EXTRAPOLATED_LIMIT = 0.2
 """Share of the mean square height beyond the band of a measured spectrum above which a warning says so."""
 
+COARSE_LIMIT = 20.0
+"""Phase variance of the facets of ``composite`` below which a warning says that they are too smooth."""
+
 ENERGY_LIMIT = 1e-3
 """Share of the incident light by which coherent part and halo may miss Fresnel's reflectance without a statement."""
 
@@ -366,11 +369,18 @@ def _limits(bsdf: xr.Dataset, psd: xr.Dataset, correlation: height_transform.Aut
     shortest = float(bsdf["wavelength"].min()) * 1e-3
     grid = np.geomspace(1e-6 / correlation.length, 1 / shortest, 4001)
     slope_rms = sigma * float(np.sqrt(8 * np.pi**3 * np.trapezoid(correlation.spectrum(grid) * grid**4, np.log(grid))))
-    if slope_rms > SLOPE_LIMIT:
+    if slope_rms > SLOPE_LIMIT and bsdf.attrs["optics"] == "wave":
         texts.append(
             f"the rms slope at scales above the wavelength is {slope_rms:.2g}; the wave model, which has no masking and no local angle of "
-            f"incidence, is accurate up to {SLOPE_LIMIT:g}. Set `model.optics: facets`"
+            f"incidence, is accurate up to {SLOPE_LIMIT:g}. Set `model.optics: auto`"
         )
+    if bsdf.attrs["optics"] == "composite":
+        phase = (2 * np.pi * float(bsdf["facet_sigma"]) / _MIDDLE) ** 2
+        if phase < COARSE_LIMIT:
+            texts.append(
+                f"the relief that is taken as facets has a phase variance of {phase:.2g} at 60° incidence (550 nm); facets need "
+                f"{COARSE_LIMIT:g}. Set `model.optics: auto`"
+            )
     if psd.attrs["form"] == "measured":
         beyond = 1 - (float(psd["sigma"]) / sigma) ** 2
         if beyond > EXTRAPOLATED_LIMIT:
