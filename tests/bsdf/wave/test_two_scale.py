@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 from brdfpipe import appearance, psd, vocabulary
-from brdfpipe.bsdf import microfacet, wave
+from brdfpipe.bsdf import kirchhoff, microfacet, wave
 from brdfpipe.bsdf.microfacet.microsurface import ModelError
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.wave.two_scale import characteristic_function, facet_share
@@ -173,3 +173,32 @@ def test_facets_with_a_lay_are_refused():
             index=1.5,
             optics="auto",
         )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma", [0.013, 0.05, 0.12, 0.4])
+def test_waves_agree_with_diffraction_on_maps(sigma):
+    # Kirchhoff's integral on three periodic Gaussian maps of 512 um, which know no roughness spectrum.
+    maps = [_gaussian_map(sigma, 5.0, 0.5, 1024, seed) for seed in range(3)]
+    on_maps = [kirchhoff.build(heights, index=1.5, wavelength=550.0) for heights in maps]
+    bsdf = rough(sigma, optics="wave")
+    # The mirror direction itself is within the first ring of frequencies of a finite map.
+    view = np.array([12.0, 16.0, 18.0, 19.0, 21.0, 22.0, 24.0, 28.0, 35.0])
+    expected = np.mean([each.bsdf.evaluate(20.0, 0.0, view, 180.0).values.squeeze() for each in on_maps], axis=0)
+    assert bsdf.bsdf.evaluate(20.0, 0.0, view, 180.0).values.squeeze() == pytest.approx(expected, rel=0.09)
+    glosses = np.array([gloss(each) for each in on_maps])
+    # Three maps scatter; their mean is known to their spread over the root of three.
+    spread = glosses.std(axis=0, ddof=1) / np.sqrt(3)
+    assert (np.abs(gloss(bsdf) - glosses.mean(axis=0)) < 4 * spread + 0.1).all()
+
+
+def _gaussian_map(sigma: float, length: float, pitch: float, size: int, seed: int) -> xr.Dataset:
+    """A periodic map of heights of a Gaussian autocovariance."""
+    f = np.fft.fftfreq(size, pitch)
+    spectrum = np.pi * (length * sigma) ** 2 * np.exp(-((np.pi * length) ** 2) * (f**2 + f[:, None] ** 2))
+    noise = np.fft.fft2(np.random.default_rng(seed).standard_normal((size, size)))
+    height = np.fft.ifft2(noise * np.sqrt(spectrum)).real / pitch
+    position = pitch * np.arange(size)
+    surface = xr.Dataset({"height": (("y", "x"), height)}, coords={"x": position, "y": position})
+    surface.attrs = {"pitch_x": pitch, "pitch_y": pitch, "levelling": "none", "band": "none"}
+    return vocabulary.label(surface.assign(missing_fraction=0.0), "surface")

@@ -9,6 +9,7 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.coupled_base import CoupledBase
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
@@ -30,9 +31,7 @@ class _Spectral(NamedTuple):
     wavelength: Array
     n: Array
     k: Array
-    diffuse: Array
-    albedo: AlbedoTable
-    mean_albedo: Array
+    base: CoupledBase
     excess: AlbedoTable
     mixture: Array | None
     """(wavelength,) weights of sum 1 of coherent part and halo; None without a mixture"""
@@ -80,18 +79,16 @@ class Wave(Representation):
     def _at(self, wavelength: Array | None) -> _Spectral:
         bsdf = self.dataset
 
-        def spectral(name: str) -> Array:
-            values = at_wavelengths(bsdf[name], wavelength)
-            return values if "wavelength" in bsdf[name].dims else values[..., None]
-
-        theta = bsdf["theta_i"].values
-        tables = [AlbedoTable(theta, spectral(name)) for name in ("directional_albedo", "coherent_excess")]
-        fields = spectral("diffuse"), tables[0], spectral("mean_albedo"), tables[1]
+        excess = at_wavelengths(bsdf["coherent_excess"], wavelength)
+        excess = excess if "wavelength" in bsdf["coherent_excess"].dims else excess[..., None]
+        fields = CoupledBase.of(bsdf, wavelength), AlbedoTable(bsdf["theta_i"].values, excess)
         if "mixture" in bsdf:
             wavelength, n, k, mixture = (bsdf[name].values for name in ("mixed_wavelength", "n", "k", "mixture"))
             return _Spectral(wavelength, n, k, *fields, mixture)
         used = bsdf["wavelength"].values if wavelength is None else np.asarray(wavelength, dtype=float)
-        return _Spectral(used, spectral("n"), spectral("k"), *fields, None)
+        return _Spectral(
+            used, at_wavelengths(bsdf["n"], wavelength), at_wavelengths(bsdf["k"], wavelength), *fields, None
+        )
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         at, shape, angles = self._prepared(theta_i, phi_i, theta_o, phi_o, wavelength)
@@ -115,17 +112,11 @@ class Wave(Representation):
 
     def _base(self, at: _Spectral, angles: Angles) -> Array:
         """BRDF of the diffuse base [sr-1], (directions, wavelength)."""
-        if not at.diffuse.any():
-            return np.zeros((1, 1))
-        entering, leaving = 1 - at.albedo(angles[0]), 1 - at.albedo(angles[2])
         above = ((angles[0] < 90) & (angles[2] < 90))[:, None]
-        return np.where(above, at.diffuse / (np.pi * (1 - at.mean_albedo)) * (entering * leaving), 0.0)
+        return np.where(above, at.base.brdf(np.minimum(angles[0], 90.0), np.minimum(angles[2], 90.0)), 0.0)
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-        at, theta = self._spectral(wavelength), np.asarray(theta_i, dtype=float)
-        of_surface = at.albedo(np.minimum(theta, 90.0))
-        total = of_surface + at.diffuse * (1 - of_surface)
-        return np.where((theta >= 90)[..., None], 0.0, total)
+        return self._spectral(wavelength).base.total_albedo(np.asarray(theta_i, dtype=float))
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
         at, theta = self._spectral(wavelength), np.asarray(theta_i, dtype=float)
