@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
+from brdfpipe.geometry import Array
 from brdfpipe.psd.k_correlation import KCorrelation, PsdError
 
 FORMS = ("gaussian", "k-correlation")
@@ -76,6 +79,16 @@ def analytic(form: str, *, sigma: float, length: float, slope: float = 3.0) -> x
         attrs={"form": form, "method": method},
     )
     return vocabulary.label(spectrum, "psd")
+
+
+def spectrum_of(psd: xr.Dataset) -> Callable[[Array], Array]:
+    """The form of a spectrum, or the one fitted to it, at any frequency [um-1]: S [um4]."""
+    sigma, length, slope = (float(psd[f"fit_{name}"]) for name in ("sigma", "length", "slope"))
+    if psd.attrs["form"] == "gaussian":
+        return lambda frequency: np.asarray(
+            np.pi * (length * sigma) ** 2 * np.exp(-((np.pi * length * frequency) ** 2))
+        )
+    return KCorrelation(sigma, length, slope).areal
 
 
 def _check(name: str, value: float, accepted: tuple[float, float], unit: str, above: bool = False) -> None:

@@ -7,6 +7,7 @@ Church, Takacs & Leonard 1989, Proc. SPIE 1165, 136; Dittman 2006, Proc. SPIE 62
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,96 @@ class KCorrelation(NamedTuple):
         peak = self.sigma**2 * b**2 * (self.slope - 2) / (2 * np.pi)
         return np.asarray(peak * (1 + (b * frequency) ** 2) ** (-self.slope / 2))
 
+    def line(self, frequency: Array) -> Array:
+        """Two-sided spectrum of a line across the surface [um3], A/(1 + (Bf)²)^(C/2), A′/A = BΓ((C + 1)/2)/(√πΓ(C/2))."""
+        from scipy.special import gammaln
+
+        b, c = 2 * np.pi * self.length, self.slope - 1
+        ratio = b / np.sqrt(np.pi) * np.exp(gammaln((c + 1) / 2) - gammaln(c / 2))
+        return np.asarray(self.areal(frequency) / ratio * np.sqrt(1 + (b * frequency) ** 2))
+
     def variance_beyond(self, frequency: float) -> float:
         """∬ S over all frequencies above one [um2]."""
         return float(self.sigma**2 * (1 + (2 * np.pi * self.length * frequency) ** 2) ** (1 - self.slope / 2))
+
+
+class KFit(NamedTuple):
+    """A K-correlation fitted to a spectrum."""
+
+    model: KCorrelation
+    uncertainty: KCorrelation
+    """Standard uncertainties of its parameters."""
+    residual: float
+    """Rms of the logarithm of measured over fitted spectrum."""
+    relative_uncertainty: Array
+    """Of the fitted plane spectrum at the frequencies of the fit."""
+
+
+SLOPES = (2.02, 12.0)
+"""Exponents that a fit may find; that of a Gaussian surface grows without limit."""
+
+_LEAST_SHARE = 1e-4
+_LEAST_SCATTER = 0.05
+"""Relative departure of a real surface from the form: no ring weighs more."""
+
+
+def fit(frequency: Array, density: Array, uncertainty: Array, *, line: bool = False) -> KFit:
+    """Fit a K-correlation to the logarithm of a spectrum.
+
+    Parameters
+    ----------
+    frequency, density, uncertainty : of the rings [um-1; um4, of a line um3]; all above 0, at least four. Rings whose part in σ², per
+        octave, is below 1e-4 of the largest are left out
+    line : whether the spectrum is that of a line
+
+    Raises
+    ------
+    PsdError : fewer than four frequencies.
+    """
+    from scipy.optimize import least_squares
+
+    if frequency.size < 4:
+        raise PsdError(
+            f"the roughness spectrum has only {frequency.size} frequencies above its noise; accepted: four or more. Measure a larger area"
+        )
+    rings = density * frequency if line else density * frequency**2
+    used = rings >= _LEAST_SHARE * rings.max()
+    all_frequencies = frequency
+    frequency, density, uncertainty = frequency[used], density[used], uncertainty[used]
+    spectrum: Callable[[KCorrelation, Array], Array] = KCorrelation.line if line else KCorrelation.areal
+    relative = np.hypot(uncertainty / density, _LEAST_SCATTER)
+    # The mean of a few modes scatters as χ²; the mean of its logarithm is low by half the relative variance.
+    expected = np.log(density) + np.minimum(uncertainty / density, 1.0) ** 2 / 2
+
+    def model(parameters: Array) -> KCorrelation:
+        log_sigma, log_length, slope = parameters
+        return KCorrelation(float(np.exp(log_sigma)), float(np.exp(log_length)), float(slope))
+
+    def logarithm(parameters: Array) -> Array:
+        return np.log(spectrum(model(parameters), frequency))
+
+    def residual(parameters: Array) -> Array:
+        return np.asarray((expected - logarithm(parameters)) / relative)
+
+    sigma = np.sqrt(np.trapezoid(2 * density if line else 2 * np.pi * frequency * density, frequency))
+    shortest, longest = np.log(0.01 / frequency[-1]), np.log(10 / frequency[0])
+    bounds = ((-60, shortest, SLOPES[0]), (60, longest, SLOPES[1]))
+    middles = np.clip(np.log(1 / (2 * np.pi * np.quantile(frequency, (0.1, 0.4, 0.7)))), shortest, longest)
+    starts = [np.array([np.log(sigma), middle, slope]) for middle in middles for slope in (3.0, 5.0)]
+    solutions = [least_squares(residual, start, bounds=bounds, x_scale=(0.1, 0.1, 0.3)) for start in starts]
+    best = min(solutions, key=lambda solution: solution.cost)
+    scale = max(1.0, 2 * best.cost / max(1, frequency.size - 3))
+    jacobian = np.asarray(best.jac)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * scale
+    found = model(best.x)
+    u_sigma, u_length, u_slope = np.sqrt(np.diag(covariance))
+    step = 1e-5
+    moved = [np.log(model(best.x + step * row).areal(all_frequencies)) for row in np.eye(3)]
+    derivative = (np.array(moved) - np.log(found.areal(all_frequencies))) / step
+    spread = np.sqrt(np.einsum("ik,ij,jk->k", derivative, covariance, derivative))
+    return KFit(
+        found,
+        KCorrelation(float(u_sigma * found.sigma), float(u_length * found.length), float(u_slope)),
+        float(np.sqrt(np.mean((residual(best.x) * relative) ** 2))),
+        spread,
+    )

@@ -1,0 +1,159 @@
+"""Roughness spectrum of a measured surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from brdfpipe import vocabulary
+from brdfpipe.psd.k_correlation import KFit, fit
+from brdfpipe.psd.line_inversion import invert
+from brdfpipe.psd.noise_floor import NoiseFloor, noise_floor
+from brdfpipe.psd.periodograms import PatchCount, Rings, Scan, periodograms, rings
+from brdfpipe.psd.planar_spectrum import planar_spectrum, slope_ratio
+from brdfpipe.psd.spectrum_dataset import spectrum_dataset
+
+LAY_LIMIT = 1.2
+"""Ratio of the principal rms slopes in the band above which a spectrum over both frequencies is stored too."""
+
+_SIGNIFICANT = 3.0
+_FEWEST_RINGS = 6
+_POOR_FIT = 0.3
+"""Rms of the logarithm of measured over fitted spectrum above which the form is not that of the surface."""
+
+
+def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | None = None) -> xr.Dataset:
+    """Roughness spectrum of a levelled map or line without its noise, with its band and uncertainty.
+
+    Parameters
+    ----------
+    surface : kind ``surface``, levelled
+    noise : rms of white height noise [um], 0 for none; or a second scan of the same place, of which the difference is noise;
+        or None: from the plateau of the spectrum at its highest frequencies, where it has one
+
+    Returns
+    -------
+    Dataset of kind ``psd`` and form ``measured``, on rings of frequency from ``band_low``, two waves across the scan, to ``band_high``,
+        where noise, the pitch or the filter λs ends it. ``apparent_psd`` of a map includes the noise and all frequencies. A map
+        with a lay has ``psd_planar`` besides, 0 beyond the band. A line counts as one across an isotropic surface;
+        ``psd_quality`` is ``measured`` where its spectrum was inverted, ``interpolated`` where the fitted K-correlation is more certain
+
+    Raises
+    ------
+    PsdError : no patch without gaps; fewer than four frequencies above the noise; a noise that is impossible, or given for filtered
+        heights; a second scan of other shape or pitch.
+    VocabularyError : a dataset is not of kind ``surface``.
+    """
+    vocabulary.validate(surface, "surface")
+    scan = Scan.of(surface)
+    if isinstance(noise, xr.Dataset):
+        vocabulary.validate(noise, "surface")
+    floor = noise_floor(surface, noise)
+    levels, count = periodograms(scan)
+    apparent = rings(levels, scan.nyquist)
+    above = _without_noise(apparent, floor, scan, surface.attrs)
+    line = scan.height.ndim == 1
+    spectrum, fitted, quality = _areal(above) if line else (above, fit(*above), _measured(above))
+    result = spectrum_dataset(
+        spectrum,
+        fitted,
+        quality,
+        form="measured",
+        method=f"{count.used} windowed patches of {_size(count.side, line)} heights"
+        + (", Abel inversion or fit" if line else ""),
+    ).assign(
+        sigma_heights=float(np.sqrt(max(scan.variance - floor.sigma**2, 0.0))),
+        noise_sigma=floor.sigma,
+        noise_sigma_u=floor.uncertainty,
+    )
+    if not line:
+        result = result.assign(apparent_psd=("apparent_frequency", apparent.density), noise_psd=floor.density(scan))
+        result = result.assign_coords(apparent_frequency=apparent.frequency)
+        planar = planar_spectrum(levels, spectrum, floor.density(scan), scan)
+        if slope_ratio(planar) > LAY_LIMIT:
+            result = result.merge(planar)
+    result = vocabulary.add_history(result, *_history(count, floor, quality, fitted, line))
+    return vocabulary.label(vocabulary.add_warning(result, *_warnings(count)), "psd")
+
+
+def _without_noise(apparent: Rings, floor: NoiseFloor, scan: Scan, attributes: Mapping[str, Any]) -> Rings:
+    """The rings of the band, less the noise: up to the first at which the surface is not significant."""
+    level, level_u = floor.density(scan), floor.density_uncertainty(scan)
+    density = apparent.density - level
+    limit = (
+        _SIGNIFICANT
+        * level
+        * np.hypot(apparent.uncertainty / np.maximum(apparent.density, level), level_u / max(level, 1e-300))
+    )
+    low, high = 1 / attributes.get("lambda_c", np.inf), 1 / attributes.get("lambda_s", 1e-300)
+    outside = (density <= limit) | (apparent.frequency > high)
+    start = int(min(np.searchsorted(apparent.frequency, low), outside.size - _FEWEST_RINGS))
+    end = start + max(int(np.argmax(np.append(outside[start:], True))), _FEWEST_RINGS)
+    uncertainty = np.hypot(apparent.uncertainty, level_u)
+    # Where noise leaves hardly anything, the few rings that a spectrum needs keep a tenth of their uncertainty.
+    density = np.maximum(density, 0.1 * uncertainty)
+    return Rings(apparent.frequency[start:end], density[start:end], uncertainty[start:end])
+
+
+def _areal(line: Rings) -> tuple[Rings, KFit, NDArray[np.int8]]:
+    """Plane spectrum of a line spectrum: inverted, or that of the fitted K-correlation, whichever is more certain."""
+    fitted = fit(*line, line=True)
+    inverted = invert(line)
+    model = fitted.model.areal(inverted.frequency)
+    relative = np.sqrt(
+        np.interp(inverted.frequency, line.frequency, fitted.relative_uncertainty) ** 2 + fitted.residual**2
+    )
+    use = (inverted.density > 0) & (inverted.uncertainty < relative * inverted.density)
+    quality = np.where(use, vocabulary.quality("measured"), vocabulary.quality("interpolated")).astype(np.int8)
+    density, uncertainty = np.where(use, inverted, np.stack([inverted.frequency, model, relative * model]))[1:]
+    return Rings(inverted.frequency, density, uncertainty), fitted, quality
+
+
+def _measured(spectrum: Rings) -> NDArray[np.int8]:
+    return np.full(spectrum.frequency.size, vocabulary.quality("measured"))
+
+
+def _size(side: int, line: bool) -> str:
+    return f"{side}" if line else f"{side} x {side}"
+
+
+def _history(count: PatchCount, floor: NoiseFloor, quality: NDArray[np.int8], fitted: KFit, line: bool) -> list[str]:
+    history = [
+        f"The spectrum is the mean of {count.used} of {count.positions} patches of {_size(count.side, line)} heights, each levelled by a plane and "
+        "multiplied by a Hann window; long waves are from means of neighbouring heights, and from the whole scan"
+        + (
+            f", of which {count.filled} missing heights were filled in with means of their neighbours."
+            if count.filled
+            else "."
+        )
+    ]
+    if floor.sigma:
+        history.append(
+            f"White noise of {1000 * floor.sigma:.3g} nm (± {1000 * floor.uncertainty:.2g} nm) was subtracted from the spectrum; from the {floor.source}."
+        )
+    else:
+        history.append(f"No noise was subtracted: {floor.source}.")
+    if line:
+        share = float(np.mean(quality == vocabulary.quality("measured")))
+        history.append(
+            f"The line was taken to cross an isotropic surface: its spectrum was inverted (Abel) at {share:.0%} of the frequencies, and replaced by "
+            "that of the fitted K-correlation where that is more certain."
+        )
+    if fitted.residual > _POOR_FIT:
+        history.append(
+            f"The K-correlation does not fit: measured over fitted values scatter by a factor of {np.exp(fitted.residual):.2g}."
+        )
+    return history
+
+
+def _warnings(count: PatchCount) -> list[str]:
+    if count.complete:
+        return []
+    return [
+        f"no part of the scan is without gaps: {count.filled} missing heights were filled in with means of their neighbours, and the roughness "
+        "spectrum is too low at high frequencies; measure again with fewer missing heights"
+    ]

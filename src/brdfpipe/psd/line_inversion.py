@@ -1,0 +1,52 @@
+"""From the spectrum of lines across an isotropic surface to that of the plane.
+
+W(f) = 2∫_f^∞ S(r) r dr/√(r² − f²) is an Abel transform, and S(f) = −(1/π) ∫_f^∞ W′(r) dr/√(r² − f²). W is taken as a power between
+neighbouring rings and beyond the last one; S is evaluated amid two rings, where their power is the slope of a smooth W to second order.
+
+References
+----------
+Church, Takacs & Leonard 1989, Proc. SPIE 1165, 136; Bracewell 2000, The Fourier Transform and Its Applications, ch. 13 (Abel).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from brdfpipe.geometry import Array
+from brdfpipe.psd.periodograms import Rings
+
+_T, _WEIGHT = np.polynomial.legendre.leggauss(12)
+_LAST_RINGS = 3
+_LEAST_POWER = 1.05
+"""Least decay beyond the last ring, so that the integral exists: S of slope 2.05."""
+_STEP = 1e-4
+
+
+def invert(line: Rings) -> Rings:
+    """Plane spectrum [um4] from the line spectrum [um3] of at least four rings, with the propagated uncertainty.
+
+    The last ring is left out. A line spectrum that rises with frequency gives a negative plane spectrum there.
+    """
+    frequency = np.sqrt(line.frequency[1:] * line.frequency[:-1])
+    log_density = np.log(line.density)
+    density = _inverted(line.frequency, log_density, frequency)
+    changes = [_inverted(line.frequency, log_density + _STEP * row, frequency) for row in np.eye(log_density.size)]
+    jacobian = (np.array(changes) - density) / _STEP
+    relative = line.uncertainty / line.density
+    return Rings(frequency, density, np.sqrt(np.square(jacobian * relative[:, None]).sum(axis=0)))
+
+
+def _inverted(node: Array, log_density: Array, frequency: Array) -> Array:
+    """S at frequencies, from the logarithm of W at nodes."""
+    log_node = np.log(node)
+    power = -np.diff(log_density) / np.diff(log_node)
+    last = min(_LAST_RINGS, power.size)
+    power = np.append(power, max(_LEAST_POWER, float(power[-last:].mean())))
+    # With r = f cosh t the root cancels: dr/√(r² − f²) = dt.
+    start = np.arccosh(np.maximum(node / frequency[:, None], 1.0))
+    end = np.concatenate([start[:, 1:], start[:, -1:] + 40 / (power[-1] + 1)], axis=1)
+    middle, half = (end + start) / 2, (end - start) / 2
+    r = frequency[:, None, None] * np.cosh(middle[..., None] + half[..., None] * _T)
+    exponent = log_density[None, :, None] - power[:, None] * (np.log(r) - log_node[:, None])
+    panels = (np.exp(exponent) / r * _WEIGHT).sum(axis=-1) * half * power
+    return np.asarray(panels.sum(axis=1) / np.pi)

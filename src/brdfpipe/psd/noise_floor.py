@@ -1,0 +1,192 @@
+"""White noise of heights: from the plateau of their spectrum, from two scans of one place, or given.
+
+White noise of rms height σ adds S = σ² ΔA to the spectrum at all frequencies, and 2σ²/d² to the mean square slope between heights at
+a pitch d. It shows where the spectrum of the surface has fallen below it: a plateau up to the highest frequencies. The surface decays there
+like a power, so the sum of a constant and a power is fitted. Without a plateau nothing is claimed.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.geometry import Array
+from brdfpipe.psd.k_correlation import PsdError
+from brdfpipe.psd.periodograms import Rings, Scan, full_pitch, rings
+
+_PATCH = {1: 512, 2: 128}
+_MOST_PATCHES = 64
+_WHITENESS = 0.03
+"""Relative scatter of the floor of an instrument that still counts as white."""
+_SURFACE_SHARE = 0.5
+"""Largest surface over noise at half the power of two below the Nyquist frequency: beyond it, no plateau is seen."""
+_SIGNIFICANT = 3.0
+_STEADY = 0.1
+"""Largest relative uncertainty of the rings from the scatter of the patches."""
+_LARGEST_NOISE = 0.5
+"""Largest noise over the rms of the heights."""
+_POSSIBLE = (1e-9, 1e9)
+"""Rms of heights [um]; the transform of others may overflow."""
+_SAMPLED = 512
+_MISFIT = 2.0
+_UNCERTAIN = 0.3
+"""Largest relative uncertainty of the level of the plateau."""
+_FEWEST_RINGS = 6
+
+
+class NoiseFloor(NamedTuple):
+    """White noise of heights."""
+
+    sigma: float
+    """Rms height [um]; 0 where no noise is known."""
+    uncertainty: float
+    """Standard uncertainty of it [um]."""
+    source: str
+    """How it is known, in words."""
+
+    def density(self, scan: Scan) -> float:
+        """Two-sided spectrum of the noise [um4; of a line um3]."""
+        return self.sigma**2 * scan.cell
+
+    def density_uncertainty(self, scan: Scan) -> float:
+        """Standard uncertainty of that spectrum."""
+        return 2 * self.sigma * self.uncertainty * scan.cell
+
+
+UNKNOWN = NoiseFloor(0.0, 0.0, "the spectrum has no plateau at its highest frequencies")
+
+
+def noise_floor(surface: xr.Dataset, noise: float | xr.Dataset | None = None) -> NoiseFloor:
+    """White noise of a scan: given [um], from a second scan of the same place, or from the plateau of its spectrum.
+
+    Raises
+    ------
+    PsdError : as :func:`given` and :func:`from_repeat`.
+    """
+    scan = Scan.of(surface)
+    if noise is None:
+        return plateau(scan)
+    if isinstance(noise, xr.Dataset):
+        return from_repeat(scan, Scan.of(noise))
+    return given(scan, noise, float(surface.attrs.get("lambda_s", 0.0)))
+
+
+def beyond_rounding(floor: NoiseFloor, step: float) -> float:
+    """Rms of the noise besides that of rounding heights to a ``step`` [um]; 0 where rounding explains the noise."""
+    rest = floor.sigma**2 - step**2 / 12
+    return float(np.sqrt(rest)) if rest > _SIGNIFICANT * 2 * floor.sigma * floor.uncertainty else 0.0
+
+
+def plateau(scan: Scan) -> NoiseFloor:
+    """White noise of a scan, from the plateau of its spectrum; :data:`UNKNOWN` where none is seen.
+
+    The surface over the noise must be below 1/2 at 0.7 of the Nyquist frequency, and the fit good to 3 %. A plateau that holds most of
+    the heights may be the surface itself.
+    """
+    sample = scan.height[tuple(slice(None, None, max(1, n // _SAMPLED)) for n in scan.height.shape)].astype(float)
+    sample = sample[np.isfinite(sample)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        rms = float(sample.std()) if sample.size else 0.0
+    if not _POSSIBLE[0] < rms < _POSSIBLE[1]:
+        return UNKNOWN
+    try:
+        fine, _ = full_pitch(scan, _PATCH[scan.height.ndim], _MOST_PATCHES)
+    except PsdError:
+        return UNKNOWN
+    # In the corners of the frequency plane the surface has fallen even further.
+    corner = float(
+        np.sqrt(sum(axis[axis.size // 2 if k < len(fine.axes) - 1 else -1] ** 2 for k, axis in enumerate(fine.axes)))
+    )
+    floor = _fit(rings([fine], corner), scan.nyquist)
+    if floor is None:
+        return UNKNOWN
+    level, uncertainty = floor
+    sigma = float(np.sqrt(level / scan.cell))
+    if sigma > _LARGEST_NOISE * rms:
+        return UNKNOWN
+    return NoiseFloor(sigma, sigma * uncertainty / (2 * level), "plateau of the spectrum at the highest frequencies")
+
+
+def from_repeat(scan: Scan, other: Scan) -> NoiseFloor:
+    """White noise of one of two scans of the same place, from the upper octave of the spectrum of their difference.
+
+    Raises
+    ------
+    PsdError : the scans differ in shape or pitch, or all patches of the difference have gaps.
+    """
+    if scan.height.shape != other.height.shape or not np.allclose(scan.pitch, other.pitch, rtol=1e-3):
+        raise PsdError(
+            f"two scans of one place have {scan.height.shape} and {other.height.shape} heights at pitches of {scan.pitch} and {other.pitch} um; "
+            "accepted: the same positions"
+        )
+    difference = scan._replace(height=scan.height.astype(float) - other.height)
+    if not np.nanmax(np.abs(difference.height)) > 0:
+        raise PsdError("two scans of one place have identical heights; accepted: a second measurement")
+    fine, _ = full_pitch(difference, _PATCH[scan.height.ndim], _MOST_PATCHES)
+    octave = rings([fine], scan.nyquist).between(scan.nyquist / 2, np.inf)
+    level = float(octave.density.mean()) / 2
+    relative = float(np.hypot(octave.density.std() / octave.density.mean(), _WHITENESS))
+    sigma = float(np.sqrt(level / scan.cell))
+    return NoiseFloor(sigma, sigma * relative / 2, "difference of two scans of one place")
+
+
+def given(scan: Scan, sigma: float, lambda_s: float = 0.0) -> NoiseFloor:
+    """White noise of a stated rms height [um].
+
+    Raises
+    ------
+    PsdError : the noise is negative or not below the rms of the heights, or the heights were smoothed with ``lambda_s`` [um].
+    """
+    rms = float(np.sqrt(scan.variance))
+    if not 0 <= sigma < rms:
+        raise PsdError(
+            f"a height noise of {1000 * sigma:.4g} nm was given; accepted: 0 to the rms of the levelled heights, {1000 * rms:.4g} nm; correct `surface.noise`"
+        )
+    if sigma and lambda_s:
+        raise PsdError(
+            f"a height noise was given for heights that were smoothed with λs = {lambda_s:g} um, after which noise is not white; "
+            "accepted: one of `surface.noise` and `surface.lambda_s`"
+        )
+    return NoiseFloor(sigma, 0.0, "description of the material")
+
+
+def _fit(spectrum: Rings, nyquist: float) -> tuple[float, float] | None:
+    """Level of the plateau and its standard uncertainty; None if there is no plateau."""
+    shoulder = spectrum.between(nyquist / np.sqrt(2), nyquist).density
+    if shoulder.size == 0 or shoulder[0] > 1.2 * (1 + _SURFACE_SHARE) * spectrum.density[-1]:
+        return None
+    # From higher and higher frequencies: a surface need not follow one power over several octaves.
+    for start in nyquist * 2.0 ** np.arange(-3, -0.4, 0.5):
+        part = spectrum.between(start, np.inf)
+        # Spikes or a lay make the patches or directions differ: that is not white noise.
+        if part.frequency.size < _FEWEST_RINGS or np.median(part.uncertainty / part.density) > _STEADY:
+            return None
+        noise, noise_u, surface, misfit = _constant_and_power(part, nyquist)
+        if misfit <= _MISFIT:
+            return (noise, noise * noise_u) if surface < _SURFACE_SHARE * noise and noise_u < _UNCERTAIN else None
+    return None
+
+
+def _constant_and_power(part: Rings, nyquist: float) -> tuple[float, float, float, float]:
+    """Constant of a fitted sum of a constant and a power, its relative uncertainty, the power at 0.7 of the Nyquist frequency, and χ² per ring."""
+    from scipy.optimize import least_squares
+
+    x, scale = np.log(part.frequency / nyquist), float(part.density[-1])
+    weight = 1 / np.hypot(part.uncertainty, _WHITENESS * part.density)
+
+    def residual(parameters: Array) -> Array:
+        noise, surface, power = parameters
+        return np.asarray((scale * (np.exp(noise) + np.exp(surface - power * x)) - part.density) * weight)
+
+    first = float(np.clip(np.log(max(part.density[0] / scale - 1, 1e-3)), -7, 20))
+    starts = [np.array([0.0, first + power * x[0], power]) for power in (2.0, 4.0, 8.0)]
+    bounds = np.array([-20.0, -60.0, 1.0]), np.array([5.0, 30.0, 20.0])
+    fits = [least_squares(residual, start, bounds=bounds, x_scale=np.array([0.1, 1.0, 1.0])) for start in starts]
+    fit = min(fits, key=lambda candidate: float(candidate.cost))
+    noise, surface, power = fit.x
+    jacobian = np.asarray(fit.jac)
+    relative = float(np.hypot(np.sqrt(np.linalg.pinv(jacobian.T @ jacobian)[0, 0]), _WHITENESS))
+    shoulder = scale * float(np.exp(surface + power * np.log(2) / 2))
+    return scale * float(np.exp(noise)), relative, shoulder, 2 * float(fit.cost) / (part.frequency.size - 3)

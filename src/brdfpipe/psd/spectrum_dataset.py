@@ -1,0 +1,45 @@
+"""Datasets of kind ``psd`` from spectra in rings."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from brdfpipe.geometry import Array
+from brdfpipe.psd.k_correlation import KFit
+from brdfpipe.psd.periodograms import Rings
+
+
+def spectrum_dataset(spectrum: Rings, fitted: KFit, quality: NDArray[np.int8], *, form: str, method: str) -> xr.Dataset:
+    """The dataset, but for the rms of heights and noise, and labels."""
+    (sigma, sigma_u), edges = rms_height(spectrum), _edges(spectrum.frequency)
+    return xr.Dataset(
+        {
+            "psd": ("frequency", spectrum.density),
+            "psd_uncertainty": ("frequency", spectrum.uncertainty),
+            "psd_quality": ("frequency", quality),
+            "sigma": sigma,
+            "sigma_u": sigma_u,
+            "band_low": edges[0],
+            "band_high": edges[-1],
+            **{f"fit_{name}": value for name, value in fitted.model._asdict().items()},
+            **{f"fit_{name}_u": value for name, value in fitted.uncertainty._asdict().items()},
+            "fit_residual_log": fitted.residual,
+        },
+        coords={"frequency": spectrum.frequency},
+        attrs={"form": form, "method": method},
+    )
+
+
+def rms_height(spectrum: Rings) -> tuple[float, float]:
+    """√∬S over the rings and its standard uncertainty [um]; the rings are independent, and f² S is even over the logarithm of f in each."""
+    weight = 2 * np.pi * spectrum.frequency**2 * np.diff(np.log(_edges(spectrum.frequency)))
+    sigma = np.sqrt(max(float(weight @ spectrum.density), 0.0))
+    return float(sigma), float(np.sqrt(np.square(weight * spectrum.uncertainty).sum()) / (2 * sigma)) if sigma else 0.0
+
+
+def _edges(frequency: Array) -> Array:
+    """Edges of rings: amid their frequencies, in the logarithm, and as far beyond the outer ones."""
+    inner = np.sqrt(frequency[1:] * frequency[:-1])
+    return np.concatenate([[frequency[0] ** 2 / inner[0]], inner, [frequency[-1] ** 2 / inner[-1]]])
