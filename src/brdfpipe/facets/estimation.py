@@ -27,7 +27,11 @@ _WELL_SAMPLED = 8.0
 
 
 def estimate(
-    surface: xr.Dataset | Sequence[xr.Dataset], *, method: str = "mixture", isotropic: bool | None = None
+    surface: xr.Dataset | Sequence[xr.Dataset],
+    *,
+    method: str = "mixture",
+    isotropic: bool | None = None,
+    noise: float | None = None,
 ) -> xr.Dataset:
     """Facet distribution of a levelled surface, with counts and uncertainty.
 
@@ -40,17 +44,19 @@ def estimate(
         map, the last two have no effect but a warning
     isotropic : whether the surface is isotropic. A single line must be declared isotropic. A map that is
         not declared either way has a lay if its principal slopes differ by more than a factor of 1.2
+    noise : rms of white height noise [um], 0 for none; None: from the plateau of the spectrum of each scan, where it has one
 
     Returns
     -------
     Dataset of kind ``facets``: radial for an isotropic surface, on a grid of slopes for one with a lay; slopes are about each
     scan's mean. ``effective_count`` is the number of independent facets.
-    Quantised heights of a map are dithered, which the history states
+    Quantised heights of a map are dithered, which the history states. Noise is subtracted; ``noise_sigma`` [um] is its rms
 
     Raises
     ------
     FacetError : no scan; an unknown method; a single line that is not declared isotropic; scans that are not all maps or all lines,
         of different bandwidth, or given twice; too few independent facets; an impossible slope rms.
+    PsdError : the noise is negative, not below the rms of the heights, or given for heights smoothed with λs.
     VocabularyError : a dataset is not of kind ``surface``.
     """
     scans = [surface] if isinstance(surface, xr.Dataset) else list(surface)
@@ -67,8 +73,8 @@ def estimate(
         )
     _check_consistent(scans)
     if dimensions == {1}:
-        return estimate_from_lines(scans, method, isotropic)
-    facets = estimate_from_maps(scans, isotropic)
+        return estimate_from_lines(scans, method, isotropic, noise)
+    facets = estimate_from_maps(scans, isotropic, noise)
     if method == METHODS[0]:
         return facets
     return vocabulary.add_warning(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.facets.facet_dataset import noise_warning, planar_dataset, quality_flags, radial_dataset
+from brdfpipe.facets.noise_removal import with_noise_stated, without_noise
 from brdfpipe.facets.planar_density import Ellipse, PlanarDensity, SlopeAxis
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.facets.slope_histogram import (
@@ -58,9 +59,9 @@ _MEASURED = 50.0
 """Smallest number of independent facets of a cell that counts as measured."""
 
 
-def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None) -> xr.Dataset:
+def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None, noise: float | None) -> xr.Dataset:
     """Facet distribution of levelled maps; see :func:`brdfpipe.facets.estimate`."""
-    heights = [HeightMap.of(surface) for surface in maps]
+    heights = [HeightMap.of(surface, noise) for surface in maps]
     counts, moments = count_maps(heights)
     scans = zip(heights, moments.tilts, strict=True)
     by_scale = np.mean([slope_rms_by_scale(scan, tilt) for scan, tilt in scans], axis=0)
@@ -73,7 +74,7 @@ def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None) -> xr
             "the surface is perfectly flat or has no complete facet; check the height unit and the missing heights"
         )
     has_lay = not isotropic if isotropic is not None else not moments.anisotropy <= LAY_LIMIT
-    facets = _with_lay(heights, moments) if has_lay else _isotropic(counts, moments)
+    facets = _with_lay(heights, moments) if has_lay else _isotropic(heights, counts, moments)
     facets = facets.assign(
         effective_count=moments.facets / max(redundancy_in_classes(counts), _FACETS_PER_HEIGHT),
         anisotropy=moments.anisotropy,
@@ -87,13 +88,16 @@ def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None) -> xr
     facets.attrs |= {"method": f"four triangles a quad{count}", "band": str(maps[0].attrs["band"])}
     history, warnings = _remarks(facets, maps, heights, moments, isotropic)
     facets = vocabulary.add_history(facets, *history) if history else facets
-    return vocabulary.label(vocabulary.add_warning(facets, *warnings), "facets")
+    facets = vocabulary.add_warning(facets, *warnings)
+    return vocabulary.label(_with_noise_stated(facets, heights, moments), "facets")
 
 
-def _isotropic(counts: NDArray[np.int64], moments: Moments) -> xr.Dataset:
+def _isotropic(heights: Sequence[HeightMap], counts: NDArray[np.int64], moments: Moments) -> xr.Dataset:
     bins = merge_bins(histogram(counts, moments.slope_rms))
     widened = float(np.trace(moments.apparent_covariance - moments.covariance)) / 2
-    density, quality, relative_u = density_from_histogram(remove_broadening(bins, widened) if widened else bins)
+    sharp = _sharpened(heights, bins, widened) if widened else bins
+    density, quality, relative_u = density_from_histogram(sharp)
+    relative_u = np.minimum(np.hypot(relative_u, _noise_uncertainty(heights, bins, widened, density)), 1.0)
     facets = radial_dataset(density, moments.slope_rms)
     facets = facets.assign(
         count=("slope", bins.at_nodes(density.slope.size)),
@@ -101,6 +105,23 @@ def _isotropic(counts: NDArray[np.int64], moments: Moments) -> xr.Dataset:
         slope_density_quality=("slope", quality),
     )
     return _with_few_warning(facets, bins)
+
+
+def _sharpened(maps: Sequence[HeightMap], bins: MergedHistogram, widened: float) -> MergedHistogram:
+    """Bins without the broadening by a mean square along each axis; noise may be much, rounding and dither are little."""
+    noisy = [scan for scan in maps if scan.noise]
+    return without_noise(bins, widened, noisy[0].pitch) if noisy else remove_broadening(bins, widened)
+
+
+def _noise_uncertainty(
+    maps: Sequence[HeightMap], bins: MergedHistogram, widened: float, density: RadialDensity
+) -> Array:
+    """Relative change of a density, on its nodes, as the noise grows by its standard uncertainty."""
+    relative = max((2 * scan.noise_u / scan.noise for scan in maps if scan.noise), default=0.0)
+    if not relative:
+        return np.zeros_like(density.slope)
+    other = density_from_histogram(_sharpened(maps, bins, widened * (1 + relative)))[0](density.slope**2)
+    return np.asarray(np.abs(other / np.maximum(density.density, 1e-300) - 1))
 
 
 def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
@@ -121,9 +142,10 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     round_density, _, ring_u = density_from_histogram(bins)
     # Dividing by the widths removes the broadening uniformly, but a sharp peak needs more of it and a tail less.
     share = float(np.sqrt(np.linalg.det(moments.covariance) / np.linalg.det(moments.apparent_covariance)))
-    sharp_density = round_density
+    sharp_density, narrowed = round_density, bins
     if share != 1:
-        sharp_density = density_from_histogram(remove_broadening(bins.divided_by(np.sqrt(share)), 1 / share - 1))[0]
+        narrowed = bins.divided_by(np.sqrt(share))
+        sharp_density = density_from_histogram(_sharpened(maps, narrowed, 1 / share - 1))[0]
     reach = float(max(round_density.slope[-1], sharp_density.slope[-1]))
     nodes, cells = (SlopeAxis(1.0, reach, size) for size in (_NODES, _CELLS))
     by_block = _cell_counts(maps, moments.tilts, scaling, cells)
@@ -141,6 +163,8 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     independent = _refine(counts / redundancy, cells, nodes)
     distance = np.hypot(nodes.nodes, nodes.nodes[:, None])
     relative_u = np.maximum(np.interp(distance, round_density.slope, ring_u), 1 / np.sqrt(np.maximum(independent, 1.0)))
+    noise_u = _noise_uncertainty(maps, narrowed, 1 / share - 1, sharp_density)
+    relative_u = np.minimum(np.hypot(relative_u, np.interp(distance, sharp_density.slope, noise_u)), 1.0)
     dims = ("slope_across", "slope_along")
     facets = planar_dataset(density, moments.slope_rms).assign(
         count=(dims, _refine_counts(counts, cells, nodes)),
@@ -248,6 +272,13 @@ def _with_few_warning(facets: xr.Dataset, bins: MergedHistogram) -> xr.Dataset:
         f"few independent facets: {bins.totals.sum():.0f} facets fill bins of only {bins.least} independent ones, and the relative "
         f"uncertainty of the slope density is 20 % or more; {bins.remedy}",
     )
+
+
+def _with_noise_stated(facets: xr.Dataset, heights: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
+    added = np.mean([2 * scan.noise**2 * np.sum(1 / np.square(scan.pitch)) for scan in heights])
+    noisiest = max(heights, key=lambda scan: scan.noise)
+    share = float(added / np.trace(moments.apparent_covariance))
+    return with_noise_stated(facets, noisiest.noise, noisiest.noise_u, share)
 
 
 def _remarks(

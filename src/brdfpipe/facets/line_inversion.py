@@ -80,7 +80,7 @@ def fit_mixture(marginals: Sequence[LineSlopeCounts]) -> Mixture:
     from scipy.special import erf
 
     size = sum(marginal.size for marginal in marginals)
-    median = sum(marginal.median * marginal.size for marginal in marginals) / size
+    median = sum(marginal.median * marginal.narrowing * marginal.size for marginal in marginals) / size
     rms = float(np.sqrt(sum(marginal.rms**2 * marginal.size for marginal in marginals) / size))
     quantum, steepest = max(m.quantum for m in marginals), max(m.steepest for m in marginals)
     low = max(median / 2, rms / 50, quantum / 4)
@@ -92,20 +92,24 @@ def fit_mixture(marginals: Sequence[LineSlopeCounts]) -> Mixture:
     parts = [marginal.shares(within) * (marginal.size / size) for marginal in marginals]
     share, counts = np.concatenate(parts), np.concatenate([marginal.halves() for marginal in marginals], axis=1)
     redundancy = max(marginal.redundancy for marginal in marginals)
-    start = np.exp(-0.5 * (np.log(sigma / max(median / 0.6745, low)) / _START_SPREAD) ** 2)
+    # Under noise the counts tell little of the spread, and a Gaussian is the least that may be assumed.
+    narrowing = min(marginal.narrowing for marginal in marginals)
+    spread = max(_START_SPREAD * narrowing**2, float(np.log(sigma[1] / sigma[0])))
+    least_gain = _MIN_GAIN * redundancy / narrowing**8
+    start = np.exp(-0.5 * (np.log(sigma / max(median / 0.6745, low)) / spread) ** 2)
     weights = np.tile(start / start.sum(), (counts.shape[0], 1))
     likelihood = -np.inf
     for _ in range(_ROUNDS):
         for _ in range(8):
-            weights = _accelerated_em_step(weights, share, counts)
+            weights = accelerated_em_step(weights, share, counts)
         expected = weights[0] @ share.T
         former, likelihood = likelihood, float(counts[0] @ np.log(np.maximum(expected, 1e-300)))
-        if 0 <= likelihood - former < _MIN_GAIN * redundancy:
+        if 0 <= likelihood - former < least_gain:
             break
     return Mixture(weights, sigma, misfit(counts[0], size * expected, redundancy))
 
 
-def _accelerated_em_step(weights: Array, share: Array, counts: Array) -> Array:
+def accelerated_em_step(weights: Array, share: Array, counts: Array) -> Array:
     """Three steps of expectation maximisation (sets, components), with an extrapolation of the logarithms of the first two.
 
     Source: Varadhan and Roland 2008, Scand. J. Stat. 35, 335: squared extrapolation.

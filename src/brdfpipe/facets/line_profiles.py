@@ -34,6 +34,7 @@ from brdfpipe.facets.line_inversion import (
     ratio_of,
 )
 from brdfpipe.facets.line_slope_counts import LineSlopeCounts, count_slopes
+from brdfpipe.facets.noise_removal import with_noise_stated
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.slope_histogram import FacetError
 from brdfpipe.facets.slopes import SCALES, correlation_length, mean_square
@@ -62,10 +63,12 @@ class _Direction(NamedTuple):
     lines: Sequence[xr.Dataset]
 
 
-def estimate_from_lines(lines: Sequence[xr.Dataset], method: str, isotropic: bool | None) -> xr.Dataset:
+def estimate_from_lines(
+    lines: Sequence[xr.Dataset], method: str, isotropic: bool | None, noise: float | None
+) -> xr.Dataset:
     """Facet distribution of levelled line profiles; see :func:`brdfpipe.facets.estimate`."""
     if isotropic is True:
-        return _isotropic(lines, method)
+        return _isotropic(lines, method, noise)
     directions = _directions(lines)
     azimuths = ", ".join(f"{direction.azimuth:.4g}°" for direction in directions)
     if len(directions) == 1:
@@ -85,7 +88,7 @@ def estimate_from_lines(lines: Sequence[xr.Dataset], method: str, isotropic: boo
         raise FacetError(
             f"method {method!r} is for lines on an isotropic surface; accepted for two directions: mixture"
         )
-    return _perpendicular(directions)
+    return _perpendicular(directions, noise)
 
 
 def _directions(lines: Sequence[xr.Dataset]) -> list[_Direction]:
@@ -110,8 +113,8 @@ def _directions(lines: Sequence[xr.Dataset]) -> list[_Direction]:
     return sorted(directions, key=lambda direction: direction.azimuth)
 
 
-def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
-    marginal = count_slopes(lines)
+def _isotropic(lines: Sequence[xr.Dataset], method: str, noise: float | None) -> xr.Dataset:
+    marginal = count_slopes(lines, noise)
     history, warnings = ["declared isotropic"], []
     if method == "crf":
         inverted = estimate_from_patent(marginal)
@@ -152,15 +155,16 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str) -> xr.Dataset:
     facets = vocabulary.add_warning(
         vocabulary.add_history(facets, *history), *warnings, *_short_line_warning([marginal], relative_u[0])
     )
-    facets = _with_statistics(facets, lines, [marginal], np.sqrt(2) * _slope_rms_by_scale(lines))
+    facets = _with_statistics(facets, lines, [marginal], np.sqrt(2) * _slope_rms_by_scale(lines, marginal.noise))
     return vocabulary.label(facets, "facets")
 
 
 def _with_rounding_and_sampling(relative_u: Array, marginals: Sequence[LineSlopeCounts]) -> Array:
-    """Relative uncertainty, with the parts that half-samples do not show: coarse height steps, and few slopes."""
+    """Relative uncertainty, with the parts that half-samples do not show: coarse height steps, noise, and few slopes."""
     few = 1 + _CORRELATION_COST / min(marginal.independent for marginal in marginals)
     rounding = max(marginal.rounding for marginal in marginals)
-    return np.asarray(np.minimum(1.0, np.sqrt(relative_u**2 * few + rounding**2)))
+    noise = max(marginal.noise_u / marginal.rms**2 for marginal in marginals)
+    return np.asarray(np.minimum(1.0, np.sqrt(relative_u**2 * few + rounding**2 + noise**2)))
 
 
 def _short_line_warning(marginals: Sequence[LineSlopeCounts], peak_u: float) -> list[str]:
@@ -197,26 +201,32 @@ def _with_statistics(
                 "Measure with a finer height resolution, or at a larger pitch"
             )
     facets = vocabulary.add_history(facets, *history) if history else facets
+    pitch = float(lines[0].attrs["pitch_x"])
+    noisiest = max(marginals, key=lambda marginal: marginal.noise)
+    noise = float(np.sqrt(noisiest.noise / 2)) * pitch
+    noise_u = noisiest.noise_u * pitch**2 / (4 * noise) if noise else 0.0
+    share = noisiest.noise / (noisiest.noise + noisiest.rms**2)
+    facets = with_noise_stated(facets, noise, noise_u, share)
     return vocabulary.add_warning(facets, *warnings, *noise_warning(facets))
 
 
-def _slope_rms_by_scale(lines: Sequence[xr.Dataset]) -> Array:
-    """Rms, about the mean of each line, of slopes over 1, 2, 4 and 8 pixels."""
+def _slope_rms_by_scale(lines: Sequence[xr.Dataset], noise: float) -> Array:
+    """Rms, about the mean of each line, of slopes over 1, 2, 4 and 8 pixels, less the mean square of the noise."""
     squares = np.zeros(SCALES.size)
     for line in lines:
         height, pitch = line["height"].values[: 2**18].astype(float), float(line.attrs["pitch_x"])
         for index, n in enumerate(SCALES.astype(int)):
             slopes = (height[n:] - height[:-n]) / (n * pitch)
             squares[index] += mean_square(slopes - np.nanmean(slopes)) / len(lines)
-    return np.sqrt(squares)
+    return np.sqrt(np.maximum(squares - noise / SCALES**2, squares / 20))
 
 
-def _perpendicular(directions: Sequence[_Direction]) -> xr.Dataset:
+def _perpendicular(directions: Sequence[_Direction], noise: float | None) -> xr.Dataset:
     """Density of a surface with a lay along one of two perpendicular directions: elliptic, with one mixture for both.
 
     The slopes in each direction, over their rms, are drawn from one scale mixture; P22 = Σ w_k N(p; σ_k a) N(q; σ_k b).
     """
-    counted = sorted(((count_slopes(item.lines), item) for item in directions), key=lambda pair: pair[0].rms)
+    counted = sorted(((count_slopes(item.lines, noise), item) for item in directions), key=lambda pair: pair[0].rms)
     marginals = [marginal for marginal, _ in counted]
     along, across = (marginal.rms for marginal in marginals)
     fit = fit_mixture([marginal.divided_by(marginal.rms) for marginal in marginals])
@@ -246,7 +256,7 @@ def _perpendicular(directions: Sequence[_Direction]) -> xr.Dataset:
     facets = vocabulary.add_warning(
         facets, *_short_line_warning(marginals, float(relative_u.flat[relative_u.size // 2]))
     )
-    by_scale = np.hypot(*(_slope_rms_by_scale(direction.lines) for direction in directions))
+    by_scale = np.hypot(*(_slope_rms_by_scale(item.lines, marginal.noise) for marginal, item in counted))
     return vocabulary.label(_with_statistics(facets, lines, marginals, by_scale), "facets")
 
 

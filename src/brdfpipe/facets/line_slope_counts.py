@@ -13,6 +13,7 @@ from brdfpipe.facets.height_quantisation import distinct_multiples
 from brdfpipe.facets.slope_histogram import FacetError, check_slope_rms, redundancy_in_classes
 from brdfpipe.facets.slopes import FINE_BINS, count_bits, fine_edges
 from brdfpipe.geometry import Array
+from brdfpipe.psd.noise_floor import beyond_rounding, noise_floor
 
 STRETCHES = 32
 """Number of stretches the lines are cut into, a power of two; their scatter gives the uncertainty."""
@@ -23,7 +24,10 @@ MIN_SLOPES = 63
 BINS = 128
 
 _CHUNK = 2**15
-_BLUR = 32
+_LEAST_SURFACE = 0.05
+"""Least share of the mean square slope that is left to the surface beside noise."""
+_BLUR, _FINE_BLUR = 32, 256
+"""Distances that stand for rounding, and for noise, whose tails matter."""
 
 # Search for a quantum: number of slopes, and largest slope over the slope rms.
 _SAMPLED = 2**15
@@ -44,10 +48,14 @@ class LineSlopeCounts(NamedTuple):
     share: Array
     """(bins,) share of the slopes that belong to lines of the same quantum."""
     blur: Array
-    """(bins, n) distances from a bin's edges at which slopes were rounded into it, of equal weight; 0 without rounding."""
+    """(bins, n) distances from a bin's edges at which rounding and noise bring slopes into it, of equal weight; 0 without them."""
     rms: float
     quantum: float
     """Largest quantum of the slopes of a line; 0 if no line is quantised."""
+    noise: float = 0.0
+    """Mean square that height noise adds to the slopes, besides rounding; it is part of the blur."""
+    noise_u: float = 0.0
+    """Standard uncertainty of that mean square."""
 
     @property
     def counts(self) -> Array:
@@ -83,7 +91,13 @@ class LineSlopeCounts(NamedTuple):
     @property
     def rounding(self) -> float:
         """Mean square error of the slopes by rounding of the heights, over the mean square slope."""
-        return float(self.counts @ (2 * self.blur**2).mean(axis=1)) / self.size / self.rms**2
+        blur = float(self.counts @ (self.blur**2).mean(axis=1)) / self.size
+        return 2 * max(blur - self.noise, 0.0) / self.rms**2
+
+    @property
+    def narrowing(self) -> float:
+        """Rms of the slopes without noise over that with it."""
+        return self.rms / float(np.sqrt(self.rms**2 + self.noise))
 
     @property
     def slope_rms(self) -> float:
@@ -124,21 +138,26 @@ class LineSlopeCounts(NamedTuple):
     def divided_by(self, scale: float) -> LineSlopeCounts:
         """The same counts of slopes divided by ``scale``."""
         return self._replace(
-            bins=self.bins / scale, blur=self.blur / scale, rms=self.rms / scale, quantum=self.quantum / scale
+            bins=self.bins / scale,
+            blur=self.blur / scale,
+            rms=self.rms / scale,
+            quantum=self.quantum / scale,
+            noise=self.noise / scale**2,
+            noise_u=self.noise_u / scale**2,
         )
 
 
-def count_slopes(lines: Sequence[xr.Dataset]) -> LineSlopeCounts:
+def count_slopes(lines: Sequence[xr.Dataset], noise: float | None = None) -> LineSlopeCounts:
     """Count the slopes between neighbouring points of lines, each line's mean removed.
 
     Slopes next to a missing height are left out. Of quantised heights, slopes are multiples of a quantum, and a bin holds whole
     multiples. If the heights vary over many steps, rounding turns a slope into the multiple above or below with probabilities
     in proportion to the distances: slopes within half a quantum of an edge may cross it. Lines of different quantum are counted
-    in separate bins.
+    in separate bins. White height noise, given [um] or seen as a plateau of the spectrum of a line, blurs the edges of the bins.
 
     Raises FacetError: a line has fewer than 63 slopes, slopes that are all equal, or an impossible slope rms.
     """
-    profiles = [_profile(line) for line in lines]
+    profiles = [_with_noise(_profile(line), line, noise) for line in lines]
     profiles.sort(key=lambda profile: profile.quantum)
     quanta = np.array([profile.quantum for profile in profiles])
     begins = np.flatnonzero(quanta[1:] > 1.01 * quanta[:-1]) + 1
@@ -150,25 +169,37 @@ def _merged_bins(parts: Sequence[LineSlopeCounts]) -> LineSlopeCounts:
     sizes = np.array([part.size for part in parts]) / sum(part.size for part in parts)
     bins = np.concatenate([part.bins for part in parts])
     order = np.argsort(bins.sum(axis=1), kind="stable")
+    finest = max(part.blur.shape[1] for part in parts)
     return LineSlopeCounts(
         bins[order],
         np.concatenate([part.by_stretch for part in parts], axis=1)[:, order],
         np.concatenate([size * part.share for size, part in zip(sizes, parts, strict=True)])[order],
-        np.concatenate([np.broadcast_to(part.blur, (len(part.bins), _BLUR)) for part in parts])[order],
+        np.concatenate([np.repeat(part.blur, finest // part.blur.shape[1], axis=1) for part in parts])[order],
         float(np.sqrt(sizes @ np.array([part.rms**2 for part in parts]))),
         max(part.quantum for part in parts),
+        float(sizes @ np.array([part.noise for part in parts])),
+        float(sizes @ np.array([part.noise_u for part in parts])),
     )
 
 
 def _count_one_quantum(profiles: Sequence[_Profile]) -> LineSlopeCounts:
     """Count the slopes of lines of one quantum."""
     quantum = float(np.mean([profile.quantum for profile in profiles]))
-    blur = _blur(profiles, quantum)
+    sizes = np.array([profile.size for profile in profiles]) / sum(profile.size for profile in profiles)
+    noise, noise_u = (float(sizes @ [getattr(p, name) for p in profiles]) for name in ("noise", "noise_u"))
+    blur = _with_gaussian(_blur(profiles, quantum), noise)
     edges, fine = _fine_counts(profiles, quantum)
     counts = fine.sum(axis=0)
     mean_square = float(counts @ (edges[1:] ** 2 + edges[:-1] ** 2)) / 2 / float(counts.sum())
     # Rounding two heights adds q²/6; half of it is the blur about the edges.
-    rms = float(np.sqrt(max(mean_square - float(np.mean(blur**2)) - quantum**2 / 12, mean_square / 4)))
+    rms = float(
+        np.sqrt(
+            max(
+                mean_square - float(np.mean(blur**2)) - quantum**2 / 12,
+                mean_square * (_LEAST_SURFACE if noise else 1 / 4),
+            )
+        )
+    )
     targets = rms * np.sinh(np.linspace(0, np.arcsinh(edges[-1] / rms), BINS + 1))
     if quantum:
         edges, by_stretch = _count_multiples(profiles, quantum, targets)
@@ -176,7 +207,20 @@ def _count_one_quantum(profiles: Sequence[_Profile]) -> LineSlopeCounts:
         cuts = np.unique(np.concatenate([[0], np.minimum(np.searchsorted(edges, targets), edges.size - 1)]))
         edges, by_stretch = edges[cuts], np.add.reduceat(fine, cuts[:-1], axis=1).astype(float)
     bins = np.column_stack([edges[:-1], edges[1:]])
-    return LineSlopeCounts(bins, by_stretch, np.ones(len(bins)), np.tile(blur, (len(bins), 1)), rms, quantum)
+    return LineSlopeCounts(
+        bins, by_stretch, np.ones(len(bins)), np.tile(blur, (len(bins), 1)), rms, quantum, noise, noise_u
+    )
+
+
+def _with_gaussian(blur: Array, mean_square: float) -> Array:
+    """A blur, convolved with a Gaussian of a mean square."""
+    if not mean_square:
+        return blur
+    from scipy.special import ndtri
+
+    quantiles = (np.arange(_FINE_BLUR) + 0.5) / _FINE_BLUR
+    both = np.quantile((blur[:, None] + np.sqrt(mean_square) * ndtri(quantiles)).ravel(), quantiles)
+    return np.asarray(both * np.sqrt((np.mean(blur**2) + mean_square) / np.mean(both**2)))
 
 
 def _blur(profiles: Sequence[_Profile], quantum: float) -> Array:
@@ -229,6 +273,10 @@ class _Profile(NamedTuple):
     """Offset of the grid of possible slopes, at the first slope; 0 without a quantum."""
     growth: float
     """Growth of the offset from slope to slope, caused by a parabola subtracted from quantised heights."""
+    noise: float = 0.0
+    """Mean square that height noise adds to the slopes, besides rounding."""
+    noise_u: float = 0.0
+    """Standard uncertainty of that mean square."""
 
     def positions(self, numbers: NDArray[np.intp]) -> NDArray[np.intp]:
         """Positions in the line of slopes given by number."""
@@ -241,6 +289,14 @@ class _Profile(NamedTuple):
         lattice = self.offset + self.growth * positions
         # Whole multiples are removed, so that lines of different tilt share them; the remainder of each mean adds to the blur.
         return np.asarray(lattice + quantum * np.rint((self.mean - lattice) / quantum))
+
+
+def _with_noise(profile: _Profile, line: xr.Dataset, noise: float | None) -> _Profile:
+    floor = noise_floor(line, noise)
+    rest = beyond_rounding(floor, profile.quantum * profile.pitch)
+    return profile._replace(
+        noise=2 * (rest / profile.pitch) ** 2, noise_u=4 * rest * floor.uncertainty / profile.pitch**2 if rest else 0.0
+    )
 
 
 def _profile(line: xr.Dataset) -> _Profile:

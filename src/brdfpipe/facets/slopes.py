@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.facets.height_quantisation import dither, height_step
 from brdfpipe.geometry import Array
+from brdfpipe.psd.noise_floor import beyond_rounding, noise_floor
 
 SCALES = np.array([1.0, 2.0, 4.0, 8.0])
 """Distances, in pixels, over which the slope rms is reported."""
@@ -32,16 +33,36 @@ class HeightMap(NamedTuple):
     """Along x and y [um]."""
     quantum: float
     """Quantisation step of the heights [um], over which they are dithered; 0 if they are not quantised."""
+    noise: float = 0.0
+    """Rms of white height noise besides rounding [um]."""
+    noise_u: float = 0.0
+    """Standard uncertainty of the noise [um]."""
 
     @classmethod
-    def of(cls, surface: xr.Dataset) -> HeightMap:
+    def of(cls, surface: xr.Dataset, noise: float | None = None) -> HeightMap:
+        """The heights of a map; its ``noise`` [um] is that of the plateau of its spectrum, unless it is given."""
         height, pitch = surface["height"].values, (float(surface.attrs["pitch_x"]), float(surface.attrs["pitch_y"]))
-        return cls(height, pitch, height_step(height, pitch))
+        step, floor = height_step(height, pitch), noise_floor(surface, noise)
+        return cls(height, pitch, step, beyond_rounding(floor, step), floor.uncertainty)
 
     @property
     def rounding(self) -> Array:
-        """(2,) mean square that rounding adds to the slopes along x and y; dither adds as much again."""
-        return self.quantum**2 / 6 / np.square(self.pitch)
+        """(2,) mean square that rounding and noise add to the slopes along x and y."""
+        return (self.quantum**2 / 6 + 2 * self.noise**2) / np.square(self.pitch)
+
+    @property
+    def added(self) -> Array:
+        """(2,) mean square that rounding, dither and noise add to the counted slopes along x and y."""
+        return (self.quantum**2 / 3 + 2 * self.noise**2) / np.square(self.pitch)
+
+    @property
+    def largest_correction(self) -> float:
+        """Largest share of the mean square slope that is subtracted."""
+        return _LARGEST_NOISE if self.noise else _LARGEST_CORRECTION
+
+
+_LARGEST_CORRECTION, _LARGEST_NOISE = 0.75, 0.95
+"""Largest share of the mean square slope that is subtracted for rounding and dither, and for noise."""
 
 
 class Moments(NamedTuple):
@@ -53,7 +74,7 @@ class Moments(NamedTuple):
     covariance: Array
     """(2, 2) of the surface's slopes, each scan's about its own mean."""
     apparent_covariance: Array
-    """(2, 2) of the counted slopes, including rounding and dither of the heights."""
+    """(2, 2) of the counted slopes, including rounding, dither and noise of the heights."""
     scan_rms: Array
     """(scans,) slope rms of each scan."""
 
@@ -90,7 +111,7 @@ _BLOCK_POINTS = 2**16
 
 def _blocks(maps: Sequence[HeightMap]) -> Iterator[tuple[int, Array, tuple[float, float]]]:
     """Blocks of the maps that share their border heights, a few hundred thousand heights at a time, and the pitch."""
-    for scan, (height, pitch, quantum) in enumerate(maps):
+    for scan, (height, pitch, quantum, *_) in enumerate(maps):
         rows = np.linspace(0, height.shape[0] - 1, BLOCKS + 1).astype(int)
         columns = np.linspace(0, height.shape[1] - 1, BLOCKS + 1).astype(int)
         for block in range(BLOCKS**2):
@@ -111,7 +132,7 @@ def mean_slope(heights: HeightMap) -> Array:
     Along a row or a column without gaps, the slopes add up to the difference of its ends. The result is 0 if heights of the
     border are missing, or if it is too small to matter.
     """
-    height, pitch, _ = heights
+    height, pitch = heights.height, heights.pitch
     rises = [
         (height[:, -1] - height[:, 0]) / ((height.shape[1] - 1) * pitch[0]),
         (height[-1] - height[0]) / ((height.shape[0] - 1) * pitch[1]),
@@ -209,19 +230,15 @@ def _moments(maps: Sequence[HeightMap], facets: Array, tilts: Array, products: A
     total = max(float(facets.sum()), 1.0)
     xx, yy, xy = products.sum(axis=0) / total
     covariance = apparent = np.array([[xx, xy], [xy, yy]])
-    widening = 2 * np.array([heights.rounding for heights in maps])
+    widening = np.array([heights.added for heights in maps])
     if widening.any() and facets.any():
         # If the steps dominate the slopes, the formula for the mean square of rounding no longer holds.
         widest = np.diag((facets * widening).sum(axis=0) / total)
         largest = float(np.linalg.eigvals(np.linalg.solve(apparent, widest)).real.max())
-        covariance = apparent - widest * min(1.0, _LARGEST_CORRECTION / largest)
-    squares = products[:, :2] / np.maximum(facets, 1)
-    rms = np.sqrt(np.maximum(np.maximum(squares - widening, (1 - _LARGEST_CORRECTION) * squares).sum(axis=1), 0.0))
+        covariance = apparent - widest * min(1.0, max(heights.largest_correction for heights in maps) / largest)
+    squares, left = products[:, :2] / np.maximum(facets, 1), [[1 - heights.largest_correction] for heights in maps]
+    rms = np.sqrt(np.maximum(np.maximum(squares - widening, left * squares).sum(axis=1), 0.0))
     return Moments(int(facets.sum()), tilts, covariance, apparent, rms)
-
-
-_LARGEST_CORRECTION = 0.75
-"""Largest share of the mean square slope that is subtracted for rounding and dither."""
 
 
 _UPPER_HALF = 1 if np.little_endian else 0
@@ -264,7 +281,7 @@ def _block_moments(
 
 def slope_rms_by_scale(heights: HeightMap, tilt: Array) -> Array:
     """Root mean square slope of a map about ``tilt``, over 1, 2, 4 and 8 pixels, from some of its rows; NaN where it is too small."""
-    height, pitch, _ = heights
+    height, pitch = heights.height, heights.pitch
     values = []
     for step in SCALES.astype(int):
         if min(height.shape) <= step:
@@ -274,7 +291,14 @@ def slope_rms_by_scale(heights: HeightMap, tilt: Array) -> Array:
         along_x = (height[rows, step:] - height[rows, :-step]) / (step * pitch[0]) - tilt[0]
         along_y = (height[step:][rows] - height[rows]) / (step * pitch[1]) - tilt[1]
         square = mean_square(along_x) + mean_square(along_y)
-        values.append(np.sqrt(max(square - heights.rounding.sum() / step**2, square / 4)))
+        values.append(
+            np.sqrt(
+                max(
+                    square - heights.rounding.sum() / step**2,
+                    square * (1 - max(heights.largest_correction, _LARGEST_CORRECTION)),
+                )
+            )
+        )
     return np.asarray(values)
 
 
