@@ -143,7 +143,10 @@ def _names_file(part: str, key: str) -> Condition:
 
 
 _MEASURED_RELIEF = _names_file("surface", "surface")
-_ASSUMED_ROUGHNESS = Condition("`surface.length`", lambda subject: "length" in subject.owner.content.get("surface", {}))
+_KNOWN_ROUGHNESS = Condition(
+    "`surface.file` or `surface.length`",
+    lambda subject: _MEASURED_RELIEF.holds(subject) or "length" in subject.owner.content.get("surface", {}),
+)
 
 
 def _uses_waves(subject: Subject) -> bool:
@@ -204,7 +207,7 @@ def _config_block(part: str) -> StageKeys:
 
 
 _SURFACES = (MeasuredSurface, BeckmannSurface, GgxSurface, FlatSurface)
-_SCAN_KEYS, _SLOPE_KEYS = _read_by("surface", *_SURFACES), _read_by("facets", *_SURFACES)
+_SCAN_KEYS, _SLOPE_KEYS, _SPECTRUM_KEYS = (_read_by(stage, *_SURFACES) for stage in ("surface", "facets", "psd"))
 _COLOURS = (MultiangleFile, MultiangleColours)
 _ARRANGEMENT = StageKeys(read=lambda subject, wildcards: {**wildcards, "incidence": float(wildcards["incidence"])})
 
@@ -329,9 +332,8 @@ _STAGES = (
     Stage(
         "psd",
         "the roughness spectrum of the surface",
-        when=_ASSUMED_ROUGHNESS,
-        keys=_block("surface", ("distribution", "slope_rms", "length")),
-        reported=False,
+        when=_KNOWN_ROUGHNESS,
+        keys=_block("surface", _SPECTRUM_KEYS),
     ),
     Stage(
         "back_surface",

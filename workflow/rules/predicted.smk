@@ -23,6 +23,8 @@ use rule stage_template as facets with:
 
 
 use rule stage_template as psd with:
+    input:
+        **results_of("surface", "scan"),
     output:
         psd="{material}/psd.nc",
 

@@ -82,6 +82,8 @@ class Scan(Keys):
 class MeasuredSurface(Keys):
     """A scan of a surface, and how it is read."""
 
+    not_together = (("noise", "lambda_s"),)
+
     file: str = _file("the scan", details="See [formats](#formats-of-surfaces).", stage="surface")
     format: Annotated[str, OneOf(_surface_formats)] = key(
         "how the file is written; metropro must be named, because its extension .dat means text",
@@ -152,6 +154,15 @@ class MeasuredSurface(Keys):
         details="See [the model](model.md). A map does not use it, and a warning says so.",
         stage="facets",
     )
+    noise: float = key(
+        "rms of the instrument's white height noise, which is subtracted from slopes and spectrum; 0 for none",
+        unit="µm",
+        default_words="from the plateau of the spectrum at its highest frequencies, where it has one",
+        ge=0,
+        le=1000,
+        details="See [noise](model.md#roughness-spectrum-and-noise). Not with `lambda_s`, after which noise is not white.",
+        stage="facets psd",
+    )
     azimuth: float = _azimuth(stage="surface")
     scans: list[Scan] = key(
         "further scans of the same surface, read like the first; a second line perpendicular to the first shows a lay",
@@ -172,7 +183,7 @@ class MeasuredSurface(Keys):
 
 def _distribution() -> Any:
     help = "instead of a file, an assumed finish: beckmann (Gaussian slopes, with slope_rms), ggx (with a) or flat (polished, with neither)"
-    return key(help, required=True, default_words="instead of `file`", stage="facets")
+    return key(help, required=True, default_words="instead of `file`", stage="facets psd")
 
 
 Distribution = Annotated[str, OneOf(("beckmann", "ggx", "flat"))]
@@ -210,7 +221,7 @@ class BeckmannSurface(Keys):
         ge=1e-6,
         le=3,
         example=0.15,
-        stage="facets",
+        stage="facets psd",
     )
     length: float = key(
         "correlation length ℓ of a beckmann finish: the autocovariance of its heights falls to 1/e there",

@@ -19,6 +19,7 @@ from brdfpipe.report.material.head import key_numbers, picture
 from brdfpipe.report.material.inputs import effect_pigment_section, facet_section, spectrum_section, surface_section
 from brdfpipe.report.material.model_error import model_error_section
 from brdfpipe.report.material.reflection import lambert_gauss_section, reflection_section
+from brdfpipe.report.material.roughness import roughness_section
 from brdfpipe.report.rendering import material_name, own_stages, render
 from brdfpipe.report.rig import section as rig_section
 
@@ -43,6 +44,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
     inputs = [
         effect_pigment_section(known),
         surface_section(known),
+        roughness_section(known),
         facet_section(known),
         model_error_section(known),
     ]

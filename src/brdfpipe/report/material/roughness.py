@@ -1,0 +1,77 @@
+"""Section on the roughness spectrum: its figure, the rms heights that it and the heights give, and what each frequency scatters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import xarray as xr
+
+from brdfpipe.report.cards import Section, Table
+from brdfpipe.report.formatting import attribute_note, number
+from brdfpipe.report.plots.roughness_spectrum import instrument_frequencies, roughness_spectrum
+
+
+def roughness_section(datasets: Mapping[str, xr.Dataset]) -> Section:
+    """The roughness spectrum; empty where there is none, or where the surface is flat."""
+    section = Section("Roughness spectrum")
+    psd = datasets.get("psd")
+    if psd is None or not psd["psd"].values.any():
+        return section
+    section.figures.append(roughness_spectrum(psd))
+    section.tables += [_heights_table(psd), _frequency_table(psd)]
+    return section
+
+
+def _heights_table(psd: xr.Dataset) -> Table:
+    band = f"{number(float(psd['band_low']))} to {number(float(psd['band_high']))} µm⁻¹"
+    waves = f"waves of {number(1 / float(psd['band_high']))} to {number(1 / float(psd['band_low']))} µm"
+    rows = [("Band", band, waves)]
+    if psd.attrs["form"] == "measured":
+        rows += [
+            (
+                "rms height of the levelled heights",
+                _nanometres(psd, "sigma_heights"),
+                "all waves, also longer than the band; without noise",
+            ),
+            ("rms height of the spectrum", _nanometres(psd, "sigma"), "in its band"),
+            ("rms height of the fitted form", _nanometres(psd, "fit_sigma"), "all waves, extrapolated"),
+            (
+                "Noise of the heights",
+                _nanometres(psd, "noise_sigma"),
+                "subtracted" if float(psd["noise_sigma"]) else "none known",
+            ),
+        ]
+    else:
+        rows.append(("rms height", _nanometres(psd, "sigma"), "assumed"))
+    rows.append(("Correlation length ℓ", f"{_with_u(psd, 'fit_length', 1)} µm", "of the form"))
+    if psd["fit_slope"].notnull():
+        rows.append(("Exponent of the decay", _with_u(psd, "fit_slope", 1), "of the form, at high frequencies"))
+    if "fit_residual_log" in psd:
+        rows.append(
+            ("Scatter about the form", f"{number(100 * float(psd['fit_residual_log']))} %", "rms of the logarithm")
+        )
+    return Table("Roughness in numbers", ("Quantity", "Value", "Of"), rows, attribute_note(psd, ("form", "method")))
+
+
+def _frequency_table(psd: xr.Dataset) -> Table:
+    low, high = float(psd["band_low"]), float(psd["band_high"])
+    rows = [
+        (
+            name,
+            number(value),
+            "measured" if low <= value <= high else "below the band" if value < low else "above the band",
+        )
+        for name, value in instrument_frequencies()
+    ]
+    note = "Spatial frequency that scatters light of 550 nm from the mirror direction to the place named, f = |sin θo − sin θi| / λ."
+    return Table("Frequencies that matter", ("Direction", "µm⁻¹", "Spectrum"), rows, note)
+
+
+def _nanometres(psd: xr.Dataset, name: str) -> str:
+    return f"{_with_u(psd, name, 1000)} nm"
+
+
+def _with_u(psd: xr.Dataset, name: str, factor: float) -> str:
+    value = number(factor * float(psd[name]))
+    u = factor * float(psd.get(f"{name}_u", 0.0))
+    return f"{value} ± {number(2 * u, 2)}" if u else value
