@@ -39,9 +39,9 @@ def test_the_uncertainties_of_a_pair_are_those_before_the_enlargement(completed:
     plain, reduced = (pair_differences(pairs, dict.fromkeys(INCIDENCES, factor)) for factor in (1.0, 2.0))
     for name, factor in {"difference": 1.0, "change_u": 1.0, "difference_u": 0.5, "score": 2.0}.items():
         np.testing.assert_allclose(reduced[name], factor * plain[name], rtol=1e-12)
-    ratio = (pairs["there"] / pairs["back"]).median("wavelength")
+    ratio = (pairs["forward"] / pairs["backward"]).median("wavelength")
     np.testing.assert_allclose(1 + plain["difference"], ratio, rtol=1e-12)
-    product = (1 + plain["change_back"]) / (1 + plain["change_there"])
+    product = (1 + plain["change_of_backward"]) / (1 + plain["change_of_forward"])
     # The medians of two wavelengths are means, which do not commute with a ratio.
     np.testing.assert_allclose(product, ratio, rtol=1e-3)
 

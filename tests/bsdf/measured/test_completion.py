@@ -149,15 +149,15 @@ def test_both_directions_of_light_agree_within_their_uncertainties_before_averag
     bsdf = completion.complete(smoothed_paint)
     pairs = reciprocity(bsdf)
     assert pairs.sizes["pair"] == 10
-    z = (pairs["there"] - pairs["back"]) / np.hypot(pairs["there_u"], pairs["back_u"])
+    z = (pairs["forward"] - pairs["backward"]) / np.hypot(pairs["forward_u"], pairs["backward_u"])
     assert 0.3 < float(np.sqrt((z**2).mean())) < 2
     # The average is between the two, and less uncertain than either alone.
-    inside = (pairs["both"] - pairs["there"]) * (pairs["both"] - pairs["back"])
-    assert (inside <= 1e-12 * pairs["both"] ** 2).all()
-    assert float((pairs["both_u"] / np.minimum(pairs["there_u"], pairs["back_u"])).median()) < 1
+    inside = (pairs["averaged"] - pairs["forward"]) * (pairs["averaged"] - pairs["backward"])
+    assert (inside <= 1e-12 * pairs["averaged"] ** 2).all()
+    assert float((pairs["averaged_u"] / np.minimum(pairs["forward_u"], pairs["backward_u"])).median()) < 1
     at = directions(1, 85, 1, 85)
-    there, back = bsdf.bsdf.evaluate(*at), bsdf.bsdf.evaluate(at[2], at[3], at[0], at[1])
-    assert there.values == pytest.approx(back.values, rel=1e-10)
+    forward, backward = bsdf.bsdf.evaluate(*at), bsdf.bsdf.evaluate(at[2], at[3], at[0], at[1])
+    assert forward.values == pytest.approx(backward.values, rel=1e-10)
 
 
 def beyond(smoothed, incidences):

@@ -25,7 +25,7 @@ def _flat(incidence: float, theta: np.ndarray, phi: np.ndarray, wavelength: np.n
 def _figure(
     incidences: tuple[float, ...] = INCIDENCES, *, wrong: float | None = None, symmetric: bool = True, **options
 ) -> Figure:
-    """Of a perfect diffuser, one incidence of which may be told 30 % too bright."""
+    """Of a perfect diffuser, one incidence of which may be stated 30 % too bright."""
     primary = rig_primary.measured(_flat, incidences, (500.0, 600.0), noise=0.02)
     factor = xr.where(primary["incidence"] == wrong, 1.3, 1.0) if wrong is not None else 1.0
     brdf = (primary["brdf"] * factor).assign_attrs(primary["brdf"].attrs)
@@ -45,8 +45,8 @@ def test_every_pair_is_drawn_before_and_after(on_rig: xr.Dataset, smoothed_on_ri
     figure = reciprocity_figure.figure(on_rig, smoothed_on_rig)
     ElementTree.fromstring(f"<div>{figure.svg}</div>")
     assert not re.search(r"nan|inf\b", str(figure.svg))
-    (before,), (there,), (back,) = (_ends(figure.svg, style) for style in ("c0", "c2", "c4"))
-    assert before.size == there.size == back.size == 3 * reciprocity_figure.AZIMUTHS
+    (before,), (forward,), (backward,) = (_ends(figure.svg, style) for style in ("c0", "c2", "c4"))
+    assert before.size == forward.size == backward.size == 3 * reciprocity_figure.AZIMUTHS
     for name in ("10°–30°", "10°–60°", "30°–60°"):
         assert figure.svg.count(f">{name}</text>") == 2
     assert len(figure.legend) == 3
@@ -55,8 +55,8 @@ def test_every_pair_is_drawn_before_and_after(on_rig: xr.Dataset, smoothed_on_ri
 
 def test_the_points_are_the_values_of_the_completion(on_rig: xr.Dataset, smoothed_on_rig: xr.Dataset) -> None:
     compared = reciprocity(on_rig, reciprocity_figure.AZIMUTHS)
-    apart = 100 * (compared["there"] / compared["back"] - 1).median("wavelength").values.ravel()
-    moved = 100 * (compared["both"] / compared["there"] - 1).median("wavelength").values.ravel()
+    apart = 100 * (compared["forward"] / compared["backward"] - 1).median("wavelength").values.ravel()
+    moved = 100 * (compared["averaged"] / compared["forward"] - 1).median("wavelength").values.ravel()
     figure = reciprocity_figure.figure(on_rig, smoothed_on_rig)
     (before,), (after,) = (_ends(figure.svg, style) for style in ("c0", "c2"))
     # Both panels have one scale, upwards.

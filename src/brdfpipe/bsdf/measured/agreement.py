@@ -55,20 +55,20 @@ def pair_differences(pairs: xr.Dataset, enlarged: Mapping[float, float]) -> xr.D
 
     Returns
     -------
-    Dataset of (pair, phi_o) [1]: ``difference`` f(i → o) / f(o → i) − 1; ``change_there`` and ``change_back``, BSDF / f(i → o) − 1 and
-        BSDF / f(o → i) − 1; ``difference_u`` and ``change_u``, their uncertainties; ``score``, f(i → o) − f(o → i) over its uncertainty
+    Dataset of (pair, phi_o) [1]: ``difference`` f(i → o) / f(o → i) − 1; ``change_of_forward`` and ``change_of_backward``, BSDF / f(i → o) − 1
+        and BSDF / f(o → i) − 1; ``difference_u`` and ``change_u``, their uncertainties; ``score``, f(i → o) − f(o → i) over its uncertainty
     """
-    there, back, both = (pairs[name].where(pairs[name] > 0) for name in ("there", "back", "both"))
-    there_u, back_u = (
+    forward, backward, averaged = (pairs[name].where(pairs[name] > 0) for name in ("forward", "backward", "averaged"))
+    forward_u, backward_u = (
         pairs[name] / xr.DataArray([enlarged.get(angle, 1.0) for angle in pairs[end].values.tolist()], dims="pair")
-        for name, end in (("there_u", "incidence"), ("back_u", "incidence_2"))
+        for name, end in (("forward_u", "incidence"), ("backward_u", "incidence_2"))
     )
     differences = {
-        "difference": there / back - 1,
-        "difference_u": np.hypot(there_u / there, back_u / back),
-        "change_there": both / there - 1,
-        "change_back": both / back - 1,
-        "change_u": pairs["both_u"] / both,
-        "score": (there - back) / np.hypot(there_u, back_u),
+        "difference": forward / backward - 1,
+        "difference_u": np.hypot(forward_u / forward, backward_u / backward),
+        "change_of_forward": averaged / forward - 1,
+        "change_of_backward": averaged / backward - 1,
+        "change_u": pairs["averaged_u"] / averaged,
+        "score": (forward - backward) / np.hypot(forward_u, backward_u),
     }
-    return xr.Dataset(differences).median(str(pairs["there"].dims[2]))
+    return xr.Dataset(differences).median(str(pairs["forward"].dims[2]))

@@ -272,7 +272,9 @@ def _newton_remainder(side: Side, nodes: NDArray[np.int64], logarithms: Array, t
     """Next term of Newton's formula (directions, wavelength), from the logarithms of some nodes (node, directions, wavelength)."""
     nodes_x, x = side.abscissa[nodes], interpolation_abscissa(theta_i)
     if nodes.size < 2:
-        distance = np.abs(theta_i - side.incidence[nodes].sum()) / _ERROR_RANGE
+        # A wavelength that no incidence was measured at is as uncertain as one measured at normal incidence alone.
+        known = side.incidence[nodes[0]] if nodes.size else 0.0
+        distance = np.abs(theta_i - known) / _ERROR_RANGE
         return np.broadcast_to(distance[:, None], logarithms.shape[1:])
     slope = np.diff(logarithms, axis=0) / np.diff(nodes_x)[:, None, None]
     first = np.clip(np.searchsorted(nodes_x, x, side="right") - 1, 0, nodes.size - 2)
@@ -327,11 +329,11 @@ def _path_quality(side: Side, cells: list[_NodeCells | None], path: PathDirectio
     nearest = np.abs(path.theta_i[:, None] - incidence).argmin(axis=1)
     at_node = np.abs(path.theta_i - incidence[nearest]) <= _SAME_INCIDENCE
     after = np.clip(np.searchsorted(incidence, path.theta_i), 1, max(incidence.size - 1, 1))
-    both = covered[after - 1, index] & covered[np.minimum(after, incidence.size - 1), index]
+    both_covered = covered[after - 1, index] & covered[np.minimum(after, incidence.size - 1), index]
     between = (path.theta_i >= incidence[0]) & (path.theta_i <= incidence[-1])
     flags = {
         "measured": at_node & covered[nearest, index],
-        "interpolated": between & both,
+        "interpolated": between & both_covered,
         "completed": ~between & ~at_node,
     }
     return np.select(

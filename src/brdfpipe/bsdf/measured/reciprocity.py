@@ -23,8 +23,9 @@ def reciprocity(bsdf: xr.Dataset, azimuths: int = 13) -> xr.Dataset:
     Returns
     -------
     Dataset of (pair, phi_o, wavelength), a pair for every two different measured incidences ``incidence`` and ``incidence_2``:
-        ``there`` f(σ₁ → σ₂) and ``back`` f(σ₂ → σ₁), each from its own incidence, ``both`` from the BSDF [sr-1], and their standard
-        uncertainties. Before averaging, the residual is there − back; after, it is both − there and both − back
+        ``forward`` f(σ₁ → σ₂) and ``backward`` f(σ₂ → σ₁), each from its own incidence, ``averaged`` from the BSDF [sr-1], and their
+        standard uncertainties. Before averaging, the residual is forward − backward; after, it is averaged − forward and averaged − backward.
+        Of a BSDF that is not averaged (attribute ``reciprocity``), ``averaged`` is ``forward``
     """
     vocabulary.validate(bsdf, "bsdf")
     one_way = bsdf.assign_attrs(reciprocity="none")
@@ -33,12 +34,12 @@ def reciprocity(bsdf: xr.Dataset, azimuths: int = 13) -> xr.Dataset:
     incidence = bsdf["incidence"].values[measured.values & (bsdf["transmitted"].values == 0)]
     first, second = (incidence[index] for index in np.triu_indices(incidence.size, 1))
     phi = np.linspace(0.0, 180.0, azimuths)
-    there = first[:, None], np.zeros(1), second[:, None], phi
-    back = second[:, None], np.zeros(1), first[:, None], -phi
+    forward = first[:, None], np.zeros(1), second[:, None], phi
+    backward = second[:, None], np.zeros(1), first[:, None], -phi
     rows = (
-        ("there", "from the first incidence to the second", one_way, there),
-        ("back", "from the second incidence to the first", one_way, back),
-        ("both", "of both directions", bsdf, there),
+        ("forward", "from the first incidence to the second", one_way, forward),
+        ("backward", "from the second incidence to the first", one_way, backward),
+        ("averaged", "of both directions", bsdf, forward),
     )
     fields, dims = {}, ("pair", "phi_o", spectral)
     for name, words, dataset, angles in rows:
@@ -64,7 +65,7 @@ def contradictions(bsdf: xr.Dataset) -> xr.DataArray:
     ``(incidence, incidence_2)``, rms over azimuth and wavelength [1]; the measured incidences of reflection, missing on the diagonal
     """
     pairs = reciprocity(bsdf.assign_attrs(reciprocity="none"))
-    z = (pairs["there"] - pairs["back"]) / xr.DataArray(np.hypot(pairs["there_u"], pairs["back_u"]))
+    z = (pairs["forward"] - pairs["backward"]) / xr.DataArray(np.hypot(pairs["forward_u"], pairs["backward_u"]))
     rms = np.sqrt((z**2).mean([dim for dim in z.dims if dim != "pair"]).values)
     incidence = np.union1d(pairs["incidence"], pairs["incidence_2"])
     first, second = (np.searchsorted(incidence, pairs[name]) for name in ("incidence", "incidence_2"))

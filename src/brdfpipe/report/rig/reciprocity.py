@@ -60,11 +60,11 @@ def figure(bsdf: xr.Dataset, smoothed: xr.Dataset) -> Figure:
     before = [zero, *_points(percent["difference"], percent["difference_u"], 0.0, "c0", "before: f(i→o) / f(o→i)")]
     after = [
         zero,
-        *_points(percent["change_there"], percent["change_u"], -_MARK_OFFSET, "c2", "after: BSDF / f(i→o)"),
-        *_points(percent["change_back"], percent["change_u"], _MARK_OFFSET, "c4", "after: BSDF / f(o→i)"),
+        *_points(percent["change_of_forward"], percent["change_u"], -_MARK_OFFSET, "c2", "after: BSDF / f(i→o)"),
+        *_points(percent["change_of_backward"], percent["change_u"], _MARK_OFFSET, "c4", "after: BSDF / f(o→i)"),
     ]
     drawn = [(percent["difference"], percent["difference_u"])]
-    drawn += [(percent[name], percent["change_u"]) for name in ("change_there", "change_back") if averaged]
+    drawn += [(percent[name], percent["change_u"]) for name in ("change_of_forward", "change_of_backward") if averaged]
     low_high = _axis_range(*(np.concatenate(part) for part in zip(*drawn, strict=True)))
     svg = _chart("the two directions of light", "f(i→o) / f(o→i) − 1, %", shown, before, low_high)
     if averaged:
