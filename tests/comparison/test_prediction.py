@@ -12,7 +12,7 @@ from brdfpipe import facets, optics
 from brdfpipe.bsdf import microfacet
 from brdfpipe.comparison import scan_uncertainty as scan
 from brdfpipe.comparison.measurement import Measurement
-from brdfpipe.comparison.prediction import NOMINAL, Family, Predicted, PredictionInputs
+from brdfpipe.comparison.prediction import NOMINAL, Predicted, PredictionInputs, PredictionModel
 
 CHOICES = [{}, {"masking": "crf", "diffuse": "crf"}, {"multiple_scattering": "compensated"}]
 PRIOR_U = {"index": 0.02, "slope": 0.1, "diffuse": 0.05}
@@ -84,12 +84,12 @@ def test_the_derivatives_are_those_of_rebuilt_bsdfs(choices) -> None:
     finish = facets.analytic("beckmann", 0.25)
     predicted = microfacet.build(finish, index=1.5, spectrum=spectrum(), **choices)
     measurement = seen_by(predicted, 20)
-    family = Family(
+    model = PredictionModel(
         PredictionInputs.of(predicted, finish, 1.5, spectrum(), measurement.wavelength), measurement, PRIOR_U
     )
-    slopes = family.at(np.array([0.5, -0.5, 0.5])).slopes()
+    slopes = model.at(np.array([0.5, -0.5, 0.5])).slopes()
     for row, step in enumerate(0.2 * np.eye(3)):
-        ends = [family.at(np.array([0.5, -0.5, 0.5]) + way * step).values for way in (-1, 1)]
+        ends = [model.at(np.array([0.5, -0.5, 0.5]) + way * step).values for way in (-1, 1)]
         expected = (ends[1] - ends[0]) / 0.4
         used = measurement.used
         # To 3 % of the largest: the base is differentiated at one place and forwards.

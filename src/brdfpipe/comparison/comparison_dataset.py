@@ -11,13 +11,15 @@ import xarray as xr
 from brdfpipe.bsdf.measured.basis import solid_angles
 from brdfpipe.comparison.adjustment import Adjusted
 from brdfpipe.comparison.measurement import DIMS, Measurement
-from brdfpipe.comparison.prediction import NOMINAL, Family, Member, Predicted
+from brdfpipe.comparison.prediction import NOMINAL, Predicted, PredictionAt, PredictionModel
 from brdfpipe.geometry import Array
 
 _PICTURES = ("incidence", "wavelength")
 
 
-def compared(measurement: Measurement, models: Mapping[str, Predicted], fit: Adjusted[Member] | None) -> xr.Dataset:
+def compared(
+    measurement: Measurement, models: Mapping[str, Predicted], fit: Adjusted[PredictionAt] | None
+) -> xr.Dataset:
     """Measured values beside those of models, and their agreement."""
     best = list(models.values())[-1]
     covariance = measurement.covariance(best.values, best.own_u, best.common) if fit is None else fit.covariance
@@ -84,11 +86,11 @@ def _by_incidence(statistic: Callable[..., Array], fields: Array) -> Array:
     return np.where(known, statistic(np.where(known[..., None], flat, 0.0), axis=-1), np.nan)
 
 
-def with_inputs(comparison: xr.Dataset, family: Family, fit: Adjusted[Member]) -> xr.Dataset:
+def with_inputs(comparison: xr.Dataset, model: PredictionModel, fit: Adjusted[PredictionAt]) -> xr.Dataset:
     """A comparison with the prior and posterior inputs."""
-    names = [*family.prior_u]
-    prior, after = (np.array([inputs[name] for name in names]) for inputs in (NOMINAL, family.inputs(fit.change)))
-    u, spread = np.array([*family.prior_u.values()]), np.sqrt(np.diag(fit.spread))
+    names = [*model.prior_u]
+    prior, after = (np.array([inputs[name] for name in names]) for inputs in (NOMINAL, model.inputs(fit.change)))
+    u, spread = np.array([*model.prior_u.values()]), np.sqrt(np.diag(fit.spread))
     factor = np.where(np.array(names) == "index", 1.0, after)
     return comparison.assign(
         prior=("input", prior),

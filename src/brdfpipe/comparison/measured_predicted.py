@@ -18,7 +18,7 @@ from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.comparison import comparison_dataset, findings
 from brdfpipe.comparison.adjustment import Adjusted, adjust
 from brdfpipe.comparison.measurement import ComparisonError, Measurement
-from brdfpipe.comparison.prediction import INPUTS, NOMINAL, Family, Member, Predicted, PredictionInputs
+from brdfpipe.comparison.prediction import INPUTS, NOMINAL, Predicted, PredictionAt, PredictionInputs, PredictionModel
 
 PRIOR_U: Mapping[str, float] = {"index": 0.02, "slope": 0.1, "diffuse": 0.05}
 """Default standard uncertainty of the inputs: absolute for the index, relative for the others."""
@@ -74,21 +74,21 @@ def compare(
     _check(primary, predicted, facets, prior_u)
     measurement = Measurement.of(primary, _shared(primary, predicted))
     models: dict[str, Predicted] = {"predicted": Predicted(predicted, measurement)}
-    fit: Adjusted[Member] | None = None
+    fit: Adjusted[PredictionAt] | None = None
     if isinstance(representation(predicted), Microfacet):
         given = PredictionInputs.of(predicted, facets, index, spectrum, measurement.wavelength)
         # Inputs that may be changed and have an effect.
         fixed = set() if predicted["diffuse"].values.any() else {"diffuse"}
         fitted = {name: prior_u[name] for name in INPUTS if prior_u[name] > 0 and name not in fixed}
-        family = Family(given, measurement, fitted)
-        _check_same(models["predicted"], family.start)
-        models["predicted"] = family.start
+        model = PredictionModel(given, measurement, fitted)
+        _check_same(models["predicted"], model.start)
+        models["predicted"] = model.start
         if fitted:
-            fit = adjust(measurement, family.at, len(fitted), family.start)
+            fit = adjust(measurement, model.at, len(fitted), model.start)
             models["adjusted"] = fit.model
     comparison = comparison_dataset.compared(measurement, models, fit)
     if fit is not None:
-        comparison = comparison_dataset.with_inputs(comparison, family, fit)
+        comparison = comparison_dataset.with_inputs(comparison, model, fit)
     comparison = vocabulary.label(findings.with_findings(comparison, predicted), "comparison")
     return vocabulary.validate(comparison, "comparison")
 

@@ -202,8 +202,8 @@ class Predicted:
 
 
 @dataclass(frozen=True)
-class Family:
-    """The predictions for all values of the uncertain inputs.
+class PredictionModel:
+    """The prediction as a function of the uncertain inputs.
 
     Parameters
     ----------
@@ -223,12 +223,12 @@ class Family:
         by = dict(zip(self.prior_u, change * np.array([*self.prior_u.values()]), strict=True))
         return {name: float(by.get(name, 0.0) if name == "index" else np.exp(by.get(name, 0.0))) for name in INPUTS}
 
-    def at(self, change: Array) -> Member:
+    def at(self, change: Array) -> PredictionAt:
         """The prediction after changes in prior standard uncertainties."""
-        return Member(self.given.bsdf(self.inputs(change)), self.measurement, self, change)
+        return PredictionAt(self.given.bsdf(self.inputs(change)), self.measurement, self, change)
 
     @cached_property
-    def start(self) -> Member:
+    def start(self) -> PredictionAt:
         """The original prediction."""
         return self.at(np.zeros(len(self.prior_u)))
 
@@ -236,39 +236,40 @@ class Family:
     def smooth_facets(self) -> xr.Dataset:
         return scan.smooth(self.given.facets)
 
-    def base_slopes(self, member: Member) -> Array:
+    def base_slopes(self, prediction: PredictionAt) -> Array:
         """Change of the base (input, …) as the facets above it reflect more or less; the same within a few prior uncertainties."""
         for change, known in self._known_base_slopes:
-            if np.abs(change - member.change).max() < _FAR:
+            if np.abs(change - prediction.change).max() < _FAR:
                 return known
         slopes = np.zeros((len(self.prior_u), *self.measurement.value.shape))
         for row, name in enumerate(self.prior_u):
             if name != "diffuse":
-                changed = self.at(member.change + _STEP * np.eye(len(self.prior_u))[row])
-                slopes[row] = (changed.values - member.values) / _STEP - member.lobe_slope(name, self.given.facets)
-        self._known_base_slopes.append((member.change, slopes))
+                changed = self.at(prediction.change + _STEP * np.eye(len(self.prior_u))[row])
+                lobe_slope = prediction.lobe_slope(name, self.given.facets)
+                slopes[row] = (changed.values - prediction.values) / _STEP - lobe_slope
+        self._known_base_slopes.append((prediction.change, slopes))
         return slopes
 
 
 @dataclass(frozen=True)
-class Member(Predicted):
-    """One of a family of predictions."""
+class PredictionAt(Predicted):
+    """The prediction of a model after changes of its inputs, in prior standard uncertainties."""
 
-    family: Family
+    model: PredictionModel
     change: Array
 
     def slopes(self) -> Array:
         """Change of the values (input, …) per prior standard uncertainty of each input."""
-        lobe = np.array([self.lobe_slope(name, self.family.smooth_facets) for name in self.family.prior_u])
-        return lobe + self.family.base_slopes(self)
+        lobe = np.array([self.lobe_slope(name, self.model.smooth_facets) for name in self.model.prior_u])
+        return lobe + self.model.base_slopes(self)
 
     def lobe_slope(self, name: str, facets: xr.Dataset) -> Array:
         """The same for one input and some facets, with the base and its coupling to them fixed."""
-        u = self.family.prior_u[name]
+        u = self.model.prior_u[name]
         if name == "diffuse":
             return u * (self.values - self._values_with(diffuse=np.zeros(1)))
         if name == "index":
-            n = self.family.given.shifted(self.bsdf["n"], _STEP * u).values
+            n = self.model.given.shifted(self.bsdf["n"], _STEP * u).values
             return (self._values_with(n=np.atleast_1d(n)) - self.values) / _STEP
         unscaled, steeper = (
             self._values_with(surface=self._surface(facets, np.exp(step * u))) for step in (0.0, _STEP)
@@ -283,13 +284,13 @@ class Member(Predicted):
     @cached_property
     def common(self) -> Array:
         """Common errors of the cells and of the scan."""
-        of_scan = scan.errors(self.family.given.facets, *self._facet_slopes)[:, :, None] * self._lobe_u
+        of_scan = scan.errors(self.model.given.facets, *self._facet_slopes)[:, :, None] * self._lobe_u
         return np.concatenate([super().common, of_scan])
 
     @cached_property
     def _lobe_u(self) -> Array:
         """Standard uncertainty of the facets' reflected light from the scan [sr-1]."""
-        relative = scan.relative_u(self.family.given.facets, *self._facet_slopes)[:, None]
+        relative = scan.relative_u(self.model.given.facets, *self._facet_slopes)[:, None]
         return relative * (self.values - self._values_with(surface=None))
 
     @cached_property
@@ -298,15 +299,15 @@ class Member(Predicted):
         theta_i, theta_o, phi_o = self.measurement.directions
         phi_i = np.zeros_like(theta_i)
         p, q = slope_towards(half_vector(theta_i, phi_i, np.minimum(theta_o, 90.0), phi_o), phi_i, phi_o)
-        factor = self.family.inputs(self.change)["slope"]
+        factor = self.model.inputs(self.change)["slope"]
         return p / factor, q / factor
 
     def _surface(self, facets: xr.Dataset, factor: float = 1.0) -> Microsurface:
         """Facets of the scan with the slopes of this prediction, times a further factor."""
-        return Microsurface.of(scaling.scaled(facets, self.family.inputs(self.change)["slope"] * factor))
+        return Microsurface.of(scaling.scaled(facets, self.model.inputs(self.change)["slope"] * factor))
 
     def _evaluate_smooth(self, theta_i: Array, theta_o: Array, phi_o: Array) -> Array:
-        return self._modelled(theta_i, theta_o, phi_o, surface=self._surface(self.family.smooth_facets))
+        return self._modelled(theta_i, theta_o, phi_o, surface=self._surface(self.model.smooth_facets))
 
     def _values_with(self, **parts: Any) -> Array:
         """Values at the cells with other parts of the :class:`brdfpipe.bsdf.microfacet.model.Model`, (incidence, wavelength, cell)."""
