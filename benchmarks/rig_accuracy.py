@@ -7,7 +7,7 @@ only the description of the rig and the certificate.
 
 References
 ----------
-RIG, acceptance in the emulator; Voloboy et al. 2005 (Keldysh Institute preprint): accuracy 4–8 %, repeatability 1–3 %, range 0.01–2500.
+Voloboy et al. 2005 (Keldysh Institute preprint): accuracy 4–8 %, repeatability 1–3 %, range 0.01–2500.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import appearance, installation, specular_directions, store, vocabulary
-from brdfpipe.appearance import gloss_basis
+from brdfpipe.appearance import gloss_basis, gloss_meter
 from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.bsdf.accessor import BSDFAccessor
 from brdfpipe.bsdf.measured import completion, smoothing
@@ -51,7 +51,7 @@ from brdfpipe.rig.plan import Plan, Step
 from brdfpipe.rig.reduction.arrangements import join_arrangements
 from brdfpipe.rig.reduction.calibration import calibrate
 from brdfpipe.rig.reduction.certificate import Certificate
-from brdfpipe.rig.reduction.primary import apply
+from brdfpipe.rig.reduction.primary import apply_profile
 from brdfpipe.rig.reduction.relative_light import reduce
 from brdfpipe.rig.templates import start
 
@@ -62,8 +62,8 @@ WAVELENGTHS = (470.0, 550.0, 650.0)
 INCIDENCES = (0.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 BETWEEN = (5.0, 15.0, 25.0, 37.5, 52.5)
 """Incidences without a measurement, for the completed BSDF alone."""
-PAST = (62.0, 66.0, 70.0, 75.0, 80.0)
-"""The same beyond the last measured incidence."""
+LARGER = (62.0, 66.0, 70.0, 75.0, 80.0)
+"""The same, larger than the last measured incidence."""
 
 TARGET = Target(
     theta_s=(0.0, *(3.0,) * 4, *(6.0,) * 4, *(9.0,) * 4),
@@ -79,7 +79,7 @@ ETALON = 100
 
 FIBRE_MEDIAN, DISC_MEDIAN, DISC_95, REPEATABILITY = 0.01, 0.03, 0.10, 0.01
 Z_RMS = (0.8, 1.3)
-"""What is required (RIG, acceptance)."""
+"""What is required: largest relative errors, repeatability, and the range of the rms of z."""
 
 DARKEST = 0.01
 """Lower end of the rig's range [1/sr], below which relative errors are not reported."""
@@ -254,7 +254,7 @@ def primaries(plan: Plan, truth: xr.Dataset, **circumstances: int | Effects | No
     """
     etalon, sample = two_days(plan, truth, **circumstances)  # type: ignore[arg-type]
     profile = calibrate(reduced(plan, etalon, "etalon"), certificate())
-    return [apply(reduced(plan, sample, "sample", side), profile) for side in plan.side]
+    return [apply_profile(reduced(plan, sample, "sample", side), profile) for side in plan.side]
 
 
 def measured(plan: Plan, truth: xr.Dataset, **circumstances: int | Effects | None) -> Measured:
@@ -323,11 +323,11 @@ def _towards_horizon(incidences: Sequence[float], side: str) -> Directions:
 
 REGIONS: Mapping[str, Callable[[str], Directions]] = {
     "measured incidences, within 10°": lambda side: _about_mirror(INCIDENCES, _LOBE, side),
-    "measured incidences, beyond": lambda side: _about_mirror(INCIDENCES, _AROUND, side),
-    "between them, within 10°": lambda side: _about_mirror(BETWEEN, _LOBE, side),
-    "between them, beyond": lambda side: _about_mirror(BETWEEN, _AROUND, side),
-    "past the last, 62 to 80°, within 10°": lambda side: _about_mirror(PAST, _LOBE, side),
-    "past the last, 62 to 80°, beyond": lambda side: _about_mirror(PAST, _AROUND, side),
+    "measured incidences, farther away": lambda side: _about_mirror(INCIDENCES, _AROUND, side),
+    "incidences between, within 10°": lambda side: _about_mirror(BETWEEN, _LOBE, side),
+    "incidences between, farther away": lambda side: _about_mirror(BETWEEN, _AROUND, side),
+    "larger incidences, 62 to 80°, within 10°": lambda side: _about_mirror(LARGER, _LOBE, side),
+    "larger incidences, 62 to 80°, farther away": lambda side: _about_mirror(LARGER, _AROUND, side),
     "towards the horizon, 85 to 89°": lambda side: _towards_horizon((*INCIDENCES, *BETWEEN), side),
 }
 """Directions in which a completed BSDF is compared, by side."""
@@ -446,19 +446,19 @@ def detections() -> Iterator[tuple[str, str]]:
     yield "wrong nd_location", _refusal(lambda: reduce(frames, wrong, incidence=10.0))
     yield (
         "expired profile",
-        _refusal(lambda: apply(sample.assign_attrs(day=str(date.fromordinal(day.toordinal() + 91))), profile)),
+        _refusal(lambda: apply_profile(sample.assign_attrs(day=str(date.fromordinal(day.toordinal() + 91))), profile)),
     )
     yield (
         "stale etalon: its certificate has run out",
         _refusal(lambda: calibrate(etalon, certificate(date(1969, 12, 31)))),
     )
-    yield "lamp has run too long since the etalon", _refusal(lambda: apply(sample, profile, lamp_hours=201.0))
-    yield "swapped wavelength axis", _refusal(lambda: apply(turned, profile))
+    yield "lamp has run too long since the etalon", _refusal(lambda: apply_profile(sample, profile, lamp_hours=201.0))
+    yield "swapped wavelength axis", _refusal(lambda: apply_profile(turned, profile))
     yield (
         "etalon of another rig",
-        _refusal(lambda: apply(sample, profile.assign_attrs(rig_digest="another", rig="bench-2"))),
+        _refusal(lambda: apply_profile(sample, profile.assign_attrs(rig_digest="another", rig="bench-2"))),
     )
-    yield "5 % of the values missing, stored as zeros", _refusal(lambda: apply(holes, profile))
+    yield "5 % of the values missing, stored as zeros", _refusal(lambda: apply_profile(holes, profile))
 
 
 def _refusal(action: Callable[[], object]) -> str:
@@ -499,7 +499,7 @@ def checks(outcomes: Sequence[Outcome]) -> Iterator[Check]:
     with np.errstate(invalid="ignore"):
         scatter = repeated.std(axis=0, ddof=1) / repeated.mean(axis=0)
     yield _below("repeatability over 5 runs, median", np.nanmedian(scatter), REPEATABILITY)
-    for name, what in (("z", "z-rms overall"), ("apart", "z-rms without what all values of a measurement share")):
+    for name, what in (("z", "rms of z, all values"), ("apart", "rms of z without the common error of a measurement")):
         z = np.concatenate([getattr(result, name) for result in outcomes if result.job.kind in ("glare", "no glare")])
         rms = _rms(z)
         yield Check(what, f"{rms:.2f}", f"{Z_RMS[0]} to {Z_RMS[1]}", Z_RMS[0] <= rms <= Z_RMS[1])
@@ -508,7 +508,7 @@ def checks(outcomes: Sequence[Outcome]) -> Iterator[Check]:
     for low, high in DECADES:
         within = z[(true >= low) & (true < high)]
         rms = _rms(within)
-        what = f"{RANGE}: z-rms from {low:g} to {high:g} sr⁻¹"
+        what = f"{RANGE}: rms of z from {low:g} to {high:g} sr⁻¹"
         yield Check(what, f"{rms:.2f}", f"at most {Z_RMS[1]}", bool(within.size) and rms <= Z_RMS[1])
 
 
@@ -526,7 +526,8 @@ def report(outcomes: Sequence[Outcome], refusals: Sequence[tuple[str, str]]) -> 
         "Written by `make rig-accuracy`: whole measurements by the emulated rig, every effect on, seeds "
         f"{', '.join(map(str, SEEDS))} (one rig each; every measurement on its own day, its etalon on another), {len(WAVELENGTHS)} "
         f"wavelengths, the entrances at {', '.join(f'{angle:g}' for angle in INCIDENCES)}°, the etalon through each of them. The emulator "
-        "has the effects that were thought of; a laboratory will have more.",
+        "has the known effects only; a laboratory has others. z is the error over the stated standard uncertainty; its rms is 1 if the "
+        "uncertainties are right.",
         "",
         *_table(
             ("", "found", "required", ""),
@@ -542,16 +543,16 @@ def report(outcomes: Sequence[Outcome], refusals: Sequence[tuple[str, str]]) -> 
         "",
         f"Relative errors of single values from {DARKEST:g} sr⁻¹ on against the truth, in per cent (median / 95th percentile), and the rms of error "
         "over stated uncertainty of all. "
-        "The error of the etalon's certificate makes the z-rms of a single rig random; the second figure above leaves out the common error. "
+        "The error of the etalon's certificate makes the rms of z of a single rig random; the second rms of z above leaves this common error out. "
         "*Through* is transmission.",
         "",
-        *_table(("sample", "", "seed", "fibres 50 / 95", "disc 50 / 95", "z-rms"), _by_rig(outcomes)),
+        *_table(("sample", "", "seed", "fibres 50 / 95", "disc 50 / 95", "rms of z"), _by_rig(outcomes)),
         "",
         f"## From 0.01 to 2500 sr⁻¹ ({RANGE})",
         "",
         "Glare of the peak is many times as bright as its surroundings: the uncertainty there includes it.",
         "",
-        *_table(("BRDF, sr⁻¹", "values", "error 50 / 95", "z-rms"), _by_decade(outcomes)),
+        *_table(("BRDF, sr⁻¹", "values", "error 50 / 95", "rms of z"), _by_decade(outcomes)),
         "",
         *_completed_section(outcomes),
         *_comparison_section(outcomes),
@@ -577,7 +578,9 @@ def _samples() -> Iterator[str]:
         "2500 sr⁻¹ that conserves energy is hardly wider than a cell of the disc. It tests the range; its glare is larger than that of a real sample."
     )
     yield ""
-    yield from _table(("sample", "reflects at 0°, 550 nm", "passes"), ((name, *_shares(name)) for name in SAMPLES))
+    yield from _table(
+        ("sample", "reflectance at 0°, 550 nm", "transmittance"), ((name, *_shares(name)) for name in SAMPLES)
+    )
     yield ""
 
 
@@ -596,23 +599,23 @@ def _completed_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
     yield from ("## Completed BSDF: error and z by region", "")
     yield (
         "The smoothed and completed BSDF, with glare, between the cells and beyond them: relative error in per cent "
-        "(median / 95th percentile), rms of error over stated uncertainty, and the 95th percentile of its size (1.96 if all is normal). Angles "
-        "within 10° and beyond are from the mirror direction (from behind, the straight one), at cosines of view above "
-        f"{GRAZING:g}; errors are of values from {DARKEST:g} sr⁻¹ on, z of all; between: {', '.join(f'{angle:g}' for angle in BETWEEN)}°. Errors of a measurement are correlated: with five rigs a z-rms near 1 is uncertain by a third."
+        "(median / 95th percentile), rms of z, and the 95th percentile of its size (1.96 for a normal distribution). Directions within 10° of the "
+        "mirror direction (from behind, of the straight one) and farther away are at cosines of view above "
+        f"{GRAZING:g}; errors are of values from {DARKEST:g} sr⁻¹ on, z of all. Incidences between are {', '.join(f'{angle:g}' for angle in BETWEEN)}°. Errors of a measurement are correlated: with five rigs an rms of z near 1 is uncertain by a third."
     )
     yield ""
     rows = list(_by_region(outcomes))
-    yield from _table(("sample", "region", "error 50 / 95", "z-rms", "z 95"), iter(rows))
+    yield from _table(("sample", "region", "error 50 / 95", "rms of z", "95th percentile of \\|z\\|"), iter(rows))
     yield ""
     beyond = [f"{sample}: {region} ({z})" for sample, region, _, z, _ in rows if float(z) > Z_RMS[1]]
-    yield f"Errors exceed the stated uncertainty, with a z-rms above {Z_RMS[1]}: {'; '.join(beyond) or 'nowhere'}."
+    yield f"Errors exceed the stated uncertainty, with an rms of z above {Z_RMS[1]}: {'; '.join(beyond) or 'nowhere'}."
     yield ""
     yield (
-        "Its gloss with a nominal gloss meter: mean of the rigs ± the uncertainty from that of the BSDF, for the gloss of the truth; the basis of the "
-        "value, and the rms of z."
+        "Gloss of the completed BSDF with a nominal gloss meter: mean over the rigs ± its uncertainty from that of the BSDF; the gloss of the truth; "
+        "how the BSDF in the mirror direction is known; rms of z."
     )
     yield ""
-    yield from _table(("sample", "20°", "60°", "85°"), _by_gloss(outcomes))
+    yield from _table(("sample", "angle", "gloss", "of the truth", "mirror direction", "rms of z"), _by_gloss(outcomes))
     yield ""
 
 
@@ -628,14 +631,16 @@ def _by_gloss(outcomes: Sequence[Outcome]) -> Iterator[tuple[str, ...]]:
     for sample in TRUTHS:
         own = [result.gloss for result in outcomes if result.job.truth == sample and result.gloss is not None]
         if own:
-            yield sample, *(_gloss(at) for at in np.stack(own, axis=-1).swapaxes(0, 1))
+            for angle, rigs in zip(gloss_meter.RECEPTOR, np.stack(own, axis=-1).swapaxes(0, 1), strict=True):
+                yield sample, f"{angle:g}°", *_gloss(rigs)
 
 
-def _gloss(rigs: Array) -> str:
+def _gloss(rigs: Array) -> tuple[str, str, str, str]:
     """One angle: (truth, measured, u, flag) by rig."""
     true, measured, u, flags = rigs
     basis = " or ".join(vocabulary.QUALITY_FLAGS[int(flag)] for flag in np.unique(flags))
-    return f"{_digits(measured.mean(), 4)} ± {_digits(u.mean(), 2)} for {_digits(true[0], 4)}, {basis}, {_rms((measured - true) / u):.2f}"
+    gloss = f"{_digits(measured.mean(), 4)} ± {_digits(u.mean(), 2)}"
+    return gloss, _digits(true[0], 4), basis, f"{_rms((measured - true) / u):.2f}"
 
 
 def _digits(value: float, significant: int) -> str:
@@ -649,12 +654,12 @@ def _comparison_section(outcomes: Sequence[Outcome]) -> Iterator[str]:
     yield from ("## What a comparison with the surface recovers", "")
     yield (
         f"The plastic of facets is described with an index of {INDEX - DOUBTED['index']:g} instead of {INDEX:g}, and with slopes too small by a factor. "
-        "The comparison of its measured BRDF with the prediction recovers: mean of the rigs, mean of the uncertainty, rms of z."
+        "The comparison of its measured BRDF with the prediction recovers: mean over the rigs, mean of the uncertainty, rms of z."
     )
     yield ""
     value, u = np.stack(inputs, axis=1)
     yield from _table(
-        ("to be changed", "true", "found", "u", "z-rms"),
+        ("input", "true", "fitted", "u", "rms of z"),
         (
             (
                 name,
