@@ -32,7 +32,7 @@ from brdfpipe.rig.plan import FRAMES, Plan
 from brdfpipe.rig.raw_frame import RawFrame
 from brdfpipe.rig.reduction.arrangements import join_arrangements
 from brdfpipe.rig.reduction.calibration import calibrate
-from brdfpipe.rig.reduction.primary import apply
+from brdfpipe.rig.reduction.primary import apply_profile
 from brdfpipe.rig.reduction.relative_light import reduce
 from brdfpipe.rig.templates import start
 
@@ -128,7 +128,7 @@ def whole(folder: str, plan: Plan) -> Record:
         load: join_arrangements([dataset for dataset, _ in reduced if dataset.attrs["load"] == load])
         for load in ("etalon", "sample")
     }
-    primary = apply(by_load["sample"], calibrate(by_load["etalon"], accuracy.certificate()))
+    primary = apply_profile(by_load["sample"], calibrate(by_load["etalon"], accuracy.certificate()))
     completion.complete(smoothing.smooth(primary))
     wall, own = time.perf_counter() - begin, time.process_time() - own
     arranged = sum(spent for _, spent in reduced)

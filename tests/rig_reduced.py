@@ -10,7 +10,7 @@ import xarray as xr
 from brdfpipe import specular_directions, vocabulary
 from brdfpipe.rig.reduction.calibration import calibrate
 from brdfpipe.rig.reduction.certificate import Certificate
-from brdfpipe.rig.reduction.primary import apply
+from brdfpipe.rig.reduction.primary import apply_profile
 from brdfpipe.rig.reduction.relative_light import COMPONENTS
 
 WAVELENGTHS = np.array([430.0, 470.0, 510.0, 550.0, 650.0])
@@ -103,7 +103,7 @@ def reduced(
 
 
 def brdf_of(sample: xr.Dataset, **options: object) -> xr.Dataset:
-    return apply(sample, calibrate(reduced("etalon"), certificate()), **options)
+    return apply_profile(sample, calibrate(reduced("etalon"), certificate()), **options)
 
 
 def above(incidence, least=0.1):

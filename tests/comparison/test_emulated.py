@@ -15,7 +15,7 @@ from brdfpipe.bsdf import microfacet
 from brdfpipe.comparison import compare
 from brdfpipe.rig.plan import Plan
 from brdfpipe.rig.reduction.calibration import calibrate
-from brdfpipe.rig.reduction.primary import apply
+from brdfpipe.rig.reduction.primary import apply_profile
 
 TRUE = {"index": 0.0, "slope": 1.0, "diffuse": 1.0}
 
@@ -40,7 +40,7 @@ def measured(roughness: float, seed: int) -> xr.Dataset:
     """Kind ``primary``: the surface measured by the rig of a seed."""
     frames = accuracy.frames_of(plan(), predicted(roughness), seed=seed)
     profile = calibrate(accuracy.reduced(plan(), frames, "etalon"), accuracy.certificate())
-    return apply(accuracy.reduced(plan(), frames, "sample"), profile)
+    return apply_profile(accuracy.reduced(plan(), frames, "sample"), profile)
 
 
 def pulls(roughness: float, seed: int) -> np.ndarray:

@@ -80,7 +80,7 @@ def test_chi_squared_of_errors_of_the_stated_size_is_the_number_of_values() -> N
 
 
 def test_a_common_error_is_not_averaged_over_the_cells() -> None:
-    """RIG: 1 % independent with 3 % common makes an albedo uncertain by 3.0 %, not by 0.04 %."""
+    """1 % independent with 3 % common makes an albedo uncertain by 3.0 %, not by 0.04 %."""
     flat = np.ones((1, 1, 600))
     dims = comparison_primary.DIMS
     primary = xr.Dataset(

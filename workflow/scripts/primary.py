@@ -1,6 +1,6 @@
 from brdfpipe import store
 from brdfpipe.rig.reduction.arrangements import join_arrangements
-from brdfpipe.rig.reduction.primary import apply
+from brdfpipe.rig.reduction.primary import apply_profile
 
 
 def main(input, output, params):
@@ -8,7 +8,7 @@ def main(input, output, params):
     reduced = [store.open_dataset(path, "reduced") for path in input["reduced"]]
     profile = store.open_dataset(input["calibration"], "calibration")
     store.save_dataset(
-        apply(join_arrangements(reduced), profile, **params["spec"]),
+        apply_profile(join_arrangements(reduced), profile, **params["spec"]),
         output["primary"],
         stage="primary",
         material=params["material"],

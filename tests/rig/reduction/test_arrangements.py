@@ -9,7 +9,7 @@ from rig_reduced import WAVELENGTHS, above, brdf_of, certificate, directions, re
 from brdfpipe import specular_directions, vocabulary
 from brdfpipe.rig.reduction.arrangements import CalibrationError, join_arrangements
 from brdfpipe.rig.reduction.calibration import calibrate
-from brdfpipe.rig.reduction.primary import apply
+from brdfpipe.rig.reduction.primary import apply_profile
 
 
 def test_arrangements_are_joined_by_rising_incidence_with_each_warning_once():
@@ -62,7 +62,7 @@ def test_a_wavelength_the_etalon_lacks_through_one_entrance_is_interpolated(lost
     (warning,) = vocabulary.warnings(profile)
     assert "the etalon in reflection" in warning
     assert f"{lost:g}° at 510 nm" in warning
-    primary = apply(reduced("sample"), profile)
+    primary = apply_profile(reduced("sample"), profile)
     plain = brdf_of(reduced("sample"))
     both = np.isfinite(primary["brdf"].values) & np.isfinite(plain["brdf"].values)
     others = specular_directions.cos_view_etalon(40.0 - lost, *directions()) > 0.11

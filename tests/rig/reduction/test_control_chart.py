@@ -15,7 +15,7 @@ from brdfpipe import store, vocabulary
 from brdfpipe.rig.reduction.arrangements import CalibrationError
 from brdfpipe.rig.reduction.calibration import calibrate
 from brdfpipe.rig.reduction.control_chart import extend_chart
-from brdfpipe.rig.reduction.primary import apply
+from brdfpipe.rig.reduction.primary import apply_profile
 
 
 def profile_of(place: int, level: float = 0.0, spectrum=0.0, cells=0.0, entrances=(10.0, 30.0), **attrs) -> xr.Dataset:
@@ -79,8 +79,8 @@ def test_a_profile_that_violates_the_chart_is_refused_unless_overridden():
     assert "differs by +8.4% from the earlier ones" in marked.attrs["drift_violation"]
     sample = reduced("sample", day="2026-03-05")
     with pytest.raises(CalibrationError, match="etalon is dirty or aged"):
-        apply(sample, marked)
-    primary = apply(sample, marked, override=True)
+        apply_profile(sample, marked)
+    primary = apply_profile(sample, marked, override=True)
     assert "dirty or aged" in primary.attrs["overridden"]
     assert "drift_violation" not in chain(0.0, 0.003, -0.004).attrs
 
@@ -92,7 +92,7 @@ def test_an_etalon_that_turned_yellow_is_detected_though_the_mean_is_unchanged()
     assert "differs by +3.0% more at 430 nm than at all wavelengths together" in chart.attrs["drift_violation"]
     assert chart["departing_wavelength"].values[-1] == 430
     with pytest.raises(CalibrationError, match="430 nm"):
-        apply(reduced("sample", day="2026-03-05"), chart)
+        apply_profile(reduced("sample", day="2026-03-05"), chart)
 
 
 def test_later_profiles_are_not_compared_with_a_violation():

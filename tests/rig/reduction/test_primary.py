@@ -16,7 +16,7 @@ from rig_reduced import NAMES, PATHS, WAVELENGTHS, above, brdf_of, certificate, 
 from brdfpipe import specular_directions, vocabulary
 from brdfpipe.rig.reduction.arrangements import ENTRANCE_EXCLUSION_RADIUS, CalibrationError
 from brdfpipe.rig.reduction.calibration import calibrate
-from brdfpipe.rig.reduction.primary import apply
+from brdfpipe.rig.reduction.primary import apply_profile
 from brdfpipe.rig.reduction.relative_light import COMPONENTS
 
 
@@ -40,7 +40,7 @@ def test_the_published_example_of_both_cosines():
     for dataset, signal in ((etalon, 3.0), (sample, 2.0)):
         dataset["theta_s"][0], dataset["phi_s"][0] = 20.0, 30.0
         dataset["signal"][..., 0] = signal
-    primary = apply(sample, calibrate(etalon, certificate()))
+    primary = apply_profile(sample, calibrate(etalon, certificate()))
     angle = np.degrees(np.arccos(facing))
     f_st = 0.9 / np.pi * np.interp(angle, np.arange(0.0, 91.0), shape(np.arange(0.0, 91.0)))
     # What cells below the horizon see, nothing but rounding here, was taken off.
@@ -53,7 +53,7 @@ def test_the_efficiency_of_a_cell_divides_out(seed):
     """What a cell's path does to light it does to the etalon's and to the sample's."""
     efficiency = np.random.default_rng(seed).uniform(0.3, 3.0, directions()[0].size)
     plain = brdf_of(reduced("sample"))
-    bent = apply(
+    bent = apply_profile(
         reduced("sample", efficiency=efficiency), calibrate(reduced("etalon", efficiency=efficiency), certificate())
     )
     for name in ("brdf", "brdf_u", *(f"brdf_u_{component}" for component in NAMES)):
@@ -68,14 +68,14 @@ def test_the_efficiency_of_a_cell_divides_out(seed):
 def test_the_spectral_reflectance_of_an_entrances_mirrors_divides_out(seed):
     """Each entrance with a spectrum of its own, some percent up and down, the same for etalon and sample."""
     etalon, sample = reduced("etalon"), reduced("sample")
-    plain = apply(sample, calibrate(etalon, certificate()))
+    plain = apply_profile(sample, calibrate(etalon, certificate()))
     spectra = np.random.default_rng(seed).uniform(0.95, 1.05, (2, WAVELENGTHS.size, 1))
     for dataset in (etalon, sample):
         for name in ("signal", *(f"signal_u_{component}" for component in COMPONENTS)):
             dataset[name] = dataset[name] * spectra
             dataset[name].attrs["correlation"] = COMPONENTS.get(name.removeprefix("signal_u_"), "")
     etalon, sample = (vocabulary.label(dataset, "reduced") for dataset in (etalon, sample))
-    bent = apply(sample, calibrate(etalon, certificate()))
+    bent = apply_profile(sample, calibrate(etalon, certificate()))
     valid = np.isfinite(plain["brdf"].values)
     assert np.array_equal(valid, np.isfinite(bent["brdf"].values))
     assert bent["brdf"].values[valid] == pytest.approx(plain["brdf"].values[valid], rel=1e-9)
@@ -89,7 +89,7 @@ def test_an_entrance_without_an_etalon_measurement_has_an_uncertainty_of_five_pe
 
 
 def test_cells_below_the_horizon_or_grazing_the_etalon_are_missing_and_flagged():
-    primary = apply(reduced("sample", (60.0,)), calibrate(reduced("etalon", (10.0,)), certificate()))
+    primary = apply_profile(reduced("sample", (60.0,)), calibrate(reduced("etalon", (10.0,)), certificate()))
     theta, phi = directions()
     shadowed = specular_directions.cos_view(60.0, theta, phi) <= 0
     grazed = (
@@ -111,7 +111,7 @@ def test_a_dead_fibre_has_no_value():
     profile = calibrate(reduced("etalon", efficiency=efficiency), certificate())
     assert np.isnan(profile["cell_scale"].values[:, 7]).all()
     assert np.isfinite(profile["cell_scale"].values[:, 6]).all()
-    primary = apply(reduced("sample", efficiency=efficiency), profile)
+    primary = apply_profile(reduced("sample", efficiency=efficiency), profile)
     assert np.isnan(primary["brdf"].values[:, :, 7]).all()
     assert (primary["brdf_quality"].values[:, :, 7] == vocabulary.quality("vignetted")).all()
 
@@ -126,7 +126,7 @@ def test_a_cell_hidden_from_one_entrance_is_calibrated_through_the_others(share)
     profile = calibrate(reduced("etalon", (10.0, 30.0, 45.0), hidden=hidden), certificate())
     assert profile["hidden"].values[1].nonzero()[0].tolist() == [3, 4]
     assert not profile["hidden"].values[[0, 2]].any()
-    primary = apply(reduced("sample", (10.0, 30.0), hidden=hidden), profile)
+    primary = apply_profile(reduced("sample", (10.0, 30.0), hidden=hidden), profile)
     true = sample_brdf(10.0, *directions())
     assert primary["brdf"].values[0][:, 3] == pytest.approx(true[:, 3], rel=1e-6)
     assert np.isnan(primary["brdf"].values[1][:, [3, 4]]).all()
@@ -138,16 +138,16 @@ def test_cells_near_an_entrance_without_an_etalon_measurement_are_excluded():
     theta, phi = directions()
     near = specular_directions.cos_view_etalon(0.0, theta, phi) > np.cos(np.radians(ENTRANCE_EXCLUSION_RADIUS))
     assert near.any()
-    primary = apply(reduced("sample", (0.0,)), profile)
+    primary = apply_profile(reduced("sample", (0.0,)), profile)
     assert np.isnan(primary["brdf"].values[0][:, near]).all()
     # Through a sample the light comes from behind.
-    through = apply(reduced("sample", (0.0,), side="transmission"), profile)
+    through = apply_profile(reduced("sample", (0.0,), side="transmission"), profile)
     assert np.isfinite(through["brdf"].values[0][:, near]).all()
 
 
 def test_stray_light_is_measured_by_the_cells_below_the_horizon():
     sample = reduced("sample", (60.0,), stray=1e-3)
-    primary = apply(sample, calibrate(reduced("etalon", tuple(PATHS)), certificate()))
+    primary = apply_profile(sample, calibrate(reduced("etalon", tuple(PATHS)), certificate()))
     assert primary.attrs["stray"] == pytest.approx([1e-3], rel=1e-3)
     assert 0 < primary.attrs["stray_u"][0] < 1e-4
     seen = above(60.0)
@@ -160,7 +160,7 @@ def test_an_incidence_without_cells_below_the_horizon_takes_the_stray_light_of_t
     profile = calibrate(reduced("etalon", tuple(PATHS)), certificate()).sel(cell=sample["cell"])
     dark = specular_directions.cos_view(0.0, sample["theta_s"].values, sample["phi_s"].values) < -0.05
     assert (dark & np.isfinite(profile["cell_scale"].values[0])).sum() < 5
-    primary = apply(sample, profile)
+    primary = apply_profile(sample, profile)
     assert primary.attrs["stray"] == pytest.approx([1e-3, 1e-3], rel=2e-3)
     # As uncertain there as it is large.
     assert primary.attrs["stray_u"][0] == pytest.approx(1e-3, rel=0.01)
@@ -181,7 +181,7 @@ def test_common_errors_of_the_etalon_stay_common():
     for name, size in (("noise", 0.01), ("geometry", 0.004), ("reference", 0.003), ("nd", 0.002), ("glare", 0.001)):
         etalon[f"signal_u_{name}"] = size * np.abs(etalon["signal"])
         etalon[f"signal_u_{name}"].attrs = {"units": "1", "correlation": COMPONENTS[name]}
-    primary = apply(reduced("sample", (10.0,), relative=0.0), calibrate(etalon, certificate(0.005)))
+    primary = apply_profile(reduced("sample", (10.0,), relative=0.0), calibrate(etalon, certificate(0.005)))
     seen = above(10.0)
     expected = {
         "calibration": np.hypot(0.01, 0.004),
@@ -205,7 +205,7 @@ def test_the_etalons_angular_shape_has_the_certified_uncertainty_or_that_of_diff
     true = sample_brdf(10.0, *directions())[:, seen]
     # Cells below the horizon see nothing here.
     for certified, expected, warning_count in ((stated, 0 * theta, 0), (silent, 0.05 * (theta / 60) ** 2, 1)):
-        primary = apply(sample, calibrate(etalon, certified))
+        primary = apply_profile(sample, calibrate(etalon, certified))
         relative = (primary["brdf_u_certificate"] / primary["brdf"]).values[0][:, seen]
         assert relative == pytest.approx(np.tile(np.hypot(0.005, expected[seen]), (5, 1)), rel=1e-6)
         z = ((primary["brdf"].values[0][:, seen] - true) / primary["brdf_u"].values[0][:, seen])[:, theta[seen] > 30]
@@ -215,10 +215,10 @@ def test_the_etalons_angular_shape_has_the_certified_uncertainty_or_that_of_diff
 
 
 def test_common_errors_do_not_average_out_in_an_albedo():
-    """1 % independent with 3 % common: the mean of many cells is uncertain by 3.0 %, not by 0.04 % (RIG)."""
+    """1 % independent with 3 % common: the mean of many cells is uncertain by 3.0 %, not by 0.04 %."""
     sample, etalon = reduced("sample", (10.0,), relative=0.0), reduced("etalon", (10.0,), relative=0.0)
     sample["signal_u_noise"] = (0.01 * np.abs(sample["signal"])).assign_attrs(sample["signal_u_noise"].attrs)
-    primary = apply(sample, calibrate(etalon, certificate(0.03)))
+    primary = apply_profile(sample, calibrate(etalon, certificate(0.03)))
     seen = above(10.0)
     value = primary["brdf"].values[0, 0, seen]
     independent = np.hypot(primary["brdf_u_noise"], primary["brdf_u_calibration"]).values[0, 0, seen]
@@ -236,7 +236,7 @@ def test_the_stated_noise_of_etalon_and_sample_is_the_observed_one():
         for dataset in (etalon, sample):
             noise = dataset["signal_u_noise"].values * random.standard_normal(dataset["signal"].shape)
             dataset["signal"] = dataset["signal"] + noise
-        primary = apply(sample, calibrate(etalon, certificate()))
+        primary = apply_profile(sample, calibrate(etalon, certificate()))
         seen = above(10.0)
         error = primary["brdf"].values[0][:, seen] - sample_brdf(10.0, *directions())[:, seen]
         own = primary["brdf_u_calibration"].values[0][:, seen]
@@ -255,20 +255,20 @@ def test_other_filters_than_the_etalons_add_their_uncertainty():
 
 def test_a_profile_expires_after_its_days():
     profile = calibrate(reduced("etalon"), certificate(), valid_days=90)
-    apply(reduced("sample", day="2026-05-30"), profile)
+    apply_profile(reduced("sample", day="2026-05-30"), profile)
     with pytest.raises(CalibrationError, match="has expired: it is 91 days old"):
-        apply(reduced("sample", day="2026-05-31"), profile)
+        apply_profile(reduced("sample", day="2026-05-31"), profile)
     with pytest.raises(CalibrationError, match="after the sample was measured"):
-        apply(reduced("sample", day="2026-02-28"), profile)
+        apply_profile(reduced("sample", day="2026-02-28"), profile)
 
 
 def test_a_profile_expires_after_its_lamp_hours():
     profile = calibrate(reduced("etalon"), certificate(), lamp_hours=100.0, valid_hours=50.0)
-    apply(reduced("sample"), profile, lamp_hours=150.0)
+    apply_profile(reduced("sample"), profile, lamp_hours=150.0)
     with pytest.raises(CalibrationError, match="lamp has run 51 h since"):
-        apply(reduced("sample"), profile, lamp_hours=151.0)
+        apply_profile(reduced("sample"), profile, lamp_hours=151.0)
     with pytest.raises(CalibrationError, match="lamp was changed"):
-        apply(reduced("sample"), profile, lamp_hours=3.0)
+        apply_profile(reduced("sample"), profile, lamp_hours=3.0)
 
 
 def test_an_expired_certificate_is_refused_for_calibration_and_for_use():
@@ -276,13 +276,13 @@ def test_an_expired_certificate_is_refused_for_calibration_and_for_use():
         calibrate(reduced("etalon"), certificate(until=date(2026, 2, 28)))
     profile = calibrate(reduced("etalon"), certificate(until=date(2026, 3, 15)))
     with pytest.raises(CalibrationError, match="C-1 was valid until 2026-03-15"):
-        apply(reduced("sample", day="2026-03-16"), profile)
+        apply_profile(reduced("sample", day="2026-03-16"), profile)
 
 
 def test_an_override_is_recorded():
     stale = calibrate(reduced("etalon"), certificate(until=date(2026, 2, 28)), override=True)
     assert "valid until 2026-02-28" in stale.attrs["overridden"]
-    primary = apply(reduced("sample", day="2027-03-01"), stale, override=True)
+    primary = apply_profile(reduced("sample", day="2027-03-01"), stale, override=True)
     assert "has expired" in primary.attrs["overridden"]
     assert sum("used nevertheless" in warning for warning in vocabulary.warnings(primary)) == 2
     assert "overridden" not in brdf_of(reduced("sample")).attrs
@@ -307,19 +307,19 @@ def test_a_lamp_that_grew_dimmer_at_all_wavelengths_is_the_same_lamp():
 def test_wavelengths_the_etalon_was_not_measured_at_are_refused():
     etalon = reduced("etalon").isel(wavelength=[0, 1, 3, 4])
     with pytest.raises(CalibrationError, match="not measured at 510 nm"):
-        apply(reduced("sample"), calibrate(etalon, certificate()))
+        apply_profile(reduced("sample"), calibrate(etalon, certificate()))
 
 
 def test_the_etalon_of_another_rig_is_refused():
     profile = calibrate(reduced("etalon", rig_digest="other", rig="bench-2"), certificate())
     with pytest.raises(CalibrationError, match=r"of another rig \(bench-2\)"):
-        apply(reduced("sample"), profile)
+        apply_profile(reduced("sample"), profile)
 
 
 def test_other_cells_are_refused():
     profile = calibrate(reduced("etalon"), certificate())
     with pytest.raises(CalibrationError, match="different cells"):
-        apply(reduced("sample").isel(cell=slice(0, 70)), profile)
+        apply_profile(reduced("sample").isel(cell=slice(0, 70)), profile)
 
 
 def test_a_profile_is_made_from_the_etalon_and_applied_to_the_sample():
@@ -336,7 +336,7 @@ def test_missing_values_that_were_stored_as_zeros_are_refused(load):
     lost = np.random.default_rng(0).random(dataset["signal"].shape) < 0.05
     dataset["signal"] = dataset["signal"].where(~lost, 0.0)
     with pytest.raises(CalibrationError, match="exactly 0"):
-        apply(sample, calibrate(etalon, certificate()))
+        apply_profile(sample, calibrate(etalon, certificate()))
 
 
 def test_whole_cells_of_zeros_are_refused_where_the_etalon_had_light():
@@ -359,7 +359,7 @@ def test_values_that_are_nan_leave_the_others_unchanged():
 def test_emulated_frames_reproduce_the_truth_within_its_uncertainty():
     truth = "plastic, 10 sr⁻¹, 3°"
     profile = calibrate(rig_emulated.reduced("etalon"), accuracy.certificate())
-    measured = accuracy.compared(apply(rig_emulated.reduced("sample"), profile), accuracy.TRUTHS[truth]())
+    measured = accuracy.compared(apply_profile(rig_emulated.reduced("sample"), profile), accuracy.TRUTHS[truth]())
     assert np.median(np.abs(measured.on(disc=False))) < 0.012
     assert np.median(np.abs(measured.on(disc=True))) < 0.012
     assert np.percentile(np.abs(measured.on(disc=True)), 95) < 0.03

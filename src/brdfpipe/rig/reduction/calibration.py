@@ -105,10 +105,11 @@ def calibrate(
             f"the certificate {certificate.identity} was valid until {certificate.valid_until}, the etalon was measured on {day}"
         )
     if doubts and not override:
-        raise CalibrationError(f"{doubts[0]}; have the etalon calibrated anew, or set `override` if you know why")
+        accept = "or accept it with `override: true`, which the results record"
+        raise CalibrationError(f"{doubts[0]}; have the etalon calibrated again, {accept}")
     lamp = finite_median(etalon["reference"].values, axis=0)
     if not np.isfinite(lamp).any():
-        raise CalibrationError("no frame of the etalon shows the reference spot; measure it anew")
+        raise CalibrationError("no frame of the etalon shows the reference spot; measure it again")
     etalon = etalon.isel(wavelength=np.isfinite(lamp))
     scales = _entrance_scales(etalon, certificate)
     # A cell without light at all wavelengths is dead, and its zeros are genuine.

@@ -42,7 +42,7 @@ def extend_chart(profile: xr.Dataset, previous: xr.Dataset) -> xr.Dataset:
     -------
     The profile with ``scale_change(profile, wavelength)`` of all profiles up to this one, ``change(profile, watched)`` from the mean of
     the earlier profiles without violation, its ``limit``, and ``violation``. If the new profile exceeds a limit, the attribute
-    ``drift_violation`` says so, and :func:`brdfpipe.rig.reduction.primary.apply` refuses it.
+    ``drift_violation`` says so, and :func:`brdfpipe.rig.reduction.primary.apply_profile` refuses it.
 
     Raises
     ------

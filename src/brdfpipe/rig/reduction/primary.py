@@ -26,7 +26,9 @@ _BELOW_HORIZON = -0.05  # cosine of view below which a cell sees nothing of the 
 _FEWEST_BELOW_HORIZON = 5  # cells below the horizon that a stray-light estimate needs
 
 
-def apply(reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, override: bool = False) -> xr.Dataset:
+def apply_profile(
+    reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, override: bool = False
+) -> xr.Dataset:
     """The BRDF, or BTDF, of each cell.
 
     Parameters
@@ -60,7 +62,8 @@ def apply(reduced: xr.Dataset, profile: xr.Dataset, *, lamp_hours: float = 0.0, 
         *_lamp_change(reduced, profile),
     ]
     if doubts and not override:
-        raise CalibrationError(f"{'; '.join(doubts)}; measure the etalon anew, or set `override` if you know why")
+        accept = "or accept this with `override: true`, which the results record"
+        raise CalibrationError(f"{'; '.join(doubts)}; measure the etalon again, {accept}")
     incidence = reduced["incidence"].values
     cosine = specular_directions.cos_view(incidence[:, None], reduced["theta_s"].values, reduced["phi_s"].values)
     hidden = _hidden_cells(reduced, profile)
