@@ -63,7 +63,7 @@ def test_every_bar_of_the_differences_is_within_its_frame_or_counted(compared) -
         assert len(bars) == 2
         assert ends.size > 80
         outside = int(((ends < 0) | (ends > tall)).sum())
-        assert outside == 0 or "Beyond the lower axis" in figure.note
+        assert outside == 0 or "Outside the range of the lower chart" in figure.note
 
 
 def test_a_difference_of_the_measured_to_a_model_is_drawn_with_its_uncertainty(compared) -> None:

@@ -8,8 +8,8 @@ from brdfpipe.descriptions.keys import WHOLE, Choice, Keys, by_key, key
 class EtalonEmulation(Keys):
     """A run of the emulator instead of a measurement."""
 
-    seed: Annotated[int, WHOLE] = key("seed of everything random about the rig", default=0, ge=0, le=1_000_000)
-    session: Annotated[int, WHOLE] = key("seed of everything random about a day", default=0, ge=0, le=1_000_000)
+    seed: Annotated[int, WHOLE] = key("seed of the emulated rig's random properties", default=0, ge=0, le=1_000_000)
+    session: Annotated[int, WHOLE] = key("seed of the random properties of a day", default=0, ge=0, le=1_000_000)
 
 
 class _Calibration(Keys):

@@ -400,13 +400,13 @@ class Colour(Keys):
         default_words="`lhtss`",
     )
     threshold: float = key(
-        "random4 and adaptive4 only: colour difference ΔE*ab below which the search ends",
+        "for random4 and adaptive4: colour difference ΔE*ab below which the search ends",
         default_words="1",
         ge=1e-6,
         le=100,
     )
     seed: Annotated[int, WHOLE] = key(
-        "random4 and adaptive4 only: seed of the random numbers, an integer", default_words="0", ge=0, le=4_294_967_295
+        "for random4 and adaptive4: seed of the random numbers, an integer", default_words="0", ge=0, le=4_294_967_295
     )
 
     @model_validator(mode="after")
@@ -542,9 +542,9 @@ class Emulation(Keys):
         max_length=64,
     )
     seed: Annotated[int, WHOLE] = key(
-        "seed of everything random about the rig; the same as in its calibration", default=0, ge=0, le=1_000_000
+        "seed of the emulated rig's random properties; the same as in its calibration", default=0, ge=0, le=1_000_000
     )
-    session: Annotated[int, WHOLE] = key("seed of everything random about a day", default=1, ge=0, le=1_000_000)
+    session: Annotated[int, WHOLE] = key("seed of the random properties of a day", default=1, ge=0, le=1_000_000)
 
 
 class _Rig(Keys):

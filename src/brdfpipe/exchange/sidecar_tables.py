@@ -40,9 +40,7 @@ def write_total_reflectance(bsdf: xr.Dataset, path: str | os.PathLike[str]) -> N
     title = f"total reflectance of {_material(bsdf)} at 8 degree incidence, specular included, fraction"
     if mirrored.any():
         frame["specular_reflectance"] = np.broadcast_to(mirrored, wavelength.shape)
-        title += (
-            "; specular_reflectance: the part of it that is mirrored into one single direction, and in no BSDF file"
-        )
+        title += "; specular_reflectance: the part of it that is mirrored into one single direction, which no BSDF file contains"
     _write(frame, path, title, bsdf)
 
 
@@ -61,9 +59,7 @@ def write_total_transmittance(bsdf: xr.Dataset, path: str | os.PathLike[str]) ->
     straight = representation(bsdf).specular(np.zeros(1), np.zeros(1), None)[1][0]
     if straight.any():
         frame["specular_transmittance"] = np.broadcast_to(straight, wavelength.shape)
-        title += (
-            "; specular_transmittance: the part of it that passes into one single direction, and is in no BSDF file"
-        )
+        title += "; specular_transmittance: the part of it that passes into one single direction, which no BSDF file contains"
     _write(frame, path, title, bsdf)
 
 

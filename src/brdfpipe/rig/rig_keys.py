@@ -104,19 +104,19 @@ class Camera(Keys):
         example="drop-folder",
     )
     folder: str = key(
-        "drop-folder only: folder of requests and frames, absolute or beside rig.yaml",
+        "for drop-folder: folder of requests and frames, absolute or beside rig.yaml",
         default_words="needed with `drop-folder`",
         max_length=1000,
         example="camera",
         details="It must exist.",
     )
     address: str = key(
-        "alpaca only: address of the server, host:port",
+        "for alpaca: address of the server, host:port",
         default_words="needed with `alpaca`",
         max_length=200,
         pattern="^[A-Za-z0-9.-]+:[0-9]{1,5}$",
     )
-    device: Annotated[int, WHOLE] = key("alpaca only: number of the camera on the server", default=0, ge=0, le=99)
+    device: Annotated[int, WHOLE] = key("for alpaca: number of the camera on the server", default=0, ge=0, le=99)
     width: Annotated[int, WHOLE] = key("width of a frame, not binned", default=320, unit="pixel", ge=16, le=20_000)
     height: Annotated[int, WHOLE] = key("height of a frame", default=240, unit="pixel", ge=16, le=20_000)
     gain: float = key("electrons per count", default=3, unit="e⁻/count", gt=0, le=1000)

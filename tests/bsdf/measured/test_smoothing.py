@@ -153,7 +153,7 @@ def test_missing_cells_stored_as_zeros_are_detected_and_left_out(mode):
     as_zero["brdf"].values[lost], as_missing["brdf"].values[lost] = 0.0, np.nan
     fit, expected = smoothing.smooth(as_zero, mode), smoothing.smooth(as_missing, mode)
     if mode != "keldysh-printed":  # which is negative in places, so that zeros there are plausible
-        assert f"{int(lost.sum())} values are exactly 0" in fit.attrs["warnings"]
+        assert f"{int(lost.sum())} values of exactly 0" in fit.attrs["warnings"]
         assert smoothing.evaluate(fit, *AT).values == pytest.approx(smoothing.evaluate(expected, *AT).values, rel=1e-9)
 
 

@@ -18,7 +18,7 @@ from brdfpipe.report.plots import indicatrix
 from brdfpipe.report.plots.svg import Figure
 from brdfpipe.report.rig import figures, fit, reciprocity, section
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.reduction import cells as celled
+from brdfpipe.rig.reduction import cells as rig_cells
 from brdfpipe.rig.reduction import thumbnails
 from brdfpipe.rig.reduction.control_chart import chart_points
 from brdfpipe.rig.templates import start
@@ -72,7 +72,7 @@ def _run(bench: Rig, incidences: tuple[float, ...] = INCIDENCES, **options) -> D
 def _primary(
     bench: Rig, incidences: tuple[float, ...], *, noise: float = 0.02, common: float = 0.005, lean: float = 0.0
 ) -> xr.Dataset:
-    cells = celled.cells_of(bench)
+    cells = rig_cells.cells_of(bench)
     dims = ("incidence", "wavelength", "cell")
     truth = 0.1 + 10 * np.exp(-(cells.theta_s**2) / 18)
     truth = truth * (1 + lean * np.sin(np.radians(cells.phi_s)) * cells.of_disc)
@@ -100,7 +100,7 @@ def _primary(
 
 def _reduced(bench: Rig, primary: xr.Dataset, incidence: float) -> xr.Dataset:
     own = primary.sel(incidence=[incidence])
-    weights = celled.weights(bench, bench.screen)
+    weights = rig_cells.weights(bench, bench.screen)
     light = np.nan_to_num(own["brdf"].values[0].mean(axis=0))
     picture = (weights.T @ light).reshape(bench.camera.height, bench.camera.width)
     elapsed = 60 * (incidence + np.array([0.0, 5.0]))
@@ -130,7 +130,7 @@ def _reduced(bench: Rig, primary: xr.Dataset, incidence: float) -> xr.Dataset:
 
 def _calibration(bench: Rig, changes: tuple[float, ...] = (0.0, 0.004, -0.002)) -> xr.Dataset:
     """A profile at the end of a chart of levels; the spectrum of the last one leans by half of its own."""
-    cells = celled.cells_of(bench)
+    cells = rig_cells.cells_of(bench)
     scale = np.ones((len(WAVELENGTHS), len(cells.names)))
     scale[:, 3] = np.nan  # F004, which faces the etalon
     coords = {"cell": np.array(cells.names), "kind": ("cell", np.array(cells.kinds))}
@@ -345,8 +345,8 @@ def test_saturated_cells_and_cells_below_noise_are_counted(run: Datasets) -> Non
     datasets = {**run, "primary-reflection": primary, "smoothed-reflection": smoothed}
     coverage = _coverage(datasets)
     first, second = (dict(zip(coverage.header, row, strict=True)) for row in coverage.rows)
-    assert (first["Saturated"], first["of them below noise"]) == ("10", "5")
-    assert (second["Saturated"], second["of them below noise"]) == ("0", "0")
+    assert (first["Saturated"], first["Fitted, below noise"]) == ("10", "5")
+    assert (second["Saturated"], second["Fitted, below noise"]) == ("0", "0")
 
 
 def test_dead_fibres_are_named_but_not_fibres_that_do_not_see_the_etalon(run: Datasets) -> None:
@@ -522,7 +522,7 @@ def _decoded(svg: str, y: float) -> float:
 
 def test_the_curve_is_the_smoothed_bsdf(run: Datasets) -> None:
     smoothed = run["smoothed-reflection"]
-    figure = fit.fit(run["primary-reflection"], smoothed, 1)
+    figure = fit.fit_figure(run["primary-reflection"], smoothed, 1)
     upper = str(figure.svg).split('aria-label="45° incidence: BRDF in the plane, fit against data, difference')[0]
     curve = _points(_paths(upper, "l c4")[0])
     peak = float(smoothing.evaluate(smoothed, 0.0, 0.0).sel(incidence=45, wavelength=550).squeeze())
@@ -534,7 +534,7 @@ def test_the_curve_is_the_smoothed_bsdf(run: Datasets) -> None:
 
 def test_points_are_the_fitted_cells_near_the_plane(run: Datasets) -> None:
     primary = run["primary-reflection"]
-    figure = fit.fit(primary, run["smoothed-reflection"], 0)
+    figure = fit.fit_figure(primary, run["smoothed-reflection"], 0)
     azimuth = np.abs((primary["phi_s"].values + 180) % 360 - 180)
     near = (azimuth <= 10) | (azimuth >= 170) | (primary["theta_s"].values == 0)
     fitted = np.isfinite(run["smoothed-reflection"]["residual"].values[0, 1])
@@ -545,7 +545,7 @@ def test_points_are_the_fitted_cells_near_the_plane(run: Datasets) -> None:
 
 def test_the_side_towards_the_normal_is_on_the_right(bench: Rig) -> None:
     run = _run(bench, (45.0,))
-    figure = fit.fit(run["primary-reflection"], run["smoothed-reflection"], 0)
+    figure = fit.fit_figure(run["primary-reflection"], run["smoothed-reflection"], 0)
     labels = re.findall(r'text-anchor="middle">([−\d]+)</text>', str(figure.svg))
     # At 45° the horizon is 45° from the mirror direction on one side, and 135° on the other.
     assert "90" in labels
@@ -555,7 +555,7 @@ def test_the_side_towards_the_normal_is_on_the_right(bench: Rig) -> None:
 def test_a_linear_fit_that_becomes_negative_is_drawn_where_it_is_positive(bench: Rig) -> None:
     primary = _primary(bench, (45.0,))
     smoothed = smoothing.smooth(primary, "keldysh", scales=2)
-    figure = fit.fit(primary, smoothed, 0)
+    figure = fit.fit_figure(primary, smoothed, 0)
     assert figure.svg
     assert "nan" not in str(figure.svg)
 
@@ -564,14 +564,14 @@ def test_an_incidence_without_values_has_notes_instead_of_figures(run: Datasets)
     smoothed = run["smoothed-reflection"].copy(deep=True)
     for name in ("residual", "coefficient", "coefficient_factor", "gcv", "chi_squared_dof"):
         smoothed[name].values[1] = np.nan
-    for figure in (function(run["primary-reflection"], smoothed, 1) for function in (fit.fit, fit.residuals)):
+    for figure in (function(run["primary-reflection"], smoothed, 1) for function in (fit.fit_figure, fit.residual_map)):
         assert not figure.svg
         assert figure.note
 
 
 def test_every_fitted_cell_is_a_dot_of_the_map(run: Datasets) -> None:
     residual = run["smoothed-reflection"]["residual"].values[1, 1]
-    figure = fit.residuals(run["primary-reflection"], run["smoothed-reflection"], 1)
+    figure = fit.residual_map(run["primary-reflection"], run["smoothed-reflection"], 1)
     drawing, _, key = str(figure.svg).partition("residual / u")
     dots = [sum(data.count("h0") for data in _paths(drawing, f"dot z{place}")) for place in range(7)]
     counts = np.histogram(residual, [-np.inf, -3, -2, -1, 1, 2, 3, np.inf])[0].tolist()
@@ -583,7 +583,7 @@ def test_strong_residuals_are_red_above_and_blue_below(run: Datasets) -> None:
     smoothed = run["smoothed-reflection"].copy(deep=True)
     smoothed["residual"].values[:] = 0.0
     smoothed["residual"].values[1, 1, [200, 201]] = 9.0, -9.0
-    svg = fit.residuals(run["primary-reflection"], smoothed, 1).svg
+    svg = fit.residual_map(run["primary-reflection"], smoothed, 1).svg
     assert [_paths(svg, f"dot z{place}")[0].count("h0") for place in (0, 3, 6)] == [1, 524, 1]
 
 
@@ -676,10 +676,10 @@ def test_the_axis_of_differences_contains_all_bars_except_a_few_large_ones() -> 
     assert words == ""
     axis, words = fit.axis_about_zero("", np.r_[off, 40.0], np.r_[u, 0.5])
     assert 2.5 < axis.high < 8
-    assert words == " Beyond the lower axis: 1 value."
+    assert words == " Outside the range of the lower chart: 1 value."
     axis, words = fit.axis_about_zero("", np.r_[off, 1.0], np.r_[u, 60.0])
     assert 2.5 < axis.high < 8
-    assert words == " Beyond the lower axis: ends of 1 bar."
+    assert words == " Outside the range of the lower chart: ends of 1 bar."
 
 
 @pytest.mark.parametrize("count", [0, 1])

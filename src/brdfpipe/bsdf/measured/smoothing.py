@@ -449,7 +449,7 @@ def _with_notes(smoothed: xr.Dataset, fits: list[_Fit], strength: float | None) 
         )
     if zeros := sum(fit.zeros for fit in fits):
         warnings.append(
-            f"{zeros} values are exactly 0 among bright ones and were left out. Store missing values as NaN, not as 0."
+            f"{zeros} values of exactly 0 lie among bright ones: taken for missing values and left out. Store missing values as NaN."
         )
     if empty := sum(int((~fit.used).sum()) for fit in fits):
         warnings.append(

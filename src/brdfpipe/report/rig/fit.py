@@ -25,7 +25,7 @@ LINEAR_UP_TO = 3.0
 
 _TICKS = (0.0, 3.0, 10.0, 30.0, 90.0)
 _CURVE_POINTS = 71
-_CHART_HEIGHT, _STRIP_HEIGHT = 226.0, 96.0
+_CHART_HEIGHT, _DIFFERENCE_HEIGHT = 226.0, 96.0
 """Inner heights [figure units]."""
 _SHORTEST_BAR = 5.0
 """Length of half an error bar that is hidden by its point [figure units]."""
@@ -65,7 +65,7 @@ class _AngleAxis(Axis):
         return [(value, minus(f"{value + 0.0:g}")) for value in values if self.low <= value <= self.high]
 
 
-def fit(primary: xr.Dataset, smoothed: xr.Dataset, index: int) -> Figure:
+def fit_figure(primary: xr.Dataset, smoothed: xr.Dataset, index: int) -> Figure:
     """The smoothed BSDF of incidence number ``index`` against the cells near the plane of incidence, and the difference."""
     incidence, side = float(smoothed["incidence"][index]), str(smoothed.attrs["side"])
     quantity = "BTDF" if side == "transmission" else "BRDF"
@@ -83,7 +83,7 @@ def fit(primary: xr.Dataset, smoothed: xr.Dataset, index: int) -> Figure:
     curve = Line(theta, fitted, "c4", "fit")
     thick = np.nanmax(_CHART_HEIGHT * np.abs(scale.fraction(band.high) - scale.fraction(band.low))) > _THINNEST_BAND
     above = chart(f"{title}, logarithmic", axis, scale, [*([band] if thick else []), *points, curve])
-    below, left_out = _strip(title, cells, axis, theta[::2], _percent(u, fitted)[::2])
+    below, left_out = _difference_chart(title, cells, axis, theta[::2], _percent(u, fitted)[::2])
     note = (
         f"{cells.value.size} cells within {NEAR_PLANE:g}° of azimuth from the plane, {bsdf_sections.wavelength_words(primary)}; "
         f"bars are ±\u202f1 standard uncertainty, drawn where they are longer than their point.{left_out}"
@@ -99,13 +99,13 @@ def _scale(label: str, values: Array) -> Axis:
     return Axis(label, min(low, high / 10), high, log=True)
 
 
-def _strip(title: str, cells: _Plane, axis: Axis, theta: Array, u: Array) -> tuple[Markup, str]:
+def _difference_chart(title: str, cells: _Plane, axis: Axis, theta: Array, u: Array) -> tuple[Markup, str]:
     """Data less fit in percent with the uncertainty of the fit, and a note on values beyond the axis."""
     difference, error = _percent(cells.value - cells.fitted, cells.fitted), _percent(cells.u, cells.fitted)
     scale, left_out = axis_about_zero("data over fit less 1, %", difference, error, least=float(np.nanmedian(u)))
     difference = np.where(np.abs(difference) <= scale.high, difference, np.nan)
     zero = Line([axis.low, axis.high], [0.0, 0.0], "c4")
-    marks: list[Mark] = [Band(theta, -u, u, "c4"), *_points(cells, difference, error, scale, _STRIP_HEIGHT), zero]
+    marks: list[Mark] = [Band(theta, -u, u, "c4"), *_points(cells, difference, error, scale, _DIFFERENCE_HEIGHT), zero]
     return chart(f"{title}, difference in percent", axis, scale, marks, height=170), left_out
 
 
@@ -122,7 +122,7 @@ def axis_about_zero(label: str, values: Array, u: Array, *, least: float = 0.0) 
     beyond, cut = int((size > top).sum()), int(((size <= top) & (size + bar > top)).sum())
     words = [f"{beyond} value{'s' if beyond > 1 else ''}"] if beyond else []
     words += [f"ends of {cut} bar{'s' if cut > 1 else ''}"] if cut else []
-    return Axis(label, -top, top), f" Beyond the lower axis: {', '.join(words)}." if words else ""
+    return Axis(label, -top, top), f" Outside the range of the lower chart: {', '.join(words)}." if words else ""
 
 
 def _percent(part: Array, whole: Array) -> Array:
@@ -200,7 +200,7 @@ def bars(x: Array, y: Array, u: Array, style: str) -> Line:
 # --- residuals
 
 
-def residuals(primary: xr.Dataset, smoothed: xr.Dataset, index: int) -> Figure:
+def residual_map(primary: xr.Dataset, smoothed: xr.Dataset, index: int) -> Figure:
     """A map of the residuals of an incidence over their uncertainties, about the mirror direction."""
     incidence = float(smoothed["incidence"][index])
     title = f"{incidence:g}° incidence: residuals of the fit"

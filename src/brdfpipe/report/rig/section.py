@@ -84,7 +84,7 @@ def chapter(datasets: Mapping[str, xr.Dataset]) -> Chapter | None:
     parts.append(_lobe(datasets, measured_sides))
     for side, index in shown(MOST_FITS):
         arguments = side.primary, side.smoothed, index
-        parts += [rig_fit.fit(*arguments), rig_fit.residuals(*arguments)]
+        parts += [rig_fit.fit_figure(*arguments), rig_fit.residual_map(*arguments)]
     for side in measured_sides:
         parts += [rig_fit.cross_validation(side.smoothed), rig_fit.l_curve(side.smoothed)]
     parts.append(_reciprocity(datasets, measured_sides))
@@ -224,7 +224,7 @@ def _registration(reduced: Sequence[xr.Dataset]) -> Iterator[tuple[str, str]]:
 
 
 def coverage_table(measured_sides: Sequence[Side], profile: xr.Dataset | None, shown: int) -> Table:
-    counts = ("Fitted", "of them below noise", "Saturated", "Below horizon", "Otherwise left out")
+    counts = ("Fitted", "Fitted, below noise", "Saturated", "Below horizon", "Otherwise left out")
     header = ("Incidence", *counts, "rms of residual / u", "χ² / dof", "Strength ε")
     rows, few, asymmetric = [], [], []
     for side in measured_sides:

@@ -33,7 +33,7 @@ class CertificateKeys(Keys):
     id: str = key(f"name of the certificate; {NAME_WORDS}", required=True, pattern=f"^{NAME}$")
     valid_until: str = key('last day of validity, a date in quotes, "2027-06-30"', required=True, max_length=10)
     reflectance_factor: Annotated[FactorTable | Factor, Choice(mapping_or_value)] = key(
-        "π times the BRDF at normal incidence and view: a number above 0 and at most 2, or {file: certificate.csv}",
+        "the BRDF at normal incidence and view, times π: a number above 0 and at most 2, or {file: certificate.csv}",
         required=True,
     )
     u: float = key(
