@@ -54,7 +54,7 @@ def main() -> None:
 
 def modules(stage: Stage) -> tuple[str, ...]:
     """Modules of the package that a stage's digest covers."""
-    return code.modules(script(stage), also=stage.modules)
+    return code.modules(script(stage), extra_modules=stage.modules)
 
 
 def script(stage: Stage) -> Path:
@@ -105,7 +105,7 @@ def page() -> str:
                         BEFORE.get(name, ""),
                         len(covered[name]),
                         LIMITS.get(name, ""),
-                        ", ".join(code.libraries(script(STAGES[name]), also=STAGES[name].modules)),
+                        ", ".join(code.libraries(script(STAGES[name]), extra_modules=STAGES[name].modules)),
                     )
                     for name in own
                 ),

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from brdfpipe.columns import (
     Columns,
-    cut_numbers,
     gaps,
     last_digit,
     merge_duplicates,
+    odd_decimals,
     odd_steps,
     read_columns,
     wavelengths,
@@ -247,7 +247,7 @@ def test_a_mistyped_wavelength_is_between_odd_steps(place: int, off: float) -> N
     ],
 )
 def test_a_number_with_other_decimals_than_the_rest_raises_a_doubt(cells: list[str], odd: list[str]) -> None:
-    doubts = cut_numbers(cells, lambda i: f"at {i}")
+    doubts = odd_decimals(cells, lambda i: f"at {i}")
     assert [doubt.partition(" has another")[0] for doubt in doubts] == odd
 
 

@@ -66,9 +66,9 @@ def test_the_documentation_lists_the_illuminants_that_are_known() -> None:
 
 def dotted_names(text: str) -> set[str]:
     """Names in backticks that begin with a package or a module of ``brdfpipe`` and are no names of files; arguments are left out."""
-    rooms = {PACKAGE, *(module.split(".")[1] for module in modules() if module != PACKAGE)}
+    top_names = {PACKAGE, *(module.split(".")[1] for module in modules() if module != PACKAGE)}
     names = set(re.findall(r"`(\w+(?:\.\w+)+)(?:\([^`]*\))?`", text))
-    return {name for name in names if name.split(".")[0] in rooms and name.split(".")[-1] not in FILE_TYPES}
+    return {name for name in names if name.split(".")[0] in top_names and name.split(".")[-1] not in FILE_TYPES}
 
 
 def resolves(name: str) -> bool:

@@ -17,13 +17,13 @@ from pathlib import Path
 import pytest
 from source_tree import PACKAGE, PROJECT, Import, definitions, imports, modules, packages, tree
 
-from brdfpipe.jobs.code import DISTRIBUTIONS, IMPLIED
+from brdfpipe.jobs.code import DISTRIBUTIONS, LIBRARIES_BEHIND
 
 SCRIPTS = sorted(path for folder in ("workflow", "scripts") for path in (PROJECT / folder).rglob("*.py"))
 
 
 def layers() -> list[list[str]]:
-    """The rooms of each layer, lowest first, from the block after the heading "Layers" of CONTRIBUTING.md."""
+    """The top-level names of each layer, lowest first, from the block after the heading "Layers" of CONTRIBUTING.md."""
     text = (PROJECT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     block = re.search(r"## Layers\n.*?```text\n(.*?)```", text, re.DOTALL)
     assert block, "CONTRIBUTING.md has no block of layers"
@@ -39,7 +39,7 @@ def described(path: Path) -> str:
     return str(path.relative_to(PROJECT))
 
 
-def test_every_room_is_in_exactly_one_layer():
+def test_every_top_level_name_is_in_exactly_one_layer():
     listed = [name for layer in layers() for name in layer]
     assert sorted(listed) == sorted({top_package(module) for module in modules() if module != PACKAGE})
 
@@ -182,7 +182,7 @@ def test_the_libraries_that_are_imported_are_those_declared():
         _distribution(DISTRIBUTIONS.get(name, name)) for name in imported - sys.stdlib_module_names - {PACKAGE}
     }
     assert libraries - runtime - optional == set()
-    assert runtime - libraries - {_distribution(name) for name in IMPLIED["xarray"]} == set()
+    assert runtime - libraries - {_distribution(name) for name in LIBRARIES_BEHIND["xarray"]} == set()
 
 
 def _absolute_imports(node: ast.AST) -> list[str]:

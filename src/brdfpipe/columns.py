@@ -152,7 +152,7 @@ def parse_columns(text: str, path: Path, notes: Sequence[str] = ()) -> Columns:
     lines = np.array([place for place, _ in rows])
     doubts = _header_contradictions(header, values[:, 0])
     for cells in zip(*split, strict=True):
-        doubts += cut_numbers(cells, lambda i: f"in line {lines[i]}")
+        doubts += odd_decimals(cells, lambda i: f"in line {lines[i]}")
     return Columns(path.name, (*header, *remarks), names, values, lines, tuple(notes), tuple(doubts))
 
 
@@ -264,7 +264,7 @@ def read_spectral_table(path: Path, key: str, layout: str, *, most: int, widest:
     return SpectralTable(wavelength, values, titles, [text for text in notes if text], table.doubts)
 
 
-def cut_numbers(cells: Sequence[str], place: Callable[[int], str]) -> list[str]:
+def odd_decimals(cells: Sequence[str], place: Callable[[int], str]) -> list[str]:
     """Doubts about one or two numbers printed with fewer or more decimals than all others, in a column with trailing zeros.
 
     Parameters

@@ -34,7 +34,7 @@ _Loader.add_implicit_resolver(
 )
 
 
-def plain(path: Path) -> Any:
+def read_yaml(path: Path) -> Any:
     """Read a YAML document without declared keys. Raises InputError: naming the file and the line."""
     return parse(path)[0]
 

@@ -37,7 +37,7 @@ Wildcards = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Subject:
-    """A material or a calibration with all that the conditions and the parameters of stages depend on."""
+    """A material or a calibration with the configuration and its rig arrangements: from these follow its stages and their parameters."""
 
     owner: Material | Calibration
     config: Mapping[str, Any]

@@ -235,7 +235,7 @@ def test_an_empty_folder_takes_results(folder: Path, results: Path) -> None:
 
 
 def unwritable(monkeypatch: pytest.MonkeyPatch, *paths: Path) -> None:
-    """The system's answer for folders and files that cannot be written, for root as well, who may write anything else."""
+    """Make ``os.access`` report these paths as not writable: root, who may run the tests, could write anything."""
     access, blocked = os.access, {str(path.resolve()) for path in paths}
 
     def answer(path: str | Path, mode: int, **named: bool) -> bool:
@@ -368,17 +368,17 @@ def stuck(project: Path, folder: Path, results: Path, write: Write) -> Iterator[
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     logs = [results / "logs" / name / "surface.log" for name in ("first", "second")]
     try:
-        wait_until(lambda: all(log.exists() for log in logs))
+        wait_until("both jobs have a log", lambda: all(log.exists() for log in logs))
         yield process
     finally:
         process.kill()
         process.communicate()
 
 
-def wait_until(true: Callable[[], bool]) -> None:
+def wait_until(condition: str, holds: Callable[[], bool]) -> None:
     end = time.monotonic() + PATIENCE
-    while not true():
-        assert time.monotonic() < end, "what was waited for did not happen"
+    while not holds():
+        assert time.monotonic() < end, f"not within {PATIENCE} s: {condition}"
         time.sleep(0.05)
 
 
@@ -388,7 +388,10 @@ def test_a_killed_build_leaves_no_process_and_resumes(
     children = psutil.Process(stuck.pid).children(recursive=True)
     assert len(children) >= 2
     stuck.kill()
-    wait_until(lambda: not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children))
+    wait_until(
+        "all processes of the build have ended",
+        lambda: not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children),
+    )
     (results / "gate").touch()
     assert build(folder, results).built == ("first", "second")
     undisturbed = tmp_path / "undisturbed"
@@ -407,7 +410,10 @@ def test_an_interrupted_build_ends_its_workers_and_prints_a_message(
     output, _ = stuck.communicate(timeout=PATIENCE)
     assert stuck.returncode == 130
     assert output.splitlines()[-1] == "brdfpipe: interrupted; the same command resumes"
-    wait_until(lambda: not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children))
+    wait_until(
+        "all processes of the build have ended",
+        lambda: not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children),
+    )
     assert not list((results / "failures").glob("*"))
 
 

@@ -183,7 +183,7 @@ def test_a_page_template_engine_reruns_reports_alone() -> None:
 
 @pytest.mark.parametrize("stage", STAGES.values(), ids=list(STAGES))
 def test_every_stage_has_a_digest_of_its_own(stage: Stage) -> None:
-    assert len(code.digest(script(stage), also=stage.modules)) == 32
+    assert len(code.digest(script(stage), extra_modules=stage.modules)) == 32
 
 
 RUN_STAGES = """
@@ -261,6 +261,8 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     subprocess.run(command, cwd=tmp_path, input=json.dumps(commands), text=True, check=True)
     for number, step in enumerate(steps):
         loaded = set(json.loads((tmp_path / f"{number}.loaded").read_text()))
-        followed = {name for name in loaded if not f"{name}.".startswith(code.UNFOLLOWED)}
+        followed = {name for name in loaded if not f"{name}.".startswith(code.MODULES_WITHOUT_EFFECT)}
         assert len(followed) > 3
-        assert followed <= set(code.modules(script(STAGES[step.stage]), also=STAGES[step.stage].modules)), step.stage
+        assert followed <= set(code.modules(script(STAGES[step.stage]), extra_modules=STAGES[step.stage].modules)), (
+            step.stage
+        )

@@ -194,6 +194,7 @@ def _half_ranges(sample: Sample, angle: float, azimuths: Array, gloss_by_azimuth
         *(Beam(other, other_light, receptor, apertures.UNCERTAINTY_ORDER) for other, other_light in lights),
     ]
     scattered = apertures.received(sample, beams, azimuths)
+    # Half the gloss units of the strips at the receptor's edges.
     left, right, near, far = (apertures.gloss_units_of(light, flux) / 2 for flux in scattered[:4])
     axis = (right - left) * float(np.radians(AXIS_TOLERANCE)) / edge_shift
     others = [other_light for _, other_light in lights]
@@ -201,9 +202,9 @@ def _half_ranges(sample: Sample, angle: float, azimuths: Array, gloss_by_azimuth
         _mirrored(sample, _joined(others), azimuths), np.cumsum([one.u.size for one in others])[:-1], axis=1
     )
     reflected = [flux + into_one for flux, into_one in zip(mirrored, scattered[4:], strict=True)]
-    less, more = (apertures.gloss_units_of(*reading) for reading in zip(others[4:], reflected[4:], strict=True))
-    both = less + more
-    incidence = np.divide(gloss_by_azimuth * (more - less), both, out=np.zeros_like(both), where=both > 0)
+    below, above = (apertures.gloss_units_of(*reading) for reading in zip(others[4:], reflected[4:], strict=True))
+    total = below + above
+    incidence = np.divide(gloss_by_azimuth * (above - below), total, out=np.zeros_like(total), where=total > 0)
     glass = float(light.weight @ light.glass)
     nominal = gloss_by_azimuth * (light.weight @ light.glass) / 100, glass
     rims = [

@@ -91,9 +91,9 @@ class Table:
             lights = 2 * (view @ facets.T)[..., None] * facets - view[:, None]
             weight = 4 * np.maximum(view @ facets.T, 0) * facet_angle * share
             near[j] = in_channels(_reflected(bsdf, lights, weight, (polar, phi), wavelength), channels)
-            between = directions + view[:, None]
-            weight = (1 - _facet_share(between, widths, lay)) * 2 * np.pi / len(directions)
-            lights = np.broadcast_to(directions, between.shape)
+            twice_half_vectors = directions + view[:, None]
+            weight = (1 - _facet_share(twice_half_vectors, widths, lay)) * 2 * np.pi / len(directions)
+            lights = np.broadcast_to(directions, twice_half_vectors.shape)
             far[j] = in_channels(_reflected(bsdf, lights, weight, (polar, phi), wavelength), channels)
             shares = representation(bsdf).specular(np.full(phi.size, polar), phi + 180, wavelength)[0]
             mirror[j] = in_channels(shares, channels)
@@ -171,16 +171,16 @@ class Table:
 
     def _table_cells(self, theta: Array, phi: Array) -> list[tuple[NDArray[np.intp], list[tuple[int, int]], Array]]:
         """Points by cell of the table: their indices, the corners of the cell, and bilinear weights (points, corners)."""
-        j = np.clip(np.searchsorted(self.theta, theta, side="right") - 1, 0, self.theta.size - 2)
-        t = (theta - self.theta[j]) / np.diff(self.theta)[j]
+        row_of = np.clip(np.searchsorted(self.theta, theta, side="right") - 1, 0, self.theta.size - 2)
+        theta_fraction = (theta - self.theta[row_of]) / np.diff(self.theta)[row_of]
         step = 360 / self.phi.size
-        m = np.minimum((phi / step).astype(int), self.phi.size - 1)
-        s = phi / step - m
+        column_of = np.minimum((phi / step).astype(int), self.phi.size - 1)
+        phi_fraction = phi / step - column_of
         cells = []
-        for cell in np.unique(j * self.phi.size + m):
+        for cell in np.unique(row_of * self.phi.size + column_of):
             row, column = divmod(int(cell), self.phi.size)
-            in_cell = np.flatnonzero((j == row) & (m == column))
-            a, b = t[in_cell], s[in_cell]
+            in_cell = np.flatnonzero((row_of == row) & (column_of == column))
+            a, b = theta_fraction[in_cell], phi_fraction[in_cell]
             if self.phi.size == 1:
                 cells.append((in_cell, [(row, 0), (row + 1, 0)], np.stack([1 - a, a], axis=1)))
                 continue
@@ -266,14 +266,14 @@ def _facets(widths: tuple[float, float], lay: float, per_circle: int) -> tuple[A
     return normals, area / length**3, _near_weight(r)
 
 
-def _facet_share(between: Array, widths: tuple[float, float], lay: float) -> Array:
+def _facet_share(vectors: Array, widths: tuple[float, float], lay: float) -> Array:
     """Weight of the facets along vectors (…, 3)."""
     narrow = min(widths)
     if narrow >= _WIDEST:
-        return np.zeros(between.shape[:-1])
+        return np.zeros(vectors.shape[:-1])
     azimuth = np.radians(lay)
-    cos, sin = np.cos(azimuth) / between[..., 2], np.sin(azimuth) / between[..., 2]
-    along, across = between[..., 0] * cos + between[..., 1] * sin, between[..., 1] * cos - between[..., 0] * sin
+    cos, sin = np.cos(azimuth) / vectors[..., 2], np.sin(azimuth) / vectors[..., 2]
+    along, across = vectors[..., 0] * cos + vectors[..., 1] * sin, vectors[..., 1] * cos - vectors[..., 0] * sin
     return _near_weight(np.hypot(along * narrow / widths[0], across * narrow / widths[1]))
 
 

@@ -110,7 +110,7 @@ def scan(
         click.echo(estimate(plan).text)
         return 0
     folder = out or plan_file.parent / "runs" / plan.sample
-    options: dict[str, Any] = {"resume": resume, "progress": True, "say": _print_line}
+    options: dict[str, Any] = {"resume": resume, "progress": True, "on_warning": _print_line}
     try:
         if emulate is None:
             done = _real_scan(plan, folder, yes, options)
@@ -137,7 +137,7 @@ def scan(
     required=True,
     help="A BSDF (.nc), or the folder of a built material: the sample in the holder.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of everything random.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the emulated rig.")
 @_SESSION
 @click.option("--out", type=FOLDER, default=None, help=f"Folder for {EMULATED}  [default: beside RIG.yaml]")
 @click.option("--realtime", is_flag=True, help="Let exposures and moves take real time.")
@@ -208,7 +208,7 @@ def _emulated_description(description: Path, emulated: EmulatedRig, folder: Path
 
     from brdfpipe import documents, store
 
-    content = documents.plain(description)
+    content = documents.read_yaml(description)
     path = folder / EMULATED
     if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(_EMULATED_HEADER):
         problem = "exists already and does not belong to an emulated rig"

@@ -56,10 +56,10 @@ def read(path: Path, model: Any) -> dict[str, Any]:
     ------
     InputError : naming the file, the line, the key, what was found and what is accepted.
     """
-    return load(path, model).content
+    return read_with_lines(path, model).content
 
 
-def load(path: Path, model: Any) -> Description:
+def read_with_lines(path: Path, model: Any) -> Description:
     """Read a YAML description as :func:`read`; also return its lines, for checks of values against each other."""
     written, lines = documents.parse(path)
     try:

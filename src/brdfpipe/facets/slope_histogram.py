@@ -24,6 +24,15 @@ _CLASSES = 16
 _SMALL_MAP_FACTOR = 1.3
 """Factor of the relative uncertainty of densities whose bins have few independent facets."""
 
+_PLATEAU = 0.5
+"""Share of the facets in the first of a hundred bins that indicates a plateau; rough surfaces have a few per cent there."""
+
+_SMOOTH_DEGREE = 4
+"""Degree of the polynomial through the logarithm of the density, whose gradient moves the bins."""
+
+_NARROWEST = 0.2
+"""Smallest ratio of new to old width of a bin."""
+
 MIN_PER_BIN, MIN_PER_BIN_OF_SMALL_MAPS = 100, 25
 """Smallest number of independent facets in a bin; the second on maps that are too small for the first."""
 
@@ -187,10 +196,6 @@ def _remedy(histogram: Histogram) -> str:
     return "measure a larger area, or at a finer pitch"
 
 
-_PLATEAU = 0.5
-"""Share of the facets in the first of a hundred bins that indicates a plateau; rough surfaces have a few per cent there."""
-
-
 def _cut_positions(histogram: Histogram, least: int) -> list[int]:
     """Cuts between bins, so that every bin holds at least ``least`` independent facets.
 
@@ -274,11 +279,6 @@ def remove_broadening(binned: MergedHistogram, mean_square: float) -> MergedHist
     moved = binned.edges * np.clip(1 + mean_square * gradient, 0.5, 1)
     widths = np.maximum(np.diff(moved), _NARROWEST * np.diff(binned.edges))
     return binned._replace(edges=np.concatenate([[0.0], np.cumsum(widths)]))
-
-
-_SMOOTH_DEGREE = 4
-_NARROWEST = 0.2
-"""Smallest ratio of new to old width of a bin."""
 
 
 def _relative_uncertainty(binned: MergedHistogram, jacobian: Array) -> Array:

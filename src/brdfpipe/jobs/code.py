@@ -28,17 +28,17 @@ DISTRIBUTIONS = {
 }
 """Imported name → distribution, where they differ."""
 
-IMPLIED = {"xarray": ("netCDF4", "numpy", "pandas")}
+LIBRARIES_BEHIND = {"xarray": ("netCDF4", "numpy", "pandas")}
 """Library → the libraries that it uses to compute and store."""
 
 OPTIONAL = {"brdfpipe.surfaces.instruments": "SurfaceTopography"}
 """Module → optional library that it imports by a string."""
 
-UNCOUNTED = frozenset({"lazy_loader", "tqdm"})
-"""Libraries that do not shape results."""
+LIBRARIES_WITHOUT_EFFECT = frozenset({"lazy_loader", "tqdm"})
+"""Libraries that do not change results."""
 
-UNFOLLOWED = ("brdfpipe.jobs.", "brdfpipe.cli.")
-"""Modules that run stages and do not shape results."""
+MODULES_WITHOUT_EFFECT = ("brdfpipe.jobs.", "brdfpipe.cli.")
+"""Modules that run stages and do not change results."""
 
 PACKAGE = "brdfpipe"
 
@@ -46,21 +46,21 @@ SOURCE = Path(__file__).resolve().parents[2]
 """The folder that holds the package."""
 
 
-def digest(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> str:
+def digest(script: Path, root: Path | None = None, extra_modules: Iterable[str] = ()) -> str:
     """Digest of a stage's code.
 
     Parameters
     ----------
     script : the stage's script
     root : the folder that holds the package; default :data:`SOURCE`
-    also : modules that the script imports by a name known only at run time
+    extra_modules : modules that the script imports by a name known only at run time
 
     Returns
     -------
     str : hexadecimal
     """
     root = root or SOURCE
-    covered = _module_files(script, root, also)
+    covered = _module_files(script, root, extra_modules)
     content = hashlib.sha256()
     for library in _libraries(script, covered):
         content.update(f"{library} {_installed(library)}\n".encode())
@@ -73,17 +73,17 @@ def digest(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> 
     return content.hexdigest()[:32]
 
 
-def modules(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> tuple[str, ...]:
+def modules(script: Path, root: Path | None = None, extra_modules: Iterable[str] = ()) -> tuple[str, ...]:
     """Modules of the package that a script imports, directly or not, in functions too; parameters as for :func:`digest`."""
-    return tuple(_module_files(script, root or SOURCE, also))
+    return tuple(_module_files(script, root or SOURCE, extra_modules))
 
 
-def _module_files(script: Path, root: Path, also: Iterable[str]) -> dict[str, Path]:
+def _module_files(script: Path, root: Path, extra_modules: Iterable[str]) -> dict[str, Path]:
     covered: dict[str, Path] = {}
-    waiting = [*_source(script).imports, *also]
+    waiting = [*_source(script).imports, *extra_modules]
     while waiting:
         name = waiting.pop()
-        if name in covered or f"{name}.".startswith(UNFOLLOWED) or name.split(".")[0] != PACKAGE:
+        if name in covered or f"{name}.".startswith(MODULES_WITHOUT_EFFECT) or name.split(".")[0] != PACKAGE:
             continue
         path = _module_path(name, root)
         if path is None:
@@ -94,17 +94,17 @@ def _module_files(script: Path, root: Path, also: Iterable[str]) -> dict[str, Pa
     return dict(sorted(covered.items()))
 
 
-def libraries(script: Path, root: Path | None = None, also: Iterable[str] = ()) -> tuple[str, ...]:
+def libraries(script: Path, root: Path | None = None, extra_modules: Iterable[str] = ()) -> tuple[str, ...]:
     """Distributions that the code of a stage imports; parameters as for :func:`digest`."""
-    return _libraries(script, _module_files(script, root or SOURCE, also))
+    return _libraries(script, _module_files(script, root or SOURCE, extra_modules))
 
 
 def _libraries(script: Path, covered: Mapping[str, Path]) -> tuple[str, ...]:
     sources = [_source(script), *map(_source, covered.values())]
     names = {name.split(".")[0] for source in sources for name in source.imports if not name.startswith(".")}
     names |= {OPTIONAL[name] for name in covered if name in OPTIONAL}
-    names |= {implied for name in names for implied in IMPLIED.get(name, ())}
-    names -= {PACKAGE} | UNCOUNTED | sys.stdlib_module_names
+    names |= {implied for name in names for implied in LIBRARIES_BEHIND.get(name, ())}
+    names -= {PACKAGE} | LIBRARIES_WITHOUT_EFFECT | sys.stdlib_module_names
     return tuple(sorted(DISTRIBUTIONS.get(name, name) for name in names))
 
 

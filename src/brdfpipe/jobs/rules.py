@@ -114,7 +114,7 @@ class Pipeline:
 
         stages = [STAGES[rule.name] for rule in workflow.rules if rule.name in STAGES]
         with code.remember_parsed(Path(".snakemake", "code.json")):
-            digests = {stage.name: code.digest(self._script(stage), also=stage.modules) for stage in stages}
+            digests = {stage.name: code.digest(self._script(stage), extra_modules=stage.modules) for stage in stages}
         owners = {"material": "{material}", "calibration": f"{CALIBRATIONS}.{{calibration}}"}
         for rule in workflow.rules:
             rule.log_modifier = workflow.modifier.path_modifier
@@ -132,7 +132,8 @@ class Pipeline:
     def preload(self, jobs: Iterable[Any]) -> None:
         """Import the slow modules that some jobs use once, in the server of the workers; call it before the first job."""
         stages = [STAGES[name] for name in {job.rule.name for job in jobs} if name in STAGES]
-        pool.preload(name for stage in stages for name in code.modules(self._script(stage), also=stage.modules))
+        covered = (code.modules(self._script(stage), extra_modules=stage.modules) for stage in stages)
+        pool.preload(name for modules in covered for name in modules)
 
     def spec(self, stage: Stage) -> InputFunction:
         """Parameters of a stage as canonical JSON; their change reruns the stage."""

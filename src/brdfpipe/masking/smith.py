@@ -109,7 +109,7 @@ class PlanarSmith:
         t = np.linspace(0, np.arcsinh(last), mu.size)
         opposite = np.roll(excess, turn.size // 2, axis=1)
         columns = zip(width, excess.T, opposite.T, strict=True)
-        table = np.stack([_over_width(mu / w, g / w, back / w)(t) for w, g, back in columns], axis=1)
+        table = np.stack([_over_width(mu / w, g / w, opposite_g / w)(t) for w, g, opposite_g in columns], axis=1)
         order = np.argsort(turn)
         around = np.concatenate([order[-4:], order, order[:4]])
         turns = np.unwrap(turn[around] - 360, period=360)

@@ -20,6 +20,8 @@ from brdfpipe.geometry import Array, HalfVector, broadcast, check_angles, checke
 from brdfpipe.masking import liu
 from brdfpipe.masking.smith import PlanarSmith, Smith, cotangent
 
+_BELOW_GRAZING = 90 - 1e-9  # largest angle of a pair of directions [degree]
+
 
 def g1(facets: xr.Dataset, theta: ArrayLike, phi: ArrayLike = 0.0) -> xr.DataArray:
     """Smith masking of a facet distribution: the visible fraction of facets that face a direction.
@@ -135,9 +137,6 @@ def g1_along(slopes: ArrayLike, theta: ArrayLike) -> Array:
     count = p.size - first
     excess = np.where(count > 0, (beyond[first] - np.where(count > 0, mu, 0.0) * count) / p.size, 0.0)
     return np.divide(cos, cos + excess * sin, out=np.zeros_like(cos), where=cos > 0)
-
-
-_BELOW_GRAZING = 90 - 1e-9
 
 
 def _excess_towards(facets: xr.Dataset, theta: Array, phi: Array) -> tuple[Array, Array, Array]:

@@ -203,7 +203,7 @@ def read(path: Path) -> xr.Dataset:
     ------
     InputError : damaged YAML, an unknown type of data, invalid numbers, n missing, or 400–700 nm not covered.
     """
-    content = documents.plain(path)
+    content = documents.read_yaml(path)
     entries = content.get("DATA") if isinstance(content, Mapping) else None
     if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
         raise _refusal(path, "no DATA of a refractive index", "the layout of refractiveindex.info, with DATA")

@@ -151,7 +151,7 @@ class Rig:
         InputError : naming the file, the line, the key, what was found and what is accepted.
         """
         path = Path(path)
-        description = reading.load(path, RigKeys)
+        description = reading.read_with_lines(path, RigKeys)
         content = description.content
         fibres = read_fibres(documents.file_beside(path, content["fibres"]["file"], "fibres.file", "the rig's folder"))
         screen: dict[str, Any] = {

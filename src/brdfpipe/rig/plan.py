@@ -114,7 +114,7 @@ class Plan:
         InputError : naming the file, the line, the key, what was found and what is accepted.
         """
         path = Path(path)
-        description = reading.load(path, PlanKeys)
+        description = reading.read_with_lines(path, PlanKeys)
         content = description.content
         rig = Rig.load(documents.file_beside(path, content["rig"], "rig", "the plan's folder"))
         wavelengths = _wavelengths(content["wavelengths"])
@@ -196,7 +196,7 @@ def sources(path: Path) -> dict[str, Path]:
     Raises InputError: two of them would have the same name.
     """
     rig = PurePosixPath(reading.read(path, PlanKeys)["rig"])
-    fibres = rig.parent / documents.plain(path.parent / rig)["fibres"]["file"]
+    fibres = rig.parent / documents.read_yaml(path.parent / rig)["fibres"]["file"]
     files = {PLAN: path}
     for name in (rig.as_posix(), fibres.as_posix()):
         if name in files or name.split("/")[0] in RESERVED:

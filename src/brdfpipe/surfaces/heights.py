@@ -20,17 +20,17 @@ from brdfpipe.errors import InputError
 from brdfpipe.file_formats import FileFormat
 from brdfpipe.vocabulary import add_history, add_warning, label
 
-PITCH_RANGE = (1e-3, 1e3)
-EXTENT_MAX = 1e6
-GRID_MIN = 32
-LINE_MIN = 64
-SLOPE_RANGE = (1e-4, 3.0)
-LEVELS_MIN = 16
-MISSING_WARN = 0.01
-MISSING_MAX = 0.5
-SECTION_WARN = 2.0
-STEP_WARN = 30.0
-PEAKED_WARN = 6.0
+PITCH_RANGE = (1e-3, 1e3)  # accepted pitch [um]
+EXTENT_MAX = 1e6  # an extent from this on is refused [um]
+GRID_MIN = 32  # fewest points of a map along either axis
+LINE_MIN = 64  # fewest points of a line profile
+SLOPE_RANGE = (1e-4, 3.0)  # accepted rms slope, mean slope removed [1]
+LEVELS_MIN = 16  # fewest distinct heights
+MISSING_WARN = 0.01  # share of missing heights above which a warning follows
+MISSING_MAX = 0.5  # share of missing heights above which the file is refused
+PITCH_RATIO_WARN = 2.0  # ratio of the wider to the narrower pitch of a map, above which a warning follows
+STEP_WARN = 30.0  # slope between two neighbours above which a warning follows [1]
+PEAKED_WARN = 6.0  # rms over median slope above which a warning follows
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def _doubts(missing: float, pitches: list[float], steepest: float, peaked: float
             "measure with higher aperture or at several tilts."
         )
     ratio = max(pitches) / min(pitches)
-    if ratio > SECTION_WARN:
+    if ratio > PITCH_RATIO_WARN:
         doubts.append(
             f"The pitches along x and y differ by a factor {ratio:.2g}: slopes across the wider one are smoothed; "
             "measure with equal pitches."

@@ -63,7 +63,7 @@ def test_an_incomplete_last_line_is_removed_wherever_it_ends(tmp_path, cut, padd
     events = [json.loads(line) for line in path.read_text().splitlines()]
     assert events == read(path)
     incomplete = len(whole) - cut - len(complete)
-    assert [event["event"] for event in events[complete.count(b"\n") :]] == (["healed"] if incomplete else []) + [
+    assert [event["event"] for event in events[complete.count(b"\n") :]] == (["repaired"] if incomplete else []) + [
         "resumed"
     ]
 

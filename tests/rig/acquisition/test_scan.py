@@ -342,7 +342,7 @@ def test_a_frame_missing_in_the_journal_is_adopted(plan, folder):
     done = small_rig.take(plan, small_rig.fake_bench(camera=camera), folder, resume=True)
     assert done.taken == len(camera.exposures) == len(plan.shots) - 5
     assert [event["shot"] for event in events(folder, "adopted")] == [5]
-    assert [event["event"] for event in events(folder)].count("healed") == 1
+    assert [event["event"] for event in events(folder)].count("repaired") == 1
     recorded = sorted(event["shot"] for event in events(folder) if event["event"] in ("frame", "adopted"))
     assert recorded == [shot.ordinal for shot in plan.shots]
 
@@ -397,7 +397,7 @@ def test_a_damaged_frame_is_taken_again(plan, folder, damage, number):
     damage(folder / "frames" / plan.shots[number - 1].name)
     messages = []
     camera = small_rig.FakeCamera(started=lambda count: 1.7e9 + 5000.0)
-    done = small_rig.take(plan, small_rig.fake_bench(camera=camera), folder, resume=True, say=messages.append)
+    done = small_rig.take(plan, small_rig.fake_bench(camera=camera), folder, resume=True, on_warning=messages.append)
     assert done.taken == len(camera.exposures) == 1
     repeated = [line for line in messages if "taken again" in line]
     assert len(repeated) == (damage is not removed)

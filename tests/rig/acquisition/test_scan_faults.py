@@ -230,7 +230,7 @@ def scanned(plan, folder, *, truth=None, **options):
     """Warnings of a scan of a rig that may differ from its description."""
     lines = []
     with small_rig.emulated(replace(plan, rig=truth or plan.rig), **options) as (rig, camera):
-        summary = small_rig.take_emulated(plan, folder, rig, camera, say=lines.append)
+        summary = small_rig.take_emulated(plan, folder, rig, camera, on_warning=lines.append)
     assert lines == [f"warning: {warning}" for warning in summary.warnings]
     return summary.warnings
 

@@ -94,7 +94,7 @@ def test_counts_end_at_the_largest():
 
 
 def test_one_frame_holds_fifty_to_one_at_a_signal_to_noise_ratio_of_fifty():
-    # RIG: a frame holds about 51:1 at SNR 50. Nine pixels of 500 electrons, 1/50 of the linear range, with 20 electrons of read noise.
+    # Nine pixels of 500 electrons, 1/50 of the linear range, with 20 electrons of read noise: 4500 / √(4500 + 9 · 20²) = 50.
     cells = 3.0 * frame(500.0, dataclasses.replace(IDEAL, photon_noise=True, read_noise=20, bias=100)) - 300
     sums = cells[:, :318].reshape(80, 3, 106, 3).sum(axis=(1, 3))
     assert sums.mean() / sums.std() == pytest.approx(50, rel=0.04)

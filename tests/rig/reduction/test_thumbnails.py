@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from brdfpipe import vocabulary
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.reduction import cells as celled
+from brdfpipe.rig.reduction import cells as rig_cells
 from brdfpipe.rig.reduction.thumbnails import DECADES, LONGEST, drawing, squares, thumbnail
 
 
@@ -55,7 +55,7 @@ def test_the_brightest_part_of_any_picture_is_white(picture: np.ndarray) -> None
 
 
 def _drawn(rig: Rig):
-    return drawing(np.ones((rig.camera.height, rig.camera.width)), rig, rig.screen, celled.weights(rig, rig.screen))
+    return drawing(np.ones((rig.camera.height, rig.camera.width)), rig, rig.screen, rig_cells.weights(rig, rig.screen))
 
 
 def test_outlines_are_where_the_fibres_are_visible(rig: Rig) -> None:
@@ -65,7 +65,7 @@ def test_outlines_are_where_the_fibres_are_visible(rig: Rig) -> None:
     # To a hundredth of a pixel: a circle in sixths of pixels.
     assert drawn["column"].values[:count] == pytest.approx(column, abs=0.02)
     assert drawn["row"].values[:count] == pytest.approx(row, abs=0.02)
-    radius = rig.screen.fibre_radius * rig.screen.scale + celled.BLUR
+    radius = rig.screen.fibre_radius * rig.screen.scale + rig_cells.BLUR
     assert drawn["aperture"].values[:count] == pytest.approx(radius, rel=0.01)
     assert np.isnan(drawn["aperture"].values[count:]).all()
 
@@ -81,7 +81,7 @@ def test_the_last_ring_is_within_the_rim_of_the_disc(rig: Rig) -> None:
 def test_outlines_follow_the_picture(rig: Rig) -> None:
     centre = rig.screen.centre
     moved = dataclasses.replace(rig.screen, centre=(centre[0] + 1.5, centre[1] - 0.5))
-    there = drawing(np.ones((rig.camera.height, rig.camera.width)), rig, moved, celled.weights(rig, moved))
+    there = drawing(np.ones((rig.camera.height, rig.camera.width)), rig, moved, rig_cells.weights(rig, moved))
     here = _drawn(rig)
     of_fibres = slice(len(rig.fibres))
     assert (there["column"] - here["column"]).values[of_fibres] == pytest.approx(1.5, abs=0.02)

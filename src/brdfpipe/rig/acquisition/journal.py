@@ -31,7 +31,7 @@ class Journal:
         except OSError as error:
             raise self._write_error(error) from error
         if removed := self._remove_incomplete_line():
-            self.append("healed", removed=removed)
+            self.append("repaired", removed=removed)
 
     def append(self, event: str, **facts: Any) -> None:
         """Write one event; it is on disk when this returns. Raises StoreError: the disk is full; no incomplete line remains."""

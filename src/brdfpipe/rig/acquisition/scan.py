@@ -82,7 +82,7 @@ def scan(
     operator: str = "",
     progress: bool = False,
     resume: bool = False,
-    say: Callable[[str], None] = lambda line: None,
+    on_warning: Callable[[str], None] = lambda line: None,
 ) -> Summary:
     """Take every frame of a plan that is missing in the folder.
 
@@ -96,7 +96,7 @@ def scan(
     operator : name of the person who confirms, for the journal
     progress : show frames and time left on a terminal
     resume : continue an existing run; otherwise a run that has been started is refused
-    say : called with each warning
+    on_warning : called with each warning
 
     Raises
     ------
@@ -106,7 +106,7 @@ def scan(
     with run_folder.locked(folder):
         run_folder.prepare(plan, folder, resume)
         with journals.Journal(folder / JOURNAL, clock) as journal:
-            return _Scan(plan, devices, folder, journal, confirm, operator, say).run(progress)
+            return _Scan(plan, devices, folder, journal, confirm, operator, on_warning).run(progress)
 
 
 def last_finished(plan: Plan, folder: Path) -> tuple[Shot, Frame] | None:
@@ -125,7 +125,7 @@ class _Scan:
     journal: journals.Journal
     confirm: Confirm
     operator: str
-    say: Callable[[str], None]
+    on_warning: Callable[[str], None]
     _camera: str = ""
     _arrangement: Arrangement | None = None
     """Arrangement that the operator confirmed last."""
@@ -341,7 +341,7 @@ class _Scan:
 
     def _warn(self, warning: str) -> None:
         self._warnings.append(warning)
-        self.say(f"warning: {warning}")
+        self.on_warning(f"warning: {warning}")
 
     def _frame_record(self, shot: Shot, frame: Frame) -> dict[str, Any]:
         return {

@@ -52,7 +52,7 @@ def scan_emulated(
     session: int = 0,
     resume: bool = False,
     progress: bool = False,
-    say: Callable[[str], None] = lambda line: None,
+    on_warning: Callable[[str], None] = lambda line: None,
 ) -> Summary:
     """Scan a plan with an emulated rig, frame by frame as in a laboratory; parameters and errors as of :func:`make_run` and :func:`scan`."""
     with (
@@ -73,7 +73,7 @@ def scan_emulated(
             operator=operator,
             progress=progress,
             resume=resume,
-            say=say,
+            on_warning=on_warning,
         )
 
 

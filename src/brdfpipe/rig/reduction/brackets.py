@@ -19,7 +19,7 @@ from scipy import ndimage, sparse
 from brdfpipe.geometry import Array
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.description import Rig
-from brdfpipe.rig.reduction import cells as celled
+from brdfpipe.rig.reduction import cells as rig_cells
 from brdfpipe.rig.reduction import exposures, registration
 from brdfpipe.rig.reduction.exposures import ExposureError, HotPixels, Mask, MeanDark, Picture
 
@@ -108,7 +108,7 @@ def locate_reference_spot(rig: Rig, frames: Bracket) -> ReferenceSpot:
     variance = np.full(frames.light.shape[1:], frames.floor.sum()) + np.maximum(frames.light, 0).sum(axis=0)
     centroid = registration.centroids(frames.light.sum(axis=0), variance, column, row, radius)
     inside, inner, outer = (
-        celled.disk(rig.camera, float(centroid.column[0]), float(centroid.row[0]), radius + celled.BLUR + beyond)
+        rig_cells.disk(rig.camera, float(centroid.column[0]), float(centroid.row[0]), radius + rig_cells.BLUR + beyond)
         for beyond in (0.0, *_RING)
     )
     ring = outer - inner
@@ -145,13 +145,14 @@ def scale_bracket(frames: Bracket, spot: ReferenceSpot, rig: Rig) -> Scale:
     # ln k of each frame from the unknowns, and the measured differences of ln k.
     design = np.hstack([np.eye(count), np.eye(positions.size)[of_frame]])
     overlaps = list(_overlaps(frames, k, spot.outside))
-    rows = np.array([(design[one] - design[other]) / u for one, other, _, u in overlaps]).reshape(-1, prior_u.size)
+    rows = np.array([(design[i] - design[j]) / u for i, j, _, u in overlaps]).reshape(-1, prior_u.size)
     differences = np.array([difference / u for _, _, difference, u in overlaps])
     correction, covariance = _solve_with_prior(rows, differences, prior_u)
     exact_filters = np.append(prior_u[:count], np.zeros(positions.size))
     _, references_alone = _solve_with_prior(rows, differences, exact_filters)
-    whole, alone = (design @ part @ design.T for part in (covariance, references_alone))
-    return Scale(k * np.exp(design @ correction), alone, whole - alone, lamp, float(np.linalg.norm(rate_u) / rate.size))
+    of_all, of_references = (design @ part @ design.T for part in (covariance, references_alone))
+    lamp_u = float(np.linalg.norm(rate_u) / rate.size)
+    return Scale(k * np.exp(design @ correction), of_references, of_all - of_references, lamp, lamp_u)
 
 
 def reference_exposure(frames: Bracket, rig: Rig) -> Array:

@@ -11,7 +11,7 @@ from brdfpipe import vocabulary
 from brdfpipe.geometry import Array
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.description import Rig, Screen
-from brdfpipe.rig.reduction import cells as celled
+from brdfpipe.rig.reduction import cells as rig_cells
 from brdfpipe.rig.reduction import glare as glares
 from brdfpipe.rig.reduction import pictures, thumbnails
 from brdfpipe.rig.reduction.brackets import Scale
@@ -36,7 +36,7 @@ def cell_signals(
 
     ``merged`` has a picture for each wavelength, None without a reference; ``repeat_u`` is the relative uncertainty of light over its reference.
     """
-    cells, weights = celled.cells_of(rig), celled.weights(rig, registration.screen)
+    cells, weights = rig_cells.cells_of(rig), rig_cells.weights(rig, registration.screen)
     area, whole = _cell_areas(rig, registration.screen, cells, weights)
     lit = [index for index, picture in enumerate(merged) if picture is not None]
     shown = [picture for picture in merged if picture is not None]
@@ -97,19 +97,19 @@ def _quality(signal: Array, noise: Array, saturated: Mask, whole: Mask) -> NDArr
     return quality
 
 
-def _cell_areas(rig: Rig, screen: Screen, cells: celled.Cells, weights: sparse.csr_array) -> tuple[Array, Mask]:
+def _cell_areas(rig: Rig, screen: Screen, cells: rig_cells.Cells, weights: sparse.csr_array) -> tuple[Array, Mask]:
     """Area that the light of each cell is divided by [pixel], and whether the whole cell is visible.
 
     A fibre's end is smaller than the circle of its sum: the area is that of the description, the same in every session.
     """
     visible = weights.sum(axis=1)
-    radius = celled.fibre_radii(rig, screen)
+    radius = rig_cells.fibre_radii(rig, screen)
     fibres = radius.size
     stretch = screen.scale**2 / screens.disc_solid_angle(screen, cells.theta_s[fibres:])
     expected = np.append(np.pi * radius**2, cells.solid_angle[fibres:] * stretch)
     within = np.append(np.ones(fibres), weights[fibres:] @ pictures.within_disc(rig, screen).ravel())
     within[fibres:] /= np.maximum(visible[fibres:], 1e-9)
-    nominal = np.pi * celled.fibre_radii(rig, rig.screen) ** 2
+    nominal = np.pi * rig_cells.fibre_radii(rig, rig.screen) ** 2
     return np.append(nominal, visible[fibres:]), (visible >= 1) & (np.minimum(visible / expected, 1) * within >= _WHOLE)
 
 

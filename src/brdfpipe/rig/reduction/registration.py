@@ -122,25 +122,25 @@ def register(rig: Rig, picture: Array, variance: Array, screen: Screen | None = 
     u = np.hypot(u[used], _SENSOR_U)
     fit_lens = not screen_given and used.sum() >= FIBRES_ENOUGH
 
-    def moved(by: Array) -> Screen:
-        dx, dy, stretch, bend = np.pad(by, (0, 4 - by.size))
+    def shifted_screen(parameters: Array) -> Screen:
+        dx, dy, stretch, bend = np.pad(parameters, (0, 4 - parameters.size))
         centre = (screen.centre[0] + dx, screen.centre[1] + dy)
         # The last two in units of about a pixel at the rim: a per mille of scale, 1e-7 of the radial term.
         return replace(
             screen, centre=centre, scale=screen.scale * (1 + 1e-3 * stretch), radial=screen.radial + 1e-7 * bend
         )
 
-    def residuals(by: Array) -> Array:
-        expected = screens.to_pixel(moved(by), x[used], y[used])
+    def residuals(parameters: Array) -> Array:
+        expected = screens.to_pixel(shifted_screen(parameters), x[used], y[used])
         return np.concatenate([(expected[0] - column[used]) / u, (expected[1] - row[used]) / u])
 
-    by, by_u = _robust_fit(residuals, 4 if fit_lens else 2)
+    parameters, parameters_u = _robust_fit(residuals, 4 if fit_lens else 2)
     # A disc of radius R has the variance R²/4 along either axis, a pixel 1/12.
     blur = float(np.sqrt(max(np.median(spread[used] - radius[used] ** 2 / 4) - 1 / 12, 0.0)))
-    shift_u = _shift_u(by_u)
+    shift_u = _shift_u(parameters_u)
     if not (screen_given or fit_lens):
         shift_u = float(np.hypot(shift_u, _DISTORTION_U))
-    return Registration(moved(by), shift_u, DIRECTION_U, int(used.sum()), blur=blur)
+    return Registration(shifted_screen(parameters), shift_u, DIRECTION_U, int(used.sum()), blur=blur)
 
 
 def fit_falloff(registration: Registration, picture: Array, entrance: float) -> Array:
@@ -199,24 +199,24 @@ def fit_disc(
         at = np.rint(spots.row[used]).astype(int), np.rint(spots.column[used]).astype(int)
         bias = pixels**2 / 4 * np.array([gradient[at] for gradient in np.gradient(np.log(falloff))])
 
-    def moved(by: Array) -> Screen:
-        disc_centre = (screen.disc_centre[0] + by[0], screen.disc_centre[1] + by[1])
-        return replace(screen, disc_centre=disc_centre, focal_length=screen.focal_length * (1 + 1e-2 * by[2]))
+    def shifted_screen(parameters: Array) -> Screen:
+        disc_centre = (screen.disc_centre[0] + parameters[0], screen.disc_centre[1] + parameters[1])
+        return replace(screen, disc_centre=disc_centre, focal_length=screen.focal_length * (1 + 1e-2 * parameters[2]))
 
-    def residuals(by: Array) -> Array:
-        trial = moved(by)
+    def residuals(parameters: Array) -> Array:
+        trial = shifted_screen(parameters)
         column, row = screens.to_pixel(trial, *screens.disc_position(trial, theta[used], phi[used]))
         column, row = column + bias[1], row + bias[0]
         return np.concatenate([(column - spots.column[used]) / u, (row - spots.row[used]) / u])
 
-    by, by_u = _robust_fit(residuals, 3)
+    parameters, parameters_u = _robust_fit(residuals, 3)
     # The scatter of many spots shows their uncertainty better than the assumed one of the sensor.
-    final_residuals = residuals(by)
-    scatter = np.sqrt((final_residuals**2).sum() / max(final_residuals.size - by.size, 1))
-    millimetres, scale_u = _shift_u(by_u), 1e-2 * float(by_u[2] * min(scatter, 1.0))
+    final_residuals = residuals(parameters)
+    scatter = np.sqrt((final_residuals**2).sum() / max(final_residuals.size - parameters.size, 1))
+    millimetres, scale_u = _shift_u(parameters_u), 1e-2 * float(parameters_u[2] * min(scatter, 1.0))
     shift = registration.shift_u / screen.scale
     direction_u = float(np.degrees(np.arctan(np.hypot(millimetres, shift) / screen.focal_length)))
-    return replace(registration, screen=moved(by), direction_u=direction_u, scale_u=scale_u)
+    return replace(registration, screen=shifted_screen(parameters), direction_u=direction_u, scale_u=scale_u)
 
 
 def _robust_fit(residuals: Callable[[Array], Array], count: int) -> tuple[Array, Array]:

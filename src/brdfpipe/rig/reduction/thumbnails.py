@@ -13,7 +13,7 @@ from scipy import sparse
 from brdfpipe.geometry import Array
 from brdfpipe.rig import screen as screens
 from brdfpipe.rig.description import Rig, Screen
-from brdfpipe.rig.reduction import cells as celled
+from brdfpipe.rig.reduction import cells as rig_cells
 
 LONGEST = 160
 """Largest size of a thumbnail's longer side [pixel]."""
@@ -73,8 +73,8 @@ def drawing(picture: Array, rig: Rig, screen: Screen, weights: sparse.csr_array)
     area = np.asarray(weights.sum(axis=1), dtype=float).ravel()
     area = np.where(area > 0, area, np.nan)
     column, row = (weights @ axis.ravel() / area for axis in (columns, rows))
-    aperture = np.where(celled.cells_of(rig).of_disc, np.nan, np.sqrt(area / np.pi))
-    edges, _ = celled.rings(rig.screen)
+    aperture = np.where(rig_cells.cells_of(rig).of_disc, np.nan, np.sqrt(area / np.pi))
+    edges, _ = rig_cells.rings(rig.screen)
     rim = screens.to_pixel(screen, *screens.disc_position(screen, edges, 0.0))
     middle = screens.to_pixel(screen, *screen.disc_centre)
     ring_radius = np.hypot(rim[0] - middle[0], rim[1] - middle[1])

@@ -84,7 +84,7 @@ def parsed_sample(
     decimal: str = ".",
 ) -> Sample:
     """A sample of printed numbers, with doubts about those of fewer digits than the others; ``where`` is for messages."""
-    cut = columns.cut_numbers(cells, lambda i: f"at {wavelength[i]:g} nm")
+    cut = columns.odd_decimals(cells, lambda i: f"at {wavelength[i]:g} nm")
     return Sample(name, wavelength, parse_numbers(path, where, cells, decimal), header, unit, (*doubts, *cut))
 
 

@@ -29,7 +29,9 @@ QUIET = 0.1
 """Silence [s] after which no more bytes are expected: far above the 16 ms for which USB converters hold bytes back."""
 
 WRITE_TIMEOUT = 2.0
-LONGEST_CHATTER = 2.0
+"""Seconds after which a line that takes no bytes is an error."""
+
+LONGEST_NOISE = 2.0
 """Seconds after which a line that is still not quiet is an error."""
 
 LONGEST_REPLY = 16384
@@ -131,7 +133,7 @@ class SerialLine:
             while self.clock() - last_byte < QUIET:
                 if chunk := self._read(command):
                     received, last_byte = (received + chunk)[-LONGEST_REPLY:], self.clock()
-                if last_byte - start > LONGEST_CHATTER:
+                if last_byte - start > LONGEST_NOISE:
                     advice = f"check the baud rate ({self.settings.baud}) and which device is connected"
                     raise self.error(NoReply, "the line does not become quiet", command, received, advice)
 
