@@ -213,7 +213,7 @@ def test_gloss_of_other_bsdfs_agrees_with_one_panel_of_many_points(name, angle):
 def test_gloss_of_other_bsdfs_agrees_with_one_panel_of_many_points_at_every_angle(name, angle, azimuth):
     bsdf = OTHERS[name]()
     gloss = float(gloss_units(bsdf, [angle], azimuth=azimuth)[0])
-    # The peak of flakes is a cone, which one panel of a rule for smooth functions takes in to some 1e-5.
+    # The peak of flakes is a cone, which one panel of a rule for smooth functions integrates to about 1e-5.
     assert gloss == pytest.approx(brute_force(bsdf, angle, azimuth=azimuth), rel=5e-5)
 
 

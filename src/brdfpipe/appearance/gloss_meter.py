@@ -1,4 +1,6 @@
-"""Specular gloss: the double integral over the apertures on the model, and the uncertainty from the tolerances of gloss meters.
+"""Specular gloss in gloss units: receptors, the ratio to black glass, and the uncertainty from the tolerances of gloss meters.
+
+The double integral over source and receptor is :func:`brdfpipe.appearance.apertures.received`.
 
 G = 100 · ∫source ∫receptor f cos θ_r cos θ_i dω_r dω_i ÷ ∫source F(θ_i; 1.567) cos θ_i dω_i; polished black glass of index 1.567
 has 100 units. A point source would overstate 20° by 2 to 10 % for narrow lobes, and a stored 1° grid 85° by far more. Light that
@@ -195,8 +197,8 @@ def _half_ranges(sample: Sample, angle: float, azimuths: Array, gloss_by_azimuth
     ]
     scattered = apertures.received(sample, beams, azimuths)
     # Half the gloss units of the strips at the receptor's edges.
-    left, right, near, far = (apertures.gloss_units_of(light, flux) / 2 for flux in scattered[:4])
-    axis = (right - left) * float(np.radians(AXIS_TOLERANCE)) / edge_shift
+    low_u, high_u, low_v, high_v = (apertures.gloss_units_of(light, flux) / 2 for flux in scattered[:4])
+    axis = (high_u - low_u) * float(np.radians(AXIS_TOLERANCE)) / edge_shift
     others = [other_light for _, other_light in lights]
     mirrored = np.split(
         _mirrored(sample, _joined(others), azimuths), np.cumsum([one.u.size for one in others])[:-1], axis=1
@@ -210,7 +212,7 @@ def _half_ranges(sample: Sample, angle: float, azimuths: Array, gloss_by_azimuth
     rims = [
         (flux @ rim.weight, float(rim.weight @ rim.glass)) for rim, flux in zip(others[:4], reflected, strict=False)
     ]
-    return np.array([left + right, near + far, axis, incidence, *_source_half_ranges(nominal, rims)])
+    return np.array([low_u + high_u, low_v + high_v, axis, incidence, *_source_half_ranges(nominal, rims)])
 
 
 def _receptor_edges(angle: float) -> tuple[list[Window], float]:

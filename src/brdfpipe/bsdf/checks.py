@@ -311,7 +311,7 @@ def _verdicts(result: xr.Dataset, residuals: dict[str, _Residual], model: Repres
     if not reciprocal:
         text += f", {reciprocity.where}{known}"
     if contradiction:
-        text += f"; averaged: as measured they differ by up to {contradiction:.1f} standard uncertainties"
+        text += f"; the BSDF is their average, and the measured ones differ by up to {contradiction:.1f} standard uncertainties"
     verdicts["reciprocity"] = "pass" if reciprocal and contradiction <= SIGNIFICANCE_LIMIT else "warn", text
 
     excess = energy.size > 1 + model.albedo_accuracy

@@ -36,7 +36,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Chapter:
-    """A section with notices and a given order of cards: the rig measurement, or the comparison."""
+    """One of the two long sections of the page, the rig measurement and the comparison: with notices, and its cards in a given order."""
 
     title: str
     kind: str

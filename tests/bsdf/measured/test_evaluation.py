@@ -135,7 +135,7 @@ def test_the_uncertainty_of_the_reflectance_is_that_of_its_common_errors():
 def test_averaged_reciprocity_is_judged_by_the_measured_values(bsdf):
     sound = json.loads(bsdf.bsdf.check().attrs["verdicts"])["reciprocity"]
     assert sound["verdict"] == "pass"
-    assert "averaged: as measured they differ by up to" in sound["text"]
+    assert "the BSDF is their average, and the measured ones differ by up to" in sound["text"]
     primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), INCIDENCES, [550.0])
     leaning = completion.complete(smoothing.smooth(primary))
     assert json.loads(leaning.bsdf.check().attrs["verdicts"])["reciprocity"]["verdict"] == "warn"

@@ -85,16 +85,16 @@ def _isotropic_facets(
     cos_i, sin_i = np.cos(theta_i)[:, None, None], np.sin(theta_i)[:, None, None]
     s, s_weight, beta, beta_weight = _slope_rule(surface.density, theta_i, critical)
     u, p = s[..., None] ** 2, s[..., None] * np.cos(beta)
-    towards = np.maximum(cos_i - p * sin_i, 0.0)
-    cos_o = np.clip(2 * towards / (1 + u) - cos_i, _LEAST_COSINE, 1.0)
+    facing = np.maximum(cos_i - p * sin_i, 0.0)  # cos ζ √(1 + u)
+    cos_o = np.clip(2 * facing / (1 + u) - cos_i, _LEAST_COSINE, 1.0)
     sin_o = np.sqrt((1 - cos_o) * (1 + cos_o))
-    pair = HalfVector(u, towards / np.sqrt(1 + u), np.maximum(cos_i, _LEAST_COSINE), sin_i, cos_o, sin_o)
+    pair = HalfVector(u, facing / np.sqrt(1 + u), np.maximum(cos_i, _LEAST_COSINE), sin_i, cos_o, sin_o)
     phi_o: Array | float = 0.0
     if masking == "liu":
-        turned = 2 * towards / (1 + u)
-        phi_o = np.degrees(np.arctan2(-turned * s[..., None] * np.sin(beta), -turned * p - sin_i))
+        scale = 2 * facing / (1 + u)
+        phi_o = np.degrees(np.arctan2(-scale * s[..., None] * np.sin(beta), -scale * p - sin_i))
     visible = surface.visibility(pair, 0.0, phi_o, masking)
-    weight = (surface.density(s**2) * s * s_weight)[..., None] * beta_weight * visible * cos_o * towards
+    weight = (surface.density(s**2) * s * s_weight)[..., None] * beta_weight * visible * cos_o * facing
     return weight.reshape(theta_i.size, -1), pair.cos_zeta.reshape(theta_i.size, -1)
 
 
@@ -149,16 +149,16 @@ def _facets_with_lay(
     u = p * p + q * q
     theta, phi = np.radians(theta_i)[:, None], np.radians(phi_i)[:, None]
     cos_i, sin_i = np.maximum(np.cos(theta), _LEAST_COSINE), np.sin(theta)
-    towards = np.maximum(cos_i - (p * np.cos(phi) + q * np.sin(phi)) * sin_i, 0.0)
-    turned = 2 * towards / (1 + u)
-    cos_o = turned - cos_i
-    mirrored_up = (cos_o > 0) & (towards > 0)
+    facing = np.maximum(cos_i - (p * np.cos(phi) + q * np.sin(phi)) * sin_i, 0.0)
+    scale = 2 * facing / (1 + u)
+    cos_o = scale - cos_i
+    mirrored_up = (cos_o > 0) & (facing > 0)
     cos_o = np.clip(cos_o, _LEAST_COSINE, 1.0)
     sin_o = np.sqrt((1 - cos_o) * (1 + cos_o))
-    phi_o = np.degrees(np.arctan2(-turned * q - sin_i * np.sin(phi), -turned * p - sin_i * np.cos(phi)))
-    cos_zeta = np.where(mirrored_up, np.minimum(towards / np.sqrt(1 + u), 1.0), 1.0)
+    phi_o = np.degrees(np.arctan2(-scale * q - sin_i * np.sin(phi), -scale * p - sin_i * np.cos(phi)))
+    cos_zeta = np.where(mirrored_up, np.minimum(facing / np.sqrt(1 + u), 1.0), 1.0)
     pair = HalfVector(np.broadcast_to(u, cos_o.shape), cos_zeta, cos_i, sin_i, cos_o, sin_o)
-    weight = share * surface.visibility(pair, phi_i[:, None], phi_o, masking) * cos_o * towards
+    weight = share * surface.visibility(pair, phi_i[:, None], phi_o, masking) * cos_o * facing
     return np.where(mirrored_up, weight, 0.0), cos_zeta
 
 

@@ -33,8 +33,8 @@ _FACET_TITLES = {
 _COUNTS = ("facet_count", "effective_count")
 
 _GEOMETRY_NOTE = (
-    "θf: flake angle. ΔE00: of the fitted colour. Left out: of the colour that a fit to all other geometries predicts; needs "
-    "four geometries or more."
+    "θf: flake angle. ΔE00: difference of the fitted colour from the measured one. Left out: difference of the colour that a fit to "
+    "all other geometries predicts; needs four geometries or more."
 )
 
 _LINES_F_D_C = np.array([486.1, 587.6, 656.3])

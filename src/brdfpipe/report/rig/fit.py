@@ -216,7 +216,7 @@ def residual_map(primary: xr.Dataset, smoothed: xr.Dataset, index: int) -> Figur
     groups = {f"z{k}": used & (level == k) for k in range(len(_CLASS_NAMES))}
     groups["none"] = ~used & (distance <= _MAP_RADIUS)
     parts = [_rings(largest), *(_dots(x[group], y[group], f"dot {style}") for style, group in groups.items())]
-    parts.append(_key({style: int(group.sum()) for style, group in groups.items()}))
+    parts.append(_dot_legend({style: int(group.sum()) for style, group in groups.items()}))
     parts.append(text(4, 15, "ϑ from the mirror direction, asinh", "start", "t"))
     parts.append(text(_MAP_X + _MAP_RADIUS + 8, _MAP_Y + 4, "φ = 0, to the normal" if incidence else "φ = 0"))
     spectral = smoothed["residual"].values[index]
@@ -249,7 +249,7 @@ def _dots(x: Array, y: Array, style: str) -> str:
     return f'<path class="{style}" d="M0 0' + "".join(f"m{a}{b:+d}h0" for a, b in steps.tolist()) + '"/>'
 
 
-def _key(counts: dict[str, int]) -> str:
+def _dot_legend(counts: dict[str, int]) -> str:
     """Legend of the dots: number of cells by style."""
     parts = [text(404, 214, "residual / u: cells", "start", "t")]
     rows = [*reversed(list(zip(counts, _CLASS_NAMES, strict=False))), ("none", "not used")]
