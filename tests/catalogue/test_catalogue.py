@@ -20,6 +20,7 @@ from brdfpipe.errors import InputError
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
 FRONT = "surface: {distribution: flat}\nindex: PP\n"
+ROUGH = "surface: {distribution: beckmann, slope_rms: 0.02, length: 5}\nindex: 1.5\n"
 
 
 def write(folder: Path, name: str, text: str = COLOUR, **files: str) -> Path:
@@ -123,6 +124,12 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
             FRONT.replace("PP", "{n: 1.5, k: 0.1}") + "slab: {thickness: 1}",
             "index.k: the body of a slab would be opaque",
         ),
+        (FRONT + "model: {optics: wave}", "model.optics: `model.optics: wave` needs a roughness spectrum"),
+        (ROUGH + "slab: {thickness: 1}\nmodel: {optics: auto}", "`model.optics: auto` is for a body with one face"),
+        (ROUGH + "model: {optics: wave, masking: blinn}", "model.masking: `optics: wave` sets it"),
+        (ROUGH + "model: {optics: wave, diffuse: crf}", "model.diffuse: `optics: wave` couples its base"),
+        (ROUGH + "model: {halo: ghs}", "model.halo: a halo belongs to waves"),
+        (ROUGH + "model: {optics: wave, recipe: crf}", "recipe"),
         (FRONT.replace("PP", "{n: 1.5}"), "index: the key 'k' is missing"),
         (FRONT.replace("PP", "{n: 1.5, k: 30}"), "index.k: not an accepted value; found 30"),
         (FRONT.replace("flat", "flat, slope_rms: 0.1"), "unknown key 'slope_rms'; accepted: distribution"),
@@ -144,6 +151,13 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
 def test_a_wrong_key_is_refused_by_name(tmp_path: Path, text: str, pattern: str) -> None:
     write(tmp_path, "m", text, a_txt="1 2")
     assert re.search(pattern, catalogue.load(tmp_path).failures["m"])
+
+
+def test_waves_have_a_stage_and_a_roughness_spectrum(tmp_path: Path) -> None:
+    write(tmp_path, "m", ROUGH + "model: {optics: auto}")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.spec("m", "wave") == {"optics": "auto", "diffuse": "coupled", "halo": "ssa1"}
+    assert {"slope_rms": 0.02, "length": 5}.items() <= loaded.spec("m", "psd").items()
 
 
 def test_each_stage_of_a_slab_has_the_parameters_of_its_face(tmp_path: Path) -> None:

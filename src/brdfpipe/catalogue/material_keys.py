@@ -225,7 +225,7 @@ class BeckmannSurface(Keys):
     )
     length: float = key(
         "correlation length ℓ of a beckmann finish: the autocovariance of its heights falls to 1/e there",
-        unit="um",
+        unit="µm",
         ge=0.01,
         le=100_000,
         example=5,
