@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from brdfpipe.geometry import Array, half_vector
+from brdfpipe.geometry import Array, frame_rotation, half_vector
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 
 _PERFECT_MIRROR = 1e70
@@ -106,33 +106,6 @@ def phased_product(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike) -> NDArray[n
     r_s = -contrast / (c + q) ** 2
     r_p = (contrast / into_p) * (((index * index + 1) * (c * c) - 1) / into_p)
     return np.where(absent, 0.0, np.where(mirror, -1.0, np.conj(r_s) * r_p))
-
-
-def frame_rotation(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> tuple[Array, Array]:
-    """Angles ψ_i, ψ_o [radian], in [−π, π], from the frames of both directions to the frame of the facet, from s towards p.
-
-    Parameters
-    ----------
-    theta_i, phi_i, theta_o, phi_o : (…) degree, broadcastable; 0 <= θ <= 90
-
-    Notes
-    -----
-    The facet's s axis is w_o × w_i / |w_o × w_i| for both directions. With Δ = φ_o − φ_i,
-    ψ_i = atan2(sin θ_o sin Δ, sin(θ_i − θ_o) + 2 sin θ_o cos θ_i sin²(Δ/2)); ψ_o is the same with i and o exchanged except in Δ.
-    Towards retro-reflection both diverge, but 2(ψ_i + ψ_o), on which the light depends there, has a limit; the form with
-    sin(θ_i − θ_o) avoids cancellation. If the cross product is zero, ψ_i = 0 and ψ_o = π − Δ are the limits.
-    """
-    theta_i, theta_o = np.radians(theta_i), np.radians(theta_o)
-    delta = np.radians(np.asarray(phi_o, dtype=float) - phi_i)
-    sin_i, cos_i, sin_o, cos_o = np.sin(theta_i), np.cos(theta_i), np.sin(theta_o), np.cos(theta_o)
-    ahead = 2 * np.sin(delta / 2) ** 2
-    difference = np.sin(theta_i - theta_o)
-    across_i, along_i = sin_o * np.sin(delta), difference + sin_o * cos_i * ahead
-    across_o, along_o = sin_i * np.sin(delta), -difference + sin_i * cos_o * ahead
-    undefined = (across_i == 0) & (along_i == 0) & (across_o == 0) & (along_o == 0)
-    straight = np.arctan2(np.sin(delta), -np.cos(delta))
-    psi_i = np.where(undefined, 0.0, np.arctan2(across_i, along_i))
-    return psi_i, np.where(undefined, straight, np.arctan2(across_o, along_o))
 
 
 def rotation(psi: ArrayLike) -> Array:

@@ -11,11 +11,10 @@ from scipy.interpolate import CubicSpline
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
-from brdfpipe.bsdf.microfacet.polarised import frame_rotation
 from brdfpipe.bsdf.spectral import per_wavelength
 from brdfpipe.flakes.forms import FORMS, curve
 from brdfpipe.flakes.refraction import flake_angle, inner_cosine
-from brdfpipe.geometry import Array, half_vector
+from brdfpipe.geometry import Array, frame_rotation, half_vector
 from brdfpipe.masking.analytic_smith import beckmann_lambda
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 
@@ -45,7 +44,7 @@ class ClearCoat:
 
         The coat polarises the light that enters, and a flake, which mirrors s and p alike, passes that on to where it leaves: with
         T = 1 − F and D = (T_s − T_p)/2 both passages let through T_i T_o + D_i D_o cos 2(ψ_i + ψ_o). The angle is between the planes of
-        incidence and of exit, as the flake carries the first to the second (:func:`brdfpipe.bsdf.microfacet.polarised.frame_rotation`).
+        incidence and of exit, as the flake carries the first to the second (:func:`brdfpipe.geometry.frame_rotation`).
 
         Source: Germer & Marx 2004 (Appl. Opt. 43, 1266).
         """

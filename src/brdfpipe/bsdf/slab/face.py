@@ -24,9 +24,9 @@ from scipy.interpolate import CubicSpline
 
 from brdfpipe.bsdf.microfacet import energy, transmission
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
-from brdfpipe.bsdf.microfacet.polarised import frame_rotation, phased_product
+from brdfpipe.bsdf.microfacet.polarised import phased_product
 from brdfpipe.facets.radial_density import RadialDensity
-from brdfpipe.geometry import Array, half_vector
+from brdfpipe.geometry import Array, frame_rotation, half_vector
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 
