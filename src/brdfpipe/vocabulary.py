@@ -175,6 +175,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "single_density": Quantity("1", "density in slope space of facets that reflect traced light once", 0),
     "multiple_density": Quantity("1", "the same of facets that would reflect the light traced over more than one", 0),
     "smith_slope": Quantity("1", "slope rms along one axis of the Gaussian masking that divides traced densities", 0),
+    "slope_scale": Quantity("1", "slope up to which the nodes of traced densities are evenly spaced", 0),
     "traced_reflectance": Quantity(
         "1", "reflectance of a facet under light from everywhere, of the index traced", 0, 1 + 1e-9
     ),

@@ -54,7 +54,7 @@ def test_it_agrees_with_counted_facets_where_light_is_reflected_once():
     once = representation(representation(bsdf).single_reflection())
     values, predicted = (model.evaluate(*angles, None)[:, 0] for model in (once, representation(facet_model)))
     uncertainty = representation(bsdf).uncertainty(*angles, None)[:, 0]
-    assert (uncertainty < 0.2 * values).all()
+    assert (uncertainty < 0.4 * values).all()
     # The facet model smooths the same noise of a small map.
     assert np.all(np.abs(values - predicted) < 3 * uncertainty)
 
@@ -126,6 +126,12 @@ def test_a_lay_and_missing_heights_are_reported():
     warnings = vocabulary.warnings(build(brushed, index=1.5, rays=640))
     assert any("does not show the lay" in text for text in warnings)
     assert any("lost on missing heights" in text for text in warnings)
+
+
+def test_steps_of_quantised_heights_are_reported():
+    height = rough_map(0.1, 64)["height"].values
+    warnings = vocabulary.warnings(build(samples.surface(np.round(height / 0.05) * 0.05), index=1.5, rays=640))
+    assert any("heights are quantised" in text for text in warnings)
 
 
 def test_a_flat_surface_is_refused():

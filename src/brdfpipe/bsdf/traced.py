@@ -18,6 +18,7 @@ from brdfpipe.bsdf.microfacet.builder import index_on
 from brdfpipe.bsdf.microfacet.model import mean_index
 from brdfpipe.bsdf.representations.traced import Traced, TracedTable, masking_over_cosines
 from brdfpipe.bsdf.spectrum_closure import around_mirror_direction, with_base
+from brdfpipe.facets.height_quantisation import height_step
 from brdfpipe.geometry import Array, HalfVector
 from brdfpipe.optics.fresnel_equations import fresnel, mean_fresnel
 from brdfpipe.optics.index import refractive_index
@@ -28,12 +29,14 @@ INCIDENCES = np.array([0, 10, 20, 30, 40, 50, 60, 65, 70, 75, 80, 84, 88.0])
 """Angles of incidence that are traced [degree]."""
 LAY_LIMIT = 1.2
 """Ratio of the principal slopes above which the mean over azimuth is reported as such."""
+STEP_LIMIT = 0.1
+"""Slope of one step of quantised heights, over the typical slope, above which the result warns."""
 LOST_LIMIT = 0.01
 """Lost light, over reflected and lost light, above which the result warns."""
 
 _POINTS = 5  # along each axis of a bin, over which its factors are averaged
 _LEAST_SHARE = 0.4  # of a bin above the horizon, for its light to give a density
-_CORRECTIONS = 3  # of the densities, so that their interpolation returns the light of every bin
+_CORRECTIONS = 2  # of the densities, so that their interpolation returns the light of every bin
 
 
 def build(
@@ -94,7 +97,9 @@ def build(
     ]
     bsdf = bsdf.assign(_densities(light, bins, slope, traced_n, traced_k)).assign(_account(light))
     bsdf = bsdf.assign(
-        smith_slope=slope, traced_reflectance=float(mean_fresnel(np.array([traced_n]), np.array([traced_k]))[0])
+        smith_slope=slope,
+        slope_scale=bins.width,
+        traced_reflectance=float(mean_fresnel(np.array([traced_n]), np.array([traced_k]))[0]),
     )
     bsdf = bsdf.assign_coords(
         traced_incidence=INCIDENCES, half_slope_across=bins.centres[bins.half :], half_slope_along=bins.centres
@@ -186,7 +191,9 @@ def _interpolable(power: Array, factors: Array, known: NDArray[np.bool_]) -> Arr
         found = np.einsum("apbq,apbq->ab", between, factors) / by_bin
         ratio = np.where(known & (found > 0), mean / np.where(found > 0, found, 1.0), 1.0)
         density = _extended(density * np.clip(ratio, 0.5, 2.0), known)
-    return density
+    # Noise of bins with few rays does not average out of the product: the sum of all light is set again.
+    total = float(np.sum((across @ density @ along.T).reshape(factors.shape) * factors))
+    return density * (float(power.sum()) / total) if total > 0 else density
 
 
 def _at_points(bins: int) -> Array:
@@ -210,6 +217,12 @@ def _warnings(bsdf: xr.Dataset, mesh: HeightMesh) -> list[str]:
         warnings.append(
             f"the principal slopes of the surface differ by a factor {anisotropy:.2f}, and the traced BSDF is the mean over the azimuth of "
             "incidence: it does not show the lay"
+        )
+    step = height_step(mesh.height, (float(mesh.pitch[0]), float(mesh.pitch[1]))) / float(mesh.pitch.min())
+    if step > STEP_LIMIT * mesh.typical_slope:
+        warnings.append(
+            f"the heights are quantised, and one step between neighbours is a slope of {step:.2g}, {step / mesh.typical_slope:.1g} of the "
+            "typical one: the facets that are traced are those of the steps; export the heights with more digits"
         )
     lost = float((bsdf["lost"] / (bsdf["lost"] + bsdf["reflected"].sum("order"))).max())
     if lost > LOST_LIMIT:

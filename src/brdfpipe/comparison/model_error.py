@@ -39,6 +39,8 @@ LIGHT_LIMIT, GLOSS_LIMIT = 0.1, 1.0
 
 TABLE_ERROR = 0.015
 """Relative error of traced light by the interpolation of its table: up to 1 % in the peak of Gaussian maps, 3 % of grains."""
+GLOSS_TABLE_ERROR = np.array([0.015, 0.015, 0.05])
+"""The same of gloss at :data:`GLOSS_ANGLES`, against tables of finer bins and ten times the rays."""
 
 _WAVELENGTH = 555.0
 _UNKNOWN_SLOPE = 0.05  # of a BSDF that states none
@@ -220,7 +222,7 @@ def _gloss_noise(name: str, reference: xr.Dataset, units: Array, rays: int, rela
     reflected = representation(reference).albedo(angle, np.zeros_like(angle), None)[:, 0]
     # Black glass of 100 units reflects .0491, .1001 and .6191 (n = 1.567).
     in_receptor = units / 100 * np.array([0.0491, 0.1001, 0.6191])
-    return np.hypot(np.sqrt(reflected / np.maximum(rays * in_receptor, 1e-300)), TABLE_ERROR)
+    return np.hypot(np.sqrt(reflected / np.maximum(rays * in_receptor, 1e-300)), GLOSS_TABLE_ERROR)
 
 
 def _azimuthal_mean(model: xr.Dataset, theta_i: float, theta: Array, phi: Array) -> Array:

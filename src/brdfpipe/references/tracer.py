@@ -24,7 +24,7 @@ from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 
 BLOCKS = 8
 """The map is cut into this many blocks along each axis; the scatter between them gives the uncertainty."""
-ORDER_NAMES = ("once", "twice", "more often")
+_WIDEST = 0.07
 
 
 class SlopeBins(NamedTuple):
@@ -37,8 +37,12 @@ class SlopeBins(NamedTuple):
 
     @classmethod
     def of(cls, slope: float, steepest: float = 12.0, step: float = 0.14) -> SlopeBins:
-        """Bins for a lobe of typical slope ``slope``, up to the ``steepest``; the finest are 0.14 of it wide."""
-        return cls(slope, step, int(np.ceil(np.arcsinh(steepest / slope) / step)))
+        """Bins for a lobe of typical slope ``slope``, up to the ``steepest``.
+
+        The finest are 0.14 slopes wide, and at most 0.01: at 85 degree slopes from −0.04 to 0.04 mirror light close to the mirror direction.
+        """
+        width = min(slope, _WIDEST)
+        return cls(width, step, int(np.ceil(np.arcsinh(steepest / width) / step)))
 
     @property
     def edges(self) -> Array:

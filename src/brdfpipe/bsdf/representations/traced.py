@@ -36,7 +36,7 @@ class Traced(Representation):
             **dict.fromkeys(("single_density", "single_density_u", "multiple_density", "multiple_density_u"), _DENSITY),
             **dict.fromkeys(("n", "k", "mean_albedo", "diffuse"), vocabulary.SPECTRAL),
             "directional_albedo": [("theta_i", "wavelength"), ("theta_i",)],
-            **dict.fromkeys(("smith_slope", "traced_reflectance", "theta_m"), vocabulary.SCALAR),
+            **dict.fromkeys(("smith_slope", "slope_scale", "traced_reflectance", "theta_m"), vocabulary.SCALAR),
             **dict.fromkeys(("reflected", "reflected_u", "refracted"), _BY_ORDER),
             "lost": [("traced_incidence",)],
         },
@@ -146,7 +146,7 @@ class TracedTable(NamedTuple):
     @classmethod
     def of(cls, bsdf: xr.Dataset) -> TracedTable:
         across, along = (bsdf[name].values for name in _NODES[1:])
-        width = float(bsdf["smith_slope"])
+        width, slope = float(bsdf["slope_scale"]), float(bsdf["smith_slope"])
         return cls(
             bsdf["traced_incidence"].values,
             width,
@@ -154,7 +154,7 @@ class TracedTable(NamedTuple):
             (float(np.arcsinh(across[0] / width)), float(np.arcsinh(along[0] / width))),
             np.stack([bsdf[f"{name}_density"].values for name in ("single", "multiple")]),
             np.stack([bsdf[f"{name}_density_u"].values for name in ("single", "multiple")]),
-            width,
+            slope,
             float(bsdf["traced_reflectance"]),
         )
 
