@@ -229,6 +229,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("masking", same("surface", "facets"), same("masking"))
     run("spectrum", {"raw": str(example / "reflectance.txt"), **same("index")}, same("spectrum"))
     run("predicted", same("facets", "index", "spectrum"), same("predicted"))
+    run("psd", same("surface"), {"psd": "measured_psd"})
     run("psd", {}, same("psd"), {"distribution": "beckmann", "slope_rms": 0.1, "length": 5.0})
     waves = {"optics": "auto", "diffuse": "coupled", "halo": "ssa1"}
     run("wave", same("psd", "facets", "index", "spectrum"), same("wave"), waves)
