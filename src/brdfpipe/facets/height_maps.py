@@ -34,6 +34,8 @@ from brdfpipe.facets.slopes import (
     Moments,
     correlation_length,
     count_maps,
+    outlying_slope,
+    shares_beyond,
     slope_rms_by_scale,
     triangle_slopes,
 )
@@ -63,8 +65,8 @@ def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None, noise
     """Facet distribution of levelled maps; see :func:`brdfpipe.facets.estimate`."""
     heights = [HeightMap.of(surface, noise) for surface in maps]
     counts, moments = count_maps(heights)
-    scans = zip(heights, moments.tilts, strict=True)
-    by_scale = np.mean([slope_rms_by_scale(scan, tilt) for scan, tilt in scans], axis=0)
+    scans, limit = zip(heights, moments.tilts, strict=True), outlying_slope(counts)
+    by_scale = np.mean([slope_rms_by_scale(scan, tilt, limit) for scan, tilt in scans], axis=0)
     # Slopes out of the range of single precision are missing or zero in the counts; the sample has double precision.
     rms = moments.slope_rms or float(by_scale[0])
     if rms > 0:
@@ -87,6 +89,7 @@ def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None, noise
     count = "" if len(maps) == 1 else f", {len(maps)} scans"
     facets.attrs |= {"method": f"four triangles a quad{count}", "band": str(maps[0].attrs["band"])}
     history, warnings = _remarks(facets, maps, heights, moments, isotropic)
+    warnings += _spike_warning(counts, limit)
     facets = vocabulary.add_history(facets, *history) if history else facets
     facets = vocabulary.add_warning(facets, *warnings)
     return vocabulary.label(_with_noise_stated(facets, heights, moments), "facets")
@@ -103,7 +106,9 @@ def _isotropic(heights: Sequence[HeightMap], counts: NDArray[np.int64], moments:
         count=("slope", bins.at_nodes(density.slope.size)),
         D_u=("alpha", facets["D"].values * relative_u),
         slope_density_quality=("slope", quality),
+        tail_slope=float(sharp.edges[-1]),
     )
+    facets = facets.assign(_tail_shares(bins))
     return _with_few_warning(facets, bins)
 
 
@@ -171,7 +176,25 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
         slope_density_u=(dims, density.density * relative_u),
         slope_density_quality=(dims, quality_flags(independent >= _MEASURED)),
     )
+    facets = facets.assign(_tail_shares(bins))
     return _with_few_warning(facets, bins)
+
+
+def _spike_warning(counts: NDArray[np.int64], limit: float) -> list[str]:
+    """A warning if facets are outlying."""
+    if not np.isfinite(limit):
+        return []
+    share, contribution = shares_beyond(counts, limit)
+    return [
+        f"{100 * share:.2g} % of the facets, steeper than {limit:.2g}, hold {contribution:.0%} of the mean square slope: the slope rms and "
+        "the lay are without them. If they are not of the finish, mark the spikes as missing heights"
+    ]
+
+
+def _tail_shares(bins: MergedHistogram) -> dict[str, float]:
+    """What the facets beyond the last bin are of all facets, and of their mean square slope."""
+    totals = bins.totals
+    return {"tail_share": float(totals[-1] / totals.sum()), "tail_contribution": bins.tail_contribution}
 
 
 def _correction(observed: Array, expected: Array) -> Array:

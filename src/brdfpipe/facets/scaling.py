@@ -45,6 +45,7 @@ def scaled(facets: xr.Dataset, factor: float) -> xr.Dataset:
         "slope_density_u": factor**-2,
         "slope_rms": factor,
         "slope_rms_scale": factor,
+        "tail_slope": factor,
     }
     ratios |= dict.fromkeys(("D", "D_u"), xr.DataArray(onto_sphere, dims="alpha"))
     fields = {name: facets[name] * ratio for name, ratio in ratios.items() if name in facets}

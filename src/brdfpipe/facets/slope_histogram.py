@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
+from brdfpipe.facets.density_tail import Junction, tail
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.facets.slopes import FINE_BINS, count_bits, fine_edges
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 
 _COARSE_BINS = 112
-_TAIL_NODES, _TAIL_LENGTHS = 24, 40
 _MIN_BINS = 6
 
 _MIN_FACETS_PER_BLOCK = 1000
@@ -63,6 +63,8 @@ class Histogram(NamedTuple):
     """(blocks, bins) facets of each block of the map."""
     sums: Array
     """(bins,) sum of the slopes in each bin."""
+    squares: Array
+    """(bins,) sum of their squares."""
 
 
 class MergedHistogram(NamedTuple):
@@ -74,6 +76,8 @@ class MergedHistogram(NamedTuple):
     """(blocks, bins + 1) facets of each block of the map in each bin, and steeper than the last edge."""
     tail_excess: float
     """Mean slope of those steeper ones above the last edge."""
+    tail_contribution: float
+    """Share of the sum of all squared slopes that those steeper ones hold."""
     least: int
     """Smallest number of independent facets in a bin."""
     remedy: str
@@ -109,6 +113,7 @@ def histogram(fine_counts: NDArray[np.int64], scale: float) -> Histogram:
         fine[cuts],
         np.add.reduceat(fine_counts, cuts[:-1], axis=1).astype(float),
         np.add.reduceat(fine_counts.sum(axis=0) * middles, cuts[:-1]),
+        np.add.reduceat(fine_counts.sum(axis=0) * middles**2, cuts[:-1]),
     )
 
 
@@ -174,23 +179,16 @@ def merge_bins(histogram: Histogram) -> MergedHistogram:
     counts = np.add.reduceat(np.pad(histogram.counts, ((0, 0), (0, 1))), cuts, axis=1)
     tail = float(counts[:, -1].sum())
     excess = float(histogram.sums[last:].sum() / tail - histogram.edges[last]) if tail else 0.0
-    return MergedHistogram(histogram.edges[cuts], counts, excess, least, _remedy(histogram))
+    contribution = float(histogram.squares[last:].sum() / histogram.squares.sum())
+    return MergedHistogram(histogram.edges[cuts], counts, excess, contribution, least, _remedy(histogram))
 
 
 def _remedy(histogram: Histogram) -> str:
-    """Advice about too few independent facets. Spikes and plateaus fill few bins on a map of any size."""
+    """Advice about too few independent facets. A plateau fills few bins on a map of any size."""
     totals = histogram.counts.sum(axis=0)
-    middles = (histogram.edges[1:] + histogram.edges[:-1]) / 2
-    beyond, squares = (np.cumsum(values[::-1])[::-1] for values in (totals, totals * middles**2))
-    spikes = np.flatnonzero((squares > squares[0] / 2) & (beyond < 1e-3 * beyond[0]))
-    if spikes.size:
+    if totals[0] > _PLATEAU * totals.sum():
         return (
-            f"{beyond[spikes[0]]:.0f} of them, steeper than {histogram.edges[spikes[0]]:.2g}, hold most of the mean square slope: "
-            "mark the spikes as missing heights"
-        )
-    if totals[0] > _PLATEAU * beyond[0]:
-        return (
-            f"{totals[0] / beyond[0]:.0%} of them have slopes below {histogram.edges[1]:.2g}, a plateau: measure where the finish "
+            f"{totals[0] / totals.sum():.0%} of them have slopes below {histogram.edges[1]:.2g}, a plateau: measure where the finish "
             "is, or mark the plateau as missing heights"
         )
     return "measure a larger area, or at a finer pitch"
@@ -221,15 +219,15 @@ def _cut_positions(histogram: Histogram, least: int) -> list[int]:
 
 
 def density_from_histogram(binned: MergedHistogram) -> tuple[RadialDensity, NDArray[np.int8], Array]:
-    """Density whose integral over every bin is that bin's share, with a log-linear tail that carries the tail's share.
+    """Density whose integral over every bin is that bin's share, with a tail that carries the share of steeper facets.
 
     Returns the density, and on its nodes the quality flag and the relative standard uncertainty.
     """
     edges, share = binned.edges, binned.totals / binned.totals.sum()
-    tail_slope, tail_density = _tail(edges[-1], share[-1], binned.tail_excess)
-    share = share[:-1]
+    share, tail_share = share[:-1], float(share[-1])
     middle = np.sqrt((edges[1:] ** 2 + edges[:-1] ** 2) / 2)
     log_density = np.log(share / (np.pi * np.diff(edges**2)))
+    tail_slope, tail_density = tail(Junction.of(edges, log_density), tail_share, binned.tail_excess)
     slope = np.concatenate([[0.0], middle, tail_slope])
     body = slope[: share.size + 2] ** 2
     split = np.sort(np.concatenate([edges, middle]))
@@ -252,8 +250,9 @@ def density_from_histogram(binned: MergedHistogram) -> tuple[RadialDensity, NDAr
     jacobian = np.stack([with_ends(row) - with_ends(log_density) for row in moved]) / step
     shares = [np.bincount(owner, mass * np.interp(s**2, body, column), minlength=share.size) for column in jacobian]
     relative_u = _relative_uncertainty(binned, jacobian.T @ np.linalg.inv(np.stack(shares, axis=1) / share[:, None]))
-    # The relative uncertainty of L in exp(−(s − start)/L) is that of the share of the facets in the tail.
-    lengths = (tail_slope[1:] - tail_slope[0]) / (tail_slope[-1] - tail_slope[0]) * _TAIL_LENGTHS
+    # The relative uncertainty of the length over which the tail falls is that of the share of the facets in it.
+    with np.errstate(divide="ignore"):
+        lengths = -np.diff(np.log(tail_density)).cumsum()
     relative_u = np.minimum(np.concatenate([relative_u, relative_u[-1] * np.hypot(1, lengths)]), 1.0)
     quality = np.full(slope.size, vocabulary.quality("measured"))
     quality[share.size + 1 :] = vocabulary.quality("extrapolated")
@@ -264,7 +263,7 @@ def remove_broadening(binned: MergedHistogram, mean_square: float) -> MergedHist
     """Move the edges of the bins to undo the broadening by noise of a ``mean_square`` along each axis.
 
     Noise moves a density along its gradient: to first order slopes came from s + mean_square/2 · d log P22/ds. A Gaussian keeps
-    its shape; a tail moves less and a sharp peak more.
+    its shape; a tail moves less and a sharp peak more. Where the counted density falls, the result falls too.
 
     Source: Song et al. 2021, ICLR, eq. 13: the probability flow of a diffusion.
     """
@@ -278,7 +277,23 @@ def remove_broadening(binned: MergedHistogram, mean_square: float) -> MergedHist
     gradient = curve.deriv()(np.log1p(inside / width)) / (width + inside)
     moved = binned.edges * np.clip(1 + mean_square * gradient, 0.5, 1)
     widths = np.maximum(np.diff(moved), _NARROWEST * np.diff(binned.edges))
-    return binned._replace(edges=np.concatenate([[0.0], np.cumsum(widths)]))
+    areas = np.diff(np.concatenate([[0.0], np.cumsum(widths)]) ** 2)
+    areas = _falling(areas, totals, np.diff(totals / np.diff(squares)) <= 0)
+    return binned._replace(edges=np.sqrt(np.concatenate([[0.0], np.cumsum(areas)])))
+
+
+def _falling(areas: Array, totals: Array, falls: NDArray[np.bool_]) -> Array:
+    """Areas of bins of given ``totals``, changed least so that totals over areas fall from bin to bin where they must."""
+    from scipy.optimize import isotonic_regression
+
+    runs = np.split(np.arange(areas.size), np.flatnonzero(~falls) + 1)
+    density = [
+        isotonic_regression(totals[run] / areas[run], weights=areas[run], increasing=False).x
+        if run.size > 1
+        else totals[run] / areas[run]
+        for run in runs
+    ]
+    return np.asarray(totals / np.concatenate(density))
 
 
 def _relative_uncertainty(binned: MergedHistogram, jacobian: Array) -> Array:
@@ -309,16 +324,3 @@ def _with_ends(u: Array, log_density: Array, tail_density: Array) -> Array:
     else:
         last = log_density[-1] + min((log_density[-1] - log_density[-2]) / (u[-2] - u[-3]), 0.0) * (u[-1] - u[-2])
     return np.concatenate([[first], log_density, [last]])
-
-
-def _tail(start: float, share: float, excess: float) -> tuple[Array, Array]:
-    """Log-linear tail P exp(−(s − start)/L) that holds the share of the facets beyond ``start`` and their mean slope.
-
-    2π ∫ P s ds = 2πP (start·L + L²) and E[s − start] = L (start + 2L) / (start + L). Both decide the masking at grazing.
-    Without facets beyond ``start`` the density ends there.
-    """
-    if share == 0:
-        return np.array([start]), np.zeros(1)
-    length = (excess - start + np.sqrt((start - excess) ** 2 + 8 * start * excess)) / 4
-    step = np.concatenate([[0.0], np.geomspace(0.05, _TAIL_LENGTHS, _TAIL_NODES)])
-    return start + length * step, share / (2 * np.pi * length * (start + length)) * np.exp(-step)

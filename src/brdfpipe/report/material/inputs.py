@@ -22,7 +22,10 @@ RAYCAST_LIMIT = 0.03
 """Difference of G1 by ray casting and after Smith above which the page gives reasons."""
 
 _FACET_TITLES = {
-    "slope_rms": "rms slope",
+    "slope_rms": "rms slope, without spikes",
+    "tail_slope": "Slope from which the density is extrapolated",
+    "tail_share": "Facets in the extrapolated tail, of all",
+    "tail_contribution": "Their part of the mean square slope",
     "anisotropy": "Anisotropy, larger over smaller principal rms slope",
     "lay": "Lay, azimuth of the smaller principal rms slope",
     "facet_count": "Facets",

@@ -55,13 +55,29 @@ def slope_density(facets: xr.Dataset) -> Figure:
     marks = _density_marks(slope, density, _relative_uncertainty(facets), tail)
     marks += _equivalent_lines(facets, np.linspace(0, slope_max, 200))
     top = 10.0 ** math.ceil(math.log10(peak) + 0.05)
+    if "tail_slope" in facets:
+        # Where extrapolation begins.
+        marks.append(Line(np.full(2, float(facets["tail_slope"])), [top * 10.0 ** -(_DECADES_SHOWN + 1), top], "ref"))
     svg = chart(
         "Slope density against slope, logarithmic",
         Axis("slope, tan α", 0.0, slope_max),
         Axis("slope density P₂₂", top * 10.0 ** -(_DECADES_SHOWN + 1), top, log=True),
         marks,
     )
-    return Figure("Slope density of the facets", svg, legend(marks))
+    return Figure("Slope density of the facets", svg, legend(marks), tail_note(facets))
+
+
+def tail_note(facets: xr.Dataset) -> str:
+    """A sentence on the extrapolated tail of a density; none where the density is not counted."""
+    if "tail_share" not in facets or not float(facets["tail_share"]):
+        return ""
+    share, contribution = float(facets["tail_share"]), float(facets["tail_contribution"])
+    begin = (
+        f"From a slope of {float(facets['tail_slope']):.3g} on"
+        if "tail_slope" in facets
+        else "Beyond the counted slopes"
+    )
+    return f"{begin} the density is extrapolated: {100 * share:.2g} % of the facets, with {100 * contribution:.2g} % of their mean square slope."
 
 
 def facet_distribution(facets: xr.Dataset) -> Figure:
