@@ -12,6 +12,7 @@ from typing import Any
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.origin import PREDICTION_INPUTS, Datasets, is_measured
+from brdfpipe.appearance.validity import validity
 
 VERDICTS = ("fail", "warn", "pass")
 """Worst first."""
@@ -31,8 +32,14 @@ class Verdict:
 
 
 def verdicts(datasets: Datasets) -> list[Verdict]:
-    """Verdicts of the checks and of the table, then ``warn`` for every stage that the BRDF rests on and that has a warning."""
-    return [*check_verdicts(datasets), *_warning_verdicts(datasets)]
+    """Verdicts of the checks and of the table, ``warn`` for every stage that the BRDF rests on and that has a warning, and ``fail`` for
+    every condition of the model that the surface does not meet."""
+    failed = [
+        Verdict(judgement.condition.lower(), "fail", f"{judgement.finding}. {judgement.advice}")
+        for judgement in ([] if is_measured(datasets) else validity(datasets))
+        if judgement.verdict == "fail"
+    ]
+    return [*check_verdicts(datasets), *failed, *_warning_verdicts(datasets)]
 
 
 def check_verdicts(datasets: Datasets) -> list[Verdict]:

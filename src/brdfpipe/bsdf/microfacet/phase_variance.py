@@ -14,6 +14,11 @@ _INCIDENCES = (20, 60, 85)
 _WAVELENGTH = 0.55
 
 
+def phase_variances(sigma: float) -> dict[int, float]:
+    """g at 550 nm by incidence of gloss meters [degree], of an rms height [um]."""
+    return {angle: (4 * np.pi * sigma * np.cos(np.radians(angle)) / _WAVELENGTH) ** 2 for angle in _INCIDENCES}
+
+
 def with_warning(bsdf: xr.Dataset, psd: xr.Dataset) -> xr.Dataset:
     """Add a warning where a surface is too smooth for its facets.
 
@@ -28,7 +33,7 @@ def with_warning(bsdf: xr.Dataset, psd: xr.Dataset) -> xr.Dataset:
     101 part IV, 209), which facets cannot show.
     """
     sigma = float(psd["sigma"])
-    phase = {angle: (4 * np.pi * sigma * np.cos(np.radians(angle)) / _WAVELENGTH) ** 2 for angle in _INCIDENCES}
+    phase = phase_variances(sigma)
     between = [f"{g:.2g} at {angle}°" for angle, g in phase.items() if LIMITS[0] < g < LIMITS[1]]
     if not between:
         return bsdf

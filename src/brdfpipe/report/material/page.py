@@ -9,6 +9,7 @@ import xarray as xr
 from brdfpipe.appearance.applicability import limits
 from brdfpipe.appearance.origin import basis, is_measured, route
 from brdfpipe.appearance.quantities import viewing_conditions
+from brdfpipe.appearance.validity import validity
 from brdfpipe.appearance.verdicts import stage_title, stage_warnings, verdicts
 from brdfpipe.report import comparison
 from brdfpipe.report.cards import Section
@@ -67,6 +68,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
         look=picture(known.get("preview")),
         verdicts=verdicts(known),
         facts=list(key_numbers(known)),
+        validity=[] if measured else validity(known),
         limits=limits(known),
         warnings=[(stage_title(known, stage), text) for stage, text in stage_warnings(known)],
         sections=[section for section in sections if section],

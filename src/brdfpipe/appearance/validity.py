@@ -1,0 +1,141 @@
+"""How far a predicted BSDF can be trusted: what its model assumes, beside what the scan gives.
+
+The checks judge whether a BSDF obeys the laws of optics. A BSDF that does may still be wrong for its surface: too smooth for facets, sampled
+too coarsely, noisy, or of a shape that slopes alone do not describe.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from brdfpipe.appearance.origin import Datasets
+from brdfpipe.bsdf.microfacet.phase_variance import LIMITS, phase_variances
+
+COHERENT_LIMIT = float(np.log(2))
+"""Phase variance below which more than half of the mirror reflection is coherent light, which facets leave out."""
+NOISE_LIMIT = 0.2
+"""Height noise over rms height above which its subtraction is uncertain; docs/model.md has the accuracy."""
+TAIL_LIMIT = 0.1
+"""Share of facets beyond the counted slopes, above which the wings of the lobe are extrapolated."""
+ERROR_LIMITS = 0.1, 0.5
+"""Errors of the predicted light in the peak from which the verdict is warn, and fail."""
+SIGNIFICANT = 2.0
+"""Standard uncertainties by which an error must exceed its limit."""
+SLOPE_OF_FINITE_VARIANCE = 4.0
+"""Exponent of the roughness spectrum above which the variance of the slope does not depend on the pitch."""
+
+_WAVELENGTH = 0.55
+
+
+class Judgement(NamedTuple):
+    """One condition of the model."""
+
+    condition: str
+    finding: str
+    verdict: str
+    """pass, warn or fail; empty where nothing was judged"""
+    advice: str = ""
+    """What to do; keys of descriptions in backticks"""
+
+
+def validity(datasets: Datasets) -> list[Judgement]:
+    """Conditions of a BSDF that was predicted from a surface; empty for other materials.
+
+    Parameters
+    ----------
+    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``wave`` and ``model_error`` are used where they exist
+    """
+    if "facets" not in datasets or "bsdf" not in datasets or datasets["facets"]["slope_density"].size == 0:
+        return []
+    judgements = (_regime(datasets), _pitch(datasets), _band(datasets), _noise(datasets), _tail(datasets))
+    return [judgement for judgement in (*judgements, _model_error(datasets)) if judgement is not None]
+
+
+def _regime(datasets: Datasets) -> Judgement | None:
+    if "psd" not in datasets:
+        return None
+    phase = phase_variances(float(datasets["psd"]["sigma"]))
+    finding = "g = " + ", ".join(f"{g:.3g} at {angle}°" for angle, g in phase.items())
+    condition = "Roughness against wavelength (550 nm)"
+    if "wave" in datasets:
+        return Judgement(condition, f"{finding}; waves", "pass")
+    advice = "Set `model.optics: auto`"
+    if phase[20] < COHERENT_LIMIT:
+        missing = f"{np.exp(-phase[20]):.0%} of the mirror reflection at 20° is coherent light, which facets leave out"
+        return Judgement(condition, f"{finding}; {missing}", "fail", advice)
+    if any(LIMITS[0] < g < LIMITS[1] for g in phase.values()):
+        return Judgement(condition, f"{finding}; facets need {LIMITS[1]:g} or more", "warn", advice)
+    return Judgement(condition, f"{finding}; facets", "pass")
+
+
+def _pitch(datasets: Datasets) -> Judgement | None:
+    if "surface" not in datasets:
+        return None
+    pitch = float(datasets["surface"].attrs["pitch_x"])
+    finding = f"pitch {pitch:.3g} µm, {pitch / _WAVELENGTH:.2g} wavelengths"
+    condition = "Structure finer than the scan"
+    psd = datasets.get("psd")
+    if psd is None or not np.isfinite(psd["fit_slope"]):
+        return Judgement(condition, finding, "")
+    exponent, uncertainty = float(psd["fit_slope"]), float(psd["fit_slope_u"])
+    if "wave" not in datasets and exponent + SIGNIFICANT * np.nan_to_num(uncertainty) < SLOPE_OF_FINITE_VARIANCE:
+        finding += f"; the roughness spectrum falls as f^−{exponent:.2g}, so that slopes grow with every finer pitch"
+        return Judgement(
+            condition, finding, "warn", "Set `model.optics: auto`, or scan with a pitch near the wavelength"
+        )
+    return Judgement(condition, finding, "pass")
+
+
+def _band(datasets: Datasets) -> Judgement | None:
+    if "psd" not in datasets or datasets["psd"].attrs["form"] != "measured":
+        return None
+    low, high = (float(datasets["psd"][name]) for name in ("band_low", "band_high"))
+    return Judgement("Measured wavelengths of the relief", f"{1 / high:.3g} to {1 / low:.3g} µm", "pass")
+
+
+def _noise(datasets: Datasets) -> Judgement | None:
+    if "psd" not in datasets or datasets["psd"].attrs["form"] != "measured":
+        return None
+    noise, heights = float(datasets["psd"]["noise_sigma"]), float(datasets["psd"]["sigma_heights"])
+    if not noise > 0:
+        return Judgement("Height noise", "none found", "pass")
+    finding = f"{1e3 * noise:.3g} nm, {noise / heights:.1%} of the rms height; subtracted"
+    if noise <= NOISE_LIMIT * heights:
+        return Judgement("Height noise", finding, "pass")
+    return Judgement("Height noise", finding, "warn", "Average several scans of the same place")
+
+
+def _tail(datasets: Datasets) -> Judgement | None:
+    facets = datasets["facets"]
+    if "tail_share" not in facets:
+        return None
+    share, start = float(facets["tail_share"]), float(facets["tail_slope"])
+    finding = f"{share:.2%} of the facets, from a slope of {start:.2g}"
+    if "tail_contribution" in facets:
+        finding += f", with {float(facets['tail_contribution']):.0%} of the mean square slope"
+    if share <= TAIL_LIMIT:
+        return Judgement("Extrapolated slopes", finding, "pass")
+    return Judgement("Extrapolated slopes", finding, "warn", "Measure a larger area")
+
+
+def _model_error(datasets: Datasets) -> Judgement | None:
+    condition = "Error of the predicted light in the peak"
+    if (result := datasets.get("model_error")) is None:
+        if "surface" not in datasets or "predicted" not in datasets:
+            return None
+        return Judgement(condition, "not computed", "", "Set `model_error: true` in the configuration")
+    peak = result.sel(region="peak")
+    error = np.where(peak["valid"].values > 0, peak["light_error"].values, np.nan)
+    if np.isnan(error).all():
+        return Judgement(condition, "no reference solution holds", "warn", "Compare with a measurement")
+    reference, row = np.unravel_index(int(np.nanargmax(np.abs(error))), error.shape)
+    largest, uncertainty = float(error[reference, row]), float(peak["light_error_u"].values[reference, row])
+    finding = f"{largest:+.0%} ± {uncertainty:.1%} at {float(result['theta_i'][row]):g}°".replace("-", "−")
+    certain = abs(largest) - SIGNIFICANT * uncertainty
+    verdict = next(
+        (name for name, limit in zip(("fail", "warn"), ERROR_LIMITS[::-1], strict=True) if certain > limit), "pass"
+    )
+    advice = "Set `model.multiple_scattering: directional` or `model.optics: auto`, and compare again"
+    return Judgement(condition, finding, verdict, "" if verdict == "pass" else advice)

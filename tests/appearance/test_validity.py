@@ -1,0 +1,93 @@
+"""Conditions under which a prediction can be trusted, and their share in the verdict of a material."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+import xarray as xr
+
+from brdfpipe import facets, psd, vocabulary
+from brdfpipe.appearance.origin import Datasets
+from brdfpipe.appearance.validity import Judgement, validity
+from brdfpipe.appearance.verdicts import verdicts, worst
+
+ROUGHNESS = "Roughness against wavelength (550 nm)"
+PITCH = "Structure finer than the scan"
+ERROR = "Error of the predicted light in the peak"
+
+
+def datasets(**further: xr.Dataset) -> dict[str, xr.Dataset]:
+    known = {"surface": samples.gaussian_surface(32), "facets": facets.analytic("beckmann", 0.1)}
+    bsdf = samples.beckmann_bsdf(0.07)
+    return {**known, "predicted": bsdf, "bsdf": bsdf, **further}
+
+
+def judged(known: Datasets) -> dict[str, Judgement]:
+    return {judgement.condition: judgement for judgement in validity(known)}
+
+
+def model_error(light_error: float, uncertainty: float, valid: bool = True) -> xr.Dataset:
+    shape = ("reference", "theta_i", "region")
+    return xr.Dataset(
+        {
+            "light_error": (shape, np.full((1, 2, 1), light_error)),
+            "light_error_u": (shape, np.full((1, 2, 1), uncertainty)),
+            "valid": (("reference", "theta_i"), np.full((1, 2), int(valid))),
+        },
+        {"reference": ["traced"], "theta_i": [0.0, 60.0], "region": ["peak"]},
+    )
+
+
+@pytest.mark.parametrize(
+    ("sigma", "verdict"), [(0.013, "fail"), (0.03, "fail"), (0.05, "warn"), (0.2, "warn"), (5.0, "pass")]
+)
+def test_facets_of_smooth_surfaces_are_not_trusted(sigma, verdict):
+    known = datasets(psd=psd.analytic("gaussian", sigma=sigma, length=5.0))
+    assert judged(known)[ROUGHNESS].verdict == verdict
+    assert ("`model.optics: auto`" in judged(known)[ROUGHNESS].advice) == (verdict != "pass")
+    assert judged(known | {"wave": known["bsdf"]})[ROUGHNESS].verdict == "pass"
+
+
+def test_a_condition_that_fails_makes_the_verdict_of_the_material_fail():
+    rough, smooth = (datasets(psd=psd.analytic("gaussian", sigma=sigma, length=5.0)) for sigma in (5.0, 0.013))
+    assert worst(verdicts(rough)) != "fail"
+    assert worst(verdicts(smooth)) == "fail"
+    (failed,) = [entry for entry in verdicts(smooth) if entry.verdict == "fail"]
+    assert "coherent" in failed.text
+
+
+def test_slopes_of_a_fractal_surface_depend_on_the_pitch():
+    spectra = [psd.analytic("k-correlation", sigma=5.0, length=5.0, slope=slope) for slope in (3.0, 4.5)]
+    assert [judged(datasets(psd=spectrum))[PITCH].verdict for spectrum in spectra] == ["warn", "pass"]
+
+
+@pytest.mark.parametrize(
+    ("error", "uncertainty", "verdict"),
+    [(0.05, 0.01, "pass"), (-0.2, 0.02, "warn"), (0.2, 0.06, "pass"), (0.8, 0.05, "fail"), (-0.6, 0.08, "warn")],
+)
+def test_the_error_of_the_model_counts_beyond_its_uncertainty(error, uncertainty, verdict):
+    assert judged(datasets(model_error=model_error(error, uncertainty)))[ERROR].verdict == verdict
+
+
+def test_an_error_that_was_not_computed_or_has_no_reference_is_stated():
+    assert judged(datasets())[ERROR] == Judgement(
+        ERROR, "not computed", "", "Set `model_error: true` in the configuration"
+    )
+    without_reference = datasets(model_error=model_error(0.0, 0.0, valid=False))
+    assert judged(without_reference)[ERROR].verdict == "warn"
+
+
+def test_noise_and_tails_are_judged_by_their_share():
+    spectrum = psd.analytic("gaussian", sigma=5.0, length=5.0)
+    spectrum = spectrum.assign(noise_sigma=1.5).assign_attrs(form="measured")
+    table = facets.analytic("beckmann", 0.1).assign(tail_share=0.2, tail_slope=0.4)
+    found = judged(datasets(psd=spectrum, facets=table))
+    assert found["Height noise"].verdict == "warn"
+    assert found["Extrapolated slopes"].verdict == "warn"
+    assert judged(datasets(psd=spectrum.assign(noise_sigma=0.0)))["Height noise"].finding == "none found"
+
+
+def test_other_materials_have_no_conditions():
+    assert validity({"bsdf": vocabulary.label(samples.beckmann_bsdf(0.1), "bsdf")}) == []
+    assert validity(datasets() | {"facets": facets.flat()}) == []
