@@ -375,6 +375,7 @@ _STAGES = (
         when=_has("predicted", "`surface`, or a `spectrum` alone") & _FACETS,
         keys=StageKeys(("model",), (), _model),
         kind="bsdf",
+        memory=1000,
     ),
     Stage(
         "wave",
