@@ -50,6 +50,15 @@ def _beckmann_bsdf(sigma: float, n: float, reflectance: tuple[float, ...] | None
     )
 
 
+def visibility_table(ratio) -> xr.Dataset:
+    """A ``visibility`` dataset of a ratio to Smith's over (grazing, steepness, asymmetry); a number is the same everywhere."""
+    ratio = np.broadcast_to(ratio, (5, 6, 4)) if np.ndim(ratio) == 0 else np.asarray(ratio)
+    dims = ("grazing", "steepness", "asymmetry")
+    axes = (np.linspace(0, last, size) for last, size in zip((0.96, 2.5, 1.0), ratio.shape, strict=True))
+    dataset = xr.Dataset({"visibility_ratio": (dims, ratio)}, coords=dict(zip(dims, axes, strict=True)))
+    return vocabulary.label(dataset, "visibility")
+
+
 def brushed_bsdf(a_x: float, a_y: float, azimuth: float = 0.0) -> xr.Dataset:
     """The microfacet BSDF of a Gaussian surface of index 1.5 with a lay: widths along and across it, its azimuth."""
     return _brushed_bsdf(a_x, a_y, azimuth).copy(deep=True)

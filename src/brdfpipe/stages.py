@@ -158,6 +158,11 @@ _FACETS = Condition("`model.optics: facets`", lambda subject: not _uses_waves(su
 _OPAQUE = Condition("no `slab`", lambda subject: "slab" not in subject.owner.content)
 
 
+_MEASURED_MASKING = Condition(
+    "`model.masking: measured`", lambda subject: subject.section("model").get("masking") == "measured"
+)
+
+
 def _enabled(key: str) -> Condition:
     return Condition(f"`{key}: true` in the configuration", lambda subject: bool(subject.config[key]))
 
@@ -348,6 +353,13 @@ _STAGES = (
         when=_has("back", "`slab.back`"),
         keys=_block("slab.back", _SLOPE_KEYS),
         script="facets",
+    ),
+    Stage(
+        "visibility",
+        "the visibility of the facets, traced on their map",
+        when=_MEASURED_RELIEF & _MEASURED_MASKING,
+        reported=False,
+        memory=2000,
     ),
     Stage("masking", "masking by ray casting, beside Smith's", when=_MEASURED_RELIEF & _enabled("raycast")),
     Stage(

@@ -133,6 +133,17 @@ QUANTITIES: Mapping[str, Quantity] = {
     "g2_height_correlated": Quantity(
         "1", "height-correlated G2 after Smith, of the slopes along the lines", 0, 1 + 1e-9
     ),
+    "grazing": Quantity(
+        "1", "1 / (1 + cot ζ / w), ζ the angle of a facet's normal to both directions, w the median slope", 0, 1
+    ),
+    "steepness": Quantity("1", "asinh(slope / w) of a facet, w the median slope", 0),
+    "asymmetry": Quantity("1", "difference of the cosines of both directions over the largest possible one", 0, 1),
+    "visibility_ratio": Quantity(
+        "1", "facets of the map visible from both directions, over Smith's height-correlated G2", 0
+    ),
+    "visibility_ratio_u": Quantity("1", "standard uncertainty of: ratio of the visible facets to Smith's", 0),
+    "limit_theta": Quantity("degree", "polar angle of the limit of the visibility", 0, 90),
+    "visibility_limit": Quantity("1", "factor of either direction that keeps perfect mirrors from gaining light", 0, 1),
     # Spectrum and index
     "total_reflectance": Quantity("1", "total (diffuse and specular) reflectance", 0),
     "n": Quantity("1", "real part of the refractive index", 0),
@@ -383,6 +394,7 @@ _ISOTROPIC: Sequence[tuple[str, ...]] = [("slope",)]
 SLOPES: Sequence[tuple[str, ...]] = [("slope",), ("slope_across", "slope_along")]
 SPECTRAL: Sequence[tuple[str, ...]] = [("wavelength",), ()]
 SCALAR: Sequence[tuple[str, ...]] = [()]
+VISIBILITY_COORDINATES: Sequence[tuple[str, ...]] = [("grazing", "steepness", "asymmetry")]
 _POLAR: Sequence[tuple[str, ...]] = [("theta",)]
 _CELLS: Sequence[tuple[str, ...]] = [("incidence", "wavelength", "cell")]
 _CELL: dict[str, Sequence[tuple[str, ...]]] = {"theta_s": [("cell",)], "phi_s": [("cell",)]}
@@ -564,6 +576,10 @@ KINDS: Mapping[str, Kind] = {
         required={"g1_raycast": _POLAR, "g1_raycast_u": _POLAR, "g1_smith": _POLAR},
         optional={"g2_raycast": _POLAR, "g2_raycast_u": _POLAR, "g2_separable": _POLAR, "g2_height_correlated": _POLAR},
         attributes=("method",),
+    ),
+    "visibility": Kind(
+        {"visibility_ratio": VISIBILITY_COORDINATES},
+        optional=dict.fromkeys(("visibility_ratio_u", "visibility_ratio_quality"), VISIBILITY_COORDINATES),
     ),
     "samples": Kind(
         {"theta_o": [("sample",)], "phi_o": [("sample",)], "pdf": [("sample",)], "specular": [("sample",)]}

@@ -36,6 +36,13 @@ use rule stage_template as masking with:
         masking="{material}/masking.nc",
 
 
+use rule stage_template as visibility with:
+    input:
+        **results_of("surface", "facets"),
+    output:
+        visibility="{material}/visibility.nc",
+
+
 use rule stage_template as back_surface with:
     input:
         raw=raw_file("back_surface"),
@@ -74,7 +81,7 @@ use rule stage_template as spectrum with:
 
 use rule stage_template as predicted with:
     input:
-        **results_of("facets", "psd", "back_facets", "interior", "index", "spectrum"),
+        **results_of("facets", "psd", "visibility", "back_facets", "interior", "index", "spectrum"),
     output:
         predicted="{material}/predicted.nc",
 

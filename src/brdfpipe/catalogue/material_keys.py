@@ -610,7 +610,8 @@ class Model(Keys):
     )
 
     masking: Annotated[str, OneOf(MODES["masking"])] = key(
-        "masking and shadowing of facets by their neighbours: height-correlated, separable, blinn, liu, crf or none",
+        "masking and shadowing of facets by their neighbours: height-correlated, separable, measured (traced on the height map), "
+        "blinn, liu, crf or none",
         default_words=f"`{MODEL_DEFAULTS['masking']}`",
         details="See [modes](model.md#modes-and-what-they-break).",
     )
@@ -737,6 +738,15 @@ class Material(Keys):
                 found=repr(self.model.optics),
                 accepted=accepted,
             )
+        return self
+
+    @model_validator(mode="after")
+    def _check_measured_masking(self) -> Self:
+        """Refuse masking that is traced on a map where there is none."""
+        if self.model.masking == "measured" and not isinstance(self.surface, MeasuredSurface):
+            problem = "masking is traced on a height map, and the surface is not measured"
+            accepted = "a measured `surface`, or " + " or ".join(SMITH_MASKINGS)
+            raise InputError("", problem, where="model.masking", found="'measured'", accepted=accepted)
         return self
 
     @model_validator(mode="after")

@@ -50,6 +50,8 @@ class PredictionInputs:
     index: xr.Dataset
     spectrum: xr.Dataset | None
     choices: Mapping[str, str]  # modes of the model
+    visibility: xr.Dataset | None = None
+    """Traced on the map of the facets, of masking ``measured``; it scales with their slopes"""
 
     @classmethod
     def of(
@@ -70,7 +72,10 @@ class PredictionInputs:
                 spectrum = _at(spectrum[["total_reflectance"]], wavelength)
             elif predicted["n"].ndim:
                 index = _at(index, wavelength)
-        return cls(facets, index, spectrum, choices)
+        visibility = None
+        if "visibility_ratio" in predicted:
+            visibility = vocabulary.label(xr.Dataset({"visibility_ratio": predicted["visibility_ratio"]}), "visibility")
+        return cls(facets, index, spectrum, choices, visibility)
 
     def bsdf(self, inputs: Mapping[str, float]) -> xr.Dataset:
         """The BSDF built with other inputs."""
@@ -78,6 +83,7 @@ class PredictionInputs:
             scaling.scaled(self.facets, inputs["slope"]),
             index=self.index.assign(n=self.shifted(self.index["n"], inputs["index"])),
             spectrum=self.spectrum,
+            visibility=self.visibility,
             masking=self.choices["masking"],
             diffuse=self.choices["diffuse_mode"],
             multiple_scattering=self.choices["multiple_scattering"],

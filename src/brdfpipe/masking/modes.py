@@ -3,8 +3,11 @@
 SMITH_MASKINGS = ("height-correlated", "separable")
 """Smith's maskings: reciprocal, and energy is conserved where light passes the surface too."""
 
+PHYSICAL_MASKINGS = (*SMITH_MASKINGS, "measured")
+"""Maskings that are reciprocal and conserve the energy of reflected light; ``measured`` is traced on the height map."""
+
 MODES = {
-    "masking": (*SMITH_MASKINGS, "blinn", "liu", "crf", "none"),
+    "masking": (*PHYSICAL_MASKINGS, "blinn", "liu", "crf", "none"),
     "diffuse": ("coupled", "crf", "none"),
     "multiple_scattering": ("none", "compensated", "directional"),
 }
@@ -21,7 +24,7 @@ MODEL_DEFAULTS = {key: names[0] for key, names in MODES.items()}
 
 MASKINGS_OF_MULTIPLE_SCATTERING = {
     "none": MODES["masking"],
-    "compensated": SMITH_MASKINGS,
+    "compensated": PHYSICAL_MASKINGS,
     "directional": ("height-correlated",),
 }
 """Masking modes with which each mode of ``multiple_scattering`` is defined."""

@@ -170,7 +170,8 @@ def compare(
     Notes
     -----
     The mean G1 tests the distribution (its isotropy, its tail, what a line profile was taken for), not Smith's
-    assumption: on the slopes themselves the two agree identically. G2 tests the assumption.
+    assumption: on the slopes themselves the two agree identically. G2 tests the assumption. Either adds a warning if
+    it differs beyond its noise.
     """
     vocabulary.validate(facets, "facets")
     polar = _axis("theta", np.atleast_1d(theta), 0, THETA_MAX)
@@ -198,23 +199,39 @@ def compare(
         coords={"theta": polar},
         attrs={"method": f"ray cast along at most {lines} lines an azimuth; {facets.attrs['method']}"},
     )
-    return vocabulary.label(_with_difference_warning(result), "masking")
+    return vocabulary.label(_with_difference_warnings(result, areal=len(axes) > 1), "masking")
 
 
-def _with_difference_warning(comparison: xr.Dataset) -> xr.Dataset:
-    """Warn if G1 differs by more than 0.05 and three uncertainties, up to 75 degree; few surfaces are large enough beyond."""
-    difference = abs(comparison["g1_raycast"] - comparison["g1_smith"]).where(comparison["theta"] <= 75, 0.0)
+def _with_difference_warnings(comparison: xr.Dataset, *, areal: bool) -> xr.Dataset:
+    """Warn if G2 shows that Smith's assumption does not hold, or G1 that the slope density is not that of the heights."""
+    warnings = []
+    theta, smith = comparison["theta"].values, comparison["g2_height_correlated"].values
+    cast, cast_u = comparison["g2_raycast"].values, comparison["g2_raycast_u"].values
+    at = _largest_difference(theta, cast - smith, cast_u)
+    if at is not None:
+        remedy = "set `model.masking: measured`" if areal else "measure an areal map, and set `model.masking: measured`"
+        warnings.append(
+            f"Smith's G2 of the mirror direction is {smith[at]:.2f} at {theta[at]:.0f} degree, and ray casting over the heights gives "
+            f"{cast[at]:.2f} ± {2 * np.nan_to_num(cast_u[at]):.2f}: facets at the top or in valleys differ in slope, and the prediction is "
+            f"off by up to {smith[at] / cast[at] - 1:+.0%} there; {remedy}"
+        )
+    difference = comparison["g1_raycast"].values - comparison["g1_smith"].values
+    at = _largest_difference(theta, difference, comparison["g1_raycast_u"].values)
+    if at is not None:
+        warnings.append(
+            f"Smith's masking differs from ray casting over the heights by {abs(difference[at]):.2f} at {theta[at]:.0f} degree: "
+            "the surface may have a lay, or the tail of the slope density may be wrong; "
+            "measure an areal map of a larger area, or check `surface.isotropic`"
+        )
+    return vocabulary.add_warning(comparison, *warnings)
+
+
+def _largest_difference(theta: Array, difference: Array, uncertainty: Array) -> int | None:
+    """Index of the largest difference, if above 0.05 and three uncertainties, up to 75 degree; few surfaces are large enough beyond."""
     # Without independent groups the uncertainty is unknown, and counts as 0.
-    doubtful = difference.where(difference > 3 * comparison["g1_raycast_u"].fillna(0.0), 0.0)
-    if float(doubtful.max()) <= 0.05:
-        return comparison
-    at = float(comparison["theta"][int(np.argmax(doubtful.values))])
-    return vocabulary.add_warning(
-        comparison,
-        f"Smith's masking differs from ray casting over the heights by {float(doubtful.max()):.2f} at {at:.0f} degree: "
-        "the surface may have a lay, or the tail of the slope density may be wrong; "
-        "measure an areal map of a larger area, or check `surface.isotropic`",
-    )
+    significant = (np.abs(difference) > 3 * np.nan_to_num(uncertainty)) & (theta <= 75)
+    size = np.where(significant, np.abs(difference), 0.0)
+    return int(size.argmax()) if size.max() > 0.05 else None
 
 
 # --- sums over lines

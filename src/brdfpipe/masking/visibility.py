@@ -8,6 +8,7 @@ Heitz 2014 (JCGT 3(2)), eqs. 72 and 99; Blinn 1977; patent US 9,395,299, claim 2
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -158,6 +159,74 @@ def _height_correlated(pair: HalfVector, excess_i: Array, excess_o: Array) -> Ar
 def _blinn(pair: HalfVector, excess_i: Array, excess_o: Array) -> Array:
     grooved = 2 * pair.cos_alpha / (pair.cos_zeta * np.maximum(pair.cos_i, pair.cos_o))
     return np.minimum(1 / (pair.cos_i * pair.cos_o), grooved)
+
+
+@dataclass(frozen=True)
+class VisibilityRatio:
+    """Visibility of a map's facets over Smith's height-correlated one, from a table.
+
+    Its coordinates are the same for exchanged directions, so the result is reciprocal. With the width w of the slope density (its median),
+    the slope s of the facet and the angle ζ between its normal and the directions:
+
+    - grazing = 1 / (1 + cot ζ / w), from 0 at ζ = 0 to 1 at ζ = 90 degree
+    - steepness = asinh(s / w)
+    - asymmetry = δ / min(1, s tan ζ), δ = |cos θ_i − cos θ_o| / (cos θ_i + cos θ_o): 1 for directions as different as the
+      horizon, or the facet's slope, allows
+
+    The logarithm of the ratio is interpolated with cubic splines to a finer table, linearly in that, and held beyond the last nodes. A
+    ``limit`` over the cosine of either direction keeps perfect mirrors from reflecting more than they receive.
+    """
+
+    _log_ratio: Array
+    _last: tuple[float, float]
+    """Last grazing and steepness"""
+    _limit: tuple[Array, Array] | None
+    """Increasing cosines, and the factor for either direction"""
+
+    @classmethod
+    def of(cls, dataset: xr.Dataset) -> VisibilityRatio:
+        """The ratio of a ``visibility`` dataset, or of a ``bsdf`` with masking ``measured``."""
+        from scipy.ndimage import zoom
+
+        table = np.log(dataset["visibility_ratio"].transpose("grazing", "steepness", "asymmetry").values.astype(float))
+        finer = [(_FINER * (size - 1) + 1) / size for size in table.shape]
+        limit = None
+        if "visibility_limit" in dataset:
+            factor = dataset["visibility_limit"].values.astype(float)
+            limit = np.cos(np.radians(dataset["limit_theta"].values[::-1].astype(float))), factor[::-1]
+        last = float(dataset["grazing"][-1]), float(dataset["steepness"][-1])
+        return cls(zoom(table, finer, order=3, mode="mirror"), last, limit)
+
+    def __call__(self, pair: HalfVector, width: float) -> Array:
+        """Ratio of G2 to Smith's at directions above the horizon; ``width`` is the median slope of the facets."""
+        from scipy.ndimage import map_coordinates
+
+        slope, cos_zeta = np.sqrt(pair.slope_squared), pair.cos_zeta
+        sin_zeta = np.sqrt(np.maximum((1 - cos_zeta) * (1 + cos_zeta), 0.0))
+        total, difference = pair.cos_i + pair.cos_o, np.abs(pair.cos_i - pair.cos_o)
+        reach = np.minimum(slope * sin_zeta, cos_zeta) * total
+        asymmetry = np.divide(difference * cos_zeta, reach, out=np.zeros(np.shape(reach)), where=reach > 0)
+        shares = [
+            np.minimum(width * sin_zeta / (width * sin_zeta + cos_zeta), self._last[0]) / self._last[0],
+            np.minimum(np.arcsinh(slope / width), self._last[1]) / self._last[1],
+            np.minimum(asymmetry, 1.0),
+        ]
+        places = [share * (size - 1) for share, size in zip(shares, self._log_ratio.shape, strict=True)]
+        at = np.stack(np.broadcast_arrays(*places))
+        log_ratio = map_coordinates(self._log_ratio, at.reshape(3, -1), order=1, mode="nearest", prefilter=False)
+        return np.asarray(np.exp(log_ratio.reshape(at.shape[1:])))
+
+    def visibility(self, pair: HalfVector, excess_i: Array, excess_o: Array, width: float) -> Array:
+        """G2 / (cos θ_i cos θ_o), with G2 up to 1; finite as long as one of the directions is above the horizon."""
+        visible = _height_correlated(pair, excess_i, excess_o) * self(pair, width)
+        with np.errstate(divide="ignore"):
+            visible = np.minimum(visible, 1 / (pair.cos_i * pair.cos_o))
+        if self._limit is None:
+            return visible
+        return np.asarray(visible * (np.interp(pair.cos_i, *self._limit) * np.interp(pair.cos_o, *self._limit)))
+
+
+_FINER = 4  # nodes of the finer table per node
 
 
 VISIBILITY: dict[str, Visibility] = {

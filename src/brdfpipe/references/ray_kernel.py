@@ -271,6 +271,69 @@ def facet_normal(height: Array, pitch: Array, at: NDArray[np.int64], normal: Arr
 
 
 @_compiled
+def facets_at(height: Array, pitch: Array, position: Array, facet: Array) -> None:
+    """Facets below positions (n, 2) in cells: writes their height, slopes along x and y, and side, (n, 4)."""
+    for number in range(position.shape[0]):
+        x, y = position[number, 0], position[number, 1]
+        ix, iy = min(int(x), height.shape[1] - 2), min(int(y), height.shape[0] - 2)
+        x, y = x - ix, y - iy
+        upper = x + y > 1 if (ix + iy) & 1 else y > x
+        base, p, q = triangle(height, ix, iy, upper)
+        facet[number, 0] = base + p * x + q * y
+        facet[number, 1], facet[number, 2] = p / pitch[0], q / pitch[1]
+        facet[number, 3] = 1.0 if upper else 0.0
+
+
+@_compiled
+def visible_pairs(
+    height: Array,
+    ceiling: Array,
+    offset: NDArray[np.int64],
+    low: float,
+    pitch: Array,
+    edges: int,
+    position: Array,
+    facet: Array,
+    zeta: float,
+    turn: Array,
+    visible: NDArray[np.bool_],
+) -> None:
+    """Whether facets are seen from both of two directions that they mirror into each other.
+
+    Parameters
+    ----------
+    position, facet : as in :func:`facets_at`
+    zeta : angle between the directions and the facet's normal [rad]
+    turn : (n,) angle about that normal from the line of steepest descent to the plane of the directions, which must be above the
+        horizon [rad]
+    visible : (n,) is written
+    """
+    ray, at = np.empty(8), np.empty(3, np.int64)
+    cos_zeta, sin_zeta = math.cos(zeta), math.sin(zeta)
+    for number in range(position.shape[0]):
+        p, q = facet[number, 1], facet[number, 2]
+        slope = math.hypot(p, q)
+        secant = math.sqrt(1 + slope * slope)
+        # Horizontal unit vector down the slope.
+        down_x, down_y = (-p / slope, -q / slope) if slope > 0 else (1.0, 0.0)
+        along, across = sin_zeta * math.cos(turn[number]), sin_zeta * math.sin(turn[number])
+        clear = True
+        for sign in (1.0, -1.0):
+            forward = (cos_zeta * slope + sign * along) / secant
+            dx, dy = forward * down_x - sign * across * down_y, forward * down_y + sign * across * down_x
+            ray[0], ray[1], ray[2] = position[number, 0], position[number, 1], facet[number, 0]
+            ray[3], ray[4] = dx / pitch[0], dy / pitch[1]
+            ray[5] = (cos_zeta - sign * along * slope) / secant
+            ray[6], ray[7] = 1.0, 1.0
+            at[0], at[1] = min(int(ray[0]), height.shape[1] - 2), min(int(ray[1]), height.shape[0] - 2)
+            at[2] = int(facet[number, 3])
+            if first_hit(height, ceiling, offset, low, edges, ray, at, False) != _ESCAPED:
+                clear = False
+                break
+        visible[number] = clear
+
+
+@_compiled
 def _power(amplitude: complex) -> float:
     return amplitude.real * amplitude.real + amplitude.imag * amplitude.imag
 

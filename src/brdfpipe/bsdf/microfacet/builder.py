@@ -28,12 +28,15 @@ from brdfpipe.optics.index import interpolate_index, refractive_index
 SPECULAR_TRAP = 5.0
 """Half angle of the gloss trap of a sphere instrument, unless the spectrum says otherwise [degree]."""
 
+_LIMIT_THETA = np.concatenate([np.arange(0.0, 84.0, 2.0), np.arange(84.0, 89.5, 0.5), [89.5, 89.7, 89.85, 89.95, 90.0]])
+
 
 def build(
     facets: xr.Dataset,
     *,
     index: xr.Dataset | float | str,
     spectrum: xr.Dataset | None = None,
+    visibility: xr.Dataset | None = None,
     masking: str | None = None,
     diffuse: str | None = None,
     multiple_scattering: str | None = None,
@@ -50,6 +53,7 @@ def build(
     spectrum : kind ``spectrum``; the total reflectance at incidence ``theta_i``, specular included (``sci``), or excluded (``sce``)
         by a gloss trap of half angle ``specular_trap`` (attribute, 5 degree by default); the light that the facets mirror into
         the trap is then added. Without a spectrum there is no diffuse part
+    visibility : kind ``visibility``, traced on the map of the facets; needed for masking ``measured``, else not used
     masking, diffuse, multiple_scattering : names of :data:`brdfpipe.masking.modes.MODES`; the first of each is the default
     recipe : ``crf`` sets the patent's modes together; other given modes must agree
     isotropic : average a surface with a lay over azimuth, with a warning
@@ -102,6 +106,8 @@ def build(
     }
     if recipe is not None:
         bsdf.attrs["recipe"] = recipe
+    if chosen["masking"] == "measured" and "slope_density" in bsdf:
+        bsdf = with_visibility(bsdf, visibility)
     if wavelength is not None:
         bsdf = bsdf.assign_coords(wavelength=wavelength)
     spectral = () if n.ndim == 0 else ("wavelength",)
@@ -192,6 +198,34 @@ def _surface_of(facets: xr.Dataset) -> xr.Dataset:
         attrs = {key: value for key, value in facets[dim].attrs.items() if key not in ("units", "long_name")}
         coords[dim] = (dim, facets[dim].values, attrs)
     return xr.Dataset({name: (facets[name].dims, facets[name].values) for name in names}, coords)
+
+
+def with_visibility(bsdf: xr.Dataset, visibility: xr.Dataset | None) -> xr.Dataset:
+    """Add the traced visibility of the facets, limited so that perfect mirrors gain no light."""
+    if visibility is None:
+        raise ModelError(
+            "masking 'measured' needs the visibility of the facets, traced on a height map "
+            "(`brdfpipe.masking.traced_visibility.tabulate`); give `visibility`, or set `model.masking: height-correlated`"
+        )
+    if bsdf["slope_density"].ndim == 2:
+        raise ModelError(
+            "masking 'measured' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another "
+            "`model.masking`"
+        )
+    ratio = vocabulary.validate(visibility, "visibility")["visibility_ratio"]
+    axes = {dim: (dim, ratio[dim].values) for dim in map(str, ratio.dims)}
+    bsdf = bsdf.assign_coords(axes).assign(visibility_ratio=(ratio.dims, ratio.values))
+    # The uncertainty of the table may return too much light; a factor for either direction keeps it reciprocal.
+    excess = np.maximum(energy.mirror_albedo(Microsurface.of(bsdf), "measured", _LIMIT_THETA), 1.0)
+    if excess.max() == 1:
+        return bsdf
+    around = np.maximum(excess, np.maximum(np.append(excess[1:], 1.0), np.append(1.0, excess[:-1])))
+    bsdf = bsdf.assign_coords(limit_theta=_LIMIT_THETA).assign(visibility_limit=("limit_theta", 1 / around))
+    return vocabulary.add_history(
+        bsdf,
+        f"the traced visibility was reduced by up to {1 - 1 / excess.max():.4f}, at an incidence of {_LIMIT_THETA[excess.argmax()]:g}°, so that "
+        "perfect mirrors reflect no more than they receive",
+    )
 
 
 # --- the diffuse base

@@ -15,7 +15,7 @@ from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, slope_towards
 from brdfpipe.masking.liu import LiuMasking, Marginal, attenuation
 from brdfpipe.masking.smith import PlanarSmith, Smith, cotangent
-from brdfpipe.masking.visibility import VISIBILITY
+from brdfpipe.masking.visibility import VISIBILITY, VisibilityRatio
 
 Azimuth: TypeAlias = "Array | float"
 
@@ -37,12 +37,15 @@ class Microsurface:
 
     density: RadialDensity | PlanarDensity
     smith: Smith | PlanarSmith
+    ratio: VisibilityRatio | None = None
+    """Visibility traced on the map over Smith's, of masking ``measured``"""
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> Microsurface:
         """The surface of a ``facets`` or microfacet ``bsdf`` dataset."""
         if dataset["slope_density"].ndim == 1:
-            return cls(RadialDensity.of(dataset), Smith.of(dataset))
+            ratio = VisibilityRatio.of(dataset) if "visibility_ratio" in dataset else None
+            return cls(RadialDensity.of(dataset), Smith.of(dataset), ratio)
         return cls(PlanarDensity.of(dataset), PlanarSmith.of(dataset))
 
     @property
@@ -78,6 +81,9 @@ class Microsurface:
         if masking == "liu":
             return attenuation(pair, phi_i, phi_o, self.liu) / (pair.cos_i * pair.cos_o)
         excess_i, excess_o = self.excess(pair.cos_i, pair.sin_i, phi_i), self.excess(pair.cos_o, pair.sin_o, phi_o)
+        if masking == "measured":
+            assert self.ratio is not None
+            return self.ratio.visibility(pair, excess_i, excess_o, self.typical_slope)
         return VISIBILITY[masking](pair, excess_i, excess_o)
 
     @cached_property

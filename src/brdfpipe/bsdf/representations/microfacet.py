@@ -109,6 +109,8 @@ _INTERFACE_KIND = vocabulary.Kind(
         **dict.fromkeys(("compensation", "total_reflectance"), vocabulary.SPECTRAL),
         "furnace_albedo": _INCIDENCE_DIMS,
         "second_mirror_albedo": [("second_theta",)],
+        "visibility_ratio": vocabulary.VISIBILITY_COORDINATES,
+        "visibility_limit": [("limit_theta",)],
         "second_reflection": [
             ("second_theta_i", "second_theta_o", "second_azimuth", *spectral) for spectral in (("wavelength",), ())
         ],

@@ -15,7 +15,7 @@ from brdfpipe.appearance.quantities import quantity
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.masking.modes import SMITH_MASKINGS
+from brdfpipe.masking.modes import PHYSICAL_MASKINGS
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import basis_legend, fixed, labels, number, percent, plus_minus_u
 from brdfpipe.report.plots import bsdf_cuts, bsdf_sections, directional_maps, reflectance
@@ -169,7 +169,7 @@ def model_table(bsdf: xr.Dataset) -> Table:
     # The balance of the light shows the losses of a body that transmits.
     several = None if representation(bsdf).transmits else multiple_scattering(bsdf, bsdf_sections.REFERENCE_WAVELENGTH)
     texts: tuple[str, ...] = ()
-    if several is not None and (masking := str(bsdf.attrs["masking"])) not in SMITH_MASKINGS:
+    if several is not None and (masking := str(bsdf.attrs["masking"])) not in PHYSICAL_MASKINGS:
         note = (
             f"Masking `{masking}` follows its source and need not conserve energy. Facets that are perfect mirrors would reflect "
             f"{percent(1 - several.mirrors)} of the light, mean over the hemisphere. `model.masking: height-correlated` never reflects "

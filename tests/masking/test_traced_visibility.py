@@ -1,0 +1,192 @@
+"""Visibility of facets traced on maps, against V-grooves, traced light, Smith's limits, reciprocity and energy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.microfacet import energy
+from brdfpipe.bsdf.microfacet.builder import build, with_visibility
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.facets.analytic_distributions import analytic, flat
+from brdfpipe.facets.estimation import estimate
+from brdfpipe.geometry import half_vector
+from brdfpipe.masking.traced_visibility import VisibilityError, tabulate
+from brdfpipe.masking.visibility import VisibilityRatio
+from brdfpipe.references import ray_kernel
+from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
+from brdfpipe.references.tracer import SlopeBins, trace
+
+POLAR = st.floats(0, 90, exclude_max=True)
+AZIMUTH = st.floats(-360, 360)
+BECKMANN = analytic("beckmann", 0.3 * np.sqrt(2))
+
+
+def random_table(seed: int, spread: float = 0.5):
+    return samples.visibility_table(np.exp(spread * np.random.default_rng(seed).normal(size=(6, 7, 5))))
+
+
+SMITH = build(BECKMANN, index=1.5)
+
+
+def with_ratio(table, **options):
+    return build(BECKMANN, index=1.5, visibility=table, masking="measured", **options)
+
+
+def brdf(bsdf, *angles):
+    return representation(bsdf).evaluate(*map(np.atleast_1d, angles), None)
+
+
+# --- tracing
+
+
+@pytest.mark.parametrize("zeta", [10.0, 40.0, 55.0, 65.0])
+def test_facets_of_grooves_are_visible_as_blinn_says(zeta):
+    # Symmetric V-grooves: G2 = min(1, 2 cos α cos θ / cos ζ) of the more grazing direction, in the plane across them.
+    slope, cells = 0.5, 64
+    height = np.tile(slope * np.abs((np.arange(cells + 1) % 16) - 8.0), (cells + 1, 1))
+    mesh = HeightMesh.of(samples.surface(height), "periodic")
+    position = np.random.default_rng(0).random((20_000, 2)) * cells
+    facet, visible = np.empty((position.shape[0], 4)), np.empty(position.shape[0], dtype=bool)
+    ray_kernel.facets_at(mesh.height, mesh.pitch, position, facet)
+    assert np.abs(facet[:, 1]) == pytest.approx(slope, abs=1e-12)
+    assert facet[:, 0] == pytest.approx(slope * np.abs((position[:, 0] % 16) - 8) - slope * 4, abs=0.3)
+    arrays = (mesh.height, mesh.ceiling, mesh.offset, float(mesh.height.min()), mesh.pitch, mesh.edges)
+    turn = np.zeros(position.shape[0])
+    ray_kernel.visible_pairs(*arrays, position, facet, np.radians(zeta), turn, visible)
+    tilt = np.arctan(slope)
+    grazing = np.cos(tilt + np.radians(zeta))
+    expected = min(1.0, 2 * np.cos(tilt) * grazing / np.cos(np.radians(zeta))) if grazing > 0 else 0.0
+    assert visible.mean() == pytest.approx(expected, abs=0.012)
+
+
+@pytest.fixture(scope="module")
+def gaussian_map():
+    return samples.gaussian_surface(256, sigma=0.3, correlation=12)
+
+
+@pytest.fixture(scope="module")
+def traced(gaussian_map):
+    return tabulate(gaussian_map, estimate(gaussian_map, isotropic=True), samples=2**12)
+
+
+def test_perfect_mirrors_reflect_what_traced_rays_reflect_once(gaussian_map, traced):
+    facets = estimate(gaussian_map, isotropic=True)
+    surface = Microsurface.of(build(facets, index=1.5, visibility=traced, masking="measured"))
+    mesh = HeightMesh.of(gaussian_map)
+    for theta in (30.0, 60.0, 75.0):
+        light = trace(mesh, theta, index=complex(np.inf), bins=SlopeBins.of(0.3), rays=2**17)
+        measured = energy.mirror_albedo(surface, "measured", np.array([theta]))[0]
+        assert measured == pytest.approx(light.reflected[0].mean(), abs=0.006)
+
+
+def test_nothing_is_masked_towards_the_normals_of_gentle_facets(traced):
+    ratio = traced["visibility_ratio"].isel(grazing=0, steepness=slice(0, 4))
+    assert ratio.values == pytest.approx(1, abs=2e-3)
+    assert vocabulary.validate(traced, "visibility") is traced
+    extrapolated = traced["visibility_ratio_quality"].values == vocabulary.quality("extrapolated")
+    assert 0 < extrapolated.mean() < 0.3
+
+
+def test_the_table_does_not_depend_on_the_unit_of_length_or_the_seed_beyond_its_noise(gaussian_map, traced):
+    facets = estimate(gaussian_map, isotropic=True)
+    finer = samples.surface(gaussian_map["height"].values / 100, pitch=(0.01, 0.01))
+    scaled = tabulate(finer, facets, samples=2**12)
+    np.testing.assert_allclose(scaled["visibility_ratio"], traced["visibility_ratio"], rtol=0.05)
+    other = tabulate(gaussian_map, facets, samples=2**12, seed=1000)
+    z = (other["visibility_ratio"] - traced["visibility_ratio"]) / np.hypot(
+        other["visibility_ratio_u"], traced["visibility_ratio_u"]
+    )
+    counted = (traced["visibility_ratio_quality"] == vocabulary.quality("measured")).values
+    assert 0.2 < np.sqrt(np.mean(z.values[counted] ** 2)) < 1.3
+
+
+@pytest.mark.slow
+def test_the_stated_uncertainty_covers_the_scatter_between_maps():
+    maps = [samples.gaussian_surface(256, sigma=0.3, correlation=6, seed=seed) for seed in range(8)]
+    facets = estimate(maps[0], isotropic=True)
+    tables = [tabulate(rough, facets) for rough in maps]
+    ratio, u = (
+        np.stack([table[name].values for table in tables]) for name in ("visibility_ratio", "visibility_ratio_u")
+    )
+    counted = np.all([table["visibility_ratio_quality"] == 0 for table in tables], axis=0) & (u.mean(axis=0) > 0.002)
+    over = ratio.std(axis=0, ddof=1)[counted] / np.sqrt(np.mean(u**2, axis=0))[counted]
+    assert 0.7 < np.sqrt(np.mean(over**2)) < 1.5
+
+
+# --- evaluation
+
+
+def test_a_ratio_of_one_is_smiths_masking():
+    angles = np.meshgrid([0.0, 20, 60, 85, 89.9], [0.0], [0.0, 30, 75, 89.99], [0.0, 90, 180])
+    smith = brdf(SMITH, *(angle.ravel() for angle in angles))
+    measured = brdf(with_ratio(samples.visibility_table(1.0)), *(angle.ravel() for angle in angles))
+    np.testing.assert_allclose(measured, smith, rtol=1e-4)
+
+
+RANDOM_RATIO = VisibilityRatio.of(random_table(1))
+
+
+@settings(max_examples=60, deadline=None)
+@given(POLAR, AZIMUTH, POLAR, AZIMUTH)
+def test_exchanged_directions_are_equally_visible(theta_i, phi_i, theta_o, phi_o):
+    there = half_vector(theta_i, phi_i, theta_o, phi_o)
+    back = half_vector(theta_o, phi_o, theta_i, phi_i)
+    one, other = RANDOM_RATIO(there, 0.3), RANDOM_RATIO(back, 0.3)
+    assert np.isfinite(one)
+    assert one > 0
+    assert other == pytest.approx(one, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_perfect_mirrors_never_gain_light(seed):
+    bsdf = with_visibility(SMITH, random_table(seed))
+    surface = Microsurface.of(bsdf)
+    theta = np.linspace(0, 89.99, 61)
+    assert energy.mirror_albedo(surface, "measured", theta).max() <= 1 + 1e-6
+    assert "the traced visibility was reduced by up to" in bsdf.attrs["history"]
+    assert vocabulary.warnings(bsdf) == []
+
+
+def test_the_horizon_is_reached_without_a_jump():
+    surface = Microsurface.of(with_visibility(SMITH, random_table(2)))
+    values = [
+        float(surface.reflected(half_vector(*angles), 0.0, 180.0, "measured"))
+        for angles in ((60.0, 0.0, 90.0 - 1e-9, 180.0), (60.0, 0.0, 90.0, 180.0), (90.0, 0.0, 60.0, 180.0))
+    ]
+    assert np.isfinite(values).all()
+    assert values == pytest.approx([values[0]] * 3, rel=1e-6)
+
+
+def test_the_total_reflectance_closes_with_compensation():
+    table = samples.visibility_table(0.9)
+    bsdf = with_ratio(table, spectrum=samples.spectrum(0.4), multiple_scattering="compensated")
+    albedo = representation(bsdf).albedo(np.array([8.0]), np.zeros(1), None)[0]
+    assert albedo == pytest.approx(0.4, abs=1e-8)
+
+
+# --- what is refused
+
+
+def test_a_lay_a_line_and_a_missing_table_are_refused(gaussian_map):
+    ground = samples.surface(gaussian_map["height"].values, pitch=(1.0, 4.0))
+    with pytest.raises(VisibilityError, match=r"this one has a lay; set `surface\.isotropic: true`"):
+        tabulate(ground, estimate(ground, isotropic=False))
+    line = samples.surface(gaussian_map["height"].values[0])
+    with pytest.raises(HeightMapError, match="a line profile has no second dimension for rays"):
+        tabulate(line, BECKMANN)
+    with pytest.raises(ModelError, match=r"needs the visibility of the facets.*set `model.masking: height-correlated`"):
+        build(BECKMANN, index=1.5, masking="measured")
+    with pytest.raises(ModelError, match=r"accepted: height-correlated; set `model.masking`"):
+        with_ratio(random_table(0), multiple_scattering="directional")
+    with pytest.raises(ModelError, match="is not defined for transmission"):
+        with_ratio(random_table(0), transparent=True)
+
+
+def test_a_flat_surface_needs_no_visibility():
+    assert build(flat(), index=1.5, masking="measured").attrs["representation"] == "smooth"
