@@ -136,7 +136,7 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         (COLOUR + "transparent: true", "unknown key 'transparent'"),
         (
             COLOUR + "model: {masking: smith}",
-            "found 'smith'; accepted: height-correlated, separable, blinn, liu, crf, none",
+            "found 'smith'; accepted: height-correlated, separable, measured, blinn, liu, crf, none",
         ),
         (COLOUR + "model: {recipe: crf, masking: crf}", "either `recipe` or `masking`$"),
         (
@@ -224,7 +224,7 @@ def test_the_keys_offer_what_the_model_has() -> None:
 
     offered = {key: choices(material_keys.Model, key) for key in material_keys.Model.declared_keys()}
     assert offered == {
-        "masking": {*VISIBILITY, "liu"},
+        "masking": {*VISIBILITY, "liu", "measured"},
         "diffuse": set(modes.MODES["diffuse"]),
         "multiple_scattering": set(modes.MODES["multiple_scattering"]),
         "recipe": set(modes.RECIPES),

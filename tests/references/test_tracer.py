@@ -11,6 +11,7 @@ from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 from brdfpipe.facets.estimation import estimate
 from brdfpipe.geometry import angles_of
+from brdfpipe.masking.traced_visibility import tabulate
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
@@ -253,3 +254,24 @@ def test_a_grain_with_valleys_and_its_negative_are_told_apart():
     # The prediction, which knows slopes alone, is the same for both.
     assert with_valleys < -0.1
     assert with_ridges > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [1, -1])
+def test_masking_traced_on_the_map_tells_cells_from_their_negative(sign):
+    surface = samples.surface(sign * cells_with_valleys(1024))
+    facets = estimate(surface, isotropic=True)
+    smith, measured = (
+        build(facets, index=1.5, **options)
+        for options in ({}, {"masking": "measured", "visibility": tabulate(surface, facets)})
+    )
+    mesh = HeightMesh.of(surface)
+    bins = SlopeBins.of(mesh.typical_slope)
+    traced = trace(mesh, 75.0, index=1.5, bins=bins, rays=10**6).power.mean(axis=1)[0, bins.half :]
+    errors = []
+    for bsdf in (smith, measured):
+        predicted, brdf = predicted_light(bsdf, 75.0, bins)
+        peak = brdf > 0.3 * brdf.max()
+        errors.append(predicted[peak].sum() / traced[peak].sum() - 1)
+    assert abs(errors[0]) > 0.25
+    assert abs(errors[1]) < 0.1

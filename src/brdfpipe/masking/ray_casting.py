@@ -212,8 +212,8 @@ def _with_difference_warnings(comparison: xr.Dataset, *, areal: bool) -> xr.Data
         remedy = "set `model.masking: measured`" if areal else "measure an areal map, and set `model.masking: measured`"
         warnings.append(
             f"Smith's G2 of the mirror direction is {smith[at]:.2f} at {theta[at]:.0f} degree, and ray casting over the heights gives "
-            f"{cast[at]:.2f} ± {2 * np.nan_to_num(cast_u[at]):.2f}: facets at the top or in valleys differ in slope, and the prediction is "
-            f"off by up to {smith[at] / cast[at] - 1:+.0%} there; {remedy}"
+            f"{cast[at]:.2f} ± {2 * np.nan_to_num(cast_u[at]):.2f}: what hides a facet depends on more than slopes, and the reflection predicted with Smith is off by "
+            f"about {smith[at] / cast[at] - 1:+.0%} there; {remedy}"
         )
     difference = comparison["g1_raycast"].values - comparison["g1_smith"].values
     at = _largest_difference(theta, difference, comparison["g1_raycast_u"].values)
