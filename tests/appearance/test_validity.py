@@ -85,6 +85,11 @@ def test_noise_and_tails_are_judged_by_their_share():
     found = judged(datasets(psd=spectrum, facets=table))
     assert found["Height noise"].verdict == "warn"
     assert found["Extrapolated slopes"].verdict == "warn"
+    assert "0.4" in found["Extrapolated slopes"].finding
+    # A density with a lay has no single slope where its tail begins.
+    assert (
+        judged(datasets(facets=table.drop_vars("tail_slope")))["Extrapolated slopes"].finding == "20.00% of the facets"
+    )
     assert judged(datasets(psd=spectrum.assign(noise_sigma=0.0)))["Height noise"].finding == "none found"
 
 

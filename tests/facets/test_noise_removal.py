@@ -86,19 +86,18 @@ def test_a_surface_without_plateau_is_left_alone() -> None:
     assert "noise_sigma" not in first
 
 
-_RNG = np.random.default_rng(5)
 _N = 400_000
 
 
-def _slopes(kind: str) -> tuple[np.ndarray, float]:
+def _slopes(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, float]:
     """Slopes (2, n) of rms 0.05 along each axis, and their density at zero."""
     if kind == "gaussian":
-        return SLOPE * _RNG.standard_normal((2, _N)), 1 / (2 * np.pi * SLOPE**2)
+        return SLOPE * rng.standard_normal((2, _N)), 1 / (2 * np.pi * SLOPE**2)
     if kind == "two widths":
         narrow, wide = np.array([0.6, np.sqrt(2 - 0.36)]) * SLOPE
-        width = np.where(_RNG.random(_N) < 0.5, narrow, wide)
-        return width * _RNG.standard_normal((2, _N)), (1 / narrow**2 + 1 / wide**2) / (4 * np.pi)
-    radius, turn = 2 * SLOPE * np.sqrt(_RNG.random(_N)), 2 * np.pi * _RNG.random(_N)
+        width = np.where(rng.random(_N) < 0.5, narrow, wide)
+        return width * rng.standard_normal((2, _N)), (1 / narrow**2 + 1 / wide**2) / (4 * np.pi)
+    radius, turn = 2 * SLOPE * np.sqrt(rng.random(_N)), 2 * np.pi * rng.random(_N)
     return radius * np.array([np.cos(turn), np.sin(turn)]), 1 / (np.pi * 4 * SLOPE**2)
 
 
@@ -108,9 +107,10 @@ def _slopes(kind: str) -> tuple[np.ndarray, float]:
 )
 def test_the_density_without_noise_comes_back(kind: str, share: float, tolerance: float) -> None:
     """The peak; a disc of even density, the shape farthest from a Gaussian, keeps what the counts do not tell."""
-    slopes, peak = _slopes(kind)
+    rng = np.random.default_rng(5)
+    slopes, peak = _slopes(kind, rng)
     mean_square = SLOPE**2 * share / (1 - share)
-    z = _RNG.standard_normal((3, _N))
+    z = rng.standard_normal((3, _N))
     # Two edges of a triangle share a height.
     observed = slopes + np.sqrt(mean_square / 2) * np.array([z[0] - z[1], z[2] - z[1]])
     blocks = enumerate(np.split(np.square(observed).sum(axis=0), 16))

@@ -81,7 +81,15 @@ use rule stage_template as spectrum with:
 
 use rule stage_template as predicted with:
     input:
-        **results_of("facets", "psd", "visibility", "back_facets", "interior", "index", "spectrum"),
+        **results_of(
+            "facets",
+            "psd",
+            "visibility",
+            "back_facets",
+            "interior",
+            "index",
+            "spectrum",
+        ),
     output:
         predicted="{material}/predicted.nc",
 

@@ -111,8 +111,10 @@ def _tail(datasets: Datasets) -> Judgement | None:
     facets = datasets["facets"]
     if "tail_share" not in facets:
         return None
-    share, start = float(facets["tail_share"]), float(facets["tail_slope"])
-    finding = f"{share:.2%} of the facets, from a slope of {start:.2g}"
+    share = float(facets["tail_share"])
+    finding = f"{share:.2%} of the facets"
+    if "tail_slope" in facets:
+        finding += f", from a slope of {float(facets['tail_slope']):.2g}"
     if "tail_contribution" in facets:
         finding += f", with {float(facets['tail_contribution']):.0%} of the mean square slope"
     if share <= TAIL_LIMIT:

@@ -21,6 +21,8 @@ _NODES = 24
 _BENDS = np.geomspace(0.1, 4.0, 13)
 """Lengths of the bend between both decays that are tried, over the decay length where the bins end."""
 _SOLVED = 1e-8
+_LOG_DECAY_RANGE = 20.0
+"""Logarithm of the largest factor between the decay of a tail and its first guess."""
 _FITTED_BINS = 4
 
 
@@ -93,6 +95,8 @@ class _Bent(NamedTuple):
         from scipy.optimize import root
 
         def miss(unknown: Array) -> Array:
+            if not np.abs(unknown[0] - np.log(last_decay)) < _LOG_DECAY_RANGE:
+                return np.full(2, np.inf)  # ends a search that diverges
             decay, drop = float(np.exp(unknown[0])), float(unknown[1])
             x, weight = panel_rule(self.nodes(decay), 4)
             with np.errstate(over="ignore"):

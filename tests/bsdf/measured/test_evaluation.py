@@ -59,7 +59,9 @@ def test_the_accessor_gives_values_and_uncertainties(bsdf):
 
 
 def test_a_representation_without_uncertainties_names_those_with_them():
-    with pytest.raises(VocabularyError, match="'microfacet' states no uncertainty; those that do: rig"):
+    with pytest.raises(
+        VocabularyError, match="'microfacet' states no uncertainty; those that do: kirchhoff, rig, traced"
+    ):
         samples.beckmann_bsdf(0.1).bsdf.uncertainty(30, 0, 30, 180)
 
 
