@@ -233,6 +233,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("psd", {}, same("psd"), {"distribution": "beckmann", "slope_rms": 0.1, "length": 5.0})
     waves = {"optics": "auto", "diffuse": "coupled", "halo": "ssa1"}
     run("wave", same("psd", "facets", "index", "spectrum"), same("wave"), waves)
+    run("visibility", same("surface", "facets"), same("visibility"))
     run("model_error", same("surface", "predicted"), same("model_error"))
     run("multiangle", {}, same("multiangle"), of="metallic-blue")
     run("flake", same("multiangle"), same("flake"), of="metallic-blue")
