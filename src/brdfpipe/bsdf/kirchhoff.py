@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.microfacet.builder import index_on
+from brdfpipe.bsdf.microfacet.builder import index_on, wavelengths_of
 from brdfpipe.bsdf.representations.kirchhoff import Diffraction, Kirchhoff
 from brdfpipe.bsdf.spectrum_closure import around_mirror_direction, with_base
 from brdfpipe.geometry import Array
@@ -21,8 +21,6 @@ from brdfpipe.optics.index import refractive_index
 from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 from brdfpipe.references.phase_spectrum import phase_spectrum
 
-WAVELENGTHS = np.arange(380.0, 781.0, 10.0)
-"""Wavelengths of a BSDF whose index and spectrum do not set them [nm]."""
 SLOPE_LIMIT = 0.2
 """Typical slope √⟨p² + q²⟩ above which the result warns: masking, the local angle of incidence and second reflections are left out."""
 COARSE_WARNING = 1e-3
@@ -44,7 +42,7 @@ def build(
     ----------
     surface : kind ``surface``, a levelled map of low slopes
     index, spectrum : as for :func:`brdfpipe.bsdf.microfacet.build`
-    wavelength : [nm], increasing; by default those of the spectrum, else of the index, else :data:`WAVELENGTHS`
+    wavelength : [nm], increasing; by default those of the spectrum, else of the index, else :data:`brdfpipe.bsdf.microfacet.builder.WAVELENGTHS`
 
     Returns
     -------
@@ -65,7 +63,7 @@ def build(
     index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
     if spectrum is not None:
         vocabulary.validate(spectrum, "spectrum")
-    given = _wavelengths(spectrum, index, wavelength)
+    given = wavelengths_of(spectrum, index, wavelength, HeightMapError)
     n, k, _, warnings = index_on(index, given)
     n, k = np.broadcast_to(n, given.shape), np.broadcast_to(k, given.shape)
     if np.any((n < 1) & (k == 0)):
@@ -111,22 +109,6 @@ def build(
     bsdf = with_base(bsdf, reflected, spectrum, trapped)
     warnings += _limits(surface, found.coarse, float(found.frequency[-1]), float(given[0]))
     return vocabulary.label(vocabulary.add_warning(bsdf, *warnings), "bsdf")
-
-
-def _wavelengths(spectrum: xr.Dataset | None, index: xr.Dataset, wavelength: ArrayLike | None) -> Array:
-    if spectrum is not None:
-        if wavelength is not None:
-            raise HeightMapError("the wavelengths are those of the spectrum; leave out `wavelength`")
-        return np.asarray(spectrum["wavelength"].values, dtype=float)
-    if wavelength is None:
-        constant = np.ptp(index["n"].values) == 0 and np.ptp(index["k"].values) == 0
-        return WAVELENGTHS if constant else np.asarray(index["wavelength"].values, dtype=float)
-    given = np.atleast_1d(np.asarray(wavelength, dtype=float))
-    if given.ndim != 1 or given.size == 0 or not (given > 0).all() or not (np.diff(given) > 0).all():
-        raise HeightMapError(
-            "`wavelength` is not an increasing list of wavelengths in nm; accepted: one number or several, above 0"
-        )
-    return given
 
 
 def _limits(surface: xr.Dataset, coarse: float, nyquist: float, shortest: float) -> list[str]:

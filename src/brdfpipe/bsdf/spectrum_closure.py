@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import xarray as xr
 
-from brdfpipe import hemisphere, vocabulary
+from brdfpipe import hemisphere
 from brdfpipe.bsdf.coupled_base import OfDirections
-from brdfpipe.bsdf.microfacet.builder import trap_of
+from brdfpipe.bsdf.microfacet.builder import trap_of, with_clamping_warning, with_diffuse_reflectance
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
 from brdfpipe.geometry import Array
 
@@ -52,22 +52,8 @@ def with_base(
     total = spectrum["total_reflectance"].values.astype(float) + in_trap
     at_measured = table(np.array([theta_m]))[0]
     diffuse = np.minimum((total - at_measured) / np.maximum(1 - at_measured, 1e-12), _LARGEST_DIFFUSE)
-    clamped = diffuse < 0
-    quality = np.where(clamped, vocabulary.quality("clamped"), vocabulary.quality("measured")).astype(np.int8)
-    bsdf = bsdf.assign(
-        diffuse=("wavelength", np.maximum(diffuse, 0.0)),
-        diffuse_quality=("wavelength", quality),
-        total_reflectance=("wavelength", total),
-    )
-    if not clamped.any():
-        return bsdf
-    where, deficit = spectrum["wavelength"].values[clamped], float((at_measured - total)[clamped].max())
-    return vocabulary.add_warning(
-        bsdf,
-        f"the total reflectance is up to {deficit:.4f} below the reflectance of the surface at {where.size} wavelengths "
-        f"({where.min():g} to {where.max():g} nm); the diffuse part was set to 0 there. Check whether the specular was excluded "
-        "(`spectrum.geometry: sce`), the refractive index and the surface.",
-    )
+    bsdf = with_diffuse_reflectance(bsdf, diffuse, total)
+    return with_clamping_warning(bsdf, spectrum, diffuse < 0, at_measured - total, "reflectance of the surface")
 
 
 def around_mirror_direction(brdf: OfDirections, theta_i: float, slope: float, half_angle: float = 180.0) -> Array:

@@ -12,18 +12,23 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.microfacet import energy, transmission
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface, ModelError
 from brdfpipe.bsdf.microfacet.model import CRF_DIFFUSE_SHARE, Model, diffuse_for, total_reflectance_at, with_albedo
 from brdfpipe.bsdf.representations.microfacet import Microfacet, Smooth
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.masking.liu import energy_limit
 from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, MODEL_DEFAULTS, MODES, RECIPES
 from brdfpipe.optics.index import interpolate_index, refractive_index
+
+WAVELENGTHS = np.arange(380.0, 781.0, 10.0)
+"""Wavelengths of a BSDF that depends on them, and whose index and spectrum do not set them [nm]."""
 
 SPECULAR_TRAP = 5.0
 """Half angle of the gloss trap of a sphere instrument, unless the spectrum says otherwise [degree]."""
@@ -239,14 +244,7 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
     trapped = _trapped(model, spectrum, theta_m)
     total = spectrum["total_reflectance"].values.astype(float) + trapped
     diffuse = diffuse_for(model, total, theta_m)
-    clamped = diffuse < 0
-    quality = np.where(clamped, vocabulary.quality("clamped"), vocabulary.quality("measured")).astype(np.int8)
-    bsdf = bsdf.assign(
-        diffuse=("wavelength", np.maximum(diffuse, 0.0)),
-        diffuse_quality=("wavelength", quality),
-        total_reflectance=("wavelength", total),
-        theta_m=theta_m,
-    )
+    bsdf = with_diffuse_reflectance(bsdf, diffuse, total).assign(theta_m=theta_m)
     if spectrum.attrs["geometry"] == "sce":
         bsdf = vocabulary.add_history(
             bsdf,
@@ -258,16 +256,35 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
             bsdf,
             f"the patent's masking of the diffuse part leaves {CRF_DIFFUSE_SHARE:.4f} of it: the total reflectance is not the measured one",
         )
-    if clamped.any():
-        where = spectrum["wavelength"].values[clamped]
-        deficit = float((total_reflectance_at(model, theta_m) - total)[clamped].max())
-        bsdf = vocabulary.add_warning(
-            bsdf,
-            f"the total reflectance is up to {deficit:.4f} below the specular albedo of the facets at {where.size} wavelengths "
-            f"({where.min():g} to {where.max():g} nm); the diffuse part was set to 0 there. Check whether the specular was excluded "
-            "(`spectrum.geometry: sce`), the refractive index and the surface.",
-        )
-    return bsdf
+    if not (diffuse < 0).any():
+        return bsdf
+    below = total_reflectance_at(model, theta_m) - total
+    return with_clamping_warning(bsdf, spectrum, diffuse < 0, below, "specular albedo of the facets")
+
+
+def with_diffuse_reflectance(bsdf: xr.Dataset, diffuse: Array, total: Array) -> xr.Dataset:
+    """Add the diffuse reflectance, 0 where it would be negative, with its flags, and the total reflectance, (wavelength,) each."""
+    quality = np.where(diffuse < 0, vocabulary.quality("clamped"), vocabulary.quality("measured")).astype(np.int8)
+    return bsdf.assign(
+        diffuse=("wavelength", np.maximum(diffuse, 0.0)),
+        diffuse_quality=("wavelength", quality),
+        total_reflectance=("wavelength", total),
+    )
+
+
+def with_clamping_warning(
+    bsdf: xr.Dataset, spectrum: xr.Dataset, clamped: NDArray[np.bool_], deficit: Array, surface_reflectance: str
+) -> xr.Dataset:
+    """Add a warning where the surface alone reflects more than the spectrum; ``deficit`` is by how much, (wavelength,)."""
+    if not clamped.any():
+        return bsdf
+    where = spectrum["wavelength"].values[clamped]
+    return vocabulary.add_warning(
+        bsdf,
+        f"the total reflectance is up to {float(deficit[clamped].max()):.4f} below the {surface_reflectance} at {where.size} wavelengths "
+        f"({where.min():g} to {where.max():g} nm); the diffuse part was set to 0 there. Check whether the specular was excluded "
+        "(`spectrum.geometry: sce`), the refractive index and the surface.",
+    )
 
 
 def trap_of(spectrum: xr.Dataset) -> float:
@@ -287,6 +304,25 @@ def _trapped(model: Model, spectrum: xr.Dataset, theta_m: float) -> Array:
         return total_reflectance_at(model, theta_m)
     theta, phi, weight = hemisphere.around_mirror(theta_m, model.surface.typical_slope, trap_of(spectrum))
     return np.asarray(weight @ model.evaluate(np.full_like(theta, theta_m), np.zeros_like(phi), theta, phi))
+
+
+def wavelengths_of(
+    spectrum: xr.Dataset | None, index: xr.Dataset, wavelength: ArrayLike | None, error: type[BrdfpipeError]
+) -> Array:
+    """Wavelengths [nm] of a BSDF that depends on them: of the spectrum, given, of the index, or :data:`WAVELENGTHS`; ``error`` refuses others."""
+    if spectrum is not None:
+        if wavelength is not None:
+            raise error("the wavelengths are those of the spectrum; leave out `wavelength`")
+        return np.asarray(spectrum["wavelength"].values, dtype=float)
+    if wavelength is None:
+        constant = np.ptp(index["n"].values) == 0 and np.ptp(index["k"].values) == 0
+        return WAVELENGTHS if constant else np.asarray(index["wavelength"].values, dtype=float)
+    given = np.atleast_1d(np.asarray(wavelength, dtype=float))
+    if given.ndim != 1 or given.size == 0 or not (given > 0).all() or not (np.diff(given) > 0).all():
+        raise error(
+            "`wavelength` is not an increasing list of wavelengths in nm; accepted: one number or several, above 0"
+        )
+    return given
 
 
 def index_on(index: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array, Array | None, list[str]]:

@@ -15,7 +15,13 @@ from scipy.interpolate import CubicSpline
 
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.microfacet import energy
-from brdfpipe.bsdf.microfacet.builder import index_on, trap_of
+from brdfpipe.bsdf.microfacet.builder import (
+    index_on,
+    trap_of,
+    wavelengths_of,
+    with_clamping_warning,
+    with_diffuse_reflectance,
+)
 from brdfpipe.bsdf.microfacet.microsurface import ModelError
 from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.wave import height_transform
@@ -25,9 +31,6 @@ from brdfpipe.geometry import Array
 from brdfpipe.masking.modes import HALOS, OPTICS
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import refractive_index
-
-WAVELENGTHS = np.arange(380.0, 781.0, 10.0)
-"""Wavelengths of a BSDF whose index and spectrum do not set them [nm]."""
 
 FINE_PHASE = 0.02
 """Phase variance of roughness that is too fine to be facets, at normal incidence and 550 nm."""
@@ -76,7 +79,7 @@ def build(
     psd : kind ``psd``, measured or analytic (:func:`brdfpipe.psd.analytic`)
     index : kind ``index``, a number or a plastic's name; the refractive index of the body relative to air. A metal has k > 0
     spectrum : kind ``spectrum``, as for :func:`brdfpipe.bsdf.microfacet.build`. Without a spectrum there is no diffuse part
-    wavelength : [nm], increasing; by default those of the spectrum, else of the index, else :data:`WAVELENGTHS`
+    wavelength : [nm], increasing; by default those of the spectrum, else of the index, else :data:`brdfpipe.bsdf.microfacet.builder.WAVELENGTHS`
     form : one of :data:`brdfpipe.masking.modes.HALOS`
     diffuse : ``coupled``, or ``none``
     facets : kind ``facets``, of the same surface; needed unless ``optics`` is ``wave``
@@ -115,7 +118,9 @@ def build(
             f"optics {optics!r} needs facets of a rough surface without a lay; set `surface.isotropic: true` to average over its azimuth, or "
             "`model.optics: wave`"
         )
-    given = _wavelengths(spectrum, index, wavelength)
+    if spectrum is not None:
+        vocabulary.validate(spectrum, "spectrum")
+    given = wavelengths_of(spectrum, index, wavelength, ModelError)
     n, k, _, warnings = index_on(index, given)
     n, k = np.broadcast_to(n, given.shape), np.broadcast_to(k, given.shape)
     if np.any((n < 1) & (k == 0)):
@@ -134,23 +139,6 @@ def build(
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
     bsdf = vocabulary.add_warning(bsdf, *warnings, *_limits(bsdf, psd, correlation))
     return vocabulary.label(bsdf, "bsdf")
-
-
-def _wavelengths(spectrum: xr.Dataset | None, index: xr.Dataset, wavelength: ArrayLike | None) -> Array:
-    if spectrum is not None:
-        vocabulary.validate(spectrum, "spectrum")
-        if wavelength is not None:
-            raise ModelError("the wavelengths are those of the spectrum; leave out `wavelength`")
-        return np.asarray(spectrum["wavelength"].values, dtype=float)
-    if wavelength is None:
-        constant = np.ptp(index["n"].values) == 0 and np.ptp(index["k"].values) == 0
-        return WAVELENGTHS if constant else np.asarray(index["wavelength"].values, dtype=float)
-    given = np.atleast_1d(np.asarray(wavelength, dtype=float))
-    if given.ndim != 1 or given.size == 0 or not (given > 0).all() or not (np.diff(given) > 0).all():
-        raise ModelError(
-            "`wavelength` is not an increasing list of wavelengths in nm; accepted: one number or several, above 0"
-        )
-    return given
 
 
 # --- the roughness
@@ -324,29 +312,14 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
     of_surface = model.albedo(np.array([theta_m]), np.zeros(1), None)[0]
     # Below 1 by the error of the albedo's table, so that a white base does not violate energy conservation.
     base = np.minimum((total - of_surface) / np.maximum(1 - of_surface, 1e-12), 1 - 2e-8)
-    clamped = base < 0
-    quality = np.where(clamped, vocabulary.quality("clamped"), vocabulary.quality("measured")).astype(np.int8)
-    result = bare.assign(
-        diffuse=("wavelength", np.maximum(base, 0.0)),
-        diffuse_quality=("wavelength", quality),
-        total_reflectance=("wavelength", total),
-    )
+    result = with_diffuse_reflectance(bare, base, total)
     if spectrum.attrs["geometry"] == "sce":
         result = vocabulary.add_history(
             result,
             f"specular excluded: the light reflected into a gloss trap of half angle {trap_of(spectrum):g}°, "
             f"{float(np.mean(trapped)):.4f} of the incident light, was added to the measured reflectance",
         )
-    if clamped.any():
-        where = spectrum["wavelength"].values[clamped]
-        deficit = float((of_surface - total)[clamped].max())
-        result = vocabulary.add_warning(
-            result,
-            f"the total reflectance is up to {deficit:.4f} below the specular albedo of the surface at {where.size} wavelengths "
-            f"({where.min():g} to {where.max():g} nm); the diffuse part was set to 0 there. Check whether the specular was excluded "
-            "(`spectrum.geometry: sce`), the refractive index and the surface.",
-        )
-    return result
+    return with_clamping_warning(result, spectrum, base < 0, of_surface - total, "specular albedo of the surface")
 
 
 def _trapped(model: Wave, spectrum: xr.Dataset, theta_m: float) -> Array:
