@@ -10,7 +10,7 @@ import samples
 
 from brdfpipe import facets, vocabulary
 from brdfpipe.bsdf.microfacet.builder import build
-from brdfpipe.comparison.model_error import GLOSS_ANGLES, model_error
+from brdfpipe.comparison.model_error import GLOSS_ANGLES, model_error, relative_error
 from brdfpipe.errors import VocabularyError
 
 
@@ -41,6 +41,18 @@ def test_second_reflections_at_grazing_incidence_are_missed():
     # An independent tracer finds 9.4 % less predicted than traced light at 75 degree.
     error = float(rough().sel(reference="traced", region="peak", theta_i=75)["light_error"])
     assert error == pytest.approx(-0.09, abs=0.04)
+
+
+def test_relative_error_is_that_of_the_reference_that_holds():
+    error = relative_error(rough())
+    found = rough().sel(reference="traced", theta_i=60, region="peak")
+    expected = np.hypot(float(found["light_error"]), float(found["light_error_u"]))
+    assert float(error.sel(theta_i=60, region="peak")) == pytest.approx(expected, rel=1e-12)
+    diffraction = polished().sel(reference="kirchhoff", theta_i=0, region="peak")
+    expected = np.hypot(float(diffraction["light_error"]), float(diffraction["light_error_u"]))
+    assert float(relative_error(polished()).sel(theta_i=0, region="peak")) == pytest.approx(expected, rel=1e-12)
+    nothing_holds = rough().assign(valid=0 * rough()["valid"])
+    assert relative_error(nothing_holds).isnull().all()
 
 
 def test_gloss_of_a_polished_surface_is_that_of_coherent_light():

@@ -133,6 +133,24 @@ def model_error(surface: xr.Dataset, predicted: xr.Dataset, *, rays: int = RAYS,
     return vocabulary.label(vocabulary.add_warning(result, *_warnings(result)), "model_error")
 
 
+def relative_error(result: xr.Dataset) -> xr.DataArray:
+    """Relative error of the model as a standard uncertainty: √(error² + u²), because the error is not corrected.
+
+    Parameters
+    ----------
+    result : kind ``model_error``
+
+    Returns
+    -------
+    DataArray [1] over ``theta_i`` [degree] and ``region``, of traced rays where they hold, else of diffraction, else NaN. Regions are those of
+    the predicted BRDF at the incidence: above 0.3 of its peak, above 0.03, and the rest
+    """
+    size = ((result["light_error"] ** 2 + result["light_error_u"] ** 2) ** 0.5).where(result["valid"] > 0)
+    size = size.max([dim for dim in size.dims if dim not in ("reference", "theta_i", "region")])
+    traced_rays, diffraction = (size.sel(reference=name, drop=True) for name in REFERENCES)
+    return traced_rays.fillna(diffraction).transpose("theta_i", "region").rename("relative_error")
+
+
 def _references(
     surface: xr.Dataset, index: xr.Dataset, rays: int, seed: int
 ) -> tuple[dict[str, xr.Dataset | None], dict[str, str]]:
