@@ -177,11 +177,14 @@ class VisibilityRatio:
     ``limit`` over the cosine of either direction keeps perfect mirrors from reflecting more than they receive.
     """
 
-    _log_ratio: Array
-    _last: tuple[float, float]
-    """Last grazing and steepness"""
-    _limit: tuple[Array, Array] | None
-    """Increasing cosines, and the factor for either direction"""
+    log_ratio: Array
+    """Logarithm of the ratio at the nodes of the finer table, evenly spaced from 0: over grazing, steepness and asymmetry"""
+    last: tuple[float, float]
+    """Grazing and steepness at the last nodes; the asymmetry ends at 1"""
+    limit_cos: Array
+    """Increasing cosines of a direction"""
+    limit: Array
+    """Factor of a direction at these cosines"""
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> VisibilityRatio:
@@ -190,12 +193,12 @@ class VisibilityRatio:
 
         table = np.log(dataset["visibility_ratio"].transpose("grazing", "steepness", "asymmetry").values.astype(float))
         finer = [(_FINER * (size - 1) + 1) / size for size in table.shape]
-        limit = None
+        limit_cos, limit = np.array([0.0, 1.0]), np.ones(2)
         if "visibility_limit" in dataset:
-            factor = dataset["visibility_limit"].values.astype(float)
-            limit = np.cos(np.radians(dataset["limit_theta"].values[::-1].astype(float))), factor[::-1]
+            limit_cos = np.cos(np.radians(dataset["limit_theta"].values[::-1].astype(float)))
+            limit = dataset["visibility_limit"].values[::-1].astype(float)
         last = float(dataset["grazing"][-1]), float(dataset["steepness"][-1])
-        return cls(zoom(table, finer, order=3, mode="mirror"), last, limit)
+        return cls(zoom(table, finer, order=3, mode="mirror"), last, limit_cos, limit)
 
     def __call__(self, pair: HalfVector, width: float) -> Array:
         """Ratio of G2 to Smith's at directions above the horizon; ``width`` is the median slope of the facets."""
@@ -207,13 +210,13 @@ class VisibilityRatio:
         reach = np.minimum(slope * sin_zeta, cos_zeta) * total
         asymmetry = np.divide(difference * cos_zeta, reach, out=np.zeros(np.shape(reach)), where=reach > 0)
         shares = [
-            np.minimum(width * sin_zeta / (width * sin_zeta + cos_zeta), self._last[0]) / self._last[0],
-            np.minimum(np.arcsinh(slope / width), self._last[1]) / self._last[1],
+            np.minimum(width * sin_zeta / (width * sin_zeta + cos_zeta), self.last[0]) / self.last[0],
+            np.minimum(np.arcsinh(slope / width), self.last[1]) / self.last[1],
             np.minimum(asymmetry, 1.0),
         ]
-        places = [share * (size - 1) for share, size in zip(shares, self._log_ratio.shape, strict=True)]
+        places = [share * (size - 1) for share, size in zip(shares, self.log_ratio.shape, strict=True)]
         at = np.stack(np.broadcast_arrays(*places))
-        log_ratio = map_coordinates(self._log_ratio, at.reshape(3, -1), order=1, mode="nearest", prefilter=False)
+        log_ratio = map_coordinates(self.log_ratio, at.reshape(3, -1), order=1, mode="nearest", prefilter=False)
         return np.asarray(np.exp(log_ratio.reshape(at.shape[1:])))
 
     def visibility(self, pair: HalfVector, excess_i: Array, excess_o: Array, width: float) -> Array:
@@ -221,9 +224,8 @@ class VisibilityRatio:
         visible = _height_correlated(pair, excess_i, excess_o) * self(pair, width)
         with np.errstate(divide="ignore"):
             visible = np.minimum(visible, 1 / (pair.cos_i * pair.cos_o))
-        if self._limit is None:
-            return visible
-        return np.asarray(visible * (np.interp(pair.cos_i, *self._limit) * np.interp(pair.cos_o, *self._limit)))
+        limit_i, limit_o = (np.interp(cos, self.limit_cos, self.limit) for cos in (pair.cos_i, pair.cos_o))
+        return np.asarray(visible * (limit_i * limit_o))
 
 
 _FINER = 4  # nodes of the finer table per node
