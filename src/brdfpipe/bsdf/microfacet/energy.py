@@ -24,6 +24,7 @@ from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.piecewise import PiecewiseCubic
 
 _AZIMUTHS = 12  # nodes of the quadrature over the azimuths of a panel
+_CROWDED_AZIMUTHS = 6  # the same of the narrow panels about the critical angle
 _WINDOW_PANELS = 8  # panels of the tilts that mirror light upwards
 _INDEX_DIGITS = np.log(1e10)  # accuracy of the interpolation over the index
 _LEAST_COSINE = 1e-150  # avoids division by 0 at the horizon
@@ -114,7 +115,7 @@ def _slope_rule(density: RadialDensity, theta_i: Array, critical: float | None) 
     edges = np.stack([start, np.full_like(start, np.pi)], axis=-1)
     if critical is not None:
         edges = azimuths_of_total_reflection(edges, s, theta_i[:, None], critical)
-    beta, beta_weight = panel_rule(edges, _AZIMUTHS)
+    beta, beta_weight = panel_rule(edges, _AZIMUTHS if critical is None else _CROWDED_AZIMUTHS)
     return s, s_weight, beta, 2 * beta_weight
 
 

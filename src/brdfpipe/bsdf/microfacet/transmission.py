@@ -26,7 +26,10 @@ from brdfpipe.geometry import Array, unit_vector
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel
 
-_AZIMUTHS = 16
+_AZIMUTHS, _CROWDED_AZIMUTHS = 16, 6
+"""Nodes of the quadrature over the azimuths of a panel, and of the narrow panels that crowd about the critical angle."""
+_NEGLIGIBLE = 1e-14
+"""Weight of facets over the largest, below which a quadrature leaves them out."""
 _LEAST_COSINE = 1e-12
 
 
@@ -135,9 +138,11 @@ def _facets_facing(
     around = np.stack([start, (start + np.pi) / 2, np.full_like(start, np.pi)], axis=-1)
     if critical is not None:
         around = energy.azimuths_of_total_reflection(around, s, np.radians(theta), critical)
-    turn, weight = panel_rule(around, _AZIMUTHS)
+    turn, weight = panel_rule(around, _AZIMUTHS if critical is None else _CROWDED_AZIMUTHS)
     share = 2 * weight * (surface.density(s**2) * s * ds)[:, None]
-    return (s[:, None] * np.cos(turn)).ravel(), (s[:, None] * np.sin(turn)).ravel(), share.ravel()
+    row, column = np.nonzero(share > _NEGLIGIBLE * share.max())
+    s, turn = s[row], turn[row, column]
+    return s * np.cos(turn), s * np.sin(turn), share[row, column]
 
 
 def _facet_transmittance(

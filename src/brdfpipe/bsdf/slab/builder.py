@@ -201,7 +201,8 @@ def _depth_nodes(transmittance: Array) -> Array:
         low = min(low, _DARKEST_DEPTH - 0.2)
     if low == high:
         return np.array([low])
-    count = 3 if high - low < 0.1 else 5 if high - low < 0.5 else 8
+    span = high - low
+    count = 3 if span < 0.1 else 5 if span < 0.5 else 6 if span < 1.5 else 8
     return np.asarray((low + high) / 2 - (high - low) / 2 * np.cos(np.pi * np.arange(count) / (count - 1)))
 
 
