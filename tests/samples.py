@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
 
@@ -13,6 +13,8 @@ import xarray as xr
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.microfacet import energy
+from brdfpipe.facets.slope_histogram import Histogram, histogram
+from brdfpipe.facets.slopes import FINE_BINS
 
 WAVELENGTH = np.arange(360.0, 781.0, 5.0)
 
@@ -76,6 +78,12 @@ def coarse_albedo_tables() -> Iterator[None]:
         patch.setattr(energy, "_INTERPOLATION_ERROR", 1e-4)
         patch.setattr(energy, "_LAY_STEP", 0.8)
         yield
+
+
+def histogram_of_slopes(blocks: Iterable[np.ndarray], scale: float) -> Histogram:
+    """Histogram of slopes that are given block by block, as those of a map are counted."""
+    uppers = ((slopes.astype(np.float32) ** 2).view(np.uint32) >> 16 for slopes in blocks)
+    return histogram(np.stack([np.bincount(upper, minlength=FINE_BINS) for upper in uppers]), scale)
 
 
 def gaussian_surface(size: int = 512, *, sigma: float = 0.15, correlation: float = 8.0, seed: int = 1) -> xr.Dataset:

@@ -10,7 +10,7 @@ from random_surfaces import gaussian, gaussian_line, heights
 from brdfpipe import appearance, facets, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.facets.noise_removal import without_noise
-from brdfpipe.facets.slope_histogram import density_from_histogram, histogram_of, merge_bins
+from brdfpipe.facets.slope_histogram import density_from_histogram, merge_bins
 
 CORRELATION, SLOPE = 12.0, 0.05
 SIGMA = SLOPE * CORRELATION / np.sqrt(2)
@@ -113,8 +113,7 @@ def test_the_density_without_noise_comes_back(kind: str, share: float, tolerance
     z = rng.standard_normal((3, _N))
     # Two edges of a triangle share a height.
     observed = slopes + np.sqrt(mean_square / 2) * np.array([z[0] - z[1], z[2] - z[1]])
-    blocks = enumerate(np.split(np.square(observed).sum(axis=0), 16))
-    bins = merge_bins(histogram_of(blocks, SLOPE, 16))
+    bins = merge_bins(samples.histogram_of_slopes(np.split(np.hypot(*observed), 16), SLOPE))
     density = density_from_histogram(without_noise(bins, mean_square, (1.0, 1.0)))[0]
     near = np.linspace(0, 0.3 * SLOPE, 20)
     weight = near / near.sum()

@@ -66,8 +66,8 @@ def ggx_counts(seed, a=0.1, clumps=40_000):
     # Four fifths of the clumps are gentle, and half of the facets: GGX below and above its median slope, a.
     slope = a * np.sqrt((u + steep) / (2 - u - steep))
     block = rng.integers(BLOCKS, size=clumps)
-    squares = ((int(b), np.repeat(slope[block == b] ** 2, size[steep[block == b]])) for b in range(BLOCKS))
-    return slope_histogram.histogram_of(squares, 1.5 * a, BLOCKS)
+    facets = (np.repeat(slope[block == b], size[steep[block == b]]) for b in range(BLOCKS))
+    return samples.histogram_of_slopes(facets, 1.5 * a)
 
 
 def test_the_uncertainty_follows_clumps_that_grow_with_the_slope_of_a_heavy_tail():
@@ -134,9 +134,7 @@ def test_the_uncertainty_grows_along_the_tail_by_that_of_its_length():
     rng, a = np.random.default_rng(4), 0.1
     slopes = np.concatenate([np.sqrt(rng.random(300_000)) * start, start + rng.gamma(1, a, size=3_000)])
     block = rng.integers(BLOCKS, size=slopes.size)
-    bins = slope_histogram.merge_bins(
-        slope_histogram.histogram_of(((b, slopes[block == b] ** 2) for b in range(BLOCKS)), 0.2, BLOCKS)
-    )
+    bins = slope_histogram.merge_bins(samples.histogram_of_slopes((slopes[block == b] for b in range(BLOCKS)), 0.2))
     density, quality, relative_u = slope_histogram.density_from_histogram(bins)
     tail = density.slope[quality == vocabulary.quality("extrapolated")]
     u = relative_u[-tail.size :]

@@ -87,24 +87,33 @@ class _Bent(NamedTuple):
     def nodes(self, last_decay: float) -> Array:
         """Distances from the junction that resolve the bend and the line beyond it."""
         first, last = 0.05 * min(self.bend, 1 / last_decay), _LENGTHS / last_decay
-        count = int(np.ceil(_NODES * np.log(last / first) / np.log(_LENGTHS / 0.05)))
-        return np.concatenate([[0.0], np.geomspace(first, last, count + 1)])
+        span = float(np.log(last / first))
+        count = int(np.ceil(_NODES * span / np.log(_LENGTHS / 0.05)))
+        return np.concatenate([[0.0], first * np.exp(np.linspace(0.0, span, count + 1))])
 
     def solved(self, content: float, excess: float, last_decay: float, drop: float) -> tuple[float, float] | None:
         """The decay c and the drop D that give ∫ P/P₀ s ds and E[x], from a first guess; None if P rises somewhere or there are none."""
         from scipy.optimize import root
 
-        def miss(unknown: Array) -> Array:
+        def miss(unknown: Array) -> tuple[Array, Array]:
+            """Logarithms of both over what is wanted, and their derivatives."""
             if not np.abs(unknown[0] - np.log(last_decay)) < _LOG_DECAY_RANGE:
-                return np.full(2, np.inf)  # ends a search that diverges
+                return np.full(2, np.inf), np.eye(2)  # ends a search that diverges
             decay, drop = float(np.exp(unknown[0])), float(unknown[1])
             x, weight = panel_rule(self.nodes(decay), 4)
-            with np.errstate(over="ignore"):
-                share = weight * np.exp(-self.fall(x, decay, drop)) * (self.start + x)
-            return np.log([share.sum() / content, share @ x / share.sum() / excess])
+            faded = np.exp(-x / self.bend)
+            share = weight * np.exp(-self.fall(x, decay, drop)) * (self.start + x)
+            moments = np.stack([np.ones_like(x), x]) * share
+            rates = np.stack([-decay * x * (1 - faded), (1 + x / self.bend) * faded - 1])
+            total, slopes = moments.sum(axis=1), moments @ rates.T
+            first = slopes[0] / total[0]
+            return (
+                np.log([total[0] / content, total[1] / total[0] / excess]),
+                np.stack([first, slopes[1] / total[1] - first]),
+            )
 
         with np.errstate(all="ignore"):
-            solution = root(miss, np.array([np.log(last_decay), drop]))
+            solution = root(miss, np.array([np.log(last_decay), drop]), jac=True)
         if not (np.isfinite(solution.fun).all() and np.abs(solution.fun).max() < _SOLVED):
             return None
         decay, drop = float(np.exp(solution.x[0])), float(solution.x[1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,6 @@ from brdfpipe.facets.slope_histogram import (
     check_slope_rms,
     density_from_histogram,
     histogram,
-    histogram_of,
     merge_bins,
     redundancy_in_classes,
     redundancy_of,
@@ -33,11 +32,12 @@ from brdfpipe.facets.slopes import (
     HeightMap,
     Moments,
     correlation_length,
+    count_in_cells,
     count_maps,
+    count_scaled,
     outlying_slope,
     shares_beyond,
     slope_rms_by_scale,
-    triangle_slopes,
 )
 from brdfpipe.geometry import Array
 
@@ -143,7 +143,7 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     along, across = np.sqrt(np.linalg.eigvalsh(moments.covariance)).tolist()
     ellipse = Ellipse(along, across, moments.lay)
     scaling = _slope_scaling(moments, ellipse)
-    bins = _rings(maps, moments.tilts, scaling)
+    bins = merge_bins(histogram(count_scaled(maps, moments.tilts, scaling), np.sqrt(2.0)))
     round_density, _, ring_u = density_from_histogram(bins)
     # Dividing by the widths removes the broadening uniformly, but a sharp peak needs more of it and a tail less.
     share = float(np.sqrt(np.linalg.det(moments.covariance) / np.linalg.det(moments.apparent_covariance)))
@@ -153,9 +153,9 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
         sharp_density = density_from_histogram(_sharpened(maps, narrowed, 1 / share - 1))[0]
     reach = float(max(round_density.slope[-1], sharp_density.slope[-1]))
     nodes, cells = (SlopeAxis(1.0, reach, size) for size in (_NODES, _CELLS))
-    by_block = _cell_counts(maps, moments.tilts, scaling, cells)
-    counts = by_block.sum(axis=0).reshape(cells.size, cells.size)
-    redundancy = _cell_redundancies(by_block, cells)
+    by_block = count_in_cells(maps, moments.tilts, scaling, cells.borders)
+    counts = by_block.sum(axis=0)
+    redundancy = _cell_redundancies(by_block.reshape(len(by_block), -1).astype(float), cells)
     correction = _correction(counts / redundancy, moments.facets * _cell_shares(round_density, cells) / redundancy)
 
     def corrected(square: Array) -> Array:
@@ -228,28 +228,6 @@ def _slope_scaling(moments: Moments, ellipse: Ellipse) -> Array:
 def _power(symmetric: Array, exponent: float) -> Array:
     values, vectors = np.linalg.eigh(symmetric)
     return np.asarray(vectors * values**exponent @ vectors.T)
-
-
-def _scaled_slopes(maps: Sequence[HeightMap], tilts: Array, scaling: Array) -> Iterator[tuple[int, Array, Array]]:
-    """The slopes along the lay and across it, over their widths, block by block."""
-    (px, qx), (py, qy) = scaling.tolist()
-    for block, p, q in triangle_slopes(maps, tilts):
-        yield block, p * px + q * qx, p * py + q * qy
-
-
-def _rings(maps: Sequence[HeightMap], tilts: Array, scaling: Array) -> MergedHistogram:
-    """Counts of the slopes over their widths in rings about the mean."""
-    squares = ((block, x * x + y * y) for block, x, y in _scaled_slopes(maps, tilts, scaling))
-    return merge_bins(histogram_of(squares, np.sqrt(2.0), len(maps) * BLOCKS**2))
-
-
-def _cell_counts(maps: Sequence[HeightMap], tilts: Array, scaling: Array, cells: SlopeAxis) -> Array:
-    """Facets of each block in the cells about the nodes, (blocks, across and along)."""
-    counts = np.zeros((len(maps) * BLOCKS**2, cells.size**2))
-    for block, x, y in _scaled_slopes(maps, tilts, scaling):
-        column, row = (np.clip(np.rint(cells.position(slope)), 0, cells.size - 1).astype(np.int64) for slope in (x, y))
-        counts[block] += np.bincount(row * cells.size + column, minlength=cells.size**2)
-    return counts
 
 
 def _cell_redundancies(by_block: Array, cells: SlopeAxis) -> Array:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.facets.height_quantisation import distinct_multiples
 from brdfpipe.facets.slope_histogram import FacetError, check_slope_rms, redundancy_in_classes
-from brdfpipe.facets.slopes import FINE_BINS, count_bits, fine_edges
+from brdfpipe.facets.slopes import FINE_BINS, fine_edges
 from brdfpipe.geometry import Array
 from brdfpipe.psd.noise_floor import beyond_rounding, noise_floor
 
@@ -238,10 +240,13 @@ def _blur(profiles: Sequence[_Profile], quantum: float) -> Array:
 
 def _fine_counts(profiles: Sequence[_Profile], quantum: float) -> tuple[Array, NDArray[np.int64]]:
     """Edges of bins of 0.3 % of the slope up to the steepest, and counts in them (stretches, bins)."""
-    fine = np.zeros((STRETCHES, FINE_BINS), dtype=np.int64)
-    with np.errstate(over="ignore"):
-        for stretch, slopes in _stretches(profiles, quantum):
-            fine[stretch] += count_bits(np.square(slopes, dtype=np.float32, casting="same_kind"))
+    from brdfpipe.facets import slope_kernels
+
+    fine, tables = np.zeros((STRETCHES, FINE_BINS), dtype=np.int64), slope_kernels.empty_tables()
+    for stretch, parts in groupby(_stretches(profiles, quantum), key=itemgetter(0)):
+        for _, slopes in parts:
+            slope_kernels.count_line_slopes(slopes, tables)
+        slope_kernels.move_counts(tables, fine[stretch])
     used = int(np.flatnonzero(fine.any(axis=0))[-1]) + 1
     return fine_edges()[: used + 1], fine[:, :used]
 

@@ -43,6 +43,12 @@ class SlopeAxis:
         nodes: Array = self.scale * np.sinh(np.arange(-half, half + 1) * (self.end / half))
         return nodes
 
+    @property
+    def borders(self) -> Array:
+        """(size − 1,) slopes amid the nodes, in the uniform parameter."""
+        half = (self.size - 1) / 2
+        return np.asarray(self.scale * np.sinh(np.arange(0.5 - half, half) * (self.end / half)))
+
     def position(self, slope: ArrayLike) -> Array:
         """Fractional index of slopes on the nodes."""
         return np.asarray((np.arcsinh(np.asarray(slope) / self.scale) / self.end + 1) * (self.size - 1) / 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.density_tail import Junction, tail
 from brdfpipe.facets.radial_density import RadialDensity
-from brdfpipe.facets.slopes import FINE_BINS, count_bits, fine_edges
+from brdfpipe.facets.slopes import fine_edges
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 
@@ -115,14 +114,6 @@ def histogram(fine_counts: NDArray[np.int64], scale: float) -> Histogram:
         np.add.reduceat(fine_counts.sum(axis=0) * middles, cuts[:-1]),
         np.add.reduceat(fine_counts.sum(axis=0) * middles**2, cuts[:-1]),
     )
-
-
-def histogram_of(squares: Iterable[tuple[int, Array]], scale: float, blocks: int) -> Histogram:
-    """Histogram of squared slopes that are given block by block."""
-    counts = np.zeros((blocks, FINE_BINS), dtype=np.int64)
-    for block, square in squares:
-        counts[block] += count_bits(square.astype(np.float32))
-    return histogram(counts, scale)
 
 
 def redundancy_of(counts: Array, bins: NDArray[np.bool_] | slice = slice(None)) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe.facets.height_quantisation import dither, height_step
+from brdfpipe.facets.height_quantisation import height_step
 from brdfpipe.geometry import Array
 from brdfpipe.psd.noise_floor import beyond_rounding, noise_floor
 
@@ -107,24 +107,17 @@ def fine_edges() -> Array:
     return np.sqrt(bits.view(np.float32).astype(float))
 
 
-_BLOCK_POINTS = 2**16
-
-
-def _blocks(maps: Sequence[HeightMap]) -> Iterator[tuple[int, Array, tuple[float, float]]]:
-    """Blocks of the maps that share their border heights, a few hundred thousand heights at a time, and the pitch."""
+def _rows_of_blocks(
+    maps: Sequence[HeightMap],
+) -> Iterator[tuple[int, slice, tuple[Array, int, NDArray[np.int64], Array, float]]]:
+    """Rows of blocks of the maps, with their border heights: the number of the scan, those of the blocks, and what kernels read."""
     for scan, (height, pitch, quantum, *_) in enumerate(maps):
-        rows = np.linspace(0, height.shape[0] - 1, BLOCKS + 1).astype(int)
-        columns = np.linspace(0, height.shape[1] - 1, BLOCKS + 1).astype(int)
-        for block in range(BLOCKS**2):
-            row, column = divmod(block, BLOCKS)
-            across = slice(columns[column], columns[column + 1] + 1)
-            step = max(1, _BLOCK_POINTS // max(1, across.stop - across.start))
-            for start in range(rows[row], rows[row + 1], step):
-                along = slice(start, min(start + step, rows[row + 1]) + 1)
-                part = height[along, across]
-                if quantum:
-                    part = part + quantum * dither(along, across)
-                yield scan * BLOCKS**2 + block, part, pitch
+        rows, columns = (np.linspace(0, n - 1, BLOCKS + 1).astype(np.int64) for n in height.shape)
+        dtype = np.float32 if height.dtype == np.float32 else np.float64
+        for row in np.flatnonzero(np.diff(rows)).tolist():
+            part = np.require(height[rows[row] : rows[row + 1] + 1], dtype, ["C", "W"])
+            first = scan * BLOCKS**2 + row * BLOCKS
+            yield scan, slice(first, first + BLOCKS), (part, int(rows[row]), columns, np.asarray(pitch), quantum)
 
 
 def mean_slope(heights: HeightMap) -> Array:
@@ -150,39 +143,24 @@ _NEGLIGIBLE_TILT = 1e-3
 _SAMPLED_ROWS = 64
 
 
-def _edge_slopes(part: Array, pitch: tuple[float, float], tilt: Array, dtype: type = np.float64) -> tuple[Array, Array]:
-    """Slopes of the edges of a block's quads about ``tilt``, along x (rows + 1, columns) and along y (rows, columns + 1).
+def count_scaled(maps: Sequence[HeightMap], tilts: Array, scaling: Array) -> NDArray[np.int64]:
+    """Counts (blocks, fine bins) of the squared slopes about ``tilts``, multiplied by a (2, 2) matrix."""
+    from brdfpipe.facets import slope_kernels
 
-    Heights are subtracted in double precision for any ``dtype`` of the slopes.
-    """
-    rows, columns = part.shape
-    along_x, along_y = np.empty((rows, columns - 1), dtype), np.empty((rows - 1, columns), dtype)
-    np.subtract(part[:, 1:], part[:, :-1], out=along_x, dtype=np.float64, casting="same_kind")
-    np.subtract(part[1:], part[:-1], out=along_y, dtype=np.float64, casting="same_kind")
-    along_x *= dtype(1 / pitch[0])
-    along_y *= dtype(1 / pitch[1])
-    if tilt.any():
-        along_x -= dtype(tilt[0])
-        along_y -= dtype(tilt[1])
-    return along_x, along_y
+    counts = np.zeros((len(maps) * BLOCKS**2, FINE_BINS), dtype=np.int64)
+    for scan, blocks, part in _rows_of_blocks(maps):
+        slope_kernels.count_scaled_slopes(*part, tilts[scan], scaling, counts[blocks])
+    return counts
 
 
-def _triangles(along_x: Array, along_y: Array) -> Iterator[tuple[Array, Array]]:
-    """The edges along x and y of each of a quad's four triangles."""
-    for edge_x in (along_x[:-1], along_x[1:]):
-        for edge_y in (along_y[:, :-1], along_y[:, 1:]):
-            yield edge_x, edge_y
+def count_in_cells(maps: Sequence[HeightMap], tilts: Array, scaling: Array, borders: Array) -> NDArray[np.int64]:
+    """Counts (blocks, across, along) of the same slopes in square cells between ``borders`` along both axes."""
+    from brdfpipe.facets import slope_kernels
 
-
-def triangle_slopes(maps: Sequence[HeightMap], tilts: Array) -> Iterator[tuple[int, Array, Array]]:
-    """Slopes (p, q) of the four triangles of every quad about each scan's tilt, block by block.
-
-    A triangle that touches a missing height is left out. Yields the number of the block, p and q.
-    """
-    for block, part, pitch in _blocks(maps):
-        for p, q in _triangles(*_edge_slopes(part, pitch, tilts[block // BLOCKS**2])):
-            complete = np.isfinite(p) & np.isfinite(q)
-            yield block, p[complete], q[complete]
+    counts = np.zeros((len(maps) * BLOCKS**2, borders.size + 1, borders.size + 1), dtype=np.int64)
+    for scan, blocks, part in _rows_of_blocks(maps):
+        slope_kernels.count_in_cells(*part, tilts[scan], scaling, borders, counts[blocks])
+    return counts
 
 
 def count_maps(maps: Sequence[HeightMap]) -> tuple[NDArray[np.int64], Moments]:
@@ -243,48 +221,34 @@ _LEAST_CONTRIBUTION = 0.3
 
 def _moments_below(limit: float, tilts: Array, maps: Sequence[HeightMap]) -> Moments:
     """Moments of the facets whose slopes about ``tilts`` are below a limit."""
-    facets, total, products = np.zeros((len(maps), 1)), np.zeros((len(maps), 2)), np.zeros((len(maps), 3))
-    for block, p, q in triangle_slopes(maps, tilts):
-        below = p * p + q * q < limit**2
-        p, q, scan = p[below], q[below], block // BLOCKS**2
-        facets[scan] += p.size
-        total[scan] += p.sum(), q.sum()
-        products[scan] += inner(p, p), inner(q, q), inner(p, q)
-    mean = total / np.maximum(facets, 1)
-    products -= facets * np.column_stack([mean**2, mean.prod(axis=1)])
-    return _moments(maps, facets, tilts + mean, products)
+    from brdfpipe.facets import slope_kernels
+
+    sums, of_row = np.zeros((len(maps), 6)), np.zeros((BLOCKS, 6))
+    for scan, _, part in _rows_of_blocks(maps):
+        slope_kernels.sum_gentle_slopes(*part, tilts[scan], limit, of_row)
+        sums[scan] += of_row.sum(axis=0)
+    return _moments(maps, tilts, sums)
 
 
 def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[NDArray[np.int64], Moments]:
-    """Counts about given mean slopes, and moments about the exact ones.
+    """Counts about given mean slopes, and moments about the exact ones."""
+    from brdfpipe.facets import slope_kernels
 
-    Squares are binned by the bits of a 32-bit float, in bins of 0.5 %: no logarithm, no search. A triangle that touches a missing
-    height has the slope NaN, which is beyond the last bin.
-    """
     counts = np.zeros((len(maps) * BLOCKS**2, FINE_BINS), dtype=np.int64)
-    facets, total, products = np.zeros((len(maps), 1)), np.zeros((len(maps), 2)), np.zeros((len(maps), 3))
-    # Heights in a wrong unit may overflow; the slope rms then shows it.
-    with np.errstate(over="ignore", invalid="ignore"):
-        for block, part, pitch in _blocks(maps):
-            scan = block // BLOCKS**2
-            along_x, along_y = _edge_slopes(part, pitch, tilts[scan], np.float32)
-            square_x, square_y = along_x * along_x, along_y * along_y
-            squares = np.empty((4, square_y.shape[0], square_x.shape[1]), dtype=np.float32)
-            for square, (xx, yy) in zip(squares, _triangles(square_x, square_y), strict=True):
-                np.add(xx, yy, out=square)
-            counts[block] += count_bits(squares)
-            n, first, second = _block_moments(part, pitch, tilts[scan], (along_x, along_y), (square_x, square_y))
-            facets[scan] += n
-            total[scan] += first
-            products[scan] += second
-        mean = total / np.maximum(facets, 1)
-        products -= facets * np.column_stack([mean**2, mean.prod(axis=1)])
-    return counts, _moments(maps, facets, tilts + mean, products)
+    sums, of_row = np.zeros((len(maps), 6)), np.zeros((BLOCKS, 6))
+    for scan, blocks, part in _rows_of_blocks(maps):
+        slope_kernels.count_map_slopes(*part, tilts[scan], counts[blocks], of_row)
+        if not np.isfinite(of_row).all():
+            slope_kernels.sum_gentle_slopes(*part, tilts[scan], np.inf, of_row)
+        sums[scan] += of_row.sum(axis=0)
+    return counts, _moments(maps, tilts, sums)
 
 
-def _moments(maps: Sequence[HeightMap], facets: Array, tilts: Array, products: Array) -> Moments:
-    """Moments from the facets of each scan (scans, 1), and the sums over them of p², q² and pq about the mean (scans, 3)."""
-    total = max(float(facets.sum()), 1.0)
+def _moments(maps: Sequence[HeightMap], tilts: Array, sums: Array) -> Moments:
+    """Moments from (scans, 6) the number of facets, and their sums of p, q, p², q² and pq about ``tilts``."""
+    facets, total = sums[:, :1], max(float(sums[:, 0].sum()), 1.0)
+    mean = sums[:, 1:3] / np.maximum(facets, 1)
+    products = sums[:, 3:] - facets * np.column_stack([mean**2, mean.prod(axis=1)])
     xx, yy, xy = products.sum(axis=0) / total
     covariance = apparent = np.array([[xx, xy], [xy, yy]])
     widening = np.array([heights.added for heights in maps])
@@ -295,45 +259,7 @@ def _moments(maps: Sequence[HeightMap], facets: Array, tilts: Array, products: A
         covariance = apparent - widest * min(1.0, max(heights.largest_correction for heights in maps) / largest)
     squares, left = products[:, :2] / np.maximum(facets, 1), [[1 - heights.largest_correction] for heights in maps]
     rms = np.sqrt(np.maximum(np.maximum(squares - widening, left * squares).sum(axis=1), 0.0))
-    return Moments(int(facets.sum()), tilts, covariance, apparent, rms)
-
-
-_UPPER_HALF = 1 if np.little_endian else 0
-
-
-def count_bits(squares: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Counts by the upper 16 bits; NaN of either sign is beyond the last bin and left out."""
-    return np.bincount(squares.reshape(-1).view(np.uint16)[_UPPER_HALF::2], minlength=FINE_BINS)[:FINE_BINS]
-
-
-def _block_moments(
-    part: Array, pitch: tuple[float, float], tilt: Array, along: tuple[Array, Array], square: tuple[Array, Array]
-) -> tuple[int, Array, Array]:
-    """Number of triangles of a block, sums of p and q, and sums of p², q² and pq over them, all about ``tilt``.
-
-    Every edge along x meets the four edges along y of the quads beside it: sums over triangles are sums over edges. Rows are
-    summed in the precision of the slopes, their sums in double precision.
-    """
-    along_x, along_y = along
-    mixed = float(np.einsum("ij,ij->i", along_x[:-1] + along_x[1:], along_y[:, :-1] + along_y[:, 1:]).sum(dtype=float))
-    if np.isfinite(mixed):
-        # Along a row or a column the slopes add up to the difference of its ends.
-        rises = (part[:, -1] - part[:, 0]) / pitch[0], (part[-1] - part[0]) / pitch[1]
-        count = 4 * (along_x.shape[0] - 1) * along_x.shape[1]
-        first = 2 * np.array([2 * rise.sum() - rise[0] - rise[-1] for rise in rises]) - count * tilt
-        # Each edge counts twice for every quad beside it: those on the block's border have one.
-        rows_x, rows_y = (squares.sum(axis=1).astype(float) for squares in square)
-        square_x = 2 * rows_x.sum() - rows_x[0] - rows_x[-1]
-        square_y = 2 * rows_y.sum() - square[1][:, [0, -1]].sum(dtype=float)
-        return count, first, np.array([2 * square_x, 2 * square_y, mixed])
-    count, first, second = 0, np.zeros(2), np.zeros(3)
-    for p, q in _triangles(along_x, along_y):
-        complete = np.isfinite(p) & np.isfinite(q)
-        p_valid, q_valid = p[complete].astype(float), q[complete].astype(float)
-        count += p_valid.size
-        first += p_valid.sum(), q_valid.sum()
-        second += inner(p_valid, p_valid), inner(q_valid, q_valid), inner(p_valid, q_valid)
-    return count, first, second
+    return Moments(int(facets.sum()), tilts + mean, covariance, apparent, rms)
 
 
 def slope_rms_by_scale(heights: HeightMap, tilt: Array, limit: float = np.inf) -> Array:

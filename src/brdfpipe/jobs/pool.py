@@ -35,7 +35,7 @@ PRELOADED = [
     "brdfpipe.bsdf",
 ]
 
-PRELOADED_WHERE_USED = ("brdfpipe.spectra.colour_science",)
+PRELOADED_WHERE_USED = ("brdfpipe.facets.slope_kernels", "brdfpipe.spectra.colour_science")
 """Slow to import: preloaded if a stage of the run uses them, see :func:`preload`."""
 
 ATTEMPTS = 2
