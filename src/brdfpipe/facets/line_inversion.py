@@ -116,17 +116,25 @@ def accelerated_em_step(weights: Array, share: Array, counts: Array) -> Array:
     """
 
     def maximised(weights: Array) -> Array:
-        weights = weights * ((counts / np.maximum(weights @ share.T, 1e-300)) @ share) + 1e-300
-        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+        ratio = weights @ share.T
+        np.divide(counts, np.maximum(ratio, 1e-300, out=ratio), out=ratio)
+        result: Array = ratio @ share
+        result *= weights
+        result += 1e-300
+        result /= np.add.reduce(result, axis=1, keepdims=True)
+        return result
 
     first = maximised(weights)
     second = maximised(first)
     step = np.log(first / weights)
     curvature = np.log(second / first) - step
     # Components of small weight must not determine the length of the extrapolation.
-    size, change = (np.sum((second * rate) ** 2, axis=1, keepdims=True) for rate in (step, curvature))
-    length = np.clip(np.sqrt(size / np.maximum(change, 1e-300)), 1, _LONGEST_STEP)
-    return maximised(weights * np.exp(np.clip(2 * length * step + length**2 * curvature, -600, 30)))
+    size, change = (np.add.reduce((second * rate) ** 2, axis=1, keepdims=True) for rate in (step, curvature))
+    length = np.minimum(np.maximum(np.sqrt(size / np.maximum(change, 1e-300)), 1), _LONGEST_STEP)
+    step *= 2 * length
+    curvature *= length**2
+    step += curvature
+    return maximised(weights * np.exp(np.minimum(np.maximum(step, -600, out=step), 30, out=step)))
 
 
 def estimate_from_mixture(marginal: LineSlopeCounts, fit: Mixture) -> RadialEstimate:

@@ -34,6 +34,8 @@ _MISFIT = 2.0
 _UNCERTAIN = 0.3
 """Largest relative uncertainty of the level of the plateau."""
 _FEWEST_RINGS = 6
+_POWERS = 1.0, 20.0
+"""Powers of the frequency with which a surface may decay towards its plateau."""
 
 
 class NoiseFloor(NamedTuple):
@@ -180,13 +182,34 @@ def _constant_and_power(part: Rings, nyquist: float) -> tuple[float, float, floa
         noise, surface, power = parameters
         return np.asarray((scale * (np.exp(noise) + np.exp(surface - power * x)) - part.density) * weight)
 
-    first = float(np.clip(np.log(max(part.density[0] / scale - 1, 1e-3)), -7, 20))
-    starts = [np.array([0.0, first + power * x[0], power]) for power in (2.0, 4.0, 8.0)]
-    bounds = np.array([-20.0, -60.0, 1.0]), np.array([5.0, 30.0, 20.0])
-    fits = [least_squares(residual, start, bounds=bounds, x_scale=np.array([0.1, 1.0, 1.0])) for start in starts]
-    fit = min(fits, key=lambda candidate: float(candidate.cost))
+    def derivatives(parameters: Array) -> Array:
+        noise, surface, power = parameters
+        above = np.exp(surface - power * x)
+        return np.asarray(np.stack([np.full_like(x, np.exp(noise)), above, -x * above], axis=1) * (scale * weight)[:, None])
+
+    bounds = np.array([-20.0, -60.0, _POWERS[0]]), np.array([5.0, 30.0, _POWERS[1]])
+    start = np.clip(_start(x, part.density / scale, scale * weight), *bounds)
+    fit = least_squares(residual, start, derivatives, bounds=bounds, x_scale=np.array([0.1, 1.0, 1.0]))
     noise, surface, power = fit.x
     jacobian = np.asarray(fit.jac)
     relative = float(np.hypot(np.sqrt(np.linalg.pinv(jacobian.T @ jacobian)[0, 0]), _WHITENESS))
     shoulder = scale * float(np.exp(surface + power * np.log(2) / 2))
     return scale * float(np.exp(noise)), relative, shoulder, 2 * float(fit.cost) / (part.frequency.size - 3)
+
+
+def _start(x: Array, density: Array, weight: Array) -> Array:
+    """Logarithms of the constant and of the amplitude of the power, and the power: the best of many powers, of which both follow linearly."""
+    powers = np.geomspace(*_POWERS, 64)
+    above, square = np.exp(-powers[:, None] * x), weight**2
+    one, both, two = square.sum(), above @ square, above**2 @ square
+    first, second = float(square @ density), above @ (square * density)
+    determinant = np.maximum(one * two - both**2, 1e-300)
+    noise, surface = (first * two - second * both) / determinant, (second * one - first * both) / determinant
+    # Neither may be negative: then the other alone.
+    noise, surface = (
+        np.where(surface < 0, first / one, np.maximum(noise, 0.0)),
+        np.where(noise < 0, second / two, np.maximum(surface, 0.0)),
+    )
+    misfit = np.square((noise[:, None] + surface[:, None] * above - density) * weight).sum(axis=1)
+    best = int(np.argmin(misfit))
+    return np.append(np.log(np.maximum([noise[best], surface[best]], 1e-26)), powers[best])
