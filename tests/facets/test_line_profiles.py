@@ -322,3 +322,47 @@ def test_the_patents_histogram_of_lines_of_different_quanta_is_that_of_one():
     )
     # Bins of a few thousand slopes each, whose borders differ, and 1.5 % more mean square by rounding.
     assert rounded == pytest.approx(expected, rel=0.06)
+
+
+def with_spikes(surface, rise=8.0):
+    """Every 6000th height moved: 0.03 % of the slopes are steep."""
+    height = surface["height"].values.copy()
+    height[3::6000] += rise
+    return surface.assign(height=surface["height"].copy(data=height))
+
+
+@pytest.mark.parametrize("method", ["mixture", "abel", "crf"])
+def test_spikes_of_a_line_do_not_decide_its_slope(method):
+    clean = gaussian_line()
+    table = facets.estimate(with_spikes(clean), isotropic=True, method=method)
+    reference = facets.estimate(clean, isotropic=True, method=method)
+    assert float(table["slope_rms"]) == pytest.approx(float(reference["slope_rms"]), rel=0.01)
+    assert float(table["noise_ratio"]) == pytest.approx(float(reference["noise_ratio"]), rel=0.01)
+    # The spikes are in the tail, and stated.
+    assert float(table["tail_contribution"]) > 3 * float(reference["tail_contribution"])
+    (warning,) = [text for text in vocabulary.warnings(table) if "of the slopes along a line, steeper than" in text]
+    assert "the slope rms is without them" in warning
+
+
+def test_spikes_of_one_of_two_perpendicular_lines_show_no_lay():
+    first, second = gaussian_line(seed=1), gaussian_line(seed=2).assign_attrs(azimuth=90.0)
+    table = facets.estimate([first, with_spikes(second)])
+    assert float(table["anisotropy"]) == pytest.approx(1, abs=0.02)
+    assert 0 < float(table["tail_share"]) < 0.01
+
+
+def test_the_tail_of_a_gaussian_line_holds_the_facets_beyond_its_slopes():
+    table = facets.estimate(gaussian_line(), isotropic=True)
+    half = float(table["tail_slope"]) ** 2 / (2 * 0.1**2)
+    # The slope rms of a line of 10⁵ is known to 0.5 %, and at 2.5 rms the share changes by six times as much.
+    assert float(table["tail_share"]) == pytest.approx(np.exp(-half), rel=0.1)
+    assert float(table["tail_contribution"]) == pytest.approx((1 + half) * np.exp(-half), rel=0.1)
+
+
+@pytest.mark.parametrize("method", ["mixture", "abel"])
+@pytest.mark.parametrize("make", [gaussian_line, ggx_line])
+def test_the_density_of_a_line_falls_through_where_extrapolation_begins(make, method):
+    table = facets.estimate(make(), isotropic=True, method=method)
+    near = np.abs(np.log(table["slope"].values[1:] / float(table["tail_slope"]))) < np.log(2)
+    # The outermost ring is even.
+    assert (np.diff(table["slope_density"].values)[near] <= 0).all()

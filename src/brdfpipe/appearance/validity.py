@@ -119,7 +119,7 @@ def _tail(datasets: Datasets) -> Judgement | None:
         finding += f", with {float(facets['tail_contribution']):.0%} of the mean square slope"
     if share <= TAIL_LIMIT:
         return Judgement("Extrapolated slopes", finding, "pass")
-    return Judgement("Extrapolated slopes", finding, "warn", "Measure a larger area")
+    return Judgement("Extrapolated slopes", finding, "warn", "Measure a larger area, or a longer line")
 
 
 def _model_error(datasets: Datasets) -> Judgement | None:

@@ -35,8 +35,7 @@ from brdfpipe.facets.slopes import (
     count_in_cells,
     count_maps,
     count_scaled,
-    outlying_slope,
-    shares_beyond,
+    outlying,
     slope_rms_by_scale,
 )
 from brdfpipe.geometry import Array
@@ -65,8 +64,8 @@ def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None, noise
     """Facet distribution of levelled maps; see :func:`brdfpipe.facets.estimate`."""
     heights = [HeightMap.of(surface, noise) for surface in maps]
     counts, moments = count_maps(heights)
-    scans, limit = zip(heights, moments.tilts, strict=True), outlying_slope(counts)
-    by_scale = np.mean([slope_rms_by_scale(scan, tilt, limit) for scan, tilt in scans], axis=0)
+    scans, steep = zip(heights, moments.tilts, strict=True), outlying(counts)
+    by_scale = np.mean([slope_rms_by_scale(scan, tilt, steep.slope) for scan, tilt in scans], axis=0)
     # Slopes out of the range of single precision are missing or zero in the counts; the sample has double precision.
     rms = moments.slope_rms or float(by_scale[0])
     if rms > 0:
@@ -89,7 +88,7 @@ def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None, noise
     count = "" if len(maps) == 1 else f", {len(maps)} scans"
     facets.attrs |= {"method": f"four triangles a quad{count}", "band": str(maps[0].attrs["band"])}
     history, warnings = _remarks(facets, maps, heights, moments, isotropic)
-    warnings += _spike_warning(counts, limit)
+    warnings += steep.warning("facets", "the slope rms and the lay are")
     facets = vocabulary.add_history(facets, *history) if history else facets
     facets = vocabulary.add_warning(facets, *warnings)
     return vocabulary.label(_with_noise_stated(facets, heights, moments), "facets")
@@ -178,17 +177,6 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     )
     facets = facets.assign(_tail_shares(bins))
     return _with_few_warning(facets, bins)
-
-
-def _spike_warning(counts: NDArray[np.int64], limit: float) -> list[str]:
-    """A warning if facets are outlying."""
-    if not np.isfinite(limit):
-        return []
-    share, contribution = shares_beyond(counts, limit)
-    return [
-        f"{100 * share:.2g} % of the facets, steeper than {limit:.2g}, hold {contribution:.0%} of the mean square slope: the slope rms and "
-        "the lay are without them. If they are not of the finish, mark the spikes as missing heights"
-    ]
 
 
 def _tail_shares(bins: MergedHistogram) -> dict[str, float]:

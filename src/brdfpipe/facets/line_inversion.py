@@ -229,4 +229,6 @@ def estimate_from_patent(marginal: LineSlopeCounts) -> RadialEstimate:
     values /= np.trapezoid(values * slope, slope)[:, None]
     density = RadialDensity(slope, values[0]).normalised()
     s, weight = density.rule()
-    return RadialEstimate(density, float(np.sqrt(weight @ s**2)), _relative_uncertainty(slope, values))
+    # Between the finish and outlying slopes there are no bins, and the density is no one's.
+    slope_rms = marginal.slope_rms if marginal.outlying.share else float(np.sqrt(weight @ s**2))
+    return RadialEstimate(density, slope_rms, _relative_uncertainty(slope, values))

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.facets.facet_dataset import (
@@ -150,13 +151,25 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str, noise: float | None) ->
     facets = facets.assign(
         slope_density_quality=("slope", quality_flags(density.slope <= marginal.measured_to)),
         D_u=("alpha", facets["D"].values * relative_u),
+        tail_slope=marginal.measured_to,
     )
+    s, weight = density.rule()
+    facets = facets.assign(_tail_shares(s**2, weight, s > marginal.measured_to))
     facets.attrs |= {"method": f"line profile, {method}", "band": str(lines[0].attrs["band"])}
     facets = vocabulary.add_warning(
         vocabulary.add_history(facets, *history), *warnings, *_short_line_warning([marginal], relative_u[0])
     )
-    facets = _with_statistics(facets, lines, [marginal], np.sqrt(2) * _slope_rms_by_scale(lines, marginal.noise))
+    facets = _with_statistics(facets, lines, [marginal], np.sqrt(2) * _slope_rms_by_scale(lines, marginal))
     return vocabulary.label(facets, "facets")
+
+
+def _tail_shares(squares: Array, weight: Array, beyond: NDArray[np.bool_]) -> dict[str, float]:
+    """What the facets of the extrapolated tail are of all facets, and of their mean square slope, from a quadrature of the density."""
+    part = squares * weight
+    return {
+        "tail_share": float(weight[beyond].sum() / weight.sum()),
+        "tail_contribution": float(part[beyond].sum() / part.sum()),
+    }
 
 
 def _with_rounding_and_sampling(relative_u: Array, marginals: Sequence[LineSlopeCounts]) -> Array:
@@ -190,6 +203,7 @@ def _with_statistics(
     ).assign_coords(scale=SCALES)
     history, warnings = [], []
     for marginal in marginals:
+        warnings += marginal.outlying.warning("slopes along a line", "the slope rms is")
         step = f"multiples of up to {marginal.quantum:.3g}, {marginal.quantum / marginal.rms:.0%} of their rms"
         if marginal.quantum:
             history.append(
@@ -210,15 +224,18 @@ def _with_statistics(
     return vocabulary.add_warning(facets, *warnings, *noise_warning(facets))
 
 
-def _slope_rms_by_scale(lines: Sequence[xr.Dataset], noise: float) -> Array:
-    """Rms, about the mean of each line, of slopes over 1, 2, 4 and 8 pixels, less the mean square of the noise."""
+def _slope_rms_by_scale(lines: Sequence[xr.Dataset], marginal: LineSlopeCounts) -> Array:
+    """Rms, about the mean of each line, of slopes over 1, 2, 4 and 8 pixels, less the mean square of the noise; without outlying ones."""
     squares = np.zeros(SCALES.size)
     for line in lines:
         height, pitch = line["height"].values[: 2**18].astype(float), float(line.attrs["pitch_x"])
         for index, n in enumerate(SCALES.astype(int)):
             slopes = (height[n:] - height[:-n]) / (n * pitch)
-            squares[index] += mean_square(slopes - np.nanmean(slopes)) / len(lines)
-    return np.sqrt(np.maximum(squares - noise / SCALES**2, squares / 20))
+            slopes -= np.nanmean(slopes)
+            if np.isfinite(marginal.outlying.slope):
+                slopes[np.abs(slopes) >= marginal.outlying.slope] = np.nan
+            squares[index] += mean_square(slopes) / len(lines)
+    return np.sqrt(np.maximum(squares - marginal.noise / SCALES**2, squares / 20))
 
 
 def _perpendicular(directions: Sequence[_Direction], noise: float | None) -> xr.Dataset:
@@ -243,6 +260,9 @@ def _perpendicular(directions: Sequence[_Direction], noise: float | None) -> xr.
         slope_density_u=(dims, density.density * relative_u),
         slope_density_quality=(dims, quality_flags(trusted)),
     )
+    p, q, weight = density.principal_rule()
+    beyond = (p / marginals[0].measured_to) ** 2 + (q / marginals[1].measured_to) ** 2 > 1
+    facets = facets.assign(_tail_shares(p**2 + q**2, weight, beyond))
     lines = [line for direction in directions for line in direction.lines]
     facets.attrs |= {"method": "two perpendicular lines, Gaussian scale mixture", "band": str(lines[0].attrs["band"])}
     facets = vocabulary.add_history(
@@ -256,7 +276,7 @@ def _perpendicular(directions: Sequence[_Direction], noise: float | None) -> xr.
     facets = vocabulary.add_warning(
         facets, *_short_line_warning(marginals, float(relative_u.flat[relative_u.size // 2]))
     )
-    by_scale = np.hypot(*(_slope_rms_by_scale(item.lines, marginal.noise) for marginal, item in counted))
+    by_scale = np.hypot(*(_slope_rms_by_scale(item.lines, marginal) for marginal, item in counted))
     return vocabulary.label(_with_statistics(facets, lines, marginals, by_scale), "facets")
 
 

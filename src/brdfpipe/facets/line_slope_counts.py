@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.facets.height_quantisation import distinct_multiples
 from brdfpipe.facets.slope_histogram import FacetError, check_slope_rms, redundancy_in_classes
-from brdfpipe.facets.slopes import FINE_BINS, fine_edges
+from brdfpipe.facets.slopes import FINE_BINS, NOT_OUTLYING, Outlying, fine_edges, outlying
 from brdfpipe.geometry import Array
 from brdfpipe.psd.noise_floor import beyond_rounding, noise_floor
 
@@ -52,12 +52,15 @@ class LineSlopeCounts(NamedTuple):
     blur: Array
     """(bins, n) distances from a bin's edges at which rounding and noise bring slopes into it, of equal weight; 0 without them."""
     rms: float
+    """Of the slopes without rounding, noise and outlying ones."""
     quantum: float
     """Largest quantum of the slopes of a line; 0 if no line is quantised."""
     noise: float = 0.0
     """Mean square that height noise adds to the slopes, besides rounding; it is part of the blur."""
     noise_u: float = 0.0
     """Standard uncertainty of that mean square."""
+    outlying: Outlying = NOT_OUTLYING
+    """Slopes that are left out of the rms."""
 
     @property
     def counts(self) -> Array:
@@ -114,8 +117,8 @@ class LineSlopeCounts(NamedTuple):
 
     @property
     def rms_of_halves(self) -> Array:
-        """(1 + halves,) rms of all slopes and of each half-sample, from the bins."""
-        counts = self.halves()
+        """(1 + halves,) rms of all slopes and of each half-sample, from the bins; without outlying slopes."""
+        counts = self.halves() * (self.middles < self.outlying.slope)
         return np.asarray(np.sqrt(counts @ self.middles**2 / counts.sum(axis=1)))
 
     def halves(self) -> Array:
@@ -146,6 +149,7 @@ class LineSlopeCounts(NamedTuple):
             quantum=self.quantum / scale,
             noise=self.noise / scale**2,
             noise_u=self.noise_u / scale**2,
+            outlying=self.outlying._replace(slope=self.outlying.slope / scale),
         )
 
 
@@ -181,6 +185,11 @@ def _merged_bins(parts: Sequence[LineSlopeCounts]) -> LineSlopeCounts:
         max(part.quantum for part in parts),
         float(sizes @ np.array([part.noise for part in parts])),
         float(sizes @ np.array([part.noise_u for part in parts])),
+        Outlying(
+            min(part.outlying.slope for part in parts),
+            float(sizes @ np.array([part.outlying.share for part in parts])),
+            max(part.outlying.contribution for part in parts),
+        ),
     )
 
 
@@ -191,7 +200,8 @@ def _count_one_quantum(profiles: Sequence[_Profile]) -> LineSlopeCounts:
     noise, noise_u = (float(sizes @ [getattr(p, name) for p in profiles]) for name in ("noise", "noise_u"))
     blur = _with_gaussian(_blur(profiles, quantum), noise)
     edges, fine = _fine_counts(profiles, quantum)
-    counts = fine.sum(axis=0)
+    steep = outlying(fine)
+    counts = fine.sum(axis=0) * (edges[:-1] < steep.slope)
     mean_square = float(counts @ (edges[1:] ** 2 + edges[:-1] ** 2)) / 2 / float(counts.sum())
     # Rounding two heights adds q²/6; half of it is the blur about the edges.
     rms = float(
@@ -210,7 +220,7 @@ def _count_one_quantum(profiles: Sequence[_Profile]) -> LineSlopeCounts:
         edges, by_stretch = edges[cuts], np.add.reduceat(fine, cuts[:-1], axis=1).astype(float)
     bins = np.column_stack([edges[:-1], edges[1:]])
     return LineSlopeCounts(
-        bins, by_stretch, np.ones(len(bins)), np.tile(blur, (len(bins), 1)), rms, quantum, noise, noise_u
+        bins, by_stretch, np.ones(len(bins)), np.tile(blur, (len(bins), 1)), rms, quantum, noise, noise_u, steep
     )
 
 

@@ -178,10 +178,14 @@ class PlanarDensity:
 
     def rule(self, panels: int = 48, order: int = 4) -> tuple[Array, Array, Array]:
         """Quadrature over the slope plane: p, q along x and y, and probability weights, Σ w h(p, q) = E[h]."""
-        (a, weight_a), (b, weight_b) = self.along.rule(panels, order), self.across.rule(panels, order)
-        weight = self.principal(a, b[:, None]) * weight_b[:, None] * weight_a
+        a, b, weight = self.principal_rule(panels, order)
         cos, sin = np.cos(np.radians(self.azimuth)), np.sin(np.radians(self.azimuth))
-        return a * cos - b[:, None] * sin, a * sin + b[:, None] * cos, weight
+        return a * cos - b * sin, a * sin + b * cos, weight
+
+    def principal_rule(self, panels: int = 48, order: int = 4) -> tuple[Array, Array, Array]:
+        """The same quadrature, with slopes along the lay (n,) and across it (n, 1), and weights (n, n)."""
+        (a, weight_a), (b, weight_b) = self.along.rule(panels, order), self.across.rule(panels, order)
+        return a, b[:, None], self.principal(a, b[:, None]) * weight_b[:, None] * weight_a
 
     @cached_property
     def moments(self) -> tuple[float, Array, Array]:

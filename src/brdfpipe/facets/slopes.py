@@ -66,7 +66,7 @@ _LARGEST_CORRECTION, _LARGEST_NOISE = 0.75, 0.95
 
 
 class Moments(NamedTuple):
-    """First and second moments of the slopes of one or several scans, without outlying facets (:func:`outlying_slope`)."""
+    """First and second moments of the slopes of one or several scans, without outlying facets (:func:`outlying`)."""
 
     facets: int
     """Number of all facets."""
@@ -175,7 +175,7 @@ def count_maps(maps: Sequence[HeightMap]) -> tuple[NDArray[np.int64], Moments]:
     if residual_tilt > _NEGLIGIBLE_TILT * moments.slope_rms:
         tilts = moments.tilts
         counts, moments = _count_about(tilts, maps)
-    limit = outlying_slope(counts)
+    limit = outlying(counts).slope
     if not np.isfinite(limit):
         return counts, moments
     moments = _moments_below(limit, tilts, maps)._replace(facets=moments.facets)
@@ -186,34 +186,50 @@ def count_maps(maps: Sequence[HeightMap]) -> tuple[NDArray[np.int64], Moments]:
     return counts, moments
 
 
-def outlying_slope(counts: NDArray[np.int64]) -> float:
-    """The slope above which facets are outlying, of (blocks, fine bins) counts; infinity where there are none.
+class Outlying(NamedTuple):
+    """Facets, or slopes along a line, so much steeper than the others that no statistic of the finish may hang on them."""
 
-    Outlying facets are steeper than ten times the median slope, no more than a hundredth of all, and hold over 30 % of the mean
+    slope: float
+    """From which on they are outlying; infinity where there are none."""
+    share: float
+    """Of all."""
+    contribution: float
+    """Part of the mean square slope that they hold."""
+
+    def warning(self, what: str, robust: str) -> list[str]:
+        """A warning if some of ``what`` are outlying; ``robust`` says which statistics are without them."""
+        if not self.share:
+            return []
+        return [
+            f"{100 * self.share:.2g} % of the {what}, steeper than {self.slope:.2g}, hold {self.contribution:.0%} of the mean square slope: "
+            f"{robust} without them. If they are not of the finish, mark the spikes as missing heights"
+        ]
+
+
+NOT_OUTLYING = Outlying(float("inf"), 0.0, 0.0)
+
+
+def outlying(counts: NDArray[np.int64]) -> Outlying:
+    """The outlying facets of (blocks, fine bins) counts.
+
+    They are steeper than ten times the median slope, no more than a hundredth of all, and hold over 30 % of the mean
     square slope. Spikes and pits do. A Gaussian has 1e-30 of its facets there, and finishes with a kurtosis of 20 hold 24 % there.
     """
     totals = counts.sum(axis=0)
     occupied = np.flatnonzero(totals)
     if occupied.size == 0:
-        return float("inf")
+        return NOT_OUTLYING
     totals, edges = totals[: occupied[-1] + 1], fine_edges()[: occupied[-1] + 2]
     cumulated = np.cumsum(totals) / totals.sum()
     median, steep = (float(edges[np.searchsorted(cumulated, share) + 1]) for share in (0.5, 1 - _MOST_OUTLYING))
     limit = max(_OUTLYING * median, steep)
-    return limit if shares_beyond(counts, limit)[1] > _LEAST_CONTRIBUTION else float("inf")
-
-
-def shares_beyond(counts: NDArray[np.int64], slope: float) -> tuple[float, float]:
-    """Share of the facets that are steeper than a slope, and of the mean square slope, of (blocks, fine bins) counts."""
-    totals = counts.sum(axis=0)
-    occupied = np.flatnonzero(totals)
-    totals, edges = totals[: occupied[-1] + 1], fine_edges()[: occupied[-1] + 2]
-    squares, beyond = totals * (edges[1:] ** 2 + edges[:-1] ** 2), edges[:-1] >= slope
-    return float(totals[beyond].sum() / totals.sum()), float(squares[beyond].sum() / squares.sum())
+    squares, beyond = totals * (edges[1:] ** 2 + edges[:-1] ** 2), edges[:-1] >= limit
+    found = Outlying(limit, float(totals[beyond].sum() / totals.sum()), float(squares[beyond].sum() / squares.sum()))
+    return found if found.contribution > _LEAST_CONTRIBUTION else NOT_OUTLYING
 
 
 _OUTLYING, _MOST_OUTLYING = 10.0, 0.01
-"""Outlying slopes over the median, and the largest share of the facets that they are."""
+"""Outlying slopes over the median, and the largest share of all that they are."""
 
 _LEAST_CONTRIBUTION = 0.3
 """Share of the mean square slope above which so few facets are outlying."""

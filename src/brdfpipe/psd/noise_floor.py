@@ -185,7 +185,9 @@ def _constant_and_power(part: Rings, nyquist: float) -> tuple[float, float, floa
     def derivatives(parameters: Array) -> Array:
         noise, surface, power = parameters
         above = np.exp(surface - power * x)
-        return np.asarray(np.stack([np.full_like(x, np.exp(noise)), above, -x * above], axis=1) * (scale * weight)[:, None])
+        return np.asarray(
+            np.stack([np.full_like(x, np.exp(noise)), above, -x * above], axis=1) * (scale * weight)[:, None]
+        )
 
     bounds = np.array([-20.0, -60.0, _POWERS[0]]), np.array([5.0, 30.0, _POWERS[1]])
     start = np.clip(_start(x, part.density / scale, scale * weight), *bounds)
