@@ -11,8 +11,8 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import map_coordinates
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.base import Representation
-from brdfpipe.bsdf.coupled_base import CoupledBase, above_surface
+from brdfpipe.bsdf.coupled_base import above_surface
+from brdfpipe.bsdf.representations.coupled_surface import COUPLED_SURFACE, CoupledSurface
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.geometry import Array, HalfVector, half_vector
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -23,7 +23,7 @@ _SPECTRAL = [("wavelength",), *_MIXED]
 _LEAST_SHARE = 1e-3  # of a wavelength in a mean, over that of the heaviest
 
 
-class Kirchhoff(Representation):
+class Kirchhoff(CoupledSurface):
     """Coherent mirror reflection and diffracted light f = F(ζ) U(q, f)/λ² of one map; F is Fresnel's reflectance of the half vector."""
 
     name = "kirchhoff"
@@ -35,9 +35,7 @@ class Kirchhoff(Representation):
             "frequency_scale": vocabulary.SCALAR,
             "n": _SPECTRAL,
             "k": _SPECTRAL,
-            **dict.fromkeys(("mean_albedo", "diffuse"), vocabulary.SPECTRAL),
-            "directional_albedo": [("theta_i", "wavelength"), ("theta_i",)],
-            "theta_m": vocabulary.SCALAR,
+            **COUPLED_SURFACE,
         },
         optional={
             "total_reflectance": vocabulary.SPECTRAL,
@@ -47,13 +45,10 @@ class Kirchhoff(Representation):
         attributes=("band",),
     )
     accuracy = 1e-4
-    states_uncertainty = True
-    uses_index = True
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
         self._diffraction = Diffraction.of(dataset)
-        self._base = per_wavelength(lambda wavelength: CoupledBase.of(dataset, wavelength))
         self._light = per_wavelength(self._light_at)
 
     def _light_at(self, wavelength: Array | None) -> _Light:
@@ -92,20 +87,9 @@ class Kirchhoff(Representation):
         reflected = np.where((theta < 90)[..., None], light.mixed(coherent), 0.0)
         return reflected, np.zeros_like(reflected)
 
-    def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-        return self._base(wavelength).total_albedo(theta_i)
-
     def albedo_uncertainty(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         """0: coherent and diffracted light together are what the map returns, whatever its heights."""
         return np.zeros_like(self.albedo(theta_i, phi_i, wavelength))
-
-    @property
-    def albedo_needs_quadrature(self) -> bool:
-        return False
-
-    @property
-    def albedo_accuracy(self) -> float:
-        return self.accuracy
 
     @property
     def lobe_slope(self) -> float:
@@ -116,23 +100,15 @@ class Kirchhoff(Representation):
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The mean over wavelength: every wavelength of weight is evaluated before averaging."""
         bsdf = self.dataset
-        means = {
-            name: (bsdf[name].dims[:-1], bsdf[name].values @ weight)
-            for name in ("directional_albedo", "mean_albedo", "diffuse", "total_reflectance")
-            if name in bsdf and "wavelength" in bsdf[name].dims
-        }
         heavy = np.abs(weight) >= _LEAST_SHARE * np.abs(weight).max()
         mixed = {"mixture": weight[heavy] / weight[heavy].sum(), "mixed_wavelength": bsdf["wavelength"].values[heavy]}
         mixed |= {name: bsdf[name].values[heavy] for name in ("n", "k")}
-        reduced = bsdf.drop_dims("wavelength").assign(means)
+        reduced = self._without_wavelength(weight)
         return vocabulary.label(reduced.assign({name: ("mixed", values) for name, values in mixed.items()}), "bsdf")
 
     def mean_index(self, weight: Array) -> tuple[float, float] | None:
         n, k = self.dataset["n"].values, self.dataset["k"].values
         return (float(weight @ n), float(weight @ k)) if np.ptp(n) or np.ptp(k) else None
-
-    def without_diffuse(self) -> xr.Dataset:
-        return self.dataset.assign(diffuse=xr.zeros_like(self.dataset["diffuse"]))
 
 
 class _Light(NamedTuple):

@@ -10,9 +10,9 @@ from scipy.ndimage import map_coordinates
 from scipy.special import erfc
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.base import Representation
-from brdfpipe.bsdf.coupled_base import CoupledBase, above_surface
+from brdfpipe.bsdf.coupled_base import above_surface
 from brdfpipe.bsdf.microfacet.model import mean_index
+from brdfpipe.bsdf.representations.coupled_surface import COUPLED_SURFACE, CoupledSurface
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.geometry import Array, HalfVector, half_vector, slope_towards
 from brdfpipe.optics.fresnel_equations import fresnel, mean_fresnel
@@ -22,7 +22,7 @@ _DENSITY = [_NODES]
 _BY_ORDER = [("order", "traced_incidence")]
 
 
-class Traced(Representation):
+class Traced(CoupledSurface):
     """A table of traced light over incidence and slope of the half vector, over a diffuse base.
 
     The table holds the density T of f = T F G / (4 cos θ_i cos θ_o cos⁴α), with Fresnel's reflectance F of the half vector, and G
@@ -34,9 +34,9 @@ class Traced(Representation):
     kind = vocabulary.Kind(
         required={
             **dict.fromkeys(("single_density", "single_density_u", "multiple_density", "multiple_density_u"), _DENSITY),
-            **dict.fromkeys(("n", "k", "mean_albedo", "diffuse"), vocabulary.SPECTRAL),
-            "directional_albedo": [("theta_i", "wavelength"), ("theta_i",)],
-            **dict.fromkeys(("smith_slope", "slope_scale", "traced_reflectance", "theta_m"), vocabulary.SCALAR),
+            **COUPLED_SURFACE,
+            **dict.fromkeys(("n", "k"), vocabulary.SPECTRAL),
+            **dict.fromkeys(("smith_slope", "slope_scale", "traced_reflectance"), vocabulary.SCALAR),
             **dict.fromkeys(("reflected", "reflected_u", "refracted"), _BY_ORDER),
             "lost": [("traced_incidence",)],
         },
@@ -45,13 +45,10 @@ class Traced(Representation):
     )
     accuracy = 1e-3
     """The table has kinks at its nodes."""
-    states_uncertainty = True
-    uses_index = True
 
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
         self._table = TracedTable.of(dataset)
-        self._base = per_wavelength(lambda wavelength: CoupledBase.of(dataset, wavelength))
         self._index = per_wavelength(lambda wavelength: self._index_at(wavelength))
 
     def _index_at(self, wavelength: Array | None) -> tuple[Array, Array]:
@@ -77,21 +74,10 @@ class Traced(Representation):
             n.size,
         )
 
-    def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-        return self._base(wavelength).total_albedo(theta_i)
-
     def albedo_uncertainty(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         """Of the number of rays and of the finite map; the diffuse part returns a share of what the surface misses."""
         node, total_u = self.dataset["traced_incidence"].values, self.dataset["reflected_u"].sum("order").values
         return np.interp(theta_i, node, total_u)[..., None] * (1 - self._base(wavelength).diffuse)
-
-    @property
-    def albedo_needs_quadrature(self) -> bool:
-        return False
-
-    @property
-    def albedo_accuracy(self) -> float:
-        return self.accuracy
 
     @property
     def lobe_slope(self) -> float:
@@ -102,14 +88,7 @@ class Traced(Representation):
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The weighted mean of the reflectance, and one index: as of the representation ``microfacet``."""
-        bsdf = self.dataset
-        names = ("directional_albedo", "mean_albedo", "diffuse", "total_reflectance")
-        means = {
-            name: (bsdf[name].dims[:-1], bsdf[name].values @ weight)
-            for name in names
-            if name in bsdf and "wavelength" in bsdf[name].dims
-        }
-        reduced = bsdf.drop_dims("wavelength", errors="ignore").assign(means)
+        bsdf, reduced = self.dataset, self._without_wavelength(weight)
         if "wavelength" in bsdf["n"].dims:
             n, k = mean_index(bsdf, weight)
             reduced = reduced.assign(n=n, k=k)
@@ -117,9 +96,6 @@ class Traced(Representation):
 
     def mean_index(self, weight: Array) -> tuple[float, float] | None:
         return mean_index(self.dataset, weight) if self.dataset["n"].ndim else None
-
-    def without_diffuse(self) -> xr.Dataset:
-        return self.dataset.assign(diffuse=xr.zeros_like(self.dataset["diffuse"]))
 
     def single_reflection(self) -> xr.Dataset:
         facets = self.without_diffuse()
