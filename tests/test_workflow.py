@@ -219,18 +219,35 @@ def test_every_deleted_file_is_made_again_as_it_was(
     assert files(results) == files(undamaged)
 
 
-def test_rays_are_cast_and_traced_where_the_configuration_asks_for_it(
-    built: tuple[Path, Path], results: Path, tmp_path: Path
+def test_predictions_from_a_scan_are_checked_unless_the_description_says_none(
+    built: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    own = tmp_path / "own.yaml"
-    own.write_text("raycast: true\nmodel_error: true\n")
-    summary = build_catalogue(built[0], results, cores=2, config=own)
+    checked = sorted(path.parent.name for path in built[1].glob("*/model_error.nc"))
+    assert checked == ["abs-grain", "pp-moulding"]
+    assert "Prediction against reference solutions" in (built[1] / "abs-grain" / "report.html").read_text(
+        encoding="utf-8"
+    )
+
+
+def test_a_reference_solution_replaces_the_prediction(tmp_path: Path) -> None:
+    height = samples.gaussian_surface(128, correlation=10)["height"].values
+    for name, truth in (("used", "use"), ("unchecked", "none")):
+        folder = tmp_path / "catalogue" / name
+        folder.mkdir(parents=True)
+        np.save(folder / "a.npy", height / height.std() * 0.05)
+        (folder / "material.yaml").write_text(
+            f"surface: {{file: a.npy, unit: um, pitch: 0.5}}\nindex: PP\nmodel: {{truth: {truth}, optics: auto}}\n"
+        )
+    settings = tmp_path / "settings.yaml"
+    settings.write_text(COARSE)
+    summary = build_catalogue(tmp_path / "catalogue", tmp_path / "results", cores=2, config=settings)
     assert summary.failures == {}
-    for stage in ("masking", "model_error"):
-        assert sorted(path.parent.name for path in results.glob(f"*/{stage}.nc")) == ["abs-grain", "pp-moulding"]
-    before, after = (root / "abs-grain" / "report.html" for root in (built[1], results))
-    assert "ray" in after.read_text(encoding="utf-8").lower()
-    assert before.read_bytes() != after.read_bytes()
+    made = {name: {path.stem for path in (tmp_path / "results" / name).glob("*.nc")} for name in ("used", "unchecked")}
+    assert made["used"] - made["unchecked"] == {"reference"}
+    assert made["unchecked"] - made["used"] == {"wave"}
+    bsdf = store.open_dataset(tmp_path / "results" / "used" / "bsdf.nc")
+    assert bsdf.attrs["representation"] == "kirchhoff"
+    assert "diffraction on the map" in bsdf.attrs["history"]
 
 
 def test_several_scans_filters_and_directions_reach_the_facets(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from brdfpipe.catalogue.material_keys import (
     MultiangleFile,
 )
 from brdfpipe.exchange.registry import FORMATS, Format
-from brdfpipe.masking.modes import HALOS, MODEL_DEFAULTS, OPTICS
+from brdfpipe.masking.modes import HALOS, MODEL_DEFAULTS, OPTICS, TRUTHS
 
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration
@@ -158,6 +158,13 @@ _FACETS = Condition("`model.optics: facets`", lambda subject: not _uses_waves(su
 _OPAQUE = Condition("no `slab`", lambda subject: "slab" not in subject.owner.content)
 
 
+def _truth(subject: Subject) -> str:
+    """What reference solutions are for: check, none or use."""
+    return str(subject.section("model").get("truth", TRUTHS[0]))
+
+
+_CHECKED = Condition("`model.truth: check`", lambda subject: _truth(subject) == "check")
+_PREDICTED = Condition("`model.truth` other than use", lambda subject: _truth(subject) != "use")
 _MEASURED_MASKING = Condition(
     "`model.masking: measured`", lambda subject: subject.section("model").get("masking") == "measured"
 )
@@ -228,13 +235,17 @@ def _model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     """The choices of the model with their defaults, so that writing a default changes nothing."""
     model = subject.section("model")
     if "recipe" in model:
-        return dict(model)
+        return {key: value for key, value in model.items() if key != "truth"}
     defaults: dict[str, Any] = MODEL_DEFAULTS
     if "slab" in subject.owner.content:
         defaults = {"masking": MODEL_DEFAULTS["masking"]}
     elif _uses_waves(subject):
         defaults = {"optics": OPTICS[0], "diffuse": MODEL_DEFAULTS["diffuse"], "halo": HALOS[0]}
     return {key: model.get(key, default) for key, default in defaults.items()}
+
+
+def _base_of_reference(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    return {"diffuse": subject.section("model").get("diffuse", MODEL_DEFAULTS["diffuse"])}
 
 
 def _route(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
@@ -361,7 +372,6 @@ _STAGES = (
         reported=False,
         memory=2000,
     ),
-    Stage("masking", "masking by ray casting, beside Smith's", when=_MEASURED_RELIEF & _enabled("raycast")),
     Stage(
         "spectrum",
         "the total reflectance, measured or recovered from a colour",
@@ -384,7 +394,7 @@ _STAGES = (
     Stage(
         "predicted",
         "the BSDF that facets, index and spectrum predict",
-        when=_has("predicted", "`surface`, or a `spectrum` alone") & _FACETS,
+        when=_has("predicted", "`surface`, or a `spectrum` alone") & _FACETS & _PREDICTED,
         keys=StageKeys(("model",), (), _model),
         kind="bsdf",
         memory=1000,
@@ -392,15 +402,23 @@ _STAGES = (
     Stage(
         "wave",
         "the BSDF that the roughness spectrum predicts by wave optics",
-        when=_has("predicted", "`surface`") & _WAVES,
+        when=_has("predicted", "`surface`") & _WAVES & _PREDICTED,
         keys=StageKeys(("model",), (), _model),
         kind="bsdf",
         reported=False,
     ),
     Stage(
+        "reference",
+        "the BSDF that rays or diffraction on the height map give",
+        when=_MEASURED_RELIEF & Condition("`model.truth: use`", lambda subject: _truth(subject) == "use"),
+        keys=StageKeys(("model.diffuse",), (), _base_of_reference),
+        kind="bsdf",
+        reported=False,
+    ),
+    Stage(
         "model_error",
-        "the predicted BSDF beside rays and diffraction on its own height map",
-        when=_MEASURED_RELIEF & _has("predicted") & _OPAQUE & _enabled("model_error"),
+        "the predicted BSDF beside rays and diffraction on its own scan",
+        when=_MEASURED_RELIEF & _OPAQUE & _CHECKED,
     ),
     Stage(
         "flake",

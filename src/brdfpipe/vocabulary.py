@@ -123,8 +123,6 @@ QUANTITIES: Mapping[str, Quantity] = {
     # Masking
     "g1": Quantity("1", "visible fraction of the facets that face the direction, by ray casting", 0, 1 + 1e-9),
     "lambda_empirical": Quantity("1", "Smith's masking function Λ of the slopes along the lines cast", 0),
-    "g1_raycast": Quantity("1", "G1 by ray casting, mean over the azimuths", 0, 1 + 1e-9),
-    "g1_smith": Quantity("1", "G1 after Smith, of the facet distribution", 0, 1 + 1e-9),
     "g2": Quantity(
         "1", "fraction of facets facing both directions that both see, by ray casting", 0, 1 + 1e-9, missing=True
     ),
@@ -395,7 +393,7 @@ SLOPES: Sequence[tuple[str, ...]] = [("slope",), ("slope_across", "slope_along")
 SPECTRAL: Sequence[tuple[str, ...]] = [("wavelength",), ()]
 SCALAR: Sequence[tuple[str, ...]] = [()]
 VISIBILITY_COORDINATES: Sequence[tuple[str, ...]] = [("grazing", "steepness", "asymmetry")]
-_POLAR: Sequence[tuple[str, ...]] = [("theta",)]
+_INCIDENCE: Sequence[tuple[str, ...]] = [("theta_i",)]
 _CELLS: Sequence[tuple[str, ...]] = [("incidence", "wavelength", "cell")]
 _CELL: dict[str, Sequence[tuple[str, ...]]] = {"theta_s": [("cell",)], "phi_s": [("cell",)]}
 _TRIALS: Sequence[tuple[str, ...]] = [("incidence", "trial")]
@@ -511,21 +509,22 @@ KINDS: Mapping[str, Kind] = {
         missing=("brdf",),
     ),
     "model_error": Kind(
-        {
-            "light": [("theta_i", "region")],
+        required={
+            "light": [("plane", "theta_i", "region")],
             **{
-                name: [("reference", "theta_i", "region")]
+                name: [("reference", "plane", "theta_i", "region")]
                 for name in ("reference_light", "light_error", "light_error_u")
             },
             "valid": [("reference", "theta_i")],
-            "gloss": [("gloss_angle",)],
+            "gloss": [("plane", "gloss_angle")],
             **{
-                name: [("reference", "gloss_angle")]
-                for name in ("reference_gloss", "gloss_error", "gloss_error_u", "gloss_valid")
+                name: [("reference", "plane", "gloss_angle")]
+                for name in ("reference_gloss", "gloss_error", "gloss_error_u")
             },
-            "phase_variance": [("theta_i",)],
+            "gloss_valid": [("reference", "gloss_angle")],
+            **dict.fromkeys(("phase_variance", "g2_raycast", "g2_raycast_u", "g2_height_correlated"), _INCIDENCE),
         },
-        attributes=("rays", "seed", "refusals"),
+        attributes=("rays", "seed", "refusals", "advice"),
     ),
     "bsdf": Kind({}, attributes=("representation",)),
     "appearance": Kind(
@@ -572,11 +571,6 @@ KINDS: Mapping[str, Kind] = {
     ),
     "parameters": Kind({"missing_fraction": SCALAR}, attributes=("levelling", "band")),
     "raycast": Kind({}, attributes=("method",)),
-    "masking": Kind(
-        required={"g1_raycast": _POLAR, "g1_raycast_u": _POLAR, "g1_smith": _POLAR},
-        optional={"g2_raycast": _POLAR, "g2_raycast_u": _POLAR, "g2_separable": _POLAR, "g2_height_correlated": _POLAR},
-        attributes=("method",),
-    ),
     "visibility": Kind(
         {"visibility_ratio": VISIBILITY_COORDINATES},
         optional=dict.fromkeys(("visibility_ratio_u", "visibility_ratio_quality"), VISIBILITY_COORDINATES),

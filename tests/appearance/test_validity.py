@@ -28,14 +28,15 @@ def judged(known: Datasets) -> dict[str, Judgement]:
 
 
 def model_error(light_error: float, uncertainty: float, valid: bool = True) -> xr.Dataset:
-    shape = ("reference", "theta_i", "region")
+    shape = ("reference", "plane", "theta_i", "region")
     return xr.Dataset(
         {
-            "light_error": (shape, np.full((1, 2, 1), light_error)),
-            "light_error_u": (shape, np.full((1, 2, 1), uncertainty)),
+            "light_error": (shape, np.full((1, 1, 2, 1), light_error)),
+            "light_error_u": (shape, np.full((1, 1, 2, 1), uncertainty)),
             "valid": (("reference", "theta_i"), np.full((1, 2), int(valid))),
         },
-        {"reference": ["traced"], "theta_i": [0.0, 60.0], "region": ["peak"]},
+        {"reference": ["traced"], "plane": ["mean over azimuth"], "theta_i": [0.0, 60.0], "region": ["peak"]},
+        {"advice": "set `model.truth: use`"},
     )
 
 
@@ -67,15 +68,18 @@ def test_slopes_of_a_fractal_surface_depend_on_the_pitch():
     [(0.05, 0.01, "pass"), (-0.2, 0.02, "warn"), (0.2, 0.06, "pass"), (0.8, 0.05, "fail"), (-0.6, 0.08, "warn")],
 )
 def test_the_error_of_the_model_counts_beyond_its_uncertainty(error, uncertainty, verdict):
-    assert judged(datasets(model_error=model_error(error, uncertainty)))[ERROR].verdict == verdict
+    judgement = judged(datasets(model_error=model_error(error, uncertainty)))[ERROR]
+    assert judgement.verdict == verdict
+    assert judgement.advice == ("" if verdict == "pass" else "Set `model.truth: use`")
 
 
 def test_an_error_that_was_not_computed_or_has_no_reference_is_stated():
-    assert judged(datasets())[ERROR] == Judgement(
-        ERROR, "not computed", "", "Set `model_error: true` in the configuration"
-    )
+    assert judged(datasets())[ERROR] == Judgement(ERROR, "not computed", "", "Set `model.truth: check`")
     without_reference = datasets(model_error=model_error(0.0, 0.0, valid=False))
     assert judged(without_reference)[ERROR].verdict == "warn"
+    line = without_reference | {"surface": samples.surface(np.zeros(32))}
+    assert judged(line)[ERROR].finding.startswith("not known for a line profile")
+    assert judged(line)[ERROR].verdict == ""
 
 
 def test_noise_and_tails_are_judged_by_their_share():

@@ -19,6 +19,7 @@ from brdfpipe.errors import InputError
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
+SCAN = "surface: {file: a.txt, unit: um, pitch: 1}\nindex: 1.5\n"
 FRONT = "surface: {distribution: flat}\nindex: PP\n"
 ROUGH = "surface: {distribution: beckmann, slope_rms: 0.02, length: 5}\nindex: 1.5\n"
 
@@ -124,6 +125,9 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
             FRONT.replace("PP", "{n: 1.5, k: 0.1}") + "slab: {thickness: 1}",
             "index.k: the body of a slab would be opaque",
         ),
+        (FRONT + "model: {truth: use}", "model.truth: a reference solution needs a height map"),
+        (SCAN + "slab: {thickness: 1}\nmodel: {truth: use}", "model.truth: a clear body has no reference solution"),
+        (SCAN + "model: {truth: use, recipe: crf}", "model.truth: a reference solution couples its diffuse base"),
         (FRONT + "model: {optics: wave}", "model.optics: `model.optics: wave` needs a roughness spectrum"),
         (ROUGH + "slab: {thickness: 1}\nmodel: {optics: auto}", "`model.optics: auto` is for a body with one face"),
         (ROUGH + "model: {optics: wave, masking: blinn}", "model.masking: `optics: wave` sets it"),
@@ -230,6 +234,7 @@ def test_the_keys_offer_what_the_model_has() -> None:
         "recipe": set(modes.RECIPES),
         "optics": set(modes.OPTICS),
         "halo": set(modes.HALOS),
+        "truth": set(modes.TRUTHS),
     }
     assert set(modes.SMITH_MASKINGS) < set(transmission.MASKING)
     assert all(recipe[key] in modes.MODES[key] for recipe in modes.RECIPES.values() for key in modes.MODES)

@@ -226,7 +226,6 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("index", {}, same("index"))
     run("interior", {}, same("interior"), {"thickness": 2.0, "internal_transmittance": 0.95})
     run("facets", same("surface"), same("facets"))
-    run("masking", same("surface", "facets"), same("masking"))
     run("spectrum", {"raw": str(example / "reflectance.txt"), **same("index")}, same("spectrum"))
     run("predicted", same("facets", "index", "spectrum"), same("predicted"))
     run("psd", same("surface"), {"psd": "measured_psd"})
@@ -234,7 +233,8 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     waves = {"optics": "auto", "diffuse": "coupled", "halo": "ssa1"}
     run("wave", same("psd", "facets", "index", "spectrum"), same("wave"), waves)
     run("visibility", same("surface", "facets"), same("visibility"))
-    run("model_error", same("surface", "predicted"), same("model_error"))
+    run("model_error", same("surface", "facets", "predicted"), same("model_error"))
+    run("reference", same("surface", "index", "spectrum"), same("reference"), {"diffuse": "coupled"})
     run("multiangle", {}, same("multiangle"), of="metallic-blue")
     run("flake", same("multiangle"), same("flake"), of="metallic-blue")
     journal = {"journal": "run/journal.jsonl"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import relief_maps
 import samples
 
 from brdfpipe.bsdf.microfacet.builder import build
@@ -22,19 +23,6 @@ PERIOD = 16
 def grooves(slope: float, cells: int = 64):
     """Symmetric V-grooves along y, of 16 samples."""
     return samples.surface(np.tile(slope * np.abs((np.arange(cells + 1) % PERIOD) - PERIOD / 2), (cells + 1, 1)))
-
-
-def cells_with_valleys(size: int, seed: int = 0):
-    """A grain: round cells that rise from narrow valleys between them, periodic."""
-    from scipy.ndimage import gaussian_filter
-    from scipy.spatial import cKDTree
-
-    centres = np.random.default_rng(seed).random((size * size // 2000, 2)) * size
-    rows, columns = np.mgrid[:size, :size]
-    at = np.stack([rows.ravel(), columns.ravel()], axis=1).astype(float)
-    nearest = cKDTree(centres, boxsize=size).query(at, k=2)[0]
-    to_border = (nearest[:, 1] - nearest[:, 0]).reshape(size, size) / 2
-    return gaussian_filter(-12 * np.exp(-to_border / 5), 2, mode="wrap")
 
 
 def peak_errors(height, theta_i: float, rays: int, **options) -> tuple[float, float]:
@@ -249,7 +237,7 @@ def test_reflections_from_facet_to_facet_predict_the_traced_light_of_gaussian_ma
 
 @pytest.mark.slow
 def test_a_grain_with_valleys_and_its_negative_are_told_apart():
-    height = cells_with_valleys(512)
+    height = relief_maps.cells(512, 0)
     with_valleys, with_ridges = (peak_errors(sign * height, 75.0, 2**20)[0] for sign in (1, -1))
     # The prediction, which knows slopes alone, is the same for both.
     assert with_valleys < -0.1
@@ -259,7 +247,7 @@ def test_a_grain_with_valleys_and_its_negative_are_told_apart():
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [1, -1])
 def test_masking_traced_on_the_map_tells_cells_from_their_negative(sign):
-    surface = samples.surface(sign * cells_with_valleys(1024))
+    surface = samples.surface(sign * relief_maps.cells(1024, 0))
     facets = estimate(surface, isotropic=True)
     smith, measured = (
         build(facets, index=1.5, **options)

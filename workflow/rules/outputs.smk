@@ -3,7 +3,7 @@
 
 use rule stage_template as bsdf with:
     input:
-        **results_of("predicted", "wave", "flake", "measured"),
+        **results_of("predicted", "wave", "reference", "flake", "measured"),
     output:
         bsdf="{material}/bsdf.nc",
 

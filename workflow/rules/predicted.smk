@@ -29,13 +29,6 @@ use rule stage_template as psd with:
         psd="{material}/psd.nc",
 
 
-use rule stage_template as masking with:
-    input:
-        **results_of("surface", "facets"),
-    output:
-        masking="{material}/masking.nc",
-
-
 use rule stage_template as visibility with:
     input:
         **results_of("surface", "facets"),
@@ -101,8 +94,15 @@ use rule stage_template as wave with:
         wave="{material}/wave.nc",
 
 
+use rule stage_template as reference with:
+    input:
+        **results_of("surface", "index", "spectrum"),
+    output:
+        reference="{material}/reference.nc",
+
+
 use rule stage_template as model_error with:
     input:
-        **results_of("surface", "predicted", "wave"),
+        **results_of("surface", "scan", "facets", "predicted", "wave"),
     output:
         model_error="{material}/model_error.nc",

@@ -4,7 +4,9 @@ from brdfpipe import store
 def main(input, output, params):
     """The BSDF of the best route of the material: measured, else of flakes, else predicted."""
     spec, inputs = params["spec"], {name: store.open_dataset(path, "bsdf") for name, path in input.items()}
-    source = "wave" if spec["route"] == "predicted" and "wave" in inputs else spec["route"]
+    source = spec["route"]
+    if source == "predicted":
+        source = next(name for name in ("reference", "wave", "predicted") if name in inputs)
     bsdf = inputs[source].assign_attrs(route=spec["route"])
     store.save_dataset(bsdf, output["bsdf"], stage="bsdf", material=params["material"], inputs=inputs, parameters=spec)
 

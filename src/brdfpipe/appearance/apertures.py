@@ -171,7 +171,7 @@ def first_half(azimuths: Array) -> slice:
 
 def received(sample: Sample, beams: Sequence[Beam], azimuths: Array) -> list[Array]:
     """∫window f cos θ_r dω_r of each beam at azimuths of the plane of incidence [degree], (azimuths, points of its source)."""
-    nodes = [_window_nodes(beam, sample.lobe) for beam in beams]
+    nodes = [window_nodes(beam, sample.lobe) for beam in beams]
     angles = zip(*(node.directions for node in nodes), strict=True)
     theta_i, phi_i, theta_o, phi_o = map(np.concatenate, angles)
     evaluate = representation(sample.bsdf).evaluate
@@ -194,14 +194,14 @@ def _sums_by_point(values: Array, point: NDArray[np.intp], points: int) -> Array
     return np.bincount(bins.ravel(), values.ravel(), minlength=rows * points).reshape(rows, points).astype(float)
 
 
-class _WindowNodes(NamedTuple):
+class WindowNodes(NamedTuple):
     directions: tuple[Array, Array, Array, Array]
     """θ_i, φ_i, θ_o, and φ_o from the mirror direction [degree]."""
     weight: Array
     source_point: NDArray[np.intp]
 
 
-def _window_nodes(beam: Beam, lobe: float) -> _WindowNodes:
+def window_nodes(beam: Beam, lobe: float) -> WindowNodes:
     """Quadrature points of a window for every point of its source.
 
     The axis of the window is the mirror image of that of the source. The mirror direction of source point (u, v) is therefore
@@ -217,7 +217,7 @@ def _window_nodes(beam: Beam, lobe: float) -> _WindowNodes:
     used = weight > 0
     theta_o, phi_o = directions(u[used], v[used], beam.angle)
     point = np.nonzero(used)[0]
-    return _WindowNodes(
+    return WindowNodes(
         (light.theta[point], light.phi[point], theta_o, phi_o), weight[used] * np.cos(np.radians(theta_o)), point
     )
 

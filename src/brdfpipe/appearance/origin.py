@@ -16,10 +16,10 @@ PREDICTION_INPUTS = (
     "facets",
     "back_surface",
     "back_facets",
-    "masking",
     "spectrum",
     "index",
     "interior",
+    "model_error",
     "multiangle",
     "flake",
 )

@@ -12,6 +12,7 @@ import numpy as np
 
 from brdfpipe.appearance.origin import Datasets
 from brdfpipe.bsdf.microfacet.phase_variance import LIMITS, phase_variances
+from brdfpipe.bsdf.registry import representation
 
 COHERENT_LIMIT = float(np.log(2))
 """Phase variance below which more than half of the mirror reflection is coherent light, which facets leave out."""
@@ -25,6 +26,11 @@ SIGNIFICANT = 2.0
 """Standard uncertainties by which an error must exceed its limit."""
 SLOPE_OF_FINITE_VARIANCE = 4.0
 """Exponent of the roughness spectrum above which the variance of the slope does not depend on the pitch."""
+
+LARGEST_JUDGED = 75.0
+"""Angle of incidence up to which the error of the predicted light is judged [degree]; few maps are large enough beyond."""
+REFERENCES = ("traced", "kirchhoff")
+"""Representations that are reference solutions themselves."""
 
 _WAVELENGTH = 0.55
 
@@ -61,6 +67,8 @@ def _regime(datasets: Datasets) -> Judgement | None:
     condition = "Roughness against wavelength (550 nm)"
     if "wave" in datasets:
         return Judgement(condition, f"{finding}; waves", "pass")
+    if datasets["bsdf"].attrs["representation"] in REFERENCES:
+        return Judgement(condition, f"{finding}; a reference solution on the map", "pass")
     advice = "Set `model.optics: auto`"
     if phase[20] < COHERENT_LIMIT:
         missing = f"{np.exp(-phase[20]):.0%} of the mirror reflection at 20° is coherent light, which facets leave out"
@@ -80,7 +88,8 @@ def _pitch(datasets: Datasets) -> Judgement | None:
     if psd is None or not np.isfinite(psd["fit_slope"]):
         return Judgement(condition, finding, "")
     exponent, uncertainty = float(psd["fit_slope"]), float(psd["fit_slope_u"])
-    if "wave" not in datasets and exponent + SIGNIFICANT * np.nan_to_num(uncertainty) < SLOPE_OF_FINITE_VARIANCE:
+    of_slopes = "wave" not in datasets and datasets["bsdf"].attrs["representation"] != "kirchhoff"
+    if of_slopes and exponent + SIGNIFICANT * np.nan_to_num(uncertainty) < SLOPE_OF_FINITE_VARIANCE:
         finding += f"; the roughness spectrum falls as f^−{exponent:.2g}, so that slopes grow with every finer pitch"
         return Judgement(
             condition, finding, "warn", "Set `model.optics: auto`, or scan with a pitch near the wavelength"
@@ -125,19 +134,26 @@ def _tail(datasets: Datasets) -> Judgement | None:
 def _model_error(datasets: Datasets) -> Judgement | None:
     condition = "Error of the predicted light in the peak"
     if (result := datasets.get("model_error")) is None:
-        if "surface" not in datasets or "predicted" not in datasets:
+        if "surface" not in datasets or datasets["bsdf"].attrs["representation"] in REFERENCES:
             return None
-        return Judgement(condition, "not computed", "", "Set `model_error: true` in the configuration")
-    peak = result.sel(region="peak")
-    error = np.where(peak["valid"].values > 0, peak["light_error"].values, np.nan)
+        slab = representation(datasets["bsdf"]).is_slab
+        advice = "Compare with a measurement" if slab else "Set `model.truth: check`"
+        return Judgement(condition, "not computed", "", advice)
+    peak = result.sel(region="peak", theta_i=result["theta_i"].values[result["theta_i"].values <= LARGEST_JUDGED])
+    error = peak["light_error"].where(peak["valid"] > 0).transpose("reference", "plane", "theta_i").values
     if np.isnan(error).all():
+        if datasets.get("surface", result).get("height", result["theta_i"]).ndim == 1:
+            finding = "not known for a line profile; masking along it is compared with Smith's below"
+            return Judgement(condition, finding, "", "Measure an areal map")
         return Judgement(condition, "no reference solution holds", "warn", "Compare with a measurement")
-    reference, row = np.unravel_index(int(np.nanargmax(np.abs(error))), error.shape)
-    largest, uncertainty = float(error[reference, row]), float(peak["light_error_u"].values[reference, row])
-    finding = f"{largest:+.0%} ± {uncertainty:.1%} at {float(result['theta_i'][row]):g}°".replace("-", "−")
-    certain = abs(largest) - SIGNIFICANT * uncertainty
+    at = np.unravel_index(int(np.nanargmax(np.abs(error))), error.shape)
+    uncertainty = float(peak["light_error_u"].transpose("reference", "plane", "theta_i").values[at])
+    known = peak["theta_i"].values[~np.isnan(error).all(axis=(0, 1))]
+    finding = f"{error[at]:+.1%} ± {2 * uncertainty:.1%} at {float(peak['theta_i'][at[2]]):g}°".replace("-", "−")
+    finding += f", the largest of {known.min():g} to {known.max():g}°"
+    certain = abs(error[at]) - SIGNIFICANT * uncertainty
     verdict = next(
         (name for name, limit in zip(("fail", "warn"), ERROR_LIMITS[::-1], strict=True) if certain > limit), "pass"
     )
-    advice = "Set `model.multiple_scattering: directional` or `model.optics: auto`, and compare again"
-    return Judgement(condition, finding, verdict, "" if verdict == "pass" else advice)
+    advice = str(result.attrs.get("advice", ""))
+    return Judgement(condition, finding, verdict, "" if verdict == "pass" else advice[:1].upper() + advice[1:])

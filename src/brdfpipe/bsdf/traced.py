@@ -210,6 +210,17 @@ def _extended(values: Array, known: NDArray[np.bool_]) -> Array:
     return np.asarray(values[tuple(nearest)])
 
 
+def quantisation(mesh: HeightMesh) -> str:
+    """Warning of heights that are quantised so coarsely that rays meet the steps; empty where they are not."""
+    step = height_step(mesh.height, (float(mesh.pitch[0]), float(mesh.pitch[1]))) / float(mesh.pitch.min())
+    if step <= STEP_LIMIT * mesh.typical_slope:
+        return ""
+    return (
+        f"the heights are quantised, and one step between neighbours is a slope of {step:.2g}, {step / mesh.typical_slope:.1g} of the "
+        "typical one: the facets that are traced are those of the steps; export the heights with more digits"
+    )
+
+
 def _warnings(bsdf: xr.Dataset, mesh: HeightMesh) -> list[str]:
     warnings = []
     anisotropy = mesh.anisotropy
@@ -218,12 +229,7 @@ def _warnings(bsdf: xr.Dataset, mesh: HeightMesh) -> list[str]:
             f"the principal slopes of the surface differ by a factor {anisotropy:.2f}, and the traced BSDF is the mean over the azimuth of "
             "incidence: it does not show the lay"
         )
-    step = height_step(mesh.height, (float(mesh.pitch[0]), float(mesh.pitch[1]))) / float(mesh.pitch.min())
-    if step > STEP_LIMIT * mesh.typical_slope:
-        warnings.append(
-            f"the heights are quantised, and one step between neighbours is a slope of {step:.2g}, {step / mesh.typical_slope:.1g} of the "
-            "typical one: the facets that are traced are those of the steps; export the heights with more digits"
-        )
+    warnings += filter(None, [quantisation(mesh)])
     lost = float((bsdf["lost"] / (bsdf["lost"] + bsdf["reflected"].sum("order"))).max())
     if lost > LOST_LIMIT:
         warnings.append(

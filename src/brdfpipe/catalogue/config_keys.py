@@ -106,12 +106,6 @@ class Config(Keys):
     comparison: Comparison = key(
         "how well the inputs of a prediction are known before they are fitted to what a rig measured; 0 keeps an input as it is"
     )
-    raycast: bool = key(
-        "whether masking is also computed by rays cast over every scan, and shown beside Smith's in the report"
-    )
-    model_error: bool = key(
-        "whether every BSDF that is predicted from an areal scan is compared with rays and diffraction on that scan; a few seconds a material"
-    )
     preview: bool = key("whether the report shows a rendered picture of the material")
     preview_light: Annotated[str, OneOf(("studio", "sun", "overcast"))] = key(
         "light of the picture: studio (soft boxes), sun (a small disc under a clear sky) or overcast (a sky alone)"

@@ -32,6 +32,7 @@ from brdfpipe.masking.modes import (
     OPTICS,
     RECIPES,
     SMITH_MASKINGS,
+    TRUTHS,
 )
 
 EXPORT_WORDS = "; ".join(f"{name}: {format.description}" for name, format in FORMATS.items())
@@ -624,6 +625,12 @@ class Model(Keys):
         "reflection in its directions, further ones as diffuse light; not for a surface with a lay)",
         default_words=f"`{MODEL_DEFAULTS['multiple_scattering']}`",
     )
+    truth: Annotated[str, OneOf(TRUTHS)] = key(
+        "reference solutions on the height map: check (the prediction is compared with traced rays and diffraction), none, or use (the "
+        "reference that holds is the BSDF, instead of a prediction)",
+        default_words=f"`{TRUTHS[0]}`, where the surface is measured",
+        details="See [the error of a model](model.md#the-error-of-a-model).",
+    )
     recipe: Annotated[str, OneOf(tuple(RECIPES))] = key(
         "all choices of a source together, instead of the other keys: crf (patent US 9,395,299)"
     )
@@ -747,6 +754,24 @@ class Material(Keys):
             problem = "masking is traced on a height map, and the surface is not measured"
             accepted = "a measured `surface`, or " + " or ".join(SMITH_MASKINGS)
             raise InputError("", problem, where="model.masking", found="'measured'", accepted=accepted)
+        return self
+
+    @model_validator(mode="after")
+    def _check_reference_solution(self) -> Self:
+        """Refuse a reference solution in place of the prediction where there is no height map to compute it on."""
+        if self.model.truth != "use":
+            return self
+        accepted = f"a measured `surface` without `slab`, or {' or '.join(name for name in TRUTHS if name != 'use')}"
+        for problem, found in (
+            (
+                "a reference solution needs a height map, and the surface is not measured",
+                not isinstance(self.surface, MeasuredSurface),
+            ),
+            ("a clear body has no reference solution", self.slab is not None),
+            ("a reference solution couples its diffuse base", "crf" in (self.model.diffuse, self.model.recipe)),
+        ):
+            if found:
+                raise InputError("", problem, where="model.truth", found="'use'", accepted=accepted)
         return self
 
     @model_validator(mode="after")

@@ -3,74 +3,77 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from brdfpipe import hemisphere, vocabulary
+from brdfpipe import vocabulary
 from brdfpipe.appearance.gloss_meter import gloss
+from brdfpipe.appearance.validity import LARGEST_JUDGED, REFERENCES
 from brdfpipe.bsdf import kirchhoff, traced
 from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
+from brdfpipe.bsdf.reference_solution import GEOMETRIC, WAVELENGTH, holds, phase_variance
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.comparison.lobe_bins import LobeBins, gloss_by_bin
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
-from brdfpipe.references.height_mesh import HeightMapError
+from brdfpipe.masking import ray_casting
+from brdfpipe.masking.modes import SMITH_MASKINGS
+from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
+from brdfpipe.references.tracer import SlopeBins, trace
 
-INCIDENCES = np.array([0.0, 30.0, 60.0, 75.0])
-"""Angles of incidence at which light is compared [degree]."""
+INCIDENCES = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
+"""Angles of incidence at which light is compared [degree]; gloss at those of gloss meters among them."""
 GLOSS_ANGLES = (20, 60, 85)
 REGIONS = {"peak": 0.3, "shoulder": 0.03, "rest": 0.0}
 """Regions by the smallest share of the predicted peak [1]."""
-REFERENCES = ("traced", "kirchhoff")
-RAYS = 100_000
-"""Rays of each incidence of the tracer: a few seconds altogether, and 1 % in a region that holds a tenth of the light."""
-GEOMETRIC = 20.0
-"""Variance of the phase from which rays are valid: waves then are within 10 % of facets."""
-COHERENT = 1.0
-"""Variance of the phase up to which most light is coherent, and no facet masks another."""
-UNMASKED = 3.0
-"""Cotangent of the incidence, in typical slopes, from which masking is negligible: Λ of a Gaussian surface is below 4e-4."""
+MEAN = "mean over azimuth"
+"""Name of the plane of incidence of a surface without a lay."""
+RAYS = 800_000
+"""Rays of all incidences together: a second, and 1 % in a region that holds a tenth of the light of an incidence."""
+NOISE_LIMIT = 0.05
+"""Share of noise in the mean square slope, which a prediction leaves out, above which rays are not traced over it."""
 SIGNIFICANT = 3.0
 """Standard uncertainties beyond which a difference is significant."""
-LIGHT_LIMIT, GLOSS_LIMIT = 0.1, 1.0
-"""Relative error in the peak, and error in gloss units, above which the result warns."""
+LIGHT_LIMIT, GLOSS_LIMIT, MASKING_LIMIT = 0.1, 1.0, 0.05
+"""Relative error in the peak, error in gloss units, and difference of G2 above which the result warns."""
+BIN_ERROR, GLOSS_BIN_ERROR = 0.004, 0.01
+"""Relative error by the bins, of light and of gloss, and by the two triangles of a cell that are traced of the four that are counted."""
+MOST_HEIGHTS = 2048
+"""Heights along each axis in the middle of the map of which diffraction is computed."""
 
-TABLE_ERROR = 0.02
-"""Relative error of traced light by its table: rms in the peak, 0.8 % on Gaussian maps and 2.2 % on grains."""
-GLOSS_TABLE_ERROR = np.array([0.02, 0.02, 0.05])
-"""The same of gloss at :data:`GLOSS_ANGLES`, against tables of finer bins and ten times the rays."""
-
-_WAVELENGTH = 555.0
-_UNKNOWN_SLOPE = 0.05  # of a BSDF that states none
-_AZIMUTHS = 8
+_LINES = 256
 
 
-class _Light(NamedTuple):
-    """Light by incidence and region, with its relative standard uncertainty, and gloss with its standard uncertainty."""
-
-    light: Array
-    relative_u: Array
-    gloss: Array
-    gloss_u: Array
-
-
-def model_error(surface: xr.Dataset, predicted: xr.Dataset, *, rays: int = RAYS, seed: int = 0) -> xr.Dataset:
+def model_error(
+    surface: xr.Dataset | Sequence[xr.Dataset],
+    predicted: xr.Dataset,
+    facets: xr.Dataset | None = None,
+    *,
+    rays: int = RAYS,
+    seed: int = 0,
+) -> xr.Dataset:
     """Compare the light of a predicted BSDF with that of traced rays and of Kirchhoff's diffraction on its own height map.
 
     Parameters
     ----------
-    surface : kind ``surface``, the levelled map
-    predicted : kind ``bsdf``, of an opaque body, predicted from that map and from a refractive index
-    rays, seed : of the tracer, see :func:`brdfpipe.bsdf.traced.build`
+    surface : kind ``surface``, levelled, a map or a line; or all scans of the facets. Rays meet all maps, diffraction and masking are of the first
+    predicted : kind ``bsdf``, of an opaque body, predicted from these scans and from a refractive index
+    facets : kind ``facets``, of these scans; says how much of their slopes is noise
+    rays : of all incidences and scans together
+    seed : of the positions of the rays
 
     Returns
     -------
-    Dataset of kind ``model_error``: ``light_error(reference, theta_i, region)``, predicted over reference light less 1;
-    ``gloss_error(reference, gloss_angle)``, predicted less reference gloss; both with ``_u`` and what they are made of.
-    ``valid(reference, theta_i)`` and ``gloss_valid`` say where a reference holds. NaN where a reference refuses the map, as the attribute
-    ``refusals`` (JSON) says
+    Dataset of kind ``model_error``: ``light_error(reference, plane, theta_i, region)``, predicted over reference light less 1;
+    ``gloss_error(reference, plane, gloss_angle)``, predicted less reference gloss; both with ``_u`` and what they are made of.
+    ``valid(reference, theta_i)`` and ``gloss_valid`` say where a reference holds; ``plane`` names the planes of incidence: along and across
+    the lay of a surface that has one, else the mean over azimuth. ``g2_raycast(theta_i)`` is the masking of the mirror direction by rays cast
+    along lines of heights, ``g2_height_correlated`` Smith's. NaN where a reference does not hold or refuses the map, as the attribute
+    ``refusals`` (JSON) says; the attribute ``advice`` says what to change
 
     Raises
     ------
@@ -78,59 +81,109 @@ def model_error(surface: xr.Dataset, predicted: xr.Dataset, *, rays: int = RAYS,
 
     Notes
     -----
-    The diffuse part is left out, and the BSDF is averaged over V(λ)·D65 and the azimuth of incidence. Regions are those of the predicted
-    BRDF: above 0.3 of its peak, above 0.03, and the rest. Rays are valid where the variance of the phase (4πσ cos θ/λ)² is at
-    least 20; diffraction where slopes are low (:data:`brdfpipe.bsdf.kirchhoff.SLOPE_LIMIT`) and either masking is negligible or most light
-    is coherent.
-    The uncertainty of traced light is the noise of the rays and :data:`TABLE_ERROR`; that of diffracted light the scatter between patches of the map.
+    The diffuse part is left out, and the BSDF is averaged over V(λ)·D65. Regions are those of the predicted BRDF: above 0.3 of its peak, above
+    0.03, and the rest. Rays are counted in bins of the half vector's slope, and the model is integrated over the same bins.
+    :func:`brdfpipe.bsdf.reference_solution.holds` says where references hold. Diffraction is computed if rays do not hold at some incidence, as
+    the mean over azimuth. Of a line profile, masking alone is compared.
+
+    The uncertainty of traced light is the noise of the rays on this map, and :data:`BIN_ERROR`; that of diffracted light the scatter between
+    patches of the map.
     """
-    vocabulary.validate(surface, "surface")
+    scans = [surface] if isinstance(surface, xr.Dataset) else list(surface)
+    surface = vocabulary.validate(scans[0], "surface")
     vocabulary.validate(predicted, "bsdf")
     index = _index(predicted)
     bare = representation(predicted).without_diffuse()
     model = nonspectral(predicted if bare is None else bare)
-    references, refusals = _references(surface, index, rays, seed)
-    by_rays = references["traced"]
-    slope = float(by_rays["smith_slope"]) if by_rays is not None else representation(model).lobe_slope or _UNKNOWN_SLOPE
-    regions, light = _regions(model, slope)
-    of_model = gloss(model, GLOSS_ANGLES).values
-    found = [_reference_light(name, one, regions, rays) for name, one in references.items()]
-    values = _Light(*(np.stack(field) for field in zip(*found, strict=True)))
-    by_region, by_gloss = ("reference", "theta_i", "region"), ("reference", "gloss_angle")
-    phase = (4 * np.pi * float(np.nanstd(surface["height"].values)) / (_WAVELENGTH * 1e-3)) ** 2
+    meshes, refusal = _meshes(scans, 0.0 if facets is None else float(facets.get("noise_sigma", 0.0)))
+    refusals = {"traced": refusal} if refusal else {}
+    variance = phase_variance(surface, INCIDENCES)
+    slope = meshes[0].typical_slope if meshes else np.inf
+    held = np.stack(holds(variance, slope, INCIDENCES))
+    held[0] &= not refusal
+    diffraction = None
+    if (held[1] & ~held[0]).any():
+        try:
+            diffraction = nonspectral(kirchhoff.build(_middle(surface), index=index, wavelength=[WAVELENGTH]))
+        except HeightMapError as error:
+            refusals["kirchhoff"] = str(error)
+    held[1] &= diffraction is not None
+    planes = _planes(model, diffraction is not None)
+    bins = SlopeBins.of(slope if 0 < slope < np.inf else 0.1)
+    predictions = [
+        [_Prediction.of(model, bins, float(theta_i), phi_i) for theta_i in INCIDENCES] for phi_i in planes.values()
+    ]
+    rays_each = -(-rays // (INCIDENCES.size * len(planes)))
 
-    def valid(angle: Array) -> Array:
-        variance = phase * np.cos(np.radians(angle)) ** 2
-        unmasked = np.tan(np.radians(90 - angle)) >= UNMASKED * slope
-        low_slopes = np.sqrt(2) * slope <= kirchhoff.SLOPE_LIMIT
-        holds = {"traced": variance >= GEOMETRIC, "kirchhoff": low_slopes & (unmasked | (variance <= COHERENT))}
-        return np.stack([holds[name] & (references[name] is not None) for name in REFERENCES]).astype(np.int8)
+    def reference(name: str, row: int, prediction: _Prediction) -> _Light:
+        if name == "traced" and held[0, row]:
+            return _traced_light(meshes, model, index, prediction, rays_each, seed)
+        if name == "kirchhoff" and held[1, row] and diffraction is not None:
+            return _diffracted_light(diffraction, prediction)
+        return _UNKNOWN
 
+    lights = [
+        [[reference(name, row, one) for row, one in enumerate(plane)] for plane in predictions] for name in REFERENCES
+    ]
+    result = _dataset(model, planes, predictions, lights, held).merge(_masking(surface))
+    result["phase_variance"] = "theta_i", variance
+    result.attrs = {"rays": rays, "seed": seed, "refusals": json.dumps(refusals, ensure_ascii=False)}
+    result.attrs["advice"] = _advice(result, predicted)
+    return vocabulary.label(vocabulary.add_warning(result, *_warnings(result, predicted)), "model_error")
+
+
+def _dataset(
+    model: xr.Dataset,
+    planes: dict[str, float | None],
+    predictions: list[list[_Prediction]],
+    lights: list[list[list[_Light]]],
+    held: NDArray[np.bool_],
+) -> xr.Dataset:
+    """Light and gloss of the model and of the references (reference, plane, incidence), and the differences."""
+    of_glossmeters = [int(np.flatnonzero(angle == INCIDENCES)[0]) for angle in GLOSS_ANGLES]
+    by_region, by_gloss = ("reference", "plane", "theta_i", "region"), ("reference", "plane", "gloss_angle")
+
+    def field(name: str) -> Array:
+        return np.array([[[getattr(one, name) for one in plane] for plane in reference] for reference in lights])
+
+    light = np.array([[one.light for one in plane] for plane in predictions])
+    units = np.stack([gloss(model, GLOSS_ANGLES, azimuth=azimuth).values for azimuth in planes.values()])
+    reference_gloss, gloss_u = (field(name)[..., of_glossmeters] for name in ("gloss", "gloss_u"))
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.where(values.light > 0, light / values.light, np.nan)
-    result = xr.Dataset(
+        ratio = np.where(field("light") > 0, light / field("light"), np.nan)
+    return xr.Dataset(
         {
             "light": (by_region[1:], light),
-            "reference_light": (by_region, values.light),
+            "reference_light": (by_region, field("light")),
             "light_error": (by_region, ratio - 1),
-            "light_error_u": (by_region, ratio * values.relative_u),
-            "valid": (by_region[:2], valid(INCIDENCES)),
-            "gloss": (by_gloss[1:], of_model),
-            "reference_gloss": (by_gloss, values.gloss),
-            "gloss_error": (by_gloss, of_model - values.gloss),
-            "gloss_error_u": (by_gloss, values.gloss_u),
-            "gloss_valid": (by_gloss, valid(np.array(GLOSS_ANGLES))),
-            "phase_variance": ("theta_i", phase * np.cos(np.radians(INCIDENCES)) ** 2),
+            "light_error_u": (by_region, ratio * field("relative_u")),
+            "valid": (("reference", "theta_i"), held.astype(np.int8)),
+            "gloss": (by_gloss[1:], units),
+            "reference_gloss": (by_gloss, reference_gloss),
+            "gloss_error": (by_gloss, units - reference_gloss),
+            "gloss_error_u": (by_gloss, gloss_u),
+            "gloss_valid": (("reference", "gloss_angle"), held[:, of_glossmeters].astype(np.int8)),
         },
         coords={
             "reference": list(REFERENCES),
+            "plane": list(planes),
             "theta_i": INCIDENCES,
             "region": list(REGIONS),
             "gloss_angle": np.array(GLOSS_ANGLES, dtype=float),
         },
-        attrs={"rays": rays, "seed": seed, "refusals": json.dumps(refusals, ensure_ascii=False)},
     )
-    return vocabulary.label(vocabulary.add_warning(result, *_warnings(result)), "model_error")
+
+
+def _middle(surface: xr.Dataset) -> xr.Dataset:
+    """The middle of a large map."""
+    sizes = {dim: surface.sizes[dim] for dim in surface["height"].dims}
+    return surface.isel(
+        {
+            dim: slice((size - MOST_HEIGHTS) // 2, (size + MOST_HEIGHTS) // 2)
+            for dim, size in sizes.items()
+            if size > MOST_HEIGHTS
+        }
+    )
 
 
 def relative_error(result: xr.Dataset) -> xr.DataArray:
@@ -142,31 +195,31 @@ def relative_error(result: xr.Dataset) -> xr.DataArray:
 
     Returns
     -------
-    DataArray [1] over ``theta_i`` [degree] and ``region``, of traced rays where they hold, else of diffraction, else NaN. Regions are those of
-    the predicted BRDF at the incidence: above 0.3 of its peak, above 0.03, and the rest
+    DataArray [1] over ``theta_i`` [degree] and ``region``, of traced rays where they hold, else of diffraction, else NaN; the largest of the
+    planes of incidence. Regions are those of the predicted BRDF at the incidence: above 0.3 of its peak, above 0.03, and the rest
     """
-    size = ((result["light_error"] ** 2 + result["light_error_u"] ** 2) ** 0.5).where(result["valid"] > 0)
-    size = size.max([dim for dim in size.dims if dim not in ("reference", "theta_i", "region")])
+    size = ((result["light_error"] ** 2 + result["light_error_u"] ** 2) ** 0.5).where(result["valid"] > 0).max("plane")
     traced_rays, diffraction = (size.sel(reference=name, drop=True) for name in REFERENCES)
     return traced_rays.fillna(diffraction).transpose("theta_i", "region").rename("relative_error")
 
 
-def _references(
-    surface: xr.Dataset, index: xr.Dataset, rays: int, seed: int
-) -> tuple[dict[str, xr.Dataset | None], dict[str, str]]:
-    """The reference solutions, None where one refuses the map, and why it does."""
-    builders: dict[str, Callable[[], xr.Dataset]] = {
-        "traced": lambda: traced.build(surface, index=index, rays=rays, seed=seed),
-        "kirchhoff": lambda: nonspectral(kirchhoff.build(surface, index=index, wavelength=[_WAVELENGTH])),
-    }
-    references: dict[str, xr.Dataset | None] = {}
-    refusals = {}
-    for name in REFERENCES:
-        try:
-            references[name] = builders[name]()
-        except HeightMapError as error:
-            references[name], refusals[name] = None, str(error)
-    return references, refusals
+# --- what is compared
+
+
+def _meshes(scans: Sequence[xr.Dataset], noise: float) -> tuple[list[HeightMesh], str]:
+    """The maps that are traced, and why they cannot be; ``noise`` is the rms of white height noise [um]."""
+    try:
+        meshes = [HeightMesh.of(scan) for scan in scans]
+    except HeightMapError as error:
+        return [], str(error)
+    first = meshes[0]
+    # A step between neighbours has the noise of both.
+    noise_share = noise**2 * float(np.sum(2 / first.pitch**2)) / (2 * max(first.typical_slope, 1e-12) ** 2)
+    if noise_share > NOISE_LIMIT:
+        return meshes, (
+            f"{noise_share:.0%} of the mean square slope is noise, which the prediction leaves out and rays would meet; average several scans"
+        )
+    return meshes, next(filter(None, map(traced.quantisation, meshes)), "")
 
 
 def _index(predicted: xr.Dataset) -> xr.Dataset:
@@ -184,112 +237,194 @@ def _index(predicted: xr.Dataset) -> xr.Dataset:
     return vocabulary.label(dataset, "index")
 
 
-class _Regions(NamedTuple):
-    """Directions of one incidence, with projected solid angles, and the region of each."""
-
-    theta_i: float
-    theta: Array
-    phi: Array
-    weight: Array
-    region: Array
-
-
-def _regions(model: xr.Dataset, slope: float) -> tuple[list[_Regions], Array]:
-    """Regions of every incidence, and the light of the model in them, (theta_i, region)."""
-    regions, light = [], []
-    limits = np.array(list(REGIONS.values()))
-    for theta_i in INCIDENCES:
-        rule = hemisphere.around_mirror(theta_i, slope)
-        brdf = _azimuthal_mean(model, theta_i, rule.theta, rule.phi)
-        # The first region whose limit is exceeded.
-        region = np.argmax(brdf[:, None] >= limits * brdf.max(), axis=1)
-        regions.append(_Regions(float(theta_i), rule.theta, rule.phi, rule.weight, region))
-        mirrored = float(representation(model).specular(np.array([theta_i]), np.zeros(1), None)[0].mean())
-        light.append(_by_region(region, rule.weight * brdf) + mirrored * (np.arange(len(REGIONS)) == 0))
-    return regions, np.stack(light)
+def _planes(model: xr.Dataset, diffraction: bool) -> dict[str, float | None]:
+    """Azimuth of incidence [degree] by name of the plane; None for the mean over azimuth."""
+    lay = representation(model).lay
+    if lay is None:
+        return {MEAN: None}
+    # Diffraction is known as the mean over azimuth alone.
+    return {"along the lay": lay, "across the lay": lay + 90} | ({MEAN: None} if diffraction else {})
 
 
-def _reference_light(name: str, reference: xr.Dataset | None, regions: list[_Regions], rays: int) -> _Light:
-    if reference is None:
-        missing = np.full((INCIDENCES.size, len(REGIONS)), np.nan)
-        return _Light(missing, missing, *np.full((2, len(GLOSS_ANGLES)), np.nan))
-    model, light, relative_u = representation(reference), [], []
-    for part in regions:
-        incidence = np.full_like(part.theta, part.theta_i), np.zeros_like(part.phi)
-        directions = *incidence, part.theta, part.phi
-        mirrored = float(model.specular(np.array([part.theta_i]), np.zeros(1), None)[0].mean())
-        amount = _by_region(part.region, part.weight * model.evaluate(*directions, None)[:, 0])
-        amount[0] += mirrored
-        light.append(amount)
-        scatter = _by_region(part.region, part.weight * model.uncertainty(*directions, None)[:, 0])
-        total = float(amount.sum())
-        of_rays = np.hypot(np.sqrt(total / np.maximum(rays * amount, 1e-300)), TABLE_ERROR)
-        relative_u.append(of_rays if name == "traced" else scatter / np.maximum(amount, 1e-300))
-    units = gloss(reference, GLOSS_ANGLES).values
-    return _Light(
-        np.stack(light), np.stack(relative_u), units, units * _gloss_noise(name, reference, units, rays, relative_u)
-    )
+class _Prediction(NamedTuple):
+    """The model in the bins of one plane and incidence."""
+
+    lobe: LobeBins
+    scattered: Array
+    """Light in every bin"""
+    mirrored: float
+    """Coherent light"""
+    region: NDArray[np.intp]
+    """Region of every bin: the first whose limit is exceeded"""
+
+    @classmethod
+    def of(cls, model: xr.Dataset, bins: SlopeBins, theta_i: float, phi_i: float | None) -> _Prediction:
+        one, lobe = representation(model), LobeBins.of(bins, theta_i, phi_i)
+        scattered, solid_angle = lobe.total(lobe.brdf(one)), lobe.total(np.ones_like(lobe.theta))
+        brdf = scattered / np.where(solid_angle > 0, solid_angle, np.inf)
+        mirrored = float(one.specular(np.array([theta_i]), np.array([phi_i or 0.0]), None)[0].mean())
+        limits = np.array(list(REGIONS.values()))
+        return cls(lobe, scattered, mirrored, np.argmax(brdf[:, None] >= limits * brdf.max(), axis=1))
+
+    def by_region(self, by_bin: Array) -> Array:
+        """Sum of values of every bin over each region."""
+        return np.bincount(self.region, by_bin, minlength=len(REGIONS)).astype(float)
+
+    @property
+    def light(self) -> Array:
+        """By region; coherent light belongs to the peak."""
+        return self.by_region(self.scattered) + self.mirrored * (np.arange(len(REGIONS)) == 0)
 
 
-def _gloss_noise(name: str, reference: xr.Dataset, units: Array, rays: int, relative_u: list[Array]) -> Array:
-    """Relative standard uncertainty of gloss: of the rays in the receptor, or that of the peak at the nearest incidence."""
-    if name != "traced":
-        nearest = [int(np.argmin(np.abs(INCIDENCES - angle))) for angle in GLOSS_ANGLES]
-        return np.array([relative_u[row][0] for row in nearest])
-    angle = np.array(GLOSS_ANGLES, dtype=float)
-    reflected = representation(reference).albedo(angle, np.zeros_like(angle), None)[:, 0]
-    # Black glass of 100 units reflects .0491, .1001 and .6191 (n = 1.567).
-    in_receptor = units / 100 * np.array([0.0491, 0.1001, 0.6191])
-    return np.hypot(np.sqrt(reflected / np.maximum(rays * in_receptor, 1e-300)), GLOSS_TABLE_ERROR)
+class _Light(NamedTuple):
+    """Light of a reference by region, with its relative standard uncertainty, and gloss with its standard uncertainty (NaN: no gloss angle)."""
+
+    light: Array
+    relative_u: Array
+    gloss: float = np.nan
+    gloss_u: float = np.nan
 
 
-def _azimuthal_mean(model: xr.Dataset, theta_i: float, theta: Array, phi: Array) -> Array:
-    one = representation(model)
-    turns = np.zeros(1) if one.isotropic else np.arange(_AZIMUTHS) * 360 / _AZIMUTHS
-    signs = (1,) if one.isotropic else (1, -1)
-    values = [
-        one.evaluate(np.full_like(theta, theta_i), np.full_like(phi, turn), theta, sign * phi + turn, None)[:, 0]
-        for turn in turns
-        for sign in signs
-    ]
-    return np.asarray(np.mean(values, axis=0))
+_UNKNOWN = _Light(*np.full((2, len(REGIONS)), np.nan))
 
 
-def _by_region(region: Array, light: Array) -> Array:
-    return np.bincount(region, light, minlength=len(REGIONS)).astype(float)
-
-
-def _warnings(result: xr.Dataset) -> list[str]:
-    """Significant errors beyond the limits, of valid references."""
-    warnings = []
-    for name in REFERENCES:
-        peak = result.sel(reference=name, region="peak")
-        error, uncertainty = peak["light_error"].values, peak["light_error_u"].values
-        wrong = (peak["valid"].values > 0) & (np.abs(error) > np.maximum(LIGHT_LIMIT, SIGNIFICANT * uncertainty))
-        if wrong.any():
-            row = int(np.argmax(np.where(wrong, np.abs(error), 0)))
-            warnings.append(
-                f"the predicted light in the peak is {error[row]:+.0%} (± {uncertainty[row]:.1%}) off {_REFERENCE_WORDS[name]} at {INCIDENCES[row]:.0f}°"
-            )
-        instrument = result.sel(reference=name)
-        difference, uncertainty = instrument["gloss_error"].values, instrument["gloss_error_u"].values
-        wrong = (instrument["gloss_valid"].values > 0) & (
-            np.abs(difference) > np.maximum(GLOSS_LIMIT, SIGNIFICANT * uncertainty)
+def _traced_light(
+    meshes: list[HeightMesh], model: xr.Dataset, index: xr.Dataset, prediction: _Prediction, rays: int, seed: int
+) -> _Light:
+    lobe = prediction.lobe
+    n, k = (float(index[name][0]) for name in ("n", "k"))
+    facets = np.array([np.count_nonzero(mesh.present) for mesh in meshes])
+    power, variance = np.zeros((2, lobe.bins.number))
+    # As many rays for each facet of every map.
+    for number, (mesh, share) in enumerate(zip(meshes, facets / facets.sum(), strict=True)):
+        found = trace(
+            mesh,
+            lobe.theta_i,
+            lobe.phi_i,
+            index=complex(n, k),
+            bins=lobe.bins,
+            rays=int(np.ceil(rays * share)),
+            seed=seed + number,
         )
-        if wrong.any():
-            row = int(np.argmax(np.where(wrong, np.abs(difference), 0)))
+        power += share * found.power.mean(axis=1).sum(axis=0).ravel()
+        variance += (share * found.ray_noise.ravel()) ** 2
+    light = prediction.by_region(power)
+    # A region that no ray met has the light of less than one of them.
+    relative_u = np.sqrt(prediction.by_region(variance)) / np.maximum(light, 1e-300)
+    relative_u = np.where(light > 0, np.hypot(relative_u, BIN_ERROR), 1.0)
+    if lobe.theta_i not in GLOSS_ANGLES:
+        return _Light(light, relative_u)
+    by_bin = gloss_by_bin(model, lobe.bins, lobe.theta_i, lobe.phi_i)
+    # Gloss units of the light of a bin, from the model's own.
+    units = by_bin / np.where(prediction.scattered > 0, prediction.scattered, np.inf)
+    value = float(units @ power)
+    return _Light(light, relative_u, value, float(np.hypot(np.sqrt(units**2 @ variance), GLOSS_BIN_ERROR * value)))
+
+
+def _diffracted_light(reference: xr.Dataset, prediction: _Prediction) -> _Light:
+    one, lobe = representation(reference), prediction.lobe
+    if lobe.phi_i is not None:
+        return _UNKNOWN
+    incidence = np.full_like(lobe.theta, lobe.theta_i), np.zeros_like(lobe.phi)
+    coherent = float(one.specular(np.array([lobe.theta_i]), np.zeros(1), None)[0].mean())
+    light = prediction.by_region(lobe.total(lobe.brdf(one))) + coherent * (np.arange(len(REGIONS)) == 0)
+    scatter = lobe.total(one.uncertainty(*incidence, lobe.theta, lobe.phi, None)[:, 0])
+    relative_u = np.hypot(prediction.by_region(scatter) / np.maximum(light, 1e-300), BIN_ERROR)
+    if lobe.theta_i not in GLOSS_ANGLES:
+        return _Light(light, relative_u)
+    value = float(gloss(reference, [lobe.theta_i])[0])
+    return _Light(light, relative_u, value, value * float(relative_u[0]))
+
+
+def _masking(surface: xr.Dataset) -> xr.Dataset:
+    """G2 of the mirror direction by rays cast along lines of heights and Smith's of their slopes, means over the axes; NaN without lines."""
+    names = {"g2": "g2_raycast", "g2_u": "g2_raycast_u", "g2_height_correlated": "g2_height_correlated"}
+    axes = (0.0,) if surface["height"].ndim == 1 else (0.0, 90.0)
+    try:
+        cast = [ray_casting.bistatic(surface, INCIDENCES, axis, INCIDENCES, axis + 180, lines=_LINES) for axis in axes]
+    except ray_casting.RaycastError:
+        return xr.Dataset({name: ("theta_i", np.full(INCIDENCES.size, np.nan)) for name in names.values()})
+    values = {new: np.stack([one[old].values for one in cast]) for old, new in names.items()}
+    means = {name: one.mean(axis=0) for name, one in values.items()}
+    means["g2_raycast_u"] = np.sqrt(np.mean(values["g2_raycast_u"] ** 2, axis=0) / len(axes))
+    return xr.Dataset({name: ("theta_i", one) for name, one in means.items()})
+
+
+# --- what it says
+
+
+def _advice(result: xr.Dataset, predicted: xr.Dataset) -> str:
+    """The key of the description that is most likely to help."""
+    modes, lay = predicted.attrs, MEAN not in result["plane"].values
+    reference = "" if lay else "`model.truth: use` for the reference solution itself"
+    if "masking" not in modes:
+        key = ""
+    elif float(result["phase_variance"].sel(theta_i=60)) < GEOMETRIC:
+        key = "`model.optics: auto`"
+    elif modes["masking"] in SMITH_MASKINGS and _masking_difference(result) is not None:
+        key = "`model.masking: measured`"
+    elif modes["masking"] == "height-correlated" and modes["multiple_scattering"] != "directional" and not lay:
+        key = "`model.multiple_scattering: directional`"
+    else:
+        key = ""
+    choices = " or ".join(part for part in (key, reference) if part)
+    return f"set {choices}" if choices else "compare with a measurement"
+
+
+def _masking_difference(result: xr.Dataset) -> int | None:
+    """Row of the largest difference of G2, if beyond the limit and its noise up to the largest angle that is judged."""
+    difference = np.abs(result["g2_raycast"].values - result["g2_height_correlated"].values)
+    # Without independent groups of lines the uncertainty is unknown, and counts as 0.
+    noise = SIGNIFICANT * np.nan_to_num(result["g2_raycast_u"].values)
+    wrong = (difference > np.maximum(noise, MASKING_LIMIT)) & (INCIDENCES <= LARGEST_JUDGED)
+    return int(np.argmax(np.where(wrong, difference, 0))) if wrong.any() else None
+
+
+def _warnings(result: xr.Dataset, predicted: xr.Dataset) -> list[str]:
+    """Significant errors beyond the limits, of references that hold, and what to do."""
+    warnings = []
+    for name, words in (("traced", "rays traced over the map"), ("kirchhoff", "diffraction on the map")):
+        one = result.sel(reference=name)
+        peak = one.sel(region="peak", theta_i=INCIDENCES[INCIDENCES <= LARGEST_JUDGED])
+        if at := _largest(peak["light_error"], peak["light_error_u"], peak["valid"], LIGHT_LIMIT):
+            error, uncertainty = (float(peak[name][at]) for name in ("light_error", "light_error_u"))
             warnings.append(
-                f"the predicted gloss is {difference[row]:+.1f} (± {uncertainty[row]:.1f}) gloss units off {_REFERENCE_WORDS[name]} at "
-                f"{GLOSS_ANGLES[row]}°"
+                f"the predicted light in the peak is {error:+.0%} (± {uncertainty:.1%}) off {words} at {float(peak['theta_i'][at['theta_i']]):.0f}°"
+                f"{_plane_words(result, at)}; {result.attrs['advice']}"
             )
-    if not (result["valid"].sum("reference") > 0).all():
-        refusals = json.loads(result.attrs["refusals"])
-        reason = " ".join(f"{name}: {text}." for name, text in refusals.items())
+        if at := _largest(one["gloss_error"], one["gloss_error_u"], one["gloss_valid"], GLOSS_LIMIT):
+            error, uncertainty = (float(one[name][at]) for name in ("gloss_error", "gloss_error_u"))
+            warnings.append(
+                f"the predicted gloss is {error:+.1f} (± {uncertainty:.1f}) gloss units off {words} at "
+                f"{float(one['gloss_angle'][at['gloss_angle']]):.0f}°{_plane_words(result, at)}; {result.attrs['advice']}"
+            )
+    row = _masking_difference(result)
+    if row is not None and predicted.attrs.get("masking") in SMITH_MASKINGS:
+        cast, smith = (float(result[name][row]) for name in ("g2_raycast", "g2_height_correlated"))
         warnings.append(
-            "no reference solution holds at every angle of incidence, so the error of the model is not known there; compare with a "
-            f"measurement. {reason}".strip()
+            f"Smith's G2 of the mirror direction is {smith:.2f} at {INCIDENCES[row]:.0f}°, and rays cast over the heights give {cast:.2f} ± "
+            f"{2 * np.nan_to_num(float(result['g2_raycast_u'][row])):.2f}: what hides a facet depends on more than slopes, and the reflection "
+            f"predicted with Smith is off by about {smith / cast - 1:+.0%} there; set `model.masking: measured`"
+        )
+    if not result["valid"].any() and "line profile" not in result.attrs["refusals"]:
+        reasons = " ".join(f"{name}: {text}." for name, text in json.loads(result.attrs["refusals"]).items())
+        warnings.append(
+            "no reference solution holds at any angle of incidence, so the error of the model is not known; compare with a measurement. "
+            f"{reasons}".strip()
         )
     return warnings
 
 
-_REFERENCE_WORDS = {"traced": "rays traced over the map", "kirchhoff": "diffraction on the map"}
+def _largest(error: xr.DataArray, uncertainty: xr.DataArray, valid: xr.DataArray, limit: float) -> dict[str, int]:
+    """Position of the largest significant error beyond a limit; empty where there is none."""
+    size = abs(error)
+    size = size.where((valid > 0) & (size > (SIGNIFICANT * uncertainty).clip(min=limit)), 0.0)
+    if not float(size.max()) > 0:
+        return {}
+    at = np.unravel_index(int(np.argmax(size.values)), size.shape)
+    return {str(dim): int(position) for dim, position in zip(size.dims, at, strict=True)}
+
+
+def _plane_words(result: xr.Dataset, at: dict[str, int]) -> str:
+    plane = str(result["plane"].values[at["plane"]])
+    return "" if plane == MEAN else f" {plane}"

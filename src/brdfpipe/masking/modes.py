@@ -19,6 +19,9 @@ OPTICS = ("facets", "wave", "composite", "auto")
 HALOS = ("ssa1", "ghs", "rayleigh-rice")
 """Accepted values of ``model.halo``, theories of light scattered by waves; the first one is the default."""
 
+TRUTHS = ("check", "none", "use")
+"""Accepted values of ``model.truth``; the first one is the default."""
+
 MODEL_DEFAULTS = {key: names[0] for key, names in MODES.items()}
 """Modes that apply where neither the key nor a recipe is given."""
 

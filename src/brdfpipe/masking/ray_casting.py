@@ -18,12 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError, VocabularyError
 from brdfpipe.geometry import Array, check_angles
-from brdfpipe.masking.visibility import g1 as smith_g1
 
 THETA_MAX = 89.99
 """Largest polar angle of a ray [degree]."""
-THETA_COMPARED = (0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0)
-"""Polar angles of :func:`compare` [degree]."""
 LEAST_POINTS = 32
 """Heights of the shortest piece of a line that is used."""
 
@@ -143,95 +140,6 @@ def bistatic(
         attrs={"method": "ray cast"},
     )
     return vocabulary.label(result, "raycast")
-
-
-def compare(
-    surface: xr.Dataset, facets: xr.Dataset, theta: ArrayLike = THETA_COMPARED, *, lines: int = 1024
-) -> xr.Dataset:
-    """Compare the masking of a facet distribution with ray casting over its surface.
-
-    Parameters
-    ----------
-    surface : kind ``surface``, levelled
-    facets : kind ``facets``, estimated from that surface
-    theta : degree, increasing, 0 to 89.99
-    lines : cast along at most this many evenly spaced lines of an azimuth
-
-    Returns
-    -------
-    Dataset of kind ``masking`` over ``theta``: ``g1_raycast`` (mean over the azimuths 0, 90, 180 and 270; of a line
-    profile 0 and 180), ``g1_raycast_u``, ``g1_smith``; ``g2_raycast``, ``g2_raycast_u``, ``g2_separable`` and
-    ``g2_height_correlated`` for the mirror direction, both polar angles ``theta``.
-
-    Raises
-    ------
-    VocabularyError, RaycastError : as :func:`raycast`; or ``facets`` is not of its kind.
-
-    Notes
-    -----
-    The mean G1 tests the distribution (its isotropy, its tail, what a line profile was taken for), not Smith's
-    assumption: on the slopes themselves the two agree identically. G2 tests the assumption. Either adds a warning if
-    it differs beyond its noise.
-    """
-    vocabulary.validate(facets, "facets")
-    polar = _axis("theta", np.atleast_1d(theta), 0, THETA_MAX)
-    axes = (0.0,) if surface["height"].ndim == 1 else (0.0, 90.0)
-    azimuths = [*axes, *(axis + 180 for axis in axes)]
-    cast = raycast(surface, polar, azimuths, lines=lines)
-    mirrored = [bistatic(surface, polar, axis, polar, axis + 180, lines=lines) for axis in axes]
-    g2 = {name: np.stack([pair[name].values for pair in mirrored]) for name in mirrored[0].data_vars}
-
-    def uncertainty(values: Array) -> Array:
-        # Opposite azimuths share their lines: only the two axes are independent.
-        return np.sqrt(np.mean(np.square(values), axis=0) / len(axes))
-
-    curves = {
-        "g1_raycast": cast["g1"].mean("phi").values,
-        "g1_raycast_u": uncertainty(cast["g1_u"].values.T),
-        "g1_smith": np.mean([smith_g1(facets, polar, azimuth).values for azimuth in azimuths], axis=0),
-        "g2_raycast": g2["g2"].mean(axis=0),
-        "g2_raycast_u": uncertainty(g2["g2_u"]),
-        "g2_separable": g2["g2_separable"].mean(axis=0),
-        "g2_height_correlated": g2["g2_height_correlated"].mean(axis=0),
-    }
-    result = xr.Dataset(
-        {name: ("theta", values) for name, values in curves.items()},
-        coords={"theta": polar},
-        attrs={"method": f"ray cast along at most {lines} lines an azimuth; {facets.attrs['method']}"},
-    )
-    return vocabulary.label(_with_difference_warnings(result, areal=len(axes) > 1), "masking")
-
-
-def _with_difference_warnings(comparison: xr.Dataset, *, areal: bool) -> xr.Dataset:
-    """Warn if G2 shows that Smith's assumption does not hold, or G1 that the slope density is not that of the heights."""
-    warnings = []
-    theta, smith = comparison["theta"].values, comparison["g2_height_correlated"].values
-    cast, cast_u = comparison["g2_raycast"].values, comparison["g2_raycast_u"].values
-    at = _largest_difference(theta, cast - smith, cast_u)
-    if at is not None:
-        remedy = "set `model.masking: measured`" if areal else "measure an areal map, and set `model.masking: measured`"
-        warnings.append(
-            f"Smith's G2 of the mirror direction is {smith[at]:.2f} at {theta[at]:.0f} degree, and ray casting over the heights gives "
-            f"{cast[at]:.2f} ± {2 * np.nan_to_num(cast_u[at]):.2f}: what hides a facet depends on more than slopes, and the reflection predicted with Smith is off by "
-            f"about {smith[at] / cast[at] - 1:+.0%} there; {remedy}"
-        )
-    difference = comparison["g1_raycast"].values - comparison["g1_smith"].values
-    at = _largest_difference(theta, difference, comparison["g1_raycast_u"].values)
-    if at is not None:
-        warnings.append(
-            f"Smith's masking differs from ray casting over the heights by {abs(difference[at]):.2f} at {theta[at]:.0f} degree: "
-            "the surface may have a lay, or the tail of the slope density may be wrong; "
-            "measure an areal map of a larger area, or check `surface.isotropic`"
-        )
-    return vocabulary.add_warning(comparison, *warnings)
-
-
-def _largest_difference(theta: Array, difference: Array, uncertainty: Array) -> int | None:
-    """Index of the largest difference, if above 0.05 and three uncertainties, up to 75 degree; few surfaces are large enough beyond."""
-    # Without independent groups the uncertainty is unknown, and counts as 0.
-    significant = (np.abs(difference) > 3 * np.nan_to_num(uncertainty)) & (theta <= 75)
-    size = np.where(significant, np.abs(difference), 0.0)
-    return int(size.argmax()) if size.max() > 0.05 else None
 
 
 # --- sums over lines

@@ -45,6 +45,11 @@ class SlopeBins(NamedTuple):
         return cls(width, step, int(np.ceil(np.arcsinh(steepest / width) / step)))
 
     @property
+    def number(self) -> int:
+        """Of all bins, along and across."""
+        return (2 * self.half) ** 2
+
+    @property
     def edges(self) -> Array:
         """(2 half + 1,) slopes"""
         return self.width * np.sinh(self.step * np.arange(-self.half, self.half + 1))

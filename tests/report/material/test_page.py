@@ -404,64 +404,47 @@ def test_the_page_of_facets_with_a_lay_is_small(full: Datasets) -> None:
 
 
 @pytest.mark.usefixtures("without_bsdf_figures")
-def test_ray_cast_masking_is_shown_with_its_numbers(full: Datasets, full_page: str) -> None:
-    curves = {"g1_raycast": [1.0, 0.97], "g1_raycast_u": [0.0, np.nan], "g1_smith": [1.0, 0.99]}
-    comparison = xr.Dataset(
-        {name: ("theta", values) for name, values in curves.items()}, {"theta": [0.0, 60.0]}, {"method": "rays"}
-    )
-    text = _Page(material_page({**full, "masking": vocabulary.label(comparison, "masking")})).text
-    assert "G₁ by ray casting and after Smith" in text
-    assert "60° 0.9700 – 0.9900 −0.0200" in text
-    assert "ray casting" not in _Page(full_page).text
-
-
-@pytest.mark.usefixtures("without_bsdf_figures")
 def test_the_error_of_the_prediction_is_shown_where_a_reference_holds(full: Datasets, full_page: str) -> None:
     text = _Page(material_page({**full, "model_error": _model_error()})).text
     assert "Prediction against reference solutions" in text
     assert "20° 75.00 –" in text
+    assert "75° 0.700 ± 0.020 0.610" in text
     assert "−1.50 ± 0.20" in text
     assert "75° 30 Traced rays −10.0 % ± 2.0 % 1.0 % ± 2.0 % –" in text.replace("\u202f", " ")
-    assert "0° 1.0" not in text  # no reference holds there
+    assert "0° 5.0e+2" not in text  # no reference holds there
+    assert "500 Traced" not in text
     assert "Diffraction: the map is too coarse." in text
     assert "reference solutions" not in _Page(full_page).text
 
 
 def _model_error() -> xr.Dataset:
-    light = np.array([[[0.5, 0.5, 0.5], [-0.1, 0.01, np.nan]], [[np.nan] * 3] * 2])
+    light = np.array([[[[0.5, 0.5, 0.5], [-0.1, 0.01, np.nan]]], [[[np.nan] * 3] * 2]])
+    by_region, by_gloss = ("reference", "plane", "theta_i", "region"), ("reference", "plane", "gloss_angle")
     fields = {
-        "light": (("theta_i", "region"), np.full((2, 3), 0.02)),
-        "reference_light": (("reference", "theta_i", "region"), np.full((2, 2, 3), 0.02)),
-        "light_error": (("reference", "theta_i", "region"), light),
-        "light_error_u": (("reference", "theta_i", "region"), np.where(np.isnan(light), np.nan, 0.01)),
+        "light": (by_region[1:], np.full((1, 2, 3), 0.02)),
+        "reference_light": (by_region, np.full((2, 1, 2, 3), 0.02)),
+        "light_error": (by_region, light),
+        "light_error_u": (by_region, np.where(np.isnan(light), np.nan, 0.01)),
         "valid": (("reference", "theta_i"), [[0, 1], [0, 0]]),
-        "gloss": ("gloss_angle", [75.0]),
-        "reference_gloss": (("reference", "gloss_angle"), [[76.0], [76.5]]),
-        "gloss_error": (("reference", "gloss_angle"), [[-1.0], [-1.5]]),
-        "gloss_error_u": (("reference", "gloss_angle"), [[0.1], [0.1]]),
+        "gloss": (by_gloss[1:], [[75.0]]),
+        "reference_gloss": (by_gloss, [[[76.0]], [[76.5]]]),
+        "gloss_error": (by_gloss, [[[-1.0]], [[-1.5]]]),
+        "gloss_error_u": (by_gloss, [[[0.1]], [[0.1]]]),
         "gloss_valid": (("reference", "gloss_angle"), [[0], [1]]),
         "phase_variance": ("theta_i", [500.0, 30.0]),
+        "g2_raycast": ("theta_i", [1.0, 0.7]),
+        "g2_raycast_u": ("theta_i", [0.0, 0.01]),
+        "g2_height_correlated": ("theta_i", [1.0, 0.61]),
     }
     coords = {
         "reference": ["traced", "kirchhoff"],
+        "plane": ["mean over azimuth"],
         "theta_i": [0.0, 75.0],
         "region": ["peak", "shoulder", "rest"],
         "gloss_angle": [20.0],
     }
-    attrs = {"rays": 1, "seed": 0, "refusals": '{"kirchhoff": "the map is too coarse"}'}
+    attrs = {"rays": 1, "seed": 0, "refusals": '{"kirchhoff": "the map is too coarse"}', "advice": ""}
     return vocabulary.validate(vocabulary.label(xr.Dataset(fields, coords, attrs), "model_error"), "model_error")
-
-
-@pytest.mark.usefixtures("without_bsdf_figures")
-@pytest.mark.parametrize(("smith", "u", "said"), [(0.95, 0.001, True), (0.98, 0.001, False), (0.95, 0.03, False)])
-def test_a_difference_between_rays_and_smith_is_explained(full: Datasets, smith: float, u: float, said: bool) -> None:
-    curves = {"g1_raycast": [1.0, 0.99, 0.5], "g1_raycast_u": [0.0, u, np.nan], "g1_smith": [1.0, smith, 0.5]}
-    comparison = xr.Dataset(
-        {name: ("theta", values) for name, values in curves.items()}, {"theta": [0.0, 60.0, 88.0]}, {"method": "rays"}
-    )
-    text = _Page(material_page({**full, "masking": vocabulary.label(comparison, "masking")})).text
-    assert ("Ray casting and Smith differ by up to 0.04, at 60°." in text) == said
-    assert ("Measure at a smaller pitch" in text) == said
 
 
 # --- what a BSDF may be

@@ -18,9 +18,6 @@ from brdfpipe.report.plots.surface import height_map, height_profile
 from brdfpipe.report.plots.svg import Figure
 from brdfpipe.surfaces.texture_parameters import NAMES
 
-RAYCAST_LIMIT = 0.03
-"""Difference of G1 by ray casting and after Smith above which the page gives reasons."""
-
 _FACET_TITLES = {
     "slope_rms": "rms slope, without spikes",
     "tail_slope": "Slope from which the density is extrapolated",
@@ -70,10 +67,6 @@ def facet_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     if "facets" in datasets:
         section.figures += facet_figures(datasets["facets"])
         section.tables.append(_facet_table(datasets["facets"]))
-    if "masking" in datasets:
-        section.figures.append(masking.raycast_figure(datasets["masking"], datasets.get("facets")))
-        section.figures += filter(None, [masking.bistatic_figure(datasets["masking"])])
-        section.tables.append(_raycast_table(datasets["masking"]))
     return section
 
 
@@ -110,34 +103,6 @@ def _facet_value(name: str, scalar: xr.DataArray) -> str:
     if name in _COUNTS:
         return grouped(float(scalar))
     return slope_density.axis_degrees(float(scalar)) if name == "lay" else quantity(scalar)
-
-
-def _raycast_table(comparison: xr.Dataset) -> Table:
-    raycast, smith = comparison["g1_raycast"].values, comparison["g1_smith"].values
-    columns = (raycast, 2 * masking.raycast_uncertainty(comparison), smith, raycast - smith)
-    rows = [
-        (f"{theta:g}°", *(fixed(value, 4) for value in values))
-        for theta, *values in zip(comparison["theta"].values, *columns, strict=True)
-    ]
-    header = ("θ", "Ray casting", "± 2 u", "Smith", "Difference")
-    note = attribute_note(comparison, ("method",))
-    return Table("G₁ by ray casting and after Smith", header, rows, note, _raycast_remark(comparison))
-
-
-def _raycast_remark(comparison: xr.Dataset) -> str:
-    """Reasons and remedies for a difference of G1 that is large and beyond its uncertainty; else empty."""
-    difference = np.abs(comparison["g1_raycast"].values - comparison["g1_smith"].values)
-    expanded_u = np.nan_to_num(2 * masking.raycast_uncertainty(comparison))
-    largest = int(np.argmax(np.where(difference > expanded_u, difference, 0.0)))
-    if difference[largest] <= max(RAYCAST_LIMIT, expanded_u[largest]):
-        return ""
-    return (
-        f"Ray casting and Smith differ by up to {fixed(difference[largest], 2)}, at {comparison['theta'].values[largest]:g}°. "
-        "For the slopes along one line they agree exactly. The facet distribution is therefore not that of the cast lines. Possible "
-        "reasons: the slopes still grow towards one pixel (noise, or a pitch that is too wide); a lay is treated as isotropic; heights "
-        "are missing; too few facets are independent. Measure at a smaller pitch, with less noise or over a larger area, or check "
-        "`surface.isotropic`. Gloss and reflection at grazing angles have at least this uncertainty."
-    )
 
 
 # --- effect pigments

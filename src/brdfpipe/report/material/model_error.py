@@ -4,72 +4,85 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from itertools import product
 
 import numpy as np
 import xarray as xr
 
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import MISSING, fixed, number
+from brdfpipe.report.plots.masking import bistatic_figure
 
 _NAMES = {"traced": "Traced rays", "kirchhoff": "Diffraction"}
-_NOTE = (
+_LIGHT_NOTE = (
     "Predicted over reference light less 1, and predicted less reference gloss, ± 2 standard uncertainties, where a reference holds. Peak: where "
     "the predicted BRDF is above 0.3 of its peak; shoulder: above 0.03. g: variance of the phase of the light; rays hold from 20 on."
 )
+_MASKING_NOTE = "Share of the facets facing both directions that both see, in the mirror direction. Smith: of the slopes of the lines cast."
 
 
 def model_error_section(datasets: Mapping[str, xr.Dataset]) -> Section:
-    """Light by region, and gloss, beside those of the reference solutions."""
+    """Light by region, gloss and masking, beside those of the reference solutions."""
     section = Section("Prediction against reference solutions")
     if (result := datasets.get("model_error")) is None:
         return section
-    refusals = [f"{_NAMES[name]}: {text}." for name, text in json.loads(result.attrs["refusals"]).items()]
-    section.tables = [_gloss_table(result), _light_table(result, " ".join([_NOTE, *refusals]))]
+    section.figures += filter(None, [bistatic_figure(result)])
+    section.tables = [table for table in (_gloss_table(result), _light_table(result)) if table.rows]
+    section.tables.append(_masking_table(result))
     return section
 
 
-def _light_table(result: xr.Dataset, note: str) -> Table:
-    rows = [
-        (
-            f"{theta_i:g}°",
-            number(float(result["phase_variance"][row]), 2),
-            _NAMES[str(name)],
-            *(
-                _difference(100 * error, 100 * uncertainty, 1, "\u202f%")
-                for error, uncertainty in zip(
-                    result["light_error"].sel(reference=name)[row].values,
-                    result["light_error_u"].sel(reference=name)[row].values,
-                    strict=True,
+def _light_table(result: xr.Dataset) -> Table:
+    rows = []
+    for (row, theta_i), plane, name in product(
+        enumerate(result["theta_i"].values), result["plane"].values, result["reference"].values
+    ):
+        one = result.sel(plane=plane, reference=name).isel(theta_i=row)
+        if one["valid"] and not np.isnan(one["light_error"]).all():
+            errors = zip(one["light_error"].values, one["light_error_u"].values, strict=True)
+            rows.append(
+                (
+                    f"{theta_i:g}°" + _in_plane(result, plane),
+                    number(float(one["phase_variance"]), 2),
+                    _NAMES[str(name)],
+                    *(_difference(100 * error, 100 * u, 1, "\u202f%") for error, u in errors),
                 )
-            ),
-        )
-        for row, theta_i in enumerate(result["theta_i"].values)
-        for name in result["reference"].values
-        if result["valid"].sel(reference=name)[row]
-    ]
+            )
     regions = [str(region).capitalize() for region in result["region"].values]
-    return Table("Error of the predicted light", ("Incidence", "g", "Reference", *regions), rows, note)
+    return Table("Error of the predicted light", ("Incidence", "g", "Reference", *regions), rows, _LIGHT_NOTE)
 
 
 def _gloss_table(result: xr.Dataset) -> Table:
     rows = []
-    for row, angle in enumerate(result["gloss_angle"].values):
-        cells = [
-            _difference(
-                float(result["gloss_error"].sel(reference=name)[row]),
-                float(result["gloss_error_u"].sel(reference=name)[row]),
-                2,
-            )
-            if result["gloss_valid"].sel(reference=name)[row]
-            else MISSING
-            for name in result["reference"].values
-        ]
-        rows.append((f"{angle:g}°", fixed(float(result["gloss"][row]), 2), *cells))
+    for (row, angle), plane in product(enumerate(result["gloss_angle"].values), result["plane"].values):
+        one = result.sel(plane=plane).isel(gloss_angle=row)
+        known = one["gloss_valid"].values.astype(bool)
+        if known.any():
+            errors = zip(known, one["gloss_error"].values, one["gloss_error_u"].values, strict=True)
+            cells = [_difference(float(error), float(u), 2) if valid else MISSING for valid, error, u in errors]
+            rows.append((f"{angle:g}°" + _in_plane(result, plane), fixed(float(one["gloss"]), 2), *cells))
     header = ("Geometry", "Predicted", *(f"Less {_NAMES[str(name)].lower()}" for name in result["reference"].values))
     return Table("Error of the predicted gloss, without the diffuse part", header, rows)
+
+
+def _masking_table(result: xr.Dataset) -> Table:
+    columns = (result[name].values for name in ("g2_raycast", "g2_raycast_u", "g2_height_correlated"))
+    rows = [
+        (f"{theta_i:g}°", _difference(cast, u, 3), fixed(smith, 3))
+        for theta_i, cast, u, smith in zip(result["theta_i"].values, *columns, strict=True)
+    ]
+    refusals = [f"{_NAMES[name]}: {text}." for name, text in json.loads(result.attrs["refusals"]).items()]
+    note = " ".join([_MASKING_NOTE, *refusals])
+    return Table("G₂ by ray casting and after Smith", ("θ", "Ray casting", "Smith"), rows, note)
+
+
+def _in_plane(result: xr.Dataset, plane: object) -> str:
+    return "" if result.sizes["plane"] == 1 else f", {plane}"
 
 
 def _difference(value: float, uncertainty: float, decimals: int, unit: str = "") -> str:
     if not np.isfinite(value):
         return MISSING
+    if not np.isfinite(uncertainty):
+        return f"{fixed(value, decimals)}{unit}"
     return f"{fixed(value, decimals)}{unit} ± {fixed(2 * uncertainty, decimals)}{unit}"
