@@ -12,7 +12,6 @@ import numpy as np
 
 from brdfpipe.appearance.origin import Datasets
 from brdfpipe.bsdf.microfacet.phase_variance import LIMITS, phase_variances
-from brdfpipe.bsdf.registry import representation
 
 COHERENT_LIMIT = float(np.log(2))
 """Phase variance below which more than half of the mirror reflection is coherent light, which facets leave out."""
@@ -51,7 +50,7 @@ def validity(datasets: Datasets) -> list[Judgement]:
 
     Parameters
     ----------
-    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``wave`` and ``model_error`` are used where they exist
+    datasets : stage → its dataset; ``psd``, ``facets``, ``surface`` and ``model_error`` are used where they exist
     """
     if "facets" not in datasets or "bsdf" not in datasets or datasets["facets"]["slope_density"].size == 0:
         return []
@@ -65,7 +64,7 @@ def _regime(datasets: Datasets) -> Judgement | None:
     phase = phase_variances(float(datasets["psd"]["sigma"]))
     finding = "g = " + ", ".join(f"{g:.3g} at {angle}°" for angle, g in phase.items())
     condition = "Roughness against wavelength (550 nm)"
-    if "wave" in datasets:
+    if datasets["bsdf"].attrs["representation"] == "wave":
         return Judgement(condition, f"{finding}; waves", "pass")
     if datasets["bsdf"].attrs["representation"] in REFERENCES:
         return Judgement(condition, f"{finding}; a reference solution on the map", "pass")
@@ -88,7 +87,7 @@ def _pitch(datasets: Datasets) -> Judgement | None:
     if psd is None or not np.isfinite(psd["fit_slope"]):
         return Judgement(condition, finding, "")
     exponent, uncertainty = float(psd["fit_slope"]), float(psd["fit_slope_u"])
-    of_slopes = "wave" not in datasets and datasets["bsdf"].attrs["representation"] != "kirchhoff"
+    of_slopes = datasets["bsdf"].attrs["representation"] not in ("wave", "kirchhoff")
     if of_slopes and exponent + SIGNIFICANT * np.nan_to_num(uncertainty) < SLOPE_OF_FINITE_VARIANCE:
         finding += f"; the roughness spectrum falls as f^−{exponent:.2g}, so that slopes grow with every finer pitch"
         return Judgement(
@@ -136,7 +135,7 @@ def _model_error(datasets: Datasets) -> Judgement | None:
     if (result := datasets.get("model_error")) is None:
         if "surface" not in datasets or datasets["bsdf"].attrs["representation"] in REFERENCES:
             return None
-        slab = representation(datasets["bsdf"]).is_slab
+        slab = datasets["bsdf"].attrs.get("transmission") == "slab"
         advice = "Compare with a measurement" if slab else "Set `model.truth: check`"
         return Judgement(condition, "not computed", "", advice)
     peak = result.sel(region="peak", theta_i=result["theta_i"].values[result["theta_i"].values <= LARGEST_JUDGED])
