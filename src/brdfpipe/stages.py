@@ -186,9 +186,14 @@ def _comparable(subject: Subject) -> bool:
 # --- keys
 
 
-def _keys(*names: str) -> StageKeys:
-    """Keys at the top level of the description."""
-    return StageKeys(names, (), lambda subject, _: {name: subject.section(name) for name in names})
+def _keys(*names: str, optional: Sequence[str] = ()) -> StageKeys:
+    """Keys at the top level of the description; an ``optional`` one is a parameter only where it is given."""
+
+    def read(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+        given = [name for name in optional if name in subject.owner.content]
+        return {name: subject.section(name) for name in (*names, *given)}
+
+    return StageKeys((*names, *optional), (), read)
 
 
 def _block(path: str, only: Sequence[str] = ()) -> StageKeys:
@@ -378,7 +383,7 @@ _STAGES = (
         when=_has("spectrum"),
         keys=_block("spectrum"),
     ),
-    Stage("index", "the refractive index", when=_has("index"), keys=_keys("index")),
+    Stage("index", "the refractive index", when=_has("index"), keys=_keys("index", optional=("index_uncertainty",))),
     Stage(
         "interior",
         "the internal transmittance of a clear body",
@@ -419,6 +424,11 @@ _STAGES = (
         "model_error",
         "the predicted BSDF beside rays and diffraction on its own scan",
         when=_MEASURED_RELIEF & _OPAQUE & _CHECKED,
+    ),
+    Stage(
+        "uncertainty",
+        "the changes of the predicted BSDF by the uncertainties of its inputs",
+        when=_has("predicted") & _OPAQUE,
     ),
     Stage(
         "flake",

@@ -315,6 +315,10 @@ QUANTITIES: Mapping[str, Quantity] = {
         "1", "reflectance by which the coherent part is reduced, so that no light is gained", 0
     ),
     "energy_residual": Quantity("1", "share of the light that coherent part and halo miss of Fresnel's reflectance", 0),
+    # Uncertain inputs of a prediction
+    "change_theta": Quantity("degree", "incidence at which the change of an albedo is known", 0, 90),
+    "error_theta": Quantity("degree", "incidence at which the relative error of a model is known", 0, 90),
+    "relative_error": Quantity("1", "relative error of a model, as a standard uncertainty", 0),
     # Comparison of two routes
     "brdf_model": Quantity("sr-1", "bidirectional reflectance distribution function of a model", 0),
     "ratio": Quantity("1", "measured over modelled value; missing where not used", missing=True),
@@ -417,6 +421,7 @@ _FACETS = Kind(
         "noise_sigma_u": SCALAR,
         "slope_rms_scale": [("scale",)],
         **dict.fromkeys(("tail_slope", "tail_share", "tail_contribution"), SCALAR),
+        "slope_density_change": [("uncertain_change", *slopes) for slopes in SLOPES],
     },
     attributes=("method", "band"),
 )
@@ -439,8 +444,14 @@ KINDS: Mapping[str, Kind] = {
         },
         attributes=("form", "method"),
     ),
-    "spectrum": Kind({"total_reflectance": [("wavelength",)]}, attributes=("geometry", "theta_i", "method")),
-    "index": Kind({"n": [("wavelength",)], "k": [("wavelength",)]}, attributes=("source",)),
+    "spectrum": Kind(
+        {"total_reflectance": [("wavelength",)]},
+        optional={"total_reflectance_u": [("wavelength",)]},
+        attributes=("geometry", "theta_i", "method"),
+    ),
+    "index": Kind(
+        {"n": [("wavelength",)], "k": [("wavelength",)]}, optional={"n_u": [("wavelength",)]}, attributes=("source",)
+    ),
     "interior": Kind(
         {"internal_transmittance": [("wavelength",)], "thickness": SCALAR}, attributes=("source", "dispersion")
     ),
@@ -526,6 +537,9 @@ KINDS: Mapping[str, Kind] = {
         },
         attributes=("rays", "seed", "refusals", "advice"),
     ),
+    "uncertainty": Kind(
+        {}, optional={"relative_error": [("error_theta", "region")]}, attributes=("uncertainty_not_stated",)
+    ),
     "bsdf": Kind({}, attributes=("representation",)),
     "appearance": Kind(
         {
@@ -545,6 +559,11 @@ KINDS: Mapping[str, Kind] = {
             "lab_u": [("geometry", "component")],
             "lab_quality": [("geometry",)],
             "flop_index_u": SCALAR,
+            "luminous_reflectance_u": SCALAR,
+            "gloss_u_source": [("source", "gloss_angle")],
+            "reflectance_haze_u_source": [("source", "haze_window")],
+            "lab_u_source": [("source", "geometry", "component")],
+            **{f"{name}_u_source": [("source",)] for name in ("haze", "flop_index", "luminous_reflectance")},
             "lay": SCALAR,
             "gloss_along": [("gloss_angle",)],
             "gloss_across": [("gloss_angle",)],
@@ -701,6 +720,9 @@ def _check_values(name: str, variable: xr.DataArray, where: str, missing: bool) 
 def _quantity(name: str) -> Quantity | None:
     if name in QUANTITIES:
         return QUANTITIES[name]
+    if name.endswith("_change") and (base := name.removesuffix("_change")) in QUANTITIES:
+        quantity = QUANTITIES[base]
+        return Quantity(quantity.units, f"change by one standard uncertainty of: {quantity.long_name}")
     base, mark, component = name.partition("_u")
     if mark and base in QUANTITIES and (component == "" or component.startswith("_")):
         quantity = QUANTITIES[base]

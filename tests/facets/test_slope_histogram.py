@@ -74,7 +74,7 @@ def test_the_uncertainty_follows_clumps_that_grow_with_the_slope_of_a_heavy_tail
     a, gentle, steep = 0.1, [], []
     for seed in range(12):
         bins = slope_histogram.merge_bins(ggx_counts(seed))
-        density, quality, relative_u = slope_histogram.density_from_histogram(bins)
+        density, quality, relative_u, _ = slope_histogram.density_from_histogram(bins)
         slope = density.slope
         z = (density.density * np.pi * (a**2 + slope**2) ** 2 / a**2 - 1) / relative_u
         measured = quality == vocabulary.quality("measured")
@@ -135,7 +135,7 @@ def test_the_uncertainty_grows_along_the_tail_by_that_of_its_length():
     slopes = np.concatenate([np.sqrt(rng.random(300_000)) * start, start + rng.gamma(1, a, size=3_000)])
     block = rng.integers(BLOCKS, size=slopes.size)
     bins = slope_histogram.merge_bins(samples.histogram_of_slopes((slopes[block == b] for b in range(BLOCKS)), 0.2))
-    density, quality, relative_u = slope_histogram.density_from_histogram(bins)
+    density, quality, relative_u, _ = slope_histogram.density_from_histogram(bins)
     tail = density.slope[quality == vocabulary.quality("extrapolated")]
     u = relative_u[-tail.size :]
     assert np.all(np.diff(u) >= 0)

@@ -235,6 +235,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("visibility", same("surface", "facets"), same("visibility"))
     run("model_error", same("surface", "facets", "predicted"), same("model_error"))
     run("reference", same("surface", "index", "spectrum"), same("reference"), {"diffuse": "coupled"})
+    run("uncertainty", same("predicted", "facets", "psd", "index", "spectrum", "model_error"), same("uncertainty"))
     run("multiangle", {}, same("multiangle"), of="metallic-blue")
     run("flake", same("multiangle"), same("flake"), of="metallic-blue")
     journal = {"journal": "run/journal.jsonl"}
@@ -248,7 +249,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("smoothed", same("primary"), same("smoothed"), {"smoothing": {}})
     run("measured", {"smoothed": ["smoothed"]}, same("measured"), {})
     run("comparison", same("primary", "predicted", "facets", "index", "spectrum"), same("comparison"))
-    run("bsdf", same("predicted"), same("bsdf"))
+    run("bsdf", same("predicted", "uncertainty"), same("bsdf"))
     run("checks", same("bsdf"), same("checks"))
     run("appearance", same("bsdf"), same("appearance"))
     run("preview", same("bsdf"), same("preview", "png"))

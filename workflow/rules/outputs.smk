@@ -3,7 +3,14 @@
 
 use rule stage_template as bsdf with:
     input:
-        **results_of("predicted", "wave", "reference", "flake", "measured"),
+        **results_of(
+            "predicted",
+            "wave",
+            "reference",
+            "flake",
+            "measured",
+            "uncertainty",
+        ),
     output:
         bsdf="{material}/bsdf.nc",
 

@@ -106,3 +106,18 @@ use rule stage_template as model_error with:
         **results_of("surface", "scan", "facets", "predicted", "wave"),
     output:
         model_error="{material}/model_error.nc",
+
+
+use rule stage_template as uncertainty with:
+    input:
+        **results_of(
+            "predicted",
+            "wave",
+            "facets",
+            "psd",
+            "index",
+            "spectrum",
+            "model_error",
+        ),
+    output:
+        uncertainty="{material}/uncertainty.nc",

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.source_changes import Reflector
 from brdfpipe.geometry import Array, angles_of
 from brdfpipe.hemisphere import graded_edges, panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -169,12 +170,15 @@ def first_half(azimuths: Array) -> slice:
     return slice(-(-azimuths.size // 2))
 
 
-def received(sample: Sample, beams: Sequence[Beam], azimuths: Array) -> list[Array]:
-    """∫window f cos θ_r dω_r of each beam at azimuths of the plane of incidence [degree], (azimuths, points of its source)."""
+def received(sample: Sample, beams: Sequence[Beam], azimuths: Array, reflector: Reflector | None = None) -> list[Array]:
+    """∫window f cos θ_r dω_r of each beam at azimuths of the plane of incidence [degree], (azimuths, points of its source).
+
+    ``reflector`` is evaluated instead of the BSDF of the sample, which gives the nodes of the quadrature.
+    """
     nodes = [window_nodes(beam, sample.lobe) for beam in beams]
     angles = zip(*(node.directions for node in nodes), strict=True)
     theta_i, phi_i, theta_o, phi_o = map(np.concatenate, angles)
-    evaluate = representation(sample.bsdf).evaluate
+    evaluate = (representation(sample.bsdf) if reflector is None else reflector).evaluate
     flux: list[list[Array]] = [[] for _ in beams]
     # One evaluation for many azimuths: a representation may work hard before it evaluates its first direction.
     blocks = min(azimuths.size, -(-azimuths.size * theta_i.size // _MOST_EVALUATIONS))

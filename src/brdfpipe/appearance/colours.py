@@ -9,9 +9,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from brdfpipe import vocabulary
+from brdfpipe import hemisphere, vocabulary
 from brdfpipe.appearance.tolerances import labelled, standard_uncertainty
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.source_changes import Reflector
 from brdfpipe.flakes.geometries import SETS, Directions, named_directions, refuse_mixed_signs
 from brdfpipe.geometry import Array, angles_of, unit_vector
 from brdfpipe.spectra import colorimetry
@@ -32,7 +33,7 @@ Assumed: no public source states what ASTM E2194, E2539 or DIN 6175-2 allow. Ape
 
 _STEPS = ((-ANGLE_TOLERANCE, 0.0), (ANGLE_TOLERANCE, 0.0), (0.0, -ANGLE_TOLERANCE), (0.0, ANGLE_TOLERANCE))
 """Along θ, then across it [degree]."""
-_ALL_AZIMUTHS = np.arange(0.0, 360.0, 1.0)
+_ALL_AZIMUTHS, _SOME_AZIMUTHS = np.arange(0.0, 360.0, 1.0), np.arange(0.0, 360.0, 5.0)
 _GRAZING = 89.999
 
 BLACK = 0.1
@@ -49,6 +50,7 @@ def colour(
     observer: int = 10,
     *,
     azimuth: float | None = None,
+    reflector: Reflector | None = None,
 ) -> xr.DataArray:
     """CIE L*a*b* of the total reflectance at 8° and of single geometries.
 
@@ -62,6 +64,7 @@ def colour(
     illuminant, observer : CIE illuminant name; 2 or 10 [degree]
     azimuth : of the plane of incidence of the single geometries [degree]; by default the colour of the mean over all azimuths, for
         surfaces with a lay. The total reflectance is always such a mean
+    reflector : evaluated instead of the BSDF
 
     Returns
     -------
@@ -78,11 +81,11 @@ def colour(
     the three are 15, 45 and 110° is the trade's use.
     """
     vocabulary.validate(bsdf, "bsdf")
-    wavelength, total = representation(bsdf).total_reflectance()
+    wavelength, total = total_reflectance(bsdf, reflector)
     directions = _directions(geometries)
     white = colorimetry.weights(illuminant, observer).white
     sphere = colorimetry.reflectance_to_xyz(wavelength, total, illuminant, observer)
-    single = _lab(bsdf, angles(directions), illuminant, observer, azimuth)
+    single = _lab(bsdf, angles(directions), illuminant, observer, azimuth, reflector)
     return _labelled("lab", np.concatenate([colorimetry.xyz_to_lab(sphere, white)[None], single]), directions)
 
 
@@ -172,11 +175,30 @@ def colour_quality(bsdf: xr.Dataset, geometries: Geometries = GEOMETRIES) -> xr.
     return xr.DataArray(total, {"geometry": [TOTAL, *directions]}, ("geometry",), "lab_quality")
 
 
-def _lab(bsdf: xr.Dataset, at: Array | Sequence[Array], illuminant: str, observer: int, azimuth: float | None) -> Array:
+def total_reflectance(bsdf: xr.Dataset, reflector: Reflector | None = None) -> tuple[Array, Array]:
+    """Wavelengths [nm] and total reflectance of a BSDF, as :meth:`.Representation.total_reflectance`, or of what is evaluated instead."""
+    if reflector is None:
+        return representation(bsdf).total_reflectance()
+    azimuths = hemisphere.azimuths(representation(bsdf).isotropic)
+    albedo = reflector.albedo(np.full(azimuths.size, 8.0), azimuths, None).mean(axis=0)
+    wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else np.array([360.0, 780.0])
+    return wavelength, np.broadcast_to(albedo, wavelength.shape)
+
+
+def _lab(
+    bsdf: xr.Dataset,
+    at: Array | Sequence[Array],
+    illuminant: str,
+    observer: int,
+    azimuth: float | None,
+    reflector: Reflector | None = None,
+) -> Array:
     """L*a*b* of directions θ_i, φ_i, θ_o and φ_o, (directions, 3)."""
     averaged = azimuth is None and not representation(bsdf).isotropic
-    turned = _turned_about_normal(at, _ALL_AZIMUTHS if averaged else np.array([azimuth or 0.0]))
-    xyz = xyz_of(bsdf, representation(bsdf).evaluate(*turned, None).mean(axis=1), illuminant, observer)
+    # A change of a colour is smoother over the azimuth than a colour.
+    turns = (_ALL_AZIMUTHS if reflector is None else _SOME_AZIMUTHS) if averaged else np.array([azimuth or 0.0])
+    evaluate = (representation(bsdf) if reflector is None else reflector).evaluate
+    xyz = xyz_of(bsdf, evaluate(*_turned_about_normal(at, turns), None).mean(axis=1), illuminant, observer)
     return colorimetry.xyz_to_lab(xyz, colorimetry.weights(illuminant, observer).white)
 
 

@@ -22,7 +22,8 @@ from brdfpipe.appearance.colours import (
 )
 from brdfpipe.appearance.gloss_basis import MEASURED_FLAGS, gloss_quality, gloss_uncertainty_from_bsdf
 from brdfpipe.appearance.gloss_meter import gloss, gloss_and_haze
-from brdfpipe.appearance.haze import WINDOWS, HazeWindow, reflectance_haze_with_uncertainty
+from brdfpipe.appearance.haze import WINDOWS, HazeWindow, checked_window, reflectance_haze_with_uncertainty
+from brdfpipe.appearance.input_uncertainty import with_input_uncertainty
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.spectra import colorimetry
 
@@ -91,6 +92,8 @@ def compute_appearance(
     appearance = _add_gloss_basis(appearance, bsdf)
     if haze:
         appearance["reflectance_haze"], appearance["reflectance_haze_u"] = reflectance_haze_with_uncertainty(bsdf, haze)
+    windows = [checked_window(window) for window in haze]
+    appearance = with_input_uncertainty(appearance, bsdf, geometries=all_geometries, windows=windows)
     if not representation(bsdf).isotropic:
         appearance = appearance.assign(_along_and_across(bsdf, illuminant, observer, gloss_angles, all_geometries))
     appearance = appearance.assign(quantities.computed(bsdf))

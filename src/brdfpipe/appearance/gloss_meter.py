@@ -27,6 +27,7 @@ from brdfpipe.appearance import apertures
 from brdfpipe.appearance.apertures import Beam, Rule, Sample, Source, Window, centred, half_width
 from brdfpipe.appearance.tolerances import labelled, standard_uncertainty
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.source_changes import Reflector
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
 
@@ -144,19 +145,23 @@ def _gloss(sample: Sample, angle: float) -> tuple[Array, Array]:
     """Azimuths of the plane of incidence, and gloss units at each."""
 
     def measure(azimuths: Array, rule: Rule) -> Array:
-        light = apertures.source(angle, rule)
-        (scattered,) = apertures.received(
-            sample, [Beam(angle, light, centred(*RECEPTOR[angle]), rule.window)], azimuths
-        )
-        return apertures.gloss_units_of(light, _mirrored(sample, light, azimuths) + scattered)
+        return gloss_at(sample, angle, azimuths, rule)
 
     return apertures.over_azimuths(sample, measure, apertures.FINE)
 
 
-def _mirrored(sample: Sample, light: Source, azimuths: Array) -> Array:
+def gloss_at(sample: Sample, angle: float, azimuths: Array, rule: Rule, reflector: Reflector | None = None) -> Array:
+    """Gloss units at azimuths of the plane of incidence [degree], (azimuths,); of the sample, or of a ``reflector`` in its place."""
+    light = apertures.source(angle, rule)
+    beams = [Beam(angle, light, centred(*RECEPTOR[angle]), rule.window)]
+    (scattered,) = apertures.received(sample, beams, azimuths, reflector)
+    return apertures.gloss_units_of(light, _mirrored(sample, light, azimuths, reflector) + scattered)
+
+
+def _mirrored(sample: Sample, light: Source, azimuths: Array, reflector: Reflector | None = None) -> Array:
     """Share of the light of each source point that is mirrored into one single direction, (azimuths, points)."""
     theta, phi = np.broadcast_arrays(light.theta, light.phi + azimuths[:, None])
-    return representation(sample.bsdf).specular(theta, phi, None)[0][..., 0]
+    return (representation(sample.bsdf) if reflector is None else reflector).specular(theta, phi, None)[0][..., 0]
 
 
 # --- tolerances
@@ -200,10 +205,10 @@ def _half_ranges(sample: Sample, angle: float, azimuths: Array, gloss_by_azimuth
     low_u, high_u, low_v, high_v = (apertures.gloss_units_of(light, flux) / 2 for flux in scattered[:4])
     axis = (high_u - low_u) * float(np.radians(AXIS_TOLERANCE)) / edge_shift
     others = [other_light for _, other_light in lights]
-    mirrored = np.split(
+    into_one = np.split(
         _mirrored(sample, _joined(others), azimuths), np.cumsum([one.u.size for one in others])[:-1], axis=1
     )
-    reflected = [flux + into_one for flux, into_one in zip(mirrored, scattered[4:], strict=True)]
+    reflected = [alone + flux for alone, flux in zip(into_one, scattered[4:], strict=True)]
     below, above = (apertures.gloss_units_of(*reading) for reading in zip(others[4:], reflected[4:], strict=True))
     total = below + above
     incidence = np.divide(gloss_by_azimuth * (above - below), total, out=np.zeros_like(total), where=total > 0)

@@ -26,6 +26,7 @@ from brdfpipe.appearance import apertures
 from brdfpipe.appearance.apertures import Beam, Rule, Sample, Window, centred, half_width
 from brdfpipe.appearance.gloss_meter import AXIS_TOLERANCE, RECEPTOR_TOLERANCE, SOURCE_TOLERANCE
 from brdfpipe.appearance.tolerances import labelled, standard_uncertainty
+from brdfpipe.bsdf.source_changes import Reflector
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array
 
@@ -141,13 +142,19 @@ def _haze(sample: Sample, window: HazeWindow) -> tuple[Array, Array]:
     """Azimuths of the plane of incidence, and the haze at each."""
 
     def measure(azimuths: Array, rule: Rule) -> Array:
-        light = apertures.source(window.angle, rule)
-        beams = [Beam(window.angle, light, _rectangle(window, side), rule.window) for side in _SIDES]
-        return np.sum(
-            [apertures.gloss_units_of(light, flux) for flux in apertures.received(sample, beams, azimuths)], axis=0
-        )
+        return haze_units(sample, window, azimuths, rule)
 
     return apertures.over_azimuths(sample, measure, apertures.QUICK)
+
+
+def haze_units(
+    sample: Sample, window: HazeWindow, azimuths: Array, rule: Rule, reflector: Reflector | None = None
+) -> Array:
+    """Haze at azimuths of the plane of incidence [degree], (azimuths,); of the sample, or of a ``reflector`` in its place."""
+    light = apertures.source(window.angle, rule)
+    beams = [Beam(window.angle, light, _rectangle(window, side), rule.window) for side in _SIDES]
+    fluxes = apertures.received(sample, beams, azimuths, reflector)
+    return np.asarray(np.sum([apertures.gloss_units_of(light, flux) for flux in fluxes], axis=0))
 
 
 def _rectangle(window: HazeWindow, side: int, shift: float = 0.0) -> Window:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import xarray as xr
 
@@ -55,6 +56,8 @@ class AppearanceQuantity:
     """The value [unit] from the datasets of a material, NaN where not known; by default the variable ``name`` of the appearance."""
     compute: Callable[[xr.Dataset], float | None] | None = None
     """The value [unit] from a BSDF, stored in the appearance dataset; None where the quantity does not exist."""
+    u: Callable[[Datasets], float] | None = None
+    """The standard uncertainty [unit] with that of the BSDF, NaN where that is not known; None for a quantity without one."""
     applicability: Applicability | None = None
     tile: str = ""
     """Title of the tile, where it is not the label. Quantities with the same title share one tile."""
@@ -86,6 +89,19 @@ class AppearanceQuantity:
             return self.read(datasets)
         appearance = datasets.get("appearance", xr.Dataset())
         return float(appearance[self.name]) if self.name in appearance else math.nan
+
+    @property
+    def u_name(self) -> str:
+        """Column of the uncertainty; empty for a quantity without one."""
+        return f"{self.name}_u" if self.u else ""
+
+    @property
+    def u_definition(self) -> str:
+        return f"standard uncertainty of: {self.definition}; from the inputs of the BRDF, its model and the instrument"
+
+    def uncertainty(self, datasets: Datasets) -> float:
+        """The standard uncertainty [unit] of a material; NaN where that of the BSDF is not known, or the quantity does not apply."""
+        return math.nan if self.u is None or self.exclusion(datasets) else self.u(datasets)
 
 
 _TABLE: dict[str, AppearanceQuantity] = {}
@@ -144,6 +160,7 @@ _DOCS_HEAD = """\
 Columns of `catalogue.csv` and variables of `catalogue.nc`, all of them on the page of the material and on that of the catalogue. A cell
 is empty, and a variable NaN, where the quantity is not known or does not apply; `no_gloss`, `no_haze`, … of `catalogue.nc` state why.
 "-style": computed after the standard; conformance is not claimed.
+`_u` is the standard uncertainty, from the inputs of the BRDF, its model and the instrument; empty where that of the BRDF is not known.
 
 `make keys` writes this file from `src/brdfpipe/appearance/quantities.py`.
 
@@ -158,7 +175,8 @@ def docs_table() -> str:
     for q in quantities():
         scope = q.applicability.words if q.applicability else ""
         unit = {"um": "µm"}.get(q.unit, q.unit)
-        cells = (f"`{q.name}`", q.label, q.symbol, unit, str(q.decimals), q.definition, q.standard, scope)
+        names = f"`{q.name}`, `{q.u_name}`" if q.u else f"`{q.name}`"
+        cells = (names, q.label, q.symbol, unit, str(q.decimals), q.definition, q.standard, scope)
         lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("*", "\\*") for cell in cells) + " |\n")
     return _DOCS_HEAD + "".join(lines)
 
@@ -193,6 +211,25 @@ def _luminous_transmittance(datasets: Datasets) -> float:
         return float(datasets["appearance"]["luminous_transmittance"])
     value = _if_transmitting(transmission.luminous_transmittance)(datasets["bsdf"]) if "bsdf" in datasets else None
     return math.nan if value is None else value
+
+
+def _uncertainty(name: str, **at: Any) -> Callable[[Datasets], float]:
+    """Reads the uncertainty of a variable of the appearance that includes that of the BSDF; ``at`` selects by coordinate, or by number."""
+
+    def read(datasets: Datasets) -> float:
+        u = datasets.get("appearance", xr.Dataset()).get(f"{name}_u")
+        if u is None or "BSDF" not in str(u.attrs.get("long_name", "")):
+            return math.nan
+        for dimension, label in at.items():
+            if isinstance(label, int):
+                u = u.isel({dimension: label})
+            elif label in u[dimension].values:
+                u = u.sel({dimension: label})
+            else:
+                return math.nan
+        return float(u)
+
+    return read
 
 
 def _if_transmitting(compute: Callable[[xr.Dataset], float]) -> Callable[[xr.Dataset], float | None]:
@@ -263,33 +300,33 @@ for _quantity in (
         AppearanceQuantity(
             f"gloss_{angle:g}", f"Gloss {angle:g}°", f"G{angle:g}", "GU", 1,
             f"gloss units at {angle:g} degree, D523-style", "ASTM D523, ISO 2813",
-            read=_gloss(angle), applicability=_GLOSS, hint=_gloss_hint("D523", angle),
+            read=_gloss(angle), u=_uncertainty("gloss", gloss_angle=angle), applicability=_GLOSS, hint=_gloss_hint("D523", angle),
         )
         for angle in (20.0, 60.0, 85.0)
     ),
     AppearanceQuantity(
-        "haze", "Haze D4039", "G60 − G20", "GU", 1, standard="ASTM D4039",
+        "haze", "Haze D4039", "G60 − G20", "GU", 1, standard="ASTM D4039", u=_uncertainty("haze"),
         applicability=_HAZE, hint=_gloss_hint("D4039", *HAZE_ANGLES),
     ),
     AppearanceQuantity(
         "reflectance_haze", "Haze ISO 13803", "H", "GU", 1, standard="ISO 13803, ASTM E430 B",
-        read=_reflectance_haze, applicability=_REFLECTANCE_HAZE, hint="ISO 13803-style",
+        read=_reflectance_haze, u=_uncertainty("reflectance_haze", haze_window=ISO_WINDOW), applicability=_REFLECTANCE_HAZE, hint="ISO 13803-style",
     ),
     *(
         AppearanceQuantity(
             name, f"{name}*", f"{name}*", "1", 1, f"CIE 1976 {words} at the first geometry of the appearance", "CIE 015",
-            read=_lab(k), tile="L* a* b*", hint=_lab_hint,
+            read=_lab(k), u=_uncertainty("lab", geometry=0, component=k), tile="L* a* b*", hint=_lab_hint,
         )
         for k, (name, words) in enumerate({"L": "lightness L*", "a": "a*", "b": "b*"}.items())
     ),
     AppearanceQuantity(
         "flop_index", "Flop index", "FI", "1", 1,
         "flop index of the lightness at 15, 45 and 110 degree from the mirror direction",
-        "Alman 1987, geometries of ASTM E2194", applicability=_FLOP, hint="L* at 15°, 45° and 110°",
+        "Alman 1987, geometries of ASTM E2194", u=_uncertainty("flop_index"), applicability=_FLOP, hint="L* at 15°, 45° and 110°",
     ),
     AppearanceQuantity(
         "luminous_reflectance", "Reflectance", "ρ", "1", 3, standard="CIE 130",
-        read=_luminous_reflectance, tile="Total reflectance", hint="V(λ), D65", percent=True,
+        read=_luminous_reflectance, u=_uncertainty("luminous_reflectance"), tile="Total reflectance", hint="V(λ), D65", percent=True,
     ),
     AppearanceQuantity(
         "luminous_transmittance", "Transmittance", "τ", "1", 3, standard="CIE 130", read=_luminous_transmittance,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Hashable, Mapping
+from functools import cached_property
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -16,6 +17,7 @@ from brdfpipe.bsdf import approximation_error, checks, tabulation
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import REPRESENTATIONS, representation
+from brdfpipe.bsdf.source_changes import NOT_STATED, SourceChanges, in_quadrature
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, broadcast, check_angles, checked_angles
 
@@ -55,26 +57,85 @@ class BSDFAccessor:
         return self._labelled(self._representation.evaluate, angles, wavelength, "brdf", text, "sr-1")
 
     def uncertainty(
-        self, theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike, wavelength: Wavelengths = None
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        theta_o: ArrayLike,
+        phi_o: ArrayLike,
+        wavelength: Wavelengths = None,
+        *,
+        source: str | None = None,
     ) -> xr.DataArray:
         """Standard uncertainty (k = 1) of :meth:`evaluate`, with the same parameters.
 
+        Parameters
+        ----------
+        source : one of :attr:`uncertainty_sources`, for its part alone; by default all together
+
         Returns
         -------
-        DataArray ``brdf_u`` [sr-1]
+        DataArray ``brdf_u`` [sr-1]. That of a prediction is of the inputs whose uncertainty is known; the attribute
+        ``uncertainty_not_stated`` of the dataset names the others
 
         Raises
         ------
-        VocabularyError : as :meth:`evaluate`, or the representation states no uncertainty.
+        VocabularyError : as :meth:`evaluate`; the representation states no uncertainty; or an unknown source.
         """
-        if not self._representation.states_uncertainty:
-            accepted = ", ".join(name for name, kind in REPRESENTATIONS.items() if kind.states_uncertainty)
-            raise VocabularyError(
-                f"the representation {self._representation.name!r} states no uncertainty; those that do: {accepted}"
-            )
         text = "standard uncertainty of the BSDF"
         angles = _directions(theta_i, phi_i, theta_o, phi_o)
-        return self._labelled(self._representation.uncertainty, angles, wavelength, "brdf_u", text, "sr-1")
+        method = self._uncertainty_of(self._representation.uncertainty, self._changes.of_brdf, source)
+        return self._labelled(method, angles, wavelength, "brdf_u", text, "sr-1")
+
+    def albedo_uncertainty(
+        self,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike = 0.0,
+        wavelength: Wavelengths = None,
+        *,
+        source: str | None = None,
+    ) -> xr.DataArray:
+        """Standard uncertainty (k = 1) of :meth:`albedo`, with the same parameters; ``source`` and errors as for :meth:`uncertainty`.
+
+        Returns
+        -------
+        DataArray ``albedo_u`` [1]. The error of the model is not part of it: it moves light from one direction to another
+        """
+        text = "standard uncertainty of the directional reflectance"
+        angles = self._incidences(theta_i, phi_i)
+        method = self._uncertainty_of(self._representation.albedo_uncertainty, self._changes.of_albedo, source)
+        return self._labelled(method, angles, wavelength, "albedo_u", text, "1")
+
+    @property
+    def uncertainty_sources(self) -> tuple[str, ...]:
+        """Inputs of a prediction whose uncertainty is known; empty for a measurement, whose uncertainty is not stated by source."""
+        return tuple(dict.fromkeys(self._changes.sources))
+
+    @cached_property
+    def _changes(self) -> SourceChanges:
+        return SourceChanges(self._dataset)
+
+    def _uncertainty_of(
+        self, of_representation: Callable[..., Array], of_changes: Callable[..., Array], source: str | None
+    ) -> Callable[..., Array]:
+        """The uncertainty from all sources, or one, as a function of angles and wavelength."""
+        known = self.uncertainty_sources
+        if source is not None and source not in known:
+            raise VocabularyError(f"no uncertainty from the source {source!r}; known: {', '.join(known) or 'none'}")
+        if known:
+            return lambda *at: self._combined(of_changes(*at), source)
+        if self._representation.states_uncertainty:
+            return of_representation
+        accepted = ", ".join(name for name, kind in REPRESENTATIONS.items() if kind.states_uncertainty)
+        missing = self._dataset.attrs.get(NOT_STATED, "")
+        inputs = f"; not known of this one: {missing}" if missing else ""
+        raise VocabularyError(
+            f"the representation {self._representation.name!r} states no uncertainty; those that do: {accepted}, and predictions from inputs of "
+            f"known uncertainty{inputs}"
+        )
+
+    def _combined(self, changes: Array, source: str | None) -> Array:
+        parts = self._changes.by_source(changes)
+        return in_quadrature(parts if source is None else {source: parts[source]})
 
     def albedo(self, theta_i: ArrayLike, phi_i: ArrayLike = 0.0, wavelength: Wavelengths = None) -> xr.DataArray:
         """Directional reflectance, mirror reflection included.

@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.source_changes import averaged
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 
@@ -18,7 +19,7 @@ def nonspectral(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> xr.Dataset
     :func:`normalised_response` for the errors raised.
     """
     response = normalised_response(bsdf, weight)
-    return bsdf if response is None else representation(bsdf).nonspectral(response)
+    return bsdf if response is None else averaged(representation(bsdf).nonspectral(response), bsdf, response)
 
 
 def normalised_response(bsdf: xr.Dataset, weight: ArrayLike | None = None) -> Array | None:

@@ -346,6 +346,16 @@ def _specular_trap() -> Any:
     )
 
 
+def _reflectance_uncertainty() -> Any:
+    return key(
+        "standard uncertainty of the reflectance, a share of 1 that is common to all wavelengths",
+        default_words="none is assumed",
+        ge=0,
+        le=0.5,
+        example=0.003,
+    )
+
+
 ColumnName = Annotated[int | str, Choice(lambda column: 1 if isinstance(column, str) else 0)]
 
 
@@ -361,9 +371,18 @@ class MeasuredSpectrum(Keys):
     sample: ColumnName = key("which sample of a file that holds several, by name or by number")
     column: ColumnName = key("which column of the file, by name or by number (the wavelength is column 1)")
     uncertainty: ColumnName = key("the column of standard uncertainties, by name or by number")
+    reflectance_uncertainty: float = _reflectance_uncertainty()
     allow_fluorescent: bool = key(
         "true accepts a reflectance above 1.1, which otherwise counts as a mistake", default=False
     )
+
+    @model_validator(mode="after")
+    def _check_uncertainty(self) -> Self:
+        if self.uncertainty is not None and self.reflectance_uncertainty is not None:
+            problem = "the column of `uncertainty` states it for each wavelength"
+            where, accepted = "reflectance_uncertainty", "either `uncertainty` or `reflectance_uncertainty`"
+            raise InputError("", problem, where=where, found=self.reflectance_uncertainty, accepted=accepted)
+        return self
 
 
 SEARCHES = ("random4", "adaptive4")
@@ -396,6 +415,7 @@ class Colour(Keys):
     geometry: Geometry = key(GEOMETRY, required=True)
     incidence: float = _incidence()
     specular_trap: float = _specular_trap()
+    reflectance_uncertainty: float = _reflectance_uncertainty()
     method: Annotated[str, OneOf(("lhtss", "basis4", *SEARCHES))] = key(
         "how a spectrum is found: lhtss (smooth and exact), or a mixture of four basis spectra: basis4 (exact), random4 or adaptive4 (random searches)",
         default_words="`lhtss`",
@@ -689,7 +709,7 @@ class Material(Keys):
     """One material of a catalogue, as a laboratory knows it."""
 
     at_least_one = ("surface", "spectrum", "multiangle", "rig")
-    requires = {"surface": "index", "slab": "surface"}  # noqa: RUF012
+    requires = {"surface": "index", "slab": "surface", "index_uncertainty": "index"}  # noqa: RUF012
 
     name: str = key(NAME_WORDS, default_words="the name of the folder", pattern=f"^{NAME}$")
     description: str = key(
@@ -702,6 +722,14 @@ class Material(Keys):
         "refractive index: a number, the name of a plastic (ABS, PC/ABS, PP, PMMA, …), {n, k} of a metal, or {file: …}: "
         "a table of wavelength, n and optionally k, or a page of refractiveindex.info (.yml)",
         details="See [refractive index](#refractive-index).",
+    )
+    index_uncertainty: float = key(
+        "standard uncertainty of the refractive index n, common to all wavelengths",
+        default_words="none is assumed",
+        ge=0,
+        le=1,
+        example=0.005,
+        stage="index",
     )
     slab: Slab = key(
         "a clear body with two faces {thickness, internal_transmittance or absorption, back}; `surface` is its front",

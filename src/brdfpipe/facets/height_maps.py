@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.facets.density_changes import changed, radial_changes, with_changes
 from brdfpipe.facets.facet_dataset import noise_warning, planar_dataset, quality_flags, radial_dataset
 from brdfpipe.facets.noise_removal import with_noise_stated, without_noise
 from brdfpipe.facets.planar_density import Ellipse, PlanarDensity, SlopeAxis
@@ -98,9 +99,15 @@ def _isotropic(heights: Sequence[HeightMap], counts: NDArray[np.int64], moments:
     bins = merge_bins(histogram(counts, moments.slope_rms))
     widened = float(np.trace(moments.apparent_covariance - moments.covariance)) / 2
     sharp = _sharpened(heights, bins, widened) if widened else bins
-    density, quality, relative_u = density_from_histogram(sharp)
-    relative_u = np.minimum(np.hypot(relative_u, _noise_uncertainty(heights, bins, widened, density)), 1.0)
+    density, quality, relative_u, block_changes = density_from_histogram(sharp)
+    noise_change = _noise_change(heights, bins, widened, density)
+    relative_u = np.minimum(np.hypot(relative_u, np.abs(noise_change).sum(axis=0)), 1.0)
     facets = radial_dataset(density, moments.slope_rms)
+    changes = {
+        "facets": radial_changes(density, block_changes),
+        "noise": changed(density, np.log1p(np.maximum(noise_change, -0.99))),
+    }
+    facets = with_changes(facets, changes)
     facets = facets.assign(
         count=("slope", bins.at_nodes(density.slope.size)),
         D_u=("alpha", facets["D"].values * relative_u),
@@ -117,15 +124,13 @@ def _sharpened(maps: Sequence[HeightMap], bins: MergedHistogram, widened: float)
     return without_noise(bins, widened, noisy[0].pitch) if noisy else remove_broadening(bins, widened)
 
 
-def _noise_uncertainty(
-    maps: Sequence[HeightMap], bins: MergedHistogram, widened: float, density: RadialDensity
-) -> Array:
-    """Relative change of a density, on its nodes, as the noise grows by its standard uncertainty."""
+def _noise_change(maps: Sequence[HeightMap], bins: MergedHistogram, widened: float, density: RadialDensity) -> Array:
+    """Relative change (1, nodes) of a density as the noise grows by its standard uncertainty; (0, nodes) without noise."""
     relative = max((2 * scan.noise_u / scan.noise for scan in maps if scan.noise), default=0.0)
     if not relative:
-        return np.zeros_like(density.slope)
-    other = density_from_histogram(_sharpened(maps, bins, widened * (1 + relative)))[0](density.slope**2)
-    return np.asarray(np.abs(other / np.maximum(density.density, 1e-300) - 1))
+        return np.zeros((0, density.slope.size))
+    other = density_from_histogram(_sharpened(maps, bins, widened * (1 + relative))).density(density.slope**2)
+    return np.asarray(other / np.maximum(density.density, 1e-300) - 1)[None]
 
 
 def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
@@ -143,7 +148,7 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     ellipse = Ellipse(along, across, moments.lay)
     scaling = _slope_scaling(moments, ellipse)
     bins = merge_bins(histogram(count_scaled(maps, moments.tilts, scaling), np.sqrt(2.0)))
-    round_density, _, ring_u = density_from_histogram(bins)
+    round_density, _, ring_u, _ = density_from_histogram(bins)
     # Dividing by the widths removes the broadening uniformly, but a sharp peak needs more of it and a tail less.
     share = float(np.sqrt(np.linalg.det(moments.covariance) / np.linalg.det(moments.apparent_covariance)))
     sharp_density, narrowed = round_density, bins
@@ -167,7 +172,7 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     independent = _refine(counts / redundancy, cells, nodes)
     distance = np.hypot(nodes.nodes, nodes.nodes[:, None])
     relative_u = np.maximum(np.interp(distance, round_density.slope, ring_u), 1 / np.sqrt(np.maximum(independent, 1.0)))
-    noise_u = _noise_uncertainty(maps, narrowed, 1 / share - 1, sharp_density)
+    noise_u = np.abs(_noise_change(maps, narrowed, 1 / share - 1, sharp_density)).sum(axis=0)
     relative_u = np.minimum(np.hypot(relative_u, np.interp(distance, sharp_density.slope, noise_u)), 1.0)
     dims = ("slope_across", "slope_along")
     facets = planar_dataset(density, moments.slope_rms).assign(

@@ -209,11 +209,19 @@ def _cut_positions(histogram: Histogram, least: int) -> list[int]:
         cuts.append(cuts[-1] + 1 + int(sufficient[0]))
 
 
-def density_from_histogram(binned: MergedHistogram) -> tuple[RadialDensity, NDArray[np.int8], Array]:
-    """Density whose integral over every bin is that bin's share, with a tail that carries the share of steeper facets.
+class CountedDensity(NamedTuple):
+    """A radial density from counts; fields are on its nodes."""
 
-    Returns the density, and on its nodes the quality flag and the relative standard uncertainty.
-    """
+    density: RadialDensity
+    quality: NDArray[np.int8]
+    relative_u: Array
+    """Relative standard uncertainty, at most 1."""
+    block_changes: Array
+    """(nodes, blocks) changes of ln P22, by as much as each block deviates from all: their products add up to its covariance."""
+
+
+def density_from_histogram(binned: MergedHistogram) -> CountedDensity:
+    """Density whose integral over every bin is that bin's share, with a tail that carries the share of steeper facets."""
     edges, share = binned.edges, binned.totals / binned.totals.sum()
     share, tail_share = share[:-1], float(share[-1])
     middle = np.sqrt((edges[1:] ** 2 + edges[:-1] ** 2) / 2)
@@ -240,14 +248,17 @@ def density_from_histogram(binned: MergedHistogram) -> tuple[RadialDensity, NDAr
     moved = log_density + step * np.eye(share.size)
     jacobian = np.stack([with_ends(row) - with_ends(log_density) for row in moved]) / step
     shares = [np.bincount(owner, mass * np.interp(s**2, body, column), minlength=share.size) for column in jacobian]
-    relative_u = _relative_uncertainty(binned, jacobian.T @ np.linalg.inv(np.stack(shares, axis=1) / share[:, None]))
+    of_shares = jacobian.T @ np.linalg.inv(np.stack(shares, axis=1) / share[:, None])
+    relative_u, changes = _relative_uncertainty(binned, of_shares), _block_changes(binned, of_shares)
+    # In the tail the change of its share takes over from that where it begins.
+    changes = np.concatenate([changes, np.repeat(changes[-1:], tail_slope.size - 1, axis=0)])
     # The relative uncertainty of the length over which the tail falls is that of the share of the facets in it.
     with np.errstate(divide="ignore"):
         lengths = -np.diff(np.log(tail_density)).cumsum()
     relative_u = np.minimum(np.concatenate([relative_u, relative_u[-1] * np.hypot(1, lengths)]), 1.0)
     quality = np.full(slope.size, vocabulary.quality("measured"))
     quality[share.size + 1 :] = vocabulary.quality("extrapolated")
-    return tabulated(log_density).normalised(), quality, relative_u
+    return CountedDensity(tabulated(log_density).normalised(), quality, relative_u, changes)
 
 
 def remove_broadening(binned: MergedHistogram, mean_square: float) -> MergedHistogram:
@@ -305,6 +316,15 @@ def _relative_uncertainty(binned: MergedHistogram, jacobian: Array) -> Array:
         1.0 if binned.least == MIN_PER_BIN else _SMALL_MAP_FACTOR
     )
     return np.minimum(relative_u, 1.0)
+
+
+def _block_changes(binned: MergedHistogram, jacobian: Array) -> Array:
+    """Changes of ln P22 (bins + 2, blocks) at the first node, the bins' and the tail's, that the deviations of the blocks make."""
+    totals, deviations = binned.totals, _deviations(binned.counts)
+    inside = jacobian[:-1] @ (deviations[:, :-1] / totals[:-1]).T
+    tail = deviations[:, -1] / max(totals[-1], 1.0)
+    factor = 1.0 if binned.least == MIN_PER_BIN else _SMALL_MAP_FACTOR
+    return np.asarray(factor * np.concatenate([inside, np.clip(tail, -1.0, 1.0)[None]]))
 
 
 def _with_ends(u: Array, log_density: Array, tail_density: Array) -> Array:

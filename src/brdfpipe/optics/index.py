@@ -40,7 +40,10 @@ _ACCEPTED_NK = f"{_ACCEPTED_N} where k = 0, 0 < n < 5 and 0 < k < 20 where the m
 
 
 def refractive_index(
-    spec: float | str | PathLike[str] | Mapping[str, Any] | xr.Dataset, path: str | PathLike[str] | None = None
+    spec: float | str | PathLike[str] | Mapping[str, Any] | xr.Dataset,
+    path: str | PathLike[str] | None = None,
+    *,
+    uncertainty: float | None = None,
 ) -> xr.Dataset:
     """Refractive index of a material from ``material.yaml``.
 
@@ -50,10 +53,11 @@ def refractive_index(
         or a path: a text table of wavelength [nm or µm], n and, as an option, k, or a file of refractiveindex.info
         (.yml, .yaml); or an ``index`` dataset, returned as it is
     path : path of the file of ``{"file": …}``, if it differs from that name
+    uncertainty : standard uncertainty of n, common to all wavelengths [1], from 0; by default none is stated
 
     Returns
     -------
-    Dataset of kind ``index``: ``n(wavelength)``, ``k(wavelength)`` [1]; attributes ``source`` and ``dispersion`` (constant,
+    Dataset of kind ``index``: ``n(wavelength)``, ``k(wavelength)`` [1], and ``n_u(wavelength)`` if it is stated; attributes ``source`` and ``dispersion`` (constant,
     table or formula). A constant is stored at 360 and 780 nm, a formula every 5 nm of 360–830 nm, as far as it holds.
 
     Raises
@@ -61,6 +65,23 @@ def refractive_index(
     InputError : unknown name (with the nearest), values outside the accepted range, a table or formula that does not cover
         400–700 nm.
     """
+    index = _of_specification(spec, path)
+    if uncertainty is None:
+        return index
+    if not uncertainty >= 0:
+        raise InputError(
+            Path("material.yaml"),
+            "not an uncertainty",
+            where="index_uncertainty",
+            found=uncertainty,
+            accepted="from 0 on",
+        )
+    return vocabulary.label(index.assign(n_u=xr.full_like(index["n"], uncertainty).drop_attrs()), "index")
+
+
+def _of_specification(
+    spec: float | str | PathLike[str] | Mapping[str, Any] | xr.Dataset, path: str | PathLike[str] | None
+) -> xr.Dataset:
     if isinstance(spec, xr.Dataset):
         return vocabulary.validate(spec, "index")
     if isinstance(spec, Real) and not isinstance(spec, bool):

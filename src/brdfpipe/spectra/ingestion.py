@@ -30,7 +30,7 @@ def ingest(
     ----------
     spec : ``file`` and the keywords of :func:`read_spectrum`; or ``lab``, ``geometry``, ``incidence`` and the keywords ``illuminant``,
         ``observer``, ``method``, ``threshold``, ``seed`` of :func:`recover`. With the specular excluded, ``specular_trap`` is the half
-        angle of the instrument's gloss trap [degree]
+        angle of the instrument's gloss trap [degree]; ``reflectance_uncertainty`` is a standard uncertainty common to all wavelengths [1]
     path : path of the file, if it differs from the name in ``spec``
     index : refractive index, if known: a number or a dataset of kind ``index``. A colour with the specular included then gives a
         spectrum that contains its Fresnel reflectance; a file with less than it is warned about
@@ -48,6 +48,27 @@ def ingest(
     if ("file" in spec) == ("lab" in spec):
         raise _refusal("either `file` or `lab` is required", None, "file: … or lab: [L*, a*, b*]", "spectrum")
     options = dict(spec)
+    u = options.pop("reflectance_uncertainty", None)
+    dataset = _ingested(options, path, index, checkpoint)
+    if u is None:
+        return dataset
+    if "total_reflectance_u" in dataset:
+        problem, accepted = (
+            "the file states an uncertainty",
+            "no `reflectance_uncertainty` with a column of uncertainties",
+        )
+        raise _refusal(problem, f"{u:g}", accepted, "spectrum.reflectance_uncertainty")
+    return vocabulary.label(
+        dataset.assign(total_reflectance_u=xr.full_like(dataset["total_reflectance"], u).drop_attrs()), "spectrum"
+    )
+
+
+def _ingested(
+    options: dict[str, Any],
+    path: str | PathLike[str] | None,
+    index: float | xr.Dataset | None,
+    checkpoint: Path | None,
+) -> xr.Dataset:
     trap, geometry = options.pop("specular_trap", None), options.get("geometry")
     if "file" in options:
         file = options.pop("file")

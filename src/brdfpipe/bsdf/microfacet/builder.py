@@ -241,7 +241,7 @@ def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float)
     if spectrum is None or bsdf.attrs["diffuse_mode"] == "none":
         return bare
     model = Model.of(bare, None)
-    trapped = _trapped(model, spectrum, theta_m)
+    trapped = trapped_light(model, spectrum, theta_m)
     total = spectrum["total_reflectance"].values.astype(float) + trapped
     diffuse = diffuse_for(model, total, theta_m)
     bsdf = with_diffuse_reflectance(bsdf, diffuse, total).assign(theta_m=theta_m)
@@ -292,7 +292,7 @@ def trap_of(spectrum: xr.Dataset) -> float:
     return float(spectrum.attrs.get("specular_trap", SPECULAR_TRAP))
 
 
-def _trapped(model: Model, spectrum: xr.Dataset, theta_m: float) -> Array:
+def trapped_light(model: Model, spectrum: xr.Dataset, theta_m: float) -> Array:
     """Light that the facets mirror into the gloss trap, (wavelength or 1,); 0 if the specular was included.
 
     A trap absorbs light within a few degrees of the mirror direction; a rough surface mirrors most light to other directions, where

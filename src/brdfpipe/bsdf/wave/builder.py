@@ -127,7 +127,7 @@ def build(
         raise ModelError(
             f"the refractive index falls to {np.min(n):g}, below that of air, without absorption; accepted: n >= 1, or k > 0"
         )
-    correlation, sigma = _roughness(psd)
+    correlation, sigma = roughness(psd)
     bsdf = _halo_table(correlation, sigma, psd, given).assign_coords(wavelength=given)
     bsdf = bsdf.assign(n=("wavelength", n), k=("wavelength", k))
     attributes = {"optics": optics, "form": form, "diffuse_mode": diffuse, "transmission": "none"}
@@ -144,7 +144,7 @@ def build(
 # --- the roughness
 
 
-def _roughness(psd: xr.Dataset) -> tuple[height_transform.Autocorrelation, float]:
+def roughness(psd: xr.Dataset) -> tuple[height_transform.Autocorrelation, float]:
     """Roughness of a spectrum, and its rms height [um]."""
     form, length, slope = psd.attrs["form"], float(psd["fit_length"]), float(psd["fit_slope"])
     fitted: height_transform.Autocorrelation | None = None

@@ -166,6 +166,11 @@ def tabulated(
     )
 
 
+def log_transform(correlation: Autocorrelation, phase: Array, frequency: Array) -> Array:
+    """ln(K/g) (phases, frequencies) at nodes of a table, as of :func:`tabulated`, by the transform for any spectrum."""
+    return _by_hankel_transform(correlation, phase, frequency)
+
+
 # --- series over the orders of scattering
 
 

@@ -69,6 +69,7 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> x
     row = {
         "material": material_name(known),
         **{quantity.name: quantity.value(known) for quantity in quantities()},
+        **{quantity.u_name: quantity.uncertainty(known) for quantity in quantities() if quantity.u},
         "route": route(known),
         "basis": basis(known),
         **_verdict_texts(known),
@@ -93,7 +94,7 @@ def combine(rows: Sequence[xr.Dataset]) -> xr.Dataset:
     ------
     VocabularyError : a row is of another kind or lacks a variable, or two rows have the same name.
     """
-    columns = ("material", *(quantity.name for quantity in quantities()), *text_columns(), "warning_count", "srgb")
+    columns = ("material", *_number_columns(), *text_columns(), "warning_count", "srgb")
     for row in rows:
         if row.attrs.get("kind") != "catalogue":
             raise VocabularyError(f"expected a dataset of kind 'catalogue', found kind {row.attrs.get('kind')!r}")
@@ -127,6 +128,16 @@ def thumbnail(preview: xr.Dataset) -> str:
     return data_uri(small, "webp", quality=_THUMBNAIL_QUALITY, method=6)
 
 
+def _number_columns() -> dict[str, tuple[str, str]]:
+    """Unit and definition of the quantities, each followed by its uncertainty."""
+    columns = {}
+    for quantity in quantities():
+        columns[quantity.name] = quantity.stored_unit, quantity.definition
+        if quantity.u:
+            columns[quantity.u_name] = quantity.stored_unit, quantity.u_definition
+    return columns
+
+
 def _verdict_texts(datasets: Mapping[str, xr.Dataset]) -> dict[str, str]:
     outcomes = verdicts(datasets)
     verdict = worst(outcomes)
@@ -145,8 +156,8 @@ def _dataset(rows: Sequence[Mapping[str, Any]]) -> xr.Dataset:
         return "material", np.array([row[name] for row in rows], dtype=dtype), attrs
 
     variables: dict[str, Any] = {
-        quantity.name: column(quantity.name, float, units=quantity.stored_unit, long_name=quantity.definition)
-        for quantity in quantities()
+        name: column(name, float, units=unit, long_name=definition)
+        for name, (unit, definition) in _number_columns().items()
     }
     variables |= {name: column(name, str, long_name=long_name) for name, long_name in text_columns().items()}
     variables["warning_count"] = column("warning_count", np.int64, units="1", long_name="number of warnings")
@@ -176,10 +187,10 @@ def catalogue_csv(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str
     names = ("route", "basis", "verdict", "verdict_checks", "verdict_text")
     columns = {name: texts(catalogue, name) for name in ("material", *names)}
     columns["warnings"] = [str(count) for count in catalogue["warning_count"].values.tolist()]
-    for quantity in quantities():
-        values = catalogue[quantity.name].values.astype(float)
+    for name in _number_columns():
+        values = catalogue[name].values.astype(float)
         rounded = np.where(np.abs(values) < _ROUNDING_ERROR, 0.0, values).tolist()
-        columns[quantity.name] = ["" if math.isnan(value) else f"{value:.6g}" for value in rounded]
+        columns[name] = ["" if math.isnan(value) else f"{value:.6g}" for value in rounded]
     columns["srgb"] = [colour(channels) or "" for channels in catalogue["srgb"].values]
     columns["description"] = texts(catalogue, "description")
     rows = [{"status": "built", **dict(zip(columns, row, strict=True))} for row in zip(*columns.values(), strict=True)]

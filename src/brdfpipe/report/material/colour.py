@@ -51,8 +51,11 @@ def _lab_notes(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset, geome
         u = float(appearance.get("flop_index_u", math.nan))
         notes.append(f"{flop.label} {fixed(value, flop.decimals)} {plus_minus_u(u)}".rstrip() + ".")
     if "lab_u" in appearance and "angle_tolerance" in appearance.attrs:
+        included = "lab_u_source" in appearance
+        others = "from the inputs of the BRDF, its model, and" if included else "from"
         notes.append(
-            f"±: standard uncertainty from ± {float(appearance.attrs['angle_tolerance']):g}° of the directions of light and of view, an "
-            "assumed tolerance of instruments. The uncertainty of the BRDF is not included. Apertures are not averaged over."
+            f"±: standard uncertainty {others} ± {float(appearance.attrs['angle_tolerance']):g}° of the directions of light and of view, an "
+            f"assumed tolerance of instruments. {'' if included else 'The uncertainty of the BRDF is not included. '}Apertures are not averaged "
+            "over."
         )
     return notes

@@ -36,18 +36,27 @@ def key_numbers(datasets: Mapping[str, xr.Dataset]) -> Iterator[KeyNumber]:
     for title, group in groupby(quantities(), key=lambda quantity: quantity.tile or quantity.label):
         values = {quantity: quantity.value(datasets) for quantity in group}
         if any(math.isfinite(value) for value in values.values()):
-            texts, units = zip(*(_value_and_unit(*item) for item in values.items()), strict=True)
+            texts, units = zip(
+                *(_value_and_unit(one, value, one.uncertainty(datasets)) for one, value in values.items()), strict=True
+            )
             hint = next(iter(values)).hint
             yield KeyNumber(title, "  ".join(texts), units[0], hint if isinstance(hint, str) else hint(datasets))
 
 
-def _value_and_unit(quantity: AppearanceQuantity, value: float) -> tuple[str, str]:
+def _value_and_unit(quantity: AppearanceQuantity, value: float, u: float) -> tuple[str, str]:
+    """A value with its uncertainty, where that is known, and its unit."""
     if quantity.unit == "um":
         return length(value)
     if quantity.percent:
-        return fixed(100 * value, max(quantity.decimals - 2, 0)), "%"
-    text = number(value, quantity.significant) if quantity.significant else fixed(value, quantity.decimals)
+        return _with_u(100 * value, 100 * u, max(quantity.decimals - 2, 0)), "%"
+    text = number(value, quantity.significant) if quantity.significant else _with_u(value, u, quantity.decimals)
     return text, "" if quantity.unit == "1" else quantity.unit
+
+
+def _with_u(value: float, u: float, decimals: int) -> str:
+    """``45.2 ± 1.3``; an uncertainty that these decimals do not show is left out."""
+    shown = math.isfinite(u) and round(u, decimals) > 0
+    return f"{fixed(value, decimals)} ± {fixed(u, decimals)}" if shown else fixed(value, decimals)
 
 
 def picture(preview: xr.Dataset | None) -> Figure | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,6 +15,7 @@ from brdfpipe.appearance.multiple_scattering import MultipleScattering, multiple
 from brdfpipe.appearance.quantities import quantity
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.wave import Wave
+from brdfpipe.bsdf.source_changes import NOT_STATED
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.masking.modes import PHYSICAL_MASKINGS
 from brdfpipe.report.cards import Section, Table
@@ -65,7 +67,7 @@ def reflection_section(datasets: Mapping[str, xr.Dataset]) -> Section:
             section.figures.append(Figure("BRDF in the plane of incidence", note=f"Not shown: {error}"))
     section.figures += reflectance.shares(datasets.get("checks"), bsdf)
     section.figures += filter(None, [None if bsdf is None else directional_maps.polarisation(bsdf)])
-    section.tables += filter(None, [gloss_table(datasets)])
+    section.tables += filter(None, [gloss_table(datasets), source_table(datasets)])
     if bsdf is not None and ("masking" in bsdf.attrs or "optics" in bsdf.attrs):
         section.tables += filter(None, [regime_table(bsdf), model_table(bsdf)])
     return section
@@ -124,10 +126,50 @@ def _values(appearance: xr.Dataset, name: str) -> list[tuple[float, str]]:
 def _uncertainty_words(appearance: xr.Dataset) -> tuple[str, str]:
     """Title of the column, and a sentence on what the uncertainty includes."""
     source = "standard uncertainty from the tolerances of apertures and axes"
+    if "gloss_u_source" in appearance:
+        return "Uncertainty", " Uncertainty: standard uncertainty from all known sources."
     if "BSDF" in str(appearance["gloss_u"].attrs.get("long_name", "")):
         included = "that of gloss includes the uncertainty of the BRDF, that of haze does not"
         return "Uncertainty", f" Uncertainty: {source}; {included}."
     return "Tolerances", f" Tolerances: {source}. The uncertainty of the BRDF is not included."
+
+
+_SOURCE_TITLES = {
+    "facets": "Facets counted",
+    "noise": "Noise of the heights",
+    "psd": "Roughness spectrum",
+    "index": "Refractive index",
+    "spectrum": "Reflectance spectrum",
+    "model": "Model",
+    "instrument": "Instrument",
+}
+
+
+def source_table(datasets: Mapping[str, xr.Dataset]) -> Table | None:
+    """Standard uncertainty of gloss, haze and colour from each source; None where that of the inputs is not known."""
+    appearance, bsdf = datasets.get("appearance"), datasets.get("bsdf", xr.Dataset())
+    if appearance is None or "gloss_u_source" not in appearance or gloss_exclusion(datasets):
+        return None
+    columns: dict[str, tuple[str, dict[str, Any]]] = {
+        quantity(f"gloss_{angle:g}").label: ("gloss", {"gloss_angle": angle}) for angle in gloss_units(appearance)
+    }
+    columns |= {name: (name, {}) for name in ("haze",) if f"{name}_u_source" in appearance}
+    columns["L* 45:0"] = ("lab", {"geometry": "45:0", "component": "L*"})
+    columns["L* 45as15"] = ("lab", {"geometry": "45as15", "component": "L*"})
+    by_source = [appearance[f"{name}_u_source"].sel(at).values for name, at in columns.values()]
+    total = [float(appearance[f"{name}_u"].sel(at)) for name, at in columns.values()]
+    sources = map(str, appearance["source"].values)
+    rows = [
+        (_SOURCE_TITLES.get(source, source), *(fixed(value, 2) for value in values))
+        for source, *values in zip(sources, *by_source, strict=True)
+    ]
+    note = "Standard uncertainties. Each source changes all directions and wavelengths together."
+    if missing := str(bsdf.attrs.get(NOT_STATED, "")):
+        note += f" Not known, and none assumed: {missing}."
+    header = ("Source", *(title if title != "haze" else quantity("haze").symbol for title in columns))
+    return Table(
+        "Uncertainty by source", header, [*rows, ("All together", *(fixed(value, 2) for value in total))], note
+    )
 
 
 def _clear_coat_note(bsdf: xr.Dataset | None) -> str:

@@ -1,0 +1,132 @@
+"""Uncertainty of gloss, haze and colours from the inputs of a prediction, by source.
+
+Each independent change of an input by one standard uncertainty changes the whole BSDF (:mod:`brdfpipe.bsdf.source_changes`). Every
+quantity is computed of every changed BSDF, so that correlations are kept: between the directions in a receptor, between the receptors of a haze,
+and between wavelengths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe.appearance import apertures
+from brdfpipe.appearance.apertures import Rule
+from brdfpipe.appearance.colours import TOTAL, colour, flop_index, total_reflectance
+from brdfpipe.appearance.gloss_meter import gloss_at
+from brdfpipe.appearance.haze import HazeWindow, haze_units
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.source_changes import NOT_STATED, Reflector, SourceChanges, uncertain
+from brdfpipe.geometry import Array
+from brdfpipe.spectra import colorimetry
+
+INSTRUMENT = "instrument"
+"""Source of the tolerances of instruments."""
+
+_RULE = Rule((2, 3), 3)
+"""Accurate to 1 % of a change."""
+_TURNS = np.arange(8) * 22.5
+"""Azimuths from the lay over which a change of gloss is averaged: a half turn, because changes of a density are symmetric [degree]."""
+
+
+def with_input_uncertainty(
+    appearance: xr.Dataset,
+    bsdf: xr.Dataset,
+    *,
+    geometries: Sequence[str],
+    windows: Sequence[HazeWindow],
+) -> xr.Dataset:
+    """Appearance with the uncertainty of the inputs of its BSDF; unchanged where none is known.
+
+    Parameters
+    ----------
+    appearance : ``gloss``, ``haze``, ``reflectance_haze``, ``lab`` and ``flop_index``, with ``<name>_u`` from the tolerances of instruments;
+        attributes ``illuminant`` and ``observer``
+    bsdf : the BSDF that it was computed from
+    geometries : names of the geometries of ``lab``, without that of the total reflectance
+    windows : of ``reflectance_haze``
+
+    Returns
+    -------
+    The same with ``<name>_u`` of all sources together, and ``<name>_u_source(source, …)``: the inputs, and ``instrument``
+    """
+    if not uncertain(bsdf):
+        return appearance
+    parts = _meter_parts(appearance, bsdf, windows) | _colour_parts(appearance, bsdf, geometries)
+    sources = [*dict.fromkeys(SourceChanges(bsdf).sources), INSTRUMENT]
+    result = appearance.assign_coords(source=sources)
+    # A total reflectance is as uncertain as its spectrum.
+    total_known = "spectrum" not in str(bsdf.attrs.get(NOT_STATED, "")).split(", ")
+    for name, by_source in parts.items():
+        given = appearance[name]
+        tolerance = appearance.get(f"{name}_u", xr.zeros_like(given))
+        rows = np.stack([np.broadcast_to(by_source.get(source, 0.0), given.shape) for source in sources[:-1]])
+        rows = np.concatenate([rows, tolerance.values[None]])
+        # No tolerance is known of the instrument that measures a total reflectance.
+        total = np.sqrt(np.square(np.nan_to_num(rows)).sum(axis=0))
+        known = np.isfinite(given.values)
+        if not total_known and name in ("lab", "luminous_reflectance"):
+            known = known & (given["geometry"].values != TOTAL)[:, None] if name == "lab" else np.zeros_like(known)
+        total, rows = np.where(known, total, np.nan), np.where(known, rows, np.nan)
+        attrs = {"units": "1", "long_name": f"standard uncertainty of {given.attrs.get('long_name', name)}"}
+        result[f"{name}_u"] = (
+            given.dims,
+            total,
+            attrs | {"long_name": f"{attrs['long_name']}, from tolerances and the BSDF"},
+        )
+        result[f"{name}_u_source"] = (
+            ("source", *given.dims),
+            rows,
+            attrs | {"long_name": f"{attrs['long_name']}, by source"},
+        )
+    return result
+
+
+def _meter_parts(
+    appearance: xr.Dataset, bsdf: xr.Dataset, windows: Sequence[HazeWindow]
+) -> dict[str, Mapping[str, Array]]:
+    """Standard uncertainty of gloss, haze and reflectance haze from each source."""
+    sample = apertures.sample_of(bsdf, None)
+    changes = SourceChanges(sample.bsdf)
+    isotropic = representation(sample.bsdf).isotropic
+    azimuths = np.asarray(np.zeros(1) if isotropic else (representation(sample.bsdf).lay or 0.0) + _TURNS, dtype=float)
+    angles = appearance["gloss_angle"].values.tolist()
+
+    def measured(reflector: Reflector) -> Array:
+        gloss = [gloss_at(sample, angle, azimuths, _RULE, reflector).mean() for angle in angles]
+        beside = [haze_units(sample, window, azimuths, _RULE, reflector).mean() for window in windows]
+        return np.array([*gloss, *beside])
+
+    given = measured(changes.given)
+    all_changes = np.array([measured(reflector) - given for reflector in changes.changed])
+    of_gloss, of_windows = all_changes[:, : len(angles)], all_changes[:, len(angles) :]
+    parts: dict[str, Mapping[str, Array]] = {"gloss": changes.by_source(of_gloss)}
+    if windows:
+        parts["reflectance_haze"] = changes.by_source(of_windows)
+    if {20.0, 60.0} <= set(angles):
+        parts["haze"] = changes.by_source(of_gloss[:, angles.index(60.0)] - of_gloss[:, angles.index(20.0)])
+    return parts
+
+
+def _colour_parts(
+    appearance: xr.Dataset, bsdf: xr.Dataset, geometries: Sequence[str]
+) -> dict[str, Mapping[str, Array]]:
+    """Standard uncertainty of colours, flop index and luminous reflectance from each source."""
+    changes = SourceChanges(bsdf)
+    seen_under = str(appearance.attrs["illuminant"]), int(appearance.attrs["observer"])
+    names = [str(name) for name in appearance["geometry"].values]
+    three = [names.index(f"45as{angle}") for angle in (15, 45, 110)]
+    labs, flops, luminous = [], [], []
+    for reflector in (changes.given, *changes.changed):
+        lab = colour(bsdf, geometries, *seen_under, reflector=reflector).values
+        labs.append(lab)
+        flops.append(flop_index(*lab[three, 0]))
+        wavelength, total = total_reflectance(bsdf, reflector)
+        weight = colorimetry.luminous_weight(wavelength)
+        luminous.append(float(weight @ total / weight.sum()))
+    return {
+        name: changes.by_source(np.asarray(values[1:]) - np.asarray(values[0]))
+        for name, values in (("lab", labs), ("flop_index", flops), ("luminous_reflectance", luminous))
+    }

@@ -1,0 +1,329 @@
+"""The changes of a predicted BSDF that the uncertainties of its inputs make, to first order and without building it anew.
+
+Each independent change of an input by one standard uncertainty changes variables of the dataset; :mod:`brdfpipe.bsdf.source_changes`
+evaluates what follows. A changed slope density has its own masking and its own directional albedo; the diffuse part changes with it, so
+that the total reflectance stays the measured one. The light that is reflected more than once, traced visibility over Smith's, and roughness
+finer than facets are taken as unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.microfacet.builder import trapped_light
+from brdfpipe.bsdf.microfacet.model import Model
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.microfacet import Interface
+from brdfpipe.bsdf.representations.wave import Wave
+from brdfpipe.bsdf.source_changes import DIMENSION, NOT_STATED, SOURCE, between_incidences
+from brdfpipe.bsdf.wave.builder import roughness
+from brdfpipe.bsdf.wave.height_transform import log_transform
+from brdfpipe.facets import planar_density
+from brdfpipe.facets.density_changes import CHANGES
+from brdfpipe.facets.facet_dataset import azimuthal_average
+from brdfpipe.facets.planar_density import PlanarDensity
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.geometry import Array
+from brdfpipe.masking.smith import excess_slope
+from brdfpipe.optics.fresnel_equations import fresnel
+
+_THETA = np.array([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 78.0, 82.0, 85.0, 87.0, 88.5, 89.5, 90.0])
+"""Incidences of the changes of the directional albedo [degree]."""
+_LAY_TURNS = np.array([0.0, 45.0, 90.0, 135.0])
+"""Azimuths from the lay over which the changes of an albedo are averaged [degree]."""
+_MASKING_STEP = 6
+"""Nodes of Λ from one change that is computed to the next; between them the change is linear."""
+
+_BANDS, _PHASE_STEP = 3, 8
+"""Bands of a roughness spectrum of the same mean square height; nodes of the phase variance from one changed halo to the next."""
+
+Fields: TypeAlias = dict[str, xr.DataArray]
+"""Change of each variable."""
+
+
+class _Change(NamedTuple):
+    source: str
+    fields: Fields
+
+
+def uncertainty(
+    bsdf: xr.Dataset,
+    *,
+    facets: xr.Dataset | None = None,
+    psd: xr.Dataset | None = None,
+    index: xr.Dataset | None = None,
+    spectrum: xr.Dataset | None = None,
+    relative_error: xr.DataArray | None = None,
+) -> xr.Dataset:
+    """Changes of a predicted BSDF by the uncertainties of its inputs.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf`` of representation ``microfacet``, ``smooth``, ``wave`` or ``lambert_gauss``, predicted from the inputs
+    facets : kind ``facets``; its ``slope_density_change`` are the changes of sources ``facets`` and ``noise``
+    psd : kind ``psd``; its uncertainty is that of a ``wave``
+    index : kind ``index``; ``n_u`` is common to all wavelengths
+    spectrum : kind ``spectrum``; ``total_reflectance_u`` is common to all wavelengths
+    relative_error : of the model over ``theta_i`` [degree] and ``region``
+        (:func:`brdfpipe.comparison.model_error.relative_error`), NaN where it is not known
+
+    Returns
+    -------
+    Dataset of kind ``uncertainty``: ``<variable>_change`` of variables of the BSDF, ``uncertainty_source`` of each change, and
+    ``relative_error``. The attribute ``uncertainty_not_stated`` names the inputs whose uncertainty is not known: none is assumed
+
+    Raises
+    ------
+    VocabularyError : a dataset of the wrong kind.
+    """
+    vocabulary.validate(bsdf, "bsdf")
+    changes: list[_Change] = []
+    base = _Base.of(bsdf, spectrum)
+    if facets is not None and "slope_density" in bsdf and CHANGES in vocabulary.validate(facets, "facets"):
+        changes += [_Change(source, base.completed(fields)) for source, fields in _of_facets(bsdf, facets)]
+    if psd is not None and "log_halo" in bsdf:
+        changes += [_Change("psd", fields) for fields in _of_roughness(bsdf, vocabulary.validate(psd, "psd"))]
+    if index is not None and "n" in bsdf and "n_u" in vocabulary.validate(index, "index"):
+        changes.append(_Change("index", base.completed({"n": _on_wavelengths(index["n_u"], bsdf["n"])})))
+    if spectrum is not None and "total_reflectance_u" in vocabulary.validate(spectrum, "spectrum"):
+        changes.append(_Change("spectrum", base.of_total(spectrum["total_reflectance_u"])))
+    result = _stacked(changes)
+    if relative_error is not None and (known := _known(relative_error)) is not None:
+        result = result.assign(relative_error=known)
+    stated = {change.source for change in changes}
+    stated |= {"model"} if "relative_error" in result else set()
+    missing = [name for name in _expected(bsdf, spectrum) if name not in stated]
+    return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
+
+
+def _expected(bsdf: xr.Dataset, spectrum: xr.Dataset | None) -> Iterator[str]:
+    """Sources that any such BSDF has."""
+    if "slope_density" in bsdf:
+        yield "facets"
+    if "log_halo" in bsdf:
+        yield "psd"
+    if "n" in bsdf:
+        yield "index"
+    if spectrum is not None:
+        yield "spectrum"
+    if "n" in bsdf:
+        yield "model"
+
+
+def _stacked(changes: list[_Change]) -> xr.Dataset:
+    """All changes in one dataset; a variable that a change leaves as it is has 0 there."""
+    result = xr.Dataset()
+    if not changes:
+        return result
+    names = dict.fromkeys(name for change in changes for name in change.fields)
+    for name in names:
+        like = next(change.fields[name] for change in changes if name in change.fields)
+        parts = [change.fields.get(name, xr.zeros_like(like)) for change in changes]
+        values = np.stack([part.transpose(*like.dims).values for part in parts])
+        coordinates = {dim: like[dim] for dim in like.dims if dim in ("change_theta",)}
+        result[f"{name}_change"] = xr.DataArray(values, coordinates, (DIMENSION, *like.dims))
+    return result.assign_coords({SOURCE: (DIMENSION, [change.source for change in changes])})
+
+
+def _known(error: xr.DataArray) -> xr.DataArray | None:
+    """The error at incidences where it is known for all regions; None if it is nowhere."""
+    found = error.dropna("theta_i").rename(theta_i="error_theta")
+    return found.drop_vars("reference", errors="ignore") if found.size else None
+
+
+def _on_wavelengths(u: xr.DataArray, like: xr.DataArray) -> xr.DataArray:
+    """An uncertainty at the wavelengths of a variable, or its mean if that has none."""
+    if "wavelength" not in like.dims:
+        return xr.DataArray(float(u.mean()))
+    values = np.interp(like["wavelength"].values, u["wavelength"].values, u.values)
+    return xr.DataArray(values, dims="wavelength")
+
+
+# --- facets
+
+
+def _of_facets(bsdf: xr.Dataset, facets: xr.Dataset) -> Iterator[tuple[str, Fields]]:
+    """Source, and change of slope density and masking, for each change of the facets."""
+    if bsdf["slope_density"].ndim == 1:
+        facets = azimuthal_average(facets)
+        nodes = facets["slope"].values
+        # The relief upon which finer roughness scatters has all slopes scaled.
+        factor = float(bsdf["slope"].values[-1] / nodes[-1])
+        changed = (facets["slope_density"].values + facets[CHANGES].values) / factor**2
+        of_masking = _radial_masking(bsdf)
+    else:
+        changed = facets["slope_density"].values + facets[CHANGES].values
+        of_masking = _planar_masking(bsdf)
+    given = bsdf["slope_density"]
+    for source, values in zip(facets[SOURCE].values, changed, strict=True):
+        yield (
+            str(source),
+            {
+                "slope_density": xr.DataArray(values - given.values, dims=given.dims),
+                "lambda_smith": xr.DataArray(of_masking(values), dims=bsdf["lambda_smith"].dims),
+            },
+        )
+
+
+def _radial_masking(bsdf: xr.Dataset) -> Callable[[Array], Array]:
+    """Change of Λ on its nodes for a changed density."""
+    mu, slope = 1 / np.tan(np.radians(bsdf["theta"].values)), bsdf["slope"].values
+    picked = np.unique(np.append(np.arange(0, mu.size, _MASKING_STEP), mu.size - 1))
+    given = excess_slope(RadialDensity(slope, bsdf["slope_density"].values), mu[picked])
+
+    def change(density: Array) -> Array:
+        excess = excess_slope(RadialDensity(slope, density), mu[picked]) - given
+        return np.asarray(np.interp(-mu, -mu[picked], excess) / mu)
+
+    return change
+
+
+def _planar_masking(bsdf: xr.Dataset) -> Callable[[Array], Array]:
+    """The same of a surface with a lay."""
+    density = PlanarDensity.of(bsdf)
+    given = bsdf["lambda_smith"].transpose("theta", "phi").values
+
+    def change(values: Array) -> Array:
+        table = planar_density.smith_lambda(replace(density, density=values)).sortby("phi")
+        return np.asarray(table.values - given)
+
+    return change
+
+
+# --- roughness spectrum
+
+
+def _of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[Fields]:
+    """Changes of the rms height, and of the halo, for each band of a measured spectrum.
+
+    Rings of a spectrum are independent, so the variance of a band is the sum of theirs; a band changes as a whole.
+    """
+    frequency, density, u = (psd[name].values for name in ("frequency", "psd", "psd_uncertainty"))
+    if psd.attrs["form"] != "measured" or not (density.any() and np.isfinite(u).all() and u.any()):
+        return
+    weight = frequency**2 * np.gradient(np.log(frequency))
+    power = np.cumsum(weight * density)
+    band = np.minimum((_BANDS * (power - power[0] / 2) / power[-1]).astype(int), _BANDS - 1)
+    given, sigma = roughness(psd)
+    rows = np.arange(0, bsdf.sizes["phase_variance"] - 1, _PHASE_STEP)
+    rows = np.append(rows, bsdf.sizes["phase_variance"] - 1)
+    phase, nodes = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
+    isotropic = bsdf["log_halo"].ndim == 2
+    before = log_transform(given, phase[rows], nodes) if isotropic else np.empty(0)
+    for number in np.unique(band):
+        inside = band == number
+        relative = np.sqrt(np.square((weight * u)[inside]).sum()) / max(float((weight * density)[inside].sum()), 1e-300)
+        changed, changed_sigma = roughness(psd.assign(psd=psd["psd"] * np.where(inside, 1 + relative, 1.0)))
+        fields = {"sigma": xr.DataArray(changed_sigma - sigma)}
+        if isotropic:
+            difference = log_transform(changed, phase[rows], nodes) - before
+            columns = [np.interp(np.log(phase), np.log(phase[rows]), column) for column in difference.T]
+            fields["log_halo"] = xr.DataArray(np.stack(columns, axis=1), dims=("phase_variance", "halo_frequency"))
+        yield fields
+
+
+# --- the diffuse base below the surface
+
+
+class _Base(NamedTuple):
+    """The diffuse base of a BSDF, which keeps the total reflectance at that of its spectrum."""
+
+    bsdf: xr.Dataset
+    given: Representation
+    spectrum: xr.Dataset | None
+
+    @classmethod
+    def of(cls, bsdf: xr.Dataset, spectrum: xr.Dataset | None) -> _Base:
+        return cls(bsdf, representation(bsdf), spectrum)
+
+    def completed(self, fields: Fields) -> Fields:
+        """Add what a change of the surface makes of its albedo and of the base."""
+        if isinstance(self.given, Wave):
+            albedo = self._wave_albedo(fields)
+        elif isinstance(self.given, Interface):
+            albedo = self._interface_albedo(fields)
+        else:
+            return fields
+        if not albedo.any():
+            return fields
+        spectral = ("wavelength",) if "wavelength" in self.bsdf["directional_albedo"].dims else ()
+        own = albedo if spectral else albedo[:, :1]
+        theta = np.radians(np.linspace(0.0, 90.0, 181))
+        mean = np.trapezoid(
+            between_incidences(_THETA, own, np.degrees(theta)) * np.sin(2 * theta)[:, None], theta, axis=0
+        )
+        of_table = own if spectral else own[:, 0]
+        fields = fields | {
+            "directional_albedo": xr.DataArray(of_table, {"change_theta": _THETA}, ("change_theta", *spectral)),
+            "mean_albedo": xr.DataArray(mean if spectral else mean[0], dims=spectral),
+        }
+        # What a surface reflects more does not enter the base: 1 − d of its change is missing in the total.
+        missing = 1.0 if str(self.bsdf.attrs["diffuse_mode"]) == "crf" else 1 - self.bsdf["diffuse"].values
+        of_surface = between_incidences(_THETA, albedo, np.array([float(self.bsdf.get("theta_m", 8.0))]))[0]
+        return fields | self._diffuse(self._trapped(fields) - missing * of_surface)
+
+    def of_total(self, u: xr.DataArray) -> Fields:
+        """Change of the base by that of the measured total reflectance."""
+        if "total_reflectance" not in self.bsdf or "wavelength" not in self.bsdf["total_reflectance"].dims:
+            return {}
+        change = _on_wavelengths(u, self.bsdf["total_reflectance"])
+        fields: Fields = {"total_reflectance": change}
+        if "lambert" in self.bsdf:
+            return fields | {"lambert": change}
+        return fields | self._diffuse(change.values)
+
+    def _diffuse(self, change: Array) -> Fields:
+        """Change of the diffuse reflectance by that of the light the base has to return, at the incidence of the spectrum (wavelength,)."""
+        diffuse = self.bsdf["diffuse"]
+        if self.spectrum is None or "wavelength" not in diffuse.dims or str(self.bsdf.attrs["diffuse_mode"]) == "none":
+            return {}
+        values = diffuse.values
+        if str(self.bsdf.attrs["diffuse_mode"]) != "crf":
+            theta_m = float(self.bsdf["theta_m"])
+            table = self.bsdf["directional_albedo"]
+            table = table.mean("phi_i") if "phi_i" in table.dims else table
+            entering = np.maximum(1 - table.sel(theta_i=theta_m, method="nearest").values, 1e-6)
+            change = change / entering
+        return {"diffuse": xr.DataArray(np.clip(values + change, 0.0, 1 - 2e-8) - values, dims="wavelength")}
+
+    def _changed_model(self, fields: Mapping[str, xr.DataArray]) -> Model:
+        """The model with other facets or another index; its tables are those of the given one."""
+        used = {
+            name: self.bsdf[name].copy(data=self.bsdf[name].values + fields[name].values)
+            for name in fields
+            if name in ("slope_density", "lambda_smith", "n")
+        }
+        return Model.of(self.bsdf.assign(used), None)
+
+    def _interface_albedo(self, fields: Fields) -> Array:
+        """Change of the light that the facets reflect once, (change_theta, wavelength or 1)."""
+        turns = np.zeros(1) if self.given.isotropic else (self.given.lay or 0.0) + _LAY_TURNS
+        theta, phi = (grid.ravel() for grid in np.meshgrid(_THETA, turns, indexing="ij"))
+        changed, given = self._changed_model(fields), Model.of(self.bsdf, None)
+        change = changed.specular(theta, phi, changed.n) - given.specular(theta, phi, given.n)
+        return np.asarray(change.reshape(_THETA.size, turns.size, -1).mean(axis=1))
+
+    def _wave_albedo(self, fields: Fields) -> Array:
+        """Change of Fresnel's reflectance, which a surface with waves keeps, (change_theta, wavelength)."""
+        n, k = (self.bsdf[name].values for name in ("n", "k"))
+        if "n" not in fields:
+            return np.zeros((_THETA.size, n.size))
+        cosine = np.cos(np.radians(_THETA))[:, None]
+        return np.asarray(fresnel(cosine, n + fields["n"].values, k).mean - fresnel(cosine, n, k).mean)
+
+    def _trapped(self, fields: Fields) -> Array:
+        """Change of the light in a gloss trap, which a spectrum with the specular excluded is without, (wavelength or 1,)."""
+        if self.spectrum is None or self.spectrum.attrs["geometry"] != "sce" or not isinstance(self.given, Interface):
+            return np.zeros(1)
+        theta_m = float(self.bsdf["theta_m"])
+        bare = self.bsdf.assign(diffuse=xr.zeros_like(self.bsdf["diffuse"]))
+        models = _Base(bare, self.given, self.spectrum)._changed_model(fields), Model.of(bare, None)
+        changed, given = (trapped_light(model, self.spectrum, theta_m) for model in models)
+        return np.asarray(changed - given)

@@ -1,0 +1,217 @@
+"""What uncertain inputs make of a BSDF: the BSDF after each independent change of an input by one standard uncertainty.
+
+A ``bsdf`` dataset with uncertain inputs holds, beside a variable, its changes: ``slope_density_change(uncertain_change, slope)``, with the
+input of each change in ``uncertainty_source(uncertain_change)``. All variables of one change go together, and so do all directions and
+wavelengths of the BSDF that follows from them. Changes are independent of each other: the variance of anything that is
+computed from the BSDF is the sum of the squares of what the changes make of it. The error of the model is one more such change, of the
+light that the surface reflects: ``relative_error`` by incidence and by share of the peak.
+
+References
+----------
+JCGM 102:2011, 6.2 and 6.3 (covariance from common inputs).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import xarray as xr
+from scipy.interpolate import CubicSpline
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.spectral import at_wavelengths
+from brdfpipe.geometry import Array
+
+DIMENSION, SOURCE = "uncertain_change", "uncertainty_source"
+"""Dimension of the changes, and the variable that names the input of each."""
+MODEL = "model"
+"""Source of the error of the model itself."""
+NOT_STATED = "uncertainty_not_stated"
+"""Attribute: sources without a stated uncertainty, separated by commas."""
+
+_SUFFIX = "_change"
+_PEAK_INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0])
+_PEAK_VIEWS = np.arange(0.0, 89.9, 0.5)
+_REGION_MIDDLES = np.log([0.55, 0.1, 0.01])
+"""Logarithm of the share of the peak in the middle of the regions of a model error: peak, shoulder, rest."""
+
+
+class Reflector(Protocol):
+    """What an integral over a BSDF needs of it; arguments and results as those of :class:`brdfpipe.bsdf.base.Representation`."""
+
+    def evaluate(
+        self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
+    ) -> Array: ...
+
+    def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]: ...
+
+    def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array: ...
+
+
+class SourceChanges:
+    """A BSDF, and the same after each change of an uncertain input.
+
+    Parameters
+    ----------
+    bsdf : kind ``bsdf``; one without uncertain inputs has no changes
+    """
+
+    def __init__(self, bsdf: xr.Dataset) -> None:
+        self._bsdf = bsdf
+        self.given: Representation = representation(bsdf)
+
+    @cached_property
+    def sources(self) -> tuple[str, ...]:
+        """Source of each change."""
+        named = map(str, self._bsdf[SOURCE].values) if SOURCE in self._bsdf.variables else ()
+        return (*named, MODEL) if "relative_error" in self._bsdf else tuple(named)
+
+    @cached_property
+    def changed(self) -> tuple[Reflector, ...]:
+        """The BSDF after each change."""
+        of_inputs = [representation(dataset) for dataset in self._datasets]
+        return (*of_inputs, _WithModelError(self._bsdf)) if "relative_error" in self._bsdf else tuple(of_inputs)
+
+    @cached_property
+    def _datasets(self) -> list[xr.Dataset]:
+        """Kept, because a representation is cached as long as its dataset lives."""
+        bsdf, names, plain = self._bsdf, changing(self._bsdf), without_changes(self._bsdf)
+        rows = range(bsdf.sizes.get(DIMENSION, 0))
+        return [
+            plain.assign({name: after for name in names if (after := _after(bsdf, name, row)) is not None})
+            for row in rows
+        ]
+
+    def of_brdf(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        """Changes of the BSDF [sr-1], (changes, directions…, wavelength)."""
+        at = theta_i, phi_i, theta_o, phi_o, wavelength
+        return self._differences(self.given.evaluate(*at), [one.evaluate(*at) for one in self.changed])
+
+    def of_albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        """Changes of the directional reflectance [1], (changes, incidences…, wavelength)."""
+        at = theta_i, phi_i, wavelength
+        return self._differences(self.given.albedo(*at), [one.albedo(*at) for one in self.changed])
+
+    @staticmethod
+    def _differences(given: Array, changed: list[Array]) -> Array:
+        return np.array([one - given for one in changed]).reshape(len(changed), *given.shape)
+
+    def by_source(self, changes: Array) -> dict[str, Array]:
+        """Standard uncertainty from each source: root of the sum of squares of its changes (changes, …)."""
+        names, sources = dict.fromkeys(self.sources), np.array(self.sources, dtype=object)
+        return {name: np.asarray(np.sqrt(np.square(changes[sources == name]).sum(axis=0))) for name in names}
+
+
+def uncertain(bsdf: xr.Dataset) -> bool:
+    """Whether a ``bsdf`` dataset has uncertain inputs."""
+    return DIMENSION in bsdf.dims or "relative_error" in bsdf
+
+
+def changing(bsdf: xr.Dataset) -> list[str]:
+    """Variables of a dataset that have changes."""
+    of_changes = (str(name) for name, variable in bsdf.data_vars.items() if DIMENSION in variable.dims)
+    return [name.removesuffix(_SUFFIX) for name in of_changes if name.endswith(_SUFFIX)]
+
+
+def without_changes(bsdf: xr.Dataset) -> xr.Dataset:
+    """The dataset as if its inputs were exact."""
+    return bsdf.drop_dims(DIMENSION, errors="ignore").drop_vars(["relative_error", SOURCE], errors="ignore")
+
+
+def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
+    """A BSDF averaged over wavelength, with the changes of the spectral one averaged by the same weights."""
+    if not uncertain(bsdf):
+        return reduced
+    reduced = without_changes(reduced)
+    fields = {}
+    for name in changing(bsdf):
+        if name in reduced:
+            change = bsdf[name + _SUFFIX]
+            if "mixed" in reduced[name].dims:
+                values = at_wavelengths(change, reduced["mixed_wavelength"].values)
+                change = xr.DataArray(values, dims=(DIMENSION, "mixed"))
+            elif "wavelength" in change.dims:
+                change = change @ xr.DataArray(weight, dims="wavelength")
+            fields[name + _SUFFIX] = change.variable
+    kept = {name: bsdf[name].variable for name in (SOURCE, "relative_error") if name in bsdf.variables}
+    coordinates = {
+        name: bsdf[name].variable for name in ("change_theta", "error_theta", "region") if name in bsdf.coords
+    }
+    return vocabulary.label(reduced.assign(fields | kept).assign_coords(coordinates), "bsdf")
+
+
+def _after(bsdf: xr.Dataset, name: str, row: int) -> xr.Variable | None:
+    """A variable after one of its changes, within the range of its quantity; None if it does not change."""
+    # Plain variables: xarray would align the coordinates of each.
+    given, changes = bsdf.variables[name], bsdf.variables[name + _SUFFIX]
+    change = changes[{DIMENSION: row}]
+    if not change.values.any():
+        return None
+    if "change_theta" in change.dims:
+        change = change.transpose("change_theta", ...)
+        values = between_incidences(bsdf["change_theta"].values, change.values, bsdf["theta_i"].values)
+        change = xr.Variable(("theta_i", *change.dims[1:]), values)
+    quantity = vocabulary.QUANTITIES[name]
+    values = (given + change).transpose(*given.dims).values
+    return xr.Variable(given.dims, np.clip(values, quantity.low, quantity.high), given.attrs)
+
+
+class _WithModelError:
+    """A BSDF whose surface reflects more light, by the relative error of its model."""
+
+    def __init__(self, bsdf: xr.Dataset) -> None:
+        self._given = representation(bsdf)
+        bare = self._given.without_diffuse()
+        self._bare_dataset = bsdf if bare is None else bare
+        self._bare = representation(self._bare_dataset)
+        self._error = bsdf["relative_error"]
+
+    @cached_property
+    def _peaks(self) -> Array:
+        """Largest BRDF of the surface in the plane of incidence [sr-1], mean over wavelength, at some incidences."""
+        incidence, view = np.meshgrid(_PEAK_INCIDENCES, _PEAK_VIEWS, indexing="ij")
+        along = self._bare.lay or 0.0
+        brdf = self._bare.evaluate(incidence, np.full_like(view, along), view, np.full_like(view, along + 180), None)
+        return np.asarray(brdf.mean(axis=-1).max(axis=1))
+
+    def _relative(self, theta_i: Array, log_share: Array) -> Array:
+        """Relative error at incidences, and logarithms of shares of the peak there, of one shape."""
+        angles, values = self._error["error_theta"].values, self._error.transpose("error_theta", "region").values
+        by_region = [np.interp(theta_i, angles, column) for column in values.T]
+        peak, shoulder, rest = _REGION_MIDDLES
+        inner = np.clip((peak - log_share) / (peak - shoulder), 0.0, 1.0)
+        outer = np.clip((shoulder - log_share) / (shoulder - rest), 0.0, 1.0)
+        return by_region[0] + inner * (by_region[1] - by_region[0]) + outer * (by_region[2] - by_region[1])
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        bare = self._bare.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
+        given = self._given.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
+        incidence = np.broadcast_to(theta_i, given.shape[:-1])
+        peak = np.interp(incidence, _PEAK_INCIDENCES, np.log(np.maximum(self._peaks, 1e-300)))
+        share = np.log(np.maximum(bare.mean(axis=-1), 1e-300)) - peak
+        return given + bare * self._relative(incidence, share)[..., None]
+
+    def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
+        mirrored, passed = self._given.specular(theta_i, phi_i, wavelength)
+        return mirrored * (
+            1 + self._relative(np.asarray(theta_i, dtype=float), np.zeros(np.shape(theta_i)))[..., None]
+        ), passed
+
+    def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        """Unchanged: light that the surface reflects elsewhere stays part of a total that was measured."""
+        return self._given.albedo(theta_i, phi_i, wavelength)
+
+
+def between_incidences(nodes: Array, changes: Array, theta: Array) -> Array:
+    """Changes of an albedo (nodes, …) at other incidences, (theta, …)."""
+    return np.asarray(CubicSpline(nodes, changes)(theta))
+
+
+def in_quadrature(parts: Mapping[str, Array]) -> Array:
+    """Root of the sum of squares of independent parts."""
+    return np.asarray(np.sqrt(sum(np.square(part) for part in parts.values())))

@@ -1,0 +1,93 @@
+"""Uncertainty of gloss, haze and colours from the inputs of a prediction."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from samples import beckmann, beckmann_bsdf, spectrum
+
+from brdfpipe import optics, vocabulary
+from brdfpipe.appearance import gloss
+from brdfpipe.appearance.computation import compute_appearance
+from brdfpipe.appearance.quantities import quantity
+from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf.input_uncertainty import uncertainty
+from brdfpipe.report import combine, summarise
+from brdfpipe.report.material.head import key_numbers
+from brdfpipe.report.material.reflection import source_table
+
+
+def with_model_error(bsdf: xr.Dataset, relative: float) -> xr.Dataset:
+    values = np.full((2, 3), relative)
+    axes = {"theta_i": [0.0, 75.0], "region": ["peak", "shoulder", "rest"]}
+    changes = uncertainty(
+        bsdf, relative_error=xr.DataArray(values, axes, ("theta_i", "region")), spectrum=spectrum(0.3)
+    )
+    return bsdf.merge(changes, combine_attrs="override")
+
+
+@pytest.fixture(scope="module")
+def index_alone() -> tuple[xr.Dataset, xr.Dataset]:
+    """A BSDF whose index is uncertain, and its appearance."""
+    bsdf = microfacet.build(beckmann(0.1), index=1.5, spectrum=spectrum(0.3))
+    changes = uncertainty(bsdf, index=optics.refractive_index(1.5, uncertainty=0.01), spectrum=spectrum(0.3))
+    bsdf = bsdf.merge(changes, combine_attrs="override")
+    bsdf.attrs |= {"uncertainty_not_stated": changes.attrs["uncertainty_not_stated"]}
+    return bsdf, compute_appearance(bsdf)
+
+
+def test_gloss_is_as_uncertain_as_the_difference_to_another_index(index_alone):
+    _, appearance = index_alone
+    higher = gloss(microfacet.build(beckmann(0.1), index=1.51, spectrum=spectrum(0.3)))
+    found = appearance["gloss_u_source"].sel(source="index")
+    np.testing.assert_allclose(found, higher - appearance["gloss"], rtol=0.02, atol=1e-3)
+
+
+def test_sources_and_instrument_add_in_quadrature(index_alone):
+    _, appearance = index_alone
+    exact = compute_appearance(microfacet.build(beckmann(0.1), index=1.5, spectrum=spectrum(0.3)))
+    assert "gloss_u_source" not in exact
+    for name in ("gloss", "haze", "reflectance_haze"):
+        parts = appearance[f"{name}_u_source"]
+        np.testing.assert_allclose(parts.sel(source="instrument"), exact[f"{name}_u"])
+        np.testing.assert_allclose(np.hypot(*parts.values), appearance[f"{name}_u"])
+        np.testing.assert_array_equal(appearance[name], exact[name])
+
+
+def test_a_total_reflectance_is_not_better_known_than_its_spectrum(index_alone):
+    _, appearance = index_alone
+    assert np.isnan(appearance["lab_u"].sel(geometry="8:total")).all()
+    assert np.isnan(appearance["luminous_reflectance_u"])
+    assert (appearance["lab_u"].sel(geometry="45as15") > 0).all()
+
+
+def test_errors_of_two_receptors_that_go_together_partly_cancel_in_a_haze():
+    bsdf = with_model_error(beckmann_bsdf(0.03, reflectance=0.05), 0.1)
+    appearance = compute_appearance(bsdf)
+    of_gloss = appearance["gloss_u_source"].sel(source="model", gloss_angle=[20, 60]).values
+    of_haze = float(appearance["haze_u_source"].sel(source="model"))
+    assert of_haze == pytest.approx(abs(of_gloss[1] - of_gloss[0]), rel=1e-9)
+    assert of_haze < np.hypot(*of_gloss)
+
+
+def test_the_page_and_the_catalogue_show_the_uncertainty(index_alone):
+    bsdf, appearance = index_alone
+    datasets = {"facets": beckmann(0.1), "bsdf": bsdf.assign_attrs(route="predicted"), "appearance": appearance}
+    table = source_table(datasets)
+    assert [row[0] for row in table.rows] == ["Refractive index", "Instrument", "All together"]
+    assert "Not known, and none assumed: facets, spectrum, model." in table.note
+    tiles = {tile.name: tile.value for tile in key_numbers(datasets)}
+    value, u = float(appearance["gloss"].sel(gloss_angle=60)), float(appearance["gloss_u"].sel(gloss_angle=60))
+    assert tiles["Gloss 60°"] == f"{value:.1f} ± {u:.1f}"
+    row = combine([summarise({name: one.assign_attrs(stage=name, material="m") for name, one in datasets.items()})])
+    assert row["gloss_60_u"].item() == pytest.approx(u)
+    assert np.isnan(row["luminous_reflectance_u"].item())
+
+
+def test_a_tolerance_alone_is_no_uncertainty_of_a_material():
+    appearance = compute_appearance(beckmann_bsdf(0.1))
+    assert np.isnan(quantity("gloss_60").uncertainty({"appearance": appearance}))
+    assert source_table({"appearance": appearance}) is None
+
+
+def test_the_appearance_has_the_declared_variables(index_alone):
+    vocabulary.validate(index_alone[1], "appearance")

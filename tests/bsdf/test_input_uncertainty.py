@@ -1,0 +1,163 @@
+"""Changes of a predicted BSDF by its inputs, against the BSDF that is built anew with the changed input."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from samples import beckmann, beckmann_bsdf, spectrum
+
+from brdfpipe import facets, optics, vocabulary
+from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf.input_uncertainty import uncertainty
+from brdfpipe.bsdf.lambert_gauss import lambertian
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.source_changes import SourceChanges
+from brdfpipe.errors import VocabularyError
+from brdfpipe.facets.radial_density import RadialDensity
+
+AT = np.array([10.0, 45.0, 45.0, 70.0]), np.zeros(4), np.array([15.0, 45.0, 0.0, 60.0]), np.full(4, 180.0), None
+
+
+def uncertain_facets(factor: float = 1.02) -> xr.Dataset:
+    """A Gaussian finish whose slopes are uncertain by a common factor."""
+    given = beckmann(0.2)
+    slope = given["slope"].values
+    steeper = RadialDensity(slope, given["slope_density"].values)((slope / factor) ** 2) / factor**2
+    change = RadialDensity(slope, np.maximum(steeper, 1e-300)).normalised().density - given["slope_density"].values
+    fields = {"slope_density_change": (("uncertain_change", "slope"), change[None])}
+    return vocabulary.label(
+        given.assign(fields).assign_coords(uncertainty_source=("uncertain_change", ["facets"])), "facets"
+    )
+
+
+def index_of(n: float, u: float | None = None) -> xr.Dataset:
+    return optics.refractive_index(n, uncertainty=u)
+
+
+def with_u(reflectance: float, u: float, **options) -> xr.Dataset:
+    given = spectrum(reflectance, **options)
+    return vocabulary.label(given.assign(total_reflectance_u=xr.full_like(given["total_reflectance"], u)), "spectrum")
+
+
+def beside(bsdf: xr.Dataset, **inputs) -> xr.Dataset:
+    """A BSDF with the changes by its inputs."""
+    changes = vocabulary.validate(uncertainty(bsdf, **inputs), "uncertainty")
+    return vocabulary.validate(bsdf.merge(changes, combine_attrs="override"), "bsdf")
+
+
+def assert_changes_as_rebuilt(bsdf: xr.Dataset, rebuilt: xr.Dataset, *, within: float) -> None:
+    changes, given = SourceChanges(bsdf), representation(bsdf)
+    found = changes.of_brdf(*AT)[0]
+    wanted = representation(rebuilt).evaluate(*AT) - given.evaluate(*AT)
+    assert np.abs(wanted).max() > 0
+    np.testing.assert_allclose(found, wanted + 0 * found, atol=within * np.abs(wanted).max())
+    incidence = np.array([8.0, 60.0, 80.0]), np.zeros(3), None
+    albedo = representation(rebuilt).albedo(*incidence) - given.albedo(*incidence)
+    np.testing.assert_allclose(
+        changes.of_albedo(*incidence)[0], albedo + 0 * found[:3], atol=2e-5 + within * np.abs(albedo).max()
+    )
+
+
+@pytest.mark.parametrize("geometry", ["sci", "sce"])
+def test_an_index_changes_the_bsdf_as_if_it_was_built_with_it(geometry):
+    options = {"spectrum": spectrum(0.3, geometry=geometry)}
+    bsdf = microfacet.build(beckmann(0.2), index=1.5, **options)
+    rebuilt = microfacet.build(beckmann(0.2), index=1.505, **options)
+    assert_changes_as_rebuilt(beside(bsdf, index=index_of(1.5, 0.005), **options), rebuilt, within=0.02)
+
+
+@pytest.mark.parametrize("reflectance", [None, 0.3, 0.9])
+def test_facets_change_the_bsdf_as_if_it_was_built_with_them(reflectance):
+    given = uncertain_facets()
+    options = {"index": 1.5, "spectrum": None if reflectance is None else spectrum(reflectance)}
+    bsdf = microfacet.build(given, **options)
+    rebuilt = microfacet.build(facets.scaled(beckmann(0.2), 1.02), **options)
+    inputs = {"facets": given, "spectrum": options["spectrum"]}
+    assert_changes_as_rebuilt(beside(bsdf, **inputs), rebuilt, within=0.01)
+
+
+def test_a_spectrum_changes_the_base_alone():
+    options = {"index": 1.5}
+    bsdf = microfacet.build(beckmann(0.2), spectrum=spectrum(0.3), **options)
+    rebuilt = microfacet.build(beckmann(0.2), spectrum=spectrum(0.31), **options)
+    found = beside(bsdf, spectrum=with_u(0.3, 0.01))
+    assert_changes_as_rebuilt(found, rebuilt, within=1e-6)
+    total = SourceChanges(found).of_albedo(np.array([8.0]), np.zeros(1), None)
+    np.testing.assert_allclose(total, 0.01, rtol=1e-6)
+
+
+def test_a_colour_alone_is_as_uncertain_as_its_spectrum():
+    bsdf = lambertian(with_u(0.3, 0.01))
+    found = beside(bsdf, spectrum=with_u(0.3, 0.01))
+    np.testing.assert_allclose(found.bsdf.uncertainty(30, 0, 10, 0), 0.01 / np.pi)
+    assert found.bsdf.uncertainty_sources == ("spectrum",)
+
+
+def test_a_polished_face_is_uncertain_by_its_index():
+    bsdf = microfacet.build(facets.flat(), index=1.5, spectrum=spectrum(0.3))
+    rebuilt = microfacet.build(facets.flat(), index=1.51, spectrum=spectrum(0.3))
+    changes = SourceChanges(beside(bsdf, index=index_of(1.5, 0.01), spectrum=spectrum(0.3)))
+    at = np.array([20.0, 60.0]), np.zeros(2), None
+    found = changes.changed[0].specular(*at)[0] - changes.given.specular(*at)[0]
+    wanted = representation(rebuilt).specular(*at)[0] - changes.given.specular(*at)[0]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
+
+
+def test_all_directions_of_a_source_change_together_and_sources_are_independent():
+    given = uncertain_facets()
+    bsdf = microfacet.build(given, index=1.5, spectrum=spectrum(0.3))
+    found = beside(bsdf, facets=given, index=index_of(1.5, 0.005), spectrum=with_u(0.3, 0.003))
+    angles = 45, 0, [45, 40, 0], 180
+    parts = [found.bsdf.uncertainty(*angles, source=source) for source in found.bsdf.uncertainty_sources]
+    assert found.bsdf.uncertainty_sources == ("facets", "index", "spectrum")
+    np.testing.assert_allclose(found.bsdf.uncertainty(*angles), np.sqrt(sum(part**2 for part in parts)))
+    with pytest.raises(VocabularyError, match="no uncertainty from the source 'psd'; known: facets, index, spectrum"):
+        found.bsdf.uncertainty(*angles, source="psd")
+
+
+def test_the_uncertainty_of_a_mean_over_wavelength_is_that_of_all_wavelengths_together():
+    given = uncertain_facets()
+    index = vocabulary.label(index_of("ABS").assign(n_u=lambda one: 0 * one["n"] + 0.005), "index")
+    bsdf = microfacet.build(given, index=index, spectrum=spectrum(0.3))
+    found = beside(bsdf, facets=given, index=index, spectrum=with_u(0.3, 0.003))
+    mean = SourceChanges(nonspectral(found)).of_brdf(*AT)[..., 0]
+    by_wavelength = SourceChanges(found).of_brdf(*AT)
+    assert (mean >= by_wavelength.min(axis=-1) - 1e-4 * np.abs(mean)).all()
+    assert (mean <= by_wavelength.max(axis=-1) + 1e-4 * np.abs(mean)).all()
+
+
+def model_error(peak: float, shoulder: float, rest: float) -> xr.DataArray:
+    theta = [0.0, 30.0, 60.0, 75.0]
+    values = np.tile([peak, shoulder, rest], (4, 1))
+    return xr.DataArray(values, {"theta_i": theta, "region": ["peak", "shoulder", "rest"]}, ("theta_i", "region"))
+
+
+def test_the_error_of_the_model_is_that_of_the_light_the_surface_reflects():
+    bsdf = beckmann_bsdf(0.1)
+    found = beside(bsdf, relative_error=model_error(0.03, 0.1, 0.4))
+    assert found.bsdf.uncertainty_sources == ("model",)
+    without = representation(bsdf).without_diffuse()
+    for theta_o, relative in ((45, 0.03), (0, 0.4)):
+        lobe = representation(without).evaluate(*np.array([[45.0], [0.0], [theta_o], [180.0]]), None)[0, 0]
+        u = found.bsdf.uncertainty(45, 0, theta_o, 180).values.max()
+        assert u == pytest.approx(relative * lobe, rel=1e-6)
+    # Light that is moved stays part of the total.
+    np.testing.assert_allclose(found.bsdf.albedo_uncertainty([8, 60]), 0)
+
+
+def test_an_error_that_is_not_known_is_no_source():
+    bsdf = beckmann_bsdf(0.1)
+    unknown = model_error(np.nan, np.nan, np.nan)
+    found = uncertainty(bsdf, relative_error=unknown, spectrum=spectrum(0.3))
+    assert found.attrs["uncertainty_not_stated"] == "facets, index, spectrum, model"
+    with pytest.raises(VocabularyError, match="'microfacet' states no uncertainty; those that do"):
+        bsdf.merge(found, combine_attrs="override").bsdf.uncertainty(30, 0, 30, 180)
+
+
+def test_total_reflection_and_black_bases_stay_within_their_ranges():
+    bsdf = microfacet.build(uncertain_facets(), index=1.5, spectrum=spectrum(0.041))
+    inputs = {"facets": uncertain_facets(), "index": index_of(1.5, 0.3), "spectrum": with_u(0.041, 0.02)}
+    found = beside(bsdf, **inputs)
+    for changed in SourceChanges(found).changed:
+        assert (changed.evaluate(*AT) >= 0).all()
+        assert (changed.albedo(np.array([0.0, 89.0]), np.zeros(2), None) <= 1).all()
