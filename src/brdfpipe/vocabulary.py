@@ -64,7 +64,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "scale": Quantity("1", "distance between the heights a slope is taken from, in pixels", 1),
     "second_theta_i": Quantity("degree", "polar angle of incidence on the first of two facets", 0, 90),
     "second_theta_o": Quantity("degree", "polar angle of light from the second of two facets", 0, 90),
-    "second_theta": Quantity("degree", "polar angle of incidence of the albedo of the second reflection", 0, 90),
+    "second_phi": Quantity("degree", "azimuth of the second reflection by a surface with a lay", 0, 360),
     "second_azimuth": Quantity("1", "azimuth from the forward plane, scaled to the width of the lobe", 0, 1),
     "theta_s": Quantity("degree", "angle of the outgoing direction from the mirror direction", 0, 180),
     "phi_s": Quantity("degree", "azimuth about the mirror direction, 0 towards the normal", -720, 720),
@@ -157,10 +157,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "furnace_albedo": Quantity("1", "directional albedo of the same facets as perfect mirrors", 0, 1 + 1e-9),
     "mean_furnace_albedo": Quantity("1", "cosine-weighted mean of the furnace albedo", 0),
     "compensation": Quantity("1", "reflectance of what leaves the facets after more than one reflection", 0, 1 + 1e-9),
-    "second_reflection": Quantity("1", "16-fold factor A of the light reflected by two facets, docs/model.md", 0),
-    "second_mirror_albedo": Quantity(
-        "1", "directional albedo of the second reflection by perfect mirrors", 0, 1 + 1e-9
-    ),
+    "second_reflection": Quantity("1", "factor A of the light reflected by two facets and more, docs/model.md", 0),
+    "second_slope": Quantity("1", "typical slope to which the nodes of the second reflection are scaled", 0),
+    "second_weight": Quantity("1", "factor of either direction of the second reflection by a surface with a lay", 0),
     "diffuse": Quantity("1", "diffuse reflectance d' below the facets", 0),
     "theta_m": Quantity("degree", "incidence at which the total reflectance was measured", 0, 90),
     "front_slope": Quantity("1", "magnitude of the slope of the front face", 0),

@@ -182,8 +182,6 @@ def test_a_lay_a_line_and_a_missing_table_are_refused(gaussian_map):
         tabulate(line, BECKMANN)
     with pytest.raises(ModelError, match=r"needs the visibility of the facets.*set `model.masking: height-correlated`"):
         build(BECKMANN, index=1.5, masking="measured")
-    with pytest.raises(ModelError, match=r"accepted: height-correlated; set `model.masking`"):
-        with_ratio(random_table(0), multiple_scattering="directional")
     with pytest.raises(ModelError, match="is not defined for transmission"):
         with_ratio(random_table(0), transparent=True)
 

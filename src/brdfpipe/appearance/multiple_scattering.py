@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from brdfpipe.bsdf.microfacet.microsurface import Microsurface
-from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection, albedo_of_mirrors
-from brdfpipe.geometry import Array
-from brdfpipe.hemisphere import panel_rule
+from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection
 from brdfpipe.optics.fresnel_equations import mean_fresnel
 
 
@@ -45,26 +41,15 @@ def multiple_scattering(bsdf: xr.Dataset, wavelength: float = 550.0) -> Multiple
     if "mean_furnace_albedo" not in bsdf or "slope_density" not in bsdf:
         return None
     mode, mirrors = str(bsdf.attrs["multiple_scattering"]), 1 - float(bsdf["mean_furnace_albedo"])
-    if mode != "none":
-        compensated = float(_at(bsdf["compensation"], wavelength)) * mirrors
-        if mode != "directional":
-            return MultipleScattering(mode, compensated, mirrors)
-        table = _at(bsdf["second_reflection"], wavelength).values[..., None]
-        directional = SecondReflection.of(bsdf, table, Microsurface.of(bsdf)).albedo
-        share, of_mirrors = (
-            _mean(albedo, bsdf["second_theta_i"].values) for albedo in (directional, albedo_of_mirrors(bsdf))
-        )
-        return MultipleScattering(mode, compensated + share, mirrors + of_mirrors)
+    if mode == "compensated":
+        return MultipleScattering(mode, float(_at(bsdf["compensation"], wavelength)) * mirrors, mirrors)
+    if mode == "directional":
+        table = SecondReflection.of(bsdf, _at(bsdf["second_reflection"], wavelength).values[..., None])
+        return MultipleScattering(mode, float(table.mean_albedo()[0]), mirrors)
     n, k = (np.atleast_1d(_at(bsdf[name], wavelength)) for name in ("n", "k"))
     fresnel = float(mean_fresnel(n, k)[0])
     share = fresnel**2 * (1 - mirrors) * mirrors / max(1 - fresnel * mirrors, 1e-12)
     return MultipleScattering(mode, max(share, 0.0), mirrors)
-
-
-def _mean(albedo: Callable[[Array], Array], theta: Array) -> float:
-    """2 ∫ E μ dμ of an albedo that is smooth between the nodes θ [degree]."""
-    nodes, weight = panel_rule(np.radians(theta), 4)
-    return float(((weight * np.sin(2 * nodes)) @ albedo(np.degrees(nodes)))[0])
 
 
 def _at(values: xr.DataArray, wavelength: float) -> xr.DataArray:

@@ -641,8 +641,8 @@ class Model(Keys):
         default_words=f"`{MODEL_DEFAULTS['diffuse']}`",
     )
     multiple_scattering: Annotated[str, OneOf(MODES["multiple_scattering"])] = key(
-        "light reflected by more than one facet: none (lost), compensated (given back as diffuse light) or directional (the second "
-        "reflection in its directions, further ones as diffuse light; not for a surface with a lay)",
+        "light reflected by more than one facet: none (lost), compensated (given back as diffuse light) or directional (in the "
+        "directions of the second reflection)",
         default_words=f"`{MODEL_DEFAULTS['multiple_scattering']}`",
     )
     truth: Annotated[str, OneOf(TRUTHS)] = key(

@@ -97,12 +97,7 @@ def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
     vocabulary.validate(facets, "facets")
     if "slope" in facets.dims:
         return facets
-    planar = PlanarDensity.of(facets)
-    steepest = float(np.hypot(planar.along.reach, planar.across.reach))
-    slope = SlopeAxis(planar.along.scale / 2, steepest, 1023).nodes[511:]
-    average = _ring_means(planar, slope)
-    slope, average = slope[average > 0], average[average > 0]
-    radial = radial_dataset(RadialDensity(slope, average).normalised(), float(facets["slope_rms"]))
+    radial = radial_dataset(radial_average(PlanarDensity.of(facets)), float(facets["slope_rms"]))
     radial.attrs = {name: facets.attrs[name] for name in ("method", "band")}
     radial = vocabulary.add_warning(
         radial,
@@ -110,6 +105,14 @@ def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
         "reflection model is isotropic: its density was averaged over azimuth; set `surface.isotropic: true` to confirm",
     )
     return vocabulary.label(radial, "facets")
+
+
+def radial_average(planar: PlanarDensity) -> RadialDensity:
+    """The density averaged over azimuth."""
+    steepest = float(np.hypot(planar.along.reach, planar.across.reach))
+    slope = SlopeAxis(planar.along.scale / 2, steepest, 1023).nodes[511:]
+    average = _ring_means(planar, slope)
+    return RadialDensity(slope[average > 0], average[average > 0]).normalised()
 
 
 def _ring_means(planar: PlanarDensity, slope: Array) -> Array:

@@ -28,7 +28,7 @@ MODEL_DEFAULTS = {key: names[0] for key, names in MODES.items()}
 MASKINGS_OF_MULTIPLE_SCATTERING = {
     "none": MODES["masking"],
     "compensated": PHYSICAL_MASKINGS,
-    "directional": ("height-correlated",),
+    "directional": ("height-correlated", "measured"),
 }
 """Masking modes with which each mode of ``multiple_scattering`` is defined."""
 

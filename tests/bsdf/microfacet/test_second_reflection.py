@@ -30,10 +30,14 @@ PERFECT_MIRROR = index(1.0, 1e9)
 
 
 @pytest.fixture(scope="module")
-def tables() -> tuple[Microsurface, SecondReflection, SecondReflection]:
+def table() -> tuple[Microsurface, SecondReflection]:
+    """A Gaussian surface of slope 0.3: of perfect mirrors, and of n = 1.5."""
     surface = Microsurface.of(facets.analytic("beckmann", 0.3 * np.sqrt(2)))
-    mirror_albedo = lambda theta: energy.mirror_albedo(surface, "height-correlated", theta)  # noqa: E731
-    return surface, *second_reflection.second_reflection(surface, np.array([1.5]), np.zeros(1), mirror_albedo)
+
+    def missing(theta: Array, _: Array) -> Array:
+        return 1 - energy.mirror_albedo(surface, "height-correlated", theta)
+
+    return surface, second_reflection.second_reflection(surface, np.array([1.0, 1.5]), np.array([1e9, 0.0]), missing)
 
 
 def smith_lambda(cosine: Array, slope: float) -> Array:
@@ -72,23 +76,25 @@ def random_walk(theta: float, slope: float, count: int, seed: int) -> Array:
 
 
 @pytest.mark.parametrize("theta", [30.0, 70.0])
-def test_the_albedo_of_mirrors_is_that_of_a_random_walk_between_heights(tables, theta):
-    surface, _, mirrors = tables
+def test_the_albedo_of_mirrors_is_that_of_a_random_walk_between_heights(table, theta):
+    surface, several = table
     single, second, third, fourth = random_walk(theta, 0.3, 400_000, 1)
     angle = np.array([theta])
     assert energy.mirror_albedo(surface, "height-correlated", angle)[0] == pytest.approx(single, rel=6e-3)
-    assert mirrors.albedo(angle)[0, 0] == pytest.approx(second + third + fourth, rel=0.03)
+    assert several.albedo(angle)[0, 0] == pytest.approx(second + third + fourth, rel=0.03)
 
 
-@pytest.mark.parametrize(("theta_i", "theta_o", "scaled"), [(60.0, 70.0, 0.0), (30.0, 75.0, 0.4), (75.0, 60.0, 0.3)])
-def test_the_second_reflection_is_the_integral_over_the_directions_between_the_facets(tables, theta_i, theta_o, scaled):
+@pytest.mark.parametrize(
+    ("theta_i", "theta_o", "scaled"), [(60.0, 70.0, 0.0), (30.0, 75.0, 0.4), (75.0, 60.0, 0.3), (60.0, 82.0, 0.2)]
+)
+def test_the_second_reflection_is_the_integral_over_the_directions_between_the_facets(table, theta_i, theta_o, scaled):
     # Over directions, with Λ and D of a Gaussian surface in closed form.
-    surface, _, _ = tables
+    surface, _ = table
     z, phi = np.meshgrid(np.linspace(-1, 1, 1201)[1::2], np.radians(np.arange(0.5, 360)), indexing="ij")
     radius = np.sqrt(1 - z * z)
     between = np.stack([radius * np.cos(phi), radius * np.sin(phi), z], axis=-1)
     sine_i, sine_o, cos_i, cos_o = (f(np.radians(t)) for f in (np.sin, np.cos) for t in (theta_i, theta_o))
-    width = second_reflection.azimuth_width(surface, cos_i, cos_o)
+    width = second_reflection.azimuth_width(surface.typical_slope, cos_i, cos_o)
     turn = width * np.sinh(scaled * np.arcsinh(np.pi / width))
     incoming, outgoing = (
         np.array([sine_i, 0.0, cos_i]),
@@ -113,7 +119,7 @@ def test_the_second_reflection_is_the_integral_over_the_directions_between_the_f
 
     basis, coefficients = second_reflection.fresnel_basis(np.array([[1.5], [0.0]]))
     upwards, downwards = (
-        second_reflection.upward_paths(surface, *angles, np.array([scaled]), basis)[1, 0, 0] * coefficients[0, 0] ** 2
+        second_reflection.upward_paths(surface, *angles, np.array([scaled]), basis)[0, 0, 1] * coefficients[0, 0] ** 2
         for angles in ((theta_i, np.array([theta_o])), (theta_o, np.array([theta_i])))
     )
     tabulated = (cos_i * upwards + cos_o * downwards) / (cos_i * cos_o * (1 + at_i + at_o))
@@ -169,9 +175,50 @@ def test_a_spectrum_of_indices_agrees_with_each_index_alone():
     assert both[0][0, 1] == pytest.approx(both[1][0, 0], rel=1e-3)
 
 
-def test_a_lay_and_other_maskings_are_refused():
-    with pytest.raises(ModelError, match=r"surface.isotropic: true"):
-        microfacet.build(facets.analytic("beckmann", a_x=0.1, a_y=0.3), index=1.5, multiple_scattering="directional")
+@pytest.mark.cases(1)
+@pytest.mark.parametrize(("a_x", "a_y"), [(0.1, 0.3), (0.3, 0.6), (0.05, 0.5)])
+def test_perfect_mirrors_with_a_lay_reflect_everything(a_x, a_y):
+    rough = facets.analytic("beckmann", a_x=a_x, a_y=a_y)
+    model = representation(microfacet.build(rough, index=PERFECT_MIRROR, multiple_scattering="directional"))
+    theta, phi = (grid.ravel() for grid in np.meshgrid([0.0, 30.0, 60.0, 75.0, 85.0], [0.0, 22.0, 45.0, 90.0, 160.0]))
+    albedo = model.albedo(theta, phi, None)[:, 0]
+    # The factor of a direction is sampled every 15 degree of azimuth.
+    assert albedo == pytest.approx(1.0, abs=5e-3)
+    integral = model.integrate(theta[[8, 12]], phi[[8, 12]], None).value[:, 0]
+    assert albedo[[8, 12]] == pytest.approx(integral, abs=2e-3)
+
+
+def test_a_surface_with_a_lay_stays_reciprocal():
+    rough = facets.analytic("beckmann", a_x=0.1, a_y=0.4)
+    model, rng = (
+        representation(microfacet.build(rough, index=1.5, multiple_scattering="directional")),
+        np.random.default_rng(2),
+    )
+    theta_i, theta_o, phi_i, phi_o = (rng.uniform(0, high, 400) for high in (89.9, 89.9, 360, 360))
+    forth = model.evaluate(theta_i, phi_i, theta_o, phi_o, None)
+    assert forth == pytest.approx(model.evaluate(theta_o, phi_o, theta_i, phi_i, None), rel=1e-10)
+
+
+def test_perfect_mirrors_reflect_what_a_traced_visibility_leaves():
+    # A fifth of the facets that Smith's masking shows are hidden, and a fifth more are seen.
+    rough = facets.analytic("beckmann", 0.7)
+    theta = np.array([0.0, 30.0, 60.0, 80.0])
+    for ratio in (0.8, 1.2):
+        model = representation(
+            microfacet.build(
+                rough,
+                index=PERFECT_MIRROR,
+                masking="measured",
+                visibility=samples.visibility_table(ratio),
+                multiple_scattering="directional",
+            )
+        )
+        albedo = model.albedo(theta, np.zeros(4), None)[:, 0]
+        assert albedo == pytest.approx(1.0, abs=3e-3)
+        assert albedo.max() <= 1 + 1e-6
+
+
+def test_maskings_that_lose_or_gain_light_are_refused():
     with pytest.raises(ModelError, match="height-correlated"):
         microfacet.build(
             facets.analytic("beckmann", 0.1), index=1.5, masking="separable", multiple_scattering="directional"

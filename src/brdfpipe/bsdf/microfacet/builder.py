@@ -95,11 +95,6 @@ def build(
         raise ModelError(
             "masking 'liu' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another `model.masking`"
         )
-    if chosen["multiple_scattering"] == "directional" and surface["slope_density"].ndim == 2:
-        raise ModelError(
-            "`multiple_scattering: directional` is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true`, or "
-            "`model.multiple_scattering: compensated`"
-        )
     bsdf = _surface_of(surface)
     bsdf.attrs = {
         "representation": Microfacet.name if "slope_density" in bsdf else Smooth.name,

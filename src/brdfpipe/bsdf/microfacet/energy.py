@@ -38,7 +38,14 @@ _LAY_MOST_GRAZING = 2.0  # upper limit of that angle [degree]
 
 
 def directional_albedo(
-    surface: Microsurface, masking: str, n: Array, k: Array, theta_i: Array, phi_i: Array | float = 0.0
+    surface: Microsurface,
+    masking: str,
+    n: Array,
+    k: Array,
+    theta_i: Array,
+    phi_i: Array | float = 0.0,
+    *,
+    mirrors: bool = False,
 ) -> Array:
     """Directional albedo E of the facets' single reflection, (incidences, wavelength).
 
@@ -48,14 +55,18 @@ def directional_albedo(
     masking : one of :data:`brdfpipe.masking.modes.MODES`
     n, k : (wavelength,) index relative to the medium of incidence
     theta_i, phi_i : (incidences,) degree, 0 <= theta_i <= 90; the azimuth is for a surface with a lay
+    mirrors : add a last column, of the same facets as perfect mirrors
     """
     theta_i = np.asarray(theta_i, dtype=float)
     if n.size > 1 and ((n < 1) & (k == 0)).any():
         # The critical angle depends on the index.
         pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
         columns = [directional_albedo(surface, masking, pair[:1], pair[1:], theta_i, phi_i) for pair in pairs.T]
-        return np.concatenate(columns, axis=1)[:, where.ravel()]
-    critical = float(np.arcsin(n[0])) if n[0] < 1 and k[0] == 0 else None
+        albedos = [np.concatenate(columns, axis=1)[:, where.ravel()]]
+        if mirrors:
+            albedos.append(mirror_albedo(surface, masking, theta_i, phi_i)[:, None])
+        return np.concatenate(albedos, axis=1)
+    critical = float(np.arcsin(n[0])) if n.size and n[0] < 1 and k[0] == 0 else None
     blocks = []
     step = 64 if surface.isotropic and critical is None else 8
     azimuth = np.broadcast_to(np.asarray(phi_i, dtype=float), theta_i.shape)
@@ -65,13 +76,14 @@ def directional_albedo(
             weight, cos_zeta = _isotropic_facets(surface, masking, np.radians(theta_i[part]), critical)
         else:
             weight, cos_zeta = _facets_with_lay(surface, masking, theta_i[part], azimuth[part], critical)
-        blocks.append(_spectral_sum(weight, cos_zeta, n, k))
-    return np.concatenate(blocks) if blocks else np.zeros((0, n.size))
+        block = _spectral_sum(weight, cos_zeta, n, k) if n.size else np.zeros((weight.shape[0], 0))
+        blocks.append(np.concatenate([block, weight.sum(axis=-1, keepdims=True)], axis=1) if mirrors else block)
+    return np.concatenate(blocks) if blocks else np.zeros((0, n.size + mirrors))
 
 
 def mirror_albedo(surface: Microsurface, masking: str, theta_i: Array, phi_i: Array | float = 0.0) -> Array:
     """Directional albedo of the same facets as perfect mirrors, (incidences,)."""
-    return directional_albedo(surface, masking, np.array([np.inf]), np.zeros(1), theta_i, phi_i)[:, 0]
+    return directional_albedo(surface, masking, np.zeros(0), np.zeros(0), theta_i, phi_i, mirrors=True)[:, 0]
 
 
 def _isotropic_facets(

@@ -13,21 +13,22 @@ from brdfpipe import hemisphere
 from brdfpipe.bsdf.microfacet import energy, polarised, transmission
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable, directional_albedo
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
-from brdfpipe.bsdf.microfacet.second_reflection import (
-    SecondReflection,
-    albedo_of_mirrors,
-    second_reflection,
-    with_second_reflection,
-)
+from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection, second_reflection, with_second_reflection
 from brdfpipe.bsdf.spectral import at_wavelengths
+from brdfpipe.facets.facet_dataset import radial_average
 from brdfpipe.facets.planar_density import Ellipse
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, half_vector
 from brdfpipe.hemisphere import panel_rule
+from brdfpipe.masking.smith import Smith, smith_lambda
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 from brdfpipe.optics.fresnel_equations import mean_fresnel as mean_fresnel_reflectance
 
 CRF_DIFFUSE_SHARE = 4 * (np.log(2) - 0.5)
 """Albedo of the patent's masked Lambertian lobe over that of the unmasked one: 4 ∫ μ²/(1 + μ) dμ = 0.7726."""
+
+_LAY_AZIMUTHS = 24
+"""Azimuths at which the light reflected more than once by a surface with a lay is sampled."""
 
 _BLOCK = 2**14
 """Directions that are evaluated together, so that their arrays stay in the processor's cache."""
@@ -48,7 +49,7 @@ class Model:
     """Of the facets, after one or several reflections"""
     mean_albedo: Array
     furnace: AlbedoTable | None
-    """Albedo of the same facets as perfect mirrors, if their loss is compensated; with the second reflection, if it is modelled"""
+    """Albedo of the same facets as perfect mirrors, if their loss is compensated"""
     mean_furnace: float
     compensation: Array
     second: SecondReflection | None
@@ -72,12 +73,7 @@ class Model:
         if surface is None and "slope_density" in bsdf:
             surface = Microsurface.of(bsdf)
         compensation = spectral("compensation") if furnace is not None else np.zeros(1)
-        second = second_of_mirrors = second_albedo = None
-        if "second_reflection" in bsdf:
-            assert surface is not None
-            second = SecondReflection.of(bsdf, spectral("second_reflection"), surface)
-            second_of_mirrors = albedo_of_mirrors(bsdf)
-            second_albedo = _second_share(second.albedo, second_of_mirrors, compensation)
+        second = SecondReflection.of(bsdf, spectral("second_reflection")) if "second_reflection" in bsdf else None
         return cls(
             surface,
             str(bsdf.attrs["masking"]),
@@ -85,9 +81,9 @@ class Model:
             spectral("k"),
             str(bsdf.attrs["diffuse_mode"]),
             spectral("diffuse"),
-            AlbedoTable(theta, spectral("directional_albedo"), phi, ellipse, second_albedo),
+            AlbedoTable(theta, spectral("directional_albedo"), phi, ellipse, None if second is None else second.albedo),
             spectral("mean_albedo"),
-            None if furnace is None else AlbedoTable(theta, furnace.values[..., None], phi, ellipse, second_of_mirrors),
+            None if furnace is None else AlbedoTable(theta, furnace.values[..., None], phi, ellipse),
             float(bsdf.get("mean_furnace_albedo", 1.0)),
             compensation,
             second,
@@ -202,7 +198,7 @@ class Model:
     def _albedo_above(self, theta: Array, phi: Array) -> Array:
         total = self.specular(theta, phi, self.n)
         if self.second is not None:
-            total = total + self.second.albedo(theta)
+            total = total + self.second.albedo(theta, phi)
         if self.furnace is not None:
             # ∫ (1 − E(θ_o)) cos θ_o dω_o = π (1 − Ē): exact.
             total = total + self.compensation * (1 - self.furnace(theta, phi))
@@ -238,51 +234,49 @@ def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
     spectral, exact = bsdf["n"].dims, np.array([0.0, theta_m, 90.0])
     n, k = np.atleast_1d(bsdf["n"].values), np.atleast_1d(bsdf["k"].values)
     multiple = bsdf.attrs["multiple_scattering"] if "slope_density" in bsdf else "none"
-    second = second_of_mirrors = None
+    furnace: AlbedoTable | None = None
     mean_furnace = 1.0
     if "slope_density" not in bsdf:
         # The reflectance varies within 1/|N| of grazing, and for a small contrast within √(2 (n − 1)).
         table = energy.refined(lambda theta: _smooth_reflectance(theta, n, k), 0.01, exact)
     else:
         surface, masking = Microsurface.of(bsdf), str(bsdf.attrs["masking"])
-        if multiple == "directional":
-            second, second_of_mirrors = second_reflection(
-                surface, n, k, lambda theta: energy.mirror_albedo(surface, masking, theta)
-            )
+
+        # Of a surface without a lay, perfect mirrors would need more nodes than the material.
+        with_mirrors = multiple == "compensated" or (multiple == "directional" and not surface.isotropic)
 
         def albedos(theta: Array, phi: Array) -> Array:
             # Masking modes that do not conserve energy may exceed 1: no light is left for the base.
-            single = np.minimum(directional_albedo(surface, masking, n, k, theta, phi), 1.0)
-            if multiple == "none":
-                return single
-            return np.concatenate([single, energy.mirror_albedo(surface, masking, theta, phi)[:, None]], axis=1)
+            single = directional_albedo(surface, masking, n, k, theta, phi, mirrors=with_mirrors)
+            single[:, : n.size] = np.minimum(single[:, : n.size], 1.0)
+            return single
 
         table = energy.tabulated(surface, albedos, exact)
-        mean_furnace = _mean_mirror_albedo(surface, masking) if multiple == "none" else 0.0
+        furnace = replace(table, values=table.values[..., n.size :]) if with_mirrors else None
+        mean_furnace = _mean_mirror_albedo(surface, masking) if furnace is None else float(furnace.mean()[0])
     dims = ("theta_i",) if table.phi is None else ("theta_i", "phi_i")
     bsdf = bsdf.assign_coords({"theta_i": table.theta} | ({} if table.phi is None else {"phi_i": table.phi}))
     albedo = replace(table, values=table.values[..., : n.size])
-    if multiple != "none":
-        furnace = replace(table, values=table.values[..., n.size :])
-        if second is not None:
-            assert second_of_mirrors is not None
-            of_mirrors = second_of_mirrors.albedo
-            furnace = replace(furnace, values=furnace.values + of_mirrors(table.theta), second=of_mirrors)
-        mean_furnace = float(furnace.mean()[0])
+    if multiple == "compensated":
+        assert furnace is not None
         fresnel = mean_fresnel_reflectance(n, k)
         # F_ms of all further reflections, each with the mean reflectance of a facet.
-        modelled = 1 if second is None else 2
-        factor = np.asarray(fresnel ** (modelled + 1) * mean_furnace / (1 - fresnel * (1 - mean_furnace)))
-        values = albedo.values + factor * (1 - furnace.values)
-        if second is None:
-            albedo = replace(albedo, values=values)
-        else:
-            share = _second_share(second.albedo, of_mirrors, factor)
-            albedo = replace(albedo, values=values + second.albedo(table.theta), second=share)
+        factor = np.asarray(fresnel**2 * mean_furnace / (1 - fresnel * (1 - mean_furnace)))
+        albedo = replace(albedo, values=albedo.values + factor * (1 - furnace.values))
         compensation = (spectral, factor if spectral else factor[0])
         bsdf = bsdf.assign(furnace_albedo=(dims, furnace.values[..., 0]), compensation=compensation)
-        if second is not None and second_of_mirrors is not None:
-            bsdf = with_second_reflection(bsdf, second, second_of_mirrors)
+    if multiple == "directional":
+
+        def missing(theta: Array, phi: Array) -> Array:
+            if furnace is None:
+                return 1 - energy.mirror_albedo(surface, masking, theta)
+            return 1 - furnace(theta, phi)[:, 0]
+
+        second = second_reflection(_without_lay(surface), n, k, missing, 1 if furnace is None else _LAY_AZIMUTHS)
+        polar, around = np.meshgrid(table.theta, np.zeros(1) if table.phi is None else table.phi, indexing="ij")
+        several = second.albedo(polar.ravel(), around.ravel()).reshape(albedo.values.shape)
+        albedo = replace(albedo, values=albedo.values + several, second=second.albedo)
+        bsdf = with_second_reflection(bsdf, second)
     values, mean = albedo.values, albedo.mean()
     return bsdf.assign(
         directional_albedo=((*dims, *spectral), values if spectral else values[..., 0]),
@@ -291,11 +285,12 @@ def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
     )
 
 
-def _second_share(
-    second: Callable[[Array], Array], of_mirrors: Callable[[Array], Array], compensation: Array
-) -> Callable[[Array], Array]:
-    """Part of the albedo that follows the table of the second reflection: it also reduces what is left for the compensation."""
-    return lambda theta: second(theta) - compensation * of_mirrors(theta)
+def _without_lay(surface: Microsurface) -> Microsurface:
+    """The surface with its slopes averaged over azimuth, and Smith's masking."""
+    if isinstance(surface.density, RadialDensity):
+        return replace(surface, ratio=None)
+    density = radial_average(surface.density)
+    return Microsurface(density, Smith.of(xr.Dataset({"lambda_smith": smith_lambda(density)})))
 
 
 def _smooth_reflectance(theta: Array, n: Array, k: Array) -> Array:

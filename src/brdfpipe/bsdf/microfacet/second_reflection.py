@@ -1,4 +1,4 @@
-"""Light that two facets of an isotropic surface reflect one after the other, each with its own Fresnel reflectance and masking.
+"""Light that facets reflect one after the other, each with its own Fresnel reflectance and masking.
 
 The light leaves in the directions that the facets give it: mostly forward, towards grazing. Smith's surface has heights independent
 of the slopes and of each other, so that the heights of both facets integrate in closed form. With Λ' = Λ of the direction between the
@@ -16,20 +16,22 @@ integrated in closed form.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 
+from brdfpipe.bsdf.microfacet.energy import mirror_albedo
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
-from brdfpipe.optics.fresnel_equations import fresnel
+from brdfpipe.optics.fresnel_equations import fresnel, mean_fresnel
 
 _POLAR_NODES = 24  # angles θ of the table
 _AZIMUTH_NODES = 17  # azimuths of the table
@@ -37,53 +39,82 @@ _SLOPE_PANELS = 12  # of the quadrature over the first facet
 _FACET_AZIMUTHS = 16  # nodes of its azimuth, on one side of the plane of incidence
 _BASIS_ERROR = 1e-4  # of the Fresnel reflectance of all wavelengths, relative
 _COSINES = np.linspace(0.0, 1.0, 513) ** 2  # where that reflectance is tabulated: dense at grazing, where it is steep
+_DENSITY_NODES = 2048  # where the logarithm of the slope density is tabulated
 _PATHS = 4096  # of the quadrature over three facets
+_MOST_GAIN = 10.0  # of the light of perfect mirrors, by which a map or a lay may differ from Smith's isotropic surface
+_MOST_STEP = 1.0  # of log A from the last node to grazing
+_MARGIN = 0.9995  # of the missing light, up to which the table is not reduced between its nodes
 _LEAST = 1e-300
 
-_Cell = tuple[NDArray[np.int64], Array]
-"""Index of an interval of a table, and the position in it, from 0 to 1."""
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
 class SecondReflection:
-    """Table of the second reflection, or of the second and all further ones; reciprocal by construction.
+    """Table of the light that leaves after two reflections and more; reciprocal by construction.
 
-    f₂ = (μ_i A(i, o) + μ_o A(o, i)) / (16 (μ_i μ_o + g_i s_i μ_o + g_o s_o μ_i)), with μ = cos θ, s = sin θ and g the mean excess
-    slope. A, of the paths with w₁ upwards, is finite at grazing; its logarithm is interpolated linearly.
+    f₂ = A w_i w_o / [16 (1 + Λ_i + Λ_o)], with Λ that of a GGX surface of width ``slope``. A is finite at grazing and the same for
+    exchanged directions; its logarithm is interpolated linearly. w is 1 for a surface without a lay.
     """
 
-    surface: Microsurface
-    theta: Array
-    """(θ,) nodes of both polar angles [degree], increasing from 0 to 90"""
-    azimuth: Array
-    """(φ,) nodes of the scaled azimuth, from 0 (forward) to 1 (back)"""
-    log_upward: Array
-    """log A, (θ_i, θ_o, φ, wavelength or 1)"""
+    slope: float
+    """Typical slope, which sets the nodes [1]"""
+    log_factor: Array
+    """log A, (θ_i, θ_o, φ, wavelength or 1), at :attr:`theta` and even steps of an azimuth that follows the width of the lobe"""
+    weight: Array
+    """w(θ, φ) of a surface with a lay, at even azimuths from 0; (θ, 0) without a lay"""
 
     @classmethod
-    def of(cls, bsdf: xr.Dataset, values: Array, surface: Microsurface) -> SecondReflection:
+    def of(cls, bsdf: xr.Dataset, values: Array) -> SecondReflection:
         """That of a ``bsdf`` dataset, with the values of ``second_reflection`` at some wavelengths, (θ_i, θ_o, φ, wavelength or 1)."""
-        return cls(surface, bsdf["second_theta_i"].values, bsdf["second_azimuth"].values, _log(values))
+        weight = bsdf["second_weight"].values if "second_weight" in bsdf else np.empty((values.shape[0], 0))
+        return cls(float(bsdf["second_slope"]), _log(values), weight)
+
+    @cached_property
+    def theta(self) -> Array:
+        """(θ,) nodes of both polar angles [degree], from 0 to 90"""
+        return polar_nodes(self.slope, self.log_factor.shape[0])
 
     def __call__(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
-        """BRDF of the second reflection [sr-1], (directions, wavelength or 1); angles in degree, (directions,) each."""
-        cos_i, cos_o = np.cos(np.radians(theta_i)), np.cos(np.radians(theta_o))
-        turn = np.radians(np.abs((np.asarray(phi_i) - phi_o) % 360 - 180))  # 0 in the forward plane
-        scaled = np.arcsinh(turn / self._width(cos_i, cos_o)) / np.arcsinh(np.pi / self._width(cos_i, cos_o))
-        at_i, at_o = _linear(self._grazing, 90 - theta_i), _linear(self._grazing, 90 - theta_o)
-        at_phi = _linear(self.azimuth, scaled)
-        flat = self._from_grazing.reshape(-1, self.log_upward.shape[-1])
-        forwards, backwards = (self._gather(flat, *at, at_phi) for at in ((at_i, at_o), (at_o, at_i)))
-        sum_of_paths = cos_i[:, None] * forwards + cos_o[:, None] * backwards
-        return np.asarray(sum_of_paths * self._common_factor(theta_i, theta_o)[:, None])
+        """BRDF of this light [sr-1], (directions, wavelength or 1); angles in degree, broadcast to (directions,)."""
+        angles = [np.ascontiguousarray(a, dtype=float) for a in np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)]
+        result = np.empty((angles[0].size, self.log_factor.shape[-1]))
+        table = np.ascontiguousarray(self.log_factor), np.ascontiguousarray(self.weight, dtype=float)
+        _compiled(_interpolate)(*angles, *table, self.slope, _grazing_scale(self.slope), result)
+        return result
 
-    def albedo(self, theta: Array) -> Array:
+    def albedo(self, theta: Array, phi: Array | float = 0.0) -> Array:
         """Directional reflectance of this light [1], (incidences, wavelength or 1): the integral of the interpolated table."""
-        return np.asarray(self._albedo(np.asarray(theta, dtype=float)))
+        theta = np.asarray(theta, dtype=float)
+        if not self.weight.size:
+            return np.asarray(self._albedo(theta)[:, 0])
+        turn = np.radians(np.broadcast_to(np.asarray(phi, dtype=float), theta.shape))
+        orders = np.arange(self.weight.shape[1] // 2 + 1)
+        waves = self._albedo(theta) * np.exp(1j * turn[:, None] * orders)[..., None]
+        # The highest order of an even number of azimuths is real.
+        twice = np.where((orders == 0) | (2 * orders == self.weight.shape[1]), 1.0, 2.0)
+        column = np.asarray(phi, dtype=float) / 360 * self.weight.shape[1]
+        polar, around = self._hats(theta), _periodic_hats(np.broadcast_to(column, theta.shape), self.weight.shape[1])
+        weight = np.einsum("nt,nj,tj->n", polar, around, self.weight)
+        return np.asarray(weight[:, None] * np.einsum("nkl,k->nl", waves.real, twice))
+
+    def mean_albedo(self) -> Array:
+        """2 ∫ E μ dμ, averaged over azimuth, (wavelength,)."""
+        theta, weight = panel_rule(self.theta, 4)
+        phi = np.linspace(0.0, 360.0, max(self.weight.shape[1], 1), endpoint=False)
+        polar, around = np.meshgrid(theta, phi, indexing="ij")
+        albedo = self.albedo(polar.ravel(), around.ravel()).reshape(*polar.shape, -1).mean(axis=1)
+        return np.asarray((np.radians(weight) * np.sin(np.radians(2 * theta))) @ albedo)
 
     @cached_property
     def _albedo(self) -> PPoly:
-        return piecewise(self.albedo_nodes, np.stack([self._integral(theta) for theta in self.albedo_nodes]))
+        """Albedo over θ, (1, wavelength); of a surface with a lay its Fourier series over φ without w_i, (order, wavelength)."""
+        nodes = self.albedo_nodes
+        if not self.weight.size:
+            return piecewise(nodes, self._light(nodes)[0].sum(axis=(1, 2))[:, None])
+        around = self.weight.shape[1]
+        from_all = np.einsum("iojl,ojp->ipl", self.shares(nodes, around), _turned(self.weight))
+        return piecewise(nodes, np.fft.rfft(from_all, axis=1) / around)
 
     @property
     def albedo_nodes(self) -> Array:
@@ -91,57 +122,85 @@ class SecondReflection:
         width = np.diff(self.theta)[:, None]
         return np.append((self.theta[:-1, None] + width * np.array([0.0, 0.25, 0.75])).ravel(), self.theta[-1])
 
-    def scale_for(self, further: Array) -> Array:
-        """w(θ), (θ, wavelength), for which f₂ w(θ_i) w(θ_o) has the albedo ``further`` (θ, wavelength) at the nodes."""
-        shares = np.stack([np.einsum("tl,tj->jl", self._rings(theta), self._hats) for theta in self.theta])
-        scale = np.sqrt(further / np.maximum(shares.sum(axis=1), _LEAST))
-        for _ in range(200):
-            scale = np.sqrt(scale * further / np.maximum(np.einsum("ijl,jl->il", shares, scale), _LEAST))
-        return np.asarray(scale)
+    @property
+    def closing_angles(self) -> Array:
+        """The nodes θ, but for grazing, where the albedo vanishes: there an angle of the last interval [degree]."""
+        return np.append(self.theta[:-1], 0.25 * self.theta[-2] + 0.75 * self.theta[-1])
 
-    @cached_property
-    def _hats(self) -> Array:
-        theta, _ = panel_rule(self.theta, 3)
-        return np.stack([np.interp(theta, self.theta, row) for row in np.eye(self.theta.size)], axis=1)
+    def weight_for(self, target: Array) -> Array:
+        """w(θ, φ), (θ, φ, wavelength), with which f₂ w(i) w(o) of this table has the albedo ``target`` at the closing angles.
 
-    def _integral(self, incidence: float) -> Array:
-        return np.asarray(self._rings(incidence).sum(axis=0))
+        ``target`` is (θ, φ, wavelength), with one φ for a surface without a lay.
+        """
+        shares = self.shares(self.closing_angles, target.shape[1])
+        own = shares.sum(axis=(1, 2))[:, None]
+        weight = np.sqrt(target / np.maximum(own, _LEAST))
+        for _ in range(100):
+            from_all = np.einsum("iojl,ojpl->ipl", shares, _turned(weight))
+            weight = np.sqrt(weight * target / np.maximum(from_all, _LEAST))
+        return np.asarray(weight)
 
-    def _rings(self, incidence: float) -> Array:
-        """Light into the rings of a quadrature over θ_o, (θ_o, wavelength)."""
+    def shares(self, incidence: Array, around: int) -> Array:
+        """Light of each incidence that belongs to each node θ_o and azimuth φ_o − φ_i, (θ_i, θ_o, φ, wavelength)."""
+        light, theta, turn = self._light(incidence)
+        position = turn / (2 * np.pi) * around
+        both = _periodic_hats(around / 2 + position, around) + _periodic_hats(around / 2 - position, around)
+        return np.einsum("itpl,to,itpj->iojl", light, self._hats(theta), both / 2, optimize=True)
+
+    def _hats(self, theta: Array) -> Array:
+        """Shares of the nodes θ in an interpolation, (angles, θ)."""
+        scale, count = _grazing_scale(self.slope), self.log_factor.shape[0]
+        at = count - 1 - np.arcsinh((90 - theta) / scale) * ((count - 1) / np.arcsinh(90 / scale))
+        return np.asarray(np.maximum(1 - np.abs(at[:, None] - np.arange(count)), 0.0))
+
+    def _light(self, incidence: Array) -> tuple[Array, Array, Array]:
+        """Light of each incidence into the nodes of a quadrature over θ_o and both sides in azimuth, without w.
+
+        Returns
+        -------
+        light : (θ_i, θ_o, φ, wavelength)
+        theta : (θ_o,) degree
+        turn : (θ_i, θ_o, φ) from the forward plane [rad]
+        """
         theta, weight = panel_rule(self.theta, 3)
         weight = np.radians(weight) * np.sin(np.radians(theta)) * np.cos(np.radians(theta))
-        width = self._width(np.cos(np.radians(incidence)), np.cos(np.radians(theta)))[:, None]
-        turn, turn_weight = panel_rule(width * np.sinh(self.azimuth * np.arcsinh(np.pi / width)), 2)
-        phi_o = 180 + np.degrees(turn).ravel()
-        values = self(np.full(turn.size, incidence), np.zeros(1), np.repeat(theta, turn.shape[1]), phi_o)
-        return np.einsum("t,tp,tpl->tl", weight, 2 * turn_weight, values.reshape(*turn.shape, -1))
+        width = azimuth_width(self.slope, np.cos(np.radians(incidence))[:, None], np.cos(np.radians(theta)))[..., None]
+        azimuth = np.linspace(0.0, 1.0, self.log_factor.shape[2])
+        turn, turn_weight = panel_rule(width * np.sinh(azimuth * np.arcsinh(np.pi / width)), 2)
+        angles = np.broadcast_arrays(incidence[:, None, None], 0.0, theta[:, None], 180 + np.degrees(turn))
+        bare = replace(self, weight=self.weight[:, :0])
+        values = bare(*(angle.ravel() for angle in angles)).reshape(*turn.shape, -1)
+        return (2 * weight[:, None] * turn_weight)[..., None] * values, theta, turn
 
-    @property
-    def _grazing(self) -> Array:
-        return 90 - self.theta[::-1]
 
-    @property
-    def _from_grazing(self) -> Array:
-        return self.log_upward[::-1, ::-1]
+def _periodic_hats(position: Array, count: int) -> Array:
+    """Shares of ``count`` nodes around the circle in a linear interpolation at positions in steps, (…, node)."""
+    distance = np.abs((position[..., None] - np.arange(count) + count / 2) % count - count / 2)
+    return np.asarray(np.maximum(1 - distance, 0.0) if count > 1 else np.ones(distance.shape))
 
-    def _width(self, cos_i: Array, cos_o: Array) -> Array:
-        return azimuth_width(self.surface, cos_i, cos_o)
 
-    def _common_factor(self, theta_i: Array, theta_o: Array) -> Array:
-        (cos_i, excess_i), (cos_o, excess_o) = (_projected(self.surface, theta) for theta in (theta_i, theta_o))
-        return 1 / (16 * np.maximum(cos_i * cos_o + excess_i * cos_o + excess_o * cos_i, _LEAST))
+def _turned(weight: Array) -> Array:
+    """w(θ_o, φ_i + φ) of w(θ_o, φ), (θ_o, φ, φ_i, …)."""
+    count = weight.shape[1]
+    return weight[:, (np.arange(count)[:, None] + np.arange(count)) % count]
 
-    def _gather(self, flat: Array, at_i: _Cell, at_o: _Cell, at_phi: _Cell) -> Array:
-        count, azimuths = self.theta.size, self.azimuth.size
-        result = np.zeros((at_i[0].size, flat.shape[-1]))
-        for i, weight_i in ((at_i[0], 1 - at_i[1]), (at_i[0] + 1, at_i[1])):
-            for o, weight_o in ((at_o[0], 1 - at_o[1]), (at_o[0] + 1, at_o[1])):
-                row = (i * count + o) * azimuths + at_phi[0]
-                weight = weight_i * weight_o
-                result += (weight * (1 - at_phi[1]))[:, None] * flat[row]
-                result += (weight * at_phi[1])[:, None] * flat[row + 1]
-        return np.exp(result)
+
+def polar_nodes(slope: float, count: int) -> Array:
+    """Nodes θ of a table [degree], from 0 to 90, dense at grazing on the scale of the slopes."""
+    scale = _grazing_scale(slope)
+    grazing = scale * np.sinh(np.linspace(0.0, np.arcsinh(90 / scale), count))
+    grazing[-1] = 90.0
+    return np.asarray(90 - grazing[::-1])
+
+
+def _grazing_scale(slope: float) -> float:
+    """Angle from grazing up to which the nodes are evenly spaced [degree]."""
+    return float(np.degrees(min(slope, 0.6)) / 2)
+
+
+def azimuth_width(slope: float, cos_i: Array, cos_o: Array) -> Array:
+    """Azimuth over which the lobe extends beside the plane of incidence [rad]: a facet's slope across it is about that over μ_i + μ_o."""
+    return np.asarray(np.minimum(slope * (cos_i + cos_o) + 1e-3, 4.0))
 
 
 def piecewise(nodes: Array, values: Array) -> PPoly:
@@ -154,32 +213,144 @@ def piecewise(nodes: Array, values: Array) -> PPoly:
     return PPoly(coefficients / scale.reshape(*scale.shape, *([1] * (values.ndim - 1))), ends)
 
 
-def with_second_reflection(bsdf: xr.Dataset, second: SecondReflection, of_mirrors: SecondReflection) -> xr.Dataset:
-    """The dataset with the table of the second reflection, and the albedo of that of perfect mirrors."""
+def with_second_reflection(bsdf: xr.Dataset, second: SecondReflection) -> xr.Dataset:
+    """The dataset with the table of the second reflection."""
     spectral, dims = bsdf["n"].dims, ("second_theta_i", "second_theta_o", "second_azimuth")
-    values, nodes = np.exp(second.log_upward), second.albedo_nodes
-    return bsdf.assign_coords(
-        second_theta_i=second.theta, second_theta_o=second.theta, second_azimuth=second.azimuth, second_theta=nodes
-    ).assign(
-        second_reflection=((*dims, *spectral), values if spectral else values[..., 0]),
-        second_mirror_albedo=("second_theta", of_mirrors.albedo(nodes)[:, 0]),
+    values = np.exp(second.log_factor)
+    azimuth = np.linspace(0.0, 1.0, values.shape[2])
+    bsdf = bsdf.assign_coords(second_theta_i=second.theta, second_theta_o=second.theta, second_azimuth=azimuth).assign(
+        second_reflection=((*dims, *spectral), values if spectral else values[..., 0]), second_slope=second.slope
     )
+    if not second.weight.size:
+        return bsdf
+    phi = np.linspace(0.0, 360.0, second.weight.shape[1], endpoint=False)
+    return bsdf.assign_coords(second_phi=phi).assign(second_weight=(("second_theta_i", "second_phi"), second.weight))
 
 
-def albedo_of_mirrors(bsdf: xr.Dataset) -> Callable[[Array], Array]:
-    """Albedo of the second reflection by perfect mirrors, (θ,) degree → (θ, 1), of a dataset with that table."""
-    return piecewise(bsdf["second_theta"].values, bsdf["second_mirror_albedo"].values[:, None])
+def second_reflection(
+    surface: Microsurface, n: Array, k: Array, missing: Callable[[Array, Array], Array], azimuths: int = 1
+) -> SecondReflection:
+    """The second and further reflections of a surface.
+
+    Smith's surface of the same slopes without a lay gives the directions. All further reflections together have those of the second
+    one. Their share is what the first two leave of the light of perfect mirrors, reduced as the third reflection is; where it exceeds
+    the second reflection, the rest is diffuse. Factors of either direction then give perfect mirrors the light that is missing.
+
+    Parameters
+    ----------
+    surface : isotropic; of a surface with a lay the average over azimuth
+    n, k : (wavelength,) index relative to the medium of incidence
+    missing : light that the single reflection of perfect mirrors leaves, (θ, φ) in degree → (directions,)
+    azimuths : number of azimuths at which it is sampled, of a surface with a lay
+
+    Notes
+    -----
+    Where the interpolation would make perfect mirrors reflect more than they receive, the table is reduced at these angles.
+
+    References
+    ----------
+    Kulla & Conty 2017, for the diffuse rest.
+    """
+    slope = surface.typical_slope
+    theta = polar_nodes(slope, _POLAR_NODES)
+    pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
+    table = SecondReflection(slope, _log(_factors(surface, theta, pairs)), np.empty((theta.size, 0)))
+    at = table.closing_angles
+    third_of_mirrors, third = _third_reflection(surface, at, pairs)
+    every = np.concatenate([third_of_mirrors[:, None], third], axis=1)
+    attenuation = every / np.maximum(third_of_mirrors, _LEAST)[:, None]
+    left = 1 - mirror_albedo(surface, "height-correlated", at)
+    twice = table.shares(at, 1)[..., 0].sum(axis=(1, 2))
+    # Where second reflections are rare, the rounding of 1 − E₁ must not appear as further ones.
+    further = np.clip(left - twice, 0.0, twice)
+    scale = table.weight_for((further[:, None] * attenuation)[:, None])[:, 0]
+    factors = np.exp(table.log_factor) * (1 + (scale[:, None] * scale)[..., None, :])
+    rest = _diffuse_rest(slope, at, np.maximum(left - twice - further, 0.0), pairs)
+    table = replace(table, log_factor=_log(factors + rest[:, :, None]))
+    weight = _closing_weight(replace(table, log_factor=table.log_factor[..., :1]), missing, azimuths)
+    of_material = table.log_factor[..., 1:][..., where.ravel()]
+    if azimuths > 1:
+        return replace(table, log_factor=of_material, weight=weight)
+    by_pair = np.log(np.maximum(weight * weight.T, _LEAST))
+    return replace(table, log_factor=of_material + by_pair[..., None, None])
 
 
-def _linear(nodes: Array, values: Array) -> _Cell:
-    """Index of the interval of each value, and its position in it."""
-    index = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, nodes.size - 2)
-    return index.astype(np.int64), np.clip((values - nodes[index]) / (nodes[index + 1] - nodes[index]), 0.0, 1.0)
+def _closing_weight(mirrors: SecondReflection, missing: Callable[[Array, Array], Array], azimuths: int) -> Array:
+    """w(θ, φ) with which perfect mirrors, whose table is given, reflect what a single reflection leaves, but no more."""
+    phi = np.linspace(0.0, 360.0, azimuths, endpoint=False)
+
+    def on_grid(theta: Array) -> Array:
+        polar, around = np.meshgrid(theta, phi, indexing="ij")
+        return missing(polar.ravel(), around.ravel()).reshape(polar.shape)
+
+    # Also between the nodes, and towards grazing, where the albedo of the first reflection bends within the last interval.
+    theta = mirrors.theta
+    last = np.concatenate([np.arange(7, 0, -1) / 8, 2.0 ** -np.arange(4, 12)])
+    probes = np.unique(np.concatenate([mirrors.albedo_nodes[:-1], 90 - (90 - theta[-2]) * last]))
+    interval = np.clip(np.searchsorted(theta, probes, side="right") - 1, 0, theta.size - 2)
+    shares, hats = mirrors.shares(probes, azimuths)[..., 0], mirrors._hats(probes)
+    own = shares.sum(axis=(1, 2))[:, None]
+    available = on_grid(probes)
+    target = np.clip(available, 1e-6 * own, _MOST_GAIN * own)
+
+    def worst(given: Array, limit: Array) -> Array:
+        """The smallest ratio of the limit to what is given, in the intervals beside each node, (θ, φ)."""
+        ratio = np.full((theta.size, azimuths), np.inf)
+        for node in (interval, interval + 1):
+            np.minimum.at(ratio, node, limit / np.maximum(given, _LEAST))
+        return ratio
+
+    weight = np.ones((theta.size, azimuths))
+    for _ in range(100):
+        from_all = np.einsum("ioj,ojp->ip", shares, _turned(weight), optimize=True)
+        weight = weight * np.sqrt(worst(hats @ weight * from_all, target))
+    # The shares of the nodes are linear, the table is interpolated by its logarithm.
+    if azimuths > 1:
+        closed = replace(mirrors, weight=weight)
+    else:
+        closed = replace(mirrors, log_factor=mirrors.log_factor + np.log(weight * weight.T)[..., None, None])
+    around = np.broadcast_to(phi, available.shape)
+    given = closed.albedo(np.repeat(probes, azimuths), around.ravel())[:, 0].reshape(available.shape)
+    return np.asarray(weight * np.clip(_MARGIN * worst(given, available), 0.0, 1.0))
 
 
-def azimuth_width(surface: Microsurface, cos_i: Array, cos_o: Array) -> Array:
-    """Azimuth over which the lobe extends beside the plane of incidence [rad]: a facet's slope across it is about that over μ_i + μ_o."""
-    return np.asarray(np.minimum(surface.typical_slope * (cos_i + cos_o) + 1e-3, 4.0))
+def _diffuse_rest(slope: float, theta: Array, rest: Array, pairs: Array) -> Array:
+    """A of diffuse light, (θ_i, θ_o, 1 + index): what perfect mirrors, the first, lack after all other light, ``rest`` (θ,)."""
+    polar, weight = panel_rule(np.append(theta, 90.0), 3)
+    lost = float(
+        np.radians(weight)
+        * np.sin(np.radians(2 * polar))
+        @ np.interp(polar, np.append(theta, 90.0), np.append(rest, 0.0))
+    )
+    reflectance = np.append(1.0, mean_fresnel(*pairs))
+    shares = reflectance**3 * (1 - lost) / (1 - reflectance * lost)
+    cos, sin = np.cos(np.radians(theta)), np.sin(np.radians(theta))
+    hidden = (np.sqrt(1 + (slope * sin / cos) ** 2) - 1) / 2
+    seen = 16 * (1 + hidden[:, None] + hidden)
+    return np.asarray((seen * rest[:, None] * rest / (np.pi * max(lost, _LEAST)))[..., None] * shares)
+
+
+def _factors(surface: Microsurface, theta: Array, pairs: Array) -> Array:
+    """A of the second reflection at the nodes, (θ_i, θ_o, φ, 1 + index): of perfect mirrors, and of each index."""
+    basis, coefficients = fresnel_basis(pairs)
+    azimuth = np.linspace(0.0, 1.0, _AZIMUTH_NODES)
+    theta = theta[:-1]
+    upwards = np.stack([upward_paths(surface, incidence, theta, azimuth, basis) for incidence in theta])
+    products = (coefficients[:, None] * coefficients[None]).reshape(coefficients.shape[0] ** 2, -1)
+    upwards = np.concatenate([upwards[..., :1], upwards[..., 1:] @ products], axis=-1)
+    cos, sin = np.cos(np.radians(theta)), np.sin(np.radians(theta))
+    smith = surface.excess(cos, sin, 0.0) * sin / cos
+    ggx = (np.sqrt(1 + (surface.typical_slope * sin / cos) ** 2) - 1) / 2
+    seen = [1 + hidden[:, None] + hidden for hidden in (ggx, smith)]
+    # A path downwards is one upwards in reverse.
+    upwards = upwards / (cos[:, None] * cos)[..., None, None] * cos[:, None, None, None]
+    both = (upwards + upwards.swapaxes(0, 1)) * (seen[0] / seen[1])[..., None, None]
+    # A is smooth up to grazing, where the quadrature has no paths.
+    logs = _log(both)
+    for axis in (0, 1):
+        last, before = (np.take(logs, [place], axis=axis) for place in (-1, -2))
+        logs = np.concatenate([logs, last + np.clip(last - before, -_MOST_STEP, _MOST_STEP)], axis=axis)
+    return np.asarray(np.exp(logs))
 
 
 def _projected(surface: Microsurface, theta: Array) -> tuple[Array, Array]:
@@ -189,64 +360,8 @@ def _projected(surface: Microsurface, theta: Array) -> tuple[Array, Array]:
     return cos, surface.excess(cos, sin, 0.0) * sin
 
 
-def second_reflection(
-    surface: Microsurface, n: Array, k: Array, mirror_albedo: Callable[[Array], Array]
-) -> tuple[SecondReflection, SecondReflection]:
-    """The second and further reflections of an isotropic surface, and those of the same facets as perfect mirrors.
-
-    All further reflections together have the directions of the second one. Their share is what the first two leave of the light of
-    perfect mirrors, reduced as the third reflection is.
-
-    Parameters
-    ----------
-    surface : isotropic
-    n, k : (wavelength,) index relative to the medium of incidence
-    mirror_albedo : albedo of the first reflection by perfect mirrors, (θ,) degree → (θ,)
-
-    Notes
-    -----
-    Where the error of the table would make perfect mirrors reflect more than they receive, both tables are reduced at these angles.
-    """
-    scale = np.degrees(min(surface.typical_slope, 0.6)) / 2
-    grazing = scale * np.sinh(np.linspace(0.0, np.arcsinh(90 / scale), _POLAR_NODES))
-    grazing[-1] = 90.0
-    theta, azimuth = 90 - grazing[::-1], np.linspace(0.0, 1.0, _AZIMUTH_NODES)
-    pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
-    basis, coefficients = fresnel_basis(pairs)
-    products = np.stack([upward_paths(surface, incidence, theta, azimuth, basis) for incidence in theta])
-    rank = coefficients.shape[0]
-    # Of the products of two basis functions, (1 + rank², …): the first is that of perfect mirrors.
-    weights = (coefficients[:, None] * coefficients[None]).reshape(rank * rank, -1)
-    spectral = np.einsum("ibop,bl->iopl", products[:, 1:], weights)
-    third_of_mirrors, third = _third_reflection(surface, theta, pairs)
-
-    def table(values: Array, further: Array) -> SecondReflection:
-        second = SecondReflection(surface, theta, azimuth, _log(values))
-        scale = second.scale_for(further)
-        return replace(second, log_upward=second.log_upward + np.log1p(scale[:, None, None] * scale[None, :, None]))
-
-    single = mirror_albedo(theta)
-    second_of_mirrors = SecondReflection(surface, theta, azimuth, _log(products[:, 0, ..., None]))
-    # Where second reflections are rare, the rounding of 1 − E₁ must not appear as further ones.
-    twice = second_of_mirrors.albedo(theta)
-    left = np.clip(1 - single[:, None] - twice, 0.0, twice)
-    attenuation = third / np.maximum(third_of_mirrors, _LEAST)[:, None]
-    mirrors = table(products[:, 0, ..., None], left)
-    material = table(spectral, left * attenuation)
-    # Towards grazing the albedo of the first reflection bends within the last interval of the table.
-    finer = np.concatenate([mirrors.albedo_nodes[1:-1], 90 - grazing[1] * 2.0 ** -np.arange(1, 12)])
-    available = np.clip((1 - mirror_albedo(finer)) / np.maximum(mirrors.albedo(finer)[:, 0], _LEAST), 0.0, 1.0)
-    reduction = np.ones(theta.size)
-    interval = np.clip(np.searchsorted(theta, finer, side="right") - 1, 0, theta.size - 2)
-    for node in (interval, interval + 1):
-        np.minimum.at(reduction, node, available)
-    by_pair = np.log(np.maximum(reduction[:, None] * reduction, _LEAST))[..., None, None]
-    every = material.log_upward[..., where.ravel()]
-    return replace(material, log_upward=every + by_pair), replace(mirrors, log_upward=mirrors.log_upward + by_pair)
-
-
 def _third_reflection(surface: Microsurface, theta: Array, pairs: Array) -> tuple[Array, Array]:
-    """Albedo after three reflections, of perfect mirrors, (θ,), and of unpolarised facets of each index, (θ, index).
+    """Albedo after three reflections, of perfect mirrors, (θ,), and of facets of each index, (θ, index).
 
     A quadrature over the slopes of three facets, at the points of Roberts' recurrence in six dimensions.
     """
@@ -262,23 +377,41 @@ def _third_reflection(surface: Microsurface, theta: Array, pairs: Array) -> tupl
     p, q = slope * np.cos(2 * np.pi * uniform[3:]), slope * np.sin(2 * np.pi * uniform[3:])
     area = np.sqrt(1 + slope**2)
     normal = np.stack([-p, -q, np.ones_like(p)], axis=-1) / area[..., None]
-    fresnel_of = np.stack([fresnel(_COSINES, *pair).mean for pair in pairs.T], axis=-1)
-    mirrors, materials = [], []
-    for incidence in np.radians(theta):
+    stokes = _reflection_of_stokes(pairs)
+    sums = np.zeros((theta.size, 1 + pairs.shape[1]))
+    for row, incidence in enumerate(np.radians(theta)):
         towards = np.tile([np.sin(incidence), 0.0, np.cos(incidence)], (_PATHS, 1))
-        weight, factor = np.ones(_PATHS), np.ones((_PATHS, pairs.shape[1]))
-        steps = []
+        weight, cosines, steps = np.ones(_PATHS), [], []
+        # The frame of each facet: s, and the direction of the light × s.
+        frames: list[tuple[Array, Array]] = []
+        turns = []
         for facet in range(3):
             cosine = np.einsum("nk,nk->n", towards, normal[facet])
             weight *= np.maximum(cosine, 0.0) * area[facet]
-            factor *= _at_cosine(fresnel_of, np.clip(cosine, 0.0, 1.0))
+            cosines.append(np.clip(cosine, 0.0, 1.0))
+            across = np.cross(normal[facet], towards)
+            across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), _LEAST)
+            if frames:
+                turns.append([np.sum(axis * across, axis=1) for axis in frames[-1]])
             leaving = 2 * cosine[:, None] * normal[facet] - towards
+            frames.append((across, np.cross(leaving, across)))
             steps.append(leaving[:, 2])
             towards = -leaving
         weight *= (steps[2] > 0) * _height_factor(surface, np.degrees(incidence), *steps)
-        mirrors.append(weight.mean())
-        materials.append(weight @ factor / _PATHS)
-    return np.array(mirrors), np.stack(materials)
+        _compiled(_add_third)(weight, np.stack(cosines), np.array(turns), stokes, sums[row])
+    return sums[:, 0] / _PATHS, sums[:, 1:] / _PATHS
+
+
+def _reflection_of_stokes(pairs: Array) -> Array:
+    """Factors at ``_COSINES`` that a reflection gives to Stokes' parameters, (3, cos, index).
+
+    (F_s + F_p)/2 and (F_s − F_p)/2, and Re r_s r_p*, which is that of U.
+    """
+    cos, epsilon = _COSINES[:, None], (pairs[0] + 1j * pairs[1]) ** 2
+    inner = np.sqrt(epsilon - 1 + cos**2)
+    r_s, r_p = -(epsilon - 1) / (cos + inner) ** 2, (epsilon * cos - inner) / (epsilon * cos + inner)
+    f_s, f_p = np.abs(r_s) ** 2, np.abs(r_p) ** 2
+    return np.stack([(f_s + f_p) / 2, (f_s - f_p) / 2, (r_s * r_p.conj()).real])
 
 
 def _height_factor(surface: Microsurface, theta_i: float, z_1: Array, z_2: Array, z_o: Array) -> Array:
@@ -309,45 +442,45 @@ def fresnel_basis(pairs: Array) -> tuple[Array, Array]:
 
 
 def upward_paths(surface: Microsurface, incidence: float, theta_o: Array, azimuth: Array, basis: Array) -> Array:
-    """16-fold A of one incidence [degree], (1 + rank², θ_o, φ): for perfect mirrors, and for the products of Fresnel functions."""
+    """16-fold ∫ F₁ F₂ D₁ D₂ (cos θ_o + g_o sin θ_o)/… over paths upwards."""
     slope, turn, weight = _facets(surface, np.radians(incidence))
     cos_i, sin_i = np.cos(np.radians(incidence)), np.sin(np.radians(incidence))
     p, q, u = slope * np.cos(turn), slope * np.sin(turn), slope**2
     towards = np.maximum(cos_i - p * sin_i, 0.0)
     turned = 2 * towards / (1 + u)
-    between = np.stack([-turned * p - sin_i, -turned * q, np.clip(turned - cos_i, 0.0, 1.0)], axis=1)
+    z = np.clip(turned - cos_i, 0.0, 1.0)
     cos_1 = np.minimum(towards / np.sqrt(1 + u), 1.0)
-    z = between[:, 2]
     g_1 = surface.excess(z, np.sqrt((1 - z) * (1 + z)), 0.0) * np.sqrt((1 - z) * (1 + z))
     _, g_i = _projected(surface, np.array(incidence))
     share = 4 * towards * weight / np.maximum((z + g_1) * cos_i + g_i * z, _LEAST)
+    first = np.stack([_at_cosine(values, cos_1) for values in basis], axis=1)
+    facets = np.stack([-turned * p - sin_i, -turned * q, z, share, 2 * cos_1**2 - 1], axis=1)[share > 0]
 
     cos_o, sin_o = np.cos(np.radians(theta_o))[:, None], np.sin(np.radians(theta_o))[:, None]
-    width = azimuth_width(surface, np.array(cos_i), cos_o)
+    width = azimuth_width(surface.typical_slope, np.array(cos_i), cos_o)
     forward = width * np.sinh(azimuth * np.arcsinh(np.pi / width))
-    outgoing = np.stack(np.broadcast_arrays(-sin_o * np.cos(forward), sin_o * np.sin(forward), cos_o)).reshape(3, -1)
-    along = between @ outgoing
-    rise = outgoing[2] - z[:, None]
-    upwards = rise > 0
-    spread = np.where(upwards, 2 - 2 * along, 0.0) / np.where(upwards, rise, 1.0) ** 2
-    kernel = np.where(upwards, surface.density_at(np.sqrt(np.maximum(spread - 1, 0.0)), np.zeros(1)) * spread**2, 0.0)
-    kernel *= share[:, None]
+    outgoing = np.stack(np.broadcast_arrays(-sin_o * np.cos(forward), sin_o * np.sin(forward), cos_o), axis=-1)
+    result = np.zeros((*forward.shape, 1 + basis.shape[-1] ** 2))
+    _compiled(_add_paths)(
+        facets,
+        first[share > 0],
+        outgoing.reshape(-1, 3),
+        np.array([sin_i, 0.0, cos_i]),
+        *_log_density(surface),
+        basis,
+        result.reshape(-1, result.shape[-1]),
+    )
+    return result
 
-    # Fresnel's factors: F₁ F₂ + ΔF₁ ΔF₂ cos 2ψ, ψ the angle between the two planes of incidence.
-    first = np.stack([_at_cosine(values, cos_1) for values in basis])
-    cos_2 = np.sqrt(np.clip((1 - along) / 2, 0.0, 1.0))
-    deviation = 2 * cos_1**2 - 1
-    total = np.array([sin_i, 0.0, cos_i]) @ outgoing
-    sines = (1 - deviation**2)[:, None] * (1 - along**2)
-    cos_2psi = 2 * (deviation[:, None] * along - total) ** 2 / np.maximum(sines, 1e-12) - 1
-    polarised = kernel * np.clip(cos_2psi, -1.0, 1.0)
-    rank = basis.shape[-1]
-    result = np.empty((1 + rank * rank, outgoing.shape[1]))
-    result[0] = kernel.sum(axis=0)
-    for column in range(rank):
-        mean, difference = (_at_cosine(values[:, column], cos_2) for values in basis)
-        result[1 + column :: rank] = first[0].T @ (kernel * mean) + first[1].T @ (polarised * difference)
-    return result.reshape(-1, theta_o.size, azimuth.size)
+
+def _log_density(surface: Microsurface) -> tuple[Array, float, float]:
+    """log P22 at even steps of s/(s + w), the scale w, and the steepest slope."""
+    density = surface.density
+    assert isinstance(density, RadialDensity)
+    scale, steepest = density.median_slope, float(density.slope[-1])
+    share = np.linspace(0.0, steepest / (steepest + scale), _DENSITY_NODES)
+    slope = np.minimum(scale * share / (1 - share), steepest)
+    return np.log(np.maximum(density(slope**2), _LEAST)), scale, steepest
 
 
 def _facets(surface: Microsurface, theta_i: float) -> tuple[Array, Array, Array]:
@@ -376,3 +509,187 @@ def _at_cosine(values: Array, cos: Array) -> Array:
     if values.ndim > 1:
         share = share[..., None]
     return np.asarray(values[below] * (1 - share) + values[below + 1] * share)
+
+
+# --- compiled
+
+
+@cache
+def _compiled(function: _Function) -> _Function:
+    """Machine code of a function, kept where there is a place to write; its compiler is loaded at the first call."""
+    import numba
+
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    try:
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:
+        return numba.njit(**options)(function)
+
+
+def _interpolate(
+    theta_i: Array,
+    phi_i: Array,
+    theta_o: Array,
+    phi_o: Array,
+    log_factor: Array,
+    weight: Array,
+    slope: float,
+    grazing_scale: float,
+    result: Array,
+) -> None:
+    """Interpolate a :class:`SecondReflection` at directions (n,) in degree; writes sr-1 to ``result``, (n, wavelength or 1)."""
+    nodes, azimuths, spectral = log_factor.shape[0], log_factor.shape[2], log_factor.shape[3]
+    degree = math.pi / 180
+    polar_step = (nodes - 1) / math.asinh(90 / grazing_scale)
+    for number in range(theta_i.size):
+        cos_i = math.cos(theta_i[number] * degree) if theta_i[number] < 90 else 0.0
+        cos_o = math.cos(theta_o[number] * degree) if theta_o[number] < 90 else 0.0
+        # asinh as a logarithm, which is faster.
+        grazing = max(90 - theta_i[number], 0.0) / grazing_scale
+        at = max(nodes - 1 - math.log(grazing + math.sqrt(grazing * grazing + 1)) * polar_step, 0.0)
+        i = min(int(at), nodes - 2)
+        share_i = min(at - i, 1.0)
+        grazing = max(90 - theta_o[number], 0.0) / grazing_scale
+        at = max(nodes - 1 - math.log(grazing + math.sqrt(grazing * grazing + 1)) * polar_step, 0.0)
+        o = min(int(at), nodes - 2)
+        share_o = min(at - o, 1.0)
+        turn = abs(phi_i[number] - phi_o[number])
+        turn = abs(turn - 360 * math.floor(turn / 360) - 180) * degree
+        width = min(slope * (cos_i + cos_o) + 1e-3, 4.0)
+        near, far = turn / width, math.pi / width
+        at = math.log(near + math.sqrt(near * near + 1)) / math.log(far + math.sqrt(far * far + 1)) * (azimuths - 1)
+        a = min(int(at), azimuths - 2)
+        share_a = min(at - a, 1.0)
+        hidden_i = (math.sqrt(cos_i * cos_i + slope * slope * (1 - cos_i) * (1 + cos_i)) - cos_i) / 2
+        hidden_o = (math.sqrt(cos_o * cos_o + slope * slope * (1 - cos_o) * (1 + cos_o)) - cos_o) / 2
+        seen = cos_i * cos_o + (hidden_i * cos_o + hidden_o * cos_i)
+        common = cos_i * cos_o / (16 * max(seen, 1e-300))
+        turns = weight.shape[1]
+        if turns > 0:
+            at = phi_i[number] / 360
+            at = (at - math.floor(at)) * turns
+            first, share = int(at), at - math.floor(at)
+            second = (first + 1) % turns
+            first = first % turns
+            near = weight[i, first] * (1 - share) + weight[i, second] * share
+            far = weight[i + 1, first] * (1 - share) + weight[i + 1, second] * share
+            common *= near * (1 - share_i) + far * share_i
+            at = phi_o[number] / 360
+            at = (at - math.floor(at)) * turns
+            first, share = int(at), at - math.floor(at)
+            second = (first + 1) % turns
+            first = first % turns
+            near = weight[o, first] * (1 - share) + weight[o, second] * share
+            far = weight[o + 1, first] * (1 - share) + weight[o + 1, second] * share
+            common *= near * (1 - share_o) + far * share_o
+        for band in range(spectral):
+            value = 0.0
+            for step_i in range(2):
+                outer = share_i if step_i else 1 - share_i
+                for step_o in range(2):
+                    inner = outer * (share_o if step_o else 1 - share_o)
+                    value += inner * (1 - share_a) * log_factor[i + step_i, o + step_o, a, band]
+                    value += inner * share_a * log_factor[i + step_i, o + step_o, a + 1, band]
+            result[number, band] = common * math.exp(value)
+
+
+def _add_paths(
+    facets: Array,
+    first: Array,
+    outgoing: Array,
+    incoming: Array,
+    log_density: Array,
+    density_scale: float,
+    steepest: float,
+    basis: Array,
+    result: Array,
+) -> None:
+    """Add the light that a second facet reflects towards each of some directions.
+
+    Parameters
+    ----------
+    facets : (n, 5) direction of the light from each first facet, its weight, and the cosine of the angle by which it was turned
+    first : (n, 2, rank) Fresnel functions at the first facet
+    outgoing, incoming : (m, 3) and (3,) directions
+    log_density, density_scale, steepest : of :func:`_log_density`
+    basis : (2, cosines, rank) Fresnel functions, F and (F_s − F_p)/2
+    result : (m, 1 + rank²) is added to, for perfect mirrors and for the products of two functions
+    """
+    rank, cosines, nodes = basis.shape[2], basis.shape[1], log_density.size
+    density_step = (nodes - 1) * (steepest + density_scale) / steepest
+    for m in range(outgoing.shape[0]):
+        ox, oy, oz = outgoing[m, 0], outgoing[m, 1], outgoing[m, 2]
+        total = incoming[0] * ox + incoming[1] * oy + incoming[2] * oz
+        for f in range(facets.shape[0]):
+            hz = oz - facets[f, 2]
+            if hz <= 0:
+                continue
+            hx, hy = ox - facets[f, 0], oy - facets[f, 1]
+            across = hx * hx + hy * hy
+            squared = across / (hz * hz)
+            if squared >= steepest * steepest:
+                continue
+            slope = math.sqrt(squared)
+            at = slope / (slope + density_scale) * density_step
+            node = min(int(at), nodes - 2)
+            value = log_density[node] + (at - node) * (log_density[node + 1] - log_density[node])
+            power = facets[f, 3] * math.exp(value) * (1 + squared) * (1 + squared)
+            # Fresnel's factors: F₁ F₂ + ΔF₁ ΔF₂ cos 2ψ, ψ the angle between the two planes of incidence.
+            cos_squared = min((across + hz * hz) / 4, 1.0)
+            along = 1 - 2 * cos_squared
+            turned = facets[f, 4]
+            sines = (1 - turned * turned) * (1 - along * along)
+            difference = turned * along - total
+            cos_2psi = 2 * difference * difference / max(sines, 1e-12) - 1
+            cos_2psi = min(max(cos_2psi, -1.0), 1.0)
+            at = math.sqrt(math.sqrt(cos_squared)) * (cosines - 1)
+            node = min(int(at), cosines - 2)
+            share = at - node
+            result[m, 0] += power
+            for b in range(rank):
+                mean = basis[0, node, b] + share * (basis[0, node + 1, b] - basis[0, node, b])
+                half = basis[1, node, b] + share * (basis[1, node + 1, b] - basis[1, node, b])
+                for a in range(rank):
+                    product = first[f, 0, a] * mean + first[f, 1, a] * half * cos_2psi
+                    result[m, 1 + a * rank + b] += power * product
+
+
+def _add_third(weight: Array, cosines: Array, turns: Array, stokes: Array, result: Array) -> None:
+    """Add the unpolarised light that three facets reflect one after the other.
+
+    Parameters
+    ----------
+    weight : (n,) of each path
+    cosines : (3, n) of the angles of incidence on the facets
+    turns : (2, 2, n) cosine and sine of the angle between the planes of incidence of a facet and the next
+    stokes : of :func:`_reflection_of_stokes`
+    result : (1 + index,) is added to: for perfect mirrors, and for each index
+    """
+    last = stokes.shape[1] - 1
+    for path in range(weight.size):
+        if weight[path] <= 0:
+            continue
+        result[0] += weight[path]
+        cos_1, sin_1 = turns[0, 0, path], turns[0, 1, path]
+        cos_2, sin_2 = turns[1, 0, path], turns[1, 1, path]
+        double_1, twice_1 = cos_1 * cos_1 - sin_1 * sin_1, 2 * cos_1 * sin_1
+        double_2, twice_2 = cos_2 * cos_2 - sin_2 * sin_2, 2 * cos_2 * sin_2
+        at_1, at_2, at_3 = (
+            math.sqrt(cosines[0, path]) * last,
+            math.sqrt(cosines[1, path]) * last,
+            math.sqrt(cosines[2, path]) * last,
+        )
+        i, j, k = min(int(at_1), last - 1), min(int(at_2), last - 1), min(int(at_3), last - 1)
+        x, y, z = at_1 - i, at_2 - j, at_3 - k
+        for index in range(stokes.shape[2]):
+            intensity = stokes[0, i, index] * (1 - x) + stokes[0, i + 1, index] * x
+            polarised = stokes[1, i, index] * (1 - x) + stokes[1, i + 1, index] * x
+            mean = stokes[0, j, index] * (1 - y) + stokes[0, j + 1, index] * y
+            half = stokes[1, j, index] * (1 - y) + stokes[1, j + 1, index] * y
+            product = stokes[2, j, index] * (1 - y) + stokes[2, j + 1, index] * y
+            turned, diagonal = polarised * double_1, -polarised * twice_1
+            polarised = (half * intensity + mean * turned) * double_2 + product * diagonal * twice_2
+            intensity = mean * intensity + half * turned
+            mean = stokes[0, k, index] * (1 - z) + stokes[0, k + 1, index] * z
+            half = stokes[1, k, index] * (1 - z) + stokes[1, k + 1, index] * z
+            result[1 + index] += weight[path] * (mean * intensity + half * polarised)

@@ -14,6 +14,9 @@ from brdfpipe.bsdf.microfacet.model import Model, mean_index, with_mean_index
 from brdfpipe.bsdf.spectral import per_wavelength
 from brdfpipe.geometry import Array
 
+_SEVERAL = ("furnace_albedo", "second_reflection")
+"""Variables of light that is reflected more than once."""
+
 _LAY_ALBEDO_ACCURACY = 2e-4
 """Tables of the albedo over two angles agree with the integral to about 1e-4."""
 
@@ -82,11 +85,9 @@ class Interface(Representation):
 
     def single_reflection(self) -> xr.Dataset | None:
         facets = self.without_diffuse()
-        return (
-            facets.drop_vars(["furnace_albedo", "second_reflection", "second_mirror_albedo"], errors="ignore")
-            if "furnace_albedo" in facets
-            else None
-        )
+        if not any(name in facets for name in _SEVERAL):
+            return None
+        return facets.drop_vars([*_SEVERAL, "second_slope", "second_weight"], errors="ignore")
 
     @property
     def unphysical_choice(self) -> str:
@@ -105,10 +106,10 @@ _INTERFACE_KIND = vocabulary.Kind(
         "mean_furnace_albedo": vocabulary.SCALAR,
     },
     optional={
-        **dict.fromkeys(("lay", "theta_m"), vocabulary.SCALAR),
+        **dict.fromkeys(("lay", "theta_m", "second_slope"), vocabulary.SCALAR),
         **dict.fromkeys(("compensation", "total_reflectance"), vocabulary.SPECTRAL),
         "furnace_albedo": _INCIDENCE_DIMS,
-        "second_mirror_albedo": [("second_theta",)],
+        "second_weight": [("second_theta_i", "second_phi")],
         "visibility_ratio": vocabulary.VISIBILITY_COORDINATES,
         "visibility_limit": [("limit_theta",)],
         "second_reflection": [

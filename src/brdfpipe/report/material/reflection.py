@@ -237,7 +237,7 @@ def _scattering_note_and_remark(several: MultipleScattering) -> tuple[str, str]:
     loss = f"The model loses {percent(several.share)} of the light to multiple scattering ({mean})"
     if several.share < _NEGLIGIBLE_LOSS:
         return f"{loss}: negligible.", ""
-    advice = f"{loss}. Set `model.multiple_scattering: directional` to add it; of a surface with a lay, `compensated`."
+    advice = f"{loss}. Set `model.multiple_scattering: directional` to add it."
     return ("", advice) if several.share >= LOSS_LIMIT else (advice, "")
 
 
