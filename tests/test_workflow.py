@@ -13,10 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import samples
+from random_surfaces import heights
 
 from brdfpipe import installation, store
 from brdfpipe.jobs.build import build as build_catalogue
 from brdfpipe.jobs.summary import failed_checks, read_verdicts
+from brdfpipe.psd.k_correlation import KCorrelation
 
 PROJECT = Path(__file__).parents[1]
 EXAMPLES = ("abs-grain", "metallic-blue", "paint-lab", "pp-moulding")
@@ -248,6 +250,31 @@ def test_a_reference_solution_replaces_the_prediction(tmp_path: Path) -> None:
     bsdf = store.open_dataset(tmp_path / "results" / "used" / "bsdf.nc")
     assert bsdf.attrs["representation"] == "kirchhoff"
     assert "diffraction on the map" in bsdf.attrs["history"]
+
+
+@pytest.mark.slow
+def test_scans_of_three_magnifications_and_a_repeat_reach_the_spectrum_and_the_page(tmp_path: Path) -> None:
+    rng, folder, model = np.random.default_rng(5), tmp_path / "catalogue" / "polished", KCorrelation(0.05, 5.0, 3.5)
+    folder.mkdir(parents=True)
+    for name, pitch in (("interferometer", 0.2), ("microscope", 2.0), ("afm", 0.01)):
+        np.save(folder / f"{name}.npy", heights(model.areal, (256, 256), (pitch, pitch), round(10 * pitch)))
+    clean = np.load(folder / "interferometer.npy")
+    for name in ("interferometer", "again"):
+        np.save(folder / f"{name}.npy", clean + rng.normal(scale=0.001, size=clean.shape))
+    (folder / "material.yaml").write_text(
+        "surface:\n  {file: interferometer.npy, unit: um, pitch: 0.2, scans: [{file: again.npy, repeat: true}, "
+        "{file: microscope.npy, pitch: 2.0}, {file: afm.npy, pitch: 0.01}]}\nindex: PP\nmodel: {optics: auto}\n"
+    )
+    settings = tmp_path / "settings.yaml"
+    settings.write_text(COARSE)
+    summary = build_catalogue(tmp_path / "catalogue", tmp_path / "results", cores=2, config=settings)
+    assert summary.failures == {}
+    results = tmp_path / "results" / "polished"
+    spectrum, facets = (store.open_dataset(results / f"{name}.nc") for name in ("psd", "facets"))
+    assert spectrum["scan_band_high"].values == pytest.approx([2.5, 0.25, 50], rel=0.1)
+    assert float(facets["noise_sigma"]) == pytest.approx(0.001, rel=0.05)
+    assert float(facets["facet_count"]) == 4 * 255**2
+    assert "Band of scan 3" in (results / "report.html").read_text(encoding="utf-8")
 
 
 def test_several_scans_filters_and_directions_reach_the_facets(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from brdfpipe.catalogue.calibration_keys import EmulatedCalibration
@@ -230,10 +231,12 @@ _ARRANGEMENT = StageKeys(read=lambda subject, wildcards: {**wildcards, "incidenc
 
 
 def _further_scan(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
-    """Keys of a further scan: those of the first one, and its own instead."""
+    """Keys of a further scan: those of the first one, and its own instead; how the file is written only of the same extension."""
     surface = subject.section("surface")
-    shared = {key: surface[key] for key in _SCAN_KEYS if key in surface and key != "azimuth"}
-    return shared | dict(surface["scans"][int(wildcards["scan"]) - 2])
+    own = dict(surface["scans"][int(wildcards["scan"]) - 2])
+    alike = PurePath(own["file"]).suffix.lower() == PurePath(surface["file"]).suffix.lower()
+    shared = _SCAN_KEYS if alike else ("form", "lambda_s", "lambda_c")
+    return {key: surface[key] for key in shared if key in surface and key != "azimuth"} | own
 
 
 def _model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:

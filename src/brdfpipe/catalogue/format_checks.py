@@ -32,6 +32,10 @@ def check_formats(material: Material) -> None:
         if path.stat().st_size == 0:
             raise InputError(path, "an empty file", key=f"{key}.file")
         block = content["slab"]["back"] if part == "back_surface" else content.get(part.partition("-")[0], {})
+        if part.startswith("surface-"):
+            scan = content["surface"]["scans"][int(part.partition("-")[2]) - 2]
+            alike = path.suffix.lower() == material.files["surface"].suffix.lower()
+            block = block | scan if alike else scan
         accepted = surface_suffixes if is_surface else suffixes.get(part, TEXT_SUFFIXES)
         named = part != "index" and "format" in block
         if path.suffix.lower() not in accepted and not named:

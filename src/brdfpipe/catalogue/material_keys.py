@@ -68,6 +68,7 @@ def _scale() -> Any:
 
 Scale = Annotated[str, OneOf(("fraction", "percent"))]
 Length = Annotated[float, Field(gt=0, le=1_000_000)]
+_LIKE_FIRST = "that of the first scan, for files of the same extension"
 
 
 # --- surface
@@ -78,6 +79,18 @@ class Scan(Keys):
 
     file: str = _file(example="scan.txt")
     azimuth: float = _azimuth()
+    repeat: bool = key(
+        "true for a second scan of the same place as the first, whose difference is noise",
+        default=False,
+        details="It is neither counted nor joined. Not with `noise` and `lambda_s`.",
+    )
+    format: Annotated[str, OneOf(_surface_formats)] = key("as `surface.format`", default_words=_LIKE_FIRST)
+    unit: Annotated[str, OneOf(UNITS)] = key("as `surface.unit`", default_words=_LIKE_FIRST)
+    lateral_unit: Annotated[str, OneOf(UNITS)] = key("as `surface.lateral_unit`", default_words=_LIKE_FIRST)
+    pitch: Annotated[
+        Annotated[tuple[Length, Length], Strict(False)] | Length,
+        Choice(lambda pitch: 0 if isinstance(pitch, list) else 1),
+    ] = key("as `surface.pitch`", default_words=_LIKE_FIRST)
 
 
 class MeasuredSurface(Keys):

@@ -20,10 +20,11 @@ from brdfpipe import vocabulary
 from brdfpipe.facets.height_maps import estimate_from_maps
 from brdfpipe.facets.line_profiles import METHODS, estimate_from_lines
 from brdfpipe.facets.slope_histogram import FacetError
+from brdfpipe.psd.scans import WELL_SAMPLED, commonly_filtered, sort_scans
 
 _TOLERANCE = 1.01
-_WELL_SAMPLED = 8.0
-"""Pitches to a cutoff λs from which the filter alone decides: slopes then lose less than 3 % of their rms to the pitch."""
+_RESOLVING = 0.275
+"""Half a wavelength of light [um]: facets are structures that light resolves."""
 
 
 def estimate(
@@ -38,7 +39,8 @@ def estimate(
     Parameters
     ----------
     surface : kind ``surface``, levelled; an areal map or a line profile; or several scans of one surface, all maps or all
-        lines. A line's azimuth [degree] is its attribute ``azimuth``, 0 by default
+        lines. Those of a pitch that differs by a factor of 1.5 or more from the first are not counted. Those whose attribute
+        ``repeat`` is true show the noise of the first. A line's azimuth [degree] is its attribute ``azimuth``, 0 by default
     method : how a line profile is turned into a two-dimensional density: ``mixture`` (a scale mixture of Gaussians, whose
         inversion is exact; where it does not fit, rings), ``abel`` (rings) or ``crf`` (the patent's histogram). For a
         map, the last two have no effect but a warning
@@ -56,7 +58,7 @@ def estimate(
     ------
     FacetError : no scan; an unknown method; a single line that is not declared isotropic; scans that are not all maps or all lines,
         of different bandwidth, or given twice; too few independent facets; an impossible slope rms.
-    PsdError : the noise is negative, not below the rms of the heights, or given for heights smoothed with λs.
+    PsdError : repeats do not fit the first scan; the noise is negative, not below the rms of the heights, or given for heights smoothed with λs.
     VocabularyError : a dataset is not of kind ``surface``.
     """
     scans = [surface] if isinstance(surface, xr.Dataset) else list(surface)
@@ -66,6 +68,7 @@ def estimate(
         raise FacetError(f"unknown method {method!r}; accepted: {', '.join(METHODS)}")
     for scan in scans:
         vocabulary.validate(scan, "surface")
+    scans, extending, known_noise = sort_scans(scans, noise)
     dimensions = {scan["height"].ndim for scan in scans}
     if len(dimensions) != 1:
         raise FacetError(
@@ -73,14 +76,34 @@ def estimate(
         )
     _check_consistent(scans)
     if dimensions == {1}:
-        return estimate_from_lines(scans, method, isotropic, noise)
-    facets = estimate_from_maps(scans, isotropic, noise)
+        return _with_others_stated(estimate_from_lines(scans, method, isotropic, known_noise), scans[0], extending)
+    facets = _with_others_stated(estimate_from_maps(scans, isotropic, known_noise), scans[0], extending)
     if method == METHODS[0]:
         return facets
     return vocabulary.add_warning(
         facets,
         f"surface.method {method} is for line profiles and was ignored: an areal map gives slopes in all directions; "
         "remove `surface.method`",
+    )
+
+
+def _with_others_stated(facets: xr.Dataset, first: xr.Dataset, extending: Sequence[xr.Dataset]) -> xr.Dataset:
+    """State that scans of other magnification were not counted, and warn if one of them resolves light better than the first."""
+    if not extending:
+        return facets
+    pitch, others = float(first.attrs["pitch_x"]), [float(scan.attrs["pitch_x"]) for scan in extending]
+    stated = ", ".join(f"{other:.3g}" for other in others)
+    facets = vocabulary.add_history(
+        facets,
+        f"The facets are those of the scans of the first pitch, {pitch:.3g} um; scans of the pitches {stated} um extend the roughness spectrum alone.",
+    )
+    nearest = min([pitch, *others], key=lambda value: abs(np.log(value / _RESOLVING)))
+    if nearest == pitch:
+        return facets
+    return vocabulary.add_warning(
+        facets,
+        f"slopes depend on the pitch: the facets are those of the first scan, of {pitch:.3g} um, but the one of {nearest:.3g} um is nearer to half a "
+        "wavelength of light; list it first in `surface`",
     )
 
 
@@ -93,9 +116,8 @@ def _check_consistent(scans: Sequence[xr.Dataset]) -> None:
     pitches = [name for name in ("pitch_x", "pitch_y") if name in first]
     for number, scan in enumerate(scans[1:], start=2):
         pair = first, scan.attrs
-        required = _WELL_SAMPLED * max(float(attrs[name]) for attrs in pair for name in pitches)
-        filtered = min(float(attrs.get("lambda_s", 0.0)) for attrs in pair) >= required
-        for name in ("lambda_s", "lambda_c", *([] if filtered else pitches)):
+        required = WELL_SAMPLED * max(float(attrs[name]) for attrs in pair for name in pitches)
+        for name in ("lambda_s", "lambda_c", *([] if commonly_filtered(scans[0], scan) else pitches)):
             values = [float(attrs.get(name, 0.0)) for attrs in pair]
             if max(values) > _TOLERANCE * min(values):
                 raise FacetError(

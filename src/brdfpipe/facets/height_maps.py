@@ -40,6 +40,7 @@ from brdfpipe.facets.slopes import (
     slope_rms_by_scale,
 )
 from brdfpipe.geometry import Array
+from brdfpipe.psd.noise_floor import NoiseFloor
 
 LAY_LIMIT = 1.2
 """Anisotropy above which a map that is not declared isotropic has a lay."""
@@ -61,7 +62,9 @@ _MEASURED = 50.0
 """Smallest number of independent facets of a cell that counts as measured."""
 
 
-def estimate_from_maps(maps: Sequence[xr.Dataset], isotropic: bool | None, noise: float | None) -> xr.Dataset:
+def estimate_from_maps(
+    maps: Sequence[xr.Dataset], isotropic: bool | None, noise: float | NoiseFloor | None
+) -> xr.Dataset:
     """Facet distribution of levelled maps; see :func:`brdfpipe.facets.estimate`."""
     heights = [HeightMap.of(surface, noise) for surface in maps]
     counts, moments = count_maps(heights)

@@ -40,6 +40,7 @@ from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.slope_histogram import FacetError
 from brdfpipe.facets.slopes import SCALES, correlation_length, mean_square
 from brdfpipe.geometry import Array
+from brdfpipe.psd.noise_floor import NoiseFloor
 
 METHODS = ("mixture", "abel", "crf")
 
@@ -65,7 +66,7 @@ class _Direction(NamedTuple):
 
 
 def estimate_from_lines(
-    lines: Sequence[xr.Dataset], method: str, isotropic: bool | None, noise: float | None
+    lines: Sequence[xr.Dataset], method: str, isotropic: bool | None, noise: float | NoiseFloor | None
 ) -> xr.Dataset:
     """Facet distribution of levelled line profiles; see :func:`brdfpipe.facets.estimate`."""
     if isotropic is True:
@@ -114,7 +115,7 @@ def _directions(lines: Sequence[xr.Dataset]) -> list[_Direction]:
     return sorted(directions, key=lambda direction: direction.azimuth)
 
 
-def _isotropic(lines: Sequence[xr.Dataset], method: str, noise: float | None) -> xr.Dataset:
+def _isotropic(lines: Sequence[xr.Dataset], method: str, noise: float | NoiseFloor | None) -> xr.Dataset:
     marginal = count_slopes(lines, noise)
     history, warnings = ["declared isotropic"], []
     if method == "crf":
@@ -238,7 +239,7 @@ def _slope_rms_by_scale(lines: Sequence[xr.Dataset], marginal: LineSlopeCounts) 
     return np.sqrt(np.maximum(squares - marginal.noise / SCALES**2, squares / 20))
 
 
-def _perpendicular(directions: Sequence[_Direction], noise: float | None) -> xr.Dataset:
+def _perpendicular(directions: Sequence[_Direction], noise: float | NoiseFloor | None) -> xr.Dataset:
     """Density of a surface with a lay along one of two perpendicular directions: elliptic, with one mixture for both.
 
     The slopes in each direction, over their rms, are drawn from one scale mixture; P22 = Σ w_k N(p; σ_k a) N(q; σ_k b).

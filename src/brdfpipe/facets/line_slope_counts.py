@@ -15,7 +15,7 @@ from brdfpipe.facets.height_quantisation import distinct_multiples
 from brdfpipe.facets.slope_histogram import FacetError, check_slope_rms, redundancy_in_classes
 from brdfpipe.facets.slopes import FINE_BINS, NOT_OUTLYING, Outlying, fine_edges, outlying
 from brdfpipe.geometry import Array
-from brdfpipe.psd.noise_floor import beyond_rounding, noise_floor
+from brdfpipe.psd.noise_floor import NoiseFloor, beyond_rounding, noise_floor
 
 STRETCHES = 32
 """Number of stretches the lines are cut into, a power of two; their scatter gives the uncertainty."""
@@ -153,7 +153,7 @@ class LineSlopeCounts(NamedTuple):
         )
 
 
-def count_slopes(lines: Sequence[xr.Dataset], noise: float | None = None) -> LineSlopeCounts:
+def count_slopes(lines: Sequence[xr.Dataset], noise: float | NoiseFloor | None = None) -> LineSlopeCounts:
     """Count the slopes between neighbouring points of lines, each line's mean removed.
 
     Slopes next to a missing height are left out. Of quantised heights, slopes are multiples of a quantum, and a bin holds whole
@@ -306,7 +306,7 @@ class _Profile(NamedTuple):
         return np.asarray(lattice + quantum * np.rint((self.mean - lattice) / quantum))
 
 
-def _with_noise(profile: _Profile, line: xr.Dataset, noise: float | None) -> _Profile:
+def _with_noise(profile: _Profile, line: xr.Dataset, noise: float | NoiseFloor | None) -> _Profile:
     floor = noise_floor(line, noise)
     rest = beyond_rounding(floor, profile.quantum * profile.pitch)
     return profile._replace(

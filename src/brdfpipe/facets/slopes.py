@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from brdfpipe.facets.height_quantisation import height_step
 from brdfpipe.geometry import Array
-from brdfpipe.psd.noise_floor import beyond_rounding, noise_floor
+from brdfpipe.psd.noise_floor import NoiseFloor, beyond_rounding, noise_floor
 
 SCALES = np.array([1.0, 2.0, 4.0, 8.0])
 """Distances, in pixels, over which the slope rms is reported."""
@@ -39,7 +39,7 @@ class HeightMap(NamedTuple):
     """Standard uncertainty of the noise [um]."""
 
     @classmethod
-    def of(cls, surface: xr.Dataset, noise: float | None = None) -> HeightMap:
+    def of(cls, surface: xr.Dataset, noise: float | NoiseFloor | None = None) -> HeightMap:
         """The heights of a map; its ``noise`` [um] is that of the plateau of its spectrum, unless it is given."""
         height, pitch = surface["height"].values, (float(surface.attrs["pitch_x"]), float(surface.attrs["pitch_y"]))
         step, floor = height_step(height, pitch), noise_floor(surface, noise)

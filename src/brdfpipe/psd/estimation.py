@@ -26,13 +26,13 @@ _POOR_FIT = 0.3
 """Rms of the logarithm of measured over fitted spectrum above which the form is not that of the surface."""
 
 
-def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | None = None) -> xr.Dataset:
+def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | None = None) -> xr.Dataset:
     """Roughness spectrum of a levelled map or line without its noise, with its band and uncertainty.
 
     Parameters
     ----------
     surface : kind ``surface``, levelled
-    noise : rms of white height noise [um], 0 for none; or a second scan of the same place, of which the difference is noise;
+    noise : rms of white height noise [um], 0 for none; a known one; a second scan of the same place, of which the difference is noise;
         or None: from the plateau of the spectrum at its highest frequencies, where it has one
 
     Returns

@@ -11,14 +11,37 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.geometry import Array
+from brdfpipe.psd.estimation import estimate
 from brdfpipe.psd.k_correlation import PsdError, fit
 from brdfpipe.psd.periodograms import RINGS_PER_DECADE, Rings
+from brdfpipe.psd.scans import sort_scans
 from brdfpipe.psd.spectrum_dataset import spectrum_dataset
 
 _DISAGREEMENT = 0.2
 """Relative difference of two spectra in their common band that is worth a warning, if it is significant too."""
 _SIGNIFICANT = 3.0
 _SCALARS = ("sigma_heights", "noise_sigma", "noise_sigma_u")
+
+
+def estimate_joined(scans: Sequence[xr.Dataset], *, noise: float | None = None) -> xr.Dataset:
+    """Roughness spectrum of all scans of one surface, of any magnification.
+
+    Parameters
+    ----------
+    scans : kind ``surface``, levelled; those whose attribute ``repeat`` is true show the noise of the first, and are not joined
+    noise : rms of white height noise of the first scan and those of its magnification [um]; None as for :func:`brdfpipe.psd.estimate`.
+        That of other magnifications is looked for in the plateau of their spectra
+
+    Returns
+    -------
+    Dataset of kind ``psd``, as of :func:`join`
+
+    Raises
+    ------
+    PsdError : as :func:`brdfpipe.psd.estimate` and :func:`brdfpipe.psd.scans.sort_scans`.
+    """
+    found = sort_scans(scans, noise)
+    return join(*(estimate(scan, noise=found.noise) for scan in found.counted), *map(estimate, found.extending))
 
 
 def join(*psds: xr.Dataset) -> xr.Dataset:
@@ -32,7 +55,8 @@ def join(*psds: xr.Dataset) -> xr.Dataset:
     -------
     Dataset of kind ``psd`` over the union of the bands, on rings of 1/20 decade. Where bands overlap it is the mean of the logarithms, weighted by
         the inverse squares of the relative uncertainties, and its uncertainty grows with their disagreement. The
-        heights' and the noise's rms are those of the scan with the widest band, as is ``psd_planar``. A single spectrum is returned unchanged
+        heights' and the noise's rms are those of the scan with the widest band, as is ``psd_planar``. ``scan_band_low`` and
+        ``scan_band_high`` are the bands, in the order given. A single spectrum is returned unchanged
 
     Raises
     ------
@@ -66,6 +90,9 @@ def join(*psds: xr.Dataset) -> xr.Dataset:
     result = result.assign({name: widest[name].variable for name in _SCALARS if name in widest})
     if "psd_planar" in widest:
         result = result.merge(widest[["psd_planar"]])
+    for end in ("low", "high"):
+        result[f"scan_band_{end}"] = ("scan", [float(psd[f"band_{end}"]) for psd in psds])
+    result = result.assign_coords(scan=np.arange(1.0, len(psds) + 1))
     bands = "; ".join(f"{float(psd['band_low']):.3g} to {float(psd['band_high']):.3g} µm⁻¹" for psd in psds)
     result = vocabulary.add_history(result, f"The spectra of {len(psds)} scans were joined, of the bands {bands}.")
     warnings = dict.fromkeys(text for psd in psds for text in vocabulary.warnings(psd))

@@ -7,6 +7,7 @@ like a power, so the sum of a constant and a power is fitted. Without a plateau 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -60,18 +61,20 @@ class NoiseFloor(NamedTuple):
 UNKNOWN = NoiseFloor(0.0, 0.0, "the spectrum has no plateau at its highest frequencies")
 
 
-def noise_floor(surface: xr.Dataset, noise: float | xr.Dataset | None = None) -> NoiseFloor:
-    """White noise of a scan: given [um], from a second scan of the same place, or from the plateau of its spectrum.
+def noise_floor(surface: xr.Dataset, noise: float | xr.Dataset | NoiseFloor | None = None) -> NoiseFloor:
+    """White noise of a scan: known, given [um], from a second scan of the same place, or from the plateau of its spectrum.
 
     Raises
     ------
-    PsdError : as :func:`given` and :func:`from_repeat`.
+    PsdError : as :func:`given` and :func:`from_repeats`.
     """
+    if isinstance(noise, NoiseFloor):
+        return noise
     scan = Scan.of(surface)
     if noise is None:
         return plateau(scan)
     if isinstance(noise, xr.Dataset):
-        return from_repeat(scan, Scan.of(noise))
+        return from_repeats(scan, [Scan.of(noise)])
     return given(scan, noise, float(surface.attrs.get("lambda_s", 0.0)))
 
 
@@ -111,27 +114,40 @@ def plateau(scan: Scan) -> NoiseFloor:
     return NoiseFloor(sigma, sigma * uncertainty / (2 * level), "plateau of the spectrum at the highest frequencies")
 
 
-def from_repeat(scan: Scan, other: Scan) -> NoiseFloor:
-    """White noise of one of two scans of the same place, from the upper octave of the spectrum of their difference.
+def from_repeats(scan: Scan, others: Sequence[Scan]) -> NoiseFloor:
+    """White noise of a scan and others of the same place, alike, from the upper octave of the spectra of their differences.
 
     Raises
     ------
-    PsdError : the scans differ in shape or pitch, or all patches of the difference have gaps.
+    PsdError : the scans differ in shape or pitch, are identical, or all patches of a difference have gaps.
     """
+    levels, scatter = np.array([_level_of_difference(scan, other) for other in others]).T
+    level = float(levels.mean())
+    # Whiteness is that of the instrument, the scatter of each difference its own; all share the first scan.
+    relative = float(np.hypot(np.sqrt(np.mean(scatter**2) * (1 + 1 / len(others)) / 2), _WHITENESS))
+    sigma = float(np.sqrt(level / scan.cell))
+    return NoiseFloor(
+        sigma, sigma * relative / 2, f"difference of {_COUNTS.get(len(others), len(others) + 1)} scans of one place"
+    )
+
+
+_COUNTS = {1: "two", 2: "three", 3: "four"}
+
+
+def _level_of_difference(scan: Scan, other: Scan) -> tuple[float, float]:
+    """Spectrum of the noise of each of two scans of one place, and its relative scatter."""
     if scan.height.shape != other.height.shape or not np.allclose(scan.pitch, other.pitch, rtol=1e-3):
         raise PsdError(
             f"two scans of one place have {scan.height.shape} and {other.height.shape} heights at pitches of {scan.pitch} and {other.pitch} um; "
             "accepted: the same positions"
         )
     difference = scan._replace(height=scan.height.astype(float) - other.height)
-    if not np.nanmax(np.abs(difference.height)) > 0:
+    if not np.nanmax(np.abs(difference.height), initial=0.0) > 0:
         raise PsdError("two scans of one place have identical heights; accepted: a second measurement")
     fine, _ = full_pitch(difference, _PATCH[scan.height.ndim], _MOST_PATCHES)
     octave = rings([fine], scan.nyquist).between(scan.nyquist / 2, np.inf)
-    level = float(octave.density.mean()) / 2
-    relative = float(np.hypot(octave.density.std() / octave.density.mean(), _WHITENESS))
-    sigma = float(np.sqrt(level / scan.cell))
-    return NoiseFloor(sigma, sigma * relative / 2, "difference of two scans of one place")
+    mean = float(octave.density.mean())
+    return mean / 2, float(octave.density.std()) / mean
 
 
 def given(scan: Scan, sigma: float, lambda_s: float = 0.0) -> NoiseFloor:

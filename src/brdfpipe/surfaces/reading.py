@@ -69,7 +69,7 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
     path : the file that ``spec["file"]`` names, resolved
     spec : ``format`` and the reading options of :func:`read_surface`; ``form`` to level by (default plane); ``lambda_s`` and
         ``lambda_c``, cutoffs [um] of a low-pass and a high-pass filter (default none); ``azimuth`` [degree] of a line profile;
-        ``file`` has no effect
+        ``repeat``, whether it is of the same place as the first scan; ``file`` has no effect
 
     Returns
     -------
@@ -82,7 +82,7 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
     """
     path, options = Path(path), dict(spec)
     options.pop("file", None)
-    azimuth = options.pop("azimuth", None)
+    azimuth, repeat = options.pop("azimuth", None), options.pop("repeat", False)
     steps: dict[str, Callable[[xr.Dataset, Any], xr.Dataset]] = {
         "form": level,
         "lambda_s": low_pass,
@@ -96,6 +96,8 @@ def ingest(path: str | os.PathLike[str], spec: Mapping[str, Any]) -> xr.Dataset:
             surface = surface if values[key] is None else step(surface, values[key])
         except BrdfpipeError as error:
             raise InputError(path, str(error), key=f"surface.{key}") from error
+    if repeat:
+        surface = surface.assign_attrs(repeat=1)
     if azimuth is None:
         return surface
     if surface["height"].ndim != 1:

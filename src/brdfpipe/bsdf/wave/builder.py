@@ -190,7 +190,10 @@ def _with_relief(
     cut = _cut(correlation, sigma) if cut is None else cut
     fine, fine_sigma, facet_sigma = height_transform.split(correlation, sigma, cut)
     # The slopes that were counted, and those of them that are coarser than the cut.
-    counted = float(psd["band_high"]) if psd.attrs["form"] == "measured" else 1e4 / correlation.length
+    measured_to = (
+        psd["scan_band_high"][0] if "scan_band_high" in psd else psd["band_high"]
+    )  # facets are of the first scan
+    counted = float(measured_to) if psd.attrs["form"] == "measured" else 1e4 / correlation.length
     whole = height_transform.slope_variance(correlation, sigma, counted)
     coarse = whole - height_transform.slope_variance(fine, fine_sigma, counted)
     factor = float(np.sqrt(np.clip(coarse / max(whole, 1e-300), 1e-6, 1.0)))

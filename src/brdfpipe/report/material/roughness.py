@@ -26,6 +26,12 @@ def _heights_table(psd: xr.Dataset) -> Table:
     band = f"{number(float(psd['band_low']))} to {number(float(psd['band_high']))} µm⁻¹"
     waves = f"waves of {number(1 / float(psd['band_high']))} to {number(1 / float(psd['band_low']))} µm"
     rows = [("Band", band, waves)]
+    if "scan_band_low" in psd:
+        bands = zip(psd["scan_band_low"].values, psd["scan_band_high"].values, strict=True)
+        rows += [
+            (f"Band of scan {scan}", f"{number(float(low))} to {number(float(high))} µm⁻¹", "joined by uncertainty")
+            for scan, (low, high) in enumerate(bands, start=1)
+        ]
     if psd.attrs["form"] == "measured":
         rows += [
             (

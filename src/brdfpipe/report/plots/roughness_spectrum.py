@@ -16,6 +16,8 @@ from brdfpipe.report.plots.svg import Axis, Band, Figure, Line, Mark, chart, leg
 WAVELENGTH = 0.55
 """Wavelength of the frequencies of instruments [um]."""
 _DECADES_SHOWN = 12
+_BAND_SPACING = 0.025
+"""Distance between the bands of scans, over the height of the figure."""
 
 
 def instrument_frequencies() -> list[tuple[str, float]]:
@@ -68,6 +70,12 @@ def roughness_spectrum(psd: xr.Dataset) -> Figure:
     for _, value in instrument_frequencies():
         if start < value < end:
             marks.append(Line([value, value], [bottom, top], "c4", label, "dots"))
+            label = ""
+    if "scan_band_low" in psd:
+        label, height = "bands of the scans", top
+        for low, high in zip(psd["scan_band_low"].values, psd["scan_band_high"].values, strict=True):
+            height /= (top / bottom) ** _BAND_SPACING
+            marks.append(Line([float(low), float(high)], [height, height], "c2", label))
             label = ""
     svg = chart(
         "Power spectral density of the heights against spatial frequency, both logarithmic",
