@@ -227,7 +227,7 @@ def test_reflections_from_facet_to_facet_are_those_of_the_rays():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sigma", [0.1, 0.3])
+@pytest.mark.parametrize("sigma", [0.1, 0.3, 0.6])
 @pytest.mark.parametrize(("theta_i", "limit"), [(0, 0.05), (30, 0.05), (60, 0.05), (75, 0.1)])
 def test_reflections_from_facet_to_facet_predict_the_traced_light_of_gaussian_maps(sigma, theta_i, limit):
     height = samples.gaussian_surface(1024, sigma=sigma, correlation=16.0)["height"].values

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection
-from brdfpipe.optics.fresnel_equations import mean_fresnel
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.microfacet.model import without_lay
+from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection, mean_share
 
 
 class MultipleScattering(NamedTuple):
@@ -31,8 +32,9 @@ def multiple_scattering(bsdf: xr.Dataset, wavelength: float = 550.0) -> Multiple
 
     Notes
     -----
-    With Ē₁ the mean albedo of perfect mirrors and F̄ = 2 ∫ F μ dμ: F̄² Ē₁ (1 − Ē₁) / (1 − F̄ (1 − Ē₁)), a geometric series.
-    Of the mode ``directional`` the tabulated reflections are integrated instead.
+    Of the mode ``directional`` the table is integrated. Of ``compensated``, with Ē₁ the mean albedo of perfect mirrors and F̄ = 2 ∫ F μ dμ:
+    F̄² Ē₁ (1 − Ē₁) / (1 − F̄ (1 − Ē₁)), a geometric series. Of ``none``, the light that two and three facets of Smith's surface
+    would reflect, to about 10 %; of a surface with a lay, of its slopes averaged over azimuth.
 
     References
     ----------
@@ -47,9 +49,8 @@ def multiple_scattering(bsdf: xr.Dataset, wavelength: float = 550.0) -> Multiple
         table = SecondReflection.of(bsdf, _at(bsdf["second_reflection"], wavelength).values[..., None])
         return MultipleScattering(mode, float(table.mean_albedo()[0]), mirrors)
     n, k = (np.atleast_1d(_at(bsdf[name], wavelength)) for name in ("n", "k"))
-    fresnel = float(mean_fresnel(n, k)[0])
-    share = fresnel**2 * (1 - mirrors) * mirrors / max(1 - fresnel * mirrors, 1e-12)
-    return MultipleScattering(mode, max(share, 0.0), mirrors)
+    share = float(mean_share(without_lay(Microsurface.of(bsdf)), n, k)[0])
+    return MultipleScattering(mode, share, mirrors)
 
 
 def _at(values: xr.DataArray, wavelength: float) -> xr.DataArray:

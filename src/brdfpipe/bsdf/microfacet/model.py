@@ -272,7 +272,7 @@ def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
                 return 1 - energy.mirror_albedo(surface, masking, theta)
             return 1 - furnace(theta, phi)[:, 0]
 
-        second = second_reflection(_without_lay(surface), n, k, missing, 1 if furnace is None else _LAY_AZIMUTHS)
+        second = second_reflection(without_lay(surface), n, k, missing, 1 if furnace is None else _LAY_AZIMUTHS)
         polar, around = np.meshgrid(table.theta, np.zeros(1) if table.phi is None else table.phi, indexing="ij")
         several = second.albedo(polar.ravel(), around.ravel()).reshape(albedo.values.shape)
         albedo = replace(albedo, values=albedo.values + several, second=second.albedo)
@@ -285,7 +285,7 @@ def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
     )
 
 
-def _without_lay(surface: Microsurface) -> Microsurface:
+def without_lay(surface: Microsurface) -> Microsurface:
     """The surface with its slopes averaged over azimuth, and Smith's masking."""
     if isinstance(surface.density, RadialDensity):
         return replace(surface, ratio=None)

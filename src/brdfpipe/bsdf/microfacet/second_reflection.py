@@ -256,7 +256,7 @@ def second_reflection(
     pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
     table = SecondReflection(slope, _log(_factors(surface, theta, pairs)), np.empty((theta.size, 0)))
     at = table.closing_angles
-    third_of_mirrors, third = _third_reflection(surface, at, pairs)
+    third_of_mirrors, third = _several_reflections(surface, at, pairs)[1]
     every = np.concatenate([third_of_mirrors[:, None], third], axis=1)
     attenuation = every / np.maximum(third_of_mirrors, _LEAST)[:, None]
     left = 1 - mirror_albedo(surface, "height-correlated", at)
@@ -360,10 +360,23 @@ def _projected(surface: Microsurface, theta: Array) -> tuple[Array, Array]:
     return cos, surface.excess(cos, sin, 0.0) * sin
 
 
-def _third_reflection(surface: Microsurface, theta: Array, pairs: Array) -> tuple[Array, Array]:
-    """Albedo after three reflections, of perfect mirrors, (θ,), and of facets of each index, (θ, index).
+def mean_share(surface: Microsurface, n: Array, k: Array) -> Array:
+    """Light that leaves an isotropic surface after two or three reflections, mean over the hemisphere, (wavelength,), to about 10 %.
 
-    A quadrature over the slopes of three facets, at the points of Roberts' recurrence in six dimensions.
+    Parameters
+    ----------
+    surface : isotropic, with Smith's masking
+    n, k : (wavelength,) index relative to the medium of incidence
+    """
+    theta, weight = panel_rule(np.array([0.0, 45.0, 75.0, 90.0]), 4)
+    (_, second), (_, third) = _several_reflections(surface, theta, np.stack(np.broadcast_arrays(n, k)))
+    return np.asarray((np.radians(weight) * np.sin(np.radians(2 * theta))) @ (second + third))
+
+
+def _several_reflections(surface: Microsurface, theta: Array, pairs: Array) -> list[tuple[Array, Array]]:
+    """Albedo after two and after three reflections, of perfect mirrors, (θ,), and of facets of each index, (θ, index), each.
+
+    A quadrature over the slopes of the facets, at the points of Roberts' recurrence in six dimensions.
     """
     density = surface.density
     assert isinstance(density, RadialDensity)
@@ -378,7 +391,7 @@ def _third_reflection(surface: Microsurface, theta: Array, pairs: Array) -> tupl
     area = np.sqrt(1 + slope**2)
     normal = np.stack([-p, -q, np.ones_like(p)], axis=-1) / area[..., None]
     stokes = _reflection_of_stokes(pairs)
-    sums = np.zeros((theta.size, 1 + pairs.shape[1]))
+    sums = np.zeros((2, theta.size, 1 + pairs.shape[1]))
     for row, incidence in enumerate(np.radians(theta)):
         towards = np.tile([np.sin(incidence), 0.0, np.cos(incidence)], (_PATHS, 1))
         weight, cosines, steps = np.ones(_PATHS), [], []
@@ -397,9 +410,11 @@ def _third_reflection(surface: Microsurface, theta: Array, pairs: Array) -> tupl
             frames.append((across, np.cross(leaving, across)))
             steps.append(leaving[:, 2])
             towards = -leaving
-        weight *= (steps[2] > 0) * _height_factor(surface, np.degrees(incidence), *steps)
-        _compiled(_add_third)(weight, np.stack(cosines), np.array(turns), stokes, sums[row])
-    return sums[:, 0] / _PATHS, sums[:, 1:] / _PATHS
+            if facet > 0:
+                seen = weight * (steps[-1] > 0) * _height_factor(surface, np.degrees(incidence), *steps)
+                polarised = np.array(turns), stokes, sums[facet - 1, row]
+                _compiled(_add_several)(seen, np.stack(cosines), *polarised)
+    return [(albedo[:, 0] / _PATHS, albedo[:, 1:] / _PATHS) for albedo in sums]
 
 
 def _reflection_of_stokes(pairs: Array) -> Array:
@@ -407,24 +422,32 @@ def _reflection_of_stokes(pairs: Array) -> Array:
 
     (F_s + F_p)/2 and (F_s − F_p)/2, and Re r_s r_p*, which is that of U.
     """
-    cos, epsilon = _COSINES[:, None], (pairs[0] + 1j * pairs[1]) ** 2
+    # Neither 0/0 at grazing nor an infinite index.
+    cos, epsilon = np.maximum(_COSINES, 1e-12)[:, None], (np.minimum(pairs[0], 1e9) + 1j * pairs[1]) ** 2
     inner = np.sqrt(epsilon - 1 + cos**2)
     r_s, r_p = -(epsilon - 1) / (cos + inner) ** 2, (epsilon * cos - inner) / (epsilon * cos + inner)
     f_s, f_p = np.abs(r_s) ** 2, np.abs(r_p) ** 2
     return np.stack([(f_s + f_p) / 2, (f_s - f_p) / 2, (r_s * r_p.conj()).real])
 
 
-def _height_factor(surface: Microsurface, theta_i: float, z_1: Array, z_2: Array, z_o: Array) -> Array:
-    """The integral over the heights of three facets, over cos θ_i |cos θ₁| |cos θ₂|; z are the cosines of the directions after them."""
+def _height_factor(surface: Microsurface, theta_i: float, *steps: Array) -> Array:
+    """The integral over the heights of two or three facets, over cos θ_i and |cos θ| between them.
+
+    ``steps`` are the cosines of the directions after each facet.
+    """
     cos_i, excess_i = _projected(surface, np.array(max(90 - theta_i, 1e-4) * -1 + 90))
-    cosines = [np.maximum(np.abs(z), 1e-9) for z in (z_1, z_2, z_o)]
+    cosines = [np.maximum(np.abs(z), 1e-9) for z in steps]
     lambdas = [surface.excess(c, np.sqrt((1 - c) * (1 + c)), 0.0) * np.sqrt((1 - c) * (1 + c)) / c for c in cosines]
-    at_i, (at_1, at_2, at_o) = excess_i / cos_i, lambdas
+    at_i, at_1, at_o = excess_i / cos_i, lambdas[0], lambdas[-1]
+    if len(steps) == 2:
+        paths = np.where(steps[0] > 0, 1 / (1 + at_i + at_1), 1 / (1 + at_1 + at_o))
+        return np.asarray(paths / (1 + at_i + at_o) / (cos_i * cosines[0]))
+    at_2 = lambdas[1]
     both_up = 1 / ((1 + at_i + at_1) * (1 + at_i + at_2))
     both_down = 1 / ((1 + at_1 + at_o) * (1 + at_2 + at_o))
     up_down = 1 / ((1 + at_i + at_1) * (1 + at_2 + at_o))
     down_up = (2 + at_1 + at_i + at_2 + at_o) / ((1 + at_1 + at_2) * (1 + at_1 + at_o) * (1 + at_i + at_2))
-    paths = np.where(z_1 > 0, np.where(z_2 > 0, both_up, up_down), np.where(z_2 > 0, down_up, both_down))
+    paths = np.where(steps[0] > 0, np.where(steps[1] > 0, both_up, up_down), np.where(steps[1] > 0, down_up, both_down))
     return np.asarray(paths / (1 + at_i + at_o) / (cos_i * cosines[0] * cosines[1]))
 
 
@@ -654,14 +677,14 @@ def _add_paths(
                     result[m, 1 + a * rank + b] += power * product
 
 
-def _add_third(weight: Array, cosines: Array, turns: Array, stokes: Array, result: Array) -> None:
-    """Add the unpolarised light that three facets reflect one after the other.
+def _add_several(weight: Array, cosines: Array, turns: Array, stokes: Array, result: Array) -> None:
+    """Add the unpolarised light that two or three facets reflect one after the other.
 
     Parameters
     ----------
     weight : (n,) of each path
-    cosines : (3, n) of the angles of incidence on the facets
-    turns : (2, 2, n) cosine and sine of the angle between the planes of incidence of a facet and the next
+    cosines : (2 or 3, n) of the angles of incidence on the facets
+    turns : (1 or 2, 2, n) cosine and sine of the angle between the planes of incidence of a facet and the next
     stokes : of :func:`_reflection_of_stokes`
     result : (1 + index,) is added to: for perfect mirrors, and for each index
     """
@@ -670,26 +693,24 @@ def _add_third(weight: Array, cosines: Array, turns: Array, stokes: Array, resul
         if weight[path] <= 0:
             continue
         result[0] += weight[path]
-        cos_1, sin_1 = turns[0, 0, path], turns[0, 1, path]
-        cos_2, sin_2 = turns[1, 0, path], turns[1, 1, path]
-        double_1, twice_1 = cos_1 * cos_1 - sin_1 * sin_1, 2 * cos_1 * sin_1
-        double_2, twice_2 = cos_2 * cos_2 - sin_2 * sin_2, 2 * cos_2 * sin_2
-        at_1, at_2, at_3 = (
-            math.sqrt(cosines[0, path]) * last,
-            math.sqrt(cosines[1, path]) * last,
-            math.sqrt(cosines[2, path]) * last,
-        )
-        i, j, k = min(int(at_1), last - 1), min(int(at_2), last - 1), min(int(at_3), last - 1)
-        x, y, z = at_1 - i, at_2 - j, at_3 - k
+        at = math.sqrt(cosines[0, path]) * last
+        first = min(int(at), last - 1)
+        share = at - first
         for index in range(stokes.shape[2]):
-            intensity = stokes[0, i, index] * (1 - x) + stokes[0, i + 1, index] * x
-            polarised = stokes[1, i, index] * (1 - x) + stokes[1, i + 1, index] * x
-            mean = stokes[0, j, index] * (1 - y) + stokes[0, j + 1, index] * y
-            half = stokes[1, j, index] * (1 - y) + stokes[1, j + 1, index] * y
-            product = stokes[2, j, index] * (1 - y) + stokes[2, j + 1, index] * y
-            turned, diagonal = polarised * double_1, -polarised * twice_1
-            polarised = (half * intensity + mean * turned) * double_2 + product * diagonal * twice_2
-            intensity = mean * intensity + half * turned
-            mean = stokes[0, k, index] * (1 - z) + stokes[0, k + 1, index] * z
-            half = stokes[1, k, index] * (1 - z) + stokes[1, k + 1, index] * z
-            result[1 + index] += weight[path] * (mean * intensity + half * polarised)
+            # Stokes' parameters I, Q and U in the frame of each facet; V does not return to I within three reflections.
+            intensity = stokes[0, first, index] * (1 - share) + stokes[0, first + 1, index] * share
+            polarised = stokes[1, first, index] * (1 - share) + stokes[1, first + 1, index] * share
+            diagonal = 0.0
+            for facet in range(1, cosines.shape[0]):
+                cos, sin = turns[facet - 1, 0, path], turns[facet - 1, 1, path]
+                double, twice = cos * cos - sin * sin, 2 * cos * sin
+                polarised, diagonal = polarised * double + diagonal * twice, diagonal * double - polarised * twice
+                at = math.sqrt(cosines[facet, path]) * last
+                node = min(int(at), last - 1)
+                part = at - node
+                mean = stokes[0, node, index] * (1 - part) + stokes[0, node + 1, index] * part
+                half = stokes[1, node, index] * (1 - part) + stokes[1, node + 1, index] * part
+                product = stokes[2, node, index] * (1 - part) + stokes[2, node + 1, index] * part
+                intensity, polarised = mean * intensity + half * polarised, half * intensity + mean * polarised
+                diagonal *= product
+            result[1 + index] += weight[path] * intensity
