@@ -21,7 +21,7 @@ from brdfpipe.comparison.lobe_bins import LobeBins, gloss_by_bin
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 from brdfpipe.masking import ray_casting
-from brdfpipe.masking.modes import SMITH_MASKINGS
+from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, SMITH_MASKINGS
 from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
 
@@ -363,7 +363,10 @@ def _advice(result: xr.Dataset, predicted: xr.Dataset) -> str:
         key = "`model.optics: auto`"
     elif modes["masking"] in SMITH_MASKINGS and _masking_difference(result) is not None:
         key = "`model.masking: measured`"
-    elif modes["masking"] == "height-correlated" and modes["multiple_scattering"] != "directional" and not lay:
+    elif (
+        modes["masking"] in MASKINGS_OF_MULTIPLE_SCATTERING["directional"]
+        and modes["multiple_scattering"] != "directional"
+    ):
         key = "`model.multiple_scattering: directional`"
     else:
         key = ""
