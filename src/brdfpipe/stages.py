@@ -24,7 +24,7 @@ from brdfpipe.catalogue.material_keys import (
     MultiangleFile,
 )
 from brdfpipe.exchange.registry import FORMATS, Format
-from brdfpipe.masking.modes import HALOS, MODEL_DEFAULTS, OPTICS, TRUTHS
+from brdfpipe.masking.modes import HALOS, MODEL_DEFAULTS, OPTICS, RECIPES, SMITH_MASKINGS, TRUTHS
 
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration
@@ -166,8 +166,20 @@ def _truth(subject: Subject) -> str:
 
 _CHECKED = Condition("`model.truth: check`", lambda subject: _truth(subject) == "check")
 _PREDICTED = Condition("`model.truth` other than use", lambda subject: _truth(subject) != "use")
-_MEASURED_MASKING = Condition(
-    "`model.masking: measured`", lambda subject: subject.section("model").get("masking") == "measured"
+
+
+def _masking(subject: Subject) -> str:
+    """The masking that the keys or the recipe name, or the default; Smith's where nothing is traced."""
+    model = subject.section("model")
+    named = (
+        RECIPES.get(model.get("recipe", ""), MODEL_DEFAULTS)["masking"] if "masking" not in model else model["masking"]
+    )
+    untraced = "slab" in subject.owner.content or not _MEASURED_RELIEF.holds(subject)
+    return SMITH_MASKINGS[0] if named == "auto" and untraced else str(named)
+
+
+_TRACED_MASKING = Condition(
+    "`model.masking: auto` or measured", lambda subject: _masking(subject) in ("auto", "measured")
 )
 
 
@@ -246,10 +258,11 @@ def _model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
         return {key: value for key, value in model.items() if key != "truth"}
     defaults: dict[str, Any] = MODEL_DEFAULTS
     if "slab" in subject.owner.content:
-        defaults = {"masking": MODEL_DEFAULTS["masking"]}
+        return {"masking": _masking(subject)}
     elif _uses_waves(subject):
         defaults = {"optics": OPTICS[0], "diffuse": MODEL_DEFAULTS["diffuse"], "halo": HALOS[0]}
-    return {key: model.get(key, default) for key, default in defaults.items()}
+    chosen = {key: model.get(key, default) for key, default in defaults.items()}
+    return chosen | ({"masking": _masking(subject)} if "masking" in chosen else {})
 
 
 def _base_of_reference(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
@@ -375,9 +388,9 @@ _STAGES = (
     ),
     Stage(
         "visibility",
-        "the visibility of the facets, traced on their map",
-        when=_MEASURED_RELIEF & _MEASURED_MASKING,
-        reported=False,
+        "the visibility of the facets, traced on their heights, where Smith's masking does not describe it",
+        when=_MEASURED_RELIEF & _TRACED_MASKING & _FACETS & _PREDICTED,
+        keys=StageKeys(("model.masking",), (), lambda subject, _: {"masking": _masking(subject)}),
         memory=2000,
     ),
     Stage(

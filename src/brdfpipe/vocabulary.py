@@ -143,6 +143,18 @@ QUANTITIES: Mapping[str, Quantity] = {
         "1", "facets of the map visible from both directions, over Smith's height-correlated G2", 0
     ),
     "visibility_ratio_u": Quantity("1", "standard uncertainty of: ratio of the visible facets to Smith's", 0),
+    "steepness_towards": Quantity("1", "asinh(t / w), t the slope by which a facet falls towards a direction"),
+    "single_ratio": Quantity("1", "facets visible from one direction, over Smith's G1", 0),
+    "single_ratio_u": Quantity(
+        "1", "standard uncertainty of: ratio of the facets visible from one direction to Smith's", 0
+    ),
+    "visible_share": Quantity(
+        "1", "share of the once reflected light that no other facet intercepts, traced", 0, 1 + 1e-9
+    ),
+    "visible_share_u": Quantity("1", "standard uncertainty of: share of the light that no facet intercepts", 0),
+    "smith_visible_share": Quantity("1", "the same share after Smith", 0, 1 + 1e-9),
+    "smith_error": Quantity("1", "once reflected light after Smith over traced light, less 1", -1),
+    "smith_error_u": Quantity("1", "standard uncertainty of: error of the light after Smith", 0),
     "limit_theta": Quantity("degree", "polar angle of the limit of the visibility", 0, 90),
     "visibility_limit": Quantity("1", "factor of either direction that keeps perfect mirrors from gaining light", 0, 1),
     # Spectrum and index
@@ -399,6 +411,7 @@ SLOPES: Sequence[tuple[str, ...]] = [("slope",), ("slope_across", "slope_along")
 SPECTRAL: Sequence[tuple[str, ...]] = [("wavelength",), ()]
 SCALAR: Sequence[tuple[str, ...]] = [()]
 VISIBILITY_COORDINATES: Sequence[tuple[str, ...]] = [("grazing", "steepness", "asymmetry")]
+SINGLE_VISIBILITY_COORDINATES: Sequence[tuple[str, ...]] = [("grazing", "steepness_towards")]
 _INCIDENCE: Sequence[tuple[str, ...]] = [("theta_i",)]
 _CELLS: Sequence[tuple[str, ...]] = [("incidence", "wavelength", "cell")]
 _CELL: dict[str, Sequence[tuple[str, ...]]] = {"theta_s": [("cell",)], "phi_s": [("cell",)]}
@@ -594,8 +607,15 @@ KINDS: Mapping[str, Kind] = {
     "parameters": Kind({"missing_fraction": SCALAR}, attributes=("levelling", "band")),
     "raycast": Kind({}, attributes=("method",)),
     "visibility": Kind(
-        {"visibility_ratio": VISIBILITY_COORDINATES},
-        optional=dict.fromkeys(("visibility_ratio_u", "visibility_ratio_quality"), VISIBILITY_COORDINATES),
+        {},
+        optional=dict.fromkeys(
+            ("visibility_ratio", "visibility_ratio_u", "visibility_ratio_quality"), VISIBILITY_COORDINATES
+        )
+        | dict.fromkeys(("single_ratio", "single_ratio_u", "single_ratio_quality"), SINGLE_VISIBILITY_COORDINATES)
+        | {
+            name: [("theta_i", "region")]
+            for name in ("visible_share", "visible_share_u", "smith_visible_share", "smith_error", "smith_error_u")
+        },
     ),
     "samples": Kind(
         {"theta_o": [("sample",)], "phi_o": [("sample",)], "pdf": [("sample",)], "specular": [("sample",)]}

@@ -140,7 +140,7 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         (COLOUR + "transparent: true", "unknown key 'transparent'"),
         (
             COLOUR + "model: {masking: smith}",
-            "found 'smith'; accepted: height-correlated, separable, measured, blinn, liu, crf, none",
+            "found 'smith'; accepted: auto, height-correlated, separable, measured, blinn, liu, crf, none",
         ),
         (COLOUR + "model: {recipe: crf, masking: crf}", "either `recipe` or `masking`$"),
         (
@@ -228,7 +228,7 @@ def test_the_keys_offer_what_the_model_has() -> None:
 
     offered = {key: choices(material_keys.Model, key) for key in material_keys.Model.declared_keys()}
     assert offered == {
-        "masking": {*VISIBILITY, "liu", "measured"},
+        "masking": {"auto", *VISIBILITY, "liu", "measured"},
         "diffuse": set(modes.MODES["diffuse"]),
         "multiple_scattering": set(modes.MODES["multiple_scattering"]),
         "recipe": set(modes.RECIPES),
@@ -422,7 +422,7 @@ def test_each_stage_has_its_part_of_the_description_as_parameters(tmp_path: Path
         "facets": {"isotropic": True},
         "index": {"index": "PP"},
         "spectrum": {"file": "a.txt", "geometry": "sci", "allow_fluorescent": False},
-        "predicted": {"masking": "height-correlated", "diffuse": "coupled", "multiple_scattering": "none"},
+        "predicted": {"masking": "auto", "diffuse": "coupled", "multiple_scattering": "none"},
         "report": {"description": "d", "exports": ["astm"]},
     }
 

@@ -185,7 +185,7 @@ def test_editing_the_description_rebuilds_the_report_alone(folder: Path, results
 def test_writing_out_a_default_rebuilds_nothing(folder: Path, results: Path) -> None:
     build(folder, results)
     with (folder / "first" / "material.yaml").open("a") as description:
-        description.write("model: {masking: height-correlated}\n")
+        description.write("model: {masking: auto}\n")
     assert build(folder, results).jobs == 0
 
 

@@ -12,7 +12,7 @@ from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 from brdfpipe.facets.estimation import estimate
 from brdfpipe.geometry import angles_of
-from brdfpipe.masking.traced_visibility import tabulate
+from brdfpipe.masking.visibility_choice import choose
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
@@ -249,10 +249,7 @@ def test_a_grain_with_valleys_and_its_negative_are_told_apart():
 def test_masking_traced_on_the_map_tells_cells_from_their_negative(sign):
     surface = samples.surface(sign * relief_maps.cells(1024, 0))
     facets = estimate(surface, isotropic=True)
-    smith, measured = (
-        build(facets, index=1.5, **options)
-        for options in ({}, {"masking": "measured", "visibility": tabulate(surface, facets)})
-    )
+    smith, measured = (build(facets, index=1.5, **options) for options in ({}, {"visibility": choose(surface, facets)}))
     mesh = HeightMesh.of(surface)
     bins = SlopeBins.of(mesh.typical_slope)
     traced = trace(mesh, 75.0, index=1.5, bins=bins, rays=10**6).power.mean(axis=1)[0, bins.half :]

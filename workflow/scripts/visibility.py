@@ -1,12 +1,18 @@
 from brdfpipe import store
-from brdfpipe.masking.traced_visibility import tabulate
+from brdfpipe.masking.visibility_choice import choose
 
 
 def main(input, output, params):
-    """Visibility of the facets, traced on their map, beside Smith's."""
+    """Visibility of the facets, traced on their heights, beside Smith's."""
     inputs = {name: store.open_dataset(path, name) for name, path in input.items()}
+    spec = params["spec"]
     store.save_dataset(
-        tabulate(**inputs), output["visibility"], stage="visibility", material=params["material"], inputs=inputs
+        choose(**inputs, **spec),
+        output["visibility"],
+        stage="visibility",
+        material=params["material"],
+        inputs=inputs,
+        parameters=spec,
     )
 
 

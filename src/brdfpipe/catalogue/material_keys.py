@@ -644,8 +644,8 @@ class Model(Keys):
     )
 
     masking: Annotated[str, OneOf(MODES["masking"])] = key(
-        "masking and shadowing of facets by their neighbours: height-correlated, separable, measured (traced on the height map), "
-        "blinn, liu, crf or none",
+        "masking and shadowing of facets by their neighbours: auto (measured where the heights differ from Smith's masking), "
+        "height-correlated, separable, measured (traced on the heights), blinn, liu, crf or none",
         default_words=f"`{MODEL_DEFAULTS['masking']}`",
         details="See [modes](model.md#modes-and-what-they-break).",
     )
@@ -792,7 +792,7 @@ class Material(Keys):
     def _check_measured_masking(self) -> Self:
         """Refuse masking that is traced on a map where there is none."""
         if self.model.masking == "measured" and not isinstance(self.surface, MeasuredSurface):
-            problem = "masking is traced on a height map, and the surface is not measured"
+            problem = "masking is traced on measured heights, and the surface is not measured"
             accepted = "a measured `surface`, or " + " or ".join(SMITH_MASKINGS)
             raise InputError("", problem, where="model.masking", found="'measured'", accepted=accepted)
         return self
@@ -826,7 +826,7 @@ class Material(Keys):
                 "`slab` with `internal_transmittance` or `absorption`; or `spectrum` without `slab`, for an opaque body"
             )
             raise InputError("", problem, accepted=accepted)
-        if self.model.effective_masking not in SMITH_MASKINGS:
+        if self.model.effective_masking not in ("auto", *SMITH_MASKINGS):
             problem, accepted = "a slab needs one of Smith's maskings", ", ".join(SMITH_MASKINGS)
             masking = repr(self.model.recipe or self.model.masking)
             raise InputError("", problem, where="model.masking", found=masking, accepted=accepted)

@@ -7,11 +7,14 @@ PHYSICAL_MASKINGS = (*SMITH_MASKINGS, "measured")
 """Maskings that are reciprocal and conserve the energy of reflected light; ``measured`` is traced on the height map."""
 
 MODES = {
-    "masking": (*PHYSICAL_MASKINGS, "blinn", "liu", "crf", "none"),
+    "masking": ("auto", *PHYSICAL_MASKINGS, "blinn", "liu", "crf", "none"),
     "diffuse": ("coupled", "crf", "none"),
     "multiple_scattering": ("none", "compensated", "directional"),
 }
-"""Accepted modes by key of ``model``; the first one is the default."""
+"""Accepted modes by key of ``model``; the first one is the default.
+
+Masking ``auto`` is ``measured`` where heights were measured and Smith's masking does not describe them, else Smith's height-correlated one.
+"""
 
 OPTICS = ("facets", "wave", "composite", "auto")
 """Accepted values of ``model.optics``; the first one is the default."""
@@ -27,8 +30,8 @@ MODEL_DEFAULTS = {key: names[0] for key, names in MODES.items()}
 
 MASKINGS_OF_MULTIPLE_SCATTERING = {
     "none": MODES["masking"],
-    "compensated": PHYSICAL_MASKINGS,
-    "directional": ("height-correlated", "measured"),
+    "compensated": ("auto", *PHYSICAL_MASKINGS),
+    "directional": ("auto", "height-correlated", "measured"),
 }
 """Masking modes with which each mode of ``multiple_scattering`` is defined."""
 

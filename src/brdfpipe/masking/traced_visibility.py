@@ -13,157 +13,173 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector
-from brdfpipe.masking.smith import Smith, cotangent
+from brdfpipe.masking.facet_sample import BLOCKS, FacetSample, direction
+from brdfpipe.masking.smith import cotangent
 from brdfpipe.masking.visibility import VISIBILITY
 from brdfpipe.references.height_mesh import HeightMesh
 
-_GRAZING = np.linspace(0.0, 0.96, 17)
-_ASYMMETRY = np.linspace(0.0, 1.0, 6)
-_SLOPE_STEP = 0.2  # between nodes of asinh(slope/width)
+GRAZING: Array = np.linspace(0.0, 0.96, 17)
+"""Nodes of 1/(1 + cot ζ / w), ζ the angle of directions from a facet's normal, and w the median slope."""
+ASYMMETRY: Array = np.linspace(0.0, 1.0, 6)
+SAMPLES = 2**12
+"""Facets that are traced for every node of grazing and asymmetry."""
+STEEPNESS_STEP = 0.2
+"""Between nodes of asinh(slope/w)"""
+VIRTUAL_FACETS = 1.0
+"""Counted as visible after Smith: the ratio is 1 where nothing else was counted."""
+
 _STEEPEST = 1e-3  # share of the facets that are steeper than the last node
 _NEAREST_HORIZON = 0.98  # largest asymmetry of the cosines that is traced
-_BLOCKS = 8  # of the map along each axis, whose scatter is the uncertainty
-_VIRTUAL_FACETS = 1.0  # counted as visible after Smith: the ratio is 1 where nothing else was counted
 _LEAST_COUNT = 10.0  # visible facets after Smith below which a ratio is flagged
+_SEEN_WHOLE = (
+    0.35  # grazing below which hardly a facet is masked, so that a quarter of the facets gives the same uncertainty
+)
 
 
 class VisibilityError(BrdfpipeError):
     """The visibility of facets cannot be tabulated for a surface."""
 
 
-def tabulate(surface: xr.Dataset, facets: xr.Dataset, *, samples: int = 2**14, seed: int = 0) -> xr.Dataset:
-    """Visibility of the facets of a map from pairs of directions, over Smith's.
+def tabulate(mesh: HeightMesh, *, samples: int = SAMPLES, seed: int = 0) -> xr.Dataset:
+    """Visibility of the facets of an isotropic map from one direction and from pairs of directions, over Smith's.
 
     Parameters
     ----------
-    surface : kind ``surface``, a levelled map
-    facets : kind ``facets``, isotropic, estimated from that surface
+    mesh : of a map
     samples : facets that are traced for every incidence and asymmetry
     seed : of the positions of the facets
 
     Returns
     -------
-    Dataset of kind ``visibility``: ``visibility_ratio`` = G2 / G2 of Smith, with ``visibility_ratio_u`` and
-    ``visibility_ratio_quality``, over the coordinates of :class:`brdfpipe.masking.visibility.VisibilityRatio`. Where
-    few facets were counted the ratio approaches 1, and is flagged as extrapolated.
+    Variables of a dataset of kind ``visibility``, each with ``_u`` and ``_quality``:
+    ``visibility_ratio`` = G2 / G2 of Smith over the coordinates of :class:`brdfpipe.masking.visibility.VisibilityRatio`;
+    ``single_ratio`` = G1 / G1 of Smith over the grazing of one direction, and asinh(t/w) of the facet's slope t towards it.
+    Where few facets were counted a ratio approaches 1, and is flagged as extrapolated.
 
     Raises
     ------
-    VisibilityError : a surface with a lay.
-    HeightMapError : as :meth:`brdfpipe.references.height_mesh.HeightMesh.of`; so for a line profile.
+    VisibilityError : a map without slopes.
 
     Notes
     -----
     G2 of facets of slope s at the angle ζ from both directions is E[visible from both | s, ζ, δ]. Each facet's share of
-    the mean plane counts. Beyond its edges the map goes on in its mirror image.
+    the mean plane counts. Beyond its edges the map goes on in its mirror image. Smith's G2 is that of the slopes of the mesh itself, so
+    that noise of the heights changes both.
 
     References
     ----------
-    Ribardière et al. 2019 (visibility of measured maps); Smith 1967; Heitz 2014 (JCGT 3(2)), eq. 99.
+    Ribardière et al. 2019 (visibility of measured maps); Smith 1967; Heitz 2014 (JCGT 3(2)), eqs. 72 and 99.
     """
-    vocabulary.validate(facets, "facets")
-    if facets["slope_density"].ndim != 1:
+    facets = FacetSample.of(mesh, 4 * samples, seed)
+    width, nodes = width_and_nodes(np.hypot(*facets.slopes))
+    return single_ratio(facets, width, nodes).merge(_pair_ratio(facets, width, nodes, samples, seed))
+
+
+def width_and_nodes(slopes: Array) -> tuple[float, int]:
+    """Median of the slopes, and number of nodes of the steepness, whose last node hardly a slope exceeds."""
+    median, steepest = np.quantile(slopes, [0.5, 1 - _STEEPEST])
+    if not median > 0:
         raise VisibilityError(
-            "masking 'measured' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another `model.masking`"
+            "more than half of the slopes are 0, so that they have no typical size; measure where the finish is"
         )
-    mesh = HeightMesh.of(surface)
-    smith, width = Smith.of(facets), RadialDensity.of(facets).median_slope
-    steepest = float(np.quantile(np.hypot(*mesh.slopes()), 1 - _STEEPEST))
-    steepness = _SLOPE_STEP * np.arange(max(4, int(np.ceil(np.arcsinh(steepest / width) / _SLOPE_STEP)) + 1))
-    blocks = np.arange(samples) * _BLOCKS**2 // samples
-    visible, expected = np.zeros((2, _GRAZING.size, steepness.size, _ASYMMETRY.size, _BLOCKS**2))
-    for row, grazing in enumerate(_GRAZING):
-        for column, asymmetry in enumerate(_ASYMMETRY):
-            position = _positions(mesh, blocks, seed + row * _ASYMMETRY.size + column)
-            counted, slope, pair, seen = _seen(mesh, position, grazing, asymmetry, width)
-            at = np.minimum(np.arcsinh(slope / width) / _SLOPE_STEP, steepness.size - 1)
-            for sums, values in ((visible, seen.astype(float)), (expected, _smith_g2(pair, smith))):
-                sums[row, :, column] = _shared_sums(at, blocks[counted], values, steepness.size)
+    return float(median), max(4, int(np.ceil(np.arcsinh(steepest / median) / STEEPNESS_STEP)) + 1)
+
+
+def single_ratio(facets: FacetSample, width: float, nodes: int) -> xr.Dataset:
+    """Facets visible from one direction over Smith's G1, by the grazing of the direction and the slope towards it."""
+    smith = facets.smith_excess()
+    azimuth = facets.azimuth
+    towards = facets.slope_towards(azimuth)
+    at = np.clip(np.arcsinh(towards / width) / STEEPNESS_STEP + nodes - 1, 0, 2 * nodes - 2)
+    sums = np.zeros((2, GRAZING.size, 2 * nodes - 1, BLOCKS**2))
+    for row, grazing in enumerate(GRAZING):
+        theta = angle_of(grazing, width)
+        facing = np.cos(theta) + towards * np.sin(theta) > 0
+        visible = facets.visible(direction(np.full(towards.size, theta), azimuth))
+        cot = 1 / np.tan(theta) if grazing > 0 else np.inf
+        g1 = 1 / (1 + smith(np.array([cot]))[0] / cot)
+        for part, values in zip(sums, (visible.astype(float), g1 * facing), strict=True):
+            part[row] = shared_sums(at, facets.block, values, 2 * nodes - 1)
+    steepness: Array = STEEPNESS_STEP * np.arange(1.0 - nodes, nodes)
+    return ratios("single_ratio", sums, {"grazing": GRAZING, "steepness_towards": steepness})
+
+
+def _pair_ratio(facets: FacetSample, width: float, nodes: int, samples: int, seed: int) -> xr.Dataset:
+    smith = facets.smith_excess()
+    sums = np.zeros((2, GRAZING.size, nodes, ASYMMETRY.size, BLOCKS**2))
+    for row, grazing in enumerate(GRAZING):
+        fewer = samples if grazing > _SEEN_WHOLE else samples // 4
+        for column, asymmetry in enumerate(ASYMMETRY if row else ASYMMETRY[:1]):
+            some = FacetSample.of(facets.mesh, fewer, seed + 1 + row * ASYMMETRY.size + column)
+            pair, towards = mirrored_pairs(*some.slopes, angle_of(grazing, width), asymmetry)
+            at = np.minimum(np.arcsinh(np.sqrt(pair.slope_squared) / width) / STEEPNESS_STEP, nodes - 1)
+            g2 = VISIBILITY["height-correlated"](
+                pair, *(smith(cotangent(*one)) for one in ((pair.cos_i, pair.sin_i), (pair.cos_o, pair.sin_o)))
+            )
+            seen = some.visible(*towards).astype(float)
+            for part, values in zip(sums, (seen, g2 * pair.cos_i * pair.cos_o), strict=True):
+                part[row, :, column] = shared_sums(at, some.block, values, nodes)
     # In these limits the asymmetry has no meaning.
-    for sums in (visible, expected):
-        sums[0] = sums[0].mean(axis=1, keepdims=True)
-        sums[:, 0] = sums[:, 0].mean(axis=1, keepdims=True)
-    ratio, relative_u = _ratio(visible, expected)
-    extrapolated = expected.sum(axis=-1) < _LEAST_COUNT
-    dims = ("grazing", "steepness", "asymmetry")
-    quality = np.where(extrapolated, vocabulary.quality("extrapolated"), vocabulary.quality("measured"))
-    result = xr.Dataset(
-        {
-            "visibility_ratio": (dims, ratio),
-            "visibility_ratio_u": (dims, ratio * relative_u),
-            "visibility_ratio_quality": (dims, quality.astype(np.int8)),
-        },
-        coords={"grazing": _GRAZING, "steepness": steepness, "asymmetry": _ASYMMETRY},
-        attrs={"method": f"{samples} facets of the map for each incidence and asymmetry"},
-    )
-    return vocabulary.label(result, "visibility")
+    sums[:, 0] = sums[:, 0, :, :1]
+    sums[:, :, 0] = sums[:, :, 0].mean(axis=2, keepdims=True)
+    axes = {"grazing": GRAZING, "steepness": STEEPNESS_STEP * np.arange(float(nodes)), "asymmetry": ASYMMETRY}
+    return ratios("visibility_ratio", sums, axes)
 
 
-def _positions(mesh: HeightMesh, block: NDArray[np.intp], seed: int) -> Array:
-    """(n, 2) positions along x and y, in cells, evenly spread over the blocks of the map in their order."""
-    number = np.arange(block.size)
-    shift = np.random.default_rng(seed).random(2)
-    # Roberts' additive recurrence in two dimensions.
-    within = (shift + (number[:, None] + 1) * [0.7548776662466927, 0.5698402909980532]) % 1.0
-    row, column = np.divmod(block, _BLOCKS)
-    rows, columns = mesh.present.shape
-    place = np.stack([column, row], axis=1).astype(float) + within
-    return np.asarray(place * [columns / _BLOCKS, rows / _BLOCKS], dtype=float)
+def angle_of(grazing: float, width: float) -> float:
+    """Angle [rad] of a node of grazing."""
+    return float(np.arctan(grazing / ((1 - grazing) * width)))
 
 
-def _seen(
-    mesh: HeightMesh, position: Array, grazing: float, asymmetry: float, width: float
-) -> tuple[NDArray[np.bool_], Array, HalfVector, NDArray[np.bool_]]:
-    """Positions whose facet was measured, and of these facets: slope, the pair of directions, and whether both see them."""
-    from brdfpipe.references import ray_kernel
-
-    counted = mesh.present[position[:, 1].astype(int), position[:, 0].astype(int)]
-    position = np.ascontiguousarray(position[counted])
-    facet = np.empty((position.shape[0], 4))
-    ray_kernel.facets_at(mesh.height, mesh.pitch, position, facet)
-    slope = np.hypot(facet[:, 1], facet[:, 2])
-    tan_zeta = grazing / ((1 - grazing) * width)
-    zeta = float(np.arctan(tan_zeta))
-    limit = np.minimum(slope * tan_zeta, 1.0)
-    difference = np.minimum(asymmetry * limit, _NEAREST_HORIZON)
-    turn = np.arccos(np.clip(difference / np.maximum(slope * tan_zeta, 1e-300), 0.0, 1.0))
+def mirrored_pairs(p: Array, q: Array, zeta: float, asymmetry: float) -> tuple[HalfVector, tuple[Array, Array]]:
+    """Pairs of directions at ``zeta`` [rad] that facets of slopes ``p`` and ``q``, (n,), mirror into each other, also as vectors, (n, 3)."""
+    slope = np.hypot(p, q)
+    secant = np.sqrt(1 + slope**2)
+    reach = slope * np.tan(zeta)
+    difference = np.minimum(asymmetry * np.minimum(reach, 1.0), _NEAREST_HORIZON)
+    along = np.clip(difference / np.maximum(reach, 1e-300), 0.0, 1.0)
     # Both sides of the plane by turns.
-    turn[1::2] *= -1
-    visible = np.empty(slope.size, dtype=bool)
-    low = float(mesh.height.min())
-    ray_kernel.visible_pairs(
-        mesh.height, mesh.ceiling, mesh.offset, low, mesh.pitch, mesh.edges, position, facet, zeta, turn, visible
-    )
-    difference = np.where(slope * tan_zeta > 0, difference, 0.0)
-    mean = np.cos(zeta) / np.sqrt(1 + slope**2)
+    across = np.sqrt(1 - along**2) * np.where(np.arange(slope.size) % 2, -1.0, 1.0)
+    with np.errstate(invalid="ignore"):
+        down_x, down_y = np.where(slope > 0, -p / slope, 1.0), np.where(slope > 0, -q / slope, 0.0)
+    normal = np.stack([slope * down_x, slope * down_y, np.ones_like(slope)], axis=-1) / secant[:, None]
+    descent = np.stack([down_x, down_y, -slope], axis=-1) / secant[:, None]
+    level = np.stack([-down_y, down_x, np.zeros_like(slope)], axis=-1)
+    sideways = np.sin(zeta) * (along[:, None] * descent + across[:, None] * level)
+    mean = np.cos(zeta) / secant
+    difference = np.where(reach > 0, difference, 0.0)
     cos_i, cos_o = mean * (1 - difference), mean * (1 + difference)
     sin_i, sin_o = (np.sqrt(np.maximum((1 - cos) * (1 + cos), 0.0)) for cos in (cos_i, cos_o))
     pair = HalfVector(slope**2, np.full_like(slope, np.cos(zeta)), cos_i, sin_i, cos_o, sin_o)
-    return counted, slope, pair, visible
+    central = np.cos(zeta) * normal
+    return pair, (central + sideways, central - sideways)
 
 
-def _smith_g2(pair: HalfVector, smith: Smith) -> Array:
-    towards = ((pair.cos_i, pair.sin_i), (pair.cos_o, pair.sin_o))
-    excess = (smith.excess(cotangent(cos, sin)) for cos, sin in towards)
-    return VISIBILITY["height-correlated"](pair, *excess) * pair.cos_i * pair.cos_o
-
-
-def _shared_sums(at: Array, block: NDArray[np.intp], values: Array, nodes: int) -> Array:
+def shared_sums(at: Array, block: NDArray[np.intp], values: Array, nodes: int) -> Array:
     """(node, block) sums of values, each shared linearly between the two nodes beside its place."""
     node = np.minimum(at.astype(np.intp), nodes - 2)
     share = at - node
-    index, size = node * _BLOCKS**2 + block, nodes * _BLOCKS**2
+    index, size = node * BLOCKS**2 + block, nodes * BLOCKS**2
     lower = np.bincount(index, values * (1 - share), minlength=size)
-    upper = np.bincount(index + _BLOCKS**2, values * share, minlength=size)
-    return np.asarray(lower + upper, dtype=float).reshape(nodes, _BLOCKS**2)
+    upper = np.bincount(index + BLOCKS**2, values * share, minlength=size)
+    return np.asarray(lower + upper, dtype=float).reshape(nodes, BLOCKS**2)
 
 
-def _ratio(visible: Array, expected: Array) -> tuple[Array, Array]:
+def ratios(name: str, sums: Array, axes: dict[str, Array]) -> xr.Dataset:
+    """Visible over expected facets with uncertainty and quality, from both sums, (2, *axes, block)."""
+    visible, expected = sums
+    ratio, relative_u = ratio_of_sums(visible, expected)
+    extrapolated = expected.sum(axis=-1) < _LEAST_COUNT
+    quality = np.where(extrapolated, vocabulary.quality("extrapolated"), vocabulary.quality("measured"))
+    fields = {name: ratio, f"{name}_u": ratio * relative_u, f"{name}_quality": quality.astype(np.int8)}
+    return xr.Dataset({key: (tuple(axes), values) for key, values in fields.items()}, axes)
+
+
+def ratio_of_sums(visible: Array, expected: Array, virtual: Array | float = VIRTUAL_FACETS) -> tuple[Array, Array]:
     """Visible over expected facets, over the blocks (last axis), and its relative standard uncertainty from their scatter."""
-    total = expected.sum(axis=-1) + _VIRTUAL_FACETS
-    ratio = (visible.sum(axis=-1) + _VIRTUAL_FACETS) / total
+    total = expected.sum(axis=-1) + virtual
+    ratio = (visible.sum(axis=-1) + virtual) / total
     blocks = visible.shape[-1]
     scatter = np.sum((visible - ratio[..., None] * expected) ** 2, axis=-1) * blocks / (blocks - 1)
-    return ratio, np.sqrt(scatter + _VIRTUAL_FACETS**2) / (total * ratio)
+    return ratio, np.sqrt(scatter + virtual**2) / (total * ratio)

@@ -228,6 +228,39 @@ class VisibilityRatio:
         return np.asarray(visible * (limit_i * limit_o))
 
 
+@dataclass(frozen=True)
+class SingleVisibility:
+    """Facets visible from one direction, over Smith's G1 = 1/(1 + Λ), from a table.
+
+    With the width w of the slope density, a direction at θ, and the slope t by which the facet falls towards it, the table is one over
+    grazing = 1 / (1 + cot θ / w) and asinh(t / w). It is interpolated linearly, and held beyond its last nodes. A facet is on the far side
+    where cot θ + t < 0: no light reaches it, whatever the table says.
+    """
+
+    grazing: Array
+    """Nodes, increasing from 0"""
+    steepness: Array
+    """Nodes of asinh(t / w), increasing"""
+    ratio: Array
+    """(grazing, steepness)"""
+
+    @classmethod
+    def of(cls, dataset: xr.Dataset) -> SingleVisibility:
+        """The ratio of a ``visibility`` dataset, or of a ``bsdf`` with masking ``measured``."""
+        ratio = dataset["single_ratio"].transpose("grazing", "steepness_towards")
+        return cls(dataset["grazing"].values, dataset["steepness_towards"].values, ratio.values)
+
+    def __call__(self, cot_theta: ArrayLike, slope_towards: ArrayLike, width: float) -> Array:
+        """Ratio of G1 to Smith's; ``cot_theta`` ≥ 0 and ``slope_towards`` broadcast, ``width`` is the median slope of the facets."""
+        from scipy.interpolate import RegularGridInterpolator
+
+        grazing = np.minimum(width / (width + np.asarray(cot_theta, dtype=float)), self.grazing[-1])
+        steepness = np.arcsinh(np.asarray(slope_towards, dtype=float) / width)
+        steepness = np.clip(steepness, self.steepness[0], self.steepness[-1])
+        table = RegularGridInterpolator((self.grazing, self.steepness), self.ratio)
+        return np.asarray(table(np.stack(np.broadcast_arrays(grazing, steepness), axis=-1)))
+
+
 _FINER = 4  # nodes of the finer table per node
 
 

@@ -88,6 +88,39 @@ class HeightMesh(NamedTuple):
             )
         return cls(height, present, *_ceilings(height), pitch, EDGES.index(edges))
 
+    @classmethod
+    def of_line(cls, surface: xr.Dataset) -> HeightMesh:
+        """A line as a strip of a single row of cells, for rays in the plane of the line; mirrored at its ends.
+
+        Parameters
+        ----------
+        surface : kind ``surface``, a levelled line profile
+
+        Raises
+        ------
+        HeightMapError : a map, a line below 16 heights, or one without two heights beside each other.
+        """
+        vocabulary.validate(surface, "surface")
+        height = np.array(surface["height"].values, dtype=float)
+        if height.ndim != 1 or height.size < LEAST_HEIGHTS:
+            found = " × ".join(map(str, height.shape))
+            raise HeightMapError(f"the line has {found} heights; accepted: a line of {LEAST_HEIGHTS} or more")
+        known = np.isfinite(height)
+        present = known[:-1] & known[1:]
+        if not present.any():
+            raise HeightMapError("the line has no two heights beside each other; measure with fewer missing heights")
+        place = np.arange(height.size)
+        height = np.interp(place, place[known], height[known])
+        height -= np.mean(np.diff(height)[present]) * place
+        height = np.tile(height - height.mean(), (2, 1))
+        pitch = np.full(2, float(surface.attrs["pitch_x"]))
+        return cls(height, present[None], *_ceilings(height), pitch, EDGES.index("mirrored"))
+
+    @property
+    def is_line(self) -> bool:
+        """Whether the mesh is that of a line."""
+        return self.present.shape[0] == 1
+
     def slopes(self) -> tuple[Array, Array]:
         """Slopes along x and y of a sample of evenly spaced facets, (facets,)."""
         step = max(1, self.present.size // _SAMPLED_FACETS)

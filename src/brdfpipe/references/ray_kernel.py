@@ -285,7 +285,7 @@ def facets_at(height: Array, pitch: Array, position: Array, facet: Array) -> Non
 
 
 @_compiled
-def visible_pairs(
+def follow_from_facets(
     height: Array,
     ceiling: Array,
     offset: NDArray[np.int64],
@@ -294,43 +294,31 @@ def visible_pairs(
     edges: int,
     position: Array,
     facet: Array,
-    zeta: float,
-    turn: Array,
-    visible: NDArray[np.bool_],
+    direction: Array,
+    leaves: NDArray[np.bool_],
 ) -> None:
-    """Whether facets are seen from both of two directions that they mirror into each other.
+    """Which rays from facets leave the surface without meeting it again.
 
     Parameters
     ----------
     position, facet : as in :func:`facets_at`
-    zeta : angle between the directions and the facet's normal [rad]
-    turn : (n,) angle about that normal from the line of steepest descent to the plane of the directions, which must be above the
-        horizon [rad]
-    visible : (n,) is written
+    direction : (n, 3) unit vectors
+    leaves : (n,) which rays to follow; is made false for those that meet the surface, or start into it
     """
     ray, at = np.empty(8), np.empty(3, np.int64)
-    cos_zeta, sin_zeta = math.cos(zeta), math.sin(zeta)
     for number in range(position.shape[0]):
-        p, q = facet[number, 1], facet[number, 2]
-        slope = math.hypot(p, q)
-        secant = math.sqrt(1 + slope * slope)
-        # Horizontal unit vector down the slope.
-        down_x, down_y = (-p / slope, -q / slope) if slope > 0 else (1.0, 0.0)
-        along, across = sin_zeta * math.cos(turn[number]), sin_zeta * math.sin(turn[number])
-        clear = True
-        for sign in (1.0, -1.0):
-            forward = (cos_zeta * slope + sign * along) / secant
-            dx, dy = forward * down_x - sign * across * down_y, forward * down_y + sign * across * down_x
-            ray[0], ray[1], ray[2] = position[number, 0], position[number, 1], facet[number, 0]
-            ray[3], ray[4] = dx / pitch[0], dy / pitch[1]
-            ray[5] = (cos_zeta - sign * along * slope) / secant
-            ray[6], ray[7] = 1.0, 1.0
-            at[0], at[1] = min(int(ray[0]), height.shape[1] - 2), min(int(ray[1]), height.shape[0] - 2)
-            at[2] = int(facet[number, 3])
-            if first_hit(height, ceiling, offset, low, edges, ray, at, False) != _ESCAPED:
-                clear = False
-                break
-        visible[number] = clear
+        if not leaves[number]:
+            continue
+        dx, dy, dz = direction[number, 0], direction[number, 1], direction[number, 2]
+        if dz <= facet[number, 1] * dx + facet[number, 2] * dy:
+            leaves[number] = False
+            continue
+        ray[0], ray[1], ray[2] = position[number, 0], position[number, 1], facet[number, 0]
+        ray[3], ray[4], ray[5] = dx / pitch[0], dy / pitch[1], dz
+        ray[6], ray[7] = 1.0, 1.0
+        at[0], at[1] = min(int(ray[0]), height.shape[1] - 2), min(int(ray[1]), height.shape[0] - 2)
+        at[2] = int(facet[number, 3])
+        leaves[number] = first_hit(height, ceiling, offset, low, edges, ray, at, False) == _ESCAPED
 
 
 @_compiled

@@ -24,7 +24,7 @@ from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.masking.liu import energy_limit
-from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, MODEL_DEFAULTS, MODES, RECIPES
+from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, MODEL_DEFAULTS, MODES, RECIPES, SMITH_MASKINGS
 from brdfpipe.optics.index import interpolate_index, refractive_index
 
 WAVELENGTHS = np.arange(380.0, 781.0, 10.0)
@@ -58,7 +58,8 @@ def build(
     spectrum : kind ``spectrum``; the total reflectance at incidence ``theta_i``, specular included (``sci``), or excluded (``sce``)
         by a gloss trap of half angle ``specular_trap`` (attribute, 5 degree by default); the light that the facets mirror into
         the trap is then added. Without a spectrum there is no diffuse part
-    visibility : kind ``visibility``, traced on the map of the facets; needed for masking ``measured``, else not used
+    visibility : kind ``visibility``, traced on the heights of the facets; needed for masking ``measured``. Masking ``auto`` follows its
+        attribute ``masking``
     masking, diffuse, multiple_scattering : names of :data:`brdfpipe.masking.modes.MODES`; the first of each is the default
     recipe : ``crf`` sets the patent's modes together; other given modes must agree
     isotropic : average a surface with a lay over azimuth, with a warning
@@ -81,6 +82,7 @@ def build(
     vocabulary.validate(facets, "facets")
     index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
     chosen = _choices(recipe, masking=masking, diffuse=diffuse, multiple_scattering=multiple_scattering)
+    chosen["masking"], reason = _resolved_masking(chosen, visibility, transparent)
     if spectrum is not None:
         vocabulary.validate(spectrum, "spectrum")
     n, k, wavelength, warnings = index_on(index, None if spectrum is None else spectrum["wavelength"].values)
@@ -108,6 +110,7 @@ def build(
         bsdf.attrs["recipe"] = recipe
     if chosen["masking"] == "measured" and "slope_density" in bsdf:
         bsdf = with_visibility(bsdf, visibility)
+    bsdf = vocabulary.add_history(bsdf, reason) if reason else bsdf
     if wavelength is not None:
         bsdf = bsdf.assign_coords(wavelength=wavelength)
     spectral = () if n.ndim == 0 else ("wavelength",)
@@ -145,6 +148,18 @@ def _choices(recipe: str | None, **given: str | None) -> dict[str, str]:
             f"accepted: {' or '.join(accepted)}; set `model.masking`"
         )
     return chosen
+
+
+def _resolved_masking(chosen: dict[str, str], visibility: xr.Dataset | None, transparent: bool) -> tuple[str, str]:
+    """The masking that ``auto`` means, and a statement where heights decided it."""
+    if chosen["masking"] != "auto":
+        return chosen["masking"], ""
+    if visibility is None:
+        return SMITH_MASKINGS[0], ""
+    traced, reason = vocabulary.validate(visibility, "visibility").attrs["masking"], visibility.attrs["reason"]
+    if traced == "measured" and transparent:
+        return SMITH_MASKINGS[0], f"masking {SMITH_MASKINGS[0]}, although {reason}: a transparent interface needs Smith's masking"
+    return traced, f"masking {traced}: {reason}"
 
 
 def _check_transparent(chosen: dict[str, str], spectrum: xr.Dataset | None, n: Array, k: Array, rough: bool) -> None:
@@ -202,19 +217,22 @@ def _surface_of(facets: xr.Dataset) -> xr.Dataset:
 
 def with_visibility(bsdf: xr.Dataset, visibility: xr.Dataset | None) -> xr.Dataset:
     """Add the traced visibility of the facets, limited so that perfect mirrors gain no light."""
-    if visibility is None:
+    if visibility is None or "visibility_ratio" not in visibility:
         raise ModelError(
-            "masking 'measured' needs the visibility of the facets, traced on a height map "
-            "(`brdfpipe.masking.traced_visibility.tabulate`); give `visibility`, or set `model.masking: height-correlated`"
+            "masking 'measured' needs the visibility of the facets, traced on their heights "
+            "(`brdfpipe.masking.visibility_choice.choose`); give `visibility`, or set `model.masking: height-correlated`"
         )
     if bsdf["slope_density"].ndim == 2:
         raise ModelError(
             "masking 'measured' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another "
             "`model.masking`"
         )
-    ratio = vocabulary.validate(visibility, "visibility")["visibility_ratio"]
-    axes = {dim: (dim, ratio[dim].values) for dim in map(str, ratio.dims)}
-    bsdf = bsdf.assign_coords(axes).assign(visibility_ratio=(ratio.dims, ratio.values))
+    vocabulary.validate(visibility, "visibility")
+    for name in ("visibility_ratio", "single_ratio"):
+        if name in visibility:
+            ratio = visibility[name]
+            axes = {dim: (dim, ratio[dim].values) for dim in map(str, ratio.dims)}
+            bsdf = bsdf.assign_coords(axes).assign({name: (ratio.dims, ratio.values)})
     # The uncertainty of the table may return too much light; a factor for either direction keeps it reciprocal.
     excess = np.maximum(energy.mirror_albedo(Microsurface.of(bsdf), "measured", _LIMIT_THETA), 1.0)
     if excess.max() == 1:

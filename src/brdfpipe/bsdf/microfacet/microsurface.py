@@ -15,7 +15,7 @@ from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, slope_towards
 from brdfpipe.masking.liu import LiuMasking, Marginal, attenuation
 from brdfpipe.masking.smith import PlanarSmith, Smith, cotangent
-from brdfpipe.masking.visibility import VISIBILITY, VisibilityRatio
+from brdfpipe.masking.visibility import VISIBILITY, SingleVisibility, VisibilityRatio
 
 Azimuth: TypeAlias = "Array | float"
 
@@ -38,14 +38,17 @@ class Microsurface:
     density: RadialDensity | PlanarDensity
     smith: Smith | PlanarSmith
     ratio: VisibilityRatio | None = None
-    """Visibility traced on the map over Smith's, of masking ``measured``"""
+    """Visibility from both directions traced on the heights over Smith's, of masking ``measured``"""
+    single: SingleVisibility | None = None
+    """The same from one direction"""
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> Microsurface:
         """The surface of a ``facets`` or microfacet ``bsdf`` dataset."""
         if dataset["slope_density"].ndim == 1:
             ratio = VisibilityRatio.of(dataset) if "visibility_ratio" in dataset else None
-            return cls(RadialDensity.of(dataset), Smith.of(dataset), ratio)
+            single = SingleVisibility.of(dataset) if "single_ratio" in dataset else None
+            return cls(RadialDensity.of(dataset), Smith.of(dataset), ratio, single)
         return cls(PlanarDensity.of(dataset), PlanarSmith.of(dataset))
 
     @property

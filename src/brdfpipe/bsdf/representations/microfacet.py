@@ -111,6 +111,7 @@ _INTERFACE_KIND = vocabulary.Kind(
         "furnace_albedo": _INCIDENCE_DIMS,
         "second_weight": [("second_theta_i", "second_phi")],
         "visibility_ratio": vocabulary.VISIBILITY_COORDINATES,
+        "single_ratio": vocabulary.SINGLE_VISIBILITY_COORDINATES,
         "visibility_limit": [("limit_theta",)],
         "second_reflection": [
             ("second_theta_i", "second_theta_o", "second_azimuth", *spectral) for spectral in (("wavelength",), ())

@@ -1,0 +1,166 @@
+"""Choice between Smith's masking and masking traced on the heights of a surface, by the light that its facets reflect once.
+
+Smith's masking follows from slopes alone. Where the facets of the heights themselves are seen more, or less, than that, their traced
+visibility replaces it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from brdfpipe import vocabulary
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.geometry import Array, HalfVector
+from brdfpipe.masking.facet_sample import BLOCKS, FacetSample, direction
+from brdfpipe.masking.line_visibility import tabulate_line
+from brdfpipe.masking.smith import cotangent
+from brdfpipe.masking.traced_visibility import SAMPLES, VisibilityError, ratio_of_sums, tabulate
+from brdfpipe.masking.visibility import VISIBILITY
+from brdfpipe.optics.fresnel_equations import fresnel
+from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
+
+THETA = np.array([15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0])
+"""Angles of incidence at which both maskings are compared [degree]."""
+JUDGED = 75.0
+"""Largest angle of incidence whose difference decides [degree]."""
+THRESHOLD = 0.03
+"""Relative difference of the light that must be exceeded,"""
+SIGNIFICANT = 3.0
+"""by more than so many standard uncertainties."""
+REGIONS = {"peak": 0.3, "all": 0.0}
+"""Light by the smallest share of the peak of the BRDF."""
+COMPARED_FACETS = 2**13
+"""Facets that are compared at every incidence."""
+
+_INDEX = 1.5  # of a plastic: weighs the light
+_HORIZON = 1e-6  # cosine of the lowest direction that counts
+
+
+def choose(
+    surface: xr.Dataset, facets: xr.Dataset, *, masking: str = "auto", samples: int = SAMPLES, seed: int = 0
+) -> xr.Dataset:
+    """Masking that describes the heights of a surface, and the visibility of its facets where Smith's does not.
+
+    Parameters
+    ----------
+    surface : kind ``surface``, a levelled map or line
+    facets : kind ``facets``, estimated from that surface
+    masking : ``auto``, or ``measured`` to trace the visibility in any case
+    samples : facets that are traced for every node of the table
+    seed : of the positions of the facets
+
+    Returns
+    -------
+    Dataset of kind ``visibility``: ``visible_share`` and ``smith_visible_share`` over (theta_i, region), shares of the light that facets
+    reflect and that no other facet intercepts, with the relative difference ``smith_error`` = Smith's over traced light less 1, and its
+    ``_u``. The attribute ``masking`` is ``measured`` or ``height-correlated``, and ``reason`` says why. With ``measured``, the tables of
+    :func:`brdfpipe.masking.traced_visibility.tabulate`.
+
+    Raises
+    ------
+    VisibilityError, HeightMapError : ``measured`` on a surface with a lay, on too few heights, or on heights without slopes.
+    VocabularyError : a dataset of the wrong kind.
+
+    Notes
+    -----
+    Smith's masking is replaced where, at an incidence up to 75 degree, in the peak or in all, the light of a body of index 1.5 differs by
+    more than 3 % and three standard uncertainties. These are the scatter between 64 blocks of the heights.
+    """
+    vocabulary.validate(surface, "surface")
+    vocabulary.validate(facets, "facets")
+    try:
+        result = _compared_and_traced(surface, facets, masking, samples, seed)
+    except (HeightMapError, VisibilityError) as error:
+        if masking == "measured":
+            raise
+        result = xr.Dataset(attrs={"masking": "height-correlated", "reason": f"no visibility was traced: {error}"})
+    return vocabulary.label(result, "visibility")
+
+
+def _compared_and_traced(surface: xr.Dataset, facets: xr.Dataset, masking: str, samples: int, seed: int) -> xr.Dataset:
+    if facets["slope_density"].size == 0:
+        raise VisibilityError("the surface is flat, and masks nothing")
+    if facets["slope_density"].ndim != 1:
+        raise VisibilityError(
+            "masking 'measured' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another `model.masking`"
+        )
+    line = surface["height"].ndim == 1
+    mesh = HeightMesh.of_line(surface) if line else HeightMesh.of(surface)
+    density = RadialDensity.of(facets)
+    result = _compared(FacetSample.of(mesh, COMPARED_FACETS, seed), density)
+    chosen, reason = _choice(result)
+    if masking == "measured":
+        chosen, reason = masking, f"`model.masking: measured`; {reason}"
+    if chosen == "measured":
+        table = (
+            tabulate_line(mesh, density.median_slope, samples=samples, seed=seed)
+            if line
+            else tabulate(mesh, samples=samples, seed=seed)
+        )
+        result = result.merge(table)
+    result.attrs |= {
+        "masking": chosen,
+        "reason": reason,
+        "method": "traced on the line" if line else "traced on the map",
+    }
+    return result
+
+
+def _choice(comparison: xr.Dataset) -> tuple[str, str]:
+    judged = comparison.sel(theta_i=slice(None, JUDGED))
+    error, u = judged["smith_error"].values, judged["smith_error_u"].values
+    beyond = np.abs(error) / (THRESHOLD + SIGNIFICANT * u)
+    row, column = np.unravel_index(int(beyond.argmax()), error.shape)
+    place = f"at {THETA[row]:g}° in {'the peak' if list(REGIONS)[column] == 'peak' else 'all'}"
+    found = f"{error[row, column]:+.1%} ± {u[row, column]:.1%} of the light {place}".replace("-", "−")
+    if beyond.max() > 1:
+        return "measured", f"Smith's masking would give {found}"
+    return "height-correlated", f"Smith's masking agrees with the heights; the largest difference is {found}"
+
+
+def _compared(facets: FacetSample, density: RadialDensity) -> xr.Dataset:
+    """Light that facets reflect once, seen by tracing and after Smith, at :data:`THETA`."""
+    azimuth, smith = facets.azimuth, facets.smith_excess()
+    p, q = facets.slopes
+    squared = p**2 + q**2
+    normal = np.stack([-p, -q, np.ones_like(p)], axis=-1) / np.sqrt(1 + squared)[:, None]
+    visible, expected, light = np.zeros((3, THETA.size, len(REGIONS), BLOCKS**2))
+    for row, theta in enumerate(np.radians(THETA)):
+        towards = direction(np.full(p.size, theta), azimuth)
+        cos_zeta = np.clip(np.einsum("nk,nk->n", towards, normal), 0.0, 1.0)
+        outgoing = 2 * cos_zeta[:, None] * normal - towards
+        lit = (cos_zeta > 0) & (outgoing[:, 2] > _HORIZON)
+        cos_o = np.where(lit, outgoing[:, 2], 1.0)
+        cosines = np.full_like(cos_o, np.cos(theta)), cos_o
+        (cos_i, sin_i), (cos_o, sin_o) = ((cos, np.sqrt((1 - cos) * (1 + cos))) for cos in cosines)
+        pair = HalfVector(squared, cos_zeta, cos_i, sin_i, cos_o, sin_o)
+        over_cosines = VISIBILITY["height-correlated"](
+            pair, smith(cotangent(cos_i, sin_i)), smith(cotangent(cos_o, sin_o))
+        )
+        reflectance = np.where(lit, fresnel(cos_zeta, _INDEX).mean, 0.0)
+        brdf = reflectance * density(squared) * (1 + squared) ** 2 * over_cosines
+        weight = reflectance * cos_zeta * np.sqrt(1 + squared)
+        seen = facets.visible(towards, outgoing) & lit
+        for column, least in enumerate(REGIONS.values()):
+            inside = weight * (brdf >= least * brdf.max())
+            for sums, values in ((visible, seen), (expected, over_cosines * cos_i * cos_o), (light, 1.0)):
+                sums[row, column] = np.bincount(facets.block, inside * values, minlength=BLOCKS**2)
+    return _comparison(visible, expected, light)
+
+
+def _comparison(visible: Array, expected: Array, light: Array) -> xr.Dataset:
+    total = light.sum(axis=-1)
+    # One facet of the mean weight counts as visible after Smith, where others may all be hidden.
+    ratio, relative_u = ratio_of_sums(visible, expected, total / COMPARED_FACETS)
+    share = visible.sum(axis=-1) / total
+    dims = ("theta_i", "region")
+    fields = {
+        "visible_share": share,
+        "visible_share_u": share * relative_u,
+        "smith_visible_share": expected.sum(axis=-1) / total,
+        "smith_error": 1 / ratio - 1,
+        "smith_error_u": relative_u / ratio,
+    }
+    coords = {"theta_i": THETA, "region": list(REGIONS)}
+    return xr.Dataset({name: (dims, values) for name, values in fields.items()}, coords)

@@ -1,0 +1,107 @@
+"""Choice of the masking by the heights of a surface: Gaussian ones keep Smith's, cells and their negative do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import samples
+
+from brdfpipe import vocabulary
+from brdfpipe.bsdf.microfacet.builder import build
+from brdfpipe.facets.analytic_distributions import flat
+from brdfpipe.facets.estimation import estimate
+from brdfpipe.masking.traced_visibility import VisibilityError
+from brdfpipe.masking.visibility_choice import THETA, choose
+from brdfpipe.references.height_mesh import HeightMapError
+
+
+def chosen(height, **options):
+    surface = samples.surface(height) if isinstance(height, np.ndarray) else height
+    return choose(surface, estimate(surface, isotropic=True), samples=2**9, **options)
+
+
+@pytest.fixture(scope="module")
+def cells():
+    return chosen(samples.cells_with_valleys(256))
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.15, 0.4])
+def test_a_gaussian_map_keeps_smiths_masking(sigma):
+    choice = chosen(samples.gaussian_surface(256, sigma=sigma, correlation=8))
+    assert choice.attrs["masking"] == "height-correlated"
+    assert choice.attrs["reason"].startswith("Smith's masking agrees with the heights; the largest difference is ")
+    assert "visibility_ratio" not in choice
+    assert vocabulary.validate(choice, "visibility") is choice
+
+
+def test_cells_and_their_negative_get_their_own_visibility(cells):
+    negative = chosen(-samples.cells_with_valleys(256))
+    peak = {name: choice.sel(region="peak", theta_i=75.0) for name, choice in (("up", cells), ("down", negative))}
+    # Round cells hide less than Smith says at grazing angles, cells upside down hide more.
+    assert peak["up"]["smith_error"] < -0.2
+    assert peak["down"]["smith_error"] > 0.4
+    for choice in (cells, negative):
+        assert choice.attrs["masking"] == "measured"
+        assert choice.attrs["reason"].startswith("Smith's masking would give ")
+        assert vocabulary.validate(choice, "visibility") is choice
+
+
+def test_the_model_follows_the_choice_and_says_so(cells):
+    facets = estimate(samples.surface(samples.cells_with_valleys(256)), isotropic=True)
+    bsdf = build(facets, index=1.5, visibility=cells)
+    assert bsdf.attrs["masking"] == "measured"
+    assert f"masking measured: {cells.attrs['reason']}" in bsdf.attrs["history"]
+    clear = build(facets, index=1.5, visibility=cells, transparent=True)
+    assert clear.attrs["masking"] == "height-correlated"
+    assert "a transparent interface needs Smith's masking" in clear.attrs["history"]
+    gaussian = samples.gaussian_surface(128, sigma=0.15)
+    smith = build(estimate(gaussian, isotropic=True), index=1.5, visibility=chosen(gaussian))
+    assert smith.attrs["masking"] == build(facets, index=1.5).attrs["masking"] == "height-correlated"
+
+
+def test_shares_are_whole_towards_the_normal_and_fall_towards_grazing(cells):
+    share = cells["visible_share"].sel(region="all").values
+    assert THETA.size == share.size
+    assert share[0] > 0.9
+    assert share[-1] < share[0]
+
+
+@pytest.mark.slow
+def test_gaussian_maps_of_any_seed_and_slope_keep_smiths_masking():
+    for sigma in (0.05, 0.1, 0.2, 0.3, 0.4, 0.6):
+        for seed in range(5):
+            rough = samples.gaussian_surface(512, sigma=sigma, correlation=12, seed=seed)
+            assert choose(rough, estimate(rough, isotropic=True)).attrs["masking"] == "height-correlated", (sigma, seed)
+
+
+# --- what is refused
+
+
+def test_a_surface_with_a_lay_keeps_smiths_masking_and_says_so():
+    height = samples.gaussian_surface(128, sigma=0.3)["height"].values
+    ground = samples.surface(height, pitch=(1.0, 4.0))
+    facets = estimate(ground, isotropic=False)
+    choice = choose(ground, facets)
+    assert choice.attrs["masking"] == "height-correlated"
+    assert "no visibility was traced: " in choice.attrs["reason"]
+    assert "has a lay" in choice.attrs["reason"]
+    assert build(facets, index=1.5, visibility=choice).attrs["masking"] == "height-correlated"
+    with pytest.raises(VisibilityError, match=r"this one has a lay; set `surface\.isotropic: true`"):
+        choose(ground, facets, masking="measured")
+
+
+def test_too_small_and_flat_surfaces_keep_smiths_masking():
+    rough = samples.gaussian_surface(128, sigma=0.3)
+    facets = estimate(rough, isotropic=True)
+    small = samples.surface(rough["height"].values[:8, :8])
+    assert "accepted: 16 × 16 or more" in choose(small, facets).attrs["reason"]
+    with pytest.raises(HeightMapError, match="16 × 16"):
+        choose(small, facets, masking="measured")
+    assert "flat" in choose(rough, flat()).attrs["reason"]
+
+
+def test_measured_masking_is_traced_even_where_smiths_agrees():
+    choice = chosen(samples.gaussian_surface(128, sigma=0.15), masking="measured")
+    assert choice.attrs["masking"] == "measured"
+    assert choice.attrs["reason"].startswith("`model.masking: measured`; Smith's masking agrees")
+    assert "visibility_ratio" in choice
