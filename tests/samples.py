@@ -61,6 +61,20 @@ def visibility_table(ratio) -> xr.Dataset:
     return vocabulary.label(dataset, "visibility")
 
 
+def masking_choice(masking: str = "measured", error: float = -0.3) -> xr.Dataset:
+    """A ``visibility`` dataset of what the heights of a surface say about Smith's masking, without the table."""
+    theta, shape = np.array([30.0, 60.0, 75.0]), ("theta_i", "region")
+    smith = np.stack([np.array([1.0, 0.9, 0.6])] * 2, axis=1)
+    fields = {"visible_share": smith / (1 + error), "smith_visible_share": smith, "smith_error": np.full((3, 2), error)}
+    fields |= {f"{name}_u": np.full((3, 2), 0.01) for name in ("visible_share", "smith_error")}
+    dataset = xr.Dataset(
+        {name: (shape, np.minimum(values, 1.0)) for name, values in fields.items()},
+        {"theta_i": theta, "region": ["peak", "all"]},
+        {"masking": masking, "reason": f"Smith's masking would give {error:+.0%}", "method": "traced on the map"},
+    )
+    return vocabulary.label(dataset, "visibility")
+
+
 def brushed_bsdf(a_x: float, a_y: float, azimuth: float = 0.0) -> xr.Dataset:
     """The microfacet BSDF of a Gaussian surface of index 1.5 with a lay: widths along and across it, its azimuth."""
     return _brushed_bsdf(a_x, a_y, azimuth).copy(deep=True)
@@ -94,19 +108,6 @@ def gaussian_surface(size: int = 512, *, sigma: float = 0.15, correlation: float
     height = np.fft.ifft2(np.fft.fft2(rng.normal(size=(size, size))) * shape).real
     slopes = np.diff(height, axis=1)
     return surface(height * sigma / slopes.std())
-
-
-def cells_with_valleys(size: int, seed: int = 0) -> np.ndarray:
-    """A grain: round cells that rise from narrow valleys between them, periodic; heights in µm at a pitch of 1 µm."""
-    from scipy.ndimage import gaussian_filter
-    from scipy.spatial import cKDTree
-
-    centres = np.random.default_rng(seed).random((size * size // 2000, 2)) * size
-    rows, columns = np.mgrid[:size, :size]
-    at = np.stack([rows.ravel(), columns.ravel()], axis=1).astype(float)
-    nearest = cKDTree(centres, boxsize=size).query(at, k=2)[0]
-    to_border = (nearest[:, 1] - nearest[:, 0]).reshape(size, size) / 2
-    return gaussian_filter(-12 * np.exp(-to_border / 5), 2, mode="wrap")
 
 
 def surface(height, pitch: tuple[float, float] = (1.0, 1.0)) -> xr.Dataset:

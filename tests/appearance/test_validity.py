@@ -59,6 +59,23 @@ def test_a_condition_that_fails_makes_the_verdict_of_the_material_fail():
     assert "coherent" in failed.text
 
 
+def test_masking_is_judged_by_what_the_heights_advise():
+    def judgement(used, choice):
+        known = datasets(visibility=choice)
+        known["predicted"] = known["bsdf"].assign_attrs(masking=used)
+        return judged(known)["Masking of facets by their neighbours"]
+
+    advised = samples.masking_choice()
+    assert judgement("measured", advised).verdict == "pass"
+    assert judgement("measured", advised).finding.startswith("traced on the heights; Smith's masking would give ")
+    ignored = judgement("height-correlated", advised)
+    assert ignored.verdict == "warn"
+    assert "`model.masking: auto`" in ignored.advice
+    assert judgement("height-correlated", samples.masking_choice("height-correlated", 0.01)).verdict == "pass"
+    untraced = advised[[]].assign_attrs(masking="height-correlated", reason="no visibility was traced: a lay")
+    assert judgement("height-correlated", untraced).verdict == ""
+
+
 def test_slopes_of_a_fractal_surface_depend_on_the_pitch():
     spectra = [psd.analytic("k-correlation", sigma=5.0, length=5.0, slope=slope) for slope in (3.0, 4.5)]
     assert [judged(datasets(psd=spectrum))[PITCH].verdict for spectrum in spectra] == ["warn", "pass"]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import relief_maps
 import samples
 
 from brdfpipe import facets, vocabulary
 from brdfpipe.facets import slope_histogram
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.hemisphere import panel_rule
 
 SIGMA = 0.15
@@ -179,3 +181,25 @@ def test_the_density_of_every_bin_holds_its_share():
     share = np.histogram(s, bins.edges, weights=2 * np.pi * s * density(s**2) * ds)[0]
     # The nodes were moved by a rule of four points a panel, and the iteration stops at some 1e-4.
     assert share == pytest.approx(bins.totals[:-1] / bins.totals.sum(), rel=2e-3)
+
+
+def test_the_sharp_peak_of_flat_tops_is_resolved():
+    height = relief_maps.cells(512, 0)
+    density = RadialDensity.of(facets.estimate(samples.surface(height), isotropic=True))
+    across, along = np.diff(height, axis=1), np.diff(height, axis=0)
+    slope = np.hypot(across[:-1], along[:, :-1])
+    edges = density.median_slope * np.array([0.0, 0.05, 0.1, 0.2, 0.4])
+    counted = np.histogram(slope, edges)[0] / slope.size
+    s, ds = panel_rule(np.sort(np.concatenate([edges, np.linspace(0, edges[-1], 200)])), 4)
+    expected = np.histogram(s.ravel(), edges, weights=(2 * np.pi * s * density(s**2) * ds).ravel())[0]
+    # One of the four triangles a quad was counted here; bins are wider than the tops at the peak.
+    assert expected == pytest.approx(counted, rel=0.1)
+    assert counted[0] / edges[1] ** 2 > 5 * counted[3] / (edges[4] ** 2 - edges[3] ** 2)
+
+
+def test_the_bins_of_a_smooth_maximum_stay_as_they_are(monkeypatch):
+    maps = list(gaussian_maps(256, 6.0, range(2)))
+    usual = [facets.estimate(rough, isotropic=True) for rough in maps]
+    monkeypatch.setattr(slope_histogram, "_SHARP", np.inf)
+    for rough, density in zip(maps, usual, strict=True):
+        assert facets.estimate(rough, isotropic=True).identical(density)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import relief_maps
 import samples
 
 from brdfpipe import vocabulary
@@ -26,7 +27,7 @@ def line_across(height):
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_line_tells_cells_from_their_negative_as_the_map_does(sign):
-    height = sign * samples.cells_with_valleys(512)
+    height = sign * relief_maps.cells(512, 0)
     facets, mesh = estimate(samples.surface(height), isotropic=True), HeightMesh.of(samples.surface(height))
     on_line = tabulate_line(HeightMesh.of_line(line_across(height)), mesh.typical_slope * np.sqrt(2 * np.log(2)))
     theta_i, theta_o, phi_o = (angle.ravel() for angle in np.meshgrid([75.0], [60.0, 70, 75, 80], [150.0, 180]))
@@ -54,7 +55,7 @@ def test_a_gaussian_line_keeps_smiths_masking():
 
 
 def test_a_line_of_cells_gets_its_own_visibility():
-    line = line_across(samples.cells_with_valleys(256))
+    line = line_across(relief_maps.cells(256, 0))
     facets = estimate(line, isotropic=True)
     choice = choose(line, facets, samples=2**9)
     assert choice.attrs["masking"] == "measured"

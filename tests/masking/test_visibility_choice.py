@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import relief_maps
 import samples
 
 from brdfpipe import vocabulary
@@ -22,7 +23,7 @@ def chosen(height, **options):
 
 @pytest.fixture(scope="module")
 def cells():
-    return chosen(samples.cells_with_valleys(256))
+    return chosen(relief_maps.cells(256, 0))
 
 
 @pytest.mark.parametrize("sigma", [0.02, 0.15, 0.4])
@@ -35,7 +36,7 @@ def test_a_gaussian_map_keeps_smiths_masking(sigma):
 
 
 def test_cells_and_their_negative_get_their_own_visibility(cells):
-    negative = chosen(-samples.cells_with_valleys(256))
+    negative = chosen(-relief_maps.cells(256, 0))
     peak = {name: choice.sel(region="peak", theta_i=75.0) for name, choice in (("up", cells), ("down", negative))}
     # Round cells hide less than Smith says at grazing angles, cells upside down hide more.
     assert peak["up"]["smith_error"] < -0.2
@@ -47,7 +48,7 @@ def test_cells_and_their_negative_get_their_own_visibility(cells):
 
 
 def test_the_model_follows_the_choice_and_says_so(cells):
-    facets = estimate(samples.surface(samples.cells_with_valleys(256)), isotropic=True)
+    facets = estimate(samples.surface(relief_maps.cells(256, 0)), isotropic=True)
     bsdf = build(facets, index=1.5, visibility=cells)
     assert bsdf.attrs["masking"] == "measured"
     assert f"masking measured: {cells.attrs['reason']}" in bsdf.attrs["history"]
@@ -62,7 +63,7 @@ def test_the_model_follows_the_choice_and_says_so(cells):
 def test_shares_are_whole_towards_the_normal_and_fall_towards_grazing(cells):
     share = cells["visible_share"].sel(region="all").values
     assert THETA.size == share.size
-    assert share[0] > 0.9
+    assert share[0] > 0.8
     assert share[-1] < share[0]
 
 

@@ -50,11 +50,18 @@ def validity(datasets: Datasets) -> list[Judgement]:
 
     Parameters
     ----------
-    datasets : stage → its dataset; ``psd``, ``facets``, ``surface`` and ``model_error`` are used where they exist
+    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``visibility`` and ``model_error`` are used where they exist
     """
     if "facets" not in datasets or "bsdf" not in datasets or datasets["facets"]["slope_density"].size == 0:
         return []
-    judgements = (_regime(datasets), _pitch(datasets), _band(datasets), _noise(datasets), _tail(datasets))
+    judgements = (
+        _regime(datasets),
+        _pitch(datasets),
+        _band(datasets),
+        _noise(datasets),
+        _tail(datasets),
+        _masking(datasets),
+    )
     return [judgement for judgement in (*judgements, _model_error(datasets)) if judgement is not None]
 
 
@@ -128,6 +135,23 @@ def _tail(datasets: Datasets) -> Judgement | None:
     if share <= TAIL_LIMIT:
         return Judgement("Extrapolated slopes", finding, "pass")
     return Judgement("Extrapolated slopes", finding, "warn", "Measure a larger area, or a longer line")
+
+
+def _masking(datasets: Datasets) -> Judgement | None:
+    """Smith's masking, or that of the heights; the masking of the prediction may differ from what the heights advise."""
+    if "visibility" not in datasets or "predicted" not in datasets:
+        return None
+    advised, reason = (str(datasets["visibility"].attrs[name]) for name in ("masking", "reason"))
+    used = str(datasets["predicted"].attrs.get("masking", ""))
+    condition = "Masking of facets by their neighbours"
+    if used == "measured":
+        return Judgement(condition, f"traced on the heights; {reason}", "pass")
+    if advised == "measured":
+        advice = "Set `model.masking: auto`"
+        return Judgement(condition, f"{used}; {reason}", "warn", advice)
+    if "smith_error" not in datasets["visibility"]:
+        return Judgement(condition, f"{used}; {reason}", "")
+    return Judgement(condition, f"{used}; {reason}", "pass")
 
 
 def _model_error(datasets: Datasets) -> Judgement | None:

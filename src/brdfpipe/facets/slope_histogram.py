@@ -29,6 +29,9 @@ _PLATEAU = 0.5
 _SMOOTH_DEGREE = 4
 """Degree of the polynomial through the logarithm of the density, whose gradient moves the bins."""
 
+_SHARP, _SIGNIFICANT = 0.1, 3.0
+"""Logarithm of the density of the inner over the outer half of the first bin, and standard uncertainties, beyond which the bin is halved."""
+
 _NARROWEST = 0.2
 """Smallest ratio of new to old width of a bin."""
 
@@ -166,6 +169,7 @@ def merge_bins(histogram: Histogram) -> MergedHistogram:
             f"too few independent facets: {facets:.0f} facets fill {len(cuts) - 1} bins of at least {least} "
             f"independent ones, {_MIN_BINS} are needed; {_remedy(histogram)}"
         )
+    cuts = _with_sharp_peak(histogram, cuts)
     last = cuts[-1]
     counts = np.add.reduceat(np.pad(histogram.counts, ((0, 0), (0, 1))), cuts, axis=1)
     tail = float(counts[:, -1].sum())
@@ -207,6 +211,30 @@ def _cut_positions(histogram: Histogram, least: int) -> list[int]:
         if sufficient.size == 0:
             return cuts
         cuts.append(cuts[-1] + 1 + int(sufficient[0]))
+
+
+def _with_sharp_peak(histogram: Histogram, cuts: list[int]) -> list[int]:
+    """Cuts that resolve a sharp maximum at slope 0, as of cells with flat tops.
+
+    The first bin is halved in area as long as its inner half is significantly denser than its outer one, and holds enough facets. Of a
+    density that is smooth at slope 0 both halves are alike, and nothing is cut.
+    """
+    deviations = _deviations(histogram.counts)
+    while cuts[1] > 1:
+        half = int(np.searchsorted(histogram.edges, histogram.edges[cuts[1]] / np.sqrt(2)))
+        half = min(max(half, 1), cuts[1] - 1)
+        parts = slice(0, half), slice(half, cuts[1])
+        facets = [histogram.counts[:, part].sum() for part in parts]
+        areas = np.diff(histogram.edges[[0, half, cuts[1]]] ** 2)
+        if min(facets) == 0:
+            break
+        scatter = [deviations[:, part].sum(axis=1) / count for part, count in zip(parts, facets, strict=True)]
+        contrast = np.log(facets[0] * areas[1] / (facets[1] * areas[0]))
+        significant = contrast > _SHARP + _SIGNIFICANT * np.linalg.norm(scatter[0] - scatter[1])
+        if not significant or np.linalg.norm(scatter[0]) > MIN_PER_BIN_OF_SMALL_MAPS**-0.5:
+            break
+        cuts = [0, half, *cuts[1:]]
+    return cuts
 
 
 class CountedDensity(NamedTuple):

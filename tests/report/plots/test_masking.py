@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import samples
 import xarray as xr
 
 from brdfpipe.facets import analytic
@@ -23,6 +24,16 @@ def test_masking_along_the_lay_is_that_of_the_narrow_width(monkeypatch: pytest.M
     theta = np.array([70.0, 85.0])
     for line, width in zip(drawn, (0.2, 0.5), strict=True):
         np.testing.assert_allclose(np.interp(theta, line.x, line.y), 1 / (1 + beckmann_lambda(theta, width)), atol=5e-3)
+
+
+def test_the_visibility_of_the_heights_is_drawn_beside_smiths() -> None:
+    choice = samples.masking_choice()
+    figure = masking.visibility_figure(choice)
+    assert figure is not None
+    assert [label.split(",")[0] for label in _labels(figure)] == ["Smith", "traced on the map"] * 2
+    assert "Smith's masking would give −30%" in figure.note.replace("-", "−")
+    assert figure.note.endswith("masking measured.")
+    assert masking.visibility_figure(choice[[]]) is None
 
 
 def test_g2_is_drawn_where_it_was_cast_with_error_bars_where_they_are_known() -> None:

@@ -67,6 +67,8 @@ def facet_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     if "facets" in datasets:
         section.figures += facet_figures(datasets["facets"])
         section.tables.append(_facet_table(datasets["facets"]))
+    if "visibility" in datasets:
+        section.figures += filter(None, [masking.visibility_figure(datasets["visibility"])])
     return section
 
 

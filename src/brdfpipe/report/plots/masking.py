@@ -59,6 +59,27 @@ def bistatic_figure(comparison: xr.Dataset) -> Figure | None:
     return _figure("Masking and shadowing G₂(θ, −θ)", "G₂", marks, note)
 
 
+def visibility_figure(visibility: xr.Dataset) -> Figure | None:
+    """Visible shares of the light that facets reflect, traced on the heights and after Smith; None where nothing was traced."""
+    if "visible_share" not in visibility:
+        return None
+    theta = visibility["theta_i"].values.astype(float)
+    marks: list[Mark] = []
+    for region, style, name in (("peak", "c0", "in the peak"), ("all", "c2", "all")):
+        shares = visibility.sel(region=region)
+        traced, u = (shares[name].values.astype(float) for name in ("visible_share", "visible_share_u"))
+        marks += [
+            Line(theta, shares["smith_visible_share"].values.astype(float), style, f"Smith, {name}"),
+            Points(theta, traced, 2 * u, style, f"{visibility.attrs['method']}, {name}, {EXPANDED_UNCERTAINTY}"),
+        ]
+    note = (
+        "Light that facets reflect once from the angle of incidence θ, and that no other facet intercepts on its way in or out, over all light "
+        f"that they would reflect. {str(visibility.attrs['reason'])[:1].upper()}{str(visibility.attrs['reason'])[1:]}: "
+        f"masking {visibility.attrs['masking']}."
+    )
+    return _figure("Visible facets G₂ of the heights and after Smith", "G₂", marks, note)
+
+
 def _g1_line(theta: Array, lambda_smith: Array, style: str, label: str) -> Line:
     return Line(np.r_[0.0, theta], np.r_[1.0, 1 / (1 + lambda_smith)], style, label)
 
