@@ -158,7 +158,9 @@ def _resolved_masking(chosen: dict[str, str], visibility: xr.Dataset | None, tra
         return SMITH_MASKINGS[0], ""
     traced, reason = vocabulary.validate(visibility, "visibility").attrs["masking"], visibility.attrs["reason"]
     if traced == "measured" and transparent:
-        return SMITH_MASKINGS[0], f"masking {SMITH_MASKINGS[0]}, although {reason}: a transparent interface needs Smith's masking"
+        return SMITH_MASKINGS[
+            0
+        ], f"masking {SMITH_MASKINGS[0]}, although {reason}: a transparent interface needs Smith's masking"
     return traced, f"masking {traced}: {reason}"
 
 
