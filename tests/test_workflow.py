@@ -76,7 +76,7 @@ def test_every_dataset_has_its_material_stage_and_digest(built: tuple[Path, Path
         dataset = store.verify_digest(store.open_dataset(path), path.name)
         assert dataset.attrs["material"] == path.parent.name
         assert dataset.attrs["stage"] == ("report" if path.stem == "summary" else path.stem)
-    assert len(paths) == 14 + 9 + 9 + 14
+    assert len(paths) == 16 + 9 + 10 + 16
 
 
 def test_the_lock_lists_every_dataset(built: tuple[Path, Path]) -> None:
