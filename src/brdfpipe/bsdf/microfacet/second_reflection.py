@@ -605,15 +605,18 @@ def _interpolate(
             near = weight[o, first] * (1 - share) + weight[o, second] * share
             far = weight[o + 1, first] * (1 - share) + weight[o + 1, second] * share
             common *= near * (1 - share_o) + far * share_o
+        result[number] = 0.0
+        for step_i in range(2):
+            outer = share_i if step_i else 1 - share_i
+            for step_o in range(2):
+                inner = outer * (share_o if step_o else 1 - share_o)
+                for step_a in range(2):
+                    part = inner * (share_a if step_a else 1 - share_a)
+                    row = log_factor[i + step_i, o + step_o, a + step_a]
+                    for band in range(spectral):
+                        result[number, band] += part * row[band]
         for band in range(spectral):
-            value = 0.0
-            for step_i in range(2):
-                outer = share_i if step_i else 1 - share_i
-                for step_o in range(2):
-                    inner = outer * (share_o if step_o else 1 - share_o)
-                    value += inner * (1 - share_a) * log_factor[i + step_i, o + step_o, a, band]
-                    value += inner * share_a * log_factor[i + step_i, o + step_o, a + 1, band]
-            result[number, band] = common * math.exp(value)
+            result[number, band] = common * math.exp(result[number, band])
 
 
 def _add_paths(
