@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe.bsdf import microfacet, slab
-from brdfpipe.bsdf.light_shares import ReflectanceParts, light_sum, reflectance_parts
+from brdfpipe import psd
+from brdfpipe.bsdf import microfacet, slab, wave
+from brdfpipe.bsdf.light_shares import ReflectanceParts, light_sum, reflectance_parts, scattered_rms_height
 from brdfpipe.facets import flat
 
 
@@ -43,3 +44,17 @@ def test_reflected_transmitted_and_absorbed_light_of_a_slab_add_up_to_all() -> N
     assert light_sum(sheet, 180.0, None) == pytest.approx(1.0, abs=1e-5)
     assert light_sum(sheet.assign(absorptance=sheet["absorptance"] + 0.1), 180.0, None) == pytest.approx(1.1, abs=1e-5)
     assert light_sum(sheet.drop_vars("absorptance"), 180.0, None) is None
+
+
+@pytest.mark.parametrize(("sigma", "recovered"), [(0.005, True), (0.05, True), (0.2, False)])
+def test_the_scattered_light_tells_the_rms_height_while_something_is_mirrored(sigma: float, recovered: bool) -> None:
+    bsdf = wave.build(psd.analytic("gaussian", sigma=sigma, length=5.0), index=1.5, wavelength=[550.0, 650.0])
+    heights = [scattered_rms_height(bsdf, theta_i) for theta_i in (5.0, 45.0)]
+    # TIS is exact for a mirror; the reflectance of a dielectric varies over the halo.
+    assert heights == (
+        pytest.approx([sigma, sigma], rel=2e-3) if recovered else pytest.approx([np.nan] * 2, nan_ok=True)
+    )
+
+
+def test_no_rms_height_is_claimed_of_facets() -> None:
+    assert np.isnan(scattered_rms_height(samples.beckmann_bsdf(0.1)))

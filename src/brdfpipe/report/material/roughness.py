@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import xarray as xr
 
+from brdfpipe.bsdf.light_shares import scattered_rms_height
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import attribute_note, number
 from brdfpipe.report.plots.roughness_spectrum import instrument_frequencies, roughness_spectrum
@@ -18,11 +20,11 @@ def roughness_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     if psd is None or not psd["psd"].values.any():
         return section
     section.figures.append(roughness_spectrum(psd))
-    section.tables += [_heights_table(psd), _frequency_table(psd)]
+    section.tables += [_heights_table(psd, datasets.get("bsdf")), _frequency_table(psd)]
     return section
 
 
-def _heights_table(psd: xr.Dataset) -> Table:
+def _heights_table(psd: xr.Dataset, bsdf: xr.Dataset | None) -> Table:
     band = f"{number(float(psd['band_low']))} to {number(float(psd['band_high']))} µm⁻¹"
     waves = f"waves of {number(1 / float(psd['band_high']))} to {number(1 / float(psd['band_low']))} µm"
     rows = [("Band", band, waves)]
@@ -49,6 +51,8 @@ def _heights_table(psd: xr.Dataset) -> Table:
         ]
     else:
         rows.append(("rms height", _nanometres(psd, "sigma"), "assumed"))
+    if bsdf is not None:
+        rows.append(_scattered_height(bsdf))
     rows.append(("Correlation length ℓ", f"{_with_u(psd, 'fit_length', 1)} µm", "of the form"))
     if psd["fit_slope"].notnull():
         rows.append(("Exponent of the decay", _with_u(psd, "fit_slope", 1), "of the form, at high frequencies"))
@@ -57,6 +61,19 @@ def _heights_table(psd: xr.Dataset) -> Table:
             ("Scatter about the form", f"{number(100 * float(psd['fit_residual_log']))} %", "rms of the logarithm")
         )
     return Table("Roughness in numbers", ("Quantity", "Value", "Of"), rows, attribute_note(psd, ("form", "method")))
+
+
+def _scattered_height(bsdf: xr.Dataset) -> tuple[str, str, str]:
+    """The rms height that the BSDF tells, beside those of the heights and of the spectrum."""
+    height = scattered_rms_height(bsdf)
+    name = "rms height that the BSDF scatters by"
+    if np.isnan(height):
+        return (
+            name,
+            "not recoverable",
+            "nothing is mirrored coherently at 5° and 550 nm, or the BSDF does not part it from the rest",
+        )
+    return name, f"{number(1000 * height)} nm", "waves that scatter into the hemisphere, from TIS at 5° and 550 nm"
 
 
 def _frequency_table(psd: xr.Dataset) -> Table:
