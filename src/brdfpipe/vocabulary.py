@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
@@ -193,6 +193,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "log_scattered": Quantity("1", "natural logarithm of the BSDF [sr-1] of light that has been inside a slab"),
     "lobe_scale": Quantity("degree", "width up to which the table of a slab counts distances evenly", 0),
     "index_node": Quantity("1", "refractive index at which a slab is tabulated", 1),
+    "wavelength_node": Quantity("nm", "wavelength at which a slab with waves is tabulated", 100, 20000),
     "depth_node": Quantity("1", "root of the internal optical depth, √(-ln τ), at which a slab is tabulated", 0),
     "quadrature_error": Quantity(
         "1", "share of light by which sums over nodes missed what they were then scaled to", 0
@@ -740,12 +741,19 @@ def _check_values(name: str, variable: xr.DataArray, where: str, missing: bool) 
         raise VocabularyError(f"{where}the coordinate {name!r} must increase strictly")
 
 
+WAVES_AT_FACES = {f"{side}_wave_": f"{side} face" for side in ("front", "back")}
+"""Prefix of the variables of a ``wave`` BSDF in that of a sheet, and what they belong to."""
+
+
 def _quantity(name: str) -> Quantity | None:
     if name in QUANTITIES:
         return QUANTITIES[name]
     if name.endswith("_change") and (base := name.removesuffix("_change")) in QUANTITIES:
         quantity = QUANTITIES[base]
         return Quantity(quantity.units, f"change by one standard uncertainty of: {quantity.long_name}")
+    for prefix, place in WAVES_AT_FACES.items():
+        if name.startswith(prefix) and (quantity := _quantity(name.removeprefix(prefix))) is not None:
+            return replace(quantity, long_name=f"{quantity.long_name}; of the {place}")
     base, mark, component = name.partition("_u")
     if mark and base in QUANTITIES and (component == "" or component.startswith("_")):
         quantity = QUANTITIES[base]

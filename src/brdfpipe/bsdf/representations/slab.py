@@ -14,6 +14,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import UNRESOLVED_SLOPE, Representation
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.slab.lobe_table import LobeGrid, barycentric, grazing_factor
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.geometry import Array, half_vector
@@ -26,6 +27,12 @@ TABLE_DIMS = ("path", "theta_low", "span", "turn", "node")
 
 BALANCE = ("reflectance", "transmittance", "absorptance", "specular_reflectance", "specular_transmittance")
 """Fluxes of the light from each incidence."""
+
+
+def _of_waves(side: str, name: str) -> str:
+    """Name of a variable of the ``wave`` dataset of a face in the dataset of a slab; they share their wavelengths."""
+    return name if name == "wavelength" else f"{side}_wave_{name}"
+
 
 _BLOCK = 2**14
 _BLACK = 1e-300
@@ -46,7 +53,12 @@ class Slab(Representation):
             **dict.fromkeys(("lobe_scale", "interpolation_error", "quadrature_error"), vocabulary.SCALAR),
         },
         optional={f"{side}_slope_density": [(f"{side}_slope",)] for side in SIDES}
-        | {f"{side}_lambda_smith": [(f"{side}_theta",)] for side in SIDES},
+        | {f"{side}_lambda_smith": [(f"{side}_theta",)] for side in SIDES}
+        | {
+            _of_waves(side, name): [tuple(_of_waves(side, dim) for dim in dims) for dims in accepted]
+            for side in SIDES
+            for name, accepted in {**Wave.kind.required, **Wave.kind.optional}.items()
+        },
         attributes=("masking", "transmission"),
     )
     uses_index = True
@@ -100,9 +112,18 @@ class Slab(Representation):
 
     @property
     def lobe_slope(self) -> float:
-        """Median slope of the smoother of the rough faces."""
-        slopes = [surface.typical_slope for surface in self._surfaces if surface is not None]
+        """Median slope of the smoother of the rough faces, or that at which its halo has half its peak."""
+        slopes = [
+            surface.lobe_slope if isinstance(surface, Wave) else surface.typical_slope
+            for surface in self._surfaces
+            if surface is not None
+        ]
         return min(slopes, default=UNRESOLVED_SLOPE)
+
+    def regime(self, side: str, theta_i: Array, wavelength: Array) -> tuple[Array, Array] | None:
+        """Shares of the outer mirror reflection of a face that are coherent, and as of facets [1]; None for a face without waves."""
+        surface = self._surfaces[SIDES.index(side)]
+        return surface.regime(theta_i, wavelength) if isinstance(surface, Wave) else None
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The slab with the mean index; the light that has been inside is averaged with the weight.
@@ -112,10 +133,17 @@ class Slab(Representation):
         bsdf = self.dataset
         by_wavelength = bsdf["log_scattered"].values @ _node_weights(bsdf, None)[1].T
         mean = np.maximum(np.exp(by_wavelength) @ weight, _BLACK)
-        spectral = {name: field for name, field in bsdf.data_vars.items() if "wavelength" in field.dims}
+        own = bsdf.drop_vars(
+            [str(name) for name in bsdf.variables if str(name).startswith(tuple(vocabulary.WAVES_AT_FACES))]
+        )
+        spectral = {name: field for name, field in own.data_vars.items() if "wavelength" in field.dims}
         averaged = {name: (field.dims[:-1], field.values @ weight) for name, field in spectral.items()}
-        reduced = bsdf.drop_dims(["wavelength", "node", "index_node", "depth_node"]).assign(averaged)
+        nodes = ["wavelength", "node", "index_node", "wavelength_node", "depth_node"]
+        reduced = own.drop_dims([name for name in nodes if name in own.dims]).assign(averaged)
         reduced = reduced.assign_coords(index_node=[float(reduced["n"])], depth_node=[0.0])
+        for side, surface in zip(SIDES, self._surfaces, strict=True):
+            if isinstance(surface, Wave):
+                reduced = with_waves(reduced, side, surface.nonspectral(weight))
         table = np.log(mean)[..., None].astype(np.float32)
         return vocabulary.label(reduced.assign(log_scattered=(TABLE_DIMS, table)), "bsdf")
 
@@ -127,8 +155,10 @@ class Slab(Representation):
 class SlabModel:
     """The slab at given wavelengths."""
 
-    surfaces: tuple[Microsurface | None, Microsurface | None]
-    """Facets of the front and the back face; None for a smooth face"""
+    surfaces: tuple[Microsurface | Wave | None, Microsurface | Wave | None]
+    """Facets or waves of the front and the back face; None for a smooth face"""
+    wavelength: Array | None
+    """(wavelength,) [nm] at which waves are evaluated; None for those of the dataset, or their mean"""
     masking: str
     n: Array
     """(wavelength or 1,) index"""
@@ -144,7 +174,10 @@ class SlabModel:
 
     @classmethod
     def of(
-        cls, bsdf: xr.Dataset, wavelength: Array | None, surfaces: tuple[Microsurface | None, Microsurface | None]
+        cls,
+        bsdf: xr.Dataset,
+        wavelength: Array | None,
+        surfaces: tuple[Microsurface | Wave | None, Microsurface | Wave | None],
     ) -> SlabModel:
         """The model of a ``bsdf`` dataset, representation ``slab``, at its own or other wavelengths [nm]."""
         front, back = (
@@ -152,6 +185,7 @@ class SlabModel:
         )
         return cls(
             surfaces,
+            wavelength,
             str(bsdf.attrs["masking"]),
             *_node_weights(bsdf, wavelength),
             LobeGrid(bsdf["theta_low"].values, bsdf.sizes["span"], bsdf.sizes["turn"], float(bsdf["lobe_scale"])),
@@ -191,18 +225,35 @@ class SlabModel:
         return np.asarray(result)
 
     def _outer_reflection(
-        self, surface: Microsurface, diffuse: Array, low: Array, high: Array, azimuth: Array
+        self, surface: Microsurface | Wave, diffuse: Array, low: Array, high: Array, azimuth: Array
     ) -> Array:
-        """Light that a face reflects on the outside: by its facets, and diffusely what these lose."""
+        """Light that a face reflects on the outside: by its facets or waves, and diffusely what these lose."""
+        first, second = (np.maximum(barycentric(self.theta, angle) @ diffuse, 0.0) for angle in (low, high))
+        if isinstance(surface, Wave):
+            none = np.zeros_like(low)
+            return np.asarray(surface.evaluate(low, none, high, azimuth, self.wavelength) + first * second)
         pair = half_vector(low, 0.0, high, azimuth)
         facets = surface.reflected(pair, 0.0, azimuth, self.masking)[:, None]
         fresnel = fresnel_reflectance(pair.cos_zeta[:, None], self.n).mean
-        first, second = (np.maximum(barycentric(self.theta, angle) @ diffuse, 0.0) for angle in (low, high))
         return np.asarray(facets * fresnel + first * second)
 
 
-def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | None:
-    """The facets of a face; None for a smooth face."""
+def with_waves(bsdf: xr.Dataset, side: str, waves: xr.Dataset) -> xr.Dataset:
+    """The dataset of a slab with the ``wave`` dataset of a face."""
+    attributes = {_of_waves(side, name): value for name, value in waves.attrs.items() if name in Wave.kind.attributes}
+    renamed = waves.rename({name: _of_waves(side, str(name)) for name in waves.variables})
+    result = bsdf.assign_coords(renamed.coords).assign(renamed.data_vars)
+    return result.assign_attrs(attributes)
+
+
+def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | Wave | None:
+    """The facets or waves of a face; None for a smooth face."""
+    prefix = _of_waves(side, "")
+    names = {str(name): str(name).removeprefix(prefix) for name in bsdf.variables if str(name).startswith(prefix)}
+    if names:
+        waves = bsdf[[name for name in names if name not in bsdf.coords]].rename(names)
+        waves.attrs = {name: bsdf.attrs[_of_waves(side, name)] for name in Wave.kind.attributes}
+        return Wave(waves)
     if f"{side}_slope_density" not in bsdf:
         return None
     members = ("slope_density", "lambda_smith")
@@ -214,11 +265,20 @@ def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | None:
 
 
 def _node_weights(bsdf: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array]:
-    """Index (wavelength or 1,), and weights (wavelength or 1, nodes) of the nodes of index and transmittance."""
+    """Index (wavelength or 1,), and weights (wavelength or 1, nodes) of the nodes of index or wavelength, and transmittance."""
     n, inside = (np.atleast_1d(at_wavelengths(bsdf[name], wavelength)) for name in ("n", "internal_transmittance"))
     by_depth = _depth_weights(bsdf["depth_node"].values, inside)
-    weights = lagrange(bsdf["index_node"].values, n)[:, :, None] * by_depth[:, None, :]
+    weights = first_weights(bsdf, n, wavelength)[:, :, None] * by_depth[:, None, :]
     return n, weights.reshape(weights.shape[0], -1)
+
+
+def first_weights(bsdf: xr.Dataset, n: Array, wavelength: Array | None) -> Array:
+    """Weights (wavelength or 1, nodes) of the nodes of the index n, or of the wavelength [nm] where faces have waves."""
+    if "wavelength_node" not in bsdf.coords:
+        return lagrange(bsdf["index_node"].values, n)
+    at = bsdf["wavelength"].values if wavelength is None else wavelength
+    # The phase variance goes with the inverse square of the wavelength.
+    return lagrange(bsdf["wavelength_node"].values ** -2.0, at**-2.0)
 
 
 def lagrange(nodes: Array, x: Array) -> Array:

@@ -87,15 +87,41 @@ def scattered(sheet: Sheet, modes: Array, transmittances: Array, components: int
             result.append(InnerLight(to_front, to_front, np.swapaxes((leaves * turned) @ down, -1, -2)))
             continue
         below, above = r_back * passage, r_front * passage
-        both = _solved(above @ below, np.concatenate([t_front, above @ t_back], axis=-1))
-        down, down_of_back = np.split(both, [t_front.shape[-1]], axis=-1)
         leaves_front, leaves_back = (np.swapaxes(t, -1, -2) * (reversed_ * passage) for t in (t_front, t_back))
-        result.append(
-            InnerLight(
-                leaves_front @ (below @ down), leaves_back @ down_of_back, np.swapaxes(leaves_back @ down, -1, -2)
-            )
-        )
+        straight = sheet.front.is_smooth, sheet.back.is_smooth
+        returned, entering = (_product(above, part, size, *straight) for part in (below, t_back))
+        both = _solved(returned, np.concatenate([t_front, entering], axis=-1))
+        down, down_of_back = np.split(both, [t_front.shape[-1]], axis=-1)
+        up = _product(below, down, size, straight[1], False)
+        to_front = _product(leaves_front, up, size, straight[0], False)
+        to_back, through = (_product(leaves_back, light, size, straight[1], False) for light in (down_of_back, down))
+        result.append(InnerLight(to_front, to_back, np.swapaxes(through, -1, -2)))
     return result
+
+
+def _product(left: Array, right: Array, size: int, straight_left: bool, straight_right: bool) -> Array:
+    """Product of operators over components and ``size`` nodes; a straight one, of a smooth face, does not change the node.
+
+    Of a straight operator, outside or inside, the elements between different nodes are 0, and the same for all modes.
+    """
+    if not (straight_left or straight_right):
+        return np.asarray(left @ right)
+    modes, rows, columns = left.shape[0], left.shape[1], right.shape[2]
+    if straight_right:
+        elements, count = _between_components(right[0], size)
+        parts = left.reshape(modes, rows, -1, size)[..., :count]
+        return np.einsum("mrak,abk->mrbk", parts, elements).reshape(modes, rows, columns)
+    elements, count = _between_components(left[0], size)
+    parts = right.reshape(modes, -1, size, columns)[:, :, :count]
+    return np.einsum("abk,mbkn->makn", elements, parts).reshape(modes, rows, columns)
+
+
+def _between_components(operator: Array, size: int) -> tuple[Array, int]:
+    """Elements (components, components, nodes) of a straight operator, and the number of nodes, fewer outside than inside."""
+    rows, columns = (extent if extent < size else size for extent in operator.shape)
+    count = min(rows, columns)
+    parts = operator.reshape(operator.shape[0] // rows, rows, operator.shape[1] // columns, columns)
+    return np.einsum("akbk->abk", parts[:, :count, :, :count]), count
 
 
 def _flat(through: Array, within: Array) -> tuple[Array, Array]:
@@ -105,19 +131,18 @@ def _flat(through: Array, within: Array) -> tuple[Array, Array]:
     return through.reshape(modes, size, outside), within.reshape(modes, size, size)
 
 
-def balances(sheet: Sheet, transmittance: float) -> tuple[Array, Array]:
-    """Reflectance, transmittance and absorptance, (3, N), for light from the front and from the back.
+def balances(sheet: Sheet, transmittances: Array) -> Array:
+    """Reflectance, transmittance and absorptance, (transmittances, 2, 3, N), for light from the front and from the back.
 
     Each is computed independently; the absorptance is (1 − τ) of the light that leaves either face inwards. The zeroth mode holds
     them, and in it I and Q do not mix with U and V.
     """
     inside, components = sheet.nodes.inside.size, 2
-    passage = np.tile(sheet.passage(transmittance), components)
     front, back = (
         _flat(*face.operators(sheet.azimuths, np.zeros(1), components)) for face in (sheet.front, sheet.back)
     )
 
-    def balance(face: Face, near: tuple[Array, Array], far: tuple[Array, Array]) -> Array:
+    def balance(face: Face, near: tuple[Array, Array], far: tuple[Array, Array], passage: Array) -> Array:
         root, outer_root = face.root, face.outer_root
         (t_near,), (r_near,), (t_far,), (r_far,) = *near, *far
         inward = _solved((r_near * passage) @ (r_far * passage), t_near)
@@ -127,7 +152,10 @@ def balances(sheet: Sheet, transmittance: float) -> tuple[Array, Array]:
         absorbed = (root * (1 - passage[:inside])) @ (inward + outward)[:inside] / outer_root
         return np.stack([face.outer_albedo + reflected, transmitted, absorbed])
 
-    return balance(sheet.front, front, back), balance(sheet.back, back, front)
+    passages = [np.tile(sheet.passage(float(transmittance)), components) for transmittance in transmittances]
+    return np.array(
+        [[balance(sheet.front, front, back, each), balance(sheet.back, back, front, each)] for each in passages]
+    )
 
 
 def _solved(returned: Array, entering: Array) -> Array:

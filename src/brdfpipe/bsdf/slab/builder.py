@@ -16,14 +16,17 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.microfacet.builder import index_on
+from brdfpipe.bsdf.microfacet.builder import index_on, wavelengths_of
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
-from brdfpipe.bsdf.representations.slab import BALANCE, SIDES, TABLE_DIMS, Slab, lagrange, root_depth
+from brdfpipe.bsdf.representations.slab import BALANCE, SIDES, TABLE_DIMS, Slab, first_weights, root_depth, with_waves
+from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.slab import adding_doubling
 from brdfpipe.bsdf.slab.lobe_table import LobeGrid
-from brdfpipe.bsdf.slab.tabulation import Resolution, resolution, sheet, tabulate
+from brdfpipe.bsdf.slab.tabulation import Resolution, Surface, resolution, sheet, tabulate
+from brdfpipe.bsdf.slab.wave_face import WaveSurface
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.geometry import Array
 from brdfpipe.masking.modes import SMITH_MASKINGS
@@ -35,6 +38,13 @@ Spectral: TypeAlias = float | xr.DataArray
 ERROR_LIMIT = 0.02
 """Interpolation error above which a slab has a warning [1]."""
 
+FACE_OPTICS = ("facets", "wave", "auto")
+"""Accepted optics of a face with a roughness spectrum."""
+
+WAVELENGTH_NODES = 5
+"""Wavelengths at which a sheet with waves is computed, for all others."""
+
+_NO_LIGHT = 1e-200
 _DARKEST_DEPTH = float(np.sqrt(-np.log(1e-4)))
 
 
@@ -56,6 +66,10 @@ def build(
     absorption: Spectral | None = None,
     thickness: float | None = None,
     masking: str = "height-correlated",
+    front_psd: xr.Dataset | None = None,
+    back_psd: xr.Dataset | None = None,
+    optics: str = "auto",
+    wavelength: ArrayLike | None = None,
 ) -> xr.Dataset:
     """BSDF of a plane-parallel sheet with air on both sides.
 
@@ -68,7 +82,12 @@ def build(
         number, or a DataArray over ``wavelength``. 1 by default
     absorption, thickness : alternatively, the (napierian) absorption coefficient [mm-1], a number or a DataArray over
         ``wavelength``, and the thickness [mm]
-    masking : one of :data:`brdfpipe.masking.modes.SMITH_MASKINGS`
+    masking : one of :data:`brdfpipe.masking.modes.SMITH_MASKINGS`; with waves the first of them
+    front_psd, back_psd : kind ``psd``, the roughness spectra of the faces; a face without one, and a smooth one, knows facets alone
+    optics : of faces with a spectrum, ``facets``, ``wave``, or ``auto``, which passes from waves to facets with the phase variance and
+        the slope, of transmitted and of reflected light apart
+    wavelength : [nm], increasing, of a sheet with waves whose index and transmittance do not depend on wavelength; by default
+        :data:`brdfpipe.bsdf.microfacet.builder.WAVELENGTHS`
 
     Returns
     -------
@@ -78,7 +97,7 @@ def build(
 
     Raises
     ------
-    ModelError : an unknown masking, an absorbing index, or a transmittance, absorption or thickness out of range.
+    ModelError : an unknown masking or optics, an absorbing index, or a transmittance, absorption or thickness out of range.
     VocabularyError : a dataset of the wrong kind.
 
     Notes
@@ -92,38 +111,65 @@ def build(
         raise ModelError(
             f"a slab needs one of Smith's maskings; found {masking!r}; accepted: {', '.join(SMITH_MASKINGS)}"
         )
+    if optics not in FACE_OPTICS:
+        raise ModelError(f"unknown optics {optics!r} of a slab; accepted: {', '.join(FACE_OPTICS)}; set `model.optics`")
     faces = [azimuthal_average(vocabulary.validate(facets, "facets")) for facets in (front, back)]
-    surfaces = _surfaces(front, back, faces)
-    body = _body(index, internal_transmittance, absorption, thickness)
-    resolved = resolution(surfaces, float(body.n.min()))
+    known = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
+    body = _body(known, internal_transmittance, absorption, thickness)
+    surfaces: tuple[Surface, Surface] = _surfaces(front, back, faces)
+    spectra = (None, None) if optics == "facets" else (front_psd, back_psd)
+    if any(psd is not None and facets["slope_density"].size for psd, facets in zip(spectra, faces, strict=True)):
+        if masking != SMITH_MASKINGS[0]:
+            raise ModelError(f"waves are masked by `masking: {SMITH_MASKINGS[0]}`; found {masking!r}")
+        body, surfaces = _with_waves(body, surfaces, faces, spectra, known, optics, wavelength)
+    with_spectrum = any(isinstance(surface, WaveSurface) for surface in surfaces)
     low, high = float(body.n.min()), float(body.n.max())
-    index_node = np.array([low]) if low == high else np.linspace(low, high, 3)
+    if with_spectrum:
+        assert body.wavelength is not None
+        wavelength_node = _wavelength_nodes(body.wavelength)
+        index_node = np.broadcast_to(index_on(known, wavelength_node)[0], wavelength_node.shape)
+        first = {"wavelength_node": wavelength_node}
+    else:
+        index_node = np.array([low]) if low == high else np.linspace(low, high, 3)
+        wavelength_node = np.full(index_node.size, np.nan)
+        first = {"index_node": index_node}
+    resolved = resolution(surfaces, low, wavelength_node)
     depth_node = _depth_nodes(body.transmittance)
-    sheets = [sheet(surfaces, masking, float(n), resolved) for n in index_node]
     grid = LobeGrid.of(float(np.degrees(resolved.scale)))
     smooth = (surfaces[0] is None, surfaces[1] is None)
-    table, error = tabulate(sheets, smooth, np.exp(-(depth_node**2)), resolved.modes, grid)
+    tables, errors, operators = [], [], []
+    for n, nm in zip(index_node, wavelength_node, strict=True):
+        # One at a time: the kernels of a pair of faces take up to 300 MB.
+        pair = sheet(surfaces, masking, float(n), resolved, float(nm))
+        table, error = tabulate(pair, smooth, np.exp(-(depth_node**2)), resolved.modes, grid)
+        tables.append(table)
+        errors.append(error)
+        operators.append(_Operators.of(pair, np.unique(body.transmittance)))
+    error = max(errors)
     bsdf = xr.Dataset(
         {
             "n": (("wavelength",) * body.n.ndim, body.n),
             "internal_transmittance": (("wavelength",) * body.transmittance.ndim, body.transmittance),
-            "log_scattered": (TABLE_DIMS, table),
+            "log_scattered": (TABLE_DIMS, np.concatenate(tables, axis=-1)),
             "lobe_scale": grid.scale,
             "interpolation_error": error,
-            "quadrature_error": max(face.correction for pair in sheets for face in (pair.front, pair.back)),
+            "quadrature_error": max(each.correction for each in operators),
         },
-        coords={"theta_low": grid.low, "index_node": index_node, "depth_node": depth_node},
+        coords={"theta_low": grid.low, **first, "depth_node": depth_node},
         attrs={"representation": Slab.name, "masking": masking, "transmission": "slab"},
     )
     if body.wavelength is not None:
         bsdf = bsdf.assign_coords(wavelength=body.wavelength)
-    bsdf = _with_balance(bsdf, sheets)
+    bsdf = _with_balance(bsdf, operators, surfaces)
     warnings = list(body.warnings)
     for side, facets, surface, given in zip(SIDES, faces, surfaces, (front, back), strict=True):
         bsdf.attrs[f"{side}_band"] = facets.attrs["band"]
         if facets is not given:
             warnings += [text for text in vocabulary.warnings(facets) if text not in warnings]
-        if surface is not None:
+        if isinstance(surface, WaveSurface):
+            bsdf = with_waves(bsdf, side, surface.outside)
+            warnings += [f"{side} face: {text}" for text in vocabulary.warnings(surface.outside)]
+        elif surface is not None:
             slope, theta = f"{side}_slope", f"{side}_theta"
             bsdf = bsdf.assign_coords({slope: facets["slope"].values, theta: facets["theta"].values})
             bsdf[f"{side}_slope_density"] = (slope, facets["slope_density"].values)
@@ -144,19 +190,58 @@ def _surfaces(
     return surfaces[0], surfaces[0] if equal else surfaces[1]
 
 
+def _with_waves(
+    body: _Body,
+    surfaces: tuple[Surface, Surface],
+    faces: list[xr.Dataset],
+    spectra: tuple[xr.Dataset | None, xr.Dataset | None],
+    index: xr.Dataset,
+    optics: str,
+    wavelength: ArrayLike | None,
+) -> tuple[_Body, tuple[Surface, Surface]]:
+    """The body at wavelengths, and its faces with waves where these matter."""
+    given = wavelengths_of(None, index, wavelength, ModelError) if body.wavelength is None else body.wavelength
+    n = np.broadcast_to(index_on(index, given)[0], given.shape)
+    found: list[Surface] = []
+    for surface, facets, psd in zip(surfaces, faces, spectra, strict=True):
+        if found and surface is not None and surface is surfaces[0] and _equal(spectra):
+            found.append(found[0])
+        elif surface is None or psd is None:
+            found.append(surface)
+        else:
+            waves = WaveSurface.of(facets, psd, index, given, optics)
+            found.append(surface if waves.is_of_facets(float(n.min()), float(given[-1])) else waves)
+    if not any(isinstance(surface, WaveSurface) for surface in found):
+        return body, surfaces
+    return body._replace(n=n, wavelength=given), (found[0], found[1])
+
+
+def _equal(spectra: tuple[xr.Dataset | None, xr.Dataset | None]) -> bool:
+    front, back = spectra
+    return front is back or (front is not None and back is not None and front.drop_attrs().identical(back.drop_attrs()))
+
+
+def _wavelength_nodes(wavelength: Array) -> Array:
+    """Chebyshev nodes of the inverse square of the wavelength, between which the logarithm of the scattered light is a polynomial."""
+    ends = wavelength[[0, -1]] ** -2.0
+    if wavelength.size == 1:
+        return wavelength
+    inverse = ends.mean() + np.ptp(ends) / 2 * np.cos(np.pi * np.arange(WAVELENGTH_NODES) / (WAVELENGTH_NODES - 1))
+    return np.asarray(np.clip(inverse**-0.5, wavelength[0], wavelength[-1]))
+
+
 def _body(
-    index: xr.Dataset | float | str,
+    index: xr.Dataset,
     internal_transmittance: Spectral | None,
     absorption: Spectral | None,
     thickness: float | None,
 ) -> _Body:
-    known = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
-    if np.any(known["k"].values > 0):
+    if np.any(index["k"].values > 0):
         raise ModelError(
-            f"the index of the slab absorbs (k up to {float(known['k'].max()):g}); give a real index, and the absorption apart"
+            f"the index of the slab absorbs (k up to {float(index['k'].max()):g}); give a real index, and the absorption apart"
         )
     inside, wavelength = _transmittance(internal_transmittance, absorption, thickness)
-    n, _, wavelength, warnings = index_on(known, wavelength)
+    n, _, wavelength, warnings = index_on(index, wavelength)
     return _Body(np.asarray(n), inside, wavelength, warnings)
 
 
@@ -209,19 +294,62 @@ def _depth_nodes(transmittance: Array) -> Array:
 # --- output
 
 
-def _with_balance(bsdf: xr.Dataset, sheets: list[adding_doubling.Sheet]) -> xr.Dataset:
+class _Operators(NamedTuple):
+    """What remains of the operators of a sheet beside its table."""
+
+    outside: Array
+    """(N,) polar angles [degree]"""
+    fluxes: Array
+    """(transmittances, 6, 2N)"""
+    diffuse: Array
+    """(N, 2) factors of the outer diffuse reflection of front and back"""
+    correction: float
+
+    @classmethod
+    def of(cls, pair: adding_doubling.Sheet, transmittances: Array) -> _Operators:
+        """Of a sheet and several internal transmittances at normal incidence."""
+        diffuse = np.stack([pair.front.diffuse, pair.back.diffuse], axis=-1)
+        correction = max(pair.front.correction, pair.back.correction)
+        return cls(pair.nodes.outside, _fluxes(pair, transmittances), diffuse, correction)
+
+
+def _with_balance(bsdf: xr.Dataset, operators: list[_Operators], surfaces: tuple[Surface, Surface]) -> xr.Dataset:
     """Add reflectance, transmittance, absorptance, their specular parts, and the factors of the outer diffuse reflection."""
     n, inside = (np.atleast_1d(bsdf[name].values) for name in ("n", "internal_transmittance"))
-    by_index = lagrange(bsdf["index_node"].values, n)
-    distinct, where = np.unique(inside, return_inverse=True)
-    by_node = np.array([[_fluxes(pair, float(tau)) for tau in distinct] for pair in sheets])[:, where]
+    first = first_weights(bsdf, n, None)
+    _, where = np.unique(inside, return_inverse=True)
+    by_node = np.array([each.fluxes for each in operators])[:, where]
+    outside = operators[0].outside
+    with_waves = "wavelength_node" in bsdf.coords
+    if with_waves:
+        # Coherent light falls exponentially with the inverse square of the wavelength.
+        by_node[:, :, 3:] = np.log(np.maximum(by_node[:, :, 3:], _NO_LIGHT))
     # Index, transmittance, or both may depend on wavelength.
-    fluxes = np.moveaxis((by_index.T[:, :, None, None] * by_node).sum(axis=0), 0, -1)
-    diffuse = np.stack([[pair.front.diffuse, pair.back.diffuse] for pair in sheets], axis=-1) @ by_index.T
-    outside = sheets[0].nodes.outside
+    *fluxes, outer = np.moveaxis((first.T[:, :, None, None] * by_node).sum(axis=0), 0, -1)
+    if with_waves:
+        # The polynomial over wavelength may fall below 0 by its error.
+        balance = np.maximum(fluxes[:3], 0.0)
+        fluxes[:3] = balance / balance.sum(axis=0)
+        fluxes[3:] = [np.minimum(np.exp(inner), total) for inner, total in zip(fluxes[3:], fluxes[:2], strict=True)]
+        outer = _outer_specular(np.exp(outer), outside, surfaces)
+        fluxes[3] = np.minimum(fluxes[3] + outer, fluxes[0])
+    else:
+        fluxes[3] = fluxes[3] + outer
+    diffuse = np.stack([each.diffuse.T for each in operators], axis=-1) @ first.T
+    diffuse = np.maximum(diffuse, 0.0) if with_waves else diffuse
     fields = {name: _variable("theta_i", values) for name, values in zip(BALANCE, fluxes, strict=True)}
     fields |= {f"{side}_diffuse": _variable("theta", values) for side, values in zip(SIDES, diffuse, strict=True)}
     return bsdf.assign_coords(theta=outside, theta_i=np.concatenate([outside, 180 - outside[::-1]])).assign(fields)
+
+
+def _outer_specular(interpolated: Array, outside: Array, surfaces: tuple[Surface, Surface]) -> Array:
+    """Outer mirror reflection (2N, wavelength) from both sides: exact where a face has waves, else as interpolated."""
+    result = interpolated.copy()
+    for surface, half in zip(surfaces, np.split(result, 2), strict=True):
+        if isinstance(surface, WaveSurface):
+            half[:] = Wave(surface.outside).specular(outside, np.zeros_like(outside), None)[0]
+    result[outside.size :] = result[outside.size :][::-1]
+    return result
 
 
 def _variable(angle: str, values: Array) -> tuple[tuple[str, ...], Array]:
@@ -229,27 +357,25 @@ def _variable(angle: str, values: Array) -> tuple[tuple[str, ...], Array]:
     return ((angle,), values[:, 0]) if values.shape[1] == 1 else ((angle, "wavelength"), values)
 
 
-def _fluxes(pair: adding_doubling.Sheet, transmittance: float) -> Array:
-    """The fluxes of ``BALANCE``, (5, 2N), from the front and then the back."""
-    straight = adding_doubling.straight(pair, transmittance)
-    front, back = (
-        np.stack([*balance, inner + (0.0 if face.total_loss > 0 else face.reflected), straight.through])
-        for balance, face, inner in zip(
-            adding_doubling.balances(pair, transmittance),
-            (pair.front, pair.back),
-            (straight.front, straight.back),
-            strict=True,
+def _fluxes(pair: adding_doubling.Sheet, transmittances: Array) -> Array:
+    """The fluxes of ``BALANCE`` inside, and the outer mirror reflection, (transmittances, 6, 2N), from the front and then the back."""
+    result = []
+    for transmittance, balances in zip(transmittances, adding_doubling.balances(pair, transmittances), strict=True):
+        straight = adding_doubling.straight(pair, float(transmittance))
+        front, back = (
+            np.stack([*balance, inner, straight.through, face.mirrored_outside])
+            for balance, face, inner in zip(
+                balances, (pair.front, pair.back), (straight.front, straight.back), strict=True
+            )
         )
-    )
-    return np.concatenate([front, back[:, ::-1]], axis=1)
+        result.append(np.concatenate([front, back[:, ::-1]], axis=1))
+    return np.array(result)
 
 
-def _warnings(
-    surfaces: tuple[Microsurface | None, Microsurface | None], index: float, resolved: Resolution, error: float
-) -> list[str]:
+def _warnings(surfaces: tuple[Surface, Surface], index: float, resolved: Resolution, error: float) -> list[str]:
     texts = []
     for side, surface, (through, within) in zip(SIDES, surfaces, resolved.sharp, strict=True):
-        if surface is None or not (through or within):
+        if not isinstance(surface, Microsurface) or not (through or within):
             continue
         width = np.degrees((index - 1) * surface.typical_slope)
         texts.append(

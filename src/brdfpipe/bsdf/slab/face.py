@@ -30,7 +30,9 @@ from brdfpipe.geometry import Array, frame_rotation, half_vector
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 
-_LEAST_LOSS = 1e-8
+LEAST_LOSS = 1e-8
+"""Share of the light that every face loses, so that no rounding makes a loss negative [1]."""
+
 _TINY = 1e-300
 _BALANCING_STEPS = 60
 _NEGLIGIBLE = 1e-14
@@ -120,7 +122,7 @@ class Face:
     """The operators of one face, symmetrised by the roots of the étendues."""
 
     reflected: Array
-    """(N,) share of the light from outside that the facets reflect outside [1]"""
+    """(N,) share of the light from outside that is reflected outside, without what the facets lose [1]"""
     straight: Array
     """(2, N) I and Q of the light that is transmitted into the refracted direction, of unit light [1]"""
     mirrored: Array
@@ -137,6 +139,13 @@ class Face:
     """(J,) root of the étendues"""
     correction: float
     """Largest difference, in shares of the light, between sums over the nodes and integrals over the facets, before scaling"""
+    mirrored_outside: Array
+    """(N,) share of the light from outside that is reflected outside into the mirror direction [1]"""
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether light leaves the face into the mirrored and the refracted direction alone."""
+        return self.through is None and self.within is None and self.total_loss == 0
 
     @property
     def total_loss(self) -> float:
@@ -207,7 +216,7 @@ def smooth(index: float, nodes: Nodes) -> Face:
     mirrored[:3, : outside.mean.size] = outside.mean, (outside.s - outside.p) / 2, outside.mean
     straight = np.stack([1 - outside.mean, -(outside.s - outside.p) / 2])
     no_loss = np.zeros(outside.mean.size), np.zeros((2, nodes.inside.size))
-    return Face(outside.mean, straight, mirrored, None, None, *no_loss, np.sqrt(nodes.weight), 0.0)
+    return Face(outside.mean, straight, mirrored, None, None, *no_loss, np.sqrt(nodes.weight), 0.0, outside.mean)
 
 
 def _mirror_elements(cosine: Array, index: float) -> Array:
@@ -233,9 +242,9 @@ def rough(
     mirrored = energy.directional_albedo(surface, masking, 1 / n, k, nodes.inside)[:, 0]
     inward = transmission.directional_transmittance(surface, masking, n, nodes.outside)[:, 0]
     outward = transmission.directional_transmittance(surface, masking, n, 180 - nodes.inside)[:, 0]
-    inward = np.clip(inward, 0.0, 1 - reflected - _LEAST_LOSS)
-    outward = np.clip(outward, 0.0, 1 - mirrored - _LEAST_LOSS)
-    mirrored = np.clip(mirrored, 0.0, 1 - _LEAST_LOSS)
+    inward = np.clip(inward, 0.0, 1 - reflected - LEAST_LOSS)
+    outward = np.clip(outward, 0.0, 1 - mirrored - LEAST_LOSS)
+    mirrored = np.clip(mirrored, 0.0, 1 - LEAST_LOSS)
     root, outside = np.sqrt(nodes.weight), nodes.outside.size
     outer_root = root[:outside]
     straight, delta, corrections = np.zeros((2, outside)), np.zeros((len(ELEMENTS), root.size)), [0.0]
@@ -244,24 +253,25 @@ def rough(
     if sharp[0]:
         straight = np.minimum(inward, outward[:outside]) * alike.straight / np.maximum(alike.straight[0], _TINY)
     else:
-        through = _through(surface, masking, index, nodes, azimuths)
-        scale, correction = _balance(through[0], azimuths, outer_root, root, inward, outward)
+        through = transmitted_by_facets(surface, masking, index, nodes, azimuths)
+        scale, correction = balance(through[0], azimuths, outer_root, root, inward, outward)
         through *= scale[..., None]
         corrections.append(correction)
     if sharp[1]:
         delta = mirrored * alike.mirrored / np.maximum(alike.mirrored[0], _TINY)
     else:
-        within = _within(surface, masking, index, nodes, azimuths)
-        scale, correction = _balance(within[0], azimuths, root, root, mirrored, mirrored)
+        within = mirrored_by_facets(surface, masking, index, nodes, azimuths)
+        scale, correction = balance(within[0], azimuths, root, root, mirrored, mirrored)
         within *= scale[..., None]
         corrections.append(correction)
+    none = np.zeros(outside)
     face = Face(
-        reflected, straight, delta, through, within, np.zeros(outside), np.zeros((2, root.size)), root, max(corrections)
+        reflected, straight, delta, through, within, none, np.zeros((2, root.size)), root, max(corrections), none
     )
-    return _with_losses(face, azimuths)
+    return with_losses(face, azimuths)
 
 
-def _with_losses(face: Face, azimuths: Azimuths) -> Face:
+def with_losses(face: Face, azimuths: Azimuths) -> Face:
     """The face with its losses, which are what its operators lack of the conservation of energy.
 
     The loss of Q is at most that of I; the rest of it, an error of the sums over the nodes, is corrected in the operators.
@@ -287,7 +297,7 @@ def _with_losses(face: Face, azimuths: Azimuths) -> Face:
     )
 
 
-def _through(surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths) -> Array:
+def transmitted_by_facets(surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths) -> Array:
     """I, Q and U of f_t/n² from the nodes outside to those inside, (3, N, J, P)."""
     result = np.zeros((3, nodes.outside.size, nodes.inside.size, azimuths.phi.size))
     phi = 180 + np.degrees(azimuths.phi)
@@ -316,7 +326,7 @@ def _through(surface: Microsurface, masking: str, index: float, nodes: Nodes, az
     return result
 
 
-def _within(surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths) -> Array:
+def mirrored_by_facets(surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths) -> Array:
     """Mueller matrix of f_r/n² between the nodes inside, (elements, J, J, P)."""
     count = nodes.inside.size
     first, second = np.triu_indices(count)
@@ -358,7 +368,7 @@ def _turned(facet: Array, psi_i: Array, psi_o: Array) -> Array:
     )
 
 
-def _balance(
+def balance(
     kernel: Array, azimuths: Azimuths, row_root: Array, column_root: Array, rows: Array, columns: Array
 ) -> tuple[Array, float]:
     """Factors that symmetrise a kernel and make its rows and columns sum to given shares, never to more; and the largest correction.
