@@ -154,9 +154,19 @@ def _uses_waves(subject: Subject) -> bool:
     return bool(subject.section("model").get("optics", OPTICS[0]) != "facets")
 
 
+def _face_optics(subject: Subject) -> str:
+    """Optics of the faces of a clear body: waves, where their spectrum is known, have Smith's masking alone."""
+    default = "auto" if _masking(subject) == SMITH_MASKINGS[0] else "facets"
+    return str(subject.section("model").get("optics", default))
+
+
 _WAVES = Condition("`model.optics` other than facets", _uses_waves)
 _FACETS = Condition("`model.optics: facets`", lambda subject: not _uses_waves(subject))
 _OPAQUE = Condition("no `slab`", lambda subject: "slab" not in subject.owner.content)
+_KNOWN_BACK_ROUGHNESS = Condition(
+    "`slab.back.file` or `slab.back.length`",
+    lambda subject: subject.owner.has("back") and bool({"file", "length"} & set(subject.section("slab.back"))),  # type: ignore[union-attr]
+)
 
 
 def _truth(subject: Subject) -> str:
@@ -183,6 +193,11 @@ _TRACED_MASKING = Condition(
 )
 
 
+def _has_waves_at_faces(subject: Subject) -> bool:
+    known = _KNOWN_ROUGHNESS.holds(subject) or _KNOWN_BACK_ROUGHNESS.holds(subject)
+    return known and _face_optics(subject) != "facets"
+
+
 def _enabled(key: str) -> Condition:
     return Condition(f"`{key}: true` in the configuration", lambda subject: bool(subject.config[key]))
 
@@ -191,7 +206,8 @@ def _comparable(subject: Subject) -> bool:
     # A perfectly flat surface reflects into a single direction, for which no cell measures a BRDF. The inputs that are fitted are those of
     # facets.
     flat = subject.section("surface").get("distribution") == "flat"
-    return not (flat or _uses_waves(subject)) and any(
+    of_waves = _uses_waves(subject) if _OPAQUE.holds(subject) else _has_waves_at_faces(subject)
+    return not (flat or of_waves) and any(
         item.load == "sample" and item.side == "reflection" for item in subject.arrangements
     )
 
@@ -258,7 +274,7 @@ def _model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
         return {key: value for key, value in model.items() if key != "truth"}
     defaults: dict[str, Any] = MODEL_DEFAULTS
     if "slab" in subject.owner.content:
-        return {"masking": _masking(subject)}
+        return {"masking": _masking(subject), "optics": _face_optics(subject)}
     elif _uses_waves(subject):
         defaults = {"optics": OPTICS[0], "diffuse": MODEL_DEFAULTS["diffuse"], "halo": HALOS[0]}
     chosen = {key: model.get(key, default) for key, default in defaults.items()}
@@ -387,6 +403,13 @@ _STAGES = (
         script="facets",
     ),
     Stage(
+        "back_psd",
+        "the roughness spectrum of the back of a clear body",
+        when=_KNOWN_BACK_ROUGHNESS,
+        keys=_block("slab.back", _SPECTRUM_KEYS),
+        script="psd",
+    ),
+    Stage(
         "visibility",
         "the visibility of the facets, traced on their heights, where Smith's masking does not describe it",
         when=_MEASURED_RELIEF & _TRACED_MASKING & _FACETS & _PREDICTED,
@@ -415,15 +438,22 @@ _STAGES = (
     Stage(
         "predicted",
         "the BSDF that facets, index and spectrum predict",
-        when=_has("predicted", "`surface`, or a `spectrum` alone") & _FACETS & _PREDICTED,
+        when=_has("predicted", "`surface`, or a `spectrum` alone") & _FACETS & _OPAQUE & _PREDICTED,
         keys=StageKeys(("model",), (), _model),
         kind="bsdf",
-        memory=1000,
+    ),
+    Stage(
+        "sheet",
+        "the BSDF of a clear body that both faces, index and internal transmittance predict",
+        when=_has("slab"),
+        keys=StageKeys(("model",), (), _model),
+        kind="bsdf",
+        memory=1500,
     ),
     Stage(
         "wave",
         "the BSDF that the roughness spectrum predicts by wave optics",
-        when=_has("predicted", "`surface`") & _WAVES & _PREDICTED,
+        when=_has("predicted", "`surface`") & _WAVES & _OPAQUE & _PREDICTED,
         keys=StageKeys(("model",), (), _model),
         kind="bsdf",
         reported=False,

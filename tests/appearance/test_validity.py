@@ -11,6 +11,7 @@ from brdfpipe import facets, psd, vocabulary
 from brdfpipe.appearance.origin import Datasets
 from brdfpipe.appearance.validity import Judgement, validity
 from brdfpipe.appearance.verdicts import verdicts, worst
+from brdfpipe.bsdf import slab
 
 ROUGHNESS = "Roughness against wavelength (550 nm)"
 PITCH = "Structure finer than the scan"
@@ -49,6 +50,20 @@ def test_facets_of_smooth_surfaces_are_not_trusted(sigma, verdict):
     assert ("`model.optics: auto`" in judged(known)[ROUGHNESS].advice) == (verdict != "pass")
     for other in ("wave", "kirchhoff"):
         assert judged(known | {"bsdf": known["bsdf"].assign_attrs(representation=other)})[ROUGHNESS].verdict == "pass"
+
+
+@pytest.mark.parametrize(("sigma", "verdict"), [(0.013, "fail"), (0.12, "fail"), (0.5, "warn"), (5.0, "pass")])
+def test_each_face_of_a_sheet_is_judged_by_the_light_that_passes(sigma, verdict):
+    sheet = slab.build(facets.flat(), facets.flat(), index=1.5)
+    spectrum = psd.analytic("gaussian", sigma=sigma, length=5.0)
+    own_back = {"back_facets": facets.analytic("beckmann", 0.1), "back_psd": spectrum}
+    known: dict[str, xr.Dataset] = {"facets": facets.flat(), "bsdf": sheet, **own_back}
+    front, back = (f"{ROUGHNESS}, {side} face" for side in ("front", "back"))
+    assert judged(known)[back].verdict == verdict
+    assert front not in judged(known)
+    assert judged(known | {"bsdf": sheet.assign(back_wave_sigma=sigma)})[back].verdict == "pass"
+    both = {"facets": own_back["back_facets"], "psd": spectrum, "bsdf": sheet}
+    assert judged(both)[front].verdict == judged(both)[back].verdict == verdict
 
 
 def test_a_condition_that_fails_makes_the_verdict_of_the_material_fail():

@@ -129,7 +129,12 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         (SCAN + "slab: {thickness: 1}\nmodel: {truth: use}", "model.truth: a clear body has no reference solution"),
         (SCAN + "model: {truth: use, recipe: crf}", "model.truth: a reference solution couples its diffuse base"),
         (FRONT + "model: {optics: wave}", "model.optics: `model.optics: wave` needs a roughness spectrum"),
-        (ROUGH + "slab: {thickness: 1}\nmodel: {optics: auto}", "`model.optics: auto` is for a body with one face"),
+        (
+            ROUGH + "slab: {thickness: 1}\nmodel: {optics: composite}",
+            "`model.optics: composite` is for a body with one face",
+        ),
+        (ROUGH + "slab: {thickness: 1}\nmodel: {optics: auto, halo: ghs}", "a clear body has no `halo: ghs`"),
+        (FRONT + "slab: {thickness: 1}\nmodel: {optics: auto}", "`model.optics: auto` needs a roughness spectrum"),
         (ROUGH + "model: {optics: wave, masking: blinn}", "model.masking: `optics: wave` sets it"),
         (ROUGH + "model: {optics: wave, diffuse: crf}", "model.diffuse: `optics: wave` couples its base"),
         (ROUGH + "model: {halo: ghs}", "model.halo: a halo belongs to waves"),
@@ -164,19 +169,29 @@ def test_waves_have_a_stage_and_a_roughness_spectrum(tmp_path: Path) -> None:
     assert {"slope_rms": 0.02, "length": 5}.items() <= loaded.spec("m", "psd").items()
 
 
+def test_the_faces_of_a_slab_have_waves_by_default(tmp_path: Path) -> None:
+    write(tmp_path, "m", ROUGH + "slab: {thickness: 2}")
+    write(tmp_path, "n", ROUGH + "slab: {thickness: 2}\nmodel: {optics: facets}")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.spec("m", "sheet") == {"masking": "height-correlated", "optics": "auto"}
+    assert loaded.spec("n", "sheet") == {"masking": "height-correlated", "optics": "facets"}
+    assert {"slope_rms": 0.02, "length": 5}.items() <= loaded.spec("m", "psd").items()
+
+
 def test_each_stage_of_a_slab_has_the_parameters_of_its_face(tmp_path: Path) -> None:
     text = "surface: {distribution: ggx, a: 0.1}\nindex: PC\nmodel: {masking: Separable}\n"
     slab = "slab: {thickness: 2, absorption: {file: a.txt, unit: 1/cm}, back: {file: b.txt, unit: nm, isotropic: true}}"
     write(tmp_path, "m", text + slab, a_txt="1 2", b_txt="1 2")
     loaded = catalogue.load(tmp_path)
     assert loaded.failures == {}
-    stages = ("facets", "back_surface", "back_facets", "interior", "predicted")
+    stages = ("facets", "back_surface", "back_facets", "back_psd", "interior", "sheet")
     assert {stage: loaded.spec("m", stage) for stage in stages} == {
         "facets": {"distribution": "ggx", "a": 0.1},
         "back_surface": {"file": "b.txt", "unit": "nm", "form": "plane"},
         "back_facets": {"isotropic": True},
+        "back_psd": {},
         "interior": {"thickness": 2, "absorption": {"file": "a.txt", "unit": "1/cm"}},
-        "predicted": {"masking": "separable"},
+        "sheet": {"masking": "separable", "optics": "facets"},
     }
     assert {part: path.name for part, path in loaded["m"].files.items()} == {
         "back_surface": "b.txt",
@@ -208,7 +223,7 @@ def test_writing_a_default_changes_no_parameter_of_a_stage(tmp_path: Path, text:
     write(tmp_path / "a", "m", closed, a_txt="1 2")
     write(tmp_path / "b", "m", text + written, a_txt="1 2")
     first, second = (catalogue.load(tmp_path / folder) for folder in ("a", "b"))
-    stages = ["predicted", *(["interior"] if first["m"].has("slab") else [])]
+    stages = ["sheet", "interior"] if first["m"].has("slab") else ["predicted"]
     assert [first.spec("m", stage) for stage in stages] == [second.spec("m", stage) for stage in stages]
 
 

@@ -233,6 +233,9 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     waves = {"optics": "auto", "diffuse": "coupled", "halo": "ssa1"}
     run("wave", same("psd", "facets", "index", "spectrum"), same("wave"), waves)
     run("visibility", same("surface", "facets"), same("visibility"))
+    run("facets", {}, {"facets": "flat_facets"}, {"distribution": "flat"})
+    faces = {"facets": "flat_facets", **same("psd", "interior", "index")}
+    run("sheet", faces, same("sheet"), {"masking": "height-correlated", "optics": "auto"})
     run("model_error", same("surface", "facets", "predicted"), same("model_error"))
     run("reference", same("surface", "index", "spectrum"), same("reference"), {"diffuse": "coupled"})
     run("uncertainty", same("predicted", "facets", "psd", "index", "spectrum", "model_error"), same("uncertainty"))

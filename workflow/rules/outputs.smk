@@ -6,6 +6,7 @@ use rule stage_template as bsdf with:
         **results_of(
             "predicted",
             "wave",
+            "sheet",
             "reference",
             "flake",
             "measured",

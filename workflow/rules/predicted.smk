@@ -50,6 +50,13 @@ use rule stage_template as back_facets with:
         facets="{material}/back_facets.nc",
 
 
+use rule stage_template as back_psd with:
+    input:
+        **results_of(surface="back_surface"),
+    output:
+        psd="{material}/back_psd.nc",
+
+
 use rule stage_template as interior with:
     input:
         raw=raw_file("interior"),
@@ -78,13 +85,25 @@ use rule stage_template as predicted with:
             "facets",
             "psd",
             "visibility",
-            "back_facets",
-            "interior",
             "index",
             "spectrum",
         ),
     output:
         predicted="{material}/predicted.nc",
+
+
+use rule stage_template as sheet with:
+    input:
+        **results_of(
+            "facets",
+            "psd",
+            "back_facets",
+            "back_psd",
+            "interior",
+            "index",
+        ),
+    output:
+        sheet="{material}/sheet.nc",
 
 
 use rule stage_template as wave with:

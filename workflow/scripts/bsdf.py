@@ -10,7 +10,7 @@ def main(input, output, params):
     inputs = {name: store.open_dataset(path, kinds[name]) for name, path in input.items()}
     source = spec["route"]
     if source == "predicted":
-        source = next(name for name in ("reference", "wave", "predicted") if name in inputs)
+        source = next(name for name in ("reference", "wave", "sheet", "predicted") if name in inputs)
     bsdf = inputs[source].assign_attrs(route=spec["route"])
     if source in ("wave", "predicted") and "uncertainty" in inputs:
         # The changes of variables stand beside these.

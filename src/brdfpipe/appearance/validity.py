@@ -50,12 +50,17 @@ def validity(datasets: Datasets) -> list[Judgement]:
 
     Parameters
     ----------
-    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``visibility`` and ``model_error`` are used where they exist
+    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``visibility``, ``back_psd``, ``back_facets`` and ``model_error`` are
+        used where they exist
     """
-    if "facets" not in datasets or "bsdf" not in datasets or datasets["facets"]["slope_density"].size == 0:
+    if "facets" not in datasets or "bsdf" not in datasets:
         return []
+    is_sheet = datasets["bsdf"].attrs["representation"] == "slab"
+    if not is_sheet and datasets["facets"]["slope_density"].size == 0:
+        return []
+    regimes = [_regime_of_face(datasets, side) for side in ("front", "back")] if is_sheet else [_regime(datasets)]
     judgements = (
-        _regime(datasets),
+        *regimes,
         _pitch(datasets),
         _band(datasets),
         _noise(datasets),
@@ -84,6 +89,28 @@ def _regime(datasets: Datasets) -> Judgement | None:
     return Judgement(condition, f"{finding}; facets", "pass")
 
 
+def _regime_of_face(datasets: Datasets, side: str) -> Judgement | None:
+    """Of a sheet: light that a face transmits has a smaller phase variance than what it reflects."""
+    own_back = side == "back" and "back_facets" in datasets
+    psd = datasets.get("back_psd" if own_back else "psd")
+    if psd is None or datasets["back_facets" if own_back else "facets"]["slope_density"].size == 0:
+        return None
+    sigma, index = float(psd["sigma"]), float(datasets["bsdf"]["n"].mean())
+    through = (2 * np.pi * sigma * (index - 1) / _WAVELENGTH) ** 2
+    reflected = phase_variances(sigma)[20]
+    condition = f"Roughness against wavelength (550 nm), {side} face"
+    finding = f"g = {through:.3g} of light that passes along the normal, {reflected:.3g} of reflection at 20°"
+    if f"{side}_wave_sigma" in datasets["bsdf"]:
+        return Judgement(condition, f"{finding}; waves", "pass")
+    advice = "Set `model.optics: auto`"
+    if through < COHERENT_LIMIT:
+        missing = f"{np.exp(-through):.0%} of the light passes straight on, which facets leave out"
+        return Judgement(condition, f"{finding}; {missing}", "fail", advice)
+    if through < LIMITS[1]:
+        return Judgement(condition, f"{finding}; facets need {LIMITS[1]:g} or more", "warn", advice)
+    return Judgement(condition, f"{finding}; facets", "pass")
+
+
 def _pitch(datasets: Datasets) -> Judgement | None:
     if "surface" not in datasets:
         return None
@@ -94,8 +121,10 @@ def _pitch(datasets: Datasets) -> Judgement | None:
     if psd is None or not np.isfinite(psd["fit_slope"]):
         return Judgement(condition, finding, "")
     exponent, uncertainty = float(psd["fit_slope"]), float(psd["fit_slope_u"])
-    of_slopes = datasets["bsdf"].attrs["representation"] not in ("wave", "kirchhoff")
-    if of_slopes and exponent + SIGNIFICANT * np.nan_to_num(uncertainty) < SLOPE_OF_FINITE_VARIANCE:
+    with_waves = (
+        datasets["bsdf"].attrs["representation"] in ("wave", "kirchhoff") or "front_wave_sigma" in datasets["bsdf"]
+    )
+    if not with_waves and exponent + SIGNIFICANT * np.nan_to_num(uncertainty) < SLOPE_OF_FINITE_VARIANCE:
         finding += f"; the roughness spectrum falls as f^−{exponent:.2g}, so that slopes grow with every finer pitch"
         return Judgement(
             condition, finding, "warn", "Set `model.optics: auto`, or scan with a pitch near the wavelength"

@@ -775,10 +775,15 @@ class Material(Keys):
         """Refuse waves where no roughness spectrum is known."""
         if not self.model.uses_waves:
             return self
-        known = isinstance(self.surface, MeasuredSurface) or getattr(self.surface, "length", None) is not None
-        if self.slab is not None or not known:
-            problem = "is for a body with one face" if self.slab is not None else "needs a roughness spectrum"
-            accepted = "facets; or a measured `surface`, or a beckmann finish with `length`, without `slab`"
+        faces = [self.surface] if self.slab is None else [self.surface, self.slab.back]
+        known = any(isinstance(face, MeasuredSurface) or getattr(face, "length", None) is not None for face in faces)
+        problem = "" if known else "needs a roughness spectrum"
+        accepted = "facets; or a measured `surface`, or a beckmann finish with `length`"
+        if self.slab is not None and self.model.optics == "composite":
+            problem, accepted = "is for a body with one face", "facets, wave or auto with `slab`"
+        if self.slab is not None and self.model.halo not in (None, HALOS[0]):
+            problem, accepted = f"of a clear body has no `halo: {self.model.halo}`", f"`halo: {HALOS[0]}` with `slab`"
+        if problem:
             raise InputError(
                 "",
                 f"`model.optics: {self.model.optics}` {problem}",

@@ -130,7 +130,7 @@ def effect_pigment_section(datasets: Mapping[str, xr.Dataset]) -> Section:
 def spectrum_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     """Spectrum and refractive index, the inputs of the modelled BRDF."""
     section = Section("Spectrum and index")
-    model = datasets.get("predicted" if is_measured(datasets) else "bsdf")
+    model = datasets.get("predicted", datasets.get("sheet")) if is_measured(datasets) else datasets.get("bsdf")
     if "spectrum" in datasets:
         section.figures.append(spectrum_figure(datasets["spectrum"], model))
         section.tables += filter(None, [_recovery_table(datasets["spectrum"])])
