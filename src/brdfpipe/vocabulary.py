@@ -752,8 +752,8 @@ def _quantity(name: str) -> Quantity | None:
         quantity = QUANTITIES[base]
         return Quantity(quantity.units, f"change by one standard uncertainty of: {quantity.long_name}")
     for prefix, place in WAVES_AT_FACES.items():
-        if name.startswith(prefix) and (quantity := _quantity(name.removeprefix(prefix))) is not None:
-            return replace(quantity, long_name=f"{quantity.long_name}; of the {place}")
+        if name.startswith(prefix) and (of_waves := _quantity(name.removeprefix(prefix))) is not None:
+            return replace(of_waves, long_name=f"{of_waves.long_name}; of the {place}")
     base, mark, component = name.partition("_u")
     if mark and base in QUANTITIES and (component == "" or component.startswith("_")):
         quantity = QUANTITIES[base]
