@@ -122,12 +122,12 @@ def test_the_visibility_from_one_direction_is_interpolated(traced):
 @pytest.mark.slow
 def test_the_stated_uncertainty_covers_the_scatter_between_maps():
     maps = [samples.gaussian_surface(256, sigma=0.3, correlation=6, seed=seed) for seed in range(8)]
-    tables = [tabulate(HeightMesh.of(rough), samples=2**14) for rough in maps]
+    tables = [tabulate(HeightMesh.of(rough), samples=2**13) for rough in maps]
+    # Of other maps the steepest facets give other numbers of nodes.
+    common = {"steepness": slice(None, 1.5), "steepness_towards": slice(-1.5, 1.5)}
     for name in ("visibility_ratio", "single_ratio"):
-        # Of other maps the steepest facets give other numbers of nodes.
         ratio, u, flag = (
-            np.stack([table.isel(steepness=slice(10))[f"{name}{end}"].values for table in tables])
-            for end in ("", "_u", "_quality")
+            np.stack([table.sel(common)[f"{name}{end}"].values for table in tables]) for end in ("", "_u", "_quality")
         )
         counted = np.all(flag == 0, axis=0) & (u.mean(axis=0) > 0.002)
         over = ratio.std(axis=0, ddof=1)[counted] / np.sqrt(np.mean(u**2, axis=0))[counted]
