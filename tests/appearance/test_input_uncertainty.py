@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+import random_surfaces
 import xarray as xr
-from samples import beckmann, beckmann_bsdf, spectrum
+from samples import beckmann, beckmann_bsdf, coarse_albedo_tables, spectrum
 
-from brdfpipe import optics, vocabulary
+from brdfpipe import facets, optics, vocabulary
 from brdfpipe.appearance import gloss
 from brdfpipe.appearance.computation import compute_appearance
 from brdfpipe.appearance.quantities import quantity
@@ -81,6 +82,47 @@ def test_the_page_and_the_catalogue_show_the_uncertainty(index_alone):
     row = combine([summarise({name: one.assign_attrs(stage=name, material="m") for name, one in datasets.items()})])
     assert row["gloss_60_u"].item() == pytest.approx(u)
     assert np.isnan(row["luminous_reflectance_u"].item())
+
+
+def meter_readings(height: np.ndarray, noise: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Gloss at 20, 60 and 85° and G60 − G20 of a map of 1 um pitch, and their uncertainty without that of the instrument."""
+    axis = np.arange(float(len(height)))
+    attributes = {"pitch_x": 1.0, "pitch_y": 1.0, "levelling": "plane", "band": "1 um pitch"}
+    surface = vocabulary.label(
+        xr.Dataset({"height": (("y", "x"), height)}, {"y": axis, "x": axis}, attributes), "surface"
+    )
+    counted = facets.estimate(surface, isotropic=True, noise=noise)
+    with coarse_albedo_tables():
+        bsdf = microfacet.build(counted, index=1.5)
+    appearance = compute_appearance(bsdf.merge(uncertainty(bsdf, facets=counted), combine_attrs="override"))
+    values, parts = (
+        np.append(appearance[f"gloss{name}"].values, appearance[f"haze{name}"].values[..., None], axis=-1)
+        for name in ("", "_u_source")
+    )
+    return values, np.sqrt(np.square(parts[:-1]).sum(axis=0))
+
+
+@pytest.mark.slow
+def test_thirty_maps_scatter_in_gloss_and_haze_as_each_states():
+    spectrum_of_heights = random_surfaces.gaussian(0.4, 8.0)
+    maps = [random_surfaces.heights(spectrum_of_heights, (256, 256), (1.0, 1.0), seed) for seed in range(500, 530)]
+    readings, u = map(np.array, zip(*(meter_readings(height, 0.0) for height in maps), strict=True))
+    ratio = np.sqrt(np.mean(np.square(u), axis=0)) / readings.std(axis=0, ddof=1)
+    assert (ratio > 0.8).all()
+    assert (ratio < 1.3).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.05, 0.1, 0.2])
+def test_gloss_of_noisy_maps_is_within_its_uncertainty_of_that_without_noise(share):
+    z = []
+    for seed in range(600, 606):
+        height = random_surfaces.heights(random_surfaces.gaussian(0.6, 12.0), (256, 256), (1.0, 1.0), seed)
+        noisy = height + np.random.default_rng(seed).normal(0, share * 0.6, height.shape)
+        (clean, _), (found, u) = meter_readings(height, 0.0), meter_readings(noisy, None)
+        z.append((found - clean) / u)
+    # An rms of six values of one standard uncertainty exceeds 1.5 in 3 of 100 cases.
+    assert (np.sqrt(np.mean(np.square(z), axis=0)) < 1.5).all()
 
 
 def test_a_tolerance_alone_is_no_uncertainty_of_a_material():

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import random_surfaces
 import xarray as xr
 from samples import beckmann, beckmann_bsdf, spectrum
 
 from brdfpipe import facets, optics, vocabulary
-from brdfpipe.bsdf import microfacet
+from brdfpipe import psd as roughness
+from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.bsdf.input_uncertainty import uncertainty
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.bsdf.nonspectral import nonspectral
@@ -161,3 +163,32 @@ def test_total_reflection_and_black_bases_stay_within_their_ranges():
     for changed in SourceChanges(found).changed:
         assert (changed.evaluate(*AT) >= 0).all()
         assert (changed.albedo(np.array([0.0, 89.0]), np.zeros(2), None) <= 1).all()
+
+
+def test_a_roughness_spectrum_changes_coherent_light_and_halo_as_if_it_was_built_with_it():
+    height = random_surfaces.heights(random_surfaces.gaussian(0.03, 5.0), (128, 128), (0.5, 0.5), 1)
+    axis = 0.5 * np.arange(128.0)
+    attributes = {"pitch_x": 0.5, "pitch_y": 0.5, "levelling": "plane", "band": "0.5 um pitch"}
+    surface = xr.Dataset({"height": (("y", "x"), height)}, {"y": axis, "x": axis}, attributes)
+    psd = roughness.estimate(vocabulary.label(surface, "surface"), noise=0.0)
+    bsdf = wave.build(psd, index=1.5, wavelength=[450.0, 550.0, 650.0])
+    changes = SourceChanges(beside(bsdf, psd=psd))
+    assert set(changes.sources) == {"psd"}
+    incidence = np.array([0.0, 60.0]), np.zeros(2), None
+    coherent = changes.given.specular(*incidence)[0]
+    differences = [one.specular(*incidence)[0] / coherent - 1 for one in changes.changed]
+    # d ln e^(-g) = -g · 2 dσ/σ, of the uncertainty of σ that the spectrum states.
+    relative = float(psd["sigma_u"] / psd["sigma"])
+    g = (
+        4 * np.pi * float(bsdf["sigma"]) * 1e3 * np.cos(np.radians(incidence[0]))[:, None] / bsdf["wavelength"].values
+    ) ** 2
+    np.testing.assert_allclose(np.sqrt(np.square(differences).sum(axis=0)), 2 * g * relative, rtol=0.1)
+    # All light that is not coherent is in the halo.
+    halo = [one.evaluate(np.zeros(1), np.zeros(1), np.array([3.0]), np.zeros(1), None) for one in changes.changed]
+    assert (
+        max(
+            abs(one / changes.given.evaluate(np.zeros(1), np.zeros(1), np.array([3.0]), np.zeros(1), None) - 1).max()
+            for one in halo
+        )
+        > 0.02
+    )

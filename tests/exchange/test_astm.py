@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe import exchange, facets
+from brdfpipe import exchange, facets, optics
 from brdfpipe.bsdf import microfacet, slab
+from brdfpipe.bsdf.input_uncertainty import uncertainty
 from brdfpipe.exchange import astm
 
 GRID = {"theta_i": [0.0, 30.0, 60.0], "theta_o": np.arange(0, 86, 5.0), "phi_o": np.arange(0, 361, 10.0)}
@@ -137,3 +138,15 @@ def test_each_side_of_a_sheet_is_a_file_of_its_own(tmp_path):
 def test_a_table_of_reflection_alone_has_no_transmission_to_write(table, tmp_path):
     with pytest.raises(astm.ExchangeError, match="beyond 90 degree"):
         astm.write_transmission(table, tmp_path / "t.astm")
+
+
+def test_the_header_states_the_uncertainty_where_it_is_known(tmp_path):
+    bsdf = samples.beckmann_bsdf(0.25, n=1.5)
+    changes = uncertainty(bsdf, index=optics.refractive_index(1.5, uncertainty=0.05))
+    for model, stated in ((bsdf, False), (bsdf.merge(changes, combine_attrs="override"), True)):
+        reduced = model.bsdf.nonspectral()
+        astm.write(reduced, tmp_path / "a.astm", table=reduced.bsdf.tabulate(GRID))
+        header = (tmp_path / "a.astm").read_text()
+        relative = reduced.bsdf.uncertainty(45, 0, 45, 180) / reduced.bsdf.evaluate(45, 0, 45, 180) if stated else 0
+        note = f" 45:{float(relative):.4f} "
+        assert ("relative standard uncertainty in the mirror direction" in header and note in header) == stated

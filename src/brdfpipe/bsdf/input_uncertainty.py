@@ -9,7 +9,8 @@ finer than facets are taken as unchanged.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -36,10 +37,12 @@ from brdfpipe.optics.fresnel_equations import fresnel
 
 _THETA = np.array([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 78.0, 82.0, 85.0, 87.0, 88.5, 89.5, 90.0])
 """Incidences of the changes of the directional albedo [degree]."""
-_LAY_TURNS = np.array([0.0, 45.0, 90.0, 135.0])
+_LAY_TURNS = np.array([0.0, 90.0])
 """Azimuths from the lay over which the changes of an albedo are averaged [degree]."""
 _MASKING_STEP = 6
 """Nodes of Λ from one change that is computed to the next; between them the change is linear."""
+_MASKING_TURNS: Array = np.arange(0.0, 360.0, 22.5)
+"""Turns of the azimuth of a surface with a lay at which the change of Λ is computed [degree]."""
 
 _BANDS, _PHASE_STEP = 3, 8
 """Bands of a roughness spectrum of the same mean square height; nodes of the phase variance from one changed halo to the next."""
@@ -186,13 +189,16 @@ def _radial_masking(bsdf: xr.Dataset) -> Callable[[Array], Array]:
 
 
 def _planar_masking(bsdf: xr.Dataset) -> Callable[[Array], Array]:
-    """The same of a surface with a lay."""
+    """The same of a surface with a lay; over the turn of the azimuth, the change is linear between a few."""
     density = PlanarDensity.of(bsdf)
-    given = bsdf["lambda_smith"].transpose("theta", "phi").values
+    given = planar_density.smith_lambda(density, _MASKING_TURNS)
+    turn = density.ellipse.towards(given["phi"].values)[1]
+    asked = density.ellipse.towards(bsdf["phi"].values)[1]
 
     def change(values: Array) -> Array:
-        table = planar_density.smith_lambda(replace(density, density=values)).sortby("phi")
-        return np.asarray(table.values - given)
+        table = planar_density.smith_lambda(replace(density, density=values), _MASKING_TURNS)
+        difference = table.values - given.values
+        return np.stack([np.interp(asked, turn, row, period=360.0) for row in difference])
 
     return change
 
@@ -232,7 +238,8 @@ def _of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[Fields]:
 # --- the diffuse base below the surface
 
 
-class _Base(NamedTuple):
+@dataclass(frozen=True)
+class _Base:
     """The diffuse base of a BSDF, which keeps the total reflectance at that of its spectrum."""
 
     bsdf: xr.Dataset
@@ -242,6 +249,22 @@ class _Base(NamedTuple):
     @classmethod
     def of(cls, bsdf: xr.Dataset, spectrum: xr.Dataset | None) -> _Base:
         return cls(bsdf, representation(bsdf), spectrum)
+
+    @cached_property
+    def _model(self) -> Model:
+        return Model.of(self.bsdf, None)
+
+    @cached_property
+    def _incidences(self) -> tuple[Array, Array, int]:
+        """θ and φ [degree] at which an albedo is compared, and how many azimuths there are of each θ."""
+        turns = np.zeros(1) if self.given.isotropic else (self.given.lay or 0.0) + _LAY_TURNS
+        theta, phi = (grid.ravel() for grid in np.meshgrid(_THETA, turns, indexing="ij"))
+        return theta, phi, turns.size
+
+    @cached_property
+    def _reflected_once(self) -> Array:
+        theta, phi, _ = self._incidences
+        return self._model.specular(theta, phi, self._model.n)
 
     def completed(self, fields: Fields) -> Fields:
         """Add what a change of the surface makes of its albedo and of the base."""
@@ -304,11 +327,10 @@ class _Base(NamedTuple):
 
     def _interface_albedo(self, fields: Fields) -> Array:
         """Change of the light that the facets reflect once, (change_theta, wavelength or 1)."""
-        turns = np.zeros(1) if self.given.isotropic else (self.given.lay or 0.0) + _LAY_TURNS
-        theta, phi = (grid.ravel() for grid in np.meshgrid(_THETA, turns, indexing="ij"))
-        changed, given = self._changed_model(fields), Model.of(self.bsdf, None)
-        change = changed.specular(theta, phi, changed.n) - given.specular(theta, phi, given.n)
-        return np.asarray(change.reshape(_THETA.size, turns.size, -1).mean(axis=1))
+        theta, phi, turns = self._incidences
+        changed = self._changed_model(fields)
+        change = changed.specular(theta, phi, changed.n) - self._reflected_once
+        return np.asarray(change.reshape(_THETA.size, turns, -1).mean(axis=1))
 
     def _wave_albedo(self, fields: Fields) -> Array:
         """Change of Fresnel's reflectance, which a surface with waves keeps, (change_theta, wavelength)."""

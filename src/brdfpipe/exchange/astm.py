@@ -20,6 +20,7 @@ from brdfpipe import store, vocabulary
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.table import Table
+from brdfpipe.bsdf.source_changes import SourceChanges, in_quadrature, uncertain
 from brdfpipe.bsdf.tabulation import relative_loss
 from brdfpipe.exchange import sidecar_tables
 from brdfpipe.exchange.registry import ExchangeError, Format
@@ -38,6 +39,8 @@ FORMAT = Format(
 )
 
 _KEYWORDS = ("NUM_POINTS", "VARS")
+_STATED_AT = np.array([20.0, 45.0, 60.0])
+"""Incidences at which the header states the uncertainty [degree]."""
 
 
 def write(bsdf: xr.Dataset, path: str | os.PathLike[str], *, table: xr.Dataset | None = None) -> None:
@@ -64,6 +67,7 @@ def write(bsdf: xr.Dataset, path: str | os.PathLike[str], *, table: xr.Dataset |
         "angles in radian from the normal; mirror direction at phi_s = phi_i + pi",
         f"the reflectance of this grid differs from the model's by up to {lost:.2%}",
         *_specular_note(table, reduced, through=False),
+        *_uncertainty_note(reduced),
     ]
     store.write_text(path, _file(table, Path(path).name, notes, rows))
 
@@ -158,6 +162,20 @@ def _specular_note(table: xr.Dataset, model: xr.Dataset | None, through: bool) -
     return [
         f"NOT in these rows, because light in a single direction has no density: the share {path}, by theta_i in degree: {listed}"
     ]
+
+
+def _uncertainty_note(model: xr.Dataset | None) -> list[str]:
+    """Relative standard uncertainty of the BRDF in the mirror direction; none where no input has a known one."""
+    if model is None or not uncertain(model):
+        return []
+    changes, theta = SourceChanges(model), _STATED_AT
+    mirror = theta, np.zeros_like(theta), theta, np.full_like(theta, 180.0), None
+    brdf = changes.given.evaluate(*mirror)[:, 0]
+    u = in_quadrature(changes.by_source(changes.of_brdf(*mirror)[..., 0]))
+    relative = np.divide(u, brdf, out=np.zeros_like(u), where=brdf > 0)
+    listed = " ".join(f"{angle:g}:{value:.4f}" for angle, value in zip(theta, relative, strict=True))
+    sources = " and ".join(dict.fromkeys(changes.sources))
+    return [f"relative standard uncertainty in the mirror direction, by theta_i in degree: {listed} (from {sources})"]
 
 
 def _file(table: xr.Dataset, file: str, notes: list[str], rows: Array) -> str:

@@ -12,11 +12,13 @@ JCGM 102:2011 (covariance of several quantities); Golub & Van Loan 2013, *Matrix
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
 
+from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 
@@ -56,6 +58,11 @@ def radial_changes(density: RadialDensity, by_sample: Array) -> Array:
 
     The sums whose variance is kept are the mean square slope, the density of level facets, and the shares of classes of slopes.
     """
+    return changed(density, principal_changes(by_sample, _sums(density)))
+
+
+def _sums(density: RadialDensity) -> Array:
+    """Weights (sums, nodes) of the sums whose variance is kept."""
     slope = density.slope
     edges = np.concatenate([[0.0], (slope[1:] + slope[:-1]) / 2, slope[-1:]])
     share = density.density * np.diff(edges**2)
@@ -63,8 +70,74 @@ def radial_changes(density: RadialDensity, by_sample: Array) -> Array:
     steepest = float(np.interp(0.999, np.cumsum(share) / share.sum(), position))
     classes = np.linspace(0.0, steepest, _CLASSES)
     hats = np.array([np.interp(position, classes, hat) for hat in np.eye(_CLASSES)])
-    weights = np.vstack([share * slope**2 / (share @ slope**2), np.arange(slope.size) == 0, hats * share / share.sum()])
-    return changed(density, principal_changes(by_sample, weights))
+    return np.vstack([share * slope**2 / (share @ slope**2), np.arange(slope.size) == 0, hats * share / share.sum()])
+
+
+def planar_changes(
+    density: PlanarDensity, ring: RadialDensity, by_sample: Array, anisotropy: Array, noise: Array
+) -> dict[str, Array]:
+    """Changes (changes, across, along) of a density with a lay by source, from those of its rings and of its two widths.
+
+    Parameters
+    ----------
+    density : the density
+    ring : that of the slopes over their widths
+    by_sample : (nodes of the rings, samples) logarithmic changes of the rings
+    anisotropy : (2, samples) relative change of the width along the lay less that across it, and turn of the lay, as
+        :func:`changes_of_widths` gives them
+    noise : (changes, nodes of the rings) logarithmic changes of the rings by noise
+    """
+    weights = _sums(ring)
+    weights = np.block([[weights, np.zeros((len(weights), 2))], [np.zeros((2, weights.shape[1])), np.eye(2)]])
+    principal = principal_changes(np.vstack([by_sample, anisotropy]), weights)
+    x, y = density.along.nodes / density.along.scale, density.across.nodes[:, None] / density.across.scale
+    distance = np.hypot(x, y)
+    fall = -np.gradient(np.log(ring.density), ring.slope**2)
+    fall = np.interp(distance, ring.slope, fall)
+
+    def of_plane(rings: Array, widths: Array) -> Array:
+        log_change = np.interp(distance, ring.slope, rings)
+        return np.asarray(log_change + fall * (widths[0] * (x**2 - y**2) + widths[1] * 2 * x * y))
+
+    changes = {
+        "facets": [of_plane(one[:-2], one[-2:]) for one in principal],
+        "noise": [of_plane(one, np.zeros(2)) for one in noise],
+    }
+    return {source: _changed_planar(density, values) for source, values in changes.items()}
+
+
+def changes_of_widths(by_block: Array, nodes: Array) -> Array:
+    """Relative change of the widths of the slopes over them, along less across, and of their correlation, by each block.
+
+    Parameters
+    ----------
+    by_block : (blocks, across, along) facets in cells of the slopes over their widths
+    nodes : (along,) slopes in the middle of the cells
+
+    Returns
+    -------
+    (2, blocks) whose products add up to the covariance of both
+    """
+    x, y = nodes, nodes[:, None]
+    total = float((by_block.sum(axis=0) * (x**2 + y**2)).sum())
+    parts = np.array([(by_block * (x**2 - y**2)).sum(axis=(1, 2)), (by_block * (2 * x * y)).sum(axis=(1, 2))])
+    facets = by_block.sum(axis=(1, 2))
+    used = max(int(np.count_nonzero(facets)), 2)
+    share = facets / max(float(facets.sum()), 1.0)
+    return np.asarray((parts - share * parts.sum(axis=1, keepdims=True)) / total * np.sqrt(used / (used - 1)))
+
+
+def _changed_planar(density: PlanarDensity, logarithmic: Sequence[Array]) -> Array:
+    after = [density.density * np.exp(np.clip(one, -_LARGEST, _LARGEST)) for one in logarithmic]
+    normalised = [one / replace(density, density=one).moments[0] for one in after]
+    return np.array([one - density.density for one in normalised]).reshape(-1, *density.density.shape)
+
+
+def width_change(density: RadialDensity, relative: float) -> Array:
+    """A density less itself (nodes,), after its mean square slope has become smaller by a ``relative`` share, of the same shape."""
+    square = density.slope**2
+    fall = -np.gradient(np.log(density.density), square)
+    return np.asarray(changed(density, -relative * (square * fall - 1)[None])[0])
 
 
 def changed(density: RadialDensity, logarithmic: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -97,7 +99,16 @@ def azimuthal_average(facets: xr.Dataset) -> xr.Dataset:
     vocabulary.validate(facets, "facets")
     if "slope" in facets.dims:
         return facets
-    radial = radial_dataset(radial_average(PlanarDensity.of(facets)), float(facets["slope_rms"]))
+    planar = PlanarDensity.of(facets)
+    density = radial_average(planar)
+    radial = radial_dataset(density, float(facets["slope_rms"]))
+    if "slope_density_change" in facets:
+        changed = (replace(planar, density=planar.density + one) for one in facets["slope_density_change"].values)
+        on_nodes = (radial_average(one)(density.slope**2) for one in changed)
+        changes = ("uncertain_change", "slope"), np.array([one - density.density for one in on_nodes])
+        radial = radial.assign(slope_density_change=changes).assign_coords(
+            uncertainty_source=("uncertain_change", facets["uncertainty_source"].values)
+        )
     radial.attrs = {name: facets.attrs[name] for name in ("method", "band")}
     radial = vocabulary.add_warning(
         radial,

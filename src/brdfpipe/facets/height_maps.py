@@ -10,9 +10,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.facets.density_changes import changed, radial_changes, with_changes
+from brdfpipe.facets.density_changes import (
+    changed,
+    changes_of_widths,
+    planar_changes,
+    radial_changes,
+    with_changes,
+)
 from brdfpipe.facets.facet_dataset import noise_warning, planar_dataset, quality_flags, radial_dataset
-from brdfpipe.facets.noise_removal import with_noise_stated, without_noise
+from brdfpipe.facets.noise_removal import LEAST_SURFACE, with_noise_stated, without_noise
 from brdfpipe.facets.planar_density import Ellipse, PlanarDensity, SlopeAxis
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.facets.slope_histogram import (
@@ -106,6 +112,9 @@ def _isotropic(heights: Sequence[HeightMap], counts: NDArray[np.int64], moments:
     noise_change = _noise_change(heights, bins, widened, density)
     relative_u = np.minimum(np.hypot(relative_u, np.abs(noise_change).sum(axis=0)), 1.0)
     facets = radial_dataset(density, moments.slope_rms)
+    # Removing noise of a share of the mean square slope makes the change of the rest as many times as large.
+    apparent = float(np.trace(moments.apparent_covariance)) / 2
+    block_changes = block_changes / max(1 - widened / apparent, LEAST_SURFACE)
     changes = {
         "facets": radial_changes(density, block_changes),
         "noise": changed(density, np.log1p(np.maximum(noise_change, -0.99))),
@@ -151,7 +160,7 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     ellipse = Ellipse(along, across, moments.lay)
     scaling = _slope_scaling(moments, ellipse)
     bins = merge_bins(histogram(count_scaled(maps, moments.tilts, scaling), np.sqrt(2.0)))
-    round_density, _, ring_u, _ = density_from_histogram(bins)
+    round_density, _, ring_u, block_changes = density_from_histogram(bins)
     # Dividing by the widths removes the broadening uniformly, but a sharp peak needs more of it and a tail less.
     share = float(np.sqrt(np.linalg.det(moments.covariance) / np.linalg.det(moments.apparent_covariance)))
     sharp_density, narrowed = round_density, bins
@@ -175,7 +184,8 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     independent = _refine(counts / redundancy, cells, nodes)
     distance = np.hypot(nodes.nodes, nodes.nodes[:, None])
     relative_u = np.maximum(np.interp(distance, round_density.slope, ring_u), 1 / np.sqrt(np.maximum(independent, 1.0)))
-    noise_u = np.abs(_noise_change(maps, narrowed, 1 / share - 1, sharp_density)).sum(axis=0)
+    noise_change = _noise_change(maps, narrowed, 1 / share - 1, sharp_density)
+    noise_u = np.abs(noise_change).sum(axis=0)
     relative_u = np.minimum(np.hypot(relative_u, np.interp(distance, sharp_density.slope, noise_u)), 1.0)
     dims = ("slope_across", "slope_along")
     facets = planar_dataset(density, moments.slope_rms).assign(
@@ -183,7 +193,12 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
         slope_density_u=(dims, density.density * relative_u),
         slope_density_quality=(dims, quality_flags(independent >= _MEASURED)),
     )
-    facets = facets.assign(_tail_shares(bins))
+    log_noise = np.log1p(np.maximum(noise_change, -0.99))
+    on_rings = [np.interp(round_density.slope, sharp_density.slope, one) for one in log_noise]
+    amplified = block_changes / max(share, LEAST_SURFACE)
+    widths = changes_of_widths(by_block.astype(float), cells.nodes) / max(share, LEAST_SURFACE)
+    changes = planar_changes(density, round_density, amplified, widths, np.array(on_rings))
+    facets = with_changes(facets.assign(_tail_shares(bins)), changes)
     return _with_few_warning(facets, bins)
 
 

@@ -31,6 +31,8 @@ class RadialEstimate(NamedTuple):
     slope_rms: float
     relative_u: Array
     """Relative standard uncertainty on the nodes of the density, at most 1."""
+    half_changes: Array
+    """(nodes, halves) changes of ln P22 by the half-samples: their products add up to its covariance."""
 
 
 def _relative_uncertainty(slope: Array, densities: Array) -> Array:
@@ -43,6 +45,12 @@ def _relative_uncertainty(slope: Array, densities: Array) -> Array:
     total = np.concatenate([[0.0], np.cumsum(square)])
     low, high = np.searchsorted(slope, slope / 1.35), np.searchsorted(slope, slope * 1.35, side="right")
     return np.minimum(1.0, np.sqrt(np.maximum(total[high] - total[low], 0) / (high - low)))
+
+
+def _half_changes(densities: Array) -> Array:
+    """Logarithms of the densities of half-samples over the first of several densities (1 + halves, slope), (slope, halves)."""
+    ratio = ratio_of(densities[1:], densities[0])
+    return np.log(np.maximum(ratio, 1e-6)).T / np.sqrt(max(len(ratio), 1))
 
 
 def ratio_of(density: Array, reference: Array) -> Array:
@@ -143,7 +151,10 @@ def estimate_from_mixture(marginal: LineSlopeCounts, fit: Mixture) -> RadialEsti
     slope = scale * np.sinh(np.linspace(0, np.arcsinh(8.3 * fit.widest / scale), _NODES))
     densities = fit.density(slope**2, slice(None)).T
     return RadialEstimate(
-        RadialDensity(slope, densities[0]), marginal.slope_rms, _relative_uncertainty(slope, densities)
+        RadialDensity(slope, densities[0]),
+        marginal.slope_rms,
+        _relative_uncertainty(slope, densities),
+        _half_changes(densities),
     )
 
 
@@ -195,7 +206,7 @@ def estimate_from_rings(marginal: LineSlopeCounts, fit: Mixture) -> RadialEstima
     mean_along = float(along @ share @ (area * heights[0]))
     if abs(float(weight @ s) / mean_of_rings * mean_along / float(along @ counts / size) - 1) > 0.05:
         return None
-    return RadialEstimate(density, marginal.slope_rms, _relative_uncertainty(slope, values))
+    return RadialEstimate(density, marginal.slope_rms, _relative_uncertainty(slope, values), _half_changes(values))
 
 
 def _disc_below(p: Array, radius: Array) -> Array:
@@ -231,4 +242,4 @@ def estimate_from_patent(marginal: LineSlopeCounts) -> RadialEstimate:
     s, weight = density.rule()
     # Between the finish and outlying slopes there are no bins, and the density is no one's.
     slope_rms = marginal.slope_rms if marginal.outlying.share else float(np.sqrt(weight @ s**2))
-    return RadialEstimate(density, slope_rms, _relative_uncertainty(slope, values))
+    return RadialEstimate(density, slope_rms, _relative_uncertainty(slope, values), _half_changes(values))

@@ -19,6 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.facets.density_changes import radial_changes, width_change, with_changes
 from brdfpipe.facets.facet_dataset import (
     noise_warning,
     planar_dataset,
@@ -28,6 +29,7 @@ from brdfpipe.facets.facet_dataset import (
 )
 from brdfpipe.facets.line_inversion import (
     Mixture,
+    RadialEstimate,
     estimate_from_mixture,
     estimate_from_patent,
     estimate_from_rings,
@@ -156,6 +158,7 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str, noise: float | NoiseFlo
     )
     s, weight = density.rule()
     facets = facets.assign(_tail_shares(s**2, weight, s > marginal.measured_to))
+    facets = with_changes(facets, _changes(inverted, marginal))
     facets.attrs |= {"method": f"line profile, {method}", "band": str(lines[0].attrs["band"])}
     facets = vocabulary.add_warning(
         vocabulary.add_history(facets, *history), *warnings, *_short_line_warning([marginal], relative_u[0])
@@ -171,6 +174,15 @@ def _tail_shares(squares: Array, weight: Array, beyond: NDArray[np.bool_]) -> di
         "tail_share": float(weight[beyond].sum() / weight.sum()),
         "tail_contribution": float(part[beyond].sum() / part.sum()),
     }
+
+
+def _changes(inverted: RadialEstimate, marginal: LineSlopeCounts) -> dict[str, Array]:
+    """Changes of the density (changes, nodes) by source."""
+    few = np.sqrt(1 + _CORRELATION_COST / marginal.independent)
+    of_facets = radial_changes(inverted.density, few * inverted.half_changes)
+    if not marginal.noise_u:
+        return {"facets": of_facets}
+    return {"facets": of_facets, "noise": width_change(inverted.density, marginal.noise_u / marginal.rms**2)[None]}
 
 
 def _with_rounding_and_sampling(relative_u: Array, marginals: Sequence[LineSlopeCounts]) -> Array:

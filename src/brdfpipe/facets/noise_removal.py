@@ -23,7 +23,7 @@ from brdfpipe.facets.line_inversion import accelerated_em_step
 from brdfpipe.facets.slope_histogram import MergedHistogram, redundancy_of
 from brdfpipe.geometry import Array
 
-_LEAST_SURFACE = 0.05
+LEAST_SURFACE = 0.05
 """Least share of the mean square slope that is left to the surface."""
 _MIN_GAIN = 0.03
 """Gain of log-likelihood per redundant facet below which the iteration stops, as in the fit of lines."""
@@ -68,7 +68,7 @@ def without_noise(binned: MergedHistogram, mean_square: float, pitch: tuple[floa
     totals, edges = binned.totals, binned.edges
     typical = np.append((edges[1:] ** 2 + edges[:-1] ** 2) / 2, (edges[-1] + binned.tail_excess) ** 2)
     apparent = float(totals @ typical) / totals.sum() / 2
-    narrowing = np.sqrt(max(1 - mean_square / apparent, _LEAST_SURFACE))
+    narrowing = np.sqrt(max(1 - mean_square / apparent, LEAST_SURFACE))
     rings = narrowing * edges
     mean_squares = mean_square * (1 + _eccentricity(pitch) * np.cos(np.pi * (np.arange(_GAUSSIANS) + 0.5) / _GAUSSIANS))
     spreads = [_spread(rings, narrowing * binned.tail_excess, edges, value) for value in mean_squares]

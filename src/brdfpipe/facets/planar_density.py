@@ -238,13 +238,13 @@ class PlanarDensity:
         return np.asarray(values @ weight * (self.along.scale * self.across.scale))
 
 
-def smith_lambda(density: PlanarDensity) -> xr.DataArray:
-    """Λ(θ, φ) of a planar density: the mean excess slope of every azimuth's marginal, over cot θ.
+def smith_lambda(density: PlanarDensity, turns: Array | None = None) -> xr.DataArray:
+    """Λ(θ, φ) of a planar density: the mean excess slope of every azimuth's marginal, over cot θ; ``turns`` are other turns ω [degree].
 
     Azimuths are evenly spaced in the turn ω of the scaled slopes, which resolves the narrow sector along the lay.
     """
     ellipse = density.ellipse
-    phi = ellipse.azimuths(_MASKING_TURNS)
+    phi = ellipse.azimuths(_MASKING_TURNS if turns is None else turns)
     steepest = max(ellipse.along, ellipse.across) * density.reach
     scale = min(ellipse.along, ellipse.across)
     end = float(np.arcsinh(steepest / scale))

@@ -43,6 +43,7 @@ def scaled(facets: xr.Dataset, factor: float) -> xr.Dataset:
     ratios: dict[str, float | xr.DataArray] = {
         "slope_density": factor**-2,
         "slope_density_u": factor**-2,
+        "slope_density_change": factor**-2,
         "slope_rms": factor,
         "slope_rms_scale": factor,
         "tail_slope": factor,
