@@ -42,8 +42,8 @@ import relief_maps
 import samples
 
 INDEX = 1.5
-SIZE = 256
-REFERENCE_RAYS = 1_200_000
+SIZE = 192
+REFERENCE_RAYS = 600_000
 """Rays of the reference, of six incidences together."""
 DIRECTIONS = 200_000
 PEAK_ANGLES, GLOSS_ANGLES = (0.0, 60.0, 75.0), (20.0, 60.0, 85.0)
@@ -168,7 +168,7 @@ def report(results: Mapping[str, list[Measured]]) -> str:
         "in gloss units; on ridges the larger of along and across the lay. Build: from the heights, processor seconds of one core, "
         "after compilation, on a machine in use. Evaluation: million directions a second at one wavelength. – : no reference holds there.",
         "",
-        "Rows from top to bottom cost more. [How a model is chosen](model.md#how-far-a-prediction-can-be-trusted) and "
+        "[How a model is chosen](model.md#how-far-a-prediction-can-be-trusted) and "
         "[where a reference holds](model.md#the-error-of-a-model) say which to take. The reference of traced rays is traced with other rays on the same map: their "
         "error is that of their number and of their table.",
     ]

@@ -246,7 +246,7 @@ def test_a_reference_solution_replaces_the_prediction(tmp_path: Path) -> None:
     assert summary.failures == {}
     made = {name: {path.stem for path in (tmp_path / "results" / name).glob("*.nc")} for name in ("used", "unchecked")}
     assert made["used"] - made["unchecked"] == {"reference"}
-    assert made["unchecked"] - made["used"] == {"wave"}
+    assert made["unchecked"] - made["used"] == {"wave", "uncertainty"}
     bsdf = store.open_dataset(tmp_path / "results" / "used" / "bsdf.nc")
     assert bsdf.attrs["representation"] == "kirchhoff"
     assert "diffraction on the map" in bsdf.attrs["history"]

@@ -474,7 +474,7 @@ _STAGES = (
     Stage(
         "uncertainty",
         "the changes of the predicted BSDF by the uncertainties of its inputs",
-        when=_has("predicted") & _OPAQUE,
+        when=_has("predicted") & _OPAQUE & _PREDICTED,
     ),
     Stage(
         "flake",
