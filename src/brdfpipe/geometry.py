@@ -87,6 +87,8 @@ def check_angles(name: str, angles: ArrayLike, low: float, high: float) -> Array
 
     Raises VocabularyError: an angle outside ``[low, high]`` degree, not finite, or with units other than degree.
     """
+    if isinstance(angles, float | int) and low <= angles <= high:
+        return np.array(angles, dtype=float)
     units = getattr(angles, "attrs", {}).get("units", "degree")
     if units not in ("degree", "degrees", "deg", "°"):
         raise VocabularyError(f"{name} is in {units!r}; accepted: degree")

@@ -32,11 +32,11 @@ class PiecewiseCubic:
 
     nodes: Array
     coefficients: Array
-    _offset: float
-    _shift: int
-    _first_key: int
-    _guide: NDArray[np.int64]
-    _steps: int
+    offset: float
+    shift: int
+    first_key: int
+    guide: NDArray[np.int64]
+    steps: int
 
     @classmethod
     def of(cls, spline: PPoly) -> PiecewiseCubic:
@@ -65,12 +65,12 @@ class PiecewiseCubic:
 
     def __call__(self, x: Array) -> Array:
         """Values at x, in [0, last] (not checked), of the shape of x and the trailing shape of the coefficients."""
-        key = _bits(x + self._offset)
-        key >>= self._shift
-        key -= self._first_key
+        key = _bits(x + self.offset)
+        key >>= self.shift
+        key -= self.first_key
         # mode="clip" is the fastest; all indices are in range.
-        index = self._guide.take(key, mode="clip")
-        for _ in range(self._steps):
+        index = self.guide.take(key, mode="clip")
+        for _ in range(self.steps):
             index += x >= self._ends.take(index, mode="clip")
         step = x - self.nodes.take(index, mode="clip")
         trailing = self.coefficients.shape[2:]

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Hashable, Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -31,6 +31,9 @@ class BSDFAccessor:
     def __init__(self, dataset: xr.Dataset) -> None:
         representation(dataset)  # refuses a dataset that is not a BSDF
         self._dataset = dataset
+        self._of_one_direction: dict[tuple[str, bytes | None], xr.DataArray] = {}
+        self._wavelength_variable: xr.Variable | None = None
+        self._wavelength_values: Array | None = None
 
     def evaluate(
         self, theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike, wavelength: Wavelengths = None
@@ -266,9 +269,18 @@ class BSDFAccessor:
     def _representation(self) -> Representation:
         return representation(self._dataset)
 
-    def _incidences(self, theta_i: ArrayLike, phi_i: ArrayLike) -> tuple[xr.DataArray, ...]:
+    @property
+    def _own_wavelengths(self) -> Array | None:
+        """Wavelengths of the dataset; their values are converted once for each variable, which takes longer than a simple BSDF."""
+        variable = self._dataset.variables.get("wavelength")
+        if variable is not self._wavelength_variable:
+            self._wavelength_variable = variable
+            self._wavelength_values = None if variable is None else np.asarray(variable.values)
+        return self._wavelength_values
+
+    def _incidences(self, theta_i: ArrayLike, phi_i: ArrayLike) -> _Angles:
         highest = 180 if self._representation.transmits else 90
-        return broadcast(
+        return _Angles.of(
             theta_i=checked_angles("theta_i", theta_i, 0, highest), phi_i=checked_angles("phi_i", phi_i, -720, 720)
         )
 
@@ -290,18 +302,17 @@ class BSDFAccessor:
             raise VocabularyError(
                 f"wavelength has shape {wavelengths.shape}; accepted: finite numbers in one dimension"
             )
-        if "wavelength" in self._dataset.coords:
-            own = self._dataset["wavelength"].values
-            if wavelengths.size and (wavelengths.min() < own[0] or wavelengths.max() > own[-1]):
-                raise VocabularyError(
-                    f"wavelength spans {wavelengths.min():g} to {wavelengths.max():g} nm; the data cover {own[0]:g} to {own[-1]:g} nm"
-                )
+        own = self._own_wavelengths
+        if own is not None and wavelengths.size and (wavelengths.min() < own[0] or wavelengths.max() > own[-1]):
+            raise VocabularyError(
+                f"wavelength spans {wavelengths.min():g} to {wavelengths.max():g} nm; the data cover {own[0]:g} to {own[-1]:g} nm"
+            )
         return wavelengths
 
     def _labelled(
         self,
         quantity: Callable[..., Array],
-        angles: tuple[xr.DataArray, ...],
+        angles: _Angles,
         wavelength: Wavelengths,
         name: str,
         long_name: str,
@@ -310,17 +321,65 @@ class BSDFAccessor:
     ) -> xr.DataArray:
         """A method of the representation at labelled angles; ``frames`` are the dimensions after the wavelength."""
         wavelengths = self._wavelengths(wavelength)
-        values, like = quantity(*(angle.values for angle in angles), wavelengths), angles[0]
-        if wavelengths is None and "wavelength" in self._dataset.coords:
-            wavelengths = self._dataset["wavelength"].values
-        coords: dict[Hashable, object] = {**like.coords, **frames}
-        attrs = {"units": units, "long_name": long_name}
+        values, shape = quantity(*angles.values, wavelengths), angles.values[0].shape
         if wavelengths is None:
-            return xr.DataArray(values.take(0, like.ndim), coords, (*like.dims, *frames), name, attrs)
-        values = np.broadcast_to(values, (*like.shape, wavelengths.size, *values.shape[like.ndim + 1 :]))
-        nm = {"units": "nm", "long_name": vocabulary.QUANTITIES["wavelength"].long_name}
-        coords["wavelength"] = ("wavelength", wavelengths, nm)
-        return xr.DataArray(values, coords, (*like.dims, "wavelength", *frames), name, attrs)
+            wavelengths = self._own_wavelengths
+        if wavelengths is None:
+            values = values[(slice(None),) * len(shape) + (0,)]
+        else:
+            values = np.broadcast_to(values, (*shape, wavelengths.size, *values.shape[len(shape) + 1 :]))
+        if shape or angles.coords:
+            return _array(values, angles, wavelengths, name, long_name, units, frames)
+        # A new array takes much longer than a copy of an earlier one with other values.
+        key = name, None if wavelengths is None else wavelengths.tobytes()
+        if key not in self._of_one_direction:
+            if len(self._of_one_direction) >= _MOST_TEMPLATES:
+                self._of_one_direction.clear()
+            template = _array(values, angles, wavelengths, name, long_name, units, frames)
+            self._of_one_direction[key] = template.copy(data=np.zeros_like(values))
+        return self._of_one_direction[key].copy(deep=False, data=values)
+
+
+_MOST_TEMPLATES = 16
+
+
+class _Angles(NamedTuple):
+    """Angles of one shape, with the coordinates and dimensions of the result."""
+
+    values: tuple[Array, ...]
+    coords: Mapping[Hashable, object]
+    dims: tuple[Hashable, ...]
+
+    @classmethod
+    def of(cls, **angles: xr.DataArray | Array) -> _Angles:
+        """Of checked angles, which broadcast as in :func:`brdfpipe.geometry.broadcast`."""
+        plain = [angle for angle in angles.values() if not isinstance(angle, xr.DataArray)]
+        shapes = {angle.shape for angle in plain if angle.shape}
+        if len(plain) < len(angles) or len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
+            labelled = broadcast(**angles)
+            return cls(tuple(angle.values for angle in labelled), labelled[0].coords, labelled[0].dims)
+        if not shapes:
+            return cls(tuple(plain), {}, ())
+        (shape,) = shapes
+        return cls(tuple(np.broadcast_to(angle, shape) for angle in plain), {}, ("direction",))
+
+
+def _array(
+    values: Array,
+    angles: _Angles,
+    wavelengths: Array | None,
+    name: str,
+    long_name: str,
+    units: str,
+    frames: Mapping[Hashable, list[str]],
+) -> xr.DataArray:
+    coords: dict[Hashable, object] = {**angles.coords, **frames}
+    attrs = {"units": units, "long_name": long_name}
+    if wavelengths is None:
+        return xr.DataArray(values, coords, (*angles.dims, *frames), name, attrs)
+    nm = {"units": "nm", "long_name": vocabulary.QUANTITIES["wavelength"].long_name}
+    coords["wavelength"] = ("wavelength", wavelengths, nm)
+    return xr.DataArray(values, coords, (*angles.dims, "wavelength", *frames), name, attrs)
 
 
 def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Dataset:
@@ -336,8 +395,8 @@ def open_dataset(path: str | os.PathLike[str], kind: str | None = None) -> xr.Da
     return dataset
 
 
-def _directions(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> tuple[xr.DataArray, ...]:
-    return broadcast(
+def _directions(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike) -> _Angles:
+    return _Angles.of(
         theta_i=checked_angles("theta_i", theta_i, 0, 180),
         phi_i=checked_angles("phi_i", phi_i, -720, 720),
         theta_o=checked_angles("theta_o", theta_o, 0, 180),

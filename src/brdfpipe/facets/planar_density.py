@@ -162,11 +162,11 @@ class PlanarDensity:
 
         row, column = np.broadcast_arrays(self.across.position(across), self.along.position(along))
         position = np.stack([row.ravel(), column.ravel()])
-        values = map_coordinates(self._coefficients, position, order=3, prefilter=False, cval=-np.inf)
+        values = map_coordinates(self.log_coefficients, position, order=3, prefilter=False, cval=-np.inf)
         return np.exp(values).reshape(row.shape)
 
     @cached_property
-    def _coefficients(self) -> Array:
+    def log_coefficients(self) -> Array:
         from scipy.ndimage import spline_filter
 
         return np.asarray(spline_filter(np.log(self.density), order=3, mode="mirror"))

@@ -46,15 +46,15 @@ class RadialDensity:
     def __call__(self, slope_squared: ArrayLike) -> Array:
         """P22 at s², of any shape."""
         u = np.asarray(slope_squared, dtype=float)
-        last = self._log_density.last
+        last = self.log_density.last
         if u.size and u.max() <= last:
-            return np.asarray(np.exp(self._log_density(u)))
-        values = np.asarray(np.exp(self._log_density(np.minimum(u, last))))
+            return np.asarray(np.exp(self.log_density(u)))
+        values = np.asarray(np.exp(self.log_density(np.minimum(u, last))))
         values[u > last] = 0.0
         return values
 
     @cached_property
-    def _log_density(self) -> PiecewiseCubic:
+    def log_density(self) -> PiecewiseCubic:
         u, values = self.slope**2, np.log(self.density)
         return PiecewiseCubic.of(CubicHermiteSpline(u, values, _limited_derivatives(u, values)))
 

@@ -59,7 +59,7 @@ def smith_lambda(density: RadialDensity) -> xr.DataArray:
 class Smith:
     """The mean excess slope g(μ), from a table of Λ(θ)."""
 
-    _spline: PiecewiseCubic
+    spline: PiecewiseCubic
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> Smith:
@@ -75,7 +75,7 @@ class Smith:
     def excess(self, mu: ArrayLike, phi: ArrayLike = 0.0) -> Array:
         """g(μ), of any shape and in any azimuth; μ = inf (normal incidence) gives 0."""
         # At the last node g is zero but for rounding.
-        excess = self._spline(np.minimum(np.asarray(mu, dtype=float), self._spline.last))
+        excess = self.spline(np.minimum(np.asarray(mu, dtype=float), self.spline.last))
         return np.maximum(excess, 0.0)
 
 
@@ -94,9 +94,9 @@ class PlanarSmith:
     is not: g/w is interpolated over asinh(μ/w) and the turn ω (:class:`~brdfpipe.facets.planar_density.Ellipse`).
     """
 
-    _spline: RectBivariateSpline
+    spline: RectBivariateSpline
     _ellipse: Ellipse
-    _last: float
+    last: float
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> PlanarSmith:
@@ -119,8 +119,8 @@ class PlanarSmith:
         """g(μ, φ), broadcast; φ in degree, μ = inf (normal incidence) gives 0."""
         width, turn = self._ellipse.towards(phi)
         slope = np.asarray(mu, dtype=float) / width
-        inside = slope < self._last
-        values = width * self._spline.ev(np.arcsinh(np.where(inside, slope, 0.0)), turn)
+        inside = slope < self.last
+        values = width * self.spline.ev(np.arcsinh(np.where(inside, slope, 0.0)), turn)
         return np.where(inside, np.maximum(values, 0.0), 0.0)
 
 

@@ -118,7 +118,7 @@ def azimuth_to_arc(ellipse: Ellipse, azimuth: Array | float) -> Array:
 
     It resolves the change of the width w of the slopes from wide to narrow at any ratio.
     """
-    ratio, wide = _axis_ratio(ellipse)
+    ratio, wide = axis_ratio(ellipse)
     angle = np.asarray(azimuth, dtype=float) - wide
     halves = np.round(angle / 180)
     rest = np.radians(angle - 180 * halves)
@@ -130,16 +130,16 @@ def azimuth_to_arc(ellipse: Ellipse, azimuth: Array | float) -> Array:
 
 def arc_to_azimuth(ellipse: Ellipse, arc: Array) -> Array:
     """Azimuths [degree] of arcs, in their order; the inverse of :func:`azimuth_to_arc`."""
-    ratio, wide = _axis_ratio(ellipse)
+    ratio, wide = axis_ratio(ellipse)
     return np.asarray(wide + np.degrees(ellipj(arc / 90 * ellipkm1(ratio**2), 1 - ratio**2)[3]))
 
 
 def quarter_arc(ellipse: Ellipse) -> float:
     """∫ dφ / w over a quarter, times the larger width [degree]: 90 for a circle, growing as the logarithm of the ratio."""
-    return float(np.degrees(ellipkm1(_axis_ratio(ellipse)[0] ** 2)))
+    return float(np.degrees(ellipkm1(axis_ratio(ellipse)[0] ** 2)))
 
 
-def _axis_ratio(ellipse: Ellipse) -> tuple[float, float]:
+def axis_ratio(ellipse: Ellipse) -> tuple[float, float]:
     """Smaller over larger width, and azimuth of the larger."""
     along_is_wide = ellipse.along >= ellipse.across
     ratio = min(ellipse.along, ellipse.across) / max(ellipse.along, ellipse.across)

@@ -227,11 +227,11 @@ class AlbedoTable:
         """E, (…, wavelength), in [0, 1]."""
         grazing = 90 - np.asarray(theta, dtype=float)
         if self.phi is None:
-            values = self._spline(grazing)
+            values = self.spline(grazing)
             return np.clip(values if self.second is None else values + self.second(90 - grazing), 0.0, 1.0)
         assert self.ellipse is not None
-        at = np.arcsinh(grazing / _lay_scale(self.ellipse)), quadrature.azimuth_to_arc(self.ellipse, phi)
-        return np.clip(np.stack([spline.ev(*at) for spline in self._surfaces], axis=-1), 0.0, 1.0)
+        at = np.arcsinh(grazing / lay_scale(self.ellipse)), quadrature.azimuth_to_arc(self.ellipse, phi)
+        return np.clip(np.stack([spline.ev(*at) for spline in self.surfaces], axis=-1), 0.0, 1.0)
 
     def mean(self) -> Array:
         """2 ∫ E μ dμ, averaged over azimuth, (wavelength,): exact for the spline."""
@@ -246,24 +246,24 @@ class AlbedoTable:
         return np.asarray(weight @ mean)
 
     @cached_property
-    def _spline(self) -> PiecewiseCubic:
+    def spline(self) -> PiecewiseCubic:
         smooth = self.values if self.second is None else self.values - self.second(self.theta)
         return PiecewiseCubic.of(_even_spline(90 - self.theta[::-1], smooth[::-1]))
 
     @cached_property
-    def _surfaces(self) -> list[RectBivariateSpline]:
+    def surfaces(self) -> list[RectBivariateSpline]:
         assert self.phi is not None
         assert self.ellipse is not None
         arc = quadrature.azimuth_to_arc(self.ellipse, self.phi)
         order = np.argsort(arc)
         around = np.concatenate([order[-4:], order, order[:4]])
-        grazing = np.arcsinh((90 - self.theta[::-1]) / _lay_scale(self.ellipse))
+        grazing = np.arcsinh((90 - self.theta[::-1]) / lay_scale(self.ellipse))
         values = np.moveaxis(self.values[::-1][:, around], -1, 0)
         arcs = np.unwrap(arc[around] - 360, period=360)
         return [RectBivariateSpline(grazing, arcs, by_angles) for by_angles in values]
 
 
-def _lay_scale(ellipse: Ellipse) -> float:
+def lay_scale(ellipse: Ellipse) -> float:
     """Angle from grazing [degree] on which the albedo of a surface with a lay varies."""
     return min(float(np.degrees(min(ellipse.along, ellipse.across))) / _LAY_FINENESS, _LAY_MOST_GRAZING)
 
@@ -288,7 +288,7 @@ def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], ex
 def _tabulated_lay(density: PlanarDensity, albedo: Callable[[Array, Array], Array], exact: Array) -> AlbedoTable:
     """The same for a surface with a lay: uniform in scaled angles, with the error found between all nodes."""
     ellipse = density.ellipse
-    scale = _lay_scale(ellipse)
+    scale = lay_scale(ellipse)
     end = np.arcsinh(90 / scale)
     uniform = np.linspace(0, end, int(np.ceil(end / _LAY_STEP)) + 1)
     exact_grazing = np.arcsinh((90 - exact) / scale)

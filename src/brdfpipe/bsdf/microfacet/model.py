@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -20,6 +21,7 @@ from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, half_vector
 from brdfpipe.hemisphere import panel_rule
+from brdfpipe.masking.modes import SMITH_MASKINGS
 from brdfpipe.masking.smith import Smith, smith_lambda
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 from brdfpipe.optics.fresnel_equations import mean_fresnel as mean_fresnel_reflectance
@@ -32,6 +34,12 @@ _LAY_AZIMUTHS = 24
 
 _BLOCK = 2**14
 """Directions that are evaluated together, so that their arrays stay in the processor's cache."""
+
+_CLOSEST_TO_METAL = 1e70
+"""Larger indices are perfect mirrors."""
+
+_MANY_VALUES = 2**17
+"""From so many values on, the compiled kernel is used: to load it takes as long as numpy needs for twenty times as many."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +111,8 @@ class Model:
         angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
         shape = angles[0].shape
         flat = [angle.reshape(-1) for angle in angles]
+        if flat[0].size * self._width >= _MANY_VALUES and self._has_kernel:
+            return self._compiled(flat).reshape(*shape, self._width)
         in_above, out_above = flat[0] < 90, flat[2] < 90
         above = in_above & out_above
         result = (np.empty if above.all() else np.zeros)((flat[0].size, self._width))
@@ -112,6 +122,40 @@ class Model:
             self._fill(result, in_below & out_below, self._reflected_below, flat)
             self._fill(result, (in_above & out_below) | (in_below & out_above), self._transmitted, flat)
         return result.reshape(*shape, self._width)
+
+    @property
+    def _has_kernel(self) -> bool:
+        """Whether the compiled kernel evaluates this model: opaque, denser than air, and with the modes that conserve energy."""
+        return (
+            self.surface is not None
+            and not self.transparent
+            and self.second is None
+            and self.masking in SMITH_MASKINGS
+            and (self.diffuse_mode != "crf" or not self.diffuse.any())
+            and bool(np.all((self.n < _CLOSEST_TO_METAL) & ((self.n >= 1) | (self.k > 0))))
+        )
+
+    @cached_property
+    def _compiled(self) -> Callable[[Sequence[Array]], Array]:
+        """The kernel with the fields of this model, from θ_i, φ_i, θ_o and φ_o, (directions,) each."""
+        from brdfpipe.bsdf.microfacet import evaluation_kernel as kernel
+
+        assert self.surface is not None
+        n, k = np.broadcast_arrays(self.n, self.k)
+        of_index = n.size if n.size == 1 else self._width
+        base = self.diffuse / (np.pi * (1 - self.mean_albedo)) if self.diffuse.any() else np.zeros(1)
+        returned = self.compensation / (np.pi * max(1 - self.mean_furnace, 1e-300))
+        shading = kernel.Shading(
+            np.full(of_index, n),
+            np.full(of_index, k),
+            np.full(self._width, base),
+            np.full(self._width, returned),
+            absorbs=bool(k.any()),
+            has_base=bool(self.diffuse.any()),
+            has_returned=self.furnace is not None,
+        )
+        tables = kernel.tables_of(self.surface, self.masking, self.albedo, self.furnace)
+        return lambda angles: kernel.evaluate(tables, shading, angles, self._width)
 
     @staticmethod
     def _fill(result: Array, where: NDArray[np.bool_], evaluate: Callable[..., Array], angles: list[Array]) -> None:
@@ -144,7 +188,7 @@ class Model:
         if self.diffuse_mode == "crf":
             cos_o = np.cos(np.radians(theta_o)) if cos_o is None else cos_o
             return np.asarray(brdf + self.diffuse / np.pi * (2 * cos_o / (1 + cos_o))[:, None])
-        entering, leaving = 1 - self.albedo(theta_i, phi_i), 1 - self.albedo(theta_o, phi_o)
+        entering, leaving = 1 - self.albedo(np.stack([theta_i, theta_o]), np.stack([phi_i, phi_o]))
         return np.asarray(brdf + self.diffuse / (np.pi * (1 - self.mean_albedo)) * (entering * leaving))
 
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:

@@ -1,0 +1,839 @@
+"""Compiled kernel: the BRDF of the microfacet model for many directions, on one core.
+
+The arithmetic is that of :class:`~brdfpipe.bsdf.microfacet.model.Model`, whose tables it reads, without arrays in between: results agree
+to 1e-12 where the BRDF does not amplify the rounding of angles in degree. Directions pass in blocks that stay in the processor's cache.
+Elementary functions are written out as polynomials (after fdlibm and Cephes) so that the compiler evaluates several directions at once
+and results do not depend on the processor's mathematical library. There is no ``fastmath``: operations are neither reordered nor fused.
+
+All compiled functions are in this module, because the compiler's cache of a function does not see changes in other modules.
+
+References
+----------
+Cody & Waite 1980, Software Manual for the Elementary Functions; Abramowitz & Stegun 1964, §17.6 (Landen's transformation).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeAlias, TypeVar
+
+import numba
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+from scipy.interpolate import PPoly, RectBivariateSpline
+
+from brdfpipe.bsdf.microfacet.anisotropic_quadrature import axis_ratio
+from brdfpipe.bsdf.microfacet.energy import AlbedoTable, lay_scale
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.geometry import Array
+from brdfpipe.masking.smith import PlanarSmith, Smith
+from brdfpipe.piecewise import PiecewiseCubic
+
+_BLOCK = 512  # directions that are evaluated together
+_ROUNDER = 6755399441055744.0  # 1.5 × 2⁵²: adding and subtracting it rounds to an integer, whose bits are the lowest of the sum
+_LOG_2_HIGH, _LOG_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+_ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of √½
+_LEAST = 1e-150
+_CELLS_A_SPAN = 4
+_NEXT = np.uintp(1)
+_LANDEN_ERROR = 1e-13
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def _compiled(function: _Function) -> _Function:
+    """Compile at the first call, without the interpreter's lock; keep the machine code where there is a place to write."""
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    try:
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # neither the package nor the user's cache folder can be written
+        return numba.njit(**options)(function)
+
+
+# --- tables
+
+
+class Curve(NamedTuple):
+    """A :class:`~brdfpipe.piecewise.PiecewiseCubic` of one or several values."""
+
+    offset: float
+    shift: int
+    first_key: int
+    steps: int
+    guide: NDArray[Any]
+    nodes: Array
+    """(n + 1,), the last one infinite"""
+    coefficients: Array
+    """(n, 4, values), highest power first"""
+    last: float
+
+    @classmethod
+    def of(cls, cubic: PiecewiseCubic) -> Curve:
+        intervals = cubic.nodes.size - 1
+        coefficients = np.moveaxis(cubic.coefficients.reshape(4, intervals, -1), 0, 1)
+        nodes = np.append(cubic.nodes[:-1], np.inf)
+        return cls(
+            cubic.offset,
+            cubic.shift,
+            cubic.first_key,
+            cubic.steps,
+            cubic.guide.astype(np.uint16 if intervals < 2**16 else np.uint32),
+            nodes,
+            np.array(coefficients, order="C"),
+            cubic.last,
+        )
+
+
+class SplineAxis(NamedTuple):
+    """Knots of a cubic B-spline along one axis, and its four basis functions in each span as polynomials."""
+
+    first: float
+    last: float
+    cells_a_unit: float
+    guide: NDArray[np.int32]
+    """Span of each cell of a fine, even division, or the one before"""
+    knots: Array
+    """(spans + 1,), the last one infinite"""
+    basis: Array
+    """(spans, 4 powers, 4 functions), highest power first"""
+
+    @classmethod
+    def of(cls, knots: Array) -> SplineAxis:
+        """Of the full vector of knots, the first and last of which are fourfold."""
+        spans = knots.size - 7
+        basis = np.empty((spans, 4, 4))
+        for function in range(spans + 3):
+            pieces = PPoly.from_spline((knots, np.eye(spans + 3)[function], 3)).c[:, 3 : 3 + spans]
+            for span in range(max(function - 3, 0), min(function + 1, spans)):
+                basis[span, :, function - span] = pieces[:, span]
+        inner = knots[3:-3]
+        length = float(inner[-1] - inner[0])
+        cells = max(int(np.ceil(_CELLS_A_SPAN * length / np.diff(inner).min())), 1)
+        # One cell less, so that rounding cannot put a number beyond its span.
+        starts = inner[0] + (np.arange(cells + 2) - 1) * (length / cells)
+        guide = np.clip(np.searchsorted(inner, starts, side="right") - 1, 0, spans - 1)
+        return cls(
+            float(inner[0]),
+            float(inner[-1]),
+            cells / length,
+            guide.astype(np.int32),
+            np.append(inner[:-1], np.inf),
+            basis,
+        )
+
+
+class SplineSurface(NamedTuple):
+    """A tensor product of cubic B-splines."""
+
+    x: SplineAxis
+    y: SplineAxis
+    coefficients: Array
+    """(x functions, y functions, values)"""
+
+    @classmethod
+    def of(cls, splines: list[RectBivariateSpline]) -> SplineSurface:
+        """Of splines over the same nodes."""
+        knots_x, knots_y = splines[0].get_knots()
+        shape = knots_x.size - 4, knots_y.size - 4
+        coefficients = np.stack([spline.get_coeffs().reshape(shape) for spline in splines], axis=-1)
+        return cls(SplineAxis.of(knots_x), SplineAxis.of(knots_y), coefficients)
+
+
+class IsotropicTables(NamedTuple):
+    """Facets of an isotropic surface, and its albedo."""
+
+    log_density: Curve
+    excess: Curve
+    albedo: Curve
+    furnace: Curve
+    separable: bool
+
+
+class LayTables(NamedTuple):
+    """Facets of a surface with a lay, and its albedo."""
+
+    lay: float
+    along: float
+    across: float
+    ends: tuple[float, float]
+    """asinh(reach/scale) along the lay and across it"""
+    log_density: Array
+    """Coefficients of the uniform cubic B-spline, two more at each edge, (across, along)"""
+    excess: SplineSurface
+    last_excess: float
+    albedo: SplineSurface
+    furnace: SplineSurface
+    albedo_scale: float
+    wide: float
+    """Azimuth of the wider axis [degree]"""
+    landen: Array
+    """(steps, 2) means a and b of Landen's transformation"""
+    separable: bool
+
+
+Rows: TypeAlias = tuple[Array, ...]
+"""Values of the directions of a block, (directions,) each"""
+
+Pair: TypeAlias = Rows
+"""Squared slope, cos ζ, cos θ_i, sin θ_i, cos θ_o, sin θ_o, sin θ_i − sin θ_o"""
+
+Tables: TypeAlias = IsotropicTables | LayTables
+
+
+class Shading(NamedTuple):
+    """Spectral fields, (wavelength,) each."""
+
+    n: Array
+    """(wavelength,) or, if neither n nor k depends on wavelength, of length 1"""
+    k: Array
+    base: Array
+    """BRDF of the diffuse base where all light enters and leaves; 0 without one"""
+    returned: Array
+    """The same of the light that compensates multiple scattering"""
+    absorbs: bool
+    """Whether some k is above 0"""
+    has_base: bool
+    has_returned: bool
+
+
+def tables_of(surface: Microsurface, masking: str, albedo: AlbedoTable, furnace: AlbedoTable | None) -> Tables:
+    """Tables of a surface with one of Smith's maskings, and of its albedos without parts that are not smooth."""
+    separable = masking == "separable"
+    furnace = albedo if furnace is None else furnace
+    density, smith = surface.density, surface.smith
+    if isinstance(density, RadialDensity):
+        assert isinstance(smith, Smith)
+        facets = Curve.of(density.log_density), Curve.of(smith.spline)
+        return IsotropicTables(*facets, Curve.of(albedo.spline), Curve.of(furnace.spline), separable)
+    assert isinstance(smith, PlanarSmith)
+    ellipse = density.ellipse
+    ratio, wide = axis_ratio(ellipse)
+    return LayTables(
+        ellipse.lay,
+        ellipse.along,
+        ellipse.across,
+        (density.along.end, density.across.end),
+        # Continued as mirror images over the edges, as scipy does.
+        np.pad(density.log_coefficients, 2, mode="reflect"),
+        SplineSurface.of([smith.spline]),
+        smith.last,
+        SplineSurface.of(albedo.surfaces),
+        SplineSurface.of(furnace.surfaces),
+        lay_scale(ellipse),
+        wide,
+        _landen_steps(ratio),
+        separable,
+    )
+
+
+def _landen_steps(ratio: float) -> Array:
+    """Arithmetic and geometric means from 1 and the ratio of the axes, until they agree."""
+    steps = [(1.0, ratio)]
+    while abs(steps[-1][0] - steps[-1][1]) > _LANDEN_ERROR:
+        a, b = steps[-1]
+        steps.append(((a + b) / 2, math.sqrt(a * b)))
+    return np.array(steps)
+
+
+# --- elementary functions
+
+
+@_compiled
+def _at_most(x: float, limit: float) -> float:
+    """The smaller one; unlike the built-in function, without a branch for NaN."""
+    return x if x < limit else limit
+
+
+@_compiled
+def _at_least(x: float, limit: float) -> float:
+    return x if x > limit else limit
+
+
+def _reinterpreted(source: Any, target: Any) -> Any:
+    """A function of compiled code from a value to the one of another type with the same bits."""
+
+    @intrinsic
+    def reinterpret(typing_context: Any, value: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.bitcast(arguments[0], context.get_value_type(target))
+
+        return target(source), generate
+
+    return reinterpret
+
+
+_bits, _number = _reinterpreted(types.float64, types.int64), _reinterpreted(types.int64, types.float64)
+
+
+@_compiled
+def _sine_cosine(x: float) -> tuple[float, float]:
+    """Of an angle in radian within ±π/4."""
+    z = x * x
+    sine = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
+    sine = -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * sine)
+    sine = x + x * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * sine))
+    cosine = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
+    cosine = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * cosine)
+    cosine = z * z * (4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * cosine))
+    return sine, 1 - (0.5 * z - cosine)
+
+
+@_compiled
+def _of_degrees(angle: float) -> tuple[float, float]:
+    """Sine and cosine of an angle in degree; the reduction to an eighth of the circle is exact."""
+    shifted = angle * (1 / 90) + _ROUNDER
+    sine, cosine = _sine_cosine((angle - 90 * (shifted - _ROUNDER)) * (math.pi / 180))
+    quarter = _bits(shifted)
+    odd = quarter & 1 != 0
+    first, second = (cosine, sine) if odd else (sine, cosine)
+    return -first if quarter & 2 != 0 else first, -second if (quarter + 1) & 2 != 0 else second
+
+
+@_compiled
+def _exponential(x: float) -> float:
+    """exp(x), as the square of exp(x/2), which neither overflows nor loses digits before the result does."""
+    x = x if x > -1400 else -1400.0
+    x = x if x < 1400 else 1400.0
+    shifted = x * (0.5 * 1.4426950408889634) + _ROUNDER
+    k = shifted - _ROUNDER
+    r = x * 0.5 - k * _LOG_2_HIGH - k * _LOG_2_LOW
+    value = 1 / 40320 + r * (1 / 362880 + r * (1 / 3628800 + r * (1 / 39916800 + r * (1 / 479001600))))
+    value = 1 / 24 + r * (1 / 120 + r * (1 / 720 + r * (1 / 5040 + r * value)))
+    value = 1 + r * (1 + r * (1 / 2 + r * (1 / 6 + r * value)))
+    value *= _number((_bits(shifted) + 1023) << 52)
+    return value * value
+
+
+@_compiled
+def _logarithm(x: float) -> float:
+    """Of a normal number above 0."""
+    exponent = (_bits(x) - _ROOT_HALF) >> 52
+    f = _number(_bits(x) - (exponent << 52)) - 1
+    k = _number(_bits(_ROUNDER) + exponent) - _ROUNDER
+    s = f / (2 + f)
+    z = s * s
+    w = z * z
+    even = w * (3.999999999940941908e-01 + w * (2.222219843214978396e-01 + w * 1.531383769920937332e-01))
+    odd = 2.857142874366239149e-01 + w * (1.818357216161805012e-01 + w * 1.479819860511658591e-01)
+    half = 0.5 * f * f
+    rest = s * (half + even + z * (6.666666666666735130e-01 + w * odd))
+    return k * _LOG_2_HIGH - ((half - (rest + k * _LOG_2_LOW)) - f)
+
+
+@_compiled
+def _inverse_sinh(x: float) -> float:
+    """asinh of |x| < 1e150, to an absolute 1e-16, with the sign of x."""
+    size = _at_most(abs(x), 1e150)
+    value = _logarithm(size + math.sqrt(size * size + 1))
+    return -value if x < 0 else value
+
+
+@_compiled
+def _arc_tangent(t: float) -> float:
+    """Of 0 <= t <= 1 [rad]."""
+    large = t > 0.4142135623730950
+    x = (t - 1) / (t + 1) if large else t
+    z = x * x
+    above = -7.500855792314704667340e1 + z * (-1.615753718733365076637e1 + z * -8.750608600031904122785e-1)
+    above = -6.485021904942025371773e1 + z * (-1.228866684490136173410e2 + z * above)
+    below = 4.328810604912902668951e2 + z * (1.650270098316988542046e2 + z * (2.485846490142306297962e1 + z))
+    below = 1.945506571482613964425e2 + z * (4.853903996359136964868e2 + z * below)
+    value = x + x * (z * above / below)
+    return value + math.pi / 4 if large else value
+
+
+@_compiled
+def _angle(y: float, x: float) -> float:
+    """Angle of the vector (x, y) [rad], from −π to π."""
+    size_x, size_y = abs(x), abs(y)
+    steep = size_y > size_x
+    low, high = (size_x, size_y) if steep else (size_y, size_x)
+    value = _arc_tangent(low / _at_least(high, _LEAST))
+    value = math.pi / 2 - value if steep else value
+    value = math.pi - value if x < 0 else value
+    return -value if y < 0 else value
+
+
+# --- facets
+
+
+@_compiled
+def _four_rows(space: Array, first: int, size: int) -> Rows:
+    return space[first, :size], space[first + 1, :size], space[first + 2, :size], space[first + 3, :size]
+
+
+@_compiled
+def _rows(space: Array, size: int) -> Rows:
+    """Rows of 16 times as many directions as a block has; arrays of their own, because the compiler must see that they do not overlap."""
+    last = _four_rows(space, 12, size)
+    return _four_rows(space, 0, size) + _four_rows(space, 4, size) + _four_rows(space, 8, size) + last
+
+
+@_compiled
+def _half_vectors(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, pair: Pair) -> None:
+    """Rows of ``pair``: squared slope, cos ζ, cos θ_i, sin θ_i, cos θ_o, sin θ_o, sin θ_i − sin θ_o.
+
+    With s and c of the half angles, sin θ_i − sin θ_o = 2 (c_i c_o − s_i s_o)(s_i c_o − c_i s_o), which is 0 for equal angles. Directions
+    below the surface count as at the horizon.
+    """
+    slope_squared, cos_zeta, cosines_i, sines_i, cosines_o, sines_o, differences = pair
+    for j in range(theta_i.size):
+        s_i, c_i = _sine_cosine(_at_most(theta_i[j], 90.0) * (math.pi / 360))
+        s_o, c_o = _sine_cosine(_at_most(theta_o[j], 90.0) * (math.pi / 360))
+        sin_i, cos_i = 2 * s_i * c_i, _at_least((c_i - s_i) * (c_i + s_i), 0.0)
+        sin_o, cos_o = 2 * s_o * c_o, _at_least((c_o - s_o) * (c_o + s_o), 0.0)
+        turned = phi_i[j] - phi_o[j]
+        turned -= 360 * (turned * (1 / 360) + _ROUNDER - _ROUNDER)
+        # Half the angle from the mirror direction: exactly 0 there.
+        sine, cosine = _sine_cosine((180 - abs(turned)) * (math.pi / 720))
+        sine *= 2 * cosine
+        difference = 2 * (c_i * c_o - s_i * s_o) * (s_i * c_o - c_i * s_o)
+        tangential = difference * difference + 4 * (sin_i * sin_o) * (sine * sine)
+        normal = _at_least(cos_i + cos_o, _LEAST)
+        normal *= normal
+        slope_squared[j], cos_zeta[j] = tangential / normal, _at_most(math.sqrt(tangential + normal) * 0.5, 1.0)
+        cosines_i[j], sines_i[j], cosines_o[j], sines_o[j], differences[j] = cos_i, sin_i, cos_o, sin_o, difference
+
+
+@_compiled
+def _within(x: float, last: float) -> float:
+    """Limited to [0, last]; the last for NaN, which must not index a table."""
+    return (x if x > 0 else 0.0) if x < last else last
+
+
+@_compiled
+def _interval(x: float, curve: Curve) -> int:
+    index = curve.guide[(_bits(x + curve.offset) >> curve.shift) - curve.first_key]
+    for _ in range(curve.steps):
+        index += x >= curve.nodes[index + 1]
+    return index
+
+
+@_compiled
+def _values(x: Array, curve: Curve, out: Array) -> None:
+    """The curve's first value at each x; ``out`` may be x."""
+    offset, shift, first_key, steps, last = curve.offset, curve.shift, curve.first_key, curve.steps, curve.last
+    guide, nodes, c = curve.guide, curve.nodes, curve.coefficients
+    for j in range(x.size):
+        at = _within(x[j], last)
+        # Unsigned indices are not counted from the end where they are negative, which saves a comparison each.
+        index = np.uintp(guide[np.uintp((_bits(at + offset) >> shift) - first_key)])
+        index += np.uintp(at >= nodes[index + _NEXT])
+        if steps > 1:
+            while at >= nodes[index + _NEXT]:
+                index += _NEXT
+        step = at - nodes[index]
+        out[j] = ((c[index, 0, 0] * step + c[index, 1, 0]) * step + c[index, 2, 0]) * step + c[index, 3, 0]
+
+
+@_compiled
+def _mirrors(pair: Pair, density: Array, excess_i: Array, excess_o: Array, separable: bool, mirrors: Array) -> None:
+    """D G2 / (4 cos θ_i cos θ_o) from P22 and the mean excess slopes."""
+    for j in range(mirrors.size):
+        cos_i, sin_i, cos_o, sin_o = pair[2][j], pair[3][j], pair[4][j], pair[5][j]
+        g_i, g_o = _at_least(excess_i[j], 0.0), _at_least(excess_o[j], 0.0)
+        if separable:
+            visible = (cos_i + g_i * sin_i) * (cos_o + g_o * sin_o)
+        else:
+            visible = cos_i * cos_o + (g_i * sin_i * cos_o + g_o * sin_o * cos_i)
+        spread = 1 + pair[0][j]
+        mirrors[j] = density[j] * (spread * spread) * (0.25 / visible)
+
+
+@_compiled
+def _isotropic_mirrors(pair: Pair, work: Rows, tables: IsotropicTables, mirrors: Array) -> None:
+    logarithm, excess_i, excess_o = work[0], work[1], work[2]
+    _values(pair[0], tables.log_density, logarithm)
+    for j in range(mirrors.size):
+        excess_i[j], excess_o[j] = pair[2][j] / pair[3][j], pair[4][j] / pair[5][j]
+    _values(excess_i, tables.excess, excess_i)
+    _values(excess_o, tables.excess, excess_o)
+    for j in range(mirrors.size):
+        logarithm[j] = _exponential(logarithm[j]) if pair[0][j] <= tables.log_density.last else 0.0
+    _mirrors(pair, logarithm, excess_i, excess_o, tables.separable, mirrors)
+
+
+@_compiled
+def _between(x: float, axis: SplineAxis) -> float:
+    """Limited to the axis; its last for NaN."""
+    return (x if x > axis.first else axis.first) if x < axis.last else axis.last
+
+
+@_compiled
+def _span(x: float, axis: SplineAxis) -> np.uintp:
+    index = np.uintp(axis.guide[np.uintp((x - axis.first) * axis.cells_a_unit)])
+    while x >= axis.knots[index + _NEXT]:
+        index += _NEXT
+    return index
+
+
+@_compiled
+def _basis(s: float, b: Array) -> tuple[float, float, float, float]:
+    """The four basis functions of a span at a distance from its first knot."""
+    return (
+        ((b[0, 0] * s + b[1, 0]) * s + b[2, 0]) * s + b[3, 0],
+        ((b[0, 1] * s + b[1, 1]) * s + b[2, 1]) * s + b[3, 1],
+        ((b[0, 2] * s + b[1, 2]) * s + b[2, 2]) * s + b[3, 2],
+        ((b[0, 3] * s + b[1, 3]) * s + b[2, 3]) * s + b[3, 3],
+    )
+
+
+@_compiled
+def _surface_values(x: Array, y: Array, surface: SplineSurface, out: Array) -> None:
+    """The surface's first value at each place, held beyond its edges; ``out`` may be x or y."""
+    axis_x, axis_y, coefficients = surface.x, surface.y, surface.coefficients
+    for n in range(x.size):
+        at_x, at_y = _between(x[n], axis_x), _between(y[n], axis_y)
+        i, j = _span(at_x, axis_x), _span(at_y, axis_y)
+        basis_x, basis_y = (
+            _basis(at_x - axis_x.knots[i], axis_x.basis[i]),
+            _basis(at_y - axis_y.knots[j], axis_y.basis[j]),
+        )
+        value = 0.0
+        for a in range(4):
+            row = coefficients[i + np.uintp(a), j : j + np.uintp(4), 0]
+            value += basis_x[a] * (
+                (basis_y[0] * row[0] + basis_y[1] * row[1]) + (basis_y[2] * row[2] + basis_y[3] * row[3])
+            )
+        out[n] = value
+
+
+@_compiled
+def _uniform_basis(x: float) -> tuple[float, float, float, float]:
+    """The uniform cubic B-splines about a position between its two middle ones, 0 <= x <= 1."""
+    y = 1 - x
+    return (
+        y * y * y / 6,
+        (x * x * (x - 2) * 3 + 4) / 6,
+        (y * y * (y - 2) * 3 + 4) / 6,
+        x * x * x / 6,
+    )
+
+
+@_compiled
+def _density_with_lay(across: float, along: float, coefficients: Array) -> float:
+    """Logarithm of the density at fractional indices of the nodes; minus infinity beyond the grid."""
+    rows, columns = coefficients.shape[0] - 5, coefficients.shape[1] - 5
+    if not (0 <= across <= rows and 0 <= along <= columns):
+        return -math.inf
+    i, j = np.uintp(across), np.uintp(along)
+    basis_i, basis_j = _uniform_basis(across - i), _uniform_basis(along - j)
+    value = 0.0
+    for a in range(4):
+        row = coefficients[i + np.uintp(a + 1), j + _NEXT : j + np.uintp(5)]
+        value += basis_i[a] * (
+            (basis_j[0] * row[0] + basis_j[1] * row[1]) + (basis_j[2] * row[2] + basis_j[3] * row[3])
+        )
+    return value
+
+
+@_compiled
+def _grid_positions(phi_i: Array, phi_o: Array, pair: Pair, tables: LayTables, across: Array, along: Array) -> None:
+    """Fractional indices, on the nodes of the density, of the slopes that mirror one direction into the other."""
+    _, _, cosines_i, sines_i, cosines_o, sines_o, differences = pair
+    # Slopes along the mean azimuth of both directions and across it, turned to those of the lay.
+    lay, width_along, width_across = tables.lay, tables.along, tables.across
+    for j in range(along.size):
+        sine, cosine = _of_degrees((phi_i[j] - phi_o[j]) / 2)
+        scale = -1 / _at_least(cosines_i[j] + cosines_o[j], _LEAST)
+        ahead, beside = scale * (sines_i[j] + sines_o[j]) * cosine, scale * differences[j] * sine
+        sine, cosine = _of_degrees((phi_i[j] + phi_o[j]) / 2 - lay)
+        along[j] = (ahead * cosine - beside * sine) / width_along
+        across[j] = (ahead * sine + beside * cosine) / width_across
+    for slope, end, size in (
+        (along, tables.ends[0], tables.log_density.shape[1]),
+        (across, tables.ends[1], tables.log_density.shape[0]),
+    ):
+        half, scale = (size - 5) / 2, (size - 5) / (2 * end)
+        for j in range(slope.size):
+            slope[j] = _inverse_sinh(slope[j]) * scale + half
+
+
+@_compiled
+def _excess_with_lay(phi: Array, cosines: Array, sines: Array, tables: LayTables, rows: Rows, excess: Array) -> None:
+    """Mean excess slopes towards directions."""
+    width, turn = rows
+    lay, along, across, last = tables.lay, tables.along, tables.across, tables.last_excess
+    for j in range(phi.size):
+        sine, cosine = _of_degrees(phi[j] - lay)
+        x, y = along * cosine, across * sine
+        width[j] = math.sqrt(x * x + y * y)
+        angle = _angle(y, x) * (180 / math.pi)
+        turn[j] = angle + (360.0 if angle < 0 else 0.0)
+    for j in range(phi.size):
+        slope = cosines[j] / sines[j] / width[j]
+        excess[j] = _inverse_sinh(slope if slope < last else last)
+        width[j] = width[j] if slope < last else 0.0
+    _surface_values(excess, turn, tables.excess, excess)
+    for j in range(phi.size):
+        excess[j] *= width[j]
+
+
+@_compiled
+def _mirrors_with_lay(phi_i: Array, phi_o: Array, pair: Pair, work: Rows, tables: LayTables, mirrors: Array) -> None:
+    density, across, excess_i, excess_o, width, turn = work[:6]
+    _grid_positions(phi_i, phi_o, pair, tables, across, density)
+    coefficients = tables.log_density
+    for j in range(mirrors.size):
+        density[j] = _density_with_lay(across[j], density[j], coefficients)
+    for j in range(mirrors.size):
+        density[j] = _exponential(density[j])
+    _excess_with_lay(phi_i, pair[2], pair[3], tables, (width, turn), excess_i)
+    _excess_with_lay(phi_o, pair[4], pair[5], tables, (width, turn), excess_o)
+    _mirrors(pair, density, excess_i, excess_o, tables.separable, mirrors)
+
+
+@_compiled
+def _arcs(azimuths: Array, tables: LayTables, rows: Rows, arcs: Array) -> None:
+    """Arcs of azimuths from the wider axis [degree], as :func:`~brdfpipe.bsdf.microfacet.anisotropic_quadrature.azimuth_to_arc`.
+
+    Landen's transformation φ' = φ + ω, tan ω = (b/a) tan φ, carries an ellipse to a rounder one; the arc is φ/2ⁿ of the last.
+    """
+    sines, cosines = rows
+    wide, share = tables.wide, 90 / math.pi
+    for j in range(arcs.size):
+        arcs[j] = azimuths[j] - wide
+        sines[j], cosines[j] = _of_degrees(arcs[j])
+    for step in range(tables.landen.shape[0]):
+        a, b = tables.landen[step, 0], tables.landen[step, 1]
+        for j in range(arcs.size):
+            sine, cosine = sines[j], cosines[j]
+            # ω − φ, within a right angle, from the vector of ω turned by −φ.
+            x, y = a * cosine, b * sine
+            arcs[j] += share * _angle(y * cosine - x * sine, x * cosine + y * sine)
+            length = math.sqrt(x * x + y * y)
+            cosines[j], sines[j] = (cosine * x - sine * y) / length, (cosine * y + sine * x) / length
+        share *= 0.5
+    for j in range(arcs.size):
+        arcs[j] -= 360 * np.floor(arcs[j] / 360)
+
+
+# --- Fresnel's reflectance and what the facets leave
+
+
+@_compiled
+def _transparent(c: float, n: float) -> float:
+    """Fresnel's reflectance of n >= 1 for unpolarised light."""
+    contrast = (n - 1) * (n + 1)
+    q = math.sqrt(contrast + c * c)
+    into_s, into_p = _at_least(c + q, _LEAST), _at_least(n * n * c + q, _LEAST)
+    r_s = contrast / (into_s * into_s)
+    r_p = (contrast / into_p) * (((n * n + 1) * (c * c) - 1) / into_p)
+    return (_at_most(r_s * r_s, 1.0) + _at_most(r_p * r_p, 1.0)) * 0.5
+
+
+@_compiled
+def _absorbing(c: float, n: float, k: float) -> float:
+    """The same of n + ik: powers of complex amplitudes in real arithmetic."""
+    real, imaginary = (n - 1) * (n + 1) - k * k, 2 * n * k
+    square = real + c * c
+    size = math.sqrt(square * square + imaginary * imaginary)
+    longer = math.sqrt((size + abs(square)) * 0.5)
+    shorter = imaginary / _at_least(2 * longer, _LEAST)
+    root, root_i = (longer, shorter) if square >= 0 else (shorter, longer)
+    power = real * real + imaginary * imaginary
+    into_s = (c + root) * (c + root) + root_i * root_i
+    ahead, aside = (real + 1) * c + root, imaginary * c + root_i
+    into_p = ahead * ahead + aside * aside
+    ahead, aside = (real + 2) * (c * c) - 1, imaginary * (c * c)
+    into_s, into_p = _at_least(into_s, _LEAST), _at_least(into_p, _LEAST)
+    f_p = (power / into_p) * ((ahead * ahead + aside * aside) / into_p)
+    return (_at_most(power / (into_s * into_s), 1.0) + _at_most(f_p, 1.0)) * 0.5
+
+
+@_compiled
+def _reflected(mirrors: Array, cos_zeta: Array, shading: Shading, out: Array) -> None:
+    """Fill in F D G2 / (4 cos θ_i cos θ_o)."""
+    if shading.n.size == 1:
+        n, k = shading.n[0], shading.k[0]
+        if shading.absorbs:
+            for j in range(mirrors.size):
+                mirrors[j] *= _absorbing(cos_zeta[j], n, k)
+        else:
+            for j in range(mirrors.size):
+                mirrors[j] *= _transparent(cos_zeta[j], n)
+        out[:] = 0.0
+        _add_products(mirrors, np.ones(out.shape[1]), out)
+    elif shading.absorbs:
+        for j in range(mirrors.size):
+            for w in range(out.shape[1]):
+                out[j, w] = mirrors[j] * _absorbing(cos_zeta[j], shading.n[w], shading.k[w])
+    else:
+        for j in range(mirrors.size):
+            for w in range(out.shape[1]):
+                out[j, w] = mirrors[j] * _transparent(cos_zeta[j], shading.n[w])
+
+
+@_compiled
+def _add_products(of_direction: Array, of_wavelength: Array, out: Array) -> None:
+    if out.shape[1] == 1:
+        flat, factor = out.reshape(out.size), of_wavelength[0]
+        for j in range(flat.size):
+            flat[j] += of_direction[j] * factor
+    else:
+        for j in range(out.shape[0]):
+            for w in range(out.shape[1]):
+                out[j, w] += of_direction[j] * of_wavelength[w]
+
+
+@_compiled
+def _left(albedo: float) -> float:
+    """Share that an albedo leaves, in [0, 1]."""
+    rest = 1 - albedo
+    rest = rest if rest > 0 else 0.0
+    return rest if rest < 1 else 1.0
+
+
+@_compiled
+def _add_isotropic_base(theta_i: Array, theta_o: Array, albedo: Curve, factor: Array, work: Rows, out: Array) -> None:
+    """Add the light of the base, reduced by what the facets reflect of both directions."""
+    c, left = albedo.coefficients, work[0]
+    if c.shape[2] == 1:
+        other = work[1]
+        for j in range(theta_i.size):
+            left[j], other[j] = 90 - theta_i[j], 90 - theta_o[j]
+        _values(left, albedo, left)
+        _values(other, albedo, other)
+        for j in range(theta_i.size):
+            left[j] = _left(left[j]) * _left(other[j])
+        _add_products(left, factor, out)
+        return
+    for j in range(theta_i.size):
+        grazing_i, grazing_o = _within(90 - theta_i[j], albedo.last), _within(90 - theta_o[j], albedo.last)
+        at_i, at_o = _interval(grazing_i, albedo), _interval(grazing_o, albedo)
+        s, t = grazing_i - albedo.nodes[at_i], grazing_o - albedo.nodes[at_o]
+        c_i, c_o = c[at_i], c[at_o]
+        for w in range(out.shape[1]):
+            e_i = ((c_i[0, w] * s + c_i[1, w]) * s + c_i[2, w]) * s + c_i[3, w]
+            e_o = ((c_o[0, w] * t + c_o[1, w]) * t + c_o[2, w]) * t + c_o[3, w]
+            out[j, w] += factor[w] * (_left(e_i) * _left(e_o))
+
+
+@_compiled
+def _add_base_with_lay(places: Rows, albedo: SplineSurface, factor: Array, work: Rows, out: Array) -> None:
+    """The same; rows of ``places`` are the coordinates of the albedo of both directions."""
+    size, width = out.shape
+    if albedo.coefficients.shape[2] == 1:
+        left = work[0]
+        _surface_values(places[0], places[1], albedo, left)
+        _surface_values(places[2], places[3], albedo, work[1])
+        for j in range(size):
+            left[j] = _left(left[j]) * _left(work[1][j])
+        _add_products(left, factor, out)
+        return
+    e_i, e_o = np.empty(width), np.empty(width)
+    for j in range(size):
+        _spectrum_on_surface(places[0][j], places[1][j], albedo, e_i)
+        _spectrum_on_surface(places[2][j], places[3][j], albedo, e_o)
+        for w in range(width):
+            out[j, w] += factor[w] * (_left(e_i[w]) * _left(e_o[w]))
+
+
+@_compiled
+def _spectrum_on_surface(x: float, y: float, surface: SplineSurface, values: Array) -> None:
+    x, y = _between(x, surface.x), _between(y, surface.y)
+    i, j = _span(x, surface.x), _span(y, surface.y)
+    basis_x = _basis(x - surface.x.knots[i], surface.x.basis[i])
+    basis_y = _basis(y - surface.y.knots[j], surface.y.basis[j])
+    values[:] = 0.0
+    for a in range(4):
+        row = surface.coefficients[i + np.uintp(a)]
+        f_0, f_1, f_2, f_3 = (
+            basis_x[a] * basis_y[0],
+            basis_x[a] * basis_y[1],
+            basis_x[a] * basis_y[2],
+            basis_x[a] * basis_y[3],
+        )
+        r_0, r_1, r_2, r_3 = row[j], row[j + np.uintp(1)], row[j + np.uintp(2)], row[j + np.uintp(3)]
+        for w in range(values.size):
+            values[w] += (f_0 * r_0[w] + f_1 * r_1[w]) + (f_2 * r_2[w] + f_3 * r_3[w])
+
+
+@_compiled
+def _clear_below(theta_i: Array, theta_o: Array, out: Array) -> None:
+    for j in range(theta_i.size):
+        if not (theta_i[j] < 90 and theta_o[j] < 90):
+            out[j] = 0.0
+
+
+# --- whole evaluations
+
+
+@_compiled
+def _block(
+    theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, out: Array, space: Array, start: int
+) -> tuple[Rows, Array, Rows]:
+    """The angles of a block, its part of ``out``, and rows of which the first seven are filled by :func:`_half_vectors`."""
+    end = min(start + _BLOCK, theta_i.size)
+    angles = theta_i[start:end], phi_i[start:end], theta_o[start:end], phi_o[start:end]
+    rows = _rows(space, end - start)
+    _half_vectors(angles[0], angles[1], angles[2], angles[3], rows[:7])
+    return angles, out[start:end], rows
+
+
+@_compiled
+def _evaluate_isotropic(
+    theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, tables: IsotropicTables, shading: Shading, out: Array
+) -> None:
+    space = np.empty((16, _BLOCK))
+    for start in range(0, theta_i.size, _BLOCK):
+        angles, values, rows = _block(theta_i, phi_i, theta_o, phi_o, out, space, start)
+        mirrors, work = rows[7], rows[8:]
+        _isotropic_mirrors(rows[:7], work, tables, mirrors)
+        _reflected(mirrors, rows[1], shading, values)
+        if shading.has_base:
+            _add_isotropic_base(angles[0], angles[2], tables.albedo, shading.base, work, values)
+        if shading.has_returned:
+            _add_isotropic_base(angles[0], angles[2], tables.furnace, shading.returned, work, values)
+        _clear_below(angles[0], angles[2], values)
+
+
+@_compiled
+def _evaluate_with_lay(
+    theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, tables: LayTables, shading: Shading, out: Array
+) -> None:
+    space = np.empty((16, _BLOCK))
+    for start in range(0, theta_i.size, _BLOCK):
+        angles, values, rows = _block(theta_i, phi_i, theta_o, phi_o, out, space, start)
+        mirrors, work, places = rows[7], rows[8:], rows[12:]
+        _mirrors_with_lay(angles[1], angles[3], rows[:7], work, tables, mirrors)
+        _reflected(mirrors, rows[1], shading, values)
+        if shading.has_base or shading.has_returned:
+            for j in range(mirrors.size):
+                places[0][j] = _inverse_sinh((90 - angles[0][j]) / tables.albedo_scale)
+                places[2][j] = _inverse_sinh((90 - angles[2][j]) / tables.albedo_scale)
+            _arcs(angles[1], tables, work[:2], places[1])
+            _arcs(angles[3], tables, work[:2], places[3])
+        if shading.has_base:
+            _add_base_with_lay(places, tables.albedo, shading.base, work, values)
+        if shading.has_returned:
+            _add_base_with_lay(places, tables.furnace, shading.returned, work, values)
+        _clear_below(angles[0], angles[2], values)
+
+
+def evaluate(tables: Tables, shading: Shading, angles: Sequence[Array], width: int) -> Array:
+    """BRDF [sr-1], (directions, width), 0 unless both directions are above the surface.
+
+    Parameters
+    ----------
+    angles : θ_i, φ_i, θ_o and φ_o, (directions,) degree each; 0 <= θ <= 180
+    width : number of wavelengths
+    """
+    theta_i, phi_i, theta_o, phi_o = (_read_only(angle) for angle in angles)
+    result = np.empty((theta_i.size, width))
+    if isinstance(tables, IsotropicTables):
+        _evaluate_isotropic(theta_i, phi_i, theta_o, phi_o, tables, shading, result)
+    else:
+        _evaluate_with_lay(theta_i, phi_i, theta_o, phi_o, tables, shading, result)
+    return result
+
+
+def _read_only(angle: Array) -> Array:
+    """A contiguous view that cannot be written, so that there is one type of array to compile for."""
+    view = np.ascontiguousarray(angle, dtype=float).view()
+    view.flags.writeable = False
+    return view
