@@ -1,8 +1,9 @@
-"""Measure the evaluator: BRDF values a second, against other implementations and against one exponential.
+"""Measure the evaluator: BRDF values a second and the time of a single call, against other implementations and against numpy.
 
 ``python benchmarks/evaluator.py`` writes ``benchmarks/results/evaluator.json``. Every case runs in a process of its own, on one
-core. The material is isotropic, its facets counted on a rough map, its index constant, its diffuse part coupled, at one
-wavelength; the directions are random over the hemisphere. One requirement is judged: 10 million evaluations a second.
+core. The material compared with the peers is isotropic, its facets counted on a rough map, its index constant, its diffuse part coupled,
+at one wavelength; the directions are random over the hemisphere. Other materials have a lay, or an index and a diffuse part at 43 and at 85
+wavelengths. The same directions, in calls of few enough for the arrays of numpy, are the floor on the same machine.
 
 The peers evaluate what comes nearest: pySCATMECH its facets from a table of as many slopes with shadowing, one pair of
 directions a call, in double precision; Mitsuba its rough plastic with a Beckmann density and a coupled diffuse part, in bulk
@@ -32,7 +33,9 @@ from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import microfacet
 
 PROJECT = Path(__file__).resolve().parents[1]
-WANTED = 10e6
+WANTED = {"isotropic": 30e6, "with a lay": 5e6, "43 wavelengths": 100e6, "85 wavelengths": 100e6}
+"""Values a second by material: directions times wavelengths."""
+CALL_WANTED_MS = 0.3
 INDEX = 1.5
 REFLECTANCE = 0.3
 WAVELENGTH = 550.0
@@ -56,12 +59,14 @@ def main(pairs: int, repeats: int, out: Path, case: str | None) -> None:
     machine = f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}, one core"
     summary: Record = {"machine": machine, "pairs": pairs}
     summary |= {name: in_own_process(name, pairs, repeats) for name in CASES}
-    summary["speed_met"] = summary["brdfpipe"]["per_second"] >= WANTED
+    speeds = summary["brdfpipe"]["materials"]
+    summary["speed_met"] = all(speeds[name]["values_per_second"] >= least for name, least in WANTED.items())
+    summary["call_met"] = all(speeds[name]["one_call_ms"] <= CALL_WANTED_MS for name in WANTED)
     print(as_text(summary))
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    if not summary["speed_met"]:
-        sys.exit("the requirement is not met")
+    if not (summary["speed_met"] and summary["call_met"]):
+        sys.exit("a requirement is not met")
 
 
 def in_own_process(case: str, pairs: int, repeats: int) -> Record:
@@ -91,27 +96,60 @@ def counted_facets() -> xr.Dataset:
     return facets.estimate(rough_map(1024), isotropic=True)
 
 
-def material() -> xr.Dataset:
-    """The material that is evaluated."""
+def material(surface: xr.Dataset, wavelengths: int = 1) -> xr.Dataset:
+    """A material of these facets; index and diffuse part depend on the wavelength if there are several."""
+    wavelength = np.linspace(400.0, 700.0, wavelengths) if wavelengths > 1 else np.array([WAVELENGTH])
     spectrum = xr.Dataset(
-        {"total_reflectance": ("wavelength", np.array([REFLECTANCE]))},
-        coords={"wavelength": [WAVELENGTH]},
+        {"total_reflectance": ("wavelength", np.linspace(REFLECTANCE, 0.5, wavelengths))},
+        coords={"wavelength": wavelength},
         attrs={"geometry": "sci", "theta_i": 8.0, "method": "synthetic", "residual_delta_e": 0.0},
     )
     index = optics.refractive_index(INDEX)
-    return microfacet.build(counted_facets(), index=index, spectrum=vocabulary.label(spectrum, "spectrum"))
+    if wavelengths > 1:
+        cauchy = {"n": ("wavelength", 1.48 + 5000 / wavelength**2), "k": ("wavelength", np.zeros(wavelengths))}
+        index = vocabulary.label(xr.Dataset(cauchy, {"wavelength": wavelength}, {"source": "synthetic"}), "index")
+    return microfacet.build(surface, index=index, spectrum=vocabulary.label(spectrum, "spectrum"))
 
 
 def ours(pairs: int, repeats: int) -> Record:
-    """The accessor, from plain arrays to a labelled result; and one exponential over as many numbers."""
-    bsdf, where = material(), directions(pairs)
-    exponents = np.linspace(-20, 0, pairs)
-    evaluate_s = best(lambda: bsdf.bsdf.evaluate(*where), repeats)
+    """The accessor, from plain arrays to a labelled result; the same by numpy; and one exponential over as many numbers."""
+    counted, brushed = counted_facets(), facets.analytic("beckmann", a_x=0.1, a_y=0.3, azimuth=25.0)
+    materials = {
+        "isotropic": material(counted),
+        "with a lay": material(brushed),
+        "43 wavelengths": material(counted, 43),
+        "85 wavelengths": material(counted, 85),
+    }
+    where, exponents = directions(pairs), np.linspace(-20, 0, pairs)
+    speeds = {name: speed(bsdf, where, repeats) for name, bsdf in materials.items()}
+    isotropic = materials["isotropic"]
     return {
-        "per_second": round(pairs / evaluate_s),
-        "evaluate_s": round(evaluate_s, 4),
+        "per_second": speeds["isotropic"]["values_per_second"],
+        "materials": speeds,
         "exponential_s": round(best(lambda: np.exp(exponents), repeats), 5),
-        "goes_to": profile(lambda: bsdf.bsdf.evaluate(*where)),
+        "goes_to": profile(lambda: isotropic.bsdf.evaluate(*where)),
+    }
+
+
+def speed(bsdf: xr.Dataset, where: Directions, repeats: int) -> Record:
+    """Values a second of the kernel and of numpy's arrays, and the time of a call with one pair of directions."""
+    wavelengths = bsdf.sizes["wavelength"]
+    pairs = where[0].size // wavelengths
+    several = tuple(angle[:pairs] for angle in where)
+    few = tuple(angle[: 2**16 // wavelengths] for angle in where)
+    one = tuple(float(angle[0]) for angle in where)
+
+    def calls() -> None:
+        for _ in range(100):
+            bsdf.bsdf.evaluate(*one)
+
+    bsdf.bsdf.evaluate(*several)  # compiled, or loaded from the compiler's cache
+    seconds = best(lambda: bsdf.bsdf.evaluate(*several), repeats)
+    by_numpy = best(lambda: bsdf.bsdf.evaluate(*few), 5 * repeats)
+    return {
+        "values_per_second": round(pairs * wavelengths / seconds),
+        "numpy_values_per_second": round(few[0].size * wavelengths / by_numpy),
+        "one_call_ms": round(best(calls, repeats) * 10, 4),
     }
 
 
@@ -186,11 +224,16 @@ def as_text(summary: Record) -> str:
         else:
             ratio = own["per_second"] / record["per_second"]
             lines.append(f"{name:24}{record['per_second'] / 1e6:10.2f}{ratio:9.2f} times")
+    lines.append(f"{'':24}{'million values/s':>18}{'wanted':>8}{'by numpy':>10}{'one call, ms':>14}")
+    for name, least in WANTED.items():
+        record = own["materials"][name]
+        found, by_numpy = (record[key] / 1e6 for key in ("values_per_second", "numpy_values_per_second"))
+        lines.append(f"{name:24}{found:18.1f}{least / 1e6:8.0f}{by_numpy:10.1f}{record['one_call_ms']:14.3f}")
+    lines.append(f"one exponential of numpy takes {own['exponential_s'] / summary['pairs'] * 1e9:.1f} ns")
+    met = ["NOT met", "met"]
     lines.append(
-        f"one evaluation takes as long as {own['evaluate_s'] / own['exponential_s']:.0f} exponentials of numpy"
+        f"speed: {met[summary['speed_met']]}; a call of at most {CALL_WANTED_MS} ms: {met[summary['call_met']]}"
     )
-    met = "met" if summary["speed_met"] else "NOT met"
-    lines.append(f"{own['per_second'] / 1e6:.1f} million a second, at least {WANTED / 1e6:.0f}: {met}")
     return "\n".join([*lines, summary["machine"]])
 
 

@@ -115,6 +115,9 @@ class Model:
             return self._compiled(flat).reshape(*shape, self._width)
         in_above, out_above = flat[0] < 90, flat[2] < 90
         above = in_above & out_above
+        if flat[0].size == 1 and above[0]:
+            brdf = self._reflected(*flat)
+            return np.full((*shape, self._width), brdf)
         result = (np.empty if above.all() else np.zeros)((flat[0].size, self._width))
         self._fill(result, above, self._reflected, flat)
         if self.transparent:
