@@ -256,12 +256,12 @@ def test_directions_that_are_not_numbers_or_out_of_range_read_no_table():
 
 def test_many_values_are_computed_by_the_kernel(monkeypatch):
     bsdf = material("isotropic", "one value")
-    count = model._MANY_VALUES
-    angles = [np.resize(angle, count) for angle in directions()]
+    below_89 = np.minimum(directions(), [[89.0], [720.0], [89.0], [720.0]])
+    angles = [np.resize(angle, model._MANY_VALUES) for angle in below_89]
     values = representation(bsdf).evaluate(*angles, None)
     np.testing.assert_array_equal(values, Model.of(bsdf, None)._compiled(angles))
     monkeypatch.setattr(Model, "_compiled", None)
-    few = representation(bsdf).evaluate(*(angle[: count - 1] for angle in angles), None)
+    few = representation(bsdf).evaluate(*(angle[:-1] for angle in angles), None)
     np.testing.assert_allclose(values[:-1], few, rtol=1e-12)
 
 

@@ -10,7 +10,7 @@ import itertools
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 import numpy as np
@@ -225,6 +225,7 @@ def to_json(basis: Basis) -> str:
     return canonical_json({"name": basis.name, **asdict(basis)})
 
 
+@cache
 def from_json(text: str) -> Basis:
     """The basis of such an attribute."""
     fields = json.loads(text)

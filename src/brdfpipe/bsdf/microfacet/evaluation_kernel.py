@@ -1,7 +1,8 @@
 """Compiled kernel: the BRDF of the microfacet model for many directions, on one core.
 
-The arithmetic is that of :class:`~brdfpipe.bsdf.microfacet.model.Model`, whose tables it reads, without arrays in between: results agree
-to 1e-12 where the BRDF does not amplify the rounding of angles in degree. Directions pass in blocks that stay in the processor's cache.
+The arithmetic is that of :class:`~brdfpipe.bsdf.microfacet.model.Model`, whose tables it reads, without arrays in between. Results agree
+to 1e-12 where the BRDF does not amplify the rounding of angles: it does within 0.01 degree of the horizon, as 1/cos θ, and on lobes narrower
+than 0.1 degree. Directions pass in blocks that stay in the processor's cache.
 Elementary functions are written out as polynomials (after fdlibm and Cephes) so that the compiler evaluates several directions at once
 and results do not depend on the processor's mathematical library. There is no ``fastmath``: operations are neither reordered nor fused.
 
@@ -33,14 +34,14 @@ from brdfpipe.geometry import Array
 from brdfpipe.masking.smith import PlanarSmith, Smith
 from brdfpipe.piecewise import PiecewiseCubic
 
-_BLOCK = 512  # directions that are evaluated together
+_BLOCK = 256  # directions that are evaluated together
 _ROUNDER = 6755399441055744.0  # 1.5 × 2⁵²: adding and subtracting it rounds to an integer, whose bits are the lowest of the sum
 _LOG_2_HIGH, _LOG_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of √½
 _LEAST = 1e-150
 _CELLS_A_SPAN = 4
 _NEXT = np.uintp(1)
-_LANDEN_ERROR = 1e-13
+_LANDEN_ERROR = 1e-12
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -231,12 +232,12 @@ def tables_of(surface: Microsurface, masking: str, albedo: AlbedoTable, furnace:
 
 
 def _landen_steps(ratio: float) -> Array:
-    """Arithmetic and geometric means from 1 and the ratio of the axes, until they agree."""
-    steps = [(1.0, ratio)]
-    while abs(steps[-1][0] - steps[-1][1]) > _LANDEN_ERROR:
-        a, b = steps[-1]
-        steps.append(((a + b) / 2, math.sqrt(a * b)))
-    return np.array(steps)
+    """Arithmetic and geometric means from 1 and the ratio of the axes, as long as they differ, (steps, 2)."""
+    steps, a, b = [], 1.0, ratio
+    while a - b > _LANDEN_ERROR:
+        steps.append((a, b))
+        a, b = (a + b) / 2, math.sqrt(a * b)
+    return np.array(steps).reshape(-1, 2)
 
 
 # --- elementary functions

@@ -191,7 +191,8 @@ class Model:
         if self.diffuse_mode == "crf":
             cos_o = np.cos(np.radians(theta_o)) if cos_o is None else cos_o
             return np.asarray(brdf + self.diffuse / np.pi * (2 * cos_o / (1 + cos_o))[:, None])
-        entering, leaving = 1 - self.albedo(np.stack([theta_i, theta_o]), np.stack([phi_i, phi_o]))
+        both = self.albedo(np.concatenate([theta_i, theta_o]), np.concatenate([phi_i, phi_o]))
+        entering, leaving = 1 - both[: theta_i.size], 1 - both[theta_i.size :]
         return np.asarray(brdf + self.diffuse / (np.pi * (1 - self.mean_albedo)) * (entering * leaving))
 
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -70,7 +71,7 @@ class ClearCoat:
             lobe = fresnel * density / (4 * half.cos_i * half.cos_o * masked)
         return np.where((half.cos_i > 1e-12) & (half.cos_o > 1e-12), np.nan_to_num(lobe), 0.0)
 
-    @property
+    @cached_property
     def normal_transmittance(self) -> float:
         return float(self._transmittance(np.zeros(1))[0][0])
 
@@ -189,11 +190,19 @@ class Flake(Representation):
 
     def _curves(self, theta_f: Array) -> Array:
         """A exp(−θf/B) + C, or another form, on the scale of the fit, (…, channel or wavelength)."""
+        return curve(theta_f, *self._parameters)
+
+    @cached_property
+    def _parameters(self) -> tuple[Array, Array, Array, int]:
         constant = np.atleast_1d(self.dataset["flake_constant"].values)
         amplitude, decay = (
             self.dataset[name].values.reshape(-1, constant.size) for name in ("flake_amplitude", "flake_decay")
         )
-        return curve(theta_f, amplitude, decay, constant, FORMS[self.dataset.attrs["form"]].power)
+        return amplitude, decay, constant, FORMS[self.dataset.attrs["form"]].power
+
+    @cached_property
+    def _luminance_channel(self) -> int:
+        return list(self.dataset["channel"].values).index("Y")
 
     def _factor(self, theta_f: Array, wavelength: Array | None) -> Array:
         """ρ as a fraction, (…, wavelength or 1)."""
@@ -203,7 +212,7 @@ class Flake(Representation):
                 return curves
             return np.asarray(curves @ _interpolation_matrix(self.dataset["wavelength"].values, wavelength))
         shape = np.maximum(self._chromaticity_spectrum(wavelength)(theta_f), 0.0)
-        luminance = curves[..., list(self.dataset["channel"].values).index("Y")]
+        luminance = curves[..., self._luminance_channel]
         return np.asarray(shape * (luminance[..., None] / 100))
 
 

@@ -10,6 +10,8 @@ Patent US 9,395,299 (CRF), approximate forms.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
@@ -44,23 +46,27 @@ class LambertGauss(Representation):
     )
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
-        bsdf = self.dataset
-        lambert = bsdf["lambert"]
+        theta, lambert, lobe_parameters = self._fields
         if "wavelength" in lambert.dims:
-            own = bsdf["wavelength"].values
-            base = lambert.values if wavelength is None else np.interp(wavelength, own, lambert.values)
+            base = lambert.values
+            if wavelength is not None:
+                base = np.interp(wavelength, self.dataset["wavelength"].values, base)
             diffuse = np.broadcast_to(base / np.pi, (*theta_i.shape, base.size))
         else:
-            base = np.interp(theta_i, bsdf["theta_i"].values, np.broadcast_to(lambert.values, bsdf["theta_i"].shape))
+            base = np.interp(theta_i, theta, np.broadcast_to(lambert.values, theta.shape))
             diffuse = base[..., None] / np.pi
-        peak, parallel, perpendicular = (
-            np.interp(theta_i, bsdf["theta_i"].values, bsdf[name].values)
-            for name in ("gauss_peak", "gauss_fwhm_parallel", "gauss_fwhm_perpendicular")
-        )
+        peak, parallel, perpendicular = (np.interp(theta_i, theta, values) for values in lobe_parameters)
         along, across = about_mirror(theta_i, theta_o, phi_o - phi_i)
         lobe = gaussian(along, across, peak, parallel / FWHM, perpendicular / FWHM)
         above = (theta_i < 90) & (theta_o < 90)
         return np.where(above[..., None], diffuse + lobe[..., None], 0.0)
+
+    @cached_property
+    def _fields(self) -> tuple[Array, xr.Variable, list[Array]]:
+        """Incidences, the Lambertian part, and peak and widths of the Gaussian."""
+        names = ("gauss_peak", "gauss_fwhm_parallel", "gauss_fwhm_perpendicular")
+        bsdf = self.dataset
+        return bsdf["theta_i"].values, bsdf["lambert"].variable, [bsdf[name].values for name in names]
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The dataset averaged over wavelength; the Gaussian part is neutral."""

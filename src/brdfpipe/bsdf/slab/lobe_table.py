@@ -7,6 +7,7 @@ the interpolation is exactly reciprocal. Logarithms are interpolated: the result
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -105,9 +106,14 @@ def barycentric(nodes: Array, x: Array) -> Array:
 
     Source: Berrut & Trefethen 2004 (SIAM Review 46); the weights are those of Wang & Xiang 2012 for Legendre points.
     """
-    unit, gauss = np.polynomial.legendre.leggauss(nodes.size)
-    weight = (-1.0) ** np.arange(nodes.size) * np.sqrt((1 - unit**2) * gauss)
+    weight = _barycentric_weights(nodes.size)
     difference = np.asarray(x, dtype=float)[..., None] - nodes
     at_node = difference == 0
     terms = weight / np.where(at_node, 1.0, difference)
     return np.where(at_node.any(axis=-1, keepdims=True), at_node, terms / terms.sum(axis=-1, keepdims=True))
+
+
+@cache
+def _barycentric_weights(count: int) -> Array:
+    unit, gauss = np.polynomial.legendre.leggauss(count)
+    return np.asarray((-1.0) ** np.arange(count) * np.sqrt((1 - unit**2) * gauss))
