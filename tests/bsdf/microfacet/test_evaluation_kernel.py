@@ -160,6 +160,7 @@ def material(surface: str, base: str) -> xr.Dataset:
 BASES = ("one value", "constant index", "dispersion", "metal", "metal and dielectric", "compensated", "separable")
 
 
+@pytest.mark.cases(4)
 @pytest.mark.parametrize("base", BASES)
 def test_isotropic_values_are_those_of_numpy(base):
     bsdf, angles = material("isotropic", base), directions()
@@ -175,8 +176,8 @@ def test_values_of_counted_facets_are_those_of_numpy(base):
     assert_same(material("counted", base), directions())
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("base", ["compensated", "dispersion", "one value", "metal", "separable"])
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("base", ["constant index", "compensated", "dispersion", "one value", "metal", "separable"])
 def test_values_of_a_lay_are_those_of_numpy(base):
     assert_same(material("lay", base), directions())
 
@@ -265,13 +266,14 @@ def test_many_values_are_computed_by_the_kernel(monkeypatch):
     np.testing.assert_allclose(values[:-1], few, rtol=1e-12)
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize(
     "options",
     [
         {"transparent": True},
         {"masking": "blinn"},
-        {"multiple_scattering": "directional"},
         {"diffuse": "crf", "spectrum": samples.spectrum(0.5)},
+        {"multiple_scattering": "directional"},
     ],
 )
 def test_other_models_are_left_to_numpy(options):
