@@ -38,8 +38,8 @@ _BLOCK = 2**14
 _CLOSEST_TO_METAL = 1e70
 """Larger indices are perfect mirrors."""
 
-_MANY_VALUES = 2**17
-"""From so many values on, the compiled kernel is used: to load it takes as long as numpy needs for twenty times as many."""
+_MANY_VALUES = 2**19
+"""From so many values on, the compiled kernel is used: to load it takes as long as numpy needs for a few times as many."""
 
 
 @dataclass(frozen=True)
