@@ -24,7 +24,7 @@ from brdfpipe.catalogue.material_keys import (
     MultiangleFile,
 )
 from brdfpipe.exchange.registry import FORMATS, Format
-from brdfpipe.masking.modes import HALOS, MODEL_DEFAULTS, OPTICS, RECIPES, SMITH_MASKINGS, TRUTHS
+from brdfpipe.masking.modes import HALOS, MODEL_DEFAULTS, RECIPES, SMITH_MASKINGS, TRUTHS, optics_of
 
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration
@@ -150,18 +150,13 @@ _KNOWN_ROUGHNESS = Condition(
 )
 
 
-def _uses_waves(subject: Subject) -> bool:
-    return bool(subject.section("model").get("optics", OPTICS[0]) != "facets")
-
-
 def _face_optics(subject: Subject) -> str:
     """Optics of the faces of a clear body: waves, where their spectrum is known, have Smith's masking alone."""
     default = "auto" if _masking(subject) == SMITH_MASKINGS[0] else "facets"
     return str(subject.section("model").get("optics", default))
 
 
-_WAVES = Condition("`model.optics` other than facets", _uses_waves)
-_FACETS = Condition("`model.optics: facets`", lambda subject: not _uses_waves(subject))
+_WAVES = Condition("`model.optics` other than facets", lambda subject: optics_of(subject.section("model")) != "facets")
 _OPAQUE = Condition("no `slab`", lambda subject: "slab" not in subject.owner.content)
 _KNOWN_BACK_ROUGHNESS = Condition(
     "`slab.back.file` or `slab.back.length`",
@@ -203,13 +198,10 @@ def _enabled(key: str) -> Condition:
 
 
 def _comparable(subject: Subject) -> bool:
-    # A perfectly flat surface reflects into a single direction, for which no cell measures a BRDF. The inputs that are fitted are those of
-    # facets.
+    # A perfectly flat surface reflects into a single direction, for which no cell measures a BRDF.
     flat = subject.section("surface").get("distribution") == "flat"
-    of_waves = _uses_waves(subject) if _OPAQUE.holds(subject) else _has_waves_at_faces(subject)
-    return not (flat or of_waves) and any(
-        item.load == "sample" and item.side == "reflection" for item in subject.arrangements
-    )
+    mirrors = flat or (not _OPAQUE.holds(subject) and _has_waves_at_faces(subject))
+    return not mirrors and any(item.load == "sample" and item.side == "reflection" for item in subject.arrangements)
 
 
 # --- keys
@@ -267,18 +259,24 @@ def _further_scan(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     return {key: surface[key] for key in shared if key in surface and key != "azimuth"} | own
 
 
-def _model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
-    """The choices of the model with their defaults, so that writing a default changes nothing."""
+def _facet_model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    """The choices of facets with their defaults, so that writing a default changes nothing."""
     model = subject.section("model")
-    if "recipe" in model:
-        return {key: value for key, value in model.items() if key != "truth"}
-    defaults: dict[str, Any] = MODEL_DEFAULTS
     if "slab" in subject.owner.content:
         return {"masking": _masking(subject), "optics": _face_optics(subject)}
-    elif _uses_waves(subject):
-        defaults = {"optics": OPTICS[0], "diffuse": MODEL_DEFAULTS["diffuse"], "halo": HALOS[0]}
-    chosen = {key: model.get(key, default) for key, default in defaults.items()}
-    return chosen | ({"masking": _masking(subject)} if "masking" in chosen else {})
+    # Facets alone are judged by the roughness.
+    alone = {"optics": "facets"} if _KNOWN_ROUGHNESS.holds(subject) and optics_of(model) == "facets" else {}
+    if "recipe" in model:
+        return {"recipe": model["recipe"]} | alone
+    chosen = {key: model.get(key, default) for key, default in MODEL_DEFAULTS.items()}
+    return chosen | {"masking": _masking(subject)} | alone
+
+
+def _wave_model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    """The choices of waves with their defaults."""
+    model = subject.section("model")
+    defaults = {"diffuse": MODEL_DEFAULTS["diffuse"], "halo": HALOS[0]}
+    return {"optics": optics_of(model)} | {key: model.get(key, default) for key, default in defaults.items()}
 
 
 def _base_of_reference(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
@@ -412,7 +410,7 @@ _STAGES = (
     Stage(
         "visibility",
         "the visibility of the facets, traced on their heights, where Smith's masking does not describe it",
-        when=_MEASURED_RELIEF & _TRACED_MASKING & _FACETS & _PREDICTED,
+        when=_MEASURED_RELIEF & _TRACED_MASKING & _PREDICTED,
         keys=StageKeys(("model.masking",), (), lambda subject, _: {"masking": _masking(subject)}),
         memory=2000,
     ),
@@ -438,23 +436,23 @@ _STAGES = (
     Stage(
         "predicted",
         "the BSDF that facets, index and spectrum predict",
-        when=_has("predicted", "`surface`, or a `spectrum` alone") & _FACETS & _OPAQUE & _PREDICTED,
-        keys=StageKeys(("model",), (), _model),
+        when=_has("predicted", "`surface`, or a `spectrum` alone") & _OPAQUE & _PREDICTED,
+        keys=StageKeys(("model",), (), _facet_model),
         kind="bsdf",
     ),
     Stage(
         "sheet",
         "the BSDF of a clear body that both faces, index and internal transmittance predict",
         when=_has("slab"),
-        keys=StageKeys(("model",), (), _model),
+        keys=StageKeys(("model",), (), _facet_model),
         kind="bsdf",
         memory=1500,
     ),
     Stage(
         "wave",
-        "the BSDF that the roughness spectrum predicts by wave optics",
-        when=_has("predicted", "`surface`") & _WAVES & _OPAQUE & _PREDICTED,
-        keys=StageKeys(("model",), (), _model),
+        "the BSDF that the roughness spectrum predicts by wave optics, joined with that of facets",
+        when=_has("predicted", "`surface`") & _KNOWN_ROUGHNESS & _WAVES & _OPAQUE & _PREDICTED,
+        keys=StageKeys(("model",), (), _wave_model),
         kind="bsdf",
         reported=False,
     ),

@@ -231,7 +231,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("psd", same("surface"), {"psd": "measured_psd"})
     run("psd", {}, same("psd"), {"distribution": "beckmann", "slope_rms": 0.1, "length": 5.0})
     waves = {"optics": "auto", "diffuse": "coupled", "halo": "ssa1"}
-    run("wave", same("psd", "facets", "index", "spectrum"), same("wave"), waves)
+    run("wave", same("predicted", "psd", "facets", "index", "spectrum"), same("wave"), waves)
     run("visibility", same("surface", "facets"), same("visibility"))
     run("facets", {}, {"facets": "flat_facets"}, {"distribution": "flat"})
     faces = {"facets": "flat_facets", **same("psd", "interior", "index")}

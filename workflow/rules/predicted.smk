@@ -108,7 +108,7 @@ use rule stage_template as sheet with:
 
 use rule stage_template as wave with:
     input:
-        **results_of("psd", "facets", "index", "spectrum"),
+        **results_of("predicted", "psd", "facets", "visibility", "index", "spectrum"),
     output:
         wave="{material}/wave.nc",
 

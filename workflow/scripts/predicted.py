@@ -6,16 +6,22 @@ from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 
 def main(input, output, params):
     """The BSDF that facets, index and spectrum predict; of a colour alone, a Lambertian one."""
-    spec = params["spec"]
+    spec, alone = dict(params["spec"]), params["spec"].get("optics") == "facets"
+    spec.pop("optics", None)
     inputs = {name: store.open_dataset(path, name) for name, path in input.items()}
     if "facets" in inputs:
         psd = inputs.pop("psd", None)
         bsdf = build_microfacet(**inputs, **spec)
-        bsdf = bsdf if psd is None else phase_variance.with_warning(bsdf, psd)
+        bsdf = phase_variance.with_warning(bsdf, psd) if psd is not None and alone else bsdf
     else:
         bsdf = lambert_gauss.lambertian(inputs["spectrum"])
     store.save_dataset(
-        bsdf, output["predicted"], stage="predicted", material=params["material"], inputs=inputs, parameters=spec
+        bsdf,
+        output["predicted"],
+        stage="predicted",
+        material=params["material"],
+        inputs=inputs,
+        parameters=params["spec"],
     )
 
 

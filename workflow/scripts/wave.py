@@ -3,8 +3,9 @@ from brdfpipe.bsdf.wave.builder import build
 
 
 def main(input, output, params):
-    """The BSDF that roughness spectrum, facets, index and spectrum predict by wave optics."""
-    spec, inputs = params["spec"], {name: store.open_dataset(path, name) for name, path in input.items()}
+    """The BSDF that roughness spectrum, facets, index and spectrum predict by wave optics, joined with that of facets."""
+    kinds, spec = {"predicted": "bsdf"}, params["spec"]
+    inputs = {name: store.open_dataset(path, kinds.get(name, name)) for name, path in input.items()}
     choices = {"optics": spec["optics"], "form": spec["halo"], "diffuse": spec["diffuse"]}
     store.save_dataset(
         build(**inputs, **choices),

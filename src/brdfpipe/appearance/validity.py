@@ -50,7 +50,7 @@ def validity(datasets: Datasets) -> list[Judgement]:
 
     Parameters
     ----------
-    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``visibility``, ``back_psd``, ``back_facets`` and ``model_error`` are
+    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``visibility``, ``bsdf``, ``back_psd``, ``back_facets`` and ``model_error`` are
         used where they exist
     """
     if "facets" not in datasets or "bsdf" not in datasets:
@@ -76,8 +76,8 @@ def _regime(datasets: Datasets) -> Judgement | None:
     phase = phase_variances(float(datasets["psd"]["sigma"]))
     finding = "g = " + ", ".join(f"{g:.3g} at {angle}°" for angle, g in phase.items())
     condition = "Roughness against wavelength (550 nm)"
-    if datasets["bsdf"].attrs["representation"] == "wave":
-        return Judgement(condition, f"{finding}; waves", "pass")
+    if _by_waves(datasets):
+        return Judgement(condition, f"{finding}; waves and facets", "pass")
     if datasets["bsdf"].attrs["representation"] in REFERENCES:
         return Judgement(condition, f"{finding}; a reference solution on the map", "pass")
     advice = "Set `model.optics: auto`"
@@ -111,6 +111,11 @@ def _regime_of_face(datasets: Datasets, side: str) -> Judgement | None:
     return Judgement(condition, f"{finding}; facets", "pass")
 
 
+def _by_waves(datasets: Datasets) -> bool:
+    """Whether the BSDF was predicted from the roughness spectrum, of waves or of facets where these hold."""
+    return str(datasets["bsdf"].attrs.get("optics", "facets")) != "facets"
+
+
 def _pitch(datasets: Datasets) -> Judgement | None:
     if "surface" not in datasets:
         return None
@@ -122,7 +127,9 @@ def _pitch(datasets: Datasets) -> Judgement | None:
         return Judgement(condition, finding, "")
     exponent, uncertainty = float(psd["fit_slope"]), float(psd["fit_slope_u"])
     with_waves = (
-        datasets["bsdf"].attrs["representation"] in ("wave", "kirchhoff") or "front_wave_sigma" in datasets["bsdf"]
+        _by_waves(datasets)
+        or datasets["bsdf"].attrs["representation"] == "kirchhoff"
+        or "front_wave_sigma" in datasets["bsdf"]
     )
     if not with_waves and exponent + SIGNIFICANT * np.nan_to_num(uncertainty) < SLOPE_OF_FINITE_VARIANCE:
         finding += f"; the roughness spectrum falls as f^−{exponent:.2g}, so that slopes grow with every finer pitch"

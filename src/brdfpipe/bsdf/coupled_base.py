@@ -15,11 +15,13 @@ import xarray as xr
 
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
 from brdfpipe.bsdf.spectral import at_wavelengths
+from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.geometry import Array
 
 OfDirections: TypeAlias = Callable[[Array, Array, Array, Array], Array]
 """θ_i, φ_i, θ_o, φ_o [degree], (directions,) each, to values (directions, wavelength)"""
 
+_WIDTH = 0.1  # of the slopes of a surface without facets, whose reflectance hardly depends on it
 _VALUES_AT_ONCE = 2**17  # that are computed together, to limit memory
 
 
@@ -38,20 +40,30 @@ class CoupledBase(NamedTuple):
             values = at_wavelengths(bsdf[name], wavelength)
             return values if "wavelength" in bsdf[name].dims else values[..., None]
 
-        table = AlbedoTable(bsdf["theta_i"].values, spectral("directional_albedo"))
+        lay = "phi_i" in bsdf["directional_albedo"].dims
+        around = (bsdf["phi_i"].values, ellipse_of(bsdf)) if lay else (None, None)
+        table = AlbedoTable(bsdf["theta_i"].values, spectral("directional_albedo"), *around)
         return cls(table, spectral("mean_albedo"), spectral("diffuse"))
 
-    def brdf(self, theta_i: Array, theta_o: Array) -> Array:
-        """Of the light from the base [sr-1], (directions, wavelength); both directions above the surface."""
+    def brdf(self, theta_i: Array, theta_o: Array, phi_i: Array | float = 0.0, phi_o: Array | float = 0.0) -> Array:
+        """Of the light from the base [sr-1], (directions, wavelength); both directions above the surface, azimuths for one with a lay."""
         if not self.diffuse.any():
             return np.zeros((1, 1))
-        entering, leaving = 1 - self.albedo(theta_i), 1 - self.albedo(theta_o)
+        entering, leaving = 1 - self.albedo(theta_i, phi_i), 1 - self.albedo(theta_o, phi_o)
         return np.asarray(self.diffuse / (np.pi * (1 - self.mean_albedo)) * (entering * leaving))
 
-    def total_albedo(self, theta_i: Array) -> Array:
+    def total_albedo(self, theta_i: Array, phi_i: Array | float = 0.0) -> Array:
         """Directional reflectance of surface and base [1], (incidences…, wavelength); 0 from below the surface."""
-        surface = self.albedo(np.minimum(theta_i, 90.0))
+        surface = self.albedo(np.minimum(theta_i, 90.0), phi_i)
         return np.where((np.asarray(theta_i) < 90)[..., None], surface + self.diffuse * (1 - surface), 0.0)
+
+
+def ellipse_of(bsdf: xr.Dataset) -> Ellipse:
+    """The widths that scale the albedo of a surface with a lay: of its facets, else of its roughness spectrum."""
+    if "slope_along" in bsdf.coords:
+        return Ellipse.of(bsdf)
+    ratio = float(bsdf["halo_stretch"])
+    return Ellipse(_WIDTH / ratio, _WIDTH * ratio, float(bsdf["halo_lay"]))
 
 
 def above_surface(

@@ -162,7 +162,8 @@ def _of_facets(bsdf: xr.Dataset, facets: xr.Dataset) -> Iterator[tuple[str, Fiel
         changed = (facets["slope_density"].values + facets[CHANGES].values) / factor**2
         of_masking = _radial_masking(bsdf)
     else:
-        changed = facets["slope_density"].values + facets[CHANGES].values
+        factor = float(bsdf["slope_along"].values[-1] / facets["slope_along"].values[-1])
+        changed = (facets["slope_density"].values + facets[CHANGES].values) / factor**2
         of_masking = _planar_masking(bsdf)
     given = bsdf["slope_density"]
     for source, values in zip(facets[SOURCE].values, changed, strict=True):
@@ -212,7 +213,11 @@ def _of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[Fields]:
     Rings of a spectrum are independent, so the variance of a band is the sum of theirs; a band changes as a whole.
     """
     frequency, density, u = (psd[name].values for name in ("frequency", "psd", "psd_uncertainty"))
-    if psd.attrs["form"] != "measured" or not (density.any() and np.isfinite(u).all() and u.any()):
+    if (
+        "log_halo" not in bsdf
+        or psd.attrs["form"] != "measured"
+        or not (density.any() and np.isfinite(u).all() and u.any())
+    ):
         return
     weight = frequency**2 * np.gradient(np.log(frequency))
     power = np.cumsum(weight * density)

@@ -33,6 +33,8 @@ from brdfpipe.masking.modes import (
     RECIPES,
     SMITH_MASKINGS,
     TRUTHS,
+    WAVE_OPTICS,
+    optics_of,
 )
 
 EXPORT_WORDS = "; ".join(f"{name}: {format.description}" for name, format in FORMATS.items())
@@ -244,7 +246,7 @@ class BeckmannSurface(Keys):
         le=100_000,
         example=5,
         stage="psd",
-        details="The rms height is then slope_rms · ℓ / 2. `model.optics: wave` needs it.",
+        details="The rms height is then slope_rms · ℓ / 2. Waves need it: without it, the finish is one of facets.",
     )
 
 
@@ -633,7 +635,7 @@ class Model(Keys):
 
     optics: Annotated[str, OneOf(OPTICS)] = key(
         "how the surface reflects: facets (geometrical optics), wave (coherent mirror reflection and a halo), composite (facets with finer "
-        "roughness) or auto (waves or facets, by roughness, slope and incidence)",
+        "roughness) or auto (waves or facets, by roughness, slope and incidence; facets where the roughness is not known)",
         default_words=f"`{OPTICS[0]}`",
         details="See [waves](model.md#waves). A scan, or a beckmann finish with `length`, gives the roughness spectrum that wave needs.",
     )
@@ -674,14 +676,14 @@ class Model(Keys):
         return self.masking or RECIPES.get(self.recipe or "", MODEL_DEFAULTS)["masking"]
 
     @property
-    def uses_waves(self) -> bool:
-        """Whether the model needs a roughness spectrum."""
-        return (self.optics or OPTICS[0]) != "facets"
+    def effective_optics(self) -> str:
+        """The optics that the keys, the recipe or the default give."""
+        return optics_of(self.model_dump(exclude_none=True))
 
     @model_validator(mode="after")
     def _check_optics(self) -> Self:
         """Refuse keys of facets with waves, and of waves with facets."""
-        if not self.uses_waves:
+        if self.effective_optics == "facets":
             if self.halo not in (None, HALOS[0]):
                 raise InputError(
                     "",
@@ -692,8 +694,8 @@ class Model(Keys):
                 )
             return self
         for name, found in (("masking", self.masking), ("multiple_scattering", self.multiple_scattering)):
-            if found is not None:
-                problem = f"`optics: {self.optics}` sets it: Smith's height-correlated masking, and one reflection by each facet"
+            if found is not None and self.optics == "wave":
+                problem = "`optics: wave` has no facets"
                 raise InputError(
                     "", problem, where=name, found=repr(found), accepted=f"`optics: {self.optics}` without `{name}`"
                 )
@@ -773,11 +775,10 @@ class Material(Keys):
     @model_validator(mode="after")
     def _check_roughness_spectrum(self) -> Self:
         """Refuse waves where no roughness spectrum is known."""
-        if not self.model.uses_waves:
-            return self
         faces = [self.surface] if self.slab is None else [self.surface, self.slab.back]
         known = any(isinstance(face, MeasuredSurface) or getattr(face, "length", None) is not None for face in faces)
-        problem = "" if known else "needs a roughness spectrum"
+        needed = self.model.optics in WAVE_OPTICS and self.model.optics != "auto"
+        problem = "needs a roughness spectrum" if needed and not known else ""
         accepted = "facets; or a measured `surface`, or a beckmann finish with `length`"
         if self.slab is not None and self.model.optics == "composite":
             problem, accepted = "is for a body with one face", "facets, wave or auto with `slab`"
@@ -786,7 +787,7 @@ class Material(Keys):
         if problem:
             raise InputError(
                 "",
-                f"`model.optics: {self.model.optics}` {problem}",
+                f"`model.optics: {self.model.effective_optics}` {problem}",
                 where="model.optics",
                 found=repr(self.model.optics),
                 accepted=accepted,

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.representations.microfacet import Microfacet
+from brdfpipe.bsdf.representations.microfacet import Microfacet, Smooth
+from brdfpipe.bsdf.representations.wave import Wave
+from brdfpipe.bsdf.wave.two_scale import FACETS_ALONE
 from brdfpipe.comparison import comparison_dataset, findings
 from brdfpipe.comparison.adjustment import Adjusted, adjust
 from brdfpipe.comparison.measurement import ComparisonError, Measurement
@@ -26,6 +28,7 @@ PRIOR_U: Mapping[str, float] = {"index": 0.02, "slope": 0.1, "diffuse": 0.05}
 MOST_WAVELENGTHS = 8
 """Wavelengths that are compared, evenly chosen from those of the rig that the prediction covers."""
 
+_VISIBLE = 1e-4  # coherent reflectance below which no cell shows it
 _SAME = 1e-3  # largest relative difference between a prediction and the same one rebuilt from its inputs
 
 
@@ -36,6 +39,7 @@ def compare(
     facets: xr.Dataset,
     index: xr.Dataset | float | str,
     spectrum: xr.Dataset | None = None,
+    wave: xr.Dataset | None = None,
     index_u: float = PRIOR_U["index"],
     slope_u: float = PRIOR_U["slope"],
     diffuse_u: float = PRIOR_U["diffuse"],
@@ -47,6 +51,8 @@ def compare(
     primary : kind ``primary``, of reflection; light comes from azimuth 0, whatever the lay of the surface
     predicted : kind ``bsdf``. One of the representation ``microfacet`` is fitted, any other one only compared
     facets, index, spectrum : the inputs it was built from, see :func:`brdfpipe.bsdf.microfacet.build`
+    wave : kind ``bsdf``, of the same surface by wave optics (:func:`brdfpipe.bsdf.wave.build`). It is compared, without a fit, in place of
+        ``predicted`` if at any measured incidence less than :data:`FACETS_ALONE` of the light is reflected as by facets
     index_u : standard uncertainty of the refractive index [1]
     slope_u, diffuse_u : relative standard uncertainty of the facets' slopes, and of the diffuse reflectance
         below them; an input with an uncertainty of 0 is not changed
@@ -70,6 +76,7 @@ def compare(
     remaining error where a lobe is about as narrow as a cell, and the uncertainty of the scanned facets, are uncertainties of the prediction
     (``brdf_model_u``), which z and χ² include.
     """
+    predicted = _with_waves(predicted, wave, primary)
     prior_u = {"index": index_u, "slope": slope_u, "diffuse": diffuse_u}
     _check(primary, predicted, facets, prior_u)
     measurement = Measurement.of(primary, _shared(primary, predicted))
@@ -89,7 +96,8 @@ def compare(
     comparison = comparison_dataset.compared(measurement, models, fit)
     if fit is not None:
         comparison = comparison_dataset.with_inputs(comparison, model, fit)
-    comparison = vocabulary.label(findings.with_findings(comparison, predicted), "comparison")
+    comparison = vocabulary.add_warning(findings.with_findings(comparison, predicted), *_coherent(predicted, primary))
+    comparison = vocabulary.label(comparison, "comparison")
     return vocabulary.validate(comparison, "comparison")
 
 
@@ -126,12 +134,35 @@ def _check(primary: xr.Dataset, predicted: xr.Dataset, facets: xr.Dataset, prior
             "the rig measured transmitted light, but a prediction is compared with reflected light only: measure "
             "`side: [reflection]` too"
         )
-    incidence = primary["incidence"].values.astype(float)
-    if any(share.any() for share in representation(predicted).specular(incidence, np.zeros_like(incidence), None)):
+    if isinstance(representation(predicted), Smooth):
         raise ComparisonError(
             "the predicted surface is perfectly flat and mirrors light into one single direction, of which no cell shows a BRDF; "
             "give the surface a roughness, measured or assumed"
         )
+
+
+def _with_waves(predicted: xr.Dataset, wave: xr.Dataset | None, primary: xr.Dataset) -> xr.Dataset:
+    """The BSDF that is compared: that of the facets where they reflect all light at the measured incidences, else that with waves."""
+    if wave is None:
+        return predicted
+    model = representation(vocabulary.validate(wave, "bsdf"))
+    if not isinstance(model, Wave):
+        return wave
+    _, share = model.regime(primary["incidence"].values.astype(float), wave["wavelength"].values)
+    alone = share.min() >= FACETS_ALONE and "log_fine_halo" not in wave
+    return predicted if alone else wave
+
+
+def _coherent(predicted: xr.Dataset, primary: xr.Dataset) -> list[str]:
+    """A warning where the prediction mirrors light into the single direction that no BRDF holds."""
+    incidence = primary["incidence"].values.astype(float)
+    share = float(representation(predicted).specular(incidence, np.zeros_like(incidence), None)[0].max())
+    if share < _VISIBLE:
+        return []
+    return [
+        f"up to {share:.2g} of the light is reflected coherently, into the mirror direction itself; the predicted BRDF leaves it out, so a cell "
+        "that holds this direction is predicted too dark"
+    ]
 
 
 def _shared(primary: xr.Dataset, predicted: xr.Dataset) -> NDArray[np.int64]:

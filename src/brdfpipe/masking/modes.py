@@ -1,5 +1,10 @@
 """Modes of the model by name; light to import, because every check of a material reads them."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
 SMITH_MASKINGS = ("height-correlated", "separable")
 """Smith's maskings: reciprocal, and energy is conserved where light passes the surface too."""
 
@@ -16,8 +21,11 @@ MODES = {
 Masking ``auto`` is ``measured`` where heights were measured and Smith's masking does not describe them, else Smith's height-correlated one.
 """
 
-OPTICS = ("facets", "wave", "composite", "auto")
+OPTICS = ("auto", "facets", "wave", "composite")
 """Accepted values of ``model.optics``; the first one is the default."""
+
+WAVE_OPTICS = tuple(name for name in OPTICS if name != "facets")
+"""Those that need a roughness spectrum."""
 
 HALOS = ("ssa1", "ghs", "rayleigh-rice")
 """Accepted values of ``model.halo``, theories of light scattered by waves; the first one is the default."""
@@ -35,5 +43,17 @@ MASKINGS_OF_MULTIPLE_SCATTERING = {
 }
 """Masking modes with which each mode of ``multiple_scattering`` is defined."""
 
+
 RECIPES = {"crf": {"masking": "crf", "diffuse": "crf", "multiple_scattering": "none"}}
 """Modes of one source, by its name."""
+
+
+def optics_of(model: Mapping[str, Any]) -> str:
+    """The optics of the keys of ``model``: as given, else ``facets`` with the modes of a source that knows no waves, else the default."""
+    if (given := model.get("optics")) is not None:
+        return str(given)
+    masking = model.get("masking") or MODEL_DEFAULTS["masking"]
+    of_source = (
+        model.get("recipe") is not None or model.get("diffuse") == "crf" or masking not in ("auto", *PHYSICAL_MASKINGS)
+    )
+    return "facets" if of_source else OPTICS[0]

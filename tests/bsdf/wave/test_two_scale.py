@@ -14,7 +14,7 @@ from brdfpipe.bsdf import kirchhoff, microfacet, wave
 from brdfpipe.bsdf.microfacet.microsurface import ModelError
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.wave.two_scale import characteristic_function, facet_share
-from brdfpipe.facets import analytic
+from brdfpipe.facets import analytic, estimate, flat
 from brdfpipe.facets.radial_density import RadialDensity
 
 
@@ -96,6 +96,45 @@ def test_gloss_has_no_jump_from_1_nm_to_2_um(slope, steps):
     assert (np.diff(auto, axis=0) < 0.01).all()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("slope", [None, 0.1])
+def test_gloss_and_peak_are_smooth_functions_of_the_height(slope):
+    # At a fixed length of 5 um, or at a fixed slope.
+    sigma = np.geomspace(0.001, 2.0, 61)
+    step = np.log(sigma[1] / sigma[0])
+    found = []
+    for s in sigma:
+        bsdf = rough(s, 5.0 if slope is None else 2 * s / slope)
+        peak = float(bsdf.bsdf.evaluate(60.0, 0.0, 60.0, 180.0).squeeze())
+        found.append([*appearance.gloss(bsdf, [20, 60, 85]).values, 10 * np.log10(peak)])
+    # A second difference of 300 h² is a curvature; a jump would not fall with the step.
+    assert np.abs(np.diff(found, 2, axis=0)).max() < 300 * step**2
+
+
+@pytest.mark.slow
+def test_two_scales_agree_with_diffraction_on_their_map():
+    # 1 um over 20 um and 30 nm over 1 um: facets of all slopes give 13.1 units at 60 degree, diffraction 15.4.
+    coarse, fine = _gaussian_map(1.0, 20.0, 0.25, 1024, 3), _gaussian_map(0.03, 1.0, 0.25, 1024, 4)
+    surface = coarse.assign(height=coarse["height"] + fine["height"])
+    surface = vocabulary.label(surface, "surface")
+    bsdf = wave.build(psd.estimate(surface), facets=estimate(surface), index=1.5, wavelength=550.0, optics="auto")
+    assert "log_fine_halo" in bsdf
+    # One map of 13 coarse correlation lengths: the facets are its own.
+    assert gloss(bsdf) == pytest.approx(gloss(kirchhoff.build(surface, index=1.5, wavelength=550.0)), rel=0.03)
+
+
+def test_the_stated_error_of_the_cut_covers_what_a_moved_cut_changes():
+    bsdf = rough(0.4, 10.0, "composite")
+    theta, view = np.full(21, 45.0), np.linspace(38.0, 52.0, 21)
+    at = 1 / (np.pi * 10.0) * np.sqrt(-2 * np.log(float(bsdf["fine_sigma"]) / 0.4))
+    values = [
+        rough(0.4, 10.0, "composite", cut=cut).bsdf.evaluate(theta, 0.0, view, 180.0).values.squeeze()
+        for cut in (at, 1.5 * at)
+    ]
+    assert 0 < float(bsdf["cut_error"]) < 0.05
+    assert np.abs(values[1] / values[0] - 1).max() < 1.5 * float(bsdf["cut_error"])
+
+
 def test_the_lobe_of_two_scales_does_not_depend_on_the_cut():
     # 0.4 um over 20 um carries 20 nm over 1 um: as two Gaussian surfaces, between whose frequencies any cut parts the same.
     theta = np.full(40, 30.0)
@@ -165,14 +204,10 @@ def test_a_composite_of_smooth_relief_warns():
     assert vocabulary.warnings(rough(1.0, 20.0, "composite")) == []
 
 
-def test_facets_with_a_lay_are_refused():
-    with pytest.raises(ModelError, match="without a lay"):
-        wave.build(
-            psd.analytic("gaussian", sigma=0.1, length=5.0),
-            facets=analytic("beckmann", a_x=0.1, a_y=0.05),
-            index=1.5,
-            optics="auto",
-        )
+@pytest.mark.parametrize("facets", [None, flat()])
+def test_facets_are_needed_where_the_surface_may_be_one_of_facets(facets):
+    with pytest.raises(ModelError, match="facets of a rough surface"):
+        wave.build(psd.analytic("gaussian", sigma=0.1, length=5.0), facets=facets, index=1.5, optics="auto")
 
 
 @pytest.mark.slow

@@ -11,7 +11,8 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.coupled_base import CoupledBase
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
-from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
+from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.bsdf.wave.two_scale import Angles, RoughSurface
 from brdfpipe.geometry import Array
@@ -23,6 +24,10 @@ _MIXTURE_NODES = 8
 
 _MIXED_OR_NOT = (("wavelength",), ("mixed",))
 _BY_INCIDENCE = (("theta_i", "wavelength"), ("theta_i",))
+_BY_DIRECTION = (*_BY_INCIDENCE, ("theta_i", "phi_i", "wavelength"), ("theta_i", "phi_i"))
+
+_FACETS = {**Microfacet.kind.required, **Microfacet.kind.optional}
+"""Variables of the facets' BSDF."""
 
 
 class _Spectral(NamedTuple):
@@ -41,28 +46,38 @@ class _Spectral(NamedTuple):
         return values if self.mixture is None else np.asarray(values @ self.mixture[:, None])
 
 
+def _mixed(dims: tuple[str, ...]) -> tuple[str, ...]:
+    """Dimensions of a mean over wavelengths, of which a few stand for all."""
+    return tuple("mixed" if dim == "wavelength" else dim for dim in dims)
+
+
 class Wave(Representation):
-    """A surface with low slopes: light is reflected coherently, scattered by the heights, and diffuse from below."""
+    """A surface that reflects coherently, scatters as waves do and mirrors by facets, over a diffuse base.
+
+    Its dataset holds the facets' BSDF too, with its own names, unless the surface has none.
+    """
 
     name = "wave"
     kind = vocabulary.Kind(
         required={
-            "log_halo": [("phase_variance", "halo_frequency")],
             "sigma": vocabulary.SCALAR,
-            "frequency_scale": vocabulary.SCALAR,
             **dict.fromkeys(("n", "k"), _MIXED_OR_NOT),
             **dict.fromkeys(("diffuse", "mean_albedo"), vocabulary.SPECTRAL),
-            **dict.fromkeys(("directional_albedo", "coherent_excess"), _BY_INCIDENCE),
+            "directional_albedo": _BY_DIRECTION,
+            "coherent_excess": _BY_INCIDENCE,
             "energy_residual": vocabulary.SCALAR,
         },
         optional={
-            **dict.fromkeys(("fit_length", "fit_slope", "theta_m"), vocabulary.SCALAR),
+            **{name: [*dims, *map(_mixed, dims)] for name, dims in _FACETS.items()},
+            "log_halo": [("phase_variance", "halo_frequency"), ("phase_variance", "halo_frequency", "halo_azimuth")],
+            **dict.fromkeys(("halo_lay", "halo_stretch"), vocabulary.SCALAR),
+            **dict.fromkeys(("frequency_scale", "fit_length", "fit_slope", "theta_m"), vocabulary.SCALAR),
             "total_reflectance": vocabulary.SPECTRAL,
             **dict.fromkeys(("mixture", "mixed_wavelength"), _MIXED_OR_NOT[1:]),
-            "slope_density": [("slope",)],
-            "lambda_smith": [("theta",)],
             "log_fine_halo": [("fine_phase_variance", "fine_frequency")],
-            **dict.fromkeys(("fine_scale", "fine_sigma", "facet_sigma", "resolved_slope"), vocabulary.SCALAR),
+            **dict.fromkeys(
+                ("fine_scale", "fine_sigma", "facet_sigma", "resolved_slope", "cut_error"), vocabulary.SCALAR
+            ),
             "facet_share": _BY_INCIDENCE,
         },
         attributes=("optics", "form", "spectrum", "diffuse_mode", "transmission"),
@@ -112,11 +127,13 @@ class Wave(Representation):
 
     def _base(self, at: _Spectral, angles: Angles) -> Array:
         """BRDF of the diffuse base [sr-1], (directions, wavelength)."""
-        above = ((angles[0] < 90) & (angles[2] < 90))[:, None]
-        return np.where(above, at.base.brdf(np.minimum(angles[0], 90.0), np.minimum(angles[2], 90.0)), 0.0)
+        theta_i, phi_i, theta_o, phi_o = angles
+        above = ((theta_i < 90) & (theta_o < 90))[:, None]
+        brdf = at.base.brdf(np.minimum(theta_i, 90.0), np.minimum(theta_o, 90.0), phi_i, phi_o)
+        return np.where(above, brdf, 0.0)
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-        return self._spectral(wavelength).base.total_albedo(np.asarray(theta_i, dtype=float))
+        return self._spectral(wavelength).base.total_albedo(np.asarray(theta_i, dtype=float), phi_i)
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
         at, theta = self._spectral(wavelength), np.asarray(theta_i, dtype=float)
@@ -135,23 +152,35 @@ class Wave(Representation):
         return False
 
     @property
+    def isotropic(self) -> bool:
+        return "phi_i" not in self.dataset["directional_albedo"].dims and "halo_azimuth" not in self.dataset.dims
+
+    @property
+    def lay(self) -> float | None:
+        return float(self.dataset["halo_lay"]) if "halo_lay" in self.dataset else super().lay
+
+    @property
     def lobe_slope(self) -> float:
         """Facet slope at which the halo has half its peak, at normal incidence and the middle wavelength, or of the facets if smaller."""
         return self.slope_of(self.dataset)
 
     @staticmethod
     def slope_of(bsdf: xr.Dataset) -> float:
-        """Slope at which the halo of a ``bsdf`` dataset has half its peak, at normal incidence and the middle wavelength."""
+        """That of a ``bsdf`` dataset."""
+        of_facets = Microsurface.of(bsdf).typical_slope if "slope_density" in bsdf else 1.0
+        if "log_halo" not in bsdf:
+            return of_facets
         wavelength = bsdf["mixed_wavelength" if "mixture" in bsdf else "wavelength"].values
         middle = float(wavelength[wavelength.size // 2]) * 1e-3
         phase, frequency = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
         row = int(np.argmin(np.abs(phase - (4 * np.pi * float(bsdf["sigma"]) / middle) ** 2)))
         values = bsdf["log_halo"].values[row]
+        if values.ndim == 2:
+            values, frequency = values.max(axis=1), frequency / float(bsdf["halo_stretch"])
         # A measured spectrum has no heights longer than the scan, and its halo a dip in the middle.
         below = (values < values.max() - np.log(2)) & (np.arange(values.size) > values.argmax())
         half = frequency[below.argmax()] if below.any() else frequency[-1]
-        slope = float(np.clip(half * middle / 2, 1e-9, 1.0))
-        return min(slope, Microsurface.of(bsdf).typical_slope) if "slope_density" in bsdf else slope
+        return min(float(np.clip(half * middle / 2, 1e-9, 1.0)), of_facets)
 
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The mean over wavelength. Coherent part and halo are evaluated at a few wavelengths that stand for all of them."""
@@ -163,11 +192,15 @@ class Wave(Representation):
             for name in ("directional_albedo", "coherent_excess", "mean_albedo", "total_reflectance")
             if name in bsdf
         }
-        entering = 1 - bsdf["directional_albedo"].sel(theta_i=float(bsdf["theta_m"])).values
+        at_nodes = {
+            name: (_mixed(tuple(map(str, bsdf[name].dims))), at_wavelengths(bsdf[name], wavelength))
+            for name in ("n", "k", *_FACETS)
+            if name in bsdf and "wavelength" in bsdf[name].dims and name not in (*means, "diffuse", "diffuse_quality")
+        }
+        at_measured = bsdf["directional_albedo"].sel(theta_i=float(bsdf["theta_m"]))
+        entering = 1 - (at_measured.mean("phi_i") if "phi_i" in at_measured.dims else at_measured).values
         base = float(weight @ (bsdf["diffuse"].values * entering)) / max(float(weight @ entering), 1e-12)
-        reduced = kept.assign(means).assign(
-            n=("mixed", at_wavelengths(bsdf["n"], wavelength)),
-            k=("mixed", at_wavelengths(bsdf["k"], wavelength)),
+        reduced = kept.assign(means | at_nodes).assign(
             mixture=("mixed", mixture),
             mixed_wavelength=("mixed", wavelength),
             diffuse=base,
@@ -183,7 +216,10 @@ class Wave(Representation):
 
     @property
     def unphysical_choice(self) -> str:
-        return "form rayleigh-rice" if self.dataset.attrs["form"] == "rayleigh-rice" else ""
+        if self.dataset.attrs["form"] == "rayleigh-rice" and "log_halo" in self.dataset:
+            return "form rayleigh-rice"
+        masking = self.dataset.attrs.get("masking")
+        return f"masking {masking}" if masking in NOT_PHYSICAL else ""
 
 
 def _gauss_nodes(wavelength: Array, weight: Array) -> tuple[Array, Array]:

@@ -30,12 +30,15 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.microfacet import energy, transmission
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.slab import face
 from brdfpipe.bsdf.slab.face import ELEMENTS, LEAST_LOSS, Azimuths, Face, Nodes
 from brdfpipe.bsdf.wave import two_scale
+from brdfpipe.bsdf.wave.builder import Relief, roughness
 from brdfpipe.bsdf.wave.builder import build as build_wave
 from brdfpipe.bsdf.wave.halo import Field, Halo
 from brdfpipe.geometry import Array, HalfVector
@@ -58,7 +61,9 @@ class WaveSurface(NamedTuple):
 
     facets: Microsurface
     outside: xr.Dataset
-    """``bsdf`` dataset, representation ``wave``: the light that the face reflects outside"""
+    """``bsdf`` dataset of waves, or of facets where these hold: the light that the face reflects outside"""
+    relief: Relief | None
+    """Heights and slopes that decide between waves and facets; None for waves alone"""
     halo: Halo
     """Transform of the heights for the light inside too"""
 
@@ -72,21 +77,29 @@ class WaveSurface(NamedTuple):
         table = build_wave(psd, index=1.5, wavelength=inner, diffuse="none")
         if psd.attrs["form"] == "measured":
             table = _without_ripple(table, float(psd["frequency"][0]), _RIPPLE / (float(wavelength[0]) * 1e-3))
-        return cls(Microsurface.of(facets), outside, Halo.of(table))
+        correlation, sigma = roughness(psd)
+        relief = None if optics == "wave" else Relief.of(correlation, sigma, psd, "auto", None)
+        return cls(Microsurface.of(facets), outside, relief, Halo.of(table))
+
+    @property
+    def reflection(self) -> Representation:
+        """The light that the face reflects outside, to be evaluated."""
+        waves = self.outside.attrs["representation"] == Wave.name
+        return Wave(self.outside) if waves else Microfacet(self.outside)
 
     def facet_share(self, change: Array, cosine: Array, wavelength: float) -> Array:
         """Share of the light [1] for which the face is one of facets, of q/k and the mean cosine of both directions."""
-        if self.outside.attrs["optics"] == "wave":
+        if self.relief is None:
             return np.zeros_like(change)
-        phase = (2e3 * np.pi * float(self.outside["facet_sigma"]) * change / wavelength) ** 2
-        return two_scale.facet_share(phase, cosine, float(self.outside["resolved_slope"]))
+        phase = (2e3 * np.pi * self.relief.sigma * change / wavelength) ** 2
+        return two_scale.facet_share(phase, cosine, self.relief.slope)
 
     def transform(self, change: Array, along: Array, wavelength: float) -> Array:
         """K/λ² over (q/k)², of q/k and of λf, of one shape."""
         change, along = (part.reshape(-1) for part in np.broadcast_arrays(np.maximum(change, _LEAST_CHANGE), along))
         none = np.zeros_like(change)
         pair = HalfVector((along / change) ** 2, none, change, none, none, none)
-        return self.halo.strength_and_transform(pair, np.array([wavelength]))[1][:, 0] / change**2
+        return self.halo.strength_and_transform(pair, (none, none), np.array([wavelength]))[1][:, 0] / change**2
 
     def is_of_facets(self, index: float, wavelength: float) -> bool:
         """Whether the face is one of facets for all transmitted light up to a wavelength [nm]."""
@@ -169,7 +182,7 @@ def rough(
     count, root = nodes.outside.size, np.sqrt(nodes.weight)
     outside, inside = np.radians(nodes.outside), np.radians(nodes.inside)
     air, body = np.cos(outside), index * np.cos(inside)
-    model, zero, at = Wave(surface.outside), np.zeros(count), np.array([wavelength])
+    model, zero, at = surface.reflection, np.zeros(count), np.array([wavelength])
     reflected = np.minimum(model.albedo(nodes.outside, zero, at)[:, 0], _LARGEST_SHARE)
     mirrored_outside = np.minimum(model.specular(nodes.outside, zero, at)[0][:, 0], reflected)
     alike = face.smooth(index, nodes)

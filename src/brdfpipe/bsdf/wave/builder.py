@@ -8,13 +8,19 @@ part IV, 209), Bennett & Porteus 1961 (J. Opt. Soc. Am. 51, 123).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from brdfpipe import hemisphere, vocabulary
+from brdfpipe.bsdf.coupled_base import ellipse_of
 from brdfpipe.bsdf.microfacet import energy
+from brdfpipe.bsdf.microfacet.anisotropic_quadrature import arc_to_azimuth, azimuth_to_arc
+from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 from brdfpipe.bsdf.microfacet.builder import (
     index_on,
     trap_of,
@@ -22,17 +28,27 @@ from brdfpipe.bsdf.microfacet.builder import (
     with_clamping_warning,
     with_diffuse_reflectance,
 )
-from brdfpipe.bsdf.microfacet.microsurface import ModelError
+from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
+from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.representations.wave import Wave
-from brdfpipe.bsdf.wave import height_transform
-from brdfpipe.bsdf.wave.two_scale import RoughSurface, characteristic_function
+from brdfpipe.bsdf.wave import height_transform, planar_transform
+from brdfpipe.bsdf.wave.halo import Halo
+from brdfpipe.bsdf.wave.two_scale import (
+    FACETS_ALONE,
+    RoughSurface,
+    characteristic_function,
+    facet_share_at,
+    mirror_lobe,
+)
+from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.facets.scaling import scaled
 from brdfpipe.geometry import Array
-from brdfpipe.masking.modes import HALOS, OPTICS
+from brdfpipe.masking.modes import HALOS, WAVE_OPTICS
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import refractive_index
 
-FINE_PHASE = 0.02
+FINE_PHASE = 1.0
 """Phase variance of roughness that is too fine to be facets, at normal incidence and 550 nm."""
 
 LEAST_SLOPE = 3.0
@@ -40,6 +56,15 @@ LEAST_SLOPE = 3.0
 
 EXTRAPOLATED_LIMIT = 0.2
 """Share of the mean square height beyond the band of a measured spectrum above which a warning says so."""
+
+CUT_FACTOR = 1.5
+"""Factor by which the cut is moved to find how much the BRDF depends on it."""
+
+LEAST_SLOPE_FACTOR = 0.97
+"""Slopes of a relief over all slopes above which ``auto`` leaves the finer roughness to the facets."""
+
+LARGEST_INCIDENCE = 85.0
+"""Incidence [degree] up to which facets must reflect :data:`brdfpipe.bsdf.wave.two_scale.FACETS_ALONE` of the light, for ``auto`` to be them."""
 
 COARSE_LIMIT = 20.0
 """Phase variance of the facets of ``composite`` below which a warning says that they are too smooth."""
@@ -57,7 +82,18 @@ _MIDDLE = 0.55
 """Wavelength at which a surface is judged [um]."""
 _LEAST_SIGMA = 1e-9
 """Rms height below which a surface is as good as flat [um]."""
-_INCIDENCES = 33
+_INCIDENCES, _LAY_INCIDENCES = 33, 21
+"""Angles of incidence at which the reflectance is integrated."""
+_WAVELENGTHS, _LAY_WAVELENGTHS = 12, 6
+"""Wavelengths at which the reflectance is integrated; over the others its ratio to Fresnel's is interpolated."""
+_ARCS: Array = 20.0 * np.arange(9.0)
+"""Arcs, in the sense of :func:`azimuth_to_arc`, at which that of a surface with a lay is [degree]."""
+_LAY_STEP = 15.0
+"""Step of its table, of a surface without facets [degree]."""
+_ROUGH_STEP = 0.5
+"""Step of ln g where a table need not be exact."""
+_BASE = ("diffuse", "diffuse_quality", "total_reflectance", "theta_m")
+"""Variables of the base below the facets, which is closed anew."""
 
 
 def build(
@@ -69,10 +105,12 @@ def build(
     form: str = HALOS[0],
     diffuse: str = "coupled",
     facets: xr.Dataset | None = None,
+    predicted: xr.Dataset | None = None,
+    visibility: xr.Dataset | None = None,
     optics: str = "wave",
     cut: float | None = None,
 ) -> xr.Dataset:
-    """Wave-optical BSDF of a surface, alone or together with facets.
+    """BSDF of a surface by wave optics, by facets with finer roughness, or by both in turn.
 
     Parameters
     ----------
@@ -82,20 +120,22 @@ def build(
     wavelength : [nm], increasing; by default those of the spectrum, else of the index, else :data:`brdfpipe.bsdf.microfacet.builder.WAVELENGTHS`
     form : one of :data:`brdfpipe.masking.modes.HALOS`
     diffuse : ``coupled``, or ``none``
-    facets : kind ``facets``, of the same surface; needed unless ``optics`` is ``wave``
+    facets : kind ``facets``, of the same surface; needed unless ``optics`` is ``wave``. Whether the halo follows a lay is theirs to say
+    predicted : kind ``bsdf``, built of the same facets, index and spectrum, with the modes of the facets; by default with the default modes
+    visibility : kind ``visibility``, if the masking of ``predicted`` is ``measured``
     optics : ``wave``; ``composite``, where roughness below a cut scatters upon facets; or ``auto``, which passes from ``wave`` to
-        ``composite`` with the phase variance and the slope
+        facets with the phase variance and the slope, with finer roughness upon them where it is measured and matters
     cut : frequency that parts facets from finer roughness [um-1]; by default that above which the roughness has a phase variance of
         :data:`FINE_PHASE`, at most half an inverse wavelength
 
     Returns
     -------
     Dataset of kind ``bsdf``, representation ``wave``: the coherent share F e^(−g) of the mirror reflection is not part of the BSDF but of
-    its specular reflectance, as that of a smooth surface
+    its specular reflectance, as that of a smooth surface. Of a surface that ``auto`` finds to be one of facets alone it is ``predicted``
 
     Raises
     ------
-    ModelError : an unknown form, no usable wavelengths, or an index below that of air without absorption.
+    ModelError : an unknown form, no usable wavelengths, an index below that of air without absorption, or facets that are missing.
     VocabularyError : a dataset of the wrong kind.
 
     Notes
@@ -105,19 +145,7 @@ def build(
     """
     vocabulary.validate(psd, "psd")
     index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
-    if form not in HALOS:
-        raise ModelError(f"unknown form of the wave model {form!r}; accepted: {', '.join(HALOS)}; set `model.halo`")
-    if diffuse not in ("coupled", "none"):
-        raise ModelError(f"unknown diffuse {diffuse!r} of the wave model; accepted: coupled, none; set `model.diffuse`")
-    if optics not in OPTICS[1:]:
-        raise ModelError(
-            f"unknown optics {optics!r} of the wave model; accepted: {', '.join(OPTICS[1:])}; set `model.optics`"
-        )
-    if optics != "wave" and (facets is None or facets["slope_density"].ndim != 1 or facets["slope_density"].size == 0):
-        raise ModelError(
-            f"optics {optics!r} needs facets of a rough surface without a lay; set `surface.isotropic: true` to average over its azimuth, or "
-            "`model.optics: wave`"
-        )
+    _check(form, diffuse, optics, facets)
     if spectrum is not None:
         vocabulary.validate(spectrum, "spectrum")
     given = wavelengths_of(spectrum, index, wavelength, ModelError)
@@ -128,17 +156,57 @@ def build(
             f"the refractive index falls to {np.min(n):g}, below that of air, without absorption; accepted: n >= 1, or k > 0"
         )
     correlation, sigma = roughness(psd)
-    bsdf = _halo_table(correlation, sigma, psd, given).assign_coords(wavelength=given)
-    bsdf = bsdf.assign(n=("wavelength", n), k=("wavelength", k))
-    attributes = {"optics": optics, "form": form, "diffuse_mode": diffuse, "transmission": "none"}
+    relief = None if optics == "wave" else Relief.of(correlation, sigma, psd, optics, cut)
+    if relief is not None and optics == "auto" and relief.is_one_of_waves(given):
+        relief = None
+    bsdf = xr.Dataset(coords={"wavelength": given})
+    if relief is not None:
+        assert facets is not None
+        inputs: dict[str, Any] = {"index": index, "spectrum": spectrum, "visibility": visibility}
+        if relief.slope_factor < 1:
+            facets = scaled(facets, relief.slope_factor)
+            predicted = build_microfacet(facets, **inputs, **_modes(predicted))
+        elif predicted is None:
+            predicted = build_microfacet(facets, **inputs, diffuse=diffuse)
+        if optics == "auto" and relief.is_one_of_facets(given):
+            return vocabulary.label(_facets_alone(predicted, relief, given), "bsdf")
+        bsdf = _with_facets(bsdf, predicted).assign(facet_sigma=relief.sigma, resolved_slope=relief.slope)
+        if relief.uses_fine:
+            middle = float(given[np.abs(given - 1e3 * _MIDDLE).argmin()])
+            bsdf = _with_finer_roughness(bsdf, relief, facets)
+            bsdf = bsdf.assign(cut_error=_cut_error(correlation, sigma, psd, relief, facets, middle))
+    bsdf = bsdf.assign(n=("wavelength", n), k=("wavelength", k), sigma=sigma)
+    attributes = {
+        "optics": optics,
+        "form": form,
+        "spectrum": psd.attrs["form"],
+        "diffuse_mode": diffuse,
+        "transmission": "none",
+    }
     bsdf.attrs |= {"representation": Wave.name, **attributes}
-    if optics != "wave":
-        bsdf = _with_relief(bsdf, correlation, psd, facets, cut)
+    if optics != "composite":
+        bsdf = bsdf.merge(_halo_table(correlation, sigma, psd, given, _has_lay(psd, facets)))
     theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
     bsdf = _with_albedo(bsdf, theta_m)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
     bsdf = vocabulary.add_warning(bsdf, *warnings, *_limits(bsdf, psd, correlation))
     return vocabulary.label(bsdf, "bsdf")
+
+
+def _check(form: str, diffuse: str, optics: str, facets: xr.Dataset | None) -> None:
+    for name, key, found, accepted in (
+        ("form", "halo", form, HALOS),
+        ("diffuse", "diffuse", diffuse, ("coupled", "none")),
+        ("optics", "optics", optics, WAVE_OPTICS),
+    ):
+        if found not in accepted:
+            raise ModelError(
+                f"unknown {name} of the wave model {found!r}; accepted: {', '.join(accepted)}; set `model.{key}`"
+            )
+    if optics != "wave" and (facets is None or vocabulary.validate(facets, "facets")["slope_density"].size == 0):
+        raise ModelError(
+            f"optics {optics!r} needs the facets of a rough surface; give `facets`, or `model.optics: wave`"
+        )
 
 
 # --- the roughness
@@ -165,74 +233,176 @@ def roughness(psd: xr.Dataset) -> tuple[height_transform.Autocorrelation, float]
 
 
 def _halo_table(
-    correlation: height_transform.Autocorrelation, sigma: float, psd: xr.Dataset, wavelength: Array
+    correlation: height_transform.Autocorrelation, sigma: float, psd: xr.Dataset, wavelength: Array, lay: bool
 ) -> xr.Dataset:
     shortest = float(wavelength[0]) * 1e-3
     largest_phase = (4 * np.pi * max(sigma, _LEAST_SIGMA) / shortest) ** 2
-    table = height_transform.tabulated(correlation, largest_phase, 2 / shortest).assign(sigma=sigma)
-    table.attrs["spectrum"] = psd.attrs["form"]
+    if lay:
+        planar, stretch = planar_transform.spectrum_with_lay(psd, correlation)
+        return planar_transform.tabulated(planar, stretch, correlation.length, largest_phase, 2 / shortest)
+    table = height_transform.tabulated(correlation, largest_phase, 2 / shortest)
     if psd.attrs["form"] != "measured":
         table = table.assign({name: float(psd[name]) for name in ("fit_length", "fit_slope")})
     return table
 
 
-def _with_relief(
-    bsdf: xr.Dataset,
-    correlation: height_transform.Autocorrelation,
-    psd: xr.Dataset,
-    facets: xr.Dataset | None,
-    cut: float | None,
+def _has_lay(psd: xr.Dataset, facets: xr.Dataset | None) -> bool:
+    """Whether the halo follows the spectrum over both frequencies: facets without a lay say that it is averaged."""
+    return "psd_planar" in psd and (facets is None or facets["slope_density"].ndim == 2)
+
+
+# --- the relief that is one of facets
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Roughness that is parted into a relief of facets and finer roughness upon them."""
+
+    cut: float
+    """Frequency that parts both [um-1]"""
+    sigma: float
+    """Rms height of the relief [um]"""
+    slope: float
+    """Rms slope √⟨p² + q²⟩ of all roughness at scales above the wavelength [1]"""
+    slope_factor: float
+    """Slopes of the relief over the slopes that were counted [1]"""
+    fine: height_transform.Autocorrelation
+    fine_sigma: float
+    """Rms height of the finer roughness [um]"""
+    uses_fine: bool
+    """Whether the finer roughness is modelled"""
+
+    @classmethod
+    def of(
+        cls,
+        correlation: height_transform.Autocorrelation,
+        sigma: float,
+        psd: xr.Dataset,
+        optics: str,
+        cut: float | None,
+    ) -> Relief:
+        """``auto`` leaves the finer roughness out where it changes the slopes little, or where no scan shows it."""
+        parted = _cut(correlation, sigma) if cut is None else cut
+        fine, fine_sigma, facet_sigma = height_transform.split(correlation, sigma, parted)
+        # The slopes that were counted, and those of them that are coarser than the cut.
+        measured = psd.attrs["form"] == "measured"
+        # Facets are of the first of several scans.
+        counted = float(psd["scan_band_high"][0] if "scan_band_high" in psd else psd["band_high"])
+        counted = counted if measured else 1e4 / correlation.length
+        whole = height_transform.slope_variance(correlation, sigma, counted)
+        coarse = whole - height_transform.slope_variance(fine, fine_sigma, counted)
+        factor = float(np.sqrt(np.clip(coarse / max(whole, 1e-300), 1e-6, 1.0)))
+        slope = float(np.sqrt(height_transform.slope_variance(correlation, sigma, 1 / _MIDDLE)))
+        # The finer halo widens the lobe by the slopes of the finer roughness, whatever its phase variance.
+        matters = factor < LEAST_SLOPE_FACTOR
+        shown = not (measured and parted >= float(psd["band_high"]))
+        if optics == "composite" or cut is not None or (matters and shown):
+            return cls(parted, facet_sigma, slope, factor, fine, fine_sigma, True)
+        return cls(parted, sigma, slope, 1.0, fine, fine_sigma, False)
+
+    def share(self, theta: Array, wavelength: Array) -> Array:
+        """Share of the light that is reflected as by facets, of mirror reflection, (incidences, wavelength)."""
+        return facet_share_at(self.sigma, self.slope, 2 * np.cos(np.radians(theta)), wavelength)
+
+    def is_one_of_facets(self, wavelength: Array) -> bool:
+        """Whether facets alone describe the surface up to :data:`LARGEST_INCIDENCE`."""
+        incidences = np.linspace(0.0, LARGEST_INCIDENCE, _INCIDENCES)
+        return not self.uses_fine and bool(self.share(incidences, wavelength).min() >= FACETS_ALONE)
+
+    def is_one_of_waves(self, wavelength: Array) -> bool:
+        """Whether no light is reflected as by facets, at any incidence."""
+        cosines = np.append(np.linspace(0.0, 1.0, 101), np.geomspace(1e-4, 1.0, 201))
+        return not facet_share_at(self.sigma, self.slope, 2 * cosines, wavelength).any()
+
+
+def _facets_alone(predicted: xr.Dataset, relief: Relief, wavelength: Array) -> xr.Dataset:
+    share = relief.share(np.array([LARGEST_INCIDENCE]), wavelength).min()
+    text = (
+        f"optics auto: facets alone; with an rms height of {relief.sigma:.3g} µm and a slope of {relief.slope:.2g} at scales above the "
+        f"wavelength they reflect at least {share:.1%} of the light up to {LARGEST_INCIDENCE:g}° incidence"
+    )
+    return vocabulary.add_history(predicted.assign_attrs(optics="auto"), text)
+
+
+def _modes(predicted: xr.Dataset | None) -> dict[str, Any]:
+    """Modes of a facets' BSDF; none, for the default ones, without it."""
+    if predicted is None:
+        return {}
+    modes = {name: predicted.attrs[name] for name in ("masking", "multiple_scattering")}
+    return modes | {"isotropic": predicted["slope_density"].ndim == 1}
+
+
+def _with_facets(bsdf: xr.Dataset, predicted: xr.Dataset) -> xr.Dataset:
+    """Add the facets' BSDF but for its base, with its angles of the table of the albedo."""
+    names = [name for name in (*Microfacet.kind.required, *Microfacet.kind.optional) if name in predicted]
+    kept = predicted[names].drop_vars([*_BASE, "n", "k"], errors="ignore")
+    if "wavelength" in kept.dims:
+        kept = kept.interp(wavelength=bsdf["wavelength"].values)
+    around = {name: predicted[name].values for name in ("theta_i", "phi_i") if name in predicted.coords}
+    attributes = {name: predicted.attrs[name] for name in ("masking", "multiple_scattering", "band")}
+    return bsdf.merge(kept).assign_coords(around).assign_attrs(attributes)
+
+
+def _with_finer_roughness(bsdf: xr.Dataset, relief: Relief, facets: xr.Dataset) -> xr.Dataset:
+    """Add the halo of the roughness upon the facets of a relief."""
+    # Of slopes with a lay the mean over azimuth: what the finer roughness spreads is wider than the lobe.
+    radial = RadialDensity.of(azimuthal_average(facets))
+    table = _fine_table(relief, radial, float(bsdf["wavelength"][0])).rename(
+        log_halo="log_fine_halo",
+        phase_variance="fine_phase_variance",
+        halo_frequency="fine_frequency",
+        frequency_scale="fine_scale",
+    )
+    return bsdf.merge(table).assign(fine_sigma=relief.fine_sigma)
+
+
+def _fine_table(
+    relief: Relief, slopes: RadialDensity, shortest: float, phase_step: float = height_transform.PHASE_STEP
 ) -> xr.Dataset:
-    """Add the facets of the coarse relief, and the halo of the roughness upon them."""
-    assert facets is not None
-    vocabulary.validate(facets, "facets")
-    sigma, shortest = float(bsdf["sigma"]), float(bsdf["wavelength"][0]) * 1e-3
-    cut = _cut(correlation, sigma) if cut is None else cut
-    fine, fine_sigma, facet_sigma = height_transform.split(correlation, sigma, cut)
-    # The slopes that were counted, and those of them that are coarser than the cut.
-    measured_to = (
-        psd["scan_band_high"][0] if "scan_band_high" in psd else psd["band_high"]
-    )  # facets are of the first scan
-    counted = float(measured_to) if psd.attrs["form"] == "measured" else 1e4 / correlation.length
-    whole = height_transform.slope_variance(correlation, sigma, counted)
-    coarse = whole - height_transform.slope_variance(fine, fine_sigma, counted)
-    factor = float(np.sqrt(np.clip(coarse / max(whole, 1e-300), 1e-6, 1.0)))
-    # All slopes `factor` times as steep: Λ keeps its value where cot θ is as many times as large.
-    relief = RadialDensity(facets["slope"].values * factor, facets["slope_density"].values / factor**2)
-    theta = np.radians(facets["theta"].values)
-    slopes = characteristic_function(relief)
+    """The transform of the finer roughness, spread by the slopes of the relief, for wavelengths from the shortest [nm]."""
+    distribution, fine_sigma = characteristic_function(slopes), max(relief.fine_sigma, _LEAST_SIGMA)
 
     def of_slopes(distance: Array, root_g: float) -> Array:
-        return slopes(distance * (root_g / fine_sigma))
+        return distribution(distance * (root_g / fine_sigma))
 
-    largest = (4 * np.pi * max(fine_sigma, _LEAST_SIGMA) / shortest) ** 2
-    table = height_transform.tabulated(fine, largest, 2 / shortest, of_slopes)
-    names = {"log_halo": "log_fine_halo", "phase_variance": "fine_phase_variance", "halo_frequency": "fine_frequency"}
-    table = table.rename({**names, "frequency_scale": "fine_scale"})
-    resolved = np.sqrt(height_transform.slope_variance(correlation, sigma, 1 / _MIDDLE))
-    return (
-        bsdf.assign({name: table[name] for name in ("log_fine_halo", "fine_scale")})
-        .assign(
-            slope_density=("slope", relief.density),
-            lambda_smith=("theta", facets["lambda_smith"].values),
-            fine_sigma=fine_sigma,
-            facet_sigma=facet_sigma,
-            resolved_slope=float(resolved),
-        )
-        .assign_coords(slope=relief.slope, theta=np.degrees(np.arctan2(np.sin(theta) / factor, np.cos(theta))))
-    )
+    largest = (4e3 * np.pi * fine_sigma / shortest) ** 2
+    return height_transform.tabulated(relief.fine, largest, 2e3 / shortest, of_slopes, phase_step)
+
+
+def _cut_error(
+    correlation: height_transform.Autocorrelation,
+    sigma: float,
+    psd: xr.Dataset,
+    relief: Relief,
+    facets: xr.Dataset,
+    wavelength: float,
+) -> float:
+    """Largest relative change of the lobe, above 0.3 of its peak, if the cut is moved by the factor :data:`CUT_FACTOR` either way.
+
+    Of perfect mirrors without a lay, in the plane of incidence.
+    """
+    facets = azimuthal_average(facets)
+    theta_i, slope = np.meshgrid([0.0, 45.0], np.linspace(-2.0, 2.0, 41) * Microsurface.of(facets).typical_slope)
+    view = theta_i + 2 * np.degrees(np.arctan(slope))
+    theta_o, phi_o = np.abs(view).ravel(), np.where(view < 0, 0.0, 180.0).ravel()
+    angles = theta_i.ravel(), np.zeros(view.size), np.minimum(theta_o, 89.0), phi_o
+    lobes = []
+    for factor in (1.0, CUT_FACTOR, 1 / CUT_FACTOR):
+        other = Relief.of(correlation, sigma, psd, "composite", relief.cut * factor)
+        changed = scaled(facets, other.slope_factor / relief.slope_factor)
+        table = _fine_table(other, RadialDensity.of(changed), wavelength, _ROUGH_STEP).assign(sigma=other.fine_sigma)
+        table.attrs = {"form": "ssa1", "spectrum": "measured"}
+        lobes.append(mirror_lobe(Microsurface.of(changed), Halo.of(table), angles, wavelength).reshape(view.shape))
+    peak = lobes[0] > 0.3 * lobes[0].max(axis=0)
+    return float(max(np.abs(other[peak] / lobes[0][peak] - 1).max() for other in lobes[1:]))
 
 
 def _cut(correlation: height_transform.Autocorrelation, sigma: float) -> float:
     """Frequency above which the roughness has the phase variance :data:`FINE_PHASE`, at most half an inverse wavelength [um-1]."""
-    limit = np.sqrt(FINE_PHASE) * _MIDDLE / (4 * np.pi)
-    cuts = (
-        np.geomspace(1e-2 / correlation.length, 0.5 / _MIDDLE, 60)
-        if 1e-2 / correlation.length < 0.5 / _MIDDLE
-        else np.empty(0)
-    )
+    limit, low, high = np.sqrt(FINE_PHASE) * _MIDDLE / (4 * np.pi), 1e-2 / correlation.length, 0.5 / _MIDDLE
+    cuts = np.geomspace(low, high, 60) if low < high else np.empty(0)
     rough = [cut for cut in cuts if height_transform.split(correlation, sigma, float(cut))[1] > limit]
-    return float(max(rough, default=0.5 / _MIDDLE))
+    return float(max(rough, default=high))
 
 
 # --- energy and the diffuse base
@@ -247,33 +417,47 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
         return np.asarray(fresnel(cosine[:, None], n, k).mean)
 
     # Dense towards the normal and towards grazing.
-    theta = np.degrees(np.arccos((1 + np.cos(np.linspace(np.pi, 0, _INCIDENCES))) / 2))[::-1]
+    surface, azimuths = RoughSurface.of(bsdf), _azimuths(bsdf)
+    count = _INCIDENCES if azimuths.size == 1 else _LAY_INCIDENCES
+    theta = np.degrees(np.arccos((1 + np.cos(np.linspace(np.pi, 0, count))) / 2))[::-1]
     theta[-1] = 90.0
-    surface = RoughSurface.of(bsdf)
-    scattered = _scattered(surface, Wave.slope_of(bsdf), theta, wavelength, n, k)
-    missing = smooth(theta) * (1 - surface.coherent_share(theta, wavelength)) - scattered
+    scattered = _scattered(surface, bsdf, theta, azimuths)
+    missing = smooth(theta)[:, None] * (1 - surface.coherent_share(theta, wavelength))[:, None] - scattered
     # Facets may reflect more than a smooth surface; waves may not.
     waves = 1 - surface.facet_share(2 * np.cos(np.radians(theta)), wavelength)
-    excess = np.maximum(-missing, 0.0) * waves
-    table = energy.refined(smooth, 0.01, np.array([0.0, theta_m, 90.0]))
+    excess = np.maximum(-missing.mean(axis=1), 0.0) * waves
+    if surface.relief is not None:
+        table = energy.AlbedoTable(bsdf["theta_i"].values, smooth(bsdf["theta_i"].values))
+    elif azimuths.size == 1:
+        table = energy.refined(smooth, 0.01, np.array([0.0, theta_m, 90.0]))
+    else:
+        nodes = np.unique(np.append(np.degrees(np.arccos(np.cos(np.linspace(0, np.pi / 2, 48)) ** 2)), theta_m))
+        table = energy.AlbedoTable(nodes, smooth(nodes))
+        around = arc_to_azimuth(ellipse_of(bsdf), np.arange(0.0, 360.0, _LAY_STEP))
+        bsdf = bsdf.assign_coords(phi_i=np.sort(np.round(around, 9) % 360))
 
     def between(values: Array) -> Array:
         cosines = np.cos(np.radians(theta))[::-1]
         return np.asarray(CubicSpline(cosines, values[::-1])(np.cos(np.radians(table.theta))))
 
-    albedo = np.clip(table.values - between(missing + excess), 0.0, 1.0)
-    excess = np.maximum(between(excess), 0.0) if excess.any() else np.zeros_like(albedo)
-    mean = energy.AlbedoTable(table.theta, albedo).mean()
-    if surface.relief is None:
-        bsdf = _with_energy_statement(bsdf, missing.max(axis=1), theta)
+    lost, dims = between(missing + excess[:, None]), ["theta_i"]
+    if "phi_i" in bsdf.coords:
+        ellipse, phi = ellipse_of(bsdf), bsdf["phi_i"].values
+        turned = np.einsum("tal,pa->tpl", lost, _between_azimuths(azimuth_to_arc(ellipse, phi)))
+        values, dims = np.clip(table.values[:, None] - turned, 0.0, 1.0), ["theta_i", "phi_i"]
+        albedo = energy.AlbedoTable(table.theta, values, phi, ellipse)
     else:
+        albedo = energy.AlbedoTable(table.theta, np.clip(table.values - lost.mean(axis=1), 0.0, 1.0))
+    excess = np.maximum(between(excess), 0.0) if excess.any() else np.zeros_like(table.values)
+    bsdf = _with_energy_statement(bsdf, (missing.mean(axis=1) * waves).max(axis=1), theta)
+    if surface.relief is not None:
         share = surface.facet_share(2 * np.cos(np.radians(table.theta)), wavelength)
         bsdf = bsdf.assign(facet_share=(("theta_i", "wavelength"), share))
     return bsdf.assign_coords(theta_i=table.theta).assign(
-        directional_albedo=(("theta_i", "wavelength"), albedo),
+        directional_albedo=((*dims, "wavelength"), albedo.values),
         coherent_excess=(("theta_i", "wavelength"), excess),
-        mean_albedo=("wavelength", mean),
-        energy_residual=float(np.max(missing * waves, initial=0.0)),
+        mean_albedo=("wavelength", albedo.mean()),
+        energy_residual=float(np.max(missing.mean(axis=1) * waves, initial=0.0)),
     )
 
 
@@ -286,22 +470,48 @@ def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr
         f"coherent part and halo miss up to {missing[worst]:.4f} of the incident light that Fresnel's equations reflect, at "
         f"{theta[worst]:.0f}° incidence; it enters the base"
     )
-    if missing[worst] <= ENERGY_WARNING:
+    # Where facets take over there is no other choice, and the light is lost near grazing alone.
+    if missing[worst] <= ENERGY_WARNING or bsdf.attrs["optics"] != "wave":
         return vocabulary.add_history(bsdf, text)
     return vocabulary.add_warning(bsdf, f"{text}. Set `model.optics: auto` if this matters")
 
 
-def _scattered(surface: RoughSurface, slope: float, theta: Array, wavelength: Array, n: Array, k: Array) -> Array:
-    """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, wavelength)."""
-    result = np.zeros((theta.size, wavelength.size))
-    for row, angle in enumerate(theta):
-        if angle >= 90:
-            continue
-        rule = hemisphere.around_mirror(float(angle), slope, order=5, turns=12)
-        zero = np.zeros_like(rule.theta)
-        values = surface.evaluate((zero + angle, zero, rule.theta, rule.phi), wavelength, n, k)
-        result[row] = rule.weight @ values
-    return result
+def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array) -> Array:
+    """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength)."""
+    n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
+    count = _WAVELENGTHS if azimuths.size == 1 else _LAY_WAVELENGTHS
+    few = np.unique(np.linspace(0, wavelength.size - 1, min(wavelength.size, count)).round().astype(int))
+    result = np.zeros((theta.size, azimuths.size, few.size))
+    for row, angle in enumerate(theta[theta < 90]):
+        rule = hemisphere.around_mirror(
+            float(angle), Wave.slope_of(bsdf), order=5, turns=12 if azimuths.size == 1 else 24
+        )
+        for column, azimuth in enumerate(azimuths):
+            incident = np.full_like(rule.theta, angle), np.full_like(rule.theta, azimuth)
+            # The rule covers one side of the plane of incidence.
+            for side in (1,) if azimuths.size == 1 else (1, -1):
+                angles = *incident, rule.theta, azimuth + side * rule.phi
+                values = surface.evaluate(angles, wavelength[few], n[few], k[few])
+                result[row, column] += rule.weight @ values / (1 if azimuths.size == 1 else 2)
+    if few.size == wavelength.size:
+        return result
+    cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
+    smooth = np.asarray(fresnel(cosine[:, None], n, k).mean)[:, None]
+    ratio = result / np.maximum(smooth[..., few], 1e-12)
+    return np.asarray(CubicSpline(wavelength[few], ratio, axis=-1)(wavelength) * smooth)
+
+
+def _azimuths(bsdf: xr.Dataset) -> Array:
+    """Azimuths of incidence over half a turn at which the reflectance is integrated [degree]; one for a surface without a lay."""
+    lay = "halo_azimuth" in bsdf.dims or "phi_i" in bsdf.coords
+    return arc_to_azimuth(ellipse_of(bsdf), _ARCS) if lay else np.zeros(1)
+
+
+def _between_azimuths(arcs: Array) -> Array:
+    """Weights (arcs, azimuths) of trigonometric interpolation between the azimuths, even in their arc over half a turn."""
+    turn = np.radians(arcs[:, None] - _ARCS)
+    harmonics = sum(np.cos(2 * order * turn) for order in range(1, (_ARCS.size - 1) // 2 + 1))
+    return np.asarray((1 + 2 * harmonics) / _ARCS.size)
 
 
 def _with_diffuse(bsdf: xr.Dataset, spectrum: xr.Dataset | None, theta_m: float) -> xr.Dataset:
@@ -357,6 +567,8 @@ def _limits(bsdf: xr.Dataset, psd: xr.Dataset, correlation: height_transform.Aut
                 f"the relief that is taken as facets has a phase variance of {phase:.2g} at 60° incidence (550 nm); facets need "
                 f"{COARSE_LIMIT:g}. Set `model.optics: auto`"
             )
+    if "facet_share" in bsdf and bsdf["facet_share"].values[0].min() >= FACETS_ALONE:
+        return texts  # waves matter near grazing alone, where coarse roughness scatters
     if psd.attrs["form"] == "measured":
         beyond = 1 - (float(psd["sigma"]) / sigma) ** 2
         if beyond > EXTRAPOLATED_LIMIT:

@@ -26,15 +26,20 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, spline_filter
+from scipy.ndimage import map_coordinates, spline_filter, spline_filter1d
 
-from brdfpipe.geometry import Array, HalfVector
+from brdfpipe.geometry import Array, HalfVector, slope_towards
 
 _TINY = 1e-300
 
 _PAULI = np.array([[[1, 0], [0, 1]], [[1, 0], [0, -1]], [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])
 """Matrices σ with Stokes components S = ½ Tr(σ E E†) of the field E = (E_s, E_p), in the frames of :mod:`brdfpipe.bsdf.microfacet.polarised`."""
 
+_WRAPPED = 3
+"""Nodes of azimuth that are repeated at either end."""
+
+Azimuths = tuple[Array, Array]
+"""φ_i and φ_o [degree], (directions,) each"""
 Field = NDArray[np.float64] | NDArray[np.complex128]
 
 
@@ -106,6 +111,22 @@ def _root(contrast: Field, cosine: Array, absorbing: bool) -> Field:
     return np.asarray(root.real + 1j * np.abs(root.imag))
 
 
+class Stretch(NamedTuple):
+    """A stretch of the plane by which the roughness of a surface with a lay becomes nearly the same in all directions."""
+
+    lay: float
+    """Azimuth along the lay [degree]"""
+    ratio: float
+    """√ of the width of the spectrum across the lay over that along it; it keeps areas"""
+
+    def __call__(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Length, and azimuth from the lay [degree] in [0, 180), of stretched slopes or frequencies along x and y."""
+        turn = np.radians(self.lay)
+        along = (x * np.cos(turn) + y * np.sin(turn)) * self.ratio
+        across = (y * np.cos(turn) - x * np.sin(turn)) / self.ratio
+        return np.hypot(along, across), np.degrees(np.arctan2(across, along)) % 180
+
+
 @dataclass(frozen=True)
 class Halo:
     """The halo of one surface, prepared for evaluation."""
@@ -115,7 +136,7 @@ class Halo:
     form: str
     """One of :data:`brdfpipe.masking.modes.HALOS`"""
     spline: Array
-    """Coefficients of a cubic spline through ln(K/g), (phase variance, frequency)"""
+    """Coefficients of a cubic spline through ln(K/g), (phase variance, frequency), or (phase variance, frequency, azimuth) with a lay"""
     first_phase: float
     """ln g of the first node"""
     phase_step: float
@@ -126,21 +147,26 @@ class Halo:
     """Step of asinh(f/f0)"""
     spectrum: Callable[[Array], Array] | None
     """S/σ² [um2] where it is known in closed form"""
+    stretch: Stretch | None = None
+    """Of the frequencies of a surface with a lay, before the table is read"""
 
     @classmethod
     def of(cls, bsdf: xr.Dataset) -> Halo:
         """The halo of a ``bsdf`` dataset, representation ``wave``."""
         phase, frequency = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
         scale = float(bsdf["frequency_scale"])
+        lay = "halo_azimuth" in bsdf.dims
+        values = bsdf["log_halo"].values
         return cls(
             float(bsdf["sigma"]),
             str(bsdf.attrs["form"]),
-            spline_filter(bsdf["log_halo"].values, order=3, mode="mirror"),
+            _periodic_spline(values) if lay else spline_filter(values, order=3, mode="mirror"),
             float(np.log(phase[0])),
             float(np.log(phase[-1] / phase[0])) / (phase.size - 1),
             scale,
             float(np.arcsinh(frequency[-1] / scale)) / (frequency.size - 1),
             _closed_form(bsdf),
+            Stretch(float(bsdf["halo_lay"]), float(bsdf["halo_stretch"])) if lay else None,
         )
 
     def phase_variance(self, cosines: Array, wavelength: Array) -> Array:
@@ -152,44 +178,52 @@ class Halo:
         g = self.phase_variance(2 * np.cos(np.radians(theta_i)), wavelength)
         return np.maximum(1 - g, 0.0) if self.form == "rayleigh-rice" else np.exp(-g)
 
-    def strength_and_transform(self, pair: HalfVector, wavelength: Array) -> tuple[Array, Array]:
+    def strength_and_transform(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> tuple[Array, Array]:
         """BRDF over the polarisation factor [sr-1], and K/λ² [1], (directions, wavelength) each."""
         nm, cosines = wavelength * 1e-3, pair.cos_i + pair.cos_o
-        ratio = self._transform_ratio(cosines, self._frequency(pair, wavelength), wavelength) / nm**2
+        ratio = self._transform_ratio(pair, azimuths, wavelength) / nm**2
         geometry = (4 * np.pi * self.sigma / nm) ** 2 * (pair.cos_i * pair.cos_o)[:, None]
         return geometry * ratio, self.phase_variance(cosines, wavelength) * ratio
 
-    @staticmethod
-    def _frequency(pair: HalfVector, wavelength: Array) -> Array:
-        """Bragg frequency [um-1], (directions, wavelength)."""
-        return np.asarray((np.sqrt(pair.slope_squared) * (pair.cos_i + pair.cos_o))[:, None] / (wavelength * 1e-3))
+    def strength(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> Array:
+        """BRDF over the polarisation factor [sr-1], (directions, wavelength).
 
-    def strength(self, pair: HalfVector, wavelength: Array) -> Array:
-        """BRDF over the polarisation factor [sr-1], (directions, wavelength)."""
+        ``azimuths`` are φ_i and φ_o [degree], (directions,) each; they matter for a surface with a lay.
+        """
         # 16π²σ²γ_iγ_o/λ⁴ · K/g, which has no quotient of small cosines.
         nm = wavelength * 1e-3
-        cosines = pair.cos_i + pair.cos_o
-        geometry = cosines**2 / 4 if self.form == "ghs" else pair.cos_i * pair.cos_o
-        frequency = self._frequency(pair, wavelength)
-        return (
-            (4 * np.pi * self.sigma) ** 2
-            * geometry[:, None]
-            / nm**4
-            * self._transform_ratio(cosines, frequency, wavelength)
-        )
+        geometry = (pair.cos_i + pair.cos_o) ** 2 / 4 if self.form == "ghs" else pair.cos_i * pair.cos_o
+        scale = (4 * np.pi * self.sigma) ** 2 * geometry[:, None] / nm**4
+        return np.asarray(scale * self._transform_ratio(pair, azimuths, wavelength))
 
-    def _transform_ratio(self, cosines: Array, frequency: Array, wavelength: Array) -> Array:
+    def _transform_ratio(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> Array:
         """K/g [um2], (directions, wavelength)."""
+        cosines, place = pair.cos_i + pair.cos_o, []
+        if self.stretch is None:
+            slope = np.sqrt(pair.slope_squared)
+        else:
+            slope, around = self.stretch(*slope_towards(pair, *azimuths))
+            column = around * (self.spline.shape[2] - 2 * _WRAPPED) / 180 + _WRAPPED
+            place = [np.repeat(column[:, None], wavelength.size, axis=1)]
+        frequency = (slope * cosines)[:, None] / (wavelength * 1e-3)
         if self.form == "rayleigh-rice" and self.spectrum is not None:
             return self.spectrum(frequency)
-        column = np.arcsinh(frequency / self.scale) / self.frequency_step
+        place = [np.arcsinh(frequency / self.scale) / self.frequency_step, *place]
         if self.form == "rayleigh-rice":
-            row = np.zeros_like(column)
+            row = np.zeros_like(frequency)
         else:
             with np.errstate(divide="ignore"):
                 log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)[:, None] - 2 * np.log(wavelength)
             row = np.maximum((log_phase - self.first_phase) / self.phase_step, 0.0)
-        return np.exp(map_coordinates(self.spline, [row, column], order=3, mode="mirror", prefilter=False))
+        return np.exp(map_coordinates(self.spline, [row, *place], order=3, mode="mirror", prefilter=False))
+
+
+def _periodic_spline(values: Array) -> Array:
+    """Coefficients of a cubic spline over phase variance and frequency, and around half a turn of azimuth, whose ends are wrapped."""
+    for axis in (0, 1):
+        values = np.asarray(spline_filter1d(values, order=3, axis=axis, mode="mirror"))
+    values = np.asarray(spline_filter1d(values, order=3, axis=2, mode="grid-wrap"))
+    return np.concatenate([values[..., -_WRAPPED:], values, values[..., :_WRAPPED]], axis=2)
 
 
 def _closed_form(bsdf: xr.Dataset) -> Callable[[Array], Array] | None:

@@ -43,6 +43,8 @@ _LOW_CUT = 24
 """Power of f with which a measured spectrum falls below its first frequency."""
 _SPREAD_NOISE = 1e-9
 """The same upon a coarser relief, where no order is known without a transform."""
+_PHASES_AT_ONCE = 32
+"""Phase variances that are transformed together, in about 20 MB."""
 _RADII, _DECADES = 8192, 20
 """Nodes of the logarithmic Hankel transform, and its decades about the correlation length."""
 
@@ -120,17 +122,18 @@ def slope_variance(correlation: Autocorrelation, sigma: float, highest: float) -
 def split(correlation: Autocorrelation, sigma: float, cut: float) -> tuple[Autocorrelation, float, float]:
     """The part of a roughness at frequencies above a cut [um-1], its rms height, and that of the other part [um].
 
-    The spectrum is parted by exp(−(f/cut)²), so that neither autocorrelation rings.
+    The spectrum is parted by exp(−(f/cut)⁴), sharp enough that long waves carry no height into the finer part, smooth enough that its
+    autocorrelation hardly rings.
     """
     grid = np.geomspace(1e-6 * min(cut, 1 / correlation.length), 1e5 * max(cut, 1 / correlation.length), 20001)
     share = (
         2
         * np.pi
-        * float(np.trapezoid(correlation.spectrum(grid) * -np.expm1(-((grid / cut) ** 2)) * grid**2, np.log(grid)))
+        * float(np.trapezoid(correlation.spectrum(grid) * -np.expm1(-((grid / cut) ** 4)) * grid**2, np.log(grid)))
     )
     share = min(max(share, 1e-15), 1.0)
     fine = Autocorrelation(
-        lambda f: correlation.spectrum(f) * -np.expm1(-((f / cut) ** 2)) / share, 1 / (2 * np.pi * cut), "any"
+        lambda f: correlation.spectrum(f) * -np.expm1(-((f / cut) ** 4)) / share, 1 / (2 * np.pi * cut), "any"
     )
     return fine, float(sigma * np.sqrt(share)), float(sigma * np.sqrt(1 - share))
 
@@ -140,11 +143,12 @@ def tabulated(
     largest_phase: float,
     largest_frequency: float,
     coarse: Callable[[Array, float], Array] | None = None,
+    phase_step: float = PHASE_STEP,
 ) -> xr.Dataset:
     """Table of ln(K/g) up to a phase variance and a frequency [um-1].
 
     ``coarse`` is a characteristic function by which the integrand is multiplied: of (distance [um], √g), for roughness upon a coarser
-    relief, whose slopes spread the halo.
+    relief, whose slopes spread the halo. ``phase_step`` is the step of ln g.
 
     Returns
     -------
@@ -155,7 +159,7 @@ def tabulated(
     nodes = int(np.ceil(np.arcsinh(largest_frequency / scale) / FREQUENCY_STEP)) + _MARGIN
     frequency = scale * np.sinh(FREQUENCY_STEP * np.arange(nodes + 1))
     span = np.log(max(largest_phase, 2 * _LEAST_PHASE) / _LEAST_PHASE)
-    phase = _LEAST_PHASE * np.exp(PHASE_STEP * np.arange(int(np.ceil(span / PHASE_STEP)) + _MARGIN + 1))
+    phase = _LEAST_PHASE * np.exp(phase_step * np.arange(int(np.ceil(span / phase_step)) + _MARGIN + 1))
     if correlation.form == "any":
         values = _by_hankel_transform(correlation, phase, frequency, coarse)
     else:
@@ -233,21 +237,25 @@ def _by_hankel_transform(
     inside = (grid > 1e-3 * frequency[1]) & (grid < 10 * frequency[-1])
     asked = np.log(np.maximum(frequency, 2e-3 * frequency[1]))
     values = np.empty((phase.size, frequency.size))
-    for row, g in enumerate(phase):
+    for start in range(0, phase.size, _PHASES_AT_ONCE):
+        rows = slice(start, start + _PHASES_AT_ONCE)
+        g = phase[rows, None]
         exponent = g * rho
         higher = np.where(
             exponent < 1e-3,
             np.exp(-g) * exponent**2 * (0.5 + exponent / 6 + exponent**2 / 24),
             np.exp(exponent - g) - np.exp(-g) * (1 + exponent),
         )
+        if coarse is not None:
+            higher = (higher + np.exp(-g) * exponent) * np.stack(
+                [coarse(distance, float(np.sqrt(one))) for one in phase[rows]]
+            )
+        total = 2 * np.pi * fht(higher * distance, step, 0.0, offset=offset) / wave_number / g
         if coarse is None:
-            rest = 2 * np.pi * fht(higher * distance, step, 0.0, offset=offset) / wave_number
-            total = np.exp(-g) * first_order + np.maximum(rest, 0.0) / g
-        else:
-            spread = (higher + np.exp(-g) * exponent) * coarse(distance, float(np.sqrt(g)))
-            total = 2 * np.pi * fht(spread * distance, step, 0.0, offset=offset) / wave_number / g
-        total = np.maximum(total, (_NOISE if coarse is None else _SPREAD_NOISE) * total[inside].max())[inside]
-        values[row] = CubicSpline(np.log(grid[inside]), np.log(total))(asked)
+            total = np.exp(-g) * first_order + np.maximum(total, 0.0)
+        floor = (_NOISE if coarse is None else _SPREAD_NOISE) * total[:, inside].max(axis=1, keepdims=True)
+        logs = np.log(np.maximum(total[:, inside], floor))
+        values[rows] = CubicSpline(np.log(grid[inside]), logs, axis=1)(asked)
     return values
 
 

@@ -3,9 +3,9 @@
 Of independent heights the characteristic functions multiply. The coarse relief is a surface of facets; roughness finer than a cut, of
 phase variance g_f, dims their reflection by e^(−g_f) and spreads it:
 
-    f_r = e^(−g_f) F D G2/(4γ_iγ_o) + [e^(−g_f) Q 4γ_iγ_o/q² + (1 − e^(−g_f)) F G2 q²/(4γ_iγ_o cos⁴α)] K′/λ²
+    f_r = e^(−g_f) f_facets + [e^(−g_f) Q 4γ_iγ_o/q² + (1 − e^(−g_f)) F G2 q²/(4γ_iγ_o cos⁴α)] K′/λ²
 
-q = γ_i + γ_o, α the tilt of the facet that mirrors one direction into the other, and K′ the transform of the fine halo convolved with
+f_facets is the microfacet model, with the masking and the further reflections it has. q = γ_i + γ_o, α the tilt of the facet that mirrors one direction into the other, and K′ the transform of the fine halo convolved with
 the slopes of the coarse relief. Light scattered once by the fine roughness has the polarisation of waves; what it scatters more often
 has that of facets.
 
@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -25,14 +26,14 @@ from scipy.fft import fht, fhtoffset
 
 from brdfpipe.bsdf.microfacet import polarised
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
-from brdfpipe.bsdf.wave.halo import Halo, amplitudes
+from brdfpipe.bsdf.representations.microfacet import Microfacet
+from brdfpipe.bsdf.wave.halo import Azimuths, Halo, amplitudes
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, half_vector
 from brdfpipe.optics.fresnel_equations import fresnel
 
 Angles = tuple[Array, Array, Array, Array]
-
-MASKING = "height-correlated"
+"""θ_i, φ_i, θ_o and φ_o [degree], (directions,) each"""
 
 PHASES = (10.0, 60.0)
 """Phase variances between which a surface of low slopes passes from waves to facets."""
@@ -42,6 +43,9 @@ SLOPES = (0.2, 0.4)
 
 MASKED_SLOPES, MASKED_PHASES = (1.0, 2.0), (1.0, 10.0)
 """The same of slopes over the mean cosine of both directions, near grazing, where waves lack masking; and phase variances from which it acts."""
+
+FACETS_ALONE = 0.99
+"""Share of the light reflected as by facets from which a surface counts as one of facets alone."""
 
 _BLOCK = 2**15
 """Values that are computed together, so that their arrays stay in the processor's cache."""
@@ -61,6 +65,12 @@ def facet_share(phase_variance: Array, cosine: Array, slope: float) -> Array:
     by_masking = _step(slope / np.maximum(cosine, 1e-300), MASKED_SLOPES) * _step(phase_variance, MASKED_PHASES)
     by_slope = _step(np.array(slope), SLOPES)
     return np.asarray(1 - (1 - _step(phase_variance, PHASES)) * (1 - by_slope) * (1 - by_masking))
+
+
+def facet_share_at(sigma: float, slope: float, cosines: Array, wavelength: Array) -> Array:
+    """The same, (…, wavelength), for relief of an rms height [um] and slope, of γ_i + γ_o (…) at wavelengths [nm]."""
+    phase = (2e3 * np.pi * sigma * cosines[..., None] / wavelength) ** 2
+    return facet_share(phase, cosines[..., None] / 2, slope)
 
 
 def _step(value: Array, limits: tuple[float, float]) -> Array:
@@ -83,76 +93,104 @@ def characteristic_function(density: RadialDensity) -> Callable[[Array], Array]:
     return lambda at: np.interp(np.log(np.maximum(at, 1e-300)), log_t, limited, left=1.0, right=0.0)
 
 
-@dataclass(frozen=True)
-class TwoScaleRelief:
-    """Facets with finer roughness, prepared for evaluation."""
+def facet_bsdf(bsdf: xr.Dataset) -> xr.Dataset:
+    """The BSDF of the facets that a ``bsdf`` dataset of representation ``wave`` holds, without a diffuse part."""
+    names = [name for name in (*Microfacet.kind.required, *Microfacet.kind.optional) if name in bsdf]
+    facets = bsdf[names]
+    if "mixture" in bsdf:
+        facets = facets.rename(mixed="wavelength").assign_coords(wavelength=bsdf["mixed_wavelength"].values)
+    attributes = {name: bsdf.attrs[name] for name in ("masking", "multiple_scattering", "transmission")}
+    facets.attrs = {"representation": Microfacet.name, "diffuse_mode": "none", **attributes}
+    return facets.assign(diffuse=0.0)
 
-    facets: Microsurface
-    fine: Halo
-    """Of the fine roughness upon the facets: ``spline`` holds ln(K′/g)"""
+
+@dataclass(frozen=True)
+class Relief:
+    """Facets, perhaps with finer roughness upon them, prepared for evaluation."""
+
+    facets: Microfacet
+    fine: Halo | None
+    """Of the roughness upon the facets: ``spline`` holds ln(K′/g); None without any"""
+    surface: Microsurface
+    masking: str
 
     @classmethod
-    def of(cls, bsdf: xr.Dataset) -> TwoScaleRelief:
+    def of(cls, bsdf: xr.Dataset) -> Relief:
         """The relief of a ``bsdf`` dataset, representation ``wave``, with facets."""
-        names = {
-            "log_fine_halo": "log_halo",
-            "fine_phase_variance": "phase_variance",
-            "fine_frequency": "halo_frequency",
-        }
-        fine = (
-            bsdf[["log_fine_halo"]].rename(names).assign(frequency_scale=bsdf["fine_scale"], sigma=bsdf["fine_sigma"])
-        )
-        fine.attrs = {"form": "ssa1", "spectrum": "measured"}
-        return cls(Microsurface.of(bsdf), Halo.of(fine))
+        return cls(Microfacet(facet_bsdf(bsdf)), _fine_halo(bsdf), Microsurface.of(bsdf), str(bsdf.attrs["masking"]))
 
-    def strengths(self, pair: HalfVector, phi_i: Array, phi_o: Array, wavelength: Array) -> tuple[Array, Array]:
-        """BRDF over the reflectance of facets, and over the polarisation factor of waves [sr-1], (directions, wavelength) each."""
+    def undimmed(self, cosines: Array, wavelength: Array) -> Array:
+        """Share e^(−g_f) of the facets' reflection that the finer roughness leaves, (…, wavelength)."""
+        if self.fine is None:
+            return np.ones((*cosines.shape, wavelength.size))
+        return np.exp(-self.fine.phase_variance(cosines, wavelength))
+
+    def spread(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> tuple[Array, Array] | None:
+        """What the finer roughness spreads: BRDF over the reflectance of facets, and over the polarisation factor of waves.
+
+        (directions, wavelength) each [sr-1]; None without finer roughness.
+        """
+        if self.fine is None:
+            return None
         cosines = pair.cos_i + pair.cos_o
         undimmed = np.exp(-self.fine.phase_variance(cosines, wavelength))
-        tilted = (1 + pair.slope_squared) ** 2 * self.facets.visibility(pair, phi_i, phi_o, MASKING) / 4
-        once, transform = self.fine.strength_and_transform(pair, wavelength)
+        tilted = (1 + pair.slope_squared) ** 2 * self.surface.visibility(pair, *azimuths, self.masking) / 4
+        once, transform = self.fine.strength_and_transform(pair, azimuths, wavelength)
         # q²K′/λ² is the slope density of the light that the fine roughness spreads.
-        density = undimmed * self.facets.p22(pair, phi_i, phi_o)[:, None]
-        density = density + (1 - undimmed) * cosines[:, None] ** 2 * transform
-        return tilted[:, None] * density, undimmed * once
+        return (1 - undimmed) * (tilted * cosines**2)[:, None] * transform, undimmed * once
+
+
+def mirror_lobe(surface: Microsurface, fine: Halo, angles: Angles, wavelength: float) -> Array:
+    """BRDF [sr-1], (directions,), of perfectly mirroring facets with finer roughness, of one reflection, at a wavelength [nm]."""
+    pair, azimuths, nm = half_vector(*angles), (angles[1], angles[3]), np.array([wavelength])
+    cosines = pair.cos_i + pair.cos_o
+    undimmed = np.exp(-fine.phase_variance(cosines, nm))[:, 0]
+    once, transform = (part[:, 0] for part in fine.strength_and_transform(pair, azimuths, nm))
+    tilted = (1 + pair.slope_squared) ** 2 * surface.visibility(pair, *azimuths, "height-correlated") / 4
+    spread = (1 - undimmed) * tilted * cosines**2 * transform
+    return np.asarray(undimmed * (surface.reflected(pair, *azimuths, "height-correlated") + once) + spread)
+
+
+def _fine_halo(bsdf: xr.Dataset) -> Halo | None:
+    if "log_fine_halo" not in bsdf:
+        return None
+    names = {"log_fine_halo": "log_halo", "fine_phase_variance": "phase_variance", "fine_frequency": "halo_frequency"}
+    fine = bsdf[["log_fine_halo"]].rename(names).assign(frequency_scale=bsdf["fine_scale"], sigma=bsdf["fine_sigma"])
+    fine.attrs = {"form": "ssa1", "spectrum": "measured"}
+    return Halo.of(fine)
 
 
 @dataclass(frozen=True)
 class RoughSurface:
     """A surface that reflects as waves, as facets with finer roughness, or as both in turn."""
 
-    halo: Halo
-    relief: TwoScaleRelief | None
+    halo: Halo | None
+    """None for facets alone"""
+    relief: Relief | None
     """None for waves alone"""
     facet_sigma: float
     """Rms height of the relief that is one of facets [um]"""
     slope: float
     """Its rms slope at scales above the wavelength [1]"""
-    always_facets: bool
-    """Whether the relief is one of facets at any phase variance"""
 
     @classmethod
     def of(cls, bsdf: xr.Dataset) -> RoughSurface:
         """The surface of a ``bsdf`` dataset, representation ``wave``."""
-        halo = Halo.of(bsdf)
+        halo = Halo.of(bsdf) if "log_halo" in bsdf else None
         if "slope_density" not in bsdf:
-            return cls(halo, None, 0.0, 0.0, False)
-        always = bsdf.attrs["optics"] == "composite"
-        return cls(halo, TwoScaleRelief.of(bsdf), float(bsdf["facet_sigma"]), float(bsdf["resolved_slope"]), always)
+            return cls(halo, None, 0.0, 0.0)
+        return cls(halo, Relief.of(bsdf), float(bsdf["facet_sigma"]), float(bsdf["resolved_slope"]))
 
     def facet_share(self, cosines: Array, wavelength: Array) -> Array:
         """Share of the light [1], (…, wavelength), that is reflected as by facets, of γ_i + γ_o (…) at wavelengths [nm]."""
-        if self.relief is None:
-            return np.zeros((*np.shape(cosines), wavelength.size))
-        if self.always_facets:
-            return np.ones((*np.shape(cosines), wavelength.size))
-        phase = (2e3 * np.pi * self.facet_sigma * cosines[..., None] / wavelength) ** 2
-        return facet_share(phase, cosines[..., None] / 2, self.slope)
+        if self.relief is None or self.halo is None:
+            return np.full((*np.shape(cosines), wavelength.size), float(self.halo is None))
+        return facet_share_at(self.facet_sigma, self.slope, cosines, wavelength)
 
     def coherent_share(self, theta_i: Array, wavelength: Array) -> Array:
         """Share of Fresnel's reflectance that is reflected coherently, (incidences…, wavelength)."""
         share = self.facet_share(2 * np.cos(np.radians(theta_i)), wavelength)
-        return (1 - share) * self.halo.coherent_share(theta_i, wavelength)
+        return (1 - share) * self.halo.coherent_share(theta_i, wavelength) if self.halo is not None else 1 - share
 
     def evaluate(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
         """BRDF without diffuse light [sr-1], (directions, wavelength); 0 unless both directions are above the surface.
@@ -160,13 +198,18 @@ class RoughSurface:
         Angles are θ_i, φ_i, θ_o and φ_o, (directions,) degree; wavelength [nm], n and k are (wavelength,).
         """
 
-        def of_block(pair: HalfVector, phi_i: Array, phi_o: Array) -> Array:
-            of_facets, of_waves = self._strengths(pair, phi_i, phi_o, wavelength)
-            values = np.zeros((phi_i.size, wavelength.size))
-            if of_waves is not None:
-                values += of_waves * amplitudes(pair, phi_o - phi_i, n, k).mean
-            if of_facets is not None:
-                values += of_facets * fresnel(pair.cos_zeta[:, None], n, k).mean
+        def of_block(pair: HalfVector, block: Angles) -> Array:
+            parts, values = (
+                self._parts(pair, (block[1], block[3]), wavelength),
+                np.zeros((block[0].size, wavelength.size)),
+            )
+            if parts.facets is not None:
+                assert self.relief is not None
+                values += parts.facets * self.relief.facets.evaluate(*block, wavelength)
+            if parts.spread is not None:
+                values += parts.spread * fresnel(pair.cos_zeta[:, None], n, k).mean
+            if parts.waves is not None:
+                values += parts.waves * amplitudes(pair, block[3] - block[1], n, k).mean
             return values
 
         return _in_blocks(angles, (wavelength.size,), of_block)
@@ -174,38 +217,47 @@ class RoughSurface:
     def mueller(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
         """Mueller matrices of the same [sr-1], (directions, wavelength, 4, 4), in the frames of the microfacet model."""
 
-        def of_block(pair: HalfVector, phi_i: Array, phi_o: Array) -> Array:
-            of_facets, of_waves = self._strengths(pair, phi_i, phi_o, wavelength)
-            values = np.zeros((phi_i.size, wavelength.size, 4, 4))
-            if of_waves is not None:
-                values += of_waves[..., None, None] * amplitudes(pair, phi_o - phi_i, n, k).mueller()
-            if of_facets is not None:
-                theta_i, theta_o = (
-                    np.degrees(np.arctan2(*part)) for part in ((pair.sin_i, pair.cos_i), (pair.sin_o, pair.cos_o))
-                )
-                facet = polarised.mueller(np.ones(phi_i.size), theta_i, phi_i, theta_o, phi_o, n, k)
-                values += of_facets[..., None, None] * facet
+        def of_block(pair: HalfVector, block: Angles) -> Array:
+            parts = self._parts(pair, (block[1], block[3]), wavelength)
+            values = np.zeros((block[0].size, wavelength.size, 4, 4))
+            if parts.facets is not None:
+                assert self.relief is not None
+                values += parts.facets[..., None, None] * self.relief.facets.mueller(*block, wavelength)
+            if parts.spread is not None:
+                values += parts.spread[..., None, None] * polarised.mueller(np.ones(block[0].size), *block, n, k)
+            if parts.waves is not None:
+                values += parts.waves[..., None, None] * amplitudes(pair, block[3] - block[1], n, k).mueller()
             return values
 
         return _in_blocks(angles, (wavelength.size, 4, 4), of_block)
 
-    def _strengths(
-        self, pair: HalfVector, phi_i: Array, phi_o: Array, wavelength: Array
-    ) -> tuple[Array | None, Array | None]:
-        """BRDF over the reflectance of facets, and over the polarisation factor of waves; None where there is no such light."""
+    def _parts(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> _Parts:
         share = self.facet_share(pair.cos_i + pair.cos_o, wavelength)
-        of_facets: Array | None = None
-        of_waves: Array | None = None
-        if not (share == 1).all():
-            of_waves = (1 - share) * self.halo.strength(pair, wavelength)
+        facets: Array | None = None
+        spread: Array | None = None
+        waves: Array | None = None
+        if self.halo is not None and not (share == 1).all():
+            waves = (1 - share) * self.halo.strength(pair, azimuths, wavelength)
         if self.relief is not None and share.any():
-            of_facets, once = self.relief.strengths(pair, phi_i, phi_o, wavelength)
-            of_facets, once = share * of_facets, share * once
-            of_waves = once if of_waves is None else of_waves + once
-        return of_facets, of_waves
+            facets = share * self.relief.undimmed(pair.cos_i + pair.cos_o, wavelength)
+            if (fine := self.relief.spread(pair, azimuths, wavelength)) is not None:
+                spread, once = share * fine[0], share * fine[1]
+                waves = once if waves is None else waves + once
+        return _Parts(facets, spread, waves)
 
 
-def _in_blocks(angles: Angles, shape: tuple[int, ...], of_block: Callable[[HalfVector, Array, Array], Array]) -> Array:
+class _Parts(NamedTuple):
+    """Factors of the parts of a BRDF, (directions, wavelength) each; None where there is no such light."""
+
+    facets: Array | None
+    """Of the facets' BRDF [1]"""
+    spread: Array | None
+    """Of Fresnel's reflectance by the facet that mirrors one direction into the other [sr-1]"""
+    waves: Array | None
+    """Of the polarisation factor of waves [sr-1]"""
+
+
+def _in_blocks(angles: Angles, shape: tuple[int, ...], of_block: Callable[[HalfVector, Angles], Array]) -> Array:
     """Values of pairs of directions above the surface, in blocks that fit the processor's cache; 0 for others."""
     theta_i, phi_i, theta_o, phi_o = angles
     result = np.zeros((theta_i.size, *shape))
@@ -213,5 +265,6 @@ def _in_blocks(angles: Angles, shape: tuple[int, ...], of_block: Callable[[HalfV
     step = max(_BLOCK // int(np.prod(shape)), 64)
     for start in range(0, above.size, step):
         at = above[start : start + step]
-        result[at] = of_block(half_vector(theta_i[at], phi_i[at], theta_o[at], phi_o[at]), phi_i[at], phi_o[at])
+        block = theta_i[at], phi_i[at], theta_o[at], phi_o[at]
+        result[at] = of_block(half_vector(*block), block)
     return result

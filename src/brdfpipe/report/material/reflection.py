@@ -201,6 +201,13 @@ def regime_table(bsdf: xr.Dataset) -> Table | None:
         "Of the light that the surface reflects towards the mirror direction: first the share that is reflected coherently, as by a smooth "
         "surface, then the share that is reflected as by facets. The rest is scattered as waves are."
     )
+    if "cut_error" in bsdf:
+        note += (
+            f" Roughness of {1e3 * float(bsdf['fine_sigma']):.3g} nm rms is too fine to be facets, and dims and spreads their reflection. If the "
+            f"frequency that parts both moves by a factor of 1.5, the lobe changes by up to {percent(float(bsdf['cut_error']))}."
+        )
+    if (missed := float(bsdf["energy_residual"])) > _NEGLIGIBLE_LOSS:
+        note += f" Waves miss up to {percent(missed)} of the incident light, near grazing; it enters the base."
     rows = [(f"{angle:g}°", *row) for angle, row in zip(_REGIME_INCIDENCES, cells, strict=True)]
     return Table("Coherent light, waves and facets", ("Incidence", *(f"{nm:g} nm" for nm in nearest)), rows, note)
 
