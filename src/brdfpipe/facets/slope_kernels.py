@@ -10,13 +10,11 @@ subtracted in double precision; squares are rounded to single precision for the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from brdfpipe.compilation import compiled
 from brdfpipe.geometry import Array
 
 _TABLE = 2**15
@@ -27,19 +25,8 @@ _LINE_PART = 1024
 """Slopes of a line that are binned together."""
 _UPPER_HALF = 1 if np.little_endian else 0
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 
-
-def _compiled(function: _Function) -> _Function:
-    """Compile at the first call, without the interpreter's lock; keep the machine code where there is a place to write."""
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    try:
-        return numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # neither the package nor the user's cache folder can be written
-        return numba.njit(**options)(function)
-
-
-@_compiled
+@compiled
 def _dithered_row(height: Array, row: int, first: int, at: int, quantum: float, out: Array) -> None:
     """Heights of a row from the column ``first`` on, dithered as :func:`brdfpipe.facets.height_quantisation.dither` says."""
     if quantum == 0:
@@ -57,7 +44,7 @@ def _dithered_row(height: Array, row: int, first: int, at: int, quantum: float, 
 # Short loops of few arrays: the compiler vectorises them, since it can check that no result overlaps an operand.
 
 
-@_compiled
+@compiled
 def _add_slopes(
     ahead: Array, behind: Array, per: float, tilt: float, weight: float, slope: Array, total: Array
 ) -> None:
@@ -68,7 +55,7 @@ def _add_slopes(
         total[k] += weight * (value * value)
 
 
-@_compiled
+@compiled
 def _single_squares(
     ahead: Array, behind: Array, per: np.float32, tilt: np.float32, square: NDArray[np.float32]
 ) -> None:
@@ -77,7 +64,7 @@ def _single_squares(
         square[k] = slope * slope
 
 
-@_compiled
+@compiled
 def _two_sums(
     a: NDArray[np.float32],
     b: NDArray[np.float32],
@@ -90,13 +77,13 @@ def _two_sums(
         second[k] = a[k] + c[k]
 
 
-@_compiled
+@compiled
 def _add_products(a: Array, b: Array, c: Array, d: Array, total: Array) -> None:
     for k in range(total.size):
         total[k] += (a[k] + b[k]) * (c[k] + d[k])
 
 
-@_compiled
+@compiled
 def _count(bits: NDArray[np.uint16], size: int, tables: NDArray[np.uint32]) -> None:
     """Add to each table the squares of one row of ``bits``."""
     for k in range(size):
@@ -107,7 +94,7 @@ def _count(bits: NDArray[np.uint16], size: int, tables: NDArray[np.uint32]) -> N
         tables[3, bits[3, upper] & (_TABLE - 1)] += np.uint32(1)
 
 
-@_compiled
+@compiled
 def move_counts(tables: NDArray[np.uint32], counts: NDArray[np.int64]) -> None:
     """Add the tables to counts (bins,), and empty them."""
     for table in tables:
@@ -116,7 +103,7 @@ def move_counts(tables: NDArray[np.uint32], counts: NDArray[np.int64]) -> None:
     tables[:] = 0
 
 
-@_compiled
+@compiled
 def count_map_slopes(
     height: Array,
     at: int,
@@ -193,7 +180,7 @@ def count_map_slopes(
         sums[block, 5] = totals[2, :quads].sum()
 
 
-@_compiled
+@compiled
 def _row_of_slopes(
     height: Array,
     row: int,
@@ -215,7 +202,7 @@ def _row_of_slopes(
         slope_y[k] = (lines[new, k] - lines[old, k]) * (1 / pitch[1]) - tilt[1]
 
 
-@_compiled
+@compiled
 def sum_gentle_slopes(
     height: Array,
     at: int,
@@ -251,7 +238,7 @@ def sum_gentle_slopes(
                             sums[block, 5] += p * q
 
 
-@_compiled
+@compiled
 def count_scaled_slopes(
     height: Array,
     at: int,
@@ -283,7 +270,7 @@ def count_scaled_slopes(
         move_counts(tables, counts[block])
 
 
-@_compiled
+@compiled
 def count_in_cells(
     height: Array,
     at: int,
@@ -325,7 +312,7 @@ def count_in_cells(
                         counts[block, across, along] += 1
 
 
-@_compiled
+@compiled
 def _cell(slope: float, borders: Array, per_step: float, cell_of_step: NDArray[np.int64]) -> int:
     if slope < borders[0]:
         return 0
@@ -337,7 +324,7 @@ def _cell(slope: float, borders: Array, per_step: float, cell_of_step: NDArray[n
     return cell
 
 
-@_compiled
+@compiled
 def count_line_slopes(slopes: Array, tables: NDArray[np.uint32]) -> None:
     """Add slopes of a line to tables of :func:`empty_tables`, by the upper 16 bits of their squares."""
     squares = np.empty((_TABLES, _LINE_PART), dtype=np.float32)

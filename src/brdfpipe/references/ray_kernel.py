@@ -15,13 +15,11 @@ Tevs, Ihrke & Seidel 2008 (I3D), maximum mipmaps for the traversal; Roberts' add
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from brdfpipe.compilation import compiled
 from brdfpipe.geometry import Array
 
 MIRRORED, PERIODIC, OPEN = 0, 1, 2
@@ -36,19 +34,8 @@ _NEGLIGIBLE_POWER = 1e-12
 _HIT, _ESCAPED, _LOST = 0, 1, 2
 _TURN = 2 * math.pi
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 
-
-def _compiled(function: _Function) -> _Function:
-    """Compile at the first call, without the interpreter's lock; keep the machine code where there is a place to write."""
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    try:
-        return numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # neither the package nor the user's cache folder can be written
-        return numba.njit(**options)(function)
-
-
-@_compiled
+@compiled
 def folded(position: float, cells: int, edges: int) -> tuple[float, float]:
     """Position in [0, cells) of any position along an axis, and −1 where it is in a mirror image."""
     if edges == MIRRORED:
@@ -59,7 +46,7 @@ def folded(position: float, cells: int, edges: int) -> tuple[float, float]:
     return position % cells, 1.0
 
 
-@_compiled
+@compiled
 def triangle(height: Array, ix: int, iy: int, upper: bool) -> tuple[float, float, float]:
     """Height at the corner (ix, iy), and rises per cell along x and y, of the plane of one of a cell's two triangles.
 
@@ -77,7 +64,7 @@ def triangle(height: Array, ix: int, iy: int, upper: bool) -> tuple[float, float
     return low, right - low, far - right
 
 
-@_compiled
+@compiled
 def first_hit(
     height: Array,
     ceiling: Array,
@@ -213,7 +200,7 @@ def first_hit(
     return status
 
 
-@_compiled
+@compiled
 def random_unit(seed: int, stream: int) -> float:
     """Uniform number in [0, 1) of a counter (splitmix64)."""
     state = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(stream) * np.uint64(0xD1B54A32D192ED03)
@@ -224,7 +211,7 @@ def random_unit(seed: int, stream: int) -> float:
     return float(state >> np.uint64(11)) / 9007199254740992.0
 
 
-@_compiled
+@compiled
 def reflect(
     ray: Array, normal: Array, pitch: Array, frame: Array, jones: NDArray[np.complex128], epsilon: complex, mirror: bool
 ) -> None:
@@ -261,7 +248,7 @@ def reflect(
     frame[0], frame[1], frame[2] = sx, sy, sz
 
 
-@_compiled
+@compiled
 def facet_normal(height: Array, pitch: Array, at: NDArray[np.int64], normal: Array) -> None:
     """Unit normal (3,) of the triangle ``at`` (3,) column, row and side."""
     _, p, q = triangle(height, at[0], at[1], at[2] == 1)
@@ -270,7 +257,7 @@ def facet_normal(height: Array, pitch: Array, at: NDArray[np.int64], normal: Arr
     normal[0], normal[1], normal[2] = -p / length, -q / length, 1 / length
 
 
-@_compiled
+@compiled
 def facets_at(height: Array, pitch: Array, position: Array, facet: Array) -> None:
     """Facets below positions (n, 2) in cells: writes their height, slopes along x and y, and side, (n, 4)."""
     for number in range(position.shape[0]):
@@ -284,7 +271,7 @@ def facets_at(height: Array, pitch: Array, position: Array, facet: Array) -> Non
         facet[number, 3] = 1.0 if upper else 0.0
 
 
-@_compiled
+@compiled
 def follow_from_facets(
     height: Array,
     ceiling: Array,
@@ -321,12 +308,12 @@ def follow_from_facets(
         leaves[number] = first_hit(height, ceiling, offset, low, edges, ray, at, False) == _ESCAPED
 
 
-@_compiled
+@compiled
 def _power(amplitude: complex) -> float:
     return amplitude.real * amplitude.real + amplitude.imag * amplitude.imag
 
 
-@_compiled
+@compiled
 def trace(
     height: Array,
     present: NDArray[np.bool_],

@@ -16,10 +16,9 @@ Cody & Waite 1980, Software Manual for the Elementary Functions; Abramowitz & St
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeAlias
 
-import numba
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
@@ -29,6 +28,7 @@ from scipy.interpolate import PPoly, RectBivariateSpline
 from brdfpipe.bsdf.microfacet.anisotropic_quadrature import axis_ratio
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable, lay_scale
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.compilation import compiled
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.masking.smith import PlanarSmith, Smith
@@ -42,18 +42,6 @@ _LEAST = 1e-150
 _CELLS_A_SPAN = 4
 _NEXT = np.uintp(1)
 _LANDEN_ERROR = 1e-12
-
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-def _compiled(function: _Function) -> _Function:
-    """Compile at the first call, without the interpreter's lock; keep the machine code where there is a place to write."""
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    try:
-        return numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # neither the package nor the user's cache folder can be written
-        return numba.njit(**options)(function)
-
 
 # --- tables
 
@@ -243,13 +231,13 @@ def _landen_steps(ratio: float) -> Array:
 # --- elementary functions
 
 
-@_compiled
+@compiled
 def _at_most(x: float, limit: float) -> float:
     """The smaller one; unlike the built-in function, without a branch for NaN."""
     return x if x < limit else limit
 
 
-@_compiled
+@compiled
 def _at_least(x: float, limit: float) -> float:
     return x if x > limit else limit
 
@@ -270,7 +258,7 @@ def _reinterpreted(source: Any, target: Any) -> Any:
 _bits, _number = _reinterpreted(types.float64, types.int64), _reinterpreted(types.int64, types.float64)
 
 
-@_compiled
+@compiled
 def _sine_cosine(x: float) -> tuple[float, float]:
     """Of an angle in radian within ±π/4."""
     z = x * x
@@ -283,7 +271,7 @@ def _sine_cosine(x: float) -> tuple[float, float]:
     return sine, 1 - (0.5 * z - cosine)
 
 
-@_compiled
+@compiled
 def _of_degrees(angle: float) -> tuple[float, float]:
     """Sine and cosine of an angle in degree; the reduction to an eighth of the circle is exact."""
     shifted = angle * (1 / 90) + _ROUNDER
@@ -294,7 +282,7 @@ def _of_degrees(angle: float) -> tuple[float, float]:
     return -first if quarter & 2 != 0 else first, -second if (quarter + 1) & 2 != 0 else second
 
 
-@_compiled
+@compiled
 def _exponential(x: float) -> float:
     """exp(x), as the square of exp(x/2), which neither overflows nor loses digits before the result does."""
     x = x if x > -1400 else -1400.0
@@ -309,7 +297,7 @@ def _exponential(x: float) -> float:
     return value * value
 
 
-@_compiled
+@compiled
 def _logarithm(x: float) -> float:
     """Of a normal number above 0."""
     exponent = (_bits(x) - _ROOT_HALF) >> 52
@@ -325,7 +313,7 @@ def _logarithm(x: float) -> float:
     return k * _LOG_2_HIGH - ((half - (rest + k * _LOG_2_LOW)) - f)
 
 
-@_compiled
+@compiled
 def _inverse_sinh(x: float) -> float:
     """asinh of |x| < 1e150, to an absolute 1e-16, with the sign of x."""
     size = _at_most(abs(x), 1e150)
@@ -333,7 +321,7 @@ def _inverse_sinh(x: float) -> float:
     return -value if x < 0 else value
 
 
-@_compiled
+@compiled
 def _arc_tangent(t: float) -> float:
     """Of 0 <= t <= 1 [rad]."""
     large = t > 0.4142135623730950
@@ -347,7 +335,7 @@ def _arc_tangent(t: float) -> float:
     return value + math.pi / 4 if large else value
 
 
-@_compiled
+@compiled
 def _angle(y: float, x: float) -> float:
     """Angle of the vector (x, y) [rad], from −π to π."""
     size_x, size_y = abs(x), abs(y)
@@ -362,19 +350,19 @@ def _angle(y: float, x: float) -> float:
 # --- facets
 
 
-@_compiled
+@compiled
 def _four_rows(space: Array, first: int, size: int) -> Rows:
     return space[first, :size], space[first + 1, :size], space[first + 2, :size], space[first + 3, :size]
 
 
-@_compiled
+@compiled
 def _rows(space: Array, size: int) -> Rows:
     """Rows of 16 times as many directions as a block has; arrays of their own, because the compiler must see that they do not overlap."""
     last = _four_rows(space, 12, size)
     return _four_rows(space, 0, size) + _four_rows(space, 4, size) + _four_rows(space, 8, size) + last
 
 
-@_compiled
+@compiled
 def _half_vectors(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, pair: Pair) -> None:
     """Rows of ``pair``: squared slope, cos ζ, cos θ_i, sin θ_i, cos θ_o, sin θ_o, sin θ_i − sin θ_o.
 
@@ -400,13 +388,13 @@ def _half_vectors(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, pa
         cosines_i[j], sines_i[j], cosines_o[j], sines_o[j], differences[j] = cos_i, sin_i, cos_o, sin_o, difference
 
 
-@_compiled
+@compiled
 def _within(x: float, last: float) -> float:
     """Limited to [0, last]; the last for NaN, which must not index a table."""
     return (x if x > 0 else 0.0) if x < last else last
 
 
-@_compiled
+@compiled
 def _interval(x: float, curve: Curve) -> int:
     index = curve.guide[(_bits(x + curve.offset) >> curve.shift) - curve.first_key]
     for _ in range(curve.steps):
@@ -414,7 +402,7 @@ def _interval(x: float, curve: Curve) -> int:
     return index
 
 
-@_compiled
+@compiled
 def _values(x: Array, curve: Curve, out: Array) -> None:
     """The curve's first value at each x; ``out`` may be x."""
     offset, shift, first_key, steps, last = curve.offset, curve.shift, curve.first_key, curve.steps, curve.last
@@ -431,7 +419,7 @@ def _values(x: Array, curve: Curve, out: Array) -> None:
         out[j] = ((c[index, 0, 0] * step + c[index, 1, 0]) * step + c[index, 2, 0]) * step + c[index, 3, 0]
 
 
-@_compiled
+@compiled
 def _mirrors(pair: Pair, density: Array, excess_i: Array, excess_o: Array, separable: bool, mirrors: Array) -> None:
     """D G2 / (4 cos θ_i cos θ_o) from P22 and the mean excess slopes."""
     for j in range(mirrors.size):
@@ -445,7 +433,7 @@ def _mirrors(pair: Pair, density: Array, excess_i: Array, excess_o: Array, separ
         mirrors[j] = density[j] * (spread * spread) * (0.25 / visible)
 
 
-@_compiled
+@compiled
 def _isotropic_mirrors(pair: Pair, work: Rows, tables: IsotropicTables, mirrors: Array) -> None:
     logarithm, excess_i, excess_o = work[0], work[1], work[2]
     _values(pair[0], tables.log_density, logarithm)
@@ -458,13 +446,13 @@ def _isotropic_mirrors(pair: Pair, work: Rows, tables: IsotropicTables, mirrors:
     _mirrors(pair, logarithm, excess_i, excess_o, tables.separable, mirrors)
 
 
-@_compiled
+@compiled
 def _between(x: float, axis: SplineAxis) -> float:
     """Limited to the axis; its last for NaN."""
     return (x if x > axis.first else axis.first) if x < axis.last else axis.last
 
 
-@_compiled
+@compiled
 def _span(x: float, axis: SplineAxis) -> np.uintp:
     index = np.uintp(axis.guide[np.uintp((x - axis.first) * axis.cells_a_unit)])
     while x >= axis.knots[index + _NEXT]:
@@ -472,7 +460,7 @@ def _span(x: float, axis: SplineAxis) -> np.uintp:
     return index
 
 
-@_compiled
+@compiled
 def _basis(s: float, b: Array) -> tuple[float, float, float, float]:
     """The four basis functions of a span at a distance from its first knot."""
     return (
@@ -483,7 +471,7 @@ def _basis(s: float, b: Array) -> tuple[float, float, float, float]:
     )
 
 
-@_compiled
+@compiled
 def _surface_values(x: Array, y: Array, surface: SplineSurface, out: Array) -> None:
     """The surface's first value at each place, held beyond its edges; ``out`` may be x or y."""
     axis_x, axis_y, coefficients = surface.x, surface.y, surface.coefficients
@@ -503,7 +491,7 @@ def _surface_values(x: Array, y: Array, surface: SplineSurface, out: Array) -> N
         out[n] = value
 
 
-@_compiled
+@compiled
 def _uniform_basis(x: float) -> tuple[float, float, float, float]:
     """The uniform cubic B-splines about a position between its two middle ones, 0 <= x <= 1."""
     y = 1 - x
@@ -515,7 +503,7 @@ def _uniform_basis(x: float) -> tuple[float, float, float, float]:
     )
 
 
-@_compiled
+@compiled
 def _density_with_lay(across: float, along: float, coefficients: Array) -> float:
     """Logarithm of the density at fractional indices of the nodes; minus infinity beyond the grid."""
     rows, columns = coefficients.shape[0] - 5, coefficients.shape[1] - 5
@@ -532,7 +520,7 @@ def _density_with_lay(across: float, along: float, coefficients: Array) -> float
     return value
 
 
-@_compiled
+@compiled
 def _grid_positions(phi_i: Array, phi_o: Array, pair: Pair, tables: LayTables, across: Array, along: Array) -> None:
     """Fractional indices, on the nodes of the density, of the slopes that mirror one direction into the other."""
     _, _, cosines_i, sines_i, cosines_o, sines_o, differences = pair
@@ -554,7 +542,7 @@ def _grid_positions(phi_i: Array, phi_o: Array, pair: Pair, tables: LayTables, a
             slope[j] = _inverse_sinh(slope[j]) * scale + half
 
 
-@_compiled
+@compiled
 def _excess_with_lay(phi: Array, cosines: Array, sines: Array, tables: LayTables, rows: Rows, excess: Array) -> None:
     """Mean excess slopes towards directions."""
     width, turn = rows
@@ -574,7 +562,7 @@ def _excess_with_lay(phi: Array, cosines: Array, sines: Array, tables: LayTables
         excess[j] *= width[j]
 
 
-@_compiled
+@compiled
 def _mirrors_with_lay(phi_i: Array, phi_o: Array, pair: Pair, work: Rows, tables: LayTables, mirrors: Array) -> None:
     density, across, excess_i, excess_o, width, turn = work[:6]
     _grid_positions(phi_i, phi_o, pair, tables, across, density)
@@ -588,7 +576,7 @@ def _mirrors_with_lay(phi_i: Array, phi_o: Array, pair: Pair, work: Rows, tables
     _mirrors(pair, density, excess_i, excess_o, tables.separable, mirrors)
 
 
-@_compiled
+@compiled
 def _arcs(azimuths: Array, tables: LayTables, rows: Rows, arcs: Array) -> None:
     """Arcs of azimuths from the wider axis [degree], as :func:`~brdfpipe.bsdf.microfacet.anisotropic_quadrature.azimuth_to_arc`.
 
@@ -616,7 +604,7 @@ def _arcs(azimuths: Array, tables: LayTables, rows: Rows, arcs: Array) -> None:
 # --- Fresnel's reflectance and what the facets leave
 
 
-@_compiled
+@compiled
 def _transparent(c: float, n: float) -> float:
     """Fresnel's reflectance of n >= 1 for unpolarised light."""
     contrast = (n - 1) * (n + 1)
@@ -627,7 +615,7 @@ def _transparent(c: float, n: float) -> float:
     return (_at_most(r_s * r_s, 1.0) + _at_most(r_p * r_p, 1.0)) * 0.5
 
 
-@_compiled
+@compiled
 def _absorbing(c: float, n: float, k: float) -> float:
     """The same of n + ik: powers of complex amplitudes in real arithmetic."""
     real, imaginary = (n - 1) * (n + 1) - k * k, 2 * n * k
@@ -646,7 +634,7 @@ def _absorbing(c: float, n: float, k: float) -> float:
     return (_at_most(power / (into_s * into_s), 1.0) + _at_most(f_p, 1.0)) * 0.5
 
 
-@_compiled
+@compiled
 def _reflected(mirrors: Array, cos_zeta: Array, shading: Shading, out: Array) -> None:
     """Fill in F D G2 / (4 cos θ_i cos θ_o)."""
     if shading.n.size == 1:
@@ -669,7 +657,7 @@ def _reflected(mirrors: Array, cos_zeta: Array, shading: Shading, out: Array) ->
                 out[j, w] = mirrors[j] * _transparent(cos_zeta[j], shading.n[w])
 
 
-@_compiled
+@compiled
 def _add_products(of_direction: Array, of_wavelength: Array, out: Array) -> None:
     if out.shape[1] == 1:
         flat, factor = out.reshape(out.size), of_wavelength[0]
@@ -681,7 +669,7 @@ def _add_products(of_direction: Array, of_wavelength: Array, out: Array) -> None
                 out[j, w] += of_direction[j] * of_wavelength[w]
 
 
-@_compiled
+@compiled
 def _left(albedo: float) -> float:
     """Share that an albedo leaves, in [0, 1]."""
     rest = 1 - albedo
@@ -689,7 +677,7 @@ def _left(albedo: float) -> float:
     return rest if rest < 1 else 1.0
 
 
-@_compiled
+@compiled
 def _add_isotropic_base(theta_i: Array, theta_o: Array, albedo: Curve, factor: Array, work: Rows, out: Array) -> None:
     """Add the light of the base, reduced by what the facets reflect of both directions."""
     c, left = albedo.coefficients, work[0]
@@ -714,7 +702,7 @@ def _add_isotropic_base(theta_i: Array, theta_o: Array, albedo: Curve, factor: A
             out[j, w] += factor[w] * (_left(e_i) * _left(e_o))
 
 
-@_compiled
+@compiled
 def _add_base_with_lay(places: Rows, albedo: SplineSurface, factor: Array, work: Rows, out: Array) -> None:
     """The same; rows of ``places`` are the coordinates of the albedo of both directions."""
     size, width = out.shape
@@ -734,7 +722,7 @@ def _add_base_with_lay(places: Rows, albedo: SplineSurface, factor: Array, work:
             out[j, w] += factor[w] * (_left(e_i[w]) * _left(e_o[w]))
 
 
-@_compiled
+@compiled
 def _spectrum_on_surface(x: float, y: float, surface: SplineSurface, values: Array) -> None:
     x, y = _between(x, surface.x), _between(y, surface.y)
     i, j = _span(x, surface.x), _span(y, surface.y)
@@ -754,7 +742,7 @@ def _spectrum_on_surface(x: float, y: float, surface: SplineSurface, values: Arr
             values[w] += (f_0 * r_0[w] + f_1 * r_1[w]) + (f_2 * r_2[w] + f_3 * r_3[w])
 
 
-@_compiled
+@compiled
 def _clear_below(theta_i: Array, theta_o: Array, out: Array) -> None:
     for j in range(theta_i.size):
         if not (theta_i[j] < 90 and theta_o[j] < 90):
@@ -764,7 +752,7 @@ def _clear_below(theta_i: Array, theta_o: Array, out: Array) -> None:
 # --- whole evaluations
 
 
-@_compiled
+@compiled
 def _block(
     theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, out: Array, space: Array, start: int
 ) -> tuple[Rows, Array, Rows]:
@@ -776,7 +764,7 @@ def _block(
     return angles, out[start:end], rows
 
 
-@_compiled
+@compiled
 def _evaluate_isotropic(
     theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, tables: IsotropicTables, shading: Shading, out: Array
 ) -> None:
@@ -793,7 +781,7 @@ def _evaluate_isotropic(
         _clear_below(angles[0], angles[2], values)
 
 
-@_compiled
+@compiled
 def _evaluate_with_lay(
     theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, tables: LayTables, shading: Shading, out: Array
 ) -> None:

@@ -20,7 +20,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -28,6 +27,7 @@ from scipy.interpolate import PPoly
 
 from brdfpipe.bsdf.microfacet.energy import mirror_albedo
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.compilation import compiled
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
@@ -45,8 +45,7 @@ _MOST_GAIN = 10.0  # of the light of perfect mirrors, by which a map or a lay ma
 _MOST_STEP = 1.0  # of log A from the last node to grazing
 _MARGIN = 0.9995  # of the missing light, up to which the table is not reduced between its nodes
 _LEAST = 1e-300
-
-_Function = TypeVar("_Function", bound=Callable[..., Any])
+_kernel = cache(compiled)  # the compiler is loaded at the first call
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class SecondReflection:
         angles = [np.ascontiguousarray(a, dtype=float) for a in np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)]
         result = np.empty((angles[0].size, self.log_factor.shape[-1]))
         table = np.ascontiguousarray(self.log_factor), np.ascontiguousarray(self.weight, dtype=float)
-        _compiled(_interpolate)(*angles, *table, self.slope, _grazing_scale(self.slope), result)
+        _kernel(_interpolate)(*angles, *table, self.slope, _grazing_scale(self.slope), result)
         return result
 
     def albedo(self, theta: Array, phi: Array | float = 0.0) -> Array:
@@ -413,7 +412,7 @@ def _several_reflections(surface: Microsurface, theta: Array, pairs: Array) -> l
             if facet > 0:
                 seen = weight * (steps[-1] > 0) * _height_factor(surface, np.degrees(incidence), *steps)
                 polarised = np.array(turns), stokes, sums[facet - 1, row]
-                _compiled(_add_several)(seen, np.stack(cosines), *polarised)
+                _kernel(_add_several)(seen, np.stack(cosines), *polarised)
     return [(albedo[:, 0] / _PATHS, albedo[:, 1:] / _PATHS) for albedo in sums]
 
 
@@ -484,7 +483,7 @@ def upward_paths(surface: Microsurface, incidence: float, theta_o: Array, azimut
     forward = width * np.sinh(azimuth * np.arcsinh(np.pi / width))
     outgoing = np.stack(np.broadcast_arrays(-sin_o * np.cos(forward), sin_o * np.sin(forward), cos_o), axis=-1)
     result = np.zeros((*forward.shape, 1 + basis.shape[-1] ** 2))
-    _compiled(_add_paths)(
+    _kernel(_add_paths)(
         facets,
         first[share > 0],
         outgoing.reshape(-1, 3),
@@ -535,18 +534,6 @@ def _at_cosine(values: Array, cos: Array) -> Array:
 
 
 # --- compiled
-
-
-@cache
-def _compiled(function: _Function) -> _Function:
-    """Machine code of a function, kept where there is a place to write; its compiler is loaded at the first call."""
-    import numba
-
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    try:
-        return numba.njit(cache=True, **options)(function)
-    except RuntimeError:
-        return numba.njit(**options)(function)
 
 
 def _interpolate(
