@@ -219,8 +219,15 @@ def test_lines_within_a_degree_count_together(azimuths, lay):
 def test_lines_of_different_pitch_are_refused_but_for_a_per_cent():
     one, two = lines_at(0.0, 0.0)
     facets.estimate([one, two.assign_attrs(pitch_x=1.009)], isotropic=True)
-    with pytest.raises(facets.FacetError, match="pitch_x is 1 um and 2 um"):
-        facets.estimate([one, two.assign_attrs(pitch_x=2.0)], isotropic=True)
+    with pytest.raises(facets.FacetError, match="pitch_x is 1 um and 1.2 um"):
+        facets.estimate([one, two.assign_attrs(pitch_x=1.2)], isotropic=True)
+
+
+def test_lines_of_another_magnification_do_not_count_as_facets():
+    one, two = lines_at(0.0, 0.0)
+    table = facets.estimate([one, two.assign_attrs(pitch_x=2.0)], isotropic=True)
+    assert float(table["facet_count"]) == 1999
+    assert "extend the roughness spectrum alone" in table.attrs["history"]
 
 
 def test_slopes_by_scale_are_about_the_mean_of_each_line():
