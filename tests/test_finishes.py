@@ -76,7 +76,8 @@ def test_a_polished_material_has_the_gloss_of_its_reflectance(results: Path) -> 
 def test_a_brushed_material_keeps_its_lay_to_the_last_file(results: Path) -> None:
     computed = opened(results, "brushed", "appearance")
     assert abs(float(computed["lay"])) < 5
-    assert float(computed["gloss_along"][2]) > 1.5 * float(computed["gloss_across"][2])
+    # At 85° a good part of the gloss is coherent light (g = 2.4), which has no lay.
+    assert float(computed["gloss_along"][2]) > 1.3 * float(computed["gloss_across"][2])
     assert opened(results, "brushed", "table")["brdf"].dims[0] == "phi_i"
     assert "NOT isotropic" in (results / "brushed" / "exports" / "brushed.astm").read_text()
     fits = pd.read_csv(results / "brushed" / "exports" / "brushed.lambert_gauss.csv", comment="#")

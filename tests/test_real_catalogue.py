@@ -64,12 +64,14 @@ def test_the_scan_is_the_known_one(built):
     assert float(facets["anisotropy"]) == pytest.approx(1.03, rel=0.02)
 
 
-def test_the_stored_brdf_integrates_to_the_measured_spectrum(built, shared_data):
-    bsdf = brdfpipe.open_dataset(built[0] / "rubber" / "bsdf.nc")
+@pytest.mark.parametrize(("stage", "error"), [("predicted", 1e-6), ("bsdf", 5e-5)])
+def test_the_stored_brdf_integrates_to_the_measured_spectrum(built, shared_data, stage, error):
+    # The passage from waves to facets is no polynomial: the quadratures of model and test differ by up to 4e-5.
+    bsdf = brdfpipe.open_dataset(built[0] / "rubber" / f"{stage}.nc")
     measured = spectra.read_spectrum(shared_data / "spectra" / "pvc_white_de.csv", geometry="sci")
     rule = hemisphere.around_mirror(8.0, 0.1, order=12, turns=48)
     integrated = rule.weight @ bsdf.bsdf.evaluate(8.0, 0.0, rule.theta, rule.phi).values
-    assert integrated == pytest.approx(measured["total_reflectance"].values, abs=1e-6)
+    assert integrated == pytest.approx(measured["total_reflectance"].values, abs=error)
 
 
 def test_the_exported_reflectance_is_the_measured_one(built, shared_data):

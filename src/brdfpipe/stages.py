@@ -454,7 +454,6 @@ _STAGES = (
         when=_has("predicted", "`surface`") & _KNOWN_ROUGHNESS & _WAVES & _OPAQUE & _PREDICTED,
         keys=StageKeys(("model",), (), _wave_model),
         kind="bsdf",
-        reported=False,
     ),
     Stage(
         "reference",
@@ -462,7 +461,6 @@ _STAGES = (
         when=_MEASURED_RELIEF & Condition("`model.truth: use`", lambda subject: _truth(subject) == "use"),
         keys=StageKeys(("model.diffuse",), (), _base_of_reference),
         kind="bsdf",
-        reported=False,
     ),
     Stage(
         "model_error",

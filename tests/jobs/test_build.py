@@ -148,7 +148,18 @@ def test_deleting_an_intermediate_rebuilds_it_and_what_depends_on_it(folder: Pat
     (results / "first" / "bsdf.nc").unlink()
     build(folder, results)
     after = rewritten(before, times(results))
-    stages = ("surface", "facets", "psd", "visibility", "index", "spectrum", "predicted", "model_error", "uncertainty")
+    stages = (
+        "surface",
+        "facets",
+        "psd",
+        "visibility",
+        "index",
+        "spectrum",
+        "predicted",
+        "wave",
+        "model_error",
+        "uncertainty",
+    )
     upstream = {f"first/{stage}.nc" for stage in stages}
     assert after == {name for name in made if name.startswith("first/")} - upstream | {
         "catalogue.nc",
@@ -232,7 +243,7 @@ def test_a_folder_of_other_files_is_refused(folder: Path, results: Path) -> None
 def test_an_empty_folder_takes_results(folder: Path, results: Path) -> None:
     results.mkdir()
     (results / ".hidden").touch()
-    assert build_catalogue(folder, results, cores=1, dry_run=True).jobs == 35
+    assert build_catalogue(folder, results, cores=1, dry_run=True).jobs == 37
 
 
 def unwritable(monkeypatch: pytest.MonkeyPatch, *paths: Path) -> None:
@@ -326,7 +337,7 @@ def test_only_results_inside_the_folder_are_ever_deleted_as_damaged(tmp_path: Pa
 
 def test_a_dry_run_changes_nothing(folder: Path, results: Path) -> None:
     summary = build_catalogue(folder, results, cores=1, dry_run=True)
-    assert summary.jobs == 35  # seventeen stages of two materials, and the catalogue
+    assert summary.jobs == 37  # eighteen stages of two materials, and the catalogue
     assert content(results) == {}
 
 

@@ -6,12 +6,11 @@ from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 
 def main(input, output, params):
     """The BSDF that facets, index and spectrum predict; of a colour alone, a Lambertian one."""
-    spec, alone = dict(params["spec"]), params["spec"].get("optics") == "facets"
-    spec.pop("optics", None)
+    alone = params["spec"].get("optics") == "facets"
     inputs = {name: store.open_dataset(path, name) for name, path in input.items()}
     if "facets" in inputs:
         psd = inputs.pop("psd", None)
-        bsdf = build_microfacet(**inputs, **spec)
+        bsdf = build_microfacet(**inputs, **{key: mode for key, mode in params["spec"].items() if key != "optics"})
         bsdf = phase_variance.with_warning(bsdf, psd) if psd is not None and alone else bsdf
     else:
         bsdf = lambert_gauss.lambertian(inputs["spectrum"])

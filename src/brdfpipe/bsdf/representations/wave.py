@@ -157,7 +157,9 @@ class Wave(Representation):
 
     @property
     def lay(self) -> float | None:
-        return float(self.dataset["halo_lay"]) if "halo_lay" in self.dataset else super().lay
+        if "halo_lay" not in self.dataset:
+            return super().lay
+        return (float(self.dataset["halo_lay"]) + 90) % 180 - 90
 
     @property
     def lobe_slope(self) -> float:
