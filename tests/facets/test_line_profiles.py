@@ -219,7 +219,7 @@ def test_lines_within_a_degree_count_together(azimuths, lay):
 def test_lines_of_different_pitch_are_refused_but_for_a_per_cent():
     one, two = lines_at(0.0, 0.0)
     facets.estimate([one, two.assign_attrs(pitch_x=1.009)], isotropic=True)
-    with pytest.raises(facets.FacetError, match="pitch_x is 1 um and 1.2 um"):
+    with pytest.raises(facets.FacetError, match=r"pitch_x is 1 um and 1\.2 um"):
         facets.estimate([one, two.assign_attrs(pitch_x=1.2)], isotropic=True)
 
 
