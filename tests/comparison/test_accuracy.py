@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import accuracy
 import numpy as np
+import pytest
 import samples
 
 
@@ -19,3 +20,11 @@ def test_a_model_is_measured_and_a_refusal_is_stated(tmp_path, monkeypatch):
     page = accuracy.report({"rough": [facets, diffraction]})
     assert "| kirchhoff | – | – | – | refused | refused |" in page
     assert "- **kirchhoff** is refused: the phase of reflected light" in page
+
+
+@pytest.mark.parametrize(
+    "rung", ["Lambert + Gauss, fitted to facets", "facets, both", "composite", "auto (the default)"]
+)
+def test_every_kind_of_model_is_built_from_the_heights(rung):
+    surface = samples.gaussian_surface(96, sigma=0.3, correlation=8.0)
+    assert accuracy.RUNGS[rung](surface).attrs["kind"] == "bsdf"
