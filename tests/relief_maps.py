@@ -13,6 +13,12 @@ def gaussian(slope: float, size: int, seed: int, length: float = 12.0) -> Array:
     return samples.gaussian_surface(size, sigma=slope, correlation=length, seed=seed)["height"].values
 
 
+def of_spectrum(spectrum: Array, pitch: float, seed: int) -> Array:
+    """Normally distributed heights of a power spectral density, over the frequencies of ``numpy.fft.fftfreq`` along y and x."""
+    noise = np.fft.fft2(np.random.default_rng(seed).standard_normal(spectrum.shape))
+    return np.fft.ifft2(noise * np.sqrt(spectrum)).real / pitch
+
+
 def two_scales(size: int, seed: int) -> Array:
     """Coarse waviness of slope 0.15 under fine roughness of slope 0.2."""
     return gaussian(0.15, size, seed, length=40.0) + gaussian(0.2, size, seed + 1000, length=8.0)

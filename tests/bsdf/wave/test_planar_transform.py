@@ -7,6 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+import relief_maps
+import samples
 import xarray as xr
 from scipy.ndimage import map_coordinates
 
@@ -29,12 +31,7 @@ def ridges(sigma: float, seed: int, size: int = 256, pitch: float = 0.5) -> xr.D
     """A periodic Gaussian map, 10 um long along the lay of 30 degree and 2.5 um across it."""
     f = np.fft.fftfreq(size, pitch)
     spectrum = sigma**2 * elliptic(f, f[:, None])
-    noise = np.fft.fft2(np.random.default_rng(seed).standard_normal((size, size)))
-    height = np.fft.ifft2(noise * np.sqrt(spectrum)).real / pitch
-    position = pitch * np.arange(size)
-    surface = xr.Dataset({"height": (("y", "x"), height)}, coords={"x": position, "y": position})
-    surface.attrs = {"pitch_x": pitch, "pitch_y": pitch, "levelling": "none", "band": "none"}
-    return vocabulary.label(surface.assign(missing_fraction=0.0), "surface")
+    return samples.surface(relief_maps.of_spectrum(spectrum, pitch, seed), (pitch, pitch))
 
 
 def test_an_elliptic_spectrum_is_an_isotropic_one_in_the_stretched_plane():

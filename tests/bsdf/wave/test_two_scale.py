@@ -7,6 +7,8 @@ import json
 
 import numpy as np
 import pytest
+import relief_maps
+import samples
 import xarray as xr
 
 from brdfpipe import appearance, psd, vocabulary
@@ -231,9 +233,4 @@ def _gaussian_map(sigma: float, length: float, pitch: float, size: int, seed: in
     """A periodic map of heights of a Gaussian autocovariance."""
     f = np.fft.fftfreq(size, pitch)
     spectrum = np.pi * (length * sigma) ** 2 * np.exp(-((np.pi * length) ** 2) * (f**2 + f[:, None] ** 2))
-    noise = np.fft.fft2(np.random.default_rng(seed).standard_normal((size, size)))
-    height = np.fft.ifft2(noise * np.sqrt(spectrum)).real / pitch
-    position = pitch * np.arange(size)
-    surface = xr.Dataset({"height": (("y", "x"), height)}, coords={"x": position, "y": position})
-    surface.attrs = {"pitch_x": pitch, "pitch_y": pitch, "levelling": "none", "band": "none"}
-    return vocabulary.label(surface.assign(missing_fraction=0.0), "surface")
+    return samples.surface(relief_maps.of_spectrum(spectrum, pitch, seed), (pitch, pitch))
