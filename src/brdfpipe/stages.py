@@ -24,7 +24,15 @@ from brdfpipe.catalogue.material_keys import (
     MultiangleFile,
 )
 from brdfpipe.exchange.registry import FORMATS, Format
-from brdfpipe.masking.modes import HALOS, MODEL_DEFAULTS, RECIPES, SMITH_MASKINGS, TRUTHS, optics_of
+from brdfpipe.masking.modes import (
+    HALOS,
+    MASKINGS_OF_MULTIPLE_SCATTERING,
+    MODEL_DEFAULTS,
+    RECIPES,
+    SMITH_MASKINGS,
+    TRUTHS,
+    optics_of,
+)
 
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration
@@ -183,6 +191,18 @@ def _masking(subject: Subject) -> str:
     return SMITH_MASKINGS[0] if named == "auto" and untraced else str(named)
 
 
+def _multiple_scattering(subject: Subject) -> str:
+    """The mode that the key or the recipe names, or the default; ``none`` where ``auto`` cannot add light."""
+    model = subject.section("model")
+    modes = RECIPES.get(model.get("recipe", ""), MODEL_DEFAULTS)
+    named = str(model.get("multiple_scattering", modes["multiple_scattering"]))
+    return "none" if named == "auto" and _masking(subject) not in MASKINGS_OF_MULTIPLE_SCATTERING["measured"] else named
+
+
+_TRACED_REFLECTIONS = Condition(
+    "`model.multiple_scattering: auto` or measured",
+    lambda subject: _multiple_scattering(subject) in ("auto", "measured"),
+)
 _TRACED_MASKING = Condition(
     "`model.masking: auto` or measured", lambda subject: _masking(subject) in ("auto", "measured")
 )
@@ -421,6 +441,17 @@ _STAGES = (
         keys=_block("spectrum"),
     ),
     Stage("index", "the refractive index", when=_has("index"), keys=_keys("index", optional=("index_uncertainty",))),
+    Stage(
+        "interreflection",
+        "the light that the height map reflects more than once, traced on it, where there is enough of it",
+        when=_MEASURED_RELIEF & _TRACED_REFLECTIONS & _OPAQUE & _PREDICTED,
+        keys=StageKeys(
+            ("model.multiple_scattering",),
+            (),
+            lambda subject, _: {"multiple_scattering": _multiple_scattering(subject)},
+        ),
+        memory=2000,
+    ),
     Stage(
         "interior",
         "the internal transmittance of a clear body",

@@ -64,6 +64,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "scale": Quantity("1", "distance between the heights a slope is taken from, in pixels", 1),
     "second_theta_i": Quantity("degree", "polar angle of incidence on the first of two facets", 0, 90),
     "second_theta_o": Quantity("degree", "polar angle of light from the second of two facets", 0, 90),
+    "second_plane": Quantity(
+        "degree", "azimuth of the plane in the middle of both directions of a second reflection", 0, 180
+    ),
     "second_phi": Quantity("degree", "azimuth of the second reflection by a surface with a lay", 0, 360),
     "second_azimuth": Quantity("1", "azimuth from the forward plane, scaled to the width of the lobe", 0, 1),
     "theta_s": Quantity("degree", "angle of the outgoing direction from the mirror direction", 0, 180),
@@ -173,6 +176,11 @@ QUANTITIES: Mapping[str, Quantity] = {
     "mean_furnace_albedo": Quantity("1", "cosine-weighted mean of the furnace albedo", 0),
     "compensation": Quantity("1", "reflectance of what leaves the facets after more than one reflection", 0, 1 + 1e-9),
     "second_reflection": Quantity("1", "factor A of the light reflected by two facets and more, docs/model.md", 0),
+    "second_reflection_u": Quantity("1", "standard uncertainty of the traced second reflection over its value", 0),
+    "second_share": Quantity(
+        "1", "light that the map reflects more than once, traced, over the incident light", 0, 1 + 1e-9
+    ),
+    "second_share_u": Quantity("1", "standard uncertainty of: light reflected more than once", 0),
     "second_slope": Quantity("1", "typical slope to which the nodes of the second reflection are scaled", 0),
     "second_weight": Quantity("1", "factor of either direction of the second reflection by a surface with a lay", 0),
     "diffuse": Quantity("1", "diffuse reflectance d' below the facets", 0),
@@ -417,6 +425,16 @@ SPECTRAL: Sequence[tuple[str, ...]] = [("wavelength",), ()]
 SCALAR: Sequence[tuple[str, ...]] = [()]
 VISIBILITY_COORDINATES: Sequence[tuple[str, ...]] = [("grazing", "steepness", "asymmetry")]
 SINGLE_VISIBILITY_COORDINATES: Sequence[tuple[str, ...]] = [("grazing", "steepness_towards")]
+SECOND_REFLECTION: dict[str, Sequence[tuple[str, ...]]] = {
+    "second_reflection": [
+        ("second_theta_i", "second_theta_o", "second_azimuth", *plane, *spectral)
+        for plane in ((), ("second_plane",))
+        for spectral in (("wavelength",), ())
+    ],
+    "second_slope": SCALAR,
+    "second_weight": [("second_theta_i", "second_phi")],
+}
+"""Variables of the light that is reflected more than once."""
 _INCIDENCE: Sequence[tuple[str, ...]] = [("theta_i",)]
 _CELLS: Sequence[tuple[str, ...]] = [("incidence", "wavelength", "cell")]
 _CELL: dict[str, Sequence[tuple[str, ...]]] = {"theta_s": [("cell",)], "phi_s": [("cell",)]}
@@ -621,6 +639,16 @@ KINDS: Mapping[str, Kind] = {
             name: [("theta_i", "region")]
             for name in ("visible_share", "visible_share_u", "smith_visible_share", "smith_error", "smith_error_u")
         },
+    ),
+    "interreflection": Kind(
+        {},
+        optional={
+            **dict.fromkeys(("n", "k"), SPECTRAL),
+            **{name: [("theta_i",)] for name in ("second_share", "second_share_u")},
+            **SECOND_REFLECTION,
+            "second_reflection_u": [("second_theta_i", "second_theta_o", "second_azimuth")],
+        },
+        attributes=("multiple_scattering", "reason"),
     ),
     "samples": Kind(
         {"theta_o": [("sample",)], "phi_o": [("sample",)], "pdf": [("sample",)], "specular": [("sample",)]}

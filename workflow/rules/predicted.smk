@@ -79,12 +79,20 @@ use rule stage_template as spectrum with:
         spectrum="{material}/spectrum.nc",
 
 
+use rule stage_template as interreflection with:
+    input:
+        **results_of("surface", "facets", "index", "spectrum"),
+    output:
+        interreflection="{material}/interreflection.nc",
+
+
 use rule stage_template as predicted with:
     input:
         **results_of(
             "facets",
             "psd",
             "visibility",
+            "interreflection",
             "index",
             "spectrum",
         ),

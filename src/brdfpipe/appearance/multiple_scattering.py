@@ -32,7 +32,7 @@ def multiple_scattering(bsdf: xr.Dataset, wavelength: float = 550.0) -> Multiple
 
     Notes
     -----
-    Of the mode ``directional`` the table is integrated. Of ``compensated``, with Ē₁ the mean albedo of perfect mirrors and F̄ = 2 ∫ F μ dμ:
+    Of the modes ``directional`` and ``measured`` the table is integrated. Of ``compensated``, with Ē₁ the mean albedo of perfect mirrors and F̄ = 2 ∫ F μ dμ:
     F̄² Ē₁ (1 − Ē₁) / (1 − F̄ (1 − Ē₁)), a geometric series. Of ``none``, the light that two and three facets of Smith's surface
     would reflect, to about 10 %; of a surface with a lay, of its slopes averaged over azimuth.
 
@@ -45,7 +45,7 @@ def multiple_scattering(bsdf: xr.Dataset, wavelength: float = 550.0) -> Multiple
     mode, mirrors = str(bsdf.attrs["multiple_scattering"]), 1 - float(bsdf["mean_furnace_albedo"])
     if mode == "compensated":
         return MultipleScattering(mode, float(_at(bsdf["compensation"], wavelength)) * mirrors, mirrors)
-    if mode == "directional":
+    if mode in ("directional", "measured"):
         table = SecondReflection.of(bsdf, _at(bsdf["second_reflection"], wavelength).values[..., None])
         return MultipleScattering(mode, float(table.mean_albedo()[0]), mirrors)
     n, k = (np.atleast_1d(_at(bsdf[name], wavelength)) for name in ("n", "k"))

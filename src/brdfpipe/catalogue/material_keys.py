@@ -656,9 +656,11 @@ class Model(Keys):
         default_words=f"`{MODEL_DEFAULTS['diffuse']}`",
     )
     multiple_scattering: Annotated[str, OneOf(MODES["multiple_scattering"])] = key(
-        "light reflected by more than one facet: none (lost), compensated (given back as diffuse light) or directional (in the "
-        "directions of the second reflection)",
+        "light reflected by more than one facet: none (lost), compensated (given back as diffuse light), directional (in the "
+        "directions that Smith's surface gives it), measured (traced on the height map) or auto (where it is more than 1 % of the "
+        "reflected light, measured on a map and directional without one)",
         default_words=f"`{MODEL_DEFAULTS['multiple_scattering']}`",
+        details="See [light reflected more than once](model.md#light-reflected-more-than-once).",
     )
     truth: Annotated[str, OneOf(TRUTHS)] = key(
         "reference solutions on the height map: check (the prediction is compared with traced rays and diffraction), none, or use (the "
@@ -795,12 +797,16 @@ class Material(Keys):
         return self
 
     @model_validator(mode="after")
-    def _check_measured_masking(self) -> Self:
-        """Refuse masking that is traced on a map where there is none."""
-        if self.model.masking == "measured" and not isinstance(self.surface, MeasuredSurface):
-            problem = "masking is traced on measured heights, and the surface is not measured"
-            accepted = "a measured `surface`, or " + " or ".join(SMITH_MASKINGS)
-            raise InputError("", problem, where="model.masking", found="'measured'", accepted=accepted)
+    def _check_measured_modes(self) -> Self:
+        """Refuse masking and reflections that are traced on a map where there is none."""
+        for name, what, others in (
+            ("masking", "masking is", SMITH_MASKINGS),
+            ("multiple_scattering", "light reflected more than once is", ("directional", "compensated", "none")),
+        ):
+            if getattr(self.model, name) == "measured" and not isinstance(self.surface, MeasuredSurface):
+                problem = f"{what} traced on measured heights, and the surface is not measured"
+                accepted = "a measured `surface`, or " + " or ".join(others)
+                raise InputError("", problem, where=f"model.{name}", found="'measured'", accepted=accepted)
         return self
 
     @model_validator(mode="after")

@@ -22,7 +22,7 @@ from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 from brdfpipe.masking import ray_casting
 from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, SMITH_MASKINGS
-from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
+from brdfpipe.references.height_mesh import NOISE_LIMIT, HeightMapError, HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
 
 INCIDENCES = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
@@ -34,8 +34,6 @@ MEAN = "mean over azimuth"
 """Name of the plane of incidence of a surface without a lay."""
 RAYS = 800_000
 """Rays of all incidences together: a second, and 1 % in a region that holds a tenth of the light of an incidence."""
-NOISE_LIMIT = 0.05
-"""Share of noise in the mean square slope, which a prediction leaves out, above which rays are not traced over it."""
 SIGNIFICANT = 3.0
 """Standard uncertainties beyond which a difference is significant."""
 LIGHT_LIMIT, GLOSS_LIMIT, MASKING_LIMIT = 0.1, 1.0, 0.05
@@ -212,9 +210,7 @@ def _meshes(scans: Sequence[xr.Dataset], noise: float) -> tuple[list[HeightMesh]
         meshes = [HeightMesh.of(scan) for scan in scans]
     except HeightMapError as error:
         return [], str(error)
-    first = meshes[0]
-    # A step between neighbours has the noise of both.
-    noise_share = noise**2 * float(np.sum(2 / first.pitch**2)) / (2 * max(first.typical_slope, 1e-12) ** 2)
+    noise_share = meshes[0].noise_share(noise)
     if noise_share > NOISE_LIMIT:
         return meshes, (
             f"{noise_share:.0%} of the mean square slope is noise, which the prediction leaves out and rays would meet; average several scans"
@@ -365,9 +361,9 @@ def _advice(result: xr.Dataset, predicted: xr.Dataset) -> str:
         key = "`model.masking: measured`"
     elif (
         modes["masking"] in MASKINGS_OF_MULTIPLE_SCATTERING["directional"]
-        and modes["multiple_scattering"] != "directional"
+        and modes["multiple_scattering"] != "measured"
     ):
-        key = "`model.multiple_scattering: directional`"
+        key = "`model.multiple_scattering: measured`"
     else:
         key = ""
     choices = " or ".join(part for part in (key, reference) if part)

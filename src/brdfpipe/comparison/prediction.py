@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
+from brdfpipe.bsdf.microfacet.builder import interreflection_of
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.microfacet.model import Model
 from brdfpipe.bsdf.registry import representation
@@ -51,6 +52,7 @@ class PredictionInputs:
     spectrum: xr.Dataset | None
     choices: Mapping[str, str]  # modes of the model
     visibility: xr.Dataset | None = None
+    interreflection: xr.Dataset | None = None
     """Traced on the map of the facets, of masking ``measured``; it scales with their slopes"""
 
     @classmethod
@@ -75,7 +77,7 @@ class PredictionInputs:
         visibility = None
         if "visibility_ratio" in predicted:
             visibility = vocabulary.label(xr.Dataset({"visibility_ratio": predicted["visibility_ratio"]}), "visibility")
-        return cls(facets, index, spectrum, choices, visibility)
+        return cls(facets, index, spectrum, choices, visibility, interreflection_of(predicted))
 
     def bsdf(self, inputs: Mapping[str, float]) -> xr.Dataset:
         """The BSDF built with other inputs."""
@@ -84,6 +86,7 @@ class PredictionInputs:
             index=self.index.assign(n=self.shifted(self.index["n"], inputs["index"])),
             spectrum=self.spectrum,
             visibility=self.visibility,
+            interreflection=self.interreflection,
             masking=self.choices["masking"],
             diffuse=self.choices["diffuse_mode"],
             multiple_scattering=self.choices["multiple_scattering"],

@@ -14,11 +14,13 @@ PHYSICAL_MASKINGS = (*SMITH_MASKINGS, "measured")
 MODES = {
     "masking": ("auto", *PHYSICAL_MASKINGS, "blinn", "liu", "crf", "none"),
     "diffuse": ("coupled", "crf", "none"),
-    "multiple_scattering": ("none", "compensated", "directional"),
+    "multiple_scattering": ("none", "compensated", "directional", "measured", "auto"),
 }
 """Accepted modes by key of ``model``; the first one is the default.
 
 Masking ``auto`` is ``measured`` where heights were measured and Smith's masking does not describe them, else Smith's height-correlated one.
+Multiple scattering ``auto`` is ``none`` where little light is reflected more than once, or masking does not conserve energy; else
+``measured`` on a height map, and ``directional`` without one.
 """
 
 OPTICS = ("auto", "facets", "wave", "composite")
@@ -39,7 +41,8 @@ MODEL_DEFAULTS = {key: names[0] for key, names in MODES.items()}
 MASKINGS_OF_MULTIPLE_SCATTERING = {
     "none": MODES["masking"],
     "compensated": ("auto", *PHYSICAL_MASKINGS),
-    "directional": ("auto", "height-correlated", "measured"),
+    **dict.fromkeys(("directional", "measured"), ("auto", "height-correlated", "measured")),
+    "auto": MODES["masking"],
 }
 """Masking modes with which each mode of ``multiple_scattering`` is defined."""
 

@@ -18,6 +18,9 @@ EDGES = ("mirrored", "periodic", "open")
 LEAST_HEIGHTS = 16
 """Heights along each axis of the smallest map."""
 
+NOISE_LIMIT = 0.05
+"""Share of noise in the mean square slope, which a prediction leaves out, above which rays are not traced over it."""
+
 _SAMPLED_FACETS = 2**20
 
 
@@ -136,6 +139,11 @@ class HeightMesh(NamedTuple):
     def typical_slope(self) -> float:
         """Slope rms along one axis of a Gaussian surface of the same median slope; spikes do not change it."""
         return float(np.median(np.hypot(*self.slopes())) / np.sqrt(2 * np.log(2)))
+
+    def noise_share(self, noise: float) -> float:
+        """Share of the mean square slope that is white height noise of rms ``noise`` [um]."""
+        # A step between neighbours has the noise of both.
+        return noise**2 * float(np.sum(2 / self.pitch**2)) / (2 * max(self.typical_slope, 1e-12) ** 2)
 
     @property
     def anisotropy(self) -> float:

@@ -27,6 +27,9 @@ MIRRORED, PERIODIC, OPEN = 0, 1, 2
 ORDERS = 3
 """Orders of reflection that are counted apart: one, two, and three or more."""
 
+RECORDED = 16
+"""Reflections of a path whose angles are recorded; to further ones, of 1e-5 of the light and less, no light is lost."""
+
 _MOST_BOUNCES = 64
 _MOST_STEPS = 200_000
 _FIRST_LEVEL = 4  # of a ray from above: blocks of 16 × 16 cells
@@ -212,6 +215,51 @@ def random_unit(seed: int, stream: int) -> float:
 
 
 @compiled
+def start_above(
+    ray: Array,
+    number: int,
+    shift: Array,
+    area: Array,
+    incidence: Array,
+    high: float,
+    mean: float,
+    pitch: Array,
+    edges: int,
+    columns: int,
+    rows: int,
+) -> float:
+    """Start a ray at the top of the map, so that all rays together are spread evenly over a part of it at its mean height.
+
+    Parameters
+    ----------
+    number, shift : of the ray, and (3,) shifts of the sequence of numbers along x, y and azimuth
+    area, incidence : as in :func:`trace`
+
+    Returns
+    -------
+    float : azimuth of the incidence [rad]; NaN where the ray is beside an open map
+    """
+    # Roberts' recurrence in three dimensions: even over area and azimuth.
+    u = (shift[0] + (number + 1) * 0.8191725133961645) % 1.0
+    v = (shift[1] + (number + 1) * 0.6710436067037893) % 1.0
+    phi = incidence[2]
+    if math.isnan(phi):
+        phi = _TURN * ((shift[2] + (number + 1) * 0.5497004779019703) % 1.0)
+    cos_phi, sin_phi = math.cos(phi), math.sin(phi)
+    cos_i, sin_i = incidence[0], incidence[1]
+    back = (high - mean) / cos_i
+    x = area[0] + u * (area[1] - area[0]) + back * sin_i * cos_phi / pitch[0]
+    y = area[2] + v * (area[3] - area[2]) + back * sin_i * sin_phi / pitch[1]
+    if edges == OPEN and not (0 <= x < columns and 0 <= y < rows):
+        return math.nan
+    ray[0], ray[6] = folded(x, columns, edges)
+    ray[1], ray[7] = folded(y, rows, edges)
+    ray[2] = high
+    ray[3], ray[4], ray[5] = -sin_i * cos_phi * ray[6] / pitch[0], -sin_i * sin_phi * ray[7] / pitch[1], -cos_i
+    return phi
+
+
+@compiled
 def reflect(
     ray: Array, normal: Array, pitch: Array, frame: Array, jones: NDArray[np.complex128], epsilon: complex, mirror: bool
 ) -> None:
@@ -358,25 +406,13 @@ def trace(
     ray, frame, normal = np.empty(8), np.empty(3), np.empty(3)
     at = np.empty(3, np.int64)
     jones = np.empty((2, 2), np.complex128)
-    shift_x, shift_y, shift_phi = random_unit(seed, 0), random_unit(seed, 1), random_unit(seed, 2)
+    shift = np.array([random_unit(seed, 0), random_unit(seed, 1), random_unit(seed, 2)])
     counted = 0
     for number in range(rays):
-        # Roberts' recurrence in three dimensions: even over area and azimuth.
-        u = (shift_x + (number + 1) * 0.8191725133961645) % 1.0
-        v = (shift_y + (number + 1) * 0.6710436067037893) % 1.0
-        phi = incidence[2]
-        if around:
-            phi = _TURN * ((shift_phi + (number + 1) * 0.5497004779019703) % 1.0)
-        cos_phi, sin_phi = math.cos(phi), math.sin(phi)
-        back = (high - mean) / cos_i
-        x = area[0] + u * (area[1] - area[0]) + back * sin_i * cos_phi / pitch[0]
-        y = area[2] + v * (area[3] - area[2]) + back * sin_i * sin_phi / pitch[1]
-        if edges == OPEN and not (0 <= x < columns and 0 <= y < rows):
+        phi = start_above(ray, number, shift, area, incidence, high, mean, pitch, edges, columns, rows)
+        if math.isnan(phi):
             continue
-        ray[0], ray[6] = folded(x, columns, edges)
-        ray[1], ray[7] = folded(y, rows, edges)
-        ray[2] = high
-        ray[3], ray[4], ray[5] = -sin_i * cos_phi * ray[6] / pitch[0], -sin_i * sin_phi * ray[7] / pitch[1], -cos_i
+        cos_phi, sin_phi = math.cos(phi), math.sin(phi)
         frame[0], frame[1], frame[2] = -sin_phi * ray[6], cos_phi * ray[7], 0.0
         jones[0, 0], jones[0, 1], jones[1, 0], jones[1, 1] = 1.0, 0.0, 0.0, ray[6] * ray[7]
         before_s, before_p = 1.0, 1.0
@@ -425,3 +461,79 @@ def trace(
             square[row, column] += (before_s + before_p) ** 2 / 4
             break
     return counted
+
+
+@compiled
+def record_paths(
+    height: Array,
+    present: NDArray[np.bool_],
+    ceiling: Array,
+    offset: NDArray[np.int64],
+    low: float,
+    mean: float,
+    pitch: Array,
+    edges: int,
+    area: Array,
+    incidence: Array,
+    rays: int,
+    seed: int,
+    direction: Array,
+    angles: Array,
+) -> tuple[int, int]:
+    """Follow rays of one incidence through a part of the map, and record those that leave it after more than one reflection.
+
+    Parameters
+    ----------
+    present, area, incidence : as in :func:`trace`
+    direction : (rays, 5) is written: direction that the light leaves to, azimuth that it comes from [rad], and number of reflections
+    angles : (rays, RECORDED, 3) is written: cosine of the angle of incidence on every facet, and cosine and sine of the turn from the plane
+        of incidence of the last facet to its own
+
+    Returns
+    -------
+    int : paths that were recorded
+    int : rays whose first facet was measured; light that meets others, or leaves an open map sideways, is lost
+    """
+    columns, rows = height.shape[1] - 1, height.shape[0] - 1
+    high = ceiling[offset[offset.size - 2]]
+    ray, normal, across, beside = np.empty(8), np.empty(3), np.empty(3), np.empty(3)
+    at = np.empty(3, np.int64)
+    shift = np.array([random_unit(seed, 0), random_unit(seed, 1), random_unit(seed, 2)])
+    recorded, counted = 0, 0
+    for number in range(rays):
+        phi = start_above(ray, number, shift, area, incidence, high, mean, pitch, edges, columns, rows)
+        if math.isnan(phi):
+            continue
+        bounce = 0
+        while True:
+            status = first_hit(height, ceiling, offset, low, edges, ray, at, bounce == 0)
+            if status != _HIT or not present[at[1], at[0]] or bounce == _MOST_BOUNCES:
+                break
+            counted += bounce == 0
+            facet_normal(height, pitch, at, normal)
+            # Directions as without the mirror images.
+            nx, ny, nz = normal[0] * ray[6], normal[1] * ray[7], normal[2]
+            dx, dy, dz = ray[3] * ray[6] * pitch[0], ray[4] * ray[7] * pitch[1], ray[5]
+            cos = min(max(-(dx * nx + dy * ny + dz * nz), 0.0), 1.0)
+            sx, sy, sz = dy * nz - dz * ny, dz * nx - dx * nz, dx * ny - dy * nx
+            size = max(math.sqrt(sx * sx + sy * sy + sz * sz), 1e-300)
+            sx, sy, sz = sx / size, sy / size, sz / size
+            if bounce < angles.shape[1]:
+                angles[recorded, bounce, 0] = cos
+                if bounce > 0:
+                    angles[recorded, bounce, 1] = across[0] * sx + across[1] * sy + across[2] * sz
+                    angles[recorded, bounce, 2] = beside[0] * sx + beside[1] * sy + beside[2] * sz
+            dx, dy, dz = dx + 2 * cos * nx, dy + 2 * cos * ny, dz + 2 * cos * nz
+            length = math.sqrt(dx * dx + dy * dy + dz * dz)
+            dx, dy, dz = dx / length, dy / length, dz / length
+            ray[3], ray[4], ray[5] = dx * ray[6] / pitch[0], dy * ray[7] / pitch[1], dz
+            across[0], across[1], across[2] = sx, sy, sz
+            beside[0], beside[1], beside[2] = dy * sz - dz * sy, dz * sx - dx * sz, dx * sy - dy * sx
+            bounce += 1
+        if bounce > 1 and status == _ESCAPED:
+            direction[recorded, 0] = ray[3] * ray[6] * pitch[0]
+            direction[recorded, 1] = ray[4] * ray[7] * pitch[1]
+            direction[recorded, 2] = ray[5]
+            direction[recorded, 3], direction[recorded, 4] = phi, bounce
+            recorded += 1
+    return recorded, counted

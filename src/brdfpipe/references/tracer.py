@@ -126,7 +126,7 @@ def trace(
     mirror = not np.isfinite(index)
     from brdfpipe.references import ray_kernel
 
-    blocks = list(_areas(mesh))
+    blocks = list(areas(mesh))
     size = 2 * bins.half
 
     def run(block: int) -> _BlockSums:
@@ -232,7 +232,7 @@ class _Scatter:
         return np.asarray(np.sqrt(spread * blocks / max(blocks - 1, 1)) / rays)
 
 
-def _areas(mesh: HeightMesh) -> Iterator[Array]:
+def areas(mesh: HeightMesh) -> Iterator[Array]:
     """(4,) lowest and highest column and row of each block."""
     rows, columns = mesh.present.shape
     for row in range(BLOCKS):

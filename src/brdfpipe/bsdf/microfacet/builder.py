@@ -17,7 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.bsdf.microfacet import energy, transmission
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface, ModelError
-from brdfpipe.bsdf.microfacet.model import CRF_DIFFUSE_SHARE, Model, diffuse_for, total_reflectance_at, with_albedo
+from brdfpipe.bsdf.microfacet.model import (
+    CRF_DIFFUSE_SHARE,
+    Model,
+    diffuse_for,
+    total_reflectance_at,
+    with_albedo,
+    without_lay,
+)
+from brdfpipe.bsdf.microfacet.second_reflection import LEAST_SHARE, lost_share
 from brdfpipe.bsdf.representations.microfacet import Microfacet, Smooth
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.facet_dataset import azimuthal_average
@@ -25,6 +33,7 @@ from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.masking.liu import energy_limit
 from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, MODEL_DEFAULTS, MODES, RECIPES, SMITH_MASKINGS
+from brdfpipe.optics.fresnel_equations import mean_fresnel
 from brdfpipe.optics.index import interpolate_index, refractive_index
 
 WAVELENGTHS = np.arange(380.0, 781.0, 10.0)
@@ -42,6 +51,7 @@ def build(
     index: xr.Dataset | float | str,
     spectrum: xr.Dataset | None = None,
     visibility: xr.Dataset | None = None,
+    interreflection: xr.Dataset | None = None,
     masking: str | None = None,
     diffuse: str | None = None,
     multiple_scattering: str | None = None,
@@ -60,6 +70,8 @@ def build(
         the trap is then added. Without a spectrum there is no diffuse part
     visibility : kind ``visibility``, traced on the heights of the facets; needed for masking ``measured``. Masking ``auto`` follows its
         attribute ``masking``
+    interreflection : kind ``interreflection``, traced on the height map of the facets; needed for multiple scattering ``measured``. ``auto``
+        follows its attribute ``multiple_scattering``, and without it Smith's surface
     masking, diffuse, multiple_scattering : names of :data:`brdfpipe.masking.modes.MODES`; the first of each is the default
     recipe : ``crf`` sets the patent's modes together; other given modes must agree
     isotropic : average a surface with a lay over azimuth, with a warning
@@ -82,7 +94,7 @@ def build(
     vocabulary.validate(facets, "facets")
     index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
     chosen = _choices(recipe, masking=masking, diffuse=diffuse, multiple_scattering=multiple_scattering)
-    chosen["masking"], reason = _resolved_masking(chosen, visibility, transparent)
+    chosen["masking"], *choices = _resolved_masking(chosen, visibility, transparent)
     if spectrum is not None:
         vocabulary.validate(spectrum, "spectrum")
     n, k, wavelength, warnings = index_on(index, None if spectrum is None else spectrum["wavelength"].values)
@@ -98,6 +110,9 @@ def build(
             "masking 'liu' is for isotropic surfaces, and this one has a lay; set `surface.isotropic: true` or another `model.masking`"
         )
     bsdf = _surface_of(surface)
+    chosen["multiple_scattering"], choice = _resolved_multiple_scattering(
+        chosen, interreflection, bsdf, n, k, transparent
+    )
     bsdf.attrs = {
         "representation": Microfacet.name if "slope_density" in bsdf else Smooth.name,
         "masking": chosen["masking"],
@@ -110,11 +125,14 @@ def build(
         bsdf.attrs["recipe"] = recipe
     if chosen["masking"] == "measured" and "slope_density" in bsdf:
         bsdf = with_visibility(bsdf, visibility)
-    bsdf = vocabulary.add_history(bsdf, reason) if reason else bsdf
+    for text in filter(None, [*choices, choice]):
+        bsdf = vocabulary.add_history(bsdf, text)
     if wavelength is not None:
         bsdf = bsdf.assign_coords(wavelength=wavelength)
     spectral = () if n.ndim == 0 else ("wavelength",)
     bsdf = vocabulary.add_warning(bsdf.assign(n=(spectral, n), k=(spectral, k)), *warnings)
+    if chosen["multiple_scattering"] == "measured" and "slope_density" in bsdf:
+        bsdf = with_interreflection(bsdf, interreflection)
     theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
     bsdf = with_albedo(bsdf, theta_m)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
@@ -164,6 +182,38 @@ def _resolved_masking(chosen: dict[str, str], visibility: xr.Dataset | None, tra
     return traced, f"masking {traced}: {reason}"
 
 
+def _resolved_multiple_scattering(
+    chosen: dict[str, str],
+    interreflection: xr.Dataset | None,
+    surface: xr.Dataset,
+    n: Array,
+    k: Array,
+    transparent: bool,
+) -> tuple[str, str]:
+    """The mode that ``auto`` means, and a statement where the heights or Smith's surface decided it."""
+    mode = chosen["multiple_scattering"]
+    if mode != "auto":
+        return mode, ""
+    defined = chosen["masking"] in MASKINGS_OF_MULTIPLE_SCATTERING["directional"]
+    if transparent or not defined or "slope_density" not in surface:
+        return "none", ""
+    if interreflection is None:
+        mode, reason = smith_choice(Microsurface.of(surface), np.atleast_1d(n), np.atleast_1d(k))
+    else:
+        interreflection = vocabulary.validate(interreflection, "interreflection")
+        mode, reason = interreflection.attrs["multiple_scattering"], interreflection.attrs["reason"]
+    return mode, f"multiple scattering {mode}: {reason}"
+
+
+def smith_choice(surface: Microsurface, n: Array, k: Array) -> tuple[str, str]:
+    """Multiple scattering ``directional`` or ``none``, by the light that Smith's surface reflects more than once, and the reason."""
+    share, theta = lost_share(without_lay(surface), n, k)
+    mode = "directional" if share > LEAST_SHARE else "none"
+    if share == 0:
+        return mode, f"after Smith, facets reflect less than {LEAST_SHARE:.0%} of the light more than once"
+    return mode, f"after Smith, facets reflect {share:.1%} of the light more than once at {theta:g}°"
+
+
 def _check_transparent(chosen: dict[str, str], spectrum: xr.Dataset | None, n: Array, k: Array, rough: bool) -> None:
     problem = ""
     if rough and np.any(n == 1):
@@ -175,7 +225,7 @@ def _check_transparent(chosen: dict[str, str], spectrum: xr.Dataset | None, n: A
     elif chosen["masking"] not in transmission.MASKING:
         accepted = ", ".join(transmission.MASKING)
         problem = f"masking {chosen['masking']!r} is not defined for transmission; accepted: {accepted}"
-    elif chosen["multiple_scattering"] != "none":
+    elif chosen["multiple_scattering"] not in ("auto", "none"):
         problem = "multiple scattering is compensated for opaque bodies alone; set `model.multiple_scattering: none`"
     if problem:
         raise ModelError(problem)
@@ -246,6 +296,37 @@ def with_visibility(bsdf: xr.Dataset, visibility: xr.Dataset | None) -> xr.Datas
         f"the traced visibility was reduced by up to {1 - 1 / excess.max():.4f}, at an incidence of {_LIMIT_THETA[excess.argmax()]:g}°, so that "
         "perfect mirrors reflect no more than they receive",
     )
+
+
+def with_interreflection(bsdf: xr.Dataset, interreflection: xr.Dataset | None) -> xr.Dataset:
+    """Add the traced light that is reflected more than once; of another index it changes as the squared mean reflectance does."""
+    if interreflection is None or "second_reflection" not in interreflection:
+        raise ModelError(
+            "multiple scattering 'measured' needs the light that the height map reflects more than once, traced on it "
+            "(`brdfpipe.bsdf.microfacet.interreflection.choose`); give `interreflection`, or set `model.multiple_scattering: directional`"
+        )
+    traced = vocabulary.validate(interreflection, "interreflection")
+    if bsdf["slope_density"].ndim == 1 and "second_plane" in traced.dims:
+        traced = traced.mean("second_plane")
+    if "wavelength" in traced.dims:
+        if bsdf["n"].ndim == 0:
+            traced = traced.mean("wavelength")
+        else:
+            traced = traced.interp(wavelength=np.clip(bsdf["wavelength"].values, *traced["wavelength"].values[[0, -1]]))
+            traced = traced.assign_coords(wavelength=bsdf["wavelength"].values)
+    index = [[np.atleast_1d(one[name].values) for name in ("n", "k")] for one in (bsdf, traced)]
+    factor = (mean_fresnel(*index[0]) / mean_fresnel(*index[1])) ** 2
+    scale = xr.DataArray(factor, dims="wavelength") if bsdf["n"].ndim else float(factor[0])
+    return bsdf.assign(second_reflection=traced["second_reflection"] * scale, second_slope=traced["second_slope"])
+
+
+def interreflection_of(bsdf: xr.Dataset) -> xr.Dataset | None:
+    """The traced light of a ``bsdf`` dataset, representation ``microfacet``, for one of other facets or of another index; None without it."""
+    if bsdf.attrs["multiple_scattering"] != "measured" or "second_reflection" not in bsdf:
+        return None
+    traced = bsdf[["n", "k", "second_reflection", "second_slope"]]
+    traced.attrs = {"multiple_scattering": "measured", "reason": "of the prediction"}
+    return vocabulary.label(traced, "interreflection")
 
 
 # --- the diffuse base

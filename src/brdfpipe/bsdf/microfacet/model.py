@@ -321,16 +321,25 @@ def with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
             return 1 - furnace(theta, phi)[:, 0]
 
         second = second_reflection(without_lay(surface), n, k, missing, 1 if furnace is None else _LAY_AZIMUTHS)
-        polar, around = np.meshgrid(table.theta, np.zeros(1) if table.phi is None else table.phi, indexing="ij")
-        several = second.albedo(polar.ravel(), around.ravel()).reshape(albedo.values.shape)
-        albedo = replace(albedo, values=albedo.values + several, second=second.albedo)
-        bsdf = with_second_reflection(bsdf, second)
+        albedo, bsdf = _with_further_light(albedo, second), with_second_reflection(bsdf, second)
+    if multiple == "measured":
+        values = bsdf["second_reflection"].values
+        second = SecondReflection.of(bsdf, values if spectral else values[..., None])
+        second = second.within(albedo.theta, 1 - albedo.values.reshape(albedo.theta.size, -1, n.size).max(axis=1))
+        albedo, bsdf = _with_further_light(albedo, second), with_second_reflection(bsdf, second)
     values, mean = albedo.values, albedo.mean()
     return bsdf.assign(
         directional_albedo=((*dims, *spectral), values if spectral else values[..., 0]),
         mean_albedo=(spectral, mean if spectral else mean[0]),
         mean_furnace_albedo=mean_furnace,
     )
+
+
+def _with_further_light(single: AlbedoTable, second: SecondReflection) -> AlbedoTable:
+    """A table of the albedo with the light that is reflected more than once."""
+    polar, around = np.meshgrid(single.theta, np.zeros(1) if single.phi is None else single.phi, indexing="ij")
+    several = second.albedo(polar.ravel(), around.ravel()).reshape(single.values.shape)
+    return replace(single, values=single.values + several, second=second.albedo)
 
 
 def without_lay(surface: Microsurface) -> Microsurface:
@@ -385,6 +394,10 @@ def with_mean_index(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
     mean_n, mean_k = mean_index(bsdf, weight)
     theta_m = float(bsdf["theta_m"])
     reduced = bsdf.drop_dims(["wavelength", "theta_i", "phi_i"], errors="ignore").assign(n=mean_n, k=mean_k)
+    if bsdf.attrs["multiple_scattering"] == "measured" and "second_reflection" in bsdf:
+        reduced = reduced.assign(
+            second_reflection=bsdf["second_reflection"].dot(xr.DataArray(weight, dims="wavelength"))
+        )
     reduced = with_albedo(reduced, theta_m).assign(diffuse=0.0)
     if not bsdf["diffuse"].values.any():
         return reduced

@@ -20,18 +20,25 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 
-from brdfpipe.bsdf.microfacet.energy import mirror_albedo
+from brdfpipe.bsdf.microfacet.energy import directional_albedo, mirror_albedo
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.compilation import compiled
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel, mean_fresnel
+
+JUDGED = np.array([60.0, 75.0])
+"""Incidences whose light decides whether further reflections are modelled [degree]."""
+LEAST_SHARE = 0.01
+"""Share of the reflected light from which on they are."""
 
 _POLAR_NODES = 24  # angles θ of the table
 _AZIMUTH_NODES = 17  # azimuths of the table
@@ -53,21 +60,31 @@ class SecondReflection:
     """Table of the light that leaves after two reflections and more; reciprocal by construction.
 
     f₂ = A w_i w_o / [16 (1 + Λ_i + Λ_o)], with Λ that of a GGX surface of width ``slope``. A is finite at grazing and the same for
-    exchanged directions; its logarithm is interpolated linearly. w is 1 for a surface without a lay.
+    exchanged directions; its logarithm is interpolated linearly. A surface with a lay has either factors w of both directions, or an A for
+    each of several planes: their azimuth is the middle between those of the incidence and of the opposite of the light that leaves.
+    Between planes f₂ is interpolated linearly.
     """
 
     slope: float
     """Typical slope, which sets the nodes [1]"""
     log_factor: Array
-    """log A, (θ_i, θ_o, φ, wavelength or 1), at :attr:`theta` and even steps of an azimuth that follows the width of the lobe"""
+    """log A, (θ_i, θ_o, φ, plane and wavelength or 1), at :attr:`theta` and even steps of an azimuth that follows the width of the lobe"""
     weight: Array
-    """w(θ, φ) of a surface with a lay, at even azimuths from 0; (θ, 0) without a lay"""
+    """w(θ, φ) of a surface with a lay, at even azimuths from 0; (θ, 0) without it"""
+    planes: int = 1
+    """Number of planes in half a turn, the first at azimuth 0"""
 
     @classmethod
     def of(cls, bsdf: xr.Dataset, values: Array) -> SecondReflection:
-        """That of a ``bsdf`` dataset, with the values of ``second_reflection`` at some wavelengths, (θ_i, θ_o, φ, wavelength or 1)."""
+        """That of a ``bsdf`` dataset, with the values of ``second_reflection`` at some wavelengths, (θ_i, θ_o, φ[, plane], wavelength or 1)."""
         weight = bsdf["second_weight"].values if "second_weight" in bsdf else np.empty((values.shape[0], 0))
-        return cls(float(bsdf["second_slope"]), _log(values), weight)
+        planes = values.shape[3] if values.ndim == 5 else 1
+        return cls(float(bsdf["second_slope"]), _log(values).reshape(*values.shape[:3], -1), weight, planes)
+
+    @property
+    def azimuths(self) -> int:
+        """Number of azimuths of incidence at which the light of a surface with a lay is known; 1 without a lay."""
+        return self.weight.shape[1] or (2 * self.planes if self.planes > 1 else 1)
 
     @cached_property
     def theta(self) -> Array:
@@ -77,30 +94,34 @@ class SecondReflection:
     def __call__(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF of this light [sr-1], (directions, wavelength or 1); angles in degree, broadcast to (directions,)."""
         angles = [np.ascontiguousarray(a, dtype=float) for a in np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)]
-        result = np.empty((angles[0].size, self.log_factor.shape[-1]))
+        result = np.empty((angles[0].size, self.log_factor.shape[-1] // self.planes))
         table = np.ascontiguousarray(self.log_factor), np.ascontiguousarray(self.weight, dtype=float)
-        _kernel(_interpolate)(*angles, *table, self.slope, _grazing_scale(self.slope), result)
+        _kernel(_interpolate)(*angles, *table, self.planes, self.slope, grazing_scale(self.slope), result)
         return result
 
     def albedo(self, theta: Array, phi: Array | float = 0.0) -> Array:
         """Directional reflectance of this light [1], (incidences, wavelength or 1): the integral of the interpolated table."""
         theta = np.asarray(theta, dtype=float)
-        if not self.weight.size:
+        if self.azimuths == 1:
             return np.asarray(self._albedo(theta)[:, 0])
         turn = np.radians(np.broadcast_to(np.asarray(phi, dtype=float), theta.shape))
-        orders = np.arange(self.weight.shape[1] // 2 + 1)
-        waves = self._albedo(theta) * np.exp(1j * turn[:, None] * orders)[..., None]
+        around = self.planes if self.planes > 1 else self.weight.shape[1]
+        orders = np.arange(around // 2 + 1)
+        waves = self._albedo(theta) * np.exp(1j * (self.azimuths // around) * turn[:, None] * orders)[..., None]
         # The highest order of an even number of azimuths is real.
-        twice = np.where((orders == 0) | (2 * orders == self.weight.shape[1]), 1.0, 2.0)
-        column = np.asarray(phi, dtype=float) / 360 * self.weight.shape[1]
-        polar, around = self._hats(theta), _periodic_hats(np.broadcast_to(column, theta.shape), self.weight.shape[1])
-        weight = np.einsum("nt,nj,tj->n", polar, around, self.weight)
-        return np.asarray(weight[:, None] * np.einsum("nkl,k->nl", waves.real, twice))
+        twice = np.where((orders == 0) | (2 * orders == around), 1.0, 2.0)
+        several = np.einsum("nkl,k->nl", waves.real, twice)
+        if self.planes > 1:
+            return np.asarray(several)
+        column = np.asarray(phi, dtype=float) / 360 * around
+        polar = polar_hats(theta, self.slope, self.log_factor.shape[0])
+        beside = periodic_hats(np.broadcast_to(column, theta.shape), around)
+        return np.asarray(np.einsum("nt,nj,tj->n", polar, beside, self.weight)[:, None] * several)
 
     def mean_albedo(self) -> Array:
         """2 ∫ E μ dμ, averaged over azimuth, (wavelength,)."""
         theta, weight = panel_rule(self.theta, 4)
-        phi = np.linspace(0.0, 360.0, max(self.weight.shape[1], 1), endpoint=False)
+        phi = np.linspace(0.0, 360.0, self.azimuths, endpoint=False)
         polar, around = np.meshgrid(theta, phi, indexing="ij")
         albedo = self.albedo(polar.ravel(), around.ravel()).reshape(*polar.shape, -1).mean(axis=1)
         return np.asarray((np.radians(weight) * np.sin(np.radians(2 * theta))) @ albedo)
@@ -109,8 +130,16 @@ class SecondReflection:
     def _albedo(self) -> PPoly:
         """Albedo over θ, (1, wavelength); of a surface with a lay its Fourier series over φ without w_i, (order, wavelength)."""
         nodes = self.albedo_nodes
-        if not self.weight.size:
-            return piecewise(nodes, self._light(nodes)[0].sum(axis=(1, 2))[:, None])
+        if self.azimuths == 1:
+            return piecewise(nodes, self.light(nodes)[0].sum(axis=(1, 2))[:, None])
+        if self.planes > 1:
+            light, _, turn = self.light(nodes)
+            place = turn / (2 * np.pi) * self.planes
+            azimuth = np.arange(self.planes)[:, None, None, None]
+            shares = periodic_hats(azimuth + place, self.planes) + periodic_hats(azimuth - place, self.planes)
+            by_plane = light.reshape(*turn.shape, self.planes, -1)
+            from_all = np.einsum("iopkl,jiopk->ijl", by_plane, shares / 2, optimize=True)
+            return piecewise(nodes, np.fft.rfft(from_all, axis=1) / self.planes)
         around = self.weight.shape[1]
         from_all = np.einsum("iojl,ojp->ipl", self.shares(nodes, around), _turned(self.weight))
         return piecewise(nodes, np.fft.rfft(from_all, axis=1) / around)
@@ -139,25 +168,35 @@ class SecondReflection:
             weight = np.sqrt(weight * target / np.maximum(from_all, _LEAST))
         return np.asarray(weight)
 
+    def within(self, theta: Array, available: Array) -> SecondReflection:
+        """This light, reduced where it exceeds what is ``available`` at incidences ``theta`` [degree], (θ, wavelength)."""
+        phi = np.linspace(0.0, 360.0, self.azimuths, endpoint=False)
+        polar, around = np.meshgrid(theta, phi, indexing="ij")
+        several = self.albedo(polar.ravel(), around.ravel()).reshape(*polar.shape, -1).max(axis=1)
+        factor = np.clip(available, 0.0, several) / np.maximum(several, _LEAST)
+        factor = np.where(several > 0, factor, 1.0).min(axis=1)
+        if factor.min() == 1:
+            return self
+        # Of the intervals on both sides of a node the smallest one.
+        low, high = np.append(0.0, self.theta[:-1])[:, None], np.append(self.theta[1:], 90.0)[:, None]
+        at_nodes = np.where((theta >= low) & (theta <= high), factor, 1.0).min(axis=1)
+        log = np.log(np.maximum(at_nodes, _LEAST))
+        return replace(self, log_factor=self.log_factor + (log[:, None] + log)[..., None, None])
+
     def shares(self, incidence: Array, around: int) -> Array:
         """Light of each incidence that belongs to each node θ_o and azimuth φ_o − φ_i, (θ_i, θ_o, φ, wavelength)."""
-        light, theta, turn = self._light(incidence)
+        light, theta, turn = self.light(incidence)
         position = turn / (2 * np.pi) * around
-        both = _periodic_hats(around / 2 + position, around) + _periodic_hats(around / 2 - position, around)
-        return np.einsum("itpl,to,itpj->iojl", light, self._hats(theta), both / 2, optimize=True)
+        both = periodic_hats(around / 2 + position, around) + periodic_hats(around / 2 - position, around)
+        polar = polar_hats(theta, self.slope, self.log_factor.shape[0])
+        return np.einsum("itpl,to,itpj->iojl", light, polar, both / 2, optimize=True)
 
-    def _hats(self, theta: Array) -> Array:
-        """Shares of the nodes θ in an interpolation, (angles, θ)."""
-        scale, count = _grazing_scale(self.slope), self.log_factor.shape[0]
-        at = count - 1 - np.arcsinh((90 - theta) / scale) * ((count - 1) / np.arcsinh(90 / scale))
-        return np.asarray(np.maximum(1 - np.abs(at[:, None] - np.arange(count)), 0.0))
-
-    def _light(self, incidence: Array) -> tuple[Array, Array, Array]:
+    def light(self, incidence: Array) -> tuple[Array, Array, Array]:
         """Light of each incidence into the nodes of a quadrature over θ_o and both sides in azimuth, without w.
 
         Returns
         -------
-        light : (θ_i, θ_o, φ, wavelength)
+        light : (θ_i, θ_o, φ, plane and wavelength), as if all azimuths had the A of one plane
         theta : (θ_o,) degree
         turn : (θ_i, θ_o, φ) from the forward plane [rad]
         """
@@ -167,12 +206,12 @@ class SecondReflection:
         azimuth = np.linspace(0.0, 1.0, self.log_factor.shape[2])
         turn, turn_weight = panel_rule(width * np.sinh(azimuth * np.arcsinh(np.pi / width)), 2)
         angles = np.broadcast_arrays(incidence[:, None, None], 0.0, theta[:, None], 180 + np.degrees(turn))
-        bare = replace(self, weight=self.weight[:, :0])
+        bare = replace(self, weight=self.weight[:, :0], planes=1)
         values = bare(*(angle.ravel() for angle in angles)).reshape(*turn.shape, -1)
         return (2 * weight[:, None] * turn_weight)[..., None] * values, theta, turn
 
 
-def _periodic_hats(position: Array, count: int) -> Array:
+def periodic_hats(position: Array, count: int) -> Array:
     """Shares of ``count`` nodes around the circle in a linear interpolation at positions in steps, (…, node)."""
     distance = np.abs((position[..., None] - np.arange(count) + count / 2) % count - count / 2)
     return np.asarray(np.maximum(1 - distance, 0.0) if count > 1 else np.ones(distance.shape))
@@ -184,15 +223,22 @@ def _turned(weight: Array) -> Array:
     return weight[:, (np.arange(count)[:, None] + np.arange(count)) % count]
 
 
+def polar_hats(theta: Array, slope: float, count: int) -> Array:
+    """Shares of the ``count`` nodes θ in an interpolation at angles [degree], (angles, θ)."""
+    scale = grazing_scale(slope)
+    at = count - 1 - np.arcsinh((90 - theta) / scale) * ((count - 1) / np.arcsinh(90 / scale))
+    return np.asarray(np.maximum(1 - np.abs(at[:, None] - np.arange(count)), 0.0))
+
+
 def polar_nodes(slope: float, count: int) -> Array:
     """Nodes θ of a table [degree], from 0 to 90, dense at grazing on the scale of the slopes."""
-    scale = _grazing_scale(slope)
+    scale = grazing_scale(slope)
     grazing = scale * np.sinh(np.linspace(0.0, np.arcsinh(90 / scale), count))
     grazing[-1] = 90.0
     return np.asarray(90 - grazing[::-1])
 
 
-def _grazing_scale(slope: float) -> float:
+def grazing_scale(slope: float) -> float:
     """Angle from grazing up to which the nodes are evenly spaced [degree]."""
     return float(np.degrees(min(slope, 0.6)) / 2)
 
@@ -202,7 +248,7 @@ def azimuth_width(slope: float, cos_i: Array, cos_o: Array) -> Array:
     return np.asarray(np.minimum(slope * (cos_i + cos_o) + 1e-3, 4.0))
 
 
-def piecewise(nodes: Array, values: Array) -> PPoly:
+def piecewise(nodes: Array, values: NDArray[np.inexact[Any]]) -> PPoly:
     """The function that is one cubic in each interval of the table, through four of the nodes (one shared with each neighbour)."""
     ends = nodes[::3]
     x = np.array([0.0, 0.25, 0.75, 1.0])
@@ -214,9 +260,13 @@ def piecewise(nodes: Array, values: Array) -> PPoly:
 
 def with_second_reflection(bsdf: xr.Dataset, second: SecondReflection) -> xr.Dataset:
     """The dataset with the table of the second reflection."""
-    spectral, dims = bsdf["n"].dims, ("second_theta_i", "second_theta_o", "second_azimuth")
+    spectral, dims = bsdf["n"].dims, ["second_theta_i", "second_theta_o", "second_azimuth"]
     values = np.exp(second.log_factor)
     azimuth = np.linspace(0.0, 1.0, values.shape[2])
+    if second.planes > 1:
+        dims.append("second_plane")
+        values = values.reshape(*values.shape[:3], second.planes, -1)
+        bsdf = bsdf.assign_coords(second_plane=np.linspace(0.0, 180.0, second.planes, endpoint=False))
     bsdf = bsdf.assign_coords(second_theta_i=second.theta, second_theta_o=second.theta, second_azimuth=azimuth).assign(
         second_reflection=((*dims, *spectral), values if spectral else values[..., 0]), second_slope=second.slope
     )
@@ -250,6 +300,23 @@ def second_reflection(
     ----------
     Kulla & Conty 2017, for the diffuse rest.
     """
+    table, where = of_smith_surface(surface, n, k)
+    weight = _closing_weight(replace(table, log_factor=table.log_factor[..., :1]), missing, azimuths)
+    of_material = table.log_factor[..., 1:][..., where]
+    if azimuths > 1:
+        return replace(table, log_factor=of_material, weight=weight)
+    by_pair = np.log(np.maximum(weight * weight.T, _LEAST))
+    return replace(table, log_factor=of_material + by_pair[..., None, None])
+
+
+def of_smith_surface(surface: Microsurface, n: Array, k: Array) -> tuple[SecondReflection, NDArray[np.intp]]:
+    """The reflections of Smith's isotropic surface, of which perfect mirrors need not give all light that is missing.
+
+    Returns
+    -------
+    SecondReflection : of perfect mirrors, and of each different index
+    (wavelength,) : number of the index of each wavelength among them, from 0
+    """
     slope = surface.typical_slope
     theta = polar_nodes(slope, _POLAR_NODES)
     pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
@@ -265,13 +332,7 @@ def second_reflection(
     scale = table.weight_for((further[:, None] * attenuation)[:, None])[:, 0]
     factors = np.exp(table.log_factor) * (1 + (scale[:, None] * scale)[..., None, :])
     rest = _diffuse_rest(slope, at, np.maximum(left - twice - further, 0.0), pairs)
-    table = replace(table, log_factor=_log(factors + rest[:, :, None]))
-    weight = _closing_weight(replace(table, log_factor=table.log_factor[..., :1]), missing, azimuths)
-    of_material = table.log_factor[..., 1:][..., where.ravel()]
-    if azimuths > 1:
-        return replace(table, log_factor=of_material, weight=weight)
-    by_pair = np.log(np.maximum(weight * weight.T, _LEAST))
-    return replace(table, log_factor=of_material + by_pair[..., None, None])
+    return replace(table, log_factor=_log(factors + rest[:, :, None])), where.ravel()
 
 
 def _closing_weight(mirrors: SecondReflection, missing: Callable[[Array, Array], Array], azimuths: int) -> Array:
@@ -287,7 +348,7 @@ def _closing_weight(mirrors: SecondReflection, missing: Callable[[Array, Array],
     last = np.concatenate([np.arange(7, 0, -1) / 8, 2.0 ** -np.arange(4, 12)])
     probes = np.unique(np.concatenate([mirrors.albedo_nodes[:-1], 90 - (90 - theta[-2]) * last]))
     interval = np.clip(np.searchsorted(theta, probes, side="right") - 1, 0, theta.size - 2)
-    shares, hats = mirrors.shares(probes, azimuths)[..., 0], mirrors._hats(probes)
+    shares, hats = mirrors.shares(probes, azimuths)[..., 0], polar_hats(probes, mirrors.slope, theta.size)
     own = shares.sum(axis=(1, 2))[:, None]
     available = on_grid(probes)
     target = np.clip(available, 1e-6 * own, _MOST_GAIN * own)
@@ -372,6 +433,32 @@ def mean_share(surface: Microsurface, n: Array, k: Array) -> Array:
     return np.asarray((np.radians(weight) * np.sin(np.radians(2 * theta))) @ (second + third))
 
 
+def lost_share(surface: Microsurface, n: Array, k: Array) -> tuple[float, float]:
+    """Largest share of the reflected light that leaves Smith's surface after two or three reflections, and its incidence [degree].
+
+    Of the incidences :data:`JUDGED` and all wavelengths; 0 where perfect mirrors show that it is below :data:`LEAST_SHARE`.
+
+    Parameters
+    ----------
+    surface : isotropic, with Smith's masking
+    n, k : (wavelength,) index relative to the medium of incidence
+    """
+    single = directional_albedo(surface, "height-correlated", n, k, JUDGED)
+    missing = 1 - mirror_albedo(surface, "height-correlated", JUDGED)
+    if np.all(missing[:, None] < LEAST_SHARE * single):
+        return 0.0, float(JUDGED[-1])
+    pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
+    (_, second), (_, third) = _several_reflections(surface, JUDGED, pairs)
+    return largest_share((second + third)[:, where.ravel()], single)
+
+
+def largest_share(several: Array, single: Array) -> tuple[float, float]:
+    """Largest share of light reflected more than once, (θ, wavelength) at :data:`JUDGED`, and its incidence [degree]."""
+    share = several / np.maximum(several + single, _LEAST)
+    row, column = np.unravel_index(int(share.argmax()), share.shape)
+    return float(share[row, column]), float(JUDGED[row])
+
+
 def _several_reflections(surface: Microsurface, theta: Array, pairs: Array) -> list[tuple[Array, Array]]:
     """Albedo after two and after three reflections, of perfect mirrors, (θ,), and of facets of each index, (θ, index), each.
 
@@ -389,7 +476,7 @@ def _several_reflections(surface: Microsurface, theta: Array, pairs: Array) -> l
     p, q = slope * np.cos(2 * np.pi * uniform[3:]), slope * np.sin(2 * np.pi * uniform[3:])
     area = np.sqrt(1 + slope**2)
     normal = np.stack([-p, -q, np.ones_like(p)], axis=-1) / area[..., None]
-    stokes = _reflection_of_stokes(pairs)
+    stokes = reflection_of_stokes(pairs)
     sums = np.zeros((2, theta.size, 1 + pairs.shape[1]))
     for row, incidence in enumerate(np.radians(theta)):
         towards = np.tile([np.sin(incidence), 0.0, np.cos(incidence)], (_PATHS, 1))
@@ -416,17 +503,18 @@ def _several_reflections(surface: Microsurface, theta: Array, pairs: Array) -> l
     return [(albedo[:, 0] / _PATHS, albedo[:, 1:] / _PATHS) for albedo in sums]
 
 
-def _reflection_of_stokes(pairs: Array) -> Array:
-    """Factors at ``_COSINES`` that a reflection gives to Stokes' parameters, (3, cos, index).
+def reflection_of_stokes(pairs: Array) -> Array:
+    """Factors at ``_COSINES`` that a reflection gives to Stokes' parameters, (4, cos, index).
 
-    (F_s + F_p)/2 and (F_s − F_p)/2, and Re r_s r_p*, which is that of U.
+    (F_s + F_p)/2 and (F_s − F_p)/2, and real and imaginary part of r_s r_p*, which multiplies U + iV.
     """
     # Neither 0/0 at grazing nor an infinite index.
     cos, epsilon = np.maximum(_COSINES, 1e-12)[:, None], (np.minimum(pairs[0], 1e9) + 1j * pairs[1]) ** 2
     inner = np.sqrt(epsilon - 1 + cos**2)
     r_s, r_p = -(epsilon - 1) / (cos + inner) ** 2, (epsilon * cos - inner) / (epsilon * cos + inner)
     f_s, f_p = np.abs(r_s) ** 2, np.abs(r_p) ** 2
-    return np.stack([(f_s + f_p) / 2, (f_s - f_p) / 2, (r_s * r_p.conj()).real])
+    crossed = r_s * r_p.conj()
+    return np.stack([(f_s + f_p) / 2, (f_s - f_p) / 2, crossed.real, crossed.imag])
 
 
 def _height_factor(surface: Microsurface, theta_i: float, *steps: Array) -> Array:
@@ -543,12 +631,14 @@ def _interpolate(
     phi_o: Array,
     log_factor: Array,
     weight: Array,
+    planes: int,
     slope: float,
     grazing_scale: float,
     result: Array,
 ) -> None:
     """Interpolate a :class:`SecondReflection` at directions (n,) in degree; writes sr-1 to ``result``, (n, wavelength or 1)."""
-    nodes, azimuths, spectral = log_factor.shape[0], log_factor.shape[2], log_factor.shape[3]
+    nodes, azimuths, spectral = log_factor.shape[0], log_factor.shape[2], log_factor.shape[3] // planes
+    logarithm = np.empty(spectral)
     degree = math.pi / 180
     polar_step = (nodes - 1) / math.asinh(90 / grazing_scale)
     for number in range(theta_i.size):
@@ -592,18 +682,28 @@ def _interpolate(
             near = weight[o, first] * (1 - share) + weight[o, second] * share
             far = weight[o + 1, first] * (1 - share) + weight[o + 1, second] * share
             common *= near * (1 - share_o) + far * share_o
+        turn = (phi_o[number] - phi_i[number]) / 360
+        at = (phi_i[number] / 180 + turn - math.floor(turn) - 0.5) * planes
+        at -= planes * math.floor(at / planes)
+        plane, share_p = int(at), at - math.floor(at)
         result[number] = 0.0
-        for step_i in range(2):
-            outer = share_i if step_i else 1 - share_i
-            for step_o in range(2):
-                inner = outer * (share_o if step_o else 1 - share_o)
-                for step_a in range(2):
-                    part = inner * (share_a if step_a else 1 - share_a)
-                    row = log_factor[i + step_i, o + step_o, a + step_a]
-                    for band in range(spectral):
-                        result[number, band] += part * row[band]
-        for band in range(spectral):
-            result[number, band] = common * math.exp(result[number, band])
+        for step_p in range(min(planes, 2)):
+            first = (plane + step_p) % planes * spectral
+            logarithm[:] = 0.0
+            for step_i in range(2):
+                outer = share_i if step_i else 1 - share_i
+                for step_o in range(2):
+                    inner = outer * (share_o if step_o else 1 - share_o)
+                    for step_a in range(2):
+                        part = inner * (share_a if step_a else 1 - share_a)
+                        row = log_factor[i + step_i, o + step_o, a + step_a]
+                        for band in range(spectral):
+                            logarithm[band] += part * row[first + band]
+            in_plane = common
+            if planes > 1:
+                in_plane *= share_p if step_p else 1 - share_p
+            for band in range(spectral):
+                result[number, band] += in_plane * math.exp(logarithm[band])
 
 
 def _add_paths(
@@ -675,7 +775,7 @@ def _add_several(weight: Array, cosines: Array, turns: Array, stokes: Array, res
     weight : (n,) of each path
     cosines : (2 or 3, n) of the angles of incidence on the facets
     turns : (1 or 2, 2, n) cosine and sine of the angle between the planes of incidence of a facet and the next
-    stokes : of :func:`_reflection_of_stokes`
+    stokes : of :func:`reflection_of_stokes`
     result : (1 + index,) is added to: for perfect mirrors, and for each index
     """
     last = stokes.shape[1] - 1

@@ -106,16 +106,13 @@ _INTERFACE_KIND = vocabulary.Kind(
         "mean_furnace_albedo": vocabulary.SCALAR,
     },
     optional={
-        **dict.fromkeys(("lay", "theta_m", "second_slope"), vocabulary.SCALAR),
+        **dict.fromkeys(("lay", "theta_m"), vocabulary.SCALAR),
+        **vocabulary.SECOND_REFLECTION,
         **dict.fromkeys(("compensation", "total_reflectance"), vocabulary.SPECTRAL),
         "furnace_albedo": _INCIDENCE_DIMS,
-        "second_weight": [("second_theta_i", "second_phi")],
         "visibility_ratio": vocabulary.VISIBILITY_COORDINATES,
         "single_ratio": vocabulary.SINGLE_VISIBILITY_COORDINATES,
         "visibility_limit": [("limit_theta",)],
-        "second_reflection": [
-            ("second_theta_i", "second_theta_o", "second_azimuth", *spectral) for spectral in (("wavelength",), ())
-        ],
     },
     attributes=("masking", "diffuse_mode", "multiple_scattering", "transmission"),
 )

@@ -23,6 +23,7 @@ from brdfpipe.bsdf.microfacet.anisotropic_quadrature import arc_to_azimuth, azim
 from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 from brdfpipe.bsdf.microfacet.builder import (
     index_on,
+    interreflection_of,
     trap_of,
     wavelengths_of,
     with_clamping_warning,
@@ -329,7 +330,7 @@ def _modes(predicted: xr.Dataset | None) -> dict[str, Any]:
     if predicted is None:
         return {}
     modes = {name: predicted.attrs[name] for name in ("masking", "multiple_scattering")}
-    return modes | {"isotropic": predicted["slope_density"].ndim == 1}
+    return modes | {"isotropic": predicted["slope_density"].ndim == 1, "interreflection": interreflection_of(predicted)}
 
 
 def _with_facets(bsdf: xr.Dataset, predicted: xr.Dataset) -> xr.Dataset:

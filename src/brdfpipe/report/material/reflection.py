@@ -235,9 +235,10 @@ def model_table(bsdf: xr.Dataset) -> Table:
 def _scattering_note_and_remark(several: MultipleScattering) -> tuple[str, str]:
     """A note, and a remark where the loss is large."""
     mean = f"mean over the hemisphere; for facets that are perfect mirrors {percent(max(several.mirrors, 0.0))}"
-    if several.mode == "directional":
+    if several.mode in ("directional", "measured"):
         light = f"Light that leaves after two or more reflections, {percent(several.share)} ({mean})"
-        return f"{light}, leaves in the directions that the facets give it.", ""
+        source = "as traced on the map" if several.mode == "measured" else "that the facets give it"
+        return f"{light}, leaves in the directions {source}.", ""
     if several.mode == "compensated":
         light = f"Light that leaves after two or more reflections, {percent(several.share)} ({mean})"
         return f"{light}, is compensated by a diffuse part.", ""
