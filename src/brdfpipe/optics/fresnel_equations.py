@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -99,6 +100,20 @@ def plate(cos_theta: ArrayLike, n: ArrayLike, transmittance: ArrayLike) -> tuple
         reflected.append(f + series * passage * f)
         transmitted.append(series)
     return np.asarray(sum(reflected) / 2), np.asarray(sum(transmitted) / 2)
+
+
+def reflectance_of(n: Array, k: Array) -> Callable[[Array], Array]:
+    """:func:`fresnel` of unpolarised light as a function of cosines in [0, 1], which are not checked; n and k are checked once."""
+    n, k = _checked_index(n), _checked_extinction(k)
+    if not n.size or n.min() <= 1 or n.max() > _CLOSEST_TO_METAL or k.any():
+        return lambda c: fresnel(c, n, k).mean
+    contrast = (n - 1) * (n + 1)
+
+    def mean(c: Array) -> Array:
+        f_s, f_p = _transparent(c, n, contrast)
+        return np.asarray((f_s + f_p) / 2)
+
+    return mean
 
 
 def mean_fresnel(n: Array, k: Array) -> Array:

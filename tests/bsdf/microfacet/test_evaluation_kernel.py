@@ -51,7 +51,7 @@ def by_both(bsdf: xr.Dataset, angles) -> tuple[np.ndarray, np.ndarray]:
 
 def by_numpy(prepared: Model, angles) -> np.ndarray:
     """The arrays of numpy, for so few directions at once that the kernel is not used."""
-    few = (model._MANY_VALUES - 1) // prepared._width
+    few = (model.MANY_VALUES - 1) // prepared._width
     parts = [[angle[start : start + few] for angle in angles] for start in range(0, angles[0].size, few)]
     return np.concatenate([prepared.evaluate(*part) for part in parts])
 
@@ -136,6 +136,11 @@ def test_reflectance_of_metals_is_fresnels(n, k, cosine):
 # --- the BRDF
 
 
+def traced_visibility() -> xr.Dataset:
+    """A ratio that varies at random between the nodes, with both more and fewer facets visible than Smith's."""
+    return samples.visibility_table(np.exp(0.5 * np.random.default_rng(5).normal(size=(6, 7, 5))))
+
+
 @cache
 def material(surface: str, base: str) -> xr.Dataset:
     density = {
@@ -153,11 +158,22 @@ def material(surface: str, base: str) -> xr.Dataset:
         "metal and dielectric": {"index": spectral_index([1.0, 1.3, 1.5], [0.0, 0.0, 0.2])},
         "compensated": {"index": 1.5, "spectrum": wavy, "multiple_scattering": "compensated"},
         "separable": {"index": 1.5, "spectrum": wavy, "masking": "separable"},
+        "measured": {"index": 1.5, "spectrum": wavy, "masking": "measured", "visibility": traced_visibility()},
+        "directional": {"index": 1.5, "spectrum": samples.spectrum(0.5), "multiple_scattering": "directional"},
     }
     return build(density, **colours[base])
 
 
-BASES = ("one value", "constant index", "dispersion", "metal", "metal and dielectric", "compensated", "separable")
+BASES = (
+    "one value",
+    "constant index",
+    "dispersion",
+    "metal",
+    "metal and dielectric",
+    "compensated",
+    "separable",
+    "directional",
+)
 
 
 @pytest.mark.cases(4)
@@ -174,6 +190,10 @@ def test_isotropic_values_are_those_of_numpy(base):
 @pytest.mark.parametrize("base", ["dispersion", "one value", "compensated"])
 def test_values_of_counted_facets_are_those_of_numpy(base):
     assert_same(material("counted", base), directions())
+
+
+def test_values_of_a_traced_masking_are_those_of_numpy():
+    assert_same(material("isotropic", "measured"), directions())
 
 
 @pytest.mark.cases(1)
@@ -258,7 +278,7 @@ def test_directions_that_are_not_numbers_or_out_of_range_read_no_table():
 def test_many_values_are_computed_by_the_kernel(monkeypatch):
     bsdf = material("isotropic", "one value")
     below_89 = np.minimum(directions(), [[89.0], [720.0], [89.0], [720.0]])
-    angles = [np.resize(angle, model._MANY_VALUES) for angle in below_89]
+    angles = [np.resize(angle, model.MANY_VALUES) for angle in below_89]
     values = representation(bsdf).evaluate(*angles, None)
     np.testing.assert_array_equal(values, Model.of(bsdf, None)._compiled(angles))
     monkeypatch.setattr(Model, "_compiled", None)
@@ -273,11 +293,21 @@ def test_many_values_are_computed_by_the_kernel(monkeypatch):
         {"transparent": True},
         {"masking": "blinn"},
         {"diffuse": "crf", "spectrum": samples.spectrum(0.5)},
-        {"multiple_scattering": "directional"},
     ],
 )
 def test_other_models_are_left_to_numpy(options):
     assert not Model.of(build(facets.analytic("beckmann", 0.2), index=1.5, **options), None)._has_kernel
+
+
+@pytest.mark.parametrize("surface", ["isotropic", "lay"])
+def test_a_repeated_incidence_gives_the_same_values_bit_by_bit(surface):
+    bsdf, (_, _, theta_o, phi_o) = material(surface, "one value"), directions()
+    alone, among_others = np.full((2, COUNT), 50.0), np.full((2, COUNT), 50.0)
+    among_others[0, 1::64] = 20.0
+    evaluate = Model.of(bsdf, None)._compiled
+    repeated, varied = (evaluate([angles[0], angles[1], theta_o, phi_o]) for angles in (alone, among_others))
+    same = among_others[0] == 50
+    np.testing.assert_array_equal(repeated[same], varied[same])
 
 
 def test_spline_axes_find_the_span_of_every_number():

@@ -228,7 +228,9 @@ class AlbedoTable:
         grazing = 90 - np.asarray(theta, dtype=float)
         if self.phi is None:
             values = self.spline(grazing)
-            return np.clip(values if self.second is None else values + self.second(90 - grazing), 0.0, 1.0)
+            values = values if self.second is None else values + self.second(90 - grazing)
+            # Faster than np.clip where there are few.
+            return np.minimum(np.maximum(values, 0.0), 1.0)
         assert self.ellipse is not None
         at = np.arcsinh(grazing / lay_scale(self.ellipse)), quadrature.azimuth_to_arc(self.ellipse, phi)
         return np.clip(np.stack([spline.ev(*at) for spline in self.surfaces], axis=-1), 0.0, 1.0)

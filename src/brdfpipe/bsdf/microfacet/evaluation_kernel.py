@@ -1,5 +1,7 @@
 """Compiled kernel: the BRDF of the microfacet model for many directions, on one core.
 
+It covers the physical maskings, the coupled diffuse base and ``compensated`` multiple scattering.
+
 The arithmetic is that of :class:`~brdfpipe.bsdf.microfacet.model.Model`, whose tables it reads, without arrays in between. Results agree
 to 1e-12 where the BRDF does not amplify the rounding of angles: it does within 0.01 degree of the horizon, as 1/cos θ, and on lobes narrower
 than 0.1 degree. Directions pass in blocks that stay in the processor's cache.
@@ -30,11 +32,13 @@ from brdfpipe.bsdf.microfacet.energy import AlbedoTable, lay_scale
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.compilation import compiled
 from brdfpipe.facets.radial_density import RadialDensity
-from brdfpipe.geometry import Array
+from brdfpipe.geometry import Array, HalfVector
 from brdfpipe.masking.smith import PlanarSmith, Smith
+from brdfpipe.masking.visibility import VisibilityRatio
 from brdfpipe.piecewise import PiecewiseCubic
 
-_BLOCK = 256  # directions that are evaluated together
+_BLOCK = 512  # directions that are evaluated together
+_ROWS = 20  # numbers of each direction in the work space
 _ROUNDER = 6755399441055744.0  # 1.5 × 2⁵²: adding and subtracting it rounds to an integer, whose bits are the lowest of the sum
 _LOG_2_HIGH, _LOG_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of √½
@@ -122,6 +126,8 @@ class SplineSurface(NamedTuple):
     y: SplineAxis
     coefficients: Array
     """(x functions, y functions, values)"""
+    patches: Array
+    """(16 numbers of each pair of spans, flat) of a single value: coefficients of powers of x times those of y, highest first"""
 
     @classmethod
     def of(cls, splines: list[RectBivariateSpline]) -> SplineSurface:
@@ -129,7 +135,43 @@ class SplineSurface(NamedTuple):
         knots_x, knots_y = splines[0].get_knots()
         shape = knots_x.size - 4, knots_y.size - 4
         coefficients = np.stack([spline.get_coeffs().reshape(shape) for spline in splines], axis=-1)
-        return cls(SplineAxis.of(knots_x), SplineAxis.of(knots_y), coefficients)
+        x, y = SplineAxis.of(knots_x), SplineAxis.of(knots_y)
+        if len(splines) > 1:
+            return cls(x, y, coefficients, np.empty(0))
+        windows = np.lib.stride_tricks.sliding_window_view(coefficients[..., 0], (4, 4))
+        patches = np.einsum("xaf,xyfg,ybg->xyab", x.basis, windows, y.basis, optimize=True)
+        return cls(x, y, coefficients, np.ascontiguousarray(patches).reshape(-1))
+
+
+class VisibilityTables(NamedTuple):
+    """A :class:`~brdfpipe.masking.visibility.VisibilityRatio`."""
+
+    log_ratio: Array
+    """(grazing, steepness, asymmetry), each with its last node twice; of size 0 for Smith's masking"""
+    last_grazing: float
+    last_steepness: float
+    width: float
+    """Median slope"""
+    limit: Curve
+    """Factor of a direction over its cosine"""
+
+    @classmethod
+    def of(cls, ratio: VisibilityRatio | None, width: float) -> VisibilityTables:
+        """Of a surface with a median slope; ``ratio`` is None for Smith's masking."""
+        if ratio is None:
+            return cls(np.empty((0, 0, 0)), 1.0, 1.0, 1.0, _broken_line(np.array([0.0, 1.0]), np.ones(2)))
+        limit = _broken_line(ratio.limit_cos, ratio.limit)
+        log_ratio = np.ascontiguousarray(np.pad(ratio.log_ratio, [(0, 1)] * 3, mode="edge"))
+        return cls(log_ratio, *ratio.last, width, limit)
+
+
+def _broken_line(x: Array, y: Array) -> Curve:
+    """Linear between the nodes x, from about 0 or more, and held before the first."""
+    if x[0] > 1e-12:
+        x, y = np.append(0.0, x), np.append(y[0], y)
+    nodes = np.append(0.0, x[1:])
+    zero = np.zeros(y.size - 1)
+    return Curve.of(PiecewiseCubic.of(PPoly(np.stack([zero, zero, np.diff(y) / np.diff(nodes), y[:-1]]), nodes)))
 
 
 class IsotropicTables(NamedTuple):
@@ -140,6 +182,7 @@ class IsotropicTables(NamedTuple):
     albedo: Curve
     furnace: Curve
     separable: bool
+    visibility: VisibilityTables
 
 
 class LayTables(NamedTuple):
@@ -190,14 +233,17 @@ class Shading(NamedTuple):
 
 
 def tables_of(surface: Microsurface, masking: str, albedo: AlbedoTable, furnace: AlbedoTable | None) -> Tables:
-    """Tables of a surface with one of Smith's maskings, and of its albedos without parts that are not smooth."""
+    """Tables of a surface with a physical masking, and of its albedos without parts that are not smooth."""
+    assert masking != "measured" or surface.ratio is not None
     separable = masking == "separable"
     furnace = albedo if furnace is None else furnace
     density, smith = surface.density, surface.smith
     if isinstance(density, RadialDensity):
         assert isinstance(smith, Smith)
         facets = Curve.of(density.log_density), Curve.of(smith.spline)
-        return IsotropicTables(*facets, Curve.of(albedo.spline), Curve.of(furnace.spline), separable)
+        albedos = Curve.of(albedo.spline), Curve.of(furnace.spline)
+        visibility = VisibilityTables.of(surface.ratio if masking == "measured" else None, surface.typical_slope)
+        return IsotropicTables(*facets, *albedos, separable, visibility)
     assert isinstance(smith, PlanarSmith)
     ellipse = density.ellipse
     ratio, wide = axis_ratio(ellipse)
@@ -260,14 +306,15 @@ _bits, _number = _reinterpreted(types.float64, types.int64), _reinterpreted(type
 
 @compiled
 def _sine_cosine(x: float) -> tuple[float, float]:
-    """Of an angle in radian within ±π/4."""
+    """Of an angle in radian within ±π/4. The terms of a polynomial are added in pairs (Estrin), so that few wait for another."""
     z = x * x
-    sine = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
-    sine = -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * sine)
-    sine = x + x * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * sine))
+    w = z * z
+    sine = 2.75573137070700676789e-06 + z * -2.50507602534068634195e-08 + w * 1.58969099521155010221e-10
+    sine = (8.33333333332248946124e-03 + z * -1.98412698298579493134e-04) + w * sine
+    sine = x + x * z * (-1.66666666666666324348e-01 + z * sine)
     cosine = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
-    cosine = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * cosine)
-    cosine = z * z * (4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * cosine))
+    cosine = (2.48015872894767294178e-05 + z * -2.75573143513906633035e-07) + w * cosine
+    cosine = w * ((4.16666666666666019037e-02 + z * -1.38888888888741095749e-03) + w * cosine)
     return sine, 1 - (0.5 * z - cosine)
 
 
@@ -290,9 +337,11 @@ def _exponential(x: float) -> float:
     shifted = x * (0.5 * 1.4426950408889634) + _ROUNDER
     k = shifted - _ROUNDER
     r = x * 0.5 - k * _LOG_2_HIGH - k * _LOG_2_LOW
-    value = 1 / 40320 + r * (1 / 362880 + r * (1 / 3628800 + r * (1 / 39916800 + r * (1 / 479001600))))
-    value = 1 / 24 + r * (1 / 120 + r * (1 / 720 + r * (1 / 5040 + r * value)))
-    value = 1 + r * (1 + r * (1 / 2 + r * (1 / 6 + r * value)))
+    square = r * r
+    fourth = square * square
+    value = (1 / 40320 + r * (1 / 362880)) + square * (1 / 3628800 + r * (1 / 39916800)) + fourth * (1 / 479001600)
+    value = ((1 / 24 + r * (1 / 120)) + square * (1 / 720 + r * (1 / 5040))) + fourth * value
+    value = ((1 + r) + square * (1 / 2 + r * (1 / 6))) + fourth * value
     value *= _number((_bits(shifted) + 1023) << 52)
     return value * value
 
@@ -357,9 +406,25 @@ def _four_rows(space: Array, first: int, size: int) -> Rows:
 
 @compiled
 def _rows(space: Array, size: int) -> Rows:
-    """Rows of 16 times as many directions as a block has; arrays of their own, because the compiler must see that they do not overlap."""
-    last = _four_rows(space, 12, size)
-    return _four_rows(space, 0, size) + _four_rows(space, 4, size) + _four_rows(space, 8, size) + last
+    """The rows of a work space for a block of directions; arrays of their own, because the compiler must see that they do not overlap."""
+    first, last = _four_rows(space, 0, size) + _four_rows(space, 4, size), _four_rows(space, 16, size)
+    return first + _four_rows(space, 8, size) + _four_rows(space, 12, size) + last
+
+
+@compiled
+def _distinct(theta: Array, phi: Array) -> int:
+    """Number of directions of a block that differ: 1 if all are the same, as those of incidence often are, else all."""
+    for j in range(1, theta.size):
+        if theta[j] != theta[0] or phi[j] != phi[0]:
+            return theta.size
+    return 1
+
+
+@compiled
+def _spread(values: Array, count: int) -> None:
+    """Repeat the value of directions that are all the same."""
+    if count < values.size:
+        values[:] = values[0]
 
 
 @compiled
@@ -408,7 +473,9 @@ def _values(x: Array, curve: Curve, out: Array) -> None:
     offset, shift, first_key, steps, last = curve.offset, curve.shift, curve.first_key, curve.steps, curve.last
     guide, nodes, c = curve.guide, curve.nodes, curve.coefficients
     for j in range(x.size):
-        at = _within(x[j], last)
+        out[j] = _within(x[j], last)
+    for j in range(x.size):
+        at = out[j]
         # Unsigned indices are not counted from the end where they are negative, which saves a comparison each.
         index = np.uintp(guide[np.uintp((_bits(at + offset) >> shift) - first_key)])
         index += np.uintp(at >= nodes[index + _NEXT])
@@ -434,16 +501,70 @@ def _mirrors(pair: Pair, density: Array, excess_i: Array, excess_o: Array, separ
 
 
 @compiled
-def _isotropic_mirrors(pair: Pair, work: Rows, tables: IsotropicTables, mirrors: Array) -> None:
+def _isotropic_mirrors(pair: Pair, work: Rows, count: int, tables: IsotropicTables, mirrors: Array) -> None:
     logarithm, excess_i, excess_o = work[0], work[1], work[2]
     _values(pair[0], tables.log_density, logarithm)
     for j in range(mirrors.size):
         excess_i[j], excess_o[j] = pair[2][j] / pair[3][j], pair[4][j] / pair[5][j]
-    _values(excess_i, tables.excess, excess_i)
+    _values(excess_i[:count], tables.excess, excess_i)
     _values(excess_o, tables.excess, excess_o)
+    _spread(excess_i, count)
     for j in range(mirrors.size):
         logarithm[j] = _exponential(logarithm[j]) if pair[0][j] <= tables.log_density.last else 0.0
     _mirrors(pair, logarithm, excess_i, excess_o, tables.separable, mirrors)
+    if tables.visibility.log_ratio.size:
+        _limit_visibility(pair, (logarithm, excess_i, excess_o, *work[3:7]), tables.visibility, mirrors)
+
+
+@compiled
+def _limit_visibility(pair: Pair, rows: Rows, table: VisibilityTables, mirrors: Array) -> None:
+    """Multiply by the ratio of the traced visibility to Smith's, as :meth:`~brdfpipe.masking.visibility.VisibilityRatio.visibility`.
+
+    The first row is P22, with which ``mirrors`` are compared where no facet is hidden; the others are work space.
+    """
+    density, grazing, steepness, asymmetry, ratio, limit_i, limit_o = rows
+    table_size = table.log_ratio.shape
+    width, last_grazing, last_steepness = table.width, table.last_grazing, table.last_steepness
+    cells = float(table_size[0] - 2), float(table_size[1] - 2), float(table_size[2] - 2)
+    for j in range(mirrors.size):
+        slope, cos_zeta, cos_i, cos_o = math.sqrt(pair[0][j]), pair[1][j], pair[2][j], pair[4][j]
+        sin_zeta = math.sqrt(_at_least((1 - cos_zeta) * (1 + cos_zeta), 0.0))
+        reach = _at_most(slope * sin_zeta, cos_zeta) * (cos_i + cos_o)
+        different = abs(cos_i - cos_o) * cos_zeta / reach if reach > 0 else 0.0
+        inclined = width * sin_zeta
+        grazing[j] = _at_most(inclined / (inclined + cos_zeta), last_grazing) / last_grazing * cells[0]
+        steepness[j] = _at_most(_inverse_sinh(slope / width), last_steepness) / last_steepness * cells[1]
+        asymmetry[j] = _at_most(different, 1.0) * cells[2]
+    flat, rows_apart = table.log_ratio.reshape(table.log_ratio.size), np.uintp(table_size[2])
+    layers_apart = np.uintp(table_size[1]) * rows_apart
+    for j in range(mirrors.size):
+        x, y, z = grazing[j], steepness[j], asymmetry[j]
+        x_0, y_0, z_0 = _node_before(x), _node_before(y), _node_before(z)
+        x, y, z = x - x_0, y - y_0, z - z_0
+        first = np.uintp(x_0) * layers_apart + np.uintp(y_0) * rows_apart + np.uintp(z_0)
+        near = _on_plane(flat, first, rows_apart, y, z)
+        ratio[j] = near * (1 - x) + _on_plane(flat, first + layers_apart, rows_apart, y, z) * x
+    _values(pair[2], table.limit, limit_i)
+    _values(pair[4], table.limit, limit_o)
+    for j in range(mirrors.size):
+        spread = 1 + pair[0][j]
+        unhidden = density[j] * (spread * spread) * (0.25 / (pair[2][j] * pair[4][j]))
+        limited = _at_most(mirrors[j] * _exponential(ratio[j]), unhidden)
+        mirrors[j] = limited * (limit_i[j] * limit_o[j])
+
+
+@compiled
+def _node_before(place: float) -> int:
+    """The first node for NaN, which must not index a table."""
+    return int(place if place > 0 else 0.0)
+
+
+@compiled
+def _on_plane(c: Array, first: np.uintp, rows_apart: np.uintp, y: float, z: float) -> float:
+    """Bilinear between four nodes."""
+    near = c[first] * (1 - z) + c[first + _NEXT] * z
+    far = c[first + rows_apart] * (1 - z) + c[first + rows_apart + _NEXT] * z
+    return near * (1 - y) + far * y
 
 
 @compiled
@@ -454,7 +575,9 @@ def _between(x: float, axis: SplineAxis) -> float:
 
 @compiled
 def _span(x: float, axis: SplineAxis) -> np.uintp:
-    index = np.uintp(axis.guide[np.uintp((x - axis.first) * axis.cells_a_unit)])
+    index = np.uintp(axis.guide[np.uintp(np.int64((x - axis.first) * axis.cells_a_unit))])
+    # Of a cell, which holds one knot at most, one comparison is enough; rounding may need another.
+    index += np.uintp(x >= axis.knots[index + _NEXT])
     while x >= axis.knots[index + _NEXT]:
         index += _NEXT
     return index
@@ -473,22 +596,23 @@ def _basis(s: float, b: Array) -> tuple[float, float, float, float]:
 
 @compiled
 def _surface_values(x: Array, y: Array, surface: SplineSurface, out: Array) -> None:
-    """The surface's first value at each place, held beyond its edges; ``out`` may be x or y."""
-    axis_x, axis_y, coefficients = surface.x, surface.y, surface.coefficients
+    """The value of a surface of one value at each place, held beyond its edges; ``out`` may be x or y."""
+    axis_x, axis_y, c = surface.x, surface.y, surface.patches
+    columns = np.uintp(axis_y.basis.shape[0])
     for n in range(x.size):
         at_x, at_y = _between(x[n], axis_x), _between(y[n], axis_y)
         i, j = _span(at_x, axis_x), _span(at_y, axis_y)
-        basis_x, basis_y = (
-            _basis(at_x - axis_x.knots[i], axis_x.basis[i]),
-            _basis(at_y - axis_y.knots[j], axis_y.basis[j]),
-        )
-        value = 0.0
-        for a in range(4):
-            row = coefficients[i + np.uintp(a), j : j + np.uintp(4), 0]
-            value += basis_x[a] * (
-                (basis_y[0] * row[0] + basis_y[1] * row[1]) + (basis_y[2] * row[2] + basis_y[3] * row[3])
-            )
-        out[n] = value
+        s, t = at_x - axis_x.knots[i], at_y - axis_y.knots[j]
+        first = np.uintp(16) * (i * columns + j)
+        value = _cubic(c, first, t)
+        value = value * s + _cubic(c, first + np.uintp(4), t)
+        value = value * s + _cubic(c, first + np.uintp(8), t)
+        out[n] = value * s + _cubic(c, first + np.uintp(12), t)
+
+
+@compiled
+def _cubic(c: Array, first: np.uintp, t: float) -> float:
+    return ((c[first] * t + c[first + np.uintp(1)]) * t + c[first + np.uintp(2)]) * t + c[first + np.uintp(3)]
 
 
 @compiled
@@ -504,20 +628,41 @@ def _uniform_basis(x: float) -> tuple[float, float, float, float]:
 
 
 @compiled
-def _density_with_lay(across: float, along: float, coefficients: Array) -> float:
-    """Logarithm of the density at fractional indices of the nodes; minus infinity beyond the grid."""
-    rows, columns = coefficients.shape[0] - 5, coefficients.shape[1] - 5
-    if not (0 <= across <= rows and 0 <= along <= columns):
-        return -math.inf
-    i, j = np.uintp(across), np.uintp(along)
-    basis_i, basis_j = _uniform_basis(across - i), _uniform_basis(along - j)
-    value = 0.0
-    for a in range(4):
-        row = coefficients[i + np.uintp(a + 1), j + _NEXT : j + np.uintp(5)]
-        value += basis_i[a] * (
-            (basis_j[0] * row[0] + basis_j[1] * row[1]) + (basis_j[2] * row[2] + basis_j[3] * row[3])
-        )
-    return value
+def _log_densities(along: Array, across: Array, coefficients: Array, rows: Rows, out: Array) -> None:
+    """Logarithm of the density at fractional indices of the nodes; minus infinity beyond the grid. ``out`` may be ``along``.
+
+    ``rows`` are work space. The weights of the nodes are computed before the nodes are read, so that those of several directions are
+    computed at once.
+    """
+    start, a_0, a_1, a_2, a_3, b_0, b_1, b_2, b_3 = rows
+    flat, width = coefficients.reshape(coefficients.size), coefficients.shape[1]
+    last_row, last_column = float(coefficients.shape[0] - 5), float(width - 5)
+    for j in range(out.size):
+        at = across[j], along[j]
+        inside = (at[0] >= 0) & (at[0] <= last_row) & (at[1] >= 0) & (at[1] <= last_column)
+        row, column = (at[0], at[1]) if inside else (0.0, 0.0)
+        first_row, first_column = np.floor(row), np.floor(column)
+        a_0[j], a_1[j], a_2[j], a_3[j] = _uniform_basis(row - first_row)
+        b_0[j], b_1[j], b_2[j], b_3[j] = _uniform_basis(column - first_column)
+        place = (first_row + 1) * width + (first_column + 1)
+        start[j] = place if inside else -1.0
+    step = np.uintp(width)
+    for j in range(out.size):
+        place = start[j]
+        first = np.uintp(np.int64(place if place > 0 else 0.0))
+        w = b_0[j], b_1[j], b_2[j], b_3[j]
+        value = a_0[j] * _weighted(flat, first, w)
+        value += a_1[j] * _weighted(flat, first + step, w)
+        value += a_2[j] * _weighted(flat, first + np.uintp(2) * step, w)
+        value += a_3[j] * _weighted(flat, first + np.uintp(3) * step, w)
+        out[j] = value if place > 0 else -math.inf
+
+
+@compiled
+def _weighted(c: Array, first: np.uintp, w: tuple[float, float, float, float]) -> float:
+    return (w[0] * c[first] + w[1] * c[first + np.uintp(1)]) + (
+        w[2] * c[first + np.uintp(2)] + w[3] * c[first + np.uintp(3)]
+    )
 
 
 @compiled
@@ -557,22 +702,23 @@ def _excess_with_lay(phi: Array, cosines: Array, sines: Array, tables: LayTables
         slope = cosines[j] / sines[j] / width[j]
         excess[j] = _inverse_sinh(slope if slope < last else last)
         width[j] = width[j] if slope < last else 0.0
-    _surface_values(excess, turn, tables.excess, excess)
+    _surface_values(excess[: phi.size], turn, tables.excess, excess)
     for j in range(phi.size):
         excess[j] *= width[j]
 
 
 @compiled
-def _mirrors_with_lay(phi_i: Array, phi_o: Array, pair: Pair, work: Rows, tables: LayTables, mirrors: Array) -> None:
+def _mirrors_with_lay(
+    phi_i: Array, phi_o: Array, pair: Pair, work: Rows, count: int, tables: LayTables, mirrors: Array
+) -> None:
     density, across, excess_i, excess_o, width, turn = work[:6]
     _grid_positions(phi_i, phi_o, pair, tables, across, density)
-    coefficients = tables.log_density
-    for j in range(mirrors.size):
-        density[j] = _density_with_lay(across[j], density[j], coefficients)
+    _log_densities(density, across, tables.log_density, work[2:11], density)
     for j in range(mirrors.size):
         density[j] = _exponential(density[j])
-    _excess_with_lay(phi_i, pair[2], pair[3], tables, (width, turn), excess_i)
+    _excess_with_lay(phi_i[:count], pair[2], pair[3], tables, (width, turn), excess_i)
     _excess_with_lay(phi_o, pair[4], pair[5], tables, (width, turn), excess_o)
+    _spread(excess_i, count)
     _mirrors(pair, density, excess_i, excess_o, tables.separable, mirrors)
 
 
@@ -584,12 +730,12 @@ def _arcs(azimuths: Array, tables: LayTables, rows: Rows, arcs: Array) -> None:
     """
     sines, cosines = rows
     wide, share = tables.wide, 90 / math.pi
-    for j in range(arcs.size):
+    for j in range(azimuths.size):
         arcs[j] = azimuths[j] - wide
         sines[j], cosines[j] = _of_degrees(arcs[j])
     for step in range(tables.landen.shape[0]):
         a, b = tables.landen[step, 0], tables.landen[step, 1]
-        for j in range(arcs.size):
+        for j in range(azimuths.size):
             sine, cosine = sines[j], cosines[j]
             # ω − φ, within a right angle, from the vector of ω turned by −φ.
             x, y = a * cosine, b * sine
@@ -597,7 +743,7 @@ def _arcs(azimuths: Array, tables: LayTables, rows: Rows, arcs: Array) -> None:
             length = math.sqrt(x * x + y * y)
             cosines[j], sines[j] = (cosine * x - sine * y) / length, (cosine * y + sine * x) / length
         share *= 0.5
-    for j in range(arcs.size):
+    for j in range(azimuths.size):
         arcs[j] -= 360 * np.floor(arcs[j] / 360)
 
 
@@ -611,7 +757,7 @@ def _transparent(c: float, n: float) -> float:
     q = math.sqrt(contrast + c * c)
     into_s, into_p = _at_least(c + q, _LEAST), _at_least(n * n * c + q, _LEAST)
     r_s = contrast / (into_s * into_s)
-    r_p = (contrast / into_p) * (((n * n + 1) * (c * c) - 1) / into_p)
+    r_p = contrast * ((n * n + 1) * (c * c) - 1) / (into_p * into_p)
     return (_at_most(r_s * r_s, 1.0) + _at_most(r_p * r_p, 1.0)) * 0.5
 
 
@@ -645,8 +791,11 @@ def _reflected(mirrors: Array, cos_zeta: Array, shading: Shading, out: Array) ->
         else:
             for j in range(mirrors.size):
                 mirrors[j] *= _transparent(cos_zeta[j], n)
-        out[:] = 0.0
-        _add_products(mirrors, np.ones(out.shape[1]), out)
+        if out.shape[1] == 1:
+            out[:, 0] = mirrors
+        else:
+            for j in range(mirrors.size):
+                out[j] = mirrors[j]
     elif shading.absorbs:
         for j in range(mirrors.size):
             for w in range(out.shape[1]):
@@ -678,15 +827,18 @@ def _left(albedo: float) -> float:
 
 
 @compiled
-def _add_isotropic_base(theta_i: Array, theta_o: Array, albedo: Curve, factor: Array, work: Rows, out: Array) -> None:
+def _add_isotropic_base(
+    theta_i: Array, theta_o: Array, count: int, albedo: Curve, factor: Array, work: Rows, out: Array
+) -> None:
     """Add the light of the base, reduced by what the facets reflect of both directions."""
     c, left = albedo.coefficients, work[0]
     if c.shape[2] == 1:
         other = work[1]
         for j in range(theta_i.size):
             left[j], other[j] = 90 - theta_i[j], 90 - theta_o[j]
-        _values(left, albedo, left)
+        _values(left[:count], albedo, left)
         _values(other, albedo, other)
+        _spread(left, count)
         for j in range(theta_i.size):
             left[j] = _left(left[j]) * _left(other[j])
         _add_products(left, factor, out)
@@ -703,12 +855,13 @@ def _add_isotropic_base(theta_i: Array, theta_o: Array, albedo: Curve, factor: A
 
 
 @compiled
-def _add_base_with_lay(places: Rows, albedo: SplineSurface, factor: Array, work: Rows, out: Array) -> None:
+def _add_base_with_lay(places: Rows, count: int, albedo: SplineSurface, factor: Array, work: Rows, out: Array) -> None:
     """The same; rows of ``places`` are the coordinates of the albedo of both directions."""
     size, width = out.shape
     if albedo.coefficients.shape[2] == 1:
         left = work[0]
-        _surface_values(places[0], places[1], albedo, left)
+        _surface_values(places[0][:count], places[1], albedo, left)
+        _spread(left, count)
         _surface_values(places[2], places[3], albedo, work[1])
         for j in range(size):
             left[j] = _left(left[j]) * _left(work[1][j])
@@ -753,55 +906,64 @@ def _clear_below(theta_i: Array, theta_o: Array, out: Array) -> None:
 
 
 @compiled
-def _block(
-    theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, out: Array, space: Array, start: int
-) -> tuple[Rows, Array, Rows]:
-    """The angles of a block, its part of ``out``, and rows of which the first seven are filled by :func:`_half_vectors`."""
-    end = min(start + _BLOCK, theta_i.size)
-    angles = theta_i[start:end], phi_i[start:end], theta_o[start:end], phi_o[start:end]
-    rows = _rows(space, end - start)
-    _half_vectors(angles[0], angles[1], angles[2], angles[3], rows[:7])
-    return angles, out[start:end], rows
-
-
-@compiled
 def _evaluate_isotropic(
     theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, tables: IsotropicTables, shading: Shading, out: Array
 ) -> None:
-    space = np.empty((16, _BLOCK))
+    space = np.empty((_ROWS, _BLOCK))
+    rows = _rows(space, _BLOCK)
     for start in range(0, theta_i.size, _BLOCK):
-        angles, values, rows = _block(theta_i, phi_i, theta_o, phi_o, out, space, start)
-        mirrors, work = rows[7], rows[8:]
-        _isotropic_mirrors(rows[:7], work, tables, mirrors)
-        _reflected(mirrors, rows[1], shading, values)
+        end = min(start + _BLOCK, theta_i.size)
+        if end - start < _BLOCK:
+            rows = _rows(space, end - start)
+        polar_i, polar_o, values = theta_i[start:end], theta_o[start:end], out[start:end]
+        azimuth_i, pair, mirrors, work = phi_i[start:end], rows[:7], rows[7], rows[8:]
+        count = _distinct(polar_i, azimuth_i)
+        _half_vectors(polar_i, azimuth_i, polar_o, phi_o[start:end], pair)
+        _isotropic_mirrors(pair, work, count, tables, mirrors)
+        _reflected(mirrors, pair[1], shading, values)
         if shading.has_base:
-            _add_isotropic_base(angles[0], angles[2], tables.albedo, shading.base, work, values)
+            _add_isotropic_base(polar_i, polar_o, count, tables.albedo, shading.base, work, values)
         if shading.has_returned:
-            _add_isotropic_base(angles[0], angles[2], tables.furnace, shading.returned, work, values)
-        _clear_below(angles[0], angles[2], values)
+            _add_isotropic_base(polar_i, polar_o, count, tables.furnace, shading.returned, work, values)
+        _clear_below(polar_i, polar_o, values)
 
 
 @compiled
 def _evaluate_with_lay(
     theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, tables: LayTables, shading: Shading, out: Array
 ) -> None:
-    space = np.empty((16, _BLOCK))
+    space = np.empty((_ROWS, _BLOCK))
+    rows = _rows(space, _BLOCK)
     for start in range(0, theta_i.size, _BLOCK):
-        angles, values, rows = _block(theta_i, phi_i, theta_o, phi_o, out, space, start)
-        mirrors, work, places = rows[7], rows[8:], rows[12:]
-        _mirrors_with_lay(angles[1], angles[3], rows[:7], work, tables, mirrors)
-        _reflected(mirrors, rows[1], shading, values)
+        end = min(start + _BLOCK, theta_i.size)
+        if end - start < _BLOCK:
+            rows = _rows(space, end - start)
+        polar_i, polar_o, values = theta_i[start:end], theta_o[start:end], out[start:end]
+        azimuth_i, azimuth_o = phi_i[start:end], phi_o[start:end]
+        pair, mirrors, work, places = rows[:7], rows[7], rows[8:], rows[12:16]
+        count = _distinct(polar_i, azimuth_i)
+        _half_vectors(polar_i, azimuth_i, polar_o, azimuth_o, pair)
+        _mirrors_with_lay(azimuth_i, azimuth_o, pair, work, count, tables, mirrors)
+        _reflected(mirrors, pair[1], shading, values)
         if shading.has_base or shading.has_returned:
             for j in range(mirrors.size):
-                places[0][j] = _inverse_sinh((90 - angles[0][j]) / tables.albedo_scale)
-                places[2][j] = _inverse_sinh((90 - angles[2][j]) / tables.albedo_scale)
-            _arcs(angles[1], tables, work[:2], places[1])
-            _arcs(angles[3], tables, work[:2], places[3])
+                places[0][j] = _inverse_sinh((90 - polar_i[j]) / tables.albedo_scale)
+                places[2][j] = _inverse_sinh((90 - polar_o[j]) / tables.albedo_scale)
+            _arcs(azimuth_i[:count], tables, work[:2], places[1])
+            _arcs(azimuth_o, tables, work[:2], places[3])
+            _spread(places[1], count)
         if shading.has_base:
-            _add_base_with_lay(places, tables.albedo, shading.base, work, values)
+            _add_base_with_lay(places, count, tables.albedo, shading.base, work, values)
         if shading.has_returned:
-            _add_base_with_lay(places, tables.furnace, shading.returned, work, values)
-        _clear_below(angles[0], angles[2], values)
+            _add_base_with_lay(places, count, tables.furnace, shading.returned, work, values)
+        _clear_below(polar_i, polar_o, values)
+
+
+def half_vectors(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> HalfVector:
+    """As :func:`brdfpipe.geometry.half_vector`, of directions above the horizon, (directions,) degree each."""
+    rows = tuple(np.empty((7, theta_i.size)))
+    _half_vectors(_read_only(theta_i), _read_only(phi_i), _read_only(theta_o), _read_only(phi_o), rows)
+    return HalfVector(*rows[:6])
 
 
 def evaluate(tables: Tables, shading: Shading, angles: Sequence[Array], width: int) -> Array:

@@ -21,10 +21,11 @@ from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, half_vector
 from brdfpipe.hemisphere import panel_rule
-from brdfpipe.masking.modes import SMITH_MASKINGS
+from brdfpipe.masking.modes import PHYSICAL_MASKINGS
 from brdfpipe.masking.smith import Smith, smith_lambda
 from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
 from brdfpipe.optics.fresnel_equations import mean_fresnel as mean_fresnel_reflectance
+from brdfpipe.optics.fresnel_equations import reflectance_of
 
 CRF_DIFFUSE_SHARE = 4 * (np.log(2) - 0.5)
 """Albedo of the patent's masked Lambertian lobe over that of the unmasked one: 4 ∫ μ²/(1 + μ) dμ = 0.7726."""
@@ -38,7 +39,7 @@ _BLOCK = 2**14
 _CLOSEST_TO_METAL = 1e70
 """Larger indices are perfect mirrors."""
 
-_MANY_VALUES = 2**19
+MANY_VALUES = 2**19
 """From so many values on, the compiled kernel is used: to load it takes as long as numpy needs for a few times as many."""
 
 
@@ -111,7 +112,7 @@ class Model:
         angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
         shape = angles[0].shape
         flat = [angle.reshape(-1) for angle in angles]
-        if flat[0].size * self._width >= _MANY_VALUES and self._has_kernel:
+        if flat[0].size * self._width >= MANY_VALUES and self._has_kernel:
             return self._compiled(flat).reshape(*shape, self._width)
         in_above, out_above = flat[0] < 90, flat[2] < 90
         above = in_above & out_above
@@ -132,15 +133,14 @@ class Model:
         return (
             self.surface is not None
             and not self.transparent
-            and self.second is None
-            and self.masking in SMITH_MASKINGS
+            and self.masking in PHYSICAL_MASKINGS
             and (self.diffuse_mode != "crf" or not self.diffuse.any())
             and bool(np.all((self.n < _CLOSEST_TO_METAL) & ((self.n >= 1) | (self.k > 0))))
         )
 
     @cached_property
     def _compiled(self) -> Callable[[Sequence[Array]], Array]:
-        """The kernel with the fields of this model, from θ_i, φ_i, θ_o and φ_o, (directions,) each."""
+        """The kernel with the fields of this model, and light that it lacks, from θ_i, φ_i, θ_o and φ_o, (directions,) each."""
         from brdfpipe.bsdf.microfacet import evaluation_kernel as kernel
 
         assert self.surface is not None
@@ -154,11 +154,23 @@ class Model:
             np.full(self._width, base),
             np.full(self._width, returned),
             absorbs=bool(k.any()),
-            has_base=bool(self.diffuse.any()),
-            has_returned=self.furnace is not None,
+            has_base=bool(self.diffuse.any()) and self.second is None,
+            has_returned=self.furnace is not None and self.second is None,
         )
         tables = kernel.tables_of(self.surface, self.masking, self.albedo, self.furnace)
-        return lambda angles: kernel.evaluate(tables, shading, angles, self._width)
+        if self.second is None:
+            return lambda angles: kernel.evaluate(tables, shading, angles, self._width)
+        other_light = replace(self, surface=None)
+
+        def evaluate(angles: Sequence[Array]) -> Array:
+            result = kernel.evaluate(tables, shading, angles, self._width)
+            for start in range(0, angles[0].size, step := max(_BLOCK // self._width, 256)):
+                block = slice(start, start + step)
+                above = (angles[0][block] < 90) & (angles[2][block] < 90)
+                result[block][above] += other_light._reflected(*(angle[block][above] for angle in angles))
+            return result
+
+        return evaluate
 
     @staticmethod
     def _fill(result: Array, where: NDArray[np.bool_], evaluate: Callable[..., Array], angles: list[Array]) -> None:
@@ -179,8 +191,8 @@ class Model:
         if self.surface is not None:
             pair = half_vector(theta_i, phi_i, theta_o, phi_o)
             cos_o = pair.cos_o
-            fresnel = fresnel_reflectance(pair.cos_zeta[:, None], self.n, self.k).mean
-            brdf = self.surface.reflected(pair, phi_i, phi_o, self.masking)[:, None] * fresnel
+            reflectance = self._reflectance(pair.cos_zeta[:, None])
+            brdf = self.surface.reflected(pair, phi_i, phi_o, self.masking)[:, None] * reflectance
         if self.second is not None:
             brdf = brdf + self.second(theta_i, phi_i, theta_o, phi_o)
         if self.furnace is not None:
@@ -194,6 +206,11 @@ class Model:
         both = self.albedo(np.concatenate([theta_i, theta_o]), np.concatenate([phi_i, phi_o]))
         entering, leaving = 1 - both[: theta_i.size], 1 - both[theta_i.size :]
         return np.asarray(brdf + self.diffuse / (np.pi * (1 - self.mean_albedo)) * (entering * leaving))
+
+    @cached_property
+    def _reflectance(self) -> Callable[[Array], Array]:
+        """Fresnel's reflectance of cosines, (…, 1), as (…, wavelength)."""
+        return reflectance_of(self.n, self.k)
 
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """Mueller matrix of the BRDF, (directions…, wavelength, 4, 4): facets polarise, light from below them is unpolarised.
