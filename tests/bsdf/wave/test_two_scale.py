@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from brdfpipe import appearance, psd, vocabulary
 from brdfpipe.bsdf import kirchhoff, microfacet, wave
 from brdfpipe.bsdf.microfacet.microsurface import ModelError
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.wave import two_scale
 from brdfpipe.bsdf.wave.two_scale import characteristic_function, facet_share
 from brdfpipe.facets import analytic, estimate, flat
 from brdfpipe.facets.radial_density import RadialDensity
@@ -30,6 +32,12 @@ def rough(sigma: float, length: float = 5.0, optics: str = "auto", **options) ->
         optics=optics,
         **options,
     )
+
+
+@cache
+def composite() -> xr.Dataset:
+    """Roughness of which the longer part is facets, and the shorter one waves upon them."""
+    return rough(0.4, 10.0, "composite")
 
 
 def facets_alone(sigma: float, length: float = 5.0) -> xr.Dataset:
@@ -125,8 +133,16 @@ def test_two_scales_agree_with_diffraction_on_their_map():
     assert gloss(bsdf) == pytest.approx(gloss(kirchhoff.build(surface, index=1.5, wavelength=550.0)), rel=0.03)
 
 
+def test_many_values_are_those_of_few(monkeypatch):
+    bsdf = composite()
+    angles = np.array([20.0, 60.0, 85.0]), np.zeros(3), np.array([20.5, 95.0, 80.0]), np.array([180.0, 180.0, 175.0])
+    few = representation(bsdf).evaluate(*angles, None)
+    monkeypatch.setattr(two_scale, "MANY_VALUES", 1)
+    np.testing.assert_allclose(representation(bsdf).evaluate(*angles, None), few, rtol=1e-10)
+
+
 def test_the_stated_error_of_the_cut_covers_what_a_moved_cut_changes():
-    bsdf = rough(0.4, 10.0, "composite")
+    bsdf = composite()
     theta, view = np.full(21, 45.0), np.linspace(38.0, 52.0, 21)
     at = 1 / (np.pi * 10.0) * np.sqrt(-2 * np.log(float(bsdf["fine_sigma"]) / 0.4))
     values = [

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -102,6 +103,15 @@ def amplitudes(pair: HalfVector, azimuth: Array, n: Array, k: Array) -> Amplitud
     )
 
 
+def polarisation_factor(pair: HalfVector, azimuth: Array, n: Array, k: Array, compiled: bool) -> Array:
+    """Q of unpolarised light, (directions, wavelength), with the parameters of :func:`amplitudes`; by compiled code if that is loaded."""
+    if not compiled or np.any(k):
+        return amplitudes(pair, azimuth, n, k).mean
+    from brdfpipe.bsdf.wave import halo_kernel
+
+    return halo_kernel.polarisation_factor(pair, azimuth, n)
+
+
 def _root(contrast: Field, cosine: Array, absorbing: bool) -> Field:
     """√(ε − sin²θ)."""
     square = contrast + cosine * cosine
@@ -149,6 +159,8 @@ class Halo:
     """S/σ² [um2] where it is known in closed form"""
     stretch: Stretch | None = None
     """Of the frequencies of a surface with a lay, before the table is read"""
+    compiled: bool = False
+    """Whether the table is read by compiled code, which takes a while to load"""
 
     @classmethod
     def of(cls, bsdf: xr.Dataset) -> Halo:
@@ -198,7 +210,7 @@ class Halo:
 
     def _transform_ratio(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> Array:
         """K/g [um2], (directions, wavelength)."""
-        cosines, place = pair.cos_i + pair.cos_o, []
+        cosines, place, column = pair.cos_i + pair.cos_o, [], np.empty(0)
         if self.stretch is None:
             slope = np.sqrt(pair.slope_squared)
         else:
@@ -208,6 +220,10 @@ class Halo:
         frequency = (slope * cosines)[:, None] / (wavelength * 1e-3)
         if self.form == "rayleigh-rice" and self.spectrum is not None:
             return self.spectrum(frequency)
+        if self.compiled:
+            with np.errstate(divide="ignore"):
+                log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)
+            return self._compiled_lookup(slope * cosines, log_phase, wavelength, column)
         place = [np.arcsinh(frequency / self.scale) / self.frequency_step, *place]
         if self.form == "rayleigh-rice":
             row = np.zeros_like(frequency)
@@ -216,6 +232,15 @@ class Halo:
                 log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)[:, None] - 2 * np.log(wavelength)
             row = np.maximum((log_phase - self.first_phase) / self.phase_step, 0.0)
         return np.exp(map_coordinates(self.spline, [row, *place], order=3, mode="mirror", prefilter=False))
+
+    @cached_property
+    def _compiled_lookup(self) -> Callable[[Array, Array, Array, Array], Array]:
+        """:func:`brdfpipe.bsdf.wave.halo_kernel.transform_ratio` of this table."""
+        from brdfpipe.bsdf.wave import halo_kernel
+
+        phase, frequency = (self.first_phase, self.phase_step), (self.scale, self.frequency_step)
+        table = halo_kernel.HaloTable.of(self.spline, phase, frequency, self.form != "rayleigh-rice")
+        return partial(halo_kernel.transform_ratio, table)
 
 
 def _periodic_spline(values: Array) -> Array:

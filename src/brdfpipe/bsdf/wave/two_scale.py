@@ -17,17 +17,20 @@ Holzschuch & Pacanowski 2017, ACM Trans. Graph. 36(4) 66 (two scales); Voronovic
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy.fft import fht, fhtoffset
 
 from brdfpipe.bsdf.microfacet import polarised
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.microfacet.model import MANY_VALUES
 from brdfpipe.bsdf.representations.microfacet import Microfacet
-from brdfpipe.bsdf.wave.halo import Azimuths, Halo, amplitudes
+from brdfpipe.bsdf.wave.halo import Azimuths, Halo, amplitudes, polarisation_factor
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, half_vector
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -197,27 +200,30 @@ class RoughSurface:
 
         Angles are θ_i, φ_i, θ_o and φ_o, (directions,) degree; wavelength [nm], n and k are (wavelength,).
         """
+        many = angles[0].size * wavelength.size >= MANY_VALUES
+        surface = self._compiled if many else self
+        of_all_facets = cache(lambda: surface.of_facets(angles, wavelength))
 
-        def of_block(pair: HalfVector, block: Angles) -> Array:
+        def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
             parts, values = (
-                self._parts(pair, (block[1], block[3]), wavelength),
+                surface._parts(pair, (block[1], block[3]), wavelength),
                 np.zeros((block[0].size, wavelength.size)),
             )
             if parts.facets is not None:
-                assert self.relief is not None
-                values += parts.facets * self.relief.facets.evaluate(*block, wavelength)
+                # The compiled kernel of the facets needs many directions at once.
+                values += parts.facets * (of_all_facets()[at] if many else surface.of_facets(block, wavelength))
             if parts.spread is not None:
                 values += parts.spread * fresnel(pair.cos_zeta[:, None], n, k).mean
             if parts.waves is not None:
-                values += parts.waves * amplitudes(pair, block[3] - block[1], n, k).mean
+                values += parts.waves * polarisation_factor(pair, block[3] - block[1], n, k, many)
             return values
 
-        return _in_blocks(angles, (wavelength.size,), of_block)
+        return _in_blocks(angles, (wavelength.size,), of_block, many)
 
     def mueller(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
         """Mueller matrices of the same [sr-1], (directions, wavelength, 4, 4), in the frames of the microfacet model."""
 
-        def of_block(pair: HalfVector, block: Angles) -> Array:
+        def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
             parts = self._parts(pair, (block[1], block[3]), wavelength)
             values = np.zeros((block[0].size, wavelength.size, 4, 4))
             if parts.facets is not None:
@@ -230,6 +236,19 @@ class RoughSurface:
             return values
 
         return _in_blocks(angles, (wavelength.size, 4, 4), of_block)
+
+    def of_facets(self, angles: Angles, wavelength: Array) -> Array:
+        """BRDF of the facets [sr-1], (directions, wavelength or 1)."""
+        assert self.relief is not None
+        return self.relief.facets.evaluate(*angles, wavelength)
+
+    @cached_property
+    def _compiled(self) -> RoughSurface:
+        """The same surface, with halos that are looked up by compiled code."""
+        relief, halo = self.relief, self.halo
+        if relief is not None and relief.fine is not None:
+            relief = replace(relief, fine=replace(relief.fine, compiled=True))
+        return replace(self, halo=None if halo is None else replace(halo, compiled=True), relief=relief)
 
     def _parts(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> _Parts:
         share = self.facet_share(pair.cos_i + pair.cos_o, wavelength)
@@ -257,14 +276,28 @@ class _Parts(NamedTuple):
     """Of the polarisation factor of waves [sr-1]"""
 
 
-def _in_blocks(angles: Angles, shape: tuple[int, ...], of_block: Callable[[HalfVector, Angles], Array]) -> Array:
-    """Values of pairs of directions above the surface, in blocks that fit the processor's cache; 0 for others."""
+def _in_blocks(
+    angles: Angles,
+    shape: tuple[int, ...],
+    of_block: Callable[[HalfVector, Angles, NDArray[np.int64]], Array],
+    compiled: bool = False,
+) -> Array:
+    """Values of pairs of directions above the surface, in blocks that fit the processor's cache; 0 for others.
+
+    ``of_block`` is given the pairs of a block, their angles, and their places among all directions. ``compiled`` is whether the pairs
+    are computed by compiled code.
+    """
     theta_i, phi_i, theta_o, phi_o = angles
     result = np.zeros((theta_i.size, *shape))
     above = np.flatnonzero((theta_i < 90) & (theta_o < 90))
     step = max(_BLOCK // int(np.prod(shape)), 64)
+    pairs: Callable[..., HalfVector] = half_vector
+    if compiled:
+        from brdfpipe.bsdf.microfacet import evaluation_kernel
+
+        pairs = evaluation_kernel.half_vectors
     for start in range(0, above.size, step):
         at = above[start : start + step]
         block = theta_i[at], phi_i[at], theta_o[at], phi_o[at]
-        result[at] = of_block(half_vector(*block), block)
+        result[at] = of_block(pairs(*block), block, at)
     return result
