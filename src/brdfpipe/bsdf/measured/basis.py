@@ -85,7 +85,9 @@ class PSpline:
             own = coefficient[start : start + matrix.shape[1] - max(min(k, 3), 1)]
             start += len(own)
             # As coefficients of all splines: the first two of k = 0 are one function, the first of others are left out.
-            own = np.concatenate([own[:1], own]) if k == 0 else np.pad(own, [(min(k, 3), 0), (0, 0)])
+            own = (
+                np.concatenate([own[:1], own]) if k == 0 else np.concatenate([np.zeros((min(k, 3), own.shape[1])), own])
+            )
             total += (matrix @ own) * (wave * (odd if k % 2 else even))[:, None]
         return total
 

@@ -8,6 +8,8 @@ Nicodemus 1977, NBS 160); incidences beyond the last are then known wherever lig
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -51,11 +53,41 @@ _HORIZON_ERROR = 0.5  # relative error, beyond the last cell, of a decrease with
 _ERROR_RANGE = 10.0  # distance from a single incidence at which the logarithm is uncertain by 1 [degree]
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """A dataset at some wavelengths; its sides are made when they are needed."""
+
+    bsdf: xr.Dataset
+    wavelength: Array | None
+    """(wavelength,) nm; None for those of the dataset"""
+
+    @cached_property
+    def mixing(self) -> tuple[NDArray[np.int64] | slice, Array]:
+        """See :func:`_wavelengths`."""
+        return _wavelengths(self.bsdf, self.wavelength)
+
+    @cached_property
+    def reflection(self) -> Side:
+        return Side.of(self.bsdf, False, self.mixing[0])
+
+    @cached_property
+    def transmission(self) -> Side:
+        return Side.of(self.bsdf, True, self.mixing[0])
+
+    def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+        """See :func:`evaluate`."""
+        return _over_sides(side_values, self, (theta_i, phi_i, theta_o, phi_o))
+
+    def uncertainty(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+        """See :func:`uncertainty`."""
+        return _over_sides(_uncertainties, self, (theta_i, phi_i, theta_o, phi_o))
+
+
 def evaluate(
     bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
 ) -> Array:
     """BRDF or BTDF in sr⁻¹, (directions…, wavelength or 1); linear between the wavelengths."""
-    return _over_sides(side_values, bsdf, (theta_i, phi_i, theta_o, phi_o), wavelength)
+    return Prepared(bsdf, wavelength).evaluate(theta_i, phi_i, theta_o, phi_o)
 
 
 def uncertainty(
@@ -68,7 +100,7 @@ def uncertainty(
     horizon the error is the change that the continued fit would make. An error s of the logarithm counts as exp s − 1. Where the two
     directions of light give different values, their weighted disagreement is added.
     """
-    return _over_sides(_uncertainties, bsdf, (theta_i, phi_i, theta_o, phi_o), wavelength)
+    return Prepared(bsdf, wavelength).uncertainty(theta_i, phi_i, theta_o, phi_o)
 
 
 def quality(bsdf: xr.Dataset, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> NDArray[np.int8]:
@@ -132,16 +164,14 @@ def nonspectral(bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
 
 def _over_sides(
     quantity: Callable[[Side, Array, Array, Array], Array],
-    bsdf: xr.Dataset,
+    prepared: Prepared,
     angles: tuple[Array, Array, Array, Array],
-    wavelength: Array | None,
 ) -> Array:
     """A quantity of pairs of directions, each on its side, at the requested wavelengths, (directions…, wavelength or 1)."""
-    chosen, mixing = _wavelengths(bsdf, wavelength)
-    flat = _flat(angles)
+    mixing, flat = prepared.mixing[1], _flat(angles)
     result = np.zeros((flat[0].size, mixing.shape[1]))
-    for transmitted, at, pairs in _pairs_by_side(bsdf, flat):
-        side = Side.of(bsdf, transmitted, chosen)
+    for transmitted, at, pairs in _pairs_by_side(prepared.bsdf, flat):
+        side = prepared.transmission if transmitted else prepared.reflection
         for start in range(0, at.size, _CHUNK):
             part = slice(start, start + _CHUNK)
             result[at[part]] = quantity(side, pairs[0][part], pairs[1][part], pairs[2][part]) @ mixing

@@ -7,8 +7,9 @@ is constant.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -73,7 +74,7 @@ class Side:
             (bsdf["theta_i"].values, bsdf["incidence_error"].values) if averaged else None,
         )
 
-    @property
+    @cached_property
     def abscissa(self) -> Array:
         """(node,)"""
         return interpolation_abscissa(self.incidence)
@@ -154,12 +155,22 @@ def node_contributions(side: Side, paths: list[PathDirection]) -> Iterator[NodeC
     """The contribution of each node to the directions next to it, for each path direction."""
     for path in paths:
         lobe = lobe_coordinates(side, path)
-        for node in range(side.incidence.size):
+        for node in _nodes_beside(side, path.theta_i):
             even, odd = (weight * path.weight for weight in node_weights(side, node, path.theta_i))
             pairs = np.flatnonzero((even > 0) | (odd > 0))
             if pairs.size:
                 at_node, _ = coordinates_at_node(side, node, lobe.select(pairs))
                 yield NodeContribution(node, pairs, even[pairs], (odd if side.logarithmic else even)[pairs], at_node)
+
+
+def _nodes_beside(side: Side, theta_i: Array) -> Iterable[int]:
+    """Nodes that may have a weight at some of the incidences."""
+    if theta_i.size > side.incidence.size:
+        return range(side.incidence.size)
+    x = interpolation_abscissa(theta_i)
+    above = (nodes.searchsorted(at) for nodes, at in ((side.abscissa, x), (np.sqrt(side.abscissa), np.sqrt(x))))
+    beside = {int(place) + step for places in above for place in places for step in (-1, 0, 1)}
+    return sorted(node for node in beside if 0 <= node < side.incidence.size)
 
 
 def lobe_coordinates(side: Side, path: PathDirection) -> LobeCoordinates:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.measured import basis, evaluation
+from brdfpipe.bsdf.spectral import per_wavelength
 from brdfpipe.geometry import Array
 
 _WAVELENGTHS = ("wavelength", "mixed")
@@ -47,13 +48,17 @@ class Measured(Representation):
     states_uncertainty = True
     states_quality = True
 
+    def __init__(self, dataset: xr.Dataset) -> None:
+        super().__init__(dataset)
+        self._prepared = per_wavelength(lambda wavelength: evaluation.Prepared(dataset, wavelength))
+
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
-        return evaluation.evaluate(self.dataset, theta_i, phi_i, theta_o, phi_o, wavelength)
+        return self._prepared(wavelength).evaluate(theta_i, phi_i, theta_o, phi_o)
 
     def uncertainty(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
     ) -> Array:
-        return evaluation.uncertainty(self.dataset, theta_i, phi_i, theta_o, phi_o, wavelength)
+        return self._prepared(wavelength).uncertainty(theta_i, phi_i, theta_o, phi_o)
 
     def quality(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> NDArray[np.int8]:
         return evaluation.quality(self.dataset, theta_i, phi_i, theta_o, phi_o)
