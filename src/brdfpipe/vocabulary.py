@@ -13,6 +13,7 @@ from math import inf
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from brdfpipe.errors import VocabularyError
 
@@ -85,6 +86,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "slope_density": Quantity("1", "probability density of facets in slope space, P22", 0),
     "D": Quantity("sr-1", "facet distribution D(m): area of facets per solid angle and projected area", 0),
     "count": Quantity("1", "number of facets in the bin", 0),
+    "line_count": Quantity("1", "number of slopes along lines, of either sign, at the node nearest to them", 0),
+    "line_count_along": Quantity("1", "number of slopes of lines along the lay at the node nearest to them", 0),
+    "line_count_across": Quantity("1", "number of slopes of lines across the lay at the node nearest to them", 0),
     "lambda_smith": Quantity("1", "Smith's masking function Λ", 0),
     "slope_rms": Quantity(
         "1",
@@ -449,6 +453,9 @@ _FACETS = Kind(
     },
     optional={
         "count": SLOPES,
+        "line_count": [("slope",)],
+        "line_count_along": [("slope_along",)],
+        "line_count_across": [("slope_across",)],
         "anisotropy": SCALAR,
         "lay": SCALAR,
         "facet_count": SCALAR,
@@ -756,7 +763,7 @@ def _check_values(name: str, variable: xr.DataArray, where: str, missing: bool) 
     if np.isinf([known.low, known.high]).all() and name not in variable.dims and np.isfinite(values.sum(dtype=float)):
         return  # any finite value is allowed, and the sum shows that all are finite
     # Of increasing coordinates the ends are the extremes, and none is missing.
-    increasing = name in variable.dims and values.size > 1 and bool((values[1:] > values[:-1]).all())
+    increasing = name in variable.dims and _increases(values)
     low, high = map(float, (values[0], values[-1]) if increasing else (values.min(), values.max()))
     if np.isnan(low):  # the minimum propagates NaN, so missing values are counted only if there are some
         absent = np.isnan(values)
@@ -772,6 +779,14 @@ def _check_values(name: str, variable: xr.DataArray, where: str, missing: bool) 
     if name in variable.dims and values.size > 1 and not increasing:
         raise VocabularyError(f"{where}the coordinate {name!r} must increase strictly")
 
+
+def _increases(values: NDArray[np.float64]) -> bool:
+    """Whether more than one value increase strictly; in parts that stay in the cache."""
+    parts = (values[start : start + _PART + 1] for start in range(0, values.size - 1, _PART))
+    return values.size > 1 and all(bool((part[1:] > part[:-1]).all()) for part in parts)
+
+
+_PART = 2**15
 
 WAVES_AT_FACES = {f"{side}_wave_": f"{side} face" for side in ("front", "back")}
 """Prefix of the variables of a ``wave`` BSDF in that of a sheet, and what they belong to."""

@@ -68,7 +68,8 @@ def test_slopes_of_a_line_are_counted_by_magnitude_those_beside_gaps_left_out():
     slopes = np.random.default_rng(2).normal(size=9001)
     slopes[::100] = np.nan
     counts, tables = np.zeros(FINE_BINS, dtype=np.int64), slope_kernels.empty_tables()
-    slope_kernels.count_line_slopes(slopes, tables)
+    slope_kernels.count_line_slopes(slopes + 1.0, np.ones(9001), 0.5, -0.25, tables)
+    slopes = (slopes + 1.0 - 1.0) * 0.5 + 0.25
     slope_kernels.move_counts(tables, counts)
     assert np.array_equal(counts, bits_counted(slopes[np.isfinite(slopes)].astype(np.float32) ** 2))
     assert not tables.any()

@@ -59,12 +59,19 @@ def tail(junction: Junction, share: float, excess: float) -> tuple[Array, Array]
     if junction.decay > 0:
         content = share / (2 * np.pi * junction.density)
         guess = 1 / length, float(np.log(junction.density / plain))
-        bents = (_Bent(start, junction.decay, bend / junction.decay) for bend in _BENDS)
-        solved = [(bent, solution) for bent in bents if (solution := bent.solved(content, excess, *guess))]
-        if solved:
-            bent, solution = min(solved, key=lambda pair: pair[0].variation(*pair[1]))
-            x = bent.nodes(solution[0])
-            return start + x, junction.density * np.exp(-bent.fall(x, *solution))
+        best, least = None, np.inf
+        # The variation falls with the length of the bend and then rises; each solution is a guess of the next.
+        for bent in (_Bent(start, junction.decay, bend / junction.decay) for bend in _BENDS):
+            solution = bent.solved(content, excess, *guess)
+            if solution is None:
+                continue
+            if bent.variation(*solution) >= least:
+                break
+            best, least, guess = (bent, *solution), bent.variation(*solution), solution
+        if best:
+            bent, decay, drop = best
+            x = bent.nodes(decay)
+            return start + x, junction.density * np.exp(-bent.fall(x, decay, drop))
     step = np.concatenate([[0.0], np.geomspace(0.05, _LENGTHS, _NODES)])
     return start + length * step, plain * np.exp(-step)
 

@@ -78,6 +78,14 @@ class LineSlopeCounts(NamedTuple):
     def steepest(self) -> float:
         return float(self.bins[:, 1].max())
 
+    def on_nodes(self, nodes: Array) -> Array:
+        """Slopes at the nearest of increasing nodes (n,): by magnitude, or half of them on either side of nodes about zero."""
+        sides = (1.0,) if nodes[0] >= 0 else (1.0, -1.0)
+        borders, result = (nodes[1:] + nodes[:-1]) / 2, np.zeros(nodes.size)
+        for side in sides:
+            np.add.at(result, np.searchsorted(borders, side * self.middles), self.counts / len(sides))
+        return result
+
     @property
     def median(self) -> float:
         cumulative = np.concatenate([[0.0], np.cumsum(self.counts)])
@@ -253,9 +261,15 @@ def _fine_counts(profiles: Sequence[_Profile], quantum: float) -> tuple[Array, N
     from brdfpipe.facets import slope_kernels
 
     fine, tables = np.zeros((STRETCHES, FINE_BINS), dtype=np.int64), slope_kernels.empty_tables()
-    for stretch, parts in groupby(_stretches(profiles, quantum), key=itemgetter(0)):
-        for _, slopes in parts:
-            slope_kernels.count_line_slopes(slopes, tables)
+    for stretch, parts in groupby(_stretches(profiles), key=itemgetter(0)):
+        for _, profile, span in parts:
+            if profile.present is None and profile.is_steady(quantum):
+                ahead, behind = profile.rises[span.start + 1 : span.stop + 1], profile.rises[span]
+                shift = float(np.ravel(profile.shift(np.arange(1), quantum))[0])
+                slope_kernels.count_line_slopes(ahead, behind, 1 / profile.pitch, shift, tables)
+            else:
+                slopes = profile.slopes(span, quantum)
+                slope_kernels.count_line_slopes(slopes, np.zeros_like(slopes), 1.0, 0.0, tables)
         slope_kernels.move_counts(tables, fine[stretch])
     used = int(np.flatnonzero(fine.any(axis=0))[-1]) + 1
     return fine_edges()[: used + 1], fine[:, :used]
@@ -265,7 +279,8 @@ def _count_multiples(profiles: Sequence[_Profile], quantum: float, targets: Arra
     """Edges of bins of whole multiples of the quantum, about those of the targets, and counts in them (stretches, bins)."""
     cuts = np.unique(np.concatenate([[0, 1], np.rint(targets / quantum + 0.5).astype(np.int64)]))
     by_stretch = np.zeros((STRETCHES, cuts.size - 1))
-    for stretch, slopes in _stretches(profiles, quantum):
+    for stretch, profile, span in _stretches(profiles):
+        slopes = profile.slopes(span, quantum)
         multiples = np.rint(np.abs(slopes[np.isfinite(slopes)]) / quantum).astype(np.int64)
         counted = np.bincount(np.minimum(multiples, cuts[-1] - 1), minlength=cuts[-1])
         by_stretch[stretch] += np.add.reduceat(counted, cuts[:-1])
@@ -304,6 +319,20 @@ class _Profile(NamedTuple):
         lattice = self.offset + self.growth * positions
         # Whole multiples are removed, so that lines of different tilt share them; the remainder of each mean adds to the blur.
         return np.asarray(lattice + quantum * np.rint((self.mean - lattice) / quantum))
+
+    def is_steady(self, quantum: float) -> bool:
+        """Whether what to subtract is the same for all slopes."""
+        return not quantum or abs(self.growth) * self.size < 0.01 * quantum
+
+    def slopes(self, span: slice, quantum: float) -> Array:
+        """Slopes given by number, less their shift."""
+        if self.present is None:
+            slopes = np.diff(self.rises[span.start : span.stop + 1].astype(float)) * (1 / self.pitch)
+        else:
+            slopes = self.rises[span] / self.pitch
+        steady = self.is_steady(quantum)
+        positions = np.arange(1) if steady else self.positions(np.arange(span.start, span.stop))
+        return np.asarray(slopes - self.shift(positions, quantum))
 
 
 def _with_noise(profile: _Profile, line: xr.Dataset, noise: float | NoiseFloor | None) -> _Profile:
@@ -344,28 +373,15 @@ def _check_slopes(slopes: Array, mean: float) -> None:
     check_slope_rms(rms, " of a line profile")
 
 
-def _stretches(profiles: Sequence[_Profile], quantum: float) -> Iterator[tuple[int, Array]]:
-    """Slopes of all lines less the shift of each, in chunks, with the number of their stretch."""
-    borders = np.linspace(0, sum(profile.size for profile in profiles), STRETCHES + 1).astype(int)
-    slopes, begin = np.empty(_CHUNK), 0
+def _stretches(profiles: Sequence[_Profile]) -> Iterator[tuple[int, _Profile, slice]]:
+    """The slopes of all lines in chunks: the number of their stretch, their line, and which of its slopes they are."""
+    borders, begin = np.linspace(0, sum(profile.size for profile in profiles), STRETCHES + 1).astype(int).tolist(), 0
     for profile in profiles:
-        end = begin + profile.size
-        first = max(0, int(np.searchsorted(borders, begin, side="right")) - 1)
-        steady = not quantum or abs(profile.growth) * profile.size < 0.01 * quantum
-        shift = profile.shift(np.arange(1), quantum)
-        for stretch in range(first, STRETCHES):
-            low, high = max(borders[stretch], begin) - begin, min(borders[stretch + 1], end) - begin
+        for stretch in range(STRETCHES):
+            low, high = (min(max(border - begin, 0), profile.size) for border in borders[stretch : stretch + 2])
             for start in range(low, high, _CHUNK):
-                stop = min(start + _CHUNK, high)
-                part = slopes[: stop - start]
-                if profile.present is None:
-                    np.subtract(profile.rises[start + 1 : stop + 1], profile.rises[start:stop], out=part, dtype=float)
-                    part *= 1 / profile.pitch
-                else:
-                    np.divide(profile.rises[start:stop], profile.pitch, out=part)
-                part -= shift if steady else profile.shift(profile.positions(np.arange(start, stop)), quantum)
-                yield stretch, part
-        begin = end
+                yield stretch, profile, slice(start, min(start + _CHUNK, high))
+        begin += profile.size
 
 
 def _lattice(slopes: Array, positions: NDArray[np.intp]) -> tuple[float, float, float]:

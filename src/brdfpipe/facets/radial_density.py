@@ -55,8 +55,7 @@ class RadialDensity:
 
     @cached_property
     def log_density(self) -> PiecewiseCubic:
-        u, values = self.slope**2, np.log(self.density)
-        return PiecewiseCubic.of(CubicHermiteSpline(u, values, _limited_derivatives(u, values)))
+        return PiecewiseCubic.of(log_spline(self.slope**2, np.log(self.density)))
 
     def panels(self, most: int = 96) -> Array:
         """Edges, on nodes, of at most ``most`` panels that resolve the density."""
@@ -82,6 +81,11 @@ class RadialDensity:
         """The slope magnitude that half of the facets exceed: a width that exists for every density."""
         s, weight = self.rule()
         return float(np.interp(0.5 * weight.sum(), np.cumsum(weight), s))
+
+
+def log_spline(slope_squared: Array, log_density: Array) -> CubicHermiteSpline:
+    """The interpolant of :class:`RadialDensity`."""
+    return CubicHermiteSpline(slope_squared, log_density, _limited_derivatives(slope_squared, log_density))
 
 
 def _limited_derivatives(x: Array, y: Array) -> Array:

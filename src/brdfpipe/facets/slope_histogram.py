@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.density_tail import Junction, tail
-from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.facets.radial_density import RadialDensity, log_spline
 from brdfpipe.facets.slopes import fine_edges
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
@@ -264,12 +264,11 @@ def density_from_histogram(binned: MergedHistogram) -> CountedDensity:
     def with_ends(log_density: Array) -> Array:
         return _with_ends(body, log_density, tail_density)
 
-    def tabulated(log_density: Array) -> RadialDensity:
-        return RadialDensity(slope, np.concatenate([np.exp(with_ends(log_density)), tail_density[1:]]))
-
+    log_tail = np.log(tail_density[1:])
     # A bin's mean is not the density at its middle: move each node until the interpolant holds the bin's share.
     for _ in range(12):
-        mass = 2 * np.pi * s * tabulated(log_density)(s**2) * ds
+        at_rule = log_spline(slope**2, np.concatenate([with_ends(log_density), log_tail]))(s**2)
+        mass = 2 * np.pi * s * np.exp(at_rule) * ds
         log_density = log_density + np.log(share / np.bincount(owner, mass, minlength=share.size))
     # Derivatives of the nodes, and of the shares, with respect to the middles; linear interpolation is accurate enough here.
     step = 1e-6
@@ -286,7 +285,8 @@ def density_from_histogram(binned: MergedHistogram) -> CountedDensity:
     relative_u = np.minimum(np.concatenate([relative_u, relative_u[-1] * np.hypot(1, lengths)]), 1.0)
     quality = np.full(slope.size, vocabulary.quality("measured"))
     quality[share.size + 1 :] = vocabulary.quality("extrapolated")
-    return CountedDensity(tabulated(log_density).normalised(), quality, relative_u, changes)
+    density = RadialDensity(slope, np.concatenate([np.exp(with_ends(log_density)), tail_density[1:]]))
+    return CountedDensity(density.normalised(), quality, relative_u, changes)
 
 
 def remove_broadening(binned: MergedHistogram, mean_square: float) -> MergedHistogram:

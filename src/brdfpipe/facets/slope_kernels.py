@@ -21,13 +21,16 @@ _TABLE = 2**15
 """Bins of finite squares, of infinity and of NaN."""
 _TABLES = 4
 """Counts of neighbouring slopes are kept apart: they often fall into one bin, and each addition would wait for the one before."""
-_LINE_PART = 1024
-"""Slopes of a line that are binned together."""
+_STRIP = 512
+"""Quads of a row, or slopes of a line, that are read together: what they need stays in the nearest cache."""
+_SECOND, _THIRD, _FOURTH = _STRIP, 2 * _STRIP, 3 * _STRIP
+"""Where parts of one array begin. Since these distances are known, the compiler sees that no result overlaps an operand, and vectorises."""
 _UPPER_HALF = 1 if np.little_endian else 0
+_MASK = _TABLE - 1
 
 
 @compiled
-def _dithered_row(height: Array, row: int, first: int, at: int, quantum: float, out: Array) -> None:
+def _read_row(height: Array, row: int, first: int, at: int, quantum: float, out: Array) -> None:
     """Heights of a row from the column ``first`` on, dithered as :func:`brdfpipe.facets.height_quantisation.dither` says."""
     if quantum == 0:
         for k in range(out.size):
@@ -41,57 +44,44 @@ def _dithered_row(height: Array, row: int, first: int, at: int, quantum: float, 
         out[k] = height[row, first + k] + quantum * (np.float64(mixed >> np.uint64(11)) * 2.0**-53 - 0.5)
 
 
-# Short loops of few arrays: the compiler vectorises them, since it can check that no result overlaps an operand.
-
-
 @compiled
-def _add_slopes(
-    ahead: Array, behind: Array, per: float, tilt: float, weight: float, slope: Array, total: Array
+def _add_quads(
+    above: Array, below: Array, pitch: Array, tilt: Array, totals: Array, squares: NDArray[np.float32]
 ) -> None:
-    """Slopes, whose weighted squares are added to a total of each column."""
-    for k in range(slope.size):
-        value = (ahead[k] - behind[k]) * per - tilt
-        slope[k] = value
-        total[k] += weight * (value * value)
+    """Squared slopes of the four triangles of each quad between two rows of heights.
 
-
-@compiled
-def _single_squares(
-    ahead: Array, behind: Array, per: np.float32, tilt: np.float32, square: NDArray[np.float32]
-) -> None:
-    for k in range(square.size):
-        slope = np.float32(ahead[k] - behind[k]) * per - tilt
-        square[k] = slope * slope
-
-
-@compiled
-def _two_sums(
-    a: NDArray[np.float32],
-    b: NDArray[np.float32],
-    c: NDArray[np.float32],
-    first: NDArray[np.float32],
-    second: NDArray[np.float32],
-) -> None:
-    for k in range(first.size):
-        first[k] = a[k] + b[k]
-        second[k] = a[k] + c[k]
-
-
-@compiled
-def _add_products(a: Array, b: Array, c: Array, d: Array, total: Array) -> None:
-    for k in range(total.size):
-        total[k] += (a[k] + b[k]) * (c[k] + d[k])
+    Totals of each column get products of the rises without their tilt: the squares of the lower along x and of the left along y, and
+    those of both, of all four triangles.
+    """
+    lean_x, lean_y = tilt[0] * pitch[0], tilt[1] * pitch[1]
+    per_x, per_y = np.float32(1 / pitch[0]), np.float32(1 / pitch[1])
+    tilt_x, tilt_y = np.float32(tilt[0]), np.float32(tilt[1])
+    for k in range(above.size - 1):
+        a, b, c, d = above[k], above[k + 1], below[k], below[k + 1]
+        top, bottom, left, right = b - a, d - c, c - a, d - b
+        p, p_below = np.float32(top) * per_x - tilt_x, np.float32(bottom) * per_x - tilt_x
+        q, q_right = np.float32(left) * per_y - tilt_y, np.float32(right) * per_y - tilt_y
+        p, p_below, q, q_right = p * p, p_below * p_below, q * q, q_right * q_right
+        squares[k] = p + q
+        squares[_SECOND + k] = p + q_right
+        squares[_THIRD + k] = p_below + q
+        squares[_FOURTH + k] = p_below + q_right
+        top, bottom, left, right = top - lean_x, bottom - lean_x, left - lean_y, right - lean_y
+        totals[k] += bottom * bottom
+        totals[_SECOND + k] += left * left
+        totals[_THIRD + k] += (top + bottom) * (left + right)
 
 
 @compiled
 def _count(bits: NDArray[np.uint16], size: int, tables: NDArray[np.uint32]) -> None:
-    """Add to each table the squares of one row of ``bits``."""
+    """Add to each table ``size`` squares of one part of ``bits``."""
+    first, second, third, fourth = tables[0], tables[1], tables[2], tables[3]
     for k in range(size):
         upper = 2 * k + _UPPER_HALF
-        tables[0, bits[0, upper] & (_TABLE - 1)] += np.uint32(1)
-        tables[1, bits[1, upper] & (_TABLE - 1)] += np.uint32(1)
-        tables[2, bits[2, upper] & (_TABLE - 1)] += np.uint32(1)
-        tables[3, bits[3, upper] & (_TABLE - 1)] += np.uint32(1)
+        first[bits[upper] & _MASK] += np.uint32(1)
+        second[bits[2 * _SECOND + upper] & _MASK] += np.uint32(1)
+        third[bits[2 * _THIRD + upper] & _MASK] += np.uint32(1)
+        fourth[bits[2 * _FOURTH + upper] & _MASK] += np.uint32(1)
 
 
 @compiled
@@ -101,6 +91,11 @@ def move_counts(tables: NDArray[np.uint32], counts: NDArray[np.int64]) -> None:
         for k in range(counts.size):
             counts[k] += table[k]
     tables[:] = 0
+
+
+def empty_tables() -> NDArray[np.uint32]:
+    """Tables for the counts of squared slopes."""
+    return np.zeros((_TABLES, _TABLE), dtype=np.uint32)
 
 
 @compiled
@@ -127,189 +122,116 @@ def count_map_slopes(
     counts : (blocks, bins) to which the facets are added by the upper 16 bits of their squared slopes; NaN and infinity are left out
     sums : (blocks, 6) number of facets, and their sums of p, q, p², q² and pq; not finite where a height is missing
     """
-    rows, widest = height.shape[0], 1 + np.max(columns[1:] - columns[:-1])
+    rows, lean_x, lean_y = height.shape[0], tilt[0] * pitch[0], tilt[1] * pitch[1]
     tables = np.zeros((_TABLES, _TABLE), dtype=np.uint32)
-    squares = np.empty((_TABLES, widest), dtype=np.float32)
+    squares, totals, lines = np.empty(4 * _STRIP, dtype=np.float32), np.empty(3 * _STRIP), np.empty((3, _STRIP + 1))
     bits = squares.view(np.uint16)
-    square_x, square_y = np.empty((2, widest), dtype=np.float32), np.empty(widest, dtype=np.float32)
-    lines, slope_x, slope_y = np.empty((2, widest)), np.empty((2, widest)), np.empty(widest)
-    top, totals = np.empty(widest), np.empty((3, widest))
-    per_x, per_y = 1 / pitch[0], 1 / pitch[1]
-    single_x, single_y = np.float32(per_x), np.float32(per_y)
-    tilt_x, tilt_y = np.float32(tilt[0]), np.float32(tilt[1])
+    sums[:] = 0.0
     for block in range(columns.size - 1):
-        first, quads = columns[block], columns[block + 1] - columns[block]
-        if quads == 0:
-            continue
-        totals[:] = 0.0
         rise_x, rise_y = 0.0, 0.0
-        for row in range(rows):
-            new, old = row & 1, 1 - (row & 1)
-            line = lines[new, : quads + 1]
-            _dithered_row(height, row, first, at, quantum, line)
-            # A row or a column inside the block has quads on both sides.
-            weight = 2.0 if 0 < row < rows - 1 else 1.0
-            _add_slopes(line[1:], line[:-1], per_x, tilt[0], weight, slope_x[new, :quads], totals[0, :quads])
-            _single_squares(line[1:], line[:-1], single_x, tilt_x, square_x[new, :quads])
-            rise_x += weight * (line[quads] - line[0])
-            if row == 0:
-                top[: quads + 1] = line
-                continue
-            before = lines[old, : quads + 1]
-            _add_slopes(line, before, per_y, tilt[1], 2.0, slope_y[: quads + 1], totals[1, : quads + 1])
-            _single_squares(line, before, single_y, tilt_y, square_y[: quads + 1])
-            left, right = square_y[:quads], square_y[1 : quads + 1]
-            _two_sums(square_x[0, :quads], left, right, squares[0, :quads], squares[1, :quads])
-            _two_sums(square_x[1, :quads], left, right, squares[2, :quads], squares[3, :quads])
-            _count(bits, quads, tables)
-            _add_products(
-                slope_x[0, :quads], slope_x[1, :quads], slope_y[:quads], slope_y[1 : quads + 1], totals[2, :quads]
-            )
+        for first in range(columns[block], columns[block + 1], _STRIP):
+            quads = min(columns[block + 1] - first, _STRIP)
+            top, below = lines[2, : quads + 1], lines[0, : quads + 1]
+            _read_row(height, 0, first, at, quantum, top)
+            above = top
+            totals[:] = 0.0
+            for row in range(1, rows):
+                below = lines[row & 1, : quads + 1]
+                _read_row(height, row, first, at, quantum, below)
+                _add_quads(above, below, pitch, tilt, totals, squares)
+                _count(bits, quads, tables)
+                rise_x += (above[quads] - above[0]) + (below[quads] - below[0])
+                left, right = below[0] - above[0] - lean_y, below[quads] - above[quads] - lean_y
+                sums[block, 4] += 2 * (right * right - left * left) / pitch[1] ** 2
+                above = below
+            # A row or a column inside the strip has quads on both sides.
+            for k in range(quads):
+                first_row, last_row = top[k + 1] - top[k] - lean_x, below[k + 1] - below[k] - lean_x
+                both_sides = 2 * totals[k] + first_row * first_row - last_row * last_row
+                rise_y += (below[k] - top[k]) + (below[k + 1] - top[k + 1])
+                sums[block, 3] += 2 * both_sides / pitch[0] ** 2
+                sums[block, 4] += 4 * totals[_SECOND + k] / pitch[1] ** 2
+                sums[block, 5] += totals[_THIRD + k] / (pitch[0] * pitch[1])
         move_counts(tables, counts[block])
-        bottom = lines[(rows - 1) & 1]
-        for k in range(quads + 1):
-            rise_y += (1.0 if k == 0 or k == quads else 2.0) * (bottom[k] - top[k])
-        totals[1, 0] /= 2
-        totals[1, quads] /= 2
-        facets = 4 * (rows - 1) * quads
+        facets = 4 * (rows - 1) * (columns[block + 1] - columns[block])
         sums[block, 0] = facets
-        sums[block, 1] = 2 * rise_x * per_x - facets * tilt[0]
-        sums[block, 2] = 2 * rise_y * per_y - facets * tilt[1]
-        sums[block, 3] = 2 * totals[0, :quads].sum()
-        sums[block, 4] = 2 * totals[1, : quads + 1].sum()
-        sums[block, 5] = totals[2, :quads].sum()
+        sums[block, 1] = 2 * rise_x / pitch[0] - facets * tilt[0]
+        sums[block, 2] = 2 * rise_y / pitch[1] - facets * tilt[1]
 
 
 @compiled
-def _row_of_slopes(
-    height: Array,
-    row: int,
-    first: int,
-    at: int,
-    pitch: Array,
-    quantum: float,
-    tilt: Array,
-    lines: Array,
-    slope_x: Array,
-    slope_y: Array,
+def facet_slopes(
+    height: Array, row: int, first: int, at: int, pitch: Array, quantum: float, tilt: Array, slopes: Array
 ) -> None:
-    """Read the next row of a block: its slopes along x into ``slope_x`` (2, quads) by turns, those along y from the row before."""
-    quads, new, old = slope_x.shape[1], row & 1, 1 - (row & 1)
-    _dithered_row(height, row, first, at, quantum, lines[new])
-    for k in range(quads):
-        slope_x[new, k] = (lines[new, k + 1] - lines[new, k]) * (1 / pitch[0]) - tilt[0]
-    for k in range(quads + 1):
-        slope_y[k] = (lines[new, k] - lines[old, k]) * (1 / pitch[1]) - tilt[1]
+    """Slopes (2, rows, 4, quads) along x and y of the four triangles of quads from a row and a column on, less ``tilt``; as :func:`count_map_slopes`."""
+    quads = slopes.shape[3]
+    lines = np.empty((2, quads + 1))
+    for k in range(slopes.shape[1] + 1):
+        above, below = lines[1 - (k & 1)], lines[k & 1]
+        _read_row(height, row + k, first, at, quantum, below)
+        if k == 0:
+            continue
+        along, across = slopes[0, k - 1], slopes[1, k - 1]
+        for n in range(quads):
+            p, p_below = (
+                (above[n + 1] - above[n]) * (1 / pitch[0]) - tilt[0],
+                (below[n + 1] - below[n]) * (1 / pitch[0]) - tilt[0],
+            )
+            q, q_right = (
+                (below[n] - above[n]) * (1 / pitch[1]) - tilt[1],
+                (below[n + 1] - above[n + 1]) * (1 / pitch[1]) - tilt[1],
+            )
+            along[0, n], along[1, n], along[2, n], along[3, n] = p, p, p_below, p_below
+            across[0, n], across[1, n], across[2, n], across[3, n] = q, q_right, q, q_right
 
 
 @compiled
-def sum_gentle_slopes(
-    height: Array,
-    at: int,
-    columns: NDArray[np.int64],
-    pitch: Array,
-    quantum: float,
-    tilt: Array,
-    limit: float,
-    sums: Array,
-) -> None:
-    """Number of facets gentler than a limit, and their sums of p, q, p², q² and pq, in ``sums`` (blocks, 6); as :func:`count_map_slopes`.
+def sum_gentle_slopes(slopes: Array, limit: float, sums: Array) -> None:
+    """Add to ``sums`` (6,) the number of facets gentler than a limit, and their sums of p, q, p², q² and pq, from ``slopes`` (2, facets).
 
     Facets that touch a missing height are left out.
     """
-    sums[:] = 0
-    for block in range(columns.size - 1):
-        first, quads = columns[block], columns[block + 1] - columns[block]
-        lines, slope_x, slope_y = np.empty((2, quads + 1)), np.empty((2, quads)), np.empty(quads + 1)
-        for row in range(height.shape[0]):
-            _row_of_slopes(height, row, first, at, pitch, quantum, tilt, lines, slope_x, slope_y)
-            if row == 0:
-                continue
-            for side in range(2):
-                for k in range(quads):
-                    for end in range(2):
-                        p, q = slope_x[side, k], slope_y[k + end]
-                        if p * p + q * q < limit * limit:
-                            sums[block, 0] += 1
-                            sums[block, 1] += p
-                            sums[block, 2] += q
-                            sums[block, 3] += p * p
-                            sums[block, 4] += q * q
-                            sums[block, 5] += p * q
+    for k in range(slopes.shape[1]):
+        p, q = slopes[0, k], slopes[1, k]
+        if p * p + q * q < limit * limit:
+            sums[0] += 1
+            sums[1] += p
+            sums[2] += q
+            sums[3] += p * p
+            sums[4] += q * q
+            sums[5] += p * q
 
 
 @compiled
-def count_scaled_slopes(
-    height: Array,
-    at: int,
-    columns: NDArray[np.int64],
-    pitch: Array,
-    quantum: float,
-    tilt: Array,
-    scaling: Array,
-    counts: NDArray[np.int64],
-) -> None:
-    """Count as :func:`count_map_slopes`, after multiplying the slopes (p, q) with a (2, 2) matrix in double precision."""
-    tables = np.zeros((_TABLES, _TABLE), dtype=np.uint32)
-    for block in range(columns.size - 1):
-        first, quads = columns[block], columns[block + 1] - columns[block]
-        lines, slope_x, slope_y = np.empty((2, quads + 1)), np.empty((2, quads)), np.empty(quads + 1)
-        squares = np.empty((_TABLES, quads), dtype=np.float32)
-        bits = squares.view(np.uint16)
-        for row in range(height.shape[0]):
-            _row_of_slopes(height, row, first, at, pitch, quantum, tilt, lines, slope_x, slope_y)
-            if row == 0:
-                continue
-            for side in range(2):
-                for end in range(2):
-                    for k in range(quads):
-                        p, q = slope_x[side, k], slope_y[k + end]
-                        x, y = p * scaling[0, 0] + q * scaling[0, 1], p * scaling[1, 0] + q * scaling[1, 1]
-                        squares[2 * side + end, k] = x * x + y * y
-            _count(bits, quads, tables)
-        move_counts(tables, counts[block])
+def count_scaled_slopes(slopes: Array, scaling: Array, tables: NDArray[np.uint32]) -> None:
+    """Add slopes (2, facets) times a (2, 2) matrix to tables of :func:`empty_tables`, by the upper 16 bits of their squares."""
+    squares = np.empty(_TABLES * _STRIP, dtype=np.float32)
+    bits = squares.view(np.uint16)
+    for start in range(0, slopes.shape[1], squares.size):
+        p, q = slopes[0, start : start + squares.size], slopes[1, start : start + squares.size]
+        for k in range(p.size):
+            x, y = p[k] * scaling[0, 0] + q[k] * scaling[0, 1], p[k] * scaling[1, 0] + q[k] * scaling[1, 1]
+            squares[k] = x * x + y * y
+        squares[p.size :] = np.nan
+        _count(bits, _STRIP, tables)
 
 
 @compiled
-def count_in_cells(
-    height: Array,
-    at: int,
-    columns: NDArray[np.int64],
-    pitch: Array,
-    quantum: float,
-    tilt: Array,
-    scaling: Array,
-    borders: Array,
-    counts: NDArray[np.int64],
-) -> None:
-    """Count scaled slopes, as :func:`count_scaled_slopes`, in square cells between ``borders`` (cells − 1,) along both axes.
+def count_in_cells(slopes: Array, scaling: Array, borders: Array, counts: NDArray[np.int64]) -> None:
+    """Add slopes (2, facets) times a (2, 2) matrix to counts (across, along) of square cells between ``borders`` (cells − 1,).
 
-    ``counts`` is (blocks, cells, cells), across and along; the outer cells have no end.
+    The outer cells have no end. Missing slopes are left out.
     """
     # Cells by even steps: no step is wider than the narrowest cell, so the cell is that of the step, or the next one.
     low, narrowest = borders[0], np.min(borders[1:] - borders[:-1])
     steps = int(np.ceil((borders[-1] - low) / narrowest))
     per_step = steps / (borders[-1] - low)
     cell_of_step = np.searchsorted(borders, low + np.arange(steps + 2) / per_step, side="right")
-    for block in range(columns.size - 1):
-        first, quads = columns[block], columns[block + 1] - columns[block]
-        lines, slope_x, slope_y = np.empty((2, quads + 1)), np.empty((2, quads)), np.empty(quads + 1)
-        for row in range(height.shape[0]):
-            _row_of_slopes(height, row, first, at, pitch, quantum, tilt, lines, slope_x, slope_y)
-            if row == 0:
-                continue
-            for side in range(2):
-                for k in range(quads):
-                    for end in range(2):
-                        p, q = slope_x[side, k], slope_y[k + end]
-                        x, y = p * scaling[0, 0] + q * scaling[0, 1], p * scaling[1, 0] + q * scaling[1, 1]
-                        if not math.isfinite(x + y):
-                            continue
-                        along, across = (
-                            _cell(x, borders, per_step, cell_of_step),
-                            _cell(y, borders, per_step, cell_of_step),
-                        )
-                        counts[block, across, along] += 1
+    for k in range(slopes.shape[1]):
+        p, q = slopes[0, k], slopes[1, k]
+        x, y = p * scaling[0, 0] + q * scaling[0, 1], p * scaling[1, 0] + q * scaling[1, 1]
+        if math.isfinite(x + y):
+            counts[_cell(y, borders, per_step, cell_of_step), _cell(x, borders, per_step, cell_of_step)] += 1
 
 
 @compiled
@@ -325,21 +247,14 @@ def _cell(slope: float, borders: Array, per_step: float, cell_of_step: NDArray[n
 
 
 @compiled
-def count_line_slopes(slopes: Array, tables: NDArray[np.uint32]) -> None:
-    """Add slopes of a line to tables of :func:`empty_tables`, by the upper 16 bits of their squares."""
-    squares = np.empty((_TABLES, _LINE_PART), dtype=np.float32)
+def count_line_slopes(ahead: Array, behind: Array, per: float, shift: float, tables: NDArray[np.uint32]) -> None:
+    """Add slopes along a line, (ahead − behind) · per − shift, to tables of :func:`empty_tables`, by the upper 16 bits of their squares."""
+    squares = np.empty(_TABLES * _STRIP, dtype=np.float32)
     bits = squares.view(np.uint16)
-    for start in range(0, slopes.size, _TABLES * _LINE_PART):
-        for row in range(_TABLES):
-            part = slopes[start + row * _LINE_PART : start + (row + 1) * _LINE_PART]
-            for k in range(part.size):
-                slope = np.float32(part[k])
-                squares[row, k] = slope * slope
-            for k in range(part.size, _LINE_PART):
-                squares[row, k] = np.nan
-        _count(bits, _LINE_PART, tables)
-
-
-def empty_tables() -> NDArray[np.uint32]:
-    """Tables for :func:`count_line_slopes`."""
-    return np.zeros((_TABLES, _TABLE), dtype=np.uint32)
+    for start in range(0, ahead.size, squares.size):
+        after, before = ahead[start : start + squares.size], behind[start : start + squares.size]
+        for k in range(after.size):
+            slope = np.float32((np.float64(after[k]) - before[k]) * per - shift)
+            squares[k] = slope * slope
+        squares[after.size :] = np.nan
+        _count(bits, _STRIP, tables)

@@ -7,6 +7,8 @@ show a false lay.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -107,9 +109,11 @@ def fine_edges() -> Array:
     return np.sqrt(bits.view(np.float32).astype(float))
 
 
-def _rows_of_blocks(
-    maps: Sequence[HeightMap],
-) -> Iterator[tuple[int, slice, tuple[Array, int, NDArray[np.int64], Array, float]]]:
+_RowOfBlocks = tuple[Array, int, NDArray[np.int64], Array, float]
+"""Heights of a row of blocks with their border, the row where it begins, the columns of the blocks, pitch and quantum."""
+
+
+def _rows_of_blocks(maps: Sequence[HeightMap]) -> Iterator[tuple[int, slice, _RowOfBlocks]]:
     """Rows of blocks of the maps, with their border heights: the number of the scan, those of the blocks, and what kernels read."""
     for scan, (height, pitch, quantum, *_) in enumerate(maps):
         rows, columns = (np.linspace(0, n - 1, BLOCKS + 1).astype(np.int64) for n in height.shape)
@@ -143,13 +147,38 @@ _NEGLIGIBLE_TILT = 1e-3
 _SAMPLED_ROWS = 64
 
 
+def _slopes_of_blocks(maps: Sequence[HeightMap], tilts: Array) -> Iterator[tuple[int, int, Array]]:
+    """Slopes (2, facets) about ``tilts`` of a few rows of a block at a time, with the numbers of the scan and the block."""
+    for scan, blocks, part in _rows_of_blocks(maps):
+        for column, block in enumerate(range(blocks.start, blocks.stop)):
+            for slopes in _slopes_of_block(part, column, tilts[scan]):
+                yield scan, block, slopes
+
+
+def _slopes_of_block(part: _RowOfBlocks, column: int, tilt: Array) -> Iterator[Array]:
+    from brdfpipe.facets import slope_kernels
+
+    height, at, columns, pitch, quantum = part
+    first, quads = int(columns[column]), int(columns[column + 1] - columns[column])
+    for row in range(0, height.shape[0] - 1 if quads else 0, _ROWS):
+        slopes = np.empty((2, min(_ROWS, height.shape[0] - 1 - row), 4, quads))
+        slope_kernels.facet_slopes(height, row, first, at, pitch, quantum, tilt, slopes)
+        yield slopes.reshape(2, -1)
+
+
+_ROWS = 8
+"""Rows of quads whose slopes are held at a time."""
+
+
 def count_scaled(maps: Sequence[HeightMap], tilts: Array, scaling: Array) -> NDArray[np.int64]:
     """Counts (blocks, fine bins) of the squared slopes about ``tilts``, multiplied by a (2, 2) matrix."""
     from brdfpipe.facets import slope_kernels
 
-    counts = np.zeros((len(maps) * BLOCKS**2, FINE_BINS), dtype=np.int64)
-    for scan, blocks, part in _rows_of_blocks(maps):
-        slope_kernels.count_scaled_slopes(*part, tilts[scan], scaling, counts[blocks])
+    counts, tables = np.zeros((len(maps) * BLOCKS**2, FINE_BINS), dtype=np.int64), slope_kernels.empty_tables()
+    for block, parts in groupby(_slopes_of_blocks(maps, tilts), key=itemgetter(1)):
+        for *_, slopes in parts:
+            slope_kernels.count_scaled_slopes(slopes, scaling, tables)
+        slope_kernels.move_counts(tables, counts[block])
     return counts
 
 
@@ -158,8 +187,8 @@ def count_in_cells(maps: Sequence[HeightMap], tilts: Array, scaling: Array, bord
     from brdfpipe.facets import slope_kernels
 
     counts = np.zeros((len(maps) * BLOCKS**2, borders.size + 1, borders.size + 1), dtype=np.int64)
-    for scan, blocks, part in _rows_of_blocks(maps):
-        slope_kernels.count_in_cells(*part, tilts[scan], scaling, borders, counts[blocks])
+    for _, block, slopes in _slopes_of_blocks(maps, tilts):
+        slope_kernels.count_in_cells(slopes, scaling, borders, counts[block])
     return counts
 
 
@@ -237,13 +266,21 @@ _LEAST_CONTRIBUTION = 0.3
 
 def _moments_below(limit: float, tilts: Array, maps: Sequence[HeightMap]) -> Moments:
     """Moments of the facets whose slopes about ``tilts`` are below a limit."""
+    sums = np.zeros((len(maps), 6))
+    for scan, _, part in _rows_of_blocks(maps):
+        sums[scan] += _sums_below(limit, part, tilts[scan])
+    return _moments(maps, tilts, sums)
+
+
+def _sums_below(limit: float, part: _RowOfBlocks, tilt: Array) -> Array:
+    """(6,) sums of the facets of a row of blocks whose slopes are below a limit; none of them touches a missing height."""
     from brdfpipe.facets import slope_kernels
 
-    sums, of_row = np.zeros((len(maps), 6)), np.zeros((BLOCKS, 6))
-    for scan, _, part in _rows_of_blocks(maps):
-        slope_kernels.sum_gentle_slopes(*part, tilts[scan], limit, of_row)
-        sums[scan] += of_row.sum(axis=0)
-    return _moments(maps, tilts, sums)
+    of_block = np.zeros((BLOCKS, 6))
+    for column in range(BLOCKS):
+        for slopes in _slopes_of_block(part, column, tilt):
+            slope_kernels.sum_gentle_slopes(slopes, limit, of_block[column])
+    return np.asarray(of_block.sum(axis=0))
 
 
 def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[NDArray[np.int64], Moments]:
@@ -254,9 +291,7 @@ def _count_about(tilts: Array, maps: Sequence[HeightMap]) -> tuple[NDArray[np.in
     sums, of_row = np.zeros((len(maps), 6)), np.zeros((BLOCKS, 6))
     for scan, blocks, part in _rows_of_blocks(maps):
         slope_kernels.count_map_slopes(*part, tilts[scan], counts[blocks], of_row)
-        if not np.isfinite(of_row).all():
-            slope_kernels.sum_gentle_slopes(*part, tilts[scan], np.inf, of_row)
-        sums[scan] += of_row.sum(axis=0)
+        sums[scan] += of_row.sum(axis=0) if np.isfinite(of_row).all() else _sums_below(np.inf, part, tilts[scan])
     return counts, _moments(maps, tilts, sums)
 
 

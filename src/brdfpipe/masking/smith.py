@@ -23,6 +23,8 @@ from brdfpipe.hemisphere import panel_rule
 from brdfpipe.piecewise import PiecewiseCubic
 
 _NODES = 384
+_TOGETHER = 32
+"""Directions that are integrated together: what they need stays in the cache."""
 
 
 def excess_slope(density: RadialDensity, mu: ArrayLike) -> Array:
@@ -38,12 +40,18 @@ def excess_slope(density: RadialDensity, mu: ArrayLike) -> Array:
     Over the azimuth the mean is known in closed form, g = 2 ∫_μ^∞ P22 s [√(s² − μ²) − μ arccos(μ/s)] ds; the rest is
     a Gauss–Legendre rule on the density's own panels, split at μ.
     """
-    mu = np.asarray(mu, dtype=float)
-    edges = np.maximum(density.panels(128), mu[:, None])
-    s, ds = panel_rule(edges, 4)
+    mu, panels = np.asarray(mu, dtype=float), density.panels(128)
+    parts = [mu[start : start + _TOGETHER] for start in range(0, mu.size, _TOGETHER)]
+    return np.concatenate([_excess_of_few(density, panels, part) for part in parts]) if parts else mu
+
+
+def _excess_of_few(density: RadialDensity, panels: Array, mu: Array) -> Array:
+    # Panels below every μ have no width.
+    first = max(int(np.searchsorted(panels, mu.min(), side="right")) - 1, 0)
+    s, ds = panel_rule(np.maximum(panels[first:], mu[:, None]), 4)
     ratio = np.clip(mu[:, None] / np.where(s > 0, s, 1.0), 0.0, 1.0)
     kernel = np.sqrt(1 - ratio**2) - ratio * np.arccos(ratio)
-    return 2 * np.sum(density(s**2) * s**2 * kernel * ds, axis=1)
+    return np.asarray(2 * np.sum(density(s**2) * s**2 * kernel * ds, axis=1))
 
 
 def smith_lambda(density: RadialDensity) -> xr.DataArray:

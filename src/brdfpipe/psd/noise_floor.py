@@ -18,11 +18,13 @@ from brdfpipe.psd.k_correlation import PsdError
 from brdfpipe.psd.periodograms import Rings, Scan, full_pitch, rings
 
 _PATCH = {1: 512, 2: 128}
-_MOST_PATCHES = 64
+_MOST_PATCHES, _FEW_PATCHES = 64, 9
 _WHITENESS = 0.03
 """Relative scatter of the floor of an instrument that still counts as white."""
 _SURFACE_SHARE = 0.5
 """Largest surface over noise at half the power of two below the Nyquist frequency: beyond it, no plateau is seen."""
+_LARGEST_FALL = 1.2 * (1 + _SURFACE_SHARE)
+"""Largest ratio of the spectrum there to that at its highest frequency."""
 _SIGNIFICANT = 3.0
 _STEADY = 0.1
 """Largest relative uncertainty of the rings from the scatter of the patches."""
@@ -37,6 +39,8 @@ _UNCERTAIN = 0.3
 _FEWEST_RINGS = 6
 _POWERS = 1.0, 20.0
 """Powers of the frequency with which a surface may decay towards its plateau."""
+_TRIALS, _NARROWINGS = 64, 4
+"""Powers that are tried at a time, and times their range is narrowed to the neighbours of the best."""
 
 
 class NoiseFloor(NamedTuple):
@@ -45,9 +49,13 @@ class NoiseFloor(NamedTuple):
     sigma: float
     """Rms height [um]; 0 where no noise is known."""
     uncertainty: float
-    """Standard uncertainty of it [um]."""
+    """Standard uncertainty of it [um]; 0 where that is not stated."""
     source: str
     """How it is known, in words."""
+
+    def __str__(self) -> str:
+        """The noise and its uncertainty, for a person."""
+        return noise_in_words(self.sigma, self.uncertainty)
 
     def density(self, scan: Scan) -> float:
         """Two-sided spectrum of the noise [um4; of a line um3]."""
@@ -56,6 +64,11 @@ class NoiseFloor(NamedTuple):
     def density_uncertainty(self, scan: Scan) -> float:
         """Standard uncertainty of that spectrum."""
         return 2 * self.sigma * self.uncertainty * scan.cell
+
+
+def noise_in_words(sigma: float, uncertainty: float) -> str:
+    """A height noise and its standard uncertainty [um], where that is stated."""
+    return f"{1000 * sigma:.3g} nm ({f'± {1000 * uncertainty:.2g} nm' if uncertainty else 'uncertainty not stated'})"
 
 
 UNKNOWN = NoiseFloor(0.0, 0.0, "the spectrum has no plateau at its highest frequencies")
@@ -96,15 +109,19 @@ def plateau(scan: Scan) -> NoiseFloor:
         rms = float(sample.std()) if sample.size else 0.0
     if not _POSSIBLE[0] < rms < _POSSIBLE[1]:
         return UNKNOWN
-    try:
-        fine, _ = full_pitch(scan, _PATCH[scan.height.ndim], _MOST_PATCHES)
-    except PsdError:
-        return UNKNOWN
-    # In the corners of the frequency plane the surface has fallen even further.
-    corner = float(
-        np.sqrt(sum(axis[axis.size // 2 if k < len(fine.axes) - 1 else -1] ** 2 for k, axis in enumerate(fine.axes)))
-    )
-    floor = _fit(rings([fine], corner), scan.nyquist)
+    # A few patches tell a spectrum that falls to the end.
+    for most, steepest in ((_FEW_PATCHES, 2 * _LARGEST_FALL), (_MOST_PATCHES, _LARGEST_FALL)):
+        try:
+            fine, _ = full_pitch(scan, _PATCH[scan.height.ndim], most)
+        except PsdError:
+            return UNKNOWN
+        # In the corners of the frequency plane the surface has fallen even further.
+        ends = (axis[axis.size // 2 if k < len(fine.axes) - 1 else -1] for k, axis in enumerate(fine.axes))
+        spectrum = rings([fine], float(np.sqrt(sum(end**2 for end in ends))))
+        shoulder = spectrum.between(scan.nyquist / np.sqrt(2), scan.nyquist).density
+        if shoulder.size == 0 or shoulder[0] > steepest * spectrum.density[-1]:
+            return UNKNOWN
+    floor = _fit(spectrum, scan.nyquist)
     if floor is None:
         return UNKNOWN
     level, uncertainty = floor
@@ -150,12 +167,13 @@ def _level_of_difference(scan: Scan, other: Scan) -> tuple[float, float]:
     return mean / 2, float(octave.density.std()) / mean
 
 
-def given(scan: Scan, sigma: float, lambda_s: float = 0.0) -> NoiseFloor:
-    """White noise of a stated rms height [um].
+def given(scan: Scan, sigma: float, lambda_s: float = 0.0, uncertainty: float = 0.0) -> NoiseFloor:
+    """White noise of a stated rms height and standard uncertainty [um].
 
     Raises
     ------
-    PsdError : the noise is negative or not below the rms of the heights, or the heights were smoothed with ``lambda_s`` [um].
+    PsdError : the noise is negative or not below the rms of the heights, the heights were smoothed with ``lambda_s`` [um], or the
+        uncertainty is negative or above the noise.
     """
     rms = float(np.sqrt(scan.variance))
     if not 0 <= sigma < rms:
@@ -167,14 +185,16 @@ def given(scan: Scan, sigma: float, lambda_s: float = 0.0) -> NoiseFloor:
             f"a height noise was given for heights that were smoothed with λs = {lambda_s:g} um, after which noise is not white; "
             "accepted: one of `surface.noise` and `surface.lambda_s`"
         )
-    return NoiseFloor(sigma, 0.0, "description of the material")
+    if not 0 <= uncertainty <= sigma:
+        raise PsdError(
+            f"an uncertainty of {1000 * uncertainty:.4g} nm was given for a height noise of {1000 * sigma:.4g} nm; accepted: 0 to the noise itself; correct "
+            "`surface.noise_uncertainty`"
+        )
+    return NoiseFloor(sigma, uncertainty, "description of the material")
 
 
 def _fit(spectrum: Rings, nyquist: float) -> tuple[float, float] | None:
     """Level of the plateau and its standard uncertainty; None if there is no plateau."""
-    shoulder = spectrum.between(nyquist / np.sqrt(2), nyquist).density
-    if shoulder.size == 0 or shoulder[0] > 1.2 * (1 + _SURFACE_SHARE) * spectrum.density[-1]:
-        return None
     # From higher and higher frequencies: a surface need not follow one power over several octaves.
     for start in nyquist * 2.0 ** np.arange(-3, -0.4, 0.5):
         part = spectrum.between(start, np.inf)
@@ -189,35 +209,22 @@ def _fit(spectrum: Rings, nyquist: float) -> tuple[float, float] | None:
 
 def _constant_and_power(part: Rings, nyquist: float) -> tuple[float, float, float, float]:
     """Constant of a fitted sum of a constant and a power, its relative uncertainty, the power at 0.7 of the Nyquist frequency, and χ² per ring."""
-    from scipy.optimize import least_squares
-
     x, scale = np.log(part.frequency / nyquist), float(part.density[-1])
-    weight = 1 / np.hypot(part.uncertainty, _WHITENESS * part.density)
-
-    def residual(parameters: Array) -> Array:
-        noise, surface, power = parameters
-        return np.asarray((scale * (np.exp(noise) + np.exp(surface - power * x)) - part.density) * weight)
-
-    def derivatives(parameters: Array) -> Array:
-        noise, surface, power = parameters
-        above = np.exp(surface - power * x)
-        return np.asarray(
-            np.stack([np.full_like(x, np.exp(noise)), above, -x * above], axis=1) * (scale * weight)[:, None]
-        )
-
-    bounds = np.array([-20.0, -60.0, _POWERS[0]]), np.array([5.0, 30.0, _POWERS[1]])
-    start = np.clip(_start(x, part.density / scale, scale * weight), *bounds)
-    fit = least_squares(residual, start, derivatives, bounds=bounds, x_scale=np.array([0.1, 1.0, 1.0]))
-    noise, surface, power = fit.x
-    jacobian = np.asarray(fit.jac)
+    weight = scale / np.hypot(part.uncertainty, _WHITENESS * part.density)
+    powers = np.geomspace(*_POWERS, _TRIALS)
+    for _ in range(_NARROWINGS):
+        noise, surface, power, misfit = _best_of(powers, x, part.density / scale, weight)
+        step = (powers[-1] / powers[0]) ** (1 / (_TRIALS - 1))
+        powers = np.clip(np.geomspace(power / step, power * step, _TRIALS), *_POWERS)
+    above = surface * np.exp(-power * x)
+    jacobian = np.stack([np.full_like(x, noise), above, -x * above], axis=1) * weight[:, None]
     relative = float(np.hypot(np.sqrt(np.linalg.pinv(jacobian.T @ jacobian)[0, 0]), _WHITENESS))
-    shoulder = scale * float(np.exp(surface + power * np.log(2) / 2))
-    return scale * float(np.exp(noise)), relative, shoulder, 2 * float(fit.cost) / (part.frequency.size - 3)
+    shoulder = scale * surface * float(np.exp(power * np.log(2) / 2))
+    return scale * noise, relative, shoulder, misfit / (part.frequency.size - 3)
 
 
-def _start(x: Array, density: Array, weight: Array) -> Array:
-    """Logarithms of the constant and of the amplitude of the power, and the power: the best of many powers, of which both follow linearly."""
-    powers = np.geomspace(*_POWERS, 64)
+def _best_of(powers: Array, x: Array, density: Array, weight: Array) -> tuple[float, float, float, float]:
+    """Constant, amplitude of the power, power, and χ², of the best of many powers, from which both others follow linearly."""
     above, square = np.exp(-powers[:, None] * x), weight**2
     one, both, two = square.sum(), above @ square, above**2 @ square
     first, second = float(square @ density), above @ (square * density)
@@ -230,4 +237,4 @@ def _start(x: Array, density: Array, weight: Array) -> Array:
     )
     misfit = np.square((noise[:, None] + surface[:, None] * above - density) * weight).sum(axis=1)
     best = int(np.argmin(misfit))
-    return np.append(np.log(np.maximum([noise[best], surface[best]], 1e-26)), powers[best])
+    return float(noise[best]), float(surface[best]), float(powers[best]), float(misfit[best])
