@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import random_surfaces
 import xarray as xr
-from samples import beckmann, beckmann_bsdf, spectrum
+from samples import beckmann, beckmann_bsdf, spectrum, surface
 
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe import psd as roughness
@@ -165,12 +165,29 @@ def test_total_reflection_and_black_bases_stay_within_their_ranges():
         assert (changed.albedo(np.array([0.0, 89.0]), np.zeros(2), None) <= 1).all()
 
 
+def test_noise_that_is_stated_exactly_is_named_as_not_stated():
+    noisy = vocabulary.label(uncertain_facets().assign(noise_sigma=0.01, noise_sigma_u=0.0), "facets")
+    bsdf = microfacet.build(noisy, index=1.5)
+    assert uncertainty(bsdf, facets=noisy).attrs["uncertainty_not_stated"] == "noise, index, model"
+
+
+def test_the_noise_of_a_spectrum_changes_all_frequencies_together():
+    height = random_surfaces.heights(random_surfaces.gaussian(0.03, 5.0), (128, 128), (0.5, 0.5), 1)
+    height += np.random.default_rng(3).normal(0, 0.004, height.shape)
+    psd = roughness.estimate_joined([surface(height, (0.5, 0.5))], noise=0.004, noise_uncertainty=0.0008)
+    bsdf = wave.build(psd, index=1.5, wavelength=550.0)
+    changes = SourceChanges(beside(bsdf, psd=psd))
+    assert set(changes.sources) == {"psd", "noise"}
+    (after,) = (one for one, source in zip(changes._datasets, changes.sources, strict=True) if source == "noise")
+    area = np.pi * (float(psd["band_high"]) ** 2 - float(psd["band_low"]) ** 2)
+    # S falls by 2 σ u ΔA in all of the band, and what goes on beyond it with its last ring.
+    expected = -2 * 0.004 * 0.0008 * 0.25 * area / (2 * float(bsdf["sigma"]))
+    assert float(after["sigma"] - bsdf["sigma"]) == pytest.approx(expected, rel=0.3)
+
+
 def test_a_roughness_spectrum_changes_coherent_light_and_halo_as_if_it_was_built_with_it():
     height = random_surfaces.heights(random_surfaces.gaussian(0.03, 5.0), (128, 128), (0.5, 0.5), 1)
-    axis = 0.5 * np.arange(128.0)
-    attributes = {"pitch_x": 0.5, "pitch_y": 0.5, "levelling": "plane", "band": "0.5 um pitch"}
-    surface = xr.Dataset({"height": (("y", "x"), height)}, {"y": axis, "x": axis}, attributes)
-    psd = roughness.estimate(vocabulary.label(surface, "surface"), noise=0.0)
+    psd = roughness.estimate(surface(height, (0.5, 0.5)), noise=0.0)
     bsdf = wave.build(psd, index=1.5, wavelength=[450.0, 550.0, 650.0])
     changes = SourceChanges(beside(bsdf, psd=psd))
     assert set(changes.sources) == {"psd"}

@@ -108,7 +108,9 @@ def test_noise_is_a_source_of_its_own():
 def test_a_smaller_mean_square_slope_makes_the_same_density_narrower():
     slope = np.linspace(0, 1.5, 200)
     density = RadialDensity(slope, np.exp(-8 * slope**2)).normalised()
-    after = RadialDensity(slope, density.density + density_changes.width_change(density, 0.04))
+    after = RadialDensity(
+        slope, density.density + density_changes.changed(density, density_changes.narrowing(density, 0.04)[None])[0]
+    )
     for one, share in ((density, 1.0), (after, 0.96)):
         s, weight = one.rule()
         assert weight @ s**2 == pytest.approx(share / 8, rel=2e-3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import samples
@@ -109,8 +111,16 @@ def test_two_perpendicular_lines_are_measured_as_far_as_each_of_them():
     table = facets.estimate(lines)
     assert float(table["facet_count"]) == 2 * 49_999
     assert float(table["effective_count"]) <= float(table["facet_count"])
+    assert [float(table[f"line_count_{way}"].sum()) for way in ("along", "across")] == [49_999, 49_999]
     trusted = table["slope_density_quality"].values == 0
     density = PlanarDensity.of(table)
+    of_changes = [
+        replace(density, density=density.density + one).moments for one in table["slope_density_change"].values
+    ]
+    squares = np.array([np.diag(covariance) for *_, covariance in (density.moments, *of_changes)])
+    # Of n independent Gaussian slopes the mean square is uncertain by √(2/n).
+    relative_u = np.sqrt(np.square(squares[1:] / squares[0] - 1).sum(axis=0))
+    np.testing.assert_allclose(relative_u, np.sqrt(2 / 49_999), rtol=0.4)
     # Of 50000 Gaussian slopes a hundred lie beyond 3.1 σ.
     assert table["slope_along"].values[trusted[64]].max() / density.along.scale == pytest.approx(3.1, abs=0.2)
     assert table["slope_across"].values[trusted[:, 64]].max() / density.across.scale == pytest.approx(3.1, abs=0.2)

@@ -10,7 +10,9 @@ from random_surfaces import gaussian, gaussian_line, heights
 from brdfpipe import appearance, facets, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.facets.noise_removal import without_noise
+from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.facets.slope_histogram import density_from_histogram, merge_bins
+from brdfpipe.psd.k_correlation import PsdError
 
 CORRELATION, SLOPE = 12.0, 0.05
 SIGMA = SLOPE * CORRELATION / np.sqrt(2)
@@ -57,6 +59,35 @@ def test_a_slope_rms_that_hangs_on_the_noise_is_reported(clean) -> None:
     # 85 % of the mean square is noise, known to 3 %.
     assert "85% of the mean square slope" in warning
     assert "the slope rms is uncertain by 9%" in warning or "the slope rms is uncertain by 10%" in warning
+
+
+def test_a_given_noise_is_as_uncertain_as_it_says(clean) -> None:
+    noise, u = 0.1 * SIGMA, 0.01 * SIGMA
+    surface = samples.surface(noisy(clean, 0.1)[:256, :256])
+    found = facets.estimate(surface, isotropic=True, noise=noise, noise_uncertainty=u)
+    assert (float(found["noise_sigma"]), float(found["noise_sigma_u"])) == (noise, u)
+    given = RadialDensity.of(found)
+    (change,) = found["slope_density_change"].values[found["uncertainty_source"].values == "noise"]
+    changed = RadialDensity(given.slope, given.density + change)
+    means = [float(weight @ s**2) for s, weight in (given.rule(), changed.rule())]
+    # 2σ²/d² along each axis; of the tail, which noise moves too, only the length is fixed.
+    assert means[1] - means[0] == pytest.approx(-8 * noise * u, rel=0.2)
+    exact = facets.estimate(surface, isotropic=True, noise=noise)
+    assert set(exact["uncertainty_source"].values) == {"facets"}
+    assert "(uncertainty not stated)" in exact.attrs["history"]
+    assert float(exact["slope_rms"]) == float(found["slope_rms"])
+
+
+@pytest.mark.parametrize(
+    ("noise", "u", "message"),
+    [
+        (0.02, 0.03, "30 nm was given for a height noise of 20 nm; accepted: 0 to the noise"),
+        (None, 0.01, "without the noise"),
+    ],
+)
+def test_an_impossible_uncertainty_of_noise_is_refused(clean, noise, u, message) -> None:
+    with pytest.raises(PsdError, match=message):
+        facets.estimate(samples.surface(clean[:64, :64]), noise=noise, noise_uncertainty=u)
 
 
 def test_noise_is_removed_under_a_lay_too() -> None:

@@ -8,7 +8,7 @@ def main(input, output, params):
     spec, paths = params["spec"], [input["surface"], *input.get("scan", [])] if "surface" in input else []
     scans = {f"surface-{k}": store.open_dataset(path, "surface") for k, path in enumerate(paths, start=1)}
     if scans:
-        result = estimate_joined(list(scans.values()), noise=spec.get("noise"))
+        result = estimate_joined(list(scans.values()), **spec)
     else:  # of the autocovariance σ² exp(−r²/ℓ²) the rms slope √⟨p² + q²⟩ is 2σ/ℓ
         result = analytic("gaussian", sigma=spec["slope_rms"] * spec["length"] / 2, length=spec["length"])
     store.save_dataset(result, output["psd"], stage="psd", material=params["material"], inputs=scans, parameters=spec)

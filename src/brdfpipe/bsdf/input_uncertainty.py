@@ -44,6 +44,8 @@ _MASKING_STEP = 6
 _MASKING_TURNS: Array = np.arange(0.0, 360.0, 22.5)
 """Turns of the azimuth of a surface with a lay at which the change of Λ is computed [degree]."""
 
+_LEAST_LEFT = 0.1
+"""Least share of a ring of the spectrum that is left as its noise grows."""
 _BANDS, _PHASE_STEP = 3, 8
 """Bands of a roughness spectrum of the same mean square height; nodes of the phase variance from one changed halo to the next."""
 
@@ -92,7 +94,13 @@ def uncertainty(
     if facets is not None and "slope_density" in bsdf and CHANGES in vocabulary.validate(facets, "facets"):
         changes += [_Change(source, base.completed(fields)) for source, fields in _of_facets(bsdf, facets)]
     if psd is not None and "log_halo" in bsdf:
-        changes += [_Change("psd", fields) for fields in _of_roughness(bsdf, vocabulary.validate(psd, "psd"))]
+        for source, fields in _of_roughness(bsdf, vocabulary.validate(psd, "psd")):
+            # The noise of the heights is one: that of the facets and that of the spectrum change together.
+            same = next((n for n, change in enumerate(changes) if change.source == source == "noise"), None)
+            if same is None:
+                changes.append(_Change(source, fields))
+            else:
+                changes[same] = _Change(source, changes[same].fields | fields)
     if index is not None and "n" in bsdf and "n_u" in vocabulary.validate(index, "index"):
         changes.append(_Change("index", base.completed({"n": _on_wavelengths(index["n_u"], bsdf["n"])})))
     if spectrum is not None and "total_reflectance_u" in vocabulary.validate(spectrum, "spectrum"):
@@ -102,14 +110,19 @@ def uncertainty(
         result = result.assign(relative_error=known)
     stated = {change.source for change in changes}
     stated |= {"model"} if "relative_error" in result else set()
-    missing = [name for name in _expected(bsdf, spectrum) if name not in stated]
+    missing = [name for name in _expected(bsdf, facets, psd, spectrum) if name not in stated]
     return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
 
 
-def _expected(bsdf: xr.Dataset, spectrum: xr.Dataset | None) -> Iterator[str]:
+def _expected(
+    bsdf: xr.Dataset, facets: xr.Dataset | None, psd: xr.Dataset | None, spectrum: xr.Dataset | None
+) -> Iterator[str]:
     """Sources that any such BSDF has."""
     if "slope_density" in bsdf:
         yield "facets"
+    surface = ("slope_density", facets), ("log_halo", psd)
+    if any(name in bsdf and data is not None and float(data.get("noise_sigma", 0.0)) for name, data in surface):
+        yield "noise"
     if "log_halo" in bsdf:
         yield "psd"
     if "n" in bsdf:
@@ -207,10 +220,10 @@ def _planar_masking(bsdf: xr.Dataset) -> Callable[[Array], Array]:
 # --- roughness spectrum
 
 
-def _of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[Fields]:
-    """Changes of the rms height, and of the halo, for each band of a measured spectrum.
+def _of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[str, Fields]]:
+    """Source, and change of the rms height and the halo: for each band of a measured spectrum, and as its noise grows.
 
-    Rings of a spectrum are independent, so the variance of a band is the sum of theirs; a band changes as a whole.
+    Rings of a spectrum are independent but for its noise, so the variance of a band is the sum of theirs; a band changes as a whole.
     """
     frequency, density, u = (psd[name].values for name in ("frequency", "psd", "psd_uncertainty"))
     if (
@@ -219,6 +232,13 @@ def _of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[Fields]:
         or not (density.any() and np.isfinite(u).all() and u.any())
     ):
         return
+    noise_u = (
+        2
+        * float(psd.get("noise_psd", 0.0))
+        * float(psd.get("noise_sigma_u", 0.0))
+        / max(float(psd["noise_sigma"]), 1e-300)
+    )
+    u = np.sqrt(np.maximum(u**2 - noise_u**2, 0.0))
     weight = frequency**2 * np.gradient(np.log(frequency))
     power = np.cumsum(weight * density)
     band = np.minimum((_BANDS * (power - power[0] / 2) / power[-1]).astype(int), _BANDS - 1)
@@ -228,16 +248,21 @@ def _of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[Fields]:
     phase, nodes = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
     isotropic = bsdf["log_halo"].ndim == 2
     before = log_transform(given, phase[rows], nodes) if isotropic else np.empty(0)
+    after: list[tuple[str, Array]] = []
     for number in np.unique(band):
         inside = band == number
         relative = np.sqrt(np.square((weight * u)[inside]).sum()) / max(float((weight * density)[inside].sum()), 1e-300)
-        changed, changed_sigma = roughness(psd.assign(psd=psd["psd"] * np.where(inside, 1 + relative, 1.0)))
+        after.append(("psd", density * np.where(inside, 1 + relative, 1.0)))
+    if noise_u:
+        after.append(("noise", np.maximum(density - noise_u, _LEAST_LEFT * density)))
+    for source, values in after:
+        changed, changed_sigma = roughness(psd.assign(psd=("frequency", values)))
         fields = {"sigma": xr.DataArray(changed_sigma - sigma)}
         if isotropic:
             difference = log_transform(changed, phase[rows], nodes) - before
             columns = [np.interp(np.log(phase), np.log(phase[rows]), column) for column in difference.T]
             fields["log_halo"] = xr.DataArray(np.stack(columns, axis=1), dims=("phase_variance", "halo_frequency"))
-        yield fields
+        yield source, fields
 
 
 # --- the diffuse base below the surface

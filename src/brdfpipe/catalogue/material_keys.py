@@ -99,6 +99,7 @@ class MeasuredSurface(Keys):
     """A scan of a surface, and how it is read."""
 
     not_together = (("noise", "lambda_s"),)
+    requires = {"noise_uncertainty": "noise"}  # noqa: RUF012
 
     file: str = _file("the scan", details="See [formats](#formats-of-surfaces).", stage="surface")
     format: Annotated[str, OneOf(_surface_formats)] = key(
@@ -177,6 +178,15 @@ class MeasuredSurface(Keys):
         ge=0,
         le=1000,
         details="See [noise](model.md#roughness-spectrum-and-noise). Not with `lambda_s`, after which noise is not white.",
+        stage="facets psd",
+    )
+    noise_uncertainty: float = key(
+        "standard uncertainty of `noise`, at most the noise itself",
+        unit="µm",
+        default_words="none is assumed, and the stage `uncertainty` says that it is not stated",
+        ge=0,
+        le=1000,
+        example=0.0005,
         stage="facets psd",
     )
     azimuth: float = _azimuth(stage="surface")

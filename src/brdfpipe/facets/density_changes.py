@@ -85,7 +85,7 @@ def planar_changes(
     by_sample : (nodes of the rings, samples) logarithmic changes of the rings
     anisotropy : (2, samples) relative change of the width along the lay less that across it, and turn of the lay, as
         :func:`changes_of_widths` gives them
-    noise : (changes, nodes of the rings) logarithmic changes of the rings by noise
+    noise : (changes, nodes of the rings + 2) logarithmic changes of the rings, and the changes of the widths, by noise
     """
     weights = _sums(ring)
     weights = np.block([[weights, np.zeros((len(weights), 2))], [np.zeros((2, weights.shape[1])), np.eye(2)]])
@@ -101,7 +101,7 @@ def planar_changes(
 
     changes = {
         "facets": [of_plane(one[:-2], one[-2:]) for one in principal],
-        "noise": [of_plane(one, np.zeros(2)) for one in noise],
+        "noise": [of_plane(one[:-2], one[-2:]) for one in noise],
     }
     return {source: _changed_planar(density, values) for source, values in changes.items()}
 
@@ -133,11 +133,11 @@ def _changed_planar(density: PlanarDensity, logarithmic: Sequence[Array]) -> Arr
     return np.array([one - density.density for one in normalised]).reshape(-1, *density.density.shape)
 
 
-def width_change(density: RadialDensity, relative: float) -> Array:
-    """A density less itself (nodes,), after its mean square slope has become smaller by a ``relative`` share, of the same shape."""
+def narrowing(density: RadialDensity, relative: float) -> Array:
+    """Logarithmic change of a density (nodes,) as its mean square slope becomes smaller by a ``relative`` share, of the same shape."""
     square = density.slope**2
     fall = -np.gradient(np.log(density.density), square)
-    return np.asarray(changed(density, -relative * (square * fall - 1)[None])[0])
+    return np.asarray(-relative * (square * fall - 1))
 
 
 def changed(density: RadialDensity, logarithmic: Array) -> Array:

@@ -33,6 +33,7 @@ def estimate(
     method: str = "mixture",
     isotropic: bool | None = None,
     noise: float | None = None,
+    noise_uncertainty: float | None = None,
 ) -> xr.Dataset:
     """Facet distribution of a levelled surface, with counts and uncertainty.
 
@@ -47,6 +48,7 @@ def estimate(
     isotropic : whether the surface is isotropic. A single line must be declared isotropic. A map that is
         not declared either way has a lay if its principal slopes differ by more than a factor of 1.2
     noise : rms of white height noise [um], 0 for none; None: from the plateau of the spectrum of each scan, where it has one
+    noise_uncertainty : standard uncertainty of a given noise [um]
 
     Returns
     -------
@@ -68,7 +70,7 @@ def estimate(
         raise FacetError(f"unknown method {method!r}; accepted: {', '.join(METHODS)}")
     for scan in scans:
         vocabulary.validate(scan, "surface")
-    scans, extending, known_noise = sort_scans(scans, noise)
+    scans, extending, known_noise = sort_scans(scans, noise, noise_uncertainty)
     dimensions = {scan["height"].ndim for scan in scans}
     if len(dimensions) != 1:
         raise FacetError(

@@ -197,7 +197,13 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     on_rings = [np.interp(round_density.slope, sharp_density.slope, one) for one in log_noise]
     amplified = block_changes / max(share, LEAST_SURFACE)
     widths = changes_of_widths(by_block.astype(float), cells.nodes) / max(share, LEAST_SURFACE)
-    changes = planar_changes(density, round_density, amplified, widths, np.array(on_rings))
+    changes = planar_changes(
+        density,
+        round_density,
+        amplified,
+        widths,
+        np.pad(np.reshape(on_rings, (-1, round_density.slope.size)), ((0, 0), (0, 2))),
+    )
     facets = with_changes(facets.assign(_tail_shares(bins)), changes)
     return _with_few_warning(facets, bins)
 

@@ -19,7 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.facets.density_changes import radial_changes, width_change, with_changes
+from brdfpipe.facets.density_changes import changed, narrowing, planar_changes, radial_changes, with_changes
 from brdfpipe.facets.facet_dataset import (
     noise_warning,
     planar_dataset,
@@ -154,6 +154,7 @@ def _isotropic(lines: Sequence[xr.Dataset], method: str, noise: float | NoiseFlo
     facets = facets.assign(
         slope_density_quality=("slope", quality_flags(density.slope <= marginal.measured_to)),
         D_u=("alpha", facets["D"].values * relative_u),
+        line_count=("slope", marginal.on_nodes(density.slope)),
         tail_slope=marginal.measured_to,
     )
     s, weight = density.rule()
@@ -182,7 +183,8 @@ def _changes(inverted: RadialEstimate, marginal: LineSlopeCounts) -> dict[str, A
     of_facets = radial_changes(inverted.density, few * inverted.half_changes)
     if not marginal.noise_u:
         return {"facets": of_facets}
-    return {"facets": of_facets, "noise": width_change(inverted.density, marginal.noise_u / marginal.rms**2)[None]}
+    log_change = narrowing(inverted.density, marginal.noise_u / marginal.rms**2)
+    return {"facets": of_facets, "noise": changed(inverted.density, log_change[None])}
 
 
 def _with_rounding_and_sampling(relative_u: Array, marginals: Sequence[LineSlopeCounts]) -> Array:
@@ -272,7 +274,10 @@ def _perpendicular(directions: Sequence[_Direction], noise: float | NoiseFloor |
     facets = facets.assign(
         slope_density_u=(dims, density.density * relative_u),
         slope_density_quality=(dims, quality_flags(trusted)),
+        line_count_along=("slope_along", marginals[0].on_nodes(density.along.nodes)),
+        line_count_across=("slope_across", marginals[1].on_nodes(density.across.nodes)),
     )
+    facets = with_changes(facets, _planar_changes(density, fit, marginals))
     p, q, weight = density.principal_rule()
     beyond = (p / marginals[0].measured_to) ** 2 + (q / marginals[1].measured_to) ** 2 > 1
     facets = facets.assign(_tail_shares(p**2 + q**2, weight, beyond))
@@ -293,6 +298,34 @@ def _perpendicular(directions: Sequence[_Direction], noise: float | NoiseFloor |
     return vocabulary.label(_with_statistics(facets, lines, marginals, by_scale), "facets")
 
 
+def _planar_changes(density: PlanarDensity, fit: Mixture, marginals: Sequence[LineSlopeCounts]) -> dict[str, Array]:
+    """Changes of the density (changes, across, along) by source: of the mixture and of the ratio of the widths, both by halves.
+
+    The azimuth of the lay is taken as exact: it is that of the lines.
+    """
+    rings = estimate_from_mixture(marginals[0].divided_by(marginals[0].rms), fit)
+    ring = rings.density.normalised()
+    widths = _widths_of_halves(marginals)[:, 1:]
+    ratio = (widths[0] - widths[1]) / 2 / np.sqrt(widths.shape[1])
+    few = 1 + _CORRELATION_COST / min(marginal.independent for marginal in marginals)
+    factor = np.sqrt(few * max(1.0, fit.misfit))
+    along, across = (marginal.noise_u / marginal.rms**2 for marginal in marginals)
+    noise = np.append(narrowing(ring, (along + across) / 2), [(across - along) / 2, 0.0])
+    samples = factor * rings.half_changes, factor * np.stack([ratio, np.zeros_like(ratio)])
+    return planar_changes(density, ring, *samples, noise[None] if along or across else noise[None][:0])
+
+
+def _widths_of_halves(marginals: Sequence[LineSlopeCounts]) -> Array:
+    """Mean square slopes (directions, 1 + halves) over those of all stretches, and over the mean of both directions.
+
+    The common width is already in the uncertainty of the mixture.
+    """
+    widths = np.stack([marginal.rms_of_halves for marginal in marginals])
+    sizes = np.array([[marginal.size] for marginal in marginals])
+    relative = (widths / widths[:, :1]) ** 2
+    return np.asarray(relative / ((sizes * relative).sum(axis=0) / sizes.sum()))
+
+
 def _planar_uncertainty(density: PlanarDensity, fit: Mixture, marginals: Sequence[LineSlopeCounts]) -> Array:
     """Relative standard uncertainty (across, along), of halves of the stretches: of the mixture's, and of the ratio of the widths.
 
@@ -300,11 +333,7 @@ def _planar_uncertainty(density: PlanarDensity, fit: Mixture, marginals: Sequenc
     """
     from scipy.ndimage import uniform_filter
 
-    widths = np.stack([marginal.rms_of_halves for marginal in marginals])
-    sizes = np.array([[marginal.size] for marginal in marginals])
-    relative = (widths / widths[:, :1]) ** 2
-    # The common width is already in the uncertainty of the mixture.
-    relative /= (sizes * relative).sum(axis=0) / sizes.sum()
+    relative = _widths_of_halves(marginals)
     middle = density.along.size // 2
     x, y = (axis.nodes[middle:] / axis.scale for axis in (density.along, density.across))
     # Densities of half-samples are symmetric: a quarter of the grid is enough.
@@ -315,4 +344,5 @@ def _planar_uncertainty(density: PlanarDensity, fit: Mixture, marginals: Sequenc
         square += (ratio_of(values, first) - 1) ** 2 / (relative.shape[1] - 1)
     whole = np.pad(square, ((middle, 0), (middle, 0)), mode="reflect")
     step = 2 * density.along.end / (density.along.size - 1)
-    return np.asarray(np.minimum(1.0, np.sqrt(uniform_filter(whole, 2 * round(0.3 / step) + 1, mode="nearest"))))
+    mean = uniform_filter(whole, 2 * round(0.3 / step) + 1, mode="nearest")
+    return np.asarray(np.minimum(1.0, np.sqrt(np.maximum(mean, 0.0))))

@@ -22,6 +22,7 @@ from brdfpipe import vocabulary
 from brdfpipe.facets.line_inversion import accelerated_em_step
 from brdfpipe.facets.slope_histogram import MergedHistogram, redundancy_of
 from brdfpipe.geometry import Array
+from brdfpipe.psd.noise_floor import noise_in_words
 
 LEAST_SURFACE = 0.05
 """Least share of the mean square slope that is left to the surface."""
@@ -47,13 +48,10 @@ def with_noise_stated(facets: xr.Dataset, noise: float, noise_u: float, share: f
     if not noise:
         return facets
     relative_u = share / max(1 - share, 1e-3) * noise_u / noise
-    text = (
-        f"white height noise of {1000 * noise:.3g} nm (± {1000 * noise_u:.2g} nm), {share:.0%} of the mean square slope"
-    )
+    text = f"white height noise of {noise_in_words(noise, noise_u)}, {share:.0%} of the mean square slope"
     facets = facets.assign(noise_sigma=noise, noise_sigma_u=noise_u)
-    facets = vocabulary.add_history(
-        facets, f"{text}, was subtracted: the slope rms is uncertain by {relative_u:.1%} on its account"
-    )
+    effect = f"uncertain by {relative_u:.1%} on its account" if noise_u else "taken as if the noise were exact"
+    facets = vocabulary.add_history(facets, f"{text}, was subtracted: the slope rms is {effect}")
     if relative_u <= _UNCERTAIN:
         return facets
     return vocabulary.add_warning(

@@ -65,6 +65,7 @@ def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | No
         form="measured",
         method=f"{count.used} windowed patches of {_size(count.side, line)} heights"
         + (", Abel inversion or fit" if line else ""),
+        common_u=0.0 if line else floor.density_uncertainty(scan),
     ).assign(
         sigma_heights=float(np.sqrt(max(scan.variance - floor.sigma**2, 0.0))),
         noise_sigma=floor.sigma,
@@ -132,9 +133,7 @@ def _history(count: PatchCount, floor: NoiseFloor, quality: NDArray[np.int8], fi
         )
     ]
     if floor.sigma:
-        history.append(
-            f"White noise of {1000 * floor.sigma:.3g} nm (± {1000 * floor.uncertainty:.2g} nm) was subtracted from the spectrum; from the {floor.source}."
-        )
+        history.append(f"White noise of {floor} was subtracted from the spectrum; from the {floor.source}.")
     else:
         history.append(f"No noise was subtracted: {floor.source}.")
     if line:

@@ -23,7 +23,9 @@ _SIGNIFICANT = 3.0
 _SCALARS = ("sigma_heights", "noise_sigma", "noise_sigma_u")
 
 
-def estimate_joined(scans: Sequence[xr.Dataset], *, noise: float | None = None) -> xr.Dataset:
+def estimate_joined(
+    scans: Sequence[xr.Dataset], *, noise: float | None = None, noise_uncertainty: float | None = None
+) -> xr.Dataset:
     """Roughness spectrum of all scans of one surface, of any magnification.
 
     Parameters
@@ -31,6 +33,7 @@ def estimate_joined(scans: Sequence[xr.Dataset], *, noise: float | None = None) 
     scans : kind ``surface``, levelled; those whose attribute ``repeat`` is true show the noise of the first, and are not joined
     noise : rms of white height noise of the first scan and those of its magnification [um]; None as for :func:`brdfpipe.psd.estimate`.
         That of other magnifications is looked for in the plateau of their spectra
+    noise_uncertainty : standard uncertainty of a given noise [um]
 
     Returns
     -------
@@ -40,7 +43,7 @@ def estimate_joined(scans: Sequence[xr.Dataset], *, noise: float | None = None) 
     ------
     PsdError : as :func:`brdfpipe.psd.estimate` and :func:`brdfpipe.psd.scans.sort_scans`.
     """
-    found = sort_scans(scans, noise)
+    found = sort_scans(scans, noise, noise_uncertainty)
     return join(*(estimate(scan, noise=found.noise) for scan in found.counted), *map(estimate, found.extending))
 
 

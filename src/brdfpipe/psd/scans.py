@@ -8,7 +8,7 @@ from typing import NamedTuple
 import xarray as xr
 
 from brdfpipe.psd.k_correlation import PsdError
-from brdfpipe.psd.noise_floor import NoiseFloor, from_repeats
+from brdfpipe.psd.noise_floor import NoiseFloor, from_repeats, given
 from brdfpipe.psd.periodograms import Scan
 
 WELL_SAMPLED = 8.0
@@ -25,29 +25,37 @@ class SortedScans(NamedTuple):
     """The first scan, and those of its magnification."""
     extending: list[xr.Dataset]
     """Those of another magnification: they extend the roughness spectrum alone."""
-    noise: float | NoiseFloor | None
-    """White height noise of the counted scans: given [um], from repeats, or None, not known beforehand."""
+    noise: NoiseFloor | None
+    """White height noise of the counted scans: given, from repeats, or None, not known beforehand."""
 
 
-def sort_scans(scans: Sequence[xr.Dataset], noise: float | None = None) -> SortedScans:
+def sort_scans(
+    scans: Sequence[xr.Dataset], noise: float | None = None, noise_uncertainty: float | None = None
+) -> SortedScans:
     """Sort the scans of a surface by what they are for.
 
     Parameters
     ----------
     scans : kind ``surface``, at least one. Those whose attribute ``repeat`` is true are of the same place as the first
     noise : rms of white height noise of the scans that are counted [um]
+    noise_uncertainty : its standard uncertainty [um]
 
     Raises
     ------
-    PsdError : noise is given although there are repeats, or for filtered heights; a repeat of other shape or pitch, or identical.
+    PsdError : noise is given although there are repeats, for filtered heights, or not below the rms of the heights; an uncertainty without
+        noise or above it; a repeat of other shape or pitch, or identical.
     """
     first = scans[0]
     repeats = [scan for scan in scans[1:] if scan.attrs.get("repeat")]
     others = [scan for scan in scans[1:] if not scan.attrs.get("repeat")]
     extending = [scan for scan in others if _of_other_magnification(first, scan)]
     counted = [first, *(scan for scan in others if not any(scan is other for other in extending))]
+    if noise is None and noise_uncertainty is not None:
+        raise PsdError(
+            "the uncertainty of the height noise is given without the noise; accepted: `surface.noise_uncertainty` beside `surface.noise`"
+        )
     if not repeats:
-        return SortedScans(counted, extending, noise)
+        return SortedScans(counted, extending, _given(counted, noise, noise_uncertainty or 0.0))
     if noise is not None:
         raise PsdError(
             "the height noise is given, and scans repeat the first; accepted: one of `surface.noise` and `surface.scans.repeat`"
@@ -59,6 +67,14 @@ def sort_scans(scans: Sequence[xr.Dataset], noise: float | None = None) -> Sorte
         )
     floor = from_repeats(Scan.of(first), [Scan.of(scan) for scan in repeats])
     return SortedScans(counted, extending, floor)
+
+
+def _given(scans: Sequence[xr.Dataset], noise: float | None, uncertainty: float) -> NoiseFloor | None:
+    """A given noise, which must be possible for each scan."""
+    if noise is None:
+        return None
+    floors = [given(Scan.of(scan), noise, float(scan.attrs.get("lambda_s", 0.0)), uncertainty) for scan in scans]
+    return floors[0]
 
 
 def commonly_filtered(one: xr.Dataset, other: xr.Dataset) -> bool:

@@ -11,9 +11,11 @@ from brdfpipe.psd.k_correlation import KFit
 from brdfpipe.psd.periodograms import Rings
 
 
-def spectrum_dataset(spectrum: Rings, fitted: KFit, quality: NDArray[np.int8], *, form: str, method: str) -> xr.Dataset:
-    """The dataset, but for the rms of heights and noise, and labels."""
-    (sigma, sigma_u), edges = rms_height(spectrum), _edges(spectrum.frequency)
+def spectrum_dataset(
+    spectrum: Rings, fitted: KFit, quality: NDArray[np.int8], *, form: str, method: str, common_u: float = 0.0
+) -> xr.Dataset:
+    """The dataset, but for the rms of heights and noise, and labels; ``common_u`` as for :func:`rms_height`."""
+    (sigma, sigma_u), edges = rms_height(spectrum, common_u), _edges(spectrum.frequency)
     return xr.Dataset(
         {
             "psd": ("frequency", spectrum.density),
@@ -32,11 +34,16 @@ def spectrum_dataset(spectrum: Rings, fitted: KFit, quality: NDArray[np.int8], *
     )
 
 
-def rms_height(spectrum: Rings) -> tuple[float, float]:
-    """√∬S over the rings and its standard uncertainty [um]; the rings are independent, and f² S is even over the logarithm of f in each."""
+def rms_height(spectrum: Rings, common_u: float = 0.0) -> tuple[float, float]:
+    """√∬S over the rings and its standard uncertainty [um]; f² S is even over the logarithm of f in each ring.
+
+    The rings are independent but for a part of their uncertainty, ``common_u`` [um4], that all have in common: that of the noise.
+    """
     weight = 2 * np.pi * spectrum.frequency**2 * np.diff(np.log(_edges(spectrum.frequency)))
     sigma = np.sqrt(max(float(weight @ spectrum.density), 0.0))
-    return float(sigma), float(np.sqrt(np.square(weight * spectrum.uncertainty).sum()) / (2 * sigma)) if sigma else 0.0
+    own = np.maximum(spectrum.uncertainty**2 - common_u**2, 0.0)
+    variance = float(weight**2 @ own) + (common_u * weight.sum()) ** 2
+    return float(sigma), float(np.sqrt(variance) / (2 * sigma)) if sigma else 0.0
 
 
 def _edges(frequency: Array) -> Array:
