@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.facets.planar_density import PlanarDensity
-from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.facets.radial_density import RadialDensity, masses
 from brdfpipe.geometry import Array
 
 CHANGES = "slope_density_change"
@@ -142,11 +142,8 @@ def narrowing(density: RadialDensity, relative: float) -> Array:
 
 def changed(density: RadialDensity, logarithmic: Array) -> Array:
     """Normalised densities after logarithmic changes (changes, nodes) less the density itself."""
-    factors = np.exp(np.clip(logarithmic, -_LARGEST, _LARGEST))
-    one = density.density
-    return np.array(
-        [RadialDensity(density.slope, one * factor).normalised().density - one for factor in factors]
-    ).reshape(-1, one.size)
+    after = density.density * np.exp(np.clip(logarithmic, -_LARGEST, _LARGEST))
+    return np.asarray(after / masses(density.slope, after)[:, None] - density.density)
 
 
 def with_changes(facets: xr.Dataset, changes: Mapping[str, Array]) -> xr.Dataset:

@@ -84,16 +84,23 @@ class RadialDensity:
 
 
 def log_spline(slope_squared: Array, log_density: Array) -> CubicHermiteSpline:
-    """The interpolant of :class:`RadialDensity`."""
-    return CubicHermiteSpline(slope_squared, log_density, _limited_derivatives(slope_squared, log_density))
+    """The interpolant of :class:`RadialDensity`, of one density or several (…, nodes)."""
+    return CubicHermiteSpline(slope_squared, log_density, _limited_derivatives(slope_squared, log_density), axis=-1)
+
+
+def masses(slope: Array, densities: Array) -> Array:
+    """∫ P22 dp dq of several densities (…, nodes) on the same nodes, as :attr:`RadialDensity.mass`."""
+    s, ds = panel_rule(slope, 4)
+    return np.asarray(np.exp(log_spline(slope**2, np.log(densities))(s**2)) @ (2 * np.pi * s * ds))
 
 
 def _limited_derivatives(x: Array, y: Array) -> Array:
     if x.size < 4:
-        return np.gradient(y, x)
+        return np.gradient(y, x, axis=-1)
     secant = np.diff(y) / np.diff(x)
-    derivative = CubicSpline(x, y)(x, 1)
-    before, after = np.concatenate([secant[:1], secant]), np.concatenate([secant, secant[-1:]])
+    derivative = CubicSpline(x, y, axis=-1)(x, 1)
+    before = np.concatenate([secant[..., :1], secant], axis=-1)
+    after = np.concatenate([secant, secant[..., -1:]], axis=-1)
     bound = 3 * np.minimum(np.abs(before), np.abs(after))
     limited = np.sign(derivative) * np.minimum(np.abs(derivative), bound)
     wrong_way = (before * after > 0) & (limited * before < 0)
