@@ -22,7 +22,7 @@ _MIN_GAIN = 0.03
 """Gain of log-likelihood per independent slope below which the iteration stops."""
 
 _ROUNDS, _LONGEST_STEP = 60, 32.0
-_LONGER_AFTER = 12
+_LONGER_AFTER = 24
 """Rounds after which the longest step doubles from round to round: counts that tell so much are gained from slowly.
 
 Not where rounding or noise blurs them: there the last gains follow their scatter.
