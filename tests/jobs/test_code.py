@@ -9,10 +9,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
+import samples
 import small_rig
 
-from brdfpipe import catalogue, installation
+from brdfpipe import catalogue, installation, store
 from brdfpipe.jobs import code
 from brdfpipe.stages import STAGES, Stage
 
@@ -205,7 +207,8 @@ for step, (script, *arguments) in enumerate(json.load(sys.stdin)):
 RIG_PLAN = small_rig.PLAN.replace("incidences: [20]", "incidences: [20, 45]\nruns: [etalon, sample]")
 
 
-def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: Path) -> None:
+@pytest.mark.parametrize("solution", ["kirchhoff", pytest.param("traced", marks=pytest.mark.slow)])
+def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: Path, solution: str) -> None:
     """Every script, from raw files to the catalogue; the rig of 26 small frames is emulated."""
     example = installation.project_folder() / "examples" / "abs-grain"
     examples = catalogue.load(example.parent)
@@ -227,6 +230,8 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("interior", {}, same("interior"), {"thickness": 2.0, "internal_transmittance": 0.95})
     run("facets", same("surface"), same("facets"))
     run("spectrum", {"raw": str(example / "reflectance.txt"), **same("index")}, same("spectrum"))
+    traced = {"multiple_scattering": "measured"}
+    run("interreflection", same("surface", "facets", "index", "spectrum"), same("interreflection"), traced)
     run("predicted", same("facets", "index", "spectrum"), same("predicted"))
     run("psd", same("surface"), {"psd": "measured_psd"})
     run("psd", {}, same("psd"), {"distribution": "beckmann", "slope_rms": 0.1, "length": 5.0})
@@ -237,7 +242,12 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     faces = {"facets": "flat_facets", **same("psd", "interior", "index")}
     run("sheet", faces, same("sheet"), {"masking": "height-correlated", "optics": "auto"})
     run("model_error", same("surface", "facets", "predicted"), same("model_error"))
-    run("reference", same("surface", "index", "spectrum"), same("reference"), {"diffuse": "coupled"})
+    if solution == "kirchhoff":
+        height = samples.gaussian_surface(64, correlation=10)["height"].values
+        np.save(tmp_path / "smooth.npy", height / height.std() * 0.05)
+        run("surface", {"raw": "smooth.npy"}, {"surface": "smooth"}, {"file": "smooth.npy", "unit": "um", "pitch": 0.5})
+    relief = {"kirchhoff": "smooth", "traced": "surface"}[solution]
+    run("reference", {"surface": relief, **same("index", "spectrum")}, same("reference"), {"diffuse": "coupled"})
     run("uncertainty", same("predicted", "facets", "psd", "index", "spectrum", "model_error"), same("uncertainty"))
     run("multiangle", {}, same("multiangle"), of="metallic-blue")
     run("flake", same("multiangle"), same("flake"), of="metallic-blue")
@@ -266,6 +276,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     commands = [(str(script(STAGES[step.stage])), step.inputs, step.outputs, step.params) for step in steps]
     command = [sys.executable, "-c", RUN_STAGES]
     subprocess.run(command, cwd=tmp_path, input=json.dumps(commands), text=True, check=True)
+    assert store.open_dataset(tmp_path / "reference").attrs["representation"] == solution
     for number, step in enumerate(steps):
         loaded = set(json.loads((tmp_path / f"{number}.loaded").read_text()))
         followed = {name for name in loaded if not f"{name}.".startswith(code.MODULES_WITHOUT_EFFECT)}
