@@ -121,8 +121,8 @@ def test_an_edit_changes_the_digests_of_that_material_alone(built: tuple[Path, P
     settings = tmp_path / "settings.yaml"
     settings.write_text(COARSE)
     catalogue, results = tmp_path / "catalogue", tmp_path / "results"
-    for name in ("paint-lab", "pp-moulding"):
-        shutil.copytree(built[0] / name, catalogue / name)
+    for name in ("paint-lab", "the-same-paint"):
+        shutil.copytree(built[0] / "paint-lab", catalogue / name)
     build_catalogue(catalogue, results, cores=2, config=settings)
     before = lock(results)
     description = catalogue / "paint-lab" / "material.yaml"
@@ -285,6 +285,7 @@ def test_several_scans_filters_and_directions_reach_the_facets(tmp_path: Path) -
         np.savetxt(lines / name, np.cumsum(rng.normal(scale=sigma, size=20_000)), header="unit: um")
     (lines / "material.yaml").write_text(
         "surface: {file: along.txt, layout: line, pitch: 1.0, scans: [{file: across.txt, azimuth: 90}]}\nindex: PP\n"
+        "model: {optics: facets}\n"
     )
     maps = tmp_path / "catalogue" / "maps"
     maps.mkdir()
