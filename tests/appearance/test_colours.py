@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -125,6 +126,7 @@ def test_an_unknown_illuminant_is_refused():
         colour(samples.beckmann_bsdf(0.1), illuminant="D99")
 
 
+@cache
 def brushed(azimuth):
     surface = facets.analytic("beckmann", a_x=0.05, a_y=0.3, azimuth=azimuth)
     return microfacet.build(surface, index=1.5, spectrum=samples.spectrum(0.2))

@@ -27,7 +27,7 @@ def line_across(height):
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_line_tells_cells_from_their_negative_as_the_map_does(sign):
-    height = sign * relief_maps.cells(512, 0)
+    height = sign * relief_maps.cells(256, 0)
     facets, mesh = estimate(samples.surface(height), isotropic=True), HeightMesh.of(samples.surface(height))
     on_line = tabulate_line(HeightMesh.of_line(line_across(height)), mesh.typical_slope * np.sqrt(2 * np.log(2)))
     theta_i, theta_o, phi_o = (angle.ravel() for angle in np.meshgrid([75.0], [60.0, 70, 75, 80], [150.0, 180]))

@@ -38,6 +38,12 @@ def smoothed_paint(paint):
     return smoothing.smooth(rig_primary.measured(rig_primary.of_model(paint), INCIDENCES, WAVELENGTHS, noise=0.01))
 
 
+@pytest.fixture(scope="module")
+def completed_paint(smoothed_paint):
+    """Without the reversed path, and with it."""
+    return {way: completion.complete(smoothed_paint, reciprocity=way) for way in (False, True)}
+
+
 def directions(low, high, lowest, highest, count=600, seed=0):
     """Pairs with θ_i and θ_o within limits, uniform in azimuth."""
     random = np.random.default_rng(seed)
@@ -79,8 +85,8 @@ def test_a_linear_fit_is_extrapolated_linearly():
     assert bsdf.bsdf.evaluate(0.0, 0.0, 20.0, 70.0, 500.0).values[0] == pytest.approx(expected, rel=1e-3)
 
 
-def test_at_measured_incidences_the_bsdf_is_the_fit(smoothed_paint):
-    bsdf = completion.complete(smoothed_paint, reciprocity=False)
+def test_at_measured_incidences_the_bsdf_is_the_fit(smoothed_paint, completed_paint):
+    bsdf = completed_paint[False]
     theta, phi = np.array([0.0, 3.0, 12.0, 40.0]), np.array([0.0, 100.0, 250.0, 30.0])
     expected, u = (quantity(smoothed_paint, theta, phi) for quantity in (smoothing.evaluate, smoothing.uncertainty))
     for k, incidence in enumerate(INCIDENCES):
@@ -91,8 +97,8 @@ def test_at_measured_incidences_the_bsdf_is_the_fit(smoothed_paint):
         assert bsdf.bsdf.uncertainty(*at).values == pytest.approx(u.values[k].T[seen], rel=1e-4)
 
 
-def test_between_the_incidences_a_glossy_paint_is_known_to_a_percent(paint, smoothed_paint):
-    bsdf = completion.complete(smoothed_paint)
+def test_between_the_incidences_a_glossy_paint_is_known_to_a_percent(paint, completed_paint):
+    bsdf = completed_paint[True]
     error = relative_error(bsdf, paint, directions(0, 60, 0, 75))
     assert np.median(error) < 0.01
     assert np.quantile(error, 0.95) < 0.04
@@ -102,22 +108,16 @@ def test_between_the_incidences_a_glossy_paint_is_known_to_a_percent(paint, smoo
     assert (error < 0.04).all()
 
 
-def test_the_reversed_path_gives_the_bsdf_beyond_the_last_incidence(paint, smoothed_paint):
+def test_the_reversed_path_gives_the_bsdf_beyond_the_last_incidence(paint, completed_paint):
     at = directions(62, 80, 5, 58)
-    error = {
-        way: np.median(relative_error(completion.complete(smoothed_paint, reciprocity=way), paint, at))
-        for way in (False, True)
-    }
+    error = {way: np.median(relative_error(bsdf, paint, at)) for way, bsdf in completed_paint.items()}
     assert error[True] < 0.015
     assert error[True] < error[False] / 3
 
 
-def test_the_reversed_path_does_not_make_measured_values_worse(paint, smoothed_paint):
+def test_the_reversed_path_does_not_make_measured_values_worse(paint, completed_paint):
     at = directions(12, 58, 12, 58)
-    one, both = (
-        np.sqrt(np.mean(relative_error(completion.complete(smoothed_paint, reciprocity=way), paint, at) ** 2))
-        for way in (False, True)
-    )
+    one, both = (np.sqrt(np.mean(relative_error(completed_paint[way], paint, at) ** 2)) for way in (False, True))
     assert both < one
 
 
@@ -145,8 +145,8 @@ def test_the_stated_uncertainty_covers_directions_beyond_the_last_incidence_on_b
     assert np.sqrt(np.mean(((value - truth.bsdf.evaluate(*at).values) / u) ** 2)) < 1.3
 
 
-def test_both_directions_of_light_agree_within_their_uncertainties_before_averaging_and_exactly_after(smoothed_paint):
-    bsdf = completion.complete(smoothed_paint)
+def test_both_directions_of_light_agree_within_their_uncertainties_before_averaging_and_exactly_after(completed_paint):
+    bsdf = completed_paint[True]
     pairs = reciprocity(bsdf)
     assert pairs.sizes["pair"] == 10
     z = (pairs["forward"] - pairs["backward"]) / np.hypot(pairs["forward_u"], pairs["backward_u"])

@@ -33,6 +33,11 @@ def bsdf():
 
 
 @pytest.fixture(scope="module")
+def verdicts(bsdf):
+    return json.loads(bsdf.bsdf.check().attrs["verdicts"])
+
+
+@pytest.fixture(scope="module")
 def translucent():
     reflected = smoothing.smooth(rig_primary.measured(paint, INCIDENCES, WAVELENGTHS))
     passed = smoothing.smooth(rig_primary.measured(film, (0.0, 20.0, 50.0), WAVELENGTHS, side="transmission"))
@@ -92,8 +97,7 @@ def test_there_is_no_light_at_and_below_the_horizon(bsdf):
     assert (bsdf.bsdf.uncertainty([90, 30, 30, 120], 0, [30, 90, 120, 30], 0).values == 0).all()
 
 
-def test_a_measured_bsdf_passes_its_checks(bsdf):
-    verdicts = json.loads(bsdf.sel(wavelength=[550.0]).bsdf.check().attrs["verdicts"])
+def test_a_measured_bsdf_passes_its_checks(verdicts):
     assert {verdict["verdict"] for verdict in verdicts.values()} == {"pass"}, verdicts
 
 
@@ -134,8 +138,8 @@ def test_the_uncertainty_of_the_reflectance_is_that_of_its_common_errors():
     assert u.item() == pytest.approx(0.005, rel=0.3)
 
 
-def test_averaged_reciprocity_is_judged_by_the_measured_values(bsdf):
-    sound = json.loads(bsdf.bsdf.check().attrs["verdicts"])["reciprocity"]
+def test_averaged_reciprocity_is_judged_by_the_measured_values(verdicts):
+    sound = verdicts["reciprocity"]
     assert sound["verdict"] == "pass"
     assert "the BSDF is their average, and the measured ones differ by up to" in sound["text"]
     primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"), INCIDENCES, [550.0])
