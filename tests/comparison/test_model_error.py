@@ -15,7 +15,7 @@ from brdfpipe.bsdf import traced
 from brdfpipe.bsdf.microfacet.builder import build
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.comparison.lobe_bins import LobeBins
-from brdfpipe.comparison.model_error import GLOSS_ANGLES, REGIONS, model_error, relative_error
+from brdfpipe.comparison.model_error import GLOSS_ANGLES, REGIONS, model_error
 from brdfpipe.errors import VocabularyError
 from brdfpipe.references.height_mesh import HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
@@ -106,18 +106,6 @@ def test_light_and_gloss_are_those_of_the_traced_representation():
     assert float(
         peak.sel(theta_i=0) + result["reference_light"].sel(reference="traced")[0, 0, 1:].sum()
     ) == pytest.approx(float(table["reflected"].sel(traced_incidence=0).sum()), rel=5e-3)
-
-
-def test_relative_error_is_that_of_the_reference_that_holds():
-    error = relative_error(rough())
-    found = rough().sel(reference="traced", theta_i=60, region="peak").isel(plane=0)
-    expected = np.hypot(float(found["light_error"]), float(found["light_error_u"]))
-    assert float(error.sel(theta_i=60, region="peak")) == pytest.approx(expected, rel=1e-12)
-    diffraction = polished().sel(reference="kirchhoff", theta_i=0, region="peak").isel(plane=0)
-    expected = np.hypot(float(diffraction["light_error"]), float(diffraction["light_error_u"]))
-    assert float(relative_error(polished()).sel(theta_i=0, region="peak")) == pytest.approx(expected, rel=1e-12)
-    nothing_holds = rough().assign(valid=0 * rough()["valid"])
-    assert relative_error(nothing_holds).isnull().all()
 
 
 def test_gloss_of_a_polished_surface_is_that_of_coherent_light():

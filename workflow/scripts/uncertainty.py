@@ -1,6 +1,6 @@
 from brdfpipe import store
 from brdfpipe.bsdf.input_uncertainty import uncertainty
-from brdfpipe.comparison.model_error import relative_error
+from brdfpipe.comparison.error_as_uncertainty import relative_error
 
 
 def main(input, output, params):

@@ -17,8 +17,9 @@ from brdfpipe.appearance.apertures import Rule
 from brdfpipe.appearance.colours import TOTAL, colour, flop_index, total_reflectance
 from brdfpipe.appearance.gloss_meter import gloss_at
 from brdfpipe.appearance.haze import HazeWindow, haze_units
+from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.source_changes import NOT_STATED, Reflector, SourceChanges, uncertain
+from brdfpipe.bsdf.source_changes import Reflector, SourceChanges, uncertain
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 

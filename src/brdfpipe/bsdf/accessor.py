@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 from brdfpipe import store, vocabulary
 from brdfpipe.bsdf import approximation_error, checks, tabulation
 from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import REPRESENTATIONS, representation
-from brdfpipe.bsdf.source_changes import NOT_STATED, SourceChanges, in_quadrature
+from brdfpipe.bsdf.source_changes import SourceChanges, in_quadrature
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, broadcast, check_angles, checked_angles
 

@@ -17,15 +17,11 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.base import Representation
-from brdfpipe.bsdf.microfacet.builder import trapped_light
+from brdfpipe.bsdf.change_variables import DIMENSION, NOT_STATED, SOURCE, between_incidences
+from brdfpipe.bsdf.microfacet.gloss_trap import trapped_light
 from brdfpipe.bsdf.microfacet.model import Model
-from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.representations.microfacet import Interface
-from brdfpipe.bsdf.representations.wave import Wave
-from brdfpipe.bsdf.source_changes import DIMENSION, NOT_STATED, SOURCE, between_incidences
-from brdfpipe.bsdf.wave.builder import roughness
 from brdfpipe.bsdf.wave.height_transform import log_transform
+from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.facets import planar_density
 from brdfpipe.facets.density_changes import CHANGES
 from brdfpipe.facets.facet_dataset import azimuthal_average
@@ -77,7 +73,7 @@ def uncertainty(
     index : kind ``index``; ``n_u`` is common to all wavelengths
     spectrum : kind ``spectrum``; ``total_reflectance_u`` is common to all wavelengths
     relative_error : of the model over ``theta_i`` [degree] and ``region``
-        (:func:`brdfpipe.comparison.model_error.relative_error`), NaN where it is not known
+        (:func:`brdfpipe.comparison.error_as_uncertainty.relative_error`), NaN where it is not known
 
     Returns
     -------
@@ -90,7 +86,7 @@ def uncertainty(
     """
     vocabulary.validate(bsdf, "bsdf")
     changes: list[_Change] = []
-    base = _Base.of(bsdf, spectrum)
+    base = _Base(bsdf, spectrum)
     if facets is not None and "slope_density" in bsdf and CHANGES in vocabulary.validate(facets, "facets"):
         changes += [_Change(source, base.completed(fields)) for source, fields in _of_facets(bsdf, facets)]
     if psd is not None and "log_halo" in bsdf:
@@ -273,12 +269,12 @@ class _Base:
     """The diffuse base of a BSDF, which keeps the total reflectance at that of its spectrum."""
 
     bsdf: xr.Dataset
-    given: Representation
     spectrum: xr.Dataset | None
 
-    @classmethod
-    def of(cls, bsdf: xr.Dataset, spectrum: xr.Dataset | None) -> _Base:
-        return cls(bsdf, representation(bsdf), spectrum)
+    @property
+    def _of_facets(self) -> bool:
+        """Whether the surface is one of facets alone, or perfectly smooth."""
+        return self.bsdf.attrs["representation"] in ("microfacet", "smooth")
 
     @cached_property
     def _model(self) -> Model:
@@ -287,7 +283,8 @@ class _Base:
     @cached_property
     def _incidences(self) -> tuple[Array, Array, int]:
         """θ and φ [degree] at which an albedo is compared, and how many azimuths there are of each θ."""
-        turns = np.zeros(1) if self.given.isotropic else (self.given.lay or 0.0) + _LAY_TURNS
+        isotropic = "phi_i" not in self.bsdf["directional_albedo"].dims
+        turns = np.zeros(1) if isotropic else float(self.bsdf.get("lay", 0.0)) + _LAY_TURNS
         theta, phi = (grid.ravel() for grid in np.meshgrid(_THETA, turns, indexing="ij"))
         return theta, phi, turns.size
 
@@ -298,9 +295,9 @@ class _Base:
 
     def completed(self, fields: Fields) -> Fields:
         """Add what a change of the surface makes of its albedo and of the base."""
-        if isinstance(self.given, Wave):
+        if self.bsdf.attrs["representation"] == "wave":
             albedo = self._wave_albedo(fields)
-        elif isinstance(self.given, Interface):
+        elif self._of_facets:
             albedo = self._interface_albedo(fields)
         else:
             return fields
@@ -372,10 +369,10 @@ class _Base:
 
     def _trapped(self, fields: Fields) -> Array:
         """Change of the light in a gloss trap, which a spectrum with the specular excluded is without, (wavelength or 1,)."""
-        if self.spectrum is None or self.spectrum.attrs["geometry"] != "sce" or not isinstance(self.given, Interface):
+        if self.spectrum is None or self.spectrum.attrs["geometry"] != "sce" or not self._of_facets:
             return np.zeros(1)
         theta_m = float(self.bsdf["theta_m"])
         bare = self.bsdf.assign(diffuse=xr.zeros_like(self.bsdf["diffuse"]))
-        models = _Base(bare, self.given, self.spectrum)._changed_model(fields), Model.of(bare, None)
+        models = _Base(bare, self.spectrum)._changed_model(fields), Model.of(bare, None)
         changed, given = (trapped_light(model, self.spectrum, theta_m) for model in models)
         return np.asarray(changed - given)

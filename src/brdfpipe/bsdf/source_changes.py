@@ -19,20 +19,13 @@ from typing import Protocol
 
 import numpy as np
 import xarray as xr
-from scipy.interpolate import CubicSpline
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.change_variables import DIMENSION, MODEL, SOURCE, between_incidences
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.geometry import Array
-
-DIMENSION, SOURCE = "uncertain_change", "uncertainty_source"
-"""Dimension of the changes, and the variable that names the input of each."""
-MODEL = "model"
-"""Source of the error of the model itself."""
-NOT_STATED = "uncertainty_not_stated"
-"""Attribute: sources without a stated uncertainty, separated by commas."""
 
 _SUFFIX = "_change"
 _PEAK_INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0])
@@ -205,11 +198,6 @@ class _WithModelError:
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         """Unchanged: light that the surface reflects elsewhere stays part of a total that was measured."""
         return self._given.albedo(theta_i, phi_i, wavelength)
-
-
-def between_incidences(nodes: Array, changes: Array, theta: Array) -> Array:
-    """Changes of an albedo (nodes, …) at other incidences, (theta, …)."""
-    return np.asarray(CubicSpline(nodes, changes)(theta))
 
 
 def in_quadrature(parts: Mapping[str, Array]) -> Array:

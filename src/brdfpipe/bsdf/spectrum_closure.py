@@ -9,8 +9,9 @@ import xarray as xr
 
 from brdfpipe import hemisphere
 from brdfpipe.bsdf.coupled_base import OfDirections
-from brdfpipe.bsdf.microfacet.builder import trap_of, with_clamping_warning, with_diffuse_reflectance
+from brdfpipe.bsdf.microfacet.builder import with_clamping_warning, with_diffuse_reflectance
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
+from brdfpipe.bsdf.microfacet.gloss_trap import trap_of
 from brdfpipe.geometry import Array
 
 INCIDENCES = np.array([0, 8, 15, 22.5, 30, 37.5, 45, 52.5, 60, 65, 70, 74, 78, 81, 84, 86, 88, 89, 89.6, 90.0])

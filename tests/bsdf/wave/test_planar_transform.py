@@ -77,7 +77,7 @@ def test_crossing_ridges_are_those_of_a_transform_over_the_plane(g):
 def test_a_map_gives_the_azimuth_and_the_width_of_its_lay():
     spectrum = psd.estimate(ridges(0.1, seed=1))
     assert "psd_planar" in spectrum
-    from brdfpipe.bsdf.wave.builder import roughness
+    from brdfpipe.bsdf.wave.roughness import roughness
 
     _, stretch = spectrum_with_lay(spectrum, roughness(spectrum)[0])
     assert stretch.lay == pytest.approx(LAY, abs=3)

@@ -14,8 +14,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from brdfpipe import hemisphere, vocabulary
+from brdfpipe import vocabulary
 from brdfpipe.bsdf.microfacet import energy, transmission
+from brdfpipe.bsdf.microfacet.gloss_trap import trap_of, trapped_light
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface, ModelError
 from brdfpipe.bsdf.microfacet.model import (
     CRF_DIFFUSE_SHARE,
@@ -38,9 +39,6 @@ from brdfpipe.optics.index import interpolate_index, refractive_index
 
 WAVELENGTHS = np.arange(380.0, 781.0, 10.0)
 """Wavelengths of a BSDF that depends on them, and whose index and spectrum do not set them [nm]."""
-
-SPECULAR_TRAP = 5.0
-"""Half angle of the gloss trap of a sphere instrument, unless the spectrum says otherwise [degree]."""
 
 _LIMIT_THETA = np.concatenate([np.arange(0.0, 84.0, 2.0), np.arange(84.0, 89.5, 0.5), [89.5, 89.7, 89.85, 89.95, 90.0]])
 
@@ -381,25 +379,6 @@ def with_clamping_warning(
         f"({where.min():g} to {where.max():g} nm); the diffuse part was set to 0 there. Check whether the specular was excluded "
         "(`spectrum.geometry: sce`), the refractive index and the surface.",
     )
-
-
-def trap_of(spectrum: xr.Dataset) -> float:
-    """Half angle of the gloss trap that excluded the specular [degree]."""
-    return float(spectrum.attrs.get("specular_trap", SPECULAR_TRAP))
-
-
-def trapped_light(model: Model, spectrum: xr.Dataset, theta_m: float) -> Array:
-    """Light that the facets mirror into the gloss trap, (wavelength or 1,); 0 if the specular was included.
-
-    A trap absorbs light within a few degrees of the mirror direction; a rough surface mirrors most light to other directions, where
-    the instrument collects it with the diffuse light.
-    """
-    if spectrum.attrs["geometry"] != "sce":
-        return np.zeros(1)
-    if model.surface is None:
-        return total_reflectance_at(model, theta_m)
-    theta, phi, weight = hemisphere.around_mirror(theta_m, model.surface.typical_slope, trap_of(spectrum))
-    return np.asarray(weight @ model.evaluate(np.full_like(theta, theta_m), np.zeros_like(phi), theta, phi))
 
 
 def wavelengths_of(

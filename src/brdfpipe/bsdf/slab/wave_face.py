@@ -38,9 +38,10 @@ from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.slab import face
 from brdfpipe.bsdf.slab.face import ELEMENTS, LEAST_LOSS, Azimuths, Face, Nodes
 from brdfpipe.bsdf.wave import two_scale
-from brdfpipe.bsdf.wave.builder import Relief, roughness
+from brdfpipe.bsdf.wave.builder import Relief
 from brdfpipe.bsdf.wave.builder import build as build_wave
 from brdfpipe.bsdf.wave.halo import Field, Halo
+from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.geometry import Array, HalfVector
 
 NARROWEST_HALO = (0.03, 0.06)

@@ -24,16 +24,17 @@ from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 from brdfpipe.bsdf.microfacet.builder import (
     index_on,
     interreflection_of,
-    trap_of,
     wavelengths_of,
     with_clamping_warning,
     with_diffuse_reflectance,
 )
+from brdfpipe.bsdf.microfacet.gloss_trap import trap_of
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
 from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.wave import height_transform, planar_transform
 from brdfpipe.bsdf.wave.halo import Halo
+from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.bsdf.wave.two_scale import (
     FACETS_ALONE,
     RoughSurface,
@@ -51,9 +52,6 @@ from brdfpipe.optics.index import refractive_index
 
 FINE_PHASE = 1.0
 """Phase variance of roughness that is too fine to be facets, at normal incidence and 550 nm."""
-
-LEAST_SLOPE = 3.0
-"""Least exponent with which a measured spectrum is continued beyond its band: at 2 the heights beyond it have no end."""
 
 EXTRAPOLATED_LIMIT = 0.2
 """Share of the mean square height beyond the band of a measured spectrum above which a warning says so."""
@@ -211,26 +209,6 @@ def _check(form: str, diffuse: str, optics: str, facets: xr.Dataset | None) -> N
 
 
 # --- the roughness
-
-
-def roughness(psd: xr.Dataset) -> tuple[height_transform.Autocorrelation, float]:
-    """Roughness of a spectrum, and its rms height [um]."""
-    form, length, slope = psd.attrs["form"], float(psd["fit_length"]), float(psd["fit_slope"])
-    fitted: height_transform.Autocorrelation | None = None
-    if np.isfinite(length) and length > 0:
-        by_slope = np.isfinite(slope) and slope > 2
-        fitted = height_transform.k_correlation(length, slope) if by_slope else height_transform.gaussian(length)
-    if form != "measured":
-        if fitted is None:
-            raise ModelError(
-                f"a roughness spectrum of the form {form!r} has no `fit_length`; give one, or measured values"
-            )
-        return fitted, float(psd["fit_sigma"])
-    if not psd["psd"].values.any():
-        return height_transform.gaussian(1.0), 0.0
-    if fitted is not None and np.isfinite(slope) and slope < LEAST_SLOPE:
-        fitted = height_transform.k_correlation(length, LEAST_SLOPE)
-    return height_transform.measured(psd["frequency"].values, psd["psd"].values, fitted)
 
 
 def _halo_table(

@@ -13,9 +13,9 @@ from brdfpipe.appearance.applicability import HAZE_ANGLES, gloss_exclusion, glos
 from brdfpipe.appearance.gloss_basis import gloss_flags, worst_flag
 from brdfpipe.appearance.multiple_scattering import MultipleScattering, multiple_scattering
 from brdfpipe.appearance.quantities import quantity
+from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.wave import Wave
-from brdfpipe.bsdf.source_changes import NOT_STATED
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.masking.modes import PHYSICAL_MASKINGS
 from brdfpipe.report.cards import Section, Table
