@@ -511,6 +511,13 @@ _STAGES = (
         kind="bsdf",
     ),
     Stage(
+        "flake_uncertainty",
+        "the changes of the BSDF of an effect paint by the uncertainties of its colours, its clear coat and its fit",
+        when=_has("multiangle"),
+        keys=_block("multiangle", _read_by("flake_uncertainty", *_COLOURS)),
+        kind="uncertainty",
+    ),
+    Stage(
         "rig_run",
         "the frames of an emulated rig",
         when=_has("rig"),

@@ -504,6 +504,7 @@ KINDS: Mapping[str, Kind] = {
     "multiangle": Kind(
         {angle: [("geometry",)] for angle in ("theta_i", "phi_i", "theta_o", "phi_o")},
         optional={f"tristimulus{u}": [("geometry", "channel")] for u in ("", "_u")}
+        | {"lab_u": [("geometry", "component")]}
         | {f"reflectance_factor{u}": [("geometry", "wavelength")] for u in ("", "_u")},
     ),
     "colours": Kind({"lab": [("geometry", "component")]}, attributes=("illuminant", "observer")),

@@ -75,7 +75,7 @@ def test_the_page_and_the_catalogue_show_the_uncertainty(index_alone):
     datasets = {"facets": beckmann(0.1), "bsdf": bsdf.assign_attrs(route="predicted"), "appearance": appearance}
     table = source_table(datasets)
     assert [row[0] for row in table.rows] == ["Refractive index", "Instrument", "All together"]
-    assert "Not known, and none assumed: facets, spectrum, model." in table.note
+    assert "Not known, and none assumed: facets counted, reflectance spectrum, model." in table.note
     tiles = {tile.name: tile.value for tile in key_numbers(datasets)}
     value, u = float(appearance["gloss"].sel(gloss_angle=60)), float(appearance["gloss_u"].sel(gloss_angle=60))
     assert tiles["Gloss 60°"] == f"{value:.1f} ± {u:.1f}"

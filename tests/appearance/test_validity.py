@@ -7,11 +7,11 @@ import pytest
 import samples
 import xarray as xr
 
-from brdfpipe import facets, psd, vocabulary
+from brdfpipe import facets, flakes, psd, vocabulary
 from brdfpipe.appearance.origin import Datasets
 from brdfpipe.appearance.validity import Judgement, validity
 from brdfpipe.appearance.verdicts import verdicts, worst
-from brdfpipe.bsdf import slab
+from brdfpipe.bsdf import flake, slab
 
 ROUGHNESS = "Roughness against wavelength (550 nm)"
 PITCH = "Structure finer than the scan"
@@ -127,7 +127,26 @@ def test_noise_and_tails_are_judged_by_their_share():
     assert (
         judged(datasets(facets=table.drop_vars("tail_slope")))["Extrapolated slopes"].finding == "20.00% of the facets"
     )
-    assert judged(datasets(psd=spectrum.assign(noise_sigma=0.0)))["Height noise"].finding == "none found"
+    assert judged(datasets(psd=spectrum.assign(noise_sigma=0.0)))["Height noise"].finding.startswith("none found")
+
+
+def paint(*names: str) -> xr.Dataset:
+    """A paint of colours that an exponential does not fit."""
+    values = {"45as15": 20.0, "45as25": 12.0, "45as45": 5.0, "45as75": 2.0}
+    colours = [{"geometry": name, "xyz": [values[name]] * 3} for name in names]
+    multiangle = flakes.ingest({"colours": colours, "illuminant": "D65", "observer": 10})
+    return flake.build(multiangle, model="flake-physical")
+
+
+def test_the_fit_of_a_paint_is_judged_by_colours_that_it_could_miss():
+    form, angles, coat = validity({"bsdf": paint("45as15", "45as45", "45as75")})
+    assert form.verdict == ""
+    assert "3 geometries and 3 parameters: the fit cannot miss the colours" in form.finding
+    assert angles.finding.startswith("4.33 to 23.8°; light reaches 0 to 41.8°")
+    assert coat.finding.startswith("assumed smooth, not measured")
+    more = validity({"bsdf": paint("45as15", "45as25", "45as45", "45as75")})[0]
+    assert more.verdict == "pass"
+    assert "from the 4 measured colours" in more.finding
 
 
 def test_other_materials_have_no_conditions():

@@ -226,6 +226,20 @@ def test_uncertainties_of_xyz_and_of_spectra_are_kept_in_their_scale(tmp_path):
     assert multiangle["reflectance_factor_u"].values[0] == pytest.approx(nm[::-1] / 1e4)
 
 
+def test_one_uncertainty_of_all_colours_is_that_of_every_column(tmp_path):
+    rows = {
+        u: "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]}{u}" for name, lab in LAB.items()) for u in ("", ",.2,.2,.2")
+    }
+    stated = {"file": "x", "colour_uncertainty": 0.2, **VIEWING}
+    of_key = flakes.ingest(stated, written(tmp_path, f"geometry,L,a,b\n{rows['']}\n"))
+    columns = written(tmp_path, f"geometry,L,a,b,u_L,u_a,u_b\n{rows[',.2,.2,.2']}\n")
+    of_columns = flakes.ingest({"file": "x", **VIEWING}, columns)
+    for name in ("tristimulus_u", "lab_u"):
+        np.testing.assert_array_equal(of_key[name], of_columns[name])
+    with pytest.raises(InputError, match="the file has columns of uncertainties; accepted: either these or"):
+        flakes.ingest(stated, columns)
+
+
 def test_columns_that_are_not_used_are_named(tmp_path):
     rows = "\n".join(f"{name},{lab[0]},{lab[1]},{lab[2]},x" for name, lab in LAB.items())
     multiangle = flakes.ingest({"file": "x", **VIEWING}, written(tmp_path, f"geometry,L,a,b,operator\n{rows}\n"))

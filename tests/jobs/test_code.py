@@ -251,6 +251,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("uncertainty", same("predicted", "facets", "psd", "index", "spectrum", "model_error"), same("uncertainty"))
     run("multiangle", {}, same("multiangle"), of="metallic-blue")
     run("flake", same("multiangle"), same("flake"), of="metallic-blue")
+    run("flake_uncertainty", same("multiangle", "flake"), same("flake_uncertainty"), of="metallic-blue")
     journal = {"journal": "run/journal.jsonl"}
     run("rig_run", {"sources": [str(plan)], "truth": "predicted"}, journal, {"emulate": {"seed": 1}})
     arrangements = [("etalon", 10.0), ("sample", 20.0), ("sample", 45.0)]

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from brdfpipe.report.formatting import length
+from brdfpipe.report.formatting import length, share_percent, uncertainty_value
 
 
 @pytest.mark.parametrize(
@@ -10,3 +10,16 @@ from brdfpipe.report.formatting import length
 )
 def test_small_heights_are_written_in_nanometres(micrometres: float, words: str) -> None:
     assert " ".join(length(micrometres)) == words
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(0.0, "0 %"), (3.8e-16, "less than 0.001 %"), (1e-5, "0.0010 %"), (0.00344, "0.34 %"), (0.123, "12.3 %")],
+)
+def test_shares_too_small_to_mean_anything_have_no_digits(share: float, words: str) -> None:
+    assert share_percent(share).replace("\u202f", " ") == words
+
+
+@pytest.mark.parametrize(("u", "words"), [(0.0, "0"), (0.004, "< 0.01"), (0.0123, "0.01"), (1.234, "1.23")])
+def test_a_known_uncertainty_is_never_written_as_none(u: float, words: str) -> None:
+    assert uncertainty_value(u) == words

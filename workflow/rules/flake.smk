@@ -13,3 +13,10 @@ use rule stage_template as flake with:
         **results_of("multiangle"),
     output:
         flake="{material}/flake.nc",
+
+
+use rule stage_template as flake_uncertainty with:
+    input:
+        **results_of("multiangle", "flake"),
+    output:
+        flake_uncertainty="{material}/flake_uncertainty.nc",

@@ -11,6 +11,7 @@ use rule stage_template as bsdf with:
             "flake",
             "measured",
             "uncertainty",
+            "flake_uncertainty",
         ),
     output:
         bsdf="{material}/bsdf.nc",

@@ -6,16 +6,17 @@ NOT_STATED = "uncertainty_not_stated"
 def main(input, output, params):
     """The BSDF of the best route of the material: measured, else of flakes, else predicted."""
     spec = params["spec"]
-    kinds = {name: name if name == "uncertainty" else "bsdf" for name, _ in input.items()}
+    kinds = {name: "uncertainty" if name.endswith("uncertainty") else "bsdf" for name, _ in input.items()}
     inputs = {name: store.open_dataset(path, kinds[name]) for name, path in input.items()}
     source = spec["route"]
     if source == "predicted":
         source = next(name for name in ("reference", "wave", "sheet", "predicted") if name in inputs)
     bsdf = inputs[source].assign_attrs(route=spec["route"])
-    if source in ("wave", "predicted") and "uncertainty" in inputs:
+    of_source = {"wave": "uncertainty", "predicted": "uncertainty", "flake": "flake_uncertainty"}.get(source)
+    if of_source in inputs:
         # The changes of variables stand beside these.
-        bsdf = bsdf.merge(inputs["uncertainty"], combine_attrs="override")
-        bsdf.attrs |= {NOT_STATED: inputs["uncertainty"].attrs[NOT_STATED]}
+        bsdf = bsdf.merge(inputs[of_source], combine_attrs="override")
+        bsdf.attrs |= {NOT_STATED: inputs[of_source].attrs[NOT_STATED]}
     store.save_dataset(bsdf, output["bsdf"], stage="bsdf", material=params["material"], inputs=inputs, parameters=spec)
 
 

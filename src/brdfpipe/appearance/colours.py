@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import hemisphere, vocabulary
 from brdfpipe.appearance.tolerances import labelled, standard_uncertainty
+from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.source_changes import Reflector
 from brdfpipe.flakes.geometries import SETS, Directions, named_directions, refuse_mixed_signs
@@ -35,6 +36,8 @@ _STEPS = ((-ANGLE_TOLERANCE, 0.0), (ANGLE_TOLERANCE, 0.0), (0.0, -ANGLE_TOLERANC
 """Along θ, then across it [degree]."""
 _ALL_AZIMUTHS, _SOME_AZIMUTHS = np.arange(0.0, 360.0, 1.0), np.arange(0.0, 360.0, 5.0)
 _GRAZING = 89.999
+_CHANGE_ACCURACY = 1e-4
+"""Relative error of an integral of which only the change by an uncertain input matters."""
 
 BLACK = 0.1
 """Lightness below which a colour counts as black: ten times the spread of good instruments on a black tile."""
@@ -51,6 +54,7 @@ def colour(
     *,
     azimuth: float | None = None,
     reflector: Reflector | None = None,
+    total: Array | None = None,
 ) -> xr.DataArray:
     """CIE L*a*b* of the total reflectance at 8° and of single geometries.
 
@@ -65,6 +69,7 @@ def colour(
     azimuth : of the plane of incidence of the single geometries [degree]; by default the colour of the mean over all azimuths, for
         surfaces with a lay. The total reflectance is always such a mean
     reflector : evaluated instead of the BSDF
+    total : total reflectance of the reflector, if known (:func:`total_reflectance`)
 
     Returns
     -------
@@ -81,8 +86,9 @@ def colour(
     the three are 15, 45 and 110° is the trade's use.
     """
     vocabulary.validate(bsdf, "bsdf")
-    wavelength, total = total_reflectance(bsdf, reflector)
-    directions = _directions(geometries)
+    if total is None:
+        total = total_reflectance(bsdf, reflector)[1]
+    wavelength, directions = _wavelengths(bsdf), _directions(geometries)
     white = colorimetry.weights(illuminant, observer).white
     sphere = colorimetry.reflectance_to_xyz(wavelength, total, illuminant, observer)
     single = _lab(bsdf, angles(directions), illuminant, observer, azimuth, reflector)
@@ -180,9 +186,18 @@ def total_reflectance(bsdf: xr.Dataset, reflector: Reflector | None = None) -> t
     if reflector is None:
         return representation(bsdf).total_reflectance()
     azimuths = hemisphere.azimuths(representation(bsdf).isotropic)
-    albedo = reflector.albedo(np.full(azimuths.size, 8.0), azimuths, None).mean(axis=0)
-    wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else np.array([360.0, 780.0])
-    return wavelength, np.broadcast_to(albedo, wavelength.shape)
+    incidence = np.full(azimuths.size, 8.0), azimuths, None
+    if isinstance(reflector, Representation) and reflector.albedo_needs_quadrature:
+        albedo = reflector.integrate(*incidence, relative=_CHANGE_ACCURACY).value + reflector.specular(*incidence)[0]
+    else:
+        albedo = reflector.albedo(*incidence)
+    wavelength = _wavelengths(bsdf)
+    return wavelength, np.broadcast_to(albedo.mean(axis=0), wavelength.shape)
+
+
+def _wavelengths(bsdf: xr.Dataset) -> Array:
+    """nm; both ends of the visible spectrum if the BSDF does not depend on wavelength."""
+    return np.asarray(bsdf["wavelength"].values) if "wavelength" in bsdf.coords else np.array([360.0, 780.0])
 
 
 def _lab(
@@ -204,7 +219,7 @@ def _lab(
 
 def xyz_of(bsdf: xr.Dataset, brdf: Array, illuminant: str, observer: int) -> Array:
     """X, Y and Z of the reflectance factors π·BRDF, (…, 3); ``brdf`` (…, wavelength or 1) [sr-1]."""
-    wavelength = bsdf["wavelength"].values if "wavelength" in bsdf.coords else np.array([360.0, 780.0])
+    wavelength = _wavelengths(bsdf)
     factors = np.broadcast_to(np.pi * brdf, (*brdf.shape[:-1], wavelength.size))
     return colorimetry.reflectance_to_xyz(wavelength, factors, illuminant, observer)
 

@@ -121,10 +121,10 @@ def _colour_parts(
     three = [names.index(f"45as{angle}") for angle in (15, 45, 110)]
     labs, flops, luminous = [], [], []
     for reflector in (changes.given, *changes.changed):
-        lab = colour(bsdf, geometries, *seen_under, reflector=reflector).values
+        wavelength, total = total_reflectance(bsdf, reflector)
+        lab = colour(bsdf, geometries, *seen_under, reflector=reflector, total=total).values
         labs.append(lab)
         flops.append(flop_index(*lab[three, 0]))
-        wavelength, total = total_reflectance(bsdf, reflector)
         weight = colorimetry.luminous_weight(wavelength)
         luminous.append(float(weight @ total / weight.sum()))
     return {

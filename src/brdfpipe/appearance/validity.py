@@ -9,9 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from brdfpipe.appearance.origin import Datasets
 from brdfpipe.bsdf.microfacet.phase_variance import LIMITS, phase_variances
+from brdfpipe.flakes.refraction import largest_flake_angle
 
 COHERENT_LIMIT = float(np.log(2))
 """Phase variance below which more than half of the mirror reflection is coherent light, which facets leave out."""
@@ -31,6 +33,9 @@ LARGEST_JUDGED = 75.0
 REFERENCES = ("traced", "kirchhoff")
 """Representations that are reference solutions themselves."""
 
+POOR_COLOUR = 3.0
+"""CIEDE2000 of a fit to the colours of a paint from which it is poor."""
+
 _WAVELENGTH = 0.55
 
 
@@ -46,13 +51,15 @@ class Judgement(NamedTuple):
 
 
 def validity(datasets: Datasets) -> list[Judgement]:
-    """Conditions of a BSDF that was predicted from a surface; empty for other materials.
+    """Conditions of a BSDF that was predicted from a surface, or fitted to colours; empty for other materials.
 
     Parameters
     ----------
     datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``visibility``, ``bsdf``, ``back_psd``, ``back_facets`` and ``model_error`` are
         used where they exist
     """
+    if "bsdf" in datasets and datasets["bsdf"].attrs["representation"] == "flake":
+        return _of_flakes(datasets["bsdf"])
     if "facets" not in datasets or "bsdf" not in datasets:
         return []
     is_sheet = datasets["bsdf"].attrs["representation"] == "slab"
@@ -68,6 +75,34 @@ def validity(datasets: Datasets) -> list[Judgement]:
         _masking(datasets),
     )
     return [judgement for judgement in (*judgements, _model_error(datasets)) if judgement is not None]
+
+
+def _of_flakes(bsdf: xr.Dataset) -> list[Judgement]:
+    """What the geometries of a paint can tell of its reflection, and what is assumed."""
+    measured = bsdf["theta_f_measured"].values
+    parameters = 2 * bsdf.sizes["term"] + 1
+    form = Judgement(
+        "Form of the decrease along the flake angle",
+        f"{measured.size} geometries and {parameters} parameters: the fit cannot miss the colours, so that its error is not known, above all "
+        "at other incidences",
+        "",
+        "Measure at more geometries",
+    )
+    if measured.size > parameters:
+        missed, left_out = (float(np.nanmax(bsdf[name])) for name in ("delta_e_00", "leave_one_out"))
+        finding = f"ΔE00 up to {missed:.1f} from the {measured.size} measured colours; up to {left_out:.1f} at one that is left out of the fit"
+        form = Judgement(form.condition, finding, "pass" if missed <= POOR_COLOUR else "warn")
+    low, high = measured.min(), measured.max()
+    reached = largest_flake_angle(float(bsdf["clear_coat_index"]))
+    angles = Judgement(
+        "Flake angles measured",
+        f"{low:.3g} to {high:.3g}°; light reaches 0 to {reached:.3g}°, and the rest is extrapolated",
+        "",
+    )
+    if bsdf.attrs["clear_coat"] == "none":
+        return [form, angles]
+    coat = "assumed smooth" if "clear_coat_slope" not in bsdf else f"slope {float(bsdf['clear_coat_slope']):.2g}, given"
+    return [form, angles, Judgement("Clear coat", f"{coat}, not measured; gloss and haze follow from it", "")]
 
 
 def _regime(datasets: Datasets) -> Judgement | None:
@@ -151,7 +186,7 @@ def _noise(datasets: Datasets) -> Judgement | None:
         return None
     noise, heights = float(datasets["psd"]["noise_sigma"]), float(datasets["psd"]["sigma_heights"])
     if not noise > 0:
-        return Judgement("Height noise", "none found", "pass")
+        return Judgement("Height noise", "none found: the roughness spectrum has no plateau", "pass")
     finding = f"{1e3 * noise:.3g} nm, {noise / heights:.1%} of the rms height; subtracted"
     if noise <= NOISE_LIMIT * heights:
         return Judgement("Height noise", finding, "pass")

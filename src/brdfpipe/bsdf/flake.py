@@ -16,10 +16,11 @@ Patent US 7,991,596 (DuPont); Walter 2007 (EGSR), the Jacobian of a mirror; Burn
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.representations.flake import PHYSICAL, ClearCoat, Flake
@@ -84,20 +85,14 @@ def build(
     """
     vocabulary.validate(multiangle, "multiangle")
     coat, finish = _clear_coat(index, model, clear_coat)
-    theta_i, phi_i, theta_o, phi_o = (multiangle[name].values for name in ("theta_i", "phi_i", "theta_o", "phi_o"))
-    theta_f = flake_angle(theta_i, phi_i, theta_o, phi_o, coat.index)
     is_colour = "tristimulus" in multiangle
     name = "tristimulus" if is_colour else "reflectance_factor"
     across = str(multiangle[name].dims[1])
-    white = colorimetry.weights(*_viewing(multiangle)).white if is_colour else np.array([1.0])
-    # Fitted are the measured values without the gloss of the coat, as at normal incidence and view.
-    values = multiangle[name].values - np.pi * coat.gloss(theta_i, phi_i, theta_o, phi_o)[:, None] * white
+    theta_f, values, share = below_coat(multiangle, coat)
     if (values < 0).any():
         problem = "the gloss of the clear coat alone is more than a measured colour"
         accepted = "a smaller slope, or geometries farther from the mirror direction"
         raise _refusal("clear_coat", problem, f"slope {coat.slope:g}", accepted)
-    share = coat.share(theta_i, phi_i, theta_o, phi_o)[:, None]
-    values = values / share
     u = multiangle[f"{name}_u"].values / share if f"{name}_u" in multiangle else None
     fitted = fit(theta_f, values, form, [_channel_title(across, value) for value in multiangle[across].values], u)
     bsdf = xr.Dataset(
@@ -125,6 +120,28 @@ def build(
         bsdf = _with_spectra(bsdf, fitted)
     bsdf = _with_errors(bsdf, multiangle, fitted, values, u)
     return vocabulary.label(_with_warnings(bsdf, coat, fitted, 100.0 if is_colour else 1.0), "bsdf")
+
+
+class BelowCoat(NamedTuple):
+    """Colours as they are without the clear coat, at normal incidence and view: what is fitted."""
+
+    theta_f: Array
+    """(geometries,) degree"""
+    values: Array
+    """(geometries, channels); below 0 where the gloss of the coat alone exceeds the colour"""
+    share: Array
+    """(geometries, 1), by which light without gloss was divided"""
+
+
+def below_coat(multiangle: xr.Dataset, coat: ClearCoat) -> BelowCoat:
+    """Flake angles, and the measured values without the gloss and the losses of a coat."""
+    theta_i, phi_i, theta_o, phi_o = (multiangle[name].values for name in ("theta_i", "phi_i", "theta_o", "phi_o"))
+    at = theta_i, phi_i, theta_o, phi_o
+    is_colour = "tristimulus" in multiangle
+    white = colorimetry.weights(*viewing_of(multiangle)).white if is_colour else np.array([1.0])
+    measured = multiangle["tristimulus" if is_colour else "reflectance_factor"].values
+    share = coat.share(*at)[:, None]
+    return BelowCoat(flake_angle(*at, coat.index), (measured - np.pi * coat.gloss(*at)[:, None] * white) / share, share)
 
 
 def _clear_coat(index: float, model: str, clear_coat: str | float | None) -> tuple[ClearCoat, str]:
@@ -165,8 +182,6 @@ def _uncertainties(fitted: Fit, across: str) -> dict[str, tuple[tuple[str, ...],
 
 def _with_spectra(bsdf: xr.Dataset, fitted: Fit) -> xr.Dataset:
     """Add the spectrum of the fitted chromaticity at each flake angle, scaled to Y = 1."""
-    from brdfpipe.spectra.recovery_methods.lhtss import lhtss
-
     measured = bsdf["theta_f_measured"].values
     stretched = np.expm1(np.linspace(0, 3, _SPECTRUM_NODES + 1)) / np.expm1(3.0)
     nodes = largest_flake_angle(float(bsdf["clear_coat_index"])) * stretched
@@ -175,11 +190,8 @@ def _with_spectra(bsdf: xr.Dataset, fitted: Fit) -> xr.Dataset:
     nodes = nodes[np.concatenate([[True], np.diff(nodes) > 1e-6])]
     xyz = fitted(nodes)
     visible = xyz[:, 1] > 0
-    chromaticity = np.where(visible[:, None], xyz / np.where(visible, xyz[:, 1], 1.0)[:, None], np.nan)
     table = colorimetry.weights(bsdf.attrs["illuminant"], int(bsdf.attrs["observer"]))
-    recovered = lhtss(100 * _RECOVERY_Y * np.nan_to_num(chromaticity), table)
-    reached = recovered.reached & visible
-    spectrum = recovered.reflectance / _RECOVERY_Y
+    spectrum, reached = spectra_of_chromaticity(xyz, table)
     if reached.any():
         index = np.flatnonzero(reached)
         nearest = index[np.abs(nodes[:, None] - nodes[index]).argmin(axis=1)]
@@ -200,6 +212,16 @@ def _with_spectra(bsdf: xr.Dataset, fitted: Fit) -> xr.Dataset:
         f"spectra recovered from fitted X, Y, Z ({bsdf.attrs['illuminant']}, {bsdf.attrs['observer']} degree) at {nodes.size} flake "
         "angles, with the smallest slope of the logarithm; exact under this illuminant, a guess under others",
     )
+
+
+def spectra_of_chromaticity(xyz: Array, table: colorimetry.Weights) -> tuple[Array, NDArray[np.bool_]]:
+    """Spectra (colours, wavelength) of Y = 1 with the chromaticity of X, Y, Z (colours, 3), and which colours have one."""
+    from brdfpipe.spectra.recovery_methods.lhtss import lhtss
+
+    visible = xyz[:, 1] > 0
+    chromaticity = np.where(visible[:, None], xyz / np.where(visible, xyz[:, 1], 1.0)[:, None], np.nan)
+    recovered = lhtss(100 * _RECOVERY_Y * np.nan_to_num(chromaticity), table)
+    return recovered.reflectance / _RECOVERY_Y, recovered.reached & visible
 
 
 def _with_errors(bsdf: xr.Dataset, multiangle: xr.Dataset, fitted: Fit, values: Array, u: Array | None) -> xr.Dataset:
@@ -247,12 +269,13 @@ def _with_chi_squared(bsdf: xr.Dataset, misfit: Array, form: Form, across: str) 
     )
 
 
-def _viewing(multiangle: xr.Dataset) -> tuple[str, int]:
+def viewing_of(multiangle: xr.Dataset) -> tuple[str, int]:
+    """Illuminant and observer of the colours."""
     return str(multiangle.attrs.get("illuminant", "D65")), int(multiangle.attrs.get("observer", 10))
 
 
 def _lab(multiangle: xr.Dataset, values: Array) -> Array:
-    viewing = _viewing(multiangle)
+    viewing = viewing_of(multiangle)
     if "channel" not in multiangle.dims:
         values = colorimetry.reflectance_to_xyz(multiangle["wavelength"].values, values, *viewing)
     return colorimetry.xyz_to_lab(values, colorimetry.weights(*viewing).white)

@@ -67,8 +67,12 @@ class SourceChanges:
     @cached_property
     def changed(self) -> tuple[Reflector, ...]:
         """The BSDF after each change."""
-        of_inputs = [representation(dataset) for dataset in self._datasets]
-        return (*of_inputs, _WithModelError(self._bsdf)) if "relative_error" in self._bsdf else tuple(of_inputs)
+        return (*self.of_inputs, _WithModelError(self._bsdf)) if "relative_error" in self._bsdf else self.of_inputs
+
+    @cached_property
+    def of_inputs(self) -> tuple[Representation, ...]:
+        """The BSDF after each change of its variables."""
+        return tuple(representation(dataset) for dataset in self._datasets)
 
     @cached_property
     def _datasets(self) -> list[xr.Dataset]:
@@ -128,6 +132,9 @@ def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset
             if "mixed" in reduced[name].dims:
                 values = at_wavelengths(change, reduced["mixed_wavelength"].values)
                 change = xr.DataArray(values, dims=(DIMENSION, "mixed"))
+            elif _is_flattened(change, reduced[name]):
+                after = np.stack([one.nonspectral(weight)[name].values for one in SourceChanges(bsdf).of_inputs])
+                change = xr.DataArray(after - reduced[name].values, dims=(DIMENSION, *reduced[name].dims))
             elif "wavelength" in change.dims:
                 change = change @ xr.DataArray(weight, dims="wavelength")
             fields[name + _SUFFIX] = change.variable
@@ -136,6 +143,11 @@ def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset
         name: bsdf[name].variable for name in ("change_theta", "error_theta", "region") if name in bsdf.coords
     }
     return vocabulary.label(reduced.assign(fields | kept).assign_coords(coordinates), "bsdf")
+
+
+def _is_flattened(change: xr.DataArray, mean: xr.DataArray) -> bool:
+    """Whether a mean over wavelength keeps the wavelengths as entries of another dimension."""
+    return any(change.sizes[dim] != mean.sizes[dim] for dim in set(change.dims) & set(mean.dims))
 
 
 def _after(bsdf: xr.Dataset, name: str, row: int) -> xr.Variable | None:

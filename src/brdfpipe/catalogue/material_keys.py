@@ -522,6 +522,49 @@ class _Multiangle(Keys):
         default_words="`smooth`",
         stage="flake",
     )
+    colour_uncertainty: float = key(
+        "standard uncertainty of each L*, a* and b* (or X, Y, Z, or reflectance factor), in its unit, independent from geometry to geometry",
+        default_words="none is assumed",
+        details="For all values alike; columns of a file state it one by one. See [uncertainties](#uncertainties-of-colours).",
+        gt=0,
+        le=10,
+        example=0.2,
+        stage="multiangle",
+    )
+    scale_uncertainty: float = key(
+        "relative standard uncertainty of all colours together, as that of the white standard",
+        default_words="none is assumed",
+        ge=0,
+        le=0.2,
+        example=0.005,
+        stage="flake_uncertainty",
+    )
+    index_uncertainty: float = key(
+        "standard uncertainty of the refractive index of the clear coat",
+        default_words="none is assumed",
+        ge=0,
+        le=1,
+        example=0.01,
+        stage="flake_uncertainty",
+    )
+    clear_coat_uncertainty: float = key(
+        "standard uncertainty of the slope of a rough clear coat",
+        default_words="none is assumed",
+        ge=0,
+        le=1,
+        example=0.005,
+        stage="flake_uncertainty",
+    )
+
+    @model_validator(mode="after")
+    def _check_clear_coat(self) -> Self:
+        if self.clear_coat_uncertainty is not None and (self.clear_coat is None or isinstance(self.clear_coat, str)):
+            problem, where = "only the slope of a rough clear coat has an uncertainty", "clear_coat_uncertainty"
+            found = "none given" if self.clear_coat is None else str(self.clear_coat)
+            raise InputError(
+                "", problem, where=where, found=f"`clear_coat`: {found}", accepted="`clear_coat` with a slope"
+            )
+        return self
 
 
 class MultiangleFile(_Multiangle):

@@ -371,13 +371,13 @@ def _warnings(result: xr.Dataset, predicted: xr.Dataset) -> list[str]:
         if at := _largest(peak["light_error"], peak["light_error_u"], peak["valid"], LIGHT_LIMIT):
             error, uncertainty = (float(peak[name][at]) for name in ("light_error", "light_error_u"))
             warnings.append(
-                f"the predicted light in the peak is {error:+.0%} (± {uncertainty:.1%}) off {words} at {float(peak['theta_i'][at['theta_i']]):.0f}°"
-                f"{_plane_words(result, at)}; {result.attrs['advice']}"
+                f"the predicted light in the peak is {_signed(error, uncertainty, '.1%')} off {words} at "
+                f"{float(peak['theta_i'][at['theta_i']]):.0f}°{_plane_words(result, at)}; {result.attrs['advice']}"
             )
         if at := _largest(one["gloss_error"], one["gloss_error_u"], one["gloss_valid"], GLOSS_LIMIT):
             error, uncertainty = (float(one[name][at]) for name in ("gloss_error", "gloss_error_u"))
             warnings.append(
-                f"the predicted gloss is {error:+.1f} (± {uncertainty:.1f}) gloss units off {words} at "
+                f"the predicted gloss is {_signed(error, uncertainty, '.1f')} gloss units off {words} at "
                 f"{float(one['gloss_angle'][at['gloss_angle']]):.0f}°{_plane_words(result, at)}; {result.attrs['advice']}"
             )
     row = _masking_difference(result)
@@ -395,6 +395,11 @@ def _warnings(result: xr.Dataset, predicted: xr.Dataset) -> list[str]:
             f"{reasons}".strip()
         )
     return warnings
+
+
+def _signed(error: float, uncertainty: float, format: str) -> str:
+    """An error and two standard uncertainties."""
+    return f"{error:+{format}} ± {2 * uncertainty:{format}}".replace("-", "\N{MINUS SIGN}")
 
 
 def _largest(error: xr.DataArray, uncertainty: xr.DataArray, valid: xr.DataArray, limit: float) -> dict[str, int]:

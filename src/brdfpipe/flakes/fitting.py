@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe.errors import InputError
 from brdfpipe.flakes.forms import BLACK, FAINTEST, FORMS, ChannelCurve, ChannelData, Form, curve, distinct
@@ -38,6 +38,14 @@ class Fit(NamedTuple):
     covariance: Array
     """(channels, parameters, parameters) of A, B of each term and C; NaN at a bound, and of an exact fit to values of unknown
     uncertainty"""
+
+    @property
+    def curves(self) -> list[ChannelCurve]:
+        """Parameters of each channel."""
+        return [
+            ChannelCurve(amplitude, decay, float(constant))
+            for amplitude, decay, constant in zip(self.amplitude.T, self.decay.T, self.constant, strict=True)
+        ]
 
     def __call__(self, theta_f: ArrayLike) -> Array:
         """Values (..., channels) at flake angles [degree]."""
@@ -103,6 +111,33 @@ def leave_one_out(
     return predicted
 
 
+def sensitivity(
+    theta_f: ArrayLike, values: ArrayLike, fitted: Fit, form: str, uncertainty: ArrayLike | None = None
+) -> Array:
+    """Change of each parameter of a fit with each value, to first order; 0 of parameters at a bound.
+
+    Parameters
+    ----------
+    theta_f, values, form, uncertainty : as for :func:`fit`, which gave ``fitted``
+
+    Returns
+    -------
+    (channels, parameters, geometries), parameters as in the covariance
+    """
+    data = _channel_data(theta_f, values, form, None, uncertainty)
+    result = np.zeros((len(data), FORMS[form].parameters, np.size(theta_f)))
+    for k, (channel, one) in enumerate(zip(data, fitted.curves, strict=True)):
+        slopes, free = _free_slopes(channel, one)
+        result[k, free] = np.linalg.pinv(slopes / channel.scale[:, None]) / channel.scale
+    return result
+
+
+def relative_scale(values: Array) -> Array:
+    """Values (geometries, channels), at least a thousandth of the largest of the channel; 1 in a black channel."""
+    brightest = values.max(axis=0)
+    return np.where(brightest > 0, np.maximum(values, FAINTEST * brightest), 1.0)
+
+
 def _channel_data(
     theta_f: ArrayLike,
     values: ArrayLike,
@@ -125,8 +160,7 @@ def _channel_data(
         raise _refusal(problem, found, f"at least {needed}", "multiangle.colours")
     rho = np.where(rho < BLACK, 0.0, rho)
     # Values of unknown uncertainty are weighted relatively, like the noise of instruments and the eye.
-    brightest = rho.max(axis=0)
-    scale = np.where(brightest > 0, np.maximum(rho, FAINTEST * brightest), 1.0)
+    scale = relative_scale(rho)
     tolerance = _CONSTANT * scale
     if uncertainty is not None:
         u = np.asarray(uncertainty, dtype=float)
@@ -152,22 +186,28 @@ def _combined(data: Sequence[ChannelData], curves: Sequence[ChannelCurve], form:
 
 def _covariance(data: ChannelData, fitted: ChannelCurve) -> Array:
     """(JᵀWJ)⁻¹ of the parameters that are free, times s² of the misfits if W is unknown; NaN without degrees of freedom."""
-    parameters, power = data.form.parameters, data.form.power
+    parameters = data.form.parameters
     covariance = np.full((parameters, parameters), np.nan)
     if data.theta.size <= parameters and not data.known:
         return covariance
+    misfit = (data.predicted(fitted) - data.rho) / data.scale
+    spread = 1.0 if data.known else float(misfit @ misfit) / (data.theta.size - parameters)
+    slopes, free = _free_slopes(data, fitted)
+    used = slopes / data.scale[:, None]
+    covariance[np.ix_(free, free)] = spread * np.linalg.pinv(used.T @ used, hermitian=True)
+    return covariance
+
+
+def _free_slopes(data: ChannelData, fitted: ChannelCurve) -> tuple[Array, NDArray[np.bool_]]:
+    """Derivatives of the values by the parameters that are not at a bound, (geometries, free), and which these are."""
+    power = data.form.power
     ratio = data.theta[:, None] / fitted.decay
     falling = np.exp(-(ratio**power))
     columns = []
     for k, amplitude in enumerate(fitted.amplitude):
         columns += [falling[:, k], amplitude * falling[:, k] * power * ratio[:, k] ** power / fitted.decay[k]]
-    jacobian = np.stack([*columns, np.ones_like(data.theta)], axis=1) / data.scale[:, None]
     free = np.array([*np.repeat(fitted.amplitude > 0, 2), fitted.constant > 0])
-    misfit = (falling @ fitted.amplitude + fitted.constant - data.rho) / data.scale
-    spread = 1.0 if data.known else float(misfit @ misfit) / (data.theta.size - parameters)
-    used = jacobian[:, free]
-    covariance[np.ix_(free, free)] = spread * np.linalg.pinv(used.T @ used, hermitian=True)
-    return covariance
+    return np.stack([*columns, np.ones_like(data.theta)], axis=1)[:, free], free
 
 
 def _refusal(problem: str, found: str | None, accepted: str, key: str = "multiangle") -> InputError:

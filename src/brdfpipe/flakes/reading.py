@@ -63,14 +63,14 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
         the same kind, with ``wavelength`` [nm] for reflectances; ``illuminant`` and ``observer`` of L*a*b* and XYZ; ``scale`` (fraction or
         percent) of reflectance factors. Of a CSV file the first line names the columns: ``geometry`` or the four angles, then
         L, a, b or X, Y, Z or wavelengths, and ``u_L``, ``u_a``, ``u_b`` (or ``u_X`` …, ``u_400`` …) where standard uncertainties
-        are known. XYZ are on the scale of Y = 100 for the perfect diffuser
+        are known; or ``colour_uncertainty`` is that of each value, in its unit. XYZ are on the scale of Y = 100 for the perfect diffuser
     path : path of the file, if it differs from the name in ``spec``
 
     Returns
     -------
     Dataset of kind ``multiangle``: ``tristimulus(geometry, channel)`` with attributes ``illuminant`` and ``observer``, or
         ``reflectance_factor(geometry, wavelength)``; ``theta_i``, ``phi_i``, ``theta_o``, ``phi_o`` [degree]; ``tristimulus_u`` or
-        ``reflectance_factor_u`` (k = 1) where the file has uncertainties. Those of L*, a* and b* are taken to be independent
+        ``reflectance_factor_u`` (k = 1) where uncertainties are given. Those of L*, a* and b*, kept as ``lab_u``, are taken to be independent
 
     Raises
     ------
@@ -116,7 +116,12 @@ def _checked_rows(spec: Mapping[str, Any], path: str | PathLike[str] | None) -> 
     rows = _inline(spec) if "colours" in spec else _table(Path(path if path is not None else str(spec["file"])))
     if not _FEWEST <= len(rows.names) <= _MOST:
         raise _refusal(rows.file, "wrong number of colours", f"{_FEWEST} to {_MOST}", len(rows.names), key="multiangle")
-    return rows
+    if "colour_uncertainty" not in spec:
+        return rows
+    if rows.uncertainty is not None:
+        problem, accepted = "the file has columns of uncertainties", "either these or `colour_uncertainty`"
+        raise _refusal(rows.file, problem, accepted, key="multiangle.colour_uncertainty")
+    return rows._replace(uncertainty=np.full_like(rows.values, float(spec["colour_uncertainty"])))
 
 
 def _aspecular_angle(pair: Directions) -> float:
@@ -151,6 +156,8 @@ def _tristimulus(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:
     if rows.uncertainty is not None:
         u = rows.uncertainty if rows.kind == "xyz" else _u_from_lab(rows.values, rows.uncertainty, white)
         variables["tristimulus_u"] = (("geometry", "channel"), u)
+        if rows.kind == "lab":
+            variables["lab_u"] = (("geometry", "component"), rows.uncertainty)
     return xr.Dataset(
         variables,
         coords={"geometry": list(rows.names), "channel": ["X", "Y", "Z"]},
@@ -180,10 +187,14 @@ def _check_lab(rows: _Rows) -> None:
 
 def _u_from_lab(lab: Array, u: Array, white: Array) -> Array:
     """Standard uncertainties of X, Y, Z from those of L*, a* and b*, to first order."""
+    return np.asarray(np.sqrt(np.einsum("gik,gi->gk", lab_slopes(lab, white) ** 2, u**2)))
+
+
+def lab_slopes(lab: Array, white: Array) -> Array:
+    """Derivatives of X, Y and Z by L*, a* and b*, (geometries, component, channel)."""
     step = _STEP * np.eye(3)
     above, below = (colorimetry.lab_to_xyz(lab[:, None, :] + sign * step, white) for sign in (1, -1))
-    slope = (above - below) / (2 * _STEP)
-    return np.asarray(np.sqrt(np.einsum("gik,gi->gk", slope**2, u**2)))
+    return np.asarray((above - below) / (2 * _STEP))
 
 
 def _spectral(rows: _Rows, spec: Mapping[str, Any]) -> xr.Dataset:

@@ -21,6 +21,11 @@ _UNITS = {"degree": "°", "sr-1": "sr⁻¹", "1": "", "nm": "nm"}
 _NANOMETRES_BELOW = 0.1
 """Lengths below this are written in nm [µm]."""
 
+SMALLEST_SHARE = 1e-5
+"""Smaller shares of the light have no meaning: no model and no measurement is as exact."""
+_SMALLEST_UNCERTAINTY = 0.01
+"""Smaller uncertainties of gloss units and colours are not written as numbers."""
+
 _BASIS = {
     "measured": "at a measured angle",
     "interpolated": "between measured angles",
@@ -61,13 +66,22 @@ def percent(share: float, digits: int = 2) -> str:
 
 
 def share_percent(share: float) -> str:
-    """A share [1] of the light in percent: three significant digits from 1 % on, two below."""
+    """A share [1] of the light in percent: three significant digits from 1 % on, two below; ``less than 0.001 %`` instead of a smaller one."""
+    if 0 < share < SMALLEST_SHARE:
+        return f"less than {100 * SMALLEST_SHARE:g}\u202f%"
     return percent(share, 3 if share >= 0.01 else 2)
 
 
 def plus_minus_u(u: float) -> str:
     """``± u`` to two decimals; empty where the uncertainty is not known."""
-    return f"± {fixed(u, 2)}" if math.isfinite(u) else ""
+    return f"± {uncertainty_value(u)}" if math.isfinite(u) else ""
+
+
+def uncertainty_value(u: float) -> str:
+    """An uncertainty to two decimals, ``< 0.01`` below them, ``0`` for none."""
+    if u == 0 or not math.isfinite(u):
+        return "0" if u == 0 else MISSING
+    return fixed(u, 2) if u >= _SMALLEST_UNCERTAINTY else f"< {_SMALLEST_UNCERTAINTY:g}"
 
 
 def length(micrometres: float) -> tuple[str, str]:

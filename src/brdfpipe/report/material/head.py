@@ -54,9 +54,11 @@ def _value_and_unit(quantity: AppearanceQuantity, value: float, u: float) -> tup
 
 
 def _with_u(value: float, u: float, decimals: int) -> str:
-    """``45.2 ± 1.3``; an uncertainty that these decimals do not show is left out."""
-    shown = math.isfinite(u) and round(u, decimals) > 0
-    return f"{fixed(value, decimals)} ± {fixed(u, decimals)}" if shown else fixed(value, decimals)
+    """``45.2 ± 1.3``; a smaller uncertainty has up to two decimals more, and is left out if these do not show it."""
+    if not math.isfinite(u):
+        return fixed(value, decimals)
+    shown = next((digits for digits in range(decimals, decimals + 3) if round(u, digits) > 0), None)
+    return fixed(value, decimals) if shown is None else f"{fixed(value, shown)} ± {fixed(u, shown)}"
 
 
 def picture(preview: xr.Dataset | None) -> Figure | None:

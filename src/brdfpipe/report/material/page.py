@@ -69,6 +69,7 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
         verdicts=verdicts(known),
         facts=list(key_numbers(known)),
         validity=[] if measured else validity(known),
+        validity_note=_validity_note(known),
         limits=limits(known),
         warnings=[(stage_title(known, stage), text) for stage, text in stage_warnings(known)],
         sections=[section for section in sections if section],
@@ -77,3 +78,15 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
         comparison=comparison.chapter(datasets.get("comparison")),
         provenance=[provenance(stage_title(known, stage), dataset) for stage, dataset in known.items()],
     )
+
+
+def _validity_note(datasets: Mapping[str, xr.Dataset]) -> str:
+    """Explains the symbols of the first table."""
+    notes = []
+    if "psd" in datasets:
+        notes.append(
+            "g: variance of the phase that the heights give to reflected light. Facets need 20; below 0.01 a surface mirrors."
+        )
+    if "model_error" in datasets:
+        notes.append("±: two standard uncertainties.")
+    return " ".join(notes)

@@ -19,7 +19,7 @@ from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.masking.modes import PHYSICAL_MASKINGS
 from brdfpipe.report.cards import Section, Table
-from brdfpipe.report.formatting import basis_legend, fixed, labels, number, percent, plus_minus_u
+from brdfpipe.report.formatting import basis_legend, fixed, labels, number, percent, plus_minus_u, uncertainty_value
 from brdfpipe.report.plots import bsdf_cuts, bsdf_sections, directional_maps, reflectance
 from brdfpipe.report.plots.svg import Figure
 
@@ -140,6 +140,8 @@ _SOURCE_TITLES = {
     "psd": "Roughness spectrum",
     "index": "Refractive index",
     "spectrum": "Reflectance spectrum",
+    "colours": "Measured colours",
+    "clear_coat": "Slope of the clear coat",
     "model": "Model",
     "instrument": "Instrument",
 }
@@ -148,28 +150,29 @@ _SOURCE_TITLES = {
 def source_table(datasets: Mapping[str, xr.Dataset]) -> Table | None:
     """Standard uncertainty of gloss, haze and colour from each source; None where that of the inputs is not known."""
     appearance, bsdf = datasets.get("appearance"), datasets.get("bsdf", xr.Dataset())
-    if appearance is None or "gloss_u_source" not in appearance or gloss_exclusion(datasets):
+    if appearance is None or "gloss_u_source" not in appearance:
         return None
-    columns: dict[str, tuple[str, dict[str, Any]]] = {
-        quantity(f"gloss_{angle:g}").label: ("gloss", {"gloss_angle": angle}) for angle in gloss_units(appearance)
-    }
-    columns |= {name: (name, {}) for name in ("haze",) if f"{name}_u_source" in appearance}
+    columns: dict[str, tuple[str, dict[str, Any]]] = {}
+    if not gloss_exclusion(datasets):
+        columns |= {
+            quantity(f"gloss_{angle:g}").label: ("gloss", {"gloss_angle": angle}) for angle in gloss_units(appearance)
+        }
+        columns |= {name: (name, {}) for name in ("haze",) if f"{name}_u_source" in appearance}
     columns["L* 45:0"] = ("lab", {"geometry": "45:0", "component": "L*"})
     columns["L* 45as15"] = ("lab", {"geometry": "45as15", "component": "L*"})
     by_source = [appearance[f"{name}_u_source"].sel(at).values for name, at in columns.values()]
     total = [float(appearance[f"{name}_u"].sel(at)) for name, at in columns.values()]
     sources = map(str, appearance["source"].values)
     rows = [
-        (_SOURCE_TITLES.get(source, source), *(fixed(value, 2) for value in values))
+        (_SOURCE_TITLES.get(source, source), *map(uncertainty_value, values))
         for source, *values in zip(sources, *by_source, strict=True)
     ]
     note = "Standard uncertainties. Each source changes all directions and wavelengths together."
-    if missing := str(bsdf.attrs.get(NOT_STATED, "")):
-        note += f" Not known, and none assumed: {missing}."
+    if missing := [name for name in str(bsdf.attrs.get(NOT_STATED, "")).split(", ") if name]:
+        listed = ", ".join(_SOURCE_TITLES.get(name, name).lower() for name in missing)
+        note += f" Not known, and none assumed: {listed}."
     header = ("Source", *(title if title != "haze" else quantity("haze").symbol for title in columns))
-    return Table(
-        "Uncertainty by source", header, [*rows, ("All together", *(fixed(value, 2) for value in total))], note
-    )
+    return Table("Uncertainty by source", header, [*rows, ("All together", *map(uncertainty_value, total))], note)
 
 
 def _clear_coat_note(bsdf: xr.Dataset | None) -> str:

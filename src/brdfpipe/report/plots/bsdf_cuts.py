@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.report.formatting import share_percent
+from brdfpipe.report.formatting import SMALLEST_SHARE, share_percent
 from brdfpipe.report.plots import bsdf_sections, measurement_coverage
 from brdfpipe.report.plots.bsdf_sections import Plane
 from brdfpipe.report.plots.svg import Array, Axis, Figure, Line, chart, legend, polar
@@ -179,13 +179,13 @@ def _about_mirror(bsdf: xr.Dataset, planes: Sequence[Plane], cuts_by_plane: Sequ
 def _single_directions(bsdf: xr.Dataset, quantity: str, single: Array, low: float, high: float) -> Iterator[Line]:
     """Directions of specular light, which has no width."""
     for incidence, style, share in zip(INCIDENCES, _STYLES, single.tolist(), strict=True):
-        if share > 0:
+        if share >= SMALLEST_SHARE:
             at = incidence if quantity == "BRDF" else float(bsdf_sections.smooth_angles(bsdf, incidence)[0])
             yield Line([at, at], [low, high], style, pattern="dots")
 
 
 def _into_one_words(verb: str, single: Array, coherent: bool) -> str:
-    if not single.any():
+    if not (single >= SMALLEST_SHARE).any():
         return ""
     shares = ", ".join(f"{share_percent(share)} at {angle:g}°" for angle, share in zip(INCIDENCES, single, strict=True))
     how = "coherently" if coherent else "by a perfectly smooth surface"
