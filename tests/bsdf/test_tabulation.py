@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe import facets, vocabulary
+from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import lambert_gauss, microfacet, tabulation
+from brdfpipe.bsdf.input_uncertainty import uncertainty
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.errors import VocabularyError
 
@@ -30,6 +31,20 @@ def test_a_table_is_the_model_on_its_nodes(bsdf, table):
         assert float(table.bsdf.evaluate(*direction)) == pytest.approx(
             float(model.bsdf.evaluate(*direction)), rel=1e-12
         )
+
+
+def test_a_table_has_the_uncertainty_of_each_of_its_values():
+    bsdf = samples.beckmann_bsdf(0.25)
+    changes = uncertainty(bsdf, index=optics.refractive_index(1.5, uncertainty=0.01), spectrum=samples.spectrum(0.3))
+    model = (
+        bsdf.merge(changes, combine_attrs="override").assign_attrs(uncertainty_not_stated="facets").bsdf.nonspectral()
+    )
+    assert "brdf_u" not in bsdf.bsdf.nonspectral().bsdf.tabulate(GRID)
+    table = model.bsdf.tabulate(GRID)
+    assert table.attrs["uncertainty_not_stated"] == "facets"
+    u = table["brdf_u"].sel(theta_i=30, phi_o=180, method="nearest")
+    wanted = model.bsdf.uncertainty(float(u["theta_i"]), 0, u["theta_o"].values, float(u["phi_o"])).values
+    np.testing.assert_allclose(u, wanted, rtol=1e-3)
 
 
 def test_a_table_depends_on_the_difference_of_azimuths_alone(table):

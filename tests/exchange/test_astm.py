@@ -150,3 +150,4 @@ def test_the_header_states_the_uncertainty_where_it_is_known(tmp_path):
         relative = reduced.bsdf.uncertainty(45, 0, 45, 180) / reduced.bsdf.evaluate(45, 0, 45, 180) if stated else 0
         note = f" 45:{float(relative):.4f} "
         assert ("relative standard uncertainty in the mirror direction" in header and note in header) == stated
+        assert ("relative standard uncertainty of the rows: median 0." in header) == stated

@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 import samples
 
-from brdfpipe import exchange, facets, optics
+from brdfpipe import exchange, facets, optics, vocabulary
 from brdfpipe.bsdf import lambert_gauss_fit as fitting
 from brdfpipe.bsdf import microfacet, slab
+from brdfpipe.bsdf.input_uncertainty import uncertainty
 
 
 def test_the_total_reflectance_is_the_one_the_material_was_given(tmp_path):
@@ -20,6 +21,24 @@ def test_the_total_reflectance_is_the_one_the_material_was_given(tmp_path):
     assert read["wavelength_nm"].values.tolist() == samples.WAVELENGTH.tolist()
     assert read["total_reflectance"].values == pytest.approx(reflectance, abs=1e-8)
     assert "digest of the source abc" in (tmp_path / "r.csv").read_text()
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_the_total_reflectance_has_an_uncertainty_if_its_spectrum_has(tmp_path, stated):
+    spectrum = samples.spectrum(0.3)
+    known = spectrum.assign(total_reflectance_u=0 * spectrum["total_reflectance"] + 0.004) if stated else spectrum
+    bsdf = samples.beckmann_bsdf(0.2)
+    changes = uncertainty(
+        bsdf, index=optics.refractive_index(1.5, uncertainty=0.01), spectrum=vocabulary.label(known, "spectrum")
+    )
+    uncertain = bsdf.merge(changes, combine_attrs="override")
+    missing = changes.attrs["uncertainty_not_stated"]
+    exchange.write_total_reflectance(uncertain.assign_attrs(uncertainty_not_stated=missing), tmp_path / "r.csv")
+    read = pd.read_csv(tmp_path / "r.csv", comment="#")
+    assert ("total_reflectance_u" in read) == stated
+    if stated:
+        # The index moves light between the surface and the base, and leaves their sum.
+        assert read["total_reflectance_u"].values == pytest.approx(0.004, rel=1e-3)
 
 
 def test_the_fit_is_a_row_an_incidence(tmp_path):

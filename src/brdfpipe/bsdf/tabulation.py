@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import approximation_error
+from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.grids import AZIMUTHS, GRIDS, Grid, layout_of
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.table import AXES, Table
+from brdfpipe.bsdf.source_changes import SourceChanges, uncertain
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array, check_angles
 
@@ -31,7 +33,7 @@ _MOST_INCIDENCES = 6
 
 
 def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """Evaluate a BSDF on a grid.
+    """Evaluate a BSDF, and its uncertainty where that is known, on a grid.
 
     Parameters
     ----------
@@ -43,7 +45,8 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
 
     Returns
     -------
-    Dataset of kind ``bsdf``, representation ``table``: ``brdf`` on the axes[, wavelength]; the reflectance of the grid
+    Dataset of kind ``bsdf``, representation ``table``: ``brdf`` on the axes[, wavelength], and ``brdf_u`` to three digits if the BSDF has an
+        uncertainty, of each value by itself (the errors of values are correlated); the reflectance of the grid
         ``grid_albedo(theta_i[, wavelength])`` and of the model ``model_albedo``, whose difference is lost by the grid; and the
         interpolation errors, see :func:`with_interpolation_error`
 
@@ -52,6 +55,11 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     VocabularyError : an axis is missing, unknown, not increasing or out of range; or ``phi_o`` (``phi_s``, ``phi_d``) covers neither a full
         turn of 360 nor, without a lay, 0 to 180.
     """
+    return _with_uncertainty(_of_values(bsdf, grid), bsdf)
+
+
+def _of_values(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
+    """The table without its uncertainty."""
     vocabulary.validate(bsdf, "bsdf")
     model, layout = representation(bsdf), layout_of(grid)
     known = layout.named(lay=True)
@@ -63,8 +71,7 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     axes = {name: _axis(grid, name, bsdf) for name in layout.named(layout.azimuth in grid)}
     _check_circles(axes, model.isotropic)
     averaged = not model.isotropic and layout.azimuth not in axes
-    turns = _AZIMUTHS if averaged else np.zeros(1)
-    brdf = np.asarray(sum(_on_nodes(bsdf, layout, axes, turn) for turn in turns) / turns.size)
+    brdf = _on_nodes(model.evaluate, layout, axes, averaged)
     spectral = ("wavelength",) if "wavelength" in bsdf.coords else ()
     table = xr.Dataset(
         {"brdf": ((*axes, *spectral), brdf if spectral else brdf[..., 0])},
@@ -94,13 +101,44 @@ def tabulate(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     return table
 
 
-def _on_nodes(bsdf: xr.Dataset, layout: Grid, axes: Mapping[str, Array], turn: float) -> Array:
-    """The BSDF on the nodes, (axes…, wavelength), with all azimuths turned."""
+def _on_nodes(evaluate: Callable[..., Array], layout: Grid, axes: Mapping[str, Array], averaged: bool) -> Array:
+    """A BSDF on the nodes, (axes…, wavelength), or its mean over the azimuth of incidence."""
     nodes = dict(zip(axes, np.meshgrid(*axes.values(), indexing="ij"), strict=True))
     theta_i, phi_i, theta_o, phi_o = layout.directions(nodes)
     if layout is not GRIDS["uniform"] and axes.get("theta_i", np.zeros(1))[-1] <= 90:
         theta_i, theta_o = np.minimum(theta_i, _LAST_ABOVE), np.minimum(theta_o, _LAST_ABOVE)
-    return representation(bsdf).evaluate(theta_i, phi_i + turn, theta_o, phi_o + turn, None)
+    turns = _AZIMUTHS if averaged else np.zeros(1)
+    return np.asarray(sum(evaluate(theta_i, phi_i + turn, theta_o, phi_o + turn, None) for turn in turns) / turns.size)
+
+
+def _with_uncertainty(table: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
+    """Add the standard uncertainty of each value, if the BSDF has one."""
+    dims = table["brdf"].dims
+    layout = layout_of(dims)
+    axes = {name: table[name].values for name in layout.named(layout.azimuth in dims)}
+    averaged = not representation(bsdf).isotropic and layout.azimuth not in axes
+    if uncertain(bsdf):
+        changes = SourceChanges(bsdf)
+        given = _on_nodes(changes.given.evaluate, layout, axes, averaged)
+        variance = np.zeros_like(given)
+        # One change at a time: all together may not fit into the memory.
+        for changed in changes.changed:
+            variance += np.square(_on_nodes(changed.evaluate, layout, axes, averaged) - given)
+        u = np.sqrt(variance)
+    elif representation(bsdf).states_uncertainty:
+        u = _on_nodes(representation(bsdf).uncertainty, layout, axes, averaged)
+    else:
+        return table
+    u = u if "wavelength" in dims else u[..., 0]
+    if NOT_STATED in bsdf.attrs:
+        table = table.assign_attrs({NOT_STATED: bsdf.attrs[NOT_STATED]})
+    return vocabulary.label(table.assign(brdf_u=(dims, _to_three_digits(u))), "bsdf")
+
+
+def _to_three_digits(values: Array) -> NDArray[np.float32]:
+    """Rounded to 10 bits, so that a file of them is small."""
+    bits = values.astype(np.float32).view(np.uint32)
+    return ((bits + np.uint32(1 << 12)) & np.uint32(0xFFFFE000)).view(np.float32)
 
 
 def _with_albedo(
@@ -196,8 +234,8 @@ def _interpolation_misfit(
 
 def faithful_table(bsdf: xr.Dataset, grid: Mapping[str, ArrayLike]) -> xr.Dataset:
     """A table on the grid, or on a refined grid (:func:`refined`) if the grid is too coarse for the lobe."""
-    table = tabulate(bsdf, grid)
-    return table if verdict_of(table) == "pass" else tabulate(bsdf, refined(bsdf, grid))
+    table = _of_values(bsdf, grid)
+    return _with_uncertainty(table, bsdf) if verdict_of(table) == "pass" else tabulate(bsdf, refined(bsdf, grid))
 
 
 def relative_loss(table: xr.Dataset) -> xr.DataArray:

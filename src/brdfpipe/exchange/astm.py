@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import store, vocabulary
+from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.table import Table
@@ -68,6 +69,7 @@ def write(bsdf: xr.Dataset, path: str | os.PathLike[str], *, table: xr.Dataset |
         f"the reflectance of this grid differs from the model's by up to {lost:.2%}",
         *_specular_note(table, reduced, through=False),
         *_uncertainty_note(reduced),
+        *_uncertainty_of_rows(table, through=False),
     ]
     store.write_text(path, _file(table, Path(path).name, notes, rows))
 
@@ -87,6 +89,7 @@ def write_transmission(bsdf: xr.Dataset, path: str | os.PathLike[str], *, table:
         "angles in radian: theta_i from the normal of the front, theta_s from the normal of the other side, where the light leaves; "
         "undeviated light at theta_s = theta_i and phi_s = phi_i + pi",
         *_specular_note(table, reduced, through=True),
+        *_uncertainty_of_rows(table, through=True),
     ]
     store.write_text(path, _file(table, Path(path).name, notes, rows))
 
@@ -175,7 +178,27 @@ def _uncertainty_note(model: xr.Dataset | None) -> list[str]:
     relative = np.divide(u, brdf, out=np.zeros_like(u), where=brdf > 0)
     listed = " ".join(f"{angle:g}:{value:.4f}" for angle, value in zip(theta, relative, strict=True))
     sources = " and ".join(dict.fromkeys(changes.sources))
-    return [f"relative standard uncertainty in the mirror direction, by theta_i in degree: {listed} (from {sources})"]
+    missing = str(model.attrs.get(NOT_STATED, ""))
+    unknown = f"; not known, and none assumed: {missing}" if missing else ""
+    return [
+        f"relative standard uncertainty in the mirror direction, by theta_i in degree: {listed} (from {sources}{unknown})"
+    ]
+
+
+def _uncertainty_of_rows(table: xr.Dataset, through: bool) -> list[str]:
+    """Relative standard uncertainty of the values of the table; a further column would be read as another BSDF."""
+    if "brdf_u" not in table:
+        return []
+    side = table.sel(theta_o=table["theta_o"].values[(table["theta_o"].values > 90) == through])
+    brdf, u = side["brdf"].values, side["brdf_u"].values
+    known = (brdf > 0) & np.isfinite(u)
+    if not known.any():
+        return []
+    low, middle, high = np.quantile(u[known] / brdf[known], [0.05, 0.5, 0.95])
+    return [
+        f"relative standard uncertainty of the rows: median {middle:.4f}, nine tenths of them {low:.4f} to {high:.4f}; row by row in `brdf_u` "
+        "of the table's dataset"
+    ]
 
 
 def _file(table: xr.Dataset, file: str, notes: list[str], rows: Array) -> str:

@@ -13,9 +13,12 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from brdfpipe import store, vocabulary
+from brdfpipe import hemisphere, store, vocabulary
+from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.source_changes import SourceChanges, in_quadrature, uncertain
+from brdfpipe.geometry import Array
 
 _LAMBERT_GAUSS_COLUMNS = {
     "theta_i": "theta_i_deg",
@@ -31,7 +34,8 @@ _LAMBERT_GAUSS_COLUMNS = {
 def write_total_reflectance(bsdf: xr.Dataset, path: str | os.PathLike[str]) -> None:
     """Write the total reflectance at 8° that the BSDF integrates to, as a commented CSV of nm and fraction.
 
-    Together with the non-spectral ``.astm`` it makes the "ASTM form" of the patent US 9,395,299.
+    Together with the non-spectral ``.astm`` it makes the "ASTM form" of the patent US 9,395,299. A column has the standard uncertainty, where that of
+    what decides the total is known.
     """
     vocabulary.validate(bsdf, "bsdf")
     wavelength, reflectance = representation(bsdf).total_reflectance()
@@ -41,7 +45,25 @@ def write_total_reflectance(bsdf: xr.Dataset, path: str | os.PathLike[str]) -> N
     if mirrored.any():
         frame["specular_reflectance"] = np.broadcast_to(mirrored, wavelength.shape)
         title += "; specular_reflectance: the part of it that is mirrored into one single direction, which no BSDF file contains"
+    if (u := _total_uncertainty(bsdf)) is not None:
+        frame["total_reflectance_u"] = np.broadcast_to(u, wavelength.shape)
+        title += "; total_reflectance_u: standard uncertainty"
     _write(frame, path, title, bsdf)
+
+
+def _total_uncertainty(bsdf: xr.Dataset) -> Array | None:
+    """Standard uncertainty of the reflectance at 8° (wavelength or 1,), mean over azimuth; None where it is not known."""
+    if uncertain(bsdf) and "spectrum" not in str(bsdf.attrs.get(NOT_STATED, "")).split(", "):
+        from brdfpipe.appearance.colours import total_reflectance
+
+        changes = SourceChanges(bsdf)
+        given, *changed = (total_reflectance(bsdf, one)[1] for one in (changes.given, *changes.changed))
+        return in_quadrature(changes.by_source(np.array(changed) - given))
+    evaluator = representation(bsdf)
+    if uncertain(bsdf) or not evaluator.states_uncertainty:
+        return None
+    azimuths = hemisphere.azimuths(evaluator.isotropic)
+    return evaluator.albedo_uncertainty(np.full(azimuths.size, 8.0), azimuths, None).mean(axis=0)
 
 
 def write_total_transmittance(bsdf: xr.Dataset, path: str | os.PathLike[str]) -> None:

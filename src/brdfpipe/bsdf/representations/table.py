@@ -21,20 +21,21 @@ _SIDES = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 """Signs of cos θ_i and cos θ_o."""
 
 
+_NODES = [
+    (*grid.named(lay), *spectral)
+    for grid in GRIDS.values()
+    for lay in (False, True)
+    for spectral in ((), ("wavelength",))
+]
+
+
 class Table(Representation):
     """A BSDF on a grid of directions."""
 
     name = "table"
     kind = vocabulary.Kind(
-        required={
-            "brdf": [
-                (*grid.named(lay), *spectral)
-                for grid in GRIDS.values()
-                for lay in (False, True)
-                for spectral in ((), ("wavelength",))
-            ]
-        },
-        optional={"total_reflectance": vocabulary.SPECTRAL, "theta_m": vocabulary.SCALAR},
+        required={"brdf": _NODES},
+        optional={"brdf_u": _NODES, "total_reflectance": vocabulary.SPECTRAL, "theta_m": vocabulary.SCALAR},
     )
     accuracy = 1e-3
     """A more accurate quadrature would resolve the kinks at the nodes, which are not lines of θ_o and φ_o in every layout."""
