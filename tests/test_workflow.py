@@ -11,11 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import samples
 from random_surfaces import heights
 
 from brdfpipe import installation, store
+from brdfpipe.appearance.quantities import quantities
 from brdfpipe.jobs.build import build as build_catalogue
 from brdfpipe.jobs.summary import failed_checks, read_verdicts
 from brdfpipe.psd.k_correlation import KCorrelation
@@ -76,7 +78,7 @@ def test_every_dataset_has_its_material_stage_and_digest(built: tuple[Path, Path
         dataset = store.verify_digest(store.open_dataset(path), path.name)
         assert dataset.attrs["material"] == path.parent.name
         assert dataset.attrs["stage"] == ("report" if path.stem == "summary" else path.stem)
-    assert len(paths) == 17 + 9 + 10 + 17
+    assert len(paths) == 17 + 10 + 10 + 17
 
 
 def test_the_lock_lists_every_dataset(built: tuple[Path, Path]) -> None:
@@ -95,6 +97,21 @@ def test_every_material_has_its_page_and_exports(built: tuple[Path, Path]) -> No
         exports = {path.name for path in (results / name / "exports").iterdir()}
         assert exports == {f"{name}.astm", f"{name}.total_reflectance.csv", f"{name}.lambert_gauss.csv"}
         assert name in (results / "index.html").read_text()
+
+
+def test_every_uncertainty_is_stated_or_what_is_missing_is_named(built: tuple[Path, Path]) -> None:
+    _, results = built
+    table = pd.read_csv(results / "catalogue.csv", index_col="material", keep_default_na=False)
+    of_total = {"L", "a", "b", "luminous_reflectance"}
+    without = dict.fromkeys(EXAMPLES, of_total) | {"metallic-blue": set()}
+    for name, row in table.iterrows():
+        known = [quantity for quantity in quantities() if quantity.u and row[quantity.name] != ""]
+        assert {one.name for one in known if row[one.u_name] == ""} <= without[str(name)]
+        assert all(float(row[one.u_name]) > 0 for one in known if row[one.u_name] != "")
+        page = (results / str(name) / "report.html").read_text()
+        if without[str(name)]:
+            assert "spectrum" in row["uncertainty_not_stated"]
+            assert "uncertainty of the reflectance spectrum is not known" in page or "BRDF is not included" in page
 
 
 def test_no_result_contains_the_folder_where_it_was_made(built: tuple[Path, Path]) -> None:

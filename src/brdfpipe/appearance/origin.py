@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import xarray as xr
 
+from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.registry import representation
 
 Datasets = Mapping[str, xr.Dataset]
@@ -20,8 +21,10 @@ PREDICTION_INPUTS = (
     "index",
     "interior",
     "model_error",
+    "uncertainty",
     "multiangle",
     "flake",
+    "flake_uncertainty",
 )
 """Stages on which only a prediction is based, and not a measured BRDF."""
 
@@ -47,6 +50,15 @@ def basis(datasets: Datasets) -> str:
         return f"colours at {datasets['multiangle'].sizes['geometry']} geometries"
     finish = "surface" if "surface" in datasets else "assumed finish" if "facets" in datasets else ""
     return " + ".join(part for part in (finish, "spectrum" if "spectrum" in datasets else "") if part)
+
+
+def uncertainty_not_stated(datasets: Datasets) -> str:
+    """What the uncertainties of a material leave out, because it is not known; empty where they leave out nothing."""
+    if "bsdf" not in datasets:
+        return ""
+    if representation(datasets["bsdf"]).states_uncertainty:
+        return "BRDF (in haze, colours and reflectance)"
+    return str(datasets["bsdf"].attrs.get(NOT_STATED, "all inputs"))
 
 
 def has_finish(datasets: Datasets) -> bool:

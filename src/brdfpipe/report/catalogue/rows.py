@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.origin import basis, route
+from brdfpipe.appearance.origin import basis, route, uncertainty_not_stated
 from brdfpipe.appearance.quantities import applicabilities, quantities
 from brdfpipe.appearance.verdicts import stage_warnings, verdicts, worst
 from brdfpipe.errors import VocabularyError
@@ -44,6 +44,7 @@ def text_columns() -> dict[str, str]:
         "verdict_checks": "checks and stages with that verdict, unless it is pass",
         "verdict_text": "what those checks found, or the warnings of those stages",
         **reasons,
+        "uncertainty_not_stated": "inputs that the uncertainties leave out, because theirs is not known; empty where there are none",
         "thumbnail": "small picture, a data URI; empty without a preview",
         "digests": "JSON: stage to digest of its dataset",
         "description": "description of the material by its user",
@@ -74,6 +75,7 @@ def summarise(datasets: Mapping[str, xr.Dataset], *, description: str = "") -> x
         "basis": basis(known),
         **_verdict_texts(known),
         **{f"no_{applicability.name}": applicability.exclusion(known) for applicability in applicabilities()},
+        "uncertainty_not_stated": uncertainty_not_stated(known),
         "thumbnail": thumbnail(known["preview"]) if "preview" in known else "",
         "digests": json.dumps(digests, sort_keys=True),
         "description": description,
@@ -191,6 +193,7 @@ def catalogue_csv(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str
         values = catalogue[name].values.astype(float)
         rounded = np.where(np.abs(values) < _ROUNDING_ERROR, 0.0, values).tolist()
         columns[name] = ["" if math.isnan(value) else f"{value:.6g}" for value in rounded]
+    columns["uncertainty_not_stated"] = texts(catalogue, "uncertainty_not_stated")
     columns["srgb"] = [colour(channels) or "" for channels in catalogue["srgb"].values]
     columns["description"] = texts(catalogue, "description")
     rows = [{"status": "built", **dict(zip(columns, row, strict=True))} for row in zip(*columns.values(), strict=True)]

@@ -58,4 +58,6 @@ def _lab_notes(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset, geome
             f"assumed tolerance of instruments. {'' if included else 'The uncertainty of the BRDF is not included. '}Apertures are not averaged "
             "over."
         )
+        if included and total in geometries and np.isnan(appearance["lab_u"].values[geometries.index(total)]).all():
+            notes.append(f"No ± of {total}: the uncertainty of the reflectance spectrum is not known.")
     return notes
