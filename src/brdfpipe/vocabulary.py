@@ -126,6 +126,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "scan_band_high": Quantity("um-1", "frequency below which a scan measures the roughness spectrum", 0),
     "band_low": Quantity("um-1", "frequency above which the roughness spectrum is measured", 0),
     "band_high": Quantity("um-1", "frequency below which the roughness spectrum is measured", 0),
+    "coherent_sigma": Quantity("um", "rms of normal heights that reflect as much light coherently", 0),
     "fit_sigma": Quantity("um", "rms height of the fitted form over all frequencies", 0),
     "fit_length": Quantity("um", "correlation length of the fitted form", 0),
     "fit_slope": Quantity("1", "exponent of the decay of the fitted form at high frequencies", 0, missing=True),
@@ -339,6 +340,15 @@ QUANTITIES: Mapping[str, Quantity] = {
     "cut_error": Quantity("1", "relative change of the lobe if the cut between facets and finer roughness moves", 0),
     "facet_sigma": Quantity("um", "rms height of the relief that is one of facets", 0),
     "resolved_slope": Quantity("1", "root mean square slope at scales above the wavelength", 0),
+    "halo_closure": Quantity(
+        "1", "factor of either direction by which the halo of a perfect mirror returns all light", 0
+    ),
+    "coherent_loss": Quantity(
+        "um2", "minus the logarithm of the coherent share, times the squared wavelength over the cosine", 0
+    ),
+    "closure_incidence": Quantity("degree", "angle of incidence of the factor of the halo", 0, 90),
+    "closure_wavelength": Quantity("nm", "wavelength of the factor of the halo", 0),
+    "passage_phase": Quantity("1", "phase variance at which half of the light is reflected as by facets", 0),
     "facet_share": Quantity(
         "1", "share of the light that is reflected as by facets, towards the mirror direction", 0, 1 + 1e-9
     ),
@@ -483,6 +493,7 @@ KINDS: Mapping[str, Kind] = {
         },
         optional={
             "psd_planar": [("frequency_y", "frequency_x")],
+            "coherent_sigma": [("phase_per_height",)],
             "psd_quality": [("frequency",)],
             "apparent_psd": [("apparent_frequency",)],
             **{f"scan_band_{end}": [("scan",)] for end in ("low", "high")},

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.psd.coherent_height import coherent_height
 from brdfpipe.psd.k_correlation import KFit, fit
 from brdfpipe.psd.line_inversion import invert
 from brdfpipe.psd.noise_floor import NoiseFloor, noise_floor
@@ -77,6 +78,7 @@ def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | No
         planar = planar_spectrum(levels, spectrum, floor.density(scan), scan)
         if slope_ratio(planar) > LAY_LIMIT:
             result = result.merge(planar)
+    result = result.merge(coherent_height(surface["height"].values, floor.sigma))
     result = vocabulary.add_history(result, *_history(count, floor, quality, fitted, line))
     return vocabulary.label(vocabulary.add_warning(result, *_warnings(count)), "psd")
 

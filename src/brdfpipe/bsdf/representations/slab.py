@@ -29,6 +29,10 @@ BALANCE = ("reflectance", "transmittance", "absorptance", "specular_reflectance"
 """Fluxes of the light from each incidence."""
 
 
+_WAVE_ATTRIBUTES = (*Wave.kind.attributes, "masking", "multiple_scattering")
+"""Of a face; the latter two are those of its facets."""
+
+
 def _of_waves(side: str, name: str) -> str:
     """Name of a variable of the ``wave`` dataset of a face in the dataset of a slab; they share their wavelengths."""
     return name if name == "wavelength" else f"{side}_wave_{name}"
@@ -240,7 +244,7 @@ class SlabModel:
 
 def with_waves(bsdf: xr.Dataset, side: str, waves: xr.Dataset) -> xr.Dataset:
     """The dataset of a slab with the ``wave`` dataset of a face."""
-    attributes = {_of_waves(side, name): value for name, value in waves.attrs.items() if name in Wave.kind.attributes}
+    attributes = {_of_waves(side, name): value for name, value in waves.attrs.items() if name in _WAVE_ATTRIBUTES}
     renamed = waves.rename({name: _of_waves(side, str(name)) for name in waves.variables})
     result = bsdf.assign_coords(renamed.coords).assign(renamed.data_vars)
     return result.assign_attrs(attributes)
@@ -252,7 +256,8 @@ def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | Wave | None:
     names = {str(name): str(name).removeprefix(prefix) for name in bsdf.variables if str(name).startswith(prefix)}
     if names:
         waves = bsdf[[name for name in names if name not in bsdf.coords]].rename(names)
-        waves.attrs = {name: bsdf.attrs[_of_waves(side, name)] for name in Wave.kind.attributes}
+        stored = ((name, _of_waves(side, name)) for name in _WAVE_ATTRIBUTES)
+        waves.attrs = {name: bsdf.attrs[other] for name, other in stored if other in bsdf.attrs}
         return Wave(waves)
     if f"{side}_slope_density" not in bsdf:
         return None

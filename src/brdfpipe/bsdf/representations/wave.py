@@ -26,6 +26,8 @@ _MIXED_OR_NOT = (("wavelength",), ("mixed",))
 _BY_INCIDENCE = (("theta_i", "wavelength"), ("theta_i",))
 _BY_DIRECTION = (*_BY_INCIDENCE, ("theta_i", "phi_i", "wavelength"), ("theta_i", "phi_i"))
 
+_CLOSURE = [("closure_incidence", "closure_wavelength")]
+
 _FACETS = {**Microfacet.kind.required, **Microfacet.kind.optional}
 """Variables of the facets' BSDF."""
 
@@ -76,9 +78,12 @@ class Wave(Representation):
             **dict.fromkeys(("mixture", "mixed_wavelength"), _MIXED_OR_NOT[1:]),
             "log_fine_halo": [("fine_phase_variance", "fine_frequency")],
             **dict.fromkeys(
-                ("fine_scale", "fine_sigma", "facet_sigma", "resolved_slope", "cut_error"), vocabulary.SCALAR
+                ("fine_scale", "fine_sigma", "facet_sigma", "resolved_slope", "passage_phase", "cut_error"),
+                vocabulary.SCALAR,
             ),
             "facet_share": _BY_INCIDENCE,
+            "halo_closure": _CLOSURE,
+            "coherent_loss": _CLOSURE,
         },
         attributes=("optics", "form", "spectrum", "diffuse_mode", "transmission"),
         missing=("fit_slope",),

@@ -48,6 +48,12 @@ NARROWEST_HALO = (0.03, 0.06)
 """Half width at 1/e [1], in sines of the angle outside, to which the core of a transmitted, and of an internally reflected, halo is cut
 off where it is narrower: the light of the core is then coherent. Its wings are kept."""
 
+PHASES = (10.0, 60.0)
+"""Phase variances between which a face of low slopes passes from waves to facets."""
+
+MASKED_SLOPES, MASKED_PHASES = (1.0, 2.0), (1.0, 10.0)
+"""The same of slopes over the mean cosine of both directions, near grazing, where these halos lack masking; and phase variances from which it acts."""
+
 _SHARPNESS = 8
 _RIPPLE = 0.02
 """Standard width in sines outside over which a measured halo is smoothed."""
@@ -79,7 +85,7 @@ class WaveSurface(NamedTuple):
         if psd.attrs["form"] == "measured":
             table = _without_ripple(table, float(psd["frequency"][0]), _RIPPLE / (float(wavelength[0]) * 1e-3))
         correlation, sigma = roughness(psd)
-        relief = None if optics == "wave" else Relief.of(correlation, sigma, psd, "auto", None)
+        relief = None if optics == "wave" else Relief.of(correlation, sigma, psd, "auto", None, facets)
         return cls(Microsurface.of(facets), outside, relief, Halo.of(table))
 
     @property
@@ -93,7 +99,12 @@ class WaveSurface(NamedTuple):
         if self.relief is None:
             return np.zeros_like(change)
         phase = (2e3 * np.pi * self.relief.sigma * change / wavelength) ** 2
-        return two_scale.facet_share(phase, cosine, self.relief.slope)
+        slope = max(self.relief.slope, 1e-300)
+        by_phase = two_scale.rising_step(phase, PHASES)
+        by_slope = two_scale.rising_step(np.array(slope), two_scale.SLOPES)
+        by_masking = two_scale.rising_step(slope / np.maximum(cosine, 1e-300), MASKED_SLOPES)
+        by_masking = by_masking * two_scale.rising_step(phase, MASKED_PHASES)
+        return np.asarray(1 - (1 - by_phase) * (1 - by_slope) * (1 - by_masking))
 
     def transform(self, change: Array, along: Array, wavelength: float) -> Array:
         """K/λ² over (q/k)², of q/k and of λf, of one shape."""

@@ -8,12 +8,13 @@ part IV, 209), Bennett & Porteus 1961 (J. Opt. Soc. Am. 51, 123).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from brdfpipe import hemisphere, vocabulary
@@ -37,10 +38,14 @@ from brdfpipe.bsdf.wave.halo import Halo
 from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.bsdf.wave.two_scale import (
     FACETS_ALONE,
+    Angles,
     RoughSurface,
     characteristic_function,
+    closure_nodes,
+    closure_place,
     facet_share_at,
     mirror_lobe,
+    passage_phase,
 )
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
@@ -68,6 +73,9 @@ LARGEST_INCIDENCE = 85.0
 COARSE_LIMIT = 20.0
 """Phase variance of the facets of ``composite`` below which a warning says that they are too smooth."""
 
+WAVES_ALONE = 0.01
+"""Phase variance at normal incidence up to which ``auto`` leaves the facets out: higher orders then have half a percent of the halo."""
+
 ENERGY_LIMIT = 1e-3
 """Share of the incident light by which coherent part and halo may miss Fresnel's reflectance without a statement."""
 
@@ -85,6 +93,8 @@ _INCIDENCES, _LAY_INCIDENCES = 33, 21
 """Angles of incidence at which the reflectance is integrated."""
 _WAVELENGTHS, _LAY_WAVELENGTHS = 12, 6
 """Wavelengths at which the reflectance is integrated; over the others its ratio to Fresnel's is interpolated."""
+_ITERATIONS, _CLOSURES = 60, (0.02, 2.0)
+"""Of the factors that close the energy of the halo, and their limits."""
 _ARCS: Array = 20.0 * np.arange(9.0)
 """Arcs, in the sense of :func:`azimuth_to_arc`, at which that of a surface with a lay is [degree]."""
 _LAY_STEP = 15.0
@@ -139,8 +149,9 @@ def build(
 
     Notes
     -----
-    ``docs/model.md`` has the equations. Coherent part and halo together return at most Fresnel's reflectance F: where they would return
-    more, the coherent part is reduced. Where they return less, the light enters the base, and ``energy_residual`` states how much.
+    ``docs/model.md`` has the equations. With ``auto``, coherent part and halo of a perfect mirror return all light. Else they return at most
+    Fresnel's reflectance F: where they would return more, the coherent part is reduced. Where they return less, the light enters the base,
+    and ``energy_residual`` states how much.
     """
     vocabulary.validate(psd, "psd")
     index = vocabulary.validate(index, "index") if isinstance(index, xr.Dataset) else refractive_index(index)
@@ -155,7 +166,7 @@ def build(
             f"the refractive index falls to {np.min(n):g}, below that of air, without absorption; accepted: n >= 1, or k > 0"
         )
     correlation, sigma = roughness(psd)
-    relief = None if optics == "wave" else Relief.of(correlation, sigma, psd, optics, cut)
+    relief = None if optics == "wave" or facets is None else Relief.of(correlation, sigma, psd, optics, cut, facets)
     if relief is not None and optics == "auto" and relief.is_one_of_waves(given):
         relief = None
     bsdf = xr.Dataset(coords={"wavelength": given})
@@ -169,7 +180,9 @@ def build(
             predicted = build_microfacet(facets, **inputs, diffuse=diffuse)
         if optics == "auto" and relief.is_one_of_facets(given):
             return vocabulary.label(_facets_alone(predicted, relief, given), "bsdf")
-        bsdf = _with_facets(bsdf, predicted).assign(facet_sigma=relief.sigma, resolved_slope=relief.slope)
+        bsdf = _with_facets(bsdf, predicted).assign(
+            facet_sigma=relief.sigma, resolved_slope=relief.slope, passage_phase=relief.passage
+        )
         if relief.uses_fine:
             middle = float(given[np.abs(given - 1e3 * _MIDDLE).argmin()])
             bsdf = _with_finer_roughness(bsdf, relief, facets)
@@ -186,7 +199,7 @@ def build(
     if optics != "composite":
         bsdf = bsdf.merge(_halo_table(correlation, sigma, psd, given, _has_lay(psd, facets)))
     theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
-    bsdf = _with_albedo(bsdf, theta_m)
+    bsdf = _with_albedo(bsdf, theta_m, psd)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
     bsdf = vocabulary.add_warning(bsdf, *warnings, *_limits(bsdf, psd, correlation))
     return vocabulary.label(bsdf, "bsdf")
@@ -248,6 +261,8 @@ class Relief:
     fine: height_transform.Autocorrelation
     fine_sigma: float
     """Rms height of the finer roughness [um]"""
+    passage: float
+    """Phase variance at which half of the light is reflected as by facets [1]"""
     uses_fine: bool
     """Whether the finer roughness is modelled"""
 
@@ -259,6 +274,7 @@ class Relief:
         psd: xr.Dataset,
         optics: str,
         cut: float | None,
+        facets: xr.Dataset,
     ) -> Relief:
         """``auto`` leaves the finer roughness out where it changes the slopes little, or where no scan shows it."""
         parted = _cut(correlation, sigma) if cut is None else cut
@@ -274,14 +290,15 @@ class Relief:
         slope = float(np.sqrt(height_transform.slope_variance(correlation, sigma, 1 / _MIDDLE)))
         # The finer halo widens the lobe by the slopes of the finer roughness, whatever its phase variance.
         matters = factor < LEAST_SLOPE_FACTOR
+        passage = passage_phase(_normality(facets, whole))
         shown = not (measured and parted >= float(psd["band_high"]))
         if optics == "composite" or cut is not None or (matters and shown):
-            return cls(parted, facet_sigma, slope, factor, fine, fine_sigma, True)
-        return cls(parted, sigma, slope, 1.0, fine, fine_sigma, False)
+            return cls(parted, facet_sigma, slope, factor, fine, fine_sigma, passage, True)
+        return cls(parted, sigma, slope, 1.0, fine, fine_sigma, passage, False)
 
     def share(self, theta: Array, wavelength: Array) -> Array:
         """Share of the light that is reflected as by facets, of mirror reflection, (incidences, wavelength)."""
-        return facet_share_at(self.sigma, self.slope, 2 * np.cos(np.radians(theta)), wavelength)
+        return facet_share_at(self.sigma, self.slope, self.passage, 2 * np.cos(np.radians(theta)), wavelength)
 
     def is_one_of_facets(self, wavelength: Array) -> bool:
         """Whether facets alone describe the surface up to :data:`LARGEST_INCIDENCE`."""
@@ -289,9 +306,16 @@ class Relief:
         return not self.uses_fine and bool(self.share(incidences, wavelength).min() >= FACETS_ALONE)
 
     def is_one_of_waves(self, wavelength: Array) -> bool:
-        """Whether no light is reflected as by facets, at any incidence."""
-        cosines = np.append(np.linspace(0.0, 1.0, 101), np.geomspace(1e-4, 1.0, 201))
-        return not facet_share_at(self.sigma, self.slope, 2 * cosines, wavelength).any()
+        """Whether light is scattered once at most, at any incidence."""
+        return bool((4e3 * np.pi * self.sigma / wavelength.min()) ** 2 < WAVES_ALONE)
+
+
+def _normality(facets: xr.Dataset, slope_variance: float) -> float:
+    """Density of the smaller half of the slopes over that of normally distributed ones of a mean square; with a lay, of their own mean square."""
+    surface = Microsurface.of(facets)
+    if isinstance(surface.density, RadialDensity):
+        return float(np.log(2) * slope_variance / surface.typical_slope**2)
+    return float(surface.density_at(np.zeros(1), np.zeros(1))[0] * 2 * np.pi * surface.typical_slope**2)
 
 
 def _facets_alone(predicted: xr.Dataset, relief: Relief, wavelength: Array) -> xr.Dataset:
@@ -367,7 +391,7 @@ def _cut_error(
     angles = theta_i.ravel(), np.zeros(view.size), np.minimum(theta_o, 89.0), phi_o
     lobes = []
     for factor in (1.0, CUT_FACTOR, 1 / CUT_FACTOR):
-        other = Relief.of(correlation, sigma, psd, "composite", relief.cut * factor)
+        other = Relief.of(correlation, sigma, psd, "composite", relief.cut * factor, facets)
         changed = scaled(facets, other.slope_factor / relief.slope_factor)
         table = _fine_table(other, RadialDensity.of(changed), wavelength, _ROUGH_STEP).assign(sigma=other.fine_sigma)
         table.attrs = {"form": "ssa1", "spectrum": "measured"}
@@ -387,7 +411,7 @@ def _cut(correlation: height_transform.Autocorrelation, sigma: float) -> float:
 # --- energy and the diffuse base
 
 
-def _with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
+def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Dataset:
     """Add the reflectance of the surface, and what it misses of Fresnel's."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
 
@@ -395,16 +419,20 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
         cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
         return np.asarray(fresnel(cosine[:, None], n, k).mean)
 
-    # Dense towards the normal and towards grazing.
     surface, azimuths = RoughSurface.of(bsdf), _azimuths(bsdf)
-    count = _INCIDENCES if azimuths.size == 1 else _LAY_INCIDENCES
-    theta = np.degrees(np.arccos((1 + np.cos(np.linspace(np.pi, 0, count))) / 2))[::-1]
-    theta[-1] = 90.0
+    theta = closure_nodes(_INCIDENCES if azimuths.size == 1 else _LAY_INCIDENCES)
+    closed = surface.halo is not None and surface.halo.first_order is not None
+    if closed:
+        bsdf, unmatched = _with_closure(surface, bsdf, theta, azimuths, psd)
+        surface = RoughSurface.of(bsdf)
     scattered = _scattered(surface, bsdf, theta, azimuths)
     missing = smooth(theta)[:, None] * (1 - surface.coherent_share(theta, wavelength))[:, None] - scattered
-    # Facets may reflect more than a smooth surface; waves may not.
-    waves = 1 - surface.facet_share(2 * np.cos(np.radians(theta)), wavelength)
-    excess = np.maximum(-missing.mean(axis=1), 0.0) * waves
+    waves, excess = 1 - surface.facet_share(2 * np.cos(np.radians(theta)), wavelength), np.zeros_like(missing[:, 0])
+    if not closed:
+        # Facets may reflect more than a smooth surface; waves may not.
+        excess = np.maximum(-missing.mean(axis=1), 0.0) * waves
+        unmatched = missing.mean(axis=1)
+    unmatched = unmatched * waves
     if surface.relief is not None:
         table = energy.AlbedoTable(bsdf["theta_i"].values, smooth(bsdf["theta_i"].values))
     elif azimuths.size == 1:
@@ -428,7 +456,7 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
     else:
         albedo = energy.AlbedoTable(table.theta, np.clip(table.values - lost.mean(axis=1), 0.0, 1.0))
     excess = np.maximum(between(excess), 0.0) if excess.any() else np.zeros_like(table.values)
-    bsdf = _with_energy_statement(bsdf, (missing.mean(axis=1) * waves).max(axis=1), theta)
+    bsdf = _with_energy_statement(bsdf, unmatched.max(axis=1), theta)
     if surface.relief is not None:
         share = surface.facet_share(2 * np.cos(np.radians(table.theta)), wavelength)
         bsdf = bsdf.assign(facet_share=(("theta_i", "wavelength"), share))
@@ -436,8 +464,85 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float) -> xr.Dataset:
         directional_albedo=((*dims, "wavelength"), albedo.values),
         coherent_excess=(("theta_i", "wavelength"), excess),
         mean_albedo=("wavelength", albedo.mean()),
-        energy_residual=float(np.max(missing.mean(axis=1) * waves, initial=0.0)),
+        energy_residual=float(np.max(unmatched, initial=0.0)),
     )
+
+
+def _with_closure(
+    surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array, psd: xr.Dataset
+) -> tuple[xr.Dataset, Array]:
+    """Add what closes the energy of coherent light and halo; and the light that this leaves missing, (incidences, wavelength).
+
+    The coherent light of a perfect mirror loses what its surface scatters. That is g at steep incidence, and the light of first order
+    where g is small, which near grazing is more than g. Of the halo the factor of both directions, N(θ_i)N(θ_o), is found by iteration.
+    """
+    wavelength, slope = bsdf["wavelength"].values, Wave.slope_of(bsdf)
+    few = _few(wavelength, azimuths)
+    first_order, kernel = np.zeros((theta.size, few.size)), np.zeros((few.size, theta.size, theta.size))
+    for row, angle in enumerate(theta[theta < 90]):
+        for weight, angles in _directions(slope, float(angle), azimuths):
+            halo, first = np.moveaxis(surface.halo_of_mirrors(angles, wavelength[few]) * weight[:, None, None], -1, 0)
+            first_order[row] += first.sum(axis=0)
+            place = closure_place(np.cos(np.radians(angles[2])), theta.size)
+            node = np.minimum(place.astype(int), theta.size - 2)
+            for column, values in enumerate(halo.T):
+                for shift, part in ((0, 1 - place + node), (1, place - node)):
+                    kernel[column, row] += np.bincount(node + shift, values * part, minlength=theta.size)
+    change = 4e3 * np.pi * np.cos(np.radians(theta))[:, None] / wavelength[few]
+    loss = first_order / azimuths.size * _height_variance(psd, float(bsdf["sigma"]), change)
+    target = -np.expm1(-loss)
+    kernel /= azimuths.size
+    factor = np.ones_like(target)
+    for _ in range(_ITERATIONS):
+        returned = factor * np.einsum("wij,jw->iw", kernel, factor)
+        factor[:-1] *= np.sqrt(target[:-1] / np.maximum(returned[:-1], 1e-300))
+        factor = np.clip(factor, *_CLOSURES)
+        factor[-1] = factor[-2]
+    left = target - factor * np.einsum("wij,jw->iw", kernel, factor)
+    # Both are 0 at 90°, where their ratio tends to a limit.
+    loss = loss[:-1] * (wavelength[few] * 1e-3) ** 2 / np.cos(np.radians(theta[:-1]))[:, None]
+    dims = "closure_incidence", "closure_wavelength"
+    bsdf = bsdf.assign_coords(closure_wavelength=wavelength[few], closure_incidence=theta)
+    bsdf = bsdf.assign(halo_closure=(dims, factor), coherent_loss=(dims, np.append(loss, loss[-1:], axis=0)))
+    return bsdf, _between_wavelengths(np.abs(left), few, wavelength, np.ones(1))
+
+
+def _height_variance(psd: xr.Dataset, sigma: float, change: Array) -> Array:
+    """Variance of the heights that the coherent light knows, over that of the roughness spectrum [1], of q [rad/um]; 1 without a scan.
+
+    The spectrum lacks long waves, and takes heights as normal. What it has beyond its band is added to the measured heights.
+    """
+    if "coherent_sigma" not in psd:
+        return np.ones_like(change)
+    of_scan = np.interp(change, psd["phase_per_height"].values, psd["coherent_sigma"].values)
+    beyond = max(sigma**2 - float(psd["sigma"]) ** 2, 0.0)
+    return np.asarray((of_scan**2 + beyond) / max(sigma**2, 1e-300))
+
+
+def _few(wavelength: Array, azimuths: Array) -> NDArray[np.int64]:
+    """Numbers of the wavelengths at which is integrated."""
+    count = min(wavelength.size, _WAVELENGTHS if azimuths.size == 1 else _LAY_WAVELENGTHS)
+    return np.unique(np.linspace(0, wavelength.size - 1, count).round().astype(int))
+
+
+def _between_wavelengths(values: Array, few: NDArray[np.int64], wavelength: Array, scale: Array) -> Array:
+    """Values (…, few wavelengths) at all, by a spline through their ratio to a scale (…, wavelength)."""
+    if few.size == wavelength.size:
+        return values
+    scale = np.broadcast_to(scale, (*scale.shape[:-1], wavelength.size))
+    ratio = values / np.maximum(scale[..., few], 1e-12)
+    return np.asarray(CubicSpline(wavelength[few], ratio, axis=-1)(wavelength) * scale)
+
+
+def _directions(slope: float, theta_i: float, azimuths: Array) -> Iterator[tuple[Array, Angles]]:
+    """Weights and directions of an integral over a lobe of that slope, by azimuths of incidence and sides of the plane of incidence."""
+    isotropic = azimuths.size == 1
+    rule = hemisphere.around_mirror(theta_i, slope, order=5, turns=12 if isotropic else 24)
+    for azimuth in azimuths:
+        incident = np.full_like(rule.theta, theta_i), np.full_like(rule.theta, azimuth)
+        # The rule covers one side of the plane of incidence.
+        for side in (1,) if isotropic else (1, -1):
+            yield rule.weight / (1 if isotropic else 2), (*incident, rule.theta, azimuth + side * rule.phi)
 
 
 def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr.Dataset:
@@ -458,26 +563,14 @@ def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr
 def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array) -> Array:
     """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength)."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
-    count = _WAVELENGTHS if azimuths.size == 1 else _LAY_WAVELENGTHS
-    few = np.unique(np.linspace(0, wavelength.size - 1, min(wavelength.size, count)).round().astype(int))
+    few, slope = _few(wavelength, azimuths), Wave.slope_of(bsdf)
+    sides = 1 if azimuths.size == 1 else 2
     result = np.zeros((theta.size, azimuths.size, few.size))
     for row, angle in enumerate(theta[theta < 90]):
-        rule = hemisphere.around_mirror(
-            float(angle), Wave.slope_of(bsdf), order=5, turns=12 if azimuths.size == 1 else 24
-        )
-        for column, azimuth in enumerate(azimuths):
-            incident = np.full_like(rule.theta, angle), np.full_like(rule.theta, azimuth)
-            # The rule covers one side of the plane of incidence.
-            for side in (1,) if azimuths.size == 1 else (1, -1):
-                angles = *incident, rule.theta, azimuth + side * rule.phi
-                values = surface.evaluate(angles, wavelength[few], n[few], k[few])
-                result[row, column] += rule.weight @ values / (1 if azimuths.size == 1 else 2)
-    if few.size == wavelength.size:
-        return result
+        for number, (weight, angles) in enumerate(_directions(slope, float(angle), azimuths)):
+            result[row, number // sides] += weight @ surface.evaluate(angles, wavelength[few], n[few], k[few])
     cosine = np.where(theta >= 90, 0.0, np.cos(np.radians(theta)))
-    smooth = np.asarray(fresnel(cosine[:, None], n, k).mean)[:, None]
-    ratio = result / np.maximum(smooth[..., few], 1e-12)
-    return np.asarray(CubicSpline(wavelength[few], ratio, axis=-1)(wavelength) * smooth)
+    return _between_wavelengths(result, few, wavelength, np.asarray(fresnel(cosine[:, None], n, k).mean)[:, None])
 
 
 def _azimuths(bsdf: xr.Dataset) -> Array:

@@ -36,6 +36,8 @@ _TINY = 1e-300
 _PAULI = np.array([[[1, 0], [0, 1]], [[1, 0], [0, -1]], [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])
 """Matrices σ with Stokes components S = ½ Tr(σ E E†) of the field E = (E_s, E_p), in the frames of :mod:`brdfpipe.bsdf.microfacet.polarised`."""
 
+_LEAST_FIRST_ORDER = 1e-9
+
 _WRAPPED = 3
 """Nodes of azimuth that are repeated at either end."""
 
@@ -161,10 +163,12 @@ class Halo:
     """Of the frequencies of a surface with a lay, before the table is read"""
     compiled: bool = False
     """Whether the table is read by compiled code, which takes a while to load"""
+    first_order: Array | None = None
+    """Coefficients of a spline through the logarithm of the share of the amplitude that is of first order, over the nodes of ``spline``; None: all"""
 
     @classmethod
-    def of(cls, bsdf: xr.Dataset) -> Halo:
-        """The halo of a ``bsdf`` dataset, representation ``wave``."""
+    def of(cls, bsdf: xr.Dataset, *, by_order: bool = False) -> Halo:
+        """The halo of a ``bsdf`` dataset, representation ``wave``; ``by_order``: higher orders reflect as tilted facets."""
         phase, frequency = bsdf["phase_variance"].values, bsdf["halo_frequency"].values
         scale = float(bsdf["frequency_scale"])
         lay = "halo_azimuth" in bsdf.dims
@@ -172,13 +176,14 @@ class Halo:
         return cls(
             float(bsdf["sigma"]),
             str(bsdf.attrs["form"]),
-            _periodic_spline(values) if lay else spline_filter(values, order=3, mode="mirror"),
+            _spline(values),
             float(np.log(phase[0])),
             float(np.log(phase[-1] / phase[0])) / (phase.size - 1),
             scale,
             float(np.arcsinh(frequency[-1] / scale)) / (frequency.size - 1),
             _closed_form(bsdf),
             Stretch(float(bsdf["halo_lay"]), float(bsdf["halo_stretch"])) if lay else None,
+            first_order=_spline(np.log(_first_order_share(values, phase, frequency))) if by_order else None,
         )
 
     def phase_variance(self, cosines: Array, wavelength: Array) -> Array:
@@ -193,23 +198,46 @@ class Halo:
     def strength_and_transform(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> tuple[Array, Array]:
         """BRDF over the polarisation factor [sr-1], and K/λ² [1], (directions, wavelength) each."""
         nm, cosines = wavelength * 1e-3, pair.cos_i + pair.cos_o
-        ratio = self._transform_ratio(pair, azimuths, wavelength) / nm**2
+        ratio = self._looked_up("transform", pair, azimuths, wavelength) / nm**2
         geometry = (4 * np.pi * self.sigma / nm) ** 2 * (pair.cos_i * pair.cos_o)[:, None]
         return geometry * ratio, self.phase_variance(cosines, wavelength) * ratio
+
+    def by_order(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array, tilted: Array) -> tuple[Array, Array]:
+        """BRDF over the polarisation factor of waves, and over Fresnel's reflectance of the tilted facet [sr-1], (directions, wavelength) each.
+
+        Both ways to reflect add as amplitudes do.
+        ``tilted`` is what reflects as tilted facets over what ``ghs`` gives, (directions,).
+        """
+        ratio = self._looked_up("transform", pair, azimuths, wavelength)
+        if self.first_order is None:
+            return self._strength(ratio, pair, wavelength), np.zeros_like(ratio)
+        first = np.minimum(self._looked_up("first order", pair, azimuths, wavelength), 1.0)
+        cosines = pair.cos_i + pair.cos_o
+        # Amplitudes, over that of `ghs`, of both ways to reflect.
+        low = first if self.form == "ghs" else first * (2 * np.sqrt(pair.cos_i * pair.cos_o) / cosines)[:, None]
+        high = (1 - first) * np.sqrt(tilted)[:, None]
+        scale = (low + high) * ratio * self.phase_variance(cosines, wavelength) / (wavelength * 1e-3) ** 2
+        return low * scale, high * scale
 
     def strength(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> Array:
         """BRDF over the polarisation factor [sr-1], (directions, wavelength).
 
         ``azimuths`` are φ_i and φ_o [degree], (directions,) each; they matter for a surface with a lay.
         """
-        # 16π²σ²γ_iγ_o/λ⁴ · K/g, which has no quotient of small cosines.
-        nm = wavelength * 1e-3
-        geometry = (pair.cos_i + pair.cos_o) ** 2 / 4 if self.form == "ghs" else pair.cos_i * pair.cos_o
-        scale = (4 * np.pi * self.sigma) ** 2 * geometry[:, None] / nm**4
-        return np.asarray(scale * self._transform_ratio(pair, azimuths, wavelength))
+        return self._strength(self._looked_up("transform", pair, azimuths, wavelength), pair, wavelength)
 
-    def _transform_ratio(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> Array:
-        """K/g [um2], (directions, wavelength)."""
+    def first_strength(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> Array:
+        """The same as the phase variance tends to 0, without its loss to higher orders."""
+        return self._strength(self._looked_up("spectrum", pair, azimuths, wavelength), pair, wavelength)
+
+    def _strength(self, ratio: Array, pair: HalfVector, wavelength: Array) -> Array:
+        # 16π²σ²γ_iγ_o/λ⁴ · K/g, which has no quotient of small cosines.
+        geometry = (pair.cos_i + pair.cos_o) ** 2 / 4 if self.form == "ghs" else pair.cos_i * pair.cos_o
+        scale = (4 * np.pi * self.sigma) ** 2 * geometry[:, None] / (wavelength * 1e-3) ** 4
+        return np.asarray(scale * ratio)
+
+    def _looked_up(self, what: str, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> Array:
+        """K/g [um2] (``transform``), its limit as g tends to 0 (``spectrum``), or the share of ``first order`` [1], (directions, wavelength)."""
         cosines, place, column = pair.cos_i + pair.cos_o, [], np.empty(0)
         if self.stretch is None:
             slope = np.sqrt(pair.slope_squared)
@@ -218,29 +246,66 @@ class Halo:
             column = around * (self.spline.shape[2] - 2 * _WRAPPED) / 180 + _WRAPPED
             place = [np.repeat(column[:, None], wavelength.size, axis=1)]
         frequency = (slope * cosines)[:, None] / (wavelength * 1e-3)
-        if self.form == "rayleigh-rice" and self.spectrum is not None:
+        what = "spectrum" if what == "transform" and self.form == "rayleigh-rice" else what
+        if what == "spectrum" and self.form == "rayleigh-rice" and self.spectrum is not None:
             return self.spectrum(frequency)
         if self.compiled:
             with np.errstate(divide="ignore"):
                 log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)
-            return self._compiled_lookup(slope * cosines, log_phase, wavelength, column)
+            return self._compiled_lookups[what](slope * cosines, log_phase, wavelength, column)
         place = [np.arcsinh(frequency / self.scale) / self.frequency_step, *place]
-        if self.form == "rayleigh-rice":
+        if what == "spectrum":
             row = np.zeros_like(frequency)
         else:
             with np.errstate(divide="ignore"):
                 log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)[:, None] - 2 * np.log(wavelength)
             row = np.maximum((log_phase - self.first_phase) / self.phase_step, 0.0)
-        return np.exp(map_coordinates(self.spline, [row, *place], order=3, mode="mirror", prefilter=False))
+        values = self.first_order if what == "first order" else self.spline
+        return np.exp(map_coordinates(values, [row, *place], order=3, mode="mirror", prefilter=False))
 
     @cached_property
-    def _compiled_lookup(self) -> Callable[[Array, Array, Array, Array], Array]:
-        """:func:`brdfpipe.bsdf.wave.halo_kernel.transform_ratio` of this table."""
+    def _compiled_lookups(self) -> dict[str, Callable[[Array, Array, Array, Array], Array]]:
+        """:func:`brdfpipe.bsdf.wave.halo_kernel.transform_ratio` of the tables."""
         from brdfpipe.bsdf.wave import halo_kernel
 
         phase, frequency = (self.first_phase, self.phase_step), (self.scale, self.frequency_step)
-        table = halo_kernel.HaloTable.of(self.spline, phase, frequency, self.form != "rayleigh-rice")
-        return partial(halo_kernel.transform_ratio, table)
+        tables = {"transform": (self.spline, True), "spectrum": (self.spline, False)}
+        if self.first_order is not None:
+            tables["first order"] = self.first_order, True
+        return {
+            name: partial(halo_kernel.transform_ratio, halo_kernel.HaloTable.of(spline, phase, frequency, by_phase))
+            for name, (spline, by_phase) in tables.items()
+        }
+
+
+def _first_order_share(log_transform: Array, phase: Array, frequency: Array) -> Array:
+    """Share of the amplitude [1] that reflects as waves of first order do, at the nodes of a table.
+
+    Light of order n is scattered n times, and turns into that of tilted facets as 1 − 1/n. The mean of 1/n over the orders of the transform
+    K is e^(−g) ∫ e^g K/g dg / K. Orders of roughness coarser than half the frequency do not count: what is scattered once by finer
+    roughness, g S/σ² dimmed by that roughness, remains of first order.
+    """
+    of_order = np.ones_like(log_transform)
+    for row in range(1, phase.size):
+        step = phase[row] - phase[row - 1]
+        # Between two nodes e^g K/g grows exponentially.
+        growth = np.maximum(log_transform[row] - log_transform[row - 1] + step, 1e-12)
+        before, here = of_order[row - 1] * phase[row - 1] * np.exp(-growth), step * -np.expm1(-growth) / growth
+        of_order[row] = (before + here) / phase[row]
+    spectrum = np.exp(log_transform[0])
+    level = spectrum if spectrum.ndim == 1 else spectrum.mean(axis=1)
+    cumulative = np.append(0.0, np.cumsum(np.pi * np.diff(frequency**2) * (level[1:] + level[:-1]) / 2))
+    finer = np.clip(1 - np.interp(frequency / 2, frequency, cumulative), 0.0, 1.0)
+    dimmed = -phase[:, None] * finer
+    once = np.exp(
+        np.minimum(log_transform[0] + (dimmed if level is spectrum else dimmed[..., None]) - log_transform, 0.0)
+    )
+    return np.clip(np.maximum(of_order, once), _LEAST_FIRST_ORDER, 1.0)
+
+
+def _spline(values: Array) -> Array:
+    """Coefficients of a cubic spline over phase variance and frequency, and around half a turn of azimuth if there is one."""
+    return _periodic_spline(values) if values.ndim == 3 else np.asarray(spline_filter(values, order=3, mode="mirror"))
 
 
 def _periodic_spline(values: Array) -> Array:

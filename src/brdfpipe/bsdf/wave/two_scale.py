@@ -9,9 +9,13 @@ f_facets is the microfacet model, with the masking and the further reflections i
 the slopes of the coarse relief. Light scattered once by the fine roughness has the polarisation of waves; what it scatters more often
 has that of facets.
 
+Waves of the whole roughness pass to these facets with the phase variance. What they scatter more often than once reflects as tilted facets too
+(:meth:`brdfpipe.bsdf.wave.halo.Halo.by_order`), so that both agree where the passage is.
+
 References
 ----------
-Holzschuch & Pacanowski 2017, ACM Trans. Graph. 36(4) 66 (two scales); Voronovich 1994, Wave Scattering from Rough Surfaces, ch. 6.
+Holzschuch & Pacanowski 2017, ACM Trans. Graph. 36(4) 66 (two scales); Voronovich 1994, Wave Scattering from Rough Surfaces, ch. 6;
+Elfouhaily & Guérin 2004, Waves Random Media 14, R1 (first order that passes to facets).
 """
 
 from __future__ import annotations
@@ -19,12 +23,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.fft import fht, fhtoffset
+from scipy.ndimage import map_coordinates
 
 from brdfpipe.bsdf.microfacet import polarised
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
@@ -38,14 +43,17 @@ from brdfpipe.optics.fresnel_equations import fresnel
 Angles = tuple[Array, Array, Array, Array]
 """θ_i, φ_i, θ_o and φ_o [degree], (directions,) each"""
 
-PHASES = (10.0, 60.0)
-"""Phase variances between which a surface of low slopes passes from waves to facets."""
+PASSAGE_PHASE = 600.0**0.5
+"""Phase variance at which half of the light of a surface of low slopes is reflected as by facets, if its slopes are normally distributed."""
 
-SLOPES = (0.2, 0.4)
-"""Rms slopes at scales above the wavelength between which a surface passes from waves to facets at any phase variance."""
+LEAST_PASSAGE_PHASE = 4.0
+"""The same, at least: facets miss a share 1/g of the light at the peak, and all of the coherent light."""
 
-MASKED_SLOPES, MASKED_PHASES = (1.0, 2.0), (1.0, 10.0)
-"""The same of slopes over the mean cosine of both directions, near grazing, where waves lack masking; and phase variances from which it acts."""
+PASSAGE_WIDTH = 6.0**0.5
+"""Factor of the phase variance either way within which a surface passes from waves to facets."""
+
+SLOPES, STEEP_PHASES = (0.2, 0.4), (1.0, 10.0)
+"""Rms slopes at scales above the wavelength between which a surface passes from waves to facets earlier, and phase variances over which it does."""
 
 FACETS_ALONE = 0.99
 """Share of the light reflected as by facets from which a surface counts as one of facets alone."""
@@ -55,29 +63,39 @@ _BLOCK = 2**15
 _NODES, _DECADES = 8192, 20
 
 
-def facet_share(phase_variance: Array, cosine: Array, slope: float) -> Array:
+def facet_share(phase_variance: Array, slope: float, passage: float = PASSAGE_PHASE) -> Array:
     """Share of the light [1] for which the surface is one of facets.
 
     Parameters
     ----------
     phase_variance : g of the facets' relief [1]
-    cosine : mean of cos θ_i and cos θ_o, broadcastable to it
     slope : rms slope at scales above the wavelength [1]
+    passage : phase variance at which half of the light is
     """
-    slope = max(slope, 1e-300)
-    by_masking = _step(slope / np.maximum(cosine, 1e-300), MASKED_SLOPES) * _step(phase_variance, MASKED_PHASES)
-    by_slope = _step(np.array(slope), SLOPES)
-    return np.asarray(1 - (1 - _step(phase_variance, PHASES)) * (1 - by_slope) * (1 - by_masking))
+    by_phase = rising_step(phase_variance, (passage / PASSAGE_WIDTH, passage * PASSAGE_WIDTH))
+    by_slope = rising_step(np.array(max(slope, 1e-300)), SLOPES) * rising_step(phase_variance, STEEP_PHASES)
+    return np.asarray(1 - (1 - by_phase) * (1 - by_slope))
 
 
-def facet_share_at(sigma: float, slope: float, cosines: Array, wavelength: Array) -> Array:
+def passage_phase(normality: float) -> float:
+    """Phase variance at which a surface passes from waves to facets.
+
+    Facets miss a share 1/g of the light at the peak; waves take slopes as normally distributed, and miss what these are not.
+
+    Parameters
+    ----------
+    normality : density of the small slopes over that of normally distributed ones of the roughness spectrum [1]
+    """
+    return float(np.clip(1 / max(abs(normality - 1), 1e-12), LEAST_PASSAGE_PHASE, PASSAGE_PHASE))
+
+
+def facet_share_at(sigma: float, slope: float, passage: float, cosines: Array, wavelength: Array) -> Array:
     """The same, (…, wavelength), for relief of an rms height [um] and slope, of γ_i + γ_o (…) at wavelengths [nm]."""
-    phase = (2e3 * np.pi * sigma * cosines[..., None] / wavelength) ** 2
-    return facet_share(phase, cosines[..., None] / 2, slope)
+    return facet_share((2e3 * np.pi * sigma * cosines[..., None] / wavelength) ** 2, slope, passage)
 
 
-def _step(value: Array, limits: tuple[float, float]) -> Array:
-    """A smooth step from 0 to 1 in the logarithm."""
+def rising_step(value: Array, limits: tuple[float, float]) -> Array:
+    """A smooth step from 0 to 1 in the logarithm, between two limits."""
     with np.errstate(divide="ignore"):
         x = np.clip(np.log(value / limits[0]) / np.log(limits[1] / limits[0]), 0.0, 1.0)
     return np.asarray(x * x * (3 - 2 * x))
@@ -128,19 +146,10 @@ class Relief:
             return np.ones((*cosines.shape, wavelength.size))
         return np.exp(-self.fine.phase_variance(cosines, wavelength))
 
-    def spread(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> tuple[Array, Array] | None:
-        """What the finer roughness spreads: BRDF over the reflectance of facets, and over the polarisation factor of waves.
-
-        (directions, wavelength) each [sr-1]; None without finer roughness.
-        """
-        if self.fine is None:
-            return None
-        cosines = pair.cos_i + pair.cos_o
-        undimmed = np.exp(-self.fine.phase_variance(cosines, wavelength))
-        tilted = (1 + pair.slope_squared) ** 2 * self.surface.visibility(pair, *azimuths, self.masking) / 4
-        once, transform = self.fine.strength_and_transform(pair, azimuths, wavelength)
-        # q²K′/λ² is the slope density of the light that the fine roughness spreads.
-        return (1 - undimmed) * (tilted * cosines**2)[:, None] * transform, undimmed * once
+    def tilted(self, pair: HalfVector, azimuths: Azimuths) -> Array:
+        """G2 q²/(4γ_iγ_o cos⁴α), (directions,): what reflects as tilted facets, over what reflects as the mean plane does."""
+        visible = self.surface.visibility(pair, *azimuths, self.masking)
+        return np.asarray(((1 + pair.slope_squared) * (pair.cos_i + pair.cos_o)) ** 2 * visible / 4)
 
 
 def mirror_lobe(surface: Microsurface, fine: Halo, angles: Angles, wavelength: float) -> Array:
@@ -163,6 +172,49 @@ def _fine_halo(bsdf: xr.Dataset) -> Halo | None:
     return Halo.of(fine)
 
 
+class EnergyClosure(NamedTuple):
+    """What makes the coherent light and the halo of a perfect mirror all light; incidences are :func:`closure_nodes`."""
+
+    factor: Array
+    """Of either direction of the halo [1], (incidences, wavelengths)"""
+    loss: Array
+    """−λ² ln(coherent share)/cos θ [um2], (incidences, wavelengths)"""
+    wavelength: Array
+    """[nm]"""
+
+    @classmethod
+    def of(cls, bsdf: xr.Dataset) -> EnergyClosure:
+        """Of a ``bsdf`` dataset, representation ``wave``."""
+        return cls(*(bsdf[name].values for name in ("halo_closure", "coherent_loss", "closure_wavelength")))
+
+    def of_halo(self, cosine: Array, wavelength: Array) -> Array:
+        """The factor [1], (directions, wavelength), of cosines (directions,) at wavelengths [nm]."""
+        return self._between(self.factor, cosine, wavelength, 1)
+
+    def coherent_share(self, cosine: Array, wavelength: Array) -> Array:
+        """Share of the mirror reflection that is coherent [1], of the same."""
+        loss = self._between(self.loss, cosine, wavelength, 3)
+        return np.exp(-loss * cosine[:, None] / (wavelength * 1e-3) ** 2)
+
+    def _between(self, values: Array, cosine: Array, wavelength: Array, order: Literal[1, 3]) -> Array:
+        row = closure_place(cosine, values.shape[0])
+        column = np.interp(wavelength, self.wavelength, np.arange(self.wavelength.size))
+        place = [np.repeat(row[:, None], column.size, axis=1), np.repeat(column[None, :], row.size, axis=0)]
+        return np.asarray(map_coordinates(values, place, order=order, mode="nearest"))
+
+
+def closure_nodes(count: int) -> Array:
+    """Angles of incidence [degree] from 0 to 90, dense towards the normal and towards grazing."""
+    theta = np.degrees(np.arccos((1 + np.cos(np.linspace(np.pi, 0, count))) / 2))[::-1]
+    theta[-1] = 90.0
+    return np.asarray(theta)
+
+
+def closure_place(cosine: Array, count: int) -> Array:
+    """Place [1] of cosines of incidence among the numbers of as many nodes."""
+    return np.asarray(np.arccos(np.clip(2 * cosine - 1, -1.0, 1.0)) * ((count - 1) / np.pi))
+
+
 @dataclass(frozen=True)
 class RoughSurface:
     """A surface that reflects as waves, as facets with finer roughness, or as both in turn."""
@@ -175,25 +227,38 @@ class RoughSurface:
     """Rms height of the relief that is one of facets [um]"""
     slope: float
     """Its rms slope at scales above the wavelength [1]"""
+    passage: float = PASSAGE_PHASE
+    """Phase variance at which half of the light is reflected as by facets [1]"""
+    closure: EnergyClosure | None = None
+    """Of the halo; None for 1"""
 
     @classmethod
     def of(cls, bsdf: xr.Dataset) -> RoughSurface:
         """The surface of a ``bsdf`` dataset, representation ``wave``."""
-        halo = Halo.of(bsdf) if "log_halo" in bsdf else None
+        # Higher orders need the masking of facets.
+        by_order = "slope_density" in bsdf and bsdf.attrs["form"] != "rayleigh-rice"
+        halo = Halo.of(bsdf, by_order=by_order) if "log_halo" in bsdf else None
         if "slope_density" not in bsdf:
             return cls(halo, None, 0.0, 0.0)
-        return cls(halo, Relief.of(bsdf), float(bsdf["facet_sigma"]), float(bsdf["resolved_slope"]))
+        sigma, slope, passage = (float(bsdf[name]) for name in ("facet_sigma", "resolved_slope", "passage_phase"))
+        closure = EnergyClosure.of(bsdf) if "halo_closure" in bsdf else None
+        return cls(halo, Relief.of(bsdf), sigma, slope, passage, closure)
 
     def facet_share(self, cosines: Array, wavelength: Array) -> Array:
         """Share of the light [1], (…, wavelength), that is reflected as by facets, of γ_i + γ_o (…) at wavelengths [nm]."""
         if self.relief is None or self.halo is None:
             return np.full((*np.shape(cosines), wavelength.size), float(self.halo is None))
-        return facet_share_at(self.facet_sigma, self.slope, cosines, wavelength)
+        return facet_share_at(self.facet_sigma, self.slope, self.passage, cosines, wavelength)
 
     def coherent_share(self, theta_i: Array, wavelength: Array) -> Array:
         """Share of Fresnel's reflectance that is reflected coherently, (incidences…, wavelength)."""
-        share = self.facet_share(2 * np.cos(np.radians(theta_i)), wavelength)
-        return (1 - share) * self.halo.coherent_share(theta_i, wavelength) if self.halo is not None else 1 - share
+        cosine = np.cos(np.radians(theta_i))
+        waves = 1 - self.facet_share(2 * cosine, wavelength)
+        if self.closure is not None:
+            return waves * self.closure.coherent_share(np.maximum(cosine.reshape(-1), 0.0), wavelength).reshape(
+                waves.shape
+            )
+        return waves * self.halo.coherent_share(theta_i, wavelength) if self.halo is not None else waves
 
     def evaluate(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
         """BRDF without diffuse light [sr-1], (directions, wavelength); 0 unless both directions are above the surface.
@@ -219,6 +284,19 @@ class RoughSurface:
             return values
 
         return _in_blocks(angles, (wavelength.size,), of_block, many)
+
+    def halo_of_mirrors(self, angles: Angles, wavelength: Array) -> Array:
+        """BRDF of the halo if the body were a perfect mirror, before it is matched, and of its first order, (directions, wavelength, 2) [sr-1]."""
+        halo, relief = self.halo, self.relief
+        assert halo is not None
+        assert relief is not None
+
+        def of_block(pair: HalfVector, block: Angles) -> Array:
+            azimuths = block[1], block[3]
+            low, high = halo.by_order(pair, azimuths, wavelength, relief.tilted(pair, azimuths))
+            return np.stack([low + high, halo.first_strength(pair, azimuths, wavelength)], axis=-1)
+
+        return _in_blocks(angles, (wavelength.size, 2), of_block)
 
     def mueller(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
         """Mueller matrices of the same [sr-1], (directions, wavelength, 4, 4), in the frames of the microfacet model."""
@@ -251,17 +329,25 @@ class RoughSurface:
         return replace(self, halo=None if halo is None else replace(halo, compiled=True), relief=relief)
 
     def _parts(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> _Parts:
-        share = self.facet_share(pair.cos_i + pair.cos_o, wavelength)
-        facets: Array | None = None
-        spread: Array | None = None
-        waves: Array | None = None
+        cosines, relief = pair.cos_i + pair.cos_o, self.relief
+        if relief is None:
+            assert self.halo is not None
+            return _Parts(None, None, self.halo.strength(pair, azimuths, wavelength))
+        share, tilted = self.facet_share(cosines, wavelength), relief.tilted(pair, azimuths)
+        facets, spread, waves = None, np.zeros(share.shape), np.zeros(share.shape)
         if self.halo is not None and not (share == 1).all():
-            waves = (1 - share) * self.halo.strength(pair, azimuths, wavelength)
-        if self.relief is not None and share.any():
-            facets = share * self.relief.undimmed(pair.cos_i + pair.cos_o, wavelength)
-            if (fine := self.relief.spread(pair, azimuths, wavelength)) is not None:
-                spread, once = share * fine[0], share * fine[1]
-                waves = once if waves is None else waves + once
+            once, more = self.halo.by_order(pair, azimuths, wavelength, tilted)
+            of_waves = 1 - share
+            if self.closure is not None:
+                of_waves = of_waves * self.closure.of_halo(pair.cos_i, wavelength)
+                of_waves *= self.closure.of_halo(pair.cos_o, wavelength)
+            waves, spread = of_waves * once, of_waves * more
+        if share.any():
+            undimmed = relief.undimmed(cosines, wavelength)
+            facets = share * undimmed
+            if relief.fine is not None:
+                once, transform = relief.fine.strength_and_transform(pair, azimuths, wavelength)
+                waves, spread = waves + facets * once, spread + share * (1 - undimmed) * tilted[:, None] * transform
         return _Parts(facets, spread, waves)
 
 
