@@ -103,10 +103,11 @@ def test_gloss_has_no_jump_from_1_nm_to_2_um(slope, steps):
         for optics in ("wave", "auto")
     )
     facets = np.array([gloss(facets_alone(s, 5.0 if slope is None else 2 * s / slope)) for s in sigma])
-    # Between both models wherever they differ, and therefore as smooth as they are.
+    # Between both models wherever they differ, and therefore as smooth as they are. Where the roughness is not much longer than the
+    # wavelength, part of it scatters no light, which the coherent light of `wave` misses all the same.
     low, high = np.minimum(waves, facets), np.maximum(waves, facets)
     assert (auto > 0.93 * low).all()
-    assert (auto < 1.02 * high).all()
+    assert (auto < (1.02 if slope is None else 1.1) * high).all()
     assert (np.diff(auto, axis=0) < 0.01).all()
 
 

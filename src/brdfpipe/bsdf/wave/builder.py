@@ -73,8 +73,8 @@ LARGEST_INCIDENCE = 85.0
 COARSE_LIMIT = 20.0
 """Phase variance of the facets of ``composite`` below which a warning says that they are too smooth."""
 
-WAVES_ALONE = 0.01
-"""Phase variance at normal incidence up to which ``auto`` leaves the facets out: higher orders then have half a percent of the halo."""
+WAVES_ALONE = 1e-3
+"""Phase variance at normal incidence up to which ``auto`` leaves the facets out: the light that is scattered at all."""
 
 ENERGY_LIMIT = 1e-3
 """Share of the incident light by which coherent part and halo may miss Fresnel's reflectance without a statement."""
@@ -167,7 +167,7 @@ def build(
         )
     correlation, sigma = roughness(psd)
     relief = None if optics == "wave" or facets is None else Relief.of(correlation, sigma, psd, optics, cut, facets)
-    if relief is not None and optics == "auto" and relief.is_one_of_waves(given):
+    if relief is not None and optics == "auto" and (4e3 * np.pi * sigma / given[0]) ** 2 < WAVES_ALONE:
         relief = None
     bsdf = xr.Dataset(coords={"wavelength": given})
     if relief is not None:
@@ -304,10 +304,6 @@ class Relief:
         """Whether facets alone describe the surface up to :data:`LARGEST_INCIDENCE`."""
         incidences = np.linspace(0.0, LARGEST_INCIDENCE, _INCIDENCES)
         return not self.uses_fine and bool(self.share(incidences, wavelength).min() >= FACETS_ALONE)
-
-    def is_one_of_waves(self, wavelength: Array) -> bool:
-        """Whether light is scattered once at most, at any incidence."""
-        return bool((4e3 * np.pi * self.sigma / wavelength.min()) ** 2 < WAVES_ALONE)
 
 
 def _normality(facets: xr.Dataset, slope_variance: float) -> float:
