@@ -18,6 +18,7 @@ from brdfpipe.bsdf.microfacet.microsurface import ModelError
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.wave import two_scale
 from brdfpipe.bsdf.wave.two_scale import RoughSurface, characteristic_function, facet_share, passage_phase
+from brdfpipe.comparison.model_error import model_error
 from brdfpipe.facets import analytic, estimate, flat
 from brdfpipe.facets.radial_density import RadialDensity
 
@@ -248,6 +249,42 @@ def test_waves_agree_with_diffraction_on_maps(sigma):
     # Three maps scatter; their mean is known to their spread over the root of three.
     spread = glosses.std(axis=0, ddof=1) / np.sqrt(3)
     assert (np.abs(gloss(bsdf) - glosses.mean(axis=0)) < 4 * spread + 0.1).all()
+
+
+@pytest.mark.slow
+def test_diffraction_on_a_map_tends_to_its_facets_as_the_wavelength_falls():
+    view, ratios = np.linspace(14.0, 26.0, 13), {825.0: [], 412.0: []}
+    for seed in range(5):
+        surface = _gaussian_map(0.3, 6.0, 0.5, 512, seed)
+        expected = microfacet.build(estimate(surface), index=1.5).bsdf.evaluate(20.0, 0.0, view, 180.0).values.squeeze()
+        for wavelength, found in ratios.items():
+            diffraction = kirchhoff.build(surface, index=1.5, wavelength=wavelength)
+            found.append(np.mean(diffraction.bsdf.evaluate(20.0, 0.0, view, 180.0).values.squeeze() / expected))
+    for wavelength, found in ratios.items():
+        variance = (4 * np.pi * 0.3 * np.cos(np.radians(20)) / (wavelength * 1e-3)) ** 2
+        # The next order of geometrical optics is 1/g, and the windows of diffraction see the middle of each map.
+        noise = 2 * np.std(found, ddof=1) / np.sqrt(5) + 0.01
+        assert abs(float(np.mean(found)) - 1) < 1 / variance + noise
+        assert noise < 0.06
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slope", [0.05, 0.1, 0.2])
+def test_auto_is_no_further_from_traced_rays_than_facets(slope):
+    surface = samples.surface(relief_maps.gaussian(slope, 256, 0))
+    facets = estimate(surface)
+    predicted = microfacet.build(facets, index=1.5)
+    auto = wave.build(
+        psd.estimate(surface), facets=facets, predicted=predicted, index=1.5, wavelength=555.0, optics="auto"
+    )
+    found, alone = (
+        model_error(surface, each, facets, rays=400_000)["light_error"].sel(reference="traced", region="peak").squeeze()
+        for each in (auto, predicted)
+    )
+    held = np.isfinite(alone.values)
+    assert held.sum() >= 4
+    # 0.5 % of each is noise of the rays; at 75 degree and g = 24 part of the light is of waves.
+    assert (np.abs(found) < np.abs(alone) + 0.02).values[held].all()
 
 
 def _gaussian_map(sigma: float, length: float, pitch: float, size: int, seed: int) -> xr.Dataset:
