@@ -291,7 +291,7 @@ class RoughSurface:
         assert halo is not None
         assert relief is not None
 
-        def of_block(pair: HalfVector, block: Angles) -> Array:
+        def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
             azimuths = block[1], block[3]
             low, high = halo.by_order(pair, azimuths, wavelength, relief.tilted(pair, azimuths))
             return np.stack([low + high, halo.first_strength(pair, azimuths, wavelength)], axis=-1)
