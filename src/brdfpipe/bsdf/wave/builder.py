@@ -419,7 +419,8 @@ def _with_albedo(bsdf: xr.Dataset, theta_m: float, psd: xr.Dataset) -> xr.Datase
     theta = closure_nodes(_INCIDENCES if azimuths.size == 1 else _LAY_INCIDENCES)
     closed = surface.halo is not None and surface.halo.first_order is not None
     if closed:
-        bsdf, unmatched = _with_closure(surface, bsdf, theta, azimuths, psd)
+        # Of a lay the mean over azimuth, for which every third is enough.
+        bsdf, unmatched = _with_closure(surface, bsdf, theta, azimuths[::3], psd)
         surface = RoughSurface.of(bsdf)
     scattered = _scattered(surface, bsdf, theta, azimuths)
     missing = smooth(theta)[:, None] * (1 - surface.coherent_share(theta, wavelength))[:, None] - scattered

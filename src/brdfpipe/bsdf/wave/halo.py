@@ -260,7 +260,7 @@ class Halo:
             with np.errstate(divide="ignore"):
                 log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)[:, None] - 2 * np.log(wavelength)
             row = np.maximum((log_phase - self.first_phase) / self.phase_step, 0.0)
-        values = self.first_order if what == "first order" else self.spline
+        values = self.first_order if what == "first order" and self.first_order is not None else self.spline
         return np.exp(map_coordinates(values, [row, *place], order=3, mode="mirror", prefilter=False))
 
     @cached_property
