@@ -18,6 +18,9 @@ from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.piecewise import PiecewiseCubic
 
+PANELS = 96
+"""Panels that resolve any density to rounding."""
+
 
 @dataclass(frozen=True)
 class RadialDensity:
@@ -57,7 +60,7 @@ class RadialDensity:
     def log_density(self) -> PiecewiseCubic:
         return PiecewiseCubic.of(log_spline(self.slope**2, np.log(self.density)))
 
-    def panels(self, most: int = 96) -> Array:
+    def panels(self, most: int = PANELS) -> Array:
         """Edges, on nodes, of at most ``most`` panels that resolve the density."""
         picked = np.unique(np.linspace(0, self.slope.size - 1, min(most + 1, self.slope.size)).round().astype(int))
         return self.slope[picked]

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline
 from brdfpipe.bsdf.microfacet import anisotropic_quadrature as quadrature
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.facets.planar_density import Ellipse, PlanarDensity
-from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.facets.radial_density import PANELS, RadialDensity
 from brdfpipe.geometry import Array, HalfVector
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -46,6 +46,7 @@ def directional_albedo(
     phi_i: Array | float = 0.0,
     *,
     mirrors: bool = False,
+    panels: int = PANELS,
 ) -> Array:
     """Directional albedo E of the facets' single reflection, (incidences, wavelength).
 
@@ -56,12 +57,15 @@ def directional_albedo(
     n, k : (wavelength,) index relative to the medium of incidence
     theta_i, phi_i : (incidences,) degree, 0 <= theta_i <= 90; the azimuth is for a surface with a lay
     mirrors : add a last column, of the same facets as perfect mirrors
+    panels : of the slopes of an isotropic surface
     """
     theta_i = np.asarray(theta_i, dtype=float)
     if n.size > 1 and ((n < 1) & (k == 0)).any():
         # The critical angle depends on the index.
         pairs, where = np.unique(np.stack(np.broadcast_arrays(n, k)), axis=1, return_inverse=True)
-        columns = [directional_albedo(surface, masking, pair[:1], pair[1:], theta_i, phi_i) for pair in pairs.T]
+        columns = [
+            directional_albedo(surface, masking, pair[:1], pair[1:], theta_i, phi_i, panels=panels) for pair in pairs.T
+        ]
         albedos = [np.concatenate(columns, axis=1)[:, where.ravel()]]
         if mirrors:
             albedos.append(mirror_albedo(surface, masking, theta_i, phi_i)[:, None])
@@ -73,7 +77,7 @@ def directional_albedo(
     for start in range(0, theta_i.size, step):
         part = slice(start, start + step)
         if surface.isotropic:
-            weight, cos_zeta = _isotropic_facets(surface, masking, np.radians(theta_i[part]), critical)
+            weight, cos_zeta = _isotropic_facets(surface, masking, np.radians(theta_i[part]), critical, panels)
         else:
             weight, cos_zeta = _facets_with_lay(surface, masking, theta_i[part], azimuth[part], critical)
         block = _spectral_sum(weight, cos_zeta, n, k) if n.size else np.zeros((weight.shape[0], 0))
@@ -87,7 +91,7 @@ def mirror_albedo(surface: Microsurface, masking: str, theta_i: Array, phi_i: Ar
 
 
 def _isotropic_facets(
-    surface: Microsurface, masking: str, theta_i: Array, critical: float | None
+    surface: Microsurface, masking: str, theta_i: Array, critical: float | None, panels: int
 ) -> tuple[Array, Array]:
     """Weights and cos ζ of the facets of a quadrature, (incidences, facets); ``critical`` is the critical angle [rad].
 
@@ -96,7 +100,7 @@ def _isotropic_facets(
     """
     assert isinstance(surface.density, RadialDensity)
     cos_i, sin_i = np.cos(theta_i)[:, None, None], np.sin(theta_i)[:, None, None]
-    s, s_weight, beta, beta_weight = _slope_rule(surface.density, theta_i, critical)
+    s, s_weight, beta, beta_weight = _slope_rule(surface.density, theta_i, critical, panels)
     u, p = s[..., None] ** 2, s[..., None] * np.cos(beta)
     facing = np.maximum(cos_i - p * sin_i, 0.0)  # cos ζ √(1 + u)
     cos_o = np.clip(2 * facing / (1 + u) - cos_i, _LEAST_COSINE, 1.0)
@@ -111,7 +115,9 @@ def _isotropic_facets(
     return weight.reshape(theta_i.size, -1), pair.cos_zeta.reshape(theta_i.size, -1)
 
 
-def _slope_rule(density: RadialDensity, theta_i: Array, critical: float | None) -> tuple[Array, Array, Array, Array]:
+def _slope_rule(
+    density: RadialDensity, theta_i: Array, critical: float | None, panels: int
+) -> tuple[Array, Array, Array, Array]:
     """Quadrature over the facets that mirror (θ_i, 0) above the horizon: s and its weight (θ, S), β and its weight (θ, S, B)."""
     # The range of β opens and closes like a square root: panels are dense at both ends.
     tilt = np.pi / 4 - theta_i[:, None] / 2 * np.cos(np.linspace(0, np.pi, _WINDOW_PANELS + 1))
@@ -119,8 +125,8 @@ def _slope_rule(density: RadialDensity, theta_i: Array, critical: float | None) 
     splits[tilt >= np.pi / 2] = density.slope[-1]
     if critical is not None:
         splits = np.concatenate([splits, slopes_of_total_reflection(theta_i, critical, density.slope[-1])], axis=1)
-    panels = np.tile(density.panels(), (theta_i.size, 1))
-    s, s_weight = panel_rule(np.sort(np.concatenate([panels, splits], axis=1), axis=1), 4)
+    edges = np.tile(density.panels(panels), (theta_i.size, 1))
+    s, s_weight = panel_rule(np.sort(np.concatenate([edges, splits], axis=1), axis=1), 4)
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = (1 - s**2) / (2 * s * np.tan(theta_i)[:, None])
     start = np.arccos(np.clip(np.nan_to_num(limit, nan=1.0, posinf=1.0, neginf=-1.0), -1.0, 1.0))

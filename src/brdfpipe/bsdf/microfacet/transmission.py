@@ -21,7 +21,7 @@ from scipy.special import beta
 from brdfpipe.bsdf.microfacet import anisotropic_quadrature as quadrature
 from brdfpipe.bsdf.microfacet import energy
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
-from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.facets.radial_density import PANELS, RadialDensity
 from brdfpipe.geometry import Array, unit_vector
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -87,7 +87,13 @@ def _smith_lambda(surface: Microsurface, theta: Array, phi: Array, above: NDArra
 
 
 def directional_transmittance(
-    surface: Microsurface, masking: str, index: Array, theta_i: Array, phi_i: Array | float = 0.0
+    surface: Microsurface,
+    masking: str,
+    index: Array,
+    theta_i: Array,
+    phi_i: Array | float = 0.0,
+    *,
+    panels: int = PANELS,
 ) -> Array:
     """Directional transmittance of the facets, (incidences, wavelength).
 
@@ -97,6 +103,7 @@ def directional_transmittance(
     masking : a key of :data:`MASKING`
     index : (wavelength,) of the body below, relative to the medium above
     theta_i, phi_i : (incidences,) degree; above 90 from within the body
+    panels : of the slopes of an isotropic surface
 
     Notes
     -----
@@ -112,14 +119,14 @@ def directional_transmittance(
         around = 0.0 if surface.isotropic else around
         values = []
         for ratio in 1 / distinct if below else distinct:
-            facets = _facets_facing(surface, polar, around, float(np.arcsin(ratio)) if ratio < 1 else None)
+            facets = _facets_facing(surface, polar, around, float(np.arcsin(ratio)) if ratio < 1 else None, panels)
             values.append(_facet_transmittance(surface, masking, float(ratio), polar, around, facets))
         result[row] = np.array(values)[where]
     return result
 
 
 def _facets_facing(
-    surface: Microsurface, theta: float, phi: float, critical: float | None
+    surface: Microsurface, theta: float, phi: float, critical: float | None, panels: int
 ) -> tuple[Array, Array, Array]:
     """Slopes along x and y of the facets of a quadrature that face (θ, φ), and their shares; φ = 0 of an isotropic surface."""
     if not isinstance(surface.density, RadialDensity):
@@ -128,7 +135,7 @@ def _facets_facing(
         return p[0], q[0], share[0]
     cot = 1 / np.tan(np.radians(max(theta, 1e-9)))
     reach = surface.density.slope[-1]
-    edges = np.append(surface.density.panels(), min(cot, reach))
+    edges = np.append(surface.density.panels(panels), min(cot, reach))
     if critical is not None:
         splits = energy.slopes_of_total_reflection(np.radians([theta]), critical, reach)[0]
         edges = np.concatenate([edges, splits])

@@ -29,14 +29,13 @@ BALANCE = ("reflectance", "transmittance", "absorptance", "specular_reflectance"
 """Fluxes of the light from each incidence."""
 
 
-_WAVE_ATTRIBUTES = (*Wave.kind.attributes, "masking", "multiple_scattering")
-"""Of a face; the latter two are those of its facets."""
-
-
 def _of_waves(side: str, name: str) -> str:
     """Name of a variable of the ``wave`` dataset of a face in the dataset of a slab; they share their wavelengths."""
     return name if name == "wavelength" else f"{side}_wave_{name}"
 
+
+_OF_A_FACE = (*Wave.kind.attributes, "masking", "multiple_scattering")
+"""Attributes of the ``wave`` dataset of a face; the last two are those of its facets, if it has any."""
 
 _BLOCK = 2**14
 _BLACK = 1e-300
@@ -244,7 +243,7 @@ class SlabModel:
 
 def with_waves(bsdf: xr.Dataset, side: str, waves: xr.Dataset) -> xr.Dataset:
     """The dataset of a slab with the ``wave`` dataset of a face."""
-    attributes = {_of_waves(side, name): value for name, value in waves.attrs.items() if name in _WAVE_ATTRIBUTES}
+    attributes = {_of_waves(side, name): value for name, value in waves.attrs.items() if name in _OF_A_FACE}
     renamed = waves.rename({name: _of_waves(side, str(name)) for name in waves.variables})
     result = bsdf.assign_coords(renamed.coords).assign(renamed.data_vars)
     return result.assign_attrs(attributes)
@@ -256,8 +255,8 @@ def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | Wave | None:
     names = {str(name): str(name).removeprefix(prefix) for name in bsdf.variables if str(name).startswith(prefix)}
     if names:
         waves = bsdf[[name for name in names if name not in bsdf.coords]].rename(names)
-        stored = ((name, _of_waves(side, name)) for name in _WAVE_ATTRIBUTES)
-        waves.attrs = {name: bsdf.attrs[other] for name, other in stored if other in bsdf.attrs}
+        attributes = {name: bsdf.attrs.get(_of_waves(side, name)) for name in _OF_A_FACE}
+        waves.attrs = {name: value for name, value in attributes.items() if value is not None}
         return Wave(waves)
     if f"{side}_slope_density" not in bsdf:
         return None

@@ -65,18 +65,21 @@ def straight(sheet: Sheet, transmittance: float) -> InnerLight:
     )
 
 
-def scattered(sheet: Sheet, modes: Array, transmittances: Array, components: int) -> list[InnerLight]:
-    """Operators of Fourier modes, for each internal transmittance at normal incidence, with ``components`` of I, Q, U and V inside."""
-    t_front, r_front = _flat(*sheet.front.operators(sheet.azimuths, modes, components))
-    size = sheet.nodes.inside.size
+def scattered(sheet: Sheet, modes: Array, transmittances: Array, components: int, first: int = 0) -> list[InnerLight]:
+    """Operators of Fourier modes, for each internal transmittance at normal incidence, with ``components`` of I, Q, U and V inside.
+
+    They are those between the nodes from the ``first`` on; the light of the others has to be negligible in these modes.
+    """
+    t_front, r_front = _flat(*sheet.front.operators(sheet.azimuths, modes, components, first))
+    size = sheet.nodes.inside.size - first
     reversed_, turned = (np.repeat(signs[:components], size) for signs in (REVERSED, _TURNED_OVER))
     equal = sheet.front is sheet.back
     if not equal:
-        t_back, r_back = _flat(*sheet.back.operators(sheet.azimuths, modes, components))
+        t_back, r_back = _flat(*sheet.back.operators(sheet.azimuths, modes, components, first))
         t_back, r_back = t_back * turned[:, None], r_back * (turned[:, None] * turned)
     result = []
     for transmittance in transmittances:
-        passage = np.tile(sheet.passage(float(transmittance)), components)
+        passage = np.tile(sheet.passage(float(transmittance))[first:], components)
         if equal:
             # The two faces differ by a turn-over, so each crossing is the same factor of the series.
             crossing = r_front * (turned * passage)

@@ -31,18 +31,18 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.bsdf.base import Representation
-from brdfpipe.bsdf.microfacet import energy, transmission
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.slab import face
 from brdfpipe.bsdf.slab.face import ELEMENTS, LEAST_LOSS, Azimuths, Face, Nodes
 from brdfpipe.bsdf.wave import two_scale
-from brdfpipe.bsdf.wave.builder import Relief
+from brdfpipe.bsdf.wave.builder import Relief, halo_table
 from brdfpipe.bsdf.wave.builder import build as build_wave
 from brdfpipe.bsdf.wave.halo import Field, Halo
 from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.geometry import Array, HalfVector
+from brdfpipe.masking.modes import HALOS
 
 NARROWEST_HALO = (0.03, 0.06)
 """Half width at 1/e [1], in sines of the angle outside, to which the core of a transmitted, and of an internally reflected, halo is cut
@@ -77,14 +77,14 @@ class WaveSurface(NamedTuple):
     @classmethod
     def of(cls, facets: xr.Dataset, psd: xr.Dataset, index: xr.Dataset, wavelength: Array, optics: str) -> WaveSurface:
         """A face from its ``facets`` and ``psd`` datasets, in a body of an index at wavelengths [nm]."""
-        choices = {"diffuse": "none", "optics": optics, "facets": None if optics == "wave" else facets}
-        outside = build_wave(psd, index=index, wavelength=wavelength, **choices)  # type: ignore[arg-type]
+        outside = build_wave(psd, index=index, wavelength=wavelength, diffuse="none", facets=facets, optics=optics)
         # Inside, phases and frequencies are n times as large: those of a wavelength n times as short.
         inner = wavelength[:1] / float(np.max(index["n"]))
-        table = build_wave(psd, index=1.5, wavelength=inner, diffuse="none")
+        correlation, sigma = roughness(psd)
+        table = halo_table(correlation, sigma, psd, inner, lay=False).assign(sigma=sigma)
+        table.attrs = {"form": HALOS[0], "spectrum": psd.attrs["form"]}
         if psd.attrs["form"] == "measured":
             table = _without_ripple(table, float(psd["frequency"][0]), _RIPPLE / (float(wavelength[0]) * 1e-3))
-        correlation, sigma = roughness(psd)
         relief = None if optics == "wave" else Relief.of(correlation, sigma, psd, "auto", None, facets)
         return cls(Microsurface.of(facets), outside, relief, Halo.of(table))
 
@@ -197,7 +197,7 @@ def rough(
     model, zero, at = surface.reflection, np.zeros(count), np.array([wavelength])
     reflected = np.minimum(model.albedo(nodes.outside, zero, at)[:, 0], _LARGEST_SHARE)
     mirrored_outside = np.minimum(model.specular(nodes.outside, zero, at)[0][:, 0], reflected)
-    alike = face.smooth(index, nodes)
+    alike, facets = face.smooth(index, nodes), face.FacetShares(surface.facets, masking, index, nodes)
 
     change = np.abs(body - air[:, None])
     share = surface.facet_share(change, (air[:, None] + body / index) / 2, wavelength)
@@ -205,8 +205,7 @@ def rough(
     entering = np.maximum(1 - reflected - LEAST_LOSS, 0.0)
     kernel = transmitted_halo(surface, index, wavelength, nodes, azimuths) * (1 - share)[..., None]
     if share.any():
-        facets = transmission.directional_transmittance(surface.facets, masking, np.array([index]), nodes.outside)
-        entering = (1 - straight_share) * entering + straight_share * np.minimum(facets[:, 0], entering)
+        entering = (1 - straight_share) * entering + straight_share * np.minimum(facets.inward, entering)
         if not sharp[0]:
             kernel += face.transmitted_by_facets(surface.facets, masking, index, nodes, azimuths) * share[..., None]
     coherent = surface.coherent(np.diagonal(change), wavelength)
@@ -230,8 +229,7 @@ def rough(
     staying = np.maximum(1 - leaving - LEAST_LOSS, 0.0)
     within = mirrored_halo(surface, index, wavelength, nodes, azimuths) * (1 - share)[..., None]
     if share.any():
-        facets = energy.directional_albedo(surface.facets, masking, np.array([1 / index]), np.zeros(1), nodes.inside)
-        staying = (1 - mirror_share) * staying + mirror_share * np.minimum(facets[:, 0], staying)
+        staying = (1 - mirror_share) * staying + mirror_share * np.minimum(facets.mirrored, staying)
         if not sharp[1]:
             within += face.mirrored_by_facets(surface.facets, masking, index, nodes, azimuths) * share[..., None]
     coherent = surface.coherent(2 * body, wavelength)

@@ -197,7 +197,7 @@ def build(
     }
     bsdf.attrs |= {"representation": Wave.name, **attributes}
     if optics != "composite":
-        bsdf = bsdf.merge(_halo_table(correlation, sigma, psd, given, _has_lay(psd, facets)))
+        bsdf = bsdf.merge(halo_table(correlation, sigma, psd, given, _has_lay(psd, facets)))
     theta_m = 8.0 if spectrum is None else float(spectrum.attrs["theta_i"])
     bsdf = _with_albedo(bsdf, theta_m, psd)
     bsdf = _with_diffuse(bsdf, spectrum, theta_m)
@@ -224,9 +224,10 @@ def _check(form: str, diffuse: str, optics: str, facets: xr.Dataset | None) -> N
 # --- the roughness
 
 
-def _halo_table(
+def halo_table(
     correlation: height_transform.Autocorrelation, sigma: float, psd: xr.Dataset, wavelength: Array, lay: bool
 ) -> xr.Dataset:
+    """Logarithm of the halo over phase variance and frequency, of a roughness with its rms height ``sigma`` [um], for wavelengths [nm]."""
     shortest = float(wavelength[0]) * 1e-3
     largest_phase = (4 * np.pi * max(sigma, _LEAST_SIGMA) / shortest) ** 2
     if lay:
