@@ -108,7 +108,9 @@ def test_the_patents_choices_are_warned_about_by_the_checks(results: Path) -> No
 
 def test_a_clear_sheet_has_two_faces_and_two_sides(results: Path) -> None:
     folder = results / "frosted"
-    assert {"facets.nc", "back_facets.nc", "interior.nc"} <= {path.name for path in folder.iterdir()}
+    assert {"facets.nc", "back_facets.nc", "interior.nc", "sheet_uncertainty.nc"} <= {
+        path.name for path in folder.iterdir()
+    }
     assert not (folder / "back_surface.nc").exists()
     assert float(opened(results, "frosted", "interior")["internal_transmittance"][0]) == pytest.approx(np.exp(-0.1))
     computed = vocabulary.validate(opened(results, "frosted", "appearance"), "appearance")

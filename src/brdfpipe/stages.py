@@ -456,7 +456,11 @@ _STAGES = (
         "interior",
         "the internal transmittance of a clear body",
         when=_has("slab"),
-        keys=StageKeys(("slab.thickness", "slab.internal_transmittance", "slab.absorption"), (), _interior),
+        keys=StageKeys(
+            ("slab.thickness", "slab.internal_transmittance", "slab.absorption", "slab.transmittance_uncertainty"),
+            (),
+            _interior,
+        ),
     ),
     Stage(
         "multiangle",
@@ -502,6 +506,12 @@ _STAGES = (
         "uncertainty",
         "the changes of the predicted BSDF by the uncertainties of its inputs",
         when=_has("predicted") & _OPAQUE & _PREDICTED,
+    ),
+    Stage(
+        "sheet_uncertainty",
+        "the changes of the BSDF of a clear body by the uncertainties of its inputs",
+        when=_has("slab"),
+        kind="uncertainty",
     ),
     Stage(
         "flake",

@@ -204,6 +204,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     "absorptance": Quantity("1", "share of the light that is absorbed", 0, 1 + 1e-9),
     "theta_low": Quantity("degree", "smaller of two polar angles, each from its own face", 0, 90),
     "log_scattered": Quantity("1", "natural logarithm of the BSDF [sr-1] of light that has been inside a slab"),
+    "log_shift": Quantity(
+        "1", "what an uncertain input adds to the logarithm of the light that has been inside a slab"
+    ),
+    "shift_low": Quantity("degree", "smaller of two polar angles, each from its own face", 0, 90),
     "lobe_scale": Quantity("degree", "width up to which the table of a slab counts distances evenly", 0),
     "index_node": Quantity("1", "refractive index at which a slab is tabulated", 1),
     "wavelength_node": Quantity("nm", "wavelength at which a slab with waves is tabulated", 100, 20000),
@@ -510,7 +514,9 @@ KINDS: Mapping[str, Kind] = {
         {"n": [("wavelength",)], "k": [("wavelength",)]}, optional={"n_u": [("wavelength",)]}, attributes=("source",)
     ),
     "interior": Kind(
-        {"internal_transmittance": [("wavelength",)], "thickness": SCALAR}, attributes=("source", "dispersion")
+        {"internal_transmittance": [("wavelength",)], "thickness": SCALAR},
+        optional={"internal_transmittance_u": [("wavelength",)]},
+        attributes=("source", "dispersion"),
     ),
     "multiangle": Kind(
         {angle: [("geometry",)] for angle in ("theta_i", "phi_i", "theta_o", "phi_o")},
@@ -622,6 +628,8 @@ KINDS: Mapping[str, Kind] = {
             "reflectance_haze_u_source": [("source", "haze_window")],
             "lab_u_source": [("source", "geometry", "component")],
             **{f"{name}_u_source": [("source",)] for name in ("haze", "flop_index", "luminous_reflectance")},
+            **{f"{name}_u": SCALAR for name in ("luminous_transmittance", "transmission_haze")},
+            **{f"{name}_u_source": [("source",)] for name in ("luminous_transmittance", "transmission_haze")},
             "lay": SCALAR,
             "gloss_along": [("gloss_angle",)],
             "gloss_across": [("gloss_angle",)],
@@ -700,7 +708,7 @@ def label(dataset: xr.Dataset, kind: str) -> xr.Dataset:
     labelled = dataset.copy()
     labelled.attrs = {"Conventions": CONVENTIONS, "kind": kind, **dataset.attrs}
     for name in map(str, labelled.variables):
-        known = _quantity(name)
+        known = quantity(name)
         if known is not None:
             labelled[name].attrs = {"units": known.units, "long_name": known.long_name, **labelled[name].attrs}
         elif name.endswith("_quality"):
@@ -766,7 +774,7 @@ def _check_values(name: str, variable: xr.DataArray, where: str, missing: bool) 
         return
     if "units" not in variable.attrs:
         raise VocabularyError(f"{where}{name!r} has no units")
-    known = _quantity(name)
+    known = quantity(name)
     if known is None or variable.size == 0:
         return
     if variable.attrs["units"] != known.units:
@@ -804,19 +812,19 @@ WAVES_AT_FACES = {f"{side}_wave_": f"{side} face" for side in ("front", "back")}
 """Prefix of the variables of a ``wave`` BSDF in that of a sheet, and what they belong to."""
 
 
-def _quantity(name: str) -> Quantity | None:
+def quantity(name: str) -> Quantity | None:
     if name in QUANTITIES:
         return QUANTITIES[name]
     if name.endswith("_change") and (base := name.removesuffix("_change")) in QUANTITIES:
-        quantity = QUANTITIES[base]
-        return Quantity(quantity.units, f"change by one standard uncertainty of: {quantity.long_name}")
+        changed = QUANTITIES[base]
+        return Quantity(changed.units, f"change by one standard uncertainty of: {changed.long_name}")
     for prefix, place in WAVES_AT_FACES.items():
-        if name.startswith(prefix) and (of_waves := _quantity(name.removeprefix(prefix))) is not None:
+        if name.startswith(prefix) and (of_waves := quantity(name.removeprefix(prefix))) is not None:
             return replace(of_waves, long_name=f"{of_waves.long_name}; of the {place}")
     base, mark, component = name.partition("_u")
     if mark and base in QUANTITIES and (component == "" or component.startswith("_")):
-        quantity = QUANTITIES[base]
-        return Quantity(quantity.units, f"standard uncertainty of: {quantity.long_name}", 0, missing=True)
+        uncertain = QUANTITIES[base]
+        return Quantity(uncertain.units, f"standard uncertainty of: {uncertain.long_name}", 0, missing=True)
     return None
 
 

@@ -241,6 +241,7 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("facets", {}, {"facets": "flat_facets"}, {"distribution": "flat"})
     faces = {"facets": "flat_facets", **same("psd", "interior", "index")}
     run("sheet", faces, same("sheet"), {"masking": "height-correlated", "optics": "auto"})
+    run("sheet_uncertainty", faces | same("sheet"), same("sheet_uncertainty"))
     run("model_error", same("surface", "facets", "predicted"), same("model_error"))
     if solution == "kirchhoff":
         height = samples.gaussian_surface(64, correlation=10)["height"].values

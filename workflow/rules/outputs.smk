@@ -12,6 +12,7 @@ use rule stage_template as bsdf with:
             "measured",
             "uncertainty",
             "flake_uncertainty",
+            "sheet_uncertainty",
         ),
     output:
         bsdf="{material}/bsdf.nc",

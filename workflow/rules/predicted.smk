@@ -148,3 +148,18 @@ use rule stage_template as uncertainty with:
         ),
     output:
         uncertainty="{material}/uncertainty.nc",
+
+
+use rule stage_template as sheet_uncertainty with:
+    input:
+        **results_of(
+            "sheet",
+            "facets",
+            "psd",
+            "back_facets",
+            "back_psd",
+            "interior",
+            "index",
+        ),
+    output:
+        sheet_uncertainty="{material}/sheet_uncertainty.nc",

@@ -1,6 +1,13 @@
 from brdfpipe import store
 
 NOT_STATED = "uncertainty_not_stated"
+UNCERTAIN = {
+    "predicted": "uncertainty",
+    "wave": "uncertainty",
+    "sheet": "sheet_uncertainty",
+    "flake": "flake_uncertainty",
+}
+"""The stage with the changes of the BSDF of each route."""
 
 
 def main(input, output, params):
@@ -12,11 +19,10 @@ def main(input, output, params):
     if source == "predicted":
         source = next(name for name in ("reference", "wave", "sheet", "predicted") if name in inputs)
     bsdf = inputs[source].assign_attrs(route=spec["route"])
-    of_source = {"wave": "uncertainty", "predicted": "uncertainty", "flake": "flake_uncertainty"}.get(source)
-    if of_source in inputs:
+    if (changes := inputs.get(UNCERTAIN.get(source, ""))) is not None:
         # The changes of variables stand beside these.
-        bsdf = bsdf.merge(inputs[of_source], combine_attrs="override")
-        bsdf.attrs |= {NOT_STATED: inputs[of_source].attrs[NOT_STATED]}
+        bsdf = bsdf.merge(changes, combine_attrs="override")
+        bsdf.attrs |= {NOT_STATED: changes.attrs[NOT_STATED]}
     store.save_dataset(bsdf, output["bsdf"], stage="bsdf", material=params["material"], inputs=inputs, parameters=spec)
 
 

@@ -23,7 +23,7 @@ from brdfpipe.appearance.colours import (
 from brdfpipe.appearance.gloss_basis import MEASURED_FLAGS, gloss_quality, gloss_uncertainty_from_bsdf
 from brdfpipe.appearance.gloss_meter import gloss, gloss_and_haze
 from brdfpipe.appearance.haze import WINDOWS, HazeWindow, checked_window, reflectance_haze_with_uncertainty
-from brdfpipe.appearance.input_uncertainty import with_input_uncertainty
+from brdfpipe.appearance.input_uncertainty import with_input_uncertainty, with_transmission_uncertainty
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.spectra import colorimetry
 
@@ -96,7 +96,7 @@ def compute_appearance(
     appearance = with_input_uncertainty(appearance, bsdf, geometries=all_geometries, windows=windows)
     if not representation(bsdf).isotropic:
         appearance = appearance.assign(_along_and_across(bsdf, illuminant, observer, gloss_angles, all_geometries))
-    appearance = appearance.assign(quantities.computed(bsdf))
+    appearance = with_transmission_uncertainty(appearance.assign(quantities.computed(bsdf)), bsdf)
     if reason := representation(bsdf).gloss_caveat:
         appearance = vocabulary.add_warning(_mark_flakes_alone(appearance, reason), reason)
     if math.isnan(flop) and lightness[2] > lightness[0]:

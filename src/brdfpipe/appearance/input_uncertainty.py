@@ -12,12 +12,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
+from brdfpipe import vocabulary
 from brdfpipe.appearance import apertures
 from brdfpipe.appearance.apertures import Rule
 from brdfpipe.appearance.colours import TOTAL, colour, flop_index, total_reflectance
 from brdfpipe.appearance.gloss_meter import gloss_at
 from brdfpipe.appearance.haze import HazeWindow, haze_units
+from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
 from brdfpipe.bsdf.change_variables import NOT_STATED
+from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.source_changes import Reflector, SourceChanges, uncertain
 from brdfpipe.geometry import Array
@@ -83,6 +86,31 @@ def with_input_uncertainty(
             attrs | {"long_name": f"{attrs['long_name']}, by source"},
         )
     return result
+
+
+def with_transmission_uncertainty(appearance: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
+    """Appearance with the uncertainty of ``luminous_transmittance`` and ``transmission_haze`` from the inputs of the BSDF.
+
+    No tolerance of instruments is known. Unchanged where the BSDF does not transmit or its inputs are not uncertain.
+    """
+    names = [name for name in ("luminous_transmittance", "transmission_haze") if name in appearance]
+    if not names or not uncertain(bsdf):
+        return appearance
+    changes, reduced = SourceChanges(bsdf), SourceChanges(nonspectral(bsdf))
+    found = {
+        "luminous_transmittance": [luminous_transmittance(bsdf, one) for one in (changes.given, *changes.changed)],
+        "transmission_haze": [transmission_haze(bsdf, one) for one in (reduced.given, *reduced.changed)],
+    }
+    sources = appearance["source"].values
+    for name in names:
+        values = np.array(found[name])
+        by_source = changes.by_source(values[1:] - values[0])
+        rows = np.array([float(by_source.get(source, 0.0)) for source in sources])
+        title = f"standard uncertainty of {vocabulary.QUANTITIES[name].long_name}"
+        attrs = {"units": "1", "long_name": f"{title}, from the BSDF"}
+        appearance[f"{name}_u"] = ((), float(np.sqrt(np.square(rows).sum())), attrs)
+        appearance[f"{name}_u_source"] = ("source", rows, attrs | {"long_name": f"{title}, by source"})
+    return appearance
 
 
 def _meter_parts(

@@ -330,12 +330,14 @@ for _quantity in (
     ),
     AppearanceQuantity(
         "luminous_transmittance", "Transmittance", "τ", "1", 3, standard="CIE 130", read=_luminous_transmittance,
-        compute=_if_transmitting(transmission.luminous_transmittance), hint="at 0°, V(λ), D65", percent=True,
+        compute=_if_transmitting(transmission.luminous_transmittance), u=_uncertainty("luminous_transmittance"),
+        hint="at 0°, V(λ), D65", percent=True,
     ),
     AppearanceQuantity(
         "transmission_haze", "Haze D1003", "H", "1", 3,
         "share of the transmitted light scattered by more than 2.5 degree, D1003-style", "ASTM D1003",
-        compute=_if_transmitting(transmission.transmission_haze), hint="D1003-style", percent=True,
+        compute=_if_transmitting(transmission.transmission_haze), u=_uncertainty("transmission_haze"), hint="D1003-style",
+        percent=True,
     ),
     AppearanceQuantity(
         "rms_height", "rms height", "Sq, Rq", "um", 3,

@@ -75,6 +75,10 @@ class Representation(ABC):
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The dataset averaged over its wavelengths with weights of sum 1; see :func:`brdfpipe.bsdf.nonspectral.nonspectral`."""
 
+    def averaged_change(self, name: str, change: Array, weight: Array) -> xr.Variable | None:
+        """Change of a variable of :meth:`nonspectral` from that (changes, …) of the spectral one; None for the mean over wavelength."""
+        return None
+
     def mean_index(self, weight: Array) -> tuple[float, float] | None:
         """n and k of :meth:`nonspectral`; None if the reflection is not computed from an index over wavelength."""
         return None

@@ -49,7 +49,7 @@ Fields: TypeAlias = dict[str, xr.DataArray]
 """Change of each variable."""
 
 
-class _Change(NamedTuple):
+class Change(NamedTuple):
     source: str
     fields: Fields
 
@@ -85,23 +85,23 @@ def uncertainty(
     VocabularyError : a dataset of the wrong kind.
     """
     vocabulary.validate(bsdf, "bsdf")
-    changes: list[_Change] = []
+    changes: list[Change] = []
     base = _Base(bsdf, spectrum)
     if facets is not None and "slope_density" in bsdf and CHANGES in vocabulary.validate(facets, "facets"):
-        changes += [_Change(source, base.completed(fields)) for source, fields in _of_facets(bsdf, facets)]
+        changes += [Change(source, base.completed(fields)) for source, fields in changes_of_facets(bsdf, facets)]
     if psd is not None and "log_halo" in bsdf:
-        for source, fields in _of_roughness(bsdf, vocabulary.validate(psd, "psd")):
+        for source, fields in changes_of_roughness(bsdf, vocabulary.validate(psd, "psd")):
             # The noise of the heights is one: that of the facets and that of the spectrum change together.
             same = next((n for n, change in enumerate(changes) if change.source == source == "noise"), None)
             if same is None:
-                changes.append(_Change(source, fields))
+                changes.append(Change(source, fields))
             else:
-                changes[same] = _Change(source, changes[same].fields | fields)
+                changes[same] = Change(source, changes[same].fields | fields)
     if index is not None and "n" in bsdf and "n_u" in vocabulary.validate(index, "index"):
-        changes.append(_Change("index", base.completed({"n": _on_wavelengths(index["n_u"], bsdf["n"])})))
+        changes.append(Change("index", base.completed({"n": _on_wavelengths(index["n_u"], bsdf["n"])})))
     if spectrum is not None and "total_reflectance_u" in vocabulary.validate(spectrum, "spectrum"):
-        changes.append(_Change("spectrum", base.of_total(spectrum["total_reflectance_u"])))
-    result = _stacked(changes)
+        changes.append(Change("spectrum", base.of_total(spectrum["total_reflectance_u"])))
+    result = stacked(changes)
     if relative_error is not None and (known := _known(relative_error)) is not None:
         result = result.assign(relative_error=known)
     stated = {change.source for change in changes}
@@ -129,7 +129,7 @@ def _expected(
         yield "model"
 
 
-def _stacked(changes: list[_Change]) -> xr.Dataset:
+def stacked(changes: list[Change]) -> xr.Dataset:
     """All changes in one dataset; a variable that a change leaves as it is has 0 there."""
     result = xr.Dataset()
     if not changes:
@@ -161,7 +161,7 @@ def _on_wavelengths(u: xr.DataArray, like: xr.DataArray) -> xr.DataArray:
 # --- facets
 
 
-def _of_facets(bsdf: xr.Dataset, facets: xr.Dataset) -> Iterator[tuple[str, Fields]]:
+def changes_of_facets(bsdf: xr.Dataset, facets: xr.Dataset) -> Iterator[tuple[str, Fields]]:
     """Source, and change of slope density and masking, for each change of the facets."""
     if bsdf["slope_density"].ndim == 1:
         facets = azimuthal_average(facets)
@@ -216,7 +216,7 @@ def _planar_masking(bsdf: xr.Dataset) -> Callable[[Array], Array]:
 # --- roughness spectrum
 
 
-def _of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[str, Fields]]:
+def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[str, Fields]]:
     """Source, and change of the rms height and the halo: for each band of a measured spectrum, and as its noise grows.
 
     Rings of a spectrum are independent but for its noise, so the variance of a band is the sum of theirs; a band changes as a whole.

@@ -45,6 +45,8 @@ class Reflector(Protocol):
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array: ...
 
+    def transmittance(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array: ...
+
 
 class SourceChanges:
     """A BSDF, and the same after each change of an uncertain input.
@@ -126,8 +128,12 @@ def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset
         return reduced
     reduced = without_changes(reduced)
     fields = {}
+    given = representation(bsdf)
     for name in changing(bsdf):
-        if name in reduced:
+        own = given.averaged_change(name, bsdf[name + _SUFFIX].values, weight)
+        if own is not None:
+            fields[name + _SUFFIX] = own
+        elif name in reduced:
             change = bsdf[name + _SUFFIX]
             if "mixed" in reduced[name].dims:
                 values = at_wavelengths(change, reduced["mixed_wavelength"].values)
@@ -140,7 +146,9 @@ def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset
             fields[name + _SUFFIX] = change.variable
     kept = {name: bsdf[name].variable for name in (SOURCE, "relative_error") if name in bsdf.variables}
     coordinates = {
-        name: bsdf[name].variable for name in ("change_theta", "error_theta", "region") if name in bsdf.coords
+        name: bsdf[name].variable
+        for name in ("change_theta", "shift_low", "error_theta", "region")
+        if name in bsdf.coords
     }
     return vocabulary.label(reduced.assign(fields | kept).assign_coords(coordinates), "bsdf")
 
@@ -153,15 +161,16 @@ def _is_flattened(change: xr.DataArray, mean: xr.DataArray) -> bool:
 def _after(bsdf: xr.Dataset, name: str, row: int) -> xr.Variable | None:
     """A variable after one of its changes, within the range of its quantity; None if it does not change."""
     # Plain variables: xarray would align the coordinates of each.
-    given, changes = bsdf.variables[name], bsdf.variables[name + _SUFFIX]
-    change = changes[{DIMENSION: row}]
+    change = bsdf.variables[name + _SUFFIX][{DIMENSION: row}]
     if not change.values.any():
         return None
+    given = bsdf.variables[name] if name in bsdf.variables else xr.zeros_like(change)
     if "change_theta" in change.dims:
         change = change.transpose("change_theta", ...)
         values = between_incidences(bsdf["change_theta"].values, change.values, bsdf["theta_i"].values)
         change = xr.Variable(("theta_i", *change.dims[1:]), values)
-    quantity = vocabulary.QUANTITIES[name]
+    quantity = vocabulary.quantity(name)
+    assert quantity is not None
     values = (given + change).transpose(*given.dims).values
     return xr.Variable(given.dims, np.clip(values, quantity.low, quantity.high), given.attrs)
 
@@ -210,6 +219,10 @@ class _WithModelError:
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         """Unchanged: light that the surface reflects elsewhere stays part of a total that was measured."""
         return self._given.albedo(theta_i, phi_i, wavelength)
+
+    def transmittance(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
+        """Unchanged: the error is known of reflected light alone."""
+        return self._given.transmittance(theta_i, phi_i, wavelength)
 
 
 def in_quadrature(parts: Mapping[str, Array]) -> Array:

@@ -340,6 +340,13 @@ class Slab(Keys):
         "absorption coefficient a of the body in 1/mm, where exp(-a d) passes a path of d mm; a number or {file: …}",
         default_words="instead of `internal_transmittance`",
     )
+    transmittance_uncertainty: float = key(
+        "standard uncertainty of the internal transmittance, a share of 1 that is common to all wavelengths",
+        default_words="none is assumed",
+        ge=0,
+        le=0.5,
+        example=0.005,
+    )
     back: Annotated[Surface | Back, Choice(mapping_or_value)] = key(
         "the other face: same (like the front), flat (polished), or a surface of its own {file, …} or {distribution, …}",
         default="same",

@@ -24,6 +24,8 @@ PER_MM = {"1/mm": 1.0, "1/cm": 0.1, "1/m": 1e-3}
 
 _KEY = "slab.internal_transmittance"
 _ABSORPTION = "slab.absorption"
+_UNCERTAINTY = "slab.transmittance_uncertainty"
+_LARGEST_UNCERTAINTY = 0.5
 _WIDEST_GAP = 50.0
 _NOISE = 1e-3
 _PERCENT = re.compile(r"%|percent|prozent", re.IGNORECASE)
@@ -35,13 +37,14 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
     Parameters
     ----------
     spec : ``{thickness}`` [mm] and ``internal_transmittance``, a number or ``{file, scale}``; or ``absorption``, a number [1/mm]
-        or ``{file, unit}``; with neither the body absorbs nothing
+        or ``{file, unit}``; with neither the body absorbs nothing. ``transmittance_uncertainty`` is a standard uncertainty of the
+        internal transmittance, common to all wavelengths [1]
     path : path of the file, if it differs from the name in ``spec``
 
     Returns
     -------
     Dataset of kind ``interior``: ``internal_transmittance(wavelength)`` [1], straight from face to face, without
-    the reflection at the faces; ``thickness`` [mm]. A constant is stored at 360 and 780 nm, with attribute ``dispersion``
+    the reflection at the faces, and ``internal_transmittance_u`` where it is known; ``thickness`` [mm]. A constant is stored at 360 and 780 nm, with attribute ``dispersion``
     ``constant``
 
     Raises
@@ -92,6 +95,11 @@ def ingest(spec: Mapping[str, Any], path: str | PathLike[str] | None = None) -> 
         coords={"wavelength": wavelength},
         attrs={"source": source, "dispersion": dispersion},
     )
+    if (u := spec.get("transmittance_uncertainty")) is not None:
+        if isinstance(u, bool) or not isinstance(u, Real) or not 0 <= float(u) <= _LARGEST_UNCERTAINTY:
+            accepted = f"a number from 0 to {_LARGEST_UNCERTAINTY:g}"
+            raise _refusal("invalid uncertainty of the internal transmittance", u, accepted, _UNCERTAINTY)
+        dataset["internal_transmittance_u"] = xr.full_like(dataset["internal_transmittance"], float(u))
     return vocabulary.add_warning(vocabulary.add_history(vocabulary.label(dataset, "interior"), *notes), *doubts)
 
 

@@ -237,6 +237,20 @@ def test_the_film_of_each_wavelength_is_interpolated():
     assert min(single) < mean < max(single)
 
 
+def test_a_face_may_reflect_as_its_facets_do_outside_and_have_waves_inside():
+    # The phase variance of what passes is 16 times smaller than that of what is reflected outside.
+    relief, spectrum = finish(1.5, 8.0)
+    given = {"index": INDEX, "internal_transmittance": 0.8}
+    bsdf = slab.build(relief, facets.flat(), front_psd=spectrum, wavelength=[650.0], **given)
+    # Outside, the front is the interface of its facets; the light from inside is the same but for the share of waves.
+    by_facets = representation(slab.build(relief, facets.flat(), **given))
+    found = representation(vocabulary.validate(bsdf, "bsdf")).evaluate(
+        30.0, 0.0, np.array([20.0, 30.0, 150.0]), 180.0, None
+    )
+    wanted = by_facets.evaluate(30.0, 0.0, np.array([20.0, 30.0, 150.0]), 180.0, None)
+    np.testing.assert_allclose(found, wanted, rtol=0.03)
+
+
 def test_waves_with_other_masking_or_optics_are_refused():
     relief, spectrum = finish(0.05, 2.0)
     with pytest.raises(microfacet.ModelError, match="waves are masked by"):

@@ -14,6 +14,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import UNRESOLVED_SLOPE, Representation
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.slab.lobe_table import LobeGrid, barycentric, grazing_factor
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
@@ -25,6 +26,9 @@ SIDES = ("front", "back")
 
 TABLE_DIMS = ("path", "theta_low", "span", "turn", "node")
 
+SHIFT_DIMS = ("path", "shift_low", "shift_span", "shift_turn", "node")
+"""Dimensions of what an uncertain input adds to the logarithm of the scattered light, on a coarser grid"""
+
 BALANCE = ("reflectance", "transmittance", "absorptance", "specular_reflectance", "specular_transmittance")
 """Fluxes of the light from each incidence."""
 
@@ -34,12 +38,15 @@ def _of_waves(side: str, name: str) -> str:
     return name if name == "wavelength" else f"{side}_wave_{name}"
 
 
-_OF_A_FACE = (*Wave.kind.attributes, "masking", "multiple_scattering")
-"""Attributes of the ``wave`` dataset of a face; the last two are those of its facets, if it has any."""
+_OF_A_FACE = tuple(dict.fromkeys(("representation", *Wave.kind.attributes, *Microfacet.kind.attributes)))
+"""Attributes of the ``wave`` dataset of a face, or of the ``microfacet`` one of a face that reflects as its facets do."""
 
 _BLOCK = 2**14
 _BLACK = 1e-300
 _LEAST_COSINE = 1e-12
+
+
+_OUTER_REFLECTION = {**Microfacet.kind.required, **Microfacet.kind.optional, **Wave.kind.required, **Wave.kind.optional}
 
 
 class Slab(Representation):
@@ -55,12 +62,13 @@ class Slab(Representation):
             "log_scattered": [TABLE_DIMS],
             **dict.fromkeys(("lobe_scale", "interpolation_error", "quadrature_error"), vocabulary.SCALAR),
         },
-        optional={f"{side}_slope_density": [(f"{side}_slope",)] for side in SIDES}
+        optional={"log_shift": [SHIFT_DIMS]}
+        | {f"{side}_slope_density": [(f"{side}_slope",)] for side in SIDES}
         | {f"{side}_lambda_smith": [(f"{side}_theta",)] for side in SIDES}
         | {
             _of_waves(side, name): [tuple(_of_waves(side, dim) for dim in dims) for dims in accepted]
             for side in SIDES
-            for name, accepted in {**Wave.kind.required, **Wave.kind.optional}.items()
+            for name, accepted in _OUTER_REFLECTION.items()
         },
         attributes=("masking", "transmission"),
     )
@@ -117,7 +125,7 @@ class Slab(Representation):
     def lobe_slope(self) -> float:
         """Median slope of the smoother of the rough faces, or that at which its halo has half its peak."""
         slopes = [
-            surface.lobe_slope if isinstance(surface, Wave) else surface.typical_slope
+            surface.typical_slope if isinstance(surface, Microsurface) else surface.lobe_slope
             for surface in self._surfaces
             if surface is not None
         ]
@@ -134,7 +142,7 @@ class Slab(Representation):
         The light reflected by the facets is exact to second order in the spread of the index.
         """
         bsdf = self.dataset
-        by_wavelength = bsdf["log_scattered"].values @ _node_weights(bsdf, None)[1].T
+        by_wavelength = bsdf["log_scattered"].values @ node_weights(bsdf, None)[1].T
         mean = np.maximum(np.exp(by_wavelength) @ weight, _BLACK)
         own = bsdf.drop_vars(
             [str(name) for name in bsdf.variables if str(name).startswith(tuple(vocabulary.WAVES_AT_FACES))]
@@ -145,10 +153,23 @@ class Slab(Representation):
         reduced = own.drop_dims([name for name in nodes if name in own.dims]).assign(averaged)
         reduced = reduced.assign_coords(index_node=[float(reduced["n"])], depth_node=[0.0])
         for side, surface in zip(SIDES, self._surfaces, strict=True):
-            if isinstance(surface, Wave):
-                reduced = with_waves(reduced, side, surface.nonspectral(weight))
+            if isinstance(surface, Wave | Microfacet):
+                spectral_face = "wavelength" in surface.dataset.coords
+                outside = surface.nonspectral(weight) if spectral_face else surface.dataset
+                reduced = with_waves(reduced, side, outside)
         table = np.log(mean)[..., None].astype(np.float32)
         return vocabulary.label(reduced.assign(log_scattered=(TABLE_DIMS, table)), "bsdf")
+
+    def averaged_change(self, name: str, change: Array, weight: Array) -> xr.Variable | None:
+        """Of the shift of a logarithm, (changes, *SHIFT_DIMS): the mean over wavelength, weighted by the light too."""
+        if name != "log_shift":
+            return None
+        by_wavelength = node_weights(self.dataset, None)[1].T
+        table = self.dataset["log_scattered"].values
+        light = np.exp(table[:, LobeGrid.coarser_nodes(table.shape[1]), ::3, ::3] @ by_wavelength) * weight
+        mean = ((change @ by_wavelength) * light).sum(axis=-1, keepdims=True)
+        mean /= np.maximum(light.sum(axis=-1, keepdims=True), _BLACK)
+        return xr.Variable(("uncertain_change", *SHIFT_DIMS), mean.astype(np.float32))
 
     def mean_index(self, weight: Array) -> tuple[float, float] | None:
         return (float(weight @ self.dataset["n"].values), 0.0) if self.dataset["n"].ndim else None
@@ -158,7 +179,7 @@ class Slab(Representation):
 class SlabModel:
     """The slab at given wavelengths."""
 
-    surfaces: tuple[Microsurface | Wave | None, Microsurface | Wave | None]
+    surfaces: tuple[Microsurface | Wave | Microfacet | None, Microsurface | Wave | Microfacet | None]
     """Facets or waves of the front and the back face; None for a smooth face"""
     wavelength: Array | None
     """(wavelength,) [nm] at which waves are evaluated; None for those of the dataset, or their mean"""
@@ -172,6 +193,8 @@ class SlabModel:
     """(paths, X, T, V, nodes) logarithm of the light that has been inside"""
     theta: Array
     """(N,) polar angles of ``diffuse`` [degree]"""
+    shift: Array | None
+    """(paths, X', T', V', nodes) what is added to the logarithm, on a coarser grid; None for nothing"""
     diffuse: tuple[Array, Array]
     """(N, wavelength or 1) factors of either angle in the diffuse reflection of each face"""
 
@@ -180,7 +203,7 @@ class SlabModel:
         cls,
         bsdf: xr.Dataset,
         wavelength: Array | None,
-        surfaces: tuple[Microsurface | Wave | None, Microsurface | Wave | None],
+        surfaces: tuple[Microsurface | Wave | Microfacet | None, Microsurface | Wave | Microfacet | None],
     ) -> SlabModel:
         """The model of a ``bsdf`` dataset, representation ``slab``, at its own or other wavelengths [nm]."""
         front, back = (
@@ -190,10 +213,11 @@ class SlabModel:
             surfaces,
             wavelength,
             str(bsdf.attrs["masking"]),
-            *_node_weights(bsdf, wavelength),
+            *node_weights(bsdf, wavelength),
             LobeGrid(bsdf["theta_low"].values, bsdf.sizes["span"], bsdf.sizes["turn"], float(bsdf["lobe_scale"])),
             bsdf["log_scattered"].values,
             bsdf["theta"].values,
+            bsdf["log_shift"].values if "log_shift" in bsdf else None,
             (front, back),
         )
 
@@ -216,7 +240,10 @@ class SlabModel:
         at_front = np.where(behind_i, polar_o, polar_i)
         crossing = np.where(at_front <= low, 2, 3)
         path = np.where(behind_i != behind_o, crossing, np.where(behind_i, 1, 0))
-        logarithm = self.grid.interpolate(self.table, path, low, high, azimuth) @ self.weights.T
+        values = self.grid.interpolate(self.table, path, low, high, azimuth)
+        if self.shift is not None:
+            values = values + self.grid.coarser().interpolate(self.shift, path, low, high, azimuth)
+        logarithm = values @ self.weights.T
         smooth = (self.surfaces[0] is None, self.surfaces[1] is None)
         result = np.exp(logarithm) * grazing_factor(smooth, path, low, high)[:, None]
         for side, surface in enumerate(self.surfaces):
@@ -228,11 +255,11 @@ class SlabModel:
         return np.asarray(result)
 
     def _outer_reflection(
-        self, surface: Microsurface | Wave, diffuse: Array, low: Array, high: Array, azimuth: Array
+        self, surface: Microsurface | Wave | Microfacet, diffuse: Array, low: Array, high: Array, azimuth: Array
     ) -> Array:
         """Light that a face reflects on the outside: by its facets or waves, and diffusely what these lose."""
         first, second = (np.maximum(barycentric(self.theta, angle) @ diffuse, 0.0) for angle in (low, high))
-        if isinstance(surface, Wave):
+        if isinstance(surface, Wave | Microfacet):
             none = np.zeros_like(low)
             return np.asarray(surface.evaluate(low, none, high, azimuth, self.wavelength) + first * second)
         pair = half_vector(low, 0.0, high, azimuth)
@@ -249,7 +276,7 @@ def with_waves(bsdf: xr.Dataset, side: str, waves: xr.Dataset) -> xr.Dataset:
     return result.assign_attrs(attributes)
 
 
-def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | Wave | None:
+def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | Wave | Microfacet | None:
     """The facets or waves of a face; None for a smooth face."""
     prefix = _of_waves(side, "")
     names = {str(name): str(name).removeprefix(prefix) for name in bsdf.variables if str(name).startswith(prefix)}
@@ -257,7 +284,7 @@ def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | Wave | None:
         waves = bsdf[[name for name in names if name not in bsdf.coords]].rename(names)
         attributes = {name: bsdf.attrs.get(_of_waves(side, name)) for name in _OF_A_FACE}
         waves.attrs = {name: value for name, value in attributes.items() if value is not None}
-        return Wave(waves)
+        return Microfacet(waves) if waves.attrs["representation"] == Microfacet.name else Wave(waves)
     if f"{side}_slope_density" not in bsdf:
         return None
     members = ("slope_density", "lambda_smith")
@@ -268,7 +295,7 @@ def _surface(bsdf: xr.Dataset, side: str) -> Microsurface | Wave | None:
 # --- interpolation over index and internal transmittance
 
 
-def _node_weights(bsdf: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array]:
+def node_weights(bsdf: xr.Dataset, wavelength: Array | None) -> tuple[Array, Array]:
     """Index (wavelength or 1,), and weights (wavelength or 1, nodes) of the nodes of index or wavelength, and transmittance."""
     n, inside = (np.atleast_1d(at_wavelengths(bsdf[name], wavelength)) for name in ("n", "internal_transmittance"))
     by_depth = _depth_weights(bsdf["depth_node"].values, inside)

@@ -22,7 +22,6 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.microfacet.builder import index_on, wavelengths_of
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
 from brdfpipe.bsdf.representations.slab import BALANCE, SIDES, TABLE_DIMS, Slab, first_weights, root_depth, with_waves
-from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.slab import adding_doubling
 from brdfpipe.bsdf.slab.lobe_table import LobeGrid
 from brdfpipe.bsdf.slab.tabulation import Resolution, Surface, resolution, sheet, tabulate
@@ -144,7 +143,7 @@ def build(
         table, error = tabulate(pair, smooth, np.exp(-(depth_node**2)), resolved.modes, grid)
         tables.append(table)
         errors.append(error)
-        operators.append(_Operators.of(pair, np.unique(body.transmittance)))
+        operators.append(Operators.of(pair, np.unique(body.transmittance)))
     error = max(errors)
     bsdf = xr.Dataset(
         {
@@ -294,7 +293,7 @@ def _depth_nodes(transmittance: Array) -> Array:
 # --- output
 
 
-class _Operators(NamedTuple):
+class Operators(NamedTuple):
     """What remains of the operators of a sheet beside its table."""
 
     outside: Array
@@ -306,14 +305,14 @@ class _Operators(NamedTuple):
     correction: float
 
     @classmethod
-    def of(cls, pair: adding_doubling.Sheet, transmittances: Array) -> _Operators:
+    def of(cls, pair: adding_doubling.Sheet, transmittances: Array) -> Operators:
         """Of a sheet and several internal transmittances at normal incidence."""
         diffuse = np.stack([pair.front.diffuse, pair.back.diffuse], axis=-1)
         correction = max(pair.front.correction, pair.back.correction)
         return cls(pair.nodes.outside, _fluxes(pair, transmittances), diffuse, correction)
 
 
-def _with_balance(bsdf: xr.Dataset, operators: list[_Operators], surfaces: tuple[Surface, Surface]) -> xr.Dataset:
+def _with_balance(bsdf: xr.Dataset, operators: list[Operators], surfaces: tuple[Surface, Surface]) -> xr.Dataset:
     """Add reflectance, transmittance, absorptance, their specular parts, and the factors of the outer diffuse reflection."""
     n, inside = (np.atleast_1d(bsdf[name].values) for name in ("n", "internal_transmittance"))
     first = first_weights(bsdf, n, None)
@@ -347,7 +346,7 @@ def _outer_specular(interpolated: Array, outside: Array, surfaces: tuple[Surface
     result = interpolated.copy()
     for surface, half in zip(surfaces, np.split(result, 2), strict=True):
         if isinstance(surface, WaveSurface):
-            half[:] = Wave(surface.outside).specular(outside, np.zeros_like(outside), None)[0]
+            half[:] = surface.reflection.specular(outside, np.zeros_like(outside), None)[0]
     result[outside.size :] = result[outside.size :][::-1]
     return result
 

@@ -39,7 +39,8 @@ _TINY = 1e-300
 _BALANCING_STEPS = 60
 _NEGLIGIBLE = 1e-14
 _BLOCK = 2**16
-_PANELS = 48
+PANELS = 48
+"""Panels of slopes over which the shares of facets are integrated."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +58,9 @@ class Nodes:
     def of(cls, index: float, outside: int, beyond: int) -> Nodes:
         """Gauss–Legendre nodes in θ, outside and beyond the critical angle."""
         theta, width = panel_rule(np.array([0.0, np.pi / 2]), outside)
-        critical = np.arcsin(1 / index)
-        inner, inner_width = panel_rule(np.array([critical, np.pi / 2]), beyond)
-        if index == 1:
-            inner, inner_width = np.zeros((2, 0))
+        inner, inner_width = np.zeros((2, 0))
+        if index > 1:
+            inner, inner_width = panel_rule(np.array([np.arcsin(1 / index), np.pi / 2]), beyond)
         weight = [width * np.sin(theta) * np.cos(theta), index**2 * inner_width * np.sin(inner) * np.cos(inner)]
         inside = np.degrees(np.concatenate([np.arcsin(np.sin(theta) / index), inner]))
         return cls(np.degrees(theta), inside, np.concatenate(weight))
@@ -233,7 +233,13 @@ def _mirror_elements(cosine: Array, index: float) -> Array:
 
 
 def rough(
-    surface: Microsurface, masking: str, index: float, nodes: Nodes, azimuths: Azimuths, sharp: tuple[bool, bool]
+    surface: Microsurface,
+    masking: str,
+    index: float,
+    nodes: Nodes,
+    azimuths: Azimuths,
+    sharp: tuple[bool, bool],
+    panels: int = PANELS,
 ) -> Face:
     """A rough, isotropic face, with ``index`` that of the body and the facets seen from outside.
 
@@ -243,7 +249,7 @@ def rough(
     the facets. The rest to 1 is e(θ), light that met more than one facet; it is returned as e(θ_i) e(θ_o) / ∫ e over both sides, in
     L/n²: this is reciprocal, and energy is conserved to rounding. Of light from inside, e has a part for I and one for Q, |e_Q| <= e_I.
     """
-    shares = FacetShares(surface, masking, index, nodes)
+    shares = FacetShares(surface, masking, index, nodes, panels)
     reflected, mirrored, inward, outward = shares.reflected, shares.mirrored, shares.inward, shares.outward
     inward = np.clip(inward, 0.0, 1 - reflected - LEAST_LOSS)
     outward = np.clip(outward, 0.0, 1 - mirrored - LEAST_LOSS)
@@ -286,6 +292,8 @@ class FacetShares:
     masking: str
     index: float
     nodes: Nodes
+    panels: int = PANELS
+    """Panels of slopes; fewer go with fewer angles"""
 
     @property
     def reflected(self) -> Array:
@@ -309,17 +317,18 @@ class FacetShares:
 
     def _albedo(self, index: float, theta: Array) -> Array:
         given = self.surface, self.masking, np.array([index]), np.zeros(1), theta
-        return energy.directional_albedo(*given, panels=_PANELS)[:, 0]
+        return energy.directional_albedo(*given, panels=self.panels)[:, 0]
 
     def _transmittance(self, theta: Array) -> Array:
         given = self.surface, self.masking, np.array([self.index]), theta
-        return transmission.directional_transmittance(*given, panels=_PANELS)[:, 0]
+        return transmission.directional_transmittance(*given, panels=self.panels)[:, 0]
 
     def _between(self, share: Callable[[Array], Array], *, inside: bool) -> Array:
         """A share at all nodes, from that at fewer angles; of an angle inside as a polynomial in its angle outside, if there is one."""
         nodes, outside = self.nodes, self.nodes.outside.size
         beyond = nodes.inside.size - outside
-        fewer = Nodes.of(self.index, min(outside, max(24, outside // 3)), min(beyond, max(16, beyond // 3)))
+        least = self.panels // 2, self.panels // 3
+        fewer = Nodes.of(self.index, min(outside, max(least[0], outside // 3)), min(beyond, max(least[1], beyond // 3)))
         values = share(fewer.inside if inside else fewer.outside)
         below = barycentric(fewer.outside, nodes.outside) @ values[: fewer.outside.size]
         if not inside or not beyond:

@@ -34,6 +34,7 @@ _FLOOR = 1e-9
 _LEAST_SHARE = 0.01
 _CHECKED = 3
 _SPLINE_REACH = 3
+_FEWER = 0.7
 
 
 class Resolution(NamedTuple):
@@ -48,6 +49,13 @@ class Resolution(NamedTuple):
     """The same of the narrowest resolved lobe of a face [radian]."""
     sharp: tuple[tuple[bool, bool], tuple[bool, bool]]
     """For front and back face: whether the transmitted, and the internally reflected, lobe is taken as specular."""
+    panels: int = face.PANELS
+    """Panels of the slopes of a face."""
+
+    def coarser(self) -> Resolution:
+        """Fewer nodes, for changes of a sheet of rough faces."""
+        outside, beyond = (max(int(_FEWER * count), 16) for count in (self.outside, self.beyond))
+        return self._replace(outside=outside, beyond=beyond, panels=self.panels // 2)
 
 
 def resolution(surfaces: tuple[Surface, Surface], index: float, wavelengths: Array) -> Resolution:
@@ -143,9 +151,9 @@ def sheet(
         elif surface is None or (index == 1 and isinstance(surface, WaveSurface)):
             faces.append(face.smooth(index, nodes))
         elif isinstance(surface, WaveSurface):
-            faces.append(wave_face.rough(surface, masking, index, wavelength, nodes, azimuths, sharp))
+            faces.append(wave_face.rough(surface, masking, index, wavelength, nodes, azimuths, sharp, resolved.panels))
         else:
-            faces.append(face.rough(surface, masking, index, nodes, azimuths, sharp))
+            faces.append(face.rough(surface, masking, index, nodes, azimuths, sharp, resolved.panels))
     return Sheet(faces[0], faces[1], nodes, azimuths)
 
 

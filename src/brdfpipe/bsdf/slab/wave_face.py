@@ -71,8 +71,10 @@ class WaveSurface(NamedTuple):
     """``bsdf`` dataset of waves, or of facets where these hold: the light that the face reflects outside"""
     relief: Relief | None
     """Heights and slopes that decide between waves and facets; None for waves alone"""
-    halo: Halo
+    table: xr.Dataset
     """Transform of the heights for the light inside too"""
+    halo: Halo
+    """The same, to be evaluated"""
 
     @classmethod
     def of(cls, facets: xr.Dataset, psd: xr.Dataset, index: xr.Dataset, wavelength: Array, optics: str) -> WaveSurface:
@@ -86,7 +88,7 @@ class WaveSurface(NamedTuple):
         if psd.attrs["form"] == "measured":
             table = _without_ripple(table, float(psd["frequency"][0]), _RIPPLE / (float(wavelength[0]) * 1e-3))
         relief = None if optics == "wave" else Relief.of(correlation, sigma, psd, "auto", None, facets)
-        return cls(Microsurface.of(facets), outside, relief, Halo.of(table))
+        return cls(Microsurface.of(facets), outside, relief, table, Halo.of(table))
 
     @property
     def reflection(self) -> Representation:
@@ -183,6 +185,7 @@ def rough(
     nodes: Nodes,
     azimuths: Azimuths,
     sharp: tuple[bool, bool],
+    panels: int = face.PANELS,
 ) -> Face:
     """A face of one wavelength [nm], with ``index`` that of the body and the heights seen from outside.
 
@@ -197,7 +200,7 @@ def rough(
     model, zero, at = surface.reflection, np.zeros(count), np.array([wavelength])
     reflected = np.minimum(model.albedo(nodes.outside, zero, at)[:, 0], _LARGEST_SHARE)
     mirrored_outside = np.minimum(model.specular(nodes.outside, zero, at)[0][:, 0], reflected)
-    alike, facets = face.smooth(index, nodes), face.FacetShares(surface.facets, masking, index, nodes)
+    alike, facets = face.smooth(index, nodes), face.FacetShares(surface.facets, masking, index, nodes, panels)
 
     change = np.abs(body - air[:, None])
     share = surface.facet_share(change, (air[:, None] + body / index) / 2, wavelength)

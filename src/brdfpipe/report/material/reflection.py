@@ -142,6 +142,7 @@ _SOURCE_TITLES = {
     "spectrum": "Reflectance spectrum",
     "colours": "Measured colours",
     "clear_coat": "Slope of the clear coat",
+    "transmittance": "Internal transmittance",
     "model": "Model",
     "instrument": "Instrument",
 }

@@ -1,0 +1,158 @@
+"""Changes of a clear sheet by its inputs: closed forms, sheets built anew, and the scatter between scans."""
+
+import numpy as np
+import pytest
+import random_surfaces
+import xarray as xr
+from samples import beckmann
+
+from brdfpipe import appearance, facets, optics, psd, vocabulary
+from brdfpipe.bsdf import slab
+from brdfpipe.bsdf.nonspectral import nonspectral
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.slab.input_uncertainty import uncertainty
+from brdfpipe.bsdf.source_changes import SourceChanges
+from brdfpipe.facets.radial_density import RadialDensity
+from brdfpipe.optics import interior
+
+INSIDE, N_U, INSIDE_U, STEEPER = 0.8, 0.005, 0.01, 1.02
+
+
+def uncertain_facets() -> xr.Dataset:
+    """A Gaussian finish whose slopes are uncertain by a common factor."""
+    given = beckmann(0.2)
+    slope = given["slope"].values
+    steeper = RadialDensity(slope, given["slope_density"].values)((slope / STEEPER) ** 2) / STEEPER**2
+    change = RadialDensity(slope, np.maximum(steeper, 1e-300)).normalised().density - given["slope_density"].values
+    fields = {"slope_density_change": (("uncertain_change", "slope"), change[None])}
+    named = given.assign(fields).assign_coords(uncertainty_source=("uncertain_change", ["facets"]))
+    return vocabulary.label(named, "facets")
+
+
+def with_changes(bsdf: xr.Dataset, **inputs: xr.Dataset) -> xr.Dataset:
+    """A sheet with the changes by its inputs."""
+    changes = vocabulary.validate(uncertainty(bsdf, **inputs), "uncertainty")
+    return vocabulary.validate(bsdf.merge(changes, combine_attrs="override"), "bsdf")
+
+
+def body(index: float = 1.5, inside: float = INSIDE) -> dict[str, xr.Dataset]:
+    """Index and internal transmittance, both uncertain."""
+    described = {"thickness": 2.0, "internal_transmittance": inside, "transmittance_uncertainty": INSIDE_U}
+    return {"index": optics.refractive_index(index, uncertainty=N_U), "interior": interior.ingest(described)}
+
+
+def test_a_plate_is_uncertain_as_the_derivatives_of_its_closed_form():
+    flat = facets.flat()
+    plate = with_changes(slab.build(flat, flat, index=1.5, internal_transmittance=INSIDE), facets=flat, **body())
+
+    def shares(n, inside):
+        # Along the normal: F = ((n - 1)/(n + 1))^2.
+        f = ((n - 1) / (n + 1)) ** 2
+        reflected = f + (1 - f) ** 2 * inside**2 * f / (1 - (f * inside) ** 2)
+        return np.array([reflected, (1 - f) ** 2 * inside / (1 - (f * inside) ** 2)])
+
+    changes = SourceChanges(plate)
+    normal = np.zeros(1), np.zeros(1), None
+    given = np.array([changes.given.albedo(*normal), changes.given.transmittance(*normal)])[:, 0, 0]
+    assert changes.sources == ("index", "transmittance")
+    derivatives = [
+        shares(1.5 + 1e-4, INSIDE) - shares(1.5 - 1e-4, INSIDE),
+        shares(1.5, INSIDE + 1e-4) - shares(1.5, INSIDE - 1e-4),
+    ]
+    for changed, derivative, u in zip(changes.changed, derivatives, (N_U, INSIDE_U), strict=True):
+        found = np.array([changed.albedo(*normal), changed.transmittance(*normal)])[:, 0, 0] - given
+        # To first order: the curvature over one standard uncertainty is what remains.
+        np.testing.assert_allclose(np.abs(found), np.abs(derivative) / 2e-4 * u, rtol=0.01)
+
+
+@pytest.mark.parametrize("back", [None, pytest.param("flat", marks=pytest.mark.slow)])
+def test_the_inputs_change_a_sheet_as_if_it_was_built_with_them(back):
+    given, steeper = uncertain_facets(), facets.scaled(beckmann(0.2), STEEPER)
+    flat = None if back is None else facets.flat()
+
+    def built(face: xr.Dataset, **changed: float) -> xr.Dataset:
+        return slab.build(face, flat or face, **({"index": 1.5, "internal_transmittance": INSIDE} | changed))
+
+    sheet = built(given)
+    found = with_changes(sheet, facets=given, back_facets=flat, **body())
+    changes = SourceChanges(found)
+    assert changes.sources == ("facets", "index", "transmittance")
+    rebuilt = [built(steeper), built(given, index=1.5 + N_U), built(given, internal_transmittance=INSIDE - INSIDE_U)]
+    theta_o = np.array([10.0, 30.0, 45.0, 60.0, 100.0, 135.0, 150.0, 175.0])
+    incidence = np.array([0.0, 30.0, 70.0, 110.0, 175.0]), np.zeros(5), None
+    for theta_i in (10.0, 45.0, 150.0):
+        at = np.full(8, theta_i), np.zeros(8), theta_o, np.full(8, 180.0), None
+        for change, wanted in zip(changes.of_brdf(*at), rebuilt, strict=True):
+            difference = representation(wanted).evaluate(*at) - changes.given.evaluate(*at)
+            # On the flank of a lobe, the interpolation errors of the two tables differ too.
+            assert np.abs(change - difference).max() < 0.15 * np.abs(difference).max()
+    for changed, wanted in zip(changes.changed, rebuilt, strict=True):
+        for share in ("albedo", "transmittance"):
+            before = getattr(changes.given, share)(*incidence)
+            found_change, wanted_change = (
+                getattr(one, share)(*incidence) - before for one in (changed, representation(wanted))
+            )
+            np.testing.assert_allclose(found_change, wanted_change, atol=1e-6 + 0.025 * np.abs(wanted_change).max())
+
+
+def test_gloss_haze_and_transmittance_of_a_sheet_are_uncertain_by_source():
+    coloured = body()
+    wavelength = xr.DataArray([450.0, 550.0, 650.0], dims="wavelength")
+    inside = xr.DataArray([0.6, 0.8, 0.9], coords={"wavelength": wavelength}, dims="wavelength")
+    given = uncertain_facets()
+    sheet = slab.build(given, facets.flat(), index=1.5, internal_transmittance=inside)
+    found = with_changes(sheet, facets=given, back_facets=facets.flat(), **coloured)
+    seen = appearance.compute_appearance(found, haze=())
+    by_source = {str(source): seen.sel(source=source) for source in seen["source"].values}
+    # The body has the colour of its transmittance; a rough surface has no gloss of its own colour.
+    assert float(by_source["transmittance"]["luminous_transmittance_u_source"]) == pytest.approx(
+        0.93 * INSIDE_U, rel=0.05
+    )
+    assert float(by_source["facets"]["transmission_haze_u_source"]) > float(
+        by_source["index"]["transmission_haze_u_source"]
+    )
+    assert float(by_source["facets"]["gloss_u_source"].sel(gloss_angle=60)) > 0
+    total = float(np.sqrt(np.square(seen["transmission_haze_u_source"]).sum()))
+    assert float(seen["transmission_haze_u"]) == pytest.approx(total)
+
+
+def test_faces_of_assumed_finish_and_numbers_alone_are_exact():
+    finish = beckmann(0.2)
+    sheet = slab.build(finish, finish, index=1.5)
+    described = interior.ingest({"thickness": 1.0})
+    found = uncertainty(sheet, facets=finish, index=optics.refractive_index(1.5), interior=described)
+    assert found.attrs["uncertainty_not_stated"] == "facets, index, transmittance"
+    assert not found.data_vars
+
+
+# --- scans
+
+
+def scan(seed: int, sigma: float, length: float, size: int = 192) -> xr.Dataset:
+    """A scan of one Gaussian surface."""
+    height = random_surfaces.heights(random_surfaces.gaussian(sigma, length), (size, size), (0.5, 0.5), seed)
+    axis = 0.5 * np.arange(float(size))
+    attributes = {"pitch_x": 0.5, "pitch_y": 0.5, "levelling": "plane", "band": "0.5 um pitch"}
+    return vocabulary.label(xr.Dataset({"height": (("y", "x"), height)}, {"y": axis, "x": axis}, attributes), "surface")
+
+
+def haze_and_uncertainty(surface: xr.Dataset, with_waves: bool) -> tuple[float, float]:
+    """Haze of a sheet with a scanned front and a smooth back, and its standard uncertainty from the scan."""
+    relief, spectrum = facets.estimate(surface, noise=0.0), psd.estimate(surface, noise=0.0) if with_waves else None
+    index, flat = optics.refractive_index(1.5), facets.flat()
+    waves = {"front_psd": spectrum, "wavelength": [550.0]} if with_waves else {}
+    sheet = slab.build(relief, flat, index=index, internal_transmittance=0.9, **waves)
+    inputs = {"psd": spectrum} if with_waves else {}
+    changes = SourceChanges(nonspectral(with_changes(sheet, facets=relief, back_facets=flat, index=index, **inputs)))
+    given, *changed = (appearance.transmission_haze(sheet, one) for one in (changes.given, *changes.changed))
+    return given, float(np.sqrt(np.square(np.array(changed) - given).sum()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sigma", "length", "with_waves", "least", "most"), [(0.25, 4.0, False, 0.6, 1.6), (0.06, 4.0, True, 0.8, 2.1)]
+)
+def test_the_haze_of_sheets_scatters_between_scans_as_stated(sigma, length, with_waves, least, most):
+    haze, u = np.transpose([haze_and_uncertainty(scan(seed, sigma, length), with_waves) for seed in range(12)])
+    # The scatter of twelve is itself uncertain by a fifth; the spectrum states 1.3 times the scatter of its upper rings.
+    assert least < np.sqrt(np.mean(u**2)) / haze.std(ddof=1) < most
