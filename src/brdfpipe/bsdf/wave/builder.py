@@ -476,6 +476,7 @@ def _with_closure(
     """
     wavelength, slope = bsdf["wavelength"].values, Wave.slope_of(bsdf)
     few = _few(wavelength, azimuths)
+    surface = surface.prepared_for(_count(slope, theta, azimuths) * few.size)
     first_order, kernel = np.zeros((theta.size, few.size)), np.zeros((few.size, theta.size, theta.size))
     for row, angle in enumerate(theta[theta < 90]):
         for weight, angles in _directions(slope, float(angle), azimuths):
@@ -543,6 +544,11 @@ def _directions(slope: float, theta_i: float, azimuths: Array) -> Iterator[tuple
             yield rule.weight / (1 if isotropic else 2), (*incident, rule.theta, azimuth + side * rule.phi)
 
 
+def _count(slope: float, theta: Array, azimuths: Array) -> int:
+    """About how many directions the integrals at all angles of incidence have."""
+    return theta.size * sum(weight.size for weight, _ in _directions(slope, 45.0, azimuths))
+
+
 def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr.Dataset:
     """Say how much light coherent part and halo miss, (incidences,), if that is more than they should."""
     worst = int(missing.argmax())
@@ -562,6 +568,7 @@ def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: 
     """∫ f cos θ_o dω_o without coherent and diffuse light, (incidences, azimuths, wavelength)."""
     n, k, wavelength = (bsdf[name].values for name in ("n", "k", "wavelength"))
     few, slope = _few(wavelength, azimuths), Wave.slope_of(bsdf)
+    surface = surface.prepared_for(_count(slope, theta, azimuths) * few.size)
     sides = 1 if azimuths.size == 1 else 2
     result = np.zeros((theta.size, azimuths.size, few.size))
     for row, angle in enumerate(theta[theta < 90]):

@@ -231,6 +231,8 @@ class RoughSurface:
     """Phase variance at which half of the light is reflected as by facets [1]"""
     closure: EnergyClosure | None = None
     """Of the halo; None for 1"""
+    compiled: bool = False
+    """Whether few values, too, are computed by compiled code"""
 
     @classmethod
     def of(cls, bsdf: xr.Dataset) -> RoughSurface:
@@ -265,8 +267,8 @@ class RoughSurface:
 
         Angles are θ_i, φ_i, θ_o and φ_o, (directions,) degree; wavelength [nm], n and k are (wavelength,).
         """
-        many = angles[0].size * wavelength.size >= MANY_VALUES
-        surface = self._compiled if many else self
+        many = self.compiled or angles[0].size * wavelength.size >= MANY_VALUES
+        surface = self._with_compiled_halos if many else self
         of_all_facets = cache(lambda: surface.of_facets(angles, wavelength))
 
         def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
@@ -287,7 +289,8 @@ class RoughSurface:
 
     def halo_of_mirrors(self, angles: Angles, wavelength: Array) -> Array:
         """BRDF of the halo if the body were a perfect mirror, before it is matched, and of its first order, (directions, wavelength, 2) [sr-1]."""
-        halo, relief = self.halo, self.relief
+        surface = self._with_compiled_halos if self.compiled else self
+        halo, relief = surface.halo, surface.relief
         assert halo is not None
         assert relief is not None
 
@@ -296,7 +299,7 @@ class RoughSurface:
             low, high = halo.by_order(pair, azimuths, wavelength, relief.tilted(pair, azimuths))
             return np.stack([low + high, halo.first_strength(pair, azimuths, wavelength)], axis=-1)
 
-        return _in_blocks(angles, (wavelength.size, 2), of_block)
+        return _in_blocks(angles, (wavelength.size, 2), of_block, self.compiled)
 
     def mueller(self, angles: Angles, wavelength: Array, n: Array, k: Array) -> Array:
         """Mueller matrices of the same [sr-1], (directions, wavelength, 4, 4), in the frames of the microfacet model."""
@@ -320,8 +323,12 @@ class RoughSurface:
         assert self.relief is not None
         return self.relief.facets.evaluate(*angles, wavelength)
 
+    def prepared_for(self, values: int) -> RoughSurface:
+        """The same surface, computed by compiled code if a number of values, in several calls, is worth loading it."""
+        return replace(self, compiled=self.compiled or values >= MANY_VALUES)
+
     @cached_property
-    def _compiled(self) -> RoughSurface:
+    def _with_compiled_halos(self) -> RoughSurface:
         """The same surface, with halos that are looked up by compiled code."""
         relief, halo = self.relief, self.halo
         if relief is not None and relief.fine is not None:
