@@ -665,23 +665,16 @@ def _interpolate(
         seen = cos_i * cos_o + (hidden_i * cos_o + hidden_o * cos_i)
         common = cos_i * cos_o / (16 * max(seen, 1e-300))
         turns = weight.shape[1]
-        if turns > 0:
-            at = phi_i[number] / 360
+        for side in range(2 if turns > 0 else 0):
+            node, share_n = (o, share_o) if side else (i, share_i)
+            at = (phi_o[number] if side else phi_i[number]) / 360
             at = (at - math.floor(at)) * turns
             first, share = int(at), at - math.floor(at)
             second = (first + 1) % turns
             first = first % turns
-            near = weight[i, first] * (1 - share) + weight[i, second] * share
-            far = weight[i + 1, first] * (1 - share) + weight[i + 1, second] * share
-            common *= near * (1 - share_i) + far * share_i
-            at = phi_o[number] / 360
-            at = (at - math.floor(at)) * turns
-            first, share = int(at), at - math.floor(at)
-            second = (first + 1) % turns
-            first = first % turns
-            near = weight[o, first] * (1 - share) + weight[o, second] * share
-            far = weight[o + 1, first] * (1 - share) + weight[o + 1, second] * share
-            common *= near * (1 - share_o) + far * share_o
+            near = weight[node, first] * (1 - share) + weight[node, second] * share
+            far = weight[node + 1, first] * (1 - share) + weight[node + 1, second] * share
+            common *= near * (1 - share_n) + far * share_n
         turn = (phi_o[number] - phi_i[number]) / 360
         at = (phi_i[number] / 180 + turn - math.floor(turn) - 0.5) * planes
         at -= planes * math.floor(at / planes)
