@@ -170,6 +170,7 @@ surface: {file: heights.seed, unit: um, form: none}
 index: 1.5
 spectrum: {file: reflectance.toy, geometry: sci}
 toy_level: 0.5
+model: {masking: height-correlated, optics: facets, truth: none}
 exports: [toy-text]
 """
 
@@ -214,7 +215,8 @@ def extended(made_once: Callable[[str, Callable[[Path], None]], Path]) -> Path:
 
 def extend(folder: Path) -> None:
     for part in ("src", "workflow", "config", "docs", "benchmarks"):
-        shutil.copytree(PROJECT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "results"))
+        # Compiled code is copied too, but not the files that another process writes it to before it renames them.
+        shutil.copytree(PROJECT / part, folder / part, ignore=shutil.ignore_patterns("results", "*.pyc.*", "*.tmp.*"))
     shutil.copy(PROJECT / "Snakefile", folder)
     for path, text in NEW_FILES.items():
         assert not (folder / path).exists()

@@ -17,7 +17,7 @@ from brdfpipe.jobs.build import build as build_catalogue
 
 COLOUR = "spectrum: {lab: [50, 10, 10], illuminant: D65, observer: 10, geometry: sci}\n"
 MATERIALS = {
-    "brushed": "surface: {file: h.npy, unit: um, pitch: 1}\nindex: ABS\n" + COLOUR,
+    "brushed": "surface: {file: h.npy, unit: um, pitch: 1}\nindex: ABS\nspectrum: {file: r.txt, geometry: sci, scale: fraction}\nmodel: {truth: none}\n",
     "compensated": "surface: {distribution: beckmann, slope_rms: 0.6}\nindex: ABS\nmodel: {multiple_scattering: compensated}\n",
     "frosted": "surface: {distribution: flat}\nindex: 1.49\n"
     "slab: {thickness: 2, absorption: {file: a.txt}, back: {distribution: beckmann, slope_rms: 0.2}}\n",
@@ -38,9 +38,9 @@ def build_finishes(base: Path, preview: bool) -> None:
         (base / "catalogue" / name).mkdir(parents=True)
         (base / "catalogue" / name / "material.yaml").write_text(text)
     np.save(base / "catalogue" / "brushed" / "h.npy", _brushed())
-    (base / "catalogue" / "frosted" / "a.txt").write_text(
-        "nm a\n" + "".join(f"{w} 0.05\n" for w in range(380, 741, 20))
-    )
+    for file, value in (("frosted/a.txt", 0.05), ("brushed/r.txt", 0.2)):
+        rows = "".join(f"{nm} {value}\n" for nm in range(380, 741, 20))
+        (base / "catalogue" / file).write_text(f"nm a\n{rows}")
     # Coarse tables and few fits: what is in them is not the question here.
     settings = base / "settings.yaml"
     settings.write_text(

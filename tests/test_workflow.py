@@ -249,7 +249,7 @@ def test_predictions_from_a_scan_are_checked_unless_the_description_says_none(
 
 
 def test_a_reference_solution_replaces_the_prediction(tmp_path: Path) -> None:
-    height = samples.gaussian_surface(128, correlation=10)["height"].values
+    height = samples.gaussian_surface(96, correlation=10)["height"].values
     for name, truth in (("used", "use"), ("unchecked", "none")):
         folder = tmp_path / "catalogue" / name
         folder.mkdir(parents=True)
@@ -299,17 +299,19 @@ def test_several_scans_filters_and_directions_reach_the_facets(tmp_path: Path) -
     lines = tmp_path / "catalogue" / "lines"
     lines.mkdir(parents=True)
     for name, sigma in (("along.txt", 0.1), ("across.txt", 0.04)):
-        np.savetxt(lines / name, np.cumsum(rng.normal(scale=sigma, size=20_000)), header="unit: um")
+        np.savetxt(lines / name, np.cumsum(rng.normal(scale=sigma, size=5000)), header="unit: um")
     (lines / "material.yaml").write_text(
         "surface: {file: along.txt, layout: line, pitch: 1.0, scans: [{file: across.txt, azimuth: 90}]}\nindex: PP\n"
-        "model: {optics: facets}\n"
+        "model: {optics: facets, truth: none}\n"
     )
     maps = tmp_path / "catalogue" / "maps"
     maps.mkdir()
     for name, seed in (("a.npy", 1), ("b.npy", 2)):
         np.save(maps / name, samples.gaussian_surface(128, seed=seed, correlation=4)["height"].values)
     shared = "file: a.npy, unit: um, pitch: 1.0"
-    (maps / "material.yaml").write_text(f"surface: {{{shared}, lambda_s: 5.0, scans: [{{file: b.npy}}]}}\nindex: PP\n")
+    (maps / "material.yaml").write_text(
+        f"surface: {{{shared}, lambda_s: 5.0, scans: [{{file: b.npy}}]}}\nindex: PP\nmodel: {{optics: facets, truth: none}}\n"
+    )
     settings = tmp_path / "settings.yaml"
     settings.write_text(COARSE)
     summary = build_catalogue(tmp_path / "catalogue", tmp_path / "results", cores=2, config=settings)

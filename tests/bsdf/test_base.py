@@ -9,8 +9,9 @@ import synthetic
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from brdfpipe import facets
-from brdfpipe.bsdf import lambert_gauss, microfacet
+from brdfpipe import facets, flakes, psd
+from brdfpipe.bsdf import flake, lambert_gauss, microfacet, slab, wave
+from brdfpipe.bsdf.lambert_gauss_fit import fit_lambert_gauss
 from brdfpipe.bsdf.registry import representation
 
 THETA = np.array([0.0, 8.0, 30.0, 60.0, 80.0, 85.0, 89.0])
@@ -37,6 +38,53 @@ def test_a_lay_is_integrated_at_every_azimuth():
         own = representation(bsdf).albedo(np.array([55.0]), np.array([phi]), None)
         # The model's own albedo of a lay is good to 1e-4.
         assert quadrature(bsdf, 55.0, phi).value == pytest.approx(own, rel=1e-4)
+
+
+SYMMETRIC = {
+    "facets": lambda: samples.beckmann_bsdf(0.2, reflectance=None),
+    "interface": lambda: microfacet.build(facets.analytic("beckmann", 0.1), index=1.5, transparent=True),
+    "several reflections": lambda: samples.beckmann_bsdf(0.4, reflectance=None, multiple_scattering="directional"),
+    "waves": lambda: wave.build(
+        psd.analytic("gaussian", sigma=0.05, length=5.0), facets=facets.analytic("beckmann", 0.02), index=1.5
+    ),
+    "slab": lambda: slab.build(facets.flat(), facets.analytic("beckmann", 0.4), index=1.5),
+    "flakes": lambda: flake.build(
+        flakes.ingest(
+            {
+                "colours": [
+                    {"geometry": f"45as{angle}", "lab": [lightness, 0, 0]}
+                    for angle, lightness in ((15, 90), (45, 50), (110, 30))
+                ],
+                "illuminant": "D65",
+                "observer": 10,
+            }
+        ),
+        index=1.5,
+        model="flake-physical",
+        clear_coat=0.05,
+    ),
+    "Lambert and Gauss": lambda: fit_lambert_gauss(samples.beckmann_bsdf(0.2, reflectance=None), theta_i=[0, 45]),
+}
+
+
+@pytest.mark.parametrize("material", SYMMETRIC)
+def test_a_model_that_is_symmetric_about_the_plane_of_incidence_says_so(material):
+    model = representation(SYMMETRIC[material]())
+    assert model.mirror_symmetric
+    rng = np.random.default_rng(4)
+    theta_i, theta_o, phi_i, turn = (rng.uniform(0, high, 300) for high in (180, 180, 360, 180))
+    left, right = (model.evaluate(theta_i, phi_i, theta_o, phi_i + side * turn, None) for side in (-1, 1))
+    # Rounding of the azimuths moves steep flanks of narrow lobes.
+    assert left == pytest.approx(right, rel=1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize("material", ["facets", "Lambert and Gauss"])
+def test_half_of_the_azimuths_of_a_symmetric_bsdf_have_half_of_its_light(material, monkeypatch):
+    bsdf = SYMMETRIC[material]()
+    half = quadrature(bsdf, 75.0, 20.0)
+    monkeypatch.setattr(type(representation(bsdf)), "mirror_symmetric", False)
+    # Cells of equal error are halved in another order.
+    assert half.value == pytest.approx(quadrature(bsdf, 75.0, 20.0).value, rel=1e-8)
 
 
 def test_both_sides_of_an_interface_are_integrated():

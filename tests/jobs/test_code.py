@@ -190,7 +190,10 @@ def test_every_stage_has_a_digest_of_its_own(stage: Stage) -> None:
 
 RUN_STAGES = """
 import json, os, runpy, sys
-import netCDF4, numpy, pandas, scipy.interpolate, scipy.optimize, scipy.special, xarray
+import astropy.io.fits, jinja2, netCDF4, numba, numpy, pandas, PIL, pydantic, scipy.interpolate, scipy.optimize, scipy.special, scipy.stats
+import serial, xarray, yaml
+with numpy.printoptions():
+    import colour
 
 for step, (script, *arguments) in enumerate(json.load(sys.stdin)):
     child = os.fork()
@@ -224,12 +227,13 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
         return {name: name for name in names}
 
     raw = {"raw": str(example / "grain.x3p")}
+    (tmp_path / "reflectance.txt").write_text("nm %\n" + "".join(f"{nm} 5\n" for nm in range(380, 781, 20)))
     run("surface", raw, same("surface"))
     run("back_surface", raw, {"surface": "back"}, examples.spec("abs-grain", "surface"))
     run("index", {}, same("index"))
     run("interior", {}, same("interior"), {"thickness": 2.0, "internal_transmittance": 0.95})
     run("facets", same("surface"), same("facets"))
-    run("spectrum", {"raw": str(example / "reflectance.txt"), **same("index")}, same("spectrum"))
+    run("spectrum", {"raw": "reflectance.txt", **same("index")}, same("spectrum"))
     traced = {"multiple_scattering": "measured"}
     run("interreflection", same("surface", "facets", "index", "spectrum"), same("interreflection"), traced)
     run("predicted", same("facets", "index", "spectrum"), same("predicted"))

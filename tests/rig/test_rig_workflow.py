@@ -12,6 +12,7 @@ import brdfpipe
 from brdfpipe import catalogue, installation, vocabulary
 from brdfpipe.jobs.build import build as build_catalogue
 from brdfpipe.jobs.rules import Pipeline
+from brdfpipe.jobs.summary import Summary
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NAMES = ("milk-glass", "opal-glass")
@@ -43,13 +44,23 @@ def use_calibration(folder: Path, calibration: str) -> None:
     path.write_text(path.read_text().replace("calibration: bench-1", f"calibration: {calibration}"))
 
 
+def build(folder: Path, results: Path, **options: bool) -> Summary:
+    """Build with coarse tables and without pictures: no test reads them."""
+    settings = folder.parent / "settings.yaml"
+    settings.write_text(
+        "preview: false\nlambert_gauss: {theta_i: [0, 45]}\n"
+        "table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}\n"
+    )
+    return build_catalogue(folder, results, cores=2, config=settings, **options)
+
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     base = tmp_path_factory.mktemp("rig")
     folder, results = copied(base / "catalogue"), base / "results"
     add_calibration(folder, "bench-2", "bench-1")
     use_calibration(folder, "bench-2")
-    summary = build_catalogue(folder, results, cores=2)
+    summary = build(folder, results)
     assert summary.failures == {}
     assert summary.built == NAMES
     return folder, results
@@ -78,7 +89,7 @@ def test_the_measured_bsdf_agrees_with_the_truth_within_its_uncertainty(built: t
 
 def test_nothing_is_rebuilt(built: tuple[Path, Path]) -> None:
     folder, results = built
-    assert build_catalogue(folder, results, cores=2, dry_run=True).jobs == 0
+    assert build(folder, results, dry_run=True).jobs == 0
 
 
 @pytest.mark.slow
@@ -88,7 +99,7 @@ def test_the_same_run_gives_the_same_bytes(built: tuple[Path, Path]) -> None:
     before = {path.name: path.read_bytes() for path in sorted((run / "frames").iterdir())}
     digest = brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc").attrs["digest"]
     shutil.rmtree(results / "milk-glass")
-    assert build_catalogue(folder, results, cores=2).failures == {}
+    assert build(folder, results).failures == {}
     assert {path.name: path.read_bytes() for path in sorted((run / "frames").iterdir())} == before
     assert brdfpipe.open_dataset(results / "milk-glass" / "bsdf.nc").attrs["digest"] == digest
 
@@ -112,7 +123,7 @@ def test_a_failed_calibration_is_reported_for_each_material_that_depends_on_it(
     text = certificate.read_text()
     try:
         certificate.write_text(text.replace("2030-01-01", "1969-12-31"))
-        failures = build_catalogue(folder, results, cores=2).failures
+        failures = build(folder, results).failures
     finally:
         certificate.write_text(text)
     assert list(failures) == ["milk-glass"]

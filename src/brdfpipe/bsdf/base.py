@@ -158,6 +158,11 @@ class Representation(ABC):
         return True
 
     @property
+    def mirror_symmetric(self) -> bool:
+        """Whether values at φ_i + Δφ and φ_i − Δφ are equal, by the model's form, so that half of the azimuths have half of the light."""
+        return False
+
+    @property
     def lay(self) -> float | None:
         """Azimuth along the lay of the surface [degree]; None if the surface is isotropic or the lay is unknown."""
         return None if self.isotropic or "lay" not in self.dataset else float(self.dataset["lay"])
@@ -258,13 +263,16 @@ class Representation(ABC):
             empty = np.zeros((*np.shape(theta_i), 1))
             return Integral(empty, empty)
         edges = [self.quadrature_edges(*at, transmitted_side) for at in zip(*incidences, strict=True)]
+        sides = 2 if self.mirror_symmetric else 1
+        if sides == 2:
+            edges = [(theta, phi[phi >= phi_i + 180]) for (theta, phi), phi_i in zip(edges, incidences[1], strict=True)]
         cells = [sphere_cubature.rectangles(theta, phi) for theta, phi in edges]
         owner = np.repeat(np.arange(len(cells)), [low.shape[0] for low, _ in cells])
         low, high = (np.concatenate(corners) for corners in zip(*cells, strict=True))
         rule = sphere_cubature.integral(self._integrand(*incidences, wavelength), self._wavelength_count(wavelength))
         mesh = sphere_cubature.refine((owner, low, high), rule, self.accuracy if relative is None else relative)
         shape = (*np.shape(theta_i), -1)
-        value, error = (mesh.totals(field, len(cells)).reshape(shape) for field in (mesh.value, mesh.error))
+        value, error = (sides * mesh.totals(field, len(cells)).reshape(shape) for field in (mesh.value, mesh.error))
         return Integral(value, error)
 
     def distribution(self, theta_i: float, phi_i: float, wavelength: Array | None) -> sampling.Distribution:

@@ -92,6 +92,13 @@ def test_only_the_difference_of_azimuths_counts(bsdf):
     assert representation(bsdf).isotropic
 
 
+def test_a_basis_that_is_even_in_the_azimuth_gives_a_symmetric_bsdf(bsdf):
+    assert representation(bsdf).mirror_symmetric
+    theta_o, turn = np.array([20.0, 50.0, 70.0]), np.array([10.0, 100.0, 170.0])
+    left, right = (bsdf.bsdf.evaluate(40.0, 30.0, theta_o, 30.0 + side * turn).values for side in (-1, 1))
+    assert left == pytest.approx(right, rel=1e-12)
+
+
 def test_there_is_no_light_at_and_below_the_horizon(bsdf):
     assert (bsdf.bsdf.evaluate([90, 30, 30, 120], 0, [30, 90, 120, 30], 0).values == 0).all()
     assert (bsdf.bsdf.uncertainty([90, 30, 30, 120], 0, [30, 90, 120, 30], 0).values == 0).all()

@@ -221,7 +221,8 @@ class Tracer:
     def __init__(self, front: float, back: float, index: float, inside: float, seed: int) -> None:
         self.a, self.index, self.inside = (front, back), index, inside
         self.generator = np.random.default_rng(seed)
-        self.diffuse = [self._lost(width) for width in self.a]
+        by_width = {width: self._lost(width) for width in set(self.a)}
+        self.diffuse = [by_width[width] for width in self.a]
 
     def _lost(self, a):
         """Polar angles, their losses of s and p, the cells between them, and the cumulated share of the cells."""
@@ -234,10 +235,10 @@ class Tracer:
         cumulated = np.cumsum(extent * lost.sum(axis=0))
         return middle, lost, edges, cumulated / cumulated[-1]
 
-    def _kept(self, a, theta, rings=150, turns=96):
-        """Shares of s and p light from a polar angle that are scattered once, by facets of equal shares of the slopes."""
+    def _kept(self, a, theta, rings=150, turns=48):
+        """Shares of s and p light from a polar angle that are scattered once, by facets of equal shares of the slopes on one side."""
         slope = a * np.sqrt(-np.log1p(-(np.arange(rings) + 0.5) / rings))
-        turn = 2 * np.pi * (np.arange(turns) + 0.5) / turns
+        turn = np.pi * (np.arange(turns) + 0.5) / turns
         p, q = (np.multiply.outer(slope, wave(turn)).ravel() for wave in (np.cos, np.sin))
         normal = np.column_stack([-p, -q, np.ones(p.size)]) / np.sqrt(1 + p * p + q * q)[:, None]
         travel = np.tile([-np.sin(np.radians(theta)), 0.0, -np.cos(np.radians(theta))], (p.size, 1))

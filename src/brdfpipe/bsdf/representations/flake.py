@@ -156,6 +156,10 @@ class Flake(Representation):
         return np.asarray(rho * coat.share(theta_i, phi_i, theta_o, phi_o)[..., None] + gloss[..., None] * white)
 
     @property
+    def mirror_symmetric(self) -> bool:
+        return True
+
+    @property
     def lobe_slope(self) -> float:
         """Slope of a rough clear coat, else the slope that corresponds to the narrowest decay, seen from outside."""
         if self._coat.slope is not None:

@@ -68,6 +68,10 @@ class LambertGauss(Representation):
         bsdf = self.dataset
         return bsdf["theta_i"].values, bsdf["lambert"].variable, [bsdf[name].values for name in names]
 
+    @property
+    def mirror_symmetric(self) -> bool:
+        return True
+
     def nonspectral(self, weight: Array) -> xr.Dataset:
         """The dataset averaged over wavelength; the Gaussian part is neutral."""
         spectral = {

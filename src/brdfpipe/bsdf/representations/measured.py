@@ -77,6 +77,10 @@ class Measured(Representation):
         return not basis.from_json(self.dataset.attrs["basis"]).symmetric
 
     @property
+    def mirror_symmetric(self) -> bool:
+        return not self.albedo_needs_quadrature
+
+    @property
     def lobe_slope(self) -> float:
         return evaluation.lobe_slope(self.dataset)
 

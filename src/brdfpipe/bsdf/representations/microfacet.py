@@ -58,6 +58,10 @@ class Interface(Representation):
         return "phi_i" not in self.dataset["directional_albedo"].dims
 
     @property
+    def mirror_symmetric(self) -> bool:
+        return self.isotropic
+
+    @property
     def lobe_slope(self) -> float:
         """Median slope of the facets."""
         return UNRESOLVED_SLOPE if self._surface is None else self._surface.typical_slope

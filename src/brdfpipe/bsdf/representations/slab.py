@@ -122,6 +122,10 @@ class Slab(Representation):
         return False
 
     @property
+    def mirror_symmetric(self) -> bool:
+        return True
+
+    @property
     def lobe_slope(self) -> float:
         """Median slope of the smoother of the rough faces, or that at which its halo has half its peak."""
         slopes = [

@@ -161,6 +161,10 @@ class Wave(Representation):
         return "phi_i" not in self.dataset["directional_albedo"].dims and "halo_azimuth" not in self.dataset.dims
 
     @property
+    def mirror_symmetric(self) -> bool:
+        return self.isotropic
+
+    @property
     def lay(self) -> float | None:
         if "halo_lay" not in self.dataset:
             return super().lay
