@@ -32,7 +32,7 @@ class BSDFAccessor:
     def __init__(self, dataset: xr.Dataset) -> None:
         representation(dataset)  # refuses a dataset that is not a BSDF
         self._dataset = dataset
-        self._of_one_direction: dict[tuple[str, bytes | None], xr.DataArray] = {}
+        self._of_one_direction: dict[tuple[str, bytes | None], _Template] = {}
         self._wavelength_variable: xr.Variable | None = None
         self._wavelength_values: Array | None = None
 
@@ -327,21 +327,42 @@ class BSDFAccessor:
             wavelengths = self._own_wavelengths
         if wavelengths is None:
             values = values[(slice(None),) * len(shape) + (0,)]
-        else:
+        elif values.shape[len(shape)] != wavelengths.size:
             values = np.broadcast_to(values, (*shape, wavelengths.size, *values.shape[len(shape) + 1 :]))
         if shape or angles.coords:
             return _array(values, angles, wavelengths, name, long_name, units, frames)
-        # A new array takes much longer than a copy of an earlier one with other values.
         key = name, None if wavelengths is None else wavelengths.tobytes()
-        if key not in self._of_one_direction:
+        template = self._of_one_direction.get(key)
+        if template is None:
             if len(self._of_one_direction) >= _MOST_TEMPLATES:
                 self._of_one_direction.clear()
-            template = _array(values, angles, wavelengths, name, long_name, units, frames)
-            self._of_one_direction[key] = template.copy(data=np.zeros_like(values))
-        return self._of_one_direction[key].copy(deep=False, data=values)
+            template = _Template.of(_array(values, angles, wavelengths, name, long_name, units, frames))
+            self._of_one_direction[key] = template
+        return template.filled(values)
 
 
 _MOST_TEMPLATES = 16
+
+
+class _Template(NamedTuple):
+    """Labels of a result for one direction; to make new ones takes much longer than to evaluate a BSDF."""
+
+    name: Hashable
+    dims: tuple[Hashable, ...]
+    coords: Mapping[Hashable, xr.Variable]
+    indexes: Mapping[Hashable, xr.Index]
+    attrs: Mapping[str, str]
+
+    @classmethod
+    def of(cls, array: xr.DataArray) -> _Template:
+        coords = {name: coordinate.variable for name, coordinate in array.coords.items()}
+        return cls(array.name, array.dims, coords, dict(array.xindexes), dict(array.attrs))
+
+    def filled(self, values: Array) -> xr.DataArray:
+        """A result with these values, whose labels can be changed without a change of others."""
+        variable = xr.Variable(self.dims, values, self.attrs, fastpath=True)
+        coords = {name: coordinate.copy(deep=False) for name, coordinate in self.coords.items()}
+        return xr.DataArray(variable, coords, name=self.name, indexes=dict(self.indexes), fastpath=True)
 
 
 class _Angles(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Hashable, Mapping
+from operator import is_
 from typing import NamedTuple
 
 import xarray as xr
@@ -55,7 +56,7 @@ def representation(bsdf: xr.Dataset) -> Representation:
     if (
         entry is not None
         and entry.dataset() is bsdf
-        and _same_objects(entry.variables, bsdf.variables)
+        and _same_objects(entry.variables, bsdf.variables.mapping)
         and _same_objects(entry.attributes, bsdf.attrs)
     ):
         return entry.representation
@@ -74,4 +75,4 @@ def representation(bsdf: xr.Dataset) -> Representation:
 
 
 def _same_objects(one: Mapping[Hashable, object], other: Mapping[Hashable, object]) -> bool:
-    return one.keys() == other.keys() and all(value is other[name] for name, value in one.items())
+    return one.keys() == other.keys() and all(map(is_, one.values(), map(other.__getitem__, one)))
