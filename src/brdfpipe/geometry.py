@@ -43,7 +43,8 @@ def half_vector(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
 
     Parameters
     ----------
-    theta_i, phi_i, theta_o, phi_o : degree, broadcastable; both directions on the same side, 0 <= θ <= 90
+    theta_i, phi_i, theta_o, phi_o : degree, broadcastable; both directions on the same side, 0 <= θ <= 90. Numbers give numbers, which
+        take a fraction of the time of arrays
 
     Notes
     -----
@@ -61,7 +62,7 @@ def half_vector(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
     normal = cos_i + cos_o
     normal *= normal
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope_squared = np.asarray(tangential / normal)
+        slope_squared = tangential / normal
     cos_zeta = np.minimum(np.sqrt(tangential + normal) / 2, 1.0)
     return HalfVector(slope_squared, cos_zeta, cos_i, sin_i, cos_o, sin_o)
 

@@ -85,7 +85,7 @@ class Microsurface:
             return attenuation(pair, phi_i, phi_o, self.liu) / (pair.cos_i * pair.cos_o)
         if self.isotropic and pair.cos_i.size == pair.cos_o.size == 1:
             # One call for both directions takes half the time.
-            cos, sin = np.stack([pair.cos_i, pair.cos_o]), np.stack([pair.sin_i, pair.sin_o])
+            cos, sin = np.array([pair.cos_i, pair.cos_o]), np.array([pair.sin_i, pair.sin_o])
             excess_i, excess_o = self.excess(cos, sin, 0.0)
         else:
             excess_i, excess_o = self.excess(pair.cos_i, pair.sin_i, phi_i), self.excess(pair.cos_o, pair.sin_o, phi_o)

@@ -103,12 +103,16 @@ class Model:
     def isotropic(self) -> bool:
         return self.albedo.phi is None
 
-    @property
+    @cached_property
     def _width(self) -> int:
         return max(field.shape[-1] for field in (self.n, self.diffuse, self.compensation))
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF or BTDF in sr⁻¹, (directions…, wavelength)."""
+        if theta_i.shape == theta_o.shape == () and theta_i < 90 and theta_o < 90:
+            # As numbers, which take a fraction of the time of arrays.
+            brdf = self._reflected(theta_i[()], phi_i[()], theta_o[()], phi_o[()])
+            return brdf if brdf.shape == (self._width,) else np.full(self._width, brdf)
         angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
         shape = angles[0].shape
         flat = [angle.reshape(-1) for angle in angles]
@@ -116,9 +120,6 @@ class Model:
             return self._compiled(flat).reshape(*shape, self._width)
         in_above, out_above = flat[0] < 90, flat[2] < 90
         above = in_above & out_above
-        if flat[0].size == 1 and above[0]:
-            brdf = self._reflected(*flat)
-            return np.full((*shape, self._width), brdf)
         result = (np.empty if above.all() else np.zeros)((flat[0].size, self._width))
         self._fill(result, above, self._reflected, flat)
         if self.transparent:
@@ -146,7 +147,7 @@ class Model:
         assert self.surface is not None
         n, k = np.broadcast_arrays(self.n, self.k)
         of_index = n.size if n.size == 1 else self._width
-        base = self.diffuse / (np.pi * (1 - self.mean_albedo)) if self.diffuse.any() else np.zeros(1)
+        base = self._base_brdf if self._has_base else np.zeros(1)
         returned = self.compensation / (np.pi * max(1 - self.mean_furnace, 1e-300))
         shading = kernel.Shading(
             np.full(of_index, n),
@@ -154,7 +155,7 @@ class Model:
             np.full(self._width, base),
             np.full(self._width, returned),
             absorbs=bool(k.any()),
-            has_base=bool(self.diffuse.any()) and self.second is None,
+            has_base=self._has_base and self.second is None,
             has_returned=self.furnace is not None and self.second is None,
         )
         tables = kernel.tables_of(self.surface, self.masking, self.albedo, self.furnace)
@@ -186,26 +187,37 @@ class Model:
             result[where] = target
 
     def _reflected(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
-        brdf = np.zeros((1, 1))
+        """BRDF of directions above the surface, (directions…, wavelength or 1)."""
+        brdf = np.zeros((1,) * (np.ndim(theta_i) + 1))
         cos_o: Array | None = None
         if self.surface is not None:
             pair = half_vector(theta_i, phi_i, theta_o, phi_o)
             cos_o = pair.cos_o
-            reflectance = self._reflectance(pair.cos_zeta[:, None])
-            brdf = self.surface.reflected(pair, phi_i, phi_o, self.masking)[:, None] * reflectance
+            reflectance = self._reflectance(pair.cos_zeta[..., None])
+            brdf = self.surface.reflected(pair, phi_i, phi_o, self.masking)[..., None] * reflectance
         if self.second is not None:
-            brdf = brdf + self.second(theta_i, phi_i, theta_o, phi_o)
+            further = self.second(theta_i, phi_i, theta_o, phi_o)
+            brdf = brdf + (further if np.ndim(theta_i) else further[0])
         if self.furnace is not None:
             lost = (1 - self.furnace(theta_i, phi_i)) * (1 - self.furnace(theta_o, phi_o))
             brdf = brdf + self.compensation * lost / (np.pi * max(1 - self.mean_furnace, 1e-300))
-        if not self.diffuse.any():
+        if not self._has_base:
             return brdf
         if self.diffuse_mode == "crf":
             cos_o = np.cos(np.radians(theta_o)) if cos_o is None else cos_o
-            return np.asarray(brdf + self.diffuse / np.pi * (2 * cos_o / (1 + cos_o))[:, None])
-        both = self.albedo(np.concatenate([theta_i, theta_o]), np.concatenate([phi_i, phi_o]))
-        entering, leaving = 1 - both[: theta_i.size], 1 - both[theta_i.size :]
-        return np.asarray(brdf + self.diffuse / (np.pi * (1 - self.mean_albedo)) * (entering * leaving))
+            return np.asarray(brdf + self.diffuse / np.pi * (2 * cos_o / (1 + cos_o))[..., None])
+        both = self.albedo(np.array([theta_i, theta_o]).reshape(-1), np.array([phi_i, phi_o]).reshape(-1))
+        entering, leaving = (1 - both).reshape(2, *np.shape(theta_i), -1)
+        return np.asarray(brdf + self._base_brdf * (entering * leaving))
+
+    @cached_property
+    def _has_base(self) -> bool:
+        return bool(self.diffuse.any())
+
+    @cached_property
+    def _base_brdf(self) -> Array:
+        """BRDF of the coupled base where all light enters and leaves [sr-1]."""
+        return np.asarray(self.diffuse / (np.pi * (1 - self.mean_albedo)))
 
     @cached_property
     def _reflectance(self) -> Callable[[Array], Array]:
