@@ -16,10 +16,10 @@ import xarray as xr
 from brdfpipe.bsdf.microfacet.energy import AlbedoTable
 from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.facets.planar_density import Ellipse
-from brdfpipe.geometry import Array
+from brdfpipe.geometry import Array, as_numbers
 
 OfDirections: TypeAlias = Callable[[Array, Array, Array, Array], Array]
-"""θ_i, φ_i, θ_o, φ_o [degree], (directions,) each, to values (directions, wavelength)"""
+"""θ_i, φ_i, θ_o, φ_o [degree], (directions,) each or one number, to values (directions…, wavelength)"""
 
 _WIDTH = 0.1  # of the slopes of a surface without facets, whose reflectance hardly depends on it
 _VALUES_AT_ONCE = 2**17  # that are computed together, to limit memory
@@ -46,10 +46,11 @@ class CoupledBase(NamedTuple):
         return cls(table, spectral("mean_albedo"), spectral("diffuse"))
 
     def brdf(self, theta_i: Array, theta_o: Array, phi_i: Array | float = 0.0, phi_o: Array | float = 0.0) -> Array:
-        """Of the light from the base [sr-1], (directions, wavelength); both directions above the surface, azimuths for one with a lay."""
+        """Of the light from the base [sr-1], (directions…, wavelength); both directions above the surface, azimuths for one with a lay."""
         if not self.diffuse.any():
-            return np.zeros((1, 1))
-        entering, leaving = 1 - self.albedo(theta_i, phi_i), 1 - self.albedo(theta_o, phi_o)
+            return np.zeros((1,) * (np.ndim(theta_i) + 1))
+        azimuths = 0.0 if self.albedo.phi is None else np.array([phi_i, phi_o])
+        entering, leaving = 1 - self.albedo(np.array([theta_i, theta_o]), azimuths)
         return np.asarray(self.diffuse / (np.pi * (1 - self.mean_albedo)) * (entering * leaving))
 
     def total_albedo(self, theta_i: Array, phi_i: Array | float = 0.0) -> Array:
@@ -70,6 +71,9 @@ def above_surface(
     values: OfDirections, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, width: int
 ) -> Array:
     """Values of pairs of directions above the surface, in blocks, and 0 of others, (directions…, wavelength); ``width`` wavelengths."""
+    one = as_numbers(theta_i, phi_i, theta_o, phi_o)
+    if one is not None:
+        return np.broadcast_to(values(*one) if one[0] < 90 and one[2] < 90 else 0.0, width)
     angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
     flat = [np.asarray(angle, dtype=float).reshape(-1) for angle in angles]
     result = np.zeros((flat[0].size, width))

@@ -41,27 +41,45 @@ class Grid(NamedTuple):
         return (self.azimuth, *self.axes) if lay else self.axes
 
 
-def specular_angles(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> tuple[Array, Array]:
+def specular_angles(theta_i: Array, phi_i: Array | float, theta_o: Array, phi_o: Array) -> tuple[Array, Array]:
     """θ_s and φ_s of outgoing directions [degree]."""
     towards_normal, across, mirror = _mirror_frame(theta_i, phi_i)
-    away = unit_vector(theta_o, phi_o) - mirror
-    theta_s = 2 * np.degrees(np.arcsin(np.clip(np.linalg.norm(away, axis=-1) / 2, 0.0, 1.0)))
-    phi_s = np.degrees(np.arctan2((away * across).sum(axis=-1), (away * towards_normal).sum(axis=-1)))
-    return theta_s, phi_s
+    (x, y, z), (mirror_x, mirror_y, mirror_z) = _components(theta_o, phi_o), mirror
+    away = x - mirror_x, y - mirror_y, z - mirror_z
+    theta_s = 2 * np.degrees(np.arcsin(np.minimum(np.sqrt(_dot(away, away)) / 2, 1.0)))
+    return theta_s, np.degrees(np.arctan2(_dot(away, across), _dot(away, towards_normal)))
 
 
-def from_mirror(theta_i: Array, phi_i: Array, theta_s: Array, phi_s: Array) -> tuple[Array, Array]:
+def from_mirror(theta_i: Array, phi_i: Array | float, theta_s: Array, phi_s: Array) -> tuple[Array, Array]:
     """θ_o and φ_o of directions about the mirror direction [degree]."""
     towards_normal, across, mirror = _mirror_frame(theta_i, phi_i)
-    x, y, z = (component[..., None] for component in np.moveaxis(unit_vector(theta_s, phi_s), -1, 0))
-    return angles_of(x * towards_normal + y * across + z * mirror)
+    x, y, z = _components(theta_s, phi_s)
+    along_x, along_y, along_z = (x * a + y * b + z * c for a, b, c in zip(towards_normal, across, mirror, strict=True))
+    theta_o = np.degrees(np.arctan2(np.hypot(along_x, along_y), along_z))
+    return theta_o, np.degrees(np.arctan2(along_y, along_x))
 
 
-def _mirror_frame(theta_i: Array, phi_i: Array) -> tuple[Array, Array, Array]:
+_Vector = tuple[Array, Array, Array]
+"""Components along x, y and z: of arrays or of numbers, which take a fraction of their time"""
+
+
+def _components(theta: Array, phi: Array | float) -> _Vector:
+    """Unit vectors of directions in degree."""
+    theta, phi = np.radians(theta), np.radians(phi)
+    sine = np.sin(theta)
+    return sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)
+
+
+def _dot(a: _Vector, b: _Vector) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _mirror_frame(theta_i: Array, phi_i: Array | float) -> tuple[_Vector, _Vector, _Vector]:
     """Unit vectors towards the normal, across the plane of incidence, and along the mirror direction."""
-    mirror = unit_vector(theta_i, phi_i + 180)
-    towards_normal = -unit_vector(theta_i + 90, phi_i + 180)
-    return towards_normal, np.cross(mirror, towards_normal), mirror
+    mirror = x, y, z = _components(theta_i, phi_i + 180)
+    u, v, w = _components(theta_i + 90, phi_i + 180)
+    towards_normal = u, v, w = -u, -v, -w
+    return towards_normal, (y * w - z * v, z * u - x * w, x * v - y * u), mirror
 
 
 def half_angles(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Mapping[str, Array]:

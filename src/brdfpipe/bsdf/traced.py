@@ -112,12 +112,12 @@ def build(
         "band": surface.attrs["band"],
     }
     table = TracedTable.of(bsdf)
-    n, k = np.atleast_1d(n), np.atleast_1d(k)
+    colour = table.colour(np.atleast_1d(n), np.atleast_1d(k))
 
     def reflectance(theta_i: float, half_angle: float = 180.0) -> Array:
         at = min(theta_i, 89.99)
         return around_mirror_direction(
-            lambda i, azimuth_i, o, azimuth_o: table.brdf(i, azimuth_i, o, azimuth_o, n, k), at, slope, half_angle
+            lambda i, azimuth_i, o, azimuth_o: table.brdf(i, azimuth_i, o, azimuth_o, colour), at, slope, half_angle
         )
 
     bsdf = with_base(

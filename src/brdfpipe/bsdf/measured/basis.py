@@ -91,6 +91,51 @@ class PSpline:
             total += (matrix @ own) * (wave * (odd if k % 2 else even))[:, None]
         return total
 
+    def windows(self, coefficient: Array) -> tuple[Array, ...]:
+        """Coefficients (terms, any) as :meth:`sum_of_one` needs them: (span, four splines of each harmonic, any) of each block."""
+        windows = []
+        for _, _, terms, knots in self._blocks:
+            spline = np.arange(knots.size - 2 * _DEGREE - 1)[:, None] + np.arange(_DEGREE + 1)
+            chosen = np.moveaxis(terms[:, spline], 1, 0).reshape(len(spline), -1)
+            windows.append(np.where(chosen[..., None] >= 0, coefficient[chosen], 0.0))
+        return *windows, coefficient[-len(_GRAZING) :]
+
+    def sum_of_one(
+        self, windows: tuple[Array, ...], theta: Array, phi: Array, cosine: Array, even: Array, odd: Array
+    ) -> Array:
+        """:meth:`sums` at one direction, (any,); angles and weights are numbers."""
+        t, azimuth = float(np.arcsinh(theta / self.scale)), np.radians(phi)
+        total: Array = np.exp(-np.maximum(cosine, 0.0) / np.array(_GRAZING)) @ windows[-1] * even
+        for (orders, sines, _, knots), window in zip(self._blocks, windows, strict=False):
+            first, splines = _nonzero_splines(knots, t)
+            waves = np.cos(orders * azimuth)
+            if sines.any():
+                waves[sines] = np.sin(orders[sines] * azimuth)
+            waves *= even if even == odd else np.where(orders % 2, odd, even)
+            total += (waves[:, None] * splines).reshape(-1) @ window[first]
+        return total
+
+    @cached_property
+    def _blocks(self) -> list[tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64], Array]]:
+        """Of the harmonics with all knots, and of the others: k, whether it is a sine, the term of each spline (harmonic, spline) or −1 for
+        none, and the knots.
+        """
+        orders = np.concatenate(
+            [np.arange(self.harmonics + 1), np.arange(1, 1 if self.symmetric else self.harmonics + 1)]
+        )
+        starts = np.concatenate([[0], np.cumsum([self._radial(k, np.zeros(1)).shape[1] for k in orders])])
+        blocks = []
+        for fine in (True, False):
+            places = np.flatnonzero(np.isin(orders, _FINE) == fine)
+            knots, k = self._knots(fine), orders[places]
+            spline = np.arange(knots.size - _DEGREE - 1)
+            # The first two splines of k = 0 are one function; the first splines of others are left out.
+            without = np.clip(k, 1, 3)[:, None]
+            terms = starts[places][:, None] + np.maximum(spline - without, 0)
+            terms[(spline < without) & (k > 0)[:, None]] = -1
+            blocks.append((k, places > self.harmonics, terms, knots))
+        return blocks
+
     def roughness(self, theta: Array, phi: Array) -> Array:
         """Rows D (any, terms); the cells at ϑ and φ do not matter to this basis."""
         t, weight = panel_rule(self.edges, 4)
@@ -125,13 +170,17 @@ class PSpline:
         # The slopes at 0 of the first two cancel.
         return np.concatenate([splines[:, :1] + splines[:, 1:2], splines[:, 2:]], axis=1)
 
+    def _knots(self, fine: bool) -> Array:
+        """Of the splines, with the ends fourfold."""
+        edges = np.asarray(self.edges)[:: 1 if fine else 2]
+        return np.concatenate([edges[:1].repeat(_DEGREE), edges, edges[-1:].repeat(_DEGREE)])
+
     def _splines(self, fine: bool, t: Array, derivative: int = 0) -> csr_array:
         from scipy.interpolate import BSpline
         from scipy.sparse import csr_array
 
-        edges = np.asarray(self.edges)[:: 1 if fine else 2]
-        knots = np.concatenate([edges[:1].repeat(_DEGREE), edges, edges[-1:].repeat(_DEGREE)])
-        inside = np.minimum(t, edges[-1])
+        knots = self._knots(fine)
+        inside = np.minimum(t, knots[-1])
         if derivative == 0:
             return BSpline.design_matrix(inside, knots, _DEGREE)
         return csr_array(BSpline(knots, np.eye(knots.size - _DEGREE - 1), _DEGREE)(inside, derivative))
@@ -175,6 +224,17 @@ class Keldysh:
         weight = np.where(self.harmonic % 2, odd[:, None], even[:, None])
         return (self.rows(theta, phi, cosine) * weight) @ coefficient
 
+    def windows(self, coefficient: Array) -> tuple[Array, ...]:
+        """Coefficients (terms, any) as :meth:`sum_of_one` needs them."""
+        return (coefficient,)
+
+    def sum_of_one(
+        self, windows: tuple[Array, ...], theta: Array, phi: Array, cosine: Array, even: Array, odd: Array
+    ) -> Array:
+        """See :meth:`PSpline.sum_of_one`."""
+        one, two, three, four, five = (np.reshape(part, 1) for part in (theta, phi, cosine, even, odd))
+        return np.asarray(self.sums(windows[0], one, two, three, four, five)[0])
+
     def roughness(self, theta: Array, phi: Array) -> Array:
         """√Ω ∇F on the cells, Ω their Voronoi solid angles: ∇ = e_ϑ ∂_ϑ + e_φ (1/sin ϑ) ∂_φ, per radian."""
         value, slope = self._radial(theta)
@@ -204,6 +264,22 @@ class Keldysh:
         k, sine = azimuthal.T
         angle = np.radians(np.asarray(phi, dtype=float))[:, None] * k - np.where(sine, np.pi / 2, 0.0)
         return np.cos(angle)[:, which.ravel()], (-k * np.sin(angle))[:, which.ravel()]
+
+
+def _nonzero_splines(knots: Array, t: float) -> tuple[int, Array]:
+    """First of the cubic B-splines that are not 0 at a place within the knots, and the values of these four (de Boor)."""
+    t = min(t, float(knots[-1]))
+    last = min(int(knots.searchsorted(t, side="right")), knots.size - _DEGREE - 1) - 1
+    around = knots[last - _DEGREE + 1 : last + _DEGREE + 1].tolist()
+    values = [1.0, 0.0, 0.0, 0.0]
+    for degree in range(1, _DEGREE + 1):
+        lower, values = values, [0.0] * (_DEGREE + 1)
+        for n in range(degree):
+            above, below = around[_DEGREE + n], around[_DEGREE + n - degree]
+            share = lower[n] / (above - below)
+            values[n] += share * (above - t)
+            values[n + 1] = share * (t - below)
+    return last - _DEGREE, np.array(values)
 
 
 def _grazing(cosine: Array) -> Array:

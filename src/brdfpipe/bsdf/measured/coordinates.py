@@ -27,18 +27,19 @@ def angles(about: str, theta_i: Array, theta_o: Array, phi: Array) -> tuple[Arra
     phi : azimuth of the outgoing direction from that of incidence [degree]
     """
     if about == "mirror":
-        return specular_angles(theta_i, np.zeros_like(theta_i), theta_o, phi)
+        return specular_angles(theta_i, 0.0, theta_o, phi)
     half = half_vector(theta_i, 0.0, theta_o, phi)
     with np.errstate(divide="ignore", invalid="ignore"):
         p, q = slope_towards(half, 0.0, phi)
     theta = 2 * np.degrees(np.arctan(np.sqrt(half.slope_squared)))
-    return np.nan_to_num(theta), np.nan_to_num(np.degrees(np.arctan2(-q, -p)))
+    turn = np.degrees(np.arctan2(-q, -p))
+    return (theta, turn) if np.all(np.isfinite(theta + turn)) else (np.nan_to_num(theta), np.nan_to_num(turn))
 
 
 def outgoing(about: str, theta_i: Array, theta: Array, phi: Array) -> tuple[Array, Array]:
     """Inverse of :func:`angles`: θ_o, which may exceed 90, and φ_o from the azimuth of incidence [degree]."""
     if about == "mirror":
-        return from_mirror(theta_i, np.zeros_like(theta_i), theta, phi)
+        return from_mirror(theta_i, 0.0, theta, phi)
     incoming, half = unit_vector(theta_i, np.zeros_like(theta_i)), unit_vector(theta / 2, phi)
     return angles_of(2 * (incoming * half).sum(axis=-1, keepdims=True) * half - incoming)
 

@@ -102,7 +102,10 @@ class Microsurface:
 
     def reflected(self, pair: HalfVector, phi_i: Azimuth, phi_o: Azimuth, masking: str) -> Array:
         """D G2 / (4 cos θ_i cos θ_o), the BRDF of perfectly mirroring facets [sr-1]."""
-        visible = self.visibility(pair, phi_i, phi_o, masking)
+        return self.mirrors(pair, self.visibility(pair, phi_i, phi_o, masking), phi_i, phi_o)
+
+    def mirrors(self, pair: HalfVector, visible: Array, phi_i: Azimuth, phi_o: Azimuth) -> Array:
+        """The same with a known :meth:`visibility`."""
         spread = 1 + pair.slope_squared
         spread *= spread
         return self.p22(pair, phi_i, phi_o) * spread * visible / 4

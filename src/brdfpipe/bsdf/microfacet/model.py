@@ -19,7 +19,7 @@ from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.facets.facet_dataset import radial_average
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.facets.radial_density import RadialDensity
-from brdfpipe.geometry import Array, half_vector
+from brdfpipe.geometry import Array, HalfVector, as_numbers, half_vector, tan_half
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.masking.modes import PHYSICAL_MASKINGS
 from brdfpipe.masking.smith import Smith, smith_lambda
@@ -109,9 +109,9 @@ class Model:
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF or BTDF in sr⁻¹, (directions…, wavelength)."""
-        if theta_i.shape == theta_o.shape == () and theta_i < 90 and theta_o < 90:
-            # As numbers, which take a fraction of the time of arrays.
-            brdf = self._reflected(theta_i[()], phi_i[()], theta_o[()], phi_o[()])
+        one = as_numbers(theta_i, phi_i, theta_o, phi_o)
+        if one is not None and one[0] < 90 and one[2] < 90:
+            brdf = self._reflected(*one)
             return brdf if brdf.shape == (self._width,) else np.full(self._width, brdf)
         angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
         shape = angles[0].shape
@@ -188,13 +188,23 @@ class Model:
 
     def _reflected(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF of directions above the surface, (directions…, wavelength or 1)."""
-        brdf = np.zeros((1,) * (np.ndim(theta_i) + 1))
-        cos_o: Array | None = None
-        if self.surface is not None:
-            pair = half_vector(theta_i, phi_i, theta_o, phi_o)
-            cos_o = pair.cos_o
-            reflectance = self._reflectance(pair.cos_zeta[..., None])
-            brdf = self.surface.reflected(pair, phi_i, phi_o, self.masking)[..., None] * reflectance
+        if self.surface is None:
+            return self._with_further_light(np.zeros((1,) * (np.ndim(theta_i) + 1)), theta_i, phi_i, theta_o, phi_o)
+        pair = half_vector(theta_i, phi_i, theta_o, phi_o)
+        visible = self.surface.visibility(pair, phi_i, phi_o, self.masking)
+        return self.reflected_by(pair, visible, theta_i, phi_i, theta_o, phi_o)
+
+    def reflected_by(
+        self, pair: HalfVector, visible: Array, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array
+    ) -> Array:
+        """The same of known half vectors, whose facets have a known :meth:`Microsurface.visibility`."""
+        assert self.surface is not None
+        mirrors = self.surface.mirrors(pair, visible, phi_i, phi_o)
+        once = mirrors[..., None] * self._reflectance(pair.cos_zeta[..., None])
+        return self._with_further_light(once, theta_i, phi_i, theta_o, phi_o)
+
+    def _with_further_light(self, brdf: Array, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
+        """A BRDF with the light that facets reflect more than once, and that of the base."""
         if self.second is not None:
             further = self.second(theta_i, phi_i, theta_o, phi_o)
             brdf = brdf + (further if np.ndim(theta_i) else further[0])
@@ -204,7 +214,7 @@ class Model:
         if not self._has_base:
             return brdf
         if self.diffuse_mode == "crf":
-            cos_o = np.cos(np.radians(theta_o)) if cos_o is None else cos_o
+            cos_o = 2 / (1 + tan_half(theta_o) ** 2) - 1
             return np.asarray(brdf + self.diffuse / np.pi * (2 * cos_o / (1 + cos_o))[..., None])
         both = self.albedo(np.array([theta_i, theta_o]).reshape(-1), np.array([phi_i, phi_o]).reshape(-1))
         entering, leaving = (1 - both).reshape(2, *np.shape(theta_i), -1)

@@ -154,11 +154,13 @@ class Diffraction(NamedTuple):
     def brdf(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array, n: Array, k: Array
     ) -> Array:
-        """Of the diffracted light [sr-1], (directions, wavelength); both directions above the surface."""
+        """Of the diffracted light [sr-1], (directions…, wavelength); both directions above the surface."""
         pair = half_vector(theta_i, phi_i, theta_o, phi_o)
         phase, row, column, sampled = self._position(pair, wavelength)
         spectrum = np.exp(self.spline.ev(row, column)) * phase**2
-        return np.where(sampled, fresnel(pair.cos_zeta[:, None], n, k).mean * spectrum / (wavelength * 1e-3) ** 2, 0.0)
+        return np.where(
+            sampled, fresnel(pair.cos_zeta[..., None], n, k).mean * spectrum / (wavelength * 1e-3) ** 2, 0.0
+        )
 
     def brdf_u(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array, n: Array, k: Array
@@ -169,9 +171,9 @@ class Diffraction(NamedTuple):
         return relative * self.brdf(theta_i, phi_i, theta_o, phi_o, wavelength, n, k)
 
     def _position(self, pair: HalfVector, wavelength: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """q, its row and the column of f in the table, and whether the pitch of the map samples f, (directions, wavelength) each."""
-        um, cosines = wavelength * 1e-3, (pair.cos_i + pair.cos_o)[:, None]
-        phase, frequency = 2 * np.pi * cosines / um, np.sqrt(pair.slope_squared)[:, None] * cosines / um
+        """q, its row and the column of f in the table, and whether the pitch of the map samples f, (directions…, wavelength) each."""
+        um, cosines = wavelength * 1e-3, (pair.cos_i + pair.cos_o)[..., None]
+        phase, frequency = 2 * np.pi * cosines / um, np.sqrt(pair.slope_squared)[..., None] * cosines / um
         with np.errstate(divide="ignore"):
             row = np.log(phase / self.phase[0]) / np.log(self.phase[1] / self.phase[0])
         column = np.arcsinh(frequency / self.scale) / np.arcsinh(self.frequency[1] / self.scale)

@@ -12,7 +12,7 @@ from brdfpipe.bsdf.base import UNRESOLVED_SLOPE, Representation
 from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
 from brdfpipe.bsdf.microfacet.model import Model, mean_index, with_mean_index
 from brdfpipe.bsdf.spectral import per_wavelength
-from brdfpipe.geometry import Array
+from brdfpipe.geometry import Array, HalfVector
 
 _SEVERAL = ("furnace_albedo", "second_reflection")
 """Variables of light that is reflected more than once."""
@@ -34,6 +34,19 @@ class Interface(Representation):
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         return self._model(wavelength).evaluate(theta_i, phi_i, theta_o, phi_o)
+
+    def reflected_by(
+        self,
+        pair: HalfVector,
+        visible: Array,
+        theta_i: Array,
+        phi_i: Array,
+        theta_o: Array,
+        phi_o: Array,
+        wavelength: Array | None,
+    ) -> Array:
+        """As :meth:`evaluate`, above the surface, of known half vectors and visibilities of facets."""
+        return self._model(wavelength).reflected_by(pair, visible, theta_i, phi_i, theta_o, phi_o)
 
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         """Frames as in :mod:`brdfpipe.bsdf.microfacet.polarised`; NaN for light through the interface or from within it."""

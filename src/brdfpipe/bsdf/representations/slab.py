@@ -6,7 +6,9 @@ and the internal transmittance, on which alone it depends, and smoothly. So it i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -18,9 +20,8 @@ from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.bsdf.slab.lobe_table import LobeGrid, barycentric, grazing_factor
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
-from brdfpipe.geometry import Array, half_vector
-from brdfpipe.optics.fresnel_equations import fresnel as fresnel_reflectance
-from brdfpipe.optics.fresnel_equations import plate
+from brdfpipe.geometry import Array, as_numbers, half_vector
+from brdfpipe.optics.fresnel_equations import plate, reflectance_of
 
 SIDES = ("front", "back")
 
@@ -227,6 +228,9 @@ class SlabModel:
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF or BTDF in sr⁻¹, (directions…, wavelength or 1)."""
+        one = as_numbers(theta_i, phi_i, theta_o, phi_o)
+        if one is not None:
+            return self._block(one[0], one[2], np.abs(one[3] - one[1]))
         azimuth = np.abs(np.asarray(phi_o, dtype=float) - phi_i)
         angles = np.broadcast_arrays(np.asarray(theta_i, dtype=float), np.asarray(theta_o, dtype=float), azimuth)
         flat = [angle.reshape(-1) for angle in angles]
@@ -237,19 +241,25 @@ class SlabModel:
         return result.reshape(*angles[0].shape, result.shape[-1])
 
     def _block(self, theta_i: Array, theta_o: Array, azimuth: Array) -> Array:
+        """BSDF of some directions, (directions, wavelength or 1), or of one, (wavelength or 1,)."""
         behind_i, behind_o = theta_i > 90, theta_o > 90
-        polar_i, polar_o = (np.where(theta > 90, 180 - theta, theta) for theta in (theta_i, theta_o))
+        polar_i, polar_o = np.minimum(theta_i, 180 - theta_i), np.minimum(theta_o, 180 - theta_o)
         # From here on the order of the two directions is unknown, so the result is exactly reciprocal.
         low, high = np.minimum(polar_i, polar_o), np.maximum(polar_i, polar_o)
         at_front = np.where(behind_i, polar_o, polar_i)
         crossing = np.where(at_front <= low, 2, 3)
-        path = np.where(behind_i != behind_o, crossing, np.where(behind_i, 1, 0))
+        path = np.where(behind_i != behind_o, crossing, np.where(behind_i, 1, 0))[()]
         values = self.grid.interpolate(self.table, path, low, high, azimuth)
         if self.shift is not None:
             values = values + self.grid.coarser().interpolate(self.shift, path, low, high, azimuth)
         logarithm = values @ self.weights.T
         smooth = (self.surfaces[0] is None, self.surfaces[1] is None)
-        result = np.exp(logarithm) * grazing_factor(smooth, path, low, high)[:, None]
+        result = np.exp(logarithm) * grazing_factor(smooth, path, low, high)[..., None]
+        if np.ndim(low) == 0:
+            surface = self.surfaces[path] if path < 2 else None
+            if surface is not None:
+                result += self._outer_reflection(surface, self.diffuse[path], low, high, azimuth)
+            return np.asarray(result if high < 90 else np.zeros_like(result))
         for side, surface in enumerate(self.surfaces):
             of_side = path == side
             if surface is not None and of_side.any():
@@ -262,14 +272,18 @@ class SlabModel:
         self, surface: Microsurface | Wave | Microfacet, diffuse: Array, low: Array, high: Array, azimuth: Array
     ) -> Array:
         """Light that a face reflects on the outside: by its facets or waves, and diffusely what these lose."""
-        first, second = (np.maximum(barycentric(self.theta, angle) @ diffuse, 0.0) for angle in (low, high))
+        first, second = np.maximum(barycentric(self.theta, np.array([low, high])) @ diffuse, 0.0)
         if isinstance(surface, Wave | Microfacet):
-            none = np.zeros_like(low)
+            low, high, azimuth, none = np.asarray(low), np.asarray(high), np.asarray(azimuth), np.zeros(np.shape(low))
             return np.asarray(surface.evaluate(low, none, high, azimuth, self.wavelength) + first * second)
         pair = half_vector(low, 0.0, high, azimuth)
-        facets = surface.reflected(pair, 0.0, azimuth, self.masking)[:, None]
-        fresnel = fresnel_reflectance(pair.cos_zeta[:, None], self.n).mean
-        return np.asarray(facets * fresnel + first * second)
+        facets = surface.reflected(pair, 0.0, azimuth, self.masking)[..., None]
+        return np.asarray(facets * self._reflectance(pair.cos_zeta[..., None]) + first * second)
+
+    @cached_property
+    def _reflectance(self) -> Callable[[Array], Array]:
+        """Fresnel's reflectance of cosines, (…, 1), as (…, wavelength)."""
+        return reflectance_of(self.n, np.zeros(1))
 
 
 def with_waves(bsdf: xr.Dataset, side: str, waves: xr.Dataset) -> xr.Dataset:

@@ -11,7 +11,7 @@ from brdfpipe import vocabulary
 from brdfpipe.bsdf.base import Representation
 from brdfpipe.bsdf.grids import AZIMUTHS, GRIDS, Grid, layout_of
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
-from brdfpipe.geometry import Array
+from brdfpipe.geometry import Array, as_numbers
 from brdfpipe.hemisphere import panel_rule
 
 AXES = GRIDS["uniform"].axes
@@ -57,12 +57,19 @@ class Table(Representation):
 
         The two sides of the surface are interpolated separately; a side with fewer than two nodes gives 0.
         """
+        interpolators, width = self._interpolators(wavelength), self._values(wavelength).shape[-1]
+        one = as_numbers(theta_i, phi_i, theta_o, phi_o)
+        if one is not None:
+            side = interpolators.get((int(np.sign(90 - one[0])), int(np.sign(90 - one[2]))))
+            if side is None:
+                return np.zeros(width)
+            found = self._folded(self._names, self._grid.coordinates(*one))
+            return side([found[name] for name in self._names])[0]
         angles = np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)
         shape = angles[0].shape
         theta_i, phi_i, theta_o, phi_o = (np.asarray(angle, dtype=float).ravel() for angle in angles)
         coordinates = self._folded(self._names, self._grid.coordinates(theta_i, phi_i, theta_o, phi_o))
-        interpolators = self._interpolators(wavelength)
-        result = np.zeros((theta_i.size, self._values(wavelength).shape[-1]))
+        result = np.zeros((theta_i.size, width))
         for sides in _SIDES:
             selected = (sides[0] * (90 - theta_i) > 0) & (sides[1] * (90 - theta_o) > 0)
             if selected.any() and sides in interpolators:
@@ -170,10 +177,13 @@ def _linear(axes: Sequence[Array], values: Array) -> Interpolate:
     from scipy.interpolate import RegularGridInterpolator
 
     interpolate = RegularGridInterpolator(tuple(axes), values)
+    ends = [(axis[0], axis[-1]) for axis in axes]
 
     def at(coordinates: Sequence[Array]) -> Array:
-        points = [np.clip(values, axis[0], axis[-1]) for values, axis in zip(coordinates, axes, strict=True)]
-        return np.asarray(interpolate(np.stack(points, axis=-1)))
+        points = [
+            np.minimum(np.maximum(values, low), high) for values, (low, high) in zip(coordinates, ends, strict=True)
+        ]
+        return np.asarray(interpolate(np.array(points).T))
 
     return at
 

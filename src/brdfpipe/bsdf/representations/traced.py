@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from brdfpipe.bsdf.microfacet.model import mean_index
 from brdfpipe.bsdf.representations.coupled_surface import COUPLED_SURFACE, CoupledSurface
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.geometry import Array, HalfVector, half_vector, slope_towards
-from brdfpipe.optics.fresnel_equations import fresnel, mean_fresnel
+from brdfpipe.optics.fresnel_equations import mean_fresnel, reflectance_of
 
 _NODES = ("traced_incidence", "half_slope_across", "half_slope_along")
 _DENSITY = [_NODES]
@@ -49,29 +50,29 @@ class Traced(CoupledSurface):
     def __init__(self, dataset: xr.Dataset) -> None:
         super().__init__(dataset)
         self._table = TracedTable.of(dataset)
-        self._index = per_wavelength(lambda wavelength: self._index_at(wavelength))
+        self._colour = per_wavelength(self._colour_at)
 
-    def _index_at(self, wavelength: Array | None) -> tuple[Array, Array]:
+    def _colour_at(self, wavelength: Array | None) -> Colour:
         n, k = (np.atleast_1d(at_wavelengths(self.dataset[name], wavelength)) for name in ("n", "k"))
-        return n, k
+        return self._table.colour(n, k)
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
-        (n, k), base = self._index(wavelength), self._base(wavelength)
+        colour, base = self._colour(wavelength), self._base(wavelength)
         return above_surface(
-            lambda i, azimuth_i, o, azimuth_o: self._table.brdf(i, azimuth_i, o, azimuth_o, n, k) + base.brdf(i, o),
+            lambda i, azimuth_i, o, azimuth_o: self._table.brdf(i, azimuth_i, o, azimuth_o, colour) + base.brdf(i, o),
             *(theta_i, phi_i, theta_o, phi_o),
-            max(n.size, base.diffuse.size),
+            max(colour.width, base.diffuse.size),
         )
 
     def uncertainty(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
     ) -> Array:
         """Of the number of rays and of the finite map, as if the errors of neighbouring nodes were common."""
-        n, k = self._index(wavelength)
+        colour = self._colour(wavelength)
         return above_surface(
-            lambda i, azimuth_i, o, azimuth_o: self._table.uncertainty(i, azimuth_i, o, azimuth_o, n, k),
+            lambda i, azimuth_i, o, azimuth_o: self._table.uncertainty(i, azimuth_i, o, azimuth_o, colour),
             *(theta_i, phi_i, theta_o, phi_o),
-            n.size,
+            colour.width,
         )
 
     def albedo_uncertainty(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
@@ -100,6 +101,17 @@ class Traced(CoupledSurface):
     def single_reflection(self) -> xr.Dataset:
         facets = self.without_diffuse()
         return facets.assign(multiple_density=xr.zeros_like(facets["multiple_density"]))
+
+
+class Colour(NamedTuple):
+    """What depends on the index of refraction, at some wavelengths."""
+
+    reflectance: Callable[[Array], Array]
+    """Fresnel's reflectance of cosines, (…, 1), as (…, wavelength)"""
+    multiple: Array
+    """(wavelength,) mean reflectance over that with which the light reflected more than once was traced"""
+    width: int
+    """Number of wavelengths"""
 
 
 class TracedTable(NamedTuple):
@@ -134,40 +146,41 @@ class TracedTable(NamedTuple):
             float(bsdf["traced_reflectance"]),
         )
 
-    def brdf(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, n: Array, k: Array) -> Array:
-        """Of the surface [sr-1], (directions, wavelength); both directions above it."""
-        single, multiple = self._interpolated(self.density, theta_i, phi_i, theta_o, phi_o)
-        return self._scaled(single, multiple, half_vector(theta_i, phi_i, theta_o, phi_o), n, k)
+    def colour(self, n: Array, k: Array) -> Colour:
+        """What :meth:`brdf` needs of an index n + ik, (wavelength,) each."""
+        return Colour(reflectance_of(n, k), mean_fresnel(n, k) / self.traced_reflectance, n.size)
 
-    def uncertainty(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, n: Array, k: Array) -> Array:
+    def brdf(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, colour: Colour) -> Array:
+        """Of the surface [sr-1], (directions…, wavelength); both directions above it."""
+        return self._scaled(self.density, theta_i, phi_i, theta_o, phi_o, colour)
+
+    def uncertainty(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, colour: Colour) -> Array:
         """Standard uncertainty of :meth:`brdf`."""
-        single, multiple = self._interpolated(self.density_u, theta_i, phi_i, theta_o, phi_o)
-        return self._scaled(single, multiple, half_vector(theta_i, phi_i, theta_o, phi_o), n, k)
+        return self._scaled(self.density_u, theta_i, phi_i, theta_o, phi_o, colour)
 
-    def _scaled(self, single: Array, multiple: Array, pair: HalfVector, n: Array, k: Array) -> Array:
-        reflectance = fresnel(pair.cos_zeta[:, None], n, k).mean
-        colour = mean_fresnel(n, k) / self.traced_reflectance
-        return (
-            reflectance
-            * masking_over_cosines(pair, self.smith_slope)[:, None]
-            * (single[:, None] + multiple[:, None] * colour)
-        )
-
-    def _interpolated(self, density: Array, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
-        """(2, directions), mean of both directions of light."""
+    def _scaled(
+        self, density: Array, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, colour: Colour
+    ) -> Array:
+        """The mean of a density over both directions of light, times the factors of :class:`Traced`."""
         pair = half_vector(theta_i, phi_i, theta_o, phi_o)
         p, q = slope_towards(pair, phi_i, phi_o)
-        result = np.zeros((2, theta_i.size))
-        for theta, phi in ((theta_i, phi_i), (theta_o, phi_o)):
-            cos, sin = np.cos(np.radians(phi)), np.sin(np.radians(phi))
-            node = np.interp(theta, self.incidence, np.arange(self.incidence.size))
-            across, along = (
-                (np.arcsinh(slope / self.width) - first) / self.step
-                for slope, first in zip((np.abs(q * cos - p * sin), p * cos + q * sin), self.first, strict=True)
-            )
-            for part in range(2):
-                result[part] += map_coordinates(density[part], [node, across, along], order=1, mode="nearest") / 2
-        return result
+        turn = np.radians(np.array([phi_i, phi_o]))
+        cos, sin = np.cos(turn), np.sin(turn)
+        place = np.empty((3, *turn.shape))
+        place[0] = np.interp(np.array([theta_i, theta_o]), self.incidence, np.arange(self.incidence.size))
+        place[1], place[2] = (
+            (np.arcsinh(slope / self.width) - first) / self.step
+            for slope, first in zip((np.abs(q * cos - p * sin), p * cos + q * sin), self.first, strict=True)
+        )
+        single, multiple = (
+            forward / 2 + backward / 2
+            for forward, backward in (map_coordinates(part, place, order=1, mode="nearest") for part in density)
+        )
+        return np.asarray(
+            colour.reflectance(pair.cos_zeta[..., None])
+            * masking_over_cosines(pair, self.smith_slope)[..., None]
+            * (single[..., None] + multiple[..., None] * colour.multiple)
+        )
 
 
 def masking_over_cosines(pair: HalfVector, slope: float) -> Array:
@@ -178,7 +191,8 @@ def masking_over_cosines(pair: HalfVector, slope: float) -> Array:
     ]
     # cos_i cos_o (1 + Λ_i + Λ_o)
     both = over[0] * pair.cos_o + pair.cos_i * over[1] - pair.cos_i * pair.cos_o
-    return np.asarray((1 + pair.slope_squared) ** 2 / (4 * np.maximum(both, 1e-300)))
+    mirrored: Array = (1 + pair.slope_squared) ** 2 / (4 * np.maximum(both, 1e-300))
+    return mirrored
 
 
 def _cosine_lambda(cosine: Array, sine: Array, slope: float) -> Array:

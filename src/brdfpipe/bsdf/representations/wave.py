@@ -15,7 +15,7 @@ from brdfpipe.bsdf.microfacet.microsurface import NOT_PHYSICAL, Microsurface
 from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.bsdf.wave.two_scale import Angles, RoughSurface
-from brdfpipe.geometry import Array
+from brdfpipe.geometry import Array, as_numbers
 from brdfpipe.optics.fresnel_equations import fresnel
 
 _MIXTURE_NODES = 8
@@ -111,6 +111,13 @@ class Wave(Representation):
         )
 
     def evaluate(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
+        one = as_numbers(theta_i, phi_i, theta_o, phi_o)
+        if one is not None:
+            at = self._spectral(wavelength)
+            if not (one[0] < 90 and one[2] < 90):
+                return np.zeros(1 if at.mixture is not None else at.wavelength.size)
+            surface = at.mixed(self._surface.of_pairs(one, at.wavelength, at.n, at.k))
+            return surface + at.base.brdf(one[0], one[2], one[1], one[3])
         at, shape, angles = self._prepared(theta_i, phi_i, theta_o, phi_o, wavelength)
         brdf = at.mixed(self._surface.evaluate(angles, at.wavelength, at.n, at.k)) + self._base(at, angles)
         return brdf.reshape(*shape, -1)

@@ -68,11 +68,11 @@ class LobeGrid(NamedTuple):
         return np.asarray(np.degrees(2 * np.sqrt(np.sin(np.radians(low)) * np.sin(np.radians(high)))))
 
     def interpolate(self, table: Array, path: Array, low: Array, high: Array, azimuth: Array) -> Array:
-        """Values of a table (paths, X, T, V, nodes) at pairs, (D, nodes).
+        """Values of a table (paths, X, T, V, nodes) at pairs, (D, nodes), or at one, (nodes,).
 
         Parameters
         ----------
-        path : (D,) which of the paths
+        path : (D,) which of the paths, or one number like the angles
         low, high : (D,) degree, low <= high
         azimuth : (D,) degree between the two; the ridge is at 180, the azimuth of mirrored and of straight light
         """
@@ -82,8 +82,8 @@ class LobeGrid(NamedTuple):
         stretch = np.arcsinh(across / self.scale)
         sine = np.abs(np.cos(np.radians(azimuth) / 2))
         with np.errstate(divide="ignore", invalid="ignore"):
-            turn = np.where(across > 1e-9, np.arcsinh(across * sine / self.scale) / stretch, sine)
-        i = np.clip(np.searchsorted(self.low, low, side="right") - 1, 0, self.low.size - 2)
+            turn = np.where(across > 1e-9, np.arcsinh(across * sine / self.scale) / stretch, sine)[()]
+        i = np.minimum(self.low.searchsorted(low, side="right") - 1, self.low.size - 2)
         w_i = (low - self.low[i]) / (self.low[i + 1] - self.low[i])
         j, w_j = _cell(along, reach, self.spans)
         k, w_k = _cell(turn, stretch, self.turns)
@@ -91,22 +91,24 @@ class LobeGrid(NamedTuple):
         for a, u in ((i, 1 - w_i), (i + 1, w_i)):
             for b, v in ((j, 1 - w_j), (j + 1, w_j)):
                 for c, w in ((k, 1 - w_k), (k + 1, w_k)):
-                    result = result + table[path, a, b, c] * (u * v * w)[:, None]
+                    result = result + table[path, a, b, c] * (u * v * w)[..., None]
         return np.asarray(result)
 
 
 def _cell(position: Array, stretch: Array, nodes: int) -> tuple[Array, Array]:
     """The cell of a stretched position, and the weight of its upper end: linear in the square of the distance."""
-    fractional = np.clip(position, 0.0, 1.0) * (nodes - 1)
+    fractional = np.minimum(np.maximum(position, 0.0), 1.0) * (nodes - 1)
     cell = np.minimum(fractional.astype(np.intp), nodes - 2)
     first, last, at = (np.sinh(node / (nodes - 1) * stretch) ** 2 for node in (cell, cell + 1, fractional))
     with np.errstate(divide="ignore", invalid="ignore"):
         weight = (at - first) / (last - first)
-    return cell, np.where(last > first, weight, fractional - cell)
+    return cell, np.where(last > first, weight, fractional - cell)[()]
 
 
 def grazing_factor(smooth: tuple[bool, bool], path: Array, low: Array, high: Array) -> Array:
     """Factor by which a table is divided: cos θ at a smooth face, where light from inside vanishes at grazing; 1 at a rough face."""
+    if not any(smooth):
+        return np.ones(np.shape(low))
     at_smooth = np.array(smooth)[np.array(PATH_ENDS)][path]
     first, second = (np.where(at_smooth[..., k], np.cos(np.radians(t)), 1.0) for k, t in enumerate((low, high)))
     return np.asarray(np.maximum(first * second, 0.0))

@@ -19,7 +19,7 @@ Scattering from Rough Surfaces, ch. 5.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -91,8 +91,8 @@ def amplitudes(pair: HalfVector, azimuth: Array, n: Array, k: Array) -> Amplitud
     absorbing = bool(np.any(k))
     index = n + 1j * k if absorbing else n
     contrast, epsilon = (index - 1) * (index + 1), index * index
-    cos_i, cos_o, sin_i, sin_o = (part[:, None] for part in (pair.cos_i, pair.cos_o, pair.sin_i, pair.sin_o))
-    turned = np.radians(180 - azimuth)[:, None]
+    cos_i, cos_o, sin_i, sin_o = (part[..., None] for part in (pair.cos_i, pair.cos_o, pair.sin_i, pair.sin_o))
+    turned = np.radians(180 - azimuth)[..., None]
     cos, sin = np.cos(turned), np.sin(turned)
     root_i, root_o = _root(contrast, cos_i, absorbing), _root(contrast, cos_o, absorbing)
     s_i, s_o = 1 / (cos_i + root_i + _TINY), 1 / (cos_o + root_o + _TINY)
@@ -198,8 +198,8 @@ class Halo:
     def strength_and_transform(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> tuple[Array, Array]:
         """BRDF over the polarisation factor [sr-1], and K/λ² [1], (directions, wavelength) each."""
         nm, cosines = wavelength * 1e-3, pair.cos_i + pair.cos_o
-        ratio = self._looked_up("transform", pair, azimuths, wavelength) / nm**2
-        geometry = (4 * np.pi * self.sigma / nm) ** 2 * (pair.cos_i * pair.cos_o)[:, None]
+        ratio = self._looked_up(("transform",), pair, azimuths, wavelength)[0] / nm**2
+        geometry = (4 * np.pi * self.sigma / nm) ** 2 * (pair.cos_i * pair.cos_o)[..., None]
         return geometry * ratio, self.phase_variance(cosines, wavelength) * ratio
 
     def by_order(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array, tilted: Array) -> tuple[Array, Array]:
@@ -208,14 +208,15 @@ class Halo:
         Both ways to reflect add as amplitudes do.
         ``tilted`` is what reflects as tilted facets over what ``ghs`` gives, (directions,).
         """
-        ratio = self._looked_up("transform", pair, azimuths, wavelength)
         if self.first_order is None:
+            (ratio,) = self._looked_up(("transform",), pair, azimuths, wavelength)
             return self._strength(ratio, pair, wavelength), np.zeros_like(ratio)
-        first = np.minimum(self._looked_up("first order", pair, azimuths, wavelength), 1.0)
+        ratio, first = self._looked_up(("transform", "first order"), pair, azimuths, wavelength)
+        first = np.minimum(first, 1.0)
         cosines = pair.cos_i + pair.cos_o
         # Amplitudes, over that of `ghs`, of both ways to reflect.
-        low = first if self.form == "ghs" else first * (2 * np.sqrt(pair.cos_i * pair.cos_o) / cosines)[:, None]
-        high = (1 - first) * np.sqrt(tilted)[:, None]
+        low = first if self.form == "ghs" else first * (2 * np.sqrt(pair.cos_i * pair.cos_o) / cosines)[..., None]
+        high = (1 - first) * np.sqrt(tilted)[..., None]
         scale = (low + high) * ratio * self.phase_variance(cosines, wavelength) / (wavelength * 1e-3) ** 2
         return low * scale, high * scale
 
@@ -224,44 +225,49 @@ class Halo:
 
         ``azimuths`` are φ_i and φ_o [degree], (directions,) each; they matter for a surface with a lay.
         """
-        return self._strength(self._looked_up("transform", pair, azimuths, wavelength), pair, wavelength)
+        return self._strength(self._looked_up(("transform",), pair, azimuths, wavelength)[0], pair, wavelength)
 
     def first_strength(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> Array:
         """The same as the phase variance tends to 0, without its loss to higher orders."""
-        return self._strength(self._looked_up("spectrum", pair, azimuths, wavelength), pair, wavelength)
+        return self._strength(self._looked_up(("spectrum",), pair, azimuths, wavelength)[0], pair, wavelength)
 
     def _strength(self, ratio: Array, pair: HalfVector, wavelength: Array) -> Array:
         # 16π²σ²γ_iγ_o/λ⁴ · K/g, which has no quotient of small cosines.
         geometry = (pair.cos_i + pair.cos_o) ** 2 / 4 if self.form == "ghs" else pair.cos_i * pair.cos_o
-        scale = (4 * np.pi * self.sigma) ** 2 * geometry[:, None] / (wavelength * 1e-3) ** 4
+        scale = (4 * np.pi * self.sigma) ** 2 * geometry[..., None] / (wavelength * 1e-3) ** 4
         return np.asarray(scale * ratio)
 
-    def _looked_up(self, what: str, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> Array:
-        """K/g [um2] (``transform``), its limit as g tends to 0 (``spectrum``), or the share of ``first order`` [1], (directions, wavelength)."""
+    def _looked_up(self, tables: Sequence[str], pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> list[Array]:
+        """K/g [um2] (``transform``), its limit as g tends to 0 (``spectrum``), or the share of ``first order`` [1], (directions…, wavelength) each."""
         cosines, place, column = pair.cos_i + pair.cos_o, [], np.empty(0)
         if self.stretch is None:
             slope = np.sqrt(pair.slope_squared)
         else:
             slope, around = self.stretch(*slope_towards(pair, *azimuths))
             column = around * (self.spline.shape[2] - 2 * _WRAPPED) / 180 + _WRAPPED
-            place = [np.repeat(column[:, None], wavelength.size, axis=1)]
-        frequency = (slope * cosines)[:, None] / (wavelength * 1e-3)
-        what = "spectrum" if what == "transform" and self.form == "rayleigh-rice" else what
-        if what == "spectrum" and self.form == "rayleigh-rice" and self.spectrum is not None:
-            return self.spectrum(frequency)
+            place = [np.repeat(column[..., None], wavelength.size, axis=-1)]
+        frequency = (slope * cosines)[..., None] / (wavelength * 1e-3)
+        limit = self.form == "rayleigh-rice" or tables == ("spectrum",)
+        if self.form == "rayleigh-rice" and self.spectrum is not None:
+            return [self.spectrum(frequency)]
+        with np.errstate(divide="ignore"):
+            log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)
         if self.compiled:
-            with np.errstate(divide="ignore"):
-                log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)
-            return self._compiled_lookups[what](slope * cosines, log_phase, wavelength, column)
-        place = [np.arcsinh(frequency / self.scale) / self.frequency_step, *place]
-        if what == "spectrum":
-            row = np.zeros_like(frequency)
-        else:
-            with np.errstate(divide="ignore"):
-                log_phase = 2 * np.log(2e3 * np.pi * self.sigma * cosines)[:, None] - 2 * np.log(wavelength)
-            row = np.maximum((log_phase - self.first_phase) / self.phase_step, 0.0)
-        values = self.first_order if what == "first order" and self.first_order is not None else self.spline
-        return np.exp(map_coordinates(values, [row, *place], order=3, mode="mirror", prefilter=False))
+            lookups = (self._compiled_lookups["spectrum" if limit else table] for table in tables)
+            return [lookup(slope * cosines, log_phase, wavelength, column) for lookup in lookups]
+        row = np.zeros_like(frequency)
+        if not limit:
+            row = np.maximum((log_phase[..., None] - 2 * np.log(wavelength) - self.first_phase) / self.phase_step, 0.0)
+        at = np.array([row, np.arcsinh(frequency / self.scale) / self.frequency_step, *place])
+        return [
+            np.exp(map_coordinates(values, at, order=3, mode="mirror", prefilter=False))
+            for values in (self._first_order if table == "first order" else self.spline for table in tables)
+        ]
+
+    @property
+    def _first_order(self) -> Array:
+        assert self.first_order is not None
+        return self.first_order
 
     @cached_property
     def _compiled_lookups(self) -> dict[str, Callable[[Array, Array, Array, Array], Array]]:

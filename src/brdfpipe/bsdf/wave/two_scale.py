@@ -97,7 +97,7 @@ def facet_share_at(sigma: float, slope: float, passage: float, cosines: Array, w
 def rising_step(value: Array, limits: tuple[float, float]) -> Array:
     """A smooth step from 0 to 1 in the logarithm, between two limits."""
     with np.errstate(divide="ignore"):
-        x = np.clip(np.log(value / limits[0]) / np.log(limits[1] / limits[0]), 0.0, 1.0)
+        x = np.minimum(np.maximum(np.log(value / limits[0]) / np.log(limits[1] / limits[0]), 0.0), 1.0)
     return np.asarray(x * x * (3 - 2 * x))
 
 
@@ -148,8 +148,13 @@ class Relief:
 
     def tilted(self, pair: HalfVector, azimuths: Azimuths) -> Array:
         """G2 q²/(4γ_iγ_o cos⁴α), (directions,): what reflects as tilted facets, over what reflects as the mean plane does."""
-        visible = self.surface.visibility(pair, *azimuths, self.masking)
-        return np.asarray(((1 + pair.slope_squared) * (pair.cos_i + pair.cos_o)) ** 2 * visible / 4)
+        return tilted_share(pair, self.surface.visibility(pair, *azimuths, self.masking))
+
+
+def tilted_share(pair: HalfVector, visible: Array) -> Array:
+    """The same of facets of a known visibility G2/(γ_iγ_o), (directions,)."""
+    share: Array = ((1 + pair.slope_squared) * (pair.cos_i + pair.cos_o)) ** 2 * visible / 4
+    return share
 
 
 def mirror_lobe(surface: Microsurface, fine: Halo, angles: Angles, wavelength: float) -> Array:
@@ -188,7 +193,7 @@ class EnergyClosure(NamedTuple):
         return cls(*(bsdf[name].values for name in ("halo_closure", "coherent_loss", "closure_wavelength")))
 
     def of_halo(self, cosine: Array, wavelength: Array) -> Array:
-        """The factor [1], (directions, wavelength), of cosines (directions,) at wavelengths [nm]."""
+        """The factor [1], (directions…, wavelength), of cosines (directions…) at wavelengths [nm]."""
         return self._between(self.factor, cosine, wavelength, 1)
 
     def coherent_share(self, cosine: Array, wavelength: Array) -> Array:
@@ -197,9 +202,9 @@ class EnergyClosure(NamedTuple):
         return np.exp(-loss * cosine[:, None] / (wavelength * 1e-3) ** 2)
 
     def _between(self, values: Array, cosine: Array, wavelength: Array, order: Literal[1, 3]) -> Array:
-        row = closure_place(cosine, values.shape[0])
-        column = np.interp(wavelength, self.wavelength, np.arange(self.wavelength.size))
-        place = [np.repeat(row[:, None], column.size, axis=1), np.repeat(column[None, :], row.size, axis=0)]
+        place = np.empty((2, *cosine.shape, wavelength.size))
+        place[0] = closure_place(cosine, values.shape[0])[..., None]
+        place[1] = np.interp(wavelength, self.wavelength, np.arange(self.wavelength.size))
         return np.asarray(map_coordinates(values, place, order=order, mode="nearest"))
 
 
@@ -212,7 +217,7 @@ def closure_nodes(count: int) -> Array:
 
 def closure_place(cosine: Array, count: int) -> Array:
     """Place [1] of cosines of incidence among the numbers of as many nodes."""
-    return np.asarray(np.arccos(np.clip(2 * cosine - 1, -1.0, 1.0)) * ((count - 1) / np.pi))
+    return np.asarray(np.arccos(np.minimum(np.maximum(2 * cosine - 1, -1.0), 1.0)) * ((count - 1) / np.pi))
 
 
 @dataclass(frozen=True)
@@ -272,20 +277,48 @@ class RoughSurface:
         of_all_facets = cache(lambda: surface.of_facets(angles, wavelength))
 
         def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
-            parts, values = (
-                surface._parts(pair, (block[1], block[3]), wavelength),
-                np.zeros((block[0].size, wavelength.size)),
-            )
-            if parts.facets is not None:
-                # The compiled kernel of the facets needs many directions at once.
-                values += parts.facets * (of_all_facets()[at] if many else surface.of_facets(block, wavelength))
-            if parts.spread is not None:
-                values += parts.spread * fresnel(pair.cos_zeta[:, None], n, k).mean
-            if parts.waves is not None:
-                values += parts.waves * polarisation_factor(pair, block[3] - block[1], n, k, many)
-            return values
+            # The compiled kernel of the facets needs many directions at once.
+            facets = (lambda: of_all_facets()[at]) if many else None
+            return surface.of_pairs(block, wavelength, n, k, pair=pair, facets=facets, compiled=many)
 
         return _in_blocks(angles, (wavelength.size,), of_block, many)
+
+    def of_pairs(
+        self,
+        angles: Angles,
+        wavelength: Array,
+        n: Array,
+        k: Array,
+        *,
+        pair: HalfVector | None = None,
+        facets: Callable[[], Array] | None = None,
+        compiled: bool = False,
+    ) -> Array:
+        """The same of directions above the surface, together, (directions…, wavelength).
+
+        Parameters
+        ----------
+        angles : (directions,) each, or numbers, which take a fraction of the time of arrays
+        pair : of these directions, if it is known
+        facets : gives the BRDF of the facets, if it is known
+        compiled : whether the polarisation factor is computed by compiled code
+        """
+        pair, azimuths = half_vector(*angles) if pair is None else pair, (angles[1], angles[3])
+        relief, visible = self.relief, np.empty(0)
+        if relief is not None:
+            visible = relief.surface.visibility(pair, *azimuths, relief.masking)
+        parts = self._parts(pair, azimuths, wavelength, visible)
+        values = np.zeros((*np.shape(angles[0]), wavelength.size))
+        if parts.facets is not None:
+            assert relief is not None
+            values += parts.facets * (
+                relief.facets.reflected_by(pair, visible, *angles, wavelength) if facets is None else facets()
+            )
+        if parts.spread is not None:
+            values += parts.spread * fresnel(pair.cos_zeta[..., None], n, k).mean
+        if parts.waves is not None:
+            values += parts.waves * polarisation_factor(pair, angles[3] - angles[1], n, k, compiled)
+        return values
 
     def halo_of_mirrors(self, angles: Angles, wavelength: Array) -> Array:
         """BRDF of the halo if the body were a perfect mirror, before it is matched, and of its first order, (directions, wavelength, 2) [sr-1]."""
@@ -305,11 +338,13 @@ class RoughSurface:
         """Mueller matrices of the same [sr-1], (directions, wavelength, 4, 4), in the frames of the microfacet model."""
 
         def of_block(pair: HalfVector, block: Angles, at: NDArray[np.int64]) -> Array:
-            parts = self._parts(pair, (block[1], block[3]), wavelength)
+            azimuths, relief = (block[1], block[3]), self.relief
+            visible = np.empty(0) if relief is None else relief.surface.visibility(pair, *azimuths, relief.masking)
+            parts = self._parts(pair, azimuths, wavelength, visible)
             values = np.zeros((block[0].size, wavelength.size, 4, 4))
             if parts.facets is not None:
-                assert self.relief is not None
-                values += parts.facets[..., None, None] * self.relief.facets.mueller(*block, wavelength)
+                assert relief is not None
+                values += parts.facets[..., None, None] * relief.facets.mueller(*block, wavelength)
             if parts.spread is not None:
                 values += parts.spread[..., None, None] * polarised.mueller(np.ones(block[0].size), *block, n, k)
             if parts.waves is not None:
@@ -335,26 +370,27 @@ class RoughSurface:
             relief = replace(relief, fine=replace(relief.fine, compiled=True))
         return replace(self, halo=None if halo is None else replace(halo, compiled=True), relief=relief)
 
-    def _parts(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array) -> _Parts:
+    def _parts(self, pair: HalfVector, azimuths: Azimuths, wavelength: Array, visible: Array) -> _Parts:
+        """Of pairs of directions; ``visible`` is the visibility of their facets, if there are any."""
         cosines, relief = pair.cos_i + pair.cos_o, self.relief
         if relief is None:
             assert self.halo is not None
             return _Parts(None, None, self.halo.strength(pair, azimuths, wavelength))
-        share, tilted = self.facet_share(cosines, wavelength), relief.tilted(pair, azimuths)
+        share, tilted = self.facet_share(cosines, wavelength), tilted_share(pair, visible)
         facets, spread, waves = None, np.zeros(share.shape), np.zeros(share.shape)
         if self.halo is not None and not (share == 1).all():
             once, more = self.halo.by_order(pair, azimuths, wavelength, tilted)
             of_waves = 1 - share
             if self.closure is not None:
-                of_waves = of_waves * self.closure.of_halo(pair.cos_i, wavelength)
-                of_waves *= self.closure.of_halo(pair.cos_o, wavelength)
+                of_i, of_o = self.closure.of_halo(np.array([pair.cos_i, pair.cos_o]), wavelength)
+                of_waves = of_waves * of_i * of_o
             waves, spread = of_waves * once, of_waves * more
         if share.any():
             undimmed = relief.undimmed(cosines, wavelength)
             facets = share * undimmed
             if relief.fine is not None:
                 once, transform = relief.fine.strength_and_transform(pair, azimuths, wavelength)
-                waves, spread = waves + facets * once, spread + share * (1 - undimmed) * tilted[:, None] * transform
+                waves, spread = waves + facets * once, spread + share * (1 - undimmed) * tilted[..., None] * transform
         return _Parts(facets, spread, waves)
 
 
