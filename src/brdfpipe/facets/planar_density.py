@@ -32,7 +32,7 @@ class SlopeAxis:
     reach: float
     size: int
 
-    @property
+    @cached_property
     def end(self) -> float:
         """asinh(reach/scale)."""
         return float(np.arcsinh(self.reach / self.scale))
@@ -160,10 +160,10 @@ class PlanarDensity:
         """P22 at slopes along the lay and across it, broadcast."""
         from scipy.ndimage import map_coordinates
 
-        row, column = np.broadcast_arrays(self.across.position(across), self.along.position(along))
-        position = np.stack([row.ravel(), column.ravel()])
-        values = map_coordinates(self.log_coefficients, position, order=3, prefilter=False, cval=-np.inf)
-        return np.exp(values).reshape(row.shape)
+        position = np.array(np.broadcast_arrays(self.across.position(across), self.along.position(along)))
+        flat = position.reshape(2, -1)
+        values = map_coordinates(self.log_coefficients, flat, order=3, prefilter=False, cval=-np.inf)
+        return np.asarray(np.exp(values).reshape(position.shape[1:]))
 
     @cached_property
     def log_coefficients(self) -> Array:

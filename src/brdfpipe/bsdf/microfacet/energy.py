@@ -239,7 +239,8 @@ class AlbedoTable:
             return np.minimum(np.maximum(values, 0.0), 1.0)
         assert self.ellipse is not None
         at = np.arcsinh(grazing / lay_scale(self.ellipse)), quadrature.azimuth_to_arc(self.ellipse, phi)
-        return np.clip(np.stack([spline.ev(*at) for spline in self.surfaces], axis=-1), 0.0, 1.0)
+        values = np.stack([spline.ev(*at) for spline in self.surfaces], axis=-1)
+        return np.minimum(np.maximum(values, 0.0), 1.0)
 
     def mean(self) -> Array:
         """2 ∫ E μ dμ, averaged over azimuth, (wavelength,): exact for the spline."""

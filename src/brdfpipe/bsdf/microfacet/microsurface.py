@@ -83,10 +83,10 @@ class Microsurface:
         """G2 / (cos θ_i cos θ_o) of the facets that mirror one direction into the other; ``masking`` is a mode of :mod:`brdfpipe.masking.modes`."""
         if masking == "liu":
             return attenuation(pair, phi_i, phi_o, self.liu) / (pair.cos_i * pair.cos_o)
-        if self.isotropic and pair.cos_i.size == pair.cos_o.size == 1:
+        if np.ndim(pair.cos_i) == np.ndim(pair.cos_o) == 0:
             # One call for both directions takes half the time.
             cos, sin = np.array([pair.cos_i, pair.cos_o]), np.array([pair.sin_i, pair.sin_o])
-            excess_i, excess_o = self.excess(cos, sin, 0.0)
+            excess_i, excess_o = self.excess(cos, sin, np.array([phi_i, phi_o]))
         else:
             excess_i, excess_o = self.excess(pair.cos_i, pair.sin_i, phi_i), self.excess(pair.cos_o, pair.sin_o, phi_o)
         if masking == "measured":

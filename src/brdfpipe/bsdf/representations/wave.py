@@ -16,7 +16,7 @@ from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.spectral import at_wavelengths, per_wavelength
 from brdfpipe.bsdf.wave.two_scale import Angles, RoughSurface
 from brdfpipe.geometry import Array, as_numbers
-from brdfpipe.optics.fresnel_equations import fresnel
+from brdfpipe.optics.fresnel_equations import fresnel, reflectance_of
 
 _MIXTURE_NODES = 8
 """Wavelengths that stand for a spectral mean: exact for a polynomial of degree 15 in the wavelength."""
@@ -95,6 +95,7 @@ class Wave(Representation):
         super().__init__(dataset)
         self._surface = RoughSurface.of(dataset)
         self._spectral = per_wavelength(self._at)
+        self._reflectance = per_wavelength(lambda wavelength: reflectance_of(*self._spectral(wavelength)[1:3]))
 
     def _at(self, wavelength: Array | None) -> _Spectral:
         bsdf = self.dataset
@@ -116,7 +117,9 @@ class Wave(Representation):
             at = self._spectral(wavelength)
             if not (one[0] < 90 and one[2] < 90):
                 return np.zeros(1 if at.mixture is not None else at.wavelength.size)
-            surface = at.mixed(self._surface.of_pairs(one, at.wavelength, at.n, at.k))
+            surface = at.mixed(
+                self._surface.of_pairs(one, at.wavelength, at.n, at.k, reflectance=self._reflectance(wavelength))
+            )
             return surface + at.base.brdf(one[0], one[2], one[1], one[3])
         at, shape, angles = self._prepared(theta_i, phi_i, theta_o, phi_o, wavelength)
         brdf = at.mixed(self._surface.evaluate(angles, at.wavelength, at.n, at.k)) + self._base(at, angles)

@@ -108,7 +108,7 @@ def _cell(position: Array, stretch: Array, nodes: int) -> tuple[Array, Array]:
 def grazing_factor(smooth: tuple[bool, bool], path: Array, low: Array, high: Array) -> Array:
     """Factor by which a table is divided: cos θ at a smooth face, where light from inside vanishes at grazing; 1 at a rough face."""
     if not any(smooth):
-        return np.ones(np.shape(low))
+        return np.ones(np.broadcast_shapes(np.shape(path), np.shape(low), np.shape(high)))
     at_smooth = np.array(smooth)[np.array(PATH_ENDS)][path]
     first, second = (np.where(at_smooth[..., k], np.cos(np.radians(t)), 1.0) for k, t in enumerate((low, high)))
     return np.asarray(np.maximum(first * second, 0.0))

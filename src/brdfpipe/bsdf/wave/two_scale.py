@@ -38,7 +38,7 @@ from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.wave.halo import Azimuths, Halo, amplitudes, polarisation_factor
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector, half_vector
-from brdfpipe.optics.fresnel_equations import fresnel
+from brdfpipe.optics.fresnel_equations import reflectance_of
 
 Angles = tuple[Array, Array, Array, Array]
 """θ_i, φ_i, θ_o and φ_o [degree], (directions,) each"""
@@ -73,7 +73,9 @@ def facet_share(phase_variance: Array, slope: float, passage: float = PASSAGE_PH
     passage : phase variance at which half of the light is
     """
     by_phase = rising_step(phase_variance, (passage / PASSAGE_WIDTH, passage * PASSAGE_WIDTH))
-    by_slope = rising_step(np.array(max(slope, 1e-300)), SLOPES) * rising_step(phase_variance, STEEP_PHASES)
+    if slope <= SLOPES[0]:
+        return np.asarray(1 - (1 - by_phase))
+    by_slope = rising_step(np.array(slope), SLOPES) * rising_step(phase_variance, STEEP_PHASES)
     return np.asarray(1 - (1 - by_phase) * (1 - by_slope))
 
 
@@ -293,6 +295,7 @@ class RoughSurface:
         pair: HalfVector | None = None,
         facets: Callable[[], Array] | None = None,
         compiled: bool = False,
+        reflectance: Callable[[Array], Array] | None = None,
     ) -> Array:
         """The same of directions above the surface, together, (directions…, wavelength).
 
@@ -302,6 +305,7 @@ class RoughSurface:
         pair : of these directions, if it is known
         facets : gives the BRDF of the facets, if it is known
         compiled : whether the polarisation factor is computed by compiled code
+        reflectance : Fresnel's reflectance of n and k as a function of cosines, (…, 1), if it is known
         """
         pair, azimuths = half_vector(*angles) if pair is None else pair, (angles[1], angles[3])
         relief, visible = self.relief, np.empty(0)
@@ -315,7 +319,8 @@ class RoughSurface:
                 relief.facets.reflected_by(pair, visible, *angles, wavelength) if facets is None else facets()
             )
         if parts.spread is not None:
-            values += parts.spread * fresnel(pair.cos_zeta[..., None], n, k).mean
+            of_facet = reflectance or reflectance_of(n, k)
+            values += parts.spread * of_facet(pair.cos_zeta[..., None])
         if parts.waves is not None:
             values += parts.waves * polarisation_factor(pair, angles[3] - angles[1], n, k, compiled)
         return values
