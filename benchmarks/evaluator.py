@@ -3,7 +3,8 @@
 ``python benchmarks/evaluator.py`` writes ``benchmarks/results/evaluator.json``. Every case runs in a process of its own, on one
 core. The material compared with the peers is isotropic, its facets counted on a rough map, its index constant, its diffuse part coupled,
 at one wavelength; the directions are random over the hemisphere. Other materials have a lay, or an index and a diffuse part at 43 and at 85
-wavelengths. The same directions, in calls of few enough for the arrays of numpy, are the floor on the same machine.
+wavelengths. The same directions, in calls of few enough for the arrays of numpy, are the floor on the same machine. A call with numbers
+is timed for every representation, beside an exponential of numpy of an array of one number.
 
 The peers evaluate what comes nearest: pySCATMECH its facets from a table of as many slopes with shadowing, one pair of
 directions a call, in double precision; Mitsuba its rough plastic with a Beckmann density and a coupled diffuse part, in bulk
@@ -25,17 +26,24 @@ from typing import Any
 import click
 import numpy as np
 import profiling
+import rig_smoothing
 import xarray as xr
 from profiling import best, profile
 from surfaces import SLOPE_RMS, rough_map
 
-from brdfpipe import facets, optics, vocabulary
-from brdfpipe.bsdf import microfacet
+from brdfpipe import facets, flakes, optics, psd, vocabulary
+from brdfpipe.bsdf import flake, kirchhoff, lambert_gauss, microfacet, slab, traced, wave
+from brdfpipe.bsdf.measured import completion, smoothing
 
 PROJECT = Path(__file__).resolve().parents[1]
 WANTED = {"isotropic": 30e6, "with a lay": 5e6, "43 wavelengths": 100e6, "85 wavelengths": 100e6}
 """Values a second by material: directions times wavelengths."""
 CALL_WANTED_MS = 0.3
+ONE_PAIR = 30.0, 0.0, 30.0, 180.0
+CALLS = 100
+CORRELATION_LENGTH = 5.0
+"""Of the roughness that scatters as waves do [um]."""
+LAB = {"45:-30": (33.90, -7.58, -36.61), "45:0": (12.29, 1.19, -25.77), "45:65": (3.07, 2.09, -13.24)}
 INDEX = 1.5
 REFLECTANCE = 0.3
 WAVELENGTH = 550.0
@@ -61,7 +69,8 @@ def main(pairs: int, repeats: int, out: Path, case: str | None) -> None:
     summary |= {name: in_own_process(name, pairs, repeats) for name in CASES}
     speeds = summary["brdfpipe"]["materials"]
     summary["speed_met"] = all(speeds[name]["values_per_second"] >= least for name, least in WANTED.items())
-    summary["call_met"] = all(speeds[name]["one_call_ms"] <= CALL_WANTED_MS for name in WANTED)
+    calls = summary["brdfpipe"]["one_call_ms"]
+    summary["call_met"] = all(milliseconds <= CALL_WANTED_MS for milliseconds in calls.values())
     print(as_text(summary))
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
@@ -111,6 +120,59 @@ def material(surface: xr.Dataset, wavelengths: int = 1) -> xr.Dataset:
     return microfacet.build(surface, index=index, spectrum=vocabulary.label(spectrum, "spectrum"))
 
 
+def other_materials() -> dict[str, Callable[[], xr.Dataset]]:
+    """A small material of each other representation; waves at three wavelengths."""
+    rough, smooth, surface = facets.analytic("beckmann", a=0.3), facets.flat(), rough_map(128)
+    spectrum = vocabulary.label(
+        xr.Dataset(
+            {"total_reflectance": ("wavelength", np.linspace(REFLECTANCE, 0.5, 3))},
+            coords={"wavelength": [400.0, 550.0, 700.0]},
+            attrs={"geometry": "sci", "theta_i": 8.0, "method": "synthetic", "residual_delta_e": 0.0},
+        ),
+        "spectrum",
+    )
+
+    def waves(sigma: float, **given: Any) -> xr.Dataset:
+        slopes = facets.analytic("beckmann", a=2 * sigma / CORRELATION_LENGTH)
+        heights = psd.analytic("gaussian", sigma=sigma, length=CORRELATION_LENGTH)
+        return wave.build(heights, facets=slopes, index=INDEX, spectrum=spectrum, **{"optics": "auto", **given})
+
+    def measured() -> xr.Dataset:
+        return completion.complete(smoothing.smooth(rig_smoothing.sample().isel(wavelength=slice(5, None, 12))))
+
+    def paint() -> xr.Dataset:
+        colours = [{"geometry": name, "lab": list(lab)} for name, lab in LAB.items()]
+        return flake.build(flakes.ingest({"colours": colours, "illuminant": "D65", "observer": 10}))
+
+    angles = {"theta_i": np.arange(0, 90, 10.0), "theta_o": np.arange(0, 90, 5.0), "phi_o": np.arange(0, 361, 15.0)}
+    return {
+        "smooth": lambda: microfacet.build(smooth, index=INDEX, spectrum=spectrum),
+        "waves": lambda: waves(0.013),
+        "waves and facets": lambda: waves(0.2),
+        "facets with finer roughness": lambda: waves(0.4, optics="composite"),
+        "slab": lambda: slab.build(rough, smooth, index=INDEX, internal_transmittance=0.8),
+        "flake": paint,
+        "lambert_gauss": lambda: lambert_gauss.lambertian(spectrum),
+        "kirchhoff": lambda: kirchhoff.build(
+            surface.assign(height=surface["height"] * 0.05), index=INDEX, spectrum=spectrum
+        ),
+        "traced": lambda: traced.build(surface, index=INDEX, spectrum=spectrum, rays=20_000),
+        "table": lambda: microfacet.build(rough, index=INDEX, spectrum=spectrum).bsdf.tabulate(angles),
+        "rig": measured,
+    }
+
+
+def one_call(bsdf: xr.Dataset, repeats: int) -> float:
+    """Processor time of a call with the angles of one pair of directions as numbers [ms]."""
+
+    def calls() -> None:
+        for _ in range(CALLS):
+            bsdf.bsdf.evaluate(*ONE_PAIR)
+
+    calls()
+    return round(best(calls, repeats) / CALLS * 1e3, 4)
+
+
 def ours(pairs: int, repeats: int) -> Record:
     """The accessor, from plain arrays to a labelled result; the same by numpy; and one exponential over as many numbers."""
     counted, brushed = counted_facets(), facets.analytic("beckmann", a_x=0.1, a_y=0.3, azimuth=25.0)
@@ -120,36 +182,34 @@ def ours(pairs: int, repeats: int) -> Record:
         "43 wavelengths": material(counted, 43),
         "85 wavelengths": material(counted, 85),
     }
-    where, exponents = directions(pairs), np.linspace(-20, 0, pairs)
+    where, exponents, one = directions(pairs), np.linspace(-20, 0, pairs), np.zeros(1)
+    calls = {name: one_call(bsdf, repeats) for name, bsdf in materials.items()}
+    calls |= {name: one_call(build(), repeats) for name, build in other_materials().items()}
+    exponential = best(lambda: [np.exp(one) for _ in range(10 * CALLS)], repeats) / (10 * CALLS)
     speeds = {name: speed(bsdf, where, repeats) for name, bsdf in materials.items()}
     isotropic = materials["isotropic"]
     return {
         "per_second": speeds["isotropic"]["values_per_second"],
         "materials": speeds,
+        "one_call_ms": calls,
+        "one_exponential_us": round(exponential * 1e6, 3),
         "exponential_s": round(best(lambda: np.exp(exponents), repeats), 5),
         "goes_to": profile(lambda: isotropic.bsdf.evaluate(*where)),
     }
 
 
 def speed(bsdf: xr.Dataset, where: Directions, repeats: int) -> Record:
-    """Values a second of the kernel and of numpy's arrays, and the time of a call with one pair of directions."""
+    """Values a second of the kernel and of numpy's arrays."""
     wavelengths = bsdf.sizes["wavelength"]
     pairs = where[0].size // wavelengths
     several = tuple(angle[:pairs] for angle in where)
     few = tuple(angle[: 2**16 // wavelengths] for angle in where)
-    one = tuple(float(angle[0]) for angle in where)
-
-    def calls() -> None:
-        for _ in range(100):
-            bsdf.bsdf.evaluate(*one)
-
     bsdf.bsdf.evaluate(*several)  # compiled, or loaded from the compiler's cache
     seconds = best(lambda: bsdf.bsdf.evaluate(*several), repeats)
     by_numpy = best(lambda: bsdf.bsdf.evaluate(*few), 5 * repeats)
     return {
         "values_per_second": round(pairs * wavelengths / seconds),
         "numpy_values_per_second": round(few[0].size * wavelengths / by_numpy),
-        "one_call_ms": round(best(calls, repeats) * 10, 4),
     }
 
 
@@ -224,11 +284,13 @@ def as_text(summary: Record) -> str:
         else:
             ratio = own["per_second"] / record["per_second"]
             lines.append(f"{name:24}{record['per_second'] / 1e6:10.2f}{ratio:9.2f} times")
-    lines.append(f"{'':24}{'million values/s':>18}{'wanted':>8}{'by numpy':>10}{'one call, ms':>14}")
+    lines.append(f"{'':24}{'million values/s':>18}{'wanted':>8}{'by numpy':>10}")
     for name, least in WANTED.items():
         record = own["materials"][name]
         found, by_numpy = (record[key] / 1e6 for key in ("values_per_second", "numpy_values_per_second"))
-        lines.append(f"{name:24}{found:18.1f}{least / 1e6:8.0f}{by_numpy:10.1f}{record['one_call_ms']:14.3f}")
+        lines.append(f"{name:24}{found:18.1f}{least / 1e6:8.0f}{by_numpy:10.1f}")
+    lines += [f"{name:28}{found:10.3f} ms for one call" for name, found in own["one_call_ms"].items()]
+    lines.append(f"one exponential of an array of one number takes {own['one_exponential_us']:.2f} us")
     lines.append(f"one exponential of numpy takes {own['exponential_s'] / summary['pairs'] * 1e9:.1f} ns")
     met = ["NOT met", "met"]
     lines.append(

@@ -63,6 +63,14 @@ def test_the_accessor_gives_values_and_uncertainties(bsdf):
     assert (u / brdf < 0.1).all()
 
 
+@pytest.mark.parametrize(("name", "low", "high"), [("bsdf", 0, 89), ("translucent", 91, 180)])
+def test_one_direction_is_evaluated_as_several_are(request, name, low, high):
+    accessor, angles = request.getfixturevalue(name).bsdf, lanes(5, low=low, high=high)
+    alone = [accessor.evaluate(*map(float, pair)).values for pair in zip(*angles, strict=True)]
+    np.testing.assert_allclose(alone, accessor.evaluate(*angles).values, rtol=1e-13)
+    assert not accessor.evaluate(120.0, 0.0, 130.0, 0.0).values.any()
+
+
 def test_a_representation_without_uncertainties_names_those_with_them():
     with pytest.raises(
         VocabularyError, match="'microfacet' states no uncertainty; those that do: kirchhoff, rig, traced"
