@@ -17,16 +17,20 @@ from numpy.typing import NDArray
 from brdfpipe.compilation import compiled
 from brdfpipe.geometry import Array
 
-_TABLE = 2**15
-"""Bins of finite squares, of infinity and of NaN."""
+_TABLE = 2**16
+"""Bins of all 32-bit floats; squares use the first half, NaN may have a sign."""
 _TABLES = 4
 """Counts of neighbouring slopes are kept apart: they often fall into one bin, and each addition would wait for the one before."""
 _STRIP = 512
 """Quads of a row, or slopes of a line, that are read together: what they need stays in the nearest cache."""
-_SECOND, _THIRD, _FOURTH = _STRIP, 2 * _STRIP, 3 * _STRIP
-"""Where parts of one array begin. Since these distances are known, the compiler sees that no result overlaps an operand, and vectorises."""
+_SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH, _SEVENTH = (part * (_STRIP + 16) for part in range(1, 7))
+"""Where parts of one array begin. Since these distances are known, the compiler sees that no result overlaps an operand, and vectorises.
+
+They are no powers of two: parts at such distances would displace each other from the nearest cache.
+"""
 _UPPER_HALF = 1 if np.little_endian else 0
-_MASK = _TABLE - 1
+_MOVED = 128
+"""Bins that are moved together, unless all are empty."""
 
 
 @compiled
@@ -45,28 +49,48 @@ def _read_row(height: Array, row: int, first: int, at: int, quantum: float, out:
 
 
 @compiled
+def _begin_quads(top: Array, pitch: Array, tilt: Array, totals: Array, squares: NDArray[np.float32]) -> None:
+    """Empty the totals, and keep the slopes along x of the first row of heights for :func:`_add_quads`."""
+    lean_x, per_x, tilt_x = tilt[0] * pitch[0], np.float32(1 / pitch[0]), np.float32(tilt[0])
+    totals[:] = 0.0
+    for k in range(top.size - 1):
+        rise = top[k + 1] - top[k]
+        p = np.float32(rise) * per_x - tilt_x
+        squares[_FIFTH + k] = p * p
+        totals[_FOURTH + k] = rise - lean_x
+
+
+@compiled
 def _add_quads(
     above: Array, below: Array, pitch: Array, tilt: Array, totals: Array, squares: NDArray[np.float32]
 ) -> None:
-    """Squared slopes of the four triangles of each quad between two rows of heights.
+    """Squared slopes of the four triangles of each quad between two rows of heights, in the first four parts of ``squares``.
 
-    Totals of each column get products of the rises without their tilt: the squares of the lower along x and of the left along y, and
-    those of both, of all four triangles.
+    The first three parts of ``totals`` get products of the rises of each column without their tilt: the squares of the lower along x
+    and of the left along y, and those of both, of all four triangles. The other parts of both hold the rises along x, the upper of
+    which were the lower of the row before, and those along y, each of which is left of one quad and right of another.
     """
     lean_x, lean_y = tilt[0] * pitch[0], tilt[1] * pitch[1]
     per_x, per_y = np.float32(1 / pitch[0]), np.float32(1 / pitch[1])
     tilt_x, tilt_y = np.float32(tilt[0]), np.float32(tilt[1])
+    for k in range(above.size):
+        left = below[k] - above[k]
+        q = np.float32(left) * per_y - tilt_y
+        squares[_SIXTH + k] = q * q
+        totals[_FIFTH + k] = left - lean_y
     for k in range(above.size - 1):
-        a, b, c, d = above[k], above[k + 1], below[k], below[k + 1]
-        top, bottom, left, right = b - a, d - c, c - a, d - b
-        p, p_below = np.float32(top) * per_x - tilt_x, np.float32(bottom) * per_x - tilt_x
-        q, q_right = np.float32(left) * per_y - tilt_y, np.float32(right) * per_y - tilt_y
-        p, p_below, q, q_right = p * p, p_below * p_below, q * q, q_right * q_right
+        rise = below[k + 1] - below[k]
+        p_below = np.float32(rise) * per_x - tilt_x
+        p, p_below = squares[_FIFTH + k], p_below * p_below
+        q, q_right = squares[_SIXTH + k], squares[_SIXTH + k + 1]
+        squares[_FIFTH + k] = p_below
         squares[k] = p + q
         squares[_SECOND + k] = p + q_right
         squares[_THIRD + k] = p_below + q
         squares[_FOURTH + k] = p_below + q_right
-        top, bottom, left, right = top - lean_x, bottom - lean_x, left - lean_y, right - lean_y
+        top, bottom = totals[_FOURTH + k], rise - lean_x
+        left, right = totals[_FIFTH + k], totals[_FIFTH + k + 1]
+        totals[_FOURTH + k] = bottom
         totals[k] += bottom * bottom
         totals[_SECOND + k] += left * left
         totals[_THIRD + k] += (top + bottom) * (left + right)
@@ -78,19 +102,28 @@ def _count(bits: NDArray[np.uint16], size: int, tables: NDArray[np.uint32]) -> N
     first, second, third, fourth = tables[0], tables[1], tables[2], tables[3]
     for k in range(size):
         upper = 2 * k + _UPPER_HALF
-        first[bits[upper] & _MASK] += np.uint32(1)
-        second[bits[2 * _SECOND + upper] & _MASK] += np.uint32(1)
-        third[bits[2 * _THIRD + upper] & _MASK] += np.uint32(1)
-        fourth[bits[2 * _FOURTH + upper] & _MASK] += np.uint32(1)
+        first[bits[upper]] += np.uint32(1)
+        second[bits[2 * _SECOND + upper]] += np.uint32(1)
+        third[bits[2 * _THIRD + upper]] += np.uint32(1)
+        fourth[bits[2 * _FOURTH + upper]] += np.uint32(1)
 
 
 @compiled
 def move_counts(tables: NDArray[np.uint32], counts: NDArray[np.int64]) -> None:
     """Add the tables to counts (bins,), and empty them."""
-    for table in tables:
-        for k in range(counts.size):
-            counts[k] += table[k]
-    tables[:] = 0
+    first, second, third, fourth = tables[0], tables[1], tables[2], tables[3]
+    for start in range(0, counts.size, _MOVED):
+        stop, occupied = min(start + _MOVED, counts.size), np.uint32(0)
+        for k in range(start, stop):
+            occupied |= first[k] | second[k] | third[k] | fourth[k]
+        if occupied == 0:
+            continue
+        for k in range(start, stop):
+            counts[k] += np.int64(first[k]) + second[k] + third[k] + fourth[k]
+            first[k] = second[k] = third[k] = fourth[k] = 0
+    # Infinity, and NaN of either sign, are not counted.
+    tables[:, counts.size : _TABLE // 2] = 0
+    tables[:, _TABLE // 2 + counts.size :] = 0
 
 
 def empty_tables() -> NDArray[np.uint32]:
@@ -124,7 +157,7 @@ def count_map_slopes(
     """
     rows, lean_x, lean_y = height.shape[0], tilt[0] * pitch[0], tilt[1] * pitch[1]
     tables = np.zeros((_TABLES, _TABLE), dtype=np.uint32)
-    squares, totals, lines = np.empty(4 * _STRIP, dtype=np.float32), np.empty(3 * _STRIP), np.empty((3, _STRIP + 1))
+    squares, totals, lines = np.empty(_SEVENTH, dtype=np.float32), np.empty(_SIXTH), np.empty((3, _STRIP + 1))
     bits = squares.view(np.uint16)
     sums[:] = 0.0
     for block in range(columns.size - 1):
@@ -134,7 +167,7 @@ def count_map_slopes(
             top, below = lines[2, : quads + 1], lines[0, : quads + 1]
             _read_row(height, 0, first, at, quantum, top)
             above = top
-            totals[:] = 0.0
+            _begin_quads(top, pitch, tilt, totals, squares)
             for row in range(1, rows):
                 below = lines[row & 1, : quads + 1]
                 _read_row(height, row, first, at, quantum, below)
@@ -205,7 +238,7 @@ def sum_gentle_slopes(slopes: Array, limit: float, sums: Array) -> None:
 @compiled
 def count_scaled_slopes(slopes: Array, scaling: Array, tables: NDArray[np.uint32]) -> None:
     """Add slopes (2, facets) times a (2, 2) matrix to tables of :func:`empty_tables`, by the upper 16 bits of their squares."""
-    squares = np.empty(_TABLES * _STRIP, dtype=np.float32)
+    squares = np.empty(_FIFTH, dtype=np.float32)
     bits = squares.view(np.uint16)
     for start in range(0, slopes.shape[1], squares.size):
         p, q = slopes[0, start : start + squares.size], slopes[1, start : start + squares.size]
@@ -213,7 +246,7 @@ def count_scaled_slopes(slopes: Array, scaling: Array, tables: NDArray[np.uint32
             x, y = p[k] * scaling[0, 0] + q[k] * scaling[0, 1], p[k] * scaling[1, 0] + q[k] * scaling[1, 1]
             squares[k] = x * x + y * y
         squares[p.size :] = np.nan
-        _count(bits, _STRIP, tables)
+        _count(bits, _SECOND, tables)
 
 
 @compiled
@@ -249,7 +282,7 @@ def _cell(slope: float, borders: Array, per_step: float, cell_of_step: NDArray[n
 @compiled
 def count_line_slopes(ahead: Array, behind: Array, per: float, shift: float, tables: NDArray[np.uint32]) -> None:
     """Add slopes along a line, (ahead − behind) · per − shift, to tables of :func:`empty_tables`, by the upper 16 bits of their squares."""
-    squares = np.empty(_TABLES * _STRIP, dtype=np.float32)
+    squares = np.empty(_FIFTH, dtype=np.float32)
     bits = squares.view(np.uint16)
     for start in range(0, ahead.size, squares.size):
         after, before = ahead[start : start + squares.size], behind[start : start + squares.size]
@@ -257,4 +290,4 @@ def count_line_slopes(ahead: Array, behind: Array, per: float, shift: float, tab
             slope = np.float32((np.float64(after[k]) - before[k]) * per - shift)
             squares[k] = slope * slope
         squares[after.size :] = np.nan
-        _count(bits, _STRIP, tables)
+        _count(bits, _SECOND, tables)
