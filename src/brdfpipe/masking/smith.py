@@ -41,17 +41,26 @@ def excess_slope(density: RadialDensity, mu: ArrayLike) -> Array:
     a Gauss–Legendre rule on the density's own panels, split at μ.
     """
     mu, panels = np.asarray(mu, dtype=float), density.panels(128)
-    parts = [mu[start : start + _TOGETHER] for start in range(0, mu.size, _TOGETHER)]
-    return np.concatenate([_excess_of_few(density, panels, part) for part in parts]) if parts else mu
+    split = np.clip(np.searchsorted(panels, mu, side="right") - 1, 0, panels.size - 2)
+    s, ds = panel_rule(np.stack([mu, np.maximum(panels[split + 1], mu)], axis=-1), 4)
+    excess = np.asarray(
+        2 * (density(s**2) * s**2 * _excess_over_slope(mu[:, None] / np.where(s > 0, s, 1.0)) * ds).sum(axis=-1)
+    )
+    # Above the panel that is split, the density is the same for all directions.
+    s, ds = panel_rule(panels, 4)
+    share, panel = 2 * density(s**2) * s**2 * ds, np.repeat(np.arange(panels.size - 1), 4)
+    for start in range(0, mu.size, _TOGETHER):
+        few = slice(start, start + _TOGETHER)
+        above = slice(4 * (int(split[few].min()) + 1), None)
+        ratio = np.where(panel[above] > split[few, None], mu[few, None] / s[above], 1.0)
+        excess[few] += (share[above] * _excess_over_slope(ratio)).sum(axis=-1)
+    return excess
 
 
-def _excess_of_few(density: RadialDensity, panels: Array, mu: Array) -> Array:
-    # Panels below every μ have no width.
-    first = max(int(np.searchsorted(panels, mu.min(), side="right")) - 1, 0)
-    s, ds = panel_rule(np.maximum(panels[first:], mu[:, None]), 4)
-    ratio = np.clip(mu[:, None] / np.where(s > 0, s, 1.0), 0.0, 1.0)
-    kernel = np.sqrt(1 - ratio**2) - ratio * np.arccos(ratio)
-    return np.asarray(2 * np.sum(density(s**2) * s**2 * kernel * ds, axis=1))
+def _excess_over_slope(ratio: Array) -> Array:
+    """√(1 − r²) − r arccos r of a ratio r = μ/s >= 0; 0 where it is 1 or more."""
+    ratio = np.minimum(ratio, 1.0)
+    return np.asarray(np.sqrt(1 - ratio**2) - ratio * np.arccos(ratio))
 
 
 def smith_lambda(density: RadialDensity) -> xr.DataArray:
