@@ -118,6 +118,9 @@ QUANTITIES: Mapping[str, Quantity] = {
         "um4", "two-sided power spectral density of the heights, mean over azimuth, with noise", 0
     ),
     "noise_psd": Quantity("um4", "power spectral density of the noise that was subtracted", 0),
+    "psd_noise_change": Quantity(
+        "um4", "change of the power spectral density as the noise of some scans grows by its standard uncertainty"
+    ),
     "sigma": Quantity("um", "rms height of the roughness spectrum in its band", 0),
     "sigma_heights": Quantity("um", "rms height of the levelled heights, without noise", 0),
     "noise_sigma": Quantity("um", "rms height of the noise that was subtracted", 0),
@@ -499,6 +502,7 @@ KINDS: Mapping[str, Kind] = {
             "psd_planar": [("frequency_y", "frequency_x")],
             "coherent_sigma": [("phase_per_height",)],
             "psd_quality": [("frequency",)],
+            "psd_noise_change": [("uncertain_noise", "frequency")],
             "apparent_psd": [("apparent_frequency",)],
             **{f"scan_band_{end}": [("scan",)] for end in ("low", "high")},
             **dict.fromkeys(("sigma_u", "noise_sigma_u", "noise_psd", "fit_residual_log"), SCALAR),

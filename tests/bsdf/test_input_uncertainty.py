@@ -183,6 +183,12 @@ def test_the_noise_of_a_spectrum_changes_all_frequencies_together():
     # S falls by 2 σ u ΔA in all of the band, and what goes on beyond it with its last ring.
     expected = -2 * 0.004 * 0.0008 * 0.25 * area / (2 * float(bsdf["sigma"]))
     assert float(after["sigma"] - bsdf["sigma"]) == pytest.approx(expected, rel=0.3)
+    # That of another instrument is independent of the first.
+    change = psd["psd_noise_change"]
+    of_two = psd.drop_dims("uncertain_noise").assign(
+        psd_noise_change=xr.concat([change, 0.5 * change], "uncertain_noise")
+    )
+    assert list(uncertainty(bsdf, psd=of_two)["uncertainty_source"].values).count("noise") == 2
 
 
 def test_a_roughness_spectrum_changes_coherent_light_and_halo_as_if_it_was_built_with_it():

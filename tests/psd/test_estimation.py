@@ -11,6 +11,7 @@ from random_surfaces import gaussian, heights
 from brdfpipe import vocabulary
 from brdfpipe.psd import PsdError, estimate
 from brdfpipe.psd.k_correlation import KCorrelation
+from brdfpipe.psd.noise_floor import NoiseFloor
 from brdfpipe.psd.periodograms import Scan, periodograms
 
 EXPONENTIAL = KCorrelation(0.1, 5.0, 3.0)
@@ -95,6 +96,21 @@ def test_the_spectrum_of_a_line_is_inverted_to_that_of_the_plane() -> None:
     assert found["psd_quality"].values[0] == vocabulary.quality("interpolated")
     assert abs(float((found["fit_sigma"] - 0.1) / found["fit_sigma_u"])) < 3
     assert "isotropic" in found.attrs["history"]
+
+
+def test_noise_changes_the_spectrum_of_a_line_as_more_noise_would() -> None:
+    height = heights(EXPONENTIAL.line, (20_000,), (0.5,), 5) + np.random.default_rng(2).normal(0, 0.004, 20_000)
+    line = samples.surface(height, (0.5,))
+    given, more = (estimate(line, noise=NoiseFloor(noise, 0.0002, "given")) for noise in (0.004, 0.0042))
+    common = min(given.sizes["frequency"], more.sizes["frequency"]) - 2
+    given, more = (psd.isel(frequency=slice(common)) for psd in (given, more))
+    np.testing.assert_array_equal(given["frequency"], more["frequency"])
+    change, expected = given["psd_noise_change"].values[0], (more["psd"] - given["psd"]).values
+    alike = (given["psd_quality"] == more["psd_quality"]).values & (np.abs(expected) > 1e-3 * given["psd"].values)
+    assert alike.sum() > 5
+    # σ² changes by 2σu + u², 2.5 % more than linearly.
+    np.testing.assert_allclose(change[alike], expected[alike], rtol=0.3)
+    assert (given["psd_uncertainty"].values >= np.abs(change)).all()
 
 
 def test_missing_heights_are_kept_out_of_the_patches() -> None:

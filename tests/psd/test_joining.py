@@ -8,8 +8,9 @@ import samples
 from random_surfaces import heights
 
 from brdfpipe import vocabulary
-from brdfpipe.psd import PsdError, analytic, estimate, join
+from brdfpipe.psd import PsdError, analytic, estimate, estimate_joined, join
 from brdfpipe.psd.k_correlation import KCorrelation
+from brdfpipe.psd.noise_floor import NoiseFloor
 
 MODEL = KCorrelation(0.1, 5.0, 3.0)
 
@@ -46,6 +47,39 @@ def test_two_scans_alike_halve_the_variance() -> None:
     relative = (joined["psd_uncertainty"] / joined["psd"]).values
     single = (first["psd_uncertainty"] / first["psd"]).interp(frequency=joined["frequency"]).values
     assert np.nanmedian(relative / single) == pytest.approx(np.sqrt(0.5), rel=0.25)
+
+
+def test_noise_changes_scans_of_one_instrument_together_and_others_on_their_own() -> None:
+    surfaces = [samples.surface(heights(MODEL.areal, (128, 128), (0.5, 0.5), seed), (0.5, 0.5)) for seed in (1, 2)]
+    noise, u = 0.004, 0.0008
+    # S falls by 2 σ u ΔA at all frequencies.
+    expected = -2 * noise * u * 0.25
+    one = estimate_joined(surfaces, noise=noise, noise_uncertainty=u)["psd_noise_change"]
+    assert one.sizes["uncertain_noise"] == 1
+    assert float(one.median()) == pytest.approx(expected, rel=0.1)
+    floor = NoiseFloor(noise, u, "given")
+    two = join(*(estimate(surface, noise=floor) for surface in surfaces))["psd_noise_change"]
+    assert two.sizes["uncertain_noise"] == 2
+    assert float(np.sqrt((two**2).sum("uncertain_noise")).median()) == pytest.approx(-expected / np.sqrt(2), rel=0.1)
+
+
+def test_noise_changes_a_joined_spectrum_where_its_scan_measures() -> None:
+    coarse, fine = (
+        estimate(
+            samples.surface(heights(MODEL.areal, (128, 128), (pitch, pitch), seed), (pitch, pitch)),
+            noise=NoiseFloor(noise, noise / 5, "given"),
+        )
+        for seed, pitch, noise in ((1, 1.0, 0.004), (2, 0.2, 0.001))
+    )
+    joined = join(coarse, fine)
+    of_coarse, of_fine = joined["psd_noise_change"].values
+    low = joined["frequency"].values < float(fine["band_low"])
+    high = joined["frequency"].values > float(coarse["band_high"]) * 1.2
+    # Interpolation between the rings changes it by some per cent.
+    np.testing.assert_allclose(of_coarse[low], -2 * 0.004**2 / 5 * 1.0, rtol=0.2)
+    np.testing.assert_allclose(of_fine[high], -2 * 0.001**2 / 5 * 0.04, rtol=0.2)
+    assert not of_coarse[high].any()
+    assert not of_fine[low].any()
 
 
 def test_scans_that_disagree_are_reported(microscope_and_interferometer) -> None:

@@ -30,6 +30,7 @@ from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.masking.smith import excess_slope
 from brdfpipe.optics.fresnel_equations import fresnel
+from brdfpipe.psd.spectrum_dataset import NOISE_CHANGES, own_variance
 
 _THETA = np.array([0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 78.0, 82.0, 85.0, 87.0, 88.5, 89.5, 90.0])
 """Incidences of the changes of the directional albedo [degree]."""
@@ -90,9 +91,12 @@ def uncertainty(
     if facets is not None and "slope_density" in bsdf and CHANGES in vocabulary.validate(facets, "facets"):
         changes += [Change(source, base.completed(fields)) for source, fields in changes_of_facets(bsdf, facets)]
     if psd is not None and "log_halo" in bsdf:
+        merged = False
         for source, fields in changes_of_roughness(bsdf, vocabulary.validate(psd, "psd")):
             # The noise of the heights is one: that of the facets and that of the spectrum change together.
-            same = next((n for n, change in enumerate(changes) if change.source == source == "noise"), None)
+            # The first noise of a spectrum is that of the scans whose facets are counted, if theirs is uncertain.
+            same = next((n for n, one in enumerate(changes) if one.source == source == "noise" and not merged), None)
+            merged |= source == "noise"
             if same is None:
                 changes.append(Change(source, fields))
             else:
@@ -217,7 +221,7 @@ def _planar_masking(bsdf: xr.Dataset) -> Callable[[Array], Array]:
 
 
 def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[str, Fields]]:
-    """Source, and change of the rms height and the halo: for each band of a measured spectrum, and as its noise grows.
+    """Source, and change of the rms height and the halo: for each band of a measured spectrum, and as each noise in it grows.
 
     Rings of a spectrum are independent but for its noise, so the variance of a band is the sum of theirs; a band changes as a whole.
     """
@@ -228,13 +232,8 @@ def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[st
         or not (density.any() and np.isfinite(u).all() and u.any())
     ):
         return
-    noise_u = (
-        2
-        * float(psd.get("noise_psd", 0.0))
-        * float(psd.get("noise_sigma_u", 0.0))
-        / max(float(psd["noise_sigma"]), 1e-300)
-    )
-    u = np.sqrt(np.maximum(u**2 - noise_u**2, 0.0))
+    noise_changes = psd[NOISE_CHANGES].values if NOISE_CHANGES in psd else np.empty((0, frequency.size))
+    u = np.sqrt(own_variance(u, noise_changes))
     weight = frequency**2 * np.gradient(np.log(frequency))
     power = np.cumsum(weight * density)
     band = np.minimum((_BANDS * (power - power[0] / 2) / power[-1]).astype(int), _BANDS - 1)
@@ -249,8 +248,7 @@ def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[st
         inside = band == number
         relative = np.sqrt(np.square((weight * u)[inside]).sum()) / max(float((weight * density)[inside].sum()), 1e-300)
         after.append(("psd", density * np.where(inside, 1 + relative, 1.0)))
-    if noise_u:
-        after.append(("noise", np.maximum(density - noise_u, _LEAST_LEFT * density)))
+    after += [("noise", np.maximum(density + change, _LEAST_LEFT * density)) for change in noise_changes]
     for source, values in after:
         changed, changed_sigma = roughness(psd.assign(psd=("frequency", values)))
         fields = {"sigma": xr.DataArray(changed_sigma - sigma)}

@@ -10,19 +10,22 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
+from brdfpipe.geometry import Array
 from brdfpipe.psd.coherent_height import coherent_height
 from brdfpipe.psd.k_correlation import KFit, fit
-from brdfpipe.psd.line_inversion import invert
+from brdfpipe.psd.line_inversion import invert, inverted_change
 from brdfpipe.psd.noise_floor import NoiseFloor, noise_floor
 from brdfpipe.psd.periodograms import PatchCount, Rings, Scan, periodograms, rings
 from brdfpipe.psd.planar_spectrum import planar_spectrum, slope_ratio
-from brdfpipe.psd.spectrum_dataset import spectrum_dataset
+from brdfpipe.psd.spectrum_dataset import own_variance, spectrum_dataset
 
 LAY_LIMIT = 1.2
 """Ratio of the principal rms slopes in the band above which a spectrum over both frequencies is stored too."""
 
 _SIGNIFICANT = 3.0
 _FEWEST_RINGS = 6
+_LEAST_LEFT = 0.1
+"""Least share of a ring that is left as its noise grows."""
 _POOR_FIT = 0.3
 """Rms of the logarithm of measured over fitted spectrum above which the form is not that of the surface."""
 
@@ -58,7 +61,11 @@ def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | No
     apparent = rings(levels, scan.nyquist)
     above = _without_noise(apparent, floor, scan, surface.attrs)
     line = scan.height.ndim == 1
-    spectrum, fitted, quality = _areal(above) if line else (above, fit(*above), _measured(above))
+    noise_change = np.full((1, above.frequency.size), -floor.density_uncertainty(scan))
+    if line:
+        spectrum, fitted, quality, noise_change = _areal(above, noise_change)
+    else:
+        spectrum, fitted, quality = above, fit(*above), _measured(above)
     result = spectrum_dataset(
         spectrum,
         fitted,
@@ -66,7 +73,7 @@ def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | No
         form="measured",
         method=f"{count.used} windowed patches of {_size(count.side, line)} heights"
         + (", Abel inversion or fit" if line else ""),
-        common_u=0.0 if line else floor.density_uncertainty(scan),
+        noise_changes=noise_change,
     ).assign(
         sigma_heights=float(np.sqrt(max(scan.variance - floor.sigma**2, 0.0))),
         noise_sigma=floor.sigma,
@@ -102,10 +109,16 @@ def _without_noise(apparent: Rings, floor: NoiseFloor, scan: Scan, attributes: M
     return Rings(apparent.frequency[start:end], density[start:end], uncertainty[start:end])
 
 
-def _areal(line: Rings) -> tuple[Rings, KFit, NDArray[np.int8]]:
-    """Plane spectrum of a line spectrum: inverted, or that of the fitted K-correlation, whichever is more certain."""
-    fitted = fit(*line, line=True)
-    inverted = invert(line)
+def _areal(line: Rings, noise_change: Array) -> tuple[Rings, KFit, NDArray[np.int8], Array]:
+    """Plane spectrum of a line spectrum: inverted, or that of the fitted K-correlation, whichever is more certain.
+
+    With its change (1, rings) as the line spectrum changes by ``noise_change`` (1, rings), a part of its uncertainty that is common to all rings.
+    """
+    fitted, noisy = fit(*line, line=True), bool(noise_change.any())
+    own = line._replace(uncertainty=np.sqrt(own_variance(line.uncertainty, noise_change))) if noisy else line
+    inverted = invert(own)
+    change = inverted_change(line, noise_change[0]) if noisy else np.zeros_like(inverted.density)
+    inverted = inverted._replace(uncertainty=np.hypot(inverted.uncertainty, change))
     model = fitted.model.areal(inverted.frequency)
     relative = np.sqrt(
         np.interp(inverted.frequency, line.frequency, fitted.relative_uncertainty) ** 2 + fitted.residual**2
@@ -113,7 +126,12 @@ def _areal(line: Rings) -> tuple[Rings, KFit, NDArray[np.int8]]:
     use = (inverted.density > 0) & (inverted.uncertainty < relative * inverted.density)
     quality = np.where(use, vocabulary.quality("measured"), vocabulary.quality("interpolated")).astype(np.int8)
     density, uncertainty = np.where(use, inverted, np.stack([inverted.frequency, model, relative * model]))[1:]
-    return Rings(inverted.frequency, density, uncertainty), fitted, quality
+    if noisy and not use.all():
+        less = np.maximum(line.density + noise_change[0], _LEAST_LEFT * line.density)
+        after = fit(*line._replace(density=less), line=True).model.areal(inverted.frequency)
+        change = np.where(use, change, after - model)
+        uncertainty = np.where(use, uncertainty, np.hypot(uncertainty, change))
+    return Rings(inverted.frequency, density, uncertainty), fitted, quality, change[None]
 
 
 def _measured(spectrum: Rings) -> NDArray[np.int8]:

@@ -15,7 +15,7 @@ from brdfpipe.psd.estimation import estimate
 from brdfpipe.psd.k_correlation import PsdError, fit
 from brdfpipe.psd.periodograms import RINGS_PER_DECADE, Rings
 from brdfpipe.psd.scans import sort_scans
-from brdfpipe.psd.spectrum_dataset import spectrum_dataset
+from brdfpipe.psd.spectrum_dataset import NOISE_CHANGES, spectrum_dataset
 
 _DISAGREEMENT = 0.2
 """Relative difference of two spectra in their common band that is worth a warning, if it is significant too."""
@@ -44,7 +44,9 @@ def estimate_joined(
     PsdError : as :func:`brdfpipe.psd.estimate` and :func:`brdfpipe.psd.scans.sort_scans`.
     """
     found = sort_scans(scans, noise, noise_uncertainty)
-    return join(*(estimate(scan, noise=found.noise) for scan in found.counted), *map(estimate, found.extending))
+    psds = *(estimate(scan, noise=found.noise) for scan in found.counted), *map(estimate, found.extending)
+    # The noise of the scans of one magnification is that of one instrument.
+    return _joined(psds, np.maximum(np.arange(len(psds)) - len(found.counted) + 1, 0))
 
 
 def join(*psds: xr.Dataset) -> xr.Dataset:
@@ -59,13 +61,19 @@ def join(*psds: xr.Dataset) -> xr.Dataset:
     Dataset of kind ``psd`` over the union of the bands, on rings of 1/20 decade. Where bands overlap it is the mean of the logarithms, weighted by
         the inverse squares of the relative uncertainties, and its uncertainty grows with their disagreement. The
         heights' and the noise's rms are those of the scan with the widest band, as is ``psd_planar``. ``scan_band_low`` and
-        ``scan_band_high`` are the bands, in the order given. A single spectrum is returned unchanged
+        ``scan_band_high`` are the bands, in the order given. The noise of each scan is taken as independent of that of the others.
+        A single spectrum is returned unchanged
 
     Raises
     ------
     PsdError : no spectrum, or one that is not measured.
     VocabularyError : a dataset is not of kind ``psd``.
     """
+    return _joined(psds, np.arange(len(psds)))
+
+
+def _joined(psds: Sequence[xr.Dataset], instrument: NDArray[np.intp]) -> xr.Dataset:
+    """As :func:`join`; the noise of spectra of the same number of an ``instrument`` (psds,) grows together."""
     for psd in psds:
         vocabulary.validate(psd, "psd")
     if not psds or any(psd.attrs["form"] != "measured" for psd in psds):
@@ -81,6 +89,7 @@ def join(*psds: xr.Dataset) -> xr.Dataset:
     weight = np.where(np.isfinite(logs), 1 / relative**2, 0.0)
     covered = weight.any(axis=0)
     grid, logs, weight = grid[covered], np.where(np.isfinite(logs), logs, 0.0)[:, covered], weight[:, covered]
+    share = weight / weight.sum(axis=0)
     mean = (weight * logs).sum(axis=0) / weight.sum(axis=0)
     count = (weight > 0).sum(axis=0)
     misfit = (weight * (logs - mean) ** 2).sum(axis=0) / np.maximum(count - 1, 1)
@@ -89,7 +98,16 @@ def join(*psds: xr.Dataset) -> xr.Dataset:
     widest = max(psds, key=lambda psd: float(psd["band_high"] / psd["band_low"]))
     method = f"{len(psds)} scans joined: {widest.attrs['method']}"
     quality = _quality(psds, grid)
-    result = spectrum_dataset(spectrum, fit(*spectrum), quality, form="measured", method=method)
+    of_scans = density * share * np.array([_relative_noise_change(psd, grid) for psd in psds])
+    of_noises = np.array([of_scans[instrument == number].sum(axis=0) for number in np.unique(instrument)])
+    result = spectrum_dataset(
+        spectrum,
+        fit(*spectrum),
+        quality,
+        form="measured",
+        method=method,
+        noise_changes=of_noises[of_noises.any(axis=1)],
+    )
     result = result.assign({name: widest[name].variable for name in _SCALARS if name in widest})
     if "psd_planar" in widest:
         result = result.merge(widest[["psd_planar"]])
@@ -109,6 +127,15 @@ def _on_grid(psd: xr.Dataset, grid: Array) -> tuple[Array, Array]:
     logs = np.interp(np.log(grid), np.log(frequency), np.log(density))
     relative = np.interp(np.log(grid), np.log(frequency), psd["psd_uncertainty"].values / density)
     return np.where(inside, logs, np.nan), np.where(inside, np.maximum(relative, 1e-6), 1.0)
+
+
+def _relative_noise_change(psd: xr.Dataset, grid: Array) -> Array:
+    """Relative change of a spectrum at frequencies as its noise grows by its standard uncertainty."""
+    if NOISE_CHANGES not in psd:
+        return np.zeros(grid.size)
+    # A joined spectrum has the noise of several instruments.
+    change = psd[NOISE_CHANGES].values.sum(axis=0) / psd["psd"].values
+    return np.interp(np.log(grid), np.log(psd["frequency"].values), change)
 
 
 def _quality(psds: Sequence[xr.Dataset], grid: Array) -> NDArray[np.int8]:

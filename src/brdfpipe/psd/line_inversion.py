@@ -36,6 +36,14 @@ def invert(line: Rings) -> Rings:
     return Rings(frequency, density, np.sqrt(np.square(jacobian * relative[:, None]).sum(axis=0)))
 
 
+def inverted_change(line: Rings, change: Array) -> Array:
+    """Change of the plane spectrum [um4] of :func:`invert` by a small change of the line spectrum [um3], linear in it."""
+    frequency = np.sqrt(line.frequency[1:] * line.frequency[:-1])
+    log_density, relative = np.log(line.density), change / line.density
+    before, after = (_inverted(line.frequency, log_density + step * relative, frequency) for step in (0.0, _STEP))
+    return (after - before) / _STEP
+
+
 def _inverted(node: Array, log_density: Array, frequency: Array) -> Array:
     """S at frequencies, from the logarithm of W at nodes."""
     log_node = np.log(node)

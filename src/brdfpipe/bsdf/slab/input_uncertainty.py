@@ -308,8 +308,9 @@ def _of_a_face(surface: Surface, inputs: _Inputs, bsdf: xr.Dataset) -> Iterator[
         outside = _changed(outside, outer[number][1]) if outer else outside
         changed = surface._replace(table=table, halo=Halo.of(table), outside=outside)
         if source == "noise" and noise:
-            # The noise of the heights is one: that of the facets and that of the spectrum change together.
-            changed = changed._replace(facets=_with_facets(facets, noise[0]), outside=_outer_facets(outside, noise[0]))
+            # The noise of the heights is one: that of the facets and the first of the spectrum change together.
+            of_noise = noise.pop()
+            changed = changed._replace(facets=_with_facets(facets, of_noise), outside=_outer_facets(outside, of_noise))
         yield source, changed, {}
     together = any(source == "noise" for source, _ in inner)
     for source, fields in of_facets:
