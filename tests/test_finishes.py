@@ -17,7 +17,8 @@ from brdfpipe.jobs.build import build as build_catalogue
 
 COLOUR = "spectrum: {lab: [50, 10, 10], illuminant: D65, observer: 10, geometry: sci}\n"
 MATERIALS = {
-    "brushed": "surface: {file: h.npy, unit: um, pitch: 1}\nindex: ABS\nspectrum: {file: r.txt, geometry: sci, scale: fraction}\nmodel: {truth: none}\n",
+    "brushed": "surface: {file: h.npy, unit: um, pitch: 1}\nindex: ABS\nspectrum: {file: r.txt, geometry: sci, scale: fraction}\n"
+    "model: {truth: none, optics: OPTICS}\n",
     "compensated": "surface: {distribution: beckmann, slope_rms: 0.6}\nindex: ABS\nmodel: {multiple_scattering: compensated}\n",
     "frosted": "surface: {distribution: flat}\nindex: 1.49\n"
     "slab: {thickness: 2, absorption: {file: a.txt}, back: {distribution: beckmann, slope_rms: 0.2}}\n",
@@ -30,13 +31,14 @@ MATERIALS = {
 @pytest.fixture(scope="module")
 def results(made_once: Callable[[str, Callable[[Path], None]], Path], request: pytest.FixtureRequest) -> Path:
     slow = request.config.getoption("--slow")
-    return made_once("finishes", lambda base: build_finishes(base, preview=slow)) / "results"
+    return made_once("finishes", lambda base: build_finishes(base, slow)) / "results"
 
 
-def build_finishes(base: Path, preview: bool) -> None:
+def build_finishes(base: Path, slow: bool) -> None:
+    """With pictures, and with waves of the lay, in the slow tests alone."""
     for name, text in MATERIALS.items():
         (base / "catalogue" / name).mkdir(parents=True)
-        (base / "catalogue" / name / "material.yaml").write_text(text)
+        (base / "catalogue" / name / "material.yaml").write_text(text.replace("OPTICS", "auto" if slow else "facets"))
     np.save(base / "catalogue" / "brushed" / "h.npy", _brushed())
     for file, value in (("frosted/a.txt", 0.05), ("brushed/r.txt", 0.2)):
         rows = "".join(f"{nm} {value}\n" for nm in range(380, 741, 20))
@@ -46,7 +48,7 @@ def build_finishes(base: Path, preview: bool) -> None:
     settings.write_text(
         "table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}\n"
         "lambert_gauss: {theta_i: [0, 45]}\n"
-        f"preview: {str(preview).lower()}\n"
+        f"preview: {str(slow).lower()}\n"
     )
     summary = build_catalogue(base / "catalogue", base / "results", cores=2, config=settings)
     assert summary.failures == {}
@@ -76,7 +78,7 @@ def test_a_polished_material_has_the_gloss_of_its_reflectance(results: Path) -> 
 def test_a_brushed_material_keeps_its_lay_to_the_last_file(results: Path) -> None:
     computed = opened(results, "brushed", "appearance")
     assert abs(float(computed["lay"])) < 5
-    # At 85° a good part of the gloss is coherent light (g = 2.4), which has no lay.
+    # With waves, a good part of the gloss at 85° is coherent light (g = 2.4), which has no lay.
     assert float(computed["gloss_along"][2]) > 1.3 * float(computed["gloss_across"][2])
     assert opened(results, "brushed", "table")["brdf"].dims[0] == "phi_i"
     assert "NOT isotropic" in (results / "brushed" / "exports" / "brushed.astm").read_text()
