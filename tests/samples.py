@@ -52,6 +52,17 @@ def _beckmann_bsdf(sigma: float, n: float, reflectance: tuple[float, ...] | None
     )
 
 
+def glossy_bsdf(a: float, n: float) -> xr.Dataset:
+    """Beckmann facets without diffuse light; the table of the albedo is coarse, for what depends on the lobe alone."""
+    return _glossy_bsdf(a, n).copy(deep=True)
+
+
+@cache
+def _glossy_bsdf(a: float, n: float) -> xr.Dataset:
+    with coarse_albedo_tables():
+        return microfacet.build(facets.analytic("beckmann", a), index=n)
+
+
 def visibility_table(ratio) -> xr.Dataset:
     """A ``visibility`` dataset of a ratio to Smith's over (grazing, steepness, asymmetry); a number is the same everywhere."""
     ratio = np.broadcast_to(ratio, (5, 6, 4)) if np.ndim(ratio) == 0 else np.asarray(ratio)

@@ -25,7 +25,7 @@ from brdfpipe.bsdf.nonspectral import nonspectral
 
 
 def rough(a, n=1.5):
-    return microfacet.build(facets.analytic("beckmann", a), index=optics.refractive_index(n))
+    return samples.glossy_bsdf(a, n)
 
 
 @pytest.mark.parametrize(("a", "printed"), [(0.05, (5.1526, 36.5641, 37.1876)), (0.20, (0.3416, 5.1028, 6.0225))])

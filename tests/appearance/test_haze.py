@@ -20,7 +20,7 @@ from brdfpipe.bsdf import lambert_gauss, microfacet
 
 
 def rough(a, n=1.5):
-    return microfacet.build(facets.analytic("beckmann", a), index=n)
+    return samples.glossy_bsdf(a, n)
 
 
 def test_a_polished_surface_has_no_haze():

@@ -18,7 +18,7 @@ from brdfpipe.spectra import colorimetry
 
 
 def black(a):
-    return microfacet.build(facets.analytic("beckmann", a), index=optics.refractive_index(1.55))
+    return samples.glossy_bsdf(a, 1.55)
 
 
 def sphere(picture):

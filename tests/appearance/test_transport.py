@@ -22,7 +22,8 @@ ONE = (None, np.ones((1, 1)))
 
 @cache
 def gloss_alone(*, index=1.5, **width):
-    return microfacet.build(facets.analytic("beckmann", **width), index=optics.refractive_index(index))
+    with samples.coarse_albedo_tables():
+        return microfacet.build(facets.analytic("beckmann", **width), index=optics.refractive_index(index))
 
 
 def some(points, count, seed=2):
