@@ -87,13 +87,14 @@ def masking_choice(masking: str = "measured", error: float = -0.3) -> xr.Dataset
 
 
 def brushed_bsdf(a_x: float, a_y: float, azimuth: float = 0.0) -> xr.Dataset:
-    """The microfacet BSDF of a Gaussian surface of index 1.5 with a lay: widths along and across it, its azimuth."""
+    """The microfacet BSDF of a Gaussian surface of index 1.5 with a lay: widths along and across it, its azimuth; its albedo is coarse."""
     return _brushed_bsdf(a_x, a_y, azimuth).copy(deep=True)
 
 
 @cache
 def _brushed_bsdf(a_x: float, a_y: float, azimuth: float) -> xr.Dataset:
-    return microfacet.build(facets.analytic("beckmann", a_x=a_x, a_y=a_y, azimuth=azimuth), index=1.5)
+    with coarse_albedo_tables():
+        return microfacet.build(facets.analytic("beckmann", a_x=a_x, a_y=a_y, azimuth=azimuth), index=1.5)
 
 
 @contextmanager

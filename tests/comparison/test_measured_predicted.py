@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
 
 import comparison_primary
 import numpy as np
@@ -17,6 +18,13 @@ from brdfpipe.comparison import ComparisonError, findings, measured_predicted
 
 TRUE = {"index": 0.03, "slope": 1.1, "diffuse": 0.95}
 SPECTRUM = samples.spectrum(0.05 + 0.3 * (samples.WAVELENGTH > 540))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse_tables() -> Iterator[None]:
+    """The noise of the measurement is a hundred times the error of such a table."""
+    with samples.coarse_albedo_tables():
+        yield
 
 
 def finish() -> xr.Dataset:
