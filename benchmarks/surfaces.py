@@ -133,16 +133,14 @@ def facet_memory(surface: xr.Dataset, repeats: int) -> Record:
 
 
 def raycast_time(surface: xr.Dataset, repeats: int) -> Record:
-    """Twenty angles over every line of a map, towards x, towards y, and obliquely; the comparison of the report."""
+    """Twenty angles over every line of a map, towards x, towards y, and obliquely."""
     theta = np.linspace(0, 89.9, 20)
-    table = estimate(surface)
     return {
         "heights": surface["height"].size,
         "angles": theta.size,
         "along_x_s": round(best(lambda: raycast.raycast(surface, theta, 0.0), repeats), 3),
         "along_y_s": round(best(lambda: raycast.raycast(surface, theta, 90.0), repeats), 3),
         "oblique_s": round(best(lambda: raycast.raycast(surface, theta, 30.0), repeats), 3),
-        "compare_s": round(best(lambda: raycast.compare(surface, table), repeats), 3),
         "extra_mb": round(traced(lambda: raycast.raycast(surface, theta, 90.0)) / 1e6, 1),
     }
 
@@ -219,8 +217,7 @@ def as_text(summary: Record) -> str:
     cast = summary["raycast"]
     lines.append(
         f"ray cast, {cast['heights']} heights x {cast['angles']} angles: towards x {cast['along_x_s']:.2f} s, "
-        f"towards y {cast['along_y_s']:.2f} s, obliquely {cast['oblique_s']:.2f} s, extra memory {cast['extra_mb']:.0f} MB; "
-        f"comparison {cast['compare_s']:.2f} s"
+        f"towards y {cast['along_y_s']:.2f} s, obliquely {cast['oblique_s']:.2f} s, extra memory {cast['extra_mb']:.0f} MB"
     )
     return "\n".join([*lines, summary["machine"]])
 
