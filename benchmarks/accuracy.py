@@ -13,7 +13,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -25,6 +25,7 @@ import xarray as xr
 from brdfpipe import installation, store, vocabulary
 from brdfpipe.bsdf import kirchhoff, traced
 from brdfpipe.bsdf.lambert_gauss_fit import fit_lambert_gauss
+from brdfpipe.bsdf.microfacet import interreflection
 from brdfpipe.bsdf.microfacet.builder import build as build_facets
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
@@ -54,16 +55,27 @@ def _smooth(size: int) -> xr.Dataset:
     return samples.surface(height / height.std() * 0.05, (0.5, 0.5))
 
 
+SMOOTH_MAP = "smooth: σ = 50 nm, ℓ = 5 µm"
+"""The map whose heights are a fraction of the wavelength: a surface of waves, not of facets"""
+
 MAPS: Mapping[str, Callable[[int], xr.Dataset]] = {
     "rough: Gaussian, slope 0.3": lambda size: samples.surface(relief_maps.gaussian(0.3, size, 0)),
     "cells with valleys": lambda size: samples.surface(relief_maps.cells(size, 0)),
     "ridges with a lay": lambda size: samples.surface(relief_maps.ridges(size, 0)),
-    "smooth: σ = 50 nm, ℓ = 5 µm": _smooth,
+    SMOOTH_MAP: _smooth,
 }
 
 
 def _facets(surface: xr.Dataset, **modes: str) -> xr.Dataset:
-    return build_facets(estimate(surface), index=INDEX, **modes)
+    facets = estimate(surface)
+    return build_facets(facets, index=INDEX, interreflection=_reflections(surface, facets, modes), **modes)
+
+
+def _reflections(surface: xr.Dataset, facets: xr.Dataset, modes: Mapping[str, str]) -> xr.Dataset | None:
+    """Light reflected more than once, traced on the map, if the modes ask for it."""
+    if modes.get("multiple_scattering") != "measured":
+        return None
+    return interreflection.choose(surface, facets, index=INDEX, multiple_scattering="measured")
 
 
 def _measured_masking(surface: xr.Dataset, **modes: str) -> xr.Dataset:
@@ -83,7 +95,8 @@ def _waves(surface: xr.Dataset, optics: str, **modes: str) -> xr.Dataset:
         return build_wave(spectrum, index=INDEX, optics=optics)
     facets = estimate(surface)
     visibility = choose(surface, facets)
-    predicted = build_facets(facets, index=INDEX, visibility=visibility, **modes)
+    traced_light = _reflections(surface, facets, modes)
+    predicted = build_facets(facets, index=INDEX, visibility=visibility, interreflection=traced_light, **modes)
     return build_wave(spectrum, index=INDEX, facets=facets, predicted=predicted, visibility=visibility, optics=optics)
 
 
@@ -92,11 +105,15 @@ RUNGS: Mapping[str, Callable[[xr.Dataset], xr.Dataset]] = {
     "facets": partial(_facets, multiple_scattering="none"),
     "facets, masking measured": partial(_measured_masking, multiple_scattering="none"),
     "facets, second reflections directional": partial(_facets, multiple_scattering="directional"),
-    "facets, both": partial(_measured_masking, multiple_scattering="directional"),
+    "facets, second reflections measured": partial(_facets, multiple_scattering="measured"),
+    "facets, masking measured, second reflections directional": partial(
+        _measured_masking, multiple_scattering="directional"
+    ),
     "wave": partial(_waves, optics="wave"),
     "composite": partial(_waves, optics="composite"),
     "auto (the default)": partial(_waves, optics="auto"),
     "auto, second reflections directional": partial(_waves, optics="auto", multiple_scattering="directional"),
+    "auto, second reflections measured": partial(_waves, optics="auto", multiple_scattering="measured"),
     "traced, 10⁴ rays an incidence": partial(traced.build, index=INDEX, rays=10**4, seed=7),
     "traced, 10⁵ rays": partial(traced.build, index=INDEX, rays=10**5, seed=7),
     "traced, 3·10⁵ rays": partial(traced.build, index=INDEX, rays=3 * 10**5, seed=7),
@@ -169,15 +186,23 @@ def report(results: Mapping[str, list[Measured]], size: int = SIZE) -> str:
     lines = [
         "# Accuracy and cost of the models",
         "",
-        "`make accuracy` writes this page. Every model is built from the same heights "
-        f"({size}² of them, n = {INDEX:g}, no diffuse part) and compared with a reference of {REFERENCE_RAYS / 6e6:g} million rays an incidence, or with diffraction "
-        "on the map where rays do not hold. Errors are the predicted less the reference, of light in the peak (above 0.3 of the largest predicted value) in percent and of gloss "
-        "in gloss units; on ridges the larger of along and across the lay. Build: from the heights, processor seconds of one core, "
-        "after compilation, on a machine in use. Evaluation: million directions a second at one wavelength. – : no reference holds there.",
+        f"`make accuracy` writes this page. Every model is built from the same heights ({size}² of them, n = {INDEX:g}, no diffuse part), and compared with "
+        f"{REFERENCE_RAYS / 6e6:g} million rays an incidence, or with diffraction on the map where rays do not hold.",
         "",
-        "[How a model is chosen](model.md#how-far-a-prediction-can-be-trusted) and "
-        "[where a reference holds](model.md#the-error-of-a-model) say which to take. The reference of traced rays is traced with other rays on the same map: their "
-        "error is that of their number and of their table.",
+        "- Errors: predicted less reference. Peak: light above 0.3 of the largest predicted value, %. Gloss: gloss units. On ridges, the larger of along and across.",
+        "- Build: from the heights, processor seconds of one core after compilation. Evaluation: million directions a second, one wavelength. The machine was in use.",
+        "- The models `traced` meet a reference of other rays on the same map: their error is that of their number and table. – : no reference holds.",
+        "",
+        "[How a model is chosen](model.md#how-far-a-prediction-can-be-trusted) and [where a reference holds](model.md#the-error-of-a-model) say which to take.",
+        "",
+        "## Speed against accuracy",
+        "",
+        f"Each figure is the worst of its maps: the error furthest from 0 (peak at {_degrees(PEAK_ANGLES)}, gloss at {_degrees(GLOSS_ANGLES)}), the longest build and the "
+        "slowest evaluation. Rough maps are those of facets, the smooth one is that of waves.",
+        "",
+        "| Model | Build, s | Evaluation, 10⁶/s | Peak, rough | Gloss, rough | Peak, smooth | Gloss, smooth |",
+        "|---|---|---|---|---|---|---|",
+        *_summary(results),
     ]
     for name, rows in results.items():
         lines += ["", f"## {name[0].upper()}{name[1:]}", ""]
@@ -189,6 +214,37 @@ def report(results: Mapping[str, list[Measured]], size: int = SIZE) -> str:
         refused = [f"- **{row.rung}** is refused: {row.refusal}." for row in rows if row.refusal]
         lines += ["", *refused] if refused else []
     return "\n".join(lines) + "\n"
+
+
+def _degrees(angles: tuple[float, ...]) -> str:
+    return " / ".join(f"{angle:g}" for angle in angles) + "°"
+
+
+def _summary(results: Mapping[str, list[Measured]]) -> Iterator[str]:
+    """One row for each model: its cost, and its worst errors on the rough maps and on the smooth one."""
+    for number, rung in enumerate(row.rung for row in next(iter(results.values()), [])):
+        built = {name: rows[number] for name, rows in results.items() if not rows[number].refusal}
+        smooth = [row for name, row in built.items() if name == SMOOTH_MAP]
+        rough = [row for name, row in built.items() if name != SMOOTH_MAP]
+        errors = []
+        for rows in (rough, smooth):
+            peak, gloss = ([value for row in rows for value in getattr(row, what)] for what in ("peak", "gloss"))
+            errors += [_worst(100 * np.array(peak), 1), _worst(np.array(gloss), 2)]
+        all_rough = len(results) - (SMOOTH_MAP in results)
+        if 0 < len(rough) < all_rough:
+            errors[0] += f" ({len(rough)} of {all_rough} maps)"
+        cost = (
+            f"{max(row.build for row in built.values()):.2g} | {min(row.rate for row in built.values()):.2g}"
+            if built
+            else "– | –"
+        )
+        yield f"| {rung} | {cost} | {' | '.join(errors)} |"
+
+
+def _worst(errors: Array, decimals: int) -> str:
+    """The error that is furthest from 0."""
+    known = errors[np.isfinite(errors)]
+    return _signed(known[np.abs(known).argmax()] if known.size else np.nan, decimals)
 
 
 def _row(row: Measured) -> str:
@@ -210,7 +266,7 @@ def _signed(value: float, decimals: int) -> str:
 def main(size: int, only: tuple[str, ...], page: Path | None) -> None:
     results: dict[str, list[Measured]] = {}
     warm = samples.gaussian_surface(64)
-    for rung in ("facets, masking measured", "facets, second reflections directional", "traced, 10⁴ rays an incidence"):
+    for rung in ("facets, masking measured", "facets, second reflections measured", "traced, 10⁴ rays an incidence"):
         RUNGS[rung](warm)
     for name, make in MAPS.items():
         if only and not any(part in name for part in only):
