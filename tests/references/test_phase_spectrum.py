@@ -104,3 +104,11 @@ def test_unusable_maps_are_refused():
     holes["height"][::16, ::16] = np.nan
     with pytest.raises(HeightMapError, match="without gaps, and two are needed"):
         phase_spectrum(holes, 20.0)
+
+
+@pytest.mark.parametrize("sigma", [5e-4, 2e-3, 6e-3])
+def test_a_polished_surface_keeps_its_light_in_the_mirror_direction(sigma):
+    found = phase_spectrum(gaussian_map(sigma, size=128), 4 * np.pi / WAVELENGTH)
+    # Enough nodes for the splines of its BSDF.
+    assert found.phase.size >= 5
+    assert found.coherent == pytest.approx(np.exp(-((found.phase * sigma) ** 2)), abs=2e-3)

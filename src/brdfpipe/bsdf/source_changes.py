@@ -136,7 +136,7 @@ def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset
         elif name in reduced:
             change = bsdf[name + _SUFFIX]
             if "mixed" in reduced[name].dims:
-                values = at_wavelengths(change, reduced["mixed_wavelength"].values)
+                values = at_wavelengths(change, reduced[_wavelengths_of_mixture(reduced, name)].values)
                 change = xr.DataArray(values, dims=(DIMENSION, "mixed"))
             elif _is_flattened(change, reduced[name]):
                 after = np.stack([one.nonspectral(weight)[name].values for one in SourceChanges(bsdf).of_inputs])
@@ -151,6 +151,13 @@ def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset
         if name in bsdf.coords
     }
     return vocabulary.label(reduced.assign(fields | kept).assign_coords(coordinates), "bsdf")
+
+
+def _wavelengths_of_mixture(mean: xr.Dataset, name: str) -> str:
+    """The variable with the wavelengths of a mean over wavelength; that of a face of a sheet has the prefix of the face."""
+    suffix = "mixed_wavelength"
+    prefixes = (str(other).removesuffix(suffix) for other in mean.variables if str(other).endswith(suffix))
+    return max((prefix for prefix in prefixes if name.startswith(prefix)), key=len) + suffix
 
 
 def _is_flattened(change: xr.DataArray, mean: xr.DataArray) -> bool:

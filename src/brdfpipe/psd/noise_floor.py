@@ -52,6 +52,8 @@ class NoiseFloor(NamedTuple):
     """Standard uncertainty of it [um]; 0 where that is not stated."""
     source: str
     """How it is known, in words."""
+    given: bool = False
+    """Whether it was stated, not found in the heights."""
 
     def __str__(self) -> str:
         """The noise and its uncertainty, for a person."""
@@ -92,9 +94,13 @@ def noise_floor(surface: xr.Dataset, noise: float | xr.Dataset | NoiseFloor | No
 
 
 def beyond_rounding(floor: NoiseFloor, step: float) -> float:
-    """Rms of the noise besides that of rounding heights to a ``step`` [um]; 0 where rounding explains the noise."""
+    """Rms of the noise besides that of rounding heights to a ``step`` [um]; 0 where rounding explains the noise.
+
+    Noise that was given is noise however uncertain it is.
+    """
     rest = floor.sigma**2 - step**2 / 12
-    return float(np.sqrt(rest)) if rest > _SIGNIFICANT * 2 * floor.sigma * floor.uncertainty else 0.0
+    explained = 0.0 if floor.given else _SIGNIFICANT * 2 * floor.sigma * floor.uncertainty
+    return float(np.sqrt(rest)) if rest > explained else 0.0
 
 
 def plateau(scan: Scan) -> NoiseFloor:
@@ -190,7 +196,7 @@ def given(scan: Scan, sigma: float, lambda_s: float = 0.0, uncertainty: float = 
             f"an uncertainty of {1000 * uncertainty:.4g} nm was given for a height noise of {1000 * sigma:.4g} nm; accepted: 0 to the noise itself; correct "
             "`surface.noise_uncertainty`"
         )
-    return NoiseFloor(sigma, uncertainty, "description of the material")
+    return NoiseFloor(sigma, uncertainty, "description of the material", given=True)
 
 
 def _fit(spectrum: Rings, nyquist: float) -> tuple[float, float] | None:

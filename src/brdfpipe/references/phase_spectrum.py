@@ -36,6 +36,7 @@ _LEAST_PATCH = 32
 _RING_STEP = 0.05  # between the rings in asinh(f/f0), with f0 so that the finest rings are one bin wide
 _PHASE_STEP = 0.2  # of ln q
 _LEAST_PHASE = 0.1  # q times the rms height of the first node: below it U grows as q²
+_FEWEST_PHASES = 5  # of a smooth surface, so that cubic splines interpolate between them
 _SIGNIFICANT = 3.0  # times its bias, which coherent light must exceed
 
 
@@ -93,7 +94,7 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
             f"the phase of reflected light changes by more than π between {coarse:.1%} of neighbouring heights: the map is too coarse or too "
             "steep for Kirchhoff's integral; measure with a finer pitch, or trace rays (`brdfpipe.bsdf.traced.build`)"
         )
-    first = min(_LEAST_PHASE / sigma, largest_phase / np.exp(2 * _PHASE_STEP))
+    first = min(_LEAST_PHASE / sigma, largest_phase / np.exp((_FEWEST_PHASES - 1) * _PHASE_STEP))
     count = int(np.ceil(np.log(largest_phase / first) / _PHASE_STEP)) + 1
     phase = np.geomspace(first, largest_phase, count)
     rings = _Rings.of(side, mesh.pitch)

@@ -116,6 +116,32 @@ def test_gloss_haze_and_transmittance_of_a_sheet_are_uncertain_by_source():
     assert float(seen["transmission_haze_u"]) == pytest.approx(total)
 
 
+def test_the_mean_over_wavelength_of_a_sheet_with_waves_keeps_its_changes_by_the_index():
+    spectrum, relief = psd.analytic("gaussian", sigma=0.01, length=5.0), beckmann(0.004)
+    wavelengths = np.array([450.0, 550.0, 650.0])
+    sheet = slab.build(
+        relief, facets.flat(), index=1.5, internal_transmittance=INSIDE, front_psd=spectrum, wavelength=wavelengths
+    )
+    found = with_changes(sheet, facets=relief, psd=spectrum, back_facets=facets.flat(), **body())
+    mean = nonspectral(found)
+    normal = np.zeros(1), np.zeros(1), None
+    by_source = dict(zip(SourceChanges(mean).sources, SourceChanges(mean).of_albedo(*normal), strict=True))
+    spectral = dict(zip(SourceChanges(found).sources, SourceChanges(found).of_albedo(*normal), strict=True))
+    for source in ("index", "transmittance"):
+        assert by_source[source][0, 0] == pytest.approx(spectral[source][0, 1], rel=0.02)
+
+    def reflected(n: float) -> float:
+        # A smooth plate reflects as much along the normal: light that waves scatter is little and stays on its side.
+        f = ((n - 1) / (n + 1)) ** 2
+        return f + (1 - f) ** 2 * INSIDE**2 * f / (1 - (f * INSIDE) ** 2)
+
+    change = reflected(1.5 + N_U) - reflected(1.5)
+    assert by_source["index"][0, 0] == pytest.approx(change, rel=0.02)
+    coherent = SourceChanges(mean)
+    mirrored = [one.specular(*normal)[0][0, 0] for one in (coherent.given, coherent.changed[0])]
+    assert mirrored[1] - mirrored[0] == pytest.approx(change * np.exp(-0.05), rel=0.06)
+
+
 def test_faces_of_assumed_finish_and_numbers_alone_are_exact():
     finish = beckmann(0.2)
     sheet = slab.build(finish, finish, index=1.5)

@@ -29,6 +29,7 @@ from brdfpipe.bsdf.wave.halo import Halo
 from brdfpipe.facets.density_changes import CHANGES
 from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.geometry import Array
+from brdfpipe.optics.fresnel_equations import fresnel
 
 TRANSMITTANCE = "transmittance"
 """Source of the internal transmittance."""
@@ -252,13 +253,34 @@ def _changes(
         u = float(index["n_u"].mean())
         # Where the table has several nodes of the index, its interpolation follows it.
         alone = bsdf.sizes.get("index_node", 1) == 1
-        fields = coarse.differences(before, coarse.solved(surfaces, more_index=u), with_table=alone)
+        denser = _of_denser_body(surfaces[0], u), _of_denser_body(surfaces[1], u)
+        fields = coarse.differences(before, coarse.solved(denser, more_index=u), with_table=alone)
         fields |= {
             name: xr.full_like(bsdf[name], u).drop_vars("wavelength", errors="ignore") for name in _indices(bsdf)
         }
         yield Change("index", fields)
     if interior is not None and "internal_transmittance_u" in interior:
         yield Change(TRANSMITTANCE, _of_transmittance(coarse, before, surfaces, interior))
+
+
+def _of_denser_body(surface: Surface, more_index: float) -> Surface:
+    """A face of a body whose index is larger.
+
+    The outer reflection of waves has an index and a table of the light of its own, which changes as that of a smooth face.
+    """
+    if not isinstance(surface, WaveSurface):
+        return surface
+    outside = surface.outside
+    cos, n = np.cos(np.radians(outside["theta_i"].values)), outside["n"]
+    before, after = (
+        xr.DataArray(np.stack([fresnel(cos, one, 0.0).mean for one in np.ravel(index)]), dims=("index", "theta_i"))
+        for index in (n, n + more_index)
+    )
+    albedo, ratio = outside["directional_albedo"], after / before
+    spectral = n.dims and n.dims[0] in albedo.dims
+    ratio = ratio.rename(index=n.dims[0]) if spectral else ratio.mean("index")
+    larger = (albedo * ratio).clip(max=1.0).transpose(*albedo.dims)
+    return surface._replace(outside=outside.assign(n=n + more_index, directional_albedo=larger))
 
 
 def _replaced(surfaces: tuple[Surface, Surface], number: int, changed: Surface) -> tuple[Surface, Surface]:
