@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import random_surfaces
 import samples
+from scipy.optimize import brentq
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.reference_solution import build, holds
+from brdfpipe.bsdf.reference_solution import SMOOTH_FACETS, WAVELENGTH, build, facet_smoothness, holds
 from brdfpipe.references.height_mesh import HeightMapError
 
 
@@ -25,6 +27,42 @@ def test_rays_hold_on_rough_maps_and_diffraction_on_smooth_ones(sigma, pitch, re
     bsdf = build(scaled(sigma, pitch), index=1.5, spectrum=samples.spectrum(0.3), rays=640)
     assert bsdf.attrs["representation"] == representation
     assert vocabulary.validate(bsdf, "bsdf") is bsdf
+
+
+def two_scales(fine: float, size: int = 256):
+    """A Gaussian relief of 0.5 µm, ℓ 12 µm, with a finer roughness of ℓ 0.6 µm, at a pitch of 0.2 µm."""
+    parts = [
+        random_surfaces.heights(random_surfaces.gaussian(*shape), (size, size), (0.2, 0.2), seed)
+        for shape, seed in (((0.5, 12.0), 1), ((max(fine, 1e-9), 0.6), 7))
+    ]
+    return samples.surface(parts[0] + parts[1], (0.2, 0.2))
+
+
+def expected_smoothness(parts: list[tuple[float, float]], theta_i: float) -> float:
+    """Mean square height difference where it gives a phase variance of 2, over that of the slopes, of Gaussian spectra of σ and ℓ [um]."""
+    target = 2 / (4e3 * np.pi * np.cos(np.radians(theta_i)) / WAVELENGTH) ** 2
+    r = brentq(lambda r: sum(2 * s**2 * -np.expm1(-((r / length) ** 2)) for s, length in parts) - target, 1e-3, 10)
+    return target / sum(2 * (s * r / length) ** 2 for s, length in parts)
+
+
+@pytest.mark.parametrize("fine", [0.0, 0.04])
+def test_the_smoothness_of_facets_is_that_of_the_structure_function(fine):
+    theta_i = np.array([0.0, 40.0])
+    expected = [expected_smoothness([(0.5, 12.0), (fine, 0.6)], angle) for angle in theta_i]
+    # Slopes are those of the pitch, a third of the shorter correlation length: the mean square is 5 % lower.
+    found = facet_smoothness(two_scales(fine), theta_i)
+    np.testing.assert_allclose(found, expected, rtol=0.12 if fine else 0.01)
+    assert ((found >= SMOOTH_FACETS) == (fine == 0)).all()
+
+
+def test_of_one_scale_the_smoothness_is_that_of_the_phase_variance():
+    g = (4e3 * np.pi * 0.5 / WAVELENGTH) ** 2
+    assert expected_smoothness([(0.5, 12.0)], 0.0) == pytest.approx(1 - 1 / (2 * g), rel=1e-4)
+
+
+def test_finer_roughness_than_facets_is_diffracted_though_the_phase_variance_is_large():
+    assert build(two_scales(0.04, 128), index=1.5, rays=640).attrs["representation"] == "kirchhoff"
+    assert build(two_scales(0.0, 128), index=1.5, rays=640).attrs["representation"] == "traced"
 
 
 def test_rays_that_fail_at_grazing_incidence_say_so():

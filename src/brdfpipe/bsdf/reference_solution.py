@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.bsdf import kirchhoff, traced
@@ -17,11 +17,16 @@ GEOMETRIC = 20.0
 """Variance of the phase from which rays are valid: waves then are within 10 % of facets."""
 COHERENT = 1.0
 """Variance of the phase up to which most light is coherent, and no facet masks another."""
+SMOOTH_FACETS = 0.95
+"""Share of the mean square height difference over the width of coherence, of that which the slopes give, from which rays are valid: at
+1 − δ, waves are 2δ brighter at the peak. Of Gaussian heights it is 1 − 1/(2g)."""
 UNMASKED = 3.0
 """Cotangent of the incidence, in typical slopes, from which masking is negligible: Λ of a Gaussian surface is below 4e-4."""
 WAVELENGTH = 555.0
 """Of the phase [nm]."""
 
+_LAGS, _COMPARED = 40, 2**19
+"""Distances at which heights are compared, up to a quarter of a map, and about how many heights."""
 _DECISIVE = 60.0  # incidence at which rays must hold to be preferred
 
 
@@ -38,23 +43,61 @@ def phase_variance(surface: xr.Dataset, theta_i: Array) -> Array:
     return np.asarray((4 * np.pi * sigma * np.cos(np.radians(theta_i)) / (WAVELENGTH * 1e-3)) ** 2)
 
 
-def holds(variance: Array, slope: float, theta_i: Array) -> Holds:
+def facet_smoothness(surface: xr.Dataset, theta_i: Array) -> Array:
+    """How smooth the facets of a map are to light of 555 nm, at incidences [degree]: ⟨(h(x + r) − h(x))²⟩ over ⟨slope²⟩ r² [1].
+
+    r is the width of coherence, over which the difference of two heights gives a phase variance of 2; at most 1. Rays take facets as plane,
+    so that the ratio is 1. Roughness that is fine against r, and too low to be facets of its own, has slopes but no height differences. Along
+    the axis of the map with the smaller ratio; 1 where coherence is as narrow as the pitch.
+    """
+    height, dims = surface["height"].values, surface["height"].dims
+    target = 2 / (4 * np.pi * np.cos(np.radians(theta_i)) / (WAVELENGTH * 1e-3)) ** 2
+    smoothness = np.ones_like(target)
+    for axis, dim in enumerate(map(str, dims)):
+        size, pitch = height.shape[axis], float(surface.attrs[f"pitch_{dim}"])
+        lags = np.unique(np.geomspace(1, max(size // 4, 1), _LAGS).astype(int))
+        # Of a large map some lines are enough.
+        lines = np.moveaxis(height, axis, -1).reshape(-1, size)
+        lines = lines[:: max(height.size // _COMPARED, 1)]
+        of_lag = np.array([_mean_square_difference(lines, int(lag)) for lag in lags])
+        lags, of_lag = lags[np.isfinite(of_lag)], of_lag[np.isfinite(of_lag)]
+        if lags.size == 0 or lags[0] > 1 or of_lag[0] == 0:
+            continue
+        # The first lag at which the difference is large enough; a direction along which it never is has no facets.
+        rising = np.maximum.accumulate(of_lag)
+        log_r = np.interp(np.log(target), np.log(rising), np.log(lags * pitch), left=np.log(pitch), right=np.nan)
+        ratio = np.maximum(target, of_lag[0]) / (of_lag[0] * (np.exp(log_r) / pitch) ** 2)
+        smoothness = np.fmin(smoothness, ratio)
+    return np.asarray(smoothness)
+
+
+def _mean_square_difference(lines: Array, lag: int) -> float:
+    """Of heights that are so many samples apart along lines [um2]; NaN without any."""
+    square = np.square(lines[:, lag:] - lines[:, :-lag], dtype=float)
+    present = np.isfinite(square)
+    return float(square[present].mean()) if present.any() else np.nan
+
+
+def holds(variance: Array, slope: float, theta_i: Array, smoothness: ArrayLike = 1.0) -> Holds:
     """Where the reference solutions hold.
 
     Parameters
     ----------
     variance : of the phase, at incidences ``theta_i`` [degree]
     slope : typical slope of the map along one axis
+    smoothness : of the facets, of the shape of the incidences (:func:`facet_smoothness`)
 
     Notes
     -----
-    Rays need a variance of 20. Diffraction needs low slopes (:data:`brdfpipe.bsdf.kirchhoff.SLOPE_LIMIT`), and either negligible masking or
+    Rays need a variance of 20, and facets that are smooth (:data:`SMOOTH_FACETS`): roughness finer than the coarse relief, of a phase
+    variance below 20, is none of facets. Diffraction needs low slopes (:data:`brdfpipe.bsdf.kirchhoff.SLOPE_LIMIT`), and either negligible masking or
     mostly coherent light.
     """
     cosine, sine = np.cos(np.radians(theta_i)), np.sin(np.radians(theta_i))
     low_slopes = np.sqrt(2) * slope <= kirchhoff.SLOPE_LIMIT
     unmasked = low_slopes & (cosine >= UNMASKED * min(slope, 1.0) * sine)
-    return Holds(variance >= GEOMETRIC, low_slopes & (unmasked | (variance <= COHERENT)))
+    smooth = np.asarray(smoothness) >= SMOOTH_FACETS
+    return Holds((variance >= GEOMETRIC) & smooth, low_slopes & (unmasked | (variance <= COHERENT)))
 
 
 def build(
@@ -70,8 +113,8 @@ def build(
 
     Returns
     -------
-    Dataset of kind ``bsdf``: ``traced`` where the phase variance is at least 20 at 60°; else ``kirchhoff`` if slopes are low and the pitch is fine enough;
-    else ``traced``, with a warning, if it is at least 20 at normal incidence
+    Dataset of kind ``bsdf``: ``traced`` where rays hold at 60° (:func:`holds`); else ``kirchhoff`` if slopes are low and the pitch is fine
+    enough; else ``traced``, with a warning, if rays hold at normal incidence
 
     Raises
     ------
@@ -80,10 +123,12 @@ def build(
     """
     vocabulary.validate(surface, "surface")
     mesh = HeightMesh.of(surface)
-    theta_i = np.array([0.0, _DECISIVE])
+    theta_i = np.arange(900) / 10
+    decisive = int(10 * _DECISIVE)
     variance = phase_variance(surface, theta_i)
-    held = holds(variance, mesh.typical_slope, theta_i)
-    if not held.traced[1] and held.kirchhoff[0]:
+    smoothness = facet_smoothness(surface, theta_i)
+    held = holds(variance, mesh.typical_slope, theta_i, smoothness)
+    if not held.traced[decisive] and held.kirchhoff[0]:
         try:
             bsdf = kirchhoff.build(surface, index=index, spectrum=spectrum)
         except HeightMapError:
@@ -96,17 +141,18 @@ def build(
     if held.traced[0]:
         bsdf = traced.build(surface, index=index, spectrum=spectrum, rays=rays)
         bsdf = vocabulary.add_history(bsdf, f"rays traced over the map: the phase variance is {variance[0]:.3g} at 0°")
-        last = np.degrees(np.arccos(np.sqrt(GEOMETRIC / variance[0])))
-        return bsdf if held.traced[1] else vocabulary.add_warning(bsdf, _limited(float(last)))
+        if held.traced[decisive]:
+            return bsdf
+        return vocabulary.add_warning(bsdf, _limited(float(theta_i[np.argmin(held.traced) - 1])))
     raise HeightMapError(
-        f"no reference solution holds on this map: its phase variance is {variance[0]:.3g}, and rays need {GEOMETRIC:g} or more; its slope is "
-        f"{np.sqrt(2) * mesh.typical_slope:.2g}, and diffraction needs {kirchhoff.SLOPE_LIMIT:g} or less. Set `model.truth: check`, with "
+        f"no reference solution holds on this map: its phase variance is {variance[0]:.3g}, and rays need {GEOMETRIC:g} or more; the "
+        f"smoothness of its facets is {smoothness[0]:.2f}, and rays need {SMOOTH_FACETS:g} (finer roughness is none of facets); its slope is {np.sqrt(2) * mesh.typical_slope:.2g}, and diffraction needs {kirchhoff.SLOPE_LIMIT:g} or less. Set `model.truth: check`, with "
         "`model.optics: auto`"
     )
 
 
 def _limited(last: float) -> str:
     return (
-        f"rays hold up to {last:.0f}° of incidence on this map: beyond, its heights are too low against the wavelength, and its slopes are too "
-        "steep, or its pitch too coarse, for diffraction; set `model.optics: auto` with `model.truth: check` for grazing light"
+        f"rays hold up to {last:.0f}° of incidence on this map: beyond, its heights, or the finer part of them, are too low against the wavelength, and its "
+        "slopes are too steep, or its pitch too coarse, for diffraction; set `model.optics: auto` with `model.truth: check` for grazing light"
     )

@@ -15,7 +15,7 @@ from brdfpipe.appearance.gloss_meter import gloss
 from brdfpipe.appearance.validity import LARGEST_JUDGED, REFERENCES
 from brdfpipe.bsdf import kirchhoff, traced
 from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
-from brdfpipe.bsdf.reference_solution import GEOMETRIC, WAVELENGTH, holds, phase_variance
+from brdfpipe.bsdf.reference_solution import GEOMETRIC, WAVELENGTH, facet_smoothness, holds, phase_variance
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.comparison.lobe_bins import LobeBins, gloss_by_bin
 from brdfpipe.errors import VocabularyError
@@ -97,7 +97,7 @@ def model_error(
     refusals = {"traced": refusal} if refusal else {}
     variance = phase_variance(surface, INCIDENCES)
     slope = meshes[0].typical_slope if meshes else np.inf
-    held = np.stack(holds(variance, slope, INCIDENCES))
+    held = np.stack(holds(variance, slope, INCIDENCES, facet_smoothness(surface, INCIDENCES)))
     held[0] &= not refusal
     diffraction = None
     if (held[1] & ~held[0]).any():

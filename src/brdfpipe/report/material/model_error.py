@@ -16,7 +16,7 @@ from brdfpipe.report.plots.masking import bistatic_figure
 _NAMES = {"traced": "Traced rays", "kirchhoff": "Diffraction"}
 _LIGHT_NOTE = (
     "Predicted over reference light less 1, and predicted less reference gloss, ± 2 standard uncertainties, where a reference holds. Peak: where "
-    "the predicted BRDF is above 0.3 of its peak; shoulder: above 0.03. g: variance of the phase of the light; rays hold from 20 on."
+    "the predicted BRDF is above 0.3 of its peak; shoulder: above 0.03. g: variance of the phase of the light; rays hold from 20 on, on smooth facets."
 )
 _MASKING_NOTE = "Share of the facets facing both directions that both see, in the mirror direction. Smith: of the slopes of the lines cast."
 
