@@ -366,7 +366,13 @@ QUANTITIES: Mapping[str, Quantity] = {
     # Uncertain inputs of a prediction
     "change_theta": Quantity("degree", "incidence at which the change of an albedo is known", 0, 90),
     "error_theta": Quantity("degree", "incidence at which the relative error of a model is known", 0, 90),
-    "relative_error": Quantity("1", "relative error of a model, as a standard uncertainty", 0),
+    "relative_error": Quantity(
+        "1", "relative error of a model, as a standard uncertainty; missing where not known", 0, missing=True
+    ),
+    "error_gloss_angle": Quantity("degree", "angle at which the error of the gloss of a model is compared", 0, 90),
+    "model_gloss_error": Quantity(
+        "1", "error of the gloss of a model [gloss units], as a standard uncertainty with its sign", missing=True
+    ),
     # Comparison of two routes
     "brdf_model": Quantity("sr-1", "bidirectional reflectance distribution function of a model", 0),
     "ratio": Quantity("1", "measured over modelled value; missing where not used", missing=True),
@@ -606,7 +612,9 @@ KINDS: Mapping[str, Kind] = {
         attributes=("rays", "seed", "refusals", "advice"),
     ),
     "uncertainty": Kind(
-        {}, optional={"relative_error": [("error_theta", "region")]}, attributes=("uncertainty_not_stated",)
+        {},
+        optional={"relative_error": [("error_theta", "region")], "model_gloss_error": [("error_gloss_angle",)]},
+        attributes=("uncertainty_not_stated",),
     ),
     "bsdf": Kind({}, attributes=("representation",)),
     "appearance": Kind(

@@ -17,11 +17,17 @@ from brdfpipe.report.material.head import key_numbers
 from brdfpipe.report.material.reflection import source_table
 
 
-def with_model_error(bsdf: xr.Dataset, relative: float) -> xr.Dataset:
-    values = np.full((2, 3), relative)
-    axes = {"theta_i": [0.0, 75.0], "region": ["peak", "shoulder", "rest"]}
+def with_model_error(bsdf: xr.Dataset, relative: float, of_gloss: tuple[float, ...] = ()) -> xr.Dataset:
+    """A BSDF with the same relative error up to 75° and not known at 85°, and errors of gloss at 20 and 60°."""
+    values = np.full((3, 3), relative)
+    values[2] = np.nan
+    axes = {"theta_i": [0.0, 75.0, 85.0], "region": ["peak", "shoulder", "rest"]}
+    gloss_error = xr.DataArray([*of_gloss, np.nan], {"gloss_angle": [20.0, 60.0, 85.0]}) if of_gloss else None
     changes = uncertainty(
-        bsdf, relative_error=xr.DataArray(values, axes, ("theta_i", "region")), spectrum=spectrum(0.3)
+        bsdf,
+        relative_error=xr.DataArray(values, axes, ("theta_i", "region")),
+        gloss_error=gloss_error,
+        spectrum=spectrum(0.3),
     )
     return bsdf.merge(changes, combine_attrs="override")
 
@@ -68,6 +74,18 @@ def test_errors_of_two_receptors_that_go_together_partly_cancel_in_a_haze():
     of_haze = float(appearance["haze_u_source"].sel(source="model"))
     assert of_haze == pytest.approx(abs(of_gloss[1] - of_gloss[0]), rel=1e-9)
     assert of_haze < np.hypot(*of_gloss)
+
+
+def test_the_error_of_gloss_itself_counts_where_it_is_larger_than_that_of_the_light():
+    appearance = compute_appearance(with_model_error(beckmann_bsdf(0.03, reflectance=0.05), 0.01, (-36.0, 1e-3)))
+    of_model = appearance["gloss_u_source"].sel(source="model")
+    light = 0.01 * float(appearance["gloss"].sel(gloss_angle=60))
+    assert of_model[:2].values == pytest.approx([36.0, light], rel=0.05)
+    assert float(appearance["haze_u_source"].sel(source="model")) == pytest.approx(36.001)
+    # At 85 degree the error is not known, and what is known of gloss is stated.
+    assert np.isnan(of_model[2])
+    others = appearance["gloss_u_source"].sel(gloss_angle=85).drop_sel(source="model")
+    assert float(appearance["gloss_u"].sel(gloss_angle=85)) == pytest.approx(float(np.hypot.reduce(others.values)))
 
 
 def test_the_page_and_the_catalogue_show_the_uncertainty(index_alone):

@@ -15,7 +15,7 @@ from brdfpipe.bsdf import flake, slab
 
 ROUGHNESS = "Roughness against wavelength (550 nm)"
 PITCH = "Structure finer than the scan"
-ERROR = "Error of the predicted light in the peak"
+ERROR = "Error of the predicted light"
 
 
 def datasets(**further: xr.Dataset) -> dict[str, xr.Dataset]:
@@ -28,15 +28,24 @@ def judged(known: Datasets) -> dict[str, Judgement]:
     return {judgement.condition: judgement for judgement in validity(known)}
 
 
-def model_error(light_error: float, uncertainty: float, valid: bool = True) -> xr.Dataset:
+def model_error(light_error: float, uncertainty: float, valid: bool = True, gloss_error: float = 0.0) -> xr.Dataset:
     shape = ("reference", "plane", "theta_i", "region")
     return xr.Dataset(
         {
             "light_error": (shape, np.full((1, 1, 2, 1), light_error)),
             "light_error_u": (shape, np.full((1, 1, 2, 1), uncertainty)),
             "valid": (("reference", "theta_i"), np.full((1, 2), int(valid))),
+            "gloss_error": ((*shape[:2], "gloss_angle"), np.full((1, 1, 1), gloss_error)),
+            "gloss_error_u": ((*shape[:2], "gloss_angle"), np.full((1, 1, 1), 0.25)),
+            "gloss_valid": (("reference", "gloss_angle"), np.full((1, 1), int(valid))),
         },
-        {"reference": ["traced"], "plane": ["mean over azimuth"], "theta_i": [0.0, 60.0], "region": ["peak"]},
+        {
+            "reference": ["traced"],
+            "plane": ["mean over azimuth"],
+            "theta_i": [0.0, 60.0],
+            "region": ["peak"],
+            "gloss_angle": [60.0],
+        },
         {"advice": "set `model.truth: use`"},
     )
 
@@ -104,6 +113,14 @@ def test_the_error_of_the_model_counts_beyond_its_uncertainty(error, uncertainty
     judgement = judged(datasets(model_error=model_error(error, uncertainty)))[ERROR]
     assert judgement.verdict == verdict
     assert judgement.advice == ("" if verdict == "pass" else "Set `model.truth: use`")
+
+
+@pytest.mark.parametrize(("units", "verdict"), [(1.4, "pass"), (-2.0, "warn"), (5.4, "warn"), (-36.0, "fail")])
+def test_an_error_of_gloss_counts_where_the_light_in_the_peak_is_right(units, verdict):
+    judgement = judged(datasets(model_error=model_error(0.038, 0.01, gloss_error=units)))[ERROR]
+    assert judgement.verdict == verdict
+    assert f"gloss {units:+.1f} ± 0.5 at 60°".replace("-", "−") in judgement.finding
+    assert "in the peak +3.8% ± 2.0%" in judgement.finding
 
 
 def test_an_error_that_was_not_computed_or_has_no_reference_is_stated():

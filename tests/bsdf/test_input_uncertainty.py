@@ -147,6 +147,19 @@ def test_the_error_of_the_model_is_that_of_the_light_the_surface_reflects():
     np.testing.assert_allclose(found.bsdf.albedo_uncertainty([8, 60]), 0)
 
 
+def test_beyond_the_last_known_incidence_the_error_of_the_model_is_stated_as_unknown():
+    error = model_error(0.03, 0.1, 0.4)
+    found = beside(beckmann_bsdf(0.1), relative_error=error.where(error["theta_i"] < 60), index=index_of(1.5, 0.01))
+    stated = uncertainty(beckmann_bsdf(0.1), relative_error=error.where(error["theta_i"] < 60))
+    assert stated.attrs["uncertainty_not_stated"] == "facets, index, model beyond 30°"
+    at = [30, 60], 0, [30, 60], 180
+    assert np.isfinite(found.bsdf.uncertainty(*at)).all()
+    of_model = found.bsdf.uncertainty(*at, source="model")
+    np.testing.assert_allclose(found.bsdf.uncertainty(*at)[1], found.bsdf.uncertainty(*at, source="index")[1])
+    assert (of_model[0] > 0).all()
+    assert not of_model[1].any()
+
+
 def test_an_error_that_is_not_known_is_no_source():
     bsdf = beckmann_bsdf(0.1)
     unknown = model_error(np.nan, np.nan, np.nan)

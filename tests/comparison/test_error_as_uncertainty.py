@@ -1,32 +1,78 @@
-"""The relative error of a model as a standard uncertainty."""
+"""The error of a model as a standard uncertainty of what it predicts."""
 
 import numpy as np
+import pytest
 import xarray as xr
 
-from brdfpipe.comparison.error_as_uncertainty import relative_error
+from brdfpipe.comparison.error_as_uncertainty import LARGEST_ERROR, gloss_error, relative_error
 
 PLANES = ["along the lay", "across the lay"]
+REFERENCES = ["traced", "kirchhoff"]
 BY_REGION = ("reference", "plane", "theta_i", "region")
+BY_GLOSS = ("reference", "plane", "gloss_angle")
 
 
-def compared(valid: list[list[int]]) -> xr.Dataset:
-    """Errors of traced rays, 3 % and -4 % in the planes, and of diffraction, 6 % and 8 %; uncertain by 3 %."""
-    error = np.array([[0.03, -0.04], [0.06, 0.08]])[:, :, None, None] * np.ones((1, 1, 2, 1))
+def compared(light: np.ndarray, reference: np.ndarray, valid: list[list[int]], relative_u: float = 0.03) -> xr.Dataset:
+    """Light of a prediction (plane, theta_i, region) and of references, which is uncertain by a share of it."""
+    light = np.broadcast_to(light, reference.shape[1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(reference > 0, light / reference, np.nan)
     return xr.Dataset(
         {
-            "light_error": (BY_REGION, error),
-            "light_error_u": (BY_REGION, np.full_like(error, 0.03)),
+            "light": (BY_REGION[1:], light),
+            "reference_light": (BY_REGION, reference),
+            "light_error": (BY_REGION, ratio - 1),
+            "light_error_u": (BY_REGION, relative_u * ratio),
             "valid": (("reference", "theta_i"), valid),
         },
-        {"reference": ["traced", "kirchhoff"], "plane": PLANES, "theta_i": [0.0, 60.0], "region": ["peak"]},
+        {
+            "reference": REFERENCES,
+            "plane": PLANES[: reference.shape[1]],
+            "theta_i": [0.0, 60.0, 85.0][: reference.shape[2]],
+            "region": ["peak", "shoulder", "rest"][: reference.shape[3]],
+        },
     )
 
 
 def test_relative_error_is_that_of_the_reference_that_holds_in_the_worse_plane():
-    error = relative_error(compared([[1, 0], [1, 1]]))
+    reference = np.array([[1.03, 0.96], [1.06, 1.08]])[:, :, None, None] * np.ones((1, 1, 2, 1))
+    error = relative_error(compared(np.ones(()), reference, [[1, 0], [1, 1]]))
     assert error.dims == ("theta_i", "region")
-    np.testing.assert_allclose(error[:, 0], [np.hypot(0.04, 0.03), np.hypot(0.08, 0.03)])
+    np.testing.assert_allclose(error[:, 0], [np.hypot(0.04, 0.03 * 0.96), np.hypot(0.08, 0.03 * 1.08)])
 
 
 def test_relative_error_is_missing_where_no_reference_holds():
-    assert relative_error(compared([[0, 1], [0, 0]])).isnull().values.ravel().tolist() == [True, False]
+    error = relative_error(compared(np.ones(()), np.full((2, 2, 2, 1), 1.1), [[0, 1], [0, 0]]))
+    assert error.isnull().values.ravel().tolist() == [True, False]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 2.0, 10.0])
+def test_the_stated_error_covers_light_that_is_predicted_too_dark_or_too_bright(share):
+    # A prediction of 0.2 of the light is wrong by 4 times what it predicts, not by 0.8 times.
+    result = compared(np.full((1, 1, 1), share), np.ones((2, 1, 1, 1)), [[1], [1]], relative_u=0.0)
+    assert share * float(relative_error(result)[0, 0]) == pytest.approx(abs(1 - share))
+
+
+def test_the_stated_error_is_bounded_where_hardly_any_light_is_predicted():
+    result = compared(np.full((1, 1, 1), 1e-6), np.ones((2, 1, 1, 1)), [[1], [1]])
+    assert float(relative_error(result)[0, 0]) == LARGEST_ERROR
+
+
+def test_a_region_without_light_has_the_error_of_its_neighbour_and_no_incidence_is_dropped():
+    light = np.array([[[1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [1.0, 0.0, 0.0]]])
+    reference = np.array([1.1, 1.2, 1.3]) * (light > 0) * np.ones((2, 1, 1, 1))
+    error = relative_error(compared(light, reference, [[1, 1, 1], [0, 0, 0]], relative_u=0.0))
+    np.testing.assert_allclose(error, [[0.1, 0.2, 0.2], [0.1, 0.2, 0.3], [0.1, 0.1, 0.1]])
+
+
+def test_the_error_of_gloss_has_its_sign_and_its_uncertainty():
+    error = np.array([[[-36.0, 2.0, np.nan]], [[-30.0, 3.0, 4.0]]])
+    result = xr.Dataset(
+        {
+            "gloss_error": (BY_GLOSS, error),
+            "gloss_error_u": (BY_GLOSS, np.full_like(error, 0.5)),
+            "gloss_valid": (("reference", "gloss_angle"), [[1, 0, 0], [1, 1, 0]]),
+        },
+        {"reference": REFERENCES, "plane": PLANES[:1], "gloss_angle": [20.0, 60.0, 85.0]},
+    )
+    np.testing.assert_allclose(gloss_error(result), [-np.hypot(36, 0.5), np.hypot(3, 0.5), np.nan])

@@ -19,7 +19,7 @@ from brdfpipe.appearance.colours import TOTAL, colour, flop_index, total_reflect
 from brdfpipe.appearance.gloss_meter import gloss_at
 from brdfpipe.appearance.haze import HazeWindow, haze_units
 from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
-from brdfpipe.bsdf.change_variables import NOT_STATED
+from brdfpipe.bsdf.change_variables import MODEL, NOT_STATED
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.source_changes import Reflector, SourceChanges, uncertain
@@ -131,12 +131,20 @@ def _meter_parts(
     given = measured(changes.given)
     all_changes = np.array([measured(reflector) - given for reflector in changes.changed])
     of_gloss, of_windows = all_changes[:, : len(angles)], all_changes[:, len(angles) :]
-    parts: dict[str, Mapping[str, Array]] = {"gloss": changes.by_source(of_gloss)}
+    parts = {"gloss": changes.by_source(of_gloss)}
     if windows:
         parts["reflectance_haze"] = changes.by_source(of_windows)
     if {20.0, 60.0} <= set(angles):
         parts["haze"] = changes.by_source(of_gloss[:, angles.index(60.0)] - of_gloss[:, angles.index(20.0)])
-    return parts
+    if MODEL not in parts["gloss"] or "model_gloss_error" not in bsdf:
+        return dict(parts)
+    # Light may be right in a region and wrong in a receptor that is narrower: the error of gloss itself counts where it is larger.
+    error = bsdf["model_gloss_error"].reindex(error_gloss_angle=angles).values
+    parts["gloss"][MODEL] = np.fmax(parts["gloss"][MODEL], np.abs(error))
+    if "haze" in parts:
+        of_haze = abs(error[angles.index(60.0)] - error[angles.index(20.0)])
+        parts["haze"][MODEL] = np.fmax(parts["haze"][MODEL], of_haze)
+    return dict(parts)
 
 
 def _colour_parts(

@@ -6,6 +6,7 @@ too coarsely, noisy, or of a shape that slopes alone do not describe.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ import xarray as xr
 from brdfpipe.appearance.origin import Datasets
 from brdfpipe.bsdf.microfacet.phase_variance import LIMITS, phase_variances
 from brdfpipe.flakes.refraction import largest_flake_angle
+from brdfpipe.geometry import Array
 
 COHERENT_LIMIT = float(np.log(2))
 """Phase variance below which more than half of the mirror reflection is coherent light, which facets leave out."""
@@ -23,6 +25,8 @@ TAIL_LIMIT = 0.1
 """Share of facets beyond the counted slopes, above which the wings of the lobe are extrapolated."""
 ERROR_LIMITS = 0.1, 0.5
 """Errors of the predicted light in the peak from which the verdict is warn, and fail."""
+GLOSS_LIMITS = 1.0, 5.0
+"""The same of the predicted gloss [gloss units]: one is what gloss meters agree within, and fail is as many times warn as of light."""
 SIGNIFICANT = 2.0
 """Standard uncertainties by which an error must exceed its limit."""
 SLOPE_OF_FINITE_VARIANCE = 4.0
@@ -226,7 +230,7 @@ def _masking(datasets: Datasets) -> Judgement | None:
 
 
 def _model_error(datasets: Datasets) -> Judgement | None:
-    condition = "Error of the predicted light in the peak"
+    condition = "Error of the predicted light"
     if (result := datasets.get("model_error")) is None:
         if "surface" not in datasets or datasets["bsdf"].attrs["representation"] in REFERENCES:
             return None
@@ -240,14 +244,31 @@ def _model_error(datasets: Datasets) -> Judgement | None:
             finding = "not known for a line profile; masking along it is compared with Smith's below"
             return Judgement(condition, finding, "", "Measure an areal map")
         return Judgement(condition, "no reference solution holds", "warn", "Compare with a measurement")
-    at = np.unravel_index(int(np.nanargmax(np.abs(error))), error.shape)
-    uncertainty = float(peak["light_error_u"].transpose("reference", "plane", "theta_i").values[at])
     known = peak["theta_i"].values[~np.isnan(error).all(axis=(0, 1))]
-    finding = f"{error[at]:+.1%} ± {2 * uncertainty:.1%} at {float(peak['theta_i'][at[2]]):g}°".replace("-", "−")
-    finding += f", the largest of {known.min():g} to {known.max():g}°"
-    certain = abs(error[at]) - SIGNIFICANT * uncertainty
-    verdict = next(
-        (name for name, limit in zip(("fail", "warn"), ERROR_LIMITS[::-1], strict=True) if certain > limit), "pass"
-    )
+    excess, of_light = _largest_error(peak["light_error"].where(peak["valid"] > 0), peak["light_error_u"], ERROR_LIMITS)
+    finding = f"in the peak {of_light('.1%')}, the largest of {known.min():g} to {known.max():g}°"
+    units = result["gloss_error"].where(result["gloss_valid"] > 0)
+    if units.notnull().any():
+        of_gloss, words = _largest_error(units, result["gloss_error_u"], GLOSS_LIMITS)
+        finding, excess = f"{finding}; gloss {words('.1f')}", np.maximum(excess, of_gloss)
+    verdict = "fail" if excess[1] > 0 else "warn" if excess[0] > 0 else "pass"
     advice = str(result.attrs.get("advice", ""))
     return Judgement(condition, finding, verdict, "" if verdict == "pass" else advice[:1].upper() + advice[1:])
+
+
+def _largest_error(
+    error: xr.DataArray, u: xr.DataArray, limits: tuple[float, float]
+) -> tuple[Array, Callable[[str], str]]:
+    """By how much the most significant error exceeds each limit, and its words: value ± 2 u and angle, in a number format."""
+    angle = next(str(dim) for dim in error.dims if str(dim) in ("theta_i", "gloss_angle"))
+    error, u = xr.broadcast(error, u)
+    certain = (abs(error) - SIGNIFICANT * u).values
+    # Where nothing is significant, the largest error.
+    at = np.nanargmax(certain if np.nanmax(certain) > 0 else abs(error).values)
+    value, two_u = float(error.values.flat[at]), 2 * float(u.values.flat[at])
+    row = np.unravel_index(at, error.shape)[error.dims.index(angle)]
+
+    def words(form: str) -> str:
+        return f"{value:+{form}} ± {two_u:{form}} at {float(error[angle][row]):g}°".replace("-", "−")
+
+    return np.nanmax(certain) - np.array(limits), words

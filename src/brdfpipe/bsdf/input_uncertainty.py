@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.change_variables import DIMENSION, NOT_STATED, SOURCE, between_incidences
+from brdfpipe.bsdf.change_variables import DIMENSION, MODEL, NOT_STATED, SOURCE, between_incidences
 from brdfpipe.bsdf.microfacet.gloss_trap import trapped_light
 from brdfpipe.bsdf.microfacet.model import Model
 from brdfpipe.bsdf.wave.height_transform import log_transform
@@ -63,6 +63,7 @@ def uncertainty(
     index: xr.Dataset | None = None,
     spectrum: xr.Dataset | None = None,
     relative_error: xr.DataArray | None = None,
+    gloss_error: xr.DataArray | None = None,
 ) -> xr.Dataset:
     """Changes of a predicted BSDF by the uncertainties of its inputs.
 
@@ -75,11 +76,14 @@ def uncertainty(
     spectrum : kind ``spectrum``; ``total_reflectance_u`` is common to all wavelengths
     relative_error : of the model over ``theta_i`` [degree] and ``region``
         (:func:`brdfpipe.comparison.error_as_uncertainty.relative_error`), NaN where it is not known
+    gloss_error : of the model over ``gloss_angle`` [gloss units]
+        (:func:`brdfpipe.comparison.error_as_uncertainty.gloss_error`), NaN where it is not known
 
     Returns
     -------
-    Dataset of kind ``uncertainty``: ``<variable>_change`` of variables of the BSDF, ``uncertainty_source`` of each change, and
-    ``relative_error``. The attribute ``uncertainty_not_stated`` names the inputs whose uncertainty is not known: none is assumed
+    Dataset of kind ``uncertainty``: ``<variable>_change`` of variables of the BSDF, ``uncertainty_source`` of each change,
+    ``relative_error`` and ``model_gloss_error``. The attribute ``uncertainty_not_stated`` names the inputs whose uncertainty is not known, as
+    ``model beyond 60°`` where it is known of some incidences: none is assumed
 
     Raises
     ------
@@ -106,11 +110,15 @@ def uncertainty(
     if spectrum is not None and "total_reflectance_u" in vocabulary.validate(spectrum, "spectrum"):
         changes.append(Change("spectrum", base.of_total(spectrum["total_reflectance_u"])))
     result = stacked(changes)
-    if relative_error is not None and (known := _known(relative_error)) is not None:
-        result = result.assign(relative_error=known)
     stated = {change.source for change in changes}
-    stated |= {"model"} if "relative_error" in result else set()
     missing = [name for name in _expected(bsdf, facets, psd, spectrum) if name not in stated]
+    if relative_error is not None and relative_error.notnull().any():
+        result = result.assign(relative_error=relative_error.rename(theta_i="error_theta"))
+        if gloss_error is not None:
+            result = result.assign(model_gloss_error=gloss_error.rename(gloss_angle="error_gloss_angle"))
+        known = relative_error["theta_i"].values[relative_error.notnull().any("region").values]
+        beyond = [f"{MODEL} beyond {known[-1]:g}°"] if known[-1] < relative_error["theta_i"].values[-1] else []
+        missing = [name for name in missing if name != MODEL] + beyond
     return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
 
 
@@ -130,7 +138,7 @@ def _expected(
     if spectrum is not None:
         yield "spectrum"
     if "n" in bsdf:
-        yield "model"
+        yield MODEL
 
 
 def stacked(changes: list[Change]) -> xr.Dataset:
@@ -146,12 +154,6 @@ def stacked(changes: list[Change]) -> xr.Dataset:
         coordinates = {dim: like[dim] for dim in like.dims if dim in ("change_theta",)}
         result[f"{name}_change"] = xr.DataArray(values, coordinates, (DIMENSION, *like.dims))
     return result.assign_coords({SOURCE: (DIMENSION, [change.source for change in changes])})
-
-
-def _known(error: xr.DataArray) -> xr.DataArray | None:
-    """The error at incidences where it is known for all regions; None if it is nowhere."""
-    found = error.dropna("theta_i").rename(theta_i="error_theta")
-    return found.drop_vars("reference", errors="ignore") if found.size else None
 
 
 def _on_wavelengths(u: xr.DataArray, like: xr.DataArray) -> xr.DataArray:

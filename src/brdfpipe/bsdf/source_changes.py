@@ -28,6 +28,9 @@ from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.geometry import Array
 
 _SUFFIX = "_change"
+_OF_MODEL = "relative_error", "model_gloss_error"
+_HELD = 2.0
+"""Degrees beyond the last known incidence up to which its error is that of a model: the light of a gloss meter is so wide."""
 _PEAK_INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0])
 _PEAK_VIEWS = np.arange(0.0, 89.9, 0.5)
 _REGION_MIDDLES = np.log([0.55, 0.1, 0.01])
@@ -119,7 +122,7 @@ def changing(bsdf: xr.Dataset) -> list[str]:
 
 def without_changes(bsdf: xr.Dataset) -> xr.Dataset:
     """The dataset as if its inputs were exact."""
-    return bsdf.drop_dims(DIMENSION, errors="ignore").drop_vars(["relative_error", SOURCE], errors="ignore")
+    return bsdf.drop_dims(DIMENSION, errors="ignore").drop_vars([*_OF_MODEL, SOURCE], errors="ignore")
 
 
 def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset:
@@ -144,10 +147,10 @@ def averaged(reduced: xr.Dataset, bsdf: xr.Dataset, weight: Array) -> xr.Dataset
             elif "wavelength" in change.dims:
                 change = change @ xr.DataArray(weight, dims="wavelength")
             fields[name + _SUFFIX] = change.variable
-    kept = {name: bsdf[name].variable for name in (SOURCE, "relative_error") if name in bsdf.variables}
+    kept = {name: bsdf[name].variable for name in (SOURCE, *_OF_MODEL) if name in bsdf.variables}
     coordinates = {
         name: bsdf[name].variable
-        for name in ("change_theta", "shift_low", "error_theta", "region")
+        for name in ("change_theta", "shift_low", "error_theta", "error_gloss_angle", "region")
         if name in bsdf.coords
     }
     return vocabulary.label(reduced.assign(fields | kept).assign_coords(coordinates), "bsdf")
@@ -201,9 +204,11 @@ class _WithModelError:
         return np.asarray(brdf.mean(axis=-1).max(axis=1))
 
     def _relative(self, theta_i: Array, log_share: Array) -> Array:
-        """Relative error at incidences, and logarithms of shares of the peak there, of one shape."""
+        """Relative error at incidences, and logarithms of shares of the peak there, of one shape; NaN where it is not known."""
         angles, values = self._error["error_theta"].values, self._error.transpose("error_theta", "region").values
-        by_region = [np.interp(theta_i, angles, column) for column in values.T]
+        known = np.isfinite(values).all(axis=1)
+        end = angles[known][-1] + _HELD if angles[known][-1] < angles[-1] else np.inf
+        by_region = [np.where(theta_i > end, np.nan, np.interp(theta_i, angles[known], one)) for one in values[known].T]
         peak, shoulder, rest = _REGION_MIDDLES
         inner = np.clip((peak - log_share) / (peak - shoulder), 0.0, 1.0)
         outer = np.clip((shoulder - log_share) / (shoulder - rest), 0.0, 1.0)
@@ -233,5 +238,5 @@ class _WithModelError:
 
 
 def in_quadrature(parts: Mapping[str, Array]) -> Array:
-    """Root of the sum of squares of independent parts."""
-    return np.asarray(np.sqrt(sum(np.square(part) for part in parts.values())))
+    """Root of the sum of squares of independent parts; one that is not known (NaN) counts as exact, as those of other sources do."""
+    return np.asarray(np.sqrt(sum(np.square(np.nan_to_num(part)) for part in parts.values())))

@@ -123,7 +123,7 @@ def _with_uncertainty(table: xr.Dataset, bsdf: xr.Dataset) -> xr.Dataset:
         variance = np.zeros_like(given)
         # One change at a time: all together may not fit into the memory.
         for changed in changes.changed:
-            variance += np.square(_on_nodes(changed.evaluate, layout, axes, averaged) - given)
+            variance += np.square(np.nan_to_num(_on_nodes(changed.evaluate, layout, axes, averaged) - given))
         u = np.sqrt(variance)
     elif representation(bsdf).states_uncertainty:
         u = _on_nodes(representation(bsdf).uncertainty, layout, axes, averaged)

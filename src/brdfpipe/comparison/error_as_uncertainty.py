@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import xarray as xr
+
+LARGEST_ERROR = 10.0
+"""Largest relative error that is stated: a prediction of less than a tenth of the light is no base for a ratio."""
 
 
 def relative_error(result: xr.Dataset) -> xr.DataArray:
-    """Relative error of the model as a standard uncertainty: √(error² + u²), because the error is not corrected.
+    """Reference over predicted light less 1, as a standard uncertainty of the prediction: √(error² + u²), because the error is not corrected.
 
     Parameters
     ----------
@@ -15,8 +19,39 @@ def relative_error(result: xr.Dataset) -> xr.DataArray:
     Returns
     -------
     DataArray [1] over ``theta_i`` [degree] and ``region``, of traced rays where they hold, else of diffraction, else NaN; the largest of the
-    planes of incidence. Regions are those of the predicted BRDF at the incidence: above 0.3 of its peak, above 0.03, and the rest
+    planes of incidence, at most :data:`LARGEST_ERROR`. Regions are those of the predicted BRDF at the incidence: above 0.3 of its peak, above
+    0.03, and the rest. A region without light has the error of its neighbour towards the peak, or else of the one outside
     """
-    size = ((result["light_error"] ** 2 + result["light_error_u"] ** 2) ** 0.5).where(result["valid"] > 0).max("plane")
-    traced_rays, diffraction = (size.sel(reference=name, drop=True) for name in ("traced", "kirchhoff"))
-    return traced_rays.fillna(diffraction).transpose("theta_i", "region").rename("relative_error")
+    compared = (result["valid"] > 0) & (result["light"] > 0) & (result["reference_light"] > 0)
+    ratio = (result["reference_light"] / result["light"]).where(compared)
+    # The relative uncertainty of a ratio is that of its inverse.
+    u = ratio * result["light_error_u"] / (1 + result["light_error"])
+    size = np.sqrt((ratio - 1) ** 2 + u**2).clip(max=LARGEST_ERROR).max("plane")
+    by_region = _of_best_reference(size).transpose("theta_i", "region")
+    filled = by_region.to_pandas().ffill(axis=1).bfill(axis=1)
+    return by_region.copy(data=filled.to_numpy()).rename("relative_error")
+
+
+def gloss_error(result: xr.Dataset) -> xr.DataArray:
+    """Predicted less reference gloss as a standard uncertainty: √(error² + u²), with the sign of the error.
+
+    Parameters
+    ----------
+    result : kind ``model_error``
+
+    Returns
+    -------
+    DataArray [gloss units] over ``gloss_angle`` [degree], of traced rays where they hold, else of diffraction, else NaN; the largest of the
+    planes of incidence
+    """
+    error = result["gloss_error"].where(result["gloss_valid"] > 0)
+    signed = np.hypot(error, result["gloss_error_u"]) * xr.where(error < 0, -1.0, 1.0)
+    largest, least = signed.max("plane"), signed.min("plane")
+    return _of_best_reference(largest.where(largest >= -least, least)).rename("model_gloss_error")
+
+
+def _of_best_reference(values: xr.DataArray) -> xr.DataArray:
+    """Values of traced rays at each incidence where any is known, else of diffraction."""
+    traced, diffracted = (values.sel(reference=name, drop=True) for name in ("traced", "kirchhoff"))
+    known = traced.notnull()
+    return traced.where(known.any("region") if "region" in known.dims else known, diffracted)
