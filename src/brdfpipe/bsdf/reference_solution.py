@@ -50,32 +50,38 @@ def facet_smoothness(surface: xr.Dataset, theta_i: Array) -> Array:
     so that the ratio is 1. Roughness that is fine against r, and too low to be facets of its own, has slopes but no height differences. Along
     the axis of the map with the smaller ratio; 1 where coherence is as narrow as the pitch.
     """
-    height, dims = surface["height"].values, surface["height"].dims
+    height = surface["height"].values
     target = 2 / (4 * np.pi * np.cos(np.radians(theta_i)) / (WAVELENGTH * 1e-3)) ** 2
     smoothness = np.ones_like(target)
-    for axis, dim in enumerate(map(str, dims)):
-        size, pitch = height.shape[axis], float(surface.attrs[f"pitch_{dim}"])
+    for axis, size in enumerate(height.shape):
         lags = np.unique(np.geomspace(1, max(size // 4, 1), _LAGS).astype(int))
         # Of a large map some lines are enough.
         lines = np.moveaxis(height, axis, -1).reshape(-1, size)
         lines = lines[:: max(height.size // _COMPARED, 1)]
-        of_lag = np.array([_mean_square_difference(lines, int(lag)) for lag in lags])
-        lags, of_lag = lags[np.isfinite(of_lag)], of_lag[np.isfinite(of_lag)]
+        pairs = np.array([_compared(lines, int(lag)) for lag in lags])
+        (of_lag, ratio), lags = pairs[np.isfinite(pairs[:, 0])].T, lags[np.isfinite(pairs[:, 0])]
         if lags.size == 0 or lags[0] > 1 or of_lag[0] == 0:
             continue
         # The first lag at which the difference is large enough; a direction along which it never is has no facets.
-        rising = np.maximum.accumulate(of_lag)
-        log_r = np.interp(np.log(target), np.log(rising), np.log(lags * pitch), left=np.log(pitch), right=np.nan)
-        ratio = np.maximum(target, of_lag[0]) / (of_lag[0] * (np.exp(log_r) / pitch) ** 2)
-        smoothness = np.fmin(smoothness, ratio)
+        rising = np.log(np.maximum.accumulate(of_lag))
+        log_lag = np.interp(np.log(target), rising, np.log(lags), left=0.0, right=np.nan)
+        smoothness = np.fmin(smoothness, np.interp(log_lag, np.log(lags), ratio))
     return np.asarray(smoothness)
 
 
-def _mean_square_difference(lines: Array, lag: int) -> float:
-    """Of heights that are so many samples apart along lines [um2]; NaN without any."""
-    square = np.square(lines[:, lag:] - lines[:, :-lag], dtype=float)
-    present = np.isfinite(square)
-    return float(square[present].mean()) if present.any() else np.nan
+def _compared(lines: Array, lag: int) -> tuple[float, float]:
+    """Mean square difference of heights so many samples apart along lines [um2], and over that of even slopes [1]; NaN without any."""
+    steps = np.square(np.diff(lines, axis=-1), dtype=float)
+    present = np.isfinite(steps)
+    total, known = (
+        np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=-1) for values in (np.where(present, steps, 0), present)
+    )
+    whole = known[:, lag:] - known[:, :-lag] == lag
+    if not whole.any():
+        return np.nan, np.nan
+    square = float(np.square((lines[:, lag:] - lines[:, :-lag])[whole], dtype=float).mean())
+    # Of the slopes between the same heights: a small map is not the same all over.
+    return square, square / max(lag * float((total[:, lag:] - total[:, :-lag])[whole].mean()), 1e-300)
 
 
 def holds(variance: Array, slope: float, theta_i: Array, smoothness: ArrayLike = 1.0) -> Holds:
