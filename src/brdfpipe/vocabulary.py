@@ -130,6 +130,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "band_low": Quantity("um-1", "frequency above which the roughness spectrum is measured", 0),
     "band_high": Quantity("um-1", "frequency below which the roughness spectrum is measured", 0),
     "coherent_sigma": Quantity("um", "rms of normal heights that reflect as much light coherently", 0),
+    "coherent_sigma_u": Quantity(
+        "um", "standard uncertainty of that rms, from the scatter between parts of the scan", 0
+    ),
     "fit_sigma": Quantity("um", "rms height of the fitted form over all frequencies", 0),
     "fit_length": Quantity("um", "correlation length of the fitted form", 0),
     "fit_slope": Quantity("1", "exponent of the decay of the fitted form at high frequencies", 0, missing=True),
@@ -507,6 +510,7 @@ KINDS: Mapping[str, Kind] = {
         optional={
             "psd_planar": [("frequency_y", "frequency_x")],
             "coherent_sigma": [("phase_per_height",)],
+            "coherent_sigma_u": [("phase_per_height",)],
             "psd_quality": [("frequency",)],
             "psd_noise_change": [("uncertain_noise", "frequency")],
             "apparent_psd": [("apparent_frequency",)],

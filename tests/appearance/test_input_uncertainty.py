@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import random_surfaces
 import xarray as xr
-from samples import beckmann, beckmann_bsdf, coarse_albedo_tables, spectrum
+from samples import beckmann, beckmann_bsdf, coarse_albedo_tables, spectrum, surface
 
 from brdfpipe import facets, optics, vocabulary
+from brdfpipe import psd as roughness
 from brdfpipe.appearance import gloss
 from brdfpipe.appearance.computation import compute_appearance
 from brdfpipe.appearance.quantities import quantity
-from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.bsdf.input_uncertainty import uncertainty
 from brdfpipe.report import combine, summarise
 from brdfpipe.report.material.head import key_numbers
@@ -128,6 +129,27 @@ def test_thirty_maps_scatter_in_gloss_and_haze_as_each_states():
     ratio = np.sqrt(np.mean(np.square(u), axis=0)) / readings.std(axis=0, ddof=1)
     assert (ratio > 0.8).all()
     assert (ratio < 1.3).all()
+
+
+@pytest.mark.slow
+def test_ten_polished_maps_scatter_in_gloss_as_each_states():
+    # σ 50 nm, 32 correlation lengths of 2 µm wide. The scatter of ten maps is known to 1/√18.
+    sampling = 1 / np.sqrt(18)
+    readings, variance = [], []
+    for seed in range(100, 110):
+        height = random_surfaces.heights(random_surfaces.gaussian(0.05, 2.0), (256, 256), (0.25, 0.25), seed)
+        scan = surface(height, (0.25, 0.25))
+        counted, psd = facets.estimate(scan, isotropic=True, noise=0.0), roughness.estimate(scan, noise=0.0)
+        with coarse_albedo_tables():
+            predicted = microfacet.build(counted, index=1.5)
+            bsdf = wave.build(psd, index=1.5, facets=counted, predicted=predicted, optics="auto", wavelength=[550.0])
+        changes = uncertainty(bsdf, facets=counted, psd=psd)
+        appearance = compute_appearance(bsdf.merge(changes, combine_attrs="override"))
+        readings.append(appearance["gloss"].values)
+        variance.append(np.square(appearance["gloss_u_source"].drop_sel(source="instrument")).sum("source").values)
+    ratio = np.sqrt(np.mean(variance, axis=0)) / np.std(readings, axis=0, ddof=1)
+    assert (ratio > 0.8 * (1 - sampling)).all()
+    assert (ratio < 1.3 * (1 + sampling)).all()
 
 
 @pytest.mark.slow

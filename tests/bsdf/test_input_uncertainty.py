@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import random_surfaces
 import xarray as xr
-from samples import beckmann, beckmann_bsdf, spectrum, surface
+from samples import beckmann, beckmann_bsdf, coarse_albedo_tables, spectrum, surface
 
-from brdfpipe import facets, optics, vocabulary
+from brdfpipe import facets, hemisphere, optics, vocabulary
 from brdfpipe import psd as roughness
 from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.bsdf.input_uncertainty import uncertainty
@@ -204,15 +204,49 @@ def test_the_noise_of_a_spectrum_changes_all_frequencies_together():
     assert list(uncertainty(bsdf, psd=of_two)["uncertainty_source"].values).count("noise") == 2
 
 
-def test_a_roughness_spectrum_changes_coherent_light_and_halo_as_if_it_was_built_with_it():
+@pytest.fixture(scope="module")
+def polished() -> tuple[xr.Dataset, xr.Dataset, float]:
+    """Roughness spectrum and facets of a polished map, and its rms height [um]."""
     height = random_surfaces.heights(random_surfaces.gaussian(0.03, 5.0), (128, 128), (0.5, 0.5), 1)
-    psd = roughness.estimate(surface(height, (0.5, 0.5)), noise=0.0)
-    bsdf = wave.build(psd, index=1.5, wavelength=[450.0, 550.0, 650.0])
+    scan = surface(height, (0.5, 0.5))
+    return roughness.estimate(scan, noise=0.0), facets.estimate(scan, isotropic=True, noise=0.0), float(height.std())
+
+
+def by_waves(psd: xr.Dataset, counted: xr.Dataset, wavelength: list[float]) -> xr.Dataset:
+    """The BSDF that the default optics predict."""
+    with coarse_albedo_tables():
+        predicted = microfacet.build(counted, index=1.5)
+        return wave.build(psd, index=1.5, facets=counted, predicted=predicted, optics="auto", wavelength=wavelength)
+
+
+def test_a_tenth_more_rms_height_dims_coherent_light_and_gives_it_to_the_halo(polished):
+    psd, counted, sigma = polished
+    psd = psd.assign(coherent_sigma_u=0.1 * psd["coherent_sigma"], psd_uncertainty=1e-9 * psd["psd"])
+    found = beside(by_waves(psd, counted, [550.0]), psd=vocabulary.label(psd, "psd"))
+    changes = SourceChanges(found)
+    after, given = changes.changed[-1], changes.given
+    incidence = np.array([20.0, 60.0]), np.zeros(2), None
+    before, dimmed = (one.specular(*incidence)[0][:, 0] for one in (given, after))
+    g = (4e3 * np.pi * sigma * np.cos(np.radians(incidence[0])) / 550) ** 2
+    np.testing.assert_allclose(np.log(dimmed / before), -(1.1**2 - 1) * g, rtol=0.03)
+    # The halo has what the coherent light loses.
+    rule = hemisphere.around_mirror(20.0, 0.02)
+    at = np.full_like(rule.theta, 20.0), np.zeros_like(rule.theta), rule.theta, rule.phi, None
+    gained = rule.weight @ (after.evaluate(*at) - given.evaluate(*at))[:, 0]
+    assert gained == pytest.approx(before[0] - dimmed[0], rel=0.05)
+
+
+@pytest.mark.parametrize("optics", ["wave", "auto"])
+def test_a_roughness_spectrum_changes_coherent_light_and_halo_as_if_it_was_built_with_it(polished, optics):
+    psd, counted, _ = polished
+    psd = psd.drop_vars(["coherent_sigma", "coherent_sigma_u"])
+    wavelength = [450.0, 550.0, 650.0]
+    bsdf = wave.build(psd, index=1.5, wavelength=wavelength) if optics == "wave" else by_waves(psd, counted, wavelength)
     changes = SourceChanges(beside(bsdf, psd=psd))
     assert set(changes.sources) == {"psd"}
     incidence = np.array([0.0, 60.0]), np.zeros(2), None
     coherent = changes.given.specular(*incidence)[0]
-    differences = [one.specular(*incidence)[0] / coherent - 1 for one in changes.changed]
+    differences = [np.log(one.specular(*incidence)[0] / coherent) for one in changes.changed]
     # d ln e^(-g) = -g · 2 dσ/σ, of the uncertainty of σ that the spectrum states.
     relative = float(psd["sigma_u"] / psd["sigma"])
     g = (

@@ -15,6 +15,12 @@ def test_normal_heights_have_their_rms_at_every_phase():
     assert found[:30] == pytest.approx(np.full(30, height.std()), rel=5e-3)
 
 
+def test_the_stated_uncertainty_is_the_scatter_of_independent_heights():
+    # Of n independent normal heights σ scatters by σ/√(2n), and the tiles know that to 1/√126.
+    found = coherent_height(np.random.default_rng(4).normal(0.0, 0.02, (320, 320)), 0.0)
+    assert found["coherent_sigma_u"].values[:5] == pytest.approx(0.02 / np.sqrt(2 * 320**2), rel=0.25)
+
+
 def test_two_levels_have_the_share_of_their_cosine():
     height = np.where(np.arange(64 * 50) % 2, 0.02, -0.02)
     found = coherent_height(height, 0.0)

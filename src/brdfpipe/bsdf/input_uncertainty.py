@@ -223,9 +223,11 @@ def _planar_masking(bsdf: xr.Dataset) -> Callable[[Array], Array]:
 
 
 def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[str, Fields]]:
-    """Source, and change of the rms height and the halo: for each band of a measured spectrum, and as each noise in it grows.
+    """Source, and change of the rms height, the halo and the coherent part: for each band of a measured spectrum, as each noise in it grows,
+    and of the heights that the coherent light knows.
 
-    Rings of a spectrum are independent but for its noise, so the variance of a band is the sum of theirs; a band changes as a whole.
+    Rings of a spectrum are independent but for its noise, so the variance of a band is the sum of theirs; a band changes as a whole. Where the
+    heights themselves say what is coherent, a band moves light within the halo alone.
     """
     frequency, density, u = (psd[name].values for name in ("frequency", "psd", "psd_uncertainty"))
     if (
@@ -254,11 +256,56 @@ def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[st
     for source, values in after:
         changed, changed_sigma = roughness(psd.assign(psd=("frequency", values)))
         fields = {"sigma": xr.DataArray(changed_sigma - sigma)}
+        if "coherent_loss" in bsdf:
+            growth = (changed_sigma / max(sigma, 1e-300)) ** 2
+            of_heights = source == "psd" and "coherent_sigma" in psd
+            fields |= _halo_kept(bsdf, growth) if of_heights else _coherent_change(bsdf, growth)
         if isotropic:
             difference = log_transform(changed, phase[rows], nodes) - before
             columns = [np.interp(np.log(phase), np.log(phase[rows]), column) for column in difference.T]
             fields["log_halo"] = xr.DataArray(np.stack(columns, axis=1), dims=("phase_variance", "halo_frequency"))
         yield source, fields
+    if "coherent_loss" in bsdf and "coherent_sigma_u" in psd:
+        cosine, wavelength = _closure_nodes(bsdf)
+        change = 4 * np.pi * cosine / wavelength
+        height, height_u = (
+            np.interp(change, psd["phase_per_height"].values, psd[name].values)
+            for name in ("coherent_sigma", "coherent_sigma_u")
+        )
+        # Roughness finer than the scan loses coherent light too.
+        growth = (1 + height * height_u / np.maximum(height**2, max(float(bsdf["sigma"]) ** 2, 1e-300))) ** 2
+        exponent = bsdf["coherent_loss"].values * cosine / wavelength**2
+        yield "psd", _coherent_change(bsdf, growth) | _closure_change(bsdf, _scattered_ratio(exponent, growth))
+
+
+def _closure_nodes(bsdf: xr.Dataset) -> tuple[Array, Array]:
+    """Cosines of incidence (incidences, 1) and wavelengths [um] of the energy closure."""
+    return np.cos(np.radians(bsdf["closure_incidence"].values))[:, None], bsdf["closure_wavelength"].values * 1e-3
+
+
+def _scattered_ratio(exponent: Array, growth: Array | float) -> Array:
+    """Light 1 − e^(−x) that is not coherent as x grows by a factor, over that before."""
+    exponent = np.maximum(exponent, 1e-12)
+    return np.asarray(np.expm1(-growth * exponent) / np.expm1(-exponent))
+
+
+def _coherent_change(bsdf: xr.Dataset, growth: Array | float) -> Fields:
+    """Change of the coherent part e^(−x) as x, and the variance of the heights, grows by a factor."""
+    loss = bsdf["coherent_loss"]
+    return {"coherent_loss": xr.DataArray(loss.values * (growth - 1), dims=loss.dims)}
+
+
+def _closure_change(bsdf: xr.Dataset, light: Array) -> Fields:
+    """Change of the factor of either direction of the halo that gives it so many times its light."""
+    factor = bsdf["halo_closure"]
+    return {"halo_closure": xr.DataArray(factor.values * (np.sqrt(light) - 1), dims=factor.dims)}
+
+
+def _halo_kept(bsdf: xr.Dataset, growth: float) -> Fields:
+    """Change of that factor as the halo's variance of the heights grows, so that it holds the light that is not coherent, as before."""
+    cosine, wavelength = _closure_nodes(bsdf)
+    phase_variance = (4 * np.pi * float(bsdf["sigma"]) * cosine / wavelength) ** 2
+    return _closure_change(bsdf, 1 / _scattered_ratio(phase_variance, growth))
 
 
 # --- the diffuse base below the surface
