@@ -323,7 +323,9 @@ def _of_a_face(surface: Surface, inputs: _Inputs, bsdf: xr.Dataset) -> Iterator[
         yield from ((source, _with_facets(facets, fields), fields) for source, fields in of_facets)
         return
     inner = list(changes_of_roughness(surface.table, psd)) if psd is not None else []
-    outer = list(changes_of_roughness(surface.outside, psd)) if psd is not None else []
+    # Light that passes knows the spectrum alone: with it, what is reflected coherently changes band by band.
+    alone = None if psd is None else psd.drop_vars(["coherent_sigma", "coherent_sigma_u"], errors="ignore")
+    outer = list(changes_of_roughness(surface.outside, alone)) if alone is not None else []
     noise = [fields for source, fields in of_facets if source == "noise"]
     for number, (source, of_table) in enumerate(inner):
         table, outside = _changed(surface.table, of_table), surface.outside
