@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import xarray as xr
 
@@ -26,10 +28,13 @@ def relative_error(result: xr.Dataset) -> xr.DataArray:
     ratio = (result["reference_light"] / result["light"]).where(compared)
     # The relative uncertainty of a ratio is that of its inverse.
     u = ratio * result["light_error_u"] / (1 + result["light_error"])
-    size = np.sqrt((ratio - 1) ** 2 + u**2).clip(max=LARGEST_ERROR).max("plane")
+    size = (((ratio - 1) ** 2 + u**2) ** 0.5).clip(max=LARGEST_ERROR).max("plane")
     by_region = _of_best_reference(size).transpose("theta_i", "region")
-    filled = by_region.to_pandas().ffill(axis=1).bfill(axis=1)
-    return by_region.copy(data=filled.to_numpy()).rename("relative_error")
+    values = by_region.values.T.copy()
+    for outwards in (values, values[::-1]):
+        for inner, outer in pairwise(outwards):
+            outer[np.isnan(outer)] = inner[np.isnan(outer)]
+    return by_region.copy(data=values.T).rename("relative_error")
 
 
 def gloss_error(result: xr.Dataset) -> xr.DataArray:
@@ -45,7 +50,7 @@ def gloss_error(result: xr.Dataset) -> xr.DataArray:
     planes of incidence
     """
     error = result["gloss_error"].where(result["gloss_valid"] > 0)
-    signed = np.hypot(error, result["gloss_error_u"]) * xr.where(error < 0, -1.0, 1.0)
+    signed = xr.DataArray(np.copysign(np.hypot(error, result["gloss_error_u"]), error))
     largest, least = signed.max("plane"), signed.min("plane")
     return _of_best_reference(largest.where(largest >= -least, least)).rename("model_gloss_error")
 
