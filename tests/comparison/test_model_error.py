@@ -14,6 +14,7 @@ from brdfpipe.appearance.gloss_meter import gloss
 from brdfpipe.bsdf import traced
 from brdfpipe.bsdf.microfacet.builder import build
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.comparison.error_as_uncertainty import LARGEST_ERROR, gloss_error, relative_error
 from brdfpipe.comparison.lobe_bins import LobeBins
 from brdfpipe.comparison.model_error import GLOSS_ANGLES, REGIONS, model_error
 from brdfpipe.errors import VocabularyError
@@ -116,6 +117,17 @@ def test_gloss_of_a_polished_surface_is_that_of_coherent_light():
     error = result["gloss_error"].sel(reference="kirchhoff").values[0]
     np.testing.assert_allclose(error[:2], [24.45 - 40.28, 73.27 - 77.63], atol=3)
     assert any("gloss units off diffraction on the map" in text for text in vocabulary.warnings(result))
+
+
+def test_the_stated_error_covers_what_facets_miss_of_a_polished_surface():
+    result = polished()
+    # 24.5 and 40.3 gloss units at 20 degree, by the same quadrature.
+    assert float(gloss_error(result).sel(gloss_angle=20)) == pytest.approx(24.45 - 40.28, abs=3)
+    known = result["valid"].sel(reference="kirchhoff") > 0
+    light, reference = (result[name].isel(plane=0).where(known) for name in ("light", "reference_light"))
+    reference, stated = reference.sel(reference="kirchhoff"), relative_error(result).where(known)
+    covered = light * stated >= 0.999 * np.abs(reference - light)
+    assert covered.where(stated.notnull() & (stated < LARGEST_ERROR) & (reference > 0), True).all()
 
 
 def test_nothing_significant_is_reported_of_the_gloss_of_a_rough_surface():

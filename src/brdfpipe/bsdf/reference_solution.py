@@ -25,7 +25,7 @@ UNMASKED = 3.0
 WAVELENGTH = 555.0
 """Of the phase [nm]."""
 
-_LAGS, _COMPARED = 40, 2**19
+_LAGS, _COMPARED = 24, 2**17
 """Distances at which heights are compared, up to a quarter of a map, and about how many heights."""
 _DECISIVE = 60.0  # incidence at which rays must hold to be preferred
 
@@ -57,31 +57,32 @@ def facet_smoothness(surface: xr.Dataset, theta_i: Array) -> Array:
         lags = np.unique(np.geomspace(1, max(size // 4, 1), _LAGS).astype(int))
         # Of a large map some lines are enough.
         lines = np.moveaxis(height, axis, -1).reshape(-1, size)
-        lines = lines[:: max(height.size // _COMPARED, 1)]
-        pairs = np.array([_compared(lines, int(lag)) for lag in lags])
-        (of_lag, ratio), lags = pairs[np.isfinite(pairs[:, 0])].T, lags[np.isfinite(pairs[:, 0])]
-        if lags.size == 0 or lags[0] > 1 or of_lag[0] == 0:
+        square, ratio = _differences(lines[:: max(height.size // _COMPARED, 1)], lags)
+        lags, square, ratio = (values[np.isfinite(square)] for values in (lags, square, ratio))
+        if lags.size == 0 or lags[0] > 1 or square[0] == 0:
             continue
         # The first lag at which the difference is large enough; a direction along which it never is has no facets.
-        rising = np.log(np.maximum.accumulate(of_lag))
+        rising = np.log(np.maximum.accumulate(square))
         log_lag = np.interp(np.log(target), rising, np.log(lags), left=0.0, right=np.nan)
         smoothness = np.fmin(smoothness, np.interp(log_lag, np.log(lags), ratio))
     return np.asarray(smoothness)
 
 
-def _compared(lines: Array, lag: int) -> tuple[float, float]:
+def _differences(lines: Array, lags: NDArray[np.int64]) -> tuple[Array, Array]:
     """Mean square difference of heights so many samples apart along lines [um2], and over that of even slopes [1]; NaN without any."""
     steps = np.square(np.diff(lines, axis=-1), dtype=float)
     present = np.isfinite(steps)
     total, known = (
-        np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=-1) for values in (np.where(present, steps, 0), present)
+        np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=-1) for values in (np.where(present, steps, 0.0), present)
     )
-    whole = known[:, lag:] - known[:, :-lag] == lag
-    if not whole.any():
-        return np.nan, np.nan
-    square = float(np.square((lines[:, lag:] - lines[:, :-lag])[whole], dtype=float).mean())
-    # Of the slopes between the same heights: a small map is not the same all over.
-    return square, square / max(lag * float((total[:, lag:] - total[:, :-lag])[whole].mean()), 1e-300)
+    square, of_slopes = np.full((2, lags.size), np.nan)
+    for row, lag in enumerate(lags):
+        whole = known[:, lag:] - known[:, :-lag] == lag
+        if whole.any():
+            square[row] = np.square((lines[:, lag:] - lines[:, :-lag])[whole], dtype=float).mean()
+            # Of the slopes between the same heights: a small map is not the same all over.
+            of_slopes[row] = lag * (total[:, lag:] - total[:, :-lag])[whole].mean()
+    return square, square / np.maximum(of_slopes, 1e-300)
 
 
 def holds(variance: Array, slope: float, theta_i: Array, smoothness: ArrayLike = 1.0) -> Holds:
