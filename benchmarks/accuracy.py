@@ -120,6 +120,21 @@ RUNGS: Mapping[str, Callable[[xr.Dataset], xr.Dataset]] = {
     "kirchhoff": partial(kirchhoff.build, index=INDEX),
 }
 
+KEYS: Mapping[str, str] = {
+    "Lambert + Gauss, fitted to facets": "the file `lambert_gauss.csv`",
+    "facets": "`optics: facets`, `masking: height-correlated`",
+    "facets, masking measured": "`optics: facets`, `masking: measured`",
+    "facets, second reflections directional": "`optics: facets`, `masking: height-correlated`, `multiple_scattering: directional`",
+    "facets, both": "`optics: facets`, `masking: measured`, `multiple_scattering: directional`",
+    "wave": "`optics: wave`",
+    "composite": "`optics: composite`",
+    "auto (the default)": "none, or `optics: auto`, `masking: auto`",
+    "auto, second reflections directional": "`multiple_scattering: directional`",
+    "traced": "`truth: use`, where rays hold; of 10⁶ rays an incidence",
+    "kirchhoff": "`truth: use`, where diffraction holds and rays do not",
+}
+"""Rung → keys of ``model`` in material.yaml."""
+
 
 class Measured(NamedTuple):
     """One rung on one map."""
@@ -204,6 +219,8 @@ def report(results: Mapping[str, list[Measured]], size: int = SIZE) -> str:
         "|---|---|---|---|---|---|---|",
         *_summary(results),
     ]
+    lines += ["", "| Model | Keys of `model` in material.yaml |", "|---|---|"]
+    lines += [f"| {rung} | {keys} |" for rung, keys in KEYS.items()]
     for name, rows in results.items():
         lines += ["", f"## {name[0].upper()}{name[1:]}", ""]
         lines += [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 from typing import Annotated
 
@@ -118,6 +119,19 @@ def test_other_mistakes_are_not_taken_for_a_decimal_comma(path: Path, text: str)
     with pytest.raises(InputError) as refusal:
         read(path, text)
     assert "decimal" not in str(refusal.value)
+
+
+def test_every_problem_is_listed(path: Path) -> None:
+    with pytest.raises(InputError) as refusal:
+        read(path, "count: 0\ncolour: blue\nunits: [parsec]")
+    assert "line 1, count" in str(refusal.value)
+    assert [" ".join(text.split()[1:3]) for text in refusal.value.others] == ["line 2,", "line 3,"]
+    assert pickle.loads(pickle.dumps(refusal.value)).others == refusal.value.others
+
+
+def test_a_yes_where_a_word_is_expected_is_explained(path: Path) -> None:
+    with pytest.raises(InputError, match="YAML reads yes"):
+        read(path, "count: 1\nunits: [yes]")
 
 
 @pytest.mark.parametrize("unit", ["um", "UM", "\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m"])

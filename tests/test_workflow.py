@@ -19,7 +19,6 @@ from random_surfaces import heights
 from brdfpipe import installation, store
 from brdfpipe.appearance.quantities import quantities
 from brdfpipe.jobs.build import build as build_catalogue
-from brdfpipe.jobs.summary import failed_checks, read_verdicts
 from brdfpipe.psd.k_correlation import KCorrelation
 
 PROJECT = Path(__file__).parents[1]
@@ -158,18 +157,6 @@ def test_damaged_results_are_computed_again_to_the_same_bytes(built: tuple[Path,
     assert any("deleted and made anew: paint-lab/bsdf.nc" in notice for notice in summary.notices)
     assert files(results) == files(undamaged)
     assert set(summary.verdicts) == set(EXAMPLES)  # of those that were not built, too
-
-
-def test_a_verdict_of_fail_is_read_with_its_reason(built: tuple[Path, Path], tmp_path: Path) -> None:
-    _, results = built
-    checks = store.open_dataset(results / "paint-lab" / "checks.nc")
-    checks.attrs["verdicts"] = json.dumps(
-        {"energy": {"verdict": "fail", "text": "too much"}, "closure": {"verdict": "pass", "text": "closes"}}
-    )
-    store.save_dataset(checks, tmp_path / "m" / "checks.nc", stage="checks", material="m")
-    (tmp_path / "catalogue.csv").write_text("material,status,verdict\nm,built,fail\nn,built,pass\no,failed,\n")
-    assert read_verdicts(tmp_path, ["m", "n", "o"]) == {"m": "fail", "n": "pass"}
-    assert failed_checks(tmp_path, "m") == "energy: too much"
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")

@@ -35,6 +35,7 @@ class InputError(BrdfpipeError):
     where : line, channel or key inside the file
     found, accepted : the value, and the accepted values
     key : the key of ``material.yaml`` to set
+    others : messages on further problems of the same file, which the message does not repeat
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class InputError(BrdfpipeError):
         found: object = None,
         accepted: str | None = None,
         key: str | None = None,
+        others: Sequence[str] = (),
     ) -> None:
         self.file = PurePath(file).name or str(file) or "."
         self.problem = problem
@@ -53,6 +55,7 @@ class InputError(BrdfpipeError):
         self.found = found
         self.accepted = accepted
         self.key = key
+        self.others = tuple(others)
         message = f"{self.file}, {where}: {problem}" if where else f"{self.file}: {problem}"
         if found is not None:
             message += f"; found {found}"
@@ -64,5 +67,6 @@ class InputError(BrdfpipeError):
 
     def __reduce__(self) -> tuple[object, ...]:
         # Workers pickle errors; by default only the message would be restored.
-        rebuild = partial(InputError, where=self.where, found=self.found, accepted=self.accepted, key=self.key)
+        named = {name: getattr(self, name) for name in ("where", "found", "accepted", "key", "others")}
+        rebuild = partial(InputError, **named)
         return rebuild, (self.file, self.problem)

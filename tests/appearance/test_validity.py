@@ -10,7 +10,7 @@ import xarray as xr
 from brdfpipe import facets, flakes, psd, vocabulary
 from brdfpipe.appearance.origin import Datasets
 from brdfpipe.appearance.validity import Judgement, validity
-from brdfpipe.appearance.verdicts import verdicts, worst
+from brdfpipe.appearance.verdicts import overall, verdicts, worst
 from brdfpipe.bsdf import flake, slab
 
 ROUGHNESS = "Roughness against wavelength (550 nm)"
@@ -81,6 +81,13 @@ def test_a_condition_that_fails_makes_the_verdict_of_the_material_fail():
     assert worst(verdicts(smooth)) == "fail"
     (failed,) = [entry for entry in verdicts(smooth) if entry.verdict == "fail"]
     assert "coherent" in failed.text
+
+
+def test_a_condition_that_warns_counts_in_the_verdict():
+    table = facets.analytic("beckmann", 0.1).assign(tail_share=0.2)
+    known = datasets(psd=psd.analytic("gaussian", sigma=5.0, length=5.0), facets=table)
+    verdict, (reason,) = overall(known)
+    assert (verdict, reason.name) == ("warn", "extrapolated slopes")
 
 
 def test_masking_is_judged_by_what_the_heights_advise():

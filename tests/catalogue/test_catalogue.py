@@ -128,6 +128,12 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
         (FRONT + "model: {truth: use}", "model.truth: a reference solution needs a height map"),
         (SCAN + "slab: {thickness: 1}\nmodel: {truth: use}", "model.truth: a clear body has no reference solution"),
         (SCAN + "model: {truth: use, recipe: crf}", "model.truth: a reference solution couples its diffuse base"),
+        (SCAN + "model: {truth: use, optics: wave}", "model.optics: `truth: use` takes the reference solution"),
+        (SCAN + "model: {truth: use, masking: measured}", "model.masking: `truth: use` takes the reference solution"),
+        (
+            SCAN + "model: {masking: crf, multiple_scattering: auto}",
+            "`multiple_scattering: auto` is defined for Smith's",
+        ),
         (FRONT + "model: {optics: wave}", "model.optics: `model.optics: wave` needs a roughness spectrum"),
         (
             ROUGH + "slab: {thickness: 1}\nmodel: {optics: composite}",
@@ -591,10 +597,10 @@ def test_a_new_material_asks_to_be_filled_in_and_each_alternative_in_its_comment
     path = catalogue.start_material(tmp_path, "fresh")
     assert "at least one of `surface`, `spectrum`" in catalogue.load(tmp_path).failures["fresh"]
     text = path.read_text()
-    for file in ("reflectance.txt", "surface.x3p", "profile.txt", "index.txt", "absorption.txt"):
+    for file in ("reflectance.txt", "surface.x3p", "surface-2.x3p", "profile.txt", "index.txt", "absorption.txt"):
         (path.parent / file).touch()
     blocks = re.findall(r"(?m)^# (?:surface|index|spectrum|slab|model|exports):.*\n(?:#   .*\n)*", text)
-    assert len(blocks) == 15
+    assert len(blocks) == 17
     front = "surface: {distribution: flat}\nindex: PP\n"
     rest = {"spectrum": "", "surface": COLOUR + "index: PP\n", "slab": front}
     for block in blocks:

@@ -1,33 +1,23 @@
 """The summary of a build names the reason of every verdict of fail."""
 
-import json
 from pathlib import Path
 
-import pytest
-import xarray as xr
-
-from brdfpipe.jobs.summary import failed_checks
-
-CHECKS = {
-    "energy": {"verdict": "pass", "text": "below 1"},
-    "reciprocity": {"verdict": "fail", "text": "differs by 3 %"},
-}
-TABLE = {"table": {"verdict": "fail", "text": "differs from the BSDF by 40 %"}}
+from brdfpipe.jobs.summary import read_verdicts
 
 
-@pytest.mark.parametrize(
-    ("verdicts", "expected"),
-    [
-        ({"checks": CHECKS}, "reciprocity: differs by 3 %"),
-        ({"table": TABLE}, "table: differs from the BSDF by 40 %"),
-        ({"checks": CHECKS, "table": TABLE}, "reciprocity: differs by 3 %; table: differs from the BSDF by 40 %"),
-        ({}, ""),
-    ],
-)
-def test_a_material_fails_by_its_checks_or_by_its_table(
-    verdicts: dict[str, dict[str, object]], expected: str, tmp_path: Path
-) -> None:
-    (tmp_path / "m").mkdir()
-    for stage, entries in verdicts.items():
-        xr.Dataset(attrs={"verdicts": json.dumps(entries)}).to_netcdf(tmp_path / "m" / f"{stage}.nc")
-    assert failed_checks(tmp_path, "m") == expected
+def test_a_verdict_is_read_with_all_its_reasons(tmp_path: Path) -> None:
+    lines = (
+        "material,status,verdict,verdict_text",
+        "m,built,fail,table: differs by 40 %; roughness against wavelength (550 nm): g = 0.03",
+        "n,built,pass,",
+        "o,failed,,",
+    )
+    (tmp_path / "catalogue.csv").write_text("\n".join(lines) + "\n")
+    assert read_verdicts(tmp_path, ["m", "n", "o", "p"]) == {
+        "m": ("fail", "table: differs by 40 %; roughness against wavelength (550 nm): g = 0.03"),
+        "n": ("pass", ""),
+    }
+
+
+def test_without_a_table_no_verdict_is_known(tmp_path: Path) -> None:
+    assert read_verdicts(tmp_path, ["m"]) == {}

@@ -30,7 +30,7 @@ def cells():
 def test_a_gaussian_map_keeps_smiths_masking(sigma):
     choice = chosen(samples.gaussian_surface(256, sigma=sigma, correlation=8))
     assert choice.attrs["masking"] == "height-correlated"
-    assert choice.attrs["reason"].startswith("Smith's masking agrees with the heights; the largest difference is ")
+    assert choice.attrs["reason"].startswith("Smith's masking is kept: the largest difference from the heights is ")
     assert "visibility_ratio" not in choice
     assert vocabulary.validate(choice, "visibility") is choice
 
@@ -104,5 +104,5 @@ def test_too_small_and_flat_surfaces_keep_smiths_masking():
 def test_measured_masking_is_traced_even_where_smiths_agrees():
     choice = chosen(samples.gaussian_surface(128, sigma=0.15), masking="measured")
     assert choice.attrs["masking"] == "measured"
-    assert choice.attrs["reason"].startswith("`model.masking: measured`; Smith's masking agrees")
+    assert choice.attrs["reason"].startswith("`model.masking: measured`; Smith's masking is kept")
     assert "visibility_ratio" in choice

@@ -28,6 +28,9 @@ PREDICTION_INPUTS = (
 )
 """Stages on which only a prediction is based, and not a measured BRDF."""
 
+_SOLUTIONS = {"kirchhoff": "diffraction on the map, after Kirchhoff", "traced": "rays traced over the map"}
+"""Representation of a reference solution → how it was computed."""
+
 _METAL_EXTINCTION = 0.1
 """Extinction coefficient above which no light returns from below the surface."""
 
@@ -59,6 +62,11 @@ def uncertainty_not_stated(datasets: Datasets) -> str:
     if representation(datasets["bsdf"]).states_uncertainty:
         return "BRDF (in haze, colours and reflectance)"
     return str(datasets["bsdf"].attrs.get(NOT_STATED, "all inputs"))
+
+
+def solution_words(datasets: Datasets) -> str:
+    """How a reference solution was computed, ``diffraction on the map (Kirchhoff)``; empty for other BRDFs."""
+    return _SOLUTIONS.get(str(datasets["bsdf"].attrs.get("representation")), "") if "bsdf" in datasets else ""
 
 
 def has_finish(datasets: Datasets) -> bool:

@@ -255,6 +255,11 @@ def _of_inputs(words: Callable[[Datasets], str]) -> Callable[[Datasets], str]:
     return lambda datasets: ", ".join(filter(None, ("of the prediction" * is_measured(datasets), words(datasets))))
 
 
+def _slope_words(datasets: Datasets) -> str:
+    slope = _slope_rms(datasets)
+    return f"all azimuths, {math.degrees(math.atan(slope)):.2g}°" if slope else "perfectly flat"
+
+
 def _lay_words(datasets: Datasets) -> str:
     facets = datasets.get("facets", datasets.get("bsdf", xr.Dataset()))
     lay = float(facets["lay"]) if "lay" in facets and "slope_along" in facets.dims else math.nan
@@ -282,6 +287,13 @@ def _gloss_hint(standard: str, *angles: float) -> Callable[[Datasets], str]:
     return lambda datasets: f"{standard}-style{basis_note(datasets.get('appearance'), *angles)}"
 
 
+def _haze_hint(datasets: Datasets) -> str:
+    """Below 0 the difference tells the index: Fresnel's reflectance over that of the black glass grows more at 20° than at 60°."""
+    words = _gloss_hint("D4039", *HAZE_ANGLES)(datasets)
+    negative = quantity("haze").value(datasets) < 0
+    return f"{words}; below 0 it is no haze: the index is above the standard's 1.567" if negative else words
+
+
 def _gloss(angle: float) -> Callable[[Datasets], float]:
     return lambda datasets: gloss_units(datasets.get("appearance")).get(angle, math.nan)
 
@@ -306,7 +318,7 @@ for _quantity in (
     ),
     AppearanceQuantity(
         "haze", "Haze D4039", "G60 − G20", "GU", 1, standard="ASTM D4039", u=_uncertainty("haze"),
-        applicability=_HAZE, hint=_gloss_hint("D4039", *HAZE_ANGLES),
+        applicability=_HAZE, hint=_haze_hint,
     ),
     AppearanceQuantity(
         "reflectance_haze", "Haze ISO 13803", "H", "GU", 1, standard="ISO 13803, ASTM E430 B",
@@ -346,7 +358,7 @@ for _quantity in (
     ),
     AppearanceQuantity(
         "slope_rms", "rms slope", "", "1", 3, "root mean square slope of the facets", read=_slope_rms,
-        hint=_of_inputs(lambda datasets: f"all azimuths, {math.degrees(math.atan(_slope_rms(datasets))):.2g}°"),
+        hint=_of_inputs(_slope_words),
         significant=3,
     ),
     AppearanceQuantity(

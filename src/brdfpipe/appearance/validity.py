@@ -259,16 +259,16 @@ def _model_error(datasets: Datasets) -> Judgement | None:
 def _largest_error(
     error: xr.DataArray, u: xr.DataArray, limits: tuple[float, float]
 ) -> tuple[Array, Callable[[str], str]]:
-    """By how much the most significant error exceeds each limit, and its words: value ± 2 u and angle, in a number format."""
+    """By how much the most significant error exceeds each limit, and its words: value ± u and angle, in a number format."""
     angle = next(str(dim) for dim in error.dims if str(dim) in ("theta_i", "gloss_angle"))
     error, u = xr.broadcast(error, u)
     certain = (abs(error) - SIGNIFICANT * u).values
     # Where nothing is significant, the largest error.
     at = np.nanargmax(certain if np.nanmax(certain) > 0 else abs(error).values)
-    value, two_u = float(error.values.flat[at]), 2 * float(u.values.flat[at])
+    value, at_u = float(error.values.flat[at]), float(u.values.flat[at])
     row = np.unravel_index(at, error.shape)[error.dims.index(angle)]
 
     def words(form: str) -> str:
-        return f"{value:+{form}} ± {two_u:{form}} at {float(error[angle][row]):g}°".replace("-", "−")
+        return f"{value:+{form}} ± {at_u:{form}} at {float(error[angle][row]):g}°".replace("-", "−")
 
     return np.nanmax(certain) - np.array(limits), words

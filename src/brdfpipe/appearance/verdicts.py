@@ -32,14 +32,25 @@ class Verdict:
 
 
 def verdicts(datasets: Datasets) -> list[Verdict]:
-    """Verdicts of the checks and of the table, ``warn`` for every stage that the BRDF rests on and that has a warning, and ``fail`` for
-    every condition of the model that the surface does not meet."""
-    failed = [
-        Verdict(judgement.condition.lower(), "fail", f"{judgement.finding}. {judgement.advice}")
+    """Verdicts of the checks and of the table, ``warn`` for every stage that the BRDF rests on and that has a warning, and ``warn`` or
+    ``fail`` for every condition of the model that the surface meets in part, or does not meet."""
+    unmet = [
+        Verdict(
+            _lowered(judgement.condition),
+            judgement.verdict,
+            ". ".join(filter(None, (judgement.finding, judgement.advice))),
+        )
         for judgement in ([] if is_measured(datasets) else validity(datasets))
-        if judgement.verdict == "fail"
+        if judgement.verdict in ("fail", "warn")
     ]
-    return [*check_verdicts(datasets), *failed, *_warning_verdicts(datasets)]
+    return [*check_verdicts(datasets), *unmet, *_warning_verdicts(datasets)]
+
+
+def overall(datasets: Datasets) -> tuple[str, list[Verdict]]:
+    """The verdict of a material, and the entries that it is for; no entries for pass, and an empty verdict where nothing was checked."""
+    outcomes = verdicts(datasets)
+    verdict = worst(outcomes)
+    return verdict, [] if verdict in ("", "pass") else [entry for entry in outcomes if entry.verdict == verdict]
 
 
 def check_verdicts(datasets: Datasets) -> list[Verdict]:
@@ -71,6 +82,11 @@ def stage_title(datasets: Datasets, stage: str) -> str:
     """A stage in words; inputs of the prediction that a measurement is compared with are marked."""
     title = stage.replace("_", " ")
     return f"{title} (of the prediction)" if is_measured(datasets) and stage in PREDICTION_INPUTS else title
+
+
+def _lowered(condition: str) -> str:
+    """A condition inside a sentence; abbreviations keep their capitals."""
+    return condition[:1].lower() + condition[1:]
 
 
 def json_object(text: object) -> dict[str, Any]:

@@ -32,6 +32,8 @@ class Catalogue:
     """Name of a material (or its folder) → what is wrong with it, in one line."""
     config: Mapping[str, Any] = field(repr=False)
     calibrations: Mapping[str, Calibration] = field(default_factory=dict)
+    further_problems: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Name of a material that cannot be built → what is wrong with its description beside the first problem, a line each."""
 
     @cached_property
     def by_name(self) -> Mapping[str, Material]:
@@ -79,7 +81,9 @@ def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
     if not folders:
         hints = "".join(f"; {name}: {reason}" for name, reason in [*ignored(folder).items()][:3])
         raise CatalogueError(f"{folder}: holds no material; `brdfpipe new NAME --folder {folder}` starts one{hints}")
-    loaded = {printable(path.name): _load_or_refusal(path, config) for path in folders}
+    outcomes = {printable(path.name): _load_or_refusal(path, config) for path in folders}
+    loaded = {name: item if isinstance(item, Material) else str(item) for name, item in outcomes.items()}
+    further = {name: item.others for name, item in outcomes.items() if isinstance(item, InputError) and item.others}
     duplicates = _duplicate_names(loaded)
     failures = {name: item for name, item in loaded.items() if isinstance(item, str)} | duplicates
     materials = {item.name: item for key, item in loaded.items() if isinstance(item, Material) and key not in failures}
@@ -88,14 +92,14 @@ def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
         failures[name] = refusal
         del materials[name]
     usable = {name: item for name, item in calibrations.items() if isinstance(item, Calibration)}
-    return Catalogue(folder, tuple(materials[name] for name in sorted(materials)), failures, config, usable)
+    return Catalogue(folder, tuple(materials[name] for name in sorted(materials)), failures, config, usable, further)
 
 
-def _load_or_refusal(folder: Path, config: Mapping[str, Any]) -> Material | str:
+def _load_or_refusal(folder: Path, config: Mapping[str, Any]) -> Material | BrdfpipeError:
     try:
         return load_material(folder, config)
     except BrdfpipeError as error:
-        return str(error)
+        return error
 
 
 def _duplicate_names(loaded: Mapping[str, Material | str]) -> dict[str, str]:

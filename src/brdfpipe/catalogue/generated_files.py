@@ -15,7 +15,7 @@ from brdfpipe.catalogue import calibration_keys, material_keys
 from brdfpipe.catalogue.config_keys import Config
 from brdfpipe.descriptions import rendering
 from brdfpipe.file_formats import FileFormat
-from brdfpipe.masking.modes import MODEL_DEFAULTS
+from brdfpipe.masking.modes import MODEL_DEFAULTS, OPTICS, TRUTHS
 from brdfpipe.rig.plan_keys import PlanKeys
 from brdfpipe.rig.reduction.certificate_keys import CertificateKeys
 from brdfpipe.rig.rig_keys import RigKeys
@@ -49,19 +49,25 @@ MATERIAL_BLOCKS = f"""\
 description: one line for the reader of the report
 
 # The colour: a measured spectrum, a file in this folder …
-spectrum: {{file: reflectance.txt, geometry: sci, incidence: 8, scale: percent}}
+spectrum: {{file: reflectance.txt, geometry: sci, incidence: 8, scale: percent, reflectance_uncertainty: 0.003}}
 
 # … or L*, a*, b* of a colorimeter.
-spectrum: {{lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}}
+spectrum: {{lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci, reflectance_uncertainty: 0.003}}
 
 # The surface: a scan, a file in this folder (X3P, an instrument's own format, NumPy or text) …
 surface: {{file: surface.x3p, form: plane}}
+
+# … with the noise of its heights, and further scans of the same finish …
+surface: {{file: surface.x3p, noise: 0.002, noise_uncertainty: 0.0005, scans: [{{file: surface-2.x3p}}]}}
 
 # … or a line profile …
 surface: {{file: profile.txt, layout: line, unit: um, pitch: 0.5, isotropic: true}}
 
 # … or an assumed finish …
 surface: {{distribution: beckmann, slope_rms: 0.15}}
+
+# … with its correlation length, from which waves follow …
+surface: {{distribution: beckmann, slope_rms: 0.05, length: 5}}
 
 # … or a polished one.
 surface: {{distribution: flat}}
@@ -76,17 +82,20 @@ index: {{n: 1.2, k: 7.0}}
 
 index: {{file: index.txt}}
 
+# How well the index is known; the uncertainties of gloss and colours include what is stated here and as `…_uncertainty` elsewhere.
+index_uncertainty: 0.005
+
 # A paint with effect pigments: its colours at three geometries or more, from a multi-angle instrument; it needs nothing else.
 multiangle: {{file: colours.csv, illuminant: D65, observer: 10, index: 1.5, model: flake-physical}}
 
 # A clear body: light passes it, `surface` is its front, and there is no `spectrum`.
-slab: {{thickness: 2, internal_transmittance: 0.95, back: same}}
+slab: {{thickness: 2, internal_transmittance: 0.95, transmittance_uncertainty: 0.005, back: same}}
 
 # … or with an absorption coefficient.
 slab: {{thickness: 2, absorption: {{file: absorption.txt, unit: 1/mm}}}}
 
 # How the reflection is modelled, where the defaults do not fit; docs/model.md says what each choice breaks.
-model: {rendering.flow(MODEL_DEFAULTS)}
+model: {rendering.flow({"optics": OPTICS[0], **MODEL_DEFAULTS, "truth": TRUTHS[0]})}
 
 model: {{recipe: crf}}
 

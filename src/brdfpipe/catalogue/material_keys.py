@@ -30,6 +30,7 @@ from brdfpipe.masking.modes import (
     MODEL_DEFAULTS,
     MODES,
     OPTICS,
+    PHYSICAL_MASKINGS,
     RECIPES,
     SMITH_MASKINGS,
     TRUTHS,
@@ -695,7 +696,7 @@ class Model(Keys):
 
     optics: Annotated[str, OneOf(OPTICS)] = key(
         "how the surface reflects: facets (geometrical optics), wave (coherent mirror reflection and a halo), composite (facets with finer "
-        "roughness) or auto (waves or facets, by roughness, slope and incidence; facets where the roughness is not known)",
+        "roughness) or auto (waves or facets, by roughness, slope and incidence, and facets where the roughness is not known)",
         default_words=f"`{OPTICS[0]}`",
         details="See [waves](model.md#waves). A scan, or a beckmann finish with `length`, gives the roughness spectrum that wave needs.",
     )
@@ -709,7 +710,7 @@ class Model(Keys):
         "masking and shadowing of facets by their neighbours: auto (measured where the heights differ from Smith's masking), "
         "height-correlated, separable, measured (traced on the heights), blinn, liu, crf or none",
         default_words=f"`{MODEL_DEFAULTS['masking']}`",
-        details="See [modes](model.md#modes-and-what-they-break).",
+        details="See [modes](model.md#modes-and-what-they-break). With blinn, liu, crf or none `optics` is facets.",
     )
     diffuse: Annotated[str, OneOf(MODES["diffuse"])] = key(
         "the diffuse part: coupled to the facets' transmission, crf (the patent's) or none",
@@ -772,9 +773,23 @@ class Model(Keys):
         return self
 
     @model_validator(mode="after")
+    def _check_truth(self) -> Self:
+        """Refuse choices of a prediction beside ``truth: use``, which takes the reference solution instead."""
+        defaults = {"optics": OPTICS[0], "halo": HALOS[0], **MODEL_DEFAULTS, "diffuse": self.diffuse}
+        for name, default in defaults.items():
+            if self.truth == "use" and (found := getattr(self, name)) not in (None, default):
+                problem = f"`truth: use` takes the reference solution on the map, which knows no `{name}`"
+                accepted = f"`truth: use` without `{name}`, or `truth: check`"
+                raise InputError("", problem, where=name, found=repr(found), accepted=accepted)
+        return self
+
+    @model_validator(mode="after")
     def _check_compensation(self) -> Self:
         masking, mode = self.effective_masking, self.multiple_scattering or MODEL_DEFAULTS["multiple_scattering"]
         defined = MASKINGS_OF_MULTIPLE_SCATTERING[mode]
+        if self.multiple_scattering == "auto":
+            # Stages leave several reflections out with other maskings. A key that does nothing is a mistake.
+            defined = ("auto", *PHYSICAL_MASKINGS)
         if masking not in defined:
             problem = f"`multiple_scattering: {mode}` is defined for Smith's masking"
             accepted = f"{' or '.join(defined)}, or `multiple_scattering: none`"

@@ -52,6 +52,8 @@ def build(catalogue: Path, results: Path, cores: int | None, config: Path | None
 def check(catalogue: Path, config: Path | None) -> int:
     """Check descriptions, keys, files and formats of CATALOGUE; raw files are read by the build.
 
+    Lists every mistake of a description. A text file whose unit or pitch must be a key is refused by the build alone.
+
     Exit code: 1 if a material is wrong or needs a reader that is not installed.
     """
     from brdfpipe.catalogue.catalogue import ignored, load
@@ -78,6 +80,8 @@ def check(catalogue: Path, config: Path | None) -> int:
             summaries[material.name] = f"ok ({', '.join(summary_words(material))})"
     for name, message in sorted({**problems, **summaries}.items()):
         click.echo(f"{name}: {message}")
+        for further in loaded.further_problems.get(name, ()):
+            click.echo(f"  also {further}")
     for name, reason in ignored(loaded.folder).items():
         click.echo(f"{name}: ignored: {reason}")
     click.echo(f"{len(summaries)} ok, {len(problems)} wrong")

@@ -242,16 +242,19 @@ class _Problem(NamedTuple):
     found: object
     accepted: str | None
 
+    def refusal(self, path: Path, more: str = "", others: Sequence[str] = ()) -> InputError:
+        accepted, place = (self.accepted or "") + more, _place(self.line, self.where)
+        return InputError(path, self.problem, where=place, found=self.found, accepted=accepted or None, others=others)
+
 
 def _refusal(path: Path, errors: Sequence[ErrorDetails], document: _Document) -> InputError:
-    """The first problem of a description, and how many more there are."""
+    """The first problem of a description, how many more there are, and those."""
     # A misspelled key is also a missing one; the misspelling explains both.
     ordered = sorted(errors, key=lambda error: error["type"] != "extra_forbidden")
     problems = sorted((_problem(error, document) for error in ordered), key=lambda problem: problem.line)
-    first, more = problems[0], len(problems) - 1
-    accepted = (first.accepted or "") + (f" (and {more} more problem{'s' if more > 1 else ''})" if more else "")
-    place = _place(first.line, first.where)
-    return InputError(path, first.problem, where=place, found=first.found, accepted=accepted or None)
+    first, *others = problems
+    more = f" (and {len(others)} more problem{'s' if len(others) > 1 else ''})" if others else ""
+    return first.refusal(path, more, others=tuple(str(problem.refusal(path)) for problem in others))
 
 
 def _problem(error: ErrorDetails, document: _Document) -> _Problem:
@@ -324,6 +327,8 @@ def _wrong_value(error: ErrorDetails, value: Any, place: Declared) -> tuple[str,
         problem += documents.nearest(value, map(str, place.choices))
     if error["type"] == "model_type":
         accepted = f"a mapping of keys: {_accepted_keys(place, {})}"
+    if error["type"] == "one_of" and isinstance(value, bool):
+        accepted += " (YAML reads yes, no, on and off as true and false)"
     if error["type"] in ("list_type", "tuple_type"):
         single = get_origin(place.annotation) is list and _fits(get_args(place.annotation)[0], value)
         accepted = f"a list: [{value}]" if single else f"a list, {accepted}"

@@ -70,8 +70,8 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
         page=results / "index.html",
         seconds=time.perf_counter() - started,
         dry_run=dry_run,
-        verdicts=verdicts,
-        fail_reasons={name: summary.failed_checks(results, name) for name in verdicts if verdicts[name] == "fail"},
+        verdicts={name: verdict for name, (verdict, _) in verdicts.items()},
+        fail_reasons={name: reasons for name, (verdict, reasons) in verdicts.items() if verdict == "fail"},
         notices=tuple(summary.notices(catalogue.folder, deleted, stale)),
     )
 

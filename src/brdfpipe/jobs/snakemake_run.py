@@ -6,6 +6,7 @@ import json
 import logging
 import os
 import sys
+import time
 from collections.abc import Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -14,7 +15,11 @@ from typing import Any
 from brdfpipe import installation
 
 PROGRESS_AFTER = 2.0
-"""Seconds before a progress bar is worth showing."""
+"""Seconds before progress is worth showing."""
+PROGRESS_EVERY = 30.0
+"""Seconds after which a line of progress is printed where there is no terminal, also if no material was finished."""
+_LAST_RULE = "report"
+"""The rule that finishes a material."""
 
 LOG = "logs/build.log"
 """In the folder of results."""
@@ -37,6 +42,7 @@ class SnakemakeRun(logging.Handler):
         self.failed: list[tuple[str, str]] = []
         self.errors: list[str] = []
         self._file: Any = None
+        self._started = self._shown = time.monotonic()
 
     def start(self, config: Mapping[str, Any], cores: int) -> bool:
         """Run snakemake and wait; return whether all results exist now."""
@@ -95,6 +101,9 @@ class SnakemakeRun(logging.Handler):
             print(text, file=self._file)
 
     def _show_progress(self, done: int, total: int) -> None:
+        if not (sys.__stderr__ and sys.__stderr__.isatty()):
+            self._print_progress(done, total)
+            return
         from tqdm import tqdm
 
         if self._bar is None:
@@ -102,3 +111,18 @@ class SnakemakeRun(logging.Handler):
                 total=total, unit="job", delay=PROGRESS_AFTER, disable=None, file=sys.__stderr__, leave=False
             )
         self._bar.update(done - self._bar.n)
+        self._bar.set_postfix_str(self._last_job)
+
+    def _print_progress(self, done: int, total: int) -> None:
+        """A line for each finished material, and at least every 30 seconds in which a job ended."""
+        now = time.monotonic()
+        finished = bool(self.done) and self.done[-1][0] == _LAST_RULE and now - self._started > PROGRESS_AFTER
+        if sys.__stderr__ and (finished or now - self._shown > PROGRESS_EVERY):
+            print(f"{done} of {total} jobs: {self._last_job}", file=sys.__stderr__, flush=True)
+            self._shown = now
+
+    @property
+    def _last_job(self) -> str:
+        """Material and stage of the last job that ended."""
+        rule, material = self.done[-1] if self.done else ("", "")
+        return " ".join(filter(None, (material, "finished" if rule == _LAST_RULE else rule)))

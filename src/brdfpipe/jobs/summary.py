@@ -10,9 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from brdfpipe.catalogue.catalogue import ignored
-from brdfpipe.errors import BrdfpipeError
 from brdfpipe.jobs.cleanup import STALE
-from brdfpipe.store import open_dataset
 
 _LISTED = 5
 """Folders that a notice names."""
@@ -35,7 +33,7 @@ class Summary:
     verdicts: Mapping[str, str] = field(default_factory=dict)
     """Built material → worst verdict of its checks: pass, warn or fail."""
     fail_reasons: Mapping[str, str] = field(default_factory=dict)
-    """Built material with the verdict fail → its failed checks with their findings, in one line."""
+    """Built material with the verdict fail → the checks and conditions of the model that failed, with their findings, in one line."""
     notices: tuple[str, ...] = ()
     """Notices for the user that are no failures."""
 
@@ -69,23 +67,16 @@ class Summary:
         ]
 
 
-def read_verdicts(results: Path, names: Iterable[str]) -> dict[str, str]:
-    """Material → verdict, from the table of the catalogue; empty where there is none."""
+def read_verdicts(results: Path, names: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """Material → verdict and its reasons in one line, from the table of the catalogue; empty where there is none."""
     with suppress(OSError), (results / "catalogue.csv").open(encoding="utf-8", newline="") as table:
-        verdicts = {row.get("material"): row.get("verdict") or "" for row in csv.DictReader(table)}
-        return {name: verdicts[name] for name in names if verdicts.get(name)}
+        found = {row.get("material"): row for row in csv.DictReader(table)}
+        return {
+            name: (verdict, found[name].get("verdict_text") or "")
+            for name in names
+            if (verdict := found.get(name, {}).get("verdict"))
+        }
     return {}
-
-
-def failed_checks(results: Path, name: str) -> str:
-    """Failed checks of a material and its table with their findings, in one line; empty if they cannot be read."""
-    from brdfpipe.appearance.verdicts import check_verdicts
-
-    datasets = {}
-    for stage in ("checks", "table"):
-        with suppress(BrdfpipeError):
-            datasets[stage] = open_dataset(results / name / f"{stage}.nc")
-    return "; ".join(f"{check.name}: {check.text}" for check in check_verdicts(datasets) if check.verdict == "fail")
 
 
 def notices(folder: Path, deleted: Sequence[str], stale: Sequence[str]) -> Iterator[str]:

@@ -65,7 +65,7 @@ def choose(
     Notes
     -----
     Smith's masking is replaced where, at an incidence up to 75 degree, in the peak or in all, the light of a body of index 1.5 differs by
-    more than 3 % and three standard uncertainties. These are the scatter between 64 blocks of the heights.
+    more than 3 % plus three standard uncertainties. These are the scatter between 64 blocks of the heights.
     """
     vocabulary.validate(surface, "surface")
     vocabulary.validate(facets, "facets")
@@ -116,7 +116,10 @@ def _choice(comparison: xr.Dataset) -> tuple[str, str]:
     found = f"{error[row, column]:+.1%} ± {u[row, column]:.1%} of the light {place}".replace("-", "−")
     if beyond.max() > 1:
         return "measured", f"Smith's masking would give {found}"
-    return "height-correlated", f"Smith's masking agrees with the heights; the largest difference is {found}"
+    return (
+        "height-correlated",
+        f"Smith's masking is kept: the largest difference from the heights is {found}, less than 3 % plus 3 u",
+    )
 
 
 def _compared(facets: FacetSample, density: RadialDensity) -> xr.Dataset:

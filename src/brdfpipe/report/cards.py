@@ -8,6 +8,14 @@ from dataclasses import dataclass, field
 from brdfpipe.appearance.verdicts import Verdict
 from brdfpipe.report.plots.svg import Figure
 
+WORDS = ("Definition", "Description", "Of")
+"""Titles of columns of sentences, which are broken into lines."""
+
+_HALF_PAGE, _GAP = 70, 2
+"""Characters of a row of half the width of the page, and between columns."""
+_LONGEST_FIRST, _LONGEST_WORDS = 24, 80
+"""Characters above which the first column, and a column of sentences, is broken into lines."""
+
 
 @dataclass(frozen=True)
 class Table:
@@ -19,6 +27,18 @@ class Table:
     note: str = ""
     remark: str = ""
     """Highlighted text above the note."""
+
+    @property
+    def broad(self) -> bool:
+        """Whether the table needs the width of the page: half of it would cut columns off, or leave one word a line."""
+        columns = [self.header, *self.rows]
+        longest = [max(len(row[k]) for row in columns) for k in range(len(self.header))]
+        longest = [
+            min(length, _LONGEST_WORDS) // 2 if title in WORDS else length
+            for title, length in zip(self.header, longest, strict=True)
+        ]
+        longest[:1] = [min(length, _LONGEST_FIRST) for length in longest[:1]]
+        return sum(length + _GAP for length in longest) > _HALF_PAGE
 
 
 @dataclass

@@ -15,6 +15,9 @@ from brdfpipe.report.plots.svg import minus, power_of_ten
 MISSING = "–"
 """A number that is not known."""
 
+STANDARD = "±: k = 1"
+"""In titles of tables: the uncertainties are standard uncertainties."""
+
 EXPANDED_UNCERTAINTY = "± 2 standard uncertainties"
 
 _UNITS = {"degree": "°", "sr-1": "sr⁻¹", "1": "", "nm": "nm"}
@@ -25,6 +28,9 @@ SMALLEST_SHARE = 1e-5
 """Smaller shares of the light have no meaning: no model and no measurement is as exact."""
 _SMALLEST_UNCERTAINTY = 0.01
 """Smaller uncertainties of gloss units and colours are not written as numbers."""
+_LARGEST_UNCERTAINTY = 100.0
+"""Nor are larger ones: gloss units of bodies, L* and percentages end there."""
+NOT_KNOWN, NOT_DETERMINED = "not known", "not determined"
 
 _BASIS = {
     "measured": "at a measured angle",
@@ -78,10 +84,24 @@ def plus_minus_u(u: float) -> str:
 
 
 def uncertainty_value(u: float) -> str:
-    """An uncertainty to two decimals, ``< 0.01`` below them, ``0`` for none."""
+    """An uncertainty to two decimals, ``< 0.01`` below them, ``0`` for none; ``not known`` where it is larger than the scale."""
     if u == 0 or not math.isfinite(u):
         return "0" if u == 0 else MISSING
+    if u > _LARGEST_UNCERTAINTY:
+        return NOT_KNOWN
     return fixed(u, 2) if u >= _SMALLEST_UNCERTAINTY else f"< {_SMALLEST_UNCERTAINTY:g}"
+
+
+def value_with_u(value: float, u: float, decimals: int) -> str:
+    """``45.2 ± 1.3``; a smaller uncertainty has up to two decimals more, and is left out if these do not show it; a large one has fewer."""
+    if not math.isfinite(u):
+        return fixed(value, decimals)
+    if u > _LARGEST_UNCERTAINTY:
+        return f"{fixed(value, decimals)} ± {NOT_KNOWN}"
+    if u >= 10:
+        return f"{fixed(value, 0)} ± {fixed(u, 0)}"
+    shown = next((digits for digits in range(decimals, decimals + 3) if round(u, digits) > 0), None)
+    return fixed(value, decimals) if shown is None else f"{fixed(value, shown)} ± {fixed(u, shown)}"
 
 
 def length(micrometres: float) -> tuple[str, str]:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 from markupsafe import Markup, escape
 
+from brdfpipe.report.cards import WORDS
+
 if TYPE_CHECKING:
     from jinja2 import Environment
 
@@ -46,6 +48,7 @@ def _environment() -> Environment:
     )
     environment.filters["code"] = with_code
     environment.globals["mark"] = _VERDICT_SYMBOLS
+    environment.globals["words"] = WORDS
     environment.globals["style"] = Markup((TEMPLATES / "style.css").read_text("utf-8"))
     return environment
 

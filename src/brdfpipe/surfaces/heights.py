@@ -165,7 +165,7 @@ def _check_heights(height: NDArray[np.floating], pitches: list[float], file: Pat
     if not SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
         raise InputError(
             file,
-            "implausible rms slope of a surface finish; check the unit of the heights",
+            "implausible rms slope of a surface finish; check the unit of the heights, and that of the distances, `surface.lateral_unit`",
             found=f"{slope:.3g}",
             accepted=f"{SLOPE_RANGE[0]:g} to {SLOPE_RANGE[1]:g}",
             key="surface.unit",

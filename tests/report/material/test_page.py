@@ -20,6 +20,7 @@ from brdfpipe.bsdf import flake, microfacet, slab
 from brdfpipe.exchange.registry import FORMATS, Format
 from brdfpipe.facets import analytic, flat
 from brdfpipe.report import material_page
+from brdfpipe.report.catalogue.rows import summarise
 from brdfpipe.report.plots import bsdf_cuts, directional_maps
 from brdfpipe.spectra import recover
 
@@ -408,13 +409,39 @@ def test_the_error_of_the_prediction_is_shown_where_a_reference_holds(full: Data
     text = _Page(material_page({**full, "model_error": _model_error()})).text
     assert "Prediction against reference solutions" in text
     assert "20° 75.00 –" in text
-    assert "75° 0.700 ± 0.020 0.610" in text
-    assert "−1.50 ± 0.20" in text
-    assert "75° 30 Traced rays −10.0 % ± 2.0 % 1.0 % ± 2.0 % –" in text.replace("\u202f", " ")
+    assert "75° 0.700 ± 0.010 0.610" in text
+    assert "−1.50 ± 0.10" in text
+    assert "75° 30 Traced rays −10.0 % ± 1.0 % 1.0 % ± 1.0 % –" in text.replace("\u202f", " ")
     assert "0° 5.0e+2" not in text  # no reference holds there
     assert "500 Traced" not in text
     assert "Diffraction: the map is too coarse." in text
     assert "reference solutions" not in _Page(full_page).text
+
+
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_the_verdict_and_its_reason_are_at_the_top_as_in_the_catalogue(full: Datasets) -> None:
+    page, row = _Page(material_page(full)).text, summarise(full)
+    verdict, reason = (str(row[name].values[0]) for name in ("verdict", "verdict_text"))
+    assert f"! {verdict} for {reason.replace('`', '')}"[:60] in page.replace(" : ", ": ")
+    assert page.index(f"! {verdict} for") < page.index("Gloss 60°")
+
+
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_an_uncertainty_larger_than_its_quantity_is_no_number(full: Datasets) -> None:
+    appearance = full["appearance"]
+    u = xr.full_like(appearance["gloss"], 2e6).assign_attrs(
+        long_name="standard uncertainty, from tolerances and the BSDF"
+    )
+    text = _Page(material_page({**full, "appearance": appearance.assign(gloss_u=u)})).text
+    assert "± not known GU" in text
+    assert "2000000" not in text
+
+
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_without_a_measured_surface_the_page_says_that_trust_is_not_known(full: Datasets) -> None:
+    assumed = {stage: full[stage] for stage in ("spectrum", "index", "bsdf")} | {"facets": analytic("ggx", 0.2)}
+    assumed["bsdf"] = microfacet.build(assumed["facets"], index=1.5)
+    assert "Nothing of the surface was measured" in _Page(material_page(assumed)).text
 
 
 def _model_error() -> xr.Dataset:
@@ -507,7 +534,7 @@ def test_a_brushed_surface_is_shown_along_its_lay_and_across(full: Datasets) -> 
 
 @pytest.mark.usefixtures("without_bsdf_figures")
 def test_a_large_loss_is_a_remark_and_a_small_one_a_note() -> None:
-    advice = "Set <code>model.multiple_scattering: directional</code> to add it"
+    advice = "Set <code>model.multiple_scattering: auto</code> to add it"
     rough = analytic("ggx", 0.6)
     loses, _ = _page_of(rough, index=_metal())
     assert re.search(rf'<p class="remark">The model loses [\d.]+\u202f% of the light[^<]*{advice}', loses)
@@ -648,7 +675,8 @@ def test_gloss_of_a_model_has_no_basis(full_page: str) -> None:
 
 @pytest.mark.usefixtures("without_bsdf_figures")
 @pytest.mark.parametrize(
-    ("title", "column"), [("from tolerances", "Tolerances"), ("from tolerances and the BSDF", "Uncertainty")]
+    ("title", "column"),
+    [("from tolerances", "Tolerances, k = 1"), ("from tolerances and the BSDF", "Uncertainty, k = 1")],
 )
 def test_the_uncertainty_of_gloss_states_whether_that_of_the_bsdf_is_included(
     full: Datasets, title: str, column: str

@@ -16,7 +16,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.appearance.origin import basis, route, uncertainty_not_stated
 from brdfpipe.appearance.quantities import applicabilities, quantities
-from brdfpipe.appearance.verdicts import stage_warnings, verdicts, worst
+from brdfpipe.appearance.verdicts import overall, stage_warnings
 from brdfpipe.errors import VocabularyError
 from brdfpipe.report.formatting import colour
 from brdfpipe.report.plots.svg import data_uri
@@ -40,8 +40,8 @@ def text_columns() -> dict[str, str]:
     return {
         "route": "how the BRDF was obtained",
         "basis": "inputs of the BRDF",
-        "verdict": "worst verdict of the checks; warn at best where a stage has a warning; empty where nothing was checked",
-        "verdict_checks": "checks and stages with that verdict, unless it is pass",
+        "verdict": "worst verdict of the checks; warn at best where a stage has a warning, or a condition of the model; empty where nothing was checked",
+        "verdict_checks": "checks, conditions of the model and stages with that verdict, unless it is pass",
         "verdict_text": "what those checks found, or the warnings of those stages",
         **reasons,
         "uncertainty_not_stated": "inputs that the uncertainties leave out, because theirs is not known; empty where there are none",
@@ -141,9 +141,7 @@ def _number_columns() -> dict[str, tuple[str, str]]:
 
 
 def _verdict_texts(datasets: Mapping[str, xr.Dataset]) -> dict[str, str]:
-    outcomes = verdicts(datasets)
-    verdict = worst(outcomes)
-    reasons = [] if verdict in ("", "pass") else [entry for entry in outcomes if entry.verdict == verdict]
+    verdict, reasons = overall(datasets)
     return {
         "verdict": verdict,
         "verdict_checks": ", ".join(entry.name for entry in reasons),

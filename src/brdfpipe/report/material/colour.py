@@ -12,7 +12,7 @@ from brdfpipe import vocabulary
 from brdfpipe.appearance.origin import is_measured
 from brdfpipe.appearance.quantities import quantity, viewing_conditions
 from brdfpipe.report.cards import Section, Table
-from brdfpipe.report.formatting import basis_legend, fixed, labels, plus_minus_u
+from brdfpipe.report.formatting import STANDARD, basis_legend, fixed, labels, plus_minus_u
 from brdfpipe.report.material.inputs import spectrum_section
 
 
@@ -38,7 +38,7 @@ def _lab_table(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset) -> Ta
         flags = [vocabulary.QUALITY_FLAGS[flag] for flag in appearance["lab_quality"].values]
         header, rows = (*header, "Basis"), [(*row, flag) for row, flag in zip(rows, flags, strict=True)]
         notes.append(basis_legend(flags))
-    return Table(f"L*a*b*, {viewing_conditions(appearance)}", header, rows, " ".join(notes))
+    return Table(f"L*a*b*, {viewing_conditions(appearance)} ({STANDARD})", header, rows, " ".join(notes))
 
 
 def _lab_notes(datasets: Mapping[str, xr.Dataset], appearance: xr.Dataset, geometries: list[str]) -> list[str]:

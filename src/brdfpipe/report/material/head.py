@@ -11,7 +11,7 @@ import xarray as xr
 from markupsafe import Markup
 
 from brdfpipe.appearance.quantities import AppearanceQuantity, quantities
-from brdfpipe.report.formatting import fixed, length, number
+from brdfpipe.report.formatting import length, number, value_with_u
 from brdfpipe.report.plots.svg import Figure, png
 
 _LIGHTS = {
@@ -48,17 +48,9 @@ def _value_and_unit(quantity: AppearanceQuantity, value: float, u: float) -> tup
     if quantity.unit == "um":
         return length(value)
     if quantity.percent:
-        return _with_u(100 * value, 100 * u, max(quantity.decimals - 2, 0)), "%"
-    text = number(value, quantity.significant) if quantity.significant else _with_u(value, u, quantity.decimals)
+        return value_with_u(100 * value, 100 * u, max(quantity.decimals - 2, 0)), "%"
+    text = number(value, quantity.significant) if quantity.significant else value_with_u(value, u, quantity.decimals)
     return text, "" if quantity.unit == "1" else quantity.unit
-
-
-def _with_u(value: float, u: float, decimals: int) -> str:
-    """``45.2 ± 1.3``; a smaller uncertainty has up to two decimals more, and is left out if these do not show it."""
-    if not math.isfinite(u):
-        return fixed(value, decimals)
-    shown = next((digits for digits in range(decimals, decimals + 3) if round(u, digits) > 0), None)
-    return fixed(value, decimals) if shown is None else f"{fixed(value, shown)} ± {fixed(u, shown)}"
 
 
 def picture(preview: xr.Dataset | None) -> Figure | None:

@@ -9,6 +9,8 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.appearance.origin import is_measured
+from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.facets.planar_density import PlanarDensity
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import attribute_note, fixed, grouped, number, quantity
@@ -37,6 +39,10 @@ _GEOMETRY_NOTE = (
     "all other geometries predicts; needs four geometries or more."
 )
 
+_INCIDENCES = np.array([0.0, 30.0, 60.0, 75.0, 85.0])
+_LEAST_OF_FACETS = 1e-3
+"""Share of the reflection at these incidences from which masking of facets matters."""
+
 _LINES_F_D_C = np.array([486.1, 587.6, 656.3])
 """Wavelengths at which refractive indices are quoted [nm]."""
 
@@ -64,19 +70,33 @@ def surface_section(datasets: Mapping[str, xr.Dataset]) -> Section:
 def facet_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     """Slope density and masking."""
     section = Section("Facets")
+    masks = facets_reflect(datasets.get("bsdf"))
     if "facets" in datasets:
-        section.figures += facet_figures(datasets["facets"])
+        section.figures += facet_figures(datasets["facets"], masks)
         section.tables.append(_facet_table(datasets["facets"]))
-    if "visibility" in datasets:
+    if "visibility" in datasets and masks:
         section.figures += filter(None, [masking.visibility_figure(datasets["visibility"])])
     return section
 
 
-def facet_figures(facets: xr.Dataset) -> list[Figure]:
-    """The figures for which a ``facets`` dataset has the variables, isotropic (slope density over ``slope``) or with a lay."""
+def facets_reflect(bsdf: xr.Dataset | None) -> bool:
+    """Whether facets reflect light that others may mask; not where all is coherent, scattered as waves are, or diffracted."""
+    if bsdf is None:
+        return True
+    evaluator = representation(bsdf)
+    if isinstance(evaluator, Wave):
+        return bool(evaluator.regime(_INCIDENCES, bsdf["wavelength"].values)[1].max() > _LEAST_OF_FACETS)
+    return bsdf.attrs["representation"] != "kirchhoff"
+
+
+def facet_figures(facets: xr.Dataset, masks: bool = True) -> list[Figure]:
+    """The figures for which a ``facets`` dataset has the variables, isotropic (slope density over ``slope``) or with a lay.
+
+    ``masks``: whether to show masking too.
+    """
     figures: list[Figure] = []
     if "slope_density" in facets:
-        density, masked = facets["slope_density"], "lambda_smith" in facets
+        density, masked = facets["slope_density"], masks and "lambda_smith" in facets
         if density.size == 0:
             note = "The surface is perfectly flat: all facets are level, and none masks another."
             return [Figure("Slopes", note=note)]

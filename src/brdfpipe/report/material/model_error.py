@@ -10,14 +10,16 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.report.cards import Section, Table
-from brdfpipe.report.formatting import MISSING, fixed, number
+from brdfpipe.report.formatting import MISSING, STANDARD, fixed, number
+from brdfpipe.report.material.inputs import facets_reflect
 from brdfpipe.report.plots.masking import bistatic_figure
 
 _NAMES = {"traced": "Traced rays", "kirchhoff": "Diffraction"}
 _LIGHT_NOTE = (
-    "Predicted over reference light less 1, and predicted less reference gloss, ± 2 standard uncertainties, where a reference holds. Peak: where "
+    "Predicted over reference light less 1, where a reference holds. Peak: where "
     "the predicted BRDF is above 0.3 of its peak; shoulder: above 0.03. g: variance of the phase of the light; rays hold from 20 on, on smooth facets."
 )
+_NO_REFERENCE = "–: not compared. Rays hold where the variance of the phase g is 20 or more, diffraction where the light is far from grazing for the slopes."
 _MASKING_NOTE = "Share of the facets facing both directions that both see, in the mirror direction. Smith: of the slopes of the lines cast."
 
 
@@ -26,9 +28,10 @@ def model_error_section(datasets: Mapping[str, xr.Dataset]) -> Section:
     section = Section("Prediction against reference solutions")
     if (result := datasets.get("model_error")) is None:
         return section
-    section.figures += filter(None, [bistatic_figure(result)])
-    section.tables = [table for table in (_gloss_table(result), _light_table(result)) if table.rows]
-    section.tables.append(_masking_table(result))
+    section.tables = [_gloss_table(result), *([light] if (light := _light_table(result)).rows else [])]
+    if facets_reflect(datasets.get("bsdf")):
+        section.figures += filter(None, [bistatic_figure(result)])
+        section.tables.append(_masking_table(result))
     return section
 
 
@@ -49,7 +52,9 @@ def _light_table(result: xr.Dataset) -> Table:
                 )
             )
     regions = [str(region).capitalize() for region in result["region"].values]
-    return Table("Error of the predicted light", ("Incidence", "g", "Reference", *regions), rows, _LIGHT_NOTE)
+    return Table(
+        f"Error of the predicted light ({STANDARD})", ("Incidence", "g", "Reference", *regions), rows, _LIGHT_NOTE
+    )
 
 
 def _gloss_table(result: xr.Dataset) -> Table:
@@ -57,12 +62,13 @@ def _gloss_table(result: xr.Dataset) -> Table:
     for (row, angle), plane in product(enumerate(result["gloss_angle"].values), result["plane"].values):
         one = result.sel(plane=plane).isel(gloss_angle=row)
         known = one["gloss_valid"].values.astype(bool)
-        if known.any():
-            errors = zip(known, one["gloss_error"].values, one["gloss_error_u"].values, strict=True)
-            cells = [_difference(float(error), float(u), 2) if valid else MISSING for valid, error, u in errors]
-            rows.append((f"{angle:g}°" + _in_plane(result, plane), fixed(float(one["gloss"]), 2), *cells))
+        errors = zip(known, one["gloss_error"].values, one["gloss_error_u"].values, strict=True)
+        cells = [_difference(float(error), float(u), 2) if valid else MISSING for valid, error, u in errors]
+        rows.append((f"{angle:g}°" + _in_plane(result, plane), fixed(float(one["gloss"]), 2), *cells))
     header = ("Geometry", "Predicted", *(f"Less {_NAMES[str(name)].lower()}" for name in result["reference"].values))
-    return Table("Error of the predicted gloss, without the diffuse part", header, rows)
+    refusals = [f"{_NAMES[name]}: {text}." for name, text in json.loads(result.attrs["refusals"]).items()]
+    note = " ".join(["Predicted less reference gloss, without the diffuse part.", _NO_REFERENCE, *refusals])
+    return Table(f"Error of the predicted gloss ({STANDARD})", header, rows, note)
 
 
 def _masking_table(result: xr.Dataset) -> Table:
@@ -71,9 +77,8 @@ def _masking_table(result: xr.Dataset) -> Table:
         (f"{theta_i:g}°", _difference(cast, u, 3), fixed(smith, 3))
         for theta_i, cast, u, smith in zip(result["theta_i"].values, *columns, strict=True)
     ]
-    refusals = [f"{_NAMES[name]}: {text}." for name, text in json.loads(result.attrs["refusals"]).items()]
-    note = " ".join([_MASKING_NOTE, *refusals])
-    return Table("G₂ by ray casting and after Smith", ("θ", "Ray casting", "Smith"), rows, note)
+    title = f"G₂ by ray casting and after Smith ({STANDARD})"
+    return Table(title, ("θ", "Ray casting", "Smith"), rows, _MASKING_NOTE)
 
 
 def _in_plane(result: xr.Dataset, plane: object) -> str:
@@ -85,4 +90,4 @@ def _difference(value: float, uncertainty: float, decimals: int, unit: str = "")
         return MISSING
     if not np.isfinite(uncertainty):
         return f"{fixed(value, decimals)}{unit}"
-    return f"{fixed(value, decimals)}{unit} ± {fixed(2 * uncertainty, decimals)}{unit}"
+    return f"{fixed(value, decimals)}{unit} ± {fixed(uncertainty, decimals)}{unit}"

@@ -7,10 +7,10 @@ from collections.abc import Collection, Mapping
 import xarray as xr
 
 from brdfpipe.appearance.applicability import limits
-from brdfpipe.appearance.origin import basis, is_measured, route
+from brdfpipe.appearance.origin import basis, is_measured, route, solution_words
 from brdfpipe.appearance.quantities import viewing_conditions
 from brdfpipe.appearance.validity import validity
-from brdfpipe.appearance.verdicts import stage_title, stage_warnings, verdicts
+from brdfpipe.appearance.verdicts import overall, stage_title, stage_warnings, verdicts
 from brdfpipe.report import comparison
 from brdfpipe.report.cards import Section
 from brdfpipe.report.formatting import colour
@@ -41,6 +41,9 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
     known = own_stages(datasets)
     appearance = known.get("appearance")
     measured = is_measured(known)
+    facts = list(key_numbers(known))
+    conditions = [] if measured else validity(known)
+    verdict, reasons = overall(known)
     exported = exports_table(known, material_name(known), exports)
     inputs = [
         effect_pigment_section(known),
@@ -62,14 +65,19 @@ def material_page(datasets: Mapping[str, xr.Dataset], *, description: str = "", 
         "material.html.j2",
         name=material_name(known),
         description=description,
-        route=f"{route(known).capitalize()} from {basis(known) or 'no data'}",
+        route=": ".join(
+            filter(None, (f"{route(known).capitalize()} from {basis(known) or 'no data'}", solution_words(known)))
+        ),
         patch=colour(appearance["srgb"].values) if appearance is not None and "srgb" in appearance else None,
         viewing=viewing_conditions(appearance),
         look=picture(known.get("preview")),
+        verdict=verdict,
+        reasons=reasons,
         verdicts=verdicts(known),
-        facts=list(key_numbers(known)),
-        validity=[] if measured else validity(known),
-        validity_note=_validity_note(known),
+        facts=facts,
+        plus_minus=any("±" in fact.value for fact in facts),
+        validity=conditions,
+        validity_note=_validity_note(known) if conditions else _no_conditions(known),
         limits=limits(known),
         warnings=[(stage_title(known, stage), text) for stage, text in stage_warnings(known)],
         sections=[section for section in sections if section],
@@ -88,5 +96,17 @@ def _validity_note(datasets: Mapping[str, xr.Dataset]) -> str:
             "g: variance of the phase that the heights give to reflected light. Facets need 20; below 0.01 a surface mirrors."
         )
     if "model_error" in datasets:
-        notes.append("±: two standard uncertainties.")
+        notes.append("±: one standard uncertainty (k = 1).")
     return " ".join(notes)
+
+
+def _no_conditions(datasets: Mapping[str, xr.Dataset]) -> str:
+    """Why there is no statement on trust; empty for a measured BRDF, whose uncertainty is its own."""
+    if is_measured(datasets) or "bsdf" not in datasets:
+        return ""
+    if "surface" in datasets:
+        return "No condition of the model was judged: the surface is perfectly flat, or no facets were counted."
+    return (
+        "Nothing of the surface was measured: there is no statement on how far gloss, haze and the angular figures can be trusted. They are "
+        "those of the assumed finish. Set `surface: file` in material.yaml to use a measurement."
+    )

@@ -127,11 +127,11 @@ def _uncertainty_words(appearance: xr.Dataset) -> tuple[str, str]:
     """Title of the column, and a sentence on what the uncertainty includes."""
     source = "standard uncertainty from the tolerances of apertures and axes"
     if "gloss_u_source" in appearance:
-        return "Uncertainty", " Uncertainty: standard uncertainty from all known sources."
+        return "Uncertainty, k = 1", " Uncertainty: standard uncertainty from all known sources."
     if "BSDF" in str(appearance["gloss_u"].attrs.get("long_name", "")):
         included = "that of gloss includes the uncertainty of the BRDF, that of haze does not"
-        return "Uncertainty", f" Uncertainty: {source}; {included}."
-    return "Tolerances", f" Tolerances: {source}. The uncertainty of the BRDF is not included."
+        return "Uncertainty, k = 1", f" Uncertainty: {source}; {included}."
+    return "Tolerances, k = 1", f" Tolerances: {source}. The uncertainty of the BRDF is not included."
 
 
 _SOURCE_TITLES = {
@@ -173,7 +173,9 @@ def source_table(datasets: Mapping[str, xr.Dataset]) -> Table | None:
         listed = ", ".join(_SOURCE_TITLES.get(name, name).lower() for name in missing)
         note += f" Not known, and none assumed: {listed}."
     header = ("Source", *(title if title != "haze" else quantity("haze").symbol for title in columns))
-    return Table("Uncertainty by source", header, [*rows, ("All together", *map(uncertainty_value, total))], note)
+    return Table(
+        "Uncertainty by source, k = 1", header, [*rows, ("All together", *map(uncertainty_value, total))], note
+    )
 
 
 def _clear_coat_note(bsdf: xr.Dataset | None) -> str:
@@ -197,13 +199,10 @@ def regime_table(bsdf: xr.Dataset) -> Table | None:
     wavelength = bsdf["wavelength"].values
     nearest = np.unique([wavelength[np.abs(wavelength - nm).argmin()] for nm in _REGIME_WAVELENGTHS])
     coherent, facets = (100 * share for share in evaluator.regime(np.array(_REGIME_INCIDENCES), nearest))
-    cells = [
-        [f"{one:.0f}\u202f%, {other:.0f}\u202f%" for one, other in zip(*rows, strict=True)]
-        for rows in zip(coherent, facets, strict=True)
-    ]
+    shares = np.stack([coherent, np.maximum(100 - coherent - facets, 0.0), facets], axis=-1)
     note = (
-        "Of the light that the surface reflects towards the mirror direction: first the share that is reflected coherently, as by a smooth "
-        "surface, then the share that is reflected as by facets. The rest is scattered as waves are."
+        "Of the light that the surface reflects towards the mirror direction: the share that is reflected coherently, as by a smooth "
+        "surface; the share that is scattered as waves are; and the share that is reflected as by facets."
     )
     if "cut_error" in bsdf:
         note += (
@@ -212,13 +211,25 @@ def regime_table(bsdf: xr.Dataset) -> Table | None:
         )
     if (missed := float(bsdf["energy_residual"])) > _NEGLIGIBLE_LOSS:
         note += f" Waves miss up to {percent(missed)} of the incident light, near grazing; it enters the base."
-    rows = [(f"{angle:g}°", *row) for angle, row in zip(_REGIME_INCIDENCES, cells, strict=True)]
-    return Table("Coherent light, waves and facets", ("Incidence", *(f"{nm:g} nm" for nm in nearest)), rows, note)
+    rows = [
+        (f"{angle:g}°", *(f"{share:.0f}\u202f%" for share in row.ravel()))
+        for angle, row in zip(_REGIME_INCIDENCES, shares, strict=True)
+    ]
+    header = ["Incidence", *(f"{nm:g} nm, {name}" for nm in nearest for name in ("coherent", "waves", "facets"))]
+    return Table("Coherent light, waves and facets", header, rows, note)
 
 
 def model_table(bsdf: xr.Dataset) -> Table:
     """Choices of the model, with a note on multiple scattering."""
     rows = [(title, str(bsdf.attrs[name])) for name, title in _MODEL_CHOICES.items() if name in bsdf.attrs]
+    if (
+        "optics" not in bsdf.attrs
+        and bsdf.attrs["representation"] == "microfacet"
+        and not representation(bsdf).transmits
+    ):
+        masking = str(bsdf.attrs["masking"])
+        cause = "" if masking in PHYSICAL_MASKINGS else f", as masking `{masking}` is of facets alone"
+        rows.insert(0, ("Optics", f"facets{cause}"))
     # The balance of the light shows the losses of a body that transmits.
     several = None if representation(bsdf).transmits else multiple_scattering(bsdf, bsdf_sections.REFERENCE_WAVELENGTH)
     texts: tuple[str, ...] = ()
@@ -249,7 +260,7 @@ def _scattering_note_and_remark(several: MultipleScattering) -> tuple[str, str]:
     loss = f"The model loses {percent(several.share)} of the light to multiple scattering ({mean})"
     if several.share < _NEGLIGIBLE_LOSS:
         return f"{loss}: negligible.", ""
-    advice = f"{loss}. Set `model.multiple_scattering: directional` to add it."
+    advice = f"{loss}. Set `model.multiple_scattering: auto` to add it."
     return ("", advice) if several.share >= LOSS_LIMIT else (advice, "")
 
 

@@ -9,7 +9,7 @@ import xarray as xr
 
 from brdfpipe.bsdf.light_shares import scattered_rms_height
 from brdfpipe.report.cards import Section, Table
-from brdfpipe.report.formatting import attribute_note, number
+from brdfpipe.report.formatting import NOT_DETERMINED, STANDARD, attribute_note, number
 from brdfpipe.report.plots.roughness_spectrum import instrument_frequencies, roughness_spectrum
 
 
@@ -53,14 +53,16 @@ def _heights_table(psd: xr.Dataset, bsdf: xr.Dataset | None) -> Table:
         rows.append(("rms height", _nanometres(psd, "sigma"), "assumed"))
     if bsdf is not None:
         rows.append(_scattered_height(bsdf))
-    rows.append(("Correlation length ℓ", f"{_with_u(psd, 'fit_length', 1)} µm", "of the form"))
+    rows.append(("Correlation length ℓ", _with_u(psd, "fit_length", 1, "µm"), "of the form"))
     if psd["fit_slope"].notnull():
         rows.append(("Exponent of the decay", _with_u(psd, "fit_slope", 1), "of the form, at high frequencies"))
     if "fit_residual_log" in psd:
         rows.append(
             ("Scatter about the form", f"{number(100 * float(psd['fit_residual_log']))} %", "rms of the logarithm")
         )
-    return Table("Roughness in numbers", ("Quantity", "Value", "Of"), rows, attribute_note(psd, ("form", "method")))
+    return Table(
+        f"Roughness in numbers ({STANDARD})", ("Quantity", "Value", "Of"), rows, attribute_note(psd, ("form", "method"))
+    )
 
 
 def _scattered_height(bsdf: xr.Dataset) -> tuple[str, str, str]:
@@ -91,10 +93,12 @@ def _frequency_table(psd: xr.Dataset) -> Table:
 
 
 def _nanometres(psd: xr.Dataset, name: str) -> str:
-    return f"{_with_u(psd, name, 1000)} nm"
+    return _with_u(psd, name, 1000, "nm")
 
 
-def _with_u(psd: xr.Dataset, name: str, factor: float) -> str:
-    value = number(factor * float(psd[name]))
-    u = factor * float(psd.get(f"{name}_u", 0.0))
-    return f"{value} ± {number(2 * u, 2)}" if u else value
+def _with_u(psd: xr.Dataset, name: str, factor: float, unit: str = "") -> str:
+    """Value, standard uncertainty and unit; ``not determined`` where the uncertainty exceeds the value."""
+    value, u = factor * float(psd[name]), factor * float(psd.get(f"{name}_u", 0.0))
+    if u > abs(value) > 0:
+        return NOT_DETERMINED
+    return " ".join(filter(None, (number(value), f"± {number(u, 2)}" if u else "", unit)))

@@ -123,7 +123,7 @@ def _cartesian(
     """
     decades = _decades([cut for cuts in cuts_by_plane for cut in cuts])
     reflected = quantity == "BRDF"
-    into_one = _into_one_words("mirrored" if reflected else "transmitted", single, "optics" in bsdf.attrs)
+    into_one = _into_one_words("mirrored" if reflected else "transmitted", single, bsdf)
     if decades is None:
         note = f"No light is {'reflected' if reflected else 'transmitted'} in these planes."
         if into_one:
@@ -184,10 +184,11 @@ def _single_directions(bsdf: xr.Dataset, quantity: str, single: Array, low: floa
             yield Line([at, at], [low, high], style, pattern="dots")
 
 
-def _into_one_words(verb: str, single: Array, coherent: bool) -> str:
+def _into_one_words(verb: str, single: Array, bsdf: xr.Dataset) -> str:
     if not (single >= SMALLEST_SHARE).any():
         return ""
     shares = ", ".join(f"{share_percent(share)} at {angle:g}°" for angle, share in zip(INCIDENCES, single, strict=True))
+    coherent = "optics" in bsdf.attrs or bsdf.attrs.get("representation") == "kirchhoff"
     how = "coherently" if coherent else "by a perfectly smooth surface"
     return f"Light {verb} into one direction {how}, {shares} incidence."
 

@@ -17,6 +17,13 @@ REFERENCE_WAVELENGTH = 550.0
 DARKEST = 1e-12
 """BSDF below which there is no light, only rounding of an interpolation [sr-1]."""
 
+_SURFACE_WORDS = {
+    "smooth": "mirrored by the smooth surface",
+    "traced": "reflected by the facets, rays traced over the map",
+    "kirchhoff": "reflected by the relief, with diffraction",
+}
+"""Representation → how its surface sends light back."""
+
 _WIDEST_STEP = 0.02
 """First distance from a peak at which a cut is sampled, for a lobe of unknown width [degree]."""
 
@@ -30,6 +37,14 @@ class Plane(NamedTuple):
 
     def title(self, text: str) -> str:
         return f"{text} {self.words}".strip()
+
+
+def surface_words(bsdf: xr.Dataset | None) -> str:
+    """How the surface sends light back, in the terms of the model: ``mirrored by the facets``, ``diffracted by the relief`` and the like."""
+    if bsdf is not None and "optics" in bsdf.attrs:
+        return "reflected by the relief, as waves and as facets"
+    name = "" if bsdf is None else str(bsdf.attrs.get("representation", ""))
+    return _SURFACE_WORDS.get(name, "mirrored by the facets")
 
 
 def planes(bsdf: xr.Dataset) -> list[Plane]:

@@ -26,7 +26,7 @@ def smith_masking(facets: xr.Dataset) -> Figure:
         Line(fine, 1 / (1 + beckmann_lambda(fine, beckmann.widths[0])), "ref", equivalent_label(beckmann), "dash"),
         Line(fine, 1 / (1 + ggx_lambda(fine, ggx.widths[0])), "ref", equivalent_label(ggx), "dots"),
     ]
-    return _figure("Masking G₁(θ)", "G₁", marks, "1 / (1 + Λ), Smith.")
+    return _figure("Masking G₁(θ)", "G₁, visible share of the facets", marks, "1 / (1 + Λ), Smith.")
 
 
 def smith_masking_with_lay(facets: xr.Dataset, lay: float) -> Figure:
@@ -38,7 +38,7 @@ def smith_masking_with_lay(facets: xr.Dataset, lay: float) -> Figure:
         for turn, style, name in ((0, "c0", "along"), (90, "c2", "across"))
     ]
     note = "1 / (1 + Λ), Smith; Λ is the mean of the two opposite directions."
-    return _figure("Masking G₁(θ)", "G₁", marks, note)
+    return _figure("Masking G₁(θ)", "G₁, visible share of the facets", marks, note)
 
 
 def bistatic_figure(comparison: xr.Dataset) -> Figure | None:
@@ -56,7 +56,7 @@ def bistatic_figure(comparison: xr.Dataset) -> Figure | None:
         "Incidence θ, view −θ, both in one plane; mean over the axes of the scan, Smith with the slopes of the lines cast. "
         "It tests Smith's assumption that slopes alone decide what is hidden."
     )
-    return _figure("Masking and shadowing G₂(θ, −θ)", "G₂", marks, note)
+    return _figure("Masking and shadowing G₂(θ, −θ)", "G₂, share of the facets that both directions see", marks, note)
 
 
 def visibility_figure(visibility: xr.Dataset) -> Figure | None:
@@ -77,18 +77,23 @@ def visibility_figure(visibility: xr.Dataset) -> Figure | None:
         f"that they would reflect. {str(visibility.attrs['reason'])[:1].upper()}{str(visibility.attrs['reason'])[1:]}: "
         f"masking {visibility.attrs['masking']}."
     )
-    return _figure("Visible facets G₂ of the heights and after Smith", "G₂", marks, note)
+    return _figure(
+        "Visible light of the facets, on the heights and after Smith",
+        "visible share of the light reflected by facets",
+        marks,
+        note,
+    )
 
 
 def _g1_line(theta: Array, lambda_smith: Array, style: str, label: str) -> Line:
     return Line(np.r_[0.0, theta], np.r_[1.0, 1 / (1 + lambda_smith)], style, label)
 
 
-def _figure(title: str, name: str, marks: Sequence[Mark], note: str) -> Figure:
+def _figure(title: str, quantity: str, marks: Sequence[Mark], note: str) -> Figure:
     svg = chart(
-        f"Masking {name} against the polar angle",
+        f"{title} against the polar angle",
         Axis("angle from the normal θ, degree", 0.0, 90.0, step=15),
-        Axis(f"{name}, visible fraction of the facets", 0.0, 1.02, step=0.2),
+        Axis(quantity, 0.0, 1.02, step=0.2),
         marks,
     )
     return Figure(title, svg, legend(marks), note)

@@ -98,9 +98,11 @@ def _reflectance_lines(bsdf: xr.Dataset, plane: Plane, turn: int) -> Iterator[Li
     parts = reflectance_parts(bsdf, theta, np.full_like(theta, plane.azimuth + 180), bsdf_sections.reference(bsdf))
     yield Line(theta, parts.total, total_style, f"total{words}")
     if parts.mirrored.any():
-        yield Line(theta, parts.mirrored, part_style, f"mirrored{words}", "dash")
+        # The colour of the total, not of the scattered light, which it crosses.
+        yield Line(theta, parts.mirrored, total_style, f"mirrored{words}", "dots")
     if parts.facets is not None and parts.facets.max() > _NEGLIGIBLE and not np.allclose(parts.facets, parts.total):
-        by_what = "by the facets" if "optics" not in bsdf.attrs else "scattered by the relief"
+        by_facets = "optics" not in bsdf.attrs and bsdf.attrs["representation"] != "kirchhoff"
+        by_what = "by the facets" if by_facets else "scattered by the relief"
         yield Line(theta, parts.facets, part_style, f"{by_what}{words}", "dash")
     if parts.once is not None:
         yield Line(theta, parts.once, part_style, f"by one facet alone{words}", "dots")

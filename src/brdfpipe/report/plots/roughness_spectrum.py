@@ -83,4 +83,9 @@ def roughness_spectrum(psd: xr.Dataset) -> Figure:
         Axis("spectral density S, µm⁴", bottom, top, log=True),
         marks,
     )
-    return Figure("Roughness spectrum", svg, legend(marks), "Upright lines: frequencies of the table below, at 550 nm.")
+    return Figure(
+        "Roughness spectrum",
+        svg,
+        legend(marks),
+        "Upright lines: the frequencies that matter, of the table of this name.",
+    )

@@ -8,6 +8,7 @@ import xarray as xr
 from brdfpipe import hemisphere
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.report.formatting import EXPANDED_UNCERTAINTY
+from brdfpipe.report.plots.bsdf_sections import surface_words
 from brdfpipe.report.plots.svg import Array, Axis, Band, Figure, Line, Mark, chart, legend, png
 from brdfpipe.spectra.colorimetry import encoded_srgb, srgb_from_xyz, weights
 
@@ -29,8 +30,7 @@ def spectrum_figure(spectral: xr.Dataset, bsdf: xr.Dataset | None = None) -> Fig
     marks.append(Line(wavelength, values, style, label))
     specular = _specular_part(bsdf, wavelength)
     if specular is not None:
-        by_what = "mirrored by the facets" if bsdf is None or "optics" not in bsdf.attrs else "reflected by the surface"
-        marks.append(Line(wavelength, specular, "c2", by_what, "dash"))
+        marks.append(Line(wavelength, specular, "c2", surface_words(bsdf), "dash"))
     highest = max(float(np.nanmax(np.asarray(mark.y))) for mark in marks if isinstance(mark, Line))
     top = next((limit for limit in (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0) if highest * 1.03 <= limit), highest * 1.05)
     low, high = float(wavelength[0]), float(wavelength[-1])
