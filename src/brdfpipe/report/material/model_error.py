@@ -19,7 +19,7 @@ _LIGHT_NOTE = (
     "Predicted over reference light less 1, where a reference holds. Peak: where "
     "the predicted BRDF is above 0.3 of its peak; shoulder: above 0.03. g: variance of the phase of the light; rays hold from 20 on, on smooth facets."
 )
-_NO_REFERENCE = "–: not compared. Rays hold where the variance of the phase g is 20 or more, diffraction where the light is far from grazing for the slopes."
+_NO_REFERENCE = "–: not compared. Rays hold where the variance of the phase g is 20 or more; diffraction on low slopes, away from grazing or where g is 1 or less."
 _MASKING_NOTE = "Share of the facets facing both directions that both see, in the mirror direction. Smith: of the slopes of the lines cast."
 
 
