@@ -126,8 +126,8 @@ def test_the_error_of_the_model_counts_beyond_its_uncertainty(error, uncertainty
 def test_an_error_of_gloss_counts_where_the_light_in_the_peak_is_right(units, verdict):
     judgement = judged(datasets(model_error=model_error(0.038, 0.01, gloss_error=units)))[ERROR]
     assert judgement.verdict == verdict
-    assert f"gloss {units:+.1f} ± 0.5 at 60°".replace("-", "−") in judgement.finding
-    assert "in the peak +3.8% ± 2.0%" in judgement.finding
+    assert f"gloss {units:+.1f} ± 0.2 at 60°".replace("-", "−") in judgement.finding
+    assert "in the peak +3.8% ± 1.0%" in judgement.finding
 
 
 def test_an_error_that_was_not_computed_or_has_no_reference_is_stated():
