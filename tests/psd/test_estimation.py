@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import samples
 from numpy.typing import ArrayLike
-from random_surfaces import gaussian, heights
+from random_surfaces import gaussian, gaussian_line, heights
 
 from brdfpipe import vocabulary
 from brdfpipe.psd import PsdError, estimate
@@ -111,6 +111,17 @@ def test_noise_changes_the_spectrum_of_a_line_as_more_noise_would() -> None:
     # σ² changes by 2σu + u², 2.5 % more than linearly.
     np.testing.assert_allclose(change[alike], expected[alike], rtol=0.3)
     assert (given["psd_uncertainty"].values >= np.abs(change)).all()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_line_across_a_gaussian_surface_has_the_rms_height_of_its_heights(seed: int) -> None:
+    line = heights(gaussian_line(0.05, 5.0), (8192,), (0.5,), seed)
+    found = estimate(samples.surface(line, (0.5,)))
+    # 800 lengths ℓ: the rms height of the line itself scatters by 1/√(2 · 800/1.25).
+    assert float(found["sigma"]) == pytest.approx(0.05, rel=0.06)
+    assert float(found["sigma"]) == pytest.approx(float(found["sigma_heights"]), rel=0.03)
+    assert float(found["fit_length"]) == pytest.approx(5.0, rel=0.03)
+    assert found["fit_slope"].isnull()
 
 
 def test_missing_heights_are_kept_out_of_the_patches() -> None:

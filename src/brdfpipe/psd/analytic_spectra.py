@@ -9,7 +9,7 @@ import xarray as xr
 
 from brdfpipe import vocabulary
 from brdfpipe.geometry import Array
-from brdfpipe.psd.k_correlation import KCorrelation, PsdError
+from brdfpipe.psd.k_correlation import Gaussian, KCorrelation, PsdError
 
 FORMS = ("gaussian", "k-correlation")
 
@@ -55,7 +55,7 @@ def analytic(form: str, *, sigma: float, length: float, slope: float = 3.0) -> x
     frequency = np.geomspace(_LOWEST, _HIGHEST[form], round(decades * _PER_DECADE) + 1) / length
     if form == "gaussian":
         slope = np.nan
-        density = np.pi * (length * sigma) ** 2 * np.exp(-((np.pi * length * frequency) ** 2))
+        density = Gaussian(sigma, length).areal(frequency)
         method = f"analytic gaussian, sigma = {sigma:g} um, length = {length:g} um"
     else:
         _check("slope", slope, _SLOPES, "", above=True)
@@ -84,11 +84,7 @@ def analytic(form: str, *, sigma: float, length: float, slope: float = 3.0) -> x
 def spectrum_of(psd: xr.Dataset) -> Callable[[Array], Array]:
     """The form of a spectrum, or the one fitted to it, at any frequency [um-1]: S [um4]."""
     sigma, length, slope = (float(psd[f"fit_{name}"]) for name in ("sigma", "length", "slope"))
-    if psd.attrs["form"] == "gaussian":
-        return lambda frequency: np.asarray(
-            np.pi * (length * sigma) ** 2 * np.exp(-((np.pi * length * frequency) ** 2))
-        )
-    return KCorrelation(sigma, length, slope).areal
+    return (Gaussian(sigma, length) if np.isnan(slope) else KCorrelation(sigma, length, slope)).areal
 
 
 def _check(name: str, value: float, accepted: tuple[float, float], unit: str, above: bool = False) -> None:

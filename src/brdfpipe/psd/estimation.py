@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.geometry import Array
 from brdfpipe.psd.coherent_height import coherent_height
-from brdfpipe.psd.k_correlation import KFit, fit
-from brdfpipe.psd.line_inversion import invert, inverted_change
+from brdfpipe.psd.k_correlation import FittedForm, Gaussian, fit
+from brdfpipe.psd.line_inversion import invert, inverted_change, with_variance_of
 from brdfpipe.psd.noise_floor import NoiseFloor, noise_floor
 from brdfpipe.psd.periodograms import PatchCount, Rings, Scan, periodograms, rings
 from brdfpipe.psd.planar_spectrum import planar_spectrum, slope_ratio
@@ -44,7 +44,7 @@ def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | No
     Dataset of kind ``psd`` and form ``measured``, on rings of frequency from ``band_low``, two waves across the scan, to ``band_high``,
         where noise, the pitch or the filter λs ends it. ``apparent_psd`` of a map includes the noise and all frequencies. A map
         with a lay has ``psd_planar`` besides, 0 beyond the band. A line counts as one across an isotropic surface;
-        ``psd_quality`` is ``measured`` where its spectrum was inverted, ``interpolated`` where the fitted K-correlation is more certain
+        ``psd_quality`` is ``measured`` where its spectrum was inverted, ``interpolated`` where the fitted form is more certain
 
     Raises
     ------
@@ -109,8 +109,8 @@ def _without_noise(apparent: Rings, floor: NoiseFloor, scan: Scan, attributes: M
     return Rings(apparent.frequency[start:end], density[start:end], uncertainty[start:end])
 
 
-def _areal(line: Rings, noise_change: Array) -> tuple[Rings, KFit, NDArray[np.int8], Array]:
-    """Plane spectrum of a line spectrum: inverted, or that of the fitted K-correlation, whichever is more certain.
+def _areal(line: Rings, noise_change: Array) -> tuple[Rings, FittedForm, NDArray[np.int8], Array]:
+    """Plane spectrum of a line spectrum: inverted, or that of the fitted form, whichever is more certain; with the variance of the line.
 
     With its change (1, rings) as the line spectrum changes by ``noise_change`` (1, rings), a part of its uncertainty that is common to all rings.
     """
@@ -123,7 +123,8 @@ def _areal(line: Rings, noise_change: Array) -> tuple[Rings, KFit, NDArray[np.in
     relative = np.sqrt(
         np.interp(inverted.frequency, line.frequency, fitted.relative_uncertainty) ** 2 + fitted.residual**2
     )
-    use = (inverted.density > 0) & (inverted.uncertainty < relative * inverted.density)
+    # By the form: rings that are high by chance would seem more certain than those that are low.
+    use = (inverted.density > 0) & (inverted.uncertainty < relative * model)
     quality = np.where(use, vocabulary.quality("measured"), vocabulary.quality("interpolated")).astype(np.int8)
     density, uncertainty = np.where(use, inverted, np.stack([inverted.frequency, model, relative * model]))[1:]
     if noisy and not use.all():
@@ -131,7 +132,8 @@ def _areal(line: Rings, noise_change: Array) -> tuple[Rings, KFit, NDArray[np.in
         after = fit(*line._replace(density=less), line=True).model.areal(inverted.frequency)
         change = np.where(use, change, after - model)
         uncertainty = np.where(use, uncertainty, np.hypot(uncertainty, change))
-    return Rings(inverted.frequency, density, uncertainty), fitted, quality, change[None]
+    spectrum = with_variance_of(line, Rings(inverted.frequency, density, uncertainty))
+    return spectrum, fitted, quality, change[None] * spectrum.density / density
 
 
 def _measured(spectrum: Rings) -> NDArray[np.int8]:
@@ -142,7 +144,9 @@ def _size(side: int, line: bool) -> str:
     return f"{side}" if line else f"{side} x {side}"
 
 
-def _history(count: PatchCount, floor: NoiseFloor, quality: NDArray[np.int8], fitted: KFit, line: bool) -> list[str]:
+def _history(
+    count: PatchCount, floor: NoiseFloor, quality: NDArray[np.int8], fitted: FittedForm, line: bool
+) -> list[str]:
     history = [
         f"The spectrum is the mean of {count.used} of {count.positions} patches of {_size(count.side, line)} heights, each levelled by a plane and "
         "multiplied by a Hann window; long waves are from means of neighbouring heights, and from the whole scan"
@@ -160,13 +164,17 @@ def _history(count: PatchCount, floor: NoiseFloor, quality: NDArray[np.int8], fi
         share = float(np.mean(quality == vocabulary.quality("measured")))
         history.append(
             f"The line was taken to cross an isotropic surface: its spectrum was inverted (Abel) at {share:.0%} of the frequencies, and replaced by "
-            "that of the fitted K-correlation where that is more certain."
+            "that of the fitted form where that is more certain; then it was adjusted so that its line spectrum has the variance of the line."
         )
     if fitted.residual > _POOR_FIT:
         history.append(
-            f"The K-correlation does not fit: measured over fitted values scatter by a factor of {np.exp(fitted.residual):.2g}."
+            f"The {_name(fitted)} does not fit: measured over fitted values scatter by a factor of {np.exp(fitted.residual):.2g}."
         )
     return history
+
+
+def _name(fitted: FittedForm) -> str:
+    return "Gaussian" if isinstance(fitted.model, Gaussian) else "K-correlation"
 
 
 def _warnings(count: PatchCount) -> list[str]:

@@ -1,4 +1,4 @@
-"""The K-correlation (ABC) spectrum of a rough surface, as a plane spectrum and as that of a line.
+"""Forms of the spectrum of a rough surface, as a plane spectrum and as that of a line: K-correlation (ABC) and Gaussian.
 
 References
 ----------
@@ -52,12 +52,33 @@ class KCorrelation(NamedTuple):
         return float(self.sigma**2 * (1 + (2 * np.pi * self.length * frequency) ** 2) ** (1 - self.slope / 2))
 
 
-class KFit(NamedTuple):
-    """A K-correlation fitted to a spectrum."""
+class Gaussian(NamedTuple):
+    """S(f) = πℓ²σ² exp(−π²ℓ²f²), of the autocovariance σ² exp(−r²/ℓ²)."""
 
-    model: KCorrelation
+    sigma: float
+    """Rms height over all frequencies [um]."""
+    length: float
+    """ℓ, at which the autocovariance is 1/e [um]."""
+    slope: float = np.nan
+    """It decays faster than any power of the frequency."""
+
+    def areal(self, frequency: Array) -> Array:
+        """Two-sided spectrum of the plane [um4] at frequencies [um-1]."""
+        return np.asarray(np.sqrt(np.pi) * self.length * self.line(frequency))
+
+    def line(self, frequency: Array) -> Array:
+        """Two-sided spectrum of a line across the surface [um3]."""
+        return np.asarray(
+            np.sqrt(np.pi) * self.length * self.sigma**2 * np.exp(-((np.pi * self.length * frequency) ** 2))
+        )
+
+
+class FittedForm(NamedTuple):
+    """A form fitted to a spectrum."""
+
+    model: KCorrelation | Gaussian
     uncertainty: KCorrelation
-    """Standard uncertainties of its parameters."""
+    """Standard uncertainties of its parameters; that of the slope of a Gaussian is 0."""
     residual: float
     """Rms of the logarithm of measured over fitted spectrum."""
     relative_uncertainty: Array
@@ -72,8 +93,8 @@ _LEAST_SCATTER = 0.05
 """Relative departure of a real surface from the form: no ring weighs more."""
 
 
-def fit(frequency: Array, density: Array, uncertainty: Array, *, line: bool = False) -> KFit:
-    """Fit a K-correlation to the logarithm of a spectrum.
+def fit(frequency: Array, density: Array, uncertainty: Array, *, line: bool = False) -> FittedForm:
+    """Fit a K-correlation and a Gaussian to the logarithm of a spectrum, and return the one that fits better.
 
     Parameters
     ----------
@@ -117,6 +138,9 @@ def fit(frequency: Array, density: Array, uncertainty: Array, *, line: bool = Fa
     starts = [np.array([np.log(sigma), middle, slope]) for middle in middles for slope in (3.0, 5.0)]
     solutions = [least_squares(residual, start, bounds=bounds, x_scale=(0.1, 0.1, 0.3)) for start in starts]
     best = min(solutions, key=lambda solution: solution.cost)
+    gaussian = _gaussian(frequency, expected, relative, line)
+    if gaussian is not None and gaussian[1] < 2 * best.cost:
+        return _fitted_gaussian(*gaussian, frequency, relative, all_frequencies, line)
     scale = max(1.0, 2 * best.cost / max(1, frequency.size - 3))
     jacobian = np.asarray(best.jac)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * scale
@@ -125,10 +149,51 @@ def fit(frequency: Array, density: Array, uncertainty: Array, *, line: bool = Fa
     step = 1e-5
     moved = [np.log(model(best.x + step * row).areal(all_frequencies)) for row in np.eye(3)]
     derivative = (np.array(moved) - np.log(found.areal(all_frequencies))) / step
-    spread = np.sqrt(np.einsum("ik,ij,jk->k", derivative, covariance, derivative))
-    return KFit(
+    return FittedForm(
         found,
         KCorrelation(float(u_sigma * found.sigma), float(u_length * found.length), float(u_slope)),
         float(np.sqrt(np.mean((residual(best.x) * relative) ** 2))),
-        spread,
+        np.sqrt(np.einsum("ik,ij,jk->k", derivative, covariance, derivative)),
+    )
+
+
+def _gaussian(
+    frequency: Array, log_density: Array, relative: Array, line: bool
+) -> tuple[Gaussian, float, float] | None:
+    """The Gaussian whose logarithm, linear in f², fits best; its χ² and its residual. None where the spectrum does not fall."""
+    matrix = np.stack([np.ones_like(frequency), -((np.pi * frequency) ** 2)], axis=1)
+    (level, square), *_ = np.linalg.lstsq(matrix / relative[:, None], log_density / relative, rcond=None)
+    if not square > 0:
+        return None
+    length = float(np.sqrt(square))
+    misfit = log_density - matrix @ (level, square)
+    area = np.sqrt(np.pi) * length if line else np.pi * square
+    found = Gaussian(float(np.sqrt(np.exp(level) / area)), length)
+    return found, float(np.square(misfit / relative).sum()), float(np.sqrt(np.mean(misfit**2)))
+
+
+def _fitted_gaussian(
+    found: Gaussian,
+    misfit: float,
+    residual: float,
+    frequency: Array,
+    relative: Array,
+    all_frequencies: Array,
+    line: bool,
+) -> FittedForm:
+    """With the uncertainties of log σ, log ℓ and of the plane spectrum at all frequencies."""
+
+    def derivative(at: Array, power: int) -> Array:
+        """Of log S, or log W, by log σ and log ℓ; the spectrum grows as ℓ to a power."""
+        return np.stack([np.full_like(at, 2.0), power - 2 * (np.pi * found.length * at) ** 2], axis=1)
+
+    jacobian = derivative(frequency, 1 if line else 2) / relative[:, None]
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(1.0, misfit / max(1, frequency.size - 2))
+    u_sigma, u_length = np.sqrt(np.diag(covariance))
+    areal = derivative(all_frequencies, 2)
+    return FittedForm(
+        found,
+        KCorrelation(float(u_sigma * found.sigma), float(u_length * found.length), 0.0),
+        residual,
+        np.sqrt(np.einsum("ki,ij,kj->k", areal, covariance, areal)),
     )

@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe.geometry import Array
-from brdfpipe.psd.k_correlation import KFit
+from brdfpipe.psd.k_correlation import FittedForm
 from brdfpipe.psd.periodograms import Rings
 
 NOISE_CHANGES = "psd_noise_change"
@@ -16,7 +16,7 @@ NOISE_CHANGES = "psd_noise_change"
 
 def spectrum_dataset(
     spectrum: Rings,
-    fitted: KFit,
+    fitted: FittedForm,
     quality: NDArray[np.int8],
     *,
     form: str,

@@ -50,7 +50,7 @@ def roughness_spectrum(psd: xr.Dataset) -> Figure:
     end = max(end, 1.2 / WAVELENGTH)
     marks.append(Line(frequency, density, "c0", "surface"))
     fine = np.geomspace(start, end, 200)
-    title = "Gaussian" if psd.attrs["form"] == "gaussian" else "K-correlation"
+    title = "Gaussian" if psd["fit_slope"].isnull() else "K-correlation"
     marks.append(
         Line(
             fine,
