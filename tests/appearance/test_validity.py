@@ -113,6 +113,27 @@ def test_slopes_of_a_fractal_surface_depend_on_the_pitch():
 
 
 @pytest.mark.parametrize(
+    ("pitch", "unresolved", "verdict"),
+    [(20.0, 0.05, "fail"), (2.0, 0.05, "warn"), (20.0, 0.001, "pass"), (20.0, 0.0, "pass")],
+)
+@pytest.mark.parametrize("optics", ["facets", "auto"])
+def test_a_plateau_that_may_be_roughness_is_judged_with_waves_too(pitch, unresolved, verdict, optics):
+    spectrum = psd.analytic("gaussian", sigma=5.0, length=500.0).assign(unresolved_sigma=unresolved)
+    known = datasets(psd=spectrum, surface=samples.surface(np.zeros((32, 32)), (pitch, pitch)))
+    found = judged(known | {"bsdf": known["bsdf"].assign_attrs(optics=optics)})[PITCH]
+    assert found.verdict == verdict
+    # g = (4π · 50 nm · cos 20°/550 nm)²
+    assert ("a plateau of 50 nm, g = 1.2 at 20°" in found.finding) == (verdict != "pass")
+
+
+def test_slopes_of_hardly_related_heights_fail():
+    for ratio, verdict in ((1.86, "fail"), (1.41, "pass")):
+        table = facets.analytic("beckmann", 0.1).assign(noise_ratio=ratio)
+        known = datasets(facets=table, psd=psd.analytic("gaussian", sigma=5.0, length=5.0))
+        assert judged(known | {"bsdf": known["bsdf"].assign_attrs(optics="auto")})[PITCH].verdict == verdict
+
+
+@pytest.mark.parametrize(
     ("error", "uncertainty", "verdict"),
     [(0.05, 0.01, "pass"), (-0.2, 0.02, "warn"), (0.2, 0.06, "pass"), (0.8, 0.05, "fail"), (-0.6, 0.08, "warn")],
 )

@@ -262,3 +262,18 @@ def test_a_roughness_spectrum_changes_coherent_light_and_halo_as_if_it_was_built
         )
         > 0.02
     )
+
+
+def test_roughness_that_may_hide_in_a_plateau_counts_as_an_uncertainty_of_the_lobe():
+    bsdf = beckmann_bsdf(0.02)
+    analytic = roughness.analytic("gaussian", sigma=1.0, length=500.0).assign(unresolved_sigma=0.05)
+    changes = uncertainty(bsdf, psd=analytic)
+    loss = 1 - np.exp(-((4 * np.pi * 0.05 * np.cos(np.radians(20)) / 0.55) ** 2))
+    assert loss > 0.65
+    found = changes["relative_error"].sel(error_theta=20.0)
+    np.testing.assert_allclose(found.sel(region=["peak", "shoulder", "rest"]), [loss, loss, 0.0])
+    # The error of the model itself stays unknown.
+    assert "model" in changes.attrs["uncertainty_not_stated"]
+    error = xr.DataArray(np.full((1, 3), 0.5), {"theta_i": [20.0], "region": ["peak", "shoulder", "rest"]})
+    both = uncertainty(bsdf, psd=analytic, relative_error=error)["relative_error"].sel(error_theta=20.0)
+    np.testing.assert_allclose(both, [np.hypot(0.5, loss), np.hypot(0.5, loss), 0.5])

@@ -7,7 +7,7 @@ from random_surfaces import gaussian, heights
 
 from brdfpipe.psd import PsdError
 from brdfpipe.psd.k_correlation import KCorrelation
-from brdfpipe.psd.noise_floor import UNKNOWN, beyond_rounding, given, noise_floor, plateau
+from brdfpipe.psd.noise_floor import UNKNOWN, beyond_rounding, from_repeats, given, noise_floor, plateau
 from brdfpipe.psd.periodograms import Scan
 
 
@@ -42,6 +42,16 @@ def test_noise_of_a_line_is_found() -> None:
     line = heights(lambda f: spectrum(f) / (np.sqrt(np.pi) * 12.0), (30_000,), (1.0,), 1)
     floor = plateau(Scan(line + white(line.shape, 0.01), (1.0,)))
     assert floor.sigma == pytest.approx(0.01, abs=3 * floor.uncertainty)
+
+
+def test_a_plateau_of_a_coarse_scan_may_be_roughness_finer_than_its_pitch() -> None:
+    # The peaks of roughness of ℓ = 2 µm are 10 ℓ apart: white at this pitch.
+    waviness, fine = heights(gaussian(1.0, 500.0), (256, 256), (20.0, 20.0), 1), white((256, 256), 0.05)
+    scan = Scan(waviness + fine, (20.0, 20.0))
+    assert plateau(scan).unresolved(scan) == pytest.approx(0.05, rel=0.03)
+    assert plateau(scan).unresolved(scan._replace(pitch=(1.0, 1.0))) == 0
+    stated = given(scan, 0.05)
+    assert stated.unresolved(scan) == from_repeats(scan, [scan._replace(height=waviness)]).unresolved(scan) == 0
 
 
 def test_spikes_are_not_white_noise() -> None:

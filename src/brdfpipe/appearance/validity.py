@@ -32,6 +32,11 @@ SIGNIFICANT = 2.0
 SLOPE_OF_FINITE_VARIANCE = 4.0
 """Exponent of the roughness spectrum above which the variance of the slope does not depend on the pitch."""
 
+COARSE_PITCH = 10.0
+"""Pitch in wavelengths above which a plateau that may be finer roughness is a failure."""
+ALIASED = 1.7
+"""Slope over one pixel over that over two above which heights are hardly related: of white ones it is 2, of a spectrum that falls as f^−2.5 1.68."""
+
 LARGEST_JUDGED = 75.0
 """Angle of incidence up to which the error of the predicted light is judged [degree]; few maps are large enough beyond."""
 REFERENCES = ("traced", "kirchhoff")
@@ -161,9 +166,20 @@ def _pitch(datasets: Datasets) -> Judgement | None:
     pitch = float(datasets["surface"].attrs["pitch_x"])
     finding = f"pitch {pitch:.3g} µm, {pitch / _WAVELENGTH:.2g} wavelengths"
     condition = "Structure finer than the scan"
-    psd = datasets.get("psd")
-    if psd is None or not np.isfinite(psd["fit_slope"]):
+    if (ratio := float(datasets["facets"].get("noise_ratio", 0.0))) > ALIASED:
+        finding += f"; slopes over one pixel are {ratio:.2f} times those over two, as of noise or of finer roughness"
+        return Judgement(condition, finding, "fail", "Scan with a finer pitch, or average several scans")
+    if (psd := datasets.get("psd")) is None:
         return Judgement(condition, finding, "")
+    unresolved = float(psd.get("unresolved_sigma", 0.0))
+    phase = phase_variances(unresolved)[20]
+    if phase > LIMITS[0]:
+        finding += f"; a plateau of {1e3 * unresolved:.3g} nm, g = {phase:.2g} at 20°, is noise or roughness finer than the pitch"
+        coarse = pitch > COARSE_PITCH * _WAVELENGTH
+        advice = "Scan the same place twice (`repeat: true`) to tell noise from roughness, or with a pitch near the wavelength"
+        return Judgement(condition, finding, "fail" if coarse else "warn", advice)
+    if np.isnan(psd["fit_slope"]):
+        return Judgement(condition, finding, "pass")
     exponent, uncertainty = float(psd["fit_slope"]), float(psd["fit_slope_u"])
     with_waves = (
         _by_waves(datasets)

@@ -46,6 +46,11 @@ _LEAST_LEFT = 0.1
 _BANDS, _PHASE_STEP = 3, 8
 """Bands of a roughness spectrum of the same mean square height; nodes of the phase variance from one changed halo to the next."""
 
+_UNRESOLVED_THETA = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
+"""Incidences of the light that unresolved roughness may take, where no error of the model is known [degree]."""
+_MIDDLE_WAVELENGTH = 0.55
+"""Of visible light [um]."""
+
 Fields: TypeAlias = dict[str, xr.DataArray]
 """Change of each variable."""
 
@@ -119,7 +124,26 @@ def uncertainty(
         known = relative_error["theta_i"].values[relative_error.notnull().any("region").values]
         beyond = [f"{MODEL} beyond {known[-1]:g}°"] if known[-1] < relative_error["theta_i"].values[-1] else []
         missing = [name for name in missing if name != MODEL] + beyond
+    if psd is not None and "n" in bsdf and (unresolved := float(psd.get("unresolved_sigma", 0.0))):
+        result = result.assign(relative_error=_with_unresolved(result.get("relative_error"), unresolved))
     return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
+
+
+def _with_unresolved(error: xr.DataArray | None, sigma: float) -> xr.DataArray:
+    """A relative error, or none, with the light that roughness finer than the pitch, of an rms height [um], would take out of the lobe.
+
+    It takes 1 − e^(−g), g = (4πσ cos θ/λ)² at 550 nm, and scatters it so far that the rest of the BSDF is taken as unchanged.
+    """
+    if error is None:
+        error = xr.DataArray(
+            np.zeros((_UNRESOLVED_THETA.size, 3)),
+            {"error_theta": _UNRESOLVED_THETA, "region": ["peak", "shoulder", "rest"]},
+            ("error_theta", "region"),
+        )
+    cosine = np.cos(np.radians(error["error_theta"]))
+    loss = -np.expm1(-((4 * np.pi * sigma * cosine / _MIDDLE_WAVELENGTH) ** 2))
+    both = np.hypot(error, loss * (error["region"] != "rest"))
+    return both.transpose("error_theta", "region").rename("relative_error")
 
 
 def _expected(

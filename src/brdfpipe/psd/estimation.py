@@ -79,6 +79,8 @@ def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | No
         noise_sigma=floor.sigma,
         noise_sigma_u=floor.uncertainty,
     )
+    if unresolved := floor.unresolved(scan):
+        result = result.assign(unresolved_sigma=unresolved)
     if not line:
         result = result.assign(apparent_psd=("apparent_frequency", apparent.density), noise_psd=floor.density(scan))
         result = result.assign_coords(apparent_frequency=apparent.frequency)
@@ -86,7 +88,9 @@ def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | No
         if slope_ratio(planar) > LAY_LIMIT:
             result = result.merge(planar)
     result = result.merge(coherent_height(surface["height"].values, floor.sigma))
-    result = vocabulary.add_history(result, *_history(count, floor, quality, fitted, line))
+    result = vocabulary.add_history(
+        result, *_history(count, floor, quality, fitted, line, bool(floor.unresolved(scan)))
+    )
     return vocabulary.label(vocabulary.add_warning(result, *_warnings(count)), "psd")
 
 
@@ -145,7 +149,7 @@ def _size(side: int, line: bool) -> str:
 
 
 def _history(
-    count: PatchCount, floor: NoiseFloor, quality: NDArray[np.int8], fitted: FittedForm, line: bool
+    count: PatchCount, floor: NoiseFloor, quality: NDArray[np.int8], fitted: FittedForm, line: bool, unresolved: bool
 ) -> list[str]:
     history = [
         f"The spectrum is the mean of {count.used} of {count.positions} patches of {_size(count.side, line)} heights, each levelled by a plane and "
@@ -157,7 +161,10 @@ def _history(
         )
     ]
     if floor.sigma:
-        history.append(f"White noise of {floor} was subtracted from the spectrum; from the {floor.source}.")
+        history.append(
+            f"White noise of {floor} was subtracted from the spectrum; from the {floor.source}."
+            + (" It may be roughness finer than the pitch." if unresolved else "")
+        )
     else:
         history.append(f"No noise was subtracted: {floor.source}.")
     if line:

@@ -20,7 +20,7 @@ from brdfpipe.psd.spectrum_dataset import NOISE_CHANGES, spectrum_dataset
 _DISAGREEMENT = 0.2
 """Relative difference of two spectra in their common band that is worth a warning, if it is significant too."""
 _SIGNIFICANT = 3.0
-_SCALARS = ("sigma_heights", "noise_sigma", "noise_sigma_u")
+_SCALARS = ("sigma_heights", "noise_sigma", "noise_sigma_u", "unresolved_sigma")
 
 
 def estimate_joined(

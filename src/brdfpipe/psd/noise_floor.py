@@ -43,6 +43,12 @@ _TRIALS, _NARROWINGS = 64, 4
 """Powers that are tried at a time, and times their range is narrowed to the neighbours of the best."""
 
 
+PLATEAU = "plateau of the spectrum at the highest frequencies"
+"""Source of a noise that nobody stated."""
+COARSE_PITCH = 1.1
+"""Pitch [um], two wavelengths of 550 nm, above which roughness that scatters visible light is folded back into the band as a plateau."""
+
+
 class NoiseFloor(NamedTuple):
     """White noise of heights."""
 
@@ -58,6 +64,10 @@ class NoiseFloor(NamedTuple):
     def __str__(self) -> str:
         """The noise and its uncertainty, for a person."""
         return noise_in_words(self.sigma, self.uncertainty)
+
+    def unresolved(self, scan: Scan) -> float:
+        """Rms height [um] of a plateau that may be roughness finer than a coarse pitch just as well as noise; 0 where noise is known otherwise."""
+        return self.sigma if self.source == PLATEAU and max(scan.pitch) > COARSE_PITCH else 0.0
 
     def density(self, scan: Scan) -> float:
         """Two-sided spectrum of the noise [um4; of a line um3]."""
@@ -134,7 +144,7 @@ def plateau(scan: Scan) -> NoiseFloor:
     sigma = float(np.sqrt(level / scan.cell))
     if sigma > _LARGEST_NOISE * rms:
         return UNKNOWN
-    return NoiseFloor(sigma, sigma * uncertainty / (2 * level), "plateau of the spectrum at the highest frequencies")
+    return NoiseFloor(sigma, sigma * uncertainty / (2 * level), PLATEAU)
 
 
 def from_repeats(scan: Scan, others: Sequence[Scan]) -> NoiseFloor:
