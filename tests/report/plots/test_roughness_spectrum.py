@@ -20,7 +20,7 @@ def measured():
 
 def test_the_figure_has_spectrum_noise_and_fit(measured) -> None:
     entries = [label for _, _, label in roughness_spectrum(measured).legend]
-    assert {"surface", "noise, subtracted", "K-correlation, fitted", "with noise, all frequencies"} <= set(entries)
+    assert {"surface", "noise, subtracted", "Gaussian, fitted", "with noise, all frequencies"} <= set(entries)
 
 
 def test_the_page_compares_the_rms_of_heights_and_spectrum(measured) -> None:
