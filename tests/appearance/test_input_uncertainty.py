@@ -18,11 +18,13 @@ from brdfpipe.report.material.head import key_numbers
 from brdfpipe.report.material.reflection import source_table
 
 
-def with_model_error(bsdf: xr.Dataset, relative: float, of_gloss: tuple[float, ...] = ()) -> xr.Dataset:
-    """A BSDF with the same relative error up to 75° and not known at 85°, and errors of gloss at 20 and 60°."""
+def with_model_error(
+    bsdf: xr.Dataset, relative: float, of_gloss: tuple[float, ...] = (), last: float = 75.0
+) -> xr.Dataset:
+    """A BSDF with the same relative error up to a last incidence and not known at 85°, and errors of gloss at 20 and 60°."""
     values = np.full((3, 3), relative)
     values[2] = np.nan
-    axes = {"theta_i": [0.0, 75.0, 85.0], "region": ["peak", "shoulder", "rest"]}
+    axes = {"theta_i": [0.0, last, 85.0], "region": ["peak", "shoulder", "rest"]}
     gloss_error = xr.DataArray([*of_gloss, np.nan], {"gloss_angle": [20.0, 60.0, 85.0]}) if of_gloss else None
     changes = uncertainty(
         bsdf,
@@ -87,6 +89,16 @@ def test_the_error_of_gloss_itself_counts_where_it_is_larger_than_that_of_the_li
     assert np.isnan(of_model[2])
     others = appearance["gloss_u_source"].sel(gloss_angle=85).drop_sel(source="model")
     assert float(appearance["gloss_u"].sel(gloss_angle=85)) == pytest.approx(float(np.hypot.reduce(others.values)))
+
+
+def test_a_colour_beyond_the_last_known_incidence_has_no_error_of_the_model():
+    appearance = compute_appearance(with_model_error(beckmann_bsdf(0.1), 0.1, last=30.0))
+    of_colour = appearance["lab_u_source"].sel(source="model", component="L*")
+    assert np.isnan(of_colour.sel(geometry="45as15"))
+    assert np.isfinite(appearance["lab_u"].sel(geometry="45as15")).all()
+    of_gloss = appearance["gloss_u_source"].sel(source="model")
+    assert np.isfinite(of_gloss).values.tolist() == [True, False, False]
+    assert np.isfinite(appearance["gloss_u"]).all()
 
 
 def test_the_page_and_the_catalogue_show_the_uncertainty(index_alone):

@@ -208,13 +208,16 @@ def _lab(
     azimuth: float | None,
     reflector: Reflector | None = None,
 ) -> Array:
-    """L*a*b* of directions θ_i, φ_i, θ_o and φ_o, (directions, 3)."""
+    """L*a*b* of directions θ_i, φ_i, θ_o and φ_o, (directions, 3); NaN where a changed BSDF is not known."""
     averaged = azimuth is None and not representation(bsdf).isotropic
     # A change of a colour is smoother over the azimuth than a colour.
     turns = (_ALL_AZIMUTHS if reflector is None else _SOME_AZIMUTHS) if averaged else np.array([azimuth or 0.0])
     evaluate = (representation(bsdf) if reflector is None else reflector).evaluate
-    xyz = xyz_of(bsdf, evaluate(*_turned_about_normal(at, turns), None).mean(axis=1), illuminant, observer)
-    return colorimetry.xyz_to_lab(xyz, colorimetry.weights(illuminant, observer).white)
+    brdf = evaluate(*_turned_about_normal(at, turns), None).mean(axis=1)
+    unknown = np.zeros(len(brdf), dtype=bool) if reflector is None else ~np.isfinite(brdf).all(axis=-1)
+    xyz = xyz_of(bsdf, np.where(unknown[:, None], 0.0, brdf), illuminant, observer)
+    lab = colorimetry.xyz_to_lab(xyz, colorimetry.weights(illuminant, observer).white)
+    return np.where(unknown[:, None], np.nan, lab)
 
 
 def xyz_of(bsdf: xr.Dataset, brdf: Array, illuminant: str, observer: int) -> Array:
