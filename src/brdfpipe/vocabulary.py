@@ -122,6 +122,8 @@ QUANTITIES: Mapping[str, Quantity] = {
         "um4", "change of the power spectral density as the noise of some scans grows by its standard uncertainty"
     ),
     "sigma": Quantity("um", "rms height of the roughness spectrum in its band", 0),
+    "long_sigma": Quantity("um", "rms height of the waves longer than the band of the roughness spectrum", 0),
+    "long_slope": Quantity("1", "rms slope of the waves longer than the band of the roughness spectrum", 0),
     "sigma_heights": Quantity("um", "rms height of the levelled heights, without noise", 0),
     "noise_sigma": Quantity("um", "rms height of the noise that was subtracted", 0),
     "unresolved_sigma": Quantity("um", "rms height of what may be noise or roughness finer than the pitch", 0),
@@ -517,6 +519,7 @@ KINDS: Mapping[str, Kind] = {
             "apparent_psd": [("apparent_frequency",)],
             **{f"scan_band_{end}": [("scan",)] for end in ("low", "high")},
             **dict.fromkeys(("sigma_u", "noise_sigma_u", "unresolved_sigma", "noise_psd", "fit_residual_log"), SCALAR),
+            **dict.fromkeys(("long_sigma", "long_sigma_u", "long_slope"), SCALAR),
         },
         attributes=("form", "method"),
     ),

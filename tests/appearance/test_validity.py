@@ -75,6 +75,43 @@ def test_each_face_of_a_sheet_is_judged_by_the_light_that_passes(sigma, verdict)
     assert judged(both)[front].verdict == judged(both)[back].verdict == verdict
 
 
+@pytest.mark.parametrize(
+    ("band", "longer", "verdict"),
+    [
+        (1.0, 0.0, "pass"),
+        (0.6, 0.8, "pass"),
+        (0.75, 0.0, "warn"),
+        (1.25, 0.0, "warn"),
+        (0.4, 0.2, "fail"),
+        (2.1, 0.0, "fail"),
+    ],
+)
+def test_the_rms_heights_of_the_spectrum_and_of_the_heights_must_agree(band, longer, verdict):
+    spectrum = psd.analytic("gaussian", sigma=1.0, length=5.0).assign_attrs(form="measured")
+    known = datasets(psd=spectrum.assign(sigma=band, long_sigma=longer, sigma_heights=1.0))
+    judgement = judged(known)["Rms height"]
+    assert judgement.verdict == verdict
+    assert (
+        judgement.finding == f"{1e3 * np.hypot(band, longer):.3g} nm in the roughness spectrum, 1e+03 nm of the heights"
+    )
+
+
+@pytest.mark.parametrize(("missed", "verdict"), [(1e-5, "pass"), (0.009, "pass"), (0.02, "warn"), (0.06, "fail")])
+def test_light_that_waves_miss_is_judged_whatever_the_optics(missed, verdict):
+    for optics, advice in (("wave", "Set `model.optics: auto`"), ("auto", "Measure a larger area")):
+        known = datasets()
+        known["bsdf"] = known["bsdf"].assign(energy_residual=missed).assign_attrs(optics=optics)
+        judgement = judged(known)["Light that waves miss"]
+        assert judgement.verdict == verdict
+        assert judgement.advice.startswith(advice) == (verdict != "pass")
+
+
+def test_the_phase_variance_is_that_of_long_waves_too():
+    short = psd.analytic("gaussian", sigma=0.03, length=5.0)
+    both = [judged(datasets(psd=one))[ROUGHNESS] for one in (short, short.assign(long_sigma=5.0))]
+    assert [judgement.verdict for judgement in both] == ["fail", "pass"]
+
+
 def test_a_condition_that_fails_makes_the_verdict_of_the_material_fail():
     rough, smooth = (datasets(psd=psd.analytic("gaussian", sigma=sigma, length=5.0)) for sigma in (5.0, 0.013))
     assert worst(verdicts(rough)) != "fail"

@@ -247,12 +247,15 @@ def test_a_roughness_spectrum_changes_coherent_light_and_halo_as_if_it_was_built
     incidence = np.array([0.0, 60.0]), np.zeros(2), None
     coherent = changes.given.specular(*incidence)[0]
     differences = [np.log(one.specular(*incidence)[0] / coherent) for one in changes.changed]
-    # d ln e^(-g) = -g · 2 dσ/σ, of the uncertainty of σ that the spectrum states.
-    relative = float(psd["sigma_u"] / psd["sigma"])
+    # d ln e^(-g) = -g dσ²/σ², of the uncertainties of σ in the band and of longer waves. These change by much: (1 + u)² − 1 = 2u + u².
+    of_band = 2 * float(psd["sigma_u"] * psd["sigma"])
+    of_long = float((psd["long_sigma"] + psd["long_sigma_u"]) ** 2 - psd["long_sigma"] ** 2)
+    relative = np.array([of_band, of_long]) / float(bsdf["sigma"]) ** 2
     g = (
         4 * np.pi * float(bsdf["sigma"]) * 1e3 * np.cos(np.radians(incidence[0]))[:, None] / bsdf["wavelength"].values
     ) ** 2
-    np.testing.assert_allclose(np.sqrt(np.square(differences).sum(axis=0)), 2 * g * relative, rtol=0.1)
+    expected = g * np.hypot(*relative)
+    np.testing.assert_allclose(np.sqrt(np.square(differences).sum(axis=0)), expected, rtol=0.1)
     # All light that is not coherent is in the halo.
     halo = [one.evaluate(np.zeros(1), np.zeros(1), np.array([3.0]), np.zeros(1), None) for one in changes.changed]
     assert (

@@ -13,7 +13,8 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.appearance.origin import Datasets
-from brdfpipe.bsdf.microfacet.phase_variance import LIMITS, phase_variances
+from brdfpipe.bsdf.microfacet.phase_variance import LIMITS, known_rms_height, phase_variances
+from brdfpipe.bsdf.wave import missed_light
 from brdfpipe.flakes.refraction import largest_flake_angle
 from brdfpipe.geometry import Array
 
@@ -29,6 +30,8 @@ GLOSS_LIMITS = 1.0, 5.0
 """The same of the predicted gloss [gloss units]: one is what gloss meters agree within, and fail is as many times warn as of light."""
 SIGNIFICANT = 2.0
 """Standard uncertainties by which an error must exceed its limit."""
+HEIGHT_LIMITS = 1.2, 2.0
+"""Factors by which the rms heights of the roughness spectrum and of the heights may differ, before the verdict is warn, and fail."""
 SLOPE_OF_FINITE_VARIANCE = 4.0
 """Exponent of the roughness spectrum above which the variance of the slope does not depend on the pitch."""
 
@@ -79,6 +82,8 @@ def validity(datasets: Datasets) -> list[Judgement]:
         *regimes,
         _pitch(datasets),
         _band(datasets),
+        _heights(datasets),
+        _energy(datasets),
         _noise(datasets),
         _tail(datasets),
         _masking(datasets),
@@ -117,7 +122,7 @@ def _of_flakes(bsdf: xr.Dataset) -> list[Judgement]:
 def _regime(datasets: Datasets) -> Judgement | None:
     if "psd" not in datasets:
         return None
-    phase = phase_variances(float(datasets["psd"]["sigma"]))
+    phase = phase_variances(known_rms_height(datasets["psd"]))
     finding = "g = " + ", ".join(f"{g:.3g} at {angle}°" for angle, g in phase.items())
     condition = "Roughness against wavelength (550 nm)"
     if _by_waves(datasets):
@@ -139,7 +144,7 @@ def _regime_of_face(datasets: Datasets, side: str) -> Judgement | None:
     psd = datasets.get("back_psd" if own_back else "psd")
     if psd is None or datasets["back_facets" if own_back else "facets"]["slope_density"].size == 0:
         return None
-    sigma, index = float(psd["sigma"]), float(datasets["bsdf"]["n"].mean())
+    sigma, index = known_rms_height(psd), float(datasets["bsdf"]["n"].mean())
     through = (2 * np.pi * sigma * (index - 1) / _WAVELENGTH) ** 2
     reflected = phase_variances(sigma)[20]
     condition = f"Roughness against wavelength (550 nm), {side} face"
@@ -198,7 +203,37 @@ def _band(datasets: Datasets) -> Judgement | None:
     if "psd" not in datasets or datasets["psd"].attrs["form"] != "measured":
         return None
     low, high = (float(datasets["psd"][name]) for name in ("band_low", "band_high"))
-    return Judgement("Measured wavelengths of the relief", f"{1 / high:.3g} to {1 / low:.3g} µm", "pass")
+    finding = f"{1 / high:.3g} to {1 / low:.3g} µm"
+    if (longer := float(datasets["psd"].get("long_sigma", 0.0))) > 0:
+        finding += f"; longer waves have an rms height of {1e3 * longer:.3g} nm"
+    return Judgement("Measured wavelengths of the relief", finding, "pass")
+
+
+def _heights(datasets: Datasets) -> Judgement | None:
+    """The light that is not mirrored is that of the heights; the halo has the light of the spectrum. Joined spectra have no common heights."""
+    psd = datasets.get("psd")
+    if psd is None or psd.attrs["form"] != "measured" or "scan" in psd.dims or not float(psd["sigma_heights"]) > 0:
+        return None
+    heights, spectrum = float(psd["sigma_heights"]), known_rms_height(psd)
+    finding = f"{1e3 * spectrum:.3g} nm in the roughness spectrum, {1e3 * heights:.3g} nm of the heights"
+    verdict = _beyond(max(spectrum / heights, heights / max(spectrum, 1e-300)), HEIGHT_LIMITS)
+    advice = "" if verdict == "pass" else "Measure a larger area, or one with fewer missing heights"
+    return Judgement("Rms height", finding, verdict, advice)
+
+
+def _energy(datasets: Datasets) -> Judgement | None:
+    bsdf = datasets["bsdf"]
+    if "energy_residual" not in bsdf:
+        return None
+    missed = float(bsdf["energy_residual"])
+    verdict = _beyond(missed, missed_light.LIMITS)
+    finding = f"up to {missed:.2%} of the incident light" if missed >= 5e-5 else "less than 0.01% of the incident light"
+    return Judgement("Light that waves miss", finding, verdict, "" if verdict == "pass" else missed_light.advice(bsdf))
+
+
+def _beyond(value: float, limits: tuple[float, float]) -> str:
+    """Verdict on a value that has limits for warn and fail."""
+    return "fail" if value > limits[1] else "warn" if value > limits[0] else "pass"
 
 
 def _noise(datasets: Datasets) -> Judgement | None:

@@ -247,8 +247,8 @@ def _planar_masking(bsdf: xr.Dataset) -> Callable[[Array], Array]:
 
 
 def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[str, Fields]]:
-    """Source, and change of the rms height, the halo and the coherent part: for each band of a measured spectrum, as each noise in it grows,
-    and of the heights that the coherent light knows.
+    """Source, and change of the rms height, the halo and the coherent part: for each band of a measured spectrum and longer waves, as each noise
+    in it grows, and of the heights that the coherent light knows.
 
     Rings of a spectrum are independent but for its noise, so the variance of a band is the sum of theirs; a band changes as a whole. Where the
     heights themselves say what is coherent, a band moves light within the halo alone.
@@ -277,8 +277,13 @@ def changes_of_roughness(bsdf: xr.Dataset, psd: xr.Dataset) -> Iterator[tuple[st
         relative = np.sqrt(np.square((weight * u)[inside]).sum()) / max(float((weight * density)[inside].sum()), 1e-300)
         after.append(("psd", density * np.where(inside, 1 + relative, 1.0)))
     after += [("noise", np.maximum(density + change, _LEAST_LEFT * density)) for change in noise_changes]
-    for source, values in after:
-        changed, changed_sigma = roughness(psd.assign(psd=("frequency", values)))
+    spectra = [(source, psd.assign(psd=("frequency", values))) for source, values in after]
+    if float(psd.get("long_sigma_u", 0.0)) > 0:
+        higher = 1 + float(psd["long_sigma_u"] / psd["long_sigma"])
+        longer = {name: psd[name] * higher for name in ("long_sigma", "long_slope")}
+        spectra.append(("psd", psd.assign(longer)))
+    for source, spectrum in spectra:
+        changed, changed_sigma = roughness(spectrum)
         fields = {"sigma": xr.DataArray(changed_sigma - sigma)}
         if "coherent_loss" in bsdf:
             growth = (changed_sigma / max(sigma, 1e-300)) ** 2

@@ -14,6 +14,7 @@ from brdfpipe.geometry import Array
 from brdfpipe.psd.coherent_height import coherent_height
 from brdfpipe.psd.k_correlation import FittedForm, Gaussian, fit
 from brdfpipe.psd.line_inversion import invert, inverted_change, with_variance_of
+from brdfpipe.psd.long_waves import long_waves
 from brdfpipe.psd.noise_floor import NoiseFloor, noise_floor
 from brdfpipe.psd.periodograms import PatchCount, Rings, Scan, periodograms, rings
 from brdfpipe.psd.planar_spectrum import planar_spectrum, slope_ratio
@@ -42,7 +43,8 @@ def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | No
     Returns
     -------
     Dataset of kind ``psd`` and form ``measured``, on rings of frequency from ``band_low``, two waves across the scan, to ``band_high``,
-        where noise, the pitch or the filter λs ends it. ``apparent_psd`` of a map includes the noise and all frequencies. A map
+        where noise, the pitch or the filter λs ends it. Longer waves have ``long_sigma`` and ``long_slope``. ``apparent_psd`` of a map
+        includes the noise and all frequencies. A map
         with a lay has ``psd_planar`` besides, 0 beyond the band. A line counts as one across an isotropic surface;
         ``psd_quality`` is ``measured`` where its spectrum was inverted, ``interpolated`` where the fitted form is more certain
 
@@ -87,6 +89,7 @@ def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | No
         planar = planar_spectrum(levels, spectrum, floor.density(scan), scan)
         if slope_ratio(planar) > LAY_LIMIT:
             result = result.merge(planar)
+    result = result.merge(long_waves(scan, float(result["band_low"]), float(result["sigma"]), floor.sigma))
     result = result.merge(coherent_height(surface["height"].values, floor.sigma))
     result = vocabulary.add_history(
         result, *_history(count, floor, quality, fitted, line, bool(floor.unresolved(scan)))
@@ -154,11 +157,7 @@ def _history(
     history = [
         f"The spectrum is the mean of {count.used} of {count.positions} patches of {_size(count.side, line)} heights, each levelled by a plane and "
         "multiplied by a Hann window; long waves are from means of neighbouring heights, and from the whole scan"
-        + (
-            f", of which {count.filled} missing heights were filled in with means of their neighbours."
-            if count.filled
-            else "."
-        )
+        + (f", of which {count.filled} missing heights were filled in from their neighbours." if count.filled else ".")
     ]
     if floor.sigma:
         history.append(
@@ -188,6 +187,6 @@ def _warnings(count: PatchCount) -> list[str]:
     if count.complete:
         return []
     return [
-        f"no part of the scan is without gaps: {count.filled} missing heights were filled in with means of their neighbours, and the roughness "
+        f"most parts of the scan have gaps: {count.filled} missing heights were filled in from their neighbours, and the roughness "
         "spectrum is too low at high frequencies; measure again with fewer missing heights"
     ]

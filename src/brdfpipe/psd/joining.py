@@ -60,9 +60,9 @@ def join(*psds: xr.Dataset) -> xr.Dataset:
     -------
     Dataset of kind ``psd`` over the union of the bands, on rings of 1/20 decade. Where bands overlap it is the mean of the logarithms, weighted by
         the inverse squares of the relative uncertainties, and its uncertainty grows with their disagreement. The
-        heights' and the noise's rms are those of the scan with the widest band, as is ``psd_planar``. ``scan_band_low`` and
-        ``scan_band_high`` are the bands, in the order given. The noise of each scan is taken as independent of that of the others.
-        A single spectrum is returned unchanged
+        heights' and the noise's rms are those of the scan with the widest band, as is ``psd_planar``; waves longer than the band are those of
+        the scan that reaches lowest. ``scan_band_low`` and ``scan_band_high`` are the bands, in the order given. The noise of each scan is
+        taken as independent of that of the others. A single spectrum is returned unchanged
 
     Raises
     ------
@@ -109,6 +109,10 @@ def _joined(psds: Sequence[xr.Dataset], instrument: NDArray[np.intp]) -> xr.Data
         noise_changes=of_noises[of_noises.any(axis=1)],
     )
     result = result.assign({name: widest[name].variable for name in _SCALARS if name in widest})
+    longest = min(psds, key=lambda psd: float(psd["band_low"]))
+    result = result.assign(
+        {name: longest[name].variable for name in ("long_sigma", "long_sigma_u", "long_slope") if name in longest}
+    )
     if "psd_planar" in widest:
         result = result.merge(widest[["psd_planar"]])
     for end in ("low", "high"):

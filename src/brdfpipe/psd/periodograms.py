@@ -34,8 +34,10 @@ _MOST_PATCHES = 64
 _BATCH = 8
 _SUMMED = 2**18
 _WAVES_OF_WHOLE = 2
-_FILLED = 0.05
-"""Largest share of missing heights that are filled in for the longest waves."""
+_COMPLETE = 0.25
+"""Least share of patches at full pitch without a gap: fewer would be the smoothest ones, if steep places are missing."""
+_RIMS = 4
+"""Heights from the rim of a gap that are filled in one after the other."""
 _MODES = 4.0
 """Fewest independent modes of a ring."""
 _SYSTEMATIC = 0.01
@@ -136,7 +138,7 @@ class PatchCount(NamedTuple):
     positions: int
     """Patches at full pitch in all."""
     filled: int
-    """Missing heights filled in with means of their neighbours: for the longest waves, or for all if no patch is complete."""
+    """Missing heights filled in from their neighbours: for the longest waves, or for all if few patches are complete."""
     complete: bool
     """Whether the patches had no gaps before."""
 
@@ -144,31 +146,40 @@ class PatchCount(NamedTuple):
 def periodograms(scan: Scan) -> tuple[list[Periodogram], PatchCount]:
     """Periodograms from the highest frequencies to the lowest, each used up to the ``low`` of the one before it.
 
-    Where every patch of 32 heights along a side has a gap, all missing heights are filled in.
+    Where most patches of 32 heights along a side have a gap, all missing heights are filled in. A spectrum of filled heights is scaled
+    so that the variance is that of the heights that are present.
     """
-    size, count, complete = _PATCH[scan.height.ndim], 0, True
+    size, count, scale, complete = _PATCH[scan.height.ndim], 0, 1.0, True
     try:
         full, positions = full_pitch(scan, size, _MOST_PATCHES)
+        complete = full.spectra.shape[0] >= _COMPLETE * positions
     except PsdError:
-        count, complete = int(np.count_nonzero(~np.isfinite(scan.height))), False
-        scan = scan._replace(height=_filled(scan.height))
+        complete = False
+    if not complete:
+        count = int(np.count_nonzero(~np.isfinite(scan.height)))
+        scan, scale = filled(scan)
         full, positions = full_pitch(scan, size, _MOST_PATCHES)
     levels, coarse, factor = [full], scan, 1
     while min(coarse.height.shape) >= 4 * size:
-        coarse, factor = _halved(coarse), 2 * factor
+        coarse, factor = coarser(coarse), 2 * factor
         corners = _corners(coarse.height.shape, (size,) * coarse.height.ndim, _MOST_PATCHES)
         level = _periodogram(coarse, (size,) * coarse.height.ndim, corners, factor)
         levels += [level] if level.spectra.size else []
-    missing = int(np.count_nonzero(~np.isfinite(coarse.height)))
-    if missing <= _FILLED * coarse.height.size:
-        if missing:
-            coarse, count = coarse._replace(height=_filled(coarse.height)), missing
-        shortest = min(n * pitch for n, pitch in zip(coarse.height.shape, coarse.pitch, strict=True))
-        sides = [int(min(n, 2 * shortest / pitch)) for n, pitch in zip(coarse.height.shape, coarse.pitch, strict=True)]
-        whole = tuple(side - side % 2 for side in sides)
-        corners = _corners(coarse.height.shape, whole, _BATCH)
-        level = _periodogram(coarse, whole, corners, factor)
-        levels.append(level._replace(low=_WAVES_OF_WHOLE / level.length))
+    levels = [level._replace(spectra=level.spectra * scale) for level in levels] if scale != 1 else levels
+    gaps = coarse
+    if missing := int(np.count_nonzero(~np.isfinite(coarse.height))):
+        count = missing
+        coarse, _ = filled(coarse)
+    shortest = min(n * pitch for n, pitch in zip(coarse.height.shape, coarse.pitch, strict=True))
+    sides = [int(min(n, 2 * shortest / pitch)) for n, pitch in zip(coarse.height.shape, coarse.pitch, strict=True)]
+    whole = tuple(side - side % 2 for side in sides)
+    corners = _corners(coarse.height.shape, whole, _BATCH)
+    level = _periodogram(coarse, whole, corners, factor)
+    if missing:
+        # A gap in the middle, where the window is largest, has more weight than others.
+        weight = _window_weight(coarse.height.shape, whole, corners)
+        scale = _weighted_variance(gaps.height, weight) / max(_weighted_variance(coarse.height, weight), 1e-300)
+    levels.append(level._replace(low=_WAVES_OF_WHOLE / level.length, spectra=level.spectra * scale))
     side = 2 * (full.axes[-1].size - 1)
     return levels, PatchCount(side, full.spectra.shape[0], positions, count, complete)
 
@@ -309,6 +320,22 @@ def _periodogram(scan: Scan, patch: tuple[int, ...], corners: Sequence[tuple[int
     return Periodogram(tuple(frequencies), spectra, length, CYCLES / length)
 
 
+def _window_weight(shape: Sequence[int], patch: Sequence[int], corners: Sequence[tuple[int, ...]]) -> Array:
+    """Sum of the squared windows of all patches, at each height."""
+    weight, window = np.zeros(shape), np.ones(())
+    for side in patch:
+        window = np.multiply.outer(window, np.sin(np.pi * (np.arange(side) + 0.5) / side) ** 4)
+    for corner in corners:
+        weight[tuple(slice(start, start + side) for start, side in zip(corner, patch, strict=True))] += window
+    return weight
+
+
+def _weighted_variance(height: Array, weight: Array) -> float:
+    """Of the heights that are present, about their mean over the area."""
+    present = np.isfinite(height)
+    return float(np.average((height[present] - height[present].mean()) ** 2, weights=weight[present]))
+
+
 def _patches(height: Array, patch: Sequence[int], corners: Sequence[tuple[int, ...]]) -> list[Array]:
     return [
         height[tuple(slice(start, start + side) for start, side in zip(corner, patch, strict=True))]
@@ -335,7 +362,7 @@ def _levelled(patches: Array) -> Array:
     return result
 
 
-def _halved(scan: Scan) -> Scan:
+def coarser(scan: Scan) -> Scan:
     """Means of neighbouring heights, two along each axis; missing where fewer than half are present."""
     height = scan.height[tuple(slice(0, n - n % 2) for n in scan.height.shape)]
     mean = height.astype(float, copy=False)
@@ -357,16 +384,40 @@ def _halved(scan: Scan) -> Scan:
     return Scan(mean, tuple(2 * pitch for pitch in scan.pitch))
 
 
-def _filled(height: Array) -> Array:
-    """Heights whose gaps are filled with means of their neighbours, from the rims inwards."""
+def filled(scan: Scan) -> tuple[Scan, float]:
+    """The scan without gaps, and the variance of the heights that are present over that of all then.
+
+    A gap is filled from its rim inwards with means of the nearest neighbours, and further inside with those of larger and larger
+    squares: a large gap varies less than its surroundings.
+    """
     from scipy.ndimage import uniform_filter
 
-    filled = height.astype(float)
-    missing = ~np.isfinite(filled)
-    while missing.any():
+    missing = ~np.isfinite(scan.height)
+    if not missing.any():
+        return scan, 1.0
+    height = scan.height.astype(float)
+    for _ in range(_RIMS):
         present = uniform_filter((~missing).astype(float), 3, mode="constant")
-        total = uniform_filter(np.where(missing, 0.0, filled), 3, mode="constant")
+        total = uniform_filter(np.where(missing, 0.0, height), 3, mode="constant")
         rim = missing & (present > 1e-6)
-        filled[rim] = total[rim] / present[rim]
+        height[rim] = total[rim] / present[rim]
         missing &= ~rim
-    return filled
+    whole = scan._replace(height=np.where(missing, _from_means(height), height) if missing.any() else height)
+    variance = whole.variance
+    return whole, scan.variance / variance if variance else 1.0
+
+
+def _from_means(height: Array) -> Array:
+    """Heights at all places from means of those present among two along each axis; where there are none, from those of the means."""
+    from scipy.ndimage import map_coordinates
+
+    padded = np.pad(height, [(0, n % 2) for n in height.shape], constant_values=np.nan)
+    shape = [part for n in padded.shape for part in (n // 2, 2)]
+    pairs = padded.reshape(shape)
+    axes, present = tuple(range(1, len(shape), 2)), np.isfinite(pairs)
+    count = present.sum(axis=axes)
+    means = np.where(count, np.where(present, pairs, 0.0).sum(axis=axes) / np.maximum(count, 1), np.nan)
+    if not count.all():
+        means = np.where(count, means, _from_means(means))
+    places = np.meshgrid(*((np.arange(n) - 0.5) / 2 for n in height.shape), indexing="ij")
+    return np.asarray(map_coordinates(means, places, order=1, mode="nearest"))

@@ -19,6 +19,11 @@ def phase_variances(sigma: float) -> dict[int, float]:
     return {angle: (4 * np.pi * sigma * np.cos(np.radians(angle)) / _WAVELENGTH) ** 2 for angle in _INCIDENCES}
 
 
+def known_rms_height(psd: xr.Dataset) -> float:
+    """Rms height [um] of a roughness spectrum in its band, and of longer waves."""
+    return float(np.hypot(float(psd["sigma"]), float(psd.get("long_sigma", 0.0))))
+
+
 def with_warning(bsdf: xr.Dataset, psd: xr.Dataset) -> xr.Dataset:
     """Add a warning where a surface is too smooth for its facets.
 
@@ -32,7 +37,7 @@ def with_warning(bsdf: xr.Dataset, psd: xr.Dataset) -> xr.Dataset:
     g = (4πσ cos θ_i/λ)² at 550 nm and the incidences of gloss meters; e^(−g) of the mirror reflection is coherent (Davies 1954, Proc. IEE
     101 part IV, 209), which facets cannot show.
     """
-    sigma = float(psd["sigma"])
+    sigma = known_rms_height(psd)
     phase = phase_variances(sigma)
     between = [f"{g:.2g} at {angle}°" for angle, g in phase.items() if LIMITS[0] < g < LIMITS[1]]
     if not between:

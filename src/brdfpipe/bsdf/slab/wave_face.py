@@ -86,7 +86,7 @@ class WaveSurface(NamedTuple):
         table = halo_table(correlation, sigma, psd, inner, lay=False).assign(sigma=sigma)
         table.attrs = {"form": HALOS[0], "spectrum": psd.attrs["form"]}
         if psd.attrs["form"] == "measured":
-            table = _without_ripple(table, float(psd["frequency"][0]), _RIPPLE / (float(wavelength[0]) * 1e-3))
+            table = _without_ripple(table, _lowest_frequency(psd), _RIPPLE / (float(wavelength[0]) * 1e-3))
         relief = None if optics == "wave" else Relief.of(correlation, sigma, psd, "auto", None, facets)
         return cls(Microsurface.of(facets), outside, relief, table, Halo.of(table))
 
@@ -138,10 +138,18 @@ class WaveSurface(NamedTuple):
         return width, cut, float(np.clip(1 - np.trapezoid(kept * along, along) / whole, 0.0, 1.0)) if cut else 0.0
 
 
+def _lowest_frequency(psd: xr.Dataset) -> float:
+    """Frequency [um-1] from which on the heights of a scan have waves: that of the long waves, or the first of the band."""
+    first = float(psd["frequency"][0])
+    if not (long_sigma := float(psd.get("long_sigma", 0.0))) > 0:
+        return first
+    return min(first, float(psd["long_slope"]) / (2 * np.pi * long_sigma))
+
+
 def _without_ripple(table: xr.Dataset, first: float, width: float) -> xr.Dataset:
     """The table of a measured spectrum, smoothed over a width [um-1], because nodes do not resolve the chance ripple of one scan.
 
-    Logarithms are averaged over logarithms of the frequency, from the ``first`` measured frequency on, and the ratio to what results is
+    Logarithms are averaged over logarithms of the frequency, from the ``first`` frequency with heights on, and the ratio to what results is
     averaged too: this keeps a power law, and the light of a ripple where it is. What the halo as a whole then lacks is added in proportion.
     """
     frequency = table["halo_frequency"].values

@@ -31,9 +31,10 @@ from brdfpipe.bsdf.microfacet.builder import (
 )
 from brdfpipe.bsdf.microfacet.gloss_trap import trap_of
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface, ModelError
+from brdfpipe.bsdf.microfacet.phase_variance import known_rms_height
 from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.representations.wave import Wave
-from brdfpipe.bsdf.wave import height_transform, planar_transform
+from brdfpipe.bsdf.wave import height_transform, missed_light, planar_transform
 from brdfpipe.bsdf.wave.halo import Halo
 from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.bsdf.wave.two_scale import (
@@ -78,9 +79,6 @@ WAVES_ALONE = 1e-3
 
 ENERGY_LIMIT = 1e-3
 """Share of the incident light by which coherent part and halo may miss Fresnel's reflectance without a statement."""
-
-ENERGY_WARNING = 0.01
-"""The same, above which the statement is a warning."""
 
 SLOPE_LIMIT = 0.2
 """Rms slope √⟨p² + q²⟩ up to which the halo is used without a warning: it knows neither masking nor the local angle of incidence."""
@@ -509,12 +507,12 @@ def _with_closure(
 def _height_variance(psd: xr.Dataset, sigma: float, change: Array) -> Array:
     """Variance of the heights that the coherent light knows, over that of the roughness spectrum [1], of q [rad/um]; 1 without a scan.
 
-    The spectrum lacks long waves, and takes heights as normal. What it has beyond its band is added to the measured heights.
+    The spectrum takes heights as normal. What it has above its band is added to the measured heights.
     """
     if "coherent_sigma" not in psd:
         return np.ones_like(change)
     of_scan = np.interp(change, psd["phase_per_height"].values, psd["coherent_sigma"].values)
-    beyond = max(sigma**2 - float(psd["sigma"]) ** 2, 0.0)
+    beyond = max(sigma**2 - known_rms_height(psd) ** 2, 0.0)
     return np.asarray((of_scan**2 + beyond) / max(sigma**2, 1e-300))
 
 
@@ -558,10 +556,9 @@ def _with_energy_statement(bsdf: xr.Dataset, missing: Array, theta: Array) -> xr
         f"coherent part and halo miss up to {missing[worst]:.4f} of the incident light that Fresnel's equations reflect, at "
         f"{theta[worst]:.0f}° incidence; it enters the base"
     )
-    # Where facets take over there is no other choice, and the light is lost near grazing alone.
-    if missing[worst] <= ENERGY_WARNING or bsdf.attrs["optics"] != "wave":
+    if missing[worst] <= missed_light.LIMITS[0]:
         return vocabulary.add_history(bsdf, text)
-    return vocabulary.add_warning(bsdf, f"{text}. Set `model.optics: auto` if this matters")
+    return vocabulary.add_warning(bsdf, f"{text}. {missed_light.advice(bsdf)}")
 
 
 def _scattered(surface: RoughSurface, bsdf: xr.Dataset, theta: Array, azimuths: Array) -> Array:
@@ -647,7 +644,7 @@ def _limits(bsdf: xr.Dataset, psd: xr.Dataset, correlation: height_transform.Aut
     if "facet_share" in bsdf and bsdf["facet_share"].values[0].min() >= FACETS_ALONE:
         return texts  # waves matter near grazing alone, where coarse roughness scatters
     if psd.attrs["form"] == "measured":
-        beyond = 1 - (float(psd["sigma"]) / sigma) ** 2
+        beyond = 1 - (known_rms_height(psd) / sigma) ** 2
         if beyond > EXTRAPOLATED_LIMIT:
             texts.append(
                 f"{100 * beyond:.0f} % of the mean square height are beyond the band of the roughness spectrum, from its fitted form. Scan "

@@ -84,28 +84,57 @@ def k_correlation(length: float, slope: float) -> Autocorrelation:
     return Autocorrelation(spectrum, length, "exponential" if slope == 3 else "any", of_distance)
 
 
-def measured(frequency: Array, psd: Array, tail: Autocorrelation | None) -> tuple[Autocorrelation, float]:
+class LongWaves(NamedTuple):
+    """Waves below the band of a measured spectrum."""
+
+    sigma: float
+    """Rms height [um]"""
+    slope: float
+    """Rms slope √⟨p² + q²⟩ [1]"""
+    highest: float
+    """Frequency at which the band begins [um-1]"""
+
+    def spectrum(self) -> Callable[[Array], Array]:
+        """S [um4] of a Gaussian form that ends where the band begins, with the rms height and slope; it is flat for larger slopes."""
+        if not self.sigma > 0:
+            return np.zeros_like
+        # ⟨f²⟩ over the square of the highest frequency falls with the exponent there, from 1/2.
+        exponent = np.geomspace(1e-4, 1e10, 2001)
+        ratio = 1 / exponent - 1 / np.expm1(np.minimum(exponent, 700.0))
+        found = np.interp(-2 * np.log(max(self.relative_frequency, 1e-5)), -np.log(ratio), np.log(exponent))
+        decay = float(np.exp(found)) / self.highest**2
+        peak = self.sigma**2 * decay / (np.pi * -np.expm1(-decay * self.highest**2))
+        return lambda f: np.where(f < self.highest, peak * np.exp(-decay * f**2), 0.0)
+
+    @property
+    def relative_frequency(self) -> float:
+        """√⟨f²⟩ over the highest frequency [1]."""
+        return self.slope / (2 * np.pi * self.sigma * self.highest) if self.sigma > 0 else 1.0
+
+
+def measured(
+    frequency: Array, psd: Array, tail: Autocorrelation | None, long_waves: LongWaves | None = None
+) -> tuple[Autocorrelation, float]:
     """Roughness of a measured spectrum, and its rms height [um].
 
     Parameters
     ----------
     frequency, psd : increasing [um-1], and S [um4]; logarithms are interpolated linearly
     tail : form that continues the spectrum above its last frequency, scaled to meet it; f⁻³ without one
-
-    Notes
-    -----
-    Below the first frequency the spectrum falls to 0: what is longer than the scan is form, which levelling has removed, and the light
-    that it scatters stays within the mirror image of a source.
+    long_waves : what the heights have below the band. Without them the spectrum falls to 0 below its first frequency
     """
     log_f, log_s = np.log(frequency), np.log(np.maximum(psd, psd.max() * 1e-30))
+    waves = LongWaves(0.0, 0.0, float(frequency[0])) if long_waves is None else long_waves
+    below = waves.spectrum()
 
     def spectrum(f: Array) -> Array:
         inside = np.exp(np.interp(np.log(f), log_f, log_s))
-        low, high = np.minimum(f / frequency[0], 1.0), np.maximum(f / frequency[-1], 1.0)
+        low, high = np.minimum(f / waves.highest, 1.0), np.maximum(f / frequency[-1], 1.0)
         beyond = high**-3 if tail is None else tail.spectrum(high * frequency[-1]) / tail.spectrum(frequency[-1:])
-        return np.asarray(inside * low**_LOW_CUT * beyond)
+        return np.asarray(inside * low**_LOW_CUT * beyond + below(f))
 
-    grid = np.geomspace(1e-5 * frequency[0], 1e6 * frequency[-1], 20001)
+    lowest = 1e-5 * waves.highest * min(waves.relative_frequency, 1.0)
+    grid = np.geomspace(lowest, 1e6 * frequency[-1], 20001)
     values = spectrum(grid)
     variance = 2 * np.pi * float(np.trapezoid(values * grid**2, np.log(grid)))
     # ρ falls to 1/e at about the distance where a Gaussian of the same peak and variance does.

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.bsdf.microfacet.microsurface import ModelError
-from brdfpipe.bsdf.wave.height_transform import Autocorrelation, gaussian, k_correlation, measured
+from brdfpipe.bsdf.wave.height_transform import Autocorrelation, LongWaves, gaussian, k_correlation, measured
 
 LEAST_SLOPE = 3.0
 """Least exponent with which a measured spectrum is continued beyond its band: at 2 the heights beyond it have no end."""
@@ -17,7 +17,7 @@ def roughness(psd: xr.Dataset) -> tuple[Autocorrelation, float]:
 
     Parameters
     ----------
-    psd : kind ``psd``; a measured one is continued beyond its band by its fitted form
+    psd : kind ``psd``; a measured one is continued above its band by its fitted form, and below it by the long waves of the heights
 
     Raises
     ------
@@ -38,4 +38,7 @@ def roughness(psd: xr.Dataset) -> tuple[Autocorrelation, float]:
         return gaussian(1.0), 0.0
     if fitted is not None and np.isfinite(slope) and slope < LEAST_SLOPE:
         fitted = k_correlation(length, LEAST_SLOPE)
-    return measured(psd["frequency"].values, psd["psd"].values, fitted)
+    long_waves = None
+    if "long_sigma" in psd:
+        long_waves = LongWaves(*(float(psd[name]) for name in ("long_sigma", "long_slope", "band_low")))
+    return measured(psd["frequency"].values, psd["psd"].values, fitted, long_waves)

@@ -210,7 +210,7 @@ def regime_table(bsdf: xr.Dataset) -> Table | None:
             f"frequency that parts both moves by a factor of 1.5, the lobe changes by up to {percent(float(bsdf['cut_error']))}."
         )
     if (missed := float(bsdf["energy_residual"])) > _NEGLIGIBLE_LOSS:
-        note += f" Waves miss up to {percent(missed)} of the incident light, near grazing; it enters the base."
+        note += f" Waves miss up to {percent(missed)} of the incident light; it enters the base."
     rows = [
         (f"{angle:g}°", *(f"{share:.0f}\u202f%" for share in row.ravel()))
         for angle, row in zip(_REGIME_INCIDENCES, shares, strict=True)

@@ -35,6 +35,8 @@ def _heights_table(psd: xr.Dataset, bsdf: xr.Dataset | None) -> Table:
             for scan, (low, high) in enumerate(bands, start=1)
         ]
     if psd.attrs["form"] == "measured":
+        slope = number(float(psd.get("long_slope", 0.0)))
+        long = f"below the band; slope {slope}, so that their light stays near the mirror direction"
         rows += [
             (
                 "rms height of the levelled heights",
@@ -42,6 +44,7 @@ def _heights_table(psd: xr.Dataset, bsdf: xr.Dataset | None) -> Table:
                 "all waves, also longer than the band; without noise",
             ),
             ("rms height of the spectrum", _nanometres(psd, "sigma"), "in its band"),
+            *([("rms height of longer waves", _nanometres(psd, "long_sigma"), long)] if "long_sigma" in psd else []),
             ("rms height of the fitted form", _nanometres(psd, "fit_sigma"), "all waves, extrapolated"),
             (
                 "Noise of the heights",
