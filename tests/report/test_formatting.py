@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import math
+
 import pytest
 
-from brdfpipe.report.formatting import length, share_percent, uncertainty_value
+from brdfpipe.report.formatting import length, share_percent, uncertainty_value, value_with_u
 
 
 @pytest.mark.parametrize(
@@ -23,3 +25,17 @@ def test_shares_too_small_to_mean_anything_have_no_digits(share: float, words: s
 @pytest.mark.parametrize(("u", "words"), [(0.0, "0"), (0.004, "< 0.01"), (0.0123, "0.01"), (1.234, "1.23")])
 def test_a_known_uncertainty_is_never_written_as_none(u: float, words: str) -> None:
     assert uncertainty_value(u) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "words"),
+    [
+        (45.24, 1.31, "45.2 ± 1.3"),
+        (0.084, 0.004, "0.084 ± 0.004"),
+        (75.94, 49.2, "76 ± 49"),
+        (75.94, 2e6, "75.9 ± not known"),
+        (75.94, math.nan, "75.9"),
+    ],
+)
+def test_a_value_has_the_digits_that_its_uncertainty_leaves(value: float, u: float, words: str) -> None:
+    assert value_with_u(value, u, 1) == words
