@@ -62,6 +62,22 @@ def test_a_warning_names_the_key_to_change():
     assert "`model.optics: auto`" in text
 
 
+def test_advice_follows_the_keys_in_use_and_the_light_of_the_facets():
+    # The visibility of facets speaks for Smith's masking, whatever G2 of the mirror direction says.
+    smith = samples.masking_choice("height-correlated", 0.01)
+    assert any("Smith's G2" in text for text in vocabulary.warnings(compared(relief("cells"), rays=10_000)))
+    found = compared(relief("cells"), rays=10_000, visibility=smith)
+    assert not any("Smith's G2" in text for text in vocabulary.warnings(found))
+    assert "masking" not in found.attrs["advice"]
+    surface = samples.gaussian_surface(64, sigma=0.01)
+    predicted = build(facets.estimate(surface, isotropic=True), index=1.5)
+    advice = [
+        model_error(surface, predicted.assign_attrs(optics=optics), rays=1000).attrs["advice"]
+        for optics in ("facets", "auto")
+    ]
+    assert ["`model.optics: auto`" in text for text in advice] == [True, False]
+
+
 @cache
 def relief(name: str, size: int = 256):
     return samples.surface(relief_maps.MAPS[name](size, 0))

@@ -210,3 +210,24 @@ def test_a_real_scan_of_spikes_and_gaps_is_counted_without_its_spikes(shared_dat
     assert float(table["tail_contribution"]) > 0.9
     # The blocks' own slope rms spans 0.0015 to 0.09; no bin beyond the middle is known to 10 %.
     assert float((table["D_u"] / table["D"]).max()) > 0.15
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-12])
+@pytest.mark.parametrize(("amplitude", "along"), [(1.0, "x"), (1.0, "y"), (0.05, "x")])
+def test_grooves_without_slopes_along_them_are_refused_in_words(amplitude, along, rounding):
+    profile = amplitude * np.sin(2 * np.pi * np.arange(64) / 20)
+    height = np.tile(profile, (64, 1)) + rounding * np.random.default_rng(1).normal(size=(64, 1))
+    surface = samples.surface(height.T if along == "x" else height, (0.5, 0.5))
+    with pytest.raises(facets.FacetError, match="no slopes along the lay"):
+        facets.estimate(surface, noise=0.0)
+
+
+def test_grooves_with_hardly_any_slopes_along_them_have_both_slopes():
+    # Rows shifted at random by 1 nm: a slope of √2 nm over 0.5 µm along the grooves, without the mean of the two edges of a quad.
+    rows = 1e-3 * np.random.default_rng(1).normal(size=(128, 1))
+    height = np.sin(2 * np.pi * np.arange(128) / 20) + rows
+    found = facets.estimate(samples.surface(height, (0.5, 0.5)), noise=0.0)
+    across = np.sqrt(np.mean(np.diff(height, axis=1) ** 2))
+    along = np.diff(rows[:, 0]).std()
+    assert float(found["anisotropy"]) == pytest.approx(across / along, rel=0.02)
+    assert abs(float(found["lay"])) == pytest.approx(90, abs=0.1)

@@ -21,7 +21,7 @@ from brdfpipe.comparison.lobe_bins import LobeBins, gloss_by_bin
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 from brdfpipe.masking import ray_casting
-from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, SMITH_MASKINGS
+from brdfpipe.masking.modes import MASKING_ADVISED, MASKINGS_OF_MULTIPLE_SCATTERING, SMITH_MASKINGS
 from brdfpipe.references.height_mesh import NOISE_LIMIT, HeightMapError, HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
 
@@ -338,9 +338,9 @@ def _advice(result: xr.Dataset, predicted: xr.Dataset) -> str:
     reference = "" if lay else "`model.truth: use` for the reference solution itself"
     if "masking" not in modes:
         key = ""
-    elif float(result["phase_variance"].sel(theta_i=60)) < GEOMETRIC:
+    elif float(result["phase_variance"].sel(theta_i=60)) < GEOMETRIC and modes.get("optics", "facets") != "auto":
         key = "`model.optics: auto`"
-    elif modes["masking"] in SMITH_MASKINGS and _masking_difference(result) is not None:
+    elif _hidden_otherwise(result, predicted) is not None and not lay:
         key = "`model.masking: measured`"
     elif (
         modes["masking"] in MASKINGS_OF_MULTIPLE_SCATTERING["directional"]
@@ -351,6 +351,14 @@ def _advice(result: xr.Dataset, predicted: xr.Dataset) -> str:
         key = ""
     choices = " or ".join(part for part in (key, reference) if part)
     return f"set {choices}" if choices else "compare with a measurement"
+
+
+def _hidden_otherwise(result: xr.Dataset, predicted: xr.Dataset) -> int | None:
+    """Row of the largest difference of G2 where masking is Smith's, unless the light of the facets of these heights speaks for it."""
+    compared = predicted.attrs.get(MASKING_ADVISED)
+    if predicted.attrs.get("masking") not in SMITH_MASKINGS or (compared is not None and compared != "measured"):
+        return None
+    return _masking_difference(result)
 
 
 def _masking_difference(result: xr.Dataset) -> int | None:
@@ -380,13 +388,14 @@ def _warnings(result: xr.Dataset, predicted: xr.Dataset) -> list[str]:
                 f"the predicted gloss is {_signed(error, uncertainty, '.1f')} gloss units off {words} at "
                 f"{float(one['gloss_angle'][at['gloss_angle']]):.0f}°{_plane_words(result, at)}; {result.attrs['advice']}"
             )
-    row = _masking_difference(result)
-    if row is not None and predicted.attrs.get("masking") in SMITH_MASKINGS:
+    row = _hidden_otherwise(result, predicted)
+    if row is not None:
         cast, smith = (float(result[name][row]) for name in ("g2_raycast", "g2_height_correlated"))
         warnings.append(
             f"Smith's G2 of the mirror direction is {smith:.2f} at {INCIDENCES[row]:.0f}°, and rays cast over the heights give {cast:.2f} ± "
             f"{2 * np.nan_to_num(float(result['g2_raycast_u'][row])):.2f}: what hides a facet depends on more than slopes, and the reflection "
-            f"predicted with Smith is off by about {smith / cast - 1:+.0%} there; set `model.masking: measured`"
+            f"predicted with Smith is off by about {smith / cast - 1:+.0%} there"
+            + ("" if MEAN not in result["plane"].values else "; set `model.masking: measured`")
         )
     if not result["valid"].any() and "line profile" not in result.attrs["refusals"]:
         reasons = " ".join(f"{name}: {text}." for name, text in json.loads(result.attrs["refusals"]).items())

@@ -51,6 +51,9 @@ from brdfpipe.psd.noise_floor import NoiseFloor
 LAY_LIMIT = 1.2
 """Anisotropy above which a map that is not declared isotropic has a lay."""
 
+_LARGEST_ANISOTROPY = 1e3
+"""Ratio of the principal slopes above which the smaller one is rounding of the numbers."""
+
 _FACETS_PER_HEIGHT = 4
 """Triangles per height: there are no more independent facets than heights."""
 
@@ -151,9 +154,11 @@ def _with_lay(maps: Sequence[HeightMap], moments: Moments) -> xr.Dataset:
     The ellipse gives the tails, the cells the shape. The elliptic density is multiplied by (n + k) / (e + k) in windows of
     decreasing size: n and e are the observed and expected independent facets, k the number at which both have equal weight.
     """
-    if not np.isfinite(moments.anisotropy):
+    if not moments.anisotropy <= _LARGEST_ANISOTROPY:
         raise FacetError(
-            "the heights do not vary along one direction; the slope density cannot be estimated. Check the heights (`surface.file`)"
+            f"no slopes along the lay, at an azimuth of {moments.lay:.3g}°: the heights hardly vary in that direction; accepted: principal slopes with a "
+            f"ratio up to {_LARGEST_ANISOTROPY:g}. Check that the rows of the heights (`surface.file`) are not copies of one line; a measured map has some "
+            "roughness along its grooves"
         )
     # Divided by its principal widths the ellipse is a circle, and one axis serves both.
     along, across = np.sqrt(np.linalg.eigvalsh(moments.covariance)).tolist()
@@ -244,6 +249,8 @@ def _slope_scaling(moments: Moments, ellipse: Ellipse) -> Array:
 
 def _power(symmetric: Array, exponent: float) -> Array:
     values, vectors = np.linalg.eigh(symmetric)
+    # Rounding of the numbers may leave a vanishing one below zero.
+    values = np.maximum(values, _LARGEST_ANISOTROPY**-2 * values[-1])
     return np.asarray(vectors * values**exponent @ vectors.T)
 
 

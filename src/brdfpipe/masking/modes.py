@@ -11,6 +11,9 @@ SMITH_MASKINGS = ("height-correlated", "separable")
 PHYSICAL_MASKINGS = (*SMITH_MASKINGS, "measured")
 """Maskings that are reciprocal and conserve the energy of reflected light; ``measured`` is traced on the height map."""
 
+MASKING_ADVISED = "masking_advised"
+"""Attribute of a BSDF from heights: the masking that the light of their facets speaks for, where it was compared."""
+
 MODES = {
     "masking": ("auto", *PHYSICAL_MASKINGS, "blinn", "liu", "crf", "none"),
     "diffuse": ("coupled", "crf", "none"),

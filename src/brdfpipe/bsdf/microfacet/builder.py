@@ -33,7 +33,14 @@ from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.masking.liu import energy_limit
-from brdfpipe.masking.modes import MASKINGS_OF_MULTIPLE_SCATTERING, MODEL_DEFAULTS, MODES, RECIPES, SMITH_MASKINGS
+from brdfpipe.masking.modes import (
+    MASKING_ADVISED,
+    MASKINGS_OF_MULTIPLE_SCATTERING,
+    MODEL_DEFAULTS,
+    MODES,
+    RECIPES,
+    SMITH_MASKINGS,
+)
 from brdfpipe.optics.fresnel_equations import mean_fresnel
 from brdfpipe.optics.index import interpolate_index, refractive_index
 
@@ -119,6 +126,8 @@ def build(
         "transmission": "interface" if transparent else "none",
         "band": facets.attrs["band"],
     }
+    if visibility is not None and "smith_error" in visibility:
+        bsdf.attrs[MASKING_ADVISED] = visibility.attrs["masking"]
     if recipe is not None:
         bsdf.attrs["recipe"] = recipe
     if chosen["masking"] == "measured" and "slope_density" in bsdf:
