@@ -54,6 +54,17 @@ def test_a_plateau_of_a_coarse_scan_may_be_roughness_finer_than_its_pitch() -> N
     assert stated.unresolved(scan) == from_repeats(scan, [scan._replace(height=waviness)]).unresolved(scan) == 0
 
 
+def test_noise_above_all_slopes_is_refused() -> None:
+    # Neighbours differ by σ√(2(1 − exp(−1/ℓ²))) = 0.083 σ at ℓ = 12 pixels: noise alone would be 0.083 σ/√2 = 0.059 σ.
+    clean = heights(gaussian(0.1, 12.0), (256, 256), (1.0, 1.0), 1)
+    scan = Scan(clean, (1.0, 1.0))
+    with pytest.raises(PsdError, match="neighbouring heights differ by less"):
+        given(scan, 0.3 * float(clean.std()))
+    assert given(scan, 0.005).sigma == 0.005
+    noisy = Scan(clean + white(clean.shape, 0.03), (1.0, 1.0))
+    assert given(noisy, 0.03).sigma == 0.03
+
+
 def test_spikes_are_not_white_noise() -> None:
     height = heights(gaussian(0.1, 12.0), (256, 256), (1.0, 1.0), 1)
     height[17, 40], height[200, 130] = 3.0, -3.0

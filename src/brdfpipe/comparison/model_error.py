@@ -155,12 +155,15 @@ def _dataset(
             "reference_light": (by_region, field("light")),
             "light_error": (by_region, ratio - 1),
             "light_error_u": (by_region, ratio * field("relative_u")),
-            "valid": (("reference", "theta_i"), held.astype(np.int8)),
+            "valid": (("reference", "theta_i"), (held & np.isfinite(ratio).any(axis=(1, 3))).astype(np.int8)),
             "gloss": (by_gloss[1:], units),
             "reference_gloss": (by_gloss, reference_gloss),
             "gloss_error": (by_gloss, units - reference_gloss),
             "gloss_error_u": (by_gloss, gloss_u),
-            "gloss_valid": (("reference", "gloss_angle"), held[:, of_glossmeters].astype(np.int8)),
+            "gloss_valid": (
+                ("reference", "gloss_angle"),
+                (held[:, of_glossmeters] & np.isfinite(reference_gloss).any(axis=1)).astype(np.int8),
+            ),
         },
         coords={
             "reference": list(REFERENCES),

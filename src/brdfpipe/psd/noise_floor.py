@@ -30,6 +30,8 @@ _STEADY = 0.1
 """Largest relative uncertainty of the rings from the scatter of the patches."""
 _LARGEST_NOISE = 0.5
 """Largest noise over the rms of the heights."""
+_LARGEST_EXCESS = 1.1
+"""Largest given noise over that of heights that are noise alone: it is known to a few per cent."""
 _POSSIBLE = (1e-9, 1e9)
 """Rms of heights [um]; the transform of others may overflow."""
 _SAMPLED = 512
@@ -188,13 +190,19 @@ def given(scan: Scan, sigma: float, lambda_s: float = 0.0, uncertainty: float = 
 
     Raises
     ------
-    PsdError : the noise is negative or not below the rms of the heights, the heights were smoothed with ``lambda_s`` [um], or the
+    PsdError : the noise is negative or not below the rms of the heights, or above all differences of neighbouring heights, the heights were smoothed with ``lambda_s`` [um], or the
         uncertainty is negative or above the noise.
     """
     rms = float(np.sqrt(scan.variance))
     if not 0 <= sigma < rms:
         raise PsdError(
             f"a height noise of {1000 * sigma:.4g} nm was given; accepted: 0 to the rms of the levelled heights, {1000 * rms:.4g} nm; correct `surface.noise`"
+        )
+    most = _LARGEST_EXCESS * _rms_between_neighbours(scan) / np.sqrt(2)
+    if sigma > most and not lambda_s:
+        raise PsdError(
+            f"a height noise of {1000 * sigma:.4g} nm was given, but neighbouring heights differ by less than such noise alone would; accepted: 0 to "
+            f"{1000 * most:.4g} nm; correct `surface.noise`"
         )
     if sigma and lambda_s:
         raise PsdError(
@@ -207,6 +215,18 @@ def given(scan: Scan, sigma: float, lambda_s: float = 0.0, uncertainty: float = 
             "`surface.noise_uncertainty`"
         )
     return NoiseFloor(sigma, uncertainty, "description of the material", given=True)
+
+
+def _rms_between_neighbours(scan: Scan) -> float:
+    """Smallest rms difference of neighbouring heights of the axes [um], on some lines along each; infinite where none is known."""
+    found = [np.inf]
+    for axis in range(scan.height.ndim):
+        along = np.moveaxis(scan.height, axis, -1)
+        lines = along[:: max(1, along.shape[0] // _SAMPLED)] if along.ndim == 2 else along
+        difference = np.diff(lines.astype(float), axis=-1)
+        present = difference[np.isfinite(difference)]
+        found += [float(np.sqrt(np.mean(present**2)))] if present.size else []
+    return min(found)
 
 
 def _fit(spectrum: Rings, nyquist: float) -> tuple[float, float] | None:
