@@ -117,8 +117,8 @@ def test_gloss_haze_and_transmittance_of_a_sheet_are_uncertain_by_source():
 
 
 def test_the_mean_over_wavelength_of_a_sheet_with_waves_keeps_its_changes_by_the_index():
-    spectrum, relief = psd.analytic("gaussian", sigma=0.01, length=5.0), beckmann(0.004)
-    wavelengths = np.array([450.0, 550.0, 650.0])
+    spectrum, relief = psd.analytic("gaussian", sigma=0.01, length=1.0), beckmann(0.02)
+    wavelengths = np.array([500.0, 600.0])
     sheet = slab.build(
         relief, facets.flat(), index=1.5, internal_transmittance=INSIDE, front_psd=spectrum, wavelength=wavelengths
     )
