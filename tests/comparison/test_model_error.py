@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from functools import cache
 
 import numpy as np
 import pytest
+import random_surfaces
 import relief_maps
 import samples
 
@@ -144,6 +146,14 @@ def test_the_stated_error_covers_what_facets_miss_of_a_polished_surface():
     reference, stated = reference.sel(reference="kirchhoff"), relative_error(result).where(known)
     covered = light * stated >= 0.999 * np.abs(reference - light)
     assert covered.where(stated.notnull() & (stated < LARGEST_ERROR) & (reference > 0), True).all()
+
+
+def test_diffraction_on_waves_as_long_as_the_map_is_no_reference():
+    across = np.cos(2 * np.pi * np.arange(128) / 128)
+    fine = random_surfaces.heights(random_surfaces.gaussian(0.002, 5.0), (128, 128), (0.5, 0.5), 1)
+    result = compared(samples.surface(0.1 * (across[:, None] + across) + fine, pitch=(0.5, 0.5)), rays=20_000)
+    assert "measure a larger area" in json.loads(result.attrs["refusals"])["kirchhoff"]
+    assert not result["valid"].sel(reference="kirchhoff").any()
 
 
 def test_nothing_significant_is_reported_of_the_gloss_of_a_rough_surface():

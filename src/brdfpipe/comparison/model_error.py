@@ -22,6 +22,7 @@ from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 from brdfpipe.masking import ray_casting
 from brdfpipe.masking.modes import MASKING_ADVISED, MASKINGS_OF_MULTIPLE_SCATTERING, SMITH_MASKINGS
+from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.references.height_mesh import NOISE_LIMIT, HeightMapError, HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
 
@@ -42,6 +43,8 @@ BIN_ERROR, GLOSS_BIN_ERROR = 0.004, 0.01
 """Relative error by the bins, of light and of gloss, and by the two triangles of a cell that are traced of the four that are counted."""
 MOST_HEIGHTS = 2048
 """Heights along each axis in the middle of the map of which diffraction is computed."""
+_LEAST_RETURNED = 0.95
+"""Share of the light along the normal that diffraction on a map must return."""
 
 _LINES = 256
 
@@ -102,7 +105,7 @@ def model_error(
     diffraction = None
     if (held[1] & ~held[0]).any():
         try:
-            diffraction = nonspectral(kirchhoff.build(_middle(surface), index=index, wavelength=[WAVELENGTH]))
+            diffraction = _diffraction(_middle(surface), index)
         except HeightMapError as error:
             refusals["kirchhoff"] = str(error)
     held[1] &= diffraction is not None
@@ -128,6 +131,26 @@ def model_error(
     result.attrs = {"rays": rays, "seed": seed, "refusals": json.dumps(refusals, ensure_ascii=False)}
     result.attrs["advice"] = _advice(result, predicted)
     return vocabulary.label(vocabulary.add_warning(result, *_warnings(result, predicted)), "model_error")
+
+
+def _diffraction(surface: xr.Dataset, index: xr.Dataset) -> xr.Dataset:
+    """Diffraction on the map.
+
+    Raises
+    ------
+    HeightMapError : as :func:`brdfpipe.bsdf.kirchhoff.build`; or light is missing along the normal: it is mirrored in lobes narrower than the
+        patches of the map resolve.
+    """
+    result = nonspectral(kirchhoff.build(surface, index=index, wavelength=[WAVELENGTH]))
+    along_normal = np.zeros(1)
+    smooth = float(fresnel(1.0, float(index["n"][0]), float(index["k"][0])).mean)
+    share = float(representation(result).albedo(along_normal, along_normal, None)[0, 0]) / smooth
+    if share < _LEAST_RETURNED:
+        raise HeightMapError(
+            f"diffraction on the map returns {share:.0%} of the light at normal incidence: the relief has waves about as long as the map; "
+            "measure a larger area"
+        )
+    return result
 
 
 def _dataset(
