@@ -74,7 +74,7 @@ LARGEST_INCIDENCE = 85.0
 COARSE_LIMIT = 20.0
 """Phase variance of the facets of ``composite`` below which a warning says that they are too smooth."""
 
-WAVES_ALONE = 1e-3
+WAVES_ALONE = 1e-4
 """Phase variance at normal incidence up to which ``auto`` leaves the facets out: the light that is scattered at all."""
 
 ENERGY_LIMIT = 1e-3
