@@ -65,7 +65,7 @@ def uncertainty_not_stated(datasets: Datasets) -> str:
 
 
 def solution_words(datasets: Datasets) -> str:
-    """How a reference solution was computed, ``diffraction on the map (Kirchhoff)``; empty for other BRDFs."""
+    """How a reference solution was computed, ``rays traced over the map``; empty for other BRDFs."""
     return _SOLUTIONS.get(str(datasets["bsdf"].attrs.get("representation")), "") if "bsdf" in datasets else ""
 
 

@@ -177,14 +177,25 @@ def test_a_spectrum_of_indices_agrees_with_each_index_alone():
 
 
 @pytest.mark.cases(1)
-@pytest.mark.parametrize(("a_x", "a_y"), [(0.1, 0.3), (0.3, 0.6), (0.05, 0.5)])
+@pytest.mark.parametrize(
+    ("a_x", "a_y"),
+    [
+        (0.1, 0.3),
+        (0.3, 0.6),
+        pytest.param(
+            0.05,
+            0.5,
+            marks=pytest.mark.xfail(strict=True, reason="1.0055 with 24 azimuths of the factor of a direction"),
+        ),
+    ],
+)
 def test_perfect_mirrors_with_a_lay_reflect_everything(a_x, a_y):
     rough = facets.analytic("beckmann", a_x=a_x, a_y=a_y)
     model = representation(microfacet.build(rough, index=PERFECT_MIRROR, multiple_scattering="directional"))
     theta, phi = (grid.ravel() for grid in np.meshgrid([0.0, 30.0, 60.0, 75.0, 85.0], [0.0, 22.0, 45.0, 90.0, 160.0]))
     albedo = model.albedo(theta, phi, None)[:, 0]
     # The factor of a direction is sampled every 15 degree of azimuth.
-    assert albedo == pytest.approx(1.0, abs=6e-3)
+    assert albedo == pytest.approx(1.0, abs=5e-3)
     integral = model.integrate(theta[[8, 12]], phi[[8, 12]], None).value[:, 0]
     assert albedo[[8, 12]] == pytest.approx(integral, abs=2e-3)
 
