@@ -92,7 +92,7 @@ def test_the_rms_heights_of_the_spectrum_and_of_the_heights_must_agree(band, lon
     judgement = judged(known)["Rms height"]
     assert judgement.verdict == verdict
     assert (
-        judgement.finding == f"{1e3 * np.hypot(band, longer):.3g} nm in the roughness spectrum, 1e+03 nm of the heights"
+        judgement.finding == f"{1e3 * np.hypot(band, longer):.0f} nm in the roughness spectrum, 1000 nm of the heights"
     )
 
 

@@ -179,7 +179,7 @@ def _pitch(datasets: Datasets) -> Judgement | None:
     unresolved = float(psd.get("unresolved_sigma", 0.0))
     phase = phase_variances(unresolved)[20]
     if phase > LIMITS[0]:
-        finding += f"; a plateau of {1e3 * unresolved:.3g} nm, g = {phase:.2g} at 20°, is noise or roughness finer than the pitch"
+        finding += f"; a plateau of {_nanometres(unresolved)}, g = {phase:.2g} at 20°, is noise or roughness finer than the pitch"
         coarse = pitch > COARSE_PITCH * _WAVELENGTH
         advice = "Scan the same place twice (`repeat: true`) to tell noise from roughness, or with a pitch near the wavelength"
         return Judgement(condition, finding, "fail" if coarse else "warn", advice)
@@ -205,7 +205,7 @@ def _band(datasets: Datasets) -> Judgement | None:
     low, high = (float(datasets["psd"][name]) for name in ("band_low", "band_high"))
     finding = f"{1 / high:.3g} to {1 / low:.3g} µm"
     if (longer := float(datasets["psd"].get("long_sigma", 0.0))) > 0:
-        finding += f"; longer waves have an rms height of {1e3 * longer:.3g} nm"
+        finding += f"; longer waves have an rms height of {_nanometres(longer)}"
     return Judgement("Measured wavelengths of the relief", finding, "pass")
 
 
@@ -215,7 +215,7 @@ def _heights(datasets: Datasets) -> Judgement | None:
     if psd is None or psd.attrs["form"] != "measured" or "scan" in psd.dims or not float(psd["sigma_heights"]) > 0:
         return None
     heights, spectrum = float(psd["sigma_heights"]), known_rms_height(psd)
-    finding = f"{1e3 * spectrum:.3g} nm in the roughness spectrum, {1e3 * heights:.3g} nm of the heights"
+    finding = f"{_nanometres(spectrum)} in the roughness spectrum, {_nanometres(heights)} of the heights"
     verdict = _beyond(max(spectrum / heights, heights / max(spectrum, 1e-300)), HEIGHT_LIMITS)
     advice = "" if verdict == "pass" else "Measure a larger area, or one with fewer missing heights"
     return Judgement("Rms height", finding, verdict, advice)
@@ -231,6 +231,11 @@ def _energy(datasets: Datasets) -> Judgement | None:
     return Judgement("Light that waves miss", finding, verdict, "" if verdict == "pass" else missed_light.advice(bsdf))
 
 
+def _nanometres(micrometres: float) -> str:
+    """A height to three significant digits, without an exponent."""
+    return f"{np.format_float_positional(1e3 * micrometres, precision=3, fractional=False, trim='-')} nm"
+
+
 def _beyond(value: float, limits: tuple[float, float]) -> str:
     """Verdict on a value that has limits for warn and fail."""
     return "fail" if value > limits[1] else "warn" if value > limits[0] else "pass"
@@ -242,7 +247,7 @@ def _noise(datasets: Datasets) -> Judgement | None:
     noise, heights = float(datasets["psd"]["noise_sigma"]), float(datasets["psd"]["sigma_heights"])
     if not noise > 0:
         return Judgement("Height noise", "none found: the roughness spectrum has no plateau", "pass")
-    finding = f"{1e3 * noise:.3g} nm, {noise / heights:.1%} of the rms height; subtracted"
+    finding = f"{_nanometres(noise)}, {noise / heights:.1%} of the rms height; subtracted"
     if noise <= NOISE_LIMIT * heights:
         return Judgement("Height noise", finding, "pass")
     return Judgement("Height noise", finding, "warn", "Average several scans of the same place")

@@ -42,6 +42,15 @@ def test_every_number_of_a_row_has_units_and_words(full: Datasets) -> None:
         assert row[name].dtype.kind == "U" or row[name].attrs["units"]
 
 
+def test_the_page_shows_known_uncertainties_below_their_values(full: Datasets) -> None:
+    row = _row(full, "abs-grain")
+    gloss = float(row["gloss_60"][0])
+    known = catalogue_page(row.assign(gloss_60_u=xr.full_like(row["gloss_60_u"], 1.3)), {})
+    assert f"<td>{gloss:.1f}<small>± 1.3</small>" in known
+    unknown = catalogue_page(row.assign(gloss_60_u=xr.full_like(row["gloss_60_u"], np.nan)), {})
+    assert f"<td>{gloss:.1f}<td" in unknown
+
+
 def test_unknown_quantities_are_nan(full: Datasets) -> None:
     row = summarise({"index": full["index"]})
     assert all(np.isnan(row[quantity.name].values).all() for quantity in quantities())

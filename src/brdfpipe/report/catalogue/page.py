@@ -19,7 +19,7 @@ from brdfpipe import vocabulary
 from brdfpipe.appearance.quantities import AppearanceQuantity, quantities
 from brdfpipe.appearance.verdicts import VERDICTS
 from brdfpipe.report.catalogue.rows import texts
-from brdfpipe.report.formatting import colour, fixed
+from brdfpipe.report.formatting import MISSING, colour, value_with_u
 from brdfpipe.report.rendering import TEMPLATES, render
 
 _LONGEST_DESCRIPTION = 90
@@ -82,19 +82,21 @@ def _page_rows(catalogue: xr.Dataset, shown: Sequence[AppearanceQuantity]) -> li
     return sorted(records, key=lambda row: (rank.get(row["verdict"], len(rank)), _natural_key(row["name"])))
 
 
-def _cells(catalogue: xr.Dataset, quantity: AppearanceQuantity) -> list[tuple[str, str]]:
-    """Text and tooltip of each cell of a column."""
+def _cells(catalogue: xr.Dataset, quantity: AppearanceQuantity) -> list[tuple[str, str, str]]:
+    """Value, standard uncertainty and tooltip of each cell of a column; the tooltip is the reason of a missing value."""
     values = catalogue[quantity.name].values.astype(float).tolist()
+    uncertainties = catalogue[quantity.u_name].values.astype(float).tolist() if quantity.u else [math.nan] * len(values)
     applicability = quantity.applicability
     if applicability is None:
-        return [(fixed(value, quantity.decimals), "") for value in values]
-    reasons = (reason.replace("`", "") for reason in texts(catalogue, f"no_{applicability.name}"))
-    return [
-        ("" if applicability.blank else fixed(value, quantity.decimals), reason)
-        if math.isnan(value)
-        else (fixed(value, quantity.decimals), "")
-        for value, reason in zip(values, reasons, strict=True)
-    ]
+        reasons, missing = [""] * len(values), MISSING
+    else:
+        reasons = [reason.replace("`", "") for reason in texts(catalogue, f"no_{applicability.name}")]
+        missing = "" if applicability.blank else MISSING
+    cells = []
+    for value, u, reason in zip(values, uncertainties, reasons, strict=True):
+        shown, _, shown_u = value_with_u(value, u, quantity.decimals).partition(" ± ")
+        cells.append((missing, "", reason) if math.isnan(value) else (shown, shown_u, ""))
+    return cells
 
 
 def _subtitle(description: str, basis: str) -> str:
