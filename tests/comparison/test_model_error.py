@@ -148,12 +148,21 @@ def test_the_stated_error_covers_what_facets_miss_of_a_polished_surface():
     assert covered.where(stated.notnull() & (stated < LARGEST_ERROR) & (reference > 0), True).all()
 
 
-def test_diffraction_on_waves_as_long_as_the_map_is_no_reference():
+def test_diffraction_beyond_what_the_pitch_samples_is_no_reference():
+    height = np.random.default_rng(1).normal(0, 0.03, (128, 128))
+    result = compared(samples.surface(height, pitch=(0.5, 0.5)), rays=20_000)
+    assert "measure with a finer pitch" in json.loads(result.attrs["refusals"])["kirchhoff"]
+    assert not result["valid"].sel(reference="kirchhoff").any()
+
+
+def test_diffraction_on_waves_as_long_as_the_map_is_a_reference():
     across = np.cos(2 * np.pi * np.arange(128) / 128)
     fine = random_surfaces.heights(random_surfaces.gaussian(0.002, 5.0), (128, 128), (0.5, 0.5), 1)
     result = compared(samples.surface(0.1 * (across[:, None] + across) + fine, pitch=(0.5, 0.5)), rays=20_000)
-    assert "measure a larger area" in json.loads(result.attrs["refusals"])["kirchhoff"]
-    assert not result["valid"].sel(reference="kirchhoff").any()
+    assert "kirchhoff" not in json.loads(result.attrs["refusals"])
+    diffracted = result.sel(reference="kirchhoff", theta_i=0)
+    assert diffracted["valid"]
+    assert float(diffracted["reference_light"].sum()) == pytest.approx(0.04, rel=0.01)
 
 
 def test_nothing_significant_is_reported_of_the_gloss_of_a_rough_surface():

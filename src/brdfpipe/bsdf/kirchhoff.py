@@ -47,7 +47,7 @@ def build(
     Returns
     -------
     Dataset of kind ``bsdf``, representation ``kirchhoff``, the mean over the azimuth of incidence. Coherent light is not part of the
-    BSDF but of its specular reflectance. Its uncertainty is the scatter between patches of the map
+    BSDF but of its specular reflectance. Its uncertainty is the scatter between blocks of the map
 
     Raises
     ------

@@ -88,7 +88,7 @@ def model_error(
     the mean over azimuth. Of a line profile, masking alone is compared.
 
     The uncertainty of traced light is the noise of the rays on this map, and :data:`BIN_ERROR`; that of diffracted light the scatter between
-    patches of the map.
+    blocks of the map.
     """
     scans = [surface] if isinstance(surface, xr.Dataset) else list(surface)
     surface = vocabulary.validate(scans[0], "surface")
@@ -138,8 +138,8 @@ def _diffraction(surface: xr.Dataset, index: xr.Dataset) -> xr.Dataset:
 
     Raises
     ------
-    HeightMapError : as :func:`brdfpipe.bsdf.kirchhoff.build`; or light is missing along the normal: it is mirrored in lobes narrower than the
-        patches of the map resolve.
+    HeightMapError : as :func:`brdfpipe.bsdf.kirchhoff.build`; or light is missing along the normal: it is diffracted further than the pitch of the map
+        samples.
     """
     result = nonspectral(kirchhoff.build(surface, index=index, wavelength=[WAVELENGTH]))
     along_normal = np.zeros(1)
@@ -147,8 +147,8 @@ def _diffraction(surface: xr.Dataset, index: xr.Dataset) -> xr.Dataset:
     share = float(representation(result).albedo(along_normal, along_normal, None)[0, 0]) / smooth
     if share < _LEAST_RETURNED:
         raise HeightMapError(
-            f"diffraction on the map returns {share:.0%} of the light at normal incidence: the relief has waves about as long as the map; "
-            "measure a larger area"
+            f"diffraction on the map returns {share:.0%} of the light at normal incidence: the rest goes further than its pitch "
+            "samples; measure with a finer pitch"
         )
     return result
 

@@ -3,9 +3,13 @@
 For the change q of the wave vector along z, e = exp(i q h) is the reflected field above the map. Its mean is the coherent amplitude; the
 spectrum of the rest, U(q, f) = |FFT e|² Δx Δy / (points), is the light that is diffracted to the spatial frequency f.
 
+The field of the whole map is continued by its mirror image, so that it has no step at the edges and needs no window, which would blur the
+light of waves about as long as the map. Its spectrum is that of a cosine transform. The mirror image of a surface that leans to one side
+leans to the other; the mean over azimuth is the same.
+
 References
 ----------
-Beckmann & Spizzichino 1963, ch. 3 (Kirchhoff's approximation); Welch 1967, IEEE Trans. AU-15, 70 (windowed patches that overlap by half).
+Beckmann & Spizzichino 1963, ch. 3 (Kirchhoff's approximation); Ahmed, Natarajan & Rao 1974, IEEE Trans. Comput. C-23, 90 (cosine transform).
 """
 
 from __future__ import annotations
@@ -25,18 +29,19 @@ LARGEST_PHASE_STEP = np.pi
 COARSE_LIMIT = 0.02
 """Share of such steps above which the map is refused."""
 
-_PATCHES = (
-    2,
-    4,
-    8,
-    16,
-)  # along the shorter side, without overlap: the largest without gaps, as smaller ones blur the spectrum
-_BLOCKS = 8  # along the shorter side, whose scatter is the chance part of the coherent light
-_LEAST_PATCH = 32
-_RING_STEP = 0.05  # between the rings in asinh(f/f0), with f0 so that the finest rings are one bin wide
+_BLOCKS = (
+    3,
+    6,
+    12,
+    24,
+)  # along the shorter side, whose scatter is the uncertainty: the first of which two have no gaps
+_LEAST_BLOCK = 16
+_COHERENT_BLOCKS = 8  # along the shorter side, whose scatter is the chance part of the coherent light
+_RING_STEP = 0.05  # between the rings in asinh(f/f0)
+_SLOWEST = 0.02  # share of the variance of heights in waves that the first ring need not tell apart
 _PHASE_STEP = 0.2  # of ln q
 _LEAST_PHASE = 0.1  # q times the rms height of the first node: below it U grows as q²
-_FEWEST_PHASES = 5  # of a smooth surface, so that cubic splines interpolate between them
+_FEWEST_PHASES = 5  # of a smooth surface, so that cubics interpolate between them
 _SIGNIFICANT = 3.0  # times its bias, which coherent light must exceed
 
 
@@ -49,9 +54,9 @@ class PhaseSpectrum(NamedTuple):
     """(f,) [um-1], evenly spaced in asinh(f / frequency_scale)"""
     frequency_scale: float
     spectrum: Array
-    """(q, f) mean over azimuth [um2]"""
+    """(q, f) mean over azimuth [um2], linear between frequencies in asinh(f / frequency_scale)"""
     relative_u: Array
-    """(q, f) relative standard uncertainty, from the scatter between the patches"""
+    """(q, f) relative standard uncertainty, from the scatter between blocks of the map"""
     coherent: Array
     """(q,) share of the light in the mirror direction"""
     coarse: float
@@ -63,32 +68,30 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
 
     Parameters
     ----------
-    surface : kind ``surface``, a levelled map; patches with missing heights are not used
+    surface : kind ``surface``, a levelled map; cells with missing heights reflect no light, and what the others reflect is scaled to all of it
     largest_phase : largest q [rad/um], 4π/λ at normal incidence
 
     Raises
     ------
-    HeightMapError : a line profile, a map that is too small, without complete patches or perfectly flat; or heights that differ by more
+    HeightMapError : a line profile, a map that is too small, without two complete blocks or perfectly flat; or heights that differ by more
         than π in phase between neighbours on more than 2 % of the map.
     """
     mesh = HeightMesh.of(surface)
-    for count in _PATCHES:
-        side = max(_LEAST_PATCH, 2 * (min(mesh.height.shape) // (2 * count)))
-        patches = _complete_patches(mesh, side, 2)
-        if len(patches) > 1:
+    shorter = min(mesh.height.shape)
+    for count in _BLOCKS:
+        side = max(_LEAST_BLOCK, shorter // count)
+        blocks = _complete_blocks(mesh, side)
+        if len(blocks) > 1:
             break
-    block = min(mesh.height.shape) // _BLOCKS
-    blocks = _complete_patches(mesh, block, 1)
-    if len(patches) < 2:
+    if len(blocks) < 2:
         raise HeightMapError(
-            f"the map has {len(patches)} patches of {side} × {side} heights without gaps, and two are needed; measure a larger area, or one "
+            f"the map has {len(blocks)} blocks of {side} × {side} heights without gaps, and two are needed; measure a larger area, or one "
             "with fewer missing heights"
         )
     sigma = float(np.std(mesh.height))
-    steps = np.concatenate([np.abs(np.diff(mesh.height, axis=axis)).ravel() for axis in (0, 1)])
     if sigma == 0:
         raise HeightMapError("the surface is perfectly flat; use `brdfpipe.facets.flat` and the facet model")
-    coarse = float(np.mean(steps * largest_phase > LARGEST_PHASE_STEP))
+    coarse = _coarse_share(mesh.height, largest_phase)
     if coarse > COARSE_LIMIT:
         raise HeightMapError(
             f"the phase of reflected light changes by more than π between {coarse:.1%} of neighbouring heights: the map is too coarse or too "
@@ -97,72 +100,144 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
     first = min(_LEAST_PHASE / sigma, largest_phase / np.exp((_FEWEST_PHASES - 1) * _PHASE_STEP))
     count = int(np.ceil(np.log(largest_phase / first) / _PHASE_STEP)) + 1
     phase = np.geomspace(first, largest_phase, count)
-    rings = _Rings.of(side, mesh.pitch)
-    window = np.hanning(side + 1)[:-1]
-    window = (window[:, None] * window).astype(np.float32)
-    scale = float(np.prod(mesh.pitch)) / float(np.sum(window**2, dtype=float))
-    spectrum, uncertainty = np.empty((2, count, rings.frequency.size))
+    rings = _Rings.of(mesh.height, mesh.pitch)
+    block_rings = rings.of_modes((side, side), mesh.pitch)
+    coherent_side = shorter // _COHERENT_BLOCKS
+    coherent_blocks = _complete_blocks(mesh, coherent_side)
+    heights, measured = mesh.height.astype(np.float32), _measured(mesh)
+    spectrum, relative_u = np.empty((2, count, rings.frequency.size))
     coherent = np.empty(count)
-    heights = mesh.height.astype(np.float32)
     for row, q in enumerate(phase):
         # Single precision: its rounding is 1e-7 of the phase.
-        fields = np.exp(np.complex64(1j * q) * heights)
-        coherent[row], amplitude = _coherent(fields, blocks, block)
-        total = square = np.zeros(rings.frequency.size)
-        for y, x in patches:
-            transform = fft.fft2((fields[y : y + side, x : x + side] - amplitude) * window)
-            mean = rings.mean(transform.real**2 + transform.imag**2) * scale
-            total, square = total + mean, square + mean**2
-        mean = total / len(patches)
-        spread = np.maximum(square / len(patches) - mean**2, 0.0) / (len(patches) - 1)
-        spectrum[row], uncertainty[row] = mean, np.sqrt(spread)
-    smallest = 1e-12 * spectrum.max(axis=1, keepdims=True)
-    spectrum = np.maximum(spectrum, smallest)
-    return PhaseSpectrum(phase, rings.frequency, rings.scale, spectrum, uncertainty / spectrum, coherent, coarse)
+        field = np.exp(np.complex64(1j * q) * heights)
+        coherent[row], amplitude = _coherent(field, coherent_blocks, coherent_side)
+        field -= amplitude
+        if measured is not None:
+            field *= measured
+        power = _power(field)
+        light = np.maximum(rings.light(power), 0.0)
+        light *= (1 - coherent[row]) / light.sum()
+        spectrum[row] = np.maximum(light[:-1], 1e-12 * light.max()) / rings.area
+        by_block = np.array([block_rings.light(_power(field[y : y + side, x : x + side]))[:-1] for y, x in blocks])
+        relative_u[row] = _relative_scatter(by_block)
+    return PhaseSpectrum(phase, rings.frequency, rings.scale, spectrum, relative_u, coherent, coarse)
 
 
-def _complete_patches(mesh: HeightMesh, side: int, overlap: int) -> list[tuple[int, int]]:
-    """First row and column of the patches without missing heights; ``overlap`` of them along each axis share a height."""
-    rows, columns = mesh.height.shape
-    starts = [
-        np.unique(np.linspace(0, size - side, max(1, overlap * size // side - overlap + 1)).astype(int))
-        for size in (rows, columns)
-    ]
+def _coarse_share(height: Array, phase: float) -> float:
+    """Share of the steps between neighbouring heights that change the phase by more than its largest step."""
+    steps = [np.abs(np.diff(height, axis=axis)) * phase > LARGEST_PHASE_STEP for axis in (0, 1)]
+    return sum(np.count_nonzero(one) for one in steps) / sum(one.size for one in steps)
+
+
+def _complete_blocks(mesh: HeightMesh, side: int) -> list[tuple[int, int]]:
+    """First row and column of the blocks without missing heights, which do not overlap."""
+    starts = [np.linspace(0, size - side, max(1, size // side)).astype(int) for size in mesh.height.shape]
     return [
         (int(y), int(x)) for y in starts[0] for x in starts[1] if mesh.present[y : y + side - 1, x : x + side - 1].all()
     ]
 
 
-def _coherent(fields: NDArray[np.complex64], blocks: list[tuple[int, int]], side: int) -> tuple[float, np.complex64]:
-    """Coherent share without the light that a finite area scatters into it by chance, and the mean amplitude."""
-    means = np.array([fields[y : y + side, x : x + side].mean(dtype=complex) for y, x in blocks])
+def _measured(mesh: HeightMesh) -> NDArray[np.float32] | None:
+    """1 where a height belongs to a complete cell and 0 elsewhere; None if all do."""
+    if mesh.present.all():
+        return None
+    measured = np.zeros(mesh.height.shape, dtype=np.float32)
+    for y, x in np.ndindex(2, 2):
+        rows, columns = (slice(first, first + size) for first, size in zip((y, x), mesh.present.shape, strict=True))
+        measured[rows, columns][mesh.present] = 1
+    return measured
+
+
+def _coherent(field: NDArray[np.complex64], blocks: list[tuple[int, int]], side: int) -> tuple[float, np.complex64]:
+    """Coherent share without the light that a finite area scatters into it by chance, and the amplitude of that share."""
+    means = np.array([field[y : y + side, x : x + side].mean(dtype=complex) for y, x in blocks])
     amplitude = means.mean()
     bias = float(np.mean(np.abs(means - amplitude) ** 2)) / (means.size - 1)
     share = float(np.abs(amplitude) ** 2)
-    return (min(max(share - bias, 0.0), 1.0) if share > _SIGNIFICANT * bias else 0.0), np.complex64(amplitude)
+    if share <= _SIGNIFICANT * bias:
+        return 0.0, np.complex64(0)
+    # What remains of the mean amplitude carries the light by chance.
+    return min(share - bias, 1.0), np.complex64(amplitude * (1 - np.sqrt(bias / share)))
+
+
+def _power(field: NDArray[np.complex64]) -> NDArray[np.float32]:
+    """Power of the modes of a field that is continued by its mirror image, at the frequencies k/2L along each axis."""
+    power = np.square(fft.dctn(field.real, norm="ortho"))
+    power += np.square(fft.dctn(field.imag, norm="ortho"))
+    # The mirror image doubles what is diffracted by chance straight along an axis, as much again as in the row beside it; light of a grating
+    # along the axis has nothing there, and is kept.
+    mean = power[0, 0]
+    power[0] -= power[1] / 2
+    power[:, 0] -= power[:, 1] / 2
+    power[0, 0] = max(power[0, 0], mean / 4)
+    return np.asarray(power)
+
+
+def _relative_scatter(light: Array) -> Array:
+    """Relative standard uncertainty of the mean over blocks, (blocks, rings); that of the next ring where no block has light."""
+    mean = light.mean(axis=0)
+    known = mean > 0
+    scatter = light.std(axis=0, ddof=1) / np.sqrt(len(light))
+    place = np.arange(mean.size)
+    return np.asarray(np.interp(place, place[known], (scatter / np.where(known, mean, 1.0))[known]))
 
 
 class _Rings(NamedTuple):
-    """Rings about frequency 0 of a patch, up to the highest frequency that is sampled in all directions."""
+    """Rings about frequency 0, up to the highest frequency that is sampled in all directions.
+
+    Between two rings the spectrum is linear. The light of a mode is shared by both so that the rings have all of it.
+    """
 
     frequency: Array
     scale: float
-    ring: NDArray[np.intp]
-    """Ring of every bin of the transform; the last one holds the corners, which are not used"""
-    bins: NDArray[np.intp]
-    """Number of bins of every ring"""
+    area: Array
+    """∫ d²f of the part of the spectrum that a ring of height 1 makes [um-2]"""
+    inner: NDArray[np.intp]
+    """Last ring within the frequency of every mode; modes beyond the last ring have its number and one more"""
+    outer_share: NDArray[np.float32]
+    """Share of the light of every mode that the next ring has"""
 
     @classmethod
-    def of(cls, side: int, pitch: Array) -> _Rings:
-        along, across = (fft.fftfreq(side, step) for step in pitch)
-        frequency = np.hypot(along, across[:, None]).ravel()
-        finest, nyquist = 1 / (side * float(pitch.min())), 0.5 / float(pitch.max())
-        scale = finest / _RING_STEP
-        rings = int(np.arcsinh(nyquist / scale) / _RING_STEP)
-        ring = np.minimum(np.rint(np.arcsinh(frequency / scale) / _RING_STEP), rings + 1).astype(np.intp)
-        number = np.bincount(ring, minlength=rings + 2)[:-1]
-        return cls(scale * np.sinh(_RING_STEP * np.arange(rings + 1)), scale, ring, number)
+    def of(cls, height: Array, pitch: Array) -> _Rings:
+        """Rings of the modes of a map: as close as they are, or as the spectrum of its heights needs."""
+        frequency = _mode_frequency(height.shape, pitch).ravel()
+        mode = 0.5 / float((np.array(height.shape[::-1]) * pitch).min())
+        heights = np.square(fft.dctn(height - height.mean())).ravel()
+        within = np.cumsum(np.bincount((frequency / mode).astype(np.intp), heights))
+        some, quarter = np.searchsorted(within, np.array([_SLOWEST, 0.25]) * within[-1])
+        nyquist = 0.5 / float(pitch.max())
+        # In powers of 2, so that maps of one surface have the same rings.
+        modes = 2.0 ** np.floor(np.log2(max(1.0, min(float(some), float(quarter) / 4))))
+        scale = mode * modes / _RING_STEP
+        count = int(np.arcsinh(nyquist / scale) / _RING_STEP) + 1
+        node = np.arange(count)
+        frequency = scale * np.sinh(_RING_STEP * node)
+        # ∫ f² over the number of the ring.
+        integral = scale**2 / 2 * (np.sinh(2 * _RING_STEP * node) / (2 * _RING_STEP) - node)
+        between = np.diff(integral)
+        area = np.zeros(count)
+        area[1:] += frequency[1:] ** 2 - between
+        area[:-1] += between - frequency[:-1] ** 2
+        empty = cls(frequency, scale, np.pi * area, np.zeros(0, np.intp), np.zeros(0, np.float32))
+        return empty.of_modes(height.shape, pitch)
 
-    def mean(self, power: Array) -> Array:
-        """Mean over every ring."""
-        return np.bincount(self.ring, power.ravel(), minlength=self.bins.size + 1)[:-1] / np.maximum(self.bins, 1)
+    def of_modes(self, shape: tuple[int, ...], pitch: Array) -> _Rings:
+        """The same rings for the modes of a map of another size."""
+        position = np.arcsinh(_mode_frequency(shape, pitch).ravel() / self.scale) / _RING_STEP
+        inner = np.minimum(position.astype(np.intp), self.frequency.size)
+        share = np.where(inner < self.frequency.size, position - inner, 0.0)
+        return self._replace(inner=inner, outer_share=share.astype(np.float32))
+
+    def light(self, power: NDArray[np.float32]) -> Array:
+        """Light of every ring, of the power of every mode; last, that beyond the rings."""
+        outwards = power.ravel() * self.outer_share
+        size = self.frequency.size
+        light = np.bincount(self.inner, power.ravel() - outwards, minlength=size + 1)
+        light[1:] += np.bincount(self.inner, outwards, minlength=size + 1)[:-1]
+        return np.asarray(light)
+
+
+def _mode_frequency(shape: tuple[int, ...], pitch: Array) -> Array:
+    """Frequency of the modes of a map that is continued by its mirror image [um-1]."""
+    along, across = (np.arange(n) / (2 * n * step) for n, step in zip(shape[::-1], pitch, strict=True))
+    return np.hypot(along, across[:, None])

@@ -15,9 +15,10 @@ import samples
 import xarray as xr
 
 from brdfpipe import appearance, facets, psd
-from brdfpipe.bsdf import microfacet, wave
+from brdfpipe.bsdf import kirchhoff, microfacet, wave
 from brdfpipe.bsdf.slab.wave_face import WaveSurface
 from brdfpipe.geometry import Array
+from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import refractive_index
 from brdfpipe.surfaces.levelling import level
 
@@ -104,6 +105,14 @@ def test_gloss_of_two_scales_is_that_of_diffraction_on_other_maps(seed):
     surface = waviness(0.1, 20.0, 0.02, 1.0, seed)
     found = appearance.gloss(predicted(surface), ANGLES).values
     assert found == pytest.approx(kirchhoff_gloss(surface), rel=0.05)
+
+
+def test_the_reference_solution_does_not_blur_waves_as_long_as_the_map():
+    surface = lens()
+    reference = kirchhoff.build(surface, index=1.5, wavelength=[550.0])
+    assert appearance.gloss(reference, ANGLES).values == pytest.approx(kirchhoff_gloss(surface), rel=0.005)
+    light = reference["directional_albedo"].sel(theta_i=[0, 60]).values
+    assert light == pytest.approx(fresnel(np.cos(np.radians([0, 60])), 1.5).mean, rel=0.01)
 
 
 @pytest.mark.parametrize("hole", ["block", "steep places"])

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import map_coordinates
 
 from brdfpipe import vocabulary
@@ -20,6 +21,7 @@ from brdfpipe.optics.fresnel_equations import fresnel
 _NODES = ("phase_per_height", "spatial_frequency")
 _MIXED = [("mixed",)]
 _SPECTRAL = [("wavelength",), *_MIXED]
+_CLOSER = 8  # times as close are the nodes of q in evaluation
 _LEAST_SHARE = 1e-3  # of a wavelength in a mean, over that of the heaviest
 
 
@@ -70,7 +72,7 @@ class Kirchhoff(CoupledSurface):
     def uncertainty(
         self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None
     ) -> Array:
-        """Of the finite map, from the scatter between its patches; that of the coherent part is not included."""
+        """Of the finite map, from the scatter between its blocks; that of the coherent part is not included."""
         light = self._light(wavelength)
 
         def values(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
@@ -130,8 +132,8 @@ class _Light(NamedTuple):
 class Diffraction(NamedTuple):
     """The spectrum of the phase of one map, prepared for evaluation."""
 
-    spline: RectBivariateSpline
-    """ln(U/q²) over the numbers of the nodes, (q, f)"""
+    spectrum: Array
+    """U/q² [um2 per (rad/um)²], (q, f), with nodes of q so close that both axes are linear between them"""
     relative_u: Array
     coherent: Array
     phase: Array
@@ -142,8 +144,10 @@ class Diffraction(NamedTuple):
     @classmethod
     def of(cls, bsdf: xr.Dataset) -> Diffraction:
         values = bsdf["log_phase_spectrum"].values
+        node = np.arange(values.shape[0])
+        close = np.linspace(0, node[-1], _CLOSER * node[-1] + 1)
         return cls(
-            RectBivariateSpline(np.arange(values.shape[0]), np.arange(values.shape[1]), values),
+            np.exp(PchipInterpolator(node, values)(close)),
             bsdf["phase_spectrum_relative_u"].values,
             bsdf["coherent_share"].values,
             bsdf[_NODES[0]].values,
@@ -157,7 +161,7 @@ class Diffraction(NamedTuple):
         """Of the diffracted light [sr-1], (directions…, wavelength); both directions above the surface."""
         pair = half_vector(theta_i, phi_i, theta_o, phi_o)
         phase, row, column, sampled = self._position(pair, wavelength)
-        spectrum = np.exp(self.spline.ev(row, column)) * phase**2
+        spectrum = map_coordinates(self.spectrum, [_CLOSER * row, column], order=1, mode="nearest") * phase**2
         return np.where(
             sampled, fresnel(pair.cos_zeta[..., None], n, k).mean * spectrum / (wavelength * 1e-3) ** 2, 0.0
         )
@@ -195,7 +199,10 @@ class Diffraction(NamedTuple):
     def lobe_slope(self, wavelength: float) -> float:
         """Slope at which the light has half its peak, at normal incidence and a wavelength [nm]."""
         row = int(np.argmin(np.abs(self.phase - 4e3 * np.pi / wavelength)))
-        values = self.spline.ev(np.full(self.frequency.size, row), np.arange(self.frequency.size))
-        below = values < values[0] - np.log(2)
-        half = self.frequency[below.argmax()] if below.any() else self.frequency[-1]
-        return float(half * wavelength * 1e-3 / 2)
+        values = self.spectrum[_CLOSER * row]
+        # By chance the peak of a map may be low; a Gaussian lobe has a quarter of its light within 0.644 of that slope.
+        light = cumulative_trapezoid(values * self.frequency, self.frequency, initial=0)
+        quarter = float(np.interp(light[-1] / 4, light, self.frequency)) / 0.644
+        below = values < values[0] / 2
+        half = float(self.frequency[below.argmax()]) if below.any() else float(self.frequency[-1])
+        return min(half, quarter) * wavelength * 1e-3 / 2
