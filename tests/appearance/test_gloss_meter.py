@@ -432,6 +432,10 @@ def test_an_unknown_geometry_is_refused():
         gloss_units(rough(0.1), [45])
 
 
+def test_one_angle_may_be_a_number():
+    assert gloss_units(rough(0.1), 60).equals(gloss_units(rough(0.1), [60.0]))
+
+
 def test_the_plane_of_the_receptor_touches_its_axis():
     theta, phi = directions(np.array([0.0, 0.01]), np.array([0.0, 0.0]), 60.0)
     assert theta == pytest.approx([60.0, 60.0 + np.degrees(np.arctan(0.01))])

@@ -52,13 +52,15 @@ class GlossError(BrdfpipeError):
     """Unknown gloss geometry."""
 
 
-def gloss(bsdf: xr.Dataset, angles: Sequence[float] = (20, 60, 85), *, azimuth: float | None = None) -> xr.DataArray:
+def gloss(
+    bsdf: xr.Dataset, angles: float | Sequence[float] = (20, 60, 85), *, azimuth: float | None = None
+) -> xr.DataArray:
     """Gloss units at the given geometries.
 
     Parameters
     ----------
     bsdf : kind ``bsdf``; averaged with V(λ)·D65 where it depends on wavelength
-    angles : degree, among 20, 60 and 85
+    angles : one or several of 20, 60 and 85 [degree]
     azimuth : of the plane of incidence [degree]; by default the mean over all azimuths, for surfaces with a lay
 
     Returns
@@ -74,7 +76,7 @@ def gloss(bsdf: xr.Dataset, angles: Sequence[float] = (20, 60, 85), *, azimuth: 
 
 
 def gloss_with_uncertainty(
-    bsdf: xr.Dataset, angles: Sequence[float] = (20, 60, 85), *, azimuth: float | None = None
+    bsdf: xr.Dataset, angles: float | Sequence[float] = (20, 60, 85), *, azimuth: float | None = None
 ) -> tuple[xr.DataArray, xr.DataArray]:
     """Gloss units, and their standard uncertainty from the tolerances of conforming instruments.
 
@@ -100,7 +102,7 @@ def gloss_with_uncertainty(
     return gloss, labelled("gloss_u", standard_uncertainty(half_ranges), gloss_angle=gloss["gloss_angle"].values)
 
 
-def gloss_and_haze(bsdf: xr.Dataset, angles: Sequence[float] = (20, 60, 85)) -> xr.Dataset:
+def gloss_and_haze(bsdf: xr.Dataset, angles: float | Sequence[float] = (20, 60, 85)) -> xr.Dataset:
     """Gloss and the haze of D4039, with standard uncertainties from the tolerances of conforming instruments.
 
     Parameters
@@ -131,8 +133,8 @@ def gloss_and_haze(bsdf: xr.Dataset, angles: Sequence[float] = (20, 60, 85)) -> 
     return xr.Dataset({"gloss": gloss, "gloss_u": gloss_u, **haze_variables})
 
 
-def _checked(bsdf: xr.Dataset, angles: Sequence[float], azimuth: float | None) -> tuple[Sample, list[float]]:
-    sample, gloss_angle = apertures.sample_of(bsdf, azimuth), [float(angle) for angle in angles]
+def _checked(bsdf: xr.Dataset, angles: float | Sequence[float], azimuth: float | None) -> tuple[Sample, list[float]]:
+    sample, gloss_angle = apertures.sample_of(bsdf, azimuth), np.atleast_1d(np.asarray(angles, dtype=float)).tolist()
     unknown = [angle for angle in gloss_angle if angle not in RECEPTOR]
     if unknown:
         raise GlossError(
@@ -167,7 +169,9 @@ def _mirrored(sample: Sample, light: Source, azimuths: Array, reflector: Reflect
 # --- tolerances
 
 
-def _with_half_ranges(bsdf: xr.Dataset, angles: Sequence[float], azimuth: float | None) -> tuple[xr.DataArray, Array]:
+def _with_half_ranges(
+    bsdf: xr.Dataset, angles: float | Sequence[float], azimuth: float | None
+) -> tuple[xr.DataArray, Array]:
     """Gloss, and half its range over each of the six tolerances, (angles, tolerances).
 
     For a surface with a lay, ranges are of the mean over half of the azimuths.
