@@ -144,7 +144,7 @@ def test_the_density_without_noise_comes_back(kind: str, share: float, tolerance
     z = rng.standard_normal((3, _N))
     # Two edges of a triangle share a height.
     observed = slopes + np.sqrt(mean_square / 2) * np.array([z[0] - z[1], z[2] - z[1]])
-    bins = merge_bins(samples.histogram_of_slopes(np.split(np.hypot(*observed), 16), SLOPE))
+    bins = merge_bins(samples.histogram_of_slopes(np.split(np.hypot(*observed), 64), SLOPE))
     density = density_from_histogram(without_noise(bins, mean_square, (1.0, 1.0)))[0]
     near = np.linspace(0, 0.3 * SLOPE, 20)
     weight = near / near.sum()

@@ -11,7 +11,7 @@ from brdfpipe import vocabulary
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets.density_tail import Junction, tail
 from brdfpipe.facets.radial_density import RadialDensity, log_spline
-from brdfpipe.facets.slopes import fine_edges
+from brdfpipe.facets.slopes import BLOCKS, fine_edges
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 
@@ -90,6 +90,37 @@ class MergedHistogram(NamedTuple):
         """(bins + 1,) facets in each bin, and steeper than the last edge."""
         return np.asarray(self.counts.sum(axis=0))
 
+    @property
+    def scatter(self) -> Array:
+        """(bins + 1, windows) deviations of neighbouring blocks, whose products add up to the covariance of the facets in each bin."""
+        return self.of_neighbouring_blocks(_deviations(self.counts).T)
+
+    def of_neighbouring_blocks(self, changes: Array) -> Array:
+        """Changes (…, windows) from those of blocks that are correlated with their neighbours.
+
+        Parameters
+        ----------
+        changes : (…, blocks) of anything known from the facets, by as much as each of the 8 × 8 blocks of each map deviates. The sum of their
+            products would be the covariance if the blocks were independent. That of the result is the covariance
+
+        Notes
+        -----
+        Blocks share the grains on their borders. Windows of 2 × 2 blocks that overlap have half of the covariance of two blocks side by side,
+        and a quarter of that along the diagonal (Bartlett). The variance that is missed falls as the windows widen, in inverse proportion: what
+        the mean square slope has more by windows than by blocks is added once more (Vats & Flegal 2022, Biometrika 109, 735: a lugsail
+        window with r = 2 and c = 1/2).
+        """
+        facets = self.counts.sum(axis=1)
+        used = max(int(np.count_nonzero(facets)), 2)
+        share = _windows(facets / max(float(facets.sum()), 1.0))
+        # Both deviate from a mean that is their own, which takes a part of the variance.
+        factor = np.sqrt((1 - 1 / used) / max(1 - float(share @ share), 1 / used))
+        squares = np.append((self.edges[1:] ** 2 + self.edges[:-1] ** 2) / 2, (self.edges[-1] + self.tail_excess) ** 2)
+        of_slope = _deviations(self.counts) @ squares
+        by_blocks, by_windows = (float(np.square(part).sum()) for part in (of_slope, factor * _windows(of_slope)))
+        more = max(1 - by_blocks / by_windows, 0.0) if by_windows > 0 else 0.0
+        return factor * np.sqrt(1 + more) * _windows(changes)
+
     def divided_by(self, scale: float) -> MergedHistogram:
         """The same counts of slopes divided by ``scale``."""
         return self._replace(edges=self.edges / scale, tail_excess=self.tail_excess / scale)
@@ -151,6 +182,14 @@ def _deviations(counts: Array) -> Array:
     blocks = int(np.count_nonzero(facets))
     share = facets / max(float(counts.sum()), 1.0)
     return np.asarray((counts - share * counts.sum(axis=0)) * np.sqrt(blocks / max(blocks - 1, 1)))
+
+
+def _windows(values: Array) -> Array:
+    """(…, windows) half of the sums of values (…, blocks) over 2 × 2 neighbouring blocks; each block is in four windows."""
+    grid = values.reshape(*values.shape[:-1], -1, BLOCKS, BLOCKS)
+    padded = np.pad(grid, [(0, 0)] * (grid.ndim - 2) + [(1, 1), (1, 1)])
+    pairs = padded[..., 1:, :] + padded[..., :-1, :]
+    return np.asarray((pairs[..., 1:] + pairs[..., :-1]) / 2).reshape(*values.shape[:-1], -1)
 
 
 def merge_bins(histogram: Histogram) -> MergedHistogram:
@@ -244,8 +283,8 @@ class CountedDensity(NamedTuple):
     quality: NDArray[np.int8]
     relative_u: Array
     """Relative standard uncertainty, at most 1."""
-    block_changes: Array
-    """(nodes, blocks) changes of ln P22, by as much as each block deviates from all: their products add up to its covariance."""
+    changes: Array
+    """(nodes, windows) changes of ln P22, by as much as neighbouring blocks deviate from all: their products add up to its covariance."""
 
 
 def density_from_histogram(binned: MergedHistogram) -> CountedDensity:
@@ -276,7 +315,8 @@ def density_from_histogram(binned: MergedHistogram) -> CountedDensity:
     jacobian = np.stack([with_ends(row) - with_ends(log_density) for row in moved]) / step
     shares = [np.bincount(owner, mass * np.interp(s**2, body, column), minlength=share.size) for column in jacobian]
     of_shares = jacobian.T @ np.linalg.inv(np.stack(shares, axis=1) / share[:, None])
-    relative_u, changes = _relative_uncertainty(binned, of_shares), _block_changes(binned, of_shares)
+    scatter = binned.scatter
+    relative_u, changes = _relative_uncertainty(binned, scatter, of_shares), _changes(binned, scatter, of_shares)
     # In the tail the change of its share takes over from that where it begins.
     changes = np.concatenate([changes, np.repeat(changes[-1:], tail_slope.size - 1, axis=0)])
     # The relative uncertainty of the length over which the tail falls is that of the share of the facets in it.
@@ -326,31 +366,31 @@ def _falling(areas: Array, totals: Array, falls: NDArray[np.bool_]) -> Array:
     return np.asarray(totals / np.concatenate(density))
 
 
-def _relative_uncertainty(binned: MergedHistogram, jacobian: Array) -> Array:
+def _relative_uncertainty(binned: MergedHistogram, scatter: Array, jacobian: Array) -> Array:
     """Relative standard uncertainty of the density at the first node, the bins' and the tail's, at most 1.
 
-    The derivatives ``jacobian`` (bins + 2, bins) propagate the deviations of the blocks to the nodes. A variance of few blocks is
+    The derivatives ``jacobian`` (bins + 2, bins) propagate the ``scatter`` (bins + 1, windows) to the nodes. A variance of few blocks is
     uncertain, so its ratio to the counts, the redundancy, is smoothed over neighbouring nodes along its trend.
     """
-    totals, deviations = binned.totals, _deviations(binned.counts)
-    at_nodes = jacobian @ (deviations[:, :-1] / totals[:-1]).T
+    totals = binned.totals
+    at_nodes = jacobian @ (scatter[:-1] / totals[:-1, None])
     counts = np.concatenate([totals[:1], totals[:-1]])
     redundancy = (at_nodes[:-1] ** 2).sum(axis=1) * counts
     weight = np.array([1, 2, 3, 2, 1]) / 9
     redundancy = np.convolve(np.pad(redundancy, 2, mode="reflect", reflect_type="odd"), weight, mode="valid")
     relative_u = np.sqrt(np.maximum(redundancy, 1) / counts)
-    tail = np.sqrt(max((deviations[:, -1] ** 2).sum(), totals[-1], 1)) / max(totals[-1], 1)
+    tail = np.sqrt(max((scatter[-1] ** 2).sum(), totals[-1], 1)) / max(totals[-1], 1)
     relative_u = np.append(relative_u, max(relative_u[-1], tail)) * (
         1.0 if binned.least == MIN_PER_BIN else _SMALL_MAP_FACTOR
     )
     return np.minimum(relative_u, 1.0)
 
 
-def _block_changes(binned: MergedHistogram, jacobian: Array) -> Array:
-    """Changes of ln P22 (bins + 2, blocks) at the first node, the bins' and the tail's, that the deviations of the blocks make."""
-    totals, deviations = binned.totals, _deviations(binned.counts)
-    inside = jacobian[:-1] @ (deviations[:, :-1] / totals[:-1]).T
-    tail = deviations[:, -1] / max(totals[-1], 1.0)
+def _changes(binned: MergedHistogram, scatter: Array, jacobian: Array) -> Array:
+    """Changes of ln P22 (bins + 2, windows) at the first node, the bins' and the tail's, that the ``scatter`` (bins + 1, windows) makes."""
+    totals = binned.totals
+    inside = jacobian[:-1] @ (scatter[:-1] / totals[:-1, None])
+    tail = scatter[-1] / max(totals[-1], 1.0)
     factor = 1.0 if binned.least == MIN_PER_BIN else _SMALL_MAP_FACTOR
     return np.asarray(factor * np.concatenate([inside, np.clip(tail, -1.0, 1.0)[None]]))
 
