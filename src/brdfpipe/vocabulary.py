@@ -375,6 +375,12 @@ QUANTITIES: Mapping[str, Quantity] = {
     "relative_error": Quantity(
         "1", "relative error of a model, as a standard uncertainty; missing where not known", 0, missing=True
     ),
+    "transmitted_loss": Quantity(
+        "1",
+        "share of the light straight through a sheet that finer roughness may scatter, as a standard uncertainty",
+        0,
+        1,
+    ),
     "error_gloss_angle": Quantity("degree", "angle at which the error of the gloss of a model is compared", 0, 90),
     "model_gloss_error": Quantity(
         "1", "error of the gloss of a model [gloss units], as a standard uncertainty with its sign", missing=True
@@ -621,7 +627,10 @@ KINDS: Mapping[str, Kind] = {
     ),
     "uncertainty": Kind(
         {},
-        optional={"relative_error": [("error_theta", "region")], "model_gloss_error": [("error_gloss_angle",)]},
+        optional={
+            **{key: [("error_theta", "region")] for key in ("relative_error", "transmitted_loss")},
+            "model_gloss_error": [("error_gloss_angle",)],
+        },
         attributes=("uncertainty_not_stated",),
     ),
     "bsdf": Kind({}, attributes=("representation",)),

@@ -163,6 +163,19 @@ def test_a_plateau_that_may_be_roughness_is_judged_with_waves_too(pitch, unresol
     assert ("a plateau of 50 nm, g = 1.2 at 20°" in found.finding) == (verdict != "pass")
 
 
+def test_a_plateau_of_either_face_of_a_sheet_is_judged():
+    clean, plateau = (
+        psd.analytic("gaussian", sigma=5.0, length=500.0).assign(unresolved_sigma=unresolved)
+        for unresolved in (0.0, 0.05)
+    )
+    sheet = slab.build(facets.flat(), facets.flat(), index=1.5)
+    scans = [samples.surface(np.zeros((32, 32)), (pitch, pitch)) for pitch in (2.0, 20.0)]
+    known = {"surface": scans[0], "back_surface": scans[1], "bsdf": sheet}
+    for front, back, verdict in ((clean, clean, "pass"), (plateau, clean, "warn"), (clean, plateau, "fail")):
+        faces = {"psd": front, "back_psd": back, "back_facets": facets.flat()}
+        assert judged(datasets(**known, **faces))[PITCH].verdict == verdict
+
+
 def test_slopes_of_hardly_related_heights_fail():
     for ratio, verdict in ((1.86, "fail"), (1.41, "pass")):
         table = facets.analytic("beckmann", 0.1).assign(noise_ratio=ratio)

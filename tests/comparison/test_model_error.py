@@ -14,11 +14,12 @@ import samples
 from brdfpipe import facets, vocabulary
 from brdfpipe.appearance.gloss_meter import gloss
 from brdfpipe.bsdf import traced
+from brdfpipe.bsdf.change_variables import MODEL_REGIONS
 from brdfpipe.bsdf.microfacet.builder import build
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.comparison.error_as_uncertainty import LARGEST_ERROR, gloss_error, relative_error
 from brdfpipe.comparison.lobe_bins import LobeBins
-from brdfpipe.comparison.model_error import GLOSS_ANGLES, REGIONS, model_error
+from brdfpipe.comparison.model_error import GLOSS_ANGLES, model_error
 from brdfpipe.errors import VocabularyError
 from brdfpipe.references.height_mesh import HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
@@ -217,9 +218,9 @@ def independent_error(surface, predicted, theta_i: float, phi_i: float | None, r
     lobe, model = LobeBins.of(bins, theta_i, phi_i), representation(predicted)
     light, solid_angle = lobe.total(lobe.brdf(model)), lobe.total(np.ones_like(lobe.theta))
     brdf = light / np.where(solid_angle > 0, solid_angle, np.inf)
-    at = np.argmax(brdf[:, None] >= np.array(list(REGIONS.values())) * brdf.max(), axis=1) == list(REGIONS).index(
-        region
-    )
+    at = np.argmax(brdf[:, None] >= np.array(list(MODEL_REGIONS.values())) * brdf.max(), axis=1) == list(
+        MODEL_REGIONS
+    ).index(region)
     power = trace(mesh, theta_i, phi_i, index=1.5, bins=bins, rays=300_000, seed=seed).power
     return float(light[at].sum() / power.mean(axis=1).sum(axis=0).ravel()[at].sum() - 1)
 

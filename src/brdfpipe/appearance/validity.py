@@ -67,7 +67,7 @@ def validity(datasets: Datasets) -> list[Judgement]:
 
     Parameters
     ----------
-    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``visibility``, ``bsdf``, ``back_psd``, ``back_facets`` and ``model_error`` are
+    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``visibility``, ``bsdf``, ``back_surface``, ``back_psd``, ``back_facets`` and ``model_error`` are
         used where they exist
     """
     if "bsdf" in datasets and datasets["bsdf"].attrs["representation"] == "flake":
@@ -168,15 +168,23 @@ def _by_waves(datasets: Datasets) -> bool:
 def _pitch(datasets: Datasets) -> Judgement | None:
     if "surface" not in datasets:
         return None
-    pitch = float(datasets["surface"].attrs["pitch_x"])
+    surface, psd = datasets["surface"], datasets.get("psd")
+    # Of a sheet, the face whose plateau is higher decides.
+    if (
+        psd is not None
+        and {"back_surface", "back_psd"} <= set(datasets)
+        and _unresolved(datasets["back_psd"]) > _unresolved(psd)
+    ):
+        surface, psd = datasets["back_surface"], datasets["back_psd"]
+    pitch = float(surface.attrs["pitch_x"])
     finding = f"pitch {pitch:.3g} µm, {pitch / _WAVELENGTH:.2g} wavelengths"
     condition = "Structure finer than the scan"
     if (ratio := float(datasets["facets"].get("noise_ratio", 0.0))) > ALIASED:
         finding += f"; slopes over one pixel are {ratio:.2f} times those over two, as of noise or of finer roughness"
         return Judgement(condition, finding, "fail", "Scan with a finer pitch, or average several scans")
-    if (psd := datasets.get("psd")) is None:
+    if psd is None:
         return Judgement(condition, finding, "")
-    unresolved = float(psd.get("unresolved_sigma", 0.0))
+    unresolved = _unresolved(psd)
     phase = phase_variances(unresolved)[20]
     if phase > LIMITS[0]:
         finding += f"; a plateau of {_nanometres(unresolved)}, g = {phase:.2g} at 20°, is noise or roughness finer than the pitch"
@@ -197,6 +205,11 @@ def _pitch(datasets: Datasets) -> Judgement | None:
             condition, finding, "warn", "Set `model.optics: auto`, or scan with a pitch near the wavelength"
         )
     return Judgement(condition, finding, "pass")
+
+
+def _unresolved(psd: xr.Dataset) -> float:
+    """Rms height of a plateau that is noise or roughness finer than the pitch [um]."""
+    return float(psd.get("unresolved_sigma", 0.0))
 
 
 def _band(datasets: Datasets) -> Judgement | None:

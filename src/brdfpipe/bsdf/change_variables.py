@@ -11,6 +11,10 @@ DIMENSION, SOURCE = "uncertain_change", "uncertainty_source"
 """Dimension of the changes, and the variable that names the input of each."""
 MODEL = "model"
 """Source of the error of the model itself."""
+MODEL_INCIDENCES = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
+"""Angles of incidence at which the light of a model is compared [degree]; gloss at those of gloss meters among them."""
+MODEL_REGIONS = {"peak": 0.3, "shoulder": 0.03, "rest": 0.0}
+"""Regions of its error by the smallest share of the predicted peak [1]."""
 NOT_STATED = "uncertainty_not_stated"
 """Attribute: sources without a stated uncertainty, separated by commas."""
 

@@ -17,7 +17,15 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.change_variables import DIMENSION, MODEL, NOT_STATED, SOURCE, between_incidences
+from brdfpipe.bsdf.change_variables import (
+    DIMENSION,
+    MODEL,
+    MODEL_INCIDENCES,
+    MODEL_REGIONS,
+    NOT_STATED,
+    SOURCE,
+    between_incidences,
+)
 from brdfpipe.bsdf.microfacet.gloss_trap import trapped_light
 from brdfpipe.bsdf.microfacet.model import Model
 from brdfpipe.bsdf.wave.height_transform import log_transform
@@ -46,9 +54,7 @@ _LEAST_LEFT = 0.1
 _BANDS, _PHASE_STEP = 3, 8
 """Bands of a roughness spectrum of the same mean square height; nodes of the phase variance from one changed halo to the next."""
 
-_UNRESOLVED_THETA = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
-"""Incidences of the light that unresolved roughness may take, where no error of the model is known [degree]."""
-_MIDDLE_WAVELENGTH = 0.55
+MIDDLE_WAVELENGTH = 0.55
 """Of visible light [um]."""
 
 Fields: TypeAlias = dict[str, xr.DataArray]
@@ -134,16 +140,17 @@ def _with_unresolved(error: xr.DataArray | None, sigma: float) -> xr.DataArray:
 
     It takes 1 − e^(−g), g = (4πσ cos θ/λ)² at 550 nm, and scatters it so far that the rest of the BSDF is taken as unchanged.
     """
-    if error is None:
-        error = xr.DataArray(
-            np.zeros((_UNRESOLVED_THETA.size, 3)),
-            {"error_theta": _UNRESOLVED_THETA, "region": ["peak", "shoulder", "rest"]},
-            ("error_theta", "region"),
-        )
-    cosine = np.cos(np.radians(error["error_theta"]))
-    loss = -np.expm1(-((4 * np.pi * sigma * cosine / _MIDDLE_WAVELENGTH) ** 2))
-    both = np.hypot(error, loss * (error["region"] != "rest"))
+    angles = MODEL_INCIDENCES if error is None else error["error_theta"].values
+    loss = of_lobes(-np.expm1(-((4 * np.pi * sigma * np.cos(np.radians(angles)) / MIDDLE_WAVELENGTH) ** 2)), angles)
+    both = loss if error is None else xr.DataArray(np.hypot(error, loss))
     return both.transpose("error_theta", "region").rename("relative_error")
+
+
+def of_lobes(loss: Array, theta: Array = MODEL_INCIDENCES) -> xr.DataArray:
+    """A loss [1] at incidences ``theta`` [degree] that peak and shoulder of a lobe have, and the rest has not, over ``error_theta`` and ``region``."""
+    of_region = np.array([name != "rest" for name in MODEL_REGIONS], dtype=float)
+    coordinates = {"error_theta": theta, "region": list(MODEL_REGIONS)}
+    return xr.DataArray(loss[:, None] * of_region, coordinates, ("error_theta", "region"))
 
 
 def _expected(

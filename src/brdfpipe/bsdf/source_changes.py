@@ -4,7 +4,8 @@ A ``bsdf`` dataset with uncertain inputs holds, beside a variable, its changes: 
 input of each change in ``uncertainty_source(uncertain_change)``. All variables of one change go together, and so do all directions and
 wavelengths of the BSDF that follows from them. Changes are independent of each other: the variance of anything that is
 computed from the BSDF is the sum of the squares of what the changes make of it. The error of the model is one more such change, of the
-light that the surface reflects: ``relative_error`` by incidence and by share of the peak.
+light that the surface reflects: ``relative_error`` by incidence and by share of the peak. With it, a sheet has ``transmitted_loss``, less of the light
+that passes straight on.
 
 References
 ----------
@@ -28,7 +29,7 @@ from brdfpipe.bsdf.spectral import at_wavelengths
 from brdfpipe.geometry import Array
 
 _SUFFIX = "_change"
-_OF_MODEL = "relative_error", "model_gloss_error"
+_OF_MODEL = "relative_error", "transmitted_loss", "model_gloss_error"
 _HELD = 2.0
 """Degrees beyond the last known incidence up to which its error is that of a model: the light of a gloss meter is so wide."""
 _PEAK_INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0])
@@ -186,26 +187,36 @@ def _after(bsdf: xr.Dataset, name: str, row: int) -> xr.Variable | None:
 
 
 class _WithModelError:
-    """A BSDF whose surface reflects more light, by the relative error of its model."""
+    """A BSDF whose surface reflects more light, by the relative error of its model, and lets less of it straight through."""
 
     def __init__(self, bsdf: xr.Dataset) -> None:
         self._given = representation(bsdf)
         bare = self._given.without_diffuse()
         self._bare_dataset = bsdf if bare is None else bare
         self._bare = representation(self._bare_dataset)
-        self._error = bsdf["relative_error"]
+        self._error, self._loss = bsdf["relative_error"], bsdf.get("transmitted_loss")
 
     @cached_property
     def _peaks(self) -> Array:
         """Largest BRDF of the surface in the plane of incidence [sr-1], mean over wavelength, at some incidences."""
-        incidence, view = np.meshgrid(_PEAK_INCIDENCES, _PEAK_VIEWS, indexing="ij")
+        return self._peaks_towards(_PEAK_VIEWS)
+
+    @cached_property
+    def _peaks_through(self) -> Array:
+        """The same of the BTDF."""
+        return self._peaks_towards(180 - _PEAK_VIEWS)
+
+    def _peaks_towards(self, views: Array) -> Array:
+        incidence, view = np.meshgrid(_PEAK_INCIDENCES, views, indexing="ij")
         along = self._bare.lay or 0.0
         brdf = self._bare.evaluate(incidence, np.full_like(view, along), view, np.full_like(view, along + 180), None)
         return np.asarray(brdf.mean(axis=-1).max(axis=1))
 
-    def _relative(self, theta_i: Array, log_share: Array) -> Array:
+    @staticmethod
+    def _relative(error: xr.DataArray, theta_i: Array, log_share: Array) -> Array:
         """Relative error at incidences, and logarithms of shares of the peak there, of one shape; NaN where it is not known."""
-        angles, values = self._error["error_theta"].values, self._error.transpose("error_theta", "region").values
+        theta_i = np.minimum(theta_i, 180 - np.asarray(theta_i))
+        angles, values = error["error_theta"].values, error.transpose("error_theta", "region").values
         known = np.isfinite(values).all(axis=1)
         end = angles[known][-1] + _HELD if angles[known][-1] < angles[-1] else np.inf
         by_region = [np.where(theta_i > end, np.nan, np.interp(theta_i, angles[known], one)) for one in values[known].T]
@@ -218,22 +229,31 @@ class _WithModelError:
         bare = self._bare.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
         given = self._given.evaluate(theta_i, phi_i, theta_o, phi_o, wavelength)
         incidence = np.broadcast_to(theta_i, given.shape[:-1])
-        peak = np.interp(incidence, _PEAK_INCIDENCES, np.log(np.maximum(self._peaks, 1e-300)))
-        share = np.log(np.maximum(bare.mean(axis=-1), 1e-300)) - peak
-        return given + bare * self._relative(incidence, share)[..., None]
+        log_light = np.log(np.maximum(bare.mean(axis=-1), 1e-300))
+
+        def relative(error: xr.DataArray, peaks: Array) -> Array:
+            polar = np.minimum(incidence, 180 - incidence)
+            log_peak = np.interp(polar, _PEAK_INCIDENCES, np.log(np.maximum(peaks, 1e-300)))
+            return self._relative(error, incidence, log_light - log_peak)
+
+        change = relative(self._error, self._peaks)
+        if self._loss is not None:
+            through = (incidence > 90) != (np.broadcast_to(theta_o, incidence.shape) > 90)
+            change = np.where(through, -relative(self._loss, self._peaks_through), change)
+        return given + bare * change[..., None]
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
         mirrored, passed = self._given.specular(theta_i, phi_i, wavelength)
-        return mirrored * (
-            1 + self._relative(np.asarray(theta_i, dtype=float), np.zeros(np.shape(theta_i)))[..., None]
-        ), passed
+        at = np.asarray(theta_i, dtype=float), np.zeros(np.shape(theta_i))
+        mirrored = mirrored * (1 + self._relative(self._error, *at)[..., None])
+        return mirrored, passed if self._loss is None else passed * (1 - self._relative(self._loss, *at)[..., None])
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         """Unchanged: light that the surface reflects elsewhere stays part of a total that was measured."""
         return self._given.albedo(theta_i, phi_i, wavelength)
 
     def transmittance(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
-        """Unchanged: the error is known of reflected light alone."""
+        """Unchanged: light that passes in other directions stays part of it."""
         return self._given.transmittance(theta_i, phi_i, wavelength)
 
 

@@ -14,6 +14,7 @@ from brdfpipe import vocabulary
 from brdfpipe.appearance.gloss_meter import gloss
 from brdfpipe.appearance.validity import LARGEST_JUDGED, REFERENCES
 from brdfpipe.bsdf import kirchhoff, traced
+from brdfpipe.bsdf.change_variables import MODEL_INCIDENCES, MODEL_REGIONS
 from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
 from brdfpipe.bsdf.reference_solution import GEOMETRIC, WAVELENGTH, facet_smoothness, holds, phase_variance
 from brdfpipe.bsdf.registry import representation
@@ -26,11 +27,7 @@ from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.references.height_mesh import NOISE_LIMIT, HeightMapError, HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
 
-INCIDENCES = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
-"""Angles of incidence at which light is compared [degree]; gloss at those of gloss meters among them."""
 GLOSS_ANGLES = (20, 60, 85)
-REGIONS = {"peak": 0.3, "shoulder": 0.03, "rest": 0.0}
-"""Regions by the smallest share of the predicted peak [1]."""
 MEAN = "mean over azimuth"
 """Name of the plane of incidence of a surface without a lay."""
 RAYS = 800_000
@@ -98,9 +95,9 @@ def model_error(
     model = nonspectral(predicted if bare is None else bare)
     meshes, refusal = _meshes(scans, 0.0 if facets is None else float(facets.get("noise_sigma", 0.0)))
     refusals = {"traced": refusal} if refusal else {}
-    variance = phase_variance(surface, INCIDENCES)
+    variance = phase_variance(surface, MODEL_INCIDENCES)
     slope = meshes[0].typical_slope if meshes else np.inf
-    held = np.stack(holds(variance, slope, INCIDENCES, facet_smoothness(surface, INCIDENCES)))
+    held = np.stack(holds(variance, slope, MODEL_INCIDENCES, facet_smoothness(surface, MODEL_INCIDENCES)))
     held[0] &= not refusal
     diffraction = None
     if (held[1] & ~held[0]).any():
@@ -112,9 +109,10 @@ def model_error(
     planes = _planes(model, diffraction is not None)
     bins = SlopeBins.of(slope if 0 < slope < np.inf else 0.1)
     predictions = [
-        [_Prediction.of(model, bins, float(theta_i), phi_i) for theta_i in INCIDENCES] for phi_i in planes.values()
+        [_Prediction.of(model, bins, float(theta_i), phi_i) for theta_i in MODEL_INCIDENCES]
+        for phi_i in planes.values()
     ]
-    rays_each = -(-rays // (INCIDENCES.size * len(planes)))
+    rays_each = -(-rays // (MODEL_INCIDENCES.size * len(planes)))
 
     def reference(name: str, row: int, prediction: _Prediction) -> _Light:
         if name == "traced" and held[0, row]:
@@ -161,7 +159,7 @@ def _dataset(
     held: NDArray[np.bool_],
 ) -> xr.Dataset:
     """Light and gloss of the model and of the references (reference, plane, incidence), and the differences."""
-    of_glossmeters = [int(np.flatnonzero(angle == INCIDENCES)[0]) for angle in GLOSS_ANGLES]
+    of_glossmeters = [int(np.flatnonzero(angle == MODEL_INCIDENCES)[0]) for angle in GLOSS_ANGLES]
     by_region, by_gloss = ("reference", "plane", "theta_i", "region"), ("reference", "plane", "gloss_angle")
 
     def field(name: str) -> Array:
@@ -191,8 +189,8 @@ def _dataset(
         coords={
             "reference": list(REFERENCES),
             "plane": list(planes),
-            "theta_i": INCIDENCES,
-            "region": list(REGIONS),
+            "theta_i": MODEL_INCIDENCES,
+            "region": list(MODEL_REGIONS),
             "gloss_angle": np.array(GLOSS_ANGLES, dtype=float),
         },
     )
@@ -268,17 +266,17 @@ class _Prediction(NamedTuple):
         scattered, solid_angle = lobe.total(lobe.brdf(one)), lobe.total(np.ones_like(lobe.theta))
         brdf = scattered / np.where(solid_angle > 0, solid_angle, np.inf)
         mirrored = float(one.specular(np.array([theta_i]), np.array([phi_i or 0.0]), None)[0].mean())
-        limits = np.array(list(REGIONS.values()))
+        limits = np.array(list(MODEL_REGIONS.values()))
         return cls(lobe, scattered, mirrored, np.argmax(brdf[:, None] >= limits * brdf.max(), axis=1))
 
     def by_region(self, by_bin: Array) -> Array:
         """Sum of values of every bin over each region."""
-        return np.bincount(self.region, by_bin, minlength=len(REGIONS)).astype(float)
+        return np.bincount(self.region, by_bin, minlength=len(MODEL_REGIONS)).astype(float)
 
     @property
     def light(self) -> Array:
         """By region; coherent light belongs to the peak."""
-        return self.by_region(self.scattered) + self.mirrored * (np.arange(len(REGIONS)) == 0)
+        return self.by_region(self.scattered) + self.mirrored * (np.arange(len(MODEL_REGIONS)) == 0)
 
 
 class _Light(NamedTuple):
@@ -290,7 +288,7 @@ class _Light(NamedTuple):
     gloss_u: float = np.nan
 
 
-_UNKNOWN = _Light(*np.full((2, len(REGIONS)), np.nan))
+_UNKNOWN = _Light(*np.full((2, len(MODEL_REGIONS)), np.nan))
 
 
 def _traced_light(
@@ -332,7 +330,7 @@ def _diffracted_light(reference: xr.Dataset, prediction: _Prediction) -> _Light:
         return _UNKNOWN
     incidence = np.full_like(lobe.theta, lobe.theta_i), np.zeros_like(lobe.phi)
     coherent = float(one.specular(np.array([lobe.theta_i]), np.zeros(1), None)[0].mean())
-    light = prediction.by_region(lobe.total(lobe.brdf(one))) + coherent * (np.arange(len(REGIONS)) == 0)
+    light = prediction.by_region(lobe.total(lobe.brdf(one))) + coherent * (np.arange(len(MODEL_REGIONS)) == 0)
     scatter = lobe.total(one.uncertainty(*incidence, lobe.theta, lobe.phi, None)[:, 0])
     relative_u = np.hypot(prediction.by_region(scatter) / np.maximum(light, 1e-300), BIN_ERROR)
     if lobe.theta_i not in GLOSS_ANGLES:
@@ -346,9 +344,12 @@ def _masking(surface: xr.Dataset) -> xr.Dataset:
     names = {"g2": "g2_raycast", "g2_u": "g2_raycast_u", "g2_height_correlated": "g2_height_correlated"}
     axes = (0.0,) if surface["height"].ndim == 1 else (0.0, 90.0)
     try:
-        cast = [ray_casting.bistatic(surface, INCIDENCES, axis, INCIDENCES, axis + 180, lines=_LINES) for axis in axes]
+        cast = [
+            ray_casting.bistatic(surface, MODEL_INCIDENCES, axis, MODEL_INCIDENCES, axis + 180, lines=_LINES)
+            for axis in axes
+        ]
     except ray_casting.RaycastError:
-        return xr.Dataset({name: ("theta_i", np.full(INCIDENCES.size, np.nan)) for name in names.values()})
+        return xr.Dataset({name: ("theta_i", np.full(MODEL_INCIDENCES.size, np.nan)) for name in names.values()})
     values = {new: np.stack([one[old].values for one in cast]) for old, new in names.items()}
     means = {name: one.mean(axis=0) for name, one in values.items()}
     means["g2_raycast_u"] = np.sqrt(np.mean(values["g2_raycast_u"] ** 2, axis=0) / len(axes))
@@ -392,7 +393,7 @@ def _masking_difference(result: xr.Dataset) -> int | None:
     difference = np.abs(result["g2_raycast"].values - result["g2_height_correlated"].values)
     # Without independent groups of lines the uncertainty is unknown, and counts as 0.
     noise = SIGNIFICANT * np.nan_to_num(result["g2_raycast_u"].values)
-    wrong = (difference > np.maximum(noise, MASKING_LIMIT)) & (INCIDENCES <= LARGEST_JUDGED)
+    wrong = (difference > np.maximum(noise, MASKING_LIMIT)) & (MODEL_INCIDENCES <= LARGEST_JUDGED)
     return int(np.argmax(np.where(wrong, difference, 0))) if wrong.any() else None
 
 
@@ -401,7 +402,7 @@ def _warnings(result: xr.Dataset, predicted: xr.Dataset) -> list[str]:
     warnings = []
     for name, words in (("traced", "rays traced over the map"), ("kirchhoff", "diffraction on the map")):
         one = result.sel(reference=name)
-        peak = one.sel(region="peak", theta_i=INCIDENCES[INCIDENCES <= LARGEST_JUDGED])
+        peak = one.sel(region="peak", theta_i=MODEL_INCIDENCES[MODEL_INCIDENCES <= LARGEST_JUDGED])
         if at := _largest(peak["light_error"], peak["light_error_u"], peak["valid"], LIGHT_LIMIT):
             error, uncertainty = (float(peak[name][at]) for name in ("light_error", "light_error_u"))
             warnings.append(
@@ -418,7 +419,7 @@ def _warnings(result: xr.Dataset, predicted: xr.Dataset) -> list[str]:
     if row is not None:
         cast, smith = (float(result[name][row]) for name in ("g2_raycast", "g2_height_correlated"))
         warnings.append(
-            f"Smith's G2 of the mirror direction is {smith:.2f} at {INCIDENCES[row]:.0f}°, and rays cast over the heights give {cast:.2f} ± "
+            f"Smith's G2 of the mirror direction is {smith:.2f} at {MODEL_INCIDENCES[row]:.0f}°, and rays cast over the heights give {cast:.2f} ± "
             f"{2 * np.nan_to_num(float(result['g2_raycast_u'][row])):.2f}: what hides a facet depends on more than slopes, and the reflection "
             f"predicted with Smith is off by about {smith / cast - 1:+.0%} there"
             + ("" if MEAN not in result["plane"].values else "; set `model.masking: measured`")

@@ -151,6 +151,49 @@ def test_faces_of_assumed_finish_and_numbers_alone_are_exact():
     assert not found.data_vars
 
 
+@pytest.fixture(scope="module")
+def sheet_with_a_plateau() -> xr.Dataset:
+    """A sheet of two faces from one scan, whose spectrum has a plateau of 50 nm that nobody stated as noise."""
+    finish = beckmann(0.02)
+    unresolved = psd.analytic("gaussian", sigma=1.0, length=100.0).assign(unresolved_sigma=0.05)
+    sheet = slab.build(finish, finish, index=1.5, internal_transmittance=INSIDE)
+    return with_changes(sheet, facets=finish, psd=unresolved, index=optics.refractive_index(1.5))
+
+
+def test_roughness_that_may_hide_in_a_plateau_counts_in_the_light_straight_through(sheet_with_a_plateau):
+    changes = SourceChanges(sheet_with_a_plateau)
+    assert changes.sources == ("model",)
+    # g = (2πσ(n − 1)/λ)² of each face along the normal.
+    passed = np.exp(-2 * (2 * np.pi * 0.05 * 0.5 / 0.55) ** 2)
+    straight = np.zeros(1), np.zeros(1), np.array([180.0]), np.zeros(1), None
+    (changed,), given = changes.changed, changes.given
+    assert changed.evaluate(*straight) == pytest.approx(passed * given.evaluate(*straight), rel=1e-9)
+    # The other side too, and light that was scattered wide is as it was.
+    behind = np.array([180.0]), np.zeros(1), np.zeros(1), np.zeros(1), None
+    assert changed.evaluate(*behind) == pytest.approx(passed * given.evaluate(*behind), rel=1e-9)
+    wide = np.zeros(1), np.zeros(1), np.array([140.0]), np.zeros(1), None
+    assert changed.evaluate(*wide) == pytest.approx(given.evaluate(*wide), rel=1e-9)
+    before, after = (appearance.transmission_haze(sheet_with_a_plateau, one) for one in (given, changed))
+    # What leaves the lobe is haze; a part of the lobe is beyond 2.5° already.
+    assert after - before == pytest.approx((1 - before) * (1 - passed), rel=1e-6)
+
+
+def test_roughness_that_may_hide_in_a_plateau_counts_in_reflection_of_both_faces(sheet_with_a_plateau):
+    error = sheet_with_a_plateau["relative_error"].sel(error_theta=0.0)
+    wave_number, f = 2 * np.pi / 0.55, 0.04
+    outer, through, inner = (1 - np.exp(-((wave_number * 0.05 * change) ** 2)) for change in (2.0, np.sqrt(0.5), 3.0))
+    of_back = 1 - (1 - through) * (1 - inner)
+    back = (1 - f) ** 2 * INSIDE**2
+    assert float(error.sel(region="peak")) == pytest.approx((outer + back * of_back) / (1 + back), rel=1e-9)
+    assert not error.sel(region="rest").any()
+    mirror = np.array([[10.0], [0.0], [10.0], [180.0]])
+    changes = SourceChanges(sheet_with_a_plateau)
+    at_10 = float(sheet_with_a_plateau["relative_error"].sel(region="peak").interp(error_theta=10.0))
+    assert changes.changed[0].evaluate(*mirror, None) == pytest.approx(
+        (1 + at_10) * changes.given.evaluate(*mirror, None), rel=1e-9
+    )
+
+
 # --- scans
 
 SCANS, STATED = 30, 6

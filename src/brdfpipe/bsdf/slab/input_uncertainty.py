@@ -16,8 +16,16 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.change_variables import NOT_STATED
-from brdfpipe.bsdf.input_uncertainty import Change, Fields, changes_of_facets, changes_of_roughness, stacked
+from brdfpipe.bsdf.change_variables import MODEL_INCIDENCES, NOT_STATED
+from brdfpipe.bsdf.input_uncertainty import (
+    MIDDLE_WAVELENGTH,
+    Change,
+    Fields,
+    changes_of_facets,
+    changes_of_roughness,
+    of_lobes,
+    stacked,
+)
 from brdfpipe.bsdf.microfacet.builder import index_on
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.representations.slab import BALANCE, SHIFT_DIMS, SIDES, lagrange, node_weights
@@ -94,7 +102,31 @@ def uncertainty(
     if "log_shift_change" in result:
         grid = _grid_of(bsdf)
         result = result.assign_coords(shift_low=grid.low)
+    unresolved = [0.0 if one.psd is None else float(one.psd.get("unresolved_sigma", 0.0)) for one in given]
+    if any(unresolved):
+        result = result.assign(_of_unresolved(bsdf, unresolved[0], unresolved[-1]))
     return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
+
+
+def _of_unresolved(bsdf: xr.Dataset, front: float, back: float) -> Fields:
+    """Error of the light in the lobes, where a plateau of the spectrum of a face may be roughness of an rms height [um], finer than the scan.
+
+    As of an opaque body it takes 1 − e^(−g) of the light at 550 nm, and scatters it so far that the rest is taken as unchanged. Light that passes
+    a face has g = (2πσ(n cos θ' − cos θ)/λ)², that reflected outside (4πσ cos θ/λ)², and inside (4πσ n cos θ'/λ)².
+    """
+    n = float(bsdf["n"].mean())
+    cosine = np.cos(np.radians(MODEL_INCIDENCES))
+    inside = np.sqrt(n**2 - 1 + cosine**2)
+    wave_number = 2 * np.pi / MIDDLE_WAVELENGTH
+    of_front, of_back = (np.square(wave_number * sigma * (inside - cosine)) for sigma in (front, back))
+    outer, inner = (wave_number * 2 * front * cosine) ** 2, 2 * of_front + (wave_number * 2 * back * inside) ** 2
+    fresnel_share = np.asarray(fresnel(cosine, n, 0.0).mean)
+    body = float(bsdf["internal_transmittance"].mean()) ** (n / inside)
+    # The light that each face returns as if both were smooth.
+    first, second = fresnel_share, (1 - fresnel_share) ** 2 * body**2 * fresnel_share
+    reflected = (first * -np.expm1(-outer) + second * -np.expm1(-inner)) / (first + second)
+    passed = -np.expm1(-(of_front + of_back))
+    return {"relative_error": of_lobes(reflected), "transmitted_loss": of_lobes(passed)}
 
 
 def _is_uncertain(given: list[_Inputs], index: xr.Dataset, interior: xr.Dataset | None) -> bool:
