@@ -167,8 +167,9 @@ class Model:
             result = kernel.evaluate(tables, shading, angles, self._width)
             for start in range(0, angles[0].size, step := max(_BLOCK // self._width, 256)):
                 block = slice(start, start + step)
-                above = (angles[0][block] < 90) & (angles[2][block] < 90)
-                result[block][above] += other_light._reflected(*(angle[block][above] for angle in angles))
+                some = [angle[block] for angle in angles]
+                above = (some[0] < 90) & (some[2] < 90) & np.isfinite(some[1]) & np.isfinite(some[3])
+                result[block][above] += other_light._reflected(*(angle[above] for angle in some))
             return result
 
         return evaluate
@@ -217,7 +218,7 @@ class Model:
             cos_o = 2 / (1 + tan_half(theta_o) ** 2) - 1
             return np.asarray(brdf + self.diffuse / np.pi * (2 * cos_o / (1 + cos_o))[..., None])
         both = self.albedo(np.array([theta_i, theta_o]).reshape(-1), np.array([phi_i, phi_o]).reshape(-1))
-        entering, leaving = (1 - both).reshape(2, *np.shape(theta_i), -1)
+        entering, leaving = (1 - both).reshape(2, *np.shape(theta_i), both.shape[-1])
         return np.asarray(brdf + self._base_brdf * (entering * leaving))
 
     @cached_property

@@ -642,23 +642,27 @@ def _interpolate(
     degree = math.pi / 180
     polar_step = (nodes - 1) / math.asinh(90 / grazing_scale)
     for number in range(theta_i.size):
-        cos_i = math.cos(theta_i[number] * degree) if theta_i[number] < 90 else 0.0
-        cos_o = math.cos(theta_o[number] * degree) if theta_o[number] < 90 else 0.0
+        # In one order, so that exchanged directions give the same bits.
+        low, phi_low, high, phi_high = theta_i[number], phi_i[number], theta_o[number], phi_o[number]
+        if low > high:
+            low, phi_low, high, phi_high = high, phi_high, low, phi_low
+        cos_i = math.cos(low * degree) if low < 90 else 0.0
+        cos_o = math.cos(high * degree) if high < 90 else 0.0
         # asinh as a logarithm, which is faster.
-        grazing = max(90 - theta_i[number], 0.0) / grazing_scale
+        grazing = max(90 - low, 0.0) / grazing_scale
         at = max(nodes - 1 - math.log(grazing + math.sqrt(grazing * grazing + 1)) * polar_step, 0.0)
         i = min(int(at), nodes - 2)
         share_i = min(at - i, 1.0)
-        grazing = max(90 - theta_o[number], 0.0) / grazing_scale
+        grazing = max(90 - high, 0.0) / grazing_scale
         at = max(nodes - 1 - math.log(grazing + math.sqrt(grazing * grazing + 1)) * polar_step, 0.0)
         o = min(int(at), nodes - 2)
         share_o = min(at - o, 1.0)
-        turn = abs(phi_i[number] - phi_o[number])
+        turn = abs(phi_low - phi_high)
         turn = abs(turn - 360 * math.floor(turn / 360) - 180) * degree
         width = min(slope * (cos_i + cos_o) + 1e-3, 4.0)
         near, far = turn / width, math.pi / width
         at = math.log(near + math.sqrt(near * near + 1)) / math.log(far + math.sqrt(far * far + 1)) * (azimuths - 1)
-        a = min(int(at), azimuths - 2)
+        a = max(min(int(at), azimuths - 2), 0)  # of an azimuth that is not a number too
         share_a = min(at - a, 1.0)
         hidden_i = (math.sqrt(cos_i * cos_i + slope * slope * (1 - cos_i) * (1 + cos_i)) - cos_i) / 2
         hidden_o = (math.sqrt(cos_o * cos_o + slope * slope * (1 - cos_o) * (1 + cos_o)) - cos_o) / 2
@@ -667,7 +671,7 @@ def _interpolate(
         turns = weight.shape[1]
         for side in range(2 if turns > 0 else 0):
             node, share_n = (o, share_o) if side else (i, share_i)
-            at = (phi_o[number] if side else phi_i[number]) / 360
+            at = (phi_high if side else phi_low) / 360
             at = (at - math.floor(at)) * turns
             first, share = int(at), at - math.floor(at)
             second = (first + 1) % turns
@@ -675,8 +679,8 @@ def _interpolate(
             near = weight[node, first] * (1 - share) + weight[node, second] * share
             far = weight[node + 1, first] * (1 - share) + weight[node + 1, second] * share
             common *= near * (1 - share_n) + far * share_n
-        turn = (phi_o[number] - phi_i[number]) / 360
-        at = (phi_i[number] / 180 + turn - math.floor(turn) - 0.5) * planes
+        turn = (phi_high - phi_low) / 360
+        at = (phi_low / 180 + turn - math.floor(turn) - 0.5) * planes
         at -= planes * math.floor(at / planes)
         plane, share_p = int(at), at - math.floor(at)
         result[number] = 0.0
