@@ -73,9 +73,10 @@ def _facets(surface: xr.Dataset, **modes: str) -> xr.Dataset:
 
 def _reflections(surface: xr.Dataset, facets: xr.Dataset, modes: Mapping[str, str]) -> xr.Dataset | None:
     """Light reflected more than once, traced on the map, if the modes ask for it."""
-    if modes.get("multiple_scattering") != "measured":
+    mode = modes.get("multiple_scattering", "auto")
+    if mode not in ("auto", "measured"):
         return None
-    return interreflection.choose(surface, facets, index=INDEX, multiple_scattering="measured")
+    return interreflection.choose(surface, facets, index=INDEX, multiple_scattering=mode)
 
 
 def _measured_masking(surface: xr.Dataset, **modes: str) -> xr.Dataset:
@@ -85,7 +86,9 @@ def _measured_masking(surface: xr.Dataset, **modes: str) -> xr.Dataset:
 
 
 def _lambert_gauss(surface: xr.Dataset) -> xr.Dataset:
-    fitted = fit_lambert_gauss(_facets(surface), np.array([0.0, 10, 20, 30, 40, 50, 60, 70, 75, 80, 85]))
+    fitted = fit_lambert_gauss(
+        _facets(surface, multiple_scattering="none"), np.array([0.0, 10, 20, 30, 40, 50, 60, 70, 75, 80, 85])
+    )
     return vocabulary.label(fitted.assign(n=INDEX, k=0.0), "bsdf")
 
 
@@ -110,10 +113,10 @@ RUNGS: Mapping[str, Callable[[xr.Dataset], xr.Dataset]] = {
         _measured_masking, multiple_scattering="directional"
     ),
     "wave": partial(_waves, optics="wave"),
-    "composite": partial(_waves, optics="composite"),
+    "composite": partial(_waves, optics="composite", multiple_scattering="none"),
     "auto (the default)": partial(_waves, optics="auto"),
+    "auto, one reflection": partial(_waves, optics="auto", multiple_scattering="none"),
     "auto, second reflections directional": partial(_waves, optics="auto", multiple_scattering="directional"),
-    "auto, second reflections measured": partial(_waves, optics="auto", multiple_scattering="measured"),
     "traced, 10⁴ rays an incidence": partial(traced.build, index=INDEX, rays=10**4, seed=7),
     "traced, 10⁵ rays": partial(traced.build, index=INDEX, rays=10**5, seed=7),
     "traced, 3·10⁵ rays": partial(traced.build, index=INDEX, rays=3 * 10**5, seed=7),
@@ -122,16 +125,16 @@ RUNGS: Mapping[str, Callable[[xr.Dataset], xr.Dataset]] = {
 
 KEYS: Mapping[str, str] = {
     "Lambert + Gauss, fitted to facets": "the file `lambert_gauss.csv`",
-    "facets": "`optics: facets`, `masking: height-correlated`",
-    "facets, masking measured": "`optics: facets`, `masking: measured`",
+    "facets": "`optics: facets`, `masking: height-correlated`, `multiple_scattering: none`",
+    "facets, masking measured": "`optics: facets`, `masking: measured`, `multiple_scattering: none`",
     "facets, second reflections directional": "`optics: facets`, `masking: height-correlated`, `multiple_scattering: directional`",
     "facets, second reflections measured": "`optics: facets`, `masking: height-correlated`, `multiple_scattering: measured`",
     "facets, masking measured, second reflections directional": "`optics: facets`, `masking: measured`, `multiple_scattering: directional`",
     "wave": "`optics: wave`",
-    "composite": "`optics: composite`",
-    "auto (the default)": "none, or `optics: auto`, `masking: auto`",
+    "composite": "`optics: composite`, `multiple_scattering: none`",
+    "auto (the default)": "none, or `optics: auto`, `masking: auto`, `multiple_scattering: auto`",
+    "auto, one reflection": "`multiple_scattering: none`",
     "auto, second reflections directional": "`multiple_scattering: directional`",
-    "auto, second reflections measured": "`multiple_scattering: measured`",
     "traced": "`truth: use`, where rays hold; of 10⁶ rays an incidence",
     "kirchhoff": "`truth: use`, where diffraction holds and rays do not",
 }

@@ -106,7 +106,7 @@ def counted_facets() -> xr.Dataset:
 
 
 def material(surface: xr.Dataset, wavelengths: int = 1) -> xr.Dataset:
-    """A material of these facets; index and diffuse part depend on the wavelength if there are several."""
+    """A material of these facets, which reflect once; index and diffuse part depend on the wavelength if there are several."""
     wavelength = np.linspace(400.0, 700.0, wavelengths) if wavelengths > 1 else np.array([WAVELENGTH])
     spectrum = xr.Dataset(
         {"total_reflectance": ("wavelength", np.linspace(REFLECTANCE, 0.5, wavelengths))},
@@ -117,7 +117,8 @@ def material(surface: xr.Dataset, wavelengths: int = 1) -> xr.Dataset:
     if wavelengths > 1:
         cauchy = {"n": ("wavelength", 1.48 + 5000 / wavelength**2), "k": ("wavelength", np.zeros(wavelengths))}
         index = vocabulary.label(xr.Dataset(cauchy, {"wavelength": wavelength}, {"source": "synthetic"}), "index")
-    return microfacet.build(surface, index=index, spectrum=vocabulary.label(spectrum, "spectrum"))
+    labelled = vocabulary.label(spectrum, "spectrum")
+    return microfacet.build(surface, index=index, spectrum=labelled, multiple_scattering="none")
 
 
 def other_materials() -> dict[str, Callable[[], xr.Dataset]]:
@@ -157,7 +158,9 @@ def other_materials() -> dict[str, Callable[[], xr.Dataset]]:
             surface.assign(height=surface["height"] * 0.05), index=INDEX, spectrum=spectrum
         ),
         "traced": lambda: traced.build(surface, index=INDEX, spectrum=spectrum, rays=20_000),
-        "table": lambda: microfacet.build(rough, index=INDEX, spectrum=spectrum).bsdf.tabulate(angles),
+        "table": lambda: microfacet.build(
+            rough, index=INDEX, spectrum=spectrum, multiple_scattering="none"
+        ).bsdf.tabulate(angles),
         "rig": measured,
     }
 

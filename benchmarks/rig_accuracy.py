@@ -126,7 +126,7 @@ TRUTHS: Mapping[str, Callable[[], xr.Dataset]] = {
     "milk glass": lambda: _lobes(0.25, (0.02, 15.0)),
     "plastic, 10 sr⁻¹, 3°": lambda: _lobes(0.127, (10.0, 3.0)),
     "narrow, 300 sr⁻¹, 1.5°, on metallic 14°": lambda: _lobes(0.05, (3.0, 14.0 / FWHM), (300.0, 1.5 / FWHM)),
-    FACETS: lambda: microfacet.build(_facets(SLOPE), index=INDEX, spectrum=_colour()),
+    FACETS: lambda: microfacet.build(_facets(SLOPE), index=INDEX, spectrum=_colour(), multiple_scattering="none"),
 }
 """Samples of the acceptance; angles of the first two are σ, of the third full widths at half maximum (:func:`report` gives the reason)."""
 
@@ -361,7 +361,7 @@ def glosses(bsdf: xr.Dataset, truth: xr.Dataset) -> Array:
 def recovered(primary: xr.Dataset) -> Array:
     """Inputs that a comparison with the surface recovers from a description wrong by :data:`DOUBTED`, and their uncertainty: (2, input)."""
     index, finish = INDEX - DOUBTED["index"], _facets(SLOPE / DOUBTED["slope"])
-    predicted = microfacet.build(finish, index=index, spectrum=_colour())
+    predicted = microfacet.build(finish, index=index, spectrum=_colour(), multiple_scattering="none")
     comparison = compare(primary, predicted, facets=finish, index=index, spectrum=_colour()).sel(input=list(DOUBTED))
     return np.stack([comparison["posterior"].values, comparison["posterior_u"].values])
 

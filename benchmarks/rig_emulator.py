@@ -78,7 +78,8 @@ def sample() -> Representation:
         attrs={"geometry": "sci", "theta_i": 8.0, "method": "synthetic", "residual_delta_e": 0.0},
     )
     slopes = facets.analytic("beckmann", a=0.1 * 2**0.5)
-    return representation(microfacet.build(slopes, index=1.5, spectrum=vocabulary.label(spectrum, "spectrum")))
+    labelled = vocabulary.label(spectrum, "spectrum")
+    return representation(microfacet.build(slopes, index=1.5, spectrum=labelled, multiple_scattering="none"))
 
 
 def measure(plan: Plan) -> Record:

@@ -90,7 +90,8 @@ def _at_cells(bsdf, incidence, wavelength, theta, phi) -> np.ndarray:
 
 
 def deviating(finish, index, spectrum=None, *, slope=1.1, shift=0.03, diffuse=0.95, **choices) -> xr.Dataset:
-    """The BSDF of a material whose slopes, index and diffuse reflectance deviate from their descriptions."""
+    """The BSDF of a material whose slopes, index and diffuse reflectance deviate from their descriptions; its facets reflect once."""
+    choices = {"multiple_scattering": "none"} | choices
     index = optics.refractive_index(index)
     shifted = index.assign(n=index["n"].copy(data=index["n"].values + shift))
     bsdf = microfacet.build(facets.scaled(finish, slope), index=shifted, spectrum=spectrum, **choices)

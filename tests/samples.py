@@ -37,7 +37,11 @@ beckmann = cache(partial(facets.analytic, "beckmann"))
 
 
 def beckmann_bsdf(sigma: float = 0.1, *, n: float = 1.55, reflectance=0.3, **options) -> xr.Dataset:
-    """The microfacet BSDF of a Gaussian surface of slope rms ``sigma`` per axis; ``reflectance=None`` for its gloss alone."""
+    """The microfacet BSDF of a Gaussian surface of slope rms ``sigma`` per axis; ``reflectance=None`` for its gloss alone.
+
+    Light that facets reflect more than once is lost unless ``multiple_scattering`` says otherwise: single reflection has closed forms.
+    """
+    options = {"multiple_scattering": "none"} | options
     values = None if reflectance is None else tuple(np.atleast_1d(reflectance).astype(float).tolist())
     return _beckmann_bsdf(sigma, n, values, tuple(sorted(options.items()))).copy(deep=True)
 
@@ -60,7 +64,7 @@ def glossy_bsdf(a: float, n: float) -> xr.Dataset:
 @cache
 def _glossy_bsdf(a: float, n: float) -> xr.Dataset:
     with coarse_albedo_tables():
-        return microfacet.build(facets.analytic("beckmann", a), index=n)
+        return microfacet.build(facets.analytic("beckmann", a), index=n, multiple_scattering="none")
 
 
 def visibility_table(ratio) -> xr.Dataset:
@@ -87,14 +91,18 @@ def masking_choice(masking: str = "measured", error: float = -0.3) -> xr.Dataset
 
 
 def brushed_bsdf(a_x: float, a_y: float, azimuth: float = 0.0) -> xr.Dataset:
-    """The microfacet BSDF of a Gaussian surface of index 1.5 with a lay: widths along and across it, its azimuth; its albedo is coarse."""
+    """The microfacet BSDF of a Gaussian surface of index 1.5 with a lay: widths along and across it, its azimuth; its albedo is coarse.
+
+    Its facets reflect once alone.
+    """
     return _brushed_bsdf(a_x, a_y, azimuth).copy(deep=True)
 
 
 @cache
 def _brushed_bsdf(a_x: float, a_y: float, azimuth: float) -> xr.Dataset:
     with coarse_albedo_tables():
-        return microfacet.build(facets.analytic("beckmann", a_x=a_x, a_y=a_y, azimuth=azimuth), index=1.5)
+        surface = facets.analytic("beckmann", a_x=a_x, a_y=a_y, azimuth=azimuth)
+        return microfacet.build(surface, index=1.5, multiple_scattering="none")
 
 
 @contextmanager

@@ -77,7 +77,7 @@ def test_every_dataset_has_its_material_stage_and_digest(built: tuple[Path, Path
         dataset = store.verify_digest(store.open_dataset(path), path.name)
         assert dataset.attrs["material"] == path.parent.name
         assert dataset.attrs["stage"] == ("report" if path.stem == "summary" else path.stem)
-    assert len(paths) == 17 + 10 + 10 + 17
+    assert len(paths) == 18 + 10 + 10 + 18
 
 
 def test_the_lock_lists_every_dataset(built: tuple[Path, Path]) -> None:
@@ -250,7 +250,7 @@ def test_a_reference_solution_replaces_the_prediction(tmp_path: Path) -> None:
     assert summary.failures == {}
     made = {name: {path.stem for path in (tmp_path / "results" / name).glob("*.nc")} for name in ("used", "unchecked")}
     assert made["used"] - made["unchecked"] == {"reference"}
-    assert made["unchecked"] - made["used"] == {"visibility", "predicted", "wave", "uncertainty"}
+    assert made["unchecked"] - made["used"] == {"visibility", "interreflection", "predicted", "wave", "uncertainty"}
     bsdf = store.open_dataset(tmp_path / "results" / "used" / "bsdf.nc")
     assert bsdf.attrs["representation"] == "kirchhoff"
     assert "diffraction on the map" in bsdf.attrs["history"]

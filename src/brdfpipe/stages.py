@@ -26,11 +26,11 @@ from brdfpipe.catalogue.material_keys import (
 from brdfpipe.exchange.registry import FORMATS, Format
 from brdfpipe.masking.modes import (
     HALOS,
-    MASKINGS_OF_MULTIPLE_SCATTERING,
     MODEL_DEFAULTS,
     RECIPES,
     SMITH_MASKINGS,
     TRUTHS,
+    allows_several_reflections,
     optics_of,
 )
 
@@ -192,11 +192,12 @@ def _masking(subject: Subject) -> str:
 
 
 def _multiple_scattering(subject: Subject) -> str:
-    """The mode that the key or the recipe names, or the default; ``none`` where ``auto`` cannot add light."""
+    """The mode that the key or the recipe names, or the default; ``none`` where ``auto`` cannot add light, or waves alone reflect it."""
     model = subject.section("model")
-    modes = RECIPES.get(model.get("recipe", ""), MODEL_DEFAULTS)
-    named = str(model.get("multiple_scattering", modes["multiple_scattering"]))
-    return "none" if named == "auto" and _masking(subject) not in MASKINGS_OF_MULTIPLE_SCATTERING["measured"] else named
+    modes = RECIPES.get(model.get("recipe", ""), MODEL_DEFAULTS) | model
+    allowed = allows_several_reflections(_masking(subject), modes["diffuse"]) and optics_of(model) != "wave"
+    named = str(modes["multiple_scattering"])
+    return "none" if named == "auto" and not allowed else named
 
 
 _TRACED_REFLECTIONS = Condition(
@@ -289,7 +290,7 @@ def _facet_model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     if "recipe" in model:
         return {"recipe": model["recipe"]} | alone
     chosen = {key: model.get(key, default) for key, default in MODEL_DEFAULTS.items()}
-    return chosen | {"masking": _masking(subject)} | alone
+    return chosen | {"masking": _masking(subject), "multiple_scattering": _multiple_scattering(subject)} | alone
 
 
 def _wave_model(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:

@@ -38,7 +38,7 @@ def with_model_error(
 @pytest.fixture(scope="module")
 def index_alone() -> tuple[xr.Dataset, xr.Dataset]:
     """A BSDF whose index is uncertain, and its appearance."""
-    bsdf = microfacet.build(beckmann(0.1), index=1.5, spectrum=spectrum(0.3))
+    bsdf = microfacet.build(beckmann(0.1), index=1.5, spectrum=spectrum(0.3), multiple_scattering="none")
     changes = uncertainty(bsdf, index=optics.refractive_index(1.5, uncertainty=0.01), spectrum=spectrum(0.3))
     bsdf = bsdf.merge(changes, combine_attrs="override")
     bsdf.attrs |= {"uncertainty_not_stated": changes.attrs["uncertainty_not_stated"]}
@@ -47,14 +47,16 @@ def index_alone() -> tuple[xr.Dataset, xr.Dataset]:
 
 def test_gloss_is_as_uncertain_as_the_difference_to_another_index(index_alone):
     _, appearance = index_alone
-    higher = gloss(microfacet.build(beckmann(0.1), index=1.51, spectrum=spectrum(0.3)))
+    higher = gloss(microfacet.build(beckmann(0.1), index=1.51, spectrum=spectrum(0.3), multiple_scattering="none"))
     found = appearance["gloss_u_source"].sel(source="index")
     np.testing.assert_allclose(found, higher - appearance["gloss"], rtol=0.02, atol=1e-3)
 
 
 def test_sources_and_instrument_add_in_quadrature(index_alone):
     _, appearance = index_alone
-    exact = compute_appearance(microfacet.build(beckmann(0.1), index=1.5, spectrum=spectrum(0.3)))
+    exact = compute_appearance(
+        microfacet.build(beckmann(0.1), index=1.5, spectrum=spectrum(0.3), multiple_scattering="none")
+    )
     assert "gloss_u_source" not in exact
     for name in ("gloss", "haze", "reflectance_haze"):
         parts = appearance[f"{name}_u_source"]
@@ -124,7 +126,7 @@ def meter_readings(height: np.ndarray, noise: float | None) -> tuple[np.ndarray,
     )
     counted = facets.estimate(surface, isotropic=True, noise=noise)
     with coarse_albedo_tables():
-        bsdf = microfacet.build(counted, index=1.5)
+        bsdf = microfacet.build(counted, index=1.5, multiple_scattering="none")
     appearance = compute_appearance(bsdf.merge(uncertainty(bsdf, facets=counted), combine_attrs="override"))
     values, parts = (
         np.append(appearance[f"gloss{name}"].values, appearance[f"haze{name}"].values[..., None], axis=-1)
@@ -153,7 +155,7 @@ def test_ten_polished_maps_scatter_in_gloss_as_each_states():
         scan = surface(height, (0.25, 0.25))
         counted, psd = facets.estimate(scan, isotropic=True, noise=0.0), roughness.estimate(scan, noise=0.0)
         with coarse_albedo_tables():
-            predicted = microfacet.build(counted, index=1.5)
+            predicted = microfacet.build(counted, index=1.5, multiple_scattering="none")
             bsdf = wave.build(psd, index=1.5, facets=counted, predicted=predicted, optics="auto", wavelength=[550.0])
         changes = uncertainty(bsdf, facets=counted, psd=psd)
         appearance = compute_appearance(bsdf.merge(changes, combine_attrs="override"))

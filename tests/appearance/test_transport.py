@@ -23,7 +23,9 @@ ONE = (None, np.ones((1, 1)))
 @cache
 def gloss_alone(*, index=1.5, **width):
     with samples.coarse_albedo_tables():
-        return microfacet.build(facets.analytic("beckmann", **width), index=optics.refractive_index(index))
+        return microfacet.build(
+            facets.analytic("beckmann", **width), index=optics.refractive_index(index), multiple_scattering="none"
+        )
 
 
 def some(points, count, seed=2):

@@ -108,7 +108,11 @@ def material(distribution: str, widths: tuple[float, float], index: tuple[float,
     )
     lay = {"a": widths[0]} if widths[0] == widths[1] else {"a_x": widths[0], "a_y": widths[1]}
     return microfacet.build(
-        facets.analytic(distribution, **lay), index=vocabulary.label(refractive, "index"), diffuse="none", **options
+        facets.analytic(distribution, **lay),
+        index=vocabulary.label(refractive, "index"),
+        diffuse="none",
+        **options,
+        multiple_scattering="none",
     )
 
 

@@ -48,7 +48,7 @@ def test_a_bsdf_without_wavelengths_has_no_error():
 def test_the_error_of_averaging_a_dispersive_index_is_of_second_order():
     errors = []
     for spread in (0.02, 0.04):
-        bsdf = microfacet.build(facets.analytic("beckmann", 0.05), index=dispersive(spread))
+        bsdf = microfacet.build(facets.analytic("beckmann", 0.05), index=dispersive(spread), multiple_scattering="none")
         errors.append(bsdf.bsdf.nonspectral_error(np.ones(3), [0.0, 60.0])["rms"].values)
     assert errors[1][1] / errors[0][1] == pytest.approx(4.0, rel=0.02)
     # The one index has the mean reflectance of the three at normal incidence, and another at 60° by as much as its second
@@ -62,7 +62,9 @@ def test_the_error_of_averaging_a_dispersive_index_is_of_second_order():
 
 
 def test_a_lay_is_compared_on_both_sides_of_the_plane_of_incidence():
-    bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.1, a_y=0.3, azimuth=30.0), index=1.5)
+    bsdf = microfacet.build(
+        facets.analytic("beckmann", a_x=0.1, a_y=0.3, azimuth=30.0), index=1.5, multiple_scattering="none"
+    )
     rule = comparison.directions(bsdf, 40.0, 70.0)
     assert rule.weight.sum() == pytest.approx(np.pi, rel=1e-7)
     # Few directions, for a measure of two digits.

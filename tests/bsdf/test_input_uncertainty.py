@@ -107,7 +107,7 @@ def test_a_polished_face_is_uncertain_by_its_index():
 
 def test_all_directions_of_a_source_change_together_and_sources_are_independent():
     given = uncertain_facets()
-    bsdf = microfacet.build(given, index=1.5, spectrum=spectrum(0.3))
+    bsdf = microfacet.build(given, index=1.5, spectrum=spectrum(0.3), multiple_scattering="none")
     found = beside(bsdf, facets=given, index=index_of(1.5, 0.005), spectrum=with_u(0.3, 0.003))
     angles = 45, 0, [45, 40, 0], 180
     parts = [found.bsdf.uncertainty(*angles, source=source) for source in found.bsdf.uncertainty_sources]
@@ -120,7 +120,7 @@ def test_all_directions_of_a_source_change_together_and_sources_are_independent(
 def test_the_uncertainty_of_a_mean_over_wavelength_is_that_of_all_wavelengths_together():
     given = uncertain_facets()
     index = vocabulary.label(index_of("ABS").assign(n_u=lambda one: 0 * one["n"] + 0.005), "index")
-    bsdf = microfacet.build(given, index=index, spectrum=spectrum(0.3))
+    bsdf = microfacet.build(given, index=index, spectrum=spectrum(0.3), multiple_scattering="none")
     found = beside(bsdf, facets=given, index=index, spectrum=with_u(0.3, 0.003))
     mean = SourceChanges(nonspectral(found)).of_brdf(*AT)[..., 0]
     by_wavelength = SourceChanges(found).of_brdf(*AT)
@@ -170,7 +170,7 @@ def test_an_error_that_is_not_known_is_no_source():
 
 
 def test_total_reflection_and_black_bases_stay_within_their_ranges():
-    bsdf = microfacet.build(uncertain_facets(), index=1.5, spectrum=spectrum(0.041))
+    bsdf = microfacet.build(uncertain_facets(), index=1.5, spectrum=spectrum(0.041), multiple_scattering="none")
     inputs = {"facets": uncertain_facets(), "index": index_of(1.5, 0.3), "spectrum": with_u(0.041, 0.02)}
     found = beside(bsdf, **inputs)
     for changed in SourceChanges(found).changed:
@@ -180,7 +180,7 @@ def test_total_reflection_and_black_bases_stay_within_their_ranges():
 
 def test_noise_that_is_stated_exactly_is_named_as_not_stated():
     noisy = vocabulary.label(uncertain_facets().assign(noise_sigma=0.01, noise_sigma_u=0.0), "facets")
-    bsdf = microfacet.build(noisy, index=1.5)
+    bsdf = microfacet.build(noisy, index=1.5, multiple_scattering="none")
     assert uncertainty(bsdf, facets=noisy).attrs["uncertainty_not_stated"] == "noise, index, model"
 
 
@@ -215,7 +215,7 @@ def polished() -> tuple[xr.Dataset, xr.Dataset, float]:
 def by_waves(psd: xr.Dataset, counted: xr.Dataset, wavelength: list[float]) -> xr.Dataset:
     """The BSDF that the default optics predict."""
     with coarse_albedo_tables():
-        predicted = microfacet.build(counted, index=1.5)
+        predicted = microfacet.build(counted, index=1.5, multiple_scattering="none")
         return wave.build(psd, index=1.5, facets=counted, predicted=predicted, optics="auto", wavelength=wavelength)
 
 

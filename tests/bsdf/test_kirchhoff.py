@@ -66,7 +66,7 @@ def test_all_light_is_fresnels_reflectance():
 def test_it_tends_to_the_facets_of_the_map():
     surface = gaussian_map(0.4)
     bsdf = build(surface, index=1.5, wavelength=[550.0])
-    facet_model = build_microfacet(estimate(surface, isotropic=True), index=1.5)
+    facet_model = build_microfacet(estimate(surface, isotropic=True), index=1.5, multiple_scattering="none")
     theta_o = np.linspace(21.0, 39.0, 7)
     angles = np.full(7, 30.0), np.zeros(7), theta_o, np.full(7, 180.0)
     waves, rays = (representation(one).evaluate(*angles, None)[:, 0] for one in (bsdf, facet_model))

@@ -95,7 +95,9 @@ def test_a_fit_of_a_real_lobe_states_its_residual_and_keeps_the_flux():
 
 @pytest.mark.parametrize("a", [0.7, 2.0])
 def test_a_lobe_wider_than_the_hemisphere_is_left_to_the_lambertian_part(a):
-    bsdf = microfacet.build(facets.analytic("ggx", a), index=1.5, spectrum=samples.spectrum(0.3))
+    bsdf = microfacet.build(
+        facets.analytic("ggx", a), index=1.5, spectrum=samples.spectrum(0.3), multiple_scattering="none"
+    )
     fit = fitting.fit_lambert_gauss(bsdf, [0.0, 20.0, 30.0, 60.0])
     widths = fit[["gauss_fwhm_parallel", "gauss_fwhm_perpendicular"]].to_array()
     assert float(widths.max()) <= 90 * (1 + 1e-9)
@@ -121,7 +123,9 @@ def test_a_weighted_mean_of_a_lambertian_is_the_mean_reflectance():
 
 
 def test_a_fit_of_a_lay_warns_that_it_is_valid_for_one_azimuth():
-    bsdf = microfacet.build(facets.analytic("beckmann", a_x=0.05, a_y=0.1, azimuth=90.0), index=1.5)
+    bsdf = microfacet.build(
+        facets.analytic("beckmann", a_x=0.05, a_y=0.1, azimuth=90.0), index=1.5, multiple_scattering="none"
+    )
     fit = fitting.fit_lambert_gauss(bsdf, [0.0])
     assert "the surface has a lay" in vocabulary.warnings(fit)[0]
     # The steep slopes, of 0.1 along x turned by 90°, are those along x: the lobe is wide in the plane of incidence's y.

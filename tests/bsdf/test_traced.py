@@ -48,7 +48,10 @@ def test_the_account_of_the_light_is_complete():
 
 
 def test_it_agrees_with_counted_facets_where_light_is_reflected_once():
-    bsdf, facet_model = traced(), build_microfacet(estimate(rough_map(), isotropic=True), index=1.5)
+    bsdf, facet_model = (
+        traced(),
+        build_microfacet(estimate(rough_map(), isotropic=True), index=1.5, multiple_scattering="none"),
+    )
     theta_o = np.array([0.0, 10.0, 20.0, 30.0])
     angles = np.full_like(theta_o, 10.0), np.zeros(4), theta_o, np.full_like(theta_o, 180.0)
     once = representation(representation(bsdf).single_reflection())

@@ -16,6 +16,7 @@ from brdfpipe.comparison.measured_predicted import PRIOR_U
 from brdfpipe.descriptions import reading
 from brdfpipe.descriptions.keys import Keys, case_folded
 from brdfpipe.errors import InputError
+from brdfpipe.stages import STAGES, Subject
 
 COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
 
@@ -134,6 +135,10 @@ def test_one_bad_material_stops_no_other(tmp_path: Path) -> None:
             SCAN + "model: {masking: crf, multiple_scattering: auto}",
             "`multiple_scattering: auto` is defined for Smith's",
         ),
+        (
+            SCAN + "model: {diffuse: crf, multiple_scattering: auto}",
+            "model.multiple_scattering: `diffuse: crf` follows its source",
+        ),
         (FRONT + "model: {optics: wave}", "model.optics: `model.optics: wave` needs a roughness spectrum"),
         (
             ROUGH + "slab: {thickness: 1}\nmodel: {optics: composite}",
@@ -218,7 +223,7 @@ def test_a_slab_has_a_back_of_its_own_where_it_differs(tmp_path: Path, back: str
 @pytest.mark.parametrize(
     ("text", "written"),
     [
-        (COLOUR, "model: {masking: height-correlated, diffuse: coupled, multiple_scattering: none}"),
+        (COLOUR, "model: {masking: height-correlated, diffuse: coupled, multiple_scattering: auto}"),
         (FRONT + "slab: {thickness: 1}\n", "model: {masking: height-correlated}"),
         (FRONT + "slab: {thickness: 1", ", internal_transmittance: 1, back: same}"),
         (FRONT + "slab: {thickness: 1, absorption: {file: a.txt", ", unit: 1/mm}}"),
@@ -231,6 +236,27 @@ def test_writing_a_default_changes_no_parameter_of_a_stage(tmp_path: Path, text:
     first, second = (catalogue.load(tmp_path / folder) for folder in ("a", "b"))
     stages = ["sheet", "interior"] if first["m"].has("slab") else ["predicted"]
     assert [first.spec("m", stage) for stage in stages] == [second.spec("m", stage) for stage in stages]
+
+
+@pytest.mark.parametrize(
+    ("model", "mode"),
+    [
+        ("masking: measured", "auto"),
+        ("optics: facets", "auto"),
+        ("multiple_scattering: none", "none"),
+        ("masking: separable", "none"),
+        ("masking: blinn", "none"),
+        ("diffuse: crf", "none"),
+        ("optics: wave", "none"),
+    ],
+)
+def test_light_reflected_more_than_once_is_added_by_default_where_the_model_has_it(
+    tmp_path: Path, model: str, mode: str
+) -> None:
+    write(tmp_path, "m", f"{SCAN}model: {{{model}}}", a_txt="1 2")
+    loaded = catalogue.load(tmp_path)
+    assert loaded.spec("m", "predicted")["multiple_scattering"] == mode
+    assert bool(STAGES["interreflection"].jobs(Subject(loaded["m"], loaded.config))) == (mode == "auto")
 
 
 def test_a_recipe_is_the_only_parameter_of_the_model(tmp_path: Path) -> None:
@@ -443,7 +469,7 @@ def test_each_stage_has_its_part_of_the_description_as_parameters(tmp_path: Path
         "facets": {"isotropic": True},
         "index": {"index": "PP"},
         "spectrum": {"file": "a.txt", "geometry": "sci", "allow_fluorescent": False},
-        "predicted": {"masking": "auto", "diffuse": "coupled", "multiple_scattering": "none"},
+        "predicted": {"masking": "auto", "diffuse": "coupled", "multiple_scattering": "auto"},
         "report": {"description": "d", "exports": ["astm"]},
     }
 

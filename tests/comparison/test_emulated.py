@@ -38,7 +38,9 @@ def short_plan() -> Plan:
 
 @cache
 def predicted(roughness: float) -> xr.Dataset:
-    return microfacet.build(facets.analytic("beckmann", roughness), index=1.5, spectrum=SPECTRUM)
+    return microfacet.build(
+        facets.analytic("beckmann", roughness), index=1.5, spectrum=SPECTRUM, multiple_scattering="none"
+    )
 
 
 def measured(plan: Plan, roughness: float, seed: int) -> xr.Dataset:

@@ -33,7 +33,7 @@ def finish() -> xr.Dataset:
 
 @pytest.fixture(scope="module")
 def predicted() -> xr.Dataset:
-    return microfacet.build(finish(), index=1.5, spectrum=SPECTRUM)
+    return microfacet.build(finish(), index=1.5, spectrum=SPECTRUM, multiple_scattering="none")
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +147,7 @@ def test_an_input_that_is_certain_is_not_changed(predicted, deviating) -> None:
 
 
 def test_without_a_base_there_is_none_to_change() -> None:
-    bare = microfacet.build(finish(), index=1.5)
+    bare = microfacet.build(finish(), index=1.5, multiple_scattering="none")
     truth = comparison_primary.deviating(finish(), 1.5)
     result = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), bare, spectrum=None)
     assert list(result["input"].values) == ["index", "slope"]
@@ -160,7 +160,7 @@ def test_the_slopes_of_a_metal_are_recovered() -> None:
     truth = comparison_primary.deviating(finish(), index, shift=0.0)
     result = compare(
         comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)),
-        microfacet.build(finish(), index=index),
+        microfacet.build(finish(), index=index, multiple_scattering="none"),
         index=index,
         spectrum=None,
     )
@@ -172,7 +172,9 @@ def test_the_slopes_of_a_metal_are_recovered() -> None:
 def test_a_finish_twice_as_rough_is_recovered() -> None:
     truth = comparison_primary.deviating(finish(), 1.5, slope=2.0, shift=0.0)
     primary = comparison_primary.measured(truth, 1, incidences=(30.0, 60.0))
-    result = compare(primary, microfacet.build(finish(), index=1.5), spectrum=None, index_u=0.0)
+    result = compare(
+        primary, microfacet.build(finish(), index=1.5, multiple_scattering="none"), spectrum=None, index_u=0.0
+    )
     assert result.attrs["converged"]
     assert result["posterior"].values == pytest.approx([2.0], rel=0.001)
     (warning,) = vocabulary.warnings(result)
@@ -206,7 +208,7 @@ def test_slopes_of_a_scan_are_recovered_within_the_uncertainty_of_the_scan() -> 
     )
     for seed in range(8):
         scanned = facets.estimate(samples.gaussian_surface(512, sigma=sigma, correlation=8, seed=seed), isotropic=True)
-        predicted = microfacet.build(scanned, index=1.5, spectrum=SPECTRUM)
+        predicted = microfacet.build(scanned, index=1.5, spectrum=SPECTRUM, multiple_scattering="none")
         result = compare(comparison_primary.measured(truth, seed), predicted, facets=scanned)
         assert result.attrs["converged"]
         true = {"index": 0.03, "slope": 1.05 * sigma * np.sqrt(2) / float(scanned["slope_rms"]), "diffuse": 1.0}
@@ -234,7 +236,7 @@ def displaced(bsdf: xr.Dataset, by: float) -> xr.Dataset:
 
 
 def test_a_displaced_disc_is_not_mistaken_for_another_finish() -> None:
-    narrow = microfacet.build(facets.analytic("beckmann", 0.03), index=1.5)
+    narrow = microfacet.build(facets.analytic("beckmann", 0.03), index=1.5, multiple_scattering="none")
     result = compare(displaced(narrow, 0.1), narrow, facets=facets.analytic("beckmann", 0.03), spectrum=None)
     assert np.abs(pulls(result, {"index": 0.0, "slope": 1.0})).max() < 2
     assert float(result["posterior_u"].sel(input="slope")) < 0.02
@@ -269,8 +271,8 @@ def test_a_value_has_the_decimals_of_its_uncertainty(value, u, words) -> None:
 
 
 def test_a_model_of_the_wrong_form_gives_a_warning() -> None:
-    truth = microfacet.build(facets.analytic("ggx", 0.1), index=1.5)
-    wrong = microfacet.build(finish(), index=1.5)
+    truth = microfacet.build(facets.analytic("ggx", 0.1), index=1.5, multiple_scattering="none")
+    wrong = microfacet.build(finish(), index=1.5, multiple_scattering="none")
     result = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), wrong, spectrum=None, index_u=0.0)
     (warning, *_) = vocabulary.warnings(result)
     assert warning.startswith("no change of the prediction's inputs makes it agree with the measurement")
@@ -282,7 +284,7 @@ LAY = facets.analytic("beckmann", a_x=0.1, a_y=0.25, azimuth=30)
 
 
 def test_a_surface_with_a_lay_is_compared_with_a_warning() -> None:
-    predicted = microfacet.build(LAY, index=1.5)
+    predicted = microfacet.build(LAY, index=1.5, multiple_scattering="none")
     certain = {"index_u": 0.0, "slope_u": 0.0, "spectrum": None}
     result = compare(comparison_primary.measured(predicted, 1, incidences=(30.0,)), predicted, facets=LAY, **certain)
     assert float(result["chi_squared_dof"][0]) == pytest.approx(1, abs=0.1)
@@ -292,14 +294,14 @@ def test_a_surface_with_a_lay_is_compared_with_a_warning() -> None:
 
 @pytest.mark.slow
 def test_a_deviation_of_a_surface_with_a_lay_is_recovered() -> None:
-    predicted = microfacet.build(LAY, index=1.5, spectrum=SPECTRUM)
+    predicted = microfacet.build(LAY, index=1.5, spectrum=SPECTRUM, multiple_scattering="none")
     truth = comparison_primary.deviating(LAY, 1.5, SPECTRUM)
     result = compare(comparison_primary.measured(truth, 1, incidences=(30.0, 60.0)), predicted, facets=LAY)
     assert np.abs(pulls(result, TRUE)).max() < 3
 
 
 def test_a_prediction_averaged_over_its_lay_is_compared_unchanged() -> None:
-    predicted = microfacet.build(LAY, index=1.5, isotropic=True)
+    predicted = microfacet.build(LAY, index=1.5, isotropic=True, multiple_scattering="none")
     primary = comparison_primary.measured(predicted, 1, incidences=(30.0, 60.0))
     result = compare(primary, predicted, facets=LAY, spectrum=None, index_u=0.0)
     assert np.abs(pulls(result, {"slope": 1.0})).max() < 3

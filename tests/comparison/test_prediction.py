@@ -61,11 +61,15 @@ def test_a_darker_base_is_that_of_a_darker_spectrum(choices, geometry) -> None:
 
 
 def test_a_steeper_finish_and_a_higher_index_are_those_of_a_build() -> None:
-    predicted = microfacet.build(facets.analytic("beckmann", 0.2), index=1.5, spectrum=spectrum())
+    predicted = microfacet.build(
+        facets.analytic("beckmann", 0.2), index=1.5, spectrum=spectrum(), multiple_scattering="none"
+    )
     changed = PredictionInputs.of(predicted, facets.analytic("beckmann", 0.2), 1.5, spectrum()).bsdf(
         {"index": 0.1, "slope": 1.5, "diffuse": 1.0}
     )
-    expected = microfacet.build(facets.analytic("beckmann", 0.3), index=1.6, spectrum=spectrum())
+    expected = microfacet.build(
+        facets.analytic("beckmann", 0.3), index=1.6, spectrum=spectrum(), multiple_scattering="none"
+    )
     angles = (40.0, 0.0, np.linspace(0, 80, 9), 180.0, [500.0, 600.0])
     np.testing.assert_allclose(changed.bsdf.evaluate(*angles), expected.bsdf.evaluate(*angles), rtol=1e-6)
 
@@ -100,7 +104,7 @@ def test_the_derivatives_are_those_of_rebuilt_bsdfs(choices) -> None:
 
 
 def test_the_unresolved_part_of_a_cell_is_of_fourth_order_in_its_side() -> None:
-    predicted = microfacet.build(facets.analytic("beckmann", 0.03), index=1.5)
+    predicted = microfacet.build(facets.analytic("beckmann", 0.03), index=1.5, multiple_scattering="none")
     primary = comparison_primary.measured(predicted, None, incidences=(10.0,), wavelengths=(500.0,))
     halved = primary.assign_coords(solid_angle=primary["solid_angle"] / 4)
     wide, narrow = (Predicted(predicted, Measurement.of(dataset, np.array([0]))).own_u for dataset in (primary, halved))

@@ -19,7 +19,7 @@ SIGMA = SLOPE * CORRELATION / np.sqrt(2)
 
 
 def gloss(found) -> np.ndarray:
-    return np.asarray(appearance.gloss(microfacet.build(found, index=1.5), [20, 60]))
+    return np.asarray(appearance.gloss(microfacet.build(found, index=1.5, multiple_scattering="none"), [20, 60]))
 
 
 def noisy(clean, share, seed=99):

@@ -155,6 +155,7 @@ def test_deleting_an_intermediate_rebuilds_it_and_what_depends_on_it(folder: Pat
         "visibility",
         "index",
         "spectrum",
+        "interreflection",
         "predicted",
         "wave",
         "model_error",
@@ -196,7 +197,7 @@ def test_editing_the_description_rebuilds_the_report_alone(folder: Path, results
 def test_writing_out_a_default_rebuilds_nothing(folder: Path, results: Path) -> None:
     build(folder, results)
     with (folder / "first" / "material.yaml").open("a") as description:
-        description.write("model: {masking: auto}\n")
+        description.write("model: {masking: auto, multiple_scattering: auto}\n")
     assert build(folder, results).jobs == 0
 
 
@@ -243,7 +244,7 @@ def test_a_folder_of_other_files_is_refused(folder: Path, results: Path) -> None
 def test_an_empty_folder_takes_results(folder: Path, results: Path) -> None:
     results.mkdir()
     (results / ".hidden").touch()
-    assert build_catalogue(folder, results, cores=1, dry_run=True).jobs == 37
+    assert build_catalogue(folder, results, cores=1, dry_run=True).jobs == 39
 
 
 def unwritable(monkeypatch: pytest.MonkeyPatch, *paths: Path) -> None:
@@ -337,7 +338,7 @@ def test_only_results_inside_the_folder_are_ever_deleted_as_damaged(tmp_path: Pa
 
 def test_a_dry_run_changes_nothing(folder: Path, results: Path) -> None:
     summary = build_catalogue(folder, results, cores=1, dry_run=True)
-    assert summary.jobs == 37  # eighteen stages of two materials, and the catalogue
+    assert summary.jobs == 39  # nineteen stages of two materials, and the catalogue
     assert content(results) == {}
 
 

@@ -31,7 +31,7 @@ def random_table(seed: int, spread: float = 0.5):
     return samples.visibility_table(np.exp(spread * np.random.default_rng(seed).normal(size=(6, 7, 5))))
 
 
-SMITH = build(BECKMANN, index=1.5)
+SMITH = build(BECKMANN, index=1.5, multiple_scattering="none")
 
 
 def with_ratio(table, **options):
@@ -75,7 +75,9 @@ def traced(gaussian_map):
 
 def test_perfect_mirrors_reflect_what_traced_rays_reflect_once(gaussian_map, traced):
     facets = estimate(gaussian_map, isotropic=True)
-    surface = Microsurface.of(build(facets, index=1.5, visibility=traced, masking="measured"))
+    surface = Microsurface.of(
+        build(facets, index=1.5, visibility=traced, masking="measured", multiple_scattering="none")
+    )
     mesh = HeightMesh.of(gaussian_map)
     for theta in (30.0, 60.0, 75.0):
         light = trace(mesh, theta, index=complex(np.inf), bins=SlopeBins.of(0.3), rays=2**17)

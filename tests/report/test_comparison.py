@@ -24,7 +24,7 @@ def compared() -> xr.Dataset:
     finish, spectrum = facets.analytic("beckmann", 0.15), samples.spectrum(0.2)
     truth = comparison_primary.deviating(finish, 1.5, spectrum)
     primary = comparison_primary.measured(truth, 1, incidences=(10.0, 60.0), wavelengths=(500.0, 540.0, 600.0))
-    predicted = microfacet.build(finish, index=1.5, spectrum=spectrum)
+    predicted = microfacet.build(finish, index=1.5, spectrum=spectrum, multiple_scattering="none")
     return routes.compare(primary, predicted, facets=finish, index=1.5, spectrum=spectrum)
 
 

@@ -717,9 +717,9 @@ class Model(Keys):
         default_words=f"`{MODEL_DEFAULTS['diffuse']}`",
     )
     multiple_scattering: Annotated[str, OneOf(MODES["multiple_scattering"])] = key(
-        "light reflected by more than one facet: none (lost), compensated (given back as diffuse light), directional (in the "
-        "directions that Smith's surface gives it), measured (traced on the height map) or auto (where it is more than 1 % of the "
-        "reflected light, measured on a map and directional without one)",
+        "light reflected by more than one facet: auto (where it is more than 1 % of the reflected light, measured on a map and "
+        "directional without one), none (lost), compensated (given back as diffuse light), directional (in the directions that "
+        "Smith's surface gives it) or measured (traced on the height map)",
         default_words=f"`{MODEL_DEFAULTS['multiple_scattering']}`",
         details="See [light reflected more than once](model.md#light-reflected-more-than-once).",
     )
@@ -790,6 +790,10 @@ class Model(Keys):
         if self.multiple_scattering == "auto":
             # Stages leave several reflections out with other maskings. A key that does nothing is a mistake.
             defined = ("auto", *PHYSICAL_MASKINGS)
+            if self.diffuse == "crf":
+                problem = "`diffuse: crf` follows its source, which has no light that is reflected more than once"
+                accepted = "`diffuse: crf` without `multiple_scattering`, or `diffuse: coupled`"
+                raise InputError("", problem, where="multiple_scattering", found="'auto'", accepted=accepted)
         if masking not in defined:
             problem = f"`multiple_scattering: {mode}` is defined for Smith's masking"
             accepted = f"{' or '.join(defined)}, or `multiple_scattering: none`"

@@ -22,7 +22,12 @@ from brdfpipe.comparison.lobe_bins import LobeBins, gloss_by_bin
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
 from brdfpipe.masking import ray_casting
-from brdfpipe.masking.modes import MASKING_ADVISED, MASKINGS_OF_MULTIPLE_SCATTERING, SMITH_MASKINGS
+from brdfpipe.masking.modes import (
+    MASKING_ADVISED,
+    MASKINGS_OF_MULTIPLE_SCATTERING,
+    MULTIPLE_SCATTERING_ADVISED,
+    SMITH_MASKINGS,
+)
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.references.height_mesh import NOISE_LIMIT, HeightMapError, HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
@@ -369,9 +374,9 @@ def _advice(result: xr.Dataset, predicted: xr.Dataset) -> str:
         key = "`model.optics: auto`"
     elif _hidden_otherwise(result, predicted) is not None and not lay:
         key = "`model.masking: measured`"
-    elif (
-        modes["masking"] in MASKINGS_OF_MULTIPLE_SCATTERING["directional"]
-        and modes["multiple_scattering"] != "measured"
+    elif modes["masking"] in MASKINGS_OF_MULTIPLE_SCATTERING["directional"] and modes["multiple_scattering"] not in (
+        "measured",
+        modes.get(MULTIPLE_SCATTERING_ADVISED),
     ):
         key = "`model.multiple_scattering: measured`"
     else:

@@ -14,16 +14,19 @@ PHYSICAL_MASKINGS = (*SMITH_MASKINGS, "measured")
 MASKING_ADVISED = "masking_advised"
 """Attribute of a BSDF from heights: the masking that the light of their facets speaks for, where it was compared."""
 
+MULTIPLE_SCATTERING_ADVISED = "multiple_scattering_advised"
+"""Attribute of a BSDF of facets: the mode that ``multiple_scattering: auto`` means, where the light was compared."""
+
 MODES = {
     "masking": ("auto", *PHYSICAL_MASKINGS, "blinn", "liu", "crf", "none"),
     "diffuse": ("coupled", "crf", "none"),
-    "multiple_scattering": ("none", "compensated", "directional", "measured", "auto"),
+    "multiple_scattering": ("auto", "none", "compensated", "directional", "measured"),
 }
 """Accepted modes by key of ``model``; the first one is the default.
 
 Masking ``auto`` is ``measured`` where heights were measured and Smith's masking does not describe them, else Smith's height-correlated one.
-Multiple scattering ``auto`` is ``none`` where little light is reflected more than once, or masking does not conserve energy; else
-``measured`` on a height map, and ``directional`` without one.
+Multiple scattering ``auto`` is ``none`` where little light is reflected more than once, and where :func:`allows_several_reflections` says
+no; else ``measured`` on a height map, and ``directional`` without one.
 """
 
 OPTICS = ("auto", "facets", "wave", "composite")
@@ -52,6 +55,11 @@ MASKINGS_OF_MULTIPLE_SCATTERING = {
 
 RECIPES = {"crf": {"masking": "crf", "diffuse": "crf", "multiple_scattering": "none"}}
 """Modes of one source, by its name."""
+
+
+def allows_several_reflections(masking: str, diffuse: str) -> bool:
+    """Whether ``multiple_scattering: auto`` may add light: not to the masking or diffuse part of a source, nor to separable masking."""
+    return masking in MASKINGS_OF_MULTIPLE_SCATTERING["directional"] and diffuse != "crf"
 
 
 def optics_of(model: Mapping[str, Any]) -> str:

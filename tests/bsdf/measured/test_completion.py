@@ -215,7 +215,7 @@ def test_no_trend_violates_energy_conservation(reflectance, incidences):
     if reflectance is None:  # a metal, of which the lobe alone is seen
         surface = facets.analytic("beckmann", 0.05 * np.sqrt(2))
         index = optics.refractive_index({"n": 1.0, "k": 7.0})
-        truth = microfacet.build(surface, index=index, spectrum=None).bsdf.nonspectral()
+        truth = microfacet.build(surface, index=index, spectrum=None, multiple_scattering="none").bsdf.nonspectral()
     else:
         truth = samples.beckmann_bsdf(0.05, n=1.5, reflectance=reflectance).bsdf.nonspectral()
     primary = rig_primary.measured(rig_primary.of_model(truth), incidences, (500.0,), noise=0.02, dark=1e-4)

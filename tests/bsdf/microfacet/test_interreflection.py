@@ -18,6 +18,7 @@ from brdfpipe.comparison.lobe_bins import LobeBins
 from brdfpipe.facets.analytic_distributions import flat
 from brdfpipe.facets.estimation import estimate
 from brdfpipe.geometry import Array
+from brdfpipe.masking.modes import MULTIPLE_SCATTERING_ADVISED
 from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 from brdfpipe.references.tracer import SlopeBins, trace
 
@@ -143,19 +144,26 @@ def test_another_index_scales_the_light_by_the_squared_reflectance(rough):
     np.testing.assert_allclose(ratio[lit, 1], 1, rtol=1e-9)
 
 
-def test_auto_follows_the_map_else_smith_and_smooth_surfaces_have_none(rough):
+def test_the_default_follows_the_map_else_smith_and_smooth_surfaces_have_none(rough):
     surface, facets, traced = rough
     assert traced.attrs["multiple_scattering"] == "measured"
-    auto = {"index": BOTH, "multiple_scattering": "auto"}
-    assert build(facets, **auto, interreflection=traced).attrs["multiple_scattering"] == "measured"
-    assert build(facets, **auto).attrs["multiple_scattering"] == "directional"
-    assert build(facets, **auto, masking="blinn").attrs["multiple_scattering"] == "none"
+    for inputs, mode, advised in (
+        ({"interreflection": traced}, "measured", True),
+        ({}, "directional", True),
+        ({"multiple_scattering": "none"}, "none", False),
+        ({"masking": "separable"}, "none", False),
+        ({"masking": "blinn"}, "none", False),
+        ({"diffuse": "crf"}, "none", False),
+        ({"recipe": "crf"}, "none", False),
+    ):
+        attrs = build(facets, index=BOTH, **inputs).attrs
+        assert (attrs["multiple_scattering"], MULTIPLE_SCATTERING_ADVISED in attrs) == (mode, advised), inputs
     gentle = surface.assign(height=surface["height"] / 50)
     smooth = estimate(gentle, isotropic=True)
     none = choose(gentle, smooth, index=1.5)
     assert none.attrs["multiple_scattering"] == "none"
     assert "mirrors" in none.attrs["reason"]
-    assert build(smooth, **auto | {"index": 1.5}).attrs["multiple_scattering"] == "none"
+    assert build(smooth, index=1.5).attrs["multiple_scattering"] == "none"
     assert choose(gentle, flat(), index=1.5).attrs["reason"] == "the surface is flat"
 
 

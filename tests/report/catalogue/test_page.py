@@ -278,7 +278,12 @@ def _gloss(datasets: Datasets, *units: float) -> Datasets:
 
 def _metal(datasets: Datasets) -> Datasets:
     finish = datasets["facets"]
-    return {**datasets, "bsdf": microfacet.build(finish, index=optics.refractive_index({"n": 2.9, "k": 3.1}))}
+    return {
+        **datasets,
+        "bsdf": microfacet.build(
+            finish, index=optics.refractive_index({"n": 2.9, "k": 3.1}), multiple_scattering="none"
+        ),
+    }
 
 
 def test_haze_is_given_within_the_scope_of_its_standard_alone(full: Datasets) -> None:

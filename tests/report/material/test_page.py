@@ -345,7 +345,7 @@ def test_a_material_without_a_finish_has_no_gloss_tile_but_a_remark(full: Datase
 @pytest.mark.usefixtures("without_bsdf_figures")
 def test_the_spectrum_of_a_specular_excluded_measurement_is_labelled(full: Datasets) -> None:
     excluded = full["spectrum"].assign_attrs(geometry="sce")
-    bsdf = microfacet.build(full["facets"], index=full["index"], spectrum=excluded)
+    bsdf = microfacet.build(full["facets"], index=full["index"], spectrum=excluded, multiple_scattering="none")
     text = _Page(material_page({**full, "spectrum": excluded, "bsdf": bsdf})).text
     assert "measured, specular excluded" in text
     assert "total reflectance" in text
@@ -527,7 +527,7 @@ def test_a_plastic_needs_a_spectrum_but_a_metal_does_not() -> None:
 
 def test_a_brushed_surface_is_shown_along_its_lay_and_across(full: Datasets) -> None:
     brushed = analytic("beckmann", a_x=0.05, a_y=0.3, azimuth=30.0)
-    _, text = _page_of(brushed, index=1.5, spectrum=full["spectrum"])
+    _, text = _page_of(brushed, index=1.5, spectrum=full["spectrum"], multiple_scattering="none")
     for words in ("BRDF along the lay", "BRDF across the lay", "45° incidence along the lay", "total, across the lay"):
         assert words in text
 
@@ -536,10 +536,22 @@ def test_a_brushed_surface_is_shown_along_its_lay_and_across(full: Datasets) -> 
 def test_a_large_loss_is_a_remark_and_a_small_one_a_note() -> None:
     advice = "Set <code>model.multiple_scattering: auto</code> to add it"
     rough = analytic("ggx", 0.6)
-    loses, _ = _page_of(rough, index=_metal())
+    loses, _ = _page_of(rough, index=_metal(), multiple_scattering="none")
     assert re.search(rf'<p class="remark">The model loses [\d.]+\u202f% of the light[^<]*{advice}', loses)
-    hardly, _ = _page_of(rough, index=1.5)
+    hardly, _ = _page_of(rough, index=1.5, multiple_scattering="none")
     assert re.search(rf'<p class="note">The model loses [\d.]+\u202f% of the light[^<]*{advice}', hardly)
+
+
+@pytest.mark.usefixtures("without_bsdf_figures")
+def test_the_default_adds_what_a_rough_surface_would_lose_and_says_so_where_it_is_little() -> None:
+    added, _ = _page_of(analytic("ggx", 0.6), index=1.5)
+    assert re.search(r'<p class="note">Light that leaves after two or more reflections, [\d.]+\u202f%', added)
+    little, _ = _page_of(analytic("beckmann", 0.06), index=1.5)
+    assert "too little for the default to add it" in little
+    separable, _ = _page_of(analytic("ggx", 0.6), index=1.5, masking="separable")
+    assert "Set <code>model.masking: height-correlated</code> to add it" in separable
+    for html in (added, little, separable):
+        assert "Set <code>model.multiple_scattering" not in html
 
 
 def test_a_note_states_the_compensated_light() -> None:

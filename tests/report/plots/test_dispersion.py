@@ -111,7 +111,9 @@ BODIES = {
     "rough": lambda: samples.beckmann_bsdf(0.1, n="PC"),
     "polished": lambda: microfacet.build(facets.flat(), index="N-BK7", spectrum=samples.spectrum(0.3)),
     "metal": lambda: microfacet.build(
-        facets.analytic("ggx", 0.1), index=table([360, 500, 600, 830], [0.5, 0.9, 1.3, 2.7], [4.3, 6.1, 7.2, 8.2])
+        facets.analytic("ggx", 0.1),
+        index=table([360, 500, 600, 830], [0.5, 0.9, 1.3, 2.7], [4.3, 6.1, 7.2, 8.2]),
+        multiple_scattering="none",
     ),
     "slab": lambda: slab.build(facets.flat(), facets.flat(), index="PMMA", internal_transmittance=0.9),
 }

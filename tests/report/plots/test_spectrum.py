@@ -34,7 +34,7 @@ def test_a_spectrum_with_the_specular_included_is_the_total(full: Datasets) -> N
 
 def test_a_spectrum_with_the_specular_excluded_is_below_the_total(full: Datasets) -> None:
     excluded = full["spectrum"].assign_attrs(geometry="sce")
-    bsdf = microfacet.build(full["facets"], index=full["index"], spectrum=excluded)
+    bsdf = microfacet.build(full["facets"], index=full["index"], spectrum=excluded, multiple_scattering="none")
     shown = spectrum.spectrum_figure(excluded, bsdf)
     assert [label for *_, label in shown.legend][1:3] == ["total reflectance", "measured, specular excluded"]
     assert "The total reflectance includes the mirrored light that the measurement excluded." in shown.note
@@ -55,7 +55,9 @@ def test_the_spectral_strip_is_blue_green_red() -> None:
 
 
 def test_the_part_of_the_facets_in_the_spectrum_is_that_of_all_azimuths() -> None:
-    brushed = microfacet.build(analytic("beckmann", a_x=0.1, a_y=0.6), index=1.5, spectrum=samples.spectrum(0.3))
+    brushed = microfacet.build(
+        analytic("beckmann", a_x=0.1, a_y=0.6), index=1.5, spectrum=samples.spectrum(0.3), multiple_scattering="none"
+    )
     shown = spectrum._specular_part(brushed, brushed["wavelength"].values)
     assert shown is not None
     facets = brushed.assign(diffuse=xr.zeros_like(brushed["diffuse"]))

@@ -38,8 +38,10 @@ from brdfpipe.masking.modes import (
     MASKINGS_OF_MULTIPLE_SCATTERING,
     MODEL_DEFAULTS,
     MODES,
+    MULTIPLE_SCATTERING_ADVISED,
     RECIPES,
     SMITH_MASKINGS,
+    allows_several_reflections,
 )
 from brdfpipe.optics.fresnel_equations import mean_fresnel
 from brdfpipe.optics.index import interpolate_index, refractive_index
@@ -128,6 +130,8 @@ def build(
     }
     if visibility is not None and "smith_error" in visibility:
         bsdf.attrs[MASKING_ADVISED] = visibility.attrs["masking"]
+    if choice:
+        bsdf.attrs[MULTIPLE_SCATTERING_ADVISED] = chosen["multiple_scattering"]
     if recipe is not None:
         bsdf.attrs["recipe"] = recipe
     if chosen["masking"] == "measured" and "slope_density" in bsdf:
@@ -201,8 +205,8 @@ def _resolved_multiple_scattering(
     mode = chosen["multiple_scattering"]
     if mode != "auto":
         return mode, ""
-    defined = chosen["masking"] in MASKINGS_OF_MULTIPLE_SCATTERING["directional"]
-    if transparent or not defined or "slope_density" not in surface:
+    allowed = allows_several_reflections(chosen["masking"], chosen["diffuse"])
+    if transparent or not allowed or "slope_density" not in surface:
         return "none", ""
     if interreflection is None:
         mode, reason = smith_choice(Microsurface.of(surface), np.atleast_1d(n), np.atleast_1d(k))

@@ -8,7 +8,7 @@ part IV, 209), Bennett & Porteus 1961 (J. Opt. Soc. Am. 51, 123).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,7 +52,7 @@ from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.facets.scaling import scaled
 from brdfpipe.geometry import Array
-from brdfpipe.masking.modes import HALOS, MASKING_ADVISED, WAVE_OPTICS
+from brdfpipe.masking.modes import HALOS, MASKING_ADVISED, MULTIPLE_SCATTERING_ADVISED, WAVE_OPTICS
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import refractive_index
 
@@ -173,7 +173,7 @@ def build(
         inputs: dict[str, Any] = {"index": index, "spectrum": spectrum, "visibility": visibility}
         if relief.slope_factor < 1:
             facets = scaled(facets, relief.slope_factor)
-            predicted = build_microfacet(facets, **inputs, **_modes(predicted))
+            predicted = _of_relief(facets, inputs, predicted)
         elif predicted is None:
             predicted = build_microfacet(facets, **inputs, diffuse=diffuse)
         if optics == "auto" and relief.is_one_of_facets(given):
@@ -322,12 +322,15 @@ def _facets_alone(predicted: xr.Dataset, relief: Relief, wavelength: Array) -> x
     return vocabulary.add_history(predicted.assign_attrs(optics="auto"), text)
 
 
-def _modes(predicted: xr.Dataset | None) -> dict[str, Any]:
-    """Modes of a facets' BSDF; none, for the default ones, without it."""
+def _of_relief(facets: xr.Dataset, inputs: Mapping[str, Any], predicted: xr.Dataset | None) -> xr.Dataset:
+    """The BSDF of other facets with the modes of ``predicted``; with the default ones without it."""
     if predicted is None:
-        return {}
+        return build_microfacet(facets, **inputs)
     modes = {name: predicted.attrs[name] for name in ("masking", "multiple_scattering")}
-    return modes | {"isotropic": predicted["slope_density"].ndim == 1, "interreflection": interreflection_of(predicted)}
+    isotropic, traced = predicted["slope_density"].ndim == 1, interreflection_of(predicted)
+    bsdf = build_microfacet(facets, **inputs, **modes, isotropic=isotropic, interreflection=traced)
+    advised = {name: mode for name, mode in predicted.attrs.items() if name == MULTIPLE_SCATTERING_ADVISED}
+    return bsdf.assign_attrs(advised)
 
 
 def _with_facets(bsdf: xr.Dataset, predicted: xr.Dataset) -> xr.Dataset:
@@ -337,7 +340,7 @@ def _with_facets(bsdf: xr.Dataset, predicted: xr.Dataset) -> xr.Dataset:
     if "wavelength" in kept.dims:
         kept = kept.interp(wavelength=bsdf["wavelength"].values)
     around = {name: predicted[name].values for name in ("theta_i", "phi_i") if name in predicted.coords}
-    names_of_modes = ("masking", MASKING_ADVISED, "multiple_scattering", "band")
+    names_of_modes = ("masking", MASKING_ADVISED, "multiple_scattering", MULTIPLE_SCATTERING_ADVISED, "band")
     attributes = {name: predicted.attrs[name] for name in names_of_modes if name in predicted.attrs}
     return bsdf.merge(kept).assign_coords(around).assign_attrs(attributes)
 

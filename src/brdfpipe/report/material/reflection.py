@@ -17,14 +17,14 @@ from brdfpipe.bsdf.change_variables import NOT_STATED
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.wave import Wave
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.masking.modes import PHYSICAL_MASKINGS
+from brdfpipe.masking.modes import MULTIPLE_SCATTERING_ADVISED, PHYSICAL_MASKINGS
 from brdfpipe.report.cards import Section, Table
 from brdfpipe.report.formatting import basis_legend, fixed, labels, number, percent, plus_minus_u, uncertainty_value
 from brdfpipe.report.plots import bsdf_cuts, bsdf_sections, directional_maps, reflectance
 from brdfpipe.report.plots.svg import Figure
 
 LOSS_LIMIT = 0.01
-"""Share of the light lost to multiple scattering above which the page advises to compensate it."""
+"""Share of the light lost to multiple scattering above which the page advises to add it."""
 
 _NEGLIGIBLE_LOSS = 1e-4
 _MODEL_CHOICES = {
@@ -243,12 +243,12 @@ def model_table(bsdf: xr.Dataset) -> Table:
     elif several is not None:
         state = "lost" if several.mode == "none" else several.mode
         rows.append((f"Light reflected more than once, {state}", percent(several.share)))
-        texts = _scattering_note_and_remark(several)
+        texts = _scattering_note_and_remark(several, bsdf.attrs)
     return Table("Model", ("Choice", "Value"), rows, *texts)
 
 
-def _scattering_note_and_remark(several: MultipleScattering) -> tuple[str, str]:
-    """A note, and a remark where the loss is large."""
+def _scattering_note_and_remark(several: MultipleScattering, modes: Mapping[str, Any]) -> tuple[str, str]:
+    """A note, and a remark where the loss is large and a key adds the light."""
     mean = f"mean over the hemisphere; for facets that are perfect mirrors {percent(max(several.mirrors, 0.0))}"
     if several.mode in ("directional", "measured"):
         light = f"Light that leaves after two or more reflections, {percent(several.share)} ({mean})"
@@ -260,7 +260,18 @@ def _scattering_note_and_remark(several: MultipleScattering) -> tuple[str, str]:
     loss = f"The model loses {percent(several.share)} of the light to multiple scattering ({mean})"
     if several.share < _NEGLIGIBLE_LOSS:
         return f"{loss}: negligible.", ""
-    advice = f"{loss}. Set `model.multiple_scattering: auto` to add it."
+    if MULTIPLE_SCATTERING_ADVISED in modes:
+        return (
+            f"{loss} after Smith: too little for the default to add it. The history of the BSDF says how much was found.",
+            "",
+        )
+    if modes["masking"] == "separable":
+        key = "`model.masking: height-correlated`"
+    elif modes["diffuse_mode"] == "crf":
+        key = "`model.diffuse: coupled`"
+    else:
+        key = "`model.multiple_scattering: auto`"
+    advice = f"{loss}. Set {key} to add it."
     return ("", advice) if several.share >= LOSS_LIMIT else (advice, "")
 
 
