@@ -172,6 +172,11 @@ def _expected(
         yield MODEL
 
 
+def changes_of_index(bsdf: xr.Dataset, more: xr.DataArray) -> Fields:
+    """Changes of the variables of a BSDF without a diffuse part as its index is ``more``; those of albedos over ``change_theta``."""
+    return _Base(bsdf, None).completed({"n": more})
+
+
 def stacked(changes: list[Change]) -> xr.Dataset:
     """All changes in one dataset; a variable that a change leaves as it is has 0 there."""
     result = xr.Dataset()

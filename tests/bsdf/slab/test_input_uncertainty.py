@@ -10,7 +10,9 @@ from brdfpipe import appearance, facets, optics, psd, vocabulary
 from brdfpipe.bsdf import slab
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.slab import input_uncertainty
 from brdfpipe.bsdf.slab.input_uncertainty import uncertainty
+from brdfpipe.bsdf.slab.wave_face import WaveSurface
 from brdfpipe.bsdf.source_changes import SourceChanges
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.optics import interior
@@ -140,6 +142,26 @@ def test_the_mean_over_wavelength_of_a_sheet_with_waves_keeps_its_changes_by_the
     coherent = SourceChanges(mean)
     mirrored = [one.specular(*normal)[0][0, 0] for one in (coherent.given, coherent.changed[0])]
     assert mirrored[1] - mirrored[0] == pytest.approx(change * np.exp(-0.05), rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "length", "slope", "representation_of"),
+    [pytest.param(0.01, 1.0, 0.02, "wave", marks=pytest.mark.slow), (3.0, 10.0, 0.4, "microfacet")],
+)
+def test_a_denser_body_reflects_outside_as_if_its_face_was_built_with_it(sigma, length, slope, representation_of):
+    spectrum, finish = psd.analytic("gaussian", sigma=sigma, length=length), beckmann(slope)
+    given, rebuilt = (
+        WaveSurface.of(finish, spectrum, optics.refractive_index(index), np.array([550.0]), "auto")
+        for index in (1.5, 1.5 + N_U)
+    )
+    assert given.outside.attrs["representation"] == representation_of
+    denser = input_uncertainty._of_denser_body(given, N_U)
+    before, found, wanted = (
+        one.reflection.albedo(np.array([0.0, 45.0, 70.0, 80.0, 85.0]), np.zeros(5), None)
+        for one in (given, denser, rebuilt)
+    )
+    # Halos lose by masking as much as they did; to first order in the index.
+    np.testing.assert_allclose(found - before, wanted - before, rtol=0.01)
 
 
 def test_faces_of_assumed_finish_and_numbers_alone_are_exact():

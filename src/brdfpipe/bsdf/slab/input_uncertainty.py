@@ -16,12 +16,13 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.change_variables import MODEL_INCIDENCES, NOT_STATED
+from brdfpipe.bsdf.change_variables import MODEL_INCIDENCES, NOT_STATED, between_incidences
 from brdfpipe.bsdf.input_uncertainty import (
     MIDDLE_WAVELENGTH,
     Change,
     Fields,
     changes_of_facets,
+    changes_of_index,
     changes_of_roughness,
     of_lobes,
     stacked,
@@ -298,21 +299,16 @@ def _changes(
 def _of_denser_body(surface: Surface, more_index: float) -> Surface:
     """A face of a body whose index is larger.
 
-    The outer reflection of waves has an index and a table of the light of its own, which changes as that of a smooth face.
+    The outer reflection of waves, or of the facets that take their place, has an index and tables of the light of its own.
     """
     if not isinstance(surface, WaveSurface):
         return surface
     outside = surface.outside
-    cos, n = np.cos(np.radians(outside["theta_i"].values)), outside["n"]
-    before, after = (
-        xr.DataArray(np.stack([fresnel(cos, one, 0.0).mean for one in np.ravel(index)]), dims=("index", "theta_i"))
-        for index in (n, n + more_index)
-    )
-    albedo, ratio = outside["directional_albedo"], after / before
-    spectral = n.dims and n.dims[0] in albedo.dims
-    ratio = ratio.rename(index=n.dims[0]) if spectral else ratio.mean("index")
-    larger = (albedo * ratio).clip(max=1.0).transpose(*albedo.dims)
-    return surface._replace(outside=outside.assign(n=n + more_index, directional_albedo=larger))
+    fields = changes_of_index(outside, xr.full_like(outside["n"], more_index).drop_vars("wavelength", errors="ignore"))
+    of_table = fields.pop("directional_albedo")
+    change = between_incidences(of_table["change_theta"].values, of_table.values, outside["theta_i"].values)
+    fields["directional_albedo"] = xr.DataArray(change, dims=("theta_i", *of_table.dims[1:]))
+    return surface._replace(outside=_changed(outside, fields))
 
 
 def _replaced(surfaces: tuple[Surface, Surface], number: int, changed: Surface) -> tuple[Surface, Surface]:
