@@ -89,7 +89,9 @@ def own_material(distribution, index):
         coords={"wavelength": [360.0, 780.0]},
         attrs={"source": "a number", "dispersion": "constant"},
     )
-    return microfacet.build(distribution, index=vocabulary.label(refractive, "index"), diffuse="none")
+    return microfacet.build(
+        distribution, index=vocabulary.label(refractive, "index"), diffuse="none", multiple_scattering="none"
+    )
 
 
 def rough_metal(**widths):

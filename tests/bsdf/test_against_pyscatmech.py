@@ -74,6 +74,7 @@ def material(name: str, index: tuple[float, float], **options) -> xr.Dataset:
         attrs={"source": "a number", "dispersion": "constant"},
     )
     facet_table, index_table = vocabulary.label(table, "facets"), vocabulary.label(refractive, "index")
+    options = {"multiple_scattering": "none"} | options
     return microfacet.build(facet_table, index=index_table, diffuse="none", **options)
 
 

@@ -35,6 +35,7 @@ SMITH = build(BECKMANN, index=1.5, multiple_scattering="none")
 
 
 def with_ratio(table, **options):
+    options = {"multiple_scattering": "none"} | options
     return build(BECKMANN, index=1.5, visibility=table, masking="measured", **options)
 
 

@@ -31,7 +31,8 @@ def peak_errors(height, theta_i: float, rays: int, **options) -> tuple[float, fl
     mesh = HeightMesh.of(surface, "periodic")
     bins = SlopeBins.of(mesh.typical_slope)
     traced = trace(mesh, theta_i, index=1.5, bins=bins, rays=rays)
-    predicted, brdf = predicted_light(build(estimate(surface, isotropic=True), index=1.5, **options), theta_i, bins)
+    options = {"index": 1.5, "multiple_scattering": "none"} | options
+    predicted, brdf = predicted_light(build(estimate(surface, isotropic=True), **options), theta_i, bins)
     peak = brdf > 0.3 * brdf.max()
     by_order = traced.power.mean(axis=1)[:, bins.half :]
     return tuple(predicted[peak].sum() / light[peak].sum() - 1 for light in (by_order[0], by_order.sum(axis=0)))
@@ -249,7 +250,8 @@ def test_a_grain_with_valleys_and_its_negative_are_told_apart():
 def test_masking_traced_on_the_map_tells_cells_from_their_negative(sign):
     surface = samples.surface(sign * relief_maps.cells(1024, 0))
     facets = estimate(surface, isotropic=True)
-    smith, measured = (build(facets, index=1.5, **options) for options in ({}, {"visibility": choose(surface, facets)}))
+    once = {"index": 1.5, "multiple_scattering": "none"}
+    smith, measured = (build(facets, **once, **traced) for traced in ({}, {"visibility": choose(surface, facets)}))
     mesh = HeightMesh.of(surface)
     bins = SlopeBins.of(mesh.typical_slope)
     traced = trace(mesh, 75.0, index=1.5, bins=bins, rays=10**6).power.mean(axis=1)[0, bins.half :]
