@@ -40,7 +40,7 @@ def test_the_summary_states_the_worst_error_and_the_highest_cost_over_the_maps()
         "Lambert + Gauss, fitted to facets",
         "facets, masking measured, second reflections directional",
         "composite",
-        "auto, second reflections measured",
+        "auto, one reflection",
     ],
 )
 def test_every_kind_of_model_is_built_from_the_heights(rung):
