@@ -163,6 +163,24 @@ def test_blocks_with_missing_heights_are_left_out():
     assert found.coherent[-1] == pytest.approx(np.exp(-((found.phase[-1] * 0.05) ** 2)), rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("size", "missing"), [(256, 0.003), (256, 0.01), pytest.param(1024, 5e-4, marks=pytest.mark.slow)]
+)
+def test_isolated_missing_heights_leave_the_light_of_the_complete_map(size, missing):
+    # No eighth of the map is complete.
+    surface = gaussian_map(0.03, size=size)
+    complete = phase_spectrum(surface, 4 * np.pi / WAVELENGTH)
+    surface["height"].values[np.random.default_rng(1).random((size, size)) < missing] = np.nan
+    found = phase_spectrum(surface, 4 * np.pi / WAVELENGTH)
+    np.testing.assert_allclose(found.coherent, complete.coherent, atol=2e-3)
+    assert (found.relative_u > 0).all()
+    assert np.isfinite(found.relative_u).all()
+    for within in (0.02, 0.1):
+        light, expected = (light_within(one, -1, within) for one in (found, complete))
+        # Missing heights scatter as much light as they are, everywhere.
+        assert light == pytest.approx(expected, abs=0.02 * expected + missing)
+
+
 def test_unusable_maps_are_refused():
     with pytest.raises(HeightMapError, match=r"more than π between .* trace rays"):
         phase_spectrum(samples.gaussian_surface(128, sigma=0.3), 4 * np.pi / WAVELENGTH)
@@ -172,6 +190,11 @@ def test_unusable_maps_are_refused():
     holes["height"][::16, ::16] = np.nan
     with pytest.raises(HeightMapError, match="without gaps, and two are needed"):
         phase_spectrum(holes, 20.0)
+    corner = gaussian_map(0.05, size=128)
+    corner["height"][16:] = np.nan
+    corner["height"][:, 40:] = np.nan
+    with pytest.raises(HeightMapError, match="measured in 3 of 64 parts of the map"):
+        phase_spectrum(corner, 20.0)
 
 
 @pytest.mark.parametrize("sigma", [5e-4, 2e-3, 6e-3])

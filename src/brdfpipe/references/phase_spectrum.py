@@ -37,6 +37,7 @@ _BLOCKS = (
 )  # along the shorter side, whose scatter is the uncertainty: the first of which two have no gaps
 _LEAST_BLOCK = 16
 _COHERENT_BLOCKS = 8  # along the shorter side, whose scatter is the chance part of the coherent light
+_FEWEST_PARTS = 4  # of these, for that scatter
 _RING_STEP = 0.05  # between the rings in asinh(f/f0)
 _SLOWEST = 0.02  # share of the variance of heights in waves that the first ring need not tell apart
 _PHASE_STEP = 0.2  # of ln q
@@ -73,8 +74,8 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
 
     Raises
     ------
-    HeightMapError : a line profile, a map that is too small, without two complete blocks or perfectly flat; or heights that differ by more
-        than π in phase between neighbours on more than 2 % of the map.
+    HeightMapError : a line profile, a map that is too small, without two complete blocks, measured on a small part of its area alone or
+        perfectly flat; or heights that differ by more than π in phase between neighbours on more than 2 % of the map.
     """
     mesh = HeightMesh.of(surface)
     shorter = min(mesh.height.shape)
@@ -102,18 +103,17 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
     phase = np.geomspace(first, largest_phase, count)
     rings = _Rings.of(mesh.height, mesh.pitch)
     block_rings = rings.of_modes((side, side), mesh.pitch)
-    coherent_side = shorter // _COHERENT_BLOCKS
-    coherent_blocks = _complete_blocks(mesh, coherent_side)
     heights, measured = mesh.height.astype(np.float32), _measured(mesh)
+    parts = _Parts.of(heights.shape, measured)
     spectrum, relative_u = np.empty((2, count, rings.frequency.size))
     coherent = np.empty(count)
     for row, q in enumerate(phase):
         # Single precision: its rounding is 1e-7 of the phase.
         field = np.exp(np.complex64(1j * q) * heights)
-        coherent[row], amplitude = _coherent(field, coherent_blocks, coherent_side)
-        field -= amplitude
         if measured is not None:
             field *= measured
+        coherent[row], amplitude = parts.coherent(field)
+        field -= amplitude if measured is None else amplitude * measured
         power = _power(field)
         light = np.maximum(rings.light(power), 0.0)
         light *= (1 - coherent[row]) / light.sum()
@@ -131,10 +131,15 @@ def _coarse_share(height: Array, phase: float) -> float:
 
 def _complete_blocks(mesh: HeightMesh, side: int) -> list[tuple[int, int]]:
     """First row and column of the blocks without missing heights, which do not overlap."""
-    starts = [np.linspace(0, size - side, max(1, size // side)).astype(int) for size in mesh.height.shape]
     return [
-        (int(y), int(x)) for y in starts[0] for x in starts[1] if mesh.present[y : y + side - 1, x : x + side - 1].all()
+        (y, x) for y, x in _blocks(mesh.height.shape, side) if mesh.present[y : y + side - 1, x : x + side - 1].all()
     ]
+
+
+def _blocks(shape: tuple[int, ...], side: int) -> list[tuple[int, int]]:
+    """First row and column of blocks that do not overlap."""
+    rows, columns = (np.linspace(0, size - side, max(1, size // side)).astype(int) for size in shape)
+    return [(int(y), int(x)) for y in rows for x in columns]
 
 
 def _measured(mesh: HeightMesh) -> NDArray[np.float32] | None:
@@ -148,16 +153,45 @@ def _measured(mesh: HeightMesh) -> NDArray[np.float32] | None:
     return measured
 
 
-def _coherent(field: NDArray[np.complex64], blocks: list[tuple[int, int]], side: int) -> tuple[float, np.complex64]:
-    """Coherent share without the light that a finite area scatters into it by chance, and the amplitude of that share."""
-    means = np.array([field[y : y + side, x : x + side].mean(dtype=complex) for y, x in blocks])
-    amplitude = means.mean()
-    bias = float(np.mean(np.abs(means - amplitude) ** 2)) / (means.size - 1)
-    share = float(np.abs(amplitude) ** 2)
-    if share <= _SIGNIFICANT * bias:
-        return 0.0, np.complex64(0)
-    # What remains of the mean amplitude carries the light by chance.
-    return min(share - bias, 1.0), np.complex64(amplitude * (1 - np.sqrt(bias / share)))
+class _Parts(NamedTuple):
+    """Parts of a map, whose mean fields tell coherent light from what a finite area scatters into its direction by chance."""
+
+    first: list[tuple[int, int]]
+    side: int
+    measured: Array
+    """Number of measured heights in every part, some in each"""
+
+    @classmethod
+    def of(cls, shape: tuple[int, ...], measured: NDArray[np.float32] | None) -> _Parts:
+        side = min(shape) // _COHERENT_BLOCKS
+        first = _blocks(shape, side)
+        if measured is None:
+            return cls(first, side, np.full(len(first), float(side**2)))
+        number = np.array([measured[y : y + side, x : x + side].sum(dtype=float) for y, x in first])
+        parts = cls([one for one, some in zip(first, number, strict=True) if some], side, number[number > 0])
+        if not parts.measured.size or parts.independent < _FEWEST_PARTS:
+            raise HeightMapError(
+                f"heights were measured in {parts.measured.size} of {len(first)} parts of the map, of {side} × {side} heights each, and "
+                f"{_FEWEST_PARTS} equally full ones are needed to know its coherent light; measure a larger area, or one with fewer missing heights"
+            )
+        return parts
+
+    @property
+    def independent(self) -> float:
+        """Number of equal parts whose mean is known as well."""
+        return float(self.measured.sum() ** 2 / np.square(self.measured).sum())
+
+    def coherent(self, field: NDArray[np.complex64]) -> tuple[float, np.complex64]:
+        """Coherent share without the light by chance, and the amplitude of that share, of a field that is 0 where heights are missing."""
+        sums = np.array([field[y : y + self.side, x : x + self.side].sum(dtype=complex) for y, x in self.first])
+        amplitude = sums.sum() / self.measured.sum()
+        deviation = np.abs(sums / self.measured - amplitude)
+        bias = float(np.average(deviation**2, weights=self.measured)) / (self.independent - 1)
+        share = float(np.abs(amplitude) ** 2)
+        if share <= _SIGNIFICANT * bias:
+            return 0.0, np.complex64(0)
+        # What remains of the mean amplitude carries the light by chance.
+        return min(share - bias, 1.0), np.complex64(amplitude * (1 - np.sqrt(bias / share)))
 
 
 def _power(field: NDArray[np.complex64]) -> NDArray[np.float32]:
