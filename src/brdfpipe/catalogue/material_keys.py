@@ -30,7 +30,6 @@ from brdfpipe.masking.modes import (
     MODEL_DEFAULTS,
     MODES,
     OPTICS,
-    PHYSICAL_MASKINGS,
     RECIPES,
     SMITH_MASKINGS,
     TRUTHS,
@@ -789,7 +788,7 @@ class Model(Keys):
         defined = MASKINGS_OF_MULTIPLE_SCATTERING[mode]
         if self.multiple_scattering == "auto":
             # Stages leave several reflections out with other maskings. A key that does nothing is a mistake.
-            defined = ("auto", *PHYSICAL_MASKINGS)
+            defined = MASKINGS_OF_MULTIPLE_SCATTERING["directional"]
             if self.diffuse == "crf":
                 problem = "`diffuse: crf` follows its source, which has no light that is reflected more than once"
                 accepted = "`diffuse: crf` without `multiple_scattering`, or `diffuse: coupled`"

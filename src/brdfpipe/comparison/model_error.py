@@ -425,7 +425,7 @@ def _warnings(result: xr.Dataset, predicted: xr.Dataset) -> list[str]:
         cast, smith = (float(result[name][row]) for name in ("g2_raycast", "g2_height_correlated"))
         warnings.append(
             f"Smith's G2 of the mirror direction is {smith:.2f} at {MODEL_INCIDENCES[row]:.0f}°, and rays cast over the heights give {cast:.2f} ± "
-            f"{2 * np.nan_to_num(float(result['g2_raycast_u'][row])):.2f}: what hides a facet depends on more than slopes, and the reflection "
+            f"{np.nan_to_num(float(result['g2_raycast_u'][row])):.2f} (k = 1): what hides a facet depends on more than slopes, and the reflection "
             f"predicted with Smith is off by about {smith / cast - 1:+.0%} there"
             + ("" if MEAN not in result["plane"].values else "; set `model.masking: measured`")
         )
@@ -439,8 +439,8 @@ def _warnings(result: xr.Dataset, predicted: xr.Dataset) -> list[str]:
 
 
 def _signed(error: float, uncertainty: float, format: str) -> str:
-    """An error and two standard uncertainties."""
-    return f"{error:+{format}} ± {2 * uncertainty:{format}}".replace("-", "\N{MINUS SIGN}")
+    """An error and its standard uncertainty."""
+    return f"{error:+{format}} ± {uncertainty:{format}} (k = 1)".replace("-", "\N{MINUS SIGN}")
 
 
 def _largest(error: xr.DataArray, uncertainty: xr.DataArray, valid: xr.DataArray, limit: float) -> dict[str, int]:

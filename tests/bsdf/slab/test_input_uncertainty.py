@@ -169,7 +169,7 @@ def test_faces_of_assumed_finish_and_numbers_alone_are_exact():
     sheet = slab.build(finish, finish, index=1.5)
     described = interior.ingest({"thickness": 1.0})
     found = uncertainty(sheet, facets=finish, index=optics.refractive_index(1.5), interior=described)
-    assert found.attrs["uncertainty_not_stated"] == "facets, index, transmittance"
+    assert found.attrs["uncertainty_not_stated"] == "facets, index, transmittance, model"
     assert not found.data_vars
 
 

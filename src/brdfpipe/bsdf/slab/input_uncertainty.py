@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe import vocabulary
-from brdfpipe.bsdf.change_variables import MODEL_INCIDENCES, NOT_STATED, between_incidences
+from brdfpipe.bsdf.change_variables import MODEL, MODEL_INCIDENCES, NOT_STATED, between_incidences
 from brdfpipe.bsdf.input_uncertainty import (
     MIDDLE_WAVELENGTH,
     Change,
@@ -139,13 +139,15 @@ def _is_uncertain(given: list[_Inputs], index: xr.Dataset, interior: xr.Dataset 
 
 
 def _expected(given: list[_Inputs], surfaces: tuple[Surface, Surface]) -> Iterator[str]:
-    """Sources that such a sheet has."""
+    """Sources that such a sheet has; no reference solution tells the error of its model."""
     if any(one.facets["slope_density"].size for one in given):
         yield "facets"
     if any(isinstance(surface, WaveSurface) for surface in surfaces):
         yield "psd"
     yield "index"
     yield TRANSMITTANCE
+    if any(surface is not None for surface in surfaces):
+        yield MODEL
 
 
 def _inputs_of_side(bsdf: xr.Dataset, side: str, given: _Inputs, index: xr.Dataset) -> Surface:

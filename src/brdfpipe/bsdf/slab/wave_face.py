@@ -31,6 +31,7 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.bsdf.base import Representation
+from brdfpipe.bsdf.microfacet.builder import build as build_microfacet
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
 from brdfpipe.bsdf.representations.microfacet import Microfacet
 from brdfpipe.bsdf.representations.wave import Wave
@@ -79,7 +80,13 @@ class WaveSurface(NamedTuple):
     @classmethod
     def of(cls, facets: xr.Dataset, psd: xr.Dataset, index: xr.Dataset, wavelength: Array, optics: str) -> WaveSurface:
         """A face from its ``facets`` and ``psd`` datasets, in a body of an index at wavelengths [nm]."""
-        outside = build_wave(psd, index=index, wavelength=wavelength, diffuse="none", facets=facets, optics=optics)
+        # As light that passes the face: each facet reflects once.
+        predicted = None
+        if optics != "wave":
+            predicted = build_microfacet(facets, index=index, diffuse="none", multiple_scattering="none")
+        outside = build_wave(
+            psd, index=index, wavelength=wavelength, diffuse="none", facets=facets, predicted=predicted, optics=optics
+        )
         # Inside, phases and frequencies are n times as large: those of a wavelength n times as short.
         inner = wavelength[:1] / float(np.max(index["n"]))
         correlation, sigma = roughness(psd)
