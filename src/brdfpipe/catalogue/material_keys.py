@@ -717,7 +717,7 @@ class Model(Keys):
     )
     multiple_scattering: Annotated[str, OneOf(MODES["multiple_scattering"])] = key(
         "light reflected by more than one facet: auto (where it is more than 1 % of the reflected light, measured on a map and "
-        "directional without one), none (lost), compensated (given back as diffuse light), directional (in the directions that "
+        "directional without one and without a lay), none (lost), compensated (given back as diffuse light), directional (in the directions that "
         "Smith's surface gives it) or measured (traced on the height map)",
         default_words=f"`{MODEL_DEFAULTS['multiple_scattering']}`",
         details="See [light reflected more than once](model.md#light-reflected-more-than-once).",

@@ -547,7 +547,7 @@ def test_the_default_adds_what_a_rough_surface_would_lose_and_says_so_where_it_i
     added, _ = _page_of(analytic("ggx", 0.6), index=1.5)
     assert re.search(r'<p class="note">Light that leaves after two or more reflections, [\d.]+\u202f%', added)
     little, _ = _page_of(analytic("beckmann", 0.06), index=1.5)
-    assert "too little for the default to add it" in little
+    assert "The default does not add it; the history of the BSDF says why" in little
     separable, _ = _page_of(analytic("ggx", 0.6), index=1.5, masking="separable")
     assert "Set <code>model.masking: height-correlated</code> to add it" in separable
     for html in (added, little, separable):

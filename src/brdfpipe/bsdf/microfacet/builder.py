@@ -208,7 +208,10 @@ def _resolved_multiple_scattering(
     allowed = allows_several_reflections(chosen["masking"], chosen["diffuse"])
     if transparent or not allowed or "slope_density" not in surface:
         return "none", ""
-    if interreflection is None:
+    if interreflection is None and "slope" not in surface.dims:
+        # The weights that close its energy at each azimuth do not converge for every density.
+        mode, reason = "none", "facets with a lay, which no map shows, are not relied upon for it"
+    elif interreflection is None:
         mode, reason = smith_choice(Microsurface.of(surface), np.atleast_1d(n), np.atleast_1d(k))
     else:
         interreflection = vocabulary.validate(interreflection, "interreflection")

@@ -262,7 +262,7 @@ def _scattering_note_and_remark(several: MultipleScattering, modes: Mapping[str,
         return f"{loss}: negligible.", ""
     if MULTIPLE_SCATTERING_ADVISED in modes:
         return (
-            f"{loss} after Smith: too little for the default to add it. The history of the BSDF says how much was found.",
+            f"{loss} after Smith. The default does not add it; the history of the BSDF says why.",
             "",
         )
     if modes["masking"] == "separable":
