@@ -74,6 +74,9 @@ def test_advice_follows_the_keys_in_use_and_the_light_of_the_facets():
     found = compared(relief("cells"), rays=10_000, visibility=smith)
     assert not any("Smith's G2" in text for text in vocabulary.warnings(found))
     assert "masking" not in found.attrs["advice"]
+    # Masking is named where Smith's explains most of the error of the light, even if the choice kept it.
+    explained = compared(relief("cells"), rays=10_000, visibility=samples.masking_choice("height-correlated", -0.3))
+    assert "`model.masking: measured`" in explained.attrs["advice"]
     surface = samples.gaussian_surface(64, sigma=0.01)
     predicted = build(facets.estimate(surface, isotropic=True), index=1.5)
     advice = [

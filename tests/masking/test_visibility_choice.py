@@ -1,4 +1,4 @@
-"""Choice of the masking by the heights of a surface: Gaussian ones keep Smith's, cells and their negative do not."""
+"""Choice of the masking by the heights of a surface: gentle Gaussian ones keep Smith's, cells, their negative and two scales do not."""
 
 from __future__ import annotations
 
@@ -73,9 +73,30 @@ def test_shares_are_whole_towards_the_normal_and_fall_towards_grazing(cells):
     assert share[-1] < share[0]
 
 
+def test_fine_roughness_upon_coarse_waviness_gets_its_own_visibility():
+    # Rays traced over the same map find Smith's light in the peak 10.8 % ± 1.6 % too bright at 75 degree.
+    choice = chosen(relief_maps.two_scales(256, 11))
+    error, u = (float(choice[name].sel(region="peak", theta_i=75.0)) for name in ("smith_error", "smith_error_u"))
+    assert choice.attrs["masking"] == "measured"
+    assert u < 0.02
+    assert error == pytest.approx(0.108, abs=3 * np.hypot(u, 0.016))
+
+
+def test_the_uncertainty_is_that_of_chance_among_the_facets_of_one_map():
+    rough = samples.gaussian_surface(128, sigma=0.3)
+    facets = estimate(rough, isotropic=True)
+    judged = [
+        choose(rough, facets, samples=16, seed=seed).sel(region="peak", theta_i=slice(60.0, 75.0)) for seed in range(6)
+    ]
+    scatter = np.std([one["smith_error"] for one in judged], axis=0, ddof=1)
+    u = np.mean([one["smith_error_u"] for one in judged], axis=0)
+    # Evenly spread facets scatter no more than independent ones.
+    assert 0.3 < np.sqrt(np.mean((scatter / u) ** 2)) < 1.5
+
+
 @pytest.mark.slow
-def test_gaussian_maps_of_any_seed_and_slope_keep_smiths_masking():
-    for sigma in (0.05, 0.1, 0.2, 0.3, 0.4, 0.6):
+def test_gentle_gaussian_maps_of_any_seed_keep_smiths_masking():
+    for sigma in (0.05, 0.1):
         for seed in range(5):
             rough = samples.gaussian_surface(512, sigma=sigma, correlation=12, seed=seed)
             assert choose(rough, estimate(rough, isotropic=True)).attrs["masking"] == "height-correlated", (sigma, seed)

@@ -26,6 +26,7 @@ from brdfpipe.masking.modes import (
     MASKING_ADVISED,
     MASKINGS_OF_MULTIPLE_SCATTERING,
     MULTIPLE_SCATTERING_ADVISED,
+    SMITH_ERROR,
     SMITH_MASKINGS,
 )
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -372,7 +373,7 @@ def _advice(result: xr.Dataset, predicted: xr.Dataset) -> str:
         key = ""
     elif float(result["phase_variance"].sel(theta_i=60)) < GEOMETRIC and modes.get("optics", "facets") != "auto":
         key = "`model.optics: auto`"
-    elif _hidden_otherwise(result, predicted) is not None and not lay:
+    elif not lay and (_hidden_otherwise(result, predicted) is not None or _from_masking(result, predicted)):
         key = "`model.masking: measured`"
     elif modes["masking"] in MASKINGS_OF_MULTIPLE_SCATTERING["directional"] and modes["multiple_scattering"] not in (
         "measured",
@@ -383,6 +384,20 @@ def _advice(result: xr.Dataset, predicted: xr.Dataset) -> str:
         key = ""
     choices = " or ".join(part for part in (key, reference) if part)
     return f"set {choices}" if choices else "compare with a measurement"
+
+
+def _from_masking(result: xr.Dataset, predicted: xr.Dataset) -> bool:
+    """Whether Smith's masking explains most of the largest error of the light in the peak, by the light of the facets of these heights."""
+    if predicted.attrs.get("masking") not in SMITH_MASKINGS:
+        return False
+    peak = _judged_peak(result.sel(reference="traced"))
+    at = _largest(peak["light_error"], peak["light_error_u"], peak["valid"], LIGHT_LIMIT)
+    return bool(at) and float(predicted.attrs.get(SMITH_ERROR, 0.0)) / float(peak["light_error"][at]) > 0.5
+
+
+def _judged_peak(one: xr.Dataset) -> xr.Dataset:
+    """A reference in the peak at the angles of incidence that are judged."""
+    return one.sel(region="peak", theta_i=MODEL_INCIDENCES[MODEL_INCIDENCES <= LARGEST_JUDGED])
 
 
 def _hidden_otherwise(result: xr.Dataset, predicted: xr.Dataset) -> int | None:
@@ -407,7 +422,7 @@ def _warnings(result: xr.Dataset, predicted: xr.Dataset) -> list[str]:
     warnings = []
     for name, words in (("traced", "rays traced over the map"), ("kirchhoff", "diffraction on the map")):
         one = result.sel(reference=name)
-        peak = one.sel(region="peak", theta_i=MODEL_INCIDENCES[MODEL_INCIDENCES <= LARGEST_JUDGED])
+        peak = _judged_peak(one)
         if at := _largest(peak["light_error"], peak["light_error_u"], peak["valid"], LIGHT_LIMIT):
             error, uncertainty = (float(peak[name][at]) for name in ("light_error", "light_error_u"))
             warnings.append(

@@ -11,8 +11,14 @@ SMITH_MASKINGS = ("height-correlated", "separable")
 PHYSICAL_MASKINGS = (*SMITH_MASKINGS, "measured")
 """Maskings that are reciprocal and conserve the energy of reflected light; ``measured`` is traced on the height map."""
 
+LARGEST_COMPARED = 75.0
+"""Largest angle of incidence at which the light of the facets chooses the masking [degree]."""
+
 MASKING_ADVISED = "masking_advised"
 """Attribute of a BSDF from heights: the masking that the light of their facets speaks for, where it was compared."""
+
+SMITH_ERROR = "smith_error_in_peak"
+"""Attribute of a BSDF from heights: the largest error of the light of their facets in the peak after Smith, up to 75 degree."""
 
 MULTIPLE_SCATTERING_ADVISED = "multiple_scattering_advised"
 """Attribute of a BSDF of facets: the mode that ``multiple_scattering: auto`` means, where the light was compared."""

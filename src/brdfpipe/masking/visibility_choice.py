@@ -6,6 +6,8 @@ visibility replaces it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import xarray as xr
 
@@ -14,6 +16,7 @@ from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array, HalfVector
 from brdfpipe.masking.facet_sample import BLOCKS, FacetSample, direction
 from brdfpipe.masking.line_visibility import tabulate_line
+from brdfpipe.masking.modes import LARGEST_COMPARED
 from brdfpipe.masking.smith import cotangent
 from brdfpipe.masking.traced_visibility import SAMPLES, VisibilityError, ratio_of_sums, tabulate
 from brdfpipe.masking.visibility import VISIBILITY
@@ -22,19 +25,20 @@ from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 
 THETA = np.array([15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 85.0])
 """Angles of incidence at which both maskings are compared [degree]."""
-JUDGED = 75.0
-"""Largest angle of incidence whose difference decides [degree]."""
 THRESHOLD = 0.03
 """Relative difference of the light that must be exceeded,"""
 SIGNIFICANT = 3.0
 """by more than so many standard uncertainties."""
 REGIONS = {"peak": 0.3, "all": 0.0}
 """Light by the smallest share of the peak of the BRDF."""
-COMPARED_FACETS = 2**13
-"""Facets that are compared at every incidence."""
+COMPARED_FACETS = 2**16
+"""Facets that are compared at incidences of 60 to 75 degree, and four times fewer at others."""
 
 _INDEX = 1.5  # of a plastic: weighs the light
+_CLOSELY = 60.0  # smallest angle of incidence at which all facets are compared [degree]
+_FEWER = 4  # times fewer facets at other angles
 _HORIZON = 1e-6  # cosine of the lowest direction that counts
+_FIELDS = ("visible_share", "visible_share_u", "smith_visible_share", "smith_error", "smith_error_u")
 
 
 def choose(
@@ -65,7 +69,8 @@ def choose(
     Notes
     -----
     Smith's masking is replaced where, at an incidence up to 75 degree, in the peak or in all, the light of a body of index 1.5 differs by
-    more than 3 % plus three standard uncertainties. These are the scatter between 64 blocks of the heights.
+    more than 3 % plus three standard uncertainties. On a map both lights are of the same facets, and the uncertainty is that of their ratio on
+    this map: chance among the traced facets alone. Of a line it is the scatter between 64 blocks of it.
     """
     vocabulary.validate(surface, "surface")
     vocabulary.validate(facets, "facets")
@@ -108,7 +113,7 @@ def _compared_and_traced(surface: xr.Dataset, facets: xr.Dataset, masking: str, 
 
 
 def _choice(comparison: xr.Dataset) -> tuple[str, str]:
-    judged = comparison.sel(theta_i=slice(None, JUDGED))
+    judged = comparison.sel(theta_i=slice(None, LARGEST_COMPARED))
     error, u = judged["smith_error"].values, judged["smith_error_u"].values
     beyond = np.abs(error) / (THRESHOLD + SIGNIFICANT * u)
     row, column = np.unravel_index(int(beyond.argmax()), error.shape)
@@ -124,46 +129,50 @@ def _choice(comparison: xr.Dataset) -> tuple[str, str]:
 
 def _compared(facets: FacetSample, density: RadialDensity) -> xr.Dataset:
     """Light that facets reflect once, seen by tracing and after Smith, at :data:`THETA`."""
-    azimuth, smith = facets.azimuth, facets.smith_excess()
+    smith = facets.smith_excess()
+    fewer = facets.take(np.arange(0, facets.block.size, _FEWER))
+    by_incidence = [
+        _at_incidence(
+            facets if _CLOSELY <= theta <= LARGEST_COMPARED else fewer, density, smith, float(np.radians(theta))
+        )
+        for theta in THETA
+    ]
+    dims, coords = ("theta_i", "region"), {"theta_i": THETA, "region": list(REGIONS)}
+    fields = np.moveaxis(np.array(by_incidence), -1, 0)
+    return xr.Dataset({name: (dims, values) for name, values in zip(_FIELDS, fields, strict=True)}, coords)
+
+
+def _at_incidence(
+    facets: FacetSample, density: RadialDensity, smith: Callable[[Array], Array], theta: float
+) -> list[Array]:
+    """Values of :data:`_FIELDS` of every region at an incidence [rad]; ``smith`` is the mean excess slope by cotangent."""
     p, q = facets.slopes
     squared = p**2 + q**2
     normal = np.stack([-p, -q, np.ones_like(p)], axis=-1) / np.sqrt(1 + squared)[:, None]
-    visible, expected, light = np.zeros((3, THETA.size, len(REGIONS), BLOCKS**2))
-    for row, theta in enumerate(np.radians(THETA)):
-        towards = direction(np.full(p.size, theta), azimuth)
-        cos_zeta = np.clip(np.einsum("nk,nk->n", towards, normal), 0.0, 1.0)
-        outgoing = 2 * cos_zeta[:, None] * normal - towards
-        lit = (cos_zeta > 0) & (outgoing[:, 2] > _HORIZON)
-        cos_o = np.where(lit, outgoing[:, 2], 1.0)
-        cosines = np.full_like(cos_o, np.cos(theta)), cos_o
-        (cos_i, sin_i), (cos_o, sin_o) = ((cos, np.sqrt((1 - cos) * (1 + cos))) for cos in cosines)
-        pair = HalfVector(squared, cos_zeta, cos_i, sin_i, cos_o, sin_o)
-        over_cosines = VISIBILITY["height-correlated"](
-            pair, smith(cotangent(cos_i, sin_i)), smith(cotangent(cos_o, sin_o))
-        )
-        reflectance = np.where(lit, fresnel(cos_zeta, _INDEX).mean, 0.0)
-        brdf = reflectance * density(squared) * (1 + squared) ** 2 * over_cosines
-        weight = reflectance * cos_zeta * np.sqrt(1 + squared)
-        seen = facets.visible(towards, outgoing) & lit
-        for column, least in enumerate(REGIONS.values()):
-            inside = weight * (brdf >= least * brdf.max())
-            for sums, values in ((visible, seen), (expected, over_cosines * cos_i * cos_o), (light, 1.0)):
-                sums[row, column] = np.bincount(facets.block, inside * values, minlength=BLOCKS**2)
-    return _comparison(visible, expected, light)
+    towards = direction(np.full(p.size, theta), facets.azimuth)
+    cos_zeta = np.clip(np.einsum("nk,nk->n", towards, normal), 0.0, 1.0)
+    outgoing = 2 * cos_zeta[:, None] * normal - towards
+    lit = (cos_zeta > 0) & (outgoing[:, 2] > _HORIZON)
+    cos_o = np.where(lit, outgoing[:, 2], 1.0)
+    cosines = np.full_like(cos_o, np.cos(theta)), cos_o
+    (cos_i, sin_i), (cos_o, sin_o) = ((cos, np.sqrt((1 - cos) * (1 + cos))) for cos in cosines)
+    pair = HalfVector(squared, cos_zeta, cos_i, sin_i, cos_o, sin_o)
+    over_cosines = VISIBILITY["height-correlated"](pair, smith(cotangent(cos_i, sin_i)), smith(cotangent(cos_o, sin_o)))
+    reflectance = np.where(lit, fresnel(cos_zeta, _INDEX).mean, 0.0)
+    brdf = reflectance * density(squared) * (1 + squared) ** 2 * over_cosines
+    light = reflectance * cos_zeta * np.sqrt(1 + squared)
+    visible, expected = light * facets.visible(towards, outgoing), light * over_cosines * cos_i * cos_o
+    regions = [brdf >= least * brdf.max() for least in REGIONS.values()]
+    return [_shares(facets, *(inside * part for part in (visible, expected, light))) for inside in regions]
 
 
-def _comparison(visible: Array, expected: Array, light: Array) -> xr.Dataset:
-    total = light.sum(axis=-1)
+def _shares(facets: FacetSample, visible: Array, expected: Array, light: Array) -> Array:
+    """Values of :data:`_FIELDS` from the light of every facet, (n,): visible, visible after Smith, and all."""
+    total = float(light.sum())
+    seen, after_smith = visible.sum() / total, expected.sum() / total
+    if facets.mesh.is_line:
+        # A line stands for places beside it, so that the scatter between its places counts.
+        visible, expected = (np.bincount(facets.block, part, minlength=BLOCKS**2) for part in (visible, expected))
     # One facet of the mean weight counts as visible after Smith, where others may all be hidden.
-    ratio, relative_u = ratio_of_sums(visible, expected, total / COMPARED_FACETS)
-    share = visible.sum(axis=-1) / total
-    dims = ("theta_i", "region")
-    fields = {
-        "visible_share": share,
-        "visible_share_u": share * relative_u,
-        "smith_visible_share": expected.sum(axis=-1) / total,
-        "smith_error": 1 / ratio - 1,
-        "smith_error_u": relative_u / ratio,
-    }
-    coords = {"theta_i": THETA, "region": list(REGIONS)}
-    return xr.Dataset({name: (dims, values) for name, values in fields.items()}, coords)
+    ratio, relative_u = ratio_of_sums(visible, expected, total / light.size)
+    return np.array([seen, seen * relative_u, after_smith, 1 / ratio - 1, relative_u / ratio])

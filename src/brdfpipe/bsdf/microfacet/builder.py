@@ -34,12 +34,14 @@ from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.masking.liu import energy_limit
 from brdfpipe.masking.modes import (
+    LARGEST_COMPARED,
     MASKING_ADVISED,
     MASKINGS_OF_MULTIPLE_SCATTERING,
     MODEL_DEFAULTS,
     MODES,
     MULTIPLE_SCATTERING_ADVISED,
     RECIPES,
+    SMITH_ERROR,
     SMITH_MASKINGS,
     allows_several_reflections,
 )
@@ -130,6 +132,8 @@ def build(
     }
     if visibility is not None and "smith_error" in visibility:
         bsdf.attrs[MASKING_ADVISED] = visibility.attrs["masking"]
+        errors = visibility["smith_error"].sel(region="peak", theta_i=slice(None, LARGEST_COMPARED)).values
+        bsdf.attrs[SMITH_ERROR] = float(errors[np.abs(errors).argmax()])
     if choice:
         bsdf.attrs[MULTIPLE_SCATTERING_ADVISED] = chosen["multiple_scattering"]
     if recipe is not None:

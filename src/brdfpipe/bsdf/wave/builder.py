@@ -52,7 +52,7 @@ from brdfpipe.facets.facet_dataset import azimuthal_average
 from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.facets.scaling import scaled
 from brdfpipe.geometry import Array
-from brdfpipe.masking.modes import HALOS, MASKING_ADVISED, MULTIPLE_SCATTERING_ADVISED, WAVE_OPTICS
+from brdfpipe.masking.modes import HALOS, MASKING_ADVISED, MULTIPLE_SCATTERING_ADVISED, SMITH_ERROR, WAVE_OPTICS
 from brdfpipe.optics.fresnel_equations import fresnel
 from brdfpipe.optics.index import refractive_index
 
@@ -340,7 +340,14 @@ def _with_facets(bsdf: xr.Dataset, predicted: xr.Dataset) -> xr.Dataset:
     if "wavelength" in kept.dims:
         kept = kept.interp(wavelength=bsdf["wavelength"].values)
     around = {name: predicted[name].values for name in ("theta_i", "phi_i") if name in predicted.coords}
-    names_of_modes = ("masking", MASKING_ADVISED, "multiple_scattering", MULTIPLE_SCATTERING_ADVISED, "band")
+    names_of_modes = (
+        "masking",
+        MASKING_ADVISED,
+        SMITH_ERROR,
+        "multiple_scattering",
+        MULTIPLE_SCATTERING_ADVISED,
+        "band",
+    )
     attributes = {name: predicted.attrs[name] for name in names_of_modes if name in predicted.attrs}
     return bsdf.merge(kept).assign_coords(around).assign_attrs(attributes)
 
