@@ -172,7 +172,9 @@ def _shares(facets: FacetSample, visible: Array, expected: Array, light: Array) 
     seen, after_smith = visible.sum() / total, expected.sum() / total
     if facets.mesh.is_line:
         # A line stands for places beside it, so that the scatter between its places counts.
-        visible, expected = (np.bincount(facets.block, part, minlength=BLOCKS**2) for part in (visible, expected))
+        visible, expected = (
+            np.bincount(facets.block, part, minlength=BLOCKS**2).astype(float) for part in (visible, expected)
+        )
     # One facet of the mean weight counts as visible after Smith, where others may all be hidden.
     ratio, relative_u = ratio_of_sums(visible, expected, total / light.size)
     return np.array([seen, seen * relative_u, after_smith, 1 / ratio - 1, relative_u / ratio])
