@@ -13,7 +13,12 @@ import numpy as np
 import xarray as xr
 
 from brdfpipe.appearance.origin import Datasets
-from brdfpipe.bsdf.microfacet.phase_variance import LIMITS, known_rms_height, phase_variances
+from brdfpipe.bsdf.microfacet.phase_variance import (
+    LIMITS,
+    known_rms_height,
+    phase_variances,
+    unresolved_rms_height,
+)
 from brdfpipe.bsdf.wave import missed_light
 from brdfpipe.flakes.refraction import largest_flake_angle
 from brdfpipe.geometry import Array
@@ -67,8 +72,8 @@ def validity(datasets: Datasets) -> list[Judgement]:
 
     Parameters
     ----------
-    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``visibility``, ``bsdf``, ``back_surface``, ``back_psd``, ``back_facets`` and ``model_error`` are
-        used where they exist
+    datasets : stage → its dataset; ``psd``, ``facets``, ``surface``, ``visibility``, ``bsdf``, ``back_surface``, ``back_psd``,
+        ``back_facets`` and ``model_error`` are used where they exist
     """
     if "bsdf" in datasets and datasets["bsdf"].attrs["representation"] == "flake":
         return _of_flakes(datasets["bsdf"])
@@ -173,7 +178,7 @@ def _pitch(datasets: Datasets) -> Judgement | None:
     if (
         psd is not None
         and {"back_surface", "back_psd"} <= set(datasets)
-        and _unresolved(datasets["back_psd"]) > _unresolved(psd)
+        and unresolved_rms_height(datasets["back_psd"]) > unresolved_rms_height(psd)
     ):
         surface, psd = datasets["back_surface"], datasets["back_psd"]
     pitch = float(surface.attrs["pitch_x"])
@@ -184,7 +189,7 @@ def _pitch(datasets: Datasets) -> Judgement | None:
         return Judgement(condition, finding, "fail", "Scan with a finer pitch, or average several scans")
     if psd is None:
         return Judgement(condition, finding, "")
-    unresolved = _unresolved(psd)
+    unresolved = unresolved_rms_height(psd)
     phase = phase_variances(unresolved)[20]
     if phase > LIMITS[0]:
         finding += f"; a plateau of {_nanometres(unresolved)}, g = {phase:.2g} at 20°, is noise or roughness finer than the pitch"
@@ -205,11 +210,6 @@ def _pitch(datasets: Datasets) -> Judgement | None:
             condition, finding, "warn", "Set `model.optics: auto`, or scan with a pitch near the wavelength"
         )
     return Judgement(condition, finding, "pass")
-
-
-def _unresolved(psd: xr.Dataset) -> float:
-    """Rms height of a plateau that is noise or roughness finer than the pitch [um]."""
-    return float(psd.get("unresolved_sigma", 0.0))
 
 
 def _band(datasets: Datasets) -> Judgement | None:

@@ -28,6 +28,7 @@ from brdfpipe.bsdf.change_variables import (
 )
 from brdfpipe.bsdf.microfacet.gloss_trap import trapped_light
 from brdfpipe.bsdf.microfacet.model import Model
+from brdfpipe.bsdf.microfacet.phase_variance import unresolved_rms_height
 from brdfpipe.bsdf.wave.height_transform import log_transform
 from brdfpipe.bsdf.wave.roughness import roughness
 from brdfpipe.facets import planar_density
@@ -130,7 +131,7 @@ def uncertainty(
         known = relative_error["theta_i"].values[relative_error.notnull().any("region").values]
         beyond = [f"{MODEL} beyond {known[-1]:g}°"] if known[-1] < relative_error["theta_i"].values[-1] else []
         missing = [name for name in missing if name != MODEL] + beyond
-    if psd is not None and "n" in bsdf and (unresolved := float(psd.get("unresolved_sigma", 0.0))):
+    if "n" in bsdf and (unresolved := unresolved_rms_height(psd)):
         result = result.assign(relative_error=_with_unresolved(result.get("relative_error"), unresolved))
     return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
 

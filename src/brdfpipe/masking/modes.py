@@ -21,7 +21,7 @@ SMITH_ERROR = "smith_error_in_peak"
 """Attribute of a BSDF from heights: the largest error of the light of their facets in the peak after Smith, up to 75 degree."""
 
 MULTIPLE_SCATTERING_ADVISED = "multiple_scattering_advised"
-"""Attribute of a BSDF of facets: the mode that ``multiple_scattering: auto`` means, where the light was compared."""
+"""Attribute of a BSDF of facets: the mode that ``multiple_scattering: auto`` means; the history says why."""
 
 MODES = {
     "masking": ("auto", *PHYSICAL_MASKINGS, "blinn", "liu", "crf", "none"),
@@ -32,7 +32,7 @@ MODES = {
 
 Masking ``auto`` is ``measured`` where heights were measured and Smith's masking does not describe them, else Smith's height-correlated one.
 Multiple scattering ``auto`` is ``none`` where little light is reflected more than once, and where :func:`allows_several_reflections` says
-no; else ``measured`` on a height map, and ``directional`` without one.
+no; else ``measured`` on a height map, and ``directional`` without one, unless there is a lay.
 """
 
 OPTICS = ("auto", "facets", "wave", "composite")

@@ -24,6 +24,11 @@ def known_rms_height(psd: xr.Dataset) -> float:
     return float(np.hypot(float(psd["sigma"]), float(psd.get("long_sigma", 0.0))))
 
 
+def unresolved_rms_height(psd: xr.Dataset | None) -> float:
+    """Rms height [um] of a plateau of a roughness spectrum that is noise or roughness finer than the pitch; 0 without a spectrum."""
+    return 0.0 if psd is None else float(psd.get("unresolved_sigma", 0.0))
+
+
 def with_warning(bsdf: xr.Dataset, psd: xr.Dataset) -> xr.Dataset:
     """Add a warning where a surface is too smooth for its facets.
 

@@ -29,6 +29,7 @@ from brdfpipe.bsdf.input_uncertainty import (
 )
 from brdfpipe.bsdf.microfacet.builder import index_on
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
+from brdfpipe.bsdf.microfacet.phase_variance import unresolved_rms_height
 from brdfpipe.bsdf.representations.slab import BALANCE, SHIFT_DIMS, SIDES, lagrange, node_weights
 from brdfpipe.bsdf.slab.builder import Operators
 from brdfpipe.bsdf.slab.lobe_table import LobeGrid, barycentric
@@ -103,7 +104,7 @@ def uncertainty(
     if "log_shift_change" in result:
         grid = _grid_of(bsdf)
         result = result.assign_coords(shift_low=grid.low)
-    unresolved = [0.0 if one.psd is None else float(one.psd.get("unresolved_sigma", 0.0)) for one in given]
+    unresolved = [unresolved_rms_height(one.psd) for one in given]
     if any(unresolved):
         result = result.assign(_of_unresolved(bsdf, unresolved[0], unresolved[-1]))
     return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
