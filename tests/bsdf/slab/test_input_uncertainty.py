@@ -10,7 +10,7 @@ from brdfpipe import appearance, facets, optics, psd, vocabulary
 from brdfpipe.bsdf import slab
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.slab import input_uncertainty
+from brdfpipe.bsdf.slab import input_uncertainty, tabulation
 from brdfpipe.bsdf.slab.input_uncertainty import uncertainty
 from brdfpipe.bsdf.slab.wave_face import WaveSurface
 from brdfpipe.bsdf.source_changes import SourceChanges
@@ -67,8 +67,13 @@ def test_a_plate_is_uncertain_as_the_derivatives_of_its_closed_form():
         np.testing.assert_allclose(np.abs(found), np.abs(derivative) / 2e-4 * u, rtol=0.01)
 
 
-@pytest.mark.parametrize("back", [None, pytest.param("flat", marks=pytest.mark.slow)])
-def test_the_inputs_change_a_sheet_as_if_it_was_built_with_them(back):
+@pytest.mark.parametrize(
+    ("back", "all_nodes"),
+    [(None, False), *(pytest.param("flat", each, marks=pytest.mark.slow) for each in (False, True))],
+)
+def test_the_inputs_change_a_sheet_as_if_it_was_built_with_them(back, all_nodes, monkeypatch):
+    if all_nodes:
+        monkeypatch.setattr(tabulation.Resolution, "coarser", lambda resolution: resolution)
     given, steeper = uncertain_facets(), facets.scaled(beckmann(0.2), STEEPER)
     flat = None if back is None else facets.flat()
 
@@ -89,12 +94,15 @@ def test_the_inputs_change_a_sheet_as_if_it_was_built_with_them(back):
             # On the flank of a lobe, the interpolation errors of the two tables differ too.
             assert np.abs(change - difference).max() < 0.15 * np.abs(difference).max()
     for changed, wanted in zip(changes.changed, rebuilt, strict=True):
-        for share in ("albedo", "transmittance"):
-            before = getattr(changes.given, share)(*incidence)
-            found_change, wanted_change = (
-                getattr(one, share)(*incidence) - before for one in (changed, representation(wanted))
-            )
-            np.testing.assert_allclose(found_change, wanted_change, atol=1e-6 + 0.025 * np.abs(wanted_change).max())
+        shares = ("albedo", "transmittance")
+        before = np.array([getattr(changes.given, share)(*incidence) for share in shares])
+        found_change = np.array([getattr(changed, share)(*incidence) for share in shares]) - before
+        wanted_change = np.array([getattr(representation(wanted), share)(*incidence) for share in shares]) - before
+        largest = np.abs(wanted_change).max(axis=(1, 2), keepdims=True)
+        if back == "flat" and not all_nodes:
+            # Steeper facets change the albedo by a sixteenth of what they change the transmittance, and fewer nodes err in both alike.
+            largest = largest.max()
+        assert (np.abs(found_change - wanted_change) < 1e-6 + 0.025 * largest).all()
 
 
 def test_gloss_haze_and_transmittance_of_a_sheet_are_uncertain_by_source():

@@ -3,7 +3,8 @@
 Each independent change of an input by one standard uncertainty changes a face, the index or the internal transmittance. The sheet is
 computed with and without it by fewer nodes; the differences of its shares, and of the logarithm of the light that has been inside,
 change the given one (:mod:`brdfpipe.bsdf.source_changes`). The logarithms are of a coarser grid, because what changes them varies
-little within a lobe. A change of faces is computed at the mean index; one of waves at three of the wavelengths of the table.
+little within a lobe. Fewer nodes err by up to 2e-5 of the light, which is 4 % of the 2e-4 by which uncertain facets of slope 0.2 on a
+smooth back change the albedo. A change of faces is computed at the mean index; one of waves at three of the wavelengths of the table.
 """
 
 from __future__ import annotations
