@@ -348,5 +348,7 @@ def test_coherent_light_and_halo_of_a_perfect_mirror_are_all_light_up_to_grazing
         halo = surface.halo_of_mirrors(angles, nm)[..., 0]
         for direction in (angles[0], angles[2]):
             halo *= surface.closure.of_halo(np.cos(np.radians(direction)), nm)
+        # Of the light that waves reflect; steep roughness reflects 6 % of it as facets at 52 degree.
+        waves = 1 - surface.facet_share(2 * np.cos(np.radians([theta])), nm)[0, 0]
         # Between the nodes of the factors.
-        assert mirror_share(bsdf, [theta])[0] + float(rule.weight @ halo[:, 0]) == pytest.approx(1, abs=2e-3)
+        assert mirror_share(bsdf, [theta])[0] / waves + float(rule.weight @ halo[:, 0]) == pytest.approx(1, abs=2e-3)
