@@ -371,7 +371,12 @@ QUANTITIES: Mapping[str, Quantity] = {
     "energy_residual": Quantity("1", "share of the light that coherent part and halo miss of Fresnel's reflectance", 0),
     # Uncertain inputs of a prediction
     "change_theta": Quantity("degree", "incidence at which the change of an albedo is known", 0, 90),
-    "error_theta": Quantity("degree", "incidence at which the relative error of a model is known", 0, 90),
+    "error_theta": Quantity(
+        "degree",
+        "incidence at which the relative error of a model is known; beyond 90 on the back side of a sheet",
+        0,
+        180,
+    ),
     "relative_error": Quantity(
         "1", "relative error of a model, as a standard uncertainty; missing where not known", 0, missing=True
     ),

@@ -195,28 +195,26 @@ class _WithModelError:
         self._bare_dataset = bsdf if bare is None else bare
         self._bare = representation(self._bare_dataset)
         self._error, self._loss = bsdf["relative_error"], bsdf.get("transmitted_loss")
+        self._known_peaks: dict[tuple[bool, bool], Array] = {}
 
-    @cached_property
-    def _peaks(self) -> Array:
-        """Largest BRDF of the surface in the plane of incidence [sr-1], mean over wavelength, at some incidences."""
-        return self._peaks_towards(_PEAK_VIEWS)
-
-    @cached_property
-    def _peaks_through(self) -> Array:
-        """The same of the BTDF."""
-        return self._peaks_towards(180 - _PEAK_VIEWS)
-
-    def _peaks_towards(self, views: Array) -> Array:
-        incidence, view = np.meshgrid(_PEAK_INCIDENCES, views, indexing="ij")
-        along = self._bare.lay or 0.0
-        brdf = self._bare.evaluate(incidence, np.full_like(view, along), view, np.full_like(view, along + 180), None)
-        return np.asarray(brdf.mean(axis=-1).max(axis=1))
+    def _log_peaks(self, behind: bool, through: bool) -> Array:
+        """Logarithm of the largest BSDF of the surface in the plane of incidence [sr-1], mean over wavelength, at some incidences of a side."""
+        if (behind, through) not in self._known_peaks:
+            incidence, view = np.meshgrid(_PEAK_INCIDENCES, _PEAK_VIEWS, indexing="ij")
+            lit, seen = (
+                180 - each if below else each for each, below in ((incidence, behind), (view, behind != through))
+            )
+            along = self._bare.lay or 0.0
+            bsdf = self._bare.evaluate(lit, np.full_like(view, along), seen, np.full_like(view, along + 180), None)
+            self._known_peaks[behind, through] = np.log(np.maximum(bsdf.mean(axis=-1).max(axis=1), 1e-300))
+        return self._known_peaks[behind, through]
 
     @staticmethod
     def _relative(error: xr.DataArray, theta_i: Array, log_share: Array) -> Array:
         """Relative error at incidences, and logarithms of shares of the peak there, of one shape; NaN where it is not known."""
-        theta_i = np.minimum(theta_i, 180 - np.asarray(theta_i))
         angles, values = error["error_theta"].values, error.transpose("error_theta", "region").values
+        if angles[-1] <= 90:
+            theta_i = np.minimum(theta_i, 180 - np.asarray(theta_i))
         known = np.isfinite(values).all(axis=1)
         end = angles[known][-1] + _HELD if angles[known][-1] < angles[-1] else np.inf
         by_region = [np.where(theta_i > end, np.nan, np.interp(theta_i, angles[known], one)) for one in values[known].T]
@@ -231,15 +229,17 @@ class _WithModelError:
         incidence = np.broadcast_to(theta_i, given.shape[:-1])
         log_light = np.log(np.maximum(bare.mean(axis=-1), 1e-300))
 
-        def relative(error: xr.DataArray, peaks: Array) -> Array:
-            polar = np.minimum(incidence, 180 - incidence)
-            log_peak = np.interp(polar, _PEAK_INCIDENCES, np.log(np.maximum(peaks, 1e-300)))
-            return self._relative(error, incidence, log_light - log_peak)
-
-        change = relative(self._error, self._peaks)
-        if self._loss is not None:
-            through = (incidence > 90) != (np.broadcast_to(theta_o, incidence.shape) > 90)
-            change = np.where(through, -relative(self._loss, self._peaks_through), change)
+        behind = incidence > 90
+        through = behind != (np.broadcast_to(theta_o, incidence.shape) > 90)
+        change = np.zeros(incidence.shape)
+        for side in (False, True):
+            for passed, error, sign in ((False, self._error, 1.0), (True, self._loss, -1.0)):
+                at = (behind == side) & (through == passed)
+                if error is None or not at.any():
+                    continue
+                polar = np.minimum(incidence[at], 180 - incidence[at])
+                log_peak = np.interp(polar, _PEAK_INCIDENCES, self._log_peaks(side, passed))
+                change[at] = sign * self._relative(error, incidence[at], log_light[at] - log_peak)
         return given + bare * change[..., None]
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:

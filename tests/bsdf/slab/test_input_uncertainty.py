@@ -224,6 +224,30 @@ def test_roughness_that_may_hide_in_a_plateau_counts_in_reflection_of_both_faces
     )
 
 
+def test_light_from_behind_is_uncertain_by_the_roughness_of_the_face_that_it_meets_first():
+    flat = facets.flat()
+    sheet = slab.build(beckmann(0.02), flat, index=1.5, internal_transmittance=INSIDE)
+    unresolved = psd.analytic("gaussian", sigma=1.0, length=100.0).assign(unresolved_sigma=0.05)
+    inputs = {"facets": beckmann(0.02), "psd": unresolved, "back_facets": flat, "index": optics.refractive_index(1.5)}
+    error = with_changes(sheet, **inputs)["relative_error"].sel(region="peak")
+    outer, through, f = 1 - np.exp(-((4 * np.pi * 0.05 / 0.55) ** 2)), 2 * (np.pi * 0.05 / 0.55) ** 2, 0.04
+    inside = 1 - np.exp(-((4 * np.pi * 0.05 * 1.5 / 0.55) ** 2))
+    once = (1 - f) ** 2 * INSIDE**2
+    assert float(error.sel(error_theta=0.0)) == pytest.approx(
+        (outer + once * -np.expm1(-through)) / (1 + once), rel=1e-9
+    )
+    assert float(error.sel(error_theta=180.0)) == pytest.approx(once * inside / (1 + once), rel=1e-9)
+    mirror = np.array([[180.0], [0.0], [180.0], [0.0]])
+    changes = SourceChanges(with_changes(sheet, **inputs))
+    specular = np.array([180.0]), np.zeros(1), None
+    assert changes.changed[0].specular(*specular)[0] == pytest.approx(
+        (1 + float(error.sel(error_theta=180.0))) * changes.given.specular(*specular)[0], rel=1e-9
+    )
+    assert changes.changed[0].evaluate(*mirror, None) == pytest.approx(
+        (1 + float(error.sel(error_theta=180.0))) * changes.given.evaluate(*mirror, None), rel=1e-9
+    )
+
+
 # --- scans
 
 SCANS, STATED = 30, 6

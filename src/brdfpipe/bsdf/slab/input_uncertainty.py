@@ -112,7 +112,7 @@ def uncertainty(
 
 
 def _of_unresolved(bsdf: xr.Dataset, front: float, back: float) -> Fields:
-    """Error of the light in the lobes, where a plateau of the spectrum of a face may be roughness of an rms height [um], finer than the scan.
+    """Error of the light in the lobes of both sides, where a plateau of the spectrum of a face may be roughness of an rms height [um], finer than the scan.
 
     As of an opaque body it takes 1 − e^(−g) of the light at 550 nm, and scatters it so far that the rest is taken as unchanged. Light that passes
     a face has g = (2πσ(n cos θ' − cos θ)/λ)², that reflected outside (4πσ cos θ/λ)², and inside (4πσ n cos θ'/λ)².
@@ -122,14 +122,22 @@ def _of_unresolved(bsdf: xr.Dataset, front: float, back: float) -> Fields:
     inside = np.sqrt(n**2 - 1 + cosine**2)
     wave_number = 2 * np.pi / MIDDLE_WAVELENGTH
     of_front, of_back = (np.square(wave_number * sigma * (inside - cosine)) for sigma in (front, back))
-    outer, inner = (wave_number * 2 * front * cosine) ** 2, 2 * of_front + (wave_number * 2 * back * inside) ** 2
     fresnel_share = np.asarray(fresnel(cosine, n, 0.0).mean)
     body = float(bsdf["internal_transmittance"].mean()) ** (n / inside)
     # The light that each face returns as if both were smooth.
     first, second = fresnel_share, (1 - fresnel_share) ** 2 * body**2 * fresnel_share
-    reflected = (first * -np.expm1(-outer) + second * -np.expm1(-inner)) / (first + second)
+
+    def reflected(lit: float, other: float, of_lit: Array) -> Array:
+        outer, inner = (wave_number * 2 * lit * cosine) ** 2, 2 * of_lit + (wave_number * 2 * other * inside) ** 2
+        return np.asarray((first * -np.expm1(-outer) + second * -np.expm1(-inner)) / (first + second))
+
     passed = -np.expm1(-(of_front + of_back))
-    return {"relative_error": of_lobes(reflected), "transmitted_loss": of_lobes(passed)}
+    both_sides = np.append(MODEL_INCIDENCES, 180 - MODEL_INCIDENCES[::-1])
+    errors = np.append(reflected(front, back, of_front), reflected(back, front, of_back)[::-1])
+    return {
+        "relative_error": of_lobes(errors, both_sides),
+        "transmitted_loss": of_lobes(np.append(passed, passed[::-1]), both_sides),
+    }
 
 
 def _is_uncertain(given: list[_Inputs], index: xr.Dataset, interior: xr.Dataset | None) -> bool:
