@@ -183,6 +183,7 @@ def test_what_no_reference_can_check_is_reported():
     result = compared(surface, rays=640)
     assert not result["valid"].any()
     assert any("no reference solution holds at any angle" in text for text in vocabulary.warnings(result))
+    assert "truth" not in result.attrs["advice"]
 
 
 def test_heights_of_steps_or_noise_are_not_traced():

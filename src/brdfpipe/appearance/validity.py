@@ -325,13 +325,18 @@ def _model_error(datasets: Datasets) -> Judgement | None:
     return Judgement(condition, finding, verdict, "" if verdict == "pass" else advice[:1].upper() + advice[1:])
 
 
+def certain_error(error: xr.DataArray, uncertainty: xr.DataArray) -> xr.DataArray:
+    """Size of an error without :data:`SIGNIFICANT` standard uncertainties: what must exceed a limit. Negative where the error may be none."""
+    return abs(error) - SIGNIFICANT * uncertainty
+
+
 def _largest_error(
     error: xr.DataArray, u: xr.DataArray, limits: tuple[float, float]
 ) -> tuple[Array, Callable[[str], str]]:
     """By how much the most significant error exceeds each limit, and its words: value ± u and angle, in a number format."""
     angle = next(str(dim) for dim in error.dims if str(dim) in ("theta_i", "gloss_angle"))
     error, u = xr.broadcast(error, u)
-    certain = (abs(error) - SIGNIFICANT * u).values
+    certain = certain_error(error, u).values
     # Where nothing is significant, the largest error.
     at = np.nanargmax(certain if np.nanmax(certain) > 0 else abs(error).values)
     value, at_u = float(error.values.flat[at]), float(u.values.flat[at])

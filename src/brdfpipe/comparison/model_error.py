@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance.gloss_meter import gloss
-from brdfpipe.appearance.validity import LARGEST_JUDGED, REFERENCES
+from brdfpipe.appearance.validity import ERROR_LIMITS, GLOSS_LIMITS, LARGEST_JUDGED, REFERENCES, certain_error
 from brdfpipe.bsdf import kirchhoff, traced
 from brdfpipe.bsdf.change_variables import MODEL_INCIDENCES, MODEL_REGIONS
 from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
@@ -38,10 +38,8 @@ MEAN = "mean over azimuth"
 """Name of the plane of incidence of a surface without a lay."""
 RAYS = 800_000
 """Rays of all incidences together: a second, and 1 % in a region that holds a tenth of the light of an incidence."""
-SIGNIFICANT = 3.0
-"""Standard uncertainties beyond which a difference is significant."""
-LIGHT_LIMIT, GLOSS_LIMIT, MASKING_LIMIT = 0.1, 1.0, 0.05
-"""Relative error in the peak, error in gloss units, and difference of G2 above which the result warns."""
+MASKING_LIMIT, MASKING_SIGNIFICANT = 0.05, 3.0
+"""Difference of G2 above which the result warns, and the standard uncertainties that it must exceed."""
 BIN_ERROR, GLOSS_BIN_ERROR = 0.004, 0.01
 """Relative error by the bins, of light and of gloss, and by the two triangles of a cell that are traced of the four that are counted."""
 MOST_HEIGHTS = 2048
@@ -368,7 +366,7 @@ def _masking(surface: xr.Dataset) -> xr.Dataset:
 def _advice(result: xr.Dataset, predicted: xr.Dataset) -> str:
     """The key of the description that is most likely to help."""
     modes, lay = predicted.attrs, MEAN not in result["plane"].values
-    reference = "" if lay else "`model.truth: use` for the reference solution itself"
+    reference = "" if lay or not result["valid"].any() else "`model.truth: use` for the reference solution itself"
     if "masking" not in modes:
         key = ""
     elif float(result["phase_variance"].sel(theta_i=60)) < GEOMETRIC and modes.get("optics", "facets") != "auto":
@@ -391,7 +389,7 @@ def _from_masking(result: xr.Dataset, predicted: xr.Dataset) -> bool:
     if predicted.attrs.get("masking") not in SMITH_MASKINGS:
         return False
     peak = _judged_peak(result.sel(reference="traced"))
-    at = _largest(peak["light_error"], peak["light_error_u"], peak["valid"], LIGHT_LIMIT)
+    at = _largest(peak["light_error"], peak["light_error_u"], peak["valid"], ERROR_LIMITS[0])
     return bool(at) and float(predicted.attrs.get(SMITH_ERROR, 0.0)) / float(peak["light_error"][at]) > 0.5
 
 
@@ -412,7 +410,7 @@ def _masking_difference(result: xr.Dataset) -> int | None:
     """Row of the largest difference of G2, if beyond the limit and its noise up to the largest angle that is judged."""
     difference = np.abs(result["g2_raycast"].values - result["g2_height_correlated"].values)
     # Without independent groups of lines the uncertainty is unknown, and counts as 0.
-    noise = SIGNIFICANT * np.nan_to_num(result["g2_raycast_u"].values)
+    noise = MASKING_SIGNIFICANT * np.nan_to_num(result["g2_raycast_u"].values)
     wrong = (difference > np.maximum(noise, MASKING_LIMIT)) & (MODEL_INCIDENCES <= LARGEST_JUDGED)
     return int(np.argmax(np.where(wrong, difference, 0))) if wrong.any() else None
 
@@ -423,13 +421,13 @@ def _warnings(result: xr.Dataset, predicted: xr.Dataset) -> list[str]:
     for name, words in (("traced", "rays traced over the map"), ("kirchhoff", "diffraction on the map")):
         one = result.sel(reference=name)
         peak = _judged_peak(one)
-        if at := _largest(peak["light_error"], peak["light_error_u"], peak["valid"], LIGHT_LIMIT):
+        if at := _largest(peak["light_error"], peak["light_error_u"], peak["valid"], ERROR_LIMITS[0]):
             error, uncertainty = (float(peak[name][at]) for name in ("light_error", "light_error_u"))
             warnings.append(
                 f"the predicted light in the peak is {_signed(error, uncertainty, '.1%')} off {words} at "
                 f"{float(peak['theta_i'][at['theta_i']]):.0f}°{_plane_words(result, at)}; {result.attrs['advice']}"
             )
-        if at := _largest(one["gloss_error"], one["gloss_error_u"], one["gloss_valid"], GLOSS_LIMIT):
+        if at := _largest(one["gloss_error"], one["gloss_error_u"], one["gloss_valid"], GLOSS_LIMITS[0]):
             error, uncertainty = (float(one[name][at]) for name in ("gloss_error", "gloss_error_u"))
             warnings.append(
                 f"the predicted gloss is {_signed(error, uncertainty, '.1f')} gloss units off {words} at "
@@ -459,13 +457,12 @@ def _signed(error: float, uncertainty: float, format: str) -> str:
 
 
 def _largest(error: xr.DataArray, uncertainty: xr.DataArray, valid: xr.DataArray, limit: float) -> dict[str, int]:
-    """Position of the largest significant error beyond a limit; empty where there is none."""
-    size = abs(error)
-    size = size.where((valid > 0) & (size > (SIGNIFICANT * uncertainty).clip(min=limit)), 0.0)
-    if not float(size.max()) > 0:
+    """Position of the most significant error, if it certainly exceeds a limit; empty where none does."""
+    certain = certain_error(error, uncertainty).where(valid > 0, 0.0)
+    if not float(certain.max()) > limit:
         return {}
-    at = np.unravel_index(int(np.argmax(size.values)), size.shape)
-    return {str(dim): int(position) for dim, position in zip(size.dims, at, strict=True)}
+    at = np.unravel_index(int(np.nanargmax(certain.values)), certain.shape)
+    return {str(dim): int(position) for dim, position in zip(certain.dims, at, strict=True)}
 
 
 def _plane_words(result: xr.Dataset, at: dict[str, int]) -> str:
