@@ -13,6 +13,7 @@ import xarray as xr
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe.bsdf import microfacet
 from brdfpipe.bsdf.microfacet import energy
+from brdfpipe.bsdf.microfacet.second_reflection import SecondReflection
 from brdfpipe.facets.slope_histogram import Histogram, histogram
 from brdfpipe.facets.slopes import FINE_BINS
 
@@ -74,6 +75,14 @@ def visibility_table(ratio) -> xr.Dataset:
     axes = (np.linspace(0, last, size) for last, size in zip((0.96, 2.5, 1.0), ratio.shape, strict=True))
     dataset = xr.Dataset({"visibility_ratio": (dims, ratio)}, coords=dict(zip(dims, axes, strict=True)))
     return vocabulary.label(dataset, "visibility")
+
+
+def random_second_reflection(planes: int = 1, turns: int = 0, wavelengths: int = 1) -> SecondReflection:
+    """Light reflected more than once whose table varies at random, with planes or factors at azimuths of a surface with a lay."""
+    random = np.random.default_rng(6)
+    log_factor = random.normal(size=(8, 8, 5, planes * wavelengths)) - 2
+    weight = np.exp(0.3 * random.normal(size=(8, turns)))
+    return SecondReflection(0.3, (log_factor + log_factor.swapaxes(0, 1)) / 2, weight, planes)
 
 
 def masking_choice(masking: str = "measured", error: float = -0.3) -> xr.Dataset:

@@ -11,7 +11,7 @@ from scipy.interpolate import PPoly
 
 from brdfpipe.geometry import Array
 
-_MOST_CELLS = 2**16
+_MOST_CELLS = 2**13
 _FEW = 64
 
 

@@ -165,3 +165,13 @@ def test_the_mean_albedo_is_twice_the_integral_over_the_cosine():
     theta = np.linspace(0, 90, 91)
     table = energy.AlbedoTable(theta, np.cos(np.radians(theta))[:, None])
     assert table.mean()[0] == pytest.approx(2 / 3, abs=1e-7)
+
+
+def test_a_table_with_a_part_that_is_not_smooth_is_the_spline_of_the_rest_and_that_part():
+    second = samples.random_second_reflection(wavelengths=2)
+    theta = np.linspace(0, 90, 40)
+    smooth = np.cos(np.radians(theta))[:, None] * [0.4, 0.5]
+    with_second = energy.AlbedoTable(theta, smooth + second.albedo(theta), second=lambda: second.albedo_pieces)
+    between = np.append(np.random.default_rng(0).uniform(0, 90, 200), [0, second.theta[3], theta[7], 90])
+    expected = energy.AlbedoTable(theta, smooth)(between) + second.albedo(between)
+    np.testing.assert_allclose(with_second(between), expected, rtol=1e-12, atol=1e-15)

@@ -18,6 +18,7 @@ from brdfpipe.bsdf.microfacet import model
 from brdfpipe.bsdf.microfacet.anisotropic_quadrature import axis_ratio, azimuth_to_arc
 from brdfpipe.bsdf.microfacet.builder import build
 from brdfpipe.bsdf.microfacet.model import Model
+from brdfpipe.bsdf.microfacet.second_reflection import with_second_reflection
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.facets.planar_density import Ellipse
 from brdfpipe.optics.fresnel_equations import fresnel
@@ -190,6 +191,26 @@ def test_isotropic_values_are_those_of_numpy(base):
 @pytest.mark.parametrize("base", ["dispersion", "one value", "compensated"])
 def test_values_of_counted_facets_are_those_of_numpy(base):
     assert_same(material("counted", base), directions())
+
+
+@pytest.mark.cases(4)
+@pytest.mark.parametrize(
+    ("surface", "base", "planes", "turns"),
+    [
+        ("isotropic", "one value", 1, 0),
+        ("isotropic", "constant index", 1, 0),
+        ("isotropic", "dispersion", 1, 0),
+        ("isotropic", "metal", 1, 0),
+        ("isotropic", "measured", 1, 0),
+        ("lay", "one value", 4, 0),
+        ("lay", "constant index", 1, 6),
+        ("lay", "metal", 4, 0),
+    ],
+)
+def test_light_reflected_more_than_once_is_that_of_numpy(surface, base, planes, turns):
+    bsdf = material(surface, base)
+    second = samples.random_second_reflection(planes, turns, max(bsdf["n"].size, 1))
+    assert_same(with_second_reflection(bsdf, second), directions())
 
 
 def test_values_of_a_traced_masking_are_those_of_numpy():

@@ -127,6 +127,35 @@ def test_the_second_reflection_is_the_integral_over_the_directions_between_the_f
     assert tabulated == pytest.approx(integral / (cos_i * cos_o), rel=0.04)
 
 
+@pytest.mark.parametrize(
+    ("planes", "turns", "wavelengths"), [(1, 0, 1), (1, 0, 3), (1, 0, 20), (3, 0, 1), (4, 0, 9), (1, 5, 1), (1, 5, 3)]
+)
+def test_values_are_interpolated_between_the_nodes_of_the_table(planes, turns, wavelengths):
+    second, rng = samples.random_second_reflection(planes, turns, wavelengths), np.random.default_rng(1)
+    theta_i, theta_o = np.concatenate([rng.uniform(0, 89.9, (2, 600)), [[0, 0, 45, 30], [0, 60, 45, 30]]], axis=1)
+    phi_i, phi_o = np.concatenate([rng.uniform(-720, 720, (2, 600)), [[0, 90, 0, 20], [0, 10, 180, 200]]], axis=1)
+    # The azimuth between the planes of a pair is counted from the steeper direction.
+    exchanged = theta_i > theta_o
+    low, high = np.minimum(theta_i, theta_o), np.maximum(theta_i, theta_o)
+    start, end = np.where(exchanged, phi_o, phi_i), np.where(exchanged, phi_i, phi_o)
+    cos_i, cos_o = np.cos(np.radians(low)), np.cos(np.radians(high))
+    width = second_reflection.azimuth_width(second.slope, cos_i, cos_o)
+    azimuth = np.arcsinh(np.radians(np.abs((end - start) % 360 - 180)) / width) / np.arcsinh(np.pi / width) * 4
+    nodes = [second_reflection.polar_hats(theta, second.slope, 8) for theta in (low, high)]
+    between = np.maximum(1 - np.abs(azimuth[:, None] - np.arange(5)), 0.0)
+    planes_between = second_reflection.periodic_hats((start / 180 + (end - start) / 360 % 1 - 0.5) * planes, planes)
+    by_plane = second.log_factor.reshape(8, 8, 5, planes, wavelengths)
+    log_factor = np.einsum("ni,no,na,ioapl->npl", *nodes, between, by_plane, optimize=True)
+    expected = np.einsum("np,npl->nl", planes_between, np.exp(log_factor))
+    ggx = [(np.sqrt(1 + (second.slope * np.tan(np.radians(theta))) ** 2) - 1) / 2 for theta in (low, high)]
+    expected /= (16 * (1 + ggx[0] + ggx[1]))[:, None]
+    for hats, phi in zip(nodes, (start, end), strict=True) if turns else ():
+        around = second_reflection.periodic_hats(phi / 360 * turns, turns)
+        expected *= np.einsum("nt,nj,tj->n", hats, around, second.weight)[:, None]
+    np.testing.assert_allclose(second(theta_i, phi_i, theta_o, phi_o), expected, rtol=1e-11)
+    np.testing.assert_allclose(second(theta_o, phi_o, theta_i, phi_i), expected, rtol=1e-11)
+
+
 @pytest.mark.cases(3)
 @pytest.mark.parametrize("a", [1e-3, 0.1, 0.5, 2.0])
 @pytest.mark.parametrize("distribution", ["beckmann", "ggx"])

@@ -7,12 +7,13 @@ of the lobe.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline, RectBivariateSpline
+from scipy.interpolate import CubicSpline, PPoly, RectBivariateSpline
 
 from brdfpipe.bsdf.microfacet import anisotropic_quadrature as quadrature
 from brdfpipe.bsdf.microfacet.microsurface import Microsurface
@@ -226,17 +227,15 @@ class AlbedoTable:
     """(φ,) degree, increasing around the circle; of a surface with a lay"""
     ellipse: Ellipse | None = None
     """Principal slopes of a surface with a lay, which scale both angles so that the albedo is smooth"""
-    second: Callable[[Array], Array] | None = None
-    """Part of an isotropic albedo that is not smooth in θ and is left out of the spline, (θ,) → (θ, wavelength)"""
+    second: Callable[[], PPoly] | None = None
+    """Gives the part of an isotropic albedo that is not smooth in θ, cubics of 90° − θ, (wavelength,); a spline holds the rest"""
 
     def __call__(self, theta: Array, phi: Array | float = 0.0) -> Array:
         """E, (…, wavelength), in [0, 1]."""
         grazing = 90 - np.asarray(theta, dtype=float)
         if self.phi is None:
-            values = self.spline(grazing)
-            values = values if self.second is None else values + self.second(90 - grazing)
             # Faster than np.clip where there are few.
-            return np.minimum(np.maximum(values, 0.0), 1.0)
+            return np.minimum(np.maximum(self.spline(grazing), 0.0), 1.0)
         assert self.ellipse is not None
         at = np.arcsinh(grazing / lay_scale(self.ellipse)), quadrature.azimuth_to_arc(self.ellipse, phi)
         values = np.stack([spline.ev(*at) for spline in self.surfaces], axis=-1)
@@ -256,8 +255,11 @@ class AlbedoTable:
 
     @cached_property
     def spline(self) -> PiecewiseCubic:
-        smooth = self.values if self.second is None else self.values - self.second(self.theta)
-        return PiecewiseCubic.of(_even_spline(90 - self.theta[::-1], smooth[::-1]))
+        grazing, values = 90 - self.theta[::-1], self.values[::-1]
+        if self.second is None:
+            return PiecewiseCubic.of(_even_spline(grazing, values))
+        second = self.second()
+        return PiecewiseCubic.of(_sum(_even_spline(grazing, values - second(grazing)), second))
 
     @cached_property
     def surfaces(self) -> list[RectBivariateSpline]:
@@ -280,6 +282,13 @@ def lay_scale(ellipse: Ellipse) -> float:
 def _even_spline(grazing: Array, values: Array) -> CubicSpline:
     # E is even in θ: its derivative is 0 at the normal, 90 degree from grazing.
     return CubicSpline(grazing, values, axis=0, bc_type=("not-a-knot", (1, np.zeros(values.shape[1]))))
+
+
+def _sum(first: PPoly, second: PPoly) -> PPoly:
+    """The sum of two piecewise cubics, exact but for rounding, with the nodes of both."""
+    nodes = np.union1d(first.x, second.x)
+    terms = [(first(nodes[:-1], order) + second(nodes[:-1], order)) / math.factorial(order) for order in (3, 2, 1, 0)]
+    return PPoly(np.stack(terms), nodes)
 
 
 def tabulated(surface: Microsurface, albedo: Callable[[Array, Array], Array], exact: Array) -> AlbedoTable:

@@ -1,6 +1,6 @@
 """Compiled kernel: the BRDF of the microfacet model for many directions, on one core.
 
-It covers the physical maskings, the coupled diffuse base and ``compensated`` multiple scattering.
+It covers the physical maskings, the coupled diffuse base and all modes of multiple scattering.
 
 The arithmetic is that of :class:`~brdfpipe.bsdf.microfacet.model.Model`, whose tables it reads, without arrays in between. Results agree
 to 1e-12 where the BRDF does not amplify the rounding of angles: it does within 0.01 degree of the horizon, as 1/cos θ, and on lobes narrower
@@ -43,6 +43,7 @@ _ROUNDER = 6755399441055744.0  # 1.5 × 2⁵²: adding and subtracting it rounds
 _LOG_2_HIGH, _LOG_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of √½
 _LEAST = 1e-150
+_TOGETHER = 16  # wavelengths that the compiler evaluates together; it evaluates what is left over one by one
 _CELLS_A_SPAN = 4
 _NEXT = np.uintp(1)
 _LANDEN_ERROR = 1e-12
@@ -174,6 +175,28 @@ def _broken_line(x: Array, y: Array) -> Curve:
     return Curve.of(PiecewiseCubic.of(PPoly(np.stack([zero, zero, np.diff(y) / np.diff(nodes), y[:-1]]), nodes)))
 
 
+class FurtherLight(NamedTuple):
+    """A :class:`~brdfpipe.bsdf.microfacet.second_reflection.SecondReflection`, or none if its table is empty."""
+
+    log_factor: Array
+    """(plane, θ_i, θ_o, φ, wavelength or 1), and further wavelengths that mean nothing"""
+    weight: Array
+    """(θ, φ), or (θ, 0)"""
+    slope: float
+    grazing_scale: float
+
+    @classmethod
+    def of(cls, log_factor: Array, weight: Array, slope: float, grazing_scale: float) -> FurtherLight:
+        """Of a table with few wavelengths, or with many, which are filled up to a number that is evaluated fast."""
+        wavelengths = log_factor.shape[-1]
+        added = -wavelengths % _TOGETHER if wavelengths > _TOGETHER / 2 else 0
+        filled = np.pad(log_factor, [(0, 0)] * 4 + [(0, added)])
+        return cls(filled, np.array(weight, dtype=float, order="C"), slope, grazing_scale)
+
+
+NO_FURTHER_LIGHT = FurtherLight(np.empty((0, 0, 0, 0, 0)), np.empty((0, 0)), 1.0, 1.0)
+
+
 class IsotropicTables(NamedTuple):
     """Facets of an isotropic surface, and its albedo."""
 
@@ -183,6 +206,7 @@ class IsotropicTables(NamedTuple):
     furnace: Curve
     separable: bool
     visibility: VisibilityTables
+    further: FurtherLight
 
 
 class LayTables(NamedTuple):
@@ -205,6 +229,7 @@ class LayTables(NamedTuple):
     landen: Array
     """(steps, 2) means a and b of Landen's transformation"""
     separable: bool
+    further: FurtherLight
 
 
 Rows: TypeAlias = tuple[Array, ...]
@@ -232,8 +257,14 @@ class Shading(NamedTuple):
     has_returned: bool
 
 
-def tables_of(surface: Microsurface, masking: str, albedo: AlbedoTable, furnace: AlbedoTable | None) -> Tables:
-    """Tables of a surface with a physical masking, and of its albedos without parts that are not smooth."""
+def tables_of(
+    surface: Microsurface,
+    masking: str,
+    albedo: AlbedoTable,
+    furnace: AlbedoTable | None,
+    further: FurtherLight = NO_FURTHER_LIGHT,
+) -> Tables:
+    """Tables of a surface with a physical masking, of its albedos, and of the light that it reflects more than once."""
     assert masking != "measured" or surface.ratio is not None
     separable = masking == "separable"
     furnace = albedo if furnace is None else furnace
@@ -243,7 +274,7 @@ def tables_of(surface: Microsurface, masking: str, albedo: AlbedoTable, furnace:
         facets = Curve.of(density.log_density), Curve.of(smith.spline)
         albedos = Curve.of(albedo.spline), Curve.of(furnace.spline)
         visibility = VisibilityTables.of(surface.ratio if masking == "measured" else None, surface.typical_slope)
-        return IsotropicTables(*facets, *albedos, separable, visibility)
+        return IsotropicTables(*facets, *albedos, separable, visibility, further)
     assert isinstance(smith, PlanarSmith)
     ellipse = density.ellipse
     ratio, wide = axis_ratio(ellipse)
@@ -262,6 +293,7 @@ def tables_of(surface: Microsurface, masking: str, albedo: AlbedoTable, furnace:
         wide,
         _landen_steps(ratio),
         separable,
+        further,
     )
 
 
@@ -895,6 +927,145 @@ def _spectrum_on_surface(x: float, y: float, surface: SplineSurface, values: Arr
             values[w] += (f_0 * r_0[w] + f_1 * r_1[w]) + (f_2 * r_2[w] + f_3 * r_3[w])
 
 
+# --- light that facets reflect more than once
+
+
+@compiled
+def _nodes_of_further_light(
+    theta: Array, cosines: Array, sines: Array, table: FurtherLight, node: Array, hidden: Array
+) -> None:
+    """Places of directions among the nodes θ, in steps, and cos θ Λ of a GGX surface."""
+    last, slope, inverse = float(table.log_factor.shape[1] - 1), table.slope, 1 / table.grazing_scale
+    nodes_a_unit = last / math.asinh(90 * inverse)
+    for j in range(theta.size):
+        grazing = _at_least(90 - theta[j], 0.0) * inverse
+        place = last - _logarithm(grazing + math.sqrt(grazing * grazing + 1)) * nodes_a_unit
+        node[j] = _at_least(place, 0.0)
+        across = slope * sines[j]
+        hidden[j] = (math.sqrt(cosines[j] * cosines[j] + across * across) - cosines[j]) * 0.5
+
+
+@compiled
+def _weight_of_direction(node: float, phi: float, weight: Array) -> float:
+    """Factor of a direction of a surface with a lay."""
+    turns, row = weight.shape[1], min(int(node), weight.shape[0] - 2)
+    around = phi / 360
+    around = _within((around - math.floor(around)) * turns, float(turns))
+    first, share = int(around), around - math.floor(around)
+    column, following = first % turns, (first + 1) % turns
+    near = weight[row, column] * (1 - share) + weight[row, following] * share
+    far = weight[row + 1, column] * (1 - share) + weight[row + 1, following] * share
+    share = _at_most(node - row, 1.0)
+    return near * (1 - share) + far * share
+
+
+@compiled
+def _add_further_light(
+    theta_i: Array,
+    phi_i: Array,
+    theta_o: Array,
+    phi_o: Array,
+    pair: Pair,
+    count: int,
+    table: FurtherLight,
+    work: Rows,
+    out: Array,
+) -> None:
+    """Add the light that facets reflect more than once."""
+    share_i, share_o, share_a, factor, first = work[:5]
+    planes, nodes, _, azimuths, width = table.log_factor.shape
+    size, slope = theta_i.size, table.slope
+    _nodes_of_further_light(theta_i[:count], pair[2], pair[3], table, share_i, factor)
+    _nodes_of_further_light(theta_o, pair[4], pair[5], table, share_o, first)
+    _spread(share_i, count)
+    _spread(factor, count)
+    if table.weight.shape[1]:
+        weights = work[5]
+        for j in range(size):
+            weight_i = _weight_of_direction(share_i[j], phi_i[j], table.weight)
+            weights[j] = weight_i * _weight_of_direction(share_o[j], phi_o[j], table.weight)
+    last_cell, last_azimuth = float(nodes - 2), float(azimuths - 1)
+    degree = math.pi / 180
+    for j in range(size):
+        # In one order, so that exchanged directions give the same bits.
+        low, high = _at_most(share_i[j], share_o[j]), _at_least(share_i[j], share_o[j])
+        row, column = _at_most(np.floor(low), last_cell), _at_most(np.floor(high), last_cell)
+        share_i[j], share_o[j] = _at_most(low - row, 1.0), _at_most(high - column, 1.0)
+        cos_i, cos_o, hidden_i, hidden_o = pair[2][j], pair[4][j], factor[j], first[j]
+        turn = abs(phi_i[j] - phi_o[j])
+        turn = abs(turn - 360 * np.floor(turn * (1 / 360)) - 180) * degree
+        inverse = 1 / _at_most(slope * (cos_i + cos_o) + 1e-3, 4.0)
+        near, far = turn * inverse, math.pi * inverse
+        reach = _logarithm(far + math.sqrt(far * far + 1))
+        seen = 16 * _at_least(cos_i * cos_o + (hidden_i * cos_o + hidden_o * cos_i), _LEAST)
+        inverse = 1 / (reach * seen)
+        azimuth = _logarithm(near + math.sqrt(near * near + 1)) * (seen * inverse)
+        azimuth = _within(azimuth * last_azimuth, last_azimuth)
+        cell = _at_most(np.floor(azimuth), last_azimuth - 1)
+        share_a[j] = azimuth - cell
+        factor[j] = cos_i * cos_o * (reach * inverse)
+        first[j] = ((row * nodes + column) * azimuths + cell) * width
+    if table.weight.shape[1]:
+        for j in range(size):
+            factor[j] *= work[5][j]
+    flat, shares = table.log_factor.reshape(table.log_factor.size), (share_i, share_o, share_a)
+    sizes = nodes * azimuths * width, azimuths * width, width
+    if planes > 1:
+        following, second_factor = work[6], work[7]
+        plane_size = float(nodes * sizes[0])
+        for j in range(size):
+            swapped = theta_i[j] > theta_o[j]
+            turn = (phi_i[j] - phi_o[j]) / 360 if swapped else (phi_o[j] - phi_i[j]) / 360
+            place = ((phi_o[j] if swapped else phi_i[j]) / 180 + turn - np.floor(turn) - 0.5) * planes
+            place -= planes * np.floor(place / planes)
+            plane = _within(np.floor(place), planes - 1.0)
+            share = place - plane
+            following[j] = first[j] + (plane + 1 if plane + 1 < planes else 0.0) * plane_size
+            first[j] += plane * plane_size
+            second_factor[j] = factor[j] * share
+            factor[j] *= 1 - share
+        _add_light_of_plane(flat, following, shares, second_factor, sizes, out)
+    _add_light_of_plane(flat, first, shares, factor, sizes, out)
+
+
+@compiled
+def _add_light_of_plane(
+    flat: Array, first: Array, shares: Rows, factor: Array, sizes: tuple[int, int, int], out: Array
+) -> None:
+    """Add the exponential of an interpolation between the eight nodes from the index ``first`` on, which is overwritten.
+
+    ``sizes`` are those of a layer, a row and a spectrum of the table.
+    """
+    (share_i, share_o, share_a), (layer_size, row_size, width) = shares, sizes
+    if width == 1:
+        rows_apart, layers_apart = np.uintp(row_size), np.uintp(layer_size)
+        for j in range(first.size):
+            start, x, y, z = np.uintp(np.int64(first[j])), share_i[j], share_o[j], share_a[j]
+            near = _on_plane(flat, start, rows_apart, y, z)
+            first[j] = near * (1 - x) + _on_plane(flat, start + layers_apart, rows_apart, y, z) * x
+        for j in range(first.size):
+            first[j] = _exponential(first[j]) * factor[j]
+        _add_products(first, np.ones(out.shape[1]), out)
+        return
+    spectrum = np.empty(width)
+    for j in range(first.size):
+        x, y, z = share_i[j], share_o[j], share_a[j]
+        a, b, c, d = (1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y
+        a_0, b_0, c_0, d_0 = a * (1 - z), b * (1 - z), c * (1 - z), d * (1 - z)
+        a_1, b_1, c_1, d_1 = a * z, b * z, c * z, d * z
+        begin = int(first[j])
+        row_a, row_b = flat[begin : begin + 2 * width], flat[begin + row_size : begin + row_size + 2 * width]
+        begin += layer_size
+        row_c, row_d = flat[begin : begin + 2 * width], flat[begin + row_size : begin + row_size + 2 * width]
+        for w in range(width):
+            near = (a_0 * row_a[w] + b_0 * row_b[w]) + (c_0 * row_c[w] + d_0 * row_d[w])
+            far = (a_1 * row_a[width + w] + b_1 * row_b[width + w]) + (c_1 * row_c[width + w] + d_1 * row_d[width + w])
+            spectrum[w] = _exponential(near + far)
+        values, common = out[j], factor[j]
+        for w in range(values.size):
+            values[w] += common * spectrum[w]
+
+
 @compiled
 def _clear_below(theta_i: Array, theta_o: Array, out: Array) -> None:
     for j in range(theta_i.size):
@@ -916,11 +1087,14 @@ def _evaluate_isotropic(
         if end - start < _BLOCK:
             rows = _rows(space, end - start)
         polar_i, polar_o, values = theta_i[start:end], theta_o[start:end], out[start:end]
-        azimuth_i, pair, mirrors, work = phi_i[start:end], rows[:7], rows[7], rows[8:]
+        azimuth_i, azimuth_o = phi_i[start:end], phi_o[start:end]
+        pair, mirrors, work = rows[:7], rows[7], rows[8:]
         count = _distinct(polar_i, azimuth_i)
-        _half_vectors(polar_i, azimuth_i, polar_o, phi_o[start:end], pair)
+        _half_vectors(polar_i, azimuth_i, polar_o, azimuth_o, pair)
         _isotropic_mirrors(pair, work, count, tables, mirrors)
         _reflected(mirrors, pair[1], shading, values)
+        if tables.further.log_factor.size:
+            _add_further_light(polar_i, azimuth_i, polar_o, azimuth_o, pair, count, tables.further, work, values)
         if shading.has_base:
             _add_isotropic_base(polar_i, polar_o, count, tables.albedo, shading.base, work, values)
         if shading.has_returned:
@@ -945,6 +1119,8 @@ def _evaluate_with_lay(
         _half_vectors(polar_i, azimuth_i, polar_o, azimuth_o, pair)
         _mirrors_with_lay(azimuth_i, azimuth_o, pair, work, count, tables, mirrors)
         _reflected(mirrors, pair[1], shading, values)
+        if tables.further.log_factor.size:
+            _add_further_light(polar_i, azimuth_i, polar_o, azimuth_o, pair, count, tables.further, work, values)
         if shading.has_base or shading.has_returned:
             for j in range(mirrors.size):
                 places[0][j] = _inverse_sinh((90 - polar_i[j]) / tables.albedo_scale)
@@ -957,6 +1133,34 @@ def _evaluate_with_lay(
         if shading.has_returned:
             _add_base_with_lay(places, count, tables.furnace, shading.returned, work, values)
         _clear_below(polar_i, polar_o, values)
+
+
+@compiled
+def _evaluate_further_light(
+    theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, table: FurtherLight, out: Array
+) -> None:
+    space = np.empty((_ROWS, _BLOCK))
+    out[:] = 0.0
+    for start in range(0, theta_i.size, _BLOCK):
+        end = min(start + _BLOCK, theta_i.size)
+        rows = _rows(space, end - start)
+        polar_i, polar_o, azimuth_i, azimuth_o = (
+            theta_i[start:end],
+            theta_o[start:end],
+            phi_i[start:end],
+            phi_o[start:end],
+        )
+        count = _distinct(polar_i, azimuth_i)
+        _half_vectors(polar_i, azimuth_i, polar_o, azimuth_o, rows[:7])
+        _add_further_light(polar_i, azimuth_i, polar_o, azimuth_o, rows[:7], count, table, rows[8:], out[start:end])
+
+
+def further_light(table: FurtherLight, angles: Sequence[Array], width: int) -> Array:
+    """BRDF of the light that facets reflect more than once [sr-1], (directions, width); arguments as for :func:`evaluate`."""
+    theta_i, phi_i, theta_o, phi_o = (_read_only(angle) for angle in angles)
+    result = np.empty((theta_i.size, width))
+    _evaluate_further_light(theta_i, phi_i, theta_o, phi_o, table, result)
+    return result
 
 
 def half_vectors(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> HalfVector:

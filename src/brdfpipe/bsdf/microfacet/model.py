@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.interpolate import PPoly
 
 from brdfpipe import hemisphere
 from brdfpipe.bsdf.microfacet import energy, polarised, transmission
@@ -90,7 +91,7 @@ class Model:
             spectral("k"),
             str(bsdf.attrs["diffuse_mode"]),
             spectral("diffuse"),
-            AlbedoTable(theta, spectral("directional_albedo"), phi, ellipse, None if second is None else second.albedo),
+            AlbedoTable(theta, spectral("directional_albedo"), phi, ellipse, _pieces(second, phi)),
             spectral("mean_albedo"),
             None if furnace is None else AlbedoTable(theta, furnace.values[..., None], phi, ellipse),
             float(bsdf.get("mean_furnace_albedo", 1.0)),
@@ -141,7 +142,7 @@ class Model:
 
     @cached_property
     def _compiled(self) -> Callable[[Sequence[Array]], Array]:
-        """The kernel with the fields of this model, and light that it lacks, from θ_i, φ_i, θ_o and φ_o, (directions,) each."""
+        """The kernel with the fields of this model, from θ_i, φ_i, θ_o and φ_o, (directions,) each."""
         from brdfpipe.bsdf.microfacet import evaluation_kernel as kernel
 
         assert self.surface is not None
@@ -155,24 +156,12 @@ class Model:
             np.full(self._width, base),
             np.full(self._width, returned),
             absorbs=bool(k.any()),
-            has_base=self._has_base and self.second is None,
-            has_returned=self.furnace is not None and self.second is None,
+            has_base=self._has_base,
+            has_returned=self.furnace is not None,
         )
-        tables = kernel.tables_of(self.surface, self.masking, self.albedo, self.furnace)
-        if self.second is None:
-            return lambda angles: kernel.evaluate(tables, shading, angles, self._width)
-        other_light = replace(self, surface=None)
-
-        def evaluate(angles: Sequence[Array]) -> Array:
-            result = kernel.evaluate(tables, shading, angles, self._width)
-            for start in range(0, angles[0].size, step := max(_BLOCK // self._width, 256)):
-                block = slice(start, start + step)
-                some = [angle[block] for angle in angles]
-                above = (some[0] < 90) & (some[2] < 90) & np.isfinite(some[1]) & np.isfinite(some[3])
-                result[block][above] += other_light._reflected(*(angle[above] for angle in some))
-            return result
-
-        return evaluate
+        further = kernel.NO_FURTHER_LIGHT if self.second is None else self.second.for_kernel
+        tables = kernel.tables_of(self.surface, self.masking, self.albedo, self.furnace, further)
+        return lambda angles: kernel.evaluate(tables, shading, angles, self._width)
 
     @staticmethod
     def _fill(result: Array, where: NDArray[np.bool_], evaluate: Callable[..., Array], angles: list[Array]) -> None:
@@ -379,7 +368,12 @@ def _with_further_light(single: AlbedoTable, second: SecondReflection) -> Albedo
     """A table of the albedo with the light that is reflected more than once."""
     polar, around = np.meshgrid(single.theta, np.zeros(1) if single.phi is None else single.phi, indexing="ij")
     several = second.albedo(polar.ravel(), around.ravel()).reshape(single.values.shape)
-    return replace(single, values=single.values + several, second=second.albedo)
+    return replace(single, values=single.values + several, second=_pieces(second, single.phi))
+
+
+def _pieces(second: SecondReflection | None, phi: Array | None) -> Callable[[], PPoly] | None:
+    """The part of an isotropic albedo that is not smooth: it is integrated when it is needed."""
+    return None if second is None or phi is not None else lambda: second.albedo_pieces
 
 
 def without_lay(surface: Microsurface) -> Microsurface:

@@ -20,7 +20,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -34,6 +34,9 @@ from brdfpipe.facets.radial_density import RadialDensity
 from brdfpipe.geometry import Array
 from brdfpipe.hemisphere import panel_rule
 from brdfpipe.optics.fresnel_equations import fresnel, mean_fresnel
+
+if TYPE_CHECKING:
+    from brdfpipe.bsdf.microfacet.evaluation_kernel import FurtherLight
 
 JUDGED = np.array([60.0, 75.0])
 """Incidences whose light decides whether further reflections are modelled [degree]."""
@@ -93,21 +96,32 @@ class SecondReflection:
 
     def __call__(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
         """BRDF of this light [sr-1], (directions, wavelength or 1); angles in degree, broadcast to (directions,)."""
-        angles = [np.ascontiguousarray(a, dtype=float) for a in np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)]
-        result = np.empty((angles[0].size, self.log_factor.shape[-1] // self.planes))
-        table = np.ascontiguousarray(self.log_factor), np.ascontiguousarray(self.weight, dtype=float)
-        _kernel(_interpolate)(*angles, *table, self.planes, self.slope, grazing_scale(self.slope), result)
-        return result
+        from brdfpipe.bsdf.microfacet import evaluation_kernel
+
+        angles = [np.atleast_1d(angle) for angle in np.broadcast_arrays(theta_i, phi_i, theta_o, phi_o)]
+        width = self.log_factor.shape[-1] // self.planes
+        return evaluation_kernel.further_light(self.for_kernel, angles, width)
+
+    @cached_property
+    def for_kernel(self) -> FurtherLight:
+        """The table as compiled code reads it."""
+        from brdfpipe.bsdf.microfacet import evaluation_kernel
+
+        by_plane = self.log_factor.reshape(*self.log_factor.shape[:3], self.planes, -1)
+        table = np.moveaxis(by_plane, 3, 0), self.weight
+        return evaluation_kernel.FurtherLight.of(*table, self.slope, grazing_scale(self.slope))
 
     def albedo(self, theta: Array, phi: Array | float = 0.0) -> Array:
         """Directional reflectance of this light [1], (incidences, wavelength or 1): the integral of the interpolated table."""
         theta = np.asarray(theta, dtype=float)
         if self.azimuths == 1:
-            return np.asarray(self._albedo(theta)[:, 0])
+            return np.asarray(self.albedo_pieces(90 - theta))
         turn = np.radians(np.broadcast_to(np.asarray(phi, dtype=float), theta.shape))
         around = self.planes if self.planes > 1 else self.weight.shape[1]
         orders = np.arange(around // 2 + 1)
-        waves = self._albedo(theta) * np.exp(1j * (self.azimuths // around) * turn[:, None] * orders)[..., None]
+        waves = (
+            self.albedo_pieces(90 - theta) * np.exp(1j * (self.azimuths // around) * turn[:, None] * orders)[..., None]
+        )
         # The highest order of an even number of azimuths is real.
         twice = np.where((orders == 0) | (2 * orders == around), 1.0, 2.0)
         several = np.einsum("nkl,k->nl", waves.real, twice)
@@ -127,11 +141,11 @@ class SecondReflection:
         return np.asarray((np.radians(weight) * np.sin(np.radians(2 * theta))) @ albedo)
 
     @cached_property
-    def _albedo(self) -> PPoly:
-        """Albedo over θ, (1, wavelength); of a surface with a lay its Fourier series over φ without w_i, (order, wavelength)."""
+    def albedo_pieces(self) -> PPoly:
+        """Albedo over 90° − θ, (wavelength,); of a surface with a lay its Fourier series over φ without w_i, (order, wavelength)."""
         nodes = self.albedo_nodes
         if self.azimuths == 1:
-            return piecewise(nodes, self.light(nodes)[0].sum(axis=(1, 2))[:, None])
+            return piecewise(nodes, self.light(nodes)[0].sum(axis=(1, 2)))
         if self.planes > 1:
             light, _, turn = self.light(nodes)
             place = turn / (2 * np.pi) * self.planes
@@ -249,7 +263,8 @@ def azimuth_width(slope: float, cos_i: Array, cos_o: Array) -> Array:
 
 
 def piecewise(nodes: Array, values: NDArray[np.inexact[Any]]) -> PPoly:
-    """The function that is one cubic in each interval of the table, through four of the nodes (one shared with each neighbour)."""
+    """One cubic of 90° − θ in each interval of the table, through values at four of the nodes θ (one shared with each neighbour)."""
+    nodes, values = 90 - nodes[::-1], values[::-1]
     ends = nodes[::3]
     x = np.array([0.0, 0.25, 0.75, 1.0])
     at = np.arange(ends.size - 1)[:, None] * 3 + np.arange(4)
@@ -622,85 +637,6 @@ def _at_cosine(values: Array, cos: Array) -> Array:
 
 
 # --- compiled
-
-
-def _interpolate(
-    theta_i: Array,
-    phi_i: Array,
-    theta_o: Array,
-    phi_o: Array,
-    log_factor: Array,
-    weight: Array,
-    planes: int,
-    slope: float,
-    grazing_scale: float,
-    result: Array,
-) -> None:
-    """Interpolate a :class:`SecondReflection` at directions (n,) in degree; writes sr-1 to ``result``, (n, wavelength or 1)."""
-    nodes, azimuths, spectral = log_factor.shape[0], log_factor.shape[2], log_factor.shape[3] // planes
-    logarithm = np.empty(spectral)
-    degree = math.pi / 180
-    polar_step = (nodes - 1) / math.asinh(90 / grazing_scale)
-    for number in range(theta_i.size):
-        # In one order, so that exchanged directions give the same bits.
-        low, phi_low, high, phi_high = theta_i[number], phi_i[number], theta_o[number], phi_o[number]
-        if low > high:
-            low, phi_low, high, phi_high = high, phi_high, low, phi_low
-        cos_i = math.cos(low * degree) if low < 90 else 0.0
-        cos_o = math.cos(high * degree) if high < 90 else 0.0
-        # asinh as a logarithm, which is faster.
-        grazing = max(90 - low, 0.0) / grazing_scale
-        at = max(nodes - 1 - math.log(grazing + math.sqrt(grazing * grazing + 1)) * polar_step, 0.0)
-        i = min(int(at), nodes - 2)
-        share_i = min(at - i, 1.0)
-        grazing = max(90 - high, 0.0) / grazing_scale
-        at = max(nodes - 1 - math.log(grazing + math.sqrt(grazing * grazing + 1)) * polar_step, 0.0)
-        o = min(int(at), nodes - 2)
-        share_o = min(at - o, 1.0)
-        turn = abs(phi_low - phi_high)
-        turn = abs(turn - 360 * math.floor(turn / 360) - 180) * degree
-        width = min(slope * (cos_i + cos_o) + 1e-3, 4.0)
-        near, far = turn / width, math.pi / width
-        at = math.log(near + math.sqrt(near * near + 1)) / math.log(far + math.sqrt(far * far + 1)) * (azimuths - 1)
-        a = max(min(int(at), azimuths - 2), 0)  # of an azimuth that is not a number too
-        share_a = min(at - a, 1.0)
-        hidden_i = (math.sqrt(cos_i * cos_i + slope * slope * (1 - cos_i) * (1 + cos_i)) - cos_i) / 2
-        hidden_o = (math.sqrt(cos_o * cos_o + slope * slope * (1 - cos_o) * (1 + cos_o)) - cos_o) / 2
-        seen = cos_i * cos_o + (hidden_i * cos_o + hidden_o * cos_i)
-        common = cos_i * cos_o / (16 * max(seen, 1e-300))
-        turns = weight.shape[1]
-        for side in range(2 if turns > 0 else 0):
-            node, share_n = (o, share_o) if side else (i, share_i)
-            at = (phi_high if side else phi_low) / 360
-            at = (at - math.floor(at)) * turns
-            first, share = int(at), at - math.floor(at)
-            second = (first + 1) % turns
-            first = first % turns
-            near = weight[node, first] * (1 - share) + weight[node, second] * share
-            far = weight[node + 1, first] * (1 - share) + weight[node + 1, second] * share
-            common *= near * (1 - share_n) + far * share_n
-        turn = (phi_high - phi_low) / 360
-        at = (phi_low / 180 + turn - math.floor(turn) - 0.5) * planes
-        at -= planes * math.floor(at / planes)
-        plane, share_p = int(at), at - math.floor(at)
-        result[number] = 0.0
-        for step_p in range(min(planes, 2)):
-            first = (plane + step_p) % planes * spectral
-            logarithm[:] = 0.0
-            for step_i in range(2):
-                outer = share_i if step_i else 1 - share_i
-                for step_o in range(2):
-                    inner = outer * (share_o if step_o else 1 - share_o)
-                    for step_a in range(2):
-                        part = inner * (share_a if step_a else 1 - share_a)
-                        row = log_factor[i + step_i, o + step_o, a + step_a]
-                        for band in range(spectral):
-                            logarithm[band] += part * row[first + band]
-            in_plane = common
-            if planes > 1:
-                in_plane *= share_p if step_p else 1 - share_p
-            for band in range(spectral):
-                result[number, band] += in_plane * math.exp(logarithm[band])
 
 
 def _add_paths(
