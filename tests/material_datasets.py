@@ -149,7 +149,7 @@ def full_material() -> Datasets:
             "facets": finish,
             "spectrum": vocabulary.add_warning(spectrum, "R is high at 700 nm: check the `white` reference."),
             "index": index,
-            "bsdf": microfacet.build(finish, index=index, spectrum=spectrum),
+            "bsdf": microfacet.build(finish, index=index, spectrum=spectrum, multiple_scattering="none"),
             "checks": _checks(),
             "appearance": _appearance(),
             "lambert_gauss": _lambert_gauss(),

@@ -129,7 +129,8 @@ def test_an_unknown_illuminant_is_refused():
 @cache
 def brushed(azimuth):
     surface = facets.analytic("beckmann", a_x=0.05, a_y=0.3, azimuth=azimuth)
-    return microfacet.build(surface, index=1.5, spectrum=samples.spectrum(0.2), multiple_scattering="none")
+    with samples.coarse_albedo_tables():
+        return microfacet.build(surface, index=1.5, spectrum=samples.spectrum(0.2), multiple_scattering="none")
 
 
 def test_colours_of_a_surface_with_a_lay_are_those_of_the_mean_over_the_azimuth():

@@ -123,9 +123,7 @@ def test_a_weighted_mean_of_a_lambertian_is_the_mean_reflectance():
 
 
 def test_a_fit_of_a_lay_warns_that_it_is_valid_for_one_azimuth():
-    bsdf = microfacet.build(
-        facets.analytic("beckmann", a_x=0.05, a_y=0.1, azimuth=90.0), index=1.5, multiple_scattering="none"
-    )
+    bsdf = samples.brushed_bsdf(0.05, 0.1, 90.0)
     fit = fitting.fit_lambert_gauss(bsdf, [0.0])
     assert "the surface has a lay" in vocabulary.warnings(fit)[0]
     # The steep slopes, of 0.1 along x turned by 90°, are those along x: the lobe is wide in the plane of incidence's y.

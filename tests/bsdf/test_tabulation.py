@@ -233,9 +233,7 @@ def test_a_table_may_hold_both_sides_of_an_interface():
 
 @pytest.fixture(scope="module")
 def lay():
-    return microfacet.build(
-        facets.analytic("beckmann", a_x=0.2, a_y=0.4, azimuth=25.0), index=1.5, multiple_scattering="none"
-    )
+    return samples.brushed_bsdf(0.2, 0.4, 25.0)
 
 
 LAY = {"theta_i": np.arange(0, 61, 20.0), "theta_o": np.arange(0, 90, 4.0), "phi_o": np.arange(0, 361, 10.0)}

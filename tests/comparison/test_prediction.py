@@ -83,7 +83,7 @@ def test_the_index_of_a_clear_body_stays_above_that_of_air_and_a_metals_may_fall
 
 
 @pytest.mark.cases(1)
-@pytest.mark.parametrize("choices", CHOICES)
+@pytest.mark.parametrize("choices", [{"multiple_scattering": "none"}, *CHOICES])
 def test_the_derivatives_are_those_of_rebuilt_bsdfs(choices) -> None:
     finish = facets.analytic("beckmann", 0.25)
     predicted = microfacet.build(finish, index=1.5, spectrum=spectrum(), **choices)

@@ -89,8 +89,7 @@ def test_a_spectral_or_half_table_is_refused(tmp_path):
 
 @pytest.fixture(scope="module")
 def brushed():
-    surface = facets.analytic("beckmann", a_x=0.2, a_y=0.4, azimuth=-30)
-    return microfacet.build(surface, index=1.5, multiple_scattering="none")
+    return samples.brushed_bsdf(0.2, 0.4, -30.0)
 
 
 def test_rows_of_a_surface_with_a_lay_are_a_full_grid_of_true_values(brushed, tmp_path):

@@ -63,8 +63,7 @@ def test_what_a_polished_surface_mirrors_has_a_column_of_its_own(tmp_path):
 
 
 def test_fits_of_a_surface_with_a_lay_stand_by_azimuth(tmp_path):
-    surface = facets.analytic("beckmann", a_x=0.05, a_y=0.2, azimuth=20)
-    bsdf = microfacet.build(surface, index=1.5, multiple_scattering="none")
+    bsdf = samples.brushed_bsdf(0.05, 0.2, 20.0)
     fits = {azimuth: fitting.fit_lambert_gauss(bsdf, [30.0], azimuth) for azimuth in (20.0, 110.0)}
     exchange.write_lambert_gauss(fits[20.0], tmp_path / "f.csv", model=bsdf, azimuths=fits)
     text, read = (tmp_path / "f.csv").read_text(), pd.read_csv(tmp_path / "f.csv", comment="#")

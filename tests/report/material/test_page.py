@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import samples
 import xarray as xr
 from PIL import Image
 
@@ -485,7 +486,8 @@ def _metal() -> xr.Dataset:
 
 def _page_of(facets: xr.Dataset, **options: object) -> tuple[str, str]:
     """The page of a finish and its BSDF: markup, and text."""
-    datasets = {"facets": facets, "bsdf": microfacet.build(facets, **options)}
+    with samples.coarse_albedo_tables():
+        datasets = {"facets": facets, "bsdf": microfacet.build(facets, **options)}
     if isinstance(options.get("spectrum"), xr.Dataset):
         datasets["spectrum"] = options["spectrum"]
     html = material_page(datasets)

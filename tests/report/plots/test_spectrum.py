@@ -55,9 +55,9 @@ def test_the_spectral_strip_is_blue_green_red() -> None:
 
 
 def test_the_part_of_the_facets_in_the_spectrum_is_that_of_all_azimuths() -> None:
-    brushed = microfacet.build(
-        analytic("beckmann", a_x=0.1, a_y=0.6), index=1.5, spectrum=samples.spectrum(0.3), multiple_scattering="none"
-    )
+    surface, options = analytic("beckmann", a_x=0.1, a_y=0.6), {"index": 1.5, "multiple_scattering": "none"}
+    with samples.coarse_albedo_tables():
+        brushed = microfacet.build(surface, spectrum=samples.spectrum(0.3), **options)
     shown = spectrum._specular_part(brushed, brushed["wavelength"].values)
     assert shown is not None
     facets = brushed.assign(diffuse=xr.zeros_like(brushed["diffuse"]))
