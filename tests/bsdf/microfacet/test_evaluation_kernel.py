@@ -10,6 +10,7 @@ import samples
 import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import RectBivariateSpline
 from scipy.special import erf
 
 from brdfpipe import facets, vocabulary
@@ -98,6 +99,8 @@ def test_elementary_functions_are_those_of_numpy():
         )
     vector = random.normal(size=(2, 500)) * 10.0 ** random.uniform(-8, 8, (2, 500))
     np.testing.assert_allclose(of_each(kernel._angle, *vector), np.arctan2(*vector), rtol=5e-16)
+    tangent = np.append(random.uniform(-0.09, 0.09, 500), [0.0, 1e-9])
+    np.testing.assert_allclose(of_each(kernel._small_angle, tangent), np.arctan(tangent), rtol=5e-16)
     degrees = np.concatenate([random.uniform(-1440, 1440, 500), np.arange(-1440, 1441, 45.0)])
     sine, cosine = of_each(kernel._of_degrees, degrees).T
     np.testing.assert_allclose(sine, np.sin(np.radians(degrees)), atol=5e-15)
@@ -340,3 +343,20 @@ def test_spline_axes_find_the_span_of_every_number():
     x = np.sort(np.concatenate([np.random.default_rng(0).uniform(0, 10, 2000), knots, np.nextafter(knots[4:8], 0)]))
     expected = np.clip(np.searchsorted(knots[3:-3], x, side="right") - 1, 0, 4)
     np.testing.assert_array_equal([kernel._span(float(value), axis) for value in x], expected)
+
+
+def test_a_uniform_surface_is_the_spline_between_its_nodes():
+    random = np.random.default_rng(0)
+    spline = RectBivariateSpline(np.linspace(0.2, 3, 9), np.linspace(-20, 380, 12), random.normal(size=(9, 12)))
+    surface = kernel.UniformSurface.of(spline)
+    x, y = (
+        np.append(random.uniform(0.2, 3, 300), [0.2, 3, 3, 0.2]),
+        np.append(random.uniform(-20, 380, 300), [-20, 380] * 2),
+    )
+    row, column = (
+        (at - first) * scale for at, first, scale in zip((x, y), surface.first, surface.nodes_a_unit, strict=True)
+    )
+    values = np.empty(x.size)
+    rows = tuple(np.empty((9, x.size)))
+    kernel._uniform_values(np.clip(column, 0, 11), np.clip(row, 0, 8), surface.coefficients, rows, values)
+    np.testing.assert_allclose(values, spline.ev(x, y), rtol=1e-12, atol=1e-13)

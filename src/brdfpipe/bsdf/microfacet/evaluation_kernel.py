@@ -47,6 +47,7 @@ _TOGETHER = 16  # wavelengths that the compiler evaluates together; it evaluates
 _CELLS_A_SPAN = 4
 _NEXT = np.uintp(1)
 _LANDEN_ERROR = 1e-12
+_SMALL_TANGENT = 0.09  # up to which seven terms of a series give the arc tangent
 
 # --- tables
 
@@ -144,6 +145,38 @@ class SplineSurface(NamedTuple):
         return cls(x, y, coefficients, np.ascontiguousarray(patches).reshape(-1))
 
 
+class UniformSurface(NamedTuple):
+    """A tensor product of cubic B-splines with even steps, which needs less memory than patches."""
+
+    coefficients: Array
+    """(x nodes, y nodes), two more at each edge"""
+    first: tuple[float, float]
+    nodes_a_unit: tuple[float, float]
+
+    @classmethod
+    def of(cls, spline: RectBivariateSpline) -> UniformSurface:
+        """The same function as an interpolating spline between evenly spaced nodes."""
+        axes = []
+        for knots in spline.get_knots():
+            # The second node and the last but one are no knots.
+            axes.append(np.linspace(knots[0], knots[-1], knots.size - 4))
+            assert np.allclose(axes[-1][2:-2], knots[4:-4], rtol=0, atol=1e-8 * (knots[-1] - knots[0])), "uneven nodes"
+        x, y = (float(nodes[1] - nodes[0]) for nodes in axes)
+        along_x, curved = (
+            _uniform_coefficients(spline(*axes, dy=order), spline(*axes, dx=2, dy=order), x) for order in (0, 2)
+        )
+        coefficients = np.pad(_uniform_coefficients(along_x.T, curved.T, y).T, 1, mode="edge")
+        first = float(axes[0][0]), float(axes[1][0])
+        return cls(np.array(coefficients, order="C"), first, (1 / x, 1 / y))
+
+
+def _uniform_coefficients(values: Array, second: Array, step: float) -> Array:
+    """Coefficients of a uniform spline from values and second derivatives at its nodes, (nodes + 2, …): f = (a + 4 b + c)/6."""
+    inner = values - step**2 / 6 * second
+    ends = [6 * values[at] - 4 * inner[at] - inner[beside] for at, beside in ((0, 1), (-1, -2))]
+    return np.concatenate([ends[0][None], inner, ends[1][None]])
+
+
 class VisibilityTables(NamedTuple):
     """A :class:`~brdfpipe.masking.visibility.VisibilityRatio`."""
 
@@ -219,7 +252,7 @@ class LayTables(NamedTuple):
     """asinh(reach/scale) along the lay and across it"""
     log_density: Array
     """Coefficients of the uniform cubic B-spline, two more at each edge, (across, along)"""
-    excess: SplineSurface
+    excess: UniformSurface
     last_excess: float
     albedo: SplineSurface
     furnace: SplineSurface
@@ -285,7 +318,7 @@ def tables_of(
         (density.along.end, density.across.end),
         # Continued as mirror images over the edges, as scipy does.
         np.pad(density.log_coefficients, 2, mode="reflect"),
-        SplineSurface.of([smith.spline]),
+        UniformSurface.of(smith.spline),
         smith.last,
         SplineSurface.of(albedo.surfaces),
         SplineSurface.of(furnace.surfaces),
@@ -414,6 +447,16 @@ def _arc_tangent(t: float) -> float:
     below = 1.945506571482613964425e2 + z * (4.853903996359136964868e2 + z * below)
     value = x + x * (z * above / below)
     return value + math.pi / 4 if large else value
+
+
+@compiled
+def _small_angle(t: float) -> float:
+    """Arc tangent of a number within ± the small tangent [rad]."""
+    z = t * t
+    w = z * z
+    value = (1 / 9 - z * (1 / 11)) + w * (1 / 13)
+    value = (1 / 5 - z * (1 / 7)) + w * value
+    return t - t * z * (1 / 3 - z * value)
 
 
 @compiled
@@ -652,16 +695,16 @@ def _uniform_basis(x: float) -> tuple[float, float, float, float]:
     """The uniform cubic B-splines about a position between its two middle ones, 0 <= x <= 1."""
     y = 1 - x
     return (
-        y * y * y / 6,
-        (x * x * (x - 2) * 3 + 4) / 6,
-        (y * y * (y - 2) * 3 + 4) / 6,
-        x * x * x / 6,
+        y * y * y * (1 / 6),
+        x * x * (x - 2) * 0.5 + 2 / 3,
+        y * y * (y - 2) * 0.5 + 2 / 3,
+        x * x * x * (1 / 6),
     )
 
 
 @compiled
-def _log_densities(along: Array, across: Array, coefficients: Array, rows: Rows, out: Array) -> None:
-    """Logarithm of the density at fractional indices of the nodes; minus infinity beyond the grid. ``out`` may be ``along``.
+def _uniform_values(along: Array, across: Array, coefficients: Array, rows: Rows, out: Array) -> None:
+    """A uniform spline at fractional indices of its columns and rows; minus infinity beyond them. ``out`` may be ``along``.
 
     ``rows`` are work space. The weights of the nodes are computed before the nodes are read, so that those of several directions are
     computed at once.
@@ -721,8 +764,10 @@ def _grid_positions(phi_i: Array, phi_o: Array, pair: Pair, tables: LayTables, a
 
 @compiled
 def _excess_with_lay(phi: Array, cosines: Array, sines: Array, tables: LayTables, rows: Rows, excess: Array) -> None:
-    """Mean excess slopes towards directions."""
-    width, turn = rows
+    """Mean excess slopes towards directions; ``rows`` are work space."""
+    width, turn = rows[:2]
+    surface = tables.excess
+    last_row, last_column = surface.coefficients.shape[0] - 5.0, surface.coefficients.shape[1] - 5.0
     lay, along, across, last = tables.lay, tables.along, tables.across, tables.last_excess
     for j in range(phi.size):
         sine, cosine = _of_degrees(phi[j] - lay)
@@ -732,9 +777,11 @@ def _excess_with_lay(phi: Array, cosines: Array, sines: Array, tables: LayTables
         turn[j] = angle + (360.0 if angle < 0 else 0.0)
     for j in range(phi.size):
         slope = cosines[j] / sines[j] / width[j]
-        excess[j] = _inverse_sinh(slope if slope < last else last)
+        place = (_inverse_sinh(slope if slope < last else last) - surface.first[0]) * surface.nodes_a_unit[0]
+        excess[j] = _within(place, last_row)
+        turn[j] = _within((turn[j] - surface.first[1]) * surface.nodes_a_unit[1], last_column)
         width[j] = width[j] if slope < last else 0.0
-    _surface_values(excess[: phi.size], turn, tables.excess, excess)
+    _uniform_values(turn, excess, surface.coefficients, rows[2:11], excess[: phi.size])
     for j in range(phi.size):
         excess[j] *= width[j]
 
@@ -743,14 +790,14 @@ def _excess_with_lay(phi: Array, cosines: Array, sines: Array, tables: LayTables
 def _mirrors_with_lay(
     phi_i: Array, phi_o: Array, pair: Pair, work: Rows, count: int, tables: LayTables, mirrors: Array
 ) -> None:
-    density, across, excess_i, excess_o, width, turn = work[:6]
-    _grid_positions(phi_i, phi_o, pair, tables, across, density)
-    _log_densities(density, across, tables.log_density, work[2:11], density)
+    excess_i, excess_o, density = work[:3]
+    _excess_with_lay(phi_i[:count], pair[2], pair[3], tables, (mirrors, *work[2:]), excess_i)
+    _excess_with_lay(phi_o, pair[4], pair[5], tables, (mirrors, *work[2:]), excess_o)
+    _spread(excess_i, count)
+    _grid_positions(phi_i, phi_o, pair, tables, mirrors, density)
+    _uniform_values(density, mirrors, tables.log_density, work[3:12], density)
     for j in range(mirrors.size):
         density[j] = _exponential(density[j])
-    _excess_with_lay(phi_i[:count], pair[2], pair[3], tables, (width, turn), excess_i)
-    _excess_with_lay(phi_o, pair[4], pair[5], tables, (width, turn), excess_o)
-    _spread(excess_i, count)
     _mirrors(pair, density, excess_i, excess_o, tables.separable, mirrors)
 
 
@@ -765,16 +812,24 @@ def _arcs(azimuths: Array, tables: LayTables, rows: Rows, arcs: Array) -> None:
     for j in range(azimuths.size):
         arcs[j] = azimuths[j] - wide
         sines[j], cosines[j] = _of_degrees(arcs[j])
-    for step in range(tables.landen.shape[0]):
+    steps = tables.landen.shape[0]
+    for step in range(steps):
         a, b = tables.landen[step, 0], tables.landen[step, 1]
-        for j in range(azimuths.size):
-            sine, cosine = sines[j], cosines[j]
-            # ω − φ, within a right angle, from the vector of ω turned by −φ.
-            x, y = a * cosine, b * sine
-            arcs[j] += share * _angle(y * cosine - x * sine, x * cosine + y * sine)
-            length = math.sqrt(x * x + y * y)
-            cosines[j], sines[j] = (cosine * x - sine * y) / length, (cosine * y + sine * x) / length
+        # ω − φ, within a right angle, from the vector of ω turned by −φ.
+        if (a - b) * (a - b) < 4 * _SMALL_TANGENT * _SMALL_TANGENT * (a * b):
+            for j in range(azimuths.size):
+                sine, cosine = sines[j], cosines[j]
+                arcs[j] += share * _small_angle((b - a) * (sine * cosine) / (a * (cosine * cosine) + b * (sine * sine)))
+        else:
+            for j in range(azimuths.size):
+                sine, cosine = sines[j], cosines[j]
+                arcs[j] += share * _angle((b - a) * (sine * cosine), a * (cosine * cosine) + b * (sine * sine))
         share *= 0.5
+        for j in range(azimuths.size if step + 1 < steps else 0):
+            sine, cosine = sines[j], cosines[j]
+            x, y = a * cosine, b * sine
+            shorter = 1 / math.sqrt(x * x + y * y)
+            cosines[j], sines[j] = (cosine * x - sine * y) * shorter, (cosine * y + sine * x) * shorter
     for j in range(azimuths.size):
         arcs[j] -= 360 * np.floor(arcs[j] / 360)
 
