@@ -11,6 +11,7 @@ import samples
 
 from brdfpipe import vocabulary
 from brdfpipe.appearance import gloss
+from brdfpipe.bsdf import kirchhoff
 from brdfpipe.bsdf.accessor import open_dataset
 from brdfpipe.bsdf.checks import check
 from brdfpipe.bsdf.kirchhoff import build
@@ -41,6 +42,20 @@ def diffracted(sigma: float = 0.05, spectral: bool = False):
 )
 def test_gloss_is_that_of_waves(sigma, expected, tolerance):
     np.testing.assert_allclose(gloss(diffracted(sigma), [20, 60, 85]), expected, atol=tolerance)
+
+
+def test_nothing_is_diffracted_beside_the_lobe_of_a_smooth_map():
+    # Orders 1 to 3 of an infinite surface, down to 3e-8 of the peak; three maps scatter, and a ring has its mean of a steep fall.
+    frequency, zero = np.array([0.05, 0.1, 0.15, 0.2, 0.25, 0.3]), np.zeros(6)
+    theta = np.degrees(np.arcsin(0.55 * frequency))
+    given = [build(gaussian_map(0.003, seed, 256), index=1.5, wavelength=[550.0]) for seed in range(3)]
+    found = np.mean([representation(one).evaluate(zero, zero, theta, zero, None)[:, 0] for one in given], axis=0)
+    variance = (2 * np.pi / 0.55 * (1 + np.cos(np.radians(theta))) * 0.003) ** 2
+    order, factorial = np.array([[1.0], [2.0], [3.0]]), np.array([[1.0], [2.0], [6.0]])
+    orders = variance**order / (factorial * order) * np.exp(-((np.pi * 5.0 * frequency) ** 2) / order)
+    lobe = np.pi * 5.0**2 * np.exp(-variance) * orders.sum(axis=0)
+    expected = fresnel(np.cos(np.radians(theta / 2)), 1.5).mean * lobe / 0.55**2
+    np.testing.assert_allclose(found, expected, rtol=0.4)
 
 
 def test_mirror_reflection_is_the_coherent_share():
@@ -107,10 +122,15 @@ def test_it_is_stored_and_read_and_sampled(tmp_path):
     assert (again.uncertainty(*np.array([[30.0], [0.0], [35.0], [180.0]]), None) > 0).all()
 
 
-def test_limits_of_the_method_are_reported():
+def test_limits_of_the_method_are_reported(monkeypatch):
     steep = build(samples.gaussian_surface(128, sigma=0.3), index=1.5, wavelength=[5000.0])
     assert any("typical slope of the surface is 0.4" in text for text in vocabulary.warnings(steep))
     assert any("up to" in text and "mirror direction" in text for text in vocabulary.warnings(diffracted()))
+    assert diffracted().attrs["diffracted_light_scaling"] == pytest.approx(1, abs=0.02)
+    assert not any("was scaled by" in text for text in vocabulary.warnings(diffracted()))
+    monkeypatch.setattr(kirchhoff, "SCALING_LIMIT", 1e-9)
+    scaled = build(gaussian_map(0.05, size=64), index=1.5, wavelength=[550.0])
+    assert any("diffracted light was scaled by" in text for text in vocabulary.warnings(scaled))
 
 
 def test_unusable_input_is_refused():

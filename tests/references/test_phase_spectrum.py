@@ -75,10 +75,22 @@ def test_the_spectrum_of_gaussian_maps_is_the_series(sigma, seeds):
         assert np.sqrt(np.mean(((ratio - 1) / stated) ** 2)) < 2
 
 
+def test_the_spectrum_has_no_step_between_the_mirrored_and_the_faded_field():
+    # From 8 to 24 waves along 256 um.
+    ratios = []
+    for one in [spectrum_of(0.05, seed) for seed in range(3)]:
+        ratio, waves = one.spectrum[-1] / series(one.phase[-1], 0.05, one.frequency), one.frequency * 256
+        bands = ((4, 8), (8, 14), (14, 24), (24, 40))
+        ratios.append([ratio[(waves >= low) & (waves < high)].mean() for low, high in bands])
+    np.testing.assert_allclose(np.mean(ratios, axis=0), 1, atol=0.06)
+
+
 def test_coherent_and_diffracted_light_are_all_the_light():
     found = spectrum_of(0.05)
     for row in range(found.phase.size):
         assert light_within(found, row) + found.coherent[row] == pytest.approx(1, abs=0.01)
+    # The sum is 1 by scaling, which adds next to nothing.
+    np.testing.assert_allclose(found.scaling, 1, atol=0.01)
 
 
 def test_the_coherent_share_falls_with_the_variance_of_the_phase():
@@ -121,6 +133,7 @@ def test_a_grating_diffracts_into_the_orders_of_bessel(period, azimuth):
     # A map of few waves is no whole number of them.
     np.testing.assert_allclose(orders_of_light(found, period), expected, atol=0.03)
     assert light_within(found, -1) + found.coherent[-1] == pytest.approx(1, abs=1e-3)
+    np.testing.assert_allclose(found.scaling, 1, atol=0.02)
 
 
 @pytest.mark.parametrize("depth", [0.15, 0.25])
@@ -143,6 +156,7 @@ def test_light_of_waves_a_third_of_the_map_long_is_the_series():
     for incidence in (20, 60, 85):
         wanted = 4 * np.pi / WAVELENGTH * np.cos(np.radians(incidence))
         light, expected = [], []
+        np.testing.assert_allclose([one.scaling[[0, -1]] for one in found], 1, atol=0.06)
         for one in found:
             row = int(np.argmin(np.abs(one.phase - wanted)))
             lobe = 2 * np.pi * fine * series(one.phase[row], sigma, fine, length)
@@ -173,6 +187,7 @@ def test_isolated_missing_heights_leave_the_light_of_the_complete_map(size, miss
     surface["height"].values[np.random.default_rng(1).random((size, size)) < missing] = np.nan
     found = phase_spectrum(surface, 4 * np.pi / WAVELENGTH)
     np.testing.assert_allclose(found.coherent, complete.coherent, atol=2e-3)
+    np.testing.assert_allclose(found.scaling, complete.scaling, atol=0.01)
     assert (found.relative_u > 0).all()
     assert np.isfinite(found.relative_u).all()
     for within in (0.02, 0.1):

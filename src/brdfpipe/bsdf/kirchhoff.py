@@ -25,6 +25,8 @@ SLOPE_LIMIT = 0.2
 """Typical slope √⟨p² + q²⟩ above which the result warns: masking, the local angle of incidence and second reflections are left out."""
 COARSE_WARNING = 1e-3
 """Share of steps between neighbouring heights of more than π in phase above which the result warns."""
+SCALING_LIMIT = 0.1
+"""Change of the diffracted light by scaling it to all that is not coherent, above which the result warns."""
 LAY_LIMIT = 1.2
 """Ratio of the principal slopes above which the mean over azimuth is reported as such."""
 
@@ -47,7 +49,8 @@ def build(
     Returns
     -------
     Dataset of kind ``bsdf``, representation ``kirchhoff``, the mean over the azimuth of incidence. Coherent light is not part of the
-    BSDF but of its specular reflectance. Its uncertainty is the scatter between blocks of the map
+    BSDF but of its specular reflectance. Its uncertainty is the scatter between blocks of the map. The attribute
+    ``diffracted_light_scaling`` is the factor, furthest from 1, by which diffracted light was scaled to all that is not coherent
 
     Raises
     ------
@@ -84,6 +87,8 @@ def build(
         coords={"phase_per_height": found.phase, "spatial_frequency": found.frequency, "wavelength": given},
         attrs={"representation": Kirchhoff.name, "band": surface.attrs["band"]},
     )
+    scaling = float(found.scaling[np.abs(found.scaling - 1).argmax()])
+    bsdf.attrs["diffracted_light_scaling"] = scaling
     diffraction = Diffraction.of(bsdf)
     slope = diffraction.lobe_slope(float(given[given.size // 2]))
 
@@ -107,6 +112,10 @@ def build(
         return np.asarray(coherent[0] + diffracted(theta_i, half_angle))
 
     bsdf = with_base(bsdf, reflected, spectrum, trapped)
+    if abs(scaling - 1) > SCALING_LIMIT:
+        warnings.append(
+            f"diffracted light was scaled by {scaling:.2f} to all that is not coherent: the map is few waves wide; measure a larger area"
+        )
     warnings += _limits(surface, found.coarse, float(found.frequency[-1]), float(given[0]))
     return vocabulary.label(vocabulary.add_warning(bsdf, *warnings), "bsdf")
 

@@ -3,13 +3,12 @@
 For the change q of the wave vector along z, e = exp(i q h) is the reflected field above the map. Its mean is the coherent amplitude; the
 spectrum of the rest, U(q, f) = |FFT e|² Δx Δy / (points), is the light that is diffracted to the spatial frequency f.
 
-The field of the whole map is continued by its mirror image, so that it has no step at the edges and needs no window, which would blur the
-light of waves about as long as the map. Its spectrum is that of a cosine transform. The mirror image of a surface that leans to one side
-leans to the other; the mean over azimuth is the same.
+Its field is continued by its mirror image. Beyond 98 % of the diffracted light and some ten waves along the map it fades out towards the edges;
+between both the spectrum passes over smoothly.
 
 References
 ----------
-Beckmann & Spizzichino 1963, ch. 3 (Kirchhoff's approximation); Ahmed, Natarajan & Rao 1974, IEEE Trans. Comput. C-23, 90 (cosine transform).
+Beckmann & Spizzichino 1963, ch. 3 (Kirchhoff's approximation).
 """
 
 from __future__ import annotations
@@ -19,9 +18,10 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import fft
 
 from brdfpipe.geometry import Array
+from brdfpipe.references.finite_field import FadedField, MirroredField, mirrored_power, remove_doubling
+from brdfpipe.references.frequency_rings import SLOWEST, FrequencyRings
 from brdfpipe.references.height_mesh import HeightMapError, HeightMesh
 
 LARGEST_PHASE_STEP = np.pi
@@ -36,10 +36,10 @@ _BLOCKS = (
     24,
 )  # along the shorter side, whose scatter is the uncertainty: the first of which two have no gaps
 _LEAST_BLOCK = 16
+_JOIN = 8.0, 24.0  # waves along the shorter side, from the mirrored field to the one that fades out
+_OUTSIDE = 0.02, 0.005  # share of the light further from the mirror direction, likewise
 _COHERENT_BLOCKS = 8  # along the shorter side, whose scatter is the chance part of the coherent light
 _FEWEST_PARTS = 4  # of these, for that scatter
-_RING_STEP = 0.05  # between the rings in asinh(f/f0)
-_SLOWEST = 0.02  # share of the variance of heights in waves that the first ring need not tell apart
 _PHASE_STEP = 0.2  # of ln q
 _LEAST_PHASE = 0.1  # q times the rms height of the first node: below it U grows as q²
 _FEWEST_PHASES = 5  # of a smooth surface, so that cubics interpolate between them
@@ -60,6 +60,8 @@ class PhaseSpectrum(NamedTuple):
     """(q, f) relative standard uncertainty, from the scatter between blocks of the map"""
     coherent: Array
     """(q,) share of the light in the mirror direction"""
+    scaling: Array
+    """(q,) factor of the diffracted light that makes it, with the coherent light, all that the measured heights reflect"""
     coarse: float
     """Share of steps between neighbouring heights whose phase exceeds π at the largest q"""
 
@@ -101,12 +103,17 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
     first = min(_LEAST_PHASE / sigma, largest_phase / np.exp((_FEWEST_PHASES - 1) * _PHASE_STEP))
     count = int(np.ceil(np.log(largest_phase / first) / _PHASE_STEP)) + 1
     phase = np.geomspace(first, largest_phase, count)
-    rings = _Rings.of(mesh.height, mesh.pitch)
-    block_rings = rings.of_modes((side, side), mesh.pitch)
+    rings = FrequencyRings.of(mesh.height, mesh.pitch)
+    block_rings = rings.with_modes((side, side), 0.5 / (side * mesh.pitch))
     heights, measured = mesh.height.astype(np.float32), _measured(mesh)
     parts = _Parts.of(heights.shape, measured)
+    waves = rings.frequency * float((np.array(heights.shape[::-1]) * mesh.pitch).min())
+    far = _passed(waves, *_JOIN)
+    mirrored = MirroredField.of(heights.shape, mesh.pitch, rings, 1 - far)
+    faded = FadedField.of(heights.shape, mesh.pitch, rings, measured)
     spectrum, relative_u = np.empty((2, count, rings.frequency.size))
-    coherent = np.empty(count)
+    coherent, scaling = np.empty((2, count))
+    number = heights.size if measured is None else float(measured.sum(dtype=float))
     for row, q in enumerate(phase):
         # Single precision: its rounding is 1e-7 of the phase.
         field = np.exp(np.complex64(1j * q) * heights)
@@ -114,13 +121,20 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
             field *= measured
         coherent[row], amplitude = parts.coherent(field)
         field -= amplitude if measured is None else amplitude * measured
-        power = _power(field)
-        light = np.maximum(rings.light(power), 0.0)
-        light *= (1 - coherent[row]) / light.sum()
+        light = mirrored.light(field) / number
+        outside = 1 - np.cumsum(light) / light.sum()
+        light[:-1] += far * _passed(outside[:-1], *_OUTSIDE) * (faded.light(field) - light)[:-1]
+        scaling[row] = (1 - coherent[row]) / light.sum()
+        light *= scaling[row]
+        by_block = np.array([block_rings.light(_block_power(field, *one, side))[:-1] for one in blocks])
         spectrum[row] = np.maximum(light[:-1], 1e-12 * light.max()) / rings.area
-        by_block = np.array([block_rings.light(_power(field[y : y + side, x : x + side]))[:-1] for y, x in blocks])
+        core = int(np.searchsorted(np.cumsum(light[:-1]), SLOWEST * light[:-1].sum()))
+        if core > 1:
+            # Rings within which the lobe hardly changes are one.
+            spectrum[row, :core] = light[:core].sum() / rings.area[:core].sum()
+            by_block[:, :core] = by_block[:, :core].sum(axis=1, keepdims=True)
         relative_u[row] = _relative_scatter(by_block)
-    return PhaseSpectrum(phase, rings.frequency, rings.scale, spectrum, relative_u, coherent, coarse)
+    return PhaseSpectrum(phase, rings.frequency, rings.scale, spectrum, relative_u, coherent, scaling, coarse)
 
 
 def _coarse_share(height: Array, phase: float) -> float:
@@ -194,17 +208,17 @@ class _Parts(NamedTuple):
         return min(share - bias, 1.0), np.complex64(amplitude * (1 - np.sqrt(bias / share)))
 
 
-def _power(field: NDArray[np.complex64]) -> NDArray[np.float32]:
-    """Power of the modes of a field that is continued by its mirror image, at the frequencies k/2L along each axis."""
-    power = np.square(fft.dctn(field.real, norm="ortho"))
-    power += np.square(fft.dctn(field.imag, norm="ortho"))
-    # The mirror image doubles what is diffracted by chance straight along an axis, as much again as in the row beside it; light of a grating
-    # along the axis has nothing there, and is kept.
-    mean = power[0, 0]
-    power[0] -= power[1] / 2
-    power[:, 0] -= power[:, 1] / 2
-    power[0, 0] = max(power[0, 0], mean / 4)
-    return np.asarray(power)
+def _passed(value: Array, start: float, end: float) -> Array:
+    """0 up to the start, 1 from the end, smooth in the logarithm between."""
+    place = np.log(np.maximum(value, 1e-12) / start) / np.log(end / start)
+    place = np.clip(place, 0, 1)
+    return np.asarray(place**2 * (3 - 2 * place))
+
+
+def _block_power(field: NDArray[np.complex64], y: int, x: int, side: int) -> NDArray[np.float32]:
+    power = mirrored_power(field[y : y + side, x : x + side])
+    remove_doubling(power)
+    return power
 
 
 def _relative_scatter(light: Array) -> Array:
@@ -214,64 +228,3 @@ def _relative_scatter(light: Array) -> Array:
     scatter = light.std(axis=0, ddof=1) / np.sqrt(len(light))
     place = np.arange(mean.size)
     return np.asarray(np.interp(place, place[known], (scatter / np.where(known, mean, 1.0))[known]))
-
-
-class _Rings(NamedTuple):
-    """Rings about frequency 0, up to the highest frequency that is sampled in all directions.
-
-    Between two rings the spectrum is linear. The light of a mode is shared by both so that the rings have all of it.
-    """
-
-    frequency: Array
-    scale: float
-    area: Array
-    """∫ d²f of the part of the spectrum that a ring of height 1 makes [um-2]"""
-    inner: NDArray[np.intp]
-    """Last ring within the frequency of every mode; modes beyond the last ring have its number and one more"""
-    outer_share: NDArray[np.float32]
-    """Share of the light of every mode that the next ring has"""
-
-    @classmethod
-    def of(cls, height: Array, pitch: Array) -> _Rings:
-        """Rings of the modes of a map: as close as they are, or as the spectrum of its heights needs."""
-        frequency = _mode_frequency(height.shape, pitch).ravel()
-        mode = 0.5 / float((np.array(height.shape[::-1]) * pitch).min())
-        heights = np.square(fft.dctn(height - height.mean())).ravel()
-        within = np.cumsum(np.bincount((frequency / mode).astype(np.intp), heights))
-        some, quarter = np.searchsorted(within, np.array([_SLOWEST, 0.25]) * within[-1])
-        nyquist = 0.5 / float(pitch.max())
-        # In powers of 2, so that maps of one surface have the same rings.
-        modes = 2.0 ** np.floor(np.log2(max(1.0, min(float(some), float(quarter) / 4))))
-        scale = mode * modes / _RING_STEP
-        count = int(np.arcsinh(nyquist / scale) / _RING_STEP) + 1
-        node = np.arange(count)
-        frequency = scale * np.sinh(_RING_STEP * node)
-        # ∫ f² over the number of the ring.
-        integral = scale**2 / 2 * (np.sinh(2 * _RING_STEP * node) / (2 * _RING_STEP) - node)
-        between = np.diff(integral)
-        area = np.zeros(count)
-        area[1:] += frequency[1:] ** 2 - between
-        area[:-1] += between - frequency[:-1] ** 2
-        empty = cls(frequency, scale, np.pi * area, np.zeros(0, np.intp), np.zeros(0, np.float32))
-        return empty.of_modes(height.shape, pitch)
-
-    def of_modes(self, shape: tuple[int, ...], pitch: Array) -> _Rings:
-        """The same rings for the modes of a map of another size."""
-        position = np.arcsinh(_mode_frequency(shape, pitch).ravel() / self.scale) / _RING_STEP
-        inner = np.minimum(position.astype(np.intp), self.frequency.size)
-        share = np.where(inner < self.frequency.size, position - inner, 0.0)
-        return self._replace(inner=inner, outer_share=share.astype(np.float32))
-
-    def light(self, power: NDArray[np.float32]) -> Array:
-        """Light of every ring, of the power of every mode; last, that beyond the rings."""
-        outwards = power.ravel() * self.outer_share
-        size = self.frequency.size
-        light = np.bincount(self.inner, power.ravel() - outwards, minlength=size + 1)
-        light[1:] += np.bincount(self.inner, outwards, minlength=size + 1)[:-1]
-        return np.asarray(light)
-
-
-def _mode_frequency(shape: tuple[int, ...], pitch: Array) -> Array:
-    """Frequency of the modes of a map that is continued by its mirror image [um-1]."""
-    along, across = (np.arange(n) / (2 * n * step) for n, step in zip(shape[::-1], pitch, strict=True))
-    return np.hypot(along, across[:, None])

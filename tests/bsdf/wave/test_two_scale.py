@@ -165,15 +165,19 @@ def test_gloss_and_peak_are_smooth_functions_of_the_height(slope):
 
 
 @pytest.mark.slow
-def test_two_scales_agree_with_diffraction_on_their_map():
+def test_two_scales_agree_with_diffraction_on_their_maps():
     # 1 um over 20 um and 30 nm over 1 um: facets of all slopes give 13.1 units at 60 degree, diffraction 15.4.
-    coarse, fine = _gaussian_map(1.0, 20.0, 0.25, 1024, 3), _gaussian_map(0.03, 1.0, 0.25, 1024, 4)
-    surface = coarse.assign(height=coarse["height"] + fine["height"])
-    surface = vocabulary.label(surface, "surface")
-    bsdf = wave.build(psd.estimate(surface), facets=estimate(surface), index=1.5, wavelength=550.0, optics="auto")
-    assert "log_fine_halo" in bsdf
-    # One map of 13 coarse correlation lengths: the facets are its own.
-    assert gloss(bsdf) == pytest.approx(gloss(kirchhoff.build(surface, index=1.5, wavelength=550.0)), rel=0.03)
+    ratios = []
+    for seed in (3, 5, 7, 9):
+        coarse, fine = _gaussian_map(1.0, 20.0, 0.25, 1024, seed), _gaussian_map(0.03, 1.0, 0.25, 1024, seed + 1)
+        surface = vocabulary.label(coarse.assign(height=coarse["height"] + fine["height"]), "surface")
+        bsdf = wave.build(psd.estimate(surface), facets=estimate(surface), index=1.5, wavelength=550.0, optics="auto")
+        assert "log_fine_halo" in bsdf
+        ratios.append(gloss(bsdf) / gloss(kirchhoff.build(surface, index=1.5, wavelength=550.0)))
+    # Few modes of a map of 13 coarse correlation lengths reach the receptor: they scatter by 10 and 4 %.
+    noise = np.std(ratios, axis=0, ddof=1) / np.sqrt(len(ratios))
+    assert (np.abs(np.mean(ratios, axis=0) - 1) < 0.03 + 2 * noise).all()
+    assert (noise < [0.08, 0.03]).all()
 
 
 def test_many_values_are_those_of_few(monkeypatch):

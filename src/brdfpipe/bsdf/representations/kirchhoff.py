@@ -21,7 +21,8 @@ from brdfpipe.optics.fresnel_equations import fresnel
 _NODES = ("phase_per_height", "spatial_frequency")
 _MIXED = [("mixed",)]
 _SPECTRAL = [("wavelength",), *_MIXED]
-_CLOSER = 8  # times as close are the nodes of q in evaluation
+_CLOSER, _CLOSER_RINGS = 8, 6  # times as close are the nodes of q, and the rings of f, in evaluation
+_WING = 0.02  # share of the diffracted light in the wing of a lobe
 _LEAST_SHARE = 1e-3  # of a wavelength in a mean, over that of the heaviest
 
 
@@ -147,7 +148,7 @@ class Diffraction(NamedTuple):
         node = np.arange(values.shape[0])
         close = np.linspace(0, node[-1], _CLOSER * node[-1] + 1)
         return cls(
-            np.exp(PchipInterpolator(node, values)(close)),
+            _between_rings(np.exp(PchipInterpolator(node, values)(close)), bsdf[_NODES[1]].values),
             bsdf["phase_spectrum_relative_u"].values,
             bsdf["coherent_share"].values,
             bsdf[_NODES[0]].values,
@@ -161,7 +162,8 @@ class Diffraction(NamedTuple):
         """Of the diffracted light [sr-1], (directions…, wavelength); both directions above the surface."""
         pair = half_vector(theta_i, phi_i, theta_o, phi_o)
         phase, row, column, sampled = self._position(pair, wavelength)
-        spectrum = map_coordinates(self.spectrum, [_CLOSER * row, column], order=1, mode="nearest") * phase**2
+        at = _CLOSER * row, _CLOSER_RINGS * column
+        spectrum = map_coordinates(self.spectrum, at, order=1, mode="nearest") * phase**2
         return np.where(
             sampled, fresnel(pair.cos_zeta[..., None], n, k).mean * spectrum / (wavelength * 1e-3) ** 2, 0.0
         )
@@ -199,10 +201,35 @@ class Diffraction(NamedTuple):
     def lobe_slope(self, wavelength: float) -> float:
         """Slope at which the light has half its peak, at normal incidence and a wavelength [nm]."""
         row = int(np.argmin(np.abs(self.phase - 4e3 * np.pi / wavelength)))
-        values = self.spectrum[_CLOSER * row]
+        values = self.spectrum[_CLOSER * row, ::_CLOSER_RINGS]
         # By chance the peak of a map may be low; a Gaussian lobe has a quarter of its light within 0.644 of that slope.
         light = cumulative_trapezoid(values * self.frequency, self.frequency, initial=0)
         quarter = float(np.interp(light[-1] / 4, light, self.frequency)) / 0.644
         below = values < values[0] / 2
         half = float(self.frequency[below.argmax()]) if below.any() else float(self.frequency[-1])
         return min(half, quarter) * wavelength * 1e-3 / 2
+
+
+def _between_rings(spectrum: Array, frequency: Array) -> Array:
+    """Spectrum (q, rings) at closer frequencies: linear, but exponential beyond nearly all light, where it falls steadily.
+
+    A ring has the mean of a triangle that reaches its neighbours, 2(cosh b − 1)/b² of the value in its middle where the spectrum falls by b from
+    ring to ring.
+    """
+    light = cumulative_trapezoid(spectrum * frequency, frequency, axis=1, initial=0)
+    wing = light > (1 - _WING) * light[:, -1:]
+    fall = -np.diff(np.log(spectrum), axis=1, prepend=np.log(spectrum[:, :1]), append=np.log(spectrum[:, -1:]))
+    steady = np.maximum(wing * np.abs(_steady(fall[:, :-1], fall[:, 1:])), 1e-3)
+    middle = spectrum * steady**2 / (2 * (np.cosh(steady) - 1))
+    fall = np.diff(-np.log(middle), axis=1)
+    before, after = fall[:, np.maximum(np.arange(fall.shape[1]) - 1, 0)], np.append(fall[:, 1:], fall[:, -1:], axis=1)
+    exponent = (wing[:, :-1] * _steady(_steady(before, fall), after))[..., None]
+    part = np.arange(_CLOSER_RINGS) / _CLOSER_RINGS
+    straight = (1 - part) * middle[:, :-1, None] + part * middle[:, 1:, None] * np.exp(exponent)
+    closer = (straight * np.exp(-exponent * part)).reshape(len(spectrum), -1)
+    return np.append(closer, middle[:, -1:], axis=1)
+
+
+def _steady(one: Array, other: Array) -> Array:
+    """The smaller of two falls, 0 where one rises and the other falls."""
+    return np.where(one * other > 0, np.copysign(np.minimum(np.abs(one), np.abs(other)), one), 0.0)
