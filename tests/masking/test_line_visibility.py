@@ -40,7 +40,7 @@ def test_a_line_tells_cells_from_their_negative_as_the_map_does(sign):
         ),
     ):
         with samples.coarse_albedo_tables():  # the light that facets reflect once does not depend on it
-            bsdf = build(facets, index=1.5, **options)
+            bsdf = build(facets, index=1.5, multiple_scattering="none", **options)
         brdf = representation(bsdf).evaluate(theta_i, 0 * theta_i, theta_o, phi_o, None)
         light.append(brdf[:, 0] @ np.cos(np.radians(theta_o)))
     smith, line, traced = light

@@ -297,7 +297,9 @@ def test_without_both_angles_there_is_no_haze(full: Datasets, gloss: dict[str, f
 
 @pytest.mark.usefixtures("without_bsdf_figures")
 def test_a_metal_has_no_haze_by_a_standard_for_nonmetallic_surfaces(full: Datasets) -> None:
-    metal = microfacet.build(full["facets"], index=optics.refractive_index({"n": 2.9, "k": 3.1}))
+    metal = microfacet.build(
+        full["facets"], index=optics.refractive_index({"n": 2.9, "k": 3.1}), multiple_scattering="none"
+    )
     html = material_page({**_with_gloss(full, g20=1100.0, g60=200.0), "bsdf": metal})
     assert "Haze D4039" not in _tiles(html)
     assert "D4039" not in html
@@ -441,7 +443,7 @@ def test_an_uncertainty_larger_than_its_quantity_is_no_number(full: Datasets) ->
 @pytest.mark.usefixtures("without_bsdf_figures")
 def test_without_a_measured_surface_the_page_says_that_trust_is_not_known(full: Datasets) -> None:
     assumed = {stage: full[stage] for stage in ("spectrum", "index", "bsdf")} | {"facets": analytic("ggx", 0.2)}
-    assumed["bsdf"] = microfacet.build(assumed["facets"], index=1.5)
+    assumed["bsdf"] = microfacet.build(assumed["facets"], index=1.5, multiple_scattering="none")
     assert "Nothing of the surface was measured" in _Page(material_page(assumed)).text
 
 
