@@ -161,13 +161,12 @@ class UniformSurface(NamedTuple):
             # The second node and the last but one are no knots.
             axes.append(np.linspace(knots[0], knots[-1], knots.size - 4))
             assert np.allclose(axes[-1][2:-2], knots[4:-4], rtol=0, atol=1e-8 * (knots[-1] - knots[0])), "uneven nodes"
-        x, y = (float(nodes[1] - nodes[0]) for nodes in axes)
+        (x, y), (step_x, step_y) = axes, (float(nodes[1] - nodes[0]) for nodes in axes)
         along_x, curved = (
-            _uniform_coefficients(spline(*axes, dy=order), spline(*axes, dx=2, dy=order), x) for order in (0, 2)
+            _uniform_coefficients(spline(x, y, 0, order), spline(x, y, 2, order), step_x) for order in (0, 2)
         )
-        coefficients = np.pad(_uniform_coefficients(along_x.T, curved.T, y).T, 1, mode="edge")
-        first = float(axes[0][0]), float(axes[1][0])
-        return cls(np.array(coefficients, order="C"), first, (1 / x, 1 / y))
+        coefficients = np.pad(_uniform_coefficients(along_x.T, curved.T, step_y).T, 1, mode="edge")
+        return cls(np.array(coefficients, order="C"), (float(x[0]), float(y[0])), (1 / step_x, 1 / step_y))
 
 
 def _uniform_coefficients(values: Array, second: Array, step: float) -> Array:
