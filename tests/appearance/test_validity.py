@@ -201,6 +201,14 @@ def test_an_error_of_gloss_counts_where_the_light_in_the_peak_is_right(units, ve
     assert "in the peak +3.8% ± 1.0%" in judgement.finding
 
 
+def test_an_error_that_is_hardly_known_does_not_pass():
+    judgement = judged(datasets(model_error=model_error(0.02, 0.13)))[ERROR]
+    assert (judgement.verdict, judgement.advice) == ("", "Measure a larger area")
+    assert judgement.finding.endswith("known only to ± 13% of the light")
+    assert judged(datasets(model_error=model_error(0.02, 0.09)))[ERROR].verdict == "pass"
+    assert judged(datasets(model_error=model_error(0.5, 0.13)))[ERROR].verdict == "warn"
+
+
 def test_an_error_that_was_not_computed_or_has_no_reference_is_stated():
     assert judged(datasets())[ERROR] == Judgement(ERROR, "not computed", "", "Set `model.truth: check`")
     without_reference = datasets(model_error=model_error(0.0, 0.0, valid=False))

@@ -122,6 +122,17 @@ def test_it_is_stored_and_read_and_sampled(tmp_path):
     assert (again.uncertainty(*np.array([[30.0], [0.0], [35.0], [180.0]]), None) > 0).all()
 
 
+def test_each_change_of_diffracted_light_leaves_all_light_and_together_they_are_its_uncertainty():
+    one = representation(diffracted())
+    incidence = np.array([20.0, 60.0]), np.zeros(2), None
+    assert len(one.changed) == 9
+    for changed in one.changed:
+        np.testing.assert_allclose(changed.albedo(*incidence), one.albedo(*incidence), rtol=2e-3)
+    at = np.array([30.0, 60.0]), np.zeros(2), np.array([35.0, 65.0]), np.full(2, 180.0), None
+    differences = np.array([changed.evaluate(*at) - one.evaluate(*at) for changed in one.changed])
+    np.testing.assert_allclose(np.sqrt(np.square(differences).sum(axis=0)), one.uncertainty(*at), rtol=0.1)
+
+
 def test_limits_of_the_method_are_reported(monkeypatch):
     steep = build(samples.gaussian_surface(128, sigma=0.3), index=1.5, wavelength=[5000.0])
     assert any("typical slope of the surface is 0.4" in text for text in vocabulary.warnings(steep))

@@ -321,8 +321,19 @@ def _model_error(datasets: Datasets) -> Judgement | None:
         of_gloss, words = _largest_error(units, result["gloss_error_u"], GLOSS_LIMITS)
         finding, excess = f"{finding}; gloss {words('.1f')}", np.maximum(excess, of_gloss)
     verdict = "fail" if excess[1] > 0 else "warn" if excess[0] > 0 else "pass"
+    if verdict == "pass" and (unclear := _unclear(peak, result)):
+        # An error that may be beyond the limit is not shown to be within it.
+        return Judgement(condition, f"{finding}; known only to {unclear}", "", "Measure a larger area")
     advice = str(result.attrs.get("advice", ""))
     return Judgement(condition, finding, verdict, "" if verdict == "pass" else advice[:1].upper() + advice[1:])
+
+
+def _unclear(peak: xr.Dataset, result: xr.Dataset) -> str:
+    """The largest uncertainty of an error, if it is beyond the limit of the error itself; empty otherwise."""
+    of_light = float(peak["light_error_u"].where(peak["valid"] > 0).max())
+    of_gloss = float(result["gloss_error_u"].where(result["gloss_valid"] > 0).max())
+    words = [f"± {of_light:.0%} of the light"] if of_light > ERROR_LIMITS[0] else []
+    return " and ".join([*words, f"± {of_gloss:.1f} gloss units"] if of_gloss > GLOSS_LIMITS[0] else words)
 
 
 def certain_error(error: xr.DataArray, uncertainty: xr.DataArray) -> xr.DataArray:

@@ -78,8 +78,9 @@ def build(
     bsdf = xr.Dataset(
         {
             "log_phase_spectrum": (nodes, np.log(found.spectrum / found.phase[:, None] ** 2)),
-            "phase_spectrum_relative_u": (nodes, found.relative_u),
+            "log_phase_spectrum_change": (("block", *nodes), np.log1p(found.changes)),
             "coherent_share": (nodes[:1], found.coherent),
+            "coherent_share_change": (("block", nodes[0]), found.coherent_changes),
             "frequency_scale": found.frequency_scale,
             "n": ("wavelength", n),
             "k": ("wavelength", k),

@@ -11,13 +11,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.gloss_meter import gloss
+from brdfpipe.appearance.apertures import Rule, sample_of
+from brdfpipe.appearance.gloss_meter import gloss, gloss_at
 from brdfpipe.appearance.validity import ERROR_LIMITS, GLOSS_LIMITS, LARGEST_JUDGED, REFERENCES, certain_error
 from brdfpipe.bsdf import kirchhoff, traced
 from brdfpipe.bsdf.change_variables import MODEL_INCIDENCES, MODEL_REGIONS
 from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
 from brdfpipe.bsdf.reference_solution import GEOMETRIC, WAVELENGTH, facet_smoothness, holds, phase_variance
 from brdfpipe.bsdf.registry import representation
+from brdfpipe.bsdf.representations.kirchhoff import Kirchhoff
 from brdfpipe.comparison.lobe_bins import LobeBins, gloss_by_bin
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
@@ -47,6 +49,7 @@ MOST_HEIGHTS = 2048
 _LEAST_RETURNED = 0.95
 """Share of the light along the normal that diffraction on a map must return."""
 
+_APERTURES = Rule((2, 3), 4)  # of changes of gloss
 _LINES = 256
 
 
@@ -330,17 +333,24 @@ def _traced_light(
 
 def _diffracted_light(reference: xr.Dataset, prediction: _Prediction) -> _Light:
     one, lobe = representation(reference), prediction.lobe
-    if lobe.phi_i is not None:
+    if lobe.phi_i is not None or not isinstance(one, Kirchhoff):
         return _UNKNOWN
-    incidence = np.full_like(lobe.theta, lobe.theta_i), np.zeros_like(lobe.phi)
-    coherent = float(one.specular(np.array([lobe.theta_i]), np.zeros(1), None)[0].mean())
-    light = prediction.by_region(lobe.total(lobe.brdf(one))) + coherent * (np.arange(len(MODEL_REGIONS)) == 0)
-    scatter = lobe.total(one.uncertainty(*incidence, lobe.theta, lobe.phi, None)[:, 0])
-    relative_u = np.hypot(prediction.by_region(scatter) / np.maximum(light, 1e-300), BIN_ERROR)
+    light = _by_region(one, prediction)
+    changes = np.array([_by_region(changed, prediction) for changed in one.changed]) - light
+    relative_u = np.hypot(np.sqrt(np.square(changes).sum(axis=0)) / np.maximum(light, 1e-300), BIN_ERROR)
     if lobe.theta_i not in GLOSS_ANGLES:
         return _Light(light, relative_u)
-    value = float(gloss(reference, [lobe.theta_i])[0])
-    return _Light(light, relative_u, value, value * float(relative_u[0]))
+    value, sample = float(gloss(reference, [lobe.theta_i])[0]), sample_of(reference, None)
+    units = [gloss_at(sample, lobe.theta_i, np.zeros(1), _APERTURES, reflector)[0] for reflector in (one, *one.changed)]
+    scatter = np.sqrt(np.square(np.array(units[1:]) - units[0]).sum())
+    return _Light(light, relative_u, value, float(np.hypot(scatter, BIN_ERROR * value)))
+
+
+def _by_region(one: Kirchhoff, prediction: _Prediction) -> Array:
+    """Light of diffraction by region; coherent light belongs to the peak."""
+    coherent = float(one.specular(np.array([prediction.lobe.theta_i]), np.zeros(1), None)[0].mean())
+    scattered = prediction.lobe.total(prediction.lobe.brdf(one))
+    return prediction.by_region(scattered) + coherent * (np.arange(len(MODEL_REGIONS)) == 0)
 
 
 def _masking(surface: xr.Dataset) -> xr.Dataset:

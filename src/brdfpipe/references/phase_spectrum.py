@@ -36,6 +36,8 @@ _BLOCKS = (
     24,
 )  # along the shorter side, whose scatter is the uncertainty: the first of which two have no gaps
 _LEAST_BLOCK = 16
+_MOST_CHANGES = 9  # groups of blocks
+_LEAST_CHANGE = -0.99  # of light, relative
 _JOIN = 8.0, 24.0  # waves along the shorter side, from the mirrored field to the one that fades out
 _OUTSIDE = 0.02, 0.005  # share of the light further from the mirror direction, likewise
 _COHERENT_BLOCKS = 8  # along the shorter side, whose scatter is the chance part of the coherent light
@@ -56,14 +58,21 @@ class PhaseSpectrum(NamedTuple):
     frequency_scale: float
     spectrum: Array
     """(q, f) mean over azimuth [um2], linear between frequencies in asinh(f / frequency_scale)"""
-    relative_u: Array
-    """(q, f) relative standard uncertainty, from the scatter between blocks of the map"""
+    changes: Array
+    """(block, q, f) independent relative changes of the spectrum by one standard uncertainty, from the scatter between blocks of the map"""
     coherent: Array
     """(q,) share of the light in the mirror direction"""
+    coherent_changes: Array
+    """(block, q) what goes with each change of the spectrum, so that all light remains"""
     scaling: Array
     """(q,) factor of the diffracted light that makes it, with the coherent light, all that the measured heights reflect"""
     coarse: float
     """Share of steps between neighbouring heights whose phase exceeds π at the largest q"""
+
+    @property
+    def relative_u(self) -> Array:
+        """(q, f) relative standard uncertainty of the spectrum"""
+        return np.asarray(np.sqrt(np.square(self.changes).sum(axis=0)))
 
 
 def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
@@ -111,8 +120,9 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
     far = _passed(waves, *_JOIN)
     mirrored = MirroredField.of(heights.shape, mesh.pitch, rings, 1 - far)
     faded = FadedField.of(heights.shape, mesh.pitch, rings, measured)
-    spectrum, relative_u = np.empty((2, count, rings.frequency.size))
-    coherent, scaling = np.empty((2, count))
+    groups = np.array_split(np.arange(len(blocks)), min(len(blocks), _MOST_CHANGES))
+    spectrum, changes = np.empty((count, rings.frequency.size)), np.empty((len(groups), count, rings.frequency.size))
+    coherent, scaling, coherent_changes = np.empty(count), np.empty(count), np.empty((len(groups), count))
     number = heights.size if measured is None else float(measured.sum(dtype=float))
     for row, q in enumerate(phase):
         # Single precision: its rounding is 1e-7 of the phase.
@@ -126,15 +136,18 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
         light[:-1] += far * _passed(outside[:-1], *_OUTSIDE) * (faded.light(field) - light)[:-1]
         scaling[row] = (1 - coherent[row]) / light.sum()
         light *= scaling[row]
-        by_block = np.array([block_rings.light(_block_power(field, *one, side))[:-1] for one in blocks])
+        by_block = np.array([_block_light(field[y : y + side, x : x + side], block_rings) for y, x in blocks])
+        by_block = np.array([by_block[group].mean(axis=0) for group in groups])
         spectrum[row] = np.maximum(light[:-1], 1e-12 * light.max()) / rings.area
         core = int(np.searchsorted(np.cumsum(light[:-1]), SLOWEST * light[:-1].sum()))
         if core > 1:
             # Rings within which the lobe hardly changes are one.
             spectrum[row, :core] = light[:core].sum() / rings.area[:core].sum()
             by_block[:, :core] = by_block[:, :core].sum(axis=1, keepdims=True)
-        relative_u[row] = _relative_scatter(by_block)
-    return PhaseSpectrum(phase, rings.frequency, rings.scale, spectrum, relative_u, coherent, scaling, coarse)
+        changes[:, row], coherent_changes[:, row] = _changes(by_block, light[:-1])
+    return PhaseSpectrum(
+        phase, rings.frequency, rings.scale, spectrum, changes, coherent, coherent_changes, scaling, coarse
+    )
 
 
 def _coarse_share(height: Array, phase: float) -> float:
@@ -215,16 +228,26 @@ def _passed(value: Array, start: float, end: float) -> Array:
     return np.asarray(place**2 * (3 - 2 * place))
 
 
-def _block_power(field: NDArray[np.complex64], y: int, x: int, side: int) -> NDArray[np.float32]:
-    power = mirrored_power(field[y : y + side, x : x + side])
+def _block_light(field: NDArray[np.complex64], rings: FrequencyRings) -> Array:
+    """Light of every ring of a block, and last, what is not coherent of all its light."""
+    power = mirrored_power(field)
+    total = power.sum(dtype=float)
     remove_doubling(power)
-    return power
+    return np.append(rings.light(power)[:-1], total) / power.size
 
 
-def _relative_scatter(light: Array) -> Array:
-    """Relative standard uncertainty of the mean over blocks, (blocks, rings); that of the next ring where no block has light."""
-    mean = light.mean(axis=0)
+def _changes(by_block: Array, light: Array) -> tuple[Array, Array]:
+    """Relative changes (block, ring) of the light of the map by ring, and changes of its coherent share (block,), from the light of the blocks.
+
+    The mean over blocks has the changes (value of the block − mean)/√(n (n − 1)), whose squares add to its variance. Rings in which no block has light change
+    as the next.
+    """
+    deviation = (by_block - by_block.mean(axis=0)) / np.sqrt(len(by_block) * (len(by_block) - 1))
+    coherent, mean = -deviation[:, -1], by_block[:, :-1].mean(axis=0)
     known = mean > 0
-    scatter = light.std(axis=0, ddof=1) / np.sqrt(len(light))
+    relative = deviation[:, :-1] / np.where(known, mean, 1.0)
     place = np.arange(mean.size)
-    return np.asarray(np.interp(place, place[known], (scatter / np.where(known, mean, 1.0))[known]))
+    relative = np.array([np.interp(place, place[known], one[known]) for one in relative])
+    # All light remains.
+    relative -= ((relative @ light + coherent) / light.sum())[:, None]
+    return np.maximum(relative, _LEAST_CHANGE), coherent

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +34,9 @@ class Kirchhoff(CoupledSurface):
     kind = vocabulary.Kind(
         required={
             "log_phase_spectrum": [_NODES],
-            "phase_spectrum_relative_u": [_NODES],
+            "log_phase_spectrum_change": [("block", *_NODES)],
             "coherent_share": [_NODES[:1]],
+            "coherent_share_change": [("block", _NODES[0])],
             "frequency_scale": vocabulary.SCALAR,
             "n": _SPECTRAL,
             "k": _SPECTRAL,
@@ -82,6 +84,19 @@ class Kirchhoff(CoupledSurface):
             )
 
         return above_surface(values, theta_i, phi_i, theta_o, phi_o, light.width)
+
+    @cached_property
+    def changed(self) -> tuple[Kirchhoff, ...]:
+        """The BSDF after each independent change of the light by one standard uncertainty of the finite map.
+
+        The variance of anything that is computed from it is the sum of the squares of what the changes make of it.
+        """
+        plain, names = self.dataset.drop_dims("block"), ("log_phase_spectrum", "coherent_share")
+        datasets = []
+        for row in range(self.dataset.sizes["block"]):
+            after = {name: self.dataset[name] + self.dataset[f"{name}_change"][row] for name in names}
+            datasets.append(plain.assign(after | {"coherent_share": after["coherent_share"].clip(0, 1)}))
+        return tuple(Kirchhoff(dataset) for dataset in datasets)
 
     def specular(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> tuple[Array, Array]:
         light, theta = self._light(wavelength), np.asarray(theta_i, dtype=float)
@@ -149,7 +164,7 @@ class Diffraction(NamedTuple):
         close = np.linspace(0, node[-1], _CLOSER * node[-1] + 1)
         return cls(
             _between_rings(np.exp(PchipInterpolator(node, values)(close)), bsdf[_NODES[1]].values),
-            bsdf["phase_spectrum_relative_u"].values,
+            _relative_u(bsdf),
             bsdf["coherent_share"].values,
             bsdf[_NODES[0]].values,
             bsdf[_NODES[1]].values,
@@ -233,3 +248,9 @@ def _between_rings(spectrum: Array, frequency: Array) -> Array:
 def _steady(one: Array, other: Array) -> Array:
     """The smaller of two falls, 0 where one rises and the other falls."""
     return np.where(one * other > 0, np.copysign(np.minimum(np.abs(one), np.abs(other)), one), 0.0)
+
+
+def _relative_u(bsdf: xr.Dataset) -> Array:
+    """Relative standard uncertainty of the spectrum (q, f); 0 without changes."""
+    changes = bsdf.get("log_phase_spectrum_change", xr.zeros_like(bsdf["log_phase_spectrum"]).expand_dims("block"))
+    return np.asarray(np.sqrt(np.square(np.expm1(changes.values)).sum(axis=0)))
