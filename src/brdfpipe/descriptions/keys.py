@@ -92,6 +92,8 @@ class Keys(BaseModel):
     """Pairs of keys that exclude each other."""
     at_least_one: ClassVar[tuple[str, ...]] = ()
     """Keys of which one must be given."""
+    none_given: ClassVar[str] = "nothing to build from"
+    """What is wrong if none of them is given."""
     requires: ClassVar[Mapping[str, str]] = {}
     """Key → another key that must be given with it."""
 
@@ -123,7 +125,7 @@ class Keys(BaseModel):
         if self.at_least_one and not given & set(self.at_least_one):
             listed = ", ".join(f"`{name}`" for name in self.at_least_one)
             accepted = f"at least one of {listed} (lines that start with # do not count)"
-            raise InputError("", "nothing to build from", accepted=accepted)
+            raise InputError("", self.none_given, accepted=accepted)
         for name, other in self.requires.items():
             if name in given and other not in given:
                 accepted = f"`{other}`, which `{name}` needs: {type(self).declared_keys()[other].description}"
