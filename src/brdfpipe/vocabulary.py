@@ -383,6 +383,9 @@ QUANTITIES: Mapping[str, Quantity] = {
         0,
         1,
     ),
+    "unresolved_loss": Quantity(
+        "1", "share of the light of a lobe that finer roughness may scatter, as a standard uncertainty", 0, 1
+    ),
     "error_gloss_angle": Quantity("degree", "angle at which the error of the gloss of a model is compared", 0, 90),
     "model_gloss_error": Quantity(
         "1", "error of the gloss of a model [gloss units], as a standard uncertainty with its sign", missing=True
@@ -630,7 +633,7 @@ KINDS: Mapping[str, Kind] = {
     "uncertainty": Kind(
         {},
         optional={
-            **{key: [("error_theta", "region")] for key in ("relative_error", "transmitted_loss")},
+            **{key: [("error_theta", "region")] for key in ("relative_error", "transmitted_loss", "unresolved_loss")},
             "model_gloss_error": [("error_gloss_angle",)],
         },
         attributes=("uncertainty_not_stated",),

@@ -19,7 +19,11 @@ from brdfpipe.report.material.reflection import source_table
 
 
 def with_model_error(
-    bsdf: xr.Dataset, relative: float, of_gloss: tuple[float, ...] = (), last: float = 75.0
+    bsdf: xr.Dataset,
+    relative: float,
+    of_gloss: tuple[float, ...] = (),
+    last: float = 75.0,
+    psd: xr.Dataset | None = None,
 ) -> xr.Dataset:
     """A BSDF with the same relative error up to a last incidence and not known at 85°, and errors of gloss at 20 and 60°."""
     values = np.full((3, 3), relative)
@@ -31,6 +35,7 @@ def with_model_error(
         relative_error=xr.DataArray(values, axes, ("theta_i", "region")),
         gloss_error=gloss_error,
         spectrum=spectrum(0.3),
+        psd=psd,
     )
     return bsdf.merge(changes, combine_attrs="override")
 
@@ -69,7 +74,8 @@ def test_a_total_reflectance_is_not_better_known_than_its_spectrum(index_alone):
     _, appearance = index_alone
     assert np.isnan(appearance["lab_u"].sel(geometry="8:total")).all()
     assert np.isnan(appearance["luminous_reflectance_u"])
-    assert (appearance["lab_u"].sel(geometry="45as15") > 0).all()
+    # The index changes how light a grey is, and by rounding alone its hue.
+    assert float(appearance["lab_u"].sel(geometry="45as15", component="L*")) > 0
 
 
 def test_errors_of_two_receptors_that_go_together_partly_cancel_in_a_haze():
@@ -81,16 +87,37 @@ def test_errors_of_two_receptors_that_go_together_partly_cancel_in_a_haze():
     assert of_haze < np.hypot(*of_gloss)
 
 
-def test_the_error_of_gloss_itself_counts_where_it_is_larger_than_that_of_the_light():
+def test_where_a_reference_states_gloss_its_error_is_that_of_gloss_and_not_of_the_light_by_region():
+    # The light is known to 10 % everywhere, gloss at 20 and 60 degree much worse and much better than that.
+    bsdf = with_model_error(beckmann_bsdf(0.03, reflectance=0.05), 0.1, (-36.0, 1e-3)).fillna({"relative_error": 0.1})
+    appearance = compute_appearance(bsdf)
+    of_model = appearance["gloss_u_source"].sel(source="model").values
+    np.testing.assert_allclose(of_model[:2], [36.0, 1e-3])
+    assert float(appearance["haze_u_source"].sel(source="model")) == pytest.approx(36.001)
+    # Of gloss at 85 degree and of a haze beside the mirror direction nothing is stated: there the light counts.
+    by_light = compute_appearance(bsdf.drop_vars("model_gloss_error"))
+    for name, at in (("gloss", {"gloss_angle": 85}), ("reflectance_haze", {})):
+        found, expected = (one[f"{name}_u_source"].sel(source="model", **at) for one in (appearance, by_light))
+        assert (expected > 0.01).all()
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_gloss_whose_error_is_not_known_has_the_uncertainty_of_the_other_sources():
     appearance = compute_appearance(with_model_error(beckmann_bsdf(0.03, reflectance=0.05), 0.01, (-36.0, 1e-3)))
     of_model = appearance["gloss_u_source"].sel(source="model")
-    light = 0.01 * float(appearance["gloss"].sel(gloss_angle=60))
-    assert of_model[:2].values == pytest.approx([36.0, light], rel=0.05)
-    assert float(appearance["haze_u_source"].sel(source="model")) == pytest.approx(36.001)
-    # At 85 degree the error is not known, and what is known of gloss is stated.
     assert np.isnan(of_model[2])
     others = appearance["gloss_u_source"].sel(gloss_angle=85).drop_sel(source="model")
     assert float(appearance["gloss_u"].sel(gloss_angle=85)) == pytest.approx(float(np.hypot.reduce(others.values)))
+
+
+def test_light_that_finer_roughness_may_scatter_adds_to_a_known_error_of_gloss():
+    # A scan shows its reference solution no more than the prediction.
+    plateau = roughness.analytic("gaussian", sigma=1.0, length=500.0).assign(unresolved_sigma=0.03)
+    bsdf = with_model_error(beckmann_bsdf(0.03, reflectance=0.05), 0.1, (3.0, -4.0), psd=plateau)
+    finer = bsdf.drop_vars("model_gloss_error").assign(relative_error=bsdf["unresolved_loss"])
+    of_both, of_finer = (compute_appearance(one)["gloss_u_source"].sel(source="model")[:2] for one in (bsdf, finer))
+    assert (of_finer > 1).all()
+    np.testing.assert_allclose(of_both, np.hypot([3.0, 4.0], of_finer.values))
 
 
 def test_a_colour_beyond_the_last_known_incidence_has_no_error_of_the_model():

@@ -22,7 +22,7 @@ from brdfpipe.appearance.transmission import luminous_transmittance, transmissio
 from brdfpipe.bsdf.change_variables import MODEL, NOT_STATED
 from brdfpipe.bsdf.nonspectral import nonspectral
 from brdfpipe.bsdf.registry import representation
-from brdfpipe.bsdf.source_changes import Reflector, SourceChanges, uncertain
+from brdfpipe.bsdf.source_changes import Reflector, SourceChanges, uncertain, without_changes
 from brdfpipe.geometry import Array
 from brdfpipe.spectra import colorimetry
 
@@ -136,15 +136,30 @@ def _meter_parts(
         parts["reflectance_haze"] = changes.by_source(of_windows)
     if {20.0, 60.0} <= set(angles):
         parts["haze"] = changes.by_source(of_gloss[:, angles.index(60.0)] - of_gloss[:, angles.index(20.0)])
-    if MODEL not in parts["gloss"] or "model_gloss_error" not in bsdf:
-        return dict(parts)
-    # Light may be right in a region and wrong in a receptor that is narrower: the error of gloss itself counts where it is larger.
-    error = bsdf["model_gloss_error"].reindex(error_gloss_angle=angles).values
-    parts["gloss"][MODEL] = np.fmax(parts["gloss"][MODEL], np.abs(error))
-    if "haze" in parts:
-        of_haze = abs(error[angles.index(60.0)] - error[angles.index(20.0)])
-        parts["haze"][MODEL] = np.fmax(parts["haze"][MODEL], of_haze)
+    if MODEL in parts["gloss"] and "model_gloss_error" in bsdf:
+        error = bsdf["model_gloss_error"].reindex(error_gloss_angle=angles).values
+        finer = _finer_roughness(sample.bsdf)
+        of_finer = np.zeros(given.size) if finer is None else measured(finer) - given
+        # What a region reflects too much may still enter the receptor: where the error of gloss itself is known, it takes the place of that.
+        parts["gloss"][MODEL] = _known_error(error, of_finer[: len(angles)], parts["gloss"][MODEL])
+        if "haze" in parts:
+            low, high = angles.index(20.0), angles.index(60.0)
+            parts["haze"][MODEL] = _known_error(
+                error[high] - error[low], of_finer[high] - of_finer[low], parts["haze"][MODEL]
+            )
     return dict(parts)
+
+
+def _finer_roughness(bsdf: xr.Dataset) -> Reflector | None:
+    """The BSDF less the light that roughness finer than the scan may scatter, which reference solutions on that scan do not know either."""
+    if "unresolved_loss" not in bsdf:
+        return None
+    return SourceChanges(without_changes(bsdf).assign(relative_error=bsdf["unresolved_loss"])).changed[0]
+
+
+def _known_error(error: Array, of_finer: Array, of_light: Array) -> Array:
+    """The error of a quantity that a reference states, and that by finer roughness; where it states none, what the error of light by region gives."""
+    return np.where(np.isfinite(error), np.hypot(error, of_finer), of_light)
 
 
 def _colour_parts(

@@ -94,7 +94,8 @@ def uncertainty(
     Returns
     -------
     Dataset of kind ``uncertainty``: ``<variable>_change`` of variables of the BSDF, ``uncertainty_source`` of each change,
-    ``relative_error`` and ``model_gloss_error``. The attribute ``uncertainty_not_stated`` names the inputs whose uncertainty is not known, as
+    ``relative_error``, with its part ``unresolved_loss`` by roughness finer than the pitch, and ``model_gloss_error``. The attribute
+    ``uncertainty_not_stated`` names the inputs whose uncertainty is not known, as
     ``model beyond 60°`` where it is known of some incidences: none is assumed
 
     Raises
@@ -132,19 +133,19 @@ def uncertainty(
         beyond = [f"{MODEL} beyond {known[-1]:g}°"] if known[-1] < relative_error["theta_i"].values[-1] else []
         missing = [name for name in missing if name != MODEL] + beyond
     if "n" in bsdf and (unresolved := unresolved_rms_height(psd)):
-        result = result.assign(relative_error=_with_unresolved(result.get("relative_error"), unresolved))
+        loss = _unresolved_loss(unresolved, result.get("error_theta"))
+        both = xr.DataArray(np.hypot(result["relative_error"], loss)) if "relative_error" in result else loss
+        result = result.assign(relative_error=both.transpose("error_theta", "region"), unresolved_loss=loss)
     return vocabulary.label(result.assign_attrs({NOT_STATED: ", ".join(missing)}), "uncertainty")
 
 
-def _with_unresolved(error: xr.DataArray | None, sigma: float) -> xr.DataArray:
-    """A relative error, or none, with the light that roughness finer than the pitch, of an rms height [um], would take out of the lobe.
+def _unresolved_loss(sigma: float, theta: xr.DataArray | None) -> xr.DataArray:
+    """Relative light that roughness finer than the pitch, of an rms height [um], would take out of the lobe, at incidences ``theta`` [degree].
 
     It takes 1 − e^(−g), g = (4πσ cos θ/λ)² at 550 nm, and scatters it so far that the rest of the BSDF is taken as unchanged.
     """
-    angles = MODEL_INCIDENCES if error is None else error["error_theta"].values
-    loss = of_lobes(-np.expm1(-((4 * np.pi * sigma * np.cos(np.radians(angles)) / MIDDLE_WAVELENGTH) ** 2)), angles)
-    both = loss if error is None else xr.DataArray(np.hypot(error, loss))
-    return both.transpose("error_theta", "region").rename("relative_error")
+    angles = MODEL_INCIDENCES if theta is None else theta.values
+    return of_lobes(-np.expm1(-((4 * np.pi * sigma * np.cos(np.radians(angles)) / MIDDLE_WAVELENGTH) ** 2)), angles)
 
 
 def of_lobes(loss: Array, theta: Array = MODEL_INCIDENCES) -> xr.DataArray:
