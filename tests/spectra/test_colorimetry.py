@@ -252,3 +252,36 @@ def test_colour_science_changes_no_print_options_and_does_not_warn_without_matpl
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("np.float64(1.0) [1.]\n", "")
+
+
+def test_differences_of_screens_follow_the_formula_of_bt_2124() -> None:
+    def ictcp(xyz: np.ndarray) -> np.ndarray:
+        """ITU-R BT.2100 with its rounded matrix, written out; the primaries of BT.2020 from ITU-R BT.2020 table 3."""
+        to_rgb = [[1.716651, -0.355671, -0.253366], [-0.666684, 1.616481, 0.015769], [0.017640, -0.042771, 0.942103]]
+        lms = np.array([[1688, 2146, 262], [683, 2951, 462], [99, 309, 3688]]) / 4096 @ (np.array(to_rgb) @ xyz)
+        power = (lms / 10_000) ** (2610 / 16384)
+        coded = ((3424 / 4096 + 2413 / 128 * power) / (1 + 2392 / 128 * power)) ** (2523 / 32)
+        return np.array([[2048, 2048, 0], [6610, -13613, 7003], [17933, -17390, -543]]) / 4096 @ coded
+
+    for first, second in (
+        ([95.0, 100, 108.9], [95.5, 101, 108]),
+        ([20.0, 15, 3], [22, 15, 4]),
+        ([1900.0, 2000, 2178], [95, 100, 108.9]),
+    ):
+        i, t, p = ictcp(np.array(first)) - ictcp(np.array(second))
+        expected = 720 * np.sqrt(i**2 + 0.25 * t**2 + p**2)
+        # The matrix to the primaries is rounded to 1e-6; differences of nearly equal colours keep four digits.
+        assert colorimetry.delta_e_itp(first, second) == pytest.approx(expected, rel=1e-3)
+    assert colorimetry.delta_e_itp([[95.0, 100, 108.9]] * 2, [95.0, 100, 108.9]).tolist() == [0, 0]
+
+
+def test_differences_of_screens_are_those_of_colour_science() -> None:
+    random = np.random.default_rng(4)
+    first, second = colour.xyY_to_XYZ(
+        np.stack([*random.uniform(0.3, 0.35, (2, 50)), random.uniform(1, 5000, 50)], axis=1)
+    ).reshape(2, 25, 3)
+    encoded = (
+        colour.XYZ_to_ICtCp(xyz, chromatic_adaptation_transform=None, method="ITU-R BT.2100-2 PQ")
+        for xyz in (first, second)
+    )
+    assert colorimetry.delta_e_itp(first, second) == pytest.approx(colour.delta_E(*encoded, method="ITP"), rel=1e-9)

@@ -150,6 +150,25 @@ def delta_e_00(lab_1: ArrayLike, lab_2: ArrayLike) -> Array:
     return np.asarray(_colour().delta_E(lab_1, lab_2, method="CIE 2000"))
 
 
+def delta_e_itp(xyz_1: ArrayLike, xyz_2: ArrayLike) -> Array:
+    """Colour difference ΔE_ITP of lights of a screen (ITU-R BT.2124).
+
+    Parameters
+    ----------
+    xyz_1, xyz_2 : (..., 3) tristimulus values of the 2-degree observer, Y in cd/m²; the eye is adapted to D65. Each primary of
+        BT.2020 is clipped to 0 to 10 000 cd/m², the range of the PQ curve
+
+    Returns
+    -------
+    (...) : 720 √(ΔI² + ΔT² / 4 + ΔP²) of ICtCp with the PQ curve; 1 is just noticeable under the best conditions
+    """
+    colour = _colour()
+    space = colour.RGB_COLOURSPACES["ITU-R BT.2020"]
+    screens = (np.asarray(xyz, dtype=float) @ space.matrix_XYZ_to_RGB.T for xyz in (xyz_1, xyz_2))
+    encoded = [colour.RGB_to_ICtCp(np.clip(rgb, 0.0, 1e4), method="ITU-R BT.2100-2 PQ") for rgb in screens]
+    return np.asarray(colour.difference.delta_E_ITP(*encoded))
+
+
 def encoded_srgb(linear: ArrayLike) -> Array:
     """Non-linear sRGB (..., 3) of linear one, clipped to [0, 1] (IEC 61966-2-1)."""
     return np.asarray(_colour().cctf_encoding(np.clip(np.asarray(linear, dtype=float), 0.0, 1.0), function="sRGB"))
