@@ -22,6 +22,7 @@ from brdfpipe.appearance.quantities import (
     quantities,
     register,
 )
+from brdfpipe.appearance.veiling_glare import Cabin
 from brdfpipe.bsdf import microfacet, slab
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.facets import flat
@@ -154,3 +155,18 @@ def test_a_reflectance_without_its_specular_part_is_not_the_luminous_one(full: D
 def test_the_total_of_a_measurement_is_not_that_of_the_spectrum_given_for_a_prediction(full: Datasets) -> None:
     measured = full["bsdf"].drop_vars("total_reflectance").assign_attrs(route="measured")
     assert np.isnan(_luminous_reflectance({"spectrum": full["spectrum"], "bsdf": measured}))
+
+
+def test_veiling_luminance_is_computed_and_shown_only_where_it_is_asked_for() -> None:
+    bsdf = samples.beckmann_bsdf(0.3, reflectance=0.05)
+    plain = compute_appearance(bsdf, gloss_angles=[60], haze=[])
+    asked = compute_appearance(bsdf, gloss_angles=[60], haze=[], cabin=Cabin())
+    assert "veiling_luminance" not in plain
+    xr.testing.assert_identical(asked[list(plain.data_vars)], plain)
+    value = float(asked["veiling_luminance"])
+    assert value == float(asked["veiling_luminance_sun"] + asked["veiling_luminance_sky"]) > 0
+    assert "Veiling luminance" not in material_page({"bsdf": bsdf, "appearance": plain})
+    page = material_page({"bsdf": bsdf, "appearance": asked})
+    assert f'<dt>Veiling luminance</dt><dd><span class="value">{value:.3g}<small> cd/m²</small>' in page
+    assert "veiling_luminance" not in summarise({"bsdf": bsdf, "appearance": asked})
+    assert "| `veiling_luminance` |" in docs_table()

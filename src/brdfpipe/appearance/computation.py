@@ -24,6 +24,7 @@ from brdfpipe.appearance.gloss_basis import MEASURED_FLAGS, gloss_quality, gloss
 from brdfpipe.appearance.gloss_meter import gloss, gloss_and_haze
 from brdfpipe.appearance.haze import WINDOWS, HazeWindow, checked_window, reflectance_haze_with_uncertainty
 from brdfpipe.appearance.input_uncertainty import with_input_uncertainty, with_transmission_uncertainty
+from brdfpipe.appearance.veiling_glare import Cabin, veiling_luminance
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.spectra import colorimetry
 
@@ -36,6 +37,7 @@ def compute_appearance(
     gloss_angles: Sequence[float] = (20, 60, 85),
     geometries: Sequence[str] = (),
     haze: Sequence[HazeWindow | Mapping[str, Any]] = WINDOWS,
+    cabin: Cabin | None = None,
 ) -> xr.Dataset:
     """The appearance quantities of a material.
 
@@ -47,6 +49,7 @@ def compute_appearance(
     geometries : of L*a*b*, in addition to :data:`.colours.GEOMETRIES`: names, or sets such as E2539 and MA-T6
         (:data:`brdfpipe.flakes.SETS`)
     haze : windows of the reflectance haze; see :func:`.haze.reflectance_haze`
+    cabin : of a dashboard of this material; adds the veiling luminance (:func:`.veiling_glare.veiling_luminance`)
 
     Returns
     -------
@@ -97,6 +100,8 @@ def compute_appearance(
     if not representation(bsdf).isotropic:
         appearance = appearance.assign(_along_and_across(bsdf, illuminant, observer, gloss_angles, all_geometries))
     appearance = with_transmission_uncertainty(appearance.assign(quantities.computed(bsdf)), bsdf)
+    if cabin is not None:
+        appearance = appearance.assign(veiling_luminance(bsdf, cabin).data_vars)
     if reason := representation(bsdf).gloss_caveat:
         appearance = vocabulary.add_warning(_mark_flakes_alone(appearance, reason), reason)
     if math.isnan(flop) and lightness[2] > lightness[0]:

@@ -47,7 +47,7 @@ class AppearanceQuantity:
     """Heading on the catalogue's page, and of the tile on the page of the material."""
     symbol: str
     unit: str
-    """``GU`` (gloss units), ``um``, or ``1``."""
+    """``GU`` (gloss units), ``um``, ``cd m-2`` or ``1``."""
     decimals: int
     definition: str = ""
     """By default the long name of the variable ``name`` in the vocabulary."""
@@ -67,6 +67,8 @@ class AppearanceQuantity:
     """Whether the tile shows a share in percent."""
     significant: int = 0
     """Significant digits of the tile, for values that span decades; 0: as many decimals as in the catalogue."""
+    on_request: bool = False
+    """Whether it is computed only where it is asked for, and is no column of the catalogue."""
 
     def __post_init__(self) -> None:
         if not self.definition:
@@ -116,8 +118,13 @@ def register(quantity: AppearanceQuantity) -> AppearanceQuantity:
 
 
 def quantities() -> tuple[AppearanceQuantity, ...]:
-    """All quantities, in the order of the catalogue's columns."""
-    return tuple(_TABLE.values())
+    """The quantities of every material, in the order of the catalogue's columns."""
+    return tuple(quantity for quantity in _TABLE.values() if not quantity.on_request)
+
+
+def quantities_on_request() -> tuple[AppearanceQuantity, ...]:
+    """The quantities that are computed only where they are asked for."""
+    return tuple(quantity for quantity in _TABLE.values() if quantity.on_request)
 
 
 def quantity(name: str) -> AppearanceQuantity:
@@ -172,9 +179,9 @@ is empty, and a variable NaN, where the quantity is not known or does not apply;
 def docs_table() -> str:
     """The table as Markdown: ``docs/quantities.md``."""
     lines = []
-    for q in quantities():
-        scope = q.applicability.words if q.applicability else ""
-        unit = {"um": "µm"}.get(q.unit, q.unit)
+    for q in (*quantities(), *quantities_on_request()):
+        scope = q.applicability.words if q.applicability else "on request alone; not in the catalogue" * q.on_request
+        unit = {"um": "µm", "cd m-2": "cd/m²"}.get(q.unit, q.unit)
         names = f"`{q.name}`, `{q.u_name}`" if q.u else f"`{q.name}`"
         cells = (names, q.label, q.symbol, unit, str(q.decimals), q.definition, q.standard, scope)
         lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("*", "\\*") for cell in cells) + " |\n")
@@ -265,6 +272,11 @@ def _lay_words(datasets: Datasets) -> str:
     lay = float(facets["lay"]) if "lay" in facets and "slope_along" in facets.dims else math.nan
     # An axis has an azimuth from 0 to 180 degree.
     return f"lay {round(lay % 180, 1) % 180:g}°" if math.isfinite(lay) else ""
+
+
+def _veil_words(datasets: Datasets) -> str:
+    parts = (f"{part} {float(datasets['appearance'][f'veiling_luminance_{part}']):.3g}" for part in ("sun", "sky"))
+    return ", ".join(parts)
 
 
 # --- the quantities
@@ -364,6 +376,11 @@ for _quantity in (
     AppearanceQuantity(
         "anisotropy", "Anisotropy", "", "1", 2, read=_scalar("facets", "bsdf", names=("anisotropy",)),
         hint=_of_inputs(_lay_words), significant=3,
+    ),
+    AppearanceQuantity(
+        "veiling_luminance", "Veiling luminance", "L", "cd m-2", 0,
+        "luminance of the dashboard's image in the windscreen, of sun and sky; `_sun` and `_sky`: their parts",
+        hint=_veil_words, significant=3, on_request=True,
     ),
 ):
     register(_quantity)

@@ -191,22 +191,37 @@ def integral(integrand: Integrand, wavelengths: int = 1) -> Rule:
 
     def rule(owner: Indices, low: Array, high: Array) -> Estimate:
         values = _at(_GENZ_MALIK, integrand, owner, low, high)
-        area = np.prod(np.radians(high - low), axis=1)[:, None]
-        fine = np.einsum("p,cpw->cw", _DEGREE_7, values) * area
-        coarse = np.einsum("p,cpw->cw", _DEGREE_5, values) * area
-        centre, ratio = 2 * values[:, 0], (_NEAR / _FAR) ** 2
-
-        def fourth_difference(first: int) -> Array:
-            near, far = (values[:, [k, k + 1]].sum(axis=1) - centre for k in (first, first + 4))
-            return np.abs(near - ratio * far).max(axis=1)
-
-        along_theta, along_phi = fourth_difference(1), fourth_difference(3)
-        wide = (high - low)[:, 1] > (high - low)[:, 0]
-        tie = np.isclose(along_theta, along_phi, rtol=1e-3)
-        axis = np.where(tie, wide, along_phi > along_theta).astype(np.intp)
-        return Estimate(fine, np.abs(fine - coarse), axis)
+        return _genz_malik(values, np.prod(np.radians(high - low), axis=1), low, high)
 
     return _in_parts(rule, len(_GENZ_MALIK), wavelengths)
+
+
+def plane_integral(integrand: Integrand) -> Rule:
+    """Rule for ∫ f dx dy over cells of a plane; the integrand takes x and y, in any unit, in place of directions."""
+
+    def rule(owner: Indices, low: Array, high: Array) -> Estimate:
+        points = (low + high)[:, None] / 2 + (high - low)[:, None] / 2 * _GENZ_MALIK
+        values = integrand(owner.repeat(len(_GENZ_MALIK)), points[..., 0].ravel(), points[..., 1].ravel())
+        return _genz_malik(values.reshape(*points.shape[:2], -1), np.prod(high - low, axis=1), low, high)
+
+    return _in_parts(rule, len(_GENZ_MALIK), 1)
+
+
+def _genz_malik(values: Array, area: Array, low: Array, high: Array) -> Estimate:
+    """Integrals over cells from values at their nodes, (cells, nodes, wavelength)."""
+    fine = np.einsum("p,cpw->cw", _DEGREE_7, values) * area[:, None]
+    coarse = np.einsum("p,cpw->cw", _DEGREE_5, values) * area[:, None]
+    centre, ratio = 2 * values[:, 0], (_NEAR / _FAR) ** 2
+
+    def fourth_difference(first: int) -> Array:
+        near, far = (values[:, [k, k + 1]].sum(axis=1) - centre for k in (first, first + 4))
+        return np.abs(near - ratio * far).max(axis=1)
+
+    along_first, along_second = fourth_difference(1), fourth_difference(3)
+    wide = (high - low)[:, 1] > (high - low)[:, 0]
+    tie = np.isclose(along_first, along_second, rtol=1e-3)
+    axis = np.where(tie, wide, along_second > along_first).astype(np.intp)
+    return Estimate(fine, np.abs(fine - coarse), axis)
 
 
 def _at(nodes: Array, integrand: Integrand, owner: Indices, low: Array, high: Array) -> Array:

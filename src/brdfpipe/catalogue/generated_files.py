@@ -19,6 +19,7 @@ from brdfpipe.masking.modes import MODEL_DEFAULTS, OPTICS, TRUTHS
 from brdfpipe.rig.plan_keys import PlanKeys
 from brdfpipe.rig.reduction.certificate_keys import CertificateKeys
 from brdfpipe.rig.rig_keys import RigKeys
+from brdfpipe.scenes.glare_keys import GlareKeys
 from brdfpipe.spectra.formats.registry import FORMATS as SPECTRUM_FORMATS
 from brdfpipe.surfaces.reading import FORMATS as SURFACE_FORMATS
 
@@ -142,6 +143,7 @@ def key_tables() -> dict[str, dict[str, str]]:
             "calibration": rendering.table(calibration_keys.Calibration),
             "certificate": rendering.table(CertificateKeys),
         },
+        "docs/veiling-glare.md": {"glare": rendering.table(GlareKeys, "glare.")},
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -72,8 +73,30 @@ def fresnel(cos_zeta: ArrayLike, n: ArrayLike, k: ArrayLike = 0.0) -> Fresnel:
     return Fresnel(f_s, f_p, (f_s + f_p) / 2)
 
 
+class Plate(NamedTuple):
+    """Reflectances and transmittances of a plate [1]."""
+
+    reflectance_s: Array
+    reflectance_p: Array
+    transmittance_s: Array
+    transmittance_p: Array
+
+
 def plate(cos_theta: ArrayLike, n: ArrayLike, transmittance: ArrayLike) -> tuple[Array, Array]:
     """Reflectance and transmittance of a plane-parallel plate with two smooth faces, for unpolarised light.
+
+    Parameters and sources as for :func:`polarised_plate`, of whose values these are the means.
+    """
+    values = polarised_plate(cos_theta, n, transmittance)
+    reflectance, transmittance = (
+        values.reflectance_s + values.reflectance_p,
+        values.transmittance_s + values.transmittance_p,
+    )
+    return np.asarray(reflectance / 2), np.asarray(transmittance / 2)
+
+
+def polarised_plate(cos_theta: ArrayLike, n: ArrayLike, transmittance: ArrayLike) -> Plate:
+    """Reflectances and transmittances of a plane-parallel plate with two smooth faces, for light polarised s and p.
 
     Parameters
     ----------
@@ -84,7 +107,7 @@ def plate(cos_theta: ArrayLike, n: ArrayLike, transmittance: ArrayLike) -> tuple
     Notes
     -----
     With τ' = τ^(1/cos θ') R = F + (1 − F)² τ'² F / (1 − F² τ'²) and T = (1 − F)² τ' / (1 − F² τ'²) for s and for p, since each stays
-    what it is between the faces; then their mean. Reflections are added without interference.
+    what it is between the faces. Reflections are added without interference.
 
     References
     ----------
@@ -99,7 +122,17 @@ def plate(cos_theta: ArrayLike, n: ArrayLike, transmittance: ArrayLike) -> tuple
         series = (1 - f) ** 2 * passage / ((1 - f * passage) * (1 + f * passage))
         reflected.append(f + series * passage * f)
         transmitted.append(series)
-    return np.asarray(sum(reflected) / 2), np.asarray(sum(transmitted) / 2)
+    return Plate(*reflected, *transmitted)
+
+
+def internal_of_plate(transmittance: float, n: float) -> float:
+    """Internal transmittance [1] of a plate from its transmittance at normal incidence, reflections included; above 1 if none has it.
+
+    The root of F² T τ² + (1 − F)² τ − T = 0, which :func:`polarised_plate` gives at normal incidence.
+    """
+    f = float(fresnel(1.0, n).mean)
+    through = (1 - f) ** 2
+    return 2 * transmittance / (through + math.sqrt(through**2 + (2 * f * transmittance) ** 2))
 
 
 def reflectance_of(n: Array, k: Array) -> Callable[[Array], Array]:

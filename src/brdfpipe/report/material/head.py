@@ -10,7 +10,7 @@ from itertools import groupby
 import xarray as xr
 from markupsafe import Markup
 
-from brdfpipe.appearance.quantities import AppearanceQuantity, quantities
+from brdfpipe.appearance.quantities import AppearanceQuantity, quantities, quantities_on_request
 from brdfpipe.report.formatting import length, number, value_with_u
 from brdfpipe.report.plots.svg import Figure, png
 
@@ -33,7 +33,8 @@ class KeyNumber:
 
 def key_numbers(datasets: Mapping[str, xr.Dataset]) -> Iterator[KeyNumber]:
     """Tiles of the quantities that are known and apply to the material."""
-    for title, group in groupby(quantities(), key=lambda quantity: quantity.tile or quantity.label):
+    every = (*quantities(), *quantities_on_request())
+    for title, group in groupby(every, key=lambda quantity: quantity.tile or quantity.label):
         values = {quantity: quantity.value(datasets) for quantity in group}
         if any(math.isfinite(value) for value in values.values()):
             texts, units = zip(
@@ -50,7 +51,7 @@ def _value_and_unit(quantity: AppearanceQuantity, value: float, u: float) -> tup
     if quantity.percent:
         return value_with_u(100 * value, 100 * u, max(quantity.decimals - 2, 0)), "%"
     text = number(value, quantity.significant) if quantity.significant else value_with_u(value, u, quantity.decimals)
-    return text, "" if quantity.unit == "1" else quantity.unit
+    return text, {"1": "", "cd m-2": "cd/m²"}.get(quantity.unit, quantity.unit)
 
 
 def picture(preview: xr.Dataset | None) -> Figure | None:
