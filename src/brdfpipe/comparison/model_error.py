@@ -11,8 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from brdfpipe import vocabulary
-from brdfpipe.appearance.apertures import Rule, sample_of
-from brdfpipe.appearance.gloss_meter import gloss, gloss_at
+from brdfpipe.appearance.gloss_meter import gloss
 from brdfpipe.appearance.validity import ERROR_LIMITS, GLOSS_LIMITS, LARGEST_JUDGED, REFERENCES, certain_error
 from brdfpipe.bsdf import kirchhoff, traced
 from brdfpipe.bsdf.change_variables import MODEL_INCIDENCES, MODEL_REGIONS
@@ -20,6 +19,7 @@ from brdfpipe.bsdf.nonspectral import nonspectral, normalised_response
 from brdfpipe.bsdf.reference_solution import GEOMETRIC, WAVELENGTH, facet_smoothness, holds, phase_variance
 from brdfpipe.bsdf.registry import representation
 from brdfpipe.bsdf.representations.kirchhoff import Kirchhoff
+from brdfpipe.comparison.diffracted_gloss import diffracted_gloss
 from brdfpipe.comparison.lobe_bins import LobeBins, gloss_by_bin
 from brdfpipe.errors import VocabularyError
 from brdfpipe.geometry import Array
@@ -49,7 +49,6 @@ MOST_HEIGHTS = 2048
 _LEAST_RETURNED = 0.95
 """Share of the light along the normal that diffraction on a map must return."""
 
-_APERTURES = Rule((2, 3), 4)  # of changes of gloss
 _LINES = 256
 
 
@@ -92,7 +91,7 @@ def model_error(
     the mean over azimuth. Of a line profile, masking alone is compared.
 
     The uncertainty of traced light is the noise of the rays on this map, and :data:`BIN_ERROR`; that of diffracted light the scatter between
-    blocks of the map.
+    blocks of the map, and that of its gloss also the scatter by speckle between maps: they are of the surface, and the prediction shares the map.
     """
     scans = [surface] if isinstance(surface, xr.Dataset) else list(surface)
     surface = vocabulary.validate(scans[0], "surface")
@@ -109,7 +108,8 @@ def model_error(
     diffraction = None
     if (held[1] & ~held[0]).any():
         try:
-            diffraction = _diffraction(_middle(surface), index)
+            middle = _middle(surface)
+            diffraction = _diffraction(middle, index), _measured_area(middle)
         except HeightMapError as error:
             refusals["kirchhoff"] = str(error)
     held[1] &= diffraction is not None
@@ -125,7 +125,7 @@ def model_error(
         if name == "traced" and held[0, row]:
             return _traced_light(meshes, model, index, prediction, rays_each, seed)
         if name == "kirchhoff" and held[1, row] and diffraction is not None:
-            return _diffracted_light(diffraction, prediction)
+            return _diffracted_light(*diffraction, prediction)
         return _UNKNOWN
 
     lights = [
@@ -213,6 +213,11 @@ def _middle(surface: xr.Dataset) -> xr.Dataset:
             if size > MOST_HEIGHTS
         }
     )
+
+
+def _measured_area(surface: xr.Dataset) -> float:
+    """Area of the measured heights of a map [um2]."""
+    return float(surface["height"].notnull().sum()) * surface.attrs["pitch_x"] * surface.attrs["pitch_y"]
 
 
 # --- what is compared
@@ -331,7 +336,7 @@ def _traced_light(
     return _Light(light, relative_u, value, float(np.hypot(np.sqrt(units**2 @ variance), GLOSS_BIN_ERROR * value)))
 
 
-def _diffracted_light(reference: xr.Dataset, prediction: _Prediction) -> _Light:
+def _diffracted_light(reference: xr.Dataset, area: float, prediction: _Prediction) -> _Light:
     one, lobe = representation(reference), prediction.lobe
     if lobe.phi_i is not None or not isinstance(one, Kirchhoff):
         return _UNKNOWN
@@ -340,10 +345,7 @@ def _diffracted_light(reference: xr.Dataset, prediction: _Prediction) -> _Light:
     relative_u = np.hypot(np.sqrt(np.square(changes).sum(axis=0)) / np.maximum(light, 1e-300), BIN_ERROR)
     if lobe.theta_i not in GLOSS_ANGLES:
         return _Light(light, relative_u)
-    value, sample = float(gloss(reference, [lobe.theta_i])[0]), sample_of(reference, None)
-    units = [gloss_at(sample, lobe.theta_i, np.zeros(1), _APERTURES, reflector)[0] for reflector in (one, *one.changed)]
-    scatter = np.sqrt(np.square(np.array(units[1:]) - units[0]).sum())
-    return _Light(light, relative_u, value, float(np.hypot(scatter, BIN_ERROR * value)))
+    return _Light(light, relative_u, *diffracted_gloss(reference, area, lobe.theta_i))
 
 
 def _by_region(one: Kirchhoff, prediction: _Prediction) -> Array:

@@ -152,6 +152,7 @@ class Diffraction(NamedTuple):
     """U/q² [um2 per (rad/um)²], (q, f), with nodes of q so close that both axes are linear between them"""
     relative_u: Array
     coherent: Array
+    """Share of the mirror reflection, with the close nodes of q"""
     phase: Array
     frequency: Array
     scale: float
@@ -165,7 +166,7 @@ class Diffraction(NamedTuple):
         return cls(
             _between_rings(np.exp(PchipInterpolator(node, values)(close)), bsdf[_NODES[1]].values),
             _relative_u(bsdf),
-            bsdf["coherent_share"].values,
+            PchipInterpolator(node, bsdf["coherent_share"].values)(close),
             bsdf[_NODES[0]].values,
             bsdf[_NODES[1]].values,
             float(bsdf["frequency_scale"]),
@@ -209,9 +210,18 @@ class Diffraction(NamedTuple):
     def coherent_share(self, cosine: Array, wavelength: Array) -> Array:
         """Share of the mirror reflection that is coherent, of cos θ_i (…, 1) at wavelengths [nm]."""
         phase = 4e3 * np.pi * cosine / wavelength
-        share = np.interp(phase, self.phase, self.coherent)
+        share = np.interp(phase, np.geomspace(self.phase[0], self.phase[-1], self.coherent.size), self.coherent)
         below = np.minimum(phase / self.phase[0], 1.0) ** 2
         return np.where(phase < self.phase[0], 1 - below * (1 - self.coherent[0]), share)
+
+    def at_phase(self, phase: float) -> tuple[Array, Array]:
+        """Frequencies [um-1], six to a ring, and the spectrum U [um2] there at one q [rad/um]."""
+        number = np.arange(self.spectrum.shape[1]) / _CLOSER_RINGS
+        ring = np.arcsinh(self.frequency[1] / self.scale)
+        row = max(np.log(phase / self.phase[0]) / np.log(self.phase[1] / self.phase[0]), 0.0)
+        at = np.full(number.size, _CLOSER * row), np.arange(number.size)
+        values = map_coordinates(self.spectrum, at, order=1, mode="nearest") * phase**2
+        return self.scale * np.sinh(ring * number), values
 
     def lobe_slope(self, wavelength: float) -> float:
         """Slope at which the light has half its peak, at normal incidence and a wavelength [nm]."""
