@@ -390,6 +390,12 @@ QUANTITIES: Mapping[str, Quantity] = {
     "model_gloss_error": Quantity(
         "1", "error of the gloss of a model [gloss units], as a standard uncertainty with its sign", missing=True
     ),
+    "reference_gloss_u": Quantity(
+        "1",
+        "standard uncertainty of the gloss it is compared with [gloss units], by the finite map that both are of",
+        0,
+        missing=True,
+    ),
     # Comparison of two routes
     "brdf_model": Quantity("sr-1", "bidirectional reflectance distribution function of a model", 0),
     "ratio": Quantity("1", "measured over modelled value; missing where not used", missing=True),
@@ -634,7 +640,7 @@ KINDS: Mapping[str, Kind] = {
         {},
         optional={
             **{key: [("error_theta", "region")] for key in ("relative_error", "transmitted_loss", "unresolved_loss")},
-            "model_gloss_error": [("error_gloss_angle",)],
+            **{key: [("error_gloss_angle",)] for key in ("model_gloss_error", "reference_gloss_u")},
         },
         attributes=("uncertainty_not_stated",),
     ),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import random_surfaces
 import xarray as xr
-from samples import beckmann, beckmann_bsdf, coarse_albedo_tables, spectrum, surface
+from samples import beckmann, beckmann_bsdf, coarse_albedo_tables, gaussian_surface, spectrum, surface
 
 from brdfpipe import facets, optics, vocabulary
 from brdfpipe import psd as roughness
@@ -23,19 +23,21 @@ def with_model_error(
     relative: float,
     of_gloss: tuple[float, ...] = (),
     last: float = 75.0,
-    psd: xr.Dataset | None = None,
+    of_map: tuple[float, ...] = (0.0, 0.0),
+    **inputs: xr.Dataset,
 ) -> xr.Dataset:
     """A BSDF with the same relative error up to a last incidence and not known at 85°, and errors of gloss at 20 and 60°."""
     values = np.full((3, 3), relative)
     values[2] = np.nan
     axes = {"theta_i": [0.0, last, 85.0], "region": ["peak", "shoulder", "rest"]}
-    gloss_error = xr.DataArray([*of_gloss, np.nan], {"gloss_angle": [20.0, 60.0, 85.0]}) if of_gloss else None
+    of_both = {"model_gloss_error": of_gloss, "reference_gloss_u": of_map}
+    own = {name: ("gloss_angle", [*known, np.nan]) for name, known in of_both.items()}
     changes = uncertainty(
         bsdf,
         relative_error=xr.DataArray(values, axes, ("theta_i", "region")),
-        gloss_error=gloss_error,
+        gloss_error=xr.Dataset(own, {"gloss_angle": [20.0, 60.0, 85.0]}) if of_gloss else None,
         spectrum=spectrum(0.3),
-        psd=psd,
+        **inputs,
     )
     return bsdf.merge(changes, combine_attrs="override")
 
@@ -118,6 +120,20 @@ def test_light_that_finer_roughness_may_scatter_adds_to_a_known_error_of_gloss()
     of_both, of_finer = (compute_appearance(one)["gloss_u_source"].sel(source="model")[:2] for one in (bsdf, finer))
     assert (of_finer > 1).all()
     np.testing.assert_allclose(of_both, np.hypot([3.0, 4.0], of_finer.values))
+
+
+def test_that_a_map_is_finite_counts_once():
+    counted = facets.estimate(gaussian_surface(128, correlation=8.0), isotropic=True)
+    bsdf = microfacet.build(counted, index=1.5, multiple_scattering="none")
+    of_facets = compute_appearance(bsdf.merge(uncertainty(bsdf, facets=counted), combine_attrs="override"))
+    u = of_facets["gloss_u_source"].sel(source="facets").values[:2]
+    assert (u > 0.01).all()
+    # The reference knows the surface half as well at 20 degree as the facets, and twice as well at 60.
+    error = 0.3 * u
+    given = with_model_error(bsdf, 0.1, tuple(error), of_map=(2 * u[0], 0.5 * u[1]), facets=counted)
+    parts = compute_appearance(given)["gloss_u_source"][:, :2]
+    np.testing.assert_allclose(parts.sel(source="facets"), u)
+    np.testing.assert_allclose(parts.sel(source="model"), [np.hypot(error[0], np.sqrt(3) * u[0]), error[1]])
 
 
 def test_a_colour_beyond_the_last_known_incidence_has_no_error_of_the_model():

@@ -68,6 +68,16 @@ def test_mirror_reflection_is_the_coherent_share():
     assert mirrored[3] == 0
 
 
+def test_the_coherent_share_between_the_nodes_of_the_phase_is_that_of_the_heights():
+    bsdf, theta = diffracted(0.05), np.linspace(0, 85, 200)
+    cosine = np.cos(np.radians(theta))
+    found = representation(bsdf).specular(theta, np.zeros(200), None)[0][:, 0] / fresnel(cosine, 1.5).mean
+    # −ln(share)/q², the mean square height, hardly changes from node to node.
+    phase = bsdf["phase_per_height"].values
+    square = np.interp(4 * np.pi * cosine / 0.55, phase, -np.log(bsdf["coherent_share"].values) / phase**2)
+    np.testing.assert_allclose(found, np.exp(-((4 * np.pi * cosine / 0.55) ** 2) * square), atol=1.5e-3)
+
+
 def test_all_light_is_fresnels_reflectance():
     bsdf = diffracted(0.05)
     theta = np.array([0.0, 30.0, 60.0])

@@ -65,7 +65,7 @@ def test_a_region_without_light_has_the_error_of_its_neighbour_and_no_incidence_
     np.testing.assert_allclose(error, [[0.1, 0.2, 0.2], [0.1, 0.2, 0.3], [0.1, 0.1, 0.1]])
 
 
-def test_the_error_of_gloss_has_its_sign_and_its_uncertainty():
+def test_the_error_of_gloss_has_its_sign_and_of_rays_their_noise():
     error = np.array([[[-36.0, 2.0, np.nan]], [[-30.0, 3.0, 4.0]]])
     result = xr.Dataset(
         {
@@ -75,4 +75,7 @@ def test_the_error_of_gloss_has_its_sign_and_its_uncertainty():
         },
         {"reference": REFERENCES, "plane": PLANES[:1], "gloss_angle": [20.0, 60.0, 85.0]},
     )
-    np.testing.assert_allclose(gloss_error(result), [-np.hypot(36, 0.5), np.hypot(3, 0.5), np.nan])
+    found = gloss_error(result)
+    np.testing.assert_allclose(found["model_gloss_error"], [-np.hypot(36, 0.5), 3.0, np.nan])
+    # The prediction shares the map of diffraction, and not the rays.
+    np.testing.assert_allclose(found["reference_gloss_u"], [0.0, 0.5, np.nan])

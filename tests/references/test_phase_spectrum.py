@@ -177,6 +177,13 @@ def test_blocks_with_missing_heights_are_left_out():
     assert found.coherent[-1] == pytest.approx(np.exp(-((found.phase[-1] * 0.05) ** 2)), rel=0.1)
 
 
+def test_no_group_of_blocks_changes_a_ring_by_more_than_its_light():
+    # The first ring of a block holds one mode, and the mirror image takes more from it here than there is.
+    height = random_surfaces.heights(random_surfaces.gaussian(0.013, 5.0), (256, 256), (0.5, 0.5), 303)
+    found = phase_spectrum(samples.surface(height, (0.5, 0.5)), 4 * np.pi / WAVELENGTH)
+    assert np.abs(found.changes).max() < 1
+
+
 @pytest.mark.parametrize(
     ("size", "missing"), [(256, 0.003), (256, 0.01), pytest.param(1024, 5e-4, marks=pytest.mark.slow)]
 )

@@ -29,6 +29,8 @@ from brdfpipe.spectra import colorimetry
 INSTRUMENT = "instrument"
 """Source of the tolerances of instruments."""
 
+_OF_MAP = "facets", "psd"
+"""Sources of the chance that a finite map is not the mean of its surface."""
 _RULE = Rule((2, 3), 3)
 """Accurate to 1 % of a change."""
 _TURNS = np.arange(8) * 22.5
@@ -137,17 +139,38 @@ def _meter_parts(
     if {20.0, 60.0} <= set(angles):
         parts["haze"] = changes.by_source(of_gloss[:, angles.index(60.0)] - of_gloss[:, angles.index(20.0)])
     if MODEL in parts["gloss"] and "model_gloss_error" in bsdf:
-        error = bsdf["model_gloss_error"].reindex(error_gloss_angle=angles).values
         finer = _finer_roughness(sample.bsdf)
-        of_finer = np.zeros(given.size) if finer is None else measured(finer) - given
-        # What a region reflects too much may still enter the receptor: where the error of gloss itself is known, it takes the place of that.
-        parts["gloss"][MODEL] = _known_error(error, of_finer[: len(angles)], parts["gloss"][MODEL])
-        if "haze" in parts:
-            low, high = angles.index(20.0), angles.index(60.0)
-            parts["haze"][MODEL] = _known_error(
-                error[high] - error[low], of_finer[high] - of_finer[low], parts["haze"][MODEL]
-            )
+        of_finer = (np.zeros(given.size) if finer is None else measured(finer) - given)[: len(angles)]
+        parts |= _known_errors(parts, bsdf, angles, of_finer)
     return dict(parts)
+
+
+def _known_errors(
+    parts: Mapping[str, dict[str, Array]], bsdf: xr.Dataset, angles: list[float], of_finer: Array
+) -> dict[str, dict[str, Array]]:
+    """Gloss and haze with the error of gloss that a reference states instead of that of the light by region: light that a region reflects too much
+    may still enter the receptor.
+
+    The reference is of the map that was counted. That it is finite counts once: as that of facets and spectrum, and here by what it makes of the
+    reference beyond that. ``of_finer`` is the change of gloss by finer roughness, of which neither knows.
+    """
+    error, of_map = (
+        bsdf[name].reindex(error_gloss_angle=angles).values for name in ("model_gloss_error", "reference_gloss_u")
+    )
+    counted = sum((np.square(parts["gloss"].get(name, np.zeros_like(error))) for name in _OF_MAP), np.zeros_like(error))
+    beyond = np.sqrt(np.maximum(np.square(of_map) - counted, 0.0))
+
+    def known(own: Array, others: Array, of_light: Array) -> Array:
+        return np.where(np.isfinite(own), np.sqrt(own**2 + others), of_light)
+
+    others = beyond**2 + of_finer**2
+    result = {"gloss": parts["gloss"] | {MODEL: known(error, others, parts["gloss"][MODEL])}}
+    if "haze" in parts:
+        low, high = angles.index(20.0), angles.index(60.0)
+        others_of_haze = beyond[low] ** 2 + beyond[high] ** 2 + (of_finer[high] - of_finer[low]) ** 2
+        own = error[high] - error[low]
+        result["haze"] = parts["haze"] | {MODEL: known(own, others_of_haze, parts["haze"][MODEL])}
+    return result
 
 
 def _finer_roughness(bsdf: xr.Dataset) -> Reflector | None:
@@ -155,11 +178,6 @@ def _finer_roughness(bsdf: xr.Dataset) -> Reflector | None:
     if "unresolved_loss" not in bsdf:
         return None
     return SourceChanges(without_changes(bsdf).assign(relative_error=bsdf["unresolved_loss"])).changed[0]
-
-
-def _known_error(error: Array, of_finer: Array, of_light: Array) -> Array:
-    """The error of a quantity that a reference states, and that by finer roughness; where it states none, what the error of light by region gives."""
-    return np.where(np.isfinite(error), np.hypot(error, of_finer), of_light)
 
 
 def _colour_parts(

@@ -75,7 +75,7 @@ def uncertainty(
     index: xr.Dataset | None = None,
     spectrum: xr.Dataset | None = None,
     relative_error: xr.DataArray | None = None,
-    gloss_error: xr.DataArray | None = None,
+    gloss_error: xr.Dataset | None = None,
 ) -> xr.Dataset:
     """Changes of a predicted BSDF by the uncertainties of its inputs.
 
@@ -94,7 +94,7 @@ def uncertainty(
     Returns
     -------
     Dataset of kind ``uncertainty``: ``<variable>_change`` of variables of the BSDF, ``uncertainty_source`` of each change,
-    ``relative_error``, with its part ``unresolved_loss`` by roughness finer than the pitch, and ``model_gloss_error``. The attribute
+    ``relative_error``, with its part ``unresolved_loss`` by roughness finer than the pitch, ``model_gloss_error`` and ``reference_gloss_u``. The attribute
     ``uncertainty_not_stated`` names the inputs whose uncertainty is not known, as
     ``model beyond 60°`` where it is known of some incidences: none is assumed
 
@@ -128,7 +128,7 @@ def uncertainty(
     if relative_error is not None and relative_error.notnull().any():
         result = result.assign(relative_error=relative_error.rename(theta_i="error_theta"))
         if gloss_error is not None:
-            result = result.assign(model_gloss_error=gloss_error.rename(gloss_angle="error_gloss_angle"))
+            result = result.merge(gloss_error.rename(gloss_angle="error_gloss_angle"))
         known = relative_error["theta_i"].values[relative_error.notnull().any("region").values]
         beyond = [f"{MODEL} beyond {known[-1]:g}°"] if known[-1] < relative_error["theta_i"].values[-1] else []
         missing = [name for name in missing if name != MODEL] + beyond

@@ -37,8 +37,8 @@ def relative_error(result: xr.Dataset) -> xr.DataArray:
     return by_region.copy(data=values.T).rename("relative_error")
 
 
-def gloss_error(result: xr.Dataset) -> xr.DataArray:
-    """Predicted less reference gloss as a standard uncertainty: √(error² + u²), with the sign of the error.
+def gloss_error(result: xr.Dataset) -> xr.Dataset:
+    """Predicted less reference gloss as a standard uncertainty, and the uncertainty of the reference that the prediction shares.
 
     Parameters
     ----------
@@ -46,13 +46,18 @@ def gloss_error(result: xr.Dataset) -> xr.DataArray:
 
     Returns
     -------
-    DataArray [gloss units] over ``gloss_angle`` [degree], of traced rays where they hold, else of diffraction, else NaN; the largest of the
-    planes of incidence
+    Dataset over ``gloss_angle`` [degree], of traced rays where they hold, else of diffraction, else NaN; of the plane of incidence with the largest
+    error. ``model_gloss_error`` [gloss units] has the sign of the error: of rays √(error² + u²), because their noise is theirs alone, and of
+    diffraction the error. ``reference_gloss_u`` [gloss units] is 0 of rays, and of diffraction its uncertainty, because the map is finite from
+    which the prediction was made too
     """
-    error = result["gloss_error"].where(result["gloss_valid"] > 0)
-    signed = xr.DataArray(np.copysign(np.hypot(error, result["gloss_error_u"]), error))
+    error, u = result["gloss_error"].where(result["gloss_valid"] > 0), result["gloss_error_u"]
+    of_rays = u["reference"] == "traced"
+    signed = xr.DataArray(np.copysign(np.hypot(error, u.where(of_rays, 0.0)), error))
     largest, least = signed.max("plane"), signed.min("plane")
-    return _of_best_reference(largest.where(largest >= -least, least)).rename("model_gloss_error")
+    of_map = u.where(~of_rays, 0.0).where(error.notnull()).max("plane")
+    by_name = {"model_gloss_error": largest.where(largest >= -least, least), "reference_gloss_u": of_map}
+    return xr.Dataset({name: _of_best_reference(values) for name, values in by_name.items()})
 
 
 def _of_best_reference(values: xr.DataArray) -> xr.DataArray:

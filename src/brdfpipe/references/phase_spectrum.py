@@ -239,14 +239,15 @@ def _block_light(field: NDArray[np.complex64], rings: FrequencyRings) -> Array:
 def _changes(by_block: Array, light: Array) -> tuple[Array, Array]:
     """Relative changes (block, ring) of the light of the map by ring, and changes of its coherent share (block,), from the light of the blocks.
 
-    The mean over blocks has the changes (value of the block − mean)/√(n (n − 1)), whose squares add to its variance. Rings in which no block has light change
-    as the next.
+    The mean over blocks has the changes (value of the block − mean)/√(n (n − 1)), whose squares add to its variance. They are relative to the mean
+    size of the light: in rings of few modes what the mirror image doubles may take more than there is, and the mean be next to 0. Rings in which no
+    block has light change as the next.
     """
     deviation = (by_block - by_block.mean(axis=0)) / np.sqrt(len(by_block) * (len(by_block) - 1))
-    coherent, mean = -deviation[:, -1], by_block[:, :-1].mean(axis=0)
-    known = mean > 0
-    relative = deviation[:, :-1] / np.where(known, mean, 1.0)
-    place = np.arange(mean.size)
+    coherent, size = -deviation[:, -1], np.abs(by_block[:, :-1]).mean(axis=0)
+    known = size > 0
+    relative = deviation[:, :-1] / np.where(known, size, 1.0)
+    place = np.arange(size.size)
     relative = np.array([np.interp(place, place[known], one[known]) for one in relative])
     # All light remains.
     relative -= ((relative @ light + coherent) / light.sum())[:, None]
