@@ -1,10 +1,20 @@
 """The error of a model as a standard uncertainty of what it predicts."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
+import random_surfaces
+import samples
 import xarray as xr
 
+from brdfpipe import facets
+from brdfpipe import psd as roughness
+from brdfpipe.appearance.computation import compute_appearance
+from brdfpipe.bsdf import microfacet, wave
+from brdfpipe.bsdf.input_uncertainty import uncertainty
 from brdfpipe.comparison.error_as_uncertainty import LARGEST_ERROR, gloss_error, relative_error
+from brdfpipe.comparison.model_error import model_error
 
 PLANES = ["along the lay", "across the lay"]
 REFERENCES = ["traced", "kirchhoff"]
@@ -79,3 +89,43 @@ def test_the_error_of_gloss_has_its_sign_and_of_rays_their_noise():
     np.testing.assert_allclose(found["model_gloss_error"], [-np.hypot(36, 0.5), 3.0, np.nan])
     # The prediction shares the map of diffraction, and not the rays.
     np.testing.assert_allclose(found["reference_gloss_u"], [0.0, 0.5, np.nan])
+
+
+def predicted_gloss(parts: list[tuple[float, float]], pitch: float, seed: int) -> tuple[np.ndarray, ...]:
+    """Gloss at 20, 60 and 85 degree predicted from a map of 256² Gaussian heights, its stated uncertainty without that of the instrument, and the gloss
+    of the reference solution (NaN where none holds)."""
+
+    def spectrum(frequency: np.ndarray) -> np.ndarray:
+        return sum(random_surfaces.gaussian(*part)(frequency) for part in parts)
+
+    scan = samples.surface(random_surfaces.heights(spectrum, (256, 256), (pitch, pitch), seed), (pitch, pitch))
+    counted, psd = facets.estimate(scan, isotropic=True, noise=0.0), roughness.estimate(scan, noise=0.0)
+    with samples.coarse_albedo_tables():
+        predicted = microfacet.build(counted, index=1.5, multiple_scattering="none")
+        bsdf = wave.build(psd, index=1.5, facets=counted, predicted=predicted, optics="auto", wavelength=[550.0])
+    compared = model_error(scan, bsdf, counted)
+    errors = {"relative_error": relative_error(compared), "gloss_error": gloss_error(compared)}
+    changes = uncertainty(bsdf, facets=counted, psd=psd, **errors)
+    appearance = compute_appearance(bsdf.merge(changes, combine_attrs="override"))
+    parts_of_u = np.nan_to_num(appearance["gloss_u_source"].drop_sel(source="instrument").values)
+    reference = compared["reference_gloss"].max("reference").isel(plane=0)
+    return appearance["gloss"].values, np.sqrt(np.square(parts_of_u).sum(axis=0)), reference.values
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("parts", "pitch"),
+    [([(0.1, 20.0), (0.02, 1.0)], 0.5), ([(0.05, 5.0)], 0.5), ([(0.013, 5.0)], 0.5), ([(0.57, 8.0)], 1.0)],
+    ids=["waves with fine roughness", "50 nm", "13 nm", "slope 0.1"],
+)
+def test_gloss_of_twelve_maps_is_as_far_from_that_of_the_surface_as_each_states(parts, pitch):
+    gloss, u, reference = map(
+        np.array, zip(*(predicted_gloss(parts, pitch, seed) for seed in range(1000, 1012)), strict=True)
+    )
+    known = np.isfinite(reference).all(axis=0)
+    # Gloss of the surface: the mean of the references, which share the maps; where none holds, that of the predictions.
+    bias = np.where(known, (gloss - reference).mean(axis=0), 0.0)
+    error = np.sqrt(gloss.var(axis=0, ddof=1) + bias**2)
+    ratio = np.sqrt(np.mean(u**2, axis=0)) / error
+    assert (ratio > 0.6).all()
+    assert (ratio < 2).all()
