@@ -13,6 +13,8 @@ import hypothesis
 import pytest
 from filelock import FileLock
 
+from brdfpipe.jobs import pool
+
 PROJECT = Path(__file__).parents[1]
 
 EXAMPLES = 12
@@ -35,6 +37,8 @@ def pytest_configure(config: pytest.Config) -> None:
         "markers", "cases(n): `make test` runs n of the test's cases, evenly spread; `make test-full` runs all"
     )
     hypothesis.settings.load_profile("random" if config.getoption("--slow") else "repeatable")
+    # The server of the stages' workers starts once in this process, often for a test without real stages.
+    pool.preload(pool.PRELOADED_WHERE_USED)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -43,11 +43,12 @@ def build_finishes(base: Path, slow: bool) -> None:
     for file, value in (("frosted/a.txt", 0.05), ("brushed/r.txt", 0.2)):
         rows = "".join(f"{nm} {value}\n" for nm in range(380, 741, 20))
         (base / "catalogue" / file).write_text(f"nm a\n{rows}")
-    # Coarse tables and few fits: what is in them is not the question here.
+    # Coarse tables, few fits and no reflectance haze: what is in them is not the question here.
     settings = base / "settings.yaml"
     settings.write_text(
         "table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}\n"
         "lambert_gauss: {theta_i: [0, 45]}\n"
+        "appearance: {haze: []}\n"
         f"preview: {str(slow).lower()}\n"
     )
     summary = build_catalogue(base / "catalogue", base / "results", cores=2, config=settings)

@@ -30,10 +30,12 @@ MadeOnce = Callable[[str, Callable[[Path], None]], Path]
 
 COARSE = """\
 preview: false
+gloss_angles: [60]
+appearance: {haze: []}
 table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}
 lambert_gauss: {theta_i: [0, 45]}
 """
-"""Settings of builds whose tables and pictures no test reads."""
+"""Settings of builds whose tables, pictures, gloss and haze no test reads."""
 
 
 @pytest.fixture(scope="session")
@@ -289,7 +291,7 @@ def test_several_scans_filters_and_directions_reach_the_facets(tmp_path: Path) -
         np.savetxt(lines / name, np.cumsum(rng.normal(scale=sigma, size=5000)), header="unit: um")
     (lines / "material.yaml").write_text(
         "surface: {file: along.txt, layout: line, pitch: 1.0, scans: [{file: across.txt, azimuth: 90}]}\nindex: PP\n"
-        "model: {optics: facets, truth: none}\n"
+        "model: {optics: facets, truth: none}\nexports: []\n"
     )
     maps = tmp_path / "catalogue" / "maps"
     maps.mkdir()
@@ -297,7 +299,8 @@ def test_several_scans_filters_and_directions_reach_the_facets(tmp_path: Path) -
         np.save(maps / name, samples.gaussian_surface(128, seed=seed, correlation=4)["height"].values)
     shared = "file: a.npy, unit: um, pitch: 1.0"
     (maps / "material.yaml").write_text(
-        f"surface: {{{shared}, lambda_s: 5.0, scans: [{{file: b.npy}}]}}\nindex: PP\nmodel: {{optics: facets, truth: none}}\n"
+        f"surface: {{{shared}, lambda_s: 5.0, scans: [{{file: b.npy}}]}}\nindex: PP\n"
+        "model: {optics: facets, truth: none}\nexports: []\n"
     )
     settings = tmp_path / "settings.yaml"
     settings.write_text(COARSE)

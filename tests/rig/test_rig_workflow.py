@@ -45,10 +45,10 @@ def use_calibration(folder: Path, calibration: str) -> None:
 
 
 def build(folder: Path, results: Path, **options: bool) -> Summary:
-    """Build with coarse tables and without pictures: no test reads them."""
+    """Build with coarse tables, gloss at one angle, and without haze and pictures: no test reads them."""
     settings = folder.parent / "settings.yaml"
     settings.write_text(
-        "preview: false\nlambert_gauss: {theta_i: [0, 45]}\n"
+        "preview: false\nlambert_gauss: {theta_i: [0, 45]}\ngloss_angles: [60]\nappearance: {haze: []}\n"
         "table: {theta_i: [0, 45], theta_o: [0, 30, 45, 60], phi_o: [0, 90, 180], refine: false}\n"
     )
     return build_catalogue(folder, results, cores=2, config=settings, **options)
