@@ -8,6 +8,7 @@ results_of, raw_file = pipeline.results_of, pipeline.raw_file
 
 
 wildcard_constraints:
+    scene="(scenes/[A-Za-z0-9][A-Za-z0-9._-]*/)?",
     material="[A-Za-z0-9][A-Za-z0-9._-]*",
     calibration="[A-Za-z0-9][A-Za-z0-9._-]*",
     scan=r"\d+",
@@ -39,6 +40,5 @@ pipeline.declare_stage_properties(workflow)
 rule all:
     default_target: True
     input:
-        rules.catalogue.output,
         # All files, so that a deleted one is made again.
         pipeline.files(),

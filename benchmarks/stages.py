@@ -144,13 +144,20 @@ def rule_inputs() -> dict[str, list[str]]:
             stages = re.findall(r'^\s+(\w+)="\{material\}', source, re.M)
             for arguments in re.findall(r"results_of\(([^)]*)\)", source):
                 stages += re.findall(r'"(\w+)"', arguments)
-            found_by = [getattr(Pipeline, method).__doc__ for method in re.findall(r"=pipeline\.(\w+),", source)]
+            found_by = [
+                getattr(Pipeline, method).__doc__ for method in re.findall(r"(?:=|unpack\()pipeline\.(\w+)\)?,", source)
+            ]
             inputs[name] = [
                 *(f"`{stage}`" for stage in stages),
                 *["raw files"] * ("raw_file(" in source),
                 *(text[0].lower() + text[1:].rstrip(".") for text in found_by),
             ]
-    return {**inputs, "report": ["all datasets with a kind"], "catalogue": ["`report`"]}
+    return {
+        **inputs,
+        "report": ["all datasets with a kind"],
+        "summary": ["all datasets with a kind"],
+        "catalogue": ["`summary`"],
+    }
 
 
 def formats() -> Iterable[Row]:

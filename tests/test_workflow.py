@@ -78,7 +78,7 @@ def test_every_dataset_has_its_material_stage_and_digest(built: tuple[Path, Path
     for path in paths:
         dataset = store.verify_digest(store.open_dataset(path), path.name)
         assert dataset.attrs["material"] == path.parent.name
-        assert dataset.attrs["stage"] == ("report" if path.stem == "summary" else path.stem)
+        assert dataset.attrs["stage"] == path.stem
     assert len(paths) == 18 + 10 + 10 + 18
 
 
@@ -148,6 +148,25 @@ def test_an_edit_changes_the_digests_of_that_material_alone(built: tuple[Path, P
     assert build_catalogue(catalogue, results, cores=2, config=settings).built == ("paint-lab",)
     after = lock(results)
     assert {name for name in before if before[name] != after[name]} == {"paint-lab"}
+
+
+def test_a_scene_computes_its_part_beside_the_default_one(built: tuple[Path, Path], results: Path) -> None:
+    folder, undamaged = built
+    summary = build_catalogue(folder, results, cores=2, scene="gloss-sheet")
+    assert summary.failures == {}
+    assert summary.jobs == 3 * len(EXAMPLES) + 1  # BSDF without uncertainties, gloss and row of each, and the catalogue
+    place = results / "scenes" / "gloss-sheet"
+    gloss, whole = (store.open_dataset(path / "abs-grain" / "appearance.nc") for path in (place, results))
+    assert np.array_equal(gloss["gloss"], whole["gloss"])
+    assert not {"lab", "srgb", "luminous_reflectance"} & set(gloss.variables)
+    assert "gloss_u_source" not in gloss
+    table = pd.read_csv(place / "catalogue.csv", index_col="material")
+    assert table.loc["abs-grain", "gloss_60"] == pytest.approx(float(whole["gloss"].sel(gloss_angle=60)), rel=1e-5)
+    page = (place / "index.html").read_text()
+    assert '<a href="../../index.html">catalogue</a>' in page
+    assert "report.html" not in page
+    before, after = files(undamaged), files(results)
+    assert {name: after[name] for name in before} == before
 
 
 def test_damaged_results_are_computed_again_to_the_same_bytes(built: tuple[Path, Path], results: Path) -> None:

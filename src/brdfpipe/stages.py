@@ -33,12 +33,16 @@ from brdfpipe.masking.modes import (
     allows_several_reflections,
     optics_of,
 )
+from brdfpipe.scenes import geometries
+from brdfpipe.scenes.domain import Domain
+from brdfpipe.scenes.results import PARTS, RESULTS
 
 if TYPE_CHECKING:
     from brdfpipe.catalogue.calibration import Calibration
     from brdfpipe.catalogue.material import Material
     from brdfpipe.descriptions.keys import Keys
     from brdfpipe.rig.plan import Arrangement
+    from brdfpipe.scenes.scene import Scene
 
 Wildcards = Mapping[str, str]
 """Wildcards of a job beside its material or calibration: scan; or load, side and incidence."""
@@ -52,6 +56,28 @@ class Subject:
     config: Mapping[str, Any]
     arrangements: Sequence[Arrangement] = ()
     """Arrangements of its run of a camera rig."""
+    scene: Scene | None = None
+    """What the results are for; None for stages that all scenes share, which are the same whatever a scene asks for."""
+
+    def asks(self, *results: str) -> bool:
+        """Whether the scene asks for one of these results; always without a scene."""
+        return self.scene is None or self.scene.asks(*results)
+
+    @property
+    def exports(self) -> tuple[str, ...]:
+        """Formats of the files for other programs."""
+        named = tuple(self.owner.content["exports"])
+        return named if self.scene is None else self.scene.exports(named)
+
+    @property
+    def route(self) -> str:
+        """How the BSDF is obtained: measured, flake or predicted."""
+        return next((route for part, route in ROUTES if part in self.owner.content), "predicted")
+
+    @property
+    def predicts(self) -> bool:
+        """Whether a prediction is needed: as the BSDF, or beside a measured one."""
+        return self.route == "predicted" or self.asks("comparison")
 
     def section(self, path: str) -> Any:
         """A part of the description, as ``slab.back``; ``rig`` of a calibration is its whole description."""
@@ -116,6 +142,10 @@ class Stage:
     """Kind of its dataset; empty for a stage without one. By default the name of the script."""
     reported: bool = True
     """Whether the report reads that dataset."""
+    of_prediction: bool = False
+    """Whether only a prediction needs it."""
+    stands_for: str = ""
+    """Another stage in whose place its result is read, where a scene has this one instead."""
     intermediate: bool = False
     """Whether the result may be deleted: it is made again only when another stage that needs it runs."""
     memory: int = 500
@@ -129,7 +159,7 @@ class Stage:
 
     def jobs(self, subject: Subject) -> list[dict[str, str]]:
         """Wildcards of the jobs for a subject, beside its name; no job where the condition does not hold."""
-        if not self.when.holds(subject):
+        if not self.when.holds(subject) or (self.of_prediction and not subject.predicts):
             return []
         return [{}] if self.instances is None else self.instances(subject)
 
@@ -149,6 +179,13 @@ def _has(part: str, words: str = "") -> Condition:
 def _names_file(part: str, key: str) -> Condition:
     """The description names a raw file for a part."""
     return Condition(f"`{key}.file`", lambda subject: part in subject.owner.files)
+
+
+def _asked(*results: str) -> Condition:
+    """The scene asks for one of these results; ``exports``: for any format."""
+    named = [name for name in results if name in RESULTS]
+    words = f"a scene that asks for {' or '.join(f'`{name}`' for name in results)}"
+    return Condition(words, lambda subject: subject.asks(*named) or ("exports" in results and bool(subject.exports)))
 
 
 _MEASURED_RELIEF = _names_file("surface", "surface")
@@ -305,7 +342,51 @@ def _base_of_reference(subject: Subject, wildcards: Wildcards) -> dict[str, Any]
 
 
 def _route(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
-    return {"route": next((route for part, route in ROUTES if part in subject.owner.content), "predicted")}
+    return {"route": subject.route}
+
+
+def source_of_bsdf(subject: Subject) -> str:
+    """The stage whose dataset is the BSDF without the changes by the uncertainties of its inputs."""
+    if subject.route != "predicted":
+        return subject.route
+    return next(name for name in ("reference", "wave", "sheet", "predicted") if STAGES[name].jobs(subject))
+
+
+_EVERYWHERE = Domain({"hemisphere": {"theta_i": [0, 90], "phi_i": [0, 360]}})
+
+
+def _appearance_parts(subject: Subject) -> dict[str, list[Any]]:
+    """The parts of the appearance that the scene asks for → their geometries in its domain; gloss and haze without any are left out."""
+    from brdfpipe.appearance.colours import FLOP_GEOMETRIES, GEOMETRIES
+
+    further = subject.config["appearance"]
+    domain = _EVERYWHERE if subject.scene is None else subject.scene.domain
+    # Names of the flop index first: 45as45 is the same geometry as 45:0.
+    names = [*FLOP_GEOMETRIES, *GEOMETRIES, *further["geometries"]]
+    found: dict[str, list[Any]] = {
+        "gloss": geometries.gloss_angles(domain, subject.config["gloss_angles"]),
+        "haze": geometries.haze_windows(domain, further["haze"]),
+        "colour": geometries.colour_geometries(domain, names),
+    }
+    if found["colour"] == geometries.colour_geometries(_EVERYWHERE, names):
+        found["colour"] = []
+    wanted = PARTS if subject.scene is None else subject.scene.parts
+    return {part: found.get(part, []) for part in wanted if part not in ("gloss", "haze") or found[part]}
+
+
+def _appearance(subject: Subject) -> dict[str, Any]:
+    """The settings of the parts of the appearance that the scene asks for; defaults are left out, as in the default scene."""
+    config, parts = subject.config, _appearance_parts(subject)
+    settings: dict[str, Any] = {} if list(parts) == list(PARTS) else {"parts": list(parts)}
+    if "gloss" in parts:
+        settings["gloss_angles"] = parts["gloss"]
+    if "haze" in parts:
+        settings["haze"] = parts["haze"]
+    if "colour" in parts:
+        settings |= {"illuminant": config["illuminant"], "observer": config["observer"]}
+        own = {"geometries": parts["colour"], "standard_geometries": False}
+        settings |= own if parts["colour"] else {"geometries": config["appearance"]["geometries"]}
+    return settings
 
 
 def _interior(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
@@ -313,9 +394,12 @@ def _interior(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
     return ({} if "absorption" in slab else {"internal_transmittance": 1}) | slab
 
 
-def _report_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
-    content = subject.owner.content
-    return {"description": content.get("description", ""), "exports": sorted(content["exports"])}
+def _page_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    return {"description": subject.owner.content.get("description", ""), "exports": sorted(subject.exports)}
+
+
+def _row_parameters(subject: Subject, wildcards: Wildcards) -> dict[str, Any]:
+    return {"description": subject.owner.content.get("description", "")}
 
 
 # --- jobs
@@ -362,12 +446,12 @@ class Export(NamedTuple):
     @property
     def files(self) -> list[str]:
         """Patterns of the files, the main one first."""
-        return [f"{{material}}/exports/{{material}}{suffix}" for suffix in self.format.suffixes(self.side)]
+        return [f"{{scene}}{{material}}/exports/{{material}}{suffix}" for suffix in self.format.suffixes(self.side)]
 
     @property
     def stage(self) -> Stage:
         name = self.format.name
-        requested = Condition(f"`exports: [{name}]`", lambda subject: name in subject.owner.content["exports"])
+        requested = Condition(f"`exports: [{name}]`", lambda subject: name in subject.exports)
         return Stage(
             self.name,
             f"{self.format.description}: {self.side}",
@@ -389,6 +473,7 @@ _STAGES = (
         "the relief of the surface, read and levelled",
         when=_MEASURED_RELIEF,
         keys=_block("surface", _SCAN_KEYS),
+        of_prediction=True,
     ),
     Stage(
         "scan",
@@ -399,13 +484,21 @@ _STAGES = (
         instances=_further_scans,
         job_title="surface-{scan}",
         reported=False,
+        of_prediction=True,
     ),
-    Stage("facets", "the slope density of the facets", when=_has("surface"), keys=_block("surface", _SLOPE_KEYS)),
+    Stage(
+        "facets",
+        "the slope density of the facets",
+        when=_has("surface"),
+        keys=_block("surface", _SLOPE_KEYS),
+        of_prediction=True,
+    ),
     Stage(
         "psd",
         "the roughness spectrum of the surface",
         when=_KNOWN_ROUGHNESS,
         keys=_block("surface", _SPECTRUM_KEYS),
+        of_prediction=True,
     ),
     Stage(
         "back_surface",
@@ -413,6 +506,7 @@ _STAGES = (
         when=_names_file("back_surface", "slab.back"),
         keys=_block("slab.back", _SCAN_KEYS),
         kind="surface",
+        of_prediction=True,
     ),
     Stage(
         "back_facets",
@@ -420,6 +514,7 @@ _STAGES = (
         when=_has("back", "`slab.back`"),
         keys=_block("slab.back", _SLOPE_KEYS),
         script="facets",
+        of_prediction=True,
     ),
     Stage(
         "back_psd",
@@ -427,6 +522,7 @@ _STAGES = (
         when=_KNOWN_BACK_ROUGHNESS,
         keys=_block("slab.back", _SPECTRUM_KEYS),
         script="psd",
+        of_prediction=True,
     ),
     Stage(
         "visibility",
@@ -434,14 +530,22 @@ _STAGES = (
         when=_MEASURED_RELIEF & _TRACED_MASKING & _PREDICTED,
         keys=StageKeys(("model.masking",), (), lambda subject, _: {"masking": _masking(subject)}),
         memory=2000,
+        of_prediction=True,
     ),
     Stage(
         "spectrum",
         "the total reflectance, measured or recovered from a colour",
         when=_has("spectrum"),
         keys=_block("spectrum"),
+        of_prediction=True,
     ),
-    Stage("index", "the refractive index", when=_has("index"), keys=_keys("index", optional=("index_uncertainty",))),
+    Stage(
+        "index",
+        "the refractive index",
+        when=_has("index"),
+        keys=_keys("index", optional=("index_uncertainty",)),
+        of_prediction=True,
+    ),
     Stage(
         "interreflection",
         "the light that the height map reflects more than once, traced on it, where there is enough of it",
@@ -452,6 +556,7 @@ _STAGES = (
             lambda subject, _: {"multiple_scattering": _multiple_scattering(subject)},
         ),
         memory=2000,
+        of_prediction=True,
     ),
     Stage(
         "interior",
@@ -462,6 +567,7 @@ _STAGES = (
             (),
             _interior,
         ),
+        of_prediction=True,
     ),
     Stage(
         "multiangle",
@@ -475,6 +581,7 @@ _STAGES = (
         when=_has("predicted", "`surface`, or a `spectrum` alone") & _OPAQUE & _PREDICTED,
         keys=StageKeys(("model",), (), _facet_model),
         kind="bsdf",
+        of_prediction=True,
     ),
     Stage(
         "sheet",
@@ -483,6 +590,7 @@ _STAGES = (
         keys=StageKeys(("model",), (), _facet_model),
         kind="bsdf",
         memory=1500,
+        of_prediction=True,
     ),
     Stage(
         "wave",
@@ -490,6 +598,7 @@ _STAGES = (
         when=_has("predicted", "`surface`") & _KNOWN_ROUGHNESS & _WAVES & _OPAQUE & _PREDICTED,
         keys=StageKeys(("model",), (), _wave_model),
         kind="bsdf",
+        of_prediction=True,
     ),
     Stage(
         "reference",
@@ -497,22 +606,26 @@ _STAGES = (
         when=_MEASURED_RELIEF & Condition("`model.truth: use`", lambda subject: _truth(subject) == "use"),
         keys=StageKeys(("model.diffuse",), (), _base_of_reference),
         kind="bsdf",
+        of_prediction=True,
     ),
     Stage(
         "model_error",
         "the predicted BSDF beside rays and diffraction on its own scan",
-        when=_MEASURED_RELIEF & _OPAQUE & _CHECKED,
+        when=_MEASURED_RELIEF & _OPAQUE & _CHECKED & _asked("model_error", "uncertainty"),
+        of_prediction=True,
     ),
     Stage(
         "uncertainty",
         "the changes of the predicted BSDF by the uncertainties of its inputs",
-        when=_has("predicted") & _OPAQUE & _PREDICTED,
+        when=_has("predicted") & _OPAQUE & _PREDICTED & _asked("uncertainty"),
+        of_prediction=True,
     ),
     Stage(
         "sheet_uncertainty",
         "the changes of the BSDF of a clear body by the uncertainties of its inputs",
-        when=_has("slab"),
+        when=_has("slab") & _asked("uncertainty"),
         kind="uncertainty",
+        of_prediction=True,
     ),
     Stage(
         "flake",
@@ -524,7 +637,7 @@ _STAGES = (
     Stage(
         "flake_uncertainty",
         "the changes of the BSDF of an effect paint by the uncertainties of its colours, its clear coat and its fit",
-        when=_has("multiangle"),
+        when=_has("multiangle") & _asked("uncertainty"),
         keys=_block("multiangle", _read_by("flake_uncertainty", *_COLOURS)),
         kind="uncertainty",
     ),
@@ -599,30 +712,68 @@ _STAGES = (
     Stage(
         "comparison",
         "measured against predicted, and the inputs that would agree",
-        when=_has("rig") & _has("surface") & Condition("reflection measured", _comparable),
+        when=_has("rig") & _has("surface") & Condition("reflection measured", _comparable) & _asked("comparison"),
         keys=_config_block("comparison"),
     ),
-    Stage("bsdf", "the BSDF: measured, else of flakes, else predicted", keys=StageKeys(read=_route)),
-    Stage("checks", "reciprocity, energy and closure"),
+    Stage(
+        "bsdf",
+        "the BSDF: measured, else of flakes, else predicted",
+        when=_asked("uncertainty"),
+        keys=StageKeys(read=_route),
+    ),
+    Stage(
+        "nominal_bsdf",
+        "the same without the changes by the uncertainties of its inputs",
+        when=Condition("a scene that does not ask for `uncertainty`", lambda subject: not subject.asks("uncertainty")),
+        keys=StageKeys(read=_route),
+        script="bsdf",
+        reported=False,
+        stands_for="bsdf",
+    ),
+    Stage("checks", "reciprocity, energy and closure", when=_asked("checks")),
     Stage(
         "appearance",
         "gloss, haze and colours",
-        keys=_config_keys(illuminant="illuminant", observer="observer", gloss_angles="gloss_angles")
-        | _config_block("appearance"),
+        when=Condition(_asked(*PARTS).words, lambda subject: bool(_appearance_parts(subject))),
+        keys=StageKeys(
+            (), ("illuminant", "observer", "gloss_angles", "appearance"), lambda subject, _: _appearance(subject)
+        ),
     ),
     Stage(
         "preview",
         "a picture of the material",
-        when=_enabled("preview"),
+        when=_enabled("preview") & _asked("preview"),
         keys=_config_keys(illuminant="illuminant", light="preview_light"),
     ),
-    Stage("table", "the BSDF on a grid of directions", keys=_config_block("table"), kind="bsdf"),
-    Stage("lambert_gauss", "the Lambert + Gaussian parameters", keys=_config_block("lambert_gauss"), kind="bsdf"),
+    Stage(
+        "table",
+        "the BSDF on a grid of directions",
+        when=Condition(
+            f"{_asked('table').words}, or for a format that takes it",
+            lambda subject: subject.asks("table") or any(FORMATS[name].takes == "table" for name in subject.exports),
+        ),
+        keys=_config_block("table"),
+        kind="bsdf",
+    ),
+    Stage(
+        "lambert_gauss",
+        "the Lambert + Gaussian parameters",
+        when=_asked("lambert_gauss"),
+        keys=_config_block("lambert_gauss"),
+        kind="bsdf",
+    ),
     *(export.stage for export in EXPORTS),
     Stage(
         "report",
-        "the page of a material and its row of the catalogue",
-        keys=StageKeys(("description", "exports"), (), _report_parameters),
+        "the page of a material",
+        when=_asked("page"),
+        keys=StageKeys(("description", "exports"), (), _page_parameters),
+        kind="",
+    ),
+    Stage(
+        "summary",
+        "the row of a material in the catalogue",
+        keys=StageKeys(("description",), (), _row_parameters),
         kind="",
     ),
     Stage("catalogue", "the catalogue: page, table, dataset and digests", owner_kind="catalogue", kind=""),

@@ -645,16 +645,16 @@ KINDS: Mapping[str, Kind] = {
         attributes=("uncertainty_not_stated",),
     ),
     "bsdf": Kind({}, attributes=("representation",)),
+    # A scene asks for some of it.
     "appearance": Kind(
-        {
+        {},
+        optional={
             "gloss": [("gloss_angle",)],
             "haze": SCALAR,
             "lab": [("geometry", "component")],
             "flop_index": SCALAR,
             "luminous_reflectance": SCALAR,
             "srgb": [("channel",)],
-        },
-        optional={
             "gloss_u": [("gloss_angle",)],
             "gloss_quality": [("gloss_angle",)],
             "haze_u": SCALAR,
@@ -678,7 +678,6 @@ KINDS: Mapping[str, Kind] = {
             "luminous_transmittance": SCALAR,
             "transmission_haze": SCALAR,
         },
-        attributes=("illuminant", "observer"),
     ),
     "preview": Kind({"picture": [("row", "column", "channel")]}, attributes=("illuminant", "light", "white_level")),
     "checks": Kind(

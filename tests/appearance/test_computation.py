@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 import samples
 
@@ -13,7 +14,7 @@ from brdfpipe.appearance.haze import WINDOWS
 from brdfpipe.bsdf import flake
 from brdfpipe.catalogue.config_keys import Appearance
 from brdfpipe.descriptions.reading import declared
-from brdfpipe.errors import InputError
+from brdfpipe.errors import BrdfpipeError, InputError
 from brdfpipe.flakes import SETS
 
 
@@ -115,3 +116,27 @@ def test_every_quantity_of_instruments_has_its_uncertainty():
     assert (single > 0).all()
     assert computed["lab_u"].sel(geometry="8:total").isnull().all()
     vocabulary.validate(computed, "appearance")
+
+
+def test_only_the_asked_parts_are_computed_with_the_values_of_the_whole() -> None:
+    bsdf = samples.beckmann_bsdf(0.1, reflectance=0.2)
+    whole = appearance.compute_appearance(bsdf)
+    gloss = appearance.compute_appearance(bsdf, parts=["gloss"], gloss_angles=[60])
+    assert set(gloss.data_vars) == {"gloss", "gloss_u", "haze", "haze_u"}
+    assert gloss["gloss"].item() == float(whole["gloss"].sel(gloss_angle=60))
+    haze = appearance.compute_appearance(bsdf, parts=["haze"])
+    assert set(haze.data_vars) == {"reflectance_haze", "reflectance_haze_u"}
+    assert float(haze["reflectance_haze"].item()) == float(whole["reflectance_haze"].item())
+    names = ["45as25", "45as45"]
+    colours = appearance.compute_appearance(bsdf, parts=["colour"], geometries=names, standard_geometries=False)
+    assert list(colours["geometry"].values) == ["8:total", *names]
+    assert set(colours.data_vars) == {"lab", "lab_u", "luminous_reflectance", "srgb"}
+    # Rounding: the light is summed in another order.
+    assert np.allclose(colours["lab"].sel(geometry="45as45"), whole["lab"].sel(geometry="45as45"), atol=1e-9)
+    for part in (gloss, haze, colours):
+        vocabulary.validate(part, "appearance")
+
+
+def test_an_unknown_part_is_refused() -> None:
+    with pytest.raises(BrdfpipeError, match="no part 'glos'"):
+        appearance.compute_appearance(samples.beckmann_bsdf(0.1), parts=["glos"])

@@ -40,6 +40,23 @@ def test_check_prints_a_line_for_each_material(tmp_path: Path) -> None:
     assert count == "1 ok, 1 wrong"
 
 
+def test_the_shipped_scenes_are_listed() -> None:
+    lines = run("scenes").output.splitlines()
+    assert lines[0].startswith("catalogue: ")
+    assert any(line.startswith("gloss-sheet: ") and line.endswith("(gloss, haze)") for line in lines)
+
+
+def test_check_refuses_a_scene_that_cannot_be_used(tmp_path: Path) -> None:
+    write(tmp_path, "m")
+    assert run("check", tmp_path, "--scene", "gloss-sheet").exit_code == 0
+    done = run("check", tmp_path, "--scene", "glosssheet")
+    assert done.exit_code == 2
+    (tmp_path / "mine.yaml").write_text("purpose: a test\n")
+    done = run("check", tmp_path, "--scene", tmp_path / "mine.yaml")
+    assert done.exit_code == 2
+    assert "mine.yaml" in done.output
+
+
 def test_check_covers_formats(tmp_path: Path) -> None:
     write(tmp_path, "m", "surface: {file: a.abc}\nindex: PP\n")
     (tmp_path / "m" / "a.abc").write_text("x")
@@ -148,7 +165,10 @@ def test_a_verdict_is_printed_with_its_material_and_does_not_change_the_exit_cod
 ) -> None:
     verdicts, faults = {"a": "fail", "b": "warn", "c": "pass"}, {"a": "energy: reflects at most 1.039 of the light"}
     page = tmp_path / "index.html"
-    summary = Summary(("a", "b"), ("c",), {}, 3, page, 3.2, verdicts=verdicts, fail_reasons=faults, notices=("note",))
+    pages = {"a": tmp_path / "a" / "report.html"}
+    summary = Summary(
+        ("a", "b"), ("c",), {}, 3, page, 3.2, verdicts=verdicts, fail_reasons=faults, pages=pages, notices=("note",)
+    )
     monkeypatch.setattr("brdfpipe.jobs.build.build", lambda *given, **named: summary)
     done = run("build", tmp_path)
     assert done.exit_code == 0

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.flakes.geometries import SETS, directions, named_directions
+from brdfpipe.flakes.geometries import SETS, directions, geometry_name, named_directions
 
 
 @pytest.mark.parametrize(
@@ -81,3 +82,16 @@ def test_short_names_with_and_without_a_hyphen_are_refused_together():
     ):
         named_directions(["as-15", "as15", "as25"])
     assert len(named_directions(["as-15", "as-45"])) == len(named_directions(["45as-15", "45as15"])) == 2
+
+
+@pytest.mark.parametrize("name", ["45as-15", "15as80", "45:20", "30:-70.5", "0:45", "45as25az90", "12.5as33az-120.25"])
+def test_a_pair_of_directions_has_a_name_that_means_it(name: str) -> None:
+    pair = directions(name)
+    # Six decimals of an angle.
+    assert np.allclose(directions(geometry_name(pair)), pair, atol=5e-6)
+    assert geometry_name(pair._replace(phi_i=25.0, phi_o=pair.phi_o + 25)) == geometry_name(pair)
+
+
+def test_the_name_of_a_pair_is_that_of_a_known_set_where_it_has_one() -> None:
+    assert geometry_name(directions("45:-30")) == "45as15"
+    assert {geometry_name(directions(name)) for name in SETS["MA-T12"]} == set(SETS["MA-T12"])

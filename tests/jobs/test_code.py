@@ -180,7 +180,7 @@ def test_a_page_template_engine_reruns_reports_alone() -> None:
     users = {
         stage.name for stage in STAGES.values() if "jinja2" in code.libraries(script(stage), code.SOURCE, stage.modules)
     }
-    assert users == {"report", "catalogue"}
+    assert users == {"report", "summary", "catalogue"}
 
 
 @pytest.mark.parametrize("stage", STAGES.values(), ids=list(STAGES))
@@ -277,7 +277,8 @@ def test_the_digest_of_a_stage_covers_every_module_that_its_run_loads(tmp_path: 
     run("table", same("bsdf"), same("table"))
     run("lambert_gauss", same("bsdf"), same("lambert_gauss", "csv"))
     run("export_astm", same("table", "bsdf"), {"file": "file.astm"})
-    run("report", same("facets", "bsdf"), same("page", "summary"))
+    run("report", same("facets", "bsdf"), same("page"))
+    run("summary", same("facets", "bsdf"), same("summary"))
     run("catalogue", {"summaries": ["summary"]}, same("dataset", "csv", "lock", "page"), {"failures": {}})
     assert {script(STAGES[step.stage]) for step in steps} == set(SCRIPTS.glob("*.py"))
 

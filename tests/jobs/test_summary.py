@@ -13,11 +13,11 @@ def test_a_verdict_is_read_with_all_its_reasons(tmp_path: Path) -> None:
         "o,failed,,",
     )
     (tmp_path / "catalogue.csv").write_text("\n".join(lines) + "\n")
-    assert read_verdicts(tmp_path, ["m", "n", "o", "p"]) == {
+    assert read_verdicts([tmp_path], ["m", "n", "o", "p"]) == {
         "m": ("fail", "table: differs by 40 %; roughness against wavelength (550 nm): g = 0.03"),
         "n": ("pass", ""),
     }
 
 
 def test_without_a_table_no_verdict_is_known(tmp_path: Path) -> None:
-    assert read_verdicts(tmp_path, ["m"]) == {}
+    assert read_verdicts([tmp_path], ["m"]) == {}

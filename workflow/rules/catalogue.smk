@@ -1,12 +1,12 @@
-# All materials on one page. Materials that failed are listed with their reasons.
+# All materials of a scene on one page. Materials that failed are listed with their reasons.
 
 
 use rule stage_template as catalogue with:
     input:
-        summaries=expand("{material}/summary.nc", material=pipeline.names),
-        pages=expand("{material}/report.html", material=pipeline.names),
+        summaries=pipeline.of_materials("summary"),
+        pages=pipeline.of_materials("report"),
     output:
-        dataset="catalogue.nc",
-        csv="catalogue.csv",
-        page="index.html",
-        lock="catalogue.lock.json",
+        dataset="{scene}catalogue.nc",
+        csv="{scene}catalogue.csv",
+        page="{scene}index.html",
+        lock="{scene}catalogue.lock.json",

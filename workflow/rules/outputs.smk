@@ -1,4 +1,4 @@
-# From a BSDF to its checks, appearance, table, fit, exports and report.
+# From a BSDF to its checks, appearance, table, fit, exports and report; `scene` is empty or the folder of a scene other than the default.
 
 
 use rule stage_template as bsdf with:
@@ -18,41 +18,48 @@ use rule stage_template as bsdf with:
         bsdf="{material}/bsdf.nc",
 
 
+use rule stage_template as nominal_bsdf with:
+    input:
+        unpack(pipeline.source_of_bsdf),
+    output:
+        bsdf="{material}/nominal_bsdf.nc",
+
+
 use rule stage_template as checks with:
     input:
         **results_of("bsdf"),
     output:
-        checks="{material}/checks.nc",
+        checks="{scene}{material}/checks.nc",
 
 
 use rule stage_template as appearance with:
     input:
         **results_of("bsdf"),
     output:
-        appearance="{material}/appearance.nc",
+        appearance="{scene}{material}/appearance.nc",
 
 
 use rule stage_template as preview with:
     input:
         **results_of("bsdf"),
     output:
-        preview="{material}/preview.nc",
-        png="{material}/preview.png",
+        preview="{scene}{material}/preview.nc",
+        png="{scene}{material}/preview.png",
 
 
 use rule stage_template as table with:
     input:
         **results_of("bsdf"),
     output:
-        table="{material}/table.nc",
+        table="{scene}{material}/table.nc",
 
 
 use rule stage_template as lambert_gauss with:
     input:
         **results_of("bsdf"),
     output:
-        lambert_gauss="{material}/lambert_gauss.nc",
-        csv="{material}/exports/{material}.lambert_gauss.csv",
+        lambert_gauss="{scene}{material}/lambert_gauss.nc",
+        csv="{scene}{material}/exports/{material}.lambert_gauss.csv",
 
 
 # A rule for each format, and each side of the material with separate files.
@@ -74,5 +81,11 @@ use rule stage_template as report with:
     input:
         unpack(pipeline.reported),
     output:
-        page="{material}/report.html",
-        summary="{material}/summary.nc",
+        page="{scene}{material}/report.html",
+
+
+use rule stage_template as summary with:
+    input:
+        unpack(pipeline.reported),
+    output:
+        summary="{scene}{material}/summary.nc",

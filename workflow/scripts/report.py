@@ -1,12 +1,11 @@
 from pathlib import Path
 
 from brdfpipe import store
-from brdfpipe.report.catalogue.rows import summarise
 from brdfpipe.report.material.page import material_page
 
 
 def main(input, output, params):
-    """The page of a material and its row of the catalogue."""
+    """The page of a material."""
     datasets = {}
     for stage, files in input.items():
         paths = {stage: files} if isinstance(files, str) else {Path(path).stem: path for path in files}
@@ -14,14 +13,6 @@ def main(input, output, params):
     spec = params["spec"]
     page = material_page(datasets, description=spec["description"], exports=spec["exports"])
     store.write_text(output["page"], page)
-    store.save_dataset(
-        summarise(datasets, description=spec["description"]),
-        output["summary"],
-        stage="report",
-        material=params["material"],
-        inputs=datasets,
-        parameters=spec,
-    )
 
 
 if __name__ == "__main__":

@@ -21,8 +21,11 @@ from brdfpipe.spectra import colorimetry
 TOTAL = "8:total"
 """Name of the sphere geometry: 8° incidence, all reflected light, specular included."""
 
-GEOMETRIES = ("45:0", *SETS["E2194"])
-"""Single geometries that are always computed: 45:0, and the three of ASTM E2194."""
+FLOP_GEOMETRIES = SETS["E2194"]
+"""Geometries of the flop index: 15, 45 and 110° from the mirror direction."""
+
+GEOMETRIES = ("45:0", *FLOP_GEOMETRIES)
+"""The standard single geometries: 45:0, and the three of ASTM E2194."""
 
 Geometries = Sequence[str] | Mapping[str, tuple[float, float, float]]
 """Names of geometries, or name → θ_i, θ_o, φ_o [degree]."""
@@ -127,8 +130,8 @@ def colour_uncertainty(
     half_ranges = (labs[:, 1] - labs[:, 0]) / 2
     lab_u = np.concatenate([np.full((1, 3), np.nan), standard_uncertainty(half_ranges, axis=0)])
     flop_u = math.nan
-    if set(SETS["E2194"]) <= set(directions):
-        three = {name: directions[name] for name in SETS["E2194"]}
+    if set(FLOP_GEOMETRIES) <= set(directions):
+        three = {name: directions[name] for name in FLOP_GEOMETRIES}
         lightness = _lab(bsdf, angles(three), illuminant, observer, None)[:, 0]
         flop_u = _flop_uncertainty(lightness, half_ranges[:, [list(directions).index(name) for name in three], 0])
     attrs = {"units": "1", "long_name": "standard uncertainty of the flop index, from tolerances"}

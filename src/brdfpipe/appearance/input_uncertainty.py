@@ -15,7 +15,7 @@ import xarray as xr
 from brdfpipe import vocabulary
 from brdfpipe.appearance import apertures
 from brdfpipe.appearance.apertures import Rule
-from brdfpipe.appearance.colours import TOTAL, colour, flop_index, total_reflectance
+from brdfpipe.appearance.colours import FLOP_GEOMETRIES, TOTAL, colour, flop_index, total_reflectance
 from brdfpipe.appearance.gloss_meter import gloss_at
 from brdfpipe.appearance.haze import HazeWindow, haze_units
 from brdfpipe.appearance.transmission import luminous_transmittance, transmission_haze
@@ -48,8 +48,8 @@ def with_input_uncertainty(
 
     Parameters
     ----------
-    appearance : ``gloss``, ``haze``, ``reflectance_haze``, ``lab`` and ``flop_index``, with ``<name>_u`` from the tolerances of instruments;
-        attributes ``illuminant`` and ``observer``
+    appearance : any of ``gloss``, ``haze``, ``reflectance_haze``, ``lab`` and ``flop_index``, with ``<name>_u`` from the tolerances of
+        instruments; attributes ``illuminant`` and ``observer`` with ``lab``
     bsdf : the BSDF that it was computed from
     geometries : names of the geometries of ``lab``, without that of the total reflectance
     windows : of ``reflectance_haze``
@@ -60,7 +60,11 @@ def with_input_uncertainty(
     """
     if not uncertain(bsdf):
         return appearance
-    parts = _meter_parts(appearance, bsdf, windows) | _colour_parts(appearance, bsdf, geometries)
+    parts: dict[str, Mapping[str, Array]] = {}
+    if "gloss" in appearance or windows:
+        parts |= _meter_parts(appearance, bsdf, windows)
+    if "lab" in appearance:
+        parts |= _colour_parts(appearance, bsdf, geometries)
     sources = [*dict.fromkeys(SourceChanges(bsdf).sources), INSTRUMENT]
     result = appearance.assign_coords(source=sources)
     # A total reflectance is as uncertain as its spectrum.
@@ -103,7 +107,8 @@ def with_transmission_uncertainty(appearance: xr.Dataset, bsdf: xr.Dataset) -> x
         "luminous_transmittance": [luminous_transmittance(bsdf, one) for one in (changes.given, *changes.changed)],
         "transmission_haze": [transmission_haze(bsdf, one) for one in (reduced.given, *reduced.changed)],
     }
-    sources = appearance["source"].values
+    sources = [*dict.fromkeys(changes.sources), INSTRUMENT]
+    appearance = appearance.assign_coords(source=sources)
     for name in names:
         values = np.array(found[name])
         by_source = changes.by_source(values[1:] - values[0])
@@ -123,7 +128,7 @@ def _meter_parts(
     changes = SourceChanges(sample.bsdf)
     isotropic = representation(sample.bsdf).isotropic
     azimuths = np.asarray(np.zeros(1) if isotropic else (representation(sample.bsdf).lay or 0.0) + _TURNS, dtype=float)
-    angles = appearance["gloss_angle"].values.tolist()
+    angles = appearance["gloss_angle"].values.tolist() if "gloss" in appearance else []
 
     def measured(reflector: Reflector) -> Array:
         gloss = [gloss_at(sample, angle, azimuths, _RULE, reflector).mean() for angle in angles]
@@ -133,12 +138,12 @@ def _meter_parts(
     given = measured(changes.given)
     all_changes = np.array([measured(reflector) - given for reflector in changes.changed])
     of_gloss, of_windows = all_changes[:, : len(angles)], all_changes[:, len(angles) :]
-    parts = {"gloss": changes.by_source(of_gloss)}
+    parts = {"gloss": changes.by_source(of_gloss)} if angles else {}
     if windows:
         parts["reflectance_haze"] = changes.by_source(of_windows)
     if {20.0, 60.0} <= set(angles):
         parts["haze"] = changes.by_source(of_gloss[:, angles.index(60.0)] - of_gloss[:, angles.index(20.0)])
-    if MODEL in parts["gloss"] and "model_gloss_error" in bsdf:
+    if MODEL in parts.get("gloss", {}) and "model_gloss_error" in bsdf:
         finer = _finer_roughness(sample.bsdf)
         of_finer = (np.zeros(given.size) if finer is None else measured(finer) - given)[: len(angles)]
         parts |= _known_errors(parts, bsdf, angles, of_finer)
@@ -187,16 +192,18 @@ def _colour_parts(
     changes = SourceChanges(bsdf)
     seen_under = str(appearance.attrs["illuminant"]), int(appearance.attrs["observer"])
     names = [str(name) for name in appearance["geometry"].values]
-    three = [names.index(f"45as{angle}") for angle in (15, 45, 110)]
+    three = [names.index(name) for name in FLOP_GEOMETRIES if name in names]
     labs, flops, luminous = [], [], []
     for reflector in (changes.given, *changes.changed):
         wavelength, total = total_reflectance(bsdf, reflector)
         lab = colour(bsdf, geometries, *seen_under, reflector=reflector, total=total).values
         labs.append(lab)
-        flops.append(flop_index(*lab[three, 0]))
+        if "flop_index" in appearance:
+            flops.append(flop_index(*lab[three, 0]))
         weight = colorimetry.luminous_weight(wavelength)
         luminous.append(float(weight @ total / weight.sum()))
     return {
         name: changes.by_source(np.asarray(values[1:]) - np.asarray(values[0]))
         for name, values in (("lab", labs), ("flop_index", flops), ("luminous_reflectance", luminous))
+        if values
     }

@@ -214,8 +214,8 @@ def _luminous_reflectance(datasets: Datasets) -> float:
 
 def _luminous_transmittance(datasets: Datasets) -> float:
     """Total transmittance at normal incidence [1]; NaN where nothing is transmitted."""
-    if "appearance" in datasets and "luminous_transmittance" in datasets["appearance"]:
-        return float(datasets["appearance"]["luminous_transmittance"])
+    if "appearance" in datasets:
+        return float(datasets["appearance"].get("luminous_transmittance", math.nan))
     value = _if_transmitting(transmission.luminous_transmittance)(datasets["bsdf"]) if "bsdf" in datasets else None
     return math.nan if value is None else value
 

@@ -19,6 +19,7 @@ from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.material import Material, load_material
 from brdfpipe.catalogue.names import CALIBRATION, CALIBRATIONS, DESCRIPTION, RESULT_MARKS, CatalogueError
 from brdfpipe.errors import BrdfpipeError, InputError, printable
+from brdfpipe.scenes.scene import Scene, load_scene, refuse_different
 from brdfpipe.stages import STAGES, Subject
 
 
@@ -31,6 +32,8 @@ class Catalogue:
     failures: Mapping[str, str]
     """Name of a material (or its folder) → what is wrong with it, in one line."""
     config: Mapping[str, Any] = field(repr=False)
+    scene: Scene
+    """Of the materials that name none."""
     calibrations: Mapping[str, Calibration] = field(default_factory=dict)
     further_problems: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Name of a material that cannot be built → what is wrong with its description beside the first problem, a line each."""
@@ -47,6 +50,16 @@ class Catalogue:
                 f"{self.folder.name}: no material {name!r}{documents.nearest(name, self.by_name)}"
             ) from None
 
+    @cached_property
+    def scenes(self) -> tuple[Scene, ...]:
+        """The scenes of the catalogue and of its materials, each once."""
+        scenes = [self.scene, *(material.scene for material in self.materials)]
+        return tuple({scene.name: scene for scene in scenes}.values())
+
+    def scene_of(self, name: str) -> Scene:
+        """The scene of a material; of one whose description cannot be used, that of the catalogue."""
+        return self.by_name[name].scene if name in self.by_name else self.scene
+
     def spec(self, name: str, stage: str) -> dict[str, Any]:
         """The part of a material's description and of the configuration that a stage depends on."""
         return STAGES[stage].parameters(Subject(self[name], self.config))
@@ -59,19 +72,22 @@ class Catalogue:
         return names
 
 
-def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
+def load(folder: Path, config: Mapping[str, Any] | None = None, scene: str | None = None) -> Catalogue:
     """Read and validate every material of a catalogue; compute nothing.
 
     Parameters
     ----------
     folder : its sub-folders with a ``material.yaml`` are the materials
     config : see :func:`load_config`; default the project's own
+    scene : of all materials, a name or a path, instead of those that the configuration and the materials name
 
     Raises
     ------
     CatalogueError : the folder is missing or holds no material.
+    SceneError, InputError : the scene of the catalogue cannot be used.
     """
     config = load_config() if config is None else config
+    of_catalogue = load_scene(scene or config["scene"])
     folder = Path(folder).resolve()
     if not folder.is_dir():
         raise CatalogueError(f"{folder}: no such folder")
@@ -81,7 +97,8 @@ def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
     if not folders:
         hints = "".join(f"; {name}: {reason}" for name, reason in [*ignored(folder).items()][:3])
         raise CatalogueError(f"{folder}: holds no material; `brdfpipe new NAME --folder {folder}` starts one{hints}")
-    outcomes = {printable(path.name): _load_or_refusal(path, config) for path in folders}
+    given = of_catalogue if scene else None
+    outcomes = {printable(path.name): _load_or_refusal(path, config, given) for path in folders}
     loaded = {name: item if isinstance(item, Material) else str(item) for name, item in outcomes.items()}
     further = {name: item.others for name, item in outcomes.items() if isinstance(item, InputError) and item.others}
     duplicates = _duplicate_names(loaded)
@@ -92,12 +109,14 @@ def load(folder: Path, config: Mapping[str, Any] | None = None) -> Catalogue:
         failures[name] = refusal
         del materials[name]
     usable = {name: item for name, item in calibrations.items() if isinstance(item, Calibration)}
-    return Catalogue(folder, tuple(materials[name] for name in sorted(materials)), failures, config, usable, further)
+    in_order = tuple(materials[name] for name in sorted(materials))
+    refuse_different([of_catalogue, *(material.scene for material in in_order)])
+    return Catalogue(folder, in_order, failures, config, of_catalogue, usable, further)
 
 
-def _load_or_refusal(folder: Path, config: Mapping[str, Any]) -> Material | BrdfpipeError:
+def _load_or_refusal(folder: Path, config: Mapping[str, Any], scene: Scene | None) -> Material | BrdfpipeError:
     try:
-        return load_material(folder, config)
+        return load_material(folder, config, scene)
     except BrdfpipeError as error:
         return error
 

@@ -95,6 +95,12 @@ class Comparison(Keys):
 class Config(Keys):
     """Settings for all materials of a catalogue."""
 
+    scene: str = key(
+        "what the results are for; the name of a shipped scene, or the path of a file in relation to this one",
+        details="See [scenes](scenes.md). The command line and the key `scene` of a material come first.",
+        min_length=1,
+        max_length=255,
+    )
     illuminant: str = key("illuminant of colours and previews, D65, D50, A or another CIE illuminant")
     observer: Observer = key("observer of colours and previews, 10 or 2 degree")
     gloss_angles: Annotated[list[Annotated[int, OneOf((20, 60, 85))]], Items()] = key(

@@ -10,6 +10,7 @@ from brdfpipe import installation
 from brdfpipe.catalogue.config_keys import Config
 from brdfpipe.descriptions import reading
 from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.scenes.scene import is_file, load_scene
 
 
 def load_config(path: Path | None = None) -> dict[str, Any]:
@@ -27,7 +28,18 @@ def load_config(path: Path | None = None) -> dict[str, Any]:
         check_illuminant(path, settings["illuminant"], "illuminant")
     for number, window in enumerate(settings.get("appearance", {}).get("haze", [])):
         _check_haze_window(path, window, f"appearance.haze.{number}")
+    if "scene" in settings:
+        settings["scene"] = _checked_scene(path, settings["scene"])
     return _overridden(defaults, settings)
+
+
+def _checked_scene(path: Path, scene: str) -> str:
+    """A scene by its name, or its file in relation to that of the configuration. Refused here, not in every material."""
+    try:
+        load_scene(scene, path.parent)
+    except BrdfpipeError as error:
+        raise InputError(path, str(error), where="scene") from error
+    return str((path.parent / scene).resolve()) if is_file(scene) else scene
 
 
 def _overridden(defaults: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:

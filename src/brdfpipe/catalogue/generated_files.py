@@ -20,6 +20,9 @@ from brdfpipe.rig.plan_keys import PlanKeys
 from brdfpipe.rig.reduction.certificate_keys import CertificateKeys
 from brdfpipe.rig.rig_keys import RigKeys
 from brdfpipe.scenes.glare_keys import GlareKeys
+from brdfpipe.scenes.results import RESULTS
+from brdfpipe.scenes.scene import load_scene, shipped_scenes
+from brdfpipe.scenes.scene_keys import AS_MATERIAL, SceneKeys
 from brdfpipe.spectra.formats.registry import FORMATS as SPECTRUM_FORMATS
 from brdfpipe.surfaces.reading import FORMATS as SURFACE_FORMATS
 
@@ -30,6 +33,7 @@ DESCRIPTIONS: Mapping[str, Any] = {
     "certificate": CertificateKeys,
     "rig": RigKeys,
     "plan": PlanKeys,
+    "scene": SceneKeys,
 }
 """Description → its keys."""
 
@@ -144,7 +148,28 @@ def key_tables() -> dict[str, dict[str, str]]:
             "certificate": rendering.table(CertificateKeys),
         },
         "docs/veiling-glare.md": {"glare": rendering.table(GlareKeys, "glare.")},
+        "docs/scenes.md": {
+            "scenes": _scene_table(),
+            "results": _result_table(),
+            "scene": rendering.table(SceneKeys),
+        },
     }
+
+
+def _scene_table() -> str:
+    rows = ["| Scene | Purpose | Results | Error that is accepted |", "|---|---|---|---|"]
+    for name in shipped_scenes():
+        content = load_scene(name).content
+        exports = content["exports"]
+        formats = "exports as the material asks" if exports == AS_MATERIAL else ", ".join(exports)
+        listed = ", ".join(filter(None, (*(f"`{result}`" for result in content["results"]), formats)))
+        rows.append(f"| `{name}` | {content['purpose']} | {listed} | {content['metric']} {content['tolerance']:g} |")
+    return "\n".join(rows)
+
+
+def _result_table() -> str:
+    rows = [f"| `{result.name}` | {result.words} |" for result in RESULTS.values()]
+    return "\n".join(["| In `results` | is |", "|---|---|", *rows])
 
 
 def _format_table(formats: Mapping[str, FileFormat], title: str) -> str:

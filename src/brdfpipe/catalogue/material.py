@@ -12,6 +12,8 @@ from brdfpipe.catalogue import material_keys
 from brdfpipe.catalogue.calibration import run_file
 from brdfpipe.catalogue.names import DESCRIPTION, CatalogueError, check_name
 from brdfpipe.descriptions import reading
+from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.scenes.scene import Scene, load_scene
 
 FILE_PARTS = ("surface", "index", "spectrum", "multiangle")
 """Parts of a description that may name a raw file."""
@@ -32,6 +34,8 @@ class Material:
     content: Mapping[str, Any]
     files: Mapping[str, Path]
     """Part of the description (surface, index, spectrum, back_surface, interior; surface-2 … for further scans; rig) → raw file."""
+    scene: Scene
+    """What its results are for."""
 
     def has(self, part: str) -> bool:
         """Whether the description has a part: surface, index, spectrum, multiangle, slab, back (a face of its own), or what a prediction needs."""
@@ -48,8 +52,14 @@ class Material:
         return tuple(self.content["exports"])
 
 
-def load_material(folder: Path, config: Mapping[str, Any]) -> Material:
+def load_material(folder: Path, config: Mapping[str, Any], scene: Scene | None = None) -> Material:
     """Read and validate one material.
+
+    Parameters
+    ----------
+    folder : of its description
+    config : see :func:`brdfpipe.catalogue.configuration.load_config`
+    scene : instead of the one that the description or the configuration names
 
     Raises
     ------
@@ -68,7 +78,17 @@ def load_material(folder: Path, config: Mapping[str, Any]) -> Material:
     }
     if "rig" in content:
         files["rig"] = documents.file_beside(path, *run_file(content["rig"], "rig."), "the material's folder")
-    return Material(name, folder, content, files)
+    return Material(name, folder, content, files, scene or _scene_of(path, content, config))
+
+
+def _scene_of(path: Path, content: Mapping[str, Any], config: Mapping[str, Any]) -> Scene:
+    """The scene that a description names, or that of the configuration."""
+    if "scene" not in content:
+        return load_scene(config["scene"])
+    try:
+        return load_scene(content["scene"], path.parent)
+    except BrdfpipeError as error:
+        raise InputError(path, str(error), where="scene") from None
 
 
 def raw_files(content: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:

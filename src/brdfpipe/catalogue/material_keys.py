@@ -843,6 +843,13 @@ class Material(Keys):
     exports: Annotated[list[Annotated[str, OneOf(tuple(FORMATS))]], Items()] = key(
         "files for other programs; " + EXPORT_WORDS, default_words="`exports` of the configuration", example=["astm"]
     )
+    scene: str = key(
+        "what its results are for; the name of a shipped scene, or the path of a file in relation to this one",
+        default_words="`scene` of the configuration",
+        details="See [scenes](scenes.md).",
+        min_length=1,
+        max_length=255,
+    )
 
     @model_validator(mode="after")
     def _check_index(self) -> Self:

@@ -14,7 +14,7 @@ CALIBRATIONS, CALIBRATION = "calibrations", "calibration.yaml"
 """A catalogue describes the calibrations of its rigs in this folder, each in a folder of its own with this description."""
 
 RESERVED = frozenset(
-    {"logs", "failures", "exports", "calibrations", "catalogue", "index", "index.html"}
+    {"logs", "failures", "exports", "calibrations", "scenes", "catalogue", "index", "index.html"}
     | {"catalogue.nc", "catalogue.csv", "catalogue.lock.json"}
 )
 """Names with another meaning in the folder of results."""

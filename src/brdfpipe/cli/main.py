@@ -1,4 +1,4 @@
-"""The command line: ``brdfpipe build``, ``check`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
+"""The command line: ``brdfpipe build``, ``check``, ``scenes`` and ``new``; the group ``rig`` is :mod:`brdfpipe.cli.rig`.
 
 Exit codes: 0 every material was built (or is ok), 1 at least one was not, 2 the command, the catalogue or the configuration
 cannot be used, 130 interrupted. The verdict of a material's checks does not change the exit code.
@@ -30,9 +30,17 @@ def main() -> None:
     "--cores", type=click.IntRange(1), default=None, help="Number of stages at the same time  [default: all cores]"
 )
 @click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
+@click.option(
+    "--scene",
+    default=None,
+    metavar="NAME|FILE",
+    help="What the results are for, instead of what the materials and the configuration name.  `brdfpipe scenes` lists them.",
+)
 @click.option("--dry-run", is_flag=True, help="List what would be built; build nothing.")
 @exit_on_error
-def build(catalogue: Path, results: Path, cores: int | None, config: Path | None, dry_run: bool) -> int:
+def build(
+    catalogue: Path, results: Path, cores: int | None, config: Path | None, scene: str | None, dry_run: bool
+) -> int:
     """Build every material of CATALOGUE that changed, and the catalogue page.
 
     Exit code: 0 if every material was built, whatever the verdicts of its checks; 1 if one was not; 2 if the
@@ -40,7 +48,7 @@ def build(catalogue: Path, results: Path, cores: int | None, config: Path | None
     """
     from brdfpipe.jobs.build import build as build_catalogue
 
-    summary = build_catalogue(catalogue, results, cores=cores or _cores(), config=config, dry_run=dry_run)
+    summary = build_catalogue(catalogue, results, cores=cores or _cores(), config=config, scene=scene, dry_run=dry_run)
     click.echo(summary.text)
     return 1 if summary.failures else 0
 
@@ -48,9 +56,10 @@ def build(catalogue: Path, results: Path, cores: int | None, config: Path | None
 @main.command()
 @click.argument("catalogue", type=FOLDER)
 @click.option("--config", type=FILE, default=None, help="Configuration instead of the project's config/config.yaml.")
+@click.option("--scene", default=None, metavar="NAME|FILE", help="As for `brdfpipe build`.")
 @exit_on_error
-def check(catalogue: Path, config: Path | None) -> int:
-    """Check descriptions, keys, files and formats of CATALOGUE; raw files are read by the build.
+def check(catalogue: Path, config: Path | None, scene: str | None) -> int:
+    """Check descriptions, keys, scenes, files and formats of CATALOGUE; raw files are read by the build.
 
     Lists every mistake of a description. A text file whose unit or pitch must be a key is refused by the build alone.
 
@@ -63,7 +72,7 @@ def check(catalogue: Path, config: Path | None) -> int:
     from brdfpipe.jobs.runs import planned_runs
     from brdfpipe.surfaces.reading import check_readable
 
-    loaded = load(catalogue, load_config(config))
+    loaded = load(catalogue, load_config(config), scene)
     problems = {**loaded.failures, **planned_runs(loaded)[1]}
     summaries = {}
     for material in loaded.materials:
@@ -86,6 +95,18 @@ def check(catalogue: Path, config: Path | None) -> int:
         click.echo(f"{name}: ignored: {reason}")
     click.echo(f"{len(summaries)} ok, {len(problems)} wrong")
     return 1 if problems else 0
+
+
+@main.command()
+@exit_on_error
+def scenes() -> int:
+    """List the shipped scenes, their purposes and what they ask for."""
+    from brdfpipe.scenes.scene import load_scene, shipped_scenes
+
+    for name in shipped_scenes():
+        content = load_scene(name).content
+        click.echo(f"{name}: {content['purpose']} ({', '.join(content['results'])})")
+    return 0
 
 
 @main.command()

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.geometry import angles_of
+from brdfpipe.geometry import Array, angles_of, unit_vector
 
 _NUMBER = r"\d{1,3}(?:\.\d{1,6})?"
 _VIEW = re.compile(rf"({_NUMBER})\s*[:/]\s*([+-]?{_NUMBER})")
@@ -117,6 +117,38 @@ def refuse_mixed_signs(names: Iterable[object]) -> None:
         f"45as-{angle} for {angle} degree beyond the mirror direction, 45as{angle} for {angle} degree towards the illuminator, and "
         "likewise for the other names"
     )
+
+
+def geometry_name(pair: Directions) -> str:
+    """A name of a pair of directions above the surface, that of a known set where one has it: the inverse of :func:`directions`."""
+    turn = (pair.phi_o - pair.phi_i) % 360
+    plain = Directions(pair.theta_i, 0.0, pair.theta_o, turn)
+    for name in dict.fromkeys(name for names in SETS.values() for name in names):
+        if np.allclose(_unit(directions(name)), _unit(plain), atol=1e-9):
+            return name
+    incidence, view = _written(pair.theta_i), _written(pair.theta_o)
+    if min(turn, 360 - turn) < 1e-6 or pair.theta_o == 0:
+        return f"{incidence}:{view}"
+    if abs(turn - 180) < 1e-6:
+        return f"{incidence}:-{view}"
+    theta = np.radians(pair.theta_i)
+    # Light falls from azimuth 0 here and from 180 in `_aspecular`, whose axes these are, turned about the normal.
+    mirror = np.array([-np.sin(theta), 0.0, np.cos(theta)])
+    away = np.array([-np.cos(theta), 0.0, -np.sin(theta)])
+    towards = _unit(plain)[1]
+    angle = np.degrees(np.arccos(np.clip(towards @ mirror, -1, 1)))
+    azimuth = np.degrees(np.arctan2(-towards[1], towards @ away))
+    return f"{incidence}as{_written(angle)}az{_written(azimuth)}"
+
+
+def _written(angle: float) -> str:
+    """An angle [degree] with the decimals that names may have."""
+    return f"{angle:.6f}".rstrip("0").rstrip(".")
+
+
+def _unit(pair: Directions) -> Array:
+    """Unit vectors of light and view, (2, 3)."""
+    return np.stack([unit_vector(pair.theta_i, pair.phi_i), unit_vector(pair.theta_o, pair.phi_o)])
 
 
 def _in_plane(incidence: float, view: float) -> Directions:

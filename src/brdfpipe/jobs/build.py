@@ -18,17 +18,26 @@ from brdfpipe.catalogue.catalogue import Catalogue, load
 from brdfpipe.catalogue.configuration import load_config
 from brdfpipe.catalogue.names import DESCRIPTION, RESULT_MARKS
 from brdfpipe.errors import BrdfpipeError
-from brdfpipe.jobs import cleanup, failures, pool, summary
+from brdfpipe.jobs import budgets, cleanup, failures, pool, summary
 from brdfpipe.jobs.failures import Failures
 from brdfpipe.jobs.snakemake_run import LOG, SnakemakeRun
 from brdfpipe.jobs.summary import Summary
+from brdfpipe.scenes.scene import is_file
 
 
 class BuildError(BrdfpipeError):
     """The build as a whole could not be done."""
 
 
-def build(folder: Path, results: Path, *, cores: int, config: Path | None = None, dry_run: bool = False) -> Summary:
+def build(
+    folder: Path,
+    results: Path,
+    *,
+    cores: int,
+    config: Path | None = None,
+    scene: str | None = None,
+    dry_run: bool = False,
+) -> Summary:
     """Build a catalogue; results that are up to date are left alone.
 
     Parameters
@@ -37,20 +46,23 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
     results : folder of the results; made if missing
     cores : how many stages run at once
     config : a configuration instead of the project's own
+    scene : of all materials, a name or a path, instead of those that the configuration and the materials name
     dry_run : only list what would run
 
     Raises
     ------
-    CatalogueError, InputError : the catalogue or the configuration cannot be used.
+    CatalogueError, InputError, SceneError : the catalogue, the configuration or the scene cannot be used.
     BuildError : another build runs there, or snakemake itself failed.
     KeyboardInterrupt : stopped by the user; the next build resumes.
     """
     started = time.perf_counter()
-    catalogue = load(folder, load_config(config))
+    catalogue = load(folder, load_config(config), scene)
     _check_results_folder(results, catalogue)
     snakemake_config: dict[str, Any] = {"catalogue": str(catalogue.folder)}
     if config is not None:
         snakemake_config["settings"] = str(config.resolve())
+    if scene is not None:
+        snakemake_config["scene"] = str(Path(scene).resolve()) if is_file(scene) else scene
     with _locked(results), _interruptible() as interrupts:
         if not dry_run:
             cleanup.remove_leftovers(results, LOG)
@@ -60,19 +72,24 @@ def build(folder: Path, results: Path, *, cores: int, config: Path | None = None
         stale = [] if dry_run else cleanup.mark_stale(results, catalogue, failed_materials)
     touched = {material for _, material in run.done}
     built_materials = [material.name for material in catalogue.materials if material.name not in failed_materials]
-    verdicts = {} if dry_run else summary.read_verdicts(results, built_materials)
+    tables = [] if dry_run else [results / one.folder for one in catalogue.scenes]
+    verdicts = summary.read_verdicts(tables, built_materials)
+    pages = {name: results / catalogue.scene_of(name).folder / name / "report.html" for name in verdicts}
+    notices = summary.notices(catalogue.folder, deleted, stale)
+    over = () if dry_run else budgets.exceeded(results, catalogue, built_materials)
     reasons = {name: f"{entry['stage']}: {entry['message']}" for name, entry in failed_materials.items()}
     return Summary(
         built=tuple(name for name in built_materials if name in touched),
         current=tuple(name for name in built_materials if name not in touched),
         failures={**catalogue.failures, **reasons},
         jobs=sum(rule != "all" for rule, _ in run.done),
-        page=results / "index.html",
+        page=results / catalogue.scene.folder / "index.html",
         seconds=time.perf_counter() - started,
         dry_run=dry_run,
         verdicts={name: verdict for name, (verdict, _) in verdicts.items()},
         fail_reasons={name: reasons for name, (verdict, reasons) in verdicts.items() if verdict == "fail"},
-        notices=tuple(summary.notices(catalogue.folder, deleted, stale)),
+        pages={name: page for name, page in pages.items() if page.exists()},
+        notices=(*over, *notices),
     )
 
 

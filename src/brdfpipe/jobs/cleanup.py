@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
 from brdfpipe.catalogue.catalogue import Catalogue
 from brdfpipe.catalogue.names import RESERVED
+from brdfpipe.scenes.scene import FOLDER
 
 TEMPORARY = re.compile(r"\..+\.\d+\.tmp")
 """Names of files that the store has not finished."""
@@ -22,7 +23,8 @@ def remove_leftovers(results: Path, log: str) -> None:
     """Remove unfinished files, failures and the log of an earlier build."""
     forget_failures(results)
     (results / log).unlink(missing_ok=True)
-    for pattern in (".*.tmp", "*/.*.tmp", "*/exports/.*.tmp"):
+    of_scene = (".*.tmp", "*/.*.tmp", "*/exports/.*.tmp")
+    for pattern in (*of_scene, *(f"{FOLDER}/*/{one}" for one in of_scene)):
         for leftover in results.glob(pattern):
             if TEMPORARY.fullmatch(leftover.name):
                 with suppress(OSError):  # a folder that cannot be written is reported as a failure
@@ -60,20 +62,30 @@ def delete_damaged(results: Path, deleted_before: Collection[str]) -> list[str]:
 
 
 def mark_stale(results: Path, catalogue: Catalogue, failed: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Mark reports and exports of materials that fail or left the catalogue; return the names of those that left."""
+    """Mark reports and exports of materials that fail, left the catalogue or have another scene now; return the names of those that left.
+
+    Results for a scene that is not built now stay as they are, unless the material left.
+    """
     reasons = {**catalogue.failures, **{name: entry["message"] for name, entry in failed.items()}}
+    built = {scene.folder for scene in catalogue.scenes}
     removed = []
-    for folder in sorted(path for path in results.iterdir() if path.is_dir() and path.name not in RESERVED):
-        mark = folder / STALE
+    for place, folder in _folders_of_materials(results):
+        name, mark = folder.name, folder / STALE
+        known = name in catalogue.by_name or name in reasons
         if not (folder / "report.html").exists() and not any(folder.glob("exports/*")):
             continue
-        if folder.name in catalogue.by_name and folder.name not in failed:
+        if known and place not in built:
+            continue
+        scene = catalogue.scene_of(name)
+        if name not in reasons and known and scene.folder == place:
             mark.unlink(missing_ok=True)
             continue
-        if folder.name in reasons:
-            reason = f"it cannot be built now: {reasons[folder.name]}"
+        if name in reasons:
+            reason = f"it cannot be built now: {reasons[name]}"
+        elif known:
+            reason = f"its scene is {scene.name} now."
         else:
-            removed.append(folder.name)
+            removed.append(name)
             reason = "no material of this name is in the catalogue."
         with suppress(OSError):  # a folder that cannot be written is reported as a failure
             mark.write_text(
@@ -81,4 +93,12 @@ def mark_stale(results: Path, catalogue: Catalogue, failed: Mapping[str, Mapping
                 "The build that computes them again removes this file.\n",
                 encoding="utf-8",
             )
-    return removed
+    return sorted(set(removed))
+
+
+def _folders_of_materials(results: Path) -> Iterator[tuple[str, Path]]:
+    """The folder of each material for each scene, with that of the scene in the results."""
+    places = ["", *(f"{FOLDER}/{path.name}/" for path in sorted((results / FOLDER).glob("*")) if path.is_dir())]
+    for place in places:
+        for path in sorted(path for path in (results / place).iterdir() if path.is_dir() and path.name not in RESERVED):
+            yield place, path

@@ -73,11 +73,16 @@ def of_plans(catalogue: Catalogue) -> Failures:
 
 def of_unwritable_folders(results: Path, catalogue: Catalogue) -> Failures:
     """Materials whose folder of results cannot be written: one of them would stop snakemake for all materials."""
-    folders = [(material.name, part) for material in catalogue.materials for part in (".", "exports")]
+    folders = [
+        (material.name, Path(folder, material.name, part))
+        for material in catalogue.materials
+        for folder in dict.fromkeys(("", material.scene.folder))
+        for part in (".", "exports")
+    ]
     return {
-        name: _blocked(str(Path(name, part)), "the folder cannot be written")
-        for name, part in folders
-        if (results / name / part).exists() and not os.access(results / name / part, os.W_OK | os.X_OK)
+        name: _blocked(str(folder), "the folder cannot be written")
+        for name, folder in folders
+        if (results / folder).exists() and not os.access(results / folder, os.W_OK | os.X_OK)
     }
 
 

@@ -15,7 +15,8 @@ from brdfpipe.catalogue.names import CALIBRATIONS, CatalogueError
 from brdfpipe.jobs import code, pool
 from brdfpipe.jobs.runs import planned_runs, results_folder
 from brdfpipe.jobs.stage import Job
-from brdfpipe.stages import STAGES, Stage, Subject
+from brdfpipe.scenes.scene import DEFAULT, FOLDER, Scene
+from brdfpipe.stages import STAGES, Stage, Subject, source_of_bsdf
 from brdfpipe.store import canonical_json
 
 InputFunction = Callable[[Any], Any]
@@ -27,8 +28,8 @@ class Pipeline:
 
     Parameters
     ----------
-    config : snakemake's: ``catalogue`` (folder), optionally ``settings`` (a configuration file), ``failures`` (material →
-        stage and message, of materials to leave out because a stage failed)
+    config : snakemake's: ``catalogue`` (folder), optionally ``settings`` (a configuration file), ``scene`` (instead of those that the
+        configuration and the materials name), ``failures`` (material → stage and message, of materials to leave out because a stage failed)
     scripts : folder of the stages' scripts
     """
 
@@ -36,23 +37,27 @@ class Pipeline:
         if "catalogue" not in config:
             raise CatalogueError("no catalogue; give its folder: --config catalogue=/path/to/catalogue")
         settings = config.get("settings")
-        self.catalogue = load(Path(config["catalogue"]), load_config(Path(settings) if settings else None))
+        configuration = load_config(Path(settings) if settings else None)
+        self.catalogue = load(Path(config["catalogue"]), configuration, config.get("scene"))
         self.runs, unplanned = planned_runs(self.catalogue)
         self.scripts = scripts
         refused = {**self.catalogue.failures, **unplanned}
         self.failures = {name: {"stage": "check", "message": text} for name, text in refused.items()}
         self.failures |= dict(config.get("failures") or {})
         self.names = [material.name for material in self.catalogue.materials if material.name not in self.failures]
+        built = [scene.name for scene in self.catalogue.scenes]
+        self.scenes_present = list(dict.fromkeys([*_scenes_present(), *built]))
+        """Scenes with a page in the current folder, that of the results, now or after the build."""
         self._outputs: dict[str, list[str]] = {}
-        self._subjects: dict[str, Subject] = {}
+        self._subjects: dict[tuple[str, str], Subject] = {}
 
-    def subject(self, owner: Material | Calibration) -> Subject:
-        """The material or calibration, the configuration and the planned arrangements."""
-        folder = results_folder(owner)
-        if folder not in self._subjects:
+    def subject(self, owner: Material | Calibration, scene: Scene | None = None) -> Subject:
+        """The material or calibration, the configuration, the planned arrangements, and the scene of its results."""
+        folder, name = results_folder(owner), scene.name if scene else ""
+        if (folder, name) not in self._subjects:
             arrangements = self.runs[folder].arrangements if folder in self.runs else ()
-            self._subjects[folder] = Subject(owner, self.catalogue.config, arrangements)
-        return self._subjects[folder]
+            self._subjects[folder, name] = Subject(owner, self.catalogue.config, arrangements, scene)
+        return self._subjects[folder, name]
 
     # --- input files
 
@@ -76,13 +81,33 @@ class Pipeline:
         """The raw file of a part of the material, if it has one: ``surface``, or ``surface-{scan}`` for a further scan."""
         return lambda wildcards: str(self._owner(wildcards).files.get(part.format(**wildcards), "")) or []
 
+    def source_of_bsdf(self, wildcards: Any) -> dict[str, str]:
+        """The dataset that becomes the BSDF, by its stage."""
+        source = source_of_bsdf(self.subject(self._owner(wildcards)))
+        return {source: self._result(STAGES[source])(wildcards)}
+
+    def of_materials(self, stage: str) -> InputFunction:
+        """The result of a stage, of all materials of a scene that have it."""
+
+        def files(wildcards: Any) -> list[str]:
+            materials = [self.catalogue[name] for name in self.names]
+            return [
+                self._outputs[stage][0].format(scene=wildcards.scene, material=material.name)
+                for material in materials
+                if material.scene.folder == wildcards.scene
+                and STAGES[stage].jobs(self.subject(material, material.scene))
+            ]
+
+        return files
+
     def rig_sources(self, wildcards: Any) -> list[str]:
         """Plan, rig and fibres of a run to be emulated."""
         return self.runs[results_folder(self._owner(wildcards))].sources
 
     def rig_truth(self, wildcards: Any) -> str:
         """The BSDF that the emulated rig measures."""
-        return f"{self._owner(wildcards).content['rig']['emulate']['truth']}/bsdf.nc"
+        truth = self.catalogue[self._owner(wildcards).content["rig"]["emulate"]["truth"]]
+        return self._outputs[source_of_bsdf(self.subject(truth))][0].format(material=truth.name)
 
     def rig_journal(self, wildcards: Any) -> str:
         """The journal of a run, measured or emulated."""
@@ -96,15 +121,19 @@ class Pipeline:
         return f"{CALIBRATIONS}/{previous}.nc" if previous else []
 
     def files(self) -> list[str]:
-        """All results of all materials, without the intermediate ones."""
-        return [
-            pattern.format(material=name, **job)
-            for name in self.names
+        """All results of all materials for their scenes, without the intermediate ones, and the catalogues of these scenes."""
+        of_materials = [
+            pattern.format(scene=material.scene.folder, material=material.name, **job)
+            for material in (self.catalogue[name] for name in self.names)
             for stage in STAGES.values()
             if stage.owner_kind == "material" and not stage.intermediate
-            for job in stage.jobs(self.subject(self.catalogue[name]))
+            for job in stage.jobs(self.subject(material, material.scene))
             for pattern in self._outputs[stage.name]
         ]
+        scenes = self.catalogue.scenes
+        return [
+            pattern.format(scene=scene.folder) for scene in scenes for pattern in self._outputs["catalogue"]
+        ] + of_materials
 
     # --- what follows from the declaration of a stage
 
@@ -124,6 +153,8 @@ class Pipeline:
             stage = STAGES[rule.name]
             self._outputs[stage.name] = [strip_wildcard_constraints(str(pattern)) for pattern in rule.output]
             owner = owners.get(stage.owner_kind, stage.owner_kind)
+            if "{scene}" in self._outputs[stage.name][0]:
+                owner = f"{{scene}}{owner}"
             rule.set_log(f"logs/{owner}/{stage.job_title}.log")
             rule.set_params(spec=self.spec(stage), code=digests[stage.name])
             rule.message = f"{stage.job_title} of {owner}".replace("{", "{wildcards.")
@@ -140,11 +171,22 @@ class Pipeline:
 
         def spec(wildcards: Any) -> str:
             if stage.owner_kind == "catalogue":
-                return canonical_json({"failures": self.failures})
-            job = {name: value for name, value in wildcards.items() if name not in ("material", "calibration")}
-            return canonical_json(stage.parameters(self.subject(self._owner(wildcards)), job))
+                return canonical_json(self._of_catalogue(wildcards.scene))
+            job = {name: value for name, value in wildcards.items() if name not in ("scene", "material", "calibration")}
+            return canonical_json(stage.parameters(self._subject(wildcards), job))
 
         return spec
+
+    def _of_catalogue(self, folder: str) -> dict[str, Any]:
+        """Parameters of the catalogue of a scene: its failures, and what it is for; the default scene needs no words."""
+        scene = next(scene for scene in self.catalogue.scenes if scene.folder == folder)
+        failures = {name: text for name, text in self.failures.items() if self.catalogue.scene_of(name) == scene}
+        parameters: dict[str, Any] = {"failures": failures}
+        if scene.folder:
+            parameters["scene"] = {"name": scene.name, "purpose": scene.content["purpose"]}
+        if others := sorted(name for name in self.scenes_present if name != scene.name):
+            parameters["others"] = [(name, _link(name, scene.name)) for name in others]
+        return parameters
 
     def run(self, rule: str, wildcards: Any, input: Any, output: Any, params: Any) -> None:
         """Run the stage of a rule in a worker. Raises StageError: it refused or failed, in one line."""
@@ -153,6 +195,7 @@ class Pipeline:
         job = Job(
             title=stage.job_title.format(**wildcards),
             material=f"{CALIBRATIONS}.{calibration}" if calibration else wildcards.get("material", stage.owner_kind),
+            scene=wildcards.get("scene", ""),
             script=str(self._script(stage)),
             folder=str(Path.cwd()),
             input=_existing_paths(input),
@@ -167,26 +210,48 @@ class Pipeline:
         return self.scripts / f"{stage.script}.py"
 
     def _result(self, stage: Stage) -> InputFunction:
-        """The first output of each job of a stage, as input of a rule."""
+        """The first output of each job of a stage, as input of a rule; of the one that stands for it, where the scene has that one."""
+        candidates = [stage, *(other for other in STAGES.values() if other.stands_for == stage.name)]
 
         def files(wildcards: Any) -> Any:
-            owner: Material | Calibration | None = self._owner(wildcards)
-            if stage.owner_kind == "calibration" and isinstance(owner, Material):
-                rig = owner.content.get("rig")
-                owner = self.catalogue.calibrations[rig["calibration"]] if rig else None
-            jobs = stage.jobs(self.subject(owner)) if owner else []
+            subject: Subject | None = self._subject(wildcards)
+            if stage.owner_kind == "calibration" and subject and isinstance(subject.owner, Material):
+                rig = subject.owner.content.get("rig")
+                subject = self.subject(self.catalogue.calibrations[rig["calibration"]]) if rig else None
             paths = [
-                self._outputs[stage.name][0].format(**{stage.owner_kind: owner.name}, **job)
-                for job in jobs
-                if owner and all(wildcards.get(name, value) == value for name, value in job.items())
+                self._outputs[one.name][0].format(
+                    **{"scene": wildcards.get("scene", ""), stage.owner_kind: subject.owner.name}, **job
+                )
+                for one in candidates
+                if subject
+                for job in one.jobs(subject)
+                if all(wildcards.get(name, value) == value for name, value in job.items())
             ]
             return paths if stage.instances or not paths else paths[0]
 
         return files
 
+    def _subject(self, wildcards: Any) -> Subject:
+        """The owner of a job; with its scene where the results are those of a scene."""
+        owner = self._owner(wildcards)
+        of_scene = isinstance(owner, Material) and wildcards.get("scene") is not None
+        return self.subject(owner, owner.scene if of_scene else None)  # type: ignore[union-attr]
+
     def _owner(self, wildcards: Any) -> Material | Calibration:
         name = wildcards.get("calibration")
         return self.catalogue.calibrations[name] if name else self.catalogue[wildcards.material]
+
+
+def _scenes_present() -> list[str]:
+    """Names of the scenes whose catalogues are in the current folder, the default one first."""
+    default = [DEFAULT] if Path("index.html").exists() else []
+    return default + sorted(page.parent.name for page in Path(FOLDER).glob("*/index.html"))
+
+
+def _link(scene: str, source: str) -> str:
+    """The page of a scene's catalogue in relation to that of another one."""
+    folder = "" if scene == DEFAULT else f"{FOLDER}/{scene}/"
+    return f"{'' if source == DEFAULT else '../../'}{folder}index.html"
 
 
 def _existing_paths(files: Any) -> dict[str, str | list[str]]:

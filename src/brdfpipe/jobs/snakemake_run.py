@@ -18,7 +18,7 @@ PROGRESS_AFTER = 2.0
 """Seconds before progress is worth showing."""
 PROGRESS_EVERY = 30.0
 """Seconds after which a line of progress is printed where there is no terminal, also if no material was finished."""
-_LAST_RULE = "report"
+_LAST_RULE = "summary"
 """The rule that finishes a material."""
 
 LOG = "logs/build.log"

@@ -38,6 +38,8 @@ class Job:
     input: Files
     output: Files
     spec: Mapping[str, Any]
+    scene: str = ""
+    """Folder of a scene in the results, with a slash at its end; empty for the default scene and for what all scenes share."""
 
     @property
     def description(self) -> str:
@@ -45,7 +47,7 @@ class Job:
 
     @property
     def log(self) -> Path:
-        return Path(self.folder, "logs", self.material, f"{self.title}.log")
+        return Path(self.folder, "logs", self.scene, self.material, f"{self.title}.log")
 
     @property
     def params(self) -> dict[str, Any]:
@@ -87,7 +89,7 @@ def perform(job: Job) -> Outcome:
             print(f"refused: {error}", file=log)
         except Exception as fault:
             error = f"unexpected {type(fault).__name__}: {_without_folders(' '.join(str(fault).split()), job)}"
-            error += f" (see logs/{job.material}/{job.title}.log)"
+            error += f" (see logs/{job.scene}{job.material}/{job.title}.log)"
             traceback.print_exc(file=log)
         outcome = Outcome(error, time.perf_counter() - wall, time.process_time() - cpu, _peak_memory(), damaged)
         for warning in caught:

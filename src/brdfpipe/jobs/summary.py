@@ -28,12 +28,15 @@ class Summary:
     """Material that could not be built → reason, in one line."""
     jobs: int
     page: Path
+    """Of the catalogue."""
     seconds: float
     dry_run: bool = False
     verdicts: Mapping[str, str] = field(default_factory=dict)
     """Built material → worst verdict of its checks: pass, warn or fail."""
     fail_reasons: Mapping[str, str] = field(default_factory=dict)
     """Built material with the verdict fail → the checks and conditions of the model that failed, with their findings, in one line."""
+    pages: Mapping[str, Path] = field(default_factory=dict)
+    """Material → its page, where it has one."""
     notices: tuple[str, ...] = ()
     """Notices for the user that are no failures."""
 
@@ -57,26 +60,26 @@ class Summary:
         counts = Counter(self.verdicts.values())
         if not (counts["fail"] or counts["warn"]):
             return []
-        folder = self.page.parent
         return [
             f"Verdicts of the checks: {counts['fail']} fail, {counts['warn']} warn; the reports say why",
             *(
-                f"  {name}: verdict fail{f': {reason}' if reason else ''} ({folder / name / 'report.html'})"
+                f"  {name}: verdict fail{f': {reason}' if reason else ''}{f' ({self.pages[name]})' if name in self.pages else ''}"
                 for name, reason in sorted(self.fail_reasons.items())
             ),
         ]
 
 
-def read_verdicts(results: Path, names: Iterable[str]) -> dict[str, tuple[str, str]]:
-    """Material → verdict and its reasons in one line, from the table of the catalogue; empty where there is none."""
-    with suppress(OSError), (results / "catalogue.csv").open(encoding="utf-8", newline="") as table:
-        found = {row.get("material"): row for row in csv.DictReader(table)}
-        return {
-            name: (verdict, found[name].get("verdict_text") or "")
-            for name in names
-            if (verdict := found.get(name, {}).get("verdict"))
-        }
-    return {}
+def read_verdicts(folders: Iterable[Path], names: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """Material → verdict and its reasons in one line, from the tables of the catalogues in some folders; empty where there is none."""
+    found: dict[str | None, Mapping[str, str]] = {}
+    for folder in folders:
+        with suppress(OSError), (folder / "catalogue.csv").open(encoding="utf-8", newline="") as table:
+            found |= {row.get("material"): row for row in csv.DictReader(table)}
+    return {
+        name: (verdict, found[name].get("verdict_text") or "")
+        for name in names
+        if (verdict := found.get(name, {}).get("verdict"))
+    }
 
 
 def notices(folder: Path, deleted: Sequence[str], stale: Sequence[str]) -> Iterator[str]:

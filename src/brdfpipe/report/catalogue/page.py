@@ -6,7 +6,7 @@ import math
 import re
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from hashlib import sha256
 from typing import Any
 from urllib.parse import quote
@@ -29,13 +29,23 @@ _LONGEST_REASON = 240
 """Characters of the reason of a verdict in its tooltip. The CSV and the page of the material contain all of it."""
 
 
-def catalogue_page(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, str]]) -> str:
+def catalogue_page(
+    catalogue: xr.Dataset,
+    failures: Mapping[str, Mapping[str, str]],
+    *,
+    pages: Container[str] | None = None,
+    scene: Mapping[str, str] | None = None,
+    others: Sequence[tuple[str, str]] = (),
+) -> str:
     """The page of the catalogue: a table that is readable without scripts, and sorts and filters with its own script.
 
     Parameters
     ----------
     catalogue : kind ``catalogue``
     failures : material → ``stage`` and ``message``; shown first
+    pages : materials that have a page; by default all
+    scene : ``name`` and ``purpose`` of the scene; None for the default one
+    others : names of the other scenes whose catalogues are in the same results, and the links to their pages
 
     Returns
     -------
@@ -55,19 +65,23 @@ def catalogue_page(catalogue: xr.Dataset, failures: Mapping[str, Mapping[str, st
             if quantity.applicability and quantity.applicability.blank
         ],
         pictured=any(texts(catalogue, "thumbnail")),
-        rows=_page_rows(catalogue, shown),
+        rows=_page_rows(catalogue, shown, pages),
         failures=[(name, str(e.get("stage", "")), str(e.get("message", ""))) for name, e in sorted(failures.items())],
         counts=Counter(texts(catalogue, "verdict")),
+        scene=scene,
+        others=others,
     )
 
 
-def _page_rows(catalogue: xr.Dataset, shown: Sequence[AppearanceQuantity]) -> list[dict[str, Any]]:
+def _page_rows(
+    catalogue: xr.Dataset, shown: Sequence[AppearanceQuantity], pages: Container[str] | None
+) -> list[dict[str, Any]]:
     """The rows in the order of the page: worst verdict first, then by name."""
     columns = [_cells(catalogue, quantity) for quantity in shown]
     names, descriptions, bases = (texts(catalogue, name) for name in ("material", "description", "basis"))
     rows = {
         "name": names,
-        "link": [f"{quote(name, safe='')}/report.html" for name in names],
+        "link": [f"{quote(name, safe='')}/report.html" if pages is None or name in pages else "" for name in names],
         "words": [_subtitle(*pair) for pair in zip(descriptions, bases, strict=True)],
         "picture": texts(catalogue, "thumbnail"),
         "colour": [colour(srgb) for srgb in catalogue["srgb"].values],

@@ -1,0 +1,139 @@
+"""A scene: what the BRDF of a material is for. A build computes only what the scene asks for."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+from brdfpipe import documents, installation
+from brdfpipe.descriptions import reading
+from brdfpipe.descriptions.keys import NAME, NAME_WORDS
+from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.scenes.domain import Domain
+from brdfpipe.scenes.results import PARTS
+from brdfpipe.scenes.scene_keys import AS_MATERIAL, SceneKeys
+from brdfpipe.store import canonical_json
+
+DEFAULT = "catalogue"
+"""The scene without a folder of its own in the results."""
+
+FOLDER = "scenes"
+"""Folder of the other scenes in the results."""
+
+
+class SceneError(BrdfpipeError):
+    """No such scene."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene with the defaults of its keys."""
+
+    name: str
+    """The name of its file."""
+    content: Mapping[str, Any]
+
+    @property
+    def digest(self) -> str:
+        """Of the content: two scenes with the same one compute the same."""
+        return hashlib.sha256(canonical_json(dict(self.content)).encode()).hexdigest()
+
+    @property
+    def folder(self) -> str:
+        """Folder of its results in the folder of results, with a slash at its end; empty for the default scene."""
+        return "" if self.name == DEFAULT else f"{FOLDER}/{self.name}/"
+
+    def asks(self, *results: str) -> bool:
+        """Whether the scene asks for one of these results."""
+        return bool(set(results) & set(self.content["results"]))
+
+    @cached_property
+    def domain(self) -> Domain:
+        """The pairs of directions that it needs."""
+        return Domain(self.content["domain"])
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The parts of the appearance that it asks for."""
+        return tuple(part for part in PARTS if self.asks(part))
+
+    def exports(self, of_material: Sequence[str]) -> tuple[str, ...]:
+        """Formats of the files for other programs; ``of_material``: those that the material names."""
+        formats = self.content["exports"]
+        return tuple(of_material if formats == AS_MATERIAL else formats)
+
+
+def shipped_scenes() -> dict[str, Path]:
+    """The scenes of the project, the default first: name → file."""
+    files = {path.stem: path for path in (installation.project_folder() / "config" / "scenes").glob("*.yaml")}
+    return {name: files[name] for name in sorted(files, key=lambda name: (name != DEFAULT, name))}
+
+
+def is_file(value: str) -> bool:
+    """Whether a scene is given by its file, and not by the name of a shipped one."""
+    return "/" in value or "\\" in value or Path(value).suffix in (".yaml", ".yml")
+
+
+def load_scene(value: str | Path, folder: Path | None = None) -> Scene:
+    """A scene by the name of a shipped one, or by its file.
+
+    Parameters
+    ----------
+    value : a name, or a path that ends in ``.yaml``
+    folder : of a relative path; by default the current one
+
+    Raises
+    ------
+    SceneError : no scene of that name, no such file, or a name that is not accepted.
+    InputError : a mistake in the file, with its line and its key.
+    """
+    shipped = shipped_scenes()
+    if not is_file(str(value)):
+        if str(value) not in shipped:
+            accepted = f"{', '.join(shipped)}; or the path of a file, as scenes/mine.yaml"
+            raise SceneError(
+                f"no scene {str(value)[:64]!r}{documents.nearest(str(value), shipped)}; accepted: {accepted}"
+            )
+        return read_scene(shipped[str(value)])
+    path = (folder or Path()) / value
+    if not path.is_file():
+        raise SceneError(f"scene {str(value)[:200]!r}: no such file; accepted: {', '.join(shipped)}; or a file")
+    if path.stem == DEFAULT and not path.samefile(shipped[DEFAULT]):
+        raise SceneError(f"scene {path.name}: the name of the default scene; accepted: any other name of the file")
+    return read_scene(path)
+
+
+def read_scene(path: Path) -> Scene:
+    """Read and validate the file of a scene.
+
+    Raises
+    ------
+    SceneError : the name of the file is not accepted. InputError : a mistake in the file.
+    """
+    if not re.fullmatch(NAME, path.stem):
+        raise SceneError(f"scene {path.name}: not an accepted name; accepted: {NAME_WORDS}")
+    return _read_once(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=64)
+def _read_once(path: Path, time: int) -> Scene:
+    """All materials of a catalogue may have the same scene."""
+    return Scene(path.stem, reading.read(path, SceneKeys))
+
+
+def refuse_different(scenes: Iterable[Scene]) -> None:
+    """Refuse scenes of the same name with different contents: their results have the same folder.
+
+    Raises InputError.
+    """
+    digests: dict[str, str] = {}
+    for scene in scenes:
+        if digests.setdefault(scene.name, scene.digest) != scene.digest:
+            raise InputError(
+                f"{scene.name}.yaml", "another scene of the same name is used", accepted="a name of its own"
+            )

@@ -1,0 +1,141 @@
+"""Builds for scenes: what each computes, shares and marks; with stages of a few lines."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from brdfpipe.jobs.build import build as build_catalogue
+from brdfpipe.jobs.cleanup import STALE
+from brdfpipe.jobs.summary import Summary
+
+Write = Callable[..., Path]
+
+SCENE = """\
+purpose: a test
+domain: {hemisphere: {}}
+results: [checks]
+metric: rendering
+tolerance: 1
+"""
+
+
+@pytest.fixture
+def results(tmp_path: Path, project: Path) -> Path:
+    return tmp_path / "results"
+
+
+def build(folder: Path, results: Path, scene: str | None = None, dry_run: bool = False) -> Summary:
+    return build_catalogue(folder, results, cores=2, scene=scene, dry_run=dry_run)
+
+
+def files(folder: Path) -> set[str]:
+    return {
+        str(path.relative_to(folder))
+        for path in folder.rglob("*")
+        if path.is_file() and path.relative_to(folder).parts[0] not in ("logs", ".snakemake", ".build.lock", "scenes")
+    }
+
+
+def of_catalogue(results: Path) -> dict[str, object]:
+    """The parameters that the fake catalogue stage received."""
+    return dict(json.loads((results / "catalogue.csv").read_text()))
+
+
+def test_a_scene_computes_only_what_it_asks_for(folder: Path, results: Path) -> None:
+    summary = build(folder, results, "gloss-sheet")
+    assert (summary.built, summary.failures) == (("first", "second"), {})
+    assert summary.page == results / "scenes" / "gloss-sheet" / "index.html"
+    of_scene = files(results / "scenes" / "gloss-sheet")
+    pages = {"catalogue.nc", "catalogue.csv", "catalogue.lock.json", "index.html"}
+    assert of_scene == pages | {
+        f"{name}/{part}.nc" for name in ("first", "second") for part in ("appearance", "summary")
+    }
+    shared = {Path(name).stem for name in files(results)}
+    assert {"surface", "predicted", "wave", "nominal_bsdf"} <= shared
+    assert not {"bsdf", "model_error", "uncertainty", "checks", "table", "index.html"} & shared
+    assert (results / "logs" / "scenes" / "gloss-sheet" / "first" / "appearance.log").exists()
+    assert (results / "logs" / "first" / "surface.log").exists()
+    assert build(folder, results, "gloss-sheet").jobs == 0
+
+
+def test_a_second_scene_computes_nothing_that_is_shared_again(folder: Path, results: Path) -> None:
+    build(folder, results, "gloss-sheet")
+    before = {path: path.stat().st_mtime_ns for path in results.glob("*/*.nc")}
+    summary = build(folder, results, "render-preview")
+    assert summary.jobs == 5  # picture and row of two materials, and the catalogue
+    assert {path: path.stat().st_mtime_ns for path in results.glob("*/*.nc")} == before
+    assert of_catalogue(results / "scenes" / "render-preview")["others"] == [
+        ["gloss-sheet", "../../scenes/gloss-sheet/index.html"]
+    ]
+
+
+def test_the_default_scene_is_the_same_after_another_one(folder: Path, results: Path, tmp_path: Path) -> None:
+    build(folder, results)
+    before = {name: (results / name).read_bytes() for name in files(results)}
+    build(folder, results, "gloss-sheet")
+    assert build(folder, results).jobs == 1  # the catalogue: its page names the other scene
+    after = {name: (results / name).read_bytes() for name in files(results)}
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed == {"catalogue.nc", "catalogue.csv", "catalogue.lock.json", "index.html"}  # of fake stages
+    assert after.keys() - before.keys() == {"first/nominal_bsdf.nc", "second/nominal_bsdf.nc"}
+    assert of_catalogue(results)["others"] == [["gloss-sheet", "scenes/gloss-sheet/index.html"]]
+    assert build(folder, results).jobs == 0
+
+
+def test_a_scene_of_a_file_is_used_and_its_edit_reruns_what_it_changes(
+    folder: Path, results: Path, tmp_path: Path
+) -> None:
+    scene = tmp_path / "mine.yaml"
+    scene.write_text(SCENE)
+    build(folder, results, str(scene))
+    place = results / "scenes" / "mine"
+    assert (place / "first" / "checks.nc").exists()
+    assert not (place / "first" / "report.html").exists()
+    scene.write_text(SCENE.replace("[checks]", "[checks, page]"))
+    assert build(folder, results, str(scene)).jobs == 3  # two pages, and the catalogue that links to them
+    assert (place / "first" / "report.html").exists()
+
+
+def test_a_material_of_its_own_scene_is_in_the_catalogue_of_that_scene(folder: Path, results: Path) -> None:
+    build(folder, results)
+    with (folder / "second" / "material.yaml").open("a") as description:
+        description.write("scene: gloss-sheet\n")
+    summary = build(folder, results)
+    assert summary.failures == {}
+    assert (results / "scenes" / "gloss-sheet" / "second" / "summary.nc").exists()
+    assert not (results / "scenes" / "gloss-sheet" / "first").exists()
+    assert of_catalogue(results)["others"] == [["gloss-sheet", "scenes/gloss-sheet/index.html"]]
+    assert "its scene is gloss-sheet now" in (results / "second" / STALE).read_text()
+    assert build(folder, results).jobs == 0
+
+
+def test_failures_are_listed_in_the_catalogue_of_their_scene(folder: Path, results: Path, write: Write) -> None:
+    write(folder, "bad", raw="refuse")
+    with (folder / "bad" / "material.yaml").open("a") as description:
+        description.write("scene: gloss-sheet\n")
+    summary = build(folder, results)
+    assert summary.failures == {"bad": "surface: raw.txt: not fit to use; found refuse"}
+    assert of_catalogue(results)["failures"] == {}
+    assert list(of_catalogue(results / "scenes" / "gloss-sheet")["failures"]) == ["bad"]  # type: ignore[call-overload]
+
+
+def test_results_of_a_scene_that_is_not_built_are_left_alone_unless_the_material_left(
+    folder: Path, results: Path, write: Write
+) -> None:
+    build(folder, results)
+    build(folder, results, "metrology-full")
+    write(folder, "first", raw="refuse")
+    build(folder, results, "metrology-full")
+    place = results / "scenes" / "metrology-full" / "first"
+    assert "cannot be built now" in (place / STALE).read_text()
+    assert not (results / "first" / STALE).exists()
+    for path in (folder / "first").iterdir():
+        path.unlink()
+    (folder / "first").rmdir()
+    build(folder, results)
+    assert "no material of this name" in (place / STALE).read_text()
+    assert "no material of this name" in (results / "first" / STALE).read_text()

@@ -1,0 +1,213 @@
+"""Scenes are read, refused in words, and chosen by the command line, a material or the configuration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from brdfpipe.appearance import computation
+from brdfpipe.catalogue.catalogue import load
+from brdfpipe.catalogue.configuration import load_config
+from brdfpipe.errors import BrdfpipeError, InputError
+from brdfpipe.exchange.registry import FORMATS
+from brdfpipe.scenes.metrics import METRICS
+from brdfpipe.scenes.results import PARTS, RESULTS
+from brdfpipe.scenes.scene import Scene, load_scene, refuse_different, shipped_scenes
+from brdfpipe.scenes.scene_keys import METRIC_NAMES
+from brdfpipe.stages import STAGES, Subject
+
+COLOUR = "spectrum: {lab: [50, 0, 0], illuminant: D65, observer: 10, geometry: sci}\n"
+
+MINIMAL = """\
+purpose: a test
+domain: {geometries: [{theta_i: 45, theta_o: 0, phi_o: 180}]}
+results: [colour]
+metric: colour
+tolerance: 1
+"""
+
+
+def written(folder: Path, name: str, text: str = MINIMAL) -> Path:
+    path = folder / f"{name}.yaml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_every_shipped_scene_is_read_by_its_name() -> None:
+    assert next(iter(shipped_scenes())) == "catalogue"
+    for name in shipped_scenes():
+        scene = load_scene(name)
+        assert (scene.name, scene.folder) == (name, "" if name == "catalogue" else f"scenes/{name}/")
+    everything = load_scene("metrology-full")
+    assert everything.asks(*RESULTS)
+    assert all(everything.asks(result) for result in RESULTS)
+
+
+def test_the_vocabulary_agrees_with_what_computes_it() -> None:
+    assert tuple(PARTS) == computation.PARTS
+    assert tuple(METRICS) == METRIC_NAMES
+
+
+def test_an_absent_key_has_its_default(tmp_path: Path) -> None:
+    content = load_scene(written(tmp_path, "mine")).content
+    assert (content["bands"], content["polarisation"], content["exports"]) == ("photopic", "unpolarised", [])
+    assert "budget" not in content
+
+
+def test_the_digest_is_of_the_content_with_its_defaults(tmp_path: Path) -> None:
+    first, same = written(tmp_path, "first"), written(tmp_path, "same", f"{MINIMAL}bands: photopic # the default\n")
+    other = written(tmp_path, "other", MINIMAL.replace("tolerance: 1", "tolerance: 2"))
+    digests = [load_scene(path).digest for path in (first, same, other)]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_an_edited_file_is_read_again(tmp_path: Path) -> None:
+    path = written(tmp_path, "mine")
+    assert load_scene(path).content["tolerance"] == 1
+    written(tmp_path, "mine", MINIMAL.replace("tolerance: 1", "tolerance: 25"))
+    assert load_scene(path).content["tolerance"] == 25
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("gloss-shet", "no scene 'gloss-shet'; did you mean 'gloss-sheet'?; accepted: catalogue, gloss-sheet"),
+        ("absent.yaml", "no such file"),
+        ("deeper/absent", "no such file"),
+    ],
+)
+def test_an_unknown_scene_is_refused_with_those_that_exist(given: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(BrdfpipeError) as refusal:
+        load_scene(given, tmp_path)
+    assert words.replace("?;", "?").split(";")[0] in str(refusal.value)
+    assert "catalogue, gloss-sheet" in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (MINIMAL.replace("[colour]", "[color]"), "results"),
+        (MINIMAL.replace("[colour]", "[]"), "the scene asks for nothing"),
+        (MINIMAL.replace("[colour]", "[gloss]") + "bands: rgb\n", "no result of the scene has these bands"),
+        (MINIMAL + "bands: [500, 400]\n", "the values do not increase"),
+        (MINIMAL + "polarisation: mueller\n", "no result of the scene is polarised"),
+        (MINIMAL.replace("tolerance: 1", "tolerance: 0"), "tolerance"),
+        (MINIMAL.replace("purpose: a test\n", ""), "purpose"),
+        (MINIMAL + "budget: {}\n", "the budget is empty"),
+        (MINIMAL + "exports: [pdf]\n", "astm"),
+    ],
+)
+def test_a_mistake_is_refused_in_words(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        load_scene(written(tmp_path, "mine", text))
+    assert words in str(refusal.value)
+    assert str(refusal.value).startswith("mine.yaml")
+
+
+def test_names_that_would_mix_results_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BrdfpipeError, match="name of the default scene"):
+        load_scene(written(tmp_path, "catalogue"))
+    with pytest.raises(BrdfpipeError, match="not an accepted name"):
+        load_scene(written(tmp_path, "my scene"))
+    one, other = Scene("mine", {"tolerance": 1}), Scene("mine", {"tolerance": 2})
+    refuse_different([one, one])
+    with pytest.raises(InputError, match="another scene of the same name"):
+        refuse_different([one, other])
+
+
+def test_the_command_line_comes_before_the_material_and_that_before_the_configuration(tmp_path: Path) -> None:
+    for name, own in (("plain", ""), ("own", "scene: render-preview\n"), ("file", "scene: mine.yaml\n")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "material.yaml").write_text(COLOUR + own)
+    written(tmp_path / "file", "mine")
+    config = tmp_path / "settings" / "config.yaml"
+    config.parent.mkdir()
+    config.write_text("scene: ../of-all.yaml\n")
+    written(tmp_path, "of-all")
+
+    def chosen(*arguments: object) -> dict[str, str]:
+        return {item.name: item.scene.name for item in load(tmp_path, *arguments).materials}  # type: ignore[arg-type]
+
+    assert chosen() == {"file": "mine", "own": "render-preview", "plain": "catalogue"}
+    assert chosen(load_config(config)) == {"file": "mine", "own": "render-preview", "plain": "of-all"}
+    assert set(chosen(load_config(config), "gloss-sheet").values()) == {"gloss-sheet"}
+
+
+def test_a_material_with_an_unknown_scene_stops_no_other(tmp_path: Path) -> None:
+    for name, own in (("good", ""), ("bad", "scene: none-such\n")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "material.yaml").write_text(COLOUR + own)
+    loaded = load(tmp_path)
+    assert [item.name for item in loaded.materials] == ["good"]
+    assert loaded.failures["bad"].startswith("material.yaml, scene: no scene 'none-such'")
+
+
+def test_formats_are_those_of_the_material_where_the_scene_says_so() -> None:
+    assert load_scene("catalogue").exports(["astm"]) == ("astm",)
+    assert load_scene("gloss-sheet").exports(["astm"]) == ()
+    assert Scene("mine", {"exports": ["astm"]}).exports([]) == ("astm",)
+
+
+@pytest.fixture(scope="module")
+def subjects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Subject]:
+    """A material with a scan, for every shipped scene."""
+    folder = tmp_path_factory.mktemp("catalogue")
+    (folder / "m").mkdir()
+    (folder / "m" / "a.txt").write_text("0 1\n1 0\n")
+    (folder / "m" / "material.yaml").write_text("surface: {file: a.txt, unit: um, pitch: 1}\nindex: 1.5\n" + COLOUR)
+    loaded = load(folder)
+    return {name: Subject(loaded["m"], loaded.config, (), load_scene(name)) for name in shipped_scenes()}
+
+
+def stages_of(subject: Subject) -> set[str]:
+    return {name for name, stage in STAGES.items() if stage.owner_kind == "material" and stage.jobs(subject)}
+
+
+def test_a_stage_runs_only_where_its_result_is_asked_for(subjects: dict[str, Subject]) -> None:
+    shared = {"surface", "facets", "psd", "visibility", "spectrum", "index", "interreflection", "predicted", "wave"}
+    nominal = {*shared, "nominal_bsdf", "summary"}
+    everything = stages_of(subjects["metrology-full"])
+    assert stages_of(subjects["gloss-sheet"]) == {*nominal, "appearance"}
+    assert stages_of(subjects["multiangle-qc"]) == {*nominal, "appearance"}
+    assert stages_of(subjects["render-preview"]) == {*nominal, "preview"}
+    assert stages_of(subjects["luminaire-raytrace"]) == {*nominal, "appearance", "table", "checks", "export_astm"}
+    assert stages_of(subjects["catalogue"]) == everything
+    assert everything >= {*shared, "bsdf", "model_error", "uncertainty", "lambert_gauss", "report"}
+    assert "nominal_bsdf" not in everything
+
+
+def test_a_table_is_computed_for_a_format_that_takes_it(subjects: dict[str, Subject]) -> None:
+    assert FORMATS["astm"].takes == "table"
+    content = {**load_scene("gloss-sheet").content, "exports": ["astm"]}
+    subject = Subject(subjects["catalogue"].owner, subjects["catalogue"].config, (), Scene("mine", content))
+    assert {"table", "export_astm"} <= stages_of(subject)
+
+
+def test_the_appearance_is_computed_at_the_geometries_of_the_scene_alone(subjects: dict[str, Subject]) -> None:
+    def settings(name: str) -> dict[str, object]:
+        return STAGES["appearance"].parameters(subjects[name])
+
+    assert settings("catalogue") == settings("metrology-full")
+    assert settings("catalogue") == STAGES["appearance"].parameters(
+        Subject(subjects["catalogue"].owner, subjects["catalogue"].config)
+    )
+    assert "parts" not in settings("catalogue")
+    gloss = settings("gloss-sheet")
+    assert (gloss["parts"], gloss["gloss_angles"], set(gloss)) == (
+        ["gloss", "haze"],
+        [20, 60, 85],
+        {"parts", "gloss_angles", "haze"},
+    )
+    colour = settings("multiangle-qc")
+    assert set(colour["geometries"]) == {"45as-15", "45as15", "45as25", "45as45", "45as75", "45as110"}  # type: ignore[call-overload]
+    assert colour["standard_geometries"] is False
+    assert settings("luminaire-raytrace") == {"parts": ["transmission"]}
+
+
+def test_a_measured_material_has_no_prediction_unless_it_is_compared(tmp_path: Path) -> None:
+    examples = load(Path(__file__).parents[2] / "examples")
+    subject = Subject(examples["milk-glass"], examples.config, (), load_scene("gloss-sheet"))
+    assert not {"facets", "predicted", "spectrum", "index"} & stages_of(subject)
+    assert "predicted" in stages_of(Subject(examples["milk-glass"], examples.config, (), load_scene("catalogue")))
