@@ -7,8 +7,9 @@ import pytest
 import samples
 import xarray as xr
 
-from brdfpipe import facets
-from brdfpipe.bsdf import microfacet
+from brdfpipe import facets, psd
+from brdfpipe.bsdf import microfacet, slab, wave
+from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.errors import VocabularyError
 
 
@@ -89,3 +90,28 @@ def test_the_mueller_matrix_of_transmission_is_nan():
     bsdf = microfacet.build(facets.analytic("beckmann", 0.2), index=1.5, transparent=True)
     assert np.isnan(bsdf.bsdf.mueller(30, 0, 150, 180).values).all()
     assert np.isfinite(bsdf.bsdf.mueller(30, 0, 30, 180).values).all()
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: samples.beckmann_bsdf(0.2),
+        lambda: samples.brushed_bsdf(0.1, 0.2),
+        lambda: microfacet.build(facets.flat(), index=1.5, spectrum=samples.spectrum(0.3)),
+        lambda: wave.build(psd.analytic("gaussian", sigma=0.1, length=5.0), index=1.5, wavelength=[550.0]),
+        lambda: slab.build(facets.flat(), facets.flat(), index=1.5),
+        lambda: lambertian(samples.spectrum(0.3)),
+        lambda: table_of(lambertian(samples.spectrum(0.3))),
+    ],
+    ids=["facets", "lay", "flat", "wave", "slab", "lambert", "table"],
+)
+def test_no_incidences_give_no_values_of_any_representation(build):
+    accessor, none = build().bsdf, np.empty(0)
+    assert accessor.evaluate(none, 0, none, 0).shape[0] == 0
+    assert accessor.mueller(none, 0, none, 0).shape[0] == 0
+    assert accessor.albedo(none).shape[0] == 0
+    assert accessor.transmittance(none).shape[0] == 0
+
+
+def table_of(bsdf: xr.Dataset) -> xr.Dataset:
+    return bsdf.bsdf.tabulate({"theta_i": [0, 30, 60], "theta_o": [0, 30, 60], "phi_o": [0, 90, 180, 270, 360]})

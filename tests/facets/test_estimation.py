@@ -302,3 +302,16 @@ def test_a_method_for_lines_causes_a_warning_on_a_map(gaussian_map, of_gaussian_
 def test_no_scan_at_all_is_refused():
     with pytest.raises(facets.FacetError, match="no scan of a surface given"):
         facets.estimate([])
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 3), (8, 8), (9, 9)])
+def test_a_map_of_few_facets_is_refused(shape):
+    heights = np.random.default_rng(0).normal(size=shape)
+    with pytest.raises(facets.FacetError, match="too few independent facets"):
+        facets.estimate(samples.surface(heights))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 64), (64, 1)])
+def test_a_map_without_a_facet_is_refused(shape):
+    with pytest.raises(facets.FacetError, match="no complete facet"):
+        facets.estimate(samples.surface(np.random.default_rng(0).normal(size=shape)))

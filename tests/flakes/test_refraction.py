@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.flakes import directions, flake_angle, flake_normal, refract
 from brdfpipe.flakes.refraction import largest_flake_angle
 from brdfpipe.geometry import unit_vector
@@ -58,3 +59,11 @@ def test_the_angle_of_a_nearly_level_flake_is_accurate():
 
 def test_grazing_directions_meet_at_the_critical_angle():
     assert flake_angle(90, 0, 90, 0, 1.5) == pytest.approx(largest_flake_angle(1.5))
+
+
+@pytest.mark.parametrize("index", [0.9, 0.0, -1.5, float("nan")])
+def test_a_coat_that_would_reflect_totally_is_refused(index):
+    with pytest.raises(BrdfpipeError, match="refractive index of the clear coat is"):
+        flake_angle(80, 0, 10, 0, index)
+    with pytest.raises(BrdfpipeError, match="accepted: 1 or above"):
+        refract(unit_vector(80, 0), index)

@@ -189,3 +189,16 @@ def test_sigma_length_and_slope_agree_over_many_seeds_and_forms() -> None:
         assert (spread < 1.4).all(), (slope, spread)
         # A mean of 30 scatters by 0.18.
         assert (np.abs(mean) < 0.7).all(), (slope, mean)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 3), (8, 8), (1, 64), (64, 1), (2,), (16,)])
+def test_a_scan_too_small_for_a_spectrum_is_refused(shape: tuple[int, ...]) -> None:
+    tiny = samples.surface(np.random.default_rng(0).normal(size=shape))
+    with pytest.raises(PsdError, match="Measure a larger area"):
+        estimate(tiny)
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (640,)])
+def test_a_perfectly_flat_surface_has_no_spectrum(shape: tuple[int, ...]) -> None:
+    with pytest.raises(PsdError, match="perfectly flat"):
+        estimate(samples.surface(np.full(shape, 5.0)))

@@ -285,3 +285,11 @@ def test_differences_of_screens_are_those_of_colour_science() -> None:
         for xyz in (first, second)
     )
     assert colorimetry.delta_e_itp(first, second) == pytest.approx(colour.delta_E(*encoded, method="ITP"), rel=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e3])
+def test_wavelengths_in_other_units_are_refused(scale: float) -> None:
+    with pytest.raises(BrdfpipeError, match="accepted: 100 to 100000 nm"):
+        colorimetry.reflectance_to_xyz(GRID * scale, np.full(GRID.size, 0.5))
+    with pytest.raises(BrdfpipeError, match="Are they in nm"):
+        colorimetry.luminous_weight(GRID * scale)

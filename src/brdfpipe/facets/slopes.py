@@ -131,6 +131,8 @@ def mean_slope(heights: HeightMap) -> Array:
     border are missing, or if it is too small to matter.
     """
     height, pitch = heights.height, heights.pitch
+    if min(height.shape) < 2:  # no facet
+        return np.zeros(2)
     rises = [
         (height[:, -1] - height[:, 0]) / ((height.shape[1] - 1) * pitch[0]),
         (height[-1] - height[0]) / ((height.shape[0] - 1) * pitch[1]),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import Array, unit_vector
 
 
@@ -19,16 +20,21 @@ def refract(vector: ArrayLike, index: float) -> Array:
     Parameters
     ----------
     vector : (..., 3) unit vectors, z along the normal, z >= 0
-    index : refractive index of the coat, n2/n1
+    index : refractive index of the coat, n2/n1, 1 or above
 
     Returns
     -------
     (..., 3) unit vectors
 
+    Raises
+    ------
+    BrdfpipeError : an index below 1.
+
     Notes
     -----
     v' = (n1/n2) v + [√(1 − (n1/n2)²(1 − cos²τ)) − (n1/n2) cos τ] N.
     """
+    _check_index(index)
     v = np.asarray(vector, dtype=float)
     ratio, cos_tau = 1 / index, v[..., 2:]
     along = np.sqrt(1 - ratio**2 * (1 - cos_tau**2)) - ratio * cos_tau
@@ -47,7 +53,11 @@ def flake_angle(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
     Parameters
     ----------
     theta_i, phi_i, theta_o, phi_o : degree, broadcastable; 0 <= θ <= 90
-    index : refractive index of the clear coat, above 1
+    index : refractive index of the clear coat, 1 or above
+
+    Raises
+    ------
+    BrdfpipeError : an index below 1.
 
     Notes
     -----
@@ -55,6 +65,7 @@ def flake_angle(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
     tangential part is (sin θ_i − sin θ_o)² + 4 sin θ_i sin θ_o cos²(Δφ/2), which does not cancel near the mirror direction,
     where arccos f_z would lose half the digits.
     """
+    _check_index(index)
     sin_i, sin_o = np.sin(np.radians(theta_i)), np.sin(np.radians(theta_o))
     half = np.cos(np.radians(np.subtract(phi_i, phi_o)) / 2)
     tangential = np.sqrt((sin_i - sin_o) ** 2 + 4 * sin_i * sin_o * half**2)
@@ -70,3 +81,9 @@ def largest_flake_angle(index: float) -> float:
 def inner_cosine(theta: ArrayLike, index: float) -> Array:
     """Cosine of the polar angle inside the coat of a direction outside."""
     return np.asarray(np.sqrt(1 - (np.sin(np.radians(theta)) / index) ** 2))
+
+
+def _check_index(index: float) -> None:
+    """Refuse a coat whose index would reflect light from outside totally."""
+    if not np.min(index) >= 1:
+        raise BrdfpipeError(f"the refractive index of the clear coat is {np.min(index):g}; accepted: 1 or above")

@@ -17,4 +17,6 @@ def beckmann_lambda(theta: ArrayLike, width: float) -> Array:
 
 def ggx_lambda(theta: ArrayLike, width: float) -> Array:
     """Λ(θ) of GGX facets of a width [1], θ in degree (Walter 2007, eq. 34)."""
-    return np.asarray((np.sqrt(1 + (width * np.tan(np.radians(theta))) ** 2) - 1) / 2)
+    square = (width * np.tan(np.radians(theta))) ** 2
+    # The root less 1, over 2, would cancel for smooth surfaces.
+    return np.asarray(square / (1 + np.sqrt(1 + square)) / 2)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from brdfpipe import vocabulary
 from brdfpipe.geometry import Array
 from brdfpipe.psd.coherent_height import coherent_height
-from brdfpipe.psd.k_correlation import FittedForm, Gaussian, fit
+from brdfpipe.psd.k_correlation import FittedForm, Gaussian, PsdError, fit
 from brdfpipe.psd.line_inversion import invert, inverted_change, with_variance_of
 from brdfpipe.psd.long_waves import long_waves
 from brdfpipe.psd.noise_floor import NoiseFloor, noise_floor
@@ -61,6 +61,10 @@ def estimate(surface: xr.Dataset, *, noise: float | xr.Dataset | NoiseFloor | No
     floor = noise_floor(surface, noise)
     levels, count = periodograms(scan)
     apparent = rings(levels, scan.nyquist)
+    if not (apparent.density > 0).any():
+        raise PsdError(
+            "no roughness spectrum: the surface is perfectly flat; check the height unit and the missing heights"
+        )
     above = _without_noise(apparent, floor, scan, surface.attrs)
     line = scan.height.ndim == 1
     noise_change = np.full((1, above.frequency.size), -floor.density_uncertainty(scan))

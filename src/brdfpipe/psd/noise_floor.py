@@ -131,11 +131,11 @@ def plateau(scan: Scan) -> NoiseFloor:
     for most, steepest in ((_FEW_PATCHES, 2 * _LARGEST_FALL), (_MOST_PATCHES, _LARGEST_FALL)):
         try:
             fine, _ = full_pitch(scan, _PATCH[scan.height.ndim], most)
+            # In the corners of the frequency plane the surface has fallen even further.
+            ends = (axis[axis.size // 2 if k < len(fine.axes) - 1 else -1] for k, axis in enumerate(fine.axes))
+            spectrum = rings([fine], float(np.sqrt(sum(end**2 for end in ends))))
         except PsdError:
             return UNKNOWN
-        # In the corners of the frequency plane the surface has fallen even further.
-        ends = (axis[axis.size // 2 if k < len(fine.axes) - 1 else -1] for k, axis in enumerate(fine.axes))
-        spectrum = rings([fine], float(np.sqrt(sum(end**2 for end in ends))))
         shoulder = spectrum.between(scan.nyquist / np.sqrt(2), scan.nyquist).density
         if shoulder.size == 0 or shoulder[0] > steepest * spectrum.density[-1]:
             return UNKNOWN

@@ -30,6 +30,7 @@ RINGS_PER_DECADE = 20
 _PATCH = {1: 4096, 2: 256}
 """Heights along a side of a patch, of a line and of a map."""
 _SHORTEST_PATCH = 32
+_ENOUGH = f"accepted: {_SHORTEST_PATCH} or more along each side. Measure a larger area"
 _MOST_PATCHES = 64
 _BATCH = 8
 _SUMMED = 2**18
@@ -196,6 +197,8 @@ def full_pitch(scan: Scan, size: int, most: int) -> tuple[Periodogram, int]:
     ------
     PsdError : every patch of 32 heights along a side has a gap.
     """
+    if min(scan.height.shape) < 2:
+        raise PsdError(f"no roughness spectrum of {' x '.join(map(str, scan.height.shape))} heights; {_ENOUGH}")
     largest = min(size, *(n // 2 for n in scan.height.shape))
     while True:
         side = max(largest - largest % 2, _SHORTEST_PATCH)
@@ -213,12 +216,17 @@ def full_pitch(scan: Scan, size: int, most: int) -> tuple[Periodogram, int]:
 
 
 def rings(levels: Sequence[Periodogram], high: float) -> Rings:
-    """Mean spectra in logarithmic rings, from the lowest frequency of the periodograms to ``high`` [um-1]."""
+    """Mean spectra in logarithmic rings, from the lowest frequency of the periodograms to ``high`` [um-1].
+
+    Raises PsdError: there is no frequency between these.
+    """
     parts = []
     for level in levels:
         if level.low < high:
             parts.append(_rings_of(level, level.low, high))
             high = level.low
+    if not parts:
+        raise PsdError(f"no roughness spectrum: no wave fits into the scan between its size and its pitch; {_ENOUGH}")
     result = parts[-1]
     for part in parts[-2::-1]:
         result = result + part

@@ -22,6 +22,9 @@ OBSERVERS = {2: "CIE 1931 2 Degree Standard Observer", 10: "CIE 1964 10 Degree S
 GRID = np.arange(360.0, 781.0, 5.0)
 """Wavelengths of the integration, nm."""
 
+SHORTEST, LONGEST = 100.0, 100_000.0
+"""Wavelengths that are taken for nanometres."""
+
 _USUAL_ILLUMINANTS = ("D65", "A", "D50", "C", "E", "FL2", "FL11", "LED-B3")
 """Recognised without colour-science, which takes seconds to load."""
 
@@ -125,6 +128,7 @@ def reflectance_to_xyz(
         )
     if not (np.isfinite(nodes).all() and np.isfinite(values).all() and (np.diff(nodes) > 0).all()):
         raise BrdfpipeError("a colour needs strictly increasing wavelengths and finite reflectances")
+    _refuse_other_units(nodes)
     return np.asarray(_on_grid(nodes, values) @ weights(illuminant, observer).weights)
 
 
@@ -220,6 +224,7 @@ def luminous_weight(wavelength: ArrayLike, illuminant: str = "D65") -> Array:
     nodes = np.asarray(wavelength, dtype=float)
     if nodes.ndim != 1 or nodes.size == 0 or not np.isfinite(nodes).all() or (np.diff(nodes) <= 0).any():
         raise BrdfpipeError("wavelength must be a list of increasing nm")
+    _refuse_other_units(nodes)
     luminous = weights(illuminant, 2).weights[:, 1]
     position = np.interp(GRID, nodes, np.arange(nodes.size, dtype=float))
     left = np.minimum(position.astype(int), max(nodes.size - 2, 0))
@@ -251,3 +256,11 @@ def _weights(name: str, observer: int) -> Weights:
     for array in (product, white):
         array.setflags(write=False)
     return Weights(name, observer, GRID, product, white)
+
+
+def _refuse_other_units(wavelength: Array) -> None:
+    """Refuse wavelengths in m or um: constant beyond their ends, a reflectance over them would still have a colour."""
+    if not (wavelength[0] >= SHORTEST and wavelength[-1] <= LONGEST):
+        raise BrdfpipeError(
+            f"the wavelengths span {wavelength[0]:g} to {wavelength[-1]:g}; accepted: {SHORTEST:g} to {LONGEST:g} nm. Are they in nm?"
+        )

@@ -345,3 +345,15 @@ def test_cells_below_the_horizon_never_count():
 def test_the_warnings_of_the_cells_are_passed_on():
     primary = vocabulary.add_warning(rig_primary.measured(flat(0.2)), "the lamp is old")
     assert "the lamp is old" in json.loads(smoothing.smooth(primary).attrs["warnings"])
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_fit_without_a_cell_to_spare_says_so(count):
+    smoothed = smoothing.smooth(with_cells(rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree")), count))
+    assert "as many parameters as cells with values" in smoothed.attrs["warnings"]
+
+
+def test_a_strength_that_hardly_bounds_the_fit_is_warned_of():
+    primary = rig_primary.measured(rig_primary.lobe("peak 10 sr-1, 3 degree"))
+    assert "below 0.03" in smoothing.smooth(primary, strength=1e-12).attrs["warnings"]
+    assert "warnings" not in smoothing.smooth(primary, strength=1.0).attrs

@@ -455,6 +455,17 @@ def _with_notes(smoothed: xr.Dataset, fits: list[_Fit], strength: float | None) 
         warnings.append(
             f"{empty} of {smoothed['chi_squared_dof'].size} fits, one for each incidence and wavelength, have no cell with a value."
         )
+    for fit, incidence in zip(fits, smoothed["incidence"].values, strict=True):
+        if fit.used.any() and np.isnan(fit.chi_squared_dof).any():
+            warnings.append(
+                f"The fit at {incidence:g}° has as many parameters as cells with values: nothing tells how far off it is between them, and its "
+                "uncertainty there is too small. Measure more cells."
+            )
+    if mode == "pspline" and strength is not None and strength < _STRENGTHS[0]:
+        warnings.append(
+            f"The given strength ε = {strength:g} is below {_STRENGTHS[0]:g}: between distant cells the fit is hardly bounded, and may be off by "
+            "many times its uncertainty. Give a larger strength, or none."
+        )
     poor = smoothed["chi_squared_dof"].max("wavelength")
     for incidence, worst in zip(poor["incidence"].values, poor.values, strict=True):
         if worst > _MISFIT and mode != "keldysh-printed":

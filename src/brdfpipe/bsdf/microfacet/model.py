@@ -270,7 +270,7 @@ class Model:
         if self.transparent and below.any():
             inside = self.specular(180 - theta, phi + 180, 1 / self.n)
             total = total + np.where(below[:, None], inside, 0.0)
-        return np.where((theta == 90)[:, None], 0.0, total).reshape(*shape, -1)
+        return np.where((theta == 90)[:, None], 0.0, total).reshape(*shape, total.shape[-1])
 
     def _albedo_above(self, theta: Array, phi: Array) -> Array:
         total = self.specular(theta, phi, self.n)
@@ -300,7 +300,7 @@ class Model:
             passed = 1 - fresnel_reflectance(cos, np.where(below, 1 / self.n, self.n)).mean
         else:
             passed = transmission.directional_transmittance(self.surface, self.masking, self.n, theta, phi)
-        return np.where((theta == 90)[:, None], 0.0, passed).reshape(*theta_i.shape, -1)
+        return np.where((theta == 90)[:, None], 0.0, passed).reshape(*theta_i.shape, passed.shape[-1])
 
 
 # --- albedo and diffuse base of a dataset

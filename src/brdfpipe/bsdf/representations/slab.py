@@ -110,7 +110,7 @@ class Slab(Representation):
         else:
             front, back = matrix @ front, matrix @ back
         flux = np.clip(np.where((theta > 90)[:, None], back, front), 0.0, 1.0)
-        return np.where((theta == 90)[:, None], 0.0, flux).reshape(*np.shape(theta_i), -1)
+        return np.where((theta == 90)[:, None], 0.0, flux).reshape(*np.shape(theta_i), flux.shape[-1])
 
     def _plate(self, name: str, theta: Array, wavelength: Array | None) -> Array:
         """The same flux of a plate with two smooth faces, (angles, wavelength or 1)."""

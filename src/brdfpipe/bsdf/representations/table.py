@@ -74,7 +74,7 @@ class Table(Representation):
             selected = (sides[0] * (90 - theta_i) > 0) & (sides[1] * (90 - theta_o) > 0)
             if selected.any() and sides in interpolators:
                 result[selected] = interpolators[sides]([coordinates[name][selected] for name in self._names])
-        return result.reshape(*shape, -1)
+        return result.reshape(*shape, width)
 
     def albedo(self, theta_i: Array, phi_i: Array, wavelength: Array | None) -> Array:
         """Directional reflectance [1], (incidences…, wavelength); for a uniform table the exact integral of its interpolation.
@@ -90,7 +90,7 @@ class Table(Representation):
         coordinates = self._folded(names, incidence)
         interpolate = _linear([self._axes[name] for name in names], sums)
         albedo = interpolate([coordinates[name] for name in names])
-        return np.where(theta_i[..., None] < 90, albedo.reshape(*theta_i.shape, -1), 0.0)
+        return np.where(theta_i[..., None] < 90, albedo.reshape(*theta_i.shape, albedo.shape[-1]), 0.0)
 
     @property
     def albedo_needs_quadrature(self) -> bool:

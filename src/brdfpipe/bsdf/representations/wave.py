@@ -123,7 +123,7 @@ class Wave(Representation):
             return surface + at.base.brdf(one[0], one[2], one[1], one[3])
         at, shape, angles = self._prepared(theta_i, phi_i, theta_o, phi_o, wavelength)
         brdf = at.mixed(self._surface.evaluate(angles, at.wavelength, at.n, at.k)) + self._base(at, angles)
-        return brdf.reshape(*shape, -1)
+        return brdf.reshape(*shape, brdf.shape[-1])
 
     def mueller(self, theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array, wavelength: Array | None) -> Array:
         """Frames as in :mod:`brdfpipe.bsdf.microfacet.polarised`; the coherent part is not included."""
