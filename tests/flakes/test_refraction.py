@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given
@@ -67,3 +68,14 @@ def test_a_coat_that_would_reflect_totally_is_refused(index):
         flake_angle(80, 0, 10, 0, index)
     with pytest.raises(BrdfpipeError, match="accepted: 1 or above"):
         refract(unit_vector(80, 0), index)
+
+
+@pytest.mark.parametrize("index", [1.0, 1 + 1e-9, 1.5, 4.0])
+@pytest.mark.parametrize(("theta_i", "theta_o"), [(89.999, 89.998), (89.9, 30.0), (45.0, 45.000001)])
+def test_the_flake_angle_keeps_its_digits_at_grazing_angles(index, theta_i, theta_o):
+    with mpmath.workdps(50):
+        sines = [mpmath.sin(mpmath.radians(mpmath.mpf(angle))) / index for angle in (theta_i, theta_o)]
+        normal = sum(mpmath.sqrt(1 - sine**2) for sine in sines)
+        expected = float(mpmath.degrees(mpmath.atan(abs(sines[0] - sines[1]) / normal)))
+    # A degree near 90 becomes radian to 1e-16, of which a difference of 0.001° keeps eleven digits.
+    assert float(flake_angle(theta_i, 0, theta_o, 180, index)) == pytest.approx(expected, rel=1e-9, abs=1e-13)

@@ -63,12 +63,13 @@ def flake_angle(theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o:
     -----
     Refraction scales the tangential part of a direction by 1/n, so tan θf = |w_i + w_o|_xy / [n (cos θ_i' + cos θ_o')]. The
     tangential part is (sin θ_i − sin θ_o)² + 4 sin θ_i sin θ_o cos²(Δφ/2), which does not cancel near the mirror direction,
-    where arccos f_z would lose half the digits.
+    where arccos f_z would lose half the digits. The difference of the sines is written as a product, for grazing directions.
     """
     _check_index(index)
     sin_i, sin_o = np.sin(np.radians(theta_i)), np.sin(np.radians(theta_o))
     half = np.cos(np.radians(np.subtract(phi_i, phi_o)) / 2)
-    tangential = np.sqrt((sin_i - sin_o) ** 2 + 4 * sin_i * sin_o * half**2)
+    mean, difference = np.radians(np.add(theta_i, theta_o)) / 2, np.radians(np.subtract(theta_i, theta_o)) / 2
+    tangential = np.sqrt((2 * np.cos(mean) * np.sin(difference)) ** 2 + 4 * sin_i * sin_o * half**2)
     normal = index * (inner_cosine(theta_i, index) + inner_cosine(theta_o, index))
     return np.asarray(np.degrees(np.arctan2(tangential, normal)))
 
@@ -80,7 +81,8 @@ def largest_flake_angle(index: float) -> float:
 
 def inner_cosine(theta: ArrayLike, index: float) -> Array:
     """Cosine of the polar angle inside the coat of a direction outside."""
-    return np.asarray(np.sqrt(1 - (np.sin(np.radians(theta)) / index) ** 2))
+    # Not √(1 − sin²θ / n²), which cancels at grazing angles as n → 1.
+    return np.asarray(np.sqrt((index - 1) * (index + 1) + np.cos(np.radians(theta)) ** 2) / index)
 
 
 def _check_index(index: float) -> None:
