@@ -208,6 +208,9 @@ def test_unusable_maps_are_refused():
         phase_spectrum(samples.gaussian_surface(128, sigma=0.3), 4 * np.pi / WAVELENGTH)
     with pytest.raises(HeightMapError, match="perfectly flat"):
         phase_spectrum(samples.surface(np.zeros((128, 128))), 20.0)
+    with pytest.raises(HeightMapError, match="perfectly flat"):
+        # Levelling it leaves rounding.
+        phase_spectrum(samples.surface(np.tile(np.linspace(0, 0.2, 128), (128, 1))), 20.0)
     holes = gaussian_map(0.05, size=128)
     holes["height"][::16, ::16] = np.nan
     with pytest.raises(HeightMapError, match="without gaps, and two are needed"):
@@ -225,3 +228,12 @@ def test_a_polished_surface_keeps_its_light_in_the_mirror_direction(sigma):
     # Enough nodes for the splines of its BSDF.
     assert found.phase.size >= 5
     assert found.coherent == pytest.approx(np.exp(-((found.phase * sigma) ** 2)), abs=2e-3)
+
+
+@pytest.mark.parametrize("sigma", [1e-4, 1e-5, 1e-6])
+def test_the_light_that_the_smoothest_maps_scatter_is_their_mean_square_phase(sigma):
+    # Of one surface, higher and lower: what is not coherent is proportional to its mean square height.
+    found, rougher = (phase_spectrum(gaussian_map(one, size=128), 4 * np.pi / WAVELENGTH) for one in (sigma, 1e-3))
+    lost, expected = ((1 - one.coherent) / np.square(one.phase) for one in (found, rougher))
+    np.testing.assert_allclose(lost / expected, (sigma / 1e-3) ** 2, rtol=1e-3)
+    np.testing.assert_allclose(found.scaling, rougher.scaling, rtol=1e-3)

@@ -42,6 +42,7 @@ _JOIN = 8.0, 24.0  # waves along the shorter side, from the mirrored field to th
 _OUTSIDE = 0.02, 0.005  # share of the light further from the mirror direction, likewise
 _COHERENT_BLOCKS = 8  # along the shorter side, whose scatter is the chance part of the coherent light
 _FEWEST_PARTS = 4  # of these, for that scatter
+_FLAT_PHASE = 1e-5  # rms [rad] below which a map is flat: levelling a plane leaves rounding
 _PHASE_STEP = 0.2  # of ln q
 _LEAST_PHASE = 0.1  # q times the rms height of the first node: below it U grows as q²
 _FEWEST_PHASES = 5  # of a smooth surface, so that cubics interpolate between them
@@ -101,7 +102,7 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
             "with fewer missing heights"
         )
     sigma = float(np.std(mesh.height))
-    if sigma == 0:
+    if sigma * largest_phase < _FLAT_PHASE:
         raise HeightMapError("the surface is perfectly flat; use `brdfpipe.facets.flat` and the facet model")
     coarse = _coarse_share(mesh.height, largest_phase)
     if coarse > COARSE_LIMIT:
@@ -129,8 +130,11 @@ def phase_spectrum(surface: xr.Dataset, largest_phase: float) -> PhaseSpectrum:
         field = np.exp(np.complex64(1j * q) * heights)
         if measured is not None:
             field *= measured
-        coherent[row], amplitude = parts.coherent(field)
+        amplitude = parts.coherent_amplitude(field)
         field -= amplitude if measured is None else amplitude * measured
+        # What is not coherent is what remains: at small phases the cosine is 1 in single precision.
+        remaining = sum(np.square(part).sum(dtype=float) for part in (field.real, field.imag)) / number
+        coherent[row] = max(1 - remaining, 0.0) if amplitude else 0.0
         light = mirrored.light(field) / number
         outside = 1 - np.cumsum(light) / light.sum()
         light[:-1] += far * _passed(outside[:-1], *_OUTSIDE) * (faded.light(field) - light)[:-1]
@@ -208,17 +212,16 @@ class _Parts(NamedTuple):
         """Number of equal parts whose mean is known as well."""
         return float(self.measured.sum() ** 2 / np.square(self.measured).sum())
 
-    def coherent(self, field: NDArray[np.complex64]) -> tuple[float, np.complex64]:
-        """Coherent share without the light by chance, and the amplitude of that share, of a field that is 0 where heights are missing."""
+    def coherent_amplitude(self, field: NDArray[np.complex64]) -> np.complex64:
+        """Part of the mean field that is coherent: without it, the light by chance remains. The field is 0 where heights are missing."""
         sums = np.array([field[y : y + self.side, x : x + self.side].sum(dtype=complex) for y, x in self.first])
         amplitude = sums.sum() / self.measured.sum()
         deviation = np.abs(sums / self.measured - amplitude)
         bias = float(np.average(deviation**2, weights=self.measured)) / (self.independent - 1)
         share = float(np.abs(amplitude) ** 2)
         if share <= _SIGNIFICANT * bias:
-            return 0.0, np.complex64(0)
-        # What remains of the mean amplitude carries the light by chance.
-        return min(share - bias, 1.0), np.complex64(amplitude * (1 - np.sqrt(bias / share)))
+            return np.complex64(0)
+        return np.complex64(amplitude * (1 - np.sqrt(bias / share)))
 
 
 def _passed(value: Array, start: float, end: float) -> Array:
