@@ -1,7 +1,8 @@
 """Gloss of the light that a height map diffracts, and its uncertainty because the map is finite.
 
 A map of an area A diffracts light in modes of 1/A in frequency, whose powers scatter as those of random fields: by all of their mean, and f and −f
-together, because heights are real. Light that one mode has too much, the others and the coherent light lack. So
+together, because heights are real; where the phase varies much they are independent, and u is up to √2 too large. Light that one mode has too much,
+the others and the coherent light lack. So
 var G = 2/A ∬ (100 w − G)² U² d²f, w the share of the light at f that enters the receptor: of even light within it, that of (∬ U)²/∬ U² · A/2
 independent speckles.
 
