@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import samples
 
-from brdfpipe import facets, optics
+from brdfpipe import facets, optics, psd
 from brdfpipe.appearance.skies import sky_luminance
 from brdfpipe.appearance.veiling_glare import SUN_RADIUS, Cabin, Sky, Sun, Windscreen, veiling_luminance
-from brdfpipe.bsdf import microfacet
+from brdfpipe.bsdf import microfacet, wave
 from brdfpipe.bsdf.lambert_gauss import lambertian
 from brdfpipe.errors import BrdfpipeError
 from brdfpipe.geometry import angles_of, unit_vector
@@ -257,3 +257,13 @@ def test_the_glass_has_the_transmittance_that_is_asked_for():
 def test_a_cabin_that_cannot_be_is_refused(options, message):
     with pytest.raises(BrdfpipeError, match=message):
         Cabin(**options)
+
+
+def test_waves_on_a_hardly_rough_dashboard_lead_to_the_polished_one():
+    """With 1 nm of height g is 5e-4, and so is the share of the light that is scattered."""
+    waves = wave.build(psd.analytic("gaussian", sigma=1e-3, length=5.0), index=1.5, wavelength=[450.0, 550.0, 650.0])
+    found, polished = (
+        float(veiling_luminance(bsdf)["veiling_luminance_sky"])
+        for bsdf in (waves, microfacet.build(facets.flat(), index=1.5))
+    )
+    assert found == pytest.approx(polished, rel=1e-3)

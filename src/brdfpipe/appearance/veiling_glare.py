@@ -298,7 +298,8 @@ def _regular(dashboard: Representation, cabin: Cabin) -> float:
         return 0.0
     matrix = np.eye(2)
     if dashboard.uses_index and "n" in dashboard.dataset:
-        n, k = (float(dashboard.dataset[name]) if name in dashboard.dataset else 0.0 for name in ("n", "k"))
+        # Means over wavelength, where the dataset keeps several: only the ratio of s and p depends on them.
+        n, k = (float(dashboard.dataset[name].mean()) if name in dashboard.dataset else 0.0 for name in ("n", "k"))
         fresnel = facet_mueller(np.cos(np.radians(theta[0])), n, k)[:2, :2]
         matrix = fresnel / fresnel[0, 0]
     else:
