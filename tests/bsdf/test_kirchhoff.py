@@ -154,6 +154,16 @@ def test_limits_of_the_method_are_reported(monkeypatch):
     assert any("diffracted light was scaled by" in text for text in vocabulary.warnings(scaled))
 
 
+def test_more_light_than_there_is_at_grazing_incidence_is_reported():
+    # The table of reflectances ends at 1, so that the checks do not see it.
+    def excess(sigma: float) -> list[str]:
+        return [text for text in vocabulary.warnings(diffracted(sigma)) if "leaves out masking, and" in text]
+
+    assert len(excess(0.2)) == 1
+    assert excess(0.013) == []
+    assert representation(diffracted(0.2)).albedo(np.array([89.9]), np.zeros(1), None) <= 1
+
+
 def test_unusable_input_is_refused():
     with pytest.raises(HeightMapError, match="increasing list of wavelengths"):
         build(gaussian_map(0.05), index=1.5, wavelength=[600.0, 500.0])

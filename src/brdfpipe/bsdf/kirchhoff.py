@@ -27,6 +27,8 @@ COARSE_WARNING = 1e-3
 """Share of steps between neighbouring heights of more than π in phase above which the result warns."""
 SCALING_LIMIT = 0.1
 """Change of the diffracted light by scaling it to all that is not coherent, above which the result warns."""
+EXCESS_LIMIT = 0.01
+"""Coherent and diffracted light beyond all light, of any incidence, above which the result warns."""
 LAY_LIMIT = 1.2
 """Ratio of the principal slopes above which the mean over azimuth is reported as such."""
 
@@ -105,7 +107,14 @@ def build(
         cosine = np.cos(np.radians(np.minimum(theta, 89.99)))[:, None]
         mirror = fresnel(cosine, n, k).mean
         halo = np.stack([diffracted(min(float(angle), 89.99)) for angle in theta])
-        return np.minimum(mirror * diffraction.coherent_share(cosine, given) + halo, 1.0)
+        returned = mirror * diffraction.coherent_share(cosine, given) + halo
+        if (excess := float(returned.max()) - 1) > EXCESS_LIMIT:
+            first = float(theta[(returned > 1 + EXCESS_LIMIT).any(axis=1).argmax()])
+            warnings.append(
+                f"from an incidence of {min(first, 89.99):g}° on, coherent and diffracted light together are up to {1 + excess:.1%} of the incident light: "
+                "Kirchhoff's integral leaves out masking, and the reflectance is stated as 100 % there; evaluate the BSDF at smaller angles"
+            )
+        return np.minimum(returned, 1.0)
 
     def trapped(theta_i: float, half_angle: float) -> Array:
         cosine = np.array([[np.cos(np.radians(theta_i))]])
