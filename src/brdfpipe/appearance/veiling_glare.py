@@ -171,7 +171,7 @@ def veiling_luminance(bsdf: xr.Dataset, cabin: Cabin | None = None) -> xr.Datase
     Notes
     -----
     Light is polarised by the glass that it enters through, by the dashboard as far as its BRDF has a Mueller matrix, and analysed by
-    the glass that mirrors it: on black, glossy dashboards this raises the luminance by up to half. Both faces of the glass mirror.
+    the glass that mirrors it: on black dashboards this raises the luminance by 40 to 60 %. Both faces of the glass mirror.
     """
     cabin = Cabin() if cabin is None else cabin
     vocabulary.validate(bsdf, "bsdf")
